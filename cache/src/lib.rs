@@ -1,0 +1,19 @@
+//! Content-addressed store of marf: digests, content hashes, manifests, records, blobs.
+//!
+//! Bytes only: this room knows no graph, no stage and no image.
+//! Invariant: a byte string that leaves the store has the digest it was asked for by.
+
+extern crate self as marf_cache;
+
+mod content_hash;
+mod digest;
+pub mod manifest;
+
+pub use content_hash::{ContentHash, Listener, digest_of, manifest_text};
+pub use digest::{Digest, ParseDigestError};
+pub use marf_cache_derive::ContentHash;
+
+#[doc(hidden)]
+pub mod __private {
+    pub use crate::content_hash::{ContentHash, Listener};
+}

@@ -1,0 +1,1 @@
+//! WGSL kernels of marf and their uniforms.

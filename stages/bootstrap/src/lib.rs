@@ -1,0 +1,1 @@
+//! B retrainings to uncertainty maps and a fly-through.

@@ -1,0 +1,1 @@
+//! Photos and priors to a calibrated scene.

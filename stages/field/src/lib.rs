@@ -1,0 +1,1 @@
+//! The radiance field: hash grid, MLPs, compositing, Adam, marching.

@@ -1,0 +1,1 @@
+//! Photos to verdicts: the six filters.

@@ -1,0 +1,218 @@
+use nalgebra::{Vector2, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// A pinhole camera with OpenCV's radial and tangential distortion (all zero: an ideal pinhole).
+///
+/// x = X/Z, y = Y/Z, r² = x² + y²,
+/// x' = x (1 + k1 r² + k2 r⁴) + 2 p1 x y + p2 (r² + 2 x²),
+/// y' = y (1 + k1 r² + k2 r⁴) + p1 (r² + 2 y²) + 2 p2 x y, pixel = (fx x' + cx, fy y' + cy)
+/// (OpenCV, camera calibration and 3D reconstruction; also COLMAP's `OPENCV`).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Camera {
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// Focal length along x, pixels.
+    pub fx_px: f64,
+    /// Focal length along y, pixels.
+    pub fy_px: f64,
+    /// Principal point, pixels from the left edge; may lie outside the image.
+    pub cx_px: f64,
+    /// Principal point, pixels from the top edge; may lie outside the image.
+    pub cy_px: f64,
+    /// Radial distortion, r².
+    #[serde(default)]
+    pub k1: f64,
+    /// Radial distortion, r⁴.
+    #[serde(default)]
+    pub k2: f64,
+    /// Tangential distortion.
+    #[serde(default)]
+    pub p1: f64,
+    /// Tangential distortion.
+    #[serde(default)]
+    pub p2: f64,
+}
+
+/// Newton steps that suffice to undo the distortion; the fold test stops runaways.
+const NEWTON_STEPS: usize = 20;
+
+impl Camera {
+    /// An ideal pinhole with its principal point at the centre.
+    pub fn pinhole(width: u32, height: u32, focal_px: f64) -> Self {
+        let (cx_px, cy_px) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
+        Self {
+            width,
+            height,
+            fx_px: focal_px,
+            fy_px: focal_px,
+            cx_px,
+            cy_px,
+            k1: 0.0,
+            k2: 0.0,
+            p1: 0.0,
+            p2: 0.0,
+        }
+    }
+
+    /// Projects a point of the camera frame (x right, y down, z forward) to a pixel.
+    /// Returns `None` behind the camera or where the distortion folds over.
+    pub fn project(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
+        if point.z <= 0.0 {
+            return None;
+        }
+        let plane = Vector2::new(point.x / point.z, point.y / point.z);
+        if !self.unfolded(plane.norm_squared()) {
+            return None;
+        }
+        let distorted = self.distort(&plane);
+        Some(Vector2::new(
+            self.fx_px * distorted.x + self.cx_px,
+            self.fy_px * distorted.y + self.cy_px,
+        ))
+    }
+
+    /// Returns the direction (z = 1) behind a pixel; `None` where the distortion has no inverse.
+    pub fn unproject(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
+        let target = Vector2::new(
+            (pixel.x - self.cx_px) / self.fx_px,
+            (pixel.y - self.cy_px) / self.fy_px,
+        );
+        let mut plane = target;
+        for _ in 0..NEWTON_STEPS {
+            let error = self.distort(&plane) - target;
+            if error.amax() < 1e-14 {
+                break;
+            }
+            plane -= self.newton_step(&plane, &error)?;
+        }
+        let closed = (self.distort(&plane) - target).amax() < 1e-9;
+        (closed && self.unfolded(plane.norm_squared())).then(|| Vector3::new(plane.x, plane.y, 1.0))
+    }
+
+    /// Returns the camera of the same photo at another size; both axes may differ by rounding.
+    #[must_use]
+    pub fn resized(&self, width: u32, height: u32) -> Self {
+        let (sx, sy) = (
+            f64::from(width) / f64::from(self.width),
+            f64::from(height) / f64::from(self.height),
+        );
+        self.scaled(sx, sy, width, height)
+    }
+
+    /// Returns the camera of a photo reduced by an integer factor, the rest of the division cut off.
+    #[must_use]
+    pub fn box_reduced(&self, factor: u32) -> Self {
+        let scale = 1.0 / f64::from(factor.max(1));
+        self.scaled(
+            scale,
+            scale,
+            self.width / factor.max(1),
+            self.height / factor.max(1),
+        )
+    }
+
+    /// Tells whether every number is finite, the size is not zero and the focal lengths are positive.
+    pub fn is_valid(&self) -> bool {
+        let numbers = [
+            self.fx_px, self.fy_px, self.cx_px, self.cy_px, self.k1, self.k2, self.p1, self.p2,
+        ];
+        let positive = self.fx_px > 0.0 && self.fy_px > 0.0 && self.width > 0 && self.height > 0;
+        positive && numbers.iter().all(|number| number.is_finite())
+    }
+
+    fn scaled(&self, sx: f64, sy: f64, width: u32, height: u32) -> Self {
+        let (fx_px, fy_px) = (self.fx_px * sx, self.fy_px * sy);
+        Self {
+            width,
+            height,
+            fx_px,
+            fy_px,
+            cx_px: self.cx_px * sx,
+            cy_px: self.cy_px * sy,
+            ..*self
+        }
+    }
+
+    fn distort(&self, plane: &Vector2<f64>) -> Vector2<f64> {
+        let (x, y) = (plane.x, plane.y);
+        let r2 = x * x + y * y;
+        let radial = 1.0 + r2 * (self.k1 + r2 * self.k2);
+        Vector2::new(
+            x * radial + 2.0 * self.p1 * x * y + self.p2 * (r2 + 2.0 * x * x),
+            y * radial + self.p1 * (r2 + 2.0 * y * y) + 2.0 * self.p2 * x * y,
+        )
+    }
+
+    /// Solves the 2 x 2 Newton system of the distortion.
+    fn newton_step(&self, plane: &Vector2<f64>, error: &Vector2<f64>) -> Option<Vector2<f64>> {
+        let (x, y) = (plane.x, plane.y);
+        let r2 = x * x + y * y;
+        let radial = 1.0 + r2 * (self.k1 + r2 * self.k2);
+        let slope = 2.0 * (self.k1 + 2.0 * self.k2 * r2);
+        let xx = radial + slope * x * x + 2.0 * self.p1 * y + 6.0 * self.p2 * x;
+        let xy = slope * x * y + 2.0 * self.p1 * x + 2.0 * self.p2 * y;
+        let yy = radial + slope * y * y + 6.0 * self.p1 * y + 2.0 * self.p2 * x;
+        let determinant = xx * yy - xy * xy;
+        (determinant.abs() > 1e-12)
+            .then(|| Vector2::new(yy * error.x - xy * error.y, xx * error.y - xy * error.x) / determinant)
+    }
+
+    /// The radial map r (1 + k1 r² + k2 r⁴) must still rise at r: 1 + 3 k1 r² + 5 k2 r⁴ > 0.
+    fn unfolded(&self, r2: f64) -> bool {
+        let rises = |r2: f64| 1.0 + r2 * (3.0 * self.k1 + r2 * 5.0 * self.k2) > 0.0;
+        // The slope is a parabola in r²: it may dip below zero before r.
+        let vertex = if self.k2 > 0.0 {
+            (-0.3 * self.k1 / self.k2).clamp(0.0, r2)
+        } else {
+            0.0
+        };
+        rises(r2) && rises(vertex)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The mock-up's camera, from the authors' transforms.json.
+    fn rover() -> Camera {
+        Camera {
+            k1: 0.0943,
+            k2: -0.1314,
+            p1: 0.00125,
+            p2: -0.00007,
+            ..Camera::pinhole(1440, 1920, 1453.0)
+        }
+    }
+
+    #[test]
+    fn unproject_undoes_project_over_the_whole_photo() {
+        for (x, y) in [(0.5, 0.5), (720.0, 960.0), (1439.5, 1919.5), (3.0, 1800.0)] {
+            let pixel = Vector2::new(x, y);
+            let ray = rover().unproject(&pixel).unwrap();
+            let back = rover().project(&(ray * 7.0)).unwrap();
+            assert!((back - pixel).norm() < 1e-9, "{x} {y}: {back}");
+        }
+    }
+
+    #[test]
+    fn behind_the_camera_and_beyond_the_fold_there_is_no_pixel() {
+        assert_eq!(rover().project(&Vector3::new(0.0, 0.0, -1.0)), None);
+        assert_eq!(rover().project(&Vector3::new(0.0, 0.0, 0.0)), None);
+        // k1 .0943, k2 -.1314 fold at r = 1.21.
+        assert!(rover().project(&Vector3::new(1.19, 0.0, 1.0)).is_some());
+        assert_eq!(rover().project(&Vector3::new(1.23, 0.0, 1.0)), None);
+    }
+
+    #[test]
+    fn a_reduced_camera_sees_the_same_ray_at_the_reduced_pixel() {
+        let ray = rover().unproject(&Vector2::new(400.0, 800.0)).unwrap();
+        let small = rover()
+            .box_reduced(4)
+            .unproject(&Vector2::new(100.0, 200.0))
+            .unwrap();
+        assert!((ray - small).norm() < 1e-12);
+    }
+}

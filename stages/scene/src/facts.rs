@@ -1,0 +1,68 @@
+use serde::{Deserialize, Serialize};
+
+use crate::{Cahvor, Pose};
+
+/// What is known of a photo without decoding it; the facts of a manifest's row.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PhotoFacts {
+    /// Name of the file in its archive, relative, with `/`.
+    pub file: String,
+    /// Bytes of the image as stored in the archive.
+    pub size_bytes: u64,
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// Bands stored in the file, 1 or 3.
+    pub bands: u8,
+    /// Martian day.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sol: Option<u32>,
+    /// Instrument and eye as the archive names them (`ZL`, `NAVCAM_LEFT`).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub instrument: Option<String>,
+    /// Colour filter as the archive names it (`0` is broad-band).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub filter: Option<String>,
+    /// The archive calls it a thumbnail.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub thumbnail: bool,
+    /// Camera model and pose of the label.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub prior: Option<CameraPrior>,
+    /// What the reader had to do or could not use (`turned upright`, `label has no camera: …`).
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
+}
+
+/// A label's camera model and the frame it is in.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CameraPrior {
+    /// The model, in the photo's own pixel grid (integer = pixel centre, 0-based) and in `frame`.
+    pub model: Cahvor,
+    /// Frame of the model (`ROVER_NAV_FRAME`, `SITE_FRAME`).
+    pub frame: String,
+    /// Pose of that frame in its site, if the label has it: x north, y east, z down, metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub site_from_frame: Option<Pose>,
+    /// Rover motion counter: site, drive, pose, …; photos that share the first three share the rover's pose.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub motion_counter: Vec<i64>,
+}
+
+impl PhotoFacts {
+    /// Returns the facts as a manifest keeps them.
+    pub fn to_json(&self) -> serde_json::Value {
+        // Strings, numbers and lists always serialise; a non-finite float becomes null and is refused on reading.
+        serde_json::to_value(self).unwrap_or_default()
+    }
+
+    /// Reads what a manifest keeps.
+    ///
+    /// # Errors
+    /// Facts of another shape.
+    pub fn from_json(value: &serde_json::Value) -> Result<Self, serde_json::Error> {
+        Self::deserialize(value)
+    }
+}

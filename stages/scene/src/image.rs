@@ -1,0 +1,76 @@
+use std::fmt::Debug;
+
+/// A colour space: decides the type of a channel.
+pub trait Space: Clone + Debug + PartialEq {
+    /// Type of one channel.
+    type Channel: Copy + Debug + Default + PartialEq + Send + Sync;
+}
+
+/// Display-referred sRGB, 8 bits a channel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Srgb;
+
+/// Light-linear RGB, f32 a channel, 1 = white of the sRGB form.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Linear;
+
+impl Space for Srgb {
+    type Channel = u8;
+}
+
+impl Space for Linear {
+    type Channel = f32;
+}
+
+/// An image of three channels, rows from the top.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Image<S: Space> {
+    /// Pixels a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// `[height * width]`, row-major.
+    pub pixels: Vec<[S::Channel; 3]>,
+}
+
+impl<S: Space> Image<S> {
+    /// Makes an image from a function of (column, row).
+    pub fn from_fn(width: u32, height: u32, mut pixel: impl FnMut(u32, u32) -> [S::Channel; 3]) -> Self {
+        let pixels = (0..height).flat_map(|row| (0..width).map(move |column| (column, row)));
+        Self {
+            width,
+            height,
+            pixels: pixels.map(|(column, row)| pixel(column, row)).collect(),
+        }
+    }
+
+    /// Returns the pixel at (column, row).
+    ///
+    /// # Panics
+    /// Outside the image.
+    pub fn at(&self, column: u32, row: u32) -> [S::Channel; 3] {
+        self.pixels[row as usize * self.width as usize + column as usize]
+    }
+}
+
+impl Image<Srgb> {
+    /// Shrinks by an integer factor with an exact box mean in 8-bit sRGB space, rounded half away from zero;
+    /// the rest of a division is cut at the right and bottom edge.
+    pub fn box_reduced(&self, factor: u32) -> Self {
+        if factor <= 1 {
+            return self.clone();
+        }
+        let area = factor * factor;
+        Self::from_fn(self.width / factor, self.height / factor, |column, row| {
+            let mut sum = [0_u32; 3];
+            for y in row * factor..(row + 1) * factor {
+                for x in column * factor..(column + 1) * factor {
+                    for (sum, channel) in sum.iter_mut().zip(self.at(x, y)) {
+                        *sum += u32::from(channel);
+                    }
+                }
+            }
+            sum.map(|sum| ((sum + area / 2) / area) as u8)
+        })
+    }
+}

@@ -1,0 +1,20 @@
+//! Types that stages share: photos, cameras, poses, scenes, and the metrics that compare images.
+//!
+//! No files and no network: bytes come in, bytes go out. Invariant: cameras and poses are f64 and finite;
+//! pixel (0, 0) is the top-left corner, the first pixel's centre is (0.5, 0.5).
+
+mod cahvor;
+mod camera;
+mod facts;
+mod image;
+mod photo;
+mod pose;
+mod scene;
+
+pub use cahvor::{Cahvor, Entrance};
+pub use camera::Camera;
+pub use facts::{CameraPrior, PhotoFacts};
+pub use image::{Image, Linear, Space, Srgb};
+pub use photo::{DecodeError, Photo, encode_png};
+pub use pose::Pose;
+pub use scene::{Frame, Point, Scene, SceneError, Unplaced};

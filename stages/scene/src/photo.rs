@@ -1,0 +1,242 @@
+use std::io::Cursor;
+
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
+use zune_core::options::DecoderOptions;
+use zune_jpeg::JpegDecoder;
+
+use crate::{Image, Srgb};
+
+/// Largest width or height that is decoded, in pixels.
+pub const MAX_SIDE: u32 = 20_000;
+/// Most memory one decode may take, in bytes.
+pub const MAX_DECODE_BYTES: u64 = 256 << 20;
+
+/// A photo as decoded: upright, opaque, three channels.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Photo {
+    /// The pixels; one band is repeated three times.
+    pub image: Image<Srgb>,
+    /// Bands stored in the file: 1 or 3 (alpha is blended over black and not counted).
+    pub bands: u8,
+    /// What the file needed to become this (`rotated by EXIF 6`, `first of 3 frames`), for the report.
+    pub notes: Vec<String>,
+}
+
+/// Bytes that are no whole photo.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum DecodeError {
+    /// None of the formats that are read (JPEG, PNG, WebP, GIF).
+    #[error("not a JPEG, PNG, WebP or GIF (starts with {start})")]
+    Format {
+        /// The first bytes, in hexadecimal.
+        start: String,
+    },
+    /// The file ends too early or is damaged.
+    #[error("{format}: {message}")]
+    Damaged {
+        /// Name of the format.
+        format: &'static str,
+        /// What the decoder said.
+        message: String,
+    },
+    /// The header asks for more than the limits allow.
+    #[error("{width} x {height} pixels, at most {MAX_SIDE} a side and {} MB are decoded", MAX_DECODE_BYTES >> 20)]
+    TooLarge {
+        /// Width asked for.
+        width: u32,
+        /// Height asked for.
+        height: u32,
+    },
+}
+
+impl Photo {
+    /// Decodes a JPEG, PNG, WebP or GIF.
+    ///
+    /// Strict: a JPEG that is cut short is refused (the `image` crate alone fills the rest with grey). EXIF
+    /// rotation is applied, 16 bits are reduced to 8, alpha is blended over black, of an animation the first
+    /// frame is taken; [`Photo::notes`] says so.
+    ///
+    /// # Errors
+    /// See [`DecodeError`].
+    pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
+        let format = image::guess_format(bytes)
+            .ok()
+            .filter(|format| name(*format).is_some());
+        let Some(format) = format else {
+            let start = bytes.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
+            return Err(DecodeError::Format { start });
+        };
+        if format == ImageFormat::Jpeg {
+            check_jpeg(bytes)?;
+        }
+        let (decoded, mut notes) = decode_limited(bytes, format)?;
+        if decoded.color().has_alpha() {
+            notes.push("alpha blended over black".to_owned());
+        }
+        if decoded.color().bytes_per_pixel() / decoded.color().channel_count() > 1 {
+            notes.push("16 bits reduced to 8".to_owned());
+        }
+        let bands = if decoded.color().has_color() { 3 } else { 1 };
+        Ok(Self {
+            image: opaque(&decoded),
+            bands,
+            notes,
+        })
+    }
+
+    /// Returns (width, height) from the header alone, before EXIF rotation.
+    pub fn size_px(bytes: &[u8]) -> Option<(u32, u32)> {
+        ImageReader::new(Cursor::new(bytes))
+            .with_guessed_format()
+            .ok()?
+            .into_dimensions()
+            .ok()
+    }
+}
+
+/// Encodes as PNG, always to the same bytes.
+///
+/// # Errors
+/// An image of zero pixels.
+pub fn encode_png(image: &Image<Srgb>) -> Result<Vec<u8>, DecodeError> {
+    let mut bytes = Vec::new();
+    let encoder = image::codecs::png::PngEncoder::new(&mut bytes);
+    image::ImageEncoder::write_image(
+        encoder,
+        image.pixels.as_flattened(),
+        image.width,
+        image.height,
+        image::ExtendedColorType::Rgb8,
+    )
+    .map_err(|error| damaged("PNG", &error))?;
+    Ok(bytes)
+}
+
+fn name(format: ImageFormat) -> Option<&'static str> {
+    match format {
+        ImageFormat::Jpeg => Some("JPEG"),
+        ImageFormat::Png => Some("PNG"),
+        ImageFormat::WebP => Some("WebP"),
+        ImageFormat::Gif => Some("GIF"),
+        _ => None,
+    }
+}
+
+fn damaged(format: &'static str, error: &dyn std::fmt::Display) -> DecodeError {
+    DecodeError::Damaged {
+        format,
+        message: error.to_string(),
+    }
+}
+
+/// Decodes once strictly and requires the end marker: a file cut in half must not become training data.
+fn check_jpeg(bytes: &[u8]) -> Result<(), DecodeError> {
+    let options = DecoderOptions::default()
+        .set_strict_mode(true)
+        .set_max_width(MAX_SIDE as usize)
+        .set_max_height(MAX_SIDE as usize);
+    let mut decoder = JpegDecoder::new_with_options(zune_core::bytestream::ZCursor::new(bytes), options);
+    decoder
+        .decode_headers()
+        .map_err(|error| damaged("JPEG", &format!("{error:?}")))?;
+    if !bytes.windows(2).rev().take(4096).any(|pair| pair == [0xff, 0xd9]) {
+        return Err(damaged(
+            "JPEG",
+            &"the end marker FF D9 is missing: the file is cut short",
+        ));
+    }
+    Ok(())
+}
+
+fn decode_limited(bytes: &[u8], format: ImageFormat) -> Result<(DynamicImage, Vec<String>), DecodeError> {
+    let name = name(format).unwrap_or("image");
+    let fail = |error: image::ImageError| damaged(name, &error);
+    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(MAX_SIDE);
+    limits.max_image_height = Some(MAX_SIDE);
+    limits.max_alloc = Some(MAX_DECODE_BYTES);
+    reader.limits(limits);
+    let mut decoder = reader.into_decoder().map_err(fail)?;
+    let (width, height) = decoder.dimensions();
+    if decoder.total_bytes() > MAX_DECODE_BYTES {
+        return Err(DecodeError::TooLarge { width, height });
+    }
+    let orientation = decoder.orientation().map_err(fail)?;
+    let mut decoded = DynamicImage::from_decoder(decoder).map_err(fail)?;
+    let mut notes = Vec::new();
+    if orientation.to_exif() != 1 {
+        decoded.apply_orientation(orientation);
+        notes.push(format!(
+            "turned upright from EXIF orientation {}",
+            orientation.to_exif()
+        ));
+    }
+    Ok((decoded, notes))
+}
+
+fn opaque(decoded: &DynamicImage) -> Image<Srgb> {
+    let (width, height) = (decoded.width(), decoded.height());
+    let pixels = if decoded.color().has_alpha() {
+        let blend = |channel: u8, alpha: u8| ((u16::from(channel) * u16::from(alpha) + 127) / 255) as u8;
+        decoded
+            .to_rgba8()
+            .pixels()
+            .map(|rgba| [0, 1, 2].map(|index| blend(rgba.0[index], rgba.0[3])))
+            .collect()
+    } else {
+        decoded.to_rgb8().pixels().map(|rgb| rgb.0).collect()
+    };
+    Image {
+        width,
+        height,
+        pixels,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn gradient() -> Image<Srgb> {
+        Image::from_fn(40, 30, |x, y| [(x * 6) as u8, (y * 8) as u8, 77])
+    }
+
+    #[test]
+    fn a_png_survives() {
+        let photo = Photo::decode(&encode_png(&gradient()).unwrap()).unwrap();
+        assert_eq!(photo.image, gradient());
+        assert_eq!(photo.bands, 3);
+    }
+
+    #[test]
+    fn a_jpeg_cut_anywhere_is_refused() {
+        let mut bytes = Vec::new();
+        let encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 90);
+        image::ImageEncoder::write_image(
+            encoder,
+            gradient().pixels.as_flattened(),
+            40,
+            30,
+            image::ExtendedColorType::Rgb8,
+        )
+        .unwrap();
+        assert!(Photo::decode(&bytes).is_ok());
+        for cut in [2, bytes.len() / 2, bytes.len() - 2] {
+            let error = Photo::decode(&bytes[..cut]).unwrap_err();
+            assert!(
+                matches!(error, DecodeError::Damaged { .. } | DecodeError::Format { .. }),
+                "{cut}: {error}"
+            );
+        }
+    }
+
+    #[test]
+    fn no_image_is_named_by_its_first_bytes() {
+        let error = Photo::decode(b"<html>").unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "not a JPEG, PNG, WebP or GIF (starts with 3c68746d6c3e)"
+        );
+    }
+}

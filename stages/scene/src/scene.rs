@@ -1,0 +1,115 @@
+use marf_cache::Digest;
+use serde::{Deserialize, Serialize};
+
+use crate::{Camera, Pose};
+
+/// A calibrated scene: which photo was taken by which camera from where.
+///
+/// Frames are sorted by id, so that one scene has one encoding.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Scene {
+    /// Photos with a camera, sorted by id.
+    pub frames: Vec<Frame>,
+    /// Photos without one, and why.
+    #[serde(default)]
+    pub unplaced: Vec<Unplaced>,
+    /// Sparse points, if the method finds any.
+    #[serde(default)]
+    pub points: Vec<Point>,
+    /// Unit vector that points up in the world, if known.
+    #[serde(default)]
+    pub up: Option<[f64; 3]>,
+    /// Metres of one unit of the world, if known.
+    #[serde(default)]
+    pub metres_per_unit: Option<f64>,
+    /// Name of the method and what it did to the photos (`resampled to an ideal pinhole`).
+    #[serde(default)]
+    pub method: String,
+}
+
+/// A photo with its camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Frame {
+    /// Id of the photo.
+    pub id: String,
+    /// File name for people and for exports.
+    pub file: String,
+    /// Digest of the image these cameras are for (resampled ones differ from the archive's).
+    pub image: Digest,
+    /// Its camera.
+    pub camera: Camera,
+    /// Its pose: x_cam = R x_world + t; x right, y down, z forward.
+    pub cam_from_world: Pose,
+    /// Kept away from training, for measuring.
+    pub held_out: bool,
+    /// Mean reprojection error, pixels, if measured.
+    #[serde(default)]
+    pub error_px: Option<f64>,
+}
+
+/// A photo without a camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Unplaced {
+    /// Id of the photo.
+    pub id: String,
+    /// Why, in one line.
+    pub reason: String,
+}
+
+/// A sparse point of the surface.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Point {
+    /// Position in the world.
+    pub position: [f64; 3],
+    /// sRGB, if known.
+    #[serde(default)]
+    pub color: Option<[u8; 3]>,
+    /// Number of photos that see it.
+    #[serde(default)]
+    pub views: u32,
+}
+
+/// A scene that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    /// The bytes are no scene.
+    #[error("not a scene: {0}")]
+    Malformed(#[from] serde_json::Error),
+    /// A frame with a camera or pose that is not finite or not proper.
+    #[error("frame `{id}`: camera or pose is not finite, not positive or not a rotation")]
+    BadFrame {
+        /// The frame.
+        id: String,
+    },
+}
+
+impl Scene {
+    /// Returns the canonical bytes (JSON; floats as the shortest text that reads back to the same bits).
+    ///
+    /// # Errors
+    /// Names a frame that is not finite: JSON would turn it into null.
+    pub fn encode(&self) -> Result<Vec<u8>, SceneError> {
+        self.check()?;
+        Ok(serde_json::to_vec(self)?)
+    }
+
+    /// Reads what [`Scene::encode`] wrote, and checks it.
+    ///
+    /// # Errors
+    /// See [`SceneError`].
+    pub fn decode(bytes: &[u8]) -> Result<Self, SceneError> {
+        let scene: Self = serde_json::from_slice(bytes)?;
+        scene.check()?;
+        Ok(scene)
+    }
+
+    fn check(&self) -> Result<(), SceneError> {
+        let valid = |frame: &Frame| frame.camera.is_valid() && frame.cam_from_world.is_valid();
+        match self.frames.iter().find(|frame| !valid(frame)) {
+            Some(frame) => Err(SceneError::BadFrame { id: frame.id.clone() }),
+            None => Ok(()),
+        }
+    }
+}

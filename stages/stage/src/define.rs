@@ -1,0 +1,119 @@
+use schemars::{JsonSchema, Schema, SchemaGenerator};
+use serde::de::DeserializeOwned;
+
+use crate::Stage;
+
+/// An input of a stage: the key that names the upstream node, and which of its outputs flows in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Port {
+    /// Key in pipeline.toml that names the upstream node (`input`, `params`).
+    pub key: &'static str,
+    /// Name of the upstream output; also the name under which the stage reads it.
+    pub output: &'static str,
+    /// Whether the stage cannot run without it.
+    pub required: bool,
+}
+
+impl Port {
+    /// An input the stage cannot run without.
+    pub const fn required(key: &'static str, output: &'static str) -> Self {
+        Self {
+            key,
+            output,
+            required: true,
+        }
+    }
+
+    /// An input the stage can do without.
+    pub const fn optional(key: &'static str, output: &'static str) -> Self {
+        Self {
+            key,
+            output,
+            required: false,
+        }
+    }
+}
+
+/// A parameter that cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{message}")]
+pub struct ParamError {
+    /// Dotted path of the key inside the node's table; empty if it is the whole table.
+    pub path: String,
+    /// What is wrong, with the number.
+    pub message: String,
+}
+
+impl ParamError {
+    /// A complaint about one key.
+    pub fn new(path: impl Into<String>, message: impl Into<String>) -> Self {
+        Self {
+            path: path.into(),
+            message: message.into(),
+        }
+    }
+}
+
+/// A stage as a type: its name, version, parameters and ports.
+pub trait Define: Stage + Sized + 'static {
+    /// Its section in pipeline.toml; doc comments of its fields become the help text.
+    type Params: DeserializeOwned + JsonSchema;
+    /// Name in pipeline.toml and in keys.
+    const NAME: &'static str;
+    /// One line for people.
+    const ABOUT: &'static str;
+    /// Raised by hand when the stage may answer differently.
+    const VERSION: u32;
+    /// Inputs.
+    const PORTS: &'static [Port];
+    /// Names of its outputs.
+    const OUTPUTS: &'static [&'static str];
+
+    /// Checks the parameters.
+    ///
+    /// # Errors
+    /// Names the key that is out of range.
+    fn new(params: Self::Params) -> Result<Self, ParamError>;
+}
+
+/// A row of the table of stages.
+#[derive(Clone, Copy)]
+pub struct StageDef {
+    /// Name in pipeline.toml and in keys.
+    pub name: &'static str,
+    /// One line for people.
+    pub about: &'static str,
+    /// Raised by hand when the stage may answer differently.
+    pub version: u32,
+    /// Inputs.
+    pub ports: &'static [Port],
+    /// Names of its outputs.
+    pub outputs: &'static [&'static str],
+    /// JSON schema of its parameters.
+    pub schema: fn() -> Schema,
+    /// Checks parameters and returns the stage, ready to run.
+    pub bind: fn(serde_json::Value) -> Result<Box<dyn Stage>, ParamError>,
+}
+
+/// Returns the table row of a stage.
+pub const fn define<S: Define>() -> StageDef {
+    StageDef {
+        name: S::NAME,
+        about: S::ABOUT,
+        version: S::VERSION,
+        ports: S::PORTS,
+        outputs: S::OUTPUTS,
+        schema: || SchemaGenerator::default().into_root_schema_for::<S::Params>(),
+        bind: bind::<S>,
+    }
+}
+
+fn bind<S: Define>(params: serde_json::Value) -> Result<Box<dyn Stage>, ParamError> {
+    let params = serde_path_to_error::deserialize(params).map_err(|error| {
+        ParamError::new(
+            error.path().to_string().trim_start_matches('.'),
+            error.inner().to_string(),
+        )
+    })?;
+    Ok(Box::new(S::new(params)?))
+}

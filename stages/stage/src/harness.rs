@@ -1,0 +1,105 @@
+//! Runs a stage without an engine: a store in memory, for tests of stages.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use marf_cache::{
+    Digest,
+    manifest::{Leaf, LeafRef, Root, Row},
+};
+
+use crate::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Progress};
+
+/// A store in memory with silent progress.
+#[derive(Default)]
+pub struct Harness {
+    blobs: Mutex<BTreeMap<Digest, Arc<[u8]>>>,
+    checkpoint: Mutex<Option<Vec<u8>>>,
+    /// The wish to stop that stages under test see.
+    pub cancel: Cancel,
+}
+
+impl Harness {
+    /// Returns what a stage under test gets.
+    pub fn ctx(&self) -> Ctx<'_> {
+        Ctx {
+            blobs: self,
+            cancel: &self.cancel,
+            progress: self,
+            checkpoints: self,
+            threads: 1,
+        }
+    }
+
+    /// Stores bytes.
+    pub fn put(&self, bytes: &[u8]) -> Digest {
+        let digest = Digest::of(bytes);
+        lock(&self.blobs).insert(digest, Arc::from(bytes));
+        digest
+    }
+
+    /// Reads bytes that a stage stored.
+    pub fn get(&self, digest: &Digest) -> Option<Arc<[u8]>> {
+        lock(&self.blobs).get(digest).cloned()
+    }
+
+    /// Stores items `(shard, row)` as a set and returns the digest of its root.
+    ///
+    /// # Panics
+    /// If two rows of one shard share an id.
+    #[allow(
+        clippy::unwrap_used,
+        reason = "a test fixture that is wrong should stop the test"
+    )]
+    pub fn put_set(&self, items: &[(u32, Row)]) -> Digest {
+        let shards: BTreeSet<u32> = items.iter().map(|(shard, _)| *shard).collect();
+        let leaves = shards.into_iter().map(|shard| {
+            let rows: Vec<Row> = items
+                .iter()
+                .filter(|item| item.0 == shard)
+                .map(|item| item.1.clone())
+                .collect();
+            let count = rows.len() as u32;
+            LeafRef {
+                shard,
+                leaf: self.put(&Leaf::new(rows).unwrap().encode()),
+                rows: count,
+            }
+        });
+        let root = Root {
+            leaves: leaves.collect(),
+        };
+        self.put(&root.encode())
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Blobs for Harness {
+    fn get(&self, digest: &Digest) -> Result<Arc<[u8]>, BlobError> {
+        Self::get(self, digest).ok_or_else(|| BlobError {
+            message: format!("no blob {digest}"),
+            lost: Some(*digest),
+        })
+    }
+
+    fn put(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
+        Ok(Self::put(self, bytes))
+    }
+}
+
+impl Progress for Harness {
+    fn at(&self, _done: u64, _total: u64, _note: &str) {}
+}
+
+impl Checkpoints for Harness {
+    fn load(&self) -> Option<Vec<u8>> {
+        lock(&self.checkpoint).clone()
+    }
+
+    fn save(&self, state: &[u8]) {
+        *lock(&self.checkpoint) = Some(state.to_vec());
+    }
+}

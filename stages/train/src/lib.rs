@@ -1,0 +1,1 @@
+//! A scene and parameters to a trained field; evaluate and render.

@@ -1,0 +1,1 @@
+//! Random search of the field's hyper-parameters.
