@@ -1,1 +1,3 @@
+//! The command line: argv to command to exit code.
+
 fn main() {}

@@ -1,0 +1,1 @@
+//! report.html: what ran, what was kept, how good it is.
