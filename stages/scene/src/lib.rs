@@ -7,6 +7,7 @@ mod cahvor;
 mod camera;
 mod facts;
 mod image;
+pub mod metrics;
 mod photo;
 mod pose;
 mod scene;
