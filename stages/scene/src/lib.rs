@@ -7,11 +7,12 @@ mod cahvor;
 mod camera;
 mod facts;
 mod image;
+pub mod metrics;
 mod photo;
 mod pose;
 mod scene;
 
-pub use cahvor::{Cahvor, Entrance};
+pub use cahvor::{Cahvor, CahvorError, Entrance, Intrinsics, Pinhole, Ray};
 pub use camera::Camera;
 pub use facts::{CameraPrior, PhotoFacts};
 pub use image::{Image, Linear, Space, Srgb};
