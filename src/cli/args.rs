@@ -1,5 +1,6 @@
 //! The command line, as clap reads it.
 
+use std::num::NonZero;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -33,7 +34,7 @@ pub struct Global {
     pub sets: Vec<String>,
     /// Cores to use [default: all]; results do not depend on it
     #[arg(long, global = true, value_name = "N")]
-    pub threads: Option<usize>,
+    pub threads: Option<NonZero<usize>>,
     /// Print JSON to stdout
     #[arg(long, global = true)]
     pub json: bool,

@@ -3,15 +3,15 @@ use marf_engine::Cancel;
 use super::args::{CalibrateArgs, Global, Method};
 use super::error::CliError;
 use super::filter::folder;
-use super::run::{execute, options, verdict};
+use super::run::{execute, options};
 use super::session::Session;
 use super::{export, say_json};
 
 /// `marf calibrate DIR`: writes transforms.json, and metrics.json beside it.
 pub fn calibrate(global: &Global, args: &CalibrateArgs, cancel: &Cancel) -> Result<(), CliError> {
     let session = Session::implicit(&pipeline(args), global)?;
-    let record = execute(&session, &options(global, &session.name), global, cancel)?;
-    verdict(&record)?;
+    let (record, ended) = execute(&session, &options(global, &session.name), global, cancel)?;
+    ended?;
     let node = record.nodes.iter().find(|node| node.name == "calibrate");
     let output = |name: &str| {
         let output = node.and_then(|node| node.outputs.get(name));

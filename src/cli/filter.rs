@@ -5,7 +5,7 @@ use marf_engine::Cancel;
 
 use super::args::Global;
 use super::error::CliError;
-use super::run::{execute, options, verdict};
+use super::run::{execute, options};
 use super::session::Session;
 use super::{files, say_json, verdicts};
 
@@ -15,12 +15,12 @@ const CHAIN: [&str; 7] = ["extract", "size", "shape", "duplicate", "grayscale", 
 /// `marf filter DIR`: judges the photos of a folder.
 pub fn filter(global: &Global, dir: &Path, out: &Path, cancel: &Cancel) -> Result<(), CliError> {
     let session = Session::implicit(&pipeline(dir), global)?;
-    let record = execute(&session, &options(global, &session.name), global, cancel)?;
+    let (record, ended) = execute(&session, &options(global, &session.name), global, cancel)?;
     let judged = verdicts::merged(&session, &record, &CHAIN)?;
     if !judged.is_empty() {
         files::write(out, verdicts::csv(&judged).as_bytes())?;
     }
-    verdict(&record)?;
+    ended?;
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
     for verdict in &judged {
         *counts.entry(&verdict.verdict).or_default() += 1;

@@ -6,7 +6,7 @@ use serde_json::{Map, Value as Json, json};
 use super::args::{FitArgs, Global};
 use super::error::CliError;
 use super::filter::folder;
-use super::run::{execute, options, verdict};
+use super::run::{execute, options};
 use super::session::Session;
 use super::{budget, export, files, say_json};
 
@@ -17,8 +17,8 @@ pub fn fit(global: &Global, args: &FitArgs, cancel: &Cancel) -> Result<(), CliEr
     let mut all = Map::new();
     for seconds in budgets {
         let session = Session::implicit(&pipeline(args, seconds), global)?;
-        let record = execute(&session, &options(global, &session.name), global, cancel)?;
-        verdict(&record)?;
+        let (record, ended) = execute(&session, &options(global, &session.name), global, cancel)?;
+        ended?;
         let metrics = write(&session, &record, &args.out.join(format!("{seconds}s")))?;
         all.insert(format!("{seconds}s"), metrics);
     }

@@ -1,4 +1,6 @@
-use marf_engine::{Cancel, NodeRun, NodeState, Options, Outcome, RunRecord};
+use std::sync::{Mutex, PoisonError};
+
+use marf_engine::{Cancel, Event, Listener, NodeRun, NodeState, Options, Outcome, RunRecord};
 
 use super::args::{Global, RunArgs};
 use super::error::{CliError, Complaint};
@@ -15,7 +17,7 @@ pub fn run(global: &Global, args: &RunArgs, cancel: &Cancel) -> Result<(), CliEr
         from: selection.from.iter().cloned().collect(),
         ..options(global, &session.name)
     };
-    let record = execute(&session, &options, global, cancel)?;
+    let (record, ended) = execute(&session, &options, global, cancel)?;
     if !global.json {
         crate::say(&table(&record, &session));
     }
@@ -26,7 +28,7 @@ pub fn run(global: &Global, args: &RunArgs, cancel: &Cancel) -> Result<(), CliEr
             crate::talk(&format!("report: {}", args.out.join("report.html").display()));
         }
     }
-    verdict(&record)
+    ended
 }
 
 /// Returns the options every run of this command line has.
@@ -41,32 +43,41 @@ pub fn options(global: &Global, pipeline: &str) -> Options {
     }
 }
 
-/// Runs a session's graph and tells of it.
+/// Runs a session's graph and tells of it; beside the record comes how it ended, as the exit code will say it:
+/// the first failure with its cause and hint, or [`CliError::Interrupted`] after Ctrl-C.
 ///
 /// # Errors
 /// An unknown node in the selection, or a store that cannot be read or written.
-pub fn execute(session: &Session, options: &Options, global: &Global, cancel: &Cancel) -> Result<RunRecord, CliError> {
+pub fn execute(
+    session: &Session,
+    options: &Options,
+    global: &Global,
+    cancel: &Cancel,
+) -> Result<(RunRecord, Result<(), CliError>), CliError> {
     let voice = if global.json { Voice::Json } else { Voice::for_people() };
-    Ok(marf_engine::run(&session.graph, &session.store, options, &voice, cancel)?)
-}
-
-/// Turns the outcome of a run into the exit code.
-///
-/// # Errors
-/// The first failure, with its cause and hint; [`CliError::Interrupted`] after Ctrl-C.
-pub fn verdict(record: &RunRecord) -> Result<(), CliError> {
-    match record.outcome {
+    let ear = Ear { voice, failure: Mutex::default() };
+    let record = marf_engine::run(&session.graph, &session.store, options, &ear, cancel)?;
+    let failure = ear.failure.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let ended = match record.outcome {
         Outcome::Done => Ok(()),
         Outcome::Cancelled => Err(CliError::Interrupted),
-        Outcome::Failed => {
-            let failed = |node: &&NodeRun| node.state == NodeState::Failed && node.parent.is_none();
-            let node = record.nodes.iter().find(failed);
-            let complaint = node.map(|node| Complaint {
-                message: format!("{}: {}", node.name, node.reason),
-                cause: node.cause.clone(),
-                hint: node.hint.clone(),
-            });
-            Err(CliError::Failed(complaint.unwrap_or_else(|| Complaint::new("a node failed"))))
+        Outcome::Failed => Err(CliError::Failed(failure.unwrap_or_else(|| Complaint::new("a node failed")))),
+    };
+    Ok((record, ended))
+}
+
+/// Passes events on and remembers the first failure: the others follow from it more often than not.
+struct Ear {
+    voice: Voice,
+    failure: Mutex<Option<Complaint>>,
+}
+
+impl Listener for Ear {
+    fn hear(&self, event: &Event) {
+        self.voice.hear(event);
+        if let Event::Failed { node, message, cause, hint } = event {
+            let complaint = Complaint { message: format!("{node}: {message}"), cause: cause.clone(), hint: hint.clone() };
+            self.failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(complaint);
         }
     }
 }

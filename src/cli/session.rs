@@ -116,11 +116,8 @@ impl From<EngineError> for CliError {
     fn from(error: EngineError) -> Self {
         match error {
             EngineError::Store(error) => error.into(),
-            EngineError::UnknownNode { ref nearest, .. } => {
-                let hint = nearest.as_ref().map(|name| format!("did you mean `{name}`?"));
-                Self::Usage(Complaint { message: error.to_string(), cause: None, hint })
-            }
-            other => Self::failed(other.to_string()),
+            EngineError::UnknownNode { .. } => Self::usage(error.to_string()),
+            EngineError::BadRun { .. } => Self::failed(error.to_string()),
         }
     }
 }
