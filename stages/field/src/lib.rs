@@ -1,1 +1,19 @@
-//! The radiance field: hash grid, MLPs, compositing, Adam, marching.
+//! The radiance field: a multiresolution hash grid and two small networks, trained and rendered on the CPU.
+//!
+//! Room rule: it knows scenes (photos, cameras, poses), no stage and no file system. Bytes come in, bytes go out.
+//! Invariant: the same views, points, config and seed give the same weights, bit for bit, for any number of
+//! threads and any instruction set; no result holds a number that is not finite.
+
+mod config;
+mod error;
+mod facts;
+mod model;
+mod render;
+mod trainer;
+
+pub use config::{Background, Config, Gain};
+pub use error::FieldError;
+pub use facts::{Facts, LevelFacts};
+pub use model::Field;
+pub use render::Render;
+pub use trainer::{Step, Trainer, View};
