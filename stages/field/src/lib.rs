@@ -4,12 +4,22 @@
 //! Invariant: the same views, points, config and seed give the same weights, bit for bit, for any number of
 //! threads and any instruction set; no result holds a number that is not finite.
 
+mod batch;
+mod checkpoint;
 mod config;
+mod cpu;
 mod error;
 mod facts;
+mod frame;
 mod model;
+mod occupancy;
 mod render;
+mod rng;
+mod sh;
+mod shade;
+mod tensors;
 mod trainer;
+mod weights;
 
 pub use config::{Background, Config, Gain};
 pub use error::FieldError;
