@@ -7,7 +7,10 @@ mod cahvor;
 mod camera;
 mod facts;
 mod image;
+mod names;
+pub mod path;
 mod photo;
+pub mod picture;
 mod pose;
 mod scene;
 
@@ -15,6 +18,7 @@ pub use cahvor::{Cahvor, Entrance};
 pub use camera::Camera;
 pub use facts::{CameraPrior, PhotoFacts};
 pub use image::{Image, Linear, Space, Srgb};
+pub use names::picture_names;
 pub use photo::{DecodeError, Photo, encode_png};
 pub use pose::Pose;
 pub use scene::{Frame, Point, Scene, SceneError, Unplaced};
