@@ -7,6 +7,7 @@ mod cahvor;
 mod camera;
 mod facts;
 mod image;
+pub mod metrics;
 mod names;
 pub mod path;
 mod photo;
