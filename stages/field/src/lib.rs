@@ -4,16 +4,22 @@
 //! Invariant: the same views, points, config and seed give the same weights, bit for bit, for any number of
 //! threads and any instruction set; no result holds a number that is not finite.
 
+mod bands;
 mod config;
 mod error;
 mod facts;
 mod model;
+mod overrides;
+mod quality;
 mod render;
 mod trainer;
 
+pub use bands::render_in_bands;
 pub use config::{Background, Config, Gain};
 pub use error::FieldError;
 pub use facts::{Facts, LevelFacts};
 pub use model::Field;
+pub use overrides::{OverrideError, Overrides};
+pub use quality::Quality;
 pub use render::Render;
 pub use trainer::{Step, Trainer, View};
