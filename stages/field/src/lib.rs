@@ -4,6 +4,7 @@
 //! Invariant: the same views, points, config and seed give the same weights, bit for bit, for any number of
 //! threads and any instruction set; no result holds a number that is not finite.
 
+mod bands;
 mod batch;
 mod checkpoint;
 mod config;
@@ -13,6 +14,8 @@ mod facts;
 mod frame;
 mod model;
 mod occupancy;
+mod overrides;
+mod quality;
 mod render;
 mod rng;
 mod sh;
@@ -21,9 +24,12 @@ mod tensors;
 mod trainer;
 mod weights;
 
+pub use bands::render_in_bands;
 pub use config::{Background, Config, Gain};
 pub use error::FieldError;
 pub use facts::{Facts, LevelFacts};
 pub use model::Field;
+pub use overrides::{OverrideError, Overrides};
+pub use quality::Quality;
 pub use render::Render;
 pub use trainer::{Step, Trainer, View};

@@ -8,7 +8,10 @@ mod camera;
 mod facts;
 mod image;
 pub mod metrics;
+mod names;
+pub mod path;
 mod photo;
+pub mod picture;
 mod pose;
 mod scene;
 
@@ -16,6 +19,7 @@ pub use cahvor::{Cahvor, CahvorError, Entrance, Intrinsics, Pinhole, Ray};
 pub use camera::Camera;
 pub use facts::{CameraPrior, PhotoFacts};
 pub use image::{Image, Linear, Space, Srgb};
+pub use names::picture_names;
 pub use photo::{DecodeError, Photo, encode_png};
 pub use pose::Pose;
 pub use scene::{Frame, Point, Scene, SceneError, Unplaced};
