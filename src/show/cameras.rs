@@ -13,16 +13,20 @@ use super::format::{count, number, px};
 use super::json;
 use super::page::{Missing, Page, unreadable};
 use super::quality::figures;
+use super::vector::{Vec3, add, cross, dot, scaled, sub, unit};
 
 const WIDTH: f64 = 680.0;
+/// A drawing is at most and at least so high.
 const HEIGHT: f64 = 520.0;
-const MARGIN: f64 = 34.0;
+const LEAST_HEIGHT: f64 = 200.0;
+/// Room around the cameras for what they look at, scale and compass.
+const ROOM: f64 = 126.0;
 /// Most sparse points that are drawn, evenly from all.
 const MOST_POINTS: usize = 3_000;
+/// An axis whose cosine with up is larger counts as up, within 2.6 degrees.
+const LEVEL: f64 = 0.999;
 /// Length of a drawn view, as a share of the longer side of what is shown.
 const VIEW_SHARE: f64 = 0.06;
-
-type Vec3 = [f64; 3];
 
 /// Every scene of the run once, with the nodes that hold it.
 pub(super) fn body(page: &Page<'_>) -> Markup {
@@ -141,26 +145,28 @@ impl Axes {
     fn new(scene: &Scene) -> Self {
         let given = scene.up.and_then(unit);
         let up = given.unwrap_or([0.0, 0.0, 1.0]);
-        let site = up[2] < -0.999 && scene.method.starts_with("label");
+        let site = up[2] < -LEVEL && scene.method.starts_with("label");
         let level = |axis: Vec3| unit(sub(axis, scaled(up, dot(axis, up))));
         let (x, y, z) = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]);
         // A y-up world is looked at with z towards the reader, the others with y to the top of the page.
         let first = if site {
             x
-        } else if up[1].abs() > 0.9 {
+        } else if up[1].abs() > LEVEL {
             scaled(z, -1.0)
         } else {
             y
         };
         let ahead = level(first).or_else(|| level(x)).unwrap_or(y);
-        let (ahead_name, right_name) = match (site, up[1].abs() > 0.9, up[2].abs() > 0.9) {
-            (true, ..) => ("north", "east"),
-            (_, true, _) => ("-z", ""),
-            (_, _, true) => ("y", ""),
+        let (ahead_name, right_name) = match up {
+            _ if site => ("north", "east"),
+            [_, y, _] if y > LEVEL => ("-z", "x"),
+            [_, y, _] if y < -LEVEL => ("-z", "-x"),
+            [_, _, z] if z > LEVEL => ("y", "x"),
+            [_, _, z] if z < -LEVEL => ("y", "-x"),
             _ => ("", ""),
         };
         let words = match (given.is_some(), site) {
-            (true, true) => "north is up",
+            (true, true) => "north is at the top of the view from above",
             (true, false) => "north is not known",
             (false, _) => "up is not known: z of the scene is taken",
         };
@@ -199,6 +205,8 @@ struct Fit<'v> {
     centre: (f64, f64),
     /// Pixels of one unit.
     px_each: f64,
+    /// Height of the drawing: what is low gets a low one.
+    height: f64,
 }
 
 impl Fit<'_> {
@@ -206,7 +214,7 @@ impl Fit<'_> {
         let (x, y) = flat(self.view, world);
         (
             WIDTH / 2.0 + (x - self.centre.0) * self.px_each,
-            HEIGHT / 2.0 - (y - self.centre.1) * self.px_each,
+            self.height / 2.0 - (y - self.centre.1) * self.px_each,
         )
     }
 }
@@ -241,12 +249,13 @@ fn fitted<'v>(scene: &Scene, view: &'v View) -> Fit<'v> {
             f64::INFINITY
         }
     };
-    let each = fit(x, WIDTH - 2.5 * MARGIN - VIEW_SHARE * WIDTH)
-        .min(fit(y, HEIGHT - 2.5 * MARGIN - VIEW_SHARE * WIDTH));
+    let each = fit(x, WIDTH - ROOM).min(fit(y, HEIGHT - ROOM));
+    let px_each = if each.is_finite() { each } else { 40.0 };
     Fit {
         view,
         centre: ((x.0 + x.1) / 2.0, (y.0 + y.1) / 2.0),
-        px_each: if each.is_finite() { each } else { 40.0 },
+        px_each,
+        height: (ROOM + (y.1 - y.0).abs() * px_each).clamp(LEAST_HEIGHT, HEIGHT),
     }
 }
 
@@ -266,12 +275,12 @@ fn drawing(scene: &Scene, view: &View, title: &str) -> Markup {
     // Held-out cameras last, so that they lie on top.
     let (held_out, train): (Vec<&Frame>, Vec<&Frame>) = scene.frames.iter().partition(|frame| frame.held_out);
     html! {
-        svg.cameras viewBox={ "0 0 " (px(WIDTH)) " " (px(HEIGHT)) } width=(px(WIDTH)) height=(px(HEIGHT))
+        svg.cameras viewBox={ "0 0 " (px(WIDTH)) " " (px(fit.height)) } width=(px(WIDTH)) height=(px(fit.height))
             role="img" aria-label={ (title) ": " (count(scene.frames.len(), "camera")) } {
             g.points { @for point in thinned(&scene.points) { (dot_of(point, &fit)) } }
             @for frame in train.into_iter().chain(held_out) { (frustum(frame, &fit)) }
             (scale_bar(scene, &fit))
-            (compass(view))
+            (compass(view, &fit))
         }
     }
 }
@@ -282,7 +291,7 @@ fn thinned(points: &[Point]) -> impl Iterator<Item = &Point> {
 
 fn dot_of(point: &Point, fit: &Fit<'_>) -> Markup {
     let (x, y) = fit.place(point.position);
-    let inside = (0.0..WIDTH).contains(&x) && (0.0..HEIGHT).contains(&y);
+    let inside = (0.0..WIDTH).contains(&x) && (0.0..fit.height).contains(&y);
     html! { @if inside { circle cx=(px(x)) cy=(px(y)) r="1" {} } }
 }
 
@@ -322,7 +331,7 @@ fn scale_bar(scene: &Scene, fit: &Fit<'_>) -> Markup {
         .filter(|metres| metres.is_finite() && *metres > 0.0);
     let px_each = fit.px_each / metres.unwrap_or(1.0);
     let length = round_step(WIDTH / 8.0 / px_each);
-    let (left, base) = (16.0, HEIGHT - 16.0);
+    let (left, base) = (16.0, fit.height - 16.0);
     let right = left + length * px_each;
     let text = match metres {
         Some(_) => format!("{} m", number(length)),
@@ -335,8 +344,8 @@ fn scale_bar(scene: &Scene, fit: &Fit<'_>) -> Markup {
 }
 
 /// Names of the directions, in the corner; nothing where they have no name.
-fn compass(view: &View) -> Markup {
-    let (x, y) = (WIDTH - 60.0, HEIGHT - 22.0);
+fn compass(view: &View, fit: &Fit<'_>) -> Markup {
+    let (x, y) = (WIDTH - 60.0, fit.height - 22.0);
     html! {
         @if !view.top_name.is_empty() {
             path.bar d={ "M" (px(x)) " " (px(y)) "v-26m-4 6l4 -6l4 6" } {}
@@ -358,36 +367,6 @@ fn centre(frame: &Frame) -> Vec3 {
 fn world_direction(frame: &Frame, direction: Vec3) -> Vec3 {
     let rotation = &frame.cam_from_world.rotation;
     [0, 1, 2].map(|column| (0..3).map(|row| rotation[(row, column)] * direction[row]).sum())
-}
-
-fn dot(a: Vec3, b: Vec3) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross(a: Vec3, b: Vec3) -> Vec3 {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
-}
-
-fn add(a: Vec3, b: Vec3) -> Vec3 {
-    [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
-}
-
-fn sub(a: Vec3, b: Vec3) -> Vec3 {
-    add(a, scaled(b, -1.0))
-}
-
-fn scaled(a: Vec3, factor: f64) -> Vec3 {
-    a.map(|value| value * factor)
-}
-
-/// `None` for what is too short to have a direction, or not finite.
-fn unit(a: Vec3) -> Option<Vec3> {
-    let length = dot(a, a).sqrt();
-    (length > 1e-9 && length.is_finite()).then(|| scaled(a, 1.0 / length))
 }
 
 #[cfg(test)]

@@ -122,9 +122,18 @@ pub(super) fn shrunk(image: &Image<Srgb>, most_px: u32) -> Result<Image<Srgb>, S
             .div_ceil(u64::from(longest))
             .max(1) as u32
     };
-    let pixels = image.pixels.as_flattened().to_vec();
-    let whole = RgbImage::from_raw(image.width, image.height, pixels)
-        .ok_or_else(|| "The picture's size and pixels disagree.".to_owned())?;
+    // A whole factor first: it is exact, and what is left to resample is small.
+    let factor = (longest / most_px).clamp(1, image.width.min(image.height));
+    let reduced = image.box_reduced(factor);
+    if reduced.width.max(reduced.height) <= most_px {
+        return Ok(reduced);
+    }
+    let whole = RgbImage::from_raw(
+        reduced.width,
+        reduced.height,
+        reduced.pixels.as_flattened().to_vec(),
+    )
+    .ok_or_else(|| "The picture's size and pixels disagree.".to_owned())?;
     let small = imageops::thumbnail(&whole, side(image.width), side(image.height));
     Ok(Image {
         width: small.width(),

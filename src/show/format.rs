@@ -1,6 +1,6 @@
 //! Numbers as people read them.
 
-/// Four significant digits, thousands with commas; very small and very large ones with an exponent.
+/// Up to four significant digits, thousands with commas; very small and very large ones with an exponent.
 pub(super) fn number(value: f64) -> String {
     let size = value.abs();
     if !value.is_finite() {
@@ -25,7 +25,19 @@ pub(super) fn number(value: f64) -> String {
     if decimals == 0 {
         return grouped(value.round());
     }
-    format!("{value:.decimals$}")
+    let text = format!("{value:.decimals$}");
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+/// A number of a known kind: decibels have two decimals, so that columns of them line up.
+pub(super) fn figure(key: &str, value: f64) -> String {
+    let name = key.rsplit('.').next().unwrap_or(key);
+    match name {
+        _ if !value.is_finite() => number(value),
+        "psnr" | "psnr_paper" | "psnr_members_mean" => format!("{value:.2}"),
+        "ssim" => format!("{value:.3}"),
+        _ => number(value),
+    }
 }
 
 /// Milliseconds to hours, each with its unit.
@@ -98,6 +110,8 @@ mod tests {
             (-1234.0, "-1,234"),
             (1234.5, "1,235"),
             (27.318, "27.32"),
+            (27.5, "27.5"),
+            (99.999, "100"),
             (0.12345, "0.1235"),
             (1e-5, "1.00e-5"),
             (f64::NAN, "not finite"),

@@ -51,7 +51,7 @@ fn reject(page: &Page<'_>, verdict: &Verdict) -> Markup {
             figcaption {
                 span.file { (verdict.file) }
                 @if let Some(twin) = &verdict.twin {
-                    span.twin { "kept in its place: " span.file { (name_of(page, twin)) } }
+                    span.twin { "kept in its place (right): " span.file { (name_of(page, twin)) } }
                 }
                 @if let Some(score) = score(verdict) { span { (score) } }
                 @if !verdict.reason.is_empty() { span.quiet { (verdict.reason) } }
@@ -152,7 +152,7 @@ mod tests {
         let said = |value, threshold| score(&verdict(value, threshold));
         assert_eq!(
             said(Some(12.5), Some(20.0)).as_deref(),
-            Some("score 12.50, threshold 20, 7.500 below")
+            Some("score 12.5, threshold 20, 7.5 below")
         );
         assert_eq!(
             said(Some(3.0), Some(2.0)).as_deref(),

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use maud::{Markup, html};
 use serde_json::Value;
 
-use super::format::{count, number};
+use super::format::{count, figure, number};
 
 /// Most rows of one table.
 const MOST_ROWS: usize = 200;
@@ -38,7 +38,7 @@ pub(super) fn table(rows: &[Value]) -> Markup {
     html! {
         div.scroll {
             table {
-                thead { tr { @for column in &columns { th { (column) } } } }
+                thead { tr { @for column in &columns { (head(rows, column, column)) } } }
                 tbody { @for row in rows.iter().take(MOST_ROWS) {
                     tr { @for column in &columns { (cell(row, column)) } }
                 } }
@@ -62,6 +62,16 @@ pub(super) fn columns(rows: &[Value]) -> Vec<String> {
     columns
 }
 
+/// The head of a column, on the side of its values.
+pub(super) fn head(rows: &[Value], column: &str, name: &str) -> Markup {
+    let value = |row: &Value| flat(row).into_iter().find(|(key, _)| key == column);
+    let numbers = rows
+        .iter()
+        .find_map(value)
+        .is_some_and(|(_, value)| value.is_number());
+    html! { th.number[numbers] { (name) } }
+}
+
 /// One cell, numbers to the right.
 pub(super) fn cell(row: &Value, column: &str) -> Markup {
     let found = flat(row).into_iter().find(|(key, _)| key == column);
@@ -69,7 +79,7 @@ pub(super) fn cell(row: &Value, column: &str) -> Markup {
         return html! { td {} };
     };
     html! {
-        @if value.is_number() { td.number { (text(&value)) } } @else { td { (text(&value)) } }
+        @if value.is_number() { td.number { (figure_or_text(column, &value)) } } @else { td { (text(&value)) } }
     }
 }
 
@@ -90,7 +100,7 @@ fn flatten<'v>(
 ) {
     walk(key, value, &mut |key, value| match value {
         Value::Array(rows) if rows.iter().any(Value::is_object) => lists.push((key.to_owned(), rows)),
-        value => singles.push((key.to_owned(), text(value))),
+        value => singles.push((key.to_owned(), figure_or_text(key, value))),
     });
 }
 
@@ -107,6 +117,15 @@ fn walk<'v>(key: &str, value: &'v Value, found: &mut impl FnMut(&str, &'v Value)
             }
         }
         value => found(key, value),
+    }
+}
+
+/// A value under a key that may tell its kind.
+fn figure_or_text(key: &str, value: &Value) -> String {
+    let short = key.starts_with("psnr") || key.starts_with("ssim");
+    match value.as_f64() {
+        Some(value) if short => figure(key, value),
+        _ => text(value),
     }
 }
 
@@ -148,14 +167,7 @@ mod tests {
     fn nested_keys_get_a_dot_and_lists_of_objects_a_table() {
         let shown =
             tables(&json!({"a": {"b": 1, "c": [1, 2]}, "rows": [{"x": 1}, {"y": {"z": 2.5}}]})).into_string();
-        for part in [
-            "a.b",
-            "1, 2",
-            "rows, 2 rows",
-            "<th>x</th>",
-            "<th>y.z</th>",
-            "2.500",
-        ] {
+        for part in ["a.b", "1, 2", "rows, 2 rows", ">x</th>", ">y.z</th>", "2.5"] {
             assert!(shown.contains(part), "{part}: {shown}");
         }
     }
@@ -164,7 +176,7 @@ mod tests {
     fn a_seed_keeps_every_digit() {
         assert_eq!(text(&json!(u64::MAX)), "18446744073709551615");
         assert_eq!(text(&json!(12345)), "12,345");
-        assert_eq!(text(&json!(-3.25)), "-3.250");
+        assert_eq!(text(&json!(-3.25)), "-3.25");
     }
 
     #[test]

@@ -16,16 +16,16 @@ use super::quality::{figures, view, without_views};
 /// Most viewpoints of one node.
 const MOST_VIEWS: usize = 16;
 
-/// Kinds of maps in the order of their columns: ending, heading. Longer endings stand before their ends.
+/// Kinds of maps in the order in which they are shown: ending, heading.
 const KINDS: [(&str, &str); 8] = [
     ("photo", "photo"),
     ("mean", "mean of the members"),
     ("error", "|mean - photo|"),
+    ("std", "standard deviation"),
+    ("total", "total deviation"),
+    ("opacity", "opacity term"),
     ("depth-std", "depth, standard deviation"),
     ("rgb-std", "standard deviation, each channel"),
-    ("std", "standard deviation"),
-    ("opacity", "opacity term"),
-    ("total", "total"),
 ];
 
 /// Figures of the maps: path in the metrics, name.
@@ -156,11 +156,14 @@ fn by_view(node: &NodeView) -> BTreeMap<&str, BTreeMap<usize, (&str, &Digest)>> 
     views
 }
 
-/// `rock-3-depth-std` is `depth-std` of `rock-3`.
+/// `rock-3-depth-std` is `depth-std` of `rock-3`: of two endings that fit the longer one holds.
 fn split(picture: &str) -> Option<(&str, usize, &str)> {
-    let known = KINDS.iter().enumerate().find_map(|(column, (ending, _))| {
-        Some((picture.strip_suffix(ending)?.strip_suffix('-')?, column, *ending))
-    });
+    let fits = |(column, (ending, _)): (usize, &(&'static str, &str))| {
+        let view = picture.strip_suffix(ending)?.strip_suffix('-')?;
+        Some((view, column, *ending))
+    };
+    let known = KINDS.iter().enumerate().filter_map(fits);
+    let known = known.max_by_key(|(_, _, ending)| ending.len());
     known.or_else(|| {
         picture
             .rsplit_once('-')
@@ -174,8 +177,8 @@ mod tests {
 
     #[test]
     fn a_map_is_split_at_its_longest_ending() {
-        assert_eq!(split("rock-3-depth-std"), Some(("rock-3", 3, "depth-std")));
-        assert_eq!(split("rock-3-std"), Some(("rock-3", 5, "std")));
+        assert_eq!(split("rock-3-depth-std"), Some(("rock-3", 6, "depth-std")));
+        assert_eq!(split("rock-3-std"), Some(("rock-3", 3, "std")));
         assert_eq!(split("a-b-new"), Some(("a-b", 8, "new")));
         assert_eq!(split("plain"), None);
     }

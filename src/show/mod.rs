@@ -20,9 +20,12 @@ mod photos;
 mod pictures;
 mod quality;
 mod tune;
+mod vector;
 
 #[cfg(test)]
 mod fixture;
+#[cfg(test)]
+mod real;
 #[cfg(test)]
 mod tests;
 

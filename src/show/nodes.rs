@@ -60,6 +60,7 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
                 tbody { @for node in &page.input.nodes { (row(node)) } }
             }
         }
+        p.quiet { "In brackets: what a reused node took when it ran." }
     }
 }
 

@@ -1,3 +1,4 @@
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::Digest;
@@ -65,11 +66,11 @@ impl PhotoIndex {
         let root = Root::decode(&bytes).map_err(|error| unreadable(node, PHOTOS, &error))?;
         let mut ids = Vec::new();
         for part in &root.leaves {
-            if !leaves.contains_key(&part.leaf) {
-                let leaf = self.read_leaf(input, node, &part.leaf)?;
-                leaves.insert(part.leaf, leaf);
-            }
-            ids.extend(leaves.get(&part.leaf).into_iter().flatten().cloned());
+            let of_leaf = match leaves.entry(part.leaf) {
+                Entry::Occupied(known) => known.into_mut(),
+                Entry::Vacant(place) => place.insert(self.read_leaf(input, node, &part.leaf)?),
+            };
+            ids.extend(of_leaf.iter().cloned());
         }
         Ok(ids)
     }

@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 use serde_json::Value;
 
-use super::format::number;
+use super::format;
 
 /// Known figures: key, name, unit.
 const KNOWN: [(&str, &str, &str); 10] = [
@@ -32,11 +32,7 @@ pub(super) fn figures(metrics: &Value) -> Markup {
 /// A figure with its unit, where it is recorded as a number.
 pub(super) fn figure(metrics: &Value, key: &str, unit: &str) -> Option<String> {
     let value = metrics.get(key)?.as_f64()?;
-    let text = match key {
-        "psnr" | "psnr_paper" => format!("{value:.2}"),
-        "ssim" => format!("{value:.3}"),
-        _ => number(value),
-    };
+    let text = format::figure(key, value);
     Some(if unit.is_empty() {
         text
     } else {

@@ -58,7 +58,7 @@ fn what_is_known_is_said_with_its_unit() {
     for text in [
         "8 nodes: 6 ran, 1 reused, 1 skipped, 6.0 s",
         "7 in, 6 kept, 1 rejected (1 decode)",
-        "score 12.50, threshold 20, 7.500 below",
+        "score 12.5, threshold 20, 7.5 below",
         "4 cameras, 1 held out; 1 sparse point; 1 unit is 2 m",
         "PSNR 24.00 dB",
         "24.57 dB",

@@ -7,6 +7,9 @@ use super::NodeView;
 use super::json;
 use super::page::Page;
 
+/// Columns that stand before the parameters.
+const FIRST: [&str; 5] = ["trial", "rank", "psnr", "psnr_paper", "ssim"];
+
 /// The table of trials of every node that has one.
 pub(super) fn body(page: &Page<'_>) -> Markup {
     let nodes: Vec<&NodeView> = page.with_output("trials").collect();
@@ -36,12 +39,18 @@ fn of_node(page: &Page<'_>, node: &NodeView) -> Markup {
 fn table(trials: &[Value]) -> Markup {
     let mut sorted: Vec<&Value> = trials.iter().collect();
     sorted.sort_by(|a, b| psnr(b).total_cmp(&psnr(a)));
-    let columns = json::columns(trials);
+    let mut columns = json::columns(trials);
+    columns.sort_by_key(|column| {
+        FIRST
+            .iter()
+            .position(|first| first == column)
+            .unwrap_or(FIRST.len())
+    });
     let best = best(trials);
     html! {
         div.scroll {
             table {
-                thead { tr { th {} @for column in &columns { th { (column.trim_start_matches("params.")) } } } }
+                thead { tr { th {} @for column in &columns { (json::head(trials, column, column.trim_start_matches("params."))) } } }
                 tbody {
                     @for trial in sorted {
                         @let chosen = best.is_some_and(|best| std::ptr::eq(best, trial));
