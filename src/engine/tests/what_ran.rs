@@ -331,6 +331,44 @@ fn independent_nodes_and_members_run_side_by_side() {
     );
 }
 
+#[test]
+fn a_shard_of_more_rows_than_a_leaf_holds_is_one_shard_still() {
+    let (_dir, store) = fresh_store();
+    let (number, world) = new_world();
+    let rows = marf_cache::manifest::ROWS_A_LEAF as u64 + 1;
+    (0..rows).for_each(|row| world.put(7, &format!("{row:05}"), row));
+    let line = Line {
+        most: rows - 2, // the last row goes, so the rest fits one leaf
+        by: 1,
+        ..Line::new(number)
+    };
+    let (record, _) = run_on(&line.graph(), &store);
+    let leaves = |node: &str| {
+        let root = record.node(node).unwrap().outputs["photos"].digest;
+        let root = marf_cache::manifest::Root::decode(&store.get(&root).unwrap()).unwrap();
+        root.leaves
+            .iter()
+            .map(|leaf| (leaf.shard, leaf.rows))
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(leaves("archive"), vec![(7, 4000), (7, 1)]);
+    assert_eq!(leaves("at_most"), vec![(7, 4000)]);
+    assert_eq!(world.take_folded(), vec![7]);
+    assert_eq!(record.node("distinct").unwrap().counts["photos"], 4000);
+}
+
+#[test]
+fn a_set_of_which_nothing_stays_is_no_failure_of_the_engine() {
+    let (_dir, store) = fresh_store();
+    let (number, world) = new_world();
+    world.put(1, "a", 50);
+    let (record, _) = run_on(&Line::new(number).graph(), &store);
+    assert_eq!(record.outcome, Outcome::Done);
+    let counts = &record.node("at_most").unwrap().counts;
+    assert_eq!((counts["photos"], counts["rejected"]), (0, 1));
+    assert_eq!(text(&store, &record, "sum", "sum"), "sum 0");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(4))]
 
