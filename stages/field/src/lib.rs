@@ -19,6 +19,8 @@ mod sh;
 mod shade;
 mod tensors;
 mod trainer;
+#[cfg(test)]
+mod training_tests;
 mod weights;
 
 pub use config::{Background, Config, Gain};
