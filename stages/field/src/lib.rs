@@ -22,6 +22,8 @@ mod sh;
 mod shade;
 mod tensors;
 mod trainer;
+#[cfg(test)]
+mod training_tests;
 mod weights;
 
 pub use bands::render_in_bands;

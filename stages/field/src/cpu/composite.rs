@@ -8,7 +8,7 @@ use super::simd::{Block, Isa, Kernel, LANES};
 /// Raw densities are cut here; exp(11) is opaque at any step. The gradient above is zero.
 pub const RAW_LIMIT: f32 = 11.0;
 /// Added to the raw density before the exponential, so that untrained space is thin.
-pub const RAW_SHIFT: f32 = -1.0;
+pub const RAW_SHIFT: f32 = -3.0;
 /// Logits of colours are cut at +-10 (0.99995, beyond 8 bits). The gradient outside is zero.
 pub const LOGIT_LIMIT: f32 = 10.0;
 /// Samples behind a transmittance below this are left out; the error of a colour is at most this.

@@ -8,3 +8,8 @@ pub mod march;
 pub mod math;
 pub mod net;
 pub mod simd;
+
+#[cfg(test)]
+mod gradients;
+#[cfg(test)]
+mod twins;
