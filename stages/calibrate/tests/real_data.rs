@@ -1,4 +1,5 @@
 //! Real photos with the cameras they came with.
+#![allow(clippy::unwrap_used, reason = "a fixture that is wrong should stop the test")]
 
 mod common;
 
