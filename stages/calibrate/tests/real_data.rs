@@ -274,12 +274,6 @@ fn a_resampled_navcam_photo_sees_points_where_the_label_says() {
         }
         placed += output.scene.frames.len();
         check_points(&output.scene, &all);
-        if let Ok(folder) = std::env::var("MARF_LOOK") {
-            for frame in &output.scene.frames {
-                let name = format!("{folder}/{site}_{}", frame.file);
-                std::fs::write(name, input.harness.get(&frame.image).unwrap()).unwrap();
-            }
-        }
     }
     assert_eq!(placed, all.len());
 }
@@ -342,7 +336,7 @@ fn check_points(scene: &Scene, all: &[(String, PhotoFacts)]) {
 
 #[test]
 fn the_site_with_most_photos_is_taken_and_the_others_say_why() {
-    let Some((input, all)) = feed() else { return };
+    let Some((input, _)) = feed() else { return };
     let output = input.run(&json!({})).unwrap();
     let totals = &output.metrics.totals;
     assert_eq!(totals.photos, 36);
@@ -362,7 +356,6 @@ fn the_site_with_most_photos_is_taken_and_the_others_say_why() {
         let forward = frame.cam_from_world.rotation.row(2);
         assert!(forward[2] > -0.3, "{}: looks along {forward}", frame.id);
     }
-    let _ = all;
 }
 
 /// A bright spot painted where the Mastcam-Z label says a point is, found again in the resampled photo.

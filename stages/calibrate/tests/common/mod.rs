@@ -1,5 +1,7 @@
 //! A set of photos in memory, and the stage run on it.
 #![allow(dead_code, reason = "each test program uses its own part")]
+#![allow(clippy::unwrap_used, reason = "a fixture that is wrong should stop the test")]
+#![allow(clippy::print_stdout, reason = "a skipped test says so")]
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
