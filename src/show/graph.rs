@@ -17,8 +17,8 @@ const TRACK: f64 = 14.0;
 const BAND_GAP: f64 = 26.0;
 /// Room left and right of the boxes for lines that go on in another band.
 const MARGIN: f64 = 36.0;
-/// Most columns of a band: 7 x 190 px fit a page of 1400 px.
-const MOST_COLUMNS: usize = 7;
+/// Most columns of a band: 6 x 190 px fit a page of 1400 px, and one of 1000 px a little smaller.
+const MOST_COLUMNS: usize = 6;
 
 /// Draws the nodes and what flows between them.
 pub(super) fn body(page: &Page<'_>) -> Markup {
