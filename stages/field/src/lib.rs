@@ -5,14 +5,24 @@
 //! threads and any instruction set; no result holds a number that is not finite.
 
 mod bands;
+mod batch;
+mod checkpoint;
 mod config;
+mod cpu;
 mod error;
 mod facts;
+mod frame;
 mod model;
+mod occupancy;
 mod overrides;
 mod quality;
 mod render;
+mod rng;
+mod sh;
+mod shade;
+mod tensors;
 mod trainer;
+mod weights;
 
 pub use bands::render_in_bands;
 pub use config::{Background, Config, Gain};
