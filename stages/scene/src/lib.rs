@@ -15,7 +15,7 @@ pub mod picture;
 mod pose;
 mod scene;
 
-pub use cahvor::{Cahvor, Entrance};
+pub use cahvor::{Cahvor, CahvorError, Entrance, Intrinsics, Pinhole, Ray};
 pub use camera::Camera;
 pub use facts::{CameraPrior, PhotoFacts};
 pub use image::{Image, Linear, Space, Srgb};
