@@ -62,7 +62,10 @@ pub(crate) fn fit(
     let mut kept = Instant::now();
     let mut reported: Option<Instant> = None;
     while trainer.steps() < steps {
-        ctx.check()?;
+        if let Err(stopped) = ctx.check() {
+            ctx.checkpoints.save(&pack(&log, &trainer.save()));
+            return Err(stopped);
+        }
         let step = trainer.step().map_err(TrainError::from)?;
         log.add(&step);
         if is_curve_point(trainer.steps(), steps) {
