@@ -10,6 +10,7 @@ static STAGES: LazyLock<Vec<StageDef>> = LazyLock::new(|| {
     stages.extend_from_slice(marf_filter::STAGES);
     stages.extend([
         define::<marf_calibrate::Calibrate>(),
+        define::<marf_tune::Tune>(),
         define::<marf_train::Train>(),
         define::<marf_train::Pace>(),
         define::<marf_train::Evaluate>(),

@@ -19,5 +19,5 @@ pub use error::BootstrapError;
 pub use maps::{Maps, maps, sample_std};
 pub use npy::encode_npy;
 pub use params::{Bootstrap, BootstrapParams, Mode, Shown, Viewpoints};
-pub use report::{HeldOut, Member, Report, ViewReport};
+pub use report::{Coverage, HeldOut, Member, PhotoReport, Report, ViewReport};
 pub use sparsification::{Norm, Sparsification, pearson, sparsify, spearman};

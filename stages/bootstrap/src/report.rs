@@ -17,11 +17,11 @@ pub struct Report {
     /// The paper's figure: mean standard deviation of gray, divisor B.
     pub std_paper: f64,
     /// Mean sample standard deviation of each channel.
-    pub rgb_std: [f64; 3],
+    pub std_rgb: [f64; 3],
     /// Mean opacity term.
     pub opacity_term: f64,
     /// Mean total standard deviation.
-    pub total: f64,
+    pub total_sd: f64,
     /// Mean sample standard deviation of the depth where it is seen, world units.
     pub depth_std: Option<f64>,
     /// Share of pixels where the mean opacity is at most 0.5.
@@ -59,13 +59,13 @@ pub struct ViewReport {
     /// Mean opacity term.
     pub opacity_term: f64,
     /// Mean total standard deviation.
-    pub total: f64,
+    pub total_sd: f64,
     /// Mean standard deviation of the depth where it is seen, world units.
     pub depth_std: Option<f64>,
     /// Share of pixels unseen.
     pub unseen_share: f64,
     /// How well the spread ranks the errors; only where there is a photo.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
     pub photo: Option<PhotoReport>,
 }
 
@@ -95,15 +95,26 @@ pub struct HeldOut {
     #[serde(flatten)]
     pub mean: PhotoReport,
     /// Mean of the members' own PSNR, dB: what averaging gains is the difference.
-    pub psnr_members: f64,
-    /// Share of pixels whose error is at most 1, 2, 3 standard deviations.
-    pub coverage: [f64; 3],
+    pub psnr_members_mean: f64,
+    /// Share of pixels whose error lies within the spread.
+    pub coverage: Coverage,
     /// What these would be, were the errors normal with that spread.
-    pub coverage_nominal: [f64; 3],
+    pub coverage_nominal: Coverage,
     /// Mean negative log-likelihood of the errors, nats, to six decimals.
     pub nll: f64,
     /// Fitted on half of the photos and tested on the other; none with fewer than four.
     pub calibration: Option<Calibration>,
+}
+
+/// Shares of pixels whose error is at most 1, 2 and 3 standard deviations.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Coverage {
+    /// Within one.
+    pub sd1: f64,
+    /// Within two.
+    pub sd2: f64,
+    /// Within three.
+    pub sd3: f64,
 }
 
 /// A viewpoint's maps with the error against its photo, if there is one.
@@ -124,7 +135,11 @@ pub(crate) struct Truth {
 }
 
 /// Shares of a normal distribution within 1, 2 and 3 standard deviations.
-const NOMINAL: [f64; 3] = [0.682_689, 0.954_500, 0.997_300];
+const NOMINAL: Coverage = Coverage {
+    sd1: 0.682_689,
+    sd2: 0.954_500,
+    sd3: 0.997_300,
+};
 
 pub(crate) fn report(b: u32, mode: Mode, members: Vec<Member>, views: &[View]) -> Report {
     let all = |map: fn(&Maps) -> &[f32]| mean(views.iter().flat_map(|view| map(&view.maps)).copied());
@@ -138,9 +153,9 @@ pub(crate) fn report(b: u32, mode: Mode, members: Vec<Member>, views: &[View]) -
         mode,
         std: all(|maps| &maps.std),
         std_paper: all(|maps| &maps.std_paper),
-        rgb_std: [0, 1, 2].map(channel),
+        std_rgb: [0, 1, 2].map(channel),
         opacity_term: all(|maps| &maps.opacity_term),
-        total: all(|maps| &maps.total),
+        total_sd: all(|maps| &maps.total),
         depth_std,
         unseen_share,
         heldout: held_out(views, &members),
@@ -157,7 +172,7 @@ fn view_report(view: &View) -> ViewReport {
         std: mean(maps.std.iter().copied()),
         std_paper: mean(maps.std_paper.iter().copied()),
         opacity_term: mean(maps.opacity_term.iter().copied()),
-        total: mean(maps.total.iter().copied()),
+        total_sd: mean(maps.total.iter().copied()),
         depth_std,
         unseen_share,
         photo: view.truth.as_ref().map(|truth| photo_report(maps, truth)),
@@ -207,8 +222,12 @@ fn held_out(views: &[View], members: &[Member]) -> Option<HeldOut> {
             ause_mae_total: mean_of(|photo| photo.ause_mae_total),
             spearman: ranks[(ranks.len() - 1) / 2],
         },
-        psnr_members: mean(members.iter().map(|member| member.psnr)),
-        coverage: [1.0, 2.0, 3.0].map(|widths| coverage(&intervals, widths)),
+        psnr_members_mean: mean(members.iter().map(|member| member.psnr)),
+        coverage: Coverage {
+            sd1: coverage(&intervals, 1.0),
+            sd2: coverage(&intervals, 2.0),
+            sd3: coverage(&intervals, 3.0),
+        },
         coverage_nominal: NOMINAL,
         nll: (nll(&intervals, 1.0) * 1e6).round() / 1e6,
         calibration: calibrate(&intervals),
@@ -280,8 +299,9 @@ mod tests {
             .heldout
             .unwrap();
         assert!((found.mean.spearman - 0.4).abs() < 1e-12);
-        assert_eq!(found.coverage, [0.25, 0.5, 0.75]);
-        assert_eq!(found.psnr_members, 21.0);
+        let Coverage { sd1, sd2, sd3 } = found.coverage;
+        assert_eq!([sd1, sd2, sd3], [0.25, 0.5, 0.75]);
+        assert_eq!(found.psnr_members_mean, 21.0);
         assert!(
             found.mean.ause_mae_total < found.mean.ause_mae,
             "the opacity term puts p4 last"

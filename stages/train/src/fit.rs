@@ -42,6 +42,8 @@ pub(crate) struct Fitted {
 /// What is counted beside the weights; part of a checkpoint, so that a resumed run tells the same.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Log {
+    /// Steps this training goes to: `budget` may mean others on another machine, and the curve's places follow.
+    steps: u64,
     pub curve: Vec<CurvePoint>,
     pub rays: u64,
     pub samples: u64,
@@ -56,11 +58,14 @@ pub(crate) fn fit(
     steps: u64,
     probes: &[(Named<'_>, Reduced)],
 ) -> Result<Fitted, StageError> {
-    let mut log = resume(ctx, &mut trainer);
+    let mut log = resume(ctx, &mut trainer, steps);
     let mut kept = Instant::now();
     let mut reported: Option<Instant> = None;
     while trainer.steps() < steps {
-        ctx.check()?;
+        if let Err(stopped) = ctx.check() {
+            ctx.checkpoints.save(&pack(&log, &trainer.save()));
+            return Err(stopped);
+        }
         let step = trainer.step().map_err(TrainError::from)?;
         log.add(&step);
         if is_curve_point(trainer.steps(), steps) {
@@ -134,13 +139,17 @@ impl Log {
     }
 }
 
-/// A checkpoint that cannot be read costs only time: training then starts over.
-fn resume(ctx: &Ctx<'_>, trainer: &mut Trainer) -> Log {
-    let Some(state) = ctx.checkpoints.load() else {
-        return Log::default();
+/// A checkpoint of another length, or one that cannot be read, costs only time: training then starts over.
+fn resume(ctx: &Ctx<'_>, trainer: &mut Trainer, steps: u64) -> Log {
+    let fresh = Log {
+        steps,
+        ..Log::default()
     };
-    let unpacked = unpack(&state).filter(|(_, weights)| trainer.restore(weights).is_ok());
-    unpacked.map_or_else(Log::default, |(log, _)| log)
+    let Some(state) = ctx.checkpoints.load() else {
+        return fresh;
+    };
+    let fits = |(log, weights): &(Log, &[u8])| log.steps == steps && trainer.restore(weights).is_ok();
+    unpack(&state).filter(fits).map_or(fresh, |(log, _)| log)
 }
 
 /// Length of the log as u64 LE, the log as JSON, the trainer's own state.

@@ -1,0 +1,363 @@
+//! Every stage of the room on a tiny scene, with the real field.
+
+mod common;
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use common::{inputs, json, put_scene, run, scene, small, stage};
+use marf_cache::Digest;
+use marf_scene::Photo;
+use marf_stage::{Cancel, Checkpoints, Ctx, Define, Outputs, Progress, StageError, Work, harness::Harness};
+use marf_train::{Evaluate, Pace, Render, Train};
+use serde_json::{Value, json};
+
+const STEPS: u64 = 32;
+
+fn table(more: &Value) -> Value {
+    let mut table = json!({"steps": STEPS, "field": small()});
+    let both = table.as_object_mut().unwrap();
+    both.extend(more.as_object().unwrap().clone());
+    table
+}
+
+fn trained(harness: &Harness, more: Value) -> Outputs {
+    let scene = put_scene(harness, &scene(harness, 12));
+    let train: Train = stage(table(&more));
+    run(&train, &harness.ctx(), &inputs(&[("scene", scene)])).unwrap()
+}
+
+#[test]
+fn training_learns_the_floor_and_tells_what_it_did() {
+    let harness = Harness::default();
+    let outputs = trained(&harness, json!({"steps": 160}));
+    let metrics = json(&harness, &outputs, "metrics");
+    let curve = json(&harness, &outputs, "curve");
+    let psnr = |value: &Value| value["psnr"].as_f64().unwrap();
+    assert!(psnr(&metrics) > 13.0, "{metrics}");
+    assert!(psnr(&curve[8]) > psnr(&curve[0]) + 1.0, "{curve}");
+    assert_eq!(
+        (&metrics["train_photos"], &metrics["held_out_photos"]),
+        (&json!(9), &json!(3))
+    );
+    assert_eq!((&metrics["steps"], &metrics["scale"]), (&json!(160), &json!(1)));
+    assert_eq!(metrics["rays"], curve[8]["rays"]);
+    assert_eq!(metrics["views"][0]["name"], "002");
+    let picture = Photo::decode(&harness.get(&outputs["heldout/002.png"]).unwrap())
+        .unwrap()
+        .image;
+    assert_eq!((picture.width, picture.height), (common::WIDTH, common::HEIGHT));
+    let photo = Photo::decode(&harness.get(&outputs["photo/002.png"]).unwrap())
+        .unwrap()
+        .image;
+    let again = marf_scene::metrics::psnr(&picture, &photo).unwrap();
+    assert_eq!(json!(again), metrics["views"][0]["psnr"]);
+}
+
+#[test]
+fn one_seed_gives_one_field_and_another_seed_another() {
+    let harness = Harness::default();
+    let weights = |seed: u64| trained(&harness, json!({ "seed": seed }))["weights"];
+    assert_eq!(weights(0), weights(0));
+    assert_ne!(weights(0), weights(1));
+    assert_ne!(weights(0), weights(1 << 32), "the upper half of the seed counts");
+}
+
+/// Stops after some steps, with a checkpoint kept at the last one.
+struct Killed<'a> {
+    harness: &'a Harness,
+    steps_left: AtomicU64,
+    cancel: &'a Cancel,
+}
+
+impl Progress for Killed<'_> {
+    fn at(&self, _done: u64, _total: u64, _note: &str) {
+        if self.steps_left.fetch_sub(1, Ordering::Relaxed) == 1 {
+            self.cancel.set();
+        }
+    }
+}
+
+impl Checkpoints for Killed<'_> {
+    fn load(&self) -> Option<Vec<u8>> {
+        Checkpoints::load(self.harness)
+    }
+    fn save(&self, state: &[u8]) {
+        Checkpoints::save(self.harness, state);
+    }
+}
+
+#[test]
+fn a_training_that_was_stopped_goes_on_to_the_same_bytes() {
+    let whole = Harness::default();
+    let expected = trained(&whole, json!({"steps": 64}));
+
+    let harness = Harness::default();
+    let scene = inputs(&[("scene", put_scene(&harness, &scene(&harness, 12)))]);
+    let train: Train = stage(table(&json!({"steps": 64})));
+    let cancel = Cancel::default();
+    let killed = Killed {
+        harness: &harness,
+        steps_left: AtomicU64::new(1),
+        cancel: &cancel,
+    };
+    let ctx = Ctx {
+        blobs: &harness,
+        cancel: &cancel,
+        progress: &killed,
+        checkpoints: &killed,
+        threads: 1,
+    };
+    let stopped = run(&train, &ctx, &scene);
+    assert!(matches!(stopped, Err(StageError::Cancelled)), "{stopped:?}");
+    assert!(
+        Checkpoints::load(&harness).is_some(),
+        "a stop keeps what was done"
+    );
+    let resumed = run(&train, &harness.ctx(), &scene).unwrap();
+    assert_eq!(resumed, expected);
+}
+
+#[test]
+fn a_damaged_checkpoint_costs_only_time() {
+    let expected = trained(&Harness::default(), json!({}));
+    let harness = Harness::default();
+    Checkpoints::save(&harness, b"\x05\0\0\0\0\0\0\0{}xyz");
+    assert_eq!(trained(&harness, json!({})), expected);
+}
+
+#[test]
+fn validation_holds_out_training_photos_and_a_bootstrap_sample_names_its_draw() {
+    let harness = Harness::default();
+    let outputs = trained(&harness, json!({"holdout": "validation", "resample": 5}));
+    let metrics = json(&harness, &outputs, "metrics");
+    let ids = |list: &Value| list.as_array().unwrap().len();
+    assert_eq!(ids(&metrics["drawn"]), 7);
+    assert_eq!(metrics["held_out_photos"], 2);
+    assert!(metrics["train_photos"].as_u64().unwrap() < 7, "{metrics}");
+    let views = metrics["views"].as_array().unwrap();
+    let test = ["002", "006", "010"];
+    assert!(
+        views
+            .iter()
+            .all(|view| !test.contains(&view["id"].as_str().unwrap())),
+        "{metrics}"
+    );
+}
+
+#[test]
+fn chosen_parameters_lie_over_the_defaults_and_under_the_nodes_own_keys() {
+    let harness = Harness::default();
+    let chosen = harness.put(br#"{"field": {"learning_rate": 0.005, "levels": 8}}"#);
+    let scene = put_scene(&harness, &scene(&harness, 8));
+    let train: Train = stage(table(&json!({})));
+    let outputs = run(
+        &train,
+        &harness.ctx(),
+        &inputs(&[("scene", scene), ("params", chosen)]),
+    )
+    .unwrap();
+    let config = &json(&harness, &outputs, "metrics")["config"];
+    assert_eq!(
+        (&config["learning_rate"], &config["levels"]),
+        (&json!(0.005), &json!(4))
+    );
+
+    let wrong = harness.put(br#"{"field": {"lerning_rate": 0.005}}"#);
+    let error = run(
+        &train,
+        &harness.ctx(),
+        &inputs(&[("scene", scene), ("params", wrong)]),
+    )
+    .unwrap_err();
+    assert!(error.to_string().contains("lerning_rate"), "{error}");
+}
+
+#[test]
+fn photos_are_shrunk_before_training() {
+    let harness = Harness::default();
+    let outputs = trained(&harness, json!({"scale": 2}));
+    let picture = Photo::decode(&harness.get(&outputs["heldout/002.png"]).unwrap())
+        .unwrap()
+        .image;
+    assert_eq!((picture.width, picture.height), (12, 9));
+    let metrics = json(&harness, &outputs, "metrics");
+    assert_eq!(
+        metrics["ssim"],
+        Value::Null,
+        "9 rows are fewer than a window's 11"
+    );
+}
+
+fn failure(harness: &Harness, scene: &marf_scene::Scene, more: Value) -> StageError {
+    let train: Train = stage(table(&more));
+    run(
+        &train,
+        &harness.ctx(),
+        &inputs(&[("scene", put_scene(harness, scene))]),
+    )
+    .unwrap_err()
+}
+
+#[test]
+fn a_scene_that_cannot_be_trained_is_refused_with_the_number() {
+    let harness = Harness::default();
+    let mut all_held_out = scene(&harness, 4);
+    all_held_out
+        .frames
+        .iter_mut()
+        .for_each(|frame| frame.held_out = true);
+    let mut foreign = scene(&harness, 4);
+    foreign.frames[1].camera.width = 48;
+    let mut damaged = scene(&harness, 4);
+    damaged.frames[3].image = harness.put(b"no picture");
+    for (scene, more, start) in [
+        (
+            &marf_scene::Scene::default(),
+            json!({}),
+            "no photo to train on: 0 photos",
+        ),
+        (&all_held_out, json!({}), "no photo to train on: 4 photos"),
+        (
+            &foreign,
+            json!({}),
+            "photo `001` has 24 x 18 pixels, its camera is for 48 x 18",
+        ),
+        (&damaged, json!({}), "photo `003`: not a JPEG"),
+        (
+            &scene(&harness, 4),
+            json!({"scale": 20}),
+            "photo `002` of 24 x 18 pixels vanishes at `scale` 20",
+        ),
+    ] {
+        let error = failure(&harness, scene, more).to_string();
+        assert!(error.starts_with(start), "{error}");
+    }
+}
+
+#[test]
+fn a_budget_asks_for_one_pace_and_trains_the_steps_it_found() {
+    let harness = Harness::default();
+    let scene = inputs(&[("scene", put_scene(&harness, &scene(&harness, 8)))]);
+    let train: Train = stage(json!({"budget": "400ms", "field": small(), "seed": 3}));
+    let Work::Expand(expand) = train_work(&train) else {
+        panic!("a budget expands")
+    };
+    let asked = expand.expand(&harness.ctx(), &scene).unwrap();
+    assert_eq!(asked.len(), 1);
+    assert_eq!(
+        (asked[0].stage.as_str(), &asked[0].params["budget"]),
+        ("pace", &json!("400ms"))
+    );
+    let pace: Pace = stage(asked[0].params.clone());
+    let paced = run(&pace, &harness.ctx(), &asked[0].inputs).unwrap();
+    let steps = json(&harness, &paced, "steps").as_u64().unwrap();
+    assert!(steps >= 1);
+
+    let few = Outputs::from([("steps".to_owned(), harness.put(b"20"))]);
+    let budgeted = expand.reduce(&harness.ctx(), &scene, &[few]).unwrap();
+    let plain: Train = stage(json!({"steps": 20, "field": small(), "seed": 3}));
+    assert_eq!(budgeted, run(&plain, &Harness::ctx(&harness), &scene).unwrap());
+}
+
+fn train_work(train: &Train) -> Work<'_> {
+    marf_stage::Stage::work(train)
+}
+
+fn downstream(harness: &Harness) -> marf_stage::Inputs {
+    let trained = trained(harness, json!({}));
+    inputs(&[
+        ("weights", trained["weights"]),
+        ("scene", trained["scene"]),
+        ("metrics", trained["metrics"]),
+    ])
+}
+
+#[test]
+fn evaluate_agrees_with_train_and_knows_the_other_photos_too() {
+    let harness = Harness::default();
+    let inputs = downstream(&harness);
+    let trained = json(&harness, &inputs.0, "metrics");
+    let held_out: Evaluate = stage(json!({}));
+    let held_out = json(
+        &harness,
+        &run(&held_out, &harness.ctx(), &inputs).unwrap(),
+        "metrics",
+    );
+    assert_eq!(
+        (&held_out["psnr"], &held_out["views"]),
+        (&trained["psnr"], &trained["views"])
+    );
+    let all: Evaluate = stage(json!({"views": "all", "scale": 2}));
+    let all = json(&harness, &run(&all, &harness.ctx(), &inputs).unwrap(), "metrics");
+    assert_eq!(
+        (all["views"].as_array().unwrap().len(), &all["scale"]),
+        (12, &json!(2))
+    );
+}
+
+#[test]
+fn render_makes_numbered_pictures_an_animation_and_depth() {
+    let harness = Harness::default();
+    let inputs = downstream(&harness);
+    for (path, frames) in [("flythrough", 3), ("orbit", 3), ("heldout", 3), ("train", 3)] {
+        let render: Render = stage(json!({"path": path, "frames": 3, "width": 32, "depth": true}));
+        let outputs = run(&render, &harness.ctx(), &inputs).unwrap();
+        let poses = json(&harness, &outputs, "poses");
+        assert_eq!(poses.as_array().unwrap().len(), frames, "{path}");
+        let video = harness.get(&outputs["video"]).unwrap();
+        assert_eq!(&video[..6], b"GIF89a", "{path}");
+        let picture = Photo::decode(&harness.get(&outputs["frames/0003.png"]).unwrap())
+            .unwrap()
+            .image;
+        assert_eq!((picture.width, picture.height), (32, 24), "{path}");
+        assert!(outputs.contains_key("depth/0003.png"), "{path}");
+    }
+}
+
+#[test]
+fn a_picture_of_nothing_is_refused_by_its_key() {
+    for (key, value) in [
+        ("frames", 0),
+        ("width", 0),
+        ("fps", 0),
+        ("width", 5000),
+        ("fps", 101),
+    ] {
+        let params = serde_json::from_value(json!({ key: value })).unwrap();
+        assert_eq!(Render::new(params).unwrap_err().path, key);
+    }
+}
+
+/// If a digest changes and the stage's VERSION does not, raise the version.
+#[test]
+fn the_answers_belong_to_the_versions() {
+    let harness = Harness::default();
+    let inputs = downstream(&harness);
+    let digest = |outputs: &Outputs| Digest::of(&serde_json::to_vec(outputs).unwrap()).short();
+    let evaluate: Evaluate = stage(json!({"views": "all"}));
+    let render: Render = stage(json!({"frames": 2, "width": 24, "depth": true}));
+    let found = [
+        ("train", Train::VERSION, digest(&trained(&harness, json!({})))),
+        (
+            "evaluate",
+            Evaluate::VERSION,
+            digest(&run(&evaluate, &harness.ctx(), &inputs).unwrap()),
+        ),
+        (
+            "render",
+            Render::VERSION,
+            digest(&run(&render, &harness.ctx(), &inputs).unwrap()),
+        ),
+    ];
+    let found = found
+        .each_ref()
+        .map(|(name, version, digest)| (*name, *version, digest.as_str()));
+    assert_eq!(
+        found,
+        [
+            ("train", 1, "2e877ef75af4"),
+            ("evaluate", 1, "b3309781ab78"),
+            ("render", 1, "a573c1d9e3ae")
+        ]
+    );
+}

@@ -1,0 +1,226 @@
+use std::collections::BTreeMap;
+
+use marf_cache::{ContentHash, Listener, digest_of};
+use marf_field::Overrides;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+/// What may be tried for each key.
+pub type Space = BTreeMap<String, Range>;
+
+/// Values from which one is drawn.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Range {
+    /// From the first to the second number, evenly by factor; rounded to three digits.
+    Log([f64; 2]),
+    /// A whole number from the first to the second, both included.
+    Int([i64; 2]),
+    /// One of these; a table sets several keys at once.
+    Choice(Vec<Value>),
+}
+
+/// Returns what is searched by default: step size, table size, layout of the levels, length of a step along a ray.
+pub fn default_space() -> Space {
+    let layouts = vec![
+        json!({"levels": 8, "features": 4}),
+        json!({"levels": 16, "features": 2}),
+    ];
+    Space::from([
+        ("learning_rate".to_owned(), Range::Log([0.003, 0.03])),
+        ("log2_table".to_owned(), Range::Int([14, 17])),
+        ("layout".to_owned(), Range::Choice(layouts)),
+        ("cone".to_owned(), Range::Log([0.0125, 0.05])),
+    ])
+}
+
+/// Draws one value for every key of the space.
+///
+/// Trial 0 draws nothing: it is the defaults, against which the others are held.
+pub fn draw(space: &Space, seed: u64, trial: u32) -> Overrides {
+    let mut drawn = Overrides::default();
+    if trial == 0 {
+        return drawn;
+    }
+    for (key, range) in space {
+        match range.value(random(key, seed, trial)) {
+            Value::Object(table) => drawn.0.extend(table),
+            value => {
+                drawn.0.insert(key.clone(), value);
+            }
+        }
+    }
+    drawn
+}
+
+/// 64 random bits: the first of the content hash of key, seed and trial.
+fn random(key: &str, seed: u64, trial: u32) -> u64 {
+    let digest = digest_of(&(key, seed, u64::from(trial)));
+    let bytes = digest.as_bytes().iter().take(8).rev();
+    bytes.fold(0, |value, byte| value << 8 | u64::from(*byte))
+}
+
+impl Range {
+    /// Returns the value at a place in the range; 0 is the low end, the largest u64 the high one.
+    fn value(&self, place: u64) -> Value {
+        match self {
+            Self::Log([low, high]) => json!(log_uniform(*low, *high, place)),
+            Self::Int([low, high]) => {
+                let count = (i128::from(*high) - i128::from(*low) + 1).max(1) as u128;
+                let step = (u128::from(place) * count) >> 64;
+                json!((i128::from(*low) + step as i128) as i64)
+            }
+            Self::Choice(values) => {
+                let index = (u128::from(place) * values.len() as u128) >> 64;
+                values.get(index as usize).cloned().unwrap_or_default()
+            }
+        }
+    }
+
+    /// Returns both ends, or every choice: values that all must be allowed.
+    pub(crate) fn extremes(&self) -> Vec<Value> {
+        match self {
+            Self::Log(ends) => ends.iter().map(|end| json!(end)).collect(),
+            Self::Int(ends) => ends.iter().map(|end| json!(end)).collect(),
+            Self::Choice(values) => values.clone(),
+        }
+    }
+
+    /// Returns what is wrong with the range itself.
+    pub(crate) fn fault(&self) -> Option<String> {
+        match self {
+            Self::Log([low, high]) => {
+                let fine = *low > 0.0 && low <= high && (high / low).is_finite();
+                (!fine).then(|| format!("`log = [{low}, {high}]` must rise from above 0 to a finite number"))
+            }
+            Self::Int([low, high]) => (low > high).then(|| format!("`int = [{low}, {high}]` must not fall")),
+            Self::Choice(values) => values.is_empty().then(|| "`choice` is empty".to_owned()),
+        }
+    }
+}
+
+/// low · (high / low)^u, u = place / 2⁶⁴, to three digits.
+///
+/// The power is a product of repeated square roots, one for every bit of u: sqrt is exact everywhere, pow is not.
+fn log_uniform(low: f64, high: f64, place: u64) -> f64 {
+    let (mut value, mut factor) = (low, high / low);
+    for bit in (0..64).rev() {
+        factor = factor.sqrt();
+        if place >> bit & 1 == 1 {
+            value *= factor;
+        }
+    }
+    // Three digits are printed and read back; an end of the range may lie between two such numbers.
+    let rounded = format!("{value:.2e}").parse().unwrap_or(value);
+    rounded.clamp(low, high)
+}
+
+impl ContentHash for Range {
+    fn walk(&self, listener: &mut dyn Listener) {
+        match self {
+            Self::Log(ends) => {
+                listener.variant("log", 0);
+                ends.walk(listener);
+            }
+            Self::Int(ends) => {
+                listener.variant("int", 1);
+                ends.walk(listener);
+            }
+            Self::Choice(values) => {
+                listener.variant("choice", 2);
+                let tables = values.iter().map(|value| {
+                    let entry = ("value".to_owned(), value.clone());
+                    Overrides(BTreeMap::from([entry]))
+                });
+                tables.collect::<Vec<_>>().walk(listener);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HIGHEST: u64 = u64::MAX;
+
+    #[test]
+    fn equal_seeds_draw_equally_and_every_bit_of_a_seed_counts() {
+        let space = default_space();
+        assert_eq!(draw(&space, 7, 3), draw(&space, 7, 3));
+        for bit in [0, 31, 32, 63] {
+            assert_ne!(draw(&space, 7, 3), draw(&space, 7 ^ (1 << bit), 3), "bit {bit}");
+        }
+        assert_ne!(draw(&space, 7, 3), draw(&space, 7, 4));
+        assert_eq!(draw(&space, 7, 0), Overrides::default());
+    }
+
+    #[test]
+    fn another_key_leaves_the_draws_of_the_others() {
+        let mut space = default_space();
+        let before = draw(&space, 1, 5);
+        space.insert("distortion".to_owned(), Range::Log([1e-4, 1e-2]));
+        let after = draw(&space, 1, 5);
+        for (key, value) in &before.0 {
+            assert_eq!(after.0.get(key), Some(value), "{key}");
+        }
+    }
+
+    #[test]
+    fn a_log_uniform_draw_reaches_both_ends_and_halves_the_factor_in_the_middle() {
+        assert_eq!(log_uniform(0.003, 0.03, 0), 0.003);
+        assert_eq!(log_uniform(0.003, 0.03, HIGHEST), 0.03);
+        assert_eq!(log_uniform(0.01, 1.0, 1 << 63), 0.1);
+        assert_eq!(log_uniform(2.0, 2.0, 12345), 2.0);
+        assert_eq!(log_uniform(1e-100, 1e100, 1 << 63), 1.0);
+        assert_eq!(log_uniform(0.012345, 0.012346, 1 << 63), 0.012345);
+    }
+
+    #[test]
+    fn whole_numbers_and_choices_reach_both_ends() {
+        let int = Range::Int([14, 17]);
+        assert_eq!((int.value(0), int.value(HIGHEST)), (json!(14), json!(17)));
+        let widest = Range::Int([i64::MIN, i64::MAX]);
+        assert_eq!(
+            (widest.value(0), widest.value(HIGHEST)),
+            (json!(i64::MIN), json!(i64::MAX))
+        );
+        let choice = Range::Choice(vec![json!("a"), json!("b"), json!("c")]);
+        assert_eq!((choice.value(0), choice.value(HIGHEST)), (json!("a"), json!("c")));
+    }
+
+    #[test]
+    fn many_draws_cover_the_ranges_evenly() {
+        let space = default_space();
+        let drawn: Vec<Overrides> = (1..=2000).map(|trial| draw(&space, 0, trial)).collect();
+        let share = |test: &dyn Fn(&Overrides) -> bool| drawn.iter().filter(|set| test(set)).count();
+        for table in 14..=17 {
+            let count = share(&|set| set.0["log2_table"] == json!(table));
+            // 500 expected, standard deviation 19.
+            assert!((420..=580).contains(&count), "{table}: {count}");
+        }
+        let low_half = share(&|set| set.0["learning_rate"].as_f64().unwrap() < 0.009_487);
+        assert!(
+            (910..=1090).contains(&low_half),
+            "{low_half} of 2000 below the geometric mean"
+        );
+        let wide = share(&|set| set.0["levels"] == json!(16) && set.0["features"] == json!(2));
+        assert!((910..=1090).contains(&wide), "{wide}");
+    }
+
+    #[test]
+    fn ranges_that_cannot_be_drawn_from_say_why() {
+        for (range, word) in [
+            (Range::Log([0.0, 1.0]), "above 0"),
+            (Range::Log([2.0, 1.0]), "above 0"),
+            (Range::Log([f64::NAN, 1.0]), "above 0"),
+            (Range::Log([1.0, f64::INFINITY]), "finite"),
+            (Range::Int([3, 2]), "must not fall"),
+            (Range::Choice(vec![]), "empty"),
+        ] {
+            assert!(range.fault().unwrap().contains(word), "{range:?}");
+        }
+        assert!(default_space().values().all(|range| range.fault().is_none()));
+    }
+}

@@ -1,0 +1,186 @@
+use marf_field::Overrides;
+use marf_stage::{Ctx, Outputs, StageError};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use crate::{TuneParams, draw};
+
+/// A row of the output `trials`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Trial {
+    /// Its number; 0 is the defaults.
+    pub trial: u32,
+    /// 1 is the best PSNR; of equals the first.
+    pub rank: u32,
+    /// Mean PSNR on the validation photos, dB.
+    pub psnr: f64,
+    /// The paper's definition.
+    pub psnr_paper: Option<f64>,
+    /// Mean SSIM.
+    pub ssim: Option<f64>,
+    /// What was set.
+    pub params: Overrides,
+}
+
+/// Output `scatter`: how much of a difference the seed alone makes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Scatter {
+    /// PSNR of the defaults with the seed and with the next one, dB.
+    pub psnr: [f64; 2],
+    /// Their distance, dB: gains below it may be chance.
+    pub difference_db: f64,
+    /// What the best trial has above the defaults, dB.
+    pub best_minus_default_db: f64,
+}
+
+/// Of `train`'s metrics, what is needed here.
+#[derive(Debug, Clone, Deserialize)]
+struct Trained {
+    psnr: f64,
+    psnr_paper: Option<f64>,
+    ssim: Option<f64>,
+}
+
+/// Ranks the trials and writes what the best one had set.
+pub(crate) fn reduce(
+    ctx: &Ctx<'_>,
+    params: &TuneParams,
+    children: &[Outputs],
+) -> Result<Outputs, StageError> {
+    let trained = (0_u32..)
+        .zip(children)
+        .map(|(index, outputs)| read(ctx, index, outputs));
+    let mut trained = trained.collect::<Result<Vec<_>, _>>()?;
+    let (Some(again), true) = (trained.pop(), children.len() == params.trials as usize + 1) else {
+        let message = format!(
+            "{} trials and the scatter were asked for, {} came",
+            params.trials,
+            children.len()
+        );
+        return Err(StageError::new(message));
+    };
+    let trials = ranked(params, &trained);
+    let best = trials.iter().min_by_key(|trial| trial.rank);
+    let (Some(best), Some(default)) = (best, trials.first()) else {
+        return Err(StageError::new("no trial came back"));
+    };
+    let scatter = Scatter {
+        psnr: [default.psnr, again.psnr],
+        difference_db: (default.psnr - again.psnr).abs(),
+        best_minus_default_db: best.psnr - default.psnr,
+    };
+    let mut outputs = Outputs::new();
+    outputs.insert("params".to_owned(), put(ctx, &json!({ "field": best.params }))?);
+    outputs.insert("trials".to_owned(), put(ctx, &trials)?);
+    outputs.insert("scatter".to_owned(), put(ctx, &scatter)?);
+    Ok(outputs)
+}
+
+fn read(ctx: &Ctx<'_>, index: u32, outputs: &Outputs) -> Result<Trained, StageError> {
+    let missing = || StageError::new(format!("trial {index:02} has no output `metrics`"));
+    let bytes = ctx.get(outputs.get("metrics").ok_or_else(missing)?)?;
+    let malformed = |error| StageError::new(format!("trial {index:02}, output `metrics`: {error}"));
+    serde_json::from_slice(&bytes).map_err(malformed)
+}
+
+fn ranked(params: &TuneParams, trained: &[Trained]) -> Vec<Trial> {
+    let mut order: Vec<usize> = (0..trained.len()).collect();
+    order.sort_by(|a, b| trained[*b].psnr.total_cmp(&trained[*a].psnr).then(a.cmp(b)));
+    let mut ranks = vec![0; trained.len()];
+    for (rank, index) in (1_u32..).zip(order) {
+        ranks[index] = rank;
+    }
+    let rows = (0_u32..).zip(trained).zip(ranks);
+    rows.map(|((trial, trained), rank)| Trial {
+        trial,
+        rank,
+        psnr: trained.psnr,
+        psnr_paper: trained.psnr_paper,
+        ssim: trained.ssim,
+        params: draw(&params.space, params.seed, trial),
+    })
+    .collect()
+}
+
+fn put(ctx: &Ctx<'_>, value: &impl Serialize) -> Result<marf_cache::Digest, StageError> {
+    let json = serde_json::to_vec(value).map_err(|error| StageError::new(error.to_string()))?;
+    ctx.put(&json)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Tune;
+    use marf_cache::Digest;
+    use marf_stage::{Define, Expand, Inputs, harness::Harness};
+
+    fn reduced(psnr: &[f64]) -> (Vec<Trial>, Scatter, serde_json::Value, Outputs) {
+        let harness = Harness::default();
+        let child = |psnr: &f64| {
+            let metrics = json!({"psnr": psnr, "psnr_paper": null, "ssim": 0.5, "steps": 9});
+            let digest = harness.put(&serde_json::to_vec(&metrics).unwrap());
+            Outputs::from([("metrics".to_owned(), digest)])
+        };
+        let children: Vec<Outputs> = psnr.iter().map(child).collect();
+        let params = TuneParams {
+            trials: psnr.len() as u32 - 1,
+            ..TuneParams::default()
+        };
+        let stage = Tune::new(params).unwrap();
+        let outputs = stage
+            .reduce(&harness.ctx(), &Inputs::default(), &children)
+            .unwrap();
+        let bytes = |name: &str| harness.get(&outputs[name]).unwrap();
+        (
+            serde_json::from_slice(&bytes("trials")).unwrap(),
+            serde_json::from_slice(&bytes("scatter")).unwrap(),
+            serde_json::from_slice(&bytes("params")).unwrap(),
+            outputs,
+        )
+    }
+
+    #[test]
+    fn the_best_trial_wins_and_the_seed_noise_stands_beside_it() {
+        let (trials, scatter, params, _) = reduced(&[20.0, 19.0, 21.5, 20.25]);
+        assert_eq!(
+            trials.iter().map(|trial| trial.rank).collect::<Vec<_>>(),
+            [2, 3, 1]
+        );
+        assert_eq!(params, json!({ "field": trials[2].params }));
+        assert_eq!(
+            (scatter.difference_db, scatter.best_minus_default_db),
+            (0.25, 1.5)
+        );
+    }
+
+    #[test]
+    fn of_equal_trials_the_defaults_win() {
+        let (trials, _, params, _) = reduced(&[20.0, 20.0, 20.0]);
+        assert_eq!(trials[0].rank, 1);
+        assert_eq!(params, json!({ "field": {} }));
+    }
+
+    #[test]
+    fn a_trial_that_is_missing_is_named() {
+        let harness = Harness::default();
+        let stage = Tune::new(TuneParams {
+            trials: 1,
+            ..TuneParams::default()
+        })
+        .unwrap();
+        let error = stage
+            .reduce(&harness.ctx(), &Inputs::default(), &vec![Outputs::new(); 2])
+            .unwrap_err();
+        assert_eq!(error.to_string(), "trial 00 has no output `metrics`");
+        let error = stage.reduce(&harness.ctx(), &Inputs::default(), &[]).unwrap_err();
+        assert!(error.to_string().contains("0 came"), "{error}");
+    }
+
+    /// If this digest changes and `Tune::VERSION` does not, raise the version.
+    #[test]
+    fn the_answer_belongs_to_the_version() {
+        let outputs = reduced(&[20.0, 19.0, 21.5, 20.25]).3;
+        let all = Digest::of(&serde_json::to_vec(&outputs).unwrap());
+        assert_eq!((Tune::VERSION, all.short().as_str()), (1, "7bd33cffdff3"), "{outputs:?}");
+    }
+}
