@@ -1,1 +1,3 @@
 //! Archives to photos and labels.
+
+pub mod demo;
