@@ -3,117 +3,219 @@
 use rayon::prelude::*;
 
 use super::{
+    light,
     math::{V3, noise2, sin_cos, smoothstep, v3},
     rocks::{Ray, Rock},
 };
 
-/// Middle of the gridded square, metres in the site: the outcrop.
+/// Middle of the gridded squares, metres in the site: the outcrop.
 pub const OUTCROP: (f64, f64) = (7.0, 3.0);
-/// Nodes a side of the grid.
-const SIDE: usize = 1024;
-/// Metres between nodes.
-const STEP: f64 = 0.04;
-const HALF_EXTENT: f64 = (SIDE - 1) as f64 * STEP / 2.0;
-/// Steepest rise the march reckons with; the steepest ripple has 0.35, skirts of rocks 0.4.
-const STEEPEST: f64 = 0.55;
+/// Half the side of the finest square, metres.
+const FINE_M: f64 = 20.48;
+/// The squares: nodes a side, metres between them. The first has ripples and lumps, the others the large forms.
+const LEVELS: [(usize, f64); 3] = [(1025, 0.04), (513, 0.4), (513, 2.5)];
+/// Rise the march reckons with. Ripples have more, but a step is never longer than about ten times the room
+/// left, too short to pass through one; where it ends below ground, the change of sign is caught.
+const STEEPEST: f64 = 0.10;
 /// Nothing of the ground is higher, metres.
 const CEILING: f64 = 1.6;
 /// Where the plain ends in haze, metres.
 pub const FAR: f64 = 600.0;
 
-/// A node: height in metres, slope along x and y, and the share of the sky it sees.
-type Cell = [f32; 4];
+/// How the ground lies at a place, and what it is made of.
+#[derive(Debug, Clone, Copy)]
+pub struct Lie {
+    /// Rise along x and y.
+    pub slope: (f64, f64),
+    /// Share of the sky seen.
+    pub open: f64,
+    /// Share of drifted sand.
+    pub sand: f64,
+    /// Share of dust in the colour.
+    pub dusty: f64,
+    /// Brightness of the colour, about 0.
+    pub tone: f64,
+}
+
+/// A square of nodes.
+struct Grid {
+    side: usize,
+    step_m: f64,
+    /// Heights, metres up.
+    heights: Vec<f32>,
+    /// Slope along x and y, openness, sand, dust, tone.
+    lies: Vec<[f32; 6]>,
+}
 
 pub struct Ground {
-    cells: Vec<Cell>,
+    grids: Vec<Grid>,
 }
 
 impl Ground {
     pub fn new(salt: u32, rocks: &[Rock]) -> Self {
-        let mut heights = vec![(0.0_f64, 1.0_f64); SIDE * SIDE];
-        heights.par_chunks_mut(SIDE).enumerate().for_each(|(row, chunk)| {
-            for (column, cell) in chunk.iter_mut().enumerate() {
-                let (x, y) = position(column, row);
-                cell.0 = height_without_rocks(x, y, salt);
-            }
-        });
-        for rock in rocks {
-            settle(&mut heights, rock);
-        }
+        let grid = |&(side, step_m): &(usize, f64)| Grid::new(side, step_m, salt, rocks);
         Self {
-            cells: with_slopes(&heights),
+            grids: LEVELS.iter().map(grid).collect(),
         }
     }
 
-    pub fn height(&self, salt: u32, x: f64, y: f64) -> f64 {
-        self.lookup(x, y).map_or_else(|| plain(x, y, salt), |cell| cell[0])
+    pub fn height(&self, x: f64, y: f64) -> f64 {
+        self.at(x, y, |grid, spot| spot.blend(|index| f64::from(grid.heights[index])))
     }
 
     /// Returns where a ray meets the ground.
-    pub fn first(&self, salt: u32, ray: &Ray) -> Option<f64> {
+    pub fn first(&self, ray: &Ray) -> Option<f64> {
         let (from, along) = (ray.from, ray.along);
         let level = (along.x * along.x + along.y * along.y).sqrt();
         let pace = 1.0 / (along.z.abs() + STEEPEST * level);
-        let mut t = ((from.z - CEILING) / -along.z).max(0.0);
-        if along.z >= 0.0 {
-            if from.z > CEILING {
-                return None;
-            }
-            t = 0.0;
+        if along.z >= 0.0 && from.z > CEILING {
+            return None;
         }
-        for _ in 0..160 {
-            let p = ray.at(t);
-            let room = p.z - self.height(salt, p.x, p.y);
-            if room < 0.000_2 * t.max(1.0) {
+        let mut t = if along.z < 0.0 { ((from.z - CEILING) / -along.z).max(0.0) } else { 0.0 };
+        let mut above = (t, f64::INFINITY);
+        for _ in 0..200 {
+            let room = self.room(ray, t);
+            if room < 0.0 && above.1.is_finite() {
+                return Some(self.crossing(ray, above, (t, room)));
+            }
+            if room < 0.000_2 * t {
                 return Some(t + room * pace);
             }
+            above = (t, room);
             t += room * pace;
-            if t > FAR || (along.z > 0.0 && p.z > CEILING) {
+            if t > FAR || (along.z > 0.0 && from.z + along.z * t > CEILING) {
                 return None;
             }
         }
         Some(t)
     }
 
-    /// Returns slope along x, along y, and the share of the sky seen.
-    pub fn lie(&self, salt: u32, x: f64, y: f64) -> (f64, f64, f64) {
-        if let Some([_, dx, dy, open]) = self.lookup(x, y) {
-            return (dx, dy, open);
-        }
-        let step = 0.3;
-        let slope = |dx: f64, dy: f64| {
-            (plain(x + dx, y + dy, salt) - plain(x - dx, y - dy, salt)) / (2.0 * step)
-        };
-        (slope(step, 0.0), slope(0.0, step), 1.0)
+    /// Returns how the ground lies at a place.
+    pub fn lie(&self, x: f64, y: f64) -> Lie {
+        self.at(x, y, |grid, spot| {
+            let part = |k: usize| spot.blend(|index| f64::from(grid.lies[index][k]));
+            Lie {
+                slope: (part(0), part(1)),
+                open: part(2),
+                sand: part(3),
+                dusty: part(4),
+                tone: part(5),
+            }
+        })
     }
 
-    fn lookup(&self, x: f64, y: f64) -> Option<[f64; 4]> {
-        let (u, v) = (
-            (x - OUTCROP.0 + HALF_EXTENT) / STEP,
-            (y - OUTCROP.1 + HALF_EXTENT) / STEP,
-        );
-        let limit = (SIDE - 1) as f64;
-        if !(u >= 0.0 && v >= 0.0 && u < limit && v < limit) {
-            return None;
+    fn room(&self, ray: &Ray, t: f64) -> f64 {
+        let p = ray.at(t);
+        p.z - self.height(p.x, p.y)
+    }
+
+    /// Closes in on a change of sign by the chord, four times.
+    fn crossing(&self, ray: &Ray, mut above: (f64, f64), mut below: (f64, f64)) -> f64 {
+        let chord = |a: (f64, f64), b: (f64, f64)| a.0 + (b.0 - a.0) * (a.1 / (a.1 - b.1));
+        for _ in 0..4 {
+            let t = chord(above, below);
+            let room = self.room(ray, t);
+            if room.abs() < 0.000_05 * t {
+                return t;
+            }
+            if room > 0.0 {
+                above = (t, room);
+            } else {
+                below = (t, room);
+            }
         }
-        let (i, j) = (u as usize, v as usize);
-        let (u, v) = (u - i as f64, v - j as f64);
-        let at = j * SIDE + i;
-        let (a, b) = (&self.cells[at], &self.cells[at + 1]);
-        let (c, d) = (&self.cells[at + SIDE], &self.cells[at + SIDE + 1]);
-        Some(std::array::from_fn(|k| {
-            let top = f64::from(a[k]) + (f64::from(b[k]) - f64::from(a[k])) * u;
-            let bottom = f64::from(c[k]) + (f64::from(d[k]) - f64::from(c[k])) * u;
-            top + (bottom - top) * v
-        }))
+        chord(above, below)
+    }
+
+    /// Finds the finest grid around a place; beyond the last one its border goes on.
+    fn at<T>(&self, x: f64, y: f64, read: impl Fn(&Grid, &Spot) -> T) -> T {
+        let (x, y) = (x - OUTCROP.0, y - OUTCROP.1);
+        let far = x.abs().max(y.abs());
+        let holds = |grid: &&Grid| far < grid.half_m();
+        let last = &self.grids[self.grids.len() - 1];
+        let grid = self.grids.iter().find(holds).unwrap_or(last);
+        read(grid, &grid.spot(x, y))
     }
 }
 
-fn position(column: usize, row: usize) -> (f64, f64) {
-    (
-        OUTCROP.0 - HALF_EXTENT + column as f64 * STEP,
-        OUTCROP.1 - HALF_EXTENT + row as f64 * STEP,
-    )
+/// A place between four nodes.
+struct Spot {
+    index: usize,
+    side: usize,
+    u: f64,
+    v: f64,
+}
+
+impl Spot {
+    fn blend(&self, node: impl Fn(usize) -> f64) -> f64 {
+        let (a, b) = (node(self.index), node(self.index + 1));
+        let (c, d) = (node(self.index + self.side), node(self.index + self.side + 1));
+        let (top, bottom) = (a + (b - a) * self.u, c + (d - c) * self.u);
+        top + (bottom - top) * self.v
+    }
+}
+
+impl Grid {
+    fn new(side: usize, step_m: f64, salt: u32, rocks: &[Rock]) -> Self {
+        let fine = step_m == LEVELS[0].1;
+        let form = if fine { height_without_rocks } else { plain };
+        let place = |index: usize| {
+            let middle = (side / 2) as f64;
+            (
+                OUTCROP.0 + ((index % side) as f64 - middle) * step_m,
+                OUTCROP.1 + ((index / side) as f64 - middle) * step_m,
+            )
+        };
+        let mut nodes: Vec<(f64, f64)> = (0..side * side)
+            .into_par_iter()
+            .map(|index| (form(place(index).0, place(index).1, salt), 1.0))
+            .collect();
+        if fine {
+            rocks.iter().for_each(|rock| settle(&mut nodes, side, step_m, rock));
+        }
+        let lies = (0..side * side)
+            .into_par_iter()
+            .map(|index| lie_at(&nodes, side, step_m, index, place(index), salt))
+            .collect();
+        Self {
+            side,
+            step_m,
+            heights: nodes.iter().map(|node| node.0 as f32).collect(),
+            lies,
+        }
+    }
+
+    fn half_m(&self) -> f64 {
+        (self.side / 2) as f64 * self.step_m
+    }
+
+    /// `x` and `y` from the middle, metres; clamped into the square.
+    fn spot(&self, x: f64, y: f64) -> Spot {
+        let last = (self.side - 1) as f64 - 1e-6;
+        let (u, v) = (
+            ((x + self.half_m()) / self.step_m).clamp(0.0, last),
+            ((y + self.half_m()) / self.step_m).clamp(0.0, last),
+        );
+        let (i, j) = (u as usize, v as usize);
+        Spot {
+            index: j * self.side + i,
+            side: self.side,
+            u: u - i as f64,
+            v: v - j as f64,
+        }
+    }
+}
+
+fn lie_at(nodes: &[(f64, f64)], side: usize, step_m: f64, index: usize, place: (f64, f64), salt: u32) -> [f32; 6] {
+    let (column, row) = (index % side, index / side);
+    let (left, right) = (column.saturating_sub(1), (column + 1).min(side - 1));
+    let (above, below) = (row.saturating_sub(1), (row + 1).min(side - 1));
+    let at = |column: usize, row: usize| nodes[row * side + column].0;
+    let slope_x = (at(right, row) - at(left, row)) / ((right - left) as f64 * step_m);
+    let slope_y = (at(column, below) - at(column, above)) / ((below - above) as f64 * step_m);
+    let sand = sandiness(place.0, place.1, salt);
+    let (dusty, tone) = light::broad_tint(place.0, place.1, sand, salt);
+    [slope_x, slope_y, nodes[index].1, sand, dusty, tone].map(|number| number as f32)
 }
 
 /// The large forms: swells of the plain and the rise on which the outcrop stands.
@@ -141,7 +243,7 @@ fn ripple(phase: f64) -> f64 {
 
 fn height_without_rocks(x: f64, y: f64, salt: u32) -> f64 {
     let (dx, dy) = (x - OUTCROP.0, y - OUTCROP.1);
-    let inside = smoothstep(HALF_EXTENT - 0.5, HALF_EXTENT - 6.0, (dx * dx + dy * dy).sqrt());
+    let inside = smoothstep(FINE_M - 0.5, FINE_M - 6.0, (dx * dx + dy * dy).sqrt());
     if inside == 0.0 {
         return plain(x, y, salt);
     }
@@ -154,42 +256,27 @@ fn height_without_rocks(x: f64, y: f64, salt: u32) -> f64 {
 }
 
 /// Lets sand creep up around a rock, and takes the sky away from the ground close to it.
-fn settle(cells: &mut [(f64, f64)], rock: &Rock) {
+fn settle(nodes: &mut [(f64, f64)], side: usize, step_m: f64, rock: &Rock) {
     let wide = (rock.half.x + rock.half.y) / 2.0;
     if wide < 0.03 {
         return;
     }
     let reach = wide * 2.2 + 0.04;
     let top = rock.half.z.min(wide);
-    let index = |value: f64, middle: f64| ((value - middle + HALF_EXTENT) / STEP).clamp(0.0, (SIDE - 1) as f64) as usize;
-    for row in index(rock.centre.y - reach, OUTCROP.1)..=index(rock.centre.y + reach, OUTCROP.1) {
-        for column in index(rock.centre.x - reach, OUTCROP.0)..=index(rock.centre.x + reach, OUTCROP.0) {
-            let (x, y) = position(column, row);
-            let off = rock.local(v3(x, y, rock.centre.z) - rock.centre);
+    let middle = (side / 2) as f64;
+    let index = |offset: f64| (offset / step_m + middle).clamp(0.0, (side - 1) as f64) as usize;
+    let (x, y) = (rock.centre.x - OUTCROP.0, rock.centre.y - OUTCROP.1);
+    for row in index(y - reach)..=index(y + reach) {
+        for column in index(x - reach)..=index(x + reach) {
+            let (dx, dy) = ((column as f64 - middle) * step_m - x, (row as f64 - middle) * step_m - y);
+            let off = rock.local(v3(dx, dy, 0.0));
             let (u, v) = (off.x / rock.half.x, off.y / rock.half.y);
             let near = smoothstep(2.2, 0.8, (u * u + v * v).sqrt());
-            let cell = &mut cells[row * SIDE + column];
-            cell.0 += 0.16 * top * near * near;
-            cell.1 *= 1.0 - 0.42 * near;
+            let node = &mut nodes[row * side + column];
+            node.0 += 0.16 * top * near * near;
+            node.1 *= 1.0 - 0.42 * near;
         }
     }
-}
-
-fn with_slopes(heights: &[(f64, f64)]) -> Vec<Cell> {
-    let last = SIDE - 1;
-    let at = |column: usize, row: usize| heights[row * SIDE + column].0;
-    (0..SIDE * SIDE)
-        .into_par_iter()
-        .map(|index| {
-            let (column, row) = (index % SIDE, index / SIDE);
-            let (left, right) = (column.saturating_sub(1), (column + 1).min(last));
-            let (above, below) = (row.saturating_sub(1), (row + 1).min(last));
-            let dx = (at(right, row) - at(left, row)) / ((right - left) as f64 * STEP);
-            let dy = (at(column, below) - at(column, above)) / ((below - above) as f64 * STEP);
-            let (height, open) = heights[index];
-            [height as f32, dx as f32, dy as f32, open as f32]
-        })
-        .collect()
 }
 
 /// Upward unit normal of a surface with these slopes.

@@ -69,7 +69,11 @@ impl Lens {
             let t2 = true_tan * true_tan;
             let value = true_tan * (1.0 + self.r[0] + t2 * (self.r[1] + t2 * self.r[2]));
             let slope = 1.0 + self.r[0] + t2 * (3.0 * self.r[1] + t2 * 5.0 * self.r[2]);
-            true_tan -= (value - seen) / slope;
+            let step = (value - seen) / slope;
+            true_tan -= step;
+            if step.abs() < 1e-9 {
+                break; // Newton squares the error: the next step would be 1e-18.
+            }
         }
         (self.o * along + off * (true_tan / seen)).unit()
     }

@@ -1,7 +1,8 @@
 //! Light and materials: sun, sky, sand, stones, rock.
 
 use super::{
-    math::{V3, cell, cell_bits, mix32, noise2, noise3, smoothstep, v3},
+    ground::Lie,
+    math::{V3, cell, cell_bits, mix32, noise2, noise3, smoothstep, v3, whole},
     rocks::Rock,
 };
 
@@ -69,14 +70,19 @@ fn held(size_m: f64, footprint_m: f64) -> f64 {
     smoothstep(0.7, 1.7, size_m / footprint_m)
 }
 
-/// Sand, dust and small stones at a place.
-pub fn ground_skin(x: f64, y: f64, slope: (f64, f64), sand: f64, footprint_m: f64, salt: u32) -> Skin {
+/// What tints the ground over metres: dust against sand, and a tone about 0.
+pub fn broad_tint(x: f64, y: f64, sand: f64, salt: u32) -> (f64, f64) {
     let broad = noise2(x / 2.3, y / 2.3, salt ^ 41).0;
     let blotch = noise2(x / 0.61, y / 0.61, salt ^ 42).0;
     let dusty = smoothstep(-0.6, 0.9, 0.8 * broad + 0.5 * blotch - 0.9 * (sand - 0.5));
-    let mut albedo = SAND.mix(DUST, dusty);
-    let (mut slope_x, mut slope_y) = slope;
-    let mut tone = 0.10 * broad + 0.05 * blotch;
+    (dusty, 0.10 * broad + 0.05 * blotch)
+}
+
+/// Sand, dust and small stones at a place.
+pub fn ground_skin(x: f64, y: f64, lie: &Lie, footprint_m: f64, salt: u32) -> Skin {
+    let mut albedo = SAND.mix(DUST, lie.dusty);
+    let (mut slope_x, mut slope_y) = lie.slope;
+    let (sand, mut tone) = (lie.sand, lie.tone);
     let rough = 1.0 - 0.62 * sand;
     let (mut px, mut py, mut size) = (x, y, 0.26);
     for octave in 0..7_u32 {
@@ -116,8 +122,8 @@ fn back(mut dx: f64, mut dy: f64, times: u32) -> (f64, f64) {
 /// A layer of pebbles, at most one a cell, each a dome with its own little shadow.
 fn stones(skin: &mut Skin, at: (f64, f64), size_m: f64, share: f64, footprint_m: f64, salt: u32) {
     let (u, v) = (at.0 / size_m, at.1 / size_m);
-    let (i, j) = (u.floor(), v.floor());
-    let bits = cell_bits(i as i64, j as i64, salt);
+    let ((i, u), (j, v)) = (whole(u), whole(v));
+    let bits = cell_bits(i, j, salt);
     let visible = held(size_m * 0.35, footprint_m);
     if f64::from(bits & 0xffff) / 65_536.0 > share || visible <= 0.0 {
         return;
@@ -126,7 +132,7 @@ fn stones(skin: &mut Skin, at: (f64, f64), size_m: f64, share: f64, footprint_m:
     let radius = 0.11 + 0.13 * number(1);
     let middle = (0.36 + 0.28 * number(2), 0.36 + 0.28 * number(3));
     let stretch = 0.75 + 0.6 * number(4);
-    let (dx, dy) = (u - i - middle.0, v - j - middle.1);
+    let (dx, dy) = (u - middle.0, v - middle.1);
     let (shear, soft) = (number(5) - 0.5, (footprint_m / size_m / radius).clamp(0.08, 0.6));
     let outline = |dx: f64, dy: f64| {
         let (a, b) = ((dx + shear * dy) * stretch / radius, dy / stretch / radius);

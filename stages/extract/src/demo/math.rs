@@ -169,6 +169,13 @@ impl Dice {
     }
 }
 
+/// Splits a number into its floor and the rest; `f64::floor` is a call on plain x86-64, this is not.
+pub fn whole(x: f64) -> (i64, f64) {
+    let cut = x as i64;
+    let floor = cut - i64::from(x < cut as f64);
+    (floor, x - floor as f64)
+}
+
 fn quintic(t: f64) -> (f64, f64) {
     let s = t - 1.0;
     (t * t * t * (t * (t * 6.0 - 15.0) + 10.0), 30.0 * t * t * s * s)
@@ -176,9 +183,8 @@ fn quintic(t: f64) -> (f64, f64) {
 
 /// Value noise in the plane, lattice 1: (value in [-1, 1], d/dx, d/dy).
 pub fn noise2(x: f64, y: f64, salt: u32) -> (f64, f64, f64) {
-    let (fx, fy) = (x.floor(), y.floor());
-    let (i, j) = (fx as i64, fy as i64);
-    let ((u, du), (v, dv)) = (quintic(x - fx), quintic(y - fy));
+    let ((i, fx), (j, fy)) = (whole(x), whole(y));
+    let ((u, du), (v, dv)) = (quintic(fx), quintic(fy));
     let corner = |di, dj| cell(i + di, j + dj, salt) * 2.0 - 1.0;
     let (a, b, c, d) = (corner(0, 0), corner(1, 0), corner(0, 1), corner(1, 1));
     let twist = a - b - c + d;
@@ -191,9 +197,8 @@ pub fn noise2(x: f64, y: f64, salt: u32) -> (f64, f64, f64) {
 
 /// Value noise in space, lattice 1: value in [-1, 1] and gradient.
 pub fn noise3(p: V3, salt: u32) -> (f64, V3) {
-    let fz = p.z.floor();
-    let k = fz as i64 as u32;
-    let (w, dw) = quintic(p.z - fz);
+    let (k, fz) = whole(p.z);
+    let (k, (w, dw)) = (k as u32, quintic(fz));
     let (a, ax, ay) = noise2(p.x, p.y, salt ^ mix32(k));
     let (b, bx, by) = noise2(p.x, p.y, salt ^ mix32(k.wrapping_add(1)));
     (

@@ -53,7 +53,7 @@ impl World {
 
     /// Height of the ground, metres up.
     pub fn height(&self, x: f64, y: f64) -> f64 {
-        self.ground.height(self.salt, x, y)
+        self.ground.height(x, y)
     }
 
     /// Slopes of the large forms along x and y.
@@ -65,7 +65,7 @@ impl World {
     /// Looks along a ray; `pixel_rad` is the angle of a pixel, below which no detail is drawn.
     pub fn look(&self, from: V3, along: V3, pixel_rad: f64) -> Sight {
         let ray = Ray::new(from, along);
-        let ground_m = self.ground.first(self.salt, &ray);
+        let ground_m = self.ground.first(&ray);
         if let Some(hit) = self.rocks.first(&ray, ground_m.unwrap_or(FAR)) {
             return self.rock(&ray, hit, pixel_rad);
         }
@@ -82,21 +82,20 @@ impl World {
     /// Returns the range alone, metres; infinite for the sky.
     pub fn range_m(&self, from: V3, along: V3) -> f64 {
         let ray = Ray::new(from, along);
-        let ground = self.ground.first(self.salt, &ray).filter(|&range| range < FAR);
+        let ground = self.ground.first(&ray).filter(|&range| range < FAR);
         let rock = self.rocks.first(&ray, ground.unwrap_or(FAR));
         rock.map(|hit| hit.t).or(ground).unwrap_or(f64::INFINITY)
     }
 
     fn sand(&self, ray: &Ray, range_m: f64, pixel_rad: f64) -> Sight {
         let p = ray.at(range_m);
-        let (slope_x, slope_y, open) = self.ground.lie(self.salt, p.x, p.y);
-        let facing = -ray.along.dot(ground::normal_of(slope_x, slope_y));
+        let lie = self.ground.lie(p.x, p.y);
+        let facing = -ray.along.dot(ground::normal_of(lie.slope.0, lie.slope.1));
         // A pixel is long on the ground; half-way between its two sides keeps detail without shimmer.
         let footprint_m = range_m * pixel_rad / facing.clamp(0.06, 1.0).sqrt();
-        let sand = ground::sandiness(p.x, p.y, self.salt);
-        let skin = light::ground_skin(p.x, p.y, (slope_x, slope_y), sand, footprint_m, self.salt);
+        let skin = light::ground_skin(p.x, p.y, &lie, footprint_m, self.salt);
         let shaded = self.shaded(p + v3(0.0, 0.0, 0.004), range_m);
-        let light = light::lit(&skin, if shaded { 0.0 } else { 1.0 }, open);
+        let light = light::lit(&skin, if shaded { 0.0 } else { 1.0 }, lie.open);
         Sight {
             light: light::hazed(light, range_m),
             range_m,
