@@ -91,6 +91,16 @@ impl Lens {
         }
     }
 
+    /// The camera of the photo reduced by a box of `factor` pixels a side.
+    pub fn reduced(&self, factor: u32) -> Self {
+        let (shift, scale) = ((f64::from(factor) - 1.0) / 2.0, 1.0 / f64::from(factor));
+        Self {
+            h: (self.h - self.a * shift) * scale,
+            v: (self.v - self.a * shift) * scale,
+            ..*self
+        }
+    }
+
     pub fn cahvor(&self) -> Cahvor {
         Cahvor {
             c: self.c.array(),
@@ -106,10 +116,6 @@ impl Lens {
 
 pub fn rotate(columns: &[V3; 3], p: V3) -> V3 {
     columns[0] * p.x + columns[1] * p.y + columns[2] * p.z
-}
-
-pub fn compose(outer: &[V3; 3], inner: &[V3; 3]) -> [V3; 3] {
-    inner.map(|column| rotate(outer, column))
 }
 
 /// A unit quaternion, scalar first.

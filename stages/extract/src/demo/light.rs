@@ -2,7 +2,7 @@
 
 use super::{
     ground::Lie,
-    math::{V3, cell, cell_bits, mix32, noise2, noise3, smoothstep, v3, whole},
+    math::{V3, cell_bits, mix32, noise2, noise3, smoothstep, v3, whole},
     rocks::Rock,
 };
 
@@ -180,9 +180,4 @@ pub fn rock_skin(rock: &Rock, point: V3, normal: V3, footprint_m: f64, salt: u32
 pub fn rock_openness(rock: &Rock, point: V3) -> f64 {
     let height = (point.z - rock.ground_z) / (rock.half.z + 0.01);
     0.5 + 0.5 * smoothstep(-0.1, 0.9, height)
-}
-
-/// A number for a cell of stray bright pixels and the like.
-pub fn speck(x: u32, y: u32, salt: u32) -> f64 {
-    cell(i64::from(x), i64::from(y), salt)
 }

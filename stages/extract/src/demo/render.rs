@@ -27,7 +27,6 @@ impl Shot<'_> {
     pub fn photo(&self, display: &Display) -> Image<Srgb> {
         let width = self.width as usize;
         let first: Vec<Sight> = self.each(|x, y| self.look(x, y));
-        if std::env::var("EDGES").is_ok() { eprintln!("edges {}", (0..first.len()).filter(|&i| self.is_edge(&first, i)).count() as f64 / first.len() as f64); }
         let pixels = (0..first.len())
             .into_par_iter()
             .map(|index| {

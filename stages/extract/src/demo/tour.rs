@@ -2,7 +2,7 @@
 
 use super::{
     ground::OUTCROP,
-    lens::{Lens, Quaternion, compose, rotate},
+    lens::{Lens, Quaternion, rotate},
     math::{DEGREE, Dice, V3, sin_cos, v3},
     world::World,
 };
@@ -55,7 +55,7 @@ pub fn stops(world: &World, seed: u64, sol: u32) -> Vec<Stop> {
             let bearing = (205.0 + 18.0 * f64::from(step % 20) + 7.0 * lap + dice.within(-2.0, 2.0)) * DEGREE;
             let radius = 4.9 + 0.45 * lap + dice.within(-0.35, 0.35);
             let (sin, cos) = sin_cos(bearing);
-            stop(world, &mut dice, 20 + step * 12, (OUTCROP.0 + radius * cos, OUTCROP.1 + radius * sin))
+            stop(world, &mut dice, 20 + step * 3, (OUTCROP.0 + radius * cos, OUTCROP.1 + radius * sin))
         })
         .collect()
 }
@@ -105,29 +105,49 @@ fn angle(x: f64, y: f64) -> f64 {
     scale * t * (1.0 - t2 * (1.0 / 3.0 - t2 * (0.2 - t2 * (1.0 / 7.0 - t2 * (1.0 / 9.0 - t2 / 11.0)))))
 }
 
-/// What the rover looks at on every sol: ten pairs for the field.
-pub fn pointings() -> Vec<Pointing> {
-    let plan: [(usize, f64, f64); 10] = [
-        (0, 0.0, -16.0),
-        (0, -16.0, -13.0),
-        (0, 14.0, -19.0),
-        (0, 3.0, -8.0),
-        (1, 1.0, -15.0),
-        (1, -14.0, -20.0),
-        (1, 17.0, -12.0),
-        (2, -1.0, -17.0),
-        (2, 13.0, -14.0),
-        (2, -15.0, -11.0),
-    ];
-    let numbered = plan.into_iter().zip(0_u32..);
-    numbered
-        .map(|((stop, pan_deg, tilt_deg), index)| Pointing {
-            stop,
-            pan_deg,
-            tilt_deg,
-            rsm: 100 + 24 * index,
-        })
-        .collect()
+/// Of each stop, pan and tilt in degrees: ten pairs for the field.
+const PAIRS: [(usize, f64, f64); 10] = [
+    (0, 0.0, -16.0),
+    (0, -16.0, -13.0),
+    (0, 14.0, -19.0),
+    (0, 3.0, -8.0),
+    (1, 1.0, -15.0),
+    (1, -14.0, -20.0),
+    (1, 17.0, -12.0),
+    (2, -1.0, -17.0),
+    (2, 13.0, -14.0),
+    (2, -15.0, -11.0),
+];
+/// Views that only flawed photos show, so that no sharp colour twin hides the flaw.
+const SPARE: [(usize, f64, f64); 4] = [(0, 26.0, -11.0), (1, -27.0, -14.0), (2, 25.0, -21.0), (2, -27.0, -18.0)];
+
+/// What the rover looks at on every sol for the field.
+pub fn pairs() -> Vec<Pointing> {
+    numbered(&PAIRS, 100)
+}
+
+/// What only flawed photos show.
+pub fn spare() -> Vec<Pointing> {
+    numbered(&SPARE, 400)
+}
+
+/// Straight back and down at the deck.
+pub const DECK: Pointing = Pointing {
+    stop: 1,
+    pan_deg: 168.0,
+    tilt_deg: -52.0,
+    rsm: 700,
+};
+
+fn numbered(plan: &[(usize, f64, f64)], first_rsm: u32) -> Vec<Pointing> {
+    let rsm = (first_rsm..).step_by(24);
+    let pointing = |(&(stop, pan_deg, tilt_deg), rsm)| Pointing {
+        stop,
+        pan_deg,
+        tilt_deg,
+        rsm,
+    };
+    plan.iter().zip(rsm).map(pointing).collect()
 }
 
 /// A camera as it was, and as its label tells.
@@ -173,19 +193,6 @@ pub fn take(stop: &Stop, pointing: &Pointing, eye: Eye, size_px: (u32, u32), see
 pub fn focal_px(width: u32) -> f64 {
     let (sin, cos) = sin_cos(FIELD_DEG / 2.0 * DEGREE);
     f64::from(width) / 2.0 * cos / sin
-}
-
-/// Angle between two rotations and distance of the camera centres, told against true: (degrees, metres).
-pub fn error_of(stop: &Stop, taken: &Taken) -> (f64, f64) {
-    let (attitude, place) = stop.told;
-    let told = taken.told_rover.moved(&attitude.columns(), place);
-    let chord = (told.a - taken.site.a).norm().max((told.h.unit() - taken.site.h.unit()).norm());
-    (chord / DEGREE, (told.c - taken.site.c).norm())
-}
-
-/// The true rotation of one frame in another as columns, for a chain of two.
-pub fn chain(outer: Quaternion, inner: Quaternion) -> [V3; 3] {
-    compose(&outer.columns(), &inner.columns())
 }
 
 #[cfg(test)]
