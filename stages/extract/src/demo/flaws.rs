@@ -52,7 +52,9 @@ fn box_blurred(image: &Image<Srgb>, radius: i64, step_x: i64, step_y: i64) -> Im
         let mut sum = [0_u32; 3];
         for k in -radius..=radius {
             let at = clamped(image, i64::from(x) + k * step_x, i64::from(y) + k * step_y);
-            sum.iter_mut().zip(at).for_each(|(sum, channel)| *sum += u32::from(channel));
+            sum.iter_mut()
+                .zip(at)
+                .for_each(|(sum, channel)| *sum += u32::from(channel));
         }
         sum.map(|sum| ((sum + count / 2) / count) as u8)
     })
@@ -70,7 +72,9 @@ pub fn smeared(image: &Image<Srgb>) -> Image<Srgb> {
         let mut sum = [0_u32; 3];
         for k in 0..i64::from(length) {
             let at = clamped(image, i64::from(x) + k, i64::from(y) + k / 3);
-            sum.iter_mut().zip(at).for_each(|(sum, channel)| *sum += u32::from(channel));
+            sum.iter_mut()
+                .zip(at)
+                .for_each(|(sum, channel)| *sum += u32::from(channel));
         }
         sum.map(|sum| ((sum + length / 2) / length) as u8)
     })
@@ -111,7 +115,8 @@ pub fn deck(width: u32, height: u32, salt: u32) -> Image<Srgb> {
         let (x, y) = (f64::from(column) * unit, f64::from(row) * unit);
         let (u, v) = (x + 0.22 * y, y - 0.08 * x);
         let grain = cell(i64::from(column), i64::from(row), salt);
-        let dust = 0.5 + 0.5 * noise2(u * 1.3, v * 1.3, salt ^ 1).0 + 0.15 * noise2(u * 9.0, v * 9.0, salt ^ 2).0;
+        let dust =
+            0.5 + 0.5 * noise2(u * 1.3, v * 1.3, salt ^ 1).0 + 0.15 * noise2(u * 9.0, v * 9.0, salt ^ 2).0;
         let film = 0.25 * smoothstep(0.2, 1.0, dust);
         let light = plate(u, v, salt) + 0.05 * (grain - 0.5);
         let tint = [1.0, 0.985 - 0.25 * film, 0.95 - 0.55 * film];
@@ -132,7 +137,11 @@ fn plate(u: f64, v: f64, salt: u32) -> f64 {
     }
     let target = ((u - 6.1) * (u - 6.1) + (v - 3.2) * (v - 3.2)).sqrt();
     if target < 0.9 {
-        light = if (target * 5.0) as i64 % 2 == 0 { 0.97 } else { 0.20 };
+        light = if (target * 5.0) as i64 % 2 == 0 {
+            0.97
+        } else {
+            0.20
+        };
     }
     let cable = (v - 5.4 - 0.35 * noise2(u * 0.7, 0.5, salt ^ 4).0).abs();
     light * (0.12 + 0.88 * smoothstep(0.10, 0.13, cable))

@@ -60,7 +60,9 @@ impl Ground {
     }
 
     pub fn height(&self, x: f64, y: f64) -> f64 {
-        self.at(x, y, |grid, spot| spot.blend(|index| f64::from(grid.heights[index])))
+        self.at(x, y, |grid, spot| {
+            spot.blend(|index| f64::from(grid.heights[index]))
+        })
     }
 
     /// Returns where a ray meets the ground.
@@ -71,7 +73,11 @@ impl Ground {
         if along.z >= 0.0 && from.z > CEILING {
             return None;
         }
-        let mut t = if along.z < 0.0 { ((from.z - CEILING) / -along.z).max(0.0) } else { 0.0 };
+        let mut t = if along.z < 0.0 {
+            ((from.z - CEILING) / -along.z).max(0.0)
+        } else {
+            0.0
+        };
         let mut above = (t, f64::INFINITY);
         for _ in 0..200 {
             let room = self.room(ray, t);
@@ -171,7 +177,9 @@ impl Grid {
             .map(|index| (form(place(index).0, place(index).1, salt), 1.0))
             .collect();
         if fine {
-            rocks.iter().for_each(|rock| settle(&mut nodes, side, step_m, rock));
+            rocks
+                .iter()
+                .for_each(|rock| settle(&mut nodes, side, step_m, rock));
         }
         let lies = (0..side * side)
             .into_par_iter()
@@ -206,7 +214,14 @@ impl Grid {
     }
 }
 
-fn lie_at(nodes: &[(f64, f64)], side: usize, step_m: f64, index: usize, place: (f64, f64), salt: u32) -> [f32; 6] {
+fn lie_at(
+    nodes: &[(f64, f64)],
+    side: usize,
+    step_m: f64,
+    index: usize,
+    place: (f64, f64),
+    salt: u32,
+) -> [f32; 6] {
     let (column, row) = (index % side, index / side);
     let (left, right) = (column.saturating_sub(1), (column + 1).min(side - 1));
     let (above, below) = (row.saturating_sub(1), (row + 1).min(side - 1));
@@ -249,10 +264,12 @@ fn height_without_rocks(x: f64, y: f64, salt: u32) -> f64 {
     }
     let lumps = |size: f64, salt: u32| noise2((x + 0.3 * y) / size, (y - 0.3 * x) / size, salt).0;
     let bend = 0.7 * lumps(1.9, salt ^ 31) + 0.22 * lumps(0.6, salt ^ 32);
-    let ripples = 0.0085 * ripple((x * 0.82 + y * 0.57) / 0.27 + bend);
+    // Their crests lie across the light, as wind and afternoon have it.
+    let ripples = 0.0075 * ripple((0.57 * y - 0.82 * x) / 0.27 + bend);
     let sand = sandiness(x, y, salt);
     let rough = 0.018 * lumps(0.55, salt ^ 33) + 0.008 * lumps(0.23, salt ^ 34);
-    plain(x, y, salt) + inside * (ripples * sand + rough * (1.0 - 0.6 * sand) + 0.004 * lumps(0.12, salt ^ 35))
+    plain(x, y, salt)
+        + inside * (ripples * sand + rough * (1.0 - 0.6 * sand) + 0.004 * lumps(0.12, salt ^ 35))
 }
 
 /// Lets sand creep up around a rock, and takes the sky away from the ground close to it.
@@ -268,7 +285,10 @@ fn settle(nodes: &mut [(f64, f64)], side: usize, step_m: f64, rock: &Rock) {
     let (x, y) = (rock.centre.x - OUTCROP.0, rock.centre.y - OUTCROP.1);
     for row in index(y - reach)..=index(y + reach) {
         for column in index(x - reach)..=index(x + reach) {
-            let (dx, dy) = ((column as f64 - middle) * step_m - x, (row as f64 - middle) * step_m - y);
+            let (dx, dy) = (
+                (column as f64 - middle) * step_m - x,
+                (row as f64 - middle) * step_m - y,
+            );
             let off = rock.local(v3(dx, dy, 0.0));
             let (u, v) = (off.x / rock.half.x, off.y / rock.half.y);
             let near = smoothstep(2.2, 0.8, (u * u + v * v).sqrt());

@@ -69,7 +69,11 @@ fn identification(facts: &Facts<'_>) -> String {
 }
 
 fn observation(facts: &Facts<'_>) -> String {
-    let eye = if facts.view.eye == Eye::Left { "Left" } else { "Right" };
+    let eye = if facts.view.eye == Eye::Left {
+        "Left"
+    } else {
+        "Right"
+    };
     let (sol, clock) = (facts.sol, facts.product.clock_s);
     format!(
         "  <Observation_Area>
@@ -132,7 +136,12 @@ fn geometry(facts: &Facts<'_>) -> String {
 ",
         camera = camera(facts),
         present = space("ROVER_NAV_FRAME", &indices(facts, "Coordinate_Space_Index", 10)),
-        offset = vector("Vector_Origin_Offset", offset, ["x_position", "y_position", "z_position"], " unit=\"m\""),
+        offset = vector(
+            "Vector_Origin_Offset",
+            offset,
+            ["x_position", "y_position", "z_position"],
+            " unit=\"m\""
+        ),
         turn = quaternion(attitude),
         reference = space("SITE_FRAME", &indices(facts, "Coordinate_Space_Index", 1)),
         motion = indices(facts, "Motion_Counter_Index", 10),
@@ -186,7 +195,12 @@ fn indices(facts: &Facts<'_>, element: &str, count: usize) -> String {
              <geom:index_value_number>{value}</geom:index_value_number></geom:{element}>\n"
         )
     };
-    COUNTERS.into_iter().zip(counters(facts)).take(count).map(line).collect()
+    COUNTERS
+        .into_iter()
+        .zip(counters(facts))
+        .take(count)
+        .map(line)
+        .collect()
 }
 
 fn space(frame: &str, indices: &str) -> String {
@@ -252,7 +266,11 @@ fn file_area(facts: &Facts<'_>) -> String {
             number + 1
         )
     };
-    let axes = [("Band", facts.bands), ("Line", facts.height), ("Sample", facts.width)];
+    let axes = [
+        ("Band", facts.bands),
+        ("Line", facts.height),
+        ("Sample", facts.width),
+    ];
     let axes: String = axes.into_iter().enumerate().map(axis).collect();
     format!(
         "  <File_Area_Observational>

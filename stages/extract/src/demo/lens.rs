@@ -40,6 +40,7 @@ impl Lens {
     }
 
     /// Returns the pixel of a point; `None` behind the camera.
+    #[cfg(test)]
     pub fn project(&self, point: V3) -> Option<(f64, f64)> {
         let p = point - self.c;
         let along = p.dot(self.o);
@@ -57,7 +58,11 @@ impl Lens {
     /// Returns the unit direction behind a pixel.
     pub fn ray(&self, x: f64, y: f64) -> V3 {
         let d = (self.v - self.a * y).cross(self.h - self.a * x);
-        let d = if self.a.dot(self.v.cross(self.h)) < 0.0 { d * -1.0 } else { d };
+        let d = if self.a.dot(self.v.cross(self.h)) < 0.0 {
+            d * -1.0
+        } else {
+            d
+        };
         let along = d.dot(self.o);
         let off = d - self.o * along;
         let seen = off.norm() / along;
@@ -143,9 +148,21 @@ impl Quaternion {
     pub fn columns(self) -> [V3; 3] {
         let [w, x, y, z] = self.0;
         [
-            v3(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
-            v3(2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
-            v3(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)),
+            v3(
+                1.0 - 2.0 * (y * y + z * z),
+                2.0 * (x * y + w * z),
+                2.0 * (x * z - w * y),
+            ),
+            v3(
+                2.0 * (x * y - w * z),
+                1.0 - 2.0 * (x * x + z * z),
+                2.0 * (y * z + w * x),
+            ),
+            v3(
+                2.0 * (x * z + w * y),
+                2.0 * (y * z - w * x),
+                1.0 - 2.0 * (x * x + y * y),
+            ),
         ]
     }
 }
@@ -156,7 +173,13 @@ mod tests {
 
     #[test]
     fn a_pixel_survives_its_ray() {
-        let lens = Lens::new(v3(1.0, 2.0, -2.0), v3(0.8, 0.0, 0.6), v3(0.0, 1.0, 0.0), (640, 480), 656.0);
+        let lens = Lens::new(
+            v3(1.0, 2.0, -2.0),
+            v3(0.8, 0.0, 0.6),
+            v3(0.0, 1.0, 0.0),
+            (640, 480),
+            656.0,
+        );
         for (x, y) in [(0.0, 0.0), (639.0, 479.0), (320.0, 240.0), (10.0, 470.0)] {
             let (u, v) = lens.project(lens.c + lens.ray(x, y) * 7.0).unwrap();
             assert!((u - x).abs() < 1e-10 && (v - y).abs() < 1e-10, "{x} {y}: {u} {v}");

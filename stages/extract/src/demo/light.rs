@@ -14,12 +14,12 @@ const SKY_LIGHT: V3 = v3(0.26, 0.205, 0.155);
 const BOUNCE: V3 = v3(0.15, 0.085, 0.045);
 const HORIZON: V3 = v3(0.66, 0.475, 0.315);
 const ZENITH: V3 = v3(0.40, 0.285, 0.19);
-const SAND: V3 = v3(0.30, 0.178, 0.098);
-const DUST: V3 = v3(0.40, 0.243, 0.136);
+const SAND: V3 = v3(0.295, 0.184, 0.107);
+const DUST: V3 = v3(0.40, 0.252, 0.147);
 const GRIT: V3 = v3(0.17, 0.118, 0.082);
 
 /// Unit direction to the sun (site x, y, up): azimuth 128 degrees, elevation 37.
-pub const TO_SUN: V3 = v3(-0.491_7, 0.629_3, 0.601_8);
+pub const TO_SUN: V3 = v3(-0.491_689, 0.629_334, 0.601_815);
 
 /// A surface's colour, and how it bends the normal.
 pub struct Skin {
@@ -46,9 +46,14 @@ pub fn sky(along: V3, salt: u32) -> V3 {
     let mut light = HORIZON.mix(ZENITH, high) + v3(0.16, 0.13, 0.10) * (glow * glow);
     light = light + v3(0.05, 0.035, 0.02) * smoothstep(0.12, 0.0, rise);
     for (ridge, tallness, haze) in [(0, 0.050, 0.80), (1, 0.028, 0.62)] {
-        let outline = |scale: f64, k: u32| noise2(east * scale + 5.0, north * scale, salt ^ (71 + 8 * ridge + k)).0;
-        let crest = tallness * (0.75 + 0.55 * outline(1.6, 0) + 0.22 * outline(4.3, 1) + 0.07 * outline(13.0, 2)
-            + 0.03 * outline(37.0, 3));
+        let outline =
+            |scale: f64, k: u32| noise2(east * scale + 5.0, north * scale, salt ^ (71 + 8 * ridge + k)).0;
+        let crest = tallness
+            * (0.75
+                + 0.55 * outline(1.6, 0)
+                + 0.22 * outline(4.3, 1)
+                + 0.07 * outline(13.0, 2)
+                + 0.03 * outline(37.0, 3));
         let share = smoothstep(0.000_8, -0.000_8, rise - crest);
         if share > 0.0 {
             let folds = 0.5 + 0.5 * noise2(east * 30.0, north * 30.0 + rise * 160.0, salt ^ (77 + ridge)).0;
@@ -105,8 +110,18 @@ pub fn ground_skin(x: f64, y: f64, lie: &Lie, footprint_m: f64, salt: u32) -> Sk
         albedo,
         normal: super::ground::normal_of(slope_x, slope_y),
     };
-    for (layer, (size, share)) in [(0.115, 0.34), (0.058, 0.42), (0.030, 0.5)].into_iter().enumerate() {
-        stones(&mut skin, (x, y), size, share * (1.0 - 0.93 * sand), footprint_m, salt ^ (90 + layer as u32));
+    for (layer, (size, share)) in [(0.115, 0.34), (0.058, 0.42), (0.030, 0.5)]
+        .into_iter()
+        .enumerate()
+    {
+        stones(
+            &mut skin,
+            (x, y),
+            size,
+            share * (1.0 - 0.93 * sand),
+            footprint_m,
+            salt ^ (90 + layer as u32),
+        );
     }
     skin
 }

@@ -93,7 +93,10 @@ pub fn sin_cos(angle_rad: f64) -> (f64, f64) {
         - a2 / 2.0
             * (1.0
                 - a2 / 12.0
-                    * (1.0 - a2 / 30.0 * (1.0 - a2 / 56.0 * (1.0 - a2 / 90.0 * (1.0 - a2 / 132.0 * (1.0 - a2 / 182.0))))));
+                    * (1.0
+                        - a2 / 30.0
+                            * (1.0
+                                - a2 / 56.0 * (1.0 - a2 / 90.0 * (1.0 - a2 / 132.0 * (1.0 - a2 / 182.0))))));
     match quarters as i64 & 3 {
         0 => (sin, cos),
         1 => (cos, -sin),
@@ -217,7 +220,9 @@ pub struct Display {
 
 impl Display {
     pub fn new() -> Self {
-        let thresholds: Vec<f64> = (0..255).map(|v| linear_of((f64::from(v) + 0.5) / 255.0)).collect();
+        let thresholds: Vec<f64> = (0..255)
+            .map(|v| linear_of((f64::from(v) + 0.5) / 255.0))
+            .collect();
         let shown = |light: f64| thresholds.partition_point(|&least| least <= light) as u8;
         let coarse = (0..=4096).map(|i| shown(f64::from(i) / 4096.0)).collect();
         Self { coarse, thresholds }
@@ -283,8 +288,15 @@ mod tests {
             let step = 1e-6;
             let (_, slope) = noise3(v3(x, y, z), 7);
             let along = |d: V3| (noise3(v3(x, y, z) + d, 7).0 - noise3(v3(x, y, z) - d, 7).0) / (2.0 * step);
-            let central = v3(along(v3(step, 0.0, 0.0)), along(v3(0.0, step, 0.0)), along(v3(0.0, 0.0, step)));
-            assert!((slope - central).norm() < 1e-7, "{x} {y} {z}: {slope:?} {central:?}");
+            let central = v3(
+                along(v3(step, 0.0, 0.0)),
+                along(v3(0.0, step, 0.0)),
+                along(v3(0.0, 0.0, step)),
+            );
+            assert!(
+                (slope - central).norm() < 1e-7,
+                "{x} {y} {z}: {slope:?} {central:?}"
+            );
         }
     }
 }

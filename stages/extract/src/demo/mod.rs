@@ -137,7 +137,9 @@ impl Demo {
     /// # Errors
     /// [`DemoError::Size`].
     pub fn new(options: DemoOptions) -> Result<Self, DemoError> {
-        let DemoOptions { width_px, height_px, .. } = options;
+        let DemoOptions {
+            width_px, height_px, ..
+        } = options;
         let drawable = |side: u32| (16..=4096).contains(&side);
         if !drawable(width_px) || !drawable(height_px) {
             return Err(DemoError::Size { width_px, height_px });
@@ -169,7 +171,10 @@ impl Demo {
         cancelled: IsCancelled<'_>,
     ) -> Result<Vec<DemoFile>, DemoError> {
         let tour = self.tour(sol)?;
-        let (done, total) = (AtomicU64::new(0), tour.views.iter().map(|view| view.products.len() as u64).sum());
+        let (done, total) = (
+            AtomicU64::new(0),
+            tour.views.iter().map(|view| view.products.len() as u64).sum(),
+        );
         let display = Display::new();
         let files = tour.views.par_iter().map(|view| {
             if cancelled() {
@@ -194,8 +199,14 @@ impl Demo {
             flaws: Vec::new(),
         };
         for view in &tour.views {
-            let good = view.products.iter().find(|product| product.flaw.is_none()).map(Product::file);
-            truth.photos.extend(good.clone().map(|file| self.true_photo(&tour, view, file)));
+            let good = view
+                .products
+                .iter()
+                .find(|product| product.flaw.is_none())
+                .map(Product::file);
+            truth
+                .photos
+                .extend(good.clone().map(|file| self.true_photo(&tour, view, file)));
             truth.flaws.extend(view.products.iter().filter_map(|product| {
                 Some(Flaw {
                     file: product.file(),
@@ -299,7 +310,10 @@ impl Demo {
     /// Makes the files of one view; Mars is drawn once for all of them.
     fn view(&self, tour: &Tour, view: &View, display: &Display) -> Result<Vec<DemoFile>, DemoError> {
         let taken = self.taken(tour, view);
-        let shows_mars = view.products.iter().any(|product| product.flaw.is_none_or(FlawKind::shows_mars));
+        let shows_mars = view
+            .products
+            .iter()
+            .any(|product| product.flaw.is_none_or(FlawKind::shows_mars));
         let photo = if shows_mars {
             self.shot(&taken).photo(display)
         } else {
@@ -387,7 +401,12 @@ fn mono_png(product: &Product, image: &Image<Srgb>) -> Encoded {
 fn jpeg(product: &Product, image: &Image<Srgb>, quality: u8) -> Encoded {
     let mut bytes = Cursor::new(Vec::new());
     JpegEncoder::new_with_quality(&mut bytes, quality)
-        .write_image(image.pixels.as_flattened(), image.width, image.height, ExtendedColorType::Rgb8)
+        .write_image(
+            image.pixels.as_flattened(),
+            image.width,
+            image.height,
+            ExtendedColorType::Rgb8,
+        )
         .map_err(|error| failed(product, &error))?;
     Ok((image.width, image.height, 3, bytes.into_inner()))
 }

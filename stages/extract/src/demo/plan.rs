@@ -119,11 +119,21 @@ pub fn views(sol: u32, drives: &[u32]) -> Vec<View> {
             all.push(view(pointing, eye, copies(index, eye)));
         }
     }
-    let spare = [FlawKind::Mono, FlawKind::EqualBands, FlawKind::Defocus, FlawKind::Motion];
+    let spare = [
+        FlawKind::Mono,
+        FlawKind::EqualBands,
+        FlawKind::Defocus,
+        FlawKind::Motion,
+    ];
     for (pointing, flaw) in tour::spare().into_iter().zip(spare) {
         all.push(view(pointing, Eye::Left, &[Some(flaw)]));
     }
-    let synthetic = [FlawKind::Noise, FlawKind::ColourBlocks, FlawKind::Deck, FlawKind::Dark];
+    let synthetic = [
+        FlawKind::Noise,
+        FlawKind::ColourBlocks,
+        FlawKind::Deck,
+        FlawKind::Dark,
+    ];
     for flaw in synthetic {
         all.push(view(tour::DECK, Eye::Right, &[Some(flaw)]));
     }
@@ -146,13 +156,23 @@ fn copies(pair: usize, eye: Eye) -> &'static [Option<FlawKind>] {
 }
 
 fn product(sol: u32, slot: u32, drive: u32, eye: Eye, flaw: Option<FlawKind>) -> Product {
-    let filter = if let Some(FlawKind::NarrowBand(filter)) = flaw { filter } else { 0 };
+    let filter = if let Some(FlawKind::NarrowBand(filter)) = flaw {
+        filter
+    } else {
+        0
+    };
     let side = if eye == Eye::Left { 'L' } else { 'R' };
-    let size = if flaw == Some(FlawKind::Thumbnail) { 'T' } else { 'N' };
+    let size = if flaw == Some(FlawKind::Thumbnail) {
+        'T'
+    } else {
+        'N'
+    };
     let clock_s = CLOCK_S + sol * SOL_S + slot * 61;
     let ms = slot * 37 % 1000;
     Product {
-        id: format!("Z{side}{filter}_{sol:04}_{clock_s:010}_{ms:03}EBY_{size}001{drive:04}ZCAM{slot:05}_0260LMJ01"),
+        id: format!(
+            "Z{side}{filter}_{sol:04}_{clock_s:010}_{ms:03}EBY_{size}001{drive:04}ZCAM{slot:05}_0260LMJ01"
+        ),
         extension: flaw.map_or("png", FlawKind::extension),
         flaw,
         filter,
@@ -173,11 +193,21 @@ mod tests {
                 assert_eq!(id.len(), 54, "{id}");
                 assert!(id.starts_with("ZL") || id.starts_with("ZR"), "{id}");
                 let digits = |from: usize, to: usize| id[from..to].bytes().all(|byte| byte.is_ascii_digit());
-                assert!(digits(2, 3) && digits(9, 19) && digits(20, 23) && digits(31, 35) && digits(52, 54), "{id}");
+                assert!(
+                    digits(2, 3) && digits(9, 19) && digits(20, 23) && digits(31, 35) && digits(52, 54),
+                    "{id}"
+                );
                 assert_eq!(id[4..8].parse::<u32>(), Ok(sol), "{id}");
-                assert_eq!((&id[3..4], &id[8..9], &id[19..20], &id[26..27]), ("_", "_", "_", "_"));
+                assert_eq!(
+                    (&id[3..4], &id[8..9], &id[19..20], &id[26..27]),
+                    ("_", "_", "_", "_")
+                );
                 assert_eq!(&id[23..26], "EBY");
-                assert_eq!(&id[27..28] == "T", product.flaw == Some(FlawKind::Thumbnail), "{id}");
+                assert_eq!(
+                    &id[27..28] == "T",
+                    product.flaw == Some(FlawKind::Thumbnail),
+                    "{id}"
+                );
                 assert_eq!((&id[35..39], &id[44..45], &id[48..52]), ("ZCAM", "_", "0LMJ"));
             }
         }
@@ -186,7 +216,11 @@ mod tests {
     #[test]
     fn no_two_files_share_a_name() {
         let views = views(7, &[1, 2, 3]);
-        let names: Vec<String> = views.iter().flat_map(|view| &view.products).map(Product::file).collect();
+        let names: Vec<String> = views
+            .iter()
+            .flat_map(|view| &view.products)
+            .map(Product::file)
+            .collect();
         let distinct: std::collections::BTreeSet<&String> = names.iter().collect();
         assert_eq!(distinct.len(), names.len());
     }

@@ -175,7 +175,7 @@ impl Shape {
         shape
     }
 
-    /// Returns where a ray enters, if it starts outside and enters before `limit`.
+    /// Returns where a ray enters before `limit`; 0 if it starts inside.
     fn enter(&self, from: V3, along: V3, limit: f64) -> Option<f64> {
         let (mut enter, mut leave) = (0.0_f64, limit);
         // Six planes at a time without a branch, for the vector unit; the box comes first and rejects most.
@@ -193,7 +193,7 @@ impl Shape {
                 return None;
             }
         }
-        (enter > 0.0).then_some(enter)
+        (leave > 0.0).then_some(enter)
     }
 
     /// The outward normal at a surface point; planes that are nearly touched share it, so edges look worn.
@@ -239,12 +239,21 @@ impl Rocks {
         })
     }
 
-    /// Tells whether any rock stands in the way.
-    pub fn blocks(&self, ray: &Ray, limit: f64) -> bool {
+    /// Tells whether a ray that starts at or in the ground meets a rock, or starts inside one.
+    pub fn shade_ground(&self, ray: &Ray, limit: f64) -> bool {
+        self.blocks(ray, 0.0, limit)
+    }
+
+    /// Tells whether a ray that starts on a rock meets another; the one it starts on does not count.
+    pub fn shade_rock(&self, ray: &Ray, limit: f64) -> bool {
+        self.blocks(ray, f64::MIN_POSITIVE, limit)
+    }
+
+    fn blocks(&self, ray: &Ray, nearest: f64, limit: f64) -> bool {
         let mut blocked = false;
-        self.visit(ray, limit, |_, _| {
-            blocked = true;
-            None
+        self.visit(ray, limit, |t, _| {
+            blocked |= t >= nearest;
+            (!blocked).then_some(limit)
         });
         blocked
     }
@@ -325,7 +334,11 @@ fn grow(nodes: &mut Vec<Node>, all: &mut [Rock], from: usize, to: usize) {
     if to == from + 1 {
         return;
     }
-    nodes[at].kind = if along_x { Kind::ForkAlongX } else { Kind::ForkAlongY };
+    nodes[at].kind = if along_x {
+        Kind::ForkAlongX
+    } else {
+        Kind::ForkAlongY
+    };
     let key = |rock: &Rock| if along_x { rock.centre.x } else { rock.centre.y };
     all[from..to].sort_by(|a, b| key(a).total_cmp(&key(b)));
     let middle = from + (to - from) / 2;
@@ -365,7 +378,7 @@ mod tests {
             let nearest = every.fold(f64::INFINITY, f64::min);
             let found = rocks.first(&ray, 1e9).map_or(f64::INFINITY, |hit| hit.t);
             assert_eq!(found.to_bits(), nearest.to_bits(), "{from:?}");
-            assert_eq!(rocks.blocks(&ray, 1e9), found.is_finite());
+            assert_eq!(rocks.shade_ground(&ray, 1e9), found.is_finite());
             hits += usize::from(found.is_finite());
         }
         assert!(hits > 100, "only {hits} of 500 rays met a rock");

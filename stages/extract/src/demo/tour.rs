@@ -55,7 +55,12 @@ pub fn stops(world: &World, seed: u64, sol: u32) -> Vec<Stop> {
             let bearing = (205.0 + 18.0 * f64::from(step % 20) + 7.0 * lap + dice.within(-2.0, 2.0)) * DEGREE;
             let radius = 4.9 + 0.45 * lap + dice.within(-0.35, 0.35);
             let (sin, cos) = sin_cos(bearing);
-            stop(world, &mut dice, 20 + step * 3, (OUTCROP.0 + radius * cos, OUTCROP.1 + radius * sin))
+            stop(
+                world,
+                &mut dice,
+                20 + step * 3,
+                (OUTCROP.0 + radius * cos, OUTCROP.1 + radius * sin),
+            )
         })
         .collect()
 }
@@ -74,7 +79,11 @@ fn stop(world: &World, dice: &mut Dice, drive: u32, at: (f64, f64)) -> Stop {
         .after(Quaternion::about(v3(0.0, 1.0, 0.0), pitch))
         .after(Quaternion::about(v3(1.0, 0.0, 0.0), roll));
     let place = v3(at.0, at.1, -world.height(at.0, at.1));
-    let slip = v3(dice.normal() * 0.010, dice.normal() * 0.010, dice.normal() * 0.006);
+    let slip = v3(
+        dice.normal() * 0.010,
+        dice.normal() * 0.010,
+        dice.normal() * 0.006,
+    );
     let told = tilted(dice, 0.06).after(attitude);
     Stop {
         drive,
@@ -92,7 +101,11 @@ fn tilted(dice: &mut Dice, degrees: f64) -> Quaternion {
 fn angle(x: f64, y: f64) -> f64 {
     let r = (x * x + y * y).sqrt();
     if x < 0.0 {
-        let half = if y < 0.0 { -std::f64::consts::PI } else { std::f64::consts::PI };
+        let half = if y < 0.0 {
+            -std::f64::consts::PI
+        } else {
+            std::f64::consts::PI
+        };
         return half - angle(-x, y);
     }
     let mut t = y / (r + x);
@@ -119,7 +132,12 @@ const PAIRS: [(usize, f64, f64); 10] = [
     (2, -15.0, -11.0),
 ];
 /// Views that only flawed photos show, so that no sharp colour twin hides the flaw.
-const SPARE: [(usize, f64, f64); 4] = [(0, 26.0, -11.0), (1, -27.0, -14.0), (2, 25.0, -21.0), (2, -27.0, -18.0)];
+const SPARE: [(usize, f64, f64); 4] = [
+    (0, 26.0, -11.0),
+    (1, -27.0, -14.0),
+    (2, 25.0, -21.0),
+    (2, -27.0, -18.0),
+];
 
 /// What the rover looks at on every sol for the field.
 pub fn pairs() -> Vec<Pointing> {
@@ -178,7 +196,10 @@ pub fn take(stop: &Stop, pointing: &Pointing, eye: Eye, size_px: (u32, u32), see
     let centre = MAST + forward * 0.06 + right * (side * BASELINE_M) + down * 0.02;
     let rover = Lens::new(centre, forward, right, size_px, focal_px(size_px.0));
     // Backlash of the mast's joints: the same for both eyes, which hang on one bar.
-    let mut dice = Dice::new(seed, 0x706f_696e_7400 + u64::from(stop.drive) * 65_536 + u64::from(pointing.rsm));
+    let mut dice = Dice::new(
+        seed,
+        0x706f_696e_7400 + u64::from(stop.drive) * 65_536 + u64::from(pointing.rsm),
+    );
     let backlash = tilted(&mut dice, 0.08).columns();
     let about_head = MAST - rotate(&backlash, MAST);
     Taken {
@@ -204,7 +225,11 @@ mod tests {
         for i in 0..720 {
             let a = (f64::from(i) * 0.5 - 179.9) * DEGREE;
             let (sin, cos) = (a.sin(), a.cos());
-            assert!((angle(3.0 * cos, 3.0 * sin) - a).abs() < 1e-10, "{i}: {}", angle(cos, sin));
+            assert!(
+                (angle(3.0 * cos, 3.0 * sin) - a).abs() < 1e-10,
+                "{i}: {}",
+                angle(cos, sin)
+            );
         }
     }
 }

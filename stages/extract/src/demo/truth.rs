@@ -68,7 +68,10 @@ pub fn pose_of((turn, place): (Quaternion, V3)) -> Pose {
 
 /// The pinhole of a lens whose rows and columns are square to each other, as all of the demo's are.
 pub fn pinhole_of(lens: &Lens, width: u32, height: u32) -> (Pose, Camera) {
-    let (right, down) = (lens.a.cross(lens.h).cross(lens.a), lens.a.cross(lens.v).cross(lens.a));
+    let (right, down) = (
+        lens.a.cross(lens.h).cross(lens.a),
+        lens.a.cross(lens.v).cross(lens.a),
+    );
     let rows = [right.unit(), down.unit(), lens.a].map(|row| Vector3::from(row.array()).transpose());
     let rotation = Matrix3::from_rows(&rows);
     let camera = Camera {
@@ -79,7 +82,13 @@ pub fn pinhole_of(lens: &Lens, width: u32, height: u32) -> (Pose, Camera) {
         ..Camera::pinhole(width, height, 1.0)
     };
     let translation = -(rotation * Vector3::from(lens.c.array()));
-    (Pose { rotation, translation }, camera)
+    (
+        Pose {
+            rotation,
+            translation,
+        },
+        camera,
+    )
 }
 
 impl Truth {

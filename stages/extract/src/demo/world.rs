@@ -7,8 +7,11 @@ use super::{
     rocks::{Place, Ray, Rocks},
 };
 
-/// Half a turn of the compass, twice.
 const TURN: f64 = 2.0 * std::f64::consts::PI;
+/// Farther off, a shadow is smaller than a pixel, metres.
+const SHADOWS_M: f64 = 120.0;
+/// Longest shadow, metres along the light.
+const SHADOW_M: f64 = 6.0;
 
 /// A piece of Mars; the same for every sol of a seed.
 pub struct World {
@@ -24,7 +27,7 @@ pub struct Sight {
     pub light: V3,
     /// Metres along the ray; infinite for the sky.
     pub range_m: f64,
-    /// 0 sky, 1 ground, from 2 on a rock; the sign bit of sorts: odd thousands are in shadow.
+    /// What it is; where neighbours differ, there is an edge.
     pub what: Thing,
 }
 
@@ -59,7 +62,10 @@ impl World {
     /// Slopes of the large forms along x and y.
     pub fn lie(&self, x: f64, y: f64) -> (f64, f64) {
         let plain = |dx: f64, dy: f64| ground::plain(x + dx, y + dy, self.salt);
-        (plain(0.9, 0.0) - plain(-0.9, 0.0), plain(0.0, 0.9) - plain(0.0, -0.9))
+        (
+            plain(0.9, 0.0) - plain(-0.9, 0.0),
+            plain(0.0, 0.9) - plain(0.0, -0.9),
+        )
     }
 
     /// Looks along a ray; `pixel_rad` is the angle of a pixel, below which no detail is drawn.
@@ -94,12 +100,18 @@ impl World {
         // A pixel is long on the ground; half-way between its two sides keeps detail without shimmer.
         let footprint_m = range_m * pixel_rad / facing.clamp(0.06, 1.0).sqrt();
         let skin = light::ground_skin(p.x, p.y, &lie, footprint_m, self.salt);
-        let shaded = self.shaded(p + v3(0.0, 0.0, 0.004), range_m);
+        // Only rocks cast shadows: the ground is gentler than the sun is high.
+        let to_sun = Ray::new(p + v3(0.0, 0.0, 0.004), TO_SUN);
+        let shaded = range_m < SHADOWS_M && self.rocks.shade_ground(&to_sun, SHADOW_M);
         let light = light::lit(&skin, if shaded { 0.0 } else { 1.0 }, lie.open);
         Sight {
             light: light::hazed(light, range_m),
             range_m,
-            what: if shaded { Thing::ShadedGround } else { Thing::Ground },
+            what: if shaded {
+                Thing::ShadedGround
+            } else {
+                Thing::Ground
+            },
         }
     }
 
@@ -108,18 +120,22 @@ impl World {
         let p = ray.at(hit.t);
         let skin = light::rock_skin(rock, p, hit.normal, hit.t * pixel_rad, self.salt);
         let turned_away = hit.normal.dot(TO_SUN) <= 0.0;
-        let shaded = !turned_away && self.shaded(p + hit.normal * 0.003, hit.t);
-        let light = light::lit(&skin, if shaded { 0.0 } else { 1.0 }, light::rock_openness(rock, p));
+        let to_sun = Ray::new(p + hit.normal * 0.003, TO_SUN);
+        let shaded = !turned_away && hit.t < SHADOWS_M && self.rocks.shade_rock(&to_sun, SHADOW_M);
+        let light = light::lit(
+            &skin,
+            if shaded { 0.0 } else { 1.0 },
+            light::rock_openness(rock, p),
+        );
         Sight {
             light: light::hazed(light, hit.t),
             range_m: hit.t,
-            what: if shaded { Thing::ShadedRock(hit.rock) } else { Thing::Rock(hit.rock) },
+            what: if shaded {
+                Thing::ShadedRock(hit.rock)
+            } else {
+                Thing::Rock(hit.rock)
+            },
         }
-    }
-
-    /// Tells whether a rock keeps the sun from a point; the ground is too gentle to do so.
-    fn shaded(&self, point: V3, range_m: f64) -> bool {
-        range_m < 120.0 && self.rocks.blocks(&Ray::new(point, TO_SUN), 6.0)
     }
 }
 
@@ -165,7 +181,11 @@ fn outcrop(dice: &mut Dice, salt: u32) -> Vec<Place> {
         let at = (OUTCROP.0 + x, OUTCROP.1 + y);
         let wide = dice.within(0.22, 0.58) * if index < 12 { 1.0 } else { 0.75 };
         let slab = index % 3 != 0;
-        let flat = if slab { dice.within(0.26, 0.42) } else { dice.within(0.55, 0.85) };
+        let flat = if slab {
+            dice.within(0.26, 0.42)
+        } else {
+            dice.within(0.55, 0.85)
+        };
         let half = v3(wide, wide * dice.within(0.55, 0.9), wide * flat);
         let tilt = (dice.within(-0.35, 0.35), dice.within(-0.35, 0.35));
         all.push(place(dice, at, half, tilt, dice_bury(index), salt));
@@ -179,11 +199,7 @@ fn dice_bury(index: usize) -> f64 {
 
 /// A stone of the plain; none where sand has drifted, unless it is large.
 fn stone(dice: &mut Dice, at: (f64, f64), size: f64, salt: u32) -> Option<Place> {
-    let half = v3(
-        size,
-        size * dice.within(0.6, 0.95),
-        size * dice.within(0.4, 0.8),
-    );
+    let half = v3(size, size * dice.within(0.6, 0.95), size * dice.within(0.4, 0.8));
     let tilt = (dice.within(-0.25, 0.25), dice.within(-0.25, 0.25));
     let bury = dice.within(0.1, 0.6);
     let buried_by_sand = dice.within(0.0, 1.0) < ground::sandiness(at.0, at.1, salt) * 0.94 && size < 0.11;
