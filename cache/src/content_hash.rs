@@ -116,7 +116,7 @@ impl Listener for Hashing {
 fn canonical(value: f64) -> f64 {
     match value {
         nan if nan.is_nan() => f64::NAN,
-        zero if zero == 0.0 => 0.0,
+        0.0 => 0.0, // also -0.0
         other => other,
     }
 }

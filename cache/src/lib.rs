@@ -8,10 +8,12 @@ extern crate self as marf_cache;
 mod content_hash;
 mod digest;
 pub mod manifest;
+mod store;
 
 pub use content_hash::{ContentHash, Listener, digest_of, manifest_text};
 pub use digest::{Digest, ParseDigestError};
 pub use marf_cache_derive::ContentHash;
+pub use store::{Circumstances, Conflict, Output, Record, Store, StoreError, StoreStat};
 
 #[doc(hidden)]
 pub mod __private {

@@ -1,1 +1,24 @@
-//! The table of stages.
+//! The table of stages: everything a pipeline can be made of, and nothing else.
+
+use std::sync::LazyLock;
+
+use marf_stage::{StageDef, define};
+
+/// Every stage, in the order in which a pipeline usually has them.
+static STAGES: LazyLock<Vec<StageDef>> = LazyLock::new(|| {
+    let mut stages = vec![];
+    stages.extend_from_slice(marf_filter::STAGES);
+    stages.extend([
+        define::<marf_train::Train>(),
+        define::<marf_train::Pace>(),
+        define::<marf_train::Evaluate>(),
+        define::<marf_train::Render>(),
+        define::<marf_bootstrap::Bootstrap>(),
+    ]);
+    stages
+});
+
+/// Returns the table of stages.
+pub fn stages() -> &'static [StageDef] {
+    &STAGES
+}

@@ -1,1 +1,19 @@
-//! Photos and priors to a calibrated scene.
+//! Photos and priors to a calibrated scene: which photo was taken by which camera from where.
+//!
+//! `labels` takes the camera models of the archive's labels and resamples each photo once to an ideal pinhole;
+//! `import` reads the cameras another program found. Invariant: a photo is in the scene with a camera for the
+//! very bytes its frame names, or it is listed as unplaced with the reason; none is dropped in silence.
+
+mod export;
+pub mod import;
+mod labels;
+mod metrics;
+mod params;
+mod photos;
+mod resample;
+mod stage;
+
+pub use export::write_transforms;
+pub use metrics::{Metrics, Missing, PhotoMetrics, Totals};
+pub use params::{CalibrateParams, Method};
+pub use stage::{Calibrate, METRICS, SCENE, TRANSFORMS};

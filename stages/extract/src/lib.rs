@@ -1,3 +1,80 @@
 //! Archives to photos and labels.
+//!
+//! Names, labels and pixels of three missions are read into photos that every later stage can decode, with the
+//! label's camera as a prior. Invariant: nothing an archive holds can stop the room: a file that cannot be used
+//! becomes a verdict with its reason, and no file is left out in silence.
 
+mod archive;
+mod camera;
 pub mod demo;
+mod feed;
+mod fetch;
+mod folder;
+mod label;
+mod names;
+mod params;
+mod pds4;
+mod products;
+mod sols;
+mod values;
+
+use marf_cache::ContentHash;
+use marf_stage::{Ctx, Define, Fetched, Listing, ParamError, Port, Source, Stage, StageError, Threads, Work};
+
+pub use params::{Archive, DemoArchive, ExtractParams, FolderArchive, OtherArchive};
+
+/// Brings photos in from an archive.
+///
+/// Outputs `photos` (rows of [`marf_scene::PhotoFacts`]; blob `image` is what every later stage decodes, `raw` the
+/// original bytes where they differ, `label` the label's), `verdicts` and `companions`.
+pub struct Extract {
+    archive: Box<dyn archive::ArchiveFiles>,
+    reading: Reading,
+}
+
+/// What of the reading enters the key: paths and choices do not, they are in the fingerprints.
+#[derive(ContentHash)]
+struct Reading {
+    white_radiance: f64,
+}
+
+impl Stage for Extract {
+    fn params(&self) -> &dyn ContentHash {
+        &self.reading
+    }
+
+    fn work(&self) -> Work<'_> {
+        Work::Source(self)
+    }
+
+    fn threads(&self) -> Threads {
+        Threads::All
+    }
+}
+
+impl Source for Extract {
+    fn list(&self, ctx: &Ctx<'_>) -> Result<Listing, StageError> {
+        self.archive.list(ctx)
+    }
+
+    fn fetch(&self, ctx: &Ctx<'_>, shard: u32) -> Result<Fetched, StageError> {
+        fetch::fetch(ctx, &self.archive.files(ctx, shard)?, shard)
+    }
+}
+
+impl Define for Extract {
+    type Params = ExtractParams;
+    const NAME: &'static str = "extract";
+    const ABOUT: &'static str = "archives to photos with what their labels say of camera and place";
+    const VERSION: u32 = 1;
+    const PORTS: &'static [Port] = &[];
+    const OUTPUTS: &'static [&'static str] =
+        &[marf_stage::PHOTOS, marf_stage::VERDICTS, marf_stage::COMPANIONS];
+
+    fn new(params: ExtractParams) -> Result<Self, ParamError> {
+        Ok(Self {
+            archive: params.open()?,
+            reading: Reading { white_radiance: 0.1 },
+        })
+    }
+}

@@ -1,4 +1,12 @@
+use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
+
+use crate::Pose;
+use lens::Radial;
+pub use linear::Pinhole;
+
+mod lens;
+mod linear;
 
 /// A CAHV, CAHVOR or CAHVORE camera model; integer pixel coordinates are pixel centres, 0-based.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -30,3 +38,344 @@ pub struct Entrance {
     /// Linearity L: 1 perspective, 0 fish-eye, other values general.
     pub linearity: f64,
 }
+
+/// A half-line of sight.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ray {
+    /// Where it starts, metres: C, or for CAHVORE the entrance pupil at this angle.
+    pub origin: Vector3<f64>,
+    /// Unit vector away from the camera.
+    pub direction: Vector3<f64>,
+}
+
+/// The linear part of a model taken apart.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Intrinsics {
+    /// Horizontal focal length |A x H|, pixels.
+    pub hs: f64,
+    /// Vertical focal length |A x V|, pixels.
+    pub vs: f64,
+    /// Column of A (0-based, integer = pixel centre); may lie outside the image.
+    pub hc: f64,
+    /// Row of A (0-based, integer = pixel centre); may lie outside the image.
+    pub vc: f64,
+    /// Cosine of the angle between the image's axes; 0 where they are orthogonal.
+    pub skew: f64,
+    /// R and t = -R C of x = K (R X + t), with K = [[hs √(1-skew²), hs skew, hc], [0, vs, vc], [0, 0, 1]]:
+    /// x right, y down, z forward.
+    pub cam_from_frame: Pose,
+}
+
+/// A camera model that cannot be used.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum CahvorError {
+    /// NaN or an infinity.
+    #[error("the camera model has a number that is not finite: {vector} = {value:?}")]
+    NotFinite {
+        /// Letter of the vector.
+        vector: char,
+        /// Its components.
+        value: [f64; 3],
+    },
+    /// A or O is no unit vector, even allowing for the digits that labels have.
+    #[error("the camera model's |{vector}| is {length}, not 1 within {UNIT_TOLERANCE}")]
+    NotUnit {
+        /// Letter of the vector.
+        vector: char,
+        /// Its length.
+        length: f64,
+    },
+    /// A, H and V do not span the space, or the image is mirrored, so that it is no photograph.
+    #[error("the camera model's A, H, V have the determinant {determinant}: flat or mirrored")]
+    Degenerate {
+        /// A · (H x V), pixels².
+        determinant: f64,
+    },
+    /// The horizontal and the vertical focal length differ too much for a camera.
+    #[error("the camera model's focal lengths are {hs} and {vs} px, further apart than 5 %")]
+    Anamorphic {
+        /// Horizontal focal length, pixels.
+        hs: f64,
+        /// Vertical focal length, pixels.
+        vs: f64,
+    },
+    /// The radial terms turn over inside the image, or a pixel of the border sees nothing.
+    #[error("the camera model has no line of sight for pixel ({x}, {y})")]
+    Blind {
+        /// Column, 0-based.
+        x: f64,
+        /// Row, 0-based.
+        y: f64,
+    },
+    /// The ideal pinhole of this model would be empty or far larger than the photo.
+    #[error("an ideal pinhole of this camera model would be {width} x {height} px for a photo of {} x {} px", .photo.0, .photo.1)]
+    Stretched {
+        /// Width it would have, pixels.
+        width: f64,
+        /// Height it would have, pixels.
+        height: f64,
+        /// Width and height of the photo, pixels.
+        photo: (u32, u32),
+    },
+}
+
+/// Labels round to 6 digits, which leaves |A| - 1 near 1e-5; a thousandth is a wrong vector.
+const UNIT_TOLERANCE: f64 = 1e-3;
+/// A point this many metres away counts as infinitely far: the pupil of 4 mm turns it by 4e-12 rad.
+const FAR_M: f64 = 1e9;
+
+impl Cahvor {
+    /// Checks the model and returns it with A, H, V divided by |A| and O by |O|.
+    ///
+    /// Dividing A alone would move pixels by 0.01; labels of 6 digits leave |A| - 1 near 8e-6.
+    ///
+    /// # Errors
+    /// Numbers that are not finite, |A| or |O| off 1 by more than 0.001, a flat or mirrored image plane, focal
+    /// lengths further apart than 5 %.
+    pub fn normalised(&self) -> Result<Self, CahvorError> {
+        self.check_finite()?;
+        let length_a = unit_length('A', self.a)?;
+        let divide = |vector: [f64; 3], length: f64| vector.map(|value| value / length);
+        let o = match self.o {
+            Some(o) => Some(divide(o, unit_length('O', o)?)),
+            None => None,
+        };
+        let model = Self {
+            a: divide(self.a, length_a),
+            h: divide(self.h, length_a),
+            v: divide(self.v, length_a),
+            o,
+            ..*self
+        };
+        model.check_shape()?;
+        Ok(model)
+    }
+
+    fn check_finite(&self) -> Result<(), CahvorError> {
+        let entrance = self.e.map(|e| [e.terms, [e.linearity; 3]]).unwrap_or_default();
+        let vectors = [
+            ('C', self.c),
+            ('A', self.a),
+            ('H', self.h),
+            ('V', self.v),
+            ('O', self.o.unwrap_or_default()),
+            ('R', self.r.unwrap_or_default()),
+            ('E', entrance[0]),
+            ('L', entrance[1]),
+        ];
+        let bad = vectors
+            .into_iter()
+            .find(|(_, value)| value.iter().any(|number| !number.is_finite()));
+        match bad {
+            Some((vector, value)) => Err(CahvorError::NotFinite { vector, value }),
+            None => Ok(()),
+        }
+    }
+
+    fn check_shape(&self) -> Result<(), CahvorError> {
+        let determinant = self.determinant();
+        if determinant.is_nan() || determinant <= 0.0 {
+            return Err(CahvorError::Degenerate { determinant });
+        }
+        let (a, h, v) = (vector(self.a), vector(self.h), vector(self.v));
+        let (hs, vs) = (a.cross(&h).norm(), a.cross(&v).norm());
+        if (hs - vs).abs() > 0.05 * hs.max(vs) {
+            return Err(CahvorError::Anamorphic { hs, vs });
+        }
+        Ok(())
+    }
+
+    /// A · (H x V), pixels² after normalising: positive unless the image is mirrored.
+    fn determinant(&self) -> f64 {
+        vector(self.a).dot(&vector(self.h).cross(&vector(self.v)))
+    }
+
+    /// Tells whether the model is a plain CAHV in effect: no lens terms, or all of them zero.
+    pub fn is_linear(&self) -> bool {
+        let straight = self.r.is_none_or(|r| r == [0.0; 3]);
+        let perspective = self.e.is_none_or(|e| e.linearity == 1.0 && e.terms == [0.0; 3]);
+        self.o.is_none() || (straight && perspective)
+    }
+
+    /// Projects a point of the model's frame, in metres, to a pixel (0-based, integer = pixel centre).
+    ///
+    /// Equations: Yakimovsky and Cunningham 1978 (CAHV), Gennery 2001 and 2006 (OR, E). The length of A, O does
+    /// not matter. CAHVORE uses sine, cosine, tangent and arc tangent of the standard library, whose last bit
+    /// may differ between machines: round what is kept.
+    ///
+    /// Returns `None` behind the camera, beyond the range of the lens, where the radial terms turn over, and
+    /// nearer than the entrance pupil can resolve.
+    pub fn project(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
+        self.project_offset(&(point - vector(self.c)))
+    }
+
+    /// Projects a direction (any length), that is a point infinitely far away, to a pixel; see
+    /// [`Cahvor::project`].
+    pub fn project_direction(&self, direction: &Vector3<f64>) -> Option<Vector2<f64>> {
+        self.project_offset(&(direction.try_normalize(1e-300)? * FAR_M))
+    }
+
+    fn project_offset(&self, p: &Vector3<f64>) -> Option<Vector2<f64>> {
+        let bent = match self.o {
+            Some(o) if !self.is_linear() => self.bend(p, &vector(o).try_normalize(1e-300)?)?,
+            _ => *p,
+        };
+        let depth = bent.dot(&vector(self.a));
+        let pixel = Vector2::new(bent.dot(&vector(self.h)), bent.dot(&vector(self.v))) / depth;
+        (depth > 0.0 && pixel.iter().all(|value| value.is_finite())).then_some(pixel)
+    }
+
+    /// Where the linear camera would have to see the point for the pixel to be right.
+    fn bend(&self, p: &Vector3<f64>, o: &Vector3<f64>) -> Option<Vector3<f64>> {
+        let along = p.dot(o);
+        let across = p - o * along;
+        let radial = Radial(self.r.unwrap_or_default());
+        let Some(entrance) = self.e else {
+            // w² in tau hides the sign: a point behind would land inside the image.
+            let chi = across.norm() / along;
+            return (along > 0.0 && radial.rises(chi)).then(|| p + across * radial.mu(chi));
+        };
+        let offset = across.norm();
+        let angle = entrance.angle(along, offset)?;
+        if angle < 1e-8 {
+            return Some(*p);
+        }
+        let chi = entrance.chi(angle)?;
+        radial
+            .rises(chi)
+            .then(|| o * (offset / chi) + across * (1.0 + radial.mu(chi)))
+    }
+
+    /// Returns the line of sight of a pixel (0-based, integer = pixel centre) in the model's frame.
+    ///
+    /// Undoes [`Cahvor::project`]; the same remark on the standard library holds.
+    ///
+    /// Returns `None` where the lens has no such ray: beyond its range, or where the radial terms turn over.
+    pub fn unproject(&self, pixel: &Vector2<f64>) -> Option<Ray> {
+        let (a, h, v) = (vector(self.a), vector(self.h), vector(self.v));
+        let apparent = (v - a * pixel.y).cross(&(h - a * pixel.x)) * a.dot(&v.cross(&h)).signum();
+        let apparent = apparent.try_normalize(1e-300)?;
+        let straight = Ray {
+            origin: vector(self.c),
+            direction: apparent,
+        };
+        match self.o {
+            Some(o) if !self.is_linear() => self.unbend(&apparent, &vector(o).try_normalize(1e-300)?),
+            _ => apparent.iter().all(|value| value.is_finite()).then_some(straight),
+        }
+    }
+
+    fn unbend(&self, apparent: &Vector3<f64>, o: &Vector3<f64>) -> Option<Ray> {
+        let along = apparent.dot(o);
+        let across = apparent - o * along;
+        let radial = Radial(self.r.unwrap_or_default());
+        let offset = across.norm();
+        // A negative chi' would be an apparent ray beyond 90 degrees.
+        let chi = (along > 0.0).then(|| radial.solve(offset / along))??;
+        let origin = vector(self.c);
+        let Some(entrance) = self.e else {
+            let direction = (o * along + across / (1.0 + radial.mu(chi))).normalize();
+            return Some(Ray { origin, direction });
+        };
+        let angle = entrance.angle_of_chi(chi)?;
+        let sideways = across.try_normalize(1e-300).unwrap_or_default();
+        Some(Ray {
+            origin: origin + o * entrance.shift(angle),
+            direction: sideways * angle.sin() + o * angle.cos(),
+        })
+    }
+
+    /// Takes the linear part apart; [`Cahvor::normalised`] first.
+    ///
+    /// # Errors
+    /// A flat or mirrored image plane.
+    pub fn intrinsics(&self) -> Result<Intrinsics, CahvorError> {
+        let determinant = self.determinant();
+        if determinant.is_nan() || determinant <= 0.0 {
+            return Err(CahvorError::Degenerate { determinant });
+        }
+        let (a, h, v) = (vector(self.a), vector(self.h), vector(self.v));
+        let (hs, vs) = (a.cross(&h).norm(), a.cross(&v).norm());
+        let (hc, vc) = (a.dot(&h), a.dot(&v));
+        let right = (h - a * hc) / hs;
+        let down = (v - a * vc) / vs;
+        let skew = right.dot(&down);
+        let right = (right - down * skew) / (1.0 - skew * skew).sqrt();
+        Ok(Intrinsics {
+            hs,
+            vs,
+            hc,
+            vc,
+            skew,
+            cam_from_frame: pose(&right, &down, &a, &vector(self.c)),
+        })
+    }
+
+    /// Returns the model of the photo enlarged by `factor`: x' = factor x.
+    #[must_use]
+    pub fn scaled(&self, factor: f64) -> Self {
+        let scale = |vector: [f64; 3]| vector.map(|value| value * factor);
+        Self {
+            h: scale(self.h),
+            v: scale(self.v),
+            ..*self
+        }
+    }
+
+    /// Returns the model of the photo cut so that (x0, y0) becomes its first pixel: x' = x - x0.
+    #[must_use]
+    pub fn shifted(&self, x0: f64, y0: f64) -> Self {
+        let shift = |vector: [f64; 3], by: f64| [0, 1, 2].map(|axis| vector[axis] - by * self.a[axis]);
+        Self {
+            h: shift(self.h, x0),
+            v: shift(self.v, y0),
+            ..*self
+        }
+    }
+
+    /// Returns the model of the photo with `bin` x `bin` pixels made one: x' = (x - (bin - 1) / 2) / bin.
+    #[must_use]
+    pub fn binned(&self, bin: u32) -> Self {
+        let bin = f64::from(bin.max(1));
+        let middle = (bin - 1.0) / 2.0;
+        self.shifted(middle, middle).scaled(1.0 / bin)
+    }
+
+    /// Returns the same camera in another frame: C moves, A, H, V, O turn, R and E stay.
+    #[must_use]
+    pub fn transformed(&self, b_from_a: &Pose) -> Self {
+        let turn = |direction: [f64; 3]| b_from_a.direction(&vector(direction)).into();
+        Self {
+            c: b_from_a.point(&vector(self.c)).into(),
+            a: turn(self.a),
+            h: turn(self.h),
+            v: turn(self.v),
+            o: self.o.map(turn),
+            ..*self
+        }
+    }
+}
+
+fn unit_length(name: char, value: [f64; 3]) -> Result<f64, CahvorError> {
+    let length = vector(value).norm();
+    if (length - 1.0).abs() > UNIT_TOLERANCE {
+        return Err(CahvorError::NotUnit { vector: name, length });
+    }
+    Ok(length)
+}
+
+fn vector(value: [f64; 3]) -> Vector3<f64> {
+    Vector3::from(value)
+}
+
+/// Pose of a camera at `centre` whose axes are these unit vectors.
+fn pose(right: &Vector3<f64>, down: &Vector3<f64>, forward: &Vector3<f64>, centre: &Vector3<f64>) -> Pose {
+    let rotation = nalgebra::Matrix3::from_rows(&[right.transpose(), down.transpose(), forward.transpose()]);
+    Pose {
+        rotation,
+        translation: -(rotation * centre),
+    }
+}
+
+#[cfg(test)]
+mod tests;

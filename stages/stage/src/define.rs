@@ -1,4 +1,4 @@
-use schemars::{JsonSchema, Schema, SchemaGenerator};
+use schemars::{JsonSchema, Schema, generate::SchemaSettings};
 use serde::de::DeserializeOwned;
 
 use crate::Stage;
@@ -103,9 +103,15 @@ pub const fn define<S: Define>() -> StageDef {
         version: S::VERSION,
         ports: S::PORTS,
         outputs: S::OUTPUTS,
-        schema: || SchemaGenerator::default().into_root_schema_for::<S::Params>(),
+        schema: schema_of::<S>,
         bind: bind::<S>,
     }
+}
+
+/// Inlined, so that it can be nested in the schema of the whole file.
+fn schema_of<S: Define>() -> Schema {
+    let settings = SchemaSettings::draft2020_12().with(|settings| settings.inline_subschemas = true);
+    settings.into_generator().into_root_schema_for::<S::Params>()
 }
 
 fn bind<S: Define>(params: serde_json::Value) -> Result<Box<dyn Stage>, ParamError> {

@@ -1,1 +1,26 @@
-//! A scene and parameters to a trained field; evaluate and render.
+//! A scene and parameters to a trained field, its metrics and its pictures.
+//!
+//! Four stages: `train`, `pace` (turns a budget into steps), `evaluate` and `render`. Invariant: what a node
+//! answers depends on photos, cameras, parameters and seed; the clock decides only when a checkpoint is kept,
+//! and, in `pace` alone, how many steps a budget buys on this machine.
+
+mod budget;
+mod error;
+mod evaluate;
+mod fit;
+mod judge;
+mod pace;
+mod params;
+mod render;
+mod split;
+mod train;
+
+pub use budget::Budget;
+pub use error::TrainError;
+pub use evaluate::{Evaluate, EvaluateParams, Which};
+pub use fit::CurvePoint;
+pub use judge::{Metrics, Scores};
+pub use pace::{Pace, PaceParams};
+pub use params::{Holdout, TrainParams};
+pub use render::{PathKind, Render, RenderParams};
+pub use train::{Report, Train};

@@ -1,0 +1,211 @@
+//! The index: records and memos in one redb file, shared by several processes.
+//!
+//! redb lets one process write or several read. So the file is opened only for the milliseconds of a lookup or
+//! a commit: readers share a lock, a commit waits for them and they for it, nobody longer than [`PATIENCE`].
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+    sync::{Mutex, PoisonError},
+    time::{Duration, Instant},
+};
+
+use redb::{
+    Builder, Database, DatabaseError, ReadOnlyDatabase, ReadTransaction, ReadableDatabase, ReadableTable,
+    ReadableTableMetadata, TableDefinition,
+};
+
+use super::{Conflict, Record, StoreError};
+use crate::Digest;
+
+/// Longest wait for another process; a commit of 10,000 rows takes 0.3 s.
+const PATIENCE: Duration = Duration::from_secs(15);
+/// Pause between two tries.
+const PAUSE: Duration = Duration::from_millis(2);
+/// Memory the database may use while it is open.
+const CACHE_BYTES: usize = 16 << 20;
+
+const RECORDS: TableDefinition<&[u8; 32], &[u8]> = TableDefinition::new("records");
+const MEMOS: TableDefinition<&[u8; 32], &[u8; 32]> = TableDefinition::new("memos");
+
+pub(super) struct Index {
+    path: PathBuf,
+    patience: Duration,
+    /// Threads of this process take turns, so that they never wait for each other's file lock.
+    turn: Mutex<()>,
+}
+
+impl Index {
+    pub(super) fn new(root: &Path) -> Self {
+        Self {
+            path: root.join("index.redb"),
+            patience: PATIENCE,
+            turn: Mutex::default(),
+        }
+    }
+
+    #[cfg(test)]
+    pub(super) fn with_patience(root: &Path, patience: Duration) -> Self {
+        Self {
+            patience,
+            ..Self::new(root)
+        }
+    }
+
+    pub(super) fn bytes(&self) -> u64 {
+        std::fs::metadata(&self.path).map_or(0, |meta| meta.len())
+    }
+
+    pub(super) fn record(&self, key: &Digest) -> Result<Option<Record>, StoreError> {
+        let found = self.read(|reader| {
+            let table = reader.open_table(RECORDS)?;
+            let value = table.get(key.as_bytes())?;
+            Ok(value.and_then(|value| Record::decode(value.value())))
+        })?;
+        Ok(found.flatten())
+    }
+
+    pub(super) fn memo(&self, key: &Digest) -> Result<Option<Digest>, StoreError> {
+        let found = self.read(|reader| {
+            let table = reader.open_table(MEMOS)?;
+            let value = table.get(key.as_bytes())?;
+            Ok(value.map(|value| Digest::from_bytes(*value.value())))
+        })?;
+        Ok(found.flatten())
+    }
+
+    pub(super) fn records(&self) -> Result<Vec<Record>, StoreError> {
+        let all = self.read(|reader| {
+            let table = reader.open_table(RECORDS)?;
+            let mut records = Vec::new();
+            for row in table.iter()? {
+                records.extend(Record::decode(row?.1.value()));
+            }
+            Ok(records)
+        })?;
+        Ok(all.unwrap_or_default())
+    }
+
+    /// Returns the number of records and of memos.
+    pub(super) fn count(&self) -> Result<(u64, u64), StoreError> {
+        let records = self.read(|reader| Ok(reader.open_table(RECORDS)?.len()?))?;
+        let memos = self.read(|reader| Ok(reader.open_table(MEMOS)?.len()?))?;
+        Ok((records.unwrap_or_default(), memos.unwrap_or_default()))
+    }
+
+    /// Writes a group in one transaction and returns the results that came second and differ.
+    ///
+    /// `lives` tells whether a record's outputs are all in the store; one that does not live is replaced.
+    pub(super) fn commit(
+        &self,
+        records: &BTreeMap<Digest, Record>,
+        memos: &BTreeMap<Digest, Digest>,
+        lives: impl Fn(&Record) -> bool,
+    ) -> Result<Vec<Conflict>, StoreError> {
+        let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
+        let database = self.open(|path| builder().create(path))?;
+        write(&database, records, memos, lives).map_err(|error| self.explain(error))
+    }
+
+    fn read<T>(
+        &self,
+        look: impl FnOnce(&ReadTransaction) -> Result<T, redb::Error>,
+    ) -> Result<Option<T>, StoreError> {
+        let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
+        if !self.path.exists() {
+            return Ok(None);
+        }
+        let opened = match self.open(|path| match builder().open_read_only(path) {
+            Err(DatabaseError::RepairAborted) => Ok(None),
+            other => other.map(Some),
+        })? {
+            Some(database) => database,
+            None => self.repair()?,
+        };
+        let answer = opened.begin_read().map_err(Into::into);
+        match answer.and_then(|reader| look(&reader)) {
+            Ok(answer) => Ok(Some(answer)),
+            Err(redb::Error::TableDoesNotExist(_)) => Ok(None),
+            Err(error) => Err(self.explain(error)),
+        }
+    }
+
+    /// A process was killed inside a commit: opening for writing rolls it back.
+    fn repair(&self) -> Result<ReadOnlyDatabase, StoreError> {
+        drop(self.open(|path| builder().open(path))?);
+        self.open(|path| builder().open_read_only(path))
+    }
+
+    fn open<T>(&self, open: impl Fn(&Path) -> Result<T, DatabaseError>) -> Result<T, StoreError> {
+        let began = Instant::now();
+        loop {
+            match open(&self.path) {
+                Err(DatabaseError::DatabaseAlreadyOpen) if began.elapsed() < self.patience => {
+                    std::thread::sleep(PAUSE);
+                }
+                Err(DatabaseError::DatabaseAlreadyOpen) => {
+                    return Err(StoreError::Locked {
+                        path: self.path.clone(),
+                        waited_ms: began.elapsed().as_millis() as u64,
+                    });
+                }
+                other => return other.map_err(|error| self.explain(error.into())),
+            }
+        }
+    }
+
+    fn explain(&self, error: redb::Error) -> StoreError {
+        match error {
+            redb::Error::Io(source) => StoreError::io("use", &self.path)(source),
+            other => StoreError::Index {
+                path: self.path.clone(),
+                message: other.to_string(),
+            },
+        }
+    }
+}
+
+fn builder() -> Builder {
+    let mut builder = Builder::new();
+    builder.set_cache_size(CACHE_BYTES);
+    builder
+}
+
+fn write(
+    database: &Database,
+    records: &BTreeMap<Digest, Record>,
+    memos: &BTreeMap<Digest, Digest>,
+    lives: impl Fn(&Record) -> bool,
+) -> Result<Vec<Conflict>, redb::Error> {
+    let writer = database.begin_write()?;
+    let mut conflicts = Vec::new();
+    {
+        let mut table = writer.open_table(RECORDS)?;
+        for record in records.values() {
+            let present = table.get(record.key.as_bytes())?;
+            let first = present.and_then(|value| Record::decode(value.value()));
+            match first.filter(&lives) {
+                Some(first) if first.outputs != record.outputs => conflicts.push(conflict(first, record)),
+                Some(_) => {}
+                None => {
+                    table.insert(record.key.as_bytes(), record.encode().as_slice())?;
+                }
+            }
+        }
+        let mut table = writer.open_table(MEMOS)?;
+        for (key, blob) in memos {
+            table.insert(key.as_bytes(), blob.as_bytes())?;
+        }
+    }
+    writer.commit()?;
+    Ok(conflicts)
+}
+
+fn conflict(first: Record, second: &Record) -> Conflict {
+    Conflict {
+        key: second.key,
+        stage: second.stage.clone(),
+        kept: first.outputs,
+        refused: second.outputs.clone(),
+    }
+}

@@ -1,0 +1,107 @@
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::Digest;
+
+/// What one action did: its content, and the circumstances apart from it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Record {
+    /// Digest of everything that may change the answer.
+    pub key: Digest,
+    /// Name of the stage.
+    pub stage: String,
+    /// Version of the stage.
+    pub version: u32,
+    /// The key's content as text, one leaf a line.
+    pub manifest: String,
+    /// What came out, by name.
+    pub outputs: BTreeMap<String, Output>,
+    /// Keys of the actions this one asked for, by their names below it.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub children: BTreeMap<String, Digest>,
+    /// How it went; never part of a comparison.
+    pub circumstances: Circumstances,
+}
+
+/// A blob that came out of an action.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Output {
+    /// Its name in the store.
+    pub digest: Digest,
+    /// Its length.
+    pub bytes: u64,
+}
+
+/// How an action went, as far as its answer does not depend on it.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Circumstances {
+    /// Time it took on the wall.
+    pub seconds: f64,
+    /// Largest memory of the whole program up to its end, in MB; 0 where the system does not tell.
+    pub peak_mb: u64,
+    /// When it began, in seconds since 1970.
+    pub started_unix_s: u64,
+    /// What it ran on (`cpu`).
+    pub device: String,
+    /// The program with version and commit.
+    pub program: String,
+}
+
+/// Two results for one key: the first is kept.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Conflict {
+    /// The key both have.
+    pub key: Digest,
+    /// Name of the stage.
+    pub stage: String,
+    /// The result that stays.
+    pub kept: BTreeMap<String, Output>,
+    /// The result that came second and differs.
+    pub refused: BTreeMap<String, Output>,
+}
+
+/// Sizes of a store.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct StoreStat {
+    /// Blobs of 64 KiB and more, each a file.
+    pub loose_blobs: u64,
+    /// Their bytes.
+    pub loose_bytes: u64,
+    /// Pack files.
+    pub packs: u64,
+    /// Blobs in packs.
+    pub packed_blobs: u64,
+    /// Their bytes.
+    pub packed_bytes: u64,
+    /// Action records.
+    pub records: u64,
+    /// Tables of measures.
+    pub memos: u64,
+    /// Runs.
+    pub runs: u64,
+    /// Bytes of the index file.
+    pub index_bytes: u64,
+    /// Damaged blobs under `bad/`.
+    pub set_aside: u64,
+}
+
+impl Record {
+    /// Returns the bytes kept in the index: a digest of the JSON, then the JSON.
+    pub(super) fn encode(&self) -> Vec<u8> {
+        // Strings, numbers and sorted maps always serialise.
+        let json = serde_json::to_vec(self).unwrap_or_default();
+        let mut bytes = Digest::of(&json).as_bytes().to_vec();
+        bytes.extend_from_slice(&json);
+        bytes
+    }
+
+    /// Reads what [`Record::encode`] wrote; a damaged record is none.
+    pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
+        let (seal, json) = bytes.split_at_checked(32)?;
+        if Digest::of(json).as_bytes() != seal {
+            return None;
+        }
+        serde_json::from_slice(json).ok()
+    }
+}

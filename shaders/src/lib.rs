@@ -1,1 +1,0 @@
-//! WGSL kernels of marf and their uniforms.

@@ -1,0 +1,184 @@
+//! The command line, as clap reads it.
+
+use std::num::NonZero;
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+/// Raw Mars rover and helicopter photos to radiance fields, with proof of how.
+#[derive(Debug, Parser)]
+#[command(name = "marf", version, about, max_term_width = 100, arg_required_else_help = true)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub verb: Verb,
+    /// What all verbs share.
+    #[command(flatten)]
+    pub global: Global,
+}
+
+/// What all verbs share.
+#[derive(Debug, Clone, Args)]
+pub struct Global {
+    /// Work as if started in this folder
+    #[arg(short = 'C', long = "directory", global = true, value_name = "DIR", default_value = ".")]
+    pub directory: PathBuf,
+    /// The pipeline
+    #[arg(short, long, global = true, value_name = "FILE", default_value = "pipeline.toml")]
+    pub file: PathBuf,
+    /// The store of results [default: .marf beside the pipeline]
+    #[arg(long, global = true, value_name = "DIR")]
+    pub store: Option<PathBuf>,
+    /// Lay a value over the pipeline, e.g. `blur.min_ratio=12` or `archive.demo.sols=1..=3`
+    #[arg(long = "set", global = true, value_name = "NODE.KEY=VALUE")]
+    pub sets: Vec<String>,
+    /// Cores to use [default: all]; results do not depend on it
+    #[arg(long, global = true, value_name = "N")]
+    pub threads: Option<NonZero<usize>>,
+    /// Print JSON to stdout
+    #[arg(long, global = true)]
+    pub json: bool,
+}
+
+/// The verbs.
+#[derive(Debug, Subcommand)]
+pub enum Verb {
+    /// Run what changed, and write the report
+    Run(RunArgs),
+    /// Say what would run, and the first thing that changed
+    Plan(Selection),
+    /// Say why a node runs, or what made its last result
+    Why {
+        /// The node
+        node: String,
+    },
+    /// Show the nodes of the last run
+    Status,
+    /// List the runs so far
+    Log {
+        /// How many, the newest first
+        #[arg(short = 'n', long, default_value_t = 20)]
+        last: usize,
+    },
+    /// Write a commented pipeline.toml
+    Init {
+        /// Which one
+        #[arg(long, value_enum, default_value_t = Mission::Demo)]
+        mission: Mission,
+    },
+    /// Print the JSON schema of pipeline.toml, for editors
+    Schema,
+    /// Write report.html of the last run
+    Report {
+        /// Where to
+        #[arg(long, value_name = "FILE", default_value = "report.html")]
+        out: PathBuf,
+    },
+    /// Look after the store
+    Cache {
+        /// What to do with it
+        #[command(subcommand)]
+        verb: CacheVerb,
+    },
+    /// Judge the photos of a folder
+    Filter {
+        /// A folder with photos
+        dir: PathBuf,
+        /// CSV of file, verdict, score, threshold, twin, reason
+        #[arg(long, value_name = "FILE", default_value = "verdicts.csv")]
+        out: PathBuf,
+    },
+    /// Find the cameras of a folder's photos
+    Calibrate(CalibrateArgs),
+    /// Train a field on images/ and transforms.json of a folder, and render the held-out views
+    Fit(FitArgs),
+    /// Print completions for a shell
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
+}
+
+/// Which nodes.
+#[derive(Debug, Clone, Default, Args)]
+pub struct Selection {
+    /// Only what leads to this node
+    #[arg(long, value_name = "NODE")]
+    pub to: Option<String>,
+    /// Only this node and what follows from it
+    #[arg(long, value_name = "NODE")]
+    pub from: Option<String>,
+}
+
+/// Arguments of `run`.
+#[derive(Debug, Clone, Args)]
+pub struct RunArgs {
+    /// Which nodes
+    #[command(flatten)]
+    pub selection: Selection,
+    /// Where pictures, models and the report go
+    #[arg(long, value_name = "DIR", default_value = "out")]
+    pub out: PathBuf,
+}
+
+/// Arguments of `calibrate`.
+#[derive(Debug, Clone, Args)]
+pub struct CalibrateArgs {
+    /// A folder with photos, and labels or cameras beside them
+    pub dir: PathBuf,
+    /// transforms.json to write; metrics.json goes beside it
+    #[arg(long, value_name = "FILE", default_value = "transforms.json")]
+    pub out: PathBuf,
+    /// Where cameras come from
+    #[arg(long, value_enum, default_value_t = Method::Sfm)]
+    pub method: Method,
+}
+
+/// Arguments of `fit`.
+#[derive(Debug, Clone, Args)]
+pub struct FitArgs {
+    /// A folder with images/ and transforms.json (nerfstudio convention)
+    pub dir: PathBuf,
+    /// Training times, e.g. `10s,60s,5m`
+    #[arg(long, value_name = "TIMES", default_value = "60s", value_delimiter = ',')]
+    pub budget: Vec<String>,
+    /// Folder for `<budget>s/<name>.png` and metrics.json
+    #[arg(long, value_name = "DIR", default_value = "fit")]
+    pub out: PathBuf,
+    /// Seed of the training
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+}
+
+/// Verbs of `cache`.
+#[derive(Debug, Clone, Copy, Subcommand)]
+pub enum CacheVerb {
+    /// Count objects, bytes, records and runs
+    Stat,
+}
+
+/// Pipelines that `init` writes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Mission {
+    /// A built-in Mars, offline
+    Demo,
+    /// Photos in a folder
+    Folder,
+    /// Mars 2020 Mastcam-Z and Navcam
+    Perseverance,
+    /// MSL Mastcam and Navcam
+    Curiosity,
+    /// The helicopter's colour camera
+    Ingenuity,
+}
+
+/// Methods of `calibrate`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Method {
+    /// Structure from motion
+    Sfm,
+    /// Camera models of the labels
+    Labels,
+    /// transforms.json or a COLMAP model found in the folder
+    Import,
+}

@@ -1,0 +1,92 @@
+//! The verbs, one file each. Only this room and `main` print.
+
+mod args;
+mod budget;
+mod cache;
+mod calibrate;
+mod error;
+mod export;
+mod files;
+mod filter;
+mod fit;
+mod init;
+mod log;
+mod plan;
+mod report;
+mod run;
+mod session;
+mod status;
+mod verdicts;
+
+use std::process::ExitCode;
+
+use clap::{CommandFactory, Parser};
+use marf_engine::Cancel;
+
+use args::{CacheVerb, Cli, Verb};
+use error::CliError;
+
+pub use error::printable;
+
+/// Reads the command line, does what it says, and returns the exit code.
+///
+/// `cancel` is set by the caller when the user wants to stop.
+pub fn main(cancel: &Cancel) -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => {
+            let _ = error.print(); // help to stdout, misuse to stderr; a closed pipe is nobody's error
+            return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
+        }
+    };
+    match dispatch(&cli, cancel) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            crate::talk(&error.render());
+            error.code()
+        }
+    }
+}
+
+fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
+    let global = &cli.global;
+    std::env::set_current_dir(&global.directory)
+        .map_err(|error| CliError::usage(format!("-C {}: {error}", global.directory.display())))?;
+    match &cli.verb {
+        Verb::Run(args) => run::run(global, args, cancel),
+        Verb::Plan(args) => plan::plan(global, args),
+        Verb::Why { node } => plan::why(global, node),
+        Verb::Status => status::status(global),
+        Verb::Log { last } => log::log(global, *last),
+        Verb::Init { mission } => init::init(global, *mission),
+        Verb::Schema => say_json(&crate::config::schema()),
+        Verb::Report { out } => report::report(global, out),
+        Verb::Cache { verb: CacheVerb::Stat } => cache::stat(global),
+        Verb::Filter { dir, out } => filter::filter(global, dir, out, cancel),
+        Verb::Calibrate(args) => calibrate::calibrate(global, args, cancel),
+        Verb::Fit(args) => fit::fit(global, args, cancel),
+        Verb::Completions { shell } => {
+            let mut bytes = Vec::new();
+            clap_complete::generate(*shell, &mut Cli::command(), "marf", &mut bytes);
+            crate::say(String::from_utf8_lossy(&bytes).trim_end());
+            Ok(())
+        }
+    }
+}
+
+/// Prints a value as JSON.
+fn say_json(value: &impl serde::Serialize) -> Result<(), CliError> {
+    let text = serde_json::to_string_pretty(value).map_err(|error| CliError::failed(error.to_string()))?;
+    crate::say(&text);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_well_formed() {
+        Cli::command().debug_assert();
+    }
+}

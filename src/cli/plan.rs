@@ -1,0 +1,55 @@
+use marf_engine::{PlanState, PlannedNode};
+
+use super::args::{Global, Selection};
+use super::error::CliError;
+use super::say_json;
+use super::session::Session;
+
+/// `marf plan`: the state of every node and the first thing that changed.
+pub fn plan(global: &Global, selection: &Selection) -> Result<(), CliError> {
+    let session = Session::open(global)?;
+    let last = session.last()?;
+    let mut nodes = marf_engine::plan(&session.graph, &session.store, last.as_ref())?;
+    let chosen = session.graph.select(selection.to.as_slice(), selection.from.as_slice())?;
+    nodes.retain(|node| chosen.contains(&node.node));
+    if global.json {
+        let rows = nodes.iter().map(|node| serde_json::json!({"node": node.node, "state": node.state, "reason": node.reason}));
+        return say_json(&rows.collect::<Vec<_>>());
+    }
+    for node in &nodes {
+        crate::say(format!("{:<16} {:<9} {}", node.node, word(node.state), node.reason).trim_end());
+    }
+    let runs = nodes.iter().filter(|node| node.state == PlanState::WillRun).count();
+    crate::say(&format!("{runs} of {} nodes will run", nodes.len()));
+    Ok(())
+}
+
+/// `marf why NODE`: everything that differs from what made its last result.
+pub fn why(global: &Global, node: &str) -> Result<(), CliError> {
+    let session = Session::open(global)?;
+    let last = session.last()?;
+    let planned = marf_engine::why(&session.graph, &session.store, last.as_ref(), node)?;
+    if global.json {
+        return say_json(&planned);
+    }
+    crate::say(&format!("{} ({}): {}", planned.node, word(planned.state), planned.reason));
+    tell_changes(&planned);
+    Ok(())
+}
+
+fn tell_changes(planned: &PlannedNode) {
+    if let Some(key) = planned.key {
+        crate::say(&format!("  key {key}"));
+    }
+    for change in &planned.changes {
+        crate::say(&format!("  {change}"));
+    }
+}
+
+fn word(state: PlanState) -> &'static str {
+    match state {
+        PlanState::Fresh => "fresh",
+        PlanState::Cached => "cached",
+        PlanState::WillRun => "will run",
+    }
+}

@@ -1,0 +1,87 @@
+use std::path::Path;
+use std::sync::Arc;
+
+use marf_cache::Digest;
+use marf_engine::{NodeState, RunRecord};
+
+use super::args::Global;
+use super::error::CliError;
+use super::files;
+use super::log::utc;
+use super::session::Session;
+use crate::show::{self, ChildView, NodeView, ReportInput, State};
+
+/// `marf report`: writes the report of the last run.
+pub fn report(global: &Global, out: &Path) -> Result<(), CliError> {
+    let session = Session::open(global)?;
+    let record = session.last()?.ok_or_else(|| CliError::failed(format!("`{}` has not run yet", session.name)))?;
+    write(&session, &record, out)?;
+    crate::talk(&format!("wrote {}", out.display()));
+    Ok(())
+}
+
+/// Writes the report after a run; where nothing ran, the one that is there tells what did.
+///
+/// # Errors
+/// A place that cannot be written.
+pub fn refresh(session: &Session, record: &RunRecord, out: &Path) -> Result<(), CliError> {
+    let quiet = record.nodes.iter().all(|node| node.state == NodeState::Reused);
+    let current = std::fs::read_to_string(out).is_ok_and(|text| text.contains(&marker(record)));
+    if quiet && current { Ok(()) } else { write(session, record, out) }
+}
+
+fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<(), CliError> {
+    let read = |digest: &Digest| -> Option<Arc<[u8]>> { session.store.get(digest).ok() };
+    let input = ReportInput {
+        pipeline: record.pipeline.clone(),
+        command: record.command.clone(),
+        started: utc(record.started_unix_s),
+        program: record.program.clone(),
+        nodes: nodes(session, record),
+        read: &read,
+    };
+    files::write(out, format!("{}\n{}\n", show::write(&input), marker(record)).as_bytes())
+}
+
+/// A comment that names the keys of all nodes: equal keys, equal content.
+fn marker(record: &RunRecord) -> String {
+    let keys: Vec<String> =
+        record.nodes.iter().map(|node| node.key.map(|key| key.to_string()).unwrap_or_default()).collect();
+    format!("<!-- keys {} -->", Digest::of(keys.join(" ").as_bytes()))
+}
+
+fn nodes(session: &Session, record: &RunRecord) -> Vec<NodeView> {
+    let parents = record.nodes.iter().filter(|node| node.parent.is_none());
+    let view = |node: &marf_engine::NodeRun| {
+        let info = session.nodes.iter().find(|info| info.name == node.name);
+        let children = record.nodes.iter().filter(|child| child.parent.as_deref() == Some(node.name.as_str()));
+        NodeView {
+            name: node.name.clone(),
+            stage: node.stage.clone(),
+            about: info.map(|info| info.about.to_owned()).unwrap_or_default(),
+            upstream: node.edges.iter().map(|edge| (edge.key.clone(), edge.upstream.clone())).collect(),
+            state: state(node.state),
+            reason: node.reason.clone(),
+            seconds: (node.state == NodeState::Finished).then_some(node.seconds),
+            params: info.map(|info| info.params.clone()).unwrap_or_default(),
+            outputs: node.outputs.iter().map(|(name, output)| (name.clone(), output.digest)).collect(),
+            children: children
+                .map(|child| ChildView {
+                    name: child.name.clone(),
+                    state: state(child.state),
+                    seconds: (child.state == NodeState::Finished).then_some(child.seconds),
+                })
+                .collect(),
+        }
+    };
+    parents.map(view).collect()
+}
+
+fn state(state: NodeState) -> State {
+    match state {
+        NodeState::Reused => State::Reused,
+        NodeState::Finished => State::Ran,
+        NodeState::Failed => State::Failed,
+        NodeState::Skipped | NodeState::Cancelled => State::Skipped,
+    }
+}

@@ -1,0 +1,129 @@
+//! A pipeline, its graph and its store: what most verbs begin with.
+
+use std::path::{Path, PathBuf};
+
+use marf_cache::{Store, StoreError};
+use marf_engine::{Edge, EngineError, Graph, GraphError, NodeDecl, RunRecord};
+
+use super::args::Global;
+use super::error::{CliError, Complaint};
+use crate::config::{self, Pipeline};
+
+/// A pipeline ready to plan and run.
+pub struct Session {
+    /// Name of the pipeline.
+    pub name: String,
+    /// The graph of its nodes.
+    pub graph: Graph,
+    /// Where results are.
+    pub store: Store,
+    /// Nodes as the report shows them: name, one line about the stage, parameters.
+    pub nodes: Vec<NodeInfo>,
+}
+
+/// What a report says of a node beside what ran.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NodeInfo {
+    /// Its name.
+    pub name: String,
+    /// One line about its stage.
+    pub about: &'static str,
+    /// Its parameters as given.
+    pub params: serde_json::Value,
+}
+
+impl Session {
+    /// Loads the pipeline that the global arguments name.
+    ///
+    /// # Errors
+    /// A bad pipeline, or a store that cannot be opened.
+    pub fn open(global: &Global) -> Result<Self, CliError> {
+        let loaded = config::load(&global.file, &global.sets)?;
+        Self::of(loaded.pipeline, &store_dir(global, &global.file))
+    }
+
+    /// Takes a pipeline that a one-folder verb has written.
+    ///
+    /// # Errors
+    /// As [`Session::open`].
+    pub fn implicit(text: &str, global: &Global) -> Result<Self, CliError> {
+        let pipeline = config::check(text, &global.sets, Path::new("")).map_err(|error| {
+            CliError::Usage(Complaint { message: error.render(Path::new("(built-in pipeline)"), text), cause: None, hint: error.hint })
+        })?;
+        Self::of(pipeline, &store_dir(global, Path::new("")))
+    }
+
+    fn of(pipeline: Pipeline, store: &Path) -> Result<Self, CliError> {
+        let info = |node: &config::Node| NodeInfo { name: node.name.clone(), about: node.def.about, params: node.params.clone() };
+        let nodes = pipeline.nodes.iter().map(info).collect();
+        let decls = pipeline.nodes.into_iter().map(|node| NodeDecl {
+            name: node.name,
+            stage: node.def,
+            bound: node.stage,
+            edges: node.edges.into_iter().map(|(key, upstream)| Edge { key, upstream }).collect(),
+        });
+        let graph = Graph::new(decls.collect(), marf_stages::stages())?;
+        Ok(Self { name: pipeline.name, graph, store: open_store(store)?, nodes })
+    }
+
+    /// Returns the last run of this pipeline.
+    ///
+    /// # Errors
+    /// A store that cannot be read.
+    pub fn last(&self) -> Result<Option<RunRecord>, CliError> {
+        Ok(marf_engine::last_run(&self.store, &self.name)?)
+    }
+}
+
+/// Opens a store, making it if need be.
+///
+/// # Errors
+/// A place that cannot be written, or a store that another process holds.
+pub fn open_store(dir: &Path) -> Result<Store, CliError> {
+    Ok(Store::open(dir)?)
+}
+
+/// Opens a store that must be there already: reading verbs make none.
+///
+/// # Errors
+/// Names the place where no store is.
+pub fn existing_store(global: &Global) -> Result<Store, CliError> {
+    let dir = store_dir(global, &global.file);
+    if !dir.is_dir() {
+        let complaint = Complaint::new(format!("there is no store at {}", dir.display()));
+        return Err(CliError::Failed(complaint.hint("`marf run` makes one; name another with --store")));
+    }
+    open_store(&dir)
+}
+
+/// `--store`, or `.marf` beside the pipeline.
+fn store_dir(global: &Global, file: &Path) -> PathBuf {
+    let beside = || file.parent().map(Path::to_path_buf).unwrap_or_default().join(".marf");
+    global.store.clone().unwrap_or_else(beside)
+}
+
+impl From<StoreError> for CliError {
+    fn from(error: StoreError) -> Self {
+        let complaint = Complaint::new(error.to_string());
+        match error {
+            StoreError::Locked { .. } => Self::Locked(complaint.hint("wait for the other run, or give this one its own --store")),
+            _ => Self::Failed(complaint),
+        }
+    }
+}
+
+impl From<EngineError> for CliError {
+    fn from(error: EngineError) -> Self {
+        match error {
+            EngineError::Store(error) => error.into(),
+            EngineError::UnknownNode { .. } => Self::usage(error.to_string()),
+            EngineError::BadRun { .. } => Self::failed(error.to_string()),
+        }
+    }
+}
+
+impl From<GraphError> for CliError {
+    fn from(error: GraphError) -> Self {
+        Self::usage(error.to_string())
+    }
+}

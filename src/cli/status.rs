@@ -1,0 +1,26 @@
+use super::args::Global;
+use super::error::CliError;
+use super::run::state_word;
+use super::say_json;
+use super::session::existing_store;
+use crate::progress::duration;
+
+/// `marf status`: the nodes of the last run.
+pub fn status(global: &Global) -> Result<(), CliError> {
+    let store = existing_store(global)?;
+    let runs = marf_engine::runs(&store)?;
+    let Some(run) = runs.last() else {
+        return Err(CliError::failed(format!("no run in {}", store.dir().display())));
+    };
+    if global.json {
+        return say_json(run);
+    }
+    let outcome = format!("{:?}", run.outcome).to_lowercase();
+    crate::say(&format!("run {} of `{}`: {outcome} in {}", run.number, run.pipeline, duration(run.seconds)));
+    for node in &run.nodes {
+        let key = node.key.map(|key| key.short()).unwrap_or_default();
+        let line = format!("{:<22} {:<8} {key:<13} {}", node.name, state_word(node.state), node.reason);
+        crate::say(line.trim_end());
+    }
+    Ok(())
+}

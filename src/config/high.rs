@@ -1,0 +1,273 @@
+//! The checked pipeline: every name resolved, every parameter in range.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use marf_stage::{ParamError, Stage, StageDef};
+use serde_json::Value as Json;
+
+use super::low::{Entry, Located, Origin};
+use super::{ConfigError, nearest};
+
+/// A checked pipeline.
+pub struct Pipeline {
+    /// Name of the pipeline.
+    pub name: String,
+    /// Nodes in the order of the file.
+    pub nodes: Vec<Node>,
+}
+
+/// A checked node.
+pub struct Node {
+    /// Its name, unique in the pipeline.
+    pub name: String,
+    /// Its stage.
+    pub def: StageDef,
+    /// The stage with its parameters.
+    pub stage: Box<dyn Stage>,
+    /// Upstream nodes by the key that names them.
+    pub edges: BTreeMap<String, String>,
+    /// The parameters as JSON, for reports.
+    pub params: Json,
+}
+
+/// Keys a whole pipeline may have.
+const TOP: [&str; 3] = ["name", "archive", "node"];
+
+type Archives = BTreeMap<String, Json>;
+
+pub(super) fn check(root: &Located, base: &Path) -> Result<Pipeline, ConfigError> {
+    for entry in root.entries().unwrap_or_default() {
+        if !TOP.contains(&entry.key.as_str()) {
+            let message = format!("unknown key `{}`", entry.key);
+            return Err(ConfigError::at(entry.at.clone(), message).hint(nearest(&entry.key, TOP)));
+        }
+    }
+    let name = match root.entry("name") {
+        None => "marf".to_owned(),
+        Some(entry) => text(entry)?.to_owned(),
+    };
+    let archives = archives(root, base)?;
+    let tables = tables(root, "node")?;
+    let names: Vec<&str> = tables.iter().map(|entry| entry.key.as_str()).collect();
+    let nodes = tables
+        .iter()
+        .map(|entry| node(entry, &names, &archives))
+        .collect::<Result<Vec<_>, _>>()?;
+    if nodes.is_empty() {
+        let hint = Some("write one with `marf init`".to_owned());
+        return Err(ConfigError::at(root.at.clone(), "the pipeline has no node".to_owned()).hint(hint));
+    }
+    check_outputs(&nodes, tables)?;
+    check_cycles(&nodes, tables)?;
+    Ok(Pipeline { name, nodes })
+}
+
+/// Returns the entries of `[key.*]`, each of which must be a table.
+fn tables<'a>(root: &'a Located, key: &str) -> Result<&'a [Entry], ConfigError> {
+    let Some(entry) = root.entry(key) else {
+        return Ok(&[]);
+    };
+    let refuse = |at: &Origin, name: &str| ConfigError::at(at.clone(), format!("`{name}` is not a table"));
+    let entries = entry.value.entries().ok_or_else(|| refuse(&entry.at, key))?;
+    match entries.iter().find(|entry| entry.value.entries().is_none()) {
+        Some(bad) => Err(refuse(&bad.at, &format!("{key}.{}", bad.key))),
+        None => Ok(entries),
+    }
+}
+
+/// Archives as JSON; a relative `path` is meant from the pipeline's folder.
+fn archives(root: &Located, base: &Path) -> Result<Archives, ConfigError> {
+    let mut archives = Archives::new();
+    for entry in tables(root, "archive")? {
+        let mut json = entry.value.json();
+        if let Some(Json::String(path)) = json.get_mut("path") {
+            *path = base.join(&*path).to_string_lossy().into_owned();
+        }
+        archives.insert(entry.key.clone(), json);
+    }
+    Ok(archives)
+}
+
+fn node(entry: &Entry, names: &[&str], archives: &Archives) -> Result<Node, ConfigError> {
+    let table = &entry.value;
+    let def = stage_of(entry)?;
+    let schema = (def.schema)();
+    let keys: Vec<&str> = schema
+        .get("properties")
+        .and_then(Json::as_object)
+        .map(|properties| properties.keys().map(String::as_str).collect())
+        .unwrap_or_default();
+    let ports: Vec<&str> = def.ports.iter().map(|port| port.key).collect();
+    let (mut edges, mut params) = (BTreeMap::new(), serde_json::Map::new());
+    for field in table.entries().unwrap_or_default() {
+        let key = field.key.as_str();
+        if key == "uses" {
+            continue;
+        }
+        if ports.contains(&key) {
+            edges.insert(key.to_owned(), upstream(field, names)?);
+        } else if key == "archive" && keys.contains(&key) {
+            params.insert(key.to_owned(), archive(field, archives)?);
+        } else if keys.contains(&key) {
+            params.insert(key.to_owned(), field.value.json());
+        } else {
+            let known = keys.iter().chain(&ports).copied().chain(["uses"]);
+            let message = format!(
+                "unknown key `{key}` in `node.{}` (stage `{}`)",
+                entry.key, def.name
+            );
+            return Err(ConfigError::at(field.at.clone(), message).hint(nearest(key, known)));
+        }
+    }
+    for port in def
+        .ports
+        .iter()
+        .filter(|port| port.required && !edges.contains_key(port.key))
+    {
+        let message = format!(
+            "`node.{}` needs `{} = \"…\"`, the node that gives it `{}`",
+            entry.key, port.key, port.output
+        );
+        return Err(ConfigError::at(entry.at.clone(), message));
+    }
+    let params = Json::Object(params);
+    let stage = (def.bind)(params.clone()).map_err(|error| complaint(entry, &error))?;
+    Ok(Node {
+        name: entry.key.clone(),
+        def,
+        stage,
+        edges,
+        params,
+    })
+}
+
+fn stage_of(entry: &Entry) -> Result<StageDef, ConfigError> {
+    let (name, at) = match entry.value.entry("uses") {
+        Some(uses) => (text(uses)?, &uses.value.at),
+        None => (entry.key.as_str(), &entry.at),
+    };
+    let known = marf_stages::stages();
+    known.iter().find(|def| def.name == name).copied().ok_or_else(|| {
+        let hint = nearest(name, known.iter().map(|def| def.name)).or_else(|| {
+            Some(format!(
+                "say which stage with `uses`, e.g. `uses = \"{}\"`",
+                known[0].name
+            ))
+        });
+        ConfigError::at(at.clone(), format!("there is no stage `{name}`")).hint(hint)
+    })
+}
+
+fn text(entry: &Entry) -> Result<&str, ConfigError> {
+    let refuse = || {
+        ConfigError::at(
+            entry.value.at.clone(),
+            format!("`{}` must be a string", entry.key),
+        )
+    };
+    entry.value.text().ok_or_else(refuse)
+}
+
+fn upstream(field: &Entry, names: &[&str]) -> Result<String, ConfigError> {
+    let name = text(field)?;
+    if names.contains(&name) {
+        return Ok(name.to_owned());
+    }
+    let message = format!("`{} = \"{name}\"` names no node", field.key);
+    Err(ConfigError::at(field.value.at.clone(), message).hint(nearest(name, names.iter().copied())))
+}
+
+fn archive(field: &Entry, archives: &Archives) -> Result<Json, ConfigError> {
+    let name = text(field)?;
+    archives.get(name).cloned().ok_or_else(|| {
+        let message = format!("`archive = \"{name}\"` names no `[archive.*]` table");
+        let hint = nearest(name, archives.keys().map(String::as_str));
+        ConfigError::at(field.value.at.clone(), message).hint(hint)
+    })
+}
+
+/// Puts a stage's complaint at the key it is about.
+fn complaint(entry: &Entry, error: &ParamError) -> ConfigError {
+    let at = if error.path.is_empty() {
+        entry.at.clone()
+    } else {
+        entry.value.place(&error.path)
+    };
+    let key = if error.path.is_empty() {
+        String::new()
+    } else {
+        format!(".{}", error.path)
+    };
+    ConfigError::at(at, format!("node.{}{key}: {}", entry.key, error.message))
+}
+
+fn check_outputs(nodes: &[Node], tables: &[Entry]) -> Result<(), ConfigError> {
+    let find = |name: &str| nodes.iter().find(|node| node.name == name);
+    for (node, entry) in nodes.iter().zip(tables) {
+        for port in node.def.ports {
+            let Some(upstream) = node.edges.get(port.key).and_then(|name| find(name)) else {
+                continue;
+            };
+            if port.required && !upstream.def.outputs.contains(&port.output) {
+                let message = format!(
+                    "`{}` of `node.{}` needs `{}`; `node.{}` (stage `{}`) gives {}",
+                    port.key,
+                    node.name,
+                    port.output,
+                    upstream.name,
+                    upstream.def.name,
+                    upstream.def.outputs.join(", "),
+                );
+                return Err(ConfigError::at(entry.value.place(port.key), message));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Walks up from every node; a node met again on the way up closes a cycle, printed in full.
+fn check_cycles(nodes: &[Node], tables: &[Entry]) -> Result<(), ConfigError> {
+    let mut cleared: Vec<&str> = Vec::new();
+    for node in nodes {
+        let mut path = Vec::new();
+        if let Some(cycle) = find_cycle(nodes, &node.name, &mut path, &mut cleared) {
+            let at = tables
+                .iter()
+                .find(|entry| entry.key == cycle[0])
+                .map(|entry| entry.at.clone());
+            let at = at.unwrap_or(Origin::Text(0..0));
+            return Err(ConfigError::at(
+                at,
+                format!("the nodes form a cycle: {}", cycle.join(" -> ")),
+            ));
+        }
+    }
+    Ok(())
+}
+
+fn find_cycle<'a>(
+    nodes: &'a [Node],
+    name: &'a str,
+    path: &mut Vec<&'a str>,
+    cleared: &mut Vec<&'a str>,
+) -> Option<Vec<&'a str>> {
+    if let Some(start) = path.iter().position(|seen| *seen == name) {
+        // The path runs from consumer to producer; people read along the data.
+        let mut cycle: Vec<&str> = path[start..].iter().rev().copied().collect();
+        cycle.insert(0, path[start]);
+        return Some(cycle);
+    }
+    if cleared.contains(&name) {
+        return None;
+    }
+    path.push(name);
+    let node = nodes.iter().find(|node| node.name == name)?;
+    let found = node
+        .edges
+        .values()
+        .find_map(|upstream| find_cycle(nodes, upstream, path, cleared));
+    path.pop();
+    cleared.push(name);
+    found
+}

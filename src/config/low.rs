@@ -1,0 +1,276 @@
+//! pipeline.toml as written: values with the place they stand at.
+
+use std::ops::Range;
+
+use serde_json::{Map, Number, Value as Json};
+use toml::de::{DeTable, DeValue};
+
+use super::ConfigError;
+
+/// Where a key or value comes from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Origin {
+    /// Bytes of pipeline.toml.
+    Text(Range<usize>),
+    /// A `--set` argument.
+    Argument(String),
+}
+
+/// A value and its place.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Located {
+    /// Where it stands.
+    pub at: Origin,
+    /// The value itself.
+    pub value: Value,
+}
+
+/// A TOML value; dates do not occur in a pipeline.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Value {
+    /// In the order of the file.
+    Table(Vec<Entry>),
+    /// In order.
+    Array(Vec<Located>),
+    /// A string.
+    Text(String),
+    /// Any integer of 64 bits, signed or not.
+    Integer(i128),
+    /// A finite float.
+    Float(f64),
+    /// `true` or `false`.
+    Truth(bool),
+}
+
+/// A key with its value.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Entry {
+    /// The key.
+    pub key: String,
+    /// Where the key stands.
+    pub at: Origin,
+    /// Its value.
+    pub value: Located,
+}
+
+/// Reads a TOML text.
+///
+/// # Errors
+/// Syntax errors, dates, and numbers that are not finite or do not fit 64 bits, with their place.
+pub fn parse(text: &str) -> Result<Located, ConfigError> {
+    let table = DeTable::parse(text).map_err(|error| {
+        ConfigError::at(
+            Origin::Text(error.span().unwrap_or(0..0)),
+            error.message().to_owned(),
+        )
+    })?;
+    located(table.span(), &DeValue::Table(table.into_inner()))
+}
+
+fn located(span: Range<usize>, value: &DeValue<'_>) -> Result<Located, ConfigError> {
+    let at = Origin::Text(span);
+    let refuse = |message: String| ConfigError::at(at.clone(), message);
+    let value = match value {
+        DeValue::String(text) => Value::Text(text.to_string()),
+        DeValue::Boolean(truth) => Value::Truth(*truth),
+        DeValue::Integer(integer) => Value::Integer(
+            i128::from_str_radix(integer.as_str(), integer.radix())
+                .ok()
+                .filter(|value| i64::try_from(*value).is_ok() || u64::try_from(*value).is_ok())
+                .ok_or_else(|| refuse(format!("`{integer}` does not fit 64 bits")))?,
+        ),
+        DeValue::Float(float) => Value::Float(
+            float
+                .as_str()
+                .parse::<f64>()
+                .ok()
+                .filter(|value| value.is_finite())
+                .ok_or_else(|| refuse(format!("`{float}` is not a finite number")))?,
+        ),
+        DeValue::Datetime(_) => return Err(refuse("a date has no meaning here".to_owned())),
+        DeValue::Array(items) => Value::Array(
+            items
+                .iter()
+                .map(|item| located(item.span(), item.get_ref()))
+                .collect::<Result<_, _>>()?,
+        ),
+        DeValue::Table(table) => Value::Table(
+            table
+                .iter()
+                .map(|(key, value)| {
+                    let (name, at) = (key.get_ref().to_string(), Origin::Text(key.span()));
+                    Ok(Entry {
+                        key: name,
+                        at,
+                        value: located(value.span(), value.get_ref())?,
+                    })
+                })
+                .collect::<Result<_, ConfigError>>()?,
+        ),
+    };
+    Ok(Located { at, value })
+}
+
+/// Applies one `--set path.to.key=value`; the value is TOML, or a plain string where it is no TOML.
+///
+/// # Errors
+/// An argument without `=`, or a path through something that is not a table.
+pub fn set(root: &mut Located, argument: &str) -> Result<(), ConfigError> {
+    let origin = Origin::Argument(argument.to_owned());
+    let Some((path, text)) = argument.split_once('=') else {
+        return Err(ConfigError::at(origin, "write it as node.key=value".to_owned()));
+    };
+    let mut parts: Vec<&str> = path.trim().split('.').collect();
+    if !matches!(parts[0], "node" | "archive" | "name") {
+        parts.insert(0, "node");
+    }
+    if parts.iter().any(|part| part.is_empty()) || (parts[0] == "node" && parts.len() < 3) {
+        return Err(ConfigError::at(origin, "write it as node.key=value".to_owned()));
+    }
+    let value = Located {
+        at: origin.clone(),
+        value: argument_value(text.trim()),
+    };
+    insert(root, &parts, value, &origin)
+}
+
+fn argument_value(text: &str) -> Value {
+    let document = format!("value = {text}");
+    let parsed = parse(&document).ok().and_then(|root| match root.value {
+        Value::Table(mut entries) if entries.len() == 1 => entries.pop().map(|entry| entry.value.value),
+        _ => None,
+    });
+    parsed.unwrap_or_else(|| Value::Text(text.to_owned()))
+}
+
+fn insert(table: &mut Located, parts: &[&str], value: Located, origin: &Origin) -> Result<(), ConfigError> {
+    let Value::Table(entries) = &mut table.value else {
+        return Err(ConfigError::at(
+            origin.clone(),
+            format!("`{}` lies inside a value, not a table", parts[0]),
+        ));
+    };
+    let index = entries.iter().position(|entry| entry.key == parts[0]);
+    let index = index.unwrap_or_else(|| {
+        let empty = Located {
+            at: origin.clone(),
+            value: Value::Table(Vec::new()),
+        };
+        entries.push(Entry {
+            key: parts[0].to_owned(),
+            at: origin.clone(),
+            value: empty,
+        });
+        entries.len() - 1
+    });
+    if parts.len() > 1 {
+        return insert(&mut entries[index].value, &parts[1..], value, origin);
+    }
+    entries[index].value = value;
+    Ok(())
+}
+
+impl Located {
+    /// Returns the entries of a table, `None` for anything else.
+    pub fn entries(&self) -> Option<&[Entry]> {
+        match &self.value {
+            Value::Table(entries) => Some(entries),
+            _ => None,
+        }
+    }
+
+    /// Returns the string, `None` for anything else.
+    pub fn text(&self) -> Option<&str> {
+        match &self.value {
+            Value::Text(text) => Some(text),
+            _ => None,
+        }
+    }
+
+    /// Returns the entry of a key.
+    pub fn entry(&self, key: &str) -> Option<&Entry> {
+        self.entries()?.iter().find(|entry| entry.key == key)
+    }
+
+    /// Returns the place a dotted path leads to, as far as it exists.
+    pub fn place(&self, path: &str) -> Origin {
+        let (first, rest) = path.split_once('.').unwrap_or((path, ""));
+        match self.entry(first) {
+            Some(entry) if rest.is_empty() => entry.value.at.clone(),
+            Some(entry) => entry.value.place(rest),
+            None => self.at.clone(),
+        }
+    }
+
+    /// Returns the value as JSON, the form in which stages take their parameters.
+    pub fn json(&self) -> Json {
+        match &self.value {
+            Value::Text(text) => Json::String(text.clone()),
+            Value::Truth(truth) => Json::Bool(*truth),
+            Value::Integer(value) => {
+                let unsigned = u64::try_from(*value).map(Number::from);
+                Json::Number(unsigned.unwrap_or_else(|_| Number::from(*value as i64)))
+            }
+            Value::Float(value) => Number::from_f64(*value).map_or(Json::Null, Json::Number),
+            Value::Array(items) => Json::Array(items.iter().map(Self::json).collect()),
+            Value::Table(entries) => {
+                let pairs = entries
+                    .iter()
+                    .map(|entry| (entry.key.clone(), entry.value.json()));
+                Json::Object(pairs.collect::<Map<_, _>>())
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn set_reads_numbers_lists_and_plain_words() {
+        let mut root = parse("[node.blur]\nmin = 3\n").unwrap();
+        for argument in [
+            "blur.min=0.5",
+            "blur.rule=laplacian",
+            "archive.demo.sols=1..=3",
+            "blur.list=[1, 2]",
+        ] {
+            set(&mut root, argument).unwrap();
+        }
+        let json = root.json();
+        assert_eq!(
+            json["node"]["blur"],
+            serde_json::json!({"min": 0.5, "rule": "laplacian", "list": [1, 2]})
+        );
+        assert_eq!(json["archive"]["demo"]["sols"], "1..=3");
+    }
+
+    #[test]
+    fn set_without_a_node_or_a_value_is_refused() {
+        let mut root = parse("").unwrap();
+        for argument in ["blur", "=3", "blur=3", "blur..min=3"] {
+            assert!(set(&mut root, argument).is_err(), "{argument}");
+        }
+    }
+
+    #[test]
+    fn all_64_bits_of_a_seed_arrive() {
+        let root = parse("a = 18446744073709551615\nb = -9223372036854775808").err();
+        let mut table = parse("").unwrap();
+        set(&mut table, "train.seed=18446744073709551615").unwrap();
+        assert_eq!(table.json()["node"]["train"]["seed"], u64::MAX);
+        assert!(root.is_none(), "{root:?}");
+    }
+
+    #[test]
+    fn numbers_without_a_value_are_refused_at_their_place() {
+        for text in ["a = nan", "a = inf", "a = 18446744073709551616", "a = 2026-11-21"] {
+            let error = parse(text).unwrap_err();
+            assert!(
+                matches!(error.at, Origin::Text(ref range) if range.start == 4),
+                "{text}: {error:?}"
+            );
+        }
+    }
+}

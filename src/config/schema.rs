@@ -1,0 +1,61 @@
+use serde_json::{Map, Value as Json, json};
+
+/// Returns the JSON schema of pipeline.toml, for editors.
+pub fn schema() -> Json {
+    let stages = marf_stages::stages();
+    let names: Vec<&str> = stages.iter().map(|def| def.name).collect();
+    let mut definitions = Map::new();
+    let mut cases = Vec::new();
+    for def in stages {
+        definitions.insert(def.name.to_owned(), stage_schema(def));
+        cases.push(json!({
+            "if": {"properties": {"uses": {"const": def.name}}, "required": ["uses"]},
+            "then": {"$ref": format!("#/$defs/{}", def.name)},
+        }));
+    }
+    let by_name: Map<String, Json> = names
+        .iter()
+        .map(|name| {
+            (
+                name.to_string(),
+                json!({"if": {"not": {"required": ["uses"]}}, "then": {"$ref": format!("#/$defs/{name}")}}),
+            )
+        })
+        .collect();
+    json!({
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "marf pipeline",
+        "type": "object",
+        "additionalProperties": false,
+        "properties": {
+            "name": {"type": "string", "description": "Name of the pipeline."},
+            "archive": {"type": "object", "additionalProperties": {"type": "object"}, "description": "Where photos come from, by name."},
+            "node": {
+                "type": "object",
+                "description": "A node's stage is its name, or `uses`.",
+                "properties": by_name,
+                "additionalProperties": {"type": "object", "properties": {"uses": {"enum": names}}, "allOf": cases},
+            },
+        },
+        "$defs": definitions,
+    })
+}
+
+/// The stage's parameters, its ports (each names a node) and `uses`; `archive` is a name here.
+fn stage_schema(def: &marf_stage::StageDef) -> Json {
+    let mut schema: Json = (def.schema)().to_value();
+    schema["description"] = json!(def.about);
+    if !schema["properties"].is_object() {
+        schema["properties"] = json!({});
+    }
+    if let Some(archive) = schema["properties"].get_mut("archive") {
+        *archive = json!({"type": "string", "description": "Name of an `[archive.*]` table."});
+    }
+    schema["properties"]["uses"] = json!({"const": def.name});
+    for port in def.ports {
+        schema["properties"][port.key] =
+            json!({"type": "string", "description": format!("Node that gives `{}`.", port.output)});
+    }
+    schema["additionalProperties"] = json!(false);
+    schema
+}

@@ -1,0 +1,43 @@
+/// A commented pipeline that `marf init` writes.
+pub struct Template {
+    /// Name on the command line.
+    pub name: &'static str,
+    /// One line for people.
+    pub about: &'static str,
+    /// The file.
+    pub text: &'static str,
+}
+
+/// Every template, the default first.
+pub const TEMPLATES: [Template; 5] = [
+    Template {
+        name: "demo",
+        about: "a built-in Mars, offline, with ground truth",
+        text: include_str!("../../pipeline.toml"),
+    },
+    Template {
+        name: "folder",
+        about: "photos in a folder, with cameras of another program",
+        text: include_str!("../../pipelines/folder.toml"),
+    },
+    Template {
+        name: "perseverance",
+        about: "Mastcam-Z and Navcam of Mars 2020, from a local copy of the archive",
+        text: include_str!("../../pipelines/perseverance.toml"),
+    },
+    Template {
+        name: "curiosity",
+        about: "Mastcam and Navcam of MSL, from a local copy of the archive",
+        text: include_str!("../../pipelines/curiosity.toml"),
+    },
+    Template {
+        name: "ingenuity",
+        about: "the helicopter's colour camera, from a local copy of the archive",
+        text: include_str!("../../pipelines/ingenuity.toml"),
+    },
+];
+
+/// Returns a template by name.
+pub fn template(name: &str) -> Option<&'static Template> {
+    TEMPLATES.iter().find(|template| template.name == name)
+}

@@ -1,0 +1,131 @@
+//! What a stage stands on while it runs: store, checkpoints, and a lease on its key.
+
+use std::{
+    fs::{self, File, TryLockError},
+    io::Write,
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::Duration,
+};
+
+use marf_cache::{Digest, Store, StoreError};
+use marf_stage::{BlobError, Blobs, Cancel, Checkpoints, StageError};
+
+use crate::{Event, Listener};
+
+/// Pause between two looks at a key that another program works on.
+const LEASE_PAUSE: Duration = Duration::from_millis(20);
+
+/// The store as stages see it.
+pub(crate) struct StoreBlobs<'a>(pub(crate) &'a Store);
+
+impl Blobs for StoreBlobs<'_> {
+    fn get(&self, digest: &Digest) -> Result<Arc<[u8]>, BlobError> {
+        self.0.get(digest).map_err(blob_error)
+    }
+
+    fn put(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
+        self.0.put(bytes).map_err(blob_error)
+    }
+}
+
+pub(crate) fn blob_error(error: StoreError) -> BlobError {
+    BlobError {
+        lost: error.lost(),
+        message: error.to_string(),
+    }
+}
+
+/// The state of an unfinished run of one key, as a file that is replaced as a whole.
+pub(crate) struct FileCheckpoints<'a> {
+    path: PathBuf,
+    node: String,
+    listener: &'a dyn Listener,
+}
+
+impl<'a> FileCheckpoints<'a> {
+    pub(crate) fn new(store: &Store, key: &Digest, node: &str, listener: &'a dyn Listener) -> Self {
+        Self {
+            path: store.dir().join("checkpoints").join(key.to_string()),
+            node: node.to_owned(),
+            listener,
+        }
+    }
+
+    /// Forgets the state: its node has finished.
+    pub(crate) fn remove(&self) {
+        let _ = fs::remove_file(&self.path);
+    }
+
+    fn write(&self, state: &[u8]) -> std::io::Result<()> {
+        if let Some(folder) = self.path.parent() {
+            fs::create_dir_all(folder)?;
+        }
+        let unfinished = self.path.with_extension(format!("{}.tmp", std::process::id()));
+        let mut file = File::create(&unfinished)?;
+        file.write_all(Digest::of(state).as_bytes())?;
+        file.write_all(state)?;
+        file.sync_data()?;
+        fs::rename(&unfinished, &self.path)
+    }
+}
+
+impl Checkpoints for FileCheckpoints<'_> {
+    fn load(&self) -> Option<Vec<u8>> {
+        let bytes = fs::read(&self.path).ok()?;
+        let (seal, state) = bytes.split_at_checked(32)?;
+        (Digest::of(state).as_bytes() == seal).then(|| state.to_vec())
+    }
+
+    fn save(&self, state: &[u8]) {
+        if let Err(error) = self.write(state) {
+            self.listener.hear(&Event::Warning {
+                node: Some(self.node.clone()),
+                message: format!("cannot keep the checkpoint `{}`: {error}", self.path.display()),
+            });
+        }
+    }
+}
+
+/// The right to work on a key; the second to want it waits, and then finds the first one's result.
+///
+/// Where files cannot be locked two programs may do the same work: a waste, never a wrong answer.
+pub(crate) struct Lease {
+    path: PathBuf,
+    _file: Option<File>,
+}
+
+impl Lease {
+    pub(crate) fn take(
+        dir: &Path,
+        key: &Digest,
+        cancel: &Cancel,
+        busy: impl Fn(),
+    ) -> Result<Self, StageError> {
+        let path = dir.join("leases").join(key.to_string());
+        let opened = fs::create_dir_all(dir.join("leases")).and_then(|()| File::create(&path));
+        let Ok(file) = opened else {
+            return Ok(Self { path, _file: None });
+        };
+        let mut told = false;
+        while matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
+            if cancel.is_set() {
+                return Err(StageError::Cancelled);
+            }
+            if !told {
+                busy();
+                told = true;
+            }
+            std::thread::sleep(LEASE_PAUSE);
+        }
+        let _file = Some(file);
+        Ok(Self { path, _file })
+    }
+}
+
+impl Drop for Lease {
+    fn drop(&mut self) {
+        // The lock goes when the file is closed, after its name: who waits on it gets it still.
+        let _ = fs::remove_file(&self.path);
+    }
+}

@@ -1,0 +1,134 @@
+//! Events: what runs, and why; one list for bars, JSON lines and tests.
+
+use std::{
+    collections::BTreeMap,
+    sync::{Mutex, PoisonError},
+    time::{Duration, Instant},
+};
+
+use marf_cache::Output;
+use marf_stage::Progress;
+use serde::Serialize;
+
+/// Shortest time between two progress events of a node, but for its last.
+const PROGRESS_PAUSE: Duration = Duration::from_millis(100);
+
+/// Something that happened to a node. A child of an expanded node is named `parent/child`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum Event {
+    /// It begins to run.
+    WillRun {
+        /// The node.
+        node: String,
+        /// The first thing that changed since it last ran.
+        reason: String,
+    },
+    /// Its result was in the store.
+    Reused {
+        /// The node.
+        node: String,
+        /// Where the result is from.
+        reason: String,
+    },
+    /// How far it is; at most ten a second.
+    Progress {
+        /// The node.
+        node: String,
+        /// Units done.
+        done: u64,
+        /// Units in all.
+        total: u64,
+        /// A figure of the moment.
+        note: String,
+    },
+    /// It ran to its end.
+    Finished {
+        /// The node.
+        node: String,
+        /// Time on the wall.
+        seconds: f64,
+        /// What came out, by name.
+        outputs: BTreeMap<String, Output>,
+        /// Figures: `photos` that came out, `rejected`, `measured`, `fetched`, `children`.
+        counts: BTreeMap<String, u64>,
+    },
+    /// It failed.
+    Failed {
+        /// The node.
+        node: String,
+        /// What, where and how much.
+        message: String,
+        /// What lies behind it.
+        cause: Option<String>,
+        /// What to do about it.
+        hint: Option<String>,
+    },
+    /// It did not run because something it needs is not there.
+    Skipped {
+        /// The node.
+        node: String,
+        /// What is not there.
+        reason: String,
+    },
+    /// Something that is no failure but must be known.
+    Warning {
+        /// The node, if it is about one.
+        node: Option<String>,
+        /// One sentence.
+        message: String,
+    },
+}
+
+/// Hears events, from several threads.
+pub trait Listener: Sync {
+    /// Hears one event.
+    fn hear(&self, event: &Event);
+}
+
+/// Hears and forgets.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Silent;
+
+impl Listener for Silent {
+    fn hear(&self, _event: &Event) {}
+}
+
+/// Turns a stage's progress into events of its node, not too many.
+pub(crate) struct NodeProgress<'a> {
+    node: String,
+    listener: &'a dyn Listener,
+    last: Mutex<Option<Instant>>,
+}
+
+impl<'a> NodeProgress<'a> {
+    pub(crate) fn new(node: &str, listener: &'a dyn Listener) -> Self {
+        Self {
+            node: node.to_owned(),
+            listener,
+            last: Mutex::new(None),
+        }
+    }
+
+    fn is_due(&self) -> bool {
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let due = last.is_none_or(|last| last.elapsed() >= PROGRESS_PAUSE);
+        if due {
+            *last = Some(Instant::now());
+        }
+        due
+    }
+}
+
+impl Progress for NodeProgress<'_> {
+    fn at(&self, done: u64, total: u64, note: &str) {
+        if done == total || self.is_due() {
+            self.listener.hear(&Event::Progress {
+                node: self.node.clone(),
+                done,
+                total,
+                note: note.to_owned(),
+            });
+        }
+    }
+}

@@ -1,0 +1,206 @@
+//! Keys: one walk over everything that may change an answer, heard by the hasher and by the writer of the text.
+
+use std::{collections::BTreeMap, fmt};
+
+use marf_cache::{ContentHash, Digest, Listener, digest_of, manifest_text};
+use marf_stage::{Inputs, Listing, Stage, StageDef};
+use serde::Serialize;
+
+/// The key of a node, and the same content as text.
+#[derive(Debug, Clone)]
+pub(crate) struct Key {
+    pub(crate) digest: Digest,
+    pub(crate) manifest: String,
+}
+
+/// Everything that may change the answer of a node.
+struct NodeContent<'a> {
+    def: &'a StageDef,
+    stage: &'a dyn Stage,
+    inputs: &'a Inputs,
+    listing: Option<&'a Listing>,
+}
+
+/// Returns the key of a node; a source has its listing in it.
+pub(crate) fn node_key(def: &StageDef, stage: &dyn Stage, inputs: &Inputs, listing: Option<&Listing>) -> Key {
+    let content = NodeContent {
+        def,
+        stage,
+        inputs,
+        listing,
+    };
+    Key {
+        digest: digest_of(&content),
+        manifest: manifest_text(&content),
+    }
+}
+
+impl ContentHash for NodeContent<'_> {
+    fn walk(&self, listener: &mut dyn Listener) {
+        listener.open("node", 4 + usize::from(self.listing.is_some()));
+        listener.field("stage");
+        listener.text(self.def.name);
+        listener.field("version");
+        listener.unsigned(u64::from(self.def.version));
+        listener.field("params");
+        self.stage.params().walk(listener);
+        listener.field("inputs");
+        walk_named(&self.inputs.0, listener);
+        if let Some(listing) = self.listing {
+            listener.field("listing");
+            walk_listing(listing, listener);
+        }
+        listener.close();
+    }
+}
+
+/// Shards are fields by their number, so that the text says which sol is new.
+fn walk_listing(listing: &Listing, listener: &mut dyn Listener) {
+    listener.open("listing", 2);
+    listener.field("shards");
+    listener.open("shards", listing.shards.len());
+    for shard in &listing.shards {
+        listener.field(&shard.shard.to_string());
+        listener.digest(&shard.fingerprint);
+    }
+    listener.close();
+    listener.field("companions");
+    walk_named(&listing.companions, listener);
+    listener.close();
+}
+
+fn walk_named(digests: &BTreeMap<String, Digest>, listener: &mut dyn Listener) {
+    listener.open("named", digests.len());
+    for (name, digest) in digests {
+        listener.field(name);
+        listener.digest(digest);
+    }
+    listener.close();
+}
+
+/// The key of a part of a node's work: one shard of a source, one table of measures, one step of a fold.
+pub(crate) struct PartContent<'a> {
+    /// What part it is (`fetch`, `measure`, `fold`).
+    pub(crate) what: &'static str,
+    pub(crate) def: &'a StageDef,
+    pub(crate) params: &'a dyn ContentHash,
+    pub(crate) of: &'a dyn ContentHash,
+}
+
+impl ContentHash for PartContent<'_> {
+    fn walk(&self, listener: &mut dyn Listener) {
+        listener.open(self.what, 4);
+        listener.field("stage");
+        listener.text(self.def.name);
+        listener.field("version");
+        listener.unsigned(u64::from(self.def.version));
+        listener.field("params");
+        self.params.walk(listener);
+        listener.field("of");
+        self.of.walk(listener);
+        listener.close();
+    }
+}
+
+impl PartContent<'_> {
+    pub(crate) fn key(&self) -> Key {
+        Key {
+            digest: digest_of(self),
+            manifest: manifest_text(self),
+        }
+    }
+}
+
+/// A line in which two manifests differ. As text: `params.threshold: 0.2 -> 0.3`, `input photos changed`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Change {
+    /// Where (`params.threshold`).
+    pub path: String,
+    /// What it was; none if it was not there.
+    pub old: Option<String>,
+    /// What it is now; none if it is not there any more.
+    pub new: Option<String>,
+}
+
+/// Returns the lines in which a new manifest differs from an old one, in the order of the new one.
+pub(crate) fn differences(old: &str, new: &str) -> Vec<Change> {
+    let (before, after) = (lines(old), lines(new));
+    let earlier: BTreeMap<&str, &str> = before.iter().copied().collect();
+    let later: BTreeMap<&str, &str> = after.iter().copied().collect();
+    let change = |path: &str| Change {
+        path: path.to_owned(),
+        old: earlier.get(path).map(|&value| value.to_owned()),
+        new: later.get(path).map(|&value| value.to_owned()),
+    };
+    let new_or_other = after
+        .iter()
+        .filter(|(path, value)| earlier.get(path) != Some(value));
+    let gone = before.iter().filter(|(path, _)| !later.contains_key(path));
+    new_or_other.chain(gone).map(|(path, _)| change(path)).collect()
+}
+
+fn lines(manifest: &str) -> Vec<(&str, &str)> {
+    manifest
+        .lines()
+        .filter_map(|line| line.split_once(" = "))
+        .collect()
+}
+
+impl fmt::Display for Change {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let became = match (&self.old, &self.new) {
+            (None, _) => "is new",
+            (_, None) => "is gone",
+            _ => "changed",
+        };
+        if let Some(input) = self.path.strip_prefix("inputs.") {
+            return write!(f, "input {input} {became}");
+        }
+        if let Some(shard) = self.path.strip_prefix("listing.shards.") {
+            return write!(f, "shard {shard} {became}");
+        }
+        if let Some(file) = self.path.strip_prefix("listing.companions.") {
+            return write!(f, "file {file} {became}");
+        }
+        let path = match self.path.as_str() {
+            "version" => "stage version",
+            "stage" => "stage",
+            other => return self.write_values(f, &format!("{other}:")),
+        };
+        self.write_values(f, path)
+    }
+}
+
+impl Change {
+    fn write_values(&self, f: &mut fmt::Formatter<'_>, path: &str) -> fmt::Result {
+        let value = |value: &Option<String>| value.clone().unwrap_or_else(|| "absent".to_owned());
+        write!(f, "{path} {} -> {}", value(&self.old), value(&self.new))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_difference_is_told_as_people_say_it() {
+        let old = "stage = \"blur\"\nversion = 1\nparams.threshold = 0.2\ninputs.photos = aa\nlisting.shards.1 = ff\n";
+        let cases = [
+            (old.replace("0.2", "0.3"), "params.threshold: 0.2 -> 0.3"),
+            (old.replace("= 1\n", "= 2\n"), "stage version 1 -> 2"),
+            (old.replace("aa", "bb"), "input photos changed"),
+            (format!("{old}listing.shards.2 = ee\n"), "shard 2 is new"),
+            (old.replace("listing.shards.1 = ff\n", ""), "shard 1 is gone"),
+            (
+                format!("{old}params.rule = Robust\n"),
+                "params.rule: absent -> Robust",
+            ),
+        ];
+        for (new, expected) in cases {
+            let changes = differences(old, &new);
+            assert_eq!(changes.len(), 1, "{expected}");
+            assert_eq!(changes[0].to_string(), expected);
+        }
+        assert_eq!(differences(old, old), vec![]);
+    }
+}

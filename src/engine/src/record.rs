@@ -1,0 +1,179 @@
+//! Run records: what a run did, node by node, kept under `.marf/runs`.
+
+use std::collections::BTreeMap;
+
+use marf_cache::{Digest, Output, Store, StoreError};
+use serde::{Deserialize, Serialize};
+
+use crate::Edge;
+
+/// A run from its beginning to its end.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunRecord {
+    /// Number of the run in its store, from 1; not in the file, as it is the file's name.
+    #[serde(skip)]
+    pub number: u64,
+    /// Name of the pipeline.
+    pub pipeline: String,
+    /// The command as typed.
+    pub command: String,
+    /// The program with version and commit.
+    pub program: String,
+    /// When it began, in seconds since 1970.
+    pub started_unix_s: u64,
+    /// Time on the wall.
+    pub seconds: f64,
+    /// How it ended.
+    pub outcome: Outcome,
+    /// Digest of the pipeline as declared.
+    pub digest: Digest,
+    /// Threads it could use.
+    pub threads: usize,
+    /// Nodes in topological order, the children of an expanded node after it.
+    pub nodes: Vec<NodeRun>,
+    /// The last key under which each node finished, in this run or an earlier one of this pipeline.
+    pub latest: BTreeMap<String, Digest>,
+}
+
+/// How a run ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// Every node has its result.
+    Done,
+    /// At least one node failed.
+    Failed,
+    /// Somebody asked it to stop.
+    Cancelled,
+}
+
+/// What a run did with one node.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NodeRun {
+    /// Name of the node; of a child `parent/child`.
+    pub name: String,
+    /// Name of its stage.
+    pub stage: String,
+    /// The node that asked for it.
+    pub parent: Option<String>,
+    /// Where its inputs come from.
+    pub edges: Vec<Edge>,
+    /// Its key, as far as its inputs were known.
+    pub key: Option<Digest>,
+    /// What happened.
+    pub state: NodeState,
+    /// Why.
+    pub reason: String,
+    /// Time on the wall; of a reused node, when it ran.
+    pub seconds: f64,
+    /// What came out, by name.
+    pub outputs: BTreeMap<String, Output>,
+    /// Figures, as in [`crate::Event::Finished`].
+    pub counts: BTreeMap<String, u64>,
+}
+
+/// What happened to a node.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NodeState {
+    /// Its result was in the store.
+    Reused,
+    /// It ran.
+    Finished,
+    /// It failed.
+    Failed,
+    /// Something it needs is not there.
+    Skipped,
+    /// The run was stopped before its end.
+    Cancelled,
+}
+
+/// Why there is no plan or no run.
+#[derive(Debug, thiserror::Error)]
+pub enum EngineError {
+    /// The store cannot be used.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// A node was named that is not there.
+    #[error("there is no node `{node}`; there are {}", known.join(", "))]
+    UnknownNode {
+        /// The name.
+        node: String,
+        /// The names there are.
+        known: Vec<String>,
+    },
+    /// A run record that cannot be read.
+    #[error("run {number} cannot be read: {message}")]
+    BadRun {
+        /// Its number.
+        number: u64,
+        /// What is wrong with it.
+        message: String,
+    },
+}
+
+impl EngineError {
+    /// Returns what to do about it, if we know.
+    pub fn hint(&self) -> Option<String> {
+        match self {
+            Self::Store(error) => error.hint(),
+            _ => None,
+        }
+    }
+}
+
+impl NodeState {
+    /// Tells whether its outputs are there.
+    pub fn is_good(self) -> bool {
+        matches!(self, Self::Reused | Self::Finished)
+    }
+}
+
+impl RunRecord {
+    /// Stores the record under the next free number.
+    pub(crate) fn store(self, store: &Store) -> Result<Self, EngineError> {
+        let json = serde_json::to_vec_pretty(&self).map_err(|error| EngineError::BadRun {
+            number: 0,
+            message: error.to_string(),
+        })?;
+        let number = store.put_run(&json)?;
+        Ok(Self { number, ..self })
+    }
+
+    /// Returns what the run did with a node.
+    pub fn node(&self, name: &str) -> Option<&NodeRun> {
+        self.nodes.iter().find(|node| node.name == name)
+    }
+}
+
+/// Reads all runs, oldest first.
+///
+/// # Errors
+/// Names a run that cannot be read.
+pub fn runs(store: &Store) -> Result<Vec<RunRecord>, EngineError> {
+    let numbers = store.run_numbers()?.into_iter();
+    numbers.map(|number| read(store, number)).collect()
+}
+
+/// Reads the last run of a pipeline.
+///
+/// # Errors
+/// Names a run that cannot be read.
+pub fn last_run(store: &Store, pipeline: &str) -> Result<Option<RunRecord>, EngineError> {
+    for number in store.run_numbers()?.into_iter().rev() {
+        let run = read(store, number)?;
+        if run.pipeline == pipeline {
+            return Ok(Some(run));
+        }
+    }
+    Ok(None)
+}
+
+fn read(store: &Store, number: u64) -> Result<RunRecord, EngineError> {
+    let run: Result<RunRecord, _> = serde_json::from_slice(&store.run(number)?);
+    let run = run.map_err(|error| EngineError::BadRun {
+        number,
+        message: error.to_string(),
+    })?;
+    Ok(RunRecord { number, ..run })
+}

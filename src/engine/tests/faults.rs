@@ -1,0 +1,336 @@
+//! Failures, stops, kills, damage, and several programs on one store.
+
+mod common;
+
+use std::{
+    path::{Path, PathBuf},
+    sync::{Arc, Barrier},
+};
+
+use common::*;
+use marf_cache::{Digest, Store};
+use marf_engine::{Cancel, Event, Graph, NodeState, Outcome, PlanState, last_run, plan};
+
+fn broken_graph(world: u64, how: &str) -> Graph {
+    let mut nodes = Line::new(world).nodes();
+    let how = serde_json::json!({ "how": how });
+    nodes.push(node("broken", "broken", world, how, &["input=at_most"]));
+    nodes.push(node(
+        "below",
+        "draw",
+        world,
+        serde_json::json!({ "seed": 1 }),
+        &["input=broken"],
+    ));
+    let below = node(
+        "far_below",
+        "many",
+        world,
+        serde_json::json!({ "b": 1 }),
+        &["input=broken"],
+    );
+    nodes.push(below);
+    Graph::new(nodes, TABLE).unwrap()
+}
+
+#[test]
+fn a_failing_node_skips_what_depends_on_it_and_nothing_else() {
+    let (_dir, store) = fresh_store();
+    let (number, world) = new_world();
+    world.put_shard(1);
+    let (record, ears) = run_on(&broken_graph(number, "fails"), &store);
+    assert_eq!(record.outcome, Outcome::Failed);
+    assert_eq!(record.node("below").unwrap().state, NodeState::Skipped);
+    assert_eq!(record.node("below").unwrap().reason, "broken failed");
+    assert_eq!(record.node("far_below").unwrap().reason, "broken failed");
+    assert_eq!(record.node("many").unwrap().state, NodeState::Finished);
+    let failed = Event::Failed {
+        node: "broken".into(),
+        message: "no number is right".into(),
+        cause: Some("numbers".into()),
+        hint: Some("use letters".into()),
+    };
+    assert!(ears.0.lock().unwrap().contains(&failed));
+    let (again, ears) = run_on(&broken_graph(number, "fails"), &store);
+    assert_eq!(reason_of(&ears, "broken").unwrap(), "it failed in the last run");
+    assert_eq!(
+        again.node("many").unwrap().state,
+        NodeState::Reused,
+        "what was computed stays"
+    );
+}
+
+#[test]
+fn a_stage_that_panics_or_breaks_its_contract_is_a_failed_node_that_says_so() {
+    let cases = [
+        ("panics", "panicked: index 7 of 3"),
+        ("forgets", "its output `sum` did not come"),
+        ("invents", "output `sum` names a blob that is not in the store"),
+        ("adds", "its output `more` is not declared"),
+    ];
+    for (how, expected) in cases {
+        let (_dir, store) = fresh_store();
+        let (number, world) = new_world();
+        world.put_shard(1);
+        let (record, _) = run_on(&broken_graph(number, how), &store);
+        assert_eq!(record.outcome, Outcome::Failed);
+        assert_eq!(record.node("broken").unwrap().reason, expected);
+        assert_eq!(record.node("sum").unwrap().state, NodeState::Finished, "{how}");
+    }
+}
+
+#[test]
+fn an_archive_that_cannot_be_listed_fails_with_its_hint() {
+    let (_dir, store) = fresh_store();
+    let (number, _world) = new_world();
+    let graph = Line::new(number).graph();
+    let planned = plan(&graph, &store, None).unwrap();
+    assert_eq!(
+        planned[0].reason,
+        "it cannot list what is there: the archive is empty"
+    );
+    let (record, ears) = run_on(&graph, &store);
+    assert_eq!(record.outcome, Outcome::Failed);
+    assert_eq!(record.node("many").unwrap().reason, "sum was skipped");
+    let events = ears.0.lock().unwrap();
+    assert!(
+        matches!(&events[0], Event::Failed { hint: Some(hint), .. } if hint == "fill it"),
+        "{events:?}"
+    );
+}
+
+#[test]
+fn of_failing_members_the_others_are_kept() {
+    let (_dir, store) = fresh_store();
+    let (number, world) = new_world();
+    world.put_shard(1);
+    let line = Line {
+        b: 15,
+        ..Line::new(number)
+    }; // member 13 fails
+    let (record, _) = run_on(&line.graph(), &store);
+    let many = record.node("many").unwrap();
+    assert_eq!(many.state, NodeState::Failed);
+    assert_eq!(many.reason, "1 of 15 of its nodes failed, first `many/member-13`");
+    let (_, ears) = run_on(&Line { b: 12, ..line }.graph(), &store);
+    assert_eq!(ran(&ears), vec!["many"]);
+}
+
+#[test]
+fn stopped_in_the_middle_it_goes_on_where_it_was() {
+    let (_dir, store) = fresh_store();
+    let (number, world) = new_world();
+    (1..=3).for_each(|shard| world.put_shard(shard));
+    let cancel = Cancel::default();
+    let stop = cancel.clone();
+    let at = move |before| {
+        if before == 11 {
+            stop.set()
+        }
+    };
+    *world.at_measure.lock().unwrap() = Some(Box::new(at));
+    let graph = Line::new(number).graph();
+    let (record, _) = run_with(&graph, &store, &options(1), &cancel);
+    assert_eq!(record.outcome, Outcome::Cancelled);
+    assert_eq!(record.node("at_most").unwrap().state, NodeState::Cancelled);
+    assert_eq!(record.node("many").unwrap().reason, "the run was stopped");
+    assert_eq!(world.take_measured(), 12);
+    *world.at_measure.lock().unwrap() = None;
+
+    let (record, ears) = run_on(&graph, &store);
+    assert_eq!(record.outcome, Outcome::Done);
+    assert_eq!(reason_of(&ears, "at_most").unwrap(), "the last run was stopped");
+    assert_eq!(record.node("archive").unwrap().state, NodeState::Reused);
+    assert_eq!(record.node("at_most").unwrap().counts["measured"], 30 - 12);
+    let (_dir2, other) = fresh_store();
+    let (anew, _) = run_on(&graph, &other);
+    assert_eq!(
+        record.node("many").unwrap().outputs,
+        anew.node("many").unwrap().outputs
+    );
+}
+
+#[test]
+fn a_set_stage_that_hears_the_wish_to_stop_is_stopped_not_failed() {
+    let (_dir, store) = fresh_store();
+    let (number, world) = new_world();
+    world.put_shard(1);
+    let cancel = Cancel::default();
+    let stop = cancel.clone();
+    *world.at_sum.lock().unwrap() = Some(Box::new(move || stop.set()));
+    let (record, _) = run_with(&Line::new(number).graph(), &store, &options(2), &cancel);
+    assert_eq!(record.outcome, Outcome::Cancelled);
+    assert_eq!(record.node("sum").unwrap().state, NodeState::Cancelled);
+    assert_eq!(record.node("distinct").unwrap().state, NodeState::Finished);
+}
+
+#[test]
+fn two_programs_on_one_store_share_the_work_and_agree() {
+    let (dir, _store) = fresh_store();
+    let (number, world) = new_world();
+    (1..=4).for_each(|shard| world.put_shard(shard));
+    let start = Barrier::new(2);
+    let records: Vec<_> = std::thread::scope(|scope| {
+        let program = || {
+            let store = Store::open(dir.path().join(".marf")).unwrap();
+            start.wait();
+            run_on(
+                &Line {
+                    b: 8,
+                    ..Line::new(number)
+                }
+                .graph(),
+                &store,
+            )
+            .0
+        };
+        let threads = [scope.spawn(program), scope.spawn(program)];
+        threads.map(|thread| thread.join().unwrap()).into_iter().collect()
+    });
+    for node in &records[0].nodes {
+        assert_eq!(
+            node.outputs,
+            records[1].node(&node.name).unwrap().outputs,
+            "{}",
+            node.name
+        );
+    }
+    assert_eq!(world.take_ran(), 1 + 8, "each key is worked on once");
+    assert_ne!(records[0].number, records[1].number);
+}
+
+fn damage(path: &Path, wanted: &[u8]) {
+    let mut bytes = std::fs::read(path).unwrap();
+    let at = bytes
+        .windows(wanted.len())
+        .position(|window| window == wanted)
+        .unwrap();
+    bytes[at] ^= 4;
+    std::fs::remove_file(path).unwrap();
+    std::fs::write(path, bytes).unwrap();
+}
+
+/// The packs that hold a text.
+fn packs_with(store: &Store, wanted: &[u8]) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(store.dir().join("packs")).unwrap();
+    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    paths.retain(|path| path.extension().is_some_and(|ext| ext == "pack"));
+    paths.retain(|path| {
+        let bytes = std::fs::read(path).unwrap();
+        bytes.windows(wanted.len()).any(|window| window == wanted)
+    });
+    paths
+}
+
+#[test]
+fn a_damaged_output_is_made_again_and_the_stream_says_so() {
+    let (dir, store) = fresh_store();
+    let (number, world) = new_world();
+    world.put_shard(1);
+    let line = Line::new(number);
+    let (first, _) = run_on(&line.graph(), &store);
+    world.take_ran();
+    damage(&packs_with(&store, b"sum 20")[0], b"sum 20");
+    let store = Store::open(dir.path().join(".marf")).unwrap();
+    // Nobody reads it: nothing is noticed yet. One more member reads it.
+    let (record, ears) = run_on(&Line { b: 4, ..line.clone() }.graph(), &store);
+    assert_eq!(record.outcome, Outcome::Done, "{:?}", happened(&ears));
+    let told = warnings(&ears);
+    assert_eq!(told.len(), 1, "{told:?}");
+    assert!(
+        told[0].ends_with("is missing or damaged; `sum` will run again"),
+        "{told:?}"
+    );
+    assert_eq!(ran(&ears), vec!["many", "many/member-03", "sum"]);
+    assert_eq!(
+        record.node("sum").unwrap().outputs,
+        first.node("sum").unwrap().outputs
+    );
+    assert_eq!(store.stat().unwrap().set_aside, 1);
+    let (_, ears) = run_on(&Line { b: 4, ..line }.graph(), &store);
+    assert_eq!(ran(&ears), Vec::<String>::new());
+}
+
+#[test]
+fn a_damaged_photo_is_fetched_again() {
+    let (dir, store) = fresh_store();
+    let (number, world) = new_world();
+    (1..=2).for_each(|shard| world.put_shard(shard));
+    run_on(&Line::new(number).graph(), &store);
+    world.take_fetched();
+    damage(&packs_with(&store, b"image 12")[0], b"image 12");
+    let store = Store::open(dir.path().join(".marf")).unwrap();
+    let line = Line {
+        times: 2,
+        ..Line::new(number)
+    };
+    let (record, ears) = run_on(&line.graph(), &store);
+    assert_eq!(record.outcome, Outcome::Done, "{:?}", happened(&ears));
+    assert_eq!(text(&store, &record, "sum", "sum"), "sum 84");
+    assert_eq!(world.take_fetched(), vec![2], "only the shard that holds it");
+}
+
+#[test]
+fn a_lost_output_is_a_miss_with_its_reason() {
+    let (dir, store) = fresh_store();
+    let (number, world) = new_world();
+    world.put_shard(1);
+    let graph = Line::new(number).graph();
+    run_on(&graph, &store);
+    drop(store);
+    let store = Store::open(dir.path().join(".marf")).unwrap();
+    for pack in packs_with(&store, b"sum 20 0\nsum 20") {
+        std::fs::remove_file(pack.with_extension("idx")).unwrap();
+        std::fs::remove_file(pack).unwrap();
+    }
+    drop(store);
+    let store = Store::open(dir.path().join(".marf")).unwrap();
+    let last = last_run(&store, "test").unwrap();
+    let planned = plan(&graph, &store, last.as_ref()).unwrap();
+    let many = planned.iter().find(|node| node.node == "many").unwrap();
+    assert_eq!(many.state, PlanState::WillRun);
+    assert_eq!(many.reason, "its stored output `mean` is missing");
+    let (record, ears) = run_on(&graph, &store);
+    assert_eq!(record.outcome, Outcome::Done);
+    assert_eq!(ran(&ears), vec!["many"]);
+}
+
+#[test]
+fn a_second_answer_for_one_key_is_told_and_the_first_stays() {
+    let (dir, store) = fresh_store();
+    let (number, world) = new_world();
+    world.put_shard(1);
+    let graph = Line::new(number).graph();
+    // Another program stores its answer for `sum` while ours is at work.
+    let (_dir2, elsewhere) = fresh_store();
+    let (there, _) = run_on(&graph, &elsewhere);
+    let key = there.node("sum").unwrap().key.unwrap();
+    let mut record = elsewhere.record(&key).unwrap().unwrap();
+    let path = dir.path().join(".marf");
+    let first = Arc::new(std::sync::Mutex::new(None));
+    let kept = Arc::clone(&first);
+    let meddle = move || {
+        let other = Store::open(&path).unwrap();
+        let digest = other.put(b"sum 41").unwrap();
+        record
+            .outputs
+            .insert("sum".into(), marf_cache::Output { digest, bytes: 6 });
+        let mut record = record.clone();
+        record.circumstances.program = "another".into();
+        other.put_record(record);
+        other.commit().unwrap();
+        *kept.lock().unwrap() = Some(digest);
+    };
+    let meddle = std::sync::Mutex::new(meddle);
+    *world.at_sum.lock().unwrap() = Some(Box::new(move || (meddle.lock().unwrap())()));
+    let (record, ears) = run_on(&graph, &store);
+    let told = warnings(&ears);
+    assert_eq!(told.len(), 1, "{told:?}");
+    assert!(told[0].contains("gave two results for key"), "{told:?}");
+    let kept: Digest = first.lock().unwrap().unwrap();
+    assert_eq!(record.node("sum").unwrap().outputs["sum"].digest, kept);
+    assert!(
+        text(&store, &record, "many", "mean").starts_with("sum 41 0"),
+        "below it the kept one is used"
+    );
+}

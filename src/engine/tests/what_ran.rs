@@ -1,0 +1,315 @@
+//! Which nodes ran when: the engine does what changed, and nothing else.
+
+mod common;
+
+use common::*;
+use marf_engine::{NodeState, Outcome, PlanState, last_run, plan, runs, why};
+
+/// A store with the line's first run in it.
+fn after_first_run() -> (
+    tempfile::TempDir,
+    marf_cache::Store,
+    Line,
+    std::sync::Arc<World>,
+    marf_engine::RunRecord,
+) {
+    let (dir, store) = fresh_store();
+    let (number, world) = new_world();
+    world.put_shard(1);
+    world.put_shard(2);
+    let line = Line::new(number);
+    let (record, ears) = run_on(&line.graph(), &store);
+    assert_eq!(record.outcome, Outcome::Done, "{:?}", happened(&ears));
+    (dir, store, line, world, record)
+}
+
+#[test]
+fn everything_runs_the_first_time_and_gives_the_hand_worked_answer() {
+    let (_dir, store, _line, world, record) = after_first_run();
+    // Shard 1 holds 0..=9, shard 2 the even numbers 0..=18; up to 12 stay; of n / 2 each is kept once:
+    // 0 2 4 6 8 of shard 1, then 10 (5) and 12 (6) of shard 2.
+    assert_eq!(text(&store, &record, "sum", "sum"), "sum 42");
+    assert_eq!(
+        text(&store, &record, "many", "mean"),
+        "sum 42 0\nsum 42 2\nsum 42 4\n"
+    );
+    assert_eq!(world.take_fetched(), vec![1, 2]);
+    assert_eq!(world.take_measured(), 20 + 17);
+    assert_eq!(world.take_folded(), vec![1, 2]);
+    assert_eq!(world.take_ran(), 4);
+    let counts = &record.node("distinct").unwrap().counts;
+    assert_eq!(
+        (counts["photos"], counts["rejected"], counts["measured"]),
+        (7, 10, 17)
+    );
+}
+
+#[test]
+fn nothing_runs_when_nothing_changed() {
+    let (_dir, store, line, world, first) = after_first_run();
+    let before = (
+        world.take_fetched(),
+        world.take_measured(),
+        world.take_folded(),
+        world.take_ran(),
+    );
+    assert_eq!(before.1, 37);
+    let graph = line.graph();
+    let planned = plan(&graph, &store, Some(&first)).unwrap();
+    assert!(
+        planned.iter().all(|node| node.state == PlanState::Fresh),
+        "{planned:?}"
+    );
+    let (record, ears) = run_on(&graph, &store);
+    assert_eq!(ran(&ears), Vec::<String>::new());
+    assert_eq!(record.outcome, Outcome::Done);
+    assert_eq!(
+        (world.take_fetched(), world.take_measured(), world.take_ran()),
+        (vec![], 0, 0)
+    );
+    let names = |record: &marf_engine::RunRecord| -> Vec<_> {
+        record
+            .nodes
+            .iter()
+            .map(|node| (node.name.clone(), node.key, node.outputs.clone()))
+            .collect()
+    };
+    assert_eq!(
+        names(&record),
+        names(&first),
+        "children of a reused node are told too"
+    );
+}
+
+#[test]
+fn a_new_threshold_measures_nothing_and_an_equal_result_stops_there() {
+    let (_dir, store, mut line, world, first) = after_first_run();
+    world.take_measured();
+    line.most = 13; // no number is 13: the same photos stay
+    let graph = line.graph();
+    let planned = why(&graph, &store, Some(&first), "at_most").unwrap();
+    assert_eq!(planned.state, PlanState::WillRun);
+    assert_eq!(planned.reason, "params.most: 12 -> 13");
+    let downstream = why(&graph, &store, Some(&first), "sum").unwrap();
+    assert_eq!(downstream.reason, "upstream distinct will run");
+    let (record, ears) = run_on(&graph, &store);
+    assert_eq!(ran(&ears), vec!["at_most"]);
+    assert_eq!(world.take_measured(), 0);
+    assert_eq!(record.node("distinct").unwrap().state, NodeState::Reused);
+
+    line.most = 4;
+    let (record, ears) = run_on(&line.graph(), &store);
+    assert_eq!(world.take_measured(), 0, "a decision never measures");
+    assert_eq!(reason_of(&ears, "at_most").unwrap(), "params.most: 13 -> 4");
+    assert_eq!(reason_of(&ears, "sum").unwrap(), "input photos changed");
+    assert_eq!(text(&store, &record, "sum", "sum"), "sum 6");
+}
+
+#[test]
+fn going_back_to_an_old_parameter_runs_nothing() {
+    let (_dir, store, mut line, _world, _) = after_first_run();
+    line.most = 4;
+    run_on(&line.graph(), &store);
+    line.most = 12;
+    let last = last_run(&store, "test").unwrap();
+    let planned = plan(&line.graph(), &store, last.as_ref()).unwrap();
+    let states: Vec<PlanState> = planned.iter().map(|node| node.state).collect();
+    assert_eq!(states[0], PlanState::Fresh);
+    assert!(
+        states[1..].iter().all(|state| *state == PlanState::Cached),
+        "{states:?}"
+    );
+    let (_, ears) = run_on(&line.graph(), &store);
+    assert_eq!(ran(&ears), Vec::<String>::new());
+}
+
+#[test]
+fn of_a_new_shard_only_that_shard_is_fetched_measured_and_folded() {
+    let (_dir, store, line, world, _) = after_first_run();
+    (world.take_fetched(), world.take_measured(), world.take_folded());
+    world.put_shard(3);
+    let (record, ears) = run_on(&line.graph(), &store);
+    assert_eq!(reason_of(&ears, "archive").unwrap(), "shard 3 is new");
+    assert_eq!(world.take_fetched(), vec![3]);
+    assert_eq!(
+        world.take_measured(),
+        10 + 5,
+        "ten of the shard, and the five of them up to 12 again"
+    );
+    assert_eq!(
+        world.take_folded(),
+        vec![3],
+        "the fold goes on from its last state"
+    );
+    assert_eq!(record.node("archive").unwrap().counts["fetched"], 1);
+}
+
+#[test]
+fn history_does_not_show_in_a_result() {
+    let (_dir, store, line, world, _) = after_first_run();
+    world.put_shard(3);
+    let (grown, _) = run_on(&line.graph(), &store);
+    let (_dir2, other) = fresh_store();
+    let (anew, _) = run_on(&line.graph(), &other);
+    for node in &grown.nodes {
+        assert_eq!(
+            Some(&node.outputs),
+            anew.node(&node.name).map(|node| &node.outputs),
+            "{}",
+            node.name
+        );
+    }
+}
+
+#[test]
+fn one_changed_photo_is_measured_alone() {
+    let (_dir, store, line, world, _) = after_first_run();
+    (world.take_fetched(), world.take_measured(), world.take_folded());
+    world.put(2, "s2-9", 11);
+    let (_, ears) = run_on(&line.graph(), &store);
+    assert_eq!(reason_of(&ears, "archive").unwrap(), "shard 2 changed");
+    assert_eq!((world.take_fetched(), world.take_measured()), (vec![2], 2));
+    assert_eq!(world.take_folded(), vec![2]);
+}
+
+#[test]
+fn from_three_members_to_five_two_run() {
+    let (_dir, store, mut line, world, _) = after_first_run();
+    world.take_ran();
+    line.b = 5;
+    let (record, ears) = run_on(&line.graph(), &store);
+    assert_eq!(ran(&ears), vec!["many", "many/member-03", "many/member-04"]);
+    assert_eq!(reason_of(&ears, "many").unwrap(), "params.b: 3 -> 5");
+    assert_eq!(world.take_ran(), 2);
+    assert_eq!(record.node("many").unwrap().counts["children"], 5);
+    let members = record
+        .nodes
+        .iter()
+        .filter(|node| node.parent.as_deref() == Some("many"));
+    assert_eq!(members.count(), 5);
+}
+
+#[test]
+fn a_raised_version_runs_the_node_and_measures_all_again() {
+    let (_dir, store, mut line, world, _) = after_first_run();
+    world.take_measured();
+    line.version = 2;
+    let (_, ears) = run_on(&line.graph(), &store);
+    assert_eq!(
+        ran(&ears),
+        vec!["at_most"],
+        "its result is the same, so nothing below it ran"
+    );
+    assert_eq!(reason_of(&ears, "at_most").unwrap(), "stage version 1 -> 2");
+    assert_eq!(world.take_measured(), 20);
+}
+
+#[test]
+fn threads_do_not_show_in_any_digest() {
+    let (number, world) = new_world();
+    (1..4).for_each(|shard| world.put_shard(shard));
+    let graph = Line::new(number).graph();
+    let digests = [1, 2, 4].map(|threads| {
+        let (_dir, store) = fresh_store();
+        let (record, _) = run_with(&graph, &store, &options(threads), &marf_engine::Cancel::default());
+        assert_eq!(record.threads, threads);
+        let nodes = record.nodes.into_iter();
+        nodes
+            .map(|node| (node.name, node.key, node.outputs))
+            .collect::<Vec<_>>()
+    });
+    assert_eq!(digests[0], digests[1]);
+    assert_eq!(digests[0], digests[2]);
+    let given = world.extra_threads.lock().unwrap().clone();
+    assert_eq!(given, vec![1, 2, 4], "alone it gets all threads");
+}
+
+#[test]
+fn runs_are_kept_in_order_and_carry_the_latest_keys() {
+    let (_dir, store, line, _world, first) = after_first_run();
+    let mut options = options(1);
+    options.to = vec!["at_most".to_owned()];
+    let (second, _) = run_with(&line.graph(), &store, &options, &marf_engine::Cancel::default());
+    assert_eq!(second.nodes.len(), 2);
+    assert_eq!(second.latest, first.latest, "a short run forgets nothing");
+    let all = runs(&store).unwrap();
+    assert_eq!(all.iter().map(|run| run.number).collect::<Vec<_>>(), vec![1, 2]);
+    assert_eq!(all[1], second);
+    assert_eq!(last_run(&store, "test").unwrap(), Some(second));
+    assert_eq!(last_run(&store, "another").unwrap(), None);
+}
+
+#[test]
+fn to_runs_what_leads_there_and_from_what_follows() {
+    let (_dir, store) = fresh_store();
+    let (number, world) = new_world();
+    world.put_shard(1);
+    let graph = Line::new(number).graph();
+    let with = |to: &[&str], from: &[&str]| {
+        let mut options = options(2);
+        options.to = to.iter().map(|&name| name.to_owned()).collect();
+        options.from = from.iter().map(|&name| name.to_owned()).collect();
+        run_with(&graph, &store, &options, &marf_engine::Cancel::default())
+    };
+    let (record, ears) = with(&[], &["sum"]);
+    assert_eq!(record.outcome, Outcome::Failed);
+    let told = happened(&ears);
+    assert_eq!(told[0].0, "sum");
+    assert!(
+        told[0].1.contains("distinct is not among the nodes to run"),
+        "{told:?}"
+    );
+    let (_, ears) = with(&["distinct"], &[]);
+    assert_eq!(ran(&ears), vec!["archive", "at_most", "distinct"]);
+    let (record, ears) = with(&["sum"], &["sum"]);
+    assert_eq!(record.outcome, Outcome::Done);
+    assert_eq!(ran(&ears), vec!["sum"]);
+    assert!(record.node("many").is_none());
+}
+
+#[test]
+fn the_plan_says_never_ran_and_writes_nothing() {
+    let (_dir, store) = fresh_store();
+    let (number, world) = new_world();
+    world.put_shard(1);
+    let planned = plan(&Line::new(number).graph(), &store, None).unwrap();
+    assert_eq!(planned[0].reason, "never ran");
+    assert_eq!(planned[1].reason, "upstream archive will run");
+    assert!(planned.iter().all(|node| node.state == PlanState::WillRun));
+    let stat = store.stat().unwrap();
+    assert_eq!((stat.records, stat.packs, stat.runs), (0, 0, 0));
+}
+
+#[test]
+fn independent_nodes_and_members_run_side_by_side() {
+    let (_dir, store) = fresh_store();
+    let (number, world) = new_world();
+    world.put_shard(1);
+    // Each sum waits until the other has begun: one after the other would wait forever.
+    let barrier = std::sync::Arc::new(std::sync::Barrier::new(2));
+    *world.at_sum.lock().unwrap() = None;
+    let meet = std::sync::Arc::clone(&barrier);
+    let side = std::sync::Mutex::new(Some(meet));
+    drop(side);
+    let json = serde_json::json!({ "times": 1 });
+    let nodes = vec![
+        node("archive", "archive", number, serde_json::json!({}), &[]),
+        node("one", "sum", number, json, &["input=archive"]),
+        node(
+            "two",
+            "sum",
+            number,
+            serde_json::json!({ "times": 2 }),
+            &["input=archive"],
+        ),
+    ];
+    let graph = marf_engine::Graph::new(nodes, TABLE).unwrap();
+    let (record, _) = run_on(&graph, &store);
+    assert_eq!(text(&store, &record, "one", "sum"), "sum 45");
+    assert_eq!(text(&store, &record, "two", "sum"), "sum 90");
+    assert_eq!(
+        world.extra_threads.lock().unwrap().clone(),
+        vec![1, 1],
+        "each gets its share"
+    );
+}

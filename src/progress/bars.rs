@@ -1,0 +1,54 @@
+use std::collections::HashMap;
+use std::sync::{Mutex, PoisonError};
+
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+use marf_engine::{Event, Listener};
+
+use super::sentence;
+use crate::cli::printable;
+
+/// A bar for each running node, finished nodes as lines above them.
+#[derive(Default)]
+pub struct Bars {
+    all: MultiProgress,
+    running: Mutex<HashMap<String, ProgressBar>>,
+}
+
+impl Bars {
+    fn bar(&self, node: &str, total: u64) -> ProgressBar {
+        let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
+        let make = || {
+            let bar = self.all.add(ProgressBar::new(total)).with_prefix(printable(node));
+            let template = "{prefix:<22} {bar:28} {pos:>6}/{len:<6} {elapsed:>4} left {eta:<5} {msg}";
+            bar.set_style(ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()));
+            bar
+        };
+        running.entry(node.to_owned()).or_insert_with(make).clone()
+    }
+
+    fn end(&self, node: &str) {
+        let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(bar) = running.remove(node) {
+            bar.finish_and_clear();
+            self.all.remove(&bar);
+        }
+    }
+}
+
+impl Listener for Bars {
+    fn hear(&self, event: &Event) {
+        match event {
+            Event::Progress { node, done, total, note } => {
+                let bar = self.bar(node, *total);
+                bar.set_length(*total);
+                bar.set_position(*done);
+                bar.set_message(printable(note));
+            }
+            Event::Finished { node, .. } | Event::Failed { node, .. } => self.end(node),
+            _ => {}
+        }
+        if let Some(line) = sentence(event) {
+            let _ = self.all.println(printable(&line)); // a closed terminal is nobody's error
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! Listens to the engine: bars on a terminal, plain lines elsewhere, JSON lines for programs.
+
+mod bars;
+mod lines;
+
+use std::io::IsTerminal as _;
+
+use marf_engine::{Event, Listener};
+
+pub use bars::Bars;
+pub use lines::Lines;
+
+/// How to tell what happens.
+pub enum Voice {
+    /// One JSON object a line on stdout.
+    Json,
+    /// Bars and lines on stderr.
+    Bars(Box<Bars>),
+    /// Plain lines on stderr.
+    Lines(Lines),
+}
+
+impl Voice {
+    /// Bars if stderr is a terminal, plain lines otherwise.
+    pub fn for_people() -> Self {
+        if std::io::stderr().is_terminal() { Self::Bars(Box::default()) } else { Self::Lines(Lines::default()) }
+    }
+}
+
+impl Listener for Voice {
+    fn hear(&self, event: &Event) {
+        match self {
+            Self::Json => {
+                if let Ok(line) = serde_json::to_string(event) {
+                    crate::say(&line);
+                }
+            }
+            Self::Bars(bars) => bars.hear(event),
+            Self::Lines(lines) => lines.hear(event),
+        }
+    }
+}
+
+/// Returns `3.2 s`, `2 min 05 s` or `1 h 02 min`.
+pub fn duration(seconds: f64) -> String {
+    let whole = seconds.round() as u64;
+    match whole {
+        0..60 => format!("{seconds:.1} s"),
+        60..3600 => format!("{} min {:02} s", whole / 60, whole % 60),
+        _ => format!("{} h {:02} min", whole / 3600, whole % 3600 / 60),
+    }
+}
+
+/// Returns the line that tells an event, or `None` for progress.
+fn sentence(event: &Event) -> Option<String> {
+    let name = |node: &str| format!("{node:<22}");
+    Some(match event {
+        Event::WillRun { node, reason } => format!("run     {} {reason}", name(node)),
+        Event::Reused { node, .. } => format!("reuse   {}", name(node)),
+        Event::Finished { node, seconds, counts, .. } => {
+            let counts: Vec<String> = counts.iter().map(|(what, count)| format!("{count} {what}")).collect();
+            format!("done    {} {:>10}  {}", name(node), duration(*seconds), counts.join(", "))
+        }
+        Event::Failed { node, message, .. } => format!("failed  {} {message}", name(node)),
+        Event::Skipped { node, reason } => format!("skip    {} {reason}", name(node)),
+        Event::Warning { node, message } => format!("warning {} {message}", name(node.as_deref().unwrap_or(""))),
+        Event::Progress { .. } => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_read_well_at_every_size() {
+        for (seconds, text) in [(0.04, "0.0 s"), (59.4, "59.4 s"), (60.0, "1 min 00 s"), (3725.0, "1 h 02 min")] {
+            assert_eq!(duration(seconds), text);
+        }
+    }
+}

@@ -1,0 +1,421 @@
+//! Where the cameras stood and looked, from above and from the side.
+
+use std::collections::BTreeMap;
+
+use marf_cache::Digest;
+use marf_scene::{Frame, Point, Scene};
+use maud::{Markup, html};
+use serde_json::Value;
+
+use super::NodeView;
+use super::axis::round_step;
+use super::format::{count, number, px};
+use super::json;
+use super::page::{Missing, Page, unreadable};
+use super::quality::figures;
+use super::vector::{Vec3, add, cross, dot, scaled, sub, unit};
+
+const WIDTH: f64 = 680.0;
+/// A drawing is at most and at least so high.
+const HEIGHT: f64 = 520.0;
+const LEAST_HEIGHT: f64 = 200.0;
+/// Room around the cameras for what they look at, scale and compass.
+const ROOM: f64 = 126.0;
+/// Most sparse points that are drawn, evenly from all.
+const MOST_POINTS: usize = 3_000;
+/// An axis whose cosine with up is larger counts as up, within 2.6 degrees.
+const LEVEL: f64 = 0.999;
+/// Length of a drawn view, as a share of the longer side of what is shown.
+const VIEW_SHARE: f64 = 0.06;
+
+/// Every scene of the run once, with the nodes that hold it.
+pub(super) fn body(page: &Page<'_>) -> Markup {
+    let mut holders: BTreeMap<Digest, Vec<&NodeView>> = BTreeMap::new();
+    let mut order = Vec::new();
+    for node in page.with_output("scene") {
+        if let Some(digest) = node.outputs.get("scene") {
+            if !holders.contains_key(digest) {
+                order.push(*digest);
+            }
+            holders.entry(*digest).or_default().push(node);
+        }
+    }
+    if order.is_empty() {
+        return page.absent("a scene with cameras");
+    }
+    html! { @for nodes in order.iter().filter_map(|digest| holders.get(digest)) { (of_nodes(page, nodes)) } }
+}
+
+fn of_nodes(page: &Page<'_>, nodes: &[&NodeView]) -> Markup {
+    let names: Vec<&str> = nodes.iter().map(|node| node.name.as_str()).collect();
+    let Some(first) = nodes.first() else {
+        return html! {};
+    };
+    html! {
+        h3 { (names.join(", ")) }
+        @match scene(page, first) {
+            Ok(scene) => (of_scene(&scene)),
+            Err(missing) => (missing),
+        }
+        @if !first.outputs.contains_key("curve") { (metrics(page, first)) }
+    }
+}
+
+fn scene(page: &Page<'_>, node: &NodeView) -> Result<Scene, Missing> {
+    let bytes = page.bytes(node, "scene")?;
+    Scene::decode(&bytes).map_err(|error| unreadable(node, "scene", &error))
+}
+
+/// Figures of the calibration itself.
+fn metrics(page: &Page<'_>, node: &NodeView) -> Markup {
+    if !node.outputs.contains_key("metrics") {
+        return html! {};
+    }
+    match page.json::<Value>(node, "metrics") {
+        Ok(metrics) => html! {
+            (figures(&metrics))
+            details { summary { "all metrics of the calibration" } (json::tables(&metrics)) }
+        },
+        Err(missing) => html! { (missing) },
+    }
+}
+
+fn of_scene(scene: &Scene) -> Markup {
+    let held_out = scene.frames.iter().filter(|frame| frame.held_out).count();
+    let axes = Axes::new(scene);
+    html! {
+        p {
+            (count(scene.frames.len(), "camera")) ", " (held_out) " held out; "
+            (count(scene.points.len(), "sparse point")) "; " (scale_words(scene)) "; " (axes.words) "."
+            @if !scene.method.is_empty() { " Method: " (scene.method) "." }
+        }
+        @if !scene.frames.is_empty() {
+            div.charts {
+                figure { (drawing(scene, &axes.above(), "Cameras from above")) figcaption { "from above" } }
+                figure { (drawing(scene, &axes.aside(), "Cameras from the side")) figcaption { "from the side" } }
+            }
+            p.legend { span.key.train {} "trained on " span.key.held-out {} "held out " span.key.point {} "sparse point" }
+        }
+        (unplaced(scene))
+    }
+}
+
+fn scale_words(scene: &Scene) -> String {
+    match scene.metres_per_unit {
+        Some(metres) => format!("1 unit is {} m", number(metres)),
+        None => "no scale: lengths are in units of the scene".to_owned(),
+    }
+}
+
+fn unplaced(scene: &Scene) -> Markup {
+    html! {
+        @if !scene.unplaced.is_empty() {
+            h4 { (count(scene.unplaced.len(), "photo")) " without a camera" }
+            div.scroll {
+                table {
+                    thead { tr { th { "Photo" } th { "Why" } } }
+                    tbody { @for photo in &scene.unplaced { tr { td.file { (photo.id) } td { (photo.reason) } } } }
+                }
+            }
+        }
+    }
+}
+
+/// A right-handed frame whose third axis points up.
+struct Axes {
+    right: Vec3,
+    ahead: Vec3,
+    up: Vec3,
+    /// What `ahead` is called in the drawing.
+    ahead_name: &'static str,
+    right_name: &'static str,
+    words: &'static str,
+}
+
+/// What a drawing shows: two directions of the world, to the right and to the top of the page.
+struct View {
+    right: Vec3,
+    top: Vec3,
+    right_name: &'static str,
+    top_name: &'static str,
+}
+
+impl Axes {
+    /// Cameras of labels stand in a site frame (x north, y east, z down): there north is known.
+    fn new(scene: &Scene) -> Self {
+        let given = scene.up.and_then(unit);
+        let up = given.unwrap_or([0.0, 0.0, 1.0]);
+        let site = up[2] < -LEVEL && scene.method.starts_with("label");
+        let level = |axis: Vec3| unit(sub(axis, scaled(up, dot(axis, up))));
+        let (x, y, z) = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]);
+        // A y-up world is looked at with z towards the reader, the others with y to the top of the page.
+        let first = if site {
+            x
+        } else if up[1].abs() > LEVEL {
+            scaled(z, -1.0)
+        } else {
+            y
+        };
+        let ahead = level(first).or_else(|| level(x)).unwrap_or(y);
+        let (ahead_name, right_name) = match up {
+            _ if site => ("north", "east"),
+            [_, y, _] if y > LEVEL => ("-z", "x"),
+            [_, y, _] if y < -LEVEL => ("-z", "-x"),
+            [_, _, z] if z > LEVEL => ("y", "x"),
+            [_, _, z] if z < -LEVEL => ("y", "-x"),
+            _ => ("", ""),
+        };
+        let words = match (given.is_some(), site) {
+            (true, true) => "north is at the top of the view from above",
+            (true, false) => "north is not known",
+            (false, _) => "up is not known: z of the scene is taken",
+        };
+        Self {
+            right: cross(ahead, up),
+            ahead,
+            up,
+            ahead_name,
+            right_name,
+            words,
+        }
+    }
+
+    fn above(&self) -> View {
+        View {
+            right: self.right,
+            top: self.ahead,
+            right_name: self.right_name,
+            top_name: self.ahead_name,
+        }
+    }
+
+    fn aside(&self) -> View {
+        View {
+            right: self.right,
+            top: self.up,
+            right_name: self.right_name,
+            top_name: "up",
+        }
+    }
+}
+
+/// Maps the world to the page.
+struct Fit<'v> {
+    view: &'v View,
+    centre: (f64, f64),
+    /// Pixels of one unit.
+    px_each: f64,
+    /// Height of the drawing: what is low gets a low one.
+    height: f64,
+}
+
+impl Fit<'_> {
+    fn place(&self, world: Vec3) -> (f64, f64) {
+        let (x, y) = flat(self.view, world);
+        (
+            WIDTH / 2.0 + (x - self.centre.0) * self.px_each,
+            self.height / 2.0 - (y - self.centre.1) * self.px_each,
+        )
+    }
+}
+
+fn flat(view: &View, world: Vec3) -> (f64, f64) {
+    (dot(world, view.right), dot(world, view.top))
+}
+
+/// Shows all cameras, and of the points those that are not stray.
+fn fitted<'v>(scene: &Scene, view: &'v View) -> Fit<'v> {
+    let eyes: Vec<(f64, f64)> = scene
+        .frames
+        .iter()
+        .map(|frame| flat(view, centre(frame)))
+        .collect();
+    let points: Vec<(f64, f64)> = scene
+        .points
+        .iter()
+        .map(|point| flat(view, point.position))
+        .collect();
+    let range = |axis: fn(&(f64, f64)) -> f64| {
+        let (low, high) = quantiles(eyes.iter().map(axis).collect(), 0.0);
+        let (point_low, point_high) = quantiles(points.iter().map(axis).collect(), 0.03);
+        (low.min(point_low), high.max(point_high))
+    };
+    let (x, y) = (range(|place| place.0), range(|place| place.1));
+    let fit = |(low, high): (f64, f64), room: f64| {
+        let extent = (high - low).abs();
+        if extent > 1e-12 && extent.is_finite() {
+            room / extent
+        } else {
+            f64::INFINITY
+        }
+    };
+    let each = fit(x, WIDTH - ROOM).min(fit(y, HEIGHT - ROOM));
+    let px_each = if each.is_finite() { each } else { 40.0 };
+    Fit {
+        view,
+        centre: ((x.0 + x.1) / 2.0, (y.0 + y.1) / 2.0),
+        px_each,
+        height: (ROOM + (y.1 - y.0).abs() * px_each).clamp(LEAST_HEIGHT, HEIGHT),
+    }
+}
+
+/// Values below which this share, and all but this share, lie; an empty list has none.
+fn quantiles(mut values: Vec<f64>, share: f64) -> (f64, f64) {
+    values.retain(|value| value.is_finite());
+    values.sort_by(f64::total_cmp);
+    let Some(last) = values.len().checked_sub(1) else {
+        return (f64::INFINITY, f64::NEG_INFINITY);
+    };
+    let cut = (last as f64 * share) as usize;
+    (values[cut], values[last - cut])
+}
+
+fn drawing(scene: &Scene, view: &View, title: &str) -> Markup {
+    let fit = fitted(scene, view);
+    // Held-out cameras last, so that they lie on top.
+    let (held_out, train): (Vec<&Frame>, Vec<&Frame>) = scene.frames.iter().partition(|frame| frame.held_out);
+    html! {
+        svg.cameras viewBox={ "0 0 " (px(WIDTH)) " " (px(fit.height)) } width=(px(WIDTH)) height=(px(fit.height))
+            role="img" aria-label={ (title) ": " (count(scene.frames.len(), "camera")) } {
+            g.points { @for point in thinned(&scene.points) { (dot_of(point, &fit)) } }
+            @for frame in train.into_iter().chain(held_out) { (frustum(frame, &fit)) }
+            (scale_bar(scene, &fit))
+            (compass(view, &fit))
+        }
+    }
+}
+
+fn thinned(points: &[Point]) -> impl Iterator<Item = &Point> {
+    points.iter().step_by(points.len().div_ceil(MOST_POINTS).max(1))
+}
+
+fn dot_of(point: &Point, fit: &Fit<'_>) -> Markup {
+    let (x, y) = fit.place(point.position);
+    let inside = (0.0..WIDTH).contains(&x) && (0.0..fit.height).contains(&y);
+    html! { @if inside { circle cx=(px(x)) cy=(px(y)) r="1" {} } }
+}
+
+/// The centre and the two edges of the view, each as long as [`VIEW_SHARE`] of the drawing in space.
+fn frustum(frame: &Frame, fit: &Fit<'_>) -> Markup {
+    let length = VIEW_SHARE * WIDTH / fit.px_each;
+    let eye = centre(frame);
+    let camera = &frame.camera;
+    let edge = |column_px: f64| {
+        let row = (f64::from(camera.height) / 2.0 - camera.cy_px) / camera.fy_px;
+        let in_cam = [(column_px - camera.cx_px) / camera.fx_px, row, 1.0];
+        let direction = unit(world_direction(frame, in_cam)).unwrap_or_default();
+        fit.place(add(eye, scaled(direction, length)))
+    };
+    let corners = [fit.place(eye), edge(0.0), edge(f64::from(camera.width))];
+    let points: Vec<String> = corners
+        .iter()
+        .map(|(x, y)| format!("{},{}", px(*x), px(*y)))
+        .collect();
+    let class = if frame.held_out { "held-out" } else { "train" };
+    html! {
+        g.(class) {
+            title {
+                (frame.file) @if frame.held_out { ", held out" }
+                @if let Some(error) = frame.error_px { ", reprojection error " (number(error)) " px" }
+            }
+            polygon points=(points.join(" ")) {}
+            circle cx=(px(corners[0].0)) cy=(px(corners[0].1)) r="2.5" {}
+        }
+    }
+}
+
+/// A bar of a round length, about a fifth of the drawing wide.
+fn scale_bar(scene: &Scene, fit: &Fit<'_>) -> Markup {
+    let metres = scene
+        .metres_per_unit
+        .filter(|metres| metres.is_finite() && *metres > 0.0);
+    let px_each = fit.px_each / metres.unwrap_or(1.0);
+    let length = round_step(WIDTH / 8.0 / px_each);
+    let (left, base) = (16.0, fit.height - 16.0);
+    let right = left + length * px_each;
+    let text = match metres {
+        Some(_) => format!("{} m", number(length)),
+        None => format!("{} units, no scale", number(length)),
+    };
+    html! {
+        path.bar d={ "M" (px(left)) " " (px(base - 5.0)) "V" (px(base)) "H" (px(right)) "V" (px(base - 5.0)) } {}
+        text x=(px(left)) y=(px(base - 10.0)) { (text) }
+    }
+}
+
+/// Names of the directions, in the corner; nothing where they have no name.
+fn compass(view: &View, fit: &Fit<'_>) -> Markup {
+    let (x, y) = (WIDTH - 60.0, fit.height - 22.0);
+    html! {
+        @if !view.top_name.is_empty() {
+            path.bar d={ "M" (px(x)) " " (px(y)) "v-26m-4 6l4 -6l4 6" } {}
+            text x=(px(x)) y=(px(y - 32.0)) text-anchor="middle" { (view.top_name) }
+        }
+        @if !view.right_name.is_empty() {
+            path.bar d={ "M" (px(x)) " " (px(y)) "h26m-6 -4l6 4l-6 4" } {}
+            text x=(px(x + 30.0)) y=(px(y + 4.0)) { (view.right_name) }
+        }
+    }
+}
+
+fn centre(frame: &Frame) -> Vec3 {
+    let centre = frame.cam_from_world.centre();
+    [centre.x, centre.y, centre.z]
+}
+
+/// Rᵀ d: a direction of the camera in the world.
+fn world_direction(frame: &Frame, direction: Vec3) -> Vec3 {
+    let rotation = &frame.cam_from_world.rotation;
+    [0, 1, 2].map(|column| (0..3).map(|row| rotation[(row, column)] * direction[row]).sum())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn axes(up: Option<Vec3>, method: &str) -> Axes {
+        Axes::new(&Scene {
+            up,
+            method: method.to_owned(),
+            ..Scene::default()
+        })
+    }
+
+    #[test]
+    fn a_site_frame_has_north_at_the_top_and_east_at_the_right() {
+        let site = axes(Some([0.0, 0.0, -1.0]), "labels");
+        assert_eq!((site.ahead, site.right), ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]));
+        assert_eq!((site.ahead_name, site.right_name), ("north", "east"));
+        let other = axes(Some([0.0, 0.0, -1.0]), "import");
+        assert_eq!(other.ahead_name, "y", "north is known of labels alone");
+    }
+
+    #[test]
+    fn seen_from_above_right_ahead_and_up_are_a_right_handed_frame() {
+        for up in [
+            [0.0, 0.0, 1.0],
+            [0.0, -1.0, 0.0],
+            [0.3, 0.9, -0.2],
+            [1.0, 0.0, 0.0],
+            [0.0; 3],
+            [f64::NAN; 3],
+        ] {
+            let axes = axes(Some(up), "import");
+            let turned = cross(axes.right, axes.ahead);
+            let apart = sub(turned, axes.up);
+            assert!(
+                dot(apart, apart) < 1e-20,
+                "{up:?}: {turned:?} is not {:?}",
+                axes.up
+            );
+        }
+    }
+
+    #[test]
+    fn quantiles_of_nothing_are_empty_and_stray_values_are_cut() {
+        assert_eq!(quantiles(vec![], 0.1), (f64::INFINITY, f64::NEG_INFINITY));
+        assert_eq!(quantiles(vec![7.0], 0.1), (7.0, 7.0));
+        let values: Vec<f64> = (0..=100).map(f64::from).collect();
+        assert_eq!(quantiles(values, 0.03), (3.0, 97.0));
+    }
+}

@@ -1,0 +1,224 @@
+//! Pictures as data URIs, small enough that the whole page stays light.
+
+use std::cell::{Cell, RefCell};
+use std::collections::BTreeMap;
+
+use base64::{Engine, engine::general_purpose::STANDARD};
+use image::codecs::jpeg::JpegEncoder;
+use image::{ExtendedColorType, ImageEncoder, RgbImage, imageops};
+use marf_cache::Digest;
+use marf_scene::{Image, Photo, Srgb, encode_png};
+use maud::{Markup, html};
+
+use super::ReportInput;
+use super::format::megabytes;
+use super::page::not_stored;
+
+/// Most bytes all data URIs of a page take together: with it the file stays below 15 MB.
+const PAGE_BYTES: usize = 13_500_000;
+/// Most bytes a film takes as it is stored; larger ones are named, not embedded.
+const FILM_BYTES: usize = 6_500_000;
+
+/// How a picture is embedded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Form {
+    /// JPEG of at most 160 px a side.
+    Thumb,
+    /// JPEG of at most 480 px a side.
+    Photo,
+    /// PNG of at most 480 px a side: colours carry numbers.
+    Map,
+}
+
+/// A picture ready for an `img`.
+#[derive(Debug, Clone)]
+struct Embedded {
+    uri: String,
+    width: u32,
+    height: u32,
+}
+
+/// Makes data URIs, each once, and keeps count of what they take.
+#[derive(Debug, Default)]
+pub(super) struct Pictures {
+    used: Cell<usize>,
+    made: RefCell<BTreeMap<(Digest, Form), Result<Embedded, String>>>,
+}
+
+impl Pictures {
+    /// Shows a stored picture, or says why not.
+    pub(super) fn stored(&self, input: &ReportInput<'_>, digest: &Digest, form: Form, alt: &str) -> Markup {
+        let key = (*digest, form);
+        let known = self.made.borrow().get(&key).cloned();
+        let made = known.unwrap_or_else(|| {
+            let made = decode(input, digest).and_then(|image| embed(&image, form));
+            self.made.borrow_mut().insert(key, made.clone());
+            made
+        });
+        self.shown(made, alt)
+    }
+
+    /// Shows a picture made for the page.
+    pub(super) fn own(&self, image: &Image<Srgb>, form: Form, alt: &str) -> Markup {
+        self.shown(embed(image, form), alt)
+    }
+
+    /// Shows a film (GIF or MP4) as it is stored.
+    pub(super) fn film(&self, input: &ReportInput<'_>, digest: &Digest, alt: &str) -> Markup {
+        let Some(bytes) = (input.read)(digest) else {
+            return words(&not_stored("The film", digest));
+        };
+        let Some(media) = media_type(&bytes) else {
+            return words("The film is neither GIF nor MP4 and is not shown.");
+        };
+        let room = PAGE_BYTES.saturating_sub(self.used.get());
+        if bytes.len() > FILM_BYTES || bytes.len() / 3 * 4 > room {
+            let size = megabytes(bytes.len());
+            return words(&format!(
+                "The film has {size}, too much for this page; it is object {}.",
+                digest.short()
+            ));
+        }
+        let uri = data_uri(media, &bytes);
+        self.used.set(self.used.get() + uri.len());
+        html! {
+            @if media == "video/mp4" { video src=(uri) controls loop muted aria-label=(alt) {} }
+            @else { img.film src=(uri) alt=(alt); }
+        }
+    }
+
+    fn shown(&self, made: Result<Embedded, String>, alt: &str) -> Markup {
+        let picture = match made {
+            Ok(picture) => picture,
+            Err(why) => return words(&why),
+        };
+        let used = self.used.get() + picture.uri.len();
+        if used > PAGE_BYTES {
+            return words("Not shown: this page holds as many pictures as it can.");
+        }
+        self.used.set(used);
+        html! { img src=(picture.uri) alt=(alt) width=(picture.width) height=(picture.height); }
+    }
+}
+
+/// Decodes a stored picture.
+pub(super) fn decode(input: &ReportInput<'_>, digest: &Digest) -> Result<Image<Srgb>, String> {
+    let bytes = (input.read)(digest).ok_or_else(|| not_stored("The picture", digest))?;
+    let photo = Photo::decode(&bytes).map_err(|error| format!("The picture cannot be shown: {error}."))?;
+    Ok(photo.image)
+}
+
+/// Shrinks to what is shown, never enlarges.
+pub(super) fn shrunk(image: &Image<Srgb>, most_px: u32) -> Result<Image<Srgb>, String> {
+    let longest = image.width.max(image.height);
+    if image.width == 0 || image.height == 0 {
+        return Err("The picture has no pixels.".to_owned());
+    }
+    if longest <= most_px {
+        return Ok(image.clone());
+    }
+    let side = |side: u32| {
+        (u64::from(side) * u64::from(most_px))
+            .div_ceil(u64::from(longest))
+            .max(1) as u32
+    };
+    // A whole factor first: it is exact, and what is left to resample is small.
+    let factor = (longest / most_px).clamp(1, image.width.min(image.height));
+    let reduced = image.box_reduced(factor);
+    if reduced.width.max(reduced.height) <= most_px {
+        return Ok(reduced);
+    }
+    let whole = RgbImage::from_raw(
+        reduced.width,
+        reduced.height,
+        reduced.pixels.as_flattened().to_vec(),
+    )
+    .ok_or_else(|| "The picture's size and pixels disagree.".to_owned())?;
+    let small = imageops::thumbnail(&whole, side(image.width), side(image.height));
+    Ok(Image {
+        width: small.width(),
+        height: small.height(),
+        pixels: small.pixels().map(|rgb| rgb.0).collect(),
+    })
+}
+
+/// The place of a picture that cannot be shown.
+pub(super) fn words(why: &str) -> Markup {
+    html! { span.missing { (why) } }
+}
+
+fn embed(image: &Image<Srgb>, form: Form) -> Result<Embedded, String> {
+    let (most_px, quality) = match form {
+        Form::Thumb => (160, 80),
+        Form::Photo | Form::Map => (480, 85),
+    };
+    let small = shrunk(image, most_px)?;
+    let uri = match form {
+        Form::Map => data_uri(
+            "image/png",
+            &encode_png(&small).map_err(|error| error.to_string())?,
+        ),
+        Form::Thumb | Form::Photo => data_uri("image/jpeg", &encode_jpeg(&small, quality)?),
+    };
+    let (width, height) = (small.width, small.height);
+    Ok(Embedded { uri, width, height })
+}
+
+fn encode_jpeg(image: &Image<Srgb>, quality: u8) -> Result<Vec<u8>, String> {
+    let mut bytes = Vec::new();
+    let pixels = image.pixels.as_flattened();
+    JpegEncoder::new_with_quality(&mut bytes, quality)
+        .write_image(pixels, image.width, image.height, ExtendedColorType::Rgb8)
+        .map_err(|error| error.to_string())?;
+    Ok(bytes)
+}
+
+fn data_uri(media: &str, bytes: &[u8]) -> String {
+    format!("data:{media};base64,{}", STANDARD.encode(bytes))
+}
+
+fn media_type(bytes: &[u8]) -> Option<&'static str> {
+    if bytes.starts_with(b"GIF8") {
+        return Some("image/gif");
+    }
+    (bytes.get(4..8) == Some(b"ftyp".as_slice())).then_some("video/mp4")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_picture_shrinks_to_its_longest_side_and_never_grows() {
+        for ((width, height), shown) in [
+            ((1440, 1920), (120, 160)),
+            ((100, 50), (100, 50)),
+            ((5000, 2), (160, 1)),
+            ((160, 160), (160, 160)),
+        ] {
+            let small = shrunk(&Image::from_fn(width, height, |_, _| [9, 8, 7]), 160).unwrap();
+            assert_eq!((small.width, small.height), shown, "{width} x {height}");
+        }
+    }
+
+    #[test]
+    fn a_picture_without_pixels_is_said_in_words() {
+        let empty = Image::<Srgb>::from_fn(0, 4, |_, _| [0; 3]);
+        assert_eq!(shrunk(&empty, 160).unwrap_err(), "The picture has no pixels.");
+    }
+
+    #[test]
+    fn a_full_page_takes_no_further_picture() {
+        let pictures = Pictures::default();
+        let image = Image::from_fn(8, 8, |x, _| [x as u8; 3]);
+        assert!(
+            pictures
+                .own(&image, Form::Thumb, "a")
+                .into_string()
+                .contains("<img")
+        );
+        pictures.used.set(PAGE_BYTES);
+        let full = pictures.own(&image, Form::Thumb, "a").into_string();
+        assert!(full.contains("as many pictures as it can"), "{full}");
+    }
+}

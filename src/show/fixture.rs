@@ -1,0 +1,278 @@
+//! A made-up run for tests: a store in memory and nodes with one output of every kind.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use marf_cache::Digest;
+use marf_cache::manifest::{Leaf, LeafRef, Root, Row};
+use marf_scene::{Camera, Frame, Image, PhotoFacts, Point, Pose, Scene, Unplaced, encode_png};
+use marf_stage::Verdict;
+use serde_json::{Value, json};
+
+use super::{ChildView, NodeView, ReportInput, State, write};
+
+/// A file name that would run a script if it reached the page as it is.
+pub(super) const HOSTILE: &str = "<img src=x onerror=alert(1)>.jpg";
+/// Names of the planted photos besides the hostile one.
+const NAMES: [&str; 5] = ["a.jpg", "b.jpg", "c.jpg", "d.jpg", "e.jpg"];
+
+/// A store in memory.
+#[derive(Default)]
+pub(super) struct Store {
+    pub(super) blobs: BTreeMap<Digest, Arc<[u8]>>,
+}
+
+impl Store {
+    pub(super) fn put(&mut self, bytes: &[u8]) -> Digest {
+        let digest = Digest::of(bytes);
+        self.blobs.insert(digest, bytes.into());
+        digest
+    }
+
+    pub(super) fn put_json(&mut self, value: &Value) -> Digest {
+        self.put(value.to_string().as_bytes())
+    }
+
+    pub(super) fn put_picture(&mut self, shade: u8) -> Digest {
+        let image = Image::from_fn(24, 16, |x, y| [shade, (x * 10) as u8, (y * 15) as u8]);
+        self.put(&encode_png(&image).unwrap())
+    }
+
+    pub(super) fn put_photos(&mut self, rows: Vec<Row>) -> Digest {
+        let count = rows.len() as u32;
+        let leaf = self.put(&Leaf::new(rows).unwrap().encode());
+        let leaves = vec![LeafRef {
+            shard: 1,
+            leaf,
+            rows: count,
+        }];
+        self.put(&Root { leaves }.encode())
+    }
+
+    pub(super) fn put_verdicts(&mut self, verdicts: &[Verdict]) -> Digest {
+        let lines: Vec<String> = verdicts
+            .iter()
+            .map(|verdict| serde_json::to_string(verdict).unwrap())
+            .collect();
+        self.put(lines.join("\n").as_bytes())
+    }
+
+    /// Writes the report of these nodes.
+    pub(super) fn report(&self, nodes: &[NodeView]) -> String {
+        write(&ReportInput {
+            pipeline: "made up".to_owned(),
+            command: "marf run".to_owned(),
+            started: "2026-01-02T03:04:05Z".to_owned(),
+            program: "marf 0.1.0".to_owned(),
+            nodes: nodes.to_vec(),
+            read: &|digest| self.blobs.get(digest).cloned(),
+        })
+    }
+}
+
+/// A node without outputs that ran for a second.
+pub(super) fn node(name: &str, upstream: &[&str]) -> NodeView {
+    NodeView {
+        name: name.to_owned(),
+        stage: name.to_owned(),
+        about: format!("does {name}"),
+        upstream: upstream
+            .iter()
+            .map(|from| ("input".to_owned(), (*from).to_owned()))
+            .collect(),
+        state: State::Ran,
+        reason: "no record of this key".to_owned(),
+        seconds: Some(1.0),
+        params: json!({"seed": 3}),
+        outputs: BTreeMap::new(),
+        children: Vec::new(),
+    }
+}
+
+/// A node with outputs.
+pub(super) fn giving<const N: usize>(mut node: NodeView, outputs: [(&str, Digest); N]) -> NodeView {
+    node.outputs
+        .extend(outputs.map(|(name, digest)| (name.to_owned(), digest)));
+    node
+}
+
+pub(super) fn verdict(id: &str, kind: &str) -> Verdict {
+    Verdict {
+        id: id.to_owned(),
+        file: id.to_owned(),
+        verdict: kind.to_owned(),
+        score: Some(12.5),
+        threshold: Some(20.0),
+        twin: None,
+        reason: String::new(),
+    }
+}
+
+pub(super) fn row(store: &mut Store, id: &str, shade: u8) -> Row {
+    let facts = PhotoFacts {
+        file: id.to_owned(),
+        ..PhotoFacts::default()
+    };
+    Row {
+        id: id.to_owned(),
+        blobs: BTreeMap::from([("image".to_owned(), store.put_picture(shade))]),
+        facts: facts.to_json(),
+    }
+}
+
+/// A pipeline in which every section has something to show and every text of the outside is hostile.
+pub(super) fn full() -> (Store, Vec<NodeView>) {
+    let mut store = Store::default();
+    let mut nodes = photo_nodes(&mut store);
+    nodes.extend(field_nodes(&mut store));
+    (store, nodes)
+}
+
+fn photo_nodes(store: &mut Store) -> Vec<NodeView> {
+    let all: Vec<&str> = NAMES.into_iter().chain([HOSTILE]).collect();
+    let rows: Vec<Row> = all
+        .iter()
+        .zip(10..)
+        .map(|(id, shade)| row(store, id, shade))
+        .collect();
+    let kept: Vec<Row> = rows
+        .iter()
+        .filter(|row| !["a.jpg", HOSTILE].contains(&row.id.as_str()))
+        .cloned()
+        .collect();
+    let mut seen: Vec<Verdict> = all.iter().map(|id| verdict(id, "keep")).collect();
+    seen.push(Verdict {
+        reason: format!("{HOSTILE} ends early"),
+        ..verdict("broken<b>.jpg", "decode")
+    });
+    let mut judged: Vec<Verdict> = NAMES[1..].iter().map(|id| verdict(id, "keep")).collect();
+    judged.push(Verdict {
+        reason: format!("same view as {HOSTILE}"),
+        twin: Some(HOSTILE.to_owned()),
+        ..verdict("a.jpg", "duplicate")
+    });
+    judged.push(Verdict {
+        reason: "<script>alert(2)</script>".to_owned(),
+        ..verdict(HOSTILE, "<b>blur</b>")
+    });
+    let extract = [
+        ("photos", store.put_photos(rows)),
+        ("verdicts", store.put_verdicts(&seen)),
+    ];
+    let filter = [
+        ("photos", store.put_photos(kept)),
+        ("verdicts", store.put_verdicts(&judged)),
+    ];
+    vec![
+        giving(node("extract", &[]), extract),
+        giving(node("duplicate", &["extract"]), filter),
+    ]
+}
+
+fn field_nodes(store: &mut Store) -> Vec<NodeView> {
+    let scene = store.put(&scene().encode().unwrap());
+    let mut calibrate = giving(node("calibrate", &["duplicate"]), [("scene", scene)]);
+    calibrate.state = State::Reused;
+    calibrate.outputs.insert(
+        "metrics".to_owned(),
+        store.put_json(&json!({"registered": 4, HOSTILE: HOSTILE})),
+    );
+    let mut tune = node("tune", &["calibrate"]);
+    tune.children = vec![ChildView {
+        name: HOSTILE.to_owned(),
+        state: State::Ran,
+        seconds: None,
+    }];
+    let trials = json!([{"trial": 0, "rank": 2, "psnr": 20.0, "params": {"levels": 8}},
+        {"trial": 1, "rank": 1, "psnr": 21.0, "params": {"levels": HOSTILE}}]);
+    let scatter = json!({"psnr": [20.0, 20.2], "difference_db": 0.2, "best_minus_default_db": 1.0});
+    let tune = giving(
+        tune,
+        [
+            ("trials", store.put_json(&trials)),
+            ("scatter", store.put_json(&scatter)),
+        ],
+    );
+    let video = store.put(b"GIF89a-made-up");
+    let render = giving(
+        node("render", &["train"]),
+        [("video", video), ("frames/0001.png", video)],
+    );
+    let mut last = node("skipped<i>", &["render"]);
+    (last.state, last.reason, last.seconds) = (State::Skipped, format!("{HOSTILE} failed"), None);
+    vec![
+        calibrate,
+        tune,
+        train(store, scene),
+        bootstrap(store),
+        render,
+        last,
+    ]
+}
+
+fn train(store: &mut Store, scene: Digest) -> NodeView {
+    let metrics = json!({"psnr": 24.567, "psnr_paper": 23.0, "ssim": 0.81, "steps": 4000,
+        "views": [{"id": HOSTILE, "file": HOSTILE, "name": "v1", "psnr": 24.0, "ssim": 0.8}]});
+    let curve = json!([{"step": 10, "rays": 5, "samples": 50, "loss": 0.1, "psnr": 12.0},
+        {"step": 20, "rays": 10, "samples": 100, "loss": 0.01, "psnr": 20.0}]);
+    let outputs = [
+        ("scene", scene),
+        ("metrics", store.put_json(&metrics)),
+        ("curve", store.put_json(&curve)),
+        ("heldout/v1.png", store.put_picture(90)),
+        ("photo/v1.png", store.put_picture(100)),
+    ];
+    giving(node("train", &["calibrate", "tune"]), outputs)
+}
+
+fn bootstrap(store: &mut Store) -> NodeView {
+    let metrics = json!({"b": 3, "std": 0.02, "heldout": {"ause_mae": 0.3, "ause_mae_random": 0.65},
+        "views": [{"name": "v1", "std": 0.0213}]});
+    let outputs = [
+        ("metrics", store.put_json(&metrics)),
+        ("maps/v1-mean.png", store.put_picture(1)),
+        ("maps/v1-std.png", store.put_picture(2)),
+        ("maps/v1-depth-std.png", store.put_picture(3)),
+    ];
+    giving(node("bootstrap", &["calibrate", "tune"]), outputs)
+}
+
+/// Four cameras on a circle that look at its centre, z up, 2 m a unit.
+pub(super) fn scene() -> Scene {
+    let eye = |index: usize| [(2.0, 0.0), (0.0, 2.0), (-2.0, 0.0), (0.0, -2.0)][index];
+    let pose = |(x, y): (f64, f64)| {
+        Pose::from([
+            [-y / 2.0, x / 2.0, 0.0, 0.0],
+            [0.0, 0.0, -1.0, 1.0],
+            [-x / 2.0, -y / 2.0, 0.0, 2.0],
+        ])
+    };
+    let frame = |index: usize| Frame {
+        id: NAMES[index].to_owned(),
+        file: if index == 0 {
+            HOSTILE.to_owned()
+        } else {
+            NAMES[index].to_owned()
+        },
+        image: Digest::of(NAMES[index].as_bytes()),
+        camera: Camera::pinhole(640, 480, 500.0),
+        cam_from_world: pose(eye(index)),
+        held_out: index == 3,
+        error_px: Some(0.4),
+    };
+    Scene {
+        frames: (0..4).map(frame).collect(),
+        unplaced: vec![Unplaced {
+            id: HOSTILE.to_owned(),
+            reason: "shares <3> matches".to_owned(),
+        }],
+        points: vec![Point {
+            position: [0.1, 0.2, 0.3],
+            color: None,
+            views: 2,
+        }],
+        up: Some([0.0, 0.0, 1.0]),
+        metres_per_unit: Some(2.0),
+        method: "import <x>".to_owned(),
+    }
+}

@@ -1,0 +1,314 @@
+//! The pipeline as a layered drawing: producers left, consumers right, in bands like lines of a text.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use maud::{Markup, html};
+
+use super::format::{count, cut, px, seconds};
+use super::page::Page;
+use super::{ChildView, NodeView, State};
+
+const BOX_WIDTH: f64 = 150.0;
+const BOX_HEIGHT: f64 = 54.0;
+const COLUMN: f64 = 190.0;
+const ROW: f64 = 66.0;
+/// Height of a line that only passes through a column.
+const TRACK: f64 = 14.0;
+const BAND_GAP: f64 = 26.0;
+/// Room left and right of the boxes for lines that go on in another band.
+const MARGIN: f64 = 36.0;
+/// Most columns of a band: 7 x 190 px fit a page of 1400 px.
+const MOST_COLUMNS: usize = 7;
+
+/// Draws the nodes and what flows between them.
+pub(super) fn body(page: &Page<'_>) -> Markup {
+    let nodes = &page.input.nodes;
+    if nodes.is_empty() {
+        return page.absent("a graph: it has no nodes");
+    }
+    let layout = Layout::new(nodes);
+    html! {
+        div.scroll {
+            svg.graph viewBox={ "0 0 " (px(layout.width)) " " (px(layout.height)) }
+                width=(px(layout.width)) height=(px(layout.height)) role="img" aria-labelledby="graph-title" {
+                title id="graph-title" { "Graph of " (count(nodes.len(), "node")) ", inputs on the left" }
+                @for path in layout.paths(nodes) { path.edge d=(path) {} }
+                @for (node, place) in nodes.iter().zip(&layout.boxes) { (drawn(node, place)) }
+            }
+        }
+        p.legend {
+            @for state in [State::Ran, State::Reused, State::Failed, State::Skipped] {
+                span.key.(state.word()) {} (state.word()) " "
+            }
+        }
+    }
+}
+
+fn drawn(node: &NodeView, place: &Place) -> Markup {
+    let (x, y) = (place.x, place.y);
+    html! {
+        g.node.(node.state.word()) {
+            title { (node.name) " (" (node.stage) "), " (node.state.word()) ": " (node.reason) }
+            rect x=(px(x)) y=(px(y)) width=(px(BOX_WIDTH)) height=(px(BOX_HEIGHT)) rx="5" {}
+            text.name x=(px(x + 10.0)) y=(px(y + 18.0)) { (cut(&node.name, 18)) }
+            text x=(px(x + 10.0)) y=(px(y + 33.0)) { (state_line(node)) }
+            text x=(px(x + 10.0)) y=(px(y + 47.0)) { (third_line(node)) }
+        }
+    }
+}
+
+fn state_line(node: &NodeView) -> String {
+    match node.seconds {
+        Some(time) if matches!(node.state, State::Ran | State::Failed) => {
+            format!("{}, {}", node.state.word(), seconds(time))
+        }
+        _ => node.state.word().to_owned(),
+    }
+}
+
+fn third_line(node: &NodeView) -> String {
+    if node.children.is_empty() {
+        return if node.stage == node.name {
+            String::new()
+        } else {
+            cut(&node.stage, 22)
+        };
+    }
+    let ran = |child: &&ChildView| child.state == State::Ran;
+    let ran = node.children.iter().filter(ran).count();
+    cut(
+        &format!("{}, {ran} ran", count(node.children.len(), "sub-node")),
+        24,
+    )
+}
+
+/// Top-left corner of a box.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Place {
+    x: f64,
+    y: f64,
+}
+
+/// Where everything is.
+#[derive(Debug)]
+struct Layout {
+    boxes: Vec<Place>,
+    layers: Vec<usize>,
+    /// (source, layer) to the height at which its line passes that layer.
+    tracks: BTreeMap<(usize, usize), f64>,
+    columns: usize,
+    bands: Vec<f64>,
+    width: f64,
+    height: f64,
+}
+
+impl Layout {
+    fn new(nodes: &[NodeView]) -> Self {
+        let edges = edges(nodes);
+        let layers = layers(nodes.len(), &edges);
+        let depth = layers.iter().max().map_or(0, |last| last + 1);
+        let bands = depth.div_ceil(MOST_COLUMNS).max(1);
+        let columns = depth.div_ceil(bands).max(1);
+        let mut layout = Self {
+            boxes: vec![Place::default(); nodes.len()],
+            layers,
+            tracks: BTreeMap::new(),
+            columns,
+            bands: Vec::new(),
+            width: 2.0 * MARGIN + columns as f64 * COLUMN - (COLUMN - BOX_WIDTH),
+            height: 0.0,
+        };
+        layout.stack(depth, &passing(&layout.layers, &edges));
+        layout
+    }
+
+    /// Stacks each layer: boxes first, in the order of the input, then the lines that pass by.
+    fn stack(&mut self, depth: usize, passing: &BTreeMap<usize, BTreeSet<usize>>) {
+        let mut top = 4.0;
+        for band in 0..depth.div_ceil(self.columns) {
+            self.bands.push(top);
+            let mut bottom = top;
+            for layer in band * self.columns..((band + 1) * self.columns).min(depth) {
+                bottom = f64::max(bottom, self.stack_layer(layer, top, passing.get(&layer)));
+            }
+            top = bottom + BAND_GAP;
+        }
+        self.height = top - BAND_GAP + 6.0;
+    }
+
+    fn stack_layer(&mut self, layer: usize, top: f64, passing: Option<&BTreeSet<usize>>) -> f64 {
+        let x = MARGIN + (layer % self.columns) as f64 * COLUMN;
+        let mut y = top;
+        for index in 0..self.boxes.len() {
+            if self.layers[index] == layer {
+                self.boxes[index] = Place { x, y };
+                y += ROW;
+            }
+        }
+        for source in passing.into_iter().flatten() {
+            self.tracks.insert((*source, layer), y);
+            y += TRACK;
+        }
+        y
+    }
+
+    /// One path for each edge; a line that leaves a band goes on at the left of the next.
+    fn paths(&self, nodes: &[NodeView]) -> BTreeSet<String> {
+        let edges = edges(nodes);
+        edges
+            .iter()
+            .flat_map(|(from, to)| self.path(*from, *to))
+            .collect()
+    }
+
+    fn path(&self, from: usize, to: usize) -> Vec<String> {
+        let mut pieces = Vec::new();
+        let middle = |place: Place| place.y + BOX_HEIGHT / 2.0;
+        let mut at = (self.boxes[from].x + BOX_WIDTH, middle(self.boxes[from]));
+        for layer in self.layers[from] + 1..=self.layers[to] {
+            let last = layer == self.layers[to];
+            let x = MARGIN + (layer % self.columns) as f64 * COLUMN;
+            let track = self.tracks.get(&(from, layer)).copied().unwrap_or(at.1);
+            let y = if last { middle(self.boxes[to]) } else { track };
+            if layer % self.columns == 0 {
+                at = self.wrap(at, y, &mut pieces);
+            }
+            pieces.push(curve(at, (x, y)));
+            at = (x, y);
+            if !last {
+                pieces.push(curve(at, (x + BOX_WIDTH, y)));
+                at.0 = x + BOX_WIDTH;
+            }
+        }
+        pieces.push(arrow(at));
+        pieces
+    }
+
+    /// Runs to the right edge, along the gap between the bands and back in from the left.
+    fn wrap(&self, at: (f64, f64), y: f64, pieces: &mut Vec<String>) -> (f64, f64) {
+        let band = self.bands.iter().rposition(|top| *top <= y).unwrap_or(0);
+        let gap = self.bands.get(band).copied().unwrap_or(0.0) - BAND_GAP / 2.0;
+        let (right, left) = (self.width - 14.0, 14.0);
+        pieces.push(format!(
+            "M{} {}H{}V{}H{}V{}H{}",
+            px(at.0),
+            px(at.1),
+            px(right),
+            px(gap),
+            px(left),
+            px(y),
+            px(left + 4.0)
+        ));
+        (left + 4.0, y)
+    }
+}
+
+fn curve(from: (f64, f64), to: (f64, f64)) -> String {
+    let bend = (to.0 - from.0) / 2.0;
+    format!(
+        "M{} {}C{} {} {} {} {} {}",
+        px(from.0),
+        px(from.1),
+        px(from.0 + bend),
+        px(from.1),
+        px(to.0 - bend),
+        px(to.1),
+        px(to.0),
+        px(to.1)
+    )
+}
+
+/// The head of an arrow that points right.
+fn arrow(at: (f64, f64)) -> String {
+    let (back, up, down) = (px(at.0 - 6.0), px(at.1 - 3.5), px(at.1 + 3.5));
+    format!("M{back} {up}L{} {}L{back} {down}", px(at.0), px(at.1))
+}
+
+/// (Producer, consumer) as places in the list; names that are not in it are left out.
+fn edges(nodes: &[NodeView]) -> BTreeSet<(usize, usize)> {
+    let places: BTreeMap<&str, usize> = nodes
+        .iter()
+        .enumerate()
+        .map(|(place, node)| (node.name.as_str(), place))
+        .collect();
+    let consumers = nodes.iter().enumerate();
+    consumers
+        .flat_map(|(to, node)| node.upstream.iter().map(move |(_, from)| (from, to)))
+        .filter_map(|(from, to)| Some((*places.get(from.as_str())?, to)))
+        .filter(|(from, to)| from != to)
+        .collect()
+}
+
+/// Longest way from an input, in steps. A cycle, which no pipeline has, ends after as many rounds as nodes.
+fn layers(count: usize, edges: &BTreeSet<(usize, usize)>) -> Vec<usize> {
+    let mut layers = vec![0; count];
+    for _ in 0..count {
+        let mut moved = false;
+        for (from, to) in edges {
+            let behind = (layers[*from] + 1).min(count.saturating_sub(1));
+            moved |= layers[*to] < behind;
+            layers[*to] = layers[*to].max(behind);
+        }
+        if !moved {
+            break;
+        }
+    }
+    layers
+}
+
+/// For each layer the sources whose lines pass it on their way to a later one.
+fn passing(layers: &[usize], edges: &BTreeSet<(usize, usize)>) -> BTreeMap<usize, BTreeSet<usize>> {
+    let mut passing: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
+    for (from, to) in edges {
+        for layer in layers[*from] + 1..layers[*to] {
+            passing.entry(layer).or_default().insert(*from);
+        }
+    }
+    passing
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::show::fixture::node;
+
+    fn diamond() -> Vec<NodeView> {
+        vec![
+            node("a", &[]),
+            node("b", &["a"]),
+            node("c", &["b", "a"]),
+            node("d", &["a", "nowhere"]),
+        ]
+    }
+
+    #[test]
+    fn a_layer_is_the_longest_way_from_an_input() {
+        let nodes = diamond();
+        assert_eq!(layers(nodes.len(), &edges(&nodes)), [0, 1, 2, 1]);
+    }
+
+    #[test]
+    fn boxes_never_overlap_and_lie_inside_the_drawing() {
+        let chain: Vec<NodeView> = (0..40)
+            .map(|index: usize| {
+                let before = format!("n{}", index.saturating_sub(1 + index % 3));
+                node(&format!("n{index}"), &[&before])
+            })
+            .collect();
+        let layout = Layout::new(&chain);
+        for (index, one) in layout.boxes.iter().enumerate() {
+            assert!(one.x + BOX_WIDTH <= layout.width, "{index}: {one:?}");
+            assert!(one.y + BOX_HEIGHT <= layout.height, "{index}: {one:?}");
+            for other in &layout.boxes[..index] {
+                let apart = (one.x - other.x).abs() >= BOX_WIDTH || (one.y - other.y).abs() >= BOX_HEIGHT;
+                assert!(apart, "{index}: {one:?} on {other:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_cycle_ends_in_a_drawing() {
+        let nodes = [node("a", &["b"]), node("b", &["a"]), node("c", &["c"])];
+        assert_eq!(Layout::new(&nodes).boxes.len(), 3);
+    }
+}

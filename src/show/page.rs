@@ -1,0 +1,103 @@
+use std::sync::Arc;
+
+use marf_cache::Digest;
+use maud::{Markup, Render, html};
+use serde::de::DeserializeOwned;
+
+use super::embed::Pictures;
+use super::photos::PhotoIndex;
+use super::{NodeView, ReportInput, State};
+
+/// What all sections share: the input, the photos by id, and how much room is left for pictures.
+pub(super) struct Page<'a> {
+    pub(super) input: &'a ReportInput<'a>,
+    pub(super) photos: PhotoIndex,
+    pub(super) pictures: Pictures,
+}
+
+/// Why something is not shown, as a sentence that stands in its place.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Missing(pub(super) String);
+
+impl Render for Missing {
+    fn render(&self) -> Markup {
+        html! { p.missing { (self.0) } }
+    }
+}
+
+impl<'a> Page<'a> {
+    pub(super) fn new(input: &'a ReportInput<'a>) -> Self {
+        Self {
+            input,
+            photos: PhotoIndex::new(input),
+            pictures: Pictures::default(),
+        }
+    }
+
+    /// Nodes that have an output of this name.
+    pub(super) fn with_output<'s>(&'s self, output: &'s str) -> impl Iterator<Item = &'a NodeView> + 's {
+        let nodes = &self.input.nodes;
+        nodes.iter().filter(move |node| node.outputs.contains_key(output))
+    }
+
+    /// Nodes that have an output whose name starts so.
+    pub(super) fn with_outputs_under<'s>(
+        &'s self,
+        prefix: &'s str,
+    ) -> impl Iterator<Item = &'a NodeView> + 's {
+        let under = move |node: &&NodeView| node.outputs.keys().any(|name| name.starts_with(prefix));
+        self.input.nodes.iter().filter(under)
+    }
+
+    /// Reads an output.
+    pub(super) fn bytes(&self, node: &NodeView, output: &str) -> Result<Arc<[u8]>, Missing> {
+        read(self.input, node, output)
+    }
+
+    /// Reads an output that is JSON.
+    pub(super) fn json<T: DeserializeOwned>(&self, node: &NodeView, output: &str) -> Result<T, Missing> {
+        let bytes = self.bytes(node, output)?;
+        serde_json::from_slice(&bytes).map_err(|error| unreadable(node, output, &error))
+    }
+
+    /// Says that no node gave something, and which nodes could not.
+    pub(super) fn absent(&self, what: &str) -> Markup {
+        let stopped = |node: &&NodeView| matches!(node.state, State::Failed | State::Skipped);
+        let names: Vec<String> = self.input.nodes.iter().filter(stopped).map(stopped_as).collect();
+        html! {
+            p.missing {
+                "No node of this run gave " (what) "."
+                @if !names.is_empty() { " " (names.join(", ")) "." }
+            }
+        }
+    }
+}
+
+/// Reads an output of a node from the store of the input.
+pub(super) fn read(input: &ReportInput<'_>, node: &NodeView, output: &str) -> Result<Arc<[u8]>, Missing> {
+    let (name, outputs) = (&node.name, &node.outputs);
+    let digest = outputs
+        .get(output)
+        .ok_or_else(|| Missing(format!("Node {name} has no output {output}.")))?;
+    (input.read)(digest).ok_or_else(|| Missing(not_stored(&format!("{output} of {name}"), digest)))
+}
+
+/// Says that an output is there but cannot be understood.
+pub(super) fn unreadable(node: &NodeView, output: &str, error: &dyn std::fmt::Display) -> Missing {
+    Missing(format!(
+        "{output} of {} cannot be read and is not shown: {error}.",
+        node.name
+    ))
+}
+
+/// Says that the store does not have an object.
+pub(super) fn not_stored(what: &str, digest: &Digest) -> String {
+    format!(
+        "{what} is not shown: object {} is not in the store.",
+        digest.short()
+    )
+}
+
+fn stopped_as(node: &NodeView) -> String {
+    format!("{} {}", node.name, node.state.word())
+}

@@ -1,0 +1,203 @@
+//! Renders beside the photos they were never shown, and films.
+
+use std::collections::BTreeSet;
+
+use marf_cache::Digest;
+use marf_scene::{Image, Srgb};
+use maud::{Markup, html};
+use serde_json::Value;
+
+use super::NodeView;
+use super::embed::{Form, decode, words};
+use super::format::{count, number};
+use super::page::Page;
+use super::quality::{figure, view};
+
+const HELD_OUT: &str = "heldout/";
+/// Most views of one node.
+const MOST_VIEWS: usize = 24;
+/// Most single frames of a node without a film.
+const MOST_FRAMES: usize = 12;
+/// Error pictures show the difference this many times larger.
+const ERROR_GAIN: u8 = 4;
+
+/// Held-out views of every node that rendered some, worst first.
+pub(super) fn held_out(page: &Page<'_>) -> Markup {
+    let mut shown: BTreeSet<Vec<Digest>> = BTreeSet::new();
+    let parts: Vec<Markup> = page
+        .with_outputs_under(HELD_OUT)
+        .map(|node| match shown.insert(digests(node, HELD_OUT)) {
+            true => views(page, node),
+            false => html! { h3 { (node.name) } p { "The same renders as above." } },
+        })
+        .collect();
+    if parts.is_empty() {
+        return page.absent("renders of held-out photos");
+    }
+    html! {
+        p.quiet { "Worst first. Error: |render - photo| x " (ERROR_GAIN) " in each channel." }
+        @for part in parts { (part) }
+    }
+}
+
+fn digests(node: &NodeView, prefix: &str) -> Vec<Digest> {
+    let under = node.outputs.iter().filter(|(name, _)| name.starts_with(prefix));
+    under.map(|(_, digest)| *digest).collect()
+}
+
+fn views(page: &Page<'_>, node: &NodeView) -> Markup {
+    let metrics = page.json::<Value>(node, "metrics").unwrap_or_default();
+    let mut names: Vec<&str> = node
+        .outputs
+        .keys()
+        .filter_map(|name| picture_name(name, HELD_OUT))
+        .collect();
+    // Ties, and views without a figure, keep the order of their names.
+    let psnr = |name: &str| view(&metrics, name).and_then(|view| view.get("psnr")?.as_f64());
+    names.sort_by(|a, b| {
+        psnr(a)
+            .unwrap_or(f64::MAX)
+            .total_cmp(&psnr(b).unwrap_or(f64::MAX))
+    });
+    html! {
+        h3 { (node.name) ": " (count(names.len(), "view")) }
+        @for name in names.iter().take(MOST_VIEWS) { (triple(page, node, name, view(&metrics, name))) }
+        @if names.len() > MOST_VIEWS { p.quiet { (count(names.len() - MOST_VIEWS, "better view")) " not shown." } }
+    }
+}
+
+fn picture_name<'n>(output: &'n str, prefix: &str) -> Option<&'n str> {
+    output.strip_prefix(prefix)?.strip_suffix(".png")
+}
+
+/// Render, photo and error in a row, with the figures of the view.
+fn triple(page: &Page<'_>, node: &NodeView, name: &str, metrics: Option<&Value>) -> Markup {
+    let render = node.outputs.get(&format!("{HELD_OUT}{name}.png"));
+    let photo = node.outputs.get(&format!("photo/{name}.png"));
+    let stored = |digest: Option<&Digest>, what: &str| match digest {
+        Some(digest) => page
+            .pictures
+            .stored(page.input, digest, Form::Photo, &format!("{what} of {name}")),
+        None => words(&format!("The node has no {what} of this view.")),
+    };
+    html! {
+        div.view {
+            h4 { span.file { (name) } @for text in view_figures(metrics) { span.quiet { (text) } } }
+            div.row {
+                figure { (stored(render, "render")) figcaption { "render" } }
+                figure { (stored(photo, "photo")) figcaption { "photo" } }
+                figure { (error_picture(page, render, photo, name)) figcaption { "error x " (ERROR_GAIN) } }
+            }
+        }
+    }
+}
+
+fn view_figures(metrics: Option<&Value>) -> Vec<String> {
+    let Some(metrics) = metrics else {
+        return vec!["no figures recorded".to_owned()];
+    };
+    let named = [
+        ("psnr", "PSNR", "dB"),
+        ("psnr_paper", "PSNR by peak of the picture", "dB"),
+        ("ssim", "SSIM", ""),
+    ];
+    let found = named
+        .iter()
+        .filter_map(|(key, name, unit)| Some(format!("{name} {}", figure(metrics, key, unit)?)));
+    found.collect()
+}
+
+fn error_picture(page: &Page<'_>, render: Option<&Digest>, photo: Option<&Digest>, name: &str) -> Markup {
+    let (Some(render), Some(photo)) = (render, photo) else {
+        return words("No error without both.");
+    };
+    let made = decode(page.input, render)
+        .and_then(|render| decode(page.input, photo).map(|photo| (render, photo)))
+        .and_then(|(render, photo)| difference(&render, &photo));
+    match made {
+        Ok(image) => page
+            .pictures
+            .own(&image, Form::Photo, &format!("error of {name}")),
+        Err(why) => words(&why),
+    }
+}
+
+/// |a - b| x [`ERROR_GAIN`] in each channel, at most 255.
+fn difference(a: &Image<Srgb>, b: &Image<Srgb>) -> Result<Image<Srgb>, String> {
+    if (a.width, a.height) != (b.width, b.height) {
+        return Err(format!(
+            "Render ({} x {} px) and photo ({} x {} px) differ in size.",
+            a.width, a.height, b.width, b.height
+        ));
+    }
+    let channel = |a: u8, b: u8| a.abs_diff(b).saturating_mul(ERROR_GAIN);
+    let pixels = a.pixels.iter().zip(&b.pixels);
+    Ok(Image {
+        width: a.width,
+        height: a.height,
+        pixels: pixels
+            .map(|(a, b)| [0, 1, 2].map(|index| channel(a[index], b[index])))
+            .collect(),
+    })
+}
+
+/// Films, or single frames where a node has no film.
+pub(super) fn flights(page: &Page<'_>) -> Markup {
+    let films: Vec<&NodeView> = page.with_output("video").collect();
+    let filmless = |node: &&NodeView| !node.outputs.contains_key("video");
+    let frames: Vec<&NodeView> = page.with_outputs_under("frames/").filter(filmless).collect();
+    if films.is_empty() && frames.is_empty() {
+        return page.absent("a fly-through");
+    }
+    html! {
+        div.row {
+            @for node in films { @if let Some(digest) = node.outputs.get("video") {
+                figure {
+                    (page.pictures.film(page.input, digest, &format!("fly-through by {}", node.name)))
+                    figcaption { (node.name) @if node.outputs.keys().any(|name| name.starts_with("maps/")) {
+                        ": mean on the left, uncertainty on the right" } }
+                }
+            } }
+        }
+        @for node in frames { (single_frames(page, node)) }
+    }
+}
+
+fn single_frames(page: &Page<'_>, node: &NodeView) -> Markup {
+    let frames: Vec<(&str, &Digest)> = node
+        .outputs
+        .iter()
+        .filter_map(|(name, digest)| Some((picture_name(name, "frames/")?, digest)))
+        .collect();
+    let shown = frames.len().min(MOST_FRAMES);
+    html! {
+        h3 { (node.name) ": " (shown) " of " (count(frames.len(), "frame")) }
+        div.gallery.small {
+            @for index in 0..shown {
+                @let (name, digest) = frames[index * frames.len() / shown];
+                figure {
+                    (page.pictures.stored(page.input, digest, Form::Thumb, &format!("frame {name}")))
+                    figcaption { (name.parse::<f64>().map_or_else(|_| name.to_owned(), number)) }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_picture_saturates_and_refuses_another_size() {
+        let photo = Image::from_fn(2, 1, |x, _| [10 + x as u8, 250, 0]);
+        let render = Image::from_fn(2, 1, |_, _| [10, 100, 63]);
+        assert_eq!(
+            difference(&render, &photo).unwrap().pixels,
+            [[0, 255, 252], [4, 255, 252]]
+        );
+        let other = Image::from_fn(1, 2, |_, _| [0; 3]);
+        let error = difference(&render, &other).unwrap_err();
+        assert!(error.contains("2 x 1") && error.contains("1 x 2"), "{error}");
+    }
+}

@@ -1,0 +1,223 @@
+use super::fixture::{HOSTILE, full, giving, node, verdict};
+use super::*;
+
+const VOID: [&str; 4] = ["meta", "img", "br", "hr"];
+const TITLES: [&str; 11] = [
+    "Pipeline",
+    "Nodes",
+    "Filters",
+    "Rejected photos",
+    "Kept photos",
+    "Cameras",
+    "Tuning",
+    "Training",
+    "Held-out photos",
+    "Uncertainty",
+    "Fly-through",
+];
+
+/// Walks all tags: each that is opened is closed, in order. Returns how many there were.
+fn check_balance(html: &str) -> usize {
+    let mut open: Vec<&str> = Vec::new();
+    let mut count = 0;
+    let body = html.strip_prefix("<!DOCTYPE html>").unwrap();
+    for part in body.split('<').skip(1) {
+        let (tag, _) = part
+            .split_once('>')
+            .unwrap_or_else(|| panic!("`<{part}` never ends"));
+        count += 1;
+        let name = tag.split([' ', '\n']).next().unwrap();
+        match name.strip_prefix('/') {
+            Some(closed) => assert_eq!(open.pop(), Some(closed), "closes out of order"),
+            None if VOID.contains(&name) => {}
+            None => open.push(name),
+        }
+    }
+    assert!(open.is_empty(), "never closed: {open:?}");
+    count
+}
+
+#[test]
+fn every_section_is_there_and_every_tag_is_closed() {
+    let (store, nodes) = full();
+    let html = store.report(&nodes);
+    assert!(check_balance(&html) > 400);
+    for title in TITLES {
+        assert!(html.contains(&format!("<h2>{title}</h2>")), "{title}");
+    }
+    assert!(
+        !html.contains("class=\"missing\""),
+        "something of a full run is not shown: {html}"
+    );
+}
+
+#[test]
+fn what_is_known_is_said_with_its_unit() {
+    let (store, nodes) = full();
+    let html = store.report(&nodes);
+    for text in [
+        "8 nodes: 6 ran, 1 reused, 1 skipped, 6.0 s",
+        "7 in, 6 kept, 1 rejected (1 decode)",
+        "score 12.5, threshold 20, 7.5 below",
+        "4 cameras, 1 held out; 1 sparse point; 1 unit is 2 m",
+        "PSNR 24.00 dB",
+        "24.57 dB",
+        "Chosen over the defaults: +1.00 dB",
+        "AUSE of a random order",
+        "1 file that gave no photo",
+        "kept in its place",
+    ] {
+        assert!(html.contains(text), "{text}");
+    }
+}
+
+#[test]
+fn text_of_the_outside_never_becomes_a_tag() {
+    let (store, nodes) = full();
+    let html = store.report(&nodes);
+    assert!(html.matches("&lt;img src=x onerror=alert(1)&gt;.jpg").count() > 10);
+    for raw in [
+        HOSTILE,
+        "<script",
+        "<b>",
+        "<i>",
+        "<3>",
+        "<x>",
+        "onerror=alert(1)>",
+    ] {
+        assert!(!html.contains(raw), "{raw}");
+    }
+}
+
+#[test]
+fn a_quote_in_a_name_does_not_leave_its_attribute() {
+    let hostile = "\" onload=\"alert(1)";
+    let mut one = node(hostile, &[hostile]);
+    one.params = serde_json::json!({hostile: hostile});
+    let html = fixture::Store::default().report(&[one]);
+    assert!(!html.contains(hostile), "{html}");
+    check_balance(&html);
+}
+
+#[test]
+fn nothing_is_asked_of_the_network_and_nothing_runs() {
+    let (store, nodes) = full();
+    let html = store.report(&nodes);
+    for forbidden in [
+        "http:", "https:", "//", "<script", "<link", "<iframe", "@import", "url(",
+    ] {
+        let scheme_free: String = html.split("data:").map(skip_base64).collect();
+        assert!(!scheme_free.contains(forbidden), "{forbidden}");
+    }
+    for image in html.split("<img").skip(1) {
+        let tag = image.split('>').next().unwrap();
+        assert!(
+            tag.contains("src=\"data:image/") && tag.contains("alt=\""),
+            "{}",
+            &tag[..tag.len().min(80)]
+        );
+        assert!(!tag.contains("alt=\"\""), "an empty alternative text");
+    }
+}
+
+/// The alphabet of base64 has a slash: pictures are left out of the search.
+fn skip_base64(part: &str) -> &str {
+    match part.split_once(";base64,") {
+        Some((_, rest)) => rest.split_once('"').map_or("", |(_, after)| after),
+        None => part,
+    }
+}
+
+#[test]
+fn objects_that_are_gone_or_damaged_are_said_in_words() {
+    let (mut store, nodes) = full();
+    let whole = store.blobs.clone();
+    store.blobs.clear();
+    let empty = store.report(&nodes);
+    check_balance(&empty);
+    assert!(empty.matches("is not in the store").count() >= 8, "{empty}");
+    assert!(!empty.contains("<img"), "{empty}");
+    store.blobs = whole
+        .keys()
+        .map(|digest| (*digest, b"{\"\x00\xff".as_slice().into()))
+        .collect();
+    let damaged = store.report(&nodes);
+    check_balance(&damaged);
+    assert!(
+        damaged.matches("cannot be read and is not shown").count() >= 8,
+        "{damaged}"
+    );
+}
+
+#[test]
+fn each_object_may_be_gone_on_its_own() {
+    let (mut store, nodes) = full();
+    for digest in store.blobs.keys().copied().collect::<Vec<_>>() {
+        let bytes = store.blobs.remove(&digest).unwrap();
+        let html = store.report(&nodes);
+        assert!(html.contains("is not in the store"), "{}", digest.short());
+        store.blobs.insert(digest, bytes);
+    }
+}
+
+#[test]
+fn a_run_without_outputs_says_so_in_every_section() {
+    let mut failed = node("train", &[]);
+    (failed.state, failed.reason) = (State::Failed, "step 31: loss is not finite".to_owned());
+    let html = fixture::Store::default().report(&[failed]);
+    check_balance(&html);
+    assert!(html.contains("1 node: 1 failed"), "{html}");
+    assert!(
+        html.contains("<strong>train failed: </strong>step 31: loss is not finite"),
+        "{html}"
+    );
+    assert!(html.matches("No node of this run gave").count() >= 7, "{html}");
+    check_balance(&fixture::Store::default().report(&[]));
+}
+
+#[test]
+fn a_report_is_the_same_bytes_every_time() {
+    let (store, nodes) = full();
+    assert_eq!(store.report(&nodes), store.report(&nodes));
+}
+
+#[test]
+fn json_of_another_shape_is_no_panic() {
+    let (mut store, nodes) = full();
+    let digests: Vec<Digest> = store.blobs.keys().copied().collect();
+    for shape in [
+        "null",
+        "3",
+        "[]",
+        "{}",
+        "[[1]]",
+        "{\"views\": 1, \"trials\": 2}",
+        "[{\"step\": \"x\"}]",
+        "\"<b>\"",
+    ] {
+        store.blobs = digests
+            .iter()
+            .map(|digest| (*digest, shape.as_bytes().into()))
+            .collect();
+        check_balance(&store.report(&nodes));
+    }
+}
+
+#[test]
+fn a_long_list_of_rejected_photos_is_cut_and_counted() {
+    let mut store = fixture::Store::default();
+    let names: Vec<String> = (0..75).map(|index| format!("{index:03}.jpg")).collect();
+    let rows = names.iter().map(|id| fixture::row(&mut store, id, 9)).collect();
+    let verdicts: Vec<_> = names.iter().map(|id| verdict(id, "blur")).collect();
+    let outputs = [
+        ("photos", store.put_photos(rows)),
+        ("verdicts", store.put_verdicts(&verdicts)),
+    ];
+    let html = store.report(&[giving(node("blur", &[]), outputs)]);
+    assert!(html.contains("blur: 75 photos of 75"), "{html}");
+    assert_eq!(
+        html.matches("15 photos not shown.").count(),
+        2,
+        "rejected and kept"
+    );
+}

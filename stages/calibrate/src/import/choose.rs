@@ -1,0 +1,240 @@
+//! Which of the files beside the photos holds the cameras.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use marf_cache::Digest;
+use marf_stage::StageError;
+
+use super::Role;
+
+/// The chosen file or files.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum Source {
+    /// transforms.json, or the parts of a set split into training, validation and test.
+    Transforms(Vec<(String, Role)>),
+    /// A COLMAP model: cameras, images, points3D as `.bin`.
+    Binary([String; 3]),
+    /// The same as `.txt`.
+    Text([String; 3]),
+}
+
+impl Source {
+    /// The file that names the photos, for messages.
+    pub fn name(&self) -> String {
+        match self {
+            Self::Transforms(names) => names.first().map(|(name, _)| name.clone()).unwrap_or_default(),
+            Self::Binary(names) | Self::Text(names) => names[1].clone(),
+        }
+    }
+}
+
+type Files = BTreeMap<String, Digest>;
+
+/// Chooses the named file, or the only one there is.
+pub(super) fn choose(files: &Files, wanted: Option<&str>) -> Result<Source, StageError> {
+    let candidates = candidates(files);
+    if let Some(wanted) = wanted {
+        let wanted = wanted.trim_start_matches("./").trim_end_matches('/');
+        return named(files, wanted).ok_or_else(|| absent(files, wanted));
+    }
+    match candidates.as_slice() {
+        [one] => named(files, one).ok_or_else(|| absent(files, one)),
+        [] => Err(none(files)),
+        [first, ..] => Err(StageError::new(format!(
+            "{} files hold cameras: {}",
+            candidates.len(),
+            listed(candidates.iter())
+        ))
+        .hint(format!("choose one, for example `file = \"{first}\"`"))),
+    }
+}
+
+fn none(files: &Files) -> StageError {
+    let what = if files.is_empty() {
+        "no file with cameras lies beside the photos".to_owned()
+    } else {
+        format!(
+            "none of {} beside the photos holds cameras alone",
+            listed(files.keys())
+        )
+    };
+    StageError::new(what).hint(
+        "put a transforms.json, or cameras and images of a COLMAP model (.bin or .txt), into the archive's folder",
+    )
+}
+
+fn absent(files: &Files, wanted: &str) -> StageError {
+    StageError::new(format!("`{wanted}` is no file with cameras beside the photos"))
+        .cause(format!("there are: {}", listed(files.keys())))
+        .hint("change `file`")
+}
+
+/// At most eight names.
+fn listed<'a>(names: impl ExactSizeIterator<Item = &'a String>) -> String {
+    const MOST: usize = 8;
+    let rest = names.len().saturating_sub(MOST);
+    let mut text: Vec<String> = names.take(MOST).map(|name| format!("`{name}`")).collect();
+    if rest > 0 {
+        text.push(format!("{rest} more"));
+    }
+    text.join(", ")
+}
+
+/// Files that could be meant: every transforms.json, every first part of a split set, every COLMAP model once.
+fn candidates(files: &Files) -> Vec<String> {
+    let is_json = |name: &&String| matches!(base(name), "transforms.json" | "transforms_train.json");
+    let transforms = files.keys().filter(is_json).cloned();
+    let folders: BTreeSet<String> = files.keys().map(|name| folder(name)).collect();
+    let model = |folder: &String| {
+        let complete = |kind| {
+            names(folder, kind)
+                .iter()
+                .take(2)
+                .all(|name| files.contains_key(name))
+        };
+        let kind = ["bin", "txt"].into_iter().find(|kind| complete(kind))?;
+        let [cameras, _, _] = names(folder, kind);
+        Some(cameras)
+    };
+    transforms.chain(folders.iter().filter_map(model)).collect()
+}
+
+fn named(files: &Files, wanted: &str) -> Option<Source> {
+    if wanted.ends_with(".json") {
+        return files.contains_key(wanted).then(|| transforms(files, wanted));
+    }
+    let kinds = ["bin", "txt"].into_iter();
+    let folder_of = |kind: &str| {
+        let file = names(&folder(wanted), kind).iter().any(|name| name == wanted);
+        if file { folder(wanted) } else { prefix(wanted) }
+    };
+    let is_file = ["bin", "txt"]
+        .into_iter()
+        .find(|kind| wanted.ends_with(&format!(".{kind}")));
+    for kind in kinds.filter(|kind| is_file.is_none_or(|one| one == *kind)) {
+        let folder = folder_of(kind);
+        let names = names(&folder, kind);
+        if names.iter().take(2).all(|name| files.contains_key(name)) {
+            return Some(match kind {
+                "bin" => Source::Binary(names),
+                _ => Source::Text(names),
+            });
+        }
+    }
+    None
+}
+
+/// A set split into `…_train`, `…_val` and `…_test` is one source, the last two for measuring.
+fn transforms(files: &Files, wanted: &str) -> Source {
+    let mut parts = vec![(wanted.to_owned(), Role::Open)];
+    if let Some(start) = wanted.strip_suffix("_train.json") {
+        let others = ["_val.json", "_test.json"].map(|end| format!("{start}{end}"));
+        let others: Vec<_> = others
+            .into_iter()
+            .filter(|name| files.contains_key(name))
+            .collect();
+        if !others.is_empty() {
+            parts[0].1 = Role::Train;
+        }
+        parts.extend(others.into_iter().map(|name| (name, Role::HeldOut)));
+    }
+    Source::Transforms(parts)
+}
+
+fn names(folder: &str, kind: &str) -> [String; 3] {
+    ["cameras", "images", "points3D"].map(|name| format!("{folder}{name}.{kind}"))
+}
+
+fn base(name: &str) -> &str {
+    name.rsplit('/').next().unwrap_or(name)
+}
+
+/// The part up to and with the last slash; empty at the top.
+pub(super) fn folder(name: &str) -> String {
+    name[..name.len() - base(name).len()].to_owned()
+}
+
+fn prefix(folder: &str) -> String {
+    if folder.is_empty() || folder == "." {
+        String::new()
+    } else {
+        format!("{folder}/")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn files(names: &[&str]) -> Files {
+        names
+            .iter()
+            .map(|name| ((*name).to_owned(), Digest::of(name.as_bytes())))
+            .collect()
+    }
+
+    #[test]
+    fn the_only_file_is_taken_and_of_several_none() {
+        let one = files(&["transforms.json", "notes.txt"]);
+        let source = choose(&one, None).unwrap();
+        assert_eq!(
+            source,
+            Source::Transforms(vec![("transforms.json".to_owned(), Role::Open)])
+        );
+        let model = [
+            "sparse/0/cameras.bin",
+            "sparse/0/images.bin",
+            "sparse/0/cameras.txt",
+            "sparse/0/images.txt",
+        ];
+        assert!(
+            matches!(choose(&files(&model), None), Ok(Source::Binary([cameras, ..])) if cameras == "sparse/0/cameras.bin")
+        );
+        let mut both = files(&model);
+        both.extend(one);
+        let error = choose(&both, None).unwrap_err().to_string();
+        assert!(
+            error.contains("`transforms.json`") && error.contains("`sparse/0/cameras.bin`"),
+            "{error}"
+        );
+        for (wanted, text) in [
+            ("sparse/0", false),
+            ("sparse/0/images.txt", true),
+            ("./sparse/0/", false),
+        ] {
+            let source = choose(&both, Some(wanted)).unwrap();
+            assert_eq!(matches!(source, Source::Text(_)), text, "{wanted}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_there_is_named_with_what_is() {
+        let error = choose(&files(&["cameras.bin"]), None).unwrap_err().to_string();
+        assert!(error.contains("`cameras.bin`"), "{error}");
+        let error = choose(&files(&[]), None).unwrap_err().to_string();
+        assert!(error.contains("no file with cameras"), "{error}");
+        let error = choose(&files(&["transforms.json"]), Some("other.json"))
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("`other.json`"), "{error}");
+    }
+
+    #[test]
+    fn the_parts_of_a_split_set_come_together() {
+        let set = files(&[
+            "transforms_test.json",
+            "transforms_train.json",
+            "transforms_val.json",
+        ]);
+        let Source::Transforms(parts) = choose(&set, None).unwrap() else {
+            panic!("no transforms");
+        };
+        let roles: Vec<Role> = parts.iter().map(|part| part.1).collect();
+        assert_eq!(roles, [Role::Train, Role::HeldOut, Role::HeldOut]);
+        let alone = choose(&files(&["transforms_train.json"]), None).unwrap();
+        assert_eq!(
+            alone,
+            Source::Transforms(vec![("transforms_train.json".to_owned(), Role::Open)])
+        );
+    }
+}

@@ -1,0 +1,222 @@
+//! COLMAP's models: cameras, images and points3D, as `.bin` or `.txt`.
+//!
+//! Format: <https://colmap.github.io/format.html>. World to camera, x right, y down, z forward, the first pixel
+//! centre at (0.5, 0.5): as here.
+
+mod binary;
+mod text;
+
+use std::collections::BTreeMap;
+
+use marf_scene::{Point, Pose};
+use nalgebra::{Matrix3, Quaternion, Vector2, Vector3};
+
+use super::lens::MAX_SIDE_PX;
+use super::{Cameras, Focal, ImportError, Lens, Role, View};
+
+/// The files of a model.
+#[derive(Debug, Clone, Copy)]
+pub struct Model<'a> {
+    /// Names of cameras, images and points, for messages.
+    pub names: [&'a str; 3],
+    /// Content of the cameras.
+    pub cameras: &'a [u8],
+    /// Content of the images.
+    pub images: &'a [u8],
+    /// Content of the points; without it there are none.
+    pub points: Option<&'a [u8]>,
+}
+
+/// Reads cameras.bin, images.bin and points3D.bin.
+///
+/// Lenses SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL and OPENCV. Names of images are taken relative to the
+/// archive's `images` folder or to any folder that makes them unique. All points are kept, sorted by number;
+/// each image's error is the mean distance of its observations from their points' projections.
+///
+/// # Errors
+/// Names file and record: a file that ends early or is longer than its records, another lens, a number that is
+/// not finite, a size or focal length that is not positive, a quaternion that is no rotation, an image whose
+/// camera is not there. Lengths in a file are never trusted with memory.
+pub fn read_colmap_binary(model: &Model<'_>) -> Result<Cameras, ImportError> {
+    Parts {
+        lenses: binary::lenses(model.names[0], model.cameras)?,
+        images: binary::images(model.names[1], model.images)?,
+        points: model
+            .points
+            .map_or(Ok(BTreeMap::new()), |bytes| binary::points(model.names[2], bytes))?,
+    }
+    .assemble(model)
+}
+
+/// Reads cameras.txt, images.txt and points3D.txt; see [`read_colmap_binary`].
+///
+/// # Errors
+/// As there, with the line.
+pub fn read_colmap_text(model: &Model<'_>) -> Result<Cameras, ImportError> {
+    Parts {
+        lenses: text::lenses(model.names[0], model.cameras)?,
+        images: text::images(model.names[1], model.images)?,
+        points: model
+            .points
+            .map_or(Ok(BTreeMap::new()), |bytes| text::points(model.names[2], bytes))?,
+    }
+    .assemble(model)
+}
+
+/// An image's record.
+struct Image {
+    place: String,
+    quaternion: [f64; 4],
+    translation: [f64; 3],
+    camera: u32,
+    name: String,
+    /// Features found.
+    features: u32,
+    /// Position and number of the point, of those features that have one.
+    observations: Vec<([f64; 2], u64)>,
+}
+
+/// The three files, read.
+struct Parts {
+    lenses: BTreeMap<u32, Lens>,
+    images: Vec<Image>,
+    points: BTreeMap<u64, Point>,
+}
+
+impl Parts {
+    fn assemble(self, model: &Model<'_>) -> Result<Cameras, ImportError> {
+        if self.images.is_empty() {
+            return Err(ImportError::new(model.names[1], "", "holds no image"));
+        }
+        let views: Result<Vec<View>, ImportError> =
+            self.images.iter().map(|image| self.view(model, image)).collect();
+        Ok(Cameras {
+            views: views?,
+            points: self.points.into_values().collect(),
+        })
+    }
+
+    fn view(&self, model: &Model<'_>, image: &Image) -> Result<View, ImportError> {
+        let fail = |problem: String| ImportError::new(model.names[1], &image.place, problem);
+        let lens = self.lenses.get(&image.camera);
+        let lens =
+            lens.ok_or_else(|| fail(format!("camera {} is not in {}", image.camera, model.names[0])))?;
+        let cam_from_world = pose(image).map_err(fail)?;
+        let parts: Vec<&str> = image.name.split('/').collect();
+        if image.name.starts_with('/') || parts.iter().any(|part| matches!(*part, "" | "." | "..")) {
+            return Err(fail(format!("`{}` is no plain relative name", image.name)));
+        }
+        Ok(View {
+            place: image.place.clone(),
+            file: image.name.clone(),
+            lens: *lens,
+            cam_from_world,
+            role: Role::Open,
+            matches: Some(image.features),
+            inliers: Some(image.observations.len() as u32),
+            error_px: self.error_px(image, lens, &cam_from_world),
+        })
+    }
+
+    /// Mean distance of the observations from the projections of their points.
+    fn error_px(&self, image: &Image, lens: &Lens, cam_from_world: &Pose) -> Option<f64> {
+        let (width, height) = lens.size?;
+        let camera = lens.camera(width, height).ok()?;
+        let distance = |(seen, point): &([f64; 2], u64)| {
+            let point = self.points.get(point)?;
+            let pixel = camera.project(&cam_from_world.point(&Vector3::from(point.position)))?;
+            Some((pixel - Vector2::from(*seen)).norm())
+        };
+        let distances: Vec<f64> = image.observations.iter().filter_map(distance).collect();
+        let mean = distances.iter().sum::<f64>() / distances.len() as f64;
+        mean.is_finite().then_some(mean)
+    }
+}
+
+fn pose(image: &Image) -> Result<Pose, String> {
+    let numbers = || image.quaternion.into_iter().chain(image.translation);
+    if numbers().any(|number| !number.is_finite()) {
+        return Err(format!("a pose with {:?}", numbers().collect::<Vec<_>>()));
+    }
+    let [w, x, y, z] = image.quaternion;
+    let length = Quaternion::new(w, x, y, z).norm();
+    if (length - 1.0).abs() > 1e-3 {
+        return Err(format!("a quaternion of length {length}, not 1"));
+    }
+    let [w, x, y, z] = image.quaternion.map(|number| number / length);
+    Ok(Pose {
+        rotation: Matrix3::new(
+            1.0 - 2.0 * (y * y + z * z),
+            2.0 * (x * y - w * z),
+            2.0 * (x * z + w * y),
+            2.0 * (x * y + w * z),
+            1.0 - 2.0 * (x * x + z * z),
+            2.0 * (y * z - w * x),
+            2.0 * (x * z - w * y),
+            2.0 * (y * z + w * x),
+            1.0 - 2.0 * (x * x + y * y),
+        ),
+        translation: Vector3::from(image.translation),
+    })
+}
+
+/// COLMAP's lenses by number, with how many parameters each has.
+const LENSES: [(&str, usize); 11] = [
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+];
+
+/// Makes a lens of COLMAP's name and parameters.
+fn lens(name: &str, size: (u64, u64), params: &[f64]) -> Result<Lens, String> {
+    let (fx, fy, cx, cy, distortion) = match (name, params) {
+        ("SIMPLE_PINHOLE", [f, cx, cy]) => (f, f, cx, cy, [0.0; 4]),
+        ("PINHOLE", [fx, fy, cx, cy]) => (fx, fy, cx, cy, [0.0; 4]),
+        ("SIMPLE_RADIAL", [f, cx, cy, k]) => (f, f, cx, cy, [*k, 0.0, 0.0, 0.0]),
+        ("RADIAL", [f, cx, cy, k1, k2]) => (f, f, cx, cy, [*k1, *k2, 0.0, 0.0]),
+        ("OPENCV", [fx, fy, cx, cy, k1, k2, p1, p2]) => (fx, fy, cx, cy, [*k1, *k2, *p1, *p2]),
+        _ => return Err(unread(name, params.len())),
+    };
+    if let Some(bad) = params.iter().find(|number| !number.is_finite()) {
+        return Err(format!("the lens {name} has the parameter {bad}"));
+    }
+    if *fx <= 0.0 || *fy <= 0.0 {
+        return Err(format!("{fx} and {fy} are no focal lengths in pixels"));
+    }
+    let side = |side: u64| {
+        u32::try_from(side)
+            .ok()
+            .filter(|side| (1..=MAX_SIDE_PX).contains(side))
+    };
+    let size = side(size.0).zip(side(size.1));
+    Ok(Lens {
+        size: Some(size.ok_or_else(|| format!("a size beyond 1 to {MAX_SIDE_PX} pixels a side"))?),
+        focal: Focal::Px(*fx, *fy),
+        cx_px: Some(*cx),
+        cy_px: Some(*cy),
+        distortion,
+    })
+}
+
+fn unread(name: &str, given: usize) -> String {
+    let read = LENSES[..5]
+        .iter()
+        .map(|lens| lens.0)
+        .collect::<Vec<_>>()
+        .join(", ");
+    match LENSES[..5].iter().find(|lens| lens.0 == name) {
+        Some((_, needed)) => format!("the lens {name} has {needed} parameters, {given} are given"),
+        None => format!("the lens `{name}` is not read; these are: {read}"),
+    }
+}
+
+#[cfg(test)]
+mod tests;

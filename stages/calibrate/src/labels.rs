@@ -1,0 +1,240 @@
+//! Cameras from labels: every photo of one site in one metric frame, each an ideal pinhole.
+
+use std::collections::BTreeMap;
+
+use marf_cache::Digest;
+use marf_scene::{Cahvor, Camera, CameraPrior, Pinhole, Pose};
+use marf_stage::{Ctx, StageError};
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+use crate::CalibrateParams;
+use crate::photos::{Calibrated, Found, Item, Placed, as_png, decode, reduction, store};
+use crate::resample::resample;
+
+/// A photo whose label can be used.
+struct Candidate<'a> {
+    item: usize,
+    model: &'a Cahvor,
+    site: Option<i64>,
+    site_from_frame: Pose,
+}
+
+/// A candidate with its image.
+struct Made {
+    image: Digest,
+    file: String,
+    camera: Camera,
+    cam_from_site: Pose,
+}
+
+/// Places the photos of one site: x north, y east, z down, in metres, the origin at the median of the cameras.
+///
+/// A photo whose model is an ideal pinhole already keeps its bytes; every other one is resampled once.
+pub(crate) fn run(ctx: &Ctx<'_>, items: &[Item], params: &CalibrateParams) -> Result<Calibrated, StageError> {
+    let mut unplaced = Vec::new();
+    let mut candidates = Vec::new();
+    for (index, item) in items.iter().enumerate() {
+        match candidate(index, item) {
+            Ok(candidate) => candidates.push(candidate),
+            Err(reason) => unplaced.push((index, reason)),
+        }
+    }
+    let site = params.site.map_or_else(|| busiest(&candidates), Some);
+    let (here, elsewhere): (Vec<_>, Vec<_>) = candidates
+        .into_iter()
+        .partition(|candidate| candidate.site == site);
+    unplaced.extend(
+        elsewhere
+            .iter()
+            .map(|candidate| (candidate.item, other_site(candidate.site, site))),
+    );
+    let made = make_all(ctx, items, &here, params)?;
+    let mut placed = Vec::new();
+    for (candidate, made) in here.iter().zip(made) {
+        match made {
+            Ok(made) => placed.push(place(candidate.item, made)),
+            Err(reason) => unplaced.push((candidate.item, reason)),
+        }
+    }
+    centre(&mut placed);
+    Ok(Calibrated {
+        placed,
+        unplaced,
+        missing: Vec::new(),
+        points: Vec::new(),
+        up: Some([0.0, 0.0, -1.0]),
+        metres_per_unit: Some(1.0),
+        method: "labels: resampled once to an ideal pinhole, cubic in 8-bit sRGB".to_owned(),
+        hint: "take an archive whose labels hold camera models, choose another `site`, widen `sols`, or use \
+               method = \"import\""
+            .to_owned(),
+    })
+}
+
+fn candidate(index: usize, item: &Item) -> Result<Candidate<'_>, String> {
+    let Some(prior) = &item.facts.prior else {
+        return Err(no_prior(item));
+    };
+    Ok(Candidate {
+        item: index,
+        model: &prior.model,
+        site: prior.motion_counter.first().copied(),
+        site_from_frame: site_from_frame(prior)?,
+    })
+}
+
+fn no_prior(item: &Item) -> String {
+    let said = item.facts.notes.iter().find(|note| note.starts_with("label"));
+    match (said, item.labelled) {
+        (Some(note), _) => format!("label without camera ({note})"),
+        (None, true) => "label without camera".to_owned(),
+        (None, false) => "no label".to_owned(),
+    }
+}
+
+fn site_from_frame(prior: &CameraPrior) -> Result<Pose, String> {
+    match prior.site_from_frame {
+        Some(pose) if pose.is_valid() => Ok(pose),
+        Some(_) => Err(format!(
+            "label's pose of {} in its site is no rotation",
+            prior.frame
+        )),
+        None if prior.frame.starts_with("SITE") => Ok(Pose::identity()),
+        None => Err(format!("label does not say where {} is in its site", prior.frame)),
+    }
+}
+
+/// The site with most photos; of equals the first.
+fn busiest(candidates: &[Candidate<'_>]) -> Option<i64> {
+    let mut counts: BTreeMap<Option<i64>, usize> = BTreeMap::new();
+    for candidate in candidates {
+        *counts.entry(candidate.site).or_default() += 1;
+    }
+    let most = counts.values().max().copied()?;
+    counts.into_iter().find(|(_, count)| *count == most)?.0
+}
+
+fn other_site(own: Option<i64>, chosen: Option<i64>) -> String {
+    let name = |site: Option<i64>| site.map_or("unknown".to_owned(), |site| site.to_string());
+    match own {
+        Some(site) => format!(
+            "of site {site}; this scene is of site {} (`site = {site}` builds it)",
+            name(chosen)
+        ),
+        None => format!(
+            "label does not say which site it is of; this scene is of site {}",
+            name(chosen)
+        ),
+    }
+}
+
+/// An image and camera for each candidate, or why there is none.
+fn make_all(
+    ctx: &Ctx<'_>,
+    items: &[Item],
+    candidates: &[Candidate<'_>],
+    params: &CalibrateParams,
+) -> Result<Vec<Result<Made, String>>, StageError> {
+    let done = std::sync::atomic::AtomicU64::new(0);
+    let all = candidates.par_iter().map(|candidate| {
+        ctx.check()?;
+        let made = make(ctx, &items[candidate.item], candidate, params);
+        let so_far = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
+        ctx.progress
+            .at(so_far, candidates.len() as u64, "photos resampled");
+        made
+    });
+    all.collect()
+}
+
+fn make(
+    ctx: &Ctx<'_>,
+    item: &Item,
+    candidate: &Candidate<'_>,
+    params: &CalibrateParams,
+) -> Result<Result<Made, String>, StageError> {
+    let photo = decode(ctx, item)?.image;
+    let (width, height) = (photo.width, photo.height);
+    let labelled = (item.facts.width, item.facts.height);
+    if labelled != (0, 0) && labelled != (width, height) {
+        return Ok(Err(format!(
+            "label's camera is for {} x {} pixels, the photo has {width} x {height}",
+            labelled.0, labelled.1
+        )));
+    }
+    let (pinhole, straight) = match pinhole(candidate.model, width, height) {
+        Ok(found) => found,
+        Err(error) => return Ok(Err(error.to_string())),
+    };
+    let image = match straight {
+        Straight::Already => photo,
+        Straight::Through(model) => match resample(&photo, &model, &pinhole) {
+            Ok(image) => image,
+            Err(error) => return Ok(Err(error.to_string())),
+        },
+    };
+    let factor = reduction(image.width, image.height, params.longest_side_px);
+    let kept = matches!(straight, Straight::Already) && factor == 1;
+    let (image, file) = if kept {
+        (item.image, item.facts.file.clone())
+    } else {
+        (
+            store(ctx, item, &image.box_reduced(factor))?,
+            as_png(&item.facts.file),
+        )
+    };
+    Ok(Ok(Made {
+        image,
+        file,
+        camera: pinhole.camera.box_reduced(factor),
+        cam_from_site: pinhole.cam_from_frame * candidate.site_from_frame.inverse(),
+    }))
+}
+
+/// How a photo becomes an ideal pinhole's.
+enum Straight {
+    /// It is one.
+    Already,
+    /// By resampling through this model (normalised).
+    Through(Cahvor),
+}
+
+fn pinhole(model: &Cahvor, width: u32, height: u32) -> Result<(Pinhole, Straight), marf_scene::CahvorError> {
+    if let Some(pinhole) = model.exact_pinhole(width, height)? {
+        return Ok((pinhole, Straight::Already));
+    }
+    let pinhole = model.linearised(width, height)?;
+    Ok((pinhole, Straight::Through(model.normalised()?)))
+}
+
+fn place(item: usize, made: Made) -> Placed {
+    Placed {
+        item,
+        file: made.file,
+        image: made.image,
+        camera: made.camera,
+        cam_from_world: made.cam_from_site,
+        held_out: None,
+        found: Found::default(),
+    }
+}
+
+/// Moves the origin to the median of the camera centres, axis by axis: f32 later has no metres to waste.
+fn centre(placed: &mut [Placed]) {
+    let median = Vector3::from_fn(|axis, _| {
+        let mut values: Vec<f64> = placed
+            .iter()
+            .map(|one| one.cam_from_world.centre()[axis])
+            .collect();
+        values.sort_by(f64::total_cmp);
+        values.get(values.len() / 2).copied().unwrap_or(0.0)
+    });
+    let site_from_world = Pose {
+        translation: median,
+        ..Pose::identity()
+    };
+    for one in placed {
+        one.cam_from_world = one.cam_from_world * site_from_world;
+    }
+}

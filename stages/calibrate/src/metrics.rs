@@ -1,0 +1,63 @@
+use serde::{Deserialize, Serialize};
+
+/// How each photo fared; the output `metrics`, as JSON.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Metrics {
+    /// What placed the photos.
+    pub method: String,
+    /// Sums.
+    pub totals: Totals,
+    /// One entry for each photo of the input, sorted by id.
+    pub photos: Vec<PhotoMetrics>,
+    /// Files the import has a camera for that are not among the photos, sorted by name.
+    pub missing: Vec<Missing>,
+}
+
+/// Sums over all photos.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Totals {
+    /// Photos of the input.
+    pub photos: usize,
+    /// Photos with a camera.
+    pub registered: usize,
+    /// Photos with a camera that are kept from training.
+    pub held_out: usize,
+    /// Photos without a camera.
+    pub unplaced: usize,
+    /// Files with a camera that are not among the photos.
+    pub missing: usize,
+    /// Sparse points.
+    pub points: usize,
+    /// Mean over the photos that have one of their mean reprojection error, pixels.
+    pub error_px: Option<f64>,
+}
+
+/// How one photo fared.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PhotoMetrics {
+    /// Its id.
+    pub id: String,
+    /// Its file.
+    pub file: String,
+    /// Whether it has a camera.
+    pub registered: bool,
+    /// Whether it is kept from training.
+    pub held_out: bool,
+    /// Features found in it, if the method tells.
+    pub matches: Option<u32>,
+    /// Features that belong to a point of the scene, if the method tells.
+    pub inliers: Option<u32>,
+    /// Mean distance of those features from their points' projections, pixels of the imported camera.
+    pub error_px: Option<f64>,
+    /// Why it has no camera; empty if it has.
+    pub reason: String,
+}
+
+/// A file with a camera that is not among the photos.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Missing {
+    /// Its name in the import.
+    pub file: String,
+    /// Why it is not in the scene.
+    pub reason: String,
+}

@@ -1,0 +1,202 @@
+use std::collections::BTreeMap;
+
+use marf_cache::ContentHash;
+use marf_scene::{Frame, Scene, Unplaced};
+use marf_stage::{
+    COMPANIONS, Ctx, Define, Inputs, Outputs, PHOTOS, ParamError, Port, Set, Stage, StageError, Threads, Work,
+};
+
+use crate::photos::{Calibrated, HeldOut, Item, Placed, load};
+use crate::{CalibrateParams, Method, Metrics, PhotoMetrics, Totals, import, labels, write_transforms};
+
+/// Output that holds the scene ([`Scene::encode`]).
+pub const SCENE: &str = "scene";
+/// Output that says how each photo fared ([`Metrics`] as JSON).
+pub const METRICS: &str = "metrics";
+/// Output that holds the scene as transforms.json ([`write_transforms`]).
+pub const TRANSFORMS: &str = "transforms";
+
+/// Finds the camera of each photo.
+///
+/// - In: the photos; for `import` the files beside them.
+/// - Out: `scene`, `metrics`, `transforms`.
+/// - Cost: `labels` decodes, resamples and encodes each photo once, about 0.2 s a megapixel and core for
+///   CAHVOR, 0.6 s for CAHVORE; `import` reads no photo unless `longest_side_px` asks for smaller ones.
+/// - Bad input: a photo that cannot be placed is listed with the reason; a camera file that is wrong anywhere
+///   is refused whole, with the field; too few photos placed stop the node.
+pub struct Calibrate(CalibrateParams);
+
+impl Define for Calibrate {
+    type Params = CalibrateParams;
+    const NAME: &'static str = "calibrate";
+    const ABOUT: &'static str = "Photos and labels or imported cameras to a calibrated scene";
+    const VERSION: u32 = 1;
+    const PORTS: &'static [Port] = &[
+        Port::required("input", PHOTOS),
+        Port::optional("cameras", COMPANIONS),
+    ];
+    const OUTPUTS: &'static [&'static str] = &[SCENE, METRICS, TRANSFORMS];
+
+    fn new(params: CalibrateParams) -> Result<Self, ParamError> {
+        params.check()?;
+        Ok(Self(params))
+    }
+}
+
+impl Stage for Calibrate {
+    fn params(&self) -> &dyn ContentHash {
+        &self.0
+    }
+
+    fn work(&self) -> Work<'_> {
+        Work::Set(self)
+    }
+
+    fn threads(&self) -> Threads {
+        Threads::All
+    }
+}
+
+impl Set for Calibrate {
+    fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
+        let items = load(ctx, inputs)?;
+        let mut found = match self.0.method {
+            Method::Labels => labels::run(ctx, &items, &self.0)?,
+            Method::Import => import::run(ctx, inputs, &items, &self.0)?,
+            Method::Sfm => return Err(StageError::new("structure from motion is not in this version")),
+        };
+        check_enough(&found, items.len(), self.0.min_registered)?;
+        hold_out(&mut found.placed, self.0.hold_every);
+        check_training(&found.placed)?;
+        let metrics = metrics(&found, &items);
+        let scene = scene(found, &items);
+        let bytes = scene
+            .encode()
+            .map_err(|error| StageError::new(error.to_string()))?;
+        let metrics =
+            serde_json::to_vec_pretty(&metrics).map_err(|error| StageError::new(error.to_string()))?;
+        let outputs = [
+            (SCENE, bytes),
+            (METRICS, metrics),
+            (TRANSFORMS, write_transforms(&scene).into_bytes()),
+        ];
+        let stored = outputs.map(|(name, bytes)| Ok((name.to_owned(), ctx.put(&bytes)?)));
+        stored.into_iter().collect()
+    }
+}
+
+/// Refuses a scene of too few photos, with the commonest reason.
+fn check_enough(found: &Calibrated, total: usize, min_registered: u32) -> Result<(), StageError> {
+    let placed = found.placed.len();
+    if placed > 0 && placed >= min_registered as usize {
+        return Ok(());
+    }
+    let mut reasons: BTreeMap<&str, usize> = BTreeMap::new();
+    for (_, reason) in &found.unplaced {
+        *reasons.entry(reason).or_default() += 1;
+    }
+    let commonest = reasons.into_iter().max_by_key(|(_, count)| *count);
+    let error = StageError::new(format!(
+        "{placed} of {total} photos were placed; `min_registered` asks for {min_registered}"
+    ))
+    .hint(found.hint.clone());
+    Err(match commonest {
+        Some((reason, count)) => error.cause(format!("{count} photos: {reason}")),
+        None => error,
+    })
+}
+
+/// Sorts by file name and keeps every so many from training, unless the import has decided.
+fn hold_out(placed: &mut [Placed], every: u32) {
+    placed.sort_by(|a, b| (&a.file, a.item).cmp(&(&b.file, b.item)));
+    if placed.iter().any(|one| one.held_out.is_some()) {
+        return;
+    }
+    for (index, one) in placed.iter_mut().enumerate() {
+        let held_out = every > 0 && index % every as usize == 0;
+        one.held_out = Some(if held_out { HeldOut::Yes } else { HeldOut::No });
+    }
+}
+
+fn check_training(placed: &[Placed]) -> Result<(), StageError> {
+    if placed.iter().any(|one| one.held_out != Some(HeldOut::Yes)) {
+        return Ok(());
+    }
+    Err(StageError::new(format!(
+        "all {} placed photos are kept from training",
+        placed.len()
+    ))
+    .hint("set `hold_every = 0`, or name photos in `train_filenames`"))
+}
+
+fn metrics(found: &Calibrated, items: &[Item]) -> Metrics {
+    let mut photos: Vec<PhotoMetrics> = items.iter().map(unregistered).collect();
+    for (index, reason) in &found.unplaced {
+        photos[*index].reason.clone_from(reason);
+    }
+    for one in &found.placed {
+        let photo = &mut photos[one.item];
+        photo.registered = true;
+        photo.held_out = one.held_out == Some(HeldOut::Yes);
+        (photo.matches, photo.inliers, photo.error_px) =
+            (one.found.matches, one.found.inliers, one.found.error_px);
+    }
+    let errors: Vec<f64> = photos.iter().filter_map(|photo| photo.error_px).collect();
+    let totals = Totals {
+        photos: items.len(),
+        registered: found.placed.len(),
+        held_out: photos.iter().filter(|photo| photo.held_out).count(),
+        unplaced: found.unplaced.len(),
+        missing: found.missing.len(),
+        points: found.points.len(),
+        error_px: (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64),
+    };
+    photos.sort_by(|a, b| a.id.cmp(&b.id));
+    Metrics {
+        method: found.method.clone(),
+        totals,
+        photos,
+        missing: found.missing.clone(),
+    }
+}
+
+fn unregistered(item: &Item) -> PhotoMetrics {
+    PhotoMetrics {
+        id: item.id.clone(),
+        file: item.facts.file.clone(),
+        registered: false,
+        held_out: false,
+        matches: None,
+        inliers: None,
+        error_px: None,
+        reason: String::new(),
+    }
+}
+
+fn scene(found: Calibrated, items: &[Item]) -> Scene {
+    let frame = |one: Placed| Frame {
+        id: items[one.item].id.clone(),
+        file: one.file,
+        image: one.image,
+        camera: one.camera,
+        cam_from_world: one.cam_from_world,
+        held_out: one.held_out == Some(HeldOut::Yes),
+        error_px: one.found.error_px,
+    };
+    let mut frames: Vec<Frame> = found.placed.into_iter().map(frame).collect();
+    frames.sort_by(|a, b| a.id.cmp(&b.id));
+    let reason = |(index, reason): (usize, String)| Unplaced {
+        id: items[index].id.clone(),
+        reason,
+    };
+    let mut unplaced: Vec<Unplaced> = found.unplaced.into_iter().map(reason).collect();
+    unplaced.sort_by(|a, b| a.id.cmp(&b.id));
+    Scene {
+        frames,
+        unplaced,
+        points: found.points,
+        up: found.up,
+        metres_per_unit: found.metres_per_unit,
+        method: found.method,
+    }
+}

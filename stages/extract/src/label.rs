@@ -1,0 +1,235 @@
+//! What every kind of label is read into.
+
+use marf_scene::{CameraPrior, Pose};
+use nalgebra::{Matrix3, Vector3};
+
+use crate::camera::{self, CameraError, RawModel};
+
+/// Largest label that is read: real ones have at most 300 kB.
+pub(crate) const MAX_LABEL_BYTES: usize = 2 << 20;
+/// Largest tolerated deviation of a quaternion's length from 1.
+const QUATERNION_TOLERANCE: f64 = 1e-3;
+
+/// What a label says of its photo.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Label {
+    /// Product id, as written.
+    pub product: Option<String>,
+    /// Sol.
+    pub sol: Option<u32>,
+    /// Instrument, as the label names it.
+    pub instrument: Option<String>,
+    /// Colour filter.
+    pub filter: Option<String>,
+    /// The label calls its photo a thumbnail.
+    pub thumbnail: bool,
+    /// Camera model and pose.
+    pub prior: Option<CameraPrior>,
+    /// Focal length, mm, where the label has it.
+    pub focal_mm: Option<f64>,
+    /// Pixels of the detector averaged into one, along one side.
+    pub averaged: u32,
+    /// (width, height) of the photo the model is for.
+    pub size: Option<(u32, u32)>,
+    /// Where the pixels lie, if the label describes an array.
+    pub array: Option<Array>,
+    /// Phase of a colour mosaic that the pixels still are.
+    pub mosaic: Option<Phase>,
+    /// What could not be used, and why.
+    pub notes: Vec<String>,
+}
+
+/// First line and sample of the photo on the detector, 0-based: the phase of its RGGB mosaic.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct Phase {
+    /// First line.
+    pub line: u32,
+    /// First sample.
+    pub sample: u32,
+}
+
+/// An array of pixels in a file.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Array {
+    /// Name of the file, if not the label's own.
+    pub file: Option<String>,
+    /// Where the first record starts, bytes.
+    pub offset: u64,
+    /// Bands, lines, samples.
+    pub shape: [u32; 3],
+    /// How the three are nested.
+    pub order: Order,
+    /// Type of one sample.
+    pub sample: Sample,
+    /// Bytes before each record's samples (VICAR's NBB, PDS3's LINE_PREFIX_BYTES).
+    pub prefix_bytes: u32,
+    /// Bytes after each record's samples.
+    pub suffix_bytes: u32,
+    /// Significant bits of an unscaled sample, if the label says.
+    pub bits: Option<u32>,
+    /// Value = stored x scale + offset, if the label scales.
+    pub scaling: Option<(f64, f64)>,
+    /// Stored values that mean "no value".
+    pub missing: Vec<f64>,
+    /// What the scaled value is.
+    pub quantity: Quantity,
+}
+
+/// Nesting of bands, lines and samples; the last varies fastest.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Order {
+    /// Band, line, sample.
+    BandSequential,
+    /// Line, band, sample.
+    LineInterleaved,
+    /// Line, sample, band.
+    PixelInterleaved,
+}
+
+/// Type of one stored sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Sample {
+    /// Whole or floating.
+    pub kind: Number,
+    /// 1, 2, 4 or 8 (4 or 8 for floats).
+    pub bytes: u32,
+    /// Most significant byte first.
+    pub big_endian: bool,
+}
+
+/// Kind of number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Number {
+    /// Whole, from 0.
+    Unsigned,
+    /// Whole, two's complement.
+    Signed,
+    /// IEEE 754.
+    Float,
+}
+
+/// What an array's scaled values are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Quantity {
+    /// Counts of the detector, in proportion to light.
+    Counts,
+    /// 8-bit codes that follow a curve like a display's.
+    Display,
+    /// Spectral radiance, W / (m2 sr nm).
+    Radiance,
+    /// I/F: radiance over that of a white surface under the sun.
+    Reflectance,
+}
+
+impl Label {
+    /// Keeps a camera that can be used, or the reason why it cannot.
+    pub fn set_camera(&mut self, raw: &RawModel, frame: String, pose: FramePose, counter: Vec<i64>) {
+        match camera::normalised(raw) {
+            Ok(model) => {
+                let site_from_frame = pose.resolve(&mut self.notes);
+                self.prior = Some(CameraPrior {
+                    model,
+                    frame,
+                    site_from_frame,
+                    motion_counter: counter,
+                });
+            }
+            Err(error) => self.refuse_camera(&error),
+        }
+    }
+
+    /// Notes that the label's camera cannot be used.
+    pub fn refuse_camera(&mut self, error: &CameraError) {
+        self.notes.push(format!("label has no usable camera: {error}"));
+    }
+}
+
+/// What a label says of the pose of a frame in its site.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum FramePose {
+    /// The camera is in the site's frame.
+    IsSite,
+    /// v_site = R(q) v_frame + offset; q scalar first.
+    Given {
+        /// Scalar first.
+        quaternion: [f64; 4],
+        /// Metres.
+        offset: [f64; 3],
+    },
+    /// The label does not say.
+    Unknown,
+}
+
+impl FramePose {
+    fn resolve(self, notes: &mut Vec<String>) -> Option<Pose> {
+        match self {
+            Self::IsSite => Some(Pose::identity()),
+            Self::Unknown => {
+                notes.push("label does not place its camera's frame in a site".to_owned());
+                None
+            }
+            Self::Given { quaternion, offset } => {
+                let pose = pose(quaternion, offset);
+                if pose.is_none() {
+                    notes.push(format!("quaternion {quaternion:?} is not of length 1: no pose"));
+                }
+                pose
+            }
+        }
+    }
+}
+
+/// Returns v_site = R(q) v + offset for a quaternion, scalar first, of length 1 within 1e-3.
+pub(crate) fn pose(quaternion: [f64; 4], offset: [f64; 3]) -> Option<Pose> {
+    let length = quaternion.iter().map(|value| value * value).sum::<f64>().sqrt();
+    let finite = offset.iter().all(|value| value.is_finite());
+    if !finite || !((length - 1.0).abs() <= QUATERNION_TOLERANCE) {
+        return None;
+    }
+    let [w, x, y, z] = quaternion.map(|value| value / length);
+    let rotation = Matrix3::new(
+        1.0 - 2.0 * (y * y + z * z),
+        2.0 * (x * y - w * z),
+        2.0 * (x * z + w * y),
+        2.0 * (x * y + w * z),
+        1.0 - 2.0 * (x * x + z * z),
+        2.0 * (y * z - w * x),
+        2.0 * (x * z - w * y),
+        2.0 * (y * z + w * x),
+        1.0 - 2.0 * (x * x + y * y),
+    );
+    Some(Pose {
+        rotation,
+        translation: Vector3::from(offset),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// From the reference: yaw +73.74 degrees, a point 1 m ahead of the rover.
+    #[test]
+    fn a_quaternion_turns_rover_into_site() {
+        let pose = pose([0.8, 0.0, 0.0, 0.6], [12.5, -3.25, 0.125]).unwrap();
+        let point = pose.point(&Vector3::x());
+        assert!(
+            (point - Vector3::new(12.78, -2.29, 0.125)).norm() < 1e-12,
+            "{point}"
+        );
+        assert!(pose.is_valid());
+    }
+
+    #[test]
+    fn a_quaternion_that_is_no_rotation_is_refused() {
+        for bad in [
+            [1.875, 0.447_21, -0.9165, -0.816_56],
+            [0.0; 4],
+            [f64::NAN, 0.0, 0.0, 0.0],
+            [1.002, 0.0, 0.0, 0.0],
+        ] {
+            assert_eq!(pose(bad, [0.0; 3]), None, "{bad:?}");
+        }
+        assert_eq!(pose([1.0, 0.0, 0.0, 0.0], [f64::INFINITY, 0.0, 0.0]), None);
+    }
+}

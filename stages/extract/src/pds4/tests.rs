@@ -1,0 +1,187 @@
+use super::*;
+
+/// The fragment of the reference, in a whole label; values invented.
+fn document(camera: &str, definition: &str) -> String {
+    format!(
+        r#"<?xml version="1.0"?>
+<Product_Observational xmlns="http://pds.nasa.gov/pds4/pds/v1" xmlns:g="http://pds.nasa.gov/pds4/geom/v1"
+  xmlns:img="http://pds.nasa.gov/pds4/img/v1" xmlns:m="http://pds.nasa.gov/pds4/mission/mars2020/v1">
+<Identification_Area><logical_identifier>urn:nasa:pds:demo:data:abc</logical_identifier></Identification_Area>
+<Observation_Area>
+ <Observing_System><Observing_System_Component><name>Rover</name><type>Host</type></Observing_System_Component>
+  <Observing_System_Component><name>Navcam</name><type>Instrument</type></Observing_System_Component></Observing_System>
+ <Mission_Area><m:Mars2020_Parameters><m:Observation_Information><m:sol_number>12</m:sol_number>
+  </m:Observation_Information></m:Mars2020_Parameters></Mission_Area>
+ <Discipline_Area>
+  <img:Imaging><img:Commanded_Parameters><img:Optical_Filter><img:filter_number>7</img:filter_number></img:Optical_Filter>
+   </img:Commanded_Parameters><img:Optical_Filter><img:filter_number>0</img:filter_number></img:Optical_Filter></img:Imaging>
+  <g:Geometry><g:Geometry_Lander>{camera}{definition}
+   <g:Motion_Counter><g:Motion_Counter_Index><g:index_id>SITE</g:index_id><g:index_value_number>7</g:index_value_number></g:Motion_Counter_Index>
+   <g:Motion_Counter_Index><g:index_name>DRIVE</g:index_name><g:index_value_number>42</g:index_value_number></g:Motion_Counter_Index></g:Motion_Counter>
+  </g:Geometry_Lander></g:Geometry>
+ </Discipline_Area>
+</Observation_Area>
+</Product_Observational>"#
+    )
+}
+
+const CAMERA: &str = r"<g:Camera_Model_Parameters><g:model_type>CAHVORE</g:model_type><g:CAHVORE_Model>
+<g:cahvore_model_type>3</g:cahvore_model_type><g:cahvore_model_parameter>0.6</g:cahvore_model_parameter>
+<g:Entrance_Terms><g:c0>-0.0036</g:c0><g:c1>0.013</g:c1><g:c2>-0.024</g:c2></g:Entrance_Terms>
+<g:Vector_Center><g:x_position>0.9</g:x_position><g:y_position>0.4</g:y_position><g:z_position>-1.9</g:z_position></g:Vector_Center>
+<g:Vector_Axis><g:x_unit>1</g:x_unit><g:y_unit>0</g:y_unit><g:z_unit>0</g:z_unit></g:Vector_Axis>
+<g:Vector_Horizontal><g:x_pixel>640</g:x_pixel><g:y_pixel>740</g:y_pixel><g:z_pixel>0</g:z_pixel></g:Vector_Horizontal>
+<g:Vector_Vertical><g:x_pixel>480</g:x_pixel><g:y_pixel>0</g:y_pixel><g:z_pixel>740</g:z_pixel></g:Vector_Vertical>
+<g:Vector_Optical><g:x_unit>0.9999975</g:x_unit><g:y_unit>0.002</g:y_unit><g:z_unit>-0.001</g:z_unit></g:Vector_Optical>
+<g:Radial_Terms><g:c0>0</g:c0><g:c1>0.05</g:c1><g:c2>-0.017</g:c2></g:Radial_Terms></g:CAHVORE_Model>
+<g:Coordinate_Space_Reference><g:Coordinate_Space_Indexed><g:coordinate_space_frame_type>ROVER_NAV_FRAME</g:coordinate_space_frame_type>
+<g:Coordinate_Space_Index><g:index_id>SITE</g:index_id><g:index_value_number>7</g:index_value_number></g:Coordinate_Space_Index>
+<g:Coordinate_Space_Index><g:index_id>DRIVE</g:index_id><g:index_value_number>42</g:index_value_number></g:Coordinate_Space_Index>
+</g:Coordinate_Space_Indexed></g:Coordinate_Space_Reference></g:Camera_Model_Parameters>";
+
+fn definition(drive: i64, yaw_sine: &str) -> String {
+    format!(
+        r"<g:Coordinate_Space_Definition><local_identifier>ROVER_{drive}</local_identifier>
+<g:Coordinate_Space_Present><g:Coordinate_Space_Indexed><g:coordinate_space_frame_type>ROVER_NAV_FRAME</g:coordinate_space_frame_type>
+<g:Coordinate_Space_Index><g:index_id>SITE</g:index_id><g:index_value_number>7</g:index_value_number></g:Coordinate_Space_Index>
+<g:Coordinate_Space_Index><g:index_id>DRIVE</g:index_id><g:index_value_number>{drive}</g:index_value_number></g:Coordinate_Space_Index>
+</g:Coordinate_Space_Indexed></g:Coordinate_Space_Present>
+<g:Vector_Origin_Offset><g:x_position unit='m'>12.5</g:x_position><g:y_position>-3.25</g:y_position><g:z_position>0.125</g:z_position></g:Vector_Origin_Offset>
+<g:Quaternion_Plus_Direction><g:qcos>0.8</g:qcos><g:qsin1>0</g:qsin1><g:qsin2>0</g:qsin2><g:qsin3>{yaw_sine}</g:qsin3><g:rotation_direction>Forward</g:rotation_direction></g:Quaternion_Plus_Direction>
+<g:Coordinate_Space_Reference><g:Coordinate_Space_Indexed><g:coordinate_space_frame_type>SITE_FRAME</g:coordinate_space_frame_type></g:Coordinate_Space_Indexed></g:Coordinate_Space_Reference>
+</g:Coordinate_Space_Definition>"
+    )
+}
+
+fn label(camera: &str, definition: &str) -> Label {
+    read(document(camera, definition).as_bytes()).unwrap()
+}
+
+#[test]
+fn every_number_of_a_cahvore_label_is_read() {
+    let label = label(CAMERA, &definition(42, "0.6"));
+    assert_eq!((label.sol, label.product.as_deref()), (Some(12), Some("ABC")));
+    assert_eq!(
+        (label.instrument.as_deref(), label.filter.as_deref()),
+        (Some("Navcam"), Some("0"))
+    );
+    let prior = label.prior.unwrap();
+    assert_eq!(prior.frame, "ROVER_NAV_FRAME");
+    assert_eq!(prior.motion_counter, [7, 42]);
+    assert_eq!(
+        (prior.model.c, prior.model.v),
+        ([0.9, 0.4, -1.9], [480.0, 0.0, 740.0])
+    );
+    let e = prior.model.e.unwrap();
+    assert_eq!((e.terms, e.linearity), ([-0.0036, 0.013, -0.024], 0.6));
+    let site = prior.site_from_frame.unwrap().point(&nalgebra::Vector3::x());
+    assert!(
+        (site - nalgebra::Vector3::new(12.78, -2.29, 0.125)).norm() < 1e-12,
+        "{site}"
+    );
+    assert!(label.notes.is_empty(), "{:?}", label.notes);
+}
+
+#[test]
+fn a_definition_of_other_counters_is_not_taken() {
+    let both = definition(41, "-0.6") + &definition(42, "0.6");
+    let pose = label(CAMERA, &both).prior.unwrap().site_from_frame.unwrap();
+    assert!(pose.rotation[(1, 0)] > 0.9, "{pose:?}");
+    let other = label(CAMERA, &definition(41, "0.6"));
+    assert!(other.prior.unwrap().site_from_frame.is_none());
+    assert!(other.notes[0].contains("does not place"), "{:?}", other.notes);
+}
+
+#[test]
+fn a_reverse_rotation_is_turned_round() {
+    let reverse = definition(42, "0.6").replace("Forward", "Reverse");
+    let pose = label(CAMERA, &reverse).prior.unwrap().site_from_frame.unwrap();
+    assert!((pose.rotation[(1, 0)] + 0.96).abs() < 1e-12, "{pose:?}");
+}
+
+#[test]
+fn aliases_of_old_dictionaries_are_read() {
+    let cahvor = CAMERA
+        .replace("CAHVORE_Model", "CAHVOR_Model")
+        .replace("CAHVORE</g:model_type>", "CAHVOR</g:model_type>")
+        .replace("Vector_Optical", "Optical_Terms");
+    let old = cahvor.replace(
+        "<g:Optical_Terms><g:x_unit>0.9999975</g:x_unit><g:y_unit>0.002</g:y_unit><g:z_unit>-0.001</g:z_unit>",
+        "<g:Optical_Terms><g:c0>0.9999975</g:c0><g:c1>0.002</g:c1><g:c2>-0.001</g:c2>",
+    );
+    let quaternion = definition(42, "0.6").replace("Quaternion_Plus_Direction", "Quaternion_1");
+    let read = label(&old, &quaternion);
+    let prior = read.prior.unwrap();
+    assert!((prior.model.o.unwrap()[1] - 0.002).abs() < 1e-8 && prior.model.e.is_none());
+    assert!(prior.site_from_frame.is_some());
+}
+
+#[test]
+fn a_cahvore_without_e_is_refused() {
+    let bad = CAMERA.replace("CAHVORE_Model", "CAHVOR_Model");
+    let label = label(&bad, &definition(42, "0.6"));
+    assert!(
+        label.prior.is_none() && label.notes[0].contains("E of a CAHVORE"),
+        "{:?}",
+        label.notes
+    );
+}
+
+#[test]
+fn hostile_numbers_leave_the_photo_without_a_camera() {
+    for bad in [
+        "NaN", "INF", "-inf", "1e999", "0x10", "1_5", "", "1.0e+30", "999999", "1,5",
+    ] {
+        let camera = CAMERA.replace("<g:x_unit>1</g:x_unit>", &format!("<g:x_unit>{bad}</g:x_unit>"));
+        let label = label(&camera, &definition(42, "0.6"));
+        assert!(label.prior.is_none(), "{bad}");
+        assert!(
+            label.notes[0].contains("no usable camera"),
+            "{bad}: {:?}",
+            label.notes
+        );
+    }
+}
+
+#[test]
+fn other_documents_are_refused() {
+    let dtd = "<?xml version=\"1.0\"?><!DOCTYPE l [<!ENTITY x \"y\">]><l>&x;</l>";
+    let deep = "<a>".repeat(100_000) + &"</a>".repeat(100_000);
+    let wide = format!("<a>{}</a>", "<b/>".repeat(300_000));
+    for bad in [
+        "",
+        "<a/>",
+        "no xml",
+        dtd,
+        &deep,
+        &wide,
+        "<Product_Observational/>",
+    ] {
+        assert!(read(bad.as_bytes()).is_err(), "{:.30}", bad);
+    }
+    assert!(matches!(
+        read(&vec![b' '; MAX_LABEL_BYTES + 1]),
+        Err(Pds4Error::TooLarge(_))
+    ));
+    assert!(matches!(read(b"<a>\xff</a>"), Err(Pds4Error::Encoding)));
+}
+
+#[test]
+fn types_of_samples_are_read() {
+    let read = |name| sample(name).map(|sample| (sample.kind, sample.bytes, sample.big_endian));
+    assert_eq!(read("SignedMSB2"), Some((Number::Signed, 2, true)));
+    assert_eq!(read("UnsignedByte"), Some((Number::Unsigned, 1, true)));
+    assert_eq!(read("UnsignedLSB4"), Some((Number::Unsigned, 4, false)));
+    assert_eq!(read("IEEE754MSBSingle"), Some((Number::Float, 4, true)));
+    assert_eq!(read("IEEE754LSBDouble"), Some((Number::Float, 8, false)));
+    for bad in [
+        "ComplexMSB16",
+        "SignedMSB3",
+        "Signed",
+        "",
+        "IEEE754MSB2",
+        "SignedMSBByte2",
+    ] {
+        assert_eq!(read(bad), None, "{bad}");
+    }
+}

@@ -1,0 +1,225 @@
+//! Sorts the files of a shard into products: which file is the photo, which the label, which stays out and why.
+
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+
+use marf_cache::Digest;
+use marf_stage::{Ctx, StageError, Verdict};
+use rayon::prelude::*;
+
+use crate::archive::{ArchiveFile, Kind, extension, folder, read_label, stem};
+use crate::label::Label;
+use crate::names::{ProductName, join_key};
+
+/// A photo to be: its files, best first, and the label beside them.
+pub(crate) struct Product {
+    /// Unique in the archive: the product id, or the relative file name.
+    pub id: String,
+    /// What the name says, if it follows a scheme.
+    pub name: Option<ProductName>,
+    /// Candidates; the first that can be decoded is the photo.
+    pub files: Vec<ArchiveFile>,
+    /// The label beside them.
+    pub label: Option<Detached>,
+}
+
+/// A label in a file of its own.
+#[derive(Clone)]
+pub(crate) struct Detached {
+    /// Name of the file.
+    pub name: String,
+    /// Digest of its bytes, which are in the store.
+    pub digest: Digest,
+    /// What it says.
+    pub label: Label,
+}
+
+/// Files of a shard, sorted.
+pub(crate) struct Sorted {
+    /// Photos to be.
+    pub products: Vec<Product>,
+    /// A verdict for each file that is of no product.
+    pub left_out: Vec<Verdict>,
+}
+
+/// Reads the labels and joins files of one product by name, across folders.
+///
+/// # Errors
+/// The store, the wish to stop, or a file that changed.
+pub(crate) fn sort(ctx: &Ctx<'_>, files: &[ArchiveFile]) -> Result<Sorted, StageError> {
+    let mut left_out = Vec::new();
+    let mut photos: BTreeMap<String, Vec<ArchiveFile>> = BTreeMap::new();
+    for file in files {
+        match place(file) {
+            Place::Photo(key) => photos.entry(key).or_default().push(file.clone()),
+            Place::Label => {}
+            Place::LeftOut(verdict, reason) => left_out.push(left(&file.name, verdict, reason)),
+        }
+    }
+    let mut labels = labels(ctx, files, &mut left_out)?;
+    let products = photos
+        .into_values()
+        .map(|files| product(files, &mut labels, &mut left_out))
+        .collect();
+    for (_, label) in labels
+        .into_values()
+        .flatten()
+        .filter(|(used, _)| *used == Used::No)
+    {
+        left_out.push(left(
+            &label.name,
+            "skipped",
+            "a label without its photo".to_owned(),
+        ));
+    }
+    Ok(Sorted { products, left_out })
+}
+
+/// The verdict of a file that gives no photo.
+pub(crate) fn left(file: &str, verdict: &str, reason: String) -> Verdict {
+    Verdict {
+        id: file.to_owned(),
+        file: file.to_owned(),
+        verdict: verdict.to_owned(),
+        score: None,
+        threshold: None,
+        twin: None,
+        reason,
+    }
+}
+
+enum Place {
+    /// A candidate for the product of this key.
+    Photo(String),
+    Label,
+    /// Verdict and reason.
+    LeftOut(&'static str, String),
+}
+
+fn place(file: &ArchiveFile) -> Place {
+    match &file.kind {
+        Kind::Photo | Kind::Raw => match ProductName::read(stem(&file.name)) {
+            Some(name) => match name.no_photo() {
+                Some(reason) => Place::LeftOut("skipped", reason),
+                None => Place::Photo(join_key(&name.id)),
+            },
+            None => Place::Photo(format!("/{}", file.name)),
+        },
+        Kind::Pds4 | Kind::Feed | Kind::Odl => Place::Label,
+        Kind::Other(reason) => Place::LeftOut("skipped", reason.clone()),
+        Kind::Unreadable(reason) => Place::LeftOut("decode", reason.clone()),
+    }
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Used {
+    No,
+    Yes,
+}
+
+/// Labels by the key of their product.
+type Labels = BTreeMap<String, Vec<(Used, Detached)>>;
+
+fn labels(ctx: &Ctx<'_>, files: &[ArchiveFile], left_out: &mut Vec<Verdict>) -> Result<Labels, StageError> {
+    let is_label = |file: &&ArchiveFile| matches!(file.kind, Kind::Pds4 | Kind::Feed | Kind::Odl);
+    let files: Vec<&ArchiveFile> = files.iter().filter(is_label).collect();
+    let read: Result<Vec<_>, StageError> = files.into_par_iter().map(|file| one_label(ctx, file)).collect();
+    let mut labels = Labels::new();
+    for outcome in read? {
+        match outcome {
+            Ok(label) => labels
+                .entry(label_key(&label))
+                .or_default()
+                .push((Used::No, label)),
+            Err(verdict) => left_out.push(verdict),
+        }
+    }
+    Ok(labels)
+}
+
+fn one_label(ctx: &Ctx<'_>, file: &ArchiveFile) -> Result<Result<Detached, Verdict>, StageError> {
+    ctx.check()?;
+    let bytes = file.read()?;
+    Ok(match read_label(&file.kind, &bytes) {
+        Ok(label) => Ok(Detached {
+            name: file.name.clone(),
+            digest: ctx.put(&bytes)?,
+            label,
+        }),
+        Err(reason) => Err(left(&file.name, "skipped", reason)),
+    })
+}
+
+/// A label is of the product that its file is named like.
+fn label_key(label: &Detached) -> String {
+    let inner = stem(&label.name);
+    let doubled = ["img", "png", "jpg", "jpeg"].contains(&extension(inner).as_str());
+    join_key(if doubled { stem(inner) } else { inner })
+}
+
+fn product(mut files: Vec<ArchiveFile>, labels: &mut Labels, left_out: &mut Vec<Verdict>) -> Product {
+    files.sort_by_cached_key(rank);
+    let name = files.first().and_then(|file| ProductName::read(stem(&file.name)));
+    let id = match (&name, files.first()) {
+        (Some(name), _) => name.id.clone(),
+        (None, Some(file)) => file.name.clone(),
+        (None, None) => String::new(),
+    };
+    if let Some(name) = &name {
+        let (current, older): (Vec<_>, Vec<_>) =
+            files.into_iter().partition(|file| version(file) == name.version);
+        left_out.extend(older.iter().map(|file| {
+            let reason = format!("version {} is superseded by {}", version(file), name.version);
+            left(&file.name, "skipped", reason)
+        }));
+        files = current;
+    }
+    let label = files.first().and_then(|file| label_of(file, labels));
+    Product {
+        id,
+        name,
+        files,
+        label,
+    }
+}
+
+/// Sorts candidates: the newest version, the raw pixels before pictures made of them, lossless before lossy,
+/// whole size before what a feed reduced (whose names are longer).
+fn rank(file: &ArchiveFile) -> (Reverse<String>, u8, usize, String) {
+    let quality = match (&file.kind, extension(&file.name).as_str()) {
+        (Kind::Raw, _) => 0,
+        (_, "png") => 1,
+        (_, "webp") => 2,
+        (_, "jpg" | "jpeg") => 3,
+        _ => 4,
+    };
+    (
+        Reverse(version(file)),
+        quality,
+        stem(&file.name).len(),
+        file.name.clone(),
+    )
+}
+
+fn version(file: &ArchiveFile) -> String {
+    ProductName::read(stem(&file.name))
+        .map(|name| name.version)
+        .unwrap_or_default()
+}
+
+/// Takes the label of a product: one with a camera first, then one in the photo's folder, then by name. A photo of no
+/// known scheme takes labels of its own folder only.
+fn label_of(file: &ArchiveFile, labels: &mut Labels) -> Option<Detached> {
+    let scheme = ProductName::read(stem(&file.name)).is_some();
+    let entries = labels.get_mut(&join_key(stem(&file.name)))?;
+    let near = |label: &Detached| folder(&label.name) == folder(&file.name);
+    let mut fitting: Vec<&mut (Used, Detached)> = entries
+        .iter_mut()
+        .filter(|(_, label)| scheme || near(label))
+        .collect();
+    fitting.iter_mut().for_each(|entry| entry.0 = Used::Yes);
+    let best = fitting
+        .into_iter()
+        .min_by_key(|(_, label)| (label.label.prior.is_none(), !near(label), label.name.clone()));
+    best.map(|(_, label)| label.clone())
+}

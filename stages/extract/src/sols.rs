@@ -1,0 +1,104 @@
+//! Which sols a person asked for: `1..=5`, `3`, `1,4,7..=9`, `latest`.
+
+use std::collections::BTreeSet;
+
+/// A choice of sols.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Sols {
+    /// Whatever is there, also photos of an unknown sol.
+    All,
+    /// The greatest sol that is there.
+    Latest,
+    /// Inclusive ranges.
+    Ranges(Vec<(u32, u32)>),
+}
+
+impl Sols {
+    /// Reads a choice.
+    ///
+    /// # Errors
+    /// Names the part that is no sol or no range.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        if text.trim() == "latest" {
+            return Ok(Self::Latest);
+        }
+        let ranges: Result<Vec<_>, String> = text.split(',').map(|part| range(part.trim())).collect();
+        ranges.map(Self::Ranges)
+    }
+
+    /// Returns those of the present sols that are asked for.
+    pub fn choose(&self, present: &BTreeSet<u32>) -> BTreeSet<u32> {
+        match self {
+            Self::All => present.clone(),
+            Self::Latest => present.last().copied().into_iter().collect(),
+            Self::Ranges(ranges) => {
+                let wanted = |sol: &u32| ranges.iter().any(|(first, last)| (first..=last).contains(&sol));
+                present.iter().copied().filter(wanted).collect()
+            }
+        }
+    }
+}
+
+fn range(part: &str) -> Result<(u32, u32), String> {
+    let sol = |text: &str| {
+        crate::values::sol(text).ok_or_else(|| {
+            format!("`{part}` is no sol or range; write `3`, `1..=5`, `1,4,7..=9` or `latest`")
+        })
+    };
+    let (first, last) = if let Some((first, last)) = part.split_once("..=") {
+        (sol(first)?, sol(last)?)
+    } else if let Some((first, end)) = part.split_once("..") {
+        let end = sol(end)?;
+        (
+            sol(first)?,
+            end.checked_sub(1)
+                .ok_or_else(|| format!("`{part}` is an empty range"))?,
+        )
+    } else {
+        (sol(part)?, sol(part)?)
+    };
+    if first > last {
+        return Err(format!("`{part}` is an empty range"));
+    }
+    Ok((first, last))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn chosen(text: &str) -> Vec<u32> {
+        let present = BTreeSet::from([0, 1, 2, 3, 7, 9, 12]);
+        Sols::parse(text).unwrap().choose(&present).into_iter().collect()
+    }
+
+    #[test]
+    fn a_choice_takes_what_is_there() {
+        assert_eq!(chosen("3"), [3]);
+        assert_eq!(chosen("1..=5"), [1, 2, 3]);
+        assert_eq!(chosen("1..3"), [1, 2]);
+        assert_eq!(chosen("1, 4, 7..=9"), [1, 7, 9]);
+        assert_eq!(chosen("latest"), [12]);
+        assert_eq!(chosen("500"), [] as [u32; 0]);
+    }
+
+    #[test]
+    fn what_is_no_range_is_named() {
+        for bad in [
+            "",
+            "a",
+            "1..=",
+            "5..=1",
+            "1..1",
+            "0..0",
+            "1,,2",
+            "-1",
+            "1.5",
+            "4294967296",
+            "..=3",
+        ] {
+            let error = Sols::parse(bad).unwrap_err();
+            assert!(error.contains('`'), "{bad}: {error}");
+        }
+    }
+}

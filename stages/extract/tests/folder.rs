@@ -1,0 +1,299 @@
+//! A folder of photos as an archive.
+
+mod common;
+
+use std::fs;
+use std::path::Path;
+
+use common::{bring, folder, stage};
+use marf_scene::{Image, PhotoFacts, encode_png};
+
+fn png(seed: u32) -> Vec<u8> {
+    let image = Image::from_fn(16, 12, |x, y| {
+        [(x * 9 + seed) as u8, (y * 11) as u8, (x * y + 3 * seed) as u8]
+    });
+    encode_png(&image).unwrap()
+}
+
+fn write(root: &Path, name: &str, bytes: &[u8]) {
+    let path = root.join(name);
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    fs::write(path, bytes).unwrap();
+}
+
+const SOL_7: &str = "NLF_0007_0671382174_448ECM_N0031950NCAM00500_01_095J";
+
+fn record() -> Vec<u8> {
+    let components = "(0.9,0.4,-1.9);(1,0,0);(8,20,0);(6,0,20)";
+    serde_json::json!({
+        "imageid": SOL_7, "sol": 7, "site": 3, "drive": 1950, "attitude": "(0.8,0.0,0.0,0.6)",
+        "camera": {"instrument": "NAVCAM_LEFT", "camera_model_component_list": components},
+        "extended": {"xyz": "(12.5,-3.25,0.125)", "dimension": "(16,12)"},
+    })
+    .to_string()
+    .into_bytes()
+}
+
+/// A folder with a bit of everything.
+fn sample(root: &Path) {
+    write(root, "images/a.png", &png(1));
+    write(root, "images/b.png", &png(2));
+    write(root, &format!("{SOL_7}01.png"), &png(3));
+    write(root, &format!("{SOL_7}.json"), &record());
+    write(root, "transforms.json", b"{\"frames\": []}");
+    write(root, "sparse/0/cameras.txt", b"# none\n");
+    write(root, "notes.txt", b"hello");
+    write(root, ".hidden/c.png", &png(4));
+}
+
+#[test]
+fn a_folder_becomes_rows_verdicts_and_companions() {
+    let dir = tempfile::tempdir().unwrap();
+    sample(dir.path());
+    let brought = bring(folder(dir.path())).unwrap();
+    let mut ids = brought.ids();
+    ids.sort_unstable();
+    let product = format!("{SOL_7}01");
+    assert_eq!(ids, [product.as_str(), "images/a.png", "images/b.png"]);
+    assert_eq!(
+        brought.listing.companions.keys().collect::<Vec<_>>(),
+        ["sparse/0/cameras.txt", "transforms.json"]
+    );
+    let facts = brought.facts(&product);
+    assert_eq!(
+        (facts.sol, facts.width, facts.height, facts.thumbnail),
+        (Some(7), 16, 12, false)
+    );
+    assert_eq!(facts.prior.unwrap().model.h, [8.0, 20.0, 0.0]);
+    assert_eq!(brought.verdict("notes.txt").verdict, "skipped");
+    assert_eq!(brought.verdicts.len(), 4, "{:#?}", brought.verdicts);
+    for (_, row) in &brought.rows {
+        assert!(brought.harness.get(&row.blobs["image"]).is_some(), "{}", row.id);
+    }
+}
+
+#[test]
+fn the_rows_follow_the_version() {
+    let dir = tempfile::tempdir().unwrap();
+    sample(dir.path());
+    let brought = bring(folder(dir.path())).unwrap();
+    let rows: Vec<_> = brought.rows.iter().map(|(shard, row)| (*shard, row)).collect();
+    let text = serde_json::to_string(&(&rows, &brought.verdicts)).unwrap();
+    let digest = marf_cache::Digest::of(text.as_bytes()).short();
+    let version = marf_stage::define::<marf_extract::Extract>().version;
+    // If this fails and the rows were meant to change, raise `Extract::VERSION` and put both numbers here.
+    assert_eq!((version, digest.as_str()), (1, "a65ab67432e1"), "{text}");
+}
+
+#[test]
+fn a_moved_folder_lists_the_same() {
+    let (one, two) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    sample(one.path());
+    sample(two.path());
+    let (one, two) = (
+        bring(folder(one.path())).unwrap(),
+        bring(folder(two.path())).unwrap(),
+    );
+    assert_eq!(one.listing, two.listing);
+    assert_eq!(one.rows, two.rows);
+    let key = |path: &str| marf_cache::digest_of(&Walked(stage(folder(Path::new(path))).unwrap()));
+    assert_eq!(key("/a"), key("/b"));
+}
+
+struct Walked(Box<dyn marf_stage::Stage>);
+impl marf_cache::ContentHash for Walked {
+    fn walk(&self, listener: &mut dyn marf_cache::Listener) {
+        self.0.params().walk(listener);
+    }
+}
+
+#[test]
+fn only_the_shard_of_a_changed_file_changes() {
+    let dir = tempfile::tempdir().unwrap();
+    sample(dir.path());
+    let before = bring(folder(dir.path())).unwrap().listing;
+    write(dir.path(), "images/a.png", &png(9));
+    let after = bring(folder(dir.path())).unwrap().listing;
+    assert_eq!(
+        before.shards.iter().map(|shard| shard.shard).collect::<Vec<_>>(),
+        [0, 7]
+    );
+    assert_ne!(before.shards[0], after.shards[0]);
+    assert_eq!(before.shards[1], after.shards[1]);
+    write(dir.path(), "transforms.json", b"{}");
+    let third = bring(folder(dir.path())).unwrap().listing;
+    assert_eq!(third.shards, after.shards);
+    assert_ne!(third.companions, after.companions);
+}
+
+#[test]
+fn a_choice_of_sols_is_part_of_the_listing() {
+    let dir = tempfile::tempdir().unwrap();
+    sample(dir.path());
+    let choose = |sols: &str| bring(serde_json::json!({"kind": "folder", "path": dir.path(), "sols": sols}));
+    for sols in ["7", "1..=9", "latest"] {
+        assert_eq!(choose(sols).unwrap().ids(), [format!("{SOL_7}01")], "{sols}");
+    }
+    let error = choose("8..=9").err().unwrap().to_string();
+    assert!(error.contains("2 sols from 0 to 7"), "{error}");
+}
+
+#[test]
+fn folders_without_photos_are_one_clear_error() {
+    let dir = tempfile::tempdir().unwrap();
+    let fail = |path: &Path, part: &str| {
+        let error = bring(folder(path)).err().unwrap();
+        assert!(error.to_string().contains(part), "{error}");
+        assert!(
+            matches!(&error, marf_stage::StageError::Failed { hint: Some(_), .. }),
+            "{error:?}"
+        );
+    };
+    fail(&dir.path().join("absent"), "does not exist");
+    fail(dir.path(), "is empty");
+    write(dir.path(), "readme.md", b"#");
+    fail(dir.path(), "holds 1 files and no photo");
+    fail(&dir.path().join("readme.md"), "is a file, not a folder");
+}
+
+#[test]
+fn files_of_one_product_give_one_row() {
+    let dir = tempfile::tempdir().unwrap();
+    let archive = "ZL0_0001_0667035659_559EBY_N0010052AUT_04096_0260LMJ";
+    write(dir.path(), &format!("x/{archive}01.png"), &png(1));
+    write(dir.path(), &format!("x/{archive}02.png"), &png(2));
+    write(dir.path(), &format!("y/{archive}02_1200.png"), &png(3));
+    let brought = bring(folder(dir.path())).unwrap();
+    assert_eq!(brought.ids(), [format!("{archive}02")]);
+    assert_eq!(
+        brought.facts(&format!("{archive}02")).file,
+        format!("x/{archive}02.png")
+    );
+    let reason = |file: &str| brought.verdict(file).reason.clone();
+    assert!(reason(&format!("x/{archive}01.png")).contains("superseded by 02"));
+    assert!(reason(&format!("y/{archive}02_1200.png")).contains("another file of product"));
+}
+
+#[test]
+fn files_that_are_no_photo_get_a_verdict_each() {
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path(), "good.png", &png(1));
+    write(dir.path(), "cut.png", &png(1)[..40]);
+    write(dir.path(), "page.jpg", b"<html>404</html>");
+    write(dir.path(), "old.tif", b"II*\0");
+    write(dir.path(), "jpeg_in_disguise.bin", &png(2));
+    write(
+        dir.path(),
+        "evil.xml",
+        b"<!DOCTYPE l [<!ENTITY x SYSTEM \"file:///etc/passwd\">]><l>&x;</l>",
+    );
+    write(dir.path(), "alone.json", &record());
+    write(dir.path(), "bad.json", b"{");
+    let brought = bring(folder(dir.path())).unwrap();
+    for (file, verdict) in [
+        ("good.png", "keep"),
+        ("jpeg_in_disguise.bin", "keep"),
+        ("cut.png", "decode"),
+        ("page.jpg", "decode"),
+        ("old.tif", "decode"),
+        ("evil.xml", "skipped"),
+        ("alone.json", "skipped"),
+        ("bad.json", "skipped"),
+    ] {
+        let found = brought.verdict(file);
+        assert_eq!(found.verdict, verdict, "{found:?}");
+        assert_eq!(found.reason.is_empty(), verdict == "keep", "{found:?}");
+    }
+}
+
+#[test]
+fn a_scaled_photo_has_a_scaled_camera_and_a_cut_one_none() {
+    let dir = tempfile::tempdir().unwrap();
+    let name = format!("{SOL_7}01.png");
+    let prior = |width, height| {
+        write(
+            dir.path(),
+            &name,
+            &encode_png(&Image::from_fn(width, height, |x, y| [x as u8, y as u8, 7])).unwrap(),
+        );
+        write(dir.path(), &format!("{SOL_7}.json"), &record());
+        let facts: PhotoFacts = bring(folder(dir.path())).unwrap().facts(&format!("{SOL_7}01"));
+        (facts.prior.map(|prior| prior.model.h), facts.notes)
+    };
+    assert_eq!(prior(16, 12).0, Some([8.0, 20.0, 0.0]));
+    // x = 8 is the centre of pixel 8; at half the size its corner 8.5 becomes 4.25, its centre 3.75.
+    let (half, notes) = prior(8, 6);
+    assert_eq!(half, Some([3.75, 10.0, 0.0]));
+    assert!(notes[0].contains("scaled from 16x12"), "{notes:?}");
+    let (none, notes) = prior(16, 9);
+    assert_eq!(none, None);
+    assert!(notes[0].contains("16x12 pixels, the photo has 16x9"), "{notes:?}");
+}
+
+#[test]
+fn a_file_that_changes_after_the_listing_stops_the_shard() {
+    let dir = tempfile::tempdir().unwrap();
+    sample(dir.path());
+    let harness = marf_stage::harness::Harness::default();
+    let stage = stage(folder(dir.path())).unwrap();
+    let source = common::source(stage.as_ref());
+    source.list(&harness.ctx()).unwrap();
+    write(dir.path(), "images/a.png", &png(77));
+    let error = source.fetch(&harness.ctx(), 0).unwrap_err().to_string();
+    assert!(error.contains("`images/a.png` changed"), "{error}");
+}
+
+#[cfg(unix)]
+#[test]
+fn links_in_circles_and_unreadable_files_are_verdicts() {
+    use std::os::unix::fs::{PermissionsExt, symlink};
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path(), "a.png", &png(1));
+    symlink(dir.path(), dir.path().join("again")).unwrap();
+    symlink("nowhere", dir.path().join("broken.png")).unwrap();
+    write(dir.path(), "secret.png", &png(2));
+    fs::set_permissions(dir.path().join("secret.png"), fs::Permissions::from_mode(0o000)).unwrap();
+    let readable_anyway = fs::read(dir.path().join("secret.png")).is_ok(); // as root
+    let brought = bring(folder(dir.path())).unwrap();
+    assert!(
+        brought.verdict("again").reason.contains("leads back"),
+        "{:?}",
+        brought.verdict("again")
+    );
+    assert_eq!(brought.verdict("broken.png").verdict, "decode");
+    if !readable_anyway {
+        assert!(
+            brought.verdict("secret.png").reason.contains("permission"),
+            "{:?}",
+            brought.verdict("secret.png")
+        );
+    }
+}
+
+#[test]
+fn archives_of_later_versions_and_bad_keys_say_so() {
+    let fail = |archive: serde_json::Value, path: &str, part: &str| {
+        let error = stage(archive).err().unwrap();
+        assert_eq!(error.path, path, "{error}");
+        assert!(error.message.contains(part), "{error}");
+    };
+    for kind in ["pds", "feed"] {
+        let archive = serde_json::json!({"kind": kind, "mission": "mars2020", "sols": "1..=5"});
+        fail(
+            archive,
+            "archive.kind",
+            &format!("archives of kind `{kind}` are not in this version"),
+        );
+    }
+    fail(
+        serde_json::json!({"kind": "folder", "path": "x", "sols": "5..=1"}),
+        "archive.sols",
+        "empty range",
+    );
+    fail(
+        serde_json::json!({"kind": "folder", "path": "x", "sol": 1}),
+        "archive",
+        "unknown field `sol`",
+    );
+    fail(serde_json::json!({"kind": "tape"}), "archive.kind", "tape");
+}

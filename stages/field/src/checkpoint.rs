@@ -1,0 +1,120 @@
+//! A trainer's state as bytes and back, exact to the bit.
+
+use serde::{Deserialize, Serialize};
+
+use crate::cpu::adam::Moments;
+use crate::tensors::{Reader, Writer};
+use crate::trainer::State;
+use crate::{Config, FieldError, Trainer};
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Header {
+    config: Config,
+    /// As text: JSON numbers of other programs lose bits above 2^53.
+    seed: String,
+    views: usize,
+    pixels: String,
+    finest: u32,
+    steps: u64,
+    /// Bits of the f64.
+    samples_per_ray: String,
+}
+
+impl Trainer {
+    /// Returns the whole state. Restored into a trainer made with the same views, points, config and seed,
+    /// training continues with the same bytes.
+    pub fn save(&self) -> Vec<u8> {
+        let state = &self.state;
+        let mut writer = Writer::default();
+        for (name, values) in state.weights.tensors() {
+            writer.floats(format!("weights.{name}"), values);
+        }
+        for ((name, values), moments) in state.average.tensors().into_iter().zip(&state.moments) {
+            writer.floats(format!("average.{name}"), values);
+            write_moments(&mut writer, &name, moments);
+        }
+        writer.floats("gains".to_owned(), &state.gains);
+        write_moments(&mut writer, "gains", &state.gain_moments);
+        writer.floats("occupancy.density".to_owned(), &state.occupancy.density);
+        writer.words("occupancy.bits".to_owned(), &state.occupancy.bits.words);
+        // Strings and integers: JSON cannot refuse them.
+        writer.finish(serde_json::to_string(&self.header()).unwrap_or_default())
+    }
+
+    /// Takes over a saved state.
+    ///
+    /// # Errors
+    /// [`FieldError::Malformed`] or [`FieldError::OtherTraining`]; the trainer is then unchanged.
+    pub fn restore(&mut self, state: &[u8]) -> Result<(), FieldError> {
+        let reader = Reader::new("checkpoint", state)?;
+        let header: Header =
+            serde_json::from_str(&reader.json).map_err(|error| reader.malformed(error.to_string()))?;
+        self.same_training(&header)?;
+        let bits = u64::from_str_radix(&header.samples_per_ray, 16);
+        let bits = bits.map_err(|error| reader.malformed(format!("samples per ray: {error}")))?;
+        let samples_per_ray = f64::from_bits(bits);
+        if !samples_per_ray.is_finite() || samples_per_ray < 1.0 {
+            return Err(reader.malformed(format!("{samples_per_ray} samples per ray")));
+        }
+        let mut restored = self.state.clone();
+        restored.steps = header.steps;
+        restored.samples_per_ray = samples_per_ray;
+        read_state(&reader, &mut restored)?;
+        self.state = restored;
+        Ok(())
+    }
+
+    fn header(&self) -> Header {
+        Header {
+            config: self.config.clone(),
+            seed: self.seed.to_string(),
+            views: self.state.gains.len() / 4,
+            pixels: format!("{:016x}", self.fingerprint()),
+            finest: self.finest.0,
+            steps: self.state.steps,
+            samples_per_ray: format!("{:016x}", self.state.samples_per_ray.to_bits()),
+        }
+    }
+
+    fn same_training(&self, header: &Header) -> Result<(), FieldError> {
+        let own = self.header();
+        let differs = |what| Err(FieldError::OtherTraining { what });
+        match () {
+            () if own.config != header.config => differs("config"),
+            () if own.seed != header.seed => differs("seed"),
+            () if own.views != header.views => differs("number of views"),
+            () if own.pixels != header.pixels => differs("photos, cameras or box"),
+            () if own.finest != header.finest => differs("finest level"),
+            () => Ok(()),
+        }
+    }
+}
+
+fn write_moments(writer: &mut Writer, name: &str, moments: &Moments) {
+    writer.floats(format!("first.{name}"), &moments.first);
+    writer.floats(format!("second.{name}"), &moments.second);
+    writer.counts(format!("count.{name}"), &moments.count);
+}
+
+fn read_moments(reader: &Reader, name: &str, moments: &mut Moments) -> Result<(), FieldError> {
+    reader.floats(&format!("first.{name}"), &mut moments.first)?;
+    reader.floats(&format!("second.{name}"), &mut moments.second)?;
+    reader.counts(&format!("count.{name}"), &mut moments.count)
+}
+
+fn read_state(reader: &Reader, state: &mut State) -> Result<(), FieldError> {
+    for (name, values) in state.weights.tensors_mut() {
+        reader.floats(&format!("weights.{name}"), values)?;
+    }
+    for ((name, values), moments) in state.average.tensors_mut().into_iter().zip(&mut state.moments) {
+        reader.floats(&format!("average.{name}"), values)?;
+        read_moments(reader, &name, moments)?;
+    }
+    state.weights.refresh();
+    state.average.refresh();
+    reader.floats("gains", &mut state.gains)?;
+    read_moments(reader, "gains", &mut state.gain_moments)?;
+    reader.floats("occupancy.density", &mut state.occupancy.density)?;
+    reader.words("occupancy.bits", &mut state.occupancy.bits.words)
+}

@@ -1,0 +1,211 @@
+use marf_cache::ContentHash;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::FieldError;
+
+/// What a ray gathers behind the last sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "snake_case")]
+pub enum Background {
+    /// A learnt colour by direction (16 spherical harmonics a channel): sky and horizon.
+    Direction,
+    /// Black: objects in front of nothing.
+    Black,
+}
+
+/// Whether every photo gets its own exposure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "snake_case")]
+pub enum Gain {
+    /// One log gain a photo and channel, zero in the mean over all photos after every step.
+    PerPhoto,
+    /// All photos share one exposure.
+    Off,
+}
+
+/// Hyper-parameters of the field and its training.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Levels of the hash grid, 1 to 16.
+    pub levels: u32,
+    /// Features an entry: 2 or 4. `levels * features` is a multiple of 16.
+    pub features: u32,
+    /// Binary logarithm of the entries of a level, 8 to 24. Levels with fewer corners are stored densely.
+    pub log2_table: u32,
+    /// Cells a side of the coarsest level, 4 to 512.
+    pub base_resolution: u32,
+    /// Cells a side of the finest level; absent: from the footprint of a pixel on the scene.
+    pub finest_resolution: Option<u32>,
+    /// Neurons in the hidden layer of the density network: 16, 32, 64 or 128.
+    pub density_width: u32,
+    /// Neurons in a hidden layer of the colour network: 16, 32, 64 or 128.
+    pub color_width: u32,
+    /// Hidden layers of the colour network, 1 to 3.
+    pub color_layers: u32,
+    /// Samples that one step aims at, 256 to 2^20; the number of rays follows from it.
+    pub batch_samples: u32,
+    /// Adam's step size at the start, in (0, 1].
+    pub learning_rate: f64,
+    /// Steps after which the step size has fallen to 1 / 2 of the start (it falls as 1 / sqrt(1 + 3 s / this)).
+    pub half_rate_steps: u32,
+    /// Cells a side of the occupancy grid over the whole contracted box, 16 to 256, a multiple of 4.
+    pub occupancy_resolution: u32,
+    /// Length of a step along the ray, as a share of the distance from the camera, in [1/1024, 1/4].
+    pub cone: f64,
+    /// Shortest step, as a share of the box's half side, in [1e-4, 0.5].
+    pub min_step: f64,
+    /// Distance of the first sample, as a share of the box's half side, in [1e-4, 10].
+    pub near: f64,
+    /// Weight of the distortion loss (mip-NeRF 360, arXiv 2111.12077, eq. 15), 0 or more.
+    pub distortion: f64,
+    /// Exposure of single photos.
+    pub gain: Gain,
+    /// What lies behind the last sample.
+    pub background: Background,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            levels: 8,
+            features: 4,
+            log2_table: 15,
+            base_resolution: 16,
+            finest_resolution: None,
+            density_width: 64,
+            color_width: 32,
+            color_layers: 1,
+            batch_samples: 1 << 15,
+            learning_rate: 1e-2,
+            half_rate_steps: 10_000,
+            occupancy_resolution: 128,
+            cone: 1.0 / 64.0,
+            min_step: 1.0 / 64.0,
+            near: 0.1,
+            distortion: 1e-3,
+            gain: Gain::PerPhoto,
+            background: Background::Direction,
+        }
+    }
+}
+
+impl Config {
+    /// Tells whether every number lies in its documented range.
+    ///
+    /// # Errors
+    /// [`FieldError::Config`] names the key, the value and the range.
+    pub fn check(&self) -> Result<(), FieldError> {
+        let widths = |width: u32| matches!(width, 16 | 32 | 64 | 128);
+        let table = [
+            (
+                "levels",
+                f64::from(self.levels),
+                (1..=16).contains(&self.levels),
+                "1 to 16",
+            ),
+            (
+                "features",
+                f64::from(self.features),
+                matches!(self.features, 2 | 4),
+                "2 or 4",
+            ),
+            (
+                "log2_table",
+                f64::from(self.log2_table),
+                (8..=24).contains(&self.log2_table),
+                "8 to 24",
+            ),
+            (
+                "levels * features",
+                f64::from(self.levels) * f64::from(self.features),
+                (self.levels.wrapping_mul(self.features)) % 16 == 0,
+                "a multiple of 16",
+            ),
+            (
+                "base_resolution",
+                f64::from(self.base_resolution),
+                (4..=512).contains(&self.base_resolution),
+                "4 to 512",
+            ),
+            (
+                "finest_resolution",
+                self.finest_resolution.map_or(0.0, f64::from),
+                self.finest_resolution
+                    .is_none_or(|finest| (self.base_resolution..=1 << 20).contains(&finest)),
+                "base_resolution to 1048576",
+            ),
+            (
+                "density_width",
+                f64::from(self.density_width),
+                widths(self.density_width),
+                "16, 32, 64 or 128",
+            ),
+            (
+                "color_width",
+                f64::from(self.color_width),
+                widths(self.color_width),
+                "16, 32, 64 or 128",
+            ),
+            (
+                "color_layers",
+                f64::from(self.color_layers),
+                (1..=3).contains(&self.color_layers),
+                "1 to 3",
+            ),
+            (
+                "batch_samples",
+                f64::from(self.batch_samples),
+                (256..=1 << 20).contains(&self.batch_samples),
+                "256 to 1048576",
+            ),
+            (
+                "occupancy_resolution",
+                f64::from(self.occupancy_resolution),
+                (16..=256).contains(&self.occupancy_resolution) && self.occupancy_resolution % 4 == 0,
+                "16 to 256, a multiple of 4",
+            ),
+            (
+                "learning_rate",
+                self.learning_rate,
+                self.learning_rate > 0.0 && self.learning_rate <= 1.0,
+                "above 0, at most 1",
+            ),
+            (
+                "half_rate_steps",
+                f64::from(self.half_rate_steps),
+                self.half_rate_steps > 0,
+                "1 or more",
+            ),
+            (
+                "cone",
+                self.cone,
+                (1.0 / 1024.0..=0.25).contains(&self.cone),
+                "1/1024 to 1/4",
+            ),
+            (
+                "min_step",
+                self.min_step,
+                (1e-4..=0.5).contains(&self.min_step),
+                "0.0001 to 0.5",
+            ),
+            (
+                "near",
+                self.near,
+                (1e-4..=10.0).contains(&self.near),
+                "0.0001 to 10",
+            ),
+            (
+                "distortion",
+                self.distortion,
+                (0.0..=1.0).contains(&self.distortion),
+                "0 to 1",
+            ),
+        ];
+        match table.into_iter().find(|(_, _, fine, _)| !fine) {
+            Some((key, value, _, range)) => Err(FieldError::Config { key, value, range }),
+            None => Ok(()),
+        }
+    }
+}

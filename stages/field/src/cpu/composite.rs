@@ -1,0 +1,189 @@
+//! The quadrature of the volume-rendering integral in log space, forward and backward.
+//!
+//! C = sum_i T_i (1 - exp(-tau_i)) c_i + T_S b, T_i = exp(-sum_{j<i} tau_j) (NeRF, arXiv 2003.08934, eq. 3).
+
+use super::math::{exp, one_minus_exp_neg, sigmoid};
+use super::simd::{Block, Isa, Kernel, LANES};
+
+/// Raw densities are cut here; exp(11) is opaque at any step. The gradient above is zero.
+pub const RAW_LIMIT: f32 = 11.0;
+/// Added to the raw density before the exponential, so that untrained space is thin.
+pub const RAW_SHIFT: f32 = -1.0;
+/// Logits of colours are cut at +-10 (0.99995, beyond 8 bits). The gradient outside is zero.
+pub const LOGIT_LIMIT: f32 = 10.0;
+/// Samples behind a transmittance below this are left out; the error of a colour is at most this.
+pub const OPAQUE: f32 = 1e-4;
+
+/// tau = exp(raw) delta, and alpha = 1 - exp(-tau), sample by sample.
+pub struct Depths<'a> {
+    /// Raw outputs of the density network.
+    pub raw: &'a [f32],
+    /// Length of the sample in the contracted box.
+    pub delta: &'a [f32],
+    /// Optical depth.
+    pub tau: &'a mut [f32],
+    /// Opacity.
+    pub alpha: &'a mut [f32],
+}
+
+impl Kernel for Depths<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _isa: I) {
+        let inputs = self.raw.iter().zip(self.delta);
+        let outputs = self.tau.iter_mut().zip(self.alpha.iter_mut());
+        for ((raw, delta), (tau, alpha)) in inputs.zip(outputs) {
+            let cut = if *raw < RAW_LIMIT { *raw } else { RAW_LIMIT };
+            *tau = exp(cut + RAW_SHIFT) * *delta;
+            *alpha = one_minus_exp_neg(*tau);
+        }
+    }
+}
+
+/// Replaces numbers by e to the minus of them.
+pub struct ExpNeg<'a>(pub &'a mut [f32]);
+
+impl Kernel for ExpNeg<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _isa: I) {
+        for value in self.0 {
+            *value = exp(-*value);
+        }
+    }
+}
+
+/// Colours of the logits in the first three columns of rows of one block.
+pub struct Colours<'a> {
+    /// `[n]`, one block a row.
+    pub logits: &'a [Block],
+    /// `[n]`, sRGB in [0, 1]; the fourth number is unused.
+    pub rgb: &'a mut [[f32; 4]],
+}
+
+impl Kernel for Colours<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _isa: I) {
+        for (logits, rgb) in self.logits.iter().zip(self.rgb) {
+            for channel in 0..4 {
+                rgb[channel] = colour(logits.0[channel]);
+            }
+        }
+    }
+}
+
+/// The colour of one logit.
+#[inline(always)]
+pub fn colour(logit: f32) -> f32 {
+    let below = if logit < LOGIT_LIMIT { logit } else { LOGIT_LIMIT };
+    sigmoid(if below > -LOGIT_LIMIT { below } else { -LOGIT_LIMIT })
+}
+
+/// Slope of [`colour`], from its value.
+#[inline(always)]
+pub fn colour_slope(logit: f32, value: f32) -> f32 {
+    let inside = logit.abs() < LOGIT_LIMIT;
+    if inside { value * (1.0 - value) } else { 0.0 }
+}
+
+/// The samples of one ray.
+#[derive(Clone, Copy)]
+pub struct Ray<'a> {
+    /// Opacities.
+    pub alpha: &'a [f32],
+    /// Transmittances before the samples.
+    pub transmittance: &'a [f32],
+    /// Colours.
+    pub rgb: &'a [[f32; 4]],
+    /// Numbers of the steps along the ray, as a share of all steps, for the distortion loss.
+    pub place: &'a [f32],
+}
+
+/// What a ray gathers.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Gathered {
+    /// sum_i w_i c_i.
+    pub rgb: [f32; 3],
+    /// Transmittance behind the last sample.
+    pub left: f32,
+}
+
+impl Ray<'_> {
+    /// Composites front to back; an empty ray lets everything pass.
+    #[inline(always)]
+    pub fn gather(&self) -> Gathered {
+        let mut found = Gathered {
+            rgb: [0.0; 3],
+            left: 1.0,
+        };
+        for i in 0..self.alpha.len() {
+            let weight = self.transmittance[i] * self.alpha[i];
+            for channel in 0..3 {
+                found.rgb[channel] = weight.mul_add(self.rgb[i][channel], found.rgb[channel]);
+            }
+            found.left = self.transmittance[i] - weight;
+        }
+        found
+    }
+
+    /// Writes the gradients of raw densities and colours, back to front.
+    ///
+    /// dL/dtau_i = T_{i+1} q_i - sum_{j>i} w_j q_j - T_S (g . b), where q_i = g . c_i plus the slope of the
+    /// distortion loss. Nothing is divided by 1 - alpha.
+    ///
+    /// `slope`: dL/dC. `behind`: colour of the background. `distortion`: weight of that loss, for this ray;
+    /// `cell`: length of a step in units of `place`.
+    #[inline(always)]
+    pub fn spread(&self, slope: [f32; 3], behind: [f32; 3], distortion: [f32; 2], d_tau: &mut [f32], d_rgb: &mut [[f32; 4]]) {
+        let n = self.alpha.len();
+        let [strength, cell] = distortion;
+        let (mut total, mut moment) = (0.0_f32, 0.0_f32);
+        for i in 0..n {
+            let weight = self.transmittance[i] * self.alpha[i];
+            total += weight;
+            moment = weight.mul_add(self.place[i], moment);
+        }
+        let left = if n == 0 { 1.0 } else { self.transmittance[n - 1] * (1.0 - self.alpha[n - 1]) };
+        let dot = |a: [f32; 3], b: [f32; 3]| a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]));
+        let mut suffix = left * dot(slope, behind);
+        let (mut after, mut after_moment) = (0.0_f32, 0.0_f32);
+        for i in (0..n).rev() {
+            let weight = self.transmittance[i] * self.alpha[i];
+            let place = self.place[i];
+            let before = total - after - weight;
+            let before_moment = moment - after_moment - weight * place;
+            let apart = place * (before - after) - before_moment + after_moment;
+            let spread = strength * (2.0 * apart + weight * cell * (2.0 / 3.0));
+            let [r, g, b, _] = self.rgb[i];
+            let q = dot(slope, [r, g, b]) + spread;
+            let next = self.transmittance[i] - weight;
+            d_tau[i] = next * q - suffix;
+            suffix = weight.mul_add(q, suffix);
+            d_rgb[i] = [slope[0] * weight, slope[1] * weight, slope[2] * weight, 0.0];
+            after += weight;
+            after_moment = weight.mul_add(place, after_moment);
+        }
+    }
+}
+
+/// Counts numbers that are not finite in rows of blocks.
+pub struct NotFinite<'a>(pub &'a [Block]);
+
+impl Kernel for NotFinite<'_> {
+    type Output = u32;
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _isa: I) -> u32 {
+        let mut counts = [0_u32; LANES];
+        for block in self.0 {
+            for lane in 0..LANES {
+                counts[lane] += u32::from(block.0[lane].to_bits() & 0x7f80_0000 == 0x7f80_0000);
+            }
+        }
+        counts.iter().sum()
+    }
+}

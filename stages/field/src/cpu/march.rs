@@ -1,0 +1,211 @@
+//! Walks along rays through occupied cells of the contracted box.
+
+use super::simd::{Isa, Kernel, LANES};
+
+/// Pulls space outside [-1, 1]^3 into [-2, 2]^3 and maps that to the unit box.
+///
+/// With m = max(|x|, |y|, |z|): x stays for m <= 1, else x (2 - 1/m) / m (mip-NeRF 360, arXiv 2111.12077, eq. 10,
+/// with the maximum norm). Returns the point in [0, 1]^3 and by how much a length shrinks there, 1 / max(1, m).
+#[inline(always)]
+pub fn contract(p: [f32; 3]) -> ([f32; 3], f32) {
+    let m = p[0].abs().max(p[1].abs()).max(p[2].abs());
+    let shrink = if m > 1.0 { 1.0 / m } else { 1.0 };
+    let scale = if m > 1.0 { (2.0 - shrink) * shrink } else { 1.0 };
+    ([0, 1, 2].map(|axis| (p[axis] * scale).mul_add(0.25, 0.5)), shrink)
+}
+
+/// Undoes [`contract`] in f64; the border of the box, which is infinity, goes to `1e6`.
+pub fn expand(u: [f64; 3]) -> [f64; 3] {
+    let v = u.map(|u| (u - 0.5) * 4.0);
+    let m = v[0].abs().max(v[1].abs()).max(v[2].abs());
+    if m <= 1.0 {
+        return v;
+    }
+    let far = 1.0 / (2.0 - m).max(1e-6);
+    v.map(|v| v / m * far)
+}
+
+/// Distances at which every ray is looked at, shared by all rays, in half sides of the box.
+///
+/// Step k begins at t_k and has the length max(shortest, cone t_k). Made in f64 by counting, so no ray can
+/// stall where t + dt = t.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Steps {
+    /// Begin of a step, padded to a multiple of 16.
+    pub begin: Vec<f32>,
+    /// Length of a step; 0 in the padding.
+    pub length: Vec<f32>,
+    /// Steps without the padding.
+    pub count: usize,
+}
+
+/// No table is longer, whatever the configuration.
+pub const MOST_STEPS: usize = 1 << 15;
+
+impl Steps {
+    /// Steps from `near` to `far`.
+    pub fn new(near: f64, far: f64, shortest: f64, cone: f64) -> Self {
+        let (mut begin, mut length) = (Vec::new(), Vec::new());
+        let mut t = near;
+        while t < far && begin.len() < MOST_STEPS {
+            let dt = (cone * t).max(shortest);
+            begin.push(t as f32);
+            length.push(dt as f32);
+            t += dt;
+        }
+        let count = begin.len();
+        let padded = count.next_multiple_of(LANES);
+        begin.resize(padded, t as f32);
+        length.resize(padded, 0.0);
+        Self { begin, length, count }
+    }
+}
+
+/// One bit a cell of the contracted box.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Bits {
+    /// Cells a side.
+    pub side: u32,
+    /// `[side^3 / 64]`, x fastest.
+    pub words: Vec<u64>,
+}
+
+impl Bits {
+    /// All cells empty.
+    pub fn new(side: u32) -> Self {
+        let cells = (side as usize).pow(3);
+        Self {
+            side,
+            words: vec![0; cells.div_ceil(64)],
+        }
+    }
+
+    /// Tells whether a cell is occupied.
+    #[inline(always)]
+    pub fn holds(&self, cell: u32) -> bool {
+        self.words[(cell >> 6) as usize] >> (cell & 63) & 1 == 1
+    }
+
+    /// Marks a cell as occupied.
+    pub fn set(&mut self, cell: usize) {
+        self.words[cell >> 6] |= 1 << (cell & 63);
+    }
+
+    /// Returns the share of occupied cells.
+    pub fn share(&self) -> f64 {
+        let occupied: u32 = self.words.iter().map(|word| word.count_ones()).sum();
+        f64::from(occupied) / f64::from(self.side).powi(3)
+    }
+}
+
+/// Samples of many rays, one array a number.
+#[derive(Clone, Debug, Default)]
+pub struct Samples {
+    /// Position in the unit box.
+    pub x: Vec<f32>,
+    /// Position in the unit box.
+    pub y: Vec<f32>,
+    /// Position in the unit box.
+    pub z: Vec<f32>,
+    /// Distance from the camera, half sides.
+    pub t: Vec<f32>,
+    /// Length, contracted.
+    pub delta: Vec<f32>,
+    /// Number of the step as a share of all steps, in [0, 1].
+    pub place: Vec<f32>,
+}
+
+impl Samples {
+    /// Returns the number of samples.
+    pub fn len(&self) -> usize {
+        self.x.len()
+    }
+
+    /// Makes every array `len` long; new samples lie at the origin and have no length.
+    pub fn resize(&mut self, len: usize) {
+        for array in [&mut self.x, &mut self.y, &mut self.z, &mut self.t, &mut self.delta, &mut self.place] {
+            array.resize(len, 0.0);
+        }
+    }
+
+    /// Keeps the samples `kept`, in this order.
+    pub fn gather(&mut self, kept: &[u32]) {
+        for array in [&mut self.x, &mut self.y, &mut self.z, &mut self.t, &mut self.delta, &mut self.place] {
+            for (to, from) in kept.iter().enumerate() {
+                array[to] = array[*from as usize];
+            }
+            array.truncate(kept.len());
+        }
+    }
+}
+
+/// Appends the samples of one ray that lie in occupied cells.
+pub struct March<'a> {
+    /// Where to look.
+    pub steps: &'a Steps,
+    /// What is occupied.
+    pub bits: &'a Bits,
+    /// Camera centre, half sides.
+    pub origin: [f32; 3],
+    /// Unit vector.
+    pub direction: [f32; 3],
+    /// Place within every step, in [0, 1).
+    pub jitter: f32,
+    /// First step, a multiple of 16.
+    pub first: usize,
+    /// Stops after the block of 16 steps in which this many samples are reached.
+    pub limit: usize,
+    /// Receives the samples.
+    pub samples: &'a mut Samples,
+}
+
+impl Kernel for March<'_> {
+    /// The step to go on from; `steps.begin.len()` or more at the end.
+    type Output = usize;
+
+    #[inline(always)]
+    fn run<I: Isa>(mut self, _isa: I) -> usize {
+        let start = self.samples.len();
+        let mut first = self.first;
+        let begins = self.steps.begin.as_chunks::<LANES>().0.iter();
+        let lengths = self.steps.length.as_chunks::<LANES>().0.iter();
+        for (begin, length) in begins.zip(lengths).skip(self.first / LANES) {
+            self.block(first, begin, length);
+            first += LANES;
+            if self.samples.len() - start >= self.limit {
+                break;
+            }
+        }
+        first
+    }
+}
+
+impl March<'_> {
+    #[inline(always)]
+    fn block(&mut self, first: usize, begin: &[f32; LANES], length: &[f32; LANES]) {
+        let side = self.bits.side as f32;
+        let (mut t, mut delta) = ([0.0; LANES], [0.0; LANES]);
+        let (mut x, mut y, mut z) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+        let mut cell = [0_u32; LANES];
+        for lane in 0..LANES {
+            t[lane] = self.jitter.mul_add(length[lane], begin[lane]);
+            let p = [0, 1, 2].map(|axis: usize| self.direction[axis].mul_add(t[lane], self.origin[axis]));
+            let (u, shrink) = contract(p);
+            delta[lane] = length[lane] * shrink;
+            let corner = u.map(|u| ((u * side) as i32).max(0).min(self.bits.side as i32 - 1) as u32);
+            cell[lane] = (corner[2] * self.bits.side + corner[1]) * self.bits.side + corner[0];
+            (x[lane], y[lane], z[lane]) = (u[0], u[1], u[2]);
+        }
+        for lane in 0..LANES {
+            if self.bits.holds(cell[lane]) && first + lane < self.steps.count {
+                self.samples.x.push(x[lane]);
+                self.samples.y.push(y[lane]);
+                self.samples.z.push(z[lane]);
+                self.samples.t.push(t[lane]);
+                self.samples.delta.push(delta[lane]);
+                let place = (first + lane) as f32 + self.jitter;
+                self.samples.place.push(place / self.steps.count as f32);
+            }
+        }
+    }
+}

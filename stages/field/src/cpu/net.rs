@@ -1,0 +1,131 @@
+//! A multilayer perceptron without biases; ReLU between the layers.
+
+use super::gemm::{After, Gate, Outer, Product};
+use super::simd::{Block, LANES, Level, flat, flat_mut};
+use crate::rng::Rng;
+
+/// One layer; both widths are multiples of 16.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Layer {
+    /// Width of the input.
+    pub inputs: usize,
+    /// Width of the output.
+    pub outputs: usize,
+    /// `[inputs, outputs]`.
+    pub weights: Vec<Block>,
+    /// `[outputs, inputs]`, for the gradient of the input; follows `weights`.
+    transposed: Vec<Block>,
+}
+
+impl Layer {
+    fn new(inputs: usize, outputs: usize) -> Self {
+        let blocks = inputs * outputs / LANES;
+        Self {
+            inputs,
+            outputs,
+            weights: vec![Block::default(); blocks],
+            transposed: vec![Block::default(); blocks],
+        }
+    }
+
+    /// Copies the weights into their transposed form; to be called after they changed.
+    pub fn refresh(&mut self) {
+        let transposed = flat_mut(&mut self.transposed);
+        for (input, row) in flat(&self.weights).chunks_exact(self.outputs).enumerate() {
+            for (output, weight) in row.iter().enumerate() {
+                transposed[output * self.inputs + input] = *weight;
+            }
+        }
+    }
+}
+
+/// Layers in order.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Net {
+    /// The layers.
+    pub layers: Vec<Layer>,
+}
+
+impl Net {
+    /// All weights zero; `widths` are those of input, hidden layers and output.
+    pub fn new(widths: &[usize]) -> Self {
+        let layers = widths.windows(2).map(|pair| Layer::new(pair[0], pair[1]));
+        Self {
+            layers: layers.collect(),
+        }
+    }
+
+    /// Draws weights uniform in +-sqrt(6 / (inputs + outputs)) (Glorot and Bengio 2010).
+    pub fn randomise(&mut self, rng: &mut Rng) {
+        for layer in &mut self.layers {
+            let limit = (6.0 / (layer.inputs + layer.outputs) as f32).sqrt();
+            for weight in flat_mut(&mut layer.weights) {
+                *weight = limit * 2.0_f32.mul_add(rng.unit(), -1.0);
+            }
+            layer.refresh();
+        }
+    }
+
+    /// Returns a gradient buffer a layer.
+    pub fn gradients(&self) -> Vec<Vec<Block>> {
+        let zeros = |layer: &Layer| vec![Block::default(); layer.weights.len()];
+        self.layers.iter().map(zeros).collect()
+    }
+
+    /// Runs rows through all layers; `activations[l]` receives the output of layer l.
+    pub fn forward(&self, level: Level, input: &[Block], activations: &mut Vec<Vec<Block>>) {
+        activations.resize_with(self.layers.len(), Vec::new);
+        let rows = self.layers.first().map_or(0, |layer| input.len() * LANES / layer.inputs);
+        for (index, layer) in self.layers.iter().enumerate() {
+            let (before, here) = activations.split_at_mut(index);
+            here[0].resize(rows * layer.outputs / LANES, Block::default());
+            let last = index + 1 == self.layers.len();
+            level.run(Product {
+                a: before.last().map_or(input, Vec::as_slice),
+                b: &layer.weights,
+                c: &mut here[0],
+                inner: layer.inputs,
+                columns: layer.outputs / LANES,
+                after: if last { After::Nothing } else { After::Relu },
+            });
+        }
+    }
+
+    /// Carries gradients back.
+    ///
+    /// `slope` holds the gradient of the output and receives that of the input; `spare` is memory.
+    /// `gradients` are overwritten.
+    pub fn backward(
+        &self,
+        level: Level,
+        input: &[Block],
+        activations: &[Vec<Block>],
+        slope: &mut Vec<Block>,
+        spare: &mut Vec<Block>,
+        gradients: &mut [Vec<Block>],
+    ) {
+        for (index, layer) in self.layers.iter().enumerate().rev() {
+            let below = if index == 0 { input } else { &activations[index - 1] };
+            level.run(Outer {
+                a: below,
+                d: slope,
+                g: &mut gradients[index],
+                inner: layer.inputs,
+                columns: layer.outputs / LANES,
+            });
+            spare.resize(below.len(), Block::default());
+            level.run(Product {
+                a: slope,
+                b: &layer.transposed,
+                c: spare,
+                inner: layer.outputs,
+                columns: layer.inputs / LANES,
+                after: After::Nothing,
+            });
+            std::mem::swap(slope, spare);
+            if index > 0 {
+                level.run(Gate { h: below, d: slope });
+            }
+        }
+    }
+}

@@ -1,0 +1,180 @@
+//! The box of a scene: where its origin lies, how large it is, and how fine its finest cells need be.
+
+use marf_scene::{Camera, Pose};
+use nalgebra::{Matrix3, Vector2, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::View;
+
+/// Rays end here, in half sides of the box: beyond it a contracted cell of the finest level is not resolved.
+pub const FAR: f64 = 512.0;
+/// With cameras close together the box reaches this many baselines: there the disparity is still f / 16.
+const BASELINES: f64 = 16.0;
+/// Fewer sparse points say too little about the extent.
+const ENOUGH_POINTS: usize = 32;
+
+/// Where the unit box lies in the world.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Frame {
+    /// Centre, world units; subtracted in f64 before anything becomes f32.
+    pub origin: [f64; 3],
+    /// Half side of the inner box, world units.
+    pub half_side: f64,
+    /// Typical distance from a camera to what it sees, world units.
+    pub depth: f64,
+    /// Why.
+    pub reason: String,
+}
+
+/// A ray in the frame of the box.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RayStart {
+    /// Camera centre, half sides.
+    pub origin: [f32; 3],
+    /// Unit vector.
+    pub direction: [f32; 3],
+}
+
+impl Frame {
+    /// Derives the box.
+    ///
+    /// With 32 points or more: centre = median, half side = 80th percentile of their distance (maximum norm).
+    /// Else, if the optical axes meet in front of the cameras: centre = the point nearest to all axes, half side
+    /// = the median distance to it. Else (panoramas): centre = mean of the cameras, half side = 16 times the
+    /// median distance to the nearest other camera, at least 1.25 times their extent; 1 if all share one place.
+    pub fn derive(views: &[View], points: &[[f64; 3]]) -> Self {
+        let centres: Vec<_> = views.iter().map(|view| view.cam_from_world.centre()).collect();
+        let found = from_points(views, points).or_else(|| from_axes(views, &centres));
+        found.unwrap_or_else(|| from_baseline(&centres))
+    }
+
+    /// Returns the ray behind a pixel, `None` where the distortion has no inverse.
+    pub fn ray(&self, camera: &Camera, world_from_cam: &Pose, pixel: [f64; 2]) -> Option<RayStart> {
+        let in_camera = camera.unproject(&Vector2::new(pixel[0], pixel[1]))?;
+        let direction = world_from_cam.direction(&in_camera).normalize();
+        let origin = self.inward(&world_from_cam.translation);
+        Some(RayStart {
+            origin: origin.map(|value| value as f32),
+            direction: [direction.x as f32, direction.y as f32, direction.z as f32],
+        })
+    }
+
+    /// Carries a point of the world into the box.
+    pub fn inward(&self, point: &Vector3<f64>) -> [f64; 3] {
+        [0, 1, 2].map(|axis| (point[axis] - self.origin[axis]) / self.half_side)
+    }
+
+    /// Carries a point of the box into the world.
+    pub fn outward(&self, point: [f64; 3]) -> Vector3<f64> {
+        Vector3::from_fn(|axis, _| point[axis].mul_add(self.half_side, self.origin[axis]))
+    }
+
+    /// Returns the cells a side of the finest level and why: one cell covers one pixel at the typical depth.
+    pub fn finest(&self, views: &[View]) -> (u32, String) {
+        let mut focals: Vec<f64> = views.iter().map(|view| view.camera.fx_px).collect();
+        let focal_px = median(&mut focals);
+        let footprint = self.depth / focal_px;
+        let cells = (4.0 * self.half_side / footprint).ceil().clamp(16.0, 8192.0);
+        let reason = format!(
+            "a pixel covers {footprint:.4} at the distance {:.4} (focal length {focal_px:.0} px); the contracted box is 4 half sides of {:.4} wide",
+            self.depth, self.half_side
+        );
+        (cells as u32, reason)
+    }
+}
+
+/// Returns the median (the upper one of two), 0 for none.
+fn median(values: &mut [f64]) -> f64 {
+    percentile(values, 0.5)
+}
+
+fn percentile(values: &mut [f64], share: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let index = ((values.len() as f64 * share) as usize).min(values.len().saturating_sub(1));
+    values.get(index).copied().unwrap_or(0.0)
+}
+
+fn from_points(views: &[View], points: &[[f64; 3]]) -> Option<Frame> {
+    if points.len() < ENOUGH_POINTS {
+        return None;
+    }
+    let origin = [0, 1, 2].map(|axis| median(&mut points.iter().map(|p| p[axis]).collect::<Vec<_>>()));
+    let reach = |p: &[f64; 3]| (0..3).map(|axis| (p[axis] - origin[axis]).abs()).fold(0.0, f64::max);
+    let half_side = percentile(&mut points.iter().map(reach).collect::<Vec<_>>(), 0.8);
+    let depths = views.iter().map(|view| seen_depth(view, points));
+    let depth = median(&mut depths.filter(|depth| *depth > 0.0).collect::<Vec<_>>());
+    (half_side > 0.0 && depth > 0.0).then(|| Frame {
+        origin,
+        half_side,
+        depth,
+        reason: format!("80 % of {} sparse points lie within {half_side:.4} of their median", points.len()),
+    })
+}
+
+/// Median depth of the points a view sees, 0 if none.
+fn seen_depth(view: &View, points: &[[f64; 3]]) -> f64 {
+    let (width, height) = (f64::from(view.camera.width), f64::from(view.camera.height));
+    let depths = points.iter().filter_map(|point| {
+        let in_camera = view.cam_from_world.point(&Vector3::from(*point));
+        let pixel = view.camera.project(&in_camera)?;
+        let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < width && pixel.y < height;
+        inside.then(|| in_camera.norm())
+    });
+    median(&mut depths.collect::<Vec<_>>())
+}
+
+fn from_axes(views: &[View], centres: &[Vector3<f64>]) -> Option<Frame> {
+    let (mut system, mut right) = (Matrix3::zeros(), Vector3::zeros());
+    for (view, centre) in views.iter().zip(centres) {
+        let axis = view.cam_from_world.rotation.row(2).transpose();
+        let across = Matrix3::identity() - axis * axis.transpose();
+        system += across;
+        right += across * centre;
+    }
+    let focus = system.try_inverse()? * right;
+    let mut distances: Vec<_> = centres.iter().map(|centre| (focus - centre).norm()).collect();
+    let in_front = views.iter().filter(|view| view.cam_from_world.point(&focus).z > 0.0).count();
+    let extent = extent(centres);
+    let distance = median(&mut distances);
+    // Axes that meet much farther away than the cameras are apart are nearly parallel.
+    let meets = in_front * 3 > views.len() * 2 && distance < 4.0 * extent && distance > 0.0;
+    meets.then(|| Frame {
+        origin: focus.into(),
+        half_side: distance,
+        depth: distance,
+        reason: format!(
+            "the optical axes of {in_front} of {} cameras meet in front of them, at a median distance of {distance:.4}",
+            views.len()
+        ),
+    })
+}
+
+fn from_baseline(centres: &[Vector3<f64>]) -> Frame {
+    let nearest = centres.iter().enumerate().filter_map(|(one, centre)| {
+        let others = centres.iter().enumerate().filter(|(other, _)| *other != one);
+        let apart = others.map(|(_, other)| (other - centre).norm()).filter(|apart| *apart > 1e-9);
+        apart.min_by(f64::total_cmp)
+    });
+    let baseline = median(&mut nearest.collect::<Vec<_>>());
+    let origin = centres.iter().sum::<Vector3<f64>>() / centres.len().max(1) as f64;
+    let half_side = (BASELINES * baseline).max(1.25 * extent(centres));
+    let (half_side, reason) = if half_side > 0.0 {
+        let reason = format!("no sparse points and no common focus: {BASELINES} baselines of {baseline:.4}");
+        (half_side, reason)
+    } else {
+        (1.0, "all cameras share one place: one world unit".to_owned())
+    };
+    Frame {
+        origin: origin.into(),
+        half_side,
+        depth: half_side,
+        reason,
+    }
+}
+
+/// Largest distance of a camera from their mean.
+fn extent(centres: &[Vector3<f64>]) -> f64 {
+    let mean = centres.iter().sum::<Vector3<f64>>() / centres.len().max(1) as f64;
+    centres.iter().map(|centre| (centre - mean).norm()).fold(0.0, f64::max)
+}

@@ -1,0 +1,74 @@
+use marf_cache::ContentHash;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::Config;
+
+/// How much time a training may take for its quality; points on the measured front of both.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "snake_case")]
+pub enum Quality {
+    /// To see whether cameras and photos are right.
+    #[default]
+    Draft,
+    /// For looking around.
+    Standard,
+    /// As good as the field gets.
+    Best,
+}
+
+impl Quality {
+    /// Returns the optimiser steps.
+    pub const fn steps(self) -> u64 {
+        match self {
+            Self::Draft => 400,
+            Self::Standard => 4_000,
+            Self::Best => 20_000,
+        }
+    }
+
+    /// Returns the longest side of a photo that is worth training on, in pixels.
+    pub const fn longest_side_px(self) -> u32 {
+        match self {
+            Self::Draft => 480,
+            Self::Standard => 960,
+            Self::Best => 1920,
+        }
+    }
+
+    /// Returns the size of the field: small tables win on short trainings, large ones on long.
+    pub fn config(self) -> Config {
+        let base = Config::default();
+        match self {
+            Self::Draft => base,
+            Self::Standard => Config {
+                log2_table: 17,
+                ..base
+            },
+            Self::Best => Config {
+                log2_table: 19,
+                color_width: 64,
+                color_layers: 2,
+                ..base
+            },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_step_up_costs_more_and_is_allowed() {
+        let ladder = [Quality::Draft, Quality::Standard, Quality::Best];
+        for quality in ladder {
+            quality.config().check().unwrap();
+        }
+        for pair in ladder.windows(2) {
+            assert!(pair[0].steps() < pair[1].steps());
+            assert!(pair[0].longest_side_px() < pair[1].longest_side_px());
+            assert!(pair[0].config().log2_table < pair[1].config().log2_table);
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! What training and rendering share: samples to raw densities and opacities, kept samples to colours.
+
+use crate::cpu::composite::{Colours, Depths, ExpNeg, OPAQUE};
+use crate::cpu::encode::{Lookup, Points};
+use crate::cpu::march::Samples;
+use crate::cpu::simd::{Block, LANES, Level};
+use crate::sh;
+use crate::weights::Weights;
+
+/// Memory for the samples of some rays; reused, never read before it is written.
+#[derive(Default)]
+pub struct Shade {
+    /// The samples; padded to a multiple of 16 with samples of no length.
+    pub samples: Samples,
+    /// Encoded features, input of the density network.
+    pub features: Vec<Block>,
+    /// Outputs of the density network's layers.
+    pub density: Vec<Vec<Block>>,
+    /// Raw densities.
+    pub raw: Vec<f32>,
+    /// Optical depths.
+    pub tau: Vec<f32>,
+    /// Opacities.
+    pub alpha: Vec<f32>,
+    /// Transmittances before the samples.
+    pub transmittance: Vec<f32>,
+    /// Input of the colour network.
+    pub latent: Vec<Block>,
+    /// Outputs of the colour network's layers.
+    pub color: Vec<Vec<Block>>,
+    /// Colours.
+    pub rgb: Vec<[f32; 4]>,
+}
+
+/// The samples of one ray among those of many.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Span {
+    /// First sample.
+    pub first: usize,
+    /// One after the last.
+    pub end: usize,
+}
+
+impl Shade {
+    /// Encodes all samples and runs the density network.
+    pub fn densities(&mut self, level: Level, weights: &Weights) {
+        self.samples.resize(self.samples.len().next_multiple_of(LANES));
+        let n = self.samples.len();
+        let width = weights.shapes.len() * weights.features / LANES;
+        self.features.resize(n * width, Block::default());
+        let points = Points {
+            x: &self.samples.x,
+            y: &self.samples.y,
+            z: &self.samples.z,
+        };
+        for (index, (shape, table)) in weights.shapes.iter().zip(&weights.tables).enumerate() {
+            let (shape, rows, first) = (*shape, &mut self.features[..], index * weights.features);
+            match weights.features {
+                2 => level.run(Lookup::<2> { shape, table, points, rows, width, first }),
+                _ => level.run(Lookup::<4> { shape, table, points, rows, width, first }),
+            }
+        }
+        weights.density.forward(level, &self.features, &mut self.density);
+        let latent = self.density.last().map_or(&[][..], Vec::as_slice);
+        self.raw.clear();
+        self.raw.extend(latent.iter().map(|row| row.0[0]));
+    }
+
+    /// Turns raw densities into optical depths and opacities, and these into transmittances along every ray.
+    ///
+    /// `before`: optical depth in front of the first sample of every ray.
+    pub fn opacities(&mut self, level: Level, spans: &[Span], before: &[f32]) {
+        let n = self.raw.len();
+        for array in [&mut self.tau, &mut self.alpha, &mut self.transmittance] {
+            array.resize(n, 0.0);
+        }
+        level.run(Depths {
+            raw: &self.raw,
+            delta: &self.samples.delta,
+            tau: &mut self.tau,
+            alpha: &mut self.alpha,
+        });
+        self.transmittance.fill(0.0);
+        for (span, before) in spans.iter().zip(before) {
+            let mut depth = *before;
+            for index in span.first..span.end {
+                self.transmittance[index] = depth;
+                depth += self.tau[index];
+            }
+        }
+        level.run(ExpNeg(&mut self.transmittance));
+    }
+
+    /// Drops samples behind a transmittance of [`OPAQUE`]; spans then point to what is left.
+    pub fn drop_hidden(&mut self, spans: &mut [Span], kept: &mut Vec<u32>) {
+        kept.clear();
+        for span in spans {
+            let first = kept.len();
+            let visible = (span.first..span.end).take_while(|index| self.transmittance[*index] >= OPAQUE);
+            kept.extend(visible.map(|index| index as u32));
+            *span = Span { first, end: kept.len() };
+        }
+        let before = self.raw.len();
+        let padded = kept.len().next_multiple_of(LANES);
+        self.samples.gather(kept);
+        self.samples.resize(padded);
+        for array in [&mut self.raw, &mut self.tau, &mut self.alpha, &mut self.transmittance] {
+            for (to, from) in kept.iter().enumerate() {
+                array[to] = array[*from as usize];
+            }
+            array.truncate(kept.len());
+            array.resize(padded, 0.0);
+        }
+        for rows in std::iter::once(&mut self.features).chain(&mut self.density) {
+            gather_rows(rows, rows.len() / before.max(1), kept, padded);
+        }
+    }
+
+    /// Runs the colour network; `harmonics` are those of every ray's direction.
+    pub fn colours(&mut self, level: Level, weights: &Weights, spans: &[Span], harmonics: &[[f32; sh::COUNT]]) {
+        let n = self.raw.len();
+        let outputs = self.density.last().map_or(&[][..], Vec::as_slice);
+        self.latent.resize(2 * n, Block::default());
+        for (row, output) in self.latent.chunks_exact_mut(2).zip(outputs) {
+            row[0] = *output;
+        }
+        for (span, harmonics) in spans.iter().zip(harmonics) {
+            for index in span.first..span.end {
+                self.latent[2 * index + 1].0 = *harmonics;
+            }
+        }
+        weights.color.forward(level, &self.latent, &mut self.color);
+        self.rgb.resize(n, [0.0; 4]);
+        let logits = self.color.last().map_or(&[][..], Vec::as_slice);
+        level.run(Colours {
+            logits,
+            rgb: &mut self.rgb,
+        });
+    }
+}
+
+/// Moves the kept rows of `width` blocks to the front and pads with zeros.
+fn gather_rows(rows: &mut Vec<Block>, width: usize, kept: &[u32], padded: usize) {
+    for (to, from) in kept.iter().enumerate().filter(|(to, from)| *to != **from as usize) {
+        let from = *from as usize * width;
+        rows.copy_within(from..from + width, to * width);
+    }
+    rows.truncate(kept.len() * width);
+    rows.resize(padded * width, Block::default());
+}

@@ -1,0 +1,228 @@
+use marf_cache::ContentHash;
+use marf_stage::ParamError;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::filter::{Filter, Opinion, Seen, Sight, Unreadable, within};
+use crate::luma::{Bends, Plane};
+use crate::statistics::{Ranked, by_instrument};
+
+/// Rejects photos that are out of focus, smeared by motion, or nothing but noise.
+pub struct Blur;
+
+/// How [`Blur`] judges.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "snake_case")]
+pub enum BlurRule {
+    /// By how much the photo loses when it is blurred once more: a blurred one loses little.
+    Reblur,
+    /// The paper's rule: variance of the Laplacian of the photo as it is, below `tau` out.
+    Laplacian,
+}
+
+/// Parameters of [`Blur`].
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(default, deny_unknown_fields)]
+pub struct BlurParams {
+    /// `reblur` (default) or `laplacian` (the paper).
+    pub rule: BlurRule,
+    /// Smallest reblur ratio where fewer than `min_set` photos of the instrument are known.
+    pub min_ratio: f64,
+    /// With enough photos the smallest ratio is this share of the median of the other photos of the instrument,
+    /// within [`min_ratio` / `adapt`, `min_ratio` * `adapt`].
+    pub min_share: f64,
+    /// How far the set may move `min_ratio`, as a factor; 1 leaves it where it is.
+    pub adapt: f64,
+    /// Fewest photos of one instrument that make a set.
+    pub min_set: u32,
+    /// Largest ratio at full size: above it the photo is noise or an undeveloped Bayer mosaic.
+    pub max_ratio: f64,
+    /// The largest ratio is at least this multiple of the median of the other photos of the instrument.
+    pub max_multiple: f64,
+    /// Smallest variance of the Laplacian in squared 8-bit steps, for `rule = "laplacian"`.
+    pub tau: f64,
+}
+
+impl Default for BlurParams {
+    fn default() -> Self {
+        Self {
+            rule: BlurRule::Reblur,
+            min_ratio: 9.0,
+            min_share: 0.5,
+            adapt: 1.5,
+            min_set: 5,
+            max_ratio: 400.0,
+            max_multiple: 6.0,
+            tau: 60.0,
+        }
+    }
+}
+
+/// Sharpness of one photo.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Sharpness {
+    /// Variance of the 4-neighbour Laplacian, squared 8-bit steps.
+    laplacian: f64,
+    /// Full, half and quarter size, as far as both sides have 3 pixels.
+    octaves: Vec<Octave>,
+}
+
+/// Sums of squared second differences before and after one more blur, in squared steps of 1/256.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+struct Octave {
+    pixels: u64,
+    /// Along rows, along columns.
+    before: [u64; 2],
+    /// Along rows, along columns.
+    after: [u64; 2],
+}
+
+/// Halvings of the photo that are judged beside its full size: a motion of 15 pixels leaves the finest scale to the noise of
+/// JPEG (ratio 8 to 14), but is plain at half size (4 to 8).
+const OCTAVES: usize = 3;
+
+impl Filter for Blur {
+    const NAME: &'static str = "blur";
+    const ABOUT: &'static str = "rejects photos that are blurred or mere noise";
+    const VERSION: u32 = 1;
+    type Params = BlurParams;
+    type Measure = Sharpness;
+
+    fn check(params: &BlurParams) -> Result<(), ParamError> {
+        within("min_ratio", params.min_ratio, 0.0, 1e6)?;
+        within("min_share", params.min_share, 0.0, 1.0)?;
+        within("adapt", params.adapt, 1.0, 100.0)?;
+        within("max_ratio", params.max_ratio, params.min_ratio, 1e12)?;
+        within("max_multiple", params.max_multiple, 1.0, 1e6)?;
+        within("tau", params.tau, 0.0, 1e6)
+    }
+
+    fn measure(sight: &Sight<'_>) -> Result<Sharpness, Unreadable> {
+        Ok(sharpness(Plane::of(&sight.photo()?.image)))
+    }
+
+    fn decide(params: &BlurParams, photos: &[Seen<Sharpness>]) -> Vec<Opinion> {
+        if params.rule == BlurRule::Laplacian {
+            return photos
+                .iter()
+                .map(|photo| judge_laplacian(params, &photo.measure))
+                .collect();
+        }
+        let mut opinions = vec![Opinion::pass(""); photos.len()];
+        for group in by_instrument(photos) {
+            let measure = |index: &usize| &photos[*index].measure;
+            let lowest = Ranked::new(group.iter().map(|index| measure(index).lowest().0).collect());
+            let finest = Ranked::new(group.iter().map(|index| measure(index).finest()).collect());
+            for index in &group {
+                let limits = Limits::new(params, group.len(), measure(index), &lowest, &finest);
+                opinions[*index] = judge_reblur(limits, measure(index));
+            }
+        }
+        opinions
+    }
+}
+
+fn sharpness(plane: Plane) -> Sharpness {
+    let laplacian = plane.laplacian_variance();
+    let mut octaves = Vec::new();
+    let mut next = Some(plane);
+    while let Some(plane) =
+        next.filter(|plane| octaves.len() < OCTAVES && plane.width > 2 && plane.height > 2)
+    {
+        octaves.push(Octave::of(&plane));
+        next = plane.halved();
+    }
+    Sharpness { laplacian, octaves }
+}
+
+impl Octave {
+    fn of(plane: &Plane) -> Self {
+        let pair = |bends: Bends| [bends.along_rows, bends.along_columns];
+        Self {
+            pixels: plane.values.len() as u64,
+            before: pair(plane.bends()),
+            after: pair(plane.blurred().bends()),
+        }
+    }
+
+    /// Returns how much larger the second differences are before the blur than after; 1 where there are none.
+    fn ratio(&self, axis: usize) -> f64 {
+        // One step of 1/256 a pixel on both sides: below rounding, and flat photos get 1 instead of 0 / 0.
+        (self.before[axis] + self.pixels) as f64 / (self.after[axis] + self.pixels) as f64
+    }
+}
+
+impl Sharpness {
+    /// Returns the smallest ratio over sizes and axes, the halvings and the axis it was found at.
+    fn lowest(&self) -> (f64, usize, usize) {
+        let octaves = self.octaves.iter().enumerate();
+        let ratios =
+            octaves.flat_map(|(halvings, octave)| [0, 1].map(|axis| (octave.ratio(axis), halvings, axis)));
+        ratios.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0, 0))
+    }
+
+    /// Returns the larger ratio of both axes at full size.
+    fn finest(&self) -> f64 {
+        self.octaves
+            .first()
+            .map_or(0.0, |octave| octave.ratio(0).max(octave.ratio(1)))
+    }
+}
+
+/// Between these a photo is sharp.
+#[derive(Debug, Clone, Copy)]
+struct Limits {
+    low: f64,
+    high: f64,
+}
+
+impl Limits {
+    fn new(params: &BlurParams, set: usize, photo: &Sharpness, lowest: &Ranked, finest: &Ranked) -> Self {
+        if set < params.min_set as usize {
+            return Self {
+                low: params.min_ratio,
+                high: params.max_ratio,
+            };
+        }
+        let usual = lowest.without(photo.lowest().0, 1, 2);
+        let (least, most) = (params.min_ratio / params.adapt, params.min_ratio * params.adapt);
+        Self {
+            low: (params.min_share * usual).clamp(least, most),
+            high: (params.max_multiple * finest.without(photo.finest(), 1, 2)).max(params.max_ratio),
+        }
+    }
+}
+
+fn judge_reblur(limits: Limits, photo: &Sharpness) -> Opinion {
+    let (ratio, halvings, axis) = photo.lowest();
+    if ratio < limits.low {
+        let reason = format!(
+            "reblur ratio {ratio:.1} at 1/{} of the size along {}, at least {:.1}",
+            1 << halvings,
+            ["rows", "columns"][axis],
+            limits.low
+        );
+        return Opinion::reject(ratio, limits.low, reason);
+    }
+    let finest = photo.finest();
+    if finest > limits.high {
+        let reason = format!(
+            "reblur ratio {finest:.0}, at most {:.0}: noise or a raw mosaic",
+            limits.high
+        );
+        return Opinion::reject(finest, limits.high, reason);
+    }
+    Opinion::keep(ratio, limits.low)
+}
+
+fn judge_laplacian(params: &BlurParams, photo: &Sharpness) -> Opinion {
+    let (variance, tau) = (photo.laplacian, params.tau);
+    if variance < tau {
+        return Opinion::reject(
+            variance,
+            tau,
+            format!("variance of the Laplacian {variance:.1}, at least {tau}"),
+        );
+    }
+    Opinion::keep(variance, tau)
+}

@@ -1,0 +1,327 @@
+use std::cmp::Ordering;
+
+use marf_cache::{ContentHash, manifest::Row};
+use marf_scene::PhotoFacts;
+use marf_stage::{Ctx, Define, Fold, Measure, Measured, ParamError, Port, Stage, StageError, Verdict, Work};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::adapter::{NO_PARAMS, OUTPUTS, PORTS};
+use crate::filter::{Opinion, Sight, Unreadable, facts_of, undecodable, within};
+use crate::near::{bits, brightness_bits, correlation, same_aspect};
+use crate::sketch::{Sketch, take};
+
+/// Rejects photos that show the same view as a better one, up to size, light and colour filter.
+///
+/// Best first: broad-band before narrow-band, colour before gray, then sharpest, largest, smallest id. A photo
+/// goes only if it is itself like one that stays, so a chain of neighbours is never lost; and a photo of an
+/// earlier sol always stays before one of a later sol.
+pub struct Duplicate {
+    params: DuplicateParams,
+}
+
+/// How [`Duplicate`] judges.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "snake_case")]
+pub enum DuplicateRule {
+    /// Perceptual hash for candidates, correlation of gradients as proof: stereo partners and video neighbours
+    /// stay.
+    Confirmed,
+    /// The paper's rule: perceptual hashes of brightness closer than `max_bits`.
+    Phash,
+}
+
+/// Parameters of [`Duplicate`].
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(default, deny_unknown_fields)]
+pub struct DuplicateParams {
+    /// `confirmed` (default) or `phash` (the paper).
+    pub rule: DuplicateRule,
+    /// Largest distance of the 64-bit hashes of two candidates, over pairs of bands, in bits.
+    pub candidate_bits: u32,
+    /// Smallest correlation of the gradient images of two duplicates. Copies reach 0.99, video neighbours 0.94.
+    pub min_correlation: f64,
+    /// The same for two photos that one camera took on one sol through different colour filters.
+    pub filter_correlation: f64,
+    /// Hashes closer than this many bits are duplicates, for `rule = "phash"`.
+    pub max_bits: u32,
+}
+
+impl Default for DuplicateParams {
+    fn default() -> Self {
+        Self {
+            rule: DuplicateRule::Confirmed,
+            candidate_bits: 14,
+            min_correlation: 0.967,
+            filter_correlation: 0.9,
+            max_bits: 5,
+        }
+    }
+}
+
+impl Define for Duplicate {
+    type Params = DuplicateParams;
+    const NAME: &'static str = "duplicate";
+    const ABOUT: &'static str = "rejects photos that show the same view as a better one";
+    const VERSION: u32 = 1;
+    const PORTS: &'static [Port] = PORTS;
+    const OUTPUTS: &'static [&'static str] = OUTPUTS;
+
+    fn new(params: DuplicateParams) -> Result<Self, ParamError> {
+        within("candidate_bits", f64::from(params.candidate_bits), 0.0, 64.0)?;
+        within("max_bits", f64::from(params.max_bits), 0.0, 65.0)?;
+        within("min_correlation", params.min_correlation, -1.0, 1.0)?;
+        within("filter_correlation", params.filter_correlation, -1.0, 1.0)?;
+        Ok(Self { params })
+    }
+}
+
+impl Stage for Duplicate {
+    fn params(&self) -> &dyn ContentHash {
+        &self.params
+    }
+
+    fn work(&self) -> Work<'_> {
+        Work::Fold(self)
+    }
+}
+
+impl Measure for Duplicate {
+    fn measure_params(&self) -> &dyn ContentHash {
+        &NO_PARAMS
+    }
+
+    /// Returns a byte 1 and the sketch (some 12 KB), or a byte 0 and why the photo cannot be decoded.
+    fn measure(&self, ctx: &Ctx<'_>, row: &Row) -> Result<Vec<u8>, StageError> {
+        match Sight::new(ctx, row).photo() {
+            Ok(photo) => Ok([&[1][..], &Sketch::of(photo).encode()].concat()),
+            Err(Unreadable::Photo(reason)) => Ok([&[0][..], reason.as_bytes()].concat()),
+            Err(Unreadable::Store(error)) => Err(error),
+        }
+    }
+}
+
+impl Fold for Duplicate {
+    /// The state holds what is needed of every photo kept so far, sol by sol, sorted by id within a sol.
+    fn fold(
+        &self,
+        state: Option<&[u8]>,
+        items: &[Measured<'_>],
+    ) -> Result<(Vec<u8>, Vec<Verdict>), StageError> {
+        let mut kept = state.map_or_else(|| Ok(Vec::new()), read_state)?;
+        let earlier = kept.len();
+        let read = items.iter().map(read_item).collect::<Result<Vec<_>, _>>()?;
+        let mut best_first: Vec<(usize, &View)> = read
+            .iter()
+            .enumerate()
+            .filter_map(|(at, item)| item.as_ref().ok().map(|view| (at, view)))
+            .collect();
+        best_first.sort_by(|a, b| a.1.better(b.1));
+        let mut verdicts: Vec<Option<Verdict>> =
+            read.iter().map(|item| item.as_ref().err().cloned()).collect();
+        for (at, view) in best_first {
+            let opinion = self.judge(view, &kept);
+            if opinion.keep {
+                kept.push(view.clone());
+            }
+            verdicts[at] = Some(opinion.verdict(Self::NAME, items[at].row, &view.facts));
+        }
+        kept[earlier..].sort_by(|a, b| a.id.cmp(&b.id));
+        // Every item is either undecodable or has been judged, so none is dropped here.
+        Ok((write_state(&kept), verdicts.into_iter().flatten().collect()))
+    }
+}
+
+/// One photo as the comparison sees it.
+#[derive(Debug, Clone)]
+struct View {
+    id: String,
+    facts: PhotoFacts,
+    sketch: Sketch,
+}
+
+/// Below this the colours of a photo are one tint; narrow-band copies have 0.003 at most, photos with 3 % of their
+/// colour left 0.01.
+const COLOUR: f64 = 0.008;
+
+impl View {
+    /// Orders the better photo first; ids are unique, so no two are equal.
+    fn better(&self, other: &Self) -> Ordering {
+        let area = |view: &Self| u64::from(view.sketch.width) * u64::from(view.sketch.height);
+        other
+            .is_broad()
+            .cmp(&self.is_broad())
+            .then_with(|| (other.sketch.colour >= COLOUR).cmp(&(self.sketch.colour >= COLOUR)))
+            .then_with(|| other.sketch.sharpness.total_cmp(&self.sketch.sharpness))
+            .then_with(|| area(other).cmp(&area(self)))
+            .then_with(|| self.id.cmp(&other.id))
+    }
+
+    /// Tells whether the archive names no colour filter, or the broad-band one.
+    fn is_broad(&self) -> bool {
+        self.facts
+            .filter
+            .as_deref()
+            .is_none_or(|filter| matches!(filter, "0" | "UNK" | ""))
+    }
+
+    /// Tells whether one camera took both on one sol through different filters, as the archive says.
+    fn differs_in_filter(&self, other: &Self) -> bool {
+        let same = self.facts.instrument.is_some()
+            && self.facts.instrument == other.facts.instrument
+            && self.facts.sol == other.facts.sol;
+        same && self.facts.filter.is_some()
+            && other.facts.filter.is_some()
+            && self.facts.filter != other.facts.filter
+    }
+}
+
+impl Duplicate {
+    /// Compares with all that are kept; of several twins the most alike is named, of equals the first.
+    fn judge(&self, view: &View, kept: &[View]) -> Opinion {
+        let mut nearest: Option<(f64, Opinion)> = None;
+        for other in kept
+            .iter()
+            .filter(|other| same_aspect(&view.sketch, &other.sketch))
+        {
+            let compared = match self.params.rule {
+                DuplicateRule::Confirmed => self.confirm(view, other),
+                DuplicateRule::Phash => Some(self.hashes_alone(view, other)),
+            };
+            if let Some((excess, opinion)) = compared
+                && nearest.as_ref().is_none_or(|(most, _)| excess > *most)
+            {
+                nearest = Some((excess, opinion));
+            }
+        }
+        nearest.map_or_else(|| Opinion::pass(""), |(_, opinion)| opinion)
+    }
+
+    /// Returns by how much the pair is over its threshold, and the opinion; `None` if it is no candidate.
+    fn confirm(&self, view: &View, other: &View) -> Option<(f64, Opinion)> {
+        let bits = bits(&view.sketch, &other.sketch);
+        let by_filter = view.differs_in_filter(other);
+        if bits > self.params.candidate_bits && !by_filter {
+            return None;
+        }
+        let limit = if by_filter {
+            self.params.filter_correlation.min(self.params.min_correlation)
+        } else {
+            self.params.min_correlation
+        };
+        let score = correlation(&view.sketch, &other.sketch);
+        let reason = || {
+            let filter = if by_filter {
+                ", same camera through another colour filter"
+            } else {
+                ""
+            };
+            format!(
+                "like `{}`: gradients correlate {score:.3}, at least {limit}, hashes {bits} bits apart{filter}",
+                other.id
+            )
+        };
+        Some((
+            score - limit,
+            compared(score >= limit, score, limit, reason, other),
+        ))
+    }
+
+    fn hashes_alone(&self, view: &View, other: &View) -> (f64, Opinion) {
+        let (bits, limit) = (brightness_bits(&view.sketch, &other.sketch), self.params.max_bits);
+        let (score, threshold) = (f64::from(bits), f64::from(limit));
+        let reason = || format!("like `{}`: hashes {bits} bits apart, less than {limit}", other.id);
+        (
+            threshold - score,
+            compared(bits < limit, score, threshold, reason, other),
+        )
+    }
+}
+
+fn compared(alike: bool, score: f64, limit: f64, reason: impl Fn() -> String, other: &View) -> Opinion {
+    if !alike {
+        return Opinion::keep(score, limit);
+    }
+    Opinion {
+        twin: Some(other.id.clone()),
+        ..Opinion::reject(score, limit, reason())
+    }
+}
+
+/// Returns the photo, or its verdict if it could not be decoded.
+fn read_item(item: &Measured<'_>) -> Result<Result<View, Verdict>, StageError> {
+    let facts = facts_of(item.row)?;
+    match item.measure.split_first() {
+        Some((1, mut sketch)) => {
+            let sketch = Sketch::decode(&mut sketch)
+                .ok_or_else(|| broken(format!("measure of `{}` cannot be read", item.row.id)))?;
+            let id = item.row.id.clone();
+            Ok(Ok(View { id, facts, sketch }))
+        }
+        Some((0, reason)) => {
+            let reason = String::from_utf8_lossy(reason).into_owned();
+            Ok(Err(undecodable(item.row, &facts, reason)))
+        }
+        _ => Err(broken(format!("measure of `{}` cannot be read", item.row.id))),
+    }
+}
+
+/// Writes, for each photo, a length and a JSON header (u32 LE first), then its sketch.
+fn write_state(kept: &[View]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    for view in kept {
+        let head = Head {
+            id: view.id.clone(),
+            instrument: view.facts.instrument.clone(),
+            filter: view.facts.filter.clone(),
+            sol: view.facts.sol,
+        };
+        // Strings and numbers always serialise; an empty header would be refused on reading.
+        let head = serde_json::to_vec(&head).unwrap_or_default();
+        bytes.extend((head.len() as u32).to_le_bytes());
+        bytes.extend(head);
+        bytes.extend(view.sketch.encode());
+    }
+    bytes
+}
+
+/// What later sols need to know of a kept photo beside its sketch.
+#[derive(Serialize, Deserialize)]
+struct Head {
+    id: String,
+    instrument: Option<String>,
+    filter: Option<String>,
+    sol: Option<u32>,
+}
+
+fn read_state(mut bytes: &[u8]) -> Result<Vec<View>, StageError> {
+    let mut kept = Vec::new();
+    while !bytes.is_empty() {
+        let view = read_view(&mut bytes);
+        kept.push(view.ok_or_else(|| broken(format!("state cannot be read after {} photos", kept.len())))?);
+    }
+    Ok(kept)
+}
+
+fn read_view(bytes: &mut &[u8]) -> Option<View> {
+    let length = u32::from_le_bytes(take(bytes)?) as usize;
+    let (head, rest) = bytes.split_at_checked(length)?;
+    *bytes = rest;
+    let head: Head = serde_json::from_slice(head).ok()?;
+    let facts = PhotoFacts {
+        instrument: head.instrument,
+        filter: head.filter,
+        sol: head.sol,
+        ..PhotoFacts::default()
+    };
+    let sketch = Sketch::decode(bytes)?;
+    Some(View {
+        id: head.id,
+        facts,
+        sketch,
+    })
+}
+
+fn broken(message: String) -> StageError {
+    StageError::new(message).hint("run `marf cache fsck`: the store may be damaged")
+}

@@ -1,0 +1,191 @@
+use std::sync::OnceLock;
+
+use marf_cache::{ContentHash, manifest::Row};
+use marf_scene::{Photo, PhotoFacts};
+use marf_stage::{Ctx, ParamError, StageError, Verdict};
+use schemars::JsonSchema;
+use serde::{Serialize, de::DeserializeOwned};
+
+/// A rule that keeps or rejects photos, its measure apart from its decision.
+pub trait Filter: Send + Sync + Sized + 'static {
+    /// Name in pipeline.toml, in keys, and the verdict of what it rejects.
+    const NAME: &'static str;
+    /// One line for people.
+    const ABOUT: &'static str;
+    /// Raised by hand when `measure` or `decide` may answer differently.
+    const VERSION: u32;
+    /// Thresholds and rules; doc comments of its fields become the help text.
+    type Params: DeserializeOwned + JsonSchema + ContentHash + Send + Sync + 'static;
+    /// What is kept per photo.
+    type Measure: Serialize + DeserializeOwned;
+
+    /// Checks the thresholds.
+    ///
+    /// # Errors
+    /// Names the key that is out of range.
+    fn check(params: &Self::Params) -> Result<(), ParamError>;
+
+    /// Measures one photo, a pure function of its bytes: facts may change while the bytes stay, so they are
+    /// read in `decide`.
+    ///
+    /// # Errors
+    /// A photo that cannot be decoded, or a store that cannot be read.
+    fn measure(sight: &Sight<'_>) -> Result<Self::Measure, Unreadable>;
+
+    /// Returns one opinion for each photo, in the same order; the opinions themselves do not depend on it.
+    fn decide(params: &Self::Params, photos: &[Seen<Self::Measure>]) -> Vec<Opinion>;
+}
+
+/// Why a photo has no measure.
+#[derive(Debug, Clone, thiserror::Error)]
+pub enum Unreadable {
+    /// Its bytes are no whole photo: a verdict of its own.
+    #[error("{0}")]
+    Photo(String),
+    /// The store or the manifest is at fault: stops the node.
+    #[error(transparent)]
+    Store(#[from] StageError),
+}
+
+/// What a measure may look at: one photo, decoded when asked for and at most once.
+pub struct Sight<'a> {
+    ctx: Ctx<'a>,
+    row: &'a Row,
+    photo: OnceLock<Result<Photo, Unreadable>>,
+}
+
+impl<'a> Sight<'a> {
+    /// Looks at the item of a row.
+    pub fn new(ctx: &Ctx<'a>, row: &'a Row) -> Self {
+        Self {
+            ctx: *ctx,
+            row,
+            photo: OnceLock::new(),
+        }
+    }
+
+    /// Returns the decoded photo.
+    ///
+    /// # Errors
+    /// A row without image, a blob that cannot be read, bytes that are no whole photo.
+    pub fn photo(&self) -> Result<&Photo, Unreadable> {
+        self.photo
+            .get_or_init(|| read(&self.ctx, self.row))
+            .as_ref()
+            .map_err(Clone::clone)
+    }
+}
+
+fn read(ctx: &Ctx<'_>, row: &Row) -> Result<Photo, Unreadable> {
+    let digest = row.blobs.get("image");
+    let digest = digest.ok_or_else(|| StageError::new(format!("photo `{}` has no blob `image`", row.id)))?;
+    let photo = Photo::decode(&ctx.get(digest)?).map_err(|error| Unreadable::Photo(error.to_string()))?;
+    if photo.image.pixels.is_empty() {
+        return Err(Unreadable::Photo("the image has no pixels".to_owned()));
+    }
+    Ok(photo)
+}
+
+/// A photo at the moment of decision.
+pub struct Seen<M> {
+    /// Name of the photo.
+    pub id: String,
+    /// What its archive says of it.
+    pub facts: PhotoFacts,
+    /// What was measured.
+    pub measure: M,
+}
+
+/// What a filter says of one photo.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Opinion {
+    /// Whether the photo stays.
+    pub keep: bool,
+    /// The number the opinion rests on, in the filter's own unit.
+    pub score: Option<f64>,
+    /// What it was held against.
+    pub threshold: Option<f64>,
+    /// The photo that stays in its place.
+    pub twin: Option<String>,
+    /// One sentence; empty where a kept photo needs no word.
+    pub reason: String,
+}
+
+impl Opinion {
+    /// The photo stays: `score` is on the good side of `threshold`.
+    pub fn keep(score: f64, threshold: f64) -> Self {
+        Self {
+            keep: true,
+            ..Self::reject(score, threshold, String::new())
+        }
+    }
+
+    /// The photo stays without being held against anything, and why.
+    pub fn pass(reason: impl Into<String>) -> Self {
+        Self {
+            keep: true,
+            score: None,
+            threshold: None,
+            twin: None,
+            reason: reason.into(),
+        }
+    }
+
+    /// The photo goes.
+    pub fn reject(score: f64, threshold: f64, reason: impl Into<String>) -> Self {
+        Self {
+            keep: false,
+            score: Some(score),
+            threshold: Some(threshold),
+            twin: None,
+            reason: reason.into(),
+        }
+    }
+
+    /// Returns the verdict of filter `name` on the photo of `row`.
+    pub(crate) fn verdict(self, name: &str, row: &Row, facts: &PhotoFacts) -> Verdict {
+        Verdict {
+            id: row.id.clone(),
+            file: file_of(row, facts),
+            verdict: if self.keep { Verdict::KEEP } else { name }.to_owned(),
+            score: self.score,
+            threshold: self.threshold,
+            twin: self.twin,
+            reason: self.reason,
+        }
+    }
+}
+
+/// Returns the facts of a row.
+pub(crate) fn facts_of(row: &Row) -> Result<PhotoFacts, StageError> {
+    PhotoFacts::from_json(&row.facts).map_err(|error| {
+        StageError::new(format!("facts of photo `{}` cannot be read", row.id)).cause(error.to_string())
+    })
+}
+
+/// Returns the verdict of a photo that could not be decoded.
+pub(crate) fn undecodable(row: &Row, facts: &PhotoFacts, reason: String) -> Verdict {
+    let opinion = Opinion {
+        keep: false,
+        ..Opinion::pass(reason)
+    };
+    opinion.verdict(crate::DECODE, row, facts)
+}
+
+fn file_of(row: &Row, facts: &PhotoFacts) -> String {
+    if facts.file.is_empty() {
+        &row.id
+    } else {
+        &facts.file
+    }
+    .clone()
+}
+
+/// Refuses a number outside `[low, high]`, and NaN.
+pub(crate) fn within(key: &str, value: f64, low: f64, high: f64) -> Result<(), ParamError> {
+    if (low..=high).contains(&value) {
+        Ok(())
+    } else {
+        Err(ParamError::new(key, format!("{value} is not in [{low}, {high}]")))
+    }
+}

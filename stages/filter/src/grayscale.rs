@@ -1,0 +1,123 @@
+use marf_cache::ContentHash;
+use marf_scene::{Image, Srgb};
+use marf_stage::ParamError;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::filter::{Filter, Opinion, Seen, Sight, Unreadable, within};
+
+/// Rejects photos without colour: one band, or three equal ones within the noise of JPEG.
+pub struct Grayscale;
+
+/// Which photos [`Grayscale`] keeps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "snake_case")]
+pub enum Keep {
+    /// Photos with colour.
+    Color,
+    /// All photos: for missions whose cameras are monochrome.
+    All,
+}
+
+/// Parameters of [`Grayscale`].
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(default, deny_unknown_fields)]
+pub struct GrayscaleParams {
+    /// `color` keeps photos with colour, `all` keeps every photo (monochrome missions).
+    pub keep: Keep,
+    /// A pixel has colour if its largest and smallest channel differ by more than this, in 8-bit steps. JPEG
+    /// makes differences of a few steps in a gray photo.
+    pub min_spread: u8,
+    /// Smallest share of pixels with colour, in [0, 1].
+    pub min_share: f64,
+}
+
+impl Default for GrayscaleParams {
+    fn default() -> Self {
+        Self {
+            keep: Keep::Color,
+            min_spread: 8,
+            min_share: 0.005,
+        }
+    }
+}
+
+/// How far the channels of a photo's pixels lie apart.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Spread {
+    /// Bands stored in the file.
+    bands: u8,
+    /// Pixels by (largest channel - smallest channel); trailing zeros are cut.
+    pixels: Vec<u32>,
+}
+
+impl Filter for Grayscale {
+    const NAME: &'static str = "grayscale";
+    const ABOUT: &'static str = "rejects photos without colour";
+    const VERSION: u32 = 1;
+    type Params = GrayscaleParams;
+    type Measure = Spread;
+
+    fn check(params: &GrayscaleParams) -> Result<(), ParamError> {
+        within("min_share", params.min_share, 0.0, 1.0)
+    }
+
+    fn measure(sight: &Sight<'_>) -> Result<Spread, Unreadable> {
+        let photo = sight.photo()?;
+        Ok(Spread {
+            bands: photo.bands,
+            pixels: spread(&photo.image),
+        })
+    }
+
+    fn decide(params: &GrayscaleParams, photos: &[Seen<Spread>]) -> Vec<Opinion> {
+        photos.iter().map(|photo| judge(params, &photo.measure)).collect()
+    }
+}
+
+/// Counts pixels by the difference of their largest and smallest channel.
+fn spread(image: &Image<Srgb>) -> Vec<u32> {
+    let mut counts = vec![0_u32; 256];
+    for &[red, green, blue] in &image.pixels {
+        let spread = red.max(green).max(blue) - red.min(green).min(blue);
+        counts[usize::from(spread)] += 1;
+    }
+    let used = counts
+        .iter()
+        .rposition(|count| *count > 0)
+        .map_or(0, |last| last + 1);
+    counts.truncate(used);
+    counts
+}
+
+impl Spread {
+    /// Returns the share of pixels whose spread is above `limit`, in [0, 1].
+    fn share_above(&self, limit: u8) -> f64 {
+        let all: u64 = self.pixels.iter().map(|count| u64::from(*count)).sum();
+        let above = self.pixels.iter().skip(usize::from(limit) + 1);
+        above.map(|count| u64::from(*count)).sum::<u64>() as f64 / all.max(1) as f64
+    }
+}
+
+fn judge(params: &GrayscaleParams, measure: &Spread) -> Opinion {
+    let (share, least) = (measure.share_above(params.min_spread), params.min_share);
+    if params.keep == Keep::All {
+        return Opinion {
+            score: Some(share),
+            ..Opinion::pass("")
+        };
+    }
+    if measure.bands == 1 {
+        return Opinion::reject(share, least, "one band");
+    }
+    if share < least {
+        let reason = format!(
+            "{:.2} % of pixels with channels more than {} apart, at least {:.2} %",
+            100.0 * share,
+            params.min_spread,
+            100.0 * least
+        );
+        return Opinion::reject(share, least, reason);
+    }
+    Opinion::keep(share, least)
+}

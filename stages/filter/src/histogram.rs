@@ -1,0 +1,292 @@
+use marf_cache::ContentHash;
+use marf_scene::{Image, Srgb};
+use marf_stage::ParamError;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::filter::{Filter, Opinion, Seen, Sight, Unreadable, within};
+use crate::luma::luma;
+use crate::statistics::{Ranked, by_instrument};
+
+/// Rejects photos whose brightness or colours do not belong to the set, and photos with lost areas.
+pub struct Histogram;
+
+/// How [`Histogram`] judges.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "snake_case")]
+pub enum HistogramRule {
+    /// Distance to the set's median histograms of brightness and of two colour differences, against the
+    /// distances of the other photos; and the share of areas without any detail.
+    Robust,
+    /// The paper's rule: more than half of the bins of brightness are further than one standard deviation from
+    /// the set's mean, the photo itself left out of both.
+    Paper,
+}
+
+/// Parameters of [`Histogram`].
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(default, deny_unknown_fields)]
+pub struct HistogramParams {
+    /// `robust` (default) or `paper`.
+    pub rule: HistogramRule,
+    /// Largest share of 8 x 8 blocks of one single brightness: areas lost in transmission, blocks, stripes. In a
+    /// set it is counted on top of the upper quartile of the other photos of the instrument.
+    pub max_flat: f64,
+    /// A distance to the median histogram up to this is never held against a photo, in 8-bit steps: by so much
+    /// light and colour wander between good photos.
+    pub min_distance: f64,
+    /// Largest distance: the median of the others' distances plus this multiple of (upper quartile - median).
+    pub spreads: f64,
+    /// Fewest photos of one instrument that make a set; in a smaller one only `max_flat` judges.
+    pub min_set: u32,
+    /// Largest share of bins out of place, for `rule = "paper"`.
+    pub max_bins: f64,
+    /// How many standard deviations a bin may be off, for `rule = "paper"`.
+    pub sigmas: f64,
+}
+
+impl Default for HistogramParams {
+    fn default() -> Self {
+        Self {
+            rule: HistogramRule::Robust,
+            max_flat: 0.2,
+            min_distance: 24.0,
+            spreads: 8.0,
+            min_set: 5,
+            max_bins: 0.5,
+            sigmas: 1.0,
+        }
+    }
+}
+
+/// Where a photo's brightness and colours lie.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Tones {
+    /// Pixels by brightness, 256 bins of 1 step.
+    luma: Vec<u32>,
+    /// Pixels by red - green + 256, 128 bins of 4 steps.
+    red_green: Vec<u32>,
+    /// Pixels by blue - green + 256, 128 bins of 4 steps.
+    blue_green: Vec<u32>,
+    /// Whole 8 x 8 blocks, counted from the top left corner.
+    blocks: u32,
+    /// Those of one single brightness.
+    flat_blocks: u32,
+}
+
+const BLOCK: usize = 8;
+const CHANNELS: [(&str, f64); 3] = [("brightness", 1.0), ("red - green", 4.0), ("blue - green", 4.0)];
+
+impl Filter for Histogram {
+    const NAME: &'static str = "histogram";
+    const ABOUT: &'static str = "rejects photos whose brightness or colours do not belong to the set";
+    const VERSION: u32 = 1;
+    type Params = HistogramParams;
+    type Measure = Tones;
+
+    fn check(params: &HistogramParams) -> Result<(), ParamError> {
+        within("max_flat", params.max_flat, 0.0, 1.0)?;
+        within("min_distance", params.min_distance, 0.0, 512.0)?;
+        within("spreads", params.spreads, 0.0, 1e6)?;
+        within("max_bins", params.max_bins, 0.0, 1.0)?;
+        within("sigmas", params.sigmas, 0.0, 1e6)
+    }
+
+    fn measure(sight: &Sight<'_>) -> Result<Tones, Unreadable> {
+        Ok(tones(&sight.photo()?.image))
+    }
+
+    fn decide(params: &HistogramParams, photos: &[Seen<Tones>]) -> Vec<Opinion> {
+        let mut opinions = vec![Opinion::pass(""); photos.len()];
+        for group in by_instrument(photos) {
+            let tones: Vec<&Tones> = group.iter().map(|index| &photos[*index].measure).collect();
+            let judged = match params.rule {
+                HistogramRule::Robust => robust(params, &tones),
+                HistogramRule::Paper => paper(params, &tones),
+            };
+            for (index, opinion) in group.into_iter().zip(judged) {
+                opinions[index] = opinion;
+            }
+        }
+        opinions
+    }
+}
+
+fn tones(image: &Image<Srgb>) -> Tones {
+    let brightness: Vec<u8> = image.pixels.iter().map(|pixel| luma(*pixel)).collect();
+    let mut tones = Tones {
+        luma: vec![0; 256],
+        red_green: vec![0; 128],
+        blue_green: vec![0; 128],
+        blocks: (image.width / BLOCK as u32) * (image.height / BLOCK as u32),
+        flat_blocks: flat_blocks(&brightness, image.width as usize),
+    };
+    for (value, [red, green, blue]) in brightness.iter().zip(&image.pixels) {
+        let difference = |channel: u8| (256 + usize::from(channel) - usize::from(*green)) / 4;
+        tones.luma[usize::from(*value)] += 1;
+        tones.red_green[difference(*red)] += 1;
+        tones.blue_green[difference(*blue)] += 1;
+    }
+    tones
+}
+
+fn flat_blocks(brightness: &[u8], width: usize) -> u32 {
+    let mut flat = 0;
+    for rows in brightness.chunks_exact((BLOCK * width).max(1)) {
+        for left in (0..(width / BLOCK) * BLOCK).step_by(BLOCK) {
+            let first = rows[left];
+            let mut lines = rows.chunks_exact(width).map(|row| &row[left..left + BLOCK]);
+            flat += u32::from(lines.all(|line| line.iter().all(|value| *value == first)));
+        }
+    }
+    flat
+}
+
+impl Tones {
+    fn flat_share(&self) -> f64 {
+        f64::from(self.flat_blocks) / f64::from(self.blocks.max(1))
+    }
+
+    fn channel(&self, channel: usize) -> &[u32] {
+        [&self.luma, &self.red_green, &self.blue_green][channel]
+    }
+
+    /// Returns the share of pixels in each bin or below, in [0, 1].
+    fn cumulative(&self, channel: usize) -> Vec<f64> {
+        let bins = self.channel(channel);
+        let all: u64 = bins.iter().map(|count| u64::from(*count)).sum();
+        let mut below = 0_u64;
+        let shares = bins.iter().map(|count| {
+            below += u64::from(*count);
+            below as f64 / all.max(1) as f64
+        });
+        shares.collect()
+    }
+}
+
+/// Returns the opinions on the photos of one instrument, worst complaint first.
+fn robust(params: &HistogramParams, tones: &[&Tones]) -> Vec<Opinion> {
+    let set = tones.len() >= params.min_set as usize;
+    let flat = Ranked::new(tones.iter().map(|tones| tones.flat_share()).collect());
+    let mut opinions: Vec<Opinion> = tones
+        .iter()
+        .map(|tones| {
+            let usual = if set {
+                flat.without(tones.flat_share(), 3, 4)
+            } else {
+                0.0
+            };
+            judge_flat(tones.flat_share(), params.max_flat + usual)
+        })
+        .collect();
+    if !set {
+        return opinions;
+    }
+    for (channel, (name, step)) in CHANNELS.iter().enumerate() {
+        let distances = distances(tones, channel, *step);
+        let ranked = Ranked::new(distances.clone());
+        for (opinion, distance) in opinions.iter_mut().zip(distances) {
+            let (median, quartile) = (ranked.without(distance, 1, 2), ranked.without(distance, 3, 4));
+            let limit = (median + params.spreads * (quartile - median)).max(params.min_distance);
+            *opinion = worse(opinion, judge_distance(name, distance, median, limit));
+        }
+    }
+    opinions
+}
+
+fn judge_flat(share: f64, limit: f64) -> Opinion {
+    if share > limit {
+        let reason = format!(
+            "{:.0} % of the photo in blocks of one single brightness, at most {:.0} %",
+            100.0 * share,
+            100.0 * limit
+        );
+        return Opinion::reject(share, limit, reason);
+    }
+    Opinion::keep(share, limit)
+}
+
+fn judge_distance(name: &str, distance: f64, usual: f64, limit: f64) -> Opinion {
+    if distance > limit {
+        let reason = format!(
+            "{name} is {distance:.0} steps from the set's median histogram, usual {usual:.0}, at most {limit:.0}"
+        );
+        return Opinion::reject(distance, limit, reason);
+    }
+    Opinion::keep(distance, limit)
+}
+
+/// Returns the opinion whose score is the largest part of its threshold; the earlier one of equals.
+fn worse(earlier: &Opinion, later: Opinion) -> Opinion {
+    let part = |opinion: &Opinion| opinion.score.unwrap_or(0.0) / opinion.threshold.unwrap_or(1.0).max(1e-9);
+    if part(&later) > part(earlier) {
+        later
+    } else {
+        earlier.clone()
+    }
+}
+
+/// Returns each photo's distance to the median of the others' cumulative histograms: the mean way a pixel would
+/// have to move (earth mover), in 8-bit steps.
+fn distances(tones: &[&Tones], channel: usize, step: f64) -> Vec<f64> {
+    let shares: Vec<Vec<f64>> = tones.iter().map(|tones| tones.cumulative(channel)).collect();
+    let mut distances = vec![0.0; tones.len()];
+    for bin in 0..tones.first().map_or(0, |tones| tones.channel(channel).len()) {
+        let ranked = Ranked::new(shares.iter().map(|shares| shares[bin]).collect());
+        for (distance, shares) in distances.iter_mut().zip(&shares) {
+            *distance += step * (shares[bin] - ranked.without(shares[bin], 1, 2)).abs();
+        }
+    }
+    distances
+}
+
+/// Shares are counted in units of 2^-24, so that sums over the set are integers and free of order.
+const SHARE: u64 = 1 << 24;
+
+/// Returns the opinions of the paper's rule on the photos of one instrument.
+fn paper(params: &HistogramParams, tones: &[&Tones]) -> Vec<Opinion> {
+    if tones.len() < 3 {
+        return vec![Opinion::pass("fewer than 3 photos have no mean to be far from"); tones.len()];
+    }
+    let shares: Vec<Vec<u64>> = tones.iter().map(|tones| normalised(&tones.luma)).collect();
+    let sum = |bin: usize| shares.iter().map(|shares| shares[bin]).sum::<u64>();
+    let squares = |bin: usize| {
+        shares
+            .iter()
+            .map(|shares| u128::from(shares[bin]).pow(2))
+            .sum::<u128>()
+    };
+    let totals: Vec<(u64, u128)> = (0..256).map(|bin| (sum(bin), squares(bin))).collect();
+    let others = (tones.len() - 1) as f64;
+    let far = |shares: &[u64]| {
+        let bins = shares.iter().zip(&totals).filter(|(share, (sum, squares))| {
+            let mean = (sum - **share) as f64 / others;
+            let variance = (squares - u128::from(**share).pow(2)) as f64 / others - mean * mean;
+            (**share as f64 - mean).abs() > params.sigmas * variance.max(0.0).sqrt()
+        });
+        bins.count() as f64 / 256.0
+    };
+    shares
+        .iter()
+        .map(|shares| judge_bins(far(shares), params.max_bins))
+        .collect()
+}
+
+fn normalised(bins: &[u32]) -> Vec<u64> {
+    let all: u64 = bins.iter().map(|count| u64::from(*count)).sum();
+    bins.iter()
+        .map(|count| u64::from(*count) * SHARE / all.max(1))
+        .collect()
+}
+
+fn judge_bins(share: f64, limit: f64) -> Opinion {
+    if share > limit {
+        let reason = format!(
+            "{:.0} % of the bins out of place, at most {:.0} %",
+            100.0 * share,
+            100.0 * limit
+        );
+        return Opinion::reject(share, limit, reason);
+    }
+    Opinion::keep(share, limit)
+}

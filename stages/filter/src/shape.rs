@@ -1,0 +1,137 @@
+use std::collections::BTreeMap;
+
+use marf_cache::ContentHash;
+use marf_scene::PhotoFacts;
+use marf_stage::ParamError;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::filter::{Filter, Opinion, Seen, Sight, Unreadable, within};
+
+/// Rejects thumbnails, and photos smaller than asked for or much smaller than their camera's others.
+pub struct Shape;
+
+/// Parameters of [`Shape`].
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(default, deny_unknown_fields)]
+pub struct ShapeParams {
+    /// Fewest pixels a row. The paper asks for 1,000.
+    pub min_width: u32,
+    /// Fewest rows. The paper asks for 1,000.
+    pub min_height: u32,
+    /// Smallest short side as a share of the median short side among photos of the same instrument; 0 turns it
+    /// off. Half-size copies have 0.5; the 8 to 16 pixels by which tiles of one camera differ do not matter.
+    pub min_share: f64,
+    /// A size that at least this share of the photos of an instrument has is one of its own formats (tiles, strips) and is
+    /// not held against `min_share`; two photos at the least.
+    pub common_share: f64,
+}
+
+impl Default for ShapeParams {
+    fn default() -> Self {
+        Self {
+            min_width: 320,
+            min_height: 240,
+            min_share: 0.6,
+            common_share: 0.1,
+        }
+    }
+}
+
+impl Filter for Shape {
+    const NAME: &'static str = "shape";
+    const ABOUT: &'static str = "rejects thumbnails and photos that are too small";
+    const VERSION: u32 = 1;
+    type Params = ShapeParams;
+    type Measure = ();
+
+    fn check(params: &ShapeParams) -> Result<(), ParamError> {
+        within("min_share", params.min_share, 0.0, 1.0)?;
+        within("common_share", params.common_share, 0.0, 1.0)
+    }
+
+    /// Costs nothing: the sizes are facts of the photo.
+    fn measure(_sight: &Sight<'_>) -> Result<(), Unreadable> {
+        Ok(())
+    }
+
+    fn decide(params: &ShapeParams, photos: &[Seen<()>]) -> Vec<Opinion> {
+        let cameras = cameras(photos);
+        let judge = |photo: &Seen<()>| judge(params, &photo.facts, cameras.get(&photo.facts.instrument));
+        photos.iter().map(judge).collect()
+    }
+}
+
+/// How often one instrument made photos of each size (short side, long side), pixels.
+#[derive(Default)]
+struct Camera {
+    sizes: BTreeMap<(u32, u32), usize>,
+    photos: usize,
+}
+
+impl Camera {
+    /// Returns the lower median of the short sides.
+    fn median_short(&self) -> u32 {
+        let mut below = 0;
+        for ((short, _), count) in &self.sizes {
+            below += count;
+            if 2 * below >= self.photos {
+                return *short;
+            }
+        }
+        0
+    }
+
+    fn is_common(&self, sides: (u32, u32), share: f64) -> bool {
+        let count = self.sizes.get(&sides).copied().unwrap_or(0);
+        count >= 2 && count as f64 >= share * self.photos as f64
+    }
+}
+
+/// Thumbnails are left out: an archive may hold one for every photo.
+fn cameras(photos: &[Seen<()>]) -> BTreeMap<Option<String>, Camera> {
+    let mut cameras = BTreeMap::<_, Camera>::new();
+    for photo in photos.iter().filter(|photo| !photo.facts.thumbnail) {
+        let camera = cameras.entry(photo.facts.instrument.clone()).or_default();
+        *camera.sizes.entry(sides(&photo.facts)).or_default() += 1;
+        camera.photos += 1;
+    }
+    cameras
+}
+
+fn sides(facts: &PhotoFacts) -> (u32, u32) {
+    (facts.width.min(facts.height), facts.width.max(facts.height))
+}
+
+fn judge(params: &ShapeParams, facts: &PhotoFacts, camera: Option<&Camera>) -> Opinion {
+    let (width, height) = (f64::from(facts.width), f64::from(facts.height));
+    let size = format!("{} x {} pixels", facts.width, facts.height);
+    if facts.thumbnail {
+        return Opinion::reject(
+            width,
+            f64::from(params.min_width),
+            format!("{size}, a thumbnail by its name"),
+        );
+    }
+    if facts.width < params.min_width {
+        let least = params.min_width;
+        return Opinion::reject(width, f64::from(least), format!("{size}, width at least {least}"));
+    }
+    if facts.height < params.min_height {
+        let least = params.min_height;
+        return Opinion::reject(
+            height,
+            f64::from(least),
+            format!("{size}, height at least {least}"),
+        );
+    }
+    let (short, usual) = (sides(facts).0, camera.map_or(0, Camera::median_short));
+    let least = params.min_share * f64::from(usual);
+    let common = camera.is_some_and(|camera| camera.is_common(sides(facts), params.common_share));
+    if f64::from(short) < least && !common {
+        let reason =
+            format!("{size}, an odd one out: short side {short}, usual {usual}, at least {least:.0}");
+        return Opinion::reject(f64::from(short), least, reason);
+    }
+    Opinion::keep(f64::from(short), least)
+}

@@ -1,0 +1,191 @@
+use super::{Palette, draw_text, font::HEIGHT_PX, text_width_px};
+use crate::{Image, Srgb};
+
+/// How values become colours, printed under the map.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scale {
+    /// What the map shows.
+    pub title: String,
+    /// Unit of the values; empty for a plain number.
+    pub unit: String,
+    /// Value of the lowest colour.
+    pub low: f64,
+    /// Value of the highest colour; above it the colour stays.
+    pub high: f64,
+    /// The colours.
+    pub palette: Palette,
+}
+
+/// Colour of a pixel without a value.
+const NO_VALUE: [u8; 3] = [96, 96, 104];
+const INK: [u8; 3] = [235, 235, 235];
+const GROUND: [u8; 3] = [24, 24, 28];
+
+/// Draws values as colours, the title above and the colour scale with its two ends below.
+///
+/// `values`: `[height * width]`, row-major from the top; negative ones have no value and are gray.
+/// The picture is at least as wide as its text, the map is centred in it.
+pub fn draw_map(values: &[f32], width: u32, height: u32, scale: &Scale) -> Image<Srgb> {
+    let zoom = (width / 240).max(1);
+    let gap = 3 * zoom;
+    let line = HEIGHT_PX * zoom + 2 * gap;
+    let (low, high) = (scale.low.to_string(), top_label(values, scale));
+    let ends = text_width_px(&low, zoom) + text_width_px(&high, zoom) + text_width_px(&scale.unit, zoom);
+    let full = width
+        .max(text_width_px(&scale.title, zoom) + 2 * gap)
+        .max(ends + 6 * gap);
+    let mut picture = Image::from_fn(full, height + 2 * line + 3 * gap, |_, _| GROUND);
+    draw_text(&mut picture, gap, gap, zoom, INK, &scale.title);
+    let span = (scale.high - scale.low).max(f64::MIN_POSITIVE) as f32;
+    let left = (full - width) / 2;
+    paste(&mut picture, left, line, width, height, |column, row| {
+        let value = values[(row * width + column) as usize];
+        let share = (value - scale.low as f32) / span;
+        if value < 0.0 {
+            NO_VALUE
+        } else {
+            scale.palette.color(share)
+        }
+    });
+    let bar_top = line + height + gap;
+    paste(
+        &mut picture,
+        gap,
+        bar_top,
+        full - 2 * gap,
+        2 * gap,
+        |column, _| {
+            scale
+                .palette
+                .color(column as f32 / (full - 2 * gap).max(2) as f32)
+        },
+    );
+    let text_top = bar_top + 3 * gap;
+    let right = full - gap - text_width_px(&high, zoom);
+    let middle = full.saturating_sub(text_width_px(&scale.unit, zoom)) / 2;
+    draw_text(&mut picture, gap, text_top, zoom, INK, &low);
+    draw_text(&mut picture, middle, text_top, zoom, INK, &scale.unit);
+    draw_text(&mut picture, right, text_top, zoom, INK, &high);
+    picture
+}
+
+/// Puts pictures side by side, tops aligned, dark where a shorter one ends.
+pub fn beside(pictures: &[&Image<Srgb>]) -> Image<Srgb> {
+    let width = pictures.iter().map(|picture| picture.width).sum();
+    let height = pictures.iter().map(|picture| picture.height).max().unwrap_or(0);
+    let mut all = Image::from_fn(width, height, |_, _| GROUND);
+    let mut left = 0;
+    for picture in pictures {
+        paste(&mut all, left, 0, picture.width, picture.height, |column, row| {
+            picture.at(column, row)
+        });
+        left += picture.width;
+    }
+    all
+}
+
+/// Returns the least of 1, 2, 5 times a power of ten that `share` of the values do not exceed.
+///
+/// Values below zero do not count. Extremes: 1e-6 if there is nothing above it, at most 1e30.
+pub fn nice_top(values: &[f32], share: f64) -> f64 {
+    let mut sorted: Vec<f32> = values.iter().copied().filter(|value| *value >= 0.0).collect();
+    sorted.sort_unstable_by(f32::total_cmp);
+    let last = sorted.len().saturating_sub(1);
+    let place = ((last as f64 * share + 0.5) as usize).min(last);
+    let top = sorted.get(place).copied().map_or(0.0, f64::from);
+    let steps = (-6..=30).flat_map(|power| [1, 2, 5].map(|digit| format!("{digit}e{power}")));
+    steps
+        .filter_map(|text| text.parse::<f64>().ok())
+        .find(|step| *step >= top)
+        .unwrap_or(1e30)
+}
+
+/// Says so where a value lies above the scale.
+fn top_label(values: &[f32], scale: &Scale) -> String {
+    if values.iter().any(|value| f64::from(*value) > scale.high) {
+        format!(">={}", scale.high)
+    } else {
+        scale.high.to_string()
+    }
+}
+
+fn paste(
+    picture: &mut Image<Srgb>,
+    left: u32,
+    top: u32,
+    width: u32,
+    height: u32,
+    color: impl Fn(u32, u32) -> [u8; 3],
+) {
+    for row in 0..height.min(picture.height.saturating_sub(top)) {
+        for column in 0..width.min(picture.width.saturating_sub(left)) {
+            let place = (top + row) as usize * picture.width as usize + (left + column) as usize;
+            picture.pixels[place] = color(column, row);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scale() -> Scale {
+        Scale {
+            title: "standard deviation".into(),
+            unit: "of white".into(),
+            low: 0.0,
+            high: 0.05,
+            palette: Palette::Inferno,
+        }
+    }
+
+    #[test]
+    fn the_ends_of_the_scale_are_one_two_or_five() {
+        let cases = [
+            (vec![0.0], 1e-6),
+            (vec![], 1e-6),
+            (vec![0.03, 0.049], 0.05),
+            (vec![0.051], 0.1),
+            (vec![-1.0, 3.0], 5.0),
+            (vec![f32::MAX], 1e30),
+        ];
+        for (values, top) in cases {
+            assert_eq!(nice_top(&values, 1.0), top, "{values:?}");
+        }
+        let mut mostly_small = vec![0.01; 99];
+        mostly_small.push(9.0);
+        assert_eq!(nice_top(&mostly_small, 0.98), 0.01);
+    }
+
+    #[test]
+    fn a_map_has_its_colours_between_title_and_scale() {
+        let values: Vec<f32> = (0..300 * 20).map(|index| (index % 300) as f32 / 6000.0).collect();
+        let picture = draw_map(&values, 300, 20, &scale());
+        assert_eq!(picture.width, 300);
+        let row = 2 + 3 * 2 + HEIGHT_PX;
+        assert_eq!(picture.at(0, row), Palette::Inferno.color(0.0));
+        assert_eq!(picture.at(299, row), Palette::Inferno.color(299.0 / 300.0));
+        assert!(picture.pixels.contains(&INK), "no text");
+    }
+
+    #[test]
+    fn a_pixel_without_a_value_is_gray() {
+        let picture = draw_map(&[-1.0; 16], 4, 4, &scale());
+        assert_eq!(
+            picture.pixels.iter().filter(|pixel| **pixel == NO_VALUE).count(),
+            16
+        );
+    }
+
+    #[test]
+    fn pictures_stand_side_by_side() {
+        let dark = Image::from_fn(2, 3, |_, _| [1, 2, 3]);
+        let light = Image::from_fn(1, 1, |_, _| [250, 250, 250]);
+        let both = beside(&[&dark, &light]);
+        assert_eq!((both.width, both.height), (3, 3));
+        assert_eq!(
+            (both.at(1, 2), both.at(2, 0), both.at(2, 1)),
+            ([1, 2, 3], [250; 3], GROUND)
+        );
+    }
+}

@@ -1,0 +1,108 @@
+use marf_field::FieldError;
+use marf_stage::StageError;
+
+/// What keeps a field from being trained, judged or rendered.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    /// The scene cannot be read.
+    #[error(transparent)]
+    Scene(#[from] marf_scene::SceneError),
+    /// The chosen hyper-parameters cannot be read.
+    #[error("the input `params` is not what `tune` writes: {0}")]
+    Params(String),
+    /// No photo to learn from.
+    #[error("no photo to train on: {placed} photos have a camera, {held_out} of them are held out")]
+    NoTraining {
+        /// Photos with a camera.
+        placed: usize,
+        /// Photos held out.
+        held_out: usize,
+    },
+    /// No photo to measure on.
+    #[error("no photo is held out of {placed}, so the field could not be judged")]
+    NoHeldOut {
+        /// Photos with a camera.
+        placed: usize,
+    },
+    /// A photo that cannot be decoded.
+    #[error("photo `{id}`: {cause}")]
+    Photo {
+        /// The photo.
+        id: String,
+        /// What the decoder said.
+        cause: marf_scene::DecodeError,
+    },
+    /// A photo of another size than its camera.
+    #[error("photo `{id}` has {width} x {height} pixels, its camera is for {camera_width} x {camera_height}")]
+    Size {
+        /// The photo.
+        id: String,
+        /// Its width.
+        width: u32,
+        /// Its height.
+        height: u32,
+        /// Width the camera is for.
+        camera_width: u32,
+        /// Height the camera is for.
+        camera_height: u32,
+    },
+    /// A reduction that leaves nothing of a photo.
+    #[error("photo `{id}` of {width} x {height} pixels vanishes at `scale` {scale}")]
+    Vanished {
+        /// The photo.
+        id: String,
+        /// Its width.
+        width: u32,
+        /// Its height.
+        height: u32,
+        /// The reduction asked for.
+        scale: u32,
+    },
+    /// A render that cannot be compared with its photo.
+    #[error("photo `{id}`: {cause}")]
+    Metric {
+        /// The photo.
+        id: String,
+        /// Why.
+        cause: marf_scene::metrics::MetricError,
+    },
+    /// The field refused.
+    #[error(transparent)]
+    Field(#[from] FieldError),
+    /// A path along which there is nothing to stand on.
+    #[error("the scene has no photo to lay the path `{path}` through")]
+    NoPath {
+        /// The kind of path.
+        path: &'static str,
+    },
+}
+
+impl TrainError {
+    /// Returns the key to turn or the command to run, if we know one.
+    pub fn hint(&self) -> Option<String> {
+        let text = match self {
+            Self::NoTraining { placed: 0, .. } => {
+                "see the verdicts of the filters and the unplaced photos of `calibrate`"
+            }
+            Self::NoTraining { .. } => "hold out fewer photos in `calibrate`",
+            Self::NoHeldOut { .. } => {
+                "hold out some photos in `calibrate`, or set `holdout = \"validation\"`"
+            }
+            Self::Vanished { .. } => "lower `scale`",
+            Self::Field(FieldError::NotFinite { .. }) => "lower `field.learning_rate`",
+            Self::NoPath { .. } => "take another `path`",
+            _ => return None,
+        };
+        Some(text.to_owned())
+    }
+}
+
+impl From<TrainError> for StageError {
+    fn from(error: TrainError) -> Self {
+        let stage_error = Self::new(error.to_string());
+        match error.hint() {
+            Some(hint) => stage_error.hint(hint),
+            None => stage_error,
+        }
+    }
+}

@@ -1,0 +1,149 @@
+use std::time::{Duration, Instant};
+
+use marf_cache::ContentHash;
+use marf_field::{Overrides, Quality, Trainer};
+use marf_stage::{Ctx, Define, Inputs, Outputs, ParamError, Port, Set, Stage, StageError, Threads, Work};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    Budget, Holdout, TrainError, TrainParams,
+    judge::{outputs, put_json},
+    params,
+    split::split,
+    train::{read_scene, trainer},
+};
+
+/// Longest measurement, seconds.
+const LONGEST_S: f64 = 8.0;
+
+/// Turns a time to train for into optimiser steps, once, by training for a moment on this machine.
+///
+/// The one stage whose answer depends on the clock, which is its purpose: its record keeps what was found, and
+/// whoever shares the store shares the steps.
+#[derive(Debug)]
+pub struct Pace {
+    params: PaceParams,
+}
+
+/// Parameters of `pace`: those of `train` that decide how long a step takes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(deny_unknown_fields)]
+pub struct PaceParams {
+    /// Time to train for (`60s`, `5m`).
+    pub budget: Budget,
+    /// Size of the photos and of the field.
+    #[serde(default)]
+    pub quality: Quality,
+    /// Whole factor by which photos are shrunk; absent: the least that brings them to the size of `quality`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale: Option<u32>,
+    /// Photos that are kept away from training.
+    #[serde(default)]
+    pub holdout: Holdout,
+    /// Keys of the field; they win over those of the input `params`.
+    #[serde(default)]
+    pub field: Overrides,
+}
+
+impl PaceParams {
+    /// Returns what `train` asks to be paced, if it has a budget.
+    pub(crate) fn of(train: &TrainParams) -> Option<Self> {
+        Some(Self {
+            budget: train.budget?,
+            quality: train.quality,
+            scale: train.scale,
+            holdout: train.holdout,
+            field: train.field.clone(),
+        })
+    }
+}
+
+impl Define for Pace {
+    type Params = PaceParams;
+    const NAME: &'static str = "pace";
+    const ABOUT: &'static str = "Measures how many training steps a time budget buys on this machine";
+    const VERSION: u32 = 1;
+    const PORTS: &'static [Port] = &[
+        Port::required("input", "scene"),
+        Port::optional("params", "params"),
+    ];
+    const OUTPUTS: &'static [&'static str] = &["steps"];
+
+    fn new(params: PaceParams) -> Result<Self, ParamError> {
+        params::check_scale(params.scale)?;
+        params::check_field(params.quality, &params.field)?;
+        Ok(Self { params })
+    }
+}
+
+impl Stage for Pace {
+    fn params(&self) -> &dyn ContentHash {
+        &self.params
+    }
+
+    fn work(&self) -> Work<'_> {
+        Work::Set(self)
+    }
+
+    fn threads(&self) -> Threads {
+        Threads::All
+    }
+}
+
+impl Set for Pace {
+    fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
+        let params = &self.params;
+        let scene = read_scene(ctx, inputs.required("scene")?)?;
+        let config = params::config(ctx, inputs, params.quality, &params.field)?;
+        let scale = params::scale(params.scale, params.quality, &scene);
+        let split = split(&scene, params.holdout)?;
+        let times = vec![1; split.training.len()];
+        let mut trainer = trainer(ctx, &scene, &split, scale, &times, &config, 0)?;
+        let budget_s = params.budget.seconds();
+        let rate = steps_per_second(ctx, &mut trainer, (budget_s / 4.0).min(LONGEST_S))?;
+        Ok(outputs([("steps", put_json(ctx, &steps_in(budget_s, rate))?)]))
+    }
+}
+
+/// Trains for `measure_s` seconds and returns the rate of the second half, when the grid has been pruned once.
+fn steps_per_second(ctx: &Ctx<'_>, trainer: &mut Trainer, measure_s: f64) -> Result<f64, StageError> {
+    let half = Duration::from_secs_f64(measure_s / 2.0);
+    run_for(ctx, trainer, half, "warming up")?;
+    let begun = Instant::now();
+    let before = trainer.steps();
+    run_for(ctx, trainer, half, "measuring")?;
+    Ok((trainer.steps() - before) as f64 / begun.elapsed().as_secs_f64())
+}
+
+/// At least one step.
+fn run_for(ctx: &Ctx<'_>, trainer: &mut Trainer, time: Duration, note: &str) -> Result<(), StageError> {
+    let begun = Instant::now();
+    loop {
+        ctx.check()?;
+        trainer.step().map_err(TrainError::from)?;
+        let elapsed = begun.elapsed();
+        let done = elapsed.min(time).as_millis() as u64;
+        ctx.progress.at(done, time.as_millis() as u64, note);
+        if elapsed >= time {
+            return Ok(());
+        }
+    }
+}
+
+/// At least one step, however short the budget.
+fn steps_in(budget_s: f64, steps_per_second: f64) -> u64 {
+    ((budget_s * steps_per_second) as u64).max(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_budget_buys_whole_steps_and_at_least_one() {
+        assert_eq!(steps_in(60.0, 12.34), 740);
+        assert_eq!(steps_in(0.001, 12.0), 1);
+        assert_eq!(steps_in(60.0, f64::NAN), 1);
+    }
+}

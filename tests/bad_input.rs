@@ -1,0 +1,100 @@
+//! Bad input gets one clear error that names the thing and the way out, and the right exit code.
+
+mod common;
+
+use common::{marf, shared};
+
+fn with_pipeline(text: &str) -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("pipeline.toml"), text).unwrap();
+    dir
+}
+
+const HEAD: &str = "[archive.demo]\nkind = \"demo\"\n[node.extract]\narchive = \"demo\"\n";
+
+#[test]
+fn an_unknown_key_is_refused_with_its_place_and_the_nearest_name() {
+    let dir = with_pipeline(&format!("{HEAD}[node.size]\ninput = \"extract\"\nmin_byte = 3\n"));
+    let ran = marf(dir.path(), &["plan"]).exits(2);
+    assert!(ran.stderr.contains("pipeline.toml:7:1: unknown key `min_byte`"), "{}", ran.stderr);
+    assert!(ran.stderr.contains("did you mean `min_bytes`?"), "{}", ran.stderr);
+}
+
+#[test]
+fn an_unknown_stage_and_an_unknown_upstream_are_refused() {
+    let dir = with_pipeline("[node.extrct]\n");
+    assert!(marf(dir.path(), &["plan"]).exits(2).stderr.contains("did you mean `extract`?"));
+    let dir = with_pipeline(&format!("{HEAD}[node.size]\ninput = \"extrat\"\n"));
+    assert!(marf(dir.path(), &["plan"]).exits(2).stderr.contains("did you mean `extract`?"));
+}
+
+#[test]
+fn a_cycle_is_printed_in_full() {
+    let text = "[node.size]\ninput = \"blur\"\n[node.shape]\ninput = \"size\"\n[node.blur]\ninput = \"shape\"\n";
+    let ran = marf(with_pipeline(text).path(), &["run"]).exits(2);
+    assert!(ran.stderr.contains("size -> shape -> blur -> size"), "{}", ran.stderr);
+}
+
+#[test]
+fn a_value_of_the_wrong_type_is_named_at_its_place() {
+    let dir = with_pipeline(&format!("{HEAD}[node.size]\ninput = \"extract\"\nmin_bytes = \"many\"\n"));
+    let ran = marf(dir.path(), &["run"]).exits(2);
+    assert!(ran.stderr.contains("pipeline.toml:7:13: node.size.min_bytes"), "{}", ran.stderr);
+}
+
+#[test]
+fn no_pipeline_says_how_to_get_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let ran = marf(dir.path(), &["run"]).exits(2);
+    assert!(ran.stderr.contains("marf init"), "{}", ran.stderr);
+}
+
+#[test]
+fn archives_of_later_versions_are_refused_by_name() {
+    for kind in ["pds", "feed"] {
+        let dir = with_pipeline(&format!("[archive.a]\nkind = \"{kind}\"\n[node.extract]\narchive = \"a\"\n"));
+        let ran = marf(dir.path(), &["run"]).exits(2);
+        assert!(ran.stderr.contains("not in this version"), "{kind}: {}", ran.stderr);
+    }
+}
+
+#[test]
+fn a_missing_and_an_empty_folder_are_one_error_each() {
+    let dir = tempfile::tempdir().unwrap();
+    let ran = marf(dir.path(), &["filter", "nowhere"]).exits(1);
+    assert!(ran.stderr.contains("nowhere"), "{}", ran.stderr);
+    std::fs::create_dir(dir.path().join("empty")).unwrap();
+    let ran = marf(dir.path(), &["filter", "empty"]).exits(1);
+    assert!(ran.stderr.contains("empty"), "{}", ran.stderr);
+}
+
+#[test]
+fn structure_from_motion_says_that_it_is_not_in_this_version() {
+    let Some(data) = shared("dedup_mixed") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let ran = marf(dir.path(), &["calibrate", &data.to_string_lossy()]);
+    assert!(ran.code != 0 && ran.stderr.contains("not in this version"), "{}", ran.stderr);
+}
+
+#[test]
+fn init_writes_once_and_every_template_is_a_valid_pipeline() {
+    for mission in ["demo", "folder", "perseverance", "curiosity", "ingenuity"] {
+        let dir = tempfile::tempdir().unwrap();
+        marf(dir.path(), &["init", "--mission", mission]).exits(0);
+        marf(dir.path(), &["init", "--mission", mission]).exits(2);
+        let plan = marf(dir.path(), &["plan"]);
+        // Folders of photos are not there; the pipeline itself is well-formed.
+        assert!(plan.code != 2, "{mission}: {}", plan.stderr);
+    }
+}
+
+#[test]
+fn hostile_toml_is_refused_without_a_crash() {
+    let Some(own) = shared("bad-inputs/own") else { return };
+    for name in ["deep.toml", "dup_key.toml", "nan.toml"] {
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::copy(own.join(name), dir.path().join("pipeline.toml")).unwrap();
+        let ran = marf(dir.path(), &["plan"]);
+        assert_eq!(ran.code, 2, "{name}: {}", ran.stderr);
+    }
+}

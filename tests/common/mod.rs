@@ -1,0 +1,54 @@
+//! Runs the binary as a user would.
+#![allow(dead_code, reason = "each test file uses a part")]
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// What a run of the binary left.
+pub struct Ran {
+    /// Exit code; -1 if killed.
+    pub code: i32,
+    /// Data.
+    pub stdout: String,
+    /// Talk.
+    pub stderr: String,
+}
+
+/// Runs `marf ARGS` in a folder.
+pub fn marf(folder: &Path, args: &[&str]) -> Ran {
+    let output = Command::new(env!("CARGO_BIN_EXE_marf")).current_dir(folder).args(args).output().unwrap();
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    Ran { code: output.status.code().unwrap_or(-1), stdout: text(&output.stdout), stderr: text(&output.stderr) }
+}
+
+impl Ran {
+    /// Panics with everything that was printed unless the code is as expected.
+    #[track_caller]
+    pub fn exits(self, code: i32) -> Self {
+        assert_eq!(self.code, code, "\nstdout: {}\nstderr: {}", self.stdout, self.stderr);
+        self
+    }
+
+    /// The JSON lines of `--json`.
+    pub fn events(&self) -> Vec<serde_json::Value> {
+        self.stdout.lines().map(|line| serde_json::from_str(line).unwrap_or_else(|_| panic!("{line}"))).collect()
+    }
+
+    /// Names of the nodes with this event, in order.
+    pub fn nodes(&self, event: &str) -> Vec<String> {
+        let events = self.events().into_iter().filter(|json| json["event"] == event);
+        events.map(|json| json["node"].as_str().unwrap_or_default().to_owned()).collect()
+    }
+}
+
+/// Real photos, where they are: `$MARF_SHARED_DATA`, or `../shared/data` beside the checkout.
+pub fn shared(set: &str) -> Option<PathBuf> {
+    let beside = || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data"));
+    let root = std::env::var_os("MARF_SHARED_DATA").map_or_else(beside, PathBuf::from);
+    let folder = root.join(set);
+    if folder.exists() {
+        return Some(folder);
+    }
+    println!("skipped: needs ../shared/data/{set}");
+    None
+}
