@@ -11,6 +11,8 @@ mod lens;
 mod light;
 mod math;
 mod plan;
+#[cfg(test)]
+mod reader_tests;
 mod render;
 mod rocks;
 #[cfg(test)]
