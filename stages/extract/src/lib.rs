@@ -6,6 +6,7 @@
 
 mod archive;
 mod camera;
+pub mod demo;
 mod feed;
 mod fetch;
 mod folder;
