@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use crate::camera::{CameraError, RawModel};
-use crate::label::{FramePose, Label, MAX_LABEL_BYTES};
+use crate::label::{FramePose, Label, MAX_LABEL_BYTES, Phase};
 use crate::values;
 
 /// JSON that is no record of a raw-image feed.
@@ -48,7 +48,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Label, FeedError> {
         thumbnail: record.thumbnail(),
         averaged: 1,
         size: record.size(),
-        mosaic: None,
+        phase: record.phase(),
         ..Label::default()
     };
     add_camera(&record, &mut label);
@@ -82,6 +82,17 @@ impl Record<'_> {
         let side =
             |value: f64| (value >= 1.0 && value <= 65_536.0 && value.fract() == 0.0).then_some(value as u32);
         Some((side(width)?, side(height)?))
+    }
+
+    /// `(x0,y0,w,h)`, from 1.
+    fn phase(&self) -> Option<Phase> {
+        let [sample, line, _, _] =
+            values::tuple::<4>(&self.text("subframeRect").or_else(|| self.text("subframe_rect"))?)?;
+        let first = |value: f64| (1.0..=65_536.0).contains(&value).then(|| value as u32 - 1);
+        Some(Phase {
+            line: first(line)?,
+            sample: first(sample)?,
+        })
     }
 
     fn pose(&self) -> FramePose {

@@ -4,15 +4,16 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use marf_cache::manifest::Row;
-use marf_scene::{CameraPrior, Photo, PhotoFacts, encode_png};
+use marf_scene::{CameraPrior, Photo, PhotoFacts};
 use marf_stage::{Ctx, Fetched, StageError, Verdict};
 use rayon::prelude::*;
 
 use crate::archive::{ArchiveFile, Kind};
 use crate::camera::{focal_px, rescaled};
-use crate::label::{Label, Phase};
+use crate::label::Label;
 use crate::names::ProductName;
 use crate::products::{Product, Sorted, left, sort};
+use crate::raw;
 
 /// Pixel of the detectors of Mastcam and Mastcam-Z, mm.
 const MASTCAM_PIXEL_MM: f64 = 7.4e-3;
@@ -92,15 +93,38 @@ struct Decoded {
 }
 
 fn decode(product: &Product, file: &ArchiveFile, bytes: &[u8]) -> Result<Decoded, String> {
+    let (name, beside) = (
+        product.name.as_ref(),
+        product.label.as_ref().map(|label| &label.label),
+    );
     if file.kind == Kind::Raw {
-        return Err(".IMG is not read".to_owned());
+        let developed = raw::develop(name, bytes, beside)?;
+        return Ok(Decoded {
+            size: (developed.made.image.width, developed.made.image.height),
+            bands: developed.made.bands,
+            notes: developed.made.notes,
+            made: Some(raw::png(&developed.made.image)?),
+            attached: developed.attached,
+        });
     }
     let photo = Photo::decode(bytes).map_err(|error| error.to_string())?;
+    let mosaic = name.is_some_and(ProductName::says_mosaic);
+    let phase = beside.and_then(|label| label.mosaic.or(label.phase));
+    let developed = if mosaic {
+        raw::develop_mosaic(&photo, phase)
+    } else {
+        None
+    };
+    let made = developed
+        .as_ref()
+        .map(|photo| raw::png(&photo.image))
+        .transpose()?;
+    let photo = developed.unwrap_or(photo);
     Ok(Decoded {
         size: (photo.image.width, photo.image.height),
         bands: photo.bands,
         notes: photo.notes,
-        made: None,
+        made,
         attached: None,
     })
 }

@@ -35,6 +35,8 @@ pub(crate) struct Label {
     pub array: Option<Array>,
     /// Phase of a colour mosaic that the pixels still are.
     pub mosaic: Option<Phase>,
+    /// Where on the detector the photo starts, whether a mosaic or not.
+    pub phase: Option<Phase>,
     /// What could not be used, and why.
     pub notes: Vec<String>,
 }
@@ -113,8 +115,6 @@ pub(crate) enum Number {
 pub(crate) enum Quantity {
     /// Counts of the detector, in proportion to light.
     Counts,
-    /// 8-bit codes that follow a curve like a display's.
-    Display,
     /// Spectral radiance, W / (m2 sr nm).
     Radiance,
     /// I/F: radiance over that of a white surface under the sun.

@@ -69,6 +69,12 @@ fn label(root: Node<'_, '_>) -> Label {
         array: array(root),
         ..Label::default()
     };
+    if let Some(array) = &mut label.array {
+        let bits = imaging.and_then(|node| number_at(node, &[(IMG, "Sampling"), (IMG, "sample_bits")]));
+        array.bits = bits
+            .filter(|bits| (1.0..=32.0).contains(bits))
+            .map(|bits| bits as u32);
+    }
     label.size = label.array.as_ref().map(|array| (array.shape[2], array.shape[1]));
     label.mosaic = imaging.and_then(|node| mosaic(node, &mut label.notes));
     match discipline.and_then(geometry) {
