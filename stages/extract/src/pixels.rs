@@ -43,7 +43,7 @@ pub(crate) struct Made {
 
 /// Reads an array and makes an 8-bit sRGB image of it.
 ///
-/// The scaling is fixed, so that photos of one set stay comparable: spectral radiance by 0.1 W / (m2 sr nm) as white,
+/// The scaling is fixed, so that photos of one set stay comparable: spectral radiance by 0.125 W / (m2 sr nm) as white,
 /// I/F by 1, counts by the largest count of their bits, then the sRGB curve; 8-bit codes are taken as they are. No
 /// colour is balanced. Values that mean "missing" become black.
 ///
@@ -347,8 +347,8 @@ mod tests {
             let made = make(array, None, &stored(values)).unwrap();
             made.image.pixels.iter().map(|pixel| pixel[0]).collect::<Vec<_>>()
         };
-        // 20,000 x 5e-6 = 0.1 is white; a quarter of it is sRGB 137.
-        assert_eq!(codes(&radiance, [0, 5_000, 20_000, 32_767]), [0, 137, 255, 255]);
+        // 25,000 x 5e-6 = 0.125 is white; a quarter of it is sRGB 137.
+        assert_eq!(codes(&radiance, [0, 6_250, 25_000, 32_767]), [0, 137, 255, 255]);
         let mut counts = array([1, 1, 4], Number::Signed, 2);
         counts.bits = Some(12);
         assert_eq!(codes(&counts, [0, 2048, 4095, 5000]), [0, 188, 255, 255]);
