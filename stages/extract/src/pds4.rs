@@ -14,6 +14,8 @@ const MSN: &str = "http://pds.nasa.gov/pds4/msn/v1";
 const MARS2020: &str = "http://pds.nasa.gov/pds4/mission/mars2020/v1";
 /// Real labels have up to 4,000 nodes.
 const MAX_NODES: u32 = 200_000;
+/// Most attributes of one element; real labels have up to 30. The parser compares each with all others.
+const MAX_ATTRIBUTES: usize = 1_000;
 
 /// XML that is no PDS4 label of an observation.
 #[derive(Debug, thiserror::Error)]
@@ -27,6 +29,9 @@ pub(crate) enum Pds4Error {
     /// Not well-formed, with a document type, or of too many nodes.
     #[error("XML is refused: {0}")]
     Malformed(#[from] roxmltree::Error),
+    /// An element that only serves to keep a parser busy.
+    #[error("XML is refused: an element has more than {MAX_ATTRIBUTES} attributes")]
+    Attributes,
     /// Another document.
     #[error("XML whose root is not `Product_Observational` of PDS4")]
     NoLabel,
@@ -41,6 +46,9 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Label, Pds4Error> {
         return Err(Pds4Error::TooLarge(bytes.len()));
     }
     let text = std::str::from_utf8(bytes).map_err(|_| Pds4Error::Encoding)?;
+    if most_attributes(bytes) > MAX_ATTRIBUTES {
+        return Err(Pds4Error::Attributes);
+    }
     let options = ParsingOptions {
         nodes_limit: MAX_NODES,
         ..ParsingOptions::default()
@@ -51,6 +59,46 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Label, Pds4Error> {
         return Err(Pds4Error::NoLabel);
     }
     Ok(label(root))
+}
+
+/// Counts `=` outside quotes in each tag, and returns the most.
+fn most_attributes(bytes: &[u8]) -> usize {
+    let (mut rest, mut most) = (bytes, 0);
+    while let Some(start) = rest.iter().position(|byte| *byte == b'<') {
+        rest = &rest[start..];
+        let skipped = [
+            (&b"<!--"[..], &b"-->"[..]),
+            (b"<![CDATA[", b"]]>"),
+            (b"<?", b"?>"),
+        ]
+        .into_iter()
+        .find(|(open, _)| rest.starts_with(open));
+        if let Some((_, close)) = skipped {
+            let end = rest.windows(close.len()).position(|window| window == close);
+            rest = &rest[end.map_or(rest.len(), |end| end + close.len())..];
+            continue;
+        }
+        let (attributes, length) = tag(rest);
+        most = most.max(attributes);
+        rest = &rest[length..];
+    }
+    most
+}
+
+/// Returns the attributes and the length of the tag at the start of `bytes`.
+fn tag(bytes: &[u8]) -> (usize, usize) {
+    let (mut quote, mut attributes) = (None, 0);
+    for (index, byte) in bytes.iter().enumerate() {
+        match (quote, byte) {
+            (Some(open), byte) if open == *byte => quote = None,
+            (Some(_), _) => {}
+            (None, b'"' | b'\'') => quote = Some(*byte),
+            (None, b'=') => attributes += 1,
+            (None, b'>') => return (attributes, index + 1),
+            _ => {}
+        }
+    }
+    (attributes, bytes.len())
 }
 
 fn label(root: Node<'_, '_>) -> Label {
