@@ -80,7 +80,7 @@ impl Record<'_> {
     fn size(&self) -> Option<(u32, u32)> {
         let [width, height] = values::tuple::<2>(&self.text("dimension")?)?;
         let side =
-            |value: f64| (value >= 1.0 && value <= 65_536.0 && value.fract() == 0.0).then_some(value as u32);
+            |value: f64| ((1.0..=65_536.0).contains(&value) && value.fract() == 0.0).then_some(value as u32);
         Some((side(width)?, side(height)?))
     }
 
@@ -120,15 +120,27 @@ fn add_camera(record: &Record<'_>, label: &mut Label) {
         return;
     };
     match model(&components) {
-        // Feeds name no frame; for rovers the numbers are in ROVER_NAV (C is at the mast head, 2 m up).
-        Ok(raw) => label.set_camera(
-            &raw,
-            "ROVER_NAV_FRAME".to_owned(),
-            record.pose(),
-            record.counter(),
-        ),
+        Ok(raw) => {
+            let frame = frame(label);
+            label.set_camera(&raw, frame, record.pose(), record.counter());
+        }
         Err(error) => label.refuse_camera(&error),
     }
+}
+
+/// Feeds name no frame; for rovers the numbers are in ROVER_NAV: C is at the mast head, 2 m up.
+fn frame(label: &mut Label) -> String {
+    if !label
+        .instrument
+        .as_deref()
+        .is_some_and(|name| name.starts_with("HELI"))
+    {
+        return "ROVER_NAV_FRAME".to_owned();
+    }
+    label
+        .notes
+        .push("the helicopter's pose is its navigation's estimate, in a frame of the flight".to_owned());
+    "HELI_FRAME".to_owned()
 }
 
 /// Reads `(C);(A);(H);(V)`, `…;(O);(R)`, `…;(E)` with `type;parameter`.

@@ -279,3 +279,69 @@ fn undo_missing_average(
         ));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::label::FramePose;
+
+    fn label() -> Label {
+        let raw = crate::camera::RawModel {
+            cahv: [
+                [0.0; 3],
+                [1.0, 0.0, 0.0],
+                [800.0, 4_600.0, 0.0],
+                [600.0, 0.0, 4_600.0],
+            ],
+            ..Default::default()
+        };
+        let mut label = Label {
+            size: Some((1648, 1200)),
+            averaged: 1,
+            ..Label::default()
+        };
+        label.set_camera(&raw, "SITE_FRAME".to_owned(), FramePose::IsSite, vec![1, 2, 3]);
+        label
+    }
+
+    #[test]
+    fn a_photo_that_was_turned_has_no_camera() {
+        let mut notes = vec!["turned upright from EXIF orientation 6".to_owned()];
+        assert_eq!(fit_camera(&label(), None, (1648, 1200), &mut notes), None);
+        assert!(notes[1].contains("was turned"), "{notes:?}");
+    }
+
+    #[test]
+    fn a_model_that_is_not_reduced_like_its_pixels_is_found_by_its_lens() {
+        let name = ProductName::read("3778ML1037770010808163I01_DXXX").unwrap();
+        let with = |averaged, focal_mm| {
+            let label = Label {
+                averaged,
+                focal_mm,
+                ..label()
+            };
+            let mut notes = Vec::new();
+            let prior = fit_camera(&label, Some(&name), (1648, 1200), &mut notes).unwrap();
+            (focal_px(&prior.model).0, notes)
+        };
+        // 34 mm / 7.4 um = 4595 px.
+        assert_eq!(with(1, Some(34.0)), (4_600.0, vec![]));
+        assert_eq!(with(8, Some(34.0)).0, 575.0);
+        assert_eq!(with(8, None).0, 575.0);
+        // A lens of 272 mm reduced by 8 has these very 4595 px: the model is right as it is.
+        assert_eq!(with(8, Some(272.0)), (4_600.0, vec![]));
+        let (focal, notes) = with(1, Some(100.0));
+        assert!(focal == 4_600.0 && notes[0].contains("13514 px"), "{notes:?}");
+    }
+
+    #[test]
+    fn a_label_without_a_size_says_so() {
+        let label = Label {
+            size: None,
+            ..label()
+        };
+        let mut notes = Vec::new();
+        assert!(fit_camera(&label, None, (10, 10), &mut notes).is_some());
+        assert!(notes[0].contains("does not tell the size"), "{notes:?}");
+    }
+}

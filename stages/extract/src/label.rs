@@ -183,7 +183,8 @@ impl FramePose {
 pub(crate) fn pose(quaternion: [f64; 4], offset: [f64; 3]) -> Option<Pose> {
     let length = quaternion.iter().map(|value| value * value).sum::<f64>().sqrt();
     let finite = offset.iter().all(|value| value.is_finite());
-    if !finite || !((length - 1.0).abs() <= QUATERNION_TOLERANCE) {
+    let unit = (length - 1.0).abs() <= QUATERNION_TOLERANCE; // false for NaN
+    if !finite || !unit {
         return None;
     }
     let [w, x, y, z] = quaternion.map(|value| value / length);

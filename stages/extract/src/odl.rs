@@ -159,10 +159,10 @@ fn statement(reader: &mut Reader<'_>, key: String, open: &mut Vec<Group>) -> Res
 }
 
 fn close(open: &mut Vec<Group>) {
-    if let Some(done) = open.pop() {
-        if let Some(parent) = open.last_mut() {
-            parent.groups.push(done);
-        }
+    if let Some(done) = open.pop()
+        && let Some(parent) = open.last_mut()
+    {
+        parent.groups.push(done);
     }
 }
 

@@ -1,10 +1,13 @@
 //! PDS4 labels: XML, read by namespace and explicit path, never by a search through the whole document (which
 //! would hit the copies under commanded parameters).
 
+mod array;
+mod guard;
+
 use roxmltree::{Document, Node, ParsingOptions};
 
 use crate::camera::{CameraError, RawModel};
-use crate::label::{Array, FramePose, Label, MAX_LABEL_BYTES, Number, Order, Phase, Quantity, Sample};
+use crate::label::{FramePose, Label, MAX_LABEL_BYTES, Phase};
 use crate::values;
 
 const PDS: &str = "http://pds.nasa.gov/pds4/pds/v1";
@@ -46,7 +49,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Label, Pds4Error> {
         return Err(Pds4Error::TooLarge(bytes.len()));
     }
     let text = std::str::from_utf8(bytes).map_err(|_| Pds4Error::Encoding)?;
-    if most_attributes(bytes) > MAX_ATTRIBUTES {
+    if guard::most_attributes(bytes) > MAX_ATTRIBUTES {
         return Err(Pds4Error::Attributes);
     }
     let options = ParsingOptions {
@@ -59,46 +62,6 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Label, Pds4Error> {
         return Err(Pds4Error::NoLabel);
     }
     Ok(label(root))
-}
-
-/// Counts `=` outside quotes in each tag, and returns the most.
-fn most_attributes(bytes: &[u8]) -> usize {
-    let (mut rest, mut most) = (bytes, 0);
-    while let Some(start) = rest.iter().position(|byte| *byte == b'<') {
-        rest = &rest[start..];
-        let skipped = [
-            (&b"<!--"[..], &b"-->"[..]),
-            (b"<![CDATA[", b"]]>"),
-            (b"<?", b"?>"),
-        ]
-        .into_iter()
-        .find(|(open, _)| rest.starts_with(open));
-        if let Some((_, close)) = skipped {
-            let end = rest.windows(close.len()).position(|window| window == close);
-            rest = &rest[end.map_or(rest.len(), |end| end + close.len())..];
-            continue;
-        }
-        let (attributes, length) = tag(rest);
-        most = most.max(attributes);
-        rest = &rest[length..];
-    }
-    most
-}
-
-/// Returns the attributes and the length of the tag at the start of `bytes`.
-fn tag(bytes: &[u8]) -> (usize, usize) {
-    let (mut quote, mut attributes) = (None, 0);
-    for (index, byte) in bytes.iter().enumerate() {
-        match (quote, byte) {
-            (Some(open), byte) if open == *byte => quote = None,
-            (Some(_), _) => {}
-            (None, b'"' | b'\'') => quote = Some(*byte),
-            (None, b'=') => attributes += 1,
-            (None, b'>') => return (attributes, index + 1),
-            _ => {}
-        }
-    }
-    (attributes, bytes.len())
 }
 
 fn label(root: Node<'_, '_>) -> Label {
@@ -114,7 +77,7 @@ fn label(root: Node<'_, '_>) -> Label {
             .and_then(|node| number_at(node, &[(IMG, "Optical_Properties"), (IMG, "focal_length")]))
             .filter(|focal| *focal > 0.0),
         averaged: imaging.and_then(averaged).unwrap_or(1),
-        array: array(root),
+        array: array::read(root),
         ..Label::default()
     };
     if let Some(array) = &mut label.array {
@@ -428,99 +391,6 @@ fn counter(lander: Node<'_, '_>) -> Vec<i64> {
         .map(|node| index(node, "Motion_Counter_Index"))
         .unwrap_or_default();
     entries.into_iter().map(|(_, value)| value).collect()
-}
-
-fn array(root: Node<'_, '_>) -> Option<Array> {
-    let area = child(root, PDS, "File_Area_Observational")?;
-    let node = ["Array_2D_Image", "Array_3D_Image"]
-        .iter()
-        .find_map(|name| child(area, PDS, name))?;
-    let element = child(node, PDS, "Element_Array")?;
-    let sample = sample(&text_at(element, &[(PDS, "data_type")])?)?;
-    let (shape, order) = axes(node)?;
-    let number = |name| number_at(element, &[(PDS, name)]);
-    let scaling = (
-        number("scaling_factor").unwrap_or(1.0),
-        number("value_offset").unwrap_or(0.0),
-    );
-    let constants = child(node, PDS, "Special_Constants");
-    Some(Array {
-        file: text_at(area, &[(PDS, "File"), (PDS, "file_name")]),
-        offset: number_at(node, &[(PDS, "offset")]).filter(|offset| *offset >= 0.0)? as u64,
-        shape,
-        order,
-        sample,
-        prefix_bytes: 0,
-        suffix_bytes: 0,
-        bits: None,
-        scaling: (scaling != (1.0, 0.0)).then_some(scaling),
-        missing: constants.map(constants_of).unwrap_or_default(),
-        quantity: Quantity::Counts,
-    })
-}
-
-fn constants_of(node: Node<'_, '_>) -> Vec<f64> {
-    let names = ["missing_constant", "invalid_constant"];
-    names
-        .iter()
-        .filter_map(|name| number_at(node, &[(PDS, name)]))
-        .collect()
-}
-
-fn axes(node: Node<'_, '_>) -> Option<([u32; 3], Order)> {
-    let mut axes: Vec<(u32, String, u32)> = Vec::new();
-    for axis in children(node, PDS, "Axis_Array").take(4) {
-        let side = |name| {
-            values::integer(&text_at(axis, &[(PDS, name)])?).and_then(|value| u32::try_from(value).ok())
-        };
-        axes.push((
-            side("sequence_number")?,
-            text_at(axis, &[(PDS, "axis_name")])?,
-            side("elements")?,
-        ));
-    }
-    axes.sort();
-    let names: Vec<&str> = axes.iter().map(|axis| axis.1.as_str()).collect();
-    let order = match names.as_slice() {
-        ["Line", "Sample"] | ["Band", "Line", "Sample"] => Order::BandSequential,
-        ["Line", "Band", "Sample"] => Order::LineInterleaved,
-        ["Line", "Sample", "Band"] => Order::PixelInterleaved,
-        _ => return None,
-    };
-    let length = |name: &str| axes.iter().find(|axis| axis.1 == name).map(|axis| axis.2);
-    Some((
-        [length("Band").unwrap_or(1), length("Line")?, length("Sample")?],
-        order,
-    ))
-}
-
-fn sample(data_type: &str) -> Option<Sample> {
-    let (kind, rest) = if let Some(rest) = data_type.strip_prefix("Unsigned") {
-        (Number::Unsigned, rest)
-    } else if let Some(rest) = data_type.strip_prefix("Signed") {
-        (Number::Signed, rest)
-    } else {
-        (Number::Float, data_type.strip_prefix("IEEE754")?)
-    };
-    let (big_endian, size) = match (rest.strip_prefix("MSB"), rest.strip_prefix("LSB")) {
-        (Some(size), _) => (true, size),
-        (_, Some(size)) => (false, size),
-        _ => (true, rest),
-    };
-    let bytes = match (kind, size) {
-        (Number::Float, "Single") => 4,
-        (Number::Float, "Double") => 8,
-        (Number::Unsigned | Number::Signed, "Byte") => 1,
-        (Number::Unsigned | Number::Signed, "2") => 2,
-        (Number::Unsigned | Number::Signed, "4") => 4,
-        (Number::Unsigned | Number::Signed, "8") => 8,
-        _ => return None,
-    };
-    Some(Sample {
-        kind,
-        bytes,
-        big_endian,
-    })
 }
 
 #[cfg(test)]

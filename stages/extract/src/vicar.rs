@@ -18,10 +18,10 @@ pub(crate) fn parse(bytes: &[u8]) -> Option<Group> {
     let size = size_of(bytes)?;
     let mut label = Group::default();
     read(bytes.get(..size.min(MAX_LABEL))?, &mut label);
-    if label.text("EOL") == Some("1") {
-        if let Some(rest) = end_label(&label, bytes, size) {
-            read(rest, &mut label);
-        }
+    if label.text("EOL") == Some("1")
+        && let Some(rest) = end_label(&label, bytes, size)
+    {
+        read(rest, &mut label);
     }
     Some(label)
 }

@@ -1,4 +1,9 @@
 //! Hostile files: a verdict each, no panic, bounded memory.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "helpers of tests are not seen as tests"
+)]
 
 mod common;
 

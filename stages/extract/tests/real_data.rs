@@ -1,4 +1,9 @@
 //! Real files of three missions.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "helpers of tests are not seen as tests"
+)]
 
 mod common;
 

@@ -1,4 +1,7 @@
+use super::array::sample;
+use super::guard::most_attributes;
 use super::*;
+use crate::label::Number;
 
 /// The fragment of the reference, in a whole label; values invented.
 fn document(camera: &str, definition: &str) -> String {
