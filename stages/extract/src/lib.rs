@@ -7,16 +7,23 @@
 mod archive;
 mod camera;
 pub mod demo;
+mod demosaic;
 mod feed;
 mod fetch;
 mod folder;
 mod label;
 mod names;
+mod odl;
 mod params;
+mod pds3;
 mod pds4;
+mod pixels;
 mod products;
+mod raw;
 mod sols;
+mod tone;
 mod values;
+mod vicar;
 
 use marf_cache::ContentHash;
 use marf_stage::{Ctx, Define, Fetched, Listing, ParamError, Port, Source, Stage, StageError, Threads, Work};
@@ -74,7 +81,9 @@ impl Define for Extract {
     fn new(params: ExtractParams) -> Result<Self, ParamError> {
         Ok(Self {
             archive: params.open()?,
-            reading: Reading { white_radiance: 0.1 },
+            reading: Reading {
+                white_radiance: tone::WHITE_RADIANCE,
+            },
         })
     }
 }

@@ -55,7 +55,7 @@ pub struct DemoArchive {
     #[serde(default = "first_sols")]
     pub sols: String,
     /// Seed of the terrain.
-    #[serde(default)]
+    #[serde(default = "demo_seed")]
     pub seed: u64,
     /// Width of a photo, pixels.
     #[serde(default = "demo_width")]
@@ -76,6 +76,10 @@ fn yes() -> bool {
 
 fn first_sols() -> String {
     "1..=2".to_owned()
+}
+
+fn demo_seed() -> u64 {
+    1
 }
 
 fn demo_width() -> u32 {
