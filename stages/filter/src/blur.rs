@@ -29,10 +29,12 @@ pub struct BlurParams {
     /// Smallest reblur ratio where fewer than `min_set` photos of the instrument are known.
     pub min_ratio: f64,
     /// With enough photos the smallest ratio is this share of the median of the other photos of the instrument,
-    /// within [`min_ratio` / `adapt`, `min_ratio` * `adapt`].
+    /// but never below `floor_ratio` nor above `ceiling_ratio`.
     pub min_share: f64,
-    /// How far the set may move `min_ratio`, as a factor; 1 leaves it where it is.
-    pub adapt: f64,
+    /// Below this every photo is blurred, whatever the set.
+    pub floor_ratio: f64,
+    /// Above this no photo is called blurred, whatever the set.
+    pub ceiling_ratio: f64,
     /// Fewest photos of one instrument that make a set.
     pub min_set: u32,
     /// Largest ratio at full size: above it the photo is noise or an undeveloped Bayer mosaic.
@@ -49,7 +51,8 @@ impl Default for BlurParams {
             rule: BlurRule::Reblur,
             min_ratio: 9.0,
             min_share: 0.5,
-            adapt: 1.5,
+            floor_ratio: 3.0,
+            ceiling_ratio: 13.5,
             min_set: 5,
             max_ratio: 400.0,
             max_multiple: 6.0,
@@ -91,7 +94,8 @@ impl Filter for Blur {
     fn check(params: &BlurParams) -> Result<(), ParamError> {
         within("min_ratio", params.min_ratio, 0.0, 1e6)?;
         within("min_share", params.min_share, 0.0, 1.0)?;
-        within("adapt", params.adapt, 1.0, 100.0)?;
+        within("ceiling_ratio", params.ceiling_ratio, 0.0, 1e6)?;
+        within("floor_ratio", params.floor_ratio, 0.0, params.ceiling_ratio)?;
         within("max_ratio", params.max_ratio, params.min_ratio, 1e12)?;
         within("max_multiple", params.max_multiple, 1.0, 1e6)?;
         within("tau", params.tau, 0.0, 1e6)
@@ -185,9 +189,8 @@ impl Limits {
             };
         }
         let usual = lowest.without(photo.lowest().0, 1, 2);
-        let (least, most) = (params.min_ratio / params.adapt, params.min_ratio * params.adapt);
         Self {
-            low: (params.min_share * usual).clamp(least, most),
+            low: (params.min_share * usual).clamp(params.floor_ratio, params.ceiling_ratio),
             high: (params.max_multiple * finest.without(photo.finest(), 1, 2)).max(params.max_ratio),
         }
     }
