@@ -52,7 +52,7 @@ impl Default for DuplicateParams {
         Self {
             rule: DuplicateRule::Confirmed,
             candidate_bits: 14,
-            min_correlation: 0.967,
+            min_correlation: 0.975,
             filter_correlation: 0.9,
             max_bits: 5,
         }

@@ -19,7 +19,8 @@ pub(crate) struct Sketch {
     /// Upright size, pixels.
     pub(crate) width: u32,
     pub(crate) height: u32,
-    /// Laplacian variance times the squared number of pixels: scaled copies are compared in units of the scene.
+    /// Laplacian energy inside the blocks of JPEG times the squared number of pixels: scaled copies are compared in
+    /// units of the scene, and block edges do not count as detail.
     pub(crate) sharpness: f64,
     /// How far colours differ inside the photo, in [0, 1]; below about 0.01 it is gray or seen through one narrow band.
     pub(crate) colour: f64,
@@ -42,7 +43,7 @@ impl Sketch {
         Self {
             width: image.width,
             height: image.height,
-            sharpness: Plane::of(image).laplacian_variance() * area * area,
+            sharpness: Plane::of(image).detail() * area * area,
             colour: means.colour(),
             hashes,
             gradients: (0..bands).map(|band| means.gradient(band)).collect(),
