@@ -75,10 +75,6 @@ pub(crate) enum ReadError {
 
 impl ArchiveFile {
     /// A file whose bytes are here; the way in for archives that make their files.
-    #[allow(
-        dead_code,
-        reason = "the demo archive, which makes its files, is not built in yet"
-    )]
     pub fn in_memory(name: String, bytes: Vec<u8>) -> Self {
         let kind = kind(&name, &bytes);
         Self {

@@ -5,6 +5,7 @@
 //! becomes a verdict with its reason, and no file is left out in silence.
 
 mod archive;
+mod built_in;
 mod camera;
 pub mod demo;
 mod demosaic;

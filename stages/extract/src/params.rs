@@ -8,6 +8,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::archive::ArchiveFiles;
+use crate::built_in::BuiltIn;
 use crate::folder::{Depth, Folder};
 use crate::sols::Sols;
 
@@ -100,13 +101,7 @@ impl ExtractParams {
                 };
                 Ok(Box::new(Folder::new(folder.path, sols, depth)))
             }
-            Archive::Demo(demo) => {
-                Sols::parse(&demo.sols).map_err(|message| ParamError::new("archive.sols", message))?;
-                Err(ParamError::new(
-                    "archive.kind",
-                    "the demo archive is not built in",
-                ))
-            }
+            Archive::Demo(demo) => Ok(Box::new(BuiltIn::new(&demo)?)),
             Archive::Pds(_) => Err(later("pds")),
             Archive::Feed(_) => Err(later("feed")),
         }
