@@ -1,4 +1,6 @@
 //! Real photos: what the default rules say of the Navcam feed, and of the rover set with planted copies.
+#![allow(clippy::print_stdout, reason = "a test says when it is skipped")]
+#![allow(clippy::unwrap_used, reason = "a fixture that is wrong should stop the test")]
 
 mod common;
 

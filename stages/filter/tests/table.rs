@@ -1,4 +1,5 @@
 //! What holds for every filter of the table.
+#![allow(clippy::unwrap_used, reason = "a fixture that is wrong should stop the test")]
 
 mod common;
 
