@@ -1,4 +1,5 @@
 //! Which photos count as the same view, and which of them stays.
+#![allow(clippy::unwrap_used, reason = "a fixture that is wrong should stop the test")]
 
 mod common;
 

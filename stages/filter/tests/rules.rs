@@ -1,4 +1,5 @@
 //! The rules of single filters, the paper's among them, on cases worked by hand.
+#![allow(clippy::unwrap_used, reason = "a fixture that is wrong should stop the test")]
 
 mod common;
 

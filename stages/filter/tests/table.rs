@@ -1,4 +1,5 @@
 //! What holds for every filter of the table.
+#![allow(clippy::unwrap_used, reason = "a fixture that is wrong should stop the test")]
 
 mod common;
 
@@ -163,25 +164,33 @@ fn unknown_and_impossible_parameters_are_refused_by_name() {
     }
 }
 
-/// (VERSION, digest of measures and verdicts on the mixed set). Where a digest changed and its version did not:
-/// raise the VERSION of that filter, then put the new pair here.
+/// Filter, VERSION, digest of its measures and verdicts on the mixed set. Where a digest changed and its version did not:
+/// raise the VERSION of that filter, then put the new line here.
 #[test]
 fn answers_change_only_with_the_version() {
-    let photos = mixed();
-    for (stage, (version, digest)) in STAGES.iter().zip(GUARD) {
+    let mut photos = mixed();
+    // The length of an encoded PNG belongs to the encoder, not to the filters.
+    photos
+        .rows
+        .iter_mut()
+        .for_each(|row| row.facts["size_bytes"] = json!(50_000));
+    let found = STAGES.iter().map(|stage| {
         let measures = photos.measures(&*bind(stage.name, defaults())).concat();
         let verdicts = serde_json::to_vec(&photos.judge(stage.name, defaults())).unwrap();
-        let found = Digest::of(&[measures, verdicts].concat()).short();
-        assert_eq!(
-            (stage.version, found.as_str()),
-            (version, digest),
-            "{}",
-            stage.name
-        );
-    }
+        let digest = Digest::of(&[measures, verdicts].concat()).short();
+        format!("{} {} {digest}", stage.name, stage.version)
+    });
+    assert_eq!(found.collect::<Vec<_>>(), GUARD);
 }
 
-const GUARD: [(u32, &str); 6] = [(1, ""), (1, ""), (1, ""), (1, ""), (1, ""), (1, "")];
+const GUARD: [&str; 6] = [
+    "size 1 6b9bf967f0ab",
+    "shape 1 2f1d902e94ea",
+    "duplicate 1 93ad1872a868",
+    "grayscale 1 5ec17955b692",
+    "histogram 1 27af61a38eaa",
+    "blur 1 fd59d5521cf9",
+];
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(16))]

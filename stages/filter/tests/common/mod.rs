@@ -1,5 +1,9 @@
 //! Small photos made for the tests, and a run of one filter without an engine.
 #![allow(dead_code, reason = "each test binary uses its own part")]
+#![allow(
+    clippy::unwrap_used,
+    reason = "helpers of tests: a fixture that is wrong should stop the test"
+)]
 
 use std::collections::BTreeMap;
 
