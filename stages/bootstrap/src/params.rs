@@ -68,7 +68,7 @@ pub struct BootstrapParams {
     pub viewpoints: Viewpoints,
     /// Number of viewpoints, where they are not photos.
     pub map_frames: u32,
-    /// Pictures of the fly-through; 0 for none.
+    /// Pictures of the fly-through, at least 1.
     pub frames: u32,
     /// Width of a picture of the fly-through, pixels.
     pub width: u32,
@@ -119,7 +119,7 @@ impl Define for Bootstrap {
         Port::required("input", "scene"),
         Port::optional("params", "params"),
     ];
-    const OUTPUTS: &'static [&'static str] = &["metrics", "video"];
+    const OUTPUTS: &'static [&'static str] = &["metrics", "video", "maps/", "flythrough/"];
 
     fn new(params: BootstrapParams) -> Result<Self, ParamError> {
         check(&params)?;
@@ -152,6 +152,7 @@ fn check(params: &BootstrapParams) -> Result<(), ParamError> {
     at_most("map_frames", params.map_frames, MAX_FRAMES)?;
     at_most("width", params.width, MAX_WIDTH_PX)?;
     at_most("fps", params.fps, 100)?;
+    above_zero("frames", u64::from(params.frames))?;
     above_zero("width", u64::from(params.width))?;
     above_zero("fps", u64::from(params.fps))?;
     above_zero("map_frames", u64::from(params.map_frames))?;
@@ -250,6 +251,7 @@ mod tests {
             (json!({"b": 1}), "b"),
             (json!({"b": 0}), "b"),
             (json!({"b": 1001}), "b"),
+            (json!({"frames": 0}), "frames"),
             (json!({"width": 0}), "width"),
             (json!({"fps": 0}), "fps"),
             (json!({"steps": 0}), "steps"),

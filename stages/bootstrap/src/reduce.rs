@@ -113,9 +113,6 @@ fn fly(
         outputs.insert(name, digest);
         pictures.push(picture);
     }
-    if pictures.is_empty() {
-        return Ok(());
-    }
     let video = encode_gif(&pictures, params.fps).map_err(|error| BootstrapError::Picture {
         name: "video".to_owned(),
         cause: error.to_string(),

@@ -182,10 +182,10 @@ fn the_order_of_the_members_changes_only_their_own_rows() {
 fn a_path_has_maps_without_photos() {
     let fixture = fixture(2);
     let (report, outputs) =
-        fixture.reduce(json!({"b": 2, "frames": 0, "viewpoints": "orbit", "map_frames": 2}));
+        fixture.reduce(json!({"b": 2, "frames": 1, "width": 20, "viewpoints": "orbit", "map_frames": 2}));
     assert_eq!((report.heldout, report.views.len()), (None, 2));
     assert!(outputs.contains_key("maps/0002-std.png") && !outputs.contains_key("maps/0002-photo.png"));
-    assert!(!outputs.contains_key("video"));
+    assert!(outputs.contains_key("video") && outputs.contains_key("flythrough/0001.png"));
 }
 
 #[test]
@@ -216,5 +216,5 @@ fn a_member_without_weights_is_named() {
 fn the_answer_belongs_to_the_version() {
     let (_, outputs) = fixture(2).reduce(json!({"b": 2, "frames": 2, "width": 24}));
     let all = Digest::of(&serde_json::to_vec(&outputs).unwrap());
-    assert_eq!((Bootstrap::VERSION, all.short().as_str()), (1, "33284680a115"));
+    assert_eq!((Bootstrap::VERSION, all.short().as_str()), (1, "41cef6a11646"));
 }

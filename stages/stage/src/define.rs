@@ -66,7 +66,7 @@ pub trait Define: Stage + Sized + 'static {
     const VERSION: u32;
     /// Inputs.
     const PORTS: &'static [Port];
-    /// Names of its outputs.
+    /// Names of its outputs. One that ends with `/` stands for any number of outputs below it, or none.
     const OUTPUTS: &'static [&'static str];
 
     /// Checks the parameters.
@@ -87,7 +87,7 @@ pub struct StageDef {
     pub version: u32,
     /// Inputs.
     pub ports: &'static [Port],
-    /// Names of its outputs.
+    /// Names of its outputs. One that ends with `/` stands for any number of outputs below it, or none.
     pub outputs: &'static [&'static str],
     /// JSON schema of its parameters.
     pub schema: fn() -> Schema,

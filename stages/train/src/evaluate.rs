@@ -66,7 +66,7 @@ impl Define for Evaluate {
         Port::required("input", "scene"),
         Port::required("input", "metrics"),
     ];
-    const OUTPUTS: &'static [&'static str] = &["metrics"];
+    const OUTPUTS: &'static [&'static str] = &["metrics", "heldout/", "photo/"];
 
     fn new(params: EvaluateParams) -> Result<Self, ParamError> {
         params::check_scale(params.scale)?;

@@ -88,7 +88,7 @@ impl Define for Render {
         Port::required("input", "weights"),
         Port::required("input", "scene"),
     ];
-    const OUTPUTS: &'static [&'static str] = &["video", "poses"];
+    const OUTPUTS: &'static [&'static str] = &["video", "poses", "frames/", "depth/"];
 
     fn new(params: RenderParams) -> Result<Self, ParamError> {
         let within = |key: &str, value: u32, most: u32| match value {

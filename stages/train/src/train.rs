@@ -66,7 +66,7 @@ impl Define for Train {
         Port::required("input", "scene"),
         Port::optional("params", "params"),
     ];
-    const OUTPUTS: &'static [&'static str] = &["weights", "metrics", "curve", "scene"];
+    const OUTPUTS: &'static [&'static str] = &["weights", "metrics", "curve", "scene", "heldout/", "photo/"];
 
     fn new(params: TrainParams) -> Result<Self, ParamError> {
         params.check()?;

@@ -181,6 +181,10 @@ mod tests {
     fn the_answer_belongs_to_the_version() {
         let outputs = reduced(&[20.0, 19.0, 21.5, 20.25]).3;
         let all = Digest::of(&serde_json::to_vec(&outputs).unwrap());
-        assert_eq!((Tune::VERSION, all.short().as_str()), (1, "7bd33cffdff3"), "{outputs:?}");
+        assert_eq!(
+            (Tune::VERSION, all.short().as_str()),
+            (1, "7bd33cffdff3"),
+            "{outputs:?}"
+        );
     }
 }

@@ -194,11 +194,17 @@ impl Shift<'_> {
 
     fn check_names(&self, outputs: &Outputs) -> Result<(), StageError> {
         let declared = self.def.outputs;
-        if let Some(absent) = declared.iter().find(|&&name| !outputs.contains_key(name)) {
+        // A name that ends with `/` is a family of any number.
+        let is_family = |name: &str| name.ends_with('/');
+        let covers = |declared: &&str, name: &str| {
+            *declared == name || (is_family(declared) && name.starts_with(*declared))
+        };
+        let mut wanted = declared.iter().filter(|name| !is_family(name));
+        if let Some(absent) = wanted.find(|&&name| !outputs.contains_key(name)) {
             return Err(bug(format!("its output `{absent}` did not come")));
         }
-        // A name with a slash is a file of a collection (`heldout/0001.png`): how many there are, only the run knows.
-        match outputs.keys().find(|name| !declared.contains(&name.as_str()) && !name.contains('/')) {
+        let known = |name: &str| declared.iter().any(|declared| covers(declared, name));
+        match outputs.keys().find(|name| !known(name)) {
             Some(foreign) => Err(bug(format!("its output `{foreign}` is not declared"))),
             None => Ok(()),
         }

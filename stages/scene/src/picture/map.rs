@@ -30,10 +30,11 @@ pub fn draw_map(values: &[f32], width: u32, height: u32, scale: &Scale) -> Image
     let gap = 3 * zoom;
     let line = HEIGHT_PX * zoom + 2 * gap;
     let (low, high) = (scale.low.to_string(), top_label(values, scale));
-    let ends = text_width_px(&low, zoom) + text_width_px(&high, zoom) + text_width_px(&scale.unit, zoom);
-    let full = width
-        .max(text_width_px(&scale.title, zoom) + 2 * gap)
-        .max(ends + 6 * gap);
+    let end = text_width_px(&low, zoom).max(text_width_px(&high, zoom));
+    // The unit stands in the middle, hence room for the longer end on both sides.
+    let legend = text_width_px(&scale.unit, zoom) + 2 * end + 10 * gap;
+    let title = text_width_px(&scale.title, zoom) + 2 * gap;
+    let full = width.max(title).max(legend);
     let mut picture = Image::from_fn(full, height + 2 * line + 3 * gap, |_, _| GROUND);
     draw_text(&mut picture, gap, gap, zoom, INK, &scale.title);
     let span = (scale.high - scale.low).max(f64::MIN_POSITIVE) as f32;
