@@ -105,8 +105,16 @@ impl Trainer {
         let mut weights = Weights::zeros(config, finest.0);
         weights.randomise(seed);
         let tensors = weights.tensors();
-        let rows = |name: &str| if name.starts_with("table") { weights.features } else { NET_ROW };
-        let moments = tensors.iter().map(|(name, values)| Moments::new(values.len(), rows(name)));
+        let rows = |name: &str| {
+            if name.starts_with("table") {
+                weights.features
+            } else {
+                NET_ROW
+            }
+        };
+        let moments = tensors
+            .iter()
+            .map(|(name, values)| Moments::new(values.len(), rows(name)));
         let march = Steps::new(config.near, FAR, config.min_step, config.cone);
         let state = State {
             steps: 0,
@@ -129,7 +137,12 @@ impl Trainer {
             finest,
             march,
             bias: Bias::default(),
-            gradients: state.weights.tables.iter().map(|table| vec![0.0; table.len()]).collect(),
+            gradients: state
+                .weights
+                .tables
+                .iter()
+                .map(|table| vec![0.0; table.len()])
+                .collect(),
             state,
         })
     }
@@ -149,8 +162,9 @@ impl Trainer {
             rays: targets.len(),
         };
         let chunks = targets.par_chunks(self.chunk_rays());
-        let found: Vec<Found> =
-            chunks.map_init(Scratch::default, |scratch, rays| scratch.run(&shared, rays)).collect();
+        let found: Vec<Found> = chunks
+            .map_init(Scratch::default, |scratch, rays| scratch.run(&shared, rays))
+            .collect();
         self.check(&found)?;
         self.learn(&found);
         let rays = targets.len() as u64;
@@ -197,9 +211,20 @@ impl Trainer {
             sum.add(lens.iter().chain(&bend).map(|number| number.to_bits()));
             let pose: [[f64; 4]; 3] = view.cam_from_world.into();
             sum.add(pose.as_flattened().iter().map(|number| number.to_bits()));
-            sum.add(view.image.pixels.iter().map(|[r, g, b]| u64::from(u32::from_le_bytes([*r, *g, *b, 0]))));
+            sum.add(
+                view.image
+                    .pixels
+                    .iter()
+                    .map(|[r, g, b]| u64::from(u32::from_le_bytes([*r, *g, *b, 0]))),
+            );
         }
-        sum.add(self.frame.origin.iter().chain([&self.frame.half_side]).map(|number| number.to_bits()));
+        sum.add(
+            self.frame
+                .origin
+                .iter()
+                .chain([&self.frame.half_side])
+                .map(|number| number.to_bits()),
+        );
         sum.0
     }
 
@@ -274,7 +299,9 @@ impl Trainer {
                 return Err(bad(tensor, format!("chunk {chunk}")));
             }
             let layers = found.density.iter().chain(&found.color);
-            let layers_fine = layers.flat_map(|layer| flat(layer)).all(|value| value.is_finite());
+            let layers_fine = layers
+                .flat_map(|layer| flat(layer))
+                .all(|value| value.is_finite());
             if !layers_fine || !found.background.iter().all(|value| value.is_finite()) {
                 return Err(bad("gradient of the networks", format!("chunk {chunk}")));
             }
@@ -300,14 +327,31 @@ impl Trainer {
     /// One task owns one level: it adds all samples in order, then moves the table.
     fn learn_tables(&mut self, found: &[Found], rate: f32, keep: f32) {
         let (level, bias) = (self.level, &self.bias);
-        let State { weights, average, moments, .. } = &mut self.state;
+        let State {
+            weights,
+            average,
+            moments,
+            ..
+        } = &mut self.state;
         let features = weights.features;
+        let width = weights.shapes.len() * features / LANES;
         let shapes = weights.shapes.par_iter();
         let tables = weights.tables.par_iter_mut().zip(&mut average.tables);
-        let tasks = shapes.zip(tables).zip(&mut self.gradients).zip(moments).enumerate().with_max_len(1);
+        let tasks = shapes
+            .zip(tables)
+            .zip(&mut self.gradients)
+            .zip(moments)
+            .enumerate()
+            .with_max_len(1);
         tasks.for_each(|(index, (((shape, (table, average)), gradient), moments))| {
             for found in found {
-                scatter(level, *shape, gradient, found, features, index * features);
+                scatter(
+                    level,
+                    *shape,
+                    gradient,
+                    found,
+                    [features, index * features, width],
+                );
             }
             match features {
                 2 => adam::<2>(level, table, gradient, moments, [rate, 0.0], bias),
@@ -318,7 +362,12 @@ impl Trainer {
     }
 
     fn learn_networks(&mut self, found: &[Found], rate: f32, keep: f32) {
-        let State { weights, average, moments, .. } = &mut self.state;
+        let State {
+            weights,
+            average,
+            moments,
+            ..
+        } = &mut self.state;
         let tables = weights.tables.len();
         let mut sums: Vec<Vec<f32>> = Vec::new();
         for layer in 0..weights.density.layers.len() {
@@ -328,12 +377,23 @@ impl Trainer {
             sums.push(summed(found.iter().map(|found| flat(&found.color[layer]))));
         }
         sums.push(summed(found.iter().map(|found| found.background.as_slice())));
-        let tensors = weights.tensors_mut().into_iter().zip(average.tensors_mut()).skip(tables);
+        let tensors = weights
+            .tensors_mut()
+            .into_iter()
+            .zip(average.tensors_mut())
+            .skip(tables);
         for ((((name, values), (_, average)), moments), mut gradient) in
             tensors.zip(moments.iter_mut().skip(tables)).zip(sums)
         {
             let decay = if name == "background" { 0.0 } else { DECAY };
-            adam::<NET_ROW>(self.level, values, &mut gradient, moments, [rate, decay], &self.bias);
+            adam::<NET_ROW>(
+                self.level,
+                values,
+                &mut gradient,
+                moments,
+                [rate, decay],
+                &self.bias,
+            );
             blend(average, values, keep);
         }
         weights.refresh();
@@ -353,7 +413,11 @@ impl Trainer {
         let views = self.views.len() as f32;
         for channel in 0..3 {
             let mean = gains.iter().skip(channel).step_by(4).sum::<f32>() / views;
-            gains.iter_mut().skip(channel).step_by(4).for_each(|gain| *gain -= mean);
+            gains
+                .iter_mut()
+                .skip(channel)
+                .step_by(4)
+                .for_each(|gain| *gain -= mean);
         }
     }
 
@@ -368,21 +432,32 @@ impl Trainer {
             shade.samples.y.extend(probes.iter().map(|probe| probe.at[1]));
             shade.samples.z.extend(probes.iter().map(|probe| probe.at[2]));
             shade.densities(level, weights);
-            let density = |raw: &f32| if raw.is_finite() { exp(raw + RAW_SHIFT) } else { f32::NAN };
-            shade.raw[..probes.len()].iter().map(density).collect::<Vec<f32>>()
+            let density = |raw: &f32| {
+                if raw.is_finite() {
+                    exp(raw + RAW_SHIFT)
+                } else {
+                    f32::NAN
+                }
+            };
+            shade.raw[..probes.len()]
+                .iter()
+                .map(density)
+                .collect::<Vec<f32>>()
         });
         let found = chunks.collect::<Vec<_>>().concat();
-        self.state.occupancy.update(&probes, &found, self.config.min_step as f32);
+        self.state
+            .occupancy
+            .update(&probes, &found, self.config.min_step as f32);
     }
 }
 
+/// `[features, first, width]`: features an entry, the level's first in the row, blocks a row.
 fn scatter(
     level: Level,
     shape: Shape,
     gradient: &mut [f32],
     found: &Found,
-    features: usize,
-    first: usize,
+    [features, first, width]: [usize; 3],
 ) {
     let points = Points {
         x: &found.x,
@@ -390,11 +465,24 @@ fn scatter(
         z: &found.z,
     };
     let rows: &[Block] = &found.features;
-    let width = rows.len() / found.x.len().max(1);
     debug_assert!(found.x.len().is_multiple_of(LANES));
     match features {
-        2 => level.run(Scatter::<2> { shape, gradient, points, rows, width, first }),
-        _ => level.run(Scatter::<4> { shape, gradient, points, rows, width, first }),
+        2 => level.run(Scatter::<2> {
+            shape,
+            gradient,
+            points,
+            rows,
+            width,
+            first,
+        }),
+        _ => level.run(Scatter::<4> {
+            shape,
+            gradient,
+            points,
+            rows,
+            width,
+            first,
+        }),
     }
 }
 
@@ -486,7 +574,10 @@ fn check_views(views: &[View]) -> Result<(), FieldError> {
 }
 
 fn check_points(points: &[[f64; 3]]) -> Result<(), FieldError> {
-    match points.iter().position(|point| !point.iter().all(|value| value.is_finite())) {
+    match points
+        .iter()
+        .position(|point| !point.iter().all(|value| value.is_finite()))
+    {
         Some(index) => Err(FieldError::BadPoint {
             index,
             position: points[index],
@@ -494,4 +585,3 @@ fn check_points(points: &[[f64; 3]]) -> Result<(), FieldError> {
         None => Ok(()),
     }
 }
-
