@@ -11,6 +11,7 @@ mod cpu;
 mod error;
 mod facts;
 mod frame;
+mod learn;
 mod model;
 mod occupancy;
 mod render;
@@ -21,6 +22,7 @@ mod tensors;
 mod trainer;
 #[cfg(test)]
 mod training_tests;
+mod views;
 mod weights;
 
 pub use config::{Background, Config, Gain};
@@ -28,4 +30,5 @@ pub use error::FieldError;
 pub use facts::{Facts, LevelFacts};
 pub use model::Field;
 pub use render::Render;
-pub use trainer::{Step, Trainer, View};
+pub use trainer::{Step, Trainer};
+pub use views::View;

@@ -2,10 +2,10 @@
 
 use rayon::prelude::*;
 
+use crate::View;
 use crate::cpu::march::{Bits, expand};
 use crate::frame::Frame;
 use crate::rng::{Purpose, Rng};
-use crate::trainer::View;
 
 /// A cell counts as occupied if a step of the shortest length in it has at least this optical depth, or the
 /// mean of all cells if that is less (instant-ngp).

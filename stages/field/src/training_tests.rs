@@ -61,6 +61,7 @@ fn small() -> Config {
         cone: 0.1,
         min_step: 0.05,
         near: 0.2,
+        gain: Gain::PerPhoto,
         ..Config::default()
     }
 }
