@@ -25,7 +25,10 @@ fn main() -> Result<()> {
     let (train, test) = load(Path::new(folder))?;
     let began = Instant::now();
     let mut trainer = Trainer::new(train, &[], &config, seed)?;
-    println!("{}", json!({"start_s": began.elapsed().as_secs_f64(), "facts": trainer.field().facts()}));
+    println!(
+        "{}",
+        json!({"start_s": began.elapsed().as_secs_f64(), "facts": trainer.field().facts()})
+    );
     let (mut clock, mut told, mut rays, mut samples) = (0.0, 0.0, 0, 0);
     for budget in budgets.split(',') {
         let seconds: f64 = budget.parse()?;
@@ -41,7 +44,10 @@ fn main() -> Result<()> {
                 told = clock;
                 let (rays, samples) = (step.rays, step.samples);
                 let occupied = trainer.field().facts().occupied_share;
-                println!("{clock:.1} s, step {}: {rays} rays, {samples} samples, {occupied:.4} occupied, loss {loss:.5}", trainer.steps());
+                println!(
+                    "{clock:.1} s, step {}: {rays} rays, {samples} samples, {occupied:.4} occupied, loss {loss:.5}",
+                    trainer.steps()
+                );
             }
         }
         let field = trainer.field();
@@ -94,7 +100,11 @@ fn load(folder: &Path) -> Result<(Vec<View>, Vec<View>)> {
             cam_from_world: pose(&frame["transform_matrix"])?,
             image,
         };
-        let views = if held_out.contains(&json!(name)) { &mut test } else { &mut train };
+        let views = if held_out.contains(&json!(name)) {
+            &mut test
+        } else {
+            &mut train
+        };
         views.push(view);
     }
     Ok((train, test))
@@ -128,12 +138,19 @@ fn pose(matrix: &Value) -> Result<Pose> {
 
 fn score(field: &Field, views: &[View], out: &Path) -> Result<Vec<f64>> {
     std::fs::create_dir_all(out)?;
-    let limit = std::env::var("FIT_VIEWS").ok().and_then(|limit| limit.parse().ok()).unwrap_or(usize::MAX);
+    let limit = std::env::var("FIT_VIEWS")
+        .ok()
+        .and_then(|limit| limit.parse().ok())
+        .unwrap_or(usize::MAX);
     let scores = views.iter().take(limit).map(|view| {
         let image = field.render(&view.camera, &view.cam_from_world).to_image();
         let name = Path::new(&view.id).file_name().ok_or("no file name")?;
         std::fs::write(out.join(name), encode_png(&image)?)?;
-        let pairs = image.pixels.as_flattened().iter().zip(view.image.pixels.as_flattened());
+        let pairs = image
+            .pixels
+            .as_flattened()
+            .iter()
+            .zip(view.image.pixels.as_flattened());
         let sum: f64 = pairs.map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
         let mse = sum / (3 * image.pixels.len()) as f64 / (255.0 * 255.0);
         Ok(-10.0 * mse.max(1e-10).log10())

@@ -80,7 +80,11 @@ impl<const F: usize> Kernel for Adam<'_, F> {
         let gradient = self.gradient.as_chunks_mut::<F>().0.iter_mut();
         let first = self.moments.first.as_chunks_mut::<F>().0.iter_mut();
         let second = self.moments.second.as_chunks_mut::<F>().0.iter_mut();
-        let rows = weights.zip(gradient).zip(first).zip(second).zip(&mut self.moments.count);
+        let rows = weights
+            .zip(gradient)
+            .zip(first)
+            .zip(second)
+            .zip(&mut self.moments.count);
         for ((((w, g), m), v), count) in rows {
             let mut touched = 0_u32;
             for f in 0..F {
@@ -137,7 +141,10 @@ mod tests {
     fn the_first_step_is_one_rate_whatever_the_gradient() {
         for gradient in [1.0, -1e-3, 1e-6, 1e-12] {
             let moved = path(&[gradient], 0)[0];
-            assert!((moved + gradient.signum()).abs() < 1e-2, "gradient {gradient}: {moved}");
+            assert!(
+                (moved + gradient.signum()).abs() < 1e-2,
+                "gradient {gradient}: {moved}"
+            );
         }
     }
 
@@ -158,7 +165,11 @@ mod tests {
         let w2 = w1 - (m2 / (1.0 - 0.81)) / (v2 / (1.0 - 0.9801)).sqrt();
         let found = path(&[g1 as f32, g2 as f32], 0);
         // 1 - 0.99 is only known to 5e-6 in f32.
-        assert!((f64::from(found[1]) - w2).abs() < 1e-5, "{} against {w2}", found[1]);
+        assert!(
+            (f64::from(found[1]) - w2).abs() < 1e-5,
+            "{} against {w2}",
+            found[1]
+        );
     }
 
     #[test]

@@ -138,7 +138,14 @@ impl Ray<'_> {
     /// `slope`: dL/dC. `behind`: colour of the background. `distortion`: weight of that loss, for this ray;
     /// `cell`: length of a step in units of `place`.
     #[inline(always)]
-    pub fn spread(&self, slope: [f32; 3], behind: [f32; 3], distortion: [f32; 2], d_tau: &mut [f32], d_rgb: &mut [[f32; 4]]) {
+    pub fn spread(
+        &self,
+        slope: [f32; 3],
+        behind: [f32; 3],
+        distortion: [f32; 2],
+        d_tau: &mut [f32],
+        d_rgb: &mut [[f32; 4]],
+    ) {
         let n = self.alpha.len();
         let [strength, cell] = distortion;
         let (mut total, mut moment) = (0.0_f32, 0.0_f32);
@@ -147,7 +154,11 @@ impl Ray<'_> {
             total += weight;
             moment = weight.mul_add(self.place[i], moment);
         }
-        let left = if n == 0 { 1.0 } else { self.transmittance[n - 1] * (1.0 - self.alpha[n - 1]) };
+        let left = if n == 0 {
+            1.0
+        } else {
+            self.transmittance[n - 1] * (1.0 - self.alpha[n - 1])
+        };
         let dot = |a: [f32; 3], b: [f32; 3]| a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]));
         let mut suffix = left * dot(slope, behind);
         let (mut after, mut after_moment) = (0.0_f32, 0.0_f32);

@@ -76,7 +76,11 @@ impl Corners {
     #[inline(always)]
     fn fill(&mut self, shape: &Shape, xyz: [&[f32; LANES]; 3]) {
         let side = shape.resolution + 1;
-        let factors = if shape.dense { [1, side, side * side] } else { [1, PRIMES[0], PRIMES[1]] };
+        let factors = if shape.dense {
+            [1, side, side * side]
+        } else {
+            [1, PRIMES[0], PRIMES[1]]
+        };
         let mut axes = [Axis::EMPTY; 3];
         for axis in 0..3 {
             axes[axis].fill(xyz[axis], shape.resolution, factors[axis]);
@@ -91,7 +95,9 @@ impl Corners {
             }
             if shape.dense {
                 for lane in 0..LANES {
-                    index[lane] = x.part[dx][lane].wrapping_add(y.part[dy][lane]).wrapping_add(z.part[dz][lane]);
+                    index[lane] = x.part[dx][lane]
+                        .wrapping_add(y.part[dy][lane])
+                        .wrapping_add(z.part[dz][lane]);
                 }
             } else {
                 for lane in 0..LANES {

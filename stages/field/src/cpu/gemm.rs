@@ -88,7 +88,11 @@ impl Product<'_> {
             for (row, sums) in sums.iter().enumerate() {
                 let c = &mut self.c[(first + row) * self.columns + column..][..NV];
                 for v in 0..NV {
-                    let sum = if self.after == After::Relu { isa.relu(sums[v]) } else { sums[v] };
+                    let sum = if self.after == After::Relu {
+                        isa.relu(sums[v])
+                    } else {
+                        sums[v]
+                    };
                     isa.store(sum, &mut c[v]);
                 }
             }

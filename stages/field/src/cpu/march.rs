@@ -123,14 +123,28 @@ impl Samples {
 
     /// Makes every array `len` long; new samples lie at the origin and have no length.
     pub fn resize(&mut self, len: usize) {
-        for array in [&mut self.x, &mut self.y, &mut self.z, &mut self.t, &mut self.delta, &mut self.place] {
+        for array in [
+            &mut self.x,
+            &mut self.y,
+            &mut self.z,
+            &mut self.t,
+            &mut self.delta,
+            &mut self.place,
+        ] {
             array.resize(len, 0.0);
         }
     }
 
     /// Keeps the samples `kept`, in this order.
     pub fn gather(&mut self, kept: &[u32]) {
-        for array in [&mut self.x, &mut self.y, &mut self.z, &mut self.t, &mut self.delta, &mut self.place] {
+        for array in [
+            &mut self.x,
+            &mut self.y,
+            &mut self.z,
+            &mut self.t,
+            &mut self.delta,
+            &mut self.place,
+        ] {
             for (to, from) in kept.iter().enumerate() {
                 array[to] = array[*from as usize];
             }
@@ -250,7 +264,10 @@ mod tests {
             }
         }
         let (u, shrink) = contract([f32::MAX, 1.0, 1.0]);
-        assert!(u.iter().all(|u| (0.0..=1.0).contains(u)) && shrink >= 0.0, "{u:?} {shrink}");
+        assert!(
+            u.iter().all(|u| (0.0..=1.0).contains(u)) && shrink >= 0.0,
+            "{u:?} {shrink}"
+        );
     }
 
     #[test]
@@ -258,7 +275,10 @@ mod tests {
         let steps = Steps::new(0.5, 8.0, 0.1, 0.25);
         assert_eq!(steps.begin[0], 0.5);
         assert_eq!(steps.length[0], 0.125);
-        assert_eq!(steps.length[steps.count..], vec![0.0; steps.begin.len() - steps.count]);
+        assert_eq!(
+            steps.length[steps.count..],
+            vec![0.0; steps.begin.len() - steps.count]
+        );
         // At t = 1e5 a step of sqrt(3) / 1024 is lost in f32; the table counts in f64 and ends.
         let far = Steps::new(1e5, 1e5 + 10.0, 3.0_f64.sqrt() / 1024.0, 0.0);
         assert_eq!(far.count, 5913);
@@ -270,15 +290,32 @@ mod tests {
     #[test]
     fn rays_parallel_to_a_face_on_a_face_or_far_away_end_and_stay_in_the_box() {
         let (steps, bits) = (Steps::new(0.1, 512.0, 0.05, 0.05), full(16));
-        let origins = [[1.0, 0.0, 0.0], [0.0; 3], [-1.0, 1.0, 1.0], [1e5, 0.0, 3.0], [-2e5, 7.0, 1e5]];
-        let directions = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [0.6, 0.0, -0.8]];
+        let origins = [
+            [1.0, 0.0, 0.0],
+            [0.0; 3],
+            [-1.0, 1.0, 1.0],
+            [1e5, 0.0, 3.0],
+            [-2e5, 7.0, 1e5],
+        ];
+        let directions = [
+            [1.0, 0.0, 0.0],
+            [0.0, -1.0, 0.0],
+            [0.0, 0.0, 1.0],
+            [0.6, 0.0, -0.8],
+        ];
         for origin in origins {
             for direction in directions {
                 let samples = walk(&steps, &bits, origin, direction);
                 assert_eq!(samples.len(), steps.count, "{origin:?} {direction:?}");
                 let all = samples.x.iter().chain(&samples.y).chain(&samples.z);
-                assert!(all.clone().all(|u| (0.0..=1.0).contains(u)), "{origin:?} {direction:?}");
-                assert!(samples.delta.iter().all(|delta| *delta > 0.0), "{origin:?} {direction:?}");
+                assert!(
+                    all.clone().all(|u| (0.0..=1.0).contains(u)),
+                    "{origin:?} {direction:?}"
+                );
+                assert!(
+                    samples.delta.iter().all(|delta| *delta > 0.0),
+                    "{origin:?} {direction:?}"
+                );
             }
         }
     }
@@ -303,7 +340,16 @@ mod tests {
         while first < steps.begin.len() {
             let (origin, direction, samples) = ([0.1; 3], [0.0, 0.6, 0.8], &mut parts);
             let (steps, bits, jitter, limit) = (&steps, &bits, 0.5, 8);
-            first = Level::best().run(March { steps, bits, origin, direction, jitter, first, limit, samples });
+            first = Level::best().run(March {
+                steps,
+                bits,
+                origin,
+                direction,
+                jitter,
+                first,
+                limit,
+                samples,
+            });
         }
         assert_eq!(parts.t, whole.t);
     }

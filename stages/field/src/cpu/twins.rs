@@ -26,7 +26,10 @@ fn bits(values: &[f32]) -> Vec<u32> {
 /// Runs `work` on every set and compares with plain Rust.
 fn same_on_all(name: &str, work: impl Fn(Level) -> Vec<f32>) {
     let plain = bits(&work(Level::Plain(Plain)));
-    assert!(plain.iter().any(|bits| *bits != 0), "{name}: all zero proves nothing");
+    assert!(
+        plain.iter().any(|bits| *bits != 0),
+        "{name}: all zero proves nothing"
+    );
     for level in Level::all() {
         assert_eq!(bits(&work(level)), plain, "{name} on {level:?}");
     }
@@ -110,8 +113,9 @@ fn the_gate_passes_what_the_relu_passed_and_relu_keeps_a_nan() {
 
 #[test]
 fn lookup_and_scatter_are_the_same_on_every_set() {
-    let coordinates: Vec<Vec<f32>> =
-        (0..3).map(|axis| numbers(64, axis).iter().map(|x| x * 0.6 + 0.5).collect()).collect();
+    let coordinates: Vec<Vec<f32>> = (0..3)
+        .map(|axis| numbers(64, axis).iter().map(|x| x * 0.6 + 0.5).collect())
+        .collect();
     let points = Points {
         x: &coordinates[0],
         y: &coordinates[1],
@@ -123,15 +127,43 @@ fn lookup_and_scatter_are_the_same_on_every_set() {
         same_on_all("lookup", |level| {
             let mut rows = blocks(64, 8);
             let (rows_here, width) = (&mut rows[..], 1);
-            level.run(Lookup::<4> { shape, table: &table, points, rows: rows_here, width, first: 4 });
-            level.run(Lookup::<2> { shape, table: &table, points, rows: &mut rows, width, first: 10 });
+            level.run(Lookup::<4> {
+                shape,
+                table: &table,
+                points,
+                rows: rows_here,
+                width,
+                first: 4,
+            });
+            level.run(Lookup::<2> {
+                shape,
+                table: &table,
+                points,
+                rows: &mut rows,
+                width,
+                first: 10,
+            });
             flat(&rows).to_vec()
         });
         same_on_all("scatter", |level| {
             let mut gradient = vec![0.0; shape.entries as usize * 4];
             let (rows, width) = (blocks(64, 8), 1);
-            level.run(Scatter::<4> { shape, gradient: &mut gradient, points, rows: &rows, width, first: 4 });
-            level.run(Scatter::<2> { shape, gradient: &mut gradient, points, rows: &rows, width, first: 10 });
+            level.run(Scatter::<4> {
+                shape,
+                gradient: &mut gradient,
+                points,
+                rows: &rows,
+                width,
+                first: 4,
+            });
+            level.run(Scatter::<2> {
+                shape,
+                gradient: &mut gradient,
+                points,
+                rows: &rows,
+                width,
+                first: 10,
+            });
             gradient
         });
     }
@@ -147,7 +179,15 @@ fn adam_and_the_exponentials_are_the_same_on_every_set() {
         for _ in 0..3 {
             let (weights, gradient, moments) = (&mut weights, &mut gradient, &mut moments);
             let (rate, epsilon, decay, bias) = (0.01, 1e-12, 1e-6, &bias);
-            level.run(Adam::<4> { weights, gradient, moments, rate, epsilon, decay, bias });
+            level.run(Adam::<4> {
+                weights,
+                gradient,
+                moments,
+                rate,
+                epsilon,
+                decay,
+                bias,
+            });
             gradient.copy_from_slice(&numbers(64, 5));
         }
         [weights, moments.first, moments.second].concat()
@@ -156,7 +196,12 @@ fn adam_and_the_exponentials_are_the_same_on_every_set() {
         let raw: Vec<f32> = numbers(64, 1).iter().map(|x| x * 20.0).collect();
         let delta: Vec<f32> = numbers(64, 2).iter().map(|x| x.abs()).collect();
         let (mut tau, mut alpha) = (vec![0.0; 64], vec![0.0; 64]);
-        level.run(Depths { raw: &raw, delta: &delta, tau: &mut tau, alpha: &mut alpha });
+        level.run(Depths {
+            raw: &raw,
+            delta: &delta,
+            tau: &mut tau,
+            alpha: &mut alpha,
+        });
         let mut left = tau.clone();
         level.run(ExpNeg(&mut left));
         [tau, alpha, left].concat()
@@ -165,7 +210,10 @@ fn adam_and_the_exponentials_are_the_same_on_every_set() {
         let mut logits = blocks(32, 1);
         flat_mut(&mut logits).iter_mut().for_each(|logit| *logit *= 15.0);
         let mut rgb = vec![[0.0; 4]; 32];
-        level.run(Colours { logits: &logits, rgb: &mut rgb });
+        level.run(Colours {
+            logits: &logits,
+            rgb: &mut rgb,
+        });
         rgb.concat()
     });
 }
@@ -174,7 +222,9 @@ fn adam_and_the_exponentials_are_the_same_on_every_set() {
 fn marching_is_the_same_on_every_set() {
     let steps = Steps::new(0.05, 100.0, 0.02, 0.03);
     let mut cells = Bits::new(16);
-    (0..4096).filter(|cell| cell % 3 == 0).for_each(|cell| cells.set(cell));
+    (0..4096)
+        .filter(|cell| cell % 3 == 0)
+        .for_each(|cell| cells.set(cell));
     same_on_all("march", |level| {
         let mut samples = Samples::default();
         for stream in 0..20 {
@@ -191,6 +241,14 @@ fn marching_is_the_same_on_every_set() {
                 samples: &mut samples,
             });
         }
-        [samples.x, samples.y, samples.z, samples.t, samples.delta, samples.place].concat()
+        [
+            samples.x,
+            samples.y,
+            samples.z,
+            samples.t,
+            samples.delta,
+            samples.place,
+        ]
+        .concat()
     });
 }
