@@ -1,4 +1,9 @@
 //! Bad input gets one clear error that names the thing and the way out, and the right exit code.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a test that cannot go on should stop"
+)]
 
 mod common;
 

@@ -1,5 +1,9 @@
 //! Runs the binary as a user would.
-#![allow(dead_code, reason = "each test file uses a part")]
+#![allow(
+    dead_code,
+    clippy::print_stdout,
+    reason = "each test file uses a part; a skipped test says so"
+)]
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
