@@ -78,7 +78,7 @@ impl Default for Config {
             color_width: 32,
             color_layers: 1,
             batch_samples: 1 << 15,
-            learning_rate: 1e-2,
+            learning_rate: 2e-2,
             half_rate_steps: 10_000,
             occupancy_resolution: 128,
             cone: 0.04,
