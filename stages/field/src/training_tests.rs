@@ -401,3 +401,35 @@ fn a_black_background_stays_black_where_nothing_is() {
     let trainer = trained(ball(3, 12), &config, 4, 10);
     assert!(trainer.state.weights.background.iter().all(|value| *value == 0.0));
 }
+
+/// Changes only when training answers differently: then the stages built on it raise their VERSION.
+const FINGERPRINT_OF_TWENTY_STEPS: u64 = 0xc71f_1311_4a02_6038;
+
+#[test]
+fn twenty_steps_on_exact_views_give_the_known_bytes() {
+    let view = |eye: [f64; 3], shade: u32| View {
+        id: format!("exact {shade}"),
+        camera: Camera::pinhole(12, 10, 12.0),
+        // Multiples of 1/2 and rotations of 0 and 1 only: the same bits on every platform.
+        cam_from_world: Pose {
+            translation: Vector3::from(eye),
+            ..Pose::identity()
+        },
+        image: Image::from_fn(12, 10, |x, y| {
+            [(x * 20) as u8, (y * 25) as u8, (shade * 60) as u8]
+        }),
+    };
+    let views = vec![
+        view([0.5, 0.0, 2.0], 0),
+        view([-0.5, 0.0, 2.0], 1),
+        view([0.0, 0.5, 2.5], 2),
+    ];
+    let bytes = trained(views, &small(), 9, 20).field().encode();
+    let mut sum = crate::rng::Fingerprint::default();
+    sum.add(bytes.iter().map(|byte| u64::from(*byte)));
+    assert_eq!(
+        sum.0, FINGERPRINT_OF_TWENTY_STEPS,
+        "training answers differently: {:#018x}; raise the VERSION of `train` and write the new number here",
+        sum.0
+    );
+}

@@ -1,6 +1,6 @@
 //! A multilayer perceptron without biases; ReLU between the layers.
 
-use super::gemm::{After, Gate, Outer, Product};
+use super::gemm::{After, Outer, Product};
 use super::simd::{Block, LANES, Level, flat, flat_mut};
 use crate::rng::Rng;
 
@@ -127,12 +127,13 @@ impl Net {
                 c: spare,
                 inner: layer.outputs,
                 columns: layer.inputs / LANES,
-                after: After::Nothing,
+                after: if index > 0 {
+                    After::Gate(below)
+                } else {
+                    After::Nothing
+                },
             });
             std::mem::swap(slope, spare);
-            if index > 0 {
-                level.run(Gate { h: below, d: slope });
-            }
         }
     }
 }
