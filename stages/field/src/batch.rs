@@ -99,7 +99,8 @@ impl Scratch {
         let nothing = vec![0.0; targets.len()];
         self.shade.opacities(shared.level, &self.spans, &nothing);
         self.shade.drop_hidden(&mut self.spans, &mut self.kept);
-        self.shade.colours(shared.level, shared.weights, &self.spans, &self.harmonics);
+        self.shade
+            .colours(shared.level, shared.weights, &self.spans, &self.harmonics);
         let logits = self.shade.color.last().map_or(&[][..], Vec::as_slice);
         if shared.level.run(NotFinite(logits)) > 0 {
             found.bad = Some("colour logits");
@@ -208,7 +209,14 @@ impl Scratch {
         }
         found.color = weights.color.gradients();
         let (slope, spare) = (&mut self.slope, &mut self.spare);
-        weights.color.backward(shared.level, &shade.latent, &shade.color, slope, spare, &mut found.color);
+        weights.color.backward(
+            shared.level,
+            &shade.latent,
+            &shade.color,
+            slope,
+            spare,
+            &mut found.color,
+        );
         for index in 0..n {
             let mut row = slope[2 * index];
             if shade.raw[index] < RAW_LIMIT {

@@ -78,14 +78,14 @@ impl Default for Config {
             color_width: 32,
             color_layers: 1,
             batch_samples: 1 << 15,
-            learning_rate: 1e-2,
+            learning_rate: 2e-2,
             half_rate_steps: 10_000,
             occupancy_resolution: 128,
-            cone: 1.0 / 64.0,
-            min_step: 1.0 / 64.0,
+            cone: 0.04,
+            min_step: 0.03,
             near: 0.1,
             distortion: 1e-3,
-            gain: Gain::PerPhoto,
+            gain: Gain::Off,
             background: Background::Direction,
         }
     }
@@ -120,7 +120,7 @@ impl Config {
             (
                 "levels * features",
                 f64::from(self.levels) * f64::from(self.features),
-                (self.levels.wrapping_mul(self.features)) % 16 == 0,
+                self.levels.wrapping_mul(self.features).is_multiple_of(16),
                 "a multiple of 16",
             ),
             (
@@ -163,7 +163,8 @@ impl Config {
             (
                 "occupancy_resolution",
                 f64::from(self.occupancy_resolution),
-                (16..=256).contains(&self.occupancy_resolution) && self.occupancy_resolution % 4 == 0,
+                (16..=256).contains(&self.occupancy_resolution)
+                    && self.occupancy_resolution.is_multiple_of(4),
                 "16 to 256, a multiple of 4",
             ),
             (

@@ -100,7 +100,11 @@ fn from_points(views: &[View], points: &[[f64; 3]]) -> Option<Frame> {
         return None;
     }
     let origin = [0, 1, 2].map(|axis| median(&mut points.iter().map(|p| p[axis]).collect::<Vec<_>>()));
-    let reach = |p: &[f64; 3]| (0..3).map(|axis| (p[axis] - origin[axis]).abs()).fold(0.0, f64::max);
+    let reach = |p: &[f64; 3]| {
+        (0..3)
+            .map(|axis| (p[axis] - origin[axis]).abs())
+            .fold(0.0, f64::max)
+    };
     let half_side = percentile(&mut points.iter().map(reach).collect::<Vec<_>>(), 0.8);
     let depths = views.iter().map(|view| seen_depth(view, points));
     let depth = median(&mut depths.filter(|depth| *depth > 0.0).collect::<Vec<_>>());
@@ -108,7 +112,10 @@ fn from_points(views: &[View], points: &[[f64; 3]]) -> Option<Frame> {
         origin,
         half_side,
         depth,
-        reason: format!("80 % of {} sparse points lie within {half_side:.4} of their median", points.len()),
+        reason: format!(
+            "80 % of {} sparse points lie within {half_side:.4} of their median",
+            points.len()
+        ),
     })
 }
 
@@ -134,7 +141,10 @@ fn from_axes(views: &[View], centres: &[Vector3<f64>]) -> Option<Frame> {
     }
     let focus = system.try_inverse()? * right;
     let mut distances: Vec<_> = centres.iter().map(|centre| (focus - centre).norm()).collect();
-    let in_front = views.iter().filter(|view| view.cam_from_world.point(&focus).z > 0.0).count();
+    let in_front = views
+        .iter()
+        .filter(|view| view.cam_from_world.point(&focus).z > 0.0)
+        .count();
     let extent = extent(centres);
     let distance = median(&mut distances);
     // Axes that meet much farther away than the cameras are apart are nearly parallel.
@@ -153,7 +163,9 @@ fn from_axes(views: &[View], centres: &[Vector3<f64>]) -> Option<Frame> {
 fn from_baseline(centres: &[Vector3<f64>]) -> Frame {
     let nearest = centres.iter().enumerate().filter_map(|(one, centre)| {
         let others = centres.iter().enumerate().filter(|(other, _)| *other != one);
-        let apart = others.map(|(_, other)| (other - centre).norm()).filter(|apart| *apart > 1e-9);
+        let apart = others
+            .map(|(_, other)| (other - centre).norm())
+            .filter(|apart| *apart > 1e-9);
         apart.min_by(f64::total_cmp)
     });
     let baseline = median(&mut nearest.collect::<Vec<_>>());
@@ -176,5 +188,91 @@ fn from_baseline(centres: &[Vector3<f64>]) -> Frame {
 /// Largest distance of a camera from their mean.
 fn extent(centres: &[Vector3<f64>]) -> f64 {
     let mean = centres.iter().sum::<Vector3<f64>>() / centres.len().max(1) as f64;
-    centres.iter().map(|centre| (centre - mean).norm()).fold(0.0, f64::max)
+    centres
+        .iter()
+        .map(|centre| (centre - mean).norm())
+        .fold(0.0, f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use marf_scene::Image;
+
+    fn view(eye: Vector3<f64>, target: Vector3<f64>) -> View {
+        View {
+            id: "v".to_owned(),
+            camera: Camera::pinhole(32, 24, 40.0),
+            cam_from_world: Pose::looking_at(eye, target, -Vector3::z()),
+            image: Image::from_fn(32, 24, |_, _| [9; 3]),
+        }
+    }
+
+    fn ring(count: u32, radius: f64, centre: Vector3<f64>) -> Vec<View> {
+        let angles = (0..count).map(|index| f64::from(index) / f64::from(count) * std::f64::consts::TAU);
+        angles
+            .map(|angle| {
+                view(
+                    centre + Vector3::new(radius * angle.cos(), radius * angle.sin(), 0.5),
+                    centre,
+                )
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_walk_around_is_centred_on_what_all_cameras_look_at() {
+        let centre = Vector3::new(1e6, -2e6, 30.0);
+        let frame = Frame::derive(&ring(12, 3.0, centre), &[]);
+        assert!((Vector3::from(frame.origin) - centre).norm() < 1e-3, "{frame:?}");
+        assert!((frame.half_side - 9.25_f64.sqrt()).abs() < 1e-3, "{frame:?}");
+        // Far from the origin of the world a ray still starts within 1e-6 half sides of its camera.
+        let views = ring(12, 3.0, centre);
+        let ray = frame
+            .ray(&views[0].camera, &views[0].cam_from_world.inverse(), [16.0, 12.0])
+            .unwrap();
+        let toward: f32 = (0..3).map(|axis| ray.origin[axis] * ray.direction[axis]).sum();
+        assert!((toward + 1.0).abs() < 1e-5, "{ray:?}");
+    }
+
+    #[test]
+    fn a_stereo_panorama_reaches_sixteen_baselines() {
+        let looks = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]];
+        let views: Vec<_> = looks
+            .iter()
+            .flat_map(|[x, y]| {
+                let ahead = Vector3::new(*x, *y, 0.0);
+                let aside = Vector3::new(-*y, *x, 0.0) * 0.12;
+                [view(aside, aside + ahead), view(-aside, -aside + ahead)]
+            })
+            .collect();
+        let frame = Frame::derive(&views, &[]);
+        // The nearest other camera of a square of side 0.17 is 0.17 away.
+        assert!(
+            (frame.half_side - 16.0 * 0.12 * 2.0_f64.sqrt()).abs() < 1e-6,
+            "{frame:?}"
+        );
+    }
+
+    #[test]
+    fn one_camera_gets_a_box_of_one_unit() {
+        let frame = Frame::derive(&[view(Vector3::new(5.0, 5.0, 5.0), Vector3::zeros())], &[]);
+        assert!(
+            frame.origin.iter().all(|x| (x - 5.0).abs() < 1e-9) && frame.half_side == 1.0,
+            "{frame:?}"
+        );
+    }
+
+    #[test]
+    fn points_decide_where_there_are_enough() {
+        let points: Vec<[f64; 3]> = (0..100).map(|i| [f64::from(i) / 10.0, 2.0, 2.0]).collect();
+        let frame = Frame::derive(&ring(6, 30.0, Vector3::new(5.0, 2.0, 2.0)), &points);
+        assert!(
+            (frame.origin[0] - 5.0).abs() < 0.11 && (frame.half_side - 4.0).abs() < 0.2,
+            "{frame:?}"
+        );
+        // A pixel at depth 30 and focal length 40 covers 0.75 of 16.
+        let (finest, reason) = frame.finest(&ring(6, 30.0, Vector3::new(5.0, 2.0, 2.0)));
+        assert!((16..30).contains(&finest), "{finest} {reason}");
+    }
 }

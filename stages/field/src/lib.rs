@@ -12,6 +12,7 @@ mod cpu;
 mod error;
 mod facts;
 mod frame;
+mod learn;
 mod model;
 mod occupancy;
 mod overrides;
@@ -22,6 +23,9 @@ mod sh;
 mod shade;
 mod tensors;
 mod trainer;
+#[cfg(test)]
+mod training_tests;
+mod views;
 mod weights;
 
 pub use bands::render_in_bands;
@@ -32,4 +36,5 @@ pub use model::Field;
 pub use overrides::{OverrideError, Overrides};
 pub use quality::Quality;
 pub use render::Render;
-pub use trainer::{Step, Trainer, View};
+pub use trainer::{Step, Trainer};
+pub use views::View;

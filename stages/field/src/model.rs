@@ -79,7 +79,10 @@ impl Field {
         if header.format != FORMAT {
             return Err(reader.malformed(format!("format {}, this program reads {FORMAT}", header.format)));
         }
-        header.config.check().map_err(|error| reader.malformed(error.to_string()))?;
+        header
+            .config
+            .check()
+            .map_err(|error| reader.malformed(error.to_string()))?;
         let (frame, facts) = (&header.frame, &header.facts);
         let finite = frame.origin.iter().all(|value| value.is_finite());
         if !finite || !frame.half_side.is_finite() || frame.half_side <= 0.0 {
@@ -100,7 +103,13 @@ impl Field {
         weights.refresh();
         let mut bits = Bits::new(header.config.occupancy_resolution);
         reader.words("occupancy", &mut bits.words)?;
-        Ok(Self::new(header.config, header.frame, header.facts, weights, bits))
+        Ok(Self::new(
+            header.config,
+            header.frame,
+            header.facts,
+            weights,
+            bits,
+        ))
     }
 
     /// Renders a photo: `camera` with its distortion, at `cam_from_world`.

@@ -2,10 +2,10 @@
 
 use rayon::prelude::*;
 
+use crate::View;
 use crate::cpu::march::{Bits, expand};
 use crate::frame::Frame;
 use crate::rng::{Purpose, Rng};
-use crate::trainer::View;
 
 /// A cell counts as occupied if a step of the shortest length in it has at least this optical depth, or the
 /// mean of all cells if that is less (instant-ngp).
@@ -85,7 +85,10 @@ impl Occupancy {
             let before = if *density < UNKNOWN { *density * DECAY } else { 0.0 };
             *density = before.max(*found);
         }
-        let seen = self.density.iter().filter(|density| (0.0..UNKNOWN).contains(*density));
+        let seen = self
+            .density
+            .iter()
+            .filter(|density| (0.0..UNKNOWN).contains(*density));
         let (sum, count) = seen.fold((0.0_f64, 0_u64), |(sum, count), density| {
             (sum + f64::from(*density), count + 1)
         });
@@ -104,7 +107,13 @@ impl Occupancy {
 /// Tells for every cell whether some camera looks at it; a margin makes the answer yes where in doubt.
 fn seen_cells(side: u32, frame: &Frame, views: &[View]) -> Vec<bool> {
     let bricks = side / BRICK;
-    let watchers: Vec<_> = views.iter().map(|view| Watcher { view, bend_px: bend_px(&view.camera) }).collect();
+    let watchers: Vec<_> = views
+        .iter()
+        .map(|view| Watcher {
+            view,
+            bend_px: bend_px(&view.camera),
+        })
+        .collect();
     let slabs = (0..bricks).into_par_iter().map(|slab| {
         let mut seen = vec![false; (side * side * BRICK) as usize];
         let mut last = 0;
@@ -187,7 +196,10 @@ fn bend_px(camera: &marf_scene::Camera) -> f64 {
         let Some(ray) = camera.unproject(&nalgebra::Vector2::new(x, y)) else {
             return width.max(height);
         };
-        let plain = [camera.fx_px.mul_add(ray.x, camera.cx_px), camera.fy_px.mul_add(ray.y, camera.cy_px)];
+        let plain = [
+            camera.fx_px.mul_add(ray.x, camera.cx_px),
+            camera.fy_px.mul_add(ray.y, camera.cy_px),
+        ];
         (plain[0] - x).abs().max((plain[1] - y).abs())
     });
     moved.into_iter().fold(0.0, f64::max)

@@ -65,7 +65,9 @@ struct Pixel {
 pub fn render(field: &Field, camera: &Camera, cam_from_world: &Pose) -> Render {
     let world_from_cam = cam_from_world.inverse();
     let rows = (0..camera.height).into_par_iter();
-    let rows = rows.map_init(Shade::default, |shade, row| render_row(field, shade, camera, &world_from_cam, row));
+    let rows = rows.map_init(Shade::default, |shade, row| {
+        render_row(field, shade, camera, &world_from_cam, row)
+    });
     let pixels = rows.collect::<Vec<_>>().concat();
     Render {
         width: camera.width,
@@ -76,7 +78,13 @@ pub fn render(field: &Field, camera: &Camera, cam_from_world: &Pose) -> Render {
     }
 }
 
-fn render_row(field: &Field, shade: &mut Shade, camera: &Camera, world_from_cam: &Pose, row: u32) -> Vec<Pixel> {
+fn render_row(
+    field: &Field,
+    shade: &mut Shade,
+    camera: &Camera,
+    world_from_cam: &Pose,
+    row: u32,
+) -> Vec<Pixel> {
     let mut pixels = vec![Pixel::default(); camera.width as usize];
     let columns = 0..camera.width;
     let mut walks: Vec<Walk> = columns
@@ -119,7 +127,11 @@ impl Walk {
         let behind = field.weights.behind(field.config.background, &self.harmonics);
         let opacity = (1.0 - self.left).clamp(0.0, 1.0);
         let half_side = field.frame.half_side as f32;
-        let depth = if opacity > 0.0 { self.distance / opacity * half_side } else { 0.0 };
+        let depth = if opacity > 0.0 {
+            self.distance / opacity * half_side
+        } else {
+            0.0
+        };
         Pixel {
             rgb: [0, 1, 2].map(|channel| self.left.mul_add(behind[channel], self.rgb[channel])),
             opacity,
@@ -150,7 +162,10 @@ fn advance(field: &Field, shade: &mut Shade, walks: &mut [Walk], limit: usize) {
     let before: Vec<f32> = walks.iter().map(|walk| walk.optical_depth).collect();
     shade.densities(field.level, &field.weights);
     shade.opacities(field.level, &spans, &before);
-    let depths: Vec<f32> = spans.iter().map(|span| shade.tau[span.first..span.end].iter().sum()).collect();
+    let depths: Vec<f32> = spans
+        .iter()
+        .map(|span| shade.tau[span.first..span.end].iter().sum())
+        .collect();
     let mut kept = Vec::new();
     shade.drop_hidden(&mut spans, &mut kept);
     let harmonics: Vec<_> = walks.iter().map(|walk| walk.harmonics).collect();

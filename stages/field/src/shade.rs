@@ -56,8 +56,22 @@ impl Shade {
         for (index, (shape, table)) in weights.shapes.iter().zip(&weights.tables).enumerate() {
             let (shape, rows, first) = (*shape, &mut self.features[..], index * weights.features);
             match weights.features {
-                2 => level.run(Lookup::<2> { shape, table, points, rows, width, first }),
-                _ => level.run(Lookup::<4> { shape, table, points, rows, width, first }),
+                2 => level.run(Lookup::<2> {
+                    shape,
+                    table,
+                    points,
+                    rows,
+                    width,
+                    first,
+                }),
+                _ => level.run(Lookup::<4> {
+                    shape,
+                    table,
+                    points,
+                    rows,
+                    width,
+                    first,
+                }),
             }
         }
         weights.density.forward(level, &self.features, &mut self.density);
@@ -98,13 +112,21 @@ impl Shade {
             let first = kept.len();
             let visible = (span.first..span.end).take_while(|index| self.transmittance[*index] >= OPAQUE);
             kept.extend(visible.map(|index| index as u32));
-            *span = Span { first, end: kept.len() };
+            *span = Span {
+                first,
+                end: kept.len(),
+            };
         }
         let before = self.raw.len();
         let padded = kept.len().next_multiple_of(LANES);
         self.samples.gather(kept);
         self.samples.resize(padded);
-        for array in [&mut self.raw, &mut self.tau, &mut self.alpha, &mut self.transmittance] {
+        for array in [
+            &mut self.raw,
+            &mut self.tau,
+            &mut self.alpha,
+            &mut self.transmittance,
+        ] {
             for (to, from) in kept.iter().enumerate() {
                 array[to] = array[*from as usize];
             }
@@ -117,7 +139,13 @@ impl Shade {
     }
 
     /// Runs the colour network; `harmonics` are those of every ray's direction.
-    pub fn colours(&mut self, level: Level, weights: &Weights, spans: &[Span], harmonics: &[[f32; sh::COUNT]]) {
+    pub fn colours(
+        &mut self,
+        level: Level,
+        weights: &Weights,
+        spans: &[Span],
+        harmonics: &[[f32; sh::COUNT]],
+    ) {
         let n = self.raw.len();
         let outputs = self.density.last().map_or(&[][..], Vec::as_slice);
         self.latent.resize(2 * n, Block::default());
@@ -141,7 +169,11 @@ impl Shade {
 
 /// Moves the kept rows of `width` blocks to the front and pads with zeros.
 fn gather_rows(rows: &mut Vec<Block>, width: usize, kept: &[u32], padded: usize) {
-    for (to, from) in kept.iter().enumerate().filter(|(to, from)| *to != **from as usize) {
+    for (to, from) in kept
+        .iter()
+        .enumerate()
+        .filter(|(to, from)| *to != **from as usize)
+    {
         let from = *from as usize * width;
         rows.copy_within(from..from + width, to * width);
     }

@@ -20,19 +20,22 @@ impl Writer {
     /// Adds f32.
     pub fn floats(&mut self, name: String, values: &[f32]) {
         let bytes = values.iter().flat_map(|value| value.to_le_bytes());
-        self.tensors.push((name, Dtype::F32, vec![values.len()], bytes.collect()));
+        self.tensors
+            .push((name, Dtype::F32, vec![values.len()], bytes.collect()));
     }
 
     /// Adds u32.
     pub fn counts(&mut self, name: String, values: &[u32]) {
         let bytes = values.iter().flat_map(|value| value.to_le_bytes());
-        self.tensors.push((name, Dtype::U32, vec![values.len()], bytes.collect()));
+        self.tensors
+            .push((name, Dtype::U32, vec![values.len()], bytes.collect()));
     }
 
     /// Adds u64.
     pub fn words(&mut self, name: String, values: &[u64]) {
         let bytes = values.iter().flat_map(|value| value.to_le_bytes());
-        self.tensors.push((name, Dtype::U64, vec![values.len()], bytes.collect()));
+        self.tensors
+            .push((name, Dtype::U64, vec![values.len()], bytes.collect()));
     }
 
     /// Returns the file; the same tensors give the same bytes.
@@ -65,7 +68,9 @@ impl<'a> Reader<'a> {
         let tensors = SafeTensors::deserialize(bytes).map_err(|error| malformed(error.to_string()))?;
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(|error| malformed(error.to_string()))?;
         let entry = header.metadata().as_ref().and_then(|entries| entries.get(ENTRY));
-        let json = entry.ok_or_else(|| malformed(format!("its header has no `{ENTRY}` entry")))?.clone();
+        let json = entry
+            .ok_or_else(|| malformed(format!("its header has no `{ENTRY}` entry")))?
+            .clone();
         Ok(Self { what, tensors, json })
     }
 

@@ -31,7 +31,10 @@ pub struct Weights {
 
 /// Resolutions from `base` to `finest` in equal ratios; computed without a power function.
 pub fn resolutions(base: u32, finest: u32, levels: u32) -> Vec<u32> {
-    let growth = root(f64::from(finest.max(base)) / f64::from(base), levels.saturating_sub(1));
+    let growth = root(
+        f64::from(finest.max(base)) / f64::from(base),
+        levels.saturating_sub(1),
+    );
     let mut side = f64::from(base);
     let sides = (0..levels).map(|_| {
         let now = side;
@@ -45,14 +48,19 @@ impl Weights {
     /// The levels of a configuration.
     pub fn shapes(config: &Config, finest: u32) -> Vec<Shape> {
         let sides = resolutions(config.base_resolution, finest, config.levels);
-        sides.iter().map(|side| Shape::new(*side, config.log2_table)).collect()
+        sides
+            .iter()
+            .map(|side| Shape::new(*side, config.log2_table))
+            .collect()
     }
 
     /// All numbers zero.
     pub fn zeros(config: &Config, finest: u32) -> Self {
         let shapes = Self::shapes(config, finest);
         let features = config.features as usize;
-        let tables = shapes.iter().map(|shape| vec![0.0; shape.entries as usize * features]);
+        let tables = shapes
+            .iter()
+            .map(|shape| vec![0.0; shape.entries as usize * features]);
         let input = config.levels as usize * features;
         let mut widths = vec![LATENT + sh::COUNT];
         widths.extend((0..config.color_layers).map(|_| config.color_width as usize));
@@ -75,14 +83,17 @@ impl Weights {
                 *value = 1e-4 * 2.0_f32.mul_add(rng.unit(), -1.0);
             }
         }
-        self.density.randomise(&mut Rng::new(seed, Purpose::Networks, 0, 0));
+        self.density
+            .randomise(&mut Rng::new(seed, Purpose::Networks, 0, 0));
         self.color.randomise(&mut Rng::new(seed, Purpose::Networks, 0, 1));
     }
 
     /// Returns every tensor with its name, in a fixed order.
     pub fn tensors(&self) -> Vec<(String, &[f32])> {
         let tables = self.tables.iter().enumerate();
-        let mut all: Vec<_> = tables.map(|(level, table)| (format!("table.{level}"), table.as_slice())).collect();
+        let mut all: Vec<_> = tables
+            .map(|(level, table)| (format!("table.{level}"), table.as_slice()))
+            .collect();
         for (name, net) in [("density", &self.density), ("color", &self.color)] {
             let layers = net.layers.iter().enumerate();
             all.extend(layers.map(|(index, layer)| (format!("{name}.{index}"), flat(&layer.weights))));
@@ -94,11 +105,14 @@ impl Weights {
     /// As [`Weights::tensors`], to be written; call [`Weights::refresh`] afterwards.
     pub fn tensors_mut(&mut self) -> Vec<(String, &mut [f32])> {
         let tables = self.tables.iter_mut().enumerate();
-        let mut all: Vec<_> =
-            tables.map(|(level, table)| (format!("table.{level}"), table.as_mut_slice())).collect();
+        let mut all: Vec<_> = tables
+            .map(|(level, table)| (format!("table.{level}"), table.as_mut_slice()))
+            .collect();
         for (name, net) in [("density", &mut self.density), ("color", &mut self.color)] {
             let layers = net.layers.iter_mut().enumerate();
-            all.extend(layers.map(|(index, layer)| (format!("{name}.{index}"), flat_mut(&mut layer.weights))));
+            all.extend(
+                layers.map(|(index, layer)| (format!("{name}.{index}"), flat_mut(&mut layer.weights))),
+            );
         }
         all.push(("background".to_owned(), &mut self.background));
         all
@@ -123,7 +137,9 @@ impl Weights {
     pub fn logits_behind(&self, harmonics: &[f32; sh::COUNT]) -> [f32; 3] {
         [0, 1, 2].map(|channel| {
             let row = &self.background[channel * sh::COUNT..][..sh::COUNT];
-            row.iter().zip(harmonics).fold(0.0_f32, |sum, (a, b)| a.mul_add(*b, sum))
+            row.iter()
+                .zip(harmonics)
+                .fold(0.0_f32, |sum, (a, b)| a.mul_add(*b, sum))
         })
     }
 }

@@ -8,7 +8,7 @@ use super::simd::{Block, Isa, Kernel, LANES};
 /// Raw densities are cut here; exp(11) is opaque at any step. The gradient above is zero.
 pub const RAW_LIMIT: f32 = 11.0;
 /// Added to the raw density before the exponential, so that untrained space is thin.
-pub const RAW_SHIFT: f32 = -1.0;
+pub const RAW_SHIFT: f32 = -3.0;
 /// Logits of colours are cut at +-10 (0.99995, beyond 8 bits). The gradient outside is zero.
 pub const LOGIT_LIMIT: f32 = 10.0;
 /// Samples behind a transmittance below this are left out; the error of a colour is at most this.
@@ -138,7 +138,14 @@ impl Ray<'_> {
     /// `slope`: dL/dC. `behind`: colour of the background. `distortion`: weight of that loss, for this ray;
     /// `cell`: length of a step in units of `place`.
     #[inline(always)]
-    pub fn spread(&self, slope: [f32; 3], behind: [f32; 3], distortion: [f32; 2], d_tau: &mut [f32], d_rgb: &mut [[f32; 4]]) {
+    pub fn spread(
+        &self,
+        slope: [f32; 3],
+        behind: [f32; 3],
+        distortion: [f32; 2],
+        d_tau: &mut [f32],
+        d_rgb: &mut [[f32; 4]],
+    ) {
         let n = self.alpha.len();
         let [strength, cell] = distortion;
         let (mut total, mut moment) = (0.0_f32, 0.0_f32);
@@ -147,7 +154,11 @@ impl Ray<'_> {
             total += weight;
             moment = weight.mul_add(self.place[i], moment);
         }
-        let left = if n == 0 { 1.0 } else { self.transmittance[n - 1] * (1.0 - self.alpha[n - 1]) };
+        let left = if n == 0 {
+            1.0
+        } else {
+            self.transmittance[n - 1] * (1.0 - self.alpha[n - 1])
+        };
         let dot = |a: [f32; 3], b: [f32; 3]| a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]));
         let mut suffix = left * dot(slope, behind);
         let (mut after, mut after_moment) = (0.0_f32, 0.0_f32);

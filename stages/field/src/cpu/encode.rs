@@ -31,54 +31,81 @@ impl Shape {
 }
 
 /// Entries and weights of the 8 corners around 16 points.
+#[repr(align(64))]
 struct Corners {
     index: [[u32; LANES]; 8],
     weight: [[f32; LANES]; 8],
 }
 
-/// Cell and share of one coordinate; the last cell takes 1.0, NaN counts as 0.
-#[inline(always)]
-fn cells(at: &[f32; LANES], resolution: u32) -> ([u32; LANES], [f32; LANES]) {
-    let scale = resolution as f32;
-    let (mut cell, mut share) = ([0; LANES], [0.0; LANES]);
-    for lane in 0..LANES {
-        let x = if at[lane] > 0.0 { at[lane] } else { 0.0 };
-        let q = (if x < 1.0 { x } else { 1.0 }) * scale;
-        let below = (q as i32).min(resolution as i32 - 1);
-        cell[lane] = below as u32;
-        share[lane] = q - below as f32;
-    }
-    (cell, share)
+/// Both neighbours of 16 coordinates on one axis: their part of the index, and their weights.
+#[repr(align(64))]
+struct Axis {
+    part: [[u32; LANES]; 2],
+    weight: [[f32; LANES]; 2],
 }
 
-#[inline(always)]
-fn corners(shape: &Shape, xyz: [&[f32; LANES]; 3]) -> Corners {
-    let (x, fx) = cells(xyz[0], shape.resolution);
-    let (y, fy) = cells(xyz[1], shape.resolution);
-    let (z, fz) = cells(xyz[2], shape.resolution);
-    let mut found = Corners {
+impl Axis {
+    const EMPTY: Self = Self {
+        part: [[0; LANES]; 2],
+        weight: [[0.0; LANES]; 2],
+    };
+
+    /// The last cell takes 1.0; NaN counts as 0. `factor` is the axis' stride or prime.
+    #[inline(always)]
+    fn fill(&mut self, at: &[f32; LANES], resolution: u32, factor: u32) {
+        let (scale, last) = (resolution as f32, resolution as i32 - 1);
+        for lane in 0..LANES {
+            let x = if at[lane] > 0.0 { at[lane] } else { 0.0 };
+            let q = (if x < 1.0 { x } else { 1.0 }) * scale;
+            let below = (q as i32).min(last);
+            let share = q - below as f32;
+            self.part[0][lane] = (below as u32).wrapping_mul(factor);
+            self.part[1][lane] = (below as u32).wrapping_mul(factor).wrapping_add(factor);
+            self.weight[0][lane] = 1.0 - share;
+            self.weight[1][lane] = share;
+        }
+    }
+}
+
+impl Corners {
+    const EMPTY: Self = Self {
         index: [[0; LANES]; 8],
         weight: [[0.0; LANES]; 8],
     };
-    let side = shape.resolution + 1;
-    let mask = shape.entries - 1;
-    for corner in 0..8_u32 {
-        let (dx, dy, dz) = (corner & 1, (corner >> 1) & 1, corner >> 2);
-        let (index, weight) = (&mut found.index[corner as usize], &mut found.weight[corner as usize]);
-        for lane in 0..LANES {
-            let (cx, cy, cz) = (x[lane] + dx, y[lane] + dy, z[lane] + dz);
-            index[lane] = if shape.dense {
-                cx.wrapping_add(cy.wrapping_mul(side)).wrapping_add(cz.wrapping_mul(side * side))
+
+    #[inline(always)]
+    fn fill(&mut self, shape: &Shape, xyz: [&[f32; LANES]; 3]) {
+        let side = shape.resolution + 1;
+        let factors = if shape.dense {
+            [1, side, side * side]
+        } else {
+            [1, PRIMES[0], PRIMES[1]]
+        };
+        let mut axes = [Axis::EMPTY; 3];
+        for axis in 0..3 {
+            axes[axis].fill(xyz[axis], shape.resolution, factors[axis]);
+        }
+        let [x, y, z] = &axes;
+        let mask = shape.entries.wrapping_sub(1);
+        for corner in 0..8 {
+            let (dx, dy, dz) = (corner & 1, (corner >> 1) & 1, corner >> 2);
+            let (index, weight) = (&mut self.index[corner], &mut self.weight[corner]);
+            for lane in 0..LANES {
+                weight[lane] = x.weight[dx][lane] * y.weight[dy][lane] * z.weight[dz][lane];
+            }
+            if shape.dense {
+                for lane in 0..LANES {
+                    index[lane] = x.part[dx][lane]
+                        .wrapping_add(y.part[dy][lane])
+                        .wrapping_add(z.part[dz][lane]);
+                }
             } else {
-                (cx ^ cy.wrapping_mul(PRIMES[0]) ^ cz.wrapping_mul(PRIMES[1])) & mask
-            };
-            let wx = if dx == 1 { fx[lane] } else { 1.0 - fx[lane] };
-            let wy = if dy == 1 { fy[lane] } else { 1.0 - fy[lane] };
-            let wz = if dz == 1 { fz[lane] } else { 1.0 - fz[lane] };
-            weight[lane] = wx * wy * wz;
+                for lane in 0..LANES {
+                    index[lane] = (x.part[dx][lane] ^ y.part[dy][lane] ^ z.part[dz][lane]) & mask;
+                }
+            }
         }
     }
-    found
 }
 
 /// Points in the unit box, one coordinate an array, lengths a multiple of 16.
@@ -131,8 +158,9 @@ impl<const F: usize> Kernel for Lookup<'_, F> {
         let table = self.table.as_chunks::<F>().0;
         let row = self.width * LANES;
         let rows = flat_mut(self.rows).chunks_exact_mut(row * LANES);
+        let mut found = Corners::EMPTY;
         for (xyz, rows) in self.points.blocks().zip(rows) {
-            let found = corners(&self.shape, xyz);
+            found.fill(&self.shape, xyz);
             for lane in 0..LANES {
                 let mut sum = [0.0; F];
                 for corner in 0..8 {
@@ -172,8 +200,9 @@ impl<const F: usize> Kernel for Scatter<'_, F> {
         let gradient = self.gradient.as_chunks_mut::<F>().0;
         let row = self.width * LANES;
         let rows = flat(self.rows).chunks_exact(row * LANES);
+        let mut found = Corners::EMPTY;
         for (xyz, rows) in self.points.blocks().zip(rows) {
-            let found = corners(&self.shape, xyz);
+            found.fill(&self.shape, xyz);
             for lane in 0..LANES {
                 let mut d = [0.0; F];
                 d.copy_from_slice(&rows[lane * row + self.first..][..F]);

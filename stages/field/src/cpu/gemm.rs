@@ -3,15 +3,17 @@
 //! Rows are samples, columns are neurons in blocks of 16. Every output is one chain of fused multiply-adds in
 //! the order of the summed index, whatever the blocking: hence the same bits on every instruction set.
 
-use super::simd::{Block, Isa, Kernel, LANES, flat};
+use super::simd::{Block, Isa, Kernel, flat};
 
 /// What is done to a finished sum.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum After {
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum After<'a> {
     /// Stored as it is.
     Nothing,
     /// Negative sums become 0.
     Relu,
+    /// Becomes 0 unless the number here, of the shape of C, is above 0: the slope of a ReLU.
+    Gate(&'a [Block]),
 }
 
 /// C = A B: `a` [n, k], `b` [k, m / 16 blocks], `c` [n, m / 16 blocks]; n is a multiple of 16.
@@ -27,7 +29,7 @@ pub struct Product<'a> {
     /// m / 16.
     pub columns: usize,
     /// What happens to the sums.
-    pub after: After,
+    pub after: After<'a>,
 }
 
 impl Kernel for Product<'_> {
@@ -86,9 +88,14 @@ impl Product<'_> {
                 }
             }
             for (row, sums) in sums.iter().enumerate() {
-                let c = &mut self.c[(first + row) * self.columns + column..][..NV];
+                let at = (first + row) * self.columns + column;
+                let c = &mut self.c[at..][..NV];
                 for v in 0..NV {
-                    let sum = if self.after == After::Relu { isa.relu(sums[v]) } else { sums[v] };
+                    let sum = match self.after {
+                        After::Nothing => sums[v],
+                        After::Relu => isa.relu(sums[v]),
+                        After::Gate(open) => isa.gate(sums[v], isa.load(&open[at + v])),
+                    };
                     isa.store(sum, &mut c[v]);
                 }
             }
@@ -163,27 +170,6 @@ impl Outer<'_> {
                 for v in 0..NV {
                     isa.store(sums[v], &mut self.g[(first + row) * self.columns + column + v]);
                 }
-            }
-        }
-    }
-}
-
-/// Sets the gradient to 0 where the activation did not pass: d = 0 unless h > 0.
-pub struct Gate<'a> {
-    /// Activations after the ReLU.
-    pub h: &'a [Block],
-    /// Their gradients.
-    pub d: &'a mut [Block],
-}
-
-impl Kernel for Gate<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _isa: I) {
-        for (d, h) in self.d.iter_mut().zip(self.h) {
-            for lane in 0..LANES {
-                d.0[lane] = if h.0[lane] > 0.0 { d.0[lane] } else { 0.0 };
             }
         }
     }

@@ -123,14 +123,28 @@ impl Samples {
 
     /// Makes every array `len` long; new samples lie at the origin and have no length.
     pub fn resize(&mut self, len: usize) {
-        for array in [&mut self.x, &mut self.y, &mut self.z, &mut self.t, &mut self.delta, &mut self.place] {
+        for array in [
+            &mut self.x,
+            &mut self.y,
+            &mut self.z,
+            &mut self.t,
+            &mut self.delta,
+            &mut self.place,
+        ] {
             array.resize(len, 0.0);
         }
     }
 
     /// Keeps the samples `kept`, in this order.
     pub fn gather(&mut self, kept: &[u32]) {
-        for array in [&mut self.x, &mut self.y, &mut self.z, &mut self.t, &mut self.delta, &mut self.place] {
+        for array in [
+            &mut self.x,
+            &mut self.y,
+            &mut self.z,
+            &mut self.t,
+            &mut self.delta,
+            &mut self.place,
+        ] {
             for (to, from) in kept.iter().enumerate() {
                 array[to] = array[*from as usize];
             }
@@ -207,5 +221,136 @@ impl March<'_> {
                 self.samples.place.push(place / self.steps.count as f32);
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cpu::simd::Level;
+
+    fn full(side: u32) -> Bits {
+        let mut bits = Bits::new(side);
+        bits.words.fill(u64::MAX);
+        bits
+    }
+
+    fn walk(steps: &Steps, bits: &Bits, origin: [f32; 3], direction: [f32; 3]) -> Samples {
+        let mut samples = Samples::default();
+        let end = Level::best().run(March {
+            steps,
+            bits,
+            origin,
+            direction,
+            jitter: 0.5,
+            first: 0,
+            limit: usize::MAX,
+            samples: &mut samples,
+        });
+        assert_eq!(end, steps.begin.len());
+        samples
+    }
+
+    #[test]
+    fn contraction_keeps_the_inner_box_and_undoes_itself() {
+        assert_eq!(contract([0.5, -1.0, 0.0]), ([0.625, 0.25, 0.5], 1.0));
+        // m = 4: the point goes to (2 - 1/4) = 1.75, that is 0.9375.
+        assert_eq!(contract([4.0, 0.0, 0.0]), ([0.9375, 0.5, 0.5], 0.25));
+        for p in [[0.3, 0.2, -0.9], [3.0, -2.0, 1.0], [0.0, 0.0, 500.0]] {
+            let back = expand(contract(p).0.map(f64::from));
+            for axis in 0..3 {
+                let error = (back[axis] - f64::from(p[axis])).abs();
+                assert!(error < 0.02 * (1.0 + f64::from(p[axis]).abs()), "{p:?}: {back:?}");
+            }
+        }
+        let (u, shrink) = contract([f32::MAX, 1.0, 1.0]);
+        assert!(
+            u.iter().all(|u| (0.0..=1.0).contains(u)) && shrink >= 0.0,
+            "{u:?} {shrink}"
+        );
+    }
+
+    #[test]
+    fn steps_grow_with_the_distance_and_their_number_is_bounded() {
+        let steps = Steps::new(0.5, 8.0, 0.1, 0.25);
+        assert_eq!(steps.begin[0], 0.5);
+        assert_eq!(steps.length[0], 0.125);
+        assert_eq!(
+            steps.length[steps.count..],
+            vec![0.0; steps.begin.len() - steps.count]
+        );
+        // At t = 1e5 a step of sqrt(3) / 1024 is lost in f32; the table counts in f64 and ends.
+        let far = Steps::new(1e5, 1e5 + 10.0, 3.0_f64.sqrt() / 1024.0, 0.0);
+        assert_eq!(far.count, 5913);
+        assert_eq!(Steps::new(1.0, f64::MAX, 1e-4, 0.0).count, MOST_STEPS);
+        // near = far: no step.
+        assert_eq!(Steps::new(2.0, 2.0, 0.1, 0.1).count, 0);
+    }
+
+    #[test]
+    fn rays_parallel_to_a_face_on_a_face_or_far_away_end_and_stay_in_the_box() {
+        let (steps, bits) = (Steps::new(0.1, 512.0, 0.05, 0.05), full(16));
+        let origins = [
+            [1.0, 0.0, 0.0],
+            [0.0; 3],
+            [-1.0, 1.0, 1.0],
+            [1e5, 0.0, 3.0],
+            [-2e5, 7.0, 1e5],
+        ];
+        let directions = [
+            [1.0, 0.0, 0.0],
+            [0.0, -1.0, 0.0],
+            [0.0, 0.0, 1.0],
+            [0.6, 0.0, -0.8],
+        ];
+        for origin in origins {
+            for direction in directions {
+                let samples = walk(&steps, &bits, origin, direction);
+                assert_eq!(samples.len(), steps.count, "{origin:?} {direction:?}");
+                let all = samples.x.iter().chain(&samples.y).chain(&samples.z);
+                assert!(
+                    all.clone().all(|u| (0.0..=1.0).contains(u)),
+                    "{origin:?} {direction:?}"
+                );
+                assert!(
+                    samples.delta.iter().all(|delta| *delta > 0.0),
+                    "{origin:?} {direction:?}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn empty_cells_give_no_sample_and_a_single_cell_gives_its_own() {
+        let steps = Steps::new(0.01, 4.0, 0.01, 0.0);
+        let mut bits = Bits::new(16);
+        assert_eq!(walk(&steps, &bits, [-1.5, 0.05, 0.05], [1.0, 0.0, 0.0]).len(), 0);
+        // The cell right of the centre: contracted x in [0.5, 0.5625], world x in [0, 0.25].
+        bits.set((8 * 16 + 8) * 16 + 8);
+        let found = walk(&steps, &bits, [-1.0, 0.05, 0.05], [1.0, 0.0, 0.0]);
+        assert_eq!(found.len(), 25);
+        assert!(found.t.iter().all(|t| (1.0..1.25).contains(t)), "{:?}", found.t);
+    }
+
+    #[test]
+    fn a_walk_in_rounds_finds_what_a_walk_at_once_finds() {
+        let (steps, bits) = (Steps::new(0.1, 64.0, 0.02, 0.03), full(16));
+        let whole = walk(&steps, &bits, [0.1; 3], [0.0, 0.6, 0.8]);
+        let (mut parts, mut first) = (Samples::default(), 0);
+        while first < steps.begin.len() {
+            let (origin, direction, samples) = ([0.1; 3], [0.0, 0.6, 0.8], &mut parts);
+            let (steps, bits, jitter, limit) = (&steps, &bits, 0.5, 8);
+            first = Level::best().run(March {
+                steps,
+                bits,
+                origin,
+                direction,
+                jitter,
+                first,
+                limit,
+                samples,
+            });
+        }
+        assert_eq!(parts.t, whole.t);
     }
 }

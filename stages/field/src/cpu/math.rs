@@ -105,7 +105,10 @@ mod tests {
             assert!(error < 2e-7, "exp({x}): {} against {truth}, {error}", exp(x));
         }
         assert_eq!(exp(0.0), 1.0);
-        assert_eq!((exp(f32::NEG_INFINITY), exp(f32::INFINITY)), (exp(-87.0), exp(88.0)));
+        assert_eq!(
+            (exp(f32::NEG_INFINITY), exp(f32::INFINITY)),
+            (exp(-87.0), exp(88.0))
+        );
         assert!(exp(f32::NAN).is_finite());
     }
 
@@ -114,7 +117,11 @@ mod tests {
         for x in floats(1e-30, 1e30) {
             let truth = -(-f64::from(x)).exp_m1();
             let error = (f64::from(one_minus_exp_neg(x)) - truth).abs() / truth;
-            assert!(error < 3e-7, "1 - exp(-{x}): {} against {truth}", one_minus_exp_neg(x));
+            assert!(
+                error < 3e-7,
+                "1 - exp(-{x}): {} against {truth}",
+                one_minus_exp_neg(x)
+            );
         }
         assert_eq!(one_minus_exp_neg(0.0), 0.0);
         assert_eq!(one_minus_exp_neg(f32::MAX), 1.0);

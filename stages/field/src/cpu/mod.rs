@@ -1,4 +1,7 @@
 //! The kernels on the CPU. Each has one body, compiled for three instruction sets with the same bits.
+//!
+//! Loops run over lane numbers: several arrays of one fixed length go in step, which the compiler vectorises.
+#![allow(clippy::needless_range_loop)]
 
 pub mod adam;
 pub mod composite;
@@ -8,3 +11,8 @@ pub mod march;
 pub mod math;
 pub mod net;
 pub mod simd;
+
+#[cfg(test)]
+mod gradients;
+#[cfg(test)]
+mod twins;

@@ -1,6 +1,6 @@
 //! A multilayer perceptron without biases; ReLU between the layers.
 
-use super::gemm::{After, Gate, Outer, Product};
+use super::gemm::{After, Outer, Product};
 use super::simd::{Block, LANES, Level, flat, flat_mut};
 use crate::rng::Rng;
 
@@ -75,7 +75,10 @@ impl Net {
     /// Runs rows through all layers; `activations[l]` receives the output of layer l.
     pub fn forward(&self, level: Level, input: &[Block], activations: &mut Vec<Vec<Block>>) {
         activations.resize_with(self.layers.len(), Vec::new);
-        let rows = self.layers.first().map_or(0, |layer| input.len() * LANES / layer.inputs);
+        let rows = self
+            .layers
+            .first()
+            .map_or(0, |layer| input.len() * LANES / layer.inputs);
         for (index, layer) in self.layers.iter().enumerate() {
             let (before, here) = activations.split_at_mut(index);
             here[0].resize(rows * layer.outputs / LANES, Block::default());
@@ -105,7 +108,11 @@ impl Net {
         gradients: &mut [Vec<Block>],
     ) {
         for (index, layer) in self.layers.iter().enumerate().rev() {
-            let below = if index == 0 { input } else { &activations[index - 1] };
+            let below = if index == 0 {
+                input
+            } else {
+                &activations[index - 1]
+            };
             level.run(Outer {
                 a: below,
                 d: slope,
@@ -120,12 +127,13 @@ impl Net {
                 c: spare,
                 inner: layer.outputs,
                 columns: layer.inputs / LANES,
-                after: After::Nothing,
+                after: if index > 0 {
+                    After::Gate(below)
+                } else {
+                    After::Nothing
+                },
             });
             std::mem::swap(slope, spare);
-            if index > 0 {
-                level.run(Gate { h: below, d: slope });
-            }
         }
     }
 }

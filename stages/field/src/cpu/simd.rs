@@ -45,6 +45,8 @@ pub trait Isa: Copy + Send + Sync {
     fn mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
     /// 0 where 0 > x, else x: keeps a NaN.
     fn relu(self, value: Self::V) -> Self::V;
+    /// x where gate > 0, else 0.
+    fn gate(self, value: Self::V, gate: Self::V) -> Self::V;
 }
 
 /// Work that is compiled once a set. `run` and all it calls must be `#[inline(always)]`.
@@ -162,6 +164,13 @@ impl Isa for Plain {
         }
         value
     }
+    #[inline(always)]
+    fn gate(self, mut value: Self::V, gate: Self::V) -> Self::V {
+        for lane in 0..LANES {
+            value[lane] = if gate[lane] > 0.0 { value[lane] } else { 0.0 };
+        }
+        value
+    }
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -192,12 +201,30 @@ impl Isa for Avx2 {
     #[inline(always)]
     fn mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V {
         // SAFETY: self proves FMA.
-        unsafe { [_mm256_fmadd_ps(a[0], b[0], c[0]), _mm256_fmadd_ps(a[1], b[1], c[1])] }
+        unsafe {
+            [
+                _mm256_fmadd_ps(a[0], b[0], c[0]),
+                _mm256_fmadd_ps(a[1], b[1], c[1]),
+            ]
+        }
     }
     #[inline(always)]
     fn relu(self, value: Self::V) -> Self::V {
         // SAFETY: self proves AVX2. The second operand is returned where either is NaN.
-        unsafe { [0, 1].map(|half| _mm256_max_ps(_mm256_setzero_ps(), value[half])) }
+        unsafe {
+            let zero = _mm256_setzero_ps();
+            [_mm256_max_ps(zero, value[0]), _mm256_max_ps(zero, value[1])]
+        }
+    }
+    #[inline(always)]
+    fn gate(self, value: Self::V, gate: Self::V) -> Self::V {
+        // SAFETY: self proves AVX2. An ordered comparison with NaN is false.
+        unsafe {
+            let zero = _mm256_setzero_ps();
+            let low = _mm256_cmp_ps::<_CMP_GT_OQ>(gate[0], zero);
+            let high = _mm256_cmp_ps::<_CMP_GT_OQ>(gate[1], zero);
+            [_mm256_and_ps(low, value[0]), _mm256_and_ps(high, value[1])]
+        }
     }
 }
 
@@ -230,5 +257,13 @@ impl Isa for Avx512 {
     fn relu(self, value: Self::V) -> Self::V {
         // SAFETY: self proves AVX-512 F. The second operand is returned where either is NaN.
         unsafe { _mm512_max_ps(_mm512_setzero_ps(), value) }
+    }
+    #[inline(always)]
+    fn gate(self, value: Self::V, gate: Self::V) -> Self::V {
+        // SAFETY: self proves AVX-512 F. An ordered comparison with NaN is false.
+        unsafe {
+            let open = _mm512_cmp_ps_mask::<_CMP_GT_OQ>(gate, _mm512_setzero_ps());
+            _mm512_maskz_mov_ps(open, value)
+        }
     }
 }

@@ -1,0 +1,204 @@
+//! From the gradients of all chunks to new weights, in an order that no thread can change.
+
+use rayon::prelude::*;
+
+use crate::batch::Found;
+use crate::cpu::adam::{Adam, Bias, Moments};
+use crate::cpu::encode::{Points, Scatter, Shape};
+use crate::cpu::simd::{Block, LANES, Level, flat};
+use crate::trainer::State;
+use crate::weights::NET_ROW;
+use crate::{Gain, Trainer};
+
+/// Adam's epsilon: gradients of a mean over the batch are about 1e-6, rounding noise is below 1e-12.
+const EPSILON: f32 = 1e-12;
+/// Pull of the networks' weights to zero (instant-ngp's l2).
+const DECAY: f32 = 1e-6;
+/// The averaged weights keep this share of themselves every step, less in the first steps.
+const AVERAGE: f32 = 0.95;
+/// Step size of log gains, as a share of the learning rate.
+const GAIN_RATE: f32 = 0.1;
+
+impl Trainer {
+    /// Takes the gradients of all chunks into the weights.
+    pub(crate) fn learn(&mut self, found: &[Found]) {
+        let slowed = 1.0 + 3.0 * self.state.steps as f64 / f64::from(self.config.half_rate_steps);
+        let rate = (self.config.learning_rate / slowed.sqrt()) as f32;
+        let keep = AVERAGE.min((1.0 + self.state.steps as f32) / (10.0 + self.state.steps as f32));
+        self.learn_tables(found, rate, keep);
+        self.learn_networks(found, rate, keep);
+        if self.config.gain == Gain::PerPhoto {
+            self.learn_gains(found, rate * GAIN_RATE);
+        }
+    }
+
+    /// One task owns one level: it adds all samples in order, then moves the table.
+    fn learn_tables(&mut self, found: &[Found], rate: f32, keep: f32) {
+        let (level, bias) = (self.level, &self.bias);
+        let State {
+            weights,
+            average,
+            moments,
+            ..
+        } = &mut self.state;
+        let features = weights.features;
+        let width = weights.shapes.len() * features / LANES;
+        let shapes = weights.shapes.par_iter();
+        let tables = weights.tables.par_iter_mut().zip(&mut average.tables);
+        let tasks = shapes
+            .zip(tables)
+            .zip(&mut self.gradients)
+            .zip(moments)
+            .enumerate()
+            .with_max_len(1);
+        tasks.for_each(|(index, (((shape, (table, average)), gradient), moments))| {
+            for found in found {
+                scatter(
+                    level,
+                    *shape,
+                    gradient,
+                    found,
+                    [features, index * features, width],
+                );
+            }
+            match features {
+                2 => adam::<2>(level, table, gradient, moments, [rate, 0.0], bias),
+                _ => adam::<4>(level, table, gradient, moments, [rate, 0.0], bias),
+            }
+            blend(average, table, keep);
+        });
+    }
+
+    fn learn_networks(&mut self, found: &[Found], rate: f32, keep: f32) {
+        let State {
+            weights,
+            average,
+            moments,
+            ..
+        } = &mut self.state;
+        let tables = weights.tables.len();
+        let mut sums: Vec<Vec<f32>> = Vec::new();
+        for layer in 0..weights.density.layers.len() {
+            sums.push(summed(found.iter().map(|found| flat(&found.density[layer]))));
+        }
+        for layer in 0..weights.color.layers.len() {
+            sums.push(summed(found.iter().map(|found| flat(&found.color[layer]))));
+        }
+        sums.push(summed(found.iter().map(|found| found.background.as_slice())));
+        let tensors = weights
+            .tensors_mut()
+            .into_iter()
+            .zip(average.tensors_mut())
+            .skip(tables);
+        for ((((name, values), (_, average)), moments), mut gradient) in
+            tensors.zip(moments.iter_mut().skip(tables)).zip(sums)
+        {
+            let decay = if name == "background" { 0.0 } else { DECAY };
+            adam::<NET_ROW>(
+                self.level,
+                values,
+                &mut gradient,
+                moments,
+                [rate, decay],
+                &self.bias,
+            );
+            blend(average, values, keep);
+        }
+        weights.refresh();
+        average.refresh();
+    }
+
+    /// Moves the log gains and takes their mean away: the scene keeps its own brightness.
+    fn learn_gains(&mut self, found: &[Found], rate: f32) {
+        let mut gradient = vec![0.0; self.state.gains.len()];
+        for (view, gains) in found.iter().flat_map(|found| &found.gains) {
+            for channel in 0..3 {
+                gradient[*view as usize * 4 + channel] += gains[channel];
+            }
+        }
+        let (gains, moments) = (&mut self.state.gains, &mut self.state.gain_moments);
+        adam::<4>(self.level, gains, &mut gradient, moments, [rate, 0.0], &self.bias);
+        let views = self.views.len() as f32;
+        for channel in 0..3 {
+            let mean = gains.iter().skip(channel).step_by(4).sum::<f32>() / views;
+            gains
+                .iter_mut()
+                .skip(channel)
+                .step_by(4)
+                .for_each(|gain| *gain -= mean);
+        }
+    }
+}
+
+/// `[features, first, width]`: features an entry, the level's first in the row, blocks a row.
+fn scatter(
+    level: Level,
+    shape: Shape,
+    gradient: &mut [f32],
+    found: &Found,
+    [features, first, width]: [usize; 3],
+) {
+    let points = Points {
+        x: &found.x,
+        y: &found.y,
+        z: &found.z,
+    };
+    let rows: &[Block] = &found.features;
+    debug_assert!(found.x.len().is_multiple_of(LANES));
+    match features {
+        2 => level.run(Scatter::<2> {
+            shape,
+            gradient,
+            points,
+            rows,
+            width,
+            first,
+        }),
+        _ => level.run(Scatter::<4> {
+            shape,
+            gradient,
+            points,
+            rows,
+            width,
+            first,
+        }),
+    }
+}
+
+/// `rates`: step size and pull to zero.
+fn adam<const F: usize>(
+    level: Level,
+    weights: &mut [f32],
+    gradient: &mut [f32],
+    moments: &mut Moments,
+    rates: [f32; 2],
+    bias: &Bias,
+) {
+    level.run(Adam::<F> {
+        weights,
+        gradient,
+        moments,
+        rate: rates[0],
+        epsilon: EPSILON,
+        decay: rates[1],
+        bias,
+    });
+}
+
+/// average = keep average + (1 - keep) values.
+fn blend(average: &mut [f32], values: &[f32], keep: f32) {
+    for (average, value) in average.iter_mut().zip(values) {
+        *average += (1.0 - keep) * (*value - *average);
+    }
+}
+
+/// Sums arrays of one length in order.
+fn summed<'a>(mut parts: impl Iterator<Item = &'a [f32]>) -> Vec<f32> {
+    let mut sum = parts.next().unwrap_or_default().to_vec();
+    for part in parts {
+        for (sum, value) in sum.iter_mut().zip(part) {
+            *sum += *value;
+        }
+    }
+    sum
+}

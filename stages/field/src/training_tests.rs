@@ -1,0 +1,435 @@
+//! Training as a whole: equal bytes, resumption, learning, refusals, degenerate photos.
+
+use marf_scene::{Camera, Image, Pose};
+use nalgebra::Vector3;
+
+use crate::cpu::simd::Level;
+use crate::{Background, Config, Field, FieldError, Gain, Trainer, View};
+
+/// A ball of radius 1 with a wavy coat before a sky that grows lighter upwards.
+fn shade(origin: Vector3<f64>, direction: Vector3<f64>) -> [u8; 3] {
+    let toward = -origin.dot(&direction);
+    let miss = (origin + direction * toward).norm_squared();
+    if miss > 1.0 || toward < 0.0 {
+        let up = 0.5 + 0.5 * direction.z;
+        return [
+            (90.0 + 60.0 * up) as u8,
+            (110.0 + 60.0 * up) as u8,
+            (150.0 + 80.0 * up) as u8,
+        ];
+    }
+    let hit = origin + direction * (toward - (1.0 - miss).sqrt());
+    let wave = (hit.x * 4.0).sin() * (hit.y * 4.0).cos() + 0.5 * hit.z;
+    [160.0 + 60.0 * wave, 110.0 - 40.0 * wave, 80.0 + 20.0 * wave].map(|channel| channel as u8)
+}
+
+fn ball_view(angle: f64, height: f64, width: u32) -> View {
+    let eye = Vector3::new(3.0 * angle.cos(), 3.0 * angle.sin(), height);
+    let camera = Camera::pinhole(width, width, f64::from(width));
+    let cam_from_world = Pose::looking_at(eye, Vector3::zeros(), -Vector3::z());
+    let image = Image::from_fn(width, width, |column, row| {
+        let pixel = nalgebra::Vector2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
+        let ray = cam_from_world
+            .inverse()
+            .direction(&camera.unproject(&pixel).unwrap());
+        shade(eye, ray.normalize())
+    });
+    View {
+        id: format!("ball {angle:.2}"),
+        camera,
+        cam_from_world,
+        image,
+    }
+}
+
+fn ball(count: u32, width: u32) -> Vec<View> {
+    let angle = |index: u32| f64::from(index) / f64::from(count) * std::f64::consts::TAU;
+    (0..count)
+        .map(|index| ball_view(angle(index), [0.8, -0.6][index as usize % 2], width))
+        .collect()
+}
+
+fn small() -> Config {
+    Config {
+        levels: 4,
+        log2_table: 11,
+        base_resolution: 8,
+        density_width: 16,
+        color_width: 16,
+        batch_samples: 1024,
+        occupancy_resolution: 32,
+        cone: 0.1,
+        min_step: 0.05,
+        near: 0.2,
+        gain: Gain::PerPhoto,
+        ..Config::default()
+    }
+}
+
+fn trained(views: Vec<View>, config: &Config, seed: u64, steps: u32) -> Trainer {
+    let mut trainer = Trainer::new(views, &[], config, seed).unwrap();
+    for _ in 0..steps {
+        trainer.step().unwrap();
+    }
+    trainer
+}
+
+fn psnr(field: &Field, view: &View) -> f64 {
+    let found = field.render(&view.camera, &view.cam_from_world).to_image();
+    let pairs = found
+        .pixels
+        .as_flattened()
+        .iter()
+        .zip(view.image.pixels.as_flattened());
+    let sum: f64 = pairs.map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
+    -10.0
+        * (sum / (3 * found.pixels.len()) as f64 / 65025.0)
+            .max(1e-10)
+            .log10()
+}
+
+#[test]
+fn a_patterned_ball_is_learnt_to_25_db_on_a_held_out_view() {
+    let config = Config {
+        batch_samples: 8192,
+        density_width: 32,
+        log2_table: 13,
+        cone: 0.04,
+        min_step: 0.02,
+        ..small()
+    };
+    let trainer = trained(ball(24, 40), &config, 1, 800);
+    let field = trainer.field();
+    let held_out = ball_view(0.4, 0.3, 40);
+    let score = psnr(&field, &held_out);
+    assert!(score > 25.0, "{score} dB, {:?}", field.facts());
+    let render = field.render(&held_out.camera, &held_out.cam_from_world);
+    // The middle pixel looks at the ball, about 2 units away; the corner at the sky.
+    let (middle, corner) = (20 * 40 + 20, 0);
+    let depth = render.depth[middle];
+    assert!((1.7..2.4).contains(&depth), "depth {depth}");
+    assert!(
+        render.opacity[middle] > 0.9 && render.opacity[middle] <= 1.0,
+        "{}",
+        render.opacity[middle]
+    );
+    assert!(
+        render.rgb[corner]
+            .iter()
+            .all(|channel| (0.0..=1.0).contains(channel))
+    );
+}
+
+#[test]
+fn weights_are_the_same_with_1_2_3_and_16_threads() {
+    let digest = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        pool.install(|| {
+            let trainer = trained(ball(4, 16), &small(), 7, 40);
+            let view = ball_view(1.0, 0.0, 16);
+            (
+                trainer.save(),
+                trainer.field().encode(),
+                trainer.field().render(&view.camera, &view.cam_from_world),
+            )
+        })
+    };
+    let one = digest(1);
+    for threads in [2, 3, 16] {
+        assert!(digest(threads) == one, "{threads} threads");
+    }
+}
+
+#[test]
+fn weights_are_the_same_on_every_instruction_set() {
+    for features in [2, 4] {
+        let config = Config {
+            features,
+            levels: 32 / features,
+            density_width: 64,
+            color_width: 32,
+            color_layers: 2,
+            ..small()
+        };
+        let state = |level: Level| {
+            let mut trainer = Trainer::new(ball(3, 12), &[], &config, 3).unwrap();
+            trainer.level = level;
+            for _ in 0..20 {
+                trainer.step().unwrap();
+            }
+            let mut field = trainer.field();
+            field.level = level;
+            let view = ball_view(1.0, 0.0, 12);
+            (trainer.save(), field.render(&view.camera, &view.cam_from_world))
+        };
+        let levels = Level::all();
+        let plain = state(levels[0]);
+        for level in &levels[1..] {
+            assert!(state(*level) == plain, "{level:?}, {features} features");
+        }
+    }
+}
+
+#[test]
+fn a_resumed_training_gives_the_bytes_of_an_uninterrupted_one() {
+    let whole = trained(ball(4, 16), &small(), 7, 60);
+    let half = trained(ball(4, 16), &small(), 7, 37);
+    let mut resumed = Trainer::new(ball(4, 16), &[], &small(), 7).unwrap();
+    resumed.restore(&half.save()).unwrap();
+    assert_eq!(resumed.steps(), 37);
+    for _ in 37..60 {
+        resumed.step().unwrap();
+    }
+    assert!(resumed.save() == whole.save() && resumed.field().encode() == whole.field().encode());
+}
+
+#[test]
+fn a_checkpoint_of_another_training_or_a_damaged_one_is_refused() {
+    let state = trained(ball(4, 16), &small(), 7, 3).save();
+    let other = |seed, views, config: &Config| {
+        let mut trainer = Trainer::new(views, &[], config, seed).unwrap();
+        trainer.restore(&state)
+    };
+    assert_eq!(
+        other(8, ball(4, 16), &small()),
+        Err(FieldError::OtherTraining { what: "seed" })
+    );
+    let what = "photos, cameras or box";
+    let mut views = ball(4, 16);
+    views[2].image.pixels[5][1] ^= 1;
+    assert_eq!(other(7, views, &small()), Err(FieldError::OtherTraining { what }));
+    let config = Config { near: 0.3, ..small() };
+    assert_eq!(
+        other(7, ball(4, 16), &config),
+        Err(FieldError::OtherTraining { what: "config" })
+    );
+    let mut trainer = Trainer::new(ball(4, 16), &[], &small(), 7).unwrap();
+    let before = trainer.save();
+    for cut in [0, 7, 100, state.len() / 2, state.len() - 1] {
+        let error = trainer.restore(&state[..cut]).unwrap_err();
+        assert!(matches!(error, FieldError::Malformed { .. }), "{cut}: {error}");
+    }
+    assert!(trainer.save() == before);
+}
+
+#[test]
+fn seeds_that_differ_in_one_high_bit_give_other_weights() {
+    let weights = |seed| trained(ball(2, 8), &small(), seed, 2).field().encode();
+    let one = weights(1);
+    for bit in [0, 31, 32, 53, 63] {
+        assert!(weights(1 ^ (1 << bit)) != one, "bit {bit}");
+    }
+}
+
+#[test]
+fn a_field_survives_its_bytes_and_refuses_damaged_ones() {
+    let field = trained(ball(3, 12), &small(), 2, 20).field();
+    let bytes = field.encode();
+    let back = Field::decode(&bytes).unwrap();
+    assert!(back.encode() == bytes);
+    let view = ball_view(0.2, 0.1, 12);
+    let (one, other) = (
+        field.render(&view.camera, &view.cam_from_world),
+        back.render(&view.camera, &view.cam_from_world),
+    );
+    assert_eq!(one, other);
+    for cut in [0, 8, 200, bytes.len() - 1] {
+        let error = Field::decode(&bytes[..cut]).unwrap_err();
+        assert!(
+            matches!(error, FieldError::Malformed { what: "field", .. }),
+            "{cut}: {error}"
+        );
+    }
+    let mut nan = field.clone();
+    nan.weights.tables[1][5] = f32::NAN;
+    let error = Field::decode(&nan.encode()).unwrap_err().to_string();
+    assert_eq!(error, "not a field: `table.1` is NaN at 5");
+    let text = String::from_utf8_lossy(&bytes).replacen("\\\"levels\\\":4", "\\\"levels\\\":8", 1);
+    assert!(Field::decode(text.as_bytes()).is_err());
+    let mut larger = field;
+    larger.config.log2_table = 24;
+    let error = Field::decode(&larger.encode()).unwrap_err().to_string();
+    assert!(error.starts_with("not a field: tensor `table."), "{error}");
+}
+
+#[test]
+fn what_cannot_be_learnt_from_is_refused_by_name() {
+    let refuse = |views: Vec<View>, points: &[[f64; 3]], config: Config| {
+        Trainer::new(views, points, &config, 0).err().unwrap().to_string()
+    };
+    assert!(refuse(vec![], &[], small()).starts_with("no views"));
+    let mut views = ball(2, 8);
+    views[1].image.pixels.pop();
+    assert_eq!(
+        refuse(views, &[], small()),
+        "view `ball 3.14`: image of 8 x 8 with 63 pixels"
+    );
+    let mut views = ball(2, 8);
+    views[0].image = Image::from_fn(0, 0, |_, _| [0; 3]);
+    assert_eq!(
+        refuse(views, &[], small()),
+        "view `ball 0.00`: image of 0 x 0 with 0 pixels"
+    );
+    let mut views = ball(2, 8);
+    views[0].camera.width = 9;
+    assert!(refuse(views, &[], small()).contains("camera is for 9 x 8, the image has 8 x 8"));
+    let mut views = ball(2, 8);
+    views[1].cam_from_world.translation.x = f64::NAN;
+    assert!(refuse(views, &[], small()).starts_with("view `ball 3.14`: camera or pose"));
+    let point = [[0.0; 3], [1.0, f64::INFINITY, 0.0]];
+    assert!(refuse(ball(2, 8), &point, small()).starts_with("point 1 is not finite"));
+    let config = Config {
+        learning_rate: f64::NAN,
+        ..small()
+    };
+    assert_eq!(
+        refuse(ball(2, 8), &[], config),
+        "`learning_rate` is NaN, must be above 0, at most 1"
+    );
+}
+
+#[test]
+fn a_nan_weight_stops_the_step_and_leaves_the_state() {
+    let mut trainer = trained(ball(3, 12), &small(), 2, 5);
+    trainer.state.weights.tables[0].fill(f32::NAN);
+    let before = trainer.save();
+    let error = trainer.step().unwrap_err();
+    let text = error.to_string();
+    assert!(
+        text.starts_with("step 5: `raw density` is not finite at chunk 0"),
+        "{text}"
+    );
+    assert!(trainer.save() == before);
+}
+
+#[test]
+fn a_learning_rate_of_a_million_stops_by_name_or_stays_finite() {
+    let mut trainer = Trainer::new(ball(3, 12), &[], &small(), 2).unwrap();
+    trainer.config.learning_rate = 1e6;
+    for _ in 0..50 {
+        let before = trainer.save();
+        if let Err(error) = trainer.step() {
+            assert!(matches!(error, FieldError::NotFinite { .. }), "{error}");
+            assert!(trainer.save() == before);
+            return;
+        }
+        let finite = |(_, values): (String, &[f32])| values.iter().all(|value| value.is_finite());
+        assert!(
+            trainer.state.weights.tensors().into_iter().all(finite),
+            "step {}",
+            trainer.steps()
+        );
+    }
+}
+
+#[test]
+fn constant_photos_one_photo_and_one_pixel_train_without_harm() {
+    for value in [0_u8, 128, 255] {
+        for (count, width) in [(4, 8), (1, 8), (1, 1)] {
+            let mut views = ball(count, width);
+            views
+                .iter_mut()
+                .for_each(|view| view.image.pixels.fill([value; 3]));
+            let trainer = trained(views.clone(), &small(), 4, 300);
+            let score = psnr(&trainer.field(), &views[0]);
+            assert!(
+                score > 20.0,
+                "value {value}, {count} photos of {width} x {width}: {score} dB"
+            );
+        }
+    }
+}
+
+#[test]
+fn photos_of_different_sizes_train_together() {
+    let mut views = ball(3, 12);
+    views.push(ball_view(0.7, 0.2, 20));
+    let trainer = trained(views, &small(), 4, 30);
+    assert_eq!(trainer.steps(), 30);
+}
+
+#[test]
+fn gains_follow_the_exposure_and_keep_a_mean_of_zero() {
+    let mut views = ball(6, 16);
+    for pixel in views[0].image.pixels.as_flattened_mut() {
+        *pixel = (f32::from(*pixel) * 0.7) as u8;
+    }
+    let config = Config {
+        learning_rate: 2e-2,
+        batch_samples: 4096,
+        ..small()
+    };
+    let trainer = trained(views.clone(), &config, 4, 400);
+    for channel in 0..3 {
+        let gains: Vec<f32> = trainer
+            .state
+            .gains
+            .iter()
+            .skip(channel)
+            .step_by(4)
+            .copied()
+            .collect();
+        let mean = gains.iter().sum::<f32>() / 6.0;
+        assert!(mean.abs() < 1e-5, "channel {channel}: {gains:?}");
+        assert!(
+            gains[0] < -0.05 && gains[1..].iter().all(|gain| *gain > gains[0] + 0.05),
+            "{channel}: {gains:?}"
+        );
+    }
+    let off = Config {
+        gain: Gain::Off,
+        ..config
+    };
+    assert!(
+        trained(views, &off, 4, 10)
+            .state
+            .gains
+            .iter()
+            .all(|gain| *gain == 0.0)
+    );
+}
+
+#[test]
+fn a_black_background_stays_black_where_nothing_is() {
+    let config = Config {
+        background: Background::Black,
+        ..small()
+    };
+    let trainer = trained(ball(3, 12), &config, 4, 10);
+    assert!(trainer.state.weights.background.iter().all(|value| *value == 0.0));
+}
+
+/// Changes only when training answers differently: then the stages built on it raise their VERSION.
+const FINGERPRINT_OF_TWENTY_STEPS: u64 = 0xc71f_1311_4a02_6038;
+
+#[test]
+fn twenty_steps_on_exact_views_give_the_known_bytes() {
+    let view = |eye: [f64; 3], shade: u32| View {
+        id: format!("exact {shade}"),
+        camera: Camera::pinhole(12, 10, 12.0),
+        // Multiples of 1/2 and rotations of 0 and 1 only: the same bits on every platform.
+        cam_from_world: Pose {
+            translation: Vector3::from(eye),
+            ..Pose::identity()
+        },
+        image: Image::from_fn(12, 10, |x, y| {
+            [(x * 20) as u8, (y * 25) as u8, (shade * 60) as u8]
+        }),
+    };
+    let views = vec![
+        view([0.5, 0.0, 2.0], 0),
+        view([-0.5, 0.0, 2.0], 1),
+        view([0.0, 0.5, 2.5], 2),
+    ];
+    let bytes = trained(views, &small(), 9, 20).field().encode();
+    let mut sum = crate::rng::Fingerprint::default();
+    sum.add(bytes.iter().map(|byte| u64::from(*byte)));
+    assert_eq!(
+        sum.0, FINGERPRINT_OF_TWENTY_STEPS,
+        "training answers differently: {:#018x}; raise the VERSION of `train` and write the new number here",
+        sum.0
+    );
+}

@@ -1,0 +1,71 @@
+use marf_scene::{Camera, Image, Pose, Srgb};
+
+use crate::FieldError;
+
+/// A photo to learn from.
+#[derive(Clone, Debug)]
+pub struct View {
+    /// Id of the photo, for messages.
+    pub id: String,
+    /// Its camera, of the image's size.
+    pub camera: Camera,
+    /// Its pose: x right, y down, z forward.
+    pub cam_from_world: Pose,
+    /// Its pixels.
+    pub image: Image<Srgb>,
+}
+
+/// Returns the number of the first pixel of every view, and of all pixels at the end.
+pub fn pixel_offsets(views: &[View]) -> Vec<u64> {
+    let mut offsets = vec![0];
+    for view in views {
+        offsets.push(offsets.last().copied().unwrap_or(0) + view.image.pixels.len() as u64);
+    }
+    offsets
+}
+
+/// Refuses views that nothing can be learnt from.
+pub fn check_views(views: &[View]) -> Result<(), FieldError> {
+    if views.is_empty() {
+        return Err(FieldError::NoViews);
+    }
+    for view in views {
+        let (camera, image) = (&view.camera, &view.image);
+        let pixels = image.pixels.len();
+        if pixels == 0 || pixels != image.width as usize * image.height as usize {
+            return Err(FieldError::BadImage {
+                id: view.id.clone(),
+                width: image.width,
+                height: image.height,
+                pixels,
+            });
+        }
+        if !camera.is_valid() || !view.cam_from_world.is_valid() {
+            return Err(FieldError::BadCamera { id: view.id.clone() });
+        }
+        if (camera.width, camera.height) != (image.width, image.height) {
+            return Err(FieldError::SizeMismatch {
+                id: view.id.clone(),
+                camera_width: camera.width,
+                camera_height: camera.height,
+                width: image.width,
+                height: image.height,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Refuses points that are not finite.
+pub fn check_points(points: &[[f64; 3]]) -> Result<(), FieldError> {
+    match points
+        .iter()
+        .position(|point| !point.iter().all(|value| value.is_finite()))
+    {
+        Some(index) => Err(FieldError::BadPoint {
+            index,
+            position: points[index],
+        }),
+        None => Ok(()),
+    }
+}
