@@ -52,7 +52,7 @@ impl Default for BlurParams {
             min_ratio: 9.0,
             min_share: 0.5,
             floor_ratio: 3.0,
-            ceiling_ratio: 13.5,
+            ceiling_ratio: 11.0,
             min_set: 5,
             max_ratio: 400.0,
             max_multiple: 6.0,
