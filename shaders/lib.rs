@@ -35,16 +35,24 @@ mod tests {
     use super::*;
 
     fn validated(name: &str, source: &str) -> naga::Module {
-        let module = naga::front::wgsl::parse_str(source).unwrap_or_else(|error| panic!("{name}: {}", error.emit_to_string(source)));
-        let mut validator =
-            naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty());
-        validator.validate(&module).unwrap_or_else(|error| panic!("{name}: {}", error.emit_to_string(source)));
+        let module = naga::front::wgsl::parse_str(source)
+            .unwrap_or_else(|error| panic!("{name}: {}", error.emit_to_string(source)));
+        let mut validator = naga::valid::Validator::new(
+            naga::valid::ValidationFlags::all(),
+            naga::valid::Capabilities::empty(),
+        );
+        validator
+            .validate(&module)
+            .unwrap_or_else(|error| panic!("{name}: {}", error.emit_to_string(source)));
         module
     }
 
     /// Bytes of a struct of the shader, as naga lays it out.
     fn span(module: &naga::Module, name: &str) -> usize {
-        let found = module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name));
+        let found = module
+            .types
+            .iter()
+            .find(|(_, ty)| ty.name.as_deref() == Some(name));
         match found.map(|(_, ty)| &ty.inner) {
             Some(naga::TypeInner::Struct { span, .. }) => *span as usize,
             other => panic!("{name}: {other:?}"),
@@ -60,7 +68,14 @@ mod tests {
 
     #[test]
     fn every_kernel_begins_with_its_contract() {
-        for heading in ["// Source", "// Twin", "// Threads", "// Reads", "// Writes", "// Extremes"] {
+        for heading in [
+            "// Source",
+            "// Twin",
+            "// Threads",
+            "// Reads",
+            "// Writes",
+            "// Extremes",
+        ] {
             assert!(HASH_ENCODE.contains(heading), "{heading}");
         }
     }

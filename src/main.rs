@@ -16,7 +16,9 @@ fn main() -> ExitCode {
         asked.set();
     });
     if let Err(error) = handler {
-        marf::talk(&format!("warning: Ctrl-C stops at once and not at a checkpoint: {error}"));
+        marf::talk(&format!(
+            "warning: Ctrl-C stops at once and not at a checkpoint: {error}"
+        ));
     }
     marf::cli::main(&cancel)
 }

@@ -1,4 +1,9 @@
 //! Bad input gets one clear error that names the thing and the way out, and the right exit code.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a test that cannot go on should stop"
+)]
 
 mod common;
 
@@ -16,30 +21,55 @@ const HEAD: &str = "[archive.demo]\nkind = \"demo\"\n[node.extract]\narchive = \
 fn an_unknown_key_is_refused_with_its_place_and_the_nearest_name() {
     let dir = with_pipeline(&format!("{HEAD}[node.size]\ninput = \"extract\"\nmin_byte = 3\n"));
     let ran = marf(dir.path(), &["plan"]).exits(2);
-    assert!(ran.stderr.contains("pipeline.toml:7:1: unknown key `min_byte`"), "{}", ran.stderr);
+    assert!(
+        ran.stderr.contains("pipeline.toml:7:1: unknown key `min_byte`"),
+        "{}",
+        ran.stderr
+    );
     assert!(ran.stderr.contains("did you mean `min_bytes`?"), "{}", ran.stderr);
 }
 
 #[test]
 fn an_unknown_stage_and_an_unknown_upstream_are_refused() {
     let dir = with_pipeline("[node.extrct]\n");
-    assert!(marf(dir.path(), &["plan"]).exits(2).stderr.contains("did you mean `extract`?"));
+    assert!(
+        marf(dir.path(), &["plan"])
+            .exits(2)
+            .stderr
+            .contains("did you mean `extract`?")
+    );
     let dir = with_pipeline(&format!("{HEAD}[node.size]\ninput = \"extrat\"\n"));
-    assert!(marf(dir.path(), &["plan"]).exits(2).stderr.contains("did you mean `extract`?"));
+    assert!(
+        marf(dir.path(), &["plan"])
+            .exits(2)
+            .stderr
+            .contains("did you mean `extract`?")
+    );
 }
 
 #[test]
 fn a_cycle_is_printed_in_full() {
-    let text = "[node.size]\ninput = \"blur\"\n[node.shape]\ninput = \"size\"\n[node.blur]\ninput = \"shape\"\n";
+    let text =
+        "[node.size]\ninput = \"blur\"\n[node.shape]\ninput = \"size\"\n[node.blur]\ninput = \"shape\"\n";
     let ran = marf(with_pipeline(text).path(), &["run"]).exits(2);
-    assert!(ran.stderr.contains("size -> shape -> blur -> size"), "{}", ran.stderr);
+    assert!(
+        ran.stderr.contains("size -> shape -> blur -> size"),
+        "{}",
+        ran.stderr
+    );
 }
 
 #[test]
 fn a_value_of_the_wrong_type_is_named_at_its_place() {
-    let dir = with_pipeline(&format!("{HEAD}[node.size]\ninput = \"extract\"\nmin_bytes = \"many\"\n"));
+    let dir = with_pipeline(&format!(
+        "{HEAD}[node.size]\ninput = \"extract\"\nmin_bytes = \"many\"\n"
+    ));
     let ran = marf(dir.path(), &["run"]).exits(2);
-    assert!(ran.stderr.contains("pipeline.toml:7:13: node.size.min_bytes"), "{}", ran.stderr);
+    assert!(
+        ran.stderr.contains("pipeline.toml:7:13: node.size.min_bytes"),
+        "{}",
+        ran.stderr
+    );
 }
 
 #[test]
@@ -52,9 +82,15 @@ fn no_pipeline_says_how_to_get_one() {
 #[test]
 fn archives_of_later_versions_are_refused_by_name() {
     for kind in ["pds", "feed"] {
-        let dir = with_pipeline(&format!("[archive.a]\nkind = \"{kind}\"\n[node.extract]\narchive = \"a\"\n"));
+        let dir = with_pipeline(&format!(
+            "[archive.a]\nkind = \"{kind}\"\n[node.extract]\narchive = \"a\"\n"
+        ));
         let ran = marf(dir.path(), &["run"]).exits(2);
-        assert!(ran.stderr.contains("not in this version"), "{kind}: {}", ran.stderr);
+        assert!(
+            ran.stderr.contains("not in this version"),
+            "{kind}: {}",
+            ran.stderr
+        );
     }
 }
 
@@ -73,7 +109,11 @@ fn structure_from_motion_says_that_it_is_not_in_this_version() {
     let Some(data) = shared("dedup_mixed") else { return };
     let dir = tempfile::tempdir().unwrap();
     let ran = marf(dir.path(), &["calibrate", &data.to_string_lossy()]);
-    assert!(ran.code != 0 && ran.stderr.contains("not in this version"), "{}", ran.stderr);
+    assert!(
+        ran.code != 0 && ran.stderr.contains("not in this version"),
+        "{}",
+        ran.stderr
+    );
 }
 
 #[test]
@@ -90,7 +130,9 @@ fn init_writes_once_and_every_template_is_a_valid_pipeline() {
 
 #[test]
 fn hostile_toml_is_refused_without_a_crash() {
-    let Some(own) = shared("bad-inputs/own") else { return };
+    let Some(own) = shared("bad-inputs/own") else {
+        return;
+    };
     for name in ["deep.toml", "dup_key.toml", "nan.toml"] {
         let dir = tempfile::tempdir().unwrap();
         std::fs::copy(own.join(name), dir.path().join("pipeline.toml")).unwrap();

@@ -366,7 +366,7 @@ mod tests {
     #[test]
     fn every_change_of_content_changes_the_key() {
         let base = digest_of(&sample());
-        let mut others = vec![sample(), sample(), sample(), sample()];
+        let mut others = [sample(), sample(), sample(), sample()];
         others[0].name = "b".into();
         others[1].list.pop();
         others[2].rate = 0.25;

@@ -7,7 +7,13 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 
 /// Raw Mars rover and helicopter photos to radiance fields, with proof of how.
 #[derive(Debug, Parser)]
-#[command(name = "marf", version, about, max_term_width = 100, arg_required_else_help = true)]
+#[command(
+    name = "marf",
+    version,
+    about,
+    max_term_width = 100,
+    arg_required_else_help = true
+)]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]
@@ -21,10 +27,22 @@ pub struct Cli {
 #[derive(Debug, Clone, Args)]
 pub struct Global {
     /// Work as if started in this folder
-    #[arg(short = 'C', long = "directory", global = true, value_name = "DIR", default_value = ".")]
+    #[arg(
+        short = 'C',
+        long = "directory",
+        global = true,
+        value_name = "DIR",
+        default_value = "."
+    )]
     pub directory: PathBuf,
     /// The pipeline
-    #[arg(short, long, global = true, value_name = "FILE", default_value = "pipeline.toml")]
+    #[arg(
+        short,
+        long,
+        global = true,
+        value_name = "FILE",
+        default_value = "pipeline.toml"
+    )]
     pub file: PathBuf,
     /// The store of results [default: .marf beside the pipeline]
     #[arg(long, global = true, value_name = "DIR")]

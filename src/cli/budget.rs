@@ -9,7 +9,9 @@ const LONGEST_S: f64 = 86_400.0;
 /// Names a text that is no time, or out of 1 s to 24 h.
 pub fn seconds(text: &str) -> Result<u32, CliError> {
     let text = text.trim();
-    let unit = text.find(|char: char| char.is_ascii_alphabetic()).unwrap_or(text.len());
+    let unit = text
+        .find(|char: char| char.is_ascii_alphabetic())
+        .unwrap_or(text.len());
     let scale = match &text[unit..] {
         "" | "s" => 1.0,
         "m" | "min" => 60.0,
@@ -18,11 +20,17 @@ pub fn seconds(text: &str) -> Result<u32, CliError> {
     };
     let value: f64 = text[..unit].trim().parse().map_err(|_| refuse(text))?;
     let seconds = (value * scale).round();
-    if (1.0..=LONGEST_S).contains(&seconds) { Ok(seconds as u32) } else { Err(refuse(text)) }
+    if (1.0..=LONGEST_S).contains(&seconds) {
+        Ok(seconds as u32)
+    } else {
+        Err(refuse(text))
+    }
 }
 
 fn refuse(text: &str) -> CliError {
-    CliError::usage(format!("`{text}` is no budget: write 10s, 5m or 1h, from 1 s to 24 h"))
+    CliError::usage(format!(
+        "`{text}` is no budget: write 10s, 5m or 1h, from 1 s to 24 h"
+    ))
 }
 
 #[cfg(test)]
@@ -31,7 +39,14 @@ mod tests {
 
     #[test]
     fn budgets_are_read_in_seconds_minutes_and_hours() {
-        for (text, expected) in [("10s", 10), ("60", 60), ("5m", 300), ("1.5m", 90), ("1h", 3600), (" 10 s", 10)] {
+        for (text, expected) in [
+            ("10s", 10),
+            ("60", 60),
+            ("5m", 300),
+            ("1.5m", 90),
+            ("1h", 3600),
+            (" 10 s", 10),
+        ] {
             assert_eq!(seconds(text), Ok(expected), "{text}");
         }
     }

@@ -10,7 +10,7 @@ pub fn stat(global: &Global) -> Result<(), CliError> {
     if global.json {
         return say_json(&stat);
     }
-    let json = serde_json::to_value(&stat).map_err(|error| CliError::failed(error.to_string()))?;
+    let json = serde_json::to_value(stat).map_err(|error| CliError::failed(error.to_string()))?;
     for (key, value) in json.as_object().into_iter().flatten() {
         crate::say(&format!("{:<16} {value}", key.replace('_', " ")));
     }

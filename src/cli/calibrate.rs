@@ -19,7 +19,11 @@ pub fn calibrate(global: &Global, args: &CalibrateArgs, cancel: &Cancel) -> Resu
     };
     let metrics = output("metrics")?;
     export::one(&session, &output("transforms")?.digest, &args.out)?;
-    export::one(&session, &metrics.digest, &args.out.with_file_name("metrics.json"))?;
+    export::one(
+        &session,
+        &metrics.digest,
+        &args.out.with_file_name("metrics.json"),
+    )?;
     let json: serde_json::Value = serde_json::from_slice(&session.store.get(&metrics.digest)?)
         .map_err(|error| CliError::failed(format!("metrics: {error}")))?;
     if global.json {

@@ -29,7 +29,11 @@ pub struct Complaint {
 impl Complaint {
     /// A complaint without cause or hint.
     pub fn new(message: impl Into<String>) -> Self {
-        Self { message: message.into(), cause: None, hint: None }
+        Self {
+            message: message.into(),
+            cause: None,
+            hint: None,
+        }
     }
 
     /// Adds the way out.
@@ -43,15 +47,28 @@ impl Complaint {
     /// escaped, so that no file name can drive the terminal.
     pub fn render(&self) -> String {
         let line = |label: &str, text: &Option<String>| {
-            text.as_ref().map(|text| format!("\n  {label}: {}", printable(text))).unwrap_or_default()
+            text.as_ref()
+                .map(|text| format!("\n  {label}: {}", printable(text)))
+                .unwrap_or_default()
         };
-        format!("error: {}{}{}", printable(&self.message), line("cause", &self.cause), line("hint", &self.hint))
+        format!(
+            "error: {}{}{}",
+            printable(&self.message),
+            line("cause", &self.cause),
+            line("hint", &self.hint)
+        )
     }
 }
 
 /// Escapes control characters but the line feed.
 pub fn printable(text: &str) -> String {
-    let escape = |char: char| if char.is_control() && char != '\n' { char.escape_default().to_string() } else { char.into() };
+    let escape = |char: char| {
+        if char.is_control() && char != '\n' {
+            char.escape_default().to_string()
+        } else {
+            char.into()
+        }
+    };
     text.chars().map(escape).collect()
 }
 
@@ -87,7 +104,11 @@ impl CliError {
 
 impl From<LoadError> for CliError {
     fn from(error: LoadError) -> Self {
-        Self::Usage(Complaint { message: error.message, cause: None, hint: error.hint })
+        Self::Usage(Complaint {
+            message: error.message,
+            cause: None,
+            hint: error.hint,
+        })
     }
 }
 
@@ -97,7 +118,11 @@ mod tests {
 
     #[test]
     fn a_complaint_has_its_three_lines_and_no_escape_codes() {
-        let complaint = Complaint { message: "bad\u{1b}[2J".into(), cause: Some("c".into()), hint: Some("h".into()) };
+        let complaint = Complaint {
+            message: "bad\u{1b}[2J".into(),
+            cause: Some("c".into()),
+            hint: Some("h".into()),
+        };
         assert_eq!(complaint.render(), "error: bad\\u{1b}[2J\n  cause: c\n  hint: h");
     }
 }

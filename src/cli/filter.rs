@@ -10,7 +10,15 @@ use super::session::Session;
 use super::{files, say_json, verdicts};
 
 /// The chain of `marf filter`, with every filter's own defaults.
-const CHAIN: [&str; 7] = ["extract", "size", "shape", "duplicate", "grayscale", "histogram", "blur"];
+const CHAIN: [&str; 7] = [
+    "extract",
+    "size",
+    "shape",
+    "duplicate",
+    "grayscale",
+    "histogram",
+    "blur",
+];
 
 /// `marf filter DIR`: judges the photos of a folder.
 pub fn filter(global: &Global, dir: &Path, out: &Path, cancel: &Cancel) -> Result<(), CliError> {

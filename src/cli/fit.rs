@@ -13,7 +13,11 @@ use super::{budget, export, files, say_json};
 /// `marf fit DIR`: trains for each budget and renders the held-out views. One budget after the other, so that
 /// each has the whole machine.
 pub fn fit(global: &Global, args: &FitArgs, cancel: &Cancel) -> Result<(), CliError> {
-    let budgets = args.budget.iter().map(|text| budget::seconds(text)).collect::<Result<Vec<_>, _>>()?;
+    let budgets = args
+        .budget
+        .iter()
+        .map(|text| budget::seconds(text))
+        .collect::<Result<Vec<_>, _>>()?;
     let mut all = Map::new();
     for seconds in budgets {
         let session = Session::implicit(&pipeline(args, seconds), global)?;
@@ -59,7 +63,10 @@ fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<Json, CliE
             export::one(session, &output.digest, &out.join(file))?;
         }
     }
-    let output = node.outputs.get("metrics").ok_or_else(|| CliError::failed("train gave no `metrics`"))?;
+    let output = node
+        .outputs
+        .get("metrics")
+        .ok_or_else(|| CliError::failed("train gave no `metrics`"))?;
     let metrics: Json = serde_json::from_slice(&session.store.get(&output.digest)?)
         .map_err(|error| CliError::failed(format!("metrics: {error}")))?;
     let made = node.key.and_then(|key| session.store.record(&key).ok().flatten());

@@ -7,7 +7,9 @@ use crate::config;
 pub fn init(global: &Global, mission: Mission) -> Result<(), CliError> {
     if global.file.exists() {
         let complaint = Complaint::new(format!("{} is there already", global.file.display()));
-        return Err(CliError::Usage(complaint.hint("name another with --file, or remove it")));
+        return Err(CliError::Usage(
+            complaint.hint("name another with --file, or remove it"),
+        ));
     }
     let name = match mission {
         Mission::Demo => "demo",

@@ -61,7 +61,9 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
         Verb::Init { mission } => init::init(global, *mission),
         Verb::Schema => say_json(&crate::config::schema()),
         Verb::Report { out } => report::report(global, out),
-        Verb::Cache { verb: CacheVerb::Stat } => cache::stat(global),
+        Verb::Cache {
+            verb: CacheVerb::Stat,
+        } => cache::stat(global),
         Verb::Filter { dir, out } => filter::filter(global, dir, out, cancel),
         Verb::Calibrate(args) => calibrate::calibrate(global, args, cancel),
         Verb::Fit(args) => fit::fit(global, args, cancel),

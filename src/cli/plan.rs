@@ -10,16 +10,23 @@ pub fn plan(global: &Global, selection: &Selection) -> Result<(), CliError> {
     let session = Session::open(global)?;
     let last = session.last()?;
     let mut nodes = marf_engine::plan(&session.graph, &session.store, last.as_ref())?;
-    let chosen = session.graph.select(selection.to.as_slice(), selection.from.as_slice())?;
+    let chosen = session
+        .graph
+        .select(selection.to.as_slice(), selection.from.as_slice())?;
     nodes.retain(|node| chosen.contains(&node.node));
     if global.json {
-        let rows = nodes.iter().map(|node| serde_json::json!({"node": node.node, "state": node.state, "reason": node.reason}));
+        let rows = nodes
+            .iter()
+            .map(|node| serde_json::json!({"node": node.node, "state": node.state, "reason": node.reason}));
         return say_json(&rows.collect::<Vec<_>>());
     }
     for node in &nodes {
         crate::say(format!("{:<16} {:<9} {}", node.node, word(node.state), node.reason).trim_end());
     }
-    let runs = nodes.iter().filter(|node| node.state == PlanState::WillRun).count();
+    let runs = nodes
+        .iter()
+        .filter(|node| node.state == PlanState::WillRun)
+        .count();
     crate::say(&format!("{runs} of {} nodes will run", nodes.len()));
     Ok(())
 }
@@ -32,7 +39,12 @@ pub fn why(global: &Global, node: &str) -> Result<(), CliError> {
     if global.json {
         return say_json(&planned);
     }
-    crate::say(&format!("{} ({}): {}", planned.node, word(planned.state), planned.reason));
+    crate::say(&format!(
+        "{} ({}): {}",
+        planned.node,
+        word(planned.state),
+        planned.reason
+    ));
     tell_changes(&planned);
     Ok(())
 }

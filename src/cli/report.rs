@@ -14,7 +14,9 @@ use crate::show::{self, ChildView, NodeView, ReportInput, State};
 /// `marf report`: writes the report of the last run.
 pub fn report(global: &Global, out: &Path) -> Result<(), CliError> {
     let session = Session::open(global)?;
-    let record = session.last()?.ok_or_else(|| CliError::failed(format!("`{}` has not run yet", session.name)))?;
+    let record = session
+        .last()?
+        .ok_or_else(|| CliError::failed(format!("`{}` has not run yet", session.name)))?;
     write(&session, &record, out)?;
     crate::talk(&format!("wrote {}", out.display()));
     Ok(())
@@ -27,7 +29,11 @@ pub fn report(global: &Global, out: &Path) -> Result<(), CliError> {
 pub fn refresh(session: &Session, record: &RunRecord, out: &Path) -> Result<(), CliError> {
     let quiet = record.nodes.iter().all(|node| node.state == NodeState::Reused);
     let current = std::fs::read_to_string(out).is_ok_and(|text| text.contains(&marker(record)));
-    if quiet && current { Ok(()) } else { write(session, record, out) }
+    if quiet && current {
+        Ok(())
+    } else {
+        write(session, record, out)
+    }
 }
 
 fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<(), CliError> {
@@ -40,13 +46,19 @@ fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<(), CliErr
         nodes: nodes(session, record),
         read: &read,
     };
-    files::write(out, format!("{}\n{}\n", show::write(&input), marker(record)).as_bytes())
+    files::write(
+        out,
+        format!("{}\n{}\n", show::write(&input), marker(record)).as_bytes(),
+    )
 }
 
 /// A comment that names the keys of all nodes: equal keys, equal content.
 fn marker(record: &RunRecord) -> String {
-    let keys: Vec<String> =
-        record.nodes.iter().map(|node| node.key.map(|key| key.to_string()).unwrap_or_default()).collect();
+    let keys: Vec<String> = record
+        .nodes
+        .iter()
+        .map(|node| node.key.map(|key| key.to_string()).unwrap_or_default())
+        .collect();
     format!("<!-- keys {} -->", Digest::of(keys.join(" ").as_bytes()))
 }
 
@@ -54,17 +66,28 @@ fn nodes(session: &Session, record: &RunRecord) -> Vec<NodeView> {
     let parents = record.nodes.iter().filter(|node| node.parent.is_none());
     let view = |node: &marf_engine::NodeRun| {
         let info = session.nodes.iter().find(|info| info.name == node.name);
-        let children = record.nodes.iter().filter(|child| child.parent.as_deref() == Some(node.name.as_str()));
+        let children = record
+            .nodes
+            .iter()
+            .filter(|child| child.parent.as_deref() == Some(node.name.as_str()));
         NodeView {
             name: node.name.clone(),
             stage: node.stage.clone(),
             about: info.map(|info| info.about.to_owned()).unwrap_or_default(),
-            upstream: node.edges.iter().map(|edge| (edge.key.clone(), edge.upstream.clone())).collect(),
+            upstream: node
+                .edges
+                .iter()
+                .map(|edge| (edge.key.clone(), edge.upstream.clone()))
+                .collect(),
             state: state(node.state),
             reason: node.reason.clone(),
             seconds: (node.state == NodeState::Finished).then_some(node.seconds),
             params: info.map(|info| info.params.clone()).unwrap_or_default(),
-            outputs: node.outputs.iter().map(|(name, output)| (name.clone(), output.digest)).collect(),
+            outputs: node
+                .outputs
+                .iter()
+                .map(|(name, output)| (name.clone(), output.digest))
+                .collect(),
             children: children
                 .map(|child| ChildView {
                     name: child.name.clone(),

@@ -54,14 +54,23 @@ pub fn execute(
     global: &Global,
     cancel: &Cancel,
 ) -> Result<(RunRecord, Result<(), CliError>), CliError> {
-    let voice = if global.json { Voice::Json } else { Voice::for_people() };
-    let ear = Ear { voice, failure: Mutex::default() };
+    let voice = if global.json {
+        Voice::Json
+    } else {
+        Voice::for_people()
+    };
+    let ear = Ear {
+        voice,
+        failure: Mutex::default(),
+    };
     let record = marf_engine::run(&session.graph, &session.store, options, &ear, cancel)?;
     let failure = ear.failure.into_inner().unwrap_or_else(PoisonError::into_inner);
     let ended = match record.outcome {
         Outcome::Done => Ok(()),
         Outcome::Cancelled => Err(CliError::Interrupted),
-        Outcome::Failed => Err(CliError::Failed(failure.unwrap_or_else(|| Complaint::new("a node failed")))),
+        Outcome::Failed => Err(CliError::Failed(
+            failure.unwrap_or_else(|| Complaint::new("a node failed")),
+        )),
     };
     Ok((record, ended))
 }
@@ -75,9 +84,22 @@ struct Ear {
 impl Listener for Ear {
     fn hear(&self, event: &Event) {
         self.voice.hear(event);
-        if let Event::Failed { node, message, cause, hint } = event {
-            let complaint = Complaint { message: format!("{node}: {message}"), cause: cause.clone(), hint: hint.clone() };
-            self.failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(complaint);
+        if let Event::Failed {
+            node,
+            message,
+            cause,
+            hint,
+        } = event
+        {
+            let complaint = Complaint {
+                message: format!("{node}: {message}"),
+                cause: cause.clone(),
+                hint: hint.clone(),
+            };
+            self.failure
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .get_or_insert(complaint);
         }
     }
 }
@@ -86,12 +108,32 @@ impl Listener for Ear {
 fn table(record: &RunRecord, session: &Session) -> String {
     let mut lines = vec![format!("{:<16} {:<9} {:>12}  result", "node", "state", "time")];
     for node in record.nodes.iter().filter(|node| node.parent.is_none()) {
-        let time = if node.state == NodeState::Finished { duration(node.seconds) } else { String::new() };
+        let time = if node.state == NodeState::Finished {
+            duration(node.seconds)
+        } else {
+            String::new()
+        };
         let state = state_word(node.state);
-        lines.push(format!("{:<16} {state:<9} {time:>12}  {}", node.name, result(node, session)).trim_end().to_owned());
+        lines.push(
+            format!(
+                "{:<16} {state:<9} {time:>12}  {}",
+                node.name,
+                result(node, session)
+            )
+            .trim_end()
+            .to_owned(),
+        );
     }
-    let ran = record.nodes.iter().filter(|node| node.state == NodeState::Finished).count();
-    lines.push(format!("{ran} of {} nodes ran in {}", record.nodes.len(), duration(record.seconds)));
+    let ran = record
+        .nodes
+        .iter()
+        .filter(|node| node.state == NodeState::Finished)
+        .count();
+    lines.push(format!(
+        "{ran} of {} nodes ran in {}",
+        record.nodes.len(),
+        duration(record.seconds)
+    ));
     lines.join("\n")
 }
 
@@ -111,12 +153,26 @@ fn result(node: &NodeRun, session: &Session) -> String {
     if matches!(node.state, NodeState::Failed | NodeState::Skipped) {
         return node.reason.clone();
     }
-    let mut parts: Vec<String> =
-        node.counts.iter().map(|(what, count)| format!("{count} {}", what.replace('_', " "))).collect();
-    let metrics = node.outputs.get("metrics").and_then(|output| session.store.get(&output.digest).ok());
+    let mut parts: Vec<String> = node
+        .counts
+        .iter()
+        .map(|(what, count)| format!("{count} {}", what.replace('_', " ")))
+        .collect();
+    let metrics = node
+        .outputs
+        .get("metrics")
+        .and_then(|output| session.store.get(&output.digest).ok());
     let metrics = metrics.and_then(|bytes| serde_json::from_slice::<serde_json::Value>(&bytes).ok());
-    for (key, label, unit) in [("psnr", "held-out PSNR", " dB"), ("ssim", "SSIM", ""), ("std", "mean std", "")] {
-        if let Some(value) = metrics.as_ref().and_then(|metrics| metrics.get(key)).and_then(|value| value.as_f64()) {
+    for (key, label, unit) in [
+        ("psnr", "held-out PSNR", " dB"),
+        ("ssim", "SSIM", ""),
+        ("std", "mean std", ""),
+    ] {
+        if let Some(value) = metrics
+            .as_ref()
+            .and_then(|metrics| metrics.get(key))
+            .and_then(|value| value.as_f64())
+        {
             parts.push(format!("{label} {value:.3}{unit}"));
         }
     }

@@ -48,22 +48,39 @@ impl Session {
     /// As [`Session::open`].
     pub fn implicit(text: &str, global: &Global) -> Result<Self, CliError> {
         let pipeline = config::check(text, &global.sets, Path::new("")).map_err(|error| {
-            CliError::Usage(Complaint { message: error.render(Path::new("(built-in pipeline)"), text), cause: None, hint: error.hint })
+            CliError::Usage(Complaint {
+                message: error.render(Path::new("(built-in pipeline)"), text),
+                cause: None,
+                hint: error.hint,
+            })
         })?;
         Self::of(pipeline, &store_dir(global, Path::new("")))
     }
 
     fn of(pipeline: Pipeline, store: &Path) -> Result<Self, CliError> {
-        let info = |node: &config::Node| NodeInfo { name: node.name.clone(), about: node.def.about, params: node.params.clone() };
+        let info = |node: &config::Node| NodeInfo {
+            name: node.name.clone(),
+            about: node.def.about,
+            params: node.params.clone(),
+        };
         let nodes = pipeline.nodes.iter().map(info).collect();
         let decls = pipeline.nodes.into_iter().map(|node| NodeDecl {
             name: node.name,
             stage: node.def,
             bound: node.stage,
-            edges: node.edges.into_iter().map(|(key, upstream)| Edge { key, upstream }).collect(),
+            edges: node
+                .edges
+                .into_iter()
+                .map(|(key, upstream)| Edge { key, upstream })
+                .collect(),
         });
         let graph = Graph::new(decls.collect(), marf_stages::stages())?;
-        Ok(Self { name: pipeline.name, graph, store: open_store(store)?, nodes })
+        Ok(Self {
+            name: pipeline.name,
+            graph,
+            store: open_store(store)?,
+            nodes,
+        })
     }
 
     /// Returns the last run of this pipeline.
@@ -91,14 +108,21 @@ pub fn existing_store(global: &Global) -> Result<Store, CliError> {
     let dir = store_dir(global, &global.file);
     if !dir.is_dir() {
         let complaint = Complaint::new(format!("there is no store at {}", dir.display()));
-        return Err(CliError::Failed(complaint.hint("`marf run` makes one; name another with --store")));
+        return Err(CliError::Failed(
+            complaint.hint("`marf run` makes one; name another with --store"),
+        ));
     }
     open_store(&dir)
 }
 
 /// `--store`, or `.marf` beside the pipeline.
 fn store_dir(global: &Global, file: &Path) -> PathBuf {
-    let beside = || file.parent().map(Path::to_path_buf).unwrap_or_default().join(".marf");
+    let beside = || {
+        file.parent()
+            .map(Path::to_path_buf)
+            .unwrap_or_default()
+            .join(".marf")
+    };
     global.store.clone().unwrap_or_else(beside)
 }
 
@@ -106,7 +130,9 @@ impl From<StoreError> for CliError {
     fn from(error: StoreError) -> Self {
         let complaint = Complaint::new(error.to_string());
         match error {
-            StoreError::Locked { .. } => Self::Locked(complaint.hint("wait for the other run, or give this one its own --store")),
+            StoreError::Locked { .. } => {
+                Self::Locked(complaint.hint("wait for the other run, or give this one its own --store"))
+            }
             _ => Self::Failed(complaint),
         }
     }

@@ -16,10 +16,20 @@ pub fn status(global: &Global) -> Result<(), CliError> {
         return say_json(run);
     }
     let outcome = format!("{:?}", run.outcome).to_lowercase();
-    crate::say(&format!("run {} of `{}`: {outcome} in {}", run.number, run.pipeline, duration(run.seconds)));
+    crate::say(&format!(
+        "run {} of `{}`: {outcome} in {}",
+        run.number,
+        run.pipeline,
+        duration(run.seconds)
+    ));
     for node in &run.nodes {
         let key = node.key.map(|key| key.short()).unwrap_or_default();
-        let line = format!("{:<22} {:<8} {key:<13} {}", node.name, state_word(node.state), node.reason);
+        let line = format!(
+            "{:<22} {:<8} {key:<13} {}",
+            node.name,
+            state_word(node.state),
+            node.reason
+        );
         crate::say(line.trim_end());
     }
     Ok(())

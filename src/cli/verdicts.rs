@@ -20,19 +20,28 @@ pub fn merged(session: &Session, record: &RunRecord, chain: &[&str]) -> Result<V
     let mut by_id: BTreeMap<String, Verdict> = BTreeMap::new();
     for name in chain {
         let node = record.nodes.iter().find(|node| node.name == *name);
-        let Some(output) = node.and_then(|node| node.outputs.get(VERDICTS)) else { continue };
+        let Some(output) = node.and_then(|node| node.outputs.get(VERDICTS)) else {
+            continue;
+        };
         for verdict in parse(&session.store.get(&output.digest)?)? {
             by_id.insert(verdict.id.clone(), verdict);
         }
     }
-    let mut verdicts: Vec<Verdict> = by_id.into_values().filter(|verdict| verdict.verdict != SKIPPED).collect();
+    let mut verdicts: Vec<Verdict> = by_id
+        .into_values()
+        .filter(|verdict| verdict.verdict != SKIPPED)
+        .collect();
     verdicts.sort_by(|a, b| a.file.cmp(&b.file));
     Ok(verdicts)
 }
 
 fn parse(bytes: &[u8]) -> Result<Vec<Verdict>, CliError> {
     let lines = bytes.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
-    lines.map(|line| serde_json::from_slice(line).map_err(|error| CliError::failed(format!("verdicts: {error}")))).collect()
+    lines
+        .map(|line| {
+            serde_json::from_slice(line).map_err(|error| CliError::failed(format!("verdicts: {error}")))
+        })
+        .collect()
 }
 
 /// Returns the CSV: file, verdict, score, threshold, twin, reason.

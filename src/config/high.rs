@@ -120,15 +120,13 @@ fn node(entry: &Entry, names: &[&str], archives: &Archives) -> Result<Node, Conf
             return Err(ConfigError::at(field.at.clone(), message).hint(nearest(key, known)));
         }
     }
-    for port in def
+    if let Some(port) = def
         .ports
         .iter()
-        .filter(|port| port.required && !edges.contains_key(port.key))
+        .find(|port| port.required && !edges.contains_key(port.key))
     {
-        let message = format!(
-            "`node.{}` needs `{} = \"…\"`, the node that gives it `{}`",
-            entry.key, port.key, port.output
-        );
+        let (name, key, output) = (&entry.key, port.key, port.output);
+        let message = format!("`node.{name}` needs `{key} = \"…\"`, the node that gives it `{output}`");
         return Err(ConfigError::at(entry.at.clone(), message));
     }
     let params = Json::Object(params);

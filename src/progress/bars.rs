@@ -20,7 +20,9 @@ impl Bars {
         let make = || {
             let bar = self.all.add(ProgressBar::new(total)).with_prefix(printable(node));
             let template = "{prefix:<22} {bar:28} {pos:>6}/{len:<6} {elapsed:>4} left {eta:<5} {msg}";
-            bar.set_style(ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()));
+            bar.set_style(
+                ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()),
+            );
             bar
         };
         running.entry(node.to_owned()).or_insert_with(make).clone()
@@ -38,7 +40,12 @@ impl Bars {
 impl Listener for Bars {
     fn hear(&self, event: &Event) {
         match event {
-            Event::Progress { node, done, total, note } => {
+            Event::Progress {
+                node,
+                done,
+                total,
+                note,
+            } => {
                 let bar = self.bar(node, *total);
                 bar.set_length(*total);
                 bar.set_position(*done);

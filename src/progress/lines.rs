@@ -31,11 +31,19 @@ impl Lines {
 
 impl Listener for Lines {
     fn hear(&self, event: &Event) {
-        if let Event::Progress { node, done, total, note } = event {
+        if let Event::Progress {
+            node,
+            done,
+            total,
+            note,
+        } = event
+        {
             let Some(spent) = self.due(node) else { return };
             let left = spent.as_secs_f64() * (total.saturating_sub(*done) as f64) / (*done).max(1) as f64;
             let left = duration(left);
-            crate::talk(&printable(&format!("at      {node:<22} {done}/{total}, {left} left  {note}")));
+            crate::talk(&printable(&format!(
+                "at      {node:<22} {done}/{total}, {left} left  {note}"
+            )));
         } else if let Some(line) = sentence(event) {
             crate::talk(&printable(&line));
         }

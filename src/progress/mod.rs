@@ -23,7 +23,11 @@ pub enum Voice {
 impl Voice {
     /// Bars if stderr is a terminal, plain lines otherwise.
     pub fn for_people() -> Self {
-        if std::io::stderr().is_terminal() { Self::Bars(Box::default()) } else { Self::Lines(Lines::default()) }
+        if std::io::stderr().is_terminal() {
+            Self::Bars(Box::default())
+        } else {
+            Self::Lines(Lines::default())
+        }
     }
 }
 
@@ -57,13 +61,28 @@ fn sentence(event: &Event) -> Option<String> {
     Some(match event {
         Event::WillRun { node, reason } => format!("run     {} {reason}", name(node)),
         Event::Reused { node, .. } => format!("reuse   {}", name(node)),
-        Event::Finished { node, seconds, counts, .. } => {
-            let counts: Vec<String> = counts.iter().map(|(what, count)| format!("{count} {what}")).collect();
-            format!("done    {} {:>10}  {}", name(node), duration(*seconds), counts.join(", "))
+        Event::Finished {
+            node,
+            seconds,
+            counts,
+            ..
+        } => {
+            let counts: Vec<String> = counts
+                .iter()
+                .map(|(what, count)| format!("{count} {what}"))
+                .collect();
+            format!(
+                "done    {} {:>10}  {}",
+                name(node),
+                duration(*seconds),
+                counts.join(", ")
+            )
         }
         Event::Failed { node, message, .. } => format!("failed  {} {message}", name(node)),
         Event::Skipped { node, reason } => format!("skip    {} {reason}", name(node)),
-        Event::Warning { node, message } => format!("warning {} {message}", name(node.as_deref().unwrap_or(""))),
+        Event::Warning { node, message } => {
+            format!("warning {} {message}", name(node.as_deref().unwrap_or("")))
+        }
         Event::Progress { .. } => return None,
     })
 }
@@ -74,7 +93,12 @@ mod tests {
 
     #[test]
     fn durations_read_well_at_every_size() {
-        for (seconds, text) in [(0.04, "0.0 s"), (59.4, "59.4 s"), (60.0, "1 min 00 s"), (3725.0, "1 h 02 min")] {
+        for (seconds, text) in [
+            (0.04, "0.0 s"),
+            (59.4, "59.4 s"),
+            (60.0, "1 min 00 s"),
+            (3725.0, "1 h 02 min"),
+        ] {
             assert_eq!(duration(seconds), text);
         }
     }

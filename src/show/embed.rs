@@ -14,10 +14,12 @@ use super::ReportInput;
 use super::format::megabytes;
 use super::page::not_stored;
 
-/// Most bytes all data URIs of a page take together: with it the file stays below 15 MB.
-const PAGE_BYTES: usize = 13_500_000;
-/// Most bytes a film takes as it is stored; larger ones are named, not embedded.
-const FILM_BYTES: usize = 6_500_000;
+/// Most bytes the data URIs of all pictures take together, and those of all films: with both, and half a
+/// megabyte of text and drawings, the file stays below 15 MB.
+const PICTURE_BYTES: usize = 8_300_000;
+const FILM_BYTES: usize = 6_000_000;
+/// A map that takes more than this as PNG becomes a JPEG.
+const MAP_BYTES: usize = 120_000;
 
 /// How a picture is embedded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -26,7 +28,7 @@ pub(super) enum Form {
     Thumb,
     /// JPEG of at most 480 px a side.
     Photo,
-    /// PNG of at most 480 px a side: colours carry numbers.
+    /// PNG of at most 480 px a side, since colours carry numbers; JPEG where noise makes it too large.
     Map,
 }
 
@@ -41,7 +43,8 @@ struct Embedded {
 /// Makes data URIs, each once, and keeps count of what they take.
 #[derive(Debug, Default)]
 pub(super) struct Pictures {
-    used: Cell<usize>,
+    picture_bytes: Cell<usize>,
+    film_bytes: Cell<usize>,
     made: RefCell<BTreeMap<(Digest, Form), Result<Embedded, String>>>,
 }
 
@@ -64,27 +67,25 @@ impl Pictures {
     }
 
     /// Shows a film (GIF or MP4) as it is stored.
-    pub(super) fn film(&self, input: &ReportInput<'_>, digest: &Digest, alt: &str) -> Markup {
-        let Some(bytes) = (input.read)(digest) else {
-            return words(&not_stored("The film", digest));
-        };
-        let Some(media) = media_type(&bytes) else {
-            return words("The film is neither GIF nor MP4 and is not shown.");
-        };
-        let room = PAGE_BYTES.saturating_sub(self.used.get());
-        if bytes.len() > FILM_BYTES || bytes.len() / 3 * 4 > room {
-            let size = megabytes(bytes.len());
-            return words(&format!(
-                "The film has {size}, too much for this page; it is object {}.",
-                digest.short()
+    ///
+    /// # Errors
+    /// The sentence that stands in its place.
+    pub(super) fn film(&self, input: &ReportInput<'_>, digest: &Digest, alt: &str) -> Result<Markup, String> {
+        let bytes = (input.read)(digest).ok_or_else(|| not_stored("The film", digest))?;
+        let media = media_type(&bytes).ok_or("The film is neither GIF nor MP4 and is not shown.")?;
+        let used = self.film_bytes.get() + bytes.len() / 3 * 4;
+        if used > FILM_BYTES {
+            let (size, digest) = (megabytes(bytes.len()), digest.short());
+            return Err(format!(
+                "The film has {size}, too much for this page; it is object {digest} of the store."
             ));
         }
+        self.film_bytes.set(used);
         let uri = data_uri(media, &bytes);
-        self.used.set(self.used.get() + uri.len());
-        html! {
+        Ok(html! {
             @if media == "video/mp4" { video src=(uri) controls loop muted aria-label=(alt) {} }
             @else { img.film src=(uri) alt=(alt); }
-        }
+        })
     }
 
     fn shown(&self, made: Result<Embedded, String>, alt: &str) -> Markup {
@@ -92,11 +93,11 @@ impl Pictures {
             Ok(picture) => picture,
             Err(why) => return words(&why),
         };
-        let used = self.used.get() + picture.uri.len();
-        if used > PAGE_BYTES {
+        let used = self.picture_bytes.get() + picture.uri.len();
+        if used > PICTURE_BYTES {
             return words("Not shown: this page holds as many pictures as it can.");
         }
-        self.used.set(used);
+        self.picture_bytes.set(used);
         html! { img src=(picture.uri) alt=(alt) width=(picture.width) height=(picture.height); }
     }
 }
@@ -150,15 +151,18 @@ pub(super) fn words(why: &str) -> Markup {
 fn embed(image: &Image<Srgb>, form: Form) -> Result<Embedded, String> {
     let (most_px, quality) = match form {
         Form::Thumb => (160, 80),
-        Form::Photo | Form::Map => (480, 85),
+        Form::Photo => (480, 85),
+        Form::Map => (480, 92),
     };
     let small = shrunk(image, most_px)?;
+    let jpeg = || encode_jpeg(&small, quality).map(|bytes| data_uri("image/jpeg", &bytes));
     let uri = match form {
-        Form::Map => data_uri(
-            "image/png",
-            &encode_png(&small).map_err(|error| error.to_string())?,
-        ),
-        Form::Thumb | Form::Photo => data_uri("image/jpeg", &encode_jpeg(&small, quality)?),
+        Form::Thumb | Form::Photo => jpeg()?,
+        Form::Map => match encode_png(&small) {
+            Ok(bytes) if bytes.len() <= MAP_BYTES => data_uri("image/png", &bytes),
+            Ok(_) => jpeg()?,
+            Err(error) => return Err(error.to_string()),
+        },
     };
     let (width, height) = (small.width, small.height);
     Ok(Embedded { uri, width, height })
@@ -208,6 +212,18 @@ mod tests {
     }
 
     #[test]
+    fn a_noisy_map_becomes_a_jpeg_and_a_plain_one_stays_exact() {
+        let noise = |x: u32, y: u32| ((x * 7919 + y * 104_729).wrapping_mul(2_654_435_761) >> 13) as u8;
+        let uri = |image| embed(&image, Form::Map).unwrap().uri;
+        let plain = uri(Image::from_fn(480, 360, |x, _| [(x / 2) as u8; 3]));
+        assert!(plain.starts_with("data:image/png"), "{} bytes", plain.len());
+        let noisy = uri(Image::from_fn(480, 360, |x, y| {
+            [noise(x, y), noise(y, x), noise(x + 9, y)]
+        }));
+        assert!(noisy.starts_with("data:image/jpeg"), "{} bytes", noisy.len());
+    }
+
+    #[test]
     fn a_full_page_takes_no_further_picture() {
         let pictures = Pictures::default();
         let image = Image::from_fn(8, 8, |x, _| [x as u8; 3]);
@@ -217,7 +233,7 @@ mod tests {
                 .into_string()
                 .contains("<img")
         );
-        pictures.used.set(PAGE_BYTES);
+        pictures.picture_bytes.set(PICTURE_BYTES);
         let full = pictures.own(&image, Form::Thumb, "a").into_string();
         assert!(full.contains("as many pictures as it can"), "{full}");
     }

@@ -11,10 +11,10 @@ use super::page::{Missing, Page};
 use super::photos::verdicts;
 
 const BAR_LEFT: f64 = 150.0;
-const BAR_WIDTH: f64 = 560.0;
+const BAR_WIDTH: f64 = 440.0;
 const BAR_HEIGHT: f64 = 20.0;
 const PITCH: f64 = 30.0;
-const WIDTH: f64 = 1180.0;
+const WIDTH: f64 = 1040.0;
 
 /// What one node did to the set.
 struct Step<'a> {

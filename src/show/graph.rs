@@ -14,11 +14,14 @@ const COLUMN: f64 = 190.0;
 const ROW: f64 = 66.0;
 /// Height of a line that only passes through a column.
 const TRACK: f64 = 14.0;
-const BAND_GAP: f64 = 26.0;
+const BAND_GAP: f64 = 36.0;
+/// Lines that go on in another band keep this far apart, up to [`LANES`] of them.
+const LANE: f64 = 5.0;
+const LANES: usize = 5;
 /// Room left and right of the boxes for lines that go on in another band.
 const MARGIN: f64 = 36.0;
-/// Most columns of a band: 7 x 190 px fit a page of 1400 px.
-const MOST_COLUMNS: usize = 7;
+/// Most columns of a band: 6 x 190 px fit a page of 1400 px, and one of 1000 px a little smaller.
+const MOST_COLUMNS: usize = 6;
 
 /// Draws the nodes and what flows between them.
 pub(super) fn body(page: &Page<'_>) -> Markup {
@@ -50,7 +53,7 @@ fn drawn(node: &NodeView, place: &Place) -> Markup {
         g.node.(node.state.word()) {
             title { (node.name) " (" (node.stage) "), " (node.state.word()) ": " (node.reason) }
             rect x=(px(x)) y=(px(y)) width=(px(BOX_WIDTH)) height=(px(BOX_HEIGHT)) rx="5" {}
-            text.name x=(px(x + 10.0)) y=(px(y + 18.0)) { (cut(&node.name, 18)) }
+            text.name x=(px(x + 10.0)) y=(px(y + 18.0)) { (cut(&node.name, 16)) }
             text x=(px(x + 10.0)) y=(px(y + 33.0)) { (state_line(node)) }
             text x=(px(x + 10.0)) y=(px(y + 47.0)) { (third_line(node)) }
         }
@@ -96,6 +99,8 @@ struct Layout {
     layers: Vec<usize>,
     /// (source, layer) to the height at which its line passes that layer.
     tracks: BTreeMap<(usize, usize), f64>,
+    /// Layer to the sources of all lines that enter it.
+    crossing: BTreeMap<usize, BTreeSet<usize>>,
     columns: usize,
     bands: Vec<f64>,
     width: f64,
@@ -111,12 +116,13 @@ impl Layout {
         let columns = depth.div_ceil(bands).max(1);
         let mut layout = Self {
             boxes: vec![Place::default(); nodes.len()],
-            layers,
             tracks: BTreeMap::new(),
+            crossing: crossing(&layers, &edges),
             columns,
             bands: Vec::new(),
             width: 2.0 * MARGIN + columns as f64 * COLUMN - (COLUMN - BOX_WIDTH),
             height: 0.0,
+            layers,
         };
         layout.stack(depth, &passing(&layout.layers, &edges));
         layout
@@ -171,7 +177,7 @@ impl Layout {
             let track = self.tracks.get(&(from, layer)).copied().unwrap_or(at.1);
             let y = if last { middle(self.boxes[to]) } else { track };
             if layer % self.columns == 0 {
-                at = self.wrap(at, y, &mut pieces);
+                at = self.wrap(at, y, self.lane(from, layer), &mut pieces);
             }
             pieces.push(curve(at, (x, y)));
             at = (x, y);
@@ -184,11 +190,17 @@ impl Layout {
         pieces
     }
 
+    /// The place of a source among those whose lines enter a band, from the top.
+    fn lane(&self, from: usize, layer: usize) -> f64 {
+        let entering = self.crossing.get(&layer).into_iter().flatten();
+        (entering.filter(|source| **source < from).count() % LANES) as f64 * LANE
+    }
+
     /// Runs to the right edge, along the gap between the bands and back in from the left.
-    fn wrap(&self, at: (f64, f64), y: f64, pieces: &mut Vec<String>) -> (f64, f64) {
+    fn wrap(&self, at: (f64, f64), y: f64, lane: f64, pieces: &mut Vec<String>) -> (f64, f64) {
         let band = self.bands.iter().rposition(|top| *top <= y).unwrap_or(0);
-        let gap = self.bands.get(band).copied().unwrap_or(0.0) - BAND_GAP / 2.0;
-        let (right, left) = (self.width - 14.0, 14.0);
+        let gap = self.bands.get(band).copied().unwrap_or(0.0) - BAND_GAP / 2.0 - lane + 8.0;
+        let (right, left) = (self.width - 28.0 + lane, 28.0 - lane);
         pieces.push(format!(
             "M{} {}H{}V{}H{}V{}H{}",
             px(at.0),
@@ -265,6 +277,15 @@ fn passing(layers: &[usize], edges: &BTreeSet<(usize, usize)>) -> BTreeMap<usize
         }
     }
     passing
+}
+
+/// For each layer the sources of the lines that enter or pass it.
+fn crossing(layers: &[usize], edges: &BTreeSet<(usize, usize)>) -> BTreeMap<usize, BTreeSet<usize>> {
+    let mut crossing = passing(layers, edges);
+    for (from, to) in edges {
+        crossing.entry(layers[*to]).or_default().insert(*from);
+    }
+    crossing
 }
 
 #[cfg(test)]

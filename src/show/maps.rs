@@ -14,7 +14,7 @@ use super::page::Page;
 use super::quality::{figures, view, without_views};
 
 /// Most viewpoints of one node.
-const MOST_VIEWS: usize = 16;
+const MOST_VIEWS: usize = 8;
 
 /// Kinds of maps in the order in which they are shown: ending, heading.
 const KINDS: [(&str, &str); 8] = [

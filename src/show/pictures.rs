@@ -9,14 +9,16 @@ use serde_json::Value;
 
 use super::NodeView;
 use super::embed::{Form, decode, words};
-use super::format::{count, number};
+use super::format::count;
 use super::page::Page;
 use super::quality::{figure, view};
 
 const HELD_OUT: &str = "heldout/";
+/// Where nodes keep the single pictures of a film.
+const FRAMES: [&str; 2] = ["frames/", "flythrough/"];
 /// Most views of one node.
-const MOST_VIEWS: usize = 24;
-/// Most single frames of a node without a film.
+const MOST_VIEWS: usize = 12;
+/// Most single frames in place of a film.
 const MOST_FRAMES: usize = 12;
 /// Error pictures show the difference this many times larger.
 const ERROR_GAIN: u8 = 4;
@@ -141,43 +143,51 @@ fn difference(a: &Image<Srgb>, b: &Image<Srgb>) -> Result<Image<Srgb>, String> {
     })
 }
 
-/// Films, or single frames where a node has no film.
+/// Films; single frames where a node has no film, or none that can be shown.
 pub(super) fn flights(page: &Page<'_>) -> Markup {
-    let films: Vec<&NodeView> = page.with_output("video").collect();
-    let filmless = |node: &&NodeView| !node.outputs.contains_key("video");
-    let frames: Vec<&NodeView> = page.with_outputs_under("frames/").filter(filmless).collect();
-    if films.is_empty() && frames.is_empty() {
+    let flies = |node: &&NodeView| {
+        node.outputs.contains_key("video") || node.outputs.keys().any(|name| name.starts_with(FRAMES[0]))
+    };
+    let nodes: Vec<&NodeView> = page.input.nodes.iter().filter(flies).collect();
+    if nodes.is_empty() {
         return page.absent("a fly-through");
     }
+    html! { @for node in nodes { (flight(page, node)) } }
+}
+
+fn flight(page: &Page<'_>, node: &NodeView) -> Markup {
+    let alt = format!("fly-through by {}", node.name);
+    let film = node
+        .outputs
+        .get("video")
+        .map(|digest| page.pictures.film(page.input, digest, &alt));
+    let doubt = node.outputs.keys().any(|name| name.starts_with("maps/"));
     html! {
-        div.row {
-            @for node in films { @if let Some(digest) = node.outputs.get("video") {
-                figure {
-                    (page.pictures.film(page.input, digest, &format!("fly-through by {}", node.name)))
-                    figcaption { (node.name) @if node.outputs.keys().any(|name| name.starts_with("maps/")) {
-                        ": mean on the left, uncertainty on the right" } }
-                }
-            } }
+        h3 { (node.name) @if doubt { ": mean on the left, uncertainty on the right" } }
+        @match film {
+            Some(Ok(film)) => (film),
+            Some(Err(why)) => { p.missing { (why) } (single_frames(page, node)) }
+            None => (single_frames(page, node)),
         }
-        @for node in frames { (single_frames(page, node)) }
     }
 }
 
 fn single_frames(page: &Page<'_>, node: &NodeView) -> Markup {
-    let frames: Vec<(&str, &Digest)> = node
+    let name_of = |output| FRAMES.iter().find_map(|prefix| picture_name(output, prefix));
+    let found = node
         .outputs
         .iter()
-        .filter_map(|(name, digest)| Some((picture_name(name, "frames/")?, digest)))
-        .collect();
+        .filter_map(|(output, digest)| Some((name_of(output)?, digest)));
+    let frames: Vec<(&str, &Digest)> = found.collect();
     let shown = frames.len().min(MOST_FRAMES);
     html! {
-        h3 { (node.name) ": " (shown) " of " (count(frames.len(), "frame")) }
-        div.gallery.small {
+        p.quiet { (shown) " of " (count(frames.len(), "frame")) "." }
+        div.gallery {
             @for index in 0..shown {
                 @let (name, digest) = frames[index * frames.len() / shown];
                 figure {
                     (page.pictures.stored(page.input, digest, Form::Thumb, &format!("frame {name}")))
-                    figcaption { (name.parse::<f64>().map_or_else(|_| name.to_owned(), number)) }
+                    figcaption { (name) }
                 }
             }
         }

@@ -6,9 +6,10 @@ use marf_stage::{StageDef, define};
 
 /// Every stage, in the order in which a pipeline usually has them.
 static STAGES: LazyLock<Vec<StageDef>> = LazyLock::new(|| {
-    let mut stages = vec![];
+    let mut stages = vec![define::<marf_extract::Extract>()];
     stages.extend_from_slice(marf_filter::STAGES);
     stages.extend([
+        define::<marf_calibrate::Calibrate>(),
         define::<marf_tune::Tune>(),
         define::<marf_train::Train>(),
         define::<marf_train::Pace>(),

@@ -1,5 +1,9 @@
 //! Runs the binary as a user would.
-#![allow(dead_code, reason = "each test file uses a part")]
+#![allow(
+    dead_code,
+    clippy::print_stdout,
+    reason = "each test file uses a part; a skipped test says so"
+)]
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -16,28 +20,45 @@ pub struct Ran {
 
 /// Runs `marf ARGS` in a folder.
 pub fn marf(folder: &Path, args: &[&str]) -> Ran {
-    let output = Command::new(env!("CARGO_BIN_EXE_marf")).current_dir(folder).args(args).output().unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_marf"))
+        .current_dir(folder)
+        .args(args)
+        .output()
+        .unwrap();
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    Ran { code: output.status.code().unwrap_or(-1), stdout: text(&output.stdout), stderr: text(&output.stderr) }
+    Ran {
+        code: output.status.code().unwrap_or(-1),
+        stdout: text(&output.stdout),
+        stderr: text(&output.stderr),
+    }
 }
 
 impl Ran {
     /// Panics with everything that was printed unless the code is as expected.
     #[track_caller]
     pub fn exits(self, code: i32) -> Self {
-        assert_eq!(self.code, code, "\nstdout: {}\nstderr: {}", self.stdout, self.stderr);
+        assert_eq!(
+            self.code, code,
+            "\nstdout: {}\nstderr: {}",
+            self.stdout, self.stderr
+        );
         self
     }
 
     /// The JSON lines of `--json`.
     pub fn events(&self) -> Vec<serde_json::Value> {
-        self.stdout.lines().map(|line| serde_json::from_str(line).unwrap_or_else(|_| panic!("{line}"))).collect()
+        self.stdout
+            .lines()
+            .map(|line| serde_json::from_str(line).unwrap_or_else(|_| panic!("{line}")))
+            .collect()
     }
 
     /// Names of the nodes with this event, in order.
     pub fn nodes(&self, event: &str) -> Vec<String> {
         let events = self.events().into_iter().filter(|json| json["event"] == event);
-        events.map(|json| json["node"].as_str().unwrap_or_default().to_owned()).collect()
+        events
+            .map(|json| json["node"].as_str().unwrap_or_default().to_owned())
+            .collect()
     }
 }
 

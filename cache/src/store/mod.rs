@@ -147,7 +147,12 @@ impl Store {
             path,
             bytes: bytes.len() as u64,
         };
-        lock(&self.staged).open.add_large(digest, large);
+        let mut staged = lock(&self.staged);
+        match staged.find(|group| group.size_of(&digest)) {
+            None => staged.open.add_large(digest, large),
+            // Another thread put the same bytes meanwhile.
+            Some(_) => drop(fs::remove_file(&large.path)),
+        }
         Ok(())
     }
 

@@ -129,3 +129,59 @@ impl Drop for Lease {
         let _ = fs::remove_file(&self.path);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    use super::*;
+    use crate::Silent;
+
+    #[test]
+    fn a_checkpoint_comes_back_whole_or_not_at_all() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = Store::open(dir.path()).unwrap();
+        let key = Digest::of(b"key");
+        let checkpoints = FileCheckpoints::new(&store, &key, "train", &Silent);
+        assert_eq!(checkpoints.load(), None);
+        for state in [b"step 1".as_slice(), b"step 2, longer", b""] {
+            checkpoints.save(state);
+            assert_eq!(checkpoints.load().as_deref(), Some(state));
+        }
+        checkpoints.save(b"step 3");
+        let mut bytes = fs::read(&checkpoints.path).unwrap();
+        bytes[33] ^= 1;
+        fs::write(&checkpoints.path, bytes).unwrap();
+        assert_eq!(checkpoints.load(), None, "a damaged checkpoint is none");
+        checkpoints.remove();
+        assert!(!checkpoints.path.exists());
+    }
+
+    #[test]
+    fn the_second_to_want_a_key_waits_and_can_be_stopped() {
+        let dir = tempfile::tempdir().unwrap();
+        let (key, cancel) = (Digest::of(b"key"), Cancel::default());
+        let first = Lease::take(dir.path(), &key, &cancel, || {}).unwrap();
+        let stop = || cancel.set();
+        let stopped = Lease::take(dir.path(), &key, &cancel, stop);
+        assert!(matches!(stopped, Err(StageError::Cancelled)));
+        let other = Digest::of(b"other key");
+        Lease::take(dir.path(), &other, &Cancel::default(), || panic!("it is free")).unwrap();
+
+        let (told, released) = (AtomicBool::new(false), AtomicBool::new(false));
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                Lease::take(dir.path(), &key, &Cancel::default(), || {
+                    told.store(true, Ordering::SeqCst)
+                })
+                .unwrap();
+                assert!(released.load(Ordering::SeqCst), "it did not wait");
+            });
+            while !told.load(Ordering::SeqCst) {
+                std::thread::yield_now();
+            }
+            released.store(true, Ordering::SeqCst);
+            drop(first);
+        });
+    }
+}

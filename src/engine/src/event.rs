@@ -132,3 +132,85 @@ impl Progress for NodeProgress<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[derive(Default)]
+    struct Ears(Mutex<Vec<Event>>);
+
+    impl Listener for Ears {
+        fn hear(&self, event: &Event) {
+            self.0.lock().unwrap().push(event.clone());
+        }
+    }
+
+    #[test]
+    fn the_json_forms_are_the_documented_ones() {
+        let node = || "blur".to_owned();
+        let reason = || "never ran".to_owned();
+        let cases = [
+            (
+                Event::WillRun {
+                    node: node(),
+                    reason: reason(),
+                },
+                json!({"event": "will_run", "node": "blur", "reason": "never ran"}),
+            ),
+            (
+                Event::Reused {
+                    node: node(),
+                    reason: reason(),
+                },
+                json!({"event": "reused", "node": "blur", "reason": "never ran"}),
+            ),
+            (
+                Event::Skipped {
+                    node: node(),
+                    reason: reason(),
+                },
+                json!({"event": "skipped", "node": "blur", "reason": "never ran"}),
+            ),
+            (
+                Event::Progress {
+                    node: node(),
+                    done: 1,
+                    total: 3,
+                    note: String::new(),
+                },
+                json!({"event": "progress", "node": "blur", "done": 1, "total": 3, "note": ""}),
+            ),
+            (
+                Event::Failed {
+                    node: node(),
+                    message: "no".to_owned(),
+                    cause: None,
+                    hint: None,
+                },
+                json!({"event": "failed", "node": "blur", "message": "no", "cause": null, "hint": null}),
+            ),
+        ];
+        for (event, expected) in cases {
+            assert_eq!(serde_json::to_value(&event).unwrap(), expected);
+        }
+    }
+
+    #[test]
+    fn of_a_million_steps_the_first_and_the_last_are_told_and_few_between() {
+        let ears = Ears::default();
+        let progress = NodeProgress::new("train", &ears);
+        let total = 1_000_000;
+        (1..=total).for_each(|done| progress.at(done, total, ""));
+        let heard = ears.0.into_inner().unwrap();
+        let done = |event: &Event| match event {
+            Event::Progress { done, .. } => *done,
+            _ => 0,
+        };
+        assert_eq!(heard.first().map(done), Some(1));
+        assert_eq!(heard.last().map(done), Some(total));
+        assert!(heard.len() < 1_000, "{}", heard.len());
+    }
+}

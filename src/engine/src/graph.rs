@@ -55,6 +55,19 @@ pub(crate) struct Wire {
     pub(crate) upstream: usize,
 }
 
+/// A node of a graph, to look at.
+#[derive(Debug, Clone, Copy)]
+pub struct NodeView<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// Name of its stage.
+    pub stage: &'static str,
+    /// Which node each of its keys names.
+    pub edges: &'a [Edge],
+    /// Names of its outputs.
+    pub outputs: &'static [&'static str],
+}
+
 /// What is wrong with a graph.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum GraphError {
@@ -158,6 +171,16 @@ impl Graph {
     /// Returns the names of the nodes: topological, ties in the order declared.
     pub fn names(&self) -> Vec<&str> {
         self.nodes.iter().map(|node| node.name.as_str()).collect()
+    }
+
+    /// Returns the nodes, in the order of [`Graph::names`].
+    pub fn nodes(&self) -> impl Iterator<Item = NodeView<'_>> {
+        self.nodes.iter().map(|node| NodeView {
+            name: &node.name,
+            stage: node.def.name,
+            edges: &node.edges,
+            outputs: node.def.outputs,
+        })
     }
 
     /// Returns the digest of the pipeline as declared: names, stages, versions, parameters, edges.

@@ -16,7 +16,7 @@ mod run;
 mod work;
 
 pub use event::{Event, Listener, Silent};
-pub use graph::{Edge, Graph, GraphError, NodeDecl};
+pub use graph::{Edge, Graph, GraphError, NodeDecl, NodeView};
 pub use key::Change;
 pub use marf_stage::Cancel;
 pub use plan::{PlanState, PlannedNode, plan, why};

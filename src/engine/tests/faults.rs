@@ -1,5 +1,7 @@
 //! Failures, stops, kills, damage, and several programs on one store.
 
+#![allow(clippy::unwrap_used, reason = "a test that is set up wrong should stop")]
+
 mod common;
 
 use std::{
@@ -26,7 +28,7 @@ fn broken_graph(world: u64, how: &str) -> Graph {
         "far_below",
         "many",
         world,
-        serde_json::json!({ "b": 1 }),
+        serde_json::json!({ "b": 1, "unlucky": 99 }),
         &["input=broken"],
     );
     nodes.push(below);
@@ -106,8 +108,9 @@ fn of_failing_members_the_others_are_kept() {
     world.put_shard(1);
     let line = Line {
         b: 15,
+        unlucky: 13,
         ..Line::new(number)
-    }; // member 13 fails
+    };
     let (record, _) = run_on(&line.graph(), &store);
     let many = record.node("many").unwrap();
     assert_eq!(many.state, NodeState::Failed);
@@ -157,7 +160,7 @@ fn a_set_stage_that_hears_the_wish_to_stop_is_stopped_not_failed() {
     world.put_shard(1);
     let cancel = Cancel::default();
     let stop = cancel.clone();
-    *world.at_sum.lock().unwrap() = Some(Box::new(move || stop.set()));
+    *world.at_sum.lock().unwrap() = Some(Arc::new(move || stop.set()));
     let (record, _) = run_with(&Line::new(number).graph(), &store, &options(2), &cancel);
     assert_eq!(record.outcome, Outcome::Cancelled);
     assert_eq!(record.node("sum").unwrap().state, NodeState::Cancelled);
@@ -205,7 +208,7 @@ fn damage(path: &Path, wanted: &[u8]) {
         .windows(wanted.len())
         .position(|window| window == wanted)
         .unwrap();
-    bytes[at] ^= 4;
+    bytes[at + wanted.len() - 1] ^= 4;
     std::fs::remove_file(path).unwrap();
     std::fs::write(path, bytes).unwrap();
 }
@@ -230,7 +233,8 @@ fn a_damaged_output_is_made_again_and_the_stream_says_so() {
     let line = Line::new(number);
     let (first, _) = run_on(&line.graph(), &store);
     world.take_ran();
-    damage(&packs_with(&store, b"sum 20")[0], b"sum 20");
+    let blob = b"\x06\0\0\0sum 20"; // its length, then its bytes
+    damage(&packs_with(&store, blob)[0], blob);
     let store = Store::open(dir.path().join(".marf")).unwrap();
     // Nobody reads it: nothing is noticed yet. One more member reads it.
     let (record, ears) = run_on(&Line { b: 4, ..line.clone() }.graph(), &store);
@@ -249,6 +253,26 @@ fn a_damaged_output_is_made_again_and_the_stream_says_so() {
     assert_eq!(store.stat().unwrap().set_aside, 1);
     let (_, ears) = run_on(&Line { b: 4, ..line }.graph(), &store);
     assert_eq!(ran(&ears), Vec::<String>::new());
+}
+
+#[test]
+fn a_damaged_member_runs_again_when_it_is_read() {
+    let (dir, store) = fresh_store();
+    let (number, world) = new_world();
+    world.put_shard(1);
+    let line = Line::new(number);
+    run_on(&line.graph(), &store);
+    world.take_ran();
+    let blob = b"\x08\0\0\0sum 20 2";
+    damage(&packs_with(&store, blob)[0], blob);
+    let store = Store::open(dir.path().join(".marf")).unwrap();
+    let (record, ears) = run_on(&Line { b: 4, ..line }.graph(), &store);
+    assert_eq!(record.outcome, Outcome::Done, "{:?}", happened(&ears));
+    assert_eq!(ran(&ears), vec!["many", "many/member-01", "many/member-03"]);
+    assert_eq!(
+        text(&store, &record, "many", "mean"),
+        "sum 20 0\nsum 20 2\nsum 20 4\nsum 20 1\n"
+    );
 }
 
 #[test]
@@ -322,7 +346,7 @@ fn a_second_answer_for_one_key_is_told_and_the_first_stays() {
         *kept.lock().unwrap() = Some(digest);
     };
     let meddle = std::sync::Mutex::new(meddle);
-    *world.at_sum.lock().unwrap() = Some(Box::new(move || (meddle.lock().unwrap())()));
+    *world.at_sum.lock().unwrap() = Some(Arc::new(move || (meddle.lock().unwrap())()));
     let (record, ears) = run_on(&graph, &store);
     let told = warnings(&ears);
     assert_eq!(told.len(), 1, "{told:?}");
@@ -333,4 +357,74 @@ fn a_second_answer_for_one_key_is_told_and_the_first_stays() {
         text(&store, &record, "many", "mean").starts_with("sum 41 0"),
         "below it the kept one is used"
     );
+}
+
+const KILL_DIR: &str = "MARF_TEST_KILL_DIR";
+
+fn line_of_forty(world: u64) -> Line {
+    Line {
+        b: 40,
+        ..Line::new(world)
+    }
+}
+
+/// Does nothing by itself; the next test starts it as a program of its own.
+#[test]
+fn the_program_that_is_killed() {
+    let Ok(dir) = std::env::var(KILL_DIR) else {
+        return;
+    };
+    let (number, world) = new_world();
+    world.put_shard(1);
+    run_on(
+        &line_of_forty(number).graph(),
+        &Store::open(Path::new(&dir)).unwrap(),
+    );
+}
+
+#[test]
+fn killed_again_and_again_it_loses_nothing_that_was_recorded() {
+    let (_dir, store) = fresh_store();
+    for wanted in [2, 10, 20] {
+        let mut program = std::process::Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "the_program_that_is_killed"])
+            .env(KILL_DIR, store.dir())
+            .stdout(std::process::Stdio::null())
+            .spawn()
+            .unwrap();
+        while store.stat().unwrap().records < wanted && program.try_wait().unwrap().is_none() {
+            std::thread::yield_now();
+        }
+        program.kill().unwrap();
+        program.wait().unwrap();
+    }
+    let (number, world) = new_world();
+    world.put_shard(1);
+    let recorded = store.records().unwrap();
+    assert!(
+        recorded
+            .iter()
+            .all(|record| store.hit(&record.key).unwrap().is_some()),
+        "a record without its blob"
+    );
+    let members = recorded.iter().filter(|record| record.stage == "draw").count();
+    let reopened = Store::open(store.dir()).unwrap();
+    let (record, ears) = run_on(&line_of_forty(number).graph(), &reopened);
+    assert_eq!(record.outcome, Outcome::Done, "{:?}", happened(&ears));
+    assert_eq!(world.take_ran() as usize, 40 - members, "{members} were recorded");
+    let (_dir2, other) = fresh_store();
+    let (anew, _) = run_on(&line_of_forty(number).graph(), &other);
+    for node in &record.nodes {
+        assert_eq!(
+            node.outputs,
+            anew.node(&node.name).unwrap().outputs,
+            "{}",
+            node.name
+        );
+    }
+    let left = std::fs::read_dir(store.dir().join("tmp")).unwrap();
+    let left = left
+        .filter(|entry| entry.as_ref().unwrap().path().is_dir())
+        .count();
+    assert_eq!(left, 1, "only the folder of the store that is open stays");
 }

@@ -1,5 +1,7 @@
 //! What is wrong with a graph is said before anything runs.
 
+#![allow(clippy::unwrap_used, reason = "a test that is set up wrong should stop")]
+
 mod common;
 
 use common::*;

@@ -1,8 +1,20 @@
 //! Which nodes ran when: the engine does what changed, and nothing else.
 
+#![allow(clippy::unwrap_used, reason = "a test that is set up wrong should stop")]
+
 mod common;
 
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
 use common::*;
+use proptest::prelude::*;
+
 use marf_engine::{NodeState, Outcome, PlanState, last_run, plan, runs, why};
 
 /// A store with the line's first run in it.
@@ -126,7 +138,7 @@ fn going_back_to_an_old_parameter_runs_nothing() {
 #[test]
 fn of_a_new_shard_only_that_shard_is_fetched_measured_and_folded() {
     let (_dir, store, line, world, _) = after_first_run();
-    (world.take_fetched(), world.take_measured(), world.take_folded());
+    world.forget();
     world.put_shard(3);
     let (record, ears) = run_on(&line.graph(), &store);
     assert_eq!(reason_of(&ears, "archive").unwrap(), "shard 3 is new");
@@ -164,7 +176,7 @@ fn history_does_not_show_in_a_result() {
 #[test]
 fn one_changed_photo_is_measured_alone() {
     let (_dir, store, line, world, _) = after_first_run();
-    (world.take_fetched(), world.take_measured(), world.take_folded());
+    world.forget();
     world.put(2, "s2-9", 11);
     let (_, ears) = run_on(&line.graph(), &store);
     assert_eq!(reason_of(&ears, "archive").unwrap(), "shard 2 changed");
@@ -285,12 +297,17 @@ fn independent_nodes_and_members_run_side_by_side() {
     let (_dir, store) = fresh_store();
     let (number, world) = new_world();
     world.put_shard(1);
-    // Each sum waits until the other has begun: one after the other would wait forever.
-    let barrier = std::sync::Arc::new(std::sync::Barrier::new(2));
-    *world.at_sum.lock().unwrap() = None;
-    let meet = std::sync::Arc::clone(&barrier);
-    let side = std::sync::Mutex::new(Some(meet));
-    drop(side);
+    // Each sum waits until the other has begun; one after the other they would wait in vain.
+    let begun = AtomicU64::new(0);
+    let meet = move || {
+        begun.fetch_add(1, Ordering::SeqCst);
+        let deadline = Instant::now() + Duration::from_secs(20);
+        while begun.load(Ordering::SeqCst) < 2 {
+            assert!(Instant::now() < deadline, "the other did not begin");
+            std::thread::yield_now();
+        }
+    };
+    *world.at_sum.lock().unwrap() = Some(Arc::new(meet));
     let json = serde_json::json!({ "times": 1 });
     let nodes = vec![
         node("archive", "archive", number, serde_json::json!({}), &[]),
@@ -312,4 +329,68 @@ fn independent_nodes_and_members_run_side_by_side() {
         vec![1, 1],
         "each gets its share"
     );
+}
+
+#[test]
+fn a_shard_of_more_rows_than_a_leaf_holds_is_one_shard_still() {
+    let (_dir, store) = fresh_store();
+    let (number, world) = new_world();
+    let rows = marf_cache::manifest::ROWS_A_LEAF as u64 + 1;
+    (0..rows).for_each(|row| world.put(7, &format!("{row:05}"), row));
+    let line = Line {
+        most: rows - 2, // the last row goes, so the rest fits one leaf
+        by: 1,
+        ..Line::new(number)
+    };
+    let (record, _) = run_on(&line.graph(), &store);
+    let leaves = |node: &str| {
+        let root = record.node(node).unwrap().outputs["photos"].digest;
+        let root = marf_cache::manifest::Root::decode(&store.get(&root).unwrap()).unwrap();
+        root.leaves
+            .iter()
+            .map(|leaf| (leaf.shard, leaf.rows))
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(leaves("archive"), vec![(7, 4000), (7, 1)]);
+    assert_eq!(leaves("at_most"), vec![(7, 4000)]);
+    assert_eq!(world.take_folded(), vec![7]);
+    assert_eq!(record.node("distinct").unwrap().counts["photos"], 4000);
+}
+
+#[test]
+fn a_set_of_which_nothing_stays_is_no_failure_of_the_engine() {
+    let (_dir, store) = fresh_store();
+    let (number, world) = new_world();
+    world.put(1, "a", 50);
+    let (record, _) = run_on(&Line::new(number).graph(), &store);
+    assert_eq!(record.outcome, Outcome::Done);
+    let counts = &record.node("at_most").unwrap().counts;
+    assert_eq!((counts["photos"], counts["rejected"]), (0, 1));
+    assert_eq!(text(&store, &record, "sum", "sum"), "sum 0");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(4))]
+
+    /// Whatever ran before, a run answers as it would on an empty store.
+    #[test]
+    fn any_history_gives_the_answers_of_no_history(
+        steps in prop::collection::vec((0_u64..30, 1_u64..4, 1_u64..5, 1_u32..5), 2..4)
+    ) {
+        let (_dir, store) = fresh_store();
+        let (number, world) = new_world();
+        world.put_shard(2);
+        for (most, by, b, shard) in steps {
+            world.put_shard(shard);
+            world.put(2, "s2-0", most);
+            let line = Line { most, by, b, ..Line::new(number) };
+            let (_dir2, empty) = fresh_store();
+            let (with, _) = run_on(&line.graph(), &store);
+            let (without, _) = run_on(&line.graph(), &empty);
+            prop_assert_eq!(with.nodes.len(), without.nodes.len());
+            for (one, two) in with.nodes.iter().zip(&without.nodes) {
+                prop_assert_eq!((&one.name, one.key, &one.outputs), (&two.name, two.key, &two.outputs));
+            }
+        }
+    }
 }

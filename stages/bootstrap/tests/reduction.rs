@@ -1,4 +1,9 @@
 //! The reduction on real fields: a wall photographed from one side, seen from there and from elsewhere.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a test that cannot go on should stop"
+)]
 
 use marf_bootstrap::{Bootstrap, BootstrapParams, Report};
 use marf_cache::Digest;

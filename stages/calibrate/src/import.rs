@@ -285,7 +285,14 @@ fn sized(
     if factor == 1 {
         return Ok((item.image, item.facts.file.clone(), camera));
     }
-    let image = decode(ctx, item)?.image.box_reduced(factor);
+    let image = decode(ctx, item)?.image;
+    if (image.width, image.height) != (camera.width, camera.height) {
+        return Err(StageError::new(format!(
+            "photo `{}` has {} x {} pixels upright, its facts say {} x {}",
+            item.id, image.width, image.height, camera.width, camera.height
+        )));
+    }
+    let image = image.box_reduced(factor);
     Ok((
         store(ctx, item, &image)?,
         as_png(&item.facts.file),

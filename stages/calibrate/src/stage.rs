@@ -20,7 +20,7 @@ pub const TRANSFORMS: &str = "transforms";
 ///
 /// - In: the photos; for `import` the files beside them.
 /// - Out: `scene`, `metrics`, `transforms`.
-/// - Cost: `labels` decodes, resamples and encodes each photo once, about 0.2 s a megapixel and core for
+/// - Cost: `labels` decodes, resamples and encodes each photo once, at most 0.4 s a megapixel and core for
 ///   CAHVOR, 0.6 s for CAHVORE; `import` reads no photo unless `longest_side_px` asks for smaller ones.
 /// - Bad input: a photo that cannot be placed is listed with the reason; a camera file that is wrong anywhere
 ///   is refused whole, with the field; too few photos placed stop the node.

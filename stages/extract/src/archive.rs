@@ -10,7 +10,7 @@ use marf_stage::{Ctx, Listing, StageError};
 
 use crate::label::Label;
 use crate::names::ProductName;
-use crate::{feed, pds4};
+use crate::{feed, pds4, raw};
 
 /// Largest file that is read: products have at most 64 MB.
 pub(crate) const MAX_FILE_BYTES: u64 = 128 << 20;
@@ -162,6 +162,7 @@ pub(crate) fn read_label(kind: &Kind, bytes: &[u8]) -> Result<Label, String> {
     match kind {
         Kind::Pds4 => pds4::read(bytes).map_err(|error| error.to_string()),
         Kind::Feed => feed::read(bytes).map_err(|error| error.to_string()),
+        Kind::Odl | Kind::Raw => raw::head(bytes),
         other => Err(format!("{other:?} is no label")),
     }
 }
@@ -205,7 +206,7 @@ fn own_sol(name: &str, kind: &Kind, bytes: &[u8]) -> Option<u32> {
     ProductName::read(stem(name))
         .and_then(|product| product.sol)
         .or_else(|| match kind {
-            Kind::Pds4 | Kind::Feed | Kind::Odl => read_label(kind, bytes).ok()?.sol,
+            Kind::Pds4 | Kind::Feed | Kind::Odl | Kind::Raw => read_label(kind, bytes).ok()?.sol,
             _ => None,
         })
 }

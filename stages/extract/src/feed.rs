@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use crate::camera::{CameraError, RawModel};
-use crate::label::{FramePose, Label, MAX_LABEL_BYTES};
+use crate::label::{FramePose, Label, MAX_LABEL_BYTES, Phase};
 use crate::values;
 
 /// JSON that is no record of a raw-image feed.
@@ -48,7 +48,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Label, FeedError> {
         thumbnail: record.thumbnail(),
         averaged: 1,
         size: record.size(),
-        mosaic: None,
+        phase: record.phase(),
         ..Label::default()
     };
     add_camera(&record, &mut label);
@@ -80,8 +80,19 @@ impl Record<'_> {
     fn size(&self) -> Option<(u32, u32)> {
         let [width, height] = values::tuple::<2>(&self.text("dimension")?)?;
         let side =
-            |value: f64| (value >= 1.0 && value <= 65_536.0 && value.fract() == 0.0).then_some(value as u32);
+            |value: f64| ((1.0..=65_536.0).contains(&value) && value.fract() == 0.0).then_some(value as u32);
         Some((side(width)?, side(height)?))
+    }
+
+    /// `(x0,y0,w,h)`, from 1.
+    fn phase(&self) -> Option<Phase> {
+        let [sample, line, _, _] =
+            values::tuple::<4>(&self.text("subframeRect").or_else(|| self.text("subframe_rect"))?)?;
+        let first = |value: f64| (1.0..=65_536.0).contains(&value).then(|| value as u32 - 1);
+        Some(Phase {
+            line: first(line)?,
+            sample: first(sample)?,
+        })
     }
 
     fn pose(&self) -> FramePose {
@@ -109,15 +120,27 @@ fn add_camera(record: &Record<'_>, label: &mut Label) {
         return;
     };
     match model(&components) {
-        // Feeds name no frame; for rovers the numbers are in ROVER_NAV (C is at the mast head, 2 m up).
-        Ok(raw) => label.set_camera(
-            &raw,
-            "ROVER_NAV_FRAME".to_owned(),
-            record.pose(),
-            record.counter(),
-        ),
+        Ok(raw) => {
+            let frame = frame(label);
+            label.set_camera(&raw, frame, record.pose(), record.counter());
+        }
         Err(error) => label.refuse_camera(&error),
     }
+}
+
+/// Feeds name no frame; for rovers the numbers are in ROVER_NAV: C is at the mast head, 2 m up.
+fn frame(label: &mut Label) -> String {
+    if !label
+        .instrument
+        .as_deref()
+        .is_some_and(|name| name.starts_with("HELI"))
+    {
+        return "ROVER_NAV_FRAME".to_owned();
+    }
+    label
+        .notes
+        .push("the helicopter's pose is its navigation's estimate, in a frame of the flight".to_owned());
+    "HELI_FRAME".to_owned()
 }
 
 /// Reads `(C);(A);(H);(V)`, `…;(O);(R)`, `…;(E)` with `type;parameter`.

@@ -4,15 +4,16 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use marf_cache::manifest::Row;
-use marf_scene::{CameraPrior, Photo, PhotoFacts, encode_png};
+use marf_scene::{CameraPrior, Photo, PhotoFacts};
 use marf_stage::{Ctx, Fetched, StageError, Verdict};
 use rayon::prelude::*;
 
 use crate::archive::{ArchiveFile, Kind};
 use crate::camera::{focal_px, rescaled};
-use crate::label::{Label, Phase};
+use crate::label::Label;
 use crate::names::ProductName;
 use crate::products::{Product, Sorted, left, sort};
+use crate::raw;
 
 /// Pixel of the detectors of Mastcam and Mastcam-Z, mm.
 const MASTCAM_PIXEL_MM: f64 = 7.4e-3;
@@ -92,15 +93,38 @@ struct Decoded {
 }
 
 fn decode(product: &Product, file: &ArchiveFile, bytes: &[u8]) -> Result<Decoded, String> {
+    let (name, beside) = (
+        product.name.as_ref(),
+        product.label.as_ref().map(|label| &label.label),
+    );
     if file.kind == Kind::Raw {
-        return Err(".IMG is not read".to_owned());
+        let developed = raw::develop(name, bytes, beside)?;
+        return Ok(Decoded {
+            size: (developed.made.image.width, developed.made.image.height),
+            bands: developed.made.bands,
+            notes: developed.made.notes,
+            made: Some(raw::png(&developed.made.image)?),
+            attached: developed.attached,
+        });
     }
     let photo = Photo::decode(bytes).map_err(|error| error.to_string())?;
+    let mosaic = name.is_some_and(ProductName::says_mosaic);
+    let phase = beside.and_then(|label| label.mosaic.or(label.phase));
+    let developed = if mosaic {
+        raw::develop_mosaic(&photo, phase)
+    } else {
+        None
+    };
+    let made = developed
+        .as_ref()
+        .map(|photo| raw::png(&photo.image))
+        .transpose()?;
+    let photo = developed.unwrap_or(photo);
     Ok(Decoded {
         size: (photo.image.width, photo.image.height),
         bands: photo.bands,
         notes: photo.notes,
-        made: None,
+        made,
         attached: None,
     })
 }
@@ -253,5 +277,71 @@ fn undo_missing_average(
         notes.push(format!(
             "label's camera has a focal length of {model_px:.0} px, its lens of {lens_mm} mm {expected_px:.0} px"
         ));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::label::FramePose;
+
+    fn label() -> Label {
+        let raw = crate::camera::RawModel {
+            cahv: [
+                [0.0; 3],
+                [1.0, 0.0, 0.0],
+                [800.0, 4_600.0, 0.0],
+                [600.0, 0.0, 4_600.0],
+            ],
+            ..Default::default()
+        };
+        let mut label = Label {
+            size: Some((1648, 1200)),
+            averaged: 1,
+            ..Label::default()
+        };
+        label.set_camera(&raw, "SITE_FRAME".to_owned(), FramePose::IsSite, vec![1, 2, 3]);
+        label
+    }
+
+    #[test]
+    fn a_photo_that_was_turned_has_no_camera() {
+        let mut notes = vec!["turned upright from EXIF orientation 6".to_owned()];
+        assert_eq!(fit_camera(&label(), None, (1648, 1200), &mut notes), None);
+        assert!(notes[1].contains("was turned"), "{notes:?}");
+    }
+
+    #[test]
+    fn a_model_that_is_not_reduced_like_its_pixels_is_found_by_its_lens() {
+        let name = ProductName::read("3778ML1037770010808163I01_DXXX").unwrap();
+        let with = |averaged, focal_mm| {
+            let label = Label {
+                averaged,
+                focal_mm,
+                ..label()
+            };
+            let mut notes = Vec::new();
+            let prior = fit_camera(&label, Some(&name), (1648, 1200), &mut notes).unwrap();
+            (focal_px(&prior.model).0, notes)
+        };
+        // 34 mm / 7.4 um = 4595 px.
+        assert_eq!(with(1, Some(34.0)), (4_600.0, vec![]));
+        assert_eq!(with(8, Some(34.0)).0, 575.0);
+        assert_eq!(with(8, None).0, 575.0);
+        // A lens of 272 mm reduced by 8 has these very 4595 px: the model is right as it is.
+        assert_eq!(with(8, Some(272.0)), (4_600.0, vec![]));
+        let (focal, notes) = with(1, Some(100.0));
+        assert!(focal == 4_600.0 && notes[0].contains("13514 px"), "{notes:?}");
+    }
+
+    #[test]
+    fn a_label_without_a_size_says_so() {
+        let label = Label {
+            size: None,
+            ..label()
+        };
+        let mut notes = Vec::new();
+        assert!(fit_camera(&label, None, (10, 10), &mut notes).is_some());
+        assert!(notes[0].contains("does not tell the size"), "{notes:?}");
     }
 }

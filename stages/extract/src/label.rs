@@ -35,6 +35,8 @@ pub(crate) struct Label {
     pub array: Option<Array>,
     /// Phase of a colour mosaic that the pixels still are.
     pub mosaic: Option<Phase>,
+    /// Where on the detector the photo starts, whether a mosaic or not.
+    pub phase: Option<Phase>,
     /// What could not be used, and why.
     pub notes: Vec<String>,
 }
@@ -113,8 +115,6 @@ pub(crate) enum Number {
 pub(crate) enum Quantity {
     /// Counts of the detector, in proportion to light.
     Counts,
-    /// 8-bit codes that follow a curve like a display's.
-    Display,
     /// Spectral radiance, W / (m2 sr nm).
     Radiance,
     /// I/F: radiance over that of a white surface under the sun.
@@ -183,7 +183,8 @@ impl FramePose {
 pub(crate) fn pose(quaternion: [f64; 4], offset: [f64; 3]) -> Option<Pose> {
     let length = quaternion.iter().map(|value| value * value).sum::<f64>().sqrt();
     let finite = offset.iter().all(|value| value.is_finite());
-    if !finite || !((length - 1.0).abs() <= QUATERNION_TOLERANCE) {
+    let unit = (length - 1.0).abs() <= QUATERNION_TOLERANCE; // false for NaN
+    if !finite || !unit {
         return None;
     }
     let [w, x, y, z] = quaternion.map(|value| value / length);

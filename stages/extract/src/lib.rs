@@ -5,17 +5,26 @@
 //! becomes a verdict with its reason, and no file is left out in silence.
 
 mod archive;
+mod built_in;
 mod camera;
+pub mod demo;
+mod demosaic;
 mod feed;
 mod fetch;
 mod folder;
 mod label;
 mod names;
+mod odl;
 mod params;
+mod pds3;
 mod pds4;
+mod pixels;
 mod products;
+mod raw;
 mod sols;
+mod tone;
 mod values;
+mod vicar;
 
 use marf_cache::ContentHash;
 use marf_stage::{Ctx, Define, Fetched, Listing, ParamError, Port, Source, Stage, StageError, Threads, Work};
@@ -73,7 +82,9 @@ impl Define for Extract {
     fn new(params: ExtractParams) -> Result<Self, ParamError> {
         Ok(Self {
             archive: params.open()?,
-            reading: Reading { white_radiance: 0.1 },
+            reading: Reading {
+                white_radiance: tone::WHITE_RADIANCE,
+            },
         })
     }
 }

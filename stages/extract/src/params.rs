@@ -8,6 +8,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::archive::ArchiveFiles;
+use crate::built_in::BuiltIn;
 use crate::folder::{Depth, Folder};
 use crate::sols::Sols;
 
@@ -55,7 +56,7 @@ pub struct DemoArchive {
     #[serde(default = "first_sols")]
     pub sols: String,
     /// Seed of the terrain.
-    #[serde(default)]
+    #[serde(default = "demo_seed")]
     pub seed: u64,
     /// Width of a photo, pixels.
     #[serde(default = "demo_width")]
@@ -78,6 +79,10 @@ fn first_sols() -> String {
     "1..=2".to_owned()
 }
 
+fn demo_seed() -> u64 {
+    1
+}
+
 fn demo_width() -> u32 {
     640
 }
@@ -96,13 +101,7 @@ impl ExtractParams {
                 };
                 Ok(Box::new(Folder::new(folder.path, sols, depth)))
             }
-            Archive::Demo(demo) => {
-                Sols::parse(&demo.sols).map_err(|message| ParamError::new("archive.sols", message))?;
-                Err(ParamError::new(
-                    "archive.kind",
-                    "the demo archive is not built in",
-                ))
-            }
+            Archive::Demo(demo) => Ok(Box::new(BuiltIn::new(&demo)?)),
             Archive::Pds(_) => Err(later("pds")),
             Archive::Feed(_) => Err(later("feed")),
         }

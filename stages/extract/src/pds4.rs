@@ -1,10 +1,13 @@
 //! PDS4 labels: XML, read by namespace and explicit path, never by a search through the whole document (which
 //! would hit the copies under commanded parameters).
 
+mod array;
+mod guard;
+
 use roxmltree::{Document, Node, ParsingOptions};
 
 use crate::camera::{CameraError, RawModel};
-use crate::label::{Array, FramePose, Label, MAX_LABEL_BYTES, Number, Order, Phase, Quantity, Sample};
+use crate::label::{FramePose, Label, MAX_LABEL_BYTES, Phase};
 use crate::values;
 
 const PDS: &str = "http://pds.nasa.gov/pds4/pds/v1";
@@ -14,6 +17,8 @@ const MSN: &str = "http://pds.nasa.gov/pds4/msn/v1";
 const MARS2020: &str = "http://pds.nasa.gov/pds4/mission/mars2020/v1";
 /// Real labels have up to 4,000 nodes.
 const MAX_NODES: u32 = 200_000;
+/// Most attributes of one element; real labels have up to 30. The parser compares each with all others.
+const MAX_ATTRIBUTES: usize = 1_000;
 
 /// XML that is no PDS4 label of an observation.
 #[derive(Debug, thiserror::Error)]
@@ -27,6 +32,9 @@ pub(crate) enum Pds4Error {
     /// Not well-formed, with a document type, or of too many nodes.
     #[error("XML is refused: {0}")]
     Malformed(#[from] roxmltree::Error),
+    /// An element that only serves to keep a parser busy.
+    #[error("XML is refused: an element has more than {MAX_ATTRIBUTES} attributes")]
+    Attributes,
     /// Another document.
     #[error("XML whose root is not `Product_Observational` of PDS4")]
     NoLabel,
@@ -41,6 +49,9 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Label, Pds4Error> {
         return Err(Pds4Error::TooLarge(bytes.len()));
     }
     let text = std::str::from_utf8(bytes).map_err(|_| Pds4Error::Encoding)?;
+    if guard::most_attributes(bytes) > MAX_ATTRIBUTES {
+        return Err(Pds4Error::Attributes);
+    }
     let options = ParsingOptions {
         nodes_limit: MAX_NODES,
         ..ParsingOptions::default()
@@ -66,9 +77,15 @@ fn label(root: Node<'_, '_>) -> Label {
             .and_then(|node| number_at(node, &[(IMG, "Optical_Properties"), (IMG, "focal_length")]))
             .filter(|focal| *focal > 0.0),
         averaged: imaging.and_then(averaged).unwrap_or(1),
-        array: array(root),
+        array: array::read(root),
         ..Label::default()
     };
+    if let Some(array) = &mut label.array {
+        let bits = imaging.and_then(|node| number_at(node, &[(IMG, "Sampling"), (IMG, "sample_bits")]));
+        array.bits = bits
+            .filter(|bits| (1.0..=32.0).contains(bits))
+            .map(|bits| bits as u32);
+    }
     label.size = label.array.as_ref().map(|array| (array.shape[2], array.shape[1]));
     label.mosaic = imaging.and_then(|node| mosaic(node, &mut label.notes));
     match discipline.and_then(geometry) {
@@ -374,99 +391,6 @@ fn counter(lander: Node<'_, '_>) -> Vec<i64> {
         .map(|node| index(node, "Motion_Counter_Index"))
         .unwrap_or_default();
     entries.into_iter().map(|(_, value)| value).collect()
-}
-
-fn array(root: Node<'_, '_>) -> Option<Array> {
-    let area = child(root, PDS, "File_Area_Observational")?;
-    let node = ["Array_2D_Image", "Array_3D_Image"]
-        .iter()
-        .find_map(|name| child(area, PDS, name))?;
-    let element = child(node, PDS, "Element_Array")?;
-    let sample = sample(&text_at(element, &[(PDS, "data_type")])?)?;
-    let (shape, order) = axes(node)?;
-    let number = |name| number_at(element, &[(PDS, name)]);
-    let scaling = (
-        number("scaling_factor").unwrap_or(1.0),
-        number("value_offset").unwrap_or(0.0),
-    );
-    let constants = child(node, PDS, "Special_Constants");
-    Some(Array {
-        file: text_at(area, &[(PDS, "File"), (PDS, "file_name")]),
-        offset: number_at(node, &[(PDS, "offset")]).filter(|offset| *offset >= 0.0)? as u64,
-        shape,
-        order,
-        sample,
-        prefix_bytes: 0,
-        suffix_bytes: 0,
-        bits: None,
-        scaling: (scaling != (1.0, 0.0)).then_some(scaling),
-        missing: constants.map(constants_of).unwrap_or_default(),
-        quantity: Quantity::Counts,
-    })
-}
-
-fn constants_of(node: Node<'_, '_>) -> Vec<f64> {
-    let names = ["missing_constant", "invalid_constant"];
-    names
-        .iter()
-        .filter_map(|name| number_at(node, &[(PDS, name)]))
-        .collect()
-}
-
-fn axes(node: Node<'_, '_>) -> Option<([u32; 3], Order)> {
-    let mut axes: Vec<(u32, String, u32)> = Vec::new();
-    for axis in children(node, PDS, "Axis_Array").take(4) {
-        let side = |name| {
-            values::integer(&text_at(axis, &[(PDS, name)])?).and_then(|value| u32::try_from(value).ok())
-        };
-        axes.push((
-            side("sequence_number")?,
-            text_at(axis, &[(PDS, "axis_name")])?,
-            side("elements")?,
-        ));
-    }
-    axes.sort();
-    let names: Vec<&str> = axes.iter().map(|axis| axis.1.as_str()).collect();
-    let order = match names.as_slice() {
-        ["Line", "Sample"] | ["Band", "Line", "Sample"] => Order::BandSequential,
-        ["Line", "Band", "Sample"] => Order::LineInterleaved,
-        ["Line", "Sample", "Band"] => Order::PixelInterleaved,
-        _ => return None,
-    };
-    let length = |name: &str| axes.iter().find(|axis| axis.1 == name).map(|axis| axis.2);
-    Some((
-        [length("Band").unwrap_or(1), length("Line")?, length("Sample")?],
-        order,
-    ))
-}
-
-fn sample(data_type: &str) -> Option<Sample> {
-    let (kind, rest) = if let Some(rest) = data_type.strip_prefix("Unsigned") {
-        (Number::Unsigned, rest)
-    } else if let Some(rest) = data_type.strip_prefix("Signed") {
-        (Number::Signed, rest)
-    } else {
-        (Number::Float, data_type.strip_prefix("IEEE754")?)
-    };
-    let (big_endian, size) = match (rest.strip_prefix("MSB"), rest.strip_prefix("LSB")) {
-        (Some(size), _) => (true, size),
-        (_, Some(size)) => (false, size),
-        _ => (true, rest),
-    };
-    let bytes = match (kind, size) {
-        (Number::Float, "Single") => 4,
-        (Number::Float, "Double") => 8,
-        (Number::Unsigned | Number::Signed, "Byte") => 1,
-        (Number::Unsigned | Number::Signed, "2") => 2,
-        (Number::Unsigned | Number::Signed, "4") => 4,
-        (Number::Unsigned | Number::Signed, "8") => 8,
-        _ => return None,
-    };
-    Some(Sample {
-        kind,
-        bytes,
-        big_endian,
-    })
 }
 
 #[cfg(test)]

@@ -1,4 +1,9 @@
 //! A folder of photos as an archive.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "helpers of tests are not seen as tests"
+)]
 
 mod common;
 
@@ -34,8 +39,21 @@ fn record() -> Vec<u8> {
     .into_bytes()
 }
 
+/// An attached label and 6 x 4 samples of a mosaic, 12 bits in 16.
+fn img() -> Vec<u8> {
+    let mut bytes = b"ODL_VERSION_ID = ODL3\r\nRECORD_BYTES = 512\r\n^IMAGE = 2\r\nPLANET_DAY_NUMBER = 9\r\n\
+        GROUP = INSTRUMENT_STATE_PARMS\r\nBAYER_METHOD = RAW_BAYER\r\nCFA_TYPE = BAYER_RGGB\r\nEND_GROUP\r\n\
+        OBJECT = IMAGE\r\nLINES = 4\r\nLINE_SAMPLES = 6\r\nSAMPLE_BITS = 16\r\nSAMPLE_TYPE = MSB_INTEGER\r\n\
+        SAMPLE_BIT_MASK = 2#0000111111111111#\r\nEND_OBJECT\r\nEND\r\n"
+        .to_vec();
+    bytes.resize(512, b' ');
+    bytes.extend((0..24_u16).flat_map(|index| (index * 170).to_be_bytes()));
+    bytes
+}
+
 /// A folder with a bit of everything.
 fn sample(root: &Path) {
+    write(root, "raw/mosaic.IMG", &img());
     write(root, "images/a.png", &png(1));
     write(root, "images/b.png", &png(2));
     write(root, &format!("{SOL_7}01.png"), &png(3));
@@ -54,7 +72,10 @@ fn a_folder_becomes_rows_verdicts_and_companions() {
     let mut ids = brought.ids();
     ids.sort_unstable();
     let product = format!("{SOL_7}01");
-    assert_eq!(ids, [product.as_str(), "images/a.png", "images/b.png"]);
+    assert_eq!(
+        ids,
+        [product.as_str(), "images/a.png", "images/b.png", "raw/mosaic.IMG"]
+    );
     assert_eq!(
         brought.listing.companions.keys().collect::<Vec<_>>(),
         ["sparse/0/cameras.txt", "transforms.json"]
@@ -66,7 +87,7 @@ fn a_folder_becomes_rows_verdicts_and_companions() {
     );
     assert_eq!(facts.prior.unwrap().model.h, [8.0, 20.0, 0.0]);
     assert_eq!(brought.verdict("notes.txt").verdict, "skipped");
-    assert_eq!(brought.verdicts.len(), 4, "{:#?}", brought.verdicts);
+    assert_eq!(brought.verdicts.len(), 5, "{:#?}", brought.verdicts);
     for (_, row) in &brought.rows {
         assert!(brought.harness.get(&row.blobs["image"]).is_some(), "{}", row.id);
     }
@@ -82,7 +103,7 @@ fn the_rows_follow_the_version() {
     let digest = marf_cache::Digest::of(text.as_bytes()).short();
     let version = marf_stage::define::<marf_extract::Extract>().version;
     // If this fails and the rows were meant to change, raise `Extract::VERSION` and put both numbers here.
-    assert_eq!((version, digest.as_str()), (1, "a65ab67432e1"), "{text}");
+    assert_eq!((version, digest.as_str()), (1, "800ae4c4e4ef"), "{text}");
 }
 
 #[test]
@@ -116,7 +137,7 @@ fn only_the_shard_of_a_changed_file_changes() {
     let after = bring(folder(dir.path())).unwrap().listing;
     assert_eq!(
         before.shards.iter().map(|shard| shard.shard).collect::<Vec<_>>(),
-        [0, 7]
+        [0, 7, 9]
     );
     assert_ne!(before.shards[0], after.shards[0]);
     assert_eq!(before.shards[1], after.shards[1]);
@@ -131,11 +152,12 @@ fn a_choice_of_sols_is_part_of_the_listing() {
     let dir = tempfile::tempdir().unwrap();
     sample(dir.path());
     let choose = |sols: &str| bring(serde_json::json!({"kind": "folder", "path": dir.path(), "sols": sols}));
-    for sols in ["7", "1..=9", "latest"] {
+    assert_eq!(choose("latest").unwrap().ids(), ["raw/mosaic.IMG"]);
+    for sols in ["7", "1..=8", "2,7"] {
         assert_eq!(choose(sols).unwrap().ids(), [format!("{SOL_7}01")], "{sols}");
     }
-    let error = choose("8..=9").err().unwrap().to_string();
-    assert!(error.contains("2 sols from 0 to 7"), "{error}");
+    let error = choose("8").err().unwrap().to_string();
+    assert!(error.contains("3 sols from 0 to 9"), "{error}");
 }
 
 #[test]
@@ -204,6 +226,49 @@ fn files_that_are_no_photo_get_a_verdict_each() {
         assert_eq!(found.verdict, verdict, "{found:?}");
         assert_eq!(found.reason.is_empty(), verdict == "keep", "{found:?}");
     }
+}
+
+#[test]
+fn raw_pixels_are_developed_by_the_label_at_their_head_or_beside_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let whole = img();
+    write(dir.path(), "one.IMG", &whole);
+    let label = String::from_utf8(whole[..512].to_vec()).unwrap();
+    write(
+        dir.path(),
+        "two.lbl",
+        label.replace("^IMAGE = 2", "^IMAGE = (\"TWO.IMG\")").as_bytes(),
+    );
+    write(dir.path(), "two.img", &whole[512..]);
+    write(dir.path(), "three.img", &whole[512..]);
+    write(dir.path(), "four.img", &whole[..540]);
+    let brought = bring(folder(dir.path())).unwrap();
+    assert_eq!(brought.ids(), ["one.IMG", "two.img"]);
+    let image = |id: &str| {
+        let row = &brought.rows.iter().find(|(_, row)| row.id == id).unwrap().1;
+        marf_scene::Photo::decode(&brought.harness.get(&row.blobs["image"]).unwrap())
+            .unwrap()
+            .image
+    };
+    assert_eq!(image("one.IMG"), image("two.img"));
+    // Stored 170 at column 1, line 0: light 170 / 4095, sRGB 57, in the green it was seen through.
+    assert_eq!(image("one.IMG").at(1, 0)[1], 57);
+    let facts = brought.facts("two.img");
+    assert_eq!(
+        (facts.width, facts.height, facts.bands, facts.sol),
+        (6, 4, 3, Some(9))
+    );
+    let reason = |file: &str| brought.verdict(file).reason.clone();
+    assert!(
+        reason("three.img").contains("no label"),
+        "{}",
+        reason("three.img")
+    );
+    assert!(
+        reason("four.img").contains("describes 560 bytes, it has 540"),
+        "{}",
+        reason("four.img")
+    );
 }
 
 #[test]

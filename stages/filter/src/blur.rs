@@ -28,11 +28,13 @@ pub struct BlurParams {
     pub rule: BlurRule,
     /// Smallest reblur ratio where fewer than `min_set` photos of the instrument are known.
     pub min_ratio: f64,
-    /// With enough photos the smallest ratio is this share of the median of the other photos of the instrument,
-    /// within [`min_ratio` / `adapt`, `min_ratio` * `adapt`].
+    /// With enough photos the smallest ratio at each size is this share of the median of the other photos of the
+    /// instrument at that size, but never below `floor_ratio` nor above `ceiling_ratio`.
     pub min_share: f64,
-    /// How far the set may move `min_ratio`, as a factor; 1 leaves it where it is.
-    pub adapt: f64,
+    /// Below this every photo is blurred, whatever the set.
+    pub floor_ratio: f64,
+    /// Above this no photo is called blurred, whatever the set.
+    pub ceiling_ratio: f64,
     /// Fewest photos of one instrument that make a set.
     pub min_set: u32,
     /// Largest ratio at full size: above it the photo is noise or an undeveloped Bayer mosaic.
@@ -49,7 +51,8 @@ impl Default for BlurParams {
             rule: BlurRule::Reblur,
             min_ratio: 9.0,
             min_share: 0.5,
-            adapt: 1.5,
+            floor_ratio: 3.0,
+            ceiling_ratio: 13.5,
             min_set: 5,
             max_ratio: 400.0,
             max_multiple: 6.0,
@@ -77,7 +80,7 @@ struct Octave {
     after: [u64; 2],
 }
 
-/// Halvings of the photo that are judged beside its full size: a motion of 15 pixels leaves the finest scale to the noise of
+/// Sizes that are judged, each half of the one before: a motion of 15 pixels leaves the finest scale to the noise of
 /// JPEG (ratio 8 to 14), but is plain at half size (4 to 8).
 const OCTAVES: usize = 3;
 
@@ -89,9 +92,10 @@ impl Filter for Blur {
     type Measure = Sharpness;
 
     fn check(params: &BlurParams) -> Result<(), ParamError> {
-        within("min_ratio", params.min_ratio, 0.0, 1e6)?;
+        within("min_ratio", params.min_ratio, 0.01, 1e6)?;
         within("min_share", params.min_share, 0.0, 1.0)?;
-        within("adapt", params.adapt, 1.0, 100.0)?;
+        within("ceiling_ratio", params.ceiling_ratio, 0.0, 1e6)?;
+        within("floor_ratio", params.floor_ratio, 0.01, params.ceiling_ratio)?;
         within("max_ratio", params.max_ratio, params.min_ratio, 1e12)?;
         within("max_multiple", params.max_multiple, 1.0, 1e6)?;
         within("tau", params.tau, 0.0, 1e6)
@@ -110,12 +114,9 @@ impl Filter for Blur {
         }
         let mut opinions = vec![Opinion::pass(""); photos.len()];
         for group in by_instrument(photos) {
-            let measure = |index: &usize| &photos[*index].measure;
-            let lowest = Ranked::new(group.iter().map(|index| measure(index).lowest().0).collect());
-            let finest = Ranked::new(group.iter().map(|index| measure(index).finest()).collect());
-            for index in &group {
-                let limits = Limits::new(params, group.len(), measure(index), &lowest, &finest);
-                opinions[*index] = judge_reblur(limits, measure(index));
+            let set = Usual::of(group.iter().map(|index| &photos[*index].measure));
+            for index in group {
+                opinions[index] = judge_reblur(params, &photos[index].measure, &set);
             }
         }
         opinions
@@ -152,67 +153,96 @@ impl Octave {
     }
 }
 
-impl Sharpness {
-    /// Returns the smallest ratio over sizes and axes, the halvings and the axis it was found at.
-    fn lowest(&self) -> (f64, usize, usize) {
-        let octaves = self.octaves.iter().enumerate();
-        let ratios =
-            octaves.flat_map(|(halvings, octave)| [0, 1].map(|axis| (octave.ratio(axis), halvings, axis)));
-        ratios.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0, 0))
-    }
-
-    /// Returns the larger ratio of both axes at full size.
-    fn finest(&self) -> f64 {
-        self.octaves
-            .first()
-            .map_or(0.0, |octave| octave.ratio(0).max(octave.ratio(1)))
-    }
-}
-
-/// Between these a photo is sharp.
-#[derive(Debug, Clone, Copy)]
-struct Limits {
-    low: f64,
-    high: f64,
-}
-
-impl Limits {
-    fn new(params: &BlurParams, set: usize, photo: &Sharpness, lowest: &Ranked, finest: &Ranked) -> Self {
-        if set < params.min_set as usize {
-            return Self {
-                low: params.min_ratio,
-                high: params.max_ratio,
-            };
+impl Octave {
+    /// Returns the smaller ratio of both axes, and the axis.
+    fn lowest(&self) -> (f64, usize) {
+        let ratios = [self.ratio(0), self.ratio(1)];
+        if ratios[1] < ratios[0] {
+            (ratios[1], 1)
+        } else {
+            (ratios[0], 0)
         }
-        let usual = lowest.without(photo.lowest().0, 1, 2);
-        let (least, most) = (params.min_ratio / params.adapt, params.min_ratio * params.adapt);
+    }
+
+    fn highest(&self) -> f64 {
+        self.ratio(0).max(self.ratio(1))
+    }
+}
+
+/// The ratios of a set of photos, to be asked without one of them.
+struct Usual {
+    /// By number of halvings.
+    lowest: [Ranked; OCTAVES],
+    finest: Ranked,
+    photos: usize,
+}
+
+impl Usual {
+    fn of<'a>(photos: impl Iterator<Item = &'a Sharpness> + Clone) -> Self {
+        let octaves = |halvings: usize| {
+            photos
+                .clone()
+                .filter_map(move |photo| photo.octaves.get(halvings))
+        };
+        let lowest = |halvings| Ranked::new(octaves(halvings).map(|octave| octave.lowest().0).collect());
         Self {
-            low: (params.min_share * usual).clamp(least, most),
-            high: (params.max_multiple * finest.without(photo.finest(), 1, 2)).max(params.max_ratio),
+            lowest: std::array::from_fn(lowest),
+            finest: Ranked::new(octaves(0).map(Octave::highest).collect()),
+            photos: photos.clone().count(),
         }
+    }
+
+    fn is_set(&self, params: &BlurParams) -> bool {
+        self.photos >= params.min_set as usize
+    }
+
+    /// Returns the smallest ratio a sharp photo has after so many halvings.
+    fn least(&self, params: &BlurParams, halvings: usize, ratio: f64) -> f64 {
+        if !self.is_set(params) {
+            return params.min_ratio;
+        }
+        let usual = self.lowest[halvings].without(ratio, 1, 2);
+        (params.min_share * usual).clamp(params.floor_ratio, params.ceiling_ratio)
+    }
+
+    /// Returns the largest ratio at full size of a photo that is not noise.
+    fn most(&self, params: &BlurParams, ratio: f64) -> f64 {
+        if !self.is_set(params) {
+            return params.max_ratio;
+        }
+        (params.max_multiple * self.finest.without(ratio, 1, 2)).max(params.max_ratio)
     }
 }
 
-fn judge_reblur(limits: Limits, photo: &Sharpness) -> Opinion {
-    let (ratio, halvings, axis) = photo.lowest();
-    if ratio < limits.low {
-        let reason = format!(
-            "reblur ratio {ratio:.1} at 1/{} of the size along {}, at least {:.1}",
-            1 << halvings,
-            ["rows", "columns"][axis],
-            limits.low
+fn judge_reblur(params: &BlurParams, photo: &Sharpness, set: &Usual) -> Opinion {
+    let Some(fine) = photo.octaves.first() else {
+        return Opinion::reject(
+            0.0,
+            params.min_ratio,
+            "fewer than 3 pixels a side: nothing can be sharp",
         );
-        return Opinion::reject(ratio, limits.low, reason);
+    };
+    let worst = photo.octaves.iter().enumerate().map(|(halvings, octave)| {
+        let (ratio, axis) = octave.lowest();
+        (ratio, set.least(params, halvings, ratio), halvings, axis)
+    });
+    let worst = worst.min_by(|a, b| (a.0 / a.1).total_cmp(&(b.0 / b.1)));
+    let (ratio, least, halvings, axis) = worst.unwrap_or((0.0, params.min_ratio, 0, 0));
+    if ratio < least {
+        let (part, axis) = (1 << halvings, ["rows", "columns"][axis]);
+        let reason =
+            format!("reblur ratio {ratio:.1} at 1/{part} of the size along {axis}, at least {least:.1}");
+        return Opinion::reject(ratio, least, reason);
     }
-    let finest = photo.finest();
-    if finest > limits.high {
-        let reason = format!(
-            "reblur ratio {finest:.0}, at most {:.0}: noise or a raw mosaic",
-            limits.high
+    let (finest, most) = (fine.highest(), set.most(params, fine.highest()));
+    if finest > most {
+        return Opinion::reject(
+            finest,
+            most,
+            format!("reblur ratio {finest:.0}, at most {most:.0}: noise or a raw mosaic"),
         );
-        return Opinion::reject(finest, limits.high, reason);
     }
-    Opinion::keep(ratio, limits.low)
+    Opinion::keep(ratio, least)
 }
 
 fn judge_laplacian(params: &BlurParams, photo: &Sharpness) -> Opinion {

@@ -39,7 +39,8 @@ pub struct DuplicateParams {
     pub rule: DuplicateRule,
     /// Largest distance of the 64-bit hashes of two candidates, over pairs of bands, in bits.
     pub candidate_bits: u32,
-    /// Smallest correlation of the gradient images of two duplicates. Copies reach 0.99, video neighbours 0.94.
+    /// Smallest correlation of the gradient images of two duplicates. Copies reach 0.99, video
+    /// neighbours 0.94, stereo partners 0.87.
     pub min_correlation: f64,
     /// The same for two photos that one camera took on one sol through different colour filters.
     pub filter_correlation: f64,
@@ -52,7 +53,7 @@ impl Default for DuplicateParams {
         Self {
             rule: DuplicateRule::Confirmed,
             candidate_bits: 14,
-            min_correlation: 0.967,
+            min_correlation: 0.975,
             filter_correlation: 0.9,
             max_bits: 5,
         }
@@ -140,9 +141,9 @@ struct View {
     sketch: Sketch,
 }
 
-/// Below this the colours of a photo are one tint; narrow-band copies have 0.003 at most, photos with 3 % of their
-/// colour left 0.01.
-const COLOUR: f64 = 0.008;
+/// Below this the colours of a photo are one tint: narrow-band JPEG copies have 0.0025 to 0.0095, the palest photo
+/// of the Navcam feed 0.021, rover and fox 0.087 and more.
+const COLOUR: f64 = 0.014;
 
 impl View {
     /// Orders the better photo first; ids are unique, so no two are equal.

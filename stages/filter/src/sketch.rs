@@ -19,9 +19,10 @@ pub(crate) struct Sketch {
     /// Upright size, pixels.
     pub(crate) width: u32,
     pub(crate) height: u32,
-    /// Laplacian variance times the squared number of pixels: scaled copies are compared in units of the scene.
+    /// Laplacian energy inside the blocks of JPEG times the squared number of pixels: scaled copies are compared in
+    /// units of the scene, and block edges do not count as detail.
     pub(crate) sharpness: f64,
-    /// How far colours differ inside the photo, in [0, 1]; below about 0.01 it is gray or seen through one narrow band.
+    /// How far colours differ inside the photo, in [0, 1]; near 0 it is gray or seen through one narrow band.
     pub(crate) colour: f64,
     /// Perceptual hashes: of the brightness, then of each band.
     pub(crate) hashes: Vec<u64>,
@@ -42,7 +43,7 @@ impl Sketch {
         Self {
             width: image.width,
             height: image.height,
-            sharpness: Plane::of(image).laplacian_variance() * area * area,
+            sharpness: Plane::of(image).detail() * area * area,
             colour: means.colour(),
             hashes,
             gradients: (0..bands).map(|band| means.gradient(band)).collect(),
@@ -193,4 +194,92 @@ fn hash(grid: &Grid, value: impl Fn([u32; 3]) -> u8) -> u64 {
     let mut bytes = [0; 8];
     bytes.copy_from_slice(hasher.hash_image(&image).as_bytes());
     u64::from_le_bytes(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn photo(image: Image<Srgb>) -> Photo {
+        Photo {
+            image,
+            bands: 3,
+            notes: Vec::new(),
+        }
+    }
+
+    fn hills() -> Image<Srgb> {
+        Image::from_fn(200, 150, |x, y| {
+            let (x, y) = (x as i32, y as i32);
+            let height = (x * x / 40 + y * y / 60 + (x / 9 * 37 + y / 7 * 91) % 64) % 200;
+            [height as u8 + 30, (height / 2) as u8 + 40, (x % 50) as u8 + 20]
+        })
+    }
+
+    #[test]
+    fn a_sketch_survives_its_bytes() {
+        let sketch = Sketch::of(&photo(hills()));
+        let bytes = [sketch.encode(), vec![7]].concat();
+        let mut rest = bytes.as_slice();
+        assert_eq!(Sketch::decode(&mut rest), Some(sketch));
+        assert_eq!(rest, [7]);
+        for cut in [0, 3, 24, 40, bytes.len() - 2] {
+            assert_eq!(Sketch::decode(&mut &bytes[..cut]), None, "cut at {cut}");
+        }
+    }
+
+    #[test]
+    fn gray_and_one_tint_have_no_colour_and_a_coloured_photo_has() {
+        let colour = |image: Image<Srgb>| Sketch::of(&photo(image)).colour;
+        let tinted = |[red, green, blue]: [f64; 3]| {
+            let hills = hills();
+            Image::from_fn(200, 150, |x, y| {
+                let band = f64::from(hills.at(x, y)[0]);
+                [red * band, green * band, blue * band].map(|value| value.round() as u8)
+            })
+        };
+        assert_eq!(colour(tinted([1.0, 1.0, 1.0])), 0.0);
+        assert!(
+            colour(tinted([0.45, 0.6, 1.0])) < 0.003,
+            "{}",
+            colour(tinted([0.45, 0.6, 1.0]))
+        );
+        assert!(colour(hills()) > 0.1, "{}", colour(hills()));
+    }
+
+    /// By hand: 2 x 2 cells over 4 x 2 pixels, each cell a column pair of one row.
+    #[test]
+    fn cells_are_means_in_sixteenths() {
+        let image = Image::from_fn(4, 2, |x, y| [(10 * x + y) as u8, 0, 255]);
+        let cells = Grid::of(&image, 2).cells;
+        assert_eq!(
+            cells,
+            [[80, 0, 4080], [400, 0, 4080], [96, 0, 4080], [416, 0, 4080]]
+        );
+    }
+
+    #[test]
+    fn cells_of_an_image_smaller_than_the_grid_repeat_its_pixels() {
+        let cells = Grid::of(&Image::from_fn(1, 1, |_, _| [9, 8, 7]), 16).cells;
+        assert!(cells.iter().all(|cell| *cell == [144, 128, 112]), "{cells:?}");
+    }
+
+    #[test]
+    fn the_hash_does_not_ask_how_bright_a_photo_is_and_differs_for_its_mirror() {
+        let hash = |image: Image<Srgb>| Sketch::of(&photo(image)).hashes[0];
+        let hills = hills();
+        let dim = Image::from_fn(200, 150, |x, y| hills.at(x, y).map(|value| value / 2));
+        let mirror = Image::from_fn(200, 150, |x, y| hills.at(199 - x, y));
+        let distance = |other: Image<Srgb>| (hash(hills.clone()) ^ hash(other)).count_ones();
+        let (dimmed, mirrored) = (distance(dim), distance(mirror));
+        assert!(dimmed <= 4, "half the light: {dimmed} bits");
+        assert!(mirrored >= 20, "mirrored: {mirrored} bits");
+    }
+
+    #[test]
+    fn edges_between_blocks_are_no_detail() {
+        let blocks = Image::from_fn(64, 64, |x, y| [((x / 8 * 50 + y / 8 * 30) % 256) as u8; 3]);
+        assert_eq!(Plane::of(&blocks).detail(), 0.0);
+        assert!(Plane::of(&blocks).laplacian_variance() > 100.0);
+    }
 }

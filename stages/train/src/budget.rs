@@ -59,7 +59,7 @@ impl FromStr for Budget {
 
 impl fmt::Display for Budget {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.milliseconds % 1000 == 0 {
+        if self.milliseconds.is_multiple_of(1000) {
             write!(f, "{}s", self.milliseconds / 1000)
         } else {
             write!(f, "{}ms", self.milliseconds)

@@ -1,4 +1,9 @@
 //! Every stage of the room on a tiny scene, with the real field.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a test that cannot go on should stop"
+)]
 
 mod common;
 

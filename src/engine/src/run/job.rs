@@ -107,13 +107,25 @@ impl Shift<'_> {
         let key = self.order.key.digest;
         let checkpoints = FileCheckpoints::new(self.site.store, &key, &self.node, self.site.listener);
         let circumstances = self.circumstances();
-        match self.produce(&checkpoints, &circumstances)? {
+        let produced = self.produce(&checkpoints, &circumstances);
+        match produced.map_err(|error| self.blame(error))? {
             Produced::Children(specs) => Ok(Done::Expanded(specs)),
             Produced::Outputs(outputs, counts) => {
                 let record = self.keep(outputs, circumstances)?;
                 checkpoints.remove();
                 Ok(Done::Finished(record, counts))
             }
+        }
+    }
+
+    /// A stage that cannot write is not to blame where the store cannot write either (a full disk, a lock).
+    fn blame(&self, error: StageError) -> Fault {
+        match &error {
+            StageError::Blob(blob) if blob.lost.is_none() => match self.site.store.commit() {
+                Err(trouble) => Fault::Store(trouble),
+                Ok(()) => Fault::Stage(error),
+            },
+            _ => Fault::Stage(error),
         }
     }
 

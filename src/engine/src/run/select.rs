@@ -11,7 +11,10 @@ impl Graph {
     /// # Errors
     /// Names a node that is not there.
     pub fn select(&self, to: &[String], from: &[String]) -> Result<BTreeSet<String>, EngineError> {
-        Ok(chosen(self, to, from)?.into_iter().map(|index| self.nodes[index].name.clone()).collect())
+        Ok(chosen(self, to, from)?
+            .into_iter()
+            .map(|index| self.nodes[index].name.clone())
+            .collect())
     }
 }
 

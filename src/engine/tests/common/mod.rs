@@ -1,5 +1,6 @@
 //! Tiny stages for tests of the engine: an archive in memory, a filter, a fold, a sum, an expansion.
 
+#![allow(clippy::unwrap_used, reason = "a test that is set up wrong should stop")]
 #![allow(dead_code, reason = "each test file uses its own part")]
 
 use std::{
@@ -17,6 +18,9 @@ use marf_stage::*;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
+type AtMeasure = Box<dyn Fn(usize) + Send>;
+type AtSum = Arc<dyn Fn() + Send + Sync>;
+
 /// What the tests' archive holds (shard -> name -> number), and what was asked of it. Each test has its own, by
 /// a number that is no part of any key.
 #[derive(Default)]
@@ -27,8 +31,9 @@ pub struct World {
     pub folded: Mutex<Vec<u32>>,
     pub ran: AtomicU64,
     /// Called at every measure with the number measured before.
-    pub at_measure: Mutex<Option<Box<dyn Fn(usize) + Send>>>,
-    pub at_sum: Mutex<Option<Box<dyn Fn() + Send>>>,
+    pub at_measure: Mutex<Option<AtMeasure>>,
+    /// Called when a sum begins.
+    pub at_sum: Mutex<Option<AtSum>>,
     pub extra_threads: Mutex<Vec<usize>>,
 }
 
@@ -67,6 +72,14 @@ impl World {
 
     pub fn take_folded(&self) -> Vec<u32> {
         std::mem::take(&mut self.folded.lock().unwrap())
+    }
+
+    /// Forgets what was asked so far.
+    pub fn forget(&self) {
+        self.take_fetched();
+        self.take_measured();
+        self.take_folded();
+        self.take_ran();
     }
 
     pub fn take_ran(&self) -> u64 {
@@ -167,7 +180,7 @@ stage!(
 );
 stage!(
     Many,
-    ManyParams { b: u64 },
+    ManyParams { b: u64, unlucky: u64 },
     "many",
     1,
     [Port::required("input", "sum")],
@@ -216,17 +229,23 @@ impl Source for Archive {
                 blobs,
                 facts: serde_json::json!({ "shard": shard }),
             });
-            fetched.verdicts.push(verdict(&name, true, None));
+            fetched.verdicts.push(verdict(&name, Keeps(true), None));
         }
         Ok(fetched)
     }
 }
 
-fn verdict(id: &str, keep: bool, score: Option<f64>) -> Verdict {
+/// Whether a photo stays.
+struct Keeps(bool);
+
+fn verdict(id: &str, keeps: Keeps, score: Option<f64>) -> Verdict {
     Verdict {
         id: id.to_owned(),
         file: format!("{id}.png"),
-        verdict: if keep { Verdict::KEEP } else { "size" }.to_owned(),
+        verdict: match keeps {
+            Keeps(true) => Verdict::KEEP.to_owned(),
+            Keeps(false) => "size".to_owned(),
+        },
         score,
         threshold: None,
         twin: None,
@@ -269,8 +288,13 @@ impl Measure for AtMost {
 impl Map for AtMost {
     fn decide(&self, items: &[Measured<'_>]) -> Result<Vec<Verdict>, StageError> {
         let score = |item: &Measured<'_>| read(item.measure);
-        let judge =
-            |item: &Measured<'_>| verdict(&item.row.id, score(item) <= self.0.most, Some(score(item) as f64));
+        let judge = |item: &Measured<'_>| {
+            verdict(
+                &item.row.id,
+                Keeps(score(item) <= self.0.most),
+                Some(score(item) as f64),
+            )
+        };
         Ok(items.iter().map(judge).collect())
     }
 }
@@ -300,8 +324,13 @@ impl Fold for Distinct {
         let mut seen: std::collections::BTreeSet<u64> = state
             .map(|state| serde_json::from_slice(state).unwrap())
             .unwrap_or_default();
-        let judge =
-            |item: &Measured<'_>| verdict(&item.row.id, seen.insert(read(item.measure) / self.0.by), None);
+        let judge = |item: &Measured<'_>| {
+            verdict(
+                &item.row.id,
+                Keeps(seen.insert(read(item.measure) / self.0.by)),
+                None,
+            )
+        };
         let verdicts = items.iter().map(judge).collect();
         Ok((serde_json::to_vec(&seen).unwrap(), verdicts))
     }
@@ -312,7 +341,8 @@ impl Set for Sum {
         let world = world(self.0.world.0);
         world.ran.fetch_add(1, Ordering::Relaxed);
         world.extra_threads.lock().unwrap().push(ctx.threads);
-        if let Some(at_sum) = world.at_sum.lock().unwrap().as_ref() {
+        let at_sum = world.at_sum.lock().unwrap().clone();
+        if let Some(at_sum) = at_sum {
             at_sum();
         }
         ctx.check()?;
@@ -351,7 +381,7 @@ impl Expand for Many {
         let spec = |seed: u64| NodeSpec {
             name: format!("member-{seed:02}"),
             stage: "draw".to_owned(),
-            params: serde_json::json!({ "world": self.0.world.0, "seed": if seed == 13 { 1313 } else { seed } }),
+            params: serde_json::json!({ "world": self.0.world.0, "seed": if seed == self.0.unlucky { 1313 } else { seed } }),
             inputs: inputs.clone(),
         };
         Ok((0..self.0.b).map(spec).collect())
@@ -429,6 +459,8 @@ pub struct Line {
     pub by: u64,
     pub times: u64,
     pub b: u64,
+    /// The member that fails.
+    pub unlucky: u64,
     pub version: u32,
 }
 
@@ -440,6 +472,7 @@ impl Line {
             by: 2,
             times: 1,
             b: 3,
+            unlucky: 99,
             version: 1,
         }
     }
@@ -469,7 +502,13 @@ impl Line {
                 json("times", self.times),
                 &["input=distinct"],
             ),
-            node("many", "many", self.world, json("b", self.b), &["input=sum"]),
+            node(
+                "many",
+                "many",
+                self.world,
+                serde_json::json!({ "b": self.b, "unlucky": self.unlucky }),
+                &["input=sum"],
+            ),
         ];
         nodes[1].stage.version = self.version;
         nodes

@@ -153,7 +153,7 @@ fn any_across(up: &Vector3<f64>) -> Vector3<f64> {
 pub(super) fn turn(share: f64) -> (f64, f64) {
     let eighths = share * 8.0;
     let octant = eighths as u64;
-    let (octant, rest) = if octant % 2 == 0 {
+    let (octant, rest) = if octant.is_multiple_of(2) {
         (octant, eighths - octant as f64)
     } else {
         (octant + 1, eighths - (octant + 1) as f64)

@@ -25,7 +25,10 @@ impl Palette {
             Self::Inferno => &INFERNO,
             Self::Viridis => &VIRIDIS,
         };
-        // `max` first: it turns NaN into 0, while `clamp` would keep it.
+        #[allow(
+            clippy::manual_clamp,
+            reason = "NaN becomes the low end, which clamp would let through"
+        )]
         let place = share.max(0.0).min(1.0) * (anchors.len() - 1) as f32;
         let low = (place as usize).min(anchors.len() - 2);
         let weight = place - low as f32;

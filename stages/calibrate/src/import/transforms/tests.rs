@@ -1,0 +1,166 @@
+use super::*;
+
+const UNIT: &str = "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]";
+
+fn frames(frames: &str) -> Result<Vec<View>, ImportError> {
+    read_transforms(
+        "sub/transforms.json",
+        format!(r#"{{"fl_x": 100, "w": 40.0, "h": 30, {frames}}}"#).as_bytes(),
+    )
+}
+
+fn message(text: &str) -> String {
+    frames(text).unwrap_err().to_string()
+}
+
+#[test]
+fn a_camera_looks_along_minus_z_with_y_up() {
+    // At (1, 2, 3), turned by nothing: OpenGL looks along -z of the world, up is +y.
+    let moved = "[[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]";
+    let views = frames(&format!(
+        r#""frames": [{{"file_path": "./a.jpg", "transform_matrix": {moved}}}]"#
+    ))
+    .unwrap();
+    let pose = views[0].cam_from_world;
+    assert_eq!(pose.centre(), Vector3::new(1.0, 2.0, 3.0));
+    assert_eq!(
+        pose.point(&Vector3::new(1.0, 2.0, -4.0)),
+        Vector3::new(0.0, 0.0, 7.0)
+    );
+    assert_eq!(pose.direction(&Vector3::y()), Vector3::new(0.0, -1.0, 0.0));
+    assert_eq!(
+        (views[0].file.as_str(), views[0].place.as_str()),
+        ("sub/a.jpg", "/frames/0")
+    );
+}
+
+#[test]
+fn a_frames_own_lens_counts_more_than_the_one_at_the_top() {
+    let text = format!(
+        r#""k1": 0.5, "frames": [{{"file_path": "a", "fl_x": 7, "cx": 3.5, "transform_matrix": {UNIT}}},
+        {{"file_path": "../b", "transform_matrix": {UNIT}}}]"#
+    );
+    let views = frames(&text).unwrap();
+    assert_eq!(views[0].lens.focal, Focal::Px(7.0, 7.0));
+    assert_eq!(
+        (views[0].lens.cx_px, views[0].lens.distortion[0]),
+        (Some(3.5), 0.5)
+    );
+    assert_eq!(views[1].lens.focal, Focal::Px(100.0, 100.0));
+    assert_eq!(
+        (views[1].lens.size, views[1].file.as_str()),
+        (Some((40, 30)), "b")
+    );
+}
+
+#[test]
+fn a_uniform_scale_is_divided_out_and_rounded_digits_are_mended() {
+    let scaled = Matrix3::new(0.0, -2.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.0, 2.0);
+    let expected = Matrix3::new(0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0);
+    assert_eq!(rotation(&scaled), Ok(expected));
+    let rounded = Matrix3::new(0.707, -0.707, 0.0, 0.707, 0.707, 0.0, 0.0, 0.0, 1.0);
+    let mended = rotation(&rounded).unwrap();
+    let defect = (mended.transpose() * mended - Matrix3::identity()).abs().max();
+    assert!(defect < 1e-14, "{defect}");
+    for (bad, word) in [
+        (Matrix3::zeros(), "singular"),
+        (-Matrix3::identity(), "mirrored"),
+        (
+            Matrix3::new(1.0, 0.1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
+            "no rotation",
+        ),
+        (
+            Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, 2.0)),
+            "no rotation",
+        ),
+        (Matrix3::repeat(f64::MAX), "singular"),
+    ] {
+        let error = rotation(&bad).unwrap_err();
+        assert!(error.contains(word), "{error}");
+    }
+}
+
+#[test]
+fn lists_of_names_decide_what_is_measured() {
+    let frame = |name: &str| format!(r#"{{"file_path": "{name}", "transform_matrix": {UNIT}}}"#);
+    let all = ["a", "b", "c", "d"].map(frame).join(",");
+    let roles = |lists: &str| -> Vec<Role> {
+        frames(&format!(r#"{lists} "frames": [{all}]"#))
+            .unwrap()
+            .iter()
+            .map(|view| view.role)
+            .collect()
+    };
+    use Role::{HeldOut, Open, Train, Unlisted};
+    assert_eq!(roles(""), [Open; 4]);
+    let lists = r#""train_filenames": ["a", "b"], "val_filenames": ["./c"], "test_filenames": ["b"],"#;
+    assert_eq!(roles(lists), [Train, HeldOut, HeldOut, Unlisted]);
+    assert_eq!(
+        roles(r#""train_filenames": ["a"],"#),
+        [Train, HeldOut, HeldOut, HeldOut]
+    );
+    assert_eq!(
+        roles(r#""test_filenames": ["a"],"#),
+        [HeldOut, Train, Train, Train]
+    );
+    assert_eq!(roles(r#""test_filenames": [],"#), [Open; 4]);
+}
+
+#[test]
+fn every_wrong_field_is_named_by_its_pointer() {
+    let frame = |more: &str| format!(r#""frames": [{{"file_path": "a.jpg", {more}}}]"#);
+    let cases = [
+        (
+            frame(r#""transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0]]"#),
+            "/frames/0/transform_matrix: 3 rows",
+        ),
+        (
+            frame(r#""transform_matrix": [[1,0,0],[],[],[]]"#),
+            "/frames/0/transform_matrix/0: 3 numbers",
+        ),
+        (
+            frame(r#""transform_matrix": [[1,0,0,"x"],[],[],[]]"#),
+            "/frames/0/transform_matrix/0/3: \"x\" is not",
+        ),
+        (
+            frame(r#""fl_x": 0"#),
+            "/frames/0/fl_x: 0 is not a positive focal length",
+        ),
+        (frame(r#""fl_x": -5"#), "/frames/0/fl_x: -5 is not"),
+        (frame(r#""w": 4.5"#), "/frames/0/w: 4.5 is no size"),
+        (
+            frame(r#""camera_model": "OPENCV_FISHEYE""#),
+            "`OPENCV_FISHEYE` is not read",
+        ),
+        (frame(r#""k3": 0.1"#), "/frames/0/k3: only k1, k2"),
+        (frame(r#""is_fisheye": true"#), "/frames/0/is_fisheye: fish-eye"),
+        (frame(r#""x": 1"#), "/frames/0: `transform_matrix` is missing"),
+        (r#""frames": []"#.to_owned(), "`frames` is empty"),
+        (r#""frames": {}"#.to_owned(), "/frames: not a list"),
+        (
+            r#""frames": [{"file_path": "/etc/passwd"}]"#.to_owned(),
+            "/frames/0/file_path: `/etc/passwd` is absolute",
+        ),
+        (
+            r#""frames": [{"file_path": "C:\\a.jpg"}]"#.to_owned(),
+            "is absolute",
+        ),
+        (
+            r#""frames": [{"file_path": "../../a.jpg"}]"#.to_owned(),
+            "leads out of the archive",
+        ),
+        (
+            r#""train_filenames": [3], "frames": [{}]"#.to_owned(),
+            "/train_filenames/0: not a text",
+        ),
+    ];
+    for (text, part) in cases {
+        let error = frames(&text)
+            .err()
+            .map(|error| error.to_string())
+            .unwrap_or_default();
+        assert!(error.starts_with("`sub/transforms.json`"), "{text}: {error}");
+        assert!(error.contains(part), "{text}: {error}");
+    }
+    assert!(message(r#""frames": [{"file_path": "a", "transform_matrix": 1e999}]"#).contains("not JSON"));
+}

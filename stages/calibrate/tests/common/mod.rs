@@ -1,0 +1,121 @@
+//! A set of photos in memory, and the stage run on it.
+#![allow(dead_code, reason = "each test program uses its own part")]
+#![allow(clippy::unwrap_used, reason = "a fixture that is wrong should stop the test")]
+#![allow(clippy::print_stdout, reason = "a skipped test says so")]
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use marf_cache::{Digest, manifest::Row};
+use marf_calibrate::{Calibrate, METRICS, Metrics, SCENE, TRANSFORMS};
+use marf_scene::{Photo, PhotoFacts, Scene};
+use marf_stage::{COMPANIONS, Inputs, PHOTOS, Stage, StageDef, StageError, Work, define, harness::Harness};
+
+/// Photos, companions and a store.
+#[derive(Default)]
+pub struct Input {
+    pub harness: Harness,
+    rows: Vec<(u32, Row)>,
+    companions: BTreeMap<String, Digest>,
+}
+
+/// What came out.
+#[derive(Debug)]
+pub struct Output {
+    pub scene: Scene,
+    pub scene_digest: Digest,
+    pub metrics: Metrics,
+    pub transforms: String,
+}
+
+impl Input {
+    pub fn photo(&mut self, id: &str, bytes: &[u8], facts: PhotoFacts) {
+        let blobs = BTreeMap::from([("image".to_owned(), self.harness.put(bytes))]);
+        let row = Row {
+            id: id.to_owned(),
+            blobs,
+            facts: facts.to_json(),
+        };
+        self.rows.push((facts.sol.unwrap_or(0), row));
+    }
+
+    /// A photo without a label.
+    pub fn plain(&mut self, file: &str, bytes: &[u8]) {
+        let (width, height) = Photo::size_px(bytes).unwrap();
+        let facts = PhotoFacts {
+            file: file.to_owned(),
+            width,
+            height,
+            ..PhotoFacts::default()
+        };
+        self.photo(file, bytes, facts);
+    }
+
+    pub fn companion(&mut self, name: &str, bytes: &[u8]) {
+        let digest = self.harness.put(bytes);
+        self.companions.insert(name.to_owned(), digest);
+    }
+
+    pub fn run(&self, params: &serde_json::Value) -> Result<Output, StageError> {
+        const STAGE: StageDef = define::<Calibrate>();
+        let stage = (STAGE.bind)(params.clone()).map_err(|error| StageError::new(error.to_string()))?;
+        self.run_stage(stage.as_ref())
+    }
+
+    fn run_stage(&self, stage: &dyn Stage) -> Result<Output, StageError> {
+        let companions = self.harness.put(&serde_json::to_vec(&self.companions).unwrap());
+        let inputs = Inputs(BTreeMap::from([
+            (PHOTOS.to_owned(), self.harness.put_set(&self.rows)),
+            (COMPANIONS.to_owned(), companions),
+        ]));
+        let Work::Set(set) = stage.work() else {
+            panic!("calibrate needs all its inputs at once");
+        };
+        let outputs = set.run(&self.harness.ctx(), &inputs)?;
+        let get = |name: &str| self.harness.get(&outputs[name]).unwrap();
+        Ok(Output {
+            scene: Scene::decode(&get(SCENE)).unwrap(),
+            scene_digest: outputs[SCENE],
+            metrics: serde_json::from_slice(&get(METRICS)).unwrap(),
+            transforms: String::from_utf8(get(TRANSFORMS).to_vec()).unwrap(),
+        })
+    }
+
+    /// The message, cause and hint of a run that must fail.
+    pub fn complaint(&self, params: &serde_json::Value) -> String {
+        match self.run(params).unwrap_err() {
+            StageError::Failed { message, cause, hint } => {
+                format!(
+                    "{message}\n{}\n{}",
+                    cause.unwrap_or_default(),
+                    hint.unwrap_or_default()
+                )
+            }
+            other => other.to_string(),
+        }
+    }
+}
+
+/// The folder of real photos, or `None` with a line that says so.
+pub fn shared(test: &str) -> Option<PathBuf> {
+    let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data");
+    let data = std::env::var("MARF_SHARED_DATA").unwrap_or_else(|_| beside.to_owned());
+    let data = PathBuf::from(data);
+    if !data.is_dir() {
+        println!("skipped: {test} needs ../shared/data");
+        return None;
+    }
+    Some(data)
+}
+
+/// All files of a folder below `root`, as plain photos named relative to `root`.
+pub fn folder(input: &mut Input, root: &Path, below: &str) {
+    let mut names: Vec<String> = std::fs::read_dir(root.join(below))
+        .unwrap()
+        .map(|entry| format!("{below}/{}", entry.unwrap().file_name().to_string_lossy()))
+        .collect();
+    names.sort();
+    for name in names {
+        input.plain(&name, &std::fs::read(root.join(&name)).unwrap());
+    }
+}

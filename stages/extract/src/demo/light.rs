@@ -1,0 +1,198 @@
+//! Light and materials: sun, sky, sand, stones, rock.
+
+use super::{
+    ground::Lie,
+    math::{V3, cell_bits, mix32, noise2, noise3, smoothstep, v3, whole},
+    rocks::Rock,
+};
+
+/// Light of the sun on a surface that faces it, linear RGB.
+pub const SUN: V3 = v3(1.32, 1.16, 0.98);
+/// Light of the open sky.
+const SKY_LIGHT: V3 = v3(0.26, 0.205, 0.155);
+/// Light thrown up by the sunlit ground.
+const BOUNCE: V3 = v3(0.15, 0.085, 0.045);
+const HORIZON: V3 = v3(0.66, 0.475, 0.315);
+const ZENITH: V3 = v3(0.40, 0.285, 0.19);
+const SAND: V3 = v3(0.295, 0.184, 0.107);
+const DUST: V3 = v3(0.40, 0.252, 0.147);
+const GRIT: V3 = v3(0.17, 0.118, 0.082);
+
+/// Unit direction to the sun (site x, y, up): azimuth 128 degrees, elevation 37.
+pub const TO_SUN: V3 = v3(-0.491_689, 0.629_334, 0.601_815);
+
+/// A surface's colour, and how it bends the normal.
+pub struct Skin {
+    pub albedo: V3,
+    pub normal: V3,
+}
+
+/// Light that leaves a surface.
+pub fn lit(skin: &Skin, sun_share: f64, open: f64) -> V3 {
+    let facing = skin.normal.dot(TO_SUN).max(0.0) * sun_share;
+    let up = 0.5 + 0.5 * skin.normal.z;
+    let light = SUN * facing + SKY_LIGHT * (open * up) + BOUNCE * (open * (1.0 - up) + 0.04);
+    skin.albedo.times(light)
+}
+
+/// The sky with the hills on its rim.
+pub fn sky(along: V3, salt: u32) -> V3 {
+    let level = (along.x * along.x + along.y * along.y).sqrt().max(1e-9);
+    let (east, north) = (along.x / level, along.y / level);
+    let rise = along.z / level;
+    let high = smoothstep(-0.05, 0.9, rise);
+    let near_sun = along.dot(TO_SUN).max(0.0);
+    let glow = near_sun * near_sun * near_sun * near_sun;
+    let mut light = HORIZON.mix(ZENITH, high) + v3(0.16, 0.13, 0.10) * (glow * glow);
+    light = light + v3(0.05, 0.035, 0.02) * smoothstep(0.12, 0.0, rise);
+    for (ridge, tallness, haze) in [(0, 0.050, 0.80), (1, 0.028, 0.62)] {
+        let outline =
+            |scale: f64, k: u32| noise2(east * scale + 5.0, north * scale, salt ^ (71 + 8 * ridge + k)).0;
+        let crest = tallness
+            * (0.75
+                + 0.55 * outline(1.6, 0)
+                + 0.22 * outline(4.3, 1)
+                + 0.07 * outline(13.0, 2)
+                + 0.03 * outline(37.0, 3));
+        let share = smoothstep(0.000_8, -0.000_8, rise - crest);
+        if share > 0.0 {
+            let folds = 0.5 + 0.5 * noise2(east * 30.0, north * 30.0 + rise * 160.0, salt ^ (77 + ridge)).0;
+            let slope = v3(0.245, 0.150, 0.088).mix(v3(0.36, 0.225, 0.135), folds);
+            light = light.mix(slope.mix(HORIZON, haze), share);
+        }
+    }
+    light
+}
+
+/// Dust in the air between here and there.
+pub fn hazed(light: V3, range_m: f64) -> V3 {
+    let share = range_m / (range_m + 260.0);
+    light.mix(HORIZON.mix(SAND, 0.25), share * share.sqrt())
+}
+
+/// How much of a detail of this size a pixel of that footprint can hold: all from 1.7 footprints on.
+fn held(size_m: f64, footprint_m: f64) -> f64 {
+    smoothstep(0.7, 1.7, size_m / footprint_m)
+}
+
+/// What tints the ground over metres: dust against sand, and a tone about 0.
+pub fn broad_tint(x: f64, y: f64, sand: f64, salt: u32) -> (f64, f64) {
+    let broad = noise2(x / 2.3, y / 2.3, salt ^ 41).0;
+    let blotch = noise2(x / 0.61, y / 0.61, salt ^ 42).0;
+    let dusty = smoothstep(-0.6, 0.9, 0.8 * broad + 0.5 * blotch - 0.9 * (sand - 0.5));
+    (dusty, 0.10 * broad + 0.05 * blotch)
+}
+
+/// Sand, dust and small stones at a place.
+pub fn ground_skin(x: f64, y: f64, lie: &Lie, footprint_m: f64, salt: u32) -> Skin {
+    let mut albedo = SAND.mix(DUST, lie.dusty);
+    let (mut slope_x, mut slope_y) = lie.slope;
+    let (sand, mut tone) = (lie.sand, lie.tone);
+    let rough = 1.0 - 0.62 * sand;
+    let (mut px, mut py, mut size) = (x, y, 0.26);
+    for octave in 0..7_u32 {
+        let share = held(size, footprint_m);
+        if share <= 0.0 {
+            break;
+        }
+        // Each octave is turned by the angle of a 3-4-5 triangle, so that no lattice shows.
+        (px, py) = (0.8 * px - 0.6 * py, 0.6 * px + 0.8 * py);
+        let (value, dx, dy) = noise2(px / size, py / size, salt ^ (50 + octave));
+        let strength = share * rough * 0.085;
+        let turned = back(dx, dy, octave + 1);
+        slope_x += strength * turned.0;
+        slope_y += strength * turned.1;
+        tone += share * (0.050 + 0.035 * rough) * value;
+        size *= 0.52;
+    }
+    albedo = albedo * (1.0 + tone);
+    let mut skin = Skin {
+        albedo,
+        normal: super::ground::normal_of(slope_x, slope_y),
+    };
+    for (layer, (size, share)) in [(0.115, 0.34), (0.058, 0.42), (0.030, 0.5)]
+        .into_iter()
+        .enumerate()
+    {
+        stones(
+            &mut skin,
+            (x, y),
+            size,
+            share * (1.0 - 0.93 * sand),
+            footprint_m,
+            salt ^ (90 + layer as u32),
+        );
+    }
+    skin
+}
+
+/// Turns a slope back by `times` 3-4-5 angles.
+fn back(mut dx: f64, mut dy: f64, times: u32) -> (f64, f64) {
+    for _ in 0..times {
+        (dx, dy) = (0.8 * dx + 0.6 * dy, -0.6 * dx + 0.8 * dy);
+    }
+    (dx, dy)
+}
+
+/// A layer of pebbles, at most one a cell, each a dome with its own little shadow.
+fn stones(skin: &mut Skin, at: (f64, f64), size_m: f64, share: f64, footprint_m: f64, salt: u32) {
+    let (u, v) = (at.0 / size_m, at.1 / size_m);
+    let ((i, u), (j, v)) = (whole(u), whole(v));
+    let bits = cell_bits(i, j, salt);
+    let visible = held(size_m * 0.35, footprint_m);
+    if f64::from(bits & 0xffff) / 65_536.0 > share || visible <= 0.0 {
+        return;
+    }
+    let number = |k: u32| f64::from(mix32(bits ^ k) >> 8) / 16_777_216.0;
+    let radius = 0.11 + 0.13 * number(1);
+    let middle = (0.36 + 0.28 * number(2), 0.36 + 0.28 * number(3));
+    let stretch = 0.75 + 0.6 * number(4);
+    let (dx, dy) = (u - middle.0, v - middle.1);
+    let (shear, soft) = (number(5) - 0.5, (footprint_m / size_m / radius).clamp(0.08, 0.6));
+    let outline = |dx: f64, dy: f64| {
+        let (a, b) = ((dx + shear * dy) * stretch / radius, dy / stretch / radius);
+        (a, b, a * a + b * b)
+    };
+    let (_, _, shadow) = outline(dx + TO_SUN.x * radius * 0.8, dy + TO_SUN.y * radius * 0.8);
+    let dark = visible * smoothstep(1.0 + soft, 1.0 - soft, shadow) * 0.55;
+    let (a, b, r2) = outline(dx, dy);
+    let stone = visible * smoothstep(1.0 + soft, 1.0 - soft, r2);
+    let colour = GRIT.mix(DUST, 0.75 * number(6) * number(6)) * (0.75 + 0.6 * number(7));
+    skin.albedo = (skin.albedo * (1.0 - dark)).mix(colour, stone);
+    let dome = v3(a * 0.75, b * 0.75, 0.55).unit();
+    skin.normal = skin.normal.mix(dome, stone * 0.85).unit();
+}
+
+/// Rock: beds, grain, pits, and dust on what faces up.
+pub fn rock_skin(rock: &Rock, point: V3, normal: V3, footprint_m: f64, salt: u32) -> Skin {
+    let number = |k: u32| f64::from(mix32(rock.salt ^ k) >> 8) / 16_777_216.0;
+    let local = rock.local(point - rock.centre) + v3(number(1), number(2), number(3)) * 50.0;
+    let fresh = v3(0.150, 0.122, 0.100).mix(v3(0.265, 0.190, 0.125), number(4));
+    let (mut tone, mut bump, mut size) = (0.0, V3::default(), 0.21);
+    for octave in 0..6_u32 {
+        let share = held(size, footprint_m);
+        if share <= 0.0 || (octave < 2 && rock.half.x < size * 0.4) {
+            size *= 0.5;
+            continue;
+        }
+        // Beds: detail is finer across the layers than along them.
+        let p = v3(local.x / size, local.y / size, local.z * 1.7 / size);
+        let (value, slope) = noise3(p, salt ^ (120 + octave));
+        tone += share * 0.13 * value;
+        bump = bump + slope * (share * 0.17);
+        size *= 0.5;
+    }
+    let pit = smoothstep(0.26, 0.42, -tone);
+    let bend = rock.world(bump);
+    let normal = (normal - (bend - normal * bend.dot(normal))).unit();
+    let coat = smoothstep(0.35, 0.95, normal.z + 1.1 * tone) * (0.35 + 0.5 * number(5));
+    let stain = smoothstep(0.22, 0.0, point.z - rock.ground_z) * 0.45;
+    let albedo = fresh.mix(DUST, coat.max(stain)) * ((1.0 + tone) * (1.0 - 0.4 * pit));
+    Skin { albedo, normal }
+}
+
+/// Share of the sky a point of a rock sees: less near the ground.
+pub fn rock_openness(rock: &Rock, point: V3) -> f64 {
+    let height = (point.z - rock.ground_z) / (rock.half.z + 0.01);
+    0.5 + 0.5 * smoothstep(-0.1, 0.9, height)
+}

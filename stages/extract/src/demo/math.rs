@@ -1,0 +1,302 @@
+//! Numbers that are the same on every machine: only + - * / sqrt and floor, no libm.
+
+use std::ops::{Add, Mul, Sub};
+
+/// Three numbers: a point or direction in metres, or linear RGB.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct V3 {
+    pub x: f64,
+    pub y: f64,
+    pub z: f64,
+}
+
+pub const fn v3(x: f64, y: f64, z: f64) -> V3 {
+    V3 { x, y, z }
+}
+
+impl V3 {
+    pub fn dot(self, other: V3) -> f64 {
+        self.x * other.x + self.y * other.y + self.z * other.z
+    }
+
+    pub fn cross(self, other: V3) -> V3 {
+        v3(
+            self.y * other.z - self.z * other.y,
+            self.z * other.x - self.x * other.z,
+            self.x * other.y - self.y * other.x,
+        )
+    }
+
+    /// Product by component: light times albedo.
+    pub fn times(self, other: V3) -> V3 {
+        v3(self.x * other.x, self.y * other.y, self.z * other.z)
+    }
+
+    pub fn norm(self) -> f64 {
+        self.dot(self).sqrt()
+    }
+
+    pub fn unit(self) -> V3 {
+        self * (1.0 / self.norm())
+    }
+
+    pub fn array(self) -> [f64; 3] {
+        [self.x, self.y, self.z]
+    }
+
+    pub fn mix(self, other: V3, share: f64) -> V3 {
+        self * (1.0 - share) + other * share
+    }
+}
+
+impl From<[f64; 3]> for V3 {
+    fn from(a: [f64; 3]) -> Self {
+        v3(a[0], a[1], a[2])
+    }
+}
+
+impl Add for V3 {
+    type Output = V3;
+    fn add(self, other: V3) -> V3 {
+        v3(self.x + other.x, self.y + other.y, self.z + other.z)
+    }
+}
+
+impl Sub for V3 {
+    type Output = V3;
+    fn sub(self, other: V3) -> V3 {
+        v3(self.x - other.x, self.y - other.y, self.z - other.z)
+    }
+}
+
+impl Mul<f64> for V3 {
+    type Output = V3;
+    fn mul(self, scale: f64) -> V3 {
+        v3(self.x * scale, self.y * scale, self.z * scale)
+    }
+}
+
+pub const DEGREE: f64 = std::f64::consts::PI / 180.0;
+
+/// Returns (sin, cos) by Taylor's series after reduction to a quarter turn; within 1e-14 for |angle| < 1000.
+pub fn sin_cos(angle_rad: f64) -> (f64, f64) {
+    let quarters = (angle_rad / std::f64::consts::FRAC_PI_2 + 0.5).floor();
+    let a = angle_rad - quarters * std::f64::consts::FRAC_PI_2;
+    let a2 = a * a;
+    let sin = a
+        * (1.0
+            - a2 / 6.0
+                * (1.0
+                    - a2 / 20.0
+                        * (1.0 - a2 / 42.0 * (1.0 - a2 / 72.0 * (1.0 - a2 / 110.0 * (1.0 - a2 / 156.0))))));
+    let cos = 1.0
+        - a2 / 2.0
+            * (1.0
+                - a2 / 12.0
+                    * (1.0
+                        - a2 / 30.0
+                            * (1.0
+                                - a2 / 56.0 * (1.0 - a2 / 90.0 * (1.0 - a2 / 132.0 * (1.0 - a2 / 182.0))))));
+    match quarters as i64 & 3 {
+        0 => (sin, cos),
+        1 => (cos, -sin),
+        2 => (-sin, -cos),
+        _ => (-cos, sin),
+    }
+}
+
+/// 0 below `from`, 1 above `to`, smooth between; falls if `from` > `to`.
+pub fn smoothstep(from: f64, to: f64, x: f64) -> f64 {
+    let t = ((x - from) / (to - from)).clamp(0.0, 1.0);
+    t * t * (3.0 - 2.0 * t)
+}
+
+/// Mixes 32 bits so that every bit depends on all (the finaliser of MurmurHash3).
+pub fn mix32(mut h: u32) -> u32 {
+    h ^= h >> 16;
+    h = h.wrapping_mul(0x85eb_ca6b);
+    h ^= h >> 13;
+    h = h.wrapping_mul(0xc2b2_ae35);
+    h ^ (h >> 16)
+}
+
+/// A reproducible number in [0, 1) for a lattice cell.
+pub fn cell(x: i64, y: i64, salt: u32) -> f64 {
+    unit_of(cell_bits(x, y, salt))
+}
+
+pub fn cell_bits(x: i64, y: i64, salt: u32) -> u32 {
+    mix32((x as u32).wrapping_mul(0x9e37_79b1) ^ (y as u32).wrapping_mul(0x85eb_ca77).rotate_left(13) ^ salt)
+}
+
+fn unit_of(bits: u32) -> f64 {
+    f64::from(bits) * (1.0 / 4_294_967_296.0)
+}
+
+/// A stream of reproducible numbers (splitmix64).
+#[derive(Debug, Clone)]
+pub struct Dice(u64);
+
+impl Dice {
+    pub fn new(seed: u64, stream: u64) -> Self {
+        let mut dice = Self(seed ^ stream.wrapping_mul(0xd134_2543_de82_ef95));
+        dice.bits();
+        dice
+    }
+
+    pub fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// In [from, to).
+    pub fn within(&mut self, from: f64, to: f64) -> f64 {
+        from + (to - from) * ((self.bits() >> 11) as f64 * (1.0 / 9_007_199_254_740_992.0))
+    }
+
+    /// Roughly normal, mean 0, deviation 1, never beyond 3 (sum of twelve numbers).
+    pub fn normal(&mut self) -> f64 {
+        let sum: f64 = (0..12).map(|_| self.within(0.0, 1.0)).sum();
+        (sum - 6.0).clamp(-3.0, 3.0)
+    }
+
+    /// A direction, evenly over the sphere.
+    pub fn direction(&mut self) -> V3 {
+        let z = self.within(-1.0, 1.0);
+        let (sin, cos) = sin_cos(self.within(0.0, 2.0 * std::f64::consts::PI));
+        let side = (1.0 - z * z).sqrt();
+        v3(side * cos, side * sin, z)
+    }
+}
+
+/// Splits a number into its floor and the rest; `f64::floor` is a call on plain x86-64, this is not.
+pub fn whole(x: f64) -> (i64, f64) {
+    let cut = x as i64;
+    let floor = cut - i64::from(x < cut as f64);
+    (floor, x - floor as f64)
+}
+
+fn quintic(t: f64) -> (f64, f64) {
+    let s = t - 1.0;
+    (t * t * t * (t * (t * 6.0 - 15.0) + 10.0), 30.0 * t * t * s * s)
+}
+
+/// Value noise in the plane, lattice 1: (value in [-1, 1], d/dx, d/dy).
+pub fn noise2(x: f64, y: f64, salt: u32) -> (f64, f64, f64) {
+    let ((i, fx), (j, fy)) = (whole(x), whole(y));
+    let ((u, du), (v, dv)) = (quintic(fx), quintic(fy));
+    let corner = |di, dj| cell(i + di, j + dj, salt) * 2.0 - 1.0;
+    let (a, b, c, d) = (corner(0, 0), corner(1, 0), corner(0, 1), corner(1, 1));
+    let twist = a - b - c + d;
+    (
+        a + (b - a) * u + (c - a) * v + twist * u * v,
+        du * (b - a + twist * v),
+        dv * (c - a + twist * u),
+    )
+}
+
+/// Value noise in space, lattice 1: value in [-1, 1] and gradient.
+pub fn noise3(p: V3, salt: u32) -> (f64, V3) {
+    let (k, fz) = whole(p.z);
+    let (k, (w, dw)) = (k as u32, quintic(fz));
+    let (a, ax, ay) = noise2(p.x, p.y, salt ^ mix32(k));
+    let (b, bx, by) = noise2(p.x, p.y, salt ^ mix32(k.wrapping_add(1)));
+    (
+        a + (b - a) * w,
+        v3(ax + (bx - ax) * w, ay + (by - ay) * w, dw * (b - a)),
+    )
+}
+
+/// Turns linear light into 8-bit sRGB through a table of its 255 thresholds.
+pub struct Display {
+    /// `coarse[i]`: the value at i / 4096.
+    coarse: Vec<u8>,
+    /// `thresholds[v]`: the least linear light that is shown as v + 1.
+    thresholds: Vec<f64>,
+}
+
+impl Display {
+    pub fn new() -> Self {
+        let thresholds: Vec<f64> = (0..255)
+            .map(|v| linear_of((f64::from(v) + 0.5) / 255.0))
+            .collect();
+        let shown = |light: f64| thresholds.partition_point(|&least| least <= light) as u8;
+        let coarse = (0..=4096).map(|i| shown(f64::from(i) / 4096.0)).collect();
+        Self { coarse, thresholds }
+    }
+
+    pub fn shown(&self, light: f64) -> u8 {
+        let light = light.clamp(0.0, 1.0);
+        let mut value = self.coarse[(light * 4096.0) as usize];
+        while value < 255 && self.thresholds[usize::from(value)] <= light {
+            value += 1;
+        }
+        value
+    }
+
+    pub fn rgb(&self, light: V3) -> [u8; 3] {
+        [light.x, light.y, light.z].map(|channel| self.shown(channel))
+    }
+}
+
+/// sRGB to linear: x^2.4 as x² · x^0.4, the fifth root by Newton's method.
+pub fn linear_of(srgb: f64) -> f64 {
+    if srgb <= 0.040_45 {
+        return srgb / 12.92;
+    }
+    let base = (srgb + 0.055) / 1.055;
+    let square = base * base;
+    let mut root = 1.0;
+    for _ in 0..60 {
+        let fourth = root * root * root * root;
+        root -= (root * fourth - square) / (5.0 * fourth);
+    }
+    square * root
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sine_and_cosine_agree_with_the_library() {
+        for i in -2000..2000 {
+            let angle = f64::from(i) * 0.0317;
+            let (sin, cos) = sin_cos(angle);
+            assert!((sin - angle.sin()).abs() < 1e-12, "sin {angle}: {sin}");
+            assert!((cos - angle.cos()).abs() < 1e-12, "cos {angle}: {cos}");
+        }
+    }
+
+    #[test]
+    fn every_8_bit_value_survives_light_and_back() {
+        let display = Display::new();
+        for value in 0..=255_u8 {
+            let light = linear_of(f64::from(value) / 255.0);
+            assert_eq!(display.shown(light), value, "light {light}");
+        }
+        assert_eq!((display.shown(-1.0), display.shown(9.0)), (0, 255));
+        assert!((linear_of(0.5) - 0.214_041_140_482).abs() < 1e-9);
+    }
+
+    #[test]
+    fn noise_slopes_are_its_central_differences() {
+        for (x, y, z) in [(0.3, 0.7, 0.2), (-5.2, 8.9, -3.3), (100.1, -0.4, 7.7)] {
+            let step = 1e-6;
+            let (_, slope) = noise3(v3(x, y, z), 7);
+            let along = |d: V3| (noise3(v3(x, y, z) + d, 7).0 - noise3(v3(x, y, z) - d, 7).0) / (2.0 * step);
+            let central = v3(
+                along(v3(step, 0.0, 0.0)),
+                along(v3(0.0, step, 0.0)),
+                along(v3(0.0, 0.0, step)),
+            );
+            assert!(
+                (slope - central).norm() < 1e-7,
+                "{x} {y} {z}: {slope:?} {central:?}"
+            );
+        }
+    }
+}

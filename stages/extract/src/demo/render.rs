@@ -1,0 +1,119 @@
+//! A photo, pixel by pixel.
+
+use marf_scene::{Image, Srgb};
+use rayon::prelude::*;
+
+use super::{
+    lens::Lens,
+    math::{Display, V3, v3},
+    world::{Sight, Thing, World},
+};
+
+/// Where the four further rays of an edge pixel go, in pixels from its centre.
+const CORNERS: [(f64, f64); 4] = [(-0.375, -0.125), (0.125, -0.375), (0.375, 0.125), (-0.125, 0.375)];
+/// Neighbours whose ranges differ by more than this share lie on an edge.
+const EDGE: f64 = 0.03;
+
+/// Share of a pixel's light that the lens puts on each neighbour along a row or column: about 0.6 pixels of blur,
+/// as good optics have, and what keeps point samples from looking like noise.
+const SPREAD: f64 = 0.17;
+
+/// Size and place of the camera in the site frame (z down).
+pub struct Shot<'a> {
+    pub world: &'a World,
+    pub lens: Lens,
+    pub width: u32,
+    pub height: u32,
+}
+
+impl Shot<'_> {
+    /// Takes the photo. Rows are shared out to the threads; every pixel is its own function of its place.
+    pub fn photo(&self, display: &Display) -> Image<Srgb> {
+        let width = self.width as usize;
+        let first: Vec<Sight> = self.each(|x, y| self.look(x, y));
+        let light: Vec<V3> = (0..first.len())
+            .into_par_iter()
+            .map(|index| {
+                if !self.is_edge(&first, index) {
+                    return first[index].light;
+                }
+                let (x, y) = ((index % width) as f64, (index / width) as f64);
+                let corners = CORNERS.iter().map(|(dx, dy)| self.look(x + dx, y + dy).light);
+                corners.fold(first[index].light, |sum, light| sum + light) * 0.2
+            })
+            .collect();
+        let pixels = (0..light.len()).into_par_iter();
+        Image {
+            width: self.width,
+            height: self.height,
+            pixels: pixels
+                .map(|index| display.rgb(self.spread(&light, index)))
+                .collect(),
+        }
+    }
+
+    /// What falls on a pixel through the lens; the border goes on.
+    fn spread(&self, light: &[V3], index: usize) -> V3 {
+        let (width, height) = (self.width as usize, self.height as usize);
+        let (x, y) = (index % width, index / width);
+        let along_row = |row: usize| {
+            let at = |column: usize| light[row * width + column];
+            at(x) * (1.0 - 2.0 * SPREAD) + (at(x.saturating_sub(1)) + at((x + 1).min(width - 1))) * SPREAD
+        };
+        along_row(y) * (1.0 - 2.0 * SPREAD)
+            + (along_row(y.saturating_sub(1)) + along_row((y + 1).min(height - 1))) * SPREAD
+    }
+
+    /// Distance from the camera's centre along each pixel's ray, metres; infinite for the sky.
+    pub fn ranges_m(&self) -> Vec<f32> {
+        self.each(|x, y| {
+            let (from, along) = self.ray(x, y);
+            self.world.range_m(from, along) as f32
+        })
+    }
+
+    fn each<T: Send>(&self, pixel: impl Fn(f64, f64) -> T + Sync) -> Vec<T> {
+        let width = self.width as usize;
+        (0..width * self.height as usize)
+            .into_par_iter()
+            .map(|index| pixel((index % width) as f64, (index / width) as f64))
+            .collect()
+    }
+
+    fn look(&self, x: f64, y: f64) -> Sight {
+        let (from, along) = self.ray(x, y);
+        self.world
+            .look(from, along, 1.0 / self.lens.h.cross(self.lens.a).norm())
+    }
+
+    /// The world's z is up, the site's is down.
+    fn ray(&self, x: f64, y: f64) -> (V3, V3) {
+        let up = |p: V3| v3(p.x, p.y, -p.z);
+        (up(self.lens.c), up(self.lens.ray(x, y)))
+    }
+
+    fn is_edge(&self, sights: &[Sight], index: usize) -> bool {
+        let (width, here) = (self.width as usize, &sights[index]);
+        let mut neighbours = [None; 4];
+        if !index.is_multiple_of(width) {
+            neighbours[0] = Some(index - 1);
+        }
+        if index % width + 1 < width {
+            neighbours[1] = Some(index + 1);
+        }
+        neighbours[2] = index.checked_sub(width);
+        neighbours[3] = Some(index + width).filter(|&below| below < sights.len());
+        neighbours
+            .into_iter()
+            .flatten()
+            .any(|other| differs(here, &sights[other]))
+    }
+}
+
+fn differs(here: &Sight, there: &Sight) -> bool {
+    if here.what == Thing::Sky && there.what == Thing::Sky {
+        // The hills' outline.
+        return (here.light - there.light).norm() > 0.03;
+    }
+    here.what != there.what || (here.range_m - there.range_m).abs() > EDGE * here.range_m
+}

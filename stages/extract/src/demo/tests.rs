@@ -1,0 +1,429 @@
+use std::{collections::BTreeMap, sync::OnceLock};
+
+use marf_scene::{Cahvor, Photo};
+use roxmltree::{Document, Node};
+
+use super::{
+    lens::{Lens, Quaternion},
+    math::V3,
+    *,
+};
+
+/// The usual photos, small enough for a test.
+fn small() -> Demo {
+    Demo::new(DemoOptions {
+        width_px: 160,
+        height_px: 120,
+        seed: 1,
+    })
+    .unwrap()
+}
+
+fn never() -> bool {
+    false
+}
+
+/// The files of sol 1 of [`small`], by name.
+fn sol_1() -> &'static BTreeMap<String, Vec<u8>> {
+    static FILES: OnceLock<BTreeMap<String, Vec<u8>>> = OnceLock::new();
+    FILES.get_or_init(|| {
+        let files = small().files(1, &|_, _| (), &never).unwrap();
+        files.into_iter().map(|file| (file.name, file.bytes)).collect()
+    })
+}
+
+fn lens(model: &Cahvor) -> Lens {
+    Lens {
+        c: model.c.into(),
+        a: model.a.into(),
+        h: model.h.into(),
+        v: model.v.into(),
+        o: model.o.unwrap().into(),
+        r: model.r.unwrap(),
+    }
+}
+
+#[test]
+fn the_same_bytes_with_one_thread_and_with_four() {
+    let options = DemoOptions {
+        width_px: 64,
+        height_px: 48,
+        seed: 3,
+    };
+    let draw = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        let demo = Demo::new(options.clone()).unwrap();
+        pool.install(|| demo.files(2, &|_, _| (), &never).unwrap())
+    };
+    let (one, four) = (draw(1), draw(4));
+    assert_eq!(one.len(), four.len());
+    for (a, b) in one.iter().zip(&four) {
+        assert!(a == b, "{} differs", a.name);
+    }
+}
+
+/// Digest changed: raise `DEMO_VERSION`, then note the new pair here.
+#[test]
+fn the_version_is_raised_when_the_demo_draws_otherwise() {
+    let options = DemoOptions {
+        width_px: 64,
+        height_px: 48,
+        seed: 1,
+    };
+    let files = Demo::new(options).unwrap().files(1, &|_, _| (), &never).unwrap();
+    let all: Vec<(String, Digest)> = files
+        .into_iter()
+        .map(|file| (file.name, Digest::of(&file.bytes)))
+        .collect();
+    let digest = digest_of(&all).short();
+    assert_eq!((DEMO_VERSION, digest.as_str()), (1, "95213f591cb0"));
+}
+
+#[test]
+fn the_fingerprint_knows_sol_and_every_option() {
+    let base = DemoOptions::default();
+    let others = [
+        base.clone(),
+        DemoOptions {
+            width_px: 320,
+            ..base.clone()
+        },
+        DemoOptions {
+            height_px: 320,
+            ..base.clone()
+        },
+        DemoOptions { seed: 2, ..base },
+    ];
+    let mut prints: Vec<Digest> = others
+        .into_iter()
+        .map(|options| Demo::new(options).unwrap().fingerprint(1).unwrap())
+        .collect();
+    prints.push(small().fingerprint(2).unwrap());
+    prints.sort();
+    prints.dedup();
+    assert_eq!(prints.len(), 5);
+}
+
+#[test]
+fn what_cannot_be_drawn_is_refused() {
+    for (width_px, height_px) in [(0, 480), (640, 15), (4097, 480)] {
+        let options = DemoOptions {
+            width_px,
+            height_px,
+            seed: 1,
+        };
+        let error = Demo::new(options).err().unwrap().to_string();
+        assert!(error.contains(&format!("{width_px} x {height_px}")), "{error}");
+    }
+    for sol in [0, 1000] {
+        assert_eq!(small().fingerprint(sol), Err(DemoError::Sol { sol }));
+        assert_eq!(
+            small().files(sol, &|_, _| (), &never),
+            Err(DemoError::Sol { sol })
+        );
+    }
+    let file = || "ZL0.png".to_owned();
+    assert_eq!(
+        small().ranges(1, "ZL0.png"),
+        Err(DemoError::File { file: file(), sol: 1 })
+    );
+}
+
+#[test]
+fn a_wish_to_stop_is_heard() {
+    assert_eq!(small().files(1, &|_, _| (), &|| true), Err(DemoError::Cancelled));
+}
+
+#[test]
+fn progress_counts_every_file_once() {
+    let last = AtomicU64::new(0);
+    let demo = Demo::new(DemoOptions {
+        width_px: 16,
+        height_px: 16,
+        seed: 1,
+    })
+    .unwrap();
+    let files = demo.files(
+        1,
+        &|done, _| {
+            last.fetch_max(done, Ordering::Relaxed);
+        },
+        &never,
+    );
+    assert_eq!(last.into_inner() * 2, files.unwrap().len() as u64);
+}
+
+#[test]
+fn every_image_has_its_label_and_decodes_unless_it_is_the_truncated_one() {
+    let truth = small().ground_truth(1).unwrap();
+    let truncated: Vec<&Flaw> = truth
+        .flaws
+        .iter()
+        .filter(|flaw| flaw.kind == FlawKind::Truncated)
+        .collect();
+    assert_eq!(truncated.len(), 1);
+    for (name, bytes) in sol_1().iter().filter(|(name, _)| !name.ends_with(".xml")) {
+        assert!(sol_1().contains_key(&format!("{}.xml", &name[..54])), "{name}");
+        assert_eq!(
+            Photo::decode(bytes).is_err(),
+            *name == truncated[0].file,
+            "{name}"
+        );
+    }
+    assert_eq!(truth.photos.len(), 20);
+    assert_eq!(sol_1().len(), 2 * (truth.photos.len() + truth.flaws.len()));
+}
+
+#[test]
+fn every_kind_of_flaw_is_planted_and_is_what_it_says() {
+    let truth = small().ground_truth(1).unwrap();
+    let expected: std::collections::BTreeSet<&str> = truth
+        .flaws
+        .iter()
+        .flat_map(|flaw| flaw.kind.expected())
+        .copied()
+        .collect();
+    let filters = [
+        "blur",
+        "decode",
+        "duplicate",
+        "grayscale",
+        "histogram",
+        "shape",
+        "size",
+    ];
+    assert_eq!(expected.into_iter().collect::<Vec<_>>(), filters);
+    for flaw in truth.flaws.iter().filter(|flaw| flaw.kind != FlawKind::Truncated) {
+        let photo = Photo::decode(&sol_1()[&flaw.file]).unwrap();
+        let gray = photo.image.pixels.iter().all(|[r, g, b]| r == g && g == b);
+        let mono = matches!(flaw.kind, FlawKind::Mono | FlawKind::MonoCopy);
+        assert_eq!(photo.bands == 1, mono, "{flaw:?}");
+        assert_eq!(gray, mono || flaw.kind == FlawKind::EqualBands, "{flaw:?}");
+        let thumbnail = flaw.kind == FlawKind::Thumbnail;
+        assert_eq!(photo.image.width == 40, thumbnail, "{flaw:?}");
+        if flaw.kind == FlawKind::ExactCopy {
+            assert_eq!(sol_1()[&flaw.file], sol_1()[flaw.twin.as_ref().unwrap()]);
+        }
+    }
+}
+
+/// Reads numbers of a label by the namespace-free names, as the real labels have them.
+fn numbers(node: Node<'_, '_>, element: &str) -> Vec<f64> {
+    let found = node
+        .descendants()
+        .find(|node| node.tag_name().name() == element)
+        .unwrap();
+    let numbers = found
+        .children()
+        .filter_map(|child| child.text()?.trim().parse().ok());
+    numbers.collect()
+}
+
+fn told(label: &str) -> (Lens, Quaternion, V3) {
+    let document = Document::parse(label).unwrap();
+    let root = document.root_element();
+    let space = root
+        .descendants()
+        .find(|node| node.tag_name().name() == "Coordinate_Space_Definition")
+        .unwrap();
+    let v = |element| -> V3 { <[f64; 3]>::try_from(numbers(root, element)).unwrap().into() };
+    let lens = Lens {
+        c: v("Vector_Center"),
+        a: v("Vector_Axis"),
+        h: v("Vector_Horizontal"),
+        v: v("Vector_Vertical"),
+        o: v("Vector_Optical"),
+        r: numbers(root, "Radial_Terms").try_into().unwrap(),
+    };
+    let offset: [f64; 3] = numbers(space, "Vector_Origin_Offset").try_into().unwrap();
+    let turn: [f64; 4] = numbers(space, "Quaternion_Plus_Direction").try_into().unwrap();
+    (lens, Quaternion(turn), offset.into())
+}
+
+#[test]
+fn labels_tell_a_pose_that_is_a_little_off() {
+    for photo in small().ground_truth(1).unwrap().photos {
+        let label = std::str::from_utf8(&sol_1()[&format!("{}.xml", &photo.file[..54])]).unwrap();
+        let (rover, turn, offset) = told(label);
+        let site = rover.moved(&turn.columns(), offset);
+        let truth = lens(&photo.site_model);
+        let turned = (site.a - truth.a)
+            .norm()
+            .max((site.h.unit() - truth.h.unit()).norm())
+            / math::DEGREE;
+        let moved = (site.c - truth.c).norm();
+        assert!((0.02..0.3).contains(&turned), "{}: {turned} degrees", photo.file);
+        assert!((0.001..0.05).contains(&moved), "{}: {moved} m", photo.file);
+        // The lens itself is told exactly, but for the digits of the label.
+        let focal = |lens: &Lens| lens.a.cross(lens.h).norm();
+        assert!((focal(&site) - focal(&truth)).abs() < 1e-5, "{}", photo.file);
+        assert!(
+            (site.a.dot(site.h) - truth.a.dot(truth.h)).abs() < 1e-5,
+            "{}",
+            photo.file
+        );
+    }
+}
+
+#[test]
+fn labels_name_sol_instrument_filter_size_and_counter() {
+    for (name, bytes) in sol_1().iter().filter(|(name, _)| name.ends_with(".xml")) {
+        let document = Document::parse(std::str::from_utf8(bytes).unwrap()).unwrap();
+        let text = |element: &str| {
+            let mut nodes = document.descendants();
+            nodes
+                .find(|node| node.tag_name().name() == element)
+                .and_then(|node| node.text())
+                .unwrap()
+        };
+        assert_eq!(text("sol_number"), "1");
+        assert_eq!(text("filter_number"), &name[2..3]);
+        assert_eq!(text("alternate_id"), &name[..54]);
+        assert_eq!(text("samples"), if &name[27..28] == "T" { "40" } else { "160" });
+        assert_eq!(text("rotation_direction"), "Forward");
+        let elements: Vec<&str> = document
+            .descendants()
+            .filter(|node| node.tag_name().name() == "elements")
+            .filter_map(|node| node.text())
+            .collect();
+        assert_eq!(elements[2], text("samples"), "{name}");
+        let motion = document
+            .descendants()
+            .filter(|node| node.tag_name().name() == "Motion_Counter_Index");
+        assert_eq!(motion.count(), 10);
+    }
+}
+
+/// A thumbnail's camera must see what the photo's sees: pixel (k, k) of it covers four by four of the photo.
+#[test]
+fn the_thumbnails_label_is_in_its_own_grid() {
+    let truth = small().ground_truth(1).unwrap();
+    let flaw = truth
+        .flaws
+        .iter()
+        .find(|flaw| flaw.kind == FlawKind::Thumbnail)
+        .unwrap();
+    let label = |file: &str| std::str::from_utf8(&sol_1()[&format!("{}.xml", &file[..54])]).unwrap();
+    let (large, ..) = told(label(flaw.twin.as_ref().unwrap()));
+    let (little, ..) = told(label(&flaw.file));
+    let (x, y) = little.project(large.c + large.ray(41.5, 81.5) * 5.0).unwrap();
+    assert!((x - 10.0).abs() < 1e-6 && (y - 20.0).abs() < 1e-6, "{x} {y}");
+}
+
+/// Points seen in the left eye, carried by the true range into the right one, have the same colour there
+/// unless something hides them.
+#[test]
+fn truth_carries_points_from_eye_to_eye_and_from_stop_to_stop() {
+    let demo = small();
+    let truth = demo.ground_truth(1).unwrap();
+    for (a, b) in [(0, 1), (0, 8)] {
+        let (from, to) = (&truth.photos[a], &truth.photos[b]);
+        let (ranges, other) = (
+            demo.ranges(1, &from.file).unwrap(),
+            demo.ranges(1, &to.file).unwrap(),
+        );
+        let decode = |file: &str| Photo::decode(&sol_1()[file]).unwrap().image;
+        let (left, right) = (decode(&from.file), decode(&to.file));
+        let (one, two) = (lens(&from.site_model), lens(&to.site_model));
+        let (mut seen, mut alike) = (0, 0);
+        for (x, y) in (60..118).flat_map(|y| (4..156).map(move |x| (x, y))) {
+            let range = f64::from(ranges.range_m[(y * 160 + x) as usize]);
+            let point = one.c + one.ray(f64::from(x), f64::from(y)) * range;
+            let Some((u, v)) = two.project(point) else {
+                continue;
+            };
+            if !(1.0..158.0).contains(&u) || !(1.0..118.0).contains(&v) {
+                continue;
+            }
+            let at = ((v + 0.5) as usize) * 160 + (u + 0.5) as usize;
+            let depth = (point - two.c).norm();
+            if (f64::from(other.range_m[at]) - depth).abs() > 0.01 * depth {
+                continue; // Hidden, or on an edge.
+            }
+            seen += 1;
+            alike += usize::from(distance(left.at(x, y), bilinear(&right, u, v)) < 24.0);
+        }
+        let share = f64::from(alike as u32) / f64::from(seen as u32);
+        assert!(seen > 1500, "{seen} points between photos {a} and {b}");
+        assert!(share > 0.9, "photos {a} and {b}: {share} of {seen} points alike");
+    }
+}
+
+fn bilinear(image: &Image<Srgb>, x: f64, y: f64) -> [f64; 3] {
+    let (i, j) = (x as u32, y as u32);
+    let (u, v) = (x - f64::from(i), y - f64::from(j));
+    std::array::from_fn(|k| {
+        let at = |di, dj| f64::from(image.at(i + di, j + dj)[k]);
+        (at(0, 0) * (1.0 - u) + at(1, 0) * u) * (1.0 - v) + (at(0, 1) * (1.0 - u) + at(1, 1) * u) * v
+    })
+}
+
+fn distance(a: [u8; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|k| (f64::from(a[k]) - b[k]).abs()).fold(0.0, f64::max)
+}
+
+/// Every photo looks at rocks a few metres off, from metres apart.
+#[test]
+fn sols_look_at_the_same_rocks_from_different_places() {
+    let demo = small();
+    let centres: Vec<V3> = (1..=3)
+        .flat_map(|sol| demo.ground_truth(sol).unwrap().photos)
+        .map(|photo| photo.site_model.c.into())
+        .collect();
+    let widest = centres
+        .iter()
+        .flat_map(|a| centres.iter().map(|b| (*a - *b).norm()))
+        .fold(0.0, f64::max);
+    assert!((5.0..14.0).contains(&widest), "{widest} m apart");
+    assert!(((centres[0] - centres[1]).norm() - tour::BASELINE_M).abs() < 1e-9);
+    for photo in demo.ground_truth(2).unwrap().photos {
+        let ranges = demo.ranges(2, &photo.file).unwrap().range_m;
+        let ground = ranges.iter().filter(|range| range.is_finite()).count() as f64 / ranges.len() as f64;
+        assert!(
+            (0.6..=1.0).contains(&ground),
+            "{}: {ground} of the photo is ground",
+            photo.file
+        );
+        let middle = f64::from(ranges[60 * 160 + 80]);
+        assert!((2.0..60.0).contains(&middle), "{}: {middle} m", photo.file);
+    }
+}
+
+/// The pinhole of the truth is the lens without its radial terms.
+#[test]
+fn the_pinhole_sees_what_the_lens_sees_at_its_axis() {
+    for photo in small().ground_truth(1).unwrap().photos {
+        let lens = lens(&photo.site_model);
+        let point = lens.c + lens.o * 6.0;
+        let (x, y) = lens.project(point).unwrap();
+        let in_camera = photo.cam_from_site.point(&nalgebra::Vector3::from(point.array()));
+        let pixel = photo.pinhole.project(&in_camera).unwrap();
+        assert!(
+            (pixel.x - x - 0.5).abs() < 1e-9 && (pixel.y - y - 0.5).abs() < 1e-9,
+            "{pixel} {x} {y}"
+        );
+        assert!(photo.cam_from_site.is_valid() && photo.pinhole.is_valid());
+    }
+}
+
+#[test]
+fn an_archive_has_its_truth_beside_it() {
+    let demo = Demo::new(DemoOptions {
+        width_px: 16,
+        height_px: 16,
+        seed: 1,
+    })
+    .unwrap();
+    let files = demo.archive(1..=2, &|_, _| (), &never).unwrap();
+    let truths: Vec<&DemoFile> = files
+        .iter()
+        .filter(|file| file.name.starts_with("truth/"))
+        .collect();
+    assert_eq!(truths.len(), 2);
+    let truth: serde_json::Value = serde_json::from_slice(&truths[1].bytes).unwrap();
+    assert_eq!(truth["photos"].as_array().unwrap().len(), 20);
+    assert!(truth["flaws"].as_array().unwrap().len() >= 13);
+}

@@ -1,0 +1,235 @@
+//! Where the rover stops, where it looks, and what its telemetry believes.
+
+use super::{
+    ground::OUTCROP,
+    lens::{Lens, Quaternion, rotate},
+    math::{DEGREE, Dice, V3, sin_cos, v3},
+    world::World,
+};
+
+/// Eye of the mast camera.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Eye {
+    /// `ZL`.
+    Left,
+    /// `ZR`.
+    Right,
+}
+
+/// Distance between the eyes, metres (Mastcam-Z).
+pub const BASELINE_M: f64 = 0.244;
+/// The mast's head in the rover frame, metres (x forward, y right, z down; Mastcam-Z of a real label).
+pub const MAST: V3 = v3(0.8049, 0.5595, -1.9190);
+/// Stops of one sol.
+pub const STOPS: u32 = 3;
+/// Horizontal field of view, degrees.
+const FIELD_DEG: f64 = 52.0;
+
+/// One stop: true pose of the rover in the site, and the one its telemetry tells.
+#[derive(Debug, Clone)]
+pub struct Stop {
+    pub drive: u32,
+    pub site_from_rover: (Quaternion, V3),
+    pub told: (Quaternion, V3),
+}
+
+/// One way of looking from a stop, both eyes alike.
+#[derive(Debug, Clone, Copy)]
+pub struct Pointing {
+    pub stop: usize,
+    /// Where the mast looks relative to the line to the outcrop, degrees to the right.
+    pub pan_deg: f64,
+    /// Degrees above the horizon.
+    pub tilt_deg: f64,
+    /// Motion counter of the mast.
+    pub rsm: u32,
+}
+
+/// Returns the stops of a sol: an arc around the outcrop, one sol going on where the last ended.
+pub fn stops(world: &World, seed: u64, sol: u32) -> Vec<Stop> {
+    (0..STOPS)
+        .map(|k| {
+            let step = (sol - 1) * STOPS + k;
+            let lap = f64::from(step / 20 % 5);
+            let mut dice = Dice::new(seed, 0x73_746f_7000 + u64::from(step));
+            let bearing = (205.0 + 18.0 * f64::from(step % 20) + 7.0 * lap + dice.within(-2.0, 2.0)) * DEGREE;
+            let radius = 4.9 + 0.45 * lap + dice.within(-0.35, 0.35);
+            let (sin, cos) = sin_cos(bearing);
+            stop(
+                world,
+                &mut dice,
+                20 + step * 3,
+                (OUTCROP.0 + radius * cos, OUTCROP.1 + radius * sin),
+            )
+        })
+        .collect()
+}
+
+fn stop(world: &World, dice: &mut Dice, drive: u32, at: (f64, f64)) -> Stop {
+    // The rover faces the outcrop a little past it, so that its mast has to turn.
+    let (dx, dy) = (OUTCROP.0 - at.0, OUTCROP.1 - at.1);
+    let facing = angle(dx, dy) + dice.within(-14.0, 14.0) * DEGREE;
+    let (slope_x, slope_y) = world.lie(at.0, at.1);
+    let (sin, cos) = sin_cos(facing);
+    let (pitch, roll) = (
+        (slope_x * cos + slope_y * sin) / 1.8,
+        -(slope_y * cos - slope_x * sin) / 1.8,
+    );
+    let attitude = Quaternion::about(v3(0.0, 0.0, 1.0), facing)
+        .after(Quaternion::about(v3(0.0, 1.0, 0.0), pitch))
+        .after(Quaternion::about(v3(1.0, 0.0, 0.0), roll));
+    let place = v3(at.0, at.1, -world.height(at.0, at.1));
+    let slip = v3(
+        dice.normal() * 0.010,
+        dice.normal() * 0.010,
+        dice.normal() * 0.006,
+    );
+    let told = tilted(dice, 0.06).after(attitude);
+    Stop {
+        drive,
+        site_from_rover: (attitude, place),
+        told: (told, place + slip),
+    }
+}
+
+/// A turn of about this many degrees, any axis.
+fn tilted(dice: &mut Dice, degrees: f64) -> Quaternion {
+    Quaternion::about(dice.direction(), degrees * DEGREE * dice.within(0.7, 1.3))
+}
+
+/// The angle of a direction in the plane, by halving: tan(angle / 2) = y / (r + x), and a series below 22.5 degrees.
+fn angle(x: f64, y: f64) -> f64 {
+    let r = (x * x + y * y).sqrt();
+    if x < 0.0 {
+        let half = if y < 0.0 {
+            -std::f64::consts::PI
+        } else {
+            std::f64::consts::PI
+        };
+        return half - angle(-x, y);
+    }
+    let mut t = y / (r + x);
+    let mut scale = 2.0;
+    while t.abs() > 0.1 {
+        t /= 1.0 + (1.0 + t * t).sqrt();
+        scale *= 2.0;
+    }
+    let t2 = t * t;
+    scale * t * (1.0 - t2 * (1.0 / 3.0 - t2 * (0.2 - t2 * (1.0 / 7.0 - t2 * (1.0 / 9.0 - t2 / 11.0)))))
+}
+
+/// Of each stop, pan and tilt in degrees: ten pairs for the field.
+const PAIRS: [(usize, f64, f64); 10] = [
+    (0, 0.0, -16.0),
+    (0, -16.0, -13.0),
+    (0, 14.0, -19.0),
+    (0, 3.0, -8.0),
+    (1, 1.0, -15.0),
+    (1, -14.0, -20.0),
+    (1, 17.0, -12.0),
+    (2, -1.0, -17.0),
+    (2, 13.0, -14.0),
+    (2, -15.0, -11.0),
+];
+/// Views that only flawed photos show, so that no sharp colour twin hides the flaw.
+const SPARE: [(usize, f64, f64); 4] = [
+    (0, 26.0, -11.0),
+    (1, -27.0, -14.0),
+    (2, 25.0, -21.0),
+    (2, -27.0, -18.0),
+];
+
+/// What the rover looks at on every sol for the field.
+pub fn pairs() -> Vec<Pointing> {
+    numbered(&PAIRS, 100)
+}
+
+/// What only flawed photos show.
+pub fn spare() -> Vec<Pointing> {
+    numbered(&SPARE, 400)
+}
+
+/// Straight back and down at the deck.
+pub const DECK: Pointing = Pointing {
+    stop: 1,
+    pan_deg: 168.0,
+    tilt_deg: -52.0,
+    rsm: 700,
+};
+
+fn numbered(plan: &[(usize, f64, f64)], first_rsm: u32) -> Vec<Pointing> {
+    let rsm = (first_rsm..).step_by(24);
+    let pointing = |(&(stop, pan_deg, tilt_deg), rsm)| Pointing {
+        stop,
+        pan_deg,
+        tilt_deg,
+        rsm,
+    };
+    plan.iter().zip(rsm).map(pointing).collect()
+}
+
+/// A camera as it was, and as its label tells.
+#[derive(Debug, Clone, Copy)]
+pub struct Taken {
+    /// The true lens in the true site frame.
+    pub site: Lens,
+    /// The true lens in the rover frame.
+    pub rover: Lens,
+    /// What the label says, in the rover frame.
+    pub told_rover: Lens,
+    /// Turn of the mast, as the label quotes it.
+    pub mast: Quaternion,
+}
+
+/// Points the mast and takes the camera of one eye.
+pub fn take(stop: &Stop, pointing: &Pointing, eye: Eye, size_px: (u32, u32), seed: u64) -> Taken {
+    let (attitude, place) = stop.site_from_rover;
+    let columns = attitude.columns();
+    // The line from the mast to the outcrop, in the rover frame.
+    let head = rotate(&columns, MAST) + place;
+    let to = v3(OUTCROP.0, OUTCROP.1, head.z) - head;
+    let azimuth = angle(columns[0].dot(to), columns[1].dot(to)) + pointing.pan_deg * DEGREE;
+    let mast = Quaternion::about(v3(0.0, 0.0, 1.0), azimuth)
+        .after(Quaternion::about(v3(0.0, 1.0, 0.0), pointing.tilt_deg * DEGREE));
+    let [forward, right, down] = mast.columns();
+    let side = if eye == Eye::Left { -0.5 } else { 0.5 };
+    let centre = MAST + forward * 0.06 + right * (side * BASELINE_M) + down * 0.02;
+    let rover = Lens::new(centre, forward, right, size_px, focal_px(size_px.0));
+    // Backlash of the mast's joints: the same for both eyes, which hang on one bar.
+    let mut dice = Dice::new(
+        seed,
+        0x706f_696e_7400 + u64::from(stop.drive) * 65_536 + u64::from(pointing.rsm),
+    );
+    let backlash = tilted(&mut dice, 0.08).columns();
+    let about_head = MAST - rotate(&backlash, MAST);
+    Taken {
+        site: rover.moved(&columns, place),
+        rover,
+        told_rover: rover.moved(&backlash, about_head),
+        mast,
+    }
+}
+
+/// Focal length that gives the field of view, pixels.
+pub fn focal_px(width: u32) -> f64 {
+    let (sin, cos) = sin_cos(FIELD_DEG / 2.0 * DEGREE);
+    f64::from(width) / 2.0 * cos / sin
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_own_angle_agrees_with_the_library_all_around() {
+        for i in 0..720 {
+            let a = (f64::from(i) * 0.5 - 179.9) * DEGREE;
+            let (sin, cos) = (a.sin(), a.cos());
+            assert!(
+                (angle(3.0 * cos, 3.0 * sin) - a).abs() < 1e-10,
+                "{i}: {}",
+                angle(cos, sin)
+            );
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! What is really so: for tests and for the curious, never for the pipeline.
+
+use marf_scene::{Cahvor, Camera, Pose};
+use nalgebra::{Matrix3, Vector3};
+use serde_json::json;
+
+use super::{
+    lens::{Lens, Quaternion},
+    math::V3,
+    plan::FlawKind,
+};
+
+/// The truth of one sol.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Truth {
+    /// The good photos, in the order they were taken.
+    pub photos: Vec<TruePhoto>,
+    /// What was planted.
+    pub flaws: Vec<Flaw>,
+}
+
+/// A good photo's real camera. Frames as in the labels: x north, y east, z down, metres.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TruePhoto {
+    /// Name of the file.
+    pub file: String,
+    /// The lens as it was, in the rover's frame; its label tells a slightly other one.
+    pub rover_model: Cahvor,
+    /// The rover as it stood; its label tells a slightly other pose.
+    pub site_from_rover: Pose,
+    /// The same lens in the site frame.
+    pub site_model: Cahvor,
+    /// Pose of the ideal pinhole within the lens (x right, y down, z forward along A).
+    pub cam_from_site: Pose,
+    /// That pinhole, without the radial terms; pixel (0, 0) is a corner.
+    pub pinhole: Camera,
+}
+
+/// A planted flaw.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Flaw {
+    /// Name of the file.
+    pub file: String,
+    /// What is wrong with it.
+    pub kind: FlawKind,
+    /// The good photo it was made from. An exact copy may as well be kept in the place of that one.
+    pub twin: Option<String>,
+}
+
+/// Distances along the rays of a photo's pixels.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RangeMap {
+    /// Pixels a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// `[height * width]`, metres from the camera's centre along the pixel's ray; infinite for the sky.
+    pub range_m: Vec<f32>,
+}
+
+pub fn pose_of((turn, place): (Quaternion, V3)) -> Pose {
+    let columns = turn.columns().map(|column| Vector3::from(column.array()));
+    Pose {
+        rotation: Matrix3::from_columns(&columns),
+        translation: Vector3::from(place.array()),
+    }
+}
+
+/// The pinhole of a lens whose rows and columns are square to each other, as all of the demo's are.
+pub fn pinhole_of(lens: &Lens, width: u32, height: u32) -> (Pose, Camera) {
+    let (right, down) = (
+        lens.a.cross(lens.h).cross(lens.a),
+        lens.a.cross(lens.v).cross(lens.a),
+    );
+    let rows = [right.unit(), down.unit(), lens.a].map(|row| Vector3::from(row.array()).transpose());
+    let rotation = Matrix3::from_rows(&rows);
+    let camera = Camera {
+        fx_px: right.norm(),
+        fy_px: down.norm(),
+        cx_px: lens.a.dot(lens.h) + 0.5,
+        cy_px: lens.a.dot(lens.v) + 0.5,
+        ..Camera::pinhole(width, height, 1.0)
+    };
+    let translation = -(rotation * Vector3::from(lens.c.array()));
+    (
+        Pose {
+            rotation,
+            translation,
+        },
+        camera,
+    )
+}
+
+impl Truth {
+    /// Writes it for people: cameras, and every flaw with the filters that should see it.
+    pub fn to_json(&self) -> serde_json::Value {
+        let photo = |photo: &TruePhoto| {
+            json!({
+                "file": photo.file,
+                "rover_model": photo.rover_model,
+                "site_from_rover": photo.site_from_rover,
+                "site_model": photo.site_model,
+                "cam_from_site": photo.cam_from_site,
+                "pinhole": photo.pinhole,
+            })
+        };
+        let flaw = |flaw: &Flaw| {
+            json!({
+                "file": flaw.file,
+                "kind": format!("{:?}", flaw.kind),
+                "expected": flaw.kind.expected(),
+                "twin": flaw.twin,
+            })
+        };
+        json!({
+            "photos": self.photos.iter().map(photo).collect::<Vec<_>>(),
+            "flaws": self.flaws.iter().map(flaw).collect::<Vec<_>>(),
+        })
+    }
+}

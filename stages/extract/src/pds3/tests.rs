@@ -1,0 +1,182 @@
+use super::*;
+use crate::odl;
+
+const DEMO: &str = r#"PDS_VERSION_ID = PDS3
+RECORD_BYTES   = 64
+^IMAGE         = ("DEMO.IMG", 3)
+PLANET_DAY_NUMBER = 12
+IMAGE_TYPE = THUMBNAIL
+ROVER_MOTION_COUNTER = (7, 42, 0)
+GROUP = SUBFRAME_REQUEST_PARMS
+ LINES = 64
+END_GROUP
+GROUP = GEOMETRIC_CAMERA_MODEL_PARMS
+ MODEL_TYPE        = CAHVOR
+ MODEL_COMPONENT_1 = ( 8.0e-01, 5.6e-01,
+-1.92e+00 )
+ MODEL_COMPONENT_2 = (1.0, 0.0, 0.0)
+ MODEL_COMPONENT_3 = (823.5, 14800.0, 0.0)
+ MODEL_COMPONENT_4 = (599.5, 0.0, 14800.0)
+ MODEL_COMPONENT_5 = (0.9999000149975, 0.009999000149975, 0.009999000149975)
+ MODEL_COMPONENT_6 = (0.0002, 0.39, 0.035)
+ REFERENCE_COORD_SYSTEM_NAME = ROVER_NAV_FRAME
+END_GROUP = GEOMETRIC_CAMERA_MODEL_PARMS
+GROUP = RSM_COORDINATE_SYSTEM
+ COORDINATE_SYSTEM_NAME = RSM_HEAD_FRAME
+ REFERENCE_COORD_SYSTEM_NAME = ROVER_NAV_FRAME
+ ORIGIN_OFFSET_VECTOR = (9, 9, 9)
+ ORIGIN_ROTATION_QUATERNION = (1, 0, 0, 0)
+END_GROUP
+GROUP = ROVER_COORD_SYSTEM_PARMS
+ COORDINATE_SYSTEM_NAME = ROVER_NAV_FRAME
+ REFERENCE_COORD_SYSTEM_NAME = SITE_FRAME
+ ORIGIN_OFFSET_VECTOR = (12.5 <m>, -3.25 <m>, 0.125 <m>)
+ ORIGIN_ROTATION_QUATERNION = (0.8, 0, 0, 0.6)
+ QUATERNION_MEASUREMENT_METHOD = TILT_ONLY
+END_GROUP
+GROUP = INSTRUMENT_STATE_PARMS
+ BAYER_METHOD = RAW_BAYER
+ CFA_TYPE = BAYER_RGGB
+ FILTER_NUMBER = "0"
+ FOCAL_LENGTH = 34.0 <mm>
+END_GROUP
+OBJECT = IMAGE
+ LINES = 8
+ LINE_SAMPLES = 6
+ SAMPLE_BITS = 16
+ SAMPLE_TYPE = MSB_INTEGER
+ SAMPLE_BIT_MASK = 2#0000111111111111#
+ FIRST_LINE = 5
+ FIRST_LINE_SAMPLE = 1025
+ MISSING_CONSTANT = "NULL"
+END_OBJECT = IMAGE
+END
+"#;
+
+fn read(text: &str) -> Label {
+    label(&odl::parse(text.as_bytes()).unwrap())
+}
+
+#[test]
+fn a_label_is_read_by_its_groups() {
+    let label = read(DEMO);
+    assert_eq!(
+        (label.sol, label.size, label.thumbnail),
+        (Some(12), Some((6, 8)), true)
+    );
+    assert_eq!((label.filter.as_deref(), label.focal_mm), (Some("0"), Some(34.0)));
+    assert_eq!(
+        label.mosaic,
+        Some(Phase {
+            line: 4,
+            sample: 1024
+        })
+    );
+    let array = label.array.unwrap();
+    assert_eq!(
+        (array.offset, array.file.as_deref(), array.bits),
+        (128, Some("DEMO.IMG"), Some(12))
+    );
+    assert_eq!((array.shape, array.missing), ([1, 8, 6], vec![]));
+    let prior = label.prior.unwrap();
+    assert_eq!(
+        (prior.frame.as_str(), prior.motion_counter),
+        ("ROVER_NAV_FRAME", vec![7, 42, 0])
+    );
+    assert_eq!(prior.model.c, [0.8, 0.56, -1.92]);
+    let pose = prior.site_from_frame.unwrap();
+    assert!(
+        (pose.point(&nalgebra::Vector3::x()) - nalgebra::Vector3::new(12.78, -2.29, 0.125)).norm() < 1e-12
+    );
+    assert!(label.notes[0].contains("TILT_ONLY"), "{:?}", label.notes);
+}
+
+#[test]
+fn every_form_of_a_pointer_is_read() {
+    for (text, expected) in [
+        ("15", Some((None, 896))),
+        ("8641 <BYTES>", Some((None, 8640))),
+        ("(\"F.IMG\", 15)", Some((Some("F.IMG".to_owned()), 896))),
+        (
+            "(\"F.IMG\", 8641 <BYTES>)",
+            Some((Some("F.IMG".to_owned()), 8640)),
+        ),
+        ("(\"F.IMG\")", Some((Some("F.IMG".to_owned()), 0))),
+        ("\"F.IMG\"", Some((Some("F.IMG".to_owned()), 0))),
+        ("0", None),
+        ("-3", None),
+        ("(\"F.IMG\", NULL)", None),
+        ("(1, 2, 3)", None),
+    ] {
+        let group = odl::parse(format!("RECORD_BYTES = 64\n^IMAGE = {text}\n").as_bytes()).unwrap();
+        assert_eq!(pointer(&group), expected, "{text}");
+    }
+}
+
+#[test]
+fn types_of_samples_are_read() {
+    let read = |kind, bits| sample(kind, bits).map(|sample| (sample.kind, sample.bytes, sample.big_endian));
+    assert_eq!(read("MSB_INTEGER", 16), Some((Number::Signed, 2, true)));
+    assert_eq!(read("UNSIGNED_INTEGER", 8), Some((Number::Unsigned, 1, true)));
+    assert_eq!(
+        read("LSB_UNSIGNED_INTEGER", 16),
+        Some((Number::Unsigned, 2, false))
+    );
+    assert_eq!(read("IEEE_REAL", 32), Some((Number::Float, 4, true)));
+    assert_eq!(read("PC_REAL", 32), Some((Number::Float, 4, false)));
+    for (kind, bits) in [
+        ("MSB_INTEGER", 12),
+        ("VAX_REAL", 32),
+        ("CHARACTER", 8),
+        ("IEEE_REAL", 16),
+        ("", 8),
+    ] {
+        assert_eq!(read(kind, bits), None, "{kind} {bits}");
+    }
+}
+
+#[test]
+fn a_mask_gives_its_bits() {
+    assert_eq!(mask_bits("2#0000111111111111#"), Some(12));
+    assert_eq!(mask_bits("2#11111111#"), Some(8));
+    for bad in ["", "2##", "16#FF#", "2#0000#", "2#12#", "NULL"] {
+        assert_eq!(mask_bits(bad), None, "{bad}");
+    }
+}
+
+#[test]
+fn labels_of_other_things_say_what_they_are() {
+    let table = odl::parse(b"OBJECT = INDEX_TABLE\nROWS = 3\nEND_OBJECT\n").unwrap();
+    assert!(no_photo(&table).unwrap().contains("INDEX_TABLE"));
+    let map = DEMO.replace(
+        "END\n",
+        "GROUP = DERIVED_IMAGE_PARMS\nDERIVED_IMAGE_TYPE = REACHABILITY_MAP\nEND_GROUP\nEND\n",
+    );
+    assert!(
+        no_photo(&odl::parse(map.as_bytes()).unwrap())
+            .unwrap()
+            .contains("REACHABILITY_MAP")
+    );
+    assert_eq!(no_photo(&odl::parse(DEMO.as_bytes()).unwrap()), None);
+}
+
+#[test]
+fn a_vicar_label_alone_describes_its_array() {
+    let mut bytes =
+        b"LBLSIZE=400 FORMAT='HALF' EOL=0 RECSIZE=14 ORG='BSQ' NL=3 NS=6 NB=1 NBB=2 NLB=1 INTFMT='HIGH' \
+        PROPERTY='IDENTIFICATION' PLANET_DAY_NUMBER=33 PRODUCT_ID='X' \
+        PROPERTY='GEOMETRIC_CAMERA_MODEL' MODEL_TYPE='NONE'"
+            .to_vec();
+    bytes.resize(400, 0);
+    let label = label(&crate::vicar::parse(&bytes).unwrap());
+    let array = label.array.unwrap();
+    assert_eq!(
+        (label.sol, array.offset, array.prefix_bytes, array.shape),
+        (Some(33), 414, 2, [1, 3, 6])
+    );
+    assert_eq!(
+        (array.sample.kind, array.sample.bytes, array.sample.big_endian),
+        (Number::Signed, 2, true)
+    );
+    assert!(label.notes[0].contains("no usable camera"), "{:?}", label.notes);
+}

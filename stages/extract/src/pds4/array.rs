@@ -1,0 +1,101 @@
+//! Where a PDS4 label says the pixels lie.
+
+use roxmltree::Node;
+
+use super::{PDS, child, children, number_at, text_at};
+use crate::label::{Array, Number, Order, Quantity, Sample};
+use crate::values;
+
+/// Reads the first array of two or three dimensions; `None` where there is none that is read.
+pub(super) fn read(root: Node<'_, '_>) -> Option<Array> {
+    let area = child(root, PDS, "File_Area_Observational")?;
+    let node = ["Array_2D_Image", "Array_3D_Image"]
+        .iter()
+        .find_map(|name| child(area, PDS, name))?;
+    let element = child(node, PDS, "Element_Array")?;
+    let sample = sample(&text_at(element, &[(PDS, "data_type")])?)?;
+    let (shape, order) = axes(node)?;
+    let number = |name| number_at(element, &[(PDS, name)]);
+    let scaling = (
+        number("scaling_factor").unwrap_or(1.0),
+        number("value_offset").unwrap_or(0.0),
+    );
+    let constants = child(node, PDS, "Special_Constants");
+    Some(Array {
+        file: text_at(area, &[(PDS, "File"), (PDS, "file_name")]),
+        offset: number_at(node, &[(PDS, "offset")]).filter(|offset| *offset >= 0.0)? as u64,
+        shape,
+        order,
+        sample,
+        prefix_bytes: 0,
+        suffix_bytes: 0,
+        bits: None,
+        scaling: (scaling != (1.0, 0.0)).then_some(scaling),
+        missing: constants.map(constants_of).unwrap_or_default(),
+        quantity: Quantity::Counts,
+    })
+}
+
+fn constants_of(node: Node<'_, '_>) -> Vec<f64> {
+    let names = ["missing_constant", "invalid_constant"];
+    names
+        .iter()
+        .filter_map(|name| number_at(node, &[(PDS, name)]))
+        .collect()
+}
+
+fn axes(node: Node<'_, '_>) -> Option<([u32; 3], Order)> {
+    let mut axes: Vec<(u32, String, u32)> = Vec::new();
+    for axis in children(node, PDS, "Axis_Array").take(4) {
+        let side = |name| {
+            values::integer(&text_at(axis, &[(PDS, name)])?).and_then(|value| u32::try_from(value).ok())
+        };
+        axes.push((
+            side("sequence_number")?,
+            text_at(axis, &[(PDS, "axis_name")])?,
+            side("elements")?,
+        ));
+    }
+    axes.sort();
+    let names: Vec<&str> = axes.iter().map(|axis| axis.1.as_str()).collect();
+    let order = match names.as_slice() {
+        ["Line", "Sample"] | ["Band", "Line", "Sample"] => Order::BandSequential,
+        ["Line", "Band", "Sample"] => Order::LineInterleaved,
+        ["Line", "Sample", "Band"] => Order::PixelInterleaved,
+        _ => return None,
+    };
+    let length = |name: &str| axes.iter().find(|axis| axis.1 == name).map(|axis| axis.2);
+    Some((
+        [length("Band").unwrap_or(1), length("Line")?, length("Sample")?],
+        order,
+    ))
+}
+
+pub(super) fn sample(data_type: &str) -> Option<Sample> {
+    let (kind, rest) = if let Some(rest) = data_type.strip_prefix("Unsigned") {
+        (Number::Unsigned, rest)
+    } else if let Some(rest) = data_type.strip_prefix("Signed") {
+        (Number::Signed, rest)
+    } else {
+        (Number::Float, data_type.strip_prefix("IEEE754")?)
+    };
+    let (big_endian, size) = match (rest.strip_prefix("MSB"), rest.strip_prefix("LSB")) {
+        (Some(size), _) => (true, size),
+        (_, Some(size)) => (false, size),
+        _ => (true, rest),
+    };
+    let bytes = match (kind, size) {
+        (Number::Float, "Single") => 4,
+        (Number::Float, "Double") => 8,
+        (Number::Unsigned | Number::Signed, "Byte") => 1,
+        (Number::Unsigned | Number::Signed, "2") => 2,
+        (Number::Unsigned | Number::Signed, "4") => 4,
+        (Number::Unsigned | Number::Signed, "8") => 8,
+        _ => return None,
+    };
+    Some(Sample {
+        kind,
+        bytes,
+        big_endian,
+    })
+}

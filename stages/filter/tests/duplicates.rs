@@ -1,0 +1,213 @@
+//! Which photos count as the same view, and which of them stays.
+#![allow(clippy::unwrap_used, reason = "a fixture that is wrong should stop the test")]
+
+mod common;
+
+use common::{
+    Photos, bind, by_id, defaults, dynamic, ground, item, jpeg, measure_of, narrow, png, recoloured,
+    with_orientation,
+};
+use image::imageops::{self, FilterType};
+use marf_scene::{Image, Srgb};
+use marf_stage::Work;
+use serde_json::json;
+
+/// Judges sols one after the other; returns the verdicts and the states between.
+fn fold(
+    sols: &[&Photos],
+) -> (
+    Vec<std::collections::BTreeMap<String, marf_stage::Verdict>>,
+    Vec<Vec<u8>>,
+) {
+    let stage = bind("duplicate", defaults());
+    let Work::Fold(duplicate) = stage.work() else {
+        panic!("duplicate is a fold");
+    };
+    let (mut verdicts, mut states) = (Vec::new(), Vec::<Vec<u8>>::new());
+    for (sol, photos) in (1..).zip(sols) {
+        let measures = photos.measures(&*stage);
+        let items: Vec<_> = photos
+            .rows
+            .iter()
+            .zip(&measures)
+            .map(|(row, measure)| item(sol, row, measure))
+            .collect();
+        let (state, judged) = duplicate.fold(states.last().map(Vec::as_slice), &items).unwrap();
+        verdicts.push(by_id(judged));
+        states.push(state);
+    }
+    (verdicts, states)
+}
+
+fn pair(first: &[u8], second: &[u8]) -> (marf_stage::Verdict, marf_stage::Verdict) {
+    let mut photos = Photos::default();
+    photos.add("a", first).add("b", second);
+    let verdicts = photos.judge("duplicate", defaults());
+    (verdicts["a"].clone(), verdicts["b"].clone())
+}
+
+#[test]
+fn copies_of_other_format_size_and_light_are_found_and_the_original_stays() {
+    let original = ground(1);
+    let resized = dynamic(&original).resize_exact(256, 192, FilterType::Lanczos3);
+    let darker = recoloured(&original, |pixel| {
+        pixel.map(|value| (f64::from(value) * 0.8) as u8)
+    });
+    for (name, copy) in [
+        ("the same bytes", png(&original)),
+        ("JPEG of quality 50", jpeg(&dynamic(&original), 50)),
+        ("four fifths of the size", jpeg(&resized, 92)),
+        ("darker", png(&darker)),
+    ] {
+        let (a, b) = pair(&png(&original), &copy);
+        assert!(a.keeps(), "{name}: {a:?}");
+        assert_eq!(
+            (b.verdict.as_str(), b.twin.as_deref()),
+            ("duplicate", Some("a")),
+            "{name}: {b:?}"
+        );
+        assert!(b.score >= b.threshold, "{name}: {b:?}");
+    }
+}
+
+#[test]
+fn copies_through_a_narrow_filter_go_even_if_they_come_first() {
+    let original = ground(2);
+    for (band, tint) in [(0, [1.0, 0.55, 0.35]), (2, [0.45, 0.6, 1.0])] {
+        let (narrow, broad) = pair(&png(&narrow(&original, band, tint)), &png(&original));
+        assert!(broad.keeps(), "band {band}: {broad:?}");
+        assert_eq!(narrow.twin.as_deref(), Some("b"), "band {band}: {narrow:?}");
+    }
+}
+
+#[test]
+fn the_archives_word_on_the_filter_decides_which_one_stays() {
+    let mut photos = Photos::default();
+    photos
+        .add_with("a", &png(&ground(3)), |facts| facts.filter = Some("5".to_owned()))
+        .add_with("b", &png(&ground(3)), |facts| facts.filter = Some("0".to_owned()));
+    let verdicts = photos.judge("duplicate", defaults());
+    assert_eq!(verdicts["a"].twin.as_deref(), Some("b"), "{:?}", verdicts["a"]);
+}
+
+#[test]
+fn a_copy_turned_by_exif_is_found() {
+    let original = dynamic(&ground(4));
+    let turned = with_orientation(&jpeg(&imageops::rotate270(&original.to_rgb8()).into(), 92), 6);
+    let (_, copy) = pair(&png(&ground(4)), &turned);
+    assert_eq!(copy.verdict, "duplicate", "{copy:?}");
+    let (_, untagged) = pair(
+        &png(&ground(4)),
+        &jpeg(&imageops::rotate270(&original.to_rgb8()).into(), 92),
+    );
+    assert!(untagged.keeps(), "{untagged:?}");
+}
+
+#[test]
+fn other_places_and_neighbours_stay() {
+    let (a, b) = pair(&png(&ground(5)), &png(&ground(6)));
+    assert!(a.keeps() && b.keeps(), "{a:?} {b:?}");
+    let place = ground(7);
+    let moved = |by: u32| Image::from_fn(240, 180, |x, y| place.at(x + by, y));
+    let (a, b) = pair(&png(&moved(0)), &png(&moved(24)));
+    assert!(a.keeps() && b.keeps(), "a tenth of the width on: {a:?} {b:?}");
+}
+
+fn blend(step: u32, steps: u32) -> Image<Srgb> {
+    let (from, to) = (ground(20), ground(21));
+    Image::from_fn(320, 240, |x, y| {
+        let mix = |band: usize| {
+            let (from, to) = (u32::from(from.at(x, y)[band]), u32::from(to.at(x, y)[band]));
+            ((from * (steps - step) + to * step) / steps) as u8
+        };
+        [mix(0), mix(1), mix(2)]
+    })
+}
+
+#[test]
+fn a_chain_of_neighbours_is_thinned_but_not_lost() {
+    let mut photos = Photos::default();
+    for step in 0..=16 {
+        photos.add(&format!("{step:02}"), &png(&blend(step, 16)));
+    }
+    for params in [defaults(), json!({"rule": "phash"})] {
+        let verdicts = photos.judge("duplicate", params.clone());
+        let kept = verdicts.values().filter(|verdict| verdict.keeps()).count();
+        assert!((2..17).contains(&kept), "{params}: {kept} kept");
+        for verdict in verdicts.values().filter(|verdict| !verdict.keeps()) {
+            let twin = &verdicts[verdict.twin.as_ref().unwrap()];
+            assert!(
+                twin.keeps(),
+                "{params}: {} gave way to {}, which went too",
+                verdict.id,
+                twin.id
+            );
+        }
+    }
+}
+
+#[test]
+fn a_photo_of_a_later_sol_gives_way_to_one_of_an_earlier_sol() {
+    let (mut first, mut second, mut third) = (Photos::default(), Photos::default(), Photos::default());
+    first.add("z", &jpeg(&dynamic(&ground(30)), 60));
+    second.add("a", &png(&ground(30))).add("new", &png(&ground(31)));
+    third.add("b", &png(&ground(30))).add("c", &png(&ground(31)));
+    let (verdicts, states) = fold(&[&first, &second, &third]);
+    assert!(verdicts[0]["z"].keeps());
+    assert_eq!(verdicts[1]["a"].twin.as_deref(), Some("z"));
+    assert!(verdicts[1]["new"].keeps());
+    assert_eq!(verdicts[2]["b"].twin.as_deref(), Some("z"));
+    assert_eq!(verdicts[2]["c"].twin.as_deref(), Some("new"));
+    assert_eq!(
+        states[1], states[2],
+        "a sol that keeps nothing leaves the state as it is"
+    );
+}
+
+#[test]
+fn a_state_cut_short_is_refused() {
+    let mut photos = Photos::default();
+    photos.add("a", &png(&ground(40)));
+    let (_, states) = fold(&[&photos]);
+    let stage = bind("duplicate", defaults());
+    let Work::Fold(duplicate) = stage.work() else {
+        panic!("duplicate is a fold");
+    };
+    let error = duplicate
+        .fold(Some(&states[0][..states[0].len() - 1]), &[])
+        .unwrap_err();
+    assert_eq!(error.to_string(), "state cannot be read after 0 photos");
+}
+
+#[test]
+fn the_papers_rule_asks_the_hash_alone() {
+    let mut photos = Photos::default();
+    photos
+        .add("a", &png(&ground(50)))
+        .add("b", &jpeg(&dynamic(&ground(50)), 70))
+        .add("c", &png(&ground(51)));
+    let verdicts = photos.judge("duplicate", json!({"rule": "phash"}));
+    assert_eq!(
+        verdicts.values().filter(|verdict| verdict.keeps()).count(),
+        2,
+        "{verdicts:?}"
+    );
+    assert_eq!(verdicts["b"].twin.as_deref(), Some("a"));
+    assert!(verdicts["b"].score.unwrap() < 5.0, "{:?}", verdicts["b"]);
+    let strict = photos.judge("duplicate", json!({"rule": "phash", "max_bits": 0}));
+    assert!(
+        strict.values().all(marf_stage::Verdict::keeps),
+        "less than 0 bits apart is impossible"
+    );
+}
+
+#[test]
+fn a_sketch_stays_below_13_kilobytes() {
+    let mut photos = Photos::default();
+    photos.add("a", &png(&ground(60)));
+    let stage = bind("duplicate", defaults());
+    let bytes = measure_of(&*stage)
+        .measure(&photos.harness.ctx(), &photos.rows[0])
+        .unwrap();
+    assert!(bytes.len() < 13_000, "{} bytes", bytes.len());
+}
