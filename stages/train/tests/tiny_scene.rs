@@ -360,9 +360,9 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 1, "2e877ef75af4"),
-            ("evaluate", 1, "b3309781ab78"),
-            ("render", 1, "a573c1d9e3ae")
+            ("train", 1, "e67e321f1d00"),
+            ("evaluate", 1, "53a5af81a951"),
+            ("render", 1, "c2174dd5cd11")
         ]
     );
 }

@@ -28,10 +28,10 @@ pub fn default_space() -> Space {
         json!({"levels": 16, "features": 2}),
     ];
     Space::from([
-        ("learning_rate".to_owned(), Range::Log([0.003, 0.03])),
+        ("learning_rate".to_owned(), Range::Log([0.005, 0.05])),
         ("log2_table".to_owned(), Range::Int([14, 17])),
         ("layout".to_owned(), Range::Choice(layouts)),
-        ("cone".to_owned(), Range::Log([0.0125, 0.05])),
+        ("cone".to_owned(), Range::Log([0.02, 0.08])),
     ])
 }
 
@@ -200,7 +200,7 @@ mod tests {
             // 500 expected, standard deviation 19.
             assert!((420..=580).contains(&count), "{table}: {count}");
         }
-        let low_half = share(&|set| set.0["learning_rate"].as_f64().unwrap() < 0.009_487);
+        let low_half = share(&|set| set.0["learning_rate"].as_f64().unwrap() < 0.015_81);
         assert!(
             (910..=1090).contains(&low_half),
             "{low_half} of 2000 below the geometric mean"

@@ -1,5 +1,6 @@
 use marf_cache::ContentHash;
 use marf_field::{Overrides, Quality};
+use marf_scene::Scene;
 use marf_stage::{Ctx, Define, Expand, Inputs, NodeSpec, Outputs, ParamError, Port, Stage, StageError, Work};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -23,7 +24,8 @@ pub struct TuneParams {
     /// Optimiser steps of a trial; absent: a quarter of those of `quality`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps: Option<u64>,
-    /// Whole factor by which photos are shrunk; absent: as for `train`.
+    /// Whole factor by which photos are shrunk; absent: the least that brings them to half the size of `quality`,
+    /// for most of a trial's time goes into rendering the photos it is judged by.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<u32>,
     /// What may be tried: key = `{ log = [low, high] }`, `{ int = [low, high] }` or `{ choice = [..] }`; a choice that
@@ -110,8 +112,12 @@ impl Stage for Tune {
 }
 
 impl Expand for Tune {
-    fn expand(&self, _ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
-        let params = &self.params;
+    fn expand(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
+        let params = TuneParams {
+            scale: Some(self.scale(ctx, inputs)?),
+            ..self.params.clone()
+        };
+        let params = &params;
         let trials = (0..params.trials).map(|trial| {
             let set = draw(&params.space, params.seed, trial);
             node(params, format!("trial-{trial:02}"), params.seed, &set, inputs)
@@ -132,14 +138,29 @@ impl Expand for Tune {
     }
 }
 
+impl Tune {
+    fn scale(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<u32, StageError> {
+        if let Some(scale) = self.params.scale {
+            return Ok(scale);
+        }
+        let scene = Scene::decode(&ctx.get(inputs.required("scene")?)?)
+            .map_err(|error| StageError::new(error.to_string()))?;
+        let cameras = scene.frames.iter().map(|frame| &frame.camera);
+        let longest = cameras
+            .map(|camera| camera.width.max(camera.height))
+            .max()
+            .unwrap_or(1);
+        let side_px = (self.params.quality.longest_side_px() / 2).max(1);
+        Ok(longest.div_ceil(side_px).max(1))
+    }
+}
+
 fn node(params: &TuneParams, name: String, seed: u64, set: &Overrides, inputs: &Inputs) -> NodeSpec {
     let steps = params.steps.unwrap_or((params.quality.steps() / 4).max(1));
-    let mut table = json!({
+    let table = json!({
         "quality": params.quality, "steps": steps, "seed": seed, "holdout": "validation", "field": set,
+        "scale": params.scale,
     });
-    if let Some(scale) = params.scale {
-        table["scale"] = json!(scale);
-    }
     NodeSpec {
         name,
         stage: "train".to_owned(),
@@ -151,12 +172,28 @@ fn node(params: &TuneParams, name: String, seed: u64, set: &Overrides, inputs: &
 #[cfg(test)]
 mod tests {
     use super::*;
+    use marf_scene::{Camera, Frame, Pose};
     use marf_stage::harness::Harness;
 
     fn asked(table: serde_json::Value) -> Vec<NodeSpec> {
         let harness = Harness::default();
         let stage = Tune::new(serde_json::from_value(table).unwrap()).unwrap();
-        stage.expand(&harness.ctx(), &Inputs::default()).unwrap()
+        let frame = Frame {
+            id: String::new(),
+            file: String::new(),
+            image: marf_cache::Digest::of(b""),
+            camera: Camera::pinhole(640, 480, 500.0),
+            cam_from_world: Pose::identity(),
+            held_out: false,
+            error_px: None,
+        };
+        let scene = Scene {
+            frames: vec![frame],
+            ..Scene::default()
+        };
+        let digest = harness.put(&scene.encode().unwrap());
+        let inputs = Inputs([("scene".to_owned(), digest)].into());
+        stage.expand(&harness.ctx(), &inputs).unwrap()
     }
 
     #[test]
@@ -185,6 +222,7 @@ mod tests {
             .map(|node| node.params["seed"].as_u64().unwrap())
             .collect();
         assert_eq!(seeds, [u64::MAX, u64::MAX, 0]);
+        assert_eq!(asked(json!({}))[0].params["scale"], 3, "640 px to at most 240");
         assert_eq!(nodes[0].params["field"], json!({}));
         assert_eq!(nodes[0].params["field"], nodes[2].params["field"]);
     }
