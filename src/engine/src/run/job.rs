@@ -89,7 +89,7 @@ impl Shift<'_> {
     }
 
     fn lease(&self) -> Result<Lease, StageError> {
-        let busy = || self.warn("another program works on the same result; waiting for it".to_owned());
+        let busy = || self.warn("the same result is being made elsewhere; waiting for it".to_owned());
         Lease::take(
             self.site.store.dir(),
             &self.order.key.digest,
