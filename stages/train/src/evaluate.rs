@@ -1,5 +1,6 @@
 use marf_cache::ContentHash;
 use marf_field::Field;
+use marf_scene::Frame;
 use marf_stage::{Ctx, Define, Inputs, Outputs, ParamError, Port, Set, Stage, StageError, Threads, Work};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -96,7 +97,7 @@ impl Set for Evaluate {
         let field = Field::decode(&ctx.get(inputs.required("weights")?)?).map_err(TrainError::from)?;
         let frames: Vec<Named<'_>> = named(&scene)
             .into_iter()
-            .filter(|named| self.params.views.has(named.frame.held_out))
+            .filter(|named| self.params.views.has(named.frame))
             .collect();
         if frames.is_empty() {
             let placed = scene.frames.len();
@@ -118,10 +119,10 @@ impl Set for Evaluate {
 }
 
 impl Which {
-    fn has(self, held_out: bool) -> bool {
+    fn has(self, frame: &Frame) -> bool {
         match self {
-            Self::Heldout => held_out,
-            Self::Train => !held_out,
+            Self::Heldout => frame.held_out,
+            Self::Train => !frame.held_out,
             Self::All => true,
         }
     }
