@@ -70,9 +70,13 @@ fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<Json, CliE
     let metrics: Json = serde_json::from_slice(&session.store.get(&output.digest)?)
         .map_err(|error| CliError::failed(format!("metrics: {error}")))?;
     let made = node.key.and_then(|key| session.store.record(&key).ok().flatten());
-    let (seconds, peak_mb) = made.map_or((node.seconds, 0), |record| {
-        (record.circumstances.seconds, record.circumstances.peak_mb)
-    });
+    let peak_mb = made.map_or(0, |record| record.circumstances.peak_mb);
+    // The time of the node less that of finding the pace: decoding, training and rendering the held-out views.
+    let pace = record
+        .nodes
+        .iter()
+        .filter(|child| child.parent.as_deref() == Some(node.name.as_str()));
+    let seconds = node.seconds - pace.map(|child| child.seconds).sum::<f64>();
     let rate = |key: &str| metrics[key].as_f64().map(|count| count / seconds.max(1e-9));
     Ok(json!({
         "psnr": metrics["psnr"],

@@ -47,7 +47,10 @@ impl Listener for Bars {
                 note,
             } => {
                 let bar = self.bar(node, *total);
-                bar.set_length(*total);
+                if bar.length() != Some(*total) {
+                    bar.set_length(*total); // another piece of work: what it took so far says nothing
+                    bar.reset_eta();
+                }
                 bar.set_position(*done);
                 bar.set_message(printable(note));
             }

@@ -13,18 +13,43 @@ const EVERY: Duration = Duration::from_secs(10);
 /// Plain lines, for logs: every event once, progress each ten seconds with what is left.
 #[derive(Default)]
 pub struct Lines {
-    heard: Mutex<HashMap<String, (Instant, Instant)>>,
+    heard: Mutex<HashMap<String, Heard>>,
+}
+
+/// What a node has told of one piece of its work.
+#[derive(Clone, Copy)]
+struct Heard {
+    began: Instant,
+    last: Instant,
+    at_first: u64,
+    total: u64,
 }
 
 impl Lines {
-    /// Returns since when a node has told of itself, if it is time for its next line.
-    fn due(&self, node: &str) -> Option<Duration> {
+    /// Returns how long the node's work will still take, if it is time for its next line.
+    /// Another total is another piece of work: the clock starts anew.
+    fn due(&self, node: &str, done: u64, total: u64) -> Option<String> {
         let now = Instant::now();
         let mut heard = self.heard.lock().unwrap_or_else(PoisonError::into_inner);
-        let (first, last) = heard.entry(node.to_owned()).or_insert((now, now));
-        (now - *last >= EVERY).then(|| {
-            *last = now;
-            now - *first
+        let fresh = Heard {
+            began: now,
+            last: now,
+            at_first: done,
+            total,
+        };
+        let heard = heard.entry(node.to_owned()).or_insert(fresh);
+        if heard.total != total {
+            *heard = fresh;
+        }
+        (now - heard.last >= EVERY).then(|| {
+            heard.last = now;
+            let spent = (now - heard.began).as_secs_f64();
+            let (did, left) = (done.saturating_sub(heard.at_first), total.saturating_sub(done));
+            if did == 0 {
+                "?".to_owned()
+            } else {
+                duration(spent * left as f64 / did as f64)
+            }
         })
     }
 }
@@ -38,9 +63,9 @@ impl Listener for Lines {
             note,
         } = event
         {
-            let Some(spent) = self.due(node) else { return };
-            let left = spent.as_secs_f64() * (total.saturating_sub(*done) as f64) / (*done).max(1) as f64;
-            let left = duration(left);
+            let Some(left) = self.due(node, *done, *total) else {
+                return;
+            };
             crate::talk(&printable(&format!(
                 "at      {node:<22} {done}/{total}, {left} left  {note}"
             )));

@@ -41,7 +41,7 @@ pub struct FolderArchive {
     /// The folder; a relative one is meant from pipeline.toml.
     pub path: PathBuf,
     /// Which sols: `1..=5`, `3`, `1,4,7..=9` or `latest`; all, and photos of no known sol, if left out.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "some_text_or_number")]
     pub sols: Option<String>,
     /// Whether folders in the folder are read too.
     #[serde(default = "yes")]
@@ -53,7 +53,7 @@ pub struct FolderArchive {
 #[serde(deny_unknown_fields)]
 pub struct DemoArchive {
     /// Which sols, as `1..=2` or a list.
-    #[serde(default = "first_sols")]
+    #[serde(default = "first_sols", deserialize_with = "text_or_number")]
     pub sols: String,
     /// Seed of the terrain.
     #[serde(default = "demo_seed")]
@@ -73,6 +73,26 @@ pub struct OtherArchive {
 
 fn yes() -> bool {
     true
+}
+
+/// One sol may be written as a bare number.
+fn text_or_number<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged, expecting = "expected sols like \"1..=3\" or a number")]
+    enum Either {
+        Text(String),
+        Number(u32),
+    }
+    Ok(match Either::deserialize(deserializer)? {
+        Either::Text(text) => text,
+        Either::Number(sol) => sol.to_string(),
+    })
+}
+
+fn some_text_or_number<'de, D: serde::Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Option<String>, D::Error> {
+    text_or_number(deserializer).map(Some)
 }
 
 fn first_sols() -> String {
