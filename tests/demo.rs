@@ -104,10 +104,9 @@ fn only_what_changed_runs_again() {
     );
 
     let more = run(dir.path(), &["--set", "bootstrap.b=5"]);
-    assert_eq!(
-        more.nodes("finished"),
-        ["bootstrap/member-03", "bootstrap/member-04", "bootstrap"]
-    );
+    let mut ran = more.nodes("finished");
+    ran.sort(); // members run side by side: either may end first
+    assert_eq!(ran, ["bootstrap", "bootstrap/member-03", "bootstrap/member-04"]);
 
     let sol = run(dir.path(), &["--set", "archive.demo.sols=1..=3", "--to", "blur"]);
     assert_eq!(
