@@ -103,8 +103,32 @@ impl Index {
         lives: impl Fn(&Record) -> bool,
     ) -> Result<Vec<Conflict>, StoreError> {
         let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
+        self.make()?;
         let database = self.open(|path| builder().create(path))?;
         write(&database, records, memos, lives).map_err(|error| self.explain(error))
+    }
+
+    /// Makes the file beside its place and links it there whole: a reader, or a kill, never meets half a file.
+    fn make(&self) -> Result<(), StoreError> {
+        if self.path.exists() {
+            return Ok(());
+        }
+        let failed = |error| StoreError::io("make", &self.path)(error);
+        let folder = self.path.parent().unwrap_or(Path::new("."));
+        let fresh = tempfile::Builder::new()
+            .prefix("index.")
+            .suffix(".new")
+            .tempfile_in(folder);
+        let fresh = fresh.map_err(failed)?;
+        drop(
+            builder()
+                .create(fresh.path())
+                .map_err(|error| self.explain(error.into()))?,
+        );
+        match fresh.persist_noclobber(&self.path) {
+            Err(error) if error.error.kind() != std::io::ErrorKind::AlreadyExists => Err(failed(error.error)),
+            _ => Ok(()),
+        }
     }
 
     fn read<T>(
