@@ -47,7 +47,7 @@ pub struct Global {
     /// The store of results [default: .marf beside the pipeline]
     #[arg(long, global = true, value_name = "DIR")]
     pub store: Option<PathBuf>,
-    /// Lay a value over the pipeline, e.g. `blur.min_ratio=12` or `archive.demo.sols=1..=3`
+    /// Lay a value over the pipeline, e.g. `blur.min_share=0.55` or `archive.demo.sols=1..=3`
     #[arg(long = "set", global = true, value_name = "NODE.KEY=VALUE")]
     pub sets: Vec<String>,
     /// Cores to use [default: all]; results do not depend on it
