@@ -4,14 +4,23 @@
 //! `import` reads the cameras another program found. Invariant: a photo is in the scene with a camera for the
 //! very bytes its frame names, or it is listed as unplaced with the reason; none is dropped in silence.
 
+#![allow(dead_code)]
+
+mod bundle;
+mod dice;
+mod estimators;
 mod export;
+mod features;
 pub mod import;
 mod labels;
+mod mapper;
+mod matching;
 mod metrics;
 mod params;
 mod photos;
 mod resample;
 mod stage;
+mod two_view;
 
 pub use export::write_transforms;
 pub use metrics::{Metrics, Missing, PhotoMetrics, Totals};

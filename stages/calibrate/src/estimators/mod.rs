@@ -1,0 +1,1 @@
+//! Poses, epipolar geometry and points from a few correspondences; no state, no policy.

@@ -1,0 +1,1 @@
+//! Policy: which photos start a model, which come next, what is kept.

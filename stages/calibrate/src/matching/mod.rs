@@ -1,0 +1,1 @@
+//! Which photos to compare, and which of their features are the same point.
