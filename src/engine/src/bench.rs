@@ -9,7 +9,7 @@ use std::{
 };
 
 use marf_cache::{Digest, Store, StoreError};
-use marf_stage::{BlobError, Blobs, Cancel, Checkpoints, StageError};
+use marf_stage::{BlobError, Blobs, Cancel, Checkpoints, Memos, StageError};
 
 use crate::{Event, Listener};
 
@@ -87,6 +87,42 @@ impl Checkpoints for FileCheckpoints<'_> {
     }
 }
 
+/// Tables of partial results as blobs of the store, by the stage's own key.
+pub(crate) struct StoreMemos<'a> {
+    store: &'a Store,
+    node: String,
+    listener: &'a dyn Listener,
+}
+
+impl<'a> StoreMemos<'a> {
+    pub(crate) fn new(store: &'a Store, node: &str, listener: &'a dyn Listener) -> Self {
+        Self {
+            store,
+            node: node.to_owned(),
+            listener,
+        }
+    }
+}
+
+impl Memos for StoreMemos<'_> {
+    /// A table that is gone, damaged or out of reach is none.
+    fn load(&self, key: &Digest) -> Option<Arc<[u8]>> {
+        let blob = self.store.memo(key).ok()??;
+        self.store.get(&blob).ok()
+    }
+
+    /// The table goes to the disk with the next group, at the latest when the run ends.
+    fn save(&self, key: &Digest, table: &[u8]) {
+        match self.store.put(table) {
+            Ok(blob) => self.store.put_memo(*key, blob),
+            Err(error) => self.listener.hear(&Event::Warning {
+                node: Some(self.node.clone()),
+                message: format!("cannot keep a table of partial results: {error}"),
+            }),
+        }
+    }
+}
+
 /// The right to work on a key; the second to want it waits, and then finds the first one's result.
 ///
 /// Where files cannot be locked two programs may do the same work: a waste, never a wrong answer.
@@ -155,6 +191,32 @@ mod tests {
         assert_eq!(checkpoints.load(), None, "a damaged checkpoint is none");
         checkpoints.remove();
         assert!(!checkpoints.path.exists());
+    }
+
+    #[test]
+    fn a_table_of_partial_results_outlives_its_program_and_a_damaged_one_is_none() {
+        let dir = tempfile::tempdir().unwrap();
+        let key = Digest::of(b"features of photo 1, version 1");
+        // Above 64 KiB a blob is a file of its own, which a test can damage.
+        let table = vec![7_u8; 70_000];
+        {
+            let store = Store::open(dir.path()).unwrap();
+            let memos = StoreMemos::new(&store, "calibrate", &Silent);
+            assert_eq!(memos.load(&key), None);
+            memos.save(&key, b"old");
+            memos.save(&key, &table);
+            assert_eq!(memos.load(&key).as_deref(), Some(table.as_slice()));
+            assert_eq!(memos.load(&Digest::of(b"another")), None);
+            store.commit().unwrap();
+        }
+        let store = Store::open(dir.path()).unwrap();
+        let memos = StoreMemos::new(&store, "calibrate", &Silent);
+        assert_eq!(memos.load(&key).as_deref(), Some(table.as_slice()));
+        let hex = Digest::of(&table).to_string();
+        fs::write(dir.path().join("cas").join(&hex[..2]).join(&hex[2..]), b"damaged").unwrap();
+        assert_eq!(memos.load(&key), None);
+        memos.save(&key, &table);
+        assert_eq!(memos.load(&key).as_deref(), Some(table.as_slice()));
     }
 
     #[test]

@@ -1,9 +1,14 @@
 //! The plan: what a run would do, node by node, and why. Lists sources; commits nothing.
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::{
+    panic::{AssertUnwindSafe, catch_unwind},
+    sync::Arc,
+};
 
 use marf_cache::{Digest, Store};
-use marf_stage::{Cancel, Checkpoints, Ctx, Inputs, Listing, Outputs, Progress, Stage, StageError, Work};
+use marf_stage::{
+    Cancel, Checkpoints, Ctx, Inputs, Listing, Memos, Outputs, Progress, Stage, StageError, Work,
+};
 use serde::Serialize;
 
 use crate::{
@@ -134,6 +139,7 @@ pub(crate) fn list(stage: &dyn Stage, store: &Store, cancel: &Cancel) -> Result<
         cancel,
         progress: &Nobody,
         checkpoints: &Nobody,
+        memos: &Nobody,
         threads: 1,
     };
     let listing = catch_unwind(AssertUnwindSafe(|| source.list(&ctx)))
@@ -176,4 +182,12 @@ impl Checkpoints for Nobody {
     }
 
     fn save(&self, _state: &[u8]) {}
+}
+
+impl Memos for Nobody {
+    fn load(&self, _key: &Digest) -> Option<Arc<[u8]>> {
+        None
+    }
+
+    fn save(&self, _key: &Digest, _table: &[u8]) {}
 }

@@ -18,6 +18,8 @@ pub struct Ctx<'a> {
     pub progress: &'a dyn Progress,
     /// A place for the state of an unfinished run of this very key.
     pub checkpoints: &'a dyn Checkpoints,
+    /// Tables of partial results that outlive this run.
+    pub memos: &'a dyn Memos,
     /// Threads given to this run; a rayon pool of that size is installed. Never part of a result.
     pub threads: usize,
 }
@@ -88,6 +90,17 @@ pub trait Checkpoints: Sync {
     fn load(&self) -> Option<Vec<u8>>;
     /// Replaces it. A failure costs only time, and is reported by the engine.
     fn save(&self, state: &[u8]);
+}
+
+/// Keeps tables of partial results from run to run, by a key of the stage's own making.
+///
+/// The key holds all that the table's rows depend on. Losing a memo costs time, never a result: a table that was
+/// never saved, or is damaged, is none, and the stage works it out anew.
+pub trait Memos: Sync {
+    /// Returns the table last saved under this key.
+    fn load(&self, key: &Digest) -> Option<Arc<[u8]>>;
+    /// Replaces it. A failure costs only time, and is reported by the engine.
+    fn save(&self, key: &Digest, table: &[u8]);
 }
 
 /// A wish to stop that many threads can see.

@@ -8,13 +8,14 @@ use marf_cache::{
     manifest::{Leaf, LeafRef, Root, Row},
 };
 
-use crate::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Progress};
+use crate::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Memos, Progress};
 
 /// A store in memory with silent progress.
 #[derive(Default)]
 pub struct Harness {
     blobs: Mutex<BTreeMap<Digest, Arc<[u8]>>>,
     checkpoint: Mutex<Option<Vec<u8>>>,
+    memos: Mutex<BTreeMap<Digest, Arc<[u8]>>>,
     /// The wish to stop that stages under test see.
     pub cancel: Cancel,
 }
@@ -27,6 +28,7 @@ impl Harness {
             cancel: &self.cancel,
             progress: self,
             checkpoints: self,
+            memos: self,
             threads: 1,
         }
     }
@@ -101,5 +103,15 @@ impl Checkpoints for Harness {
 
     fn save(&self, state: &[u8]) {
         *lock(&self.checkpoint) = Some(state.to_vec());
+    }
+}
+
+impl Memos for Harness {
+    fn load(&self, key: &Digest) -> Option<Arc<[u8]>> {
+        lock(&self.memos).get(key).cloned()
+    }
+
+    fn save(&self, key: &Digest, table: &[u8]) {
+        lock(&self.memos).insert(*key, Arc::from(table));
     }
 }

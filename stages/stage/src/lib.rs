@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use marf_cache::{ContentHash, Digest, manifest::Row};
 use serde::{Deserialize, Serialize};
 
-pub use ctx::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Progress};
+pub use ctx::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Memos, Progress};
 pub use define::{Define, ParamError, Port, StageDef, define};
 pub use error::StageError;
 

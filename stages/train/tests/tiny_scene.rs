@@ -110,6 +110,7 @@ fn a_training_that_was_stopped_goes_on_to_the_same_bytes() {
         cancel: &cancel,
         progress: &killed,
         checkpoints: &killed,
+        memos: &harness,
         threads: 1,
     };
     let stopped = run(&train, &ctx, &scene);

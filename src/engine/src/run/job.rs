@@ -13,7 +13,7 @@ use marf_stage::{Checkpoints, Ctx, NodeSpec, Outputs, Stage, StageDef, StageErro
 use super::{Site, task::Order};
 use crate::{
     Event,
-    bench::{FileCheckpoints, Lease, StoreBlobs},
+    bench::{FileCheckpoints, Lease, StoreBlobs, StoreMemos},
     event::NodeProgress,
     lookup::{Found, look_up},
     photos::bug,
@@ -135,6 +135,7 @@ impl Shift<'_> {
         circumstances: &Circumstances,
     ) -> Result<Produced, StageError> {
         let blobs = StoreBlobs(self.site.store);
+        let memos = StoreMemos::new(self.site.store, &self.node, self.site.listener);
         let progress = NodeProgress::new(&self.node, self.site.listener);
         let stage: &dyn Stage = self.bound.as_ref();
         let ctx = Ctx {
@@ -142,6 +143,7 @@ impl Shift<'_> {
             cancel: self.site.cancel,
             progress: &progress,
             checkpoints,
+            memos: &memos,
             threads: self.threads,
         };
         let job = Job {
