@@ -22,7 +22,7 @@ mod resample;
 mod stage;
 mod two_view;
 
-pub use export::write_transforms;
+pub use export::{Sight, TrackPoint, Tracks, write_colmap, write_ply, write_transforms};
 pub use metrics::{Metrics, Missing, PhotoMetrics, Totals};
 pub use params::{CalibrateParams, Method};
 pub use stage::{Calibrate, METRICS, SCENE, TRANSFORMS};
