@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, fmt};
 
 use marf_cache::{ContentHash, Digest, Listener, digest_of, manifest_text};
-use marf_stage::{Inputs, Listing, Stage, StageDef};
+use marf_stage::{EARLIER, Inputs, Listing, Stage, StageDef};
 use serde::Serialize;
 
 /// The key of a node, and the same content as text.
@@ -122,7 +122,8 @@ pub struct Change {
     pub new: Option<String>,
 }
 
-/// Returns the lines in which a new manifest differs from an old one, in the order of the new one.
+/// Returns the lines in which a new manifest differs from an old one, in the order of the new one; its own earlier
+/// output comes last, as it changes whenever anything else does.
 pub(crate) fn differences(old: &str, new: &str) -> Vec<Change> {
     let (before, after) = (lines(old), lines(new));
     let earlier: BTreeMap<&str, &str> = before.iter().copied().collect();
@@ -136,7 +137,9 @@ pub(crate) fn differences(old: &str, new: &str) -> Vec<Change> {
         .iter()
         .filter(|(path, value)| earlier.get(path) != Some(value));
     let gone = before.iter().filter(|(path, _)| !later.contains_key(path));
-    new_or_other.chain(gone).map(|(path, _)| change(path)).collect()
+    let mut changes: Vec<Change> = new_or_other.chain(gone).map(|(path, _)| change(path)).collect();
+    changes.sort_by_key(|change| change.path.strip_prefix("inputs.") == Some(EARLIER));
+    changes
 }
 
 fn lines(manifest: &str) -> Vec<(&str, &str)> {

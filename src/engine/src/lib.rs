@@ -4,6 +4,7 @@
 //! order, cancellation and history change only what runs again.
 
 mod bench;
+mod earlier;
 mod event;
 mod graph;
 mod key;

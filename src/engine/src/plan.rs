@@ -14,6 +14,7 @@ use serde::Serialize;
 use crate::{
     Change, EngineError, Graph, RunRecord,
     bench::StoreBlobs,
+    earlier::{Asks, with_earlier},
     key::{Key, node_key},
     lookup::{Found, Why, because, look_up, outputs_of, why_missed},
 };
@@ -114,6 +115,13 @@ fn plan_node(
             return Ok((planned(PlanState::WillRun, because(reason), None), None));
         }
     };
+    let asks = Asks {
+        name: &node.name,
+        def: &node.def,
+        stage: node.bound.as_ref(),
+        listing: listing.as_ref(),
+    };
+    let inputs = with_earlier(store, last, &asks, inputs)?;
     let key = node_key(&node.def, node.bound.as_ref(), &inputs, listing.as_ref());
     let found = look_up(store, &key.digest)?;
     let Found::Hit(record) = found else {

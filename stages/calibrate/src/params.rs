@@ -23,6 +23,9 @@ pub struct CalibrateParams {
     pub site: Option<i64>,
     /// `import`: the file to read (`transforms.json`, `sparse/0/cameras.bin`), where there are several.
     pub file: Option<String>,
+    /// `sfm`: keep the scene of the last run as it is and register only the photos that are new. That scene is
+    /// then an input of this node; without it, or with `false`, the scene is built anew.
+    pub extend: bool,
 }
 
 /// Where cameras come from.
@@ -46,6 +49,7 @@ impl Default for CalibrateParams {
             min_registered: 2,
             site: None,
             file: None,
+            extend: false,
         }
     }
 }
@@ -54,7 +58,8 @@ impl CalibrateParams {
     /// Checks what a type cannot.
     ///
     /// # Errors
-    /// Names the key: a method that is not there yet, one photo in one held out, a working size below 16 px.
+    /// Names the key: a method that is not there yet, one photo in one held out, an earlier
+    /// scene for another method than `sfm`, a working size below 16 px.
     pub fn check(&self) -> Result<(), ParamError> {
         if self.method == Method::Sfm {
             return Err(ParamError::new(
@@ -66,6 +71,12 @@ impl CalibrateParams {
             return Err(ParamError::new(
                 "hold_every",
                 "1 would keep every photo from training; 0 keeps none",
+            ));
+        }
+        if self.extend && self.method != Method::Sfm {
+            return Err(ParamError::new(
+                "extend",
+                "only method = \"sfm\" goes on from an earlier scene",
             ));
         }
         match self.longest_side_px {

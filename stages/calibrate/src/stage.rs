@@ -55,6 +55,10 @@ impl Stage for Calibrate {
     fn threads(&self) -> Threads {
         Threads::All
     }
+
+    fn earlier(&self) -> Option<&'static str> {
+        self.0.extend.then_some(SCENE)
+    }
 }
 
 impl Set for Calibrate {

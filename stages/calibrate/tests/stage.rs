@@ -243,6 +243,7 @@ fn a_parameter_out_of_range_is_named() {
         "{sfm}"
     );
     assert!(complain(json!({"hold_every": 1})).contains("keep every photo from training"));
+    assert!(complain(json!({"extend": true})).contains("only method = \"sfm\""));
     assert!(complain(json!({"longest_side_px": 15})).contains("15 px are no photo"));
     assert!(complain(json!({"metod": "labels"})).contains("unknown field `metod`"));
     let alone = complain(json!({"min_registered": 1, "site": 4}));

@@ -24,6 +24,8 @@ pub const PHOTOS: &str = "photos";
 pub const VERDICTS: &str = "verdicts";
 /// Name of a source's output that maps names of files beside the photos to digests, as JSON.
 pub const COMPANIONS: &str = "companions";
+/// Name of the input that holds the stage's own output of its last finished run ([`Stage::earlier`]).
+pub const EARLIER: &str = "earlier";
 
 /// A stage with its parameters, ready to run.
 pub trait Stage: Send + Sync {
@@ -34,6 +36,11 @@ pub trait Stage: Send + Sync {
     /// How many threads one run of it can use.
     fn threads(&self) -> Threads {
         Threads::One
+    }
+    /// Names the output of its own that it wants of its last finished run, as the input [`EARLIER`]; that output
+    /// is then in its key, and absent at the first run.
+    fn earlier(&self) -> Option<&'static str> {
+        None
     }
 }
 

@@ -9,6 +9,7 @@ use super::{
 };
 use crate::{
     Event,
+    earlier::{Asks, with_earlier},
     key::node_key,
     lookup::{Found, counts_of, look_up, why_missed},
     plan::list,
@@ -48,6 +49,13 @@ impl Floor<'_> {
                 return Ok(());
             }
         };
+        let asks = Asks {
+            name: &task.name,
+            def: &task.def,
+            stage: task.bound.as_ref(),
+            listing: listing.as_ref(),
+        };
+        let inputs = with_earlier(self.site.store, self.site.last, &asks, inputs)?;
         let key = node_key(&task.def, task.bound.as_ref(), &inputs, listing.as_ref());
         self.tasks[index].told.key = Some(key.digest);
         let task = &self.tasks[index];

@@ -417,7 +417,58 @@ impl Set for Broken {
     }
 }
 
+/// Writes down its input behind what it wrote before, where it may see that.
+pub struct Diary(DiaryParams);
+
+#[derive(Debug, Clone, Deserialize, JsonSchema, ContentHash)]
+#[serde(deny_unknown_fields)]
+pub struct DiaryParams {
+    pub world: In,
+    pub extend: bool,
+}
+
+impl Stage for Diary {
+    fn params(&self) -> &dyn ContentHash {
+        &self.0
+    }
+
+    fn work(&self) -> Work<'_> {
+        Work::Set(self)
+    }
+
+    fn earlier(&self) -> Option<&'static str> {
+        self.0.extend.then_some("diary")
+    }
+}
+
+impl Define for Diary {
+    type Params = DiaryParams;
+    const NAME: &'static str = "diary";
+    const ABOUT: &'static str = "a stage of a test";
+    const VERSION: u32 = 1;
+    const PORTS: &'static [Port] = &[Port::required("input", "sum")];
+    const OUTPUTS: &'static [&'static str] = &["diary"];
+
+    fn new(params: DiaryParams) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
+}
+
+impl Set for Diary {
+    fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
+        let earlier = inputs
+            .optional(EARLIER)
+            .map(|digest| ctx.get(digest))
+            .transpose()?;
+        let mut pages = earlier.map(|pages| pages.to_vec()).unwrap_or_default();
+        pages.extend_from_slice(&ctx.get(inputs.required("sum")?)?);
+        pages.push(b'\n');
+        Ok(BTreeMap::from([("diary".to_owned(), ctx.put(&pages)?)]))
+    }
+}
+
 pub const TABLE: &[StageDef] = &[
+    define::<Diary>(),
     define::<Archive>(),
     define::<AtMost>(),
     define::<Distinct>(),
