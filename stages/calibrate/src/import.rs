@@ -122,8 +122,10 @@ pub(crate) fn run(
         unplaced: sorted.unplaced,
         missing: sorted.missing,
         points: cameras.points,
+        tracks: Vec::new(),
         metres_per_unit: None,
         method: format!("import of {}", source.name()),
+        cause: None,
         hint: format!(
             "check that the names in {} are those of the photos beside it",
             source.name()
@@ -270,6 +272,7 @@ fn place(
             matches: view.matches,
             inliers: view.inliers,
             error_px: view.error_px,
+            ..Found::default()
         },
     })
 }
@@ -301,7 +304,7 @@ fn sized(
 }
 
 /// Mean of the cameras' up vectors, unless they all but cancel.
-fn mean_up(placed: &[Placed]) -> Option<[f64; 3]> {
+pub(crate) fn mean_up(placed: &[Placed]) -> Option<[f64; 3]> {
     let down: Vector3<f64> = placed
         .iter()
         .map(|one| one.cam_from_world.rotation.row(1).transpose())

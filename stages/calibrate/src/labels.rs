@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use marf_cache::Digest;
-use marf_scene::{Cahvor, Camera, CameraPrior, Pinhole, Pose};
+use marf_scene::{Cahvor, Camera, CameraPrior, Image, Pinhole, Pose, Srgb};
 use marf_stage::{Ctx, StageError};
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -13,11 +13,11 @@ use crate::photos::{Calibrated, Found, Item, Placed, as_png, decode, reduction, 
 use crate::resample::resample;
 
 /// A photo whose label can be used.
-struct Candidate<'a> {
+pub(crate) struct Candidate<'a> {
     item: usize,
-    model: &'a Cahvor,
+    pub model: &'a Cahvor,
     site: Option<i64>,
-    site_from_frame: Pose,
+    pub site_from_frame: Pose,
 }
 
 /// A candidate with its image.
@@ -26,6 +26,23 @@ struct Made {
     file: String,
     camera: Camera,
     cam_from_site: Pose,
+}
+
+/// A photo as an ideal pinhole takes it.
+pub(crate) struct Ideal {
+    pub image: Image<Srgb>,
+    pub pixels: Pixels,
+    pub camera: Camera,
+    pub cam_from_site: Pose,
+}
+
+/// Where an ideal image's pixels come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Pixels {
+    /// They are the photo's own.
+    Own,
+    /// They were resampled through the label's lens.
+    Resampled,
 }
 
 /// Places the photos of one site: x north, y east, z down, in metres, the origin at the median of the cameras.
@@ -40,7 +57,7 @@ pub(crate) fn run(ctx: &Ctx<'_>, items: &[Item], params: &CalibrateParams) -> Re
             Err(reason) => unplaced.push((index, reason)),
         }
     }
-    let site = params.site.map_or_else(|| busiest(&candidates), Some);
+    let site = chosen_site(&candidates, params.site);
     let (here, elsewhere): (Vec<_>, Vec<_>) = candidates
         .into_iter()
         .partition(|candidate| candidate.site == site);
@@ -63,8 +80,10 @@ pub(crate) fn run(ctx: &Ctx<'_>, items: &[Item], params: &CalibrateParams) -> Re
         unplaced,
         missing: Vec::new(),
         points: Vec::new(),
+        tracks: Vec::new(),
         up: Some([0.0, 0.0, -1.0]),
         metres_per_unit: Some(1.0),
+        cause: None,
         method: "labels: resampled once to an ideal pinhole, cubic in 8-bit sRGB".to_owned(),
         hint: "take an archive whose labels hold camera models, choose another `site`, widen `sols`, or use \
                method = \"import\""
@@ -82,6 +101,23 @@ fn candidate(index: usize, item: &Item) -> Result<Candidate<'_>, String> {
         site: prior.motion_counter.first().copied(),
         site_from_frame: site_from_frame(prior)?,
     })
+}
+
+/// The label of each photo, if it can be used and is of the chosen site; without one, of the busiest.
+pub(crate) fn of_one_site(items: &[Item], site: Option<i64>) -> Vec<Option<Candidate<'_>>> {
+    let candidates = items.iter().enumerate().filter_map(|(index, item)| candidate(index, item).ok());
+    let candidates: Vec<Candidate<'_>> = candidates.collect();
+    let site = chosen_site(&candidates, site);
+    let mut by_item: Vec<Option<Candidate<'_>>> = items.iter().map(|_| None).collect();
+    for candidate in candidates.into_iter().filter(|candidate| candidate.site == site) {
+        let item = candidate.item;
+        by_item[item] = Some(candidate);
+    }
+    by_item
+}
+
+fn chosen_site(candidates: &[Candidate<'_>], asked: Option<i64>) -> Option<i64> {
+    asked.map_or_else(|| busiest(candidates), Some)
 }
 
 fn no_prior(item: &Item) -> String {
@@ -154,6 +190,33 @@ fn make(
     candidate: &Candidate<'_>,
     params: &CalibrateParams,
 ) -> Result<Result<Made, String>, StageError> {
+    let ideal = match ideal(ctx, item, candidate)? {
+        Ok(ideal) => ideal,
+        Err(reason) => return Ok(Err(reason)),
+    };
+    let factor = reduction(ideal.image.width, ideal.image.height, params.longest_side_px);
+    let (image, file) = if ideal.pixels == Pixels::Own && factor == 1 {
+        (item.image, item.facts.file.clone())
+    } else {
+        (
+            store(ctx, item, &ideal.image.box_reduced(factor))?,
+            as_png(&item.facts.file),
+        )
+    };
+    Ok(Ok(Made {
+        image,
+        file,
+        camera: ideal.camera.box_reduced(factor),
+        cam_from_site: ideal.cam_from_site,
+    }))
+}
+
+/// Decodes a photo and resamples it, if need be, to the pinhole of its label; the reason if that cannot be.
+pub(crate) fn ideal(
+    ctx: &Ctx<'_>,
+    item: &Item,
+    candidate: &Candidate<'_>,
+) -> Result<Result<Ideal, String>, StageError> {
     let photo = decode(ctx, item)?.image;
     let (width, height) = (photo.width, photo.height);
     let labelled = (item.facts.width, item.facts.height);
@@ -167,27 +230,17 @@ fn make(
         Ok(found) => found,
         Err(error) => return Ok(Err(error.to_string())),
     };
-    let image = match straight {
-        Straight::Already => photo,
+    let (image, pixels) = match straight {
+        Straight::Already => (photo, Pixels::Own),
         Straight::Through(model) => match resample(&photo, &model, &pinhole) {
-            Ok(image) => image,
+            Ok(image) => (image, Pixels::Resampled),
             Err(error) => return Ok(Err(error.to_string())),
         },
     };
-    let factor = reduction(image.width, image.height, params.longest_side_px);
-    let kept = matches!(straight, Straight::Already) && factor == 1;
-    let (image, file) = if kept {
-        (item.image, item.facts.file.clone())
-    } else {
-        (
-            store(ctx, item, &image.box_reduced(factor))?,
-            as_png(&item.facts.file),
-        )
-    };
-    Ok(Ok(Made {
+    Ok(Ok(Ideal {
         image,
-        file,
-        camera: pinhole.camera.box_reduced(factor),
+        pixels,
+        camera: pinhole.camera,
         cam_from_site: pinhole.cam_from_frame * candidate.site_from_frame.inverse(),
     }))
 }
@@ -222,19 +275,21 @@ fn place(item: usize, made: Made) -> Placed {
 
 /// Moves the origin to the median of the camera centres, axis by axis: f32 later has no metres to waste.
 fn centre(placed: &mut [Placed]) {
-    let median = Vector3::from_fn(|axis, _| {
-        let mut values: Vec<f64> = placed
-            .iter()
-            .map(|one| one.cam_from_world.centre()[axis])
-            .collect();
-        values.sort_by(f64::total_cmp);
-        values.get(values.len() / 2).copied().unwrap_or(0.0)
-    });
+    let centres: Vec<Vector3<f64>> = placed.iter().map(|one| one.cam_from_world.centre()).collect();
     let site_from_world = Pose {
-        translation: median,
+        translation: median(&centres),
         ..Pose::identity()
     };
     for one in placed {
         one.cam_from_world = one.cam_from_world * site_from_world;
     }
+}
+
+/// The median of points, axis by axis; the origin of none.
+pub(crate) fn median(points: &[Vector3<f64>]) -> Vector3<f64> {
+    Vector3::from_fn(|axis, _| {
+        let mut values: Vec<f64> = points.iter().map(|point| point[axis]).collect();
+        values.sort_by(f64::total_cmp);
+        values.get(values.len() / 2).copied().unwrap_or(0.0)
+    })
 }

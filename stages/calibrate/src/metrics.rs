@@ -30,6 +30,8 @@ pub struct Totals {
     pub points: usize,
     /// Mean over the photos that have one of their mean reprojection error, pixels.
     pub error_px: Option<f64>,
+    /// The same at the size at which features were sought, pixels; `sfm` only.
+    pub error_working_px: Option<f64>,
 }
 
 /// How one photo fared.
@@ -44,11 +46,15 @@ pub struct PhotoMetrics {
     /// Whether it is kept from training.
     pub held_out: bool,
     /// Features found in it, if the method tells.
+    pub features: Option<u32>,
+    /// Features that agree with another photo's, if the method tells.
     pub matches: Option<u32>,
     /// Features that belong to a point of the scene, if the method tells.
     pub inliers: Option<u32>,
-    /// Mean distance of those features from their points' projections, pixels of the imported camera.
+    /// Mean distance of those features from their points' projections, pixels of its camera.
     pub error_px: Option<f64>,
+    /// What is worth knowing beside it (a label the photos outvoted).
+    pub note: Option<String>,
     /// Why it has no camera; empty if it has.
     pub reason: String,
 }

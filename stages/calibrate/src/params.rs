@@ -7,8 +7,8 @@ use serde::Deserialize;
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema, ContentHash)]
 #[serde(default, deny_unknown_fields)]
 pub struct CalibrateParams {
-    /// Where cameras come from: `labels` (the archive's labels) or `import` (transforms.json or a COLMAP model
-    /// beside the photos).
+    /// Where cameras come from: `sfm` (the photos themselves, labels as priors), `labels` (the archive's labels
+    /// as they are) or `import` (transforms.json or a COLMAP model beside the photos).
     pub method: Method,
     /// Every so many photos, sorted by file name and starting with the first, one is kept from training and
     /// measured; 0 keeps none. An import with train and test file names decides by itself.
@@ -21,6 +21,25 @@ pub struct CalibrateParams {
     /// `labels`: the site (first number of the rover motion counter) to build; without it the one with most
     /// photos. Frames of different sites agree to metres only.
     pub site: Option<i64>,
+    /// `sfm`: most features of a photo.
+    pub max_features: u32,
+    /// `sfm`: longest side at which features are sought, in pixels: larger photos are reduced by a whole factor.
+    pub feature_side_px: u32,
+    /// `sfm`: where the search for features begins: `native`, or `doubled` (more features, four times the work).
+    pub first_octave: FirstOctaveParam,
+    /// `sfm`: which photos are compared: `auto`, `exhaustive` or `sequential`.
+    pub pairs: Pairs,
+    /// `sfm`: fewest verified matches that link two photos.
+    pub min_matches: u32,
+    /// `sfm`: lens terms: `auto` (the smallest model the photos support), `pinhole`, `simple-radial`, `radial`,
+    /// `opencv`.
+    pub lens: LensParam,
+    /// `sfm`: which photos share a camera: `camera` (one instrument, size and focal length) or `photo` (none).
+    pub intrinsics: Intrinsics,
+    /// `sfm`: whether the principal point moves, as the last step; photos determine it weakly.
+    pub refine_principal_point: bool,
+    /// `sfm`: seed of all random samples.
+    pub seed: u64,
     /// `import`: the file to read (`transforms.json`, `sparse/0/cameras.bin`), where there are several.
     pub file: Option<String>,
     /// `sfm`: keep the scene of the last run as it is and register only the photos that are new. That scene is
@@ -32,22 +51,79 @@ pub struct CalibrateParams {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema, ContentHash)]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
+    /// Structure from motion: the photos themselves, labels as priors.
+    Sfm,
     /// Camera models and rover poses of the labels.
     Labels,
     /// Cameras of another program.
     Import,
-    /// Structure from motion; not in this version.
-    Sfm,
+}
+
+/// Where the search for features begins.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "lowercase")]
+pub enum FirstOctaveParam {
+    /// At the working size.
+    Native,
+    /// At twice the working size: more and smaller features for four times the work.
+    Doubled,
+}
+
+/// Which photos are compared.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "lowercase")]
+pub enum Pairs {
+    /// All of up to 60 photos; of more, neighbours by name, those that look alike and those whose labels say so.
+    Auto,
+    /// All.
+    Exhaustive,
+    /// Neighbours by name: the next ten, and those 16, 32, 64 … further on.
+    Sequential,
+}
+
+/// Which lens terms the cameras get.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "kebab-case")]
+pub enum LensParam {
+    /// The smallest model the photos support.
+    Auto,
+    /// None.
+    Pinhole,
+    /// k1.
+    SimpleRadial,
+    /// k1 and k2.
+    Radial,
+    /// k1, k2, p1 and p2.
+    Opencv,
+}
+
+/// Which photos share a camera.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "lowercase")]
+pub enum Intrinsics {
+    /// Photos of one instrument, size and focal length.
+    Camera,
+    /// None: each has its own.
+    Photo,
 }
 
 impl Default for CalibrateParams {
     fn default() -> Self {
         Self {
-            method: Method::Labels,
+            method: Method::Sfm,
             hold_every: 8,
             longest_side_px: None,
             min_registered: 2,
             site: None,
+            max_features: 2048,
+            feature_side_px: 1280,
+            first_octave: FirstOctaveParam::Native,
+            pairs: Pairs::Auto,
+            min_matches: 15,
+            lens: LensParam::Auto,
+            intrinsics: Intrinsics::Camera,
+            refine_principal_point: false,
+            seed: 0,
             file: None,
             extend: false,
         }
@@ -58,14 +134,16 @@ impl CalibrateParams {
     /// Checks what a type cannot.
     ///
     /// # Errors
-    /// Names the key: a method that is not there yet, one photo in one held out, an earlier
-    /// scene for another method than `sfm`, a working size below 16 px.
+    /// Names the key: one photo in one held out, a working size below 16 px, features or matches too few to hold
+    /// a pose.
     pub fn check(&self) -> Result<(), ParamError> {
-        if self.method == Method::Sfm {
-            return Err(ParamError::new(
-                "method",
-                "structure from motion is not in this version; use method = \"labels\" or \"import\"",
-            ));
+        let least = [
+            ("max_features", self.max_features, 64),
+            ("feature_side_px", self.feature_side_px, 64),
+            ("min_matches", self.min_matches, 8),
+        ];
+        if let Some((key, value, least)) = least.into_iter().find(|(_, value, least)| value < least) {
+            return Err(ParamError::new(key, format!("{value} is too few, at least {least}")));
         }
         if self.hold_every == 1 {
             return Err(ParamError::new(

@@ -28,11 +28,15 @@ pub(crate) struct Placed {
 }
 
 /// What the method knows of how well a photo is placed.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Found {
+    pub features: Option<u32>,
     pub matches: Option<u32>,
     pub inliers: Option<u32>,
     pub error_px: Option<f64>,
+    pub error_working_px: Option<f64>,
+    /// What is worth knowing of its label.
+    pub note: Option<String>,
 }
 
 /// Whether a photo is for measuring.
@@ -50,9 +54,13 @@ pub(crate) struct Calibrated {
     /// Files that have a camera but are not in the input set.
     pub missing: Vec<crate::Missing>,
     pub points: Vec<marf_scene::Point>,
+    /// Points with their sights, if the method has them; a sight's frame is the index in the input set.
+    pub tracks: Vec<crate::export::TrackPoint>,
     pub up: Option<[f64; 3]>,
     pub metres_per_unit: Option<f64>,
     pub method: String,
+    /// Why most of the others were not placed, if the method can tell better than the commonest reason.
+    pub cause: Option<String>,
     /// What to try if too few photos were placed.
     pub hint: String,
 }

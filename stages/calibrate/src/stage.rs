@@ -7,12 +7,17 @@ use marf_stage::{
 };
 
 use crate::photos::{Calibrated, HeldOut, Item, Placed, load};
-use crate::{CalibrateParams, Method, Metrics, PhotoMetrics, Totals, import, labels, write_transforms};
+use crate::{
+    CalibrateParams, Method, Metrics, PhotoMetrics, Totals, TrackPoint, Tracks, import, labels, sfm,
+    write_transforms,
+};
 
 /// Output that holds the scene ([`Scene::encode`]).
 pub const SCENE: &str = "scene";
 /// Output that says how each photo fared ([`Metrics`] as JSON).
 pub const METRICS: &str = "metrics";
+/// Output that holds the sparse points and where each was seen ([`Tracks::encode`]).
+pub const TRACKS: &str = "tracks";
 /// Output that holds the scene as transforms.json ([`write_transforms`]).
 pub const TRANSFORMS: &str = "transforms";
 
@@ -30,12 +35,12 @@ impl Define for Calibrate {
     type Params = CalibrateParams;
     const NAME: &'static str = "calibrate";
     const ABOUT: &'static str = "Photos and labels or imported cameras to a calibrated scene";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PORTS: &'static [Port] = &[
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),
     ];
-    const OUTPUTS: &'static [&'static str] = &[SCENE, METRICS, TRANSFORMS];
+    const OUTPUTS: &'static [&'static str] = &[SCENE, METRICS, TRANSFORMS, TRACKS];
 
     fn new(params: CalibrateParams) -> Result<Self, ParamError> {
         params.check()?;
@@ -67,13 +72,15 @@ impl Set for Calibrate {
         let mut found = match self.0.method {
             Method::Labels => labels::run(ctx, &items, &self.0)?,
             Method::Import => import::run(ctx, inputs, &items, &self.0)?,
-            Method::Sfm => return Err(StageError::new("structure from motion is not in this version")),
+            Method::Sfm => sfm::run(ctx, inputs, &items, &self.0)?,
         };
         check_enough(&found, items.len(), self.0.min_registered)?;
         hold_out(&mut found.placed, self.0.hold_every);
         check_training(&found.placed)?;
         let metrics = metrics(&found, &items);
+        let tracks = std::mem::take(&mut found.tracks);
         let scene = scene(found, &items);
+        let tracks = of_frames(tracks, &scene, &items);
         let bytes = scene
             .encode()
             .map_err(|error| StageError::new(error.to_string()))?;
@@ -83,6 +90,7 @@ impl Set for Calibrate {
             (SCENE, bytes),
             (METRICS, metrics),
             (TRANSFORMS, write_transforms(&scene).into_bytes()),
+            (TRACKS, tracks.encode()),
         ];
         let stored = outputs.map(|(name, bytes)| Ok((name.to_owned(), ctx.put(&bytes)?)));
         stored.into_iter().collect()
@@ -100,12 +108,13 @@ fn check_enough(found: &Calibrated, total: usize, min_registered: u32) -> Result
         *reasons.entry(reason).or_default() += 1;
     }
     let commonest = reasons.into_iter().max_by_key(|(_, count)| *count);
+    let commonest = commonest.map(|(reason, count)| format!("{count} photos: {reason}"));
     let error = StageError::new(format!(
         "{placed} of {total} photos were placed; `min_registered` asks for {min_registered}"
     ))
     .hint(found.hint.clone());
-    Err(match commonest {
-        Some((reason, count)) => error.cause(format!("{count} photos: {reason}")),
+    Err(match found.cause.clone().or(commonest) {
+        Some(cause) => error.cause(cause),
         None => error,
     })
 }
@@ -142,10 +151,12 @@ fn metrics(found: &Calibrated, items: &[Item]) -> Metrics {
         let photo = &mut photos[one.item];
         photo.registered = true;
         photo.held_out = one.held_out == Some(HeldOut::Yes);
-        (photo.matches, photo.inliers, photo.error_px) =
-            (one.found.matches, one.found.inliers, one.found.error_px);
+        (photo.features, photo.matches, photo.inliers) =
+            (one.found.features, one.found.matches, one.found.inliers);
+        (photo.error_px, photo.note) = (one.found.error_px, one.found.note.clone());
     }
-    let errors: Vec<f64> = photos.iter().filter_map(|photo| photo.error_px).collect();
+    let mean = |errors: Vec<f64>| (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64);
+    let working = found.placed.iter().filter_map(|one| one.found.error_working_px);
     let totals = Totals {
         photos: items.len(),
         registered: found.placed.len(),
@@ -153,7 +164,8 @@ fn metrics(found: &Calibrated, items: &[Item]) -> Metrics {
         unplaced: found.unplaced.len(),
         missing: found.missing.len(),
         points: found.points.len(),
-        error_px: (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64),
+        error_px: mean(photos.iter().filter_map(|photo| photo.error_px).collect()),
+        error_working_px: mean(working.collect()),
     };
     photos.sort_by(|a, b| a.id.cmp(&b.id));
     Metrics {
@@ -170,9 +182,11 @@ fn unregistered(item: &Item) -> PhotoMetrics {
         file: item.facts.file.clone(),
         registered: false,
         held_out: false,
+        features: None,
         matches: None,
         inliers: None,
         error_px: None,
+        note: None,
         reason: String::new(),
     }
 }
@@ -203,4 +217,15 @@ fn scene(found: Calibrated, items: &[Item]) -> Scene {
         metres_per_unit: found.metres_per_unit,
         method: found.method,
     }
+}
+
+/// The points with their sights named by frame: the scene's frames are sorted by id.
+fn of_frames(mut points: Vec<TrackPoint>, scene: &Scene, items: &[Item]) -> Tracks {
+    let by_id = |item: &Item| scene.frames.binary_search_by(|frame| frame.id.cmp(&item.id)).ok();
+    let frame_of: Vec<Option<usize>> = items.iter().map(by_id).collect();
+    for sight in points.iter_mut().flat_map(|point| &mut point.sights) {
+        // A point's sights are photos of the scene; another would be a mistake of the method.
+        sight.frame = frame_of[sight.frame as usize].map_or(u32::MAX, |frame| frame as u32);
+    }
+    Tracks { points }
 }
