@@ -14,6 +14,7 @@ mod features;
 pub mod import;
 mod labels;
 mod mapper;
+mod masks;
 mod matching;
 mod metrics;
 mod params;
