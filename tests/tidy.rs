@@ -79,7 +79,8 @@ const ROOMS: [(&str, &str, &[&str]); 15] = [
 ];
 
 /// Packages that belong to one room alone.
-const FENCED: [(&str, &[&str]); 5] = [
+const FENCED: [(&str, &[&str]); 6] = [
+    ("kamadak-exif", &["marf-extract"]),
     ("petgraph", &["marf-engine"]),
     ("redb", &["marf-cache"]),
     ("reqwest", &["marf-extract"]),

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use crate::archive::{ArchiveFile, Kind};
 use crate::camera::{focal_px, rescaled};
+use crate::exif::{self, Lens};
 use crate::label::Label;
 use crate::names::ProductName;
 use crate::products::{Product, Sorted, left, sort};
@@ -86,6 +87,7 @@ struct Decoded {
     size: (u32, u32),
     bands: u8,
     notes: Vec<String>,
+    lens: Lens,
     /// The picture later stages decode, if not the file itself.
     made: Option<Vec<u8>>,
     /// The label at the head of the file.
@@ -103,6 +105,7 @@ fn decode(product: &Product, file: &ArchiveFile, bytes: &[u8]) -> Result<Decoded
             size: (developed.made.image.width, developed.made.image.height),
             bands: developed.made.bands,
             notes: developed.made.notes,
+            lens: Lens::default(),
             made: Some(raw::png(&developed.made.image)?),
             attached: developed.attached,
         });
@@ -120,10 +123,16 @@ fn decode(product: &Product, file: &ArchiveFile, bytes: &[u8]) -> Result<Decoded
         .map(|photo| raw::png(&photo.image))
         .transpose()?;
     let photo = developed.unwrap_or(photo);
+    // A mosaic is half as large when developed, and no archive writes EXIF into one.
+    let lens = match made {
+        None => exif::read(bytes, photo.image.width.max(photo.image.height)),
+        Some(_) => Lens::default(),
+    };
     Ok(Decoded {
         size: (photo.image.width, photo.image.height),
         bands: photo.bands,
         notes: photo.notes,
+        lens,
         made,
         attached: None,
     })
@@ -166,6 +175,7 @@ fn facts(
     shard: u32,
 ) -> PhotoFacts {
     let mut notes = decoded.notes;
+    notes.extend(decoded.lens.notes);
     let name = product.name.as_ref();
     let detached = product.label.as_ref().map(|label| &label.label);
     let attached = decoded.attached.as_ref();
@@ -207,6 +217,8 @@ fn facts(
                 .flatten()
                 .any(|label| label.thumbnail),
         prior,
+        focal_px: decoded.lens.focal_px,
+        device: decoded.lens.device,
         notes,
     }
 }

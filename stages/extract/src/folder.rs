@@ -25,6 +25,8 @@ const COMPANIONS: [&str; 7] = [
     "points3D.bin",
     "points3D.txt",
 ];
+/// Folder of pictures that hide parts of photos; they are companions, not photos.
+const MASKS: &str = "masks";
 /// Folders in which companions are looked for.
 const COMPANION_FOLDERS: [&str; 3] = ["", "sparse", "sparse/0"];
 
@@ -247,7 +249,9 @@ fn fingerprint(files: &[ArchiveFile]) -> Digest {
 fn is_companion(file: &ArchiveFile) -> bool {
     let name = file.name.rsplit('/').next().unwrap_or_default();
     let readable = !matches!(file.kind, Kind::Unreadable(_));
-    readable && COMPANIONS.contains(&name) && COMPANION_FOLDERS.contains(&folder(&file.name))
+    let cameras = COMPANIONS.contains(&name) && COMPANION_FOLDERS.contains(&folder(&file.name));
+    let mask = file.kind == Kind::Photo && folder(&file.name).split('/').any(|part| part == MASKS);
+    readable && (cameras || mask)
 }
 
 /// Sorts files into sols: a file whose name tells no sol goes with the label or photo of its product.

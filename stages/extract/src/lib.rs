@@ -9,6 +9,7 @@ mod built_in;
 mod camera;
 pub mod demo;
 mod demosaic;
+mod exif;
 mod feed;
 mod fetch;
 mod folder;
@@ -74,7 +75,7 @@ impl Define for Extract {
     type Params = ExtractParams;
     const NAME: &'static str = "extract";
     const ABOUT: &'static str = "archives to photos with what their labels say of camera and place";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PORTS: &'static [Port] = &[];
     const OUTPUTS: &'static [&'static str] =
         &[marf_stage::PHOTOS, marf_stage::VERDICTS, marf_stage::COMPANIONS];

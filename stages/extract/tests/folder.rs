@@ -103,7 +103,56 @@ fn the_rows_follow_the_version() {
     let digest = marf_cache::Digest::of(text.as_bytes()).short();
     let version = marf_stage::define::<marf_extract::Extract>().version;
     // If this fails and the rows were meant to change, raise `Extract::VERSION` and put both numbers here.
-    assert_eq!((version, digest.as_str()), (1, "800ae4c4e4ef"), "{text}");
+    assert_eq!((version, digest.as_str()), (2, "800ae4c4e4ef"), "{text}");
+}
+
+#[test]
+fn pictures_below_masks_are_companions_and_no_photos() {
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path(), "images/a.jpg.png", &png(1));
+    write(dir.path(), "masks/a.jpg.png", &png(2));
+    write(dir.path(), "sol7/masks/left/b.png", &png(3));
+    write(dir.path(), "masks/readme.txt", b"black hides");
+    write(dir.path(), "masks.png", &png(4));
+    let brought = bring(folder(dir.path())).unwrap();
+    assert_eq!(brought.ids(), ["images/a.jpg.png", "masks.png"]);
+    assert_eq!(
+        brought.listing.companions.keys().collect::<Vec<_>>(),
+        ["masks/a.jpg.png", "sol7/masks/left/b.png"]
+    );
+    assert_eq!(brought.verdict("masks/readme.txt").verdict, "skipped");
+}
+
+#[test]
+fn a_jpeg_brings_the_focal_length_and_the_device_of_its_exif() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut jpeg = Vec::new();
+    let encoder = image::codecs::jpeg::JpegEncoder::new(&mut jpeg);
+    image::ImageEncoder::write_image(
+        encoder,
+        &[90; 48 * 72 * 3],
+        48,
+        72,
+        image::ExtendedColorType::Rgb8,
+    )
+    .unwrap();
+    // TIFF, big-endian: Make "Mars", and an EXIF table with FocalLengthIn35mmFilm 50.
+    let tiff =
+        b"MM\0*\0\0\0\x08\0\x02\x01\x0f\0\x02\0\0\0\x05\0\0\0\x26\x87\x69\0\x04\0\0\0\x01\0\0\0\x2c\0\0\0\0\
+        Mars\0\0\0\x01\xa4\x05\0\x03\0\0\0\x01\0\x32\0\0\0\0\0\0";
+    let mut segment = vec![0xff, 0xe1];
+    segment.extend((tiff.len() as u16 + 8).to_be_bytes());
+    segment.extend(b"Exif\0\0");
+    segment.extend(tiff);
+    jpeg.splice(2..2, segment);
+    write(dir.path(), "a.jpg", &jpeg);
+    let facts = bring(folder(dir.path())).unwrap().facts("a.jpg");
+    // 50 / 36 of the longer side of 72 px.
+    assert_eq!(
+        (facts.focal_px, facts.device.as_deref()),
+        (Some(100.0), Some("Mars"))
+    );
+    assert!(facts.notes.is_empty(), "{:?}", facts.notes);
 }
 
 #[test]

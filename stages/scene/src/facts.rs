@@ -31,6 +31,12 @@ pub struct PhotoFacts {
     /// Camera model and pose of the label.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub prior: Option<CameraPrior>,
+    /// Focal length by the photo's own EXIF, pixels of the stored image.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub focal_px: Option<f64>,
+    /// Make and model of the device by EXIF, for grouping photos by camera.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub device: Option<String>,
     /// What the reader had to do or could not use (`turned upright`, `label has no camera: …`).
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,

@@ -1,0 +1,176 @@
+//! Masks beside the photos: which part of a photo is not to be looked at.
+
+use std::collections::BTreeMap;
+
+use marf_cache::Digest;
+use marf_scene::{Image, Photo, Srgb};
+use marf_stage::{COMPANIONS, Ctx, Inputs, StageError};
+
+use crate::photos::{Item, without_extension};
+
+/// Returns the mask of a photo, in its pixel grid: black is hidden. None if there is none, or `cameras` is not
+/// connected.
+///
+/// A photo's own mask is `masks/<name>.png`, with or without the extension of its name, in any folder above the
+/// photo; a folder `images` between them may be left out, and so may all. `masks/<instrument>.png` is for all
+/// photos of that instrument that have its size and no mask of their own.
+///
+/// # Errors
+/// A mask that cannot be decoded, or of a photo's own that has another size.
+pub(crate) fn mask_file(
+    ctx: &Ctx<'_>,
+    inputs: &Inputs,
+    item: &Item,
+) -> Result<Option<Image<Srgb>>, StageError> {
+    let Some(digest) = inputs.optional(COMPANIONS) else {
+        return Ok(None);
+    };
+    let files: BTreeMap<String, Digest> = serde_json::from_slice(&ctx.get(digest)?)
+        .map_err(|error| StageError::new(format!("the list of files beside the photos: {error}")))?;
+    let (width, height) = (item.facts.width, item.facts.height);
+    let find = |names: Vec<String>| names.into_iter().find_map(|name| files.get_key_value(&name));
+    if let Some((name, digest)) = find(own_names(&item.facts.file)) {
+        let mask = decode(ctx, name, digest)?;
+        if (mask.width, mask.height) != (width, height) {
+            let error = StageError::new(format!(
+                "`{name}` has {} x {} pixels, its photo `{}` {width} x {height}",
+                mask.width, mask.height, item.id
+            ));
+            return Err(error.hint("write the mask in the size of its photo, or remove it"));
+        }
+        return Ok(Some(mask));
+    }
+    let instrument = item.facts.instrument.as_deref().unwrap_or_default();
+    let Some((name, digest)) = find(instrument_names(&item.facts.file, instrument)) else {
+        return Ok(None);
+    };
+    let mask = decode(ctx, name, digest)?;
+    Ok(Some(mask).filter(|mask| (mask.width, mask.height) == (width, height)))
+}
+
+fn decode(ctx: &Ctx<'_>, name: &str, digest: &Digest) -> Result<Image<Srgb>, StageError> {
+    let photo = Photo::decode(&ctx.get(digest)?);
+    let photo = photo.map_err(|error| {
+        StageError::new(format!("the mask `{name}`: {error}")).hint("write it as PNG, or remove it")
+    })?;
+    Ok(photo.image)
+}
+
+/// Every folder above the file with its slash, the nearest first, the top ("") last.
+fn above(file: &str) -> impl Iterator<Item = &str> {
+    let slashes = file.rmatch_indices('/').map(|(at, _)| &file[..=at]);
+    slashes.chain([""])
+}
+
+fn own_names(file: &str) -> Vec<String> {
+    let base = file.rsplit('/').next().unwrap_or(file);
+    let mut names = Vec::new();
+    for folder in above(file) {
+        let rest = &file[folder.len()..];
+        for tail in [rest, rest.strip_prefix("images/").unwrap_or(rest), base] {
+            names.push(format!("{folder}masks/{tail}.png"));
+            names.push(format!("{folder}masks/{}.png", without_extension(tail)));
+        }
+    }
+    names
+}
+
+fn instrument_names(file: &str, instrument: &str) -> Vec<String> {
+    above(file)
+        .map(|folder| format!("{folder}masks/{instrument}.png"))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use marf_scene::{PhotoFacts, encode_png};
+    use marf_stage::harness::Harness;
+
+    use super::*;
+
+    const GREY: [u8; 3] = [7; 3];
+
+    fn item(file: &str, instrument: &str) -> Item {
+        Item {
+            id: file.to_owned(),
+            image: Digest::of(b"image"),
+            labelled: false,
+            facts: PhotoFacts {
+                file: file.to_owned(),
+                width: 4,
+                height: 3,
+                instrument: Some(instrument.to_owned()),
+                ..PhotoFacts::default()
+            },
+        }
+    }
+
+    /// Files beside the photos, each a picture of one colour.
+    fn beside(harness: &Harness, files: &[(&str, u32, [u8; 3])]) -> Inputs {
+        let put = |(name, width, color): &(&str, u32, [u8; 3])| {
+            let picture = Image::<Srgb>::from_fn(*width, 3, |_, _| *color);
+            ((*name).to_owned(), harness.put(&encode_png(&picture).unwrap()))
+        };
+        let files: BTreeMap<String, Digest> = files.iter().map(put).collect();
+        let list = harness.put(&serde_json::to_vec(&files).unwrap());
+        Inputs(BTreeMap::from([(COMPANIONS.to_owned(), list)]))
+    }
+
+    #[test]
+    fn a_mask_is_found_by_name_with_or_without_extension_and_folder() {
+        for (file, mask) in [
+            ("a.jpg", "masks/a.jpg.png"),
+            ("a.jpg", "masks/a.png"),
+            ("images/a.jpg", "masks/a.jpg.png"),
+            ("images/left/a.jpg", "masks/left/a.png"),
+            ("images/left/a.jpg", "masks/images/left/a.jpg.png"),
+            ("sol7/images/a.jpg", "sol7/masks/a.png"),
+            ("sol7/images/a.jpg", "masks/a.jpg.png"),
+            ("any/ZL.jpg", "masks/NAVCAM_LEFT.png"),
+        ] {
+            let harness = Harness::default();
+            let inputs = beside(&harness, &[(mask, 4, GREY), ("masks/other.png", 4, [0; 3])]);
+            let found = mask_file(&harness.ctx(), &inputs, &item(file, "NAVCAM_LEFT")).unwrap();
+            assert_eq!(found.map(|mask| mask.at(3, 2)), Some(GREY), "{file} {mask}");
+        }
+    }
+
+    #[test]
+    fn a_photos_own_mask_goes_before_its_instruments_and_without_one_nothing_is_hidden() {
+        let harness = Harness::default();
+        let files = [
+            ("masks/ZL.png", 4, [0; 3]),
+            ("masks/a.png", 4, GREY),
+            ("masks/MR.png", 8, GREY),
+        ];
+        let inputs = beside(&harness, &files);
+        let find = |file: &str, instrument: &str| {
+            let mask = mask_file(&harness.ctx(), &inputs, &item(file, instrument)).unwrap();
+            mask.map(|mask| mask.at(0, 0))
+        };
+        assert_eq!(find("a.jpg", "ZL"), Some(GREY));
+        assert_eq!(find("b.jpg", "ZL"), Some([0; 3]));
+        assert_eq!(find("b.jpg", "ZR"), None);
+        assert_eq!(find("b.jpg", "MR"), None, "of another size than this photo");
+        let unconnected = mask_file(&harness.ctx(), &Inputs::default(), &item("a.jpg", "ZL")).unwrap();
+        assert_eq!(unconnected, None);
+    }
+
+    #[test]
+    fn a_mask_of_another_size_or_no_picture_is_an_error_with_its_name() {
+        let harness = Harness::default();
+        let inputs = beside(&harness, &[("masks/a.png", 5, GREY)]);
+        let error = mask_file(&harness.ctx(), &inputs, &item("a.jpg", ""))
+            .unwrap_err()
+            .to_string();
+        assert_eq!(error, "`masks/a.png` has 5 x 3 pixels, its photo `a.jpg` 4 x 3");
+        let text = harness.put(b"hello");
+        let list = BTreeMap::from([("masks/a.png".to_owned(), text)]);
+        let list = harness.put(&serde_json::to_vec(&list).unwrap());
+        let inputs = Inputs(BTreeMap::from([(COMPANIONS.to_owned(), list)]));
+        let error = mask_file(&harness.ctx(), &inputs, &item("a.jpg", ""))
+            .unwrap_err()
+            .to_string();
+        assert!(error.starts_with("the mask `masks/a.png`: not a JPEG"), "{error}");
+    }
+}
