@@ -51,6 +51,19 @@ impl Input {
         self.photo(file, bytes, facts);
     }
 
+    /// Turns the label's camera of a photo about the site's vertical, and returns the photo's id.
+    pub fn turn_label(&mut self, index: usize, degrees: f64) -> String {
+        let row = &mut self.rows[index].1;
+        let mut facts = PhotoFacts::from_json(&row.facts).unwrap();
+        let (sin, cos) = degrees.to_radians().sin_cos();
+        let turn = nalgebra::Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
+        let pose = facts.prior.as_mut().unwrap().site_from_frame.as_mut().unwrap();
+        // About the rover's own place, so that the camera turns and moves.
+        pose.rotation = turn * pose.rotation;
+        row.facts = facts.to_json();
+        row.id.clone()
+    }
+
     pub fn companion(&mut self, name: &str, bytes: &[u8]) {
         let digest = self.harness.put(bytes);
         self.companions.insert(name.to_owned(), digest);

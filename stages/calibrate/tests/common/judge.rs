@@ -1,0 +1,82 @@
+//! A calibrated scene against cameras that are known.
+
+use marf_scene::{Pose, Scene};
+use nalgebra::{Matrix3, Vector3};
+
+/// How far a scene is from the truth after the best similarity.
+#[derive(Debug)]
+pub struct Judged {
+    pub photos: usize,
+    /// Median and largest distance of a centre from the truth, share of the largest distance of two true centres.
+    pub position: [f64; 2],
+    /// Median and largest angle, less the turn that all cameras have in common: a principal point's shift.
+    pub rest_deg: [f64; 2],
+    /// Median and largest angle.
+    pub angle_deg: [f64; 2],
+    /// True lengths by those of the scene.
+    pub scale: f64,
+}
+
+/// Compares by file name, without its extension.
+pub fn judge(scene: &Scene, truth: &[(String, Pose)]) -> Judged {
+    let stem = |name: &str| name.rsplit_once('.').map_or(name, |parts| parts.0).to_owned();
+    let pairs: Vec<(Pose, Pose)> = scene
+        .frames
+        .iter()
+        .filter_map(|frame| {
+            let known = truth.iter().find(|(file, _)| stem(file) == stem(&frame.file))?;
+            Some((frame.cam_from_world, known.1))
+        })
+        .collect();
+    let (scale, rotation, translation) = umeyama(&pairs);
+    let extent = pairs
+        .iter()
+        .flat_map(|a| pairs.iter().map(move |b| (a.1.centre() - b.1.centre()).norm()))
+        .fold(0.0, f64::max);
+    let position = pairs
+        .iter()
+        .map(|(found, known)| (scale * rotation * found.centre() + translation - known.centre()).norm() / extent);
+    // What is left in each camera's own frame.
+    let left: Vec<Matrix3<f64>> = pairs
+        .iter()
+        .map(|(found, known)| known.rotation * (found.rotation * rotation.transpose()).transpose())
+        .collect();
+    let common = nearest(&left.iter().sum());
+    Judged {
+        photos: pairs.len(),
+        position: spread(position.collect()),
+        rest_deg: spread(left.iter().map(|one| angle_deg(&(common.transpose() * one))).collect()),
+        angle_deg: spread(left.iter().map(angle_deg).collect()),
+        scale,
+    }
+}
+
+fn umeyama(pairs: &[(Pose, Pose)]) -> (f64, Matrix3<f64>, Vector3<f64>) {
+    let count = pairs.len() as f64;
+    let from: Vec<Vector3<f64>> = pairs.iter().map(|pair| pair.0.centre()).collect();
+    let to: Vec<Vector3<f64>> = pairs.iter().map(|pair| pair.1.centre()).collect();
+    let (mean_from, mean_to) = (from.iter().sum::<Vector3<f64>>() / count, to.iter().sum::<Vector3<f64>>() / count);
+    let both = from.iter().zip(&to);
+    let covariance: Matrix3<f64> = both.clone().map(|(a, b)| (b - mean_to) * (a - mean_from).transpose()).sum();
+    let rotation = nearest(&covariance);
+    let along: f64 = both.map(|(a, b)| (b - mean_to).dot(&(rotation * (a - mean_from)))).sum();
+    let scale = along / from.iter().map(|a| (a - mean_from).norm_squared()).sum::<f64>();
+    (scale, rotation, mean_to - scale * (rotation * mean_from))
+}
+
+fn nearest(matrix: &Matrix3<f64>) -> Matrix3<f64> {
+    let svd = matrix.svd(true, true);
+    let (u, v_t) = (svd.u.unwrap(), svd.v_t.unwrap());
+    let sign = (u * v_t).determinant().signum();
+    u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t
+}
+
+fn angle_deg(r: &Matrix3<f64>) -> f64 {
+    let axis = Vector3::new(r[(2, 1)] - r[(1, 2)], r[(0, 2)] - r[(2, 0)], r[(1, 0)] - r[(0, 1)]);
+    axis.norm().atan2(r.trace() - 1.0).to_degrees()
+}
+
+fn spread(mut values: Vec<f64>) -> [f64; 2] {
+    values.sort_by(f64::total_cmp);
+    [values[values.len() / 2], values[values.len() - 1]]
+}
