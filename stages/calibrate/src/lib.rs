@@ -19,6 +19,7 @@ mod metrics;
 mod params;
 mod photos;
 mod resample;
+mod simd;
 mod stage;
 mod two_view;
 
