@@ -176,7 +176,8 @@ fn unsafe_code_stands_in_two_files() {
     ];
     for file in files {
         let text = std::fs::read_to_string(&file).unwrap();
-        let fenced = file.ends_with("stages/field/src/cpu/simd.rs") || file.ends_with("stages/calibrate/src/simd.rs");
+        let fenced =
+            file.ends_with("stages/field/src/cpu/simd.rs") || file.ends_with("stages/calibrate/src/simd.rs");
         assert!(
             fenced || !words.iter().any(|word| text.contains(word)),
             "{}",

@@ -286,7 +286,10 @@ mod tests {
         for isa in Isa::all() {
             let dots = isa.run(Once(&RowBlock::new(&one), &ColumnBlock::new(&one)));
             assert_eq!(dots[0][0], 128, "{isa:?}");
-            assert!(dots[0][1..].iter().chain(&dots[1]).all(|&dot| dot == 0), "{isa:?}");
+            assert!(
+                dots[0][1..].iter().chain(&dots[1]).all(|&dot| dot == 0),
+                "{isa:?}"
+            );
         }
     }
 }

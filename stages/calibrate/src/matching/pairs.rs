@@ -13,7 +13,9 @@ const SAMPLE: usize = 256;
 /// Returns photos i < j, sorted: every one with its next `overlap` and those 2^k further on.
 pub(crate) fn sequential(count: usize, overlap: usize) -> Vec<(usize, usize)> {
     let doubled = (0..usize::BITS).map(|power| 1_usize << power);
-    let mut steps: Vec<usize> = (1..=overlap.min(count)).chain(doubled.take_while(|&step| step < count)).collect();
+    let mut steps: Vec<usize> = (1..=overlap.min(count))
+        .chain(doubled.take_while(|&step| step < count))
+        .collect();
     steps.sort_unstable();
     steps.dedup();
     let pairs = (0..count).flat_map(|first| steps.iter().map(move |step| (first, first + step)));
@@ -22,7 +24,9 @@ pub(crate) fn sequential(count: usize, overlap: usize) -> Vec<(usize, usize)> {
 
 /// Returns all photos i < j, sorted.
 pub(crate) fn exhaustive(count: usize) -> Vec<(usize, usize)> {
-    (0..count).flat_map(|first| (first + 1..count).map(move |second| (first, second))).collect()
+    (0..count)
+        .flat_map(|first| (first + 1..count).map(move |second| (first, second)))
+        .collect()
 }
 
 /// Returns for each photo the `per_photo` others whose largest-scale features match best, as sorted pairs i < j.
@@ -40,7 +44,11 @@ pub(crate) fn retrieve(all: &[&Features], per_photo: usize, min_hits: usize) -> 
         .map(|&(first, second)| mutual(isa, &samples[first], &packed[second], &options).len())
         .collect();
     let mut candidates = vec![Vec::new(); all.len()];
-    for (&(first, second), hits) in pairs.iter().zip(hits).filter(|&(_, hits)| hits >= min_hits.max(1)) {
+    for (&(first, second), hits) in pairs
+        .iter()
+        .zip(hits)
+        .filter(|&(_, hits)| hits >= min_hits.max(1))
+    {
         candidates[first].push((hits, second));
         candidates[second].push((hits, first));
     }
@@ -60,5 +68,9 @@ fn largest(features: &Features) -> Vec<Descriptor> {
     let mut order: Vec<usize> = (0..features.keypoints.len().min(features.descriptors.len())).collect();
     let scale = |index: usize| features.keypoints[index].scale_px;
     order.sort_by(|&a, &b| scale(b).total_cmp(&scale(a)).then(a.cmp(&b)));
-    order.into_iter().take(SAMPLE).map(|index| features.descriptors[index]).collect()
+    order
+        .into_iter()
+        .take(SAMPLE)
+        .map(|index| features.descriptors[index])
+        .collect()
 }

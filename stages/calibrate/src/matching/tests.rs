@@ -28,7 +28,8 @@ fn features(descriptors: Vec<[u8; 128]>) -> Features {
 
 /// The definition, one pair of descriptors after the other.
 fn plainly(rows: &[[u8; 128]], columns: &[[u8; 128]]) -> Vec<Near> {
-    let dot = |a: &[u8; 128], b: &[u8; 128]| a.iter().zip(b).map(|(&a, &b)| i32::from(a) * i32::from(b)).sum();
+    let dot =
+        |a: &[u8; 128], b: &[u8; 128]| a.iter().zip(b).map(|(&a, &b)| i32::from(a) * i32::from(b)).sum();
     let near = |row| {
         let dots: Vec<i32> = columns.iter().map(|column| dot(row, column)).collect();
         let mut order: Vec<usize> = (0..dots.len()).collect();
@@ -63,8 +64,15 @@ fn the_greatest_descriptors_do_not_overflow() {
         for isa in Isa::all() {
             let (across, down) = nearest(isa, &all, &Packed::new(&all));
             let dot = 128 * i32::from(byte).pow(2);
-            let near = Near { best: dot, second: dot, index: 0 };
-            assert!(across.iter().chain(&down).all(|&found| found == near), "{byte} {isa:?}");
+            let near = Near {
+                best: dot,
+                second: dot,
+                index: 0,
+            };
+            assert!(
+                across.iter().chain(&down).all(|&found| found == near),
+                "{byte} {isa:?}"
+            );
         }
     }
 }
@@ -79,7 +87,10 @@ fn a_shuffled_copy_is_matched_and_the_other_way_round_too() {
     let pairs = match_pair(&a, &b, &options);
     let expected: Vec<[u32; 2]> = (0..50).map(|index| [index, 79 - index]).collect();
     assert_eq!(pairs, expected);
-    let mut turned: Vec<[u32; 2]> = match_pair(&b, &a, &options).iter().map(|&[b, a]| [a, b]).collect();
+    let mut turned: Vec<[u32; 2]> = match_pair(&b, &a, &options)
+        .iter()
+        .map(|&[b, a]| [a, b])
+        .collect();
     turned.sort_unstable();
     assert_eq!(turned, expected);
 }
@@ -118,8 +129,11 @@ fn sequential_pairs_are_the_next_ones_and_the_powers_of_two() {
     assert_eq!(sequential(0, 3), []);
     assert_eq!(sequential(1, 3), []);
     assert_eq!(sequential(3, 9), exhaustive(3));
-    let from_first: Vec<usize> =
-        sequential(40, 3).iter().filter(|pair| pair.0 == 0).map(|pair| pair.1).collect();
+    let from_first: Vec<usize> = sequential(40, 3)
+        .iter()
+        .filter(|pair| pair.0 == 0)
+        .map(|pair| pair.1)
+        .collect();
     assert_eq!(from_first, [1, 2, 3, 4, 8, 16, 32]);
     assert!(sequential(40, 3).is_sorted());
     // COLMAP's count for 98 photos with powers of two only.
@@ -131,7 +145,9 @@ fn sequential_pairs_are_the_next_ones_and_the_powers_of_two() {
 fn photos_that_share_descriptors_are_found() {
     // Photo i shares 20 descriptors with photo i + 1 and none with the others.
     let pool = descriptors(9, 140);
-    let photos: Vec<Features> = (0..6).map(|index| features(pool[index * 20..index * 20 + 40].to_vec())).collect();
+    let photos: Vec<Features> = (0..6)
+        .map(|index| features(pool[index * 20..index * 20 + 40].to_vec()))
+        .collect();
     let all: Vec<&Features> = photos.iter().collect();
     let chain: Vec<(usize, usize)> = (0..5).map(|index| (index, index + 1)).collect();
     assert_eq!(retrieve(&all, 2, 8), chain);
