@@ -165,7 +165,7 @@ fn fenced_packages_stay_in_their_room() {
 }
 
 #[test]
-fn unsafe_code_stands_in_one_file() {
+fn unsafe_code_stands_in_two_files() {
     let mut files = Vec::new();
     rust_files(&root(), &mut files);
     assert!(files.len() > 20, "only {} source files found", files.len());
@@ -177,7 +177,8 @@ fn unsafe_code_stands_in_one_file() {
     ];
     for file in files {
         let text = std::fs::read_to_string(&file).unwrap();
-        let fenced = file.ends_with("stages/field/src/cpu/simd.rs");
+        let fenced =
+            file.ends_with("stages/field/src/cpu/simd.rs") || file.ends_with("stages/calibrate/src/simd.rs");
         assert!(
             fenced || !words.iter().any(|word| text.contains(word)),
             "{}",

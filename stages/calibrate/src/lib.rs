@@ -23,6 +23,7 @@ mod params;
 mod photos;
 mod resample;
 mod sfm;
+mod simd;
 mod stage;
 mod two_view;
 

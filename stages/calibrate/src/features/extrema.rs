@@ -1,0 +1,325 @@
+//! Points where the difference of two Gaussian layers is greatest or least.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::pyramid::{LAYERS, SIGMA, Stack};
+use crate::simd::{Isa, Kernel, Lanes};
+
+/// What a point must pass.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Limits {
+    pub contrast: f32,
+    pub edge_ratio: f32,
+}
+
+/// A point in pixels of its octave; (0, 0) is the centre of the first.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Found {
+    /// Inner layer, from 0, row and column of the nearest sample.
+    pub cell: [usize; 3],
+    pub x: f32,
+    pub y: f32,
+    pub sigma: f32,
+    /// Absolute difference at the point.
+    pub response: f32,
+}
+
+/// Steps of the fit.
+const STEPS: usize = 5;
+/// A fit that lies farther from the sample moves to the next one; above 1/2, so that none moves to and fro.
+const REACH: f64 = 0.6;
+
+/// Finds the points of an octave, sorted by layer, row and column.
+pub(super) fn find(isa: Isa, stack: &Stack, limits: &Limits) -> Vec<Found> {
+    let candidates = isa.run(Scan {
+        stack,
+        // The fit raises the difference, hardly by more than a quarter.
+        threshold: 0.8 * limits.contrast,
+    });
+    let volume = Volume { stack };
+    let strict = candidates.into_iter().filter(|&cell| volume.is_strict(cell));
+    let mut found: Vec<Found> = strict.filter_map(|cell| volume.fit(cell, limits)).collect();
+    found.sort_by_key(|point| point.cell);
+    found.dedup_by_key(|point| point.cell);
+    found
+}
+
+/// Compares every difference with its 26 neighbours, row by row.
+struct Scan<'a> {
+    stack: &'a Stack,
+    threshold: f32,
+}
+
+/// Three rows of a difference of two layers, and the extremes of 3 x 3 samples around its middle row.
+#[derive(Default)]
+struct Rows {
+    /// Row y is at y % 3.
+    ring: [Vec<f32>; 3],
+    down: Vec<f32>,
+    greatest: Vec<f32>,
+    least: Vec<f32>,
+}
+
+impl Kernel for Scan<'_> {
+    type Output = Vec<[usize; 3]>;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) -> Self::Output {
+        let (width, height) = (self.stack.grid.width, self.stack.grid.height);
+        let mut differences: [Rows; LAYERS + 2] = Default::default();
+        let mut flags = vec![0_u8; width];
+        let mut found = Vec::new();
+        for y in 0..height {
+            for (rows, layers) in differences.iter_mut().zip(self.stack.layers.windows(2)) {
+                let row = |layer: usize| &layers[layer][y * width..][..width];
+                rows.push(y, row(0), row(1));
+            }
+            for (layer, three) in differences.windows(3).enumerate().filter(|_| y >= 2) {
+                let middle = &three[1].ring[(y - 1) % 3];
+                mark(
+                    &mut flags,
+                    [&three[0], &three[1], &three[2]],
+                    middle,
+                    self.threshold,
+                );
+                collect(&flags, |column| found.push([layer, y - 1, column]));
+            }
+        }
+        found
+    }
+}
+
+impl Rows {
+    /// Takes the next row in; from the third on the extremes are those around the row before.
+    #[inline(always)]
+    fn push(&mut self, y: usize, below: &[f32], above: &[f32]) {
+        let next = &mut self.ring[y % 3];
+        next.clear();
+        next.extend(above.iter().zip(below).map(|(above, below)| above - below));
+        if y >= 2 {
+            fold(&mut self.greatest, &mut self.down, &self.ring, |a, b| {
+                if a > b { a } else { b }
+            });
+            fold(&mut self.least, &mut self.down, &self.ring, |a, b| {
+                if a < b { a } else { b }
+            });
+        }
+    }
+}
+
+/// Folds 3 x 3 samples into one: down, then across; the first and the last column are not set.
+#[inline(always)]
+fn fold(to: &mut Vec<f32>, down: &mut Vec<f32>, rows: &[Vec<f32>; 3], of: impl Fn(f32, f32) -> f32) {
+    let len = rows[0].len();
+    let [a, b, c] = [&rows[0][..len], &rows[1][..len], &rows[2][..len]];
+    down.clear();
+    down.extend((0..len).map(|x| of(of(a[x], b[x]), c[x])));
+    to.resize(len, 0.0);
+    let (left, middle, right) = (&down[..len - 2], &down[1..len - 1], &down[2..]);
+    for (x, to) in to[1..len - 1].iter_mut().enumerate() {
+        *to = of(of(left[x], middle[x]), right[x]);
+    }
+}
+
+/// Flags the columns whose middle is an extremum of 27 samples and beyond the threshold.
+#[inline(always)]
+fn mark(flags: &mut [u8], around: [&Rows; 3], middle: &[f32], threshold: f32) {
+    let len = middle.len();
+    let greatest = around.map(|rows| &rows.greatest[..len]);
+    let least = around.map(|rows| &rows.least[..len]);
+    let flags = &mut flags[..len];
+    for x in 1..len - 1 {
+        let value = middle[x];
+        let top = (value >= greatest[0][x]) & (value >= greatest[1][x]) & (value >= greatest[2][x]);
+        let bottom = (value <= least[0][x]) & (value <= least[1][x]) & (value <= least[2][x]);
+        flags[x] = u8::from((top & (value > threshold)) | (bottom & (value < -threshold)));
+    }
+}
+
+#[inline(always)]
+fn collect(flags: &[u8], mut found: impl FnMut(usize)) {
+    for (index, chunk) in flags.chunks(64).enumerate() {
+        if chunk.iter().fold(0, |any, flag| any | flag) == 0 {
+            continue;
+        }
+        let set = chunk.iter().enumerate().filter(|&(_, &flag)| flag != 0);
+        set.for_each(|(lane, _)| found(index * 64 + lane));
+    }
+}
+
+/// Differences of layers, sample by sample.
+struct Volume<'a> {
+    stack: &'a Stack,
+}
+
+impl Volume<'_> {
+    /// The difference of an inner layer, moved by whole samples.
+    fn at(&self, [layer, row, column]: [usize; 3], by: [isize; 3]) -> f64 {
+        let layer = (layer + 1).wrapping_add_signed(by[0]);
+        let index =
+            row.wrapping_add_signed(by[1]) * self.stack.grid.width + column.wrapping_add_signed(by[2]);
+        f64::from(self.stack.layers[layer + 1][index]) - f64::from(self.stack.layers[layer][index])
+    }
+
+    /// Tells whether no neighbour is as extreme: a plateau gives no point.
+    fn is_strict(&self, cell: [usize; 3]) -> bool {
+        let value = self.at(cell, [0; 3]);
+        let neighbours = (0..27_isize).filter(|&index| index != 13).map(|index| {
+            let by = [index / 9 - 1, index / 3 % 3 - 1, index % 3 - 1];
+            self.at(cell, by)
+        });
+        let mut neighbours = neighbours.map(|other| if value > 0.0 { value - other } else { other - value });
+        neighbours.all(|lead| lead > 0.0)
+    }
+
+    /// Fits a quadratic around a sample, or around the next one where its extremum lies there.
+    fn fit(&self, mut cell: [usize; 3], limits: &Limits) -> Option<Found> {
+        let grid = &self.stack.grid;
+        let ends = [LAYERS, grid.height - 1, grid.width - 1];
+        for _ in 0..STEPS {
+            let (slope, curvature) = self.derivatives(cell);
+            let offset = -(curvature.try_inverse()? * slope);
+            if offset.iter().all(|by| by.abs() <= REACH) {
+                return self.accept(cell, &offset, &slope, &curvature, limits);
+            }
+            for axis in 0..3 {
+                let by = if offset[axis].abs() > REACH {
+                    offset[axis].signum() as isize
+                } else {
+                    0
+                };
+                cell[axis] = cell[axis].checked_add_signed(by)?;
+                // Rows and columns keep a neighbour on both sides.
+                let first = usize::from(axis > 0);
+                if !(first..ends[axis]).contains(&cell[axis]) {
+                    return None;
+                }
+            }
+        }
+        None
+    }
+
+    /// First and second derivatives along layer, row and column.
+    fn derivatives(&self, cell: [usize; 3]) -> (Vector3<f64>, Matrix3<f64>) {
+        let unit = |axis: usize, by: isize| -> [isize; 3] {
+            std::array::from_fn(|at| if at == axis { by } else { 0 })
+        };
+        let both = |a: usize, by_a: isize, b: usize, by_b: isize| {
+            let (a, b) = (unit(a, by_a), unit(b, by_b));
+            self.at(cell, std::array::from_fn(|at| a[at] + b[at]))
+        };
+        let middle = self.at(cell, [0; 3]);
+        let slope =
+            Vector3::from_fn(|axis, _| 0.5 * (self.at(cell, unit(axis, 1)) - self.at(cell, unit(axis, -1))));
+        let curvature = Matrix3::from_fn(|a, b| {
+            if a == b {
+                return self.at(cell, unit(a, 1)) + self.at(cell, unit(a, -1)) - 2.0 * middle;
+            }
+            0.25 * (both(a, 1, b, 1) - both(a, 1, b, -1) - both(a, -1, b, 1) + both(a, -1, b, -1))
+        });
+        (slope, curvature)
+    }
+
+    fn accept(
+        &self,
+        cell: [usize; 3],
+        offset: &Vector3<f64>,
+        slope: &Vector3<f64>,
+        curvature: &Matrix3<f64>,
+        limits: &Limits,
+    ) -> Option<Found> {
+        let response = (self.at(cell, [0; 3]) + 0.5 * slope.dot(offset)).abs();
+        let trace = curvature[(1, 1)] + curvature[(2, 2)];
+        let determinant = curvature[(1, 1)] * curvature[(2, 2)] - curvature[(1, 2)].powi(2);
+        let ratio = f64::from(limits.edge_ratio);
+        // Lowe 2004, section 4.1; a saddle has a determinant below 0.
+        let is_edge = trace * trace * ratio >= (ratio + 1.0) * (ratio + 1.0) * determinant;
+        let [layer, row, column] = cell;
+        let sigma = SIGMA * libm::exp2((layer as f64 + 1.0 + offset[0]) / LAYERS as f64);
+        let strong = response > f64::from(limits.contrast);
+        (strong && !is_edge).then_some(Found {
+            cell,
+            x: (column as f64 + offset[2]) as f32,
+            y: (row as f64 + offset[1]) as f32,
+            sigma: sigma as f32,
+            response: response as f32,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{FirstOctave, Gray};
+    use super::*;
+
+    /// A Gaussian blob on grey.
+    fn blob(x_px: f64, y_px: f64, sigma_px: f64, height: f64) -> Gray {
+        let pixel = |index: u32| {
+            let (x, y) = (
+                f64::from(index % 80) + 0.5 - x_px,
+                f64::from(index / 80) + 0.5 - y_px,
+            );
+            (0.5 + height * (-0.5 * (x * x + y * y) / (sigma_px * sigma_px)).exp()) as f32
+        };
+        Gray {
+            width: 80,
+            height: 60,
+            pixels: (0..80 * 60).map(pixel).collect(),
+        }
+    }
+
+    const LIMITS: Limits = Limits {
+        contrast: 0.02 / 3.0,
+        edge_ratio: 10.0,
+    };
+
+    fn found(isa: Isa, gray: &Gray) -> Vec<Found> {
+        let mut stack = Stack::new(isa, gray, FirstOctave::Native);
+        stack.fill(isa);
+        find(isa, &stack, &LIMITS)
+    }
+
+    #[test]
+    fn a_blob_is_found_once_where_it_stands_and_as_large_as_it_is() {
+        for (x_px, y_px, sigma_px) in [(40.5, 30.5, 2.5), (33.2, 28.9, 2.2), (40.0, 30.0, 3.0)] {
+            for height in [0.4, -0.4] {
+                let points = found(Isa::best(), &blob(x_px, y_px, sigma_px, height));
+                assert_eq!(points.len(), 1, "{sigma_px}: {points:?}");
+                let point = &points[0];
+                let miss = (f64::from(point.x) + 0.5 - x_px).hypot(f64::from(point.y) + 0.5 - y_px);
+                assert!(miss < 0.05, "{sigma_px}: {miss}");
+                // The camera's blur of .5 that the photo is taken to have is not in this one; and the difference
+                // of layers s and 2^(1/3) s of a blob b is greatest at s = 2^(-1/6) b.
+                let expected = sigma_px / 2_f64.powf(1.0 / 6.0);
+                let ratio = f64::from(point.sigma) / expected;
+                assert!((ratio - 1.0).abs() < 0.1, "{sigma_px}: {ratio}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_faint_blob_an_edge_and_a_plain_give_nothing() {
+        assert!(found(Isa::best(), &blob(40.5, 30.5, 2.5, 0.01)).is_empty());
+        let mut edge = blob(40.5, 30.5, 2.5, 0.0);
+        assert!(found(Isa::best(), &edge).is_empty());
+        edge.pixels
+            .iter_mut()
+            .enumerate()
+            .for_each(|(index, pixel)| *pixel = if index % 80 < 37 { 0.1 } else { 0.9 });
+        assert!(found(Isa::best(), &edge).is_empty());
+    }
+
+    #[test]
+    fn points_are_equal_to_the_bit_on_every_set() {
+        let mut dice = crate::dice::Dice::new(5);
+        let gray = Gray {
+            width: 91,
+            height: 70,
+            pixels: (0..91 * 70).map(|_| dice.unit() as f32).collect(),
+        };
+        let plain = found(Isa::all()[0], &gray);
+        assert!(plain.len() > 20, "{}", plain.len());
+        assert!(plain.is_sorted_by_key(|point| point.cell));
+        assert!(Isa::all().into_iter().all(|isa| found(isa, &gray) == plain));
+    }
+}
