@@ -26,3 +26,9 @@ pub use export::write_transforms;
 pub use metrics::{Metrics, Missing, PhotoMetrics, Totals};
 pub use params::{CalibrateParams, Method};
 pub use stage::{Calibrate, METRICS, SCENE, TRANSFORMS};
+
+/// Doors for the benches.
+#[doc(hidden)]
+pub mod bench_api {
+    pub use crate::bundle::bench::{Adjustment, adjustment};
+}
