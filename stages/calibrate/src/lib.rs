@@ -1,8 +1,9 @@
 //! Photos and priors to a calibrated scene: which photo was taken by which camera from where.
 //!
 //! `sfm` finds cameras from the photos themselves, with labels as priors; `labels` takes the camera models of
-//! the archive's labels and resamples each photo once to an ideal pinhole; `import` reads the cameras another program found. Invariant: a photo is in the scene with a camera for the
-//! very bytes its frame names, or it is listed as unplaced with the reason; none is dropped in silence.
+//! the archive's labels and resamples each photo once to an ideal pinhole; `import` reads the cameras another
+//! program found. Invariant: a photo is in the scene with a camera for the very bytes its frame names, or it is
+//! listed as unplaced with the reason; none is dropped in silence.
 
 #![allow(dead_code)]
 
@@ -31,3 +32,9 @@ pub use export::{Sight, TrackPoint, Tracks, write_colmap, write_ply, write_trans
 pub use metrics::{Metrics, Missing, PhotoMetrics, Totals};
 pub use params::{CalibrateParams, FirstOctaveParam, Intrinsics, LensParam, Method, Pairs};
 pub use stage::{Calibrate, METRICS, SCENE, TRACKS, TRANSFORMS};
+
+/// Doors for the benches.
+#[doc(hidden)]
+pub mod bench_api {
+    pub use crate::bundle::bench::{Adjustment, adjustment};
+}

@@ -4,9 +4,9 @@ use marf_scene::Pose;
 use nalgebra::Vector3;
 
 use crate::align::{Tolerance, align, disagreement};
-use crate::bundle::{BundleError, Prior};
+use crate::bundle::Prior;
 use crate::estimators::Similarity;
-use crate::mapper::{Model, Task, settle};
+use crate::mapper::{MapError, Model, Task, settle};
 
 /// What a label says of a photo.
 #[derive(Debug, Clone, PartialEq)]
@@ -49,7 +49,7 @@ pub(crate) fn place(
     task: &Task<'_>,
     model: &mut Model,
     labels: &[Option<LabelPose>],
-) -> Result<Option<Vec<Outvoted>>, BundleError> {
+) -> Result<Option<Vec<Outvoted>>, MapError> {
     let (photos, pairs) = labelled(model, labels);
     let Some(found) = align(&pairs, &TOLERANCE).filter(|found| 2 * found.inliers.len() >= pairs.len()) else {
         return Ok(None);

@@ -1,88 +1,88 @@
 //! Bundle adjustment: poses, points and lenses that explain all observations best, in f64.
+//!
+//! `index` says who sees what, `state` what moves, `sight` how one observation changes; `system` sums the normal
+//! equations, `schur` takes the points out, `dense` or `gradients` solve the rest, `solve` steps downhill.
 
-use marf_scene::{Camera, Pose};
-use nalgebra::{Vector2, Vector3};
+pub(crate) mod bench;
+mod check;
+mod cholesky;
+mod covariance;
+mod dense;
+mod gradients;
+mod index;
+mod loss;
+mod priors;
+mod problem;
+mod schur;
+mod sight;
+mod solve;
+mod state;
+pub(crate) mod synthetic;
+mod system;
+mod task;
+#[cfg(test)]
+mod tests;
+mod turn;
 
-/// Lens terms beside the focal length, smallest first: none; k1; k1 k2; k1 k2 p1 p2 ([`Camera`]).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum LensModel {
-    Pinhole,
-    SimpleRadial,
-    Radial,
-    OpenCv,
-}
+pub(crate) use check::BundleError;
+pub(crate) use covariance::pose_covariances;
+pub(crate) use loss::Loss;
+pub(crate) use problem::{CameraFreedom, LensModel, Observation, PoseFreedom, Prior, Problem};
+pub(crate) use solve::adjust;
+pub(crate) use task::residual;
 
-/// Which numbers of a camera may move. fx and fy move together (their ratio stays); the terms above `lens` stay
-/// as they are.
+/// How the reduced system of poses and lenses is solved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct CameraFreedom {
-    pub focal: bool,
-    pub lens: LensModel,
-    pub principal_point: bool,
+pub(crate) enum Solver {
+    /// Dense up to 300 poses that move.
+    Auto,
+    /// Cholesky factorisation; 8 n² bytes for n unknowns.
+    Dense,
+    /// As exact as the last step needs.
+    ConjugateGradients,
 }
 
-/// How a pose may move.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum PoseFreedom {
-    Free,
-    /// Held whole.
-    Fixed,
-    /// One coordinate (0, 1, 2) of the camera's centre in the world is held, which fixes the scale.
-    CentreAxisFixed(u8),
-}
-
-/// A point seen by a photo.
+/// How a problem is adjusted.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Observation {
-    /// Index of the point.
-    pub point: u32,
-    /// Index of the pose.
-    pub pose: u32,
-    pub pixel: Vector2<f64>,
+pub(crate) struct BundleOptions {
+    /// Of observations, pixels.
+    pub loss: Loss,
+    /// Of priors, sigmas; a prior is one residual, of up to six numbers.
+    pub prior_loss: Loss,
+    pub max_iterations: u32,
+    /// Relative change of the cost at which to stop.
+    pub tolerance: f64,
+    pub solver: Solver,
 }
 
-/// Something known beforehand, as a soft residual in units of its sigma, held in check by the loss of priors.
+/// What an adjustment came to.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Prior {
-    /// The camera's centre in the world.
-    Centre {
-        pose: u32,
-        centre: Vector3<f64>,
-        sigma: f64,
-    },
-    /// The camera's attitude (of `cam_from_world`, its rotation).
-    Attitude {
-        pose: u32,
-        cam_from_world: Pose,
-        sigma_rad: f64,
-    },
-    /// Pose of one camera in another's frame (fixed stereo eyes).
-    Relative {
-        pose_1: u32,
-        pose_2: u32,
-        cam2_from_cam1: Pose,
-        sigma_rad: f64,
-        sigma: f64,
-    },
-    /// The camera's focal length (fx); sigma as a share of it, residual ln(f / focal_px) / sigma_share.
-    Focal {
-        camera: u32,
-        focal_px: f64,
-        sigma_share: f64,
-    },
+pub(crate) struct BundleReport {
+    /// Steps tried.
+    pub iterations: u32,
+    /// ½ Σ ρ before.
+    pub initial_cost: f64,
+    /// ½ Σ ρ after.
+    pub final_cost: f64,
+    /// Residual scalars: two an observation, seen or not, and those of the priors.
+    pub residuals: usize,
+    /// Numbers that may move.
+    pub parameters: usize,
+    /// Observations without a projection at the end (behind the camera, beyond the fold).
+    pub hidden: usize,
+    /// Whether the tolerance was reached.
+    pub converged: bool,
 }
 
-/// All that is adjusted together. Observations are sorted by (point, pose).
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Problem {
-    pub cameras: Vec<Camera>,
-    pub camera_freedom: Vec<CameraFreedom>,
-    /// `cam_from_world`.
-    pub poses: Vec<Pose>,
-    pub pose_freedom: Vec<PoseFreedom>,
-    /// Index of each pose's camera.
-    pub camera_of_pose: Vec<u32>,
-    pub points: Vec<Vector3<f64>>,
-    pub observations: Vec<Observation>,
-    pub priors: Vec<Prior>,
+/// Returns n ln(Σρ / n) + k ln n, for n residuals and k numbers that may move: of two lens models fitted to the same
+/// observations with the same loss, that with the smaller value is the better supported.
+///
+/// Schwarz's criterion with the noise's scale unknown; Σρ takes the place of the sum of squares (Machado 1993,
+/// "Robust model selection and M-estimation"): exp(-½ Σρ / s²) is the likelihood that the robust fit maximises, s² =
+/// Σρ / n maximises it over the scale, and the penalty depends on how k grows, not on the tail. With the plain sum of
+/// squares a lens could win or lose by a few mismatches. Finite also for an exact fit.
+pub(crate) fn information_criterion(report: &BundleReport) -> f64 {
+    let n = report.residuals.max(1) as f64;
+    let mean = (2.0 * report.final_cost / n).max(f64::MIN_POSITIVE);
+    n * libm::log(mean) + report.parameters as f64 * libm::log(n)
 }

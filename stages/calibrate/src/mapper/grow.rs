@@ -1,8 +1,7 @@
 use std::collections::BTreeMap;
 
 use super::refine::{adjust_local, settle};
-use super::{MIN_PHOTOS, Model, Task, start};
-use crate::bundle::BundleError;
+use super::{MIN_PHOTOS, MapError, Model, Task, start};
 use crate::estimators::{Resection, Seen, resect};
 use crate::two_view::FocalKnown;
 
@@ -27,7 +26,7 @@ const STARTS: usize = 3;
 const FOCAL_FACTORS: [f64; 5] = [1.0, 0.7, 1.4, 0.5, 2.0];
 
 /// The largest model that can be grown from photos not taken, `None` if no pair can start one.
-pub(super) fn best(task: &Task<'_>, taken: &[bool]) -> Result<Option<Model>, BundleError> {
+pub(super) fn best(task: &Task<'_>, taken: &[bool]) -> Result<Option<Model>, MapError> {
     let mut best: Option<Model> = None;
     let mut grown = 0;
     for link in start::candidates(task, taken) {
@@ -86,12 +85,12 @@ impl Attempts {
 }
 
 /// Adds photos one by one until none fits any more.
-pub(super) fn grow(task: &Task<'_>, mut model: Model, taken: &[bool]) -> Result<Model, BundleError> {
+pub(super) fn grow(task: &Task<'_>, mut model: Model, taken: &[bool]) -> Result<Model, MapError> {
     let mut attempts = Attempts::default();
     let mut adjusted = model.photos().count();
     loop {
         if (task.stop)() {
-            return Err(BundleError::Stopped);
+            return Err(MapError::Stopped);
         }
         let placed = model.photos().count();
         let Some((photo, visible)) = next(task, &model, taken, &attempts) else {
@@ -152,7 +151,7 @@ fn spread(task: &Task<'_>, photo: usize, sights: &[usize]) -> usize {
 }
 
 /// Places a photo and adjusts what lies around it; says whether it fits.
-fn register(task: &Task<'_>, model: &mut Model, photo: usize) -> Result<bool, BundleError> {
+fn register(task: &Task<'_>, model: &mut Model, photo: usize) -> Result<bool, MapError> {
     let sights = visible(task, model, photo);
     let Some((resection, factor)) = pose_of(task, model, photo, &sights) else {
         return Ok(false);

@@ -1,9 +1,8 @@
 use marf_scene::Pose;
 
 use super::refine::settle;
-use super::{MIN_PHOTOS, Model, Task};
+use super::{MIN_PHOTOS, MapError, Model, Task};
 use crate::align::{Tolerance, align};
-use crate::bundle::BundleError;
 
 /// Models are joined if the photos they share agree this well, of the extent of these photos.
 const MAX_SHARE: f64 = 0.05;
@@ -11,7 +10,7 @@ const MAX_TURN_RAD: f64 = 0.05;
 
 /// Joins the last model to an earlier one that shares photos with it; photos that stay in both are taken from
 /// the last.
-pub(super) fn join(task: &Task<'_>, mut models: Vec<Model>) -> Result<Vec<Model>, BundleError> {
+pub(super) fn join(task: &Task<'_>, mut models: Vec<Model>) -> Result<Vec<Model>, MapError> {
     let Some(mut last) = models.pop() else {
         return Ok(models);
     };
@@ -41,7 +40,7 @@ fn joined(
     earlier: &Model,
     last: &Model,
     shared: &[usize],
-) -> Result<Option<Model>, BundleError> {
+) -> Result<Option<Model>, MapError> {
     let pairs: Vec<(Pose, Pose)> = shared
         .iter()
         .filter_map(|&photo| Some((last.poses[photo]?, earlier.poses[photo]?)))

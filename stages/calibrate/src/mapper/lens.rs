@@ -1,8 +1,8 @@
 use marf_scene::Camera;
 
 use super::refine::{adjust_all, settle};
-use super::{Model, Task};
-use crate::bundle::{BundleError, LensModel, information_criterion};
+use super::{MapError, Model, Task};
+use crate::bundle::{LensModel, information_criterion};
 
 /// Which lens terms a scene gets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,7 +22,7 @@ impl LensChoice {
 }
 
 /// Chooses the lens model and adjusts a last time, the principal point too if it was asked for.
-pub(super) fn finish(task: &Task<'_>, model: &mut Model) -> Result<(), BundleError> {
+pub(super) fn finish(task: &Task<'_>, model: &mut Model) -> Result<(), MapError> {
     if matches!(task.options.lens, LensChoice::Smallest { .. }) {
         *model = smallest(task, model)?;
     }
@@ -36,7 +36,7 @@ pub(super) fn finish(task: &Task<'_>, model: &mut Model) -> Result<(), BundleErr
 
 /// The adjusted model with the lens whose information criterion is lowest, from many terms to few: when fewer
 /// terms make it worse, still fewer are not tried.
-fn smallest(task: &Task<'_>, model: &Model) -> Result<Model, BundleError> {
+fn smallest(task: &Task<'_>, model: &Model) -> Result<Model, MapError> {
     let mut best: Option<(f64, Model)> = None;
     for lens in [
         LensModel::OpenCv,

@@ -22,6 +22,15 @@ pub(crate) use tracks::Tracks;
 use crate::bundle::BundleError;
 use crate::two_view::{FocalKnown, Relation};
 
+/// Why there is no model.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum MapError {
+    #[error("stopped")]
+    Stopped,
+    #[error(transparent)]
+    Bundle(#[from] BundleError),
+}
+
 /// A photo as the mapper sees it.
 #[derive(Debug, Clone)]
 pub(crate) struct View {
@@ -67,7 +76,7 @@ pub(crate) struct Task<'a> {
     pub links: &'a [Link],
     pub tracks: Tracks,
     pub options: MapOptions,
-    /// Asked now and then; a yes ends with [`BundleError::Stopped`].
+    /// Asked now and then; a yes ends with [`MapError::Stopped`].
     pub stop: &'a (dyn Fn() -> bool + Sync),
     /// Told the photos placed so far.
     pub placed: &'a (dyn Fn(usize) + Sync),
@@ -77,7 +86,7 @@ pub(crate) struct Task<'a> {
 const MIN_PHOTOS: usize = 3;
 
 /// Adds all photos that fit to a model that has some already.
-pub(crate) fn grow_from(task: &Task<'_>, model: Model) -> Result<Model, BundleError> {
+pub(crate) fn grow_from(task: &Task<'_>, model: Model) -> Result<Model, MapError> {
     grow::grow(task, model, &vec![false; task.views.len()])
 }
 
@@ -85,7 +94,7 @@ pub(crate) fn grow_from(task: &Task<'_>, model: Model) -> Result<Model, BundleEr
 ///
 /// A photo is in one model at most; none is forced in. An empty answer means that no pair of photos has both
 /// enough matches and enough parallax.
-pub(crate) fn map(task: &Task<'_>) -> Result<Vec<Model>, BundleError> {
+pub(crate) fn map(task: &Task<'_>) -> Result<Vec<Model>, MapError> {
     let mut models: Vec<Model> = Vec::new();
     let mut taken = vec![false; task.views.len()];
     while let Some(model) = grow::best(task, &taken)? {

@@ -1,8 +1,8 @@
 use nalgebra::Vector3;
 
-use super::{Model, Task};
+use super::{MapError, Model, Task};
 use crate::bundle::{
-    BundleError, BundleOptions, BundleReport, CameraFreedom, LensModel, Loss, Observation, PoseFreedom, Prior,
+    BundleOptions, BundleReport, CameraFreedom, LensModel, Loss, Observation, PoseFreedom, Prior,
     Problem, Solver, adjust,
 };
 
@@ -31,11 +31,11 @@ pub(crate) fn adjust_all(
     model: &mut Model,
     priors: &[Prior],
     max_iterations: u32,
-) -> Result<BundleReport, BundleError> {
+) -> Result<BundleReport, MapError> {
     adjust_scope(task, model, &Scope::All, priors, max_iterations)
 }
 
-pub(super) fn adjust_local(task: &Task<'_>, model: &mut Model, photos: &[usize]) -> Result<(), BundleError> {
+pub(super) fn adjust_local(task: &Task<'_>, model: &mut Model, photos: &[usize]) -> Result<(), MapError> {
     adjust_scope(task, model, &Scope::Only(photos), &[], 12).map(|_| ())
 }
 
@@ -45,7 +45,7 @@ pub(crate) fn settle(
     model: &mut Model,
     priors: &[Prior],
     rounds: u32,
-) -> Result<(), BundleError> {
+) -> Result<(), MapError> {
     for _ in 0..rounds {
         adjust_all(task, model, priors, 20)?;
         let before = model.active.clone();
@@ -80,7 +80,7 @@ fn adjust_scope(
     scope: &Scope<'_>,
     priors: &[Prior],
     max_iterations: u32,
-) -> Result<BundleReport, BundleError> {
+) -> Result<BundleReport, MapError> {
     let tracks = match scope {
         Scope::All => task.tracks.all(),
         Scope::Only(photos) => task.tracks.of_photos(photos),
@@ -108,6 +108,9 @@ fn adjust_scope(
         solver: Solver::Auto,
     };
     let report = adjust(&mut built.problem, &options, task.stop)?;
+    if (task.stop)() {
+        return Err(MapError::Stopped);
+    }
     write_back(model, &built);
     Ok(report)
 }

@@ -1,7 +1,6 @@
 use marf_scene::Pose;
 
-use super::{Link, Model, Task};
-use crate::bundle::BundleError;
+use super::{Link, MapError, Model, Task};
 use crate::estimators::ray_angle_rad;
 use crate::two_view::RelationKind;
 
@@ -59,7 +58,7 @@ impl Demand {
 }
 
 /// A model of two photos; `None` if they do not hold together.
-pub(super) fn start(task: &Task<'_>, link: &Link) -> Result<Option<Model>, BundleError> {
+pub(super) fn start(task: &Task<'_>, link: &Link) -> Result<Option<Model>, MapError> {
     let [first, second] = link.photos;
     let mut model = Model::empty(task, first);
     model.poses[first] = Some(Pose::identity());

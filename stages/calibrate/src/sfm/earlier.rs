@@ -2,8 +2,7 @@ use marf_scene::{Camera, Pose, Scene};
 use marf_stage::{Ctx, Inputs, StageError};
 
 use crate::align::{Tolerance, align};
-use crate::bundle::BundleError;
-use crate::mapper::{Model, Task, grow_from, settle};
+use crate::mapper::{MapError, Model, Task, grow_from, settle};
 use crate::metric::transform;
 use crate::photos::Item;
 
@@ -41,7 +40,7 @@ pub(super) fn load(
 impl Earlier {
     /// Holds the earlier poses while new photos are added, adjusts all, and moves the answer back so that the
     /// world of the earlier scene stays.
-    pub(super) fn extend(&self, task: &Task<'_>) -> Result<Vec<Model>, BundleError> {
+    pub(super) fn extend(&self, task: &Task<'_>) -> Result<Vec<Model>, MapError> {
         let known = |photo: usize| self.known[photo].as_ref();
         let Some(anchor) = (0..self.known.len()).find(|&photo| known(photo).is_some()) else {
             return Ok(Vec::new());

@@ -22,9 +22,9 @@ use marf_scene::Camera;
 use marf_stage::{Ctx, Inputs, StageError};
 use rayon::prelude::*;
 
-use crate::bundle::{BundleError, LensModel};
+use crate::bundle::LensModel;
 use crate::labels;
-use crate::mapper::{LensChoice, Link, MapOptions, Model, SharedCamera, Task, Tracks, View, map};
+use crate::mapper::{LensChoice, Link, MapError, MapOptions, Model, SharedCamera, Task, Tracks, View, map};
 use crate::metric::{LabelPose, Outvoted, place};
 use crate::params::{CalibrateParams, LensParam};
 use crate::photos::{Calibrated, Item};
@@ -93,9 +93,9 @@ pub(crate) fn run(
     answer::answer(ctx, &solved, earlier.as_ref(), params)
 }
 
-fn stopped(error: BundleError) -> StageError {
+fn stopped(error: MapError) -> StageError {
     match error {
-        BundleError::Stopped => StageError::Cancelled,
+        MapError::Stopped => StageError::Cancelled,
         other => StageError::new(other.to_string()),
     }
 }

@@ -1,0 +1,1 @@
+//! Tests of the whole adjustment on scenes of known truth.
