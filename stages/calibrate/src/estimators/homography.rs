@@ -66,7 +66,7 @@ pub(crate) struct PlaneMotion {
 }
 
 /// Returns the two motions behind a homography between plane coordinates (Ma, Soatto, Kosecka, Sastry 2004, 5.3.3),
-/// most frontal plane first; none where it is within 1e-9 of a turn on the spot or not finite.
+/// the lesser turn first; none where it is within 1e-9 of a turn on the spot or not finite.
 ///
 /// Both explain a plane equally well. What tells them apart are points off the plane, and those on it that one of
 /// the two would put behind a camera.
@@ -86,7 +86,7 @@ pub(crate) fn plane_motions(homography: &Matrix3<f64>, pairs: &[Pair]) -> Vec<Pl
     let across = svd.v.column(2) * large.max(0.0).sqrt() / spread;
     let middle = svd.v.column(1).into_owned();
     let mut motions = [along + across, along - across].map(|unit| plane_motion(&h, &middle, &unit, pairs));
-    if motions[1].normal.z > motions[0].normal.z {
+    if motions[1].cam2_from_cam1.rotation.trace() > motions[0].cam2_from_cam1.rotation.trace() {
         motions.swap(0, 1);
     }
     motions.into_iter().filter(|motion| motion.cam2_from_cam1.is_valid()).collect()

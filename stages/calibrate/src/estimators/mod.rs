@@ -24,10 +24,14 @@ pub(crate) use epipolar::{Family, Pair, depths, essential_of, polish_epipolar, p
 pub(crate) use essential::five_point;
 pub(crate) use fundamental::{eight_point, seven_point};
 pub(crate) use homography::{fit_homography, four_point, plane_motions, transfer2};
-pub(crate) use p3p::p3p;
 pub(crate) use ransac::{Consensus, Trials, better, improved, lo_ransac};
-pub(crate) use resect::{Resection, Seen, polish_pose, resect};
-pub(crate) use rotation::{cross_matrix, exp_so3, log_so3, nearest_rotation, ray_angle_rad, turn_between};
-pub(crate) use similarity::{Similarity, similarity};
-pub(crate) use svd::svd3;
-pub(crate) use triangulate::{Sight, Triangulated, triangulate, triangulate_robust};
+pub(crate) use rotation::{cross_matrix, turn_between};
+
+#[allow(unused_imports, reason = "what the mapper and the bundle adjustment ask of this room")]
+pub(crate) use {
+    p3p::p3p,
+    resect::{Resection, Seen, polish_pose, resect},
+    rotation::{exp_so3, log_so3, nearest_rotation, ray_angle_rad},
+    similarity::{Similarity, similarity},
+    triangulate::{Sight, Triangulated, triangulate, triangulate_robust},
+};

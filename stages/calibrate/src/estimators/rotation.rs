@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::svd::{any_orthogonal, svd3};
+use super::svd::svd3;
 
 /// The matrix [v]x with [v]x w = v x w.
 pub(crate) fn cross_matrix(v: &Vector3<f64>) -> Matrix3<f64> {
@@ -63,13 +63,6 @@ pub(crate) fn turn_between(pairs: impl Iterator<Item = (Vector3<f64>, Vector3<f6
 pub(crate) fn ray_angle_rad(centre_1: &Vector3<f64>, centre_2: &Vector3<f64>, point: &Vector3<f64>) -> f64 {
     let (ray_1, ray_2) = (point - centre_1, point - centre_2);
     libm::atan2(ray_1.cross(&ray_2).norm(), ray_1.dot(&ray_2))
-}
-
-/// A rotation whose third row is a unit vector.
-pub(crate) fn facing(unit: &Vector3<f64>) -> Matrix3<f64> {
-    let right = any_orthogonal(unit);
-    let down = unit.cross(&right);
-    Matrix3::from_rows(&[right.transpose(), down.transpose(), unit.transpose()])
 }
 
 #[cfg(test)]
