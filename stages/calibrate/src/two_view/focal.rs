@@ -24,12 +24,16 @@ const MOST_INLIERS: usize = 200;
 const DEPTH: f64 = 0.1;
 const ASIDE: f64 = 1.35;
 
+/// This share of the weight must lie within twice `SCALE` at the minimum: each plane's matrix is essential somewhere too,
+/// but no two at the same focal length.
+const AGREED: f64 = 0.5;
+
 /// Finds the focal length, in pixels, that makes the fundamental matrices of many pairs of one camera best essential.
 ///
 /// An essential matrix has two equal singular values (Mendonca and Cipolla, CVPR 1999): their relative difference, under
 /// Cauchy's loss and weighed by inliers, is searched over [0.2, 5] x the longer side, principal point at the
-/// camera's, fx : fy kept. `None` with no usable pair, with the minimum at an end of the range, or where it is shallow: planes,
-/// turns on the spot and parallel axes leave every focal length equally good.
+/// camera's, fx : fy kept. `None` with no usable pair, with the minimum at an end of the range, where it is shallow (parallel axes: every
+/// focal length is as good) or shared by less than half of the pairs (planes). Turns on the spot do determine it.
 pub(crate) fn focal_from_pairs(pairs: &[(Matrix3<f64>, usize)], camera: &Camera) -> Option<f64> {
     let side = f64::from(camera.width.max(camera.height));
     let usable: Vec<(Matrix3<f64>, f64)> =
@@ -56,8 +60,10 @@ pub(crate) fn focal_from_pairs(pairs: &[(Matrix3<f64>, usize)], camera: &Camera)
     let log_focal = golden(&loss, at(best - 1), at(best + 1));
     let aside = libm::log(ASIDE);
     let rise = loss(log_focal - aside).min(loss(log_focal + aside)) - loss(log_focal);
-    let focal = libm::exp(log_focal) * side;
-    (rise >= DEPTH && focal.is_finite()).then_some(focal)
+    let focal = libm::exp(log_focal);
+    let near = usable.iter().filter(|(f, _)| imbalance(f, focal) <= 2.0 * SCALE);
+    let agreed: f64 = near.map(|(_, weight)| weight).sum();
+    (rise >= DEPTH && agreed >= AGREED * total).then_some(focal * side)
 }
 
 fn weight(inliers: usize) -> f64 {

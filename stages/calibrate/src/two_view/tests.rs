@@ -377,3 +377,41 @@ fn pairs_that_do_not_determine_the_focal_length_say_so() {
     assert_eq!(focal_from_pairs(&[(Matrix3::zeros(), 100)], &camera()), None);
     assert_eq!(focal_from_pairs(&[(Matrix3::from_element(f64::NAN), 100)], &camera()), None);
 }
+mod micro {
+    use super::*;
+    use crate::estimators::*;
+    use std::time::Instant;
+    #[test]
+    fn throwaway_micro() {
+        let v = views(sideways(), Layout::Deep, 300, 0.5, 3, &camera()).with_outliers(300, 4);
+        let pairs: Vec<Pair> = (0..300).map(|i| [v.a[i], v.b[i]].map(|p| (p - Vector2::new(500.0, 375.0)) / 500.0)).collect();
+        let mut dice = Dice::new(1);
+        let n = 20000;
+        let t = Instant::now(); let mut c = 0;
+        for _ in 0..n { let s: [usize; 7] = dice.sample(300); let r = seven_point(&s.map(|i| pairs[i][0]), &s.map(|i| pairs[i][1])); c += r.len(); }
+        println!("seven {:.2} us, {:.2} each", t.elapsed().as_secs_f64() / n as f64 * 1e6, c as f64 / n as f64);
+        let t = Instant::now(); let mut c = 0;
+        for _ in 0..n { let s: [usize; 5] = dice.sample(300); let r = five_point(&s.map(|i| pairs[i][0]), &s.map(|i| pairs[i][1])); c += r.len(); }
+        println!("five {:.2} us, {:.2} each", t.elapsed().as_secs_f64() / n as f64 * 1e6, c as f64 / n as f64);
+        let t = Instant::now(); let mut c = 0;
+        for _ in 0..n { let s: [usize; 4] = dice.sample(300); let r = four_point(&s.map(|i| pairs[i][0]), &s.map(|i| pairs[i][1])); c += r.map_or(0, |_| 1); }
+        println!("four {:.2} us, {:.2} each", t.elapsed().as_secs_f64() / n as f64 * 1e6, c as f64 / n as f64);
+        let m = seven_point(&[0,1,2,3,4,5,6].map(|i| pairs[i][0]), &[0,1,2,3,4,5,6].map(|i| pairs[i][1]));
+        let t = Instant::now(); let mut c = 0.0;
+        for _ in 0..n { for p in &pairs { c += sampson2(&m[0], p, [1.0; 2]).min(1e-4); } }
+        println!("sampson {:.2} ns, {c}", t.elapsed().as_secs_f64() / n as f64 / 300.0 * 1e9);
+        let t = Instant::now();
+        for _ in 0..200 { eight_point(&pairs, &vec![1.0; 300]); }
+        println!("eight of 300 {:.2} us", t.elapsed().as_secs_f64() / 200.0 * 1e6);
+        let t = Instant::now();
+        for _ in 0..200 { eight_point(&pairs[..15], &vec![1.0; 15]); }
+        println!("eight of 15 {:.2} us", t.elapsed().as_secs_f64() / 200.0 * 1e6);
+        let t = Instant::now();
+        for _ in 0..200 { polish_epipolar(&m[0], pairs.iter(), [1.0; 2], 0.01, Family::Essential, 3); }
+        println!("polish 3 of 300 {:.2} us", t.elapsed().as_secs_f64() / 200.0 * 1e6);
+        let t = Instant::now(); let mut c = 0;
+        let w: Vec<Vector3<f64>> = (0..300).map(|_| Vector3::new(dice.unit(), dice.unit(), dice.unit())).collect();
+        for _ in 0..n { let s: [usize; 3] = dice.sample(300); c += p3p(&s.map(|i| pairs[i][0]), &s.map(|i| w[i])).len(); }
+        println!("p3p {:.2} us, {:.2} each", t.elapsed().as_secs_f64() / n as f64 * 1e6, c as f64 / n as f64);
+    }
+}
