@@ -15,7 +15,10 @@ fn bundle(criterion: &mut Criterion) {
     ] {
         let task = adjustment(poses, points, free, dense);
         let (steps, cost) = task.run();
-        let name = format!("{name}, {} observations, {steps} steps, cost {cost:.3}", task.observations());
+        let name = format!(
+            "{name}, {} observations, {steps} steps, cost {cost:.3}",
+            task.observations()
+        );
         group.bench_function(name, |bencher| bencher.iter(|| task.run()));
     }
     group.finish();

@@ -60,7 +60,11 @@ pub(super) fn check(problem: &Problem) -> Result<(), BundleError> {
 fn check_lengths(problem: &Problem) -> Result<(), BundleError> {
     let poses = problem.poses.len();
     let lengths = [
-        ("camera freedom", problem.camera_freedom.len(), problem.cameras.len()),
+        (
+            "camera freedom",
+            problem.camera_freedom.len(),
+            problem.cameras.len(),
+        ),
         ("pose freedom", problem.pose_freedom.len(), poses),
         ("camera of pose", problem.camera_of_pose.len(), poses),
     ];

@@ -61,7 +61,12 @@ pub(super) fn forward(l: &[f64], n: usize, first: usize, b: &mut [f64]) {
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut lanes = [0.0; 4];
     let (left, right) = (a.chunks_exact(4), b.chunks_exact(4));
-    let rest: f64 = left.remainder().iter().zip(right.remainder()).map(|(a, b)| a * b).sum();
+    let rest: f64 = left
+        .remainder()
+        .iter()
+        .zip(right.remainder())
+        .map(|(a, b)| a * b)
+        .sum();
     for (a, b) in left.zip(right) {
         for lane in 0..4 {
             lanes[lane] += a[lane] * b[lane];
@@ -153,7 +158,11 @@ mod tests {
         let element = |index: usize| {
             let (row, column) = (index / n, index % n);
             let product = dot(&m[row * n..][..n], &m[column * n..][..n]);
-            if row == column { product + n as f64 } else { product }
+            if row == column {
+                product + n as f64
+            } else {
+                product
+            }
         };
         (0..n * n).map(element).collect()
     }

@@ -53,7 +53,9 @@ pub(crate) fn pose_covariances(problem: &Problem, sigma_px: f64) -> Option<Vec<M
 /// Tells whether every pose that is not held is in the system.
 fn all_touched(task: &Task) -> bool {
     let freedom = task.problem.pose_freedom.iter().zip(&task.index.slot_of_pose);
-    freedom.into_iter().all(|(freedom, &slot)| *freedom == super::PoseFreedom::Fixed || slot != NONE)
+    freedom
+        .into_iter()
+        .all(|(freedom, &slot)| *freedom == super::PoseFreedom::Fixed || slot != NONE)
 }
 
 fn shrink(prior: &mut Prior, factor: f64) {
@@ -102,7 +104,8 @@ fn block(task: &Task, factor: &Factor, slot: usize) -> Matrix6<f64> {
             column
         })
         .collect();
-    let mut block = Matrix6::from_fn(|row, column| cholesky::dot(&columns[row][at..], &columns[column][at..]));
+    let mut block =
+        Matrix6::from_fn(|row, column| cholesky::dot(&columns[row][at..], &columns[column][at..]));
     if let Some(axis) = task.index.held_axis[slot] {
         block.row_mut(3 + usize::from(axis)).fill(0.0);
         block.column_mut(3 + usize::from(axis)).fill(0.0);

@@ -90,14 +90,7 @@ fn subtract_couples(task: &Task, schur: &Schur, first: usize, second: usize, row
 }
 
 /// Sets the six rows of one pose, up to its own block.
-fn assemble_pose(
-    task: &Task,
-    system: &System,
-    schur: &Schur,
-    damping: f64,
-    slot: usize,
-    rows: &mut [f64],
-) {
+fn assemble_pose(task: &Task, system: &System, schur: &Schur, damping: f64, slot: usize, rows: &mut [f64]) {
     let index = &task.index;
     let n = index.unknowns();
     let active = index.active_of_slot[slot] as usize;

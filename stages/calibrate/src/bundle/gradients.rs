@@ -75,14 +75,20 @@ pub(super) fn solve(
 }
 
 fn add_scaled(to: &mut [f64], from: &[f64], factor: f64) {
-    to.iter_mut().zip(from).for_each(|(to, from)| *to += from * factor);
+    to.iter_mut()
+        .zip(from)
+        .for_each(|(to, from)| *to += from * factor);
 }
 
 fn precondition(blocks: &[Block], vector: &[f64], to: &mut Vec<f64>) {
     to.clear();
     to.extend_from_slice(vector);
     for block in blocks {
-        cholesky::solve(&block.factor, block.size, &mut to[block.at..block.at + block.size]);
+        cholesky::solve(
+            &block.factor,
+            block.size,
+            &mut to[block.at..block.at + block.size],
+        );
     }
 }
 

@@ -53,12 +53,19 @@ pub(super) fn count(prior: &Prior) -> usize {
 pub(super) fn slopes(prior: &Prior, state: &State) -> [Matrix6<f64>; 2] {
     let mut slopes = [Matrix6::zeros(); 2];
     let mut set = |which: usize, row: usize, column: usize, block: Matrix3<f64>| {
-        slopes[which].fixed_view_mut::<3, 3>(row, column).copy_from(&block);
+        slopes[which]
+            .fixed_view_mut::<3, 3>(row, column)
+            .copy_from(&block);
     };
     match *prior {
         Prior::Centre { sigma, .. } => set(0, 0, 3, Matrix3::identity() / sigma),
         Prior::Attitude { sigma_rad, .. } => {
-            set(0, 0, 0, turn::log_slope(&attitude_error(prior, state)) / sigma_rad);
+            set(
+                0,
+                0,
+                0,
+                turn::log_slope(&attitude_error(prior, state)) / sigma_rad,
+            );
         }
         Prior::Relative {
             pose_2,

@@ -150,7 +150,11 @@ impl State {
                 *pose = frame.pose(view);
             }
         }
-        for (point, (new, old)) in problem.points.iter_mut().zip(self.points.iter().zip(&start.points)) {
+        for (point, (new, old)) in problem
+            .points
+            .iter_mut()
+            .zip(self.points.iter().zip(&start.points))
+        {
             if new != old {
                 *point = frame.outside(new);
             }
@@ -179,13 +183,8 @@ impl Bounds {
             } else {
                 (0.5 * camera.fx_px, 2.0 * camera.fx_px)
             },
-            lens: [camera.k1, camera.k2, camera.p1, camera.p2].map(|start| {
-                if start.abs() < 1.0 {
-                    1.0
-                } else {
-                    2.0 * start.abs()
-                }
-            }),
+            lens: [camera.k1, camera.k2, camera.p1, camera.p2]
+                .map(|start| if start.abs() < 1.0 { 1.0 } else { 2.0 * start.abs() }),
         }
     }
 

@@ -215,7 +215,9 @@ impl System {
 fn held_columns(task: &Task, state: &State) -> Vec<Vec<usize>> {
     let held = |(camera, terms): (usize, &Vec<Term>)| {
         let reached = |term: &Term| task.bounds[camera].reached(&state.cameras[camera], *term);
-        (0..terms.len()).filter(|&column| reached(&terms[column])).collect()
+        (0..terms.len())
+            .filter(|&column| reached(&terms[column]))
+            .collect()
     };
     task.index.terms.iter().enumerate().map(held).collect()
 }
@@ -277,12 +279,7 @@ fn is_singular(h: &[f64; 6]) -> bool {
 
 fn pose_block(task: &Task, active: usize, pose: &Active, rows: &[Row], lens_rows: &[LensRow]) -> PoseBlock {
     let mut block = PoseBlock::default();
-    let held_axis = task
-        .index
-        .held_axis
-        .get(pose.slot as usize)
-        .copied()
-        .flatten();
+    let held_axis = task.index.held_axis.get(pose.slot as usize).copied().flatten();
     let camera = task.problem.camera_of_pose[pose.pose as usize] as usize;
     let terms = task.index.terms[camera].len();
     for &observation in task.index.observations_of_active.of(active) {

@@ -104,7 +104,10 @@ pub(crate) fn residual(problem: &Problem, observation: &Observation) -> Option<V
     let pose = problem.poses.get(observation.pose as usize)?;
     let camera = *problem.camera_of_pose.get(observation.pose as usize)?;
     let point = problem.points.get(observation.point as usize)?;
-    let projected = problem.cameras.get(camera as usize)?.project(&pose.point(point))?;
+    let projected = problem
+        .cameras
+        .get(camera as usize)?
+        .project(&pose.point(point))?;
     let error = projected - observation.pixel;
     (error.x.is_finite() && error.y.is_finite()).then_some(error)
 }
