@@ -67,7 +67,7 @@ pub(crate) fn run(ctx: &Ctx<'_>, items: &[Item], params: &CalibrateParams) -> Re
         metres_per_unit: Some(1.0),
         method: "labels: resampled once to an ideal pinhole, cubic in 8-bit sRGB".to_owned(),
         hint: "take an archive whose labels hold camera models, choose another `site`, widen `sols`, or use \
-               method = \"import\""
+               `method = \"import\"`"
             .to_owned(),
     })
 }

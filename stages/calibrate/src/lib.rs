@@ -26,4 +26,4 @@ mod two_view;
 pub use export::{Sight, TrackPoint, Tracks, write_colmap, write_ply, write_transforms};
 pub use metrics::{Metrics, Missing, PhotoMetrics, Totals};
 pub use params::{CalibrateParams, Method};
-pub use stage::{Calibrate, METRICS, SCENE, TRANSFORMS};
+pub use stage::{Calibrate, METRICS, POINTS, SCENE, SPARSE, TRANSFORMS};

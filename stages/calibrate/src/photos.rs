@@ -71,7 +71,7 @@ pub(crate) fn load(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<Item>, StageErr
     if items.is_empty() {
         return Err(
             StageError::new("the set of photos is empty: there is nothing to calibrate").hint(
-                "see the verdicts of the nodes before it: loosen the filter that rejected the last photo",
+                "the verdicts of the nodes before it tell why each photo was left out; `marf filter DIR` lists them",
             ),
         );
     }

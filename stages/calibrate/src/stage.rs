@@ -7,7 +7,10 @@ use marf_stage::{
 };
 
 use crate::photos::{Calibrated, HeldOut, Item, Placed, load};
-use crate::{CalibrateParams, Method, Metrics, PhotoMetrics, Totals, import, labels, write_transforms};
+use crate::{
+    CalibrateParams, Method, Metrics, PhotoMetrics, Totals, Tracks, import, labels, write_colmap, write_ply,
+    write_transforms,
+};
 
 /// Output that holds the scene ([`Scene::encode`]).
 pub const SCENE: &str = "scene";
@@ -15,11 +18,15 @@ pub const SCENE: &str = "scene";
 pub const METRICS: &str = "metrics";
 /// Output that holds the scene as transforms.json ([`write_transforms`]).
 pub const TRANSFORMS: &str = "transforms";
+/// Outputs below this name are the scene as COLMAP's model ([`write_colmap`]): `sparse/0/cameras.bin`.
+pub const SPARSE: &str = "sparse/";
+/// Output that holds the sparse points as PLY ([`write_ply`]).
+pub const POINTS: &str = "points.ply";
 
 /// Finds the camera of each photo.
 ///
 /// - In: the photos; for `import` the files beside them.
-/// - Out: `scene`, `metrics`, `transforms`.
+/// - Out: `scene`, `metrics`, and the scene for other programs: `transforms`, `sparse/0/….bin`, `points.ply`.
 /// - Cost: `labels` decodes, resamples and encodes each photo once, at most 0.4 s a megapixel and core for
 ///   CAHVOR, 0.6 s for CAHVORE; `import` reads no photo unless `longest_side_px` asks for smaller ones.
 /// - Bad input: a photo that cannot be placed is listed with the reason; a camera file that is wrong anywhere
@@ -30,12 +37,12 @@ impl Define for Calibrate {
     type Params = CalibrateParams;
     const NAME: &'static str = "calibrate";
     const ABOUT: &'static str = "Photos and labels or imported cameras to a calibrated scene";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PORTS: &'static [Port] = &[
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),
     ];
-    const OUTPUTS: &'static [&'static str] = &[SCENE, METRICS, TRANSFORMS];
+    const OUTPUTS: &'static [&'static str] = &[SCENE, METRICS, TRANSFORMS, SPARSE, POINTS];
 
     fn new(params: CalibrateParams) -> Result<Self, ParamError> {
         params.check()?;
@@ -79,13 +86,17 @@ impl Set for Calibrate {
             .map_err(|error| StageError::new(error.to_string()))?;
         let metrics =
             serde_json::to_vec_pretty(&metrics).map_err(|error| StageError::new(error.to_string()))?;
+        let tracks = Tracks::without_sights(&scene.points);
         let outputs = [
             (SCENE, bytes),
             (METRICS, metrics),
             (TRANSFORMS, write_transforms(&scene).into_bytes()),
+            (POINTS, write_ply(&tracks)),
         ];
-        let stored = outputs.map(|(name, bytes)| Ok((name.to_owned(), ctx.put(&bytes)?)));
-        stored.into_iter().collect()
+        let outputs = outputs.map(|(name, bytes)| (name.to_owned(), bytes));
+        let model = write_colmap(&scene, &tracks).map(|(name, bytes)| (format!("{SPARSE}0/{name}"), bytes));
+        let stored = outputs.into_iter().chain(model);
+        stored.map(|(name, bytes)| Ok((name, ctx.put(&bytes)?))).collect()
     }
 }
 
@@ -153,6 +164,7 @@ fn metrics(found: &Calibrated, items: &[Item]) -> Metrics {
         unplaced: found.unplaced.len(),
         missing: found.missing.len(),
         points: found.points.len(),
+        components: None,
         error_px: (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64),
     };
     photos.sort_by(|a, b| a.id.cmp(&b.id));
