@@ -144,7 +144,7 @@ pub struct RunArgs {
 pub struct CalibrateArgs {
     /// A folder with photos, and labels or cameras beside them
     pub dir: PathBuf,
-    /// transforms.json to write; metrics.json goes beside it
+    /// transforms.json to write; metrics.json, sparse/0 (COLMAP's model) and points.ply go beside it
     #[arg(long, value_name = "FILE", default_value = "transforms.json")]
     pub out: PathBuf,
     /// Where cameras come from
@@ -199,4 +199,15 @@ pub enum Method {
     Labels,
     /// transforms.json or a COLMAP model found in the folder
     Import,
+}
+
+impl Method {
+    /// Returns the method as pipeline.toml names it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Sfm => "sfm",
+            Self::Labels => "labels",
+            Self::Import => "import",
+        }
+    }
 }

@@ -125,6 +125,7 @@ pub(crate) fn run(
         tracks: Vec::new(),
         metres_per_unit: None,
         method: format!("import of {}", source.name()),
+        components: None,
         cause: None,
         hint: format!(
             "check that the names in {} are those of the photos beside it",

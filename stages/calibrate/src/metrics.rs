@@ -28,6 +28,9 @@ pub struct Totals {
     pub missing: usize,
     /// Sparse points.
     pub points: usize,
+    /// Groups of photos that could not be joined, the scene's own among them, if the method tells.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub components: Option<usize>,
     /// Mean over the photos that have one of their mean reprojection error, pixels.
     pub error_px: Option<f64>,
     /// The same at the size at which features were sought, pixels; `sfm` only.

@@ -59,6 +59,8 @@ pub(crate) struct Calibrated {
     pub up: Option<[f64; 3]>,
     pub metres_per_unit: Option<f64>,
     pub method: String,
+    /// Groups the photos fall into that nothing links, if the method tells.
+    pub components: Option<usize>,
     /// Why most of the others were not placed, if the method can tell better than the commonest reason.
     pub cause: Option<String>,
     /// What to try if too few photos were placed.
@@ -79,7 +81,7 @@ pub(crate) fn load(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<Item>, StageErr
     if items.is_empty() {
         return Err(
             StageError::new("the set of photos is empty: there is nothing to calibrate").hint(
-                "see the verdicts of the nodes before it: loosen the filter that rejected the last photo",
+                "the verdicts of the nodes before it tell why each photo was left out; `marf filter DIR` lists them",
             ),
         );
     }

@@ -8,7 +8,8 @@ use marf_stage::{
 
 use crate::photos::{Calibrated, HeldOut, Item, Placed, load};
 use crate::{
-    CalibrateParams, Method, Metrics, PhotoMetrics, Totals, TrackPoint, Tracks, import, labels, sfm,
+    CalibrateParams, Method, Metrics, PhotoMetrics, Totals, TrackPoint, Tracks, import, labels, sfm, write_colmap,
+    write_ply,
     write_transforms,
 };
 
@@ -16,15 +17,17 @@ use crate::{
 pub const SCENE: &str = "scene";
 /// Output that says how each photo fared ([`Metrics`] as JSON).
 pub const METRICS: &str = "metrics";
-/// Output that holds the sparse points and where each was seen ([`Tracks::encode`]).
-pub const TRACKS: &str = "tracks";
 /// Output that holds the scene as transforms.json ([`write_transforms`]).
 pub const TRANSFORMS: &str = "transforms";
+/// Outputs below this name are the scene as COLMAP's model ([`write_colmap`]): `sparse/0/cameras.bin`.
+pub const SPARSE: &str = "sparse/";
+/// Output that holds the sparse points as PLY ([`write_ply`]).
+pub const POINTS: &str = "points.ply";
 
 /// Finds the camera of each photo.
 ///
 /// - In: the photos; for `import` the files beside them.
-/// - Out: `scene`, `metrics`, `transforms`.
+/// - Out: `scene`, `metrics`, and the scene for other programs: `transforms`, `sparse/0/….bin`, `points.ply`.
 /// - Cost: `labels` decodes, resamples and encodes each photo once, at most 0.4 s a megapixel and core for
 ///   CAHVOR, 0.6 s for CAHVORE; `import` reads no photo unless `longest_side_px` asks for smaller ones.
 /// - Bad input: a photo that cannot be placed is listed with the reason; a camera file that is wrong anywhere
@@ -40,7 +43,7 @@ impl Define for Calibrate {
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),
     ];
-    const OUTPUTS: &'static [&'static str] = &[SCENE, METRICS, TRANSFORMS, TRACKS];
+    const OUTPUTS: &'static [&'static str] = &[SCENE, METRICS, TRANSFORMS, SPARSE, POINTS];
 
     fn new(params: CalibrateParams) -> Result<Self, ParamError> {
         params.check()?;
@@ -78,9 +81,12 @@ impl Set for Calibrate {
         hold_out(&mut found.placed, self.0.hold_every);
         check_training(&found.placed)?;
         let metrics = metrics(&found, &items);
-        let tracks = std::mem::take(&mut found.tracks);
+        let seen = std::mem::take(&mut found.tracks);
         let scene = scene(found, &items);
-        let tracks = of_frames(tracks, &scene, &items);
+        let tracks = match seen.is_empty() {
+            true => Tracks::without_sights(&scene.points),
+            false => of_frames(seen, &scene, &items),
+        };
         let bytes = scene
             .encode()
             .map_err(|error| StageError::new(error.to_string()))?;
@@ -90,10 +96,12 @@ impl Set for Calibrate {
             (SCENE, bytes),
             (METRICS, metrics),
             (TRANSFORMS, write_transforms(&scene).into_bytes()),
-            (TRACKS, tracks.encode()),
+            (POINTS, write_ply(&tracks)),
         ];
-        let stored = outputs.map(|(name, bytes)| Ok((name.to_owned(), ctx.put(&bytes)?)));
-        stored.into_iter().collect()
+        let outputs = outputs.map(|(name, bytes)| (name.to_owned(), bytes));
+        let model = write_colmap(&scene, &tracks).map(|(name, bytes)| (format!("{SPARSE}0/{name}"), bytes));
+        let stored = outputs.into_iter().chain(model);
+        stored.map(|(name, bytes)| Ok((name, ctx.put(&bytes)?))).collect()
     }
 }
 
@@ -164,6 +172,7 @@ fn metrics(found: &Calibrated, items: &[Item]) -> Metrics {
         unplaced: found.unplaced.len(),
         missing: found.missing.len(),
         points: found.points.len(),
+        components: found.components,
         error_px: mean(photos.iter().filter_map(|photo| photo.error_px).collect()),
         error_working_px: mean(working.collect()),
     };

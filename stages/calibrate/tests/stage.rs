@@ -399,7 +399,7 @@ fn the_version_is_raised_when_the_answer_changes() {
     assert_eq!(
         found,
         (
-            1,
+            2,
             "4cd9888f9ed8 563ab5fcc1aa".to_owned(),
             "623dffaa62ab d8f0f8b2add1".to_owned()
         )
@@ -431,6 +431,23 @@ fn a_colmap_model_beside_the_photos_is_read() {
     let photo = &output.metrics.photos[0];
     assert_eq!((photo.matches, photo.inliers), (Some(1), Some(1)));
     assert_eq!(output.metrics.totals.error_px, Some(0.0));
+    let model = marf_calibrate::import::Model {
+        names: ["cameras", "images", "points3D"],
+        cameras: &output.model[0],
+        images: &output.model[1],
+        points: Some(&output.model[2]),
+    };
+    let again = marf_calibrate::import::read_colmap_binary(&model).unwrap();
+    assert_eq!(
+        again.views[1].cam_from_world,
+        output.scene.frames[1].cam_from_world
+    );
+    assert_eq!(again.points[0].position, output.scene.points[0].position);
+    assert!(
+        output
+            .points
+            .starts_with(b"ply\nformat binary_little_endian 1.0\nelement vertex 1\n")
+    );
     let named = input
         .run(&json!({"method": "import", "file": "sparse/0"}))
         .unwrap();

@@ -54,6 +54,7 @@ pub(super) fn answer(
         },
         placed,
         method: method(solved, metric, earlier),
+        components: Some(groups(solved)),
         cause: worst.as_ref().map(|(count, cause)| format!("{count} photos: {}", cause.kind())),
         hint: worst.map_or_else(String::new, |(_, cause)| cause.hint().to_owned()),
     })
@@ -225,6 +226,14 @@ fn sparse(point: &TrackPoint) -> Point {
         color: Some(point.color),
         views: point.sights.len() as u32,
     }
+}
+
+/// Groups of two and more photos that nothing links.
+fn groups(solved: &Solved<'_>) -> usize {
+    let component = components(solved.prepared.len(), solved.task.links);
+    let mut sizes: BTreeMap<usize, usize> = BTreeMap::new();
+    component.into_iter().for_each(|rank| *sizes.entry(rank).or_default() += 1);
+    sizes.values().filter(|size| **size > 1).count()
 }
 
 /// Why each photo that is in none of the chosen models is not.

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use marf_cache::{Digest, manifest::Row};
-use marf_calibrate::{Calibrate, METRICS, Metrics, SCENE, TRANSFORMS};
+use marf_calibrate::{Calibrate, METRICS, Metrics, POINTS, SCENE, TRANSFORMS};
 use marf_scene::{Photo, PhotoFacts, Scene};
 use marf_stage::{COMPANIONS, Inputs, PHOTOS, Stage, StageDef, StageError, Work, define, harness::Harness};
 
@@ -26,6 +26,9 @@ pub struct Output {
     pub scene_digest: Digest,
     pub metrics: Metrics,
     pub transforms: String,
+    /// cameras.bin, images.bin and points3D.bin.
+    pub model: [Vec<u8>; 3],
+    pub points: Vec<u8>,
 }
 
 impl Input {
@@ -91,6 +94,9 @@ impl Input {
             scene_digest: outputs[SCENE],
             metrics: serde_json::from_slice(&get(METRICS)).unwrap(),
             transforms: String::from_utf8(get(TRANSFORMS).to_vec()).unwrap(),
+            model: ["cameras", "images", "points3D"]
+                .map(|name| get(&format!("sparse/0/{name}.bin")).to_vec()),
+            points: get(POINTS).to_vec(),
         })
     }
 
