@@ -33,8 +33,48 @@ pub use metrics::{Metrics, Missing, PhotoMetrics, Totals};
 pub use params::{CalibrateParams, FirstOctaveParam, Intrinsics, LensParam, Method, Pairs};
 pub use stage::{Calibrate, METRICS, POINTS, SCENE, SPARSE, TRANSFORMS};
 
-/// Doors for the benches.
+/// What the benches measure; no part of the interface.
 #[doc(hidden)]
 pub mod bench_api {
     pub use crate::bundle::bench::{Adjustment, adjustment};
+
+    use marf_scene::{Image, Srgb};
+
+    use crate::features::{FeatureOptions, Features, Gray, Mask, extract};
+    use crate::matching::{MatchOptions, match_pair};
+
+    /// Features of a photo.
+    pub struct Found(Features);
+
+    /// A photo at its working size.
+    pub struct Working(Gray, Mask);
+
+    impl Working {
+        /// Shrinks a photo.
+        pub fn new(photo: &Image<Srgb>, factor: u32) -> Self {
+            Self(Gray::of(photo, factor), Mask::of(photo, factor, None))
+        }
+
+        /// Finds features with the default options.
+        pub fn extract(&self) -> Found {
+            Found(extract(&self.0, &self.1, &FeatureOptions::default()))
+        }
+    }
+
+    impl Found {
+        /// Returns how many.
+        pub fn count(&self) -> usize {
+            self.0.keypoints.len()
+        }
+
+        /// Returns them as bytes.
+        pub fn encode(&self) -> Vec<u8> {
+            self.0.encode()
+        }
+
+        /// Matches two photos with the default options.
+        pub fn matches(&self, other: &Self) -> Vec<[u32; 2]> {
+            match_pair(&self.0, &other.0, &MatchOptions::default())
+        }
+    }
 }

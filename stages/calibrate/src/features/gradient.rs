@@ -70,7 +70,7 @@ fn direction(y: f32, x: f32) -> f32 {
     if y < 0.0 { 2.0 * PI - arc } else { arc }
 }
 
-/// Returns exp(-t) for t in [0, 8], within 1e-5 of itself: a short series of t / 16, raised to the 16th power.
+/// Returns exp(-t) for t in [0, 5], within 4e-5 of itself: a short series of t / 16, raised to the 16th power.
 #[inline(always)]
 pub(super) fn exp_minus(t: f32) -> f32 {
     let u = t * -0.0625;
@@ -109,10 +109,10 @@ mod tests {
 
     #[test]
     fn the_exponential_is_that_of_the_library() {
-        for step in 0..=800 {
+        for step in 0..=500 {
             let t = step as f32 / 100.0;
             let ratio = f64::from(exp_minus(t)) / (-f64::from(t)).exp();
-            assert!((ratio - 1.0).abs() < 1e-4, "{t}: {ratio}");
+            assert!((ratio - 1.0).abs() < 4e-5, "{t}: {ratio}");
         }
     }
 

@@ -25,10 +25,8 @@ impl Mask {
         let factor = factor.max(1);
         let (width, height) = (photo.width / factor, photo.height / factor);
         let mut open = vec![true; width as usize * height as usize];
-        let black = boxes(photo, factor, |pixel| pixel == [0; 3]);
-        let burnt = boxes(photo, factor, |pixel| {
-            pixel.iter().all(|&channel| channel >= BURNT)
-        });
+        let black = boxes(photo, factor, |channel| channel == 0);
+        let burnt = boxes(photo, factor, |channel| channel >= BURNT);
         for kind in [black, burnt] {
             close_areas(kind, width as usize, &mut open);
         }
@@ -39,17 +37,19 @@ impl Mask {
     }
 }
 
-/// Returns where all pixels of a box are of a kind.
-fn boxes(photo: &Image<Srgb>, factor: u32, is: impl Fn([u8; 3]) -> bool) -> Vec<bool> {
+/// Returns where all channels of a box are of a kind.
+fn boxes(photo: &Image<Srgb>, factor: u32, is: impl Fn(u8) -> bool) -> Vec<bool> {
     let (width, factor) = (photo.width as usize, factor as usize);
     let columns = width / factor;
     let mut all = Vec::with_capacity(columns * (photo.height as usize / factor));
     for rows in photo.pixels.chunks_exact((width * factor).max(1)) {
         let first = all.len();
-        all.resize(first + columns, true);
-        for row in rows.chunks_exact(width) {
+        // Most rows have no such byte: told at once, many bytes at a time.
+        let any = rows.as_flattened().iter().fold(false, |any, &channel| any | is(channel));
+        all.resize(first + columns, any);
+        for row in rows.chunks_exact(width).filter(|_| any) {
             for (all, pixels) in all[first..].iter_mut().zip(row.chunks_exact(factor)) {
-                *all &= pixels.iter().all(|&pixel| is(pixel));
+                *all &= pixels.as_flattened().iter().all(|&channel| is(channel));
             }
         }
     }

@@ -14,6 +14,7 @@ const RADIUS: f32 = 3.0;
 const NEXT: f32 = 0.8;
 
 /// Returns the strongest one or two directions of a point in eighths of a turn, in [0, 8); none where all is flat.
+#[inline(always)]
 pub(super) fn directions(gradient: &Gradient, point: &Found) -> Vec<f32> {
     let bins = smooth(histogram(gradient, point));
     let greatest = bins.iter().copied().fold(0.0, f32::max);
@@ -35,6 +36,7 @@ pub(super) fn directions(gradient: &Gradient, point: &Found) -> Vec<f32> {
 }
 
 /// Adds magnitudes in a round Gaussian window, shared by the two nearest bins.
+#[inline(always)]
 fn histogram(gradient: &Gradient, point: &Found) -> [f32; BINS] {
     let mut bins = [0.0; BINS];
     let sigma = WINDOW * point.sigma;
@@ -54,7 +56,7 @@ fn histogram(gradient: &Gradient, point: &Found) -> [f32; BINS] {
             let at = y * gradient.width + x;
             let weight = gradient.magnitude[at] * exp_minus(squared * falloff);
             let bin = gradient.eighths[at] * (BINS as f32 / 8.0);
-            let (low, share) = (bin as usize, bin - bin.floor());
+            let (low, share) = (bin as usize, bin - (bin as usize) as f32);
             bins[low % BINS] += weight * (1.0 - share);
             bins[(low + 1) % BINS] += weight * share;
         }
@@ -63,6 +65,7 @@ fn histogram(gradient: &Gradient, point: &Found) -> [f32; BINS] {
 }
 
 /// Averages three neighbours six times, as VLFeat does.
+#[inline(always)]
 fn smooth(mut bins: [f32; BINS]) -> [f32; BINS] {
     for _ in 0..6 {
         bins = std::array::from_fn(|bin| {

@@ -152,7 +152,11 @@ fn double(gray: &Gray) -> Vec<f32> {
 
 /// Blurs rows and columns; edges are repeated.
 fn blur(isa: Isa, from: &[f32], to: &mut Vec<f32>, width: usize, weights: Vec<f32>) {
-    to.resize(from.len(), 0.0);
+    to.truncate(from.len());
+    if to.len() < from.len() {
+        // Fresh zeros come from the system without being written.
+        *to = vec![0.0; from.len()];
+    }
     if !from.is_empty() {
         isa.run(Blur {
             from,
