@@ -7,8 +7,8 @@ use serde::Deserialize;
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema, ContentHash)]
 #[serde(default, deny_unknown_fields)]
 pub struct CalibrateParams {
-    /// Where cameras come from: `labels` (the archive's labels) or `import` (transforms.json or a COLMAP model
-    /// beside the photos).
+    /// Where cameras come from: `labels` (the archive's labels), `import` (transforms.json or a COLMAP model
+    /// beside the photos) or `colmap` (an installed COLMAP is run on the photos).
     pub method: Method,
     /// Every so many photos, sorted by file name and starting with the first, one is kept from training and
     /// measured; 0 keeps none. An import with train and test file names decides by itself.
@@ -26,6 +26,8 @@ pub struct CalibrateParams {
     /// `sfm`: keep the scene of the last run as it is and register only the photos that are new. That scene is
     /// then an input of this node; without it, or with `false`, the scene is built anew.
     pub extend: bool,
+    /// `colmap`: the program to run; without it the `colmap` that is found on PATH.
+    pub colmap: Option<String>,
 }
 
 /// Where cameras come from.
@@ -38,6 +40,8 @@ pub enum Method {
     Import,
     /// Structure from motion; not in this version.
     Sfm,
+    /// An installed COLMAP; its answer is not the same to the byte on every machine.
+    Colmap,
 }
 
 impl Default for CalibrateParams {
@@ -50,6 +54,7 @@ impl Default for CalibrateParams {
             site: None,
             file: None,
             extend: false,
+            colmap: None,
         }
     }
 }

@@ -8,8 +8,8 @@ use marf_stage::{
 
 use crate::photos::{Calibrated, HeldOut, Item, Placed, load};
 use crate::{
-    CalibrateParams, Method, Metrics, PhotoMetrics, Totals, Tracks, import, labels, write_colmap, write_ply,
-    write_transforms,
+    CalibrateParams, Method, Metrics, PhotoMetrics, Totals, Tracks, colmap, import, labels, write_colmap,
+    write_ply, write_transforms,
 };
 
 /// Output that holds the scene ([`Scene::encode`]).
@@ -74,6 +74,7 @@ impl Set for Calibrate {
         let mut found = match self.0.method {
             Method::Labels => labels::run(ctx, &items, &self.0)?,
             Method::Import => import::run(ctx, inputs, &items, &self.0)?,
+            Method::Colmap => colmap::run(ctx, inputs, &items, &self.0)?,
             Method::Sfm => return Err(StageError::new("structure from motion is not in this version")),
         };
         check_enough(&found, items.len(), self.0.min_registered)?;
