@@ -199,6 +199,8 @@ pub enum Method {
     Labels,
     /// transforms.json or a COLMAP model found in the folder
     Import,
+    /// An installed COLMAP
+    Colmap,
 }
 
 impl Method {
@@ -208,6 +210,7 @@ impl Method {
             Self::Sfm => "sfm",
             Self::Labels => "labels",
             Self::Import => "import",
+            Self::Colmap => "colmap",
         }
     }
 }

@@ -113,7 +113,7 @@ pub(crate) fn run(
     let sorted = sort_out(&source, &cameras.views, items).map_err(refused)?;
     let done = sorted.pairs.par_iter().map(|(item, view)| {
         ctx.check()?;
-        place(ctx, &source, view, *item, &items[*item], params)
+        place(ctx, &source.name(), view, *item, &items[*item], params)
     });
     let placed = done.collect::<Result<Vec<Placed>, StageError>>()?;
     Ok(Calibrated {
@@ -238,9 +238,10 @@ fn sort_out<'a>(source: &Source, views: &'a [View], items: &[Item]) -> Result<So
     })
 }
 
-fn place(
+/// Places one photo by its view; `file` is where the view stands, for messages.
+pub(crate) fn place(
     ctx: &Ctx<'_>,
-    source: &Source,
+    file: &str,
     view: &View,
     index: usize,
     item: &Item,
@@ -255,12 +256,12 @@ fn place(
     };
     let camera = view.lens.camera(width, height).map_err(|problem| {
         let problem = format!("photo `{}`: {problem}", item.id);
-        refused(ImportError::new(&source.name(), &view.place, problem))
+        refused(ImportError::new(file, &view.place, problem))
     })?;
-    let (image, file, camera) = sized(ctx, item, camera, params)?;
+    let (image, name, camera) = sized(ctx, item, camera, params)?;
     Ok(Placed {
         item: index,
-        file,
+        file: name,
         image,
         camera,
         cam_from_world: view.cam_from_world,

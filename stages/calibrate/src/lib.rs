@@ -2,13 +2,14 @@
 //!
 //! `sfm` finds cameras from the photos themselves, with labels as priors; `labels` takes the camera models of
 //! the archive's labels and resamples each photo once to an ideal pinhole; `import` reads the cameras another
-//! program found. Invariant: a photo is in the scene with a camera for the very bytes its frame names, or it is
-//! listed as unplaced with the reason; none is dropped in silence.
+//! program found; `colmap` runs an installed COLMAP. Invariant: a photo is in the scene with a camera for the
+//! very bytes its frame names, or it is listed as unplaced with the reason; none is dropped in silence.
 
 #![allow(dead_code)]
 
 mod align;
 mod bundle;
+mod colmap;
 mod dice;
 mod estimators;
 mod export;

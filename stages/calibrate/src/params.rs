@@ -8,7 +8,8 @@ use serde::Deserialize;
 #[serde(default, deny_unknown_fields)]
 pub struct CalibrateParams {
     /// Where cameras come from: `sfm` (the photos themselves, labels as priors), `labels` (the archive's labels
-    /// as they are) or `import` (transforms.json or a COLMAP model beside the photos).
+    /// as they are), `import` (transforms.json or a COLMAP model beside the photos) or `colmap` (an installed
+    /// COLMAP is run on the photos).
     pub method: Method,
     /// Every so many photos, sorted by file name and starting with the first, one is kept from training and
     /// measured; 0 keeps none. An import with train and test file names decides by itself.
@@ -45,6 +46,8 @@ pub struct CalibrateParams {
     /// `sfm`: keep the scene of the last run as it is and register only the photos that are new. That scene is
     /// then an input of this node; without it, or with `false`, the scene is built anew.
     pub extend: bool,
+    /// `colmap`: the program to run; without it the `colmap` that is found on PATH.
+    pub colmap: Option<String>,
 }
 
 /// Where cameras come from.
@@ -57,6 +60,8 @@ pub enum Method {
     Labels,
     /// Cameras of another program.
     Import,
+    /// An installed COLMAP; its answer is not the same to the byte on every machine.
+    Colmap,
 }
 
 /// Where the search for features begins.
@@ -126,6 +131,7 @@ impl Default for CalibrateParams {
             seed: 0,
             file: None,
             extend: false,
+            colmap: None,
         }
     }
 }

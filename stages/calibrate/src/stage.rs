@@ -8,9 +8,8 @@ use marf_stage::{
 
 use crate::photos::{Calibrated, HeldOut, Item, Placed, load};
 use crate::{
-    CalibrateParams, Method, Metrics, PhotoMetrics, Totals, TrackPoint, Tracks, import, labels, sfm, write_colmap,
-    write_ply,
-    write_transforms,
+    CalibrateParams, Method, Metrics, PhotoMetrics, Totals, TrackPoint, Tracks, colmap, import, labels, sfm,
+    write_colmap, write_ply, write_transforms,
 };
 
 /// Output that holds the scene ([`Scene::encode`]).
@@ -76,6 +75,7 @@ impl Set for Calibrate {
             Method::Labels => labels::run(ctx, &items, &self.0)?,
             Method::Import => import::run(ctx, inputs, &items, &self.0)?,
             Method::Sfm => sfm::run(ctx, inputs, &items, &self.0)?,
+            Method::Colmap => colmap::run(ctx, inputs, &items, &self.0)?,
         };
         check_enough(&found, items.len(), self.0.min_registered)?;
         hold_out(&mut found.placed, self.0.hold_every);

@@ -42,7 +42,8 @@ fn the_demo_is_brought_back_to_its_true_cameras_in_metres() {
     let (input, truth) = demo();
     let output = input.run(&json!({"method": "sfm"})).unwrap();
     let judged = judge(&output.scene, &truth);
-    println!("{judged:?} {}", output.scene.method);
+    println!("{judged:?} {} {:?}", output.scene.method, output.scene.frames[0].camera);
+    println!("{:?}", output.metrics.totals);
     assert_eq!(judged.photos, truth.len());
     assert!(judged.rest_deg[0] <= 0.05 && judged.angle_deg[0] <= 0.05, "{judged:?}");
     assert!(judged.position[0] <= 0.001, "{judged:?}");
@@ -98,7 +99,8 @@ fn the_mock_up_agrees_with_colmap_and_with_itself_for_any_threads() {
         return;
     };
     let judged = judge(&output.scene, &truth);
-    println!("{judged:?} {}", output.scene.method);
+    println!("{judged:?} {} {:?}", output.scene.method, output.scene.frames[0].camera);
+    println!("{:?}", output.metrics.totals);
     assert_eq!((judged.photos, output.scene.frames.len()), (92, 92));
     assert!(judged.position[0] <= 0.001 && judged.position[1] <= 0.005, "{judged:?}");
     assert!(judged.rest_deg[0] <= 0.15 && judged.rest_deg[1] <= 0.5, "{judged:?}");

@@ -32,6 +32,17 @@ pub(crate) struct VerifyOptions {
     pub confidence: f64,
 }
 
+impl Default for VerifyOptions {
+    fn default() -> Self {
+        Self {
+            max_error_px: 4.0,
+            min_inliers: 15,
+            max_trials: 2000,
+            confidence: 0.999,
+        }
+    }
+}
+
 /// A photo's camera (its focal length may be a guess) and the pixels of its features.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ViewPoints<'a> {

@@ -1,0 +1,173 @@
+//! Cameras from an installed COLMAP, by explicit choice.
+//!
+//! The one method that leaves the program: what it answers is COLMAP's, not reproducible to the byte, and kept
+//! under the node's key like any other result. The version that made it is named in the scene.
+
+mod program;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use marf_scene::encode_png;
+use marf_stage::{Ctx, Inputs, StageError};
+use rayon::prelude::*;
+
+use crate::CalibrateParams;
+use crate::import::{self, Model, read_colmap_binary};
+use crate::masks::mask_file;
+use crate::photos::{Calibrated, Item, Placed, decode};
+use program::Program;
+
+/// Up to this many photos every pair is matched; beyond, each with its neighbours by file name.
+const EXHAUSTIVE: usize = 60;
+/// Names of the model's files, for messages and on the disk.
+const FILES: [&str; 3] = ["cameras.bin", "images.bin", "points3D.bin"];
+
+/// Places the photos that the largest of COLMAP's models has.
+///
+/// Photos of one instrument, device and size share a camera of the model OPENCV; masks are given along; features
+/// and matches are found on the CPU. The world is COLMAP's own, without scale; up is the mean of the cameras'.
+///
+/// # Errors
+/// No such program, a step that fails (with its last lines), no model.
+pub(crate) fn run(
+    ctx: &Ctx<'_>,
+    inputs: &Inputs,
+    items: &[Item],
+    params: &CalibrateParams,
+) -> Result<Calibrated, StageError> {
+    let room = tempfile::tempdir().map_err(|error| disk("a temporary folder", &error))?;
+    let program = Program::find(ctx, params.colmap.as_deref().unwrap_or("colmap"), room.path())?;
+    let names = lay_out(ctx, inputs, items, room.path())?;
+    let matcher = match items.len() {
+        0..=EXHAUSTIVE => "exhaustive_matcher",
+        _ => "sequential_matcher",
+    };
+    program.extract_features(ctx)?;
+    program.find_matches(ctx, matcher)?;
+    program.map(ctx)?;
+    let models = models(&room.path().join("models"))?;
+    let Some(files) = models.first() else {
+        return Err(StageError::new("colmap placed no photo").hint(
+            "photos of one scene that overlap by half are needed; `method = \"sfm\"` says which photos match",
+        ));
+    };
+    let model = Model {
+        names: FILES,
+        cameras: &files[0],
+        images: &files[1],
+        points: Some(&files[2]),
+    };
+    let cameras = read_colmap_binary(&model).map_err(|error| StageError::new(error.to_string()))?;
+    let views: Vec<_> = cameras
+        .views
+        .iter()
+        .filter_map(|view| Some((*names.get(&view.file)?, view)))
+        .collect();
+    let placed = views
+        .par_iter()
+        .map(|(item, view)| import::place(ctx, FILES[1], view, *item, &items[*item], params))
+        .collect::<Result<Vec<Placed>, StageError>>()?;
+    let found: BTreeSet<usize> = placed.iter().map(|one| one.item).collect();
+    let absent = (0..items.len()).filter(|item| !found.contains(item));
+    let reason = format!("not in the largest of colmap's models, of {}", models.len());
+    Ok(Calibrated {
+        unplaced: absent.map(|item| (item, reason.clone())).collect(),
+        missing: Vec::new(),
+        points: cameras.points,
+        tracks: Vec::new(),
+        components: None,
+        cause: None,
+        up: import::mean_up(&placed),
+        placed,
+        metres_per_unit: None,
+        method: format!("{}: OPENCV cameras, {matcher}, largest model", program.version),
+        hint: "take photos that overlap by half, or try `method = \"sfm\"`".to_owned(),
+    })
+}
+
+fn disk(what: &str, error: &std::io::Error) -> StageError {
+    StageError::new(format!("{what} for colmap cannot be written: {error}"))
+        .hint("make room in the folder for temporary files (TMPDIR)")
+}
+
+/// Writes photos and masks as COLMAP reads them and returns which item each name stands for.
+///
+/// Photos that share a camera share a folder; names sort as the files do, because neighbours are matched.
+fn lay_out(
+    ctx: &Ctx<'_>,
+    inputs: &Inputs,
+    items: &[Item],
+    room: &Path,
+) -> Result<BTreeMap<String, usize>, StageError> {
+    let camera = |item: &Item| {
+        let facts = item.facts.clone();
+        (facts.instrument, facts.device, facts.width, facts.height)
+    };
+    let cameras: BTreeSet<_> = items.iter().map(camera).collect();
+    let mut order: Vec<usize> = (0..items.len()).collect();
+    order.sort_by(|a, b| (&items[*a].facts.file, *a).cmp(&(&items[*b].facts.file, *b)));
+    let mut names = BTreeMap::new();
+    for (rank, item) in order.into_iter().enumerate() {
+        ctx.check()?;
+        let folder = cameras.iter().position(|one| *one == camera(&items[item]));
+        let (bytes, end) = upright(ctx, &items[item])?;
+        let name = format!("{:03}/{rank:05}.{end}", folder.unwrap_or_default());
+        write(&room.join("images").join(&name), &bytes)?;
+        if let Some(mask) = mask_file(ctx, inputs, &items[item])? {
+            let mask = encode_png(&mask).map_err(|error| StageError::new(error.to_string()))?;
+            write(&room.join("masks").join(format!("{name}.png")), &mask)?;
+        }
+        names.insert(name, item);
+    }
+    Ok(names)
+}
+
+/// The photo's own bytes if COLMAP sees in them what we do: it reads JPEG and PNG, and turns nothing upright.
+fn upright(ctx: &Ctx<'_>, item: &Item) -> Result<(Vec<u8>, &'static str), StageError> {
+    let bytes = ctx.get(&item.image)?;
+    let turned = item
+        .facts
+        .notes
+        .iter()
+        .any(|note| note.starts_with("turned upright"));
+    match bytes.get(..4) {
+        Some([0xff, 0xd8, ..]) if !turned => Ok((bytes.to_vec(), "jpg")),
+        Some(b"\x89PNG") if !turned => Ok((bytes.to_vec(), "png")),
+        _ => {
+            let png = encode_png(&decode(ctx, item)?.image);
+            Ok((png.map_err(|error| StageError::new(error.to_string()))?, "png"))
+        }
+    }
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), StageError> {
+    let folder = path.parent().map_or(Ok(()), std::fs::create_dir_all);
+    folder
+        .and_then(|()| std::fs::write(path, bytes))
+        .map_err(|error| disk("a photo", &error))
+}
+
+/// Reads all models, the one with most photos first, then by number.
+fn models(folder: &Path) -> Result<Vec<[Vec<u8>; 3]>, StageError> {
+    let mut models = Vec::new();
+    for number in 0.. {
+        let model = folder.join(number.to_string());
+        if !model.is_dir() {
+            break;
+        }
+        let read = |file: &str| {
+            let fail = |error| StageError::new(format!("colmap's {file} cannot be read: {error}"));
+            std::fs::read(model.join(file)).map_err(fail)
+        };
+        models.push([read(FILES[0])?, read(FILES[1])?, read(FILES[2])?]);
+    }
+    // The file of images begins with their number.
+    let photos = |files: &[Vec<u8>; 3]| {
+        files[1]
+            .first_chunk()
+            .map_or(0, |count| u64::from_le_bytes(*count))
+    };
+    models.sort_by_key(|files| std::cmp::Reverse(photos(files)));
+    Ok(models)
+}
