@@ -90,8 +90,13 @@ mod tests {
                 let turn = axis * angle;
                 let rotation = exp_so3(&turn);
                 let back = log_so3(&rotation);
-                let error = (back - turn).norm().min(if angle > 3.1 { (back + turn).norm() } else { 9.0 });
-                assert!(error <= 4e-15 * angle.max(1e-3), "angle {angle:e} {axis}: {error:e}");
+                let error = (back - turn)
+                    .norm()
+                    .min(if angle > 3.1 { (back + turn).norm() } else { 9.0 });
+                assert!(
+                    error <= 4e-15 * angle.max(1e-3),
+                    "angle {angle:e} {axis}: {error:e}"
+                );
                 let defect = (rotation * rotation.transpose() - Matrix3::identity()).norm();
                 assert!(defect < 4e-15, "angle {angle}: {defect:e}");
             }
@@ -104,7 +109,10 @@ mod tests {
         assert!((nearest_rotation(&mirror).determinant() - 1.0).abs() < 1e-15);
         let turn = exp_so3(&Vector3::new(0.3, -0.2, 2.0));
         for scale in [1e-12, 1.0, 1e12] {
-            assert!((nearest_rotation(&(turn * scale)) - turn).norm() < 1e-14, "scale {scale:e}");
+            assert!(
+                (nearest_rotation(&(turn * scale)) - turn).norm() < 1e-14,
+                "scale {scale:e}"
+            );
         }
     }
 

@@ -61,7 +61,11 @@ fn basis(b0: &Vector3<f64>, b1: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
     let u0 = b0.try_normalize(0.0).unwrap_or_else(Vector3::x);
     let rest = b1 - u0 * u0.dot(b1);
     let clear = rest.norm() > 1e-14 * b0.norm();
-    let u1 = if clear { rest.normalize() } else { any_orthogonal(&u0) };
+    let u1 = if clear {
+        rest.normalize()
+    } else {
+        any_orthogonal(&u0)
+    };
     // Once more: the first projection leaves a rest of 1e-16 / |b1|.
     (u0, (u1 - u0 * u0.dot(&u1)).normalize())
 }
@@ -105,7 +109,10 @@ pub(crate) fn null_space<const ROWS: usize, const FREE: usize>(
 
 /// The unit vector that a sum of outer products of rows shrinks most; `None` where it is not finite.
 pub(crate) fn smallest(outer: &SMatrix<f64, 9, 9>) -> Option<SVector<f64, 9>> {
-    let eigen = outer.iter().all(|value| value.is_finite()).then(|| outer.symmetric_eigen())?;
+    let eigen = outer
+        .iter()
+        .all(|value| value.is_finite())
+        .then(|| outer.symmetric_eigen())?;
     Some(eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned())
 }
 
@@ -131,10 +138,17 @@ mod tests {
             let m = left * middle * right * scale;
             let Svd3 { u, s, v } = svd3(&m);
             let back = u * Matrix3::from_diagonal(&s) * v.transpose();
-            assert!((back - m).norm() < 1e-14 * m.norm(), "trial {trial}: {}", (back - m).norm());
+            assert!(
+                (back - m).norm() < 1e-14 * m.norm(),
+                "trial {trial}: {}",
+                (back - m).norm()
+            );
             for turn in [u, v] {
                 let defect = (turn * turn.transpose() - Matrix3::identity()).norm();
-                assert!(defect < 1e-13 && turn.determinant() > 0.0, "trial {trial}: {defect:e}");
+                assert!(
+                    defect < 1e-13 && turn.determinant() > 0.0,
+                    "trial {trial}: {defect:e}"
+                );
             }
             assert!(s.x >= s.y && s.y >= s.z.abs() - 1e-14 * s.x, "trial {trial}: {s}");
         }
@@ -151,7 +165,10 @@ mod tests {
         for rows in [rows, [SVector::zeros(); 5]] {
             let null: [_; 4] = null_space(rows);
             for i in 0..4 {
-                assert!(rows.iter().all(|row| row.dot(&null[i]).abs() < 1e-14), "vector {i}");
+                assert!(
+                    rows.iter().all(|row| row.dot(&null[i]).abs() < 1e-14),
+                    "vector {i}"
+                );
                 assert!((0..4).all(|j| (null[i].dot(&null[j]) - f64::from(i == j)).abs() < 1e-14));
             }
         }

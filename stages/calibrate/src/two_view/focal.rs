@@ -36,8 +36,10 @@ const AGREED: f64 = 0.5;
 /// focal length is as good) or shared by less than half of the pairs (planes). Turns on the spot do determine it.
 pub(crate) fn focal_from_pairs(pairs: &[(Matrix3<f64>, usize)], camera: &Camera) -> Option<f64> {
     let side = f64::from(camera.width.max(camera.height));
-    let usable: Vec<(Matrix3<f64>, f64)> =
-        pairs.iter().filter_map(|(f, inliers)| Some((centred(f, camera, side)?, weight(*inliers)))).collect();
+    let usable: Vec<(Matrix3<f64>, f64)> = pairs
+        .iter()
+        .filter_map(|(f, inliers)| Some((centred(f, camera, side)?, weight(*inliers))))
+        .collect();
     let total: f64 = usable.iter().map(|(_, weight)| weight).sum();
     if usable.is_empty() || total <= 0.0 {
         return None;
@@ -86,7 +88,11 @@ fn imbalance(fundamental: &Matrix3<f64>, focal: f64) -> f64 {
     let k = nalgebra::Vector3::new(focal, focal, 1.0);
     let e = fundamental.component_mul(&(k * k.transpose()));
     let row = |i: usize| e.row(i).transpose();
-    let cofactors = [row(1).cross(&row(2)), row(2).cross(&row(0)), row(0).cross(&row(1))];
+    let cofactors = [
+        row(1).cross(&row(2)),
+        row(2).cross(&row(0)),
+        row(0).cross(&row(1)),
+    ];
     let product = cofactors.iter().map(|c| c.norm_squared()).sum::<f64>().sqrt();
     let squares = e.norm_squared();
     ((squares - 2.0 * product).max(0.0) / (squares + 2.0 * product)).sqrt()

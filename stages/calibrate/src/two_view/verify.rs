@@ -34,7 +34,11 @@ pub(crate) fn verify(
     let mut try_on = |spots: &Spots| {
         let least = least_inliers(spots.len(), b, options);
         let cameras = [a.camera, b.camera];
-        conclude(spots, &judge(cameras, spots, focal, options, least, &mut dice), least)
+        conclude(
+            spots,
+            &judge(cameras, spots, focal, options, least, &mut dice),
+            least,
+        )
     };
     let same_size = (a.camera.width, a.camera.height) == (b.camera.width, b.camera.height);
     let rests = |i: &usize| {
@@ -71,7 +75,10 @@ fn still_ones_fit(
         return false;
     };
     let limit2 = options.max_error_px * options.max_error_px;
-    let (k_1, k_2) = (super::spots::intrinsics(a.camera), super::spots::intrinsics(b.camera));
+    let (k_1, k_2) = (
+        super::spots::intrinsics(a.camera),
+        super::spots::intrinsics(b.camera),
+    );
     let fits = |i: &&usize| {
         let [p, q] = &spots.planes[**i];
         let pair = [(k_1 * p.push(1.0)).xy(), (k_2 * q.push(1.0)).xy()];
@@ -101,17 +108,33 @@ fn conclude(spots: &Spots, judged: &Judged, least: usize) -> Verified {
         _ => VerifiedKind::General,
     };
     let calibrated = essential as f64 >= ESSENTIAL_SHARE * fundamental as f64;
-    let chosen = if calibrated { judged.essential.as_ref() } else { judged.fundamental.as_ref() };
+    let chosen = if calibrated {
+        judged.essential.as_ref()
+    } else {
+        judged.fundamental.as_ref()
+    };
     let mut inliers: Vec<usize> = chosen.map_or_else(Vec::new, |found| found.inliers.clone());
-    if let Some(plane) = judged.homography.as_ref().filter(|_| kind == VerifiedKind::Planar) {
+    if let Some(plane) = judged
+        .homography
+        .as_ref()
+        .filter(|_| kind == VerifiedKind::Planar)
+    {
         inliers.extend(&plane.inliers);
         inliers.sort_unstable();
         inliers.dedup();
     }
     let keep = kind != VerifiedKind::None;
     Verified {
-        inliers: inliers.iter().filter(|_| keep).map(|&i| spots.matches[i]).collect(),
-        fundamental: judged.fundamental.as_ref().filter(|_| keep).map(|found| found.model),
+        inliers: inliers
+            .iter()
+            .filter(|_| keep)
+            .map(|&i| spots.matches[i])
+            .collect(),
+        fundamental: judged
+            .fundamental
+            .as_ref()
+            .filter(|_| keep)
+            .map(|found| found.model),
         fundamental_inliers: fundamental as u32,
         essential_inliers: essential as u32,
         homography_inliers: homography as u32,
