@@ -80,14 +80,21 @@ pub(super) fn judge(
         trials,
     };
     let homography = search.homography(dice);
+    let fundamental = search.fundamental(homography.as_ref(), dice);
+    let agreed = |count: Option<usize>| count.is_some_and(|count| count >= least);
+    // Where neither finds anything, five points will not: their trials reach the same share of inliers.
+    let hopeful = agreed(fundamental.as_ref().map(|found| found.inliers.len()))
+        || agreed(homography.as_ref().map(|found| found.inliers.len()));
     let noise2 = [a, b].map(|camera| unit * unit / (focal_px(camera) * focal_px(camera)));
-    let essential = (focal == FocalKnown::Known)
+    let essential = (focal == FocalKnown::Known && hopeful)
         .then(|| search.essential(noise2, dice))
         .flatten();
     let proposed = essential
         .as_ref()
         .and_then(|essential| Some(to_2.try_inverse()?.transpose() * essential.model * to_1.try_inverse()?));
-    let fundamental = search.fundamental(homography.as_ref(), proposed, dice);
+    let fundamental = search
+        .with_candidate(fundamental, proposed)
+        .map(|found| search.last_polish(found));
     let (to_1, to_2) = (centring(a, unit), centring(b, unit));
     let fundamental = fundamental.map(|found| Consensus {
         model: (to_2.transpose() * found.model * to_1).normalize(),
@@ -170,7 +177,6 @@ impl Search<'_> {
     fn fundamental(
         &self,
         homography: Option<&Consensus<TwoWay>>,
-        proposed: Option<Matrix3<f64>>,
         dice: &mut Dice,
     ) -> Option<Consensus<Matrix3<f64>>> {
         let solve = |sample: &[usize; 7]| {
@@ -179,31 +185,44 @@ impl Search<'_> {
         };
         let error2 = |f: &Matrix3<f64>, i: usize| self.epipolar_error(f, i);
         let improve = |f: &Matrix3<f64>, inliers: &[usize]| self.reweighed(f, inliers);
+        let sampled = lo_ransac(self.pairs.len(), &self.trials, dice, solve, error2, improve);
+        self.with_candidate(
+            sampled,
+            homography.and_then(|found| self.through_plane(found, dice)),
+        )
+    }
+
+    /// The better of a consensus and one more fundamental matrix, the latter improved.
+    fn with_candidate(
+        &self,
+        best: Option<Consensus<Matrix3<f64>>>,
+        candidate: Option<Matrix3<f64>>,
+    ) -> Option<Consensus<Matrix3<f64>>> {
+        let error2 = |f: &Matrix3<f64>, i: usize| self.epipolar_error(f, i);
+        let improve = |f: &Matrix3<f64>, inliers: &[usize]| self.reweighed(f, inliers);
         let count = self.pairs.len();
-        let mut best = lo_ransac(count, &self.trials, dice, solve, error2, improve);
-        let through_plane = homography.and_then(|found| self.through_plane(found, dice));
-        for candidate in through_plane.into_iter().chain(proposed) {
-            if let Some(found) = better(candidate, count, best.as_ref(), &error2) {
-                best = Some(improved(found, count, &error2, &improve));
-            }
+        let found = candidate.and_then(|candidate| better(candidate, count, best.as_ref(), &error2));
+        found
+            .map(|found| improved(found, count, &error2, &improve))
+            .or(best)
+    }
+
+    fn last_polish(&self, found: Consensus<Matrix3<f64>>) -> Consensus<Matrix3<f64>> {
+        if found.inliers.len() <= 7 {
+            return found;
         }
-        let found = best?;
-        let agreed = Self::selected(&self.pairs, &found.inliers);
-        let scale = self.limit / 2.0;
-        let last = (found.inliers.len() > 7)
-            .then(|| {
-                polish_epipolar(
-                    &found.model,
-                    agreed,
-                    [1.0; 2],
-                    scale,
-                    Family::Fundamental,
-                    LAST_STEPS,
-                )
-            })
-            .flatten();
-        let last = last.and_then(|model| better(model, count, Some(&found), &error2));
-        Some(last.unwrap_or(found))
+        let (agreed, scale) = (Self::selected(&self.pairs, &found.inliers), self.limit / 2.0);
+        let last = polish_epipolar(
+            &found.model,
+            agreed,
+            [1.0; 2],
+            scale,
+            Family::Fundamental,
+            LAST_STEPS,
+        );
+        let error2 = |f: &Matrix3<f64>, i: usize| self.epipolar_error(f, i);
+        last.and_then(|model| better(model, self.pairs.len(), Some(&found), &error2))
+            .unwrap_or(found)
     }
 
     fn epipolar_error(&self, fundamental: &Matrix3<f64>, i: usize) -> f64 {
