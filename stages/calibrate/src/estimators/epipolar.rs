@@ -21,8 +21,8 @@ pub(crate) enum Family {
 
 /// Squared Sampson distance, first order in the noise (Hartley and Zisserman 2004, eq. 11.9).
 ///
-/// `noise2`: squared sigma of one unit of error in photo 1 and 2, in the points' unit ((1 / focal)² in plane units gives
-/// an answer in pixels²). Infinite where both points are epipoles.
+/// `noise2`: squared sigma of one unit of error in photo 1 and 2, in the points' unit ((1 / focal)² in
+/// plane units gives an answer in pixels²). Infinite where both points are epipoles.
 pub(crate) fn sampson2(matrix: &Matrix3<f64>, [p, q]: &Pair, noise2: [f64; 2]) -> f64 {
     let (p, q) = (p.push(1.0), q.push(1.0));
     let (line_2, line_1) = (matrix * p, matrix.tr_mul(&q));
@@ -90,8 +90,8 @@ pub(crate) fn polish_epipolar<'a>(
     polished.iter().all(|value| value.is_finite()).then_some(polished)
 }
 
-/// The Sampson residual and its slopes along turns of U (3), of V (3) and s; for an essential matrix the turn of V about z
-/// repeats that of U and s is fixed, so both slopes are 0.
+/// The Sampson residual and its slopes along turns of U (3), of V (3) and s; for an essential matrix the
+/// turn of V about z repeats that of U and s is fixed, so both slopes are 0.
 fn sampson_slope(
     factors: &Factors,
     matrix: &Matrix3<f64>,
@@ -132,8 +132,8 @@ pub(crate) fn essential_of(cam2_from_cam1: &Pose) -> Matrix3<f64> {
     cross_matrix(&cam2_from_cam1.translation) * cam2_from_cam1.rotation
 }
 
-/// Returns the one of the four poses behind E (unit translation) that has most pairs in front of both cameras, and how
-/// many; of equals the first.
+/// Returns the one of the four poses behind E (unit translation) that has most pairs in front of both
+/// cameras, and how many; of equals the first.
 pub(crate) fn pose_of_essential<'a>(
     essential: &Matrix3<f64>,
     pairs: impl Iterator<Item = &'a Pair> + Clone,

@@ -6,7 +6,8 @@ use super::epipolar::Pair;
 use super::roots::real_roots;
 use super::svd::{matrix, null_space};
 
-/// Coefficients of a polynomial in x, y, z of degree 1 (x y z 1), 2 (xx xy xz yy yz zz x y z 1) and 3 (order of `CUBIC`).
+/// Coefficients of a polynomial in x, y, z of degree 1 (x y z 1), 2 (xx xy xz yy yz zz x y z 1) and 3
+/// (order of `CUBIC`).
 type Linear = [f64; 4];
 type Quadric = [f64; 10];
 type Cubic = SVector<f64, 20>;
@@ -31,9 +32,9 @@ const CUBIC: [[usize; 4]; 10] = [
 
 /// Returns the essential matrices E (unit norm) with x2ᵀ E x1 = 0 for five points, at most ten.
 ///
-/// Nister, PAMI 2004: E = x X + y Y + z Z + W in the null space, ten cubic constraints, Gauss-Jordan, a polynomial of
-/// degree 10 in z. Coplanar points are fine; points on a line, equal points or a pure turn leave a larger null space
-/// and give few, wrong or no matrices, never one that is not finite.
+/// Nister, PAMI 2004: E = x X + y Y + z Z + W in the null space, ten cubic constraints, Gauss-Jordan, a
+/// polynomial of degree 10 in z. Coplanar points are fine; points on a line, equal points or a pure turn
+/// leave a larger null space and give few, wrong or no matrices, never one that is not finite.
 pub(crate) fn five_point(plane_1: &[Vector2<f64>; 5], plane_2: &[Vector2<f64>; 5]) -> Vec<Matrix3<f64>> {
     let rows: [_; 5] = std::array::from_fn(|i| epipolar_row(&[plane_1[i], plane_2[i]]));
     if !rows

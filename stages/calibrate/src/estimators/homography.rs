@@ -8,7 +8,8 @@ use super::fundamental::{moved, normaliser};
 use super::rotation::nearest_rotation;
 use super::svd::{matrix, smallest, svd3};
 
-/// Returns H with x2 ~ H x1 for four points, unit norm; `None` where three of them are on a line in either photo.
+/// Returns H with x2 ~ H x1 for four points, unit norm; `None` where three of them are on a line in either
+/// photo.
 pub(crate) fn four_point(points_1: &[Vector2<f64>; 4], points_2: &[Vector2<f64>; 4]) -> Option<Matrix3<f64>> {
     let (from, to) = (frame(points_1)?, frame(points_2)?);
     let homography = (to * from.try_inverse()?).normalize();
@@ -60,19 +61,19 @@ pub(crate) fn transfer2(homography: &Matrix3<f64>, p: &Vector2<f64>, q: &Vector2
     if error.is_finite() { error } else { f64::INFINITY }
 }
 
-/// A motion past a plane: `normal`, in camera 1's frame, has n·X > 0 for points seen; the translation is in units
-/// of the distance of camera 1 to the plane.
+/// A motion past a plane: `normal`, in camera 1's frame, has n·X > 0 for points seen; the translation is in
+/// units of the distance of camera 1 to the plane.
 #[derive(Debug, Clone)]
 pub(crate) struct PlaneMotion {
     pub cam2_from_cam1: Pose,
     pub normal: Vector3<f64>,
 }
 
-/// Returns the two motions behind a homography between plane coordinates (Ma, Soatto, Kosecka, Sastry 2004, 5.3.3),
-/// the lesser turn first; none where it is within 1e-9 of a turn on the spot or not finite.
+/// Returns the two motions behind a homography between plane coordinates (Ma, Soatto, Kosecka, Sastry 2004,
+/// 5.3.3), the lesser turn first; none where it is within 1e-9 of a turn on the spot or not finite.
 ///
-/// Both explain a plane equally well. What tells them apart are points off the plane, and those on it that one of
-/// the two would put behind a camera.
+/// Both explain a plane equally well. What tells them apart are points off the plane, and those on it that
+/// one of the two would put behind a camera.
 pub(crate) fn plane_motions(homography: &Matrix3<f64>, pairs: &[Pair]) -> Vec<PlaneMotion> {
     let mut h = homography / svd3(homography).s.y;
     let facing = |[p, q]: &&Pair| q.push(1.0).dot(&(h * p.push(1.0))) > 0.0;

@@ -38,8 +38,8 @@ impl<const N: usize> Normal<N> {
 
 /// Walks downhill from `start` for at most `steps` trials; `None` where even the start has no finite cost.
 ///
-/// Damping is relative to the diagonal, so the unknowns may have any units; steps that raise the cost, or leave
-/// the domain (`linearise` says `None`), are taken back and damped tenfold.
+/// Damping is relative to the diagonal, so the unknowns may have any units; steps that raise the cost, or
+/// leave the domain (`linearise` says `None`), are taken back and damped tenfold.
 pub(crate) fn minimise<S: Clone, const N: usize>(
     start: &S,
     steps: usize,

@@ -1,7 +1,7 @@
 //! Poses, epipolar geometry and points from a few correspondences; no state, no policy.
 //!
-//! "Plane" is the undistorted image plane at z = 1: x / z, y / z. Everything is f64; what is not finite is refused
-//! or dropped, never returned.
+//! "Plane" is the undistorted image plane at z = 1: x / z, y / z. Everything is f64; what is not finite is
+//! refused or dropped, never returned.
 
 mod epipolar;
 mod essential;

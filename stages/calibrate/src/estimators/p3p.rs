@@ -10,11 +10,11 @@ const STEPS: usize = 5;
 
 /// Returns the poses `cam_from_world` that see three world points at three plane points, at most four.
 ///
-/// The distances are where two conics meet (Persson and Nordberg, Lambda Twist, ECCV 2018), found by splitting their
-/// degenerate member into lines (Ding, Yang, Larsson, Olsson, Astrom, CVPR 2023). Works in differences of the world
-/// points, scaled to 1: their unit and origin cost only the digits that the coordinates themselves have lost.
-/// Collinear or equal points, and what is not finite, give no pose; a double solution comes once or twice, with
-/// half of the digits.
+/// The distances are where two conics meet (Persson and Nordberg, Lambda Twist, ECCV 2018), found by
+/// splitting their degenerate member into lines (Ding, Yang, Larsson, Olsson, Astrom, CVPR 2023). Works in
+/// differences of the world points, scaled to 1: their unit and origin cost only the digits that the
+/// coordinates themselves have lost. Collinear or equal points, and what is not finite, give no pose; a
+/// double solution comes once or twice, with half of the digits.
 pub(crate) fn p3p(plane: &[Vector2<f64>; 3], world: &[Vector3<f64>; 3]) -> Vec<Pose> {
     let rays = plane.map(|point| point.push(1.0).normalize());
     let sides = [world[0] - world[1], world[0] - world[2], world[1] - world[2]];
@@ -257,7 +257,8 @@ mod tests {
         }
     }
 
-    /// A camera on the danger cylinder has a double solution: the equilateral triangle seen from above its corner.
+    /// A camera on the danger cylinder has a double solution: the equilateral triangle seen from above its
+    /// corner.
     #[test]
     fn repeated_roots_keep_half_of_the_digits() {
         let world = [0.0, 2.0, 4.0].map(|k| {

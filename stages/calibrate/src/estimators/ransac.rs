@@ -1,4 +1,5 @@
-//! The most agreed-on model of many bad measurements: LO-RANSAC (Chum, Matas, Kittler 2003) with truncated squares.
+//! The most agreed-on model of many bad measurements: LO-RANSAC (Chum, Matas, Kittler 2003) with truncated
+//! squares.
 
 use crate::dice::Dice;
 
@@ -28,8 +29,8 @@ const ROUNDS: usize = 2;
 
 /// Draws samples of `N`, solves, scores, and improves every new best model on its own inliers.
 ///
-/// `error2(model, i)` is a squared error in units of the squared threshold. Serial; of two models of equal cost the
-/// first stays. `None` with fewer than `N` measurements or no model at all.
+/// `error2(model, i)` is a squared error in units of the squared threshold. Serial; of two models of equal
+/// cost the first stays. `None` with fewer than `N` measurements or no model at all.
 pub(crate) fn lo_ransac<const N: usize, M: Clone>(
     count: usize,
     trials: &Trials,

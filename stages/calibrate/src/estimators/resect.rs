@@ -23,7 +23,8 @@ pub(crate) struct Resection {
     pub inliers: Vec<usize>,
 }
 
-/// Samples at most: finds a share of inliers of .11 with the confidence below, in about 10 ms for 500 sightings.
+/// Samples at most: finds a share of inliers of .12 with the confidence below. 500 sightings cost .4 ms of
+/// CPU at a share of .7, 6 at .2, 40 where there is nothing to find.
 const TRIALS: u32 = 5000;
 const CONFIDENCE: f64 = 0.9999;
 
@@ -36,8 +37,9 @@ const LAST_STEPS: usize = 20;
 
 /// Finds the pose most sightings agree with: LO-RANSAC over P3P, then a Cauchy polish on the inliers.
 ///
-/// `max_error` in plane units (pixels / focal). A point seen twice at one spot counts once. `None` with fewer than
-/// 6 sightings in agreement; the caller's own minimum will be higher, since 6 of 500 may agree by chance.
+/// `max_error` in plane units (pixels / focal). A point seen twice at one spot counts once. `None` with
+/// fewer than 6 sightings in agreement; the caller's own minimum will be higher, since 6 of 500 may agree
+/// by chance.
 pub(crate) fn resect(seen: &[Seen], max_error: f64, seed: u64) -> Option<Resection> {
     let usable = distinct(seen);
     let limit2 = max_error * max_error;
@@ -87,8 +89,8 @@ pub(crate) fn polish_pose(cam_from_world: &Pose, seen: &[Seen], scale: f64) -> O
     polished(cam_from_world, seen.iter(), scale, LAST_STEPS)
 }
 
-/// Turns about the camera's own centre and moves along its own axes: an origin far away costs nothing but the digits
-/// that t has lost.
+/// Turns about the camera's own centre and moves along its own axes: an origin far away costs nothing but
+/// the digits that t has lost.
 fn polished<'a>(
     start: &Pose,
     seen: impl Iterator<Item = &'a Seen> + Clone,

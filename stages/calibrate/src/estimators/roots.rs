@@ -8,9 +8,9 @@ const TERMS: usize = 11;
 
 /// Returns the real roots of c0 + c1 x + ... , rising, a double root once or twice.
 ///
-/// The roots of each derivative bracket those of the one before it; roots outside [-1, 1] come from the polynomial
-/// with its coefficients reversed, in 1/x, so none is lost to a bound. A minimum within rounding of zero is a
-/// root. At most 11 coefficients; none finite, or all zero: no roots.
+/// The roots of each derivative bracket those of the one before it; roots outside [-1, 1] come from the
+/// polynomial with its coefficients reversed, in 1/x, so none is lost to a bound. A minimum within rounding
+/// of zero is a root. At most 11 coefficients; none finite, or all zero: no roots.
 pub(crate) fn real_roots(coefficients: &[f64]) -> Vec<f64> {
     let size = coefficients
         .iter()
@@ -53,7 +53,8 @@ fn within_one(coefficients: &[f64; TERMS], degree: usize) -> Vec<f64> {
         for right in turns.iter().copied().chain([1.0]) {
             let at_right = value_and_slope(terms, right).0;
             if at_left == 0.0 || at_left * at_right < 0.0 {
-                // Newton squares the error: a last step of 1e-6 leaves 1e-12, enough for a bracket or a double root.
+                // Newton squares the error: a last step of 1e-6 leaves 1e-12, enough for a bracket or a
+                // double root.
                 let tolerance = if order == 0 { 1e-10 } else { 1e-6 };
                 roots.push(root_between(terms, [left, right], at_left, tolerance));
             } else if touches(terms, right, at_right) {
@@ -81,7 +82,8 @@ fn value_and_slope(terms: &[f64], x: f64) -> (f64, f64) {
     })
 }
 
-/// Newton's steps, halving where one leaves the bracket; the last step is one of Newton's and below `tolerance`, relative.
+/// Newton's steps, halving where one leaves the bracket; the last step is one of Newton's and below
+/// `tolerance`, relative.
 fn root_between(terms: &[f64], [mut left, mut right]: [f64; 2], at_left: f64, tolerance: f64) -> f64 {
     if at_left == 0.0 {
         return left;

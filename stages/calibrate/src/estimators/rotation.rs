@@ -9,7 +9,8 @@ pub(crate) fn cross_matrix(v: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::new(0.0, -v.z, v.y, v.z, 0.0, -v.x, -v.y, v.x, 0.0)
 }
 
-/// Returns the rotation about `turn` by |`turn`| radians, through the half-angle quaternion: no digits are lost at 0.
+/// Returns the rotation about `turn` by |`turn`| radians, through the half-angle quaternion: no digits are
+/// lost at 0.
 pub(crate) fn exp_so3(turn: &Vector3<f64>) -> Matrix3<f64> {
     let half = turn.norm() / 2.0;
     // Below 1e-8 sin(h) / h is 1 in f64.
@@ -43,7 +44,8 @@ pub(crate) fn log_so3(rotation: &Matrix3<f64>) -> Vector3<f64> {
     v * (2.0 * libm::atan2(sine, w) / sine)
 }
 
-/// Returns the rotation nearest to a matrix (Frobenius): U Vᵀ with the sign that keeps the determinant at 1.
+/// Returns the rotation nearest to a matrix (Frobenius): U Vᵀ with the sign that keeps the determinant at
+/// 1.
 pub(crate) fn nearest_rotation(matrix: &Matrix3<f64>) -> Matrix3<f64> {
     let svd = svd3(matrix);
     svd.u * svd.v.transpose()
@@ -58,8 +60,9 @@ pub(crate) fn turn_between(pairs: impl Iterator<Item = (Vector3<f64>, Vector3<f6
     }))
 }
 
-/// Returns the angle between the rays from two centres to a point, in [0, pi]; 0 where a centre is the point.
-/// atan2 of sine and cosine: accurate to 1e-16 relative near 0 and near pi, where acos keeps 8 digits.
+/// Returns the angle between the rays from two centres to a point, in [0, pi]; 0 where a centre is the
+/// point. atan2 of sine and cosine: accurate to 1e-16 relative near 0 and near pi, where acos keeps 8
+/// digits.
 pub(crate) fn ray_angle_rad(centre_1: &Vector3<f64>, centre_2: &Vector3<f64>, point: &Vector3<f64>) -> f64 {
     let (ray_1, ray_2) = (point - centre_1, point - centre_2);
     libm::atan2(ray_1.cross(&ray_2).norm(), ray_1.dot(&ray_2))

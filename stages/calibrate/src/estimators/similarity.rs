@@ -15,8 +15,8 @@ pub(crate) struct Similarity {
 
 /// Returns the similarity of least squares from `from` to `to` (Umeyama, PAMI 1991).
 ///
-/// `None` with fewer than three points or unequal counts, where `from` or `to` is collinear (second extent below
-/// 3e-8 of the first: the turn about the line is free), or where a number is not finite.
+/// `None` with fewer than three points or unequal counts, where `from` or `to` is collinear (second extent
+/// below 3e-8 of the first: the turn about the line is free), or where a number is not finite.
 pub(crate) fn similarity(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Similarity> {
     if from.len() < 3 || from.len() != to.len() {
         return None;

@@ -15,7 +15,8 @@ const SWEEPS: usize = 20;
 /// Factors a 3 x 3 matrix by one-sided Jacobi turns (Hestenes 1958).
 ///
 /// nalgebra's own 3 x 3 case goes through MᵀM and loses half of the digits of small singular values.
-/// Singular matrices are welcome (U is completed to a rotation); what is not finite gives what is not finite.
+/// Singular matrices are welcome (U is completed to a rotation); what is not finite gives what is not
+/// finite.
 pub(crate) fn svd3(matrix: &Matrix3<f64>) -> Svd3 {
     let (mut b, mut v) = (*matrix, Matrix3::identity());
     for _ in 0..SWEEPS {
@@ -79,8 +80,8 @@ pub(crate) fn any_orthogonal(unit: &Vector3<f64>) -> Vector3<f64> {
 
 /// Orthonormal vectors that every row annihilates, by Householder reflections; `FREE` is 9 - `ROWS`.
 ///
-/// Rows that depend on each other leave a larger null space, of which these are a part plus others: the caller's
-/// solutions are then wrong but finite.
+/// Rows that depend on each other leave a larger null space, of which these are a part plus others: the
+/// caller's solutions are then wrong but finite.
 pub(crate) fn null_space<const ROWS: usize, const FREE: usize>(
     mut rows: [SVector<f64, 9>; ROWS],
 ) -> [SVector<f64, 9>; FREE] {

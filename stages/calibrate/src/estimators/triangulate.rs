@@ -27,25 +27,28 @@ const STEPS: usize = 10;
 /// Below this sine two rays are parallel to rounding: their depth has no digit left.
 const PARALLEL: f64 = 1e-9;
 
-/// Two-sight hypotheses at most: all pairs of ten sights, else as many drawn. With half of the sights wrong all of 45
-/// draws miss with chance 2e-6.
+/// Two-sight hypotheses at most: all pairs of ten sights, else as many drawn. With half of the sights wrong
+/// all of 45 draws miss with chance 2e-6.
 const HYPOTHESES: usize = 45;
 
 /// Returns the point of least squared plane error in all sights, started where the rays come closest.
 ///
-/// `None` with fewer than two sights, with rays parallel to machine precision (every sine below 1e-9), behind any camera, or
-/// not finite. The error grows as 1 / angle. Works from the mean centre in units of the baseline.
+/// `None` with fewer than two sights, with rays parallel to machine precision (every sine below 1e-9),
+/// behind any camera, or not finite. The error grows as 1 / angle. Works in differences from the first
+/// centre: the world's unit does not matter.
 pub(crate) fn triangulate(sights: &[Sight]) -> Option<Vector3<f64>> {
     let all: Vec<&Sight> = sights.iter().collect();
     let start = meeting(&all)?;
     refined(&start, &all).filter(|point| all.iter().all(|sight| depth(sight, point) > 0.0))
 }
 
-/// Returns the point most sights agree on within `max_error` (plane units, one per sight), refined on those.
+/// Returns the point most sights agree on within `max_error` (plane units, one per sight), refined on
+/// those.
 ///
-/// Hypotheses come from pairs of sights: all of them up to ten sights, then 45 drawn from dice that are always the same.
-/// Agreement is distance in the plane and positive depth; the least truncated sum of squares wins, of equals the first.
-/// `None` where fewer than two sights agree, or no two of those that do see the point under `min_angle_rad`.
+/// Hypotheses come from pairs of sights: all of them up to ten sights, then 45 drawn from dice that are
+/// always the same. Agreement is distance in the plane and positive depth; the least truncated sum of
+/// squares wins, of equals the first. `None` where fewer than two sights agree, or no two of those that do
+/// see the point under `min_angle_rad`.
 pub(crate) fn triangulate_robust(
     sights: &[Sight],
     max_error: &[f64],
@@ -141,8 +144,8 @@ fn meeting(sights: &[&Sight]) -> Option<Vector3<f64>> {
     point.iter().all(|value| value.is_finite()).then_some(point)
 }
 
-/// Half way between the nearest points of two rays, the first from the origin: by cross products, which keep the digits
-/// of small angles that 3 x 3 normal equations square away.
+/// Half way between the nearest points of two rays, the first from the origin: by cross products, which
+/// keep the digits of small angles that 3 x 3 normal equations square away.
 fn midpoint(first: &Vector3<f64>, second: &Vector3<f64>, centre: &Vector3<f64>) -> Vector3<f64> {
     let normal = first.cross(second);
     let area = normal.norm_squared();
@@ -241,6 +244,22 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn an_origin_a_million_away_costs_the_digits_of_the_coordinates() {
+        let (point, mut sights) = sights(3, 0.5, 3.0, 0.0, 1);
+        let far = Vector3::new(1e6, -2e6, 5e5);
+        for sight in &mut sights {
+            let pose = &mut sight.cam_from_world;
+            pose.translation -= pose.rotation * far;
+        }
+        let got = triangulate(&sights).unwrap();
+        assert!(
+            (got - far - point).norm() < 1e-8,
+            "{:e}",
+            (got - far - point).norm()
+        );
     }
 
     #[test]

@@ -49,8 +49,9 @@ struct Search<'a> {
 
 /// Fits the three models (the essential matrix only with known focal lengths).
 ///
-/// The seven-point search is blind on a plane, so the homography and the essential matrix propose fundamental matrices
-/// too (plane and parallax: F = [e]x H, Chum, Werner, Matas, CVPR 2005), and the cheapest stays.
+/// The seven-point search is blind on a plane, so the homography and the essential matrix propose
+/// fundamental matrices too (plane and parallax: F = [e]x H, Chum, Werner, Matas, CVPR 2005), and the
+/// cheapest stays.
 pub(super) fn judge(
     [a, b]: [&Camera; 2],
     spots: &Spots,
@@ -113,7 +114,8 @@ impl Search<'_> {
     }
 
     fn few(&self) -> Trials {
-        // Five points in 500 trials reach the share of inliers that seven reach in 2000: .44; four reach .34.
+        // Five points in 500 trials reach the share of inliers that seven reach in 2000: .44; four reach
+        // .34.
         Trials {
             most: self.trials.most.div_ceil(4),
             ..self.trials
@@ -242,7 +244,8 @@ impl Search<'_> {
         eight_point(&agreed, &weights)
     }
 
-    /// The fundamental matrix that holds the plane and most matches off it: two of those meet in the epipole.
+    /// The fundamental matrix that holds the plane and most matches off it: two of those meet in the
+    /// epipole.
     fn through_plane(&self, plane: &Consensus<TwoWay>, dice: &mut Dice) -> Option<Matrix3<f64>> {
         let h = &plane.model[0];
         let off: Vec<usize> = (0..self.pairs.len())

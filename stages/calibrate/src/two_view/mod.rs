@@ -1,7 +1,8 @@
 //! What two photos say about each other: one rigid scene, a plane, a turn on the spot, or nothing.
 //!
-//! `verify` judges raw matches, `focal_from_pairs` finds a focal length that many pairs share, `relate` turns verified
-//! matches into a relative pose. All counts are of distinct spots: two features at one pixel are one witness.
+//! `verify` judges raw matches, `focal_from_pairs` finds a focal length that many pairs share, `relate`
+//! turns verified matches into a relative pose. All counts are of distinct spots: two features at one pixel
+//! are one witness.
 
 mod focal;
 mod judge;
@@ -63,7 +64,8 @@ pub(crate) enum VerifiedKind {
 pub(crate) struct Verified {
     /// Matches that agree, in the order given, one per pair of pixels.
     pub inliers: Vec<[u32; 2]>,
-    /// x2ᵀ F x1 = 0 in pixels of the ideal pinholes (distortion removed with the cameras' own coefficients), unit norm.
+    /// x2ᵀ F x1 = 0 in pixels of the ideal pinholes (distortion removed with the cameras' own
+    /// coefficients), unit norm.
     pub fundamental: Option<Matrix3<f64>>,
     pub fundamental_inliers: u32,
     pub essential_inliers: u32,

@@ -52,14 +52,14 @@ struct Motion {
 
 /// Finds the relative pose of two photos whose focal lengths are known, from verified matches.
 ///
-/// Candidates: LO-RANSAC over five points, the two motions behind the homography, the best turn with three directions.
-/// Each is polished, its points behind a camera count as outliers, and the cheapest stays. An exact plane may leave
-/// two motions that cost the same to within four residuals' worth: then the one that turns less is taken, which is a
-/// convention, not knowledge; `kind` is then `Planar`.
+/// Candidates: LO-RANSAC over five points, the two motions behind the homography, the best turn with three
+/// directions. Each is polished, its points behind a camera count as outliers, and the cheapest stays. An
+/// exact plane may leave two motions that cost the same to within four residuals' worth: then the one that
+/// turns less is taken, which is a convention, not knowledge; `kind` is then `Planar`.
 ///
-/// `Rotation` where the median angle is below 1 deg, a pure turn holds at least .8 of the inliers, and its residual
-/// variance (on those) is at most 3 times the essential matrix's: parallax of less than about twice the noise is not
-/// told from none. `None` with fewer than 6 inliers.
+/// `Rotation` where the median angle is below 1 deg, a pure turn holds at least .8 of the inliers, and its
+/// residual variance (on those) is at most 3 times the essential matrix's: parallax of less than about
+/// twice the noise is not told from none. `None` with fewer than 6 inliers.
 pub(crate) fn relate(
     a: &ViewPoints,
     b: &ViewPoints,
@@ -238,7 +238,8 @@ impl Matches<'_> {
         best.filter(|best| best.inliers.len() >= LEAST)
     }
 
-    /// Polishes a matrix on its own inliers, finds its pose, and counts again with points behind a camera as outliers.
+    /// Polishes a matrix on its own inliers, finds its pose, and counts again with points behind a camera
+    /// as outliers.
     fn settled(&self, essential: Matrix3<f64>) -> Option<Consensus<Motion>> {
         let count = self.pairs.len();
         let error2 = |e: &Matrix3<f64>, i: usize| self.epipolar_error(e, i);

@@ -16,8 +16,8 @@ pub(super) struct Spots {
 }
 
 impl Spots {
-    /// Keeps the first of each group of matches between the same two pixels; drops those that name no feature, are not
-    /// finite or lie where a lens has no ray.
+    /// Keeps the first of each group of matches between the same two pixels; drops those that name no
+    /// feature, are not finite or lie where a lens has no ray.
     pub(super) fn new(a: &ViewPoints, b: &ViewPoints, matches: &[[u32; 2]]) -> Self {
         let seen: Vec<(usize, Pair)> = matches
             .iter()

@@ -9,18 +9,21 @@ use crate::estimators::sampson2;
 /// A homography that explains this share of a pair's inliers leaves it planar.
 pub(super) const PLANAR_SHARE: f64 = 0.8;
 
-/// This share of inliers at rest makes a pair stationary; this share of fitting ones brings those at rest back.
+/// This share of inliers at rest makes a pair stationary; this share of fitting ones brings those at rest
+/// back.
 const STILL_SHARE: f64 = 0.8;
 
-/// An essential matrix that keeps this share of the fundamental matrix's inliers speaks for the pair (COLMAP's value).
+/// An essential matrix that keeps this share of the fundamental matrix's inliers speaks for the pair
+/// (COLMAP's value).
 const ESSENTIAL_SHARE: f64 = 0.95;
 
 /// Judges raw matches.
 ///
-/// Fundamental matrix and homography always, essential matrix when both focal lengths are known. Matches that stay within
-/// `max_error_px` of their place (hardware, lens dirt, watermark) are first left out where the others move: if
-/// those verify alone, the still ones come back only if at least .8 of them fit. Of a plane both the inliers on it
-/// and those off it are kept. Points without a ray are dropped. Random matches: see `least_inliers`.
+/// Fundamental matrix and homography always, essential matrix when both focal lengths are known. Matches
+/// that stay within `max_error_px` of their place (hardware, lens dirt, watermark) are first left out where
+/// the others move: if those verify alone, the still ones come back only if at least .8 of them fit. Of a
+/// plane both the inliers on it and those off it are kept. Points without a ray are dropped. Random
+/// matches: see `least_inliers`.
 pub(crate) fn verify(
     a: &ViewPoints,
     b: &ViewPoints,
@@ -61,8 +64,9 @@ pub(crate) fn verify(
     verdict
 }
 
-/// Tells whether most matches at rest fit what the moving ones found: then they are far away, not dirt. Half of the dirt may
-/// fit by chance where all points move alike, all of it where the camera does not turn.
+/// Tells whether most matches at rest fit what the moving ones found: then they are far away, not dirt.
+/// Half of the dirt may fit by chance where all points move alike, all of it where the camera does not
+/// turn.
 fn still_ones_fit(
     a: &ViewPoints,
     b: &ViewPoints,
@@ -87,9 +91,9 @@ fn still_ones_fit(
     still.iter().filter(fits).count() as f64 >= STILL_SHARE * still.len() as f64
 }
 
-/// Fewest inliers that chance does not give: of n random matches a fundamental matrix holds seven and about n p more, where
-/// p = 2 sqrt(2) error x diagonal / area is the share of the photo near an epipolar line; 7 sigmas are added for the
-/// thousands of matrices tried.
+/// Fewest inliers that chance does not give: of n random matches a fundamental matrix holds seven and about
+/// n p more, where p = 2 sqrt(2) error x diagonal / area is the share of the photo near an epipolar line; 7
+/// sigmas are added for the thousands of matrices tried.
 fn least_inliers(count: usize, b: &ViewPoints, options: &VerifyOptions) -> usize {
     let (width, height) = (f64::from(b.camera.width), f64::from(b.camera.height));
     let diagonal = (width * width + height * height).sqrt();
