@@ -202,3 +202,51 @@ fn distortion_is_removed_before_anything_is_measured() {
         }
     }
 }
+
+#[test]
+fn features_on_a_grid_lines_and_huge_numbers_never_panic_nor_give_nan() {
+    let camera = camera();
+    for seed in 0..120 {
+        let mut dice = Dice::new(seed);
+        let (count, cells) = (5 + dice.below(40), 1 + dice.below(6));
+        let huge = [1.0, 1e150, 1e-150, 1e300][dice.below(4)];
+        let mut pixels = || {
+            let mut number = || dice.below(cells) as f64 * 100.0 * huge;
+            (0..count)
+                .map(|_| Vector2::new(number(), number()))
+                .collect::<Vec<_>>()
+        };
+        let (a, b) = (pixels(), pixels());
+        let (a, b) = (
+            ViewPoints {
+                camera: &camera,
+                pixels: &a,
+            },
+            ViewPoints {
+                camera: &camera,
+                pixels: &b,
+            },
+        );
+        let matches: Vec<[u32; 2]> = (0..count as u32).map(|i| [i, i]).collect();
+        let options = VerifyOptions {
+            min_inliers: 5,
+            max_trials: 200,
+            ..OPTIONS
+        };
+        let found = super::super::verify(&a, &b, &matches, FocalKnown::Known, &options, seed);
+        assert!(
+            found
+                .fundamental
+                .is_none_or(|f| f.iter().all(|value| value.is_finite())),
+            "seed {seed}"
+        );
+        let Some(relation) = super::super::relate(&a, &b, &matches, 4.0, seed) else {
+            continue;
+        };
+        assert!(relation.cam2_from_cam1.is_valid(), "seed {seed}: {relation:?}");
+        assert!(
+            relation.median_angle_rad.is_finite() && relation.homography_share.is_finite(),
+            "seed {seed}"
+        );
+    }
+}
