@@ -21,7 +21,9 @@ fn photo(shift: u32) -> Image<marf_scene::Srgb> {
         top * (1.0 - down) + bottom * down
     };
     Image::from_fn(1440, 1920, |x, y| {
-        let value = [(24, 0.3), (60, 0.4), (170, 0.3)].iter().map(|&(size, weight)| weight * smooth(x + shift, y, size));
+        let value = [(24, 0.3), (60, 0.4), (170, 0.3)]
+            .iter()
+            .map(|&(size, weight)| weight * smooth(x + shift, y, size));
         [value.sum::<f32>() as u8; 3]
     })
 }

@@ -21,8 +21,8 @@ pub(crate) enum Family {
 
 /// Squared Sampson distance, first order in the noise (Hartley and Zisserman 2004, eq. 11.9).
 ///
-/// `noise2`: squared sigma of one unit of error in photo 1 and 2, in the points' unit ((1 / focal)² in plane units gives
-/// an answer in pixels²). Infinite where both points are epipoles.
+/// `noise2`: squared sigma of one unit of error in photo 1 and 2, in the points' unit ((1 / focal)² in
+/// plane units gives an answer in pixels²). Infinite where both points are epipoles.
 pub(crate) fn sampson2(matrix: &Matrix3<f64>, [p, q]: &Pair, noise2: [f64; 2]) -> f64 {
     let (p, q) = (p.push(1.0), q.push(1.0));
     let (line_2, line_1) = (matrix * p, matrix.tr_mul(&q));
@@ -61,8 +61,16 @@ pub(crate) fn polish_epipolar<'a>(
     steps: usize,
 ) -> Option<Matrix3<f64>> {
     let svd = svd3(matrix);
-    let s = if family == Family::Essential { 1.0 } else { svd.s.y / svd.s.x };
-    let start = Factors { u: svd.u, v: svd.v, s };
+    let s = if family == Family::Essential {
+        1.0
+    } else {
+        svd.s.y / svd.s.x
+    };
+    let start = Factors {
+        u: svd.u,
+        v: svd.v,
+        s,
+    };
     let linearise = |factors: &Factors| {
         let matrix = factors.matrix();
         let mut normal = Normal::<7>::zero();
@@ -82,8 +90,8 @@ pub(crate) fn polish_epipolar<'a>(
     polished.iter().all(|value| value.is_finite()).then_some(polished)
 }
 
-/// The Sampson residual and its slopes along turns of U (3), of V (3) and s; for an essential matrix the turn of V about z
-/// repeats that of U and s is fixed, so both slopes are 0.
+/// The Sampson residual and its slopes along turns of U (3), of V (3) and s; for an essential matrix the
+/// turn of V about z repeats that of U and s is fixed, so both slopes are 0.
 fn sampson_slope(
     factors: &Factors,
     matrix: &Matrix3<f64>,
@@ -124,8 +132,8 @@ pub(crate) fn essential_of(cam2_from_cam1: &Pose) -> Matrix3<f64> {
     cross_matrix(&cam2_from_cam1.translation) * cam2_from_cam1.rotation
 }
 
-/// Returns the one of the four poses behind E (unit translation) that has most pairs in front of both cameras, and how
-/// many; of equals the first.
+/// Returns the one of the four poses behind E (unit translation) that has most pairs in front of both
+/// cameras, and how many; of equals the first.
 pub(crate) fn pose_of_essential<'a>(
     essential: &Matrix3<f64>,
     pairs: impl Iterator<Item = &'a Pair> + Clone,
@@ -137,7 +145,10 @@ pub(crate) fn pose_of_essential<'a>(
     for (i, turn) in [quarter, quarter.transpose()].into_iter().enumerate() {
         let rotation = svd.u * turn * svd.v.transpose();
         for (j, translation) in [along, -along].into_iter().enumerate() {
-            let pose = Pose { rotation, translation };
+            let pose = Pose {
+                rotation,
+                translation,
+            };
             let front = pairs.clone().filter(|pair| in_front(&pose, pair)).count();
             if front > best.1 || (i, j) == (0, 0) {
                 best = (pose, front);
@@ -154,7 +165,10 @@ pub(crate) fn depths(cam2_from_cam1: &Pose, [p, q]: &Pair) -> (f64, f64) {
     let normal = ray_1.cross(&ray_2);
     let area = normal.norm_squared();
     let t = cam2_from_cam1.translation;
-    (t.cross(&ray_2).dot(&-normal) / area, t.cross(&ray_1).dot(&-normal) / area)
+    (
+        t.cross(&ray_2).dot(&-normal) / area,
+        t.cross(&ray_1).dot(&-normal) / area,
+    )
 }
 
 fn in_front(cam2_from_cam1: &Pose, pair: &Pair) -> bool {
@@ -170,7 +184,10 @@ mod tests {
     #[test]
     fn depths_of_a_hand_worked_pair() {
         // A point at (0, 0, 4); camera 2 stands 1 to the right.
-        let pose = Pose { translation: -Vector3::x(), ..Pose::identity() };
+        let pose = Pose {
+            translation: -Vector3::x(),
+            ..Pose::identity()
+        };
         let (z1, z2) = depths(&pose, &[Vector2::zeros(), Vector2::new(-0.25, 0.0)]);
         assert!((z1 - 4.0).abs() < 1e-14 && (z2 - 4.0).abs() < 1e-14, "{z1} {z2}");
     }
@@ -180,10 +197,17 @@ mod tests {
         let truth = pose([0.1, -0.2, 0.05], [1.0, 0.3, -0.2]);
         let scene = Scene::new(5, 20, &truth, 0.01);
         let noise2 = [1e-6, 2.5e-6];
-        let svd = svd3(&(essential_of(&truth) + Matrix3::new(0.0, 0.01, 0.0, 0.02, 0.0, 0.0, 0.0, 0.01, 0.0)));
-        let factors = Factors { u: svd.u, v: svd.v, s: svd.s.y / svd.s.x };
+        let svd =
+            svd3(&(essential_of(&truth) + Matrix3::new(0.0, 0.01, 0.0, 0.02, 0.0, 0.0, 0.0, 0.01, 0.0)));
+        let factors = Factors {
+            u: svd.u,
+            v: svd.v,
+            s: svd.s.y / svd.s.x,
+        };
         let residual = |at: &Factors, pair: &Pair| {
-            sampson_slope(at, &at.matrix(), pair, noise2, Family::Fundamental).unwrap().0
+            sampson_slope(at, &at.matrix(), pair, noise2, Family::Fundamental)
+                .unwrap()
+                .0
         };
         for pair in &scene.pairs {
             let (_, slope) =
@@ -197,7 +221,11 @@ mod tests {
                 };
                 let central = (at(1e-6) - at(-1e-6)) / 2e-6;
                 let scale = slope.amax();
-                assert!((central - slope[k]).abs() < 1e-6 * scale, "{k}: {central} {}", slope[k]);
+                assert!(
+                    (central - slope[k]).abs() < 1e-6 * scale,
+                    "{k}: {central} {}",
+                    slope[k]
+                );
             }
         }
     }
@@ -209,7 +237,11 @@ mod tests {
         let start = essential_of(&truth) + Matrix3::from_fn(|i, j| 0.03 * (i as f64 - j as f64 * 0.7));
         for family in [Family::Essential, Family::Fundamental] {
             let got = polish_epipolar(&start, scene.pairs.iter(), [1e-6; 2], 4.0, family, 50).unwrap();
-            let worst = scene.pairs.iter().map(|pair| sampson2(&got, pair, [1e-6; 2])).fold(0.0, f64::max);
+            let worst = scene
+                .pairs
+                .iter()
+                .map(|pair| sampson2(&got, pair, [1e-6; 2]))
+                .fold(0.0, f64::max);
             assert!(worst.sqrt() < 1e-6, "{family:?}: {worst:e}");
         }
     }
@@ -222,7 +254,10 @@ mod tests {
             let (got, front) = pose_of_essential(&(essential_of(&truth) * -3.0), scene.pairs.iter());
             assert_eq!(front, 30, "{t:?}");
             assert!((got.rotation - truth.rotation).norm() < 1e-12, "{t:?}");
-            assert!((got.translation - truth.translation.normalize()).norm() < 1e-12, "{t:?}");
+            assert!(
+                (got.translation - truth.translation.normalize()).norm() < 1e-12,
+                "{t:?}"
+            );
         }
     }
 }

@@ -6,7 +6,8 @@ use super::epipolar::Pair;
 use super::roots::real_roots;
 use super::svd::{matrix, null_space};
 
-/// Coefficients of a polynomial in x, y, z of degree 1 (x y z 1), 2 (xx xy xz yy yz zz x y z 1) and 3 (order of `CUBIC`).
+/// Coefficients of a polynomial in x, y, z of degree 1 (x y z 1), 2 (xx xy xz yy yz zz x y z 1) and 3
+/// (order of `CUBIC`).
 type Linear = [f64; 4];
 type Quadric = [f64; 10];
 type Cubic = SVector<f64, 20>;
@@ -31,12 +32,16 @@ const CUBIC: [[usize; 4]; 10] = [
 
 /// Returns the essential matrices E (unit norm) with x2ᵀ E x1 = 0 for five points, at most ten.
 ///
-/// Nister, PAMI 2004: E = x X + y Y + z Z + W in the null space, ten cubic constraints, Gauss-Jordan, a polynomial of
-/// degree 10 in z. Coplanar points are fine; points on a line, equal points or a pure turn leave a larger null space
-/// and give few, wrong or no matrices, never one that is not finite.
+/// Nister, PAMI 2004: E = x X + y Y + z Z + W in the null space, ten cubic constraints, Gauss-Jordan, a
+/// polynomial of degree 10 in z. Coplanar points are fine; points on a line, equal points or a pure turn
+/// leave a larger null space and give few, wrong or no matrices, never one that is not finite.
 pub(crate) fn five_point(plane_1: &[Vector2<f64>; 5], plane_2: &[Vector2<f64>; 5]) -> Vec<Matrix3<f64>> {
     let rows: [_; 5] = std::array::from_fn(|i| epipolar_row(&[plane_1[i], plane_2[i]]));
-    if !rows.iter().flat_map(|row| row.iter()).all(|value| value.is_finite()) {
+    if !rows
+        .iter()
+        .flat_map(|row| row.iter())
+        .all(|value| value.is_finite())
+    {
         return Vec::new();
     }
     let null: [SVector<f64, 9>; 4] = null_space(rows);
@@ -45,12 +50,25 @@ pub(crate) fn five_point(plane_1: &[Vector2<f64>; 5], plane_2: &[Vector2<f64>; 5
     };
     let rows = [(4, 5), (6, 7), (8, 9)].map(|(upper, lower)| z_row(&system, upper, lower));
     let found = real_roots(&determinant(&rows));
-    found.into_iter().filter_map(|z| assemble(&null, &rows, z)).collect()
+    found
+        .into_iter()
+        .filter_map(|z| assemble(&null, &rows, z))
+        .collect()
 }
 
 /// The row of coefficients of E, row by row, in x2ᵀ E x1 = 0.
 pub(crate) fn epipolar_row([p, q]: &Pair) -> SVector<f64, 9> {
-    SVector::from([q.x * p.x, q.x * p.y, q.x, q.y * p.x, q.y * p.y, q.y, p.x, p.y, 1.0])
+    SVector::from([
+        q.x * p.x,
+        q.x * p.y,
+        q.x,
+        q.y * p.x,
+        q.y * p.y,
+        q.y,
+        p.x,
+        p.y,
+        1.0,
+    ])
 }
 
 fn times(a: &Linear, b: &Linear, sum: &mut Quadric) {
@@ -71,15 +89,12 @@ fn times_cubic(a: &Quadric, b: &Linear, sign: f64, sum: &mut Cubic) {
 
 /// det E = 0 and 2 E Eᵀ E - tr(E Eᵀ) E = 0.
 fn constraints(null: &[SVector<f64, 9>; 4]) -> SMatrix<f64, 10, 20> {
-    let e: [[Linear; 3]; 3] = std::array::from_fn(|i| {
-        std::array::from_fn(|j| std::array::from_fn(|basis| null[basis][3 * i + j]))
-    });
+    let e: [[Linear; 3]; 3] =
+        std::array::from_fn(|i| std::array::from_fn(|j| std::array::from_fn(|basis| null[basis][3 * i + j])));
     let mut squares = [[[0.0; 10]; 3]; 3];
     for i in 0..3 {
         for j in i..3 {
-            for k in 0..3 {
-                times(&e[i][k], &e[j][k], &mut squares[i][j]);
-            }
+            (0..3).for_each(|k| times(&e[i][k], &e[j][k], &mut squares[i][j]));
             squares[j][i] = squares[i][j];
         }
     }
@@ -89,12 +104,10 @@ fn constraints(null: &[SVector<f64, 9>; 4]) -> SMatrix<f64, 10, 20> {
         (0..10).for_each(|term| row[i][term] -= half_trace[term]);
     }
     let mut system = SMatrix::<f64, 10, 20>::zeros();
-    for i in 0..3 {
-        for j in 0..3 {
-            let mut cubic = Cubic::zeros();
-            (0..3).for_each(|k| times_cubic(&squares[i][k], &e[k][j], 1.0, &mut cubic));
-            system.set_row(3 * i + j, &cubic.transpose());
-        }
+    for row in 0..9 {
+        let mut cubic = Cubic::zeros();
+        (0..3).for_each(|k| times_cubic(&squares[row / 3][k], &e[k][row % 3], 1.0, &mut cubic));
+        system.set_row(row, &cubic.transpose());
     }
     let mut cubic = Cubic::zeros();
     for (a, b, c) in [(0, 1, 2), (1, 2, 0), (2, 0, 1)] {
@@ -117,15 +130,12 @@ fn eliminated(mut system: SMatrix<f64, 10, 20>) -> Option<SMatrix<f64, 10, 20>> 
         }
         system.swap_rows(column, pivot);
         let scale = 1.0 / system[(column, column)];
-        (column..20).for_each(|j| system[(column, j)] *= scale);
-        // The first four rows are not asked for again.
-        let first = if column < 4 { column + 1 } else { 4 };
-        for i in (first..10).filter(|&i| i != column) {
-            let factor = system[(i, column)];
-            (column..20).for_each(|j| {
-                let above = system[(column, j)];
-                system[(i, j)] -= factor * above;
-            });
+        let mut factors = system.column(column).into_owned();
+        factors[column] = 0.0;
+        for mut other in system.column_iter_mut().skip(column) {
+            other[column] *= scale;
+            let above = other[column];
+            other.axpy(-above, &factors, 1.0);
         }
     }
     Some(system)
@@ -135,14 +145,23 @@ fn eliminated(mut system: SMatrix<f64, 10, 20>) -> Option<SMatrix<f64, 10, 20>> 
 fn z_row(system: &SMatrix<f64, 10, 20>, upper: usize, lower: usize) -> [[f64; 5]; 3] {
     let (e, f) = (|j: usize| system[(upper, j)], |j: usize| system[(lower, j)]);
     let cubic = |j: usize| [e(j + 2), e(j + 1) - f(j + 2), e(j) - f(j + 1), -f(j), 0.0];
-    [cubic(10), cubic(13), [e(19), e(18) - f(19), e(17) - f(18), e(16) - f(17), -f(16)]]
+    [
+        cubic(10),
+        cubic(13),
+        [e(19), e(18) - f(19), e(17) - f(18), e(16) - f(17), -f(16)],
+    ]
 }
 
 fn determinant(rows: &[[[f64; 5]; 3]; 3]) -> [f64; 11] {
     let mut sum = [0.0; 11];
-    for (i, j, k, sign) in
-        [(0, 1, 2, 1.0), (1, 2, 0, 1.0), (2, 0, 1, 1.0), (0, 2, 1, -1.0), (1, 0, 2, -1.0), (2, 1, 0, -1.0)]
-    {
+    for (i, j, k, sign) in [
+        (0, 1, 2, 1.0),
+        (1, 2, 0, 1.0),
+        (2, 0, 1, 1.0),
+        (0, 2, 1, -1.0),
+        (1, 0, 2, -1.0),
+        (2, 1, 0, -1.0),
+    ] {
         let mut product = [0.0; 7];
         for a in 0..4 {
             for b in 0..4 {
@@ -163,7 +182,11 @@ fn assemble(null: &[SVector<f64, 9>; 4], rows: &[[[f64; 5]; 3]; 3], z: f64) -> O
     let at = |terms: &[f64; 5]| terms.iter().rev().fold(0.0, |value, term| value * z + term);
     let b = Matrix3::from_fn(|i, j| at(&rows[i][j]));
     let row = |i: usize| b.row(i).transpose();
-    let candidates = [row(0).cross(&row(1)), row(1).cross(&row(2)), row(2).cross(&row(0))];
+    let candidates = [
+        row(0).cross(&row(1)),
+        row(1).cross(&row(2)),
+        row(2).cross(&row(0)),
+    ];
     let mut solution = candidates[0];
     for candidate in &candidates[1..] {
         if candidate.norm_squared() > solution.norm_squared() {
@@ -200,7 +223,13 @@ mod tests {
 
     #[test]
     fn five_points_give_back_the_motion_in_every_direction() {
-        let motions = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.3, -0.5, 0.2]];
+        let motions = [
+            [1.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0],
+            [0.0, 0.0, 1.0],
+            [0.0, 0.0, -1.0],
+            [0.3, -0.5, 0.2],
+        ];
         let mut missed = [0; 5];
         for (k, t) in motions.into_iter().enumerate() {
             for seed in 0..200 {
@@ -221,7 +250,12 @@ mod tests {
             for e in five_point(&plane_1, &plane_2) {
                 let s = crate::estimators::svd::svd3(&e).s;
                 assert!((s.x - s.y).abs() < 1e-4 && s.z.abs() < 1e-4, "seed {seed}: {s}");
-                assert!(pairs.iter().all(|pair| epipolar_row(pair).dot(&SVector::from_row_slice(e.transpose().as_slice())).abs() < 1e-9));
+                assert!(pairs.iter().all(|pair| {
+                    epipolar_row(pair)
+                        .dot(&SVector::from_row_slice(e.transpose().as_slice()))
+                        .abs()
+                        < 1e-9
+                }));
             }
         }
     }
@@ -248,10 +282,14 @@ mod tests {
         let same = vec![Vector3::new(0.3, 0.2, 5.0); 5];
         for (name, points) in [("collinear", collinear), ("equal", same)] {
             for motion in [truth, pose([0.1, 0.2, 0.0], [0.0; 3]), Pose::identity()] {
-                let pairs: Vec<Pair> =
-                    points.iter().map(|p| [plane_of(p), plane_of(&motion.point(p))]).collect();
+                let pairs: Vec<Pair> = points
+                    .iter()
+                    .map(|p| [plane_of(p), plane_of(&motion.point(p))])
+                    .collect();
                 let [plane_1, plane_2] = split(&pairs);
-                let finite = five_point(&plane_1, &plane_2).iter().all(|e| e.iter().all(|v| v.is_finite()));
+                let finite = five_point(&plane_1, &plane_2)
+                    .iter()
+                    .all(|e| e.iter().all(|v| v.is_finite()));
                 assert!(finite, "{name}");
             }
         }

@@ -7,14 +7,18 @@ use super::essential::epipolar_row;
 use super::roots::real_roots;
 use super::svd::{matrix, null_space, smallest, svd3};
 
-/// Returns the rank-two matrices F (unit norm) with x2ᵀ F x1 = 0 for seven points, one to three
-/// (Hartley and Zisserman 2004, 11.1.2).
+/// Returns the rank-two matrices F (unit norm) with x2ᵀ F x1 = 0 for seven points, one to three (Hartley
+/// and Zisserman 2004, 11.1.2).
 ///
-/// Any unit will do, but coordinates of about 1 keep most digits. Seven points on a plane leave a larger null space and
-/// give arbitrary members of it; what is not finite gives none.
+/// Any unit will do, but coordinates of about 1 keep most digits. Seven points on a plane leave a larger
+/// null space and give arbitrary members of it; what is not finite gives none.
 pub(crate) fn seven_point(points_1: &[Vector2<f64>; 7], points_2: &[Vector2<f64>; 7]) -> Vec<Matrix3<f64>> {
     let rows: [_; 7] = std::array::from_fn(|i| epipolar_row(&[points_1[i], points_2[i]]));
-    if !rows.iter().flat_map(|row| row.iter()).all(|value| value.is_finite()) {
+    if !rows
+        .iter()
+        .flat_map(|row| row.iter())
+        .all(|value| value.is_finite())
+    {
         return Vec::new();
     }
     let [first, second]: [SVector<f64, 9>; 2] = null_space(rows);
@@ -22,12 +26,23 @@ pub(crate) fn seven_point(points_1: &[Vector2<f64>; 7], points_2: &[Vector2<f64>
     // det(a + z b): both ends by determinants, the middle by traces with the other's cofactors.
     let cofactors = |m: &Matrix3<f64>| {
         let row = |i: usize| m.row(i).transpose();
-        let rows = [row(1).cross(&row(2)), row(2).cross(&row(0)), row(0).cross(&row(1))];
+        let rows = [
+            row(1).cross(&row(2)),
+            row(2).cross(&row(0)),
+            row(0).cross(&row(1)),
+        ];
         Matrix3::from_rows(&rows.map(|row| row.transpose()))
     };
-    let cubic = [a.determinant(), cofactors(&a).dot(&b), cofactors(&b).dot(&a), b.determinant()];
+    let cubic = [
+        a.determinant(),
+        cofactors(&a).dot(&b),
+        cofactors(&b).dot(&a),
+        b.determinant(),
+    ];
     let members = real_roots(&cubic).into_iter().map(|z| (a + b * z).normalize());
-    members.filter(|member| member.iter().all(|value| value.is_finite())).collect()
+    members
+        .filter(|member| member.iter().all(|value| value.is_finite()))
+        .collect()
 }
 
 /// Returns the rank-two matrix of least weighted squares from eight or more pairs, unit norm
@@ -53,7 +68,8 @@ pub(crate) fn eight_point(pairs: &[Pair], weights: &[f64]) -> Option<Matrix3<f64
     unit.iter().all(|value| value.is_finite()).then_some(unit)
 }
 
-/// The similarity that centres one side's points and brings their mean distance to sqrt 2; `None` for one spot.
+/// The similarity that centres one side's points and brings their mean distance to sqrt 2; `None` for one
+/// spot.
 pub(crate) fn normaliser(pairs: &[Pair], side: usize) -> Option<Matrix3<f64>> {
     let count = pairs.len() as f64;
     let centre = pairs.iter().map(|pair| pair[side]).sum::<Vector2<f64>>() / count;
@@ -86,7 +102,10 @@ mod tests {
         for seed in 0..50 {
             let pairs = Scene::new(seed, 40, &truth, 0.0).pairs;
             let [one, two] = [0, 1].map(|side| std::array::from_fn(|i| pairs[i][side]));
-            let best = seven_point(&one, &two).iter().map(|f| miss(f, &e)).fold(1.0, f64::min);
+            let best = seven_point(&one, &two)
+                .iter()
+                .map(|f| miss(f, &e))
+                .fold(1.0, f64::min);
             assert!(best < 1e-6, "seed {seed}: {best:e}");
             let eight = eight_point(&pairs, &[1.0; 40]).unwrap();
             assert!(miss(&eight, &e) < 1e-9, "seed {seed}: {:e}", miss(&eight, &e));
@@ -98,10 +117,15 @@ mod tests {
         let truth = pose([0.1, -0.2, 0.05], [1.0, 0.3, -0.2]);
         for (scale, origin) in [(700.0, 500.0), (1e-12, 0.0), (1e12, 0.0), (700.0, -1e4)] {
             let shift = Vector2::new(origin, 0.5 * origin);
-            let pairs: Vec<Pair> =
-                Scene::new(1, 40, &truth, 0.0).pairs.iter().map(|pair| pair.map(|p| p * scale + shift)).collect();
+            let pairs: Vec<Pair> = Scene::new(1, 40, &truth, 0.0)
+                .pairs
+                .iter()
+                .map(|pair| pair.map(|p| p * scale + shift))
+                .collect();
             let f = eight_point(&pairs, &[1.0; 40]).unwrap();
-            let worst = pairs.iter().map(|p| crate::estimators::epipolar::sampson2(&f, p, [1.0; 2]).sqrt());
+            let worst = pairs
+                .iter()
+                .map(|p| crate::estimators::epipolar::sampson2(&f, p, [1.0; 2]).sqrt());
             let worst = worst.fold(0.0, f64::max);
             assert!(worst < 1e-7 * scale, "scale {scale:e} origin {origin}: {worst:e}");
         }
@@ -112,8 +136,16 @@ mod tests {
         let spot = [Vector2::new(0.1, 0.2); 2];
         assert!(eight_point(&[spot; 20], &[1.0; 20]).is_none(), "one spot");
         assert!(eight_point(&[spot; 7], &[1.0; 7]).is_none(), "seven");
-        assert!(eight_point(&[[Vector2::new(f64::NAN, 0.0); 2]; 9], &[1.0; 9]).is_none(), "NaN");
+        assert!(
+            eight_point(&[[Vector2::new(f64::NAN, 0.0); 2]; 9], &[1.0; 9]).is_none(),
+            "NaN"
+        );
         let line: [_; 7] = std::array::from_fn(|i| Vector2::new(i as f64, 2.0 * i as f64));
-        assert!(seven_point(&line, &line).iter().all(|f| f.iter().all(|v| v.is_finite())), "line");
+        assert!(
+            seven_point(&line, &line)
+                .iter()
+                .all(|f| f.iter().all(|v| v.is_finite())),
+            "line"
+        );
     }
 }

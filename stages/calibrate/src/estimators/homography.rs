@@ -8,11 +8,15 @@ use super::fundamental::{moved, normaliser};
 use super::rotation::nearest_rotation;
 use super::svd::{matrix, smallest, svd3};
 
-/// Returns H with x2 ~ H x1 for four points, unit norm; `None` where three of them are on a line in either photo.
+/// Returns H with x2 ~ H x1 for four points, unit norm; `None` where three of them are on a line in either
+/// photo.
 pub(crate) fn four_point(points_1: &[Vector2<f64>; 4], points_2: &[Vector2<f64>; 4]) -> Option<Matrix3<f64>> {
     let (from, to) = (frame(points_1)?, frame(points_2)?);
     let homography = (to * from.try_inverse()?).normalize();
-    homography.iter().all(|value| value.is_finite()).then_some(homography)
+    homography
+        .iter()
+        .all(|value| value.is_finite())
+        .then_some(homography)
 }
 
 /// The matrix that carries the axes and (1, 1, 1) to four points.
@@ -57,19 +61,19 @@ pub(crate) fn transfer2(homography: &Matrix3<f64>, p: &Vector2<f64>, q: &Vector2
     if error.is_finite() { error } else { f64::INFINITY }
 }
 
-/// A motion past a plane: `normal`, in camera 1's frame, has n·X > 0 for points seen; the translation is in units
-/// of the distance of camera 1 to the plane.
+/// A motion past a plane: `normal`, in camera 1's frame, has n·X > 0 for points seen; the translation is in
+/// units of the distance of camera 1 to the plane.
 #[derive(Debug, Clone)]
 pub(crate) struct PlaneMotion {
     pub cam2_from_cam1: Pose,
     pub normal: Vector3<f64>,
 }
 
-/// Returns the two motions behind a homography between plane coordinates (Ma, Soatto, Kosecka, Sastry 2004, 5.3.3),
-/// the lesser turn first; none where it is within 1e-9 of a turn on the spot or not finite.
+/// Returns the two motions behind a homography between plane coordinates (Ma, Soatto, Kosecka, Sastry 2004,
+/// 5.3.3), the lesser turn first; none where it is within 1e-9 of a turn on the spot or not finite.
 ///
-/// Both explain a plane equally well. What tells them apart are points off the plane, and those on it that one of
-/// the two would put behind a camera.
+/// Both explain a plane equally well. What tells them apart are points off the plane, and those on it that
+/// one of the two would put behind a camera.
 pub(crate) fn plane_motions(homography: &Matrix3<f64>, pairs: &[Pair]) -> Vec<PlaneMotion> {
     let mut h = homography / svd3(homography).s.y;
     let facing = |[p, q]: &&Pair| q.push(1.0).dot(&(h * p.push(1.0))) > 0.0;
@@ -89,7 +93,10 @@ pub(crate) fn plane_motions(homography: &Matrix3<f64>, pairs: &[Pair]) -> Vec<Pl
     if motions[1].cam2_from_cam1.rotation.trace() > motions[0].cam2_from_cam1.rotation.trace() {
         motions.swap(0, 1);
     }
-    motions.into_iter().filter(|motion| motion.cam2_from_cam1.is_valid()).collect()
+    motions
+        .into_iter()
+        .filter(|motion| motion.cam2_from_cam1.is_valid())
+        .collect()
 }
 
 /// `middle` and `unit` span the plane's directions that H keeps at their length.
@@ -99,10 +106,19 @@ fn plane_motion(h: &Matrix3<f64>, middle: &Vector3<f64>, unit: &Vector3<f64>, pa
     let from = Matrix3::from_columns(&[*middle, *unit, normal]);
     let to = Matrix3::from_columns(&[first, second, first.cross(&second)]);
     let rotation = nearest_rotation(&(to * from.transpose()));
-    let front = pairs.iter().filter(|[p, _]| normal.dot(&p.push(1.0)) > 0.0).count();
+    let front = pairs
+        .iter()
+        .filter(|[p, _]| normal.dot(&p.push(1.0)) > 0.0)
+        .count();
     let normal = if 2 * front < pairs.len() { -normal } else { normal };
     let translation = (h - rotation) * normal;
-    PlaneMotion { cam2_from_cam1: Pose { rotation, translation }, normal }
+    PlaneMotion {
+        cam2_from_cam1: Pose {
+            rotation,
+            translation,
+        },
+        normal,
+    }
 }
 
 #[cfg(test)]
@@ -125,8 +141,14 @@ mod tests {
         let truth = pose([0.1, 0.05, -0.2], [0.3, -0.1, 0.1]);
         let pairs = plane(&truth, &Vector3::new(0.1, -0.3, 0.25));
         let corner = [0, 3, 8, 11].map(|i| pairs[i]);
-        for h in [four_point(&corner.map(|p| p[0]), &corner.map(|p| p[1])), fit_homography(&pairs)] {
-            let worst = pairs.iter().map(|[p, q]| transfer2(&h.unwrap(), p, q)).fold(0.0, f64::max);
+        for h in [
+            four_point(&corner.map(|p| p[0]), &corner.map(|p| p[1])),
+            fit_homography(&pairs),
+        ] {
+            let worst = pairs
+                .iter()
+                .map(|[p, q]| transfer2(&h.unwrap(), p, q))
+                .fold(0.0, f64::max);
             assert!(worst < 1e-20, "{worst:e}");
         }
         let line = [0.0, 1.0, 2.0, 5.0].map(|x| Vector2::new(x, 2.0 * x));
@@ -135,7 +157,11 @@ mod tests {
 
     #[test]
     fn one_of_the_two_motions_past_a_plane_is_the_true_one() {
-        for (turn, t) in [([0.1, 0.05, -0.2], [0.3, -0.1, 0.1]), ([0.0; 3], [0.0, 0.0, -0.5]), ([0.0, 0.3, 0.0], [1e-4, 0.0, 0.0])] {
+        for (turn, t) in [
+            ([0.1, 0.05, -0.2], [0.3, -0.1, 0.1]),
+            ([0.0; 3], [0.0, 0.0, -0.5]),
+            ([0.0, 0.3, 0.0], [1e-4, 0.0, 0.0]),
+        ] {
             let truth = pose(turn, t);
             let normal = Vector3::new(0.1, -0.3, 0.25);
             let pairs = plane(&truth, &normal);

@@ -38,8 +38,8 @@ impl<const N: usize> Normal<N> {
 
 /// Walks downhill from `start` for at most `steps` trials; `None` where even the start has no finite cost.
 ///
-/// Damping is relative to the diagonal, so the unknowns may have any units; steps that raise the cost, or leave
-/// the domain (`linearise` says `None`), are taken back and damped tenfold.
+/// Damping is relative to the diagonal, so the unknowns may have any units; steps that raise the cost, or
+/// leave the domain (`linearise` says `None`), are taken back and damped tenfold.
 pub(crate) fn minimise<S: Clone, const N: usize>(
     start: &S,
     steps: usize,
@@ -62,7 +62,8 @@ where
             Some(next) => {
                 let gained = normal.cost - next.cost;
                 (state, damping) = (candidate, (damping * 0.1).max(1e-12));
-                let settled = gained <= 1e-10 * normal.cost;
+                // What is left to gain is 1e-4 of the unknowns' own uncertainty.
+                let settled = gained <= 1e-8 * normal.cost;
                 normal = next;
                 if settled {
                     break;
@@ -79,7 +80,10 @@ where
 
 /// Solves (H + damping diag H) step = -gradient in units where the diagonal is 1.
 fn damped_step<const N: usize>(normal: &Normal<N>, damping: f64) -> Option<SVector<f64, N>> {
-    let unit = normal.hessian.diagonal().map(|value| if value > 0.0 { 1.0 / value.sqrt() } else { 1.0 });
+    let unit = normal
+        .hessian
+        .diagonal()
+        .map(|value| if value > 0.0 { 1.0 / value.sqrt() } else { 1.0 });
     let mut system = normal.hessian;
     for j in 0..N {
         for i in j..N {

@@ -1,7 +1,7 @@
 //! Poses, epipolar geometry and points from a few correspondences; no state, no policy.
 //!
-//! "Plane" is the undistorted image plane at z = 1: x / z, y / z. Everything is f64; what is not finite is refused
-//! or dropped, never returned.
+//! "Plane" is the undistorted image plane at z = 1: x / z, y / z. Everything is f64; what is not finite is
+//! refused or dropped, never returned.
 
 mod epipolar;
 mod essential;
@@ -27,7 +27,10 @@ pub(crate) use homography::{fit_homography, four_point, plane_motions, transfer2
 pub(crate) use ransac::{Consensus, Trials, better, improved, lo_ransac};
 pub(crate) use rotation::{cross_matrix, turn_between};
 
-#[allow(unused_imports, reason = "what the mapper and the bundle adjustment ask of this room")]
+#[allow(
+    unused_imports,
+    reason = "what the mapper and the bundle adjustment ask of this room"
+)]
 pub(crate) use {
     p3p::p3p,
     resect::{Resection, Seen, polish_pose, resect},

@@ -10,11 +10,11 @@ const STEPS: usize = 5;
 
 /// Returns the poses `cam_from_world` that see three world points at three plane points, at most four.
 ///
-/// The distances are where two conics meet (Persson and Nordberg, Lambda Twist, ECCV 2018), found by splitting their
-/// degenerate member into lines (Ding, Yang, Larsson, Olsson, Astrom, CVPR 2023). Works in differences of the world
-/// points, scaled to 1: their unit and origin cost only the digits that the coordinates themselves have lost.
-/// Collinear or equal points, and what is not finite, give no pose; a double solution comes once or twice, with
-/// half of the digits.
+/// The distances are where two conics meet (Persson and Nordberg, Lambda Twist, ECCV 2018), found by
+/// splitting their degenerate member into lines (Ding, Yang, Larsson, Olsson, Astrom, CVPR 2023). Works in
+/// differences of the world points, scaled to 1: their unit and origin cost only the digits that the
+/// coordinates themselves have lost. Collinear or equal points, and what is not finite, give no pose; a
+/// double solution comes once or twice, with half of the digits.
 pub(crate) fn p3p(plane: &[Vector2<f64>; 3], world: &[Vector3<f64>; 3]) -> Vec<Pose> {
     let rays = plane.map(|point| point.push(1.0).normalize());
     let sides = [world[0] - world[1], world[0] - world[2], world[1] - world[2]];
@@ -27,7 +27,11 @@ pub(crate) fn p3p(plane: &[Vector2<f64>; 3], world: &[Vector3<f64>; 3]) -> Vec<P
         return Vec::new();
     }
     let squares = sides.map(|side| side.norm_squared());
-    let cosines = [rays[0].dot(&rays[1]), rays[0].dot(&rays[2]), rays[1].dot(&rays[2])];
+    let cosines = [
+        rays[0].dot(&rays[1]),
+        rays[0].dot(&rays[2]),
+        rays[1].dot(&rays[2]),
+    ];
     let mut poses = Vec::with_capacity(4);
     for distances in all_distances(&squares, &cosines) {
         if let Some(distances) = refined(distances, &squares, &cosines) {
@@ -47,7 +51,11 @@ fn form(i: usize, j: usize, cosine: f64) -> Matrix3<f64> {
 
 /// Distances along the three rays that reproduce the three sides, unrefined.
 fn all_distances(squares: &[f64; 3], cosines: &[f64; 3]) -> Vec<Vector3<f64>> {
-    let forms = [form(0, 1, cosines[0]), form(0, 2, cosines[1]), form(1, 2, cosines[2])];
+    let forms = [
+        form(0, 1, cosines[0]),
+        form(0, 2, cosines[1]),
+        form(1, 2, cosines[2]),
+    ];
     // Two conics through all solutions; the longest side is the one compared with, so no scale is lost.
     let longest = (1..3).fold(0, |best, i| if squares[i] > squares[best] { i } else { best });
     let (i, j) = ((longest + 1) % 3, (longest + 2) % 3);
@@ -59,7 +67,11 @@ fn all_distances(squares: &[f64; 3], cosines: &[f64; 3]) -> Vec<Vector3<f64>> {
     };
     for line in lines {
         for direction in meet(&line, &other) {
-            let d = if direction.sum() < 0.0 { -direction } else { direction };
+            let d = if direction.sum() < 0.0 {
+                -direction
+            } else {
+                direction
+            };
             let unit = (d.transpose() * forms[longest] * d)[0];
             if d.min() > 0.0 && unit > 0.0 {
                 found.push(d * (squares[longest] / unit).sqrt());
@@ -100,7 +112,11 @@ fn split(first: &Matrix3<f64>, second: &Matrix3<f64>) -> Option<([Vector3<f64>; 
 /// The symmetric adjugate: rows of cross products.
 fn adjugate(m: &Matrix3<f64>) -> Matrix3<f64> {
     let column = |i: usize| m.column(i).into_owned();
-    let rows = [column(1).cross(&column(2)), column(2).cross(&column(0)), column(0).cross(&column(1))];
+    let rows = [
+        column(1).cross(&column(2)),
+        column(2).cross(&column(0)),
+        column(0).cross(&column(1)),
+    ];
     Matrix3::from_rows(&rows.map(|row| row.transpose()))
 }
 
@@ -121,7 +137,10 @@ fn meet(line: &Vector3<f64>, conic: &Matrix3<f64>) -> Vec<Vector3<f64>> {
     // a s² + 2 b s t + c t² = 0 without cancellation: w = -(b + sign(b) root), s : t = w : a and c : w.
     let w = -(b + discriminant.max(0.0).sqrt().copysign(b));
     let points = [u * w + v * a, u * c + v * w];
-    points.into_iter().filter(|point| point.norm_squared() > 0.0).collect()
+    points
+        .into_iter()
+        .filter(|point| point.norm_squared() > 0.0)
+        .collect()
 }
 
 /// Newton's steps on the distances; `None` where the sides are not met within 1e-6.
@@ -146,7 +165,9 @@ fn refined(mut d: Vector3<f64>, squares: &[f64; 3], cosines: &[f64; 3]) -> Optio
             d.y - cosines[2] * d.z,
             d.z - cosines[2] * d.y,
         );
-        let Some(inverse) = slopes.try_inverse() else { break };
+        let Some(inverse) = slopes.try_inverse() else {
+            break;
+        };
         let next = d - inverse * error * 0.5;
         let after = residual(&next);
         if after.amax().is_nan() || after.amax() >= error.amax() {
@@ -162,7 +183,10 @@ fn refined(mut d: Vector3<f64>, squares: &[f64; 3], cosines: &[f64; 3]) -> Optio
 fn align(camera: &[Vector3<f64>; 3], world: &[Vector3<f64>; 3]) -> Option<Pose> {
     let rotation = triad(camera)? * triad(world)?.transpose();
     let translation = camera[0] - rotation * world[0];
-    let pose = Pose { rotation, translation };
+    let pose = Pose {
+        rotation,
+        translation,
+    };
     pose.is_valid().then_some(pose)
 }
 
@@ -213,7 +237,10 @@ mod tests {
             let points = Scene::new(seed, 3, &Pose::identity(), 0.0).points;
             let world = [0, 1, 2].map(|i| truth.inverse().point(&points[i]));
             let poses = p3p(&[0, 1, 2].map(|i| plane_of(&points[i])), &world);
-            let miss = poses.iter().map(|pose| (pose.rotation - truth.rotation).norm()).fold(1.0, f64::min);
+            let miss = poses
+                .iter()
+                .map(|pose| (pose.rotation - truth.rotation).norm())
+                .fold(1.0, f64::min);
             assert!(miss < 1e-5, "seed {seed}: {miss:e}");
         }
     }
@@ -223,18 +250,25 @@ mod tests {
         let line = [1.0, 2.0, 4.0].map(|x| Vector3::new(x, -x, 5.0 + x));
         let bad = Vector3::new(f64::NAN, 0.0, 1.0);
         for world in [line, [line[0]; 3], [line[0], line[0], line[1]], [bad; 3]] {
-            assert!(p3p(&world.map(|point| plane_of(&point)), &world).is_empty(), "{world:?}");
+            assert!(
+                p3p(&world.map(|point| plane_of(&point)), &world).is_empty(),
+                "{world:?}"
+            );
         }
     }
 
-    /// A camera on the danger cylinder has a double solution: the equilateral triangle seen from above its corner.
+    /// A camera on the danger cylinder has a double solution: the equilateral triangle seen from above its
+    /// corner.
     #[test]
     fn repeated_roots_keep_half_of_the_digits() {
         let world = [0.0, 2.0, 4.0].map(|k| {
             let angle = k * std::f64::consts::FRAC_PI_3;
             Vector3::new(libm::cos(angle), libm::sin(angle), 0.0)
         });
-        for (name, eye) in [("on the cylinder", Vector3::new(1.0, 0.0, 3.0)), ("on the axis", Vector3::new(0.0, 0.0, 3.0))] {
+        for (name, eye) in [
+            ("on the cylinder", Vector3::new(1.0, 0.0, 3.0)),
+            ("on the axis", Vector3::new(0.0, 0.0, 3.0)),
+        ] {
             let truth = Pose::looking_at(eye, Vector3::zeros(), Vector3::y());
             let got = miss(&truth, &world, 1.0);
             assert!(got < 1e-3, "{name}: {got:e}");

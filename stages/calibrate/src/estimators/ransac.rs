@@ -1,4 +1,5 @@
-//! The most agreed-on model of many bad measurements: LO-RANSAC (Chum, Matas, Kittler 2003) with truncated squares.
+//! The most agreed-on model of many bad measurements: LO-RANSAC (Chum, Matas, Kittler 2003) with truncated
+//! squares.
 
 use crate::dice::Dice;
 
@@ -28,8 +29,8 @@ const ROUNDS: usize = 2;
 
 /// Draws samples of `N`, solves, scores, and improves every new best model on its own inliers.
 ///
-/// `error2(model, i)` is a squared error in units of the squared threshold. Serial; of two models of equal cost the
-/// first stays. `None` with fewer than `N` measurements or no model at all.
+/// `error2(model, i)` is a squared error in units of the squared threshold. Serial; of two models of equal
+/// cost the first stays. `None` with fewer than `N` measurements or no model at all.
 pub(crate) fn lo_ransac<const N: usize, M: Clone>(
     count: usize,
     trials: &Trials,
@@ -114,7 +115,11 @@ mod tests {
 
     /// A number most agree on: one measurement is a sample, the mean of inliers improves it.
     fn mode(values: &[f64], least: usize) -> Option<Consensus<f64>> {
-        let trials = Trials { most: 500, confidence: 0.999, least };
+        let trials = Trials {
+            most: 500,
+            confidence: 0.999,
+            least,
+        };
         let mean = |_: &f64, inliers: &[usize]| {
             Some(inliers.iter().map(|&i| values[i]).sum::<f64>() / inliers.len() as f64)
         };
@@ -136,7 +141,11 @@ mod tests {
 
     #[test]
     fn trials_follow_the_share_of_inliers() {
-        let trials = Trials { most: 2000, confidence: 0.999, least: 15 };
+        let trials = Trials {
+            most: 2000,
+            confidence: 0.999,
+            least: 15,
+        };
         // ln .001 / ln(1 - .5^7) = 880.8; five points: 217.6; all: 1.
         assert_eq!(trials_needed(&trials, 50, 100, 7), 881);
         assert_eq!(trials_needed(&trials, 50, 100, 5), 218);

@@ -8,11 +8,13 @@ const TERMS: usize = 11;
 
 /// Returns the real roots of c0 + c1 x + ... , rising, a double root once or twice.
 ///
-/// The roots of each derivative bracket those of the one before it; roots outside [-1, 1] come from the polynomial
-/// with its coefficients reversed, in 1/x, so none is lost to a bound. A minimum within rounding of zero is a
-/// root. At most 11 coefficients; none finite, or all zero: no roots.
+/// The roots of each derivative bracket those of the one before it; roots outside [-1, 1] come from the
+/// polynomial with its coefficients reversed, in 1/x, so none is lost to a bound. A minimum within rounding
+/// of zero is a root. At most 11 coefficients; none finite, or all zero: no roots.
 pub(crate) fn real_roots(coefficients: &[f64]) -> Vec<f64> {
-    let size = coefficients.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
+    let size = coefficients
+        .iter()
+        .fold(0.0_f64, |most, value| most.max(value.abs()));
     if size == 0.0 || !coefficients.iter().all(|value| value.is_finite()) || coefficients.len() > TERMS {
         return Vec::new();
     }
@@ -22,8 +24,13 @@ pub(crate) fn real_roots(coefficients: &[f64]) -> Vec<f64> {
         high[coefficients.len() - 1 - i] = value / size;
     }
     let degree = coefficients.len() - 1;
-    let far = within_one(&high, degree).into_iter().filter(|x| x.abs() > 1e-14 && x.abs() < 1.0);
-    let mut roots: Vec<f64> = within_one(&low, degree).into_iter().chain(far.map(f64::recip)).collect();
+    let far = within_one(&high, degree)
+        .into_iter()
+        .filter(|x| x.abs() > 1e-14 && x.abs() < 1.0);
+    let mut roots: Vec<f64> = within_one(&low, degree)
+        .into_iter()
+        .chain(far.map(f64::recip))
+        .collect();
     roots.sort_by(f64::total_cmp);
     roots
 }
@@ -46,7 +53,10 @@ fn within_one(coefficients: &[f64; TERMS], degree: usize) -> Vec<f64> {
         for right in turns.iter().copied().chain([1.0]) {
             let at_right = value_and_slope(terms, right).0;
             if at_left == 0.0 || at_left * at_right < 0.0 {
-                roots.push(root_between(terms, left, right, at_left));
+                // Newton squares the error: a last step of 1e-6 leaves 1e-12, enough for a bracket or a
+                // double root.
+                let tolerance = if order == 0 { 1e-10 } else { 1e-6 };
+                roots.push(root_between(terms, [left, right], at_left, tolerance));
             } else if touches(terms, right, at_right) {
                 roots.push(right);
             }
@@ -59,36 +69,46 @@ fn within_one(coefficients: &[f64; TERMS], degree: usize) -> Vec<f64> {
 
 /// Tells whether a value is zero within the rounding of its own terms.
 fn touches(terms: &[f64], x: f64, value: f64) -> bool {
-    let size = terms.iter().rev().fold(0.0, |sum, term| sum * x.abs() + term.abs());
+    let size = terms
+        .iter()
+        .rev()
+        .fold(0.0, |sum, term| sum * x.abs() + term.abs());
     value.abs() <= 1e-14 * size
 }
 
 fn value_and_slope(terms: &[f64], x: f64) -> (f64, f64) {
-    terms.iter().rev().fold((0.0, 0.0), |(value, slope), term| (value * x + term, slope * x + value))
+    terms.iter().rev().fold((0.0, 0.0), |(value, slope), term| {
+        (value * x + term, slope * x + value)
+    })
 }
 
-/// Newton's steps, halving where one leaves the bracket.
-fn root_between(terms: &[f64], mut left: f64, mut right: f64, at_left: f64) -> f64 {
+/// Newton's steps, halving where one leaves the bracket; the last step is one of Newton's and below
+/// `tolerance`, relative.
+fn root_between(terms: &[f64], [mut left, mut right]: [f64; 2], at_left: f64, tolerance: f64) -> f64 {
     if at_left == 0.0 {
         return left;
     }
     let mut x = 0.5 * (left + right);
     for _ in 0..STEPS {
         let (value, slope) = value_and_slope(terms, x);
-        if value == 0.0 {
-            return x;
-        }
         if (value < 0.0) == (at_left < 0.0) {
             left = x;
         } else {
             right = x;
         }
         let newton = x - value / slope;
-        let next = if newton > left && newton < right { newton } else { 0.5 * (left + right) };
-        if (next - x).abs() <= 1e-16 * x.abs() || right - left <= 1e-16 * x.abs() {
-            return next;
+        if value == 0.0 || (newton - x).abs() <= tolerance * x.abs() {
+            return if newton > left && newton < right {
+                newton
+            } else {
+                x
+            };
         }
-        x = next;
+        x = if newton > left && newton < right {
+            newton
+        } else {
+            0.5 * (left + right)
+        };
     }
     x
 }
@@ -126,7 +146,10 @@ mod tests {
                 .collect();
             roots.sort_by(f64::total_cmp);
             let got = real_roots(&from_roots(&roots));
-            let complete = got.len() == 10 || roots.windows(2).any(|pair| pair[1] - pair[0] < 1e-2 * pair[1].abs());
+            let complete = got.len() == 10
+                || roots
+                    .windows(2)
+                    .any(|pair| pair[1] - pair[0] < 1e-2 * pair[1].abs());
             assert!(complete, "trial {trial}: {got:?} {roots:?}");
         }
     }
@@ -138,7 +161,13 @@ mod tests {
             let near = |value: f64| got.iter().any(|x| (x - value).abs() < 1e-6 * value.abs());
             assert!(near(root) && near(root * 3.0), "{root}: {got:?}");
         }
-        for hopeless in [&[0.0, 0.0][..], &[f64::NAN, 1.0], &[1.0, f64::INFINITY], &[3.0], &[]] {
+        for hopeless in [
+            &[0.0, 0.0][..],
+            &[f64::NAN, 1.0],
+            &[1.0, f64::INFINITY],
+            &[3.0],
+            &[],
+        ] {
             assert!(real_roots(hopeless).is_empty(), "{hopeless:?}");
         }
         // A leading coefficient of zero lowers the degree.

@@ -9,7 +9,8 @@ pub(crate) fn cross_matrix(v: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::new(0.0, -v.z, v.y, v.z, 0.0, -v.x, -v.y, v.x, 0.0)
 }
 
-/// Returns the rotation about `turn` by |`turn`| radians, through the half-angle quaternion: no digits are lost at 0.
+/// Returns the rotation about `turn` by |`turn`| radians, through the half-angle quaternion: no digits are
+/// lost at 0.
 pub(crate) fn exp_so3(turn: &Vector3<f64>) -> Matrix3<f64> {
     let half = turn.norm() / 2.0;
     // Below 1e-8 sin(h) / h is 1 in f64.
@@ -43,7 +44,8 @@ pub(crate) fn log_so3(rotation: &Matrix3<f64>) -> Vector3<f64> {
     v * (2.0 * libm::atan2(sine, w) / sine)
 }
 
-/// Returns the rotation nearest to a matrix (Frobenius): U Vᵀ with the sign that keeps the determinant at 1.
+/// Returns the rotation nearest to a matrix (Frobenius): U Vᵀ with the sign that keeps the determinant at
+/// 1.
 pub(crate) fn nearest_rotation(matrix: &Matrix3<f64>) -> Matrix3<f64> {
     let svd = svd3(matrix);
     svd.u * svd.v.transpose()
@@ -58,8 +60,9 @@ pub(crate) fn turn_between(pairs: impl Iterator<Item = (Vector3<f64>, Vector3<f6
     }))
 }
 
-/// Returns the angle between the rays from two centres to a point, in [0, pi]; 0 where a centre is the point.
-/// atan2 of sine and cosine: accurate to 1e-16 relative near 0 and near pi, where acos keeps 8 digits.
+/// Returns the angle between the rays from two centres to a point, in [0, pi]; 0 where a centre is the
+/// point. atan2 of sine and cosine: accurate to 1e-16 relative near 0 and near pi, where acos keeps 8
+/// digits.
 pub(crate) fn ray_angle_rad(centre_1: &Vector3<f64>, centre_2: &Vector3<f64>, point: &Vector3<f64>) -> f64 {
     let (ray_1, ray_2) = (point - centre_1, point - centre_2);
     libm::atan2(ray_1.cross(&ray_2).norm(), ray_1.dot(&ray_2))
@@ -90,8 +93,13 @@ mod tests {
                 let turn = axis * angle;
                 let rotation = exp_so3(&turn);
                 let back = log_so3(&rotation);
-                let error = (back - turn).norm().min(if angle > 3.1 { (back + turn).norm() } else { 9.0 });
-                assert!(error <= 4e-15 * angle.max(1e-3), "angle {angle:e} {axis}: {error:e}");
+                let error = (back - turn)
+                    .norm()
+                    .min(if angle > 3.1 { (back + turn).norm() } else { 9.0 });
+                assert!(
+                    error <= 4e-15 * angle.max(1e-3),
+                    "angle {angle:e} {axis}: {error:e}"
+                );
                 let defect = (rotation * rotation.transpose() - Matrix3::identity()).norm();
                 assert!(defect < 4e-15, "angle {angle}: {defect:e}");
             }
@@ -104,7 +112,10 @@ mod tests {
         assert!((nearest_rotation(&mirror).determinant() - 1.0).abs() < 1e-15);
         let turn = exp_so3(&Vector3::new(0.3, -0.2, 2.0));
         for scale in [1e-12, 1.0, 1e12] {
-            assert!((nearest_rotation(&(turn * scale)) - turn).norm() < 1e-14, "scale {scale:e}");
+            assert!(
+                (nearest_rotation(&(turn * scale)) - turn).norm() < 1e-14,
+                "scale {scale:e}"
+            );
         }
     }
 

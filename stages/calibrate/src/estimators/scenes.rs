@@ -41,7 +41,11 @@ impl Scene {
         let mut dice = Dice::new(seed);
         let points = std::iter::repeat_with(|| {
             let depth = 4.0 + 8.0 * dice.unit();
-            Vector3::new((dice.unit() - 0.5) * depth, (dice.unit() - 0.5) * 1.3 * depth, depth)
+            Vector3::new(
+                (dice.unit() - 0.5) * depth,
+                (dice.unit() - 0.5) * 1.3 * depth,
+                depth,
+            )
         });
         let seen = points.filter(|point| cam2_from_cam1.point(point).z > 0.5);
         Self::of(seen.take(count).collect(), cam2_from_cam1, sigma, seed)

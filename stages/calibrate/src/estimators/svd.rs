@@ -15,7 +15,8 @@ const SWEEPS: usize = 20;
 /// Factors a 3 x 3 matrix by one-sided Jacobi turns (Hestenes 1958).
 ///
 /// nalgebra's own 3 x 3 case goes through MᵀM and loses half of the digits of small singular values.
-/// Singular matrices are welcome (U is completed to a rotation); what is not finite gives what is not finite.
+/// Singular matrices are welcome (U is completed to a rotation); what is not finite gives what is not
+/// finite.
 pub(crate) fn svd3(matrix: &Matrix3<f64>) -> Svd3 {
     let (mut b, mut v) = (*matrix, Matrix3::identity());
     for _ in 0..SWEEPS {
@@ -61,7 +62,11 @@ fn basis(b0: &Vector3<f64>, b1: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
     let u0 = b0.try_normalize(0.0).unwrap_or_else(Vector3::x);
     let rest = b1 - u0 * u0.dot(b1);
     let clear = rest.norm() > 1e-14 * b0.norm();
-    let u1 = if clear { rest.normalize() } else { any_orthogonal(&u0) };
+    let u1 = if clear {
+        rest.normalize()
+    } else {
+        any_orthogonal(&u0)
+    };
     // Once more: the first projection leaves a rest of 1e-16 / |b1|.
     (u0, (u1 - u0 * u0.dot(&u1)).normalize())
 }
@@ -75,8 +80,8 @@ pub(crate) fn any_orthogonal(unit: &Vector3<f64>) -> Vector3<f64> {
 
 /// Orthonormal vectors that every row annihilates, by Householder reflections; `FREE` is 9 - `ROWS`.
 ///
-/// Rows that depend on each other leave a larger null space, of which these are a part plus others: the caller's
-/// solutions are then wrong but finite.
+/// Rows that depend on each other leave a larger null space, of which these are a part plus others: the
+/// caller's solutions are then wrong but finite.
 pub(crate) fn null_space<const ROWS: usize, const FREE: usize>(
     mut rows: [SVector<f64, 9>; ROWS],
 ) -> [SVector<f64, 9>; FREE] {
@@ -105,7 +110,10 @@ pub(crate) fn null_space<const ROWS: usize, const FREE: usize>(
 
 /// The unit vector that a sum of outer products of rows shrinks most; `None` where it is not finite.
 pub(crate) fn smallest(outer: &SMatrix<f64, 9, 9>) -> Option<SVector<f64, 9>> {
-    let eigen = outer.iter().all(|value| value.is_finite()).then(|| outer.symmetric_eigen())?;
+    let eigen = outer
+        .iter()
+        .all(|value| value.is_finite())
+        .then(|| outer.symmetric_eigen())?;
     Some(eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned())
 }
 
@@ -131,10 +139,17 @@ mod tests {
             let m = left * middle * right * scale;
             let Svd3 { u, s, v } = svd3(&m);
             let back = u * Matrix3::from_diagonal(&s) * v.transpose();
-            assert!((back - m).norm() < 1e-14 * m.norm(), "trial {trial}: {}", (back - m).norm());
+            assert!(
+                (back - m).norm() < 1e-14 * m.norm(),
+                "trial {trial}: {}",
+                (back - m).norm()
+            );
             for turn in [u, v] {
                 let defect = (turn * turn.transpose() - Matrix3::identity()).norm();
-                assert!(defect < 1e-13 && turn.determinant() > 0.0, "trial {trial}: {defect:e}");
+                assert!(
+                    defect < 1e-13 && turn.determinant() > 0.0,
+                    "trial {trial}: {defect:e}"
+                );
             }
             assert!(s.x >= s.y && s.y >= s.z.abs() - 1e-14 * s.x, "trial {trial}: {s}");
         }
@@ -151,7 +166,10 @@ mod tests {
         for rows in [rows, [SVector::zeros(); 5]] {
             let null: [_; 4] = null_space(rows);
             for i in 0..4 {
-                assert!(rows.iter().all(|row| row.dot(&null[i]).abs() < 1e-14), "vector {i}");
+                assert!(
+                    rows.iter().all(|row| row.dot(&null[i]).abs() < 1e-14),
+                    "vector {i}"
+                );
                 assert!((0..4).all(|j| (null[i].dot(&null[j]) - f64::from(i == j)).abs() < 1e-14));
             }
         }

@@ -27,25 +27,28 @@ const STEPS: usize = 10;
 /// Below this sine two rays are parallel to rounding: their depth has no digit left.
 const PARALLEL: f64 = 1e-9;
 
-/// Two-sight hypotheses at most: all pairs of ten sights, else as many drawn. With half of the sights wrong all of 45
-/// draws miss with chance 2e-6.
+/// Two-sight hypotheses at most: all pairs of ten sights, else as many drawn. With half of the sights wrong
+/// all of 45 draws miss with chance 2e-6.
 const HYPOTHESES: usize = 45;
 
 /// Returns the point of least squared plane error in all sights, started where the rays come closest.
 ///
-/// `None` with fewer than two sights, with rays parallel to machine precision (every sine below 1e-9), behind any camera, or
-/// not finite. The error grows as 1 / angle. Works from the mean centre in units of the baseline.
+/// `None` with fewer than two sights, with rays parallel to machine precision (every sine below 1e-9),
+/// behind any camera, or not finite. The error grows as 1 / angle. Works in differences from the first
+/// centre: the world's unit does not matter.
 pub(crate) fn triangulate(sights: &[Sight]) -> Option<Vector3<f64>> {
     let all: Vec<&Sight> = sights.iter().collect();
     let start = meeting(&all)?;
     refined(&start, &all).filter(|point| all.iter().all(|sight| depth(sight, point) > 0.0))
 }
 
-/// Returns the point most sights agree on within `max_error` (plane units, one per sight), refined on those.
+/// Returns the point most sights agree on within `max_error` (plane units, one per sight), refined on
+/// those.
 ///
-/// Hypotheses come from pairs of sights: all of them up to ten sights, then 45 drawn from dice that are always the same.
-/// Agreement is distance in the plane and positive depth; the least truncated sum of squares wins, of equals the first.
-/// `None` where fewer than two sights agree, or no two of those that do see the point under `min_angle_rad`.
+/// Hypotheses come from pairs of sights: all of them up to ten sights, then 45 drawn from dice that are
+/// always the same. Agreement is distance in the plane and positive depth; the least truncated sum of
+/// squares wins, of equals the first. `None` where fewer than two sights agree, or no two of those that do
+/// see the point under `min_angle_rad`.
 pub(crate) fn triangulate_robust(
     sights: &[Sight],
     max_error: &[f64],
@@ -56,7 +59,9 @@ pub(crate) fn triangulate_robust(
     }
     let errors2 = |point: &Vector3<f64>| {
         let pairs = sights.iter().zip(max_error);
-        pairs.map(|(sight, limit)| offset2(sight, point) / (limit * limit)).collect::<Vec<f64>>()
+        pairs
+            .map(|(sight, limit)| offset2(sight, point) / (limit * limit))
+            .collect::<Vec<f64>>()
     };
     let mut best: Option<(f64, Vector3<f64>, Vec<usize>)> = None;
     for (i, j) in hypotheses(sights.len()) {
@@ -74,7 +79,11 @@ pub(crate) fn triangulate_robust(
     let refined = refined(&start, &chosen)?;
     let after = agreed(&errors2(&refined));
     // Refining may trade one sight's error for another's: then the start stays.
-    let (point, inliers) = if after.len() >= inliers.len() { (refined, after) } else { (start, inliers) };
+    let (point, inliers) = if after.len() >= inliers.len() {
+        (refined, after)
+    } else {
+        (start, inliers)
+    };
     (inliers.len() >= 2 && wide_enough(sights, &inliers, &point, min_angle_rad))
         .then_some(Triangulated { point, inliers })
 }
@@ -86,7 +95,9 @@ fn agreed(errors2: &[f64]) -> Vec<usize> {
 /// Pairs of sights to start from.
 fn hypotheses(count: usize) -> Vec<(usize, usize)> {
     if count * count.saturating_sub(1) / 2 <= HYPOTHESES {
-        return (0..count).flat_map(|i| (i + 1..count).map(move |j| (i, j))).collect();
+        return (0..count)
+            .flat_map(|i| (i + 1..count).map(move |j| (i, j)))
+            .collect();
     }
     let mut dice = Dice::new(count as u64);
     let drawn = (0..HYPOTHESES).map(|_| dice.sample::<2>(count));
@@ -94,7 +105,10 @@ fn hypotheses(count: usize) -> Vec<(usize, usize)> {
 }
 
 fn wide_enough(sights: &[Sight], inliers: &[usize], point: &Vector3<f64>, min_angle_rad: f64) -> bool {
-    let centres: Vec<_> = inliers.iter().map(|&i| sights[i].cam_from_world.centre()).collect();
+    let centres: Vec<_> = inliers
+        .iter()
+        .map(|&i| sights[i].cam_from_world.centre())
+        .collect();
     let angle = |i: usize, j: usize| ray_angle_rad(&centres[i], &centres[j], point);
     (1..centres.len()).any(|j| (0..j).any(|i| angle(i, j) >= min_angle_rad))
 }
@@ -118,7 +132,11 @@ fn meeting(sights: &[&Sight]) -> Option<Vector3<f64>> {
         return None;
     }
     let nearest = if let [one, two] = sights {
-        midpoint(&first, &ray(two), &(two.cam_from_world.centre() - one.cam_from_world.centre()))
+        midpoint(
+            &first,
+            &ray(two),
+            &(two.cam_from_world.centre() - one.cam_from_world.centre()),
+        )
     } else {
         across.cholesky()?.solve(&target)
     };
@@ -126,12 +144,15 @@ fn meeting(sights: &[&Sight]) -> Option<Vector3<f64>> {
     point.iter().all(|value| value.is_finite()).then_some(point)
 }
 
-/// Half way between the nearest points of two rays, the first from the origin: by cross products, which keep the digits
-/// of small angles that 3 x 3 normal equations square away.
+/// Half way between the nearest points of two rays, the first from the origin: by cross products, which
+/// keep the digits of small angles that 3 x 3 normal equations square away.
 fn midpoint(first: &Vector3<f64>, second: &Vector3<f64>, centre: &Vector3<f64>) -> Vector3<f64> {
     let normal = first.cross(second);
     let area = normal.norm_squared();
-    let (along_first, along_second) = (centre.cross(second).dot(&normal), centre.cross(first).dot(&normal));
+    let (along_first, along_second) = (
+        centre.cross(second).dot(&normal),
+        centre.cross(first).dot(&normal),
+    );
     (first * (along_first / area) + centre + second * (along_second / area)) * 0.5
 }
 
@@ -148,8 +169,7 @@ fn refined(start: &Vector3<f64>, sights: &[&Sight]) -> Option<Vector3<f64>> {
             let error = plane - sight.plane;
             for axis in 0..2 {
                 let r = &sight.cam_from_world.rotation;
-                let slope: SVector<f64, 3> =
-                    (r.row(axis) - r.row(2) * plane[axis]).transpose() / local.z;
+                let slope: SVector<f64, 3> = (r.row(axis) - r.row(2) * plane[axis]).transpose() / local.z;
                 normal.add_weighed(error[axis], &slope, 1.0);
             }
             normal.cost += error.norm_squared();
@@ -167,7 +187,11 @@ fn depth(sight: &Sight, point: &Vector3<f64>) -> f64 {
 /// Squared distance in the plane; infinite behind the camera.
 fn offset2(sight: &Sight, point: &Vector3<f64>) -> f64 {
     let local = sight.cam_from_world.point(point);
-    if local.z > 0.0 { (local.xy() / local.z - sight.plane).norm_squared() } else { f64::INFINITY }
+    if local.z > 0.0 {
+        (local.xy() / local.z - sight.plane).norm_squared()
+    } else {
+        f64::INFINITY
+    }
 }
 
 #[cfg(test)]
@@ -180,8 +204,12 @@ mod tests {
         let (point, mut dice) = (Vector3::new(0.0, 0.0, range), Dice::new(seed));
         let sights = (0..count).map(|i| {
             let eye = Vector3::x() * (step * i as f64);
-            let cam_from_world = Pose::looking_at(eye, point + Vector3::new(0.1, 0.2, 0.0) * range, Vector3::y());
-            Sight { cam_from_world, plane: shaken(plane_of(&cam_from_world.point(&point)), sigma, &mut dice) }
+            let cam_from_world =
+                Pose::looking_at(eye, point + Vector3::new(0.1, 0.2, 0.0) * range, Vector3::y());
+            Sight {
+                cam_from_world,
+                plane: shaken(plane_of(&cam_from_world.point(&point)), sigma, &mut dice),
+            }
         });
         (point, sights.collect())
     }
@@ -197,7 +225,10 @@ mod tests {
                 total += (triangulate(&sights).unwrap() - point).norm() / 50.0;
             }
             let expected = sigma / angle_deg.to_radians().min(1.0);
-            assert!(total < 4.0 * expected && total > expected / 4.0, "{angle_deg} deg: {total:e} {expected:e}");
+            assert!(
+                total < 4.0 * expected && total > expected / 4.0,
+                "{angle_deg} deg: {total:e} {expected:e}"
+            );
         }
     }
 
@@ -216,15 +247,52 @@ mod tests {
     }
 
     #[test]
+    fn an_origin_a_million_away_costs_the_digits_of_the_coordinates() {
+        let (point, mut sights) = sights(3, 0.5, 3.0, 0.0, 1);
+        let far = Vector3::new(1e6, -2e6, 5e5);
+        for sight in &mut sights {
+            let pose = &mut sight.cam_from_world;
+            pose.translation -= pose.rotation * far;
+        }
+        let got = triangulate(&sights).unwrap();
+        assert!(
+            (got - far - point).norm() < 1e-8,
+            "{:e}",
+            (got - far - point).norm()
+        );
+    }
+
+    #[test]
     fn parallel_backward_and_single_rays_are_refused() {
         let (_, mut pair) = sights(2, 0.5, 3.0, 0.0, 1);
         assert!(triangulate(&pair[..1]).is_none() && triangulate(&[]).is_none());
-        assert!(triangulate(&[pair[0].clone(), pair[0].clone()]).is_none(), "zero baseline");
-        let ahead = Sight { cam_from_world: Pose::identity(), plane: Vector2::zeros() };
-        let beside = Pose { translation: -Vector3::x(), ..Pose::identity() };
-        let infinite = [ahead.clone(), Sight { cam_from_world: beside, plane: Vector2::zeros() }];
+        assert!(
+            triangulate(&[pair[0].clone(), pair[0].clone()]).is_none(),
+            "zero baseline"
+        );
+        let ahead = Sight {
+            cam_from_world: Pose::identity(),
+            plane: Vector2::zeros(),
+        };
+        let beside = Pose {
+            translation: -Vector3::x(),
+            ..Pose::identity()
+        };
+        let infinite = [
+            ahead.clone(),
+            Sight {
+                cam_from_world: beside,
+                plane: Vector2::zeros(),
+            },
+        ];
         assert!(triangulate(&infinite).is_none(), "a point at infinity");
-        let apart = [ahead, Sight { cam_from_world: beside, plane: Vector2::new(0.3, 0.0) }];
+        let apart = [
+            ahead,
+            Sight {
+                cam_from_world: beside,
+                plane: Vector2::new(0.3, 0.0),
+            },
+        ];
         assert!(triangulate(&apart).is_none(), "rays meet behind");
         pair[0].plane.x = f64::NAN;
         assert!(triangulate(&pair).is_none(), "NaN");
@@ -239,8 +307,16 @@ mod tests {
                 sight.plane += Vector2::new(0.05 + 0.01 * k as f64, 0.2 - 0.03 * k as f64);
             }
             let got = triangulate_robust(&all, &vec![1e-3; count], 0.01).unwrap();
-            assert_eq!(got.inliers, (wrong..count).collect::<Vec<_>>(), "{wrong} of {count}");
-            assert!((got.point - point).norm() < 5e-3, "{wrong} of {count}: {}", got.point);
+            assert_eq!(
+                got.inliers,
+                (wrong..count).collect::<Vec<_>>(),
+                "{wrong} of {count}"
+            );
+            assert!(
+                (got.point - point).norm() < 5e-3,
+                "{wrong} of {count}: {}",
+                got.point
+            );
         }
     }
 
@@ -249,7 +325,10 @@ mod tests {
         let (_, narrow) = sights(4, 1e-3, 2.0, 0.0, 1);
         assert!(triangulate_robust(&narrow, &[1e-3; 4], 0.02).is_none(), "narrow");
         assert!(triangulate_robust(&narrow, &[1e-3; 4], 1e-4).is_some());
-        assert!(triangulate_robust(&narrow, &[1e-3; 3], 1e-4).is_none(), "limits missing");
+        assert!(
+            triangulate_robust(&narrow, &[1e-3; 3], 1e-4).is_none(),
+            "limits missing"
+        );
         let (_, mut skew) = sights(2, 0.5, 2.0, 0.0, 1);
         skew[1].plane.y += 0.1;
         assert!(triangulate_robust(&skew, &[1e-3; 2], 0.01).is_none(), "skew");

@@ -45,7 +45,10 @@ fn boxes(photo: &Image<Srgb>, factor: u32, is: impl Fn(u8) -> bool) -> Vec<bool>
     for rows in photo.pixels.chunks_exact((width * factor).max(1)) {
         let first = all.len();
         // Most rows have no such byte: told at once, many bytes at a time.
-        let any = rows.as_flattened().iter().fold(false, |any, &channel| any | is(channel));
+        let any = rows
+            .as_flattened()
+            .iter()
+            .fold(false, |any, &channel| any | is(channel));
         all.resize(first + columns, any);
         for row in rows.chunks_exact(width).filter(|_| any) {
             for (all, pixels) in all[first..].iter_mut().zip(row.chunks_exact(factor)) {

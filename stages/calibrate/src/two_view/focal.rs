@@ -14,7 +14,8 @@ const STEPS: usize = 120;
 /// Golden sections that shrink two grid steps below 1e-5.
 const SECTIONS: usize = 20;
 
-/// (s1 - s2) / (s1 + s2) at which a pair half stops counting: F from matches of a pixel leave a few hundredths.
+/// (s1 - s2) / (s1 + s2) at which a pair half stops counting: F from matches of a pixel leave a few
+/// hundredths.
 const SCALE: f64 = 0.02;
 
 /// Inliers past which a pair weighs no more: long matches of one scene repeat each other.
@@ -24,20 +25,24 @@ const MOST_INLIERS: usize = 200;
 const DEPTH: f64 = 0.1;
 const ASIDE: f64 = 1.35;
 
-/// This share of the weight must lie within twice `SCALE` at the minimum: each plane's matrix is essential somewhere too,
-/// but no two at the same focal length.
+/// This share of the weight must lie within twice `SCALE` at the minimum: each plane's matrix is essential
+/// somewhere too, but no two at the same focal length.
 const AGREED: f64 = 0.5;
 
-/// Finds the focal length, in pixels, that makes the fundamental matrices of many pairs of one camera best essential.
+/// Finds the focal length, in pixels, that makes the fundamental matrices of many pairs of one camera best
+/// essential.
 ///
-/// An essential matrix has two equal singular values (Mendonca and Cipolla, CVPR 1999): their relative difference, under
-/// Cauchy's loss and weighed by inliers, is searched over [0.2, 5] x the longer side, principal point at the
-/// camera's, fx : fy kept. `None` with no usable pair, with the minimum at an end of the range, where it is shallow (parallel axes: every
-/// focal length is as good) or shared by less than half of the pairs (planes). Turns on the spot do determine it.
+/// An essential matrix has two equal singular values (Mendonca and Cipolla, CVPR 1999): their relative
+/// difference, under Cauchy's loss and weighed by inliers, is searched over [0.2, 5] x the longer side,
+/// principal point at the camera's, fx : fy kept. `None` with no usable pair, with the minimum at an end of
+/// the range, where it is shallow (parallel axes: every focal length is as good) or shared by less than
+/// half of the pairs (planes). Turns on the spot do determine it.
 pub(crate) fn focal_from_pairs(pairs: &[(Matrix3<f64>, usize)], camera: &Camera) -> Option<f64> {
     let side = f64::from(camera.width.max(camera.height));
-    let usable: Vec<(Matrix3<f64>, f64)> =
-        pairs.iter().filter_map(|(f, inliers)| Some((centred(f, camera, side)?, weight(*inliers)))).collect();
+    let usable: Vec<(Matrix3<f64>, f64)> = pairs
+        .iter()
+        .filter_map(|(f, inliers)| Some((centred(f, camera, side)?, weight(*inliers))))
+        .collect();
     let total: f64 = usable.iter().map(|(_, weight)| weight).sum();
     if usable.is_empty() || total <= 0.0 {
         return None;
@@ -80,13 +85,17 @@ fn centred(fundamental: &Matrix3<f64>, camera: &Camera, side: f64) -> Option<Mat
     unit.iter().all(|value| value.is_finite()).then_some(unit)
 }
 
-/// (s1 - s2) / (s1 + s2) of diag(f, f, 1) F diag(f, f, 1): of a rank-two matrix s1² + s2² is its squared norm and s1 s2
-/// that of its cofactors.
+/// (s1 - s2) / (s1 + s2) of diag(f, f, 1) F diag(f, f, 1): of a rank-two matrix s1² + s2² is its squared
+/// norm and s1 s2 that of its cofactors.
 fn imbalance(fundamental: &Matrix3<f64>, focal: f64) -> f64 {
     let k = nalgebra::Vector3::new(focal, focal, 1.0);
     let e = fundamental.component_mul(&(k * k.transpose()));
     let row = |i: usize| e.row(i).transpose();
-    let cofactors = [row(1).cross(&row(2)), row(2).cross(&row(0)), row(0).cross(&row(1))];
+    let cofactors = [
+        row(1).cross(&row(2)),
+        row(2).cross(&row(0)),
+        row(0).cross(&row(1)),
+    ];
     let product = cofactors.iter().map(|c| c.norm_squared()).sum::<f64>().sqrt();
     let squares = e.norm_squared();
     ((squares - 2.0 * product).max(0.0) / (squares + 2.0 * product)).sqrt()

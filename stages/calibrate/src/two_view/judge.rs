@@ -7,8 +7,8 @@ use super::spots::{Spots, centring, focal_px, intrinsics};
 use super::{FocalKnown, VerifyOptions};
 use crate::dice::Dice;
 use crate::estimators::{
-    Consensus, Family, Pair, Trials, better, cross_matrix, eight_point, fit_homography, five_point, four_point,
-    improved, lo_ransac, polish_epipolar, sampson2, seven_point, transfer2,
+    Consensus, Family, Pair, Trials, better, cross_matrix, eight_point, fit_homography, five_point,
+    four_point, improved, lo_ransac, polish_epipolar, sampson2, seven_point, transfer2,
 };
 
 /// Damped steps of a refinement inside the search, and of the last one.
@@ -49,8 +49,9 @@ struct Search<'a> {
 
 /// Fits the three models (the essential matrix only with known focal lengths).
 ///
-/// The seven-point search is blind on a plane, so the homography and the essential matrix propose fundamental matrices
-/// too (plane and parallax: F = [e]x H, Chum, Werner, Matas, CVPR 2005), and the cheapest stays.
+/// The seven-point search is blind on a plane, so the homography and the essential matrix propose
+/// fundamental matrices too (plane and parallax: F = [e]x H, Chum, Werner, Matas, CVPR 2005), and the
+/// cheapest stays.
 pub(super) fn judge(
     [a, b]: [&Camera; 2],
     spots: &Spots,
@@ -63,22 +64,48 @@ pub(super) fn judge(
     let to_1 = centring(a, unit) * intrinsics(a);
     let to_2 = centring(b, unit) * intrinsics(b);
     let carried = |to: &Matrix3<f64>, plane: &nalgebra::Vector2<f64>| (to * plane.push(1.0)).xy();
-    let pairs = spots.planes.iter().map(|[p, q]| [carried(&to_1, p), carried(&to_2, q)]).collect();
-    let trials = Trials { most: options.max_trials, confidence: options.confidence, least };
-    let search = Search { pairs, planes: &spots.planes, limit: options.max_error_px / unit, trials };
+    let pairs = spots
+        .planes
+        .iter()
+        .map(|[p, q]| [carried(&to_1, p), carried(&to_2, q)])
+        .collect();
+    let trials = Trials {
+        most: options.max_trials,
+        confidence: options.confidence,
+        least,
+    };
+    let search = Search {
+        pairs,
+        planes: &spots.planes,
+        limit: options.max_error_px / unit,
+        trials,
+    };
     let homography = search.homography(dice);
+    let fundamental = search.fundamental(homography.as_ref(), dice);
+    let agreed = |count: Option<usize>| count.is_some_and(|count| count >= least);
+    // Where neither finds anything, five points will not: their trials reach the same share of inliers.
+    let hopeful = agreed(fundamental.as_ref().map(|found| found.inliers.len()))
+        || agreed(homography.as_ref().map(|found| found.inliers.len()));
     let noise2 = [a, b].map(|camera| unit * unit / (focal_px(camera) * focal_px(camera)));
-    let essential = (focal == FocalKnown::Known).then(|| search.essential(noise2, dice)).flatten();
-    let proposed = essential.as_ref().and_then(|essential| {
-        Some(to_2.try_inverse()?.transpose() * essential.model * to_1.try_inverse()?)
-    });
-    let fundamental = search.fundamental(homography.as_ref(), proposed, dice);
+    let essential = (focal == FocalKnown::Known && hopeful)
+        .then(|| search.essential(noise2, dice))
+        .flatten();
+    let proposed = essential
+        .as_ref()
+        .and_then(|essential| Some(to_2.try_inverse()?.transpose() * essential.model * to_1.try_inverse()?));
+    let fundamental = search
+        .with_candidate(fundamental, proposed)
+        .map(|found| search.last_polish(found));
     let (to_1, to_2) = (centring(a, unit), centring(b, unit));
     let fundamental = fundamental.map(|found| Consensus {
         model: (to_2.transpose() * found.model * to_1).normalize(),
         ..found
     });
-    Judged { fundamental, essential, homography }
+    Judged {
+        fundamental,
+        essential,
+        homography,
+    }
 }
 
 impl Search<'_> {
@@ -87,21 +114,35 @@ impl Search<'_> {
     }
 
     fn few(&self) -> Trials {
-        // Five points in 500 trials reach the share of inliers that seven reach in 2000: .44; four reach .34.
-        Trials { most: self.trials.most.div_ceil(4), ..self.trials }
+        // Five points in 500 trials reach the share of inliers that seven reach in 2000: .44; four reach
+        // .34.
+        Trials {
+            most: self.trials.most.div_ceil(4),
+            ..self.trials
+        }
     }
 
     fn homography(&self, dice: &mut Dice) -> Option<Consensus<TwoWay>> {
         let both_ways = |homography: Matrix3<f64>| Some([homography, homography.try_inverse()?]);
         let solve = |sample: &[usize; 4]| {
             let side = |side: usize| sample.map(|i| self.pairs[i][side]);
-            four_point(&side(0), &side(1)).and_then(both_ways).into_iter().collect()
+            four_point(&side(0), &side(1))
+                .and_then(both_ways)
+                .into_iter()
+                .collect()
         };
         let improve = |_: &TwoWay, inliers: &[usize]| {
             let agreed: Vec<Pair> = Self::selected(&self.pairs, inliers).copied().collect();
             fit_homography(&agreed).and_then(both_ways)
         };
-        lo_ransac(self.pairs.len(), &self.few(), dice, solve, |h, i| self.transfer_error(h, i), improve)
+        lo_ransac(
+            self.pairs.len(),
+            &self.few(),
+            dice,
+            solve,
+            |h, i| self.transfer_error(h, i),
+            improve,
+        )
     }
 
     fn transfer_error(&self, [forth, back]: &TwoWay, i: usize) -> f64 {
@@ -115,13 +156,21 @@ impl Search<'_> {
             let side = |side: usize| sample.map(|i| self.planes[i][side]);
             five_point(&side(0), &side(1))
         };
-        let error2 = |e: &Matrix3<f64>, i: usize| {
-            sampson2(e, &self.planes[i], noise2) / (self.limit * self.limit)
-        };
+        let error2 =
+            |e: &Matrix3<f64>, i: usize| sampson2(e, &self.planes[i], noise2) / (self.limit * self.limit);
         let improve = |e: &Matrix3<f64>, inliers: &[usize]| {
             let agreed = Self::selected(self.planes, inliers);
             (inliers.len() > 5)
-                .then(|| polish_epipolar(e, agreed, noise2, self.limit / 2.0, Family::Essential, QUICK_STEPS))
+                .then(|| {
+                    polish_epipolar(
+                        e,
+                        agreed,
+                        noise2,
+                        self.limit / 2.0,
+                        Family::Essential,
+                        QUICK_STEPS,
+                    )
+                })
                 .flatten()
         };
         lo_ransac(self.planes.len(), &self.few(), dice, solve, error2, improve)
@@ -130,7 +179,6 @@ impl Search<'_> {
     fn fundamental(
         &self,
         homography: Option<&Consensus<TwoWay>>,
-        proposed: Option<Matrix3<f64>>,
         dice: &mut Dice,
     ) -> Option<Consensus<Matrix3<f64>>> {
         let solve = |sample: &[usize; 7]| {
@@ -139,22 +187,44 @@ impl Search<'_> {
         };
         let error2 = |f: &Matrix3<f64>, i: usize| self.epipolar_error(f, i);
         let improve = |f: &Matrix3<f64>, inliers: &[usize]| self.reweighed(f, inliers);
+        let sampled = lo_ransac(self.pairs.len(), &self.trials, dice, solve, error2, improve);
+        self.with_candidate(
+            sampled,
+            homography.and_then(|found| self.through_plane(found, dice)),
+        )
+    }
+
+    /// The better of a consensus and one more fundamental matrix, the latter improved.
+    fn with_candidate(
+        &self,
+        best: Option<Consensus<Matrix3<f64>>>,
+        candidate: Option<Matrix3<f64>>,
+    ) -> Option<Consensus<Matrix3<f64>>> {
+        let error2 = |f: &Matrix3<f64>, i: usize| self.epipolar_error(f, i);
+        let improve = |f: &Matrix3<f64>, inliers: &[usize]| self.reweighed(f, inliers);
         let count = self.pairs.len();
-        let mut best = lo_ransac(count, &self.trials, dice, solve, error2, improve);
-        let through_plane = homography.and_then(|found| self.through_plane(found, dice));
-        for candidate in through_plane.into_iter().chain(proposed) {
-            if let Some(found) = better(candidate, count, best.as_ref(), &error2) {
-                best = Some(improved(found, count, &error2, &improve));
-            }
+        let found = candidate.and_then(|candidate| better(candidate, count, best.as_ref(), &error2));
+        found
+            .map(|found| improved(found, count, &error2, &improve))
+            .or(best)
+    }
+
+    fn last_polish(&self, found: Consensus<Matrix3<f64>>) -> Consensus<Matrix3<f64>> {
+        if found.inliers.len() <= 7 {
+            return found;
         }
-        let found = best?;
-        let agreed = Self::selected(&self.pairs, &found.inliers);
-        let scale = self.limit / 2.0;
-        let last = (found.inliers.len() > 7)
-            .then(|| polish_epipolar(&found.model, agreed, [1.0; 2], scale, Family::Fundamental, LAST_STEPS))
-            .flatten();
-        let last = last.and_then(|model| better(model, count, Some(&found), &error2));
-        Some(last.unwrap_or(found))
+        let (agreed, scale) = (Self::selected(&self.pairs, &found.inliers), self.limit / 2.0);
+        let last = polish_epipolar(
+            &found.model,
+            agreed,
+            [1.0; 2],
+            scale,
+            Family::Fundamental,
+            LAST_STEPS,
+        );
+        let error2 = |f: &Matrix3<f64>, i: usize| self.epipolar_error(f, i);
+        last.and_then(|model| better(model, self.pairs.len(), Some(&found), &error2))
+            .unwrap_or(found)
     }
 
     fn epipolar_error(&self, fundamental: &Matrix3<f64>, i: usize) -> f64 {
@@ -174,10 +244,13 @@ impl Search<'_> {
         eight_point(&agreed, &weights)
     }
 
-    /// The fundamental matrix that holds the plane and most matches off it: two of those meet in the epipole.
+    /// The fundamental matrix that holds the plane and most matches off it: two of those meet in the
+    /// epipole.
     fn through_plane(&self, plane: &Consensus<TwoWay>, dice: &mut Dice) -> Option<Matrix3<f64>> {
         let h = &plane.model[0];
-        let off: Vec<usize> = (0..self.pairs.len()).filter(|i| plane.inliers.binary_search(i).is_err()).collect();
+        let off: Vec<usize> = (0..self.pairs.len())
+            .filter(|i| plane.inliers.binary_search(i).is_err())
+            .collect();
         // The line on which the epipole lies: from where the plane would put a point to where it is.
         let line = |i: usize| {
             let [p, q] = &self.pairs[off[i]];
@@ -185,10 +258,17 @@ impl Search<'_> {
         };
         let solve = |sample: &[usize; 2]| {
             let epipole = line(sample[0]).cross(&line(sample[1])).try_normalize(1e-14);
-            epipole.map(|epipole| cross_matrix(&epipole) * h).into_iter().collect()
+            epipole
+                .map(|epipole| cross_matrix(&epipole) * h)
+                .into_iter()
+                .collect()
         };
         let error2 = |f: &Matrix3<f64>, i: usize| self.epipolar_error(f, off[i]);
-        let trials = Trials { most: PARALLAX_TRIALS, least: 2, ..self.trials };
+        let trials = Trials {
+            most: PARALLAX_TRIALS,
+            least: 2,
+            ..self.trials
+        };
         let found = lo_ransac(off.len(), &trials, dice, solve, error2, |_, _| None);
         // With nothing off the plane any epipole does.
         Some(found.map_or_else(|| cross_matrix(&Vector3::x()) * h, |found| found.model))

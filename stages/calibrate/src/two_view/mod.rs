@@ -1,7 +1,8 @@
 //! What two photos say about each other: one rigid scene, a plane, a turn on the spot, or nothing.
 //!
-//! `verify` judges raw matches, `focal_from_pairs` finds a focal length that many pairs share, `relate` turns verified
-//! matches into a relative pose. All counts are of distinct spots: two features at one pixel are one witness.
+//! `verify` judges raw matches, `focal_from_pairs` finds a focal length that many pairs share, `relate`
+//! turns verified matches into a relative pose. All counts are of distinct spots: two features at one pixel
+//! are one witness.
 
 mod focal;
 mod judge;
@@ -15,9 +16,8 @@ mod tests;
 use marf_scene::{Camera, Pose};
 use nalgebra::{Matrix3, Vector2};
 
-pub(crate) use focal::focal_from_pairs;
-pub(crate) use relate::relate;
-pub(crate) use verify::verify;
+#[allow(unused_imports, reason = "what the mapper asks of this room")]
+pub(crate) use {focal::focal_from_pairs, relate::relate, verify::verify};
 
 /// When matches count as verified.
 #[derive(Debug, Clone)]
@@ -75,7 +75,8 @@ pub(crate) enum VerifiedKind {
 pub(crate) struct Verified {
     /// Matches that agree, in the order given, one per pair of pixels.
     pub inliers: Vec<[u32; 2]>,
-    /// x2ᵀ F x1 = 0 in pixels of the ideal pinholes (distortion removed with the cameras' own coefficients), unit norm.
+    /// x2ᵀ F x1 = 0 in pixels of the ideal pinholes (distortion removed with the cameras' own
+    /// coefficients), unit norm.
     pub fundamental: Option<Matrix3<f64>>,
     pub fundamental_inliers: u32,
     pub essential_inliers: u32,
@@ -103,6 +104,6 @@ pub(crate) struct Relation {
     pub median_angle_rad: f64,
     /// |t·z| of the unit translation; 0 for `Rotation`.
     pub forward: f64,
-    /// Homography inliers per essential inlier.
+    /// Homography inliers per essential inlier; below .5 a lower bound.
     pub homography_share: f64,
 }

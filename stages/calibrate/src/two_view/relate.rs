@@ -14,7 +14,11 @@ use crate::estimators::{
 };
 
 /// Verified matches are mostly right: a hundred samples reach a share of .4 of five.
-const TRIALS: Trials = Trials { most: 500, confidence: 0.9999, least: LEAST };
+const TRIALS: Trials = Trials {
+    most: 500,
+    confidence: 0.9999,
+    least: LEAST,
+};
 
 /// Fewest matches that say anything: five fit always.
 const LEAST: usize = 6;
@@ -48,14 +52,14 @@ struct Motion {
 
 /// Finds the relative pose of two photos whose focal lengths are known, from verified matches.
 ///
-/// Candidates: LO-RANSAC over five points, the two motions behind the homography, the best turn with three directions.
-/// Each is polished, its points behind a camera count as outliers, and the cheapest stays. An exact plane may leave
-/// two motions that cost the same to within four residuals' worth: then the one that turns less is taken, which is a
-/// convention, not knowledge; `kind` is then `Planar`.
+/// Candidates: LO-RANSAC over five points, the two motions behind the homography, the best turn with three
+/// directions. Each is polished, its points behind a camera count as outliers, and the cheapest stays. An
+/// exact plane may leave two motions that cost the same to within four residuals' worth: then the one that
+/// turns less is taken, which is a convention, not knowledge; `kind` is then `Planar`.
 ///
-/// `Rotation` where the median angle is below 1 deg, a pure turn holds at least .8 of the inliers, and its residual
-/// variance (on those) is at most 3 times the essential matrix's: parallax of less than about twice the noise is not
-/// told from none. `None` with fewer than 6 inliers.
+/// `Rotation` where the median angle is below 1 deg, a pure turn holds at least .8 of the inliers, and its
+/// residual variance (on those) is at most 3 times the essential matrix's: parallax of less than about
+/// twice the noise is not told from none. `None` with fewer than 6 inliers.
 pub(crate) fn relate(
     a: &ViewPoints,
     b: &ViewPoints,
@@ -65,7 +69,11 @@ pub(crate) fn relate(
 ) -> Option<Relation> {
     let spots = Spots::new(a, b, inliers);
     let noise2 = [a, b].map(|view| 1.0 / (focal_px(view.camera) * focal_px(view.camera)));
-    let matches = Matches { pairs: &spots.planes, noise2, limit: max_error_px };
+    let matches = Matches {
+        pairs: &spots.planes,
+        noise2,
+        limit: max_error_px,
+    };
     let mut dice = Dice::new(seed);
     let sampled = matches.essential(&mut dice);
     let turn = matches.turn(&mut dice);
@@ -79,7 +87,10 @@ pub(crate) fn relate(
     if let Some(turn) = turn.filter(|turn| matches.is_turn(&best, turn, median_angle_rad)) {
         return Some(Relation {
             kind: RelationKind::Rotation,
-            cam2_from_cam1: Pose { rotation: turn.model, translation: Vector3::zeros() },
+            cam2_from_cam1: Pose {
+                rotation: turn.model,
+                translation: Vector3::zeros(),
+            },
             inliers: pick(&turn.inliers),
             median_angle_rad,
             forward: 0.0,
@@ -88,7 +99,11 @@ pub(crate) fn relate(
     }
     let planar = homography_share > PLANAR_SHARE;
     Some(Relation {
-        kind: if planar { RelationKind::Planar } else { RelationKind::General },
+        kind: if planar {
+            RelationKind::Planar
+        } else {
+            RelationKind::General
+        },
         cam2_from_cam1: best.model.pose,
         inliers: pick(&best.inliers),
         median_angle_rad,
@@ -100,6 +115,14 @@ pub(crate) fn relate(
 impl Matches<'_> {
     fn agreed<'a>(&'a self, inliers: &'a [usize]) -> impl Iterator<Item = &'a Pair> + Clone {
         inliers.iter().map(|&i| &self.pairs[i])
+    }
+
+    /// A turn or a plane matters only where it holds half of the matches: less is not waited for.
+    fn half(&self) -> Trials {
+        Trials {
+            least: LEAST.max(self.pairs.len() / 2),
+            ..TRIALS
+        }
     }
 
     fn epipolar_error(&self, essential: &Matrix3<f64>, i: usize) -> f64 {
@@ -119,7 +142,14 @@ impl Matches<'_> {
             five_point(&side(0), &side(1))
         };
         let improve = |e: &Matrix3<f64>, inliers: &[usize]| self.polished(e, inliers, QUICK_STEPS);
-        lo_ransac(self.pairs.len(), &TRIALS, dice, solve, |e, i| self.epipolar_error(e, i), improve)
+        lo_ransac(
+            self.pairs.len(),
+            &TRIALS,
+            dice,
+            solve,
+            |e, i| self.epipolar_error(e, i),
+            improve,
+        )
     }
 
     /// Squared distance in photo 2, in units of the limit.
@@ -136,25 +166,39 @@ impl Matches<'_> {
             (p.push(1.0).normalize(), q.push(1.0).normalize(), 1.0)
         };
         let solve = |sample: &[usize; 2]| vec![turn_between(sample.iter().map(|&i| rays(i)))];
-        let improve = |_: &Matrix3<f64>, inliers: &[usize]| Some(turn_between(inliers.iter().map(|&i| rays(i))));
-        lo_ransac(self.pairs.len(), &TRIALS, dice, solve, |turn, i| self.turn_error(turn, i), improve)
+        let improve =
+            |_: &Matrix3<f64>, inliers: &[usize]| Some(turn_between(inliers.iter().map(|&i| rays(i))));
+        lo_ransac(
+            self.pairs.len(),
+            &self.half(),
+            dice,
+            solve,
+            |turn, i| self.turn_error(turn, i),
+            improve,
+        )
     }
 
     fn homography(&self, dice: &mut Dice) -> Option<Consensus<[Matrix3<f64>; 2]>> {
         let both_ways = |homography: Matrix3<f64>| Some([homography, homography.try_inverse()?]);
         let solve = |sample: &[usize; 4]| {
             let side = |side: usize| sample.map(|i| self.pairs[i][side]);
-            four_point(&side(0), &side(1)).and_then(both_ways).into_iter().collect()
+            four_point(&side(0), &side(1))
+                .and_then(both_ways)
+                .into_iter()
+                .collect()
         };
         let error2 = |[forth, back]: &[Matrix3<f64>; 2], i: usize| {
             let [p, q] = &self.pairs[i];
-            let errors = [transfer2(forth, p, q) / self.noise2[1], transfer2(back, q, p) / self.noise2[0]];
+            let errors = [
+                transfer2(forth, p, q) / self.noise2[1],
+                transfer2(back, q, p) / self.noise2[0],
+            ];
             errors[0].max(errors[1]) / (self.limit * self.limit)
         };
         let improve = |_: &[Matrix3<f64>; 2], inliers: &[usize]| {
             fit_homography(&self.agreed(inliers).copied().collect::<Vec<_>>()).and_then(both_ways)
         };
-        lo_ransac(self.pairs.len(), &TRIALS, dice, solve, error2, improve)
+        lo_ransac(self.pairs.len(), &self.half(), dice, solve, error2, improve)
     }
 
     /// Essential matrices worth comparing, those of planes first, the lesser turn before the other.
@@ -183,7 +227,9 @@ impl Matches<'_> {
     fn cheapest(&self, candidates: Vec<Matrix3<f64>>) -> Option<Consensus<Motion>> {
         let mut best: Option<Consensus<Motion>> = None;
         for candidate in candidates {
-            let Some(found) = self.settled(candidate) else { continue };
+            let Some(found) = self.settled(candidate) else {
+                continue;
+            };
             let margin = 4.0 * found.cost / self.pairs.len() as f64 + 1e-9;
             if best.as_ref().is_none_or(|best| found.cost + margin < best.cost) {
                 best = Some(found);
@@ -192,17 +238,25 @@ impl Matches<'_> {
         best.filter(|best| best.inliers.len() >= LEAST)
     }
 
-    /// Polishes a matrix on its own inliers, finds its pose, and counts again with points behind a camera as outliers.
+    /// Polishes a matrix on its own inliers, finds its pose, and counts again with points behind a camera
+    /// as outliers.
     fn settled(&self, essential: Matrix3<f64>) -> Option<Consensus<Motion>> {
         let count = self.pairs.len();
         let error2 = |e: &Matrix3<f64>, i: usize| self.epipolar_error(e, i);
         let improve = |e: &Matrix3<f64>, inliers: &[usize]| self.polished(e, inliers, LAST_STEPS);
         let found = improved(better(essential, count, None, &error2)?, count, &error2, &improve);
         let (pose, _) = pose_of_essential(&found.model, self.agreed(&found.inliers));
-        let motion = Motion { essential: found.model, pose };
+        let motion = Motion {
+            essential: found.model,
+            pose,
+        };
         better(motion, count, None, &|motion: &Motion, i: usize| {
             let error2 = self.epipolar_error(&motion.essential, i);
-            if self.behind(&motion.pose, i) { f64::INFINITY } else { error2 }
+            if self.behind(&motion.pose, i) {
+                f64::INFINITY
+            } else {
+                error2
+            }
         })
     }
 
@@ -214,15 +268,21 @@ impl Matches<'_> {
     }
 
     fn median_angle_rad(&self, found: &Consensus<Motion>) -> f64 {
-        let mut angles: Vec<f64> =
-            self.agreed(&found.inliers).map(|pair| angle_rad(&found.model.pose, pair)).collect();
+        let mut angles: Vec<f64> = self
+            .agreed(&found.inliers)
+            .map(|pair| angle_rad(&found.model.pose, pair))
+            .collect();
         angles.sort_by(f64::total_cmp);
         angles.get(angles.len() / 2).copied().unwrap_or(0.0)
     }
 
     fn is_turn(&self, found: &Consensus<Motion>, turn: &Consensus<Matrix3<f64>>, angle_rad: f64) -> bool {
-        let common: Vec<usize> =
-            found.inliers.iter().copied().filter(|i| turn.inliers.binary_search(i).is_ok()).collect();
+        let common: Vec<usize> = found
+            .inliers
+            .iter()
+            .copied()
+            .filter(|i| turn.inliers.binary_search(i).is_ok())
+            .collect();
         let share = common.len() as f64 / found.inliers.len() as f64;
         if angle_rad > TURN_ANGLE_RAD || share < TURN_SHARE {
             return false;

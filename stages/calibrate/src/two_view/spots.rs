@@ -16,16 +16,24 @@ pub(super) struct Spots {
 }
 
 impl Spots {
-    /// Keeps the first of each group of matches between the same two pixels; drops those that name no feature, are not
-    /// finite or lie where a lens has no ray.
+    /// Keeps the first of each group of matches between the same two pixels; drops those that name no
+    /// feature, are not finite or lie where a lens has no ray.
     pub(super) fn new(a: &ViewPoints, b: &ViewPoints, matches: &[[u32; 2]]) -> Self {
-        let seen: Vec<(usize, Pair)> = matches.iter().enumerate().filter_map(|(i, m)| Some((i, measured(a, b, m)?))).collect();
+        let seen: Vec<(usize, Pair)> = matches
+            .iter()
+            .enumerate()
+            .filter_map(|(i, m)| Some((i, measured(a, b, m)?)))
+            .collect();
         let bits = |(_, [p, q]): &(usize, Pair)| [p.x, p.y, q.x, q.y].map(f64::to_bits);
         let mut distinct = seen;
         distinct.sort_by_key(|spot| (bits(spot), spot.0));
         distinct.dedup_by_key(|spot| bits(spot));
         distinct.sort_by_key(|spot| spot.0);
-        let mut spots = Self { matches: Vec::new(), pixels: Vec::new(), planes: Vec::new() };
+        let mut spots = Self {
+            matches: Vec::new(),
+            pixels: Vec::new(),
+            planes: Vec::new(),
+        };
         for (i, pixels) in distinct {
             if let (Some(p), Some(q)) = (a.camera.unproject(&pixels[0]), b.camera.unproject(&pixels[1])) {
                 spots.matches.push(matches[i]);
@@ -51,12 +59,25 @@ impl Spots {
 
 fn measured(a: &ViewPoints, b: &ViewPoints, [i, j]: &[u32; 2]) -> Option<Pair> {
     let pair = [*a.pixels.get(*i as usize)?, *b.pixels.get(*j as usize)?];
-    pair.iter().flat_map(|pixel| pixel.iter()).all(|value| value.is_finite()).then_some(pair)
+    pair.iter()
+        .flat_map(|pixel| pixel.iter())
+        .all(|value| value.is_finite())
+        .then_some(pair)
 }
 
 /// K of the ideal pinhole.
 pub(super) fn intrinsics(camera: &Camera) -> Matrix3<f64> {
-    Matrix3::new(camera.fx_px, 0.0, camera.cx_px, 0.0, camera.fy_px, camera.cy_px, 0.0, 0.0, 1.0)
+    Matrix3::new(
+        camera.fx_px,
+        0.0,
+        camera.cx_px,
+        0.0,
+        camera.fy_px,
+        camera.cy_px,
+        0.0,
+        0.0,
+        1.0,
+    )
 }
 
 /// One focal length for both axes.

@@ -9,18 +9,21 @@ use crate::estimators::sampson2;
 /// A homography that explains this share of a pair's inliers leaves it planar.
 pub(super) const PLANAR_SHARE: f64 = 0.8;
 
-/// This share of inliers at rest makes a pair stationary; this share of fitting ones brings those at rest back.
+/// This share of inliers at rest makes a pair stationary; this share of fitting ones brings those at rest
+/// back.
 const STILL_SHARE: f64 = 0.8;
 
-/// An essential matrix that keeps this share of the fundamental matrix's inliers speaks for the pair (COLMAP's value).
+/// An essential matrix that keeps this share of the fundamental matrix's inliers speaks for the pair
+/// (COLMAP's value).
 const ESSENTIAL_SHARE: f64 = 0.95;
 
 /// Judges raw matches.
 ///
-/// Fundamental matrix and homography always, essential matrix when both focal lengths are known. Matches that stay within
-/// `max_error_px` of their place (hardware, lens dirt, watermark) are first left out where the others move: if
-/// those verify alone, the still ones come back only if at least .8 of them fit. Of a plane both the inliers on it
-/// and those off it are kept. Points without a ray are dropped. Random matches: see `least_inliers`.
+/// Fundamental matrix and homography always, essential matrix when both focal lengths are known. Matches
+/// that stay within `max_error_px` of their place (hardware, lens dirt, watermark) are first left out where
+/// the others move: if those verify alone, the still ones come back only if at least .8 of them fit. Of a
+/// plane both the inliers on it and those off it are kept. Points without a ray are dropped. Random
+/// matches: see `least_inliers`.
 pub(crate) fn verify(
     a: &ViewPoints,
     b: &ViewPoints,
@@ -34,7 +37,11 @@ pub(crate) fn verify(
     let mut try_on = |spots: &Spots| {
         let least = least_inliers(spots.len(), b, options);
         let cameras = [a.camera, b.camera];
-        conclude(spots, &judge(cameras, spots, focal, options, least, &mut dice), least)
+        conclude(
+            spots,
+            &judge(cameras, spots, focal, options, least, &mut dice),
+            least,
+        )
     };
     let same_size = (a.camera.width, a.camera.height) == (b.camera.width, b.camera.height);
     let rests = |i: &usize| {
@@ -57,8 +64,9 @@ pub(crate) fn verify(
     verdict
 }
 
-/// Tells whether most matches at rest fit what the moving ones found: then they are far away, not dirt. Half of the dirt may
-/// fit by chance where all points move alike, all of it where the camera does not turn.
+/// Tells whether most matches at rest fit what the moving ones found: then they are far away, not dirt.
+/// Half of the dirt may fit by chance where all points move alike, all of it where the camera does not
+/// turn.
 fn still_ones_fit(
     a: &ViewPoints,
     b: &ViewPoints,
@@ -71,7 +79,10 @@ fn still_ones_fit(
         return false;
     };
     let limit2 = options.max_error_px * options.max_error_px;
-    let (k_1, k_2) = (super::spots::intrinsics(a.camera), super::spots::intrinsics(b.camera));
+    let (k_1, k_2) = (
+        super::spots::intrinsics(a.camera),
+        super::spots::intrinsics(b.camera),
+    );
     let fits = |i: &&usize| {
         let [p, q] = &spots.planes[**i];
         let pair = [(k_1 * p.push(1.0)).xy(), (k_2 * q.push(1.0)).xy()];
@@ -80,9 +91,9 @@ fn still_ones_fit(
     still.iter().filter(fits).count() as f64 >= STILL_SHARE * still.len() as f64
 }
 
-/// Fewest inliers that chance does not give: of n random matches a fundamental matrix holds seven and about n p more, where
-/// p = 2 sqrt(2) error x diagonal / area is the share of the photo near an epipolar line; 7 sigmas are added for the
-/// thousands of matrices tried.
+/// Fewest inliers that chance does not give: of n random matches a fundamental matrix holds seven and about
+/// n p more, where p = 2 sqrt(2) error x diagonal / area is the share of the photo near an epipolar line; 7
+/// sigmas are added for the thousands of matrices tried.
 fn least_inliers(count: usize, b: &ViewPoints, options: &VerifyOptions) -> usize {
     let (width, height) = (f64::from(b.camera.width), f64::from(b.camera.height));
     let diagonal = (width * width + height * height).sqrt();
@@ -101,17 +112,33 @@ fn conclude(spots: &Spots, judged: &Judged, least: usize) -> Verified {
         _ => VerifiedKind::General,
     };
     let calibrated = essential as f64 >= ESSENTIAL_SHARE * fundamental as f64;
-    let chosen = if calibrated { judged.essential.as_ref() } else { judged.fundamental.as_ref() };
+    let chosen = if calibrated {
+        judged.essential.as_ref()
+    } else {
+        judged.fundamental.as_ref()
+    };
     let mut inliers: Vec<usize> = chosen.map_or_else(Vec::new, |found| found.inliers.clone());
-    if let Some(plane) = judged.homography.as_ref().filter(|_| kind == VerifiedKind::Planar) {
+    if let Some(plane) = judged
+        .homography
+        .as_ref()
+        .filter(|_| kind == VerifiedKind::Planar)
+    {
         inliers.extend(&plane.inliers);
         inliers.sort_unstable();
         inliers.dedup();
     }
     let keep = kind != VerifiedKind::None;
     Verified {
-        inliers: inliers.iter().filter(|_| keep).map(|&i| spots.matches[i]).collect(),
-        fundamental: judged.fundamental.as_ref().filter(|_| keep).map(|found| found.model),
+        inliers: inliers
+            .iter()
+            .filter(|_| keep)
+            .map(|&i| spots.matches[i])
+            .collect(),
+        fundamental: judged
+            .fundamental
+            .as_ref()
+            .filter(|_| keep)
+            .map(|found| found.model),
         fundamental_inliers: fundamental as u32,
         essential_inliers: essential as u32,
         homography_inliers: homography as u32,
