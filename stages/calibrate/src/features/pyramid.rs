@@ -125,7 +125,7 @@ fn double(gray: &Gray) -> Vec<f32> {
     let (width, height) = (gray.width as usize, gray.height as usize);
     // The nearer neighbour weighs 3/4; edges are repeated.
     let near = |at: usize, len: usize| {
-        let other = if at % 2 == 0 {
+        let other = if at.is_multiple_of(2) {
             (at / 2).saturating_sub(1)
         } else {
             (at / 2 + 1).min(len - 1)
