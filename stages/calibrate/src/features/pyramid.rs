@@ -323,4 +323,17 @@ mod tests {
             );
         }
     }
+
+    #[test]
+    fn a_photo_above_two_megapixels_is_not_doubled() {
+        for (width, step_px) in [(1000, 0.5), (1001, 1.0)] {
+            let gray = Gray {
+                width,
+                height: 2000,
+                pixels: vec![0.5; width as usize * 2000],
+            };
+            let stack = Stack::new(Isa::best(), &gray, FirstOctave::Doubled);
+            assert_eq!(stack.grid.step_px, step_px, "{width}");
+        }
+    }
 }
