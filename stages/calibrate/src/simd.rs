@@ -207,7 +207,7 @@ impl Lanes for Avx2 {
                         }
                     }
                 }
-                for (out, sums) in out.iter_mut().zip(sums) {
+                for (out, sums) in out.iter_mut().zip(&sums) {
                     let at = out.as_mut_ptr().cast::<__m256i>();
                     _mm256_storeu_si256(at, sums[0]);
                     _mm256_storeu_si256(at.add(1), sums[1]);
@@ -232,7 +232,7 @@ impl Lanes for Avx512 {
                     *sum = _mm512_dpbusd_epi32(*sum, bytes, _mm512_set1_epi32(row[quad]));
                 }
             }
-            for (out, sum) in dots.iter_mut().zip(sums) {
+            for (out, &sum) in dots.iter_mut().zip(&sums) {
                 _mm512_storeu_si512(out.as_mut_ptr().cast(), sum);
             }
         }

@@ -55,7 +55,7 @@ mod tests {
             x_px: f32::from(index) + 0.25,
             y_px: -0.0,
             scale_px: f32::MAX,
-            angle_rad: 6.28,
+            angle_rad: 6.0,
         };
         Features {
             keypoints: (0..3).map(keypoint).collect(),

@@ -11,8 +11,8 @@ const DIRECTIONS: usize = 8;
 const CELL: f32 = 3.0;
 /// Half the side of the window with the half cell that is shared with its neighbours, in cells.
 const REACH: f32 = (CELLS as f32 + 1.0) / 2.0;
-/// Widest row of samples: the square root of 2 times 5 cells of 3 deviations, which are 3.7 px at most.
-const ROW: usize = 80;
+/// Widest row of samples: the square root of 2 times 5 cells of 3 deviations, which are 4.03 px at most.
+const ROW: usize = 88;
 /// Largest share of one bin, before the second normalisation.
 const CLAMP: f32 = 0.2;
 /// Adding it leaves a small number rounded to a whole one in the lowest bits.

@@ -231,7 +231,7 @@ impl Volume<'_> {
     ) -> Option<Found> {
         let response = (self.at(cell, [0; 3]) + 0.5 * slope.dot(offset)).abs();
         let trace = curvature[(1, 1)] + curvature[(2, 2)];
-        let determinant = curvature[(1, 1)] * curvature[(2, 2)] - curvature[(1, 2)].powi(2);
+        let determinant = curvature[(1, 1)] * curvature[(2, 2)] - curvature[(1, 2)] * curvature[(1, 2)];
         let ratio = f64::from(limits.edge_ratio);
         // Lowe 2004, section 4.1; a saddle has a determinant below 0.
         let is_edge = trace * trace * ratio >= (ratio + 1.0) * (ratio + 1.0) * determinant;

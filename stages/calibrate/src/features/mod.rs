@@ -95,7 +95,8 @@ pub(crate) fn extract(gray: &Gray, mask: &Mask, options: &FeatureOptions) -> Fea
 
 /// [`extract`] on a given instruction set.
 pub(crate) fn extract_on(isa: Isa, gray: &Gray, mask: &Mask, options: &FeatureOptions) -> Features {
-    if !gray.is_valid() || (gray.width, gray.height) != (mask.width, mask.height) {
+    let fits = (gray.width, gray.height) == (mask.width, mask.height) && gray.pixels.len() == mask.open.len();
+    if !gray.is_valid() || !fits {
         return Features::default();
     }
     let features = extract_above(isa, gray, mask, options, options.contrast);

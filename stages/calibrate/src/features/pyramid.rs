@@ -125,7 +125,7 @@ fn double(gray: &Gray) -> Vec<f32> {
     let (width, height) = (gray.width as usize, gray.height as usize);
     // The nearer neighbour weighs 3/4; edges are repeated.
     let near = |at: usize, len: usize| {
-        let other = if at % 2 == 0 {
+        let other = if at.is_multiple_of(2) {
             (at / 2).saturating_sub(1)
         } else {
             (at / 2 + 1).min(len - 1)
@@ -321,6 +321,19 @@ mod tests {
                 (x_px - (origin_px + step_px * (width / 2) as f32)).abs() < 0.01,
                 "{x_px}"
             );
+        }
+    }
+
+    #[test]
+    fn a_photo_above_two_megapixels_is_not_doubled() {
+        for (width, step_px) in [(1000, 0.5), (1001, 1.0)] {
+            let gray = Gray {
+                width,
+                height: 2000,
+                pixels: vec![0.5; width as usize * 2000],
+            };
+            let stack = Stack::new(Isa::best(), &gray, FirstOctave::Doubled);
+            assert_eq!(stack.grid.step_px, step_px, "{width}");
         }
     }
 }

@@ -55,11 +55,11 @@ impl Best {
 
     #[inline(always)]
     fn meet(&mut self, dots: &[i32; COLUMNS], index: u32) {
-        for lane in 0..COLUMNS {
-            let (dot, best) = (dots[lane], self.best[lane]);
-            self.second[lane] = self.second[lane].max(dot.min(best));
-            self.index[lane] = if dot > best { index } else { self.index[lane] };
-            self.best[lane] = best.max(dot);
+        let lanes = self.best.iter_mut().zip(&mut self.second).zip(&mut self.index);
+        for (((best, second), index_of), &dot) in lanes.zip(dots) {
+            *second = (*second).max(dot.min(*best));
+            *index_of = if dot > *best { index } else { *index_of };
+            *best = (*best).max(dot);
         }
     }
 
