@@ -38,7 +38,10 @@ pub(crate) fn align(pairs: &[(Pose, Pose)], tolerance: &Tolerance) -> Option<Ali
     for (rank, &i) in tried.iter().enumerate() {
         for &j in &tried[rank + 1..] {
             let candidate = fit(pairs, &[i, j]).map(|similarity| judged(pairs, similarity, tolerance));
-            let more = |one: &Aligned| best.as_ref().is_none_or(|best| one.inliers.len() > best.inliers.len());
+            let more = |one: &Aligned| {
+                best.as_ref()
+                    .is_none_or(|best| one.inliers.len() > best.inliers.len())
+            };
             best = candidate.filter(more).or(best);
         }
     }
@@ -90,7 +93,11 @@ fn fit(pairs: &[(Pose, Pose)], chosen: &[usize]) -> Option<Similarity> {
         .sum();
     let rotation = nearest_rotation(&sum);
     let mean = |side: fn(&(Pose, Pose)) -> Vector3<f64>| {
-        chosen.iter().map(|&index| side(&pairs[index])).sum::<Vector3<f64>>() / count
+        chosen
+            .iter()
+            .map(|&index| side(&pairs[index]))
+            .sum::<Vector3<f64>>()
+            / count
     };
     let source = |pair: &(Pose, Pose)| pair.0.centre();
     let target = |pair: &(Pose, Pose)| pair.1.centre();
@@ -145,7 +152,11 @@ mod tests {
                 .collect();
             let found = align(&pairs, &CLOSE).unwrap();
             assert_eq!(found.inliers.len(), count, "{count}");
-            assert!((found.similarity.scale - 3.0).abs() < 1e-9, "{}", found.similarity.scale);
+            assert!(
+                (found.similarity.scale - 3.0).abs() < 1e-9,
+                "{}",
+                found.similarity.scale
+            );
             assert!((found.similarity.translation - truth().translation).norm() < 1e-6);
         }
     }

@@ -106,7 +106,10 @@ fn candidate(index: usize, item: &Item) -> Result<Candidate<'_>, String> {
 
 /// The label of each photo, if it can be used and is of the chosen site; without one, of the busiest.
 pub(crate) fn of_one_site(items: &[Item], site: Option<i64>) -> Vec<Option<Candidate<'_>>> {
-    let candidates = items.iter().enumerate().filter_map(|(index, item)| candidate(index, item).ok());
+    let candidates = items
+        .iter()
+        .enumerate()
+        .filter_map(|(index, item)| candidate(index, item).ok());
     let candidates: Vec<Candidate<'_>> = candidates.collect();
     let site = chosen_site(&candidates, site);
     let mut by_item: Vec<Option<Candidate<'_>>> = items.iter().map(|_| None).collect();

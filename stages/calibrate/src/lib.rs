@@ -31,7 +31,7 @@ mod two_view;
 
 pub use export::{Sight, TrackPoint, Tracks, write_colmap, write_ply, write_transforms};
 pub use metrics::{Metrics, Missing, PhotoMetrics, Totals};
-pub use params::{CalibrateParams, FirstOctaveParam, Intrinsics, LensParam, Method, Pairs};
+pub use params::{CalibrateParams, FirstOctaveParam, Intrinsics, LensParam, Method, Pairs, PrincipalPoint};
 pub use stage::{Calibrate, METRICS, POINTS, SCENE, SPARSE, TRANSFORMS};
 
 /// What the benches measure; no part of the interface.

@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use crate::align::{Tolerance, align, disagreement};
 use crate::bundle::Prior;
 use crate::estimators::Similarity;
-use crate::mapper::{MapError, Model, Task, settle};
+use crate::mapper::{FINE, MapError, Model, Task, settle};
 
 /// What a label says of a photo.
 #[derive(Debug, Clone, PartialEq)]
@@ -57,14 +57,17 @@ pub(crate) fn place(
     transform(model, &found.similarity);
     let trusted: Vec<usize> = found.inliers.iter().map(|&index| photos[index]).collect();
     let priors = priors(model, labels, &trusted);
-    settle(task, model, &priors, 2)?;
+    settle(task, model, &priors, FINE)?;
     Ok(Some(outvoted(model, labels)))
 }
 
 /// Photos of the model that have a label, with both poses.
 fn labelled(model: &Model, labels: &[Option<LabelPose>]) -> (Vec<usize>, Vec<(Pose, Pose)>) {
     let both = model.photos().filter_map(|photo| {
-        Some((photo, (model.poses[photo]?, labels[photo].as_ref()?.cam_from_site)))
+        Some((
+            photo,
+            (model.poses[photo]?, labels[photo].as_ref()?.cam_from_site),
+        ))
     });
     both.unzip()
 }

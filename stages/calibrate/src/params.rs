@@ -37,8 +37,9 @@ pub struct CalibrateParams {
     pub lens: LensParam,
     /// `sfm`: which photos share a camera: `camera` (one instrument, size and focal length) or `photo` (none).
     pub intrinsics: Intrinsics,
-    /// `sfm`: whether the principal point moves, as the last step; photos determine it weakly.
-    pub refine_principal_point: bool,
+    /// `sfm`: principal point: `centre` (of the photo, or the label's), `free`, or `auto` (free where 20 photos
+    /// and more look from all sides, no label tells it, and the photos ask for it).
+    pub principal_point: PrincipalPoint,
     /// `sfm`: seed of all random samples.
     pub seed: u64,
     /// `import`: the file to read (`transforms.json`, `sparse/0/cameras.bin`), where there are several.
@@ -102,6 +103,18 @@ pub enum LensParam {
     Opencv,
 }
 
+/// What becomes of the principal point.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "lowercase")]
+pub enum PrincipalPoint {
+    /// Moves where the photos support it.
+    Auto,
+    /// Stays where it is.
+    Centre,
+    /// Moves as the last step.
+    Free,
+}
+
 /// Which photos share a camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema, ContentHash)]
 #[serde(rename_all = "lowercase")]
@@ -127,7 +140,7 @@ impl Default for CalibrateParams {
             min_matches: 15,
             lens: LensParam::Auto,
             intrinsics: Intrinsics::Camera,
-            refine_principal_point: false,
+            principal_point: PrincipalPoint::Auto,
             seed: 0,
             file: None,
             extend: false,
@@ -149,7 +162,10 @@ impl CalibrateParams {
             ("min_matches", self.min_matches, 8),
         ];
         if let Some((key, value, least)) = least.into_iter().find(|(_, value, least)| value < least) {
-            return Err(ParamError::new(key, format!("{value} is too few, at least {least}")));
+            return Err(ParamError::new(
+                key,
+                format!("{value} is too few, at least {least}"),
+            ));
         }
         if self.hold_every == 1 {
             return Err(ParamError::new(

@@ -163,7 +163,8 @@ fn metrics(found: &Calibrated, items: &[Item]) -> Metrics {
             (one.found.features, one.found.matches, one.found.inliers);
         (photo.error_px, photo.note) = (one.found.error_px, one.found.note.clone());
     }
-    let mean = |errors: Vec<f64>| (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64);
+    let mean =
+        |errors: Vec<f64>| (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64);
     let working = found.placed.iter().filter_map(|one| one.found.error_working_px);
     let totals = Totals {
         photos: items.len(),

@@ -42,13 +42,22 @@ fn the_demo_is_brought_back_to_its_true_cameras_in_metres() {
     let (input, truth) = demo();
     let output = input.run(&json!({"method": "sfm"})).unwrap();
     let judged = judge(&output.scene, &truth);
-    println!("{judged:?} {} {:?}", output.scene.method, output.scene.frames[0].camera);
+    println!(
+        "{judged:?} {} {:?}",
+        output.scene.method, output.scene.frames[0].camera
+    );
     println!("{:?}", output.metrics.totals);
     assert_eq!(judged.photos, truth.len());
-    assert!(judged.rest_deg[0] <= 0.05 && judged.angle_deg[0] <= 0.05, "{judged:?}");
+    assert!(
+        judged.rest_deg[0] <= 0.05 && judged.angle_deg[0] <= 0.05,
+        "{judged:?}"
+    );
     assert!(judged.position[0] <= 0.001, "{judged:?}");
     assert!((judged.scale - 1.0).abs() <= 0.005, "{judged:?}");
-    assert_eq!((output.scene.metres_per_unit, output.scene.up), (Some(1.0), Some([0.0, 0.0, -1.0])));
+    assert_eq!(
+        (output.scene.metres_per_unit, output.scene.up),
+        (Some(1.0), Some([0.0, 0.0, -1.0]))
+    );
 }
 
 #[test]
@@ -57,7 +66,10 @@ fn a_label_that_is_wrong_is_outvoted_and_named() {
     let wrong = input.turn_label(7, 5.0);
     let output = input.run(&json!({"method": "sfm"})).unwrap();
     let judged = judge(&output.scene, &truth);
-    assert!(judged.position[0] <= 0.001 && (judged.scale - 1.0).abs() <= 0.005, "{judged:?}");
+    assert!(
+        judged.position[0] <= 0.001 && (judged.scale - 1.0).abs() <= 0.005,
+        "{judged:?}"
+    );
     let named = output.metrics.photos.iter().filter(|photo| photo.note.is_some());
     let named: Vec<&str> = named.map(|photo| photo.id.as_str()).collect();
     assert_eq!(named, [wrong]);
@@ -89,8 +101,14 @@ fn from_opengl(rows: &[Vec<f64>]) -> Pose {
 
 fn calibrate_mock_up(threads: usize) -> Option<(Output, Vec<(String, Pose)>)> {
     let (input, truth) = mock_up()?;
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-    Some((pool.install(|| input.run(&json!({"method": "sfm"})).unwrap()), truth))
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .unwrap();
+    Some((
+        pool.install(|| input.run(&json!({"method": "sfm"})).unwrap()),
+        truth,
+    ))
 }
 
 #[test]
@@ -99,15 +117,28 @@ fn the_mock_up_agrees_with_colmap_and_with_itself_for_any_threads() {
         return;
     };
     let judged = judge(&output.scene, &truth);
-    println!("{judged:?} {} {:?}", output.scene.method, output.scene.frames[0].camera);
+    println!(
+        "{judged:?} {} {:?}",
+        output.scene.method, output.scene.frames[0].camera
+    );
     println!("{:?}", output.metrics.totals);
     assert_eq!((judged.photos, output.scene.frames.len()), (92, 92));
-    assert!(judged.position[0] <= 0.001 && judged.position[1] <= 0.005, "{judged:?}");
-    assert!(judged.rest_deg[0] <= 0.15 && judged.rest_deg[1] <= 0.5, "{judged:?}");
+    assert!(
+        judged.position[0] <= 0.001 && judged.position[1] <= 0.005,
+        "{judged:?}"
+    );
+    assert!(
+        judged.rest_deg[0] <= 0.15 && judged.rest_deg[1] <= 0.5,
+        "{judged:?}"
+    );
     let focal_px = output.scene.frames[0].camera.fx_px;
     assert!((focal_px / 1453.3 - 1.0).abs() <= 0.005, "{focal_px}");
     assert!(output.metrics.totals.error_working_px.unwrap() <= 0.8);
-    let apart = output.scene.unplaced.iter().filter(|one| one.reason.contains("component 2"));
+    let apart = output
+        .scene
+        .unplaced
+        .iter()
+        .filter(|one| one.reason.contains("component 2"));
     assert_eq!(apart.count(), 6, "{:?}", output.scene.unplaced);
     let Some((again, _)) = calibrate_mock_up(5) else {
         return;

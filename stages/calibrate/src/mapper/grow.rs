@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use super::refine::{adjust_local, settle};
+use super::refine::{ROUGH, adjust_local, settle};
 use super::{MIN_PHOTOS, MapError, Model, Task, start};
 use crate::estimators::{Resection, Seen, resect};
 use crate::two_view::FocalKnown;
@@ -13,7 +13,7 @@ const MIN_INLIER_SHARE: f64 = 0.25;
 /// How much farther than a kept sight a point may appear while a pose is sought (COLMAP: 12 px and 4 px).
 const RESECTION_SLACK: f64 = 3.0;
 /// Photos a model grows by before all of it is adjusted again.
-const GROWTH: f64 = 1.1;
+const GROWTH: f64 = 1.15;
 /// Photos that move when one is added: itself and those that share most with it.
 const NEIGHBOURS: usize = 6;
 /// Photos of other models a model may take in, so that both can be joined.
@@ -30,7 +30,10 @@ pub(super) fn best(task: &Task<'_>, taken: &[bool]) -> Result<Option<Model>, Map
     let mut best: Option<Model> = None;
     let mut grown = 0;
     for link in start::candidates(task, taken) {
-        if best.as_ref().is_some_and(|best| link.photos.iter().any(|&photo| best.poses[photo].is_some())) {
+        if best
+            .as_ref()
+            .is_some_and(|best| link.photos.iter().any(|&photo| best.poses[photo].is_some()))
+        {
             continue;
         }
         let Some(model) = start::start(task, link)? else {
@@ -97,7 +100,7 @@ pub(super) fn grow(task: &Task<'_>, mut model: Model, taken: &[bool]) -> Result<
             if placed == adjusted {
                 return Ok(model);
             }
-            settle(task, &mut model, &[], 3)?;
+            settle(task, &mut model, &[], ROUGH)?;
             adjusted = model.photos().count();
             continue;
         };
@@ -107,7 +110,7 @@ pub(super) fn grow(task: &Task<'_>, mut model: Model, taken: &[bool]) -> Result<
         }
         (task.placed)(placed + 1);
         if (placed + 1) as f64 >= GROWTH * adjusted as f64 {
-            settle(task, &mut model, &[], 2)?;
+            settle(task, &mut model, &[], ROUGH)?;
             adjusted = model.photos().count().max(placed);
         }
     }
@@ -137,9 +140,8 @@ fn spread(task: &Task<'_>, photo: usize, sights: &[usize]) -> usize {
     let camera = &task.cameras[task.views[photo].camera].camera;
     let score = |level: u32| {
         let side = 1_usize << level;
-        let cell = |position: f64, size: u32| {
-            ((position / f64::from(size) * side as f64) as usize).min(side - 1)
-        };
+        let cell =
+            |position: f64, size: u32| ((position / f64::from(size) * side as f64) as usize).min(side - 1);
         let mut occupied = vec![false; side * side];
         for &sight in sights {
             let pixel = &task.tracks.sights[sight].pixel;
@@ -176,9 +178,15 @@ fn register(task: &Task<'_>, model: &mut Model, photo: usize) -> Result<bool, Ma
 /// The pose most sights agree on, as indices of sights, and the factor on the focal length it was found with.
 fn pose_of(task: &Task<'_>, model: &Model, photo: usize, sights: &[usize]) -> Option<(Resection, f64)> {
     let shared = &task.cameras[task.views[photo].camera];
-    let first = model.photos().all(|other| task.views[other].camera != task.views[photo].camera);
+    let first = model
+        .photos()
+        .all(|other| task.views[other].camera != task.views[photo].camera);
     let unknown = first && matches!(shared.focal, FocalKnown::Guessed);
-    let factors = if unknown { &FOCAL_FACTORS[..] } else { &FOCAL_FACTORS[..1] };
+    let factors = if unknown {
+        &FOCAL_FACTORS[..]
+    } else {
+        &FOCAL_FACTORS[..1]
+    };
     let tries = factors.iter().filter_map(|&factor| {
         let found = resection(task, model, photo, sights, factor)?;
         Some((found, factor))
@@ -191,7 +199,13 @@ fn pose_of(task: &Task<'_>, model: &Model, photo: usize, sights: &[usize]) -> Op
     best.filter(|(found, _)| found.inliers.len() >= enough)
 }
 
-fn resection(task: &Task<'_>, model: &Model, photo: usize, sights: &[usize], factor: f64) -> Option<Resection> {
+fn resection(
+    task: &Task<'_>,
+    model: &Model,
+    photo: usize,
+    sights: &[usize],
+    factor: f64,
+) -> Option<Resection> {
     let mut camera = model.cameras[task.views[photo].camera];
     (camera.fx_px, camera.fy_px) = (camera.fx_px * factor, camera.fy_px * factor);
     let (mut tried, mut seen) = (Vec::new(), Vec::new());
@@ -199,12 +213,18 @@ fn resection(task: &Task<'_>, model: &Model, photo: usize, sights: &[usize], fac
         let one = &task.tracks.sights[sight];
         if let (Some(world), Some(ray)) = (model.points[one.track as usize], camera.unproject(&one.pixel)) {
             tried.push(sight);
-            seen.push(Seen { plane: ray.xy(), world });
+            seen.push(Seen {
+                plane: ray.xy(),
+                world,
+            });
         }
     }
     let max_error = RESECTION_SLACK * task.options.max_error_px / camera.fx_px;
     let mut found = resect(&seen, max_error, task.options.seed ^ photo as u64)?;
-    found.inliers.iter_mut().for_each(|inlier| *inlier = tried[*inlier]);
+    found
+        .inliers
+        .iter_mut()
+        .for_each(|inlier| *inlier = tried[*inlier]);
     Some(found)
 }
 

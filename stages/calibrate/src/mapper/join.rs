@@ -1,6 +1,6 @@
 use marf_scene::Pose;
 
-use super::refine::settle;
+use super::refine::{ROUGH, settle};
 use super::{MIN_PHOTOS, MapError, Model, Task};
 use crate::align::{Tolerance, align};
 
@@ -29,7 +29,7 @@ pub(super) fn join(task: &Task<'_>, mut models: Vec<Model>) -> Result<Vec<Model>
     }
     last.filter(task, task.tracks.all());
     if last.photos().count() >= MIN_PHOTOS.min(task.views.len()) {
-        settle(task, &mut last, &[], 1)?;
+        settle(task, &mut last, &[], ROUGH)?;
         models.push(last);
     }
     Ok(models)
@@ -64,7 +64,7 @@ fn joined(
     }
     let before = joined.photos().count();
     joined.complete(task, task.tracks.all());
-    settle(task, &mut joined, &[], 3)?;
+    settle(task, &mut joined, &[], ROUGH)?;
     Ok((joined.photos().count() == before).then_some(joined))
 }
 

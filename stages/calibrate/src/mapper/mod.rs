@@ -14,9 +14,9 @@ mod tracks;
 use marf_scene::Camera;
 use nalgebra::Vector2;
 
-pub(crate) use lens::LensChoice;
+pub(crate) use lens::{CentreChoice, LensChoice};
 pub(crate) use model::Model;
-pub(crate) use refine::settle;
+pub(crate) use refine::{FINE, settle};
 pub(crate) use tracks::Tracks;
 
 use crate::bundle::BundleError;
@@ -64,8 +64,7 @@ pub(crate) struct MapOptions {
     /// Smallest angle between two rays to a kept point.
     pub min_angle_rad: f64,
     pub lens: LensChoice,
-    /// Whether the principal point may move, as the last step.
-    pub principal_point: bool,
+    pub centre: CentreChoice,
     pub seed: u64,
 }
 

@@ -2,8 +2,8 @@ use nalgebra::Vector3;
 
 use super::{MapError, Model, Task};
 use crate::bundle::{
-    BundleOptions, BundleReport, CameraFreedom, LensModel, Loss, Observation, PoseFreedom, Prior,
-    Problem, Solver, adjust,
+    BundleOptions, BundleReport, CameraFreedom, LensModel, Loss, Observation, PoseFreedom, Prior, Problem,
+    Solver, adjust,
 };
 
 /// Photos of one camera from which its focal length is refined; with fewer it is taken as it is.
@@ -16,6 +16,28 @@ const PHOTOS_FOR_LENS: usize = 8;
 const MIN_SIGHTS: usize = 12;
 /// Share of the sights that may still change when a model counts as settled (COLMAP).
 const SETTLED_SHARE: f64 = 5e-4;
+
+/// How near to the minimum an adjustment goes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Effort {
+    pub rounds: u32,
+    pub iterations: u32,
+    /// Relative change of the cost that ends it.
+    pub tolerance: f64,
+}
+
+/// While a model grows: what comes next moves it anyway.
+pub(crate) const ROUGH: Effort = Effort {
+    rounds: 1,
+    iterations: 8,
+    tolerance: 1e-3,
+};
+/// For what is kept.
+pub(crate) const FINE: Effort = Effort {
+    rounds: 4,
+    iterations: 25,
+    tolerance: 1e-6,
+};
 
 /// Which photos move.
 pub(super) enum Scope<'a> {
@@ -30,24 +52,24 @@ pub(crate) fn adjust_all(
     task: &Task<'_>,
     model: &mut Model,
     priors: &[Prior],
-    max_iterations: u32,
+    effort: Effort,
 ) -> Result<BundleReport, MapError> {
-    adjust_scope(task, model, &Scope::All, priors, max_iterations)
+    adjust_scope(task, model, &Scope::All, priors, effort)
 }
 
 pub(super) fn adjust_local(task: &Task<'_>, model: &mut Model, photos: &[usize]) -> Result<(), MapError> {
-    adjust_scope(task, model, &Scope::Only(photos), &[], 12).map(|_| ())
+    adjust_scope(task, model, &Scope::Only(photos), &[], ROUGH).map(|_| ())
 }
 
-/// Adjusts, completes and filters until hardly a sight changes, at most `rounds` times.
+/// Adjusts, completes and filters until hardly a sight changes.
 pub(crate) fn settle(
     task: &Task<'_>,
     model: &mut Model,
     priors: &[Prior],
-    rounds: u32,
+    effort: Effort,
 ) -> Result<(), MapError> {
-    for _ in 0..rounds {
-        adjust_all(task, model, priors, 20)?;
+    for _ in 0..effort.rounds {
+        adjust_all(task, model, priors, effort)?;
         let before = model.active.clone();
         model.complete(task, task.tracks.all());
         model.filter(task, task.tracks.all());
@@ -79,7 +101,7 @@ fn adjust_scope(
     model: &mut Model,
     scope: &Scope<'_>,
     priors: &[Prior],
-    max_iterations: u32,
+    effort: Effort,
 ) -> Result<BundleReport, MapError> {
     let tracks = match scope {
         Scope::All => task.tracks.all(),
@@ -103,8 +125,8 @@ fn adjust_scope(
     let options = BundleOptions {
         loss,
         prior_loss: Loss::Cauchy(2.0),
-        max_iterations,
-        tolerance: 1e-5,
+        max_iterations: effort.iterations,
+        tolerance: effort.tolerance,
         solver: Solver::Auto,
     };
     let report = adjust(&mut built.problem, &options, task.stop)?;
@@ -247,7 +269,12 @@ fn hold_others(model: &Model, photos: &[usize], built: &mut Built) {
             *freedom = PoseFreedom::Fixed;
         }
     }
-    if built.problem.pose_freedom.iter().all(|freedom| *freedom == PoseFreedom::Free) {
+    if built
+        .problem
+        .pose_freedom
+        .iter()
+        .all(|freedom| *freedom == PoseFreedom::Free)
+    {
         hold_gauge(model, built);
     }
 }

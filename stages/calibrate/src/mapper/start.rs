@@ -4,7 +4,7 @@ use super::{Link, MapError, Model, Task};
 use crate::estimators::ray_angle_rad;
 use crate::two_view::RelationKind;
 
-use super::refine::adjust_all;
+use super::refine::{FINE, adjust_all};
 
 /// What a first pair must offer.
 struct Demand {
@@ -16,13 +16,41 @@ struct Demand {
 
 /// From what makes a good start to what may just work (COLMAP asks 16 degrees, 100 inliers and .95).
 const LADDER: [Demand; 7] = [
-    Demand { angle_deg: 16.0, inliers: 100, forward: 0.95 },
-    Demand { angle_deg: 8.0, inliers: 100, forward: 0.95 },
-    Demand { angle_deg: 4.0, inliers: 100, forward: 0.95 },
-    Demand { angle_deg: 4.0, inliers: 50, forward: 1.0 },
-    Demand { angle_deg: 2.0, inliers: 50, forward: 1.0 },
-    Demand { angle_deg: 2.0, inliers: 20, forward: 1.0 },
-    Demand { angle_deg: 1.0, inliers: 20, forward: 1.0 },
+    Demand {
+        angle_deg: 16.0,
+        inliers: 100,
+        forward: 0.95,
+    },
+    Demand {
+        angle_deg: 8.0,
+        inliers: 100,
+        forward: 0.95,
+    },
+    Demand {
+        angle_deg: 4.0,
+        inliers: 100,
+        forward: 0.95,
+    },
+    Demand {
+        angle_deg: 4.0,
+        inliers: 50,
+        forward: 1.0,
+    },
+    Demand {
+        angle_deg: 2.0,
+        inliers: 50,
+        forward: 1.0,
+    },
+    Demand {
+        angle_deg: 2.0,
+        inliers: 20,
+        forward: 1.0,
+    },
+    Demand {
+        angle_deg: 1.0,
+        inliers: 20,
+        forward: 1.0,
+    },
 ];
 /// Candidates tried on each rung.
 const TRIES: usize = 6;
@@ -68,7 +96,7 @@ pub(super) fn start(task: &Task<'_>, link: &Link) -> Result<Option<Model>, MapEr
     if !holds(task, &model, link) {
         return Ok(None);
     }
-    adjust_all(task, &mut model, &[], 20)?;
+    adjust_all(task, &mut model, &[], FINE)?;
     model.filter(task, tracks.clone());
     model.complete(task, tracks.clone());
     model.filter(task, tracks);

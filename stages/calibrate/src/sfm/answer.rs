@@ -39,7 +39,10 @@ pub(super) fn answer(
     let causes = causes(solved, &chosen);
     let worst = commonest(&causes);
     Ok(Calibrated {
-        unplaced: causes.into_iter().map(|(photo, cause)| (photo, cause.to_string())).collect(),
+        unplaced: causes
+            .into_iter()
+            .map(|(photo, cause)| (photo, cause.to_string()))
+            .collect(),
         missing: Vec::new(),
         points: points.iter().map(sparse).collect(),
         tracks: points,
@@ -55,7 +58,9 @@ pub(super) fn answer(
         placed,
         method: method(solved, metric, earlier),
         components: Some(groups(solved)),
-        cause: worst.as_ref().map(|(count, cause)| format!("{count} photos: {}", cause.kind())),
+        cause: worst
+            .as_ref()
+            .map(|(count, cause)| format!("{count} photos: {}", cause.kind())),
         hint: worst.map_or_else(String::new, |(_, cause)| cause.hint().to_owned()),
     })
 }
@@ -81,7 +86,11 @@ fn world(solved: &Solved<'_>, metric: bool, earlier: Option<&Earlier>) -> Simila
     }
     let count = centres.len().max(1) as f64;
     let mean = centres.iter().sum::<Vector3<f64>>() / count;
-    let spread = centres.iter().map(|centre| (centre - mean).norm_squared()).sum::<f64>() / count;
+    let spread = centres
+        .iter()
+        .map(|centre| (centre - mean).norm_squared())
+        .sum::<f64>()
+        / count;
     let scale = 1.0 / spread.sqrt().max(f64::MIN_POSITIVE);
     Similarity {
         scale,
@@ -153,7 +162,10 @@ fn frame(
 fn note(label: Option<&str>, outvoted: Option<&Outvoted>) -> Option<String> {
     let outvoted = outvoted.map(|one| {
         let angle_deg = one.angle_rad.to_degrees();
-        format!("label outvoted by the photos: {:.2} m and {angle_deg:.2} degrees off", one.distance_m)
+        format!(
+            "label outvoted by the photos: {:.2} m and {angle_deg:.2} degrees off",
+            one.distance_m
+        )
     });
     outvoted.or_else(|| label.map(str::to_owned))
 }
@@ -232,16 +244,23 @@ fn sparse(point: &TrackPoint) -> Point {
 fn groups(solved: &Solved<'_>) -> usize {
     let component = components(solved.prepared.len(), solved.task.links);
     let mut sizes: BTreeMap<usize, usize> = BTreeMap::new();
-    component.into_iter().for_each(|rank| *sizes.entry(rank).or_default() += 1);
+    component
+        .into_iter()
+        .for_each(|rank| *sizes.entry(rank).or_default() += 1);
     sizes.values().filter(|size| **size > 1).count()
 }
 
 /// Why each photo that is in none of the chosen models is not.
 fn causes(solved: &Solved<'_>, chosen: &[usize]) -> Vec<(usize, Cause)> {
     let component = components(solved.prepared.len(), solved.task.links);
-    let placed = |photo: usize| chosen.iter().any(|&index| solved.models[index].poses[photo].is_some());
+    let placed = |photo: usize| {
+        chosen
+            .iter()
+            .any(|&index| solved.models[index].poses[photo].is_some())
+    };
     let left = (0..solved.prepared.len()).filter(|&photo| !placed(photo));
-    left.map(|photo| (photo, cause(solved, &component, photo))).collect()
+    left.map(|photo| (photo, cause(solved, &component, photo)))
+        .collect()
 }
 
 /// The kind of cause most photos have, with their number.

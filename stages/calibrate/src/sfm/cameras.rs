@@ -87,9 +87,9 @@ pub(super) fn refine_guesses(cameras: &mut [SharedCamera], views: &[View], compa
         if shared.focal == FocalKnown::Known {
             continue;
         }
-        let own = compared.iter().filter(|one| {
-            one.photos.iter().all(|&photo| views[photo].camera == index)
-        });
+        let own = compared
+            .iter()
+            .filter(|one| one.photos.iter().all(|&photo| views[photo].camera == index));
         let pairs: Vec<_> = own
             .filter_map(|one| Some((one.verified.fundamental?, one.verified.inliers.len())))
             .collect();

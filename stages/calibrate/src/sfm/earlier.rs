@@ -2,7 +2,7 @@ use marf_scene::{Camera, Pose, Scene};
 use marf_stage::{Ctx, Inputs, StageError};
 
 use crate::align::{Tolerance, align};
-use crate::mapper::{MapError, Model, Task, grow_from, settle};
+use crate::mapper::{FINE, MapError, Model, Task, grow_from, settle};
 use crate::metric::transform;
 use crate::photos::Item;
 
@@ -30,7 +30,10 @@ pub(super) fn load(
         let found = scene.frames.binary_search_by(|frame| frame.id.cmp(id)).ok()?;
         let frame = &scene.frames[found];
         let size = &task.cameras[task.views[photo].camera].camera;
-        Some((frame.cam_from_world, frame.camera.resized(size.width, size.height)))
+        Some((
+            frame.cam_from_world,
+            frame.camera.resized(size.width, size.height),
+        ))
     });
     let known: Vec<_> = known.collect();
     let enough = known.iter().flatten().count() >= 2;
@@ -55,7 +58,7 @@ impl Earlier {
         model.keep_lens();
         model.complete(task, task.tracks.all());
         let mut model = grow_from(task, model)?;
-        settle(task, &mut model, &[], 3)?;
+        settle(task, &mut model, &[], FINE)?;
         self.move_back(&mut model);
         Ok(vec![model])
     }

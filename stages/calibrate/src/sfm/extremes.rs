@@ -17,21 +17,30 @@ fn ball(count: usize) -> Vec<Vector3<f64>> {
 fn right(name: &str, scene: &Synthetic) -> Judged {
     let judged = scene.judge().unwrap_or_else(|| panic!("{name}: no model"));
     assert_eq!(judged.photos, scene.poses.len(), "{name}: {judged:?}");
-    assert!(judged.position < POSITION && judged.angle_rad < ANGLE_RAD, "{name}: {judged:?}");
+    assert!(
+        judged.position < POSITION && judged.angle_rad < ANGLE_RAD,
+        "{name}: {judged:?}"
+    );
     judged
 }
 
 #[test]
 fn a_walk_round_is_solved_with_none_to_many_outliers() {
     for outliers in [0.0, 0.1, 0.5] {
-        let scene = Synthetic { outliers, ..Synthetic::new(arc(10, 6.0, 2.0), ball(300)) };
+        let scene = Synthetic {
+            outliers,
+            ..Synthetic::new(arc(10, 6.0, 2.0), ball(300))
+        };
         right(&format!("outliers {outliers}"), &scene);
     }
 }
 
 #[test]
 fn all_outliers_give_no_model() {
-    let scene = Synthetic { outliers: 1.0, ..Synthetic::new(arc(6, 6.0, 1.0), ball(200)) };
+    let scene = Synthetic {
+        outliers: 1.0,
+        ..Synthetic::new(arc(6, 6.0, 1.0), ball(200))
+    };
     assert!(scene.solve().is_empty());
 }
 
@@ -43,7 +52,10 @@ fn two_photos_are_enough() {
 #[test]
 fn one_photo_and_none_give_no_model() {
     for count in [0, 1] {
-        assert!(Synthetic::new(arc(count, 6.0, 0.4), ball(100)).solve().is_empty(), "{count}");
+        assert!(
+            Synthetic::new(arc(count, 6.0, 0.4), ball(100)).solve().is_empty(),
+            "{count}"
+        );
     }
 }
 
@@ -58,13 +70,18 @@ fn a_plane_is_solved() {
 
 #[test]
 fn forward_motion_is_solved() {
-    let poses = (0..8).map(|index| forward(-10.0 + 0.8 * f64::from(index))).collect();
+    let poses = (0..8)
+        .map(|index| forward(-10.0 + 0.8 * f64::from(index)))
+        .collect();
     let points = cloud(400, Vector3::zeros(), Vector3::new(3.0, 2.5, 2.0), 3);
     right("forward", &Synthetic::new(poses, points));
 }
 
 fn forward(z: f64) -> Pose {
-    Pose { rotation: Matrix3::identity(), translation: Vector3::new(0.0, 0.0, -z) }
+    Pose {
+        rotation: Matrix3::identity(),
+        translation: Vector3::new(0.0, 0.0, -z),
+    }
 }
 
 #[test]
@@ -73,7 +90,10 @@ fn collinear_cameras_are_solved() {
         let eye = Vector3::new(0.5 * f64::from(index) - 2.0, 0.0, -6.0);
         Pose::looking_at(eye, Vector3::new(0.3 * eye.x, 0.0, 0.0), Vector3::y())
     };
-    right("collinear", &Synthetic::new((0..9).map(pose).collect(), ball(300)));
+    right(
+        "collinear",
+        &Synthetic::new((0..9).map(pose).collect(), ball(300)),
+    );
 }
 
 #[test]
@@ -87,8 +107,16 @@ fn a_turn_on_the_spot_is_refused() {
                 Vector3::y(),
             )
         };
-        let far = cloud(1500, Vector3::new(4.0, 0.0, 12.0), Vector3::new(16.0, 6.0, 8.0), 4);
-        let scene = Synthetic { noise_px, ..Synthetic::new((0..8).map(pose).collect(), far) };
+        let far = cloud(
+            1500,
+            Vector3::new(4.0, 0.0, 12.0),
+            Vector3::new(16.0, 6.0, 8.0),
+            4,
+        );
+        let scene = Synthetic {
+            noise_px,
+            ..Synthetic::new((0..8).map(pose).collect(), far)
+        };
         let models = scene.solve();
         assert!(models.is_empty(), "noise {noise_px}: {} models", models.len());
     }
@@ -99,7 +127,10 @@ fn a_baseline_that_is_nothing_is_refused() {
     for baseline in [0.0, 1e-9, 1e-5] {
         let poses = arc(4, 6.0, baseline);
         let models = Synthetic::new(poses, ball(300)).solve();
-        assert!(models.iter().all(|model| model.point_count() == 0) || models.is_empty(), "{baseline}");
+        assert!(
+            models.iter().all(|model| model.point_count() == 0) || models.is_empty(),
+            "{baseline}"
+        );
     }
 }
 
@@ -114,7 +145,10 @@ fn duplicate_photos_do_no_harm() {
 #[test]
 fn a_focal_length_wrong_by_two_is_found() {
     for factor in [0.5, 2.0] {
-        let scene = Synthetic { start: guessed(800.0 * factor), ..Synthetic::new(arc(12, 6.0, 2.4), ball(400)) };
+        let scene = Synthetic {
+            start: guessed(800.0 * factor),
+            ..Synthetic::new(arc(12, 6.0, 2.4), ball(400))
+        };
         let judged = right(&format!("factor {factor}"), &scene);
         assert!(judged.focal < 0.01, "{factor}: {judged:?}");
     }
@@ -122,15 +156,29 @@ fn a_focal_length_wrong_by_two_is_found() {
 
 #[test]
 fn a_principal_point_outside_the_photo_is_no_matter() {
-    let tile = Camera { cx_px: -500.0, cy_px: 1300.0, ..camera() };
+    let tile = Camera {
+        cx_px: -500.0,
+        cy_px: 1300.0,
+        ..camera()
+    };
     let turned = |pose: Pose| {
         // Looking away from the scene, whose image then lies in the tile.
-        let ray = tile.unproject(&nalgebra::Vector2::new(480.0, 360.0)).unwrap().normalize();
+        let ray = tile
+            .unproject(&nalgebra::Vector2::new(480.0, 360.0))
+            .unwrap()
+            .normalize();
         let away = Pose::looking_at(Vector3::zeros(), ray, Vector3::y());
-        Pose { translation: Vector3::zeros(), ..away.inverse() } * pose
+        Pose {
+            translation: Vector3::zeros(),
+            ..away.inverse()
+        } * pose
     };
     let poses = arc(8, 8.0, 1.2).into_iter().map(turned).collect();
-    let scene = Synthetic { camera: tile, start: known(tile), ..Synthetic::new(poses, ball(400)) };
+    let scene = Synthetic {
+        camera: tile,
+        start: known(tile),
+        ..Synthetic::new(poses, ball(400))
+    };
     right("tile", &scene);
 }
 
@@ -146,7 +194,12 @@ fn a_descent_through_38_times_the_scale_is_solved() {
         .collect();
     let mut points = Vec::new();
     for (ring, half) in [0.5, 1.0, 2.0, 4.0, 8.0, 16.0].into_iter().enumerate() {
-        points.extend(cloud(250, Vector3::zeros(), Vector3::new(half, 0.8 * half, 0.08 * half), 20 + ring as u64));
+        points.extend(cloud(
+            250,
+            Vector3::zeros(),
+            Vector3::new(half, 0.8 * half, 0.08 * half),
+            20 + ring as u64,
+        ));
     }
     right("descent", &Synthetic::new(poses, points));
 }
@@ -160,7 +213,10 @@ fn the_unit_and_the_place_of_the_world_are_no_matter() {
             translation: -(pose.rotation * (pose.centre() * unit + shift)),
         });
         let points = ball(300).into_iter().map(|point| point * unit + shift).collect();
-        right(&format!("unit {unit}, shift {}", shift.x), &Synthetic::new(poses.collect(), points));
+        right(
+            &format!("unit {unit}, shift {}", shift.x),
+            &Synthetic::new(poses.collect(), points),
+        );
     }
 }
 
@@ -168,7 +224,11 @@ fn the_unit_and_the_place_of_the_world_are_no_matter() {
 fn a_photo_of_another_place_stays_out() {
     let mut poses = arc(8, 6.0, 1.6);
     let elsewhere = Vector3::new(500.0, 0.0, 0.0);
-    poses.push(Pose::looking_at(elsewhere - Vector3::new(0.0, 0.0, 6.0), elsewhere, Vector3::y()));
+    poses.push(Pose::looking_at(
+        elsewhere - Vector3::new(0.0, 0.0, 6.0),
+        elsewhere,
+        Vector3::y(),
+    ));
     let mut points = ball(300);
     points.extend(cloud(300, elsewhere, Vector3::new(2.0, 1.5, 2.0), 9));
     let models = Synthetic::new(poses, points).solve();
@@ -194,9 +254,15 @@ fn two_places_are_two_models() {
 #[test]
 fn noise_is_followed_and_more_of_it_is_survived() {
     for noise_px in [0.0, 0.1, 1.0] {
-        let scene = Synthetic { noise_px, ..Synthetic::new(arc(10, 6.0, 2.0), ball(400)) };
+        let scene = Synthetic {
+            noise_px,
+            ..Synthetic::new(arc(10, 6.0, 2.0), ball(400))
+        };
         let judged = scene.judge().unwrap();
         assert_eq!(judged.photos, 10, "{noise_px}");
-        assert!(judged.position < 1e-6 + 0.008 * noise_px, "{noise_px}: {judged:?}");
+        assert!(
+            judged.position < 1e-6 + 0.008 * noise_px,
+            "{noise_px}: {judged:?}"
+        );
     }
 }

@@ -24,9 +24,11 @@ use rayon::prelude::*;
 
 use crate::bundle::LensModel;
 use crate::labels;
-use crate::mapper::{LensChoice, Link, MapError, MapOptions, Model, SharedCamera, Task, Tracks, View, map};
+use crate::mapper::{
+    CentreChoice, LensChoice, Link, MapError, MapOptions, Model, SharedCamera, Task, Tracks, View, map,
+};
 use crate::metric::{LabelPose, Outvoted, place};
-use crate::params::{CalibrateParams, LensParam};
+use crate::params::{CalibrateParams, LensParam, PrincipalPoint};
 use crate::photos::{Calibrated, Item};
 use crate::two_view::{ViewPoints, relate};
 use pairs::Compared;
@@ -142,7 +144,10 @@ fn max_error_px(camera: &Camera) -> f64 {
 }
 
 fn options(params: &CalibrateParams, shared: &[SharedCamera]) -> MapOptions {
-    let largest = shared.iter().map(|shared| max_error_px(&shared.camera)).fold(0.0, f64::max);
+    let largest = shared
+        .iter()
+        .map(|shared| max_error_px(&shared.camera))
+        .fold(0.0, f64::max);
     // Photos resampled through their label's lens are pinholes until the data say otherwise.
     let labelled = shared
         .iter()
@@ -151,14 +156,23 @@ fn options(params: &CalibrateParams, shared: &[SharedCamera]) -> MapOptions {
         max_error_px: largest,
         min_angle_rad: MIN_ANGLE_RAD,
         lens: match params.lens {
-            LensParam::Auto if labelled => LensChoice::Smallest { growing: LensModel::Pinhole },
-            LensParam::Auto => LensChoice::Smallest { growing: LensModel::Radial },
+            LensParam::Auto if labelled => LensChoice::Smallest {
+                growing: LensModel::Pinhole,
+            },
+            LensParam::Auto => LensChoice::Smallest {
+                growing: LensModel::Radial,
+            },
             LensParam::Pinhole => LensChoice::Fixed(LensModel::Pinhole),
             LensParam::SimpleRadial => LensChoice::Fixed(LensModel::SimpleRadial),
             LensParam::Radial => LensChoice::Fixed(LensModel::Radial),
             LensParam::Opencv => LensChoice::Fixed(LensModel::OpenCv),
         },
-        principal_point: params.refine_principal_point,
+        centre: match params.principal_point {
+            PrincipalPoint::Centre => CentreChoice::Held,
+            PrincipalPoint::Free => CentreChoice::Free,
+            PrincipalPoint::Auto if labelled => CentreChoice::Held,
+            PrincipalPoint::Auto => CentreChoice::Supported,
+        },
         seed: params.seed,
     }
 }
@@ -191,7 +205,13 @@ fn links(
             if inliers.len() < params.min_matches as usize {
                 return None;
             }
-            let seed = pairs::seed_of(&Digest::of(&inliers.iter().flatten().flat_map(|i| i.to_le_bytes()).collect::<Vec<u8>>()));
+            let seed = pairs::seed_of(&Digest::of(
+                &inliers
+                    .iter()
+                    .flatten()
+                    .flat_map(|i| i.to_le_bytes())
+                    .collect::<Vec<u8>>(),
+            ));
             let error_px = max_error_px(points(a).camera);
             let relation = relate(&points(a), &points(b), inliers, error_px, seed ^ params.seed)?;
             (relation.inliers.len() >= params.min_matches as usize).then_some(Link {
@@ -232,7 +252,9 @@ fn components(count: usize, links: &[Link]) -> Vec<usize> {
     }
     let roots: Vec<usize> = (0..count).map(|photo| find(&root, photo)).collect();
     let mut sizes: BTreeMap<usize, usize> = BTreeMap::new();
-    roots.iter().for_each(|root| *sizes.entry(*root).or_default() += 1);
+    roots
+        .iter()
+        .for_each(|root| *sizes.entry(*root).or_default() += 1);
     let mut order: Vec<(usize, usize)> = sizes.into_iter().collect();
     order.sort_by_key(|&(root, size)| (std::cmp::Reverse(size), root));
     let rank = |root: &usize| order.iter().position(|(other, _)| other == root).unwrap_or(0);

@@ -50,7 +50,11 @@ pub(super) fn choose(prepared: &[Prepared], sequence: &[usize], params: &Calibra
         .collect();
     if params.pairs == Pairs::Auto {
         let features: Vec<&Features> = prepared.iter().map(|one| &one.features).collect();
-        pairs.extend(retrieve(&features, RETRIEVED, MIN_HITS).into_iter().map(|(a, b)| ordered(a, b)));
+        pairs.extend(
+            retrieve(&features, RETRIEVED, MIN_HITS)
+                .into_iter()
+                .map(|(a, b)| ordered(a, b)),
+        );
         pairs.extend(by_label(prepared));
     }
     pairs.into_iter().collect()
@@ -73,7 +77,9 @@ fn by_label(prepared: &[Prepared]) -> Vec<[usize; 2]> {
                 .collect();
             seen.sort_by_key(|&(hits, other)| (std::cmp::Reverse(hits), other));
             seen.truncate(BY_LABEL);
-            seen.into_iter().map(|(_, other)| [index.min(other), index.max(other)]).collect()
+            seen.into_iter()
+                .map(|(_, other)| [index.min(other), index.max(other)])
+                .collect()
         })
         .collect();
     chosen.concat()
@@ -85,15 +91,23 @@ fn common((camera, cam_from_site): &(Camera, Pose), (other, other_from_site): &(
     let shares = [0.1, 0.3, 0.5, 0.7, 0.9];
     let rays = shares.iter().flat_map(|y| {
         shares.iter().filter_map(move |x| {
-            camera.unproject(&Vector2::new(x * f64::from(camera.width), y * f64::from(camera.height)))
+            camera.unproject(&Vector2::new(
+                x * f64::from(camera.width),
+                y * f64::from(camera.height),
+            ))
         })
     });
     let inside = |pixel: Vector2<f64>| {
         (0.0..f64::from(other.width)).contains(&pixel.x) && (0.0..f64::from(other.height)).contains(&pixel.y)
     };
     let sees = |point: Vector3<f64>| other.project(&other_from_cam.point(&point)).is_some_and(inside);
-    rays.map(|ray| RANGES_M.iter().filter(|range| sees(ray.normalize() * **range)).count())
-        .sum()
+    rays.map(|ray| {
+        RANGES_M
+            .iter()
+            .filter(|range| sees(ray.normalize() * **range))
+            .count()
+    })
+    .sum()
 }
 
 #[derive(ContentHash)]
@@ -154,7 +168,13 @@ fn row_key(
         let shared = &cameras[views[photo].camera];
         (shared.camera, shared.focal == FocalKnown::Known)
     };
-    let parts = (prepared[a].row.found, prepared[b].row.found, camera(a), camera(b), seed);
+    let parts = (
+        prepared[a].row.found,
+        prepared[b].row.found,
+        camera(a),
+        camera(b),
+        seed,
+    );
     Digest::of(&serde_json::to_vec(&parts).unwrap_or_default())
 }
 
@@ -167,13 +187,23 @@ fn compared(
     params: &CalibrateParams,
 ) -> Compared {
     let [a, b] = photos;
-    let matches = match_pair(&prepared[a].features, &prepared[b].features, &MatchOptions::default());
+    let matches = match_pair(
+        &prepared[a].features,
+        &prepared[b].features,
+        &MatchOptions::default(),
+    );
     let points = |photo: usize| ViewPoints {
         camera: &cameras[views[photo].camera].camera,
         pixels: &views[photo].pixels,
     };
-    let guessed = photos.iter().any(|&photo| cameras[views[photo].camera].focal == FocalKnown::Guessed);
-    let focal = if guessed { FocalKnown::Guessed } else { FocalKnown::Known };
+    let guessed = photos
+        .iter()
+        .any(|&photo| cameras[views[photo].camera].focal == FocalKnown::Guessed);
+    let focal = if guessed {
+        FocalKnown::Guessed
+    } else {
+        FocalKnown::Known
+    };
     let options = VerifyOptions {
         max_error_px: super::max_error_px(&cameras[views[a].camera].camera),
         min_inliers: params.min_matches,
@@ -189,7 +219,11 @@ fn compared(
 
 /// The first eight bytes of a digest.
 pub(super) fn seed_of(digest: &Digest) -> u64 {
-    digest.as_bytes().iter().take(8).fold(0, |seed, byte| seed << 8 | u64::from(*byte))
+    digest
+        .as_bytes()
+        .iter()
+        .take(8)
+        .fold(0, |seed, byte| seed << 8 | u64::from(*byte))
 }
 
 /// Kind, matches, three counts, F (or NaN), inliers; little-endian.
@@ -204,9 +238,17 @@ fn pack(one: &Compared) -> Vec<u8> {
     ] {
         bytes.extend(count.to_le_bytes());
     }
-    let fundamental = verified.fundamental.unwrap_or_else(|| Matrix3::from_element(f64::NAN));
+    let fundamental = verified
+        .fundamental
+        .unwrap_or_else(|| Matrix3::from_element(f64::NAN));
     bytes.extend(fundamental.iter().flat_map(|value| value.to_le_bytes()));
-    bytes.extend(verified.inliers.iter().flatten().flat_map(|index| index.to_le_bytes()));
+    bytes.extend(
+        verified
+            .inliers
+            .iter()
+            .flatten()
+            .flat_map(|index| index.to_le_bytes()),
+    );
     bytes
 }
 
@@ -227,7 +269,10 @@ fn unpack(photos: [usize; 2], row: &[u8]) -> Option<Compared> {
     let fundamental = Matrix3::from_iterator(numbers.iter().map(|number| f64::from_le_bytes(*number)));
     let pair = |bytes: &[u8; 8]| {
         let [a0, a1, a2, a3, b0, b1, b2, b3] = *bytes;
-        [u32::from_le_bytes([a0, a1, a2, a3]), u32::from_le_bytes([b0, b1, b2, b3])]
+        [
+            u32::from_le_bytes([a0, a1, a2, a3]),
+            u32::from_le_bytes([b0, b1, b2, b3]),
+        ]
     };
     let kinds = [
         VerifiedKind::General,
@@ -241,7 +286,10 @@ fn unpack(photos: [usize; 2], row: &[u8]) -> Option<Compared> {
         matches: counts[0],
         verified: Verified {
             inliers: inliers.iter().map(pair).collect(),
-            fundamental: fundamental.iter().all(|value| value.is_finite()).then_some(fundamental),
+            fundamental: fundamental
+                .iter()
+                .all(|value| value.is_finite())
+                .then_some(fundamental),
             fundamental_inliers: counts[1],
             essential_inliers: counts[2],
             homography_inliers: counts[3],

@@ -96,13 +96,25 @@ pub(super) fn prepare(
             let candidate = candidates[item].as_ref();
             let name = row_key(&items[item], candidate, mask.as_ref());
             let kept = table.get(&name).and_then(|row| recall(ctx, row));
-            let Found { row, features, colors } = match kept {
+            let Found {
+                row,
+                features,
+                colors,
+            } = match kept {
                 Some(kept) => kept,
                 None => found(ctx, &items[item], candidate, mask.as_ref(), params)?,
             };
             let so_far = done.fetch_add(1, Ordering::Relaxed) + 1;
-            ctx.progress.at(so_far, items.len() as u64, "photos searched for features");
-            Ok((name, Prepared { row, features, colors }))
+            ctx.progress
+                .at(so_far, items.len() as u64, "photos searched for features");
+            Ok((
+                name,
+                Prepared {
+                    row,
+                    features,
+                    colors,
+                },
+            ))
         })
         .collect();
     for (name, one) in prepared.iter().flatten() {
@@ -114,7 +126,14 @@ pub(super) fn prepare(
 
 /// All that a row depends on beside the memo's key.
 fn row_key(item: &Item, candidate: Option<&Candidate<'_>>, mask: Option<&Image<Srgb>>) -> Digest {
-    let model = candidate.map(|candidate| (candidate.model, candidate.site_from_frame, item.facts.width, item.facts.height));
+    let model = candidate.map(|candidate| {
+        (
+            candidate.model,
+            candidate.site_from_frame,
+            item.facts.width,
+            item.facts.height,
+        )
+    });
     let mask = mask.map(|mask| Digest::of(mask.pixels.as_flattened()));
     let text = serde_json::to_vec(&(item.image, model, mask, &item.facts.file)).unwrap_or_default();
     Digest::of(&text)
@@ -127,7 +146,11 @@ fn recall(ctx: &Ctx<'_>, row: &[u8]) -> Option<Found> {
         ctx.get(&row.image).ok()?;
     }
     let (features, colors) = unpack(&ctx.get(&row.found).ok()?)?;
-    Some(Found { row, features, colors })
+    Some(Found {
+        row,
+        features,
+        colors,
+    })
 }
 
 /// Searches the photo itself, or the pinhole image its label makes of it.
@@ -140,7 +163,9 @@ fn found(
 ) -> Result<Found, StageError> {
     let (mut note, mut label) = (None, None);
     let (mut image, mut file) = (item.image, None);
-    let ideal = candidate.map(|candidate| ideal(ctx, item, candidate)).transpose()?;
+    let ideal = candidate
+        .map(|candidate| ideal(ctx, item, candidate))
+        .transpose()?;
     let photo = match ideal {
         Some(Ok(ideal)) => {
             label = Some((ideal.camera, ideal.cam_from_site));
@@ -155,7 +180,11 @@ fn found(
         }
         None => decode(ctx, item)?.image,
     };
-    let factor = photo.width.max(photo.height).div_ceil(params.feature_side_px).max(1);
+    let factor = photo
+        .width
+        .max(photo.height)
+        .div_ceil(params.feature_side_px)
+        .max(1);
     let features = extract(
         &Gray::of(&photo, factor),
         &Mask::of(&photo, factor, mask),
@@ -175,7 +204,11 @@ fn found(
         note,
         found: ctx.put(&pack(&features, &colors))?,
     };
-    Ok(Found { row, features, colors })
+    Ok(Found {
+        row,
+        features,
+        colors,
+    })
 }
 
 fn options(params: &CalibrateParams) -> FeatureOptions {

@@ -11,13 +11,27 @@ const NAMED: usize = 8;
 /// Why a photo has no place in the scene.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Cause {
-    Features { found: usize },
-    Overlap { most: usize },
-    Rotation { turns: usize },
-    Component { rank: usize, files: Vec<String>, mapped: Mapped },
-    Pose { links: usize },
+    Features {
+        found: usize,
+    },
+    Overlap {
+        most: usize,
+    },
+    Rotation {
+        turns: usize,
+    },
+    Component {
+        rank: usize,
+        files: Vec<String>,
+        mapped: Mapped,
+    },
+    Pose {
+        links: usize,
+    },
     /// No pair of photos at all has matches and parallax enough to begin with.
-    Start { angle_deg: f64 },
+    Start {
+        angle_deg: f64,
+    },
 }
 
 /// Whether photos apart from the scene were placed among themselves.
@@ -44,23 +58,36 @@ pub(super) fn cause(solved: &Solved<'_>, component: &[usize], photo: usize) -> C
             _ => Cause::Overlap { most },
         };
     }
-    if links.iter().all(|link| link.relation.kind == RelationKind::Rotation) {
+    if links
+        .iter()
+        .all(|link| link.relation.kind == RelationKind::Rotation)
+    {
         return Cause::Rotation { turns: links.len() };
     }
     if solved.models.is_empty() {
-        let angles = links.iter().map(|link| link.relation.median_angle_rad.to_degrees());
-        return Cause::Start { angle_deg: angles.fold(0.0, f64::max) };
+        let angles = links
+            .iter()
+            .map(|link| link.relation.median_angle_rad.to_degrees());
+        return Cause::Start {
+            angle_deg: angles.fold(0.0, f64::max),
+        };
     }
     let main = solved.models.first().and_then(|model| model.photos().next());
     let apart = main.is_some_and(|main| component[main] != component[photo]);
-    let mapped = solved.models.iter().skip(1).find(|model| model.poses[photo].is_some());
+    let mapped = solved
+        .models
+        .iter()
+        .skip(1)
+        .find(|model| model.poses[photo].is_some());
     if !apart && mapped.is_none() {
         return Cause::Pose { links: links.len() };
     }
     let file = |photo: usize| solved.items[photo].facts.file.clone();
     let members: Vec<usize> = match mapped {
         Some(model) => model.photos().collect(),
-        None => (0..component.len()).filter(|&other| component[other] == component[photo]).collect(),
+        None => (0..component.len())
+            .filter(|&other| component[other] == component[photo])
+            .collect(),
     };
     Cause::Component {
         rank: component[photo] + 1,
@@ -115,16 +142,27 @@ impl fmt::Display for Cause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Features { found } => write!(f, "{} ({found} found)", self.kind()),
-            Self::Overlap { most } => write!(f, "no overlap: at most {most} matches with any other photo hold"),
+            Self::Overlap { most } => {
+                write!(f, "no overlap: at most {most} matches with any other photo hold")
+            }
             Self::Rotation { turns } => write!(f, "{} ({turns} pairs)", self.kind()),
             Self::Component { rank, files, mapped } => {
-                let named = files.iter().take(NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
+                let named = files
+                    .iter()
+                    .take(NAMED)
+                    .map(String::as_str)
+                    .collect::<Vec<_>>()
+                    .join(", ");
                 let more = if files.len() > NAMED { ", …" } else { "" };
                 let among = match mapped {
                     Mapped::Yes => "placed among themselves",
                     Mapped::No => "not placed",
                 };
-                write!(f, "component {rank}: {} photos {among} ({named}{more}), ", files.len())?;
+                write!(
+                    f,
+                    "component {rank}: {} photos {among} ({named}{more}), ",
+                    files.len()
+                )?;
                 f.write_str("no verified pair links them to the scene")
             }
             Self::Start { angle_deg } => write!(f, "{} (widest angle {angle_deg:.2} degrees)", self.kind()),

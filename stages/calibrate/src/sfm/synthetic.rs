@@ -98,13 +98,17 @@ impl Synthetic {
         let mut views = Vec::new();
         let mut features = Vec::new();
         for pose in &self.poses {
-            let mut view = View { camera: 0, pixels: Vec::new() };
+            let mut view = View {
+                camera: 0,
+                pixels: Vec::new(),
+            };
             let seen = self.points.iter().map(|point| {
                 let pixel = self.camera.project(&pose.point(point))?;
                 let inside = (0.0..f64::from(self.camera.width)).contains(&pixel.x)
                     && (0.0..f64::from(self.camera.height)).contains(&pixel.y);
                 inside.then(|| {
-                    view.pixels.push(pixel + self.noise_px * Vector2::new(normal(&mut dice), normal(&mut dice)));
+                    view.pixels
+                        .push(pixel + self.noise_px * Vector2::new(normal(&mut dice), normal(&mut dice)));
                     view.pixels.len() as u32 - 1
                 })
             });
@@ -169,16 +173,24 @@ impl Synthetic {
     pub(super) fn judge(&self) -> Option<Judged> {
         let models = self.solve();
         let model = models.first()?;
-        let pairs: Vec<(Pose, Pose)> = model.photos().map(|photo| (model.poses[photo].unwrap(), self.poses[photo])).collect();
+        let pairs: Vec<(Pose, Pose)> = model
+            .photos()
+            .map(|photo| (model.poses[photo].unwrap(), self.poses[photo]))
+            .collect();
         let any = Tolerance {
             distance: f64::INFINITY,
             angle_rad: f64::INFINITY,
         };
         let aligned = align(&pairs, &any)?;
         let centres: Vec<_> = pairs.iter().map(|(_, truth)| truth.centre()).collect();
-        let distances = centres.iter().flat_map(|a| centres.iter().map(move |b| (a - b).norm()));
+        let distances = centres
+            .iter()
+            .flat_map(|a| centres.iter().map(move |b| (a - b).norm()));
         let extent = distances.fold(0.0, f64::max);
-        let off: Vec<(f64, f64)> = pairs.iter().map(|pair| disagreement(pair, &aligned.similarity)).collect();
+        let off: Vec<(f64, f64)> = pairs
+            .iter()
+            .map(|pair| disagreement(pair, &aligned.similarity))
+            .collect();
         Some(Judged {
             photos: pairs.len(),
             position: off.iter().map(|off| off.0).fold(0.0, f64::max) / extent,

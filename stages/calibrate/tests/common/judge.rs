@@ -33,9 +33,9 @@ pub fn judge(scene: &Scene, truth: &[(String, Pose)]) -> Judged {
         .iter()
         .flat_map(|a| pairs.iter().map(move |b| (a.1.centre() - b.1.centre()).norm()))
         .fold(0.0, f64::max);
-    let position = pairs
-        .iter()
-        .map(|(found, known)| (scale * rotation * found.centre() + translation - known.centre()).norm() / extent);
+    let position = pairs.iter().map(|(found, known)| {
+        (scale * rotation * found.centre() + translation - known.centre()).norm() / extent
+    });
     // What is left in each camera's own frame.
     let left: Vec<Matrix3<f64>> = pairs
         .iter()
@@ -45,7 +45,11 @@ pub fn judge(scene: &Scene, truth: &[(String, Pose)]) -> Judged {
     Judged {
         photos: pairs.len(),
         position: spread(position.collect()),
-        rest_deg: spread(left.iter().map(|one| angle_deg(&(common.transpose() * one))).collect()),
+        rest_deg: spread(
+            left.iter()
+                .map(|one| angle_deg(&(common.transpose() * one)))
+                .collect(),
+        ),
         angle_deg: spread(left.iter().map(angle_deg).collect()),
         scale,
     }
@@ -55,11 +59,19 @@ fn umeyama(pairs: &[(Pose, Pose)]) -> (f64, Matrix3<f64>, Vector3<f64>) {
     let count = pairs.len() as f64;
     let from: Vec<Vector3<f64>> = pairs.iter().map(|pair| pair.0.centre()).collect();
     let to: Vec<Vector3<f64>> = pairs.iter().map(|pair| pair.1.centre()).collect();
-    let (mean_from, mean_to) = (from.iter().sum::<Vector3<f64>>() / count, to.iter().sum::<Vector3<f64>>() / count);
+    let (mean_from, mean_to) = (
+        from.iter().sum::<Vector3<f64>>() / count,
+        to.iter().sum::<Vector3<f64>>() / count,
+    );
     let both = from.iter().zip(&to);
-    let covariance: Matrix3<f64> = both.clone().map(|(a, b)| (b - mean_to) * (a - mean_from).transpose()).sum();
+    let covariance: Matrix3<f64> = both
+        .clone()
+        .map(|(a, b)| (b - mean_to) * (a - mean_from).transpose())
+        .sum();
     let rotation = nearest(&covariance);
-    let along: f64 = both.map(|(a, b)| (b - mean_to).dot(&(rotation * (a - mean_from)))).sum();
+    let along: f64 = both
+        .map(|(a, b)| (b - mean_to).dot(&(rotation * (a - mean_from))))
+        .sum();
     let scale = along / from.iter().map(|a| (a - mean_from).norm_squared()).sum::<f64>();
     (scale, rotation, mean_to - scale * (rotation * mean_from))
 }
@@ -72,7 +84,11 @@ fn nearest(matrix: &Matrix3<f64>) -> Matrix3<f64> {
 }
 
 fn angle_deg(r: &Matrix3<f64>) -> f64 {
-    let axis = Vector3::new(r[(2, 1)] - r[(1, 2)], r[(0, 2)] - r[(2, 0)], r[(1, 0)] - r[(0, 1)]);
+    let axis = Vector3::new(
+        r[(2, 1)] - r[(1, 2)],
+        r[(0, 2)] - r[(2, 0)],
+        r[(1, 0)] - r[(0, 1)],
+    );
     axis.norm().atan2(r.trace() - 1.0).to_degrees()
 }
 
