@@ -100,7 +100,9 @@ pub(crate) fn extract_on(isa: Isa, gray: &Gray, mask: &Mask, options: &FeatureOp
         return Features::default();
     }
     let features = extract_above(isa, gray, mask, options, options.contrast);
-    if features.keypoints.len() >= FEW {
+    // A cap may leave one less than it allows.
+    let few = FEW.min(options.max_features.saturating_sub(1) as usize);
+    if features.keypoints.len() >= few {
         return features;
     }
     extract_above(isa, gray, mask, options, options.contrast / 3.0)
