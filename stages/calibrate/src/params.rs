@@ -83,7 +83,7 @@ pub enum Pairs {
     Auto,
     /// All.
     Exhaustive,
-    /// Neighbours by name: the next ten, and those 16, 32, 64 … further on.
+    /// Neighbours by name: those 1, 2, 4, 8 … further on.
     Sequential,
 }
 

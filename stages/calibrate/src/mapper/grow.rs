@@ -87,21 +87,23 @@ impl Attempts {
     }
 }
 
-/// Adds photos one by one until none fits any more.
+/// Adds photos one by one until none fits any more; when none does, all is adjusted and each gets another try.
 pub(super) fn grow(task: &Task<'_>, mut model: Model, taken: &[bool]) -> Result<Model, MapError> {
     let mut attempts = Attempts::default();
     let mut adjusted = model.photos().count();
+    let mut rested = 0;
     loop {
         if (task.stop)() {
             return Err(MapError::Stopped);
         }
         let placed = model.photos().count();
         let Some((photo, visible)) = next(task, &model, taken, &attempts) else {
-            if placed == adjusted {
+            if placed == rested {
                 return Ok(model);
             }
             settle(task, &mut model, &[], ROUGH)?;
             adjusted = model.photos().count();
+            (rested, attempts) = (placed, Attempts::default());
             continue;
         };
         if !register(task, &mut model, photo)? {

@@ -125,12 +125,12 @@ fn a_turn_on_the_spot_is_refused() {
 #[test]
 fn a_baseline_that_is_nothing_is_refused() {
     for baseline in [0.0, 1e-9, 1e-5] {
-        let poses = arc(4, 6.0, baseline);
-        let models = Synthetic::new(poses, ball(300)).solve();
-        assert!(
-            models.iter().all(|model| model.point_count() == 0) || models.is_empty(),
-            "{baseline}"
-        );
+        let pose = |index: i32| {
+            let eye = Vector3::new(baseline * f64::from(index), 0.0, -6.0);
+            Pose::looking_at(eye, Vector3::new(0.05 * f64::from(index), 0.0, 0.0), Vector3::y())
+        };
+        let models = Synthetic::new((0..4).map(pose).collect(), ball(300)).solve();
+        assert!(models.is_empty(), "{baseline}: {} models", models.len());
     }
 }
 
@@ -261,7 +261,7 @@ fn noise_is_followed_and_more_of_it_is_survived() {
         let judged = scene.judge().unwrap();
         assert_eq!(judged.photos, 10, "{noise_px}");
         assert!(
-            judged.position < 1e-6 + 0.008 * noise_px,
+            judged.position < 1e-5 + 0.008 * noise_px,
             "{noise_px}: {judged:?}"
         );
     }

@@ -132,7 +132,11 @@ fn natural(name: &str) -> Vec<(String, u128)> {
         let (text, after) = rest.split_at(text);
         let digits = after.find(|c: char| !c.is_ascii_digit()).unwrap_or(after.len());
         let (digits, after) = after.split_at(digits);
-        parts.push((text.to_owned(), digits.parse().unwrap_or(u128::MAX)));
+        let number = match digits {
+            "" => 0,
+            digits => digits.parse().unwrap_or(u128::MAX),
+        };
+        parts.push((text.to_owned(), number));
         rest = after;
     }
     parts

@@ -20,10 +20,10 @@ const VERSION: u32 = 1;
 /// Sets up to this size are compared exhaustively: 1,770 pairs.
 const EXHAUSTIVE_PHOTOS: usize = 60;
 /// Neighbours in order of names that each photo is compared with.
-const OVERLAP: usize = 10;
+const OVERLAP: usize = 2;
 /// Photos that look most alike that each photo is compared with, and the least of what counts as alike.
 const RETRIEVED: usize = 20;
-const MIN_HITS: usize = 8;
+const MIN_HITS: usize = 6;
 /// Photos whose labels say that they see the same ground that each photo is compared with.
 const BY_LABEL: usize = 20;
 /// Distances at which labels are asked what a photo sees, in metres.
