@@ -109,13 +109,14 @@ fn multiply(task: &Task, system: &System, schur: &Schur, damping: f64, room: &mu
         let active = index.active_of_slot[slot] as usize;
         let block = &system.poses[active];
         let camera = task.problem.camera_of_pose[index.active[active].pose as usize] as usize;
-        let of_lens: [f64; LENS_TERMS] = taken(vector, index.camera_at[camera], index.terms[camera].len());
+        let of_lens = &vector[index.camera_at[camera]..][..index.terms[camera].len()];
         let of_pose: [f64; POSE_TERMS] = taken(vector, index.pose_at(slot), POSE_TERMS);
         let mut sum = [0.0; POSE_TERMS];
         for (row, sum) in sum.iter_mut().enumerate() {
-            *sum = extra(block.h[row][row], damping) * of_pose[row]
-                + dot(&block.h[row], &of_pose)
-                + dot(&block.mixed[row], &of_lens);
+            *sum = extra(block.h[row][row], damping) * of_pose[row] + dot(&block.h[row], &of_pose);
+        }
+        for (mixed, value) in block.mixed.iter().zip(of_lens) {
+            add_scaled(&mut sum, mixed, *value);
         }
         for &link in index.links_of_slot.of(slot) {
             let point = index.links[link as usize].point as usize;
@@ -156,9 +157,10 @@ fn multiply_lenses(
     for (slot, &active) in index.active_of_slot.iter().enumerate() {
         let camera = task.problem.camera_of_pose[index.active[active as usize].pose as usize] as usize;
         let of_pose = &vector[index.pose_at(slot)..][..POSE_TERMS];
-        for (mixed, value) in system.poses[active as usize].mixed.iter().zip(of_pose) {
-            add_scaled(&mut products[camera], mixed, *value);
-        }
+        let both = products[camera]
+            .iter_mut()
+            .zip(&system.poses[active as usize].mixed);
+        both.for_each(|(product, mixed)| *product += dot(mixed, of_pose));
     }
     for (block, couple) in schur.couples.iter().zip(&index.couples) {
         let product = &mut products[couple.camera as usize];
