@@ -13,7 +13,7 @@ use super::system::{GRAIN, System};
 use super::task::Task;
 
 /// Products at most; an unfinished solution is still a descent.
-const MOST_PRODUCTS: usize = 500;
+const MOST_PRODUCTS: usize = 200;
 
 /// Vectors kept from one solution to the next.
 #[derive(Debug, Default)]
