@@ -41,13 +41,13 @@ impl Adjustment {
         self.problem.observations.len()
     }
 
-    /// Runs at most 15 steps; returns how many, and the cost.
+    /// Runs 15 steps; returns how many, and the cost.
     pub fn run(&self) -> (u32, f64) {
         let options = BundleOptions {
             loss: Loss::Cauchy(1.0),
             prior_loss: Loss::Squared,
             max_iterations: 15,
-            tolerance: 1e-9,
+            tolerance: 0.0,
             solver: self.solver,
         };
         match adjust(&mut self.problem.clone(), &options, &|| false) {

@@ -58,6 +58,16 @@ fn all_touched(task: &Task) -> bool {
         .all(|(freedom, &slot)| *freedom == super::PoseFreedom::Fixed || slot != NONE)
 }
 
+/// Tells whether something depends on every number of every pose that moves, but a held coordinate.
+fn all_pulled(task: &Task, system: &System) -> bool {
+    let slots = task.index.active_of_slot.iter().zip(&task.index.held_axis);
+    slots.into_iter().all(|(&active, held_axis)| {
+        let held = held_axis.map(|axis| 3 + usize::from(axis));
+        let h = &system.poses[active as usize].h;
+        (0..POSE_TERMS).all(|term| h[term][term] > 0.0 || held == Some(term))
+    })
+}
+
 fn shrink(prior: &mut Prior, factor: f64) {
     match prior {
         Prior::Centre { sigma, .. } => *sigma /= factor,
@@ -79,6 +89,9 @@ struct Factor {
 fn factored(task: &Task, state: &State) -> Option<Factor> {
     let mut system = System::new(task);
     system.linearise_determined(task, state);
+    if !all_pulled(task, &system) {
+        return None;
+    }
     let mut schur = Schur::new(task);
     schur.eliminate(task, &system, 0.0);
     let mut l = Vec::new();

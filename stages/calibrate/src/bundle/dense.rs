@@ -100,7 +100,8 @@ fn assemble_pose(task: &Task, system: &System, schur: &Schur, damping: f64, slot
     let at = index.pose_at(slot);
     for (row, target) in rows.chunks_exact_mut(n).enumerate() {
         target[..at].fill(0.0);
-        target[camera_at..camera_at + terms].copy_from_slice(&block.mixed[row][..terms]);
+        let by_lens = target[camera_at..camera_at + terms].iter_mut().zip(&block.mixed);
+        by_lens.for_each(|(target, mixed)| *target = mixed[row]);
         target[at..at + POSE_TERMS].copy_from_slice(&block.h[row]);
         target[at + row] = damped(target[at + row], damping);
     }

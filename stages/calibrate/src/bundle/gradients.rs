@@ -7,12 +7,13 @@ use rayon::prelude::*;
 
 use super::cholesky::{self, dot};
 use super::index::POSE_TERMS;
-use super::schur::{Schur, damped, subtract_transposed};
+use super::schur::{Schur, damped, subtract_transposed, taken};
+use super::sight::LENS_TERMS;
 use super::system::{GRAIN, System};
 use super::task::Task;
 
 /// Products at most; an unfinished solution is still a descent.
-const MOST_PRODUCTS: usize = 500;
+const MOST_PRODUCTS: usize = 200;
 
 /// Vectors kept from one solution to the next.
 #[derive(Debug, Default)]
@@ -109,17 +110,19 @@ fn multiply(task: &Task, system: &System, schur: &Schur, damping: f64, room: &mu
         let block = &system.poses[active];
         let camera = task.problem.camera_of_pose[index.active[active].pose as usize] as usize;
         let of_lens = &vector[index.camera_at[camera]..][..index.terms[camera].len()];
-        let of_pose = &vector[index.pose_at(slot)..][..POSE_TERMS];
-        for (row, to) in to.iter_mut().enumerate() {
-            let on_diagonal = damped(block.h[row][row], damping) - block.h[row][row];
-            *to = on_diagonal * of_pose[row] + dot(&block.h[row], of_pose);
-            let mixed = block.mixed[row].iter().zip(of_lens);
-            *to += mixed.map(|(mixed, value)| mixed * value).sum::<f64>();
+        let of_pose: [f64; POSE_TERMS] = taken(vector, index.pose_at(slot), POSE_TERMS);
+        let mut sum = [0.0; POSE_TERMS];
+        for (row, sum) in sum.iter_mut().enumerate() {
+            *sum = extra(block.h[row][row], damping) * of_pose[row] + dot(&block.h[row], &of_pose);
+        }
+        for (mixed, value) in block.mixed.iter().zip(of_lens) {
+            add_scaled(&mut sum, mixed, *value);
         }
         for &link in index.links_of_slot.of(slot) {
             let point = index.links[link as usize].point as usize;
-            subtract_transposed(to, &schur.links[link as usize], &gathered[point]);
+            subtract_transposed(&mut sum, &schur.links[link as usize], &gathered[point]);
         }
+        to.copy_from_slice(&sum);
     });
     for tie in &system.ties {
         let at = tie.slots.map(|slot| index.pose_at(slot));
@@ -143,59 +146,68 @@ fn multiply_lenses(
     to: &mut [f64],
 ) {
     let index = &task.index;
-    for ((block, terms), &at) in system.cameras.iter().zip(&index.terms).zip(&index.camera_at) {
-        let own = &vector[at..at + terms.len()];
-        for row in 0..terms.len() {
-            let on_diagonal = damped(block.h[row][row], damping) - block.h[row][row];
-            to[at + row] = on_diagonal * own[row] + dot(&block.h[row][..terms.len()], own);
+    let mut products = vec![[0.0; LENS_TERMS]; index.terms.len()];
+    for (camera, (product, block)) in products.iter_mut().zip(&system.cameras).enumerate() {
+        let terms = index.terms[camera].len();
+        let own: [f64; LENS_TERMS] = taken(vector, index.camera_at[camera], terms);
+        for row in 0..terms {
+            product[row] = extra(block.h[row][row], damping) * own[row] + dot(&block.h[row], &own);
         }
     }
     for (slot, &active) in index.active_of_slot.iter().enumerate() {
         let camera = task.problem.camera_of_pose[index.active[active as usize].pose as usize] as usize;
-        let to = &mut to[index.camera_at[camera]..][..index.terms[camera].len()];
         let of_pose = &vector[index.pose_at(slot)..][..POSE_TERMS];
-        for (mixed, value) in system.poses[active as usize].mixed.iter().zip(of_pose) {
-            add_scaled(to, mixed, *value);
-        }
+        let both = products[camera]
+            .iter_mut()
+            .zip(&system.poses[active as usize].mixed);
+        both.for_each(|(product, mixed)| *product += dot(mixed, of_pose));
     }
     for (block, couple) in schur.couples.iter().zip(&index.couples) {
-        let camera = couple.camera as usize;
-        let to = &mut to[index.camera_at[camera]..][..index.terms[camera].len()];
-        subtract_transposed(to, block, &gathered[couple.point as usize]);
+        let product = &mut products[couple.camera as usize];
+        subtract_transposed(product, block, &gathered[couple.point as usize]);
     }
+    index.place(&products, to);
+}
+
+/// What damping adds to a diagonal element.
+fn extra(h: f64, damping: f64) -> f64 {
+    damped(h, damping) - h
 }
 
 /// Returns the factors of the diagonal blocks of the reduced matrix, `None` if one is not positive.
 fn blocks(task: &Task, system: &System, schur: &Schur, damping: f64) -> Option<Vec<Block>> {
     let index = &task.index;
-    let mut lenses: Vec<Vec<[f64; super::sight::LENS_TERMS]>> = Vec::new();
-    for (block, terms) in system.cameras.iter().zip(&index.terms) {
-        lenses.push(block.h[..terms.len()].to_vec());
-    }
+    let mut lenses: Vec<_> = system.cameras.iter().map(|block| block.h).collect();
     for (block, couple) in schur.couples.iter().zip(&index.couples) {
-        for (row, h) in lenses[couple.camera as usize].iter_mut().enumerate() {
-            subtract_transposed(h, block, &[block[0][row], block[1][row], block[2][row]]);
-        }
+        subtract_square(&mut lenses[couple.camera as usize], block);
     }
     let lenses = lenses
         .iter()
+        .zip(&system.cameras)
         .enumerate()
-        .map(|(camera, h)| Block::new(index.camera_at[camera], h, &system.cameras[camera].h, damping));
+        .map(|(camera, (h, block))| {
+            let terms = index.terms[camera].len();
+            Block::new(index.camera_at[camera], &h[..terms], &block.h, damping)
+        });
     let poses: Vec<Option<Block>> = (0..index.slots)
         .into_par_iter()
         .map(|slot| {
             let block = &system.poses[index.active_of_slot[slot] as usize];
             let mut h = block.h;
             for &link in index.links_of_slot.of(slot) {
-                let link = &schur.links[link as usize];
-                for (row, h) in h.iter_mut().enumerate() {
-                    subtract_transposed(h, link, &[link[0][row], link[1][row], link[2][row]]);
-                }
+                subtract_square(&mut h, &schur.links[link as usize]);
             }
             Block::new(index.pose_at(slot), &h, &block.h, damping)
         })
         .collect();
     lenses.chain(poses).collect()
+}
+
+/// h -= U Uᵀ.
+fn subtract_square<const N: usize>(h: &mut [[f64; N]; N], block: &[[f64; N]; 3]) {
+    for (row, h) in h.iter_mut().enumerate() {
+        subtract_transposed(h, block, &[block[0][row], block[1][row], block[2][row]]);
+    }
 }
 
 impl Block {
@@ -209,7 +221,7 @@ impl Block {
         let size = h.len();
         let mut factor: Vec<f64> = h.iter().flat_map(|row| row[..size].iter().copied()).collect();
         for row in 0..size {
-            factor[row * size + row] += damped(undamped[row][row], damping) - undamped[row][row];
+            factor[row * size + row] += extra(undamped[row][row], damping);
         }
         cholesky::factor(&mut factor, size, 0.0).then_some(Self { at, size, factor })
     }

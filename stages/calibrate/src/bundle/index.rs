@@ -109,6 +109,13 @@ impl Index {
         self.camera_unknowns + POSE_TERMS * slot
     }
 
+    /// Copies the terms that may move of each camera to their places.
+    pub(super) fn place<const N: usize>(&self, of_cameras: &[[f64; N]], lenses: &mut [f64]) {
+        for ((values, terms), &at) in of_cameras.iter().zip(&self.terms).zip(&self.camera_at) {
+            lenses[at..at + terms.len()].copy_from_slice(&values[..terms.len()]);
+        }
+    }
+
     /// Numbers that may move, held axes and points without observation left out.
     pub(super) fn parameters(&self) -> usize {
         let held = self.held_axis.iter().flatten().count();

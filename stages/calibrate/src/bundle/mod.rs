@@ -25,16 +25,19 @@ mod tests;
 mod turn;
 
 pub(crate) use check::BundleError;
+// Two doors that stay unused until the mapper goes through them.
+#[allow(unused_imports)]
 pub(crate) use covariance::pose_covariances;
 pub(crate) use loss::Loss;
 pub(crate) use problem::{CameraFreedom, LensModel, Observation, PoseFreedom, Prior, Problem};
 pub(crate) use solve::adjust;
+#[allow(unused_imports)]
 pub(crate) use task::residual;
 
 /// How the reduced system of poses and lenses is solved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Solver {
-    /// Dense up to 300 poses that move.
+    /// Dense up to 600 poses that move.
     Auto,
     /// Cholesky factorisation; 8 n² bytes for n unknowns.
     Dense,

@@ -117,24 +117,21 @@ impl Schur {
     fn set_right(&mut self, task: &Task, system: &System) {
         let index = &task.index;
         let (lenses, poses) = self.right.split_at_mut(index.camera_unknowns);
-        for ((block, terms), &at) in system.cameras.iter().zip(&index.terms).zip(&index.camera_at) {
-            lenses[at..at + terms.len()].copy_from_slice(&block.g[..terms.len()]);
-        }
+        let mut of_cameras: Vec<_> = system.cameras.iter().map(|block| block.g).collect();
         for (block, couple) in self.couples.iter().zip(&index.couples) {
-            let terms = index.terms[couple.camera as usize].len();
-            let at = index.camera_at[couple.camera as usize];
             let y = &self.points[couple.point as usize].y;
-            subtract_transposed(&mut lenses[at..at + terms], block, y);
+            subtract_transposed(&mut of_cameras[couple.camera as usize], block, y);
         }
+        index.place(&of_cameras, lenses);
         let (points, links) = (&self.points, &self.links);
         let slots = poses.par_chunks_mut(POSE_TERMS).enumerate();
         slots.for_each(|(slot, right)| {
-            let active = index.active_of_slot[slot] as usize;
-            right.copy_from_slice(&system.poses[active].g);
+            let mut sum = system.poses[index.active_of_slot[slot] as usize].g;
             for &link in index.links_of_slot.of(slot) {
                 let point = index.links[link as usize].point as usize;
-                subtract_transposed(right, &links[link as usize], &points[point].y);
+                subtract_transposed(&mut sum, &links[link as usize], &points[point].y);
             }
+            right.copy_from_slice(&sum);
         });
     }
 
@@ -142,19 +139,19 @@ impl Schur {
     #[inline]
     pub(super) fn gathered(&self, task: &Task, point: usize, reduced: &[f64]) -> [f64; 3] {
         let index = &task.index;
-        let mut sum = [0.0; 3];
+        let (mut of_poses, mut of_lenses) = (LinkBlock::default(), CoupleBlock::default());
         let links = index.links_of(point);
         for (block, link) in self.links[links.clone()].iter().zip(&index.links[links]) {
             let at = index.pose_at(link.slot as usize);
-            add_product(&mut sum, block, &reduced[at..at + POSE_TERMS]);
+            add_products(&mut of_poses, block, &taken(reduced, at, POSE_TERMS));
         }
         let couples = index.couples_of(point);
         for (block, couple) in self.couples[couples.clone()].iter().zip(&index.couples[couples]) {
             let camera = couple.camera as usize;
-            let at = index.camera_at[camera];
-            add_product(&mut sum, block, &reduced[at..at + index.terms[camera].len()]);
+            let vector = taken(reduced, index.camera_at[camera], index.terms[camera].len());
+            add_products(&mut of_lenses, block, &vector);
         }
-        sum
+        [0, 1, 2].map(|row| of_poses[row].iter().sum::<f64>() + of_lenses[row].iter().sum::<f64>())
     }
 
     /// Sets the steps of the points that follow from those of poses and cameras.
@@ -247,17 +244,30 @@ fn couple_block(task: &Task, system: &System, points: &[PointFactor], couple: &C
 
 /// right -= U y, U given as Uᵀ.
 #[inline]
-pub(super) fn subtract_transposed<const N: usize>(right: &mut [f64], block: &[[f64; N]; 3], y: &[f64; 3]) {
-    for (term, right) in right.iter_mut().enumerate().take(N) {
-        *right -= block[0][term] * y[0] + block[1][term] * y[1] + block[2][term] * y[2];
+pub(super) fn subtract_transposed<const N: usize>(right: &mut [f64; N], block: &[[f64; N]; 3], y: &[f64; 3]) {
+    let [first, second, third] = block;
+    for (term, right) in right.iter_mut().enumerate() {
+        *right -= first[term] * y[0] + second[term] * y[1] + third[term] * y[2];
     }
 }
 
+/// sums += Uᵀ times the diagonal matrix of a vector: its rows' sums, added up later, are Uᵀ v.
 #[inline]
-fn add_product<const N: usize>(sum: &mut [f64; 3], block: &[[f64; N]; 3], vector: &[f64]) {
-    for (sum, row) in sum.iter_mut().zip(block) {
-        for (left, right) in row.iter().zip(vector) {
+fn add_products<const N: usize>(sums: &mut [[f64; N]; 3], block: &[[f64; N]; 3], vector: &[f64; N]) {
+    for (sums, row) in sums.iter_mut().zip(block) {
+        for ((sum, left), right) in sums.iter_mut().zip(row).zip(vector) {
             *sum += left * right;
         }
     }
+}
+
+/// Returns the numbers of a slice from `at`, zero beyond `count`.
+#[inline]
+pub(super) fn taken<const N: usize>(from: &[f64], at: usize, count: usize) -> [f64; N] {
+    let mut taken = [0.0; N];
+    taken
+        .iter_mut()
+        .zip(&from[at..at + count])
+        .for_each(|(to, from)| *to = *from);
+    taken
 }

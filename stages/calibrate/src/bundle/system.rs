@@ -37,7 +37,8 @@ pub(super) enum Determined {
 pub(super) struct PoseBlock {
     pub h: [[f64; POSE_TERMS]; POSE_TERMS],
     pub g: [f64; POSE_TERMS],
-    pub mixed: [[f64; LENS_TERMS]; POSE_TERMS],
+    /// Rows of the lens, columns of the pose.
+    pub mixed: [[f64; POSE_TERMS]; LENS_TERMS],
     pub lens: CameraBlock,
 }
 
@@ -286,38 +287,42 @@ fn pose_block(task: &Task, active: usize, pose: &Active, rows: &[Row], lens_rows
         let row = &rows[observation as usize];
         let columns = pose_columns(row, held_axis);
         if pose.slot != NONE {
-            add_squares(&mut block.h, &mut block.g, &columns, &row.error, POSE_TERMS);
+            add_products(&mut block.h, &columns, &columns);
+            add_pull(&mut block.g, &columns, &row.error);
         }
         if terms == 0 {
             continue;
         }
         let lens_row = &lens_rows[observation as usize];
-        add_squares(&mut block.lens.h, &mut block.lens.g, lens_row, &row.error, terms);
-        for (by_lens, by_pose) in lens_row.iter().zip(&columns) {
-            for (mixed, by_pose) in block.mixed.iter_mut().zip(by_pose) {
-                let both = mixed.iter_mut().zip(by_lens).take(terms);
-                both.for_each(|(mixed, by_lens)| *mixed += by_pose * by_lens);
-            }
+        add_products(&mut block.lens.h[..terms], lens_row, lens_row);
+        add_pull(&mut block.lens.g, lens_row, &row.error);
+        if pose.slot != NONE {
+            add_products(&mut block.mixed[..terms], lens_row, &columns);
         }
     }
     block
 }
 
-/// Adds JᵀJ and -Jᵀr of two rows, of the first `terms` columns.
+/// to += leftᵀ right, of the first rows.
 #[inline]
-fn add_squares<const N: usize>(
-    h: &mut [[f64; N]; N],
-    g: &mut [f64; N],
-    columns: &[[f64; N]; 2],
-    error: &[f64; 2],
-    terms: usize,
+fn add_products<const R: usize, const C: usize>(
+    to: &mut [[f64; C]],
+    left: &[[f64; R]; 2],
+    right: &[[f64; C]; 2],
 ) {
-    for (columns, error) in columns.iter().zip(error) {
-        for (row, left) in columns.iter().enumerate().take(terms) {
-            g[row] -= left * error;
-            let both = h[row].iter_mut().zip(columns).take(terms);
-            both.for_each(|(h, right)| *h += left * right);
+    for (row, to) in to.iter_mut().enumerate().take(R) {
+        let (first, second) = (left[0][row], left[1][row]);
+        for (column, to) in to.iter_mut().enumerate() {
+            *to += first * right[0][column] + second * right[1][column];
         }
+    }
+}
+
+/// g -= Jᵀ r.
+#[inline]
+fn add_pull<const N: usize>(g: &mut [f64; N], columns: &[[f64; N]; 2], error: &[f64; 2]) {
+    for (term, g) in g.iter_mut().enumerate() {
+        *g -= columns[0][term] * error[0] + columns[1][term] * error[1];
     }
 }
 

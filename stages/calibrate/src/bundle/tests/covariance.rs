@@ -82,3 +82,19 @@ fn covariance_scales_with_the_world_and_the_square_of_the_noise() {
         assert!((two[pose][(4, 4)] / one[pose][(4, 4)] / 4e12 - 1.0).abs() < 1e-6);
     }
 }
+
+#[test]
+fn a_photo_whose_points_nobody_else_sees_has_no_covariance() {
+    let mut problem = scene();
+    let mut lone = Vec::new();
+    problem.observations.retain(|seen| {
+        lone.extend((seen.pose == 4).then_some(*seen));
+        seen.pose != 4
+    });
+    for seen in lone {
+        let point = problem.points.len() as u32;
+        problem.points.push(problem.points[seen.point as usize]);
+        problem.observations.push(Observation { point, ..seen });
+    }
+    assert_eq!(pose_covariances(&problem, 1.0), None);
+}
