@@ -337,7 +337,7 @@ fn check_points(scene: &Scene, all: &[(String, PhotoFacts)]) {
 #[test]
 fn the_site_with_most_photos_is_taken_and_the_others_say_why() {
     let Some((input, _)) = feed() else { return };
-    let output = input.run(&json!({})).unwrap();
+    let output = input.run(&json!({"method": "labels"})).unwrap();
     let totals = &output.metrics.totals;
     assert_eq!(totals.photos, 36);
     assert!(
@@ -390,7 +390,9 @@ fn a_spot_is_found_where_the_pinhole_says() {
     };
     let mut input = Input::default();
     input.photo("spot", &marf_scene::encode_png(&photo).unwrap(), facts);
-    let output = input.run(&json!({"hold_every": 0, "min_registered": 1})).unwrap();
+    let output = input
+        .run(&json!({"method": "labels", "hold_every": 0, "min_registered": 1}))
+        .unwrap();
     let frame = &output.scene.frames[0];
     assert!(frame.cam_from_world.centre().norm() < 1e-12);
     let image = Photo::decode(&input.harness.get(&frame.image).unwrap())

@@ -15,7 +15,7 @@ use serde_json::json;
 /// The good photos of the demo's first two sols, with their labels, and their true cameras.
 fn demo() -> (Input, Vec<(String, Pose)>) {
     let options = DemoOptions::default();
-    let demo = Demo::new(options).unwrap();
+    let demo = Demo::new(options.clone()).unwrap();
     let mut input = Input::default();
     let archive = json!({"archive": {"kind": "demo", "sols": "1..=2"}});
     let stage = (define::<Extract>().bind)(archive).unwrap();
@@ -24,8 +24,14 @@ fn demo() -> (Input, Vec<(String, Pose)>) {
     };
     let mut truth = Vec::new();
     for sol in [1, 2] {
-        let photos = demo.ground_truth(sol).unwrap().photos;
-        truth.extend(photos.into_iter().map(|photo| (photo.file, photo.cam_from_site)));
+        for photo in demo.ground_truth(sol).unwrap().photos {
+            // As calibrate resamples it: the pinhole along the lens's optical axis.
+            let pinhole = photo
+                .site_model
+                .linearised(options.width_px, options.height_px)
+                .unwrap();
+            truth.push((photo.file, pinhole.cam_from_frame));
+        }
         for row in source.fetch(&input.harness.ctx(), sol).unwrap().rows {
             let facts = PhotoFacts::from_json(&row.facts).unwrap();
             if truth.iter().any(|(file, _)| *file == facts.file) {
@@ -52,7 +58,9 @@ fn the_demo_is_brought_back_to_its_true_cameras_in_metres() {
         judged.rest_deg[0] <= 0.05 && judged.angle_deg[0] <= 0.05,
         "{judged:?}"
     );
-    assert!(judged.position[0] <= 0.001, "{judged:?}");
+    // The sun moves on from stop to stop, and shadow edges with it: the last stop leans by 0.08 degrees.
+    assert!(judged.angle_deg[1] <= 0.1, "{judged:?}");
+    assert!(judged.position[1] <= 0.001, "{judged:?}");
     assert!((judged.scale - 1.0).abs() <= 0.005, "{judged:?}");
     assert_eq!(
         (output.scene.metres_per_unit, output.scene.up),

@@ -77,7 +77,9 @@ fn mixed() -> Input {
 
 #[test]
 fn labels_place_one_site_in_metres_and_say_why_of_the_others() {
-    let output = mixed().run(&json!({"hold_every": 2})).unwrap();
+    let output = mixed()
+        .run(&json!({"method": "labels", "hold_every": 2}))
+        .unwrap();
     let ids: Vec<&str> = output
         .scene
         .frames
@@ -135,11 +137,11 @@ fn labels_place_one_site_in_metres_and_say_why_of_the_others() {
 
 #[test]
 fn another_site_is_built_when_asked_for() {
-    let params = json!({"site": 4, "min_registered": 1, "hold_every": 0});
+    let params = json!({"method": "labels", "site": 4, "min_registered": 1, "hold_every": 0});
     let output = mixed().run(&params).unwrap();
     assert_eq!(output.scene.frames.len(), 1);
     assert_eq!(output.scene.frames[0].id, "D");
-    let complaint = mixed().complaint(&json!({"site": 9}));
+    let complaint = mixed().complaint(&json!({"method": "labels", "site": 9}));
     assert!(
         complaint.starts_with("0 of 6 photos were placed; `min_registered` asks for 2"),
         "{complaint}"
@@ -178,7 +180,7 @@ fn a_bad_label_costs_one_photo_and_is_named() {
     ] {
         let mut input = mixed();
         input.photo("G", &picture(7), labelled("g.jpg", model, 3, 12.0));
-        let output = input.run(&json!({})).unwrap();
+        let output = input.run(&json!({"method": "labels"})).unwrap();
         let reason = &output
             .scene
             .unplaced
@@ -195,7 +197,7 @@ fn a_bad_label_costs_one_photo_and_is_named() {
         ..labelled("g.jpg", cahvor(), 3, 12.0)
     };
     input.photo("G", &picture(7), wrong_size);
-    let output = input.run(&json!({})).unwrap();
+    let output = input.run(&json!({"method": "labels"})).unwrap();
     let reason = &output
         .scene
         .unplaced
@@ -211,9 +213,12 @@ fn a_bad_label_costs_one_photo_and_is_named() {
 
 #[test]
 fn a_working_size_reduces_photo_and_camera_alike() {
-    let full = mixed().run(&json!({})).unwrap().scene;
+    let full = mixed().run(&json!({"method": "labels"})).unwrap().scene;
     let input = mixed();
-    let half = input.run(&json!({"longest_side_px": 40})).unwrap().scene;
+    let half = input
+        .run(&json!({"method": "labels", "longest_side_px": 40}))
+        .unwrap()
+        .scene;
     for (full, half) in full.frames.iter().zip(&half.frames) {
         assert_eq!(half.camera, full.camera.box_reduced(2), "{}", full.id);
         let bytes = input.harness.get(&half.image).unwrap();
@@ -228,7 +233,11 @@ fn a_working_size_reduces_photo_and_camera_alike() {
 
 #[test]
 fn no_photos_at_all_is_an_error_that_says_so() {
-    for params in [json!({}), json!({"method": "import"})] {
+    for params in [
+        json!({}),
+        json!({"method": "labels"}),
+        json!({"method": "import"}),
+    ] {
         let complaint = Input::default().complaint(&params);
         assert!(complaint.starts_with("the set of photos is empty"), "{complaint}");
     }
@@ -237,16 +246,13 @@ fn no_photos_at_all_is_an_error_that_says_so() {
 #[test]
 fn a_parameter_out_of_range_is_named() {
     let complain = |params: serde_json::Value| mixed().complaint(&params);
-    let sfm = complain(json!({"method": "sfm"}));
-    assert!(
-        sfm.contains("structure from motion is not in this version; use method = \"labels\""),
-        "{sfm}"
-    );
+    let few = complain(json!({"max_features": 3}));
+    assert!(few.contains("3 is too few, at least 64"), "{few}");
     assert!(complain(json!({"hold_every": 1})).contains("keep every photo from training"));
-    assert!(complain(json!({"extend": true})).contains("only method = \"sfm\""));
+    assert!(complain(json!({"method": "labels", "extend": true})).contains("only method = \"sfm\""));
     assert!(complain(json!({"longest_side_px": 15})).contains("15 px are no photo"));
     assert!(complain(json!({"metod": "labels"})).contains("unknown field `metod`"));
-    let alone = complain(json!({"min_registered": 1, "site": 4}));
+    let alone = complain(json!({"method": "labels", "min_registered": 1, "site": 4}));
     assert!(
         alone.contains("all 1 placed photos are kept from training"),
         "{alone}"
@@ -372,7 +378,7 @@ fn the_answer_is_the_same_for_any_number_of_threads() {
                 .num_threads(threads)
                 .build()
                 .unwrap();
-            pool.install(|| mixed().run(&json!({})).unwrap().scene_digest)
+            pool.install(|| mixed().run(&json!({"method": "labels"})).unwrap().scene_digest)
         })
         .collect();
     assert!(digests.iter().all(|digest| *digest == digests[0]), "{digests:?}");
@@ -387,7 +393,7 @@ fn the_version_is_raised_when_the_answer_changes() {
         let transforms = marf_cache::Digest::of(output.transforms.as_bytes());
         (output.scene_digest.short(), transforms.short())
     };
-    let labels = parts(mixed().run(&json!({})).unwrap());
+    let labels = parts(mixed().run(&json!({"method": "labels"})).unwrap());
     let import = imported(&["a.png", "b.png", "c.png"], &transforms(&["a", "b", "c"]));
     let import = parts(
         import

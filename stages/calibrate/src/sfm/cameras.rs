@@ -9,7 +9,7 @@ use crate::two_view::{FocalKnown, focal_from_pairs};
 
 /// A label's focal length is good to half a percent (zoom and temperature), EXIF's to a tenth (whole
 /// millimetres, and the part of the sensor used).
-const LABEL_SIGMA: f64 = 0.005;
+const LABEL_SIGMA: f64 = 0.001;
 const EXIF_SIGMA: f64 = 0.1;
 /// Without any word on the focal length: COLMAP's guess, a share of the longer side.
 const GUESS: f64 = 1.2;
