@@ -105,15 +105,14 @@ fn a_missing_and_an_empty_folder_are_one_error_each() {
 }
 
 #[test]
-fn structure_from_motion_says_that_it_is_not_in_this_version() {
+fn photos_that_share_nothing_are_not_calibrated_and_the_hint_says_what_to_do() {
     let Some(data) = shared("dedup_mixed") else { return };
     let dir = tempfile::tempdir().unwrap();
-    let ran = marf(dir.path(), &["calibrate", &data.to_string_lossy()]);
-    assert!(
-        ran.code != 0 && ran.stderr.contains("not in this version"),
-        "{}",
-        ran.stderr
-    );
+    let ran = marf(dir.path(), &["calibrate", &data.to_string_lossy()]).exits(1);
+    for words in ["photos were placed", "cause: ", "hint: "] {
+        assert!(ran.stderr.contains(words), "{words}: {}", ran.stderr);
+    }
+    assert!(!dir.path().join("transforms.json").exists());
 }
 
 #[test]

@@ -141,11 +141,11 @@ struct View {
 }
 
 impl Axes {
-    /// Cameras of labels stand in a site frame (x north, y east, z down): there north is known.
+    /// Cameras in metres with z down stand in the site frame of labels (x north, y east): there north is known.
     fn new(scene: &Scene) -> Self {
         let given = scene.up.and_then(unit);
         let up = given.unwrap_or([0.0, 0.0, 1.0]);
-        let site = up[2] < -LEVEL && scene.method.starts_with("label");
+        let site = up[2] < -LEVEL && scene.metres_per_unit.is_some();
         let level = |axis: Vec3| unit(sub(axis, scaled(up, dot(axis, up))));
         let (x, y, z) = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]);
         // A y-up world is looked at with z towards the reader, the others with y to the top of the page.

@@ -56,6 +56,10 @@ pub struct PhotoMetrics {
     pub inliers: Option<u32>,
     /// Mean distance of those features from their points' projections, pixels of its camera.
     pub error_px: Option<f64>,
+    /// Standard deviation of its attitude relative to the scene's first photo, degrees; `sfm` only.
+    pub angle_sigma_deg: Option<f64>,
+    /// Standard deviation of its centre, likewise, in the scene's unit; `sfm` only.
+    pub centre_sigma: Option<f64>,
     /// What is worth knowing beside it (a label the photos outvoted).
     pub note: Option<String>,
     /// Why it has no camera; empty if it has.

@@ -35,6 +35,7 @@ pub(crate) struct Found {
     pub inliers: Option<u32>,
     pub error_px: Option<f64>,
     pub error_working_px: Option<f64>,
+    pub deviation: Option<crate::mapper::Deviation>,
     /// What is worth knowing of its label.
     pub note: Option<String>,
 }

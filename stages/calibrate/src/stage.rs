@@ -162,6 +162,8 @@ fn metrics(found: &Calibrated, items: &[Item]) -> Metrics {
         (photo.features, photo.matches, photo.inliers) =
             (one.found.features, one.found.matches, one.found.inliers);
         (photo.error_px, photo.note) = (one.found.error_px, one.found.note.clone());
+        photo.angle_sigma_deg = one.found.deviation.map(|one| one.angle_rad.to_degrees());
+        photo.centre_sigma = one.found.deviation.map(|one| one.distance);
     }
     let mean =
         |errors: Vec<f64>| (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64);
@@ -196,6 +198,8 @@ fn unregistered(item: &Item) -> PhotoMetrics {
         matches: None,
         inliers: None,
         error_px: None,
+        angle_sigma_deg: None,
+        centre_sigma: None,
         note: None,
         reason: String::new(),
     }

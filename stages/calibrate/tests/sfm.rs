@@ -5,42 +5,62 @@ mod common;
 #[path = "common/judge.rs"]
 mod judge;
 
+use std::sync::OnceLock;
+
 use common::{Input, Output, folder, shared};
 use judge::judge;
 use marf_extract::{Extract, demo::Demo, demo::DemoOptions};
-use marf_scene::{PhotoFacts, Pose};
-use marf_stage::{Work, define};
+use marf_scene::{Camera, Image, Photo, PhotoFacts, Pose, Srgb, encode_png};
+use marf_stage::{Work, define, harness::Harness};
+use nalgebra::{Vector2, Vector3};
 use serde_json::json;
 
-/// The good photos of the demo's first two sols, with their labels, and their true cameras.
-fn demo() -> (Input, Vec<(String, Pose)>) {
-    let options = DemoOptions::default();
-    let demo = Demo::new(options.clone()).unwrap();
-    let mut input = Input::default();
-    let archive = json!({"archive": {"kind": "demo", "sols": "1..=2"}});
-    let stage = (define::<Extract>().bind)(archive).unwrap();
-    let Work::Source(source) = stage.work() else {
-        panic!("extract is a source");
-    };
-    let mut truth = Vec::new();
-    for sol in [1, 2] {
-        for photo in demo.ground_truth(sol).unwrap().photos {
-            // As calibrate resamples it: the pinhole along the lens's optical axis.
-            let pinhole = photo
-                .site_model
-                .linearised(options.width_px, options.height_px)
-                .unwrap();
-            truth.push((photo.file, pinhole.cam_from_frame));
-        }
-        for row in source.fetch(&input.harness.ctx(), sol).unwrap().rows {
-            let facts = PhotoFacts::from_json(&row.facts).unwrap();
-            if truth.iter().any(|(file, _)| *file == facts.file) {
-                let bytes = input.harness.get(&row.blobs["image"]).unwrap();
-                input.photo(&row.id, &bytes, facts);
+/// A photo of the demo: id, image and facts.
+type Taken = (String, Vec<u8>, PhotoFacts);
+/// Photos with their labels, and their true cameras.
+type Known = (Vec<Taken>, Vec<(String, Pose)>);
+
+/// The good photos of the demo's first two sols; drawn once.
+fn drawn() -> &'static Known {
+    static DRAWN: OnceLock<Known> = OnceLock::new();
+    DRAWN.get_or_init(|| {
+        let options = DemoOptions::default();
+        let demo = Demo::new(options.clone()).unwrap();
+        let archive = json!({"archive": {"kind": "demo", "sols": "1..=2"}});
+        let stage = (define::<Extract>().bind)(archive).unwrap();
+        let Work::Source(source) = stage.work() else {
+            panic!("extract is a source");
+        };
+        let harness = Harness::default();
+        let (mut taken, mut truth) = (Vec::new(), Vec::new());
+        for sol in [1, 2] {
+            for photo in demo.ground_truth(sol).unwrap().photos {
+                // As calibrate resamples it: the pinhole along the lens's optical axis.
+                let pinhole = photo
+                    .site_model
+                    .linearised(options.width_px, options.height_px)
+                    .unwrap();
+                truth.push((photo.file, pinhole.cam_from_frame));
+            }
+            for row in source.fetch(&harness.ctx(), sol).unwrap().rows {
+                let facts = PhotoFacts::from_json(&row.facts).unwrap();
+                if truth.iter().any(|(file, _)| *file == facts.file) {
+                    let bytes = harness.get(&row.blobs["image"]).unwrap();
+                    taken.push((row.id, bytes.to_vec(), facts));
+                }
             }
         }
+        (taken, truth)
+    })
+}
+
+fn demo() -> (Input, Vec<(String, Pose)>) {
+    let (taken, truth) = drawn();
+    let mut input = Input::default();
+    for (id, bytes, facts) in taken {
+        input.photo(id, bytes, facts.clone());
     }
-    (input, truth)
+    (input, truth.clone())
 }
 
 #[test]
@@ -81,6 +101,94 @@ fn a_label_that_is_wrong_is_outvoted_and_named() {
     let named = output.metrics.photos.iter().filter(|photo| photo.note.is_some());
     let named: Vec<&str> = named.map(|photo| photo.id.as_str()).collect();
     assert_eq!(named, [wrong]);
+}
+
+#[test]
+fn what_is_kept_of_photos_and_pairs_is_enough_to_solve_them_again() {
+    let (input, _) = demo();
+    let first = input.run(&json!({"method": "sfm"})).unwrap();
+    input.forget_photos();
+    let again = input.run(&json!({"method": "sfm", "hold_every": 5})).unwrap();
+    let poses = |output: &Output| -> Vec<Pose> {
+        let frames = output.scene.frames.iter();
+        frames.map(|frame| frame.cam_from_world).collect()
+    };
+    assert_eq!(poses(&first), poses(&again));
+    // Other features are not kept.
+    let complaint = input.complaint(&json!({"method": "sfm", "max_features": 500}));
+    assert!(complaint.contains("no blob"), "{complaint}");
+}
+
+#[test]
+fn new_photos_join_the_earlier_scene_and_its_world_stays() {
+    let (mut input, truth) = demo();
+    let later = input.split_off(20);
+    let earlier = input.run(&json!({"method": "sfm"})).unwrap();
+    input.add(later);
+    let params = json!({"method": "sfm", "extend": true});
+    let output = input.run_after(&params, Some(earlier.scene_digest)).unwrap();
+    assert_eq!((earlier.scene.frames.len(), output.scene.frames.len()), (20, 40));
+    for old in &earlier.scene.frames {
+        let now = output
+            .scene
+            .frames
+            .iter()
+            .find(|frame| frame.id == old.id)
+            .unwrap();
+        let moved = (now.cam_from_world.centre() - old.cam_from_world.centre()).norm();
+        assert!(moved < 0.01, "{}: {moved} m", old.id);
+    }
+    let judged = judge(&output.scene, &truth);
+    assert!(
+        judged.position[1] < 0.002 && (judged.scale - 1.0).abs() < 0.005,
+        "{judged:?}"
+    );
+    assert_eq!(output.scene.metres_per_unit, Some(1.0));
+}
+
+/// Views of one photo by a camera that only turns: a panorama.
+fn panorama(photo: &Image<Srgb>) -> Vec<Vec<u8>> {
+    let (source, target) = (Camera::pinhole(640, 480, 656.0), Camera::pinhole(320, 240, 500.0));
+    let view = |index: i32| {
+        let angle = 0.04 * f64::from(index - 4);
+        let ahead = Vector3::new(angle.sin(), 0.3 * angle, angle.cos());
+        let cam_from_world = Pose::looking_at(Vector3::zeros(), ahead, Vector3::y());
+        let image = Image::from_fn(320, 240, |x, y| {
+            let ray = target
+                .unproject(&Vector2::new(f64::from(x) + 0.5, f64::from(y) + 0.5))
+                .unwrap();
+            let pixel = source.project(&cam_from_world.inverse().direction(&ray)).unwrap();
+            bilinear(photo, pixel.x - 0.5, pixel.y - 0.5)
+        });
+        encode_png(&image).unwrap()
+    };
+    (0..9).map(view).collect()
+}
+
+fn bilinear(photo: &Image<Srgb>, x: f64, y: f64) -> [u8; 3] {
+    let (x, y) = (x.clamp(0.0, 638.0), y.clamp(0.0, 478.0));
+    let (left, top) = (x as u32, y as u32);
+    let (right, down) = (x - f64::from(left), y - f64::from(top));
+    [0, 1, 2].map(|channel| {
+        let at = |column: u32, row: u32| f64::from(photo.at(left + column, top + row)[channel]);
+        let upper = at(0, 0) * (1.0 - right) + at(1, 0) * right;
+        let lower = at(0, 1) * (1.0 - right) + at(1, 1) * right;
+        (upper * (1.0 - down) + lower * down + 0.5) as u8
+    })
+}
+
+#[test]
+fn a_panorama_is_refused_with_that_word() {
+    let photo = &drawn().0[0].1;
+    let mut input = Input::default();
+    for (index, view) in panorama(&Photo::decode(photo).unwrap().image).iter().enumerate() {
+        input.plain(&format!("{index}.png"), view);
+    }
+    let complaint = input.complaint(&json!({"method": "sfm"}));
+    assert!(complaint.starts_with("0 of 9 photos were placed"), "{complaint}");
+    for word in ["panorama", "pure rotation", "parallax", "method = \"labels\""] {
+        assert!(complaint.contains(word), "{word}: {complaint}");
+    }
 }
 
 /// The authors' cameras of the mock-up, by COLMAP.

@@ -45,6 +45,11 @@ impl Harness {
         lock(&self.blobs).get(digest).cloned()
     }
 
+    /// Loses a blob, as a store may.
+    pub fn forget(&self, digest: &Digest) {
+        lock(&self.blobs).remove(digest);
+    }
+
     /// Stores items `(shard, row)` as a set and returns the digest of its root.
     ///
     /// # Panics

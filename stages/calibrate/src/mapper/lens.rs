@@ -1,7 +1,7 @@
 use marf_scene::{Camera, Pose};
 use nalgebra::Vector3;
 
-use super::refine::{FINE, adjust_all, settle};
+use super::refine::{FINE, JUDGED, adjust_all, settle};
 use super::{MapError, Model, Task};
 use crate::bundle::{LensModel, information_criterion};
 
@@ -40,29 +40,30 @@ impl LensChoice {
 
 /// Chooses lens terms and principal point, and adjusts a last time.
 pub(super) fn finish(task: &Task<'_>, model: &mut Model) -> Result<(), MapError> {
-    let free_centre = match task.options.centre {
-        CentreChoice::Held => vec![false],
-        CentreChoice::Free => vec![true],
-        CentreChoice::Supported if turns(model) => vec![false, true],
-        CentreChoice::Supported => vec![false],
-    };
-    let mut best: Option<(f64, Model)> = None;
-    for principal_point in free_centre {
-        let (score, trial) = smallest(
-            task,
-            &Model {
-                principal_point,
-                ..model.clone()
-            },
-        )?;
-        if best.as_ref().is_none_or(|(lowest, _)| score < *lowest) {
-            best = Some((score, trial));
-        }
+    let mut best = smallest(task, model)?;
+    let centre = task.options.centre;
+    if centre == CentreChoice::Free || (centre == CentreChoice::Supported && turns(model)) {
+        best = with_centre(task, best)?;
     }
-    if let Some((_, chosen)) = best {
-        *model = chosen;
-    }
+    *model = best.model;
     settle(task, model, &[], FINE)
+}
+
+/// A model adjusted with some choice of lens, and its information criterion.
+struct Trial {
+    score: f64,
+    model: Model,
+}
+
+fn tried(task: &Task<'_>, model: &Model, lens: LensModel) -> Result<Trial, MapError> {
+    let mut model = model.clone();
+    model.lens = lens;
+    for camera in &mut model.cameras {
+        *camera = cut(camera, lens);
+    }
+    let report = adjust_all(task, &mut model, &[], JUDGED)?;
+    let score = information_criterion(&report);
+    Ok(Trial { score, model })
 }
 
 /// Tells whether the views are many and span an angle.
@@ -73,41 +74,45 @@ fn turns(model: &Model) -> bool {
     axes.len() >= CENTRE_PHOTOS && axes.iter().any(|other| other.dot(&axes[0]) < cosine)
 }
 
-/// The adjusted model with the lens whose information criterion is lowest, from many terms to few; when fewer
-/// than two make it worse, still fewer are not tried.
-///
-/// Tangential terms are tried only where the principal point is free: with a held one they stand in for its
-/// shift, and badly (mock-up: they lower the error by 2 %, and put the cameras twice as far from COLMAP's).
-fn smallest(task: &Task<'_>, model: &Model) -> Result<(f64, Model), MapError> {
-    let lenses: &[LensModel] = match task.options.lens {
-        LensChoice::Fixed(ref lens) => std::slice::from_ref(lens),
-        LensChoice::Smallest { .. } if model.principal_point => &LENSES,
-        LensChoice::Smallest { .. } => &LENSES[1..],
-    };
-    let mut best: Option<(f64, Model)> = None;
-    for &lens in lenses {
-        let mut trial = model.clone();
-        trial.lens = lens;
-        trial.cameras = model.cameras.iter().map(|camera| cut(camera, lens)).collect();
-        let report = adjust_all(task, &mut trial, &[], FINE)?;
-        let score = information_criterion(&report);
-        if best.as_ref().is_some_and(|(lowest, _)| score >= *lowest) && lens < LensModel::Radial {
+/// The radial lens with fewest terms that the data support, from two to none: when fewer make it worse, still
+/// fewer are not tried.
+fn smallest(task: &Task<'_>, model: &Model) -> Result<Trial, MapError> {
+    if let LensChoice::Fixed(lens) = task.options.lens {
+        return tried(task, model, lens);
+    }
+    let mut best = tried(task, model, LensModel::Radial)?;
+    for lens in [LensModel::SimpleRadial, LensModel::Pinhole] {
+        let fewer = tried(task, &best.model, lens)?;
+        if fewer.score >= best.score {
             break;
         }
-        if best.as_ref().is_none_or(|(lowest, _)| score < *lowest) {
-            best = Some((score, trial));
-        }
+        best = fewer;
     }
-    Ok(best.unwrap_or_else(|| (f64::INFINITY, model.clone())))
+    Ok(best)
 }
 
-/// From most to least: what grows with two terms is nearest to them.
-const LENSES: [LensModel; 4] = [
-    LensModel::OpenCv,
-    LensModel::Radial,
-    LensModel::SimpleRadial,
-    LensModel::Pinhole,
-];
+/// The same with a free principal point, and then with tangential terms, where the data support them; asked for,
+/// the principal point is free in any case.
+///
+/// With a held principal point tangential terms stand in for its shift, and badly (mock-up: they lower the error
+/// by 2 %, and turn the cameras twice as far from COLMAP's): they are tried after it.
+fn with_centre(task: &Task<'_>, held: Trial) -> Result<Trial, MapError> {
+    let mut free = held.model.clone();
+    free.principal_point = true;
+    let free = tried(task, &free, held.model.lens)?;
+    if task.options.centre == CentreChoice::Supported && free.score >= held.score {
+        return Ok(held);
+    }
+    if matches!(task.options.lens, LensChoice::Fixed(_)) {
+        return Ok(free);
+    }
+    let tangential = tried(task, &free.model, LensModel::OpenCv)?;
+    Ok(if tangential.score < free.score {
+        tangential
+    } else {
+        free
+    })
+}
 
 /// The camera without the terms the lens model does not have.
 fn cut(camera: &Camera, lens: LensModel) -> Camera {

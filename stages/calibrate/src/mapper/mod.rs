@@ -16,7 +16,7 @@ use nalgebra::Vector2;
 
 pub(crate) use lens::{CentreChoice, LensChoice};
 pub(crate) use model::Model;
-pub(crate) use refine::{FINE, settle};
+pub(crate) use refine::{Deviation, FINE, deviations, settle};
 pub(crate) use tracks::Tracks;
 
 use crate::bundle::BundleError;

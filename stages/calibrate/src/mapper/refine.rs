@@ -1,9 +1,9 @@
-use nalgebra::Vector3;
+use nalgebra::{Matrix6, Vector3};
 
 use super::{MapError, Model, Task};
 use crate::bundle::{
     BundleOptions, BundleReport, CameraFreedom, LensModel, Loss, Observation, PoseFreedom, Prior, Problem,
-    Solver, adjust,
+    Solver, adjust, pose_covariances,
 };
 
 /// Photos of one camera from which its focal length is refined; with fewer it is taken as it is.
@@ -31,6 +31,12 @@ pub(crate) const ROUGH: Effort = Effort {
     rounds: 1,
     iterations: 8,
     tolerance: 1e-3,
+};
+/// To tell which of two lenses is better.
+pub(crate) const JUDGED: Effort = Effort {
+    rounds: 1,
+    iterations: 12,
+    tolerance: 1e-5,
 };
 /// For what is kept.
 pub(crate) const FINE: Effort = Effort {
@@ -80,6 +86,46 @@ pub(crate) fn settle(
     }
     drop_weak(task, model);
     Ok(())
+}
+
+/// Standard deviations of a placed photo, relative to the photo the model began with.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Deviation {
+    /// Of the attitude, the root of the summed variances about three axes.
+    pub angle_rad: f64,
+    /// Of the centre, likewise, in the model's unit.
+    pub distance: f64,
+}
+
+/// What the reprojection errors leave open of each placed photo, in order; `None` where they do not tell.
+///
+/// The covariance of the reduced system times the variance of one coordinate: the mean distance of a sight from
+/// its point's image is sigma sqrt(pi / 2).
+pub(crate) fn deviations(task: &Task<'_>, model: &Model) -> Option<Vec<Deviation>> {
+    let mut built = build(task, model, &task.tracks.all());
+    built.problem.camera_freedom = freedoms(task, model);
+    built.problem.priors = focal_priors(task, model);
+    hold_gauge(model, &mut built);
+    let active = (0..model.active.len()).filter(|&sight| model.active[sight]);
+    let errors: Vec<f64> = active
+        .filter_map(|sight| model.error_px(task, &task.tracks.sights[sight]))
+        .collect();
+    let mean_px = errors.iter().sum::<f64>() / errors.len().max(1) as f64;
+    let sigma_px = mean_px / std::f64::consts::FRAC_PI_2.sqrt();
+    let covariances = pose_covariances(&built.problem, sigma_px)?;
+    let of = |covariance: &Matrix6<f64>| {
+        let root = |first: usize| {
+            (first..first + 3)
+                .map(|axis| covariance[(axis, axis)])
+                .sum::<f64>()
+                .sqrt()
+        };
+        Deviation {
+            angle_rad: root(0),
+            distance: root(3),
+        }
+    };
+    Some(covariances.iter().map(of).collect())
 }
 
 /// Takes out photos that too few sights hold.

@@ -13,7 +13,7 @@ use super::{Outvoted, Solved};
 use crate::estimators::Similarity;
 use crate::export::{Sight, TrackPoint};
 use crate::import::mean_up;
-use crate::mapper::Model;
+use crate::mapper::{Model, deviations};
 use crate::params::CalibrateParams;
 use crate::photos::{Calibrated, Found, Placed, as_png, reduction};
 
@@ -113,9 +113,12 @@ fn frames(
     params: &CalibrateParams,
 ) -> Result<Vec<Placed>, StageError> {
     let photos: Vec<usize> = model.photos().collect();
-    let frames = photos.into_par_iter().map(|photo| {
+    let deviations = deviations(solved.task, model).unwrap_or_default();
+    let frames = photos.into_par_iter().enumerate().map(|(rank, photo)| {
         let outvoted = outvoted.iter().find(|one| one.photo == photo);
-        frame(ctx, solved, model, photo, outvoted, params)
+        let mut placed = frame(ctx, solved, model, photo, outvoted, params)?;
+        placed.found.deviation = deviations.get(rank).copied();
+        Ok(placed)
     });
     frames.collect()
 }
@@ -153,6 +156,7 @@ fn frame(
             inliers: Some(errors.len() as u32),
             error_px: Some(mean * f64::from(row.factor) / f64::from(factor)),
             error_working_px: Some(mean),
+            deviation: None,
             note: note(row.note.as_deref(), outvoted),
         },
     })

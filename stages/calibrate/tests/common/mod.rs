@@ -72,18 +72,46 @@ impl Input {
         self.companions.insert(name.to_owned(), digest);
     }
 
-    pub fn run(&self, params: &serde_json::Value) -> Result<Output, StageError> {
-        const STAGE: StageDef = define::<Calibrate>();
-        let stage = (STAGE.bind)(params.clone()).map_err(|error| StageError::new(error.to_string()))?;
-        self.run_stage(stage.as_ref())
+    /// Loses every photo, as if the archive were gone.
+    pub fn forget_photos(&self) {
+        for (_, row) in &self.rows {
+            self.harness.forget(&row.blobs["image"]);
+        }
     }
 
-    fn run_stage(&self, stage: &dyn Stage) -> Result<Output, StageError> {
+    /// Keeps the first photos only, and returns the others.
+    pub fn split_off(&mut self, count: usize) -> Vec<(u32, Row)> {
+        self.rows.split_off(count)
+    }
+
+    pub fn add(&mut self, rows: Vec<(u32, Row)>) {
+        self.rows.extend(rows);
+    }
+
+    pub fn run(&self, params: &serde_json::Value) -> Result<Output, StageError> {
+        self.run_after(params, None)
+    }
+
+    /// Runs with an earlier scene of the same node.
+    pub fn run_after(
+        &self,
+        params: &serde_json::Value,
+        earlier: Option<Digest>,
+    ) -> Result<Output, StageError> {
+        const STAGE: StageDef = define::<Calibrate>();
+        let stage = (STAGE.bind)(params.clone()).map_err(|error| StageError::new(error.to_string()))?;
+        self.run_stage(stage.as_ref(), earlier)
+    }
+
+    fn run_stage(&self, stage: &dyn Stage, earlier: Option<Digest>) -> Result<Output, StageError> {
         let companions = self.harness.put(&serde_json::to_vec(&self.companions).unwrap());
-        let inputs = Inputs(BTreeMap::from([
+        let mut inputs = Inputs(BTreeMap::from([
             (PHOTOS.to_owned(), self.harness.put_set(&self.rows)),
             (COMPANIONS.to_owned(), companions),
         ]));
+        inputs
+            .0
+            .extend(earlier.map(|scene| (marf_stage::EARLIER.to_owned(), scene)));
         let Work::Set(set) = stage.work() else {
             panic!("calibrate needs all its inputs at once");
         };
