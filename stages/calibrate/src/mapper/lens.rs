@@ -91,10 +91,11 @@ fn smallest(task: &Task<'_>, model: &Model) -> Result<(f64, Model), MapError> {
         trial.cameras = model.cameras.iter().map(|camera| cut(camera, lens)).collect();
         let report = adjust_all(task, &mut trial, &[], FINE)?;
         let score = information_criterion(&report);
-        if best.as_ref().is_some_and(|(lowest, _)| score >= *lowest) && lens < LensModel::Radial {
+        if best.as_ref().is_some_and(|(lowest, _)| score > *lowest) && lens < LensModel::Radial {
             break;
         }
-        if best.as_ref().is_none_or(|(lowest, _)| score < *lowest) {
+        // Equal: too few photos to release the terms, which are zero then.
+        if best.as_ref().is_none_or(|(lowest, _)| score <= *lowest) {
             best = Some((score, trial));
         }
     }
