@@ -83,7 +83,8 @@ fn smallest(task: &Task<'_>, model: &Model) -> Result<Trial, MapError> {
     let mut best = tried(task, model, LensModel::Radial)?;
     for lens in [LensModel::SimpleRadial, LensModel::Pinhole] {
         let fewer = tried(task, &best.model, lens)?;
-        if fewer.score >= best.score {
+        // Equal: too few photos to release the terms, which are zero then.
+        if fewer.score > best.score {
             break;
         }
         best = fewer;

@@ -50,6 +50,12 @@ fn two_photos_are_enough() {
 }
 
 #[test]
+fn too_few_photos_to_release_lens_terms_have_a_pinhole() {
+    let models = Synthetic::new(arc(2, 6.0, 0.4), ball(300)).solve();
+    assert_eq!(models[0].lens, crate::bundle::LensModel::Pinhole);
+}
+
+#[test]
 fn one_photo_and_none_give_no_model() {
     for count in [0, 1] {
         assert!(

@@ -217,7 +217,9 @@ fn links(
                     .collect::<Vec<u8>>(),
             ));
             let error_px = max_error_px(points(a).camera);
-            let relation = relate(&points(a), &points(b), inliers, error_px, seed ^ params.seed)?;
+            let focal = pairs::focal_known(views, cameras, one.photos);
+            let seed = seed ^ params.seed;
+            let relation = relate(&points(a), &points(b), inliers, focal, error_px, seed)?;
             (relation.inliers.len() >= params.min_matches as usize).then_some(Link {
                 photos: one.photos,
                 relation,

@@ -196,14 +196,7 @@ fn compared(
         camera: &cameras[views[photo].camera].camera,
         pixels: &views[photo].pixels,
     };
-    let guessed = photos
-        .iter()
-        .any(|&photo| cameras[views[photo].camera].focal == FocalKnown::Guessed);
-    let focal = if guessed {
-        FocalKnown::Guessed
-    } else {
-        FocalKnown::Known
-    };
+    let focal = focal_known(views, cameras, photos);
     let options = VerifyOptions {
         max_error_px: super::max_error_px(&cameras[views[a].camera].camera),
         min_inliers: params.min_matches,
@@ -214,6 +207,16 @@ fn compared(
         photos,
         matches: matches.len() as u32,
         verified,
+    }
+}
+
+/// Known where both are.
+pub(super) fn focal_known(views: &[View], cameras: &[SharedCamera], photos: [usize; 2]) -> FocalKnown {
+    let guessed = |&photo: &usize| cameras[views[photo].camera].focal == FocalKnown::Guessed;
+    if photos.iter().any(guessed) {
+        FocalKnown::Guessed
+    } else {
+        FocalKnown::Known
     }
 }
 

@@ -6,7 +6,7 @@ use nalgebra::Matrix3;
 use super::spots::focal_px;
 
 /// Focal lengths tried, in units of the photo's longer side.
-const RANGE: [f64; 2] = [0.2, 5.0];
+pub(super) const RANGE: [f64; 2] = [0.2, 5.0];
 
 /// Steps of the log grid: 2.7 % each.
 const STEPS: usize = 120;
@@ -101,7 +101,8 @@ fn imbalance(fundamental: &Matrix3<f64>, focal: f64) -> f64 {
     ((squares - 2.0 * product).max(0.0) / (squares + 2.0 * product)).sqrt()
 }
 
-fn golden(loss: &impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
+/// The lowest place between two, of a loss with one minimum there.
+pub(super) fn golden(loss: &impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
     const SHARE: f64 = 0.618_033_988_749_894_9;
     for _ in 0..SECTIONS {
         let (left, right) = (high - SHARE * (high - low), low + SHARE * (high - low));

@@ -8,6 +8,7 @@ mod focal;
 mod judge;
 mod relate;
 mod spots;
+mod still;
 mod verify;
 
 #[cfg(test)]

@@ -4,8 +4,9 @@ use marf_scene::Pose;
 use nalgebra::{Matrix3, Vector3};
 
 use super::spots::{Spots, focal_px};
+use super::still::{other_focal, same_picture};
 use super::verify::PLANAR_SHARE;
-use super::{Relation, RelationKind, ViewPoints};
+use super::{FocalKnown, Relation, RelationKind, ViewPoints};
 use crate::dice::Dice;
 use crate::estimators::{
     Consensus, Family, Pair, Trials, better, cross_matrix, depths, essential_of, fit_homography, five_point,
@@ -37,11 +38,14 @@ const TURN_VARIANCE: f64 = 3.0;
 const LEAST_VARIANCE: f64 = 0.01;
 
 /// What the fits share: plane points, the squared size of a pixel there, the largest error in pixels.
-struct Matches<'a> {
-    pairs: &'a [Pair],
-    noise2: [f64; 2],
-    limit: f64,
+pub(super) struct Matches<'a> {
+    pub pairs: &'a [Pair],
+    pub noise2: [f64; 2],
+    pub limit: f64,
 }
+
+/// A turn and the inliers it holds.
+type Still = (Matrix3<f64>, Vec<usize>);
 
 /// A candidate motion: its essential matrix, its pose, and what agrees with both.
 #[derive(Clone)]
@@ -50,7 +54,7 @@ struct Motion {
     pose: Pose,
 }
 
-/// Finds the relative pose of two photos whose focal lengths are known, from verified matches.
+/// Finds the relative pose of two photos from verified matches, with the focal lengths as the cameras have them.
 ///
 /// Candidates: LO-RANSAC over five points, the two motions behind the homography, the best turn with three
 /// directions. Each is polished, its points behind a camera count as outliers, and the cheapest stays. An
@@ -59,11 +63,14 @@ struct Motion {
 ///
 /// `Rotation` where the median angle is below 1 deg, a pure turn holds at least .8 of the inliers, and its
 /// residual variance (on those) is at most 3 times the essential matrix's: parallax of less than about
-/// twice the noise is not told from none. `None` with fewer than 6 inliers.
+/// twice the noise is not told from none. By the same measure a crop or a zoom of one picture, and a turn under
+/// another focal length where this one is a guess: each looks like a plane that the camera passes.
+/// `None` with fewer than 6 inliers.
 pub(crate) fn relate(
     a: &ViewPoints,
     b: &ViewPoints,
     inliers: &[[u32; 2]],
+    focal: FocalKnown,
     max_error_px: f64,
     seed: u64,
 ) -> Option<Relation> {
@@ -81,23 +88,29 @@ pub(crate) fn relate(
     let candidates = matches.candidates(sampled, plane.as_ref(), turn.as_ref());
     let best = matches.cheapest(candidates)?;
     let agreed = best.inliers.len();
-    let homography_share = plane.map_or(0.0, |plane| (plane.inliers.len() as f64 / agreed as f64).min(1.0));
+    let homography_share = plane
+        .as_ref()
+        .map_or(0.0, |plane| (plane.inliers.len() as f64 / agreed as f64).min(1.0));
     let pick = |indices: &[usize]| indices.iter().map(|&i| spots.matches[i]).collect::<Vec<_>>();
     let median_angle_rad = matches.median_angle_rad(&best);
-    if let Some(turn) = turn.filter(|turn| matches.is_turn(&best, turn, median_angle_rad)) {
+    let planar = homography_share > PLANAR_SHARE;
+    let turn = turn.filter(|_| median_angle_rad <= TURN_ANGLE_RAD);
+    let still = turn.and_then(|turn| matches.turned(&best, &turn));
+    let plane = plane.filter(|_| planar);
+    let hidden = || matches.hidden(&best, &plane?.inliers, focal, a);
+    if let Some((rotation, held)) = still.or_else(hidden) {
         return Some(Relation {
             kind: RelationKind::Rotation,
             cam2_from_cam1: Pose {
-                rotation: turn.model,
+                rotation,
                 translation: Vector3::zeros(),
             },
-            inliers: pick(&turn.inliers),
+            inliers: pick(&held),
             median_angle_rad,
             forward: 0.0,
             homography_share,
         });
     }
-    let planar = homography_share > PLANAR_SHARE;
     Some(Relation {
         kind: if planar {
             RelationKind::Planar
@@ -276,24 +289,54 @@ impl Matches<'_> {
         angles.get(angles.len() / 2).copied().unwrap_or(0.0)
     }
 
-    fn is_turn(&self, found: &Consensus<Motion>, turn: &Consensus<Matrix3<f64>>, angle_rad: f64) -> bool {
-        let common: Vec<usize> = found
-            .inliers
-            .iter()
-            .copied()
-            .filter(|i| turn.inliers.binary_search(i).is_ok())
-            .collect();
-        let share = common.len() as f64 / found.inliers.len() as f64;
-        if angle_rad > TURN_ANGLE_RAD || share < TURN_SHARE {
-            return false;
-        }
-        let (count, limit2) = (common.len() as f64, self.limit * self.limit);
-        let sum = |error: &dyn Fn(usize) -> f64| common.iter().map(|&i| error(i)).sum::<f64>() * limit2;
-        // Two coordinates a match, each with the noise of both photos; three freedoms. And one with five.
+    fn turned(&self, found: &Consensus<Motion>, turn: &Consensus<Matrix3<f64>>) -> Option<Still> {
         let spread = 1.0 + self.noise2[0] / self.noise2[1];
-        let of_turn = sum(&|i| self.turn_error(&turn.model, i)) / (spread * (2.0 * count - 3.0));
+        let held = self.held(found, |i| self.turn_error(&turn.model, i) / spread, 3.0)?;
+        Some((turn.model, held))
+    }
+
+    /// What only looks like a plane that the camera passes: one picture cropped or zoomed, or a turn under
+    /// another focal length. `on`: the plane's own inliers; wrong matches along an epipolar line are not among
+    /// them.
+    fn hidden(
+        &self,
+        found: &Consensus<Motion>,
+        on: &[usize],
+        focal: FocalKnown,
+        view: &ViewPoints,
+    ) -> Option<Still> {
+        let cropped = same_picture(self, on).and_then(|map| self.held(found, |i| map.error2(self, i), 3.0));
+        if let Some(held) = cropped {
+            return Some((Matrix3::identity(), held));
+        }
+        let map = (focal == FocalKnown::Guessed)
+            .then(|| other_focal(self, on, view.camera))
+            .flatten()?;
+        let held = self.held(found, |i| map.error2(self, i), 4.0)?;
+        Some((map.turn, held))
+    }
+
+    /// The inliers that a map without parallax holds too, if they are nearly all and err not much more by it.
+    ///
+    /// `error2`: squared distance per unit of its own variance, in units of the limit.
+    fn held(
+        &self,
+        found: &Consensus<Motion>,
+        error2: impl Fn(usize) -> f64,
+        freedoms: f64,
+    ) -> Option<Vec<usize>> {
+        let fits = |i: &usize| error2(*i) <= 1.0;
+        let held: Vec<usize> = found.inliers.iter().copied().filter(fits).collect();
+        let count = held.len() as f64;
+        if count < TURN_SHARE * found.inliers.len() as f64 {
+            return None;
+        }
+        let limit2 = self.limit * self.limit;
+        let sum = |error: &dyn Fn(usize) -> f64| held.iter().map(|&i| error(i)).sum::<f64>() * limit2;
+        // Two coordinates a match, each with the noise of both photos. And one with five freedoms.
+        let of_map = sum(&error2) / (2.0 * count - freedoms);
         let of_motion = sum(&|i| self.epipolar_error(&found.model.essential, i)) / (count - 5.0).max(1.0);
-        of_turn <= TURN_VARIANCE * of_motion.max(LEAST_VARIANCE)
+        (of_map <= TURN_VARIANCE * of_motion.max(LEAST_VARIANCE)).then_some(held)
     }
 }
 

@@ -106,6 +106,10 @@ impl Views {
     }
 
     fn related(&self, camera: &Camera) -> Option<Relation> {
+        self.related_with(camera, FocalKnown::Known)
+    }
+
+    fn related_with(&self, camera: &Camera, focal: FocalKnown) -> Option<Relation> {
         let (a, b) = (
             ViewPoints {
                 camera,
@@ -116,7 +120,7 @@ impl Views {
                 pixels: &self.b,
             },
         );
-        super::relate(&a, &b, &self.matches(), OPTIONS.max_error_px, 7)
+        super::relate(&a, &b, &self.matches(), focal, OPTIONS.max_error_px, 7)
     }
 
     /// Errors of rotation and of the direction of translation, degrees.

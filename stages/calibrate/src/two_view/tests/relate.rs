@@ -133,3 +133,70 @@ fn the_same_photo_twice_is_no_motion() {
     assert!((found.cam2_from_cam1.rotation - Matrix3::identity()).norm() < 1e-9);
     assert!(found.median_angle_rad.is_finite() && found.homography_share.is_finite());
 }
+
+#[test]
+fn crops_and_zooms_of_one_picture_are_no_motion() {
+    for (scale, shift) in [
+        (1.0, [300.0, 0.0]),
+        (1.0, [-250.0, 180.0]),
+        (1.5, [-250.0, -190.0]),
+        (0.4, [0.0; 2]),
+    ] {
+        for sigma_px in [0.0, 0.3] {
+            for (seed, focal) in [(30, FocalKnown::Known), (31, FocalKnown::Guessed)] {
+                let mut views = views(sideways(), Layout::Deep, 150, sigma_px, seed, &camera());
+                let still = super::views(
+                    pose([0.0; 3], [0.0; 3]),
+                    Layout::Deep,
+                    150,
+                    sigma_px,
+                    seed,
+                    &camera(),
+                );
+                let cut = |q: &Vector2<f64>| q * scale + Vector2::from(shift);
+                (views.a, views.b) = (still.a, still.b.iter().map(cut).collect());
+                // Wrong matches that lie on the lines of a camera that passes a plane.
+                views
+                    .b
+                    .iter_mut()
+                    .take(8)
+                    .for_each(|q| *q += 0.2 * Vector2::from(shift));
+                let found = views.related_with(&camera(), focal).unwrap();
+                assert_eq!(
+                    found.kind,
+                    RelationKind::Rotation,
+                    "{scale} {shift:?} {sigma_px} px {focal:?}"
+                );
+                assert_eq!(found.cam2_from_cam1.translation, Vector3::zeros());
+            }
+        }
+    }
+}
+
+#[test]
+fn a_turn_under_a_guessed_focal_length_is_a_rotation() {
+    for factor in [0.4, 0.7, 1.5, 2.5] {
+        for turn in [[0.0, 0.12, 0.0], [0.05, -0.1, 0.03]] {
+            let truth = Camera::pinhole(1000, 750, 1000.0);
+            let guess = Camera::pinhole(1000, 750, 1000.0 * factor);
+            let views = views(pose(turn, [0.0; 3]), Layout::Deep, 200, 0.3, 32, &truth);
+            let found = views.related_with(&guess, FocalKnown::Guessed).unwrap();
+            assert_eq!(found.kind, RelationKind::Rotation, "{factor} {turn:?}");
+        }
+    }
+}
+
+#[test]
+fn a_plane_passed_under_a_guessed_focal_length_is_no_rotation() {
+    // Straight down upon it, along it, and at a slant; .02 rad of sway as no drone or lander is without.
+    for t in [[0.0, 0.0, -1.5], [1.0, 0.0, 0.0], [0.3, 0.2, -1.0]] {
+        for layout in [Layout::Plane, Layout::AlmostPlane] {
+            for factor in [0.7, 1.0, 1.5] {
+                let guess = Camera::pinhole(1000, 750, 900.0 * factor);
+                let views = views(pose([0.02, -0.02, 0.01], t), layout, 200, 0.5, 33, &camera());
+                let found = views.related_with(&guess, FocalKnown::Guessed).unwrap();
+                assert_ne!(found.kind, RelationKind::Rotation, "{t:?} {layout:?} {factor}");
+            }
+        }
+    }
+}

@@ -173,7 +173,7 @@ fn nothing_few_missing_and_broken_features_verify_nothing() {
         let found = super::super::verify(&view, &view, matches, FocalKnown::Known, &OPTIONS, 1);
         assert_eq!(found.kind, VerifiedKind::None, "{matches:?}");
         assert!(
-            super::super::relate(&view, &view, matches, 4.0, 1).is_none(),
+            super::super::relate(&view, &view, matches, FocalKnown::Known, 4.0, 1).is_none(),
             "{matches:?}"
         );
     }
@@ -240,7 +240,7 @@ fn features_on_a_grid_lines_and_huge_numbers_never_panic_nor_give_nan() {
                 .is_none_or(|f| f.iter().all(|value| value.is_finite())),
             "seed {seed}"
         );
-        let Some(relation) = super::super::relate(&a, &b, &matches, 4.0, seed) else {
+        let Some(relation) = super::super::relate(&a, &b, &matches, FocalKnown::Known, 4.0, seed) else {
             continue;
         };
         assert!(relation.cam2_from_cam1.is_valid(), "seed {seed}: {relation:?}");
