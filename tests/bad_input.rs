@@ -106,7 +106,9 @@ fn a_missing_and_an_empty_folder_are_one_error_each() {
 
 #[test]
 fn photos_that_share_nothing_are_not_calibrated_and_the_hint_says_what_to_do() {
-    let Some(data) = shared("m2020_navcam_feed") else { return };
+    let Some(data) = shared("m2020_navcam_feed") else {
+        return;
+    };
     let dir = tempfile::tempdir().unwrap();
     let ran = marf(dir.path(), &["calibrate", &data.to_string_lossy()]).exits(1);
     for words in ["photos were placed", "cause: ", "hint: "] {

@@ -5,8 +5,6 @@
 //! program found; `colmap` runs an installed COLMAP. Invariant: a photo is in the scene with a camera for the
 //! very bytes its frame names, or it is listed as unplaced with the reason; none is dropped in silence.
 
-#![allow(dead_code)]
-
 mod align;
 mod bundle;
 mod colmap;

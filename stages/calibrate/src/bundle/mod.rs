@@ -25,13 +25,11 @@ mod tests;
 mod turn;
 
 pub(crate) use check::BundleError;
-// Two doors that stay unused until the mapper goes through them.
-#[allow(unused_imports)]
 pub(crate) use covariance::pose_covariances;
 pub(crate) use loss::Loss;
 pub(crate) use problem::{CameraFreedom, LensModel, Observation, PoseFreedom, Prior, Problem};
 pub(crate) use solve::adjust;
-#[allow(unused_imports)]
+#[cfg(test)]
 pub(crate) use task::residual;
 
 /// How the reduced system of poses and lenses is solved.

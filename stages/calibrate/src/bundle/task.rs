@@ -1,5 +1,6 @@
 //! What one adjustment works on, and the cost it lowers.
 
+#[cfg(test)]
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
@@ -100,6 +101,7 @@ pub(super) fn near(error: [f64; 2]) -> Option<f64> {
 }
 
 /// Returns projected minus observed, pixels; `None` behind the camera or beyond the lens's fold.
+#[cfg(test)]
 pub(crate) fn residual(problem: &Problem, observation: &Observation) -> Option<Vector2<f64>> {
     let pose = problem.poses.get(observation.pose as usize)?;
     let camera = *problem.camera_of_pose.get(observation.pose as usize)?;

@@ -61,20 +61,13 @@ pub(crate) fn transfer2(homography: &Matrix3<f64>, p: &Vector2<f64>, q: &Vector2
     if error.is_finite() { error } else { f64::INFINITY }
 }
 
-/// A motion past a plane: `normal`, in camera 1's frame, has n·X > 0 for points seen; the translation is in
-/// units of the distance of camera 1 to the plane.
-#[derive(Debug, Clone)]
-pub(crate) struct PlaneMotion {
-    pub cam2_from_cam1: Pose,
-    pub normal: Vector3<f64>,
-}
-
-/// Returns the two motions behind a homography between plane coordinates (Ma, Soatto, Kosecka, Sastry 2004,
+/// Returns the two motions behind a homography between plane coordinates, in units of the distance of camera 1 to the
+/// plane (Ma, Soatto, Kosecka, Sastry 2004,
 /// 5.3.3), the lesser turn first; none where it is within 1e-9 of a turn on the spot or not finite.
 ///
 /// Both explain a plane equally well. What tells them apart are points off the plane, and those on it that
 /// one of the two would put behind a camera.
-pub(crate) fn plane_motions(homography: &Matrix3<f64>, pairs: &[Pair]) -> Vec<PlaneMotion> {
+pub(crate) fn plane_motions(homography: &Matrix3<f64>, pairs: &[Pair]) -> Vec<Pose> {
     let mut h = homography / svd3(homography).s.y;
     let facing = |[p, q]: &&Pair| q.push(1.0).dot(&(h * p.push(1.0))) > 0.0;
     if 2 * pairs.iter().filter(facing).count() < pairs.len() {
@@ -90,17 +83,14 @@ pub(crate) fn plane_motions(homography: &Matrix3<f64>, pairs: &[Pair]) -> Vec<Pl
     let across = svd.v.column(2) * large.max(0.0).sqrt() / spread;
     let middle = svd.v.column(1).into_owned();
     let mut motions = [along + across, along - across].map(|unit| plane_motion(&h, &middle, &unit, pairs));
-    if motions[1].cam2_from_cam1.rotation.trace() > motions[0].cam2_from_cam1.rotation.trace() {
+    if motions[1].rotation.trace() > motions[0].rotation.trace() {
         motions.swap(0, 1);
     }
-    motions
-        .into_iter()
-        .filter(|motion| motion.cam2_from_cam1.is_valid())
-        .collect()
+    motions.into_iter().filter(|motion| motion.is_valid()).collect()
 }
 
 /// `middle` and `unit` span the plane's directions that H keeps at their length.
-fn plane_motion(h: &Matrix3<f64>, middle: &Vector3<f64>, unit: &Vector3<f64>, pairs: &[Pair]) -> PlaneMotion {
+fn plane_motion(h: &Matrix3<f64>, middle: &Vector3<f64>, unit: &Vector3<f64>, pairs: &[Pair]) -> Pose {
     let (first, second) = (h * middle, h * unit);
     let normal = middle.cross(unit);
     let from = Matrix3::from_columns(&[*middle, *unit, normal]);
@@ -112,12 +102,9 @@ fn plane_motion(h: &Matrix3<f64>, middle: &Vector3<f64>, unit: &Vector3<f64>, pa
         .count();
     let normal = if 2 * front < pairs.len() { -normal } else { normal };
     let translation = (h - rotation) * normal;
-    PlaneMotion {
-        cam2_from_cam1: Pose {
-            rotation,
-            translation,
-        },
-        normal,
+    Pose {
+        rotation,
+        translation,
     }
 }
 
@@ -168,8 +155,8 @@ mod tests {
             let motions = plane_motions(&(fit_homography(&pairs).unwrap() * -2.0), &pairs);
             let miss = motions.iter().map(|m| {
                 // In units of the plane's distance 1 / |n|.
-                let t = m.cam2_from_cam1.translation / normal.norm();
-                (m.cam2_from_cam1.rotation - truth.rotation).norm() + (t - truth.translation).norm()
+                let t = m.translation / normal.norm();
+                (m.rotation - truth.rotation).norm() + (t - truth.translation).norm()
             });
             let miss = miss.fold(1.0, f64::min);
             assert!(miss < 1e-8, "{t:?}: {miss:e}");

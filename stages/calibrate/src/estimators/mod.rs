@@ -27,14 +27,9 @@ pub(crate) use homography::{fit_homography, four_point, plane_motions, transfer2
 pub(crate) use ransac::{Consensus, Trials, better, improved, lo_ransac};
 pub(crate) use rotation::{cross_matrix, turn_between};
 
-#[allow(
-    unused_imports,
-    reason = "what the mapper and the bundle adjustment ask of this room"
-)]
 pub(crate) use {
-    p3p::p3p,
-    resect::{Resection, Seen, polish_pose, resect},
-    rotation::{exp_so3, log_so3, nearest_rotation, ray_angle_rad},
-    similarity::{Similarity, similarity},
-    triangulate::{Sight, Triangulated, triangulate, triangulate_robust},
+    resect::{Resection, Seen, resect},
+    rotation::{log_so3, nearest_rotation, ray_angle_rad},
+    similarity::Similarity,
+    triangulate::{Sight, triangulate_robust},
 };

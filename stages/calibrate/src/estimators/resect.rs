@@ -82,13 +82,6 @@ pub(crate) fn resect(seen: &[Seen], max_error: f64, seed: u64) -> Option<Resecti
     })
 }
 
-/// Polishes one pose to the least Cauchy sum of squared distances, `scale` in plane units.
-///
-/// `None` with fewer than three sightings in front of the camera, or where the pose is not finite.
-pub(crate) fn polish_pose(cam_from_world: &Pose, seen: &[Seen], scale: f64) -> Option<Pose> {
-    polished(cam_from_world, seen.iter(), scale, LAST_STEPS)
-}
-
 /// Turns about the camera's own centre and moves along its own axes: an origin far away costs nothing but
 /// the digits that t has lost.
 fn polished<'a>(
@@ -318,12 +311,13 @@ mod tests {
     #[test]
     fn polish_needs_three_points_in_front() {
         let (truth, seen) = sightings(200, 0.0, 1.0, 0.0);
-        assert!(polish_pose(&truth, &seen[..2], 0.01).is_none());
+        let polish = |start: &Pose, seen: &[Seen]| polished(start, seen.iter(), 0.01, LAST_STEPS);
+        assert!(polish(&truth, &seen[..2]).is_none());
         let mut behind = truth;
         behind.translation.z -= 100.0;
-        assert!(polish_pose(&behind, &seen, 0.01).is_none());
+        assert!(polish(&behind, &seen).is_none());
         let near = pose([0.01, -0.02, 0.01], [0.05, 0.0, 0.1]) * truth;
-        let got = polish_pose(&near, &seen, 0.01).unwrap();
+        let got = polish(&near, &seen).unwrap();
         assert!((got.translation - truth.translation).norm() < 1e-9);
     }
 }

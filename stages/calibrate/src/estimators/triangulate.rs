@@ -36,7 +36,8 @@ const HYPOTHESES: usize = 45;
 /// `None` with fewer than two sights, with rays parallel to machine precision (every sine below 1e-9),
 /// behind any camera, or not finite. The error grows as 1 / angle. Works in differences from the first
 /// centre: the world's unit does not matter.
-pub(crate) fn triangulate(sights: &[Sight]) -> Option<Vector3<f64>> {
+#[cfg(test)]
+fn triangulate(sights: &[Sight]) -> Option<Vector3<f64>> {
     let all: Vec<&Sight> = sights.iter().collect();
     let start = meeting(&all)?;
     refined(&start, &all).filter(|point| all.iter().all(|sight| depth(sight, point) > 0.0))
@@ -180,6 +181,7 @@ fn refined(start: &Vector3<f64>, sights: &[&Sight]) -> Option<Vector3<f64>> {
     point.iter().all(|value| value.is_finite()).then_some(point)
 }
 
+#[cfg(test)]
 fn depth(sight: &Sight, point: &Vector3<f64>) -> f64 {
     sight.cam_from_world.point(point).z
 }

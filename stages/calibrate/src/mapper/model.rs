@@ -59,10 +59,6 @@ impl Model {
         placed.filter_map(|(photo, pose)| pose.is_some().then_some(photo))
     }
 
-    pub(crate) fn point_count(&self) -> usize {
-        self.points.iter().flatten().count()
-    }
-
     /// Distance from the pixel to where the point appears; `None` where it cannot appear.
     pub(crate) fn error_px(&self, task: &Task<'_>, sight: &TrackSight) -> Option<f64> {
         let point = self.points[sight.track as usize]?;

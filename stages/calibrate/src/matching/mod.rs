@@ -9,10 +9,6 @@ use crate::features::Features;
 use crate::simd::Isa;
 use nearest::{Near, Packed, nearest};
 
-#[allow(
-    unused_imports,
-    reason = "the stage that asks for pairs comes after this room"
-)]
 pub(crate) use pairs::{exhaustive, retrieve, sequential};
 
 /// What makes two features the same point.

@@ -17,7 +17,6 @@ mod tests;
 use marf_scene::{Camera, Pose};
 use nalgebra::{Matrix3, Vector2};
 
-#[allow(unused_imports, reason = "what the mapper asks of this room")]
 pub(crate) use {focal::focal_from_pairs, relate::relate, verify::verify};
 
 /// When matches count as verified.
@@ -105,6 +104,4 @@ pub(crate) struct Relation {
     pub median_angle_rad: f64,
     /// |t·z| of the unit translation; 0 for `Rotation`.
     pub forward: f64,
-    /// Homography inliers per essential inlier; below .5 a lower bound.
-    pub homography_share: f64,
 }

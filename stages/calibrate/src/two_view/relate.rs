@@ -108,7 +108,6 @@ pub(crate) fn relate(
             inliers: pick(&held),
             median_angle_rad,
             forward: 0.0,
-            homography_share,
         });
     }
     Some(Relation {
@@ -121,7 +120,6 @@ pub(crate) fn relate(
         inliers: pick(&best.inliers),
         median_angle_rad,
         forward: best.model.pose.translation.z.abs(),
-        homography_share,
     })
 }
 
@@ -226,7 +224,7 @@ impl Matches<'_> {
         if let Some(plane) = plane.filter(|plane| plane.inliers.len() > half) {
             let on_plane: Vec<Pair> = self.agreed(&plane.inliers).copied().collect();
             let motions = plane_motions(&plane.model[0], &on_plane);
-            candidates.extend(motions.iter().map(|motion| essential_of(&motion.cam2_from_cam1)));
+            candidates.extend(motions.iter().map(essential_of));
         }
         candidates.extend(sampled.map(|found| found.model));
         if let Some(turn) = turn.filter(|turn| turn.inliers.len() > half) {

