@@ -6,8 +6,11 @@ use crate::bundle::{
     Solver, adjust, pose_covariances,
 };
 
-/// Photos of one camera from which its focal length is refined; with fewer it is taken as it is.
+/// Photos of one camera from which its focal length is refined; with fewer it is taken as it is,
 const PHOTOS_FOR_FOCAL: usize = 3;
+/// unless it is a guess (or EXIF's whole millimetres), and the model has this many photos: their points hold it.
+const PHOTOS_FOR_ANY_FOCAL: usize = 6;
+const VAGUE_SIGMA: f64 = 0.05;
 /// Photos of one camera from which k1 is refined.
 const PHOTOS_FOR_K1: usize = 3;
 /// Photos of one camera from which all lens terms are refined.
@@ -255,12 +258,16 @@ fn freedoms(task: &Task<'_>, model: &Model) -> Vec<CameraFreedom> {
     for photo in model.photos() {
         counts[task.views[photo].camera] += 1;
     }
-    let freedom = |&count: &usize| CameraFreedom {
-        focal: count >= PHOTOS_FOR_FOCAL,
-        lens: released(model.lens, count),
-        principal_point: model.principal_point && count >= PHOTOS_FOR_LENS,
+    let placed = model.photos().count();
+    let freedom = |(&count, shared): (&usize, &super::SharedCamera)| {
+        let vague = shared.focal_sigma_share.is_none_or(|sigma| sigma > VAGUE_SIGMA);
+        CameraFreedom {
+            focal: count >= PHOTOS_FOR_FOCAL || (vague && count > 0 && placed >= PHOTOS_FOR_ANY_FOCAL),
+            lens: released(model.lens, count),
+            principal_point: model.principal_point && count >= PHOTOS_FOR_LENS,
+        }
     };
-    counts.iter().map(freedom).collect()
+    counts.iter().zip(task.cameras).map(freedom).collect()
 }
 
 fn released(lens: LensModel, photos: usize) -> LensModel {

@@ -81,8 +81,11 @@ fn start(item: &Item, one: &Prepared) -> SharedCamera {
     }
 }
 
-/// Replaces guessed focal lengths by what the pairs of one camera's photos say, where they say something.
+/// Replaces guessed focal lengths by what the pairs of one camera's photos say; where they say nothing, by what
+/// the others are found to have, relative to the longer side: mostly it is one camera, held upright or reduced.
 pub(super) fn refine_guesses(cameras: &mut [SharedCamera], views: &[View], compared: &[Compared]) {
+    let mut open = Vec::new();
+    let mut found = Vec::new();
     for (index, shared) in cameras.iter_mut().enumerate() {
         if shared.focal == FocalKnown::Known {
             continue;
@@ -93,8 +96,26 @@ pub(super) fn refine_guesses(cameras: &mut [SharedCamera], views: &[View], compa
         let pairs: Vec<_> = own
             .filter_map(|one| Some((one.verified.fundamental?, one.verified.inliers.len())))
             .collect();
-        if let Some(focal_px) = focal_from_pairs(&pairs, &shared.camera) {
-            (shared.camera.fx_px, shared.camera.fy_px) = (focal_px, focal_px);
+        let side = longer_side(&shared.camera);
+        match focal_from_pairs(&pairs, &shared.camera) {
+            Some(focal_px) => {
+                (shared.camera.fx_px, shared.camera.fy_px) = (focal_px, focal_px);
+                found.push(focal_px / side);
+            }
+            None => open.push(index),
         }
     }
+    found.sort_by(f64::total_cmp);
+    let Some(share) = found.get(found.len() / 2) else {
+        return;
+    };
+    for index in open {
+        let camera = &mut cameras[index].camera;
+        let focal_px = share * longer_side(camera);
+        (camera.fx_px, camera.fy_px) = (focal_px, focal_px);
+    }
+}
+
+fn longer_side(camera: &Camera) -> f64 {
+    f64::from(camera.width.max(camera.height))
 }

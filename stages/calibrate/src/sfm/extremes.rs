@@ -161,6 +161,18 @@ fn a_focal_length_wrong_by_two_is_found() {
 }
 
 #[test]
+fn photos_with_a_camera_of_their_own_find_its_focal_length() {
+    for apart in [vec![3], vec![1, 4, 5, 9], (1..12).collect()] {
+        let scene = Synthetic {
+            start: guessed(1150.0),
+            apart: apart.clone(),
+            ..Synthetic::new(arc(12, 6.0, 2.4), ball(400))
+        };
+        right(&format!("apart {apart:?}"), &scene);
+    }
+}
+
+#[test]
 fn a_principal_point_outside_the_photo_is_no_matter() {
     let tile = Camera {
         cx_px: -500.0,

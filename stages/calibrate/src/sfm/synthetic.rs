@@ -22,6 +22,8 @@ pub(super) struct Synthetic {
     /// Share of matches that lead to a wrong feature.
     pub outliers: f64,
     pub start: SharedCamera,
+    /// Photos that share their camera with no other.
+    pub apart: Vec<usize>,
 }
 
 /// How far an answer is from the truth, after the best similarity.
@@ -89,6 +91,7 @@ impl Synthetic {
             noise_px: 0.3,
             outliers: 0.1,
             start: known(camera()),
+            apart: Vec::new(),
         }
     }
 
@@ -97,9 +100,10 @@ impl Synthetic {
         let mut dice = Dice::new(99);
         let mut views = Vec::new();
         let mut features = Vec::new();
-        for pose in &self.poses {
+        for (photo, pose) in self.poses.iter().enumerate() {
+            let apart = self.apart.iter().position(|&other| other == photo);
             let mut view = View {
-                camera: 0,
+                camera: apart.map_or(0, |index| index + 1),
                 pixels: Vec::new(),
             };
             let seen = self.points.iter().map(|point| {
@@ -153,7 +157,7 @@ impl Synthetic {
     pub(super) fn solve(&self) -> Vec<Model> {
         let (views, features) = self.observe();
         let compared = self.compare(&views, &features);
-        let mut shared = vec![self.start.clone()];
+        let mut shared = vec![self.start.clone(); 1 + self.apart.len()];
         refine_guesses(&mut shared, &views, &compared);
         let params = CalibrateParams::default();
         let links = links(&views, &shared, &compared, &params);
