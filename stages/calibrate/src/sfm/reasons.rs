@@ -28,10 +28,20 @@ pub(super) enum Cause {
     Pose {
         links: usize,
     },
-    /// No pair of photos at all has matches and parallax enough to begin with.
+    /// No photos at all have matches and parallax enough to begin with.
     Start {
         angle_deg: f64,
+        fewest: Fewest,
     },
+    /// There is no other photo.
+    Alone,
+}
+
+/// How many photos make a scene: two are believed only where there are no more.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Fewest {
+    Two,
+    Three,
 }
 
 /// Whether photos apart from the scene were placed among themselves.
@@ -55,6 +65,7 @@ pub(super) fn cause(solved: &Solved<'_>, component: &[usize], photo: usize) -> C
         let most = own.map(|one| one.verified.inliers.len()).max().unwrap_or(0);
         return match found {
             0..FEW_FEATURES => Cause::Features { found },
+            _ if solved.prepared.len() == 1 => Cause::Alone,
             _ => Cause::Overlap { most },
         };
     }
@@ -70,6 +81,11 @@ pub(super) fn cause(solved: &Solved<'_>, component: &[usize], photo: usize) -> C
             .map(|link| link.relation.median_angle_rad.to_degrees());
         return Cause::Start {
             angle_deg: angles.fold(0.0, f64::max),
+            fewest: if solved.prepared.len() > 2 {
+                Fewest::Three
+            } else {
+                Fewest::Two
+            },
         };
     }
     let main = solved.models.first().and_then(|model| model.photos().next());
@@ -107,7 +123,14 @@ impl Cause {
             }
             Self::Component { .. } => "a component of their own: nothing links them to the scene",
             Self::Pose { .. } => "linked to the scene, but no pose fits",
-            Self::Start { .. } => "no pair of photos has both matches and parallax enough to begin with",
+            Self::Start {
+                fewest: Fewest::Two, ..
+            } => "no pair of photos has both matches and parallax enough to begin with",
+            Self::Start {
+                fewest: Fewest::Three,
+                ..
+            } => "no three photos that overlap have both matches and parallax enough to begin with",
+            Self::Alone => "a single photo: depth takes two or more, from different places",
         }
     }
 
@@ -130,7 +153,7 @@ impl Cause {
                  parts one by one"
             }
             Self::Pose { .. } => "raise `max_features`, or lower `min_matches`",
-            Self::Start { .. } => {
+            Self::Start { .. } | Self::Alone => {
                 "add photos from places farther apart (a tenth of the distance to what they show), or take the \
                  label's cameras with method = \"labels\""
             }
@@ -141,6 +164,7 @@ impl Cause {
 impl fmt::Display for Cause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
+            Self::Alone => f.write_str(self.kind()),
             Self::Features { found } => write!(f, "{} ({found} found)", self.kind()),
             Self::Overlap { most } => {
                 write!(f, "no overlap: at most {most} matches with any other photo hold")
@@ -165,7 +189,9 @@ impl fmt::Display for Cause {
                 )?;
                 f.write_str("no verified pair links them to the scene")
             }
-            Self::Start { angle_deg } => write!(f, "{} (widest angle {angle_deg:.2} degrees)", self.kind()),
+            Self::Start { angle_deg, .. } => {
+                write!(f, "{} (widest angle {angle_deg:.2} degrees)", self.kind())
+            }
             Self::Pose { links } => write!(f, "{}: {links} pairs hold", self.kind()),
         }
     }

@@ -10,6 +10,8 @@ use crate::estimators::{transfer2, turn_between};
 
 /// Steps of the log grid of focal lengths: 14 % each.
 const STEPS: usize = 24;
+/// Matches that are asked at most: four unknowns need no more.
+const MOST: usize = 200;
 
 /// q = scale p + shift: one picture, cropped or zoomed.
 pub(super) struct SamePicture {
@@ -51,6 +53,7 @@ impl SamePicture {
 
 /// Finds the focal length, within [0.2, 5] x the longer side, under which a turn explains the matches best.
 pub(super) fn other_focal(matches: &Matches<'_>, on: &[usize], camera: &Camera) -> Option<OtherFocal> {
+    let on: Vec<usize> = on.iter().copied().step_by(on.len() / MOST + 1).collect();
     let ray = |i: usize, side: usize, factor: f64| matches.pairs[i][side].push(factor).normalize();
     let turn = |log_factor: f64| {
         let factor = libm::exp(log_factor);
