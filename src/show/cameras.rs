@@ -373,21 +373,21 @@ fn world_direction(frame: &Frame, direction: Vec3) -> Vec3 {
 mod tests {
     use super::*;
 
-    fn axes(up: Option<Vec3>, method: &str) -> Axes {
+    fn axes(up: Option<Vec3>, metres_per_unit: Option<f64>) -> Axes {
         Axes::new(&Scene {
             up,
-            method: method.to_owned(),
+            metres_per_unit,
             ..Scene::default()
         })
     }
 
     #[test]
     fn a_site_frame_has_north_at_the_top_and_east_at_the_right() {
-        let site = axes(Some([0.0, 0.0, -1.0]), "labels");
+        let site = axes(Some([0.0, 0.0, -1.0]), Some(1.0));
         assert_eq!((site.ahead, site.right), ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]));
         assert_eq!((site.ahead_name, site.right_name), ("north", "east"));
-        let other = axes(Some([0.0, 0.0, -1.0]), "import");
-        assert_eq!(other.ahead_name, "y", "north is known of labels alone");
+        let other = axes(Some([0.0, 0.0, -1.0]), None);
+        assert_eq!(other.ahead_name, "y", "north is known in metres alone");
     }
 
     #[test]
@@ -400,7 +400,7 @@ mod tests {
             [0.0; 3],
             [f64::NAN; 3],
         ] {
-            let axes = axes(Some(up), "import");
+            let axes = axes(Some(up), None);
             let turned = cross(axes.right, axes.ahead);
             let apart = sub(turned, axes.up);
             assert!(
