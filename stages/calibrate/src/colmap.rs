@@ -77,6 +77,7 @@ pub(crate) fn run(
         points: cameras.points,
         tracks: Vec::new(),
         components: None,
+        seen: Vec::new(),
         cause: None,
         up: import::mean_up(&placed),
         placed,

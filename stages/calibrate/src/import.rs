@@ -126,6 +126,7 @@ pub(crate) fn run(
         metres_per_unit: None,
         method: format!("import of {}", source.name()),
         components: None,
+        seen: Vec::new(),
         cause: None,
         hint: format!(
             "check that the names in {} are those of the photos beside it",

@@ -84,6 +84,7 @@ pub(crate) fn run(ctx: &Ctx<'_>, items: &[Item], params: &CalibrateParams) -> Re
         up: Some([0.0, 0.0, -1.0]),
         metres_per_unit: Some(1.0),
         components: None,
+        seen: Vec::new(),
         cause: None,
         method: "labels: resampled once to an ideal pinhole, cubic in 8-bit sRGB".to_owned(),
         hint: "take an archive whose labels hold camera models, choose another `site`, widen `sols`, or use \

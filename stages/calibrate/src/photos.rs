@@ -60,6 +60,8 @@ pub(crate) struct Calibrated {
     pub up: Option<[f64; 3]>,
     pub metres_per_unit: Option<f64>,
     pub method: String,
+    /// What was found in each photo of the input set, placed or not; empty if the method does not tell.
+    pub seen: Vec<Found>,
     /// Groups the photos fall into that nothing links, if the method tells.
     pub components: Option<usize>,
     /// Why most of the others were not placed, if the method can tell better than the commonest reason.

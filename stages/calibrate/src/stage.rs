@@ -152,6 +152,9 @@ fn check_training(placed: &[Placed]) -> Result<(), StageError> {
 
 fn metrics(found: &Calibrated, items: &[Item]) -> Metrics {
     let mut photos: Vec<PhotoMetrics> = items.iter().map(unregistered).collect();
+    for (photo, seen) in photos.iter_mut().zip(&found.seen) {
+        (photo.features, photo.matches) = (seen.features, seen.matches);
+    }
     for (index, reason) in &found.unplaced {
         photos[*index].reason.clone_from(reason);
     }

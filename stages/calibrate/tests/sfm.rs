@@ -9,9 +9,10 @@ use std::sync::OnceLock;
 
 use common::{Input, Output, folder, shared};
 use judge::judge;
+use marf_calibrate::Calibrate;
 use marf_extract::{Extract, demo::Demo, demo::DemoOptions};
 use marf_scene::{Camera, Image, Photo, PhotoFacts, Pose, Srgb, encode_png};
-use marf_stage::{Work, define, harness::Harness};
+use marf_stage::{Define, Work, define, harness::Harness};
 use nalgebra::{Vector2, Vector3};
 use serde_json::json;
 
@@ -86,6 +87,16 @@ fn the_demo_is_brought_back_to_its_true_cameras_in_metres() {
         (output.scene.metres_per_unit, output.scene.up),
         (Some(1.0), Some([0.0, 0.0, -1.0]))
     );
+}
+
+/// If this fails, `sfm` answers differently: raise the stage's VERSION and that of the memo whose rows differ
+/// (`sfm/prepare.rs`, `sfm/pairs.rs`), then put the new pair here. It must not fail on another machine.
+#[test]
+fn the_version_is_raised_when_structure_from_motion_answers_otherwise() {
+    let (input, _) = demo();
+    let output = input.run(&json!({"method": "sfm"})).unwrap();
+    let found = (Calibrate::VERSION, output.scene_digest.short());
+    assert_eq!(found, (2, "f0fe36e61e08".to_owned()));
 }
 
 #[test]

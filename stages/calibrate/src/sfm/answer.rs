@@ -58,6 +58,9 @@ pub(super) fn answer(
         placed,
         method: method(solved, metric, earlier),
         components: Some(groups(solved)),
+        seen: (0..solved.prepared.len())
+            .map(|photo| seen(solved, photo))
+            .collect(),
         cause: worst
             .as_ref()
             .map(|(count, cause)| format!("{count} photos: {}", cause.kind())),
@@ -151,15 +154,23 @@ fn frame(
         cam_from_world: model.poses[photo].unwrap_or_else(marf_scene::Pose::identity),
         held_out: None,
         found: Found {
-            features: Some(solved.prepared[photo].features.keypoints.len() as u32),
-            matches: Some(solved.task.tracks.in_photo(photo).count() as u32),
             inliers: Some(errors.len() as u32),
             error_px: Some(mean * f64::from(row.factor) / f64::from(factor)),
             error_working_px: Some(mean),
             deviation: None,
             note: note(row.note.as_deref(), outvoted),
+            ..seen(solved, photo)
         },
     })
+}
+
+/// What was found in a photo before any was placed.
+fn seen(solved: &Solved<'_>, photo: usize) -> Found {
+    Found {
+        features: Some(solved.prepared[photo].features.keypoints.len() as u32),
+        matches: Some(solved.task.tracks.in_photo(photo).count() as u32),
+        ..Found::default()
+    }
 }
 
 /// What the label said and why it does not count.
@@ -206,14 +217,14 @@ fn tracks(solved: &Solved<'_>, model: &Model) -> Vec<TrackPoint> {
             let position = (*point)?;
             let active = task.tracks.range(track).filter(|&sight| model.active[sight]);
             let seen: Vec<_> = active.map(|sight| task.tracks.sights[sight]).collect();
-            let errors = seen.iter().filter_map(|sight| model.error_px(task, sight));
+            let factor = |photo: u32| f64::from(solved.prepared[photo as usize].row.factor);
+            let errors = seen
+                .iter()
+                .filter_map(|sight| Some(model.error_px(task, sight)? * factor(sight.photo)));
             let error_px = errors.sum::<f64>() / seen.len().max(1) as f64;
-            let sights = seen.iter().map(|sight| {
-                let factor = f64::from(solved.prepared[sight.photo as usize].row.factor);
-                Sight {
-                    frame: sight.photo,
-                    pixel: (sight.pixel * factor).into(),
-                }
+            let sights = seen.iter().map(|sight| Sight {
+                frame: sight.photo,
+                pixel: (sight.pixel * factor(sight.photo)).into(),
             });
             let colors = seen
                 .iter()
