@@ -10,7 +10,7 @@ const MAX_TURN_RAD: f64 = 0.05;
 
 /// Joins the last model to an earlier one that shares photos with it; photos that stay in both are taken from
 /// the last.
-pub(super) fn join(task: &Task<'_>, mut models: Vec<Model>) -> Result<Vec<Model>, MapError> {
+pub(crate) fn join(task: &Task<'_>, mut models: Vec<Model>) -> Result<Vec<Model>, MapError> {
     let Some(mut last) = models.pop() else {
         return Ok(models);
     };

@@ -14,6 +14,7 @@ mod tracks;
 use marf_scene::Camera;
 use nalgebra::Vector2;
 
+pub(crate) use join::join;
 pub(crate) use lens::{CentreChoice, LensChoice};
 pub(crate) use model::Model;
 pub(crate) use refine::{Deviation, FINE, deviations, settle};
@@ -105,7 +106,7 @@ pub(crate) fn map(task: &Task<'_>) -> Result<Vec<Model>, MapError> {
             *taken |= pose.is_some();
         }
         models.push(model);
-        models = join::join(task, models)?;
+        models = join(task, models)?;
     }
     for model in &mut models {
         lens::finish(task, model)?;

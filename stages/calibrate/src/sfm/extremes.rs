@@ -3,6 +3,11 @@
 use marf_scene::{Camera, Pose};
 use nalgebra::{Matrix3, Vector3};
 
+use crate::align::{Tolerance, align};
+use crate::estimators::Similarity;
+use crate::mapper::{Model, join, map};
+use crate::metric::transform;
+
 use super::synthetic::{Judged, Synthetic, arc, camera, cloud, guessed, known};
 
 /// 0.3 px of noise at 800 px of focal length and some 150 points leave about this much.
@@ -283,4 +288,43 @@ fn noise_is_followed_and_more_of_it_is_survived() {
             "{noise_px}: {judged:?}"
         );
     }
+}
+
+/// Two halves of a walk, in frames of their own, with four photos in both.
+#[test]
+fn models_that_share_photos_are_joined_and_others_stay_apart() {
+    let scene = Synthetic::new(arc(12, 6.0, 2.0), ball(400));
+    scene.with_task(|task| {
+        let whole = map(task).unwrap().remove(0);
+        let part = |photos: std::ops::Range<usize>| {
+            let mut part = whole.clone();
+            for photo in (0..12).filter(|photo| !photos.contains(photo)) {
+                part.remove(task, photo);
+            }
+            part.anchor = photos.start;
+            part
+        };
+        let elsewhere = |mut model: Model| {
+            let similarity = Similarity {
+                scale: 7.0,
+                rotation: Matrix3::new(0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0),
+                translation: Vector3::new(100.0, -50.0, 3.0),
+            };
+            transform(&mut model, &similarity);
+            model
+        };
+        let joined = join(task, vec![part(0..8), elsewhere(part(4..12))]).unwrap();
+        assert_eq!(joined.len(), 1);
+        assert_eq!(joined[0].photos().count(), 12);
+        let pairs: Vec<(Pose, Pose)> = (0..12)
+            .map(|photo| (joined[0].poses[photo].unwrap(), scene.poses[photo]))
+            .collect();
+        let close = Tolerance {
+            distance: 0.02,
+            angle_rad: ANGLE_RAD,
+        };
+        assert_eq!(align(&pairs, &close).unwrap().inliers.len(), 12);
+        let apart = join(task, vec![part(0..6), elsewhere(part(6..12))]).unwrap();
+        assert_eq!(apart.len(), 2);
+    });
 }

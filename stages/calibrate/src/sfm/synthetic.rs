@@ -155,6 +155,11 @@ impl Synthetic {
 
     /// Solves it as [`super::run`] does.
     pub(super) fn solve(&self) -> Vec<Model> {
+        self.with_task(|task| map(task).unwrap())
+    }
+
+    /// Hands over what the mapper gets.
+    pub(super) fn with_task<R>(&self, work: impl FnOnce(&Task<'_>) -> R) -> R {
         let (views, features) = self.observe();
         let compared = self.compare(&views, &features);
         let mut shared = vec![self.start.clone(); 1 + self.apart.len()];
@@ -170,7 +175,7 @@ impl Synthetic {
             stop: &|| false,
             placed: &|_| (),
         };
-        map(&task).unwrap()
+        work(&task)
     }
 
     /// The largest model against the truth; `None` where there is no model.
