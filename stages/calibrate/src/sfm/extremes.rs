@@ -243,6 +243,19 @@ fn the_unit_and_the_place_of_the_world_are_no_matter() {
     }
 }
 
+/// Half of the points are the other half a little to the right, and a third of the matches take one for the other:
+/// wrong matches that agree with each other.
+#[test]
+fn repeated_texture_is_solved() {
+    let mut points = ball(200);
+    points.extend(ball(200).iter().map(|point| point + Vector3::new(0.4, 0.0, 0.0)));
+    let scene = Synthetic {
+        confused: 0.33,
+        ..Synthetic::new(arc(10, 6.0, 1.6), points)
+    };
+    right("a third confused", &scene);
+}
+
 #[test]
 fn a_photo_of_another_place_stays_out() {
     let mut poses = arc(8, 6.0, 1.6);

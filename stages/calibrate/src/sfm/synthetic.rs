@@ -21,6 +21,8 @@ pub(super) struct Synthetic {
     pub noise_px: f64,
     /// Share of matches that lead to a wrong feature.
     pub outliers: f64,
+    /// Share of matches that lead to the point's likeness: the one half a list further.
+    pub confused: f64,
     pub start: SharedCamera,
     /// Photos that share their camera with no other.
     pub apart: Vec<usize>,
@@ -90,6 +92,7 @@ impl Synthetic {
             points,
             noise_px: 0.3,
             outliers: 0.1,
+            confused: 0.0,
             start: known(camera()),
             apart: Vec::new(),
         }
@@ -127,8 +130,15 @@ impl Synthetic {
         let mut compared = Vec::new();
         for a in 0..views.len() {
             for b in a + 1..views.len() {
-                let both = features[a].iter().zip(&features[b]);
-                let mut matches: Vec<[u32; 2]> = both.filter_map(|(a, b)| Some([(*a)?, (*b)?])).collect();
+                let half = self.points.len() / 2;
+                let mut seen_as = |point: usize| match self.confused > 0.0 && dice.unit() < self.confused {
+                    true => features[b][(point + half) % self.points.len()],
+                    false => features[b][point],
+                };
+                let both = features[a].iter().enumerate();
+                let mut matches: Vec<[u32; 2]> = both
+                    .filter_map(|(point, a)| Some([(*a)?, seen_as(point)?]))
+                    .collect();
                 for pair in &mut matches {
                     if dice.unit() < self.outliers {
                         pair[1] = dice.below(views[b].pixels.len()) as u32;
