@@ -115,6 +115,22 @@ fn a_label_that_is_wrong_is_outvoted_and_named() {
 }
 
 #[test]
+fn labels_that_contradict_the_photos_give_no_scale_and_that_is_said() {
+    let (mut input, truth) = demo();
+    for index in 0..truth.len() {
+        input.turn_label(index, 30.0 * index as f64);
+    }
+    let output = input.run(&json!({"method": "sfm"})).unwrap();
+    assert_eq!(output.scene.metres_per_unit, None);
+    let said = &output.scene.method;
+    assert!(
+        said.contains("without scale: of 40 labels no half agrees"),
+        "{said}"
+    );
+    assert!(judge(&output.scene, &truth).position[1] < 0.002);
+}
+
+#[test]
 fn what_is_kept_of_photos_and_pairs_is_enough_to_solve_them_again() {
     let (input, _) = demo();
     let first = input.run(&json!({"method": "sfm"})).unwrap();

@@ -5,8 +5,10 @@ use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 use super::epipolar::Pair;
 use super::fundamental::{moved, normaliser};
+use super::ransac::{Consensus, Trials, lo_ransac};
 use super::rotation::nearest_rotation;
 use super::svd::{matrix, smallest, svd3};
+use crate::dice::Dice;
 
 /// Returns H with x2 ~ H x1 for four points, unit norm; `None` where three of them are on a line in either
 /// photo.
@@ -106,6 +108,42 @@ fn plane_motion(h: &Matrix3<f64>, middle: &Vector3<f64>, unit: &Vector3<f64>, pa
         rotation,
         translation,
     }
+}
+
+/// A homography and its inverse.
+pub(crate) type TwoWay = [Matrix3<f64>; 2];
+
+/// Returns the homography most pairs agree on, by LO-RANSAC over four points; an error is the larger of the
+/// distances in both photos. `noise2`: squared sigma of one unit of error in photo 1 and 2; `limit`: largest error
+/// of an inlier in that unit.
+pub(crate) fn two_way_homography(
+    pairs: &[Pair],
+    noise2: [f64; 2],
+    limit: f64,
+    trials: &Trials,
+    dice: &mut Dice,
+) -> Option<Consensus<TwoWay>> {
+    let both_ways = |homography: Matrix3<f64>| Some([homography, homography.try_inverse()?]);
+    let solve = |sample: &[usize; 4]| {
+        let side = |side: usize| sample.map(|i| pairs[i][side]);
+        four_point(&side(0), &side(1))
+            .and_then(both_ways)
+            .into_iter()
+            .collect()
+    };
+    let error2 = |[forth, back]: &TwoWay, i: usize| {
+        let [p, q] = &pairs[i];
+        let errors = [
+            transfer2(forth, p, q) / noise2[1],
+            transfer2(back, q, p) / noise2[0],
+        ];
+        errors[0].max(errors[1]) / (limit * limit)
+    };
+    let improve = |_: &TwoWay, inliers: &[usize]| {
+        let agreed: Vec<Pair> = inliers.iter().map(|&i| pairs[i]).collect();
+        fit_homography(&agreed).and_then(both_ways)
+    };
+    lo_ransac(pairs.len(), trials, dice, solve, error2, improve)
 }
 
 #[cfg(test)]

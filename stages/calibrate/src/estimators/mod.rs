@@ -23,7 +23,7 @@ pub(crate) mod scenes;
 pub(crate) use epipolar::{Family, Pair, depths, essential_of, polish_epipolar, pose_of_essential, sampson2};
 pub(crate) use essential::five_point;
 pub(crate) use fundamental::{eight_point, seven_point};
-pub(crate) use homography::{fit_homography, four_point, plane_motions, transfer2};
+pub(crate) use homography::{TwoWay, plane_motions, transfer2, two_way_homography};
 pub(crate) use ransac::{Consensus, Trials, better, improved, lo_ransac};
 pub(crate) use rotation::{cross_matrix, turn_between};
 

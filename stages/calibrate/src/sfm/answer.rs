@@ -288,6 +288,14 @@ fn commonest(causes: &[(usize, Cause)]) -> Option<(usize, Cause)> {
     most.map(|(count, cause)| (count, cause.clone()))
 }
 
+/// Photos of the model whose label says where they were taken.
+fn labelled(solved: &Solved<'_>, model: &Model) -> usize {
+    model
+        .photos()
+        .filter(|&photo| solved.prepared[photo].row.label.is_some())
+        .count()
+}
+
 /// What was done, for people and for the record.
 fn method(solved: &Solved<'_>, metric: bool, earlier: Option<&Earlier>) -> String {
     let Some(model) = solved.models.first() else {
@@ -297,7 +305,10 @@ fn method(solved: &Solved<'_>, metric: bool, earlier: Option<&Earlier>) -> Strin
     let scale = match (earlier, metric) {
         (Some(_), _) => "added to the earlier scene".to_owned(),
         (None, true) => format!("in metres by the labels, {outvoted} of them outvoted"),
-        (None, false) => "without scale: no labels".to_owned(),
+        (None, false) => match labelled(solved, model) {
+            0 => "without scale: no labels".to_owned(),
+            count => format!("without scale: of {count} labels no half agrees with the photos"),
+        },
     };
     format!("sfm: {} lens, {scale}", super::lens_name(model.lens))
 }

@@ -7,8 +7,8 @@ use crate::params::{CalibrateParams, Intrinsics};
 use crate::photos::Item;
 use crate::two_view::{FocalKnown, focal_from_pairs};
 
-/// A label's focal length is good to half a percent (zoom and temperature), EXIF's to a tenth (whole
-/// millimetres, and the part of the sensor used).
+/// How far the focal lengths of labels and of EXIF are trusted, as a share. A tenth of a percent is our choice: the
+/// demo's labels are exact in it, and photos that say otherwise outvote it. EXIF has whole millimetres.
 const LABEL_SIGMA: f64 = 0.001;
 const EXIF_SIGMA: f64 = 0.1;
 /// Without any word on the focal length: COLMAP's guess, a share of the longer side.

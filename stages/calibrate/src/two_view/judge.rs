@@ -7,8 +7,8 @@ use super::spots::{Spots, centring, focal_px, intrinsics};
 use super::{FocalKnown, VerifyOptions};
 use crate::dice::Dice;
 use crate::estimators::{
-    Consensus, Family, Pair, Trials, better, cross_matrix, eight_point, fit_homography, five_point,
-    four_point, improved, lo_ransac, polish_epipolar, sampson2, seven_point, transfer2,
+    Consensus, Family, Pair, Trials, TwoWay, better, cross_matrix, eight_point, five_point, improved,
+    lo_ransac, polish_epipolar, sampson2, seven_point, two_way_homography,
 };
 
 /// Damped steps of a refinement inside the search, and of the last one.
@@ -17,9 +17,6 @@ const LAST_STEPS: usize = 10;
 
 /// Samples of two points off the plane: at a share of .2 of true ones all miss with chance 3e-4.
 const PARALLAX_TRIALS: u32 = 200;
-
-/// A homography and its inverse: an inlier must be near both ways.
-pub(super) type TwoWay = [Matrix3<f64>; 2];
 
 /// Consensus of each model over the same matches.
 pub(super) struct Judged {
@@ -123,31 +120,7 @@ impl Search<'_> {
     }
 
     fn homography(&self, dice: &mut Dice) -> Option<Consensus<TwoWay>> {
-        let both_ways = |homography: Matrix3<f64>| Some([homography, homography.try_inverse()?]);
-        let solve = |sample: &[usize; 4]| {
-            let side = |side: usize| sample.map(|i| self.pairs[i][side]);
-            four_point(&side(0), &side(1))
-                .and_then(both_ways)
-                .into_iter()
-                .collect()
-        };
-        let improve = |_: &TwoWay, inliers: &[usize]| {
-            let agreed: Vec<Pair> = Self::selected(&self.pairs, inliers).copied().collect();
-            fit_homography(&agreed).and_then(both_ways)
-        };
-        lo_ransac(
-            self.pairs.len(),
-            &self.few(),
-            dice,
-            solve,
-            |h, i| self.transfer_error(h, i),
-            improve,
-        )
-    }
-
-    fn transfer_error(&self, [forth, back]: &TwoWay, i: usize) -> f64 {
-        let [p, q] = &self.pairs[i];
-        transfer2(forth, p, q).max(transfer2(back, q, p)) / (self.limit * self.limit)
+        two_way_homography(&self.pairs, [1.0; 2], self.limit, &self.few(), dice)
     }
 
     /// `noise2`: one unit of `pairs` in plane units, squared; errors come out in that unit.

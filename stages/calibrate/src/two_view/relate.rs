@@ -9,9 +9,9 @@ use super::verify::PLANAR_SHARE;
 use super::{FocalKnown, Relation, RelationKind, ViewPoints};
 use crate::dice::Dice;
 use crate::estimators::{
-    Consensus, Family, Pair, Trials, better, cross_matrix, depths, essential_of, fit_homography, five_point,
-    four_point, improved, lo_ransac, plane_motions, polish_epipolar, pose_of_essential, sampson2, transfer2,
-    turn_between,
+    Consensus, Family, Pair, Trials, TwoWay, better, cross_matrix, depths, essential_of, five_point,
+    improved, lo_ransac, plane_motions, polish_epipolar, pose_of_essential, sampson2, transfer2,
+    turn_between, two_way_homography,
 };
 
 /// Verified matches are mostly right: a hundred samples reach a share of .4 of five.
@@ -189,34 +189,15 @@ impl Matches<'_> {
         )
     }
 
-    fn homography(&self, dice: &mut Dice) -> Option<Consensus<[Matrix3<f64>; 2]>> {
-        let both_ways = |homography: Matrix3<f64>| Some([homography, homography.try_inverse()?]);
-        let solve = |sample: &[usize; 4]| {
-            let side = |side: usize| sample.map(|i| self.pairs[i][side]);
-            four_point(&side(0), &side(1))
-                .and_then(both_ways)
-                .into_iter()
-                .collect()
-        };
-        let error2 = |[forth, back]: &[Matrix3<f64>; 2], i: usize| {
-            let [p, q] = &self.pairs[i];
-            let errors = [
-                transfer2(forth, p, q) / self.noise2[1],
-                transfer2(back, q, p) / self.noise2[0],
-            ];
-            errors[0].max(errors[1]) / (self.limit * self.limit)
-        };
-        let improve = |_: &[Matrix3<f64>; 2], inliers: &[usize]| {
-            fit_homography(&self.agreed(inliers).copied().collect::<Vec<_>>()).and_then(both_ways)
-        };
-        lo_ransac(self.pairs.len(), &self.half(), dice, solve, error2, improve)
+    fn homography(&self, dice: &mut Dice) -> Option<Consensus<TwoWay>> {
+        two_way_homography(self.pairs, self.noise2, self.limit, &self.half(), dice)
     }
 
     /// Essential matrices worth comparing, those of planes first, the lesser turn before the other.
     fn candidates(
         &self,
         sampled: Option<Consensus<Matrix3<f64>>>,
-        plane: Option<&Consensus<[Matrix3<f64>; 2]>>,
+        plane: Option<&Consensus<TwoWay>>,
         turn: Option<&Consensus<Matrix3<f64>>>,
     ) -> Vec<Matrix3<f64>> {
         let half = self.pairs.len() / 2;
