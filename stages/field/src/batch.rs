@@ -1,11 +1,16 @@
-//! One chunk of rays: forward, loss, and all gradients but those of the tables.
+//! A batch in chunks of rays: samples, features, loss, and all gradients but those of the tables.
+
+use std::sync::Mutex;
+
+use rayon::prelude::*;
 
 use crate::cpu::composite::{Gathered, NotFinite, RAW_LIMIT, Ray, colour, colour_slope};
-use crate::cpu::march::{Bits, March, Steps};
+use crate::cpu::encode::Points;
+use crate::cpu::march::{Bits, March, Samples, Steps};
 use crate::cpu::math::not_finite;
-use crate::cpu::simd::{Block, Level};
+use crate::cpu::simd::{Block, Isa, Kernel, LANES, Level, Stripe};
 use crate::frame::RayStart;
-use crate::shade::{Shade, Span};
+use crate::shade::{Shade, Span, lookup};
 use crate::weights::Weights;
 use crate::{Background, Config, sh};
 
@@ -41,17 +46,22 @@ pub struct Shared<'a> {
     pub rays: usize,
 }
 
-/// What a chunk found.
+/// Rays that are trained together. Its memory is kept from step to step.
+#[derive(Default)]
+pub struct Chunk {
+    /// Samples on the rays, padded to a multiple of 16; after training those that were trained.
+    pub samples: Samples,
+    /// Encoded features of the samples; after training their gradients.
+    pub features: Vec<Block>,
+    spans: Vec<Span>,
+    harmonics: Vec<[f32; sh::COUNT]>,
+    /// What training found.
+    pub found: Found,
+}
+
+/// What a chunk found beside the gradients of its features.
 #[derive(Clone, Debug, Default)]
 pub struct Found {
-    /// Positions of the trained samples, padded to a multiple of 16.
-    pub x: Vec<f32>,
-    /// As `x`.
-    pub y: Vec<f32>,
-    /// As `x`.
-    pub z: Vec<f32>,
-    /// Gradients of the encoded features.
-    pub features: Vec<Block>,
     /// Gradients of the density network's layers.
     pub density: Vec<Vec<Block>>,
     /// Gradients of the colour network's layers.
@@ -70,55 +80,73 @@ pub struct Found {
     pub bad: Option<&'static str>,
 }
 
+/// Memory of the workers; who needs some takes it from here and brings it back.
+pub type Spares = Mutex<Vec<Scratch>>;
+
 /// Memory of one worker.
 #[derive(Default)]
 pub struct Scratch {
     shade: Shade,
-    spans: Vec<Span>,
     kept: Vec<u32>,
-    harmonics: Vec<[f32; sh::COUNT]>,
+    before: Vec<f32>,
     d_tau: Vec<f32>,
     d_rgb: Vec<[f32; 4]>,
     slope: Vec<Block>,
     spare: Vec<Block>,
 }
 
-impl Scratch {
-    /// Trains on a chunk of rays.
-    pub fn run(&mut self, shared: &Shared, targets: &[Target]) -> Found {
-        let visited = self.march(shared, targets);
-        self.shade.densities(shared.level, shared.weights);
-        let mut found = Found {
-            visited,
-            ..Found::default()
-        };
-        if not_finite(&self.shade.raw) > 0 {
-            found.bad = Some("raw density");
-            return found;
+/// Trains on a batch, `rays` rays a chunk; fills `chunks`.
+///
+/// Features are looked up level by level over the whole batch: the cache then holds one table, not all.
+pub fn train(shared: &Shared, targets: &[Target], rays: usize, chunks: &mut Vec<Chunk>, spares: &Spares) {
+    chunks.resize_with(targets.len().div_ceil(rays), Chunk::default);
+    let pairs = chunks.par_iter_mut().zip(targets.par_chunks(rays));
+    pairs.for_each(|(chunk, targets)| chunk.march(shared, targets));
+    encode(shared, chunks);
+    let pairs = chunks.par_iter_mut().zip(targets.par_chunks(rays));
+    pairs.with_max_len(1).for_each(|(chunk, targets)| {
+        let spare = spares.lock().ok().and_then(|mut spares| spares.pop());
+        let mut scratch = spare.unwrap_or_default();
+        scratch.train(shared, targets, chunk);
+        if let Ok(mut spares) = spares.lock() {
+            spares.push(scratch);
         }
-        let nothing = vec![0.0; targets.len()];
-        self.shade.opacities(shared.level, &self.spans, &nothing);
-        self.shade.drop_hidden(&mut self.spans, &mut self.kept);
-        self.shade
-            .colours(shared.level, shared.weights, &self.spans, &self.harmonics);
-        let logits = self.shade.color.last().map_or(&[][..], Vec::as_slice);
-        if shared.level.run(NotFinite(logits)) > 0 {
-            found.bad = Some("colour logits");
-            return found;
-        }
-        found.samples = self.kept.len() as u64;
-        self.losses(shared, targets, &mut found);
-        self.backward(shared, &mut found);
-        found
-    }
+    });
+}
 
+/// One task a level and chunk, level by level.
+fn encode(shared: &Shared, chunks: &mut [Chunk]) {
+    let weights = shared.weights;
+    let levels = weights.shapes.iter().zip(&weights.tables);
+    let mut tasks: Vec<Vec<(Points, Stripe)>> = levels.clone().map(|_| Vec::new()).collect();
+    for chunk in chunks {
+        let points = chunk.samples.points();
+        let stripes = Stripe::cut(&mut chunk.features, weights.row_blocks(), weights.features);
+        for (tasks, stripe) in tasks.iter_mut().zip(stripes) {
+            tasks.push((points, stripe));
+        }
+    }
+    let tasks = levels.zip(tasks).flat_map(|((shape, table), tasks)| {
+        let one = move |(points, stripe)| (*shape, table.as_slice(), points, stripe);
+        tasks.into_iter().map(one)
+    });
+    let tasks: Vec<_> = tasks.collect();
+    tasks
+        .into_par_iter()
+        .with_min_len(4)
+        .for_each(|(shape, table, points, stripe)| {
+            lookup(shared.level, weights.features, shape, table, points, stripe);
+        });
+}
+
+impl Chunk {
     /// Collects the samples of every ray.
-    fn march(&mut self, shared: &Shared, targets: &[Target]) -> u64 {
-        self.shade.samples.resize(0);
+    fn march(&mut self, shared: &Shared, targets: &[Target]) {
+        self.samples.resize(0);
         self.spans.clear();
         self.harmonics.clear();
         for target in targets {
-            let first = self.shade.samples.len();
+            let first = self.samples.len();
             let mut harmonics = [0.0; sh::COUNT];
             if let Some(start) = target.start {
                 harmonics = sh::harmonics(start.direction);
@@ -130,68 +158,78 @@ impl Scratch {
                     jitter: target.jitter,
                     first: 0,
                     limit: usize::MAX,
-                    samples: &mut self.shade.samples,
+                    samples: &mut self.samples,
                 });
             }
-            let end = self.shade.samples.len();
+            let end = self.samples.len();
             self.spans.push(Span { first, end });
             self.harmonics.push(harmonics);
         }
-        self.shade.samples.len() as u64
+        self.found.visited = self.samples.len() as u64;
+        let padded = self.samples.len().next_multiple_of(LANES);
+        self.samples.resize(padded);
+        let rows = padded * shared.weights.row_blocks();
+        self.features.resize(rows, Block::default());
+    }
+}
+
+impl Scratch {
+    /// Trains on the rays of a chunk whose features have been looked up.
+    fn train(&mut self, shared: &Shared, targets: &[Target], chunk: &mut Chunk) {
+        std::mem::swap(&mut self.shade.samples, &mut chunk.samples);
+        std::mem::swap(&mut self.shade.features, &mut chunk.features);
+        chunk.found.bad = self.learn(shared, targets, chunk).err();
+        std::mem::swap(&mut self.shade.samples, &mut chunk.samples);
+        std::mem::swap(&mut self.slope, &mut chunk.features);
+    }
+
+    /// # Errors
+    /// The first tensor that is not finite.
+    fn learn(&mut self, shared: &Shared, targets: &[Target], chunk: &mut Chunk) -> Result<(), &'static str> {
+        self.shade.infer(shared.level, shared.weights);
+        if not_finite(&self.shade.raw) > 0 {
+            return Err("raw density");
+        }
+        self.before.resize(targets.len(), 0.0);
+        self.shade.opacities(shared.level, &chunk.spans, &self.before);
+        self.shade.drop_hidden(&mut chunk.spans, &mut self.kept);
+        self.shade
+            .colours(shared.level, shared.weights, &chunk.spans, &chunk.harmonics);
+        let logits = self.shade.color.last().map_or(&[][..], Vec::as_slice);
+        if shared.level.run(NotFinite(logits)) > 0 {
+            return Err("colour logits");
+        }
+        chunk.found.samples = self.kept.len() as u64;
+        self.losses(shared, targets, chunk);
+        self.backward(shared, &mut chunk.found);
+        if shared.level.run(NotFinite(&self.slope)) > 0 {
+            return Err("gradient of the features");
+        }
+        Ok(())
     }
 
     /// Compares every ray with its pixel and sends the difference back to densities, colours, background, gain.
-    fn losses(&mut self, shared: &Shared, targets: &[Target], found: &mut Found) {
+    fn losses(&mut self, shared: &Shared, targets: &[Target], chunk: &mut Chunk) {
         let n = self.shade.raw.len();
         self.d_tau.clear();
         self.d_tau.resize(n, 0.0);
         self.d_rgb.clear();
         self.d_rgb.resize(n, [0.0; 4]);
-        found.background = vec![0.0; 3 * sh::COUNT];
-        for (index, target) in targets.iter().enumerate() {
-            if target.start.is_some() {
-                self.loss(shared, index, target, found);
-            }
-        }
-    }
-
-    fn loss(&mut self, shared: &Shared, index: usize, target: &Target, found: &mut Found) {
-        let Span { first, end } = self.spans[index];
-        let shade = &self.shade;
-        let ray = Ray {
-            alpha: &shade.alpha[first..end],
-            transmittance: &shade.transmittance[first..end],
-            rgb: &shade.rgb[first..end],
-            place: &shade.samples.place[first..end],
-        };
-        let Gathered { rgb, left } = ray.gather();
-        let harmonics = &self.harmonics[index];
-        let logits = shared.weights.logits_behind(harmonics);
-        let behind = shared.weights.behind(shared.config.background, harmonics);
-        let scale = 2.0 / (3 * shared.rays) as f32;
-        let (mut slope, mut gains) = ([0.0; 3], [0.0; 3]);
-        for channel in 0..3 {
-            let plain = left.mul_add(behind[channel], rgb[channel]);
-            let error = plain.mul_add(target.gain[channel], -target.rgb[channel]);
-            found.loss += f64::from(error * error);
-            slope[channel] = scale * error * target.gain[channel];
-            gains[channel] = slope[channel] * plain;
-        }
-        let strength = shared.config.distortion as f32 / shared.rays as f32;
-        let cell = 1.0 / shared.steps.count as f32;
-        let (d_tau, d_rgb) = (&mut self.d_tau[first..end], &mut self.d_rgb[first..end]);
-        ray.spread(slope, behind, [strength, cell], d_tau, d_rgb);
-        found.gains.push((target.view, gains));
-        if shared.config.background == Background::Direction {
-            for channel in 0..3 {
-                let value = colour(logits[channel]);
-                let d_logit = left * slope[channel] * colour_slope(logits[channel], value);
-                let row = &mut found.background[channel * sh::COUNT..][..sh::COUNT];
-                for (gradient, harmonic) in row.iter_mut().zip(harmonics) {
-                    *gradient = d_logit.mul_add(*harmonic, *gradient);
-                }
-            }
-        }
+        let found = &mut chunk.found;
+        found.loss = 0.0;
+        found.gains.clear();
+        found.background.clear();
+        found.background.resize(3 * sh::COUNT, 0.0);
+        shared.level.run(Losses {
+            shared,
+            targets,
+            spans: &chunk.spans,
+            harmonics: &chunk.harmonics,
+            shade: &self.shade,
+            d_tau: &mut self.d_tau,
+            d_rgb: &mut self.d_rgb,
+            found,
+        });
     }
 
     /// Carries the gradients through both networks to the features.
@@ -207,7 +245,7 @@ impl Scratch {
                 slope.0[channel] = self.d_rgb[index][channel] * colour_slope(logit, value);
             }
         }
-        found.color = weights.color.gradients();
+        weights.color.shape_gradients(&mut found.color);
         let (slope, spare) = (&mut self.slope, &mut self.spare);
         weights.color.backward(
             shared.level,
@@ -225,7 +263,7 @@ impl Scratch {
             slope[index] = row;
         }
         slope.truncate(n);
-        found.density = weights.density.gradients();
+        weights.density.shape_gradients(&mut found.density);
         weights.density.backward(
             shared.level,
             &shade.features,
@@ -234,12 +272,74 @@ impl Scratch {
             spare,
             &mut found.density,
         );
-        if shared.level.run(NotFinite(slope)) > 0 {
-            found.bad = Some("gradient of the features");
+    }
+}
+
+/// The loss of every ray and its gradients.
+struct Losses<'a> {
+    shared: &'a Shared<'a>,
+    targets: &'a [Target],
+    spans: &'a [Span],
+    harmonics: &'a [[f32; sh::COUNT]],
+    shade: &'a Shade,
+    d_tau: &'a mut [f32],
+    d_rgb: &'a mut [[f32; 4]],
+    found: &'a mut Found,
+}
+
+impl Kernel for Losses<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(mut self, _isa: I) {
+        let rays = self.targets.iter().zip(self.spans).zip(self.harmonics);
+        for ((target, span), harmonics) in rays.filter(|((target, _), _)| target.start.is_some()) {
+            self.ray(target, *span, harmonics);
         }
-        found.features.clone_from(slope);
-        found.x.clone_from(&shade.samples.x);
-        found.y.clone_from(&shade.samples.y);
-        found.z.clone_from(&shade.samples.z);
+    }
+}
+
+impl Losses<'_> {
+    #[inline(always)]
+    fn ray(&mut self, target: &Target, Span { first, end }: Span, harmonics: &[f32; sh::COUNT]) {
+        let (shared, shade) = (self.shared, self.shade);
+        let ray = Ray {
+            alpha: &shade.alpha[first..end],
+            transmittance: &shade.transmittance[first..end],
+            rgb: &shade.rgb[first..end],
+            place: &shade.samples.place[first..end],
+        };
+        let Gathered { rgb, left } = ray.gather();
+        let logits = shared.weights.logits_behind(harmonics);
+        let behind = shared.weights.behind(shared.config.background, harmonics);
+        let scale = 2.0 / (3 * shared.rays) as f32;
+        let (mut slope, mut gains) = ([0.0; 3], [0.0; 3]);
+        for channel in 0..3 {
+            let plain = left.mul_add(behind[channel], rgb[channel]);
+            let error = plain.mul_add(target.gain[channel], -target.rgb[channel]);
+            self.found.loss += f64::from(error * error);
+            slope[channel] = scale * error * target.gain[channel];
+            gains[channel] = slope[channel] * plain;
+        }
+        let strength = shared.config.distortion as f32 / shared.rays as f32;
+        let cell = 1.0 / shared.steps.count as f32;
+        let (d_tau, d_rgb) = (&mut self.d_tau[first..end], &mut self.d_rgb[first..end]);
+        ray.spread(slope, behind, [strength, cell], d_tau, d_rgb);
+        self.found.gains.push((target.view, gains));
+        if shared.config.background == Background::Direction {
+            self.behind(slope.map(|slope| left * slope), logits, harmonics);
+        }
+    }
+
+    /// Sends the gradient of the background's colour to its coefficients.
+    #[inline(always)]
+    fn behind(&mut self, slope: [f32; 3], logits: [f32; 3], harmonics: &[f32; sh::COUNT]) {
+        for channel in 0..3 {
+            let d_logit = slope[channel] * colour_slope(logits[channel], colour(logits[channel]));
+            let row = &mut self.found.background[channel * sh::COUNT..][..sh::COUNT];
+            for (gradient, harmonic) in row.iter_mut().zip(harmonics) {
+                *gradient = d_logit.mul_add(*harmonic, *gradient);
+            }
+        }
     }
 }

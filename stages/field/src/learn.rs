@@ -2,10 +2,10 @@
 
 use rayon::prelude::*;
 
-use crate::batch::Found;
+use crate::batch::Chunk;
 use crate::cpu::adam::{Adam, Bias, Moments};
-use crate::cpu::encode::{Points, Scatter, Shape};
-use crate::cpu::simd::{Block, LANES, Level, flat};
+use crate::cpu::encode::{Scatter, Shape};
+use crate::cpu::simd::{Level, flat};
 use crate::trainer::State;
 use crate::weights::NET_ROW;
 use crate::{Gain, Trainer};
@@ -21,19 +21,19 @@ const GAIN_RATE: f32 = 0.1;
 
 impl Trainer {
     /// Takes the gradients of all chunks into the weights.
-    pub(crate) fn learn(&mut self, found: &[Found]) {
+    pub(crate) fn learn(&mut self, chunks: &[Chunk]) {
         let slowed = 1.0 + 3.0 * self.state.steps as f64 / f64::from(self.config.half_rate_steps);
         let rate = (self.config.learning_rate / slowed.sqrt()) as f32;
         let keep = AVERAGE.min((1.0 + self.state.steps as f32) / (10.0 + self.state.steps as f32));
-        self.learn_tables(found, rate, keep);
-        self.learn_networks(found, rate, keep);
+        self.learn_tables(chunks, rate, keep);
+        self.learn_networks(chunks, rate, keep);
         if self.config.gain == Gain::PerPhoto {
-            self.learn_gains(found, rate * GAIN_RATE);
+            self.learn_gains(chunks, rate * GAIN_RATE);
         }
     }
 
     /// One task owns one level: it adds all samples in order, then moves the table.
-    fn learn_tables(&mut self, found: &[Found], rate: f32, keep: f32) {
+    fn learn_tables(&mut self, chunks: &[Chunk], rate: f32, keep: f32) {
         let (level, bias) = (self.level, &self.bias);
         let State {
             weights,
@@ -42,7 +42,7 @@ impl Trainer {
             ..
         } = &mut self.state;
         let features = weights.features;
-        let width = weights.shapes.len() * features / LANES;
+        let width = weights.row_blocks();
         let shapes = weights.shapes.par_iter();
         let tables = weights.tables.par_iter_mut().zip(&mut average.tables);
         let tasks = shapes
@@ -52,14 +52,9 @@ impl Trainer {
             .enumerate()
             .with_max_len(1);
         tasks.for_each(|(index, (((shape, (table, average)), gradient), moments))| {
-            for found in found {
-                scatter(
-                    level,
-                    *shape,
-                    gradient,
-                    found,
-                    [features, index * features, width],
-                );
+            for chunk in chunks {
+                let columns = [features, index * features, width];
+                scatter(level, *shape, gradient, chunk, columns);
             }
             match features {
                 2 => adam::<2>(level, table, gradient, moments, [rate, 0.0], bias),
@@ -69,7 +64,7 @@ impl Trainer {
         });
     }
 
-    fn learn_networks(&mut self, found: &[Found], rate: f32, keep: f32) {
+    fn learn_networks(&mut self, chunks: &[Chunk], rate: f32, keep: f32) {
         let State {
             weights,
             average,
@@ -77,14 +72,15 @@ impl Trainer {
             ..
         } = &mut self.state;
         let tables = weights.tables.len();
+        let found = || chunks.iter().map(|chunk| &chunk.found);
         let mut sums: Vec<Vec<f32>> = Vec::new();
         for layer in 0..weights.density.layers.len() {
-            sums.push(summed(found.iter().map(|found| flat(&found.density[layer]))));
+            sums.push(summed(found().map(|found| flat(&found.density[layer]))));
         }
         for layer in 0..weights.color.layers.len() {
-            sums.push(summed(found.iter().map(|found| flat(&found.color[layer]))));
+            sums.push(summed(found().map(|found| flat(&found.color[layer]))));
         }
-        sums.push(summed(found.iter().map(|found| found.background.as_slice())));
+        sums.push(summed(found().map(|found| found.background.as_slice())));
         let tensors = weights
             .tensors_mut()
             .into_iter()
@@ -109,9 +105,9 @@ impl Trainer {
     }
 
     /// Moves the log gains and takes their mean away: the scene keeps its own brightness.
-    fn learn_gains(&mut self, found: &[Found], rate: f32) {
+    fn learn_gains(&mut self, chunks: &[Chunk], rate: f32) {
         let mut gradient = vec![0.0; self.state.gains.len()];
-        for (view, gains) in found.iter().flat_map(|found| &found.gains) {
+        for (view, gains) in chunks.iter().flat_map(|chunk| &chunk.found.gains) {
             for channel in 0..3 {
                 gradient[*view as usize * 4 + channel] += gains[channel];
             }
@@ -135,16 +131,10 @@ fn scatter(
     level: Level,
     shape: Shape,
     gradient: &mut [f32],
-    found: &Found,
+    chunk: &Chunk,
     [features, first, width]: [usize; 3],
 ) {
-    let points = Points {
-        x: &found.x,
-        y: &found.y,
-        z: &found.z,
-    };
-    let rows: &[Block] = &found.features;
-    debug_assert!(found.x.len().is_multiple_of(LANES));
+    let (points, rows) = (chunk.samples.points(), chunk.features.as_slice());
     match features {
         2 => level.run(Scatter::<2> {
             shape,

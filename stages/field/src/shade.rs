@@ -1,9 +1,9 @@
 //! What training and rendering share: samples to raw densities and opacities, kept samples to colours.
 
 use crate::cpu::composite::{Colours, Depths, ExpNeg, OPAQUE};
-use crate::cpu::encode::{Lookup, Points};
+use crate::cpu::encode::{Lookup, Points, Shape};
 use crate::cpu::march::Samples;
-use crate::cpu::simd::{Block, LANES, Level};
+use crate::cpu::simd::{Block, LANES, Level, Stripe};
 use crate::sh;
 use crate::weights::Weights;
 
@@ -45,35 +45,19 @@ impl Shade {
     /// Encodes all samples and runs the density network.
     pub fn densities(&mut self, level: Level, weights: &Weights) {
         self.samples.resize(self.samples.len().next_multiple_of(LANES));
-        let n = self.samples.len();
-        let width = weights.shapes.len() * weights.features / LANES;
-        self.features.resize(n * width, Block::default());
-        let points = Points {
-            x: &self.samples.x,
-            y: &self.samples.y,
-            z: &self.samples.z,
-        };
-        for (index, (shape, table)) in weights.shapes.iter().zip(&weights.tables).enumerate() {
-            let (shape, rows, first) = (*shape, &mut self.features[..], index * weights.features);
-            match weights.features {
-                2 => level.run(Lookup::<2> {
-                    shape,
-                    table,
-                    points,
-                    rows,
-                    width,
-                    first,
-                }),
-                _ => level.run(Lookup::<4> {
-                    shape,
-                    table,
-                    points,
-                    rows,
-                    width,
-                    first,
-                }),
-            }
+        let width = weights.row_blocks();
+        self.features.resize(self.samples.len() * width, Block::default());
+        let stripes = Stripe::cut(&mut self.features, width, weights.features);
+        let levels = weights.shapes.iter().zip(&weights.tables).zip(stripes);
+        for ((shape, table), stripe) in levels {
+            let points = self.samples.points();
+            lookup(level, weights.features, *shape, table, points, stripe);
         }
+        self.infer(level, weights);
+    }
+
+    /// Runs the density network on encoded samples.
+    pub fn infer(&mut self, level: Level, weights: &Weights) {
         weights.density.forward(level, &self.features, &mut self.density);
         let latent = self.density.last().map_or(&[][..], Vec::as_slice);
         self.raw.clear();
@@ -164,6 +148,24 @@ impl Shade {
             logits,
             rgb: &mut self.rgb,
         });
+    }
+}
+
+/// Looks up one level for all points.
+pub fn lookup(level: Level, features: usize, shape: Shape, table: &[f32], points: Points, to: Stripe) {
+    match features {
+        2 => level.run(Lookup::<2> {
+            shape,
+            table,
+            points,
+            to,
+        }),
+        _ => level.run(Lookup::<4> {
+            shape,
+            table,
+            points,
+            to,
+        }),
     }
 }
 

@@ -1,7 +1,7 @@
 use marf_scene::Pose;
 use rayon::prelude::*;
 
-use crate::batch::{Found, Scratch, Shared, Target};
+use crate::batch::{self, Chunk, Shared, Spares, Target};
 use crate::cpu::adam::{Bias, Moments};
 use crate::cpu::composite::RAW_SHIFT;
 use crate::cpu::march::Steps;
@@ -45,6 +45,9 @@ pub struct Trainer {
     march: Steps,
     pub(crate) bias: Bias,
     pub(crate) gradients: Vec<Vec<f32>>,
+    /// Memory of the last batch.
+    chunks: Vec<Chunk>,
+    spares: Spares,
     pub(crate) state: State,
 }
 
@@ -122,6 +125,8 @@ impl Trainer {
                 .iter()
                 .map(|table| vec![0.0; table.len()])
                 .collect(),
+            chunks: Vec::new(),
+            spares: Spares::default(),
             state,
         })
     }
@@ -140,16 +145,16 @@ impl Trainer {
             bits: &self.state.occupancy.bits,
             rays: targets.len(),
         };
-        let chunks = targets.par_chunks(self.chunk_rays());
-        let found: Vec<Found> = chunks
-            .map_init(Scratch::default, |scratch, rays| scratch.run(&shared, rays))
-            .collect();
-        self.check(&found)?;
-        self.learn(&found);
+        let mut chunks = std::mem::take(&mut self.chunks);
+        batch::train(&shared, &targets, self.chunk_rays(), &mut chunks, &self.spares);
+        let checked = self.check(&chunks).map(|()| self.learn(&chunks));
+        self.chunks = chunks;
+        checked?;
         let rays = targets.len() as u64;
-        let loss: f64 = found.iter().map(|found| found.loss).sum();
-        let sum = |part: fn(&Found) -> u64| found.iter().map(part).sum::<u64>();
-        let (visited, samples) = (sum(|found| found.visited), sum(|found| found.samples));
+        let found = || self.chunks.iter().map(|chunk| &chunk.found);
+        let loss: f64 = found().map(|found| found.loss).sum();
+        let visited: u64 = found().map(|found| found.visited).sum();
+        let samples: u64 = found().map(|found| found.samples).sum();
         self.state.steps += 1;
         let cost = (visited + 3 * samples) as f64 / (4 * rays) as f64;
         self.state.samples_per_ray = self.state.samples_per_ray * 0.8 + cost.max(1.0) * 0.2;
@@ -266,14 +271,14 @@ impl Trainer {
     }
 
     /// Refuses a batch with anything that is not finite, before any weight has changed.
-    fn check(&self, found: &[Found]) -> Result<(), FieldError> {
+    fn check(&self, chunks: &[Chunk]) -> Result<(), FieldError> {
         let bad = |tensor, place: String| FieldError::NotFinite {
             step: self.state.steps,
             tensor,
             place,
             learning_rate: self.config.learning_rate,
         };
-        for (chunk, found) in found.iter().enumerate() {
+        for (chunk, found) in chunks.iter().map(|chunk| &chunk.found).enumerate() {
             if let Some(tensor) = found.bad {
                 return Err(bad(tensor, format!("chunk {chunk}")));
             }

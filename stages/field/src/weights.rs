@@ -3,7 +3,7 @@
 use crate::cpu::encode::Shape;
 use crate::cpu::math::root;
 use crate::cpu::net::Net;
-use crate::cpu::simd::{flat, flat_mut};
+use crate::cpu::simd::{LANES, flat, flat_mut};
 use crate::rng::{Purpose, Rng};
 use crate::{Background, Config, sh};
 
@@ -52,6 +52,11 @@ impl Weights {
             .iter()
             .map(|side| Shape::new(*side, config.log2_table))
             .collect()
+    }
+
+    /// Blocks a row of features.
+    pub fn row_blocks(&self) -> usize {
+        self.shapes.len() * self.features / LANES
     }
 
     /// All numbers zero.
@@ -126,6 +131,7 @@ impl Weights {
     }
 
     /// Returns the background's colour in a direction given by its harmonics.
+    #[inline(always)]
     pub fn behind(&self, kind: Background, harmonics: &[f32; sh::COUNT]) -> [f32; 3] {
         match kind {
             Background::Black => [0.0; 3],
@@ -134,6 +140,7 @@ impl Weights {
     }
 
     /// Returns the background's logits.
+    #[inline(always)]
     pub fn logits_behind(&self, harmonics: &[f32; sh::COUNT]) -> [f32; 3] {
         [0, 1, 2].map(|channel| {
             let row = &self.background[channel * sh::COUNT..][..sh::COUNT];

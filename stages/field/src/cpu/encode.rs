@@ -1,6 +1,6 @@
 //! Multiresolution hash grid: trilinear lookup and its transpose (instant-ngp, arXiv 2201.05989, section 3).
 
-use super::simd::{Block, Isa, Kernel, LANES, flat, flat_mut};
+use super::simd::{Block, Isa, Kernel, LANES, Stripe, flat};
 
 /// Multipliers of the spatial hash for y and z (instant-ngp, eq. 4); x has 1, so that neighbours share lines.
 const PRIMES: [u32; 2] = [2_654_435_761, 805_459_861];
@@ -132,9 +132,7 @@ impl<'a> Points<'a> {
     }
 }
 
-/// Looks up one level for all points.
-///
-/// Writes features `first .. first + F` of every row; rows have `width` blocks.
+/// Looks up one level for all points and writes its features, `[n, F]`.
 pub struct Lookup<'a, const F: usize> {
     /// The level.
     pub shape: Shape,
@@ -142,36 +140,30 @@ pub struct Lookup<'a, const F: usize> {
     pub table: &'a [f32],
     /// The points.
     pub points: Points<'a>,
-    /// `[n, width]`.
-    pub rows: &'a mut [Block],
-    /// Blocks a row.
-    pub width: usize,
-    /// First feature of this level in the row.
-    pub first: usize,
+    /// Receives the features.
+    pub to: Stripe<'a>,
 }
 
 impl<const F: usize> Kernel for Lookup<'_, F> {
     type Output = ();
 
     #[inline(always)]
-    fn run<I: Isa>(self, _isa: I) {
+    fn run<I: Isa>(mut self, _isa: I) {
         let table = self.table.as_chunks::<F>().0;
-        let row = self.width * LANES;
-        let rows = flat_mut(self.rows).chunks_exact_mut(row * LANES);
         let mut found = Corners::EMPTY;
-        for (xyz, rows) in self.points.blocks().zip(rows) {
+        for (block, xyz) in self.points.blocks().enumerate() {
             found.fill(&self.shape, xyz);
+            let mut sums = [[0.0; F]; LANES];
             for lane in 0..LANES {
-                let mut sum = [0.0; F];
                 for corner in 0..8 {
                     let entry = &table[found.index[corner][lane] as usize];
                     let weight = found.weight[corner][lane];
                     for f in 0..F {
-                        sum[f] = weight.mul_add(entry[f], sum[f]);
+                        sums[lane][f] = weight.mul_add(entry[f], sums[lane][f]);
                     }
                 }
-                rows[lane * row + self.first..][..F].copy_from_slice(&sum);
             }
+            self.to.set(block * LANES, &sums);
         }
     }
 }

@@ -4,7 +4,7 @@ use super::composite::{LOGIT_LIMIT, RAW_LIMIT, Ray, colour, colour_slope};
 use super::encode::{Lookup, Points, Scatter, Shape};
 use super::math::{exp, one_minus_exp_neg};
 use super::net::Net;
-use super::simd::{Block, LANES, Level, flat, flat_mut};
+use super::simd::{Block, LANES, Level, Stripe, flat, flat_mut};
 use crate::rng::{Purpose, Rng};
 
 /// f32 sums of some tens of terms against f64: 24 bits less rounding of each term.
@@ -221,7 +221,8 @@ fn a_network_sends_back_the_slopes_of_the_f64_twin() {
         .step_by(7)
         .map(|index| slope(|at| net_loss(&net, rows, flat(&d), at), &at, index))
         .collect();
-    let (mut activations, mut spare, mut gradients) = (vec![], vec![], net.gradients());
+    let (mut activations, mut spare, mut gradients) = (vec![], vec![], vec![]);
+    net.shape_gradients(&mut gradients);
     net.forward(Level::best(), &input, &mut activations);
     let mut back = d.clone();
     net.backward(
@@ -265,9 +266,7 @@ fn scatter_is_the_transpose_of_lookup() {
             shape,
             table: &table,
             points,
-            rows: &mut rows,
-            width,
-            first,
+            to: Stripe::cut(&mut rows, width, 4).remove(first / 4),
         });
         level.run(Scatter::<4> {
             shape,
@@ -312,9 +311,7 @@ fn lookup_of_a_linear_table_is_exact_also_at_the_far_corner() {
         shape,
         table: &table,
         points,
-        rows: &mut rows,
-        width: 1,
-        first: 0,
+        to: Stripe::cut(&mut rows, 1, 4).remove(0),
     });
     for (lane, expected) in [0.0, 4.0, 1.2, 4.0, 0.0, 4.0, 0.0, 2.0].into_iter().enumerate() {
         let [fx, fy, fz, one, ..] = rows[lane].0;

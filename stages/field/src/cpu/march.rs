@@ -1,5 +1,6 @@
 //! Walks along rays through occupied cells of the contracted box.
 
+use super::encode::Points;
 use super::simd::{Isa, Kernel, LANES};
 
 /// Pulls space outside [-1, 1]^3 into [-2, 2]^3 and maps that to the unit box.
@@ -119,6 +120,12 @@ impl Samples {
     /// Returns the number of samples.
     pub fn len(&self) -> usize {
         self.x.len()
+    }
+
+    /// Returns the positions.
+    pub fn points(&self) -> Points<'_> {
+        let (x, y, z) = (&self.x, &self.y, &self.z);
+        Points { x, y, z }
     }
 
     /// Makes every array `len` long; new samples lie at the origin and have no length.

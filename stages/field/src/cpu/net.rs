@@ -66,10 +66,12 @@ impl Net {
         }
     }
 
-    /// Returns a gradient buffer a layer.
-    pub fn gradients(&self) -> Vec<Vec<Block>> {
-        let zeros = |layer: &Layer| vec![Block::default(); layer.weights.len()];
-        self.layers.iter().map(zeros).collect()
+    /// Gives `gradients` one buffer a layer; what is in them is not changed.
+    pub fn shape_gradients(&self, gradients: &mut Vec<Vec<Block>>) {
+        gradients.resize_with(self.layers.len(), Vec::new);
+        for (layer, gradient) in self.layers.iter().zip(gradients) {
+            gradient.resize(layer.weights.len(), Block::default());
+        }
     }
 
     /// Runs rows through all layers; `activations[l]` receives the output of layer l.

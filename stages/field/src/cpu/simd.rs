@@ -8,6 +8,7 @@
 
 #[cfg(target_arch = "x86_64")]
 use std::arch::x86_64::*;
+use std::marker::PhantomData;
 
 /// Lanes of one vector, on every set.
 pub const LANES: usize = 16;
@@ -27,6 +28,60 @@ pub fn flat(blocks: &[Block]) -> &[f32] {
 pub fn flat_mut(blocks: &mut [Block]) -> &mut [f32] {
     // SAFETY: as in `flat`; the borrow is exclusive.
     unsafe { std::slice::from_raw_parts_mut(blocks.as_mut_ptr().cast(), blocks.len() * LANES) }
+}
+
+/// A stripe of columns of a matrix of rows: what one task may write while others write the columns beside it.
+pub struct Stripe<'a> {
+    first: *mut f32,
+    rows: usize,
+    /// Numbers from a row to the next.
+    stride: usize,
+    /// Columns.
+    columns: usize,
+    matrix: PhantomData<&'a mut [Block]>,
+}
+
+// SAFETY: a stripe is the only one to reach its columns, as an exclusive borrow would be.
+unsafe impl Send for Stripe<'_> {}
+
+impl<'a> Stripe<'a> {
+    /// Cuts rows of `width` blocks into stripes of `columns` columns, from the left; the rest of a row that is
+    /// narrower than a stripe belongs to none.
+    pub fn cut(rows: &'a mut [Block], width: usize, columns: usize) -> Vec<Self> {
+        let stride = width * LANES;
+        let count = rows.len() / width.max(1);
+        let first = rows.as_mut_ptr().cast::<f32>();
+        let stripes = (0..stride / columns.max(1)).map(|stripe| Self {
+            // SAFETY: the last column of the last stripe is below `stride`, hence in the first row, or there is
+            // no row and the pointer is never read.
+            first: if count == 0 {
+                first
+            } else {
+                unsafe { first.add(stripe * columns) }
+            },
+            rows: count,
+            stride,
+            columns,
+            matrix: PhantomData,
+        });
+        stripes.collect()
+    }
+
+    /// Writes 16 rows from row `first` on.
+    ///
+    /// # Panics
+    /// Where the rows or the columns are not there: a mistake of the caller.
+    #[inline(always)]
+    pub fn set<const F: usize>(&mut self, first: usize, values: &[[f32; F]; LANES]) {
+        assert!(F == self.columns && first + LANES <= self.rows);
+        for (lane, values) in values.iter().enumerate() {
+            // SAFETY: row and columns are in bounds (asserted), and no other stripe has these columns.
+            unsafe {
+                let to = self.first.add((first + lane) * self.stride);
+                to.cast::<[f32; F]>().write(*values);
+            }
+        }
+    }
 }
 
 /// The operations that plain loops are not reliably compiled to.

@@ -5,7 +5,7 @@ use super::composite::{Colours, Depths, ExpNeg, NotFinite};
 use super::encode::{Lookup, Points, Scatter, Shape};
 use super::gemm::{After, Outer, Product};
 use super::march::{Bits, March, Samples, Steps};
-use super::simd::{Block, LANES, Level, Plain, flat, flat_mut};
+use super::simd::{Block, LANES, Level, Plain, Stripe, flat, flat_mut};
 use crate::rng::{Purpose, Rng};
 
 fn numbers(len: usize, stream: u64) -> Vec<f32> {
@@ -122,22 +122,19 @@ fn lookup_and_scatter_are_the_same_on_every_set() {
         let table = numbers(shape.entries as usize * 4, 7);
         same_on_all("lookup", |level| {
             let mut rows = blocks(64, 8);
-            let (rows_here, width) = (&mut rows[..], 1);
+            let to = Stripe::cut(&mut rows, 1, 4).remove(1);
             level.run(Lookup::<4> {
                 shape,
                 table: &table,
                 points,
-                rows: rows_here,
-                width,
-                first: 4,
+                to,
             });
+            let to = Stripe::cut(&mut rows, 1, 2).remove(5);
             level.run(Lookup::<2> {
                 shape,
                 table: &table,
                 points,
-                rows: &mut rows,
-                width,
-                first: 10,
+                to,
             });
             flat(&rows).to_vec()
         });
