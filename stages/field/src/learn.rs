@@ -16,6 +16,8 @@ const EPSILON: f32 = 1e-12;
 const DECAY: f32 = 1e-6;
 /// The averaged weights keep this share of themselves every step, less in the first steps.
 const AVERAGE: f32 = 0.95;
+/// Step size of the background, in learning rates: its 16 coefficients a channel have no layer to multiply them.
+const BACKGROUND_RATE: f32 = 10.0;
 /// Step size of log gains, as a share of the learning rate.
 const GAIN_RATE: f32 = 0.1;
 
@@ -89,15 +91,11 @@ impl Trainer {
         for ((((name, values), (_, average)), moments), mut gradient) in
             tensors.zip(moments.iter_mut().skip(tables)).zip(sums)
         {
-            let decay = if name == "background" { 0.0 } else { DECAY };
-            adam::<NET_ROW>(
-                self.level,
-                values,
-                &mut gradient,
-                moments,
-                [rate, decay],
-                &self.bias,
-            );
+            let rates = match name.as_str() {
+                "background" => [rate * BACKGROUND_RATE, 0.0],
+                _ => [rate, DECAY],
+            };
+            adam::<NET_ROW>(self.level, values, &mut gradient, moments, rates, &self.bias);
             blend(average, values, keep);
         }
         weights.refresh();

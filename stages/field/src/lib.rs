@@ -4,6 +4,7 @@
 //! Invariant: the same views, points, config and seed give the same weights, bit for bit, for any number of
 //! threads and any instruction set; no result holds a number that is not finite.
 
+mod background;
 mod bands;
 mod batch;
 mod checkpoint;

@@ -13,7 +13,7 @@ use crate::rng::{Fingerprint, Purpose, Rng};
 use crate::shade::Shade;
 use crate::views::{View, check_points, check_views, pixel_offsets};
 use crate::weights::{NET_ROW, Weights};
-use crate::{Config, Facts, Field, FieldError, LevelFacts};
+use crate::{Background, Config, Facts, Field, FieldError, LevelFacts, background};
 
 /// What one optimiser step did.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -86,6 +86,9 @@ impl Trainer {
         let finest = finest(config, &frame, &views);
         let mut weights = Weights::zeros(config, finest.0);
         weights.randomise(seed);
+        if config.background == Background::Direction {
+            weights.background = background::fit(&views);
+        }
         let tensors = weights.tensors();
         let rows = |name: &str| {
             if name.starts_with("table") {
