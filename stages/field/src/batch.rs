@@ -1,6 +1,6 @@
 //! One chunk of rays: forward, loss, and all gradients but those of the tables.
 
-use crate::cpu::composite::{Gathered, NotFinite, RAW_LIMIT, Ray, colour, colour_slope};
+use crate::cpu::composite::{Gather, Gathered, NotFinite, RAW_LIMIT, Ray, Spread, colour, colour_slope};
 use crate::cpu::march::{Bits, March, Steps};
 use crate::cpu::math::not_finite;
 use crate::cpu::simd::{Block, Level};
@@ -164,7 +164,7 @@ impl Scratch {
             rgb: &shade.rgb[first..end],
             place: &shade.samples.place[first..end],
         };
-        let Gathered { rgb, left } = ray.gather();
+        let Gathered { rgb, left } = shared.level.run(Gather(ray));
         let harmonics = &self.harmonics[index];
         let logits = shared.weights.logits_behind(harmonics);
         let behind = shared.weights.behind(shared.config.background, harmonics);
@@ -180,7 +180,14 @@ impl Scratch {
         let strength = shared.config.distortion as f32 / shared.rays as f32;
         let cell = 1.0 / shared.steps.count as f32;
         let (d_tau, d_rgb) = (&mut self.d_tau[first..end], &mut self.d_rgb[first..end]);
-        ray.spread(slope, behind, [strength, cell], d_tau, d_rgb);
+        shared.level.run(Spread {
+            ray,
+            slope,
+            behind,
+            distortion: [strength, cell],
+            d_tau,
+            d_rgb,
+        });
         found.gains.push((target.view, gains));
         if shared.config.background == Background::Direction {
             for channel in 0..3 {

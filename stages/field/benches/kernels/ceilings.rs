@@ -3,7 +3,6 @@
 use std::hint::black_box;
 
 use marf_field::bench::simd::{Block, Isa, Kernel, LANES, Level};
-use rayon::prelude::*;
 
 use crate::clock::{Threads, best};
 
@@ -43,47 +42,37 @@ fn chains<I: Isa, const N: usize>(isa: I, rounds: usize) -> f32 {
 
 /// Fused multiply-adds a second times 2, all threads, in 1e9.
 pub fn gflops(level: Level, threads: &Threads) -> f64 {
-    let plain = format!("{level:?}").starts_with("Plain");
-    let rounds = if plain { 2_000 } else { 200_000 };
-    let chains = if format!("{level:?}").starts_with("Avx512") {
-        16
-    } else {
-        6
+    let (rounds, chains) = match level {
+        Level::Plain(_) => (200, 6),
+        _ if format!("{level:?}").starts_with("Avx512") => (20_000, 16),
+        _ => (20_000, 6),
     };
-    let time_s = threads.run(|count| {
+    let rate = threads.rate(|_| {
         best(|| {
-            (0..count).into_par_iter().for_each(|_| {
-                black_box(level.run(MultiplyAdds(rounds)));
-            })
+            black_box(level.run(MultiplyAdds(rounds)));
         })
     });
-    (threads.count * rounds * chains * LANES * 2) as f64 / time_s / 1e9
+    rate * (rounds * chains * LANES * 2) as f64 / 1e9
 }
 
-/// Bytes a second of a = b + 3 c over 3 x 64 MB, three streams counted, in 1e9.
+/// Bytes a second of a = b + 3 c, three streams of 16 MB a thread counted, in 1e9.
 pub fn triad(threads: &Threads) -> f64 {
-    let n = 16 << 20;
-    let (mut a, b, c) = (vec![0_f32; n], vec![1_f32; n], vec![2_f32; n]);
-    let time_s = threads.run(|count| {
-        let chunk = n / count;
+    let n = 4 << 20;
+    let rate = threads.rate(|_| {
+        let (mut a, b, c) = (vec![0_f32; n], vec![1_f32; n], vec![2_f32; n]);
         best(|| {
-            let parts = a
-                .par_chunks_mut(chunk)
-                .zip(b.par_chunks(chunk))
-                .zip(c.par_chunks(chunk));
-            parts.for_each(|((a, b), c)| {
-                for ((a, b), c) in a.iter_mut().zip(b).zip(c) {
-                    *a = b + 3.0 * c;
-                }
-            });
+            for ((a, b), c) in a.iter_mut().zip(&b).zip(&c) {
+                *a = b + 3.0 * c;
+            }
+            black_box(&mut a);
         })
     });
-    12.0 * n as f64 / time_s / 1e9
+    rate * 12.0 * n as f64 / 1e9
 }
 
-/// Random rows of F numbers a second, in 1e6: read, and added to. Each thread has its own table when it writes.
+/// Random rows of F numbers a second, in 1e6: read, and added to. Each thread has its own table.
 pub fn random<const F: usize>(rows: usize, threads: &Threads) -> [f64; 2] {
-    let draws = 1 << 20;
+    let draws = 1 << 17;
     let mut state = 7_u64;
     let indices: Vec<u32> = (0..draws)
         .map(|_| {
@@ -91,33 +80,32 @@ pub fn random<const F: usize>(rows: usize, threads: &Threads) -> [f64; 2] {
             ((state >> 33) % rows as u64) as u32
         })
         .collect();
-    let table = vec![[1_f32; F]; rows];
-    let read_s = threads.run(|count| {
+    let read = threads.rate(|_| {
+        let table = vec![[1_f32; F]; rows];
         best(|| {
-            (0..count).into_par_iter().for_each(|_| {
-                let mut sum = [0.0_f32; F];
-                for index in &indices {
+            // Eight sums: one would wait for itself.
+            let mut sums = [[0_f32; F]; 8];
+            for eight in indices.as_chunks::<8>().0 {
+                for (index, sum) in eight.iter().zip(&mut sums) {
                     let row = &table[*index as usize];
                     for f in 0..F {
                         sum[f] += row[f];
                     }
                 }
-                black_box(sum);
-            })
+            }
+            black_box(sums);
         })
     });
-    let mut tables = vec![table; threads.count];
-    let write_s = threads.run(|_| {
+    let added = threads.rate(|_| {
+        let mut table = vec![[1_f32; F]; rows];
         best(|| {
-            tables.par_iter_mut().for_each(|table| {
-                for index in &indices {
-                    let row = &mut table[*index as usize];
-                    for value in row {
-                        *value += 1.0;
-                    }
+            for index in &indices {
+                for value in &mut table[*index as usize] {
+                    *value += 1.0;
                 }
-            })
+            }
+            black_box(&mut table);
         })
     });
-    [read_s, write_s].map(|time_s| (threads.count * draws) as f64 / time_s / 1e6)
+    [read, added].map(|rate| rate * draws as f64 / 1e6)
 }

@@ -15,22 +15,27 @@ pub fn best(mut work: impl FnMut()) -> f64 {
     shortest
 }
 
-/// A pool of a fixed number of threads.
-pub struct Threads {
-    pub count: usize,
-    pool: rayon::ThreadPool,
+/// Runs once; returns the time in seconds.
+pub fn once(work: impl FnOnce()) -> f64 {
+    let begin = Instant::now();
+    work();
+    begin.elapsed().as_secs_f64()
 }
+
+/// A pool of a fixed number of threads.
+pub struct Threads(rayon::ThreadPool);
 
 impl Threads {
     pub fn new(count: usize) -> Self {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(count).build();
-        Self {
-            count,
-            pool: pool.expect("threads"),
-        }
+        Self(pool.expect("threads"))
     }
 
-    pub fn run<T: Send>(&self, work: impl FnOnce(usize) -> T + Send) -> T {
-        self.pool.install(|| work(self.count))
+    /// Lets every thread time its own work, given its number, all at once; returns the runs a second of all.
+    ///
+    /// No thread waits for another: on a machine with other work a wait would be what is timed.
+    pub fn rate(&self, time_s: impl Fn(usize) -> f64 + Sync) -> f64 {
+        let times = self.0.broadcast(|context| time_s(context.index()));
+        times.iter().map(|time_s| 1.0 / time_s).sum()
     }
 }

@@ -80,6 +80,17 @@ pub trait Isa: Copy + Send + Sync {
     fn min_u(self, a: Self::U, b: Self::U) -> Self::U;
     /// The greater.
     fn max_u(self, a: Self::U, b: Self::U) -> Self::U;
+    /// Moves the lanes whose bit is set to the front, in order; the rest is 0.
+    #[inline(always)]
+    fn pack(self, value: Self::V, lanes: u16) -> Self::V {
+        let (mut from, mut to, mut next) = (Block::ZERO, Block::ZERO, 0);
+        self.store(value, &mut from);
+        for lane in (0..LANES).filter(|lane| lanes >> lane & 1 == 1) {
+            to.0[next] = from.0[lane];
+            next += 1;
+        }
+        self.load(&to)
+    }
 }
 
 /// Rows of F numbers, read at indices that are checked 128 at a time.
@@ -192,6 +203,61 @@ fn prefetch<const F: usize, const WRITE: i32>(table: &[[f32; F]], index: u32) {
     }
     #[cfg(not(target_arch = "x86_64"))]
     let _ = row;
+}
+
+/// A matrix in numbers: element (row, step) is at `row * self.row + step * self.step`.
+#[derive(Clone, Copy)]
+pub struct Strided<'a> {
+    /// The numbers.
+    pub numbers: &'a [f32],
+    /// Distance of two rows.
+    pub row: usize,
+    /// Distance of two steps of the sum.
+    pub step: usize,
+}
+
+impl Strided<'_> {
+    /// Leaves out the first rows.
+    #[inline(always)]
+    pub fn from_row(self, first: usize) -> Self {
+        Self {
+            numbers: &self.numbers[first * self.row..],
+            ..self
+        }
+    }
+}
+
+/// Adds A B to the sums: MR rows of `a`, the first `NV` blocks of rows of `columns` blocks of `b`, in the order of
+/// the steps.
+#[inline(always)]
+pub fn add_products<I: Isa, const MR: usize, const NV: usize>(
+    isa: I,
+    sums: &mut [[I::V; NV]; MR],
+    a: Strided,
+    b: &[Block],
+    columns: usize,
+    steps: usize,
+) {
+    let reach = |count: usize, stride: usize| count.saturating_sub(1).saturating_mul(stride);
+    // Once a tile instead of MR + NV times a step.
+    assert!(reach(MR, a.row).saturating_add(reach(steps, a.step)) < a.numbers.len());
+    assert!(reach(steps, columns).saturating_add(NV) <= b.len());
+    let mut held = *sums;
+    for step in 0..steps {
+        let mut right = [isa.splat(0.0); NV];
+        for v in 0..NV {
+            // SAFETY: step < steps and v < NV, whose greatest place was compared with the length.
+            right[v] = isa.load(unsafe { b.get_unchecked(step * columns + v) });
+        }
+        for row in 0..MR {
+            // SAFETY: row < MR and step < steps, whose greatest place was compared with the length.
+            let x = isa.splat(unsafe { *a.numbers.get_unchecked(row * a.row + step * a.step) });
+            for v in 0..NV {
+                held[row][v] = isa.mul_add(x, right[v], held[row][v]);
+            }
+        }
+    }
+    *sums = held;
 }
 
 /// Work that is compiled once a set. `run` and all it calls must be `#[inline(always)]`.
@@ -614,5 +680,10 @@ impl Isa for Avx512 {
     fn store_u(self, value: Self::U, to: &mut [u32; LANES]) {
         // SAFETY: self proves AVX-512 F; 16 u32 are 64 bytes; the borrow is exclusive.
         unsafe { _mm512_storeu_si512(to.as_mut_ptr().cast(), value) }
+    }
+    #[inline(always)]
+    fn pack(self, value: Self::V, lanes: u16) -> Self::V {
+        // SAFETY: self proves AVX-512 F.
+        unsafe { _mm512_maskz_compress_ps(lanes, value) }
     }
 }
