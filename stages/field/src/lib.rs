@@ -39,3 +39,9 @@ pub use quality::Quality;
 pub use render::Render;
 pub use trainer::{Step, Trainer};
 pub use views::View;
+
+/// The kernels, for `cargo bench` alone: no part of the interface.
+#[doc(hidden)]
+pub mod bench {
+    pub use crate::cpu::{adam, composite, encode, gemm, march, math, net, simd};
+}

@@ -68,9 +68,18 @@ impl Kernel for Colours<'_> {
 
     #[inline(always)]
     fn run<I: Isa>(self, _isa: I) {
-        for (logits, rgb) in self.logits.iter().zip(self.rgb) {
-            for channel in 0..4 {
-                rgb[channel] = colour(logits.0[channel]);
+        // Four rows are one vector.
+        let rows = self.logits.chunks(4).zip(self.rgb.chunks_mut(4));
+        for (logits, rgb) in rows {
+            let mut values = [0.0; LANES];
+            for (row, values) in logits.iter().zip(values.chunks_exact_mut(4)) {
+                values.copy_from_slice(&row.0[..4]);
+            }
+            for lane in 0..LANES {
+                values[lane] = colour(values[lane]);
+            }
+            for (rgb, values) in rgb.iter_mut().zip(values.as_chunks().0) {
+                *rgb = *values;
             }
         }
     }
@@ -112,8 +121,51 @@ pub struct Gathered {
     pub left: f32,
 }
 
+/// Composites front to back; an empty ray lets everything pass.
+pub struct Gather<'a>(pub Ray<'a>);
+
+impl Kernel for Gather<'_> {
+    type Output = Gathered;
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _isa: I) -> Gathered {
+        self.0.gather()
+    }
+}
+
+/// Writes the gradients of raw densities and colours, back to front.
+///
+/// dL/dtau_i = T_{i+1} q_i - sum_{j>i} w_j q_j - T_S (g . b), where q_i = g . c_i plus the slope of the
+/// distortion loss. Nothing is divided by 1 - alpha.
+pub struct Spread<'a> {
+    /// The samples.
+    pub ray: Ray<'a>,
+    /// dL/dC.
+    pub slope: [f32; 3],
+    /// Colour of the background.
+    pub behind: [f32; 3],
+    /// Weight of the distortion loss, for this ray, and length of a step in units of `place`.
+    pub distortion: [f32; 2],
+    /// Receives dL/dtau.
+    pub d_tau: &'a mut [f32],
+    /// Receives dL/dc.
+    pub d_rgb: &'a mut [[f32; 4]],
+}
+
+impl Kernel for Spread<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _isa: I) {
+        let Self {
+            ray, slope, behind, ..
+        } = self;
+        ray.spread(slope, behind, self.distortion, self.d_tau, self.d_rgb);
+    }
+}
+
 impl Ray<'_> {
-    /// Composites front to back; an empty ray lets everything pass.
+    /// As [`Gather`].
     #[inline(always)]
     pub fn gather(&self) -> Gathered {
         let mut found = Gathered {
@@ -130,13 +182,7 @@ impl Ray<'_> {
         found
     }
 
-    /// Writes the gradients of raw densities and colours, back to front.
-    ///
-    /// dL/dtau_i = T_{i+1} q_i - sum_{j>i} w_j q_j - T_S (g . b), where q_i = g . c_i plus the slope of the
-    /// distortion loss. Nothing is divided by 1 - alpha.
-    ///
-    /// `slope`: dL/dC. `behind`: colour of the background. `distortion`: weight of that loss, for this ray;
-    /// `cell`: length of a step in units of `place`.
+    /// As [`Spread`], with its fields in order.
     #[inline(always)]
     pub fn spread(
         &self,

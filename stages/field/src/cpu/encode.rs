@@ -1,6 +1,6 @@
 //! Multiresolution hash grid: trilinear lookup and its transpose (instant-ngp, arXiv 2201.05989, section 3).
 
-use super::simd::{Block, Isa, Kernel, LANES, Stripe, flat};
+use super::simd::{Block, Checked, CheckedMut, Indices, Isa, Kernel, LANES, Stripe, Table, TableMut, flat};
 
 /// Multipliers of the spatial hash for y and z (instant-ngp, eq. 4); x has 1, so that neighbours share lines.
 const PRIMES: [u32; 2] = [2_654_435_761, 805_459_861];
@@ -30,80 +30,79 @@ impl Shape {
     }
 }
 
-/// Entries and weights of the 8 corners around 16 points.
-#[repr(align(64))]
+/// Tables above this size in bytes do not stay in the second cache (1 MB a core here): their rows are asked for
+/// ahead. Below it, that costs 40 %.
+const CACHED_BYTES: usize = 1 << 20;
+/// Blocks of 16 points between asking for rows and reading them.
+const AHEAD: usize = 3;
+/// Blocks between computing corners and using them where nothing is asked for: hides the arithmetic's latency.
+const NEXT: usize = 1;
+/// Blocks that are remembered: more than [`AHEAD`], a power of two.
+const RING: usize = 4;
+
+/// Entries and weights of the 8 corners around 16 points; corner = x + 2 y + 4 z.
+#[derive(Clone, Copy)]
 struct Corners {
-    index: [[u32; LANES]; 8],
-    weight: [[f32; LANES]; 8],
+    index: Indices,
+    /// Weights of both neighbours along x.
+    along: [Block; 2],
+    /// Products of the weights along y and z, y + 2 z.
+    across: [Block; 4],
 }
 
 /// Both neighbours of 16 coordinates on one axis: their part of the index, and their weights.
-#[repr(align(64))]
-struct Axis {
-    part: [[u32; LANES]; 2],
-    weight: [[f32; LANES]; 2],
+struct Axis<I: Isa> {
+    part: [I::U; 2],
+    weight: [I::V; 2],
 }
 
-impl Axis {
-    const EMPTY: Self = Self {
-        part: [[0; LANES]; 2],
-        weight: [[0.0; LANES]; 2],
-    };
-
+impl<I: Isa> Axis<I> {
     /// The last cell takes 1.0; NaN counts as 0. `factor` is the axis' stride or prime.
     #[inline(always)]
-    fn fill(&mut self, at: &[f32; LANES], resolution: u32, factor: u32) {
-        let (scale, last) = (resolution as f32, resolution as i32 - 1);
-        for lane in 0..LANES {
-            let x = if at[lane] > 0.0 { at[lane] } else { 0.0 };
-            let q = (if x < 1.0 { x } else { 1.0 }) * scale;
-            let below = (q as i32).min(last);
-            let share = q - below as f32;
-            self.part[0][lane] = (below as u32).wrapping_mul(factor);
-            self.part[1][lane] = (below as u32).wrapping_mul(factor).wrapping_add(factor);
-            self.weight[0][lane] = 1.0 - share;
-            self.weight[1][lane] = share;
+    fn new(isa: I, at: &Block, resolution: u32, factor: u32) -> Self {
+        let q = isa.mul(isa.unit(isa.load(at)), isa.splat(resolution as f32));
+        let below = isa.min_u(isa.whole(q), isa.splat_u(resolution.saturating_sub(1)));
+        let share = isa.sub(q, isa.float(below));
+        let factor = isa.splat_u(factor);
+        let part = isa.mul_u(below, factor);
+        Self {
+            part: [part, isa.add_u(part, factor)],
+            weight: [isa.sub(isa.splat(1.0), share), share],
         }
     }
 }
 
 impl Corners {
-    const EMPTY: Self = Self {
-        index: [[0; LANES]; 8],
-        weight: [[0.0; LANES]; 8],
+    const ZERO: Self = Self {
+        index: Indices::ZERO,
+        along: [Block::ZERO; 2],
+        across: [Block::ZERO; 4],
     };
 
     #[inline(always)]
-    fn fill(&mut self, shape: &Shape, xyz: [&[f32; LANES]; 3]) {
+    fn fill<I: Isa>(&mut self, isa: I, shape: &Shape, [x, y, z]: [&[f32; LANES]; 3]) {
         let side = shape.resolution + 1;
-        let factors = if shape.dense {
-            [1, side, side * side]
-        } else {
-            [1, PRIMES[0], PRIMES[1]]
-        };
-        let mut axes = [Axis::EMPTY; 3];
-        for axis in 0..3 {
-            axes[axis].fill(xyz[axis], shape.resolution, factors[axis]);
+        let [row, slab] = if shape.dense { [side, side * side] } else { PRIMES };
+        let x = Axis::new(isa, &Block(*x), shape.resolution, 1);
+        let y = Axis::new(isa, &Block(*y), shape.resolution, row);
+        let z = Axis::new(isa, &Block(*z), shape.resolution, slab);
+        for side in 0..4 {
+            let weight = isa.mul(y.weight[side & 1], z.weight[side >> 1]);
+            isa.store(weight, &mut self.across[side]);
         }
-        let [x, y, z] = &axes;
-        let mask = shape.entries.wrapping_sub(1);
+        let mask = isa.splat_u(shape.entries.wrapping_sub(1));
+        let mut index = [mask; 8];
         for corner in 0..8 {
-            let (dx, dy, dz) = (corner & 1, (corner >> 1) & 1, corner >> 2);
-            let (index, weight) = (&mut self.index[corner], &mut self.weight[corner]);
-            for lane in 0..LANES {
-                weight[lane] = x.weight[dx][lane] * y.weight[dy][lane] * z.weight[dz][lane];
-            }
-            if shape.dense {
-                for lane in 0..LANES {
-                    index[lane] = x.part[dx][lane]
-                        .wrapping_add(y.part[dy][lane])
-                        .wrapping_add(z.part[dz][lane]);
-                }
+            let (x, y, z) = (x.part[corner & 1], y.part[corner >> 1 & 1], z.part[corner >> 2]);
+            index[corner] = if shape.dense {
+                isa.add_u(x, isa.add_u(y, z))
             } else {
-                for lane in 0..LANES {
-                    index[lane] = (x.part[dx][lane] ^ y.part[dy][lane] ^ z.part[dz][lane]) & mask;
-                }
-            }
+                isa.and_u(isa.xor_u(x, isa.xor_u(y, z)), mask)
+            };
+        }
+        self.index.fill(isa, index);
+        for dx in 0..2 {
+            isa.store(x.weight[dx], &mut self.along[dx]);
         }
     }
 }
@@ -120,15 +119,16 @@ pub struct Points<'a> {
 }
 
 impl<'a> Points<'a> {
-    /// Returns 16 points at a time.
+    /// Returns the coordinates of 16 points at a time.
     #[inline(always)]
-    fn blocks(self) -> impl Iterator<Item = [&'a [f32; LANES]; 3]> {
-        let (x, y, z) = (
-            self.x.as_chunks::<LANES>().0,
-            self.y.as_chunks::<LANES>().0,
-            self.z.as_chunks::<LANES>().0,
-        );
-        x.iter().zip(y).zip(z).map(|((x, y), z)| [x, y, z])
+    fn blocks(self) -> [&'a [[f32; LANES]]; 3] {
+        let [x, y, z] = [self.x, self.y, self.z];
+        let blocks = (x.len() / LANES).min(y.len() / LANES).min(z.len() / LANES);
+        [
+            &x.as_chunks().0[..blocks],
+            &y.as_chunks().0[..blocks],
+            &z.as_chunks().0[..blocks],
+        ]
     }
 }
 
@@ -148,22 +148,83 @@ impl<const F: usize> Kernel for Lookup<'_, F> {
     type Output = ();
 
     #[inline(always)]
-    fn run<I: Isa>(mut self, _isa: I) {
-        let table = self.table.as_chunks::<F>().0;
-        let mut found = Corners::EMPTY;
-        for (block, xyz) in self.points.blocks().enumerate() {
-            found.fill(&self.shape, xyz);
-            let mut sums = [[0.0; F]; LANES];
-            for lane in 0..LANES {
-                for corner in 0..8 {
-                    let entry = &table[found.index[corner][lane] as usize];
-                    let weight = found.weight[corner][lane];
-                    for f in 0..F {
-                        sums[lane][f] = weight.mul_add(entry[f], sums[lane][f]);
-                    }
+    fn run<I: Isa>(self, isa: I) {
+        if size_of_val(self.table) > CACHED_BYTES {
+            self.pass::<I, AHEAD>(isa);
+        } else {
+            self.pass::<I, NEXT>(isa);
+        }
+    }
+}
+
+impl<const F: usize> Lookup<'_, F> {
+    #[inline(always)]
+    fn pass<I: Isa, const AHEAD: usize>(mut self, isa: I) {
+        let table = Table(self.table.as_chunks::<F>().0);
+        let ([x, y, z], mut ring) = (self.points.blocks(), [Corners::ZERO; RING]);
+        for block in 0..x.len() + AHEAD {
+            if block < x.len() {
+                let here = &mut ring[block % RING];
+                here.fill(isa, &self.shape, [&x[block], &y[block], &z[block]]);
+                if AHEAD > NEXT {
+                    table.prefetch(&here.index);
                 }
             }
-            self.to.set(block * LANES, &sums);
+            let Some(block) = block.checked_sub(AHEAD) else {
+                continue;
+            };
+            let corners = &ring[block % RING];
+            let Some(entries) = table.check(&corners.index) else {
+                return;
+            };
+            let mut means = [[0.0; F]; LANES];
+            for (lane, mean) in means.iter_mut().enumerate() {
+                *mean = corners.mean(&entries, lane);
+            }
+            self.to.set(block * LANES, &means);
+        }
+    }
+}
+
+impl Corners {
+    /// Interpolates across y and z for either neighbour along x, then between the two.
+    #[inline(always)]
+    fn mean<const F: usize>(&self, entries: &Checked<F>, lane: usize) -> [f32; F] {
+        let mut sums = [[0.0; F]; 2];
+        for side in 0..4 {
+            let weight = self.across[side].0[lane];
+            for dx in 0..2 {
+                let entry = entries.row(2 * side + dx, lane);
+                for f in 0..F {
+                    sums[dx][f] = weight.mul_add(entry[f], sums[dx][f]);
+                }
+            }
+        }
+        let [below, above] = [self.along[0].0[lane], self.along[1].0[lane]];
+        let mut mean = [0.0; F];
+        for f in 0..F {
+            mean[f] = below.mul_add(sums[0][f], above * sums[1][f]);
+        }
+        mean
+    }
+
+    /// Adds what a gradient of the mean is for the 8 entries.
+    #[inline(always)]
+    fn spread<const F: usize>(&self, entries: &mut CheckedMut<F>, lane: usize, slope: [f32; F]) {
+        let mut parts = [slope; 2];
+        for dx in 0..2 {
+            for f in 0..F {
+                parts[dx][f] *= self.along[dx].0[lane];
+            }
+        }
+        for side in 0..4 {
+            let weight = self.across[side].0[lane];
+            for dx in 0..2 {
+                let entry = entries.row(2 * side + dx, lane);
+                for f in 0..F {
+                    entry[f] = weight.mul_add(parts[dx][f], entry[f]);
+                }
+            }
         }
     }
 }
@@ -188,23 +249,42 @@ impl<const F: usize> Kernel for Scatter<'_, F> {
     type Output = ();
 
     #[inline(always)]
-    fn run<I: Isa>(self, _isa: I) {
-        let gradient = self.gradient.as_chunks_mut::<F>().0;
+    fn run<I: Isa>(self, isa: I) {
+        if size_of_val(self.gradient) > CACHED_BYTES {
+            self.pass::<I, AHEAD>(isa);
+        } else {
+            self.pass::<I, NEXT>(isa);
+        }
+    }
+}
+
+impl<const F: usize> Scatter<'_, F> {
+    #[inline(always)]
+    fn pass<I: Isa, const AHEAD: usize>(self, isa: I) {
+        let mut table = TableMut(self.gradient.as_chunks_mut::<F>().0);
         let row = self.width * LANES;
-        let rows = flat(self.rows).chunks_exact(row * LANES);
-        let mut found = Corners::EMPTY;
-        for (xyz, rows) in self.points.blocks().zip(rows) {
-            found.fill(&self.shape, xyz);
-            for lane in 0..LANES {
-                let mut d = [0.0; F];
-                d.copy_from_slice(&rows[lane * row + self.first..][..F]);
-                for corner in 0..8 {
-                    let entry = &mut gradient[found.index[corner][lane] as usize];
-                    let weight = found.weight[corner][lane];
-                    for f in 0..F {
-                        entry[f] = weight.mul_add(d[f], entry[f]);
-                    }
+        let rows = flat(self.rows);
+        let ([x, y, z], mut ring) = (self.points.blocks(), [Corners::ZERO; RING]);
+        for block in 0..x.len() + AHEAD {
+            if block < x.len() {
+                let here = &mut ring[block % RING];
+                here.fill(isa, &self.shape, [&x[block], &y[block], &z[block]]);
+                if AHEAD > NEXT {
+                    table.prefetch(&here.index);
                 }
+            }
+            let Some(block) = block.checked_sub(AHEAD) else {
+                continue;
+            };
+            let corners = &ring[block % RING];
+            let Some(mut entries) = table.check(&corners.index) else {
+                return;
+            };
+            let rows = &rows[block * LANES * row..][..LANES * row];
+            for lane in 0..LANES {
+                let mut slope = [0.0; F];
+                slope.copy_from_slice(&rows[lane * row + self.first..][..F]);
+                corners.spread(&mut entries, lane, slope);
             }
         }
     }

@@ -1,13 +1,19 @@
-//! The three products of a layer, by one register-blocked micro kernel each.
+//! The three products of a layer, by one register-blocked micro kernel.
 //!
 //! Rows are samples, columns are neurons in blocks of 16. Every output is one chain of fused multiply-adds in
 //! the order of the summed index, whatever the blocking: hence the same bits on every instruction set.
 
-use super::simd::{Block, Isa, Kernel, flat};
+use super::simd::{Block, Isa, Kernel, LANES, Strided, add_products, flat};
+
+/// Samples whose gradients are added to all weights before the next ones are read: 256 rows of 64 numbers are
+/// 64 KB, and stay in the second cache beside their inputs.
+const SLAB: usize = 256;
 
 /// What is done to a finished sum.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum After<'a> {
+    /// Added to what is there: the chain goes on.
+    Added,
     /// Stored as it is.
     Nothing,
     /// Negative sums become 0.
@@ -36,70 +42,33 @@ impl Kernel for Product<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<I: Isa>(mut self, isa: I) {
-        let mut column = 0;
-        while column < self.columns {
-            let left = self.columns - column;
-            if left >= 4 && I::WIDE {
-                self.panel::<I, 4, 4>(isa, column);
-                column += 4;
-            } else if left >= 2 {
-                if I::WIDE {
-                    self.panel::<I, 8, 2>(isa, column);
-                } else {
-                    self.panel::<I, 2, 2>(isa, column);
-                }
-                column += 2;
-            } else {
-                if I::WIDE {
-                    self.panel::<I, 16, 1>(isa, column);
-                } else {
-                    self.panel::<I, 4, 1>(isa, column);
-                }
-                column += 1;
-            }
+    fn run<I: Isa>(self, isa: I) {
+        // A width known to the compiler makes the addresses of 16 rows one register and 16 constants.
+        match self.inner {
+            16 => self.wide::<I>(isa, 16),
+            32 => self.wide::<I>(isa, 32),
+            64 => self.wide::<I>(isa, 64),
+            inner => self.wide::<I>(isa, inner),
         }
     }
 }
 
 impl Product<'_> {
-    /// All rows of `NV` block columns, `MR` rows at a time.
     #[inline(always)]
-    fn panel<I: Isa, const MR: usize, const NV: usize>(&mut self, isa: I, column: usize) {
-        let a = flat(self.a);
-        let rows = self.c.len() / self.columns;
-        for first in (0..rows).step_by(MR) {
-            let mut sums = [[isa.splat(0.0); NV]; MR];
-            let mut left = [&a[..0]; MR];
-            for (row, left) in left.iter_mut().enumerate() {
-                *left = &a[(first + row) * self.inner..][..self.inner];
-            }
-            for k in 0..self.inner {
-                let b: &[Block] = &self.b[k * self.columns + column..][..NV];
-                let mut right = [isa.splat(0.0); NV];
-                for v in 0..NV {
-                    right[v] = isa.load(&b[v]);
-                }
-                for row in 0..MR {
-                    let x = isa.splat(left[row][k]);
-                    for v in 0..NV {
-                        sums[row][v] = isa.mul_add(x, right[v], sums[row][v]);
-                    }
-                }
-            }
-            for (row, sums) in sums.iter().enumerate() {
-                let at = (first + row) * self.columns + column;
-                let c = &mut self.c[at..][..NV];
-                for v in 0..NV {
-                    let sum = match self.after {
-                        After::Nothing => sums[v],
-                        After::Relu => isa.relu(sums[v]),
-                        After::Gate(open) => isa.gate(sums[v], isa.load(&open[at + v])),
-                    };
-                    isa.store(sum, &mut c[v]);
-                }
-            }
-        }
+    fn wide<I: Isa>(self, isa: I, inner: usize) {
+        let tiles = Tiles {
+            a: Strided {
+                numbers: flat(self.a),
+                row: inner,
+                step: 1,
+            },
+            b: self.b,
+            c: self.c,
+            steps: inner,
+            columns: self.columns,
+            after: self.after,
+        };
+        tiles.run(isa);
     }
 }
 
@@ -121,56 +90,81 @@ impl Kernel for Outer<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<I: Isa>(mut self, isa: I) {
-        let mut column = 0;
-        while column < self.columns {
-            let left = self.columns - column;
-            if left >= 4 && I::WIDE {
-                self.panel::<I, 4, 4>(isa, column);
-                column += 4;
-            } else if left >= 2 {
-                if I::WIDE {
-                    self.panel::<I, 8, 2>(isa, column);
-                } else {
-                    self.panel::<I, 2, 2>(isa, column);
-                }
-                column += 2;
-            } else {
-                if I::WIDE {
-                    self.panel::<I, 16, 1>(isa, column);
-                } else {
-                    self.panel::<I, 4, 1>(isa, column);
-                }
-                column += 1;
-            }
+    fn run<I: Isa>(self, isa: I) {
+        self.g.fill(Block::ZERO);
+        let a = self.a.chunks(SLAB * self.inner / LANES);
+        for (a, d) in a.zip(self.d.chunks(SLAB * self.columns)) {
+            let tiles = Tiles {
+                a: Strided {
+                    numbers: flat(a),
+                    row: 1,
+                    step: self.inner,
+                },
+                b: d,
+                c: self.g,
+                steps: d.len() / self.columns,
+                columns: self.columns,
+                after: After::Added,
+            };
+            tiles.run(isa);
         }
     }
 }
 
-impl Outer<'_> {
+/// C = A B or C += A B, tile by tile; the number of rows of C is a multiple of 16.
+struct Tiles<'a> {
+    a: Strided<'a>,
+    b: &'a [Block],
+    c: &'a mut [Block],
+    steps: usize,
+    columns: usize,
+    after: After<'a>,
+}
+
+impl Tiles<'_> {
     #[inline(always)]
-    fn panel<I: Isa, const MR: usize, const NV: usize>(&mut self, isa: I, column: usize) {
-        let a = flat(self.a);
-        for first in (0..self.inner).step_by(MR) {
+    fn run<I: Isa>(mut self, isa: I) {
+        let mut column = 0;
+        while column < self.columns {
+            let left = self.columns - column;
+            column += match (I::WIDE, left) {
+                (true, 4..) => self.panel::<I, 4, 4>(isa, column),
+                (true, 2..) => self.panel::<I, 8, 2>(isa, column),
+                (true, _) => self.panel::<I, 16, 1>(isa, column),
+                (false, 2..) => self.panel::<I, 2, 2>(isa, column),
+                (false, _) => self.panel::<I, 4, 1>(isa, column),
+            };
+        }
+    }
+
+    /// All rows of `NV` block columns, `MR` rows at a time; returns `NV`.
+    #[inline(always)]
+    fn panel<I: Isa, const MR: usize, const NV: usize>(&mut self, isa: I, column: usize) -> usize {
+        for first in (0..self.c.len() / self.columns).step_by(MR) {
             let mut sums = [[isa.splat(0.0); NV]; MR];
-            for (a, d) in a.chunks_exact(self.inner).zip(self.d.chunks_exact(self.columns)) {
-                let (a, d) = (&a[first..][..MR], &d[column..][..NV]);
-                let mut right = [isa.splat(0.0); NV];
-                for v in 0..NV {
-                    right[v] = isa.load(&d[v]);
-                }
+            if matches!(self.after, After::Added) {
                 for row in 0..MR {
-                    let x = isa.splat(a[row]);
+                    let c = &self.c[(first + row) * self.columns + column..][..NV];
                     for v in 0..NV {
-                        sums[row][v] = isa.mul_add(x, right[v], sums[row][v]);
+                        sums[row][v] = isa.load(&c[v]);
                     }
                 }
             }
-            for (row, sums) in sums.iter().enumerate() {
+            let a = self.a.from_row(first);
+            add_products(isa, &mut sums, a, &self.b[column..], self.columns, self.steps);
+            for row in 0..MR {
+                let at = (first + row) * self.columns + column;
+                let c = &mut self.c[at..][..NV];
                 for v in 0..NV {
-                    isa.store(sums[v], &mut self.g[(first + row) * self.columns + column + v]);
+                    let sum = match self.after {
+                        After::Added | After::Nothing => sums[row][v],
+                        After::Relu => isa.relu(sums[row][v]),
+                        After::Gate(open) => isa.gate(sums[row][v], isa.load(&open[at + v])),
+                    };
+                    isa.store(sum, &mut c[v]);
                 }
             }
         }
+        NV
     }
 }

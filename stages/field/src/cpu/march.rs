@@ -1,7 +1,7 @@
 //! Walks along rays through occupied cells of the contracted box.
 
 use super::encode::Points;
-use super::simd::{Isa, Kernel, LANES};
+use super::simd::{Block, Isa, Kernel, LANES};
 
 /// Pulls space outside [-1, 1]^3 into [-2, 2]^3 and maps that to the unit box.
 ///
@@ -185,13 +185,13 @@ impl Kernel for March<'_> {
     type Output = usize;
 
     #[inline(always)]
-    fn run<I: Isa>(mut self, _isa: I) -> usize {
+    fn run<I: Isa>(mut self, isa: I) -> usize {
         let start = self.samples.len();
         let mut first = self.first;
         let begins = self.steps.begin.as_chunks::<LANES>().0.iter();
         let lengths = self.steps.length.as_chunks::<LANES>().0.iter();
         for (begin, length) in begins.zip(lengths).skip(self.first / LANES) {
-            self.block(first, begin, length);
+            self.block(isa, first, begin, length);
             first += LANES;
             if self.samples.len() - start >= self.limit {
                 break;
@@ -203,30 +203,65 @@ impl Kernel for March<'_> {
 
 impl March<'_> {
     #[inline(always)]
-    fn block(&mut self, first: usize, begin: &[f32; LANES], length: &[f32; LANES]) {
-        let side = self.bits.side as f32;
-        let (mut t, mut delta) = ([0.0; LANES], [0.0; LANES]);
-        let (mut x, mut y, mut z) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-        let mut cell = [0_u32; LANES];
+    fn block<I: Isa>(&mut self, isa: I, first: usize, begin: &[f32; LANES], length: &[f32; LANES]) {
+        let ([mut x, mut y, mut z], [mut t, mut delta]) = ([Block::ZERO; 3], [Block::ZERO; 2]);
+        let mut place = Block::ZERO;
         for lane in 0..LANES {
-            t[lane] = self.jitter.mul_add(length[lane], begin[lane]);
-            let p = [0, 1, 2].map(|axis: usize| self.direction[axis].mul_add(t[lane], self.origin[axis]));
+            t.0[lane] = self.jitter.mul_add(length[lane], begin[lane]);
+            let p = [0, 1, 2].map(|axis: usize| self.direction[axis].mul_add(t.0[lane], self.origin[axis]));
             let (u, shrink) = contract(p);
-            delta[lane] = length[lane] * shrink;
-            let corner = u.map(|u| ((u * side) as i32).max(0).min(self.bits.side as i32 - 1) as u32);
-            cell[lane] = (corner[2] * self.bits.side + corner[1]) * self.bits.side + corner[0];
-            (x[lane], y[lane], z[lane]) = (u[0], u[1], u[2]);
+            delta.0[lane] = length[lane] * shrink;
+            (x.0[lane], y.0[lane], z.0[lane]) = (u[0], u[1], u[2]);
+            place.0[lane] = ((first + lane) as f32 + self.jitter) / self.steps.count as f32;
         }
+        let within = self.steps.count.saturating_sub(first).min(LANES);
+        let hits = self.bits.hits(isa, [&x, &y, &z]) & ((1_u32 << within) - 1);
+        if hits > 0 {
+            self.samples.append(isa, [&x, &y, &z, &t, &delta, &place], hits);
+        }
+    }
+}
+
+impl Bits {
+    /// One bit for each of 16 points in the unit box: whether its cell is occupied.
+    #[inline(always)]
+    fn hits<I: Isa>(&self, isa: I, xyz: [&Block; 3]) -> u32 {
+        let (cells, last) = (isa.splat(self.side as f32), isa.splat_u(self.side - 1));
+        let mut cell = isa.splat_u(0);
+        for at in [xyz[2], xyz[1], xyz[0]] {
+            let corner = isa.whole(isa.mul(isa.unit(isa.load(at)), cells));
+            cell = isa.mul_u(cell, isa.splat_u(self.side));
+            cell = isa.add_u(cell, isa.min_u(corner, last));
+        }
+        let mut lanes = [0; LANES];
+        isa.store_u(cell, &mut lanes);
+        let mut hits = 0;
         for lane in 0..LANES {
-            if self.bits.holds(cell[lane]) && first + lane < self.steps.count {
-                self.samples.x.push(x[lane]);
-                self.samples.y.push(y[lane]);
-                self.samples.z.push(z[lane]);
-                self.samples.t.push(t[lane]);
-                self.samples.delta.push(delta[lane]);
-                let place = (first + lane) as f32 + self.jitter;
-                self.samples.place.push(place / self.steps.count as f32);
-            }
+            hits |= u32::from(self.holds(lanes[lane])) << lane;
+        }
+        hits
+    }
+}
+
+impl Samples {
+    /// Appends the lanes whose bit is set; the numbers are in the order of the arrays.
+    #[inline(always)]
+    fn append<I: Isa>(&mut self, isa: I, numbers: [&Block; 6], lanes: u32) {
+        let len = self.x.len() + lanes.count_ones() as usize;
+        let arrays = [
+            &mut self.x,
+            &mut self.y,
+            &mut self.z,
+            &mut self.t,
+            &mut self.delta,
+            &mut self.place,
+        ];
+        let mut packed = Block::ZERO;
+        for (array, numbers) in arrays.into_iter().zip(numbers) {
+            isa.store(isa.pack(isa.load(numbers), lanes as u16), &mut packed);
+            // A whole block is written and cut: a copy of fixed length is one instruction.
+            array.extend_from_slice(&packed.0);
+            array.truncate(len);
         }
     }
 }
