@@ -197,15 +197,37 @@ fn encode(field: &Field, level: Level, threads: &Threads, limits: &Limits, _peak
     let rate = threads.rate(|_| {
         let mut rows = blocks(count * width, 1);
         let levels = field.shapes.iter().zip(&tables).enumerate();
-        levels.map(|(index, (shape, table))| best(|| {
-            let (shape, points, first, rows) = (*shape, whole(&axes), index * features, &mut rows[..]);
-            match features {
-                2 => level.run(Lookup::<2> { shape, table, points, rows, width, first }),
-                _ => level.run(Lookup::<4> { shape, table, points, rows, width, first }),
-            }
-        })).sum()
+        levels
+            .map(|(index, (shape, table))| {
+                best(|| {
+                    let (shape, points, first, rows) =
+                        (*shape, whole(&axes), index * features, &mut rows[..]);
+                    match features {
+                        2 => level.run(Lookup::<2> {
+                            shape,
+                            table,
+                            points,
+                            rows,
+                            width,
+                            first,
+                        }),
+                        _ => level.run(Lookup::<4> {
+                            shape,
+                            table,
+                            points,
+                            rows,
+                            width,
+                            first,
+                        }),
+                    }
+                })
+            })
+            .sum()
     });
-    [rate * count as f64 / 1e6, limits.rows[0] / (8 * field.shapes.len()) as f64]
+    [
+        rate * count as f64 / 1e6,
+        limits.rows[0] / (8 * field.shapes.len()) as f64,
+    ]
 }
 
 /// Every thread has its own tables: in training it has its own levels.
@@ -216,15 +238,36 @@ fn scatter(field: &Field, level: Level, threads: &Threads, limits: &Limits, _pea
     let rate = threads.rate(|_| {
         let mut tables = field.tables();
         let levels = field.shapes.iter().zip(&mut tables).enumerate();
-        levels.map(|(index, (shape, gradient))| best(|| {
-            let (shape, points, first) = (*shape, whole(&axes), index * features);
-            match features {
-                2 => level.run(Scatter::<2> { shape, gradient, points, rows, width, first }),
-                _ => level.run(Scatter::<4> { shape, gradient, points, rows, width, first }),
-            }
-        })).sum()
+        levels
+            .map(|(index, (shape, gradient))| {
+                best(|| {
+                    let (shape, points, first) = (*shape, whole(&axes), index * features);
+                    match features {
+                        2 => level.run(Scatter::<2> {
+                            shape,
+                            gradient,
+                            points,
+                            rows,
+                            width,
+                            first,
+                        }),
+                        _ => level.run(Scatter::<4> {
+                            shape,
+                            gradient,
+                            points,
+                            rows,
+                            width,
+                            first,
+                        }),
+                    }
+                })
+            })
+            .sum()
     });
-    [rate * count as f64 / 1e6, limits.rows[1] / (8 * field.shapes.len()) as f64]
+    [
+        rate * count as f64 / 1e6,
+        limits.rows[1] / (8 * field.shapes.len()) as f64,
+    ]
 }
 
 /// One chunk of samples again and again, as many as training takes at once.
@@ -236,14 +279,24 @@ fn network(widths: &[usize], level: Level, threads: &Threads, peak: f64, directi
     }
     let last = widths.len() - 1;
     let rate = threads.rate(|_| {
-        let (input, slopes) = (blocks(CHUNK * widths[0] / LANES, 3), blocks(CHUNK * widths[last] / LANES, 4));
+        let (input, slopes) = (
+            blocks(CHUNK * widths[0] / LANES, 3),
+            blocks(CHUNK * widths[last] / LANES, 4),
+        );
         let (mut activations, mut gradients) = (Vec::new(), net.gradients());
         let (mut slope, mut spare) = (Vec::new(), Vec::new());
         best(|| {
             net.forward(level, &input, &mut activations);
             if direction == Direction::Both {
                 slope.clone_from(&slopes);
-                net.backward(level, &input, &activations, &mut slope, &mut spare, &mut gradients);
+                net.backward(
+                    level,
+                    &input,
+                    &activations,
+                    &mut slope,
+                    &mut spare,
+                    &mut gradients,
+                );
             }
         })
     });
@@ -266,8 +319,24 @@ fn adam(field: &Field, level: Level, threads: &Threads, limits: &Limits, _peak: 
                 let (weights, gradient, moments) = (&mut table[..], &mut gradient[..], &mut held);
                 let (rate, epsilon, decay) = (1e-2, 1e-12, 0.0);
                 shortest = shortest.min(once(|| match field.features {
-                    2 => level.run(Adam::<2> { weights, gradient, moments, rate, epsilon, decay, bias }),
-                    _ => level.run(Adam::<4> { weights, gradient, moments, rate, epsilon, decay, bias }),
+                    2 => level.run(Adam::<2> {
+                        weights,
+                        gradient,
+                        moments,
+                        rate,
+                        epsilon,
+                        decay,
+                        bias,
+                    }),
+                    _ => level.run(Adam::<4> {
+                        weights,
+                        gradient,
+                        moments,
+                        rate,
+                        epsilon,
+                        decay,
+                        bias,
+                    }),
                 }));
             }
             shortest
@@ -287,7 +356,12 @@ fn composite(_: &Field, level: Level, threads: &Threads, _: &Limits, peak: f64) 
         let (mut rgb, mut d_tau, mut d_rgb) = (vec![[0.0; 4]; count], raw.clone(), vec![[0.0; 4]; count]);
         best(|| {
             let (tau, alpha) = (&mut tau[..], &mut alpha[..]);
-            level.run(Depths { raw: &raw, delta: &delta, tau, alpha });
+            level.run(Depths {
+                raw: &raw,
+                delta: &delta,
+                tau,
+                alpha,
+            });
             for (tau, before) in tau.chunks(RAY).zip(transmittance.chunks_mut(RAY)) {
                 let mut depth = 0.0;
                 for (tau, before) in tau.iter().zip(before) {
@@ -296,7 +370,10 @@ fn composite(_: &Field, level: Level, threads: &Threads, _: &Limits, peak: f64) 
                 }
             }
             level.run(ExpNeg(&mut transmittance));
-            level.run(Colours { logits: &logits, rgb: &mut rgb });
+            level.run(Colours {
+                logits: &logits,
+                rgb: &mut rgb,
+            });
             for first in (0..count).step_by(RAY) {
                 let span = first..first + RAY;
                 let ray = Ray {
@@ -308,7 +385,14 @@ fn composite(_: &Field, level: Level, threads: &Threads, _: &Limits, peak: f64) 
                 let slope = level.run(Gather(ray)).rgb;
                 let (behind, distortion) = ([0.5; 3], [1e-3, 0.01]);
                 let (d_tau, d_rgb) = (&mut d_tau[span.clone()], &mut d_rgb[span]);
-                level.run(Spread { ray, slope, behind, distortion, d_tau, d_rgb });
+                level.run(Spread {
+                    ray,
+                    slope,
+                    behind,
+                    distortion,
+                    d_tau,
+                    d_rgb,
+                });
             }
         })
     });

@@ -235,7 +235,16 @@ fn a_lookup_in_a_table_of_any_size_is_the_mean_of_its_corners() {
 fn points_outside_the_box_or_nan_look_up_its_border() {
     let shape = Shape::new(37, 9);
     let table = numbers(shape.entries as usize * 4, 7);
-    let outside = [f32::NAN, -0.0, -1.0, f32::NEG_INFINITY, 1.0, 1.5, f32::INFINITY, 1e30];
+    let outside = [
+        f32::NAN,
+        -0.0,
+        -1.0,
+        f32::NEG_INFINITY,
+        1.0,
+        1.5,
+        f32::INFINITY,
+        1e30,
+    ];
     let border = [0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0];
     let look = |level: Level, x: [f32; 8]| {
         let (mut rows, x) = (blocks(16, 8), [x, x].concat());
@@ -288,10 +297,7 @@ fn a_scatter_in_a_large_table_is_the_transpose_of_its_lookup() {
             first,
         });
         let dot = |a: &[f32], b: &[f32]| -> f64 {
-            a.iter()
-                .zip(b)
-                .map(|(a, b)| f64::from(*a) * f64::from(*b))
-                .sum()
+            a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
         };
         let apart = dot(&gradient, &table) - dot(flat(&slopes), flat(&rows));
         assert!(apart.abs() < 1e-4, "{level:?}: {apart}");
