@@ -165,7 +165,7 @@ fn fenced_packages_stay_in_their_room() {
 }
 
 #[test]
-fn unsafe_code_stands_in_two_files() {
+fn unsafe_code_stands_in_two_rooms_of_kernels() {
     let mut files = Vec::new();
     rust_files(&root(), &mut files);
     assert!(files.len() > 20, "only {} source files found", files.len());
@@ -179,6 +179,10 @@ fn unsafe_code_stands_in_two_files() {
         let text = std::fs::read_to_string(&file).unwrap();
         let fenced =
             file.ends_with("stages/field/src/cpu/simd.rs") || file.ends_with("stages/calibrate/src/simd.rs");
+        let fenced = fenced
+            || file
+                .parent()
+                .is_some_and(|folder| folder.ends_with("stages/field/src/cpu/simd"));
         assert!(
             fenced || !words.iter().any(|word| text.contains(word)),
             "{}",
