@@ -51,8 +51,8 @@ fn ball(count: u32, width: u32) -> Vec<View> {
 
 fn small() -> Config {
     Config {
-        levels: 4,
-        log2_table: 11,
+        levels: Some(4),
+        log2_table: Some(11),
         base_resolution: 8,
         density_width: 16,
         color_width: 16,
@@ -60,7 +60,7 @@ fn small() -> Config {
         occupancy_resolution: 32,
         cone: 0.1,
         min_step: 0.05,
-        near: 0.2,
+        near: Some(0.2),
         gain: Gain::PerPhoto,
         ..Config::default()
     }
@@ -93,7 +93,7 @@ fn a_patterned_ball_is_learnt_to_25_db_on_a_held_out_view() {
     let config = Config {
         batch_samples: 8192,
         density_width: 32,
-        log2_table: 13,
+        log2_table: Some(13),
         cone: 0.04,
         min_step: 0.02,
         ..small()
@@ -148,7 +148,7 @@ fn weights_are_the_same_on_every_instruction_set() {
     for features in [2, 4] {
         let config = Config {
             features,
-            levels: 32 / features,
+            levels: Some(32 / features),
             density_width: 64,
             color_width: 32,
             color_layers: 2,
@@ -201,7 +201,10 @@ fn a_checkpoint_of_another_training_or_a_damaged_one_is_refused() {
     let mut views = ball(4, 16);
     views[2].image.pixels[5][1] ^= 1;
     assert_eq!(other(7, views, &small()), Err(FieldError::OtherTraining { what }));
-    let config = Config { near: 0.3, ..small() };
+    let config = Config {
+        near: Some(0.3),
+        ..small()
+    };
     assert_eq!(
         other(7, ball(4, 16), &config),
         Err(FieldError::OtherTraining { what: "config" })
@@ -250,7 +253,7 @@ fn a_field_survives_its_bytes_and_refuses_damaged_ones() {
     let text = String::from_utf8_lossy(&bytes).replacen("\\\"levels\\\":4", "\\\"levels\\\":8", 1);
     assert!(Field::decode(text.as_bytes()).is_err());
     let mut larger = field;
-    larger.config.log2_table = 24;
+    larger.facts.sizes.log2_table.value = 24;
     let error = Field::decode(&larger.encode()).unwrap_err().to_string();
     assert!(error.starts_with("not a field: tensor `table."), "{error}");
 }
