@@ -55,9 +55,6 @@ const POINTS_A_CELL: usize = 4;
 const ENOUGH_CELLS: usize = 8;
 /// Finest cells an entry may be shared by: the other levels tell them apart (instant-ngp, section 3).
 const CELLS_AN_ENTRY: u64 = 4;
-/// Samples that an entry wants until it has learnt more than a smaller table would have, binary logarithm;
-/// `benches/size.md`.
-const LOG2_SAMPLES_AN_ENTRY: u32 = 12;
 /// Smallest and largest table that is derived.
 const TABLES: [u32; 2] = [12, 22];
 
@@ -332,9 +329,7 @@ fn log2_table(config: &Config, cells: u64) -> Chosen<u32> {
         );
     };
     let samples = steps.saturating_mul(config.batch_samples.into());
-    let filled = log2_nearest(samples)
-        .saturating_sub(LOG2_SAMPLES_AN_ENTRY)
-        .clamp(least, most);
+    let filled = log2_filled(samples).clamp(least, most);
     let budget = format!(
         "{} steps of {} samples fill 2^{filled}",
         grouped(steps),
@@ -346,9 +341,12 @@ fn log2_table(config: &Config, cells: u64) -> Chosen<u32> {
     Chosen::new(wanted, format!("the scene decides: {scene}; {budget}"))
 }
 
-/// The power of two nearest in ratio, nearly: 1.33 goes down, 1.34 up.
-fn log2_nearest(value: u64) -> u32 {
-    value.saturating_add(value / 2).max(1).ilog2()
+/// Binary logarithm of the table that so many samples fill: 2^15 at 2^25 samples, 4 times as large at 8 times as many.
+///
+/// A larger one has learnt less by then, a smaller one cannot hold more: `benches/size.md`.
+fn log2_filled(samples: u64) -> u32 {
+    let twice = u128::from(samples.max(1)).pow(2).ilog2();
+    (twice.saturating_sub(5) + 1) / 3
 }
 
 /// Writes a count in groups of three digits.

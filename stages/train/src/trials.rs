@@ -189,9 +189,10 @@ struct Outcome {
 fn judged(part: &Part, [with, without]: [Outcome; 2], bench: &Bench<'_>, least_db: f64) -> (Trial, bool) {
     let gain_db = with.psnr - without.psnr;
     let pays = gain_db > least_db;
-    let (word, relation) = match pays {
-        true => ("kept", "more than"),
-        false => ("left out", "not more than"),
+    let (word, relation) = if pays {
+        ("kept", "more than")
+    } else {
+        ("left out", "not more than")
     };
     let decision = format!(
         "{word}: {gain_db:+.2} dB on {} validation photos after {} steps, {relation} {least_db} dB",
