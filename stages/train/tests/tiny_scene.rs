@@ -434,7 +434,7 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 1, "e67e321f1d00"),
+            ("train", 1, "c762fd3f2faf"),
             ("evaluate", 1, "53a5af81a951"),
             ("render", 1, "c2174dd5cd11")
         ]
