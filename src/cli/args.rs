@@ -166,6 +166,28 @@ pub struct FitArgs {
     /// Seed of the training
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
+    /// What decides how large the field is
+    #[arg(long, value_enum, default_value_t = Fit::Scene)]
+    pub fit: Fit,
+}
+
+/// What decides how large a field is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Fit {
+    /// The scene and the time
+    Scene,
+    /// Nothing: the full base configuration of instant-ngp
+    Fixed,
+}
+
+impl Fit {
+    /// Returns the word as pipeline.toml has it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Scene => "scene",
+            Self::Fixed => "fixed",
+        }
+    }
 }
 
 /// Verbs of `cache`.

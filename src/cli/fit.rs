@@ -48,9 +48,10 @@ pub fn fit(global: &Global, args: &FitArgs, cancel: &Cancel) -> Result<(), CliEr
 fn pipeline(args: &FitArgs, seconds: u32) -> String {
     format!(
         "name = \"fit\"\n{}[node.calibrate]\ninput = \"extract\"\ncameras = \"extract\"\nmethod = \"import\"\n\
-         [node.train]\ninput = \"calibrate\"\nbudget = \"{seconds}s\"\nseed = {}\n",
+         [node.train]\ninput = \"calibrate\"\nbudget = \"{seconds}s\"\nseed = {}\nfit = \"{}\"\n",
         folder(&args.dir),
-        args.seed
+        args.seed,
+        args.fit.name()
     )
 }
 

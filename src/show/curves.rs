@@ -10,6 +10,7 @@ use super::format::number;
 use super::json;
 use super::page::Page;
 use super::quality::{figures, without_views};
+use super::sizes;
 
 /// Curves and metrics of every node that has either.
 pub(super) fn body(page: &Page<'_>) -> Markup {
@@ -39,6 +40,7 @@ fn metrics(page: &Page<'_>, node: &NodeView) -> Markup {
     match page.json::<Value>(node, "metrics") {
         Ok(value) => html! {
             (figures(&value))
+            (sizes::shown(&value))
             details { summary { "all metrics" } (json::tables(&without_views(&value))) }
         },
         Err(missing) => html! { (missing) },

@@ -19,6 +19,7 @@ mod page;
 mod photos;
 mod pictures;
 mod quality;
+mod sizes;
 mod tune;
 mod vector;
 

@@ -194,7 +194,10 @@ impl Expand for Bootstrap {
 /// Member `index`: its seed, and in mode `photos` its draw of photos, is `seed + index`, round the end of u64.
 fn member(params: &BootstrapParams, index: u32, inputs: &Inputs) -> NodeSpec {
     let seed = params.seed.wrapping_add(u64::from(index));
-    let mut table = json!({ "quality": params.quality, "seed": seed, "field": params.field });
+    // Members differ by their seed or photos alone: none tries parts of its own.
+    let trials = json!({ "steps": 0 });
+    let mut table =
+        json!({ "quality": params.quality, "seed": seed, "field": params.field, "trials": trials });
     if let Some(steps) = params.steps {
         table["steps"] = json!(steps);
     }

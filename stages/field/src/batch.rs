@@ -255,8 +255,9 @@ impl Scratch {
             spare,
             &mut found.color,
         );
+        let blocks = weights.color_blocks();
         for index in 0..n {
-            let mut row = slope[2 * index];
+            let mut row = slope[blocks * index];
             if shade.raw[index] < RAW_LIMIT {
                 row.0[0] = self.d_tau[index].mul_add(shade.tau[index], row.0[0]);
             }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::cpu::adam::Moments;
 use crate::tensors::{Reader, Writer};
 use crate::trainer::State;
-use crate::{Config, FieldError, Trainer};
+use crate::{Config, FieldError, Sizes, Trainer};
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -15,7 +15,7 @@ struct Header {
     seed: String,
     views: usize,
     pixels: String,
-    finest: u32,
+    sizes: Sizes,
     steps: u64,
     /// Bits of the f64.
     samples_per_ray: String,
@@ -71,7 +71,7 @@ impl Trainer {
             seed: self.seed.to_string(),
             views: self.state.gains.len() / 4,
             pixels: format!("{:016x}", self.fingerprint()),
-            finest: self.finest.0,
+            sizes: self.sizes.clone(),
             steps: self.state.steps,
             samples_per_ray: format!("{:016x}", self.state.samples_per_ray.to_bits()),
         }
@@ -85,7 +85,7 @@ impl Trainer {
             () if own.seed != header.seed => differs("seed"),
             () if own.views != header.views => differs("number of views"),
             () if own.pixels != header.pixels => differs("photos, cameras or box"),
-            () if own.finest != header.finest => differs("finest level"),
+            () if own.sizes != header.sizes => differs("size"),
             () => Ok(()),
         }
     }

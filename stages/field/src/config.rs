@@ -24,16 +24,27 @@ pub enum Gain {
     Off,
 }
 
+/// Whether the colour of a place depends on the direction it is seen from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "snake_case")]
+pub enum ViewDependence {
+    /// The colour network sees 16 spherical harmonics of the direction: gloss.
+    On,
+    /// It does not, and is smaller by them: dust and rock.
+    Off,
+}
+
 /// Hyper-parameters of the field and its training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// Levels of the hash grid, 1 to 16.
-    pub levels: u32,
+    /// Levels of the hash grid, 1 to 16; absent: as many as keep the growth from level to level at 2 or less.
+    pub levels: Option<u32>,
     /// Features an entry: 2 or 4. `levels * features` is a multiple of 16.
     pub features: u32,
-    /// Binary logarithm of the entries of a level, 8 to 24. Levels with fewer corners are stored densely.
-    pub log2_table: u32,
+    /// Binary logarithm of the entries of a level, 8 to 24. Levels with fewer corners are stored densely. Absent: from
+    /// the surface and from `steps`.
+    pub log2_table: Option<u32>,
     /// Cells a side of the coarsest level, 4 to 512.
     pub base_resolution: u32,
     /// Cells a side of the finest level; absent: from the footprint of a pixel on the scene.
@@ -57,22 +68,29 @@ pub struct Config {
     pub cone: f64,
     /// Shortest step, as a share of the box's half side, in [1e-4, 0.5].
     pub min_step: f64,
-    /// Distance of the first sample, as a share of the box's half side, in [1e-4, 10].
-    pub near: f64,
+    /// Distance of the first sample, as a share of the box's half side, in [1e-4, 10]; absent: from the sparse points.
+    pub near: Option<f64>,
+    /// Distance of the last sample, as a share of the box's half side, above `near`, at most 1e6; absent: from the
+    /// sparse points.
+    pub far: Option<f64>,
+    /// Steps the training is meant to take: a table is not larger than they fill. Absent: not known.
+    pub steps: Option<u64>,
     /// Weight of the distortion loss (mip-NeRF 360, arXiv 2111.12077, eq. 15), 0 or more.
     pub distortion: f64,
     /// Exposure of single photos.
     pub gain: Gain,
     /// What lies behind the last sample.
     pub background: Background,
+    /// Whether colours depend on where one looks from.
+    pub view_dependence: ViewDependence,
 }
 
 impl Default for Config {
     fn default() -> Self {
         Self {
-            levels: 8,
+            levels: None,
             features: 4,
-            log2_table: 15,
+            log2_table: None,
             base_resolution: 16,
             finest_resolution: None,
             density_width: 32,
@@ -84,15 +102,35 @@ impl Default for Config {
             occupancy_resolution: 128,
             cone: 0.04,
             min_step: 0.03,
-            near: 0.1,
+            near: None,
+            far: None,
+            steps: None,
             distortion: 1e-3,
             gain: Gain::Off,
             background: Background::Direction,
+            view_dependence: ViewDependence::On,
         }
     }
 }
 
 impl Config {
+    /// Returns the full base configuration of instant-ngp (arXiv 2201.05989, table 1 and section 4), whatever the
+    /// scene: what sizing by the scene is compared with.
+    pub fn fixed() -> Self {
+        Self {
+            levels: Some(16),
+            features: 2,
+            log2_table: Some(19),
+            finest_resolution: Some(2048),
+            density_width: 64,
+            color_width: 64,
+            color_layers: 2,
+            near: Some(0.1),
+            far: Some(512.0),
+            ..Self::default()
+        }
+    }
+
     /// Tells whether every number lies in its documented range.
     ///
     /// # Errors
@@ -102,8 +140,8 @@ impl Config {
         let table = [
             (
                 "levels",
-                f64::from(self.levels),
-                (1..=16).contains(&self.levels),
+                self.levels.map_or(0.0, f64::from),
+                self.levels.is_none_or(|levels| (1..=16).contains(&levels)),
                 "1 to 16",
             ),
             (
@@ -114,14 +152,15 @@ impl Config {
             ),
             (
                 "log2_table",
-                f64::from(self.log2_table),
-                (8..=24).contains(&self.log2_table),
+                self.log2_table.map_or(0.0, f64::from),
+                self.log2_table.is_none_or(|log2| (8..=24).contains(&log2)),
                 "8 to 24",
             ),
             (
                 "levels * features",
-                f64::from(self.levels) * f64::from(self.features),
-                self.levels.wrapping_mul(self.features).is_multiple_of(16),
+                self.levels.map_or(0.0, f64::from) * f64::from(self.features),
+                self.levels
+                    .is_none_or(|levels| levels.wrapping_mul(self.features).is_multiple_of(16)),
                 "a multiple of 16",
             ),
             (
@@ -194,10 +233,18 @@ impl Config {
             ),
             (
                 "near",
-                self.near,
-                (1e-4..=10.0).contains(&self.near),
+                self.near.unwrap_or_default(),
+                self.near.is_none_or(|near| (1e-4..=10.0).contains(&near)),
                 "0.0001 to 10",
             ),
+            (
+                "far",
+                self.far.unwrap_or_default(),
+                self.far
+                    .is_none_or(|far| far > self.near.unwrap_or(2e-4) && far <= 1e6),
+                "above `near`, at most 1000000",
+            ),
+            ("steps", 0.0, self.steps != Some(0), "1 or more"),
             (
                 "distortion",
                 self.distortion,

@@ -1,5 +1,7 @@
 use serde::{Deserialize, Serialize};
 
+use crate::Sizes;
+
 /// One level of the hash grid.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -10,6 +12,24 @@ pub struct LevelFacts {
     pub entries: u32,
     /// Every corner has its own entry; otherwise corners share entries by hash.
     pub dense: bool,
+}
+
+/// A part of the field that was tried with and without, on photos kept away from the trial.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Trial {
+    /// The part, by its key.
+    pub part: String,
+    /// Mean PSNR with it, dB; none where it was not tried.
+    pub with_db: Option<f64>,
+    /// Mean PSNR without it, dB.
+    pub without_db: Option<f64>,
+    /// Trained numbers it adds in the trial.
+    pub parameters: Option<u64>,
+    /// Steps of either side.
+    pub steps: u64,
+    /// `kept`, `left out` or `not tried`, and why.
+    pub decision: String,
 }
 
 /// What a field was sized by: every number beside the number that decided it.
@@ -30,8 +50,10 @@ pub struct Facts {
     pub steps_per_ray: u32,
     /// Levels, coarse to fine.
     pub levels: Vec<LevelFacts>,
-    /// Why the finest level has its resolution.
-    pub finest_reason: String,
+    /// What decided near, far, levels and table.
+    pub sizes: Sizes,
+    /// Parts that were tried with and without; empty where none were.
+    pub trials: Vec<Trial>,
     /// Trained numbers (tables, networks, background, gains).
     pub parameters: u64,
     /// Share of the occupancy grid that some camera sees.

@@ -11,7 +11,7 @@ pub const FAR: f64 = 512.0;
 /// With cameras close together the box reaches this many baselines: there the disparity is still f / 16.
 const BASELINES: f64 = 16.0;
 /// Fewer sparse points say too little about the extent.
-const ENOUGH_POINTS: usize = 32;
+pub const ENOUGH_POINTS: usize = 32;
 
 /// Where the unit box lies in the world.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -89,7 +89,7 @@ fn median(values: &mut [f64]) -> f64 {
     percentile(values, 0.5)
 }
 
-fn percentile(values: &mut [f64], share: f64) -> f64 {
+pub fn percentile(values: &mut [f64], share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let index = ((values.len() as f64 * share) as usize).min(values.len().saturating_sub(1));
     values.get(index).copied().unwrap_or(0.0)
@@ -121,13 +121,9 @@ fn from_points(views: &[View], points: &[[f64; 3]]) -> Option<Frame> {
 
 /// Median depth of the points a view sees, 0 if none.
 fn seen_depth(view: &View, points: &[[f64; 3]]) -> f64 {
-    let (width, height) = (f64::from(view.camera.width), f64::from(view.camera.height));
-    let depths = points.iter().filter_map(|point| {
-        let in_camera = view.cam_from_world.point(&Vector3::from(*point));
-        let pixel = view.camera.project(&in_camera)?;
-        let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < width && pixel.y < height;
-        inside.then(|| in_camera.norm())
-    });
+    let depths = points
+        .iter()
+        .filter_map(|point| view.distance_of(&Vector3::from(*point)));
     median(&mut depths.collect::<Vec<_>>())
 }
 

@@ -22,6 +22,9 @@ mod render;
 mod rng;
 mod sh;
 mod shade;
+mod size;
+#[cfg(test)]
+mod size_tests;
 mod tensors;
 mod trainer;
 #[cfg(test)]
@@ -30,13 +33,14 @@ mod views;
 mod weights;
 
 pub use bands::render_in_bands;
-pub use config::{Background, Config, Gain};
+pub use config::{Background, Config, Gain, ViewDependence};
 pub use error::FieldError;
-pub use facts::{Facts, LevelFacts};
+pub use facts::{Facts, LevelFacts, Trial};
 pub use model::Field;
 pub use overrides::{OverrideError, Overrides};
 pub use quality::Quality;
 pub use render::Render;
+pub use size::{Chosen, Sizes};
 pub use trainer::{Step, Trainer};
 pub use views::View;
 

@@ -4,10 +4,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::cpu::march::{Bits, Steps};
 use crate::cpu::simd::Level;
-use crate::frame::{FAR, Frame};
+use crate::frame::Frame;
 use crate::tensors::{Reader, Writer};
 use crate::weights::Weights;
-use crate::{Config, Facts, FieldError, Render};
+use crate::{Config, Facts, FieldError, Render, Trial};
 
 /// A trained field: everything needed to render.
 #[derive(Clone, Debug)]
@@ -18,7 +18,7 @@ pub struct Field {
     pub(crate) steps: Steps,
     pub(crate) weights: Weights,
     pub(crate) bits: Bits,
-    facts: Facts,
+    pub(crate) facts: Facts,
 }
 
 /// The JSON in the file's header.
@@ -29,7 +29,7 @@ struct Header {
     format: u32,
     config: Config,
     frame: Frame,
-    facts: Facts,
+    pub(crate) facts: Facts,
 }
 
 /// Raised when the meaning of the file changes.
@@ -39,7 +39,7 @@ impl Field {
     pub(crate) fn new(config: Config, frame: Frame, facts: Facts, weights: Weights, bits: Bits) -> Self {
         Self {
             level: Level::best(),
-            steps: Steps::new(config.near, FAR, config.min_step, config.cone),
+            steps: facts.sizes.steps(&config),
             config,
             frame,
             weights,
@@ -88,15 +88,15 @@ impl Field {
         if !finite || !frame.half_side.is_finite() || frame.half_side <= 0.0 {
             return Err(reader.malformed(format!("box of half side {}", frame.half_side)));
         }
-        let finest = facts.levels.last().map_or(0, |level| level.resolution);
-        if !(header.config.base_resolution..=1 << 20).contains(&finest) {
-            return Err(reader.malformed(format!("finest level of {finest} cells")));
-        }
-        for (index, shape) in Weights::shapes(&header.config, finest).iter().enumerate() {
+        let sizes = &facts.sizes;
+        sizes
+            .check(&header.config)
+            .map_err(|error| reader.malformed(error.to_string()))?;
+        for (index, shape) in Weights::shapes(&header.config, sizes).iter().enumerate() {
             let len = shape.entries as usize * header.config.features as usize;
             reader.expect(&format!("table.{index}"), Dtype::F32, len)?;
         }
-        let mut weights = Weights::zeros(&header.config, finest);
+        let mut weights = Weights::zeros(&header.config, sizes);
         for (name, values) in weights.tensors_mut() {
             reader.floats(&name, values)?;
         }
@@ -118,6 +118,13 @@ impl Field {
     /// distortion has no inverse are black and empty.
     pub fn render(&self, camera: &Camera, cam_from_world: &Pose) -> Render {
         crate::render::render(self, camera, cam_from_world)
+    }
+
+    /// Takes down what was tried before the training.
+    #[must_use]
+    pub fn with_trials(mut self, trials: Vec<Trial>) -> Self {
+        self.facts.trials = trials;
+        self
     }
 
     /// Returns what the field was sized by.

@@ -133,7 +133,7 @@ mod tests {
             .unwrap();
         assert_eq!(
             (config.levels, config.features, config.learning_rate),
-            (16, 2, 0.004)
+            (Some(16), 2, 0.004)
         );
         assert_eq!(config.log2_table, Config::default().log2_table);
     }

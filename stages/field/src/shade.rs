@@ -132,13 +132,16 @@ impl Shade {
     ) {
         let n = self.raw.len();
         let outputs = self.density.last().map_or(&[][..], Vec::as_slice);
-        self.latent.resize(2 * n, Block::default());
-        for (row, output) in self.latent.chunks_exact_mut(2).zip(outputs) {
+        let blocks = weights.color_blocks();
+        self.latent.resize(blocks * n, Block::default());
+        for (row, output) in self.latent.chunks_exact_mut(blocks).zip(outputs) {
             row[0] = *output;
         }
-        for (span, harmonics) in spans.iter().zip(harmonics) {
-            for index in span.first..span.end {
-                self.latent[2 * index + 1].0 = *harmonics;
+        if blocks > 1 {
+            for (span, harmonics) in spans.iter().zip(harmonics) {
+                for index in span.first..span.end {
+                    self.latent[blocks * index + 1].0 = *harmonics;
+                }
             }
         }
         weights.color.forward(level, &self.latent, &mut self.color);

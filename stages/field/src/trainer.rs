@@ -7,13 +7,13 @@ use crate::cpu::composite::RAW_SHIFT;
 use crate::cpu::march::Steps;
 use crate::cpu::math::exp;
 use crate::cpu::simd::{Level, flat};
-use crate::frame::{FAR, Frame};
+use crate::frame::Frame;
 use crate::occupancy::Occupancy;
 use crate::rng::{Fingerprint, Purpose, Rng};
 use crate::shade::Shade;
 use crate::views::{View, check_points, check_views, pixel_offsets};
 use crate::weights::{NET_ROW, Weights};
-use crate::{Background, Config, Facts, Field, FieldError, LevelFacts, background};
+use crate::{Background, Config, Facts, Field, FieldError, LevelFacts, Sizes, background, size};
 
 /// What one optimiser step did.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,7 +41,7 @@ pub struct Trainer {
     /// Number of the first pixel of every view, and of all pixels at the end.
     pixels: Vec<u64>,
     pub(crate) frame: Frame,
-    pub(crate) finest: (u32, String),
+    pub(crate) sizes: Sizes,
     march: Steps,
     pub(crate) bias: Bias,
     pub(crate) gradients: Vec<Vec<f32>>,
@@ -83,8 +83,8 @@ impl Trainer {
         check_views(&views)?;
         check_points(points)?;
         let frame = Frame::derive(&views, points);
-        let finest = finest(config, &frame, &views);
-        let mut weights = Weights::zeros(config, finest.0);
+        let sizes = size::derive(&views, points, config, &frame);
+        let mut weights = Weights::zeros(config, &sizes);
         weights.randomise(seed);
         if config.background == Background::Direction {
             weights.background = background::fit(&views);
@@ -100,7 +100,7 @@ impl Trainer {
         let moments = tensors
             .iter()
             .map(|(name, values)| Moments::new(values.len(), rows(name)));
-        let march = Steps::new(config.near, FAR, config.min_step, config.cone);
+        let march = sizes.steps(config);
         let state = State {
             steps: 0,
             samples_per_ray: march.count as f64,
@@ -119,7 +119,7 @@ impl Trainer {
             pixels: pixel_offsets(&views),
             views,
             frame,
-            finest,
+            sizes,
             march,
             bias: Bias::default(),
             gradients: state
@@ -227,11 +227,12 @@ impl Trainer {
             origin: self.frame.origin,
             half_side: self.frame.half_side,
             box_reason: self.frame.reason.clone(),
-            near: self.config.near * self.frame.half_side,
-            far: FAR * self.frame.half_side,
+            near: self.sizes.near.value * self.frame.half_side,
+            far: self.sizes.far.value * self.frame.half_side,
             steps_per_ray: self.march.count as u32,
             levels: levels.collect(),
-            finest_reason: self.finest.1.clone(),
+            sizes: self.sizes.clone(),
+            trials: Vec::new(),
             parameters: parameters as u64,
             seen_share: self.state.occupancy.seen_share(),
             occupied_share: self.state.occupancy.bits.share(),
@@ -326,15 +327,5 @@ impl Trainer {
         self.state
             .occupancy
             .update(&probes, &found, self.config.min_step as f32);
-    }
-}
-
-fn finest(config: &Config, frame: &Frame, views: &[View]) -> (u32, String) {
-    match config.finest_resolution {
-        Some(finest) => (finest, "`finest_resolution` says so".to_owned()),
-        None => {
-            let (cells, reason) = frame.finest(views);
-            (cells.max(config.base_resolution), reason)
-        }
     }
 }

@@ -4,7 +4,7 @@ use marf_scene::{Camera, Image, Pose};
 use nalgebra::Vector3;
 
 use crate::cpu::simd::Level;
-use crate::{Background, Config, Field, FieldError, Gain, Trainer, View};
+use crate::{Background, Config, Field, FieldError, Gain, Trainer, View, ViewDependence};
 
 /// A ball of radius 1 with a wavy coat before a sky that grows lighter upwards.
 fn shade(origin: Vector3<f64>, direction: Vector3<f64>) -> [u8; 3] {
@@ -51,8 +51,8 @@ fn ball(count: u32, width: u32) -> Vec<View> {
 
 fn small() -> Config {
     Config {
-        levels: 4,
-        log2_table: 11,
+        levels: Some(4),
+        log2_table: Some(11),
         base_resolution: 8,
         density_width: 16,
         color_width: 16,
@@ -60,7 +60,7 @@ fn small() -> Config {
         occupancy_resolution: 32,
         cone: 0.1,
         min_step: 0.05,
-        near: 0.2,
+        near: Some(0.2),
         gain: Gain::PerPhoto,
         ..Config::default()
     }
@@ -93,7 +93,7 @@ fn a_patterned_ball_is_learnt_to_25_db_on_a_held_out_view() {
     let config = Config {
         batch_samples: 8192,
         density_width: 32,
-        log2_table: 13,
+        log2_table: Some(13),
         cone: 0.04,
         min_step: 0.02,
         ..small()
@@ -148,10 +148,14 @@ fn weights_are_the_same_on_every_instruction_set() {
     for features in [2, 4] {
         let config = Config {
             features,
-            levels: 32 / features,
+            levels: Some(32 / features),
             density_width: 64,
             color_width: 32,
             color_layers: 2,
+            view_dependence: match features {
+                2 => ViewDependence::Off,
+                _ => ViewDependence::On,
+            },
             ..small()
         };
         let state = |level: Level| {
@@ -201,7 +205,10 @@ fn a_checkpoint_of_another_training_or_a_damaged_one_is_refused() {
     let mut views = ball(4, 16);
     views[2].image.pixels[5][1] ^= 1;
     assert_eq!(other(7, views, &small()), Err(FieldError::OtherTraining { what }));
-    let config = Config { near: 0.3, ..small() };
+    let config = Config {
+        near: Some(0.3),
+        ..small()
+    };
     assert_eq!(
         other(7, ball(4, 16), &config),
         Err(FieldError::OtherTraining { what: "config" })
@@ -250,7 +257,7 @@ fn a_field_survives_its_bytes_and_refuses_damaged_ones() {
     let text = String::from_utf8_lossy(&bytes).replacen("\\\"levels\\\":4", "\\\"levels\\\":8", 1);
     assert!(Field::decode(text.as_bytes()).is_err());
     let mut larger = field;
-    larger.config.log2_table = 24;
+    larger.facts.sizes.log2_table.value = 24;
     let error = Field::decode(&larger.encode()).unwrap_err().to_string();
     assert!(error.starts_with("not a field: tensor `table."), "{error}");
 }
@@ -389,6 +396,27 @@ fn gains_follow_the_exposure_and_keep_a_mean_of_zero() {
             .gains
             .iter()
             .all(|gain| *gain == 0.0)
+    );
+}
+
+/// A ball without gloss is learnt as well by a colour network that does not know where it is seen from.
+#[test]
+fn without_view_dependence_there_are_fewer_weights_and_a_dull_ball_is_learnt_as_well() {
+    let found = [ViewDependence::On, ViewDependence::Off].map(|view_dependence| {
+        let config = Config {
+            view_dependence,
+            batch_samples: 4096,
+            ..small()
+        };
+        let field = trained(ball(12, 16), &config, 4, 300).field();
+        (psnr(&field, &ball_view(0.4, 0.3, 16)), field.facts().parameters)
+    });
+    let [(with, more), (without, fewer)] = found;
+    // 16 harmonics into 16 neurons.
+    assert_eq!(more - fewer, 256);
+    assert!(
+        without > 18.0 && without > with - 0.5,
+        "{with} dB with, {without} dB without"
     );
 }
 

@@ -1,4 +1,5 @@
 use marf_scene::{Camera, Image, Pose, Srgb};
+use nalgebra::Vector3;
 
 use crate::FieldError;
 
@@ -13,6 +14,17 @@ pub struct View {
     pub cam_from_world: Pose,
     /// Its pixels.
     pub image: Image<Srgb>,
+}
+
+impl View {
+    /// Returns the distance of a point of the world from the camera, if the photo shows its place.
+    pub(crate) fn distance_of(&self, point: &Vector3<f64>) -> Option<f64> {
+        let in_camera = self.cam_from_world.point(point);
+        let pixel = self.camera.project(&in_camera)?;
+        let (width, height) = (f64::from(self.camera.width), f64::from(self.camera.height));
+        let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < width && pixel.y < height;
+        inside.then(|| in_camera.norm())
+    }
 }
 
 /// Returns the number of the first pixel of every view, and of all pixels at the end.

@@ -5,7 +5,7 @@ use crate::cpu::math::root;
 use crate::cpu::net::Net;
 use crate::cpu::simd::{LANES, flat, flat_mut};
 use crate::rng::{Purpose, Rng};
-use crate::{Background, Config, sh};
+use crate::{Background, Config, Sizes, ViewDependence, sh};
 
 /// Outputs of the density network: the raw density and 15 numbers for the colour network.
 pub const LATENT: usize = 16;
@@ -23,7 +23,7 @@ pub struct Weights {
     pub tables: Vec<Vec<f32>>,
     /// Features to raw density and latent.
     pub density: Net,
-    /// Latent and harmonics of the direction to colour logits (3 of 16).
+    /// Latent and, with view dependence, harmonics of the direction to colour logits (3 of 16).
     pub color: Net,
     /// `[3, 16]` coefficients of the background's logits.
     pub background: Vec<f32>,
@@ -46,11 +46,11 @@ pub fn resolutions(base: u32, finest: u32, levels: u32) -> Vec<u32> {
 
 impl Weights {
     /// The levels of a configuration.
-    pub fn shapes(config: &Config, finest: u32) -> Vec<Shape> {
-        let sides = resolutions(config.base_resolution, finest, config.levels);
+    pub fn shapes(config: &Config, sizes: &Sizes) -> Vec<Shape> {
+        let sides = resolutions(config.base_resolution, sizes.finest.value, sizes.levels.value);
         sides
             .iter()
-            .map(|side| Shape::new(*side, config.log2_table))
+            .map(|side| Shape::new(*side, sizes.log2_table.value))
             .collect()
     }
 
@@ -60,14 +60,18 @@ impl Weights {
     }
 
     /// All numbers zero.
-    pub fn zeros(config: &Config, finest: u32) -> Self {
-        let shapes = Self::shapes(config, finest);
+    pub fn zeros(config: &Config, sizes: &Sizes) -> Self {
+        let shapes = Self::shapes(config, sizes);
         let features = config.features as usize;
         let tables = shapes
             .iter()
             .map(|shape| vec![0.0; shape.entries as usize * features]);
-        let input = config.levels as usize * features;
-        let mut widths = vec![LATENT + sh::COUNT];
+        let input = shapes.len() * features;
+        let harmonics = match config.view_dependence {
+            ViewDependence::On => sh::COUNT,
+            ViewDependence::Off => 0,
+        };
+        let mut widths = vec![LATENT + harmonics];
         widths.extend((0..config.color_layers).map(|_| config.color_width as usize));
         widths.push(16);
         Self {
@@ -128,6 +132,11 @@ impl Weights {
         for layer in self.density.layers.iter_mut().chain(&mut self.color.layers) {
             layer.refresh();
         }
+    }
+
+    /// Blocks of 16 that a row of the colour network's input has: the latent, and the harmonics where they count.
+    pub fn color_blocks(&self) -> usize {
+        self.color.layers.first().map_or(1, |layer| layer.inputs / LATENT)
     }
 
     /// Returns the background's colour in a direction given by its harmonics.

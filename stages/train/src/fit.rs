@@ -88,19 +88,21 @@ pub(crate) fn fit(
 /// Chooses evenly spaced held-out photos and shrinks them further.
 pub(crate) fn probes<'a>(held_out: &[Named<'a>], photos: &[Reduced]) -> Vec<(Named<'a>, Reduced)> {
     let count = held_out.len().min(PROBES);
-    let shrink = |photo: &Reduced| {
-        let longest = photo.camera.width.max(photo.camera.height);
-        let shortest = photo.camera.width.min(photo.camera.height);
-        let factor = longest.div_ceil(PROBE_SIDE_PX).clamp(1, shortest);
-        Reduced {
-            camera: photo.camera.box_reduced(factor),
-            image: photo.image.box_reduced(factor),
-        }
-    };
     let places = (0..count).map(|probe| probe * held_out.len() / count);
     places
-        .map(|place| (held_out[place].clone(), shrink(&photos[place])))
+        .map(|place| (held_out[place].clone(), shrunk(&photos[place], PROBE_SIDE_PX)))
         .collect()
+}
+
+/// Shrinks a photo until its longest side is at most `side_px`, if its shortest bears it.
+pub(crate) fn shrunk(photo: &Reduced, side_px: u32) -> Reduced {
+    let longest = photo.camera.width.max(photo.camera.height);
+    let shortest = photo.camera.width.min(photo.camera.height);
+    let factor = longest.div_ceil(side_px).clamp(1, shortest);
+    Reduced {
+        camera: photo.camera.box_reduced(factor),
+        image: photo.image.box_reduced(factor),
+    }
 }
 
 /// At 1/16 of the steps and at every eighth.

@@ -14,6 +14,7 @@ mod params;
 mod render;
 mod split;
 mod train;
+mod trials;
 
 pub use budget::Budget;
 pub use error::TrainError;
@@ -21,6 +22,6 @@ pub use evaluate::{Evaluate, EvaluateParams, Which};
 pub use fit::CurvePoint;
 pub use judge::{Metrics, Scores};
 pub use pace::{Pace, PaceParams};
-pub use params::{Holdout, TrainParams};
+pub use params::{Fit, Holdout, TrainParams, TrialsParams};
 pub use render::{PathKind, Render, RenderParams};
 pub use train::{Report, Train};

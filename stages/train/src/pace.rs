@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    Budget, Holdout, TrainError, TrainParams,
+    Budget, Fit, Holdout, TrainError, TrainParams,
     judge::{outputs, put_json},
     params,
     split::split,
@@ -16,6 +16,10 @@ use crate::{
 
 /// Longest measurement, seconds.
 const LONGEST_S: f64 = 8.0;
+
+/// Steps that two cores take in a second, to choose the table that is measured: its size changes the rate by less
+/// than the rate differs between machines.
+const EXPECTED_STEPS_PER_S: f64 = 60.0;
 
 /// Turns a time to train for into optimiser steps, once, by training for a moment on this machine.
 ///
@@ -41,6 +45,9 @@ pub struct PaceParams {
     /// Photos that are kept away from training.
     #[serde(default)]
     pub holdout: Holdout,
+    /// What decides how large the field is.
+    #[serde(default)]
+    pub fit: Fit,
     /// Keys of the field; they win over those of the input `params`.
     #[serde(default)]
     pub field: Overrides,
@@ -54,6 +61,7 @@ impl PaceParams {
             quality: train.quality,
             scale: train.scale,
             holdout: train.holdout,
+            fit: train.fit,
             field: train.field.clone(),
         })
     }
@@ -72,7 +80,7 @@ impl Define for Pace {
 
     fn new(params: PaceParams) -> Result<Self, ParamError> {
         params::check_scale(params.scale)?;
-        params::check_field(params.quality, &params.field)?;
+        params::check_field(params.quality, params.fit, &params.field)?;
         Ok(Self { params })
     }
 }
@@ -95,7 +103,9 @@ impl Set for Pace {
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
         let params = &self.params;
         let scene = read_scene(ctx, inputs.required("scene")?)?;
-        let config = params::config(ctx, inputs, params.quality, &params.field)?;
+        let keys = params::keys(ctx, inputs, &params.field)?;
+        let expected = (params.budget.seconds() * EXPECTED_STEPS_PER_S) as u64;
+        let config = params::config(&keys, params.quality, params.fit, expected)?;
         let scale = params::scale(params.scale, params.quality, &scene);
         let split = split(&scene, params.holdout)?;
         let times = vec![1; split.training.len()];

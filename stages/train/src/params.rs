@@ -18,6 +18,37 @@ pub enum Holdout {
     Validation,
 }
 
+/// What decides how large the field is.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "snake_case")]
+pub enum Fit {
+    /// The scene and the steps.
+    #[default]
+    Scene,
+    /// Nothing: the full base configuration of instant-ngp, to compare with.
+    Fixed,
+}
+
+/// Short trainings that tell which parts of the field pay.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrialsParams {
+    /// Steps of one trial, 0 for none; absent: none at quality `draft`, else all together a fifth of the training.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub steps: Option<u64>,
+    /// Least gain for which a part is kept, dB; seeds differ by about a tenth.
+    pub least_gain_db: f64,
+}
+
+impl Default for TrialsParams {
+    fn default() -> Self {
+        Self {
+            steps: None,
+            least_gain_db: 0.1,
+        }
+    }
+}
+
 /// Parameters of `train`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
 #[serde(default, deny_unknown_fields)]
@@ -43,6 +74,10 @@ pub struct TrainParams {
     /// Seed with which as many training photos are drawn as there are, with replacement (a bootstrap sample).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resample: Option<u64>,
+    /// What decides how large the field is.
+    pub fit: Fit,
+    /// Short trainings on every 8th training photo held back: width, view dependence, exposure and sky by their gain.
+    pub trials: TrialsParams,
     /// Keys of the field; they win over those of the input `params`.
     pub field: Overrides,
 }
@@ -64,7 +99,11 @@ impl TrainParams {
             ));
         }
         check_scale(self.scale)?;
-        check_field(self.quality, &self.field)
+        if !(0.0..=100.0).contains(&self.trials.least_gain_db) {
+            let message = format!("{} dB; from 0 to 100", self.trials.least_gain_db);
+            return Err(ParamError::new("trials.least_gain_db", message));
+        }
+        check_field(self.quality, self.fit, &self.field)
     }
 }
 
@@ -78,8 +117,8 @@ pub(crate) fn check_scale(scale: Option<u32>) -> Result<(), ParamError> {
     }
 }
 
-pub(crate) fn check_field(quality: Quality, field: &Overrides) -> Result<(), ParamError> {
-    let checked = field.over(&quality.config());
+pub(crate) fn check_field(quality: Quality, fit: Fit, field: &Overrides) -> Result<(), ParamError> {
+    let checked = field.over(&base(quality, fit));
     checked.map(|_| ()).map_err(|error| {
         let path = format!("field.{}", error.key);
         ParamError::new(path.trim_end_matches('.'), error.message)
@@ -92,20 +131,31 @@ struct Chosen {
     field: Overrides,
 }
 
-/// Returns the configuration: of `quality`, under the keys of the input `params`, under `field`.
-pub(crate) fn config(
-    ctx: &Ctx<'_>,
-    inputs: &Inputs,
-    quality: Quality,
-    field: &Overrides,
-) -> Result<Config, StageError> {
+/// Returns the keys that are set: those of the input `params`, under `field`.
+pub(crate) fn keys(ctx: &Ctx<'_>, inputs: &Inputs, field: &Overrides) -> Result<Overrides, StageError> {
     let chosen = match inputs.optional("params") {
         Some(digest) => serde_json::from_slice::<Chosen>(&ctx.get(digest)?)
             .map_err(|error| TrainError::Params(error.to_string()))?,
         None => Chosen::default(),
     };
-    let config = chosen.field.with(field).over(&quality.config());
+    Ok(chosen.field.with(field))
+}
+
+/// Returns the configuration that keys are laid over; `steps` are those the training is expected to take.
+pub(crate) fn config(keys: &Overrides, quality: Quality, fit: Fit, steps: u64) -> Result<Config, StageError> {
+    let base = Config {
+        steps: Some(steps.max(1)),
+        ..base(quality, fit)
+    };
+    let config = keys.over(&base);
     Ok(config.map_err(|error| TrainError::Params(error.to_string()))?)
+}
+
+fn base(quality: Quality, fit: Fit) -> Config {
+    match fit {
+        Fit::Scene => quality.config(),
+        Fit::Fixed => Config::fixed(),
+    }
 }
 
 /// Returns `scale`, or the least whole factor that brings every photo to the size worth training on.
@@ -135,6 +185,7 @@ mod tests {
             (json!({"steps": 0}), "steps"),
             (json!({"steps": 5, "budget": "60s"}), "budget"),
             (json!({"scale": 0}), "scale"),
+            (json!({"trials": {"least_gain_db": -1.0}}), "trials.least_gain_db"),
             (json!({"field": {"levls": 3}}), "field.levls"),
             (json!({"field": {"log2_table": 99}}), "field.log2_table"),
         ] {

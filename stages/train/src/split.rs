@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use crate::{Holdout, TrainError};
 
 /// Every how many training photos one is held out for [`Holdout::Validation`].
-const VALIDATION_EVERY: usize = 8;
+pub(crate) const VALIDATION_EVERY: usize = 8;
 
 /// A frame with the name of its pictures.
 #[derive(Debug, Clone)]

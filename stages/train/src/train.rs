@@ -7,11 +7,12 @@ use marf_stage::{
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    Holdout, Metrics, PaceParams, TrainError, TrainParams,
+    Fit, Holdout, Metrics, PaceParams, TrainError, TrainParams,
     fit::{Fitted, fit, probes},
     judge::{judge, outputs, put_json},
     params,
     split::{Split, all_reduced, draws, points, split, views},
+    trials::{self, Asked},
 };
 
 /// Trains a field on a scene and measures it on the photos held out.
@@ -51,6 +52,8 @@ pub struct Report {
     /// Ids of the photos drawn, as often as they were; only with `resample`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub drawn: Option<Vec<String>>,
+    /// What decided how large the field is.
+    pub fit: Fit,
     /// The configuration as it was used.
     pub config: Config,
     /// What the field was sized by.
@@ -116,20 +119,36 @@ impl Expand for Train {
         let found = children.first().and_then(|pace| pace.get("steps"));
         let digest = found.ok_or_else(|| StageError::new("`pace` gave no steps"))?;
         let steps: u64 = crate::judge::get_json(ctx, "steps", digest)?;
-        train(ctx, inputs, &self.params, steps)
+        train(
+            ctx,
+            inputs,
+            &self.params,
+            trials::less_trials(&self.params, steps),
+        )
     }
 }
 
 fn train(ctx: &Ctx<'_>, inputs: &Inputs, params: &TrainParams, steps: u64) -> Result<Outputs, StageError> {
     let scene_digest = inputs.required("scene")?;
     let scene = read_scene(ctx, scene_digest)?;
-    let config = params::config(ctx, inputs, params.quality, &params.field)?;
+    let keys = params::keys(ctx, inputs, &params.field)?;
     let scale = params::scale(params.scale, params.quality, &scene);
     let split = split(&scene, params.holdout)?;
+    let config = params::config(&keys, params.quality, params.fit, steps)?;
+    let tried = Asked {
+        scene: &scene,
+        split: &split,
+        scale,
+        keys: &keys,
+        params,
+        steps,
+    };
+    let (config, trials) = trials::decide(ctx, &tried, config)?;
     let photos = all_reduced(ctx, &split.held_out, scale)?;
     let times = times(&split, params.resample);
     let trainer = trainer(ctx, &scene, &split, scale, &times, &config, params.seed)?;
     let Fitted { field, log } = fit(ctx, trainer, steps, &probes(&split.held_out, &photos))?;
+    let field = field.with_trials(trials);
     let mut outputs = outputs([("scene", *scene_digest), ("weights", ctx.put(&field.encode())?)]);
     let report = Report {
         metrics: judge(ctx, &field, &split.held_out, &photos, &mut outputs)?,
@@ -143,6 +162,7 @@ fn train(ctx: &Ctx<'_>, inputs: &Inputs, params: &TrainParams, steps: u64) -> Re
         train_photos: times.iter().filter(|times| **times > 0).count() as u64,
         held_out_photos: photos.len() as u64,
         drawn: params.resample.map(|_| drawn(&split, &times)),
+        fit: params.fit,
         config,
         field: field.facts().clone(),
     };

@@ -194,6 +194,79 @@ fn photos_are_shrunk_before_training() {
     );
 }
 
+#[test]
+fn parts_are_tried_on_training_photos_and_the_decisions_stand_in_metrics_and_header() {
+    let harness = Harness::default();
+    let mut field = small();
+    field["gain"] = json!("off");
+    // All but the width, whose keys `small` sets, and the gain.
+    let outputs = trained(&harness, json!({"field": field, "trials": {"steps": 12}}));
+    let metrics = json(&harness, &outputs, "metrics");
+    let trials = metrics["field"]["trials"].as_array().unwrap();
+    let told = |part: &str| {
+        let trial = trials.iter().find(|trial| trial["part"] == part).unwrap();
+        trial["decision"].as_str().unwrap()
+    };
+    assert_eq!(
+        (told("gain"), told("width")),
+        ("not tried: `gain` says so", "not tried: `density_width` says so")
+    );
+    // 9 training photos: the first and the ninth judge.
+    for part in ["view_dependence", "background"] {
+        let decision = told(part);
+        assert!(
+            decision.contains("on 2 validation photos after 12 steps"),
+            "{part}: {decision}"
+        );
+        let is_kept = decision.starts_with("kept: ");
+        let with = if part == "background" { "direction" } else { "on" };
+        assert_eq!(metrics["config"][part] == with, is_kept, "{part}: {decision}");
+    }
+    let header = marf_field::Field::decode(&harness.get(&outputs["weights"]).unwrap()).unwrap();
+    assert_eq!(json!(header.facts().trials), metrics["field"]["trials"]);
+    let again = trained(&harness, json!({"field": field, "trials": {"steps": 12}}));
+    assert_eq!(again, outputs, "trials are deterministic");
+    // Whatever the held-out photos show, the decisions stay.
+    let mut other = scene(&harness, 12);
+    let swap = other.frames[0].image;
+    other
+        .frames
+        .iter_mut()
+        .filter(|frame| frame.held_out)
+        .for_each(|frame| frame.image = swap);
+    let train: Train = stage(table(&json!({"field": field, "trials": {"steps": 12}})));
+    let blind = run(
+        &train,
+        &harness.ctx(),
+        &inputs(&[("scene", put_scene(&harness, &other))]),
+    )
+    .unwrap();
+    assert_eq!(json(&harness, &blind, "metrics")["field"], metrics["field"]);
+    assert_eq!(blind["weights"], outputs["weights"]);
+}
+
+#[test]
+fn a_fixed_fit_is_the_base_configuration_whatever_the_scene() {
+    let harness = Harness::default();
+    let metrics = json(
+        &harness,
+        &trained(&harness, json!({"steps": 1, "fit": "fixed", "field": {}})),
+        "metrics",
+    );
+    let levels = metrics["field"]["levels"].as_array().unwrap();
+    assert_eq!(
+        (levels.len(), &levels[15]["resolution"], &levels[15]["entries"]),
+        (16, &json!(2048), &json!(1 << 19))
+    );
+    // 12.2 million in the tables and 10,240 weights (nerf.md, section 4).
+    assert!(
+        metrics["field"]["parameters"].as_u64().unwrap() > 12_000_000,
+        "{}",
+        metrics["field"]["parameters"]
+    );
+    assert_eq!(metrics["field"]["sizes"]["levels"]["reason"], "`levels` says so");
+}
+
 fn failure(harness: &Harness, scene: &marf_scene::Scene, more: Value) -> StageError {
     let train: Train = stage(table(&more));
     run(
@@ -361,7 +434,7 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 1, "e67e321f1d00"),
+            ("train", 1, "c762fd3f2faf"),
             ("evaluate", 1, "53a5af81a951"),
             ("render", 1, "c2174dd5cd11")
         ]

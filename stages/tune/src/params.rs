@@ -159,7 +159,7 @@ fn node(params: &TuneParams, name: String, seed: u64, set: &Overrides, inputs: &
     let steps = params.steps.unwrap_or((params.quality.steps() / 4).max(1));
     let table = json!({
         "quality": params.quality, "steps": steps, "seed": seed, "holdout": "validation", "field": set,
-        "scale": params.scale,
+        "scale": params.scale, "trials": {"steps": 0},
     });
     NodeSpec {
         name,

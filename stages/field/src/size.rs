@@ -1,0 +1,363 @@
+//! How large a field need be: near, far, levels and table, each beside the number that decided it.
+
+use nalgebra::Vector3;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::cpu::march::{Steps, contract};
+use crate::cpu::math::root;
+use crate::frame::{ENOUGH_POINTS, FAR, Frame, percentile};
+use crate::{Config, FieldError, View};
+
+/// A number and what decided it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Chosen<T> {
+    /// The number.
+    pub value: T,
+    /// A sentence with the number that decided it.
+    pub reason: String,
+}
+
+/// What the scene, or a key of the configuration, decides about the size of a field; the box is a [`Frame`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Sizes {
+    /// Distance of the first sample from the camera, half sides of the box.
+    pub near: Chosen<f64>,
+    /// Distance of the last sample from the camera, half sides.
+    pub far: Chosen<f64>,
+    /// Cells a side of the finest level, over the whole contracted box.
+    pub finest: Chosen<u32>,
+    /// Levels of the grid.
+    pub levels: Chosen<u32>,
+    /// Cells of the finest level that the surface passes through.
+    pub surface_cells: Chosen<u64>,
+    /// Binary logarithm of the most entries of a level.
+    pub log2_table: Chosen<u32>,
+}
+
+/// Distance of the first sample where nothing is known, half sides.
+const NEAR: f64 = 0.1;
+/// A point counts as near if this share of what is seen is nearer, as far if this share is farther: outliers.
+const OUTLIERS: f64 = 0.01;
+/// Surface without sparse points on it may come this much nearer than they do.
+const NEARER: f64 = 0.5;
+/// ... and go on this much farther: a ridge without texture has no points.
+const FARTHER: f64 = 8.0;
+/// Points that depths are taken of; percentiles of more are the same.
+const MOST_POINTS: usize = 4096;
+/// A level may have this many times the cells a side of the one below; the trilinear corners fill the octave.
+const MOST_GROWTH: f64 = 2.0;
+/// Sparse points a cell, at least, where cells are counted: fewer, and cells of the surface are missed.
+const POINTS_A_CELL: usize = 4;
+/// Fewer cells are no surface: all points lie in one place.
+const ENOUGH_CELLS: usize = 8;
+/// Finest cells an entry may be shared by: the other levels tell them apart (instant-ngp, section 3).
+const CELLS_AN_ENTRY: u64 = 4;
+/// Smallest and largest table that is derived.
+const TABLES: [u32; 2] = [12, 22];
+
+/// Derives all sizes; a key that is set wins over the scene.
+///
+/// `points`: sparse surface points, world units; fewer than 32, or points that no camera sees, count as none.
+/// `frame`: the box of both. Every number is finite, `near` is below `far`, whatever the points are.
+pub fn derive(views: &[View], points: &[[f64; 3]], config: &Config, frame: &Frame) -> Sizes {
+    let depths = Depths::seen(views, points, frame);
+    let finest = finest(config, frame, views);
+    let surface = if depths.is_ok() { points } else { &[] };
+    let surface_cells = surface_cells(views, surface, frame, finest.value);
+    Sizes {
+        near: near(config, &depths),
+        far: far(config, &depths),
+        levels: levels(config, finest.value),
+        log2_table: log2_table(config, surface_cells.value),
+        finest,
+        surface_cells,
+    }
+}
+
+impl Sizes {
+    /// Returns where rays are looked at.
+    pub(crate) fn steps(&self, config: &Config) -> Steps {
+        Steps::new(self.near.value, self.far.value, config.min_step, config.cone)
+    }
+
+    /// Tells whether a field of another program can have these sizes.
+    pub(crate) fn check(&self, config: &Config) -> Result<(), FieldError> {
+        let finest = self.finest.value;
+        if finest < config.base_resolution || finest > 1 << 20 {
+            let value = f64::from(finest);
+            let range = "base_resolution to 1048576";
+            return Err(FieldError::Config {
+                key: "finest",
+                value,
+                range,
+            });
+        }
+        let (near, far) = (self.near.value, self.far.value);
+        if !(near > 0.0 && far > near && far.is_finite()) {
+            let range = "above 0 and below `far`";
+            return Err(FieldError::Config {
+                key: "near",
+                value: near,
+                range,
+            });
+        }
+        let keys = Config {
+            levels: Some(self.levels.value),
+            log2_table: Some(self.log2_table.value),
+            ..config.clone()
+        };
+        keys.check()
+    }
+}
+
+impl<T> Chosen<T> {
+    fn new(value: T, reason: impl Into<String>) -> Self {
+        let reason = reason.into();
+        Self { value, reason }
+    }
+
+    fn said(value: T, key: &str) -> Self {
+        Self::new(value, format!("`{key}` says so"))
+    }
+}
+
+/// Distances from cameras to the sparse points they see, half sides.
+struct Depths {
+    nearest: f64,
+    farthest: f64,
+    /// No ray may end nearer than this, or it would not cross the box.
+    most: f64,
+}
+
+impl Depths {
+    /// Looks through every camera; `Err` tells why nothing is known.
+    fn seen(views: &[View], points: &[[f64; 3]], frame: &Frame) -> Result<Self, String> {
+        if points.len() < ENOUGH_POINTS {
+            let few = points.len();
+            return Err(match few {
+                0 => "no sparse points".to_owned(),
+                few => format!("{few} sparse points are too few, {ENOUGH_POINTS} tell something"),
+            });
+        }
+        let stride = points.len().div_ceil(MOST_POINTS);
+        let some: Vec<_> = points.iter().step_by(stride).map(|p| Vector3::from(*p)).collect();
+        let depths = views.par_iter().map(|view| {
+            let seen = some.iter().filter_map(|point| view.distance_of(point));
+            seen.collect::<Vec<f64>>()
+        });
+        let mut depths = depths.collect::<Vec<_>>().concat();
+        if depths.is_empty() {
+            return Err(format!(
+                "no camera sees any of {} sparse points",
+                grouped(points.len() as u64)
+            ));
+        }
+        let mut at = |share| percentile(&mut depths, share) / frame.half_side;
+        let (nearest, farthest) = (at(OUTLIERS), at(1.0 - OUTLIERS));
+        let away = views.iter().map(|view| {
+            let centre = frame.inward(&view.cam_from_world.centre());
+            centre.iter().fold(0.0_f64, |most, x| most.max(x.abs()))
+        });
+        let most = FAR + away.fold(0.0, f64::max);
+        Ok(Self {
+            nearest,
+            farthest,
+            most,
+        })
+    }
+}
+
+fn near(config: &Config, depths: &Result<Depths, String>) -> Chosen<f64> {
+    if let Some(near) = config.near {
+        return Chosen::said(near, "near");
+    }
+    let near = match depths {
+        Err(why) => Chosen::new(NEAR, format!("{why}: {NEAR} half sides of the box")),
+        Ok(Depths { nearest, .. }) => Chosen::new(
+            (NEARER * nearest).clamp(1e-4, FAR),
+            format!(
+                "99 % of the sparse points that cameras see are farther than {nearest:.4} half sides; half of that"
+            ),
+        ),
+    };
+    match config.far {
+        Some(far) if near.value >= far => Chosen::new(0.5 * far, format!("half of `far`, which is {far}")),
+        _ => near,
+    }
+}
+
+fn far(config: &Config, depths: &Result<Depths, String>) -> Chosen<f64> {
+    if let Some(far) = config.far {
+        return Chosen::said(far, "far");
+    }
+    let far = match depths {
+        Err(why) => Chosen::new(
+            FAR,
+            format!("{why}: {FAR} half sides, beyond which no cell of the finest level is resolved"),
+        ),
+        Ok(Depths { farthest, most, .. }) => Chosen::new(
+            (FARTHER * farthest).min(*most),
+            format!(
+                "99 % of the sparse points that cameras see are nearer than {farthest:.4} half sides; {FARTHER} times that, at most {most:.0}"
+            ),
+        ),
+    };
+    let near = near(config, depths).value;
+    if far.value > near {
+        return far;
+    }
+    Chosen::new(2.0 * near, format!("twice `near`, which is {near}"))
+}
+
+fn finest(config: &Config, frame: &Frame, views: &[View]) -> Chosen<u32> {
+    if let Some(finest) = config.finest_resolution {
+        return Chosen::said(finest, "finest_resolution");
+    }
+    let (cells, reason) = frame.finest(views);
+    Chosen::new(cells.max(config.base_resolution), reason)
+}
+
+/// The fewest levels whose growth is at most 2, of those that fill blocks of 16 features.
+fn levels(config: &Config, finest: u32) -> Chosen<u32> {
+    if let Some(levels) = config.levels {
+        return Chosen::said(levels, "levels");
+    }
+    let (base, features) = (config.base_resolution, config.features);
+    let growth = |levels: u32| root(f64::from(finest) / f64::from(base), levels - 1);
+    let step = 16 / features;
+    let allowed = (1..=16 / step).map(|count| count * step);
+    // A hair above 2 is 2: the root is found by halving.
+    let enough = allowed
+        .clone()
+        .find(|levels| growth(*levels) <= MOST_GROWTH + 1e-6);
+    let levels = enough.unwrap_or(16);
+    let mut reason = format!(
+        "from {base} to {} cells by {:.2} a level",
+        grouped(finest.into()),
+        growth(levels)
+    );
+    if levels > step {
+        let fewer = levels - step;
+        reason += &format!(
+            "; {fewer} levels would grow by {:.2}, more than {MOST_GROWTH}",
+            growth(fewer)
+        );
+    }
+    Chosen::new(levels, reason)
+}
+
+/// Cells of the finest level that hold surface.
+///
+/// Sparse points are counted by cells as small as they are dense enough for; a surface meets 4 times the cells when
+/// their side is halved.
+fn surface_cells(views: &[View], points: &[[f64; 3]], frame: &Frame, finest: u32) -> Chosen<u64> {
+    let found = counted(points, frame, finest);
+    let surface = found.unwrap_or_else(|| {
+        let side = u64::from(finest).div_ceil(2);
+        let reason =
+            format!("no surface of sparse points: the six faces of the inner box, {side} cells a side");
+        Chosen::new(6 * side * side, reason)
+    });
+    let size = |view: &View| u64::from(view.camera.width) * u64::from(view.camera.height);
+    let pixels: u64 = views.iter().map(size).sum();
+    if surface.value <= pixels {
+        return surface;
+    }
+    Chosen::new(
+        pixels,
+        format!(
+            "one a pixel of the photos, fewer than {} ({})",
+            grouped(surface.value),
+            surface.reason
+        ),
+    )
+}
+
+fn counted(points: &[[f64; 3]], frame: &Frame, finest: u32) -> Option<Chosen<u64>> {
+    let inside = |point: &[f64; 3]| {
+        // Far above any scene and below the end of f32.
+        let at = frame
+            .inward(&Vector3::from(*point))
+            .map(|x| x.clamp(-1e30, 1e30) as f32);
+        contract(at).0
+    };
+    let points: Vec<[f32; 3]> = points.iter().map(inside).collect();
+    let cells_of = |side: u32| {
+        let cell = |at: &[f32; 3]| at.map(|x| ((x * side as f32) as u32).min(side - 1));
+        let mut cells: Vec<[u32; 3]> = points.iter().map(cell).collect();
+        cells.sort_unstable();
+        cells.dedup();
+        cells.len()
+    };
+    let dense = |side: &u32| points.len() >= POINTS_A_CELL * cells_of(*side);
+    let sides = (3..=finest.max(8).ilog2()).map(|log2| 1_u32 << log2);
+    let side = sides.take_while(dense).last()?;
+    let cells = cells_of(side);
+    if cells < ENOUGH_CELLS {
+        return None;
+    }
+    let ratio = f64::from(finest) / f64::from(side);
+    let value = (cells as f64 * ratio * ratio).round() as u64;
+    let reason = format!(
+        "{} sparse points lie in {} of {side}^3 cells; the surface through them meets {:.0} times as many of the finest",
+        grouped(points.len() as u64),
+        grouped(cells as u64),
+        ratio * ratio
+    );
+    Some(Chosen::new(value, reason))
+}
+
+/// Four cells of the surface an entry, but no more entries than the training has samples to fill.
+fn log2_table(config: &Config, cells: u64) -> Chosen<u32> {
+    if let Some(log2) = config.log2_table {
+        return Chosen::said(log2, "log2_table");
+    }
+    let [least, most] = TABLES;
+    let wanted = cells.div_ceil(CELLS_AN_ENTRY).max(1).next_power_of_two().ilog2();
+    let wanted = wanted.clamp(least, most);
+    let scene = format!(
+        "{} cells of surface, {CELLS_AN_ENTRY} an entry, want 2^{wanted}",
+        grouped(cells)
+    );
+    let Some(steps) = config.steps else {
+        return Chosen::new(
+            wanted,
+            format!("{scene}; how long it will be trained is not known"),
+        );
+    };
+    let samples = steps.saturating_mul(config.batch_samples.into());
+    let filled = log2_filled(samples).clamp(least, most);
+    let budget = format!(
+        "{} steps of {} samples fill 2^{filled}",
+        grouped(steps),
+        grouped(config.batch_samples.into())
+    );
+    if filled < wanted {
+        return Chosen::new(filled, format!("the budget decides: {budget}; {scene}"));
+    }
+    Chosen::new(wanted, format!("the scene decides: {scene}; {budget}"))
+}
+
+/// Binary logarithm of the table that so many samples fill: 2^15 at 2^25 samples, 4 times as large at 8 times as many.
+///
+/// A larger one has learnt less by then, a smaller one cannot hold more: `benches/size.md`.
+fn log2_filled(samples: u64) -> u32 {
+    let twice = u128::from(samples.max(1)).pow(2).ilog2();
+    (twice.saturating_sub(5) + 1) / 3
+}
+
+/// Writes a count in groups of three digits.
+fn grouped(count: u64) -> String {
+    let digits = count.to_string();
+    let mut text = String::new();
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}

@@ -1,0 +1,280 @@
+//! Sizes worked out by hand, what they do when the photos or the points change, and points that are of no use.
+
+use marf_scene::{Camera, Image, Pose};
+use nalgebra::Vector3;
+use proptest::prelude::*;
+
+use crate::cpu::simd::LANES;
+use crate::frame::Frame;
+use crate::size::{Sizes, derive};
+use crate::{Config, View};
+
+/// Cameras in a row, 10 above the plane z = 0, looking down; photos of `side` pixels a side.
+fn above(side: u32) -> Vec<View> {
+    let eyes = [[-1.0, 0.0], [0.0, 0.1], [1.0, 0.0]];
+    let view = |[x, y]: [f64; 2]| View {
+        id: format!("{x}"),
+        camera: Camera::pinhole(side, side, f64::from(side)),
+        cam_from_world: Pose::looking_at(Vector3::new(x, y, 10.0), Vector3::new(x, y, 0.0), Vector3::y()),
+        image: Image::from_fn(1, 1, |_, _| [0; 3]),
+    };
+    eyes.map(view).into()
+}
+
+/// `[count^2]` points of a square of side 8 in the plane z = 0, in the middles of its cells.
+fn plane(count: u32) -> Vec<[f64; 3]> {
+    let at = |index: u32| (f64::from(index) + 0.5) / f64::from(count) * 8.0 - 4.0;
+    let cell = |index: u32| [at(index % count), at(index / count), 0.0];
+    (0..count * count).map(cell).collect()
+}
+
+fn sizes_of(views: &[View], points: &[[f64; 3]], config: &Config) -> Sizes {
+    let frame = Frame::derive(views, points);
+    let sizes = derive(views, points, config, &frame);
+    sizes
+        .check(config)
+        .unwrap_or_else(|error| panic!("{error}: {sizes:?}"));
+    assert!(sizes.levels.value as usize * config.features as usize % LANES == 0);
+    sizes
+}
+
+fn sizes(views: &[View], points: &[[f64; 3]]) -> Sizes {
+    sizes_of(views, points, &Config::default())
+}
+
+#[test]
+fn a_plane_is_sized_by_hand() {
+    let (views, points) = (above(512), plane(256));
+    let frame = Frame::derive(&views, &points);
+    // 80 % of the points of a square have a maximum norm below sqrt(0.8) of half its side.
+    assert!((frame.half_side - 0.8_f64.sqrt() * 4.0).abs() < 0.05, "{frame:?}");
+    let sizes = sizes(&views, &points);
+    // Points are 10 away straight down, at most 12.1 in the corners; a pixel covers 10.4 / 512 at the median.
+    let near = sizes.near.value * frame.half_side;
+    let far = sizes.far.value * frame.half_side;
+    assert!((5.0..5.1).contains(&near), "{near}: {}", sizes.near.reason);
+    assert!(
+        (8.0 * 11.4..8.0 * 12.1).contains(&far),
+        "{far}: {}",
+        sizes.far.reason
+    );
+    let cells = 4.0 * frame.half_side * 512.0 / frame.depth;
+    assert_eq!(sizes.finest.value, cells.ceil() as u32, "{}", sizes.finest.reason);
+    // 16 to about 700 cells: 4 levels would grow by 3.5, 8 grow by 1.7.
+    assert_eq!(sizes.levels.value, 8, "{}", sizes.levels.reason);
+    assert!(
+        sizes.levels.reason.contains("4 levels would grow by 3.5"),
+        "{}",
+        sizes.levels.reason
+    );
+    // The inner box is half of the contracted one, 350 cells a side; the rim of 12 % a side is contracted.
+    let inner = (f64::from(sizes.finest.value) / 2.0).powi(2);
+    let ratio = sizes.surface_cells.value as f64 / inner;
+    assert!(
+        (1.0..1.4).contains(&ratio),
+        "{ratio}: {}",
+        sizes.surface_cells.reason
+    );
+    // 130,000 to 170,000 cells, 4 an entry.
+    assert_eq!(sizes.log2_table.value, 16, "{}", sizes.log2_table.reason);
+}
+
+#[test]
+fn photos_of_twice_the_resolution_have_twice_the_cells_a_side_and_four_times_the_surface() {
+    let points = plane(128);
+    for side in [128, 256, 512] {
+        let (one, two) = (sizes(&above(side), &points), sizes(&above(2 * side), &points));
+        let finest = f64::from(two.finest.value) / f64::from(one.finest.value);
+        let surface = two.surface_cells.value as f64 / one.surface_cells.value as f64;
+        assert!(
+            (finest - 2.0).abs() < 0.01 && (surface - 4.0).abs() < 0.02,
+            "{side}: {finest}, {surface}"
+        );
+        assert!(
+            two.log2_table.value >= one.log2_table.value + 1,
+            "{side}: {two:?}"
+        );
+        assert_eq!((&one.near, &one.far), (&two.near, &two.far), "{side}");
+    }
+}
+
+#[test]
+fn points_far_away_widen_far_and_leave_near() {
+    let mut points = plane(64);
+    let before = sizes(&above(256), &points);
+    points.extend((0..200).map(|index| [f64::from(index % 20) - 10.0, f64::from(index / 20) - 5.0, -90.0]));
+    let after = sizes(&above(256), &points);
+    assert!(
+        after.far.value > 4.0 * before.far.value,
+        "{} {}",
+        before.far.reason,
+        after.far.reason
+    );
+    assert!(
+        (after.near.value / before.near.value - 1.0).abs() < 0.1,
+        "{} {}",
+        before.near.reason,
+        after.near.reason
+    );
+}
+
+#[test]
+fn without_points_the_reasons_say_so() {
+    let sizes = sizes(&above(256), &[]);
+    assert_eq!((sizes.near.value, sizes.far.value), (0.1, 512.0));
+    for reason in [&sizes.near.reason, &sizes.far.reason] {
+        assert!(reason.starts_with("no sparse points: "), "{reason}");
+    }
+    assert!(
+        sizes.surface_cells.reason.contains("no surface of sparse points"),
+        "{}",
+        sizes.surface_cells.reason
+    );
+}
+
+#[test]
+fn a_key_that_is_set_wins_and_says_so() {
+    let config = Config {
+        levels: Some(12),
+        log2_table: Some(10),
+        finest_resolution: Some(99),
+        near: Some(0.25),
+        far: Some(3.0),
+        ..Config::default()
+    };
+    let sizes = sizes_of(&above(64), &plane(64), &config);
+    let said = [
+        (f64::from(sizes.levels.value), 12.0, sizes.levels.reason, "levels"),
+        (
+            f64::from(sizes.log2_table.value),
+            10.0,
+            sizes.log2_table.reason,
+            "log2_table",
+        ),
+        (
+            f64::from(sizes.finest.value),
+            99.0,
+            sizes.finest.reason,
+            "finest_resolution",
+        ),
+        (sizes.near.value, 0.25, sizes.near.reason, "near"),
+        (sizes.far.value, 3.0, sizes.far.reason, "far"),
+    ];
+    for (found, wanted, reason, key) in said {
+        assert_eq!((found, reason), (wanted, format!("`{key}` says so")), "{key}");
+    }
+}
+
+#[test]
+fn near_gives_way_to_a_far_that_is_set_and_far_to_a_near() {
+    let (views, points) = (above(64), plane(64));
+    let config = |near, far| Config {
+        near,
+        far,
+        ..Config::default()
+    };
+    let close = sizes_of(&views, &points, &config(None, Some(0.001)));
+    assert_eq!(
+        (close.near.value, close.far.value),
+        (0.0005, 0.001),
+        "{}",
+        close.near.reason
+    );
+    // Points 10 away in a box of half side 3.6: far would be 8 times 3 half sides.
+    let away = sizes_of(&views, &points, &config(Some(10.0), None));
+    assert!(away.far.value > 20.0, "{}", away.far.reason);
+    for (near, far) in [
+        (Some(2.0), Some(2.0)),
+        (Some(2.0), Some(1.0)),
+        (None, Some(0.0)),
+        (None, Some(f64::NAN)),
+    ] {
+        let error = config(near, far).check().unwrap_err().to_string();
+        assert!(error.starts_with("`far` is "), "{near:?} {far:?}: {error}");
+    }
+}
+
+#[test]
+fn the_smaller_of_what_the_scene_wants_and_the_budget_fills_is_taken() {
+    let table = |steps| {
+        let config = Config {
+            steps: Some(steps),
+            ..Config::default()
+        };
+        sizes_of(&above(512), &plane(256), &config).log2_table
+    };
+    // 2^22 samples are 8 times fewer than 2^25, which fill 2^15.
+    let short = table(128);
+    assert!(
+        short.value == 13 && short.reason.starts_with("the budget decides: 128 steps"),
+        "{short:?}"
+    );
+    let long = table(1 << 20);
+    assert!(
+        long.value == 16 && long.reason.starts_with("the scene decides: "),
+        "{long:?}"
+    );
+    for steps in [1, u64::MAX] {
+        assert!(
+            (12..=16).contains(&table(steps).value),
+            "{steps}: {:?}",
+            table(steps)
+        );
+    }
+}
+
+/// Every extreme goes through the checks of `sizes`: finite, near below far, levels and table in range.
+#[test]
+fn points_that_are_of_no_use_are_told_from_those_that_are() {
+    let few = sizes(&above(64), &[[0.0; 3]]);
+    assert!(
+        few.near.reason.starts_with("1 sparse points are too few"),
+        "{}",
+        few.near.reason
+    );
+    let behind: Vec<_> = plane(16).iter().map(|[x, y, _]| [*x, *y, 20.0]).collect();
+    let unseen = sizes(&above(64), &behind);
+    assert!(
+        unseen.near.reason.starts_with("no camera sees any of 256"),
+        "{}",
+        unseen.near.reason
+    );
+    let same = sizes(&above(64), &[[0.5, 0.5, 0.0]; 100]);
+    assert!(
+        same.surface_cells.reason.contains("no surface"),
+        "{}",
+        same.surface_cells.reason
+    );
+    let mut far = plane(64);
+    far.extend([[1e9, 1e9, -1e9], [0.0, 0.0, -1e9], [0.0, 0.0, -1e300]]);
+    let (far, plain) = (sizes(&above(64), &far), sizes(&above(64), &plane(64)));
+    assert!(
+        (far.far.value / plain.far.value - 1.0).abs() < 0.05,
+        "{} {}",
+        far.far.reason,
+        plain.far.reason
+    );
+    let on_cameras: Vec<_> = (0..100)
+        .map(|index| [f64::from(index % 3) - 1.0, 0.0, 10.0 - 1e-12])
+        .collect();
+    let near = sizes(&above(64), &on_cameras);
+    assert!(near.near.value >= 1e-4, "{}", near.near.reason);
+    let all_far: Vec<_> = plane(16)
+        .iter()
+        .map(|[x, y, _]| [x * 1e8, y * 1e8, -1e9])
+        .collect();
+    sizes(&above(64), &all_far);
+}
+
+proptest! {
+    #[test]
+    fn no_cloud_of_points_breaks_a_size(
+        points in prop::collection::vec(prop::array::uniform3(-1e4..1e4_f64), 0..200),
+        side in 1_u32..2000,
+        steps in prop::option::of(1_u64..1_000_000),
+    ) {
+        let config = Config { steps, ..Config::default() };
+        let sizes = sizes_of(&above(side), &points, &config);
+        prop_assert!((12..=22).contains(&sizes.log2_table.value), "{:?}", sizes);
+    }
+}
