@@ -204,7 +204,7 @@ mod tests {
             id: "v".to_owned(),
             camera: Camera::pinhole(32, 24, 40.0),
             cam_from_world: Pose::looking_at(eye, target, -Vector3::z()),
-            image: Image::from_fn(32, 24, |_, _| [9; 3]),
+            image: Image::from_fn(32, 24, |_, _| [9; 3]).into(),
         }
     }
 

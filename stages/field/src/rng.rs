@@ -11,6 +11,8 @@ pub enum Purpose {
     Rays = 3,
     /// Points of the occupancy grid.
     Occupancy = 4,
+    /// Pixels of a photo that are kept.
+    Thinning = 8,
 }
 
 /// A stream of random numbers that depends on all 64 bits of the seed.

@@ -38,7 +38,7 @@ fn ball_view(angle: f64, height: f64, width: u32) -> View {
         id: format!("ball {angle:.2}"),
         camera,
         cam_from_world,
-        image,
+        image: image.into(),
     }
 }
 
@@ -268,7 +268,7 @@ fn what_cannot_be_learnt_from_is_refused_by_name() {
         "view `ball 3.14`: image of 8 x 8 with 63 pixels"
     );
     let mut views = ball(2, 8);
-    views[0].image = Image::from_fn(0, 0, |_, _| [0; 3]);
+    views[0].image = Image::from_fn(0, 0, |_, _| [0; 3]).into();
     assert_eq!(
         refuse(views, &[], small()),
         "view `ball 0.00`: image of 0 x 0 with 0 pixels"
@@ -417,7 +417,8 @@ fn twenty_steps_on_exact_views_give_the_known_bytes() {
         },
         image: Image::from_fn(12, 10, |x, y| {
             [(x * 20) as u8, (y * 25) as u8, (shade * 60) as u8]
-        }),
+        })
+        .into(),
     };
     let views = vec![
         view([0.5, 0.0, 2.0], 0),
