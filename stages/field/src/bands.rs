@@ -18,12 +18,13 @@ pub fn render_in_bands<E>(
     mut keep_going: impl FnMut() -> Result<(), E>,
 ) -> Result<Render, E> {
     let rows = (BAND_PX / camera.width.max(1)).max(1);
+    let pixels = camera.width as usize * camera.height as usize;
     let mut whole = Render {
         width: camera.width,
         height: camera.height,
-        rgb: Vec::new(),
-        opacity: Vec::new(),
-        depth: Vec::new(),
+        rgb: Vec::with_capacity(pixels),
+        opacity: Vec::with_capacity(pixels),
+        depth: Vec::with_capacity(pixels),
     };
     for top in (0..camera.height).step_by(rows as usize) {
         keep_going()?;

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     TrainError,
     judge::mean_psnr,
-    split::{Named, Reduced},
+    split::{Named, Reduced, reduced},
 };
 
 /// Wall clock between two checkpoints: what a killed run loses at most.
@@ -85,10 +85,14 @@ pub(crate) fn fit(
     Ok(Fitted { field, log })
 }
 
-/// Chooses evenly spaced held-out photos and shrinks them further.
-pub(crate) fn probes<'a>(held_out: &[Named<'a>], photos: &[Reduced]) -> Vec<(Named<'a>, Reduced)> {
+/// Reads evenly spaced held-out photos and shrinks them further.
+pub(crate) fn probes<'a>(
+    ctx: &Ctx<'_>,
+    held_out: &[Named<'a>],
+    scale: u32,
+) -> Result<Vec<(Named<'a>, Reduced)>, StageError> {
     let count = held_out.len().min(PROBES);
-    let shrink = |photo: &Reduced| {
+    let shrink = |photo: Reduced| {
         let longest = photo.camera.width.max(photo.camera.height);
         let shortest = photo.camera.width.min(photo.camera.height);
         let factor = longest.div_ceil(PROBE_SIDE_PX).clamp(1, shortest);
@@ -99,7 +103,10 @@ pub(crate) fn probes<'a>(held_out: &[Named<'a>], photos: &[Reduced]) -> Vec<(Nam
     };
     let places = (0..count).map(|probe| probe * held_out.len() / count);
     places
-        .map(|place| (held_out[place].clone(), shrink(&photos[place])))
+        .map(|place| {
+            let named = &held_out[place];
+            Ok((named.clone(), shrink(reduced(ctx, named.frame, scale)?)))
+        })
         .collect()
 }
 
