@@ -144,6 +144,40 @@ fn weights_are_the_same_with_1_2_3_and_16_threads() {
 }
 
 #[test]
+fn a_pixel_is_the_same_in_any_rows_any_bands_and_with_any_threads() {
+    let field = trained(ball(4, 16), &small(), 7, 40).field();
+    // 43 columns and 37 rows: tiles are cut at both edges; distortion folds in no corner.
+    let view = ball_view(1.0, 0.3, 16);
+    let camera = Camera {
+        k1: 0.05,
+        p2: 0.01,
+        ..Camera::pinhole(43, 37, 40.0)
+    };
+    let whole = field.render(&camera, &view.cam_from_world);
+    for threads in [1, 2, 3, 16] {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        let again = pool.install(|| field.render(&camera, &view.cam_from_world));
+        assert!(again == whole, "{threads} threads");
+    }
+    for height in [1, 5, 8, 30] {
+        for top in (0..37).step_by(height) {
+            let rows = top as u32..37.min((top + height) as u32);
+            let band = crate::render::render_rows(&field, &camera, &view.cam_from_world, rows);
+            let same = band.rgb == whole.rgb[top * 43..][..band.rgb.len()]
+                && band.depth == whole.depth[top * 43..][..band.rgb.len()];
+            assert!(same, "{height} rows from {top}");
+        }
+    }
+    let bands = crate::render_in_bands(&field, &camera, &view.cam_from_world, || Ok::<(), ()>(()));
+    assert!(bands == Ok(whole));
+    let nothing = Camera::pinhole(0, 5, 1.0);
+    assert!(field.render(&nothing, &view.cam_from_world).rgb.is_empty());
+}
+
+#[test]
 fn weights_are_the_same_on_every_instruction_set() {
     for features in [2, 4] {
         let config = Config {
