@@ -190,7 +190,12 @@ pub struct BenchArgs {
     /// A folder with images/ and a transforms.json that names train_filenames and test_filenames
     pub dir: PathBuf,
     /// Seconds of training, ascending; the paper's table has `10,60,300,600,900`
-    #[arg(long, value_name = "SECONDS", default_value = "10,60,300", value_delimiter = ',')]
+    #[arg(
+        long,
+        value_name = "SECONDS",
+        default_value = "10,60,300",
+        value_delimiter = ','
+    )]
     pub seconds: Vec<String>,
     /// Folder for `<seconds>s/<name>.png`
     #[arg(long, value_name = "DIR", default_value = "bench")]

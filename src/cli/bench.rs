@@ -157,10 +157,12 @@ fn photos(session: &Session, scene: &Scene, scale: u32) -> Result<(Vec<View>, Ve
             });
         }
     }
-    match tests.is_empty() {
-        true => Err(CliError::failed("no photo is held out: `test_filenames` names none")),
-        false => Ok((views, tests)),
+    if tests.is_empty() {
+        return Err(CliError::failed(
+            "no photo is held out: `test_filenames` names none",
+        ));
     }
+    Ok((views, tests))
 }
 
 /// What a training is timed with.
@@ -192,8 +194,9 @@ impl Bench<'_> {
     ) -> Result<Vec<Line>, CliError> {
         let failed = |error: marf_field::FieldError| CliError::failed(error.to_string());
         let mut spent = Spent::default();
-        let mut trainer =
-            spent.timed(|| Trainer::new(views, points, config, seed)).map_err(failed)?;
+        let mut trainer = spent
+            .timed(|| Trainer::new(views, points, config, seed))
+            .map_err(failed)?;
         let mut lines = Vec::new();
         for budget in budgets {
             while self.seconds(&spent) < f64::from(*budget) {
@@ -278,7 +281,10 @@ fn cpu_s() -> f64 {
     let stat = fs::read_to_string("/proc/self/stat").unwrap_or_default();
     // The name in brackets may hold spaces: user and system time are the 12th and 13th word after it.
     let words = stat.rsplit(')').next().unwrap_or_default().split_whitespace();
-    let ticks = words.skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok());
+    let ticks = words
+        .skip(11)
+        .take(2)
+        .filter_map(|ticks| ticks.parse::<f64>().ok());
     ticks.sum::<f64>() / TICKS_PER_S
 }
 
@@ -310,7 +316,9 @@ fn table(lines: &[Line]) -> String {
             line.samples_per_s / 1e6
         )
     }));
-    rows.push("peak 1, at most 100 dB a view; the paper's has the photo's largest value as its peak".to_owned());
+    rows.push(
+        "peak 1, at most 100 dB a view; the paper's has the photo's largest value as its peak".to_owned(),
+    );
     rows.join("\n")
 }
 

@@ -93,7 +93,10 @@ mod tests {
         let batch = 87_381 * 4 * 35 + 342 * 4 * networks;
         let expected = 3 * state + 4 * (tables + networks) + batch + (128_u64.pow(3)) * 24;
         assert_eq!(training_bytes(&config, 0).unwrap(), expected);
-        assert_eq!(training_bytes(&config, 10).unwrap(), expected + 10 * (3 * 68 + 16));
+        assert_eq!(
+            training_bytes(&config, 10).unwrap(),
+            expected + 10 * (3 * 68 + 16)
+        );
     }
 
     #[test]
@@ -129,7 +132,11 @@ mod tests {
             log2_table: 24,
             ..base
         };
-        assert!((20_000_000_000..80_000_000_000).contains(&bytes(&largest)), "{}", bytes(&largest));
+        assert!(
+            (20_000_000_000..80_000_000_000).contains(&bytes(&largest)),
+            "{}",
+            bytes(&largest)
+        );
     }
 
     #[test]
@@ -138,6 +145,11 @@ mod tests {
             log2_table: 40,
             ..Config::default()
         };
-        assert!(training_bytes(&config, 1).unwrap_err().to_string().contains("log2_table"));
+        assert!(
+            training_bytes(&config, 1)
+                .unwrap_err()
+                .to_string()
+                .contains("log2_table")
+        );
     }
 }

@@ -6,8 +6,10 @@ use crate::rng::{Purpose, Rng};
 
 /// The pixels of a photo that can be drawn in training.
 ///
-/// A step draws some thousand of the millions of pixels, hence a set of which one in 64 is left still gives a
-/// training of 10,000 steps each pixel only a few times.
+/// What counts is how many are left of all photos together. Measured on the mock-up (80 photos of 360 x 480, 500
+/// steps, one seed, three held-out views): all 13.8 million 20.33 dB, one in 8 20.36, one in 64 19.91, one in 256
+/// 18.72. Below a million pixels a training sees the same ones too often; a thousand photos of 2 megapixels have
+/// 30 million left of one in 64.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pixels {
     /// Pixels a row of the photo.
@@ -77,7 +79,10 @@ impl Pixels {
         let place = kept * self.run as usize + offset;
         let width = self.width as usize;
         let centre = [(place % width) as f64 + 0.5, (place / width) as f64 + 0.5];
-        (centre, self.pixels[kept].map(|channel| f32::from(channel) / 255.0))
+        (
+            centre,
+            self.pixels[kept].map(|channel| f32::from(channel) / 255.0),
+        )
     }
 
     /// Returns every kept pixel as a number, to recognise the photo.
@@ -127,7 +132,11 @@ mod tests {
             for run in [1, 2, 8, 64, 255, 256] {
                 let pixels = Pixels::thinned(numbered(width, height), run, 3, 4);
                 let all = (width * height) as usize;
-                assert_eq!(pixels.len(), all.div_ceil(run as usize), "{width} x {height} by {run}");
+                assert_eq!(
+                    pixels.len(),
+                    all.div_ceil(run as usize),
+                    "{width} x {height} by {run}"
+                );
                 assert!(pixels.is_whole());
                 for kept in 0..pixels.len() {
                     let place = place(&pixels, kept);
@@ -145,10 +154,16 @@ mod tests {
         let mut times = [0_u32; 8];
         for photo in 0..50 {
             let pixels = Pixels::thinned(numbered(64, 64), 8, u64::MAX, photo);
-            pixels.offsets.iter().for_each(|offset| times[usize::from(*offset)] += 1);
+            pixels
+                .offsets
+                .iter()
+                .for_each(|offset| times[usize::from(*offset)] += 1);
         }
         // 25,600 draws: 3,200 a place, with a standard deviation of 53.
-        assert!(times.iter().all(|times| (2_950..3_450).contains(times)), "{times:?}");
+        assert!(
+            times.iter().all(|times| (2_950..3_450).contains(times)),
+            "{times:?}"
+        );
     }
 
     #[test]
@@ -162,7 +177,10 @@ mod tests {
 
     #[test]
     fn a_run_out_of_range_is_taken_into_it() {
-        assert_eq!(Pixels::thinned(numbered(20, 20), 0, 1, 1), numbered(20, 20).into());
+        assert_eq!(
+            Pixels::thinned(numbered(20, 20), 0, 1, 1),
+            numbered(20, 20).into()
+        );
         let most = Pixels::thinned(numbered(20, 20), u32::MAX, 1, 1);
         assert_eq!((most.run, most.len()), (256, 2));
     }

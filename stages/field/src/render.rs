@@ -110,12 +110,7 @@ struct Strip<'a> {
 /// Renders some rows of a photo; strips of tiles run in parallel.
 ///
 /// A pixel depends on nothing but its ray, hence neither on the rows asked for nor on the pool.
-pub(crate) fn render_rows(
-    field: &Field,
-    camera: &Camera,
-    cam_from_world: &Pose,
-    rows: Range<u32>,
-) -> Render {
+pub(crate) fn render_rows(field: &Field, camera: &Camera, cam_from_world: &Pose, rows: Range<u32>) -> Render {
     let sight = Sight {
         field,
         camera,
@@ -201,7 +196,8 @@ impl Tile {
             self.spans.push(Span { first, end });
         }
         self.before.clear();
-        self.before.extend(self.walks.iter().map(|walk| walk.optical_depth));
+        self.before
+            .extend(self.walks.iter().map(|walk| walk.optical_depth));
         shade.densities(field.level, &field.weights);
         shade.opacities(field.level, &self.spans, &self.before);
         self.depths.clear();

@@ -61,9 +61,10 @@ impl FromStr for Memory {
 
 impl fmt::Display for Memory {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.megabytes.is_multiple_of(1000) {
-            true => write!(f, "{}GB", self.megabytes / 1000),
-            false => write!(f, "{}MB", self.megabytes),
+        if self.megabytes.is_multiple_of(1000) {
+            write!(f, "{}GB", self.megabytes / 1000)
+        } else {
+            write!(f, "{}MB", self.megabytes)
         }
     }
 }
@@ -126,8 +127,11 @@ pub(crate) fn plan(
     let drawn = times.iter().sum();
     let training = training_bytes(config, drawn)?;
     let decoding = largest(split.training.iter().chain(&split.held_out), 1, decoding_bytes);
-    let judging = largest(split.held_out.iter(), 1, decoding_bytes)
-        .max(largest(split.held_out.iter(), scale, judging_bytes));
+    let judging = largest(split.held_out.iter(), 1, decoding_bytes).max(largest(
+        split.held_out.iter(),
+        scale,
+        judging_bytes,
+    ));
     let kept = |run: u32| kept_bytes(&split.training, times, scale, run);
     let needed = |run: u32| PROGRAM_BYTES + (kept(run) + training.max(decoding)).max(judging);
     let Some(run) = (1..=Pixels::LONGEST_RUN).find(|run| needed(*run) <= memory.bytes()) else {
@@ -200,12 +204,21 @@ mod tests {
             ("1000 MB", "1GB", 1_000_000_000),
         ] {
             let memory: Memory = text.parse().unwrap();
-            assert_eq!((memory.to_string().as_str(), memory.bytes()), (printed, bytes), "{text}");
+            assert_eq!(
+                (memory.to_string().as_str(), memory.bytes()),
+                (printed, bytes),
+                "{text}"
+            );
             assert_eq!(memory.to_string().parse::<Memory>(), Ok(memory));
         }
-        for text in ["", "2", "GB", "-1GB", "0MB", "2TB", "nanGB", "infGB", "9e9GB", "2 gigs"] {
+        for text in [
+            "", "2", "GB", "-1GB", "0MB", "2TB", "nanGB", "infGB", "9e9GB", "2 gigs",
+        ] {
             let error = text.parse::<Memory>().unwrap_err().to_string();
-            assert!(error.contains(&format!("`{text}`")) && error.contains("`2GB`"), "{error}");
+            assert!(
+                error.contains(&format!("`{text}`")) && error.contains("`2GB`"),
+                "{error}"
+            );
         }
     }
 
@@ -230,7 +243,10 @@ mod tests {
             panic!("{error}")
         };
         let text = error.to_string();
-        assert!(text.contains(&format!("{needed_mb} MB")) && text.contains("100MB"), "{text}");
+        assert!(
+            text.contains(&format!("{needed_mb} MB")) && text.contains("100MB"),
+            "{text}"
+        );
         assert!(error.hint().is_some_and(|hint| hint.contains("memory")));
         // The number is enough, and one less is not.
         assert!(planned(&format!("{needed_mb}MB"), &large, 1).unwrap().run > 200);
@@ -243,7 +259,10 @@ mod tests {
         let Plan { run, at_once } = planned("2GB", &large, 1).unwrap();
         let decoding = decoding_bytes(1600, 1250) * at_once as u64;
         let kept = 875 * Pixels::bytes(1600, 1250, run);
-        assert!(at_once > 2 && PROGRAM_BYTES + kept + decoding <= 2_000_000_000, "{at_once}");
+        assert!(
+            at_once > 2 && PROGRAM_BYTES + kept + decoding <= 2_000_000_000,
+            "{at_once}"
+        );
         assert!(planned("300MB", &large, 1).unwrap().at_once >= 1);
     }
 }

@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 use crate::{
     Budget, Holdout, Memory, TrainError, TrainParams,
     judge::{outputs, put_json},
-    params,
     memory::plan,
+    params,
     split::{split, views},
     train::{read_scene, trainer},
 };

@@ -10,8 +10,8 @@ use crate::{
     Holdout, Metrics, PaceParams, TrainError, TrainParams,
     fit::{Fitted, fit, probes},
     judge::{judge, outputs, put_json},
-    params,
     memory::plan,
+    params,
     split::{Split, draws, points, split, views},
 };
 
