@@ -110,6 +110,12 @@ pub enum Verb {
     Calibrate(CalibrateArgs),
     /// Train a field on images/ and transforms.json of a folder, and render the held-out views
     Fit(FitArgs),
+    /// Measure this program against the clock
+    Bench {
+        /// What to measure
+        #[command(subcommand)]
+        verb: BenchVerb,
+    },
     /// Print completions for a shell
     Completions {
         /// The shell
@@ -166,6 +172,9 @@ pub struct FitArgs {
     /// Seed of the training
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
+    /// Memory the training may take, e.g. `2GB` [default: 4GB]
+    #[arg(long, value_name = "SIZE")]
+    pub memory: Option<String>,
     /// What decides how large the field is
     #[arg(long, value_enum, default_value_t = Fit::Scene)]
     pub fit: Fit,
@@ -188,6 +197,43 @@ impl Fit {
             Self::Fixed => "fixed",
         }
     }
+}
+
+/// Verbs of `bench`.
+#[derive(Debug, Clone, Subcommand)]
+pub enum BenchVerb {
+    /// Train on a folder's photos for so many seconds and score the test views: one JSON line a budget
+    Train(BenchArgs),
+}
+
+/// Arguments of `bench train`; `--set train.field.KEY=VALUE` and `--set train.seed=N` count too.
+#[derive(Debug, Clone, Args)]
+pub struct BenchArgs {
+    /// A folder with images/ and a transforms.json that names train_filenames and test_filenames
+    pub dir: PathBuf,
+    /// Seconds of training, ascending; the paper's table has `10,60,300,600,900`
+    #[arg(
+        long,
+        value_name = "SECONDS",
+        default_value = "10,60,300",
+        value_delimiter = ','
+    )]
+    pub seconds: Vec<String>,
+    /// Folder for `<seconds>s/<name>.png`
+    #[arg(long, value_name = "DIR", default_value = "bench")]
+    pub out: PathBuf,
+    /// What counts as time
+    #[arg(long, value_enum, default_value_t = Clock::Wall)]
+    pub clock: Clock,
+}
+
+/// Clocks of `bench`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Clock {
+    /// Wall clock, as the comparison asks
+    Wall,
+    /// Processor time over the number of threads, for a machine that does other work too
+    Cpu,
 }
 
 /// Verbs of `cache`.

@@ -46,9 +46,12 @@ pub fn fit(global: &Global, args: &FitArgs, cancel: &Cancel) -> Result<(), CliEr
 }
 
 fn pipeline(args: &FitArgs, seconds: u32) -> String {
+    let memory = args.memory.as_ref().map_or_else(String::new, |size| {
+        format!("memory = {}\n", toml::Value::String(size.clone()))
+    });
     format!(
         "name = \"fit\"\n{}[node.calibrate]\ninput = \"extract\"\ncameras = \"extract\"\nmethod = \"import\"\n\
-         [node.train]\ninput = \"calibrate\"\nbudget = \"{seconds}s\"\nseed = {}\nfit = \"{}\"\n",
+         [node.train]\ninput = \"calibrate\"\nbudget = \"{seconds}s\"\nseed = {}\nfit = \"{}\"\n{memory}",
         folder(&args.dir),
         args.seed,
         args.fit.name()

@@ -1,6 +1,7 @@
 //! The verbs, one file each. Only this room and `main` print.
 
 mod args;
+mod bench;
 mod budget;
 mod cache;
 mod calibrate;
@@ -23,7 +24,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser};
 use marf_engine::Cancel;
 
-use args::{CacheVerb, Cli, Verb};
+use args::{BenchVerb, CacheVerb, Cli, Verb};
 use error::CliError;
 
 pub use error::printable;
@@ -67,6 +68,9 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
         Verb::Filter { dir, out } => filter::filter(global, dir, out, cancel),
         Verb::Calibrate(args) => calibrate::calibrate(global, args, cancel),
         Verb::Fit(args) => fit::fit(global, args, cancel),
+        Verb::Bench {
+            verb: BenchVerb::Train(args),
+        } => bench::train(global, args, cancel),
         Verb::Completions { shell } => {
             let mut bytes = Vec::new();
             clap_complete::generate(*shell, &mut Cli::command(), "marf", &mut bytes);

@@ -87,7 +87,7 @@ fn configured(keys: &[String]) -> Result<(Config, u64)> {
     Ok((serde_json::from_value(Value::Object(map))?, seed))
 }
 
-fn load(folder: &Path) -> Result<(Vec<View>, Vec<View>)> {
+fn load(folder: &Path) -> Result<(Vec<View>, Vec<(View, Image<Srgb>)>)> {
     let scene: Value = serde_json::from_slice(&std::fs::read(folder.join("transforms.json"))?)?;
     let held_out = scene["test_filenames"].as_array().ok_or("no test_filenames")?;
     let (mut train, mut test) = (Vec::new(), Vec::new());
@@ -98,14 +98,13 @@ fn load(folder: &Path) -> Result<(Vec<View>, Vec<View>)> {
             id: name.to_owned(),
             camera: camera(&scene, &image)?,
             cam_from_world: pose(&frame["transform_matrix"])?,
-            image,
+            image: image.clone().into(),
         };
-        let views = if held_out.contains(&json!(name)) {
-            &mut test
+        if held_out.contains(&json!(name)) {
+            test.push((view, image));
         } else {
-            &mut train
-        };
-        views.push(view);
+            train.push(view);
+        }
     }
     Ok((train, test))
 }
@@ -136,13 +135,13 @@ fn pose(matrix: &Value) -> Result<Pose> {
     Ok(world_from_cam.inverse())
 }
 
-fn score(field: &Field, views: &[View], out: &Path) -> Result<Vec<f64>> {
+fn score(field: &Field, views: &[(View, Image<Srgb>)], out: &Path) -> Result<Vec<f64>> {
     std::fs::create_dir_all(out)?;
     let limit = std::env::var("FIT_VIEWS")
         .ok()
         .and_then(|limit| limit.parse().ok())
         .unwrap_or(usize::MAX);
-    let scores = views.iter().take(limit).map(|view| {
+    let scores = views.iter().take(limit).map(|(view, photo)| {
         let image = field.render(&view.camera, &view.cam_from_world).to_image();
         let name = Path::new(&view.id).file_name().ok_or("no file name")?;
         std::fs::write(out.join(name), encode_png(&image)?)?;
@@ -150,7 +149,7 @@ fn score(field: &Field, views: &[View], out: &Path) -> Result<Vec<f64>> {
             .pixels
             .as_flattened()
             .iter()
-            .zip(view.image.pixels.as_flattened());
+            .zip(photo.pixels.as_flattened());
         let sum: f64 = pairs.map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
         let mse = sum / (3 * image.pixels.len()) as f64 / (255.0 * 255.0);
         Ok(-10.0 * mse.max(1e-10).log10())

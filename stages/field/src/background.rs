@@ -2,10 +2,11 @@
 
 use nalgebra::{SMatrix, SVector, Vector2};
 
+use crate::rng::GOLDEN;
 use crate::{View, sh};
 
-/// Pixels looked at in a photo, a side.
-const GRID: u32 = 24;
+/// Pixels looked at in a photo, at most.
+const PIXELS: u64 = 576;
 /// Colours are kept this far from 0 and 1, where the logit is infinite (4.6 in size).
 const MARGIN: f64 = 0.01;
 /// Pull of all coefficients but the first to zero, as a share of the pixels: few photos look into few directions.
@@ -36,19 +37,16 @@ pub fn fit(views: &[View]) -> Vec<f32> {
     )
 }
 
-/// Directions in the world and colours of a grid of pixels.
+/// Directions in the world and colours of some pixels, spread over the photo by the golden ratio.
 fn looks(view: &View) -> impl Iterator<Item = ([f32; 3], SVector<f64, 3>)> + '_ {
     let world_from_cam = view.cam_from_world.inverse();
-    let (width, height) = (view.image.width, view.image.height);
-    let place = |index: u32, side: u32| u64::from(side) * (2 * u64::from(index) + 1) / u64::from(2 * GRID);
-    let cells = (0..GRID * GRID).map(move |cell| (place(cell % GRID, width), place(cell / GRID, height)));
-    cells.filter_map(move |(x, y)| {
-        let pixel = Vector2::new(x as f64 + 0.5, y as f64 + 0.5);
-        let direction = world_from_cam
-            .direction(&view.camera.unproject(&pixel)?)
-            .normalize();
-        let rgb = view.image.pixels.get((y * u64::from(width) + x) as usize)?;
-        let rgb = SVector::from(rgb.map(|channel| f64::from(channel) / 255.0));
+    let kept = view.image.len();
+    let place = move |index: u64| (u128::from(index.wrapping_mul(GOLDEN)) * kept as u128) >> 64;
+    (0..PIXELS.min(kept as u64)).filter_map(move |index| {
+        let (pixel, rgb) = view.image.at(place(index) as usize);
+        let in_camera = view.camera.unproject(&Vector2::from(pixel))?;
+        let direction = world_from_cam.direction(&in_camera).normalize();
+        let rgb = SVector::from(rgb.map(f64::from));
         Some(([direction.x as f32, direction.y as f32, direction.z as f32], rgb))
     })
 }
@@ -70,7 +68,7 @@ mod tests {
             id: "v".to_owned(),
             camera: Camera::pinhole(16, 12, 12.0),
             cam_from_world: Pose::looking_at(Vector3::zeros(), toward, -Vector3::z()),
-            image: Image::from_fn(16, 12, |_, _| rgb),
+            image: Image::from_fn(16, 12, |_, _| rgb).into(),
         }
     }
 
@@ -110,7 +108,7 @@ mod tests {
     fn one_pixel_and_no_view_give_finite_coefficients() {
         let mut one = view(Vector3::y(), [0; 3]);
         one.camera = Camera::pinhole(1, 1, 1.0);
-        one.image = Image::from_fn(1, 1, |_, _| [0, 255, 7]);
+        one.image = Image::from_fn(1, 1, |_, _| [0, 255, 7]).into();
         for views in [vec![one], vec![]] {
             let found = fit(&views);
             assert_eq!(found.len(), 3 * sh::COUNT);

@@ -1,5 +1,6 @@
 use marf_scene::{Camera, Pose};
 
+use crate::render::render_rows;
 use crate::{Field, Render};
 
 /// Pixels of one band: a fraction of a second of work, the same on every machine.
@@ -7,7 +8,7 @@ const BAND_PX: u32 = 1 << 16;
 
 /// Renders a photo in bands of rows and asks `keep_going` before each, so that a large one can be stopped.
 ///
-/// The bands depend on the camera alone, hence so does the picture.
+/// The picture is [`Field::render`]'s, to the bit.
 ///
 /// # Errors
 /// Whatever `keep_going` answers.
@@ -17,25 +18,16 @@ pub fn render_in_bands<E>(
     cam_from_world: &Pose,
     mut keep_going: impl FnMut() -> Result<(), E>,
 ) -> Result<Render, E> {
-    let rows = (BAND_PX / camera.width.max(1)).max(1);
-    let mut whole = Render {
-        width: camera.width,
-        height: camera.height,
-        rgb: Vec::new(),
-        opacity: Vec::new(),
-        depth: Vec::new(),
-    };
+    let rows = (BAND_PX / camera.width.max(1)).max(1).next_multiple_of(8);
+    let mut whole = Render::empty(camera.width, camera.height);
     for top in (0..camera.height).step_by(rows as usize) {
         keep_going()?;
-        let band = Camera {
-            height: rows.min(camera.height - top),
-            cy_px: camera.cy_px - f64::from(top),
-            ..*camera
-        };
-        let part = field.render(&band, cam_from_world);
-        whole.rgb.extend(part.rgb);
-        whole.opacity.extend(part.opacity);
-        whole.depth.extend(part.depth);
+        let band = render_rows(field, camera, cam_from_world, top..camera.height.min(top + rows));
+        let first = top as usize * camera.width as usize;
+        let pixels = first..first + band.rgb.len();
+        whole.rgb[pixels.clone()].copy_from_slice(&band.rgb);
+        whole.opacity[pixels.clone()].copy_from_slice(&band.opacity);
+        whole.depth[pixels].copy_from_slice(&band.depth);
     }
     Ok(whole)
 }

@@ -91,7 +91,7 @@ impl Trainer {
     }
 }
 
-fn write_moments(writer: &mut Writer, name: &str, moments: &Moments) {
+fn write_moments<'a>(writer: &mut Writer<'a>, name: &str, moments: &'a Moments) {
     writer.floats(format!("first.{name}"), &moments.first);
     writer.floats(format!("second.{name}"), &moments.second);
     writer.counts(format!("count.{name}"), &moments.count);

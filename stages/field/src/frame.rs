@@ -6,6 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::View;
 
+/// Cells a side of the finest level at most, where the scene decides it.
+pub const MOST_FINEST: u32 = 8192;
 /// Rays end here, in half sides of the box: beyond it a contracted cell of the finest level is not resolved.
 pub const FAR: f64 = 512.0;
 /// With cameras close together the box reaches this many baselines: there the disparity is still f / 16.
@@ -75,7 +77,9 @@ impl Frame {
         let mut focals: Vec<f64> = views.iter().map(|view| view.camera.fx_px).collect();
         let focal_px = median(&mut focals);
         let footprint = self.depth / focal_px;
-        let cells = (4.0 * self.half_side / footprint).ceil().clamp(16.0, 8192.0);
+        let cells = (4.0 * self.half_side / footprint)
+            .ceil()
+            .clamp(16.0, f64::from(MOST_FINEST));
         let reason = format!(
             "a pixel covers {footprint:.4} at the distance {:.4} (focal length {focal_px:.0} px); the contracted box is 4 half sides of {:.4} wide",
             self.depth, self.half_side
@@ -200,7 +204,7 @@ mod tests {
             id: "v".to_owned(),
             camera: Camera::pinhole(32, 24, 40.0),
             cam_from_world: Pose::looking_at(eye, target, -Vector3::z()),
-            image: Image::from_fn(32, 24, |_, _| [9; 3]),
+            image: Image::from_fn(32, 24, |_, _| [9; 3]).into(),
         }
     }
 

@@ -114,10 +114,10 @@ impl Field {
 
     /// Renders a photo: `camera` with its distortion, at `cam_from_world`.
     ///
-    /// Rows run in parallel in the current pool; the pixels do not depend on its size. Pixels where the
+    /// Tiles run in parallel in the current pool; the pixels do not depend on its size. Pixels where the
     /// distortion has no inverse are black and empty.
     pub fn render(&self, camera: &Camera, cam_from_world: &Pose) -> Render {
-        crate::render::render(self, camera, cam_from_world)
+        crate::render::render_rows(self, camera, cam_from_world, 0..camera.height)
     }
 
     /// Takes down what was tried before the training.

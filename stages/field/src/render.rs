@@ -1,8 +1,11 @@
+use std::ops::Range;
+
 use marf_scene::{Camera, Image, Pose, Srgb};
 use rayon::prelude::*;
 
 use crate::cpu::composite::OPAQUE;
 use crate::cpu::march::March;
+use crate::cpu::simd::{Isa, Kernel};
 use crate::frame::RayStart;
 use crate::shade::{Shade, Span};
 use crate::{Field, sh};
@@ -23,6 +26,18 @@ pub struct Render {
 }
 
 impl Render {
+    /// Black and empty.
+    pub(crate) fn empty(width: u32, height: u32) -> Self {
+        let pixels = width as usize * height as usize;
+        Self {
+            width,
+            height,
+            rgb: vec![[0.0; 3]; pixels],
+            opacity: vec![0.0; pixels],
+            depth: vec![0.0; pixels],
+        }
+    }
+
     /// Rounds to 8 bits.
     pub fn to_image(&self) -> Image<Srgb> {
         let pixels = self.rgb.iter();
@@ -39,12 +54,14 @@ impl Render {
 const FIRST_ROUND: usize = 8;
 /// Every sample lies in the middle of its step.
 const MIDDLE: f32 = 0.5;
+/// Rows and columns of a tile: the samples of 256 neighbouring rays, some 2 KB a ray, stay in the second cache.
+const TILE: [u32; 2] = [8, 32];
 
 /// A ray on its way.
 struct Walk {
+    /// Its pixel in the tile, by rows.
     pixel: usize,
     start: RayStart,
-    harmonics: [f32; sh::COUNT],
     next_step: usize,
     optical_depth: f32,
     rgb: [f32; 3],
@@ -54,77 +71,204 @@ struct Walk {
 }
 
 /// A finished pixel.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy)]
 struct Pixel {
     rgb: [f32; 3],
     opacity: f32,
     depth: f32,
 }
 
-/// Renders row by row in the current pool.
-pub fn render(field: &Field, camera: &Camera, cam_from_world: &Pose) -> Render {
-    let world_from_cam = cam_from_world.inverse();
-    let rows = (0..camera.height).into_par_iter();
-    let rows = rows.map_init(Shade::default, |shade, row| {
-        render_row(field, shade, camera, &world_from_cam, row)
+/// Memory of one worker, and its tile.
+#[derive(Default)]
+struct Tile {
+    shade: Shade,
+    walks: Vec<Walk>,
+    /// Those of the walks' directions, in their order.
+    harmonics: Vec<[f32; sh::COUNT]>,
+    spans: Vec<Span>,
+    /// Optical depth in front of a round, and of the round.
+    before: Vec<f32>,
+    depths: Vec<f32>,
+    kept: Vec<u32>,
+}
+
+/// The view that is rendered.
+struct Sight<'a> {
+    field: &'a Field,
+    camera: &'a Camera,
+    world_from_cam: Pose,
+}
+
+/// Some rows of the pixels of a [`Render`].
+struct Strip<'a> {
+    top: u32,
+    rgb: &'a mut [[f32; 3]],
+    opacity: &'a mut [f32],
+    depth: &'a mut [f32],
+}
+
+/// Renders some rows of a photo; strips of tiles run in parallel.
+///
+/// A pixel depends on nothing but its ray, hence neither on the rows asked for nor on the pool.
+pub(crate) fn render_rows(field: &Field, camera: &Camera, cam_from_world: &Pose, rows: Range<u32>) -> Render {
+    let sight = Sight {
+        field,
+        camera,
+        world_from_cam: cam_from_world.inverse(),
+    };
+    let mut whole = Render::empty(camera.width, rows.end.saturating_sub(rows.start));
+    let pixels = (TILE[0] * camera.width.max(1)) as usize;
+    let strips = whole
+        .rgb
+        .par_chunks_mut(pixels)
+        .zip(whole.opacity.par_chunks_mut(pixels))
+        .zip(whole.depth.par_chunks_mut(pixels))
+        .enumerate();
+    strips.for_each_init(Tile::default, |tile, (index, ((rgb, opacity), depth))| {
+        let top = rows.start + index as u32 * TILE[0];
+        let strip = &mut Strip {
+            top,
+            rgb,
+            opacity,
+            depth,
+        };
+        for left in (0..camera.width).step_by(TILE[1] as usize) {
+            tile.render(&sight, strip, left);
+        }
     });
-    let pixels = rows.collect::<Vec<_>>().concat();
-    Render {
-        width: camera.width,
-        height: camera.height,
-        rgb: pixels.iter().map(|pixel| pixel.rgb).collect(),
-        opacity: pixels.iter().map(|pixel| pixel.opacity).collect(),
-        depth: pixels.iter().map(|pixel| pixel.depth).collect(),
-    }
+    whole
 }
 
-fn render_row(
-    field: &Field,
-    shade: &mut Shade,
-    camera: &Camera,
-    world_from_cam: &Pose,
-    row: u32,
-) -> Vec<Pixel> {
-    let mut pixels = vec![Pixel::default(); camera.width as usize];
-    let columns = 0..camera.width;
-    let mut walks: Vec<Walk> = columns
-        .filter_map(|column| {
-            let centre = [f64::from(column) + 0.5, f64::from(row) + 0.5];
-            let start = field.frame.ray(camera, world_from_cam, centre)?;
-            Some(Walk::new(column as usize, start))
-        })
-        .collect();
-    let mut limit = FIRST_ROUND;
-    while !walks.is_empty() {
-        advance(field, shade, &mut walks, limit);
-        limit *= 2;
-        walks.retain(|walk| {
-            let done = walk.left < OPAQUE || walk.next_step >= field.steps.begin.len();
-            if done {
-                pixels[walk.pixel] = walk.finish(field);
-            }
-            !done
-        });
-    }
-    pixels
-}
-
-impl Walk {
-    fn new(pixel: usize, start: RayStart) -> Self {
-        Self {
-            pixel,
-            start,
-            harmonics: sh::harmonics(start.direction),
-            next_step: 0,
-            optical_depth: 0.0,
-            rgb: [0.0; 3],
-            distance: 0.0,
-            left: 1.0,
+impl Tile {
+    fn render(&mut self, sight: &Sight, strip: &mut Strip, left: u32) {
+        self.begin(sight, strip, left);
+        let mut limit = FIRST_ROUND;
+        while !self.walks.is_empty() {
+            self.advance(sight.field, limit);
+            limit *= 2;
+            self.finish(sight.field, strip);
         }
     }
 
-    fn finish(&self, field: &Field) -> Pixel {
-        let behind = field.weights.behind(field.config.background, &self.harmonics);
+    /// Sets out a ray for every pixel of the tile that has one.
+    fn begin(&mut self, sight: &Sight, strip: &Strip, left: u32) {
+        let width = sight.camera.width;
+        let rows = strip.rgb.len() as u32 / width.max(1);
+        for row in 0..rows {
+            for column in left..width.min(left + TILE[1]) {
+                let centre = [f64::from(column) + 0.5, f64::from(strip.top + row) + 0.5];
+                let frame = &sight.field.frame;
+                let Some(start) = frame.ray(sight.camera, &sight.world_from_cam, centre) else {
+                    continue;
+                };
+                self.harmonics.push(sh::harmonics(start.direction));
+                self.walks.push(Walk {
+                    pixel: (row * width + column) as usize,
+                    start,
+                    next_step: 0,
+                    optical_depth: 0.0,
+                    rgb: [0.0; 3],
+                    distance: 0.0,
+                    left: 1.0,
+                });
+            }
+        }
+    }
+
+    /// Carries every ray over its next occupied samples.
+    fn advance(&mut self, field: &Field, limit: usize) {
+        let shade = &mut self.shade;
+        shade.samples.resize(0);
+        self.spans.clear();
+        for walk in &mut self.walks {
+            let first = shade.samples.len();
+            walk.next_step = field.level.run(March {
+                steps: &field.steps,
+                bits: &field.bits,
+                origin: walk.start.origin,
+                direction: walk.start.direction,
+                jitter: MIDDLE,
+                first: walk.next_step,
+                limit,
+                samples: &mut shade.samples,
+            });
+            let end = shade.samples.len();
+            self.spans.push(Span { first, end });
+        }
+        self.before.clear();
+        self.before
+            .extend(self.walks.iter().map(|walk| walk.optical_depth));
+        shade.densities(field.level, &field.weights);
+        shade.opacities(field.level, &self.spans, &self.before);
+        self.depths.clear();
+        let depth = |span: &Span| shade.tau[span.first..span.end].iter().sum::<f32>();
+        self.depths.extend(self.spans.iter().map(depth));
+        shade.drop_hidden(&mut self.spans, &mut self.kept);
+        shade.colours(field.level, &field.weights, &self.spans, &self.harmonics);
+        field.level.run(Gather {
+            walks: &mut self.walks,
+            shade,
+            spans: &self.spans,
+            depths: &self.depths,
+        });
+    }
+
+    /// Writes the rays that are done and keeps the others.
+    fn finish(&mut self, field: &Field, strip: &mut Strip) {
+        let mut going_on = 0;
+        for index in 0..self.walks.len() {
+            let walk = &self.walks[index];
+            if walk.left >= OPAQUE && walk.next_step < field.steps.begin.len() {
+                self.walks.swap(going_on, index);
+                self.harmonics.swap(going_on, index);
+                going_on += 1;
+                continue;
+            }
+            let pixel = walk.pixel(field, &self.harmonics[index]);
+            strip.rgb[walk.pixel] = pixel.rgb;
+            strip.opacity[walk.pixel] = pixel.opacity;
+            strip.depth[walk.pixel] = pixel.depth;
+        }
+        self.walks.truncate(going_on);
+        self.harmonics.truncate(going_on);
+    }
+}
+
+/// Takes the samples of a round into the rays; compiled for the instruction set, or each fused multiply-add is a call.
+struct Gather<'a> {
+    walks: &'a mut [Walk],
+    shade: &'a Shade,
+    spans: &'a [Span],
+    /// Optical depths of the round.
+    depths: &'a [f32],
+}
+
+impl Kernel for Gather<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _isa: I) {
+        let shade = self.shade;
+        for ((walk, span), depth) in self.walks.iter_mut().zip(self.spans).zip(self.depths) {
+            walk.optical_depth += depth;
+            for index in span.first..span.end {
+                let weight = shade.transmittance[index] * shade.alpha[index];
+                for channel in 0..3 {
+                    walk.rgb[channel] = weight.mul_add(shade.rgb[index][channel], walk.rgb[channel]);
+                }
+                walk.distance = weight.mul_add(shade.samples.t[index], walk.distance);
+                walk.left = shade.transmittance[index] - weight;
+            }
+            if walk.optical_depth > 9.3 {
+                walk.left = walk.left.min(OPAQUE * 0.5);
+            }
+        }
+    }
+}
+
+impl Walk {
+    fn pixel(&self, field: &Field, harmonics: &[f32; sh::COUNT]) -> Pixel {
+        let behind = field.weights.behind(field.config.background, harmonics);
         let opacity = (1.0 - self.left).clamp(0.0, 1.0);
         let half_side = field.frame.half_side as f32;
         let depth = if opacity > 0.0 {
@@ -136,52 +280,6 @@ impl Walk {
             rgb: [0, 1, 2].map(|channel| self.left.mul_add(behind[channel], self.rgb[channel])),
             opacity,
             depth: if depth.is_finite() { depth } else { 0.0 },
-        }
-    }
-}
-
-/// Carries every ray over its next occupied samples.
-fn advance(field: &Field, shade: &mut Shade, walks: &mut [Walk], limit: usize) {
-    shade.samples.resize(0);
-    let mut spans = Vec::with_capacity(walks.len());
-    for walk in walks.iter_mut() {
-        let first = shade.samples.len();
-        walk.next_step = field.level.run(March {
-            steps: &field.steps,
-            bits: &field.bits,
-            origin: walk.start.origin,
-            direction: walk.start.direction,
-            jitter: MIDDLE,
-            first: walk.next_step,
-            limit,
-            samples: &mut shade.samples,
-        });
-        let end = shade.samples.len();
-        spans.push(Span { first, end });
-    }
-    let before: Vec<f32> = walks.iter().map(|walk| walk.optical_depth).collect();
-    shade.densities(field.level, &field.weights);
-    shade.opacities(field.level, &spans, &before);
-    let depths: Vec<f32> = spans
-        .iter()
-        .map(|span| shade.tau[span.first..span.end].iter().sum())
-        .collect();
-    let mut kept = Vec::new();
-    shade.drop_hidden(&mut spans, &mut kept);
-    let harmonics: Vec<_> = walks.iter().map(|walk| walk.harmonics).collect();
-    shade.colours(field.level, &field.weights, &spans, &harmonics);
-    for ((walk, span), depth) in walks.iter_mut().zip(&spans).zip(&depths) {
-        walk.optical_depth += depth;
-        for index in span.first..span.end {
-            let weight = shade.transmittance[index] * shade.alpha[index];
-            for channel in 0..3 {
-                walk.rgb[channel] = weight.mul_add(shade.rgb[index][channel], walk.rgb[channel]);
-            }
-            walk.distance = weight.mul_add(shade.samples.t[index], walk.distance);
-            walk.left = shade.transmittance[index] - weight;
-        }
-        if walk.optical_depth > 9.3 {
-            walk.left = walk.left.min(OPAQUE * 0.5);
         }
     }
 }

@@ -11,6 +11,8 @@ pub enum Purpose {
     Rays = 3,
     /// Points of the occupancy grid.
     Occupancy = 4,
+    /// Pixels of a photo that are kept.
+    Thinning = 8,
 }
 
 /// A stream of random numbers that depends on all 64 bits of the seed.
@@ -18,7 +20,7 @@ pub enum Purpose {
 pub struct Rng(u64);
 
 /// Odd part of 2^64 / golden ratio (SplitMix64, Steele, Lea and Flood 2014).
-const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
+pub const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
 
 /// A bijection of 64 bits (finaliser of SplitMix64).
 fn mix(mut z: u64) -> u64 {

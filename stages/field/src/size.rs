@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::cpu::march::{Steps, contract};
 use crate::cpu::math::root;
-use crate::frame::{ENOUGH_POINTS, FAR, Frame, percentile};
+use crate::frame::{ENOUGH_POINTS, FAR, Frame, MOST_FINEST, percentile};
 use crate::{Config, FieldError, View};
 
 /// A number and what decided it.
@@ -78,6 +78,20 @@ pub fn derive(views: &[View], points: &[[f64; 3]], config: &Config, frame: &Fram
 }
 
 impl Sizes {
+    /// Returns the largest sizes that any scene asks for under these keys.
+    pub(crate) fn most(config: &Config) -> Self {
+        let finest = config.finest_resolution.unwrap_or(MOST_FINEST);
+        let any = "any scene";
+        Self {
+            near: Chosen::new(NEAR, any),
+            far: Chosen::new(FAR, any),
+            finest: Chosen::new(finest.max(config.base_resolution), any),
+            levels: levels(config, finest),
+            surface_cells: Chosen::new(u64::MAX, any),
+            log2_table: log2_table(config, u64::MAX),
+        }
+    }
+
     /// Returns where rays are looked at.
     pub(crate) fn steps(&self, config: &Config) -> Steps {
         Steps::new(self.near.value, self.far.value, config.min_step, config.cone)

@@ -1,52 +1,85 @@
 //! Named tensors in the safetensors format, with one JSON text beside them.
 
+use std::borrow::Cow;
 use std::collections::HashMap;
 
 use safetensors::SafeTensors;
-use safetensors::tensor::{Dtype, TensorView};
+use safetensors::tensor::{Dtype, View};
 
 use crate::FieldError;
 
 /// The header entry that holds our JSON. One entry only: the crate writes several in no fixed order.
 const ENTRY: &str = "marf";
 
-/// Tensors on their way into bytes.
+/// Tensors on their way into bytes; they stay where they are until the file is written.
 #[derive(Default)]
-pub struct Writer {
-    tensors: Vec<(String, Dtype, Vec<usize>, Vec<u8>)>,
+pub struct Writer<'a> {
+    tensors: Vec<(String, Tensor<'a>)>,
 }
 
-impl Writer {
+struct Tensor<'a> {
+    values: Values<'a>,
+    shape: [usize; 1],
+}
+
+enum Values<'a> {
+    Floats(&'a [f32]),
+    Counts(&'a [u32]),
+    Words(&'a [u64]),
+}
+
+impl View for Tensor<'_> {
+    fn dtype(&self) -> Dtype {
+        match self.values {
+            Values::Floats(_) => Dtype::F32,
+            Values::Counts(_) => Dtype::U32,
+            Values::Words(_) => Dtype::U64,
+        }
+    }
+
+    fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+
+    fn data(&self) -> Cow<'_, [u8]> {
+        match self.values {
+            Values::Floats(values) => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
+            Values::Counts(values) => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
+            Values::Words(values) => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
+        }
+    }
+
+    fn data_len(&self) -> usize {
+        self.shape[0] * self.dtype().bitsize() / 8
+    }
+}
+
+impl<'a> Writer<'a> {
     /// Adds f32.
-    pub fn floats(&mut self, name: String, values: &[f32]) {
-        let bytes = values.iter().flat_map(|value| value.to_le_bytes());
-        self.tensors
-            .push((name, Dtype::F32, vec![values.len()], bytes.collect()));
+    pub fn floats(&mut self, name: String, values: &'a [f32]) {
+        self.add(name, values.len(), Values::Floats(values));
     }
 
     /// Adds u32.
-    pub fn counts(&mut self, name: String, values: &[u32]) {
-        let bytes = values.iter().flat_map(|value| value.to_le_bytes());
-        self.tensors
-            .push((name, Dtype::U32, vec![values.len()], bytes.collect()));
+    pub fn counts(&mut self, name: String, values: &'a [u32]) {
+        self.add(name, values.len(), Values::Counts(values));
     }
 
     /// Adds u64.
-    pub fn words(&mut self, name: String, values: &[u64]) {
-        let bytes = values.iter().flat_map(|value| value.to_le_bytes());
-        self.tensors
-            .push((name, Dtype::U64, vec![values.len()], bytes.collect()));
+    pub fn words(&mut self, name: String, values: &'a [u64]) {
+        self.add(name, values.len(), Values::Words(values));
+    }
+
+    fn add(&mut self, name: String, len: usize, values: Values<'a>) {
+        let shape = [len];
+        self.tensors.push((name, Tensor { values, shape }));
     }
 
     /// Returns the file; the same tensors give the same bytes.
     pub fn finish(self, json: String) -> Vec<u8> {
-        let views = self.tensors.iter().filter_map(|(name, dtype, shape, bytes)| {
-            let view = TensorView::new(*dtype, shape.clone(), bytes).ok()?;
-            Some((name.clone(), view))
-        });
         let header = HashMap::from([(ENTRY.to_owned(), json)]);
-        // The lengths were counted above, so no view is refused and nothing else can fail in memory.
-        safetensors::serialize(views, Some(header)).unwrap_or_default()
+        // Every length is its slice's, so no tensor is refused and nothing else can fail in memory.
+        safetensors::serialize(self.tensors, Some(header)).unwrap_or_default()
     }
 }
 

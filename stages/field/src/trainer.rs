@@ -38,7 +38,7 @@ pub struct Trainer {
     pub(crate) seed: u64,
     pub(crate) views: Vec<View>,
     world_from_cams: Vec<Pose>,
-    /// Number of the first pixel of every view, and of all pixels at the end.
+    /// Number of the first kept pixel of every view, and of all at the end.
     pixels: Vec<u64>,
     pub(crate) frame: Frame,
     pub(crate) sizes: Sizes,
@@ -198,12 +198,7 @@ impl Trainer {
             sum.add(lens.iter().chain(&bend).map(|number| number.to_bits()));
             let pose: [[f64; 4]; 3] = view.cam_from_world.into();
             sum.add(pose.as_flattened().iter().map(|number| number.to_bits()));
-            sum.add(
-                view.image
-                    .pixels
-                    .iter()
-                    .map(|[r, g, b]| u64::from(u32::from_le_bytes([*r, *g, *b, 0]))),
-            );
+            sum.add(view.image.words());
         }
         sum.add(
             self.frame
@@ -262,14 +257,12 @@ impl Trainer {
         let pixel = rng.below(self.pixels.last().copied().unwrap_or(0));
         let index = self.pixels.partition_point(|first| *first <= pixel) - 1;
         let view = &self.views[index];
-        let within = (pixel - self.pixels[index]) as usize;
-        let width = view.image.width as usize;
-        let centre = [(within % width) as f64 + 0.5, (within / width) as f64 + 0.5];
+        let (centre, rgb) = view.image.at((pixel - self.pixels[index]) as usize);
         Target {
             start: self.frame.ray(&view.camera, &self.world_from_cams[index], centre),
             jitter: rng.unit(),
             view: index as u32,
-            rgb: view.image.pixels[within].map(|channel| f32::from(channel) / 255.0),
+            rgb,
             gain: [0, 1, 2].map(|channel| gains[index * 4 + channel]),
         }
     }

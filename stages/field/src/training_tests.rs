@@ -38,7 +38,7 @@ fn ball_view(angle: f64, height: f64, width: u32) -> View {
         id: format!("ball {angle:.2}"),
         camera,
         cam_from_world,
-        image,
+        image: image.into(),
     }
 }
 
@@ -141,6 +141,40 @@ fn weights_are_the_same_with_1_2_3_and_16_threads() {
     for threads in [2, 3, 16] {
         assert!(digest(threads) == one, "{threads} threads");
     }
+}
+
+#[test]
+fn a_pixel_is_the_same_in_any_rows_any_bands_and_with_any_threads() {
+    let field = trained(ball(4, 16), &small(), 7, 40).field();
+    // 43 columns and 37 rows: tiles are cut at both edges; distortion folds in no corner.
+    let view = ball_view(1.0, 0.3, 16);
+    let camera = Camera {
+        k1: 0.05,
+        p2: 0.01,
+        ..Camera::pinhole(43, 37, 40.0)
+    };
+    let whole = field.render(&camera, &view.cam_from_world);
+    for threads in [1, 2, 3, 16] {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        let again = pool.install(|| field.render(&camera, &view.cam_from_world));
+        assert!(again == whole, "{threads} threads");
+    }
+    for height in [1, 5, 8, 30] {
+        for top in (0..37).step_by(height) {
+            let rows = top as u32..37.min((top + height) as u32);
+            let band = crate::render::render_rows(&field, &camera, &view.cam_from_world, rows);
+            let same = band.rgb == whole.rgb[top * 43..][..band.rgb.len()]
+                && band.depth == whole.depth[top * 43..][..band.rgb.len()];
+            assert!(same, "{height} rows from {top}");
+        }
+    }
+    let bands = crate::render_in_bands(&field, &camera, &view.cam_from_world, || Ok::<(), ()>(()));
+    assert!(bands == Ok(whole));
+    let nothing = Camera::pinhole(0, 5, 1.0);
+    assert!(field.render(&nothing, &view.cam_from_world).rgb.is_empty());
 }
 
 #[test]
@@ -275,7 +309,7 @@ fn what_cannot_be_learnt_from_is_refused_by_name() {
         "view `ball 3.14`: image of 8 x 8 with 63 pixels"
     );
     let mut views = ball(2, 8);
-    views[0].image = Image::from_fn(0, 0, |_, _| [0; 3]);
+    views[0].image = Image::from_fn(0, 0, |_, _| [0; 3]).into();
     assert_eq!(
         refuse(views, &[], small()),
         "view `ball 0.00`: image of 0 x 0 with 0 pixels"
@@ -445,7 +479,8 @@ fn twenty_steps_on_exact_views_give_the_known_bytes() {
         },
         image: Image::from_fn(12, 10, |x, y| {
             [(x * 20) as u8, (y * 25) as u8, (shade * 60) as u8]
-        }),
+        })
+        .into(),
     };
     let views = vec![
         view([0.5, 0.0, 2.0], 0),

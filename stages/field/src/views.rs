@@ -1,7 +1,7 @@
-use marf_scene::{Camera, Image, Pose, Srgb};
+use marf_scene::{Camera, Pose};
 use nalgebra::Vector3;
 
-use crate::FieldError;
+use crate::{FieldError, Pixels};
 
 /// A photo to learn from.
 #[derive(Clone, Debug)]
@@ -13,7 +13,7 @@ pub struct View {
     /// Its pose: x right, y down, z forward.
     pub cam_from_world: Pose,
     /// Its pixels.
-    pub image: Image<Srgb>,
+    pub image: Pixels,
 }
 
 impl View {
@@ -27,11 +27,11 @@ impl View {
     }
 }
 
-/// Returns the number of the first pixel of every view, and of all pixels at the end.
+/// Returns the number of the first kept pixel of every view, and of all at the end.
 pub fn pixel_offsets(views: &[View]) -> Vec<u64> {
     let mut offsets = vec![0];
     for view in views {
-        offsets.push(offsets.last().copied().unwrap_or(0) + view.image.pixels.len() as u64);
+        offsets.push(offsets.last().copied().unwrap_or(0) + view.image.len() as u64);
     }
     offsets
 }
@@ -43,13 +43,12 @@ pub fn check_views(views: &[View]) -> Result<(), FieldError> {
     }
     for view in views {
         let (camera, image) = (&view.camera, &view.image);
-        let pixels = image.pixels.len();
-        if pixels == 0 || pixels != image.width as usize * image.height as usize {
+        if !image.is_whole() {
             return Err(FieldError::BadImage {
                 id: view.id.clone(),
                 width: image.width,
                 height: image.height,
-                pixels,
+                pixels: image.len(),
             });
         }
         if !camera.is_valid() || !view.cam_from_world.is_valid() {

@@ -268,18 +268,35 @@ mod tests {
         }
     }
 
+    /// Of scikit-image 0.26 on [`patterns`]: size, `structural_similarity`, `peak_signal_noise_ratio`.
+    const SCIKIT_IMAGE: [((u32, u32), f64, f64); 7] = [
+        ((11, 11), 0.985_936_185_859_638_4, 33.124_780_102_987_25),
+        ((12, 11), 0.987_158_381_785_562_8, 32.808_923_914_528_016),
+        ((37, 29), 0.768_714_590_906_962_3, 14.666_531_889_766_592),
+        ((11, 64), 0.946_829_376_784_194_1, 19.013_821_381_945_238),
+        ((65, 33), 0.665_216_876_939_498_3, 12.928_506_544_010_83),
+        ((128, 96), 0.355_621_184_786_306, 9.843_095_064_594_849),
+        ((301, 203), 0.296_334_513_512_726, 9.302_902_129_241_705),
+    ];
+
     #[test]
-    fn ssim_equals_scikit_image() {
-        for (size, expected) in [
-            ((37, 29), 0.768_714_590_906_962_3),
-            ((11, 11), 0.985_936_185_859_638_4),
-        ] {
+    fn ssim_and_psnr_equal_those_of_scikit_image_at_every_size() {
+        for (size, ssim_there, psnr_there) in SCIKIT_IMAGE {
             let (a, b) = patterns(size.0, size.1);
-            let ssim = ssim(&a, &b).unwrap();
-            assert!(
-                (ssim - expected).abs() < SSIM_TOLERANCE,
-                "{size:?}: {ssim} {expected}"
-            );
+            let (ssim, psnr) = (ssim(&a, &b).unwrap(), psnr(&a, &b).unwrap());
+            assert!((ssim - ssim_there).abs() < SSIM_TOLERANCE, "{size:?}: {ssim}");
+            assert!((psnr - psnr_there).abs() < 1e-9, "{size:?}: {psnr}");
+        }
+    }
+
+    #[test]
+    fn ssim_with_a_flat_image_equals_scikit_images() {
+        for (other, expected) in [
+            (flat(103), 0.999_563_435_332_282_9),
+            (patterns(16, 12).0, 0.176_709_722_131_038_17),
+        ] {
+            let ssim = ssim(&flat(100), &other).unwrap();
+            assert!((ssim - expected).abs() < SSIM_TOLERANCE, "{ssim} {expected}");
         }
     }
 

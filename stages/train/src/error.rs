@@ -1,6 +1,8 @@
 use marf_field::FieldError;
 use marf_stage::StageError;
 
+use crate::Memory;
+
 /// What keeps a field from being trained, judged or rendered.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
@@ -58,6 +60,20 @@ pub enum TrainError {
         /// The reduction asked for.
         scale: u32,
     },
+    /// A training that does not fit, however few pixels of its photos are kept.
+    #[error(
+        "training on {photos} photos needs {needed_mb} MB ({training_mb} MB of it for the field), `memory` is {memory}"
+    )]
+    Memory {
+        /// What was allowed.
+        memory: Memory,
+        /// Photos to train on.
+        photos: usize,
+        /// The least that is needed, MB.
+        needed_mb: u64,
+        /// What the field, its training state and a checkpoint take of it, MB.
+        training_mb: u64,
+    },
     /// A render that cannot be compared with its photo.
     #[error("photo `{id}`: {cause}")]
     Metric {
@@ -89,6 +105,11 @@ impl TrainError {
                 "hold out some photos in `calibrate`, or set `holdout = \"validation\"`"
             }
             Self::Vanished { .. } => "lower `scale`",
+            Self::Memory { needed_mb, .. } => {
+                return Some(format!(
+                    "set `memory = \"{needed_mb}MB\"` or more, or lower `field.log2_table` or `quality`"
+                ));
+            }
             Self::Field(FieldError::NotFinite { .. }) => "lower `field.learning_rate`",
             Self::NoPath { .. } => "take another `path`",
             _ => return None,

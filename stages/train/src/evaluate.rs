@@ -9,7 +9,7 @@ use crate::{
     Metrics, TrainError,
     judge::{get_json, judge, outputs, put_json},
     params,
-    split::{Named, all_reduced, named},
+    split::{Named, named},
     train::read_scene,
 };
 
@@ -110,9 +110,8 @@ impl Set for Evaluate {
             }
             .into());
         }
-        let photos = all_reduced(ctx, &frames, scale)?;
         let mut outputs = outputs([]);
-        let metrics = judge(ctx, &field, &frames, &photos, &mut outputs)?;
+        let metrics = judge(ctx, &field, &frames, scale, &mut outputs)?;
         outputs.insert("metrics".to_owned(), put_json(ctx, &Report { metrics, scale })?);
         Ok(outputs)
     }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     TrainError,
     judge::mean_psnr,
-    split::{Named, Reduced},
+    split::{Named, Reduced, reduced},
 };
 
 /// Wall clock between two checkpoints: what a killed run loses at most.
@@ -85,12 +85,20 @@ pub(crate) fn fit(
     Ok(Fitted { field, log })
 }
 
-/// Chooses evenly spaced held-out photos and shrinks them further.
-pub(crate) fn probes<'a>(held_out: &[Named<'a>], photos: &[Reduced]) -> Vec<(Named<'a>, Reduced)> {
+/// Reads evenly spaced held-out photos and shrinks them further.
+pub(crate) fn probes<'a>(
+    ctx: &Ctx<'_>,
+    held_out: &[Named<'a>],
+    scale: u32,
+) -> Result<Vec<(Named<'a>, Reduced)>, StageError> {
     let count = held_out.len().min(PROBES);
     let places = (0..count).map(|probe| probe * held_out.len() / count);
     places
-        .map(|place| (held_out[place].clone(), shrunk(&photos[place], PROBE_SIDE_PX)))
+        .map(|place| {
+            let named = &held_out[place];
+            let photo = reduced(ctx, named.frame, scale)?;
+            Ok((named.clone(), shrunk(&photo, PROBE_SIDE_PX)))
+        })
         .collect()
 }
 

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     TrainError,
-    split::{Named, Reduced},
+    split::{Named, Reduced, reduced},
 };
 
 /// How well one photo is reproduced.
@@ -19,7 +19,7 @@ pub struct Scores {
     pub file: String,
     /// Name of its pictures (`heldout/<name>.png`, `photo/<name>.png`).
     pub name: String,
-    /// Peak signal-to-noise ratio, peak 1, dB.
+    /// Peak signal-to-noise ratio, peak 1, dB; 100 at most, which equal pictures have.
     pub psnr: f64,
     /// The paper's definition, peak = largest value of the photo, dB; none for a black photo.
     pub psnr_paper: Option<f64>,
@@ -40,16 +40,17 @@ pub struct Metrics {
     pub views: Vec<Scores>,
 }
 
-/// Renders every photo's view, compares, and stores both pictures.
+/// Renders every photo's view, compares, and stores both pictures; one photo at a time is in memory.
 pub(crate) fn judge(
     ctx: &Ctx<'_>,
     field: &Field,
     frames: &[Named<'_>],
-    photos: &[Reduced],
+    scale: u32,
     outputs: &mut Outputs,
 ) -> Result<Metrics, StageError> {
     let mut views = Vec::with_capacity(frames.len());
-    for (named, photo) in frames.iter().zip(photos) {
+    for named in frames {
+        let photo = &reduced(ctx, named.frame, scale)?;
         let render = render(ctx, field, named, photo)?;
         views.push(scores(named, &render, &photo.image)?);
         let name = &named.name;

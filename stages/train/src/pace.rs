@@ -7,10 +7,11 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    Budget, Fit, Holdout, TrainError, TrainParams,
+    Budget, Fit, Holdout, Memory, TrainError, TrainParams,
     judge::{outputs, put_json},
+    memory::plan,
     params,
-    split::split,
+    split::{split, views},
     train::{read_scene, trainer},
 };
 
@@ -42,6 +43,9 @@ pub struct PaceParams {
     /// Whole factor by which photos are shrunk; absent: the least that brings them to the size of `quality`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scale: Option<u32>,
+    /// Memory that the training may take.
+    #[serde(default)]
+    pub memory: Memory,
     /// Photos that are kept away from training.
     #[serde(default)]
     pub holdout: Holdout,
@@ -60,6 +64,7 @@ impl PaceParams {
             budget: train.budget?,
             quality: train.quality,
             scale: train.scale,
+            memory: train.memory,
             holdout: train.holdout,
             fit: train.fit,
             field: train.field.clone(),
@@ -109,7 +114,9 @@ impl Set for Pace {
         let scale = params::scale(params.scale, params.quality, &scene);
         let split = split(&scene, params.holdout)?;
         let times = vec![1; split.training.len()];
-        let mut trainer = trainer(ctx, &scene, &split, scale, &times, &config, 0)?;
+        let plan = plan(params.memory, &split, &times, scale, &config)?;
+        let views = views(ctx, &split, &times, scale, plan, 0)?;
+        let mut trainer = trainer(views, &scene, &config, 0)?;
         let budget_s = params.budget.seconds();
         let rate = steps_per_second(ctx, &mut trainer, (budget_s / 4.0).min(LONGEST_S))?;
         Ok(outputs([("steps", put_json(ctx, &steps_in(budget_s, rate))?)]))

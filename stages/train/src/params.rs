@@ -5,7 +5,7 @@ use marf_stage::{Ctx, Inputs, ParamError, StageError};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Budget, TrainError};
+use crate::{Budget, Memory, TrainError};
 
 /// Which photos are kept away from training, to measure on.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
@@ -69,6 +69,8 @@ pub struct TrainParams {
     /// Whole factor by which photos are shrunk; absent: the least that brings them to the size of `quality`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<u32>,
+    /// Memory that the training may take (`2GB`); where the photos do not fit, one pixel of every few is kept.
+    pub memory: Memory,
     /// Photos that are kept away from training.
     pub holdout: Holdout,
     /// Seed with which as many training photos are drawn as there are, with replacement (a bootstrap sample).

@@ -1,10 +1,10 @@
 use marf_cache::digest_of;
-use marf_field::View;
+use marf_field::{Pixels, View};
 use marf_scene::{Camera, Frame, Image, Photo, Scene, Srgb, picture_names};
 use marf_stage::{Ctx, StageError};
 use rayon::prelude::*;
 
-use crate::{Holdout, TrainError};
+use crate::{Holdout, TrainError, memory::Plan};
 
 /// Every how many training photos one is held out for [`Holdout::Validation`].
 pub(crate) const VALIDATION_EVERY: usize = 8;
@@ -115,35 +115,64 @@ pub(crate) fn reduced(ctx: &Ctx<'_>, frame: &Frame, scale: u32) -> Result<Reduce
     })
 }
 
-/// Decodes and shrinks many photos, in order.
-pub(crate) fn all_reduced(
+/// Decodes and shrinks photos and keeps of each what `keep` makes of it, in order; at most `at_once` photos are in
+/// memory.
+pub(crate) fn each_reduced<T: Send>(
     ctx: &Ctx<'_>,
     frames: &[Named<'_>],
     scale: u32,
-) -> Result<Vec<Reduced>, StageError> {
-    let photos = frames.par_iter().map(|named| reduced(ctx, named.frame, scale));
-    photos.collect()
+    at_once: usize,
+    keep: impl Fn(usize, Reduced) -> T + Sync,
+) -> Result<Vec<T>, StageError> {
+    let at_once = at_once.max(1);
+    let mut kept = Vec::with_capacity(frames.len());
+    for (group, frames) in frames.chunks(at_once).enumerate() {
+        let photos = frames.par_iter().enumerate().with_max_len(1);
+        let of_group: Result<Vec<T>, StageError> = photos
+            .map(|(index, named)| {
+                let photo = reduced(ctx, named.frame, scale)?;
+                Ok(keep(group * at_once + index, photo))
+            })
+            .collect();
+        kept.extend(of_group?);
+    }
+    Ok(kept)
 }
 
-/// Makes views of training photos, each as often as it was drawn.
-pub(crate) fn views(training: &[Named<'_>], photos: Vec<Reduced>, times: &[usize]) -> Vec<View> {
+/// Makes views of training photos, each as often as it was drawn, after a look at those held out: one that cannot
+/// be read stops a training before it begins.
+///
+/// Of every run of `plan.run` pixels one is kept, drawn by `seed` and the photo's place among the training photos.
+pub(crate) fn views(
+    ctx: &Ctx<'_>,
+    split: &Split<'_>,
+    times: &[usize],
+    scale: u32,
+    plan: Plan,
+    seed: u64,
+) -> Result<Vec<View>, StageError> {
+    each_reduced(ctx, &split.held_out, scale, plan.at_once, |_, _| ())?;
+    let thinned = |index: usize, photo: Reduced| {
+        let image = Pixels::thinned(photo.image, plan.run, seed, index as u64);
+        (photo.camera, image)
+    };
+    let photos = each_reduced(ctx, &split.training, scale, plan.at_once, thinned)?;
     let mut views = Vec::with_capacity(times.iter().sum());
-    for ((named, photo), times) in training.iter().zip(photos).zip(times) {
-        for time in 0..*times {
-            let id = &named.frame.id;
-            views.push(View {
-                id: if time == 0 {
-                    id.clone()
-                } else {
-                    format!("{id}#{}", time + 1)
-                },
-                camera: photo.camera,
-                cam_from_world: named.frame.cam_from_world,
-                image: photo.image.clone(),
-            });
-        }
+    for ((named, (camera, image)), times) in split.training.iter().zip(photos).zip(times) {
+        let id = &named.frame.id;
+        let copies = std::iter::repeat_n(image, *times);
+        views.extend(copies.enumerate().map(|(copy, image)| View {
+            id: if copy == 0 {
+                id.clone()
+            } else {
+                format!("{id}#{}", copy + 1)
+            },
+            camera,
+            cam_from_world: named.frame.cam_from_world,
+            image,
+        }));
     }
-    views
+    Ok(views)
 }
 
 /// Returns the sparse points of a scene.

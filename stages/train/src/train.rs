@@ -1,5 +1,5 @@
 use marf_cache::{ContentHash, Digest};
-use marf_field::{Config, Facts, Trainer};
+use marf_field::{Config, Facts, Trainer, View};
 use marf_scene::Scene;
 use marf_stage::{
     Ctx, Define, Expand, Inputs, NodeSpec, Outputs, ParamError, Port, Set, Stage, StageError, Threads, Work,
@@ -10,8 +10,9 @@ use crate::{
     Fit, Holdout, Metrics, PaceParams, TrainError, TrainParams,
     fit::{Fitted, fit, probes},
     judge::{judge, outputs, put_json},
+    memory::plan,
     params,
-    split::{Split, all_reduced, draws, points, split, views},
+    split::{Split, draws, points, split, views},
     trials::{self, Asked},
 };
 
@@ -41,6 +42,9 @@ pub struct Report {
     pub loss: f64,
     /// Factor by which photos were shrunk.
     pub scale: u32,
+    /// One pixel of so many of each training photo was kept; absent: all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub thinned: Option<u32>,
     /// Seed.
     pub seed: u64,
     /// Which photos were held out.
@@ -135,6 +139,8 @@ fn train(ctx: &Ctx<'_>, inputs: &Inputs, params: &TrainParams, steps: u64) -> Re
     let scale = params::scale(params.scale, params.quality, &scene);
     let split = split(&scene, params.holdout)?;
     let config = params::config(&keys, params.quality, params.fit, steps)?;
+    let times = times(&split, params.resample);
+    let plan = plan(params.memory, &split, &times, scale, &config)?;
     let tried = Asked {
         scene: &scene,
         split: &split,
@@ -144,23 +150,24 @@ fn train(ctx: &Ctx<'_>, inputs: &Inputs, params: &TrainParams, steps: u64) -> Re
         steps,
     };
     let (config, trials) = trials::decide(ctx, &tried, config)?;
-    let photos = all_reduced(ctx, &split.held_out, scale)?;
-    let times = times(&split, params.resample);
-    let trainer = trainer(ctx, &scene, &split, scale, &times, &config, params.seed)?;
-    let Fitted { field, log } = fit(ctx, trainer, steps, &probes(&split.held_out, &photos))?;
+    let views = views(ctx, &split, &times, scale, plan, params.seed)?;
+    let probes = probes(ctx, &split.held_out, scale)?;
+    let trainer = trainer(views, &scene, &config, params.seed)?;
+    let Fitted { field, log } = fit(ctx, trainer, steps, &probes)?;
     let field = field.with_trials(trials);
     let mut outputs = outputs([("scene", *scene_digest), ("weights", ctx.put(&field.encode())?)]);
     let report = Report {
-        metrics: judge(ctx, &field, &split.held_out, &photos, &mut outputs)?,
+        metrics: judge(ctx, &field, &split.held_out, scale, &mut outputs)?,
         steps,
         rays: log.rays,
         samples: log.samples,
         loss: log.curve.last().map_or(0.0, |point| point.loss),
         scale,
+        thinned: (plan.run > 1).then_some(plan.run),
         seed: params.seed,
         holdout: params.holdout,
         train_photos: times.iter().filter(|times| **times > 0).count() as u64,
-        held_out_photos: photos.len() as u64,
+        held_out_photos: split.held_out.len() as u64,
         drawn: params.resample.map(|_| drawn(&split, &times)),
         fit: params.fit,
         config,
@@ -175,18 +182,13 @@ pub(crate) fn read_scene(ctx: &Ctx<'_>, digest: &Digest) -> Result<Scene, StageE
     Ok(Scene::decode(&ctx.get(digest)?).map_err(TrainError::from)?)
 }
 
-/// Makes a trainer at step 0 on the training photos, each as often as it was drawn.
+/// Makes a trainer at step 0.
 pub(crate) fn trainer(
-    ctx: &Ctx<'_>,
+    views: Vec<View>,
     scene: &Scene,
-    split: &Split<'_>,
-    scale: u32,
-    times: &[usize],
     config: &Config,
     seed: u64,
 ) -> Result<Trainer, StageError> {
-    let photos = all_reduced(ctx, &split.training, scale)?;
-    let views = views(&split.training, photos, times);
     Ok(Trainer::new(views, &points(scene), config, seed).map_err(TrainError::from)?)
 }
 

@@ -1,6 +1,6 @@
 //! Which parts of the field pay on this scene: short trainings, judged on photos that they do not see.
 
-use marf_field::{Background, Config, Field, Gain, Overrides, Quality, Trainer, Trial, ViewDependence};
+use marf_field::{Background, Config, Field, Gain, Overrides, Quality, Trainer, Trial, View, ViewDependence};
 use marf_scene::Scene;
 use marf_stage::{Ctx, StageError};
 
@@ -8,7 +8,8 @@ use crate::{
     Fit, TrainError, TrainParams,
     fit::shrunk,
     judge::mean_psnr,
-    split::{Named, Reduced, Split, VALIDATION_EVERY, all_reduced, points, views},
+    memory::plan,
+    split::{Named, Reduced, Split, VALIDATION_EVERY, each_reduced, points, views},
 };
 
 /// All trials together take at most this part of the training's steps.
@@ -113,7 +114,7 @@ pub(crate) fn decide(
     let steps = steps_each(asked.params, asked.steps, open);
     let bench = match steps {
         0 => None,
-        _ => Bench::new(ctx, asked, steps)?,
+        _ => Bench::new(ctx, asked, &config, steps)?,
     };
     let Some(bench) = bench else {
         return Ok((config, Vec::new()));
@@ -212,8 +213,7 @@ fn judged(part: &Part, [with, without]: [Outcome; 2], bench: &Bench<'_>, least_d
 
 /// Photos to try on and to judge by.
 struct Bench<'a> {
-    training: Vec<Named<'a>>,
-    photos: Vec<Reduced>,
+    views: Vec<View>,
     judges: Vec<(Named<'a>, Reduced)>,
     points: Vec<[f64; 3]>,
     seed: u64,
@@ -222,18 +222,23 @@ struct Bench<'a> {
 
 impl<'a> Bench<'a> {
     /// Holds back every 8th training photo; `None` where that leaves none to train on.
-    fn new(ctx: &Ctx<'_>, asked: &Asked<'a>, steps: u64) -> Result<Option<Self>, StageError> {
-        let (judges, training) = halves(&asked.split.training);
-        if training.is_empty() {
+    fn new(
+        ctx: &Ctx<'_>,
+        asked: &Asked<'a>,
+        config: &Config,
+        steps: u64,
+    ) -> Result<Option<Self>, StageError> {
+        let split = halves(&asked.split.training);
+        if split.training.is_empty() {
             return Ok(None);
         }
-        let scale = scale(asked);
-        let photos = all_reduced(ctx, &judges, scale)?;
-        let small = photos.iter().map(|photo| shrunk(photo, JUDGED_SIDE_PX));
+        let (scale, times) = (scale(asked), vec![1; split.training.len()]);
+        let plan = plan(asked.params.memory, &split, &times, scale, config)?;
+        let small = |_, photo| shrunk(&photo, JUDGED_SIDE_PX);
+        let photos = each_reduced(ctx, &split.held_out, scale, plan.at_once, small)?;
         Ok(Some(Self {
-            photos: all_reduced(ctx, &training, scale)?,
-            judges: judges.into_iter().zip(small).collect(),
-            training,
+            views: views(ctx, &split, &times, scale, plan, asked.params.seed)?,
+            judges: split.held_out.into_iter().zip(photos).collect(),
             points: points(asked.scene),
             seed: asked.params.seed,
             steps,
@@ -245,7 +250,7 @@ impl<'a> Bench<'a> {
             steps: Some(self.steps),
             ..config.clone()
         };
-        let views = views(&self.training, self.photos.clone(), &vec![1; self.training.len()]);
+        let views = self.views.clone();
         let trainer = Trainer::new(views, &self.points, &config, self.seed);
         let mut trainer = trainer.map_err(TrainError::from)?;
         while trainer.steps() < self.steps {
@@ -263,11 +268,14 @@ impl<'a> Bench<'a> {
 }
 
 /// Splits training photos into those that judge trials, every 8th, and the others.
-fn halves<'a>(training: &[Named<'a>]) -> (Vec<Named<'a>>, Vec<Named<'a>>) {
+fn halves<'a>(training: &[Named<'a>]) -> Split<'a> {
     let numbered = training.iter().cloned().enumerate();
     let (judges, others): (Vec<_>, Vec<_>) = numbered.partition(|(index, _)| index % VALIDATION_EVERY == 0);
     let plain = |pairs: Vec<(usize, Named<'a>)>| pairs.into_iter().map(|(_, named)| named).collect();
-    (plain(judges), plain(others))
+    Split {
+        training: plain(others),
+        held_out: plain(judges),
+    }
 }
 
 fn scale(asked: &Asked<'_>) -> u32 {

@@ -45,8 +45,13 @@ fn ring(index: u32, count: u32) -> Vector3<f64> {
 
 /// Stores photos and scene; every 4th photo from the third is held out.
 pub fn scene(harness: &Harness, count: u32) -> Scene {
+    scene_of(harness, count, WIDTH, HEIGHT)
+}
+
+/// As [`scene`], with photos of that size.
+pub fn scene_of(harness: &Harness, count: u32, width: u32, height: u32) -> Scene {
     let frame = |index: u32| {
-        let camera = Camera::pinhole(WIDTH, HEIGHT, 20.0);
+        let camera = Camera::pinhole(width, height, f64::from(width) / 1.2);
         let cam_from_world = Pose::looking_at(ring(index, count), Vector3::zeros(), Vector3::z());
         let png = encode_png(&photo(&camera, &cam_from_world)).unwrap();
         Frame {

@@ -1,0 +1,362 @@
+//! `marf bench`: trains against the clock, as the side-by-side comparison with other trainers asks.
+//!
+//! The clock lives here and nowhere in a stage: what is trained depends on it, hence nothing of it is kept in the
+//! store but what import reads.
+
+use std::fs;
+use std::path::Path;
+use std::time::Instant;
+
+use marf_engine::{Cancel, Options};
+use marf_field::{Config, Field, Overrides, Quality, Trainer, View};
+use marf_scene::{Frame, Image, Photo, Scene, Srgb, encode_png, metrics, picture_names};
+use serde::{Deserialize, Serialize};
+
+use super::args::{BenchArgs, Clock, Global};
+use super::error::CliError;
+use super::filter::folder;
+use super::run::{execute, options};
+use super::session::Session;
+use super::{budget, files};
+
+/// Ticks a second in /proc/self/stat, on every Linux.
+const TICKS_PER_S: f64 = 100.0;
+
+/// Keys of `train` that a bench listens to; the seconds come from the command line.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct Keys {
+    quality: Quality,
+    seed: u64,
+    scale: Option<u32>,
+    field: Overrides,
+}
+
+/// One budget's line.
+#[derive(Debug, Serialize)]
+struct Line {
+    /// Seconds asked for.
+    budget: u32,
+    /// Seconds trained.
+    clock: f64,
+    /// Processor seconds of these.
+    cpu_s: f64,
+    steps: u64,
+    rays_per_s: f64,
+    samples_per_s: f64,
+    /// Largest resident size so far, MB.
+    rss_mb: u64,
+    /// Mean over the test views, peak 1, at most 100 dB a view.
+    psnr: f64,
+    /// Mean of the paper's definition over the views that are not black.
+    psnr_paper: Option<f64>,
+    /// Mean over the views of at least 11 pixels a side.
+    ssim: Option<f64>,
+    /// Seconds that one test view took to render.
+    render_s: f64,
+    /// Rays a second of this.
+    render_rays_per_s: f64,
+}
+
+/// A photo held out: name of its picture, its view, its pixels.
+struct Test {
+    name: String,
+    frame: Frame,
+    photo: Image<Srgb>,
+}
+
+/// `marf bench train DIR`: one training, looked at when each budget is used up.
+pub fn train(global: &Global, args: &BenchArgs, cancel: &Cancel) -> Result<(), CliError> {
+    let mut budgets = args
+        .seconds
+        .iter()
+        .map(|text| budget::seconds(text))
+        .collect::<Result<Vec<_>, _>>()?;
+    budgets.sort_unstable();
+    budgets.dedup();
+    // Events of the import would stand between the lines.
+    let quiet = Global {
+        json: false,
+        ..global.clone()
+    };
+    let session = Session::implicit(&pipeline(&args.dir), &quiet)?;
+    let keys = keys(&session)?;
+    let config = keys
+        .field
+        .over(&keys.quality.config())
+        .map_err(|error| CliError::usage(format!("train.field.{}: {}", error.key, error.message)))?;
+    let scene = import(&session, &quiet, cancel)?;
+    let (views, tests) = photos(&session, &scene, keys.scale.unwrap_or(1))?;
+    let threads = global.threads.map_or(0, std::num::NonZero::get);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    let pool = pool.map_err(|error| CliError::failed(format!("threads cannot be started: {error}")))?;
+    let bench = Bench {
+        clock: args.clock,
+        threads: pool.current_num_threads(),
+        out: &args.out,
+        cancel,
+    };
+    let points: Vec<[f64; 3]> = scene.points.iter().map(|point| point.position).collect();
+    let lines = pool.install(|| bench.run(views, &tests, &points, (&config, keys.seed), &budgets))?;
+    crate::talk(&table(&lines));
+    Ok(())
+}
+
+fn pipeline(dir: &Path) -> String {
+    format!(
+        "name = \"bench\"\n{}[node.calibrate]\ninput = \"extract\"\ncameras = \"extract\"\nmethod = \"import\"\n\
+         [node.train]\ninput = \"calibrate\"\n",
+        folder(dir)
+    )
+}
+
+fn keys(session: &Session) -> Result<Keys, CliError> {
+    let node = session.nodes.iter().find(|node| node.name == "train");
+    let mut params = node.map(|node| node.params.clone()).unwrap_or_default();
+    if let Some(table) = params.as_object_mut() {
+        table.retain(|_, value| !value.is_null());
+    }
+    serde_json::from_value(params).map_err(|error| CliError::usage(format!("train: {error}")))
+}
+
+/// Runs what leads to the cameras.
+fn import(session: &Session, global: &Global, cancel: &Cancel) -> Result<Scene, CliError> {
+    let options = Options {
+        to: vec!["calibrate".to_owned()],
+        ..options(global, &session.name)
+    };
+    let (record, ended) = execute(session, &options, global, cancel)?;
+    ended?;
+    let node = record.nodes.iter().find(|node| node.name == "calibrate");
+    let output = node.and_then(|node| node.outputs.get("scene"));
+    let output = output.ok_or_else(|| CliError::failed("calibrate gave no `scene`"))?;
+    let bytes = session.store.get(&output.digest)?;
+    Scene::decode(&bytes).map_err(|error| CliError::failed(error.to_string()))
+}
+
+/// Decodes all photos, those to train on and those held out.
+fn photos(session: &Session, scene: &Scene, scale: u32) -> Result<(Vec<View>, Vec<Test>), CliError> {
+    let (mut views, mut tests) = (Vec::new(), Vec::new());
+    for (frame, name) in scene.frames.iter().zip(picture_names(scene)) {
+        let photo = Photo::decode(&session.store.get(&frame.image)?);
+        let photo = photo.map_err(|error| CliError::failed(format!("photo `{}`: {error}", frame.id)))?;
+        let photo = photo.image.box_reduced(scale);
+        let camera = frame.camera.box_reduced(scale);
+        if frame.held_out {
+            let frame = Frame {
+                camera,
+                ..frame.clone()
+            };
+            tests.push(Test { name, frame, photo });
+        } else {
+            views.push(View {
+                id: frame.id.clone(),
+                camera,
+                cam_from_world: frame.cam_from_world,
+                image: photo.into(),
+            });
+        }
+    }
+    if tests.is_empty() {
+        return Err(CliError::failed(
+            "no photo is held out: `test_filenames` names none",
+        ));
+    }
+    Ok((views, tests))
+}
+
+/// What a training is timed with.
+struct Bench<'a> {
+    clock: Clock,
+    threads: usize,
+    out: &'a Path,
+    cancel: &'a Cancel,
+}
+
+/// Seconds and work of the training so far.
+#[derive(Default)]
+struct Spent {
+    wall_s: f64,
+    cpu_s: f64,
+    rays: u64,
+    samples: u64,
+}
+
+impl Bench<'_> {
+    /// Counts what makes the trainer and its steps; not decoding, rendering or scoring.
+    fn run(
+        &self,
+        views: Vec<View>,
+        tests: &[Test],
+        points: &[[f64; 3]],
+        (config, seed): (&Config, u64),
+        budgets: &[u32],
+    ) -> Result<Vec<Line>, CliError> {
+        let failed = |error: marf_field::FieldError| CliError::failed(error.to_string());
+        let mut spent = Spent::default();
+        let mut trainer = spent
+            .timed(|| Trainer::new(views, points, config, seed))
+            .map_err(failed)?;
+        let mut lines = Vec::new();
+        for budget in budgets {
+            while self.seconds(&spent) < f64::from(*budget) {
+                if self.cancel.is_set() {
+                    return Err(CliError::Interrupted);
+                }
+                let step = spent.timed(|| trainer.step()).map_err(failed)?;
+                spent.rays += step.rays;
+                spent.samples += step.samples;
+            }
+            let line = self.look(&trainer, tests, &spent, *budget)?;
+            let text = serde_json::to_string(&line);
+            crate::say(&text.map_err(|error| CliError::failed(error.to_string()))?);
+            lines.push(line);
+        }
+        Ok(lines)
+    }
+
+    fn seconds(&self, spent: &Spent) -> f64 {
+        match self.clock {
+            Clock::Wall => spent.wall_s,
+            Clock::Cpu => spent.cpu_s / self.threads as f64,
+        }
+    }
+
+    /// Renders and scores the test views as of now.
+    fn look(&self, trainer: &Trainer, tests: &[Test], spent: &Spent, budget: u32) -> Result<Line, CliError> {
+        let field = trainer.field();
+        let folder = self.out.join(format!("{budget}s"));
+        let mut rendering = Spent::default();
+        let (mut psnr, mut paper, mut ssim) = (Vec::new(), Vec::new(), Vec::new());
+        for test in tests {
+            let render = rendering.timed(|| rendered(&field, test));
+            rendering.rays += render.pixels.len() as u64;
+            let fail = |error: &dyn std::fmt::Display| CliError::failed(format!("{}: {error}", test.name));
+            psnr.push(metrics::psnr(&render, &test.photo).map_err(|error| fail(&error))?);
+            paper.extend(metrics::psnr_paper(&render, &test.photo));
+            ssim.extend(metrics::ssim(&render, &test.photo));
+            let png = encode_png(&render).map_err(|error| fail(&error))?;
+            files::write(&folder.join(format!("{}.png", test.name)), &png)?;
+        }
+        let clock = self.seconds(spent);
+        Ok(Line {
+            budget,
+            clock,
+            cpu_s: spent.cpu_s,
+            steps: trainer.steps(),
+            rays_per_s: spent.rays as f64 / clock,
+            samples_per_s: spent.samples as f64 / clock,
+            rss_mb: peak_mb(),
+            psnr: mean(&psnr).unwrap_or_default(),
+            psnr_paper: mean(&paper),
+            ssim: mean(&ssim),
+            render_s: rendering.wall_s / tests.len() as f64,
+            render_rays_per_s: rendering.rays as f64 / rendering.wall_s,
+        })
+    }
+}
+
+fn rendered(field: &Field, test: &Test) -> Image<Srgb> {
+    field
+        .render(&test.frame.camera, &test.frame.cam_from_world)
+        .to_image()
+}
+
+impl Spent {
+    fn timed<T>(&mut self, work: impl FnOnce() -> T) -> T {
+        let (wall, cpu_s) = (Instant::now(), cpu_s());
+        let done = work();
+        self.wall_s += wall.elapsed().as_secs_f64();
+        self.cpu_s += self::cpu_s() - cpu_s;
+        done
+    }
+}
+
+fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// Processor seconds of this process so far; 0 where /proc does not tell.
+fn cpu_s() -> f64 {
+    let stat = fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    // The name in brackets may hold spaces: user and system time are the 12th and 13th word after it.
+    let words = stat.rsplit(')').next().unwrap_or_default().split_whitespace();
+    let ticks = words
+        .skip(11)
+        .take(2)
+        .filter_map(|ticks| ticks.parse::<f64>().ok());
+    ticks.sum::<f64>() / TICKS_PER_S
+}
+
+/// Largest resident size so far, MB; 0 where /proc does not tell.
+fn peak_mb() -> u64 {
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let kilobytes = line.and_then(|line| line.trim().strip_suffix(" kB")?.parse::<u64>().ok());
+    kilobytes.unwrap_or(0) * 1024 / 1_000_000
+}
+
+/// The budgets as the paper's Table 1 has them.
+fn table(lines: &[Line]) -> String {
+    let number = |value: Option<f64>, places: usize| {
+        value.map_or_else(|| "-".to_owned(), |value| format!("{value:.places$}"))
+    };
+    let mut rows = vec![format!(
+        "{:>8} {:>9} {:>12} {:>7} {:>8} {:>10}",
+        "seconds", "PSNR dB", "paper's dB", "SSIM", "steps", "Msamples/s"
+    )];
+    rows.extend(lines.iter().map(|line| {
+        format!(
+            "{:>8} {:>9.2} {:>12} {:>7} {:>8} {:>10.2}",
+            line.budget,
+            line.psnr,
+            number(line.psnr_paper, 2),
+            number(line.ssim, 3),
+            line.steps,
+            line.samples_per_s / 1e6
+        )
+    }));
+    rows.push(
+        "peak 1, at most 100 dB a view; the paper's has the photo's largest value as its peak".to_owned(),
+    );
+    rows.join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_has_a_row_a_budget_and_a_dash_for_what_is_not_known() {
+        let line = Line {
+            budget: 10,
+            clock: 10.1,
+            cpu_s: 20.0,
+            steps: 123,
+            rays_per_s: 1e5,
+            samples_per_s: 3.21e6,
+            rss_mb: 100,
+            psnr: 18.456,
+            psnr_paper: Some(17.0),
+            ssim: None,
+            render_s: 0.4,
+            render_rays_per_s: 4e5,
+        };
+        let table = table(&[line]);
+        let row: Vec<&str> = table.lines().nth(1).unwrap().split_whitespace().collect();
+        assert_eq!(row, ["10", "18.46", "17.00", "-", "123", "3.21"]);
+    }
+
+    #[test]
+    fn processor_time_and_memory_grow_with_work() {
+        if !Path::new("/proc/self/stat").exists() {
+            return;
+        }
+        let before = cpu_s();
+        let mut sum = 0_u64;
+        while cpu_s() - before < 0.02 {
+            sum = (0..100_000).fold(sum, u64::wrapping_add);
+        }
+        assert!(peak_mb() > 0);
+    }
+}

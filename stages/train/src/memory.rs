@@ -1,0 +1,268 @@
+use std::{fmt, str::FromStr};
+
+use marf_cache::ContentHash;
+use marf_field::{Config, Pixels, decoding_bytes, judging_bytes, training_bytes};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    TrainError,
+    split::{Named, Split},
+};
+
+/// Memory that a training may take, written as `2GB` or `800MB`; whole megabytes of 10^6 bytes.
+///
+/// A number of its own and not a share of the machine's: what is kept of the photos follows from it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ContentHash)]
+#[serde(try_from = "String", into = "String")]
+pub struct Memory {
+    megabytes: u64,
+}
+
+/// A text that is no memory.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{text}` is no memory; write `2GB` or `800MB`, from 1MB to 1000000GB")]
+pub struct ParseMemoryError {
+    text: String,
+}
+
+impl Default for Memory {
+    fn default() -> Self {
+        Self { megabytes: 4_000 }
+    }
+}
+
+impl Memory {
+    /// Returns the bytes.
+    pub fn bytes(self) -> u64 {
+        self.megabytes * 1_000_000
+    }
+}
+
+impl FromStr for Memory {
+    type Err = ParseMemoryError;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let fail = || ParseMemoryError {
+            text: text.to_owned(),
+        };
+        let trimmed = text.trim();
+        let scaled = |unit: &str, scale: f64| Some((trimmed.strip_suffix(unit)?, scale));
+        let (number, scale) = scaled("GB", 1e3).or_else(|| scaled("MB", 1.0)).ok_or_else(fail)?;
+        let megabytes = number.trim().parse::<f64>().map_err(|_| fail())? * scale + 0.5;
+        if !(1.0..=1e9).contains(&megabytes) {
+            return Err(fail());
+        }
+        Ok(Self {
+            megabytes: megabytes as u64,
+        })
+    }
+}
+
+impl fmt::Display for Memory {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.megabytes.is_multiple_of(1000) {
+            write!(f, "{}GB", self.megabytes / 1000)
+        } else {
+            write!(f, "{}MB", self.megabytes)
+        }
+    }
+}
+
+impl TryFrom<String> for Memory {
+    type Error = ParseMemoryError;
+
+    fn try_from(text: String) -> Result<Self, Self::Error> {
+        text.parse()
+    }
+}
+
+impl From<Memory> for String {
+    fn from(memory: Memory) -> Self {
+        memory.to_string()
+    }
+}
+
+impl JsonSchema for Memory {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        "Memory".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({
+            "type": "string",
+            "pattern": "^[0-9.]+ *(MB|GB)$",
+            "description": "Memory that a training may take: `2GB`, `800MB`."
+        })
+    }
+}
+
+/// The program itself, its threads' stacks and scratch, and what the allocator holds back: 60 MB were measured on 2
+/// threads.
+const PROGRAM_BYTES: u64 = 100_000_000;
+
+/// How photos are kept so that a training stays within its memory.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Plan {
+    /// Pixels of a run, one of which is kept.
+    pub run: u32,
+    /// Photos that may be decoded at once; no result depends on it.
+    pub at_once: usize,
+}
+
+/// Finds the shortest run with which all fits.
+///
+/// Counted are, each at its largest: the photos kept with the training ([`training_bytes`]), the photos kept with
+/// one being decoded, one view being judged; and the program.
+///
+/// # Errors
+/// [`TrainError::Memory`] if not even one pixel in 256 fits, before anything is decoded.
+pub(crate) fn plan(
+    memory: Memory,
+    split: &Split<'_>,
+    times: &[usize],
+    scale: u32,
+    config: &Config,
+) -> Result<Plan, TrainError> {
+    let drawn = times.iter().sum();
+    let training = training_bytes(config, drawn)?;
+    let decoding = largest(split.training.iter().chain(&split.held_out), 1, decoding_bytes);
+    let judging = largest(split.held_out.iter(), 1, decoding_bytes).max(largest(
+        split.held_out.iter(),
+        scale,
+        judging_bytes,
+    ));
+    let kept = |run: u32| kept_bytes(&split.training, times, scale, run);
+    let needed = |run: u32| PROGRAM_BYTES + (kept(run) + training.max(decoding)).max(judging);
+    let Some(run) = (1..=Pixels::LONGEST_RUN).find(|run| needed(*run) <= memory.bytes()) else {
+        return Err(TrainError::Memory {
+            memory,
+            photos: drawn,
+            needed_mb: needed(Pixels::LONGEST_RUN).div_ceil(1_000_000),
+            training_mb: training.div_ceil(1_000_000),
+        });
+    };
+    let free = memory.bytes() - PROGRAM_BYTES - kept(run);
+    let at_once = (free / decoding.max(1)).clamp(1, 1 << 16) as usize;
+    Ok(Plan { run, at_once })
+}
+
+fn kept_bytes(training: &[Named<'_>], times: &[usize], scale: u32, run: u32) -> u64 {
+    let photos = training.iter().zip(times).map(|(named, times)| {
+        let camera = named.frame.camera.box_reduced(scale);
+        *times as u64 * Pixels::bytes(camera.width, camera.height, run)
+    });
+    photos.sum()
+}
+
+fn largest<'a>(
+    frames: impl Iterator<Item = &'a Named<'a>>,
+    scale: u32,
+    bytes: impl Fn(u32, u32) -> u64,
+) -> u64 {
+    let cameras = frames.map(|named| named.frame.camera.box_reduced(scale));
+    cameras
+        .map(|camera| bytes(camera.width, camera.height))
+        .max()
+        .unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Holdout, split::split};
+    use marf_scene::{Camera, Frame, Pose, Scene};
+
+    fn scene(count: usize, width: u32, height: u32) -> Scene {
+        let frame = |index: usize| Frame {
+            id: format!("{index:04}"),
+            file: format!("{index:04}.png"),
+            image: marf_cache::Digest::of(b""),
+            camera: Camera::pinhole(width, height, 800.0),
+            cam_from_world: Pose::identity(),
+            held_out: index % 8 == 0,
+            error_px: None,
+        };
+        Scene {
+            frames: (0..count).map(frame).collect(),
+            ..Scene::default()
+        }
+    }
+
+    fn planned(memory: &str, scene: &Scene, scale: u32) -> Result<Plan, TrainError> {
+        let split = split(scene, Holdout::Test).unwrap();
+        let times = vec![1; split.training.len()];
+        plan(memory.parse().unwrap(), &split, &times, scale, &Config::default())
+    }
+
+    #[test]
+    fn memory_reads_its_units_and_prints_them() {
+        for (text, printed, bytes) in [
+            ("2GB", "2GB", 2_000_000_000),
+            (" 1.5 GB", "1500MB", 1_500_000_000),
+            ("800MB", "800MB", 800_000_000),
+            ("1000 MB", "1GB", 1_000_000_000),
+        ] {
+            let memory: Memory = text.parse().unwrap();
+            assert_eq!(
+                (memory.to_string().as_str(), memory.bytes()),
+                (printed, bytes),
+                "{text}"
+            );
+            assert_eq!(memory.to_string().parse::<Memory>(), Ok(memory));
+        }
+        for text in [
+            "", "2", "GB", "-1GB", "0MB", "2TB", "nanGB", "infGB", "9e9GB", "2 gigs",
+        ] {
+            let error = text.parse::<Memory>().unwrap_err().to_string();
+            assert!(
+                error.contains(&format!("`{text}`")) && error.contains("`2GB`"),
+                "{error}"
+            );
+        }
+    }
+
+    #[test]
+    fn small_sets_are_kept_whole_and_a_thousand_large_photos_are_thinned_to_fit() {
+        let small = planned("4GB", &scene(100, 480, 360), 1).unwrap();
+        assert_eq!(small.run, 1);
+        // 875 photos of 2 MP are 5.25 GB; of every 3 pixels one, in 4 bytes, is 2.3 GB; of every 4 1.75 GB.
+        let large = scene(1000, 1600, 1250);
+        assert_eq!(planned("6GB", &large, 1).unwrap().run, 1);
+        assert_eq!(planned("2GB", &large, 1).unwrap().run, 4);
+        // Shrunk by 4 they are 328 MB.
+        assert_eq!(planned("2GB", &large, 4).unwrap().run, 1);
+        assert!(planned("300MB", &large, 1).unwrap().run > 64);
+    }
+
+    #[test]
+    fn what_fits_in_no_way_is_refused_with_the_number_that_would_do() {
+        let large = scene(1000, 1600, 1250);
+        let error = planned("100MB", &large, 1).unwrap_err();
+        let TrainError::Memory { needed_mb, .. } = &error else {
+            panic!("{error}")
+        };
+        let text = error.to_string();
+        assert!(
+            text.contains(&format!("{needed_mb} MB")) && text.contains("100MB"),
+            "{text}"
+        );
+        assert!(error.hint().is_some_and(|hint| hint.contains("memory")));
+        // The number is enough, and one less is not.
+        assert!(planned(&format!("{needed_mb}MB"), &large, 1).unwrap().run > 200);
+        assert!(planned(&format!("{}MB", needed_mb - 1), &large, 1).is_err());
+    }
+
+    #[test]
+    fn as_many_photos_are_decoded_at_once_as_fit_and_at_least_one() {
+        let large = scene(1000, 1600, 1250);
+        let Plan { run, at_once } = planned("2GB", &large, 1).unwrap();
+        let decoding = decoding_bytes(1600, 1250) * at_once as u64;
+        let kept = 875 * Pixels::bytes(1600, 1250, run);
+        assert!(
+            at_once > 2 && PROGRAM_BYTES + kept + decoding <= 2_000_000_000,
+            "{at_once}"
+        );
+        assert!(planned("300MB", &large, 1).unwrap().at_once >= 1);
+    }
+}

@@ -1,0 +1,120 @@
+//! `marf bench train DIR` and `marf fit --memory`: what they write and print, and what they refuse.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a test that cannot go on should stop"
+)]
+
+mod common;
+
+use common::marf;
+
+/// Small networks and long steps.
+const SMALL: [&str; 5] = [
+    "train.field.log2_table=10",
+    "train.field.density_width=16",
+    "train.field.color_width=16",
+    "train.field.batch_samples=1024",
+    "train.field.cone=0.2",
+];
+
+/// Four photos in a row; the last is a test photo.
+fn photos() -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("photos/images");
+    std::fs::create_dir_all(&folder).unwrap();
+    for number in 0..4_u32 {
+        let picture = image::RgbImage::from_fn(32, 24, |x, y| {
+            image::Rgb([x * 7 + number, y * 10, x * y % 256].map(|value| value as u8))
+        });
+        picture.save(folder.join(format!("{number}.png"))).unwrap();
+    }
+    let name = |number: u32| format!("images/{number}.png");
+    let frame = |number: u32| {
+        let matrix = [[1, 0, 0, number], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]];
+        serde_json::json!({"file_path": name(number), "transform_matrix": matrix})
+    };
+    let transforms = serde_json::json!({
+        "w": 32, "h": 24, "fl_x": 30.5, "fl_y": 31.0, "cx": 16.0, "cy": 12.0,
+        "frames": [frame(0), frame(1), frame(2), frame(3)],
+        "train_filenames": [name(0), name(1), name(2)], "test_filenames": [name(3)],
+    });
+    let path = dir.path().join("photos/transforms.json");
+    std::fs::write(path, transforms.to_string()).unwrap();
+    dir
+}
+
+fn with_sets<'a>(verb: &[&'a str], sets: &[&'a str]) -> Vec<&'a str> {
+    let sets = sets.iter().flat_map(|set| ["--set", set]);
+    verb.iter().copied().chain(sets).collect()
+}
+
+#[test]
+fn a_bench_prints_one_line_a_budget_and_writes_the_test_views() {
+    let dir = photos();
+    let verb = ["bench", "train", "photos", "--seconds", "2,1", "--out", "out"];
+    let ran = marf(dir.path(), &with_sets(&verb, &SMALL)).exits(0);
+    let lines = ran.events();
+    assert_eq!(lines.len(), 2, "{}", ran.stdout);
+    for (line, budget) in lines.iter().zip([1, 2]) {
+        assert_eq!(line["budget"], budget, "ascending: {line}");
+        for key in [
+            "clock",
+            "cpu_s",
+            "steps",
+            "rays_per_s",
+            "samples_per_s",
+            "rss_mb",
+            "psnr",
+            "ssim",
+        ] {
+            assert!(
+                line[key].as_f64().is_some_and(|value| value > 0.0),
+                "{key}: {line}"
+            );
+        }
+        let picture = image::open(dir.path().join(format!("out/{budget}s/3.png"))).unwrap();
+        assert_eq!((picture.width(), picture.height()), (32, 24));
+    }
+    assert!(lines[1]["steps"].as_u64() > lines[0]["steps"].as_u64());
+    assert!(
+        ran.stderr.contains("Msamples/s") && ran.stderr.contains("at most 100 dB"),
+        "{}",
+        ran.stderr
+    );
+}
+
+#[test]
+fn a_bench_refuses_keys_that_it_would_not_listen_to() {
+    let dir = photos();
+    for (set, told) in [
+        ("train.steps=5", "steps"),
+        ("train.field.log2_table=99", "log2_table"),
+        ("train.field.levls=3", "levls"),
+    ] {
+        let ran = marf(dir.path(), &["bench", "train", "photos", "--set", set]).exits(2);
+        assert!(ran.stderr.contains(told), "{set}: {}", ran.stderr);
+    }
+    let ran = marf(dir.path(), &["bench", "train", "photos", "--seconds", "soon"]).exits(2);
+    assert!(ran.stderr.contains("`soon` is no budget"), "{}", ran.stderr);
+}
+
+#[test]
+fn a_memory_that_cannot_do_is_refused_with_the_one_that_can() {
+    let dir = photos();
+    let fit = ["fit", "photos", "--budget", "1s", "--memory", "90MB"];
+    let ran = marf(dir.path(), &with_sets(&fit, &SMALL)).exits(1);
+    for part in [
+        "training on 3 photos needs",
+        "`memory` is 90MB",
+        "hint: set `memory = \"",
+    ] {
+        assert!(ran.stderr.contains(part), "`{part}` is not in\n{}", ran.stderr);
+    }
+    let ran = marf(dir.path(), &["fit", "photos", "--memory", "lots"]).exits(2);
+    assert!(
+        ran.stderr.contains("`lots` is no memory; write `2GB`"),
+        "{}",
+        ran.stderr
+    );
+}
