@@ -7,7 +7,8 @@ use proptest::prelude::*;
 use crate::cpu::simd::LANES;
 use crate::frame::Frame;
 use crate::size::{Sizes, derive};
-use crate::{Config, View};
+use crate::training_tests::{ball, ball_view, psnr, small, trained};
+use crate::{Config, View, ViewDependence};
 
 /// Cameras in a row, 10 above the plane z = 0, looking down; photos of `side` pixels a side.
 fn above(side: u32) -> Vec<View> {
@@ -264,6 +265,27 @@ fn points_that_are_of_no_use_are_told_from_those_that_are() {
         .map(|[x, y, _]| [x * 1e8, y * 1e8, -1e9])
         .collect();
     sizes(&above(64), &all_far);
+}
+
+/// A ball without gloss is learnt as well by a colour network that does not know where it is seen from.
+#[test]
+fn without_view_dependence_there_are_fewer_weights_and_a_dull_ball_is_learnt_as_well() {
+    let found = [ViewDependence::On, ViewDependence::Off].map(|view_dependence| {
+        let config = Config {
+            view_dependence,
+            batch_samples: 4096,
+            ..small()
+        };
+        let field = trained(ball(12, 16), &config, 4, 300).field();
+        (psnr(&field, &ball_view(0.4, 0.3, 16)), field.facts().parameters)
+    });
+    let [(with, more), (without, fewer)] = found;
+    // 16 harmonics into 16 neurons.
+    assert_eq!(more - fewer, 256);
+    assert!(
+        without > 18.0 && without > with - 0.5,
+        "{with} dB with, {without} dB without"
+    );
 }
 
 proptest! {
