@@ -139,7 +139,7 @@ mod tests {
     #[test]
     fn a_key_out_of_range_is_refused() {
         let config = Config {
-            log2_table: 40,
+            log2_table: Some(40),
             ..Config::default()
         };
         assert!(

@@ -122,6 +122,11 @@ impl Samples {
         self.x.len()
     }
 
+    /// Tells whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.x.is_empty()
+    }
+
     /// Returns the positions.
     pub fn points(&self) -> Points<'_> {
         let (x, y, z) = (&self.x, &self.y, &self.z);
