@@ -192,7 +192,12 @@ mod tests {
     fn planned(memory: &str, scene: &Scene, scale: u32) -> Result<Plan, TrainError> {
         let split = split(scene, Holdout::Test).unwrap();
         let times = vec![1; split.training.len()];
-        plan(memory.parse().unwrap(), &split, &times, scale, &Config::default())
+        let config = Config {
+            levels: Some(8),
+            log2_table: Some(15),
+            ..Config::default()
+        };
+        plan(memory.parse().unwrap(), &split, &times, scale, &config)
     }
 
     #[test]
