@@ -1,6 +1,6 @@
 //! Adam that skips rows without a gradient and counts the steps of every row.
 
-use super::simd::{Isa, Kernel, LANES};
+use super::simd::{Isa, Kernel};
 
 /// Decay of the first moment.
 const BETA1: f32 = 0.9;
@@ -76,70 +76,38 @@ impl<const F: usize> Kernel for Adam<'_, F> {
 
     #[inline(always)]
     fn run<I: Isa>(self, _isa: I) {
-        let (weights, last_weights) = self.weights.as_chunks_mut();
-        let (gradient, last_gradient) = self.gradient.as_chunks_mut();
-        let (first, last_first) = self.moments.first.as_chunks_mut();
-        let (second, last_second) = self.moments.second.as_chunks_mut();
-        let (counts, last_counts) = self.moments.count.split_at_mut(weights.len() * (LANES / F));
-        let rates = [self.rate, self.epsilon, self.decay];
-        let blocks = weights.iter_mut().zip(gradient).zip(first).zip(second);
-        for ((((w, g), m), v), count) in blocks.zip(counts.chunks_exact_mut(LANES / F)) {
-            step::<F>([w, g, m, v], count, rates, self.bias);
+        let weights = self.weights.as_chunks_mut::<F>().0.iter_mut();
+        let gradient = self.gradient.as_chunks_mut::<F>().0.iter_mut();
+        let first = self.moments.first.as_chunks_mut::<F>().0.iter_mut();
+        let second = self.moments.second.as_chunks_mut::<F>().0.iter_mut();
+        let rows = weights
+            .zip(gradient)
+            .zip(first)
+            .zip(second)
+            .zip(&mut self.moments.count);
+        for ((((w, g), m), v), count) in rows {
+            let mut touched = 0_u32;
+            for f in 0..F {
+                touched |= g[f].to_bits() << 1; // both zeros
+            }
+            if touched == 0 {
+                continue;
+            }
+            let [c1, c2] = self.bias.0[(*count as usize).min(DEBIASED - 1)];
+            *count = count.saturating_add(1);
+            // Rows are copied in and out so that the compiler may compute them as one vector.
+            let (weight, slope, mut mean, mut square) = (*w, *g, *m, *v);
+            let mut moved = [0.0; F];
+            for f in 0..F {
+                let slope = self.decay.mul_add(weight[f], slope[f]);
+                mean[f] = BETA1.mul_add(mean[f], (1.0 - BETA1) * slope);
+                square[f] = BETA2.mul_add(square[f], (1.0 - BETA2) * (slope * slope));
+                let root = (square[f] * c2).sqrt() + self.epsilon;
+                moved[f] = weight[f] - self.rate * (mean[f] * c1) / root;
+            }
+            (*w, *m, *v, *g) = (moved, mean, square, [0.0; F]);
         }
-        // Rows that do not fill a block go through one that is padded with zeros, which are rows without gradient.
-        let mut numbers = [last_weights, last_gradient, last_first, last_second];
-        let mut padded = [[0.0; LANES]; 4];
-        for (padded, numbers) in padded.iter_mut().zip(&numbers) {
-            padded[..numbers.len()].copy_from_slice(numbers);
-        }
-        let [w, g, m, v] = &mut padded;
-        step::<F>([w, g, m, v], last_counts, rates, self.bias);
-        for (padded, numbers) in padded.iter().zip(&mut numbers) {
-            numbers.copy_from_slice(&padded[..numbers.len()]);
-        }
     }
-}
-
-/// Moves the rows of one block that have a gradient. `rates`: step size, epsilon, pull to zero.
-#[inline(always)]
-fn step<const F: usize>(
-    [weight, slope, mean, square]: [&mut [f32; LANES]; 4],
-    count: &mut [u32],
-    [rate, epsilon, decay]: [f32; 3],
-    bias: &Bias,
-) {
-    let mut any = 0_u32;
-    for lane in 0..LANES {
-        any |= slope[lane].to_bits() << 1; // both zeros
-    }
-    if any == 0 {
-        return;
-    }
-    let (mut c1, mut c2, mut moves) = ([1.0; LANES], [1.0; LANES], [0_u32; LANES]);
-    for (row, count) in count.iter_mut().enumerate() {
-        let lanes = row * F..row * F + F;
-        let mut touched = 0_u32;
-        for bits in &slope[lanes.clone()] {
-            touched |= bits.to_bits() << 1;
-        }
-        let [first, second] = bias.0[(*count as usize).min(DEBIASED - 1)];
-        c1[lanes.clone()].fill(first);
-        c2[lanes.clone()].fill(second);
-        moves[lanes].fill(touched);
-        *count = count.saturating_add(u32::from(touched > 0));
-    }
-    for lane in 0..LANES {
-        let moved = moves[lane] > 0;
-        let d = decay.mul_add(weight[lane], slope[lane]);
-        let m = BETA1.mul_add(mean[lane], (1.0 - BETA1) * d);
-        let v = BETA2.mul_add(square[lane], (1.0 - BETA2) * (d * d));
-        let root = (v * c2[lane]).sqrt() + epsilon;
-        let w = weight[lane] - rate * (m * c1[lane]) / root;
-        weight[lane] = if moved { w } else { weight[lane] };
-        mean[lane] = if moved { m } else { mean[lane] };
-        square[lane] = if moved { v } else { square[lane] };
-    }
-    *slope = [0.0; LANES];
 }
 
 #[cfg(test)]

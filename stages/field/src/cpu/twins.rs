@@ -298,8 +298,8 @@ fn a_scatter_in_a_large_table_is_the_transpose_of_its_lookup() {
 }
 
 #[test]
-fn rows_that_do_not_fill_a_block_move_like_the_others() {
-    // 13 rows of 2 are one block of 8 rows and 5 more; every third has no gradient.
+fn any_number_of_rows_moves_row_by_row() {
+    // 13 rows of 2 are no whole number of vectors; every third has no gradient.
     let moved = |level: Level, rows: usize| {
         let (mut weights, mut gradient) = (numbers(26, 1), numbers(26, 2));
         weights.truncate(rows * 2);
