@@ -87,7 +87,10 @@ fn configured(keys: &[String]) -> Result<(Config, u64)> {
     Ok((serde_json::from_value(Value::Object(map))?, seed))
 }
 
-fn load(folder: &Path) -> Result<(Vec<View>, Vec<(View, Image<Srgb>)>)> {
+/// A view with its photo.
+type Test = (View, Image<Srgb>);
+
+fn load(folder: &Path) -> Result<(Vec<View>, Vec<Test>)> {
     let scene: Value = serde_json::from_slice(&std::fs::read(folder.join("transforms.json"))?)?;
     let held_out = scene["test_filenames"].as_array().ok_or("no test_filenames")?;
     let (mut train, mut test) = (Vec::new(), Vec::new());
@@ -135,7 +138,7 @@ fn pose(matrix: &Value) -> Result<Pose> {
     Ok(world_from_cam.inverse())
 }
 
-fn score(field: &Field, views: &[(View, Image<Srgb>)], out: &Path) -> Result<Vec<f64>> {
+fn score(field: &Field, views: &[Test], out: &Path) -> Result<Vec<f64>> {
     std::fs::create_dir_all(out)?;
     let limit = std::env::var("FIT_VIEWS")
         .ok()

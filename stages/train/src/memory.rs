@@ -180,7 +180,7 @@ mod tests {
             image: marf_cache::Digest::of(b""),
             camera: Camera::pinhole(width, height, 800.0),
             cam_from_world: Pose::identity(),
-            held_out: index % 8 == 0,
+            held_out: index.is_multiple_of(8),
             error_px: None,
         };
         Scene {
