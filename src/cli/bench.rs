@@ -8,7 +8,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use marf_engine::{Cancel, Options};
-use marf_field::{Config, Field, Overrides, Quality, Trainer, View};
+use marf_field::{Config, EXPECTED_STEPS_PER_S, Field, Overrides, Quality, Trainer, View};
 use marf_scene::{Frame, Image, Photo, Scene, Srgb, encode_png, metrics, picture_names};
 use serde::{Deserialize, Serialize};
 
@@ -65,7 +65,7 @@ struct Test {
     photo: Image<Srgb>,
 }
 
-/// `marf bench train DIR`: one training, looked at when each budget is used up.
+/// `marf bench train DIR`: a training a budget, of the size that the budget fills.
 pub fn train(global: &Global, args: &BenchArgs, cancel: &Cancel) -> Result<(), CliError> {
     let mut budgets = args
         .seconds
@@ -97,7 +97,7 @@ pub fn train(global: &Global, args: &BenchArgs, cancel: &Cancel) -> Result<(), C
         cancel,
     };
     let points: Vec<[f64; 3]> = scene.points.iter().map(|point| point.position).collect();
-    let lines = pool.install(|| bench.run(views, &tests, &points, (&config, keys.seed), &budgets))?;
+    let lines = pool.install(|| bench.run(&views, &tests, &points, (&config, keys.seed), &budgets))?;
     crate::talk(&table(&lines));
     Ok(())
 }
@@ -186,33 +186,50 @@ impl Bench<'_> {
     /// Counts what makes the trainer and its steps; not decoding, rendering or scoring.
     fn run(
         &self,
-        views: Vec<View>,
+        views: &[View],
         tests: &[Test],
         points: &[[f64; 3]],
         (config, seed): (&Config, u64),
         budgets: &[u32],
     ) -> Result<Vec<Line>, CliError> {
-        let failed = |error: marf_field::FieldError| CliError::failed(error.to_string());
-        let mut spent = Spent::default();
-        let mut trainer = spent
-            .timed(|| Trainer::new(views, points, config, seed))
-            .map_err(failed)?;
         let mut lines = Vec::new();
         for budget in budgets {
-            while self.seconds(&spent) < f64::from(*budget) {
-                if self.cancel.is_set() {
-                    return Err(CliError::Interrupted);
-                }
-                let step = spent.timed(|| trainer.step()).map_err(failed)?;
-                spent.rays += step.rays;
-                spent.samples += step.samples;
-            }
+            let config = Config {
+                steps: config
+                    .steps
+                    .or(Some((f64::from(*budget) * EXPECTED_STEPS_PER_S) as u64)),
+                ..config.clone()
+            };
+            let (trainer, spent) = self.trained(views.to_vec(), points, (&config, seed), *budget)?;
             let line = self.look(&trainer, tests, &spent, *budget)?;
             let text = serde_json::to_string(&line);
             crate::say(&text.map_err(|error| CliError::failed(error.to_string()))?);
             lines.push(line);
         }
         Ok(lines)
+    }
+
+    fn trained(
+        &self,
+        views: Vec<View>,
+        points: &[[f64; 3]],
+        (config, seed): (&Config, u64),
+        budget: u32,
+    ) -> Result<(Trainer, Spent), CliError> {
+        let failed = |error: marf_field::FieldError| CliError::failed(error.to_string());
+        let mut spent = Spent::default();
+        let mut trainer = spent
+            .timed(|| Trainer::new(views, points, config, seed))
+            .map_err(failed)?;
+        while self.seconds(&spent) < f64::from(budget) {
+            if self.cancel.is_set() {
+                return Err(CliError::Interrupted);
+            }
+            let step = spent.timed(|| trainer.step()).map_err(failed)?;
+            spent.rays += step.rays;
+            spent.samples += step.samples;
+        }
+        Ok((trainer, spent))
     }
 
     fn seconds(&self, spent: &Spent) -> f64 {

@@ -42,7 +42,7 @@ pub use footprint::{decoding_bytes, judging_bytes, training_bytes};
 pub use model::Field;
 pub use overrides::{OverrideError, Overrides};
 pub use pixels::Pixels;
-pub use quality::Quality;
+pub use quality::{EXPECTED_STEPS_PER_S, Quality};
 pub use render::Render;
 pub use size::{Chosen, Sizes};
 pub use trainer::{Step, Trainer};

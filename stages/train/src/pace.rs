@@ -1,7 +1,7 @@
 use std::time::{Duration, Instant};
 
 use marf_cache::ContentHash;
-use marf_field::{Overrides, Quality, Trainer};
+use marf_field::{EXPECTED_STEPS_PER_S, Overrides, Quality, Trainer};
 use marf_stage::{Ctx, Define, Inputs, Outputs, ParamError, Port, Set, Stage, StageError, Threads, Work};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -17,10 +17,6 @@ use crate::{
 
 /// Longest measurement, seconds.
 const LONGEST_S: f64 = 8.0;
-
-/// Steps that two cores take in a second, to choose the table that is measured: its size changes the rate by less
-/// than the rate differs between machines.
-const EXPECTED_STEPS_PER_S: f64 = 60.0;
 
 /// Turns a time to train for into optimiser steps, once, by training for a moment on this machine.
 ///
