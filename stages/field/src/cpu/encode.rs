@@ -177,11 +177,7 @@ impl<const F: usize> Lookup<'_, F> {
             let Some(entries) = table.check(&corners.index) else {
                 return;
             };
-            let mut means = [[0.0; F]; LANES];
-            for (lane, mean) in means.iter_mut().enumerate() {
-                *mean = corners.mean(&entries, lane);
-            }
-            self.to.set(block * LANES, &means);
+            self.to.fill(block * LANES, |lane| corners.mean(&entries, lane));
         }
     }
 }
