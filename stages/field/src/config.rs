@@ -20,6 +20,8 @@ pub enum Background {
 pub enum Gain {
     /// One log gain a photo and channel, zero in the mean over all photos after every step.
     PerPhoto,
+    /// A log gain and an offset a photo and channel, both zero in the mean over all photos after every step.
+    PerPhotoAndOffset,
     /// All photos share one exposure.
     Off,
 }

@@ -10,6 +10,7 @@ mod checkpoint;
 mod config;
 mod cpu;
 mod error;
+mod exposure;
 mod facts;
 mod frame;
 mod learn;

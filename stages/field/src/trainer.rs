@@ -7,6 +7,7 @@ use crate::cpu::composite::RAW_SHIFT;
 use crate::cpu::march::Steps;
 use crate::cpu::math::exp;
 use crate::cpu::simd::{Level, flat};
+use crate::exposure::Exposure;
 use crate::frame::{FAR, Frame};
 use crate::occupancy::Occupancy;
 use crate::rng::{Fingerprint, Purpose, Rng};
@@ -60,7 +61,7 @@ pub(crate) struct State {
     pub average: Weights,
     /// In the order of `Weights::tensors`.
     pub moments: Vec<Moments>,
-    /// `[views, 4]` log gains; the fourth number is unused.
+    /// `[views, 4]` log gains; the fourth number is unused. Then as many offsets, if photos have them.
     pub gains: Vec<f32>,
     pub gain_moments: Moments,
     pub occupancy: Occupancy,
@@ -103,8 +104,8 @@ impl Trainer {
             samples_per_ray: march.count as f64,
             average: weights.clone(),
             moments: moments.collect(),
-            gains: vec![0.0; views.len() * 4],
-            gain_moments: Moments::new(views.len() * 4, 4),
+            gains: vec![0.0; config.gain.numbers(views.len())],
+            gain_moments: Moments::new(config.gain.numbers(views.len()), 4),
             occupancy: Occupancy::new(config.occupancy_resolution, &frame, &views),
             weights,
         };
@@ -248,12 +249,12 @@ impl Trainer {
 
     /// Draws the rays of the next step.
     fn targets(&self) -> Vec<Target> {
-        let gains: Vec<f32> = self.state.gains.iter().map(|gain| exp(*gain)).collect();
+        let exposures = self.exposures();
         let rays = (0..self.ray_count()).into_par_iter();
-        rays.map(|ray| self.target(ray as u64, &gains)).collect()
+        rays.map(|ray| self.target(ray as u64, &exposures)).collect()
     }
 
-    fn target(&self, ray: u64, gains: &[f32]) -> Target {
+    fn target(&self, ray: u64, exposures: &[Exposure]) -> Target {
         let mut rng = Rng::new(self.seed, Purpose::Rays, self.state.steps, ray);
         let pixel = rng.below(self.pixels.last().copied().unwrap_or(0));
         let index = self.pixels.partition_point(|first| *first <= pixel) - 1;
@@ -266,7 +267,7 @@ impl Trainer {
             jitter: rng.unit(),
             view: index as u32,
             rgb: view.image.pixels[within].map(|channel| f32::from(channel) / 255.0),
-            gain: [0, 1, 2].map(|channel| gains[index * 4 + channel]),
+            exposure: exposures[index],
         }
     }
 

@@ -393,6 +393,53 @@ fn gains_follow_the_exposure_and_keep_a_mean_of_zero() {
 }
 
 #[test]
+fn offsets_follow_what_a_gain_cannot_and_keep_a_mean_of_zero() {
+    let mut views = ball(6, 16);
+    for pixel in views[0].image.pixels.as_flattened_mut() {
+        *pixel = pixel.saturating_add(30);
+    }
+    let config = Config {
+        batch_samples: 4096,
+        gain: Gain::PerPhotoAndOffset,
+        ..small()
+    };
+    let trainer = trained(views, &config, 4, 400);
+    let (gains, offsets) = trainer.state.gains.split_at(24);
+    for channel in 0..3 {
+        for numbers in [gains, offsets] {
+            let sum: f32 = numbers.iter().skip(channel).step_by(4).sum();
+            assert!(sum.abs() < 1e-5, "channel {channel}: {numbers:?}");
+        }
+    }
+    // A grey of 0.5 is shown 30 / 255 * 5 / 6 brighter than the mean photo shows it.
+    let shown = |view: usize| gains[view * 4].exp().mul_add(0.5, offsets[view * 4]);
+    assert!(
+        shown(0) > 0.54 && (1..6).all(|view| shown(view) < 0.52),
+        "{gains:?} {offsets:?}"
+    );
+}
+
+#[test]
+fn a_black_photo_and_a_single_photo_leave_exposures_finite_and_bounded() {
+    let mut views = ball(4, 8);
+    views[1].image.pixels.fill([0; 3]);
+    for gain in [Gain::PerPhoto, Gain::PerPhotoAndOffset] {
+        for count in [1, 4] {
+            let config = Config {
+                learning_rate: 0.5,
+                gain,
+                ..small()
+            };
+            let trainer = trained(views[..count].to_vec(), &config, 4, 100);
+            // Cut at 2, then moved by a mean of 2 at most.
+            let bounded = trainer.state.gains.iter().all(|number| number.abs() <= 4.0);
+            assert!(bounded, "{gain:?}, {count} photos: {:?}", trainer.state.gains);
+            assert!(count > 1 || trainer.state.gains.iter().all(|number| *number == 0.0));
+        }
+    }
+}
+
+#[test]
 fn a_black_background_stays_black_where_nothing_is() {
     let config = Config {
         background: Background::Black,
