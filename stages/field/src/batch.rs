@@ -9,6 +9,7 @@ use crate::cpu::encode::Points;
 use crate::cpu::march::{Bits, March, Samples, Steps};
 use crate::cpu::math::not_finite;
 use crate::cpu::simd::{Block, Isa, Kernel, LANES, Level, Stripe};
+use crate::depth::Pull;
 use crate::exposure::Exposure;
 use crate::frame::RayStart;
 use crate::shade::{Shade, Span, lookup};
@@ -28,6 +29,8 @@ pub struct Target {
     pub rgb: [f32; 3],
     /// Exposure of the photo.
     pub exposure: Exposure,
+    /// Where its matter is, if a sparse point tells.
+    pub pull: Option<Pull>,
 }
 
 /// What all chunks of a step share.
@@ -324,6 +327,9 @@ impl Losses<'_> {
         let cell = 1.0 / shared.steps.count as f32;
         let (d_tau, d_rgb) = (&mut self.d_tau[first..end], &mut self.d_rgb[first..end]);
         ray.spread(slope, behind, [strength, cell], d_tau, d_rgb);
+        if let Some(pull) = target.pull {
+            pull.spread(&ray, cell, d_tau);
+        }
         self.found.exposures.push((target.view, compared.exposure));
         if shared.config.background == Background::Direction {
             self.behind(slope.map(|slope| left * slope), logits, harmonics);

@@ -14,6 +14,16 @@ pub enum Background {
     Black,
 }
 
+/// Which cells of the occupancy grid rays visit at first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "snake_case")]
+pub enum Occupied {
+    /// All that some camera sees.
+    Seen,
+    /// Those near sparse points; others once a step in them has an optical depth of 0.01. Without points: all seen.
+    NearPoints,
+}
+
 /// Whether every photo gets its own exposure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
 #[serde(rename_all = "snake_case")]
@@ -55,6 +65,9 @@ pub struct Config {
     pub half_rate_steps: u32,
     /// Cells a side of the occupancy grid over the whole contracted box, 16 to 256, a multiple of 4.
     pub occupancy_resolution: u32,
+    /// Cells that rays visit at first. From points, mock-up of 80 photos, one seed: +.38 dB after 300 steps, +.16 after
+    /// 800, with 37 % more rays a second.
+    pub occupied: Occupied,
     /// Length of a step along the ray, as a share of the distance from the camera, in [1/1024, 1/4].
     pub cone: f64,
     /// Shortest step, as a share of the box's half side, in [1e-4, 0.5].
@@ -63,6 +76,11 @@ pub struct Config {
     pub near: f64,
     /// Weight of the distortion loss (mip-NeRF 360, arXiv 2111.12077, eq. 15), 0 or more.
     pub distortion: f64,
+    /// Weight of the loss that gathers matter at sparse points, in [0, 1], 0: off; it falls to 0 over `depth_steps`.
+    /// 0.003 (mock-up of 80 photos, one seed, points by true matches): +.75 dB after 300 steps, +.26 after 800.
+    pub depth_weight: f64,
+    /// Steps after which sparse points no longer pull, 1 or more.
+    pub depth_steps: u32,
     /// Exposure of single photos.
     pub gain: Gain,
     /// What lies behind the last sample.
@@ -84,10 +102,13 @@ impl Default for Config {
             learning_rate: 2e-2,
             half_rate_steps: 10_000,
             occupancy_resolution: 128,
+            occupied: Occupied::Seen,
             cone: 0.04,
             min_step: 0.03,
             near: 0.1,
             distortion: 1e-3,
+            depth_weight: 0.0,
+            depth_steps: 1000,
             gain: Gain::Off,
             background: Background::Direction,
         }
@@ -205,6 +226,18 @@ impl Config {
                 self.distortion,
                 (0.0..=1.0).contains(&self.distortion),
                 "0 to 1",
+            ),
+            (
+                "depth_weight",
+                self.depth_weight,
+                (0.0..=1.0).contains(&self.depth_weight),
+                "0 to 1",
+            ),
+            (
+                "depth_steps",
+                f64::from(self.depth_steps),
+                self.depth_steps > 0,
+                "1 or more",
             ),
         ];
         match table.into_iter().find(|(_, _, fine, _)| !fine) {

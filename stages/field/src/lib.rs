@@ -9,6 +9,7 @@ mod batch;
 mod checkpoint;
 mod config;
 mod cpu;
+mod depth;
 mod error;
 mod exposure;
 mod facts;
@@ -20,6 +21,8 @@ mod overrides;
 mod quality;
 mod render;
 mod rng;
+#[cfg(test)]
+mod rover_tests;
 mod sh;
 mod shade;
 mod tensors;
@@ -30,7 +33,7 @@ mod views;
 mod weights;
 
 pub use bands::render_in_bands;
-pub use config::{Background, Config, Gain};
+pub use config::{Background, Config, Gain, Occupied};
 pub use error::FieldError;
 pub use facts::{Facts, LevelFacts};
 pub use model::Field;

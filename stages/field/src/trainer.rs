@@ -7,6 +7,7 @@ use crate::cpu::composite::RAW_SHIFT;
 use crate::cpu::march::Steps;
 use crate::cpu::math::exp;
 use crate::cpu::simd::{Level, flat};
+use crate::depth::{Pull, SHARE, Sighting, sightings};
 use crate::exposure::Exposure;
 use crate::frame::{FAR, Frame};
 use crate::occupancy::Occupancy;
@@ -14,7 +15,7 @@ use crate::rng::{Fingerprint, Purpose, Rng};
 use crate::shade::Shade;
 use crate::views::{View, check_points, check_views, pixel_offsets};
 use crate::weights::{NET_ROW, Weights};
-use crate::{Config, Facts, Field, FieldError, LevelFacts};
+use crate::{Config, Facts, Field, FieldError, LevelFacts, Occupied};
 
 /// What one optimiser step did.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,6 +45,8 @@ pub struct Trainer {
     pub(crate) frame: Frame,
     pub(crate) finest: (u32, String),
     march: Steps,
+    /// What the views see of the sparse points; empty where they do not pull.
+    sightings: Vec<Sighting>,
     pub(crate) bias: Bias,
     pub(crate) gradients: Vec<Vec<f32>>,
     /// Memory of the last batch.
@@ -99,6 +102,11 @@ impl Trainer {
             .iter()
             .map(|(name, values)| Moments::new(values.len(), rows(name)));
         let march = Steps::new(config.near, FAR, config.min_step, config.cone);
+        let side = config.occupancy_resolution;
+        let occupancy = match config.occupied {
+            Occupied::Seen => Occupancy::full(side, &frame, &views),
+            Occupied::NearPoints => Occupancy::near(side, &frame, &views, points),
+        };
         let state = State {
             steps: 0,
             samples_per_ray: march.count as f64,
@@ -106,19 +114,26 @@ impl Trainer {
             moments: moments.collect(),
             gains: vec![0.0; config.gain.numbers(views.len())],
             gain_moments: Moments::new(config.gain.numbers(views.len()), 4),
-            occupancy: Occupancy::new(config.occupancy_resolution, &frame, &views),
+            occupancy,
             weights,
+        };
+        let pixels = pixel_offsets(&views);
+        let sightings = if config.depth_weight > 0.0 {
+            sightings(&views, &pixels, points, &frame, &march)
+        } else {
+            Vec::new()
         };
         Ok(Self {
             level: Level::best(),
             config: config.clone(),
             seed,
             world_from_cams: views.iter().map(|view| view.cam_from_world.inverse()).collect(),
-            pixels: pixel_offsets(&views),
+            pixels,
             views,
             frame,
             finest,
             march,
+            sightings,
             bias: Bias::default(),
             gradients: state
                 .weights
@@ -210,6 +225,9 @@ impl Trainer {
                 .chain([&self.frame.half_side])
                 .map(|number| number.to_bits()),
         );
+        for sighting in &self.sightings {
+            sum.add([sighting.pixel, sighting.place.to_bits().into()]);
+        }
         sum.0
     }
 
@@ -256,7 +274,7 @@ impl Trainer {
 
     fn target(&self, ray: u64, exposures: &[Exposure]) -> Target {
         let mut rng = Rng::new(self.seed, Purpose::Rays, self.state.steps, ray);
-        let pixel = rng.below(self.pixels.last().copied().unwrap_or(0));
+        let (pixel, pull) = self.aim(ray, &mut rng);
         let index = self.pixels.partition_point(|first| *first <= pixel) - 1;
         let view = &self.views[index];
         let within = (pixel - self.pixels[index]) as usize;
@@ -268,7 +286,20 @@ impl Trainer {
             view: index as u32,
             rgb: view.image.pixels[within].map(|channel| f32::from(channel) / 255.0),
             exposure: exposures[index],
+            pull,
         }
+    }
+
+    /// Draws the pixel of a ray: of every eighth, while sparse points pull, one that sees a point.
+    fn aim(&self, ray: u64, rng: &mut Rng) -> (u64, Option<Pull>) {
+        let fading = 1.0 - self.state.steps as f64 / f64::from(self.config.depth_steps);
+        if self.sightings.is_empty() || fading <= 0.0 || !ray.is_multiple_of(SHARE) {
+            return (rng.below(self.pixels.last().copied().unwrap_or(0)), None);
+        }
+        let Sighting { pixel, place } = self.sightings[rng.below(self.sightings.len() as u64) as usize];
+        let weight = self.config.depth_weight * fading * SHARE as f64 / self.ray_count() as f64;
+        let weight = weight as f32;
+        (pixel, Some(Pull { place, weight }))
     }
 
     /// Refuses a batch with anything that is not finite, before any weight has changed.
