@@ -323,7 +323,7 @@ mod tests {
     fn points_that_no_camera_sees_leave_all_empty_and_no_points_leave_all_seen() {
         let full = Occupancy::full(32, &frame(), &views());
         assert_eq!(near(&[]), full);
-        for point in [[0.0, 0.0, -3.0], [0.0, 0.0, -1e300]] {
+        for point in [[0.0, 0.0, -9.0], [0.0, 0.0, -1e300]] {
             let empty = near(&[point]);
             assert_eq!(occupied(&empty), 0, "{point:?}");
             assert_eq!(empty.seen_share(), full.seen_share());
