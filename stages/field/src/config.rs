@@ -77,7 +77,8 @@ pub struct Config {
     /// Weight of the distortion loss (mip-NeRF 360, arXiv 2111.12077, eq. 15), 0 or more.
     pub distortion: f64,
     /// Weight of the loss that gathers matter at sparse points, in [0, 1], 0: off; it falls to 0 over `depth_steps`.
-    /// 0.003 (mock-up of 80 photos, one seed, points by true matches): +.75 dB after 300 steps, +.26 after 800.
+    /// 0.003 after 300 and 800 steps, one seed: mock-up of 80 photos +.63 and +.19 dB, 43 photos of a fox +1.81 and
+    /// +1.04. The squared error of the expected step instead lost .4 and .8 dB: it fogs the ray.
     pub depth_weight: f64,
     /// Steps after which sparse points no longer pull, 1 or more.
     pub depth_steps: u32,
