@@ -66,7 +66,7 @@ pub struct Config {
     /// Cells a side of the occupancy grid over the whole contracted box, 16 to 256, a multiple of 4.
     pub occupancy_resolution: u32,
     /// Cells that rays visit at first. From points, mock-up of 80 photos, one seed: +.38 dB after 300 steps, +.16 after
-    /// 800, with 37 % more rays a second.
+    /// 800, with 37 % more rays a second. Beside `depth_weight` it lost .39 and .16 dB on the photos of a fox.
     pub occupied: Occupied,
     /// Length of a step along the ray, as a share of the distance from the camera, in [1/1024, 1/4].
     pub cone: f64,
