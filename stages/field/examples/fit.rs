@@ -1,4 +1,5 @@
 //! Trains on a folder with `transforms.json` (nerfstudio's convention) and scores the held-out views.
+//! Sparse points are read from `points.json` beside it, if that is there.
 //!
 //! `fit DIR SECONDS[,SECONDS] OUT [key=value ...]`: keys are those of the field's config, values JSON, and `seed`.
 //! With FIT_CLOCK=cpu the clock is processor time over two threads, for a machine that does other work, too.
@@ -24,7 +25,7 @@ fn main() -> Result<()> {
     let (config, seed) = configured(keys)?;
     let (train, test) = load(Path::new(folder))?;
     let began = Instant::now();
-    let mut trainer = Trainer::new(train, &[], &config, seed)?;
+    let mut trainer = Trainer::new(train, &points(Path::new(folder))?, &config, seed)?;
     println!(
         "{}",
         json!({"start_s": began.elapsed().as_secs_f64(), "facts": trainer.field().facts()})
@@ -110,6 +111,14 @@ fn load(folder: &Path) -> Result<(Vec<View>, Vec<Test>)> {
         }
     }
     Ok((train, test))
+}
+
+/// Sparse points, `[[x, y, z], ..]` in `points.json`, if it is there.
+fn points(folder: &Path) -> Result<Vec<[f64; 3]>> {
+    match std::fs::read(folder.join("points.json")) {
+        Ok(bytes) => Ok(serde_json::from_slice(&bytes)?),
+        Err(_) => Ok(Vec::new()),
+    }
 }
 
 fn camera(scene: &Value, image: &Image<Srgb>) -> Result<Camera> {

@@ -9,6 +9,8 @@ use crate::cpu::encode::Points;
 use crate::cpu::march::{Bits, March, Samples, Steps};
 use crate::cpu::math::not_finite;
 use crate::cpu::simd::{Block, Isa, Kernel, LANES, Level, Stripe};
+use crate::depth::Pull;
+use crate::exposure::Exposure;
 use crate::frame::RayStart;
 use crate::shade::{Shade, Span, lookup};
 use crate::weights::Weights;
@@ -25,8 +27,10 @@ pub struct Target {
     pub view: u32,
     /// The pixel, sRGB in [0, 1].
     pub rgb: [f32; 3],
-    /// e^(log gain) of the photo.
-    pub gain: [f32; 3],
+    /// Exposure of the photo.
+    pub exposure: Exposure,
+    /// Where its matter is, if a sparse point tells.
+    pub pull: Option<Pull>,
 }
 
 /// What all chunks of a step share.
@@ -68,8 +72,8 @@ pub struct Found {
     pub color: Vec<Vec<Block>>,
     /// Gradient of the background, `[3, 16]`.
     pub background: Vec<f32>,
-    /// Gradients of the log gains, photo by photo as the rays come.
-    pub gains: Vec<(u32, [f32; 3])>,
+    /// Gradients of the exposures, photo by photo as the rays come.
+    pub exposures: Vec<(u32, Exposure)>,
     /// Sum of squared errors over rays and channels.
     pub loss: f64,
     /// Samples that rays visited.
@@ -217,7 +221,7 @@ impl Scratch {
         self.d_rgb.resize(n, [0.0; 4]);
         let found = &mut chunk.found;
         found.loss = 0.0;
-        found.gains.clear();
+        found.exposures.clear();
         found.background.clear();
         found.background.resize(3 * sh::COUNT, 0.0);
         shared.level.run(Losses {
@@ -314,19 +318,20 @@ impl Losses<'_> {
         let logits = shared.weights.logits_behind(harmonics);
         let behind = shared.weights.behind(shared.config.background, harmonics);
         let scale = 2.0 / (3 * shared.rays) as f32;
-        let (mut slope, mut gains) = ([0.0; 3], [0.0; 3]);
-        for channel in 0..3 {
-            let plain = left.mul_add(behind[channel], rgb[channel]);
-            let error = plain.mul_add(target.gain[channel], -target.rgb[channel]);
-            self.found.loss += f64::from(error * error);
-            slope[channel] = scale * error * target.gain[channel];
-            gains[channel] = slope[channel] * plain;
+        let plain = [0, 1, 2].map(|channel| left.mul_add(behind[channel], rgb[channel]));
+        let compared = target.exposure.compare(plain, target.rgb, scale);
+        let slope = compared.colour;
+        for square in compared.squares {
+            self.found.loss += f64::from(square);
         }
         let strength = shared.config.distortion as f32 / shared.rays as f32;
         let cell = 1.0 / shared.steps.count as f32;
         let (d_tau, d_rgb) = (&mut self.d_tau[first..end], &mut self.d_rgb[first..end]);
         ray.spread(slope, behind, [strength, cell], d_tau, d_rgb);
-        self.found.gains.push((target.view, gains));
+        if let Some(pull) = target.pull {
+            pull.spread(&ray, cell, d_tau);
+        }
+        self.found.exposures.push((target.view, compared.exposure));
         if shared.config.background == Background::Direction {
             self.behind(slope.map(|slope| left * slope), logits, harmonics);
         }

@@ -69,7 +69,7 @@ impl Trainer {
         Header {
             config: self.config.clone(),
             seed: self.seed.to_string(),
-            views: self.state.gains.len() / 4,
+            views: self.views.len(),
             pixels: format!("{:016x}", self.fingerprint()),
             sizes: self.sizes.clone(),
             steps: self.state.steps,

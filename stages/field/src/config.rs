@@ -14,12 +14,24 @@ pub enum Background {
     Black,
 }
 
+/// Which cells of the occupancy grid rays visit at first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "snake_case")]
+pub enum Occupied {
+    /// All that some camera sees.
+    Seen,
+    /// Those near sparse points; others once a step in them has an optical depth of 0.01. Without points: all seen.
+    NearPoints,
+}
+
 /// Whether every photo gets its own exposure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
 #[serde(rename_all = "snake_case")]
 pub enum Gain {
     /// One log gain a photo and channel, zero in the mean over all photos after every step.
     PerPhoto,
+    /// A log gain and an offset a photo and channel, both zero in the mean over all photos after every step.
+    PerPhotoAndOffset,
     /// All photos share one exposure.
     Off,
 }
@@ -64,6 +76,9 @@ pub struct Config {
     pub half_rate_steps: u32,
     /// Cells a side of the occupancy grid over the whole contracted box, 16 to 256, a multiple of 4.
     pub occupancy_resolution: u32,
+    /// Cells that rays visit at first. From points, mock-up of 80 photos, one seed: +.38 dB after 300 steps, +.16 after
+    /// 800, with 37 % more rays a second. Beside `depth_weight` it lost .39 and .16 dB on the photos of a fox.
+    pub occupied: Occupied,
     /// Length of a step along the ray, as a share of the distance from the camera, in [1/1024, 1/4].
     pub cone: f64,
     /// Shortest step, as a share of the box's half side, in [1e-4, 0.5].
@@ -77,6 +92,12 @@ pub struct Config {
     pub steps: Option<u64>,
     /// Weight of the distortion loss (mip-NeRF 360, arXiv 2111.12077, eq. 15), 0 or more.
     pub distortion: f64,
+    /// Weight of the loss that gathers matter at sparse points, in [0, 1], 0: off; it falls to 0 over `depth_steps`.
+    /// 0.003 after 300 and 800 steps, one seed: mock-up of 80 photos +.63 and +.19 dB, 43 photos of a fox +1.81 and
+    /// +1.04. The squared error of the expected step instead lost .4 and .8 dB: it fogs the ray.
+    pub depth_weight: f64,
+    /// Steps after which sparse points no longer pull, 1 or more.
+    pub depth_steps: u32,
     /// Exposure of single photos.
     pub gain: Gain,
     /// What lies behind the last sample.
@@ -100,12 +121,15 @@ impl Default for Config {
             learning_rate: 2e-2,
             half_rate_steps: 10_000,
             occupancy_resolution: 128,
+            occupied: Occupied::Seen,
             cone: 0.04,
             min_step: 0.03,
             near: None,
             far: None,
             steps: None,
             distortion: 1e-3,
+            depth_weight: 3e-3,
+            depth_steps: 1000,
             gain: Gain::Off,
             background: Background::Direction,
             view_dependence: ViewDependence::On,
@@ -250,6 +274,18 @@ impl Config {
                 self.distortion,
                 (0.0..=1.0).contains(&self.distortion),
                 "0 to 1",
+            ),
+            (
+                "depth_weight",
+                self.depth_weight,
+                (0.0..=1.0).contains(&self.depth_weight),
+                "0 to 1",
+            ),
+            (
+                "depth_steps",
+                f64::from(self.depth_steps),
+                self.depth_steps > 0,
+                "1 or more",
             ),
         ];
         match table.into_iter().find(|(_, _, fine, _)| !fine) {

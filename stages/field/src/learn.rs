@@ -18,8 +18,6 @@ const DECAY: f32 = 1e-6;
 const AVERAGE: f32 = 0.95;
 /// Step size of the background, in learning rates: its 16 coefficients a channel have no layer to multiply them.
 const BACKGROUND_RATE: f32 = 10.0;
-/// Step size of log gains, as a share of the learning rate.
-const GAIN_RATE: f32 = 0.1;
 
 impl Trainer {
     /// Takes the gradients of all chunks into the weights.
@@ -29,8 +27,8 @@ impl Trainer {
         let keep = AVERAGE.min((1.0 + self.state.steps as f32) / (10.0 + self.state.steps as f32));
         self.learn_tables(chunks, rate, keep);
         self.learn_networks(chunks, rate, keep);
-        if self.config.gain == Gain::PerPhoto {
-            self.learn_gains(chunks, rate * GAIN_RATE);
+        if self.config.gain != Gain::Off {
+            self.learn_exposures(chunks, rate);
         }
     }
 
@@ -101,27 +99,6 @@ impl Trainer {
         weights.refresh();
         average.refresh();
     }
-
-    /// Moves the log gains and takes their mean away: the scene keeps its own brightness.
-    fn learn_gains(&mut self, chunks: &[Chunk], rate: f32) {
-        let mut gradient = vec![0.0; self.state.gains.len()];
-        for (view, gains) in chunks.iter().flat_map(|chunk| &chunk.found.gains) {
-            for channel in 0..3 {
-                gradient[*view as usize * 4 + channel] += gains[channel];
-            }
-        }
-        let (gains, moments) = (&mut self.state.gains, &mut self.state.gain_moments);
-        adam::<4>(self.level, gains, &mut gradient, moments, [rate, 0.0], &self.bias);
-        let views = self.views.len() as f32;
-        for channel in 0..3 {
-            let mean = gains.iter().skip(channel).step_by(4).sum::<f32>() / views;
-            gains
-                .iter_mut()
-                .skip(channel)
-                .step_by(4)
-                .for_each(|gain| *gain -= mean);
-        }
-    }
 }
 
 /// `[features, first, width]`: features an entry, the level's first in the row, blocks a row.
@@ -154,7 +131,7 @@ fn scatter(
 }
 
 /// `rates`: step size and pull to zero.
-fn adam<const F: usize>(
+pub(crate) fn adam<const F: usize>(
     level: Level,
     weights: &mut [f32],
     gradient: &mut [f32],

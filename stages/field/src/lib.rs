@@ -10,7 +10,9 @@ mod batch;
 mod checkpoint;
 mod config;
 mod cpu;
+mod depth;
 mod error;
+mod exposure;
 mod facts;
 mod footprint;
 mod frame;
@@ -22,6 +24,8 @@ mod pixels;
 mod quality;
 mod render;
 mod rng;
+#[cfg(test)]
+mod rover_tests;
 mod sh;
 mod shade;
 mod size;
@@ -35,7 +39,7 @@ mod views;
 mod weights;
 
 pub use bands::render_in_bands;
-pub use config::{Background, Config, Gain, ViewDependence};
+pub use config::{Background, Config, Gain, Occupied, ViewDependence};
 pub use error::FieldError;
 pub use facts::{Facts, LevelFacts, Trial};
 pub use footprint::{decoding_bytes, judging_bytes, training_bytes};

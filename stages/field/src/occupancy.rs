@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::View;
-use crate::cpu::march::{Bits, expand};
+use crate::cpu::march::{Bits, contract, expand};
 use crate::frame::Frame;
 use crate::rng::{Purpose, Rng};
 
@@ -14,6 +14,9 @@ const OCCUPIED: f32 = 0.01;
 const DECAY: f32 = 0.8;
 /// Density of a cell that has not been looked at: it stays occupied until it is. exp(10) is the most otherwise.
 const UNKNOWN: f32 = 1e6;
+/// Cells around a sparse point that start occupied, to each side: in the inner box, and outside, where a cell is
+/// larger than what it holds but points are few and far.
+const NEAR: [i64; 2] = [2, 4];
 /// Cells of a brick a side: seen or not is first decided brick by brick.
 const BRICK: u32 = 4;
 
@@ -24,6 +27,17 @@ pub struct Occupancy {
     pub density: Vec<f32>,
     /// Cells that rays visit.
     pub bits: Bits,
+    /// How empty cells become occupied.
+    pub refill: Refill,
+}
+
+/// When an empty cell becomes occupied again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refill {
+    /// At the density of occupied ones: while all is thin, at the mean.
+    AtMean,
+    /// At a density that shows by itself: thin cells stay empty though they lie above the mean.
+    WhereItShows,
 }
 
 /// A cell to look at, and a random point in it.
@@ -37,7 +51,7 @@ pub struct Probe {
 
 impl Occupancy {
     /// All seen cells occupied.
-    pub fn new(side: u32, frame: &Frame, views: &[View]) -> Self {
+    pub fn full(side: u32, frame: &Frame, views: &[View]) -> Self {
         let seen = seen_cells(side, frame, views);
         let mut bits = Bits::new(side);
         for (cell, _) in seen.iter().enumerate().filter(|(_, seen)| **seen) {
@@ -47,6 +61,52 @@ impl Occupancy {
         Self {
             density: density.collect(),
             bits,
+            refill: Refill::AtMean,
+        }
+    }
+
+    /// Seen cells near the sparse points occupied, within 2 cells in the inner box and 4 outside.
+    ///
+    /// All other seen cells start empty and fill where they are found dense. Without points: as [`Self::full`].
+    pub fn near(side: u32, frame: &Frame, views: &[View], points: &[[f64; 3]]) -> Self {
+        let mut all = Self::full(side, frame, views);
+        if points.is_empty() {
+            return all;
+        }
+        let seen = std::mem::replace(&mut all.bits, Bits::new(side));
+        for point in points {
+            let inward = frame.inward(&nalgebra::Vector3::from(*point));
+            all.fill_around(&seen, inward.map(|value| value as f32));
+        }
+        for (cell, density) in all.density.iter_mut().enumerate() {
+            if *density >= 0.0 && !all.bits.holds(cell as u32) {
+                *density = 0.0;
+            }
+        }
+        Self {
+            refill: Refill::WhereItShows,
+            ..all
+        }
+    }
+
+    /// Marks the seen cells around a point given in half sides.
+    fn fill_around(&mut self, seen: &Bits, point: [f32; 3]) {
+        let side = i64::from(self.bits.side);
+        let (at, shrink) = contract(point);
+        let reach = NEAR[usize::from(shrink < 1.0)];
+        let middle = at.map(|value| ((value * side as f32) as i64).min(side - 1));
+        let [xs, ys, zs] = middle.map(|middle| (middle - reach).max(0)..=(middle + reach).min(side - 1));
+        for z in zs {
+            for y in ys.clone() {
+                let row = (z * side + y) * side;
+                for cell in xs
+                    .clone()
+                    .map(|x| row + x)
+                    .filter(|cell| seen.holds(*cell as u32))
+                {
+                    self.bits.set(cell as usize);
+                }
+            }
         }
     }
 
@@ -93,13 +153,23 @@ impl Occupancy {
             (sum + f64::from(*density), count + 1)
         });
         let mean = (sum / count.max(1) as f64) as f32;
-        let least = (OCCUPIED / step).min(mean);
-        let words = self.density.chunks(64).map(|cells| {
-            let bits = cells.iter().enumerate();
-            bits.fold(0_u64, |word, (bit, density)| {
-                word | u64::from(*density >= least && *density >= 0.0) << bit
-            })
-        });
+        let shows = OCCUPIED / step;
+        let least = shows.min(mean);
+        let refill = match self.refill {
+            Refill::AtMean => least,
+            Refill::WhereItShows => shows,
+        };
+        let words = self
+            .density
+            .chunks(64)
+            .zip(&self.bits.words)
+            .map(|(cells, before)| {
+                let bits = cells.iter().enumerate();
+                bits.fold(0_u64, |word, (bit, density)| {
+                    let least = if before >> bit & 1 == 1 { least } else { refill };
+                    word | u64::from(*density >= least && *density >= 0.0) << bit
+                })
+            });
         self.bits.words = words.collect();
     }
 }
@@ -203,4 +273,86 @@ fn bend_px(camera: &marf_scene::Camera) -> f64 {
         (plain[0] - x).abs().max((plain[1] - y).abs())
     });
     moved.into_iter().fold(0.0, f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use marf_scene::{Camera, Image, Pose};
+    use nalgebra::Vector3;
+
+    fn views() -> Vec<View> {
+        vec![View {
+            id: "v".to_owned(),
+            camera: Camera::pinhole(20, 20, 10.0),
+            cam_from_world: Pose {
+                translation: Vector3::new(0.0, 0.0, 1.0),
+                ..Pose::identity()
+            },
+            image: Image::from_fn(20, 20, |_, _| [9; 3]).into(),
+        }]
+    }
+
+    fn frame() -> Frame {
+        Frame {
+            origin: [0.0; 3],
+            half_side: 1.0,
+            ..Frame::derive(&views(), &[])
+        }
+    }
+
+    fn near(points: &[[f64; 3]]) -> Occupancy {
+        Occupancy::near(32, &frame(), &views(), points)
+    }
+
+    fn occupied(occupancy: &Occupancy) -> u32 {
+        occupancy.bits.words.iter().map(|word| word.count_ones()).sum()
+    }
+
+    #[test]
+    fn a_point_occupies_5_cells_a_side_within_the_box_and_9_outside() {
+        let inside = near(&[[0.05, 0.05, 0.55]]);
+        assert_eq!(occupied(&inside), 125);
+        // Contracted 0.55 is 0.6375 of 32 cells: 20.4.
+        assert!(inside.bits.holds((20 * 32 + 16) * 32 + 16));
+        // At 4 half sides the contracted place is 0.9375, cell 30: the box ends a cell behind it.
+        assert_eq!(occupied(&near(&[[0.01, 0.01, 4.0]])), 9 * 9 * 6);
+    }
+
+    #[test]
+    fn a_point_that_no_camera_sees_leaves_all_empty_and_no_points_leave_all_seen() {
+        let full = Occupancy::full(32, &frame(), &views());
+        assert_eq!(near(&[]), full);
+        let empty = near(&[[0.9, 0.0, -0.9]]);
+        assert_eq!(occupied(&empty), 0);
+        assert_eq!(empty.seen_share(), full.seen_share());
+        // The border of the box is infinity and counts as seen: one layer of it.
+        assert!(occupied(&near(&[[0.0, 0.0, -1e300]])) <= 9 * 9 * 5);
+    }
+
+    #[test]
+    fn an_empty_cell_fills_where_its_density_shows_and_not_at_the_mean() {
+        let mut occupancy = near(&[[0.05, 0.05, 0.55]]);
+        let empty = |occupancy: &Occupancy, from: usize| {
+            (from..32_usize.pow(3))
+                .find(|cell| occupancy.density[*cell] == 0.0)
+                .unwrap()
+        };
+        let thin = empty(&occupancy, 0);
+        let dense = empty(&occupancy, thin + 1);
+        let probe = |cell: usize| Probe {
+            cell: cell as u32,
+            at: [0.5; 3],
+        };
+        // 0.01 in a step of 0.05: a density of 0.2 shows; the mean of all is far below 0.1.
+        occupancy.update(&[probe(thin), probe(dense)], &[0.1, 0.3], 0.05);
+        assert!(!occupancy.bits.holds(thin as u32) && occupancy.bits.holds(dense as u32));
+        let mut full = Occupancy::full(32, &frame(), &views());
+        full.density
+            .iter_mut()
+            .filter(|density| **density > 0.0)
+            .for_each(|density| *density = 0.0);
+        full.update(&[probe(thin)], &[0.1], 0.05);
+        assert!(full.bits.holds(thin as u32));
+    }
 }

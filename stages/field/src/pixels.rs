@@ -85,6 +85,14 @@ impl Pixels {
         )
     }
 
+    /// Returns which of the kept pixels that of a column and row is, if it is kept.
+    pub(crate) fn kept(&self, column: u64, row: u64) -> Option<u64> {
+        let place = row * u64::from(self.width) + column;
+        let (kept, offset) = (place / u64::from(self.run), place % u64::from(self.run));
+        let drawn = self.offsets.get(kept as usize).copied().unwrap_or(0);
+        (u64::from(drawn) == offset).then_some(kept)
+    }
+
     /// Returns every kept pixel as a number, to recognise the photo.
     pub(crate) fn words(&self) -> impl Iterator<Item = u64> {
         self.pixels.iter().enumerate().map(|(kept, [r, g, b])| {
@@ -142,6 +150,8 @@ mod tests {
                     let place = place(&pixels, kept);
                     assert_eq!(place / run as usize, kept, "{width} x {height} by {run}");
                     assert!(place < all);
+                    let (column, row) = (place as u64 % u64::from(width), place as u64 / u64::from(width));
+                    assert_eq!(pixels.kept(column, row), Some(kept as u64));
                 }
                 let bytes = 3 * pixels.pixels.len() + pixels.offsets.len();
                 assert_eq!(Pixels::bytes(width, height, run), bytes as u64, "{run}");

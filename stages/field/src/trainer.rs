@@ -7,13 +7,15 @@ use crate::cpu::composite::RAW_SHIFT;
 use crate::cpu::march::Steps;
 use crate::cpu::math::exp;
 use crate::cpu::simd::{Level, flat};
+use crate::depth::{Pull, SHARE, Sighting, sightings};
+use crate::exposure::Exposure;
 use crate::frame::Frame;
 use crate::occupancy::Occupancy;
 use crate::rng::{Fingerprint, Purpose, Rng};
 use crate::shade::Shade;
 use crate::views::{View, check_points, check_views, pixel_offsets};
 use crate::weights::{NET_ROW, Weights};
-use crate::{Background, Config, Facts, Field, FieldError, LevelFacts, Sizes, background, size};
+use crate::{Background, Config, Facts, Field, FieldError, LevelFacts, Occupied, Sizes, background, size};
 
 /// What one optimiser step did.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,6 +45,8 @@ pub struct Trainer {
     pub(crate) frame: Frame,
     pub(crate) sizes: Sizes,
     march: Steps,
+    /// What the views see of the sparse points; empty where they do not pull.
+    sightings: Vec<Sighting>,
     pub(crate) bias: Bias,
     pub(crate) gradients: Vec<Vec<f32>>,
     /// Memory of the last batch.
@@ -60,7 +64,7 @@ pub(crate) struct State {
     pub average: Weights,
     /// In the order of `Weights::tensors`.
     pub moments: Vec<Moments>,
-    /// `[views, 4]` log gains; the fourth number is unused.
+    /// `[views, 4]` log gains; the fourth number is unused. Then as many offsets, if photos have them.
     pub gains: Vec<f32>,
     pub gain_moments: Moments,
     pub occupancy: Occupancy,
@@ -101,26 +105,38 @@ impl Trainer {
             .iter()
             .map(|(name, values)| Moments::new(values.len(), rows(name)));
         let march = sizes.steps(config);
+        let side = config.occupancy_resolution;
+        let occupancy = match config.occupied {
+            Occupied::Seen => Occupancy::full(side, &frame, &views),
+            Occupied::NearPoints => Occupancy::near(side, &frame, &views, points),
+        };
         let state = State {
             steps: 0,
             samples_per_ray: march.count as f64,
             average: weights.clone(),
             moments: moments.collect(),
-            gains: vec![0.0; views.len() * 4],
-            gain_moments: Moments::new(views.len() * 4, 4),
-            occupancy: Occupancy::new(config.occupancy_resolution, &frame, &views),
+            gains: vec![0.0; config.gain.numbers(views.len())],
+            gain_moments: Moments::new(config.gain.numbers(views.len()), 4),
+            occupancy,
             weights,
+        };
+        let pixels = pixel_offsets(&views);
+        let sightings = if config.depth_weight > 0.0 {
+            sightings(&views, &pixels, points, &frame, &march)
+        } else {
+            Vec::new()
         };
         Ok(Self {
             level: Level::best(),
             config: config.clone(),
             seed,
             world_from_cams: views.iter().map(|view| view.cam_from_world.inverse()).collect(),
-            pixels: pixel_offsets(&views),
+            pixels,
             views,
             frame,
             sizes,
             march,
+            sightings,
             bias: Bias::default(),
             gradients: state
                 .weights
@@ -207,6 +223,9 @@ impl Trainer {
                 .chain([&self.frame.half_side])
                 .map(|number| number.to_bits()),
         );
+        for sighting in &self.sightings {
+            sum.add([sighting.pixel, sighting.place.to_bits().into()]);
+        }
         sum.0
     }
 
@@ -247,14 +266,14 @@ impl Trainer {
 
     /// Draws the rays of the next step.
     fn targets(&self) -> Vec<Target> {
-        let gains: Vec<f32> = self.state.gains.iter().map(|gain| exp(*gain)).collect();
+        let exposures = self.exposures();
         let rays = (0..self.ray_count()).into_par_iter();
-        rays.map(|ray| self.target(ray as u64, &gains)).collect()
+        rays.map(|ray| self.target(ray as u64, &exposures)).collect()
     }
 
-    fn target(&self, ray: u64, gains: &[f32]) -> Target {
+    fn target(&self, ray: u64, exposures: &[Exposure]) -> Target {
         let mut rng = Rng::new(self.seed, Purpose::Rays, self.state.steps, ray);
-        let pixel = rng.below(self.pixels.last().copied().unwrap_or(0));
+        let (pixel, pull) = self.aim(ray, &mut rng);
         let index = self.pixels.partition_point(|first| *first <= pixel) - 1;
         let view = &self.views[index];
         let (centre, rgb) = view.image.at((pixel - self.pixels[index]) as usize);
@@ -263,8 +282,21 @@ impl Trainer {
             jitter: rng.unit(),
             view: index as u32,
             rgb,
-            gain: [0, 1, 2].map(|channel| gains[index * 4 + channel]),
+            exposure: exposures[index],
+            pull,
         }
+    }
+
+    /// Draws the pixel of a ray: of every eighth, while sparse points pull, one that sees a point.
+    fn aim(&self, ray: u64, rng: &mut Rng) -> (u64, Option<Pull>) {
+        let fading = 1.0 - self.state.steps as f64 / f64::from(self.config.depth_steps);
+        if self.sightings.is_empty() || fading <= 0.0 || !ray.is_multiple_of(SHARE) {
+            return (rng.below(self.pixels.last().copied().unwrap_or(0)), None);
+        }
+        let Sighting { pixel, place } = self.sightings[rng.below(self.sightings.len() as u64) as usize];
+        let weight = self.config.depth_weight * fading * SHARE as f64 / self.ray_count() as f64;
+        let weight = weight as f32;
+        (pixel, Some(Pull { place, weight }))
     }
 
     /// Refuses a batch with anything that is not finite, before any weight has changed.

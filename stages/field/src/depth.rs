@@ -1,0 +1,288 @@
+//! Sparse points pull the matter of a ray to where a camera sees them.
+
+use marf_scene::Camera;
+use nalgebra::{Vector2, Vector3};
+use rayon::prelude::*;
+
+use crate::View;
+use crate::cpu::composite::Ray;
+use crate::cpu::march::Steps;
+use crate::frame::Frame;
+
+/// One ray in so many goes to a sighting.
+pub const SHARE: u64 = 8;
+/// A photo's longer side has this many squares; a point hides others in its own and the eight around it.
+const SQUARES: f64 = 30.0;
+/// Points farther than the nearest by more than this share of its distance are hidden.
+const HIDDEN: f64 = 0.1;
+/// Matter within so many steps of the point counts as being there.
+const REACH: f32 = 2.5;
+/// Added to the weight near the point: bounds the pull on rays that have next to nothing there.
+const FLOOR: f32 = 0.05;
+
+/// A pixel in which a point is seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sighting {
+    /// Number of the pixel among all pixels of all views.
+    pub pixel: u64,
+    /// Number of the step at which its ray meets the point, as a share of all steps.
+    pub place: f32,
+}
+
+/// What pulls the matter of a ray.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pull {
+    /// Where to, as [`Sighting::place`].
+    pub place: f32,
+    /// Weight of the loss, for this ray.
+    pub weight: f32,
+}
+
+/// Returns what every view sees of the points, view by view, in the order of the points.
+///
+/// The points bear no names of photos, so sight is judged by the points alone: hidden is what lies behind a nearer
+/// one close by in the picture. Of what this wrongly takes for seen on two sets of real photos (15,862 and 7,011
+/// points) 77 and 89 % lie within 5 % of the distance of the nearest point that the photo truly matched.
+/// Points behind a camera, outside its photo, before the first or behind the last step are not seen, nor is what
+/// lies in a pixel that is not kept.
+///
+/// `first_pixels`: number of the first pixel of every view.
+pub fn sightings(
+    views: &[View],
+    first_pixels: &[u64],
+    points: &[[f64; 3]],
+    frame: &Frame,
+    steps: &Steps,
+) -> Vec<Sighting> {
+    let pairs = views.par_iter().zip(first_pixels);
+    let found = pairs.map(|(view, first)| {
+        let seen = unhidden(
+            &view.camera,
+            points.iter().filter_map(|point| project(view, point)).collect(),
+        );
+        let sightings = seen.into_iter().filter_map(|(pixel, distance)| {
+            let column = (pixel.x as u64).min(u64::from(view.camera.width) - 1);
+            let row = (pixel.y as u64).min(u64::from(view.camera.height) - 1);
+            Some(Sighting {
+                pixel: first + view.image.kept(column, row)?,
+                place: place(steps, distance / frame.half_side)?,
+            })
+        });
+        sightings.collect::<Vec<_>>()
+    });
+    found.collect::<Vec<_>>().concat()
+}
+
+/// Pixel and distance of a point inside a photo.
+fn project(view: &View, point: &[f64; 3]) -> Option<(Vector2<f64>, f64)> {
+    let at = view.cam_from_world.point(&Vector3::from(*point));
+    let pixel = view.camera.project(&at)?;
+    let (width, height) = (f64::from(view.camera.width), f64::from(view.camera.height));
+    let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < width && pixel.y < height;
+    inside.then(|| (pixel, at.norm()))
+}
+
+/// Drops what lies behind a nearer point in the same or a neighbouring square.
+fn unhidden(camera: &Camera, seen: Vec<(Vector2<f64>, f64)>) -> Vec<(Vector2<f64>, f64)> {
+    let square_px = f64::from(camera.width.max(camera.height)) / SQUARES;
+    // A border of one square all around spares the neighbours their limits.
+    let columns = (f64::from(camera.width) / square_px) as usize + 3;
+    let rows = (f64::from(camera.height) / square_px) as usize + 3;
+    let square = |pixel: &Vector2<f64>| {
+        ((pixel.y / square_px) as usize + 1) * columns + (pixel.x / square_px) as usize + 1
+    };
+    let mut nearest = vec![f64::INFINITY; columns * rows];
+    for (pixel, distance) in &seen {
+        let nearest = &mut nearest[square(pixel)];
+        *nearest = nearest.min(*distance);
+    }
+    let around = |middle: usize| {
+        let rows = [middle - columns, middle, middle + columns];
+        let squares = rows.into_iter().flat_map(|row| nearest[row - 1..=row + 1].iter());
+        squares.fold(f64::INFINITY, |least, distance| least.min(*distance))
+    };
+    let mut seen = seen;
+    seen.retain(|(pixel, distance)| *distance <= around(square(pixel)) * (1.0 + HIDDEN));
+    seen
+}
+
+/// Number of the step at distance `t`, half sides, with its fraction, as a share of all steps.
+fn place(steps: &Steps, t: f64) -> Option<f32> {
+    let t = t as f32;
+    let step = steps.begin[..steps.count]
+        .partition_point(|begin| *begin <= t)
+        .checked_sub(1)?;
+    let fraction = (t - steps.begin[step]) / steps.length[step];
+    (fraction <= 1.0).then(|| (step as f32 + fraction) / steps.count as f32)
+}
+
+impl Pull {
+    /// Adds the slopes of `-weight ln(W + 0.05)` in the optical depths, W the weight within 2.5 steps of the point.
+    ///
+    /// dL/dtau_i = T_{i+1} q_i - sum_{j>i} w_j q_j, where q_i = dL/dw_i. `cell`: length of a step in units of `place`.
+    /// A ray without samples near the point is left as it is.
+    #[inline(always)]
+    pub fn spread(&self, ray: &Ray, cell: f32, d_tau: &mut [f32]) {
+        let near = |i: usize| (ray.place[i] - self.place).abs() < REACH * cell;
+        let weight = |i: usize| ray.transmittance[i] * ray.alpha[i];
+        let mut there = FLOOR;
+        for i in 0..ray.alpha.len() {
+            there += if near(i) { weight(i) } else { 0.0 };
+        }
+        let pull = -self.weight / there;
+        let mut suffix = 0.0_f32;
+        for i in (0..ray.alpha.len()).rev() {
+            let q = if near(i) { pull } else { 0.0 };
+            d_tau[i] += (ray.transmittance[i] - weight(i)) * q - suffix;
+            suffix = weight(i).mul_add(q, suffix);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::views::pixel_offsets;
+    use marf_scene::{Image, Pose};
+
+    fn view(eye: [f64; 3]) -> View {
+        View {
+            id: "v".to_owned(),
+            camera: Camera::pinhole(60, 40, 60.0),
+            cam_from_world: Pose {
+                translation: -Vector3::from(eye),
+                ..Pose::identity()
+            },
+            image: Image::from_fn(60, 40, |_, _| [9; 3]).into(),
+        }
+    }
+
+    fn seen(views: &[View], points: &[[f64; 3]]) -> Vec<Sighting> {
+        let frame = Frame::derive(views, &[]);
+        let frame = Frame {
+            origin: [0.0; 3],
+            half_side: 2.0,
+            ..frame
+        };
+        let steps = Steps::new(0.5, 100.0, 0.5, 0.0);
+        sightings(views, &pixel_offsets(views), points, &frame, &steps)
+    }
+
+    #[test]
+    fn a_point_on_the_axis_is_seen_in_the_middle_at_its_distance() {
+        let views = [view([0.0; 3]), view([0.0, 0.0, -4.0])];
+        let found = seen(&views, &[[0.0, 0.0, 6.0]]);
+        // Steps of 0.5 half sides from 0.5 on, 199 of them: 6 units are 3 half sides, step 5; 10 are 5, step 9.
+        let middle = 20 * 60 + 30;
+        let expected = [(middle, 5.0 / 199.0), (2400 + middle, 9.0 / 199.0)];
+        assert_eq!(found.len(), 2, "{found:?}");
+        for (found, (pixel, place)) in found.iter().zip(expected) {
+            assert_eq!(found.pixel, pixel);
+            assert!((found.place - place).abs() < 1e-6, "{found:?} {place}");
+        }
+    }
+
+    #[test]
+    fn a_point_hides_what_lies_behind_it_and_nothing_beside_it() {
+        let hidden = seen(
+            &[view([0.0; 3])],
+            &[[0.0, 0.0, 6.0], [0.01, 0.0, 8.0], [3.0, 0.0, 8.0]],
+        );
+        assert_eq!(hidden.len(), 2, "{hidden:?}");
+        // A little farther is the same surface.
+        assert_eq!(
+            seen(&[view([0.0; 3])], &[[0.0, 0.0, 6.0], [0.0, 0.05, 6.5]]).len(),
+            2
+        );
+    }
+
+    #[test]
+    fn points_that_no_camera_can_use_give_no_sighting() {
+        let views = [view([0.0; 3])];
+        for point in [
+            [0.0, 0.0, -6.0],
+            [0.0; 3],
+            [50.0, 0.0, 6.0],
+            [0.0, 0.0, 0.5],
+            [0.0, 0.0, 1e9],
+            [1e300, 1e300, 1e300],
+        ] {
+            assert_eq!(seen(&views, &[point]), [], "{point:?}");
+        }
+        assert_eq!(seen(&views, &[]), []);
+    }
+
+    const TAU: [f32; 6] = [0.1, 0.4, 0.05, 1.5, 0.3, 0.2];
+
+    fn loss(tau: &[f64], place: &[f32], at: f32) -> f64 {
+        let (mut left, mut there) = (1.0, f64::from(FLOOR));
+        for (tau, place) in tau.iter().zip(place) {
+            if (place - at).abs() < REACH * 0.1 {
+                there += left * -(-tau).exp_m1();
+            }
+            left *= (-tau).exp();
+        }
+        -0.7 * there.ln()
+    }
+
+    #[test]
+    fn the_pull_has_the_slopes_of_its_f64_twin() {
+        let place: Vec<f32> = (0..6).map(|i| i as f32 / 10.0).collect();
+        let alpha = TAU.map(|tau| crate::cpu::math::one_minus_exp_neg(tau));
+        let mut depth = 0.0;
+        let transmittance = TAU.map(|tau| {
+            let before = crate::cpu::math::exp(-depth);
+            depth += tau;
+            before
+        });
+        let ray = Ray {
+            alpha: &alpha,
+            transmittance: &transmittance,
+            rgb: &[[0.0; 4]; 6],
+            place: &place,
+        };
+        // In the middle, before the first, at the last, and where no sample is.
+        for at in [0.26, -0.1, 0.5, 0.9] {
+            let mut found = [0.0; 6];
+            let pull = Pull {
+                place: at,
+                weight: 0.7,
+            };
+            pull.spread(&ray, 0.1, &mut found);
+            for (i, found) in found.into_iter().enumerate() {
+                let moved = |by: f64| {
+                    let mut tau = TAU.map(f64::from);
+                    tau[i] += by;
+                    loss(&tau, &place, at)
+                };
+                let expected = (moved(1e-6) - moved(-1e-6)) / 2e-6;
+                assert!(
+                    (f64::from(found) - expected).abs() < 2e-5 * (1.0 + expected.abs()),
+                    "{at}, {i}: {found} against {expected}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn an_opaque_or_empty_ray_is_pulled_by_finite_slopes() {
+        for (alpha, transmittance) in [(0.0, 1.0), (1.0, 1.0), (1.0, 0.0)] {
+            let ray = Ray {
+                alpha: &[alpha],
+                transmittance: &[transmittance],
+                rgb: &[[0.0; 4]],
+                place: &[0.5],
+            };
+            let pull = Pull {
+                place: 0.5,
+                weight: 1.0,
+            };
+            let mut found = [0.0];
+            pull.spread(&ray, 0.01, &mut found);
+            assert!(
+                found[0].is_finite() && found[0] <= 0.0,
+                "{alpha} {transmittance}: {found:?}"
+            );
+        }
+    }
+}

@@ -1,0 +1,185 @@
+//! Exposure of single photos: a photo shows gain * colour + offset, channel by channel.
+
+use crate::batch::Chunk;
+use crate::cpu::math::exp;
+use crate::learn::adam;
+use crate::{Gain, Trainer};
+
+/// Step size of log gains and offsets, as a share of the learning rate.
+const RATE: f32 = 0.1;
+/// Log gains stay within +-2 (2.9 stops), offsets within +-0.5, before their mean is taken away: a black photo
+/// would pull its gain down without end and all others up.
+const LIMITS: [f32; 2] = [2.0, 0.5];
+/// Numbers of a photo in a row: three channels and one that is unused.
+const ROW: usize = 4;
+
+/// What a photo makes of a colour; also the slopes of the loss in log gain and offset.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Exposure {
+    /// e^(log gain).
+    pub gain: [f32; 3],
+    /// Added after the gain, sRGB in [0, 1].
+    pub offset: [f32; 3],
+}
+
+/// Loss of one ray and where it leads.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Compared {
+    /// Squared errors of the channels.
+    pub squares: [f32; 3],
+    /// Slopes in the colour of the field.
+    pub colour: [f32; 3],
+    /// Slopes in log gain and offset.
+    pub exposure: Exposure,
+}
+
+impl Exposure {
+    /// Compares the field's colour, as this photo shows it, with a pixel; slopes are those of half of
+    /// `scale` times the squared error.
+    #[inline(always)]
+    pub fn compare(&self, plain: [f32; 3], pixel: [f32; 3], scale: f32) -> Compared {
+        let (mut squares, mut colour) = ([0.0; 3], [0.0; 3]);
+        let (mut gain, mut offset) = ([0.0; 3], [0.0; 3]);
+        for channel in 0..3 {
+            let error = plain[channel].mul_add(self.gain[channel], self.offset[channel] - pixel[channel]);
+            squares[channel] = error * error;
+            colour[channel] = scale * error * self.gain[channel];
+            gain[channel] = colour[channel] * plain[channel];
+            offset[channel] = scale * error;
+        }
+        let exposure = Self { gain, offset };
+        Compared {
+            squares,
+            colour,
+            exposure,
+        }
+    }
+}
+
+impl Gain {
+    /// Numbers that the exposures of all photos take: `[views, 4]` log gains, then as many offsets.
+    pub(crate) fn numbers(self, views: usize) -> usize {
+        match self {
+            Self::Off | Self::PerPhoto => views * ROW,
+            Self::PerPhotoAndOffset => 2 * views * ROW,
+        }
+    }
+}
+
+impl Trainer {
+    /// Returns the exposure of every photo.
+    pub(crate) fn exposures(&self) -> Vec<Exposure> {
+        let (gains, offsets) = self.state.gains.split_at(self.views.len() * ROW);
+        let channels = |row: &[f32]| [row[0], row[1], row[2]];
+        let offsets = offsets.chunks_exact(ROW).map(channels);
+        let pairs = gains
+            .chunks_exact(ROW)
+            .zip(offsets.chain(std::iter::repeat([0.0; 3])));
+        pairs
+            .map(|(row, offset)| Exposure {
+                gain: channels(row).map(exp),
+                offset,
+            })
+            .collect()
+    }
+
+    /// Moves log gains and offsets and takes their means away: the scene keeps its own brightness.
+    pub(crate) fn learn_exposures(&mut self, chunks: &[Chunk], rate: f32) {
+        let half = self.views.len() * ROW;
+        let mut gradient = vec![0.0; self.state.gains.len()];
+        for (view, slopes) in chunks.iter().flat_map(|chunk| &chunk.found.exposures) {
+            let first = *view as usize * ROW;
+            add(&mut gradient[first..], slopes.gain);
+            if let Some(offsets) = gradient.get_mut(half + first..) {
+                add(offsets, slopes.offset);
+            }
+        }
+        let (numbers, moments) = (&mut self.state.gains, &mut self.state.gain_moments);
+        let rates = [rate * RATE, 0.0];
+        adam::<ROW>(self.level, numbers, &mut gradient, moments, rates, &self.bias);
+        for (numbers, limit) in numbers.chunks_mut(half).zip(LIMITS) {
+            centre(numbers, limit);
+        }
+    }
+}
+
+/// Adds three channels where there is a row to take them.
+fn add(row: &mut [f32], slopes: [f32; 3]) {
+    for (sum, slope) in row.iter_mut().zip(slopes) {
+        *sum += slope;
+    }
+}
+
+/// Cuts `[views, 4]` numbers at +-`limit`, then takes the mean of every channel away.
+fn centre(numbers: &mut [f32], limit: f32) {
+    numbers
+        .iter_mut()
+        .for_each(|number| *number = number.clamp(-limit, limit));
+    let views = (numbers.len() / ROW) as f32;
+    for channel in 0..3 {
+        let mean = numbers.iter().skip(channel).step_by(ROW).sum::<f32>() / views;
+        let row = numbers.iter_mut().skip(channel).step_by(ROW);
+        row.for_each(|number| *number -= mean);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_comparison_sends_back_the_slopes_of_its_f64_twin() {
+        let (plain, pixel) = ([0.3_f32, 0.9, 0.0], [0.5_f32, 0.2, 0.7]);
+        let (log_gain, offset) = ([0.2_f32, -0.7, 1.5], [0.1_f32, -0.05, 0.3]);
+        let exposure = Exposure {
+            gain: log_gain.map(exp),
+            offset,
+        };
+        let found = exposure.compare(plain, pixel, 2.0);
+        let loss =
+            |at: [f64; 3], channel: usize| (at[0] * at[1].exp() + at[2] - f64::from(pixel[channel])).powi(2);
+        for channel in 0..3 {
+            let at = [plain[channel], log_gain[channel], offset[channel]].map(f64::from);
+            let slopes = [
+                found.colour[channel],
+                found.exposure.gain[channel],
+                found.exposure.offset[channel],
+            ];
+            for (index, slope) in slopes.into_iter().enumerate() {
+                let moved = |by: f64| {
+                    let mut at = at;
+                    at[index] += by;
+                    loss(at, channel)
+                };
+                let expected = (moved(1e-6) - moved(-1e-6)) / 2e-6;
+                let error = (f64::from(slope) - expected).abs();
+                assert!(
+                    error < 2e-5 * (1.0 + expected.abs()),
+                    "{channel} {index}: {slope} against {expected}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_photo_of_gain_2_and_offset_a_tenth_shows_a_fifth_as_a_half() {
+        let exposure = Exposure {
+            gain: [2.0; 3],
+            offset: [0.1; 3],
+        };
+        let found = exposure.compare([0.2; 3], [0.5; 3], 1.0);
+        assert!(found.squares.iter().all(|square| *square < 1e-12), "{found:?}");
+    }
+
+    #[test]
+    fn numbers_are_cut_then_centred_whatever_they_were() {
+        // Two photos, one driven far off: 2 and -2, whose mean is 0; the fourth number is never moved.
+        let mut numbers = vec![50.0, 1.0, 0.0, 0.0, -7.0, 2.0, 0.0, 0.0];
+        centre(&mut numbers, 2.0);
+        assert_eq!(numbers, [2.0, -0.5, 0.0, 0.0, -2.0, 0.5, 0.0, 0.0]);
+        // One photo alone has nothing to differ from.
+        let mut alone = vec![1.5, -9.0, 0.25, 0.0];
+        centre(&mut alone, 2.0);
+        assert_eq!(alone, [0.0; 4]);
+    }
+}
