@@ -219,7 +219,10 @@ pub struct BenchArgs {
         value_delimiter = ','
     )]
     pub seconds: Vec<String>,
-    /// Folder for `<seconds>s/<name>.png`
+    /// Steps instead of seconds, ascending: the same weights every time, to compare keys of the field
+    #[arg(long, value_name = "STEPS", value_delimiter = ',', conflicts_with = "seconds")]
+    pub steps: Vec<u64>,
+    /// Folder for `<seconds>s/<name>.png` or `<steps>steps/<name>.png`
     #[arg(long, value_name = "DIR", default_value = "bench")]
     pub out: PathBuf,
     /// What counts as time

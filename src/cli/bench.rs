@@ -3,14 +3,14 @@
 //! The clock lives here and nowhere in a stage: what is trained depends on it, hence nothing of it is kept in the
 //! store but what import reads.
 
-use std::fs;
 use std::path::Path;
 use std::time::Instant;
+use std::{fmt, fs};
 
 use marf_engine::{Cancel, Options};
 use marf_field::{Config, EXPECTED_STEPS_PER_S, Field, Overrides, Quality, Trainer, View};
 use marf_scene::{Frame, Image, Photo, Scene, Srgb, encode_png, metrics, picture_names};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 
 use super::args::{BenchArgs, Clock, Global};
 use super::error::CliError;
@@ -32,11 +32,63 @@ struct Keys {
     field: Overrides,
 }
 
+/// How long a training goes on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Budget {
+    /// By the clock.
+    Seconds(u32),
+    /// By its steps.
+    Steps(u64),
+}
+
+impl Budget {
+    /// Returns the steps it is expected to have.
+    fn expected_steps(self) -> u64 {
+        match self {
+            Self::Seconds(seconds) => (f64::from(seconds) * EXPECTED_STEPS_PER_S) as u64,
+            Self::Steps(steps) => steps,
+        }
+    }
+}
+
+impl fmt::Display for Budget {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Seconds(seconds) => write!(f, "{seconds}s"),
+            Self::Steps(steps) => write!(f, "{steps}steps"),
+        }
+    }
+}
+
+impl Serialize for Budget {
+    /// Seconds are a number, as the comparison wants them.
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Seconds(seconds) => serializer.serialize_u32(*seconds),
+            Self::Steps(_) => serializer.collect_str(self),
+        }
+    }
+}
+
+fn budgets(args: &BenchArgs) -> Result<Vec<Budget>, CliError> {
+    let seconds = args
+        .seconds
+        .iter()
+        .map(|text| Ok(Budget::Seconds(budget::seconds(text)?)));
+    let mut budgets = match args.steps.as_slice() {
+        [] => seconds.collect::<Result<Vec<_>, CliError>>()?,
+        steps => steps.iter().map(|steps| Budget::Steps((*steps).max(1))).collect(),
+    };
+    budgets.sort_unstable();
+    budgets.dedup();
+    Ok(budgets)
+}
+
 /// One budget's line.
 #[derive(Debug, Serialize)]
 struct Line {
-    /// Seconds asked for.
-    budget: u32,
+    /// What was asked for.
+    budget: Budget,
     /// Seconds trained.
     clock: f64,
     /// Processor seconds of these.
@@ -67,13 +119,7 @@ struct Test {
 
 /// `marf bench train DIR`: a training a budget, of the size that the budget fills.
 pub fn train(global: &Global, args: &BenchArgs, cancel: &Cancel) -> Result<(), CliError> {
-    let mut budgets = args
-        .seconds
-        .iter()
-        .map(|text| budget::seconds(text))
-        .collect::<Result<Vec<_>, _>>()?;
-    budgets.sort_unstable();
-    budgets.dedup();
+    let budgets = budgets(args)?;
     // Events of the import would stand between the lines.
     let quiet = Global {
         json: false,
@@ -190,14 +236,12 @@ impl Bench<'_> {
         tests: &[Test],
         points: &[[f64; 3]],
         (config, seed): (&Config, u64),
-        budgets: &[u32],
+        budgets: &[Budget],
     ) -> Result<Vec<Line>, CliError> {
         let mut lines = Vec::new();
         for budget in budgets {
             let config = Config {
-                steps: config
-                    .steps
-                    .or(Some((f64::from(*budget) * EXPECTED_STEPS_PER_S) as u64)),
+                steps: config.steps.or(Some(budget.expected_steps())),
                 ..config.clone()
             };
             let (trainer, spent) = self.trained(views.to_vec(), points, (&config, seed), *budget)?;
@@ -214,14 +258,18 @@ impl Bench<'_> {
         views: Vec<View>,
         points: &[[f64; 3]],
         (config, seed): (&Config, u64),
-        budget: u32,
+        budget: Budget,
     ) -> Result<(Trainer, Spent), CliError> {
         let failed = |error: marf_field::FieldError| CliError::failed(error.to_string());
         let mut spent = Spent::default();
         let mut trainer = spent
             .timed(|| Trainer::new(views, points, config, seed))
             .map_err(failed)?;
-        while self.seconds(&spent) < f64::from(budget) {
+        let is_open = |trainer: &Trainer, spent: &Spent| match budget {
+            Budget::Seconds(seconds) => self.seconds(spent) < f64::from(seconds),
+            Budget::Steps(steps) => trainer.steps() < steps,
+        };
+        while is_open(&trainer, &spent) {
             if self.cancel.is_set() {
                 return Err(CliError::Interrupted);
             }
@@ -240,9 +288,15 @@ impl Bench<'_> {
     }
 
     /// Renders and scores the test views as of now.
-    fn look(&self, trainer: &Trainer, tests: &[Test], spent: &Spent, budget: u32) -> Result<Line, CliError> {
+    fn look(
+        &self,
+        trainer: &Trainer,
+        tests: &[Test],
+        spent: &Spent,
+        budget: Budget,
+    ) -> Result<Line, CliError> {
         let field = trainer.field();
-        let folder = self.out.join(format!("{budget}s"));
+        let folder = self.out.join(budget.to_string());
         let mut rendering = Spent::default();
         let (mut psnr, mut paper, mut ssim) = (Vec::new(), Vec::new(), Vec::new());
         for test in tests {
@@ -320,12 +374,12 @@ fn table(lines: &[Line]) -> String {
     };
     let mut rows = vec![format!(
         "{:>8} {:>9} {:>12} {:>7} {:>8} {:>10}",
-        "seconds", "PSNR dB", "paper's dB", "SSIM", "steps", "Msamples/s"
+        "budget", "PSNR dB", "paper's dB", "SSIM", "steps", "Msamples/s"
     )];
     rows.extend(lines.iter().map(|line| {
         format!(
             "{:>8} {:>9.2} {:>12} {:>7} {:>8} {:>10.2}",
-            line.budget,
+            line.budget.to_string(),
             line.psnr,
             number(line.psnr_paper, 2),
             number(line.ssim, 3),
@@ -346,7 +400,7 @@ mod tests {
     #[test]
     fn the_table_has_a_row_a_budget_and_a_dash_for_what_is_not_known() {
         let line = Line {
-            budget: 10,
+            budget: Budget::Seconds(10),
             clock: 10.1,
             cpu_s: 20.0,
             steps: 123,
@@ -361,7 +415,7 @@ mod tests {
         };
         let table = table(&[line]);
         let row: Vec<&str> = table.lines().nth(1).unwrap().split_whitespace().collect();
-        assert_eq!(row, ["10", "18.46", "17.00", "-", "123", "3.21"]);
+        assert_eq!(row, ["10s", "18.46", "17.00", "-", "123", "3.21"]);
     }
 
     #[test]

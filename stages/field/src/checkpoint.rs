@@ -17,6 +17,7 @@ struct Header {
     pixels: String,
     sizes: Sizes,
     steps: u64,
+    halvings: u32,
     /// Bits of the f64.
     samples_per_ray: String,
 }
@@ -54,13 +55,18 @@ impl Trainer {
         let bits = u64::from_str_radix(&header.samples_per_ray, 16);
         let bits = bits.map_err(|error| reader.malformed(format!("samples per ray: {error}")))?;
         let samples_per_ray = f64::from_bits(bits);
+        if header.halvings > self.sizes.halvings.value {
+            return Err(reader.malformed(format!("steps halved {} times", header.halvings)));
+        }
         if !samples_per_ray.is_finite() || samples_per_ray < 1.0 {
             return Err(reader.malformed(format!("{samples_per_ray} samples per ray")));
         }
         let mut restored = self.state.clone();
         restored.steps = header.steps;
+        restored.halvings = header.halvings;
         restored.samples_per_ray = samples_per_ray;
         read_state(&reader, &mut restored)?;
+        self.march = self.sizes.steps(&self.config, restored.halvings);
         self.state = restored;
         Ok(())
     }
@@ -73,6 +79,7 @@ impl Trainer {
             pixels: format!("{:016x}", self.fingerprint()),
             sizes: self.sizes.clone(),
             steps: self.state.steps,
+            halvings: self.state.halvings,
             samples_per_ray: format!("{:016x}", self.state.samples_per_ray.to_bits()),
         }
     }

@@ -3,6 +3,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::FieldError;
+use crate::size::MOST_HALVINGS;
 
 /// What a ray gathers behind the last sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
@@ -74,15 +75,20 @@ pub struct Config {
     pub learning_rate: f64,
     /// Steps after which the step size has fallen to 1 / 2 of the start (it falls as 1 / sqrt(1 + 3 s / this)).
     pub half_rate_steps: u32,
+    /// Share of itself that the running average of the weights keeps in a step, 0 to 0.9999; fields are made of it.
+    pub average: f64,
     /// Cells a side of the occupancy grid over the whole contracted box, 16 to 256, a multiple of 4.
     pub occupancy_resolution: u32,
     /// Cells that rays visit at first. From points, mock-up of 80 photos, one seed: +.38 dB after 300 steps, +.16 after
     /// 800, with 37 % more rays a second. Beside `depth_weight` it lost .39 and .16 dB on the photos of a fox.
     pub occupied: Occupied,
-    /// Length of a step along the ray, as a share of the distance from the camera, in [1/1024, 1/4].
+    /// Length of a step along the ray at first, as a share of the distance from the camera, in [1/1024, 1/4].
     pub cone: f64,
-    /// Shortest step, as a share of the box's half side, in [1e-4, 0.5].
+    /// Shortest step at first, as a share of the box's half side, in [1e-4, 0.5].
     pub min_step: f64,
+    /// Times that both are halved in training, 0 to 6: after 640 and 8,192 steps and so on, earlier where rays have
+    /// few samples. Absent: until a step is two pixels long. Measured at 60 s: `benches/field.md`.
+    pub halvings: Option<u32>,
     /// Distance of the first sample, as a share of the box's half side, in [1e-4, 10]; absent: from the sparse points.
     pub near: Option<f64>,
     /// Distance of the last sample, as a share of the box's half side, above `near`, at most 1e6; absent: from the
@@ -92,6 +98,8 @@ pub struct Config {
     pub steps: Option<u64>,
     /// Weight of the distortion loss (mip-NeRF 360, arXiv 2111.12077, eq. 15), 0 or more.
     pub distortion: f64,
+    /// Weight of the opacity of every sample in the loss, in [0, 0.1]: thin fog costs samples on every ray.
+    pub emptiness: f64,
     /// Weight of the loss that gathers matter at sparse points, in [0, 1], 0: off; it falls to 0 over `depth_steps`.
     /// 0.003 after 300 and 800 steps, one seed: mock-up of 80 photos +.63 and +.19 dB, 43 photos of a fox +1.81 and
     /// +1.04. The squared error of the expected step instead lost .4 and .8 dB: it fogs the ray.
@@ -120,14 +128,17 @@ impl Default for Config {
             batch_samples: 1 << 15,
             learning_rate: 2e-2,
             half_rate_steps: 10_000,
+            average: 0.95,
             occupancy_resolution: 128,
             occupied: Occupied::Seen,
             cone: 0.04,
             min_step: 0.03,
+            halvings: None,
             near: None,
             far: None,
             steps: None,
             distortion: 1e-3,
+            emptiness: 1e-4,
             depth_weight: 3e-3,
             depth_steps: 1000,
             gain: Gain::Off,
@@ -244,6 +255,12 @@ impl Config {
                 "1 or more",
             ),
             (
+                "average",
+                self.average,
+                (0.0..=0.9999).contains(&self.average),
+                "0 to 0.9999",
+            ),
+            (
                 "cone",
                 self.cone,
                 (1.0 / 1024.0..=0.25).contains(&self.cone),
@@ -254,6 +271,12 @@ impl Config {
                 self.min_step,
                 (1e-4..=0.5).contains(&self.min_step),
                 "0.0001 to 0.5",
+            ),
+            (
+                "halvings",
+                f64::from(self.halvings.unwrap_or_default()),
+                self.halvings.unwrap_or_default() <= MOST_HALVINGS,
+                "0 to 6",
             ),
             (
                 "near",
@@ -274,6 +297,12 @@ impl Config {
                 self.distortion,
                 (0.0..=1.0).contains(&self.distortion),
                 "0 to 1",
+            ),
+            (
+                "emptiness",
+                self.emptiness,
+                (0.0..=0.1).contains(&self.emptiness),
+                "0 to 0.1",
             ),
             (
                 "depth_weight",

@@ -25,14 +25,14 @@ const FLOOR: f32 = 0.05;
 pub struct Sighting {
     /// Number of the pixel among all pixels of all views.
     pub pixel: u64,
-    /// Number of the step at which its ray meets the point, as a share of all steps.
-    pub place: f32,
+    /// Distance of the point along its ray, half sides.
+    pub t: f32,
 }
 
 /// What pulls the matter of a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pull {
-    /// Where to, as [`Sighting::place`].
+    /// Where to: number of a step as a share of all steps.
     pub place: f32,
     /// Weight of the loss, for this ray.
     pub weight: f32,
@@ -65,7 +65,7 @@ pub fn sightings(
             let row = (pixel.y as u64).min(u64::from(view.camera.height) - 1);
             Some(Sighting {
                 pixel: first + view.image.kept(column, row)?,
-                place: place(steps, distance / frame.half_side)?,
+                t: Some((distance / frame.half_side) as f32).filter(|t| place(steps, *t).is_some())?,
             })
         });
         sightings.collect::<Vec<_>>()
@@ -106,9 +106,8 @@ fn unhidden(camera: &Camera, seen: Vec<(Vector2<f64>, f64)>) -> Vec<(Vector2<f64
     seen
 }
 
-/// Number of the step at distance `t`, half sides, with its fraction, as a share of all steps.
-fn place(steps: &Steps, t: f64) -> Option<f32> {
-    let t = t as f32;
+/// Returns the number of the step at distance `t`, half sides, with its fraction, as a share of all steps.
+pub fn place(steps: &Steps, t: f32) -> Option<f32> {
     let step = steps.begin[..steps.count]
         .partition_point(|begin| *begin <= t)
         .checked_sub(1)?;
@@ -174,11 +173,13 @@ mod tests {
         let found = seen(&views, &[[0.0, 0.0, 6.0]]);
         // Steps of 0.5 half sides from 0.5 on, 199 of them: 6 units are 3 half sides, step 5; 10 are 5, step 9.
         let middle = 20 * 60 + 30;
-        let expected = [(middle, 5.0 / 199.0), (2400 + middle, 9.0 / 199.0)];
+        let expected = [(middle, 3.0), (2400 + middle, 5.0)];
+        let steps = Steps::new(0.5, 100.0, 0.5, 0.0);
+        assert_eq!(place(&steps, 3.0), Some(5.0 / 199.0));
         assert_eq!(found.len(), 2, "{found:?}");
-        for (found, (pixel, place)) in found.iter().zip(expected) {
+        for (found, (pixel, t)) in found.iter().zip(expected) {
             assert_eq!(found.pixel, pixel);
-            assert!((found.place - place).abs() < 1e-6, "{found:?} {place}");
+            assert!((found.t - t).abs() < 1e-6, "{found:?} {t}");
         }
     }
 

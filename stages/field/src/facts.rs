@@ -48,6 +48,8 @@ pub struct Facts {
     pub far: f64,
     /// Steps from near to far, if every cell were occupied.
     pub steps_per_ray: u32,
+    /// Times that the steps along rays have been halved.
+    pub halvings: u32,
     /// Levels, coarse to fine.
     pub levels: Vec<LevelFacts>,
     /// What decided near, far, levels and table.

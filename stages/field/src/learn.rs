@@ -14,8 +14,8 @@ use crate::{Gain, Trainer};
 const EPSILON: f32 = 1e-12;
 /// Pull of the networks' weights to zero (instant-ngp's l2).
 const DECAY: f32 = 1e-6;
-/// The averaged weights keep this share of themselves every step, less in the first steps.
-const AVERAGE: f32 = 0.95;
+/// Steps between two looks of the averaged weights at the weights: every step costs a pass over all tables.
+const AVERAGED_EVERY: u64 = 4;
 /// Step size of the background, in learning rates: its 16 coefficients a channel have no layer to multiply them.
 const BACKGROUND_RATE: f32 = 10.0;
 
@@ -24,7 +24,7 @@ impl Trainer {
     pub(crate) fn learn(&mut self, chunks: &[Chunk]) {
         let slowed = 1.0 + 3.0 * self.state.steps as f64 / f64::from(self.config.half_rate_steps);
         let rate = (self.config.learning_rate / slowed.sqrt()) as f32;
-        let keep = AVERAGE.min((1.0 + self.state.steps as f32) / (10.0 + self.state.steps as f32));
+        let keep = self.kept();
         self.learn_tables(chunks, rate, keep);
         self.learn_networks(chunks, rate, keep);
         if self.config.gain != Gain::Off {
@@ -32,8 +32,20 @@ impl Trainer {
         }
     }
 
+    /// Returns the share of themselves that the averaged weights keep in this step, less in the first steps.
+    fn kept(&self) -> Option<f32> {
+        let step = self.state.steps as f32;
+        let once = (self.config.average as f32).min((1.0 + step) / (10.0 + step));
+        let steps = self.state.steps + 1;
+        if steps < 4 * AVERAGED_EVERY {
+            return Some(once);
+        }
+        let is_due = steps.is_multiple_of(AVERAGED_EVERY);
+        is_due.then(|| (0..AVERAGED_EVERY).fold(1.0, |product, _| product * once))
+    }
+
     /// One task owns one level: it adds all samples in order, then moves the table.
-    fn learn_tables(&mut self, chunks: &[Chunk], rate: f32, keep: f32) {
+    fn learn_tables(&mut self, chunks: &[Chunk], rate: f32, keep: Option<f32>) {
         let (level, bias) = (self.level, &self.bias);
         let State {
             weights,
@@ -64,7 +76,7 @@ impl Trainer {
         });
     }
 
-    fn learn_networks(&mut self, chunks: &[Chunk], rate: f32, keep: f32) {
+    fn learn_networks(&mut self, chunks: &[Chunk], rate: f32, keep: Option<f32>) {
         let State {
             weights,
             average,
@@ -150,8 +162,11 @@ pub(crate) fn adam<const F: usize>(
     });
 }
 
-/// average = keep average + (1 - keep) values.
-fn blend(average: &mut [f32], values: &[f32], keep: f32) {
+/// average = keep average + (1 - keep) values, where it is due.
+fn blend(average: &mut [f32], values: &[f32], keep: Option<f32>) {
+    let Some(keep) = keep else {
+        return;
+    };
     for (average, value) in average.iter_mut().zip(values) {
         *average += (1.0 - keep) * (*value - *average);
     }

@@ -39,7 +39,7 @@ impl Field {
     pub(crate) fn new(config: Config, frame: Frame, facts: Facts, weights: Weights, bits: Bits) -> Self {
         Self {
             level: Level::best(),
-            steps: facts.sizes.steps(&config),
+            steps: facts.sizes.steps(&config, facts.halvings),
             config,
             frame,
             weights,

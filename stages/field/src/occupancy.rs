@@ -7,9 +7,10 @@ use crate::cpu::march::{Bits, contract, expand};
 use crate::frame::Frame;
 use crate::rng::{Purpose, Rng};
 
-/// A cell counts as occupied if a step of the shortest length in it has at least this optical depth, or the
-/// mean of all cells if that is less (instant-ngp).
+/// A cell counts as occupied if a step of the shortest length in it has at least this optical depth, or so many
+/// times the mean of all cells if that is less (instant-ngp has the mean itself).
 const OCCUPIED: f32 = 0.01;
+const MEANS: f32 = 4.0;
 /// What is left of a density when its cell is looked at again.
 const DECAY: f32 = 0.8;
 /// Density of a cell that has not been looked at: it stays occupied until it is. exp(10) is the most otherwise.
@@ -154,7 +155,7 @@ impl Occupancy {
         });
         let mean = (sum / count.max(1) as f64) as f32;
         let shows = OCCUPIED / step;
-        let least = shows.min(mean);
+        let least = shows.min(MEANS * mean);
         let refill = match self.refill {
             Refill::AtMean => least,
             Refill::WhereItShows => shows,

@@ -35,6 +35,8 @@ pub struct Sizes {
     pub surface_cells: Chosen<u64>,
     /// Binary logarithm of the most entries of a level.
     pub log2_table: Chosen<u32>,
+    /// Times that the steps along rays are halved in training, at most.
+    pub halvings: Chosen<u32>,
 }
 
 /// Distance of the first sample where nothing is known, half sides.
@@ -55,6 +57,10 @@ const POINTS_A_CELL: usize = 4;
 const ENOUGH_CELLS: usize = 8;
 /// Finest cells an entry may be shared by: the other levels tell them apart (instant-ngp, section 3).
 const CELLS_AN_ENTRY: u64 = 4;
+/// A step need not be shorter than so many pixels are wide at its distance.
+const PIXELS_A_STEP: f64 = 2.0;
+/// Steps are never halved more often.
+pub const MOST_HALVINGS: u32 = 6;
 /// Smallest and largest table that is derived.
 const TABLES: [u32; 2] = [12, 22];
 
@@ -72,6 +78,7 @@ pub fn derive(views: &[View], points: &[[f64; 3]], config: &Config, frame: &Fram
         far: far(config, &depths),
         levels: levels(config, finest.value),
         log2_table: log2_table(config, surface_cells.value),
+        halvings: halvings(config, views),
         finest,
         surface_cells,
     }
@@ -89,12 +96,15 @@ impl Sizes {
             levels: levels(config, finest),
             surface_cells: Chosen::new(u64::MAX, any),
             log2_table: log2_table(config, u64::MAX),
+            halvings: Chosen::new(0, any),
         }
     }
 
-    /// Returns where rays are looked at.
-    pub(crate) fn steps(&self, config: &Config) -> Steps {
-        Steps::new(self.near.value, self.far.value, config.min_step, config.cone)
+    /// Returns where rays are looked at after so many halvings of the steps.
+    pub(crate) fn steps(&self, config: &Config, halvings: u32) -> Steps {
+        let share = 0.5_f64.powi(halvings.min(MOST_HALVINGS) as i32);
+        let (shortest, cone) = (config.min_step * share, config.cone * share);
+        Steps::new(self.near.value, self.far.value, shortest, cone)
     }
 
     /// Tells whether a field of another program can have these sizes.
@@ -322,6 +332,22 @@ fn counted(points: &[[f64; 3]], frame: &Frame, finest: u32) -> Option<Chosen<u64
         ratio * ratio
     );
     Some(Chosen::new(value, reason))
+}
+
+/// Steps end at the width of two pixels.
+fn halvings(config: &Config, views: &[View]) -> Chosen<u32> {
+    if let Some(halvings) = config.halvings {
+        return Chosen::said(halvings, "halvings");
+    }
+    let mut focals: Vec<f64> = views.iter().map(|view| view.camera.fx_px).collect();
+    let focal_px = percentile(&mut focals, 0.5);
+    let pixels = config.cone * focal_px;
+    let fits = |halvings: &u32| pixels * 0.5_f64.powi(*halvings as i32) >= PIXELS_A_STEP;
+    let halvings = (1..=MOST_HALVINGS).take_while(fits).last().unwrap_or(0);
+    let reason = format!(
+        "a step of `cone` is {pixels:.1} pixels long (focal length {focal_px:.0} px); it ends at {PIXELS_A_STEP} or more"
+    );
+    Chosen::new(halvings, reason)
 }
 
 /// Four cells of the surface an entry, but no more entries than the training has samples to fill.

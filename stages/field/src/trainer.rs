@@ -7,7 +7,7 @@ use crate::cpu::composite::RAW_SHIFT;
 use crate::cpu::march::Steps;
 use crate::cpu::math::exp;
 use crate::cpu::simd::{Level, flat};
-use crate::depth::{Pull, SHARE, Sighting, sightings};
+use crate::depth::{Pull, SHARE, Sighting, place, sightings};
 use crate::exposure::Exposure;
 use crate::frame::Frame;
 use crate::occupancy::Occupancy;
@@ -28,6 +28,12 @@ pub struct Step {
     pub samples: u64,
 }
 
+/// Optimiser steps after which the steps along rays are halved: long ones find a surface sooner, short ones place it
+/// better. Multiples of [`UPDATE_EVERY`].
+const HALVED_AT: [u64; 3] = [640, 8_192, 65_536];
+/// Rays with fewer samples than this bear halved steps at once; looked at every [`FEW_AT`] steps.
+const FEW_SAMPLES: f64 = 8.0;
+const FEW_AT: u64 = 128;
 /// Steps between two updates of the occupancy.
 const UPDATE_EVERY: u64 = 16;
 /// Samples a chunk of rays aims at: its rows then stay in the second cache.
@@ -44,7 +50,7 @@ pub struct Trainer {
     pixels: Vec<u64>,
     pub(crate) frame: Frame,
     pub(crate) sizes: Sizes,
-    march: Steps,
+    pub(crate) march: Steps,
     /// What the views see of the sparse points; empty where they do not pull.
     sightings: Vec<Sighting>,
     pub(crate) bias: Bias,
@@ -59,6 +65,8 @@ pub struct Trainer {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct State {
     pub steps: u64,
+    /// Times that the steps along rays have been halved.
+    pub halvings: u32,
     pub samples_per_ray: f64,
     pub weights: Weights,
     pub average: Weights,
@@ -104,7 +112,7 @@ impl Trainer {
         let moments = tensors
             .iter()
             .map(|(name, values)| Moments::new(values.len(), rows(name)));
-        let march = sizes.steps(config);
+        let march = sizes.steps(config, 0);
         let side = config.occupancy_resolution;
         let occupancy = match config.occupied {
             Occupied::Seen => Occupancy::full(side, &frame, &views),
@@ -112,6 +120,7 @@ impl Trainer {
         };
         let state = State {
             steps: 0,
+            halvings: 0,
             samples_per_ray: march.count as f64,
             average: weights.clone(),
             moments: moments.collect(),
@@ -179,12 +188,26 @@ impl Trainer {
         self.state.samples_per_ray = self.state.samples_per_ray * 0.8 + cost.max(1.0) * 0.2;
         if self.state.steps.is_multiple_of(UPDATE_EVERY) {
             self.update_occupancy();
+            self.halve_steps();
         }
         Ok(Step {
             loss: loss / (3 * rays) as f64,
             rays,
             samples,
         })
+    }
+
+    /// Halves the steps along rays once there is a surface to find more exactly.
+    fn halve_steps(&mut self) {
+        let due = HALVED_AT.iter().filter(|at| self.state.steps >= **at).count() as u32;
+        let few = self.state.samples_per_ray < FEW_SAMPLES && self.state.steps.is_multiple_of(FEW_AT);
+        let wanted = due.max(self.state.halvings + u32::from(few));
+        let wanted = wanted.min(self.sizes.halvings.value);
+        if wanted > self.state.halvings {
+            self.state.samples_per_ray *= f64::from(1_u32 << (wanted - self.state.halvings));
+            self.state.halvings = wanted;
+            self.march = self.sizes.steps(&self.config, wanted);
+        }
     }
 
     /// Returns the optimiser steps taken.
@@ -224,7 +247,7 @@ impl Trainer {
                 .map(|number| number.to_bits()),
         );
         for sighting in &self.sightings {
-            sum.add([sighting.pixel, sighting.place.to_bits().into()]);
+            sum.add([sighting.pixel, sighting.t.to_bits().into()]);
         }
         sum.0
     }
@@ -244,6 +267,7 @@ impl Trainer {
             near: self.sizes.near.value * self.frame.half_side,
             far: self.sizes.far.value * self.frame.half_side,
             steps_per_ray: self.march.count as u32,
+            halvings: self.state.halvings,
             levels: levels.collect(),
             sizes: self.sizes.clone(),
             trials: Vec::new(),
@@ -293,10 +317,11 @@ impl Trainer {
         if self.sightings.is_empty() || fading <= 0.0 || !ray.is_multiple_of(SHARE) {
             return (rng.below(self.pixels.last().copied().unwrap_or(0)), None);
         }
-        let Sighting { pixel, place } = self.sightings[rng.below(self.sightings.len() as u64) as usize];
+        let Sighting { pixel, t } = self.sightings[rng.below(self.sightings.len() as u64) as usize];
         let weight = self.config.depth_weight * fading * SHARE as f64 / self.ray_count() as f64;
         let weight = weight as f32;
-        (pixel, Some(Pull { place, weight }))
+        let pull = place(&self.march, t).map(|place| Pull { place, weight });
+        (pixel, pull)
     }
 
     /// Refuses a batch with anything that is not finite, before any weight has changed.
