@@ -11,6 +11,8 @@ mod checkpoint;
 mod config;
 mod cpu;
 mod error;
+#[cfg(test)]
+mod extreme_tests;
 mod facts;
 mod footprint;
 mod frame;
