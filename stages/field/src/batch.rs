@@ -4,11 +4,10 @@ use std::sync::Mutex;
 
 use rayon::prelude::*;
 
-use crate::cpu::composite::{Gathered, NotFinite, RAW_LIMIT, Ray, colour, colour_slope};
+use crate::cpu::composite::{Gathered, RAW_LIMIT, Ray, Runaways, colour, colour_slope, runs_away};
 use crate::cpu::encode::Points;
 use crate::cpu::march::{Bits, March, Samples, Steps};
-use crate::cpu::math::not_finite;
-use crate::cpu::simd::{Block, Isa, Kernel, LANES, Level, Stripe};
+use crate::cpu::simd::{Block, Isa, Kernel, LANES, Level, Stripe, flat};
 use crate::depth::Pull;
 use crate::exposure::Exposure;
 use crate::frame::RayStart;
@@ -80,8 +79,28 @@ pub struct Found {
     pub visited: u64,
     /// Samples that were trained.
     pub samples: u64,
-    /// First tensor that was not finite.
+    /// First tensor with a number that ran away.
     pub bad: Option<&'static str>,
+}
+
+impl Found {
+    /// Returns the first gradient, but those of the features, with a number that runs away.
+    pub fn runaway_gradient(&self) -> Option<&'static str> {
+        let wild = |values: &[f32]| values.iter().any(|value| runs_away(*value));
+        let mut layers = self.density.iter().chain(&self.color);
+        match () {
+            () if layers.any(|layer| wild(flat(layer))) => Some("gradient of the networks"),
+            () if wild(&self.background) => Some("gradient of the background"),
+            () if self
+                .exposures
+                .iter()
+                .any(|(_, slope)| wild(&slope.gain) || wild(&slope.offset)) =>
+            {
+                Some("gradient of the exposures")
+            }
+            () => None,
+        }
+    }
 }
 
 /// Memory of the workers; who needs some takes it from here and brings it back.
@@ -188,10 +207,10 @@ impl Scratch {
     }
 
     /// # Errors
-    /// The first tensor that is not finite.
+    /// The first tensor with a number that runs away.
     fn learn(&mut self, shared: &Shared, targets: &[Target], chunk: &mut Chunk) -> Result<(), &'static str> {
         self.shade.infer(shared.level, shared.weights);
-        if not_finite(&self.shade.raw) > 0 {
+        if shared.level.run(Runaways(&self.shade.raw)) > 0 {
             return Err("raw density");
         }
         self.before.resize(targets.len(), 0.0);
@@ -200,13 +219,16 @@ impl Scratch {
         self.shade
             .colours(shared.level, shared.weights, &chunk.spans, &chunk.harmonics);
         let logits = self.shade.color.last().map_or(&[][..], Vec::as_slice);
-        if shared.level.run(NotFinite(logits)) > 0 {
+        if shared.level.run(Runaways(flat(logits))) > 0 {
             return Err("colour logits");
         }
         chunk.found.samples = self.kept.len() as u64;
         self.losses(shared, targets, chunk);
+        if !chunk.found.loss.is_finite() {
+            return Err("loss");
+        }
         self.backward(shared, &mut chunk.found);
-        if shared.level.run(NotFinite(&self.slope)) > 0 {
+        if shared.level.run(Runaways(flat(&self.slope))) > 0 {
             return Err("gradient of the features");
         }
         Ok(())

@@ -229,7 +229,7 @@ mod tests {
     #[test]
     fn the_pull_has_the_slopes_of_its_f64_twin() {
         let place: Vec<f32> = (0..6).map(|i| i as f32 / 10.0).collect();
-        let alpha = TAU.map(|tau| crate::cpu::math::one_minus_exp_neg(tau));
+        let alpha = TAU.map(crate::cpu::math::one_minus_exp_neg);
         let mut depth = 0.0;
         let transmittance = TAU.map(|tau| {
             let before = crate::cpu::math::exp(-depth);

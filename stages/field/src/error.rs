@@ -48,6 +48,18 @@ pub enum FieldError {
         /// The view.
         id: String,
     },
+    /// A camera so far from the box of the scene that single precision cannot tell places in the box apart.
+    #[error(
+        "view `{id}`: its camera lies at {place:?} in half sides of the box ({half_side:e} world units), at most 1e6 can be computed with"
+    )]
+    OutOfBox {
+        /// The view.
+        id: String,
+        /// The camera's centre, half sides from the centre of the box.
+        place: [f64; 3],
+        /// Half side of the box, world units.
+        half_side: f64,
+    },
     /// A sparse point that is not finite.
     #[error("point {index} is not finite: {position:?}")]
     BadPoint {
@@ -56,8 +68,10 @@ pub enum FieldError {
         /// Its position.
         position: [f64; 3],
     },
-    /// A number that is not finite appeared in training; the trainer still holds the state before the step.
-    #[error("step {step}: `{tensor}` is not finite at {place}; lower `learning_rate` (now {learning_rate})")]
+    /// A number ran away in training: NaN, infinite or 2^30 and more; the trainer still holds the state before the step.
+    #[error(
+        "step {step}: `{tensor}` is not finite, or beyond 1e9, at {place}; lower `learning_rate` (now {learning_rate})"
+    )]
     NotFinite {
         /// The step that was refused.
         step: u64,

@@ -4,7 +4,7 @@ use marf_scene::{Camera, Pose};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::View;
+use crate::{FieldError, View};
 
 /// Cells a side of the finest level at most, where the scene decides it.
 pub const MOST_FINEST: u32 = 8192;
@@ -12,6 +12,8 @@ pub const MOST_FINEST: u32 = 8192;
 pub const FAR: f64 = 512.0;
 /// With cameras close together the box reaches this many baselines: there the disparity is still f / 16.
 const BASELINES: f64 = 16.0;
+/// Half sides of the box from its centre to a camera, at most: f32 still tells 1/16 of one there.
+const MOST_AWAY: f64 = 1e6;
 /// Fewer sparse points say too little about the extent.
 pub const ENOUGH_POINTS: usize = 32;
 
@@ -49,6 +51,26 @@ impl Frame {
         let centres: Vec<_> = views.iter().map(|view| view.cam_from_world.centre()).collect();
         let found = from_points(views, points).or_else(|| from_axes(views, &centres));
         found.unwrap_or_else(|| from_baseline(&centres))
+    }
+
+    /// Tells whether every camera has a place in the box that f32 can tell from others.
+    ///
+    /// # Errors
+    /// [`FieldError::OutOfBox`] names the first that has none.
+    pub fn check(&self, views: &[View]) -> Result<(), FieldError> {
+        let place = |view: &View| self.inward(&view.cam_from_world.centre());
+        let fits = |view: &&View| {
+            let near = place(view).iter().all(|x| x.abs() <= MOST_AWAY);
+            near && self.half_side.is_finite()
+        };
+        match views.iter().find(|view| !fits(view)) {
+            Some(view) => Err(FieldError::OutOfBox {
+                id: view.id.clone(),
+                place: place(view),
+                half_side: self.half_side,
+            }),
+            None => Ok(()),
+        }
     }
 
     /// Returns the ray behind a pixel, `None` where the distortion has no inverse.

@@ -13,6 +13,8 @@ mod cpu;
 mod depth;
 mod error;
 mod exposure;
+#[cfg(test)]
+mod extreme_tests;
 mod facts;
 mod footprint;
 mod frame;

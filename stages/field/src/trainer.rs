@@ -3,10 +3,10 @@ use rayon::prelude::*;
 
 use crate::batch::{self, Chunk, Shared, Spares, Target};
 use crate::cpu::adam::{Bias, Moments};
-use crate::cpu::composite::RAW_SHIFT;
+use crate::cpu::composite::{RAW_SHIFT, runs_away};
 use crate::cpu::march::Steps;
 use crate::cpu::math::exp;
-use crate::cpu::simd::{Level, flat};
+use crate::cpu::simd::Level;
 use crate::depth::{Pull, SHARE, Sighting, place, sightings};
 use crate::exposure::Exposure;
 use crate::frame::Frame;
@@ -95,6 +95,7 @@ impl Trainer {
         check_views(&views)?;
         check_points(points)?;
         let frame = Frame::derive(&views, points);
+        frame.check(&views)?;
         let sizes = size::derive(&views, points, config, &frame);
         let mut weights = Weights::zeros(config, &sizes);
         weights.randomise(seed);
@@ -324,7 +325,7 @@ impl Trainer {
         (pixel, pull)
     }
 
-    /// Refuses a batch with anything that is not finite, before any weight has changed.
+    /// Refuses a batch with a number that runs away, before any weight has changed.
     fn check(&self, chunks: &[Chunk]) -> Result<(), FieldError> {
         let bad = |tensor, place: String| FieldError::NotFinite {
             step: self.state.steps,
@@ -332,19 +333,19 @@ impl Trainer {
             place,
             learning_rate: self.config.learning_rate,
         };
+        // A background's colour and a gain are finite whatever these are.
+        for (tensor, values) in [
+            ("background", &self.state.weights.background),
+            ("gains", &self.state.gains),
+        ] {
+            if let Some(place) = values.iter().position(|value| runs_away(*value)) {
+                return Err(bad(tensor, place.to_string()));
+            }
+        }
         for (chunk, found) in chunks.iter().map(|chunk| &chunk.found).enumerate() {
-            if let Some(tensor) = found.bad {
+            let tensor = found.bad.or_else(|| found.runaway_gradient());
+            if let Some(tensor) = tensor {
                 return Err(bad(tensor, format!("chunk {chunk}")));
-            }
-            let layers = found.density.iter().chain(&found.color);
-            let layers_fine = layers
-                .flat_map(|layer| flat(layer))
-                .all(|value| value.is_finite());
-            if !layers_fine || !found.background.iter().all(|value| value.is_finite()) {
-                return Err(bad("gradient of the networks", format!("chunk {chunk}")));
-            }
-            if !found.loss.is_finite() {
-                return Err(bad("loss", format!("chunk {chunk}")));
             }
         }
         Ok(())

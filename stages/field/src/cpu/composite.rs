@@ -227,20 +227,32 @@ impl Ray<'_> {
     }
 }
 
-/// Counts numbers that are not finite in rows of blocks.
-pub struct NotFinite<'a>(pub &'a [Block]);
+/// Numbers of this size count as not finite: 2^33 gradients below it add up to less than 2^63, whose square f32 still
+/// holds as Adam's second moment. Those of a training that learns are below 1.
+pub const RUNAWAY: f32 = 1_073_741_824.0;
 
-impl Kernel for NotFinite<'_> {
+/// Tells whether a number is NaN, infinite or of the size [`RUNAWAY`], by its bits.
+#[inline(always)]
+pub fn runs_away(value: f32) -> bool {
+    value.to_bits() & 0x7fff_ffff >= RUNAWAY.to_bits()
+}
+
+/// Counts numbers that run away.
+pub struct Runaways<'a>(pub &'a [f32]);
+
+impl Kernel for Runaways<'_> {
     type Output = u32;
 
     #[inline(always)]
     fn run<I: Isa>(self, _isa: I) -> u32 {
+        let (blocks, rest) = self.0.as_chunks::<LANES>();
         let mut counts = [0_u32; LANES];
-        for block in self.0 {
+        for block in blocks {
             for lane in 0..LANES {
-                counts[lane] += u32::from(block.0[lane].to_bits() & 0x7f80_0000 == 0x7f80_0000);
+                counts[lane] += u32::from(runs_away(block[lane]));
             }
         }
-        counts.iter().sum()
+        let rest = rest.iter().filter(|value| runs_away(**value)).count() as u32;
+        counts.iter().sum::<u32>() + rest
     }
 }

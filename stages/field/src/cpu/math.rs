@@ -62,16 +62,6 @@ impl ClampTo for f32 {
     }
 }
 
-/// Counts the numbers that are NaN or infinite, by their bits.
-#[inline(always)]
-pub fn not_finite(values: &[f32]) -> u32 {
-    let mut count = 0_u32;
-    for value in values {
-        count += u32::from(value.to_bits() & 0x7f80_0000 == 0x7f80_0000);
-    }
-    count
-}
-
 /// n-th root of `ratio` >= 1 by bisection with products only: the same bits on every platform.
 pub fn root(ratio: f64, n: u32) -> f64 {
     let power = |base: f64| (0..n).fold(1.0, |product, _| product * base);
@@ -135,11 +125,6 @@ mod tests {
             assert!(error < 4e-7, "sigmoid({x}): {error}");
         }
         assert_eq!(sigmoid(0.0), 0.5);
-    }
-
-    #[test]
-    fn not_finite_counts_by_bits() {
-        assert_eq!(not_finite(&[0.0, f32::NAN, -f32::INFINITY, f32::MAX, -0.0]), 2);
     }
 
     #[test]

@@ -13,6 +13,8 @@ pub mod net;
 pub mod simd;
 
 #[cfg(test)]
+mod extreme_tests;
+#[cfg(test)]
 mod gradients;
 #[cfg(test)]
 mod twins;
