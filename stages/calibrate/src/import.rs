@@ -1,13 +1,15 @@
-//! Cameras that another program found: transforms.json of instant-ngp and nerfstudio, models of COLMAP.
+//! Cameras and points that another program found: transforms.json of instant-ngp and nerfstudio with its PLY,
+//! models of COLMAP.
 
 mod choose;
 mod colmap;
 mod lens;
 mod matching;
 mod node;
+mod ply;
 mod transforms;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::Digest;
 use marf_scene::{Camera, Point, Pose};
@@ -17,12 +19,14 @@ use rayon::prelude::*;
 
 pub use colmap::{Model, read_colmap_binary, read_colmap_text};
 pub use lens::{Focal, Lens};
-pub use transforms::read_transforms;
+pub use ply::read_ply;
+pub use transforms::{Transforms, read_transforms};
 
 use crate::photos::{Calibrated, Found, HeldOut, Item, Placed, as_png, decode, reduction, store};
 use crate::{CalibrateParams, Missing};
 use choose::{Source, choose};
 use matching::Photos;
+use transforms::POINTS_KEY;
 
 /// A camera file that cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -93,7 +97,7 @@ pub enum Role {
 pub struct Cameras {
     /// One for each photo it has.
     pub views: Vec<View>,
-    /// Sparse points, sorted by the file's own number.
+    /// Sparse points, sorted by the file's own number, or in its order.
     pub points: Vec<Point>,
 }
 
@@ -162,12 +166,19 @@ fn read(ctx: &Ctx<'_>, files: &BTreeMap<String, Digest>, source: &Source) -> Res
     match source {
         Source::Transforms(names) => {
             let mut cameras = Cameras::default();
+            let mut clouds = BTreeSet::new();
             for (name, role) in names {
-                let views = read_transforms(name, &get(name)?).map_err(refused)?;
-                cameras.views.extend(views.into_iter().map(|view| View {
+                let read = read_transforms(name, &get(name)?).map_err(refused)?;
+                cameras.views.extend(read.views.into_iter().map(|view| View {
                     role: if view.role == Role::Open { *role } else { view.role },
                     ..view
                 }));
+                // The parts of a split set may name the same points.
+                let cloud = read.points.filter(|cloud| clouds.insert(cloud.clone()));
+                if let Some(cloud) = cloud {
+                    let bytes = optional(&cloud)?.ok_or_else(|| no_points(name, &cloud))?;
+                    cameras.points.extend(read_ply(&cloud, &bytes).map_err(refused)?);
+                }
             }
             Ok(cameras)
         }
@@ -186,6 +197,18 @@ fn read(ctx: &Ctx<'_>, files: &BTreeMap<String, Digest>, source: &Source) -> Res
             read.map_err(refused)
         }
     }
+}
+
+/// Complains of points that are named and not there.
+fn no_points(file: &str, points: &str) -> StageError {
+    let problem = format!(
+        "`{points}` is not among the files beside the photos; points are found as `points.ply` or \
+         `sparse_pc.ply` at the top, in sparse/ or in sparse/0/"
+    );
+    let error = ImportError::new(file, format!("/{POINTS_KEY}"), problem);
+    StageError::new(error.to_string()).hint(format!(
+        "put the points there, or take `{POINTS_KEY}` out of {file} to go without them"
+    ))
 }
 
 /// Which photo gets which camera, and what is left over.

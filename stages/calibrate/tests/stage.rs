@@ -340,6 +340,64 @@ fn frames_and_photos_that_do_not_meet_are_listed_on_both_sides() {
 }
 
 #[test]
+fn the_points_that_transforms_name_are_read_and_no_others() {
+    let ply: &[u8] = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\n\
+        property float z\nend_header\n1 2 3\n4 5 6\n";
+    let json = transforms(&["a", "b"]);
+    let named = json.replace("{\"fl_x\"", "{\"ply_file_path\": \"./points.ply\", \"fl_x\"");
+    let run = |json: &str, points: Option<&[u8]>| {
+        let mut input = imported(&["a.png", "b.png"], json);
+        if let Some(points) = points {
+            input.companion("points.ply", points);
+        }
+        input
+    };
+    let import = json!({"method": "import"});
+    let output = run(&named, Some(ply)).run(&import).unwrap();
+    let positions: Vec<_> = output.scene.points.iter().map(|point| point.position).collect();
+    assert_eq!(positions, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
+    assert!(
+        output.transforms.contains("\"ply_file_path\": \"points.ply\""),
+        "{}",
+        output.transforms
+    );
+    assert!(
+        run(&json, Some(ply))
+            .run(&import)
+            .unwrap()
+            .scene
+            .points
+            .is_empty()
+    );
+    let complaint = run(&named, None).complaint(&import);
+    assert!(
+        complaint.starts_with("`transforms.json` /ply_file_path: `points.ply` is not among the files"),
+        "{complaint}"
+    );
+    let complaint = run(&named, Some(&ply[..ply.len() - 6])).complaint(&import);
+    assert!(complaint.starts_with("`points.ply`: 2 vertices"), "{complaint}");
+}
+
+#[test]
+fn the_parts_of_a_split_set_read_the_points_they_share_once() {
+    let part = |photo: &str| {
+        transforms(&[photo]).replace("{\"fl_x\"", "{\"ply_file_path\": \"points.ply\", \"fl_x\"")
+    };
+    let mut input = Input::default();
+    input.plain("a.png", &picture(1));
+    input.plain("b.png", &picture(2));
+    input.companion("transforms_train.json", part("a").as_bytes());
+    input.companion("transforms_test.json", part("b").as_bytes());
+    input.companion(
+        "points.ply",
+        b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n\
+        property float z\nend_header\n1 2 3\n",
+    );
+    let output = input.run(&json!({"method": "import"})).unwrap();
+    assert_eq!(output.scene.points.len(), 1);
+}
+
+#[test]
 fn cameras_for_none_of_the_photos_are_an_error() {
     let complaint = imported(&["a.png"], &transforms(&["b.png"])).complaint(&json!({"method": "import"}));
     assert!(complaint.starts_with("0 of 1 photos were placed"), "{complaint}");

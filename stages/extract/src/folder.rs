@@ -15,8 +15,8 @@ use crate::sols::Sols;
 
 /// Deepest folder that is entered.
 const MAX_DEPTH: usize = 32;
-/// Cameras of other programs, kept for `calibrate`.
-const COMPANIONS: [&str; 7] = [
+/// Cameras and points of other programs, kept for `calibrate`.
+const COMPANIONS: [&str; 9] = [
     "transforms.json",
     "cameras.bin",
     "cameras.txt",
@@ -24,6 +24,8 @@ const COMPANIONS: [&str; 7] = [
     "images.txt",
     "points3D.bin",
     "points3D.txt",
+    "points.ply",
+    "sparse_pc.ply",
 ];
 /// Folder of pictures that hide parts of photos; they are companions, not photos.
 const MASKS: &str = "masks";

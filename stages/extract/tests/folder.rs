@@ -124,6 +124,21 @@ fn pictures_below_masks_are_companions_and_no_photos() {
 }
 
 #[test]
+fn points_beside_the_photos_are_companions() {
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path(), "images/a.png", &png(1));
+    write(dir.path(), "points.ply", b"ply\n");
+    write(dir.path(), "sparse/0/sparse_pc.ply", b"ply\n");
+    write(dir.path(), "images/points.ply", b"ply\n");
+    let brought = bring(folder(dir.path())).unwrap();
+    assert_eq!(
+        brought.listing.companions.keys().collect::<Vec<_>>(),
+        ["points.ply", "sparse/0/sparse_pc.ply"]
+    );
+    assert_eq!(brought.verdict("images/points.ply").verdict, "skipped");
+}
+
+#[test]
 fn a_jpeg_brings_the_focal_length_and_the_device_of_its_exif() {
     let dir = tempfile::tempdir().unwrap();
     let mut jpeg = Vec::new();

@@ -3,11 +3,15 @@
 use marf_scene::{Camera, Frame, Pose, Scene};
 use serde::Serialize;
 
+use crate::POINTS;
+
 #[derive(Serialize)]
 struct Transforms<'a> {
     camera_model: &'static str,
     #[serde(flatten)]
     camera: Option<Lens>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ply_file_path: Option<&'static str>,
     train_filenames: Vec<&'a str>,
     val_filenames: Vec<&'a str>,
     test_filenames: Vec<&'a str>,
@@ -58,7 +62,8 @@ impl Lens {
 ///
 /// One camera for all frames stands at the top, different ones stand with their frames. The world is the
 /// scene's own, neither turned nor scaled. The names are those of [`Frame::file`], relative to where the file
-/// is put; photos that were encoded anew have the extension `.png` there.
+/// is put; photos that were encoded anew have the extension `.png` there. A scene with sparse points names
+/// [`POINTS`], which is put beside the file.
 pub fn write_transforms(scene: &Scene) -> String {
     let mut frames: Vec<&Frame> = scene.frames.iter().collect();
     frames.sort_by(|a, b| (&a.file, &a.id).cmp(&(&b.file, &b.id)));
@@ -76,6 +81,7 @@ pub fn write_transforms(scene: &Scene) -> String {
     let transforms = Transforms {
         camera_model: "OPENCV",
         camera: shared.as_ref().map(Lens::of),
+        ply_file_path: (!scene.points.is_empty()).then_some(POINTS),
         train_filenames: names(false),
         val_filenames: names(true),
         test_filenames: names(true),
@@ -90,4 +96,72 @@ fn opengl(cam_from_world: &Pose) -> [[f64; 4]; 4] {
     let (r, centre) = (cam_from_world.rotation, cam_from_world.centre());
     let row = |i: usize| [r[(0, i)], -r[(1, i)], -r[(2, i)], centre[i]];
     [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]]
+}
+
+#[cfg(test)]
+mod tests {
+    use marf_cache::Digest;
+    use marf_scene::Point;
+    use nalgebra::Vector3;
+
+    use super::*;
+    use crate::import::{read_ply, read_transforms};
+    use crate::{Tracks, write_ply};
+
+    /// One camera off every axis, and points around what it looks at.
+    fn scene() -> Scene {
+        let eye = Vector3::new(3.0, -4.0, 2.5);
+        let point = |position| Point {
+            position,
+            color: Some([9, 8, 7]),
+            views: 2,
+        };
+        let frame = Frame {
+            id: "a".to_owned(),
+            file: "images/a.jpg".to_owned(),
+            image: Digest::of(b"a"),
+            camera: Camera::pinhole(640, 480, 500.0),
+            cam_from_world: Pose::looking_at(eye, Vector3::zeros(), -Vector3::z()),
+            held_out: false,
+            error_px: None,
+        };
+        Scene {
+            frames: vec![frame],
+            points: [[0.0, 0.0, 0.0], [1.0, 0.3, -0.2], [-0.7, 0.9, 0.4]]
+                .map(point)
+                .into(),
+            ..Scene::default()
+        }
+    }
+
+    #[test]
+    fn points_come_back_to_the_same_pixels() {
+        let scene = scene();
+        let read = read_transforms("transforms.json", write_transforms(&scene).as_bytes()).unwrap();
+        assert_eq!(read.points.as_deref(), Some("points.ply"));
+        let points = read_ply("points.ply", &write_ply(&Tracks::without_sights(&scene.points))).unwrap();
+        let (before, after) = (&scene.frames[0], &read.views[0]);
+        let camera = after.lens.camera(640, 480).unwrap();
+        for (ours, theirs) in scene.points.iter().zip(&points) {
+            let seen = |camera: &Camera, pose: &Pose, point: &Point| {
+                camera
+                    .project(&pose.point(&Vector3::from(point.position)))
+                    .unwrap()
+            };
+            let pixel = seen(&before.camera, &before.cam_from_world, ours);
+            let again = seen(&camera, &after.cam_from_world, theirs);
+            // f32 moves a point by 6e-8 of its distance from the origin: 1e-5 px here.
+            assert!((pixel - again).norm() < 1e-4, "{pixel} {again}");
+            assert_eq!(theirs.color, ours.color);
+        }
+    }
+
+    #[test]
+    fn a_scene_without_points_names_no_file_of_points() {
+        let bare = Scene {
+            points: Vec::new(),
+            ..scene()
+        };
+        assert!(!write_transforms(&bare).contains("ply_file_path"));
+    }
 }

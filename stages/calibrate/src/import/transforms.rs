@@ -20,10 +20,21 @@ const LENSES: [&str; 6] = [
     "RADIAL",
     "PERSPECTIVE",
 ];
+/// Names the file of the sparse points; nerfstudio's key.
+pub(super) const POINTS_KEY: &str = "ply_file_path";
 /// A rotation may be this far from orthonormal: files with six digits are 1e-6 off, a shear is not.
 const ROTATION_TOLERANCE: f64 = 1e-3;
 /// Rotations closer than this to orthonormal are taken as they are.
 const ROTATION_EXACT: f64 = 1e-14;
+
+/// What a transforms.json says.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Transforms {
+    /// One for each frame.
+    pub views: Vec<View>,
+    /// The PLY with the sparse points of the same world, relative to the archive, if one is named.
+    pub points: Option<String>,
+}
 
 /// Reads the cameras of a transforms.json.
 ///
@@ -32,13 +43,13 @@ const ROTATION_EXACT: f64 = 1e-14;
 /// comes from `camera_angle_x`; without `w` and `h` they are for the photo's size; missing lens terms are 0.
 /// `train_filenames`, `val_filenames` and `test_filenames` decide what is measured; a photo in several of them
 /// is measured. A uniform scale of the rotation is divided out. `file` names the JSON relative to the archive;
-/// the names in it are relative to its folder. Points are not read.
+/// the names in it are relative to its folder. Of the sparse points the file's name, `ply_file_path`, is read.
 ///
 /// # Errors
 /// Names the place in the file: not JSON (NaN and infinities are not), nesting deeper than 128, a missing or
 /// non-finite number, a focal length or size that is not positive, a matrix that is not 4 x 4, singular,
 /// mirrored or sheared, a path that is absolute or leaves the archive, a lens we have no equations for.
-pub fn read_transforms(file: &str, bytes: &[u8]) -> Result<Vec<View>, ImportError> {
+pub fn read_transforms(file: &str, bytes: &[u8]) -> Result<Transforms, ImportError> {
     let value: Value = serde_json::from_slice(bytes).map_err(|error| {
         ImportError::new(
             file,
@@ -55,7 +66,12 @@ pub fn read_transforms(file: &str, bytes: &[u8]) -> Result<Vec<View>, ImportErro
     if frames.is_empty() {
         return Err(root.error("`frames` is empty"));
     }
-    frames.iter().map(|frame| view(&root, frame, &roles)).collect()
+    let views = frames.iter().map(|frame| view(&root, frame, &roles));
+    let points = root.get(POINTS_KEY).map(|node| path(&node));
+    Ok(Transforms {
+        views: views.collect::<Result<_, _>>()?,
+        points: points.transpose()?,
+    })
 }
 
 fn view(root: &Node<'_>, frame: &Node<'_>, roles: &Roles) -> Result<View, ImportError> {

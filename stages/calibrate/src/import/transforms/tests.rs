@@ -7,6 +7,7 @@ fn frames(frames: &str) -> Result<Vec<View>, ImportError> {
         "sub/transforms.json",
         format!(r#"{{"fl_x": 100, "w": 40.0, "h": 30, {frames}}}"#).as_bytes(),
     )
+    .map(|read| read.views)
 }
 
 fn message(text: &str) -> String {
@@ -148,6 +149,12 @@ fn every_wrong_field_is_named_by_its_pointer() {
         (
             r#""frames": [{"file_path": "../../a.jpg"}]"#.to_owned(),
             "leads out of the archive",
+        ),
+        (
+            format!(
+                r#""ply_file_path": "../../a.ply", "frames": [{{"file_path": "a", "transform_matrix": {UNIT}}}]"#
+            ),
+            "/ply_file_path: `../../a.ply` leads out of the archive",
         ),
         (
             r#""train_filenames": [3], "frames": [{}]"#.to_owned(),
