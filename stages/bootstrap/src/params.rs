@@ -114,7 +114,7 @@ impl Define for Bootstrap {
     type Params = BootstrapParams;
     const NAME: &'static str = "bootstrap";
     const ABOUT: &'static str = "Retrains B times and maps where the fields disagree";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PORTS: &'static [Port] = &[
         Port::required("input", "scene"),
         Port::optional("params", "params"),

@@ -61,7 +61,7 @@ impl Define for Evaluate {
     type Params = EvaluateParams;
     const NAME: &'static str = "evaluate";
     const ABOUT: &'static str = "Compares renders of a trained field with photos";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PORTS: &'static [Port] = &[
         Port::required("input", "weights"),
         Port::required("input", "scene"),

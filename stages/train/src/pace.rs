@@ -72,7 +72,7 @@ impl Define for Pace {
     type Params = PaceParams;
     const NAME: &'static str = "pace";
     const ABOUT: &'static str = "Measures how many training steps a time budget buys on this machine";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PORTS: &'static [Port] = &[
         Port::required("input", "scene"),
         Port::optional("params", "params"),

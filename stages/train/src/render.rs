@@ -83,7 +83,7 @@ impl Define for Render {
     type Params = RenderParams;
     const NAME: &'static str = "render";
     const ABOUT: &'static str = "Renders a trained field along a path: pictures and an animation";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PORTS: &'static [Port] = &[
         Port::required("input", "weights"),
         Port::required("input", "scene"),

@@ -68,7 +68,7 @@ impl Define for Train {
     type Params = TrainParams;
     const NAME: &'static str = "train";
     const ABOUT: &'static str = "Trains a radiance field and measures it on held-out photos";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PORTS: &'static [Port] = &[
         Port::required("input", "scene"),
         Port::optional("params", "params"),

@@ -434,9 +434,9 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 1, "c762fd3f2faf"),
-            ("evaluate", 1, "53a5af81a951"),
-            ("render", 1, "c2174dd5cd11")
+            ("train", 2, "1a1fd8238a19"),
+            ("evaluate", 2, "3f7386b73b08"),
+            ("render", 2, "bf21c2e57dc2")
         ]
     );
 }
