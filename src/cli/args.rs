@@ -150,7 +150,7 @@ pub struct RunArgs {
 pub struct CalibrateArgs {
     /// A folder with photos, and labels or cameras beside them
     pub dir: PathBuf,
-    /// transforms.json to write; metrics.json, sparse/0 (COLMAP's model) and points.ply go beside it
+    /// transforms.json to write; metrics.json, sparse/0 (COLMAP's model) and the points.ply it names go beside it
     #[arg(long, value_name = "FILE", default_value = "transforms.json")]
     pub out: PathBuf,
     /// Where cameras come from
@@ -161,7 +161,7 @@ pub struct CalibrateArgs {
 /// Arguments of `fit`.
 #[derive(Debug, Clone, Args)]
 pub struct FitArgs {
-    /// A folder with images/ and transforms.json (nerfstudio convention)
+    /// A folder with images/, transforms.json (nerfstudio convention) and the points it names
     pub dir: PathBuf,
     /// Training times, e.g. `10s,60s,5m`
     #[arg(long, value_name = "TIMES", default_value = "60s", value_delimiter = ',')]

@@ -127,7 +127,9 @@ impl Header {
             more: More::Nothing,
             body: 0,
         };
-        for (index, line) in head.split_inclusive(|byte| *byte == b'\n').enumerate() {
+        let lines = head.split_inclusive(|byte| *byte == b'\n');
+        // A last line without its end is one that was cut.
+        for (index, line) in lines.filter(|line| line.ends_with(b"\n")).enumerate() {
             header.body += line.len();
             let text = String::from_utf8_lossy(line);
             let words: Vec<&str> = text.split_ascii_whitespace().collect();
