@@ -30,17 +30,20 @@ impl Source {
 
 type Files = BTreeMap<String, Digest>;
 
-/// Chooses the named file, or the only one there is.
+/// Chooses the named file, or the only one there is, or the only JSON beside COLMAP models: programs that write both
+/// write them of one solution.
 pub(super) fn choose(files: &Files, wanted: Option<&str>) -> Result<Source, StageError> {
     let candidates = candidates(files);
     if let Some(wanted) = wanted {
         let wanted = wanted.trim_start_matches("./").trim_end_matches('/');
         return named(files, wanted).ok_or_else(|| absent(files, wanted));
     }
-    match candidates.as_slice() {
-        [one] => named(files, one).ok_or_else(|| absent(files, one)),
-        [] => Err(none(files)),
-        [first, ..] => Err(StageError::new(format!(
+    let is_json = |name: &&String| name.ends_with(".json");
+    let json: Vec<String> = candidates.iter().filter(is_json).cloned().collect();
+    match (candidates.as_slice(), json.as_slice()) {
+        ([one], _) | (_, [one]) => named(files, one).ok_or_else(|| absent(files, one)),
+        ([], _) => Err(none(files)),
+        ([first, ..], _) => Err(StageError::new(format!(
             "{} files hold cameras: {}",
             candidates.len(),
             listed(candidates.iter())
@@ -174,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn the_only_file_is_taken_and_of_several_none() {
+    fn the_only_file_is_taken_and_of_several_the_only_json() {
         let one = files(&["transforms.json", "notes.txt"]);
         let source = choose(&one, None).unwrap();
         assert_eq!(
@@ -192,7 +195,10 @@ mod tests {
         );
         let mut both = files(&model);
         both.extend(one);
-        let error = choose(&both, None).unwrap_err().to_string();
+        assert_eq!(choose(&both, None).unwrap(), source);
+        let mut two = both.clone();
+        two.extend(files(&["sparse/transforms.json"]));
+        let error = choose(&two, None).unwrap_err().to_string();
         assert!(
             error.contains("`transforms.json`") && error.contains("`sparse/0/cameras.bin`"),
             "{error}"
