@@ -10,9 +10,6 @@ use crate::rng::{Purpose, Rng};
 /// A cell counts as occupied if a step of the shortest length in it has at least this optical depth, or the
 /// mean of all cells if that is less (instant-ngp).
 const OCCUPIED: f32 = 0.01;
-/// From this update on, four times the mean: before, a field is too even to tell where its surface is.
-const SETTLED: u64 = 32;
-const MEANS: f32 = 4.0;
 /// What is left of a density when its cell is looked at again.
 const DECAY: f32 = 0.8;
 /// Density of a cell that has not been looked at: it stays occupied until it is. exp(10) is the most otherwise.
@@ -139,10 +136,10 @@ impl Occupancy {
         chosen.collect()
     }
 
-    /// Takes over the densities found at the probes of update number `round` and decides all bits anew.
+    /// Takes over the densities found at the probes and decides all bits anew.
     ///
     /// `step`: the shortest step, contracted. Densities that are not finite are left out.
-    pub fn update(&mut self, round: u64, probes: &[Probe], found: &[f32], step: f32) {
+    pub fn update(&mut self, probes: &[Probe], found: &[f32], step: f32) {
         for (probe, found) in probes.iter().zip(found).filter(|(_, found)| found.is_finite()) {
             let density = &mut self.density[probe.cell as usize];
             let before = if *density < UNKNOWN { *density * DECAY } else { 0.0 };
@@ -157,8 +154,7 @@ impl Occupancy {
         });
         let mean = (sum / count.max(1) as f64) as f32;
         let shows = OCCUPIED / step;
-        let means = if round < SETTLED { 1.0 } else { MEANS };
-        let least = shows.min(means * mean);
+        let least = shows.min(mean);
         let refill = match self.refill {
             Refill::AtMean => least,
             Refill::WhereItShows => shows,
@@ -349,14 +345,14 @@ mod tests {
             at: [0.5; 3],
         };
         // 0.01 in a step of 0.05: a density of 0.2 shows; the mean of all is far below 0.1.
-        occupancy.update(1, &[probe(thin), probe(dense)], &[0.1, 0.3], 0.05);
+        occupancy.update(&[probe(thin), probe(dense)], &[0.1, 0.3], 0.05);
         assert!(!occupancy.bits.holds(thin as u32) && occupancy.bits.holds(dense as u32));
         let mut full = Occupancy::full(32, &frame(), &views());
         full.density
             .iter_mut()
             .filter(|density| **density > 0.0)
             .for_each(|density| *density = 0.0);
-        full.update(1, &[probe(thin)], &[0.1], 0.05);
+        full.update(&[probe(thin)], &[0.1], 0.05);
         assert!(full.bits.holds(thin as u32));
     }
 }

@@ -377,6 +377,6 @@ impl Trainer {
         let found = chunks.collect::<Vec<_>>().concat();
         self.state
             .occupancy
-            .update(round, &probes, &found, self.config.min_step as f32);
+            .update(&probes, &found, self.config.min_step as f32);
     }
 }

@@ -434,9 +434,9 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 2, "1a1fd8238a19"),
-            ("evaluate", 2, "3f7386b73b08"),
-            ("render", 2, "bf21c2e57dc2")
+            ("train", 2, "9fd7f1636d26"),
+            ("evaluate", 2, "20cfbdf27a1b"),
+            ("render", 2, "73d4e9e3b140")
         ]
     );
 }
