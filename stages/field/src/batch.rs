@@ -350,6 +350,11 @@ impl Losses<'_> {
         let cell = 1.0 / shared.steps.count as f32;
         let (d_tau, d_rgb) = (&mut self.d_tau[first..end], &mut self.d_rgb[first..end]);
         ray.spread(slope, behind, [strength, cell], d_tau, d_rgb);
+        // The slope of an opacity in its optical depth is what it lets pass.
+        let emptiness = shared.config.emptiness as f32 / shared.rays as f32;
+        for (slope, alpha) in d_tau.iter_mut().zip(ray.alpha) {
+            *slope = emptiness.mul_add(1.0 - alpha, *slope);
+        }
         if let Some(pull) = target.pull {
             pull.spread(&ray, cell, d_tau);
         }

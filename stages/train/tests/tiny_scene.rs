@@ -434,9 +434,9 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 2, "9fd7f1636d26"),
-            ("evaluate", 2, "20cfbdf27a1b"),
-            ("render", 2, "73d4e9e3b140")
+            ("train", 2, "2c37379e5725"),
+            ("evaluate", 2, "de2e6d03d190"),
+            ("render", 2, "ff8a00bc7632")
         ]
     );
 }
