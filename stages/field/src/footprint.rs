@@ -42,7 +42,7 @@ pub fn training_bytes(config: &Config, photos: usize) -> Result<u64, FieldError>
     add(networks, NET_ROW as u64);
     add(4 * photos as u64, 4);
     let samples = u64::from(config.batch_samples) * 8 / 3;
-    let sample = 4 * (u64::from(sizes.levels.value) * features + 3);
+    let sample = 4 * (u64::from(sizes.levels.value) * features + 6);
     let batch = samples * sample + samples.div_ceil(CHUNK) * 4 * networks;
     let cells = u64::from(config.occupancy_resolution).pow(3);
     Ok(3 * state + gradient + batch + cells * CELL_BYTES)
@@ -87,7 +87,7 @@ mod tests {
         let tables = (4_913 + 7 * 32_768) * 4_u64;
         let networks = 32 * 32 + 32 * 16 + 32 * 32 + 32 * 16 + 48;
         let state = 16 * tables + tables + 16 * networks + networks / 4;
-        let batch = 87_381 * 4 * 35 + 342 * 4 * networks;
+        let batch = 87_381 * 4 * 38 + 342 * 4 * networks;
         let expected = 3 * state + 4 * (tables + networks) + batch + (128_u64.pow(3)) * 24;
         assert_eq!(training_bytes(&config, 0).unwrap(), expected);
         assert_eq!(
