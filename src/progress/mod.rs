@@ -59,7 +59,7 @@ pub fn duration(seconds: f64) -> String {
 fn sentence(event: &Event) -> Option<String> {
     let name = |node: &str| format!("{node:<22}");
     Some(match event {
-        Event::WillRun { node, reason } => format!("run     {} {reason}", name(node)),
+        Event::WillRun { node, reason, .. } => format!("run     {} {reason}", name(node)),
         Event::Reused { node, .. } => format!("reuse   {}", name(node)),
         Event::Finished {
             node,

@@ -1,4 +1,6 @@
 //! `#[derive(ContentHash)]`: walks the fields of a struct or enum in the order they are written.
+//!
+//! A struct's field under `#[content_hash(skip)]` is left out: it is circumstance, not content.
 
 use proc_macro::TokenStream;
 use proc_macro2::TokenStream as Tokens;
@@ -6,7 +8,7 @@ use quote::{format_ident, quote};
 use syn::{Data, DeriveInput, Fields, parse_macro_input};
 
 /// Implements `marf_cache::ContentHash`: field names, variant names and ordinals, and every field's content.
-#[proc_macro_derive(ContentHash)]
+#[proc_macro_derive(ContentHash, attributes(content_hash))]
 pub fn derive_content_hash(input: TokenStream) -> TokenStream {
     let input = parse_macro_input!(input as DeriveInput);
     let body = match &input.data {
@@ -37,13 +39,30 @@ pub fn derive_content_hash(input: TokenStream) -> TokenStream {
 }
 
 fn struct_body(name: &str, fields: &Fields) -> Tokens {
+    let fields: Vec<_> = fields
+        .iter()
+        .enumerate()
+        .filter(|(_, field)| !is_skipped(field))
+        .collect();
     let count = fields.len();
-    let walks = fields.iter().enumerate().map(|(index, field)| {
+    let walks = fields.into_iter().map(|(index, field)| {
         let member = field.ident.clone().map_or_else(|| syn::Member::from(index), syn::Member::Named);
         let label = label(index, field);
         quote! { listener.field(#label); ::marf_cache::__private::ContentHash::walk(&self.#member, listener); }
     });
     quote! { listener.open(#name, #count); #(#walks)* listener.close(); }
+}
+
+fn is_skipped(field: &syn::Field) -> bool {
+    let mut ours = field
+        .attrs
+        .iter()
+        .filter(|attribute| attribute.path().is_ident("content_hash"));
+    ours.any(|attribute| {
+        attribute
+            .parse_args::<syn::Ident>()
+            .is_ok_and(|word| word == "skip")
+    })
 }
 
 /// Returns the pattern that binds a variant's fields, and the walk over the bound names.

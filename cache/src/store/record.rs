@@ -42,7 +42,7 @@ pub struct Circumstances {
     pub peak_mb: u64,
     /// When it began, in seconds since 1970.
     pub started_unix_s: u64,
-    /// What it ran on (`cpu`).
+    /// What it ran on: `cpu`, or adapter, driver and interface of a GPU.
     pub device: String,
     /// The program with version and commit.
     pub program: String,

@@ -23,6 +23,8 @@ pub enum Event {
         node: String,
         /// The first thing that changed since it last ran.
         reason: String,
+        /// What it runs on: `cpu`, or adapter, driver and interface of a GPU.
+        device: String,
     },
     /// Its result was in the store.
     Reused {
@@ -157,8 +159,9 @@ mod tests {
                 Event::WillRun {
                     node: node(),
                     reason: reason(),
+                    device: "cpu".to_owned(),
                 },
-                json!({"event": "will_run", "node": "blur", "reason": "never ran"}),
+                json!({"event": "will_run", "node": "blur", "reason": "never ran", "device": "cpu"}),
             ),
             (
                 Event::Reused {

@@ -37,7 +37,9 @@ pub(crate) fn node_key(def: &StageDef, stage: &dyn Stage, inputs: &Inputs, listi
 
 impl ContentHash for NodeContent<'_> {
     fn walk(&self, listener: &mut dyn Listener) {
-        listener.open("node", 4 + usize::from(self.listing.is_some()));
+        let class = self.stage.numeric_class();
+        let more = usize::from(self.listing.is_some()) + usize::from(class.is_some());
+        listener.open("node", 4 + more);
         listener.field("stage");
         listener.text(self.def.name);
         listener.field("version");
@@ -46,6 +48,10 @@ impl ContentHash for NodeContent<'_> {
         self.stage.params().walk(listener);
         listener.field("inputs");
         walk_named(&self.inputs.0, listener);
+        if let Some(class) = class {
+            listener.field("numeric_class");
+            listener.text(&class);
+        }
         if let Some(listing) = self.listing {
             listener.field("listing");
             walk_listing(listing, listener);

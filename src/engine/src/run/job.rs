@@ -84,6 +84,7 @@ impl Shift<'_> {
         self.site.listener.hear(&Event::WillRun {
             node: self.node.clone(),
             reason: self.order.reason.clone(),
+            device: self.device(),
         });
         self.run()
     }
@@ -230,12 +231,16 @@ impl Shift<'_> {
         }
     }
 
+    fn device(&self) -> String {
+        self.bound.numeric_class().unwrap_or_else(|| "cpu".to_owned())
+    }
+
     fn circumstances(&self) -> Circumstances {
         Circumstances {
             seconds: 0.0,
             peak_mb: 0,
             started_unix_s: unix_seconds(),
-            device: "cpu".to_owned(),
+            device: self.device(),
             program: self.site.program.to_owned(),
         }
     }

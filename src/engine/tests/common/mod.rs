@@ -607,7 +607,7 @@ pub fn ran(ears: &Ears) -> Vec<String> {
 pub fn reason_of(ears: &Ears, wanted: &str) -> Option<String> {
     let events = ears.0.lock().unwrap();
     events.iter().find_map(|event| match event {
-        Event::WillRun { node, reason } if node == wanted => Some(reason.clone()),
+        Event::WillRun { node, reason, .. } if node == wanted => Some(reason.clone()),
         _ => None,
     })
 }
