@@ -1,87 +1,317 @@
 //! WGSL kernels of marf and their uniforms. One kernel a file, each with its contract at the head.
 //!
-//! Invariant: every kernel parses and validates in naga, with no capability beyond core WebGPU. This version
-//! trains on the CPU: no kernel is dispatched yet.
+//! Invariants: every kernel parses and validates in naga, with no capability beyond core WebGPU unless its contract
+//! says so; no constant lives in both Rust and WGSL: Rust writes it into the head or into a uniform.
+
+mod net_structs;
+mod nets;
+mod structs;
+
+pub use net_structs::*;
+pub use nets::*;
+pub use structs::*;
+
+/// A kernel's text.
+#[derive(Debug, Clone, Copy)]
+pub struct Shader {
+    /// Its name.
+    pub name: &'static str,
+    /// What it shares with others, in order, before its own text.
+    pub shared: &'static [&'static str],
+    /// Its own text.
+    pub text: &'static str,
+    /// Heads it is tested with.
+    pub heads: &'static [&'static str],
+}
+
+impl Shader {
+    /// Returns the whole text; `head` holds the constants that decide its shape.
+    pub fn source(&self, head: &str) -> String {
+        let mut text = head.to_owned();
+        for part in self.shared.iter().chain([&self.text]) {
+            text.push('\n');
+            text.push_str(part);
+        }
+        text
+    }
+}
+
+/// The head of kernels that read rows of the tables: `Row` is one entry of `features` numbers, 2 or 4.
+pub fn row_head(features: u32) -> String {
+    format!("alias Row = vec{features}<f32>;\nconst FEATURES: u32 = {features}u;\n")
+}
+
+/// The head of kernels that find entries: after [`row_head`], the hash's multipliers of y and z.
+pub fn grid_head(features: u32, primes: [u32; 2]) -> String {
+    let [y, z] = primes;
+    format!(
+        "{}const PRIME_Y: u32 = {y}u;\nconst PRIME_Z: u32 = {z}u;\n",
+        row_head(features)
+    )
+}
+
+/// The head of kernels that know gradients in fixed point, after one of those above: `Quanta` is the gradient of an
+/// entry; `packed` where pairs of features share a 64-bit word; no contribution has more than `most` quanta.
+pub fn quanta_head(features: u32, packed: bool, most: i32) -> String {
+    format!(
+        "alias Quanta = vec{features}<i32>;\nconst PACKED: bool = {packed};\nconst MOST_QUANTA: i32 = {most};\n"
+    )
+}
+
+/// Stand-ins of the three heads, for the tests.
+const TABLE_HEADS: &[&str] = &[
+    "alias Row = vec2<f32>;\nconst FEATURES: u32 = 2u;\nconst PRIME_Y: u32 = 3u;\nconst PRIME_Z: u32 = 5u;\n\
+     alias Quanta = vec2<i32>;\nconst PACKED: bool = false;\nconst MOST_QUANTA: i32 = 99;\n",
+    "alias Row = vec4<f32>;\nconst FEATURES: u32 = 4u;\nconst PRIME_Y: u32 = 3u;\nconst PRIME_Z: u32 = 5u;\n\
+     alias Quanta = vec4<i32>;\nconst PACKED: bool = true;\nconst MOST_QUANTA: i32 = 99;\n",
+];
+
+/// Number of a thread in a folded dispatch.
+const FLAT: &str = include_str!("shared/flat.wgsl");
+/// Corners around a point.
+const GRID: &str = include_str!("shared/grid.wgsl");
+/// Which levels a dispatch works on.
+const PART: &str = include_str!("shared/part.wgsl");
+/// From a sample's gradient to 8 entries.
+const SCATTERED: &str = include_str!("shared/spread.wgsl");
+/// Quanta from words.
+const QUANTA: &str = include_str!("shared/quanta.wgsl");
+/// A level's fixed point, marked by many threads.
+const LEVEL_MARKS: &str = include_str!("shared/level_marks.wgsl");
+/// A level's fixed point.
+const LEVEL_SCALE: &str = include_str!("shared/level_scale.wgsl");
+/// Whether a number ran away.
+const FAULTS: &str = include_str!("shared/faults.wgsl");
+/// Structs of the occupancy grid.
+const FILLING: &str = include_str!("shared/filling.wgsl");
+
+/// Own exponential functions.
+const MATH: &str = include_str!("shared/math.wgsl");
+
+/// Streams of random numbers, for kernels and their tests.
+pub const RNG: &str = include_str!("shared/rng.wgsl");
+
+/// A camera and the rays behind its pixels, for kernels and their tests.
+pub const CAMERA: &str = include_str!("shared/camera.wgsl");
+
+/// What changes with every step of training.
+const STEP: &str = include_str!("shared/step.wgsl");
+
+/// What a walk along rays is told.
+const WALK: &str = include_str!("shared/walk.wgsl");
+
+/// What the kernels of exposures are told.
+const EXPOSED: &str = include_str!("shared/exposed.wgsl");
+
+/// All kernels.
+pub const SHADERS: &[Shader] = &[
+    HASH_ENCODE,
+    RAYS,
+    VIEW_RAYS,
+    MARCH,
+    SCAN,
+    ALIVE,
+    EXPOSURE_SUMS,
+    EXPOSURE_LEARN,
+    SCATTER,
+    SCATTER_PACKED,
+    PEAK,
+    RESCALE,
+    ADAM_TABLE,
+    BLEND,
+    PROBE,
+    OCCUPANCY,
+    DENSITY_SUM,
+    THRESHOLDS,
+    BITS,
+    PRODUCT,
+    TRANSPOSE,
+    OUTER,
+    SUM,
+    ADAM_NET,
+    HARMONICS,
+    OPACITY,
+    KEPT,
+    GATHER,
+    COLOUR,
+    COMPARE,
+    SPREAD,
+    JOIN,
+    RUNAWAY,
+    TOTALS,
+    PAINT,
+    FINISH,
+    COPY,
+    MULTIPLY_ADD,
+];
 
 /// Multiresolution hash-grid lookup, forward pass.
-pub const HASH_ENCODE: &str = include_str!("hash_encode.wgsl");
+pub const HASH_ENCODE: Shader = Shader {
+    name: "hash_encode",
+    shared: &[FLAT, PART, GRID],
+    text: include_str!("hash_encode.wgsl"),
+    heads: TABLE_HEADS,
+};
 
-/// The uniform `Size` of [`HASH_ENCODE`].
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct HashEncodeSize {
-    /// Number of points.
-    pub points: u32,
-    /// Number of levels.
-    pub levels: u32,
-}
+/// Gradients of features to gradients of entries, in fixed point.
+pub const SCATTER: Shader = Shader {
+    name: "scatter",
+    shared: &[FLAT, PART, GRID, LEVEL_MARKS, SCATTERED],
+    text: include_str!("scatter.wgsl"),
+    heads: TABLE_HEADS,
+};
 
-/// One element of `levels` of [`HASH_ENCODE`].
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct HashEncodeLevel {
-    /// Cells a side.
-    pub resolution: u32,
-    /// Entries of its table; a power of two where hashed.
-    pub entries: u32,
-    /// Its first entry in the table of all levels.
-    pub first: u32,
-    /// 1 where every corner has its own entry, 0 where corners are hashed.
-    pub dense: u32,
-}
+/// As [`SCATTER`], two features in one 64-bit word.
+pub const SCATTER_PACKED: Shader = Shader {
+    name: "scatter_packed",
+    shared: &[FLAT, PART, GRID, LEVEL_MARKS, SCATTERED],
+    text: include_str!("scatter_packed.wgsl"),
+    heads: TABLE_HEADS,
+};
+
+/// Largest quantum of every level.
+pub const PEAK: Shader = Shader {
+    name: "peak",
+    shared: &[FLAT, PART, LEVEL_MARKS, QUANTA],
+    text: include_str!("peak.wgsl"),
+    heads: TABLE_HEADS,
+};
+
+/// Which levels overflowed, and the scales of the next step.
+pub const RESCALE: Shader = Shader {
+    name: "rescale",
+    shared: &[LEVEL_SCALE, FAULTS],
+    text: include_str!("rescale.wgsl"),
+    heads: &[""],
+};
+
+/// One step of Adam over tables.
+pub const ADAM_TABLE: Shader = Shader {
+    name: "adam_table",
+    shared: &[FLAT, PART, LEVEL_SCALE, QUANTA, FAULTS],
+    text: include_str!("adam_table.wgsl"),
+    heads: TABLE_HEADS,
+};
+
+/// Running average of weights.
+pub const BLEND: Shader = Shader {
+    name: "blend",
+    shared: &[FLAT, FAULTS],
+    text: include_str!("blend.wgsl"),
+    heads: &[""],
+};
+
+/// Cells of the occupancy grid to look at.
+pub const PROBE: Shader = Shader {
+    name: "probe",
+    shared: &[FLAT, RNG],
+    text: include_str!("probe.wgsl"),
+    heads: &[""],
+};
+
+/// Densities found at the probes.
+pub const OCCUPANCY: Shader = Shader {
+    name: "occupancy",
+    shared: &[FLAT, FILLING, MATH, FAULTS],
+    text: include_str!("occupancy.wgsl"),
+    heads: &["const RUNAWAY: u32 = 9u;\n"],
+};
+
+/// Partial sums of densities.
+pub const DENSITY_SUM: Shader = Shader {
+    name: "density_sum",
+    shared: &[FILLING],
+    text: include_str!("density_sum.wgsl"),
+    heads: &["const EACH: u32 = 4u;\n"],
+};
+
+/// Densities from which on a cell is occupied.
+pub const THRESHOLDS: Shader = Shader {
+    name: "thresholds",
+    shared: &[FILLING],
+    text: include_str!("thresholds.wgsl"),
+    heads: &[""],
+};
+
+/// Occupied cells from densities.
+pub const BITS: Shader = Shader {
+    name: "bits",
+    shared: &[FLAT, FILLING, FAULTS],
+    text: include_str!("bits.wgsl"),
+    heads: &[""],
+};
+
+/// Draws the rays of a training step.
+pub const RAYS: Shader = Shader {
+    name: "rays",
+    shared: &[FLAT, RNG, CAMERA, STEP],
+    text: include_str!("rays.wgsl"),
+    heads: &["const PURPOSE: u32 = 3u;\nconst NEWTON_STEPS: u32 = 20u;\n"],
+};
+
+/// Sets out the rays of some pixels of one photo.
+pub const VIEW_RAYS: Shader = Shader {
+    name: "view_rays",
+    shared: &[FLAT, CAMERA],
+    text: include_str!("view_rays.wgsl"),
+    heads: &["const NEWTON_STEPS: u32 = 20u;\n"],
+};
+
+/// Walks along rays through occupied cells; entries `count` and `write`.
+pub const MARCH: Shader = Shader {
+    name: "march",
+    shared: &[FLAT, WALK],
+    text: include_str!("march.wgsl"),
+    heads: &[""],
+};
+
+/// Where the samples of every ray begin.
+pub const SCAN: Shader = Shader {
+    name: "scan",
+    shared: &[WALK],
+    text: include_str!("scan.wgsl"),
+    heads: &["const RAYS: u32 = 2u;\nconst ALIVE: u32 = 3u;\n"],
+};
+
+/// Which rays of a picture go on.
+pub const ALIVE: Shader = Shader {
+    name: "alive",
+    shared: &[FLAT, WALK],
+    text: include_str!("alive.wgsl"),
+    heads: &["const ALIVE: u32 = 3u;\nconst OPAQUE: f32 = 0.1;\n"],
+};
+
+/// Adds up the slopes of exposures, photo by photo.
+pub const EXPOSURE_SUMS: Shader = Shader {
+    name: "exposure_sums",
+    shared: &[EXPOSED],
+    text: include_str!("exposure_sums.wgsl"),
+    heads: &["const RAYS: u32 = 2u;\nconst EXPOSURES: u32 = 6u;\nconst RUNAWAY: u32 = 0x4e800000u;\n"],
+};
+
+/// Moves the exposures of all photos.
+pub const EXPOSURE_LEARN: Shader = Shader {
+    name: "exposure_learn",
+    shared: &[STEP, EXPOSED],
+    text: include_str!("exposure_learn.wgsl"),
+    heads: &[""],
+};
+
+/// The ceiling of memory.
+pub const COPY: Shader = Shader {
+    name: "copy",
+    shared: &[FLAT],
+    text: include_str!("copy.wgsl"),
+    heads: &[""],
+};
+
+/// The ceiling of arithmetic.
+pub const MULTIPLY_ADD: Shader = Shader {
+    name: "multiply_add",
+    shared: &[FLAT],
+    text: include_str!("multiply_add.wgsl"),
+    heads: &[""],
+};
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn validated(name: &str, source: &str) -> naga::Module {
-        let module = naga::front::wgsl::parse_str(source)
-            .unwrap_or_else(|error| panic!("{name}: {}", error.emit_to_string(source)));
-        let mut validator = naga::valid::Validator::new(
-            naga::valid::ValidationFlags::all(),
-            naga::valid::Capabilities::empty(),
-        );
-        validator
-            .validate(&module)
-            .unwrap_or_else(|error| panic!("{name}: {}", error.emit_to_string(source)));
-        module
-    }
-
-    /// Bytes of a struct of the shader, as naga lays it out.
-    fn span(module: &naga::Module, name: &str) -> usize {
-        let found = module
-            .types
-            .iter()
-            .find(|(_, ty)| ty.name.as_deref() == Some(name));
-        match found.map(|(_, ty)| &ty.inner) {
-            Some(naga::TypeInner::Struct { span, .. }) => *span as usize,
-            other => panic!("{name}: {other:?}"),
-        }
-    }
-
-    #[test]
-    fn every_kernel_is_valid_core_webgpu_and_its_structs_are_laid_out_as_in_rust() {
-        let module = validated("hash_encode", HASH_ENCODE);
-        assert_eq!(span(&module, "Size"), size_of::<HashEncodeSize>());
-        assert_eq!(span(&module, "Level"), size_of::<HashEncodeLevel>());
-    }
-
-    #[test]
-    fn every_kernel_begins_with_its_contract() {
-        for heading in [
-            "// Source",
-            "// Twin",
-            "// Threads",
-            "// Reads",
-            "// Writes",
-            "// Extremes",
-        ] {
-            assert!(HASH_ENCODE.contains(heading), "{heading}");
-        }
-    }
-
-    #[test]
-    fn no_kernel_adds_floats_atomically() {
-        assert!(!HASH_ENCODE.contains("atomic"));
-    }
-}
+mod tests;

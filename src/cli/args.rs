@@ -4,6 +4,7 @@ use std::num::NonZero;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use marf_field::Device;
 
 /// Raw Mars rover and helicopter photos to radiance fields, with proof of how.
 #[derive(Debug, Parser)]
@@ -53,6 +54,9 @@ pub struct Global {
     /// Cores to use [default: all]; results do not depend on it
     #[arg(long, global = true, value_name = "N")]
     pub threads: Option<NonZero<usize>>,
+    /// What trains and renders: `auto` (a GPU, if there is one), `cpu`, `gpu` or `gpu:NAME`; a node's own `device` wins
+    #[arg(long, global = true, value_name = "DEVICE")]
+    pub device: Option<Device>,
     /// Print JSON to stdout
     #[arg(long, global = true)]
     pub json: bool,

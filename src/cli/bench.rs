@@ -8,7 +8,7 @@ use std::time::Instant;
 use std::{fmt, fs};
 
 use marf_engine::{Cancel, Options};
-use marf_field::{Config, EXPECTED_STEPS_PER_S, Field, Overrides, Quality, Trainer, View};
+use marf_field::{Config, Device, EXPECTED_STEPS_PER_S, Field, Overrides, Quality, Trainer, View};
 use marf_scene::{Frame, Image, Photo, Scene, Srgb, encode_png, metrics, picture_names};
 use serde::{Deserialize, Serialize, Serializer};
 
@@ -30,6 +30,7 @@ struct Keys {
     seed: u64,
     scale: Option<u32>,
     field: Overrides,
+    device: Device,
 }
 
 /// How long a training goes on.
@@ -141,6 +142,7 @@ pub fn train(global: &Global, args: &BenchArgs, cancel: &Cancel) -> Result<(), C
         threads: pool.current_num_threads(),
         out: &args.out,
         cancel,
+        device: &keys.device,
     };
     let points: Vec<[f64; 3]> = scene.points.iter().map(|point| point.position).collect();
     let lines = pool.install(|| bench.run(&views, &tests, &points, (&config, keys.seed), &budgets))?;
@@ -217,6 +219,7 @@ struct Bench<'a> {
     threads: usize,
     out: &'a Path,
     cancel: &'a Cancel,
+    device: &'a Device,
 }
 
 /// Seconds and work of the training so far.
@@ -229,7 +232,7 @@ struct Spent {
 }
 
 impl Bench<'_> {
-    /// Counts what makes the trainer and its steps; not decoding, rendering or scoring.
+    /// Counts what makes the trainer and its steps; not decoding, compiling for a GPU, rendering or scoring.
     fn run(
         &self,
         views: &[View],
@@ -244,8 +247,8 @@ impl Bench<'_> {
                 steps: config.steps.or(Some(budget.expected_steps())),
                 ..config.clone()
             };
-            let (trainer, spent) = self.trained(views.to_vec(), points, (&config, seed), *budget)?;
-            let line = self.look(&trainer, tests, &spent, *budget)?;
+            let (mut trainer, spent) = self.trained(views.to_vec(), points, (&config, seed), *budget)?;
+            let line = self.look(&mut trainer, tests, &spent, *budget)?;
             let text = serde_json::to_string(&line);
             crate::say(&text.map_err(|error| CliError::failed(error.to_string()))?);
             lines.push(line);
@@ -264,6 +267,7 @@ impl Bench<'_> {
         let mut spent = Spent::default();
         let mut trainer = spent
             .timed(|| Trainer::new(views, points, config, seed))
+            .and_then(|trainer| trainer.on(self.device))
             .map_err(failed)?;
         let is_open = |trainer: &Trainer, spent: &Spent| match budget {
             Budget::Seconds(seconds) => self.seconds(spent) < f64::from(seconds),
@@ -273,7 +277,11 @@ impl Bench<'_> {
             if self.cancel.is_set() {
                 return Err(CliError::Interrupted);
             }
-            let step = spent.timed(|| trainer.step()).map_err(failed)?;
+            let most = match budget {
+                Budget::Seconds(_) => u64::MAX,
+                Budget::Steps(steps) => steps - trainer.steps(),
+            };
+            let step = spent.timed(|| trainer.advance(most)).map_err(failed)?;
             spent.rays += step.rays;
             spent.samples += step.samples;
         }
@@ -290,17 +298,18 @@ impl Bench<'_> {
     /// Renders and scores the test views as of now.
     fn look(
         &self,
-        trainer: &Trainer,
+        trainer: &mut Trainer,
         tests: &[Test],
         spent: &Spent,
         budget: Budget,
     ) -> Result<Line, CliError> {
-        let field = trainer.field();
+        let failed = |error: marf_field::FieldError| CliError::failed(error.to_string());
+        let field = trainer.field().map_err(failed)?;
         let folder = self.out.join(budget.to_string());
         let mut rendering = Spent::default();
         let (mut psnr, mut paper, mut ssim) = (Vec::new(), Vec::new(), Vec::new());
         for test in tests {
-            let render = rendering.timed(|| rendered(&field, test));
+            let render = rendering.timed(|| rendered(&field, test)).map_err(failed)?;
             rendering.rays += render.pixels.len() as u64;
             let fail = |error: &dyn std::fmt::Display| CliError::failed(format!("{}: {error}", test.name));
             psnr.push(metrics::psnr(&render, &test.photo).map_err(|error| fail(&error))?);
@@ -327,10 +336,9 @@ impl Bench<'_> {
     }
 }
 
-fn rendered(field: &Field, test: &Test) -> Image<Srgb> {
-    field
-        .render(&test.frame.camera, &test.frame.cam_from_world)
-        .to_image()
+fn rendered(field: &Field, test: &Test) -> Result<Image<Srgb>, marf_field::FieldError> {
+    let render = field.render(&test.frame.camera, &test.frame.cam_from_world)?;
+    Ok(render.to_image())
 }
 
 impl Spent {

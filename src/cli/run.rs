@@ -63,6 +63,14 @@ pub fn execute(
         voice,
         failure: Mutex::default(),
     };
+    if !global.json {
+        let device = if session.devices.is_empty() {
+            "cpu".to_owned()
+        } else {
+            session.devices.join("; ")
+        };
+        crate::talk(&format!("device  {device}"));
+    }
     let record = marf_engine::run(&session.graph, &session.store, options, &ear, cancel)?;
     let failure = ear.failure.into_inner().unwrap_or_else(PoisonError::into_inner);
     let ended = match record.outcome {

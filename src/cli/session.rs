@@ -1,5 +1,6 @@
 //! A pipeline, its graph and its store: what most verbs begin with.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use marf_cache::{Store, StoreError};
@@ -19,6 +20,8 @@ pub struct Session {
     pub store: Store,
     /// Nodes as the report shows them: name, one line about the stage, parameters.
     pub nodes: Vec<NodeInfo>,
+    /// What its nodes run on: the GPUs, or `cpu`.
+    pub devices: Vec<String>,
 }
 
 /// What a report says of a node beside what ran.
@@ -38,7 +41,7 @@ impl Session {
     /// # Errors
     /// A bad pipeline, or a store that cannot be opened.
     pub fn open(global: &Global) -> Result<Self, CliError> {
-        let loaded = config::load(&global.file, &global.sets)?;
+        let loaded = config::load(&global.file, &global.sets, global.device.as_ref())?;
         Self::of(loaded.pipeline, &store_dir(global, &global.file))
     }
 
@@ -47,13 +50,14 @@ impl Session {
     /// # Errors
     /// As [`Session::open`].
     pub fn implicit(text: &str, global: &Global) -> Result<Self, CliError> {
-        let pipeline = config::check(text, &global.sets, Path::new("")).map_err(|error| {
-            CliError::Usage(Complaint {
-                message: error.render(Path::new("(built-in pipeline)"), text),
-                cause: None,
-                hint: error.hint,
-            })
-        })?;
+        let pipeline =
+            config::check(text, &global.sets, global.device.as_ref(), Path::new("")).map_err(|error| {
+                CliError::Usage(Complaint {
+                    message: error.render(Path::new("(built-in pipeline)"), text),
+                    cause: None,
+                    hint: error.hint,
+                })
+            })?;
         Self::of(pipeline, &store_dir(global, Path::new("")))
     }
 
@@ -64,6 +68,11 @@ impl Session {
             params: node.params.clone(),
         };
         let nodes = pipeline.nodes.iter().map(info).collect();
+        let devices: BTreeSet<String> = pipeline
+            .nodes
+            .iter()
+            .filter_map(|node| node.stage.numeric_class())
+            .collect();
         let decls = pipeline.nodes.into_iter().map(|node| NodeDecl {
             name: node.name,
             stage: node.def,
@@ -80,6 +89,7 @@ impl Session {
             graph,
             store: open_store(store)?,
             nodes,
+            devices: devices.into_iter().collect(),
         })
     }
 

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use marf_field::Device;
 use marf_stage::{ParamError, Stage, StageDef};
 use serde_json::Value as Json;
 
@@ -36,7 +37,7 @@ const TOP: [&str; 3] = ["name", "archive", "node"];
 
 type Archives = BTreeMap<String, Json>;
 
-pub(super) fn check(root: &Located, base: &Path) -> Result<Pipeline, ConfigError> {
+pub(super) fn check(root: &Located, device: Option<&Device>, base: &Path) -> Result<Pipeline, ConfigError> {
     for entry in root.entries().unwrap_or_default() {
         if !TOP.contains(&entry.key.as_str()) {
             let message = format!("unknown key `{}`", entry.key);
@@ -52,7 +53,7 @@ pub(super) fn check(root: &Located, base: &Path) -> Result<Pipeline, ConfigError
     let names: Vec<&str> = tables.iter().map(|entry| entry.key.as_str()).collect();
     let nodes = tables
         .iter()
-        .map(|entry| node(entry, &names, &archives))
+        .map(|entry| node(entry, &names, &archives, device))
         .collect::<Result<Vec<_>, _>>()?;
     if nodes.is_empty() {
         let hint = Some("write one with `marf init`".to_owned());
@@ -89,7 +90,15 @@ fn archives(root: &Located, base: &Path) -> Result<Archives, ConfigError> {
     Ok(archives)
 }
 
-fn node(entry: &Entry, names: &[&str], archives: &Archives) -> Result<Node, ConfigError> {
+/// Key of stages that can run on several devices.
+const DEVICE: &str = "device";
+
+fn node(
+    entry: &Entry,
+    names: &[&str],
+    archives: &Archives,
+    device: Option<&Device>,
+) -> Result<Node, ConfigError> {
     let table = &entry.value;
     let def = stage_of(entry)?;
     let schema = (def.schema)();
@@ -128,6 +137,11 @@ fn node(entry: &Entry, names: &[&str], archives: &Archives) -> Result<Node, Conf
         let (name, key, output) = (&entry.key, port.key, port.output);
         let message = format!("`node.{name}` needs `{key} = \"…\"`, the node that gives it `{output}`");
         return Err(ConfigError::at(entry.at.clone(), message));
+    }
+    if let Some(device) = device
+        && keys.contains(&DEVICE)
+    {
+        params.entry(DEVICE).or_insert_with(|| device.to_string().into());
     }
     let params = Json::Object(params);
     let stage = (def.bind)(params.clone()).map_err(|error| complaint(entry, &error))?;

@@ -9,6 +9,8 @@ mod templates;
 
 use std::path::{Path, PathBuf};
 
+use marf_field::Device;
+
 pub use high::{Node, Pipeline};
 pub use low::Origin;
 pub use schema::schema;
@@ -77,33 +79,39 @@ pub struct LoadError {
     pub hint: Option<String>,
 }
 
-/// Reads and checks a pipeline file, with `--set` arguments laid over it.
+/// Reads and checks a pipeline file, with `--set` arguments laid over it and `--device` under it.
 ///
 /// # Errors
 /// A file that cannot be read, and everything [`ConfigError`] says.
-pub fn load(file: &Path, sets: &[String]) -> Result<Loaded, LoadError> {
+pub fn load(file: &Path, sets: &[String], device: Option<&Device>) -> Result<Loaded, LoadError> {
     let text = std::fs::read_to_string(file).map_err(|error| LoadError {
         message: format!("{}: {error}", file.display()),
         hint: Some("write one with `marf init`, or name another with `--file`".to_owned()),
     })?;
     let base = file.parent().map(Path::to_path_buf).unwrap_or_default();
-    let pipeline = check(&text, sets, &base).map_err(|error| LoadError {
+    let pipeline = check(&text, sets, device, &base).map_err(|error| LoadError {
         message: error.render(file, &text),
         hint: error.hint.clone(),
     })?;
     Ok(Loaded { pipeline, text })
 }
 
-/// Checks a pipeline's text; relative paths of archives are meant from `base`.
+/// Checks a pipeline's text; relative paths of archives are meant from `base`, and `device` is for nodes that can run
+/// on several and name none.
 ///
 /// # Errors
 /// The first thing that is wrong, with its place.
-pub fn check(text: &str, sets: &[String], base: &Path) -> Result<Pipeline, ConfigError> {
+pub fn check(
+    text: &str,
+    sets: &[String],
+    device: Option<&Device>,
+    base: &Path,
+) -> Result<Pipeline, ConfigError> {
     let mut root = low::parse(text)?;
     for argument in sets {
         low::set(&mut root, argument)?;
     }
-    high::check(&root, &PathBuf::from(base))
+    high::check(&root, device, &PathBuf::from(base))
 }
 
 /// Returns "did you mean `x`?" for the nearest of some names, if one is near.

@@ -24,6 +24,9 @@ pub enum BootstrapError {
         /// What the reader said.
         cause: String,
     },
+    /// A GPU that is not there, too small, or failed.
+    #[error(transparent)]
+    Gpu(marf_field::FieldError),
     /// A picture that cannot be written.
     #[error("picture `{name}`: {cause}")]
     Picture {

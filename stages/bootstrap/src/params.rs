@@ -1,5 +1,5 @@
 use marf_cache::ContentHash;
-use marf_field::{Overrides, Quality};
+use marf_field::{Device, Overrides, Quality};
 use marf_stage::{
     Ctx, Define, Expand, Inputs, NodeSpec, Outputs, ParamError, Port, Stage, StageError, Threads, Work,
 };
@@ -76,6 +76,10 @@ pub struct BootstrapParams {
     pub fps: u32,
     /// What the fly-through shows beside the mean colour.
     pub show: Shown,
+    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
+    /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
+    #[content_hash(skip)]
+    pub device: Device,
 }
 
 impl Default for BootstrapParams {
@@ -94,6 +98,7 @@ impl Default for BootstrapParams {
             width: 240,
             fps: 10,
             show: Shown::Std,
+            device: Device::default(),
         }
     }
 }
@@ -114,7 +119,7 @@ impl Define for Bootstrap {
     type Params = BootstrapParams;
     const NAME: &'static str = "bootstrap";
     const ABOUT: &'static str = "Retrains B times and maps where the fields disagree";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PORTS: &'static [Port] = &[
         Port::required("input", "scene"),
         Port::optional("params", "params"),
@@ -177,6 +182,10 @@ impl Stage for Bootstrap {
     fn threads(&self) -> Threads {
         Threads::All
     }
+
+    fn numeric_class(&self) -> Option<String> {
+        self.params.device.class()
+    }
 }
 
 impl Expand for Bootstrap {
@@ -198,6 +207,9 @@ fn member(params: &BootstrapParams, index: u32, inputs: &Inputs) -> NodeSpec {
     let trials = json!({ "steps": 0 });
     let mut table =
         json!({ "quality": params.quality, "seed": seed, "field": params.field, "trials": trials });
+    if params.device != Device::default() {
+        table["device"] = json!(params.device);
+    }
     if let Some(steps) = params.steps {
         table["steps"] = json!(steps);
     }

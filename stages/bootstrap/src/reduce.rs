@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 
 use marf_cache::Digest;
-use marf_field::{Field, Render, render_in_bands};
+use marf_field::{Device, Field, FieldError, Render, render_in_bands};
 use marf_scene::{
     Camera, Image, Photo, Scene, Srgb,
     metrics::psnr,
@@ -44,7 +44,7 @@ pub(crate) fn reduce(
     let scale = members.first().map_or(1, |member| member.scale);
     let stops = stops(ctx, params.viewpoints, params.map_frames, &scene, scale, children)?;
     let flight = path::flythrough(&scene, params.frames, params.width);
-    let fields = fields(ctx, children)?;
+    let fields = fields(ctx, children, &params.device)?;
     let total = ((stops.len() + flight.len()) * fields.len()) as u64;
     let mut renders = Renders {
         ctx,
@@ -90,6 +90,7 @@ impl Renders<'_> {
                 &place.camera,
                 &place.cam_from_world,
                 keep_going,
+                |error| gpu_failed(error).into(),
             )?);
             self.done += 1;
         }
@@ -132,14 +133,19 @@ fn members(ctx: &Ctx<'_>, children: &[Outputs]) -> Result<Vec<Member>, StageErro
         .collect()
 }
 
-fn fields(ctx: &Ctx<'_>, children: &[Outputs]) -> Result<Vec<Field>, StageError> {
+fn fields(ctx: &Ctx<'_>, children: &[Outputs], device: &Device) -> Result<Vec<Field>, StageError> {
     let numbered = children.iter().enumerate();
     numbered
         .map(|(member, outputs)| {
             let bytes = ctx.get(output(outputs, member, "weights")?)?;
-            Ok(Field::decode(&bytes).map_err(|error| malformed(member, "weights", &error))?)
+            let field = Field::decode(&bytes).map_err(|error| malformed(member, "weights", &error))?;
+            Ok(field.on(device).map_err(gpu_failed)?)
         })
         .collect()
+}
+
+fn gpu_failed(error: FieldError) -> BootstrapError {
+    BootstrapError::Gpu(error)
 }
 
 fn output<'a>(outputs: &'a Outputs, member: usize, name: &str) -> Result<&'a Digest, BootstrapError> {

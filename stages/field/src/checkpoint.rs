@@ -20,12 +20,19 @@ struct Header {
     halvings: u32,
     /// Bits of the f64.
     samples_per_ray: String,
+    /// The GPU that trained, none on the CPU.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    gpu: Option<String>,
 }
 
 impl Trainer {
     /// Returns the whole state. Restored into a trainer made with the same views, points, config and seed,
     /// training continues with the same bytes.
-    pub fn save(&self) -> Vec<u8> {
+    ///
+    /// # Errors
+    /// A GPU that failed.
+    pub fn save(&mut self) -> Result<Vec<u8>, FieldError> {
+        self.sync()?;
         let state = &self.state;
         let mut writer = Writer::default();
         for (name, values) in state.weights.tensors() {
@@ -37,10 +44,13 @@ impl Trainer {
         }
         writer.floats("gains".to_owned(), &state.gains);
         write_moments(&mut writer, "gains", &state.gain_moments);
+        if !state.scales.is_empty() {
+            writer.floats("scales".to_owned(), &state.scales);
+        }
         writer.floats("occupancy.density".to_owned(), &state.occupancy.density);
         writer.words("occupancy.bits".to_owned(), &state.occupancy.bits.words);
         // Strings and integers: JSON cannot refuse them.
-        writer.finish(serde_json::to_string(&self.header()).unwrap_or_default())
+        Ok(writer.finish(serde_json::to_string(&self.header()).unwrap_or_default()))
     }
 
     /// Takes over a saved state.
@@ -68,6 +78,11 @@ impl Trainer {
         read_state(&reader, &mut restored)?;
         self.march = self.sizes.steps(&self.config, restored.halvings);
         self.state = restored;
+        if let Some(session) = self.session.take() {
+            let uploaded = session.upload(self);
+            self.session = Some(session);
+            uploaded?;
+        }
         Ok(())
     }
 
@@ -81,6 +96,10 @@ impl Trainer {
             steps: self.state.steps,
             halvings: self.state.halvings,
             samples_per_ray: format!("{:016x}", self.state.samples_per_ray.to_bits()),
+            gpu: self
+                .session
+                .as_ref()
+                .map(|session| session.gpu().class().to_owned()),
         }
     }
 
@@ -93,6 +112,7 @@ impl Trainer {
             () if own.views != header.views => differs("number of views"),
             () if own.pixels != header.pixels => differs("photos, cameras or box"),
             () if own.sizes != header.sizes => differs("size"),
+            () if own.gpu != header.gpu => differs("device"),
             () => Ok(()),
         }
     }
@@ -120,6 +140,9 @@ fn read_state(reader: &Reader, state: &mut State) -> Result<(), FieldError> {
     }
     state.weights.refresh();
     state.average.refresh();
+    if !state.scales.is_empty() {
+        reader.floats("scales", &mut state.scales)?;
+    }
     reader.floats("gains", &mut state.gains)?;
     read_moments(reader, "gains", &mut state.gain_moments)?;
     reader.floats("occupancy.density", &mut state.occupancy.density)?;

@@ -1,6 +1,11 @@
-/// What keeps a field from being trained, read or resumed.
+use crate::GpuError;
+
+/// What keeps a field from being trained, rendered, read or resumed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum FieldError {
+    /// A GPU that is not there, too small, or failed.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
     /// A hyper-parameter out of its range.
     #[error("`{key}` is {value}, must be {range}")]
     Config {

@@ -6,10 +6,10 @@ use crate::learn::adam;
 use crate::{Gain, Trainer};
 
 /// Step size of log gains and offsets, as a share of the learning rate.
-const RATE: f32 = 0.1;
+pub(crate) const RATE: f32 = 0.1;
 /// Log gains stay within +-2 (2.9 stops), offsets within +-0.5, before their mean is taken away: a black photo
 /// would pull its gain down without end and all others up.
-const LIMITS: [f32; 2] = [2.0, 0.5];
+pub(crate) const LIMITS: [f32; 2] = [2.0, 0.5];
 /// Numbers of a photo in a row: three channels and one that is unused.
 const ROW: usize = 4;
 

@@ -13,18 +13,18 @@ use crate::training_tests::{ball, ball_view, small, trained};
 use crate::{Background, Config, FieldError, Trainer, View};
 
 fn refused(trainer: &mut Trainer) -> String {
-    let before = trainer.save();
+    let before = trainer.save().unwrap();
     let Err(error) = trainer.step() else {
         return "trained on".to_owned();
     };
-    assert!(trainer.save() == before, "changed by {error}");
+    assert!(trainer.save().unwrap() == before, "changed by {error}");
     assert!(matches!(error, FieldError::NotFinite { .. }), "{error}");
     error.to_string()
 }
 
 #[test]
 fn a_nan_in_any_tensor_stops_the_step_by_name_and_leaves_the_state() {
-    let good = trained(ball(3, 12), &small(), 2, 5).save();
+    let good = trained(ball(3, 12), &small(), 2, 5).save().unwrap();
     let names = [
         "table.0",
         "table.3",
@@ -85,7 +85,7 @@ fn a_rate_that_is_too_high_stops_by_name_or_leaves_a_state_that_can_be_taken_bac
         let mut trainer = Trainer::new(ball(3, 12), &[], &config, 2).unwrap();
         trainer.config.learning_rate = rate;
         for step in 0..40 {
-            let before = trainer.save();
+            let before = trainer.save().unwrap();
             assert_eq!(trainer.restore(&before), Ok(()), "rate {rate:e}, step {step}");
             if let Err(error) = trainer.step() {
                 let text = error.to_string();
@@ -93,7 +93,10 @@ fn a_rate_that_is_too_high_stops_by_name_or_leaves_a_state_that_can_be_taken_bac
                     text.starts_with(&format!("step {step}: `")),
                     "rate {rate:e}: {text}"
                 );
-                assert!(trainer.save() == before, "rate {rate:e}: changed by {text}");
+                assert!(
+                    trainer.save().unwrap() == before,
+                    "rate {rate:e}: changed by {text}"
+                );
                 break;
             }
             assert!(rate < 1e6 || step == 0, "rate {rate:e} went on to step {step}");
@@ -231,7 +234,11 @@ fn cameras_a_hundred_thousand_half_sides_away_train_and_see_the_box() {
             "step {step}: {found:?}"
         );
     }
-    let render = trainer.field().render(&views[0].camera, &views[0].cam_from_world);
+    let render = trainer
+        .field()
+        .unwrap()
+        .render(&views[0].camera, &views[0].cam_from_world)
+        .unwrap();
     assert!(
         render
             .rgb
@@ -313,17 +320,25 @@ fn ten_million_pixels_are_trained_on_and_ten_million_rays_rendered() {
     let mut view = ball_view(0.0, 0.0, 1);
     view.camera = Camera::pinhole(4000, 2500, 4000.0);
     view.image = Image::from_fn(4000, 2500, |x, y| [(x >> 4) as u8, (y >> 4) as u8, 0]).into();
-    let mut field = trained(vec![view.clone(), ball_view(2.0, 0.0, 8)], &config, 0, 3).field();
+    let mut field = trained(vec![view.clone(), ball_view(2.0, 0.0, 8)], &config, 0, 3)
+        .field()
+        .unwrap();
     field.bits = Bits::new(field.bits.side);
     let middle = field.bits.side / 2;
     field
         .bits
         .set(((middle * field.bits.side + middle) * field.bits.side + middle) as usize);
     let asked = std::cell::Cell::new(0);
-    let all = crate::render_in_bands(&field, &view.camera, &view.cam_from_world, || {
-        asked.set(asked.get() + 1);
-        Ok::<(), ()>(())
-    });
+    let all = crate::render_in_bands(
+        &field,
+        &view.camera,
+        &view.cam_from_world,
+        || {
+            asked.set(asked.get() + 1);
+            Ok::<(), FieldError>(())
+        },
+        |error| error,
+    );
     let all = all.unwrap();
     assert_eq!(
         (all.rgb.len(), all.opacity.len(), all.depth.len()),
@@ -355,14 +370,14 @@ fn ten_million_pixels_are_trained_on_and_ten_million_rays_rendered() {
 
 #[test]
 fn a_camera_that_is_nowhere_renders_finite_numbers() {
-    let field = trained(ball(3, 12), &small(), 2, 5).field();
+    let field = trained(ball(3, 12), &small(), 2, 5).field().unwrap();
     for bad in [f64::NAN, f64::INFINITY, 1e300, -1e39] {
         let mut pose = ball_view(0.0, 0.0, 8).cam_from_world;
         pose.translation.y = bad;
         let mut turned = ball_view(0.0, 0.0, 8).cam_from_world;
         turned.rotation[(0, 0)] = bad;
         for pose in [pose, turned] {
-            let render = field.render(&Camera::pinhole(8, 8, 8.0), &pose);
+            let render = field.render(&Camera::pinhole(8, 8, 8.0), &pose).unwrap();
             let numbers = render
                 .rgb
                 .as_flattened()
@@ -395,7 +410,7 @@ fn a_black_photo_before_a_black_background_stays_matched_for_a_thousand_steps() 
         }
     }
     assert!(worst < 1e-4, "loss {worst:e} after it was matched");
-    let bytes = trainer.field().encode();
+    let bytes = trainer.field().unwrap().encode();
     assert!(
         crate::Field::decode(&bytes).is_ok(),
         "a field of black photos is finite"

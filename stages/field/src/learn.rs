@@ -11,20 +11,18 @@ use crate::weights::NET_ROW;
 use crate::{Gain, Trainer};
 
 /// Adam's epsilon: gradients of a mean over the batch are about 1e-6, rounding noise is below 1e-12.
-const EPSILON: f32 = 1e-12;
+pub(crate) const EPSILON: f32 = 1e-12;
 /// Pull of the networks' weights to zero (instant-ngp's l2).
-const DECAY: f32 = 1e-6;
+pub(crate) const DECAY: f32 = 1e-6;
 /// Steps between two looks of the averaged weights at the weights: every step costs a pass over all tables.
 const AVERAGED_EVERY: u64 = 4;
 /// Step size of the background, in learning rates: its 16 coefficients a channel have no layer to multiply them.
-const BACKGROUND_RATE: f32 = 10.0;
+pub(crate) const BACKGROUND_RATE: f32 = 10.0;
 
 impl Trainer {
     /// Takes the gradients of all chunks into the weights.
     pub(crate) fn learn(&mut self, chunks: &[Chunk]) {
-        let slowed = 1.0 + 3.0 * self.state.steps as f64 / f64::from(self.config.half_rate_steps);
-        let rate = (self.config.learning_rate / slowed.sqrt()) as f32;
-        let keep = self.kept();
+        let (rate, keep) = (self.rate_at(self.state.steps), self.kept_at(self.state.steps));
         self.learn_tables(chunks, rate, keep);
         self.learn_networks(chunks, rate, keep);
         if self.config.gain != Gain::Off {
@@ -32,11 +30,17 @@ impl Trainer {
         }
     }
 
-    /// Returns the share of themselves that the averaged weights keep in this step, less in the first steps.
-    fn kept(&self) -> Option<f32> {
-        let step = self.state.steps as f32;
+    /// Returns the step size after so many steps.
+    pub(crate) fn rate_at(&self, steps: u64) -> f32 {
+        let slowed = 1.0 + 3.0 * steps as f64 / f64::from(self.config.half_rate_steps);
+        (self.config.learning_rate / slowed.sqrt()) as f32
+    }
+
+    /// Returns the share of themselves that the averaged weights keep after so many steps, less in the first ones.
+    pub(crate) fn kept_at(&self, steps: u64) -> Option<f32> {
+        let step = steps as f32;
         let once = (self.config.average as f32).min((1.0 + step) / (10.0 + step));
-        let steps = self.state.steps + 1;
+        let steps = steps + 1;
         if steps < 4 * AVERAGED_EVERY {
             return Some(once);
         }
@@ -163,7 +167,7 @@ pub(crate) fn adam<const F: usize>(
 }
 
 /// average = keep average + (1 - keep) values, where it is due.
-fn blend(average: &mut [f32], values: &[f32], keep: Option<f32>) {
+pub(crate) fn blend(average: &mut [f32], values: &[f32], keep: Option<f32>) {
     let Some(keep) = keep else {
         return;
     };

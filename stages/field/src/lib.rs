@@ -18,6 +18,7 @@ mod extreme_tests;
 mod facts;
 mod footprint;
 mod frame;
+mod gpu;
 mod learn;
 mod model;
 mod occupancy;
@@ -45,6 +46,7 @@ pub use config::{Background, Config, Gain, Occupied, ViewDependence};
 pub use error::FieldError;
 pub use facts::{Facts, LevelFacts, Trial};
 pub use footprint::{decoding_bytes, judging_bytes, training_bytes};
+pub use gpu::{Device, DeviceError, Gpu, GpuError};
 pub use model::Field;
 pub use overrides::{OverrideError, Overrides};
 pub use pixels::Pixels;
@@ -58,4 +60,5 @@ pub use views::View;
 #[doc(hidden)]
 pub mod bench {
     pub use crate::cpu::{adam, composite, encode, gemm, march, math, net, simd};
+    pub use crate::gpu::{Ceilings, KernelTime, Load, Timed, ceilings, time_steps};
 }

@@ -1,3 +1,6 @@
+use std::ops::Range;
+use std::sync::Arc;
+
 use marf_scene::{Camera, Pose};
 use safetensors::tensor::Dtype;
 use serde::{Deserialize, Serialize};
@@ -5,9 +8,11 @@ use serde::{Deserialize, Serialize};
 use crate::cpu::march::{Bits, Steps};
 use crate::cpu::simd::Level;
 use crate::frame::Frame;
+use crate::gpu::Renderer;
+use crate::render::render_rows;
 use crate::tensors::{Reader, Writer};
 use crate::weights::Weights;
-use crate::{Config, Facts, FieldError, Render, Trial};
+use crate::{Config, Device, Facts, FieldError, Gpu, Render, Trial};
 
 /// A trained field: everything needed to render.
 #[derive(Clone, Debug)]
@@ -19,6 +24,8 @@ pub struct Field {
     pub(crate) weights: Weights,
     pub(crate) bits: Bits,
     pub(crate) facts: Facts,
+    /// Where it is rendered, if not here.
+    renderer: Option<Arc<Renderer>>,
 }
 
 /// The JSON in the file's header.
@@ -45,7 +52,24 @@ impl Field {
             weights,
             bits,
             facts,
+            renderer: None,
         }
+    }
+
+    /// Moves the rendering to a device.
+    ///
+    /// # Errors
+    /// A GPU that is not there, that lacks something, or that has too little memory.
+    pub fn on(self, device: &Device) -> Result<Self, FieldError> {
+        match device.open()? {
+            None => Ok(self),
+            Some(gpu) => self.with_gpu(&gpu),
+        }
+    }
+
+    pub(crate) fn with_gpu(mut self, gpu: &Arc<Gpu>) -> Result<Self, FieldError> {
+        self.renderer = Some(Arc::new(Renderer::new(gpu, &self)?));
+        Ok(self)
     }
 
     /// Returns the field as safetensors; the header's `marf` entry is JSON with box, layout, config and facts.
@@ -116,8 +140,24 @@ impl Field {
     ///
     /// Tiles run in parallel in the current pool; the pixels do not depend on its size. Pixels where the
     /// distortion has no inverse are black and empty.
-    pub fn render(&self, camera: &Camera, cam_from_world: &Pose) -> Render {
-        crate::render::render_rows(self, camera, cam_from_world, 0..camera.height)
+    ///
+    /// # Errors
+    /// A GPU that failed.
+    pub fn render(&self, camera: &Camera, cam_from_world: &Pose) -> Result<Render, FieldError> {
+        self.rows(camera, cam_from_world, 0..camera.height)
+    }
+
+    /// Renders some rows.
+    pub(crate) fn rows(
+        &self,
+        camera: &Camera,
+        cam_from_world: &Pose,
+        rows: Range<u32>,
+    ) -> Result<Render, FieldError> {
+        match &self.renderer {
+            None => Ok(render_rows(self, camera, cam_from_world, rows)),
+            Some(renderer) => Ok(renderer.rows(self, camera, cam_from_world, rows)?),
+        }
     }
 
     /// Takes down what was tried before the training.

@@ -9,11 +9,13 @@ use crate::rng::{Purpose, Rng};
 
 /// A cell counts as occupied if a step of the shortest length in it has at least this optical depth, or the
 /// mean of all cells if that is less (instant-ngp).
-const OCCUPIED: f32 = 0.01;
+pub const OCCUPIED: f32 = 0.01;
 /// What is left of a density when its cell is looked at again.
-const DECAY: f32 = 0.8;
+pub const DECAY: f32 = 0.8;
 /// Density of a cell that has not been looked at: it stays occupied until it is. exp(10) is the most otherwise.
-const UNKNOWN: f32 = 1e6;
+pub const UNKNOWN: f32 = 1e6;
+/// Cells are due by this times their number plus that of the update: neighbours in different ones. Odd.
+pub const SPREAD: u64 = 7;
 /// Cells around a sparse point that start occupied, to each side: in the inner box, and outside, where a cell is
 /// larger than what it holds but points are few and far.
 const NEAR: [i64; 2] = [2, 4];
@@ -125,7 +127,7 @@ impl Occupancy {
                 return None;
             }
             let every = if self.bits.holds(cell) { occupied } else { empty };
-            if !(u64::from(cell) * 7 + round).is_multiple_of(every) {
+            if !(u64::from(cell) * SPREAD + round).is_multiple_of(every) {
                 return None;
             }
             let mut rng = Rng::new(seed, Purpose::Occupancy, round, u64::from(cell));

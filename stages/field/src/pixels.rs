@@ -67,6 +67,11 @@ impl Pixels {
         self.pixels.len()
     }
 
+    /// Returns the pixels of a run, of which one is kept.
+    pub(crate) fn run(&self) -> u32 {
+        self.run
+    }
+
     /// Tells whether the pixels fill the photo, and there is one.
     pub(crate) fn is_whole(&self) -> bool {
         let all = self.width as usize * self.height as usize;

@@ -52,8 +52,12 @@ impl Render {
 
 /// Samples a ray gets in the first round; later rounds, with fewer rays left, take twice as many.
 const FIRST_ROUND: usize = 8;
+/// Optical depth that ends a ray: e^-9.3 is below [`OPAQUE`].
+pub(crate) const DEEP: f32 = 9.3;
 /// Every sample lies in the middle of its step.
-const MIDDLE: f32 = 0.5;
+pub(crate) const MIDDLE: f32 = 0.5;
+/// Samples on a ray are joined until they weigh this much and share the colour of the last: half a step of 8 bits.
+const FAINT: f32 = 1.0 / 512.0;
 /// Rows and columns of a tile: the samples of 256 neighbouring rays, some 2 KB a ray, stay in the second cache.
 const TILE: [u32; 2] = [8, 32];
 
@@ -68,6 +72,8 @@ struct Walk {
     /// Sum of weight times distance, half sides.
     distance: f32,
     left: f32,
+    /// Weight of samples that have no colour yet.
+    faint: f32,
 }
 
 /// A finished pixel.
@@ -86,10 +92,11 @@ struct Tile {
     /// Those of the walks' directions, in their order.
     harmonics: Vec<[f32; sh::COUNT]>,
     spans: Vec<Span>,
-    /// Optical depth in front of a round, and of the round.
+    /// Optical depth in front of a round.
     before: Vec<f32>,
-    depths: Vec<f32>,
+    /// Samples whose colour is asked for, and the weight it gets.
     kept: Vec<u32>,
+    weights: Vec<f32>,
 }
 
 /// The view that is rendered.
@@ -170,6 +177,7 @@ impl Tile {
                     rgb: [0.0; 3],
                     distance: 0.0,
                     left: 1.0,
+                    faint: 0.0,
                 });
             }
         }
@@ -200,16 +208,22 @@ impl Tile {
             .extend(self.walks.iter().map(|walk| walk.optical_depth));
         shade.densities(field.level, &field.weights);
         shade.opacities(field.level, &self.spans, &self.before);
-        self.depths.clear();
-        let depth = |span: &Span| shade.tau[span.first..span.end].iter().sum::<f32>();
-        self.depths.extend(self.spans.iter().map(depth));
-        shade.drop_hidden(&mut self.spans, &mut self.kept);
+        self.kept.clear();
+        self.weights.clear();
+        field.level.run(Weigh {
+            walks: &mut self.walks,
+            spans: &mut self.spans,
+            shade,
+            kept: &mut self.kept,
+            weights: &mut self.weights,
+        });
+        shade.keep_latent(&self.kept);
         shade.colours(field.level, &field.weights, &self.spans, &self.harmonics);
         field.level.run(Gather {
             walks: &mut self.walks,
-            shade,
             spans: &self.spans,
-            depths: &self.depths,
+            rgb: &shade.rgb,
+            weights: &self.weights,
         });
     }
 
@@ -234,13 +248,55 @@ impl Tile {
     }
 }
 
-/// Takes the samples of a round into the rays; compiled for the instruction set, or each fused multiply-add is a call.
+/// Takes the densities of a round into the rays and chooses the samples whose colour counts; spans then point to
+/// these. Compiled for the instruction set, or each fused multiply-add is a call.
+struct Weigh<'a> {
+    walks: &'a mut [Walk],
+    spans: &'a mut [Span],
+    shade: &'a Shade,
+    kept: &'a mut Vec<u32>,
+    weights: &'a mut Vec<f32>,
+}
+
+impl Kernel for Weigh<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _isa: I) {
+        let shade = self.shade;
+        for (walk, span) in self.walks.iter_mut().zip(self.spans) {
+            let first = self.kept.len();
+            walk.optical_depth += shade.tau[span.first..span.end].iter().sum::<f32>();
+            for index in span.first..span.end {
+                let before = shade.transmittance[index];
+                if before < OPAQUE {
+                    break;
+                }
+                let weight = before * shade.alpha[index];
+                walk.distance = weight.mul_add(shade.samples.t[index], walk.distance);
+                walk.left = before - weight;
+                walk.faint += weight;
+                if walk.faint >= FAINT {
+                    self.kept.push(index as u32);
+                    self.weights.push(walk.faint);
+                    walk.faint = 0.0;
+                }
+            }
+            if walk.optical_depth > DEEP {
+                walk.left = walk.left.min(OPAQUE * 0.5);
+            }
+            let end = self.kept.len();
+            *span = Span { first, end };
+        }
+    }
+}
+
+/// Adds the colours of a round to the rays.
 struct Gather<'a> {
     walks: &'a mut [Walk],
-    shade: &'a Shade,
     spans: &'a [Span],
-    /// Optical depths of the round.
-    depths: &'a [f32],
+    rgb: &'a [[f32; 4]],
+    weights: &'a [f32],
 }
 
 impl Kernel for Gather<'_> {
@@ -248,19 +304,12 @@ impl Kernel for Gather<'_> {
 
     #[inline(always)]
     fn run<I: Isa>(self, _isa: I) {
-        let shade = self.shade;
-        for ((walk, span), depth) in self.walks.iter_mut().zip(self.spans).zip(self.depths) {
-            walk.optical_depth += depth;
+        for (walk, span) in self.walks.iter_mut().zip(self.spans) {
             for index in span.first..span.end {
-                let weight = shade.transmittance[index] * shade.alpha[index];
                 for channel in 0..3 {
-                    walk.rgb[channel] = weight.mul_add(shade.rgb[index][channel], walk.rgb[channel]);
+                    let rgb = self.rgb[index][channel];
+                    walk.rgb[channel] = self.weights[index].mul_add(rgb, walk.rgb[channel]);
                 }
-                walk.distance = weight.mul_add(shade.samples.t[index], walk.distance);
-                walk.left = shade.transmittance[index] - weight;
-            }
-            if walk.optical_depth > 9.3 {
-                walk.left = walk.left.min(OPAQUE * 0.5);
             }
         }
     }
@@ -269,6 +318,8 @@ impl Kernel for Gather<'_> {
 impl Walk {
     fn pixel(&self, field: &Field, harmonics: &[f32; sh::COUNT]) -> Pixel {
         let behind = field.weights.behind(field.config.background, harmonics);
+        // What was too faint for a colour of its own takes the one behind it.
+        let through = self.left + self.faint;
         let opacity = (1.0 - self.left).clamp(0.0, 1.0);
         let half_side = field.frame.half_side as f32;
         let depth = if opacity > 0.0 {
@@ -277,7 +328,7 @@ impl Walk {
             0.0
         };
         Pixel {
-            rgb: [0, 1, 2].map(|channel| self.left.mul_add(behind[channel], self.rgb[channel])),
+            rgb: [0, 1, 2].map(|channel| through.mul_add(behind[channel], self.rgb[channel])),
             opacity,
             depth: if depth.is_finite() { depth } else { 0.0 },
         }

@@ -124,7 +124,11 @@ fn sparse_points_make_the_ball_opaque_sooner_and_leave_no_trace_where_they_are_o
             trainer.step().unwrap();
         }
         let view = ball_view(0.4, 0.3, 24);
-        let render = trainer.field().render(&view.camera, &view.cam_from_world);
+        let render = trainer
+            .field()
+            .unwrap()
+            .render(&view.camera, &view.cam_from_world)
+            .unwrap();
         (render.opacity[12 * 24 + 12], render.depth[12 * 24 + 12])
     };
     let (with, without) = (middle(&pulled), middle(&plain));
@@ -151,10 +155,10 @@ fn a_resumed_training_with_points_gives_the_same_bytes_and_refuses_other_points(
         }
         trainer
     };
-    let half = run(fresh(&coat()), 21).save();
+    let half = run(fresh(&coat()), 21).save().unwrap();
     let mut resumed = fresh(&coat());
     resumed.restore(&half).unwrap();
-    assert!(run(resumed, 19).save() == run(fresh(&coat()), 40).save());
+    assert!(run(resumed, 19).save().unwrap() == run(fresh(&coat()), 40).save().unwrap());
     let what = "photos, cameras or box";
     let mut points = coat();
     points[7][2] *= 0.9;

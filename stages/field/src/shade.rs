@@ -122,6 +122,15 @@ impl Shade {
         }
     }
 
+    /// Keeps the outputs of the density network of these samples, all that [`Self::colours`] needs.
+    pub fn keep_latent(&mut self, kept: &[u32]) {
+        let padded = kept.len().next_multiple_of(LANES);
+        if let Some(latent) = self.density.last_mut() {
+            gather_rows(latent, 1, kept, padded);
+        }
+        self.raw.resize(padded, 0.0);
+    }
+
     /// Runs the colour network; `harmonics` are those of every ray's direction.
     pub fn colours(
         &mut self,

@@ -273,7 +273,7 @@ fn without_view_dependence_there_are_fewer_weights_and_a_dull_ball_is_learnt_as_
             batch_samples: 4096,
             ..small()
         };
-        let field = trained(ball(24, 16), &config, 4, 600).field();
+        let field = trained(ball(24, 16), &config, 4, 600).field().unwrap();
         (psnr(&field, &ball_view(0.4, 0.3, 16)), field.facts().parameters)
     });
     let [(with, more), (without, fewer)] = found;

@@ -10,19 +10,24 @@ use crate::cpu::simd::Level;
 use crate::depth::{Pull, SHARE, Sighting, place, sightings};
 use crate::exposure::Exposure;
 use crate::frame::Frame;
+use crate::gpu::Session;
 use crate::occupancy::Occupancy;
 use crate::rng::{Fingerprint, Purpose, Rng};
 use crate::shade::Shade;
 use crate::views::{View, check_points, check_views, pixel_offsets};
 use crate::weights::{NET_ROW, Weights};
-use crate::{Background, Config, Facts, Field, FieldError, LevelFacts, Occupied, Sizes, background, size};
+use crate::{
+    Background, Config, Device, Facts, Field, FieldError, LevelFacts, Occupied, Sizes, background, size,
+};
 
-/// What one optimiser step did.
+/// What one optimiser step did, or some on a GPU.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step {
-    /// Mean squared error over rays and channels of the batch, sRGB in [0, 1].
+    /// Optimiser steps.
+    pub steps: u64,
+    /// Mean squared error over rays and channels of the batches, sRGB in [0, 1].
     pub loss: f64,
-    /// Rays of the batch.
+    /// Rays of the batches.
     pub rays: u64,
     /// Samples that were trained.
     pub samples: u64,
@@ -35,7 +40,7 @@ const HALVED_AT: [u64; 3] = [640, 8_192, 65_536];
 const FEW_SAMPLES: f64 = 8.0;
 const FEW_AT: u64 = 128;
 /// Steps between two updates of the occupancy.
-const UPDATE_EVERY: u64 = 16;
+pub(crate) const UPDATE_EVERY: u64 = 16;
 /// Samples a chunk of rays aims at: its rows then stay in the second cache.
 const CHUNK_SAMPLES: f64 = 768.0;
 
@@ -45,20 +50,22 @@ pub struct Trainer {
     pub(crate) config: Config,
     pub(crate) seed: u64,
     pub(crate) views: Vec<View>,
-    world_from_cams: Vec<Pose>,
+    pub(crate) world_from_cams: Vec<Pose>,
     /// Number of the first kept pixel of every view, and of all at the end.
-    pixels: Vec<u64>,
+    pub(crate) pixels: Vec<u64>,
     pub(crate) frame: Frame,
     pub(crate) sizes: Sizes,
     pub(crate) march: Steps,
     /// What the views see of the sparse points; empty where they do not pull.
-    sightings: Vec<Sighting>,
+    pub(crate) sightings: Vec<Sighting>,
     pub(crate) bias: Bias,
     pub(crate) gradients: Vec<Vec<f32>>,
     /// Memory of the last batch.
     chunks: Vec<Chunk>,
     spares: Spares,
     pub(crate) state: State,
+    /// Where the training runs, if not here.
+    pub(crate) session: Option<Session>,
 }
 
 /// All that changes in training, and nothing else.
@@ -76,6 +83,16 @@ pub(crate) struct State {
     pub gains: Vec<f32>,
     pub gain_moments: Moments,
     pub occupancy: Occupancy,
+    /// Scales of the tables' integer gradients, level by level; empty on the CPU.
+    pub scales: Vec<f32>,
+}
+
+impl State {
+    /// Takes down what the rays of a batch cost; a sample that is trained counts four times one that is visited.
+    pub(crate) fn learn_cost(&mut self, rays: u64, visited: u64, trained: u64) {
+        let cost = (visited + 3 * trained) as f64 / (4 * rays) as f64;
+        self.samples_per_ray = self.samples_per_ray * 0.8 + cost.max(1.0) * 0.2;
+    }
 }
 
 impl Trainer {
@@ -128,6 +145,7 @@ impl Trainer {
             gains: vec![0.0; config.gain.numbers(views.len())],
             gain_moments: Moments::new(config.gain.numbers(views.len()), 4),
             occupancy,
+            scales: Vec::new(),
             weights,
         };
         let pixels = pixel_offsets(&views);
@@ -157,14 +175,52 @@ impl Trainer {
             chunks: Vec::new(),
             spares: Spares::default(),
             state,
+            session: None,
         })
     }
 
-    /// Takes one optimiser step.
+    /// Moves the training to a device; what is trained from here on is trained there.
+    ///
+    /// # Errors
+    /// A GPU that is not there, that lacks something, or that has too little memory.
+    pub fn on(mut self, device: &Device) -> Result<Self, FieldError> {
+        if let Some(gpu) = device.open()? {
+            self.session = Some(Session::new(&gpu, &mut self)?);
+        }
+        Ok(self)
+    }
+
+    /// Takes one optimiser step on the CPU; on a GPU up to 16, at most `most`, at least one.
+    ///
+    /// # Errors
+    /// [`FieldError::NotFinite`]; the trainer then still holds the state before the step that is named.
+    /// [`FieldError::Gpu`] where the device failed.
+    pub fn advance(&mut self, most: u64) -> Result<Step, FieldError> {
+        match self.session.take() {
+            None => self.step(),
+            Some(mut session) => {
+                let step = session.advance(self, most);
+                self.session = Some(session);
+                step
+            }
+        }
+    }
+
+    /// Brings the state back from where the training runs.
+    pub(crate) fn sync(&mut self) -> Result<(), FieldError> {
+        let Some(session) = self.session.take() else {
+            return Ok(());
+        };
+        let synced = session.download(&mut self.state);
+        self.session = Some(session);
+        Ok(synced?)
+    }
+
+    /// Takes one optimiser step on the CPU.
     ///
     /// # Errors
     /// [`FieldError::NotFinite`]; the trainer then still holds the state before the step.
-    pub fn step(&mut self) -> Result<Step, FieldError> {
+    pub(crate) fn step(&mut self) -> Result<Step, FieldError> {
         let targets = self.targets();
         let shared = Shared {
             level: self.level,
@@ -185,13 +241,13 @@ impl Trainer {
         let visited: u64 = found().map(|found| found.visited).sum();
         let samples: u64 = found().map(|found| found.samples).sum();
         self.state.steps += 1;
-        let cost = (visited + 3 * samples) as f64 / (4 * rays) as f64;
-        self.state.samples_per_ray = self.state.samples_per_ray * 0.8 + cost.max(1.0) * 0.2;
+        self.state.learn_cost(rays, visited, samples);
         if self.state.steps.is_multiple_of(UPDATE_EVERY) {
             self.update_occupancy();
             self.halve_steps();
         }
         Ok(Step {
+            steps: 1,
             loss: loss / (3 * rays) as f64,
             rays,
             samples,
@@ -199,7 +255,7 @@ impl Trainer {
     }
 
     /// Halves the steps along rays once there is a surface to find more exactly.
-    fn halve_steps(&mut self) {
+    pub(crate) fn halve_steps(&mut self) {
         let due = HALVED_AT.iter().filter(|at| self.state.steps >= **at).count() as u32;
         let few = self.state.samples_per_ray < FEW_SAMPLES && self.state.steps.is_multiple_of(FEW_AT);
         let wanted = due.max(self.state.halvings + u32::from(few));
@@ -216,15 +272,23 @@ impl Trainer {
         self.state.steps
     }
 
-    /// Returns the field as of now.
-    pub fn field(&self) -> Field {
-        Field::new(
+    /// Returns the field as of now; it renders where the training runs.
+    ///
+    /// # Errors
+    /// A GPU that failed.
+    pub fn field(&mut self) -> Result<Field, FieldError> {
+        self.sync()?;
+        let field = Field::new(
             self.config.clone(),
             self.frame.clone(),
             self.facts(),
             self.state.average.clone(),
             self.state.occupancy.bits.clone(),
-        )
+        );
+        match &self.session {
+            None => Ok(field),
+            Some(session) => field.with_gpu(session.gpu()),
+        }
     }
 
     /// Mixes photos, cameras, poses and box into one number, to recognise a checkpoint of another training.
@@ -280,7 +344,7 @@ impl Trainer {
     }
 
     /// Rays of the next step; a whole number of chunks.
-    fn ray_count(&self) -> usize {
+    pub(crate) fn ray_count(&self) -> usize {
         let rays = f64::from(self.config.batch_samples) / self.state.samples_per_ray;
         (rays as usize).max(1).next_multiple_of(self.chunk_rays())
     }
@@ -290,13 +354,13 @@ impl Trainer {
     }
 
     /// Draws the rays of the next step.
-    fn targets(&self) -> Vec<Target> {
+    pub(crate) fn targets(&self) -> Vec<Target> {
         let exposures = self.exposures();
         let rays = (0..self.ray_count()).into_par_iter();
         rays.map(|ray| self.target(ray as u64, &exposures)).collect()
     }
 
-    fn target(&self, ray: u64, exposures: &[Exposure]) -> Target {
+    pub(crate) fn target(&self, ray: u64, exposures: &[Exposure]) -> Target {
         let mut rng = Rng::new(self.seed, Purpose::Rays, self.state.steps, ray);
         let (pixel, pull) = self.aim(ray, &mut rng);
         let index = self.pixels.partition_point(|first| *first <= pixel) - 1;
@@ -314,15 +378,21 @@ impl Trainer {
 
     /// Draws the pixel of a ray: of every eighth, while sparse points pull, one that sees a point.
     fn aim(&self, ray: u64, rng: &mut Rng) -> (u64, Option<Pull>) {
-        let fading = 1.0 - self.state.steps as f64 / f64::from(self.config.depth_steps);
-        if self.sightings.is_empty() || fading <= 0.0 || !ray.is_multiple_of(SHARE) {
+        let weight = self.pull_at(self.state.steps, self.ray_count());
+        let weight = weight.filter(|_| ray.is_multiple_of(SHARE));
+        let Some(weight) = weight else {
             return (rng.below(self.pixels.last().copied().unwrap_or(0)), None);
-        }
+        };
         let Sighting { pixel, t } = self.sightings[rng.below(self.sightings.len() as u64) as usize];
-        let weight = self.config.depth_weight * fading * SHARE as f64 / self.ray_count() as f64;
-        let weight = weight as f32;
         let pull = place(&self.march, t).map(|place| Pull { place, weight });
         (pixel, pull)
+    }
+
+    /// Returns the weight of a pull in a step of so many rays; `None` where no point pulls, or no longer.
+    pub(crate) fn pull_at(&self, step: u64, rays: usize) -> Option<f32> {
+        let fading = 1.0 - step as f64 / f64::from(self.config.depth_steps);
+        let weight = self.config.depth_weight * fading * SHARE as f64 / rays as f64;
+        (!self.sightings.is_empty() && fading > 0.0).then_some(weight as f32)
     }
 
     /// Refuses a batch with a number that runs away, before any weight has changed.

@@ -35,10 +35,10 @@ pub struct Camera {
     pub p2: f64,
 }
 
-/// Newton steps that suffice to undo the distortion; the fold test stops runaways.
-const NEWTON_STEPS: usize = 20;
-
 impl Camera {
+    /// Newton steps that suffice to undo the distortion; the fold test stops runaways.
+    pub const NEWTON_STEPS: usize = 20;
+
     /// An ideal pinhole with its principal point at the centre.
     pub fn pinhole(width: u32, height: u32, focal_px: f64) -> Self {
         let (cx_px, cy_px) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
@@ -80,7 +80,7 @@ impl Camera {
             (pixel.y - self.cy_px) / self.fy_px,
         );
         let mut plane = target;
-        for _ in 0..NEWTON_STEPS {
+        for _ in 0..Self::NEWTON_STEPS {
             let error = self.distort(&plane) - target;
             if error.amax() < 1e-14 {
                 break;

@@ -118,6 +118,11 @@ impl TrainError {
     }
 }
 
+/// A field that cannot be rendered stops the stage.
+pub(crate) fn field_failed(error: FieldError) -> StageError {
+    TrainError::from(error).into()
+}
+
 impl From<TrainError> for StageError {
     fn from(error: TrainError) -> Self {
         let stage_error = Self::new(error.to_string());

@@ -1,5 +1,5 @@
 use marf_cache::ContentHash;
-use marf_field::Field;
+use marf_field::{Device, Field};
 use marf_scene::Frame;
 use marf_stage::{Ctx, Define, Inputs, Outputs, ParamError, Port, Set, Stage, StageError, Threads, Work};
 use schemars::JsonSchema;
@@ -35,6 +35,10 @@ pub struct EvaluateParams {
     /// Whole factor by which photos are shrunk; absent: that of the training.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<u32>,
+    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
+    /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
+    #[content_hash(skip)]
+    pub device: Device,
 }
 
 /// Renders the views of photos and compares them with the photos.
@@ -61,7 +65,7 @@ impl Define for Evaluate {
     type Params = EvaluateParams;
     const NAME: &'static str = "evaluate";
     const ABOUT: &'static str = "Compares renders of a trained field with photos";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PORTS: &'static [Port] = &[
         Port::required("input", "weights"),
         Port::required("input", "scene"),
@@ -87,6 +91,10 @@ impl Stage for Evaluate {
     fn threads(&self) -> Threads {
         Threads::All
     }
+
+    fn numeric_class(&self) -> Option<String> {
+        self.params.device.class()
+    }
 }
 
 impl Set for Evaluate {
@@ -94,7 +102,10 @@ impl Set for Evaluate {
         let scene = read_scene(ctx, inputs.required("scene")?)?;
         let trained: Trained = get_json(ctx, "metrics", inputs.required("metrics")?)?;
         let scale = self.params.scale.unwrap_or(trained.scale);
-        let field = Field::decode(&ctx.get(inputs.required("weights")?)?).map_err(TrainError::from)?;
+        let field = Field::decode(&ctx.get(inputs.required("weights")?)?);
+        let field = field
+            .and_then(|field| field.on(&self.params.device))
+            .map_err(TrainError::from)?;
         let frames: Vec<Named<'_>> = named(&scene)
             .into_iter()
             .filter(|named| self.params.views.has(named.frame))

@@ -1,3 +1,4 @@
+use std::ops::Range;
 use std::time::{Duration, Instant};
 
 use marf_field::{Field, Trainer};
@@ -63,13 +64,15 @@ pub(crate) fn fit(
     let mut reported: Option<Instant> = None;
     while trainer.steps() < steps {
         if let Err(stopped) = ctx.check() {
-            ctx.checkpoints.save(&pack(&log, &trainer.save()));
+            ctx.checkpoints.save(&pack(&log, &saved(&mut trainer)?));
             return Err(stopped);
         }
-        let step = trainer.step().map_err(TrainError::from)?;
+        let before = trainer.steps();
+        let step = trainer.advance(steps - before).map_err(TrainError::from)?;
         log.add(&step);
-        if is_curve_point(trainer.steps(), steps) {
-            let psnr = mean_psnr(ctx, &trainer.field(), probes)?;
+        if is_curve_point(before..trainer.steps(), steps) {
+            let field = trainer.field().map_err(TrainError::from)?;
+            let psnr = mean_psnr(ctx, &field, probes)?;
             log.point(trainer.steps(), psnr);
         }
         if reported.is_none_or(|at| at.elapsed() >= REPORT_EVERY) {
@@ -77,11 +80,11 @@ pub(crate) fn fit(
             reported = Some(Instant::now());
         }
         if kept.elapsed() >= CHECKPOINT_EVERY {
-            ctx.checkpoints.save(&pack(&log, &trainer.save()));
+            ctx.checkpoints.save(&pack(&log, &saved(&mut trainer)?));
             kept = Instant::now();
         }
     }
-    let field = trainer.field();
+    let field = trainer.field().map_err(TrainError::from)?;
     Ok(Fitted { field, log })
 }
 
@@ -113,21 +116,25 @@ pub(crate) fn shrunk(photo: &Reduced, side_px: u32) -> Reduced {
     }
 }
 
-/// At 1/16 of the steps and at every eighth.
-fn is_curve_point(step: u64, steps: u64) -> bool {
+fn saved(trainer: &mut Trainer) -> Result<Vec<u8>, TrainError> {
+    Ok(trainer.save()?)
+}
+
+/// At 1/16 of the steps and at every eighth, or as soon after as a trainer that takes several at once tells.
+fn is_curve_point(taken: Range<u64>, steps: u64) -> bool {
     let crosses = |parts: u64| {
         let part = |step: u64| u128::from(step) * u128::from(parts) / u128::from(steps);
-        part(step) > part(step - 1)
+        part(taken.end) > part(taken.start)
     };
-    crosses(8) || (crosses(16) && step <= steps / 8)
+    crosses(8) || (crosses(16) && taken.start < steps / 8)
 }
 
 impl Log {
     fn add(&mut self, step: &marf_field::Step) {
         self.rays += step.rays;
         self.samples += step.samples;
-        self.loss_sum += step.loss;
-        self.loss_steps += 1;
+        self.loss_sum += step.loss * step.steps as f64;
+        self.loss_steps += step.steps;
     }
 
     fn point(&mut self, step: u64, psnr: f64) {
@@ -183,12 +190,16 @@ mod tests {
     #[test]
     fn the_curve_has_nine_points_at_fixed_shares_of_the_steps() {
         for steps in [16_u64, 100, 401, 20_000] {
-            let points: Vec<u64> = (1..=steps).filter(|step| is_curve_point(*step, steps)).collect();
+            let points: Vec<u64> = (1..=steps)
+                .filter(|step| is_curve_point(*step - 1..*step, steps))
+                .collect();
             assert_eq!(points.len(), 9, "{steps}: {points:?}");
             assert_eq!((points[0], points[8]), (steps.div_ceil(16), steps));
         }
         for steps in 1..16 {
-            let points: Vec<u64> = (1..=steps).filter(|step| is_curve_point(*step, steps)).collect();
+            let points: Vec<u64> = (1..=steps)
+                .filter(|step| is_curve_point(*step - 1..*step, steps))
+                .collect();
             assert_eq!(points.last(), Some(&steps), "{points:?}");
         }
     }
@@ -197,12 +208,14 @@ mod tests {
     fn a_checkpoint_survives_and_a_cut_one_is_no_checkpoint() {
         let mut log = Log::default();
         log.add(&marf_field::Step {
+            steps: 1,
             loss: 0.1,
             rays: 3,
             samples: 7,
         });
         log.point(1, 12.345_678_901_234_567);
         log.add(&marf_field::Step {
+            steps: 1,
             loss: 1.0 / 3.0,
             rays: 3,
             samples: 7,

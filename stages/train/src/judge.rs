@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     TrainError,
+    error::field_failed,
     split::{Named, Reduced, reduced},
 };
 
@@ -90,7 +91,8 @@ fn render(
     named: &Named<'_>,
     photo: &Reduced,
 ) -> Result<Image<Srgb>, StageError> {
-    let render = render_in_bands(field, &photo.camera, &named.frame.cam_from_world, || ctx.check())?;
+    let pose = &named.frame.cam_from_world;
+    let render = render_in_bands(field, &photo.camera, pose, || ctx.check(), field_failed)?;
     Ok(render.to_image())
 }
 

@@ -1,7 +1,7 @@
 use std::time::{Duration, Instant};
 
 use marf_cache::ContentHash;
-use marf_field::{EXPECTED_STEPS_PER_S, Overrides, Quality, Trainer};
+use marf_field::{Device, EXPECTED_STEPS_PER_S, Overrides, Quality, Trainer};
 use marf_stage::{Ctx, Define, Inputs, Outputs, ParamError, Port, Set, Stage, StageError, Threads, Work};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -51,6 +51,11 @@ pub struct PaceParams {
     /// Keys of the field; they win over those of the input `params`.
     #[serde(default)]
     pub field: Overrides,
+    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
+    /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
+    #[serde(default)]
+    #[content_hash(skip)]
+    pub device: Device,
 }
 
 impl PaceParams {
@@ -64,6 +69,7 @@ impl PaceParams {
             holdout: train.holdout,
             fit: train.fit,
             field: train.field.clone(),
+            device: train.device.clone(),
         })
     }
 }
@@ -98,6 +104,10 @@ impl Stage for Pace {
     fn threads(&self) -> Threads {
         Threads::All
     }
+
+    fn numeric_class(&self) -> Option<String> {
+        self.params.device.class()
+    }
 }
 
 impl Set for Pace {
@@ -112,7 +122,7 @@ impl Set for Pace {
         let times = vec![1; split.training.len()];
         let plan = plan(params.memory, &split, &times, scale, &config)?;
         let views = views(ctx, &split, &times, scale, plan, 0)?;
-        let mut trainer = trainer(views, &scene, &config, 0)?;
+        let mut trainer = trainer(views, &scene, &config, 0, &params.device)?;
         let budget_s = params.budget.seconds();
         let rate = steps_per_second(ctx, &mut trainer, (budget_s / 4.0).min(LONGEST_S))?;
         Ok(outputs([("steps", put_json(ctx, &steps_in(budget_s, rate))?)]))
@@ -134,7 +144,7 @@ fn run_for(ctx: &Ctx<'_>, trainer: &mut Trainer, time: Duration, note: &str) -> 
     let begun = Instant::now();
     loop {
         ctx.check()?;
-        trainer.step().map_err(TrainError::from)?;
+        trainer.advance(u64::MAX).map_err(TrainError::from)?;
         let elapsed = begun.elapsed();
         let done = elapsed.min(time).as_millis() as u64;
         ctx.progress.at(done, time.as_millis() as u64, note);

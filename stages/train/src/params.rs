@@ -1,5 +1,5 @@
 use marf_cache::ContentHash;
-use marf_field::{Config, Overrides, Quality};
+use marf_field::{Config, Device, Overrides, Quality};
 use marf_scene::Scene;
 use marf_stage::{Ctx, Inputs, ParamError, StageError};
 use schemars::JsonSchema;
@@ -82,6 +82,10 @@ pub struct TrainParams {
     pub trials: TrialsParams,
     /// Keys of the field; they win over those of the input `params`.
     pub field: Overrides,
+    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
+    /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
+    #[content_hash(skip)]
+    pub device: Device,
 }
 
 impl TrainParams {

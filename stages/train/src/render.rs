@@ -1,5 +1,5 @@
 use marf_cache::ContentHash;
-use marf_field::{Field, render_in_bands};
+use marf_field::{Device, Field, render_in_bands};
 use marf_scene::{
     Camera, Image, Pose, Scene, Srgb,
     path::{self, Viewpoint},
@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     TrainError,
+    error::field_failed,
     judge::{outputs, put_json, put_png},
     split::named,
     train::read_scene,
@@ -45,6 +46,10 @@ pub struct RenderParams {
     pub fps: u32,
     /// Whether pictures of the depth are made too.
     pub depth: bool,
+    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
+    /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
+    #[content_hash(skip)]
+    pub device: Device,
 }
 
 impl Default for RenderParams {
@@ -55,6 +60,7 @@ impl Default for RenderParams {
             width: 320,
             fps: 12,
             depth: false,
+            device: Device::default(),
         }
     }
 }
@@ -83,7 +89,7 @@ impl Define for Render {
     type Params = RenderParams;
     const NAME: &'static str = "render";
     const ABOUT: &'static str = "Renders a trained field along a path: pictures and an animation";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PORTS: &'static [Port] = &[
         Port::required("input", "weights"),
         Port::required("input", "scene"),
@@ -115,19 +121,27 @@ impl Stage for Render {
     fn threads(&self) -> Threads {
         Threads::All
     }
+
+    fn numeric_class(&self) -> Option<String> {
+        self.params.device.class()
+    }
 }
 
 impl Set for Render {
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
         let scene = read_scene(ctx, inputs.required("scene")?)?;
-        let field = Field::decode(&ctx.get(inputs.required("weights")?)?).map_err(TrainError::from)?;
+        let field = Field::decode(&ctx.get(inputs.required("weights")?)?);
+        let field = field
+            .and_then(|field| field.on(&self.params.device))
+            .map_err(TrainError::from)?;
         let path = viewpoints(&scene, &self.params)?;
         let mut outputs = outputs([("poses", put_json(ctx, &places(&path))?)]);
         let (mut pictures, mut depths) = (Vec::new(), Vec::new());
         for (index, place) in path.iter().enumerate() {
             let note = format!("picture {}", place.name);
             ctx.progress.at(index as u64, path.len() as u64, &note);
-            let render = render_in_bands(&field, &place.camera, &place.cam_from_world, || ctx.check())?;
+            let (camera, pose) = (&place.camera, &place.cam_from_world);
+            let render = render_in_bands(&field, camera, pose, || ctx.check(), field_failed)?;
             let picture = render.to_image();
             outputs.insert(format!("frames/{:04}.png", index + 1), put_png(ctx, &picture)?);
             if self.params.depth {

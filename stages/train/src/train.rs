@@ -1,5 +1,5 @@
 use marf_cache::{ContentHash, Digest};
-use marf_field::{Config, Facts, Trainer, View};
+use marf_field::{Config, Device, Facts, Trainer, View};
 use marf_scene::Scene;
 use marf_stage::{
     Ctx, Define, Expand, Inputs, NodeSpec, Outputs, ParamError, Port, Set, Stage, StageError, Threads, Work,
@@ -58,6 +58,9 @@ pub struct Report {
     pub drawn: Option<Vec<String>>,
     /// What decided how large the field is.
     pub fit: Fit,
+    /// The GPU that trained, with driver and interface; absent: the CPU.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gpu: Option<String>,
     /// The configuration as it was used.
     pub config: Config,
     /// What the field was sized by.
@@ -68,7 +71,7 @@ impl Define for Train {
     type Params = TrainParams;
     const NAME: &'static str = "train";
     const ABOUT: &'static str = "Trains a radiance field and measures it on held-out photos";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PORTS: &'static [Port] = &[
         Port::required("input", "scene"),
         Port::optional("params", "params"),
@@ -95,6 +98,10 @@ impl Stage for Train {
 
     fn threads(&self) -> Threads {
         Threads::All
+    }
+
+    fn numeric_class(&self) -> Option<String> {
+        self.params.device.class()
     }
 }
 
@@ -152,7 +159,7 @@ fn train(ctx: &Ctx<'_>, inputs: &Inputs, params: &TrainParams, steps: u64) -> Re
     let (config, trials) = trials::decide(ctx, &tried, config)?;
     let views = views(ctx, &split, &times, scale, plan, params.seed)?;
     let probes = probes(ctx, &split.held_out, scale)?;
-    let trainer = trainer(views, &scene, &config, params.seed)?;
+    let trainer = trainer(views, &scene, &config, params.seed, &params.device)?;
     let Fitted { field, log } = fit(ctx, trainer, steps, &probes)?;
     let field = field.with_trials(trials);
     let mut outputs = outputs([("scene", *scene_digest), ("weights", ctx.put(&field.encode())?)]);
@@ -170,6 +177,7 @@ fn train(ctx: &Ctx<'_>, inputs: &Inputs, params: &TrainParams, steps: u64) -> Re
         held_out_photos: split.held_out.len() as u64,
         drawn: params.resample.map(|_| drawn(&split, &times)),
         fit: params.fit,
+        gpu: params.device.class(),
         config,
         field: field.facts().clone(),
     };
@@ -188,8 +196,12 @@ pub(crate) fn trainer(
     scene: &Scene,
     config: &Config,
     seed: u64,
+    device: &Device,
 ) -> Result<Trainer, StageError> {
-    Ok(Trainer::new(views, &points(scene), config, seed).map_err(TrainError::from)?)
+    let trainer = Trainer::new(views, &points(scene), config, seed);
+    Ok(trainer
+        .and_then(|trainer| trainer.on(device))
+        .map_err(TrainError::from)?)
 }
 
 /// How often each training photo is used.

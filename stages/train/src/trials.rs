@@ -1,6 +1,8 @@
 //! Which parts of the field pay on this scene: short trainings, judged on photos that they do not see.
 
-use marf_field::{Background, Config, Field, Gain, Overrides, Quality, Trainer, Trial, View, ViewDependence};
+use marf_field::{
+    Background, Config, Device, Field, Gain, Overrides, Quality, Trainer, Trial, View, ViewDependence,
+};
 use marf_scene::Scene;
 use marf_stage::{Ctx, StageError};
 
@@ -216,6 +218,7 @@ struct Bench<'a> {
     views: Vec<View>,
     judges: Vec<(Named<'a>, Reduced)>,
     points: Vec<[f64; 3]>,
+    device: Device,
     seed: u64,
     steps: u64,
 }
@@ -240,6 +243,7 @@ impl<'a> Bench<'a> {
             views: views(ctx, &split, &times, scale, plan, asked.params.seed)?,
             judges: split.held_out.into_iter().zip(photos).collect(),
             points: points(asked.scene),
+            device: asked.params.device.clone(),
             seed: asked.params.seed,
             steps,
         }))
@@ -252,14 +256,17 @@ impl<'a> Bench<'a> {
         };
         let views = self.views.clone();
         let trainer = Trainer::new(views, &self.points, &config, self.seed);
+        let trainer = trainer.and_then(|trainer| trainer.on(&self.device));
         let mut trainer = trainer.map_err(TrainError::from)?;
         while trainer.steps() < self.steps {
             ctx.check()?;
-            trainer.step().map_err(TrainError::from)?;
+            trainer
+                .advance(self.steps - trainer.steps())
+                .map_err(TrainError::from)?;
             ctx.progress
                 .at(trainer.steps(), self.steps, &format!("trying {note}"));
         }
-        let field: Field = trainer.field();
+        let field: Field = trainer.field().map_err(TrainError::from)?;
         Ok(Outcome {
             psnr: mean_psnr(ctx, &field, &self.judges)?,
             parameters: field.facts().parameters,

@@ -413,10 +413,14 @@ fn the_answers_belong_to_the_versions() {
     let harness = Harness::default();
     let inputs = downstream(&harness);
     let digest = |outputs: &Outputs| Digest::of(&serde_json::to_vec(outputs).unwrap()).short();
-    let evaluate: Evaluate = stage(json!({"views": "all"}));
-    let render: Render = stage(json!({"frames": 2, "width": 24, "depth": true}));
+    let evaluate: Evaluate = stage(json!({"views": "all", "device": "cpu"}));
+    let render: Render = stage(json!({"frames": 2, "width": 24, "depth": true, "device": "cpu"}));
     let found = [
-        ("train", Train::VERSION, digest(&trained(&harness, json!({})))),
+        (
+            "train",
+            Train::VERSION,
+            digest(&trained(&harness, json!({"device": "cpu"}))),
+        ),
         (
             "evaluate",
             Evaluate::VERSION,
@@ -434,9 +438,9 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 2, "2c37379e5725"),
-            ("evaluate", 2, "de2e6d03d190"),
-            ("render", 2, "ff8a00bc7632")
+            ("train", 3, "8b72cb1fe9e9"),
+            ("evaluate", 3, "5d7b3b0589ec"),
+            ("render", 3, "0b129d90a70d")
         ]
     );
 }

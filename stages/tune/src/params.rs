@@ -1,5 +1,5 @@
 use marf_cache::ContentHash;
-use marf_field::{Overrides, Quality};
+use marf_field::{Device, Overrides, Quality};
 use marf_scene::Scene;
 use marf_stage::{Ctx, Define, Expand, Inputs, NodeSpec, Outputs, ParamError, Port, Stage, StageError, Work};
 use schemars::JsonSchema;
@@ -31,6 +31,10 @@ pub struct TuneParams {
     /// What may be tried: key = `{ log = [low, high] }`, `{ int = [low, high] }` or `{ choice = [..] }`; a choice that
     /// is a table sets its own keys, and its name here is only a name.
     pub space: Space,
+    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
+    /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
+    #[content_hash(skip)]
+    pub device: Device,
 }
 
 impl Default for TuneParams {
@@ -42,6 +46,7 @@ impl Default for TuneParams {
             steps: None,
             scale: None,
             space: default_space(),
+            device: Device::default(),
         }
     }
 }
@@ -157,10 +162,13 @@ impl Tune {
 
 fn node(params: &TuneParams, name: String, seed: u64, set: &Overrides, inputs: &Inputs) -> NodeSpec {
     let steps = params.steps.unwrap_or((params.quality.steps() / 4).max(1));
-    let table = json!({
+    let mut table = json!({
         "quality": params.quality, "steps": steps, "seed": seed, "holdout": "validation", "field": set,
         "scale": params.scale, "trials": {"steps": 0},
     });
+    if params.device != Device::default() {
+        table["device"] = json!(params.device);
+    }
     NodeSpec {
         name,
         stage: "train".to_owned(),

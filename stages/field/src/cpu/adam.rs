@@ -3,9 +3,9 @@
 use super::simd::{Isa, Kernel};
 
 /// Decay of the first moment.
-const BETA1: f32 = 0.9;
+pub const BETA1: f32 = 0.9;
 /// Decay of the second moment.
-const BETA2: f32 = 0.99;
+pub const BETA2: f32 = 0.99;
 /// 0.99^4096 is below 2^-58: from there on the bias is 1 in f32.
 const DEBIASED: usize = 4096;
 
@@ -22,6 +22,13 @@ impl Default for Bias {
             [(1.0 / (1.0 - first)) as f32, (1.0 / (1.0 - second)) as f32]
         });
         Self(corrections.collect())
+    }
+}
+
+impl Bias {
+    /// Returns the corrections by step count; the last holds from there on.
+    pub fn corrections(&self) -> &[[f32; 2]] {
+        &self.0
     }
 }
 

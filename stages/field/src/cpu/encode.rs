@@ -3,7 +3,7 @@
 use super::simd::{Block, Checked, CheckedMut, Indices, Isa, Kernel, LANES, Stripe, Table, TableMut, flat};
 
 /// Multipliers of the spatial hash for y and z (instant-ngp, eq. 4); x has 1, so that neighbours share lines.
-const PRIMES: [u32; 2] = [2_654_435_761, 805_459_861];
+pub const PRIMES: [u32; 2] = [2_654_435_761, 805_459_861];
 
 /// One level of the grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

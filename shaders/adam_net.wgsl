@@ -1,0 +1,73 @@
+// adam_net: one step of Adam for the weights of a layer or of the background, in rows of 16 numbers.
+//
+// Source    Kingma and Ba, arXiv 1412.6980, algorithm 1; rows without a gradient keep everything.
+// Twin      marf_field::cpu::adam::Adam::<16> with its decay; within 1e-6 of the step: root and quotient may be rounded
+//           otherwise.
+// Threads   one per row: workgroup 64, folded.
+// Reads     gradient [rows][16], bias [last + 1] (corrections by step count), faults [8]; pace.rate, the step size
+// Writes    weights, mean, square [rows][16] and count [rows] of rows with a gradient; gradient becomes 0
+// Extremes  any fault: nothing is written. Both zeros are no gradient. A gradient above 1.8e19 makes the second moment
+//           infinite and its row stands still. A count above `last` takes the last correction.
+struct AdamNet {
+    rows: u32,
+    last: u32,
+    factor: f32,
+    decay: f32,
+    epsilon: f32,
+    beta1: f32,
+    beta2: f32,
+    pad0: u32,
+}
+struct Pace {
+    rate: f32,
+    total: u32,
+    pad0: u32,
+    pad1: u32,
+}
+@group(0) @binding(0) var<uniform> run: AdamNet;
+@group(0) @binding(1) var<uniform> pace: Pace;
+@group(0) @binding(2) var<storage, read> faults: array<u32>;
+@group(0) @binding(3) var<storage, read> bias: array<vec2<f32>>;
+@group(0) @binding(4) var<storage, read_write> weights: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> gradient: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> mean: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read_write> square: array<vec4<f32>>;
+@group(0) @binding(8) var<storage, read_write> count: array<u32>;
+
+fn any_fault() -> bool {
+    var found = 0u;
+    for (var kind = 0u; kind < 8u; kind++) { found |= faults[kind]; }
+    return found != 0u;
+}
+
+fn advance(at: u32, rate: f32, correction: vec2<f32>) {
+    let weight = weights[at];
+    let slope = fma(vec4<f32>(run.decay), weight, gradient[at]);
+    let m = fma(vec4<f32>(run.beta1), mean[at], (1.0 - run.beta1) * slope);
+    let v = fma(vec4<f32>(run.beta2), square[at], (1.0 - run.beta2) * (slope * slope));
+    let root = sqrt(v * correction.y) + run.epsilon;
+    weights[at] = weight - rate * (m * correction.x) / root;
+    mean[at] = m;
+    square[at] = v;
+    gradient[at] = vec4<f32>(0.0);
+}
+
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let row = flat(id, groups);
+    if row >= run.rows || any_fault() { return; }
+    let at = 4u * row;
+    let touched = bitcast<vec4<u32>>(gradient[at])
+        | bitcast<vec4<u32>>(gradient[at + 1u])
+        | bitcast<vec4<u32>>(gradient[at + 2u])
+        | bitcast<vec4<u32>>(gradient[at + 3u]);
+    if ((touched.x | touched.y | touched.z | touched.w) << 1u) == 0u { return; }
+    let steps = count[row];
+    let correction = bias[min(steps, run.last)];
+    count[row] = select(steps, steps + 1u, steps < 0xffffffffu);
+    let rate = pace.rate * run.factor;
+    advance(at, rate, correction);
+    advance(at + 1u, rate, correction);
+    advance(at + 2u, rate, correction);
+    advance(at + 3u, rate, correction);
+}

@@ -1,0 +1,126 @@
+// march: walks along rays through occupied cells of the contracted box; `count` counts samples, `write` writes them.
+//
+// Source    instant-ngp, arXiv 2201.05989, appendix E; contraction of mip-NeRF 360, arXiv 2111.12077, eq. 10, in the
+//           maximum norm. Steps are counted, t never adds up: no ray stalls where t + dt = t.
+// Twin      marf_field::cpu::march::March, same blocks of 16 steps, limit and order; equal within 1e-6 of the box, 1e-6
+//           of t. A sample within rounding of a cell's border may fall on its other side.
+// Threads   one per ray: workgroup 64, folded
+// Reads     walk; origins, directions [rays] vec4; steps [padded] (begin, length); bits [side^3 / 32]; next_step [rays];
+//           count: done [rays]; write: spans [2][rays] of scan.wgsl
+// Writes    count: amounts [rays]. write: xyz [3][capacity], along [3][capacity] t, delta, place, ray_of [capacity],
+//           the samples of every span each once; next_step where walk.resumes is 1
+// Extremes  directions.w = 0 or done: no samples, and the next step is the last. A span that is CLIPPED is passed over:
+//           its ray goes on from where it was. 1e6 half sides away a ray keeps to the border of the box. NaN lies in
+//           cell 0, as on the CPU. `write` never leaves its span: what it does not find lies at the origin, length 0.
+@group(0) @binding(0) var<uniform> walk: Walk;
+@group(0) @binding(1) var<storage, read> origins: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read> directions: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> steps: array<vec2<f32>>;
+@group(0) @binding(4) var<storage, read> bits: array<u32>;
+@group(0) @binding(5) var<storage, read_write> next_step: array<u32>;
+@group(0) @binding(6) var<storage, read> done: array<u32>;
+@group(0) @binding(7) var<storage, read_write> amounts: array<u32>;
+@group(0) @binding(6) var<storage, read> spans: array<u32>;
+@group(0) @binding(7) var<storage, read_write> xyz: array<f32>;
+@group(0) @binding(8) var<storage, read_write> along: array<f32>;
+@group(0) @binding(9) var<storage, read_write> ray_of: array<u32>;
+
+// Steps of a block; a ray pauses only between two.
+const BLOCK: u32 = 16u;
+
+// The point in the unit box, and by how much a length shrinks there.
+fn contracted(p: vec3<f32>) -> vec4<f32> {
+    let size = abs(p);
+    let pair = select(size.x, size.y, size.y > size.x);
+    let m = select(pair, size.z, size.z > pair);
+    let outside = m > 1.0;
+    let shrink = select(1.0, 1.0 / m, outside);
+    let scale = select(1.0, (2.0 - shrink) * shrink, outside);
+    return vec4(fma(p * scale, vec3(0.25), vec3(0.5)), shrink);
+}
+
+// Cut to [0, 1]; NaN becomes 0.
+fn unit(x: vec3<f32>) -> vec3<f32> {
+    let above = select(vec3(0.0), x, x > vec3(0.0));
+    return select(vec3(1.0), above, above < vec3(1.0));
+}
+
+fn occupied(at: vec3<f32>) -> bool {
+    let corner = min(vec3<u32>(unit(at) * f32(walk.side)), vec3(walk.side - 1u));
+    let cell = (corner.z * walk.side + corner.y) * walk.side + corner.x;
+    return ((bits[cell >> 5u] >> (cell & 31u)) & 1u) == 1u;
+}
+
+fn distance_at(step: u32, jitter: f32) -> f32 {
+    return fma(jitter, steps[step].y, steps[step].x);
+}
+
+fn point_at(origin: vec4<f32>, direction: vec4<f32>, t: f32) -> vec4<f32> {
+    return contracted(fma(direction.xyz, vec3(t), origin.xyz));
+}
+
+fn first_step(ray: u32) -> u32 {
+    if walk.resumes == 0u { return 0u; }
+    return next_step[ray];
+}
+
+fn is_over(ray: u32) -> bool {
+    if directions[ray].w == 0.0 { return true; }
+    if walk.resumes == 0u { return false; }
+    return done[ray] != 0u;
+}
+
+@compute @workgroup_size(64)
+fn count(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let ray = flat(id, groups);
+    if ray >= walk.rays { return; }
+    let origin = origins[ray];
+    let direction = directions[ray];
+    var found = 0u;
+    var step = select(first_step(ray), walk.padded, is_over(ray));
+    while step < walk.padded && found < walk.limit {
+        for (let end = step + BLOCK; step < end; step++) {
+            let point = point_at(origin, direction, distance_at(step, origin.w));
+            if step < walk.steps && occupied(point.xyz) { found++; }
+        }
+    }
+    amounts[ray] = found;
+}
+
+fn store(ray: u32, sample: u32, at: vec3<f32>, along_it: vec3<f32>) {
+    let columns = sample + vec3(0u, 1u, 2u) * walk.capacity;
+    xyz[columns.x] = at.x;
+    xyz[columns.y] = at.y;
+    xyz[columns.z] = at.z;
+    along[columns.x] = along_it.x;
+    along[columns.y] = along_it.y;
+    along[columns.z] = along_it.z;
+    ray_of[sample] = ray;
+}
+
+@compute @workgroup_size(64)
+fn write(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let ray = flat(id, groups);
+    if ray >= walk.rays || spans[ray] == CLIPPED { return; }
+    let end = spans[ray] + spans[walk.ray_slots + ray];
+    let origin = origins[ray];
+    let direction = directions[ray];
+    var sample = spans[ray];
+    // A ray that is over, or finds nothing to its end, has nothing to write.
+    var step = select(walk.padded, first_step(ray), sample < end);
+    var found = 0u;
+    while step < walk.padded && found < walk.limit {
+        for (let last = step + BLOCK; step < last; step++) {
+            let t = distance_at(step, origin.w);
+            let point = point_at(origin, direction, t);
+            if step >= walk.steps || !occupied(point.xyz) { continue; }
+            found++;
+            if sample >= end { continue; }
+            let place = (f32(step) + origin.w) / f32(walk.steps);
+            store(ray, sample, point.xyz, vec3(t, steps[step].y * point.w, place));
+            sample++;
+        }
+    }
+    for (; sample < end; sample++) { store(ray, sample, vec3(0.0), vec3(0.0)); }
+    if walk.resumes == 1u { next_step[ray] = step; }
+}

@@ -1,0 +1,249 @@
+//! The uniforms of the kernels of networks and of light, and what they tell the host.
+
+use bytemuck::{Pod, Zeroable};
+
+/// Sizes of a layer and where its columns are.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct ProductRun {
+    /// Neurons that go in.
+    pub inner: u32,
+    /// Neurons that come out.
+    pub outputs: u32,
+    /// Numbers a column.
+    pub capacity: u32,
+    /// Which of `counts` tells the samples in use.
+    pub slot: u32,
+    /// First row of A.
+    pub first_a: u32,
+    /// First row of C.
+    pub first_c: u32,
+    /// Nothing.
+    pub pad: [u32; 2],
+}
+
+/// Sizes of a layer.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct TransposeRun {
+    /// Rows.
+    pub inputs: u32,
+    /// Columns.
+    pub outputs: u32,
+}
+
+/// Sizes of a layer, where its columns are and how they are cut.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct OuterRun {
+    /// Neurons that go in, a multiple of 4.
+    pub inner: u32,
+    /// Neurons that come out, a multiple of 8.
+    pub outputs: u32,
+    /// Numbers a column.
+    pub capacity: u32,
+    /// Which of `counts` tells the samples in use.
+    pub slot: u32,
+    /// Samples a part, a multiple of 4.
+    pub chunk: u32,
+    /// First row of A.
+    pub first_a: u32,
+    /// First row of D.
+    pub first_d: u32,
+    /// Nothing.
+    pub pad: u32,
+}
+
+/// What is summed, and whose fault it is.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct SumRun {
+    /// Numbers a part.
+    pub weights: u32,
+    /// Which of `counts` tells the samples in use.
+    pub slot: u32,
+    /// Samples a part.
+    pub chunk: u32,
+    /// Place in `faults`.
+    pub fault: u32,
+}
+
+/// Adam's numbers for one tensor.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct AdamNet {
+    /// Rows of 16 numbers.
+    pub rows: u32,
+    /// Last place of the table of corrections.
+    pub last: u32,
+    /// Step size in learning rates.
+    pub factor: f32,
+    /// Pull to zero.
+    pub decay: f32,
+    /// Added to the root.
+    pub epsilon: f32,
+    /// Decay of the first moment.
+    pub beta1: f32,
+    /// Decay of the second moment.
+    pub beta2: f32,
+    /// Nothing.
+    pub pad: u32,
+}
+
+/// What changes from step to step.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct Pace {
+    /// Learning rate.
+    pub rate: f32,
+    /// Place in the ring of totals.
+    pub total: u32,
+    /// Nothing.
+    pub pad: [u32; 2],
+}
+
+/// Where harmonics go.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct HarmonicsRun {
+    /// Which of `counts` tells what is in use.
+    pub slot: u32,
+    /// Numbers a column.
+    pub stride: u32,
+    /// First row.
+    pub first: u32,
+    /// Nothing.
+    pub pad: u32,
+}
+
+/// Sizes of columns.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct Extent {
+    /// Which of `counts` tells what is in use.
+    pub slot: u32,
+    /// Numbers a column of samples.
+    pub capacity: u32,
+    /// Numbers a column of rays.
+    pub rays: u32,
+    /// Nothing.
+    pub pad: u32,
+}
+
+/// Which rows are copied.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct GatherRun {
+    /// Which of `counts` tells the samples in use.
+    pub slot: u32,
+    /// Numbers a column.
+    pub capacity: u32,
+    /// First row of the source.
+    pub first_from: u32,
+    /// First row of what it is copied to.
+    pub first_to: u32,
+}
+
+/// Sizes, and what rays are compared with.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct CompareRun {
+    /// Which of `counts` tells the rays in use.
+    pub slot: u32,
+    /// Numbers a column of samples.
+    pub capacity: u32,
+    /// Numbers a column of rays.
+    pub rays: u32,
+    /// Photos.
+    pub views: u32,
+    /// 1 where photos have offsets.
+    pub offsets: u32,
+    /// 1 where the background is learnt, 0 where it is black.
+    pub behind: u32,
+    /// Nothing.
+    pub pad: [u32; 2],
+}
+
+/// Sizes and weights of the losses.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct SpreadRun {
+    /// Which of `counts` tells the rays in use.
+    pub slot: u32,
+    /// Numbers a column of samples.
+    pub capacity: u32,
+    /// Numbers a column of rays.
+    pub rays: u32,
+    /// Weight of the distortion loss.
+    pub distortion: f32,
+    /// Length of a step in units of place.
+    pub cell: f32,
+    /// Price of opacity.
+    pub emptiness: f32,
+    /// Steps around a point that count as near.
+    pub reach: f32,
+    /// Added to the weight near a point.
+    pub floor: f32,
+}
+
+/// What is looked at, and whose fault it is.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct RunawayRun {
+    /// Which of `counts` tells the samples in use.
+    pub slot: u32,
+    /// Numbers a column.
+    pub capacity: u32,
+    /// Place in `faults`.
+    pub fault: u32,
+    /// Nothing.
+    pub pad: u32,
+}
+
+/// What the host is told of a step.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct Total {
+    /// Samples that rays visited.
+    pub visited: u32,
+    /// Samples that were trained.
+    pub kept: u32,
+    /// Rays in use.
+    pub rays: u32,
+    /// Rays that go on.
+    pub alive: u32,
+    /// One bit for each of `faults`.
+    pub faults: u32,
+    /// Sum of squared errors over rays and channels.
+    pub loss: f32,
+    /// Nothing.
+    pub pad: [u32; 2],
+}
+
+/// Sizes, and where rays end.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct PaintRun {
+    /// Which of `counts` tells the rays in use.
+    pub slot: u32,
+    /// Numbers a column of samples.
+    pub capacity: u32,
+    /// Numbers a column of rays.
+    pub rays: u32,
+    /// Optical depth that ends a ray.
+    pub deep: f32,
+}
+
+/// Sizes, and what a pixel is made with.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct FinishRun {
+    /// Which of `counts` tells the rays in use.
+    pub slot: u32,
+    /// Numbers a column of rays.
+    pub rays: u32,
+    /// 1 where the background is learnt, 0 where it is black.
+    pub behind: u32,
+    /// Half side of the box, world units.
+    pub half_side: f32,
+}

@@ -1,0 +1,214 @@
+//! The kernels of networks and of light along rays.
+
+use crate::{FLAT, MATH, Shader};
+
+/// Colours of logits.
+const COLOUR_OF: &str = include_str!("shared/colour.wgsl");
+/// Spherical harmonics.
+const HARMONICS_OF: &str = include_str!("shared/sh.wgsl");
+/// The background by direction.
+const BEHIND: &str = include_str!("shared/behind.wgsl");
+
+/// The limits of the numbers of a field, as the CPU has them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limits {
+    /// Numbers of this size count as not finite.
+    pub runaway: f32,
+    /// Raw densities are cut here.
+    pub raw: f32,
+    /// Added to a raw density before the exponential.
+    pub shift: f32,
+    /// Logits of colours are cut at plus and minus this.
+    pub logit: f32,
+    /// Samples behind a lesser transmittance are left out.
+    pub opaque: f32,
+}
+
+impl Limits {
+    /// Returns the head of kernels that look at these numbers.
+    pub fn head(&self) -> String {
+        let bits = self.runaway.to_bits();
+        let mut head = format!("const RUNAWAY: u32 = {bits}u;\n");
+        for (name, value) in [
+            ("RAW_LIMIT", self.raw),
+            ("RAW_SHIFT", self.shift),
+            ("LOGIT_LIMIT", self.logit),
+            ("OPAQUE", self.opaque),
+        ] {
+            head += &format!("const {name}: f32 = {value:?};\n");
+        }
+        let rows = [
+            ("GAIN", found::GAIN),
+            ("OFFSET", found::OFFSET),
+            ("LOSS", found::LOSS),
+            ("SLOPE", found::SLOPE),
+            ("TOWARDS", found::TOWARDS),
+            ("ROWS", found::LEN),
+        ];
+        for (name, row) in rows {
+            head += &format!("const FOUND_{name}: u32 = {row}u;\n");
+        }
+        head
+    }
+}
+
+/// Rows of the array `found` of the kernel `compare`; the slopes of the background's three logits are the first, and a
+/// row of zeros follows them.
+pub mod found {
+    /// Slopes in the three log gains.
+    pub const GAIN: usize = 4;
+    /// Slopes in the three offsets.
+    pub const OFFSET: usize = 7;
+    /// Sum of squared errors.
+    pub const LOSS: usize = 10;
+    /// Slopes in the three channels of the ray's colour.
+    pub const SLOPE: usize = 11;
+    /// Slope times colour behind.
+    pub const TOWARDS: usize = 14;
+    /// Rows.
+    pub const LEN: usize = 15;
+}
+
+const PLAIN: &[&str] = &[""];
+const HEADS: &[&str] = &[
+    "const RUNAWAY: u32 = 9u; const RAW_LIMIT: f32 = 1.0; const RAW_SHIFT: f32 = -1.0; \
+    const LOGIT_LIMIT: f32 = 1.0; const OPAQUE: f32 = 0.1; const FOUND_GAIN: u32 = 4u; const FOUND_OFFSET: u32 = 7u; \
+    const FOUND_LOSS: u32 = 10u; const FOUND_SLOPE: u32 = 11u; const FOUND_TOWARDS: u32 = 14u; \
+    const FOUND_ROWS: u32 = 15u;",
+];
+
+/// One layer for all samples; entries `main`, `rectified` and `gated`.
+pub const PRODUCT: Shader = Shader {
+    name: "product",
+    shared: &[],
+    text: include_str!("product.wgsl"),
+    heads: PLAIN,
+};
+
+/// Weights of a layer for its backward pass.
+pub const TRANSPOSE: Shader = Shader {
+    name: "transpose",
+    shared: &[FLAT],
+    text: include_str!("transpose.wgsl"),
+    heads: PLAIN,
+};
+
+/// Gradient of a layer's weights, a part for every chunk of samples.
+pub const OUTER: Shader = Shader {
+    name: "outer",
+    shared: &[FLAT],
+    text: include_str!("outer.wgsl"),
+    heads: PLAIN,
+};
+
+/// Adds the parts of a gradient.
+pub const SUM: Shader = Shader {
+    name: "sum",
+    shared: &[MATH],
+    text: include_str!("sum.wgsl"),
+    heads: HEADS,
+};
+
+/// Adam in rows of 16 numbers.
+pub const ADAM_NET: Shader = Shader {
+    name: "adam_net",
+    shared: &[FLAT],
+    text: include_str!("adam_net.wgsl"),
+    heads: PLAIN,
+};
+
+/// Spherical harmonics of directions; entries `main` and `of_rays`.
+pub const HARMONICS: Shader = Shader {
+    name: "harmonics",
+    shared: &[FLAT, HARMONICS_OF],
+    text: include_str!("harmonics.wgsl"),
+    heads: PLAIN,
+};
+
+/// Raw densities to opacities and transmittances along rays.
+pub const OPACITY: Shader = Shader {
+    name: "opacity",
+    shared: &[FLAT, MATH],
+    text: include_str!("opacity.wgsl"),
+    heads: HEADS,
+};
+
+/// Which of the visited samples the kept ones are.
+pub const KEPT: Shader = Shader {
+    name: "kept",
+    shared: &[FLAT],
+    text: include_str!("kept.wgsl"),
+    heads: PLAIN,
+};
+
+/// Copies the kept samples of some rows.
+pub const GATHER: Shader = Shader {
+    name: "gather",
+    shared: &[],
+    text: include_str!("gather.wgsl"),
+    heads: PLAIN,
+};
+
+/// Logits to colours.
+pub const COLOUR: Shader = Shader {
+    name: "colour",
+    shared: &[FLAT, MATH, COLOUR_OF],
+    text: include_str!("colour.wgsl"),
+    heads: HEADS,
+};
+
+/// Colour of a ray beside its pixel.
+pub const COMPARE: Shader = Shader {
+    name: "compare",
+    shared: &[FLAT, MATH, COLOUR_OF, HARMONICS_OF, BEHIND],
+    text: include_str!("compare.wgsl"),
+    heads: HEADS,
+};
+
+/// Slope of a ray's colour to those of its samples.
+pub const SPREAD: Shader = Shader {
+    name: "spread",
+    shared: &[FLAT, MATH, COLOUR_OF],
+    text: include_str!("spread.wgsl"),
+    heads: HEADS,
+};
+
+/// Adds both slopes of the raw density.
+pub const JOIN: Shader = Shader {
+    name: "join",
+    shared: &[FLAT],
+    text: include_str!("join.wgsl"),
+    heads: PLAIN,
+};
+
+/// Looks for numbers that run away.
+pub const RUNAWAY: Shader = Shader {
+    name: "runaway",
+    shared: &[MATH],
+    text: include_str!("runaway.wgsl"),
+    heads: HEADS,
+};
+
+/// What the host is told of a step.
+pub const TOTALS: Shader = Shader {
+    name: "totals",
+    shared: &[],
+    text: include_str!("totals.wgsl"),
+    heads: PLAIN,
+};
+
+/// Takes the samples of a round into the rays of a picture; entries `begin` and `main`.
+pub const PAINT: Shader = Shader {
+    name: "paint",
+    shared: &[FLAT],
+    text: include_str!("paint.wgsl"),
+    heads: HEADS,
+};
+
+/// Rays of a picture to its pixels.
+pub const FINISH: Shader = Shader {
+    name: "finish",
+    shared: &[FLAT, MATH, COLOUR_OF, HARMONICS_OF, BEHIND],
+    text: include_str!("finish.wgsl"),
+    heads: HEADS,
+};

@@ -1,0 +1,78 @@
+// rays: draws pixel and jitter of every ray of a training step and sets the ray out.
+//
+// Source    uniform over all kept pixels of all photos; of every `share`th ray, while sparse points pull, uniform over
+//           the pixels that see one (DS-NeRF, arXiv 2107.02791, draws them in the same batch).
+// Twin      marf_field::trainer::Trainer::target; pixel, colour, view, jitter, origin, pull equal bit for bit, direction
+//           within 2e-6 (shared/camera.wgsl).
+// Threads   one per ray: workgroup 64, folded
+// Reads     step; cameras [views]; pixels [kept] r | g << 8 | b << 16 | place in its run << 24; sightings [S]
+// Writes    origins, directions, targets [rays wanted] vec4, pulls [rays wanted] vec2, each once; no slot beyond
+// Extremes  no inverse of the distortion: directions.w is 0. A sighting beyond the last step pulls with weight 0.
+//           sightings = 0: no ray goes to one. The view number travels as integer bits: as f32 it is a denormal.
+struct Sighted {
+    // Number of the pixel among all kept.
+    pixel: u32,
+    // Number of the step at the point as a share of all steps.
+    place: f32,
+    // 1 where the point lies within the steps.
+    pulls: u32,
+}
+
+@group(0) @binding(0) var<uniform> step: Step;
+@group(0) @binding(1) var<storage, read> cameras: array<ViewCamera>;
+@group(0) @binding(2) var<storage, read> pixels: array<u32>;
+@group(0) @binding(3) var<storage, read> sightings: array<Sighted>;
+@group(0) @binding(4) var<storage, read_write> origins: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> directions: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> targets: array<vec4<u32>>;
+@group(0) @binding(7) var<storage, read_write> pulls: array<vec2<f32>>;
+
+// The view that a pixel belongs to: the last whose first pixel is not behind it.
+fn view_of(pixel: u32) -> u32 {
+    var low = 0u;
+    var high = step.views;
+    while high - low > 1u {
+        let middle = (low + high) / 2u;
+        if cameras[middle].first <= pixel { low = middle; } else { high = middle; }
+    }
+    return low;
+}
+
+// c / 255 rounded to the nearest f32, as the CPU's division does: a GPU's own division may be off by 2.5 ulp.
+fn share_of_255(c: u32) -> u32 {
+    if c == 0u { return 0u; }
+    // With the top bit of c at bit 7 the quotient has 24 bits.
+    let shift = countLeadingZeros(c) - 24u;
+    let scaled = (c << shift) << 24u;
+    let whole = scaled / 255u;
+    let rounded = whole + select(0u, 1u, 2u * (scaled - whole * 255u) > 255u);
+    // 2^-(24 + shift): a power of two scales exactly.
+    return bitcast<u32>(f32(rounded) * bitcast<f32>((103u - shift) << 23u));
+}
+
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let ray = flat(id, groups);
+    if ray >= step.rays { return; }
+    var rng = rng_new(step.seed, PURPOSE, step.number, vec2(ray, 0u));
+    var pull = vec2(0.0);
+    var pixel = 0u;
+    if step.sightings > 0u && ray % step.share == 0u {
+        let seen = sightings[rng_below(&rng, vec2(step.sightings, 0u)).x];
+        pixel = seen.pixel;
+        if seen.pulls == 1u { pull = vec2(seen.place, step.pull); }
+    } else {
+        pixel = rng_below(&rng, vec2(step.pixels, 0u)).x;
+    }
+    let jitter = rng_unit(&rng);
+    let view = view_of(pixel);
+    let camera = cameras[view];
+    let packed = pixels[pixel];
+    let place = (pixel - camera.first) * camera.run + (packed >> 24u);
+    let centre = vec2(f32(place % camera.width), f32(place / camera.width)) + 0.5;
+    origins[ray] = vec4(centre_of(camera), jitter);
+    directions[ray] = ray_behind(camera, centre);
+    let rgb = vec3(packed & 255u, (packed >> 8u) & 255u, (packed >> 16u) & 255u);
+    targets[ray] = vec4(share_of_255(rgb.x), share_of_255(rgb.y), share_of_255(rgb.z), view);
+    pulls[ray] = pull;
+}

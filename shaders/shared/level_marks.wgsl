@@ -1,0 +1,19 @@
+// One level's fixed point, as kernels see it that raise its marks from many threads.
+struct LevelScale {
+    // Quanta a unit of gradient, a power of two, for what is added next.
+    scale: f32,
+    // 1 / scale of what was added last.
+    quantum: f32,
+    // Largest |q| of its entries.
+    peak: atomic<u32>,
+    // 1 where a single contribution was clamped.
+    clamped: atomic<u32>,
+    // 1 where this step leaves the level as it is.
+    skip: u32,
+    // Steps that were left out so far.
+    overflows: u32,
+    // First entry in the table of all levels.
+    first: u32,
+    // Entries.
+    entries: u32,
+}

@@ -1,0 +1,109 @@
+// spread: from the slope in a ray's colour to the slopes in raw densities and colour logits.
+//
+// Source    dL/dtau_i = T_{i+1} q_i - sum of w_j q_j behind i - T_S (g . b), nothing divided by 1 - alpha; with the
+//           distortion loss of mip-NeRF 360 (arXiv 2111.12077, eq. 15), the price of opacity and the pull of a point.
+// Twin      marf_field::batch::Losses::ray (Ray::spread, emptiness, Pull::spread) and the first half of backward;
+//           within 1e-6 of the largest slope of the ray.
+// Threads   one per ray, its samples from the front for the sums and then from the back: workgroup 64, folded.
+// Reads     spans [2][rays], rgb [3][capacity], along [3][capacity] (row 2, the place), density [.][capacity] (row 0,
+//           the raw density), logits [16][capacity] rows 0 to 2, found [FOUND_ROWS][rays] of `compare`, pulls [rays]
+//           (place, weight), counts[slot] rays in use; light as `opacity` left it
+// Writes    light row 0 [capacity]: tau becomes the slope in the raw density; d_logits rows 0 to 2 of [16][capacity].
+//           Both for samples of rays in use, each element once; rows 3 to 15 never: zero as they were made
+// Extremes  the slope is exactly 0 where the raw density is at its limit or a logit outside its limits. A pull of
+//           weight 0 is none. Opaque samples (alpha 1) and those with T = 0 give finite slopes.
+struct SpreadRun {
+    slot: u32,
+    capacity: u32,
+    rays: u32,
+    distortion: f32,
+    cell: f32,
+    emptiness: f32,
+    reach: f32,
+    floor: f32,
+}
+@group(0) @binding(0) var<uniform> run: SpreadRun;
+@group(0) @binding(1) var<storage, read> counts: array<u32>;
+@group(0) @binding(2) var<storage, read> spans: array<u32>;
+@group(0) @binding(3) var<storage, read> rgb: array<f32>;
+@group(0) @binding(4) var<storage, read> along: array<f32>;
+@group(0) @binding(5) var<storage, read> density: array<f32>;
+@group(0) @binding(6) var<storage, read> logits: array<f32>;
+@group(0) @binding(7) var<storage, read> found: array<f32>;
+@group(0) @binding(8) var<storage, read> pulls: array<vec2<f32>>;
+@group(0) @binding(9) var<storage, read_write> light: array<f32>;
+@group(0) @binding(10) var<storage, read_write> d_logits: array<f32>;
+
+fn row_of(row: u32, ray: u32) -> f32 {
+    return found[row * run.rays + ray];
+}
+
+fn put_logits(sample: u32, slope: vec3<f32>, shade: vec3<f32>) {
+    let green = run.capacity + sample;
+    let blue = run.capacity + green;
+    d_logits[sample] = slope.x * colour_slope(logits[sample], shade.x);
+    d_logits[green] = slope.y * colour_slope(logits[green], shade.y);
+    d_logits[blue] = slope.z * colour_slope(logits[blue], shade.z);
+}
+
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let ray = flat(id, groups);
+    let in_use = counts[run.slot];
+    if ray >= run.rays || ray >= in_use { return; }
+    let first = spans[ray];
+    let end = first + spans[run.rays + ray];
+    if first == end { return; }
+    let slope = vec3<f32>(row_of(FOUND_SLOPE, ray), row_of(FOUND_SLOPE + 1u, ray), row_of(FOUND_SLOPE + 2u, ray));
+    let strength = run.distortion / f32(in_use);
+    let emptiness = run.emptiness / f32(in_use);
+    let pull = pulls[ray];
+    let reach = run.reach * run.cell;
+
+    var total = 0.0;
+    var moment = 0.0;
+    var near_by = run.floor;
+    var left = 1.0;
+    for (var sample = first; sample < end; sample++) {
+        let alpha = light[run.capacity + sample];
+        let transmittance = light[2u * run.capacity + sample];
+        let place = along[2u * run.capacity + sample];
+        let weight = transmittance * alpha;
+        total += weight;
+        moment = fma(weight, place, moment);
+        near_by += select(0.0, weight, abs(place - pull.x) < reach);
+        left = transmittance * (1.0 - alpha);
+    }
+    // 0 without a pull, where the floor might be 0 too.
+    let pulled = pull.y != 0.0;
+    let strength_near = select(0.0, -pull.y / near_by, pulled);
+
+    var suffix = left * row_of(FOUND_TOWARDS, ray);
+    var suffix_near = 0.0;
+    var behind = 0.0;
+    var behind_moment = 0.0;
+    for (var sample = end; sample > first;) {
+        sample -= 1u;
+        let alpha = light[run.capacity + sample];
+        let transmittance = light[2u * run.capacity + sample];
+        let place = along[2u * run.capacity + sample];
+        let weight = transmittance * alpha;
+        let next = transmittance - weight;
+        let before = total - behind - weight;
+        let before_moment = moment - behind_moment - weight * place;
+        let apart = place * (before - behind) - before_moment + behind_moment;
+        let spread = strength * (2.0 * apart + weight * run.cell * (2.0f / 3.0f));
+        let shade = vec3<f32>(rgb[sample], rgb[run.capacity + sample], rgb[2u * run.capacity + sample]);
+        let q = dot_own(slope, shade) + spread;
+        var d_tau = next * q - suffix;
+        suffix = fma(weight, q, suffix);
+        d_tau = fma(emptiness, 1.0 - alpha, d_tau);
+        let q_near = select(0.0, strength_near, abs(place - pull.x) < reach);
+        d_tau += next * q_near - suffix_near;
+        suffix_near = fma(weight, q_near, suffix_near);
+        behind += weight;
+        behind_moment = fma(weight, place, behind_moment);
+        light[sample] = select(0.0, d_tau * light[sample], density[sample] < RAW_LIMIT);
+        put_logits(sample, slope * weight, shade);
+    }
+}

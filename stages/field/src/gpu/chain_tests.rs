@@ -1,0 +1,202 @@
+//! A whole batch from features to gradients against the CPU, and against differences in f64.
+
+use marf_shaders::found;
+
+use super::chain_device::on_the_device;
+use super::chain_f64::loss;
+use super::rig::{Rig, agree, columns};
+use super::testing::{numbers, worst};
+use crate::batch::{Chunk, Shared, Spares, Target, train};
+use crate::cpu::march::March;
+use crate::cpu::simd::{Level, flat};
+use crate::depth::Pull;
+use crate::exposure::Exposure;
+use crate::shade::{Shade, Span};
+use crate::training_tests::{ball, small};
+use crate::{Config, Trainer};
+
+pub const CAPACITY: usize = 4096;
+pub const SLOTS: usize = 64;
+pub const RAYS: usize = 33;
+const NO_RAY: usize = 9;
+/// Rounding in some hundred operations one after the other, as a share of the largest number.
+const CHAIN: f32 = 1e-5;
+
+/// A field that is not yet trained but has something to see, and rays.
+pub fn scene() -> (Trainer, Vec<Target>) {
+    let config = Config {
+        density_width: 32,
+        color_width: 32,
+        color_layers: 2,
+        distortion: 1e-2,
+        emptiness: 1e-3,
+        ..small()
+    };
+    let mut trainer = Trainer::new(ball(3, 16), &[], &config, 7).unwrap();
+    for (level, table) in trainer.state.weights.tables.iter_mut().enumerate() {
+        let values = numbers(table.len(), 50 + level as u64);
+        table
+            .iter_mut()
+            .zip(values)
+            .for_each(|(entry, value)| *entry = 25.0 * value);
+    }
+    let targets = (0..RAYS).map(|ray| target(&trainer, ray)).collect();
+    (trainer, targets)
+}
+
+fn target(trainer: &Trainer, ray: usize) -> Target {
+    let view = &trainer.views[ray % 3];
+    let (centre, rgb) = view.image.at(ray * 37 % view.image.len());
+    let start = trainer
+        .frame
+        .ray(&view.camera, &view.cam_from_world.inverse(), centre);
+    let pull = Pull {
+        place: 0.3,
+        weight: 0.02,
+    };
+    Target {
+        start: start.filter(|_| ray != NO_RAY),
+        jitter: 0.25,
+        view: (ray % 3) as u32,
+        rgb,
+        exposure: Exposure {
+            gain: [1.0; 3],
+            offset: [0.0; 3],
+        },
+        pull: ray.is_multiple_of(4).then_some(pull),
+    }
+}
+
+/// All samples of the rays, encoded.
+pub fn visited(trainer: &Trainer, targets: &[Target]) -> (Shade, Vec<Span>) {
+    let (mut shade, mut spans) = (Shade::default(), Vec::new());
+    for target in targets {
+        let first = shade.samples.len();
+        if let Some(start) = target.start {
+            Level::best().run(March {
+                steps: &trainer.march,
+                bits: &trainer.state.occupancy.bits,
+                origin: start.origin,
+                direction: start.direction,
+                jitter: target.jitter,
+                first: 0,
+                limit: usize::MAX,
+                samples: &mut shade.samples,
+            });
+        }
+        let end = shade.samples.len();
+        spans.push(Span { first, end });
+    }
+    shade.densities(Level::best(), &trainer.state.weights);
+    (shade, spans)
+}
+
+/// The CPU's gradients; the chunk holds those of the features, too.
+fn on_the_cpu(trainer: &Trainer, targets: &[Target]) -> Chunk {
+    let shared = Shared {
+        level: Level::best(),
+        config: &trainer.config,
+        weights: &trainer.state.weights,
+        steps: &trainer.march,
+        bits: &trainer.state.occupancy.bits,
+        rays: targets.len(),
+    };
+    let mut chunks = Vec::new();
+    train(&shared, targets, targets.len(), &mut chunks, &Spares::default());
+    chunks.pop().unwrap()
+}
+
+#[test]
+fn a_batch_has_the_gradients_of_the_cpu() {
+    let test = "a_batch_has_the_gradients_of_the_cpu";
+    let Some(rig) = Rig::new(test, [CAPACITY, SLOTS], [0; 3]) else {
+        return;
+    };
+    let (trainer, targets) = scene();
+    let here = on_the_device(&rig, &trainer, &targets);
+    let there = on_the_cpu(&trainer, &targets);
+    let expected = &there.found;
+    assert_eq!((expected.bad, here.total.faults), (None, 0));
+    assert_eq!(here.kept as u64, expected.samples);
+    assert!(
+        expected.samples + 20 < expected.visited,
+        "{} kept",
+        expected.samples
+    );
+    for (layer, gradient) in here.found.density.iter().enumerate() {
+        agree(
+            &format!("density {layer}"),
+            flat(gradient),
+            flat(&expected.density[layer]),
+            CHAIN,
+        );
+    }
+    for (layer, gradient) in here.found.color.iter().enumerate() {
+        agree(
+            &format!("colour {layer}"),
+            flat(gradient),
+            flat(&expected.color[layer]),
+            CHAIN,
+        );
+    }
+    agree(
+        "background",
+        &here.found.background[..48],
+        &expected.background,
+        CHAIN,
+    );
+    let width = trainer.state.weights.row_blocks() * 16;
+    let rows = columns(&flat(&there.features)[..here.kept * width], width, CAPACITY, 0.0);
+    let pairs = here.features.chunks(CAPACITY).zip(rows.chunks(CAPACITY));
+    let (found, wanted): (Vec<_>, Vec<_>) = pairs
+        .map(|(found, wanted)| (&found[..here.kept], &wanted[..here.kept]))
+        .unzip();
+    agree("features", &found.concat(), &wanted.concat()[..], CHAIN);
+    let rays = (0..RAYS).filter(|ray| *ray != NO_RAY).zip(&expected.exposures);
+    for (ray, (_, slopes)) in rays {
+        let row = |row: usize| here.rows[row * SLOTS + ray];
+        let gain = [0, 1, 2].map(|channel| row(found::GAIN + channel));
+        let offset = [0, 1, 2].map(|channel| row(found::OFFSET + channel));
+        assert!(
+            worst(&gain, &slopes.gain).0 < CHAIN && worst(&offset, &slopes.offset).0 < CHAIN,
+            "{ray}"
+        );
+    }
+    let loss = f64::from(here.total.loss);
+    assert!(
+        (loss - expected.loss).abs() < 1e-5 * expected.loss,
+        "{loss} against {}",
+        expected.loss
+    );
+}
+
+#[test]
+fn a_batch_has_the_slopes_of_its_f64_twin() {
+    let test = "a_batch_has_the_slopes_of_its_f64_twin";
+    let Some(rig) = Rig::new(test, [CAPACITY, SLOTS], [0; 3]) else {
+        return;
+    };
+    let (trainer, targets) = scene();
+    let here = on_the_device(&rig, &trainer, &targets).found;
+    let slope = |tensor: usize, at: usize| {
+        let moved = |by: f64| loss(&trainer, &targets, (tensor, at, by));
+        (moved(1e-6) - moved(-1e-6)) / 2e-6
+    };
+    let layers: Vec<&[f32]> = here
+        .density
+        .iter()
+        .chain(&here.color)
+        .map(|layer| flat(layer))
+        .collect();
+    for (tensor, gradient) in layers.into_iter().enumerate() {
+        let size = gradient.iter().fold(0.0_f32, |size, x| size.max(x.abs()));
+        let largest = gradient.iter().position(|x| x.abs() == size).unwrap_or(0);
+        for at in [largest, 17] {
+            let (found, expected) = (gradient[at], slope(tensor, at));
+            let error = (f64::from(found) - expected).abs() / f64::from(size);
+            println!("tensor {tensor}, {at}: {found} against {expected}, {error:.1e} of the largest");
+            // Of some hundred thousand units a few cross the kink of a ReLU between the two values.
+            assert!(error < 1e-5, "tensor {tensor}, {at}: {found} against {expected}");
+        }
+    }
+}

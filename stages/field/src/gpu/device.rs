@@ -1,0 +1,327 @@
+use std::collections::HashMap;
+use std::fmt;
+use std::str::FromStr;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::GpuError;
+use super::kernel::Kernel;
+
+/// Which processor is wanted: `auto`, `cpu`, `gpu` or `gpu:NAME`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(try_from = "String", into = "String")]
+#[schemars(with = "String")]
+pub enum Device {
+    /// A GPU where there is one, never a software adapter; else the CPU.
+    #[default]
+    Auto,
+    /// The CPU.
+    Cpu,
+    /// A GPU; with a name, the first adapter whose name holds it, whatever its kind.
+    Gpu(Option<String>),
+}
+
+/// A text that names no device.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is no device: auto, cpu, gpu or gpu:NAME")]
+pub struct DeviceError(String);
+
+impl FromStr for Device {
+    type Err = DeviceError;
+
+    fn from_str(text: &str) -> Result<Self, DeviceError> {
+        match text.split_once(':') {
+            None if text == "auto" => Ok(Self::Auto),
+            None if text == "cpu" => Ok(Self::Cpu),
+            None if text == "gpu" => Ok(Self::Gpu(None)),
+            Some(("gpu", name)) if !name.is_empty() => Ok(Self::Gpu(Some(name.to_owned()))),
+            _ => Err(DeviceError(text.to_owned())),
+        }
+    }
+}
+
+impl TryFrom<String> for Device {
+    type Error = DeviceError;
+
+    fn try_from(text: String) -> Result<Self, DeviceError> {
+        text.parse()
+    }
+}
+
+impl From<Device> for String {
+    fn from(device: Device) -> Self {
+        device.to_string()
+    }
+}
+
+impl fmt::Display for Device {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Auto => f.write_str("auto"),
+            Self::Cpu => f.write_str("cpu"),
+            Self::Gpu(None) => f.write_str("gpu"),
+            Self::Gpu(Some(name)) => write!(f, "gpu:{name}"),
+        }
+    }
+}
+
+/// An opened GPU.
+pub struct Gpu {
+    pub(super) device: wgpu::Device,
+    pub(super) queue: wgpu::Queue,
+    pub(super) limits: wgpu::Limits,
+    pub(super) features: wgpu::Features,
+    name: String,
+    class: String,
+    kind: wgpu::DeviceType,
+    /// What was compiled so far, by entry point and text: fields of one shape share their kernels.
+    pub(super) kernels: Mutex<HashMap<(String, String), Kernel>>,
+    /// The first error that no call returned.
+    failed: Arc<OnceLock<String>>,
+}
+
+impl fmt::Debug for Gpu {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Gpu").field(&self.class).finish()
+    }
+}
+
+/// The limit of one binding, as WebGPU calls it.
+pub(super) const BINDING: &str = "max_storage_buffer_binding_size";
+
+/// What was opened so far, by what was asked for: a process holds one device an adapter.
+static OPENED: OnceLock<Mutex<HashMap<Device, Option<Arc<Gpu>>>>> = OnceLock::new();
+
+impl Device {
+    /// Opens this device once in a process; `None` is the CPU.
+    ///
+    /// # Errors
+    /// As [`Gpu::open`].
+    pub fn open(&self) -> Result<Option<Arc<Gpu>>, GpuError> {
+        let opened = OPENED.get_or_init(Mutex::default);
+        let mut opened = opened.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(gpu) = opened.get(self) {
+            return Ok(gpu.clone());
+        }
+        let gpu = Gpu::open(self)?.map(Arc::new);
+        opened.insert(self.clone(), gpu.clone());
+        Ok(gpu)
+    }
+
+    /// Returns the numeric class of what this device opens, as keys hold it; `None` is the CPU.
+    ///
+    /// A device that cannot be opened has its wish for a class: whoever runs on it gets the error.
+    pub fn class(&self) -> Option<String> {
+        match self.open() {
+            Ok(gpu) => gpu.map(|gpu| gpu.class().to_owned()),
+            Err(_) => Some(self.to_string()),
+        }
+    }
+}
+
+/// What adapters are looked for through; OpenGL lacks what the kernels need.
+const BACKENDS: wgpu::Backends = wgpu::Backends::VULKAN
+    .union(wgpu::Backends::METAL)
+    .union(wgpu::Backends::DX12);
+
+/// Version of wgpu; a part of the numeric class.
+const WGPU: &str = "wgpu 30";
+
+impl Gpu {
+    /// Opens the wanted device; `None` is the CPU.
+    ///
+    /// # Errors
+    /// No such adapter, or one that gives no device.
+    pub fn open(wanted: &Device) -> Result<Option<Self>, GpuError> {
+        if *wanted == Device::Cpu {
+            return Ok(None);
+        }
+        // Mesa's layer that orders devices looks for a window system and says so on stderr where XDG_RUNTIME_DIR is
+        // not set; only its own variable, NODEVICE_SELECT, keeps it from that.
+        let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+        descriptor.backends = BACKENDS;
+        let instance = wgpu::Instance::new(descriptor);
+        let mut adapters = pollster::block_on(instance.enumerate_adapters(BACKENDS));
+        // A card of its own before one that shares the memory; names decide among equals.
+        adapters.sort_by_key(|adapter| {
+            let info = adapter.get_info();
+            (rank(info.device_type), info.name)
+        });
+        let fits = |adapter: &&wgpu::Adapter| {
+            let info = adapter.get_info();
+            match wanted {
+                Device::Gpu(Some(name)) => info.name.to_lowercase().contains(&name.to_lowercase()),
+                _ => rank(info.device_type) < SOFTWARE,
+            }
+        };
+        match adapters.iter().find(fits) {
+            Some(adapter) => Self::request(adapter).map(Some),
+            None if *wanted == Device::Auto => Ok(None),
+            None => Err(GpuError::NoAdapter {
+                wanted: match wanted {
+                    Device::Gpu(Some(name)) => format!("whose name holds `{name}`"),
+                    _ => "but software adapters".to_owned(),
+                },
+                found: names(&adapters),
+            }),
+        }
+    }
+
+    fn request(adapter: &wgpu::Adapter) -> Result<Self, GpuError> {
+        let info = adapter.get_info();
+        let wanted = wgpu::Features::TIMESTAMP_QUERY
+            | wgpu::Features::SHADER_INT64
+            | wgpu::Features::SHADER_INT64_ATOMIC_ALL_OPS;
+        let (features, limits) = (adapter.features() & wanted, adapter.limits());
+        let request = adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("marf"),
+            required_features: features,
+            required_limits: limits.clone(),
+            ..Default::default()
+        });
+        let (device, queue) = pollster::block_on(request).map_err(|error| GpuError::Lost {
+            adapter: info.name.clone(),
+            message: error.to_string(),
+        })?;
+        let failed = Arc::new(OnceLock::new());
+        let (lost, refused) = (failed.clone(), failed.clone());
+        device.set_device_lost_callback(move |reason, message| {
+            // The first error is the one that tells.
+            let _ = lost.set(format!("device lost ({reason:?}): {message}"));
+        });
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            let _ = refused.set(error.to_string());
+        }));
+        Ok(Self {
+            device,
+            queue,
+            limits,
+            features,
+            class: format!("{}, {} {}, {WGPU}", info.name, info.driver, info.driver_info),
+            name: info.name,
+            kind: info.device_type,
+            kernels: Mutex::default(),
+            failed,
+        })
+    }
+
+    /// Returns the adapter's name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Returns adapter, driver and version of wgpu: two runs of one class give the same bytes.
+    pub fn class(&self) -> &str {
+        &self.class
+    }
+
+    /// Tells whether a processor of the computer only plays the GPU.
+    pub fn is_software(&self) -> bool {
+        rank(self.kind) >= SOFTWARE
+    }
+
+    /// Tells whether the device still does what it is told.
+    ///
+    /// # Errors
+    /// [`GpuError::Lost`] with the first complaint of the driver.
+    pub fn check(&self) -> Result<(), GpuError> {
+        match self.failed.get() {
+            None => Ok(()),
+            Some(message) => Err(self.lost(message.clone())),
+        }
+    }
+
+    /// Returns the bytes that one binding holds: kernels count them in 32 bits.
+    pub(super) fn binding(&self) -> u64 {
+        self.limits
+            .max_storage_buffer_binding_size
+            .min(u64::from(u32::MAX))
+    }
+
+    /// Tells whether one binding holds so many bytes; `hint` says what to set where it does not.
+    ///
+    /// # Errors
+    /// [`GpuError::Limit`].
+    pub(super) fn check_binding(&self, needed: u64, hint: &'static str) -> Result<(), GpuError> {
+        let offered = self.binding();
+        if needed <= offered {
+            return Ok(());
+        }
+        Err(self.limit(BINDING, [offered, needed], hint))
+    }
+
+    pub(super) fn limit(
+        &self,
+        limit: &'static str,
+        [offered, needed]: [u64; 2],
+        hint: &'static str,
+    ) -> GpuError {
+        GpuError::Limit {
+            adapter: self.name.clone(),
+            limit,
+            offered,
+            needed,
+            hint,
+        }
+    }
+
+    pub(super) fn lost(&self, message: String) -> GpuError {
+        GpuError::Lost {
+            adapter: self.name.clone(),
+            message,
+        }
+    }
+}
+
+/// Ranks from here on are not taken unless named.
+const SOFTWARE: u32 = 3;
+
+fn rank(kind: wgpu::DeviceType) -> u32 {
+    match kind {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Cpu => SOFTWARE,
+        wgpu::DeviceType::Other => SOFTWARE + 1,
+    }
+}
+
+fn names(adapters: &[wgpu::Adapter]) -> String {
+    let names: Vec<String> = adapters
+        .iter()
+        .map(|adapter| format!("`{}`", adapter.get_info().name))
+        .collect();
+    match names.as_slice() {
+        [] => "none".to_owned(),
+        names => names.join(", "),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_device_reads_as_it_is_written() {
+        for text in ["auto", "cpu", "gpu", "gpu:H200"] {
+            let device: Result<Device, _> = text.parse();
+            assert_eq!(device.map(|device| device.to_string()), Ok(text.to_owned()));
+        }
+        for text in ["", "gpu:", "cuda", "cpu:0"] {
+            assert!(text.parse::<Device>().is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn an_adapter_that_is_not_there_is_refused_with_those_that_are() {
+        let wanted = Device::Gpu(Some("no such card".to_owned()));
+        let refused = Gpu::open(&wanted).map(|gpu| gpu.is_some());
+        assert!(
+            matches!(&refused, Err(GpuError::NoAdapter { wanted, .. }) if wanted.contains("no such card")),
+            "{refused:?}"
+        );
+        assert!(matches!(Gpu::open(&Device::Cpu), Ok(None)));
+    }
+}

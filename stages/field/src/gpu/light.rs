@@ -1,0 +1,397 @@
+//! Light along the rays of a batch: opacities, what shows, colours, the loss and its slopes.
+
+use marf_shaders::{
+    self as shaders, CompareRun, Extent, GatherRun, HarmonicsRun, Pace, RunawayRun, SpreadRun, Total, counts,
+};
+
+use super::kernel::{Array, GROUP, Kernel, Part, Work, dispatch};
+use super::nets::{Batch, Rows, four_each, limits, one_each};
+use super::{Gpu, GpuError};
+use crate::Config;
+use crate::cpu::march::Steps;
+use crate::depth::{FLOOR, REACH};
+
+/// Totals that wait for the host.
+pub const RING: usize = 16;
+
+/// Columns of samples of the same rays.
+#[derive(Clone, Copy)]
+pub struct Columns<'a> {
+    /// u32 `[2][rays]`: first sample and count.
+    pub spans: &'a Array<u32>,
+    /// f32 `[3][capacity]`: distance, length, place.
+    pub along: &'a Array<f32>,
+    /// f32 `[.][capacity]`, outputs of the density network; row 0 is the raw density.
+    pub density: &'a Array<f32>,
+    /// f32 `[3][capacity]`: optical depth, opacity, transmittance.
+    pub light: &'a Array<f32>,
+}
+
+/// What colours are made of.
+#[derive(Clone, Copy)]
+pub struct Colours<'a> {
+    /// f32 `[16][capacity]`, outputs of the colour network.
+    pub logits: &'a Array<f32>,
+    /// f32 `[3][capacity]`.
+    pub rgb: &'a Array<f32>,
+}
+
+/// What rays are compared with.
+#[derive(Clone, Copy)]
+pub struct Aims<'a> {
+    /// `[rays]`: direction, and 1 where there is a ray.
+    pub directions: &'a Array<[f32; 4]>,
+    /// `[rays]`: pixel, and the bits of the view.
+    pub targets: &'a Array<[f32; 4]>,
+    /// `[views]` log gains, then as many offsets if photos have them; the fourth number is unused.
+    pub gains: &'a Array<[f32; 4]>,
+    /// Photos.
+    pub views: usize,
+    /// f32 `[3][16]`; `None` for black.
+    pub background: Option<&'a Array<f32>>,
+    /// f32 `[found::LEN][rays]`; row 3 zero as it was made.
+    pub found: &'a Array<f32>,
+}
+
+/// The kernels of light.
+pub struct Light {
+    harmonics: Kernel,
+    of_rays: Kernel,
+    opacity: Kernel,
+    kept: Kernel,
+    gather: Kernel,
+    colour: Kernel,
+    compare: Kernel,
+    spread: Kernel,
+    join: Kernel,
+    runaway: Kernel,
+    totals: Kernel,
+}
+
+impl Light {
+    /// Compiles them.
+    ///
+    /// # Errors
+    /// [`GpuError::Kernel`].
+    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+        let head = limits();
+        Ok(Self {
+            harmonics: gpu.kernel(&shaders::HARMONICS, "")?,
+            of_rays: gpu.entry(&shaders::HARMONICS, "", "of_rays")?,
+            opacity: gpu.kernel(&shaders::OPACITY, &head)?,
+            kept: gpu.kernel(&shaders::KEPT, "")?,
+            gather: gpu.kernel(&shaders::GATHER, "")?,
+            colour: gpu.kernel(&shaders::COLOUR, &head)?,
+            compare: gpu.kernel(&shaders::COMPARE, &head)?,
+            spread: gpu.kernel(&shaders::SPREAD, &head)?,
+            join: gpu.kernel(&shaders::JOIN, "")?,
+            runaway: gpu.kernel(&shaders::RUNAWAY, &head)?,
+            totals: gpu.kernel(&shaders::TOTALS, "")?,
+        })
+    }
+
+    /// Binds the harmonics of kept samples into 16 rows of `to`; `ray_of` is u32 `[capacity]`.
+    ///
+    /// # Errors
+    /// The memory of a uniform.
+    pub fn harmonics(
+        &self,
+        batch: Batch<'_>,
+        directions: &Array<[f32; 4]>,
+        ray_of: &Array<u32>,
+        to: Rows<'_>,
+    ) -> Result<Work, GpuError> {
+        let run = HarmonicsRun {
+            slot: counts::KEPT,
+            stride: batch.capacity as u32,
+            first: to.first as u32,
+            pad: 0,
+        };
+        let run = batch.gpu.uniform("harmonics", run)?;
+        let parts = [
+            (&run).into(),
+            batch.counts.into(),
+            directions.into(),
+            to.part,
+            ray_of.into(),
+        ];
+        Ok(dispatch(
+            batch.gpu,
+            &self.harmonics,
+            &parts,
+            one_each(batch.capacity),
+        ))
+    }
+
+    /// Binds the harmonics of rays into f32 `[16][rays]`.
+    ///
+    /// # Errors
+    /// The memory of a uniform.
+    pub fn harmonics_of_rays(
+        &self,
+        batch: Batch<'_>,
+        directions: &Array<[f32; 4]>,
+        to: &Array<f32>,
+    ) -> Result<Work, GpuError> {
+        let run = HarmonicsRun {
+            slot: counts::RAYS,
+            stride: batch.rays as u32,
+            ..HarmonicsRun::default()
+        };
+        let run = batch.gpu.uniform("harmonics of rays", run)?;
+        let parts = [(&run).into(), batch.counts.into(), directions.into(), to.into()];
+        Ok(dispatch(batch.gpu, &self.of_rays, &parts, one_each(batch.rays)))
+    }
+
+    /// Binds opacities and transmittances of visited samples; `slot` tells the rays in use.
+    ///
+    /// `before`: f32 `[rays]`, optical depth in front of the first sample (more numbers may follow).
+    /// `shown`: u32 `[2][rays]`, receives the samples that show and the bits of the optical depth of all.
+    ///
+    /// # Errors
+    /// The memory of a uniform.
+    pub fn opacity(
+        &self,
+        batch: Batch<'_>,
+        slot: u32,
+        columns: Columns<'_>,
+        before: &Array<f32>,
+        shown: &Array<u32>,
+    ) -> Result<Work, GpuError> {
+        let extent = extent(batch, slot)?;
+        let parts = [
+            (&extent).into(),
+            batch.counts.into(),
+            columns.spans.into(),
+            columns.density.into(),
+            columns.along.into(),
+            before.into(),
+            columns.light.into(),
+            shown.into(),
+            batch.faults.into(),
+        ];
+        Ok(dispatch(batch.gpu, &self.opacity, &parts, one_each(batch.rays)))
+    }
+
+    /// Binds the list of kept samples, u32 `[capacity]`, from spans before and after hidden ones are dropped.
+    ///
+    /// # Errors
+    /// The memory of a uniform.
+    pub fn kept(
+        &self,
+        batch: Batch<'_>,
+        slot: u32,
+        [visited, remaining]: [&Array<u32>; 2],
+        origin: &Array<u32>,
+    ) -> Result<Work, GpuError> {
+        let extent = extent(batch, slot)?;
+        let parts = [
+            (&extent).into(),
+            batch.counts.into(),
+            visited.into(),
+            remaining.into(),
+            origin.into(),
+        ];
+        Ok(dispatch(batch.gpu, &self.kept, &parts, one_each(batch.rays)))
+    }
+
+    /// Binds the copy of the kept samples of `rows` rows of 4-byte numbers.
+    ///
+    /// # Errors
+    /// The memory of a uniform.
+    pub fn gather(
+        &self,
+        batch: Batch<'_>,
+        origin: &Array<u32>,
+        from: Rows<'_>,
+        to: Rows<'_>,
+        rows: usize,
+    ) -> Result<Work, GpuError> {
+        let run = GatherRun {
+            slot: counts::KEPT,
+            capacity: batch.capacity as u32,
+            first_from: from.first as u32,
+            first_to: to.first as u32,
+        };
+        let run = batch.gpu.uniform("gather", run)?;
+        let parts = [
+            (&run).into(),
+            batch.counts.into(),
+            origin.into(),
+            from.part,
+            to.part,
+        ];
+        let groups = [batch.capacity.div_ceil(4 * GROUP), rows, 1];
+        Ok(dispatch(batch.gpu, &self.gather, &parts, groups))
+    }
+
+    /// Binds the colours of kept samples.
+    ///
+    /// # Errors
+    /// The memory of a uniform.
+    pub fn colour(&self, batch: Batch<'_>, colours: Colours<'_>) -> Result<Work, GpuError> {
+        let extent = extent(batch, counts::KEPT)?;
+        let parts = [
+            (&extent).into(),
+            batch.counts.into(),
+            colours.logits.into(),
+            colours.rgb.into(),
+            batch.faults.into(),
+        ];
+        Ok(dispatch(
+            batch.gpu,
+            &self.colour,
+            &parts,
+            one_each(batch.capacity),
+        ))
+    }
+
+    /// Binds the loss of every ray and its slopes in colour, background and exposure.
+    ///
+    /// # Errors
+    /// The memory of a uniform.
+    pub fn compare(
+        &self,
+        batch: Batch<'_>,
+        columns: Columns<'_>,
+        rgb: &Array<f32>,
+        aims: Aims<'_>,
+    ) -> Result<Work, GpuError> {
+        let run = CompareRun {
+            slot: counts::RAYS,
+            capacity: batch.capacity as u32,
+            rays: batch.rays as u32,
+            views: aims.views as u32,
+            offsets: u32::from(aims.gains.len() >= 2 * aims.views),
+            behind: u32::from(aims.background.is_some()),
+            ..CompareRun::default()
+        };
+        let run = batch.gpu.uniform("compare", run)?;
+        let parts = [
+            (&run).into(),
+            batch.counts.into(),
+            columns.spans.into(),
+            columns.light.into(),
+            rgb.into(),
+            aims.directions.into(),
+            aims.targets.into(),
+            aims.gains.into(),
+            // What is bound in place of none is not read.
+            aims.background.map_or(rgb.into(), Part::from),
+            aims.found.into(),
+            batch.faults.into(),
+        ];
+        Ok(dispatch(batch.gpu, &self.compare, &parts, one_each(batch.rays)))
+    }
+
+    /// Binds the slopes of kept samples: in raw density to row 0 of `columns.light`, in logits to rows 0 to 2 of
+    /// `d_logits`, f32 `[16][capacity]`, whose other rows stay zero. `pulls`: `[rays]`, place and weight.
+    pub fn spread(
+        &self,
+        batch: Batch<'_>,
+        run: &Array<SpreadRun>,
+        (columns, colours): (Columns<'_>, Colours<'_>),
+        [found, d_logits]: [&Array<f32>; 2],
+        pulls: &Array<[f32; 2]>,
+    ) -> Work {
+        let parts = [
+            run.into(),
+            batch.counts.into(),
+            columns.spans.into(),
+            colours.rgb.into(),
+            columns.along.into(),
+            columns.density.into(),
+            colours.logits.into(),
+            found.into(),
+            pulls.into(),
+            columns.light.into(),
+            d_logits.into(),
+        ];
+        dispatch(batch.gpu, &self.spread, &parts, one_each(batch.rays))
+    }
+
+    /// Binds the sum of both slopes of the raw density, in row 0 of `slope`.
+    ///
+    /// # Errors
+    /// The memory of a uniform.
+    pub fn join(&self, batch: Batch<'_>, light: &Array<f32>, slope: &Array<f32>) -> Result<Work, GpuError> {
+        let extent = extent(batch, counts::KEPT)?;
+        let parts = [(&extent).into(), batch.counts.into(), light.into(), slope.into()];
+        Ok(dispatch(batch.gpu, &self.join, &parts, one_each(batch.capacity)))
+    }
+
+    /// Binds the look for numbers that run away in `rows` rows of kept samples.
+    ///
+    /// # Errors
+    /// The memory of a uniform.
+    pub fn runaway(
+        &self,
+        batch: Batch<'_>,
+        values: &Array<f32>,
+        rows: usize,
+        fault: u32,
+    ) -> Result<Work, GpuError> {
+        let run = RunawayRun {
+            slot: counts::KEPT,
+            capacity: batch.capacity as u32,
+            fault,
+            pad: 0,
+        };
+        let run = batch.gpu.uniform("runaway", run)?;
+        let parts = [
+            (&run).into(),
+            batch.counts.into(),
+            values.into(),
+            batch.faults.into(),
+        ];
+        let groups = four_each(batch.capacity, rows);
+        Ok(dispatch(batch.gpu, &self.runaway, &parts, groups))
+    }
+
+    /// Binds what the host is told of a step; `loss` is f32 `[rays]`, row `found::LOSS` of what `compare` found.
+    ///
+    /// # Errors
+    /// The memory of a uniform.
+    pub fn totals(
+        &self,
+        batch: Batch<'_>,
+        pace: &Array<Pace>,
+        loss: Part<'_>,
+        ring: &Array<Total>,
+    ) -> Result<Work, GpuError> {
+        let extent = extent(batch, counts::RAYS)?;
+        let parts = [
+            (&extent).into(),
+            pace.into(),
+            batch.counts.into(),
+            batch.faults.into(),
+            loss,
+            ring.into(),
+        ];
+        Ok(dispatch(batch.gpu, &self.totals, &parts, [1, 1, 1]))
+    }
+}
+
+fn extent(batch: Batch<'_>, slot: u32) -> Result<Array<Extent>, GpuError> {
+    let extent = Extent {
+        slot,
+        capacity: batch.capacity as u32,
+        rays: batch.rays as u32,
+        pad: 0,
+    };
+    batch.gpu.uniform("extent", extent)
+}
+
+/// Returns what `spread` needs to know of the losses; to be written anew when the steps along rays change.
+pub fn weights_of_losses(batch: Batch<'_>, config: &Config, steps: &Steps) -> SpreadRun {
+    SpreadRun {
+        slot: counts::RAYS,
+        capacity: batch.capacity as u32,
+        rays: batch.rays as u32,
+        distortion: config.distortion as f32,
+        cell: 1.0 / steps.count as f32,
+        emptiness: config.emptiness as f32,
+        reach: REACH,
+        floor: FLOOR,
+    }
+}

@@ -1,0 +1,357 @@
+//! Light along rays against its twins on the CPU.
+
+use marf_shaders::counts;
+
+use super::kernel::Array;
+use super::light::{Colours, Columns, Light};
+use super::nets::Rows;
+use super::rig::{Rig, TOLERANCE, UNTOUCHED, agree, columns, is_untouched};
+use super::testing::numbers;
+use crate::cpu::composite::{colour, runs_away};
+use crate::cpu::simd::Level;
+use crate::sh;
+use crate::shade::{Shade, Span};
+use marf_shaders::faults;
+
+pub const CAPACITY: usize = 512;
+pub const SLOTS: usize = 64;
+pub const RAYS: usize = 40;
+/// The ray that the distortion has no inverse for.
+pub const NO_RAY: usize = 5;
+pub const CELL: f32 = 0.02;
+
+pub fn directions() -> Vec<[f32; 4]> {
+    let numbers = numbers(3 * SLOTS, 31);
+    let rays = numbers.chunks(3).enumerate().map(|(ray, at)| {
+        let length = at.iter().map(|x| x * x).sum::<f32>().sqrt();
+        match ray {
+            NO_RAY => [f32::NAN, 0.0, 0.0, 0.0],
+            _ => [at[0] / length, at[1] / length, at[2] / length, 1.0],
+        }
+    });
+    rays.collect()
+}
+
+pub fn harmonics(direction: &[f32; 4]) -> [f32; sh::COUNT] {
+    match direction {
+        [x, y, z, 1.0] => sh::harmonics([*x, *y, *z]),
+        _ => [0.0; sh::COUNT],
+    }
+}
+
+/// Spans of rays of 0 to 12 samples.
+pub fn spans() -> Vec<Span> {
+    let mut end = 0;
+    let rays = (0..RAYS).map(|ray| {
+        let first = end;
+        end += if ray == NO_RAY { 0 } else { ray % 13 };
+        Span { first, end }
+    });
+    rays.collect()
+}
+
+fn spans_array(spans: &[Span]) -> Vec<u32> {
+    let mut array = vec![0; 2 * SLOTS];
+    for (ray, span) in spans.iter().enumerate() {
+        array[ray] = span.first as u32;
+        array[SLOTS + ray] = (span.end - span.first) as u32;
+    }
+    array
+}
+
+/// Visited samples with raw densities and lengths of all sizes.
+pub fn visited() -> (Shade, Vec<f32>) {
+    let n = spans().last().map_or(0, |span| span.end);
+    let mut shade = Shade::default();
+    shade.samples.resize(n);
+    shade.raw = numbers(n, 32).iter().map(|x| 4.0 * x).collect();
+    shade.samples.delta = numbers(n, 33).iter().map(|x| 0.05 * (x + 1.1)).collect();
+    shade.samples.t = numbers(n, 34);
+    shade.samples.place = (0..n).map(|at| (at % 13) as f32 * CELL).collect();
+    let extremes = [
+        (100.0, 0.1),
+        (-100.0, 0.1),
+        (11.0, 0.0),
+        (10.9, 1e30),
+        (1e9, 0.01),
+        (-1e9, 1e9),
+    ];
+    for (index, (raw, delta)) in extremes.into_iter().enumerate() {
+        shade.raw[7 + 31 * index] = raw;
+        shade.samples.delta[7 + 31 * index] = delta;
+    }
+    let mut before = vec![0.0; SLOTS];
+    before[20..23].copy_from_slice(&[9.0, 9.3, 1e9]);
+    (shade, before)
+}
+
+pub struct Arrays {
+    pub spans: Array<u32>,
+    pub along: Array<f32>,
+    pub density: Array<f32>,
+    pub light: Array<f32>,
+}
+
+impl Arrays {
+    pub fn new(rig: &Rig, shade: &Shade, spans: &[Span]) -> Self {
+        let samples = &shade.samples;
+        let mut along = vec![UNTOUCHED; 3 * CAPACITY];
+        for (row, values) in [&samples.t, &samples.delta, &samples.place]
+            .into_iter()
+            .enumerate()
+        {
+            along[row * CAPACITY..][..values.len()].copy_from_slice(values);
+        }
+        Self {
+            spans: rig.gpu.filled("spans", &spans_array(spans)).unwrap(),
+            along: rig.filled(&along),
+            density: rig.filled(&columns(&shade.raw, 1, CAPACITY, f32::NAN)),
+            light: rig.untouched(3),
+        }
+    }
+
+    pub fn columns(&self) -> Columns<'_> {
+        Columns {
+            spans: &self.spans,
+            along: &self.along,
+            density: &self.density,
+            light: &self.light,
+        }
+    }
+}
+
+#[test]
+fn harmonics_of_samples_and_rays_are_those_of_the_cpu() {
+    let test = "harmonics_of_samples_and_rays_are_those_of_the_cpu";
+    let Some(rig) = Rig::new(test, [CAPACITY, SLOTS], [0, 100, RAYS as u32]) else {
+        return;
+    };
+    let light = Light::new(&rig.gpu).unwrap();
+    let all = directions();
+    let directions = rig.gpu.filled("directions", &all).unwrap();
+    let ray_of: Vec<u32> = (0..CAPACITY as u32)
+        .map(|sample| sample * 7 % RAYS as u32)
+        .collect();
+    let rays = rig.gpu.filled("rays", &ray_of).unwrap();
+    let (of_samples, of_rays) = (rig.untouched(32), rig.filled(&[UNTOUCHED; 16 * SLOTS]));
+    let to = Rows {
+        part: (&of_samples).into(),
+        first: 16,
+    };
+    let runs = [
+        light.harmonics(rig.batch(), &directions, &rays, to).unwrap(),
+        light
+            .harmonics_of_rays(rig.batch(), &directions, &of_rays)
+            .unwrap(),
+    ];
+    rig.gpu
+        .submit(|recorder| runs.iter().for_each(|run| run.record(recorder)));
+    let expected: Vec<f32> = all[..RAYS].iter().flat_map(harmonics).collect();
+    let expected = columns(&expected, 16, SLOTS, UNTOUCHED);
+    agree(
+        "harmonics of rays",
+        &rig.gpu.read(&of_rays).unwrap(),
+        &expected,
+        TOLERANCE,
+    );
+    let expected: Vec<f32> = ray_of[..100]
+        .iter()
+        .flat_map(|ray| harmonics(&all[*ray as usize]))
+        .collect();
+    let expected = [
+        vec![UNTOUCHED; 16 * CAPACITY],
+        columns(&expected, 16, CAPACITY, UNTOUCHED),
+    ]
+    .concat();
+    agree(
+        "harmonics",
+        &rig.gpu.read(&of_samples).unwrap(),
+        &expected,
+        TOLERANCE,
+    );
+}
+
+#[test]
+fn opacities_and_what_shows_are_those_of_the_cpu() {
+    let test = "opacities_and_what_shows_are_those_of_the_cpu";
+    let (mut shade, before) = visited();
+    let n = shade.raw.len();
+    let Some(rig) = Rig::new(test, [CAPACITY, SLOTS], [n as u32, 0, RAYS as u32]) else {
+        return;
+    };
+    let kernels = Light::new(&rig.gpu).unwrap();
+    let mut spans = spans();
+    let arrays = Arrays::new(&rig, &shade, &spans);
+    let shown = rig.gpu.filled("shown", &[9_u32; 2 * SLOTS]).unwrap();
+    let front = rig.filled(&before);
+    let run = kernels
+        .opacity(rig.batch(), counts::RAYS, arrays.columns(), &front, &shown)
+        .unwrap();
+    rig.gpu.submit(|recorder| run.record(recorder));
+    let light = rig.gpu.read(&arrays.light).unwrap();
+    let shown = rig.gpu.read(&shown).unwrap();
+
+    shade.opacities(Level::best(), &spans, &before);
+    for (row, expected) in [&shade.tau, &shade.alpha].into_iter().enumerate() {
+        let pairs = light[row * CAPACITY..].iter().zip(expected);
+        let errors = pairs.map(|(found, expected)| (found - expected).abs() / expected.max(1e-30));
+        let error = errors.fold(0.0, f32::max);
+        println!("opacity, row {row}: largest relative error {error:.1e}");
+        assert!(error < TOLERANCE, "{row}: {error}");
+    }
+    agree(
+        "transmittance",
+        &light[2 * CAPACITY..][..n],
+        &shade.transmittance,
+        TOLERANCE,
+    );
+    let mut rest = light.chunks(CAPACITY).flat_map(|row| &row[n..]);
+    assert!(rest.all(is_untouched));
+    let depths = spans
+        .iter()
+        .map(|span| shade.tau[span.first..span.end].iter().sum::<f32>());
+    let found = shown[SLOTS..].iter().map(|bits| f32::from_bits(*bits));
+    for (ray, (found, expected)) in found.zip(depths).enumerate() {
+        assert!(
+            (found - expected).abs() <= TOLERANCE * expected,
+            "{ray}: {found} against {expected}"
+        );
+    }
+    let visited = spans.clone();
+    let mut kept = Vec::new();
+    shade.drop_hidden(&mut spans, &mut kept);
+    let expected: Vec<u32> = spans.iter().map(|span| (span.end - span.first) as u32).collect();
+    assert_eq!(&shown[..RAYS], expected);
+    assert!(kept.len() + 20 < n, "{} of {n} kept proves little", kept.len());
+    assert!(shown[RAYS..SLOTS].iter().all(|count| *count == 0));
+    assert!(rig.faulty().is_empty() != shade.raw.iter().any(|raw| runs_away(*raw)));
+    gathered(&rig, &kernels, [&visited, &spans], &kept);
+}
+
+/// The list of kept samples, and rows copied by it.
+fn gathered(rig: &Rig, kernels: &Light, spans: [&[Span]; 2], kept: &[u32]) {
+    let [visited, remaining] = spans.map(|spans| rig.gpu.filled("spans", &spans_array(spans)).unwrap());
+    rig.gpu
+        .write(&rig.counts, counts::KEPT as usize, &[kept.len() as u32]);
+    let origin = rig.gpu.filled("origin", &[77_u32; CAPACITY]).unwrap();
+    let mut source = numbers(3 * CAPACITY, 35);
+    source[CAPACITY + kept[3] as usize] = f32::NAN;
+    let (from, to) = (rig.filled(&source), rig.untouched(4));
+    let rows = |array, first| Rows {
+        part: Rows::from(array).part,
+        first,
+    };
+    let runs = [
+        kernels
+            .kept(rig.batch(), counts::RAYS, [&visited, &remaining], &origin)
+            .unwrap(),
+        kernels
+            .gather(rig.batch(), &origin, rows(&from, 1), rows(&to, 2), 2)
+            .unwrap(),
+    ];
+    rig.gpu
+        .submit(|recorder| runs.iter().for_each(|run| run.record(recorder)));
+    let origin = rig.gpu.read(&origin).unwrap();
+    assert_eq!(&origin[..kept.len()], kept);
+    assert!(origin[kept.len()..].iter().all(|x| *x == 77));
+    let expected = (0..4 * CAPACITY).map(|at| match (at / CAPACITY, at % CAPACITY) {
+        (row, at) if row >= 2 && at < kept.len() => source[(row - 1) * CAPACITY + kept[at] as usize],
+        _ => UNTOUCHED,
+    });
+    let found = rig.gpu.read(&to).unwrap();
+    let bits = |value: f32| value.to_bits();
+    assert!(found.into_iter().map(bits).eq(expected.map(bits)));
+}
+
+#[test]
+fn raw_densities_that_are_not_finite_are_told_and_give_finite_light() {
+    let test = "raw_densities_that_are_not_finite_are_told_and_give_finite_light";
+    for (at, bad, expected) in [
+        (3, f32::NAN, vec![faults::DENSITY]),
+        (90, f32::INFINITY, vec![0]),
+        (90, f32::NEG_INFINITY, vec![0]),
+        (90, 1e9, vec![]),
+    ] {
+        let (mut shade, before) = visited();
+        shade.raw.iter_mut().for_each(|raw| *raw = raw.clamp(-1e3, 1e3));
+        shade.raw[at] = bad;
+        let Some(rig) = Rig::new(test, [CAPACITY, SLOTS], [0, 0, RAYS as u32]) else {
+            return;
+        };
+        let kernels = Light::new(&rig.gpu).unwrap();
+        let arrays = Arrays::new(&rig, &shade, &spans());
+        let (front, shown) = (rig.filled(&before), rig.gpu.zeros("shown", 2 * SLOTS).unwrap());
+        let run = kernels
+            .opacity(rig.batch(), counts::RAYS, arrays.columns(), &front, &shown)
+            .unwrap();
+        rig.gpu.submit(|recorder| run.record(recorder));
+        assert_eq!(rig.faulty(), expected, "{bad}");
+        let light = rig.gpu.read(&arrays.light).unwrap();
+        assert!(light.iter().all(|x| x.is_finite()), "{bad}");
+    }
+}
+
+#[test]
+fn colours_are_those_of_the_cpu_and_runaways_are_told() {
+    let test = "colours_are_those_of_the_cpu_and_runaways_are_told";
+    let n = 301;
+    let mut logits: Vec<f32> = numbers(16 * n, 36).iter().map(|x| 14.0 * x).collect();
+    logits[..3].copy_from_slice(&[0.0, 1e9, -1e9]);
+    for bad in [None, Some(f32::NAN), Some(f32::NEG_INFINITY), Some(2e9)] {
+        let Some(rig) = Rig::new(test, [CAPACITY, SLOTS], [0, n as u32, 0]) else {
+            return;
+        };
+        let kernels = Light::new(&rig.gpu).unwrap();
+        let mut all = columns(&logits, 16, CAPACITY, f32::NAN);
+        // A logit that nobody uses may be anything.
+        all[3 * CAPACITY] = f32::NAN;
+        all[2 * CAPACITY + 300] = bad.unwrap_or(1.0);
+        let (logits, rgb) = (rig.filled(&all), rig.untouched(3));
+        let colours = Colours {
+            logits: &logits,
+            rgb: &rgb,
+        };
+        let run = kernels.colour(rig.batch(), colours).unwrap();
+        rig.gpu.submit(|recorder| run.record(recorder));
+        let expected = (0..3 * CAPACITY).map(|at| match at % CAPACITY < n {
+            true => colour(all[at]),
+            false => UNTOUCHED,
+        });
+        let expected: Vec<f32> = expected.collect();
+        agree("colour", &rig.gpu.read(&rgb).unwrap(), &expected, TOLERANCE);
+        let faults: Vec<u32> = bad.iter().map(|_| faults::LOGITS).collect();
+        assert_eq!(rig.faulty(), faults, "{bad:?}");
+    }
+}
+
+#[test]
+fn runaways_are_found_among_samples_in_use_alone() {
+    for (at, bad, faults) in [
+        (5 * CAPACITY + 300, f32::NAN, vec![faults::FEATURES]),
+        (300, -1.1e9, vec![3]),
+        (300, 1e9, vec![]),
+        (301, f32::NAN, vec![]),
+        (303, f32::INFINITY, vec![]),
+    ] {
+        let Some(rig) = Rig::new("runaways_are_found", [CAPACITY, SLOTS], [0, 301, 0]) else {
+            return;
+        };
+        let kernels = Light::new(&rig.gpu).unwrap();
+        let mut values = numbers(6 * CAPACITY, 41);
+        values[at] = bad;
+        let (values, sum) = (rig.filled(&values), rig.untouched(2));
+        let light = rig.filled(&[0.5; 3 * CAPACITY]);
+        let runs = [
+            kernels
+                .runaway(rig.batch(), &values, 6, faults::FEATURES)
+                .unwrap(),
+            kernels.join(rig.batch(), &light, &sum).unwrap(),
+        ];
+        rig.gpu
+            .submit(|recorder| runs.iter().for_each(|run| run.record(recorder)));
+        assert_eq!(rig.faulty(), faults, "{at} {bad}");
+        let sum = rig.gpu.read(&sum).unwrap();
+        let joined = |at: usize| if at < 301 { UNTOUCHED + 0.5 } else { UNTOUCHED };
+        assert!(sum.iter().enumerate().all(|(at, x)| *x == joined(at)));
+    }
+}

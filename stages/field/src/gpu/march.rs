@@ -1,0 +1,271 @@
+//! Samples on rays: counting, where those of every ray begin, writing them, and which rays go on.
+
+use marf_shaders::{ALIVE, MARCH, SCAN, Walk, counts};
+
+use super::kernel::{Array, Bound, Kernel, Recorder, halves};
+use super::rays::RayArrays;
+use super::{Gpu, GpuError};
+use crate::cpu::composite::OPAQUE;
+use crate::cpu::march::{Bits, Steps};
+use crate::cpu::simd::LANES;
+
+/// Samples on the device, by columns.
+pub struct SampleArrays {
+    /// Position in the unit box, `[3, capacity]`.
+    pub xyz: Array<f32>,
+    /// Distance (half sides), contracted length and place, `[3, capacity]`.
+    pub along: Array<f32>,
+    /// Number of the ray, `[capacity]`.
+    pub ray_of: Array<u32>,
+}
+
+impl SampleArrays {
+    /// Makes room for samples.
+    ///
+    /// # Errors
+    /// More than the device holds.
+    pub fn new(gpu: &Gpu, capacity: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            xyz: gpu.zeros("xyz", 3 * capacity)?,
+            along: gpu.zeros("along", 3 * capacity)?,
+            ray_of: gpu.zeros("ray_of", capacity)?,
+        })
+    }
+}
+
+/// How far the rays of a picture have come.
+pub struct Progress {
+    /// Step to go on from, `[rays]`.
+    pub next_step: Array<u32>,
+    /// 1 where a ray has ended, `[rays]`.
+    pub done: Array<u32>,
+}
+
+impl Progress {
+    /// Rays at their first step.
+    ///
+    /// # Errors
+    /// More than the device holds.
+    pub fn new(gpu: &Gpu, slots: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            next_step: gpu.zeros("next_step", slots)?,
+            done: gpu.zeros("done", slots)?,
+        })
+    }
+}
+
+/// Returns begin and length of every step, padded to a multiple of 16.
+pub fn step_table(steps: &Steps) -> Vec<[f32; 2]> {
+    let pairs = steps.begin.iter().zip(&steps.length);
+    pairs.map(|(begin, length)| [*begin, *length]).collect()
+}
+
+/// Returns one bit a cell, x fastest, in words of 32.
+pub fn bit_words(bits: &Bits) -> Vec<u32> {
+    bits.words.iter().copied().flat_map(halves).collect()
+}
+
+/// Returns the walk of a training step: every ray at once from its first step to its last.
+pub fn whole_walk(rays: usize, slots: usize, capacity: usize, steps: &Steps, side: u32) -> Walk {
+    Walk {
+        rays: rays as u32,
+        ray_slots: slots as u32,
+        capacity: capacity as u32,
+        limit: u32::MAX,
+        steps: steps.count as u32,
+        padded: steps.begin.len() as u32,
+        side,
+        resumes: 0,
+        slot: counts::VISITED,
+        again: 0,
+    }
+}
+
+/// Returns the walk of a round of a picture: every ray goes on until it has found `limit` samples.
+///
+/// The limit is cut so that the samples of one ray always fit: every round comes on.
+pub fn round(whole: Walk, limit: u32) -> Walk {
+    Walk {
+        resumes: 1,
+        limit: limit.min(whole.capacity.saturating_sub(LANES as u32)).max(1),
+        ..whole
+    }
+}
+
+/// Returns the walk for the scan of samples that are kept of those visited, whose number goes to `counts[KEPT]`.
+pub fn kept_walk(whole: Walk) -> Walk {
+    Walk {
+        slot: counts::KEPT,
+        again: 1,
+        ..whole
+    }
+}
+
+/// What a walk reads and writes.
+#[derive(Clone, Copy)]
+pub struct MarchArrays<'a> {
+    /// What it is told.
+    pub walk: &'a Array<Walk>,
+    /// The rays.
+    pub rays: &'a RayArrays,
+    /// Of [`step_table`].
+    pub steps: &'a Array<[f32; 2]>,
+    /// As [`bit_words`].
+    pub bits: &'a Array<u32>,
+    /// How far the rays have come.
+    pub progress: &'a Progress,
+    /// Samples of every ray, `[rays]`.
+    pub amounts: &'a Array<u32>,
+    /// First sample and number of samples, `[2, rays]`.
+    pub spans: &'a Array<u32>,
+    /// Of [`counts::LEN`] numbers.
+    pub counts: &'a Array<u32>,
+    /// The samples.
+    pub samples: &'a SampleArrays,
+}
+
+/// The kernels of a walk.
+pub struct March {
+    count: Kernel,
+    scan: Scan,
+    write: Kernel,
+}
+
+/// A walk, ready to run.
+pub struct Marching {
+    /// Counts samples; one thread a ray.
+    pub count: Bound,
+    /// Where they begin; one workgroup.
+    pub scan: Bound,
+    /// Writes them; one thread a ray.
+    pub write: Bound,
+}
+
+impl March {
+    /// Compiles the kernels.
+    ///
+    /// # Errors
+    /// A driver that does not.
+    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+        Ok(Self {
+            count: gpu.entry(&MARCH, "", "count")?,
+            scan: Scan::new(gpu)?,
+            write: gpu.entry(&MARCH, "", "write")?,
+        })
+    }
+
+    /// Binds them.
+    pub fn bind(&self, gpu: &Gpu, arrays: MarchArrays<'_>) -> Marching {
+        let MarchArrays {
+            walk,
+            rays,
+            progress,
+            samples,
+            ..
+        } = arrays;
+        let shared = [
+            walk.into(),
+            (&rays.origins).into(),
+            (&rays.directions).into(),
+            arrays.steps.into(),
+            arrays.bits.into(),
+            (&progress.next_step).into(),
+        ];
+        let count = [(&progress.done).into(), arrays.amounts.into()];
+        let write = [
+            arrays.spans.into(),
+            (&samples.xyz).into(),
+            (&samples.along).into(),
+            (&samples.ray_of).into(),
+        ];
+        Marching {
+            count: gpu.bind(&self.count, &[&shared[..], &count].concat()),
+            scan: self
+                .scan
+                .bind(gpu, walk, arrays.amounts, arrays.spans, arrays.counts, samples),
+            write: gpu.bind(&self.write, &[&shared[..], &write].concat()),
+        }
+    }
+}
+
+impl Marching {
+    /// Records a walk of so many rays.
+    pub fn record(&self, recorder: &mut Recorder<'_>, rays: usize) {
+        recorder.threads(&self.count, rays);
+        recorder.groups(&self.scan, [1, 1, 1]);
+        recorder.threads(&self.write, rays);
+    }
+}
+
+/// From the number of samples of every ray to where they begin.
+pub struct Scan(Kernel);
+
+impl Scan {
+    /// Compiles the kernel.
+    ///
+    /// # Errors
+    /// A driver that does not.
+    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+        let (rays, alive) = (counts::RAYS, counts::ALIVE);
+        let head = format!("const RAYS: u32 = {rays}u;\nconst ALIVE: u32 = {alive}u;\n");
+        Ok(Self(gpu.kernel(&SCAN, &head)?))
+    }
+
+    /// Binds it, for one workgroup; of `amounts` the first `rays` numbers are read.
+    pub fn bind(
+        &self,
+        gpu: &Gpu,
+        walk: &Array<Walk>,
+        amounts: &Array<u32>,
+        spans: &Array<u32>,
+        counts: &Array<u32>,
+        samples: &SampleArrays,
+    ) -> Bound {
+        let parts = [
+            walk.into(),
+            amounts.into(),
+            spans.into(),
+            counts.into(),
+            (&samples.xyz).into(),
+            (&samples.along).into(),
+            (&samples.ray_of).into(),
+        ];
+        gpu.bind(&self.0, &parts)
+    }
+}
+
+/// Which rays of a picture go on.
+pub struct Alive(Kernel);
+
+impl Alive {
+    /// Compiles the kernel.
+    ///
+    /// # Errors
+    /// A driver that does not.
+    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+        let head = format!(
+            "const ALIVE: u32 = {}u;\nconst OPAQUE: f32 = {OPAQUE:?};\n",
+            counts::ALIVE
+        );
+        Ok(Self(gpu.kernel(&ALIVE, &head)?))
+    }
+
+    /// Binds it, one thread a ray; `state`: `[6, ray slots]`, row 5 is what a ray lets pass.
+    pub fn bind(
+        &self,
+        gpu: &Gpu,
+        walk: &Array<Walk>,
+        state: &Array<f32>,
+        progress: &Progress,
+        counts: &Array<u32>,
+    ) -> Bound {
+        let parts = [
+            walk.into(),
+            state.into(),
+            (&progress.next_step).into(),
+            (&progress.done).into(),
+            counts.into(),
+        ];
+        gpu.bind(&self.0, &parts)
+    }
+}

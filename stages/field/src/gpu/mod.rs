@@ -1,0 +1,62 @@
+//! The field on a GPU, through wgpu: kernels in WGSL, each the twin of one in `cpu`.
+//!
+//! Invariant: no kernel adds floats in an order that threads decide. Sums over many threads are integers or go
+//! through partial sums in the order of their index; two runs on one adapter give the same bytes.
+
+mod arrays;
+mod ceilings;
+#[cfg(test)]
+mod chain_device;
+#[cfg(test)]
+mod chain_f64;
+#[cfg(test)]
+mod chain_net;
+#[cfg(test)]
+mod chain_tests;
+mod device;
+mod error;
+mod exposures;
+#[cfg(test)]
+mod exposures_tests;
+#[cfg(test)]
+mod extreme_tests;
+mod forward;
+mod kernel;
+mod learning;
+mod light;
+#[cfg(test)]
+mod light_tests;
+#[cfg(test)]
+mod losses_tests;
+mod march;
+#[cfg(test)]
+mod march_tests;
+mod nets;
+#[cfg(test)]
+mod nets_tests;
+mod occupancy;
+mod picture;
+#[cfg(test)]
+mod picture_tests;
+mod rays;
+#[cfg(test)]
+mod rays_tests;
+mod renderer;
+#[cfg(test)]
+mod rig;
+#[cfg(test)]
+mod scan_tests;
+mod session;
+#[cfg(test)]
+mod session_tests;
+mod tables;
+#[cfg(test)]
+pub(crate) mod testing;
+mod weights;
+
+pub use ceilings::{Ceilings, ceilings};
+pub use device::{Device, DeviceError, Gpu};
+pub use error::GpuError;
+pub(crate) use renderer::Renderer;
+pub(crate) use session::Session;
+pub use session::{KernelTime, Load, Timed, time_steps};

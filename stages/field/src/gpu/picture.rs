@@ -1,0 +1,108 @@
+//! Rays of a picture: what they gather round by round, and their pixels.
+
+use marf_shaders::{self as shaders, FinishRun, PaintRun};
+
+use super::GpuError;
+use super::kernel::{Array, Kernel, Part, Work, dispatch};
+use super::light::Columns;
+use super::nets::{Batch, limits, one_each};
+use crate::render::DEEP;
+
+/// Rows of a ray's state: optical depth, colour, distance, what is left.
+pub const STATE: usize = 6;
+/// Rows of a picture: colour, opacity, depth.
+pub const PICTURE: usize = 5;
+
+/// The kernels of pictures.
+pub struct Picture {
+    begin: Kernel,
+    paint: Kernel,
+    finish: Kernel,
+}
+
+impl Picture {
+    /// Compiles them.
+    ///
+    /// # Errors
+    /// [`GpuError::Kernel`].
+    pub fn new(gpu: &super::Gpu) -> Result<Self, GpuError> {
+        let head = limits();
+        Ok(Self {
+            begin: gpu.entry(&shaders::PAINT, &head, "begin")?,
+            paint: gpu.kernel(&shaders::PAINT, &head)?,
+            finish: gpu.kernel(&shaders::FINISH, &head)?,
+        })
+    }
+
+    /// Binds the start of all rays and the taking in of a round, to be recorded one after the other.
+    ///
+    /// `state`: f32 `[STATE][rays]`, whose first row is the optical depth in front of the next round; `slot` tells
+    /// the rays in use, `columns.spans` their kept samples; `shown` is u32 `[2][rays]` of `Light::opacity`.
+    ///
+    /// # Errors
+    /// The memory of a uniform.
+    pub fn paint(
+        &self,
+        batch: Batch<'_>,
+        slot: u32,
+        columns: Columns<'_>,
+        rgb: &Array<f32>,
+        (shown, state): (&Array<u32>, &Array<f32>),
+    ) -> Result<[Work; 2], GpuError> {
+        let run = PaintRun {
+            slot,
+            capacity: batch.capacity as u32,
+            rays: batch.rays as u32,
+            deep: DEEP,
+        };
+        let run = batch.gpu.uniform("paint", run)?;
+        let parts = [
+            (&run).into(),
+            state.into(),
+            batch.counts.into(),
+            columns.spans.into(),
+            columns.light.into(),
+            rgb.into(),
+            columns.along.into(),
+            shown.into(),
+        ];
+        let groups = one_each(batch.rays);
+        Ok([
+            dispatch(batch.gpu, &self.begin, &parts[..2], groups),
+            dispatch(batch.gpu, &self.paint, &parts, groups),
+        ])
+    }
+
+    /// Binds the pixels, f32 `[PICTURE][rays]`, of rays that have ended.
+    ///
+    /// `background`: f32 `[3][16]`, `None` for black; `half_side`: of the box, world units.
+    ///
+    /// # Errors
+    /// The memory of a uniform.
+    pub fn finish(
+        &self,
+        batch: Batch<'_>,
+        (slot, half_side): (u32, f32),
+        directions: &Array<[f32; 4]>,
+        background: Option<&Array<f32>>,
+        [state, picture]: [&Array<f32>; 2],
+    ) -> Result<Work, GpuError> {
+        let run = FinishRun {
+            slot,
+            rays: batch.rays as u32,
+            behind: u32::from(background.is_some()),
+            half_side,
+        };
+        let run = batch.gpu.uniform("finish", run)?;
+        let parts = [
+            (&run).into(),
+            batch.counts.into(),
+            state.into(),
+            directions.into(),
+            // What is bound in place of none is not read.
+            background.map_or(state.into(), Part::from),
+            picture.into(),
+        ];
+        Ok(dispatch(batch.gpu, &self.finish, &parts, one_each(batch.rays)))
+    }
+}

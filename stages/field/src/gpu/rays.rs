@@ -1,0 +1,190 @@
+//! Rays of a training step and of a picture, drawn and set out on the device.
+
+use marf_scene::{Camera, Pose};
+use marf_shaders::{PixelRange, RAYS, Sighted, Step, VIEW_RAYS, ViewCamera};
+
+use super::kernel::{Array, Bound, Kernel, halves};
+use super::march::Progress;
+use super::{Gpu, GpuError};
+use crate::View;
+use crate::cpu::march::Steps;
+use crate::depth::{SHARE, Sighting, place};
+use crate::frame::Frame;
+use crate::rng::Purpose;
+
+/// Rays on the device.
+pub struct RayArrays {
+    /// Slots.
+    pub slots: usize,
+    /// Origin, half sides, and place within every step, in [0, 1).
+    pub origins: Array<[f32; 4]>,
+    /// Unit vector, and 1; all zero where there is no ray.
+    pub directions: Array<[f32; 4]>,
+    /// sRGB in [0, 1], and the bits of the number of the view.
+    pub targets: Array<[f32; 4]>,
+    /// Place and weight of a pull; weight 0: none.
+    pub pulls: Array<[f32; 2]>,
+}
+
+impl RayArrays {
+    /// Makes room for rays.
+    ///
+    /// # Errors
+    /// More than the device holds.
+    pub fn new(gpu: &Gpu, slots: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            slots,
+            origins: gpu.zeros("origins", slots)?,
+            directions: gpu.zeros("directions", slots)?,
+            targets: gpu.zeros("targets", slots)?,
+            pulls: gpu.zeros("pulls", slots)?,
+        })
+    }
+}
+
+/// All photos of a training on the device.
+pub struct Photos {
+    /// Cameras and poses, `[views]`.
+    cameras: Array<ViewCamera>,
+    /// Kept pixels, r | g << 8 | b << 16 | place in its run << 24.
+    pub pixels: Array<u32>,
+}
+
+impl Photos {
+    /// Copies photos to the device, 4 bytes a kept pixel.
+    ///
+    /// # Errors
+    /// More pixels than one binding holds: thin them, by `memory`.
+    pub fn new(gpu: &Gpu, views: &[View], world_from_cams: &[Pose], frame: &Frame) -> Result<Self, GpuError> {
+        let kept: usize = views.iter().map(|view| view.image.len()).sum();
+        let hint = "set `memory`, so that fewer pixels of every photo are kept";
+        gpu.check_binding((kept * size_of::<u32>()) as u64, hint)?;
+        let pixels = gpu.zeros("pixels", kept)?;
+        let (mut cameras, mut first) = (Vec::new(), 0);
+        for (view, world_from_cam) in views.iter().zip(world_from_cams) {
+            // A binding holds fewer than 2^32 bytes, so the number of a pixel fits 32 bits.
+            cameras.push(ViewCamera {
+                first: first as u32,
+                run: view.image.run(),
+                ..camera(&view.camera, world_from_cam, frame)
+            });
+            let words: Vec<u32> = view.image.words().map(|word| word as u32).collect();
+            gpu.write(&pixels, first, &words);
+            first += words.len();
+        }
+        let cameras = gpu.filled("cameras", &cameras)?;
+        Ok(Self { cameras, pixels })
+    }
+
+    /// Returns the uniform of a step; sightings, rays, weight of a pull and step size are still 0.
+    pub fn step(&self, seed: u64, number: u64) -> Step {
+        Step {
+            seed: halves(seed),
+            number: halves(number),
+            pixels: self.pixels.len() as u32,
+            share: SHARE as u32,
+            views: self.cameras.len() as u32,
+            ..bytemuck::Zeroable::zeroed()
+        }
+    }
+}
+
+/// Returns a camera as kernels see it, in the frame of the box; it keeps every pixel, from the first.
+pub fn camera(camera: &Camera, world_from_cam: &Pose, frame: &Frame) -> ViewCamera {
+    let centre = frame.inward(&world_from_cam.translation);
+    let row = |axis: usize| {
+        let turn = [0, 1, 2].map(|column| world_from_cam.rotation[(axis, column)] as f32);
+        [turn[0], turn[1], turn[2], centre[axis] as f32]
+    };
+    ViewCamera {
+        lens: [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px].map(|number| number as f32),
+        bend: [camera.k1, camera.k2, camera.p1, camera.p2].map(|number| number as f32),
+        rows: [0, 1, 2].map(row),
+        first: 0,
+        run: 1,
+        width: camera.width,
+        height: camera.height,
+    }
+}
+
+/// Returns sightings as kernels see them; to be made again whenever the steps are.
+pub fn sighted(sightings: &[Sighting], steps: &Steps) -> Vec<Sighted> {
+    let one = |sighting: &Sighting| {
+        let place = place(steps, sighting.t);
+        Sighted {
+            pixel: sighting.pixel as u32,
+            place: place.unwrap_or(0.0),
+            pulls: u32::from(place.is_some()),
+        }
+    };
+    sightings.iter().map(one).collect()
+}
+
+fn newton_head() -> String {
+    format!("const NEWTON_STEPS: u32 = {}u;\n", Camera::NEWTON_STEPS)
+}
+
+/// Draws the rays of a training step.
+pub struct DrawRays(Kernel);
+
+impl DrawRays {
+    /// Compiles the kernel.
+    ///
+    /// # Errors
+    /// A driver that does not.
+    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+        let head = format!(
+            "{}const PURPOSE: u32 = {}u;\n",
+            newton_head(),
+            Purpose::Rays as u32
+        );
+        Ok(Self(gpu.kernel(&RAYS, &head)?))
+    }
+
+    /// Binds it; one thread a ray.
+    pub fn bind(
+        &self,
+        gpu: &Gpu,
+        step: &Array<Step>,
+        photos: &Photos,
+        sightings: &Array<Sighted>,
+        rays: &RayArrays,
+    ) -> Bound {
+        let parts = [
+            step.into(),
+            (&photos.cameras).into(),
+            (&photos.pixels).into(),
+            sightings.into(),
+            (&rays.origins).into(),
+            (&rays.directions).into(),
+            (&rays.targets).into(),
+            (&rays.pulls).into(),
+        ];
+        gpu.bind(&self.0, &parts)
+    }
+}
+
+/// Sets out the rays of a picture.
+pub struct ViewRays(Kernel);
+
+impl ViewRays {
+    /// Compiles the kernel.
+    ///
+    /// # Errors
+    /// A driver that does not.
+    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+        Ok(Self(gpu.kernel(&VIEW_RAYS, &newton_head())?))
+    }
+
+    /// Binds it; one thread a pixel. Only `origins` and `directions` of the rays are written.
+    pub fn bind(&self, gpu: &Gpu, asked: &Array<PixelRange>, rays: &RayArrays, progress: &Progress) -> Bound {
+        let parts = [
+            asked.into(),
+            (&rays.origins).into(),
+            (&rays.directions).into(),
+            (&progress.next_step).into(),
+            (&progress.done).into(),
+        ];
+        gpu.bind(&self.0, &parts)
+    }
+}

@@ -1,0 +1,410 @@
+//! A training on a device: what stays there between steps, and the steps.
+
+mod timing;
+
+use std::sync::Arc;
+
+use marf_shaders::{Blending, Pace, Sighted, Step as StepUniform, Total, faults};
+
+use super::arrays::Arrays;
+use super::forward::{Forward, Kernels as Shared, Lanes, Purpose, check_columns, write_walks};
+use super::kernel::{Array, Bound, Recorder, Timing};
+use super::learning::{Bench, Kernels, Learning};
+use super::light::RING;
+use super::march::{March, Marching, step_table, whole_walk};
+use super::occupancy::{self, Due, Probed, Update};
+use super::rays::{DrawRays, Photos, sighted};
+use super::tables::{Grid, Rise, blending, rates};
+use super::weights::DeviceWeights;
+use super::{Gpu, GpuError};
+use crate::learn::EPSILON;
+use crate::trainer::{State, Step, UPDATE_EVERY};
+use crate::{FieldError, Trainer};
+pub use timing::{KernelTime, Load, Timed, time_steps};
+
+/// Sample slots a sample of the batch: rays visit more samples than they train.
+const VISITED: usize = 2;
+/// Looks at the gradients of the first step: the first scale is a guess, the second close, the third good.
+const CALIBRATIONS: usize = 2;
+/// Slots come in multiples of this.
+const SLOTS: usize = 256;
+
+/// A training on a device.
+pub struct Session {
+    gpu: Arc<Gpu>,
+    grid: Grid,
+    weights: DeviceWeights,
+    average: DeviceWeights,
+    lanes: Lanes,
+    arrays: Arrays,
+    photos: Photos,
+    sightings: Array<Sighted>,
+    step: Array<StepUniform>,
+    occupancy: occupancy::State,
+    draw: Bound,
+    marching: Marching,
+    forward: Forward,
+    learning: Learning,
+    update: Update,
+}
+
+impl Session {
+    /// Copies a training to a device, compiles the kernels and finds the scales of the first step.
+    ///
+    /// # Errors
+    /// A device that lacks something or has too little memory.
+    pub fn new(gpu: &Arc<Gpu>, trainer: &mut Trainer) -> Result<Self, FieldError> {
+        let device = gpu.as_ref();
+        let (config, state) = (&trainer.config, &trainer.state);
+        let rays = (config.batch_samples as usize).next_multiple_of(SLOTS);
+        let slots = [VISITED * rays, rays];
+        check_columns(device, &state.weights, slots[0])?;
+        let grid = Grid::new(device, &state.weights.shapes, state.weights.features)?;
+        let weights = DeviceWeights::new(device, &grid, &state.weights)?;
+        let average = DeviceWeights::new(device, &grid, &state.average)?;
+        let most_steps = trainer.sizes.steps(config, trainer.sizes.halvings.value);
+        let lanes = Lanes::new(device, &weights, slots, &most_steps, Purpose::Training)?;
+        let gain = (trainer.views.len(), config.gain);
+        let arrays = Arrays::new(device, &grid, &weights, &lanes, gain, &trainer.bias)?;
+        let photos = Photos::new(device, &trainer.views, &trainer.world_from_cams, &trainer.frame)?;
+        let seen = trainer.sightings.len();
+        let hint = "set `depth_weight = 0`, so that sparse points do not pull";
+        device.check_binding((seen * size_of::<Sighted>()) as u64, hint)?;
+        let sightings = device.zeros("sightings", seen)?;
+        let step = device.uniform("step", bytemuck::Zeroable::zeroed())?;
+        let occupancy = occupancy::State::new(device, &state.occupancy)?;
+        let features = state.weights.features;
+        let (shared, kernels) = (Shared::new(device, features)?, Kernels::new(device, features)?);
+        let draw = DrawRays::new(device)?.bind(device, &step, &photos, &sightings, &lanes.rays);
+        let marching = March::new(device)?.bind(device, lanes.marched(&occupancy.bits));
+        let forward = Forward::new(device, &shared, &grid, &weights, &lanes, Purpose::Training)?;
+        let learning = Learning::new(Bench {
+            gpu: device,
+            shared: &shared,
+            kernels: &kernels,
+            grid: &grid,
+            weights: &weights,
+            average: &average,
+            lanes: &lanes,
+            arrays: &arrays,
+            config,
+            step: &step,
+        })?;
+        let probed = Probed {
+            xyz: &lanes.visited.xyz,
+            raw: &lanes.latent,
+            faults: &lanes.faults,
+            cells: &lanes.origin,
+            counts: &lanes.counts,
+        };
+        let probing = [lanes.capacity, OCCUPIED_EVERY as usize];
+        let min_step = config.min_step as f32;
+        let cells = occupancy::Kernels::new(device)?;
+        let update = Update::new(device, &cells, &occupancy, probed, probing, min_step)?;
+        let session = Self {
+            gpu: gpu.clone(),
+            grid,
+            weights,
+            average,
+            lanes,
+            arrays,
+            photos,
+            sightings,
+            step,
+            occupancy,
+            draw,
+            marching,
+            forward,
+            learning,
+            update,
+        };
+        session.write_march(trainer);
+        session.turn();
+        session.calibrate(trainer);
+        session.probe(trainer, 0, None)?;
+        trainer.state.scales = session.scales()?;
+        session.upload(trainer)?;
+        Ok(session)
+    }
+
+    /// Finds the scales of the first step by its own gradients, which are then thrown away; also compiles all kernels
+    /// of drivers that compile at the first use.
+    fn calibrate(&self, trainer: &Trainer) {
+        let rays = trainer.ray_count().min(self.lanes.rays.slots);
+        self.begin(trainer, rays);
+        self.arrays.write_rise(&self.gpu, &self.grid, Rise::Free);
+        for _ in 0..CALIBRATIONS {
+            self.write_step(trainer, trainer.state.steps, rays);
+            self.gpu.submit(|recorder| {
+                self.forward(recorder, rays);
+                self.learning.back.record(recorder);
+                self.learning.scale.record(recorder);
+            });
+            self.arrays.clear_gradient(&self.gpu);
+        }
+        self.arrays.write_rise(&self.gpu, &self.grid, Rise::Slow);
+        // All else that is written here is uploaded anew.
+        self.write_step(trainer, trainer.state.steps, 0);
+        self.begin(trainer, 0);
+        self.gpu.submit(|recorder| self.record(recorder, 0, true));
+    }
+
+    fn turn(&self) {
+        self.gpu.submit(|recorder| self.learning.turn.record(recorder));
+    }
+
+    /// Returns the device.
+    pub fn gpu(&self) -> &Arc<Gpu> {
+        &self.gpu
+    }
+
+    /// Takes steps up to the next update of the occupancy, at most `most`, at least one.
+    ///
+    /// # Errors
+    /// [`FieldError::NotFinite`] names the step, before which the state on the device then is; a lost device.
+    pub fn advance(&mut self, trainer: &mut Trainer, most: u64) -> Result<Step, FieldError> {
+        self.watched(trainer, most, None)
+    }
+
+    /// As [`Session::advance`]; `watch` takes the time of every dispatch.
+    fn watched(
+        &mut self,
+        trainer: &mut Trainer,
+        most: u64,
+        mut watch: Option<&mut Watch>,
+    ) -> Result<Step, FieldError> {
+        let first = trainer.state.steps;
+        let update = (first / UPDATE_EVERY + 1) * UPDATE_EVERY;
+        let end = first.saturating_add(most.max(1)).min(update);
+        let rays = trainer.ray_count().min(self.lanes.rays.slots);
+        self.begin(trainer, rays);
+        for number in first..end {
+            let is_due = self.write_step(trainer, number, rays);
+            let times = watch.as_deref_mut().map(|watch| &mut watch.steps);
+            self.submit(times, |recorder| self.record(recorder, rays, is_due))?;
+        }
+        let totals = self.gpu.read(&self.arrays.ring)?;
+        let mut sum = Step {
+            steps: 0,
+            loss: 0.0,
+            rays: 0,
+            samples: 0,
+        };
+        for number in first..end {
+            let total = &totals[number as usize % RING];
+            if total.faults != 0 {
+                trainer.state.steps = number;
+                return Err(fault(trainer, total));
+            }
+            trainer.take(&mut sum, total);
+            if let Some(watch) = &mut watch {
+                watch.visited += u64::from(total.visited);
+            }
+        }
+        sum.loss /= sum.steps as f64;
+        if trainer.state.steps == update {
+            let times = watch.map(|watch| &mut watch.updates);
+            self.probe(trainer, update / UPDATE_EVERY, times)?;
+            let before = trainer.state.halvings;
+            trainer.halve_steps();
+            if trainer.state.halvings != before {
+                self.write_march(trainer);
+            }
+        }
+        Ok(sum)
+    }
+
+    /// Tells the walks how many rays there are.
+    fn begin(&self, trainer: &Trainer, rays: usize) {
+        let side = trainer.config.occupancy_resolution;
+        let (slots, capacity) = (self.lanes.rays.slots, self.lanes.capacity);
+        let whole = whole_walk(rays, slots, capacity, &trainer.march, side);
+        write_walks(&self.gpu, &self.lanes, whole);
+    }
+
+    /// Tells the kernels of a step; returns whether the averages are due.
+    fn write_step(&self, trainer: &Trainer, number: u64, rays: usize) -> bool {
+        let rate = trainer.rate_at(number);
+        let pull = trainer.pull_at(number, rays);
+        let step = StepUniform {
+            rays: rays as u32,
+            rate,
+            pull: pull.unwrap_or(0.0),
+            sightings: pull.map_or(0, |_| self.sightings.len() as u32),
+            ..self.photos.step(trainer.seed, number)
+        };
+        let pace = Pace {
+            rate,
+            total: number as u32 % RING as u32,
+            ..bytemuck::Zeroable::zeroed()
+        };
+        let gpu = &self.gpu;
+        gpu.write(&self.step, 0, &[step]);
+        gpu.write(&self.arrays.pace, 0, &[pace]);
+        gpu.write(&self.arrays.rates, 0, &[rates(rate, EPSILON, 0.0)]);
+        let keep = trainer.kept_at(number);
+        let blending: Blending = blending(keep.unwrap_or(1.0));
+        gpu.write(&self.arrays.blending, 0, &[blending]);
+        keep.is_some()
+    }
+
+    fn record(&self, recorder: &mut Recorder<'_>, rays: usize, is_due: bool) {
+        self.forward(recorder, rays);
+        self.learning.record(recorder, is_due);
+    }
+
+    fn forward(&self, recorder: &mut Recorder<'_>, rays: usize) {
+        recorder.threads(&self.draw, rays);
+        self.marching.record(recorder, rays);
+        self.forward.densities.record(recorder);
+        self.forward.colours.record(recorder);
+    }
+
+    /// Looks at cells of the occupancy grid and decides anew which are occupied.
+    fn probe(
+        &self,
+        trainer: &Trainer,
+        round: u64,
+        mut times: Option<&mut Vec<Timing>>,
+    ) -> Result<(), GpuError> {
+        let due = Due {
+            round,
+            occupied: OCCUPIED_EVERY,
+            empty: if round <= 16 { OCCUPIED_EVERY } else { 16 },
+        };
+        self.update.begin(&self.gpu, trainer.seed, due);
+        for pass in 0..self.update.passes() {
+            let none = [0];
+            self.gpu
+                .write(&self.lanes.counts, marf_shaders::counts::VISITED as usize, &none);
+            self.submit(times.as_deref_mut(), |recorder| {
+                self.update.probe(recorder, pass);
+                self.forward.densities.record(recorder);
+                self.update.found(recorder);
+            })?;
+        }
+        self.submit(times, |recorder| self.update.finish(recorder))
+    }
+
+    /// Submits; where times are wanted, every dispatch in a pass of its own.
+    fn submit(
+        &self,
+        times: Option<&mut Vec<Timing>>,
+        record: impl FnOnce(&mut Recorder<'_>),
+    ) -> Result<(), GpuError> {
+        match times {
+            None => self.gpu.submit(record),
+            Some(times) => times.extend(self.gpu.submit_timed(record)?),
+        }
+        Ok(())
+    }
+
+    /// Copies what depends on the length of the steps along rays.
+    fn write_march(&self, trainer: &Trainer) {
+        let gpu = &self.gpu;
+        gpu.write(&self.lanes.steps, 0, &step_table(&trainer.march));
+        gpu.write(&self.sightings, 0, &sighted(&trainer.sightings, &trainer.march));
+        self.arrays
+            .write_losses(gpu, &self.lanes, &trainer.config, &trainer.march);
+    }
+
+    /// Copies the state to the device.
+    ///
+    /// # Errors
+    /// A lost device.
+    pub fn upload(&self, trainer: &Trainer) -> Result<(), GpuError> {
+        let (gpu, state) = (self.gpu.as_ref(), &trainer.state);
+        self.weights.write(gpu, &self.grid, &state.weights);
+        self.average.write(gpu, &self.grid, &state.average);
+        let (tables, nets) = state.moments.split_at(state.weights.tables.len());
+        self.arrays.write_table_moments(gpu, &self.grid, tables);
+        for (array, moments) in self.arrays.net_moments().into_iter().zip(nets) {
+            array.write(gpu, moments);
+        }
+        self.arrays
+            .exposures
+            .write(gpu, &state.gains, &state.gain_moments);
+        self.occupancy.write(gpu, &state.occupancy);
+        if !state.scales.is_empty() {
+            let mut scales = gpu.read(&self.arrays.scales)?;
+            for (level, scale) in scales.iter_mut().zip(&state.scales) {
+                level.scale = *scale;
+            }
+            gpu.write(&self.arrays.scales, 0, &scales);
+        }
+        gpu.write(&self.lanes.faults, 0, &[0; faults::LEN]);
+        self.write_march(trainer);
+        self.turn();
+        gpu.wait()
+    }
+
+    /// Copies the state back.
+    ///
+    /// # Errors
+    /// A lost device.
+    pub fn download(&self, state: &mut State) -> Result<(), GpuError> {
+        let gpu = self.gpu.as_ref();
+        self.weights.read(gpu, &self.grid, &mut state.weights)?;
+        self.average.read(gpu, &self.grid, &mut state.average)?;
+        let (tables, nets) = state.moments.split_at_mut(state.weights.tables.len());
+        self.arrays.read_table_moments(gpu, &self.grid, tables)?;
+        for (array, moments) in self.arrays.net_moments().into_iter().zip(nets) {
+            array.read(gpu, moments)?;
+        }
+        let (gains, moments) = (&mut state.gains, &mut state.gain_moments);
+        self.arrays.exposures.read(gpu, gains, moments)?;
+        state.occupancy = self.occupancy.read(gpu)?;
+        state.scales = self.scales()?;
+        Ok(())
+    }
+
+    fn scales(&self) -> Result<Vec<f32>, GpuError> {
+        let scales = self.gpu.read(&self.arrays.scales)?;
+        Ok(scales.iter().map(|level| level.scale).collect())
+    }
+}
+
+/// What is learnt about steps that are timed.
+#[derive(Default)]
+struct Watch {
+    /// Dispatches of steps.
+    steps: Vec<Timing>,
+    /// Dispatches of updates of the occupancy.
+    updates: Vec<Timing>,
+    /// Samples that rays visited.
+    visited: u64,
+}
+
+/// Of occupied cells one in so many is looked at in an update.
+const OCCUPIED_EVERY: u32 = 4;
+
+fn fault(trainer: &Trainer, total: &Total) -> FieldError {
+    let tensor = match total.faults.trailing_zeros() {
+        faults::DENSITY => "raw density",
+        faults::LOGITS => "colour logits",
+        faults::LOSS => "loss",
+        faults::FEATURES => "gradient of the features",
+        faults::NETWORKS => "gradient of the networks",
+        faults::BACKGROUND => "background",
+        _ => "gains",
+    };
+    FieldError::NotFinite {
+        step: trainer.state.steps,
+        tensor,
+        place: "some sample of the batch".to_owned(),
+        learning_rate: trainer.config.learning_rate,
+    }
+}
+
+impl Trainer {
+    /// Takes down what a step on a device did.
+    fn take(&mut self, sum: &mut Step, total: &Total) {
+        let (rays, samples) = (u64::from(total.rays), u64::from(total.kept));
+        self.state.learn_cost(rays.max(1), total.visited.into(), samples);
+        self.state.steps += 1;
+        sum.steps += 1;
+        sum.rays += rays;
+        sum.samples += samples;
+        sum.loss += f64::from(total.loss) / (3 * rays.max(1)) as f64;
+    }
+}

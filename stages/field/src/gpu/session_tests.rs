@@ -1,0 +1,183 @@
+//! Whole trainings and pictures on a software adapter, beside the CPU's.
+
+use super::testing::{advance, gpu, on_gpu, upload, worst};
+use super::time_steps;
+use crate::training_tests::{ball, psnr, small};
+use crate::{Config, Field, FieldError, Gain, Trainer};
+
+fn config() -> Config {
+    Config {
+        batch_samples: 2048,
+        occupancy_resolution: 32,
+        ..small()
+    }
+}
+
+#[test]
+fn a_first_step_on_both_devices_ends_at_the_same_weights() {
+    let Some(gpu) = gpu("a_first_step_on_both_devices_ends_at_the_same_weights") else {
+        return;
+    };
+    let mut there = on_gpu(&gpu, ball(4, 16), &[], (&config(), 7));
+    let mut here = Trainer::new(ball(4, 16), &[], &config(), 7).unwrap();
+    let (on_gpu, on_cpu) = (there.advance(1).unwrap(), here.advance(1).unwrap());
+    assert_eq!((on_gpu.steps, on_gpu.rays), (1, on_cpu.rays));
+    assert_eq!(on_gpu.samples, on_cpu.samples);
+    let apart = (on_gpu.loss - on_cpu.loss).abs();
+    assert!(apart < 1e-5 * on_cpu.loss, "{on_gpu:?} {on_cpu:?}");
+    there.sync().unwrap();
+    let bits = |trainer: &Trainer| {
+        trainer
+            .state
+            .scales
+            .iter()
+            .map(|scale| scale.log2())
+            .collect::<Vec<_>>()
+    };
+    println!("scales {:?}", bits(&there));
+    // Adam's first step is a whole step size whatever the gradient; where it is rounding noise, its sign may differ.
+    // In tables, noise is all that is less than some quanta, and the first scale is a guess.
+    let rate = config().learning_rate as f32;
+    for ((name, there), (_, here)) in there
+        .state
+        .weights
+        .tensors()
+        .iter()
+        .zip(here.state.weights.tensors())
+    {
+        let far = there
+            .iter()
+            .zip(here)
+            .filter(|(a, b)| (**a - **b).abs() > 0.1 * rate);
+        let share = far.count() as f64 / there.len() as f64;
+        println!("{name}: worst {:e}, {share:.4} apart", worst(there, here).0);
+        let most = if name.starts_with("table") { 0.1 } else { 0.01 };
+        assert!(share < most, "{name}: {share} of the weights are apart");
+    }
+}
+
+#[test]
+fn a_ball_is_learnt_as_well_as_on_the_cpu_and_twice_with_the_same_bytes() {
+    let name = "a_ball_is_learnt_as_well_as_on_the_cpu_and_twice_with_the_same_bytes";
+    let Some(gpu) = gpu(name) else {
+        return;
+    };
+    let views = ball(12, 24);
+    let mut there = on_gpu(&gpu, views.clone(), &[], (&config(), 1));
+    let mut again = on_gpu(&gpu, views.clone(), &[], (&config(), 1));
+    let mut here = Trainer::new(views.clone(), &[], &config(), 1).unwrap();
+    for trainer in [&mut there, &mut again, &mut here] {
+        advance(trainer, 200);
+    }
+    assert!(there.save().unwrap() == again.save().unwrap(), "two runs differ");
+    let fields = [there.field().unwrap(), here.field().unwrap()];
+    let mean = |field: &Field| views.iter().map(|view| psnr(field, view)).sum::<f64>() / views.len() as f64;
+    let [on_gpu, on_cpu] = fields.each_ref().map(mean);
+    println!(
+        "scales {:?}",
+        there
+            .state
+            .scales
+            .iter()
+            .map(|scale| scale.log2())
+            .collect::<Vec<_>>()
+    );
+    println!("after 200 steps: {on_gpu:.3} dB on the GPU, {on_cpu:.3} dB on the CPU");
+    assert!(
+        (on_gpu - on_cpu).abs() < 0.3 && on_cpu > 20.0,
+        "{on_gpu} against {on_cpu}"
+    );
+}
+
+#[test]
+fn steps_that_are_timed_learn_the_same_bytes_and_name_every_kernel() {
+    let name = "steps_that_are_timed_learn_the_same_bytes_and_name_every_kernel";
+    let Some(gpu) = gpu(name) else {
+        return;
+    };
+    let [mut timed, mut plain] = [0, 1].map(|_| on_gpu(&gpu, ball(4, 16), &[], (&config(), 7)));
+    let found = time_steps(&mut timed, 20).unwrap().unwrap();
+    advance(&mut plain, 20);
+    assert!(timed.save().unwrap() == plain.save().unwrap());
+    assert_eq!((found.steps, timed.steps()), (20, 20));
+    assert!(found.samples > 0 && found.samples <= found.visited && found.update_s > 0.0);
+    for once in ["rays", "opacity", "peak", "adam_table", "totals"] {
+        let kernel = found.kernels.iter().find(|kernel| kernel.name == once);
+        let calls = kernel.map_or(0.0, |kernel| kernel.calls);
+        assert!((calls - 1.0).abs() < 1e-9, "{once}: {calls} calls a step");
+    }
+    assert!(time_steps(&mut Trainer::new(ball(4, 16), &[], &config(), 7).unwrap(), 1) == Ok(None));
+}
+
+#[test]
+fn a_picture_is_the_same_on_both_devices() {
+    let Some(gpu) = gpu("a_picture_is_the_same_on_both_devices") else {
+        return;
+    };
+    let views = ball(12, 24);
+    let mut trainer = Trainer::new(views.clone(), &[], &config(), 1).unwrap();
+    advance(&mut trainer, 150);
+    let here = trainer.field().unwrap();
+    let there = here.clone().with_gpu(&gpu).unwrap();
+    let [here, there] =
+        [here, there].map(|field| field.render(&views[0].camera, &views[0].cam_from_world).unwrap());
+    // The CPU joins samples that weigh less than 1 / 512. A sample on the border of a cell may lie on its other side.
+    let pairs = there.rgb.iter().zip(&here.rgb);
+    let apart = pairs.filter(|(a, b)| worst(*a, *b).0 > 1.0 / 128.0).count();
+    let (colour, _) = worst(there.rgb.as_flattened(), here.rgb.as_flattened());
+    println!(
+        "picture: {apart} of {} pixels apart, worst {colour:e}",
+        here.rgb.len()
+    );
+    assert!(apart < here.rgb.len() / 100, "{apart}");
+}
+
+#[test]
+fn a_training_on_a_gpu_goes_on_from_a_checkpoint_with_the_same_bytes() {
+    let name = "a_training_on_a_gpu_goes_on_from_a_checkpoint_with_the_same_bytes";
+    let Some(gpu) = gpu(name) else {
+        return;
+    };
+    let config = Config {
+        gain: Gain::PerPhotoAndOffset,
+        ..config()
+    };
+    let mut whole = on_gpu(&gpu, ball(4, 16), &[], (&config, 7));
+    advance(&mut whole, 37);
+    let kept = whole.save().unwrap();
+    advance(&mut whole, 60);
+    let mut resumed = on_gpu(&gpu, ball(4, 16), &[], (&config, 7));
+    resumed.restore(&kept).unwrap();
+    assert_eq!(resumed.steps(), 37);
+    advance(&mut resumed, 60);
+    assert!(whole.save().unwrap() == resumed.save().unwrap());
+    let mut here = Trainer::new(ball(4, 16), &[], &config, 7).unwrap();
+    let refused = here.restore(&kept);
+    assert_eq!(refused, Err(FieldError::OtherTraining { what: "device" }));
+}
+
+#[test]
+fn a_nan_stops_the_step_by_name_and_leaves_the_state_before_it() {
+    let Some(gpu) = gpu("a_nan_stops_the_step_by_name_and_leaves_the_state_before_it") else {
+        return;
+    };
+    let mut trainer = on_gpu(&gpu, ball(4, 16), &[], (&config(), 7));
+    advance(&mut trainer, 20);
+    let good = trainer.save().unwrap();
+    for tensor in ["background", "density", "table"] {
+        trainer.restore(&good).unwrap();
+        let mut broken = trainer.state.clone();
+        let mut tensors = broken.weights.tensors_mut();
+        let found = tensors.iter_mut().find(|(name, _)| name.starts_with(tensor));
+        found.unwrap().1.fill(f32::NAN);
+        drop(tensors);
+        trainer.state = broken;
+        upload(&mut trainer);
+        let refused = trainer.advance(5).unwrap_err();
+        assert!(
+            matches!(refused, FieldError::NotFinite { step: 20, .. }),
+            "{tensor}: {refused}"
+        );
+        assert_eq!(trainer.steps(), 20);
+    }
+}

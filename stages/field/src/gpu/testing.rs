@@ -1,0 +1,83 @@
+//! What the tests of kernels and trainings share: an adapter, which they skip by name without, and trainings on it.
+
+use std::sync::Arc;
+
+use super::{Device, Gpu, Session};
+use crate::rng::{Purpose, Rng};
+use crate::{Config, Trainer, View};
+
+/// The adapter that tests run on: `MARF_TEST_GPU` (`gpu`, `gpu:NAME` or a part of its name), or llvmpipe; and whether
+/// it was asked for.
+fn wanted() -> (Device, bool) {
+    let named = |name: String| Device::Gpu(Some(name));
+    match std::env::var("MARF_TEST_GPU") {
+        Ok(asked) => (asked.parse().unwrap_or(named(asked)), true),
+        Err(_) => (named("llvmpipe".to_owned()), false),
+    }
+}
+
+fn opened<T>(test: &str, open: impl Fn(&Device) -> Result<Option<T>, super::GpuError>) -> Option<T> {
+    let (device, is_asked) = wanted();
+    let opened = open(&device);
+    assert!(!matches!(opened, Ok(None)), "MARF_TEST_GPU={device} is no GPU");
+    if let Err(error) = &opened {
+        assert!(!is_asked, "{error}");
+        eprintln!("{test}: skipped, no software adapter (install mesa-vulkan-drivers): {error}");
+    }
+    opened.ok().flatten()
+}
+
+/// Opens the adapter that tests run on, once for all of them.
+///
+/// Without one the test says so and is passed over, unless `MARF_TEST_GPU` asks for it.
+pub fn gpu(test: &str) -> Option<Arc<Gpu>> {
+    opened(test, Device::open)
+}
+
+/// As [`gpu`], a device of the test's own, which it may change or lose.
+pub fn own_gpu(test: &str) -> Option<Gpu> {
+    opened(test, Gpu::open)
+}
+
+/// Makes a training on a device; sparse points and seed as on the CPU.
+pub fn on_gpu(
+    gpu: &Arc<Gpu>,
+    views: Vec<View>,
+    points: &[[f64; 3]],
+    (config, seed): (&Config, u64),
+) -> Trainer {
+    let mut trainer = Trainer::new(views, points, config, seed).unwrap();
+    trainer.session = Some(Session::new(gpu, &mut trainer).unwrap());
+    trainer
+}
+
+/// Trains up to a step.
+pub fn advance(trainer: &mut Trainer, to: u64) {
+    while trainer.steps() < to {
+        trainer.advance(to - trainer.steps()).unwrap();
+    }
+}
+
+/// Copies the state that the trainer holds to the device.
+pub fn upload(trainer: &mut Trainer) {
+    let session = trainer.session.take().unwrap();
+    session.upload(trainer).unwrap();
+    trainer.session = Some(session);
+}
+
+/// The largest difference, and where.
+pub fn worst(found: &[f32], expected: &[f32]) -> (f32, usize) {
+    assert_eq!(found.len(), expected.len());
+    let pairs = found.iter().zip(expected).enumerate();
+    pairs.fold((0.0, 0), |worst, (index, (found, expected))| {
+        let apart = (found - expected).abs();
+        // Not less or equal: NaN is worst.
+        if apart <= worst.0 { worst } else { (apart, index) }
+    })
+}
+
+/// Random numbers in [-1, 1).
+pub fn numbers(len: usize, stream: u64) -> Vec<f32> {
+    let mut rng = Rng::new(13, Purpose::Rays, 0, stream);
+    (0..len).map(|_| rng.unit() * 2.0 - 1.0).collect()
+}
