@@ -1,7 +1,7 @@
 //! The run: one thread looks on and hands out work, as many work as there are tokens for.
 //!
 //! Tokens are threads. What needs one takes one; what can use all takes its share of those that are free, hence
-//! all when nothing else is ready. How they fall never shows in a result.
+//! all when nothing else is ready; one node at a time is on a GPU. How they fall never shows in a result.
 
 mod heal;
 mod job;
@@ -175,7 +175,16 @@ impl<'a> Floor<'a> {
         if self.free == 0 || self.site.cancel.is_set() {
             return None;
         }
-        let is_ready = |task: &&Task| matches!(task.phase, Phase::Ready | Phase::Reducible);
+        // A GPU is one token: two trainings on it would only take turns, with the memory of both.
+        let is_on_gpu = |task: &Task| task.bound.numeric_class().is_some();
+        let mut running = self
+            .tasks
+            .iter()
+            .filter(|task| matches!(task.phase, Phase::Running));
+        let is_busy = running.any(is_on_gpu);
+        let is_ready = |task: &&Task| {
+            matches!(task.phase, Phase::Ready | Phase::Reducible) && !(is_busy && is_on_gpu(task))
+        };
         let ready = self.tasks.iter().filter(is_ready).count();
         let index = self.tasks.iter().position(|task| is_ready(&task))?;
         let threads = match self.tasks[index].bound.threads() {
