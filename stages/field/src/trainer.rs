@@ -190,7 +190,10 @@ impl Trainer {
         Ok(self)
     }
 
-    /// Takes one optimiser step on the CPU; on a GPU up to 16, at most `most`, at least one.
+    /// Takes one optimiser step on the CPU; on a GPU up to the next multiple of 16, at most `most`, at least one.
+    ///
+    /// On a GPU all steps of one call have as many rays: a training that is cut elsewhere than at multiples of 16
+    /// learns other bytes than one that is not.
     ///
     /// # Errors
     /// [`FieldError::NotFinite`]; the trainer then still holds the state before the step that is named.
