@@ -3,6 +3,8 @@ use std::fmt;
 use std::str::FromStr;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
+use marf_cache::Digest;
+use marf_shaders::SHADERS;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -126,8 +128,8 @@ const BACKENDS: wgpu::Backends = wgpu::Backends::VULKAN
     .union(wgpu::Backends::METAL)
     .union(wgpu::Backends::DX12);
 
-/// Version of wgpu; a part of the numeric class.
-const WGPU: &str = "wgpu 30";
+/// Version of wgpu; a part of the numeric class. A test holds it against Cargo.lock.
+const WGPU: &str = "wgpu 30.0.1";
 
 impl Gpu {
     /// Opens the wanted device; `None` is the CPU.
@@ -199,7 +201,13 @@ impl Gpu {
             queue,
             limits,
             features,
-            class: format!("{}, {} {}, {WGPU}", info.name, info.driver, info.driver_info),
+            class: format!(
+                "{}, {} {}, {WGPU}, kernels {}",
+                info.name,
+                info.driver,
+                info.driver_info,
+                kernels()
+            ),
             name: info.name,
             kind: info.device_type,
             kernels: Mutex::default(),
@@ -212,7 +220,7 @@ impl Gpu {
         &self.name
     }
 
-    /// Returns adapter, driver and version of wgpu: two runs of one class give the same bytes.
+    /// Returns adapter, driver, version of wgpu and digest of the kernels: two runs of one class give the same bytes.
     pub fn class(&self) -> &str {
         &self.class
     }
@@ -275,6 +283,15 @@ impl Gpu {
     }
 }
 
+/// Returns a short digest of all kernels: a kernel that changed is another class, which no version has to tell.
+fn kernels() -> String {
+    let texts = SHADERS
+        .iter()
+        .flat_map(|shader| shader.shared.iter().chain([&shader.text]));
+    let all: String = texts.copied().collect();
+    Digest::of(all.as_bytes()).short().to_string()
+}
+
 /// Ranks from here on are not taken unless named.
 const SOFTWARE: u32 = 3;
 
@@ -312,6 +329,14 @@ mod tests {
         for text in ["", "gpu:", "cuda", "cpu:0"] {
             assert!(text.parse::<Device>().is_err(), "{text}");
         }
+    }
+
+    #[test]
+    fn the_version_in_the_class_is_the_one_that_is_built() {
+        let lock = include_str!("../../../../Cargo.lock");
+        let version = WGPU.trim_start_matches("wgpu ");
+        let entry = format!("name = \"wgpu\"\nversion = \"{version}\"\n");
+        assert!(lock.contains(&entry), "{WGPU} is not what Cargo.lock has");
     }
 
     #[test]
