@@ -1,0 +1,261 @@
+//! What can go wrong on the way to a body.
+
+use std::fmt;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use marf_stage::StageError;
+
+use super::backoff::LONGEST_RETRY_AFTER;
+use super::origin::{MAX_HOPS, Refused};
+
+/// A want that was not brought.
+#[derive(Debug, Clone, thiserror::Error)]
+pub(crate) struct NetError {
+    /// Scheme, host and path of the address asked last.
+    pub url: String,
+    /// What happened at the last try.
+    pub trouble: Box<Trouble>,
+    /// Tries at that address.
+    pub tries: u32,
+    /// From the first of these tries to the end of the last, waits included.
+    pub took: Duration,
+    /// Whether the same want may be brought at another time.
+    pub again: bool,
+    /// What the mirrors before it said, one line each.
+    pub before: Vec<String>,
+}
+
+impl fmt::Display for NetError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.url, self.trouble)?;
+        if self.tries > 0 {
+            let tries = if self.tries == 1 { "try" } else { "tries" };
+            let seconds = self.took.as_secs_f64();
+            write!(f, " ({} {tries} in {seconds:.1} s)", self.tries)?;
+        }
+        self.before
+            .iter()
+            .try_for_each(|line| write!(f, "; before it {line}"))
+    }
+}
+
+impl From<NetError> for StageError {
+    fn from(error: NetError) -> Self {
+        let failed = Self::new(error.to_string());
+        match &*error.trouble {
+            Trouble::Part { .. } => failed.hint("free space or choose another folder, and run again"),
+            Trouble::Redirect(_) | Trouble::NotAllowed => {
+                failed.hint("check the archive's `base` addresses; only their hosts are asked")
+            }
+            _ if error.again => failed.hint("run again later: what has come is kept"),
+            _ => failed,
+        }
+    }
+}
+
+/// What happened.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum Trouble {
+    /// A status that is no answer.
+    #[error("answers status {0}")]
+    Status(u16),
+    /// A `Retry-After` beyond what is waited.
+    #[error("asks to wait {} s; at most {} s are waited", .wait.as_secs(), LONGEST_RETRY_AFTER.as_secs())]
+    Later {
+        /// What is left of the wait.
+        wait: Duration,
+    },
+    /// No connection, or it broke.
+    #[error("the connection failed: {0}")]
+    Broken(String),
+    /// The host's certificate is not accepted.
+    #[error("its certificate is refused: {0}")]
+    Certificate(String),
+    /// No byte for too long.
+    #[error("no byte for {:.1} s, after {at} bytes", .after.as_secs_f64())]
+    Stalled {
+        /// The time without a byte.
+        after: Duration,
+        /// Bytes of the body that had come.
+        at: u64,
+    },
+    /// Below the slowest rate.
+    #[error("{rate} bytes a second, at least {slowest} are asked for")]
+    Slow {
+        /// Mean of the last window.
+        rate: u64,
+        /// The least.
+        slowest: u64,
+    },
+    /// Past the cap.
+    #[error("{bytes} bytes or more, at most {cap} are taken")]
+    TooLarge {
+        /// Announced or come.
+        bytes: u64,
+        /// The cap.
+        cap: u64,
+    },
+    /// The body is not as long as announced.
+    #[error("{came} bytes came of {announced} announced")]
+    Length {
+        /// By the head.
+        announced: u64,
+        /// In the body.
+        came: u64,
+    },
+    /// A 206 that is not the rest that was asked for.
+    #[error("the rest does not fit what is kept: {0}")]
+    Rest(String),
+    /// A body in an encoding that was not asked for.
+    #[error("the body is encoded as `{0}`, which was not asked for")]
+    Encoded(String),
+    /// A redirect that is not followed.
+    #[error(transparent)]
+    Redirect(#[from] Refused),
+    /// A redirect without a target.
+    #[error("status {0} without a `Location`")]
+    NoLocation(u16),
+    /// Redirects without an end.
+    #[error("more than {MAX_HOPS} redirects, the last to {0}")]
+    TooManyRedirects(String),
+    /// An origin that the configuration does not name.
+    #[error("its origin is not among the archive's")]
+    NotAllowed,
+    /// A want without an address.
+    #[error("no address is given")]
+    NoAddress,
+    /// The host is left alone from here on.
+    #[error("host {host} is left alone: {why}")]
+    HostStopped {
+        /// Host and port.
+        host: String,
+        /// What it did.
+        why: String,
+    },
+    /// The part cannot be read or written.
+    #[error("part `{}`: {error}", .path.display())]
+    Part {
+        /// The part.
+        path: PathBuf,
+        /// What the system said.
+        error: String,
+    },
+    /// Threads or TLS that could not be set up.
+    #[error("cannot be started: {0}")]
+    Unstarted(String),
+    /// A bug of ours.
+    #[error("the download ended without an answer: a bug of marf")]
+    Lost,
+}
+
+impl Trouble {
+    /// Tells whether the next try may go better.
+    pub(super) fn may_pass(&self) -> bool {
+        match self {
+            Self::Broken(_)
+            | Self::Stalled { .. }
+            | Self::Slow { .. }
+            | Self::Length { .. }
+            | Self::Rest(_) => true,
+            Self::Status(status) => matches!(status, 206 | 304 | 408 | 416 | 425 | 429 | 500..=599),
+            _ => false,
+        }
+    }
+
+    /// Tells whether another run may go better.
+    pub(super) fn may_pass_later(&self) -> bool {
+        self.may_pass()
+            || matches!(
+                self,
+                Self::Later { .. } | Self::HostStopped { .. } | Self::Part { .. }
+            )
+    }
+}
+
+/// Turns what the HTTP library says into one line without the address.
+pub(super) fn broken(error: reqwest::Error) -> Trouble {
+    let error = error.without_url();
+    let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(&error);
+    let mut words: Vec<String> = Vec::new();
+    while let Some(current) = cause {
+        if let Some(tls) = tls_error(current)
+            && matches!(tls, rustls::Error::InvalidCertificate(_))
+        {
+            return Trouble::Certificate(super::origin::cut(&tls.to_string()));
+        }
+        let text = super::origin::cut(&current.to_string());
+        if words.last().is_none_or(|last| !last.contains(&text)) {
+            words.push(text);
+        }
+        cause = current.source();
+    }
+    Trouble::Broken(words.join(": "))
+}
+
+/// An error of TLS, bare or inside errors of input and output, which do not tell of it as their source.
+fn tls_error<'a>(error: &'a (dyn std::error::Error + 'static)) -> Option<&'a rustls::Error> {
+    match error.downcast_ref::<std::io::Error>() {
+        Some(outer) => tls_error(outer.get_ref()?),
+        None => error.downcast_ref(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_says_where_what_how_often_and_how_long() {
+        let mut error = NetError {
+            url: "https://a.example/x".into(),
+            trouble: Box::new(Trouble::Status(503)),
+            tries: 5,
+            took: Duration::from_millis(12_340),
+            again: true,
+            before: vec!["https://b.example/x: answers status 500".into()],
+        };
+        assert_eq!(
+            error.to_string(),
+            "https://a.example/x: answers status 503 (5 tries in 12.3 s); before it https://b.example/x: answers status 500"
+        );
+        let StageError::Failed { hint, .. } = error.clone().into() else {
+            panic!("{error}")
+        };
+        assert!(hint.unwrap().contains("run again"));
+        (error.tries, error.before) = (0, Vec::new());
+        *error.trouble = Trouble::Later {
+            wait: Duration::from_secs(3_600),
+        };
+        assert_eq!(
+            error.to_string(),
+            "https://a.example/x: asks to wait 3600 s; at most 600 s are waited"
+        );
+    }
+
+    #[test]
+    fn a_refused_certificate_is_found_inside_other_errors() {
+        let refused = rustls::Error::InvalidCertificate(rustls::CertificateError::Expired);
+        let inner = std::io::Error::new(std::io::ErrorKind::InvalidData, refused.clone());
+        let outer = std::io::Error::other(inner);
+        assert_eq!(tls_error(&outer), Some(&refused));
+        assert_eq!(tls_error(&refused), Some(&refused));
+        assert_eq!(tls_error(&std::io::Error::other("text")), None);
+        assert!(!Trouble::Certificate(String::new()).may_pass_later());
+    }
+
+    #[test]
+    fn what_may_pass_is_what_policy_retries() {
+        use super::super::policy::{Asked, Meaning, judge};
+        let asked = Asked {
+            rest: false,
+            condition: false,
+        };
+        for status in 100..=650 {
+            if judge(status, asked) == Meaning::Again {
+                assert!(Trouble::Status(status).may_pass(), "{status}");
+            }
+        }
+        assert!(!Trouble::Status(403).may_pass() && !Trouble::NotAllowed.may_pass_later());
+    }
+}

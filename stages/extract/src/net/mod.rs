@@ -1,0 +1,156 @@
+//! A polite, bounded HTTP client for archives; the only room that opens a socket.
+//!
+//! ```text
+//! client.rs    the blocking surface: many wants, few connections, one caller
+//! transfer.rs  one want: mirrors, tries, redirects, the body
+//! gate.rs      one host: how many at once, how far apart, when it is left alone
+//! part.rs      a body on its way, kept on disk and continued
+//! policy.rs backoff.rs origin.rs range.rs pace.rs meter.rs   decisions without a socket
+//! hosts.rs     the hosts that hold photos of Mars
+//! ```
+//!
+//! Invariants: no request leaves for an origin that the configuration does not name, redirects included; nothing is
+//! read past its cap; every wait has an end; what was asked, how often and how long it took reaches no result.
+//!
+//! - HTTP/1.1 only, no cookies, no decompression (`Accept-Encoding: identity`), redirects followed by hand.
+//! - TLS is rustls on ring; certificates are checked by what the system trusts.
+//! - `HTTPS_PROXY`, `ALL_PROXY` and `NO_PROXY` of the environment hold for https; the proxy settings of macOS and
+//!   Windows are not read. A loopback origin is always asked directly.
+
+mod backoff;
+mod client;
+mod error;
+mod gate;
+pub(crate) mod hosts;
+mod meter;
+mod origin;
+mod pace;
+mod part;
+mod policy;
+mod range;
+#[cfg(test)]
+mod tests;
+mod transfer;
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+pub(crate) use client::Client;
+pub(crate) use error::{NetError, Trouble};
+pub(crate) use meter::Meter;
+pub(crate) use origin::Origin;
+pub(crate) use part::forget;
+/// A parsed address.
+pub(crate) use reqwest::Url;
+
+/// How a [`Client`] behaves towards hosts.
+#[derive(Debug, Clone)]
+pub(crate) struct Conduct {
+    /// The origins that may be asked, by first request or by redirect.
+    pub allowed: Vec<Origin>,
+    /// Requests at once to one host.
+    pub per_host: usize,
+    /// Time between the starts of two requests to one host.
+    pub delay: Duration,
+    /// Tries an address, the first included; at least 1.
+    pub tries: u32,
+    /// Upper end of the wait before the second try; it doubles with each further one.
+    pub first_wait: Duration,
+    /// Upper end of any such wait. A host's own `Retry-After` may ask for more, up to 10 minutes.
+    pub longest_wait: Duration,
+    /// A try ends when its head is not complete after so long, or no byte of its body came for so long.
+    pub stall: Duration,
+    /// Window over which the mean rate of a body is taken.
+    pub slow_after: Duration,
+    /// Smallest mean rate over a window, bytes a second; a body that drips slower is given up.
+    pub slowest: u64,
+    /// Who asks: program, version, contact.
+    pub agent: String,
+}
+
+impl Conduct {
+    /// Two connections a host, 250 ms between starts, 5 tries with waits of 1 to 60 s, 30 s without a byte, and
+    /// 1 kB/s over a minute at least.
+    ///
+    /// `contact` is an address at which a host's keeper finds out who asks, plain ASCII.
+    pub(crate) fn polite(allowed: Vec<Origin>, contact: Option<&str>) -> Self {
+        let program = concat!("marf/", env!("CARGO_PKG_VERSION"));
+        Self {
+            allowed,
+            per_host: 2,
+            delay: Duration::from_millis(250),
+            tries: 5,
+            first_wait: Duration::from_secs(1),
+            longest_wait: Duration::from_secs(60),
+            stall: Duration::from_secs(30),
+            slow_after: Duration::from_secs(60),
+            slowest: 1_000,
+            agent: contact.map_or(program.to_owned(), |contact| format!("{program} (+{contact})")),
+        }
+    }
+}
+
+/// What a host said of the version of a body; asks "is it still this one?".
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Validators {
+    /// `ETag`, with its quotes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub etag: Option<String>,
+    /// `Last-Modified`, as sent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub modified: Option<String>,
+}
+
+/// One thing to bring.
+#[derive(Debug, Clone)]
+pub(crate) struct Want {
+    /// The same thing on mirrors, in order of preference; the one an unfinished part came from goes first.
+    pub urls: Vec<Url>,
+    /// Largest body that is taken, bytes.
+    pub cap_bytes: u64,
+    /// What the first address said last time; only that address is asked "still the same?".
+    pub known: Option<Validators>,
+    /// Where an unfinished body is kept, with a sidecar `PART.json` beside it; one want a part.
+    pub part: Option<PathBuf>,
+}
+
+/// What came of a want.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Answer {
+    /// The body. Whether it is what it should be is for the caller to judge: a firewall's page is a body too.
+    /// Its part stays, complete, until [`forget`]: a process that ends before then takes it up without a request.
+    Whole {
+        /// The body, `cap_bytes` at most.
+        bytes: Vec<u8>,
+        /// The address that answered, after redirects.
+        url: String,
+        /// What that address said of the version.
+        validators: Validators,
+    },
+    /// Still what `known` says.
+    Unchanged,
+    /// 404 or 410 on every mirror.
+    Absent {
+        /// The last status.
+        status: u16,
+        /// The address that gave it.
+        url: String,
+    },
+}
+
+/// What a [`Client`] has done so far.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct Traffic {
+    /// Requests sent, redirects and tries included.
+    pub requests: u64,
+    /// Tries after a failed one.
+    pub retries: u64,
+    /// Bodies continued from where they broke off.
+    pub resumed: u64,
+    /// Bytes of bodies that came, broken ones included.
+    pub bytes: u64,
+    /// Waits before retries, summed over wants.
+    pub waited: Duration,
+}

@@ -1,0 +1,413 @@
+//! A body on its way: in memory, and in a part on disk from which a later run goes on.
+//!
+//! Beside `PART` lies `PART.json`: the address, its validators, the length, how many bytes are good and their blake3.
+//! The part holds nothing that the sidecar's digest does not vouch for, so neither needs a sync: what a crash spoils
+//! does not verify and is fetched again. A part that another process holds is left to it.
+
+use std::ffi::OsString;
+use std::fs::{self, File, OpenOptions};
+use std::io::{Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use marf_cache::Digest;
+use serde::{Deserialize, Serialize};
+
+use super::error::Trouble;
+use super::{Url, Validators, range};
+
+/// Bytes after which the sidecar is written again.
+const CHECKPOINT_BYTES: u64 = 1 << 20;
+/// Most room that is made on a host's word, before any byte has come.
+const MOST_ROOM: u64 = 8 << 20;
+/// Largest sidecar that is read.
+const MAX_SIDECAR_BYTES: u64 = 64 << 10;
+
+/// What is known of a body before it has come.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Head {
+    /// The address of the want.
+    pub asked: String,
+    /// The address that answered, after redirects.
+    pub url: String,
+    /// What it said of the version.
+    pub validators: Validators,
+    /// Bytes of the whole, if announced.
+    pub length: Option<u64>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Sidecar {
+    head: Head,
+    bytes: u64,
+    blake3: Digest,
+    complete: bool,
+}
+
+/// A body, as far as it has come.
+#[derive(Debug)]
+pub(super) struct Body {
+    pub head: Head,
+    bytes: Vec<u8>,
+    hasher: blake3::Hasher,
+}
+
+impl Body {
+    /// Bytes so far.
+    pub(super) fn len(&self) -> u64 {
+        self.bytes.len() as u64
+    }
+}
+
+/// Holds the body of one want, and its part.
+#[derive(Debug)]
+pub(super) struct Holder {
+    cap: u64,
+    part: Option<(PathBuf, File)>,
+    body: Option<Body>,
+    /// Bytes that the sidecar vouches for.
+    saved: u64,
+    complete: bool,
+}
+
+impl Holder {
+    /// Takes up what an earlier try or run has left; what does not verify is dropped.
+    ///
+    /// # Errors
+    /// A part that cannot be opened or read.
+    pub(super) fn open(part: Option<&Path>, cap: u64) -> Result<Self, Trouble> {
+        let mut holder = Self {
+            cap,
+            part: None,
+            body: None,
+            saved: 0,
+            complete: false,
+        };
+        let Some(path) = part else {
+            return Ok(holder);
+        };
+        let mut file = opened(path).map_err(|error| in_part(path, &error))?;
+        match file.try_lock() {
+            Ok(()) => {}
+            // Another process fetches the same thing; ours stays in memory.
+            Err(fs::TryLockError::WouldBlock) => return Ok(holder),
+            Err(fs::TryLockError::Error(error)) => return Err(in_part(path, &error)),
+        }
+        if let Some((body, complete)) = left_behind(path, &mut file, cap) {
+            (holder.saved, holder.complete) = (body.len(), complete);
+            holder.body = Some(body);
+        }
+        file.set_len(holder.saved)
+            .and_then(|()| file.seek(SeekFrom::End(0)))
+            .map_err(|error| in_part(path, &error))?;
+        holder.part = Some((path.to_owned(), file));
+        Ok(holder)
+    }
+
+    /// The body so far, if any.
+    pub(super) fn body(&self) -> Option<&Body> {
+        self.body.as_ref()
+    }
+
+    /// Tells whether all of it is here.
+    pub(super) fn is_complete(&self) -> bool {
+        self.complete
+    }
+
+    /// Returns the body that can be continued from this address, and the value for `If-Range`.
+    pub(super) fn continues(&self, asked: &Url, url: &Url) -> Option<(&Body, &str)> {
+        let body = self.body.as_ref()?;
+        let same = body.head.asked == asked.as_str() && body.head.url == url.as_str();
+        let value = range::if_range(&body.head.validators)?;
+        (same && body.len() > 0 && !self.complete).then_some((body, value))
+    }
+
+    /// Begins from zero.
+    ///
+    /// # Errors
+    /// A part that cannot be written.
+    pub(super) fn restart(&mut self, head: Head) -> Result<(), Trouble> {
+        self.discard()?;
+        self.body = Some(Body {
+            head,
+            bytes: Vec::new(),
+            hasher: blake3::Hasher::new(),
+        });
+        Ok(())
+    }
+
+    /// Drops what has come.
+    ///
+    /// # Errors
+    /// A part that cannot be written.
+    pub(super) fn discard(&mut self) -> Result<(), Trouble> {
+        (self.body, self.saved, self.complete) = (None, 0, false);
+        let Some((path, file)) = &mut self.part else {
+            return Ok(());
+        };
+        remove(&sidecar(path));
+        file.set_len(0)
+            .and_then(|()| file.rewind())
+            .map_err(|error| in_part(path, &error))
+    }
+
+    /// This address has nothing to continue: drops what came from it.
+    ///
+    /// # Errors
+    /// A part that cannot be written.
+    pub(super) fn gone(&mut self, asked: &Url) -> Result<(), Trouble> {
+        match &self.body {
+            Some(body) if body.head.asked == asked.as_str() => self.discard(),
+            _ => Ok(()),
+        }
+    }
+
+    /// Refuses a body that is announced as too large, and makes room for one that is not.
+    ///
+    /// # Errors
+    /// More than the cap.
+    pub(super) fn announced(&mut self) -> Result<(), Trouble> {
+        let (cap, body) = (self.cap, self.body.as_mut().ok_or(Trouble::Lost)?);
+        let bytes = body.head.length.unwrap_or(0);
+        if bytes > cap {
+            return Err(Trouble::TooLarge { bytes, cap });
+        }
+        let room = bytes.saturating_sub(body.len()).min(MOST_ROOM);
+        body.bytes.reserve(room as usize);
+        Ok(())
+    }
+
+    /// The length of the whole is known now.
+    pub(super) fn set_length(&mut self, length: u64) {
+        if let Some(body) = &mut self.body {
+            body.head.length = Some(length);
+        }
+    }
+
+    /// Adds what came.
+    ///
+    /// # Errors
+    /// More than the cap, or a part that cannot be written.
+    pub(super) fn push(&mut self, chunk: &[u8]) -> Result<(), Trouble> {
+        let body = self.body.as_mut().ok_or(Trouble::Lost)?;
+        let bytes = body.len() + chunk.len() as u64;
+        if bytes > self.cap {
+            return Err(Trouble::TooLarge { bytes, cap: self.cap });
+        }
+        body.bytes.extend_from_slice(chunk);
+        body.hasher.update(chunk);
+        if let Some((path, file)) = &mut self.part {
+            file.write_all(chunk).map_err(|error| in_part(path, &error))?;
+        }
+        if bytes - self.saved >= CHECKPOINT_BYTES {
+            self.checkpoint()?;
+        }
+        Ok(())
+    }
+
+    /// The body has ended: returns its bytes, if they are as many as announced.
+    ///
+    /// # Errors
+    /// Another length; a part that cannot be written.
+    pub(super) fn finish(&mut self) -> Result<(Head, Vec<u8>), Trouble> {
+        let body = self.body.as_mut().ok_or(Trouble::Lost)?;
+        let came = body.len();
+        if let Some(announced) = body.head.length.filter(|announced| *announced != came) {
+            return Err(Trouble::Length { announced, came });
+        }
+        body.head.length = Some(came);
+        self.complete = true;
+        self.checkpoint()?;
+        self.taken().ok_or(Trouble::Lost)
+    }
+
+    /// Takes the body out; the part stays as it is.
+    pub(super) fn taken(&mut self) -> Option<(Head, Vec<u8>)> {
+        let body = self.body.take()?;
+        Some((body.head, body.bytes))
+    }
+
+    /// After a failed try: keeps what can be continued, drops the rest.
+    ///
+    /// # Errors
+    /// A part that cannot be written.
+    pub(super) fn settle(&mut self) -> Result<(), Trouble> {
+        let usable = |body: &Body| {
+            let within = body.head.length.is_none_or(|length| body.len() < length);
+            body.len() > 0 && within && range::if_range(&body.head.validators).is_some()
+        };
+        match &self.body {
+            Some(body) if !usable(body) => self.discard(),
+            Some(_) => self.checkpoint(),
+            None => Ok(()),
+        }
+    }
+
+    /// Writes the sidecar: all that has come is good.
+    fn checkpoint(&mut self) -> Result<(), Trouble> {
+        let (Some((path, _)), Some(body)) = (&self.part, &self.body) else {
+            return Ok(());
+        };
+        let text = serde_json::to_vec(&Sidecar {
+            head: body.head.clone(),
+            bytes: body.len(),
+            blake3: Digest::from_bytes(*body.hasher.finalize().as_bytes()),
+            complete: self.complete,
+        });
+        let fresh = beside(path, ".json.new");
+        let written = text
+            .map_err(std::io::Error::other)
+            .and_then(|text| fs::write(&fresh, text))
+            .and_then(|()| fs::rename(&fresh, sidecar(path)));
+        written.map_err(|error| in_part(path, &error))?;
+        self.saved = body.len();
+        Ok(())
+    }
+}
+
+/// A download that is dropped half-way keeps what has come; failing that, it costs only time.
+impl Drop for Holder {
+    fn drop(&mut self) {
+        if !self.complete {
+            let _ = self.settle();
+        }
+        let empty = self.body.is_none() && !self.complete;
+        if let (true, Some((path, _))) = (empty, &self.part) {
+            forget(path);
+        }
+    }
+}
+
+/// Deletes a part and its sidecar: what it held is stored. A file that cannot be deleted stays, never to be taken for
+/// a body without its sidecar.
+pub(crate) fn forget(part: &Path) {
+    [&sidecar(part), &beside(part, ".json.new"), part]
+        .iter()
+        .for_each(|path| remove(path));
+}
+
+fn remove(path: &Path) {
+    // Nothing there, or it stays: see `forget`.
+    let _ = fs::remove_file(path);
+}
+
+fn sidecar(part: &Path) -> PathBuf {
+    beside(part, ".json")
+}
+
+fn beside(part: &Path, suffix: &str) -> PathBuf {
+    let mut name = OsString::from(part);
+    name.push(suffix);
+    PathBuf::from(name)
+}
+
+fn opened(path: &Path) -> std::io::Result<File> {
+    if let Some(folder) = path.parent() {
+        fs::create_dir_all(folder)?;
+    }
+    OpenOptions::new()
+        .read(true)
+        .write(true)
+        .create(true)
+        .truncate(false)
+        .open(path)
+}
+
+/// Reads what the sidecar vouches for, if it verifies.
+fn left_behind(path: &Path, file: &mut File, cap: u64) -> Option<(Body, bool)> {
+    let mut text = Vec::new();
+    File::open(sidecar(path))
+        .ok()?
+        .take(MAX_SIDECAR_BYTES)
+        .read_to_end(&mut text)
+        .ok()?;
+    let sidecar: Sidecar = serde_json::from_slice(&text).ok()?;
+    let whole = sidecar.head.length == Some(sidecar.bytes);
+    let there = file.metadata().ok()?.len();
+    if sidecar.bytes > cap.min(there) || sidecar.complete != whole {
+        return None;
+    }
+    let mut bytes = Vec::new();
+    file.take(sidecar.bytes).read_to_end(&mut bytes).ok()?;
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&bytes);
+    let verified = hasher.finalize().as_bytes() == sidecar.blake3.as_bytes();
+    let body = Body {
+        head: sidecar.head,
+        bytes,
+        hasher,
+    };
+    (verified && body.len() == sidecar.bytes).then_some((body, sidecar.complete))
+}
+
+fn in_part(path: &Path, error: &std::io::Error) -> Trouble {
+    Trouble::Part {
+        path: path.to_owned(),
+        error: error.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CAP: u64 = 8 << 20;
+
+    fn head() -> Head {
+        Head {
+            asked: "https://a.example/x".to_owned(),
+            url: "https://b.example/x".to_owned(),
+            validators: Validators {
+                etag: Some("\"1\"".to_owned()),
+                modified: None,
+            },
+            length: Some(4 << 20),
+        }
+    }
+
+    /// As after a kill: the files are copied while the download is under way.
+    #[test]
+    fn a_killed_download_keeps_all_but_the_last_megabyte() {
+        let folder = tempfile::tempdir().unwrap();
+        let (live, dead) = (folder.path().join("live"), folder.path().join("dead"));
+        let mut holder = Holder::open(Some(&live), CAP).unwrap();
+        holder.restart(head()).unwrap();
+        for step in 0..50_u8 {
+            holder.push(&[step; 65_536]).unwrap();
+        }
+        fs::copy(&live, &dead).unwrap();
+        fs::copy(sidecar(&live), sidecar(&dead)).unwrap();
+        let back = Holder::open(Some(&dead), CAP).unwrap();
+        let body = back.body().unwrap();
+        assert_eq!((body.len(), &body.head), (3 << 20, &head()));
+        assert_eq!(body.bytes[body.bytes.len() - 1], 47);
+        let small = Holder::open(Some(&dead), CAP);
+        assert!(small.unwrap().body().is_none(), "held by `back`");
+        drop(back);
+        assert!(
+            Holder::open(Some(&dead), 1_000).unwrap().body().is_none(),
+            "past the cap"
+        );
+    }
+
+    #[test]
+    fn a_host_s_word_makes_no_room_beyond_the_cap() {
+        let mut holder = Holder::open(None, 1_000).unwrap();
+        holder.restart(head()).unwrap();
+        let refused = holder.announced();
+        assert_eq!(
+            refused,
+            Err(Trouble::TooLarge {
+                bytes: 4 << 20,
+                cap: 1_000
+            })
+        );
+        let mut holder = Holder::open(None, u64::MAX).unwrap();
+        let endless = Head {
+            length: Some(u64::MAX),
+            ..head()
+        };
+        holder.restart(endless).unwrap();
+        holder.announced().unwrap();
+        assert!(holder.body.as_ref().unwrap().bytes.capacity() as u64 <= 2 * MOST_ROOM);
+    }
+}

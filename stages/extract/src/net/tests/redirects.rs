@@ -1,0 +1,95 @@
+//! Where hosts send us.
+
+use super::server::{Reply, Server};
+use super::*;
+
+fn sent_to(server: &Server, location: &str) -> NetError {
+    server.clear();
+    server.script("/a", vec![Reply::Redirect(location.to_owned()).always()]);
+    trouble(one(&client(server), &want(server, "/a")))
+}
+
+#[test]
+fn a_redirect_inside_the_list_is_followed_and_told() {
+    let (first, second) = (Server::start(), Server::start());
+    let client = Client::new(quick(&[&first, &second])).unwrap();
+    second.file("/moved/a", *b"moved");
+    for status in [301, 302, 303, 307, 308] {
+        first.script(
+            "/a",
+            vec![Reply::with(status, "Location", &second.url("/moved/a"))],
+        );
+        let Ok(Answer::Whole { bytes, url, .. }) = one(&client, &want(&first, "/a")) else {
+            panic!("{status}")
+        };
+        assert_eq!((bytes.as_slice(), url), (&b"moved"[..], second.url("/moved/a")));
+    }
+    let headers = &second.requests()[0].headers;
+    assert!(headers.iter().all(|header| header.0 != "referer"), "{headers:?}");
+}
+
+#[test]
+fn hostile_redirects_are_refused_without_a_request() {
+    let (server, other) = (Server::start(), Server::start());
+    other.file("/a", *b"secret");
+    let foreign = [
+        other.url("/a"),
+        "http://10.0.0.1/a".to_owned(),
+        "http://169.254.169.254/latest/meta-data".to_owned(),
+        "http://[::1]:1/a".to_owned(),
+        "http://example.org/a".to_owned(),
+        "https://example.org/a".to_owned(),
+        "file:///etc/passwd".to_owned(),
+        "gopher://example.org/".to_owned(),
+        server.url("/a").replace("127.0.0.1", "me:pw@127.0.0.1"),
+        server.url("/a").replace("127.0.0.1", "localhost"),
+    ];
+    for location in foreign {
+        let error = sent_to(&server, &location);
+        let text = error.to_string();
+        assert!(
+            matches!(*error.trouble, Trouble::Redirect(_)) && !error.again,
+            "{location}: {text}"
+        );
+        let from = server.url("/a");
+        assert!(
+            text.contains(&format!("redirect from {from} to ")) && text.contains(" refused: "),
+            "{text}"
+        );
+        assert_eq!(server.requests().len(), 1, "{location}: final, not tried again");
+    }
+    assert!(other.requests().is_empty());
+}
+
+#[test]
+fn five_hops_are_followed_and_no_sixth() {
+    let server = Server::start();
+    for hop in 0..6 {
+        server.script(
+            &format!("/{hop}"),
+            vec![Reply::Redirect(format!("/{}", hop + 1)).always()],
+        );
+    }
+    server.file("/6", *b"end");
+    let client = client(&server);
+    assert_eq!(bytes(one(&client, &want(&server, "/1"))), b"end");
+    server.clear();
+    let error = trouble(one(&client, &want(&server, "/0")));
+    assert!(
+        matches!(*error.trouble, Trouble::TooManyRedirects(_)) && !error.again,
+        "{error}"
+    );
+    assert_eq!(server.requests().len(), 6, "one request and five hops");
+    let round = sent_to(&server, "/a");
+    assert!(matches!(*round.trouble, Trouble::TooManyRedirects(_)), "{round}");
+}
+
+#[test]
+fn a_redirect_without_a_target_is_an_error() {
+    let server = Server::start();
+    server.script("/a", vec![Reply::status(302)]);
+    let error = trouble(one(&client(&server), &want(&server, "/a")));
+    assert_eq!(*error.trouble, Trouble::NoLocation(302));
+    let error = sent_to(&server, "http://[");
+    assert!(error.to_string().contains("no address"), "{error}");
+}
