@@ -1,0 +1,108 @@
+//! The ways in for fuzzers: one function per reader of bytes from outside. Not part of the interface.
+//!
+//! Each returns how much it read, so that nothing is optimised away, and states what must hold of any input; what does
+//! not hold panics, which is what a fuzzer looks for.
+#![allow(
+    clippy::panic,
+    clippy::assertions_on_constants,
+    reason = "a broken promise must stop the fuzzer; the program never calls this"
+)]
+
+use crate::{feed, index_table, inventory, listing, odl, pds4, raw, vicar};
+
+/// A reader of bytes from outside.
+pub type Target = fn(&[u8]) -> usize;
+
+/// Every target by the name of its corpus.
+pub const TARGETS: [(&str, Target); 7] = [
+    ("listing", listing),
+    ("odl", odl),
+    ("pds4", pds4),
+    ("vicar", vicar),
+    ("feed", feed),
+    ("inventory", inventory),
+    ("index", index),
+];
+
+/// Folder pages.
+pub fn listing(bytes: &[u8]) -> usize {
+    let Ok(entries) = listing::read(bytes) else {
+        return 0;
+    };
+    for pair in entries.windows(2) {
+        assert!(pair[0].name < pair[1].name, "sorted, each once");
+    }
+    let timed = |entry: &&listing::Entry| entry.modified.as_ref().is_some_and(|time| time.len() == 16);
+    for entry in &entries {
+        assert!(listing::is_plain(entry.name.as_bytes()), "plain");
+        assert!(entry.modified.is_none() || timed(&entry), "a time is whole");
+    }
+    entries.iter().filter(|entry| entry.folder).count() + entries.len()
+}
+
+/// PDS3 and ODL labels, attached or detached.
+pub fn odl(bytes: &[u8]) -> usize {
+    let groups = odl::parse(bytes).map_or(0, |group| group.below().len());
+    groups + usize::from(raw::head(bytes).is_ok())
+}
+
+/// PDS4 labels.
+pub fn pds4(bytes: &[u8]) -> usize {
+    pds4::read(bytes).map_or(0, |label| 1 + label.notes.len())
+}
+
+/// VICAR labels.
+pub fn vicar(bytes: &[u8]) -> usize {
+    let groups = vicar::parse(bytes).map_or(0, |group| group.below().len());
+    groups + usize::from(raw::head(bytes).is_ok())
+}
+
+/// Records of the raw-image feeds.
+pub fn feed(bytes: &[u8]) -> usize {
+    feed::read(bytes).map_or(0, |label| 1 + label.notes.len())
+}
+
+/// Inventories of PDS4 collections.
+pub fn inventory(bytes: &[u8]) -> usize {
+    let Ok(members) = inventory::read(bytes) else {
+        return 0;
+    };
+    let stems = |member: &inventory::Member| {
+        let stems = inventory::file_stems(member);
+        assert!(
+            stems.iter().all(|stem| listing::is_plain(stem.as_bytes())),
+            "plain"
+        );
+        assert_eq!(
+            stems.is_empty(),
+            inventory::stem(member).is_none(),
+            "no name, no file"
+        );
+        stems.len() + usize::from(member.primary)
+    };
+    members.iter().map(stems).sum()
+}
+
+/// Index labels, and the table that follows after the label's `END` line.
+pub fn index(bytes: &[u8]) -> usize {
+    let end = bytes
+        .windows(5)
+        .position(|window| window == b"\nEND\n")
+        .map_or(bytes.len(), |at| at + 5);
+    let (label, table) = bytes.split_at(end);
+    let Ok(index) = index_table::Index::of(label) else {
+        return 0;
+    };
+    let places = index.rows(table).map_while(Result::ok).map(|row| row.place());
+    let named = places.filter(|place| {
+        let plain = |name: &String| listing::is_plain(name.as_bytes());
+        assert!(place.file.iter().all(plain), "plain");
+        let outside = |path: &String| path.split('/').any(|part| part == "..");
+        assert!(!place.path.iter().any(outside), "inside");
+        [&place.volume, &place.product, &place.instrument]
+            .iter()
+            .any(|known| known.is_some())
+            || place.sol.is_some()
+    });
+    named.count() + usize::from(index.file.is_some())
+}
