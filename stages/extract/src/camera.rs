@@ -1,6 +1,6 @@
 //! From the numbers of a label to a camera model that can be used.
 
-use marf_scene::{Cahvor, Entrance};
+use marf_scene::{Cahvor, CahvorError, Entrance};
 
 /// Largest tolerated deviation of |A| and |O| from 1: labels of six digits leave 8e-6.
 const UNIT_TOLERANCE: f64 = 1e-3;
@@ -46,6 +46,9 @@ pub(crate) enum CameraError {
     /// A type of CAHVORE that does not exist.
     #[error("CAHVORE type {0} is not 1, 2 or 3")]
     EntranceType(i64),
+    /// A lens that does not see the photo's corners, or sees them twice.
+    #[error(transparent)]
+    Lens(CahvorError),
 }
 
 /// Checks a model and divides A, H and V by |A| together, and O by |O|.

@@ -71,8 +71,12 @@ pub(crate) struct Array {
     pub bits: Option<u32>,
     /// Value = stored x scale + offset, if the label scales.
     pub scaling: Option<(f64, f64)>,
-    /// Stored values that mean "no value".
+    /// Stored values that mean "no value", or less light than can be stored.
     pub missing: Vec<f64>,
+    /// Stored values that mean more light than can be stored.
+    pub saturated: Vec<f64>,
+    /// Name of the table that made 8-bit codes of counts, where the label says that the stored values are codes.
+    pub companded_by: Option<String>,
     /// What the scaled value is.
     pub quantity: Quantity,
 }
@@ -122,9 +126,15 @@ pub(crate) enum Quantity {
 }
 
 impl Label {
-    /// Keeps a camera that can be used, or the reason why it cannot.
+    /// Keeps a camera that can be used, or the reason why it cannot. The photo's size must have been read before: the
+    /// lens is checked up to its corners.
     pub fn set_camera(&mut self, raw: &RawModel, frame: String, pose: FramePose, counter: Vec<i64>) {
-        match camera::normalised(raw) {
+        let checked = camera::normalised(raw).and_then(|model| {
+            let (width, height) = self.size.unwrap_or((1, 1));
+            let checked = model.check_lens(width, height);
+            checked.map(|()| model).map_err(CameraError::Lens)
+        });
+        match checked {
             Ok(model) => {
                 let site_from_frame = pose.resolve(&mut self.notes);
                 self.prior = Some(CameraPrior {
@@ -205,9 +215,101 @@ pub(crate) fn pose(quaternion: [f64; 4], offset: [f64; 3]) -> Option<Pose> {
     })
 }
 
+/// Counters in the order that [`CameraPrior`] promises: SITE, DRIVE and POSE first, then the others as the label has
+/// them. Empty without SITE: the first number would be taken for it.
+pub(crate) fn ordered_counter(entries: &[(String, i64)]) -> Vec<i64> {
+    const FIRST: [&str; 3] = ["SITE", "DRIVE", "POSE"];
+    let of = |name: &str| {
+        entries
+            .iter()
+            .find(|(own, _)| own == name)
+            .map(|(_, value)| *value)
+    };
+    if of("SITE").is_none() {
+        return Vec::new();
+    }
+    // Without POSE (Opportunity counts IDD there) the others follow DRIVE in their order.
+    let first = FIRST.iter().map_while(|name| of(name));
+    let taken = FIRST.iter().take_while(|name| of(name).is_some()).count();
+    let others = entries
+        .iter()
+        .filter(|(name, _)| !FIRST[..taken].contains(&name.as_str()));
+    first.chain(others.map(|(_, value)| *value)).collect()
+}
+
+/// Tells whether two sets of counters name the same place, as far as both have the same counter.
+pub(crate) fn same_place(a: &[(String, i64)], b: &[(String, i64)]) -> bool {
+    ["SITE", "DRIVE", "POSE"].iter().all(|name| {
+        let of = |entries: &[(String, i64)]| entries.iter().find(|(own, _)| own == name).map(|entry| entry.1);
+        of(a).zip(of(b)).is_none_or(|(a, b)| a == b)
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn entries(text: &str) -> Vec<(String, i64)> {
+        let entry = |(index, name): (usize, &str)| (name.to_owned(), 10 + index as i64);
+        text.split_whitespace().enumerate().map(entry).collect()
+    }
+
+    #[test]
+    fn counters_come_in_the_promised_order() {
+        for (names, counter) in [
+            ("SITE DRIVE POSE ARM", &[10, 11, 12, 13][..]),
+            ("ARM POSE DRIVE SITE", &[13, 12, 11, 10]),
+            ("SITE DRIVE IDD PMA", &[10, 11, 12, 13]),
+            ("PMA SITE POSE", &[11, 10, 12]),
+            ("SITE", &[10]),
+            ("DRIVE POSE", &[]),
+            ("", &[]),
+        ] {
+            assert_eq!(ordered_counter(&entries(names)), counter, "{names}");
+        }
+    }
+
+    #[test]
+    fn counters_that_differ_are_another_place() {
+        let here = entries("SITE DRIVE POSE ARM");
+        for (other, same) in [
+            ("SITE DRIVE POSE", true),
+            ("SITE", true),
+            ("", true),
+            ("DRIVE SITE", false),
+            ("ARM", true),
+        ] {
+            assert_eq!(same_place(&here, &entries(other)), same, "{other}");
+        }
+    }
+
+    #[test]
+    fn a_lens_that_turns_over_inside_the_photo_is_no_camera() {
+        let raw = RawModel {
+            cahv: [
+                [0.0; 3],
+                [1.0, 0.0, 0.0],
+                [3500.0, 14_800.0, 0.0],
+                [600.0, 0.0, 14_800.0],
+            ],
+            distortion: Some([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]),
+            entrance: None,
+        };
+        for (width, usable) in [(9000, true), (10_000, false)] {
+            let mut label = Label {
+                size: Some((width, 1200)),
+                ..Label::default()
+            };
+            label.set_camera(&raw, "SITE_FRAME".to_owned(), FramePose::IsSite, vec![1]);
+            assert_eq!(label.prior.is_some(), usable, "{:?}", label.notes);
+            assert_eq!(label.notes.is_empty(), usable);
+            let told = label
+                .notes
+                .iter()
+                .all(|note| note.contains("turn over at chi = 0.5774"));
+            assert!(told, "{:?}", label.notes);
+        }
+    }
 
     /// From the reference: yaw +73.74 degrees, a point 1 m ahead of the rover.
     #[test]

@@ -67,6 +67,16 @@ impl ProductName {
             .then(|| format!("product type {} holds no photo", self.product_type))
     }
 
+    /// Tells whether the pixels are as the camera sent them: such products may still be codes of a table.
+    pub fn is_as_received(&self) -> bool {
+        let kinds: &[&str] = match self.scheme {
+            Scheme::M2020 => &["ECM", "ECV", "ECZ", "ECR"],
+            Scheme::MslScience => &["XXXX", "DXXX"],
+            Scheme::MslEngineering | Scheme::Mer => &[],
+        };
+        kinds.contains(&self.product_type.as_str())
+    }
+
     /// Tells whether the name alone says that the pixels are still a colour mosaic if they have one band.
     pub fn says_mosaic(&self) -> bool {
         let raw =
@@ -212,6 +222,7 @@ mod tests {
         assert_eq!((name.product_type.as_str(), name.version.as_str()), ("RAD", "01"));
         let thumbnail = read("HSF_0649_0724570000_955ECM_T0370001HELI00002_000085J01");
         assert!(thumbnail.thumbnail && thumbnail.instrument == "HS");
+        assert!(thumbnail.is_as_received() && !name.is_as_received());
     }
 
     #[test]

@@ -1,9 +1,25 @@
 //! PDS3 / ODL and VICAR labels, attached or detached, to what every label is read into.
 
 use crate::camera::{CameraError, RawModel};
-use crate::label::{Array, FramePose, Label, Number, Order, Phase, Quantity, Sample};
+use crate::label::{
+    Array, FramePose, Label, Number, Order, Phase, Quantity, Sample, ordered_counter, same_place,
+};
 use crate::odl::{Group, Value};
 use crate::values;
+
+/// Constants without light: no value, or less than can be stored.
+const MISSING: [&str; 8] = [
+    "MISSING_CONSTANT",
+    "INVALID_CONSTANT",
+    "NULL_CONSTANT",
+    "UNKNOWN_CONSTANT",
+    "NOT_APPLICABLE_CONSTANT",
+    "CORE_NULL",
+    "LOW_INSTR_SATURATION",
+    "LOW_REPR_SATURATION",
+];
+/// Constants of more light than can be stored.
+const SATURATED: [&str; 2] = ["HIGH_INSTR_SATURATION", "HIGH_REPR_SATURATION"];
 
 /// Reads what a label says. Sizes come from OBJECT = IMAGE only: `LINES` also names what was asked for.
 pub(crate) fn label(odl: &Group) -> Label {
@@ -108,12 +124,9 @@ fn add_camera(odl: &Group, label: &mut Label) {
             .notes
             .push("label has no usable camera: its frame is not named".to_owned()),
         (Ok(raw), Some(frame)) => {
-            let pose = frame_pose(odl, &frame, &mut label.notes);
-            let items = identification(odl, "ROVER_MOTION_COUNTER")
-                .map(Value::items)
-                .unwrap_or_default();
-            let counter: Option<Vec<i64>> = items.iter().map(|item| values::integer(item.text()?)).collect();
-            label.set_camera(&raw, frame, pose, counter.unwrap_or_default());
+            let pose = frame_pose(odl, group, &frame, &mut label.notes);
+            let counter = ordered_counter(&motion_counter(odl));
+            label.set_camera(&raw, frame, pose, counter);
         }
     }
 }
@@ -161,14 +174,50 @@ fn entrance(group: &Group, terms: [f64; 3]) -> Result<([f64; 3], i64, f64), Came
     ))
 }
 
-/// Finds the group that places `frame` in a site.
-fn frame_pose(odl: &Group, frame: &str, notes: &mut Vec<String>) -> FramePose {
+/// The rover's counters by name; where the label has no names, as all labels have them: SITE, DRIVE, POSE, …
+fn motion_counter(odl: &Group) -> Vec<(String, i64)> {
+    let values = identification(odl, "ROVER_MOTION_COUNTER");
+    let names = identification(odl, "ROVER_MOTION_COUNTER_NAME");
+    counters(values, names)
+}
+
+fn counters(values: Option<&Value>, names: Option<&Value>) -> Vec<(String, i64)> {
+    let values = values.map(Value::items).unwrap_or_default();
+    let names = names.map(Value::items).unwrap_or_default();
+    let name = |index: usize| match names.get(index).and_then(Value::text) {
+        Some(name) => name.to_ascii_uppercase(),
+        None => ["SITE", "DRIVE", "POSE"]
+            .get(index)
+            .copied()
+            .unwrap_or("OTHER")
+            .to_owned(),
+    };
+    let entry = |(index, value): (usize, &Value)| Some((name(index), values::integer(value.text()?)?));
+    let all: Option<Vec<_>> = values.iter().enumerate().map(entry).collect();
+    all.unwrap_or_default()
+}
+
+/// Finds the group that places the camera's `frame` in a site: of the same name and counters.
+fn frame_pose(odl: &Group, camera: &Group, frame: &str, notes: &mut Vec<String>) -> FramePose {
     if frame == "SITE_FRAME" {
         return FramePose::IsSite;
     }
     let is = |group: &Group, key: &str, word: &str| group.text(key) == Some(word);
+    let names = camera.get("COORDINATE_SYSTEM_INDEX_NAME");
+    let wanted = match counters(camera.get("REFERENCE_COORD_SYSTEM_INDEX"), names) {
+        given if given.is_empty() => motion_counter(odl),
+        given => given,
+    };
     let places = |group: &&&Group| {
-        is(group, "COORDINATE_SYSTEM_NAME", frame) && is(group, "REFERENCE_COORD_SYSTEM_NAME", "SITE_FRAME")
+        let names = group.get("COORDINATE_SYSTEM_INDEX_NAME");
+        let own = counters(group.get("COORDINATE_SYSTEM_INDEX"), names);
+        is(group, "COORDINATE_SYSTEM_NAME", frame)
+            && is(group, "REFERENCE_COORD_SYSTEM_NAME", "SITE_FRAME")
+            && same_place(&own, &wanted)
+            && same_place(
+                &counters(group.get("REFERENCE_COORD_SYSTEM_INDEX"), None),
+                &wanted,
+            )
     };
     let below = odl.below();
     let Some(group) = below.iter().find(places) else {
@@ -191,6 +240,7 @@ fn array(odl: &Group) -> Option<Array> {
     let image = odl.find(&["IMAGE"])?;
     let (file, offset) = pointer(odl)?;
     let bits = unsigned(image, "SAMPLE_BITS")?;
+    let stored = sample(image.text("SAMPLE_TYPE")?, bits)?;
     let order = match text(image, "BAND_STORAGE_TYPE").as_deref() {
         None | Some("BAND_SEQUENTIAL") => Order::BandSequential,
         Some("LINE_INTERLEAVED") => Order::LineInterleaved,
@@ -212,17 +262,35 @@ fn array(odl: &Group) -> Option<Array> {
             unsigned(image, "LINE_SAMPLES")?,
         ],
         order,
-        sample: sample(image.text("SAMPLE_TYPE")?, bits)?,
+        sample: stored,
         prefix_bytes: unsigned(image, "LINE_PREFIX_BYTES").unwrap_or(0),
         suffix_bytes: unsigned(image, "LINE_SUFFIX_BYTES").unwrap_or(0),
         bits: image.text("SAMPLE_BIT_MASK").and_then(mask_bits),
         scaling,
-        missing: [number("MISSING_CONSTANT"), number("INVALID_CONSTANT")]
-            .into_iter()
-            .flatten()
-            .collect(),
+        missing: constants(image, &MISSING, stored),
+        saturated: constants(image, &SATURATED, stored),
+        companded_by: companded_by(odl),
         quantity: quantity(odl),
     })
+}
+
+fn constants(image: &Group, names: &[&str], sample: Sample) -> Vec<f64> {
+    let constant = |name: &&str| values::constant(image.text(name)?, sample);
+    names.iter().filter_map(constant).collect()
+}
+
+/// The table whose codes the pixels still are: `HARDWARE_INVERTED` and the like say that they are counts again.
+fn companded_by(odl: &Group) -> Option<String> {
+    let all = odl.below();
+    let places = all.iter().filter(|group| !group.name.contains("REQUEST"));
+    let known = |key: &str| places.clone().find_map(|group| text(group, key));
+    let method = known("SAMPLE_BIT_METHOD")?;
+    let codes = ["HARDWARE", "SOFTWARE"]
+        .iter()
+        .any(|word| method.eq_ignore_ascii_case(word));
+    codes
+        .then(|| known("INVERSE_LUT_FILE_NAME").or_else(|| known("SAMPLE_BIT_MODE_ID")))
+        .flatten()
 }
 
 /// What the values are, by the unit the label names.
@@ -310,6 +378,12 @@ fn vicar_array(odl: &Group) -> Option<Array> {
         },
         _ => odl.text("INTFMT") == Some("HIGH"),
     };
+    let sample = Sample {
+        kind,
+        bytes,
+        big_endian,
+    };
+    let data = odl.find(&["IMAGE_DATA"]);
     Some(Array {
         file: None,
         offset: offset.checked_add(header.checked_mul(record)?)?,
@@ -320,18 +394,18 @@ fn vicar_array(odl: &Group) -> Option<Array> {
             "BIP" => Order::PixelInterleaved,
             _ => return None,
         },
-        sample: Sample {
-            kind,
-            bytes,
-            big_endian,
-        },
+        sample,
         prefix_bytes: unsigned(odl, "NBB").unwrap_or(0),
         suffix_bytes: 0,
-        bits: odl
-            .find(&["IMAGE_DATA"])
-            .and_then(|group| mask_bits(group.text("SAMPLE_BIT_MASK")?)),
+        bits: data.and_then(|group| mask_bits(group.text("SAMPLE_BIT_MASK")?)),
         scaling: None,
-        missing: Vec::new(),
+        missing: data
+            .map(|group| constants(group, &MISSING, sample))
+            .unwrap_or_default(),
+        saturated: data
+            .map(|group| constants(group, &SATURATED, sample))
+            .unwrap_or_default(),
+        companded_by: companded_by(odl),
         quantity: quantity(odl),
     })
 }

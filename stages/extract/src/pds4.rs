@@ -7,7 +7,7 @@ mod guard;
 use roxmltree::{Document, Node, ParsingOptions};
 
 use crate::camera::{CameraError, RawModel};
-use crate::label::{FramePose, Label, MAX_LABEL_BYTES, Phase};
+use crate::label::{FramePose, Label, MAX_LABEL_BYTES, Phase, ordered_counter, same_place};
 use crate::values;
 
 const PDS: &str = "http://pds.nasa.gov/pds4/pds/v1";
@@ -85,6 +85,7 @@ fn label(root: Node<'_, '_>) -> Label {
         array.bits = bits
             .filter(|bits| (1.0..=32.0).contains(bits))
             .map(|bits| bits as u32);
+        array.companded_by = imaging.and_then(companded_by);
     }
     label.size = label.array.as_ref().map(|array| (array.shape[2], array.shape[1]));
     label.mosaic = imaging.and_then(|node| mosaic(node, &mut label.notes));
@@ -176,6 +177,15 @@ fn averaged(imaging: Node<'_, '_>) -> Option<u32> {
         .map(|side| side as u32)
 }
 
+/// The table whose codes the pixels still are. Further copies below commanded parameters are not looked at.
+fn companded_by(imaging: Node<'_, '_>) -> Option<String> {
+    let companding = at(imaging, &[(IMG, "Sampling"), (IMG, "Companding")])?;
+    let state = text_at(companding, &[(IMG, "companding_state")])?;
+    state
+        .eq_ignore_ascii_case("Companded")
+        .then(|| text_at(companding, &[(IMG, "processing_algorithm")]))?
+}
+
 fn mosaic(imaging: Node<'_, '_>, notes: &mut Vec<String>) -> Option<Phase> {
     let colours = child(imaging, IMG, "Color_Filter_Array")?;
     let is = |name, word: &str| {
@@ -224,7 +234,8 @@ fn add_camera(lander: Node<'_, '_>, label: &mut Label) {
         return;
     };
     let pose = frame_pose(&reference, &definitions);
-    label.set_camera(&raw, reference.frame, pose, counter(lander));
+    let counter = counter(lander, &reference, &mut label.notes);
+    label.set_camera(&raw, reference.frame, pose, counter);
 }
 
 /// Dispatches on the element that is there: old dictionaries say CAHVORE above a CAHVOR.
@@ -359,7 +370,7 @@ fn frame_pose(reference: &Space, definitions: &[Node<'_, '_>]) -> FramePose {
             space.frame == reference.frame && counters
         }) && child(**node, GEOM, "Coordinate_Space_Reference")
             .and_then(|node| space(node, definitions))
-            .is_some_and(|space| space.frame == "SITE_FRAME")
+            .is_some_and(|space| space.frame == "SITE_FRAME" && same_place(&space.index, &reference.index))
     };
     definitions
         .iter()
@@ -385,12 +396,23 @@ fn definition_pose(definition: Node<'_, '_>) -> Option<FramePose> {
     Some(FramePose::Given { quaternion, offset })
 }
 
-fn counter(lander: Node<'_, '_>) -> Vec<i64> {
-    let counter = child(lander, GEOM, "Motion_Counter");
-    let entries = counter
-        .map(|node| index(node, "Motion_Counter_Index"))
-        .unwrap_or_default();
-    entries.into_iter().map(|(_, value)| value).collect()
+/// The rover's counters at the photo; where they are of another place than the camera's frame, those of the frame.
+fn counter(lander: Node<'_, '_>, reference: &Space, notes: &mut Vec<String>) -> Vec<i64> {
+    let whole = child(lander, GEOM, "Motion_Counter").map(|node| index(node, "Motion_Counter_Index"));
+    let whole = whole.unwrap_or_default();
+    if !same_place(&whole, &reference.index) {
+        notes.push(format!(
+            "label's motion counter {:?} is not that of its camera's frame {:?}: the latter is taken",
+            ordered_counter(&whole),
+            ordered_counter(&reference.index)
+        ));
+        return ordered_counter(&reference.index);
+    }
+    let counter = ordered_counter(&whole);
+    if counter.is_empty() {
+        return ordered_counter(&reference.index);
+    }
+    counter
 }
 
 #[cfg(test)]

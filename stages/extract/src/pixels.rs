@@ -2,6 +2,7 @@
 
 use marf_scene::{Image, Srgb};
 
+use crate::companding::Table;
 use crate::demosaic;
 use crate::label::{Array, Number, Order, Phase, Quantity, Sample};
 use crate::tone::{self, WHITE_RADIANCE};
@@ -44,14 +45,20 @@ pub(crate) struct Made {
 /// Reads an array and makes an 8-bit sRGB image of it.
 ///
 /// The scaling is fixed, so that photos of one set stay comparable: spectral radiance by 0.125 W / (m2 sr nm) as white,
-/// I/F by 1, counts by the largest count of their bits, then the sRGB curve; 8-bit codes are taken as they are. No
-/// colour is balanced. Values that mean "missing" become black.
+/// I/F by 1, counts by the largest count of their bits, then the sRGB curve; 8-bit codes are taken as they are, or
+/// become counts again by `table`. No colour is balanced. Values that mean "missing" become black, values that mean
+/// "saturated" white.
 ///
 /// # Errors
 /// See [`PixelError`]; nothing is allocated before the file has been found long enough.
-pub(crate) fn make(array: &Array, mosaic: Option<Phase>, bytes: &[u8]) -> Result<Made, PixelError> {
+pub(crate) fn make(
+    array: &Array,
+    mosaic: Option<Phase>,
+    table: Option<Table>,
+    bytes: &[u8],
+) -> Result<Made, PixelError> {
     let layout = Layout::of(array, bytes.len() as u64)?;
-    let (scale, mut notes) = Scale::of(array)?;
+    let (scale, mut notes) = Scale::of(array, table)?;
     let (bands, lines, samples) = layout.shape;
     let mut clipped = 0_u64;
     let mut plane = |band: usize| {
@@ -191,22 +198,48 @@ struct Scale<'a> {
     factor: f64,
     offset: f64,
     missing: &'a [f64],
+    saturated: &'a [f64],
+    table: Option<Table>,
     curve: Curve,
 }
 
 impl<'a> Scale<'a> {
-    fn of(array: &'a Array) -> Result<(Self, Vec<String>), PixelError> {
+    fn of(array: &'a Array, table: Option<Table>) -> Result<(Self, Vec<String>), PixelError> {
         let (scaling, sample) = (array.scaling, array.sample);
-        let missing = array.missing.as_slice();
         let with = |factor: f64, offset: f64, curve, note: String| {
             let scale = Scale {
                 factor,
                 offset,
-                missing,
+                missing: &array.missing,
+                saturated: &array.saturated,
+                table: None,
                 curve,
             };
             Ok((scale, vec![note]))
         };
+        if let Some(codes) = array
+            .companded_by
+            .as_deref()
+            .filter(|_| sample.kind != Number::Float)
+        {
+            let (factor, curve, note) = match table {
+                Some(table) => (
+                    1.0 / f64::from(table.white),
+                    Curve::Srgb,
+                    format!(
+                        "8-bit codes made counts by {codes}, counts to sRGB, white at {}",
+                        table.white
+                    ),
+                ),
+                None => (
+                    1.0 / 255.0,
+                    Curve::AsStored,
+                    format!("8-bit codes of {codes}, which is not known: as stored"),
+                ),
+            };
+            let (scale, notes) = with(factor, 0.0, curve, note)?;
+            return Ok((Scale { table, ..scale }, notes));
+        }
         let (scale, offset) = scaling.unwrap_or((1.0, 0.0));
         let physical = scaling.is_some() || sample.kind == Number::Float;
         match array.quantity {
@@ -247,141 +280,17 @@ impl<'a> Scale<'a> {
         if stored.is_nan() || self.missing.contains(&stored) {
             return (0.0, false);
         }
-        let light = stored * self.factor + self.offset;
+        if self.saturated.contains(&stored) {
+            return (1.0, false);
+        }
+        let value = match self.table {
+            Some(table) => f64::from(table.counts[stored.clamp(0.0, 255.0) as usize]),
+            None => stored,
+        };
+        let light = value * self.factor + self.offset;
         (light.clamp(0.0, 1.0) as f32, light > 1.0)
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn array(shape: [u32; 3], kind: Number, bytes: u32) -> Array {
-        Array {
-            file: None,
-            offset: 0,
-            shape,
-            order: Order::BandSequential,
-            sample: Sample {
-                kind,
-                bytes,
-                big_endian: true,
-            },
-            prefix_bytes: 0,
-            suffix_bytes: 0,
-            bits: None,
-            scaling: None,
-            missing: Vec::new(),
-            quantity: Quantity::Counts,
-        }
-    }
-
-    #[test]
-    fn every_type_of_sample_is_read_in_both_orders() {
-        let read = |kind, bytes: &[u8], big_endian| {
-            read(
-                Sample {
-                    kind,
-                    bytes: bytes.len() as u32,
-                    big_endian,
-                },
-                bytes,
-                0,
-            )
-        };
-        assert_eq!(read(Number::Unsigned, &[0xff, 0xfe], true), 65534.0);
-        assert_eq!(read(Number::Signed, &[0xff, 0xfe], true), -2.0);
-        assert_eq!(read(Number::Signed, &[0xfe, 0xff], false), -2.0);
-        assert_eq!(read(Number::Signed, &[0x80], true), -128.0);
-        assert_eq!(read(Number::Unsigned, &[1, 0, 0, 0], false), 1.0);
-        assert_eq!(read(Number::Signed, &[0xff; 8], true), -1.0);
-        assert_eq!(read(Number::Float, &1.5_f32.to_be_bytes(), true), 1.5);
-        assert_eq!(read(Number::Float, &(-2.25_f64).to_le_bytes(), false), -2.25);
-    }
-
-    #[test]
-    fn the_three_orders_give_the_same_image() {
-        let value = |band: u8, line: u8, sample: u8| 100 * band + 10 * line + sample;
-        let (mut bsq, mut bil, mut bip) = (vec![9; 4], vec![9; 4], vec![9; 4]);
-        for outer in 0..3 {
-            for line in 0..2 {
-                bsq.push(0xee); // one byte before each record
-                bsq.extend((0..4).map(|sample| value(outer, line, sample)));
-            }
-        }
-        for line in 0..2 {
-            for band in 0..3 {
-                bil.push(0xee);
-                bil.extend((0..4).map(|sample| value(band, line, sample)));
-            }
-            bip.push(0xee);
-            bip.extend((0..4).flat_map(|sample| (0..3).map(move |band| value(band, line, sample))));
-        }
-        let mut images = Vec::new();
-        for (order, bytes) in [
-            (Order::BandSequential, bsq),
-            (Order::LineInterleaved, bil),
-            (Order::PixelInterleaved, bip),
-        ] {
-            let mut array = array([3, 2, 4], Number::Unsigned, 1);
-            (array.order, array.prefix_bytes, array.offset) = (order, 1, 4);
-            images.push(make(&array, None, &bytes).unwrap().image);
-        }
-        assert_eq!(images[0].at(3, 1), [13, 113, 213]);
-        assert!(images[0] == images[1] && images[1] == images[2]);
-    }
-
-    #[test]
-    fn radiance_counts_and_missing_values_have_fixed_codes() {
-        let mut radiance = array([1, 1, 4], Number::Signed, 2);
-        radiance.scaling = Some((5e-6, 0.0));
-        radiance.quantity = Quantity::Radiance;
-        radiance.missing = vec![0.0];
-        let stored = |values: [i16; 4]| {
-            values
-                .iter()
-                .flat_map(|value| value.to_be_bytes())
-                .collect::<Vec<u8>>()
-        };
-        let codes = |array: &Array, values| {
-            let made = make(array, None, &stored(values)).unwrap();
-            made.image.pixels.iter().map(|pixel| pixel[0]).collect::<Vec<_>>()
-        };
-        // 25,000 x 5e-6 = 0.125 is white; a quarter of it is sRGB 137.
-        assert_eq!(codes(&radiance, [0, 6_250, 25_000, 32_767]), [0, 137, 255, 255]);
-        let mut counts = array([1, 1, 4], Number::Signed, 2);
-        counts.bits = Some(12);
-        assert_eq!(codes(&counts, [0, 2048, 4095, 5000]), [0, 188, 255, 255]);
-        counts.bits = None;
-        assert_eq!(codes(&counts, [-5, 16_384, 32_767, 1]), [0, 188, 255, 0]);
-    }
-
-    #[test]
-    fn shapes_that_do_not_fit_are_refused_before_memory_is_taken() {
-        let refuse = |array: &Array, has: usize| make(array, None, &vec![0; has]).unwrap_err();
-        for shape in [
-            [0, 1, 1],
-            [1, 0, 5],
-            [5, 256, 256],
-            [1, 65_536, 1],
-            [1, 20_000, 20_000],
-            [1, u32::MAX, u32::MAX],
-        ] {
-            assert_eq!(
-                refuse(&array(shape, Number::Unsigned, 1), 10),
-                PixelError::Shape(shape)
-            );
-        }
-        let short = refuse(&array([1, 4, 4], Number::Signed, 2), 31);
-        assert_eq!(short, PixelError::Short { needed: 32, has: 31 });
-        let mut far = array([1, 1, 1], Number::Unsigned, 1);
-        far.offset = u64::MAX;
-        assert!(matches!(refuse(&far, 10), PixelError::Short { .. }));
-        (far.offset, far.prefix_bytes) = (0, u32::MAX);
-        assert!(matches!(refuse(&far, 10), PixelError::Short { .. }));
-        assert_eq!(
-            refuse(&array([1, 1, 1], Number::Float, 4), 4),
-            PixelError::UnknownQuantity
-        );
-    }
-}
+mod tests;

@@ -6,7 +6,7 @@ use crate::demosaic;
 use crate::label::{Array, Label, MAX_LABEL_BYTES, Phase, Quantity};
 use crate::names::ProductName;
 use crate::pixels::{self, Made};
-use crate::{odl, pds3, vicar};
+use crate::{companding, describe, odl, pds3, vicar};
 
 /// Reads the label at the head of a file: VICAR, or PDS3 / ODL.
 ///
@@ -78,7 +78,16 @@ pub(crate) fn develop(
     let mosaic = label
         .mosaic
         .filter(|_| array.shape[0] == 1 && label.averaged <= 1);
-    let mut made = pixels::make(&array, mosaic, bytes).map_err(|error| error.to_string())?;
+    // Processed products are no codes any more, though their labels still tell how the camera stored them.
+    if !name.is_some_and(ProductName::is_as_received) {
+        array.companded_by = None;
+    }
+    let scheme = name.map(|name| name.scheme);
+    let codes = array.companded_by.as_deref();
+    let table = codes.and_then(|codes| companding::table(codes, scheme));
+    let mut made = pixels::make(&array, mosaic, table, bytes).map_err(|error| error.to_string())?;
+    made.notes
+        .insert(0, format!("samples {}", describe::array(&array)));
     if label.mosaic.is_none() && array.shape[0] == 1 && name.is_some_and(ProductName::says_mosaic) {
         made.notes
             .push("the name says colour mosaic, the label does not: left as it is".to_owned());

@@ -1,5 +1,7 @@
 //! Numbers and tuples as labels write them.
 
+use crate::label::{Number, Sample};
+
 /// Magnitudes from here on mean "unknown" (labels write 1.0e+30).
 const SENTINEL: f64 = 1e29;
 
@@ -7,6 +9,24 @@ const SENTINEL: f64 = 1e29;
 pub(crate) fn number(text: &str) -> Option<f64> {
     let value: f64 = text.trim().parse().ok()?;
     (value.is_finite() && value.abs() < SENTINEL).then_some(value)
+}
+
+/// Reads a special constant: a decimal number, or `16#FF7FFFFB#`, which for floating samples is their bits.
+pub(crate) fn constant(text: &str, sample: Sample) -> Option<f64> {
+    let Some((base, digits)) = text.trim().split_once('#') else {
+        // Sentinels are what is looked for here: no limit but being finite.
+        return text.trim().parse().ok().filter(|value: &f64| value.is_finite());
+    };
+    let base = base.parse().ok().filter(|base| (2..=36).contains(base))?;
+    let bits = u64::from_str_radix(digits.strip_suffix('#')?, base).ok()?;
+    let value = match (sample.kind, sample.bytes) {
+        (Number::Float, 4) => f64::from(f32::from_bits(u32::try_from(bits).ok()?)),
+        (Number::Float, _) => f64::from_bits(bits),
+        (Number::Signed, 2) => f64::from(u16::try_from(bits).ok()? as i16),
+        (Number::Signed, 4) => f64::from(u32::try_from(bits).ok()? as i32),
+        _ => bits as f64,
+    };
+    Some(value).filter(|value| !value.is_nan())
 }
 
 /// Reads a whole number, also one written as `12.0`.
@@ -52,6 +72,39 @@ mod tests {
         }
         assert_eq!(number(" -7.31905e-05 "), Some(-7.319_05e-5));
         assert_eq!(number("1e-999"), Some(0.0));
+    }
+
+    /// The constants of ISIS for 32-bit samples: NULL is FF7FFFFB, low saturation FF7FFFFC.
+    #[test]
+    fn a_constant_may_be_written_as_bits() {
+        let of = |kind, bytes| Sample {
+            kind,
+            bytes,
+            big_endian: true,
+        };
+        let float = constant("16#FF7FFFFB#", of(Number::Float, 4)).unwrap();
+        assert_eq!(float, f64::from(f32::from_bits(0xff7f_fffb)));
+        assert_eq!(
+            constant("-3.4028226550889045e+38", of(Number::Float, 4)),
+            Some(float)
+        );
+        assert_eq!(constant("16#8000#", of(Number::Signed, 2)), Some(-32_768.0));
+        assert_eq!(constant("16#FF#", of(Number::Unsigned, 1)), Some(255.0));
+        assert_eq!(constant("2#1111#", of(Number::Unsigned, 2)), Some(15.0));
+        assert_eq!(constant(" 0.0 ", of(Number::Signed, 2)), Some(0.0));
+        for bad in [
+            "NULL",
+            "16#",
+            "16##",
+            "99#1#",
+            "1#1#",
+            "16#GG#",
+            "16#7FC00000#",
+            "nan",
+            "16#FFFFFFFFF#",
+        ] {
+            assert_eq!(constant(bad, of(Number::Float, 4)), None, "{bad}");
+        }
     }
 
     #[test]

@@ -163,6 +163,10 @@ fn mastcam_z_has_the_focal_lengths_of_its_zooms() {
         assert_eq!(prior.motion_counter[..3], [33, 2864, 12], "{id}");
         assert_eq!((facts.bands, facts.filter.as_deref()), (3, Some("0")), "{id}");
     }
+    // A subframe's principal point lies outside its image, 133 px left of it, and stays there.
+    let subframe = brought.facts("ZL0_0711_0730054943_723RAD_N0332864ZCAM03014_048085A02");
+    let k = subframe.prior.unwrap().model.intrinsics().unwrap();
+    assert!(k.hc < -100.0 && (0.0..688.0).contains(&k.vc), "{k:?}");
     // The stereo baseline of the 34 mm pair, metres.
     let centre = |id: &str| Vector3::from(brought.facts(id).prior.unwrap().model.c);
     let pair = ["ZL0", "ZR0"].map(|eye| {

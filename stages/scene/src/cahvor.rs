@@ -107,6 +107,25 @@ pub enum CahvorError {
         /// Row, 0-based.
         y: f64,
     },
+    /// The radial terms turn over before the photo's farthest corner: some of its pixels would have two lines of sight.
+    #[error(
+        "the camera model's radial terms {radial:?} turn over at chi = {chi:.4}, which is seen at {turn:.4}; the photo's \
+         corner ({x}, {y}) lies at {corner:.4}"
+    )]
+    Folds {
+        /// r0, r1, r2.
+        radial: [f64; 3],
+        /// Tangent off O (for CAHVORE chi) where the slope 1 + r0 + 3 r1 chi² + 5 r2 chi⁴ becomes 0.
+        chi: f64,
+        /// Where the lens shows it: chi (1 + r0 + r1 chi² + r2 chi⁴).
+        turn: f64,
+        /// Where the corner lies.
+        corner: f64,
+        /// Column of the corner, 0-based.
+        x: f64,
+        /// Row of the corner, 0-based.
+        y: f64,
+    },
     /// The ideal pinhole of this model would be empty or far larger than the photo.
     #[error("an ideal pinhole of this camera model would be {width} x {height} px for a photo of {} x {} px", .photo.0, .photo.1)]
     Stretched {
@@ -149,6 +168,39 @@ impl Cahvor {
         };
         model.check_shape()?;
         Ok(model)
+    }
+
+    /// Checks that every pixel of a photo of `width` x `height` pixels has one line of sight.
+    ///
+    /// The map from the true to the apparent distance off axis must rise, 1 + r0 + 3 r1 chi² + 5 r2 chi⁴ > 0, up to
+    /// the farthest corner; [`Cahvor::normalised`] first.
+    ///
+    /// # Errors
+    /// [`CahvorError::Folds`] with the numbers; [`CahvorError::Blind`] for a corner beyond the range of the lens.
+    pub fn check_lens(&self, width: u32, height: u32) -> Result<(), CahvorError> {
+        let Some(o) = self.o.filter(|_| !self.is_linear()).map(vector) else {
+            return Ok(());
+        };
+        let (right, bottom) = (f64::from(width) - 1.0, f64::from(height) - 1.0);
+        let radial = Radial(self.r.unwrap_or_default());
+        for (x, y) in [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)] {
+            let blind = CahvorError::Blind { x, y };
+            let apparent = self.apparent(&Vector2::new(x, y)).ok_or_else(|| blind.clone())?;
+            let along = apparent.dot(&o);
+            let corner = (apparent - o * along).norm() / along;
+            if let Some((chi, turn)) = radial.turn().filter(|(_, turn)| along > 0.0 && corner >= *turn) {
+                return Err(CahvorError::Folds {
+                    radial: radial.0,
+                    chi,
+                    turn,
+                    corner,
+                    x,
+                    y,
+                });
+            }
+            self.unproject(&Vector2::new(x, y)).ok_or(blind)?;
+        }
+        Ok(())
     }
 
     fn check_finite(&self) -> Result<(), CahvorError> {
@@ -252,9 +304,7 @@ impl Cahvor {
     ///
     /// Returns `None` where the lens has no such ray: beyond its range, or where the radial terms turn over.
     pub fn unproject(&self, pixel: &Vector2<f64>) -> Option<Ray> {
-        let (a, h, v) = (vector(self.a), vector(self.h), vector(self.v));
-        let apparent = (v - a * pixel.y).cross(&(h - a * pixel.x)) * a.dot(&v.cross(&h)).signum();
-        let apparent = apparent.try_normalize(1e-300)?;
+        let apparent = self.apparent(pixel)?;
         let straight = Ray {
             origin: vector(self.c),
             direction: apparent,
@@ -263,6 +313,13 @@ impl Cahvor {
             Some(o) if !self.is_linear() => self.unbend(&apparent, &vector(o).try_normalize(1e-300)?),
             _ => apparent.iter().all(|value| value.is_finite()).then_some(straight),
         }
+    }
+
+    /// Unit vector to a pixel by the linear part alone.
+    fn apparent(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
+        let (a, h, v) = (vector(self.a), vector(self.h), vector(self.v));
+        let apparent = (v - a * pixel.y).cross(&(h - a * pixel.x)) * a.dot(&v.cross(&h)).signum();
+        apparent.try_normalize(1e-300)
     }
 
     fn unbend(&self, apparent: &Vector3<f64>, o: &Vector3<f64>) -> Option<Ray> {

@@ -180,3 +180,46 @@ fn a_vicar_label_alone_describes_its_array() {
     );
     assert!(label.notes[0].contains("no usable camera"), "{:?}", label.notes);
 }
+
+#[test]
+fn counters_have_the_promised_order_and_a_frame_of_other_counters_is_not_taken() {
+    let named = DEMO.replace(
+        "ROVER_MOTION_COUNTER = (7, 42, 0)",
+        "ROVER_MOTION_COUNTER_NAME = (ARM, POSE, DRIVE, SITE)\nROVER_MOTION_COUNTER = (3, 0, 42, 7)",
+    );
+    assert_eq!(read(&named).prior.unwrap().motion_counter, [7, 42, 0, 3]);
+    let placed = |own: &str, site: &str| {
+        let index = format!(
+            "COORDINATE_SYSTEM_NAME = ROVER_NAV_FRAME\n COORDINATE_SYSTEM_INDEX = {own}\n \
+             REFERENCE_COORD_SYSTEM_INDEX = {site}\n"
+        );
+        let label = DEMO.replace("COORDINATE_SYSTEM_NAME = ROVER_NAV_FRAME\n", &index);
+        read(&label).prior.unwrap().site_from_frame.is_some()
+    };
+    assert!(placed("(7, 42, 0)", "7") && placed("(7, 42)", "(7)"));
+    assert!(!placed("(7, 41, 0)", "7") && !placed("(7, 42, 0)", "6"));
+}
+
+#[test]
+fn special_constants_and_codes_are_read() {
+    let with = |method: &str| {
+        let label = DEMO
+            .replace(
+                "MISSING_CONSTANT = \"NULL\"",
+                "MISSING_CONSTANT = 16#8000#\n HIGH_REPR_SATURATION = 32767",
+            )
+            .replace(
+                "FILTER_NUMBER = \"0\"",
+                &format!("SAMPLE_BIT_METHOD = {method}\n SAMPLE_BIT_MODE_ID = \"LUT2\""),
+            );
+        read(&label).array.unwrap()
+    };
+    let array = with("HARDWARE");
+    assert_eq!(
+        (array.missing, array.saturated),
+        (vec![-32_768.0], vec![32_767.0])
+    );
+    assert_eq!(array.companded_by.as_deref(), Some("LUT2"));
+    assert_eq!(with("HARDWARE_INVERTED").companded_by, None);
+    assert_eq!(with("NONE").companded_by, None);
+}

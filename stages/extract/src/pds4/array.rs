@@ -6,6 +6,23 @@ use super::{PDS, child, children, number_at, text_at};
 use crate::label::{Array, Number, Order, Quantity, Sample};
 use crate::values;
 
+/// Constants without light: no value, or less than can be stored.
+const MISSING: [&str; 7] = [
+    "missing_constant",
+    "invalid_constant",
+    "unknown_constant",
+    "not_applicable_constant",
+    "error_constant",
+    "low_instrument_saturation",
+    "low_representation_saturation",
+];
+/// Constants of more light than can be stored.
+const SATURATED: [&str; 3] = [
+    "saturated_constant",
+    "high_instrument_saturation",
+    "high_representation_saturation",
+];
+
 /// Reads the first array of two or three dimensions; `None` where there is none that is read.
 pub(super) fn read(root: Node<'_, '_>) -> Option<Array> {
     let area = child(root, PDS, "File_Area_Observational")?;
@@ -31,17 +48,20 @@ pub(super) fn read(root: Node<'_, '_>) -> Option<Array> {
         suffix_bytes: 0,
         bits: None,
         scaling: (scaling != (1.0, 0.0)).then_some(scaling),
-        missing: constants.map(constants_of).unwrap_or_default(),
+        missing: constants
+            .map(|node| constants_of(node, &MISSING, sample))
+            .unwrap_or_default(),
+        saturated: constants
+            .map(|node| constants_of(node, &SATURATED, sample))
+            .unwrap_or_default(),
+        companded_by: None,
         quantity: Quantity::Counts,
     })
 }
 
-fn constants_of(node: Node<'_, '_>) -> Vec<f64> {
-    let names = ["missing_constant", "invalid_constant"];
-    names
-        .iter()
-        .filter_map(|name| number_at(node, &[(PDS, name)]))
-        .collect()
+fn constants_of(node: Node<'_, '_>, names: &[&str], sample: Sample) -> Vec<f64> {
+    let constant = |name: &&str| values::constant(&text_at(node, &[(PDS, name)])?, sample);
+    names.iter().filter_map(constant).collect()
 }
 
 fn axes(node: Node<'_, '_>) -> Option<([u32; 3], Order)> {

@@ -95,6 +95,94 @@ fn a_definition_of_other_counters_is_not_taken() {
     assert!(other.notes[0].contains("does not place"), "{:?}", other.notes);
 }
 
+/// Label order ARM, POSE, DRIVE, SITE; the camera's frame counts site 7, drive 42.
+#[test]
+fn the_counters_are_those_of_the_cameras_frame_in_the_promised_order() {
+    let with = |counters: &[(&str, i64)]| {
+        let whole = document(CAMERA, &definition(42, "0.6"));
+        let start = whole.find("<g:Motion_Counter>").unwrap();
+        let end = whole.find("</g:Motion_Counter>").unwrap();
+        let entry = |(name, value): &(&str, i64)| {
+            format!(
+                "<g:Motion_Counter_Index><g:index_id>{name}</g:index_id>\
+                 <g:index_value_number>{value}</g:index_value_number></g:Motion_Counter_Index>"
+            )
+        };
+        let entries: String = counters.iter().map(entry).collect();
+        let label = format!("{}<g:Motion_Counter>{entries}{}", &whole[..start], &whole[end..]);
+        let label = read(label.as_bytes()).unwrap();
+        (label.prior.unwrap().motion_counter, label.notes)
+    };
+    assert_eq!(
+        with(&[("ARM", 120), ("POSE", 62), ("DRIVE", 42), ("SITE", 7)]),
+        (vec![7, 42, 62, 120], vec![])
+    );
+    assert_eq!(with(&[]), (vec![7, 42], vec![]));
+    let (counter, notes) = with(&[("SITE", 7), ("DRIVE", 43), ("POSE", 1)]);
+    assert_eq!(counter, [7, 42]);
+    assert!(
+        notes[0].contains("[7, 43, 1] is not that of its camera's frame [7, 42]"),
+        "{notes:?}"
+    );
+}
+
+#[test]
+fn a_pose_in_another_site_is_not_taken() {
+    let reference = "<g:coordinate_space_frame_type>SITE_FRAME</g:coordinate_space_frame_type>";
+    let index = |site: i64| {
+        format!(
+            "{reference}<g:Coordinate_Space_Index><g:index_id>SITE</g:index_id>\
+             <g:index_value_number>{site}</g:index_value_number></g:Coordinate_Space_Index>"
+        )
+    };
+    for (site, placed) in [(7, true), (6, false)] {
+        let definition = definition(42, "0.6").replace(reference, &index(site));
+        let label = label(CAMERA, &definition);
+        assert_eq!(
+            label.prior.unwrap().site_from_frame.is_some(),
+            placed,
+            "site {site}"
+        );
+    }
+}
+
+/// Constants of every kind, codes and the copy under commanded parameters that says otherwise.
+#[test]
+fn an_array_says_which_values_are_special_and_whether_they_are_codes() {
+    let with = |state: &str| {
+        let array = "<File_Area_Observational><File><file_name>A.IMG</file_name></File><Array_2D_Image>\
+            <offset unit='byte'>64</offset><Element_Array><data_type>IEEE754MSBSingle</data_type></Element_Array>\
+            <Axis_Array><axis_name>Line</axis_name><elements>8</elements><sequence_number>1</sequence_number></Axis_Array>\
+            <Axis_Array><axis_name>Sample</axis_name><elements>6</elements><sequence_number>2</sequence_number></Axis_Array>\
+            <Special_Constants><saturated_constant>16#FF7FFFFE#</saturated_constant>\
+            <missing_constant>-3.4028226550889045e+38</missing_constant><unknown_constant>-1</unknown_constant>\
+            <high_instrument_saturation>9</high_instrument_saturation></Special_Constants>\
+            </Array_2D_Image></File_Area_Observational></Product_Observational>";
+        let companding = |state: &str| {
+            format!(
+                "<img:Sampling><img:Companding><img:processing_algorithm>MMM_LUT0</img:processing_algorithm>\
+                 <img:companding_state>{state}</img:companding_state></img:Companding></img:Sampling>"
+            )
+        };
+        let whole = document(CAMERA, &definition(42, "0.6"))
+            .replace("</Product_Observational>", array)
+            .replace(
+                "<img:Commanded_Parameters>",
+                &format!("<img:Commanded_Parameters>{}", companding("Companded")),
+            )
+            .replace("</img:Imaging>", &format!("{}</img:Imaging>", companding(state)));
+        read(whole.as_bytes()).unwrap().array.unwrap()
+    };
+    let array = with("Companded");
+    assert_eq!(array.missing, [f64::from(f32::from_bits(0xff7f_fffb)), -1.0]);
+    assert_eq!(array.saturated, [f64::from(f32::from_bits(0xff7f_fffe)), 9.0]);
+    assert_eq!(
+        (array.companded_by.as_deref(), array.file.as_deref()),
+        (Some("MMM_LUT0"), Some("A.IMG"))
+    );
+    assert_eq!(with("Expanded").companded_by, None);
+}
+
 #[test]
 fn a_reverse_rotation_is_turned_round() {
     let reverse = definition(42, "0.6").replace("Forward", "Reverse");

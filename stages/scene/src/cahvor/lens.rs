@@ -34,6 +34,30 @@ impl Radial {
         t.is_finite() && [0.0, dip, t].into_iter().all(|t| self.slope(t) > 0.0)
     }
 
+    /// Returns the chi at which the map first stops rising, and its chi'; `None` where it rises for ever.
+    ///
+    /// Root of 1 + r0 + 3 r1 t + 5 r2 t² in t = chi².
+    pub(super) fn turn(&self) -> Option<(f64, f64)> {
+        let [r0, r1, r2] = self.0;
+        let (a, b, c) = (5.0 * r2, 3.0 * r1, 1.0 + r0);
+        if c <= 0.0 {
+            return Some((0.0, 0.0));
+        }
+        let discriminant = b * b - 4.0 * a * c;
+        // c > 0: each branch is the smallest positive root in the form that does not cancel.
+        let root = match discriminant {
+            negative if negative < 0.0 => return None,
+            _ if b <= 0.0 => 2.0 * c / (discriminant.sqrt() - b),
+            _ if a < 0.0 => (b + discriminant.sqrt()) / (-2.0 * a),
+            _ => return None,
+        };
+        if !root.is_finite() {
+            return None;
+        }
+        let chi = root.sqrt();
+        Some((chi, chi * (1.0 + self.mu(chi))))
+    }
+
     /// Finds chi of chi'; `None` where the map turns over before it gets there.
     ///
     /// Newton held inside a bracket: where r2 is near -1 plain Newton runs over the turning point.
@@ -139,5 +163,124 @@ impl Entrance {
         };
         // asin of more than 1 is NaN and fails this too.
         (0.0..std::f64::consts::PI).contains(&angle).then_some(angle)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector2;
+
+    use super::super::tests::{cahvor, cahvore, mastcam_z, navcam_tile, near};
+    use super::Radial;
+    use crate::{Cahvor, Entrance};
+
+    /// 1 + r0 + 3 r1 t + 5 r2 t² = 0 by hand: r1 = -1 gives t = 1/3; r2 = -0.2 gives t = 1; r1 = -2, r2 = 1 gives
+    /// 1 - 6 t + 5 t², roots 0.2 and 1; r1 = 1, r2 = -0.4 gives 1 + 3 t - 2 t², root (3 + √17) / 4.
+    #[test]
+    fn the_turning_point_of_a_lens_is_found() {
+        let turn = |r: [f64; 3]| Radial(r).turn();
+        let at = |r: [f64; 3], t: f64| {
+            let (chi, apparent) = turn(r).unwrap();
+            near(&[chi * chi], &[t], 1e-14, "chi²");
+            near(
+                &[apparent],
+                &[chi * (1.0 + r[0] + r[1] * t + r[2] * t * t)],
+                1e-14,
+                "chi'",
+            );
+            assert!(
+                Radial(r).rises(chi * (1.0 - 1e-9)) && !Radial(r).rises(chi * (1.0 + 1e-9)),
+                "{r:?}"
+            );
+        };
+        at([0.0, -1.0, 0.0], 1.0 / 3.0);
+        at([0.0, 0.0, -0.2], 1.0);
+        at([0.0, -2.0, 1.0], 0.2);
+        at([0.0, 1.0, -0.4], (3.0 + 17_f64.sqrt()) / 4.0);
+        at([-0.5, -1.0, 0.0], 0.5 / 3.0);
+        for rising in [[0.0; 3], [0.0, 1.0, 1.0], [0.0, -1.0, 5.0], [0.0002, 0.39, 0.035]] {
+            assert_eq!(turn(rising), None, "{rising:?}");
+        }
+        assert_eq!(turn([-1.0, 0.0, 0.0]), Some((0.0, 0.0)));
+        // The wide lens of a Navcam turns over at 2.1 (120 degrees).
+        near(
+            &[turn([1.736e-6, 0.050_139_6, -0.017_125_4]).unwrap().0],
+            &[2.1],
+            0.05,
+            "Navcam",
+        );
+    }
+
+    #[test]
+    fn a_lens_that_turns_over_inside_the_photo_is_refused_with_its_numbers() {
+        mastcam_z().normalised().unwrap().check_lens(1648, 1200).unwrap();
+        navcam_tile().normalised().unwrap().check_lens(1288, 976).unwrap();
+        for linearity in [0.0, 0.6, 1.0, -0.4] {
+            cahvore(linearity).check_lens(1280, 960).unwrap();
+        }
+        // chi' = 0.385 at the turning point: 0.385 x 14,800 px = 5,697 px off axis.
+        let folding = Cahvor {
+            o: Some([1.0, 0.0, 0.0]),
+            r: Some([0.0, -1.0, 0.0]),
+            ..cahvor()
+        };
+        folding.check_lens(6000, 1200).unwrap();
+        let error = folding.check_lens(7000, 1200).unwrap_err().to_string();
+        assert!(
+            error.contains("[0.0, -1.0, 0.0] turn over at chi = 0.5774, which is seen at 0.3849")
+                && error.contains("corner (6999, 0) lies at 0.4192"),
+            "{error}"
+        );
+        // A photo whose corner would be seen from behind.
+        let error = cahvore(0.0).check_lens(10_000_000, 960);
+        assert!(error.is_err(), "{error:?}");
+        let plain = Cahvor { o: None, ..folding };
+        plain.check_lens(7000, 1200).unwrap();
+    }
+
+    /// θ / sin θ - 1 by its series, θ²/6 + 7 θ⁴/360, whose third term is 31 θ⁶/15120: by hand 1.6666668611e-7 at 1e-3.
+    #[test]
+    fn the_pupil_moves_smoothly_where_the_quotient_would_cancel() {
+        let entrance = Entrance {
+            terms: [1.0, 0.0, 0.0],
+            linearity: 0.0,
+        };
+        for angle in [1e-12, 1e-8, 1e-6, 1e-4, 0.999e-3, 1e-3, 1.001e-3, 1e-2] {
+            let t: f64 = angle * angle;
+            let series = t / 6.0 + 7.0 * t * t / 360.0 + 31.0 * t * t * t / 15_120.0;
+            // Above 1e-3 the quotient has an ulp of 1, 2e-16, in 1.7e-7.
+            let off = (entrance.shift(angle) / series - 1.0).abs();
+            assert!(off < 3e-9, "{angle}: {off}");
+        }
+        near(
+            &[entrance.shift(0.999_999_999e-3)],
+            &[1.666_666_858e-7],
+            1e-15,
+            "at 1e-3",
+        );
+        assert_eq!(entrance.shift(0.0), 0.0);
+    }
+
+    /// O along the rows: the left half of the photo is seen from behind the lens, chi' is negative.
+    #[test]
+    fn a_negative_apparent_distance_has_no_ray() {
+        for model in [cahvor(), cahvore(0.0), cahvore(0.6), cahvore(1.0)] {
+            let sideways = Cahvor {
+                o: Some([0.0, 1.0, 0.0]),
+                r: Some([0.0; 3]),
+                e: model.e.map(|e| Entrance {
+                    terms: [1e-3, 0.0, 0.0],
+                    ..e
+                }),
+                ..model
+            };
+            // Without terms a CAHVOR is linear and sees the whole plane.
+            let bent = Cahvor {
+                r: Some([0.0, 0.0, 1e-12]),
+                ..sideways
+            };
+            assert_eq!(bent.unproject(&Vector2::new(100.0, 500.0)), None, "{bent:?}");
+            assert!(bent.check_lens(1648, 1200).is_err());
+        }
     }
 }

@@ -1,0 +1,270 @@
+//! Whether the scans of a JPEG hold as many blocks as its frame needs.
+//!
+//! Decoders fill what a scan lacks with grey and do not say so, if only an end marker follows. Hence the Huffman codes
+//! are counted here once, without making pixels of them (ITU-T T.81, annexes B and F). Progressive, arithmetic and
+//! lossless frames are not counted.
+
+/// Bytes behind the last block that are no marker: the photos at hand have none, some encoders pad.
+const MAX_LEFT_OVER: usize = 2;
+
+/// What is wrong with a scan.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub(super) enum ScanError {
+    /// A segment that does not fit into the file, or contradicts another.
+    #[error("its segments are damaged at byte {0}")]
+    Segment(usize),
+    /// Too few blocks.
+    #[error("a scan ends after {has} of {needed} units: it is cut short or damaged")]
+    Short {
+        /// Units (MCUs) that are whole.
+        has: usize,
+        /// Units that the frame needs.
+        needed: usize,
+    },
+    /// More data than blocks.
+    #[error("{0} bytes are left over behind the last unit of a scan: it is damaged")]
+    LeftOver(usize),
+}
+
+/// Counts the units of every scan of a baseline JPEG.
+///
+/// # Errors
+/// See [`ScanError`]. Frames of other kinds are taken as they are.
+pub(super) fn check(bytes: &[u8]) -> Result<(), ScanError> {
+    let mut jpeg = Jpeg::default();
+    let mut at = 2;
+    loop {
+        let (marker, start) = next_marker(bytes, at).ok_or(ScanError::Segment(at))?;
+        match marker {
+            0xd9 => return Ok(()),
+            0x01 | 0xd0..=0xd8 => {
+                at = start;
+                continue;
+            }
+            _ => {}
+        }
+        let length = bytes
+            .get(start..start + 2)
+            .map_or(0, |two| usize::from(two[0]) << 8 | usize::from(two[1]));
+        let body = bytes
+            .get(start + 2..start + length)
+            .ok_or(ScanError::Segment(start))?;
+        at = start + length;
+        match marker {
+            0xc0 | 0xc1 => jpeg.frame(body).ok_or(ScanError::Segment(start))?,
+            0xc4 => jpeg.tables(body).ok_or(ScanError::Segment(start))?,
+            0xdd => {
+                jpeg.restart = body
+                    .get(..2)
+                    .map_or(0, |two| usize::from(two[0]) << 8 | usize::from(two[1]))
+            }
+            0xc2 | 0xc3 | 0xc5..=0xc7 | 0xc9..=0xcb | 0xcd..=0xcf => return Ok(()),
+            0xda => {
+                let scan = jpeg.scan(body).ok_or(ScanError::Segment(start))?;
+                at = scan.count(bytes, at)?;
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Returns the next marker and where its segment begins.
+fn next_marker(bytes: &[u8], from: usize) -> Option<(u8, usize)> {
+    let rest = bytes.get(from..)?;
+    let is_marker = |pair: &[u8]| pair[0] == 0xff && !matches!(pair[1], 0x00 | 0xff);
+    let found = rest.windows(2).position(is_marker)?;
+    Some((rest[found + 1], from + found + 2))
+}
+
+/// Tables and frame as far as they have been read.
+#[derive(Default)]
+struct Jpeg {
+    /// DC 0 to 3, AC 0 to 3.
+    tables: [Option<Box<Huffman>>; 8],
+    /// Id and blocks across and down in a unit, of each component.
+    components: Vec<(u8, usize, usize)>,
+    width: usize,
+    height: usize,
+    /// Units between restarts; 0 is none.
+    restart: usize,
+}
+
+impl Jpeg {
+    fn frame(&mut self, body: &[u8]) -> Option<()> {
+        let number = |at: usize| Some(usize::from(*body.get(at)?) << 8 | usize::from(*body.get(at + 1)?));
+        (self.height, self.width) = (number(1)?, number(3)?);
+        let count = usize::from(*body.get(5)?);
+        let parts = body.get(6..6 + 3 * count)?.chunks_exact(3);
+        let read = |part: &[u8]| (part[0], usize::from(part[1] >> 4), usize::from(part[1] & 15));
+        self.components = parts.map(read).collect();
+        let fits = |(_, h, v): &(u8, usize, usize)| (1..=4).contains(h) && (1..=4).contains(v);
+        (!self.components.is_empty() && self.components.iter().all(fits) && self.width * self.height > 0)
+            .then_some(())
+    }
+
+    fn tables(&mut self, mut body: &[u8]) -> Option<()> {
+        while let Some((&kind, rest)) = body.split_first() {
+            let counts = rest.first_chunk::<16>()?;
+            let total: usize = counts.iter().map(|count| usize::from(*count)).sum();
+            let symbols = rest.get(16..16 + total)?;
+            let place = usize::from(kind >> 4) * 4 + usize::from(kind & 15);
+            *self.tables.get_mut(place)? = Some(Box::new(Huffman::new(counts, symbols)?));
+            body = &rest[16 + total..];
+        }
+        Some(())
+    }
+
+    fn scan(&self, body: &[u8]) -> Option<Scan<'_>> {
+        let count = usize::from(*body.first()?);
+        let chosen = body.get(1..1 + 2 * count)?.chunks_exact(2);
+        let (mut blocks, mut size) = (Vec::new(), (1, 1));
+        for pair in chosen {
+            let (_, h, v) = *self.components.iter().find(|(id, ..)| *id == pair[0])?;
+            let dc = self.tables.get(usize::from(pair[1] >> 4) % 4)?.as_deref()?;
+            let ac = self.tables.get(4 + usize::from(pair[1] & 15) % 4)?.as_deref()?;
+            // A scan of one component has its blocks one by one.
+            let repeated = if count == 1 { 1 } else { h * v };
+            blocks.extend(std::iter::repeat_n((dc, ac), repeated));
+            size = (h, v);
+        }
+        let most = |of: fn(&(u8, usize, usize)) -> usize| self.components.iter().map(of).max();
+        let (h, v) = (most(|component| component.1)?, most(|component| component.2)?);
+        let units = if count == 1 {
+            let own = |side: usize, own: usize, most: usize| (side * own).div_ceil(most).div_ceil(8);
+            own(self.width, size.0, h) * own(self.height, size.1, v)
+        } else {
+            self.width.div_ceil(8 * h) * self.height.div_ceil(8 * v)
+        };
+        (!blocks.is_empty()).then_some(Scan {
+            blocks,
+            units,
+            restart: self.restart,
+        })
+    }
+}
+
+/// One scan: the tables of each block of a unit.
+struct Scan<'a> {
+    blocks: Vec<(&'a Huffman, &'a Huffman)>,
+    units: usize,
+    restart: usize,
+}
+
+impl Scan<'_> {
+    /// Counts the units from `at` on; returns where the next marker is looked for.
+    fn count(&self, bytes: &[u8], at: usize) -> Result<usize, ScanError> {
+        let mut bits = Bits {
+            bytes,
+            at,
+            held: 0,
+            count: 0,
+        };
+        for unit in 0..self.units {
+            if self.restart > 0 && unit > 0 && unit % self.restart == 0 {
+                bits.restart();
+            }
+            let whole = self.blocks.iter().all(|(dc, ac)| bits.block(dc, ac).is_some());
+            if !whole {
+                return Err(ScanError::Short {
+                    has: unit,
+                    needed: self.units,
+                });
+            }
+        }
+        let end = next_marker(bytes, bits.at).map_or(bytes.len(), |(_, start)| start - 2);
+        match end.saturating_sub(bits.at) + bits.count as usize / 8 {
+            left if left > MAX_LEFT_OVER => Err(ScanError::LeftOver(left)),
+            _ => Ok(bits.at),
+        }
+    }
+}
+
+/// A table of codes of up to 16 bits.
+struct Huffman {
+    /// By the next 16 bits: length in the upper, symbol in the lower byte; 0 is no code.
+    by_bits: Vec<u16>,
+}
+
+impl Huffman {
+    fn new(counts: &[u8; 16], symbols: &[u8]) -> Option<Self> {
+        let mut by_bits = vec![0; 1 << 16];
+        let (mut next, mut symbols) = (0_usize, symbols.iter());
+        for (length, count) in (1_u16..).zip(counts) {
+            for _ in 0..*count {
+                let span = 1_usize << (16 - length);
+                by_bits
+                    .get_mut(next..next + span)?
+                    .fill(length << 8 | u16::from(*symbols.next()?));
+                next += span;
+            }
+        }
+        Some(Self { by_bits })
+    }
+}
+
+/// The bits of a scan, up to its next marker.
+struct Bits<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    /// The next bits, left-aligned.
+    held: u64,
+    count: u32,
+}
+
+impl Bits<'_> {
+    fn fill(&mut self) {
+        while self.count <= 48 {
+            let byte = match (self.bytes.get(self.at), self.bytes.get(self.at + 1)) {
+                (Some(0xff), Some(0x00)) => {
+                    self.at += 2;
+                    0xff
+                }
+                (Some(0xff) | None, _) => return,
+                (Some(byte), _) => {
+                    self.at += 1;
+                    *byte
+                }
+            };
+            self.held |= u64::from(byte) << (56 - self.count);
+            self.count += 8;
+        }
+    }
+
+    fn skip(&mut self, bits: u32) -> Option<()> {
+        self.count = self.count.checked_sub(bits)?;
+        self.held <<= bits;
+        Some(())
+    }
+
+    /// Reads a code and steps over the number behind it, whose length is the symbol's lower half.
+    fn coefficient(&mut self, table: &Huffman) -> Option<u8> {
+        self.fill();
+        let entry = table.by_bits[(self.held >> 48) as usize];
+        let symbol = entry as u8;
+        self.skip(u32::from(entry >> 8)).filter(|()| entry >> 8 > 0)?;
+        self.skip(u32::from(symbol & 15))?;
+        Some(symbol)
+    }
+
+    fn block(&mut self, dc: &Huffman, ac: &Huffman) -> Option<()> {
+        self.coefficient(dc)?;
+        let mut place = 1;
+        while place < 64 {
+            match self.coefficient(ac)? {
+                0x00 => break,
+                0xf0 => place += 16,
+                symbol if symbol & 15 == 0 => return None,
+                symbol => place += 1 + usize::from(symbol >> 4),
+            }
+        }
+        (place <= 64).then_some(())
+    }
+
+    /// Drops what is left of the last byte and steps over the restart marker, where there is one.
+    fn restart(&mut self) {
+        (self.held, self.count) = (0, 0);
+        if let (Some(0xff), Some(0xd0..=0xd7)) = (self.bytes.get(self.at), self.bytes.get(self.at + 1)) {
+            self.at += 2;
+        }
+    }
+}
