@@ -79,11 +79,12 @@ const ROOMS: [(&str, &str, &[&str]); 15] = [
 ];
 
 /// Packages that belong to one room alone.
-const FENCED: [(&str, &[&str]); 6] = [
+const FENCED: [(&str, &[&str]); 7] = [
     ("kamadak-exif", &["marf-extract"]),
     ("petgraph", &["marf-engine"]),
     ("redb", &["marf-cache"]),
     ("reqwest", &["marf-extract"]),
+    ("rustls", &["marf-extract"]),
     ("tokio", &["marf-extract", "marf"]),
     ("wgpu", &["marf-field"]),
 ];

@@ -22,17 +22,17 @@ pub const TEMPLATES: [Template; 5] = [
     },
     Template {
         name: "perseverance",
-        about: "Mastcam-Z and Navcam of Mars 2020, from a local copy of the archive",
+        about: "Mastcam-Z of Mars 2020, from the Planetary Data System",
         text: include_str!("../../pipelines/perseverance.toml"),
     },
     Template {
         name: "curiosity",
-        about: "Mastcam and Navcam of MSL, from a local copy of the archive",
+        about: "Mastcam of MSL, from the Planetary Data System",
         text: include_str!("../../pipelines/curiosity.toml"),
     },
     Template {
         name: "ingenuity",
-        about: "the helicopter's colour camera, from a local copy of the archive",
+        about: "the helicopter's colour camera, from the Planetary Data System",
         text: include_str!("../../pipelines/ingenuity.toml"),
     },
 ];

@@ -54,7 +54,9 @@ impl Listener for Bars {
                 bar.set_position(*done);
                 bar.set_message(printable(note));
             }
-            Event::Finished { node, .. } | Event::Failed { node, .. } => self.end(node),
+            Event::Finished { node, .. } | Event::Failed { node, .. } | Event::Reused { node, .. } => {
+                self.end(node);
+            }
             _ => {}
         }
         if let Some(line) = sentence(event) {

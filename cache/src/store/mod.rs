@@ -7,6 +7,7 @@
 //! .marf/runs/NNNNNN.json     one root a run
 //! .marf/tmp/<id>/            unfinished files of a live process
 //! .marf/bad/                 damaged blobs, set aside
+//! .marf/scratch/             what stages keep of unfinished work; nothing needs it
 //! ```
 //! Order of writes: bytes to the disk, then their names, then the folders, only then records, last run roots.
 //! So nothing ever points at what may not be there, and a crash leaves orphans only. All of a group share the
@@ -108,6 +109,11 @@ impl Store {
     /// Returns the folder of the store.
     pub fn dir(&self) -> &Path {
         &self.dir
+    }
+
+    /// Returns the folder for files of unfinished work, which may not be there yet; nothing in it is needed.
+    pub fn scratch(&self) -> PathBuf {
+        self.dir.join("scratch")
     }
 
     /// The first write makes our folder of temporary files: a reader makes none.

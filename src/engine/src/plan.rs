@@ -108,7 +108,7 @@ fn plan_node(
             .0
             .extend(output.map(|digest| (wire.output.to_owned(), *digest)));
     }
-    let listing = match list(node.bound.as_ref(), store, &Cancel::default()) {
+    let listing = match list(node.bound.as_ref(), store, &Cancel::default(), &Nobody) {
         Ok(listing) => listing,
         Err(error) => {
             let reason = format!("it cannot list what is there: {error}");
@@ -125,7 +125,8 @@ fn plan_node(
     let key = node_key(&node.def, node.bound.as_ref(), &inputs, listing.as_ref());
     let found = look_up(store, &key.digest)?;
     let Found::Hit(record) = found else {
-        let why = why_missed(store, last, &node.name, &key, &found)?;
+        let mut why = why_missed(store, last, &node.name, &key, &found)?;
+        why.reason = listing.map_or(why.reason.clone(), |listing| listing.noted(&why.reason));
         return Ok((planned(PlanState::WillRun, why, Some(&key)), None));
     };
     let is_last = last.is_some_and(|run| run.latest.get(&node.name) == Some(&key.digest));
@@ -138,16 +139,22 @@ fn plan_node(
 }
 
 /// Lists what a source has to offer; none for other stages.
-pub(crate) fn list(stage: &dyn Stage, store: &Store, cancel: &Cancel) -> Result<Option<Listing>, StageError> {
+pub(crate) fn list(
+    stage: &dyn Stage,
+    store: &Store,
+    cancel: &Cancel,
+    progress: &dyn Progress,
+) -> Result<Option<Listing>, StageError> {
     let Work::Source(source) = stage.work() else {
         return Ok(None);
     };
     let ctx = Ctx {
         blobs: &StoreBlobs(store),
         cancel,
-        progress: &Nobody,
+        progress,
         checkpoints: &Nobody,
         memos: &Nobody,
+        scratch: &store.scratch(),
         threads: 1,
     };
     let listing = catch_unwind(AssertUnwindSafe(|| source.list(&ctx)))
@@ -177,7 +184,7 @@ pub(crate) fn panicked(payload: &(dyn std::any::Any + Send)) -> StageError {
     .hint("report it with the command and the pipeline")
 }
 
-/// Listing keeps no state and tells nobody how far it is.
+/// Listing keeps no state, and a plan tells nobody how far it is.
 struct Nobody;
 
 impl Progress for Nobody {

@@ -41,6 +41,8 @@ pub(crate) struct ArchiveFile {
 enum Bytes {
     Memory(Arc<[u8]>),
     Path(PathBuf),
+    /// In the store, under the file's digest.
+    Stored,
 }
 
 /// What a file is, by name and first bytes.
@@ -103,6 +105,28 @@ impl ArchiveFile {
         }
     }
 
+    /// A file whose bytes are in the store; its name alone says what it is.
+    pub fn stored(name: String, digest: Digest, sol: u32) -> Self {
+        Self {
+            kind: kind(&name, &[]),
+            digest,
+            sol: Some(sol),
+            bytes: Bytes::Stored,
+            name,
+        }
+    }
+
+    /// A file that an archive offers and that is not taken.
+    pub fn left_out(name: String, reason: String, sol: u32) -> Self {
+        Self {
+            digest: Digest::of(reason.as_bytes()),
+            sol: Some(sol),
+            bytes: Bytes::Memory(Arc::default()),
+            kind: Kind::Other(reason),
+            name,
+        }
+    }
+
     /// A file that is there and cannot be read.
     pub fn unreadable(name: String, reason: String) -> Self {
         Self {
@@ -118,7 +142,7 @@ impl ArchiveFile {
     ///
     /// # Errors
     /// A file that has changed since: its shard's fingerprint would name other bytes.
-    pub fn read(&self) -> Result<Vec<u8>, StageError> {
+    pub fn read(&self, ctx: &Ctx<'_>) -> Result<Vec<u8>, StageError> {
         let changed = |cause: &str| {
             StageError::new(format!("`{}` changed while it was read", self.name))
                 .cause(cause)
@@ -126,6 +150,7 @@ impl ArchiveFile {
         };
         let bytes = match &self.bytes {
             Bytes::Memory(bytes) => bytes.to_vec(),
+            Bytes::Stored => return Ok(ctx.get(&self.digest)?.to_vec()),
             Bytes::Path(path) => read_path(path).map_err(|error| changed(&error.to_string()))?,
         };
         if Digest::of(&bytes) == self.digest {

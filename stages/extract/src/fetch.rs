@@ -67,7 +67,7 @@ fn one_product(
             verdicts.push(left(&file.name, "skipped", reason));
             continue;
         }
-        let bytes = file.read()?;
+        let bytes = file.read(ctx)?;
         match decode(product, file, &bytes) {
             Ok(decoded) => {
                 verdicts.push(Verdict {

@@ -216,7 +216,7 @@ impl ArchiveFiles for Folder {
         let survey = self.survey(ctx)?;
         let mut companions = BTreeMap::new();
         for file in &survey.companions {
-            companions.insert(file.name.clone(), ctx.put(&file.read()?)?);
+            companions.insert(file.name.clone(), ctx.put(&file.read(ctx)?)?);
         }
         let shards = survey.shards.iter().map(|(shard, files)| Shard {
             shard: *shard,
@@ -225,6 +225,7 @@ impl ArchiveFiles for Folder {
         Ok(Listing {
             shards: shards.collect(),
             companions,
+            note: None,
         })
     }
 

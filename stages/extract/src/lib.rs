@@ -7,14 +7,22 @@
 mod archive;
 mod built_in;
 mod camera;
+mod companding;
 pub mod demo;
 mod demosaic;
+mod describe;
 mod exif;
 mod feed;
 mod fetch;
 mod folder;
+#[doc(hidden)]
+pub mod fuzzing;
+mod index_table;
+mod inventory;
 mod label;
+mod listing;
 mod names;
+mod net;
 mod odl;
 mod params;
 mod pds3;
@@ -22,7 +30,10 @@ mod pds4;
 mod pixels;
 mod products;
 mod raw;
+mod remote;
 mod sols;
+#[cfg(test)]
+mod testing;
 mod tone;
 mod values;
 mod vicar;
@@ -30,7 +41,10 @@ mod vicar;
 use marf_cache::ContentHash;
 use marf_stage::{Ctx, Define, Fetched, Listing, ParamError, Port, Source, Stage, StageError, Threads, Work};
 
-pub use params::{Archive, DemoArchive, ExtractParams, FolderArchive, OtherArchive};
+pub use params::{
+    Access, Archive, DemoArchive, Discover, ExtractParams, FeedArchive, FolderArchive, Instrument, Level,
+    Mission, Network, PdsArchive, PixelSource, Site,
+};
 
 /// Brings photos in from an archive.
 ///
@@ -75,7 +89,7 @@ impl Define for Extract {
     type Params = ExtractParams;
     const NAME: &'static str = "extract";
     const ABOUT: &'static str = "archives to photos with what their labels say of camera and place";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PORTS: &'static [Port] = &[];
     const OUTPUTS: &'static [&'static str] =
         &[marf_stage::PHOTOS, marf_stage::VERDICTS, marf_stage::COMPANIONS];

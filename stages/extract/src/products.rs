@@ -139,7 +139,7 @@ fn labels(ctx: &Ctx<'_>, files: &[ArchiveFile], left_out: &mut Vec<Verdict>) -> 
 
 fn one_label(ctx: &Ctx<'_>, file: &ArchiveFile) -> Result<Result<Detached, Verdict>, StageError> {
     ctx.check()?;
-    let bytes = file.read()?;
+    let bytes = file.read(ctx)?;
     Ok(match read_label(&file.kind, &bytes) {
         Ok(label) => Ok(Detached {
             name: file.name.clone(),

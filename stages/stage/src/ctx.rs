@@ -1,3 +1,4 @@
+use std::path::Path;
 use std::sync::{
     Arc,
     atomic::{AtomicBool, Ordering},
@@ -20,6 +21,9 @@ pub struct Ctx<'a> {
     pub checkpoints: &'a dyn Checkpoints,
     /// Tables of partial results that outlive this run.
     pub memos: &'a dyn Memos,
+    /// A folder for files of unfinished work (half a download, what a server last listed), made by who first needs it.
+    /// What lies there may vanish between runs and never reaches a result.
+    pub scratch: &'a Path,
     /// Threads given to this run; a rayon pool of that size is installed. Never part of a result.
     pub threads: usize,
 }

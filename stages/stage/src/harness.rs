@@ -1,6 +1,7 @@
 //! Runs a stage without an engine: a store in memory, for tests of stages.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use marf_cache::{
@@ -18,6 +19,8 @@ pub struct Harness {
     memos: Mutex<BTreeMap<Digest, Arc<[u8]>>>,
     /// The wish to stop that stages under test see.
     pub cancel: Cancel,
+    /// Folder for files of unfinished work; a test that needs one sets it.
+    pub scratch: PathBuf,
 }
 
 impl Harness {
@@ -29,6 +32,7 @@ impl Harness {
             progress: self,
             checkpoints: self,
             memos: self,
+            scratch: &self.scratch,
             threads: 1,
         }
     }

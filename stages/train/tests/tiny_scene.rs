@@ -111,6 +111,7 @@ fn a_training_that_was_stopped_goes_on_to_the_same_bytes() {
         progress: &killed,
         checkpoints: &killed,
         memos: &harness,
+        scratch: &harness.scratch,
         threads: 1,
     };
     let stopped = run(&train, &ctx, &scene);

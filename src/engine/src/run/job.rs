@@ -139,12 +139,14 @@ impl Shift<'_> {
         let memos = StoreMemos::new(self.site.store, &self.node, self.site.listener);
         let progress = NodeProgress::new(&self.node, self.site.listener);
         let stage: &dyn Stage = self.bound.as_ref();
+        let scratch = self.site.store.scratch();
         let ctx = Ctx {
             blobs: &blobs,
             cancel: self.site.cancel,
             progress: &progress,
             checkpoints,
             memos: &memos,
+            scratch: &scratch,
             threads: self.threads,
         };
         let job = Job {

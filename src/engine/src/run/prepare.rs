@@ -10,6 +10,7 @@ use super::{
 use crate::{
     Event,
     earlier::{Asks, with_earlier},
+    event::NodeProgress,
     key::node_key,
     lookup::{Found, counts_of, look_up, why_missed},
     plan::list,
@@ -42,7 +43,8 @@ impl Floor<'_> {
             }
         };
         let task = &self.tasks[index];
-        let listing = match list(task.bound.as_ref(), self.site.store, self.site.cancel) {
+        let progress = NodeProgress::new(&task.name, self.site.listener);
+        let listing = match list(task.bound.as_ref(), self.site.store, self.site.cancel, &progress) {
             Ok(listing) => listing,
             Err(error) => {
                 self.fail(index, error);
@@ -75,6 +77,9 @@ impl Floor<'_> {
             Trust::Stored => why_missed(self.site.store, self.site.last, &task.name, &key, &found)?.reason,
             Trust::Nothing => "a blob was missing or damaged".to_owned(),
         };
+        let reason = listing
+            .as_ref()
+            .map_or(reason.clone(), |listing| listing.noted(&reason));
         let task = &mut self.tasks[index];
         task.told.reason.clone_from(&reason);
         task.order = Some(Order {

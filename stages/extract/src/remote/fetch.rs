@@ -1,0 +1,338 @@
+//! Brings the files of one sol: what is pinned and here stays, the rest is downloaded, checked and pinned.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant, SystemTime};
+
+use marf_cache::Digest;
+use marf_stage::{Ctx, StageError};
+
+use super::lock::{self, Pin, SolPins};
+use super::offer::{Offer, Offered};
+use super::{Remote, changed};
+use crate::archive::ArchiveFile;
+use crate::net::{self, Answer, Meter, Trouble, Validators, Want};
+use crate::params::Access;
+
+/// How often what was fetched is written into the lock.
+const SAVE_EVERY: Duration = Duration::from_secs(10);
+
+/// One sol on its way.
+struct Sol<'a> {
+    remote: &'a Remote,
+    ctx: &'a Ctx<'a>,
+    sol: u32,
+    pins: SolPins,
+    /// Downloads that are pinned and not yet in the lock file: their parts are kept until they are.
+    unsaved: Vec<PathBuf>,
+    saved: Instant,
+}
+
+/// A file that could not be had.
+struct Failure {
+    name: String,
+    cause: String,
+}
+
+/// Returns the files of a sol, downloading what is not here.
+///
+/// # Errors
+/// Files that could not be fetched (the others are kept), bytes that are not the locked ones, the wish to stop.
+pub(super) fn sol(
+    remote: &Remote,
+    ctx: &Ctx<'_>,
+    sol: u32,
+    offer: &Offer,
+) -> Result<Vec<ArchiveFile>, StageError> {
+    let pins = remote
+        .state()
+        .pins
+        .as_ref()
+        .and_then(|pins| pins.sols.get(&sol).cloned())
+        .unwrap_or_default();
+    let mut work = Sol {
+        remote,
+        ctx,
+        sol,
+        pins,
+        unsaved: Vec::new(),
+        saved: Instant::now(),
+    };
+    let brought = work.bring(offer);
+    // What was fetched is kept, also where the rest failed.
+    let saved = work.save();
+    let failures = brought?;
+    saved?;
+    if let Some(first) = failures.first() {
+        let message = format!(
+            "{} of {} files of sol {sol} could not be fetched",
+            failures.len(),
+            offer.files.len()
+        );
+        return Err(StageError::new(message)
+            .cause(format!("`{}`: {}", first.name, first.cause))
+            .hint("run again: what is here stays, and half a download goes on"));
+    }
+    Ok(work.files(offer))
+}
+
+impl Sol<'_> {
+    fn bring(&mut self, offer: &Offer) -> Result<Vec<Failure>, StageError> {
+        self.settle(offer)?;
+        let mut wanted: Vec<(&String, &Offered)> = Vec::new();
+        for (name, offered) in &offer.files {
+            self.ctx.check()?;
+            if !self.is_here(name, offered) {
+                wanted.push((name, offered));
+            }
+        }
+        if wanted.is_empty() {
+            return Ok(Vec::new());
+        }
+        if self.remote.site.access == Access::Offline {
+            let message = format!("{} files of sol {} are not in the store", wanted.len(), self.sol);
+            return Err(StageError::new(message)
+                .cause(format!("the first is `{}`", wanted[0].0))
+                .hint("run once without --offline"));
+        }
+        self.download(&wanted)
+    }
+
+    /// Takes what came with the listing, and drops pins of what is offered no more.
+    fn settle(&mut self, offer: &Offer) -> Result<(), StageError> {
+        self.pins.files.retain(|name, _| offer.files.contains_key(name));
+        self.pins.gone.retain(|name, _| offer.files.contains_key(name));
+        self.pins.left_out.clone_from(&offer.left_out);
+        for (name, offered) in &offer.files {
+            let Some(bytes) = &offered.bytes else {
+                continue;
+            };
+            let blake3 = self.ctx.put(bytes)?;
+            let pinned = self.pins.files.get(name);
+            if pinned.is_some_and(|pin| pin.blake3 == blake3) {
+                continue;
+            }
+            // A record may be revised: the new one is used, the old one is kept.
+            let before = pinned
+                .into_iter()
+                .flat_map(|pin| pin.others.iter().copied().chain([pin.blake3]));
+            let pin = Pin {
+                bytes: bytes.len() as u64,
+                blake3,
+                url: lock::WITH_LISTING.to_owned(),
+                fetched: now(),
+                validators: Validators::default(),
+                listed: None,
+                others: before.collect(),
+            };
+            self.pins.files.insert(name.clone(), pin);
+        }
+        Ok(())
+    }
+
+    fn is_here(&self, name: &str, offered: &Offered) -> bool {
+        let Some(pin) = self.pins.files.get(name) else {
+            return false;
+        };
+        let same = changed(pin.listed.as_deref(), offered.listed.as_deref()).is_none();
+        same && self.ctx.get(&pin.blake3).is_ok()
+    }
+
+    fn download(&mut self, wanted: &[(&String, &Offered)]) -> Result<Vec<Failure>, StageError> {
+        let wants: Vec<Want> = wanted
+            .iter()
+            .map(|(name, offered)| self.want(name, offered))
+            .collect();
+        let (mut failures, mut meter, began) = (Vec::new(), Meter::new(wanted.len() as u64), Instant::now());
+        let (mut done, mut bytes) = (0, 0);
+        let client = self.remote.client()?;
+        client.get_all(self.ctx, &wants, &mut |index, answer| {
+            let (name, offered) = wanted[index];
+            let outcome = match answer {
+                Ok(answer) => {
+                    bytes += length(&answer);
+                    self.take(name, offered, &wants[index], answer)?
+                }
+                Err(error) => match *error.trouble {
+                    Trouble::Status(status) if !error.again => {
+                        self.pins.gone.insert(name.clone(), status);
+                        Ok(())
+                    }
+                    _ => Err(error.to_string()),
+                },
+            };
+            done += 1;
+            if let Err(cause) = outcome {
+                failures.push(Failure {
+                    name: name.clone(),
+                    cause,
+                });
+            }
+            let note = meter.note(began.elapsed(), done, bytes);
+            let traffic = client.traffic();
+            let note = format!(
+                "sol {}, {note}; {} requests, {} tried again",
+                self.sol, traffic.requests, traffic.retries
+            );
+            self.ctx.progress.at(done, wanted.len() as u64, &note);
+            if self.saved.elapsed() >= SAVE_EVERY {
+                self.save()
+            } else {
+                Ok(())
+            }
+        })?;
+        Ok(failures)
+    }
+
+    fn want(&self, name: &str, offered: &Offered) -> Want {
+        let pin = self.pins.files.get(name);
+        // A pin whose bytes are here is asked for on condition; one whose bytes are lost is asked for whole.
+        let here = pin.filter(|pin| self.ctx.get(&pin.blake3).is_ok());
+        // The one part of a server's name that reaches the disk is its digest.
+        let key = Digest::of(name.as_bytes());
+        Want {
+            urls: offered.urls.clone(),
+            cap_bytes: offered.cap_bytes,
+            known: here.map(|pin| pin.validators.clone()),
+            part: Some(self.ctx.scratch.join("downloads").join(format!("{key}.part"))),
+        }
+    }
+
+    /// The inner error is of this one file.
+    fn take(
+        &mut self,
+        name: &str,
+        offered: &Offered,
+        want: &Want,
+        answer: Answer,
+    ) -> Result<Result<(), String>, StageError> {
+        match answer {
+            Answer::Unchanged => {
+                if let Some(pin) = self.pins.files.get_mut(name) {
+                    pin.listed.clone_from(&offered.listed);
+                }
+            }
+            Answer::Absent { status, .. } => {
+                self.pins.gone.insert(name.to_owned(), status);
+            }
+            Answer::Whole {
+                bytes,
+                url,
+                validators,
+            } => {
+                if is_page(&bytes) {
+                    want.part.iter().for_each(|part| net::forget(part));
+                    return Ok(Err(format!("{url} answered a web page, not the file")));
+                }
+                let blake3 = self.ctx.put(&bytes)?;
+                let fresh = Pin {
+                    bytes: bytes.len() as u64,
+                    blake3,
+                    url,
+                    fetched: now(),
+                    validators,
+                    listed: offered.listed.clone(),
+                    others: Default::default(),
+                };
+                self.unsaved.extend(want.part.clone());
+                return self.pin(name, fresh);
+            }
+        }
+        Ok(Ok(()))
+    }
+
+    /// Pins new bytes; those that differ from pinned ones are kept beside them and never used.
+    fn pin(&mut self, name: &str, fresh: Pin) -> Result<Result<(), String>, StageError> {
+        self.pins.gone.remove(name);
+        let Some(old) = self.pins.files.get_mut(name) else {
+            self.pins.files.insert(name.to_owned(), fresh);
+            return Ok(Ok(()));
+        };
+        if old.blake3 == fresh.blake3 {
+            let others = std::mem::take(&mut old.others);
+            *old = Pin { others, ..fresh };
+            return Ok(Ok(()));
+        }
+        old.others.insert(fresh.blake3);
+        old.listed.clone_from(&fresh.listed);
+        if self.ctx.get(&old.blake3).is_ok() && self.remote.site.access == Access::Online {
+            return Ok(Ok(()));
+        }
+        Err(StageError::new(format!(
+            "`{name}` of sol {} is not what `{}` pins",
+            self.sol,
+            lock::FILE
+        ))
+        .cause(format!(
+            "{} gave {} bytes with blake3 {}, locked are {} bytes with {}",
+            fresh.url, fresh.bytes, fresh.blake3, old.bytes, old.blake3
+        ))
+        .hint(format!(
+            "the archive changed a product without a new version; to accept it, delete its line from `{}` \
+                           and run without --locked",
+            lock::FILE
+        )))
+    }
+
+    /// Writes the lock, then gives up the parts it now stands for.
+    fn save(&mut self) -> Result<(), StageError> {
+        let site = &self.remote.site;
+        let mut state = self.remote.state();
+        let pins = state.pins.get_or_insert_default();
+        if pins.sols.get(&self.sol) != Some(&self.pins) {
+            pins.sols.insert(self.sol, self.pins.clone());
+            if site.access == Access::Online {
+                lock::write(&site.lock, &site.name, pins)?;
+            }
+        }
+        self.saved = Instant::now();
+        self.unsaved.drain(..).for_each(|part| net::forget(&part));
+        Ok(())
+    }
+
+    fn files(&self, offer: &Offer) -> Vec<ArchiveFile> {
+        let here = self
+            .pins
+            .files
+            .iter()
+            .map(|(name, pin)| ArchiveFile::stored(name.clone(), pin.blake3, self.sol));
+        let changed = self.pins.files.iter().flat_map(|(name, pin)| {
+            pin.others.iter().map(move |other| {
+                let reason = match pin.url.as_str() {
+                    lock::WITH_LISTING => format!("the feed has revised this record since (blake3 {other} before); both are kept"),
+                    _ => format!(
+                        "alarm: the archive also gave other bytes under this name (blake3 {other}); both are kept, those \
+                         fetched first are used"
+                    ),
+                };
+                ArchiveFile::left_out(format!("{name} (other bytes)"), reason, self.sol)
+            })
+        });
+        let gone = self.pins.gone.iter().map(|(name, status)| {
+            let reason = format!("listed, but the server answered {status}");
+            ArchiveFile::left_out(name.clone(), reason, self.sol)
+        });
+        let left_out = offer
+            .left_out
+            .iter()
+            .map(|(name, why)| ArchiveFile::left_out(name.clone(), why.clone(), self.sol));
+        here.chain(changed).chain(gone).chain(left_out).collect()
+    }
+}
+
+fn length(answer: &Answer) -> u64 {
+    match answer {
+        Answer::Whole { bytes, .. } => bytes.len() as u64,
+        _ => 0,
+    }
+}
+
+/// A web page where a file should be: what a firewall answers with status 200.
+fn is_page(bytes: &[u8]) -> bool {
+    let start: Vec<u8> = bytes.iter().take(64).map(u8::to_ascii_lowercase).collect();
+    let start = start.trim_ascii_start();
+    start.starts_with(b"<!doctype html") || start.starts_with(b"<html")
+}
+
+fn now() -> String {
+    humantime::format_rfc3339_seconds(SystemTime::now()).to_string()
+}
