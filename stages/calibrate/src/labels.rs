@@ -298,3 +298,6 @@ pub(crate) fn median(points: &[Vector3<f64>]) -> Vector3<f64> {
         values.get(values.len() / 2).copied().unwrap_or(0.0)
     })
 }
+
+#[cfg(test)]
+mod stereo;

@@ -41,7 +41,7 @@ impl Define for Calibrate {
     const NAME: &'static str = "calibrate";
     const ABOUT: &'static str =
         "Photos to a calibrated scene: from what they show, from labels, or from imported cameras";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PORTS: &'static [Port] = &[
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),

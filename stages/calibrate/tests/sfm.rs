@@ -96,7 +96,7 @@ fn the_version_is_raised_when_structure_from_motion_answers_otherwise() {
     let (input, _) = demo();
     let output = input.run(&json!({"method": "sfm"})).unwrap();
     let found = (Calibrate::VERSION, output.scene_digest.short());
-    assert_eq!(found, (3, "f0fe36e61e08".to_owned()));
+    assert_eq!(found, (4, "f0fe36e61e08".to_owned()));
 }
 
 #[test]
@@ -216,6 +216,16 @@ fn a_panorama_is_refused_with_that_word() {
     for word in ["panorama", "pure rotation", "parallax", "method = \"labels\""] {
         assert!(complaint.contains(word), "{word}: {complaint}");
     }
+    assert!(
+        !complaint.contains("stood still"),
+        "no label says so: {complaint}"
+    );
+    input.stand_still(&[3, 1_950, 0]);
+    let complaint = input.complaint(&json!({"method": "sfm"}));
+    assert!(
+        complaint.contains("the rover stood still, at site, drive, pose [3, 1950, 0]"),
+        "{complaint}"
+    );
 }
 
 /// The authors' cameras of the mock-up, by COLMAP.

@@ -5,6 +5,8 @@ use crate::two_view::RelationKind;
 
 /// Fewer features than this cannot hold a photo.
 const FEW_FEATURES: usize = 60;
+/// Numbers of a motion counter that say where the rover stands: site, drive, pose.
+const PLACE: usize = 3;
 /// Names of photos a reason spells out.
 const NAMED: usize = 8;
 
@@ -19,6 +21,8 @@ pub(super) enum Cause {
     },
     Rotation {
         turns: usize,
+        /// Where the rover stood, if the labels say the same of all photos of these pairs.
+        place: Option<Vec<i64>>,
     },
     Component {
         rank: usize,
@@ -73,7 +77,10 @@ pub(super) fn cause(solved: &Solved<'_>, component: &[usize], photo: usize) -> C
         .iter()
         .all(|link| link.relation.kind == RelationKind::Rotation)
     {
-        return Cause::Rotation { turns: links.len() };
+        return Cause::Rotation {
+            turns: links.len(),
+            place: one_place(solved, links.iter().flat_map(|link| link.photos)),
+        };
     }
     if solved.models.is_empty() {
         let angles = links
@@ -112,6 +119,20 @@ pub(super) fn cause(solved: &Solved<'_>, component: &[usize], photo: usize) -> C
     }
 }
 
+/// Site, drive and pose of the rover's motion counter, where all these photos' labels have the same: then only its mast
+/// moved between them.
+fn one_place(solved: &Solved<'_>, photos: impl Iterator<Item = usize>) -> Option<Vec<i64>> {
+    let place = |photo: usize| {
+        let prior = solved.items[photo].facts.prior.as_ref()?;
+        prior.motion_counter.get(..PLACE).map(<[i64]>::to_vec)
+    };
+    let mut places = photos.map(place);
+    let first = places.next()??;
+    places
+        .all(|place| place.as_ref() == Some(&first))
+        .then_some(first)
+}
+
 impl Cause {
     /// The cause without what differs from photo to photo.
     pub(super) fn kind(&self) -> &'static str {
@@ -131,6 +152,16 @@ impl Cause {
                 ..
             } => "no three photos that overlap have both matches and parallax enough to begin with",
             Self::Alone => "a single photo: depth takes two or more, from different places",
+        }
+    }
+
+    /// What the labels say of a panorama, to follow its kind; empty where they say nothing.
+    pub(super) fn place(&self) -> String {
+        match self {
+            Self::Rotation {
+                place: Some(place), ..
+            } => format!("; the labels agree: the rover stood still, at site, drive, pose {place:?}"),
+            _ => String::new(),
         }
     }
 
@@ -169,7 +200,7 @@ impl fmt::Display for Cause {
             Self::Overlap { most } => {
                 write!(f, "no overlap: at most {most} matches with any other photo hold")
             }
-            Self::Rotation { turns } => write!(f, "{} ({turns} pairs)", self.kind()),
+            Self::Rotation { turns, .. } => write!(f, "{} ({turns} pairs){}", self.kind(), self.place()),
             Self::Component { rank, files, mapped } => {
                 let named = files
                     .iter()

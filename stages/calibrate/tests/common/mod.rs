@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use marf_cache::{Digest, manifest::Row};
 use marf_calibrate::{Calibrate, METRICS, Metrics, POINTS, SCENE, TRANSFORMS};
-use marf_scene::{Photo, PhotoFacts, Scene};
+use marf_scene::{Cahvor, CameraPrior, Photo, PhotoFacts, Scene};
 use marf_stage::{COMPANIONS, Inputs, PHOTOS, Stage, StageDef, StageError, Work, define, harness::Harness};
 
 /// Photos, companions and a store.
@@ -65,6 +65,30 @@ impl Input {
         pose.rotation = turn * pose.rotation;
         row.facts = facts.to_json();
         row.id.clone()
+    }
+
+    /// Gives every photo a label that says where the rover stood, and no more than a pinhole of its camera.
+    pub fn stand_still(&mut self, place: &[i64]) {
+        for (index, (_, row)) in (0..).zip(&mut self.rows) {
+            let mut facts = PhotoFacts::from_json(&row.facts).unwrap();
+            let focal_px = f64::from(facts.width);
+            facts.prior = Some(CameraPrior {
+                model: Cahvor {
+                    c: [0.0; 3],
+                    a: [0.0, 0.0, 1.0],
+                    h: [focal_px, 0.0, focal_px / 2.0],
+                    v: [0.0, focal_px, f64::from(facts.height) / 2.0],
+                    o: None,
+                    r: None,
+                    e: None,
+                },
+                frame: "ROVER_NAV_FRAME".to_owned(),
+                site_from_frame: None,
+                // Behind site, drive and pose: how the mast turned.
+                motion_counter: place.iter().copied().chain([index]).collect(),
+            });
+            row.facts = facts.to_json();
+        }
     }
 
     pub fn companion(&mut self, name: &str, bytes: &[u8]) {
