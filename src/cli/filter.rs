@@ -1,13 +1,15 @@
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use marf_engine::Cancel;
+use marf_stage::Verdict;
 
-use super::args::Global;
+use super::args::{FilterArgs, Global};
 use super::error::CliError;
 use super::run::{execute, options};
 use super::session::Session;
-use super::{files, say_json, verdicts};
+use super::{files, report, say_json, verdicts};
+use crate::show::{FACTORS, calls, percent};
 
 /// The chain of `marf filter`, with every filter's own defaults.
 const CHAIN: [&str; 7] = [
@@ -21,12 +23,14 @@ const CHAIN: [&str; 7] = [
 ];
 
 /// `marf filter DIR`: judges the photos of a folder.
-pub fn filter(global: &Global, dir: &Path, out: &Path, cancel: &Cancel) -> Result<(), CliError> {
-    let session = Session::implicit(&pipeline(dir), global)?;
+pub fn filter(global: &Global, args: &FilterArgs, cancel: &Cancel) -> Result<(), CliError> {
+    let session = Session::implicit(&pipeline(args), global)?;
     let (record, ended) = execute(&session, &options(global, &session.name), global, cancel)?;
-    let judged = verdicts::merged(&session, &record, &CHAIN)?;
+    let by_node = verdicts::by_node(&session, &record)?;
+    let judged = verdicts::merged(&by_node, &CHAIN);
     if !judged.is_empty() {
-        files::write(out, verdicts::csv(&judged).as_bytes())?;
+        files::write(&args.out, verdicts::csv(&judged).as_bytes())?;
+        report::write(&session, &record, &page(&args.out))?;
     }
     ended?;
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
@@ -39,14 +43,58 @@ pub fn filter(global: &Global, dir: &Path, out: &Path, cancel: &Cancel) -> Resul
     for (name, count) in &counts {
         crate::say(&format!("{name:<12} {count}"));
     }
-    crate::talk(&format!("wrote {}", out.display()));
+    crate::talk(&firmness(&by_node));
+    crate::talk(&format!(
+        "wrote {} and {}",
+        args.out.display(),
+        page(&args.out).display()
+    ));
     Ok(())
 }
 
-fn pipeline(dir: &Path) -> String {
-    let mut text = format!("name = \"filter\"\n{}", folder(dir));
+/// The page of the verdicts, beside the CSV.
+fn page(csv: &Path) -> PathBuf {
+    csv.with_extension("html")
+}
+
+/// How many verdicts of each filter would change at another threshold.
+fn firmness(by_node: &BTreeMap<String, Vec<Verdict>>) -> String {
+    let heads: Vec<String> = FACTORS
+        .iter()
+        .map(|factor| format!("{:>7}", percent(factor - 1.0)))
+        .collect();
+    let mut lines = vec![format!("{:<12} {}", "threshold", heads.concat())];
+    for name in CHAIN {
+        let calls = by_node
+            .get(name)
+            .map(|verdicts| calls(verdicts))
+            .unwrap_or_default();
+        let flips = |factor: f64| calls.iter().filter(|call| call.flips_at(factor)).count();
+        if !calls.is_empty() {
+            let cells: Vec<String> = FACTORS
+                .iter()
+                .map(|factor| format!("{:>7}", flips(*factor)))
+                .collect();
+            lines.push(format!(
+                "{name:<12} {} of {} verdicts change",
+                cells.concat(),
+                calls.len()
+            ));
+        }
+    }
+    lines.join("\n")
+}
+
+fn pipeline(args: &FilterArgs) -> String {
+    let mut text = format!("name = \"filter\"\n{}", folder(&args.dir));
     for pair in CHAIN.windows(2) {
         text.push_str(&format!("[node.{}]\ninput = \"{}\"\n", pair[1], pair[0]));
+    }
+    for (list, ids) in [("keep", &args.keep), ("reject", &args.reject)] {
+        if !ids.is_empty() {
+            let ids = toml::Value::from(ids.clone());
+            text.push_str(&format!("[{list}]\nids = {ids}\n"));
+        }
     }
     text
 }

@@ -12,27 +12,45 @@ use super::session::Session;
 /// Verdict of files that are no photos (labels, notes): they are not judged.
 const SKIPPED: &str = "skipped";
 
-/// Returns one verdict a photo, by file name: of the filter that rejected it, else of the last one.
+/// Returns the verdicts of every node that judged, by the node's name.
 ///
 /// # Errors
 /// Verdicts that the store has lost.
-pub fn merged(session: &Session, record: &RunRecord, chain: &[&str]) -> Result<Vec<Verdict>, CliError> {
-    let mut by_id: BTreeMap<String, Verdict> = BTreeMap::new();
-    for name in chain {
-        let node = record.nodes.iter().find(|node| node.name == *name);
-        let Some(output) = node.and_then(|node| node.outputs.get(VERDICTS)) else {
-            continue;
-        };
-        for verdict in parse(&session.store.get(&output.digest)?)? {
-            by_id.insert(verdict.id.clone(), verdict);
+pub fn by_node(session: &Session, record: &RunRecord) -> Result<BTreeMap<String, Vec<Verdict>>, CliError> {
+    let judged = record
+        .nodes
+        .iter()
+        .filter_map(|node| Some((node.name.clone(), node.outputs.get(VERDICTS)?)));
+    judged
+        .map(|(name, output)| Ok((name, parse(&session.store.get(&output.digest)?)?)))
+        .collect()
+}
+
+/// Returns all verdicts of a run that can still be read.
+pub fn all(session: &Session, record: &RunRecord) -> Vec<Verdict> {
+    let by_node = by_node(session, record).unwrap_or_default();
+    by_node.into_values().flatten().collect()
+}
+
+/// Returns one verdict a photo, by file name: of the filter of the chain that rejected it, else of the last one. A
+/// photo that a person kept against a filter says so.
+pub fn merged(by_node: &BTreeMap<String, Vec<Verdict>>, chain: &[&str]) -> Vec<Verdict> {
+    let mut by_id: BTreeMap<&str, &Verdict> = BTreeMap::new();
+    for verdict in chain.iter().filter_map(|name| by_node.get(*name)).flatten() {
+        let overruled = by_id
+            .get(verdict.id.as_str())
+            .is_some_and(|earlier| earlier.reason.starts_with("kept by hand, against"));
+        if !(overruled && verdict.keeps()) {
+            by_id.insert(&verdict.id, verdict);
         }
     }
     let mut verdicts: Vec<Verdict> = by_id
         .into_values()
         .filter(|verdict| verdict.verdict != SKIPPED)
+        .cloned()
         .collect();
     verdicts.sort_by(|a, b| a.file.cmp(&b.file));
-    Ok(verdicts)
+    verdicts
 }
 
 fn parse(bytes: &[u8]) -> Result<Vec<Verdict>, CliError> {

@@ -8,7 +8,7 @@ use marf_stage::{ParamError, Stage, StageDef};
 use serde_json::Value as Json;
 
 use super::low::{Entry, Located, Origin};
-use super::{ConfigError, nearest};
+use super::{Access, ConfigError, Wishes, by_hand, nearest};
 
 /// A checked pipeline.
 pub struct Pipeline {
@@ -33,11 +33,16 @@ pub struct Node {
 }
 
 /// Keys a whole pipeline may have.
-const TOP: [&str; 3] = ["name", "archive", "node"];
+const TOP: [&str; 5] = ["name", "archive", "node", "keep", "reject"];
 
-type Archives = BTreeMap<String, Json>;
+/// What nodes take from beside their own table.
+struct Around<'a> {
+    archives: BTreeMap<String, Json>,
+    device: Option<&'a Device>,
+    by_hand: Option<serde_json::Map<String, Json>>,
+}
 
-pub(super) fn check(root: &Located, device: Option<&Device>, base: &Path) -> Result<Pipeline, ConfigError> {
+pub(super) fn check(root: &Located, wishes: &Wishes, base: &Path) -> Result<Pipeline, ConfigError> {
     for entry in root.entries().unwrap_or_default() {
         if !TOP.contains(&entry.key.as_str()) {
             let message = format!("unknown key `{}`", entry.key);
@@ -48,16 +53,30 @@ pub(super) fn check(root: &Located, device: Option<&Device>, base: &Path) -> Res
         None => "marf".to_owned(),
         Some(entry) => text(entry)?.to_owned(),
     };
-    let archives = archives(root, base)?;
+    let around = Around {
+        archives: archives(root, wishes.access, base)?,
+        device: wishes.device.as_ref(),
+        by_hand: by_hand::lists(root)?,
+    };
     let tables = tables(root, "node")?;
     let names: Vec<&str> = tables.iter().map(|entry| entry.key.as_str()).collect();
     let nodes = tables
         .iter()
-        .map(|entry| node(entry, &names, &archives, device))
+        .map(|entry| node(entry, &names, &around))
         .collect::<Result<Vec<_>, _>>()?;
     if nodes.is_empty() {
         let hint = Some("write one with `marf init`".to_owned());
         return Err(ConfigError::at(root.at.clone(), "the pipeline has no node".to_owned()).hint(hint));
+    }
+    if around.by_hand.is_some() && !nodes.iter().any(|node| node.params.get(by_hand::PARAM).is_some()) {
+        let at = root.place(
+            by_hand::LISTS
+                .iter()
+                .find(|list| root.entry(list).is_some())
+                .unwrap_or(&""),
+        );
+        let message = "`[keep]` and `[reject]` overrule filters, but no node filters photos".to_owned();
+        return Err(ConfigError::at(at, message));
     }
     check_outputs(&nodes, tables)?;
     check_cycles(&nodes, tables)?;
@@ -77,28 +96,50 @@ fn tables<'a>(root: &'a Located, key: &str) -> Result<&'a [Entry], ConfigError> 
     }
 }
 
+/// Name of the lock file.
+const LOCK: &str = "marf.lock";
+/// Kinds of archives that lie on servers.
+const REMOTE: [&str; 2] = ["pds", "feed"];
+/// Key under which the program tells such an archive where it works.
+const SITE: &str = "site";
+
 /// Archives as JSON; a relative `path` is meant from the pipeline's folder.
-fn archives(root: &Located, base: &Path) -> Result<Archives, ConfigError> {
-    let mut archives = Archives::new();
+fn archives(root: &Located, access: Access, base: &Path) -> Result<BTreeMap<String, Json>, ConfigError> {
+    let mut archives = BTreeMap::new();
     for entry in tables(root, "archive")? {
         let mut json = entry.value.json();
         if let Some(Json::String(path)) = json.get_mut("path") {
             *path = base.join(&*path).to_string_lossy().into_owned();
+        }
+        if let Some(table) = json.as_object_mut().filter(|table| is_remote(table)) {
+            let lock = base.join(LOCK);
+            let site = serde_json::json!({ "name": entry.key, "lock": lock, "access": access.word() });
+            table.insert(SITE.to_owned(), site);
         }
         archives.insert(entry.key.clone(), json);
     }
     Ok(archives)
 }
 
+fn is_remote(table: &serde_json::Map<String, Json>) -> bool {
+    table
+        .get("kind")
+        .and_then(Json::as_str)
+        .is_some_and(|kind| REMOTE.contains(&kind))
+}
+
+/// The parameters as people wrote them.
+fn for_people(mut params: Json) -> Json {
+    if let Some(Json::Object(archive)) = params.get_mut("archive") {
+        archive.remove(SITE);
+    }
+    params
+}
+
 /// Key of stages that can run on several devices.
 const DEVICE: &str = "device";
 
-fn node(
-    entry: &Entry,
-    names: &[&str],
-    archives: &Archives,
-    device: Option<&Device>,
-) -> Result<Node, ConfigError> {
+fn node(entry: &Entry, names: &[&str], around: &Around<'_>) -> Result<Node, ConfigError> {
     let table = &entry.value;
     let def = stage_of(entry)?;
     let schema = (def.schema)();
@@ -117,7 +158,7 @@ fn node(
         if ports.contains(&key) {
             edges.insert(key.to_owned(), upstream(field, names)?);
         } else if key == "archive" && keys.contains(&key) {
-            params.insert(key.to_owned(), archive(field, archives)?);
+            params.insert(key.to_owned(), archive(field, &around.archives)?);
         } else if keys.contains(&key) {
             params.insert(key.to_owned(), field.value.json());
         } else {
@@ -138,10 +179,15 @@ fn node(
         let message = format!("`node.{name}` needs `{key} = \"…\"`, the node that gives it `{output}`");
         return Err(ConfigError::at(entry.at.clone(), message));
     }
-    if let Some(device) = device
+    if let Some(device) = around.device
         && keys.contains(&DEVICE)
     {
         params.entry(DEVICE).or_insert_with(|| device.to_string().into());
+    }
+    if let Some(lists) = &around.by_hand
+        && keys.contains(&by_hand::PARAM)
+    {
+        by_hand::lay_under(&mut params, lists);
     }
     let params = Json::Object(params);
     let stage = (def.bind)(params.clone()).map_err(|error| complaint(entry, &error))?;
@@ -150,7 +196,7 @@ fn node(
         def,
         stage,
         edges,
-        params,
+        params: for_people(params),
     })
 }
 
@@ -190,7 +236,7 @@ fn upstream(field: &Entry, names: &[&str]) -> Result<String, ConfigError> {
     Err(ConfigError::at(field.value.at.clone(), message).hint(nearest(name, names.iter().copied())))
 }
 
-fn archive(field: &Entry, archives: &Archives) -> Result<Json, ConfigError> {
+fn archive(field: &Entry, archives: &BTreeMap<String, Json>) -> Result<Json, ConfigError> {
     let name = text(field)?;
     archives.get(name).cloned().ok_or_else(|| {
         let message = format!("`archive = \"{name}\"` names no `[archive.*]` table");

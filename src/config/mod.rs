@@ -2,6 +2,7 @@
 //!
 //! Invariant: a key that no stage reads is refused, with the nearest name that one reads.
 
+mod by_hand;
 mod high;
 mod low;
 mod schema;
@@ -79,39 +80,65 @@ pub struct LoadError {
     pub hint: Option<String>,
 }
 
-/// Reads and checks a pipeline file, with `--set` arguments laid over it and `--device` under it.
+/// What the command line says for all nodes and archives.
+#[derive(Debug, Clone, Default)]
+pub struct Wishes {
+    /// What nodes run on that can run on several devices and name none.
+    pub device: Option<Device>,
+    /// What may be asked of the network.
+    pub access: Access,
+}
+
+/// What may be asked of the network.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Access {
+    /// Everything.
+    #[default]
+    Online,
+    /// Products that the lock file names.
+    Locked,
+    /// Nothing.
+    Offline,
+}
+
+impl Access {
+    /// Returns the word that archives know it by.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Online => "online",
+            Self::Locked => "locked",
+            Self::Offline => "offline",
+        }
+    }
+}
+
+/// Reads and checks a pipeline file, with `--set` arguments laid over it.
 ///
 /// # Errors
 /// A file that cannot be read, and everything [`ConfigError`] says.
-pub fn load(file: &Path, sets: &[String], device: Option<&Device>) -> Result<Loaded, LoadError> {
+pub fn load(file: &Path, sets: &[String], wishes: &Wishes) -> Result<Loaded, LoadError> {
     let text = std::fs::read_to_string(file).map_err(|error| LoadError {
         message: format!("{}: {error}", file.display()),
         hint: Some("write one with `marf init`, or name another with `--file`".to_owned()),
     })?;
     let base = file.parent().map(Path::to_path_buf).unwrap_or_default();
-    let pipeline = check(&text, sets, device, &base).map_err(|error| LoadError {
+    let pipeline = check(&text, sets, wishes, &base).map_err(|error| LoadError {
         message: error.render(file, &text),
         hint: error.hint.clone(),
     })?;
     Ok(Loaded { pipeline, text })
 }
 
-/// Checks a pipeline's text; relative paths of archives are meant from `base`, and `device` is for nodes that can run
-/// on several and name none.
+/// Checks a pipeline's text; relative paths of archives are meant from `base`, where marf.lock lies too.
 ///
 /// # Errors
 /// The first thing that is wrong, with its place.
-pub fn check(
-    text: &str,
-    sets: &[String],
-    device: Option<&Device>,
-    base: &Path,
-) -> Result<Pipeline, ConfigError> {
+pub fn check(text: &str, sets: &[String], wishes: &Wishes, base: &Path) -> Result<Pipeline, ConfigError> {
     let mut root = low::parse(text)?;
     for argument in sets {
         low::set(&mut root, argument)?;
     }
-    high::check(&root, device, &PathBuf::from(base))
+    high::check(&root, wishes, &PathBuf::from(base))
 }
 
 /// Returns "did you mean `x`?" for the nearest of some names, if one is near.

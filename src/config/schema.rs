@@ -29,6 +29,8 @@ pub fn schema() -> Json {
         "additionalProperties": false,
         "properties": {
             "name": {"type": "string", "description": "Name of the pipeline."},
+            "keep": super::by_hand::schema("keeps"),
+            "reject": super::by_hand::schema("rejects"),
             "archive": {"type": "object", "additionalProperties": {"type": "object"}, "description": "Where photos come from, by name."},
             "node": {
                 "type": "object",

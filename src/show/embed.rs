@@ -9,6 +9,7 @@ use image::{ExtendedColorType, ImageEncoder, RgbImage, imageops};
 use marf_cache::Digest;
 use marf_scene::{Image, Photo, Srgb, encode_png};
 use maud::{Markup, html};
+use serde::{Deserialize, Serialize};
 
 use super::ReportInput;
 use super::format::megabytes;
@@ -32,8 +33,8 @@ pub(super) enum Form {
     Map,
 }
 
-/// A picture ready for an `img`.
-#[derive(Debug, Clone)]
+/// A picture ready for an `img`; kept in the store, so that a report after a new threshold decodes nothing.
+#[derive(Debug, Clone, Serialize, Deserialize)]
 struct Embedded {
     uri: String,
     width: u32,
@@ -54,7 +55,7 @@ impl Pictures {
         let key = (*digest, form);
         let known = self.made.borrow().get(&key).cloned();
         let made = known.unwrap_or_else(|| {
-            let made = decode(input, digest).and_then(|image| embed(&image, form));
+            let made = embed_stored(input, digest, form);
             self.made.borrow_mut().insert(key, made.clone());
             made
         });
@@ -102,10 +103,29 @@ impl Pictures {
     }
 }
 
+/// Raised by hand when the same picture would be embedded as other bytes.
+const VERSION: u32 = 1;
+
+/// Embeds a stored picture, or takes what an earlier report made of it.
+fn embed_stored(input: &ReportInput<'_>, digest: &Digest, form: Form) -> Result<Embedded, String> {
+    let key = Digest::of(format!("picture {VERSION} {form:?} {digest}").as_bytes());
+    let known = input.memos.load(&key);
+    if let Some(known) = known.and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
+        return Ok(known);
+    }
+    let made = decode(input, digest).and_then(|image| embed(&image, form))?;
+    // Strings and numbers always serialise; a table that is empty is made anew.
+    input
+        .memos
+        .save(&key, &serde_json::to_vec(&made).unwrap_or_default());
+    Ok(made)
+}
+
 /// Decodes a stored picture.
 pub(super) fn decode(input: &ReportInput<'_>, digest: &Digest) -> Result<Image<Srgb>, String> {
     let bytes = (input.read)(digest).ok_or_else(|| not_stored("The picture", digest))?;
-    let photo = Photo::decode(&bytes).map_err(|error| format!("The picture cannot be shown: {error}."))?;
+    let photo =
+        Photo::decode_again(&bytes).map_err(|error| format!("The picture cannot be shown: {error}."))?;
     Ok(photo.image)
 }
 

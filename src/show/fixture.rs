@@ -66,6 +66,7 @@ impl Store {
             program: "marf 0.1.0".to_owned(),
             nodes: nodes.to_vec(),
             read: &|digest| self.blobs.get(digest).cloned(),
+            memos: &marf_stage::harness::Harness::default(),
         })
     }
 }

@@ -8,6 +8,7 @@ use super::embed::{Form, words};
 use super::format::{count, number};
 use super::page::Page;
 use super::photos::{last_photo_nodes, verdicts};
+use super::review::{Closest, against, closest};
 
 /// Most thumbnails of one gallery.
 const MOST_THUMBS: usize = 60;
@@ -78,11 +79,11 @@ fn score(verdict: &Verdict) -> Option<String> {
     ))
 }
 
-fn name_of<'p>(page: &'p Page<'_>, id: &'p str) -> &'p str {
+pub(super) fn name_of<'p>(page: &'p Page<'_>, id: &'p str) -> &'p str {
     page.photos.get(id).map_or(id, |photo| photo.file.as_str())
 }
 
-fn thumb(page: &Page<'_>, id: &str, what: &str) -> Markup {
+pub(super) fn thumb(page: &Page<'_>, id: &str, what: &str) -> Markup {
     let Some(photo) = page.photos.get(id) else {
         return words("This photo is in no manifest of the run.");
     };
@@ -99,10 +100,11 @@ pub(super) fn kept(page: &Page<'_>) -> Markup {
     if last.is_empty() {
         return page.absent("photos");
     }
-    html! { @for node in last { (kept_by(page, node)) } }
+    let closest = closest(page);
+    html! { @for node in last { (kept_by(page, node, &closest)) } }
 }
 
-fn kept_by(page: &Page<'_>, node: &NodeView) -> Markup {
+fn kept_by(page: &Page<'_>, node: &NodeView, closest: &Closest<'_>) -> Markup {
     let ids = match page.photos.ids_of(&node.name) {
         Some(Ok(ids)) => ids,
         Some(Err(missing)) => return html! { (missing) },
@@ -112,7 +114,15 @@ fn kept_by(page: &Page<'_>, node: &NodeView) -> Markup {
         p { (count(ids.len(), "photo")) " after " (node.name) "." }
         div.gallery.small {
             @for id in spread(ids) {
-                figure { (thumb(page, id, "kept photo")) figcaption { span.file { (name_of(page, id)) } } }
+                figure {
+                    (thumb(page, id, "kept photo"))
+                    figcaption {
+                        span.file { (name_of(page, id)) }
+                        @if let Some((filter, verdict, margin)) = closest.get(id) {
+                            span.quiet { "closest: " (filter) " " (against(verdict, *margin)) }
+                        }
+                    }
+                }
             }
         }
         (not_shown(ids.len()))

@@ -19,6 +19,7 @@ mod page;
 mod photos;
 mod pictures;
 mod quality;
+mod review;
 mod sizes;
 mod tune;
 mod vector;
@@ -37,6 +38,7 @@ use marf_cache::Digest;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use page::Page;
+pub use review::{Call, FACTORS, calls, percent};
 
 /// Looks up the bytes of a digest; `None` where the store does not have them.
 pub type ReadBlob<'a> = dyn Fn(&Digest) -> Option<Arc<[u8]>> + 'a;
@@ -55,6 +57,8 @@ pub struct ReportInput<'a> {
     pub nodes: Vec<NodeView>,
     /// The store.
     pub read: &'a ReadBlob<'a>,
+    /// Where pictures as they are embedded are kept from report to report.
+    pub memos: &'a dyn marf_stage::Memos,
 }
 
 /// A node of the pipeline as the run left it.
@@ -158,19 +162,36 @@ impl Section {
 
 fn sections(page: &Page<'_>) -> Vec<Section> {
     let section = |id, title, body| Section { id, title, body };
-    vec![
+    let mut sections = vec![
         section("graph", "Pipeline", graph::body(page)),
         section("nodes", "Nodes", nodes::body(page)),
         section("funnel", "Filters", funnel::body(page)),
         section("rejected", "Rejected photos", gallery::rejected(page)),
         section("kept", "Kept photos", gallery::kept(page)),
+        section("review", "How firm the verdicts are", review::body(page)),
+    ];
+    if filters_alone(page.input) {
+        return sections;
+    }
+    sections.extend([
         section("cameras", "Cameras", cameras::body(page)),
         section("tune", "Tuning", tune::body(page)),
         section("training", "Training", curves::body(page)),
         section("heldout", "Held-out photos", pictures::held_out(page)),
         section("uncertainty", "Uncertainty", maps::body(page)),
         section("flight", "Fly-through", pictures::flights(page)),
-    ]
+    ]);
+    sections
+}
+
+/// Tells whether the pipeline only finds and judges photos, so that nothing is to be said of a scene.
+fn filters_alone(input: &ReportInput<'_>) -> bool {
+    let stages = marf_stages::stages();
+    let judges = |node: &NodeView| {
+        let def = stages.iter().find(|def| def.name == node.stage);
+        def.is_some_and(|def| def.outputs.contains(&marf_stage::VERDICTS))
+    };
+    !input.nodes.is_empty() && input.nodes.iter().all(judges)
 }
 
 fn header(page: &Page<'_>, sections: &[Section]) -> Markup {

@@ -2,12 +2,13 @@ use super::fixture::{HOSTILE, full, giving, node, verdict};
 use super::*;
 
 const VOID: [&str; 4] = ["meta", "img", "br", "hr"];
-const TITLES: [&str; 11] = [
+const TITLES: [&str; 12] = [
     "Pipeline",
     "Nodes",
     "Filters",
     "Rejected photos",
     "Kept photos",
+    "How firm the verdicts are",
     "Cameras",
     "Tuning",
     "Training",

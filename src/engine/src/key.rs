@@ -88,7 +88,8 @@ fn walk_named(digests: &BTreeMap<String, Digest>, listener: &mut dyn Listener) {
 pub(crate) struct PartContent<'a> {
     /// What part it is (`fetch`, `measure`, `fold`).
     pub(crate) what: &'static str,
-    pub(crate) def: &'a StageDef,
+    pub(crate) stage: &'static str,
+    pub(crate) version: u32,
     pub(crate) params: &'a dyn ContentHash,
     pub(crate) of: &'a dyn ContentHash,
 }
@@ -97,9 +98,9 @@ impl ContentHash for PartContent<'_> {
     fn walk(&self, listener: &mut dyn Listener) {
         listener.open(self.what, 4);
         listener.field("stage");
-        listener.text(self.def.name);
+        listener.text(self.stage);
         listener.field("version");
-        listener.unsigned(u64::from(self.def.version));
+        listener.unsigned(u64::from(self.version));
         listener.field("params");
         self.params.walk(listener);
         listener.field("of");

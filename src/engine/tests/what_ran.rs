@@ -141,7 +141,10 @@ fn of_a_new_shard_only_that_shard_is_fetched_measured_and_folded() {
     world.forget();
     world.put_shard(3);
     let (record, ears) = run_on(&line.graph(), &store);
-    assert_eq!(reason_of(&ears, "archive").unwrap(), "shard 3 is new");
+    assert_eq!(
+        reason_of(&ears, "archive").unwrap(),
+        "shard 3 is new; 3 shards there"
+    );
     assert_eq!(world.take_fetched(), vec![3]);
     assert_eq!(
         world.take_measured(),

@@ -3,7 +3,9 @@ use marf_stage::{
     Ctx, Define, Map, Measure, Measured, PHOTOS, ParamError, Port, Stage, StageError, VERDICTS, Verdict, Work,
 };
 
-use crate::filter::{Filter, Seen, Sight, Unreadable, facts_of, undecodable};
+use crate::filter::{Filter, Seen, facts_of, undecodable};
+use crate::survey::{self, Section, Surveyed, survey, unreadable};
+use crate::{SECTIONS, VERSIONS};
 
 /// Inputs of every filter: one set of photos.
 pub(crate) const PORTS: &[Port] = &[Port::required("input", PHOTOS)];
@@ -24,6 +26,7 @@ impl<F: Filter> Define for Judge<F> {
     const OUTPUTS: &'static [&'static str] = OUTPUTS;
 
     fn new(params: F::Params) -> Result<Self, ParamError> {
+        F::by_hand(&params).check()?;
         F::check(&params)?;
         Ok(Self { params })
     }
@@ -39,22 +42,40 @@ impl<F: Filter> Stage for Judge<F> {
     }
 }
 
+impl<F: Filter> Surveyed for Judge<F> {
+    const SECTION: Option<Section> = match F::MEASURE {
+        None => None,
+        Some(_) => Some(Section {
+            name: F::NAME,
+            version: F::VERSION,
+            measure: |look| match F::MEASURE {
+                Some(measure) => serde_json::to_vec(&measure(look)),
+                None => Ok(Vec::new()),
+            },
+        }),
+    };
+}
+
 impl<F: Filter> Measure for Judge<F> {
     /// No parameter of a filter changes what it measures.
     fn measure_params(&self) -> &dyn ContentHash {
-        &NO_PARAMS
+        if F::MEASURE.is_some() {
+            &VERSIONS
+        } else {
+            &NO_PARAMS
+        }
     }
 
-    /// Returns JSON: `{"Ok": measure}`, or `{"Err": reason}` for bytes that are no whole photo.
+    fn shared(&self) -> Option<(&'static str, u32)> {
+        F::MEASURE.map(|_| survey::TABLE)
+    }
+
+    /// Returns the survey of the photo; nothing where facts are enough.
     fn measure(&self, ctx: &Ctx<'_>, row: &Row) -> Result<Vec<u8>, StageError> {
-        let measure = match F::measure(&Sight::new(ctx, row)) {
-            Ok(measure) => Ok(measure),
-            Err(Unreadable::Photo(reason)) => Err(reason),
-            Err(Unreadable::Store(error)) => return Err(error),
-        };
-        serde_json::to_vec(&measure).map_err(|error| {
-            StageError::new(format!("measure of `{}` cannot be written", row.id)).cause(error.to_string())
-        })
+        match F::MEASURE {
+            Some(_) => survey(SECTIONS, ctx, row),
+            None => Ok(Vec::new()),
+        }
     }
 }
 
@@ -64,7 +85,7 @@ impl<F: Filter> Map for Judge<F> {
         let mut unread = Vec::with_capacity(items.len());
         for item in items {
             let facts = facts_of(item.row)?;
-            match parse::<F::Measure>(item)? {
+            match read::<F>(item)? {
                 Ok(measure) => {
                     unread.push(None);
                     seen.push(Seen {
@@ -77,12 +98,14 @@ impl<F: Filter> Map for Judge<F> {
             }
         }
         let opinions = F::decide(&self.params, &seen);
+        let by_hand = F::by_hand(&self.params);
         let mut judged = seen.iter().zip(opinions);
         let verdicts = items.iter().zip(unread).map(|(item, unread)| {
             let missing = || StageError::new(format!("filter `{}` gave too few opinions", F::NAME));
             unread.map_or_else(
                 || {
                     let (seen, opinion) = judged.next().ok_or_else(missing)?;
+                    let opinion = by_hand.overrule(&seen.id, &seen.facts.file, opinion);
                     Ok(opinion.verdict(F::NAME, item.row, &seen.facts))
                 },
                 Ok,
@@ -92,13 +115,18 @@ impl<F: Filter> Map for Judge<F> {
     }
 }
 
-/// What a filter's measure depends on beside the photo: nothing.
-pub(crate) const NO_PARAMS: [u8; 0] = [];
+/// What a filter that judges by facts depends on beside the photo: nothing.
+const NO_PARAMS: [u8; 0] = [];
 
-fn parse<M: serde::de::DeserializeOwned>(item: &Measured<'_>) -> Result<Result<M, String>, StageError> {
-    serde_json::from_slice(item.measure).map_err(|error| {
-        StageError::new(format!("measure of `{}` cannot be read", item.row.id))
-            .cause(error.to_string())
-            .hint("run `marf cache fsck`: the store may be damaged")
-    })
+/// Returns the filter's own part of a measure, or why the photo could not be decoded.
+fn read<F: Filter>(item: &Measured<'_>) -> Result<Result<F::Measure, String>, StageError> {
+    let part = match F::MEASURE {
+        // Facts are enough: the measure is empty, and the unit type is JSON's `null`.
+        None if item.measure.is_empty() => Ok(&b"null"[..]),
+        None => return Err(unreadable(item.row, "it should be empty")),
+        Some(_) => survey::part(item.measure, F::NAME, item.row)?,
+    };
+    let parse = |part| serde_json::from_slice(part).map_err(|error| unreadable(item.row, error));
+    part.map(parse)
+        .map_or_else(|reason| Ok(Err(reason)), |measure| measure.map(Ok))
 }

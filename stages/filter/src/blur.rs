@@ -3,8 +3,10 @@ use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::filter::{Filter, Opinion, Seen, Sight, Unreadable, within};
-use crate::luma::{Bends, Plane};
+use crate::by_hand::ByHand;
+use crate::filter::{Filter, Opinion, Seen, within};
+use crate::look::Look;
+use crate::octave::Octave;
 use crate::statistics::{Ranked, by_instrument};
 
 /// Rejects photos that are out of focus, smeared by motion, or nothing but noise.
@@ -43,6 +45,8 @@ pub struct BlurParams {
     pub max_multiple: f64,
     /// Smallest variance of the Laplacian in squared 8-bit steps, for `rule = "laplacian"`.
     pub tau: f64,
+    /// Photos on which a person has decided; filled from `[keep]` and `[reject]` of the pipeline.
+    pub by_hand: ByHand,
 }
 
 impl Default for BlurParams {
@@ -50,13 +54,14 @@ impl Default for BlurParams {
         Self {
             rule: BlurRule::Reblur,
             min_ratio: 9.0,
-            min_share: 0.5,
+            min_share: 0.55,
             floor_ratio: 3.0,
-            ceiling_ratio: 11.0,
+            ceiling_ratio: 11.5,
             min_set: 5,
             max_ratio: 400.0,
             max_multiple: 6.0,
             tau: 60.0,
+            by_hand: ByHand::default(),
         }
     }
 }
@@ -70,16 +75,6 @@ pub struct Sharpness {
     octaves: Vec<Octave>,
 }
 
-/// Sums of squared second differences before and after one more blur, in squared steps of 1/256.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-struct Octave {
-    pixels: u64,
-    /// Along rows, along columns.
-    before: [u64; 2],
-    /// Along rows, along columns.
-    after: [u64; 2],
-}
-
 /// Sizes that are judged, each half of the one before: a motion of 15 pixels leaves the finest scale to the noise of
 /// JPEG (ratio 8 to 14), but is plain at half size (4 to 8).
 const OCTAVES: usize = 3;
@@ -87,9 +82,14 @@ const OCTAVES: usize = 3;
 impl Filter for Blur {
     const NAME: &'static str = "blur";
     const ABOUT: &'static str = "rejects photos that are blurred or mere noise";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     type Params = BlurParams;
     type Measure = Sharpness;
+    const MEASURE: Option<fn(&Look) -> Sharpness> = Some(sharpness);
+
+    fn by_hand(params: &BlurParams) -> &ByHand {
+        &params.by_hand
+    }
 
     fn check(params: &BlurParams) -> Result<(), ParamError> {
         within("min_ratio", params.min_ratio, 0.01, 1e6)?;
@@ -99,10 +99,6 @@ impl Filter for Blur {
         within("max_ratio", params.max_ratio, params.min_ratio, 1e12)?;
         within("max_multiple", params.max_multiple, 1.0, 1e6)?;
         within("tau", params.tau, 0.0, 1e6)
-    }
-
-    fn measure(sight: &Sight<'_>) -> Result<Sharpness, Unreadable> {
-        Ok(sharpness(Plane::of(&sight.photo()?.image)))
     }
 
     fn decide(params: &BlurParams, photos: &[Seen<Sharpness>]) -> Vec<Opinion> {
@@ -123,49 +119,22 @@ impl Filter for Blur {
     }
 }
 
-fn sharpness(plane: Plane) -> Sharpness {
-    let laplacian = plane.laplacian_variance();
+fn sharpness(look: &Look) -> Sharpness {
     let mut octaves = Vec::new();
-    let mut next = Some(plane);
-    while let Some(plane) =
-        next.filter(|plane| octaves.len() < OCTAVES && plane.width > 2 && plane.height > 2)
-    {
-        octaves.push(Octave::of(&plane));
-        next = plane.halved();
-    }
-    Sharpness { laplacian, octaves }
-}
-
-impl Octave {
-    fn of(plane: &Plane) -> Self {
-        let pair = |bends: Bends| [bends.along_rows, bends.along_columns];
-        Self {
-            pixels: plane.values.len() as u64,
-            before: pair(plane.bends()),
-            after: pair(plane.blurred().bends()),
+    let luma = &look.luma;
+    if luma.width > 2 && luma.height > 2 {
+        octaves.push(Octave::of_luma(luma));
+        let mut next = luma.halved();
+        while let Some(plane) =
+            next.filter(|plane| octaves.len() < OCTAVES && plane.width > 2 && plane.height > 2)
+        {
+            octaves.push(Octave::of_plane(&plane));
+            next = plane.halved();
         }
     }
-
-    /// Returns how much larger the second differences are before the blur than after; 1 where there are none.
-    fn ratio(&self, axis: usize) -> f64 {
-        // One step of 1/256 a pixel on both sides: below rounding, and flat photos get 1 instead of 0 / 0.
-        (self.before[axis] + self.pixels) as f64 / (self.after[axis] + self.pixels) as f64
-    }
-}
-
-impl Octave {
-    /// Returns the smaller ratio of both axes, and the axis.
-    fn lowest(&self) -> (f64, usize) {
-        let ratios = [self.ratio(0), self.ratio(1)];
-        if ratios[1] < ratios[0] {
-            (ratios[1], 1)
-        } else {
-            (ratios[0], 0)
-        }
-    }
-
-    fn highest(&self) -> f64 {
-        self.ratio(0).max(self.ratio(1))
+    Sharpness {
+        laplacian: look.laplacian.variance,
+        octaves,
     }
 }
 

@@ -6,16 +6,20 @@ use marf_stage::{Ctx, Define, Fold, Measure, Measured, ParamError, Port, Stage, 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::adapter::{NO_PARAMS, OUTPUTS, PORTS};
-use crate::filter::{Opinion, Sight, Unreadable, facts_of, undecodable, within};
+use crate::adapter::{OUTPUTS, PORTS};
+use crate::by_hand::ByHand;
+use crate::filter::{Opinion, facts_of, undecodable, within};
+use crate::kin::{Kin, development, kin};
 use crate::near::{bits, brightness_bits, correlation, same_aspect};
 use crate::sketch::{Sketch, take};
+use crate::survey::{self, Section, Surveyed, survey, unreadable};
+use crate::{SECTIONS, VERSIONS};
 
 /// Rejects photos that show the same view as a better one, up to size, light and colour filter.
 ///
-/// Best first: broad-band before narrow-band, colour before gray, then sharpest, largest, smallest id. A photo
-/// goes only if it is itself like one that stays, so a chain of neighbours is never lost; and a photo of an
-/// earlier sol always stays before one of a later sol.
+/// Best first: kept by hand, broad-band before narrow-band, colour before gray, radiance before other versions of an
+/// exposure, then sharpest, largest, smallest id. A photo goes only if it is itself like one that stays, so a chain of
+/// neighbours is never lost; and a photo of an earlier sol always stays before one of a later sol.
 pub struct Duplicate {
     params: DuplicateParams,
 }
@@ -42,10 +46,15 @@ pub struct DuplicateParams {
     /// Smallest correlation of the gradient images of two duplicates. Copies reach 0.99, video
     /// neighbours 0.94, stereo partners 0.87.
     pub min_correlation: f64,
-    /// The same for two photos that one camera took on one sol through different colour filters.
+    /// The same for one pointing through different colour filters, by name or label. Where only camera, sol and filter
+    /// are known, the mean of this and `min_correlation`.
     pub filter_correlation: f64,
+    /// The same for two versions of one exposure by name (EFF, RAD, RSL): low, it only guards against wrong names.
+    pub version_correlation: f64,
     /// Hashes closer than this many bits are duplicates, for `rule = "phash"`.
     pub max_bits: u32,
+    /// Photos on which a person has decided; filled from `[keep]` and `[reject]` of the pipeline.
+    pub by_hand: ByHand,
 }
 
 impl Default for DuplicateParams {
@@ -54,8 +63,10 @@ impl Default for DuplicateParams {
             rule: DuplicateRule::Confirmed,
             candidate_bits: 14,
             min_correlation: 0.975,
-            filter_correlation: 0.9,
+            filter_correlation: 0.8,
+            version_correlation: 0.5,
             max_bits: 5,
+            by_hand: ByHand::default(),
         }
     }
 }
@@ -64,7 +75,7 @@ impl Define for Duplicate {
     type Params = DuplicateParams;
     const NAME: &'static str = "duplicate";
     const ABOUT: &'static str = "rejects photos that show the same view as a better one";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PORTS: &'static [Port] = PORTS;
     const OUTPUTS: &'static [&'static str] = OUTPUTS;
 
@@ -73,6 +84,8 @@ impl Define for Duplicate {
         within("max_bits", f64::from(params.max_bits), 0.0, 65.0)?;
         within("min_correlation", params.min_correlation, -1.0, 1.0)?;
         within("filter_correlation", params.filter_correlation, -1.0, 1.0)?;
+        within("version_correlation", params.version_correlation, -1.0, 1.0)?;
+        params.by_hand.check()?;
         Ok(Self { params })
     }
 }
@@ -87,18 +100,26 @@ impl Stage for Duplicate {
     }
 }
 
+impl Surveyed for Duplicate {
+    const SECTION: Option<Section> = Some(Section {
+        name: Self::NAME,
+        version: Self::VERSION,
+        measure: |look| Ok(Sketch::of(look).encode()),
+    });
+}
+
 impl Measure for Duplicate {
     fn measure_params(&self) -> &dyn ContentHash {
-        &NO_PARAMS
+        &VERSIONS
     }
 
-    /// Returns a byte 1 and the sketch (some 12 KB), or a byte 0 and why the photo cannot be decoded.
+    fn shared(&self) -> Option<(&'static str, u32)> {
+        Some(survey::TABLE)
+    }
+
+    /// Returns the survey of the photo; its part for this filter is a sketch of some 12 KB.
     fn measure(&self, ctx: &Ctx<'_>, row: &Row) -> Result<Vec<u8>, StageError> {
-        match Sight::new(ctx, row).photo() {
-            Ok(photo) => Ok([&[1][..], &Sketch::of(photo).encode()].concat()),
-            Err(Unreadable::Photo(reason)) => Ok([&[0][..], reason.as_bytes()].concat()),
-            Err(Unreadable::Store(error)) => Err(error),
-        }
+        survey(SECTIONS, ctx, row)
     }
 }
 
@@ -117,11 +138,13 @@ impl Fold for Duplicate {
             .enumerate()
             .filter_map(|(at, item)| item.as_ref().ok().map(|view| (at, view)))
             .collect();
-        best_first.sort_by(|a, b| a.1.better(b.1));
+        let wanted = |view: &View| self.params.by_hand.keeps(&view.id, &view.facts.file);
+        best_first.sort_by(|a, b| wanted(b.1).cmp(&wanted(a.1)).then_with(|| a.1.better(b.1)));
         let mut verdicts: Vec<Option<Verdict>> =
             read.iter().map(|item| item.as_ref().err().cloned()).collect();
         for (at, view) in best_first {
             let opinion = self.judge(view, &kept);
+            let opinion = self.params.by_hand.overrule(&view.id, &view.facts.file, opinion);
             if opinion.keep {
                 kept.push(view.clone());
             }
@@ -153,27 +176,19 @@ impl View {
             .is_broad()
             .cmp(&self.is_broad())
             .then_with(|| (other.sketch.colour >= COLOUR).cmp(&(self.sketch.colour >= COLOUR)))
+            .then_with(|| development(&self.id).cmp(&development(&other.id)))
             .then_with(|| other.sketch.sharpness.total_cmp(&self.sketch.sharpness))
             .then_with(|| area(other).cmp(&area(self)))
             .then_with(|| self.id.cmp(&other.id))
     }
 
-    /// Tells whether the archive names no colour filter, or the broad-band one.
+    /// Tells whether the archive names no colour filter, or a broad-band one: `0` of the science cameras, `F` (full
+    /// colour), `E` (its mosaic) and `M` (panchromatic) of the engineering cameras of Mars 2020.
     fn is_broad(&self) -> bool {
         self.facts
             .filter
             .as_deref()
-            .is_none_or(|filter| matches!(filter, "0" | "UNK" | ""))
-    }
-
-    /// Tells whether one camera took both on one sol through different filters, as the archive says.
-    fn differs_in_filter(&self, other: &Self) -> bool {
-        let same = self.facts.instrument.is_some()
-            && self.facts.instrument == other.facts.instrument
-            && self.facts.sol == other.facts.sol;
-        same && self.facts.filter.is_some()
-            && other.facts.filter.is_some()
-            && self.facts.filter != other.facts.filter
+            .is_none_or(|filter| matches!(filter, "0" | "UNK" | "" | "F" | "E" | "M"))
     }
 }
 
@@ -201,31 +216,33 @@ impl Duplicate {
     /// Returns by how much the pair is over its threshold, and the opinion; `None` if it is no candidate.
     fn confirm(&self, view: &View, other: &View) -> Option<(f64, Opinion)> {
         let bits = bits(&view.sketch, &other.sketch);
-        let by_filter = view.differs_in_filter(other);
-        if bits > self.params.candidate_bits && !by_filter {
+        let kin = kin((&view.id, &view.facts), (&other.id, &other.facts));
+        if bits > self.params.candidate_bits && kin == Kin::Unknown {
             return None;
         }
-        let limit = if by_filter {
-            self.params.filter_correlation.min(self.params.min_correlation)
-        } else {
-            self.params.min_correlation
-        };
+        let limit = self.limit(kin);
         let score = correlation(&view.sketch, &other.sketch);
         let reason = || {
-            let filter = if by_filter {
-                ", same camera through another colour filter"
-            } else {
-                ""
-            };
+            let (twin, words) = (&other.id, kin.words());
             format!(
-                "like `{}`: gradients correlate {score:.3}, at least {limit}, hashes {bits} bits apart{filter}",
-                other.id
+                "like `{twin}`: gradients correlate {score:.3}, at least {limit}, hashes {bits} bits apart{words}"
             )
         };
         Some((
             score - limit,
             compared(score >= limit, score, limit, reason, other),
         ))
+    }
+
+    fn limit(&self, kin: Kin) -> f64 {
+        let (usual, filter) = (self.params.min_correlation, self.params.filter_correlation);
+        let limit = match kin {
+            Kin::Version => self.params.version_correlation,
+            Kin::Filter => filter,
+            Kin::PerhapsFilter => (usual + filter) / 2.0,
+            Kin::Unknown => usual,
+        };
+        limit.min(usual)
     }
 
     fn hashes_alone(&self, view: &View, other: &View) -> (f64, Opinion) {
@@ -241,7 +258,10 @@ impl Duplicate {
 
 fn compared(alike: bool, score: f64, limit: f64, reason: impl Fn() -> String, other: &View) -> Opinion {
     if !alike {
-        return Opinion::keep(score, limit);
+        return Opinion {
+            reason: format!("nearest is `{}`", other.id),
+            ..Opinion::keep(score, limit)
+        };
     }
     Opinion {
         twin: Some(other.id.clone()),
@@ -252,18 +272,14 @@ fn compared(alike: bool, score: f64, limit: f64, reason: impl Fn() -> String, ot
 /// Returns the photo, or its verdict if it could not be decoded.
 fn read_item(item: &Measured<'_>) -> Result<Result<View, Verdict>, StageError> {
     let facts = facts_of(item.row)?;
-    match item.measure.split_first() {
-        Some((1, mut sketch)) => {
-            let sketch = Sketch::decode(&mut sketch)
-                .ok_or_else(|| broken(format!("measure of `{}` cannot be read", item.row.id)))?;
+    match survey::part(item.measure, Duplicate::NAME, item.row)? {
+        Ok(mut sketch) => {
+            let sketch =
+                Sketch::decode(&mut sketch).ok_or_else(|| unreadable(item.row, "it is no sketch"))?;
             let id = item.row.id.clone();
             Ok(Ok(View { id, facts, sketch }))
         }
-        Some((0, reason)) => {
-            let reason = String::from_utf8_lossy(reason).into_owned();
-            Ok(Err(undecodable(item.row, &facts, reason)))
-        }
-        _ => Err(broken(format!("measure of `{}` cannot be read", item.row.id))),
+        Err(reason) => Ok(Err(undecodable(item.row, &facts, reason))),
     }
 }
 
@@ -324,5 +340,5 @@ fn read_view(bytes: &mut &[u8]) -> Option<View> {
 }
 
 fn broken(message: String) -> StageError {
-    StageError::new(message).hint("run `marf cache fsck`: the store may be damaged")
+    StageError::new(message).hint("the store may be damaged: measure again in an empty one, `--store DIR`")
 }

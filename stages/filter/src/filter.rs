@@ -1,10 +1,11 @@
-use std::sync::OnceLock;
-
 use marf_cache::{ContentHash, manifest::Row};
-use marf_scene::{Photo, PhotoFacts};
-use marf_stage::{Ctx, ParamError, StageError, Verdict};
+use marf_scene::PhotoFacts;
+use marf_stage::{ParamError, StageError, Verdict};
 use schemars::JsonSchema;
 use serde::{Serialize, de::DeserializeOwned};
+
+use crate::by_hand::ByHand;
+use crate::look::Look;
 
 /// A rule that keeps or rejects photos, its measure apart from its decision.
 pub trait Filter: Send + Sync + Sized + 'static {
@@ -25,65 +26,17 @@ pub trait Filter: Send + Sync + Sized + 'static {
     /// Names the key that is out of range.
     fn check(params: &Self::Params) -> Result<(), ParamError>;
 
-    /// Measures one photo, a pure function of its bytes: facts may change while the bytes stay, so they are
-    /// read in `decide`.
+    /// Returns what a person has decided on single photos.
+    fn by_hand(params: &Self::Params) -> &ByHand;
+
+    /// Measures one photo, a pure function of its pixels: facts may change while the bytes stay, so they are read in
+    /// `decide`. `None` where facts are enough; `Measure` is then `()`.
     ///
-    /// # Errors
-    /// A photo that cannot be decoded, or a store that cannot be read.
-    fn measure(sight: &Sight<'_>) -> Result<Self::Measure, Unreadable>;
+    /// All filters of the table measure a photo in one go, from one decode (`survey.rs`).
+    const MEASURE: Option<fn(&Look) -> Self::Measure>;
 
     /// Returns one opinion for each photo, in the same order; the opinions themselves do not depend on it.
     fn decide(params: &Self::Params, photos: &[Seen<Self::Measure>]) -> Vec<Opinion>;
-}
-
-/// Why a photo has no measure.
-#[derive(Debug, Clone, thiserror::Error)]
-pub enum Unreadable {
-    /// Its bytes are no whole photo: a verdict of its own.
-    #[error("{0}")]
-    Photo(String),
-    /// The store or the manifest is at fault: stops the node.
-    #[error(transparent)]
-    Store(#[from] StageError),
-}
-
-/// What a measure may look at: one photo, decoded when asked for and at most once.
-pub struct Sight<'a> {
-    ctx: Ctx<'a>,
-    row: &'a Row,
-    photo: OnceLock<Result<Photo, Unreadable>>,
-}
-
-impl<'a> Sight<'a> {
-    /// Looks at the item of a row.
-    pub fn new(ctx: &Ctx<'a>, row: &'a Row) -> Self {
-        Self {
-            ctx: *ctx,
-            row,
-            photo: OnceLock::new(),
-        }
-    }
-
-    /// Returns the decoded photo.
-    ///
-    /// # Errors
-    /// A row without image, a blob that cannot be read, bytes that are no whole photo.
-    pub fn photo(&self) -> Result<&Photo, Unreadable> {
-        self.photo
-            .get_or_init(|| read(&self.ctx, self.row))
-            .as_ref()
-            .map_err(Clone::clone)
-    }
-}
-
-fn read(ctx: &Ctx<'_>, row: &Row) -> Result<Photo, Unreadable> {
-    let digest = row.blobs.get("image");
-    let digest = digest.ok_or_else(|| StageError::new(format!("photo `{}` has no blob `image`", row.id)))?;
-    let photo = Photo::decode(&ctx.get(digest)?).map_err(|error| Unreadable::Photo(error.to_string()))?;
-    if photo.image.pixels.is_empty() {
-        return Err(Unreadable::Photo("the image has no pixels".to_owned()));
-    }
-    Ok(photo)
 }
 
 /// A photo at the moment of decision.

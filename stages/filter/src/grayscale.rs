@@ -1,10 +1,11 @@
 use marf_cache::ContentHash;
-use marf_scene::{Image, Srgb};
 use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::filter::{Filter, Opinion, Seen, Sight, Unreadable, within};
+use crate::by_hand::ByHand;
+use crate::filter::{Filter, Opinion, Seen, within};
+use crate::look::Look;
 
 /// Rejects photos without colour: one band, or three equal ones within the noise of JPEG.
 pub struct Grayscale;
@@ -30,6 +31,8 @@ pub struct GrayscaleParams {
     pub min_spread: u8,
     /// Smallest share of pixels with colour, in [0, 1].
     pub min_share: f64,
+    /// Photos on which a person has decided; filled from `[keep]` and `[reject]` of the pipeline.
+    pub by_hand: ByHand,
 }
 
 impl Default for GrayscaleParams {
@@ -38,6 +41,7 @@ impl Default for GrayscaleParams {
             keep: Keep::Color,
             min_spread: 8,
             min_share: 0.005,
+            by_hand: ByHand::default(),
         }
     }
 }
@@ -47,27 +51,27 @@ impl Default for GrayscaleParams {
 pub struct Spread {
     /// Bands stored in the file.
     bands: u8,
-    /// Pixels by (largest channel - smallest channel); trailing zeros are cut.
+    /// Pixels of a sample by (largest channel - smallest channel); trailing zeros are cut.
     pixels: Vec<u32>,
 }
 
 impl Filter for Grayscale {
     const NAME: &'static str = "grayscale";
     const ABOUT: &'static str = "rejects photos without colour";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     type Params = GrayscaleParams;
     type Measure = Spread;
+    const MEASURE: Option<fn(&Look) -> Spread> = Some(|look| Spread {
+        bands: look.photo.bands,
+        pixels: spread(look.sample()),
+    });
+
+    fn by_hand(params: &GrayscaleParams) -> &ByHand {
+        &params.by_hand
+    }
 
     fn check(params: &GrayscaleParams) -> Result<(), ParamError> {
         within("min_share", params.min_share, 0.0, 1.0)
-    }
-
-    fn measure(sight: &Sight<'_>) -> Result<Spread, Unreadable> {
-        let photo = sight.photo()?;
-        Ok(Spread {
-            bands: photo.bands,
-            pixels: spread(&photo.image),
-        })
     }
 
     fn decide(params: &GrayscaleParams, photos: &[Seen<Spread>]) -> Vec<Opinion> {
@@ -76,9 +80,9 @@ impl Filter for Grayscale {
 }
 
 /// Counts pixels by the difference of their largest and smallest channel.
-fn spread(image: &Image<Srgb>) -> Vec<u32> {
+fn spread(pixels: impl Iterator<Item = [u8; 3]>) -> Vec<u32> {
     let mut counts = vec![0_u32; 256];
-    for &[red, green, blue] in &image.pixels {
+    for [red, green, blue] in pixels {
         let spread = red.max(green).max(blue) - red.min(green).min(blue);
         counts[usize::from(spread)] += 1;
     }

@@ -1,11 +1,12 @@
 use marf_cache::ContentHash;
-use marf_scene::{Image, Srgb};
 use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::filter::{Filter, Opinion, Seen, Sight, Unreadable, within};
-use crate::luma::luma;
+use crate::by_hand::ByHand;
+use crate::filter::{Filter, Opinion, Seen, within};
+use crate::look::Look;
+use crate::luma::{Luma, luma};
 use crate::statistics::{Ranked, by_instrument};
 
 /// Rejects photos whose brightness or colours do not belong to the set, and photos with lost areas.
@@ -16,7 +17,7 @@ pub struct Histogram;
 #[serde(rename_all = "snake_case")]
 pub enum HistogramRule {
     /// Distance to the set's median histograms of brightness and of two colour differences, against the
-    /// distances of the other photos; and the share of areas without any detail.
+    /// distances of the other photos; and the shares of the photo that are flat, burnt out or black.
     Robust,
     /// The paper's rule: more than half of the bins of brightness are further than one standard deviation from
     /// the set's mean, the photo itself left out of both.
@@ -32,17 +33,25 @@ pub struct HistogramParams {
     /// Largest share of 8 x 8 blocks of one single brightness: areas lost in transmission, blocks, stripes. In a
     /// set it is counted on top of the upper quartile of the other photos of the instrument.
     pub max_flat: f64,
-    /// A distance to the median histogram up to this is never held against a photo, in 8-bit steps: by so much
-    /// light and colour wander between good photos.
+    /// Largest share of pixels without information: burnt out (a channel at 254 and more) or black (all at 4 and
+    /// less). In a set it is counted on top of the upper quartile of the other photos of the instrument. Good photos of
+    /// three cameras have 0.054 at most, a Navcam photo of burnt-out ground 0.40.
+    pub max_clipped: f64,
+    /// A distance of brightness to the median histogram up to this is never held against a photo, in 8-bit steps: a
+    /// good Navcam photo in deep shadow is 67 away, an underexposed one of the demo 84, one of an eighth of the light 110.
+    pub min_light: f64,
+    /// The same for the two colour differences: by so much colours wander between good photos.
     pub min_distance: f64,
     /// Largest distance: the median of the others' distances plus this multiple of (upper quartile - median).
     pub spreads: f64,
-    /// Fewest photos of one instrument that make a set; in a smaller one only `max_flat` judges.
+    /// Fewest photos of one instrument that make a set; in a smaller one only `max_flat` and `max_clipped` judge.
     pub min_set: u32,
     /// Largest share of bins out of place, for `rule = "paper"`.
     pub max_bins: f64,
     /// How many standard deviations a bin may be off, for `rule = "paper"`.
     pub sigmas: f64,
+    /// Photos on which a person has decided; filled from `[keep]` and `[reject]` of the pipeline.
+    pub by_hand: ByHand,
 }
 
 impl Default for HistogramParams {
@@ -50,11 +59,14 @@ impl Default for HistogramParams {
         Self {
             rule: HistogramRule::Robust,
             max_flat: 0.2,
+            max_clipped: 0.25,
+            min_light: 75.0,
             min_distance: 24.0,
             spreads: 8.0,
             min_set: 5,
             max_bins: 0.5,
             sigmas: 1.0,
+            by_hand: ByHand::default(),
         }
     }
 }
@@ -62,7 +74,7 @@ impl Default for HistogramParams {
 /// Where a photo's brightness and colours lie.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Tones {
-    /// Pixels by brightness, 256 bins of 1 step.
+    /// Pixels of a sample by brightness, 256 bins of 1 step.
     luma: Vec<u32>,
     /// Pixels by red - green + 256, 128 bins of 4 steps.
     red_green: Vec<u32>,
@@ -72,28 +84,37 @@ pub struct Tones {
     blocks: u32,
     /// Those of one single brightness.
     flat_blocks: u32,
+    /// Pixels of the sample that are burnt out or black.
+    clipped: u32,
 }
 
 const BLOCK: usize = 8;
+/// A channel from here on has lost what it measured.
+const BURNT: u8 = 254;
+/// A pixel is black if no channel is above this.
+const BLACK: u8 = 4;
 const CHANNELS: [(&str, f64); 3] = [("brightness", 1.0), ("red - green", 4.0), ("blue - green", 4.0)];
 
 impl Filter for Histogram {
     const NAME: &'static str = "histogram";
     const ABOUT: &'static str = "rejects photos whose brightness or colours do not belong to the set";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     type Params = HistogramParams;
     type Measure = Tones;
+    const MEASURE: Option<fn(&Look) -> Tones> = Some(tones);
+
+    fn by_hand(params: &HistogramParams) -> &ByHand {
+        &params.by_hand
+    }
 
     fn check(params: &HistogramParams) -> Result<(), ParamError> {
         within("max_flat", params.max_flat, 0.0, 1.0)?;
+        within("max_clipped", params.max_clipped, 0.0, 1.0)?;
+        within("min_light", params.min_light, 0.0, 512.0)?;
         within("min_distance", params.min_distance, 0.0, 512.0)?;
         within("spreads", params.spreads, 0.0, 1e6)?;
         within("max_bins", params.max_bins, 0.0, 1.0)?;
         within("sigmas", params.sigmas, 0.0, 1e6)
-    }
-
-    fn measure(sight: &Sight<'_>) -> Result<Tones, Unreadable> {
-        Ok(tones(&sight.photo()?.image))
     }
 
     fn decide(params: &HistogramParams, photos: &[Seen<Tones>]) -> Vec<Opinion> {
@@ -112,30 +133,33 @@ impl Filter for Histogram {
     }
 }
 
-fn tones(image: &Image<Srgb>) -> Tones {
-    let brightness: Vec<u8> = image.pixels.iter().map(|pixel| luma(*pixel)).collect();
+fn tones(look: &Look) -> Tones {
     let mut tones = Tones {
         luma: vec![0; 256],
         red_green: vec![0; 128],
         blue_green: vec![0; 128],
-        blocks: (image.width / BLOCK as u32) * (image.height / BLOCK as u32),
-        flat_blocks: flat_blocks(&brightness, image.width as usize),
+        blocks: ((look.luma.width / BLOCK) * (look.luma.height / BLOCK)) as u32,
+        flat_blocks: flat_blocks(&look.luma),
+        clipped: 0,
     };
-    for (value, [red, green, blue]) in brightness.iter().zip(&image.pixels) {
-        let difference = |channel: u8| (256 + usize::from(channel) - usize::from(*green)) / 4;
-        tones.luma[usize::from(*value)] += 1;
-        tones.red_green[difference(*red)] += 1;
-        tones.blue_green[difference(*blue)] += 1;
+    for pixel in look.sample() {
+        let [red, green, blue] = pixel;
+        let difference = |channel: u8| (256 + usize::from(channel) - usize::from(green)) / 4;
+        let most = red.max(green).max(blue);
+        tones.clipped += u32::from(!(BLACK + 1..BURNT).contains(&most));
+        tones.luma[usize::from(luma(pixel))] += 1;
+        tones.red_green[difference(red)] += 1;
+        tones.blue_green[difference(blue)] += 1;
     }
     tones
 }
 
-fn flat_blocks(brightness: &[u8], width: usize) -> u32 {
+fn flat_blocks(luma: &Luma) -> u32 {
     let mut flat = 0;
-    for rows in brightness.chunks_exact((BLOCK * width).max(1)) {
-        for left in (0..(width / BLOCK) * BLOCK).step_by(BLOCK) {
+    for rows in luma.values.chunks_exact((BLOCK * luma.width).max(1)) {
+        for left in (0..(luma.width / BLOCK) * BLOCK).step_by(BLOCK) {
             let first = rows[left];
-            let mut lines = rows.chunks_exact(width).map(|row| &row[left..left + BLOCK]);
+            let mut lines = rows.chunks_exact(luma.width).map(|row| &row[left..left + BLOCK]);
             flat += u32::from(lines.all(|line| line.iter().all(|value| *value == first)));
         }
     }
@@ -145,6 +169,11 @@ fn flat_blocks(brightness: &[u8], width: usize) -> u32 {
 impl Tones {
     fn flat_share(&self) -> f64 {
         f64::from(self.flat_blocks) / f64::from(self.blocks.max(1))
+    }
+
+    fn clipped_share(&self) -> f64 {
+        let all: u64 = self.luma.iter().map(|count| u64::from(*count)).sum();
+        f64::from(self.clipped) / all.max(1) as f64
     }
 
     fn channel(&self, channel: usize) -> &[u32] {
@@ -164,40 +193,57 @@ impl Tones {
     }
 }
 
-/// Returns the opinions on the photos of one instrument, worst complaint first.
+/// A share of a photo that holds no picture: how it is read, its limit, what it is called.
+type Lost = (fn(&Tones) -> f64, fn(&HistogramParams) -> f64, &'static str);
+
+const LOST: [Lost; 2] = [
+    (
+        Tones::flat_share,
+        |params| params.max_flat,
+        "in blocks of one single brightness",
+    ),
+    (
+        Tones::clipped_share,
+        |params| params.max_clipped,
+        "burnt out or black",
+    ),
+];
+
+/// Returns the opinions on the photos of one instrument: of all complaints the worst.
 fn robust(params: &HistogramParams, tones: &[&Tones]) -> Vec<Opinion> {
     let set = tones.len() >= params.min_set as usize;
-    let flat = Ranked::new(tones.iter().map(|tones| tones.flat_share()).collect());
-    let mut opinions: Vec<Opinion> = tones
-        .iter()
-        .map(|tones| {
-            let usual = if set {
-                flat.without(tones.flat_share(), 3, 4)
-            } else {
-                0.0
-            };
-            judge_flat(tones.flat_share(), params.max_flat + usual)
-        })
-        .collect();
-    if !set {
-        return opinions;
+    let mut opinions: Vec<Option<Opinion>> = vec![None; tones.len()];
+    for (share, limit, what) in LOST {
+        let ranked = Ranked::new(tones.iter().map(|tones| share(tones)).collect());
+        for (opinion, tones) in opinions.iter_mut().zip(tones) {
+            let share = share(tones);
+            let usual = if set { ranked.without(share, 3, 4) } else { 0.0 };
+            *opinion = Some(worse(
+                opinion.take(),
+                judge_lost(share, limit(params) + usual, what),
+            ));
+        }
     }
-    for (channel, (name, step)) in CHANNELS.iter().enumerate() {
+    let floors = [params.min_light, params.min_distance, params.min_distance];
+    for (channel, (name, step)) in CHANNELS.iter().enumerate().filter(|_| set) {
         let distances = distances(tones, channel, *step);
         let ranked = Ranked::new(distances.clone());
         for (opinion, distance) in opinions.iter_mut().zip(distances) {
             let (median, quartile) = (ranked.without(distance, 1, 2), ranked.without(distance, 3, 4));
-            let limit = (median + params.spreads * (quartile - median)).max(params.min_distance);
-            *opinion = worse(opinion, judge_distance(name, distance, median, limit));
+            let limit = (median + params.spreads * (quartile - median)).max(floors[channel]);
+            *opinion = Some(worse(
+                opinion.take(),
+                judge_distance(name, distance, median, limit),
+            ));
         }
     }
-    opinions
+    opinions.into_iter().flatten().collect()
 }
 
-fn judge_flat(share: f64, limit: f64) -> Opinion {
+fn judge_lost(share: f64, limit: f64, what: &str) -> Opinion {
     if share > limit {
         let reason = format!(
-            "{:.0} % of the photo in blocks of one single brightness, at most {:.0} %",
+            "{:.0} % of the photo {what}, at most {:.0} %",
             100.0 * share,
             100.0 * limit
         );
@@ -217,12 +263,11 @@ fn judge_distance(name: &str, distance: f64, usual: f64, limit: f64) -> Opinion 
 }
 
 /// Returns the opinion whose score is the largest part of its threshold; the earlier one of equals.
-fn worse(earlier: &Opinion, later: Opinion) -> Opinion {
+fn worse(earlier: Option<Opinion>, later: Opinion) -> Opinion {
     let part = |opinion: &Opinion| opinion.score.unwrap_or(0.0) / opinion.threshold.unwrap_or(1.0).max(1e-9);
-    if part(&later) > part(earlier) {
-        later
-    } else {
-        earlier.clone()
+    match earlier {
+        Some(earlier) if part(&later) <= part(&earlier) => earlier,
+        _ => later,
     }
 }
 

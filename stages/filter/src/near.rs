@@ -13,14 +13,14 @@ pub(crate) fn bits(a: &Sketch, b: &Sketch) -> u32 {
     let pairs = a
         .hashes
         .iter()
-        .flat_map(|x| b.hashes.iter().map(move |y| (x ^ y).count_ones()));
+        .flat_map(|x| b.hashes.iter().map(move |y| x.dist(y)));
     pairs.min().unwrap_or(u64::BITS)
 }
 
 /// Returns the distance between the hashes of brightness, in bits.
 pub(crate) fn brightness_bits(a: &Sketch, b: &Sketch) -> u32 {
     match (a.hashes.first(), b.hashes.first()) {
-        (Some(a), Some(b)) => (a ^ b).count_ones(),
+        (Some(a), Some(b)) => a.dist(b),
         _ => u64::BITS,
     }
 }

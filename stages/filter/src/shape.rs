@@ -6,7 +6,9 @@ use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::filter::{Filter, Opinion, Seen, Sight, Unreadable, within};
+use crate::by_hand::ByHand;
+use crate::filter::{Filter, Opinion, Seen, within};
+use crate::look::Look;
 
 /// Rejects thumbnails, and photos smaller than asked for or much smaller than their camera's others.
 pub struct Shape;
@@ -25,6 +27,10 @@ pub struct ShapeParams {
     /// A size that at least this share of the photos of an instrument has is one of its own formats (tiles, strips) and is
     /// not held against `min_share`; two photos at the least.
     pub common_share: f64,
+    /// Fewest photos of one instrument that make a set; in a smaller one nothing is an odd one out.
+    pub min_set: u32,
+    /// Photos on which a person has decided; filled from `[keep]` and `[reject]` of the pipeline.
+    pub by_hand: ByHand,
 }
 
 impl Default for ShapeParams {
@@ -34,6 +40,8 @@ impl Default for ShapeParams {
             min_height: 240,
             min_share: 0.6,
             common_share: 0.1,
+            min_set: 5,
+            by_hand: ByHand::default(),
         }
     }
 }
@@ -41,18 +49,19 @@ impl Default for ShapeParams {
 impl Filter for Shape {
     const NAME: &'static str = "shape";
     const ABOUT: &'static str = "rejects thumbnails and photos that are too small";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     type Params = ShapeParams;
     type Measure = ();
+    /// The sizes are facts of the photo.
+    const MEASURE: Option<fn(&Look)> = None;
+
+    fn by_hand(params: &ShapeParams) -> &ByHand {
+        &params.by_hand
+    }
 
     fn check(params: &ShapeParams) -> Result<(), ParamError> {
         within("min_share", params.min_share, 0.0, 1.0)?;
         within("common_share", params.common_share, 0.0, 1.0)
-    }
-
-    /// Costs nothing: the sizes are facts of the photo.
-    fn measure(_sight: &Sight<'_>) -> Result<(), Unreadable> {
-        Ok(())
     }
 
     fn decide(params: &ShapeParams, photos: &[Seen<()>]) -> Vec<Opinion> {
@@ -125,7 +134,8 @@ fn judge(params: &ShapeParams, facts: &PhotoFacts, camera: Option<&Camera>) -> O
             format!("{size}, height at least {least}"),
         );
     }
-    let (short, usual) = (sides(facts).0, camera.map_or(0, Camera::median_short));
+    let set = camera.filter(|camera| camera.photos >= params.min_set as usize);
+    let (short, usual) = (sides(facts).0, set.map_or(0, Camera::median_short));
     let least = params.min_share * f64::from(usual);
     let common = camera.is_some_and(|camera| camera.is_common(sides(facts), params.common_share));
     if f64::from(short) < least && !common {

@@ -3,7 +3,9 @@ use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::filter::{Filter, Opinion, Seen, Sight, Unreadable, within};
+use crate::by_hand::ByHand;
+use crate::filter::{Filter, Opinion, Seen, within};
+use crate::look::Look;
 
 /// Rejects photos that carry too few bytes: broken downloads and pictures compressed to mud.
 pub struct Size;
@@ -17,6 +19,8 @@ pub struct SizeParams {
     /// Fewest stored bits a pixel; 0 turns it off. JPEG at the lowest quality takes 0.15 to 0.17, real photos of
     /// Perseverance take 0.7 and more.
     pub min_bits_per_pixel: f64,
+    /// Photos on which a person has decided; filled from `[keep]` and `[reject]` of the pipeline.
+    pub by_hand: ByHand,
 }
 
 impl Default for SizeParams {
@@ -24,6 +28,7 @@ impl Default for SizeParams {
         Self {
             min_bytes: 20_000,
             min_bits_per_pixel: 0.25,
+            by_hand: ByHand::default(),
         }
     }
 }
@@ -31,17 +36,18 @@ impl Default for SizeParams {
 impl Filter for Size {
     const NAME: &'static str = "size";
     const ABOUT: &'static str = "rejects photos that carry too few bytes";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     type Params = SizeParams;
     type Measure = ();
+    /// The sizes are facts of the photo.
+    const MEASURE: Option<fn(&Look)> = None;
+
+    fn by_hand(params: &SizeParams) -> &ByHand {
+        &params.by_hand
+    }
 
     fn check(params: &SizeParams) -> Result<(), ParamError> {
         within("min_bits_per_pixel", params.min_bits_per_pixel, 0.0, 48.0)
-    }
-
-    /// Costs nothing: the sizes are facts of the photo.
-    fn measure(_sight: &Sight<'_>) -> Result<(), Unreadable> {
-        Ok(())
     }
 
     fn decide(params: &SizeParams, photos: &[Seen<()>]) -> Vec<Opinion> {

@@ -112,6 +112,19 @@ pub struct Listing {
     pub shards: Vec<Shard>,
     /// Files beside the photos (cameras of another program), by relative name; their bytes are in the store.
     pub companions: BTreeMap<String, Digest>,
+    /// What bringing it would take, for people (`90 files to fetch`); not part of the key.
+    #[content_hash(skip)]
+    pub note: Option<String>,
+}
+
+impl Listing {
+    /// Returns a reason followed by the note, if there is one.
+    pub fn noted(&self, reason: &str) -> String {
+        match &self.note {
+            Some(note) => format!("{reason}; {note}"),
+            None => reason.to_owned(),
+        }
+    }
 }
 
 /// What one shard brought.
@@ -142,6 +155,13 @@ pub trait Source: Send + Sync {
 pub trait Measure: Send + Sync {
     /// What of the parameters the measure depends on; thresholds are not among it.
     fn measure_params(&self) -> &dyn ContentHash;
+
+    /// Name and version under which measures are kept, where several stages measure the same: what one of them has
+    /// measured none measures again. `measure_params` then tells all that the measure depends on. `None`: the
+    /// stage's own name and version.
+    fn shared(&self) -> Option<(&'static str, u32)> {
+        None
+    }
 
     /// Measures one item; a pure function of the bytes behind the row, kept by them.
     ///

@@ -77,9 +77,7 @@ impl<'a> Tables<'a> {
     fn load(job: &'a Job<'a>, stage: &dyn Measure, parts: &[Part]) -> Result<Self, StageError> {
         let mut by_shard = BTreeMap::new();
         for part in parts {
-            let key = job
-                .part_key("measure", stage.measure_params(), &part.shard)
-                .digest;
+            let key = job.table_key(stage, part.shard);
             let blob = job.store.memo(&key).map_err(store_error)?;
             // A table that is gone or damaged is an empty one.
             let bytes = blob.and_then(|blob| job.store.get(&blob).ok());

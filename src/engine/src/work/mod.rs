@@ -8,8 +8,8 @@ mod source;
 
 use std::collections::BTreeMap;
 
-use marf_cache::{Circumstances, ContentHash, Record, Store, StoreError};
-use marf_stage::{Ctx, Inputs, Listing, NodeSpec, Outputs, Stage, StageDef, StageError, Work};
+use marf_cache::{Circumstances, ContentHash, Digest, Record, Store, StoreError};
+use marf_stage::{Ctx, Inputs, Listing, Measure, NodeSpec, Outputs, Stage, StageDef, StageError, Work};
 
 use crate::{
     bench::blob_error,
@@ -65,11 +65,25 @@ impl Job<'_> {
     fn part_key(&self, what: &'static str, params: &dyn ContentHash, of: &dyn ContentHash) -> Key {
         let content = PartContent {
             what,
-            def: self.def,
+            stage: self.def.name,
+            version: self.def.version,
             params,
             of,
         };
         content.key()
+    }
+
+    /// Returns the key of the table of measures of one shard, which several stages may share.
+    fn table_key(&self, measure: &dyn Measure, shard: u32) -> Digest {
+        let (stage, version) = measure.shared().unwrap_or((self.def.name, self.def.version));
+        let content = PartContent {
+            what: "measure",
+            stage,
+            version,
+            params: measure.measure_params(),
+            of: &shard,
+        };
+        content.key().digest
     }
 
     fn part_hit(&self, key: &Key) -> Result<Option<Record>, StageError> {

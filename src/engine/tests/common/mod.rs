@@ -213,6 +213,7 @@ impl Source for Archive {
         Ok(Listing {
             shards: shards.collect(),
             companions: BTreeMap::new(),
+            note: (archive.len() > 2).then(|| format!("{} shards there", archive.len())),
         })
     }
 

@@ -1,0 +1,105 @@
+use std::collections::BTreeSet;
+
+use marf_cache::ContentHash;
+use marf_stage::ParamError;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::filter::Opinion;
+
+/// Photos on which a person has decided, whatever the filter says.
+///
+/// Each entry is a product id, or the name of a file as its archive has it. The lists are parameters, hence in the
+/// key of every filter they reach; the measures do not know them. A photo kept by hand still counts where a filter
+/// compares with the set, and of a group of duplicates it is the one that stays.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(default, deny_unknown_fields)]
+pub struct ByHand {
+    /// Kept, whatever the score.
+    pub keep: BTreeSet<String>,
+    /// Rejected, whatever the score.
+    pub reject: BTreeSet<String>,
+}
+
+impl ByHand {
+    /// Refuses a name that is in both lists.
+    pub(crate) fn check(&self) -> Result<(), ParamError> {
+        match self.keep.intersection(&self.reject).next() {
+            None => Ok(()),
+            Some(both) => Err(ParamError::new(
+                "by_hand",
+                format!("`{both}` is to be kept and to be rejected: take it out of one list"),
+            )),
+        }
+    }
+
+    /// Tells whether a person wants to keep the photo.
+    pub(crate) fn keeps(&self, id: &str, file: &str) -> bool {
+        self.keep.contains(id) || self.keep.contains(file)
+    }
+
+    /// Returns the opinion as the lists leave it; score and threshold stay, the reason says who decided.
+    pub(crate) fn overrule(&self, id: &str, file: &str, opinion: Opinion) -> Opinion {
+        if self.keeps(id, file) {
+            let reason = match opinion.keep {
+                true => "kept by hand, and by the filter".to_owned(),
+                false => format!("kept by hand, against the filter: {}", opinion.reason),
+            };
+            return Opinion {
+                keep: true,
+                reason,
+                ..opinion
+            };
+        }
+        if self.reject.contains(id) || self.reject.contains(file) {
+            let reason = match opinion.keep {
+                true => "rejected by hand, against the filter".to_owned(),
+                false => format!("rejected by hand, and by the filter: {}", opinion.reason),
+            };
+            return Opinion {
+                keep: false,
+                reason,
+                ..opinion
+            };
+        }
+        opinion
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn list(names: &[&str]) -> BTreeSet<String> {
+        names.iter().map(|name| (*name).to_owned()).collect()
+    }
+
+    #[test]
+    fn a_person_has_the_last_word_and_the_filters_word_is_kept() {
+        let lists = ByHand {
+            keep: list(&["a", "dir/b.jpg"]),
+            reject: list(&["c"]),
+        };
+        let no = || Opinion::reject(3.0, 9.0, "ratio 3");
+        let yes = || Opinion::keep(12.0, 9.0);
+        let kept = lists.overrule("a", "a.jpg", no());
+        assert!(
+            kept.keep && kept.score == Some(3.0) && kept.reason.contains("ratio 3"),
+            "{kept:?}"
+        );
+        assert!(lists.overrule("b", "dir/b.jpg", no()).keep);
+        assert!(!lists.overrule("b", "b.jpg", no()).keep);
+        let gone = lists.overrule("c", "c.jpg", yes());
+        assert!(!gone.keep && gone.threshold == Some(9.0) && gone.reason.starts_with("rejected by hand"));
+        assert_eq!(lists.overrule("d", "d.jpg", yes()), yes());
+    }
+
+    #[test]
+    fn a_name_in_both_lists_is_refused() {
+        let lists = ByHand {
+            keep: list(&["a"]),
+            reject: list(&["a"]),
+        };
+        assert!(lists.check().unwrap_err().message.contains("`a`"));
+    }
+}

@@ -1,0 +1,145 @@
+//! What all filters measure of a photo, from one decode.
+
+use marf_cache::{ContentHash, Listener, manifest::Row};
+use marf_scene::Photo;
+use marf_stage::{Ctx, StageError};
+
+use crate::look::Look;
+
+/// Name and version of the table in which surveys are kept, for all filters together.
+pub(crate) const TABLE: (&str, u32) = ("filters", 1);
+
+/// The measure of one filter as part of a survey.
+pub(crate) struct Section {
+    /// Name of the filter.
+    pub(crate) name: &'static str,
+    /// Version of the filter.
+    pub(crate) version: u32,
+    /// Measures a photo; the bytes are the filter's own affair.
+    pub(crate) measure: fn(&Look) -> Result<Vec<u8>, serde_json::Error>,
+}
+
+/// A filter as the table lists it.
+pub(crate) trait Surveyed {
+    /// What it adds to a survey; none if it judges by facts alone.
+    const SECTION: Option<Section>;
+}
+
+/// What a survey depends on beside the photo: which filters there are, and their versions.
+pub(crate) struct Versions(pub(crate) &'static [Option<Section>]);
+
+impl ContentHash for Versions {
+    fn walk(&self, listener: &mut dyn Listener) {
+        let sections = || self.0.iter().flatten();
+        listener.open("survey", sections().count());
+        for section in sections() {
+            listener.field(section.name);
+            listener.unsigned(u64::from(section.version));
+        }
+        listener.close();
+    }
+}
+
+/// Decodes the photo of a row once and asks every filter for its measure.
+///
+/// Returns a byte 1 and, for each section, its name and bytes (each behind its length, u32 LE); or a byte 0 and why
+/// the photo cannot be decoded.
+///
+/// # Errors
+/// A row without image, or a blob that cannot be read.
+pub(crate) fn survey(sections: &[Option<Section>], ctx: &Ctx<'_>, row: &Row) -> Result<Vec<u8>, StageError> {
+    let digest = row.blobs.get("image");
+    let digest = digest.ok_or_else(|| StageError::new(format!("photo `{}` has no blob `image`", row.id)))?;
+    let refused = |reason: String| Ok([&[0][..], reason.as_bytes()].concat());
+    let photo = match Photo::decode_again(&ctx.get(digest)?) {
+        Ok(photo) if photo.image.pixels.is_empty() => return refused("the image has no pixels".to_owned()),
+        Ok(photo) => photo,
+        Err(error) => return refused(error.to_string()),
+    };
+    let look = Look::of(photo);
+    let mut bytes = vec![1];
+    for section in sections.iter().flatten() {
+        let measure = (section.measure)(&look).map_err(|error| {
+            let what = format!("measure `{}` of `{}` cannot be written", section.name, row.id);
+            StageError::new(what).cause(error.to_string())
+        })?;
+        put(&mut bytes, section.name.as_bytes());
+        put(&mut bytes, &measure);
+    }
+    Ok(bytes)
+}
+
+fn put(bytes: &mut Vec<u8>, part: &[u8]) {
+    bytes.extend((part.len() as u32).to_le_bytes());
+    bytes.extend(part);
+}
+
+/// Returns the part of a survey that belongs to a filter, or why the photo could not be decoded.
+///
+/// # Errors
+/// Bytes that are no survey, or one without this filter.
+pub(crate) fn part<'a>(
+    survey: &'a [u8],
+    name: &str,
+    row: &Row,
+) -> Result<Result<&'a [u8], String>, StageError> {
+    let found = match survey.split_first() {
+        Some((0, reason)) => return Ok(Err(String::from_utf8_lossy(reason).into_owned())),
+        Some((1, mut rest)) => std::iter::from_fn(|| Some((take(&mut rest)?, take(&mut rest)?)))
+            .find(|(of, _)| *of == name.as_bytes())
+            .map(|(_, part)| part),
+        _ => None,
+    };
+    found
+        .map(Ok)
+        .ok_or_else(|| unreadable(row, "it has no such part"))
+}
+
+/// Takes a length and so many bytes from the front.
+fn take<'a>(bytes: &mut &'a [u8]) -> Option<&'a [u8]> {
+    let (length, rest) = bytes.split_first_chunk::<4>()?;
+    let (part, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
+    *bytes = rest;
+    Some(part)
+}
+
+/// Says that a measure is not what was written.
+pub(crate) fn unreadable(row: &Row, cause: impl std::fmt::Display) -> StageError {
+    StageError::new(format!("measure of `{}` cannot be read", row.id))
+        .cause(cause.to_string())
+        .hint("the store may be damaged: measure again in an empty one, `--store DIR`")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row() -> Row {
+        Row {
+            id: "a".to_owned(),
+            blobs: Default::default(),
+            facts: serde_json::Value::Null,
+        }
+    }
+
+    #[test]
+    fn each_filter_finds_its_own_part_and_a_damaged_survey_is_an_error() {
+        let mut bytes = vec![1];
+        for (name, measure) in [("blur", &b"sharp"[..]), ("histogram", b"")] {
+            put(&mut bytes, name.as_bytes());
+            put(&mut bytes, measure);
+        }
+        assert_eq!(part(&bytes, "blur", &row()).unwrap(), Ok(&b"sharp"[..]));
+        assert_eq!(part(&bytes, "histogram", &row()).unwrap(), Ok(&b""[..]));
+        assert_eq!(part(b"\0cut", "blur", &row()).unwrap(), Err("cut".to_owned()));
+        for (damaged, name) in [
+            (&bytes[..], "shape"),
+            (&bytes[..7], "blur"),
+            (b"", "blur"),
+            (b"{}", "blur"),
+        ] {
+            let error = part(damaged, name, &row()).unwrap_err().to_string();
+            assert!(error.contains("`a`"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,181 @@
+//! `marf filter` and the lists of a person, end to end.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a test that cannot go on should stop"
+)]
+
+mod common;
+
+use std::path::Path;
+
+use common::marf;
+use image::RgbImage;
+
+/// Value noise of several sizes in colour; another seed is another place.
+fn ground(seed: u32) -> RgbImage {
+    let hash = |x: u32, y: u32| {
+        let mixed =
+            (x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ seed.wrapping_mul(0xc2b2_ae3d))
+                .wrapping_mul(0x2c1b_3c6d);
+        f64::from((mixed ^ (mixed >> 15)).wrapping_mul(0x297a_2d39) >> 24)
+    };
+    RgbImage::from_fn(400, 300, |x, y| {
+        let smooth = |cell: u32| {
+            let (column, row) = (x / cell, y / cell);
+            let (u, v) = (
+                f64::from(x % cell) / f64::from(cell),
+                f64::from(y % cell) / f64::from(cell),
+            );
+            let top = hash(column, row) * (1.0 - u) + hash(column + 1, row) * u;
+            let bottom = hash(column, row + 1) * (1.0 - u) + hash(column + 1, row + 1) * u;
+            top * (1.0 - v) + bottom * v
+        };
+        let shade = 30.0 + 0.3 * smooth(60) + 0.25 * smooth(17) + 0.15 * smooth(5) + 0.08 * smooth(2);
+        image::Rgb([shade, shade * 0.8, shade * 0.55].map(|value| value as u8))
+    })
+}
+
+/// Six places, a copy, a gray photo and a text that claims to be a photo.
+fn photos() -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    for seed in 0..6 {
+        ground(seed)
+            .save(dir.path().join(format!("place_{seed}.png")))
+            .unwrap();
+    }
+    std::fs::copy(dir.path().join("place_3.png"), dir.path().join("copy.png")).unwrap();
+    image::DynamicImage::from(ground(9))
+        .to_luma8()
+        .save(dir.path().join("gray.png"))
+        .unwrap();
+    std::fs::write(dir.path().join("page.jpg"), "<html>404</html>").unwrap();
+    dir
+}
+
+/// File and verdict of every line of a CSV, and its reasons.
+fn csv(path: &Path) -> Vec<(String, String, String)> {
+    let text = std::fs::read_to_string(path).unwrap();
+    let mut lines = text.lines();
+    assert_eq!(lines.next(), Some("file,verdict,score,threshold,twin,reason"));
+    lines
+        .map(|line| {
+            let fields: Vec<&str> = line.splitn(6, ',').collect();
+            (fields[0].to_owned(), fields[1].to_owned(), fields[5].to_owned())
+        })
+        .collect()
+}
+
+fn verdict<'a>(lines: &'a [(String, String, String)], file: &str) -> &'a (String, String, String) {
+    lines
+        .iter()
+        .find(|line| line.0 == file)
+        .unwrap_or_else(|| panic!("{file} is missing"))
+}
+
+#[test]
+fn every_file_has_a_verdict_whatever_the_threads_and_a_new_threshold_decodes_nothing() {
+    let dir = photos();
+    let work = tempfile::tempdir().unwrap();
+    let run = |out: &str, more: &[&str]| {
+        let folder = dir.path().to_string_lossy().into_owned();
+        let args: Vec<&str> = ["filter", &folder, "--out", out]
+            .into_iter()
+            .chain(more.iter().copied())
+            .collect();
+        let ran = marf(work.path(), &args).exits(0);
+        (csv(&work.path().join(out)), ran.stderr)
+    };
+    let (lines, first) = run("one.csv", &["--threads", "1", "--store", "a"]);
+    assert_eq!(lines.len(), 9);
+    assert_eq!(verdict(&lines, "page.jpg").1, "decode");
+    assert_eq!(verdict(&lines, "gray.png").1, "grayscale");
+    let pair = ["copy.png", "place_3.png"].map(|file| verdict(&lines, file).1.as_str());
+    assert!(
+        pair == ["keep", "duplicate"] || pair == ["duplicate", "keep"],
+        "{pair:?}"
+    );
+    assert_eq!(
+        lines.iter().filter(|line| line.1 == "keep").count(),
+        6,
+        "{lines:?}"
+    );
+    assert_eq!(
+        first.matches(" 8 measured").count(),
+        3,
+        "size, shape and one survey for all others: {first}"
+    );
+    let (again, _) = run("two.csv", &["--threads", "4", "--store", "b"]);
+    assert_eq!(lines, again);
+    let (other, second) = run("three.csv", &["--store", "a", "--set", "grayscale.keep=all"]);
+    assert_ne!(verdict(&other, "gray.png").1, "grayscale");
+    assert!(
+        !second.contains("1 measured") && !second.contains("8 measured"),
+        "{second}"
+    );
+    let page = std::fs::read_to_string(work.path().join("one.html")).unwrap();
+    for text in [
+        "How firm the verdicts are",
+        "closest call",
+        "Rejected photos",
+        "data:image/jpeg",
+    ] {
+        assert!(page.contains(text), "{text}");
+    }
+    assert!(!page.contains("<script") && !page.contains("Tuning"));
+}
+
+#[test]
+fn a_person_has_the_last_word_and_it_is_in_the_key() {
+    let dir = photos();
+    let path = dir.path().to_string_lossy().into_owned();
+    let work = tempfile::tempdir().unwrap();
+    let pipeline = |lists: &str| {
+        let text = format!(
+            "[archive.photos]\nkind = \"folder\"\npath = '{path}'\n[node.extract]\narchive = \"photos\"\n\
+             [node.duplicate]\ninput = \"extract\"\n[node.grayscale]\ninput = \"duplicate\"\n{lists}"
+        );
+        std::fs::write(work.path().join("pipeline.toml"), text).unwrap();
+    };
+    pipeline("");
+    marf(work.path(), &["run"]).exits(0);
+    pipeline("[keep]\nids = [\"gray.png\"]\n[reject]\nids = [\"place_2.png\", \"palce_4.png\"]\n");
+    let plan = marf(work.path(), &["plan"]).exits(0);
+    let told = format!("{}{}", plan.stdout, plan.stderr);
+    assert!(told.contains("by_hand"), "{told}");
+    let ran = marf(work.path(), &["run"]).exits(0);
+    assert!(
+        ran.stderr
+            .contains("[reject] `palce_4.png` names no photo of this run; did you mean `place_4.png`?"),
+        "{}",
+        ran.stderr
+    );
+    let page = std::fs::read_to_string(work.path().join("out/report.html")).unwrap();
+    assert!(
+        page.contains("kept by hand, against the filter: one band"),
+        "the page does not say who kept it"
+    );
+    assert!(page.contains("rejected by hand, against the filter"));
+    let refused = marf(work.path(), &["run", "--set", "keep.id=[\"gray.png\"]"]).exits(2);
+    assert!(
+        refused.stderr.contains("did you mean `ids`?"),
+        "{}",
+        refused.stderr
+    );
+}
+
+#[test]
+fn lists_may_be_given_on_the_command_line() {
+    let dir = photos();
+    let work = tempfile::tempdir().unwrap();
+    let folder = dir.path().to_string_lossy().into_owned();
+    let args = ["filter", &folder, "--keep", "gray.png", "--reject", "place_0.png"];
+    marf(work.path(), &args).exits(0);
+    let lines = csv(&work.path().join("verdicts.csv"));
+    let (gray, gone) = (verdict(&lines, "gray.png"), verdict(&lines, "place_0.png"));
+    assert!(gray.1 == "keep" && gray.2.contains("kept by hand"), "{gray:?}");
+    assert!(
+        gone.1 != "keep" && gone.2.contains("rejected by hand"),
+        "{gone:?}"
+    );
+}
