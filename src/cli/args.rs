@@ -6,6 +6,8 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use marf_field::Device;
 
+use crate::config::{Access, Wishes};
+
 /// Raw Mars rover and helicopter photos to radiance fields, with proof of how.
 #[derive(Debug, Parser)]
 #[command(
@@ -48,7 +50,7 @@ pub struct Global {
     /// The store of results [default: .marf beside the pipeline]
     #[arg(long, global = true, value_name = "DIR")]
     pub store: Option<PathBuf>,
-    /// Lay a value over the pipeline, e.g. `blur.min_share=0.55` or `archive.demo.sols=1..=3`
+    /// Lay a value over the pipeline, e.g. `blur.min_share=0.6` or `archive.demo.sols=1..=3`
     #[arg(long = "set", global = true, value_name = "NODE.KEY=VALUE")]
     pub sets: Vec<String>,
     /// Cores to use [default: all]; results do not depend on it
@@ -57,9 +59,30 @@ pub struct Global {
     /// What trains and renders: `auto` (a GPU, if there is one), `cpu`, `gpu` or `gpu:NAME`; a node's own `device` wins
     #[arg(long, global = true, value_name = "DEVICE")]
     pub device: Option<Device>,
+    /// Take exactly what marf.lock names of archives on servers, and fail by name where bytes differ
+    #[arg(long, global = true)]
+    pub locked: bool,
+    /// As --locked, and open no connection
+    #[arg(long, global = true)]
+    pub offline: bool,
     /// Print JSON to stdout
     #[arg(long, global = true)]
     pub json: bool,
+}
+
+impl Global {
+    /// Returns what is said for all nodes and archives.
+    pub fn wishes(&self) -> Wishes {
+        let access = match (self.offline, self.locked) {
+            (true, _) => Access::Offline,
+            (false, true) => Access::Locked,
+            (false, false) => Access::Online,
+        };
+        Wishes {
+            device: self.device.clone(),
+            access,
+        }
+    }
 }
 
 /// The verbs.
@@ -102,13 +125,15 @@ pub enum Verb {
         #[command(subcommand)]
         verb: CacheVerb,
     },
-    /// Judge the photos of a folder
-    Filter {
-        /// A folder with photos
-        dir: PathBuf,
-        /// CSV of file, verdict, score, threshold, twin, reason
-        #[arg(long, value_name = "FILE", default_value = "verdicts.csv")]
-        out: PathBuf,
+    /// Judge the photos of a folder, and show every verdict
+    Filter(FilterArgs),
+    /// Show what was read of every photo: format, size, the label's camera, site, drive and pose, sol
+    Photos {
+        /// A folder with photos [default: the last run of the pipeline]
+        dir: Option<PathBuf>,
+        /// The node whose photos are shown
+        #[arg(long, default_value = "extract")]
+        node: String,
     },
     /// Find the cameras of a folder's photos
     Calibrate(CalibrateArgs),
@@ -147,6 +172,22 @@ pub struct RunArgs {
     /// Where pictures, models and the report go
     #[arg(long, value_name = "DIR", default_value = "out")]
     pub out: PathBuf,
+}
+
+/// Arguments of `filter`.
+#[derive(Debug, Clone, Args)]
+pub struct FilterArgs {
+    /// A folder with photos
+    pub dir: PathBuf,
+    /// CSV of file, verdict, score, threshold, twin, reason; a page with the photos goes beside it as .html
+    #[arg(long, value_name = "FILE", default_value = "verdicts.csv")]
+    pub out: PathBuf,
+    /// Keep this photo (product id or file name), whatever the filters say
+    #[arg(long, value_name = "ID")]
+    pub keep: Vec<String>,
+    /// Reject this photo, whatever the filters say
+    #[arg(long, value_name = "ID")]
+    pub reject: Vec<String>,
 }
 
 /// Arguments of `calibrate`.

@@ -3,6 +3,7 @@
 mod args;
 mod bench;
 mod budget;
+mod by_hand;
 mod cache;
 mod calibrate;
 mod error;
@@ -12,6 +13,7 @@ mod filter;
 mod fit;
 mod init;
 mod log;
+mod photos;
 mod plan;
 mod report;
 mod run;
@@ -65,7 +67,8 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
         Verb::Cache {
             verb: CacheVerb::Stat,
         } => cache::stat(global),
-        Verb::Filter { dir, out } => filter::filter(global, dir, out, cancel),
+        Verb::Filter(args) => filter::filter(global, args, cancel),
+        Verb::Photos { dir, node } => photos::photos(global, dir.as_deref(), node, cancel),
         Verb::Calibrate(args) => calibrate::calibrate(global, args, cancel),
         Verb::Fit(args) => fit::fit(global, args, cancel),
         Verb::Bench {

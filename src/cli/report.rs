@@ -1,8 +1,9 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use marf_cache::Digest;
+use marf_cache::{Digest, Store};
 use marf_engine::{NodeState, RunRecord};
+use marf_stage::Memos;
 
 use super::args::Global;
 use super::error::CliError;
@@ -36,7 +37,11 @@ pub fn refresh(session: &Session, record: &RunRecord, out: &Path) -> Result<(), 
     }
 }
 
-fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<(), CliError> {
+/// Writes the report of a run.
+///
+/// # Errors
+/// A place that cannot be written.
+pub fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<(), CliError> {
     let read = |digest: &Digest| -> Option<Arc<[u8]>> { session.store.get(digest).ok() };
     let input = ReportInput {
         pipeline: record.pipeline.clone(),
@@ -45,11 +50,27 @@ fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<(), CliErr
         program: record.program.clone(),
         nodes: nodes(session, record),
         read: &read,
+        memos: &Kept(&session.store),
     };
-    files::write(
-        out,
-        format!("{}\n{}\n", show::write(&input), marker(record)).as_bytes(),
-    )
+    let page = show::write(&input);
+    session.store.commit()?;
+    files::write(out, format!("{page}\n{}\n", marker(record)).as_bytes())
+}
+
+/// Memos of the store; one that is lost costs only time.
+struct Kept<'a>(&'a Store);
+
+impl Memos for Kept<'_> {
+    fn load(&self, key: &Digest) -> Option<Arc<[u8]>> {
+        let blob = self.0.memo(key).ok()??;
+        self.0.get(&blob).ok()
+    }
+
+    fn save(&self, key: &Digest, table: &[u8]) {
+        if let Ok(blob) = self.0.put(table) {
+            self.0.put_memo(*key, blob);
+        }
+    }
 }
 
 /// A comment that names the keys of all nodes: equal keys, equal content.

@@ -5,7 +5,7 @@ use marf_engine::{Cancel, Event, Listener, NodeRun, NodeState, Options, Outcome,
 use super::args::{Global, RunArgs};
 use super::error::{CliError, Complaint};
 use super::session::Session;
-use super::{export, report};
+use super::{by_hand, export, report, verdicts};
 use crate::progress::{Voice, duration};
 
 /// `marf run`: runs what changed, writes pictures, models and the report.
@@ -72,6 +72,9 @@ pub fn execute(
         crate::talk(&format!("device  {device}"));
     }
     let record = marf_engine::run(&session.graph, &session.store, options, &ear, cancel)?;
+    for line in by_hand::idle(&session.nodes, &verdicts::all(session, &record)) {
+        crate::talk(&format!("warning: {line}"));
+    }
     let failure = ear.failure.into_inner().unwrap_or_else(PoisonError::into_inner);
     let ended = match record.outcome {
         Outcome::Done => Ok(()),

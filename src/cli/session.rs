@@ -41,7 +41,7 @@ impl Session {
     /// # Errors
     /// A bad pipeline, or a store that cannot be opened.
     pub fn open(global: &Global) -> Result<Self, CliError> {
-        let loaded = config::load(&global.file, &global.sets, global.device.as_ref())?;
+        let loaded = config::load(&global.file, &global.sets, &global.wishes())?;
         Self::of(loaded.pipeline, &store_dir(global, &global.file))
     }
 
@@ -51,7 +51,7 @@ impl Session {
     /// As [`Session::open`].
     pub fn implicit(text: &str, global: &Global) -> Result<Self, CliError> {
         let pipeline =
-            config::check(text, &global.sets, global.device.as_ref(), Path::new("")).map_err(|error| {
+            config::check(text, &global.sets, &global.wishes(), Path::new("")).map_err(|error| {
                 CliError::Usage(Complaint {
                     message: error.render(Path::new("(built-in pipeline)"), text),
                     cause: None,
