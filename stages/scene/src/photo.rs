@@ -45,6 +45,9 @@ pub enum DecodeError {
         /// What the decoder said.
         message: String,
     },
+    /// No bytes at all.
+    #[error("an empty file")]
+    Empty,
     /// The header asks for more than the limits allow.
     #[error("{width} x {height} pixels, at most {MAX_SIDE} a side and {} MB are decoded", MAX_DECODE_BYTES >> 20)]
     TooLarge {
@@ -69,6 +72,9 @@ impl Photo {
             .ok()
             .filter(|format| name(*format).is_some());
         let Some(format) = format else {
+            if bytes.is_empty() {
+                return Err(DecodeError::Empty);
+            }
             let start = bytes.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
             return Err(DecodeError::Format { start });
         };
@@ -141,10 +147,9 @@ fn name(format: ImageFormat) -> Option<&'static str> {
 }
 
 fn damaged(format: &'static str, error: &dyn std::fmt::Display) -> DecodeError {
-    DecodeError::Damaged {
-        format,
-        message: error.to_string(),
-    }
+    // Decoders break their lines.
+    let message = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+    DecodeError::Damaged { format, message }
 }
 
 /// Decodes strictly and requires the end marker: a file cut in half, or with a damaged scan, must not become training
@@ -335,5 +340,12 @@ mod tests {
             error.to_string(),
             "not a JPEG, PNG, WebP or GIF (starts with 3c68746d6c3e)"
         );
+        assert_eq!(Photo::decode(b"").unwrap_err().to_string(), "an empty file");
+    }
+
+    #[test]
+    fn what_is_wrong_is_told_in_one_line() {
+        let error = Photo::decode(b"\xff\xd8\xff\xe0").unwrap_err().to_string();
+        assert!(!error.contains('\n') && !error.ends_with(' '), "{error:?}");
     }
 }
