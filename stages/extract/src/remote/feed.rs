@@ -290,6 +290,10 @@ impl Offers for Feed {
             .filter(|(_, offer)| !offer.is_empty())
             .collect();
         let present = offers.keys().copied().chain(newest).collect();
+        let offers = match sols {
+            Sols::Latest => latest(offers),
+            _ => offers,
+        };
         Ok(Survey { offers, present })
     }
 }
@@ -335,14 +339,23 @@ impl Asking<'_> {
     }
 }
 
-/// The sols to ask for.
+/// The latest sol on which this camera took a photo.
+fn latest(mut offers: BTreeMap<u32, Offer>) -> BTreeMap<u32, Offer> {
+    offers.retain(|_, offer| !offer.files.is_empty());
+    offers.pop_last().into_iter().collect()
+}
+
+/// The sols to ask for; for the latest a run of them, since the feed's latest sol is that of any camera.
 fn wanted(sols: &Sols, newest: Option<u32>) -> Result<BTreeSet<u32>, StageError> {
     let unknown = || {
         StageError::new("the feed does not tell its latest sol")
             .hint("write the sols as a range, e.g. \"1..=5\"")
     };
     match sols {
-        Sols::Latest => Ok(BTreeSet::from([newest.ok_or_else(unknown)?])),
+        Sols::Latest => {
+            let newest = newest.ok_or_else(unknown)?;
+            Ok((newest.saturating_sub(RUN_SOLS - 1)..=newest).collect())
+        }
         Sols::All => Ok((0..=newest.ok_or_else(unknown)?).collect()),
         Sols::Ranges(ranges) => {
             let newest = newest.unwrap_or(99_999);
@@ -427,7 +440,8 @@ mod tests {
 
     #[test]
     fn latest_needs_a_feed_that_tells() {
-        assert_eq!(wanted(&Sols::Latest, Some(7)).unwrap(), BTreeSet::from([7]));
+        assert_eq!(wanted(&Sols::Latest, Some(7)).unwrap(), (0..=7).collect());
+        assert_eq!(wanted(&Sols::Latest, Some(700)).unwrap(), (681..=700).collect());
         assert_eq!(
             wanted(&Sols::Ranges(vec![(5, 9)]), Some(6)).unwrap(),
             BTreeSet::from([5, 6])

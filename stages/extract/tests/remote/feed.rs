@@ -176,3 +176,29 @@ fn a_feed_is_read_page_by_page_also_where_it_ignores_what_it_is_asked() {
     assert_eq!(place.bring(&place.feed(&stubborn, "7")).unwrap().rows.len(), 1);
     assert_eq!(stubborn.requests_of("/rss/api/").len(), 1 + 2);
 }
+
+#[test]
+fn the_latest_sol_is_the_latest_with_a_photo_of_this_camera() {
+    let server = Server::start();
+    server.file("/p/a.png", image_bytes(3));
+    let record = |sol: u32, instrument: &str| {
+        json!({"imageid": format!("{instrument}_{sol}"), "sol": sol, "camera": {"instrument": instrument},
+               "image_files": {"full_res": server.url("/p/a.png")}})
+    };
+    play(
+        &server,
+        vec![
+            record(90, "NAVCAM_LEFT"),
+            record(95, "NAVCAM_RIGHT"),
+            record(100, "MCZ_LEFT"),
+        ],
+    );
+    let place = Place::new();
+    let brought = place.bring(&place.feed(&server, "latest")).unwrap();
+    let sols: Vec<u32> = brought.listing.shards.iter().map(|shard| shard.shard).collect();
+    assert_eq!((sols, brought.rows.len()), (vec![95], 1));
+    let offline = place
+        .bring(&access(&place.feed(&server, "latest"), "offline"))
+        .unwrap();
+    assert_eq!(brought.rows, offline.rows);
+}
