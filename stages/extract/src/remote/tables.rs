@@ -156,8 +156,10 @@ fn whole(crawl: &Crawl<'_>, path: &str) -> Result<Vec<u8>, StageError> {
         Some(Answer::Whole {
             bytes, validators, ..
         }) => {
-            let text = String::from_utf8_lossy(&bytes).into_owned();
-            remember(crawl.ctx.scratch, &key, &(validators, text));
+            // A table is ASCII; one that is no text is not remembered, so that the next run sees the same bytes.
+            if let Ok(text) = std::str::from_utf8(&bytes) {
+                remember(crawl.ctx.scratch, &key, &(validators, text));
+            }
             Ok(bytes)
         }
         Some(Answer::Unchanged) => Ok(memory.map(|memory| memory.1.into_bytes()).unwrap_or_default()),

@@ -2,14 +2,10 @@
 
 use super::*;
 
-#[test]
-fn the_saved_records_of_the_real_feed_are_replayed_and_only_new_ones_fetched() {
-    let Some(folder) = real("m2020_navcam_feed") else {
-        return;
-    };
-    let server = Server::start();
+/// The saved records of a folder, each with its picture on the server; by id.
+fn saved(server: &Server, folder: &Path) -> Vec<Value> {
     let mut records = Vec::new();
-    for entry in std::fs::read_dir(&folder).unwrap().map(Result::unwrap) {
+    for entry in std::fs::read_dir(folder).unwrap().map(Result::unwrap) {
         let path = entry.path();
         if path.extension().is_none_or(|extension| extension != "json") {
             continue;
@@ -27,6 +23,16 @@ fn the_saved_records_of_the_real_feed_are_replayed_and_only_new_ones_fetched() {
         records.push(record);
     }
     records.sort_by_key(|record| record["imageid"].to_string());
+    records
+}
+
+#[test]
+fn the_saved_records_of_the_real_feed_are_replayed_and_only_new_ones_fetched() {
+    let Some(folder) = real("m2020_navcam_feed") else {
+        return;
+    };
+    let server = Server::start();
+    let mut records = saved(&server, &folder);
     let total = records.len();
     play(&server, records.clone());
 

@@ -2,6 +2,12 @@
 
 use super::*;
 
+/// Mounts sol 1; returns the name of one of its pictures that is no thumbnail.
+fn one_photo(server: &Server) -> String {
+    let mut names = mount(server, 1..=1).into_iter();
+    names.find(|name| &name[27..28] == "N").unwrap()
+}
+
 #[test]
 fn pixels_and_labels_of_the_sols_asked_for_are_joined_by_product() {
     let server = Server::start();
@@ -140,10 +146,7 @@ fn locked_takes_what_the_lock_names_and_offline_opens_no_connection() {
 #[test]
 fn locked_names_the_product_whose_bytes_are_others() {
     let server = Server::start();
-    let name = mount(&server, 1..=1)
-        .into_iter()
-        .find(|name| &name[27..28] == "N")
-        .unwrap();
+    let name = one_photo(&server);
     let place = Place::new();
     place.bring(&place.archive(&server, "1")).unwrap();
     let other = Place::new();
@@ -165,10 +168,7 @@ fn locked_names_the_product_whose_bytes_are_others() {
 #[test]
 fn other_bytes_under_a_known_name_are_an_alarm_and_both_are_kept() {
     let server = Server::start();
-    let name = mount(&server, 1..=1)
-        .into_iter()
-        .find(|name| &name[27..28] == "N")
-        .unwrap();
+    let name = one_photo(&server);
     let place = Place::new();
     let archive = place.archive(&server, "1");
     let before = place.bring(&archive).unwrap();
@@ -203,10 +203,7 @@ fn other_bytes_under_a_known_name_are_an_alarm_and_both_are_kept() {
 #[test]
 fn a_newer_version_replaces_the_old_and_says_so() {
     let server = Server::start();
-    let name = mount(&server, 1..=1)
-        .into_iter()
-        .find(|name| &name[27..28] == "N")
-        .unwrap();
+    let name = one_photo(&server);
     let place = Place::new();
     let archive = place.archive(&server, "1");
     place.bring(&archive).unwrap();
