@@ -71,7 +71,7 @@ impl Session {
         let devices: BTreeSet<String> = pipeline
             .nodes
             .iter()
-            .filter_map(|node| node.stage.numeric_class())
+            .filter_map(|node| node.stage.backend_id())
             .collect();
         let decls = pipeline.nodes.into_iter().map(|node| NodeDecl {
             name: node.name,

@@ -37,7 +37,7 @@ pub(crate) fn node_key(def: &StageDef, stage: &dyn Stage, inputs: &Inputs, listi
 
 impl ContentHash for NodeContent<'_> {
     fn walk(&self, listener: &mut dyn Listener) {
-        let class = self.stage.numeric_class();
+        let class = self.stage.backend_id();
         let more = usize::from(self.listing.is_some()) + usize::from(class.is_some());
         listener.open("node", 4 + more);
         listener.field("stage");
@@ -49,7 +49,7 @@ impl ContentHash for NodeContent<'_> {
         listener.field("inputs");
         walk_named(&self.inputs.0, listener);
         if let Some(class) = class {
-            listener.field("numeric_class");
+            listener.field("backend_id");
             listener.text(&class);
         }
         if let Some(listing) = self.listing {

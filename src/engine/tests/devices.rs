@@ -35,7 +35,7 @@ impl Stage for Visitor {
         Work::Set(self)
     }
 
-    fn numeric_class(&self) -> Option<String> {
+    fn backend_id(&self) -> Option<String> {
         self.0.on_gpu.then(|| "a card, its driver".to_owned())
     }
 }
@@ -92,7 +92,7 @@ fn one_node_at_a_time_is_on_the_gpu_and_the_others_run_beside_it() {
     let made = store.record(&record.nodes[0].key.unwrap()).unwrap().unwrap();
     assert_eq!(made.circumstances.device, "a card, its driver");
     assert!(
-        made.manifest.contains("numeric_class = \"a card, its driver\""),
+        made.manifest.contains("backend_id = \"a card, its driver\""),
         "{}",
         made.manifest
     );

@@ -183,7 +183,7 @@ impl Stage for Bootstrap {
         Threads::All
     }
 
-    fn numeric_class(&self) -> Option<String> {
+    fn backend_id(&self) -> Option<String> {
         self.params.device.class()
     }
 }

@@ -39,7 +39,7 @@ pub trait Stage: Send + Sync {
     }
     /// Names what decides the bits of its numbers beside program and inputs: adapter, driver and interface of a GPU.
     /// `None` is the CPU, whose bits are the same everywhere. It is in the key.
-    fn numeric_class(&self) -> Option<String> {
+    fn backend_id(&self) -> Option<String> {
         None
     }
     /// Names the output of its own that it wants of its last finished run, as the input [`EARLIER`]; that output

@@ -92,7 +92,7 @@ impl Stage for Evaluate {
         Threads::All
     }
 
-    fn numeric_class(&self) -> Option<String> {
+    fn backend_id(&self) -> Option<String> {
         self.params.device.class()
     }
 }

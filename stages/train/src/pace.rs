@@ -105,7 +105,7 @@ impl Stage for Pace {
         Threads::All
     }
 
-    fn numeric_class(&self) -> Option<String> {
+    fn backend_id(&self) -> Option<String> {
         self.params.device.class()
     }
 }

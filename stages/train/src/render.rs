@@ -122,7 +122,7 @@ impl Stage for Render {
         Threads::All
     }
 
-    fn numeric_class(&self) -> Option<String> {
+    fn backend_id(&self) -> Option<String> {
         self.params.device.class()
     }
 }

@@ -100,7 +100,7 @@ impl Stage for Train {
         Threads::All
     }
 
-    fn numeric_class(&self) -> Option<String> {
+    fn backend_id(&self) -> Option<String> {
         self.params.device.class()
     }
 }

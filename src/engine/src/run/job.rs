@@ -234,7 +234,7 @@ impl Shift<'_> {
     }
 
     fn device(&self) -> String {
-        self.bound.numeric_class().unwrap_or_else(|| "cpu".to_owned())
+        self.bound.backend_id().unwrap_or_else(|| "cpu".to_owned())
     }
 
     fn circumstances(&self) -> Circumstances {

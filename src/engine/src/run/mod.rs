@@ -176,7 +176,7 @@ impl<'a> Floor<'a> {
             return None;
         }
         // A GPU is one token: two trainings on it would only take turns, with the memory of both.
-        let is_on_gpu = |task: &Task| task.bound.numeric_class().is_some();
+        let is_on_gpu = |task: &Task| task.bound.backend_id().is_some();
         let mut running = self
             .tasks
             .iter()
