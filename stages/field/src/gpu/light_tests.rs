@@ -2,7 +2,7 @@
 
 use marf_shaders::counts;
 
-use super::kernel::Array;
+use super::array::Array;
 use super::light::{Colours, Columns, Light};
 use super::nets::Rows;
 use super::rig::{Rig, TOLERANCE, UNTOUCHED, agree, columns, is_untouched};

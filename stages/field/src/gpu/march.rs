@@ -2,9 +2,12 @@
 
 use marf_shaders::{ALIVE, MARCH, SCAN, Walk, counts};
 
-use super::kernel::{Array, Bound, Kernel, Recorder, halves};
+use super::Gpu;
+use super::array::{Array, halves};
+use super::kernel::{Bound, Kernel};
 use super::rays::RayArrays;
-use super::{Gpu, GpuError};
+use super::record::Recorder;
+use crate::GpuError;
 use crate::cpu::composite::OPAQUE;
 use crate::cpu::march::{Bits, Steps};
 use crate::cpu::simd::LANES;

@@ -3,7 +3,7 @@
 use marf_shaders::{Walk, counts};
 
 use super::Gpu;
-use super::kernel::Array;
+use super::array::Array;
 use super::march::{
     Alive, March, MarchArrays, Marching, Progress, SampleArrays, bit_words, round, step_table, whole_walk,
 };

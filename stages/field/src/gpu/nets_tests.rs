@@ -8,7 +8,7 @@ use super::testing::numbers;
 use crate::cpu::adam::{Adam, Bias, Moments};
 use crate::cpu::gemm;
 use crate::cpu::simd::{Block, LANES, Level, flat};
-use crate::learn::{DECAY, EPSILON};
+use crate::schedule::{DECAY, EPSILON};
 
 const SHAPES: [[usize; 2]; 5] = [[32, 64], [64, 16], [16, 16], [32, 32], [16, 128]];
 

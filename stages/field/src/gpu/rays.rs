@@ -3,9 +3,11 @@
 use marf_scene::{Camera, Pose};
 use marf_shaders::{PixelRange, RAYS, Sighted, Step, VIEW_RAYS, ViewCamera};
 
-use super::kernel::{Array, Bound, Kernel, halves};
+use super::Gpu;
+use super::array::{Array, halves};
+use super::kernel::{Bound, Kernel};
 use super::march::Progress;
-use super::{Gpu, GpuError};
+use crate::GpuError;
 use crate::View;
 use crate::cpu::march::Steps;
 use crate::depth::{SHARE, Sighting, place};

@@ -19,9 +19,12 @@ pub use encode::{Encode, Encoded};
 pub use scales::{Rise, Scales, rescaling, start_scales};
 pub use scatter::{Scatter, Scattered, Sums};
 
+use super::Gpu;
+use super::array::{Array, Part};
 use super::device::BINDING;
-use super::kernel::{Array, GROUP, Kernel, Part, Work, fold};
-use super::{Gpu, GpuError};
+use super::kernel::{GROUP, Kernel, fold};
+use super::record::Work;
+use crate::GpuError;
 use crate::cpu::encode::Shape;
 
 /// Levels begin at a multiple of so many entries: at 4 bytes and more an entry, of 256 bytes, as bindings must.

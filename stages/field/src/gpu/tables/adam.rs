@@ -1,9 +1,11 @@
 use marf_shaders::{ADAM_TABLE, BLEND, Blending, LevelScale, Rates, row_head};
 
 use super::{Grid, Slots, Sums, Work, largest};
+use crate::GpuError;
 use crate::cpu::adam::{BETA1, BETA2};
-use crate::gpu::kernel::{Array, GROUP, Kernel, Part, fold};
-use crate::gpu::{Gpu, GpuError};
+use crate::gpu::Gpu;
+use crate::gpu::array::{Array, Part};
+use crate::gpu::kernel::{GROUP, Kernel, fold};
 
 /// The uniform of a step of Adam.
 ///

@@ -1,9 +1,11 @@
 use marf_shaders::{LevelScale, SCATTER, SCATTER_PACKED, grid_head, quanta_head};
 
 use super::{Grid, Slots, Work};
+use crate::GpuError;
 use crate::cpu::encode::PRIMES;
-use crate::gpu::kernel::{Array, Kernel, Part};
-use crate::gpu::{Gpu, GpuError};
+use crate::gpu::Gpu;
+use crate::gpu::array::{Array, Part};
+use crate::gpu::kernel::Kernel;
 
 /// Most quanta of a single contribution: with peaks of 2^25 one that is larger is far from what the scale was made
 /// for, and 31 of them do not wrap a sum.
