@@ -92,8 +92,8 @@ struct Ear {
 }
 
 impl Listener for Ear {
-    fn hear(&self, event: &Event) {
-        self.voice.hear(event);
+    fn on_event(&self, event: &Event) {
+        self.voice.on_event(event);
         if let Event::Failed {
             node,
             message,
