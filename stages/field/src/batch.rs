@@ -1,13 +1,12 @@
 //! A batch in chunks of rays: samples, features, loss, and all gradients but those of the tables.
 
-use std::sync::Mutex;
-
+use parking_lot::Mutex;
 use rayon::prelude::*;
 
 use crate::cpu::composite::{Gathered, RAW_LIMIT, Ray, Runaways, colour, colour_slope, runs_away};
 use crate::cpu::encode::Points;
 use crate::cpu::march::{Bits, March, Samples, Steps};
-use crate::cpu::simd::{Block, Isa, Kernel, LANES, Level, Stripe, flat};
+use crate::cpu::simd::{Block, InstructionSet, Isa, Kernel, LANES, Run, Stripe, flat};
 use crate::draw::Target;
 use crate::exposure::Exposure;
 use crate::shade::{Shade, Span, lookup};
@@ -18,7 +17,7 @@ use crate::{Background, Config, sh};
 #[derive(Clone, Copy)]
 pub struct Shared<'a> {
     /// Instruction set.
-    pub level: Level,
+    pub level: InstructionSet,
     /// Hyper-parameters.
     pub config: &'a Config,
     /// The weights.
@@ -110,12 +109,9 @@ pub fn train(shared: &Shared, targets: &[Target], rays: usize, chunks: &mut Vec<
     encode(shared, chunks);
     let pairs = chunks.par_iter_mut().zip(targets.par_chunks(rays));
     pairs.with_max_len(1).for_each(|(chunk, targets)| {
-        let spare = spares.lock().ok().and_then(|mut spares| spares.pop());
-        let mut scratch = spare.unwrap_or_default();
+        let mut scratch = spares.lock().pop().unwrap_or_default();
         scratch.train(shared, targets, chunk);
-        if let Ok(mut spares) = spares.lock() {
-            spares.push(scratch);
-        }
+        spares.lock().push(scratch);
     });
 }
 

@@ -11,7 +11,7 @@ use crate::backend::{Backend, Renderer, Session, Step};
 use crate::batch::{self, Chunk, Shared, Spares};
 use crate::cpu::composite::{RAW_SHIFT, runs_away};
 use crate::cpu::math::exp;
-use crate::cpu::simd::Level;
+use crate::cpu::simd::InstructionSet;
 use crate::learn::learn;
 use crate::model::Model;
 use crate::picture::Render;
@@ -25,13 +25,15 @@ use crate::training::Training;
 #[derive(Clone, Copy, Debug)]
 pub struct Cpu {
     /// The instruction set.
-    pub level: Level,
+    pub level: InstructionSet,
 }
 
 impl Cpu {
     /// Returns the backend on the fastest instruction set of this machine.
     pub fn best() -> Self {
-        Self { level: Level::best() }
+        Self {
+            level: InstructionSet::best(),
+        }
     }
 }
 
@@ -63,7 +65,7 @@ impl Renderer for Cpu {
 
 /// A training on the CPU; its state is always that of the training.
 struct CpuSession {
-    level: Level,
+    level: InstructionSet,
     /// Gradients of the tables, all zero between steps.
     gradients: Vec<Vec<f32>>,
     /// Memory of the last batch.
@@ -87,7 +89,7 @@ impl Session for CpuSession {
 }
 
 impl CpuSession {
-    fn new(level: Level, training: &mut Training) -> Self {
+    fn new(level: InstructionSet, training: &mut Training) -> Self {
         // Integer gradients, and so their scales, are a GPU's alone.
         training.state.scales.clear();
         let tables = &training.state.weights.tables;
@@ -164,7 +166,7 @@ fn check(training: &Training, chunks: &[Chunk]) -> Result<(), FieldError> {
 }
 
 /// Computes the density of some cells anew and decides which are occupied.
-fn update_occupancy(level: Level, training: &mut Training) {
+fn update_occupancy(level: InstructionSet, training: &mut Training) {
     let round = training.state.steps / UPDATE_EVERY;
     let (occupied, empty) = if round <= 16 { (4, 4) } else { (4, 16) };
     let probes = training

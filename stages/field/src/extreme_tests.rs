@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 
 use crate::batch::{self, Shared, Spares};
 use crate::cpu::march::Bits;
-use crate::cpu::simd::Level;
+use crate::cpu::simd::InstructionSet;
 use crate::draw::Target;
 use crate::exposure::Exposure;
 use crate::frame::RayStart;
@@ -109,7 +109,7 @@ fn a_rate_that_is_too_high_stops_by_name_or_leaves_a_state_that_can_be_taken_bac
 fn batch_of(target: Target) -> Option<&'static str> {
     let trainer = trained(ball(3, 12), &small(), 2, 5);
     let shared = Shared {
-        level: Level::best(),
+        level: InstructionSet::best(),
         config: &small(),
         weights: &trainer.training.state.weights,
         steps: &trainer.training.sizes.steps(&small(), 0),
@@ -360,7 +360,7 @@ fn ten_million_pixels_are_trained_on_and_ten_million_rays_rendered() {
             .all(|value| *value >= 0.0 && value.is_finite())
     );
     let last = crate::render::render_rows(
-        Level::best(),
+        InstructionSet::best(),
         &field.model,
         &view.camera,
         &view.cam_from_world,

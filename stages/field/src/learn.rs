@@ -6,7 +6,7 @@ use crate::Gain;
 use crate::batch::Chunk;
 use crate::cpu::adam::{Adam, Bias, Moments};
 use crate::cpu::encode::{Scatter, Shape};
-use crate::cpu::simd::{Level, flat};
+use crate::cpu::simd::{InstructionSet, Run, flat};
 use crate::exposure::{LIMITS, RATE, ROW, centre};
 use crate::schedule::{BACKGROUND_RATE, DECAY, EPSILON};
 use crate::state::State;
@@ -14,7 +14,7 @@ use crate::training::Training;
 use crate::weights::NET_ROW;
 
 /// Takes the gradients of all chunks into the weights; `gradients`: memory for those of the tables, all zero.
-pub fn learn(level: Level, training: &mut Training, gradients: &mut [Vec<f32>], chunks: &[Chunk]) {
+pub fn learn(level: InstructionSet, training: &mut Training, gradients: &mut [Vec<f32>], chunks: &[Chunk]) {
     let steps = training.state.steps;
     let pace = Pace {
         rate: training.rate_at(steps),
@@ -38,7 +38,7 @@ struct Pace {
 
 /// One task owns one level: it adds all samples in order, then moves the table.
 fn learn_tables(
-    level: Level,
+    level: InstructionSet,
     training: &mut Training,
     gradients: &mut [Vec<f32>],
     chunks: &[Chunk],
@@ -75,7 +75,12 @@ fn learn_tables(
 }
 
 /// Adds the gradients of the networks and of the background in the order of the chunks, then moves them.
-fn learn_networks(level: Level, training: &mut Training, chunks: &[Chunk], Pace { rate, keep }: Pace) {
+fn learn_networks(
+    level: InstructionSet,
+    training: &mut Training,
+    chunks: &[Chunk],
+    Pace { rate, keep }: Pace,
+) {
     let bias = &training.bias;
     let State {
         weights,
@@ -113,7 +118,7 @@ fn learn_networks(level: Level, training: &mut Training, chunks: &[Chunk], Pace 
 }
 
 /// Moves log gains and offsets and takes their means away: the scene keeps its own brightness.
-pub fn learn_exposures(level: Level, training: &mut Training, chunks: &[Chunk], rate: f32) {
+pub fn learn_exposures(level: InstructionSet, training: &mut Training, chunks: &[Chunk], rate: f32) {
     let state = &mut training.state;
     let half = training.views.len() * ROW;
     let mut gradient = vec![0.0; state.gains.len()];
@@ -143,7 +148,7 @@ fn add(row: &mut [f32], slopes: [f32; 3]) {
 ///
 /// `[features, first, width]`: features an entry, the level's first in the row, blocks a row.
 fn scatter(
-    level: Level,
+    level: InstructionSet,
     shape: Shape,
     gradient: &mut [f32],
     chunk: &Chunk,
@@ -172,7 +177,7 @@ fn scatter(
 
 /// Takes one step of Adam; `rates`: step size and pull to zero.
 fn adam<const F: usize>(
-    level: Level,
+    level: InstructionSet,
     weights: &mut [f32],
     gradient: &mut [f32],
     moments: &mut Moments,

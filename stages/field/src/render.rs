@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use crate::cpu::composite::OPAQUE;
 use crate::cpu::march::March;
-use crate::cpu::simd::{Isa, Kernel, Level};
+use crate::cpu::simd::{InstructionSet, Isa, Kernel, Run};
 use crate::frame::RayStart;
 use crate::model::Model;
 use crate::picture::Render;
@@ -63,7 +63,7 @@ struct Tile {
 
 /// The view that is rendered.
 struct Viewpoint<'a> {
-    level: Level,
+    level: InstructionSet,
     model: &'a Model,
     camera: &'a Camera,
     world_from_cam: Pose,
@@ -81,7 +81,7 @@ struct Strip<'a> {
 ///
 /// A pixel depends on nothing but its ray, hence neither on the rows asked for nor on the pool.
 pub fn render_rows(
-    level: Level,
+    level: InstructionSet,
     model: &Model,
     camera: &Camera,
     cam_from_world: &Pose,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use marf_scene::{Camera, Image, Pose};
 use nalgebra::Vector3;
 
-use crate::cpu::simd::Level;
+use crate::cpu::simd::InstructionSet;
 use crate::cpu_backend::Cpu;
 use crate::training::Training;
 use crate::{Background, Config, Field, FieldError, Gain, Trainer, View, ViewDependence};
@@ -176,8 +176,13 @@ fn a_pixel_is_the_same_in_any_rows_any_bands_and_with_any_threads() {
     for height in [1, 5, 8, 30] {
         for top in (0..37).step_by(height) {
             let rows = top as u32..37.min((top + height) as u32);
-            let band =
-                crate::render::render_rows(Level::best(), &field.model, &camera, &view.cam_from_world, rows);
+            let band = crate::render::render_rows(
+                InstructionSet::best(),
+                &field.model,
+                &camera,
+                &view.cam_from_world,
+                rows,
+            );
             let same = band.rgb == whole.rgb[top * 43..][..band.rgb.len()]
                 && band.depth == whole.depth[top * 43..][..band.rgb.len()];
             assert!(same, "{height} rows from {top}");
@@ -216,7 +221,7 @@ fn weights_are_the_same_on_every_instruction_set() {
             },
             ..small()
         };
-        let state = |level: Level| {
+        let state = |level: InstructionSet| {
             let training = Training::new(ball(3, 12), &[], &config, 3).unwrap();
             let mut trainer = Trainer::with_backend(training, Arc::new(Cpu { level })).unwrap();
             for _ in 0..20 {
@@ -229,7 +234,7 @@ fn weights_are_the_same_on_every_instruction_set() {
                 field.render(&view.camera, &view.cam_from_world).unwrap(),
             )
         };
-        let levels = Level::all();
+        let levels = InstructionSet::all();
         let plain = state(levels[0]);
         for level in &levels[1..] {
             assert!(state(*level) == plain, "{level:?}, {features} features");

@@ -9,7 +9,7 @@ use super::testing::{numbers, worst};
 use crate::Config;
 use crate::batch::{Chunk, Shared, Spares, train};
 use crate::cpu::march::March;
-use crate::cpu::simd::{Level, flat};
+use crate::cpu::simd::{InstructionSet, Run, flat};
 use crate::depth::Pull;
 use crate::draw::Target;
 use crate::exposure::Exposure;
@@ -75,7 +75,7 @@ pub fn visited(training: &Training, targets: &[Target]) -> (Shade, Vec<Span>) {
     for target in targets {
         let first = shade.samples.len();
         if let Some(start) = target.start {
-            Level::best().run(March {
+            InstructionSet::best().run(March {
                 steps: &training.march,
                 bits: &training.state.occupancy.bits,
                 origin: start.origin,
@@ -89,14 +89,14 @@ pub fn visited(training: &Training, targets: &[Target]) -> (Shade, Vec<Span>) {
         let end = shade.samples.len();
         spans.push(Span { first, end });
     }
-    shade.densities(Level::best(), &training.state.weights);
+    shade.densities(InstructionSet::best(), &training.state.weights);
     (shade, spans)
 }
 
 /// The CPU's gradients; the chunk holds those of the features, too.
 fn on_the_cpu(training: &Training, targets: &[Target]) -> Chunk {
     let shared = Shared {
-        level: Level::best(),
+        level: InstructionSet::best(),
         config: &training.config,
         weights: &training.state.weights,
         steps: &training.march,

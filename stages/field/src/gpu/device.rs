@@ -1,9 +1,10 @@
 use std::collections::HashMap;
 use std::fmt;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, LazyLock, OnceLock};
 
 use marf_cache::Digest;
 use marf_shaders::SHADERS;
+use parking_lot::Mutex;
 
 use crate::{Device, GpuError};
 
@@ -32,7 +33,7 @@ impl fmt::Debug for Gpu {
 pub(super) const BINDING: &str = "max_storage_buffer_binding_size";
 
 /// What was opened so far, by what was asked for: a process holds one device an adapter.
-static OPENED: OnceLock<Mutex<HashMap<Device, Option<Arc<Gpu>>>>> = OnceLock::new();
+static OPENED: LazyLock<Mutex<HashMap<Device, Option<Arc<Gpu>>>>> = LazyLock::new(Mutex::default);
 
 /// What adapters are looked for through; OpenGL lacks what the kernels need.
 const BACKENDS: wgpu::Backends = wgpu::Backends::VULKAN
@@ -48,8 +49,7 @@ impl Gpu {
     /// # Errors
     /// As [`Gpu::open`].
     pub fn shared(wanted: &Device) -> Result<Option<Arc<Self>>, GpuError> {
-        let opened = OPENED.get_or_init(Mutex::default);
-        let mut opened = opened.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut opened = OPENED.lock();
         if let Some(gpu) = opened.get(wanted) {
             return Ok(gpu.clone());
         }

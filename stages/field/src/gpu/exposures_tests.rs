@@ -9,7 +9,7 @@ use super::exposures::{Exposing, ExposureArrays, ExposureInputs, Exposures};
 use super::testing::{gpu, worst};
 use crate::batch::Chunk;
 use crate::cpu::adam::Bias;
-use crate::cpu::simd::Level;
+use crate::cpu::simd::InstructionSet;
 use crate::exposure::Exposure;
 use crate::learn::learn_exposures;
 use crate::rng::{Purpose, Rng};
@@ -129,7 +129,7 @@ fn exposures_learn_what_the_cpu_learns() {
             scene.learn(&gpu, &rays);
             let mut chunk = Chunk::default();
             chunk.found.exposures = rays;
-            learn_exposures(Level::best(), &mut training, &[chunk], RATE);
+            learn_exposures(InstructionSet::best(), &mut training, &[chunk], RATE);
         }
         let moments = &training.state.gain_moments;
         let flat = |array: &Array<[f32; 4]>| gpu.read(array).unwrap().into_flattened();
@@ -157,7 +157,7 @@ fn exposures_are_cut_and_lose_their_mean_as_on_the_cpu() {
     training.state.gains = [wide, [1.0; 4], [0.0; 4], wide, [-0.3; 4], [0.2; 4]].concat();
     gpu.write(&scene.arrays.gains, 0, training.state.gains.as_chunks::<4>().0);
     scene.learn(&gpu, &[]);
-    learn_exposures(Level::best(), &mut training, &[Chunk::default()], RATE);
+    learn_exposures(InstructionSet::best(), &mut training, &[Chunk::default()], RATE);
     let (apart, at) = worst(&scene.gains(&gpu), &training.state.gains);
     assert!(apart < GAIN, "{apart} at {at}");
 }

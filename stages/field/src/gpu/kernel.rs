@@ -1,7 +1,5 @@
 //! Kernels: compiled once a text, then bound to their arrays.
 
-use std::sync::PoisonError;
-
 use marf_shaders::Shader;
 
 use super::Gpu;
@@ -46,7 +44,7 @@ impl Gpu {
         let text = shader.source(head);
         let key = (entry.to_owned(), text.clone());
         let name = shader.name;
-        let compiled = || self.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
+        let compiled = || self.pipelines.lock();
         if let Some(pipeline) = compiled().get(&key).cloned() {
             return Ok(Kernel { name, pipeline });
         }

@@ -54,8 +54,9 @@ mod session_tests;
 mod tables;
 #[cfg(test)]
 pub(crate) mod testing;
+mod timing;
 mod weights;
 
 pub use ceilings::{Ceilings, ceilings};
 pub use device::Gpu;
-pub use session::{KernelTime, Load, Timed, TimedTraining};
+pub use timing::{KernelTime, Load, Timed, TimedTraining};

@@ -6,7 +6,6 @@ use marf_shaders::{PixelRange, RAYS, Sighted, Step, VIEW_RAYS, ViewCamera};
 use super::Gpu;
 use super::array::{Array, halves};
 use super::kernel::{Bound, Kernel};
-use super::march::Progress;
 use crate::GpuError;
 use crate::View;
 use crate::cpu::march::Steps;
@@ -40,6 +39,27 @@ impl RayArrays {
             directions: gpu.zeros("directions", slots)?,
             targets: gpu.zeros("targets", slots)?,
             pulls: gpu.zeros("pulls", slots)?,
+        })
+    }
+}
+
+/// How far the rays of a picture have come.
+pub struct Progress {
+    /// Step to go on from, `[rays]`.
+    pub next_step: Array<u32>,
+    /// 1 where a ray has ended, `[rays]`.
+    pub done: Array<u32>,
+}
+
+impl Progress {
+    /// Rays at their first step.
+    ///
+    /// # Errors
+    /// More than the device holds.
+    pub fn new(gpu: &Gpu, slots: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            next_step: gpu.zeros("next_step", slots)?,
+            done: gpu.zeros("done", slots)?,
         })
     }
 }

@@ -6,8 +6,7 @@ use nalgebra::{Vector2, Vector3};
 
 use super::Gpu;
 use super::array::halves;
-use super::march::Progress;
-use super::rays::{DrawRays, Photos, RayArrays, ViewRays, camera, sighted};
+use super::rays::{DrawRays, Photos, Progress, RayArrays, ViewRays, camera, sighted};
 use super::testing::{gpu, own_gpu};
 use crate::draw::Target;
 use crate::frame::{Frame, RayStart};

@@ -2,10 +2,11 @@
 
 use std::fmt;
 use std::ops::Range;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use marf_scene::{Camera, Pose};
 use marf_shaders::{PixelRange, counts, faults};
+use parking_lot::Mutex;
 
 use super::Gpu;
 use super::array::Array;
@@ -71,7 +72,7 @@ impl Renderer for GpuRenderer {
         cam_from_world: &Pose,
         rows: Range<u32>,
     ) -> Result<Render, FieldError> {
-        let canvas = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let canvas = self.0.lock();
         canvas.rows(model, camera, cam_from_world, rows)
     }
 }

@@ -1,7 +1,5 @@
 //! A training on a device: what stays there between steps, and the steps.
 
-mod timing;
-
 use std::sync::Arc;
 
 use marf_shaders::{Blending, Pace, Sighted, Step as StepUniform, Total, faults};
@@ -25,7 +23,6 @@ use crate::backend::{Session, Step};
 use crate::schedule::{EPSILON, UPDATE_EVERY};
 use crate::state::State;
 use crate::training::Training;
-pub use timing::{KernelTime, Load, Timed, TimedTraining};
 
 /// Sample slots a sample of the batch: rays visit more samples than they train.
 const VISITED: usize = 2;
@@ -37,10 +34,10 @@ const SLOTS: usize = 256;
 /// A training on a device.
 pub struct GpuSession {
     gpu: Arc<Gpu>,
-    grid: Grid,
-    weights: DeviceWeights,
+    pub(super) grid: Grid,
+    pub(super) weights: DeviceWeights,
     average: DeviceWeights,
-    lanes: Lanes,
+    pub(super) lanes: Lanes,
     arrays: Arrays,
     photos: Photos,
     sightings: Array<Sighted>,
@@ -164,7 +161,7 @@ impl GpuSession {
     }
 
     /// Takes steps up to the next update of the occupancy; `watch` takes the time of every dispatch.
-    fn watched(
+    pub(super) fn watched(
         &mut self,
         training: &mut Training,
         most: u64,
@@ -360,15 +357,15 @@ impl Session for GpuSession {
     }
 }
 
-/// What is learnt about steps that are timed.
+/// Times and counts of steps that are timed.
 #[derive(Default)]
-struct Watch {
+pub struct Watch {
     /// Dispatches of steps.
-    steps: Vec<Timing>,
+    pub steps: Vec<Timing>,
     /// Dispatches of updates of the occupancy.
-    updates: Vec<Timing>,
+    pub updates: Vec<Timing>,
     /// Samples that rays visited.
-    visited: u64,
+    pub visited: u64,
 }
 
 /// Of occupied cells one in so many is looked at in an update.

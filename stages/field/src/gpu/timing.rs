@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use super::{GpuSession, Watch};
+use super::Gpu;
+use super::forward::{Purpose, gathered_rows};
+use super::session::{GpuSession, Watch};
+use super::weights::{BACKGROUND, DeviceLayer};
 use crate::backend::{Session, Step};
-use crate::gpu::Gpu;
-use crate::gpu::forward::{Purpose, gathered_rows};
-use crate::gpu::weights::{BACKGROUND, DeviceLayer};
 #[cfg(test)]
 use crate::state::State;
 use crate::training::Training;
