@@ -1,4 +1,4 @@
-//! The uniforms of the kernels of networks and of light, and what they tell the host.
+//! The uniforms of the kernels of networks and of light, and what they report to the host.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -18,7 +18,7 @@ pub struct ProductRun {
     pub first_a: u32,
     /// First row of C.
     pub first_c: u32,
-    /// Nothing.
+    /// Padding to 16 bytes.
     pub pad: [u32; 2],
 }
 
@@ -50,11 +50,11 @@ pub struct OuterRun {
     pub first_a: u32,
     /// First row of D.
     pub first_d: u32,
-    /// Nothing.
+    /// Padding to 16 bytes.
     pub pad: u32,
 }
 
-/// What is summed, and whose fault it is.
+/// Which parts are summed, and the fault to set where a sum runs away.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct SumRun {
@@ -86,7 +86,7 @@ pub struct AdamNet {
     pub beta1: f32,
     /// Decay of the second moment.
     pub beta2: f32,
-    /// Nothing.
+    /// Padding to 16 bytes.
     pub pad: u32,
 }
 
@@ -98,11 +98,11 @@ pub struct Pace {
     pub rate: f32,
     /// Place in the ring of totals.
     pub total: u32,
-    /// Nothing.
+    /// Padding to 16 bytes.
     pub pad: [u32; 2],
 }
 
-/// Where harmonics go.
+/// Which rows harmonics are written to.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct HarmonicsRun {
@@ -112,7 +112,7 @@ pub struct HarmonicsRun {
     pub stride: u32,
     /// First row.
     pub first: u32,
-    /// Nothing.
+    /// Padding to 16 bytes.
     pub pad: u32,
 }
 
@@ -126,7 +126,7 @@ pub struct Extent {
     pub capacity: u32,
     /// Numbers a column of rays.
     pub rays: u32,
-    /// Nothing.
+    /// Padding to 16 bytes.
     pub pad: u32,
 }
 
@@ -144,7 +144,7 @@ pub struct GatherRun {
     pub first_to: u32,
 }
 
-/// Sizes, and what rays are compared with.
+/// Sizes and switches of the comparison of rays with pixels.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct CompareRun {
@@ -160,7 +160,7 @@ pub struct CompareRun {
     pub offsets: u32,
     /// 1 where the background is learnt, 0 where it is black.
     pub behind: u32,
-    /// Nothing.
+    /// Padding to 16 bytes.
     pub pad: [u32; 2],
 }
 
@@ -186,7 +186,7 @@ pub struct SpreadRun {
     pub floor: f32,
 }
 
-/// What is looked at, and whose fault it is.
+/// Which rows are checked, and the fault to set where a number runs away.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct RunawayRun {
@@ -196,11 +196,11 @@ pub struct RunawayRun {
     pub capacity: u32,
     /// Place in `faults`.
     pub fault: u32,
-    /// Nothing.
+    /// Padding to 16 bytes.
     pub pad: u32,
 }
 
-/// What the host is told of a step.
+/// Counts and loss of a step, read by the host.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct Total {
@@ -216,11 +216,11 @@ pub struct Total {
     pub faults: u32,
     /// Sum of squared errors over rays and channels.
     pub loss: f32,
-    /// Nothing.
+    /// Padding to 16 bytes.
     pub pad: [u32; 2],
 }
 
-/// Sizes, and where rays end.
+/// Sizes, and the optical depth at which rays end.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct PaintRun {
@@ -234,7 +234,7 @@ pub struct PaintRun {
     pub deep: f32,
 }
 
-/// Sizes, and what a pixel is made with.
+/// Sizes of a picture and its background.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct FinishRun {

@@ -2,7 +2,7 @@
 //
 // Source    uniform over all kept pixels of all photos; of every `share`th ray, while sparse points pull, uniform over
 //           the pixels that see one (DS-NeRF, arXiv 2107.02791, draws them in the same batch).
-// Twin      marf_field::trainer::Trainer::target; pixel, colour, view, jitter, origin, pull equal bit for bit, direction
+// Twin      marf_field::draw::Training::target; pixel, colour, view, jitter, origin, pull equal bit for bit, direction
 //           within 2e-6 (shared/camera.wgsl).
 // Threads   one per ray: workgroup 64, folded
 // Reads     step; cameras [views]; pixels [kept] r | g << 8 | b << 16 | place in its run << 24; sightings [S]

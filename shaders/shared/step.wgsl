@@ -16,5 +16,5 @@ struct Step {
     pull: f32,
     // Step size of the optimiser.
     rate: f32,
-    unused: u32,
+    pad0: u32,
 }

@@ -3,7 +3,7 @@ use std::fmt;
 use std::sync::{Arc, LazyLock, OnceLock};
 
 use marf_cache::Digest;
-use marf_shaders::SHADERS;
+use marf_shaders::{SHADERS, constants};
 use parking_lot::Mutex;
 
 use crate::{Device, GpuError};
@@ -214,7 +214,7 @@ fn kernels() -> String {
     let texts = SHADERS
         .iter()
         .flat_map(|shader| shader.shared.iter().chain([&shader.text]));
-    let all: String = texts.copied().collect();
+    let all = constants() + &texts.copied().collect::<String>();
     Digest::of(all.as_bytes()).short().to_string()
 }
 

@@ -121,7 +121,9 @@ pub fn camera(camera: &Camera, world_from_cam: &Pose, frame: &Frame) -> ViewCame
     ViewCamera {
         lens: [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px].map(|number| number as f32),
         bend: [camera.k1, camera.k2, camera.p1, camera.p2].map(|number| number as f32),
-        rows: [0, 1, 2].map(row),
+        row_x: row(0),
+        row_y: row(1),
+        row_z: row(2),
         first: 0,
         run: 1,
         width: camera.width,

@@ -283,7 +283,7 @@ fn every_ray_of_a_picture_runs_through_the_middle_of_its_pixel() {
             first,
             count,
             jitter: 0.5,
-            unused: 0,
+            pad: 0,
         };
         let asked = gpu.uniform("asked", asked).unwrap();
         let (rays, progress) = (

@@ -137,7 +137,7 @@ impl Canvas {
                 first: (first + start) as u32,
                 count: count as u32,
                 jitter: MIDDLE,
-                unused: 0,
+                pad: 0,
             };
             self.rays(model, range)?;
             let picture = self.gpu.read(&self.picture)?;
