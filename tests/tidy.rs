@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Room (folder), package, and the rooms of ours it may import.
-const ROOMS: [(&str, &str, &[&str]); 15] = [
+const ROOMS: [(&str, &str, &[&str]); 17] = [
     ("shaders", "marf-shaders", &[]),
     ("cache/derive", "marf-cache-derive", &[]),
     ("cache", "marf-cache", &["marf-cache-derive"]),
@@ -20,10 +20,12 @@ const ROOMS: [(&str, &str, &[&str]); 15] = [
         "marf-field",
         &["marf-cache", "marf-scene", "marf-shaders"],
     ),
+    ("stages/pds", "marf-pds", &["marf-scene"]),
+    ("stages/demo", "marf-demo", &["marf-cache", "marf-scene"]),
     (
         "stages/extract",
         "marf-extract",
-        &["marf-cache", "marf-stage", "marf-scene"],
+        &["marf-cache", "marf-stage", "marf-scene", "marf-pds", "marf-demo"],
     ),
     (
         "stages/filter",
@@ -80,7 +82,7 @@ const ROOMS: [(&str, &str, &[&str]); 15] = [
 
 /// Packages that belong to one room alone.
 const FENCED: [(&str, &[&str]); 7] = [
-    ("kamadak-exif", &["marf-extract"]),
+    ("kamadak-exif", &["marf-pds"]),
     ("petgraph", &["marf-engine"]),
     ("redb", &["marf-cache"]),
     ("reqwest", &["marf-extract"]),
