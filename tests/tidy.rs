@@ -28,7 +28,7 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 16] = [
+const CRATES: [Crate; 18] = [
     row("shaders", "marf-shaders", &[]),
     row("cache/derive", "marf-cache-derive", &[]),
     row("cache", "marf-cache", &["marf-cache-derive"]),
@@ -40,10 +40,12 @@ const CRATES: [Crate; 16] = [
         "marf-field",
         &["marf-cache", "marf-scene", "marf-shaders"],
     ),
+    row("stages/pds", "marf-pds", &["marf-scene"]),
+    row("stages/demo", "marf-demo", &["marf-cache", "marf-scene"]),
     row(
         "stages/extract",
         "marf-extract",
-        &["marf-cache", "marf-stage", "marf-scene"],
+        &["marf-cache", "marf-stage", "marf-scene", "marf-pds", "marf-demo"],
     ),
     row(
         "stages/filter",
@@ -51,7 +53,7 @@ const CRATES: [Crate; 16] = [
         &["marf-cache", "marf-stage", "marf-scene"],
     ),
     Crate {
-        tests_use: &["marf-extract"],
+        tests_use: &["marf-extract", "marf-demo"],
         ..row(
             "stages/calibrate",
             "marf-calibrate",
@@ -103,7 +105,7 @@ const CRATES: [Crate; 16] = [
 
 /// Packages that only these crates may use.
 const RESTRICTED: [(&str, &[&str]); 7] = [
-    ("kamadak-exif", &["marf-extract"]),
+    ("kamadak-exif", &["marf-pds"]),
     ("petgraph", &["marf-engine"]),
     ("redb", &["marf-cache"]),
     ("reqwest", &["marf-extract"]),
