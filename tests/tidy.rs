@@ -28,20 +28,25 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 18] = [
+const CRATES: [Crate; 19] = [
     row("shaders", "marf-shaders", &[]),
     row("cache/derive", "marf-cache-derive", &[]),
     row("cache", "marf-cache", &["marf-cache-derive"]),
     row("stages/numeric", "marf-numeric", &[]),
     row("stages/stage", "marf-stage", &["marf-cache"]),
     row("stages/scene", "marf-scene", &["marf-cache"]),
+    row("stages/pds", "marf-pds", &["marf-scene"]),
+    row("stages/demo", "marf-demo", &["marf-cache", "marf-scene"]),
     row(
         "stages/field",
         "marf-field",
-        &["marf-cache", "marf-scene", "marf-shaders"],
+        &["marf-shaders", "marf-cache", "marf-scene"],
     ),
-    row("stages/pds", "marf-pds", &["marf-scene"]),
-    row("stages/demo", "marf-demo", &["marf-cache", "marf-scene"]),
+    row(
+        "stages/schema",
+        "marf-schema",
+        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
+    ),
     row(
         "stages/extract",
         "marf-extract",
@@ -53,27 +58,45 @@ const CRATES: [Crate; 18] = [
         &["marf-cache", "marf-stage", "marf-scene"],
     ),
     Crate {
-        tests_use: &["marf-extract", "marf-demo"],
+        tests_use: &["marf-demo", "marf-extract"],
         ..row(
             "stages/calibrate",
             "marf-calibrate",
-            &["marf-cache", "marf-stage", "marf-scene"],
+            &["marf-cache", "marf-stage", "marf-scene", "marf-schema"],
         )
     },
     row(
         "stages/tune",
         "marf-tune",
-        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
+        &[
+            "marf-cache",
+            "marf-stage",
+            "marf-scene",
+            "marf-field",
+            "marf-schema",
+        ],
     ),
     row(
         "stages/train",
         "marf-train",
-        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
+        &[
+            "marf-cache",
+            "marf-stage",
+            "marf-scene",
+            "marf-field",
+            "marf-schema",
+        ],
     ),
     row(
         "stages/bootstrap",
         "marf-bootstrap",
-        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
+        &[
+            "marf-cache",
+            "marf-stage",
+            "marf-scene",
+            "marf-field",
+            "marf-schema",
+        ],
     ),
     row(
         "stages",
@@ -94,11 +117,12 @@ const CRATES: [Crate; 18] = [
         "marf",
         &[
             "marf-cache",
-            "marf-engine",
             "marf-stage",
-            "marf-stages",
             "marf-scene",
             "marf-field",
+            "marf-schema",
+            "marf-stages",
+            "marf-engine",
         ],
     ),
 ];
