@@ -54,7 +54,7 @@ fn item(row: Row) -> Result<InputPhoto, StageError> {
 /// Returns a decoded photo of the set.
 pub(crate) fn decode(ctx: &Ctx<'_>, item: &InputPhoto) -> Result<Photo, StageError> {
     let bytes = ctx.get(&item.image)?;
-    Photo::decode_again(&bytes).map_err(|error| StageError::new(format!("photo `{}`: {error}", item.id)))
+    Photo::decode_validated(&bytes).map_err(|error| StageError::new(format!("photo `{}`: {error}", item.id)))
 }
 
 /// Returns the integer factor that reduces the longer side to at most `longest_side_px`.

@@ -1,6 +1,6 @@
 //! From the numbers of a label to a camera model that can be used.
 
-use marf_scene::{Cahvor, CahvorError, Entrance};
+use marf_scene::{Cahvor, CahvorError, EntrancePupil};
 
 /// Largest tolerated deviation of |A| and |O| from 1: labels of six digits leave 8e-6.
 const UNIT_TOLERANCE: f64 = 1e-3;
@@ -163,14 +163,14 @@ fn check_axes(a: [f64; 3], h: [f64; 3], v: [f64; 3]) -> Result<(), CameraError> 
     }
 }
 
-fn entrance((terms, kind, parameter): ([f64; 3], i64, f64)) -> Result<Entrance, CameraError> {
+fn entrance((terms, kind, parameter): ([f64; 3], i64, f64)) -> Result<EntrancePupil, CameraError> {
     let linearity = match kind {
         1 => 1.0,
         2 => 0.0,
         3 => parameter,
         other => return Err(CameraError::EntranceType(other)),
     };
-    Ok(Entrance { terms, linearity })
+    Ok(EntrancePupil { terms, linearity })
 }
 
 #[cfg(test)]

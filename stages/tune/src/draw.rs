@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use marf_cache::{ContentHash, Listener, digest_of};
+use marf_cache::{ContentHash, Visitor, digest_of};
 use marf_field::Overrides;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -117,23 +117,23 @@ fn log_uniform(low: f64, high: f64, place: u64) -> f64 {
 }
 
 impl ContentHash for Range {
-    fn walk(&self, listener: &mut dyn Listener) {
+    fn walk(&self, visitor: &mut dyn Visitor) {
         match self {
             Self::Log(ends) => {
-                listener.variant("log", 0);
-                ends.walk(listener);
+                visitor.variant("log", 0);
+                ends.walk(visitor);
             }
             Self::Int(ends) => {
-                listener.variant("int", 1);
-                ends.walk(listener);
+                visitor.variant("int", 1);
+                ends.walk(visitor);
             }
             Self::Choice(values) => {
-                listener.variant("choice", 2);
+                visitor.variant("choice", 2);
                 let tables = values.iter().map(|value| {
                     let entry = ("value".to_owned(), value.clone());
                     Overrides(BTreeMap::from([entry]))
                 });
-                tables.collect::<Vec<_>>().walk(listener);
+                tables.collect::<Vec<_>>().walk(visitor);
             }
         }
     }
