@@ -18,6 +18,7 @@ use super::filter::folder;
 use super::run::{execute, options};
 use super::session::Session;
 use super::{budget, files};
+use crate::terminal::{eprint_line, print_line};
 
 /// Ticks a second in /proc/self/stat, on every Linux.
 const TICKS_PER_S: f64 = 100.0;
@@ -146,7 +147,7 @@ pub fn train(global: &Global, args: &BenchArgs, cancel: &Cancel) -> Result<(), C
     };
     let points: Vec<[f64; 3]> = scene.points.iter().map(|point| point.position).collect();
     let lines = pool.install(|| bench.run(&views, &tests, &points, (&config, keys.seed), &budgets))?;
-    crate::talk(&table(&lines));
+    eprint_line(&table(&lines));
     Ok(())
 }
 
@@ -250,7 +251,7 @@ impl Bench<'_> {
             let (mut trainer, spent) = self.trained(views.to_vec(), points, (&config, seed), *budget)?;
             let line = self.look(&mut trainer, tests, &spent, *budget)?;
             let text = serde_json::to_string(&line);
-            crate::say(&text.map_err(|error| CliError::failed(error.to_string()))?);
+            print_line(&text.map_err(|error| CliError::failed(error.to_string()))?);
             lines.push(line);
         }
         Ok(lines)

@@ -6,11 +6,13 @@ use marf_scene::Scene;
 use serde_json::Value as Json;
 
 use super::args::{CalibrateArgs, Global};
-use super::error::{CliError, Complaint};
+use super::error::{CliError, Diagnostic};
+use super::export;
 use super::filter::folder;
+use super::output::print_json;
 use super::run::{execute, options};
 use super::session::Session;
-use super::{export, say_json};
+use crate::terminal::{escape_control, print_line};
 
 /// Most reasons of photos without a camera that are told one by one.
 const MOST_REASONS: usize = 3;
@@ -27,11 +29,11 @@ pub fn calibrate(global: &Global, args: &CalibrateArgs, cancel: &Cancel) -> Resu
     let metrics: Json =
         serde_json::from_slice(&bytes).map_err(|error| CliError::failed(format!("metrics: {error}")))?;
     if global.json {
-        return say_json(&metrics);
+        return print_json(&metrics);
     }
     let scene = Scene::decode(&session.store.get(&output(node, "scene")?)?);
     let scene = scene.map_err(|error| CliError::failed(error.to_string()))?;
-    crate::say(&table(&metrics, &scene, &written));
+    print_line(&table(&metrics, &scene, &written));
     Ok(())
 }
 
@@ -106,7 +108,7 @@ fn table(metrics: &Json, scene: &Scene, written: &[PathBuf]) -> String {
     }
     let lines = rows
         .iter()
-        .map(|(what, value)| format!("{what:<12} {}", super::printable(value)));
+        .map(|(what, value)| format!("{what:<12} {}", escape_control(value)));
     lines.collect::<Vec<_>>().join("\n")
 }
 
@@ -123,13 +125,13 @@ fn reasons(scene: &Scene) -> Vec<(&str, usize)> {
 
 /// Says hints about pipeline.toml as this verb's arguments, as it has no pipeline to edit.
 fn for_this_verb(error: CliError) -> CliError {
-    let say = |complaint: Complaint| Complaint {
-        hint: complaint.hint.map(|hint| as_arguments(&hint)),
-        ..complaint
+    let say = |diagnostic: Diagnostic| Diagnostic {
+        hint: diagnostic.hint.map(|hint| as_arguments(&hint)),
+        ..diagnostic
     };
     match error {
-        CliError::Failed(complaint) => CliError::Failed(say(complaint)),
-        CliError::Usage(complaint) => CliError::Usage(say(complaint)),
+        CliError::Failed(diagnostic) => CliError::Failed(say(diagnostic)),
+        CliError::Usage(diagnostic) => CliError::Usage(say(diagnostic)),
         other => other,
     }
 }

@@ -6,9 +6,11 @@ use serde_json::{Map, Value as Json, json};
 use super::args::{FitArgs, Global};
 use super::error::CliError;
 use super::filter::folder;
+use super::output::print_json;
 use super::run::{execute, options};
 use super::session::Session;
-use super::{budget, export, files, say_json};
+use super::{budget, export, files};
+use crate::terminal::print_line;
 
 /// `marf fit DIR`: trains for each budget and renders the held-out views. One budget after the other, so that
 /// each has the whole machine.
@@ -29,11 +31,11 @@ pub fn fit(global: &Global, args: &FitArgs, cancel: &Cancel) -> Result<(), CliEr
     let text = serde_json::to_vec_pretty(&all).map_err(|error| CliError::failed(error.to_string()))?;
     files::write(&args.out.join("metrics.json"), &text)?;
     if global.json {
-        return say_json(&all);
+        return print_json(&all);
     }
     for (name, metrics) in &all {
         let number = |key: &str| metrics[key].as_f64().unwrap_or(f64::NAN);
-        crate::say(&format!(
+        print_line(&format!(
             "{name:>6}  PSNR {:.2} dB  SSIM {:.3}  {} steps, {:.2} M samples/s, {:.1} s",
             number("psnr"),
             number("ssim"),

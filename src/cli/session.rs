@@ -7,7 +7,7 @@ use marf_cache::{Store, StoreError};
 use marf_engine::{Edge, EngineError, Graph, GraphError, NodeDecl, RunRecord};
 
 use super::args::Global;
-use super::error::{CliError, Complaint};
+use super::error::{CliError, Diagnostic};
 use crate::config::{self, Pipeline};
 
 /// A pipeline ready to plan and run.
@@ -41,7 +41,7 @@ impl Session {
     /// # Errors
     /// A bad pipeline, or a store that cannot be opened.
     pub fn open(global: &Global) -> Result<Self, CliError> {
-        let loaded = config::load(&global.file, &global.sets, &global.wishes())?;
+        let loaded = config::load(&global.file, &global.sets, &global.options())?;
         Self::of(loaded.pipeline, &store_dir(global, &global.file))
     }
 
@@ -51,8 +51,8 @@ impl Session {
     /// As [`Session::open`].
     pub fn implicit(text: &str, global: &Global) -> Result<Self, CliError> {
         let pipeline =
-            config::check(text, &global.sets, &global.wishes(), Path::new("")).map_err(|error| {
-                CliError::Usage(Complaint {
+            config::check(text, &global.sets, &global.options(), Path::new("")).map_err(|error| {
+                CliError::Usage(Diagnostic {
                     message: error.render(Path::new("(built-in pipeline)"), text),
                     cause: None,
                     hint: error.hint,
@@ -117,9 +117,9 @@ pub fn open_store(dir: &Path) -> Result<Store, CliError> {
 pub fn existing_store(global: &Global) -> Result<Store, CliError> {
     let dir = store_dir(global, &global.file);
     if !dir.is_dir() {
-        let complaint = Complaint::new(format!("there is no store at {}", dir.display()));
+        let diagnostic = Diagnostic::new(format!("there is no store at {}", dir.display()));
         return Err(CliError::Failed(
-            complaint.hint("`marf run` makes one; name another with --store"),
+            diagnostic.hint("`marf run` makes one; name another with --store"),
         ));
     }
     open_store(&dir)
@@ -138,12 +138,12 @@ fn store_dir(global: &Global, file: &Path) -> PathBuf {
 
 impl From<StoreError> for CliError {
     fn from(error: StoreError) -> Self {
-        let complaint = Complaint::new(error.to_string());
+        let diagnostic = Diagnostic::new(error.to_string());
         match error {
             StoreError::Locked { .. } => {
-                Self::Locked(complaint.hint("wait for the other run, or give this one its own --store"))
+                Self::Locked(diagnostic.hint("wait for the other run, or give this one its own --store"))
             }
-            _ => Self::Failed(complaint),
+            _ => Self::Failed(diagnostic),
         }
     }
 }

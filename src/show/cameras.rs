@@ -7,12 +7,13 @@ use marf_scene::{Frame, Point, Scene};
 use maud::{Markup, html};
 use serde_json::Value;
 
-use super::NodeView;
 use super::axis::round_step;
 use super::format::{count, number, px};
+use super::input::NodeView;
 use super::json;
-use super::page::{Missing, Page, unreadable};
+use super::page::Page;
 use super::quality::figures;
+use super::read::{Missing, unreadable};
 use super::vector::{Vec3, add, cross, dot, scaled, sub, unit};
 
 const WIDTH: f64 = 680.0;

@@ -4,9 +4,9 @@ use marf_stage::PHOTOS;
 use maud::{Markup, html};
 use serde_json::Value;
 
-use super::NodeView;
 use super::axis::{Chart, Scale};
 use super::format::number;
+use super::input::NodeView;
 use super::json;
 use super::page::Page;
 use super::quality::{figures, without_views};

@@ -9,7 +9,8 @@ use marf_scene::{Camera, Frame, Image, PhotoFacts, Point, Pose, Scene, Unplaced,
 use marf_stage::Verdict;
 use serde_json::{Value, json};
 
-use super::{ChildView, NodeView, ReportInput, State, write};
+use super::input::{ChildView, NodeView, ReportInput, State};
+use super::write;
 
 /// A file name that would run a script if it reached the page as it is.
 pub(super) const HOSTILE: &str = "<img src=x onerror=alert(1)>.jpg";

@@ -6,9 +6,9 @@ use marf_cache::Digest;
 use maud::{Markup, html};
 use serde_json::Value;
 
-use super::NodeView;
 use super::embed::Form;
 use super::format::{count, number};
+use super::input::NodeView;
 use super::json;
 use super::page::Page;
 use super::quality::{figures, view, without_views};

@@ -1,28 +1,18 @@
 use std::sync::Arc;
 
-use marf_cache::Digest;
-use maud::{Markup, Render, html};
+use maud::{Markup, html};
 use serde::de::DeserializeOwned;
 
 use super::embed::Pictures;
+use super::input::{NodeView, ReportInput, State};
 use super::photos::PhotoIndex;
-use super::{NodeView, ReportInput, State};
+use super::read::{Missing, read, unreadable};
 
 /// What all sections share: the input, the photos by id, and how much room is left for pictures.
 pub(super) struct Page<'a> {
     pub(super) input: &'a ReportInput<'a>,
     pub(super) photos: PhotoIndex,
     pub(super) pictures: Pictures,
-}
-
-/// Why something is not shown, as a sentence that stands in its place.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Missing(pub(super) String);
-
-impl Render for Missing {
-    fn render(&self) -> Markup {
-        html! { p.missing { (self.0) } }
-    }
 }
 
 impl<'a> Page<'a> {
@@ -71,31 +61,6 @@ impl<'a> Page<'a> {
             }
         }
     }
-}
-
-/// Reads an output of a node from the store of the input.
-pub(super) fn read(input: &ReportInput<'_>, node: &NodeView, output: &str) -> Result<Arc<[u8]>, Missing> {
-    let (name, outputs) = (&node.name, &node.outputs);
-    let digest = outputs
-        .get(output)
-        .ok_or_else(|| Missing(format!("Node {name} has no output {output}.")))?;
-    (input.read)(digest).ok_or_else(|| Missing(not_stored(&format!("{output} of {name}"), digest)))
-}
-
-/// Says that an output is there but cannot be understood.
-pub(super) fn unreadable(node: &NodeView, output: &str, error: &dyn std::fmt::Display) -> Missing {
-    Missing(format!(
-        "{output} of {} cannot be read and is not shown: {error}.",
-        node.name
-    ))
-}
-
-/// Says that the store does not have an object.
-pub(super) fn not_stored(what: &str, digest: &Digest) -> String {
-    format!(
-        "{what} is not shown: object {} is not in the store.",
-        digest.short()
-    )
 }
 
 fn stopped_as(node: &NodeView) -> String {

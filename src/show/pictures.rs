@@ -7,9 +7,9 @@ use marf_scene::{Image, Srgb};
 use maud::{Markup, html};
 use serde_json::Value;
 
-use super::NodeView;
 use super::embed::{Form, decode, words};
 use super::format::count;
+use super::input::NodeView;
 use super::page::Page;
 use super::quality::{figure, view};
 

@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 use serde_json::Value;
 
-use super::NodeView;
+use super::input::NodeView;
 use super::json;
 use super::page::Page;
 
