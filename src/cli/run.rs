@@ -1,6 +1,5 @@
-use std::sync::{Mutex, PoisonError};
-
 use marf_engine::{Cancel, Event, Listener, NodeRun, NodeState, Options, Outcome, RunRecord};
+use parking_lot::Mutex;
 
 use super::args::{Global, RunArgs};
 use super::error::{CliError, Diagnostic};
@@ -76,10 +75,7 @@ pub fn execute(
     for line in by_hand::idle(&session.nodes, &verdicts::all(session, &record)) {
         eprint_line(&format!("warning: {line}"));
     }
-    let failure = listener
-        .failure
-        .into_inner()
-        .unwrap_or_else(PoisonError::into_inner);
+    let failure = listener.failure.into_inner();
     let ended = match record.outcome {
         Outcome::Done => Ok(()),
         Outcome::Cancelled => Err(CliError::Interrupted),
@@ -111,10 +107,7 @@ impl Listener for RunListener {
                 cause: cause.clone(),
                 hint: hint.clone(),
             };
-            self.failure
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner)
-                .get_or_insert(diagnostic);
+            self.failure.lock().get_or_insert(diagnostic);
         }
     }
 }

@@ -1,8 +1,8 @@
 use std::collections::HashMap;
-use std::sync::{Mutex, PoisonError};
 
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use marf_engine::{Event, Listener};
+use parking_lot::Mutex;
 
 use super::text::sentence;
 use crate::terminal::escape_control;
@@ -16,7 +16,7 @@ pub struct Bars {
 
 impl Bars {
     fn bar(&self, node: &str, total: u64) -> ProgressBar {
-        let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut running = self.running.lock();
         let make = || {
             let bar = self
                 .all
@@ -32,7 +32,7 @@ impl Bars {
     }
 
     fn end(&self, node: &str) {
-        let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut running = self.running.lock();
         if let Some(bar) = running.remove(node) {
             bar.finish_and_clear();
             self.all.remove(&bar);

@@ -1,8 +1,8 @@
 use std::collections::HashMap;
-use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use marf_engine::{Event, Listener};
+use parking_lot::Mutex;
 
 use super::text::{duration, sentence};
 use crate::terminal::{eprint_line, escape_control};
@@ -30,7 +30,7 @@ impl Lines {
     /// whose time is measured anew.
     fn due(&self, node: &str, done: u64, total: u64) -> Option<String> {
         let now = Instant::now();
-        let mut tracked = self.tracked.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut tracked = self.tracked.lock();
         let fresh = Tracked {
             began: now,
             last: now,

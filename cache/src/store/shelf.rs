@@ -4,8 +4,10 @@ use std::{
     collections::{BTreeSet, HashMap},
     fs, io,
     path::{Path, PathBuf},
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::Arc,
 };
+
+use parking_lot::{Mutex, MutexGuard};
 
 use super::{StoreError, files, pack};
 use crate::Digest;
@@ -61,7 +63,7 @@ impl Shelf {
     }
 
     fn packs(&self) -> MutexGuard<'_, Packs> {
-        self.packs.lock().unwrap_or_else(PoisonError::into_inner)
+        self.packs.lock()
     }
 
     fn place(&self, digest: &Digest) -> Option<Place> {

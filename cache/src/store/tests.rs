@@ -166,7 +166,7 @@ fn a_crash_between_blobs_and_records_leaves_orphans_only() {
     let (dir, store) = fresh();
     let record = record("k", &store, b"out");
     store.put_record(record.clone());
-    let group = lock(&store.staged).open.clone();
+    let group = store.staged.lock().open.clone();
     store.seal_blobs(&group).unwrap();
     std::mem::forget(store.session().unwrap()); // a killed process removes nothing
     let other = again(&dir);

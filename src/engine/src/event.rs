@@ -2,12 +2,12 @@
 
 use std::{
     collections::BTreeMap,
-    sync::{Mutex, PoisonError},
     time::{Duration, Instant},
 };
 
 use marf_cache::Output;
 use marf_stage::Progress;
+use parking_lot::Mutex;
 use serde::Serialize;
 
 /// Shortest time between two progress events of a node, but for its last.
@@ -113,7 +113,7 @@ impl<'a> NodeProgress<'a> {
     }
 
     fn is_due(&self) -> bool {
-        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut last = self.last.lock();
         let due = last.is_none_or(|last| last.elapsed() >= PROGRESS_PAUSE);
         if due {
             *last = Some(Instant::now());
@@ -146,7 +146,7 @@ mod tests {
 
     impl Listener for Ears {
         fn hear(&self, event: &Event) {
-            self.0.lock().unwrap().push(event.clone());
+            self.0.lock().push(event.clone());
         }
     }
 
@@ -207,7 +207,7 @@ mod tests {
         let progress = NodeProgress::new("train", &ears);
         let total = 1_000_000;
         (1..=total).for_each(|done| progress.at(done, total, ""));
-        let heard = ears.0.into_inner().unwrap();
+        let heard = ears.0.into_inner();
         let done = |event: &Event| match event {
             Event::Progress { done, .. } => *done,
             _ => 0,

@@ -2,10 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use marf_cache::{Digest, digest_of};
 use marf_stage::{Ctx, Listing, Shard, StageError};
+use parking_lot::Mutex;
 use rayon::prelude::*;
 use walkdir::{DirEntry, WalkDir};
 
@@ -89,7 +90,7 @@ impl Folder {
         }
         let shards = self.chosen(by_sol(files))?;
         let survey = Arc::new(Survey { shards, companions });
-        *self.last.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::clone(&survey));
+        *self.last.lock() = Some(Arc::clone(&survey));
         Ok(survey)
     }
 
@@ -230,7 +231,7 @@ impl ArchiveFiles for Folder {
     }
 
     fn files(&self, ctx: &Ctx<'_>, shard: u32) -> Result<Vec<ArchiveFile>, StageError> {
-        let last = self.last.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let last = self.last.lock().clone();
         let survey = match last {
             Some(survey) => survey,
             None => self.survey(ctx)?,

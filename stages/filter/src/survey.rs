@@ -4,7 +4,7 @@ use marf_cache::{ContentHash, Listener, manifest::Row};
 use marf_scene::Photo;
 use marf_stage::{Ctx, StageError};
 
-use crate::look::Look;
+use crate::decoded::DecodedPhoto;
 
 /// Name and version of the table in which surveys are kept, for all filters together.
 pub(crate) const TABLE: (&str, u32) = ("filters", 1);
@@ -16,7 +16,7 @@ pub(crate) struct Section {
     /// Version of the filter.
     pub(crate) version: u32,
     /// Measures a photo; the bytes are the filter's own affair.
-    pub(crate) measure: fn(&Look) -> Result<Vec<u8>, serde_json::Error>,
+    pub(crate) measure: fn(&DecodedPhoto) -> Result<Vec<u8>, serde_json::Error>,
 }
 
 /// A filter as the table lists it.
@@ -56,7 +56,7 @@ pub(crate) fn survey(sections: &[Option<Section>], ctx: &Ctx<'_>, row: &Row) -> 
         Ok(photo) => photo,
         Err(error) => return refused(error.to_string()),
     };
-    let look = Look::of(photo);
+    let look = DecodedPhoto::of(photo);
     let mut bytes = vec![1];
     for section in sections.iter().flatten() {
         let measure = (section.measure)(&look).map_err(|error| {

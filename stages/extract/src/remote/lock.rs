@@ -7,10 +7,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
 
 use marf_cache::Digest;
 use marf_stage::StageError;
+use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 
 use crate::net::Validators;
@@ -148,7 +148,7 @@ pub(crate) fn read(path: &Path, archive: &str) -> Result<Pins, StageError> {
 pub(crate) fn write(path: &Path, archive: &str, pins: &Pins) -> Result<(), StageError> {
     // Several archives of one pipeline share the file.
     static WRITING: Mutex<()> = Mutex::new(());
-    let _writing = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
+    let _writing = WRITING.lock();
     let old = text(path)?.unwrap_or_default();
     let new = with_table(&old, archive, &pins.table(archive));
     if new == old {

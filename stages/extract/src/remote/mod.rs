@@ -16,11 +16,12 @@ mod tables;
 mod trees;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use marf_cache::{ContentHash, Digest, digest_of};
 use marf_stage::{Ctx, Listing, ParamError, Shard, StageError};
+use parking_lot::{Mutex, MutexGuard};
 
 use self::lock::{Pins, SolPins};
 use self::offer::{Offer, Offers};
@@ -152,7 +153,7 @@ impl Remote {
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        self.state.lock()
     }
 
     /// What the archive offers of the sols asked for: now, or as it is locked.

@@ -1,7 +1,7 @@
 use marf_scene::{Image, Srgb};
 
+use crate::decoded::DecodedPhoto;
 use crate::hash::{self, Hash, SIDE};
-use crate::look::Look;
 use crate::luma::luma;
 
 /// Cells a side of the small images that are compared: at 64 video neighbours of the rover set correlate up to
@@ -14,7 +14,7 @@ const DARK: f64 = 4.0;
 
 /// What is kept of a photo to tell whether it shows the same view as another.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Sketch {
+pub(crate) struct ViewDescriptor {
     /// Upright size, pixels.
     pub(crate) width: u32,
     pub(crate) height: u32,
@@ -29,9 +29,9 @@ pub(crate) struct Sketch {
     pub(crate) gradients: Vec<Vec<u8>>,
 }
 
-impl Sketch {
+impl ViewDescriptor {
     /// Draws the sketch of a photo.
-    pub(crate) fn of(look: &Look) -> Self {
+    pub(crate) fn of(look: &DecodedPhoto) -> Self {
         let image = &look.photo.image;
         let bands = if look.photo.bands == 1 { 1 } else { 3 };
         let means = Grid::of(image);
@@ -62,7 +62,7 @@ impl Sketch {
         bytes
     }
 
-    /// Reads what [`Sketch::encode`] wrote from the front of `bytes`, and moves on; `None` if it is not that.
+    /// Reads what [`ViewDescriptor::encode`] wrote from the front of `bytes`, and moves on; `None` if it is not that.
     pub(crate) fn decode(bytes: &mut &[u8]) -> Option<Self> {
         let width = u32::from_le_bytes(take(bytes)?);
         let height = u32::from_le_bytes(take(bytes)?);
@@ -203,8 +203,8 @@ mod tests {
 
     use super::*;
 
-    fn look(image: Image<Srgb>) -> Look {
-        Look::of(Photo {
+    fn look(image: Image<Srgb>) -> DecodedPhoto {
+        DecodedPhoto::of(Photo {
             image,
             bands: 3,
             notes: Vec::new(),
@@ -221,19 +221,19 @@ mod tests {
 
     #[test]
     fn a_sketch_survives_its_bytes() {
-        let sketch = Sketch::of(&look(hills()));
+        let sketch = ViewDescriptor::of(&look(hills()));
         let bytes = [sketch.encode(), vec![7]].concat();
         let mut rest = bytes.as_slice();
-        assert_eq!(Sketch::decode(&mut rest), Some(sketch));
+        assert_eq!(ViewDescriptor::decode(&mut rest), Some(sketch));
         assert_eq!(rest, [7]);
         for cut in [0, 3, 24, 40, bytes.len() - 2] {
-            assert_eq!(Sketch::decode(&mut &bytes[..cut]), None, "cut at {cut}");
+            assert_eq!(ViewDescriptor::decode(&mut &bytes[..cut]), None, "cut at {cut}");
         }
     }
 
     #[test]
     fn gray_and_one_tint_have_no_colour_and_a_coloured_photo_has() {
-        let colour = |image: Image<Srgb>| Sketch::of(&look(image)).colour;
+        let colour = |image: Image<Srgb>| ViewDescriptor::of(&look(image)).colour;
         let tinted = |[red, green, blue]: [f64; 3]| {
             let hills = hills();
             Image::from_fn(200, 150, |x, y| {
@@ -268,7 +268,7 @@ mod tests {
 
     #[test]
     fn the_hash_does_not_ask_how_bright_a_photo_is_and_differs_for_its_mirror() {
-        let hash = |image: Image<Srgb>| Sketch::of(&look(image)).hashes[0].clone();
+        let hash = |image: Image<Srgb>| ViewDescriptor::of(&look(image)).hashes[0].clone();
         let hills = hills();
         let dim = Image::from_fn(200, 150, |x, y| hills.at(x, y).map(|value| value / 2));
         let mirror = Image::from_fn(200, 150, |x, y| hills.at(199 - x, y));

@@ -3,7 +3,7 @@ use marf_stage::{
     Ctx, Define, Map, Measure, Measured, PHOTOS, ParamError, Port, Stage, StageError, VERDICTS, Verdict, Work,
 };
 
-use crate::filter::{Filter, Seen, facts_of, undecodable};
+use crate::filter::{Filter, MeasuredPhoto, facts_of, undecodable};
 use crate::survey::{self, Section, Surveyed, survey, unreadable};
 use crate::{SECTIONS, VERSIONS};
 
@@ -13,11 +13,11 @@ pub(crate) const PORTS: &[Port] = &[Port::required("input", PHOTOS)];
 pub(crate) const OUTPUTS: &[&str] = &[PHOTOS, VERDICTS];
 
 /// A [`Filter`] with its parameters, as a stage.
-pub struct Judge<F: Filter> {
+pub struct FilterStage<F: Filter> {
     params: F::Params,
 }
 
-impl<F: Filter> Define for Judge<F> {
+impl<F: Filter> Define for FilterStage<F> {
     type Params = F::Params;
     const NAME: &'static str = F::NAME;
     const ABOUT: &'static str = F::ABOUT;
@@ -32,7 +32,7 @@ impl<F: Filter> Define for Judge<F> {
     }
 }
 
-impl<F: Filter> Stage for Judge<F> {
+impl<F: Filter> Stage for FilterStage<F> {
     fn params(&self) -> &dyn ContentHash {
         &self.params
     }
@@ -42,7 +42,7 @@ impl<F: Filter> Stage for Judge<F> {
     }
 }
 
-impl<F: Filter> Surveyed for Judge<F> {
+impl<F: Filter> Surveyed for FilterStage<F> {
     const SECTION: Option<Section> = match F::MEASURE {
         None => None,
         Some(_) => Some(Section {
@@ -56,7 +56,7 @@ impl<F: Filter> Surveyed for Judge<F> {
     };
 }
 
-impl<F: Filter> Measure for Judge<F> {
+impl<F: Filter> Measure for FilterStage<F> {
     /// No parameter of a filter changes what it measures.
     fn measure_params(&self) -> &dyn ContentHash {
         if F::MEASURE.is_some() {
@@ -79,7 +79,7 @@ impl<F: Filter> Measure for Judge<F> {
     }
 }
 
-impl<F: Filter> Map for Judge<F> {
+impl<F: Filter> Map for FilterStage<F> {
     fn decide(&self, items: &[Measured<'_>]) -> Result<Vec<Verdict>, StageError> {
         let mut seen = Vec::with_capacity(items.len());
         let mut unread = Vec::with_capacity(items.len());
@@ -88,7 +88,7 @@ impl<F: Filter> Map for Judge<F> {
             match read::<F>(item)? {
                 Ok(measure) => {
                     unread.push(None);
-                    seen.push(Seen {
+                    seen.push(MeasuredPhoto {
                         id: item.row.id.clone(),
                         facts,
                         measure,
@@ -97,16 +97,16 @@ impl<F: Filter> Map for Judge<F> {
                 Err(reason) => unread.push(Some(undecodable(item.row, &facts, reason))),
             }
         }
-        let opinions = F::decide(&self.params, &seen);
+        let decisions = F::decide(&self.params, &seen);
         let by_hand = F::by_hand(&self.params);
-        let mut judged = seen.iter().zip(opinions);
+        let mut judged = seen.iter().zip(decisions);
         let verdicts = items.iter().zip(unread).map(|(item, unread)| {
-            let missing = || StageError::new(format!("filter `{}` gave too few opinions", F::NAME));
+            let missing = || StageError::new(format!("filter `{}` gave too few decisions", F::NAME));
             unread.map_or_else(
                 || {
-                    let (seen, opinion) = judged.next().ok_or_else(missing)?;
-                    let opinion = by_hand.overrule(&seen.id, &seen.facts.file, opinion);
-                    Ok(opinion.verdict(F::NAME, item.row, &seen.facts))
+                    let (seen, decision) = judged.next().ok_or_else(missing)?;
+                    let decision = by_hand.overrule(&seen.id, &seen.facts.file, decision);
+                    Ok(decision.verdict(F::NAME, item.row, &seen.facts))
                 },
                 Ok,
             )

@@ -1,4 +1,4 @@
-use crate::sketch::{CELLS, Sketch};
+use crate::descriptor::{CELLS, ViewDescriptor};
 
 /// Cells two sketches may be shifted against each other: 1 of 64 takes up what cropping and resampling move.
 const REACH: usize = 1;
@@ -9,7 +9,7 @@ const ASPECT: f64 = 0.05;
 ///
 /// A narrow-band copy has the hash of its own band, not of the brightness: a blue one lies 4 to 16 bits from
 /// the brightness and 0 to 2 from the blue band of its original.
-pub(crate) fn bits(a: &Sketch, b: &Sketch) -> u32 {
+pub(crate) fn bits(a: &ViewDescriptor, b: &ViewDescriptor) -> u32 {
     let pairs = a
         .hashes
         .iter()
@@ -18,7 +18,7 @@ pub(crate) fn bits(a: &Sketch, b: &Sketch) -> u32 {
 }
 
 /// Returns the distance between the hashes of brightness, in bits.
-pub(crate) fn brightness_bits(a: &Sketch, b: &Sketch) -> u32 {
+pub(crate) fn brightness_bits(a: &ViewDescriptor, b: &ViewDescriptor) -> u32 {
     match (a.hashes.first(), b.hashes.first()) {
         (Some(a), Some(b)) => a.dist(b),
         _ => u64::BITS,
@@ -26,7 +26,7 @@ pub(crate) fn brightness_bits(a: &Sketch, b: &Sketch) -> u32 {
 }
 
 /// Tells whether two photos have the same proportions, whatever their size.
-pub(crate) fn same_aspect(a: &Sketch, b: &Sketch) -> bool {
+pub(crate) fn same_aspect(a: &ViewDescriptor, b: &ViewDescriptor) -> bool {
     let (first, second) = (
         f64::from(a.width) * f64::from(b.height),
         f64::from(b.width) * f64::from(a.height),
@@ -38,7 +38,7 @@ pub(crate) fn same_aspect(a: &Sketch, b: &Sketch) -> bool {
 ///
 /// Over the same pairs of bands two different views rise by 0.01 at most, while a blue copy rises from 0.90 to
 /// 0.999 (rover set).
-pub(crate) fn correlation(a: &Sketch, b: &Sketch) -> f64 {
+pub(crate) fn correlation(a: &ViewDescriptor, b: &ViewDescriptor) -> f64 {
     let pairs = a
         .gradients
         .iter()

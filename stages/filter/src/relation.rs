@@ -1,60 +1,61 @@
-//! What names and labels say of two photos, before any pixel is compared.
+//! How two photos are related by their product names and labels, before any pixel is compared.
 
 use marf_scene::{CameraPrior, PhotoFacts};
 
 /// Most seconds between two photos of one pointing through different filters: a wheel of eight positions takes
 /// about two minutes.
-const ONE_POINTING_S: u64 = 600;
+const MAX_INTERVAL_S: u64 = 600;
 /// Largest shift between two photos of one pointing by their labels, as a share of the width.
-const ONE_POINTING: f64 = 0.02;
+const MAX_SHIFT: f64 = 0.02;
 
-/// How two photos are related by name and label.
+/// How two photos are related by product name and label.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Kin {
-    /// Versions of one exposure (EFF, RAD, RSL): the same pixels, prepared in another way.
-    Version,
+pub(crate) enum Relation {
+    /// Versions of one exposure (EFF, RAD, RSL): the same pixels, processed in another way.
+    SameExposure,
     /// One pointing through two colour filters.
-    Filter,
-    /// One camera on one sol through two colour filters; nothing is known of the pointing.
-    PerhapsFilter,
-    /// Nothing is known.
+    SamePointing,
+    /// One camera on one sol through two colour filters; the pointing is unknown.
+    SameCamera,
+    /// None of these.
     Unknown,
 }
 
-impl Kin {
-    /// Returns what to say of it in a reason; empty where nothing is known.
-    pub(crate) fn words(self) -> &'static str {
+impl Relation {
+    /// Returns the end of the sentence that says why a photo is a duplicate; empty for [`Relation::Unknown`].
+    pub(crate) fn reason_suffix(self) -> &'static str {
         match self {
-            Self::Version => ", another version of one exposure by name",
-            Self::Filter => ", one pointing through another colour filter by name or label",
-            Self::PerhapsFilter => ", same camera through another colour filter",
+            Self::SameExposure => ", another version of one exposure by name",
+            Self::SamePointing => ", one pointing through another colour filter by name or label",
+            Self::SameCamera => ", same camera through another colour filter",
             Self::Unknown => "",
         }
     }
 }
 
-/// Returns how two photos are related.
-pub(crate) fn kin(a: (&str, &PhotoFacts), b: (&str, &PhotoFacts)) -> Kin {
+/// Returns how two photos, each given by product id and facts, are related.
+pub(crate) fn relation_between(a: (&str, &PhotoFacts), b: (&str, &PhotoFacts)) -> Relation {
     let names = Name::read(a.0).zip(Name::read(b.0));
     if names.is_some_and(|(a, b)| a.is_version_of(&b)) {
-        return Kin::Version;
+        return Relation::SameExposure;
     }
     if !differ_in_filter(a.1, b.1) {
-        return Kin::Unknown;
+        return Relation::Unknown;
     }
     let by_label = same_pointing(a.1, b.1);
     let by_name = names.map(|(a, b)| a.is_pointed_as(&b));
-    // A label measures the pointing, a name only tells the plan.
+    // A label holds the measured pointing, a name only the planned one.
     match by_label.or(by_name) {
-        Some(true) => Kin::Filter,
-        Some(false) => Kin::Unknown,
-        None => Kin::PerhapsFilter,
+        Some(true) => Relation::SamePointing,
+        Some(false) => Relation::Unknown,
+        None => Relation::SameCamera,
     }
 }
 
-/// Returns how far a product is developed, the lower the better: calibrated radiance first, so that of two versions of
-/// one exposure the same kind stays in the whole set.
-pub(crate) fn development(id: &str) -> u8 {
+/// Returns the rank of a product's processing level; of two versions of one exposure the lower rank is kept.
+///
+/// Calibrated radiance is 0, so that the same kind of product is kept throughout the set.
+pub(crate) fn processing_rank(id: &str) -> u8 {
     match Name::read(id)
         .map(|name| name.0[23..26].to_ascii_uppercase())
         .as_deref()
@@ -65,28 +66,29 @@ pub(crate) fn development(id: &str) -> u8 {
     }
 }
 
-/// Tells whether one camera took both on one sol through different filters, as the archive says.
+/// Returns whether one camera took both photos on one sol through different filters, by the archive's facts.
 fn differ_in_filter(a: &PhotoFacts, b: &PhotoFacts) -> bool {
     let same = a.instrument.is_some() && a.instrument == b.instrument && a.sol == b.sol;
     same && a.filter.is_some() && b.filter.is_some() && a.filter != b.filter
 }
 
-/// Tells whether two labels point at the same spot; none where one has no camera, or they are in different frames.
+/// Returns whether the labels of two photos give the same pointing; `None` where a label has no camera, or the labels
+/// are in different frames.
 fn same_pointing(a: &PhotoFacts, b: &PhotoFacts) -> Option<bool> {
     let (first, second) = (a.prior.as_ref()?, b.prior.as_ref()?);
-    let place = |prior: &CameraPrior| prior.motion_counter.iter().copied().take(3).collect::<Vec<i64>>();
-    if first.frame != second.frame || place(first) != place(second) {
+    let rover_pose = |prior: &CameraPrior| prior.motion_counter.iter().copied().take(3).collect::<Vec<i64>>();
+    if first.frame != second.frame || rover_pose(first) != rover_pose(second) {
         return None;
     }
     // Where the middle of one photo falls in the other, against its own middle.
     let ray = first.model.unproject(&middle_px(a).into())?;
-    let Some(there) = second.model.project_direction(&ray.direction) else {
+    let Some(projected) = second.model.project_direction(&ray.direction) else {
         return Some(false);
     };
-    let own = middle_px(b);
-    let (across, down) = (there.x - own[0], there.y - own[1]);
-    let most = ONE_POINTING * f64::from(b.width);
-    Some(across * across + down * down <= most * most)
+    let middle = middle_px(b);
+    let (across, down) = (projected.x - middle[0], projected.y - middle[1]);
+    let limit = MAX_SHIFT * f64::from(b.width);
+    Some(across * across + down * down <= limit * limit)
 }
 
 /// Returns the middle of a photo, pixel centres at integers.
@@ -124,7 +126,7 @@ impl<'a> Name<'a> {
     fn is_pointed_as(&self, other: &Self) -> bool {
         let plan = |name: &Self| [&name.0[..2], &name.0[4..8], &name.0[27..48]].map(str::to_ascii_uppercase);
         let seconds = |name: &Self| name.0[9..19].parse::<u64>().unwrap_or(0);
-        plan(self) == plan(other) && seconds(self).abs_diff(seconds(other)) <= ONE_POINTING_S
+        plan(self) == plan(other) && seconds(self).abs_diff(seconds(other)) <= MAX_INTERVAL_S
     }
 }
 
@@ -145,11 +147,11 @@ mod tests {
         }
     }
 
-    fn related(a: &str, b: &str) -> Kin {
+    fn related(a: &str, b: &str) -> Relation {
         let (first, second) = (facts(a), facts(b));
-        let kin_of = kin((a, &first), (b, &second));
-        assert_eq!(kin_of, kin((b, &second), (a, &first)), "{a} {b}");
-        kin_of
+        let found = relation_between((a, &first), (b, &second));
+        assert_eq!(found, relation_between((b, &second), (a, &first)), "{a} {b}");
+        found
     }
 
     #[test]
@@ -159,7 +161,7 @@ mod tests {
             "zl0_0709_0729888971_069rsl_n0332864zcam07114_0340lma02",
             "ZL0_0709_0729888971_069RADLN0332864ZCAM07114_0340LMA01",
         ] {
-            assert_eq!(related(RAD, other), Kin::Version, "{other}");
+            assert_eq!(related(RAD, other), Relation::SameExposure, "{other}");
         }
         for other in [
             RAD,
@@ -169,8 +171,8 @@ mod tests {
             "frame_00003",
             "",
         ] {
-            let known = kin((RAD, &PhotoFacts::default()), (other, &PhotoFacts::default()));
-            assert_eq!(known, Kin::Unknown, "{other}");
+            let known = relation_between((RAD, &PhotoFacts::default()), (other, &PhotoFacts::default()));
+            assert_eq!(known, Relation::Unknown, "{other}");
         }
     }
 
@@ -178,8 +180,11 @@ mod tests {
     #[test]
     fn tiles_are_no_versions() {
         let tile = |number: &str| format!("NLF_0050_0671382174_448ECM_N0031950NCAM00500_{number}_195J");
-        assert_eq!(related(&tile("01"), &tile("04")), Kin::Unknown);
-        assert_eq!(related(&tile("01"), &format!("{}01", tile("01"))), Kin::Version);
+        assert_eq!(related(&tile("01"), &tile("04")), Relation::Unknown);
+        assert_eq!(
+            related(&tile("01"), &format!("{}01", tile("01"))),
+            Relation::SameExposure
+        );
     }
 
     #[test]
@@ -189,25 +194,28 @@ mod tests {
         };
         assert_eq!(
             related(RAD, &through("3", "0729889051", "ZCAM07114")),
-            Kin::Filter
+            Relation::SamePointing
         );
         assert_eq!(
             related(RAD, &through("3", "0729889051", "ZCAM07115")),
-            Kin::Unknown
+            Relation::Unknown
         );
         assert_eq!(
             related(RAD, &through("3", "0729899051", "ZCAM07114")),
-            Kin::Unknown
+            Relation::Unknown
         );
         assert_eq!(
             related(RAD, &through("0", "0729889051", "ZCAM07114")),
-            Kin::Unknown
+            Relation::Unknown
         );
         let nameless = PhotoFacts {
             filter: Some("3".to_owned()),
             ..facts(RAD)
         };
-        assert_eq!(kin(("a", &facts(RAD)), ("b", &nameless)), Kin::PerhapsFilter);
+        assert_eq!(
+            relation_between(("a", &facts(RAD)), ("b", &nameless)),
+            Relation::SameCamera
+        );
     }
 
     #[test]
@@ -230,28 +238,28 @@ mod tests {
             site_from_frame: None,
             motion_counter: vec![33, 2864, 12, 7],
         };
-        let other_name = "ZL3_0709_0729889051_069RAD_N0332864ZCAM07115_0340LMA01";
+        let other_id = "ZL3_0709_0729889051_069RAD_N0332864ZCAM07115_0340LMA01";
         let at = |id: &str, turn: f64| PhotoFacts {
             prior: Some(camera(turn)),
             ..facts(id)
         };
         // 33 px of 1648 are 2 %; 4600 px a radian.
         for (turn, expected) in [
-            (0.0, Kin::Filter),
-            (0.006, Kin::Filter),
-            (0.008, Kin::Unknown),
-            (3.0, Kin::Unknown),
+            (0.0, Relation::SamePointing),
+            (0.006, Relation::SamePointing),
+            (0.008, Relation::Unknown),
+            (3.0, Relation::Unknown),
         ] {
-            let found = kin((RAD, &at(RAD, 0.0)), (other_name, &at(other_name, turn)));
+            let found = relation_between((RAD, &at(RAD, 0.0)), (other_id, &at(other_id, turn)));
             assert_eq!(found, expected, "turned by {turn}");
         }
     }
 
     #[test]
     fn radiance_is_preferred() {
-        assert_eq!(development(RAD), 0);
-        assert_eq!(development(&RAD.replace("RAD", "RSL")), 1);
-        assert_eq!(development(&RAD.replace("RAD", "EFF")), 2);
-        assert_eq!(development("rock.jpg"), 2);
+        assert_eq!(processing_rank(RAD), 0);
+        assert_eq!(processing_rank(&RAD.replace("RAD", "RSL")), 1);
+        assert_eq!(processing_rank(&RAD.replace("RAD", "EFF")), 2);
+        assert_eq!(processing_rank("rock.jpg"), 2);
     }
 }

@@ -6,7 +6,7 @@ use crate::luma::{Laplacian, Luma};
 const SAMPLE: usize = 1 << 18;
 
 /// A photo as the filters look at it: decoded once, with what several of them need.
-pub struct Look {
+pub struct DecodedPhoto {
     /// The photo, of at least one pixel.
     pub photo: Photo,
     /// Its brightness.
@@ -15,7 +15,7 @@ pub struct Look {
     pub(crate) laplacian: Laplacian,
 }
 
-impl Look {
+impl DecodedPhoto {
     /// Looks at a photo of at least one pixel.
     pub(crate) fn of(photo: Photo) -> Self {
         let luma = Luma::of(&photo.image);
@@ -60,7 +60,7 @@ mod tests {
         );
         assert_eq!((step(1440 * 1920), step(400_000_000)), (3, 39));
         let look = |width, height| {
-            Look::of(Photo {
+            DecodedPhoto::of(Photo {
                 image: Image::from_fn(width, height, |x, y| [x as u8, y as u8, 7]),
                 bands: 3,
                 notes: Vec::new(),
