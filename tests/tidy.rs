@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Room (folder), package, and the rooms of ours it may import.
-const ROOMS: [(&str, &str, &[&str]); 16] = [
+const ROOMS: [(&str, &str, &[&str]); 17] = [
     ("shaders", "marf-shaders", &[]),
     ("cache/derive", "marf-cache-derive", &[]),
     ("cache", "marf-cache", &["marf-cache-derive"]),
@@ -20,6 +20,11 @@ const ROOMS: [(&str, &str, &[&str]); 16] = [
         "stages/field",
         "marf-field",
         &["marf-cache", "marf-scene", "marf-shaders"],
+    ),
+    (
+        "stages/schema",
+        "marf-schema",
+        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
     ),
     (
         "stages/extract",
@@ -34,22 +39,40 @@ const ROOMS: [(&str, &str, &[&str]); 16] = [
     (
         "stages/calibrate",
         "marf-calibrate",
-        &["marf-cache", "marf-stage", "marf-scene"],
+        &["marf-cache", "marf-stage", "marf-scene", "marf-schema"],
     ),
     (
         "stages/tune",
         "marf-tune",
-        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
+        &[
+            "marf-cache",
+            "marf-stage",
+            "marf-scene",
+            "marf-schema",
+            "marf-field",
+        ],
     ),
     (
         "stages/train",
         "marf-train",
-        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
+        &[
+            "marf-cache",
+            "marf-stage",
+            "marf-scene",
+            "marf-schema",
+            "marf-field",
+        ],
     ),
     (
         "stages/bootstrap",
         "marf-bootstrap",
-        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
+        &[
+            "marf-cache",
+            "marf-stage",
+            "marf-scene",
+            "marf-schema",
+            "marf-field",
+        ],
     ),
     (
         "stages",
@@ -74,6 +97,7 @@ const ROOMS: [(&str, &str, &[&str]); 16] = [
             "marf-stage",
             "marf-stages",
             "marf-scene",
+            "marf-schema",
             "marf-field",
         ],
     ),

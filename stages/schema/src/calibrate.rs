@@ -1,10 +1,12 @@
+//! `calibrate`: photos and priors to a calibrated scene.
+
 use marf_cache::ContentHash;
-use marf_stage::ParamError;
+use marf_stage::{Document, ParamError, Params};
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// How cameras are found, and what is done with the photos.
-#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
 #[serde(default, deny_unknown_fields)]
 pub struct CalibrateParams {
     /// Where cameras come from: `sfm` (the photos themselves, labels as priors), `labels` (the archive's labels
@@ -52,7 +54,7 @@ pub struct CalibrateParams {
 }
 
 /// Where cameras come from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
     /// Structure from motion: the photos themselves, labels as priors.
@@ -66,7 +68,7 @@ pub enum Method {
 }
 
 /// Where the search for features begins.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
 #[serde(rename_all = "lowercase")]
 pub enum FirstOctaveParam {
     /// At the working size.
@@ -76,7 +78,7 @@ pub enum FirstOctaveParam {
 }
 
 /// Which photos are compared.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
 #[serde(rename_all = "lowercase")]
 pub enum Pairs {
     /// All of up to 60 photos; of more, neighbours by name, those that look alike and those whose labels say so.
@@ -88,7 +90,7 @@ pub enum Pairs {
 }
 
 /// Which lens terms the cameras get.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
 #[serde(rename_all = "kebab-case")]
 pub enum LensParam {
     /// The smallest model the photos support.
@@ -104,7 +106,7 @@ pub enum LensParam {
 }
 
 /// What becomes of the principal point.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
 #[serde(rename_all = "lowercase")]
 pub enum PrincipalPoint {
     /// Moves where the photos support it.
@@ -116,13 +118,17 @@ pub enum PrincipalPoint {
 }
 
 /// Which photos share a camera.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
 #[serde(rename_all = "lowercase")]
 pub enum Intrinsics {
     /// Photos of one instrument, size and focal length.
     Camera,
     /// None: each has its own.
     Photo,
+}
+
+impl Params for CalibrateParams {
+    const STAGE: &'static str = "calibrate";
 }
 
 impl Default for CalibrateParams {
@@ -187,4 +193,89 @@ impl CalibrateParams {
             _ => Ok(()),
         }
     }
+}
+
+/// Output `metrics` of `calibrate`: how each photo fared.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Metrics {
+    /// What placed the photos.
+    pub method: String,
+    /// Sums.
+    pub totals: Totals,
+    /// One entry for each photo of the input, sorted by id.
+    pub photos: Vec<PhotoMetrics>,
+    /// Files the import has a camera for that are not among the photos, sorted by name.
+    pub missing: Vec<Missing>,
+}
+
+impl Document for Metrics {
+    const STAGE: &'static str = CalibrateParams::STAGE;
+    const OUTPUT: &'static str = "metrics";
+
+    /// JSON with a line a field, as people read it.
+    fn encode(&self) -> Result<Vec<u8>, serde_json::Error> {
+        serde_json::to_vec_pretty(self)
+    }
+}
+
+/// Sums over all photos.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Totals {
+    /// Photos of the input.
+    pub photos: usize,
+    /// Photos with a camera.
+    pub registered: usize,
+    /// Photos with a camera that are kept from training.
+    pub held_out: usize,
+    /// Photos without a camera.
+    pub unplaced: usize,
+    /// Files with a camera that are not among the photos.
+    pub missing: usize,
+    /// Sparse points.
+    pub points: usize,
+    /// Groups of photos that could not be joined, the scene's own among them, if the method tells.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub components: Option<usize>,
+    /// Mean over the photos that have one of their mean reprojection error, pixels.
+    pub error_px: Option<f64>,
+    /// The same at the size at which features were sought, pixels; `sfm` only.
+    pub error_working_px: Option<f64>,
+}
+
+/// How one photo fared.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PhotoMetrics {
+    /// Its id.
+    pub id: String,
+    /// Its file.
+    pub file: String,
+    /// Whether it has a camera.
+    pub registered: bool,
+    /// Whether it is kept from training.
+    pub held_out: bool,
+    /// Features found in it, if the method tells.
+    pub features: Option<u32>,
+    /// Features that agree with another photo's, if the method tells.
+    pub matches: Option<u32>,
+    /// Features that belong to a point of the scene, if the method tells.
+    pub inliers: Option<u32>,
+    /// Mean distance of those features from their points' projections, pixels of its camera.
+    pub error_px: Option<f64>,
+    /// Standard deviation of its attitude relative to the scene's first photo, degrees; `sfm` only.
+    pub angle_sigma_deg: Option<f64>,
+    /// Standard deviation of its centre, likewise, in the scene's unit; `sfm` only.
+    pub centre_sigma: Option<f64>,
+    /// What is worth knowing beside it (a label the photos outvoted).
+    pub note: Option<String>,
+    /// Why it has no camera; empty if it has.
+    pub reason: String,
+}
+
+/// A file with a camera that is not among the photos.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Missing {
+    /// Its name in the import.
+    pub file: String,
+    /// Why it is not in the scene.
+    pub reason: String,
 }
