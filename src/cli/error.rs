@@ -82,6 +82,16 @@ impl CliError {
         }
     }
 
+    /// Returns the message alone.
+    pub fn message(&self) -> &str {
+        match self {
+            Self::Failed(diagnostic) | Self::Usage(diagnostic) | Self::Locked(diagnostic) => {
+                &diagnostic.message
+            }
+            Self::Interrupted => "stopped",
+        }
+    }
+
     /// Returns what to print to stderr.
     pub fn render(&self) -> String {
         match self {

@@ -1,4 +1,7 @@
 use marf_engine::{Cancel, Event, Listener, NodeRun, NodeState, Options, Outcome, RunRecord};
+use marf_schema::scores::Scores;
+use marf_schema::{bootstrap, evaluate, train};
+use marf_stage::Document;
 use parking_lot::Mutex;
 
 use super::args::{Global, RunArgs};
@@ -166,23 +169,24 @@ fn result(node: &NodeRun, session: &Session) -> String {
         .iter()
         .map(|(what, count)| format!("{count} {}", what.replace('_', " ")))
         .collect();
-    let metrics = node
-        .outputs
-        .get("metrics")
-        .and_then(|output| session.store.get(&output.digest).ok());
-    let metrics = metrics.and_then(|bytes| serde_json::from_slice::<serde_json::Value>(&bytes).ok());
-    for (key, label, unit) in [
-        ("psnr", "held-out PSNR", " dB"),
-        ("ssim", "SSIM", ""),
-        ("std", "mean std", ""),
-    ] {
-        if let Some(value) = metrics
-            .as_ref()
-            .and_then(|metrics| metrics.get(key))
-            .and_then(|value| value.as_f64())
-        {
-            parts.push(format!("{label} {value:.3}{unit}"));
-        }
-    }
+    parts.extend(figures(node, session).unwrap_or_else(|error| vec![error.message().to_owned()]));
     parts.join(", ")
+}
+
+/// Returns the means of a node's metrics, if it is of a stage that has some.
+fn figures(node: &NodeRun, session: &Session) -> Result<Vec<String>, CliError> {
+    let of_scores = |scores: Scores| {
+        let psnr = format!("held-out PSNR {:.3} dB", scores.psnr);
+        let ssim = scores.ssim.map(|ssim| format!("SSIM {ssim:.3}"));
+        [psnr].into_iter().chain(ssim).collect()
+    };
+    Ok(match node.stage.as_str() {
+        train::Metrics::STAGE => of_scores(session.document::<train::Metrics>(node)?.scores),
+        evaluate::Metrics::STAGE => of_scores(session.document::<evaluate::Metrics>(node)?.scores),
+        bootstrap::Metrics::STAGE => {
+            let metrics = session.document::<bootstrap::Metrics>(node)?;
+            vec![format!("mean std {:.3}", metrics.std)]
+        }
+        _ => Vec::new(),
+    })
 }

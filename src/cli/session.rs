@@ -2,9 +2,11 @@
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use marf_cache::{Store, StoreError};
-use marf_engine::{Edge, EngineError, Graph, GraphError, NodeDecl, RunRecord};
+use marf_cache::{Digest, Store, StoreError};
+use marf_engine::{Edge, EngineError, Graph, GraphError, NodeDecl, NodeRun, RunRecord};
+use marf_stage::Document;
 
 use super::args::Global;
 use super::error::{CliError, Diagnostic};
@@ -93,6 +95,24 @@ impl Session {
         })
     }
 
+    /// Reads a document that a node has written.
+    ///
+    /// # Errors
+    /// An output that the node or the store does not have, or that is no such document.
+    pub fn document<D: Document>(&self, node: &NodeRun) -> Result<D, CliError> {
+        let bytes = self.output(node, D::OUTPUT)?;
+        D::decode(&bytes)
+            .map_err(|error| CliError::failed(format!("{} of `{}`: {error}", D::OUTPUT, node.name)))
+    }
+
+    /// Reads an output of a node.
+    ///
+    /// # Errors
+    /// An output that the node or the store does not have.
+    pub fn output(&self, node: &NodeRun, name: &str) -> Result<Arc<[u8]>, CliError> {
+        Ok(self.store.get(&digest(node, name)?)?)
+    }
+
     /// Returns the last run of this pipeline.
     ///
     /// # Errors
@@ -100,6 +120,25 @@ impl Session {
     pub fn last(&self) -> Result<Option<RunRecord>, CliError> {
         Ok(marf_engine::last_run(&self.store, &self.name)?)
     }
+}
+
+/// Returns the node of this name.
+///
+/// # Errors
+/// A run without that node.
+pub fn node_named<'r>(record: &'r RunRecord, name: &str) -> Result<&'r NodeRun, CliError> {
+    let node = record.nodes.iter().find(|node| node.name == name);
+    node.ok_or_else(|| CliError::failed(format!("the run has no node `{name}`")))
+}
+
+/// Returns the digest of an output of a node.
+///
+/// # Errors
+/// Names the output that the node does not have.
+pub fn digest(node: &NodeRun, name: &str) -> Result<Digest, CliError> {
+    let output = node.outputs.get(name);
+    let output = output.ok_or_else(|| CliError::failed(format!("`{}` has no output `{name}`", node.name)))?;
+    Ok(output.digest)
 }
 
 /// Opens a store, making it if need be.

@@ -1,7 +1,7 @@
 use std::sync::Arc;
 
+use marf_stage::Document;
 use maud::{Markup, html};
-use serde::de::DeserializeOwned;
 
 use super::embed::Pictures;
 use super::input::{NodeView, ReportInput, State};
@@ -44,10 +44,15 @@ impl<'a> Page<'a> {
         read(self.input, node, output)
     }
 
-    /// Reads an output that is JSON.
-    pub(super) fn json<T: DeserializeOwned>(&self, node: &NodeView, output: &str) -> Result<T, Missing> {
-        let bytes = self.bytes(node, output)?;
-        serde_json::from_slice(&bytes).map_err(|error| unreadable(node, output, &error))
+    /// Returns the nodes that have a document of this type.
+    pub(super) fn with_document<D: Document>(&self) -> impl Iterator<Item = &'a NodeView> {
+        self.input.nodes.iter().filter(|node| has_document::<D>(node))
+    }
+
+    /// Reads a document of a node.
+    pub(super) fn document<D: Document>(&self, node: &NodeView) -> Result<D, Missing> {
+        let bytes = self.bytes(node, D::OUTPUT)?;
+        D::decode(&bytes).map_err(|error| unreadable(node, D::OUTPUT, &error))
     }
 
     /// Says that no node gave something, and which nodes could not.
@@ -61,6 +66,11 @@ impl<'a> Page<'a> {
             }
         }
     }
+}
+
+/// Tells whether a node is of the stage that writes this document, and has it.
+pub(super) fn has_document<D: Document>(node: &NodeView) -> bool {
+    node.stage == D::STAGE && node.outputs.contains_key(D::OUTPUT)
 }
 
 fn stopped_as(node: &NodeView) -> String {
