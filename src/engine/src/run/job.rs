@@ -213,7 +213,7 @@ impl Shift<'_> {
 
     /// Conflicts of other nodes may come along: a group is committed by whoever ends first.
     fn tell_conflicts(&self) {
-        for conflict in self.site.store.conflicts() {
+        for conflict in self.site.store.take_conflicts() {
             let digests = |outputs: &BTreeMap<String, Output>| {
                 let outputs = outputs.iter();
                 let texts = outputs.map(|(name, output)| format!("{name} {}", output.digest.short()));
