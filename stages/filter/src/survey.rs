@@ -51,7 +51,7 @@ pub(crate) fn survey(sections: &[Option<Section>], ctx: &Ctx<'_>, row: &Row) -> 
     let digest = row.blobs.get("image");
     let digest = digest.ok_or_else(|| StageError::new(format!("photo `{}` has no blob `image`", row.id)))?;
     let refused = |reason: String| Ok([&[0][..], reason.as_bytes()].concat());
-    let photo = match Photo::decode_again(&ctx.get(digest)?) {
+    let photo = match Photo::decode_validated(&ctx.get(digest)?) {
         Ok(photo) if photo.image.pixels.is_empty() => return refused("the image has no pixels".to_owned()),
         Ok(photo) => photo,
         Err(error) => return refused(error.to_string()),
