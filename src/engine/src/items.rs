@@ -1,4 +1,4 @@
-//! Sets of items between nodes: reads and writes roots and leaves.
+//! Sets of items: reads and writes roots, leaves and verdicts.
 
 use marf_cache::{
     Digest,
@@ -6,12 +6,15 @@ use marf_cache::{
 };
 use marf_stage::{Ctx, StageError, Verdict};
 
+use crate::errors::contract_violation;
+
 /// The rows of one shard.
-pub(crate) struct Part {
+pub(crate) struct ShardRows {
     pub(crate) shard: u32,
     pub(crate) rows: Vec<Row>,
 }
 
+/// Reads the root of a set.
 pub(crate) fn read_root(ctx: &Ctx<'_>, root: &Digest) -> Result<Root, StageError> {
     Root::decode(&ctx.get(root)?).map_err(|error| unreadable("set", root, &error))
 }
@@ -23,28 +26,29 @@ pub(crate) fn by_shard(root: &Root) -> Vec<(u32, Vec<LeafRef>)> {
 }
 
 /// Reads the rows of a shard's leaves, in order.
-pub(crate) fn read_part(ctx: &Ctx<'_>, shard: u32, leaves: &[LeafRef]) -> Result<Part, StageError> {
+pub(crate) fn read_shard(ctx: &Ctx<'_>, shard: u32, leaves: &[LeafRef]) -> Result<ShardRows, StageError> {
     let mut rows = Vec::new();
     for leaf in leaves {
         let read =
             Leaf::decode(&ctx.get(&leaf.leaf)?).map_err(|error| unreadable("leaf", &leaf.leaf, &error))?;
         rows.extend(read.rows);
     }
-    Ok(Part { shard, rows })
+    Ok(ShardRows { shard, rows })
 }
 
-pub(crate) fn read_parts(ctx: &Ctx<'_>, root: &Digest) -> Result<Vec<Part>, StageError> {
+/// Reads all rows of a set, shard by shard.
+pub(crate) fn read_all_shards(ctx: &Ctx<'_>, root: &Digest) -> Result<Vec<ShardRows>, StageError> {
     let shards = by_shard(&read_root(ctx, root)?);
     shards
         .iter()
-        .map(|(shard, leaves)| read_part(ctx, *shard, leaves))
+        .map(|(shard, leaves)| read_shard(ctx, *shard, leaves))
         .collect()
 }
 
-/// Stores the rows of a shard as leaves; no rows, no leaf.
-pub(crate) fn write_part(ctx: &Ctx<'_>, part: Part) -> Result<Vec<LeafRef>, StageError> {
-    let shard = part.shard;
-    let whole = Leaf::new(part.rows)
+/// Stores the rows of a shard as leaves; none if there are no rows.
+pub(crate) fn write_shard(ctx: &Ctx<'_>, rows: ShardRows) -> Result<Vec<LeafRef>, StageError> {
+    let shard = rows.shard;
+    let whole = Leaf::new(rows.rows)
         .map_err(|error| StageError::new(format!("shard {shard} cannot be kept: {error}")))?;
     let leaves = whole.rows.chunks(ROWS_A_LEAF).map(|rows| {
         let leaf = Leaf { rows: rows.to_vec() };
@@ -57,7 +61,7 @@ pub(crate) fn write_part(ctx: &Ctx<'_>, part: Part) -> Result<Vec<LeafRef>, Stag
     leaves.collect()
 }
 
-/// Returns verdicts as one JSON line each, sorted by id, then by file.
+/// Stores verdicts as one JSON line each, sorted by id, then by file.
 pub(crate) fn write_verdicts(ctx: &Ctx<'_>, mut verdicts: Vec<Verdict>) -> Result<Digest, StageError> {
     verdicts.sort_by(|a, b| (&a.id, &a.file).cmp(&(&b.id, &b.file)));
     let mut bytes = Vec::new();
@@ -70,6 +74,7 @@ pub(crate) fn write_verdicts(ctx: &Ctx<'_>, mut verdicts: Vec<Verdict>) -> Resul
     ctx.put(&bytes)
 }
 
+/// Reads what [`write_verdicts`] stored.
 pub(crate) fn read_verdicts(ctx: &Ctx<'_>, digest: &Digest) -> Result<Vec<Verdict>, StageError> {
     let bytes = ctx.get(digest)?;
     let lines = bytes.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
@@ -80,11 +85,13 @@ pub(crate) fn read_verdicts(ctx: &Ctx<'_>, digest: &Digest) -> Result<Vec<Verdic
         .collect()
 }
 
-/// Keeps the rows whose verdict says so; verdicts must come one for each row, in the same order.
+/// Returns the rows that their verdicts keep; there must be one verdict for each row, in the same order.
 pub(crate) fn kept(rows: Vec<Row>, verdicts: &[Verdict]) -> Result<Vec<Row>, StageError> {
     if rows.len() != verdicts.len() {
         let (got, wanted) = (verdicts.len(), rows.len());
-        return Err(bug(format!("{got} verdicts came for {wanted} photos")));
+        return Err(contract_violation(format!(
+            "{got} verdicts came for {wanted} photos"
+        )));
     }
     if let Some((row, verdict)) = rows
         .iter()
@@ -92,18 +99,15 @@ pub(crate) fn kept(rows: Vec<Row>, verdicts: &[Verdict]) -> Result<Vec<Row>, Sta
         .find(|(row, verdict)| row.id != verdict.id)
     {
         let (row, verdict) = (&row.id, &verdict.id);
-        return Err(bug(format!("the verdict on `{row}` is about `{verdict}`")));
+        return Err(contract_violation(format!(
+            "the verdict on `{row}` is about `{verdict}`"
+        )));
     }
     let pairs = rows.into_iter().zip(verdicts);
     Ok(pairs
         .filter(|(_, verdict)| verdict.keeps())
         .map(|(row, _)| row)
         .collect())
-}
-
-/// A stage broke its contract.
-pub(crate) fn bug(message: String) -> StageError {
-    StageError::new(message).cause("the stage does not keep its contract; this is a bug of the stage")
 }
 
 fn unreadable(what: &str, digest: &Digest, error: &ManifestError) -> StageError {

@@ -1,7 +1,6 @@
-//! Tables of measures: what was ever measured of the rows of one shard.
+//! Tables of measures: all measures of the rows of one shard, of all runs.
 //!
-//! A table is a union over all runs, and each of its values a pure function of its row; so history decides what
-//! is measured again, never what comes out.
+//! Each value is a pure function of its row, so earlier runs decide only what is measured again.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -11,19 +10,18 @@ const MAGIC: &[u8; 12] = b"marf-memo-1\n";
 
 /// Measures by [`row_digest`].
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(crate) struct MemoTable(pub(crate) BTreeMap<Digest, Arc<[u8]>>);
+pub(crate) struct MeasureTable(pub(crate) BTreeMap<Digest, Arc<[u8]>>);
 
-/// Returns the digest of everything a measure can see of a row: its id, its blobs, its facts.
+/// Returns the digest of everything that a measure can read of a row: its id, its blobs, its facts.
 ///
-/// The id counts although bytes make the measure: a stage is handed the id, so nothing but this keeps its
-/// answer right if it looks. The price is that a renamed photo is measured again.
+/// A stage is given the id and may use it, so a renamed photo is measured again.
 pub(crate) fn row_digest(row: &Row) -> Digest {
     // Strings, digests and sorted maps always serialise.
     Digest::of(&serde_json::to_vec(row).unwrap_or_default())
 }
 
-impl MemoTable {
-    /// Returns the bytes of the table: for each row its digest, the length of its measure (u32 LE), its measure.
+impl MeasureTable {
+    /// Returns the bytes of the table: for each row its digest, the length of its measure (u32 LE), the measure.
     pub(crate) fn encode(&self) -> Vec<u8> {
         let mut bytes = MAGIC.to_vec();
         for (digest, measure) in &self.0 {
@@ -34,7 +32,7 @@ impl MemoTable {
         bytes
     }
 
-    /// Reads what [`MemoTable::encode`] wrote; none if it is anything else.
+    /// Reads what [`MeasureTable::encode`] wrote; none if the bytes are anything else.
     pub(crate) fn decode(bytes: &[u8]) -> Option<Self> {
         let mut rest = bytes.strip_prefix(MAGIC.as_slice())?;
         let mut table = BTreeMap::new();
@@ -62,11 +60,11 @@ mod tests {
             cut in 0.0_f64..1.0,
         ) {
             let rows = rows.into_iter().map(|(key, value)| (Digest::from_bytes(key), Arc::from(value)));
-            let table = MemoTable(rows.collect());
+            let table = MeasureTable(rows.collect());
             let bytes = table.encode();
-            prop_assert_eq!(MemoTable::decode(&bytes), Some(table.clone()));
+            prop_assert_eq!(MeasureTable::decode(&bytes), Some(table.clone()));
             let part = &bytes[..(bytes.len() as f64 * cut) as usize];
-            prop_assert_ne!(MemoTable::decode(part), Some(table));
+            prop_assert_ne!(MeasureTable::decode(part), Some(table));
         }
     }
 

@@ -1,4 +1,4 @@
-//! What a stage stands on while it runs: store, checkpoints, and a lease on its key.
+//! What a stage uses while it runs: blobs, checkpoints and memos of the store, and a lease on its key.
 
 use std::{
     fs::{self, File, TryLockError},
@@ -8,15 +8,18 @@ use std::{
     time::Duration,
 };
 
-use marf_cache::{Digest, Store, StoreError};
+use marf_cache::{Digest, Store};
 use marf_stage::{BlobError, Blobs, Cancel, Checkpoints, Memos, StageError};
 
-use crate::{Event, Listener};
+use crate::{
+    errors::blob_error,
+    event::{Event, Listener},
+};
 
-/// Pause between two looks at a key that another program works on.
-const LEASE_PAUSE: Duration = Duration::from_millis(20);
+/// Pause between two attempts to take a lease.
+const LEASE_RETRY_INTERVAL: Duration = Duration::from_millis(20);
 
-/// The store as stages see it.
+/// The blobs of the store, for stages.
 pub(crate) struct StoreBlobs<'a>(pub(crate) &'a Store);
 
 impl Blobs for StoreBlobs<'_> {
@@ -29,15 +32,9 @@ impl Blobs for StoreBlobs<'_> {
     }
 }
 
-pub(crate) fn blob_error(error: StoreError) -> BlobError {
-    BlobError {
-        lost: error.lost(),
-        message: error.to_string(),
-    }
-}
-
-/// The state of an unfinished run of one key, as a file that is replaced as a whole.
+/// The checkpoint of one key: a file that is replaced atomically.
 pub(crate) struct FileCheckpoints<'a> {
+    dir: PathBuf,
     path: PathBuf,
     node: String,
     listener: &'a dyn Listener,
@@ -45,36 +42,37 @@ pub(crate) struct FileCheckpoints<'a> {
 
 impl<'a> FileCheckpoints<'a> {
     pub(crate) fn new(store: &Store, key: &Digest, node: &str, listener: &'a dyn Listener) -> Self {
+        let dir = store.dir().join("checkpoints");
         Self {
-            path: store.dir().join("checkpoints").join(key.to_string()),
+            path: dir.join(key.to_string()),
+            dir,
             node: node.to_owned(),
             listener,
         }
     }
 
-    /// Forgets the state: its node has finished.
+    /// Removes the checkpoint.
     pub(crate) fn remove(&self) {
         let _ = fs::remove_file(&self.path);
     }
 
+    /// Writes the digest of the state, then the state.
     fn write(&self, state: &[u8]) -> std::io::Result<()> {
-        if let Some(folder) = self.path.parent() {
-            fs::create_dir_all(folder)?;
-        }
-        let unfinished = self.path.with_extension(format!("{}.tmp", std::process::id()));
-        let mut file = File::create(&unfinished)?;
+        fs::create_dir_all(&self.dir)?;
+        let mut file = tempfile::Builder::new().suffix(".tmp").tempfile_in(&self.dir)?;
         file.write_all(Digest::of(state).as_bytes())?;
         file.write_all(state)?;
-        file.sync_data()?;
-        fs::rename(&unfinished, &self.path)
+        file.as_file().sync_data()?;
+        file.persist(&self.path)?;
+        Ok(())
     }
 }
 
 impl Checkpoints for FileCheckpoints<'_> {
     fn load(&self) -> Option<Vec<u8>> {
         let bytes = fs::read(&self.path).ok()?;
-        let (seal, state) = bytes.split_at_checked(32)?;
-        (Digest::of(state).as_bytes() == seal).then(|| state.to_vec())
+        let (checksum, state) = bytes.split_at_checked(32)?;
+        (Digest::of(state).as_bytes() == checksum).then(|| state.to_vec())
     }
 
     fn save(&self, state: &[u8]) {
@@ -87,7 +85,7 @@ impl Checkpoints for FileCheckpoints<'_> {
     }
 }
 
-/// Tables of partial results as blobs of the store, by the stage's own key.
+/// Tables of partial results: blobs of the store under keys that the stage makes.
 pub(crate) struct StoreMemos<'a> {
     store: &'a Store,
     node: String,
@@ -105,13 +103,13 @@ impl<'a> StoreMemos<'a> {
 }
 
 impl Memos for StoreMemos<'_> {
-    /// A table that is gone, damaged or out of reach is none.
+    /// Returns a table; none if it is missing, damaged or unreadable.
     fn load(&self, key: &Digest) -> Option<Arc<[u8]>> {
         let blob = self.store.memo(key).ok()??;
         self.store.get(&blob).ok()
     }
 
-    /// The table goes to the disk with the next group, at the latest when the run ends.
+    /// Stores a table; it becomes durable with the next commit, at the latest when the run ends.
     fn save(&self, key: &Digest, table: &[u8]) {
         match self.store.put(table) {
             Ok(blob) => self.store.put_memo(*key, blob),
@@ -123,36 +121,40 @@ impl Memos for StoreMemos<'_> {
     }
 }
 
-/// The right to work on a key; the second to want it waits, and then finds the first one's result.
+/// The exclusive right to run a key. A second process waits for it, and then finds the first one's result.
 ///
-/// Where files cannot be locked two programs may do the same work: a waste, never a wrong answer.
+/// Where files cannot be locked, two processes may do the same work; the result is the same.
 pub(crate) struct Lease {
     path: PathBuf,
     _file: Option<File>,
 }
 
 impl Lease {
+    /// Takes the lease on a key; calls `on_wait` once if it must wait.
+    ///
+    /// # Errors
+    /// A cancellation while it waits.
     pub(crate) fn take(
         dir: &Path,
         key: &Digest,
         cancel: &Cancel,
-        busy: impl Fn(),
+        on_wait: impl Fn(),
     ) -> Result<Self, StageError> {
         let path = dir.join("leases").join(key.to_string());
         let opened = fs::create_dir_all(dir.join("leases")).and_then(|()| File::create(&path));
         let Ok(file) = opened else {
             return Ok(Self { path, _file: None });
         };
-        let mut told = false;
+        let mut has_waited = false;
         while matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
             if cancel.is_set() {
                 return Err(StageError::Cancelled);
             }
-            if !told {
-                busy();
-                told = true;
+            if !has_waited {
+                on_wait();
+                has_waited = true;
             }
-            std::thread::sleep(LEASE_PAUSE);
+            std::thread::sleep(LEASE_RETRY_INTERVAL);
         }
         let _file = Some(file);
         Ok(Self { path, _file })
@@ -161,7 +163,7 @@ impl Lease {
 
 impl Drop for Lease {
     fn drop(&mut self) {
-        // The lock goes when the file is closed, after its name: who waits on it gets it still.
+        // The lock is released when the file is closed, after this: a waiting process still gets it.
         let _ = fs::remove_file(&self.path);
     }
 }
@@ -220,26 +222,26 @@ mod tests {
     }
 
     #[test]
-    fn the_second_to_want_a_key_waits_and_can_be_stopped() {
+    fn a_second_lease_on_a_key_waits_and_can_be_cancelled() {
         let dir = tempfile::tempdir().unwrap();
         let (key, cancel) = (Digest::of(b"key"), Cancel::default());
         let first = Lease::take(dir.path(), &key, &cancel, || {}).unwrap();
         let stop = || cancel.set();
-        let stopped = Lease::take(dir.path(), &key, &cancel, stop);
-        assert!(matches!(stopped, Err(StageError::Cancelled)));
+        let cancelled = Lease::take(dir.path(), &key, &cancel, stop);
+        assert!(matches!(cancelled, Err(StageError::Cancelled)));
         let other = Digest::of(b"other key");
         Lease::take(dir.path(), &other, &Cancel::default(), || panic!("it is free")).unwrap();
 
-        let (told, released) = (AtomicBool::new(false), AtomicBool::new(false));
+        let (waiting, released) = (AtomicBool::new(false), AtomicBool::new(false));
         std::thread::scope(|scope| {
             scope.spawn(|| {
                 Lease::take(dir.path(), &key, &Cancel::default(), || {
-                    told.store(true, Ordering::SeqCst)
+                    waiting.store(true, Ordering::SeqCst)
                 })
                 .unwrap();
                 assert!(released.load(Ordering::SeqCst), "it did not wait");
             });
-            while !told.load(Ordering::SeqCst) {
+            while !waiting.load(Ordering::SeqCst) {
                 std::thread::yield_now();
             }
             released.store(true, Ordering::SeqCst);

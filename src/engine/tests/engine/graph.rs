@@ -1,10 +1,6 @@
-//! What is wrong with a graph is said before anything runs.
+//! The checks of a graph, before anything runs.
 
-#![allow(clippy::unwrap_used, reason = "a test that is set up wrong should stop")]
-
-mod common;
-
-use common::*;
+use crate::common::*;
 use marf_engine::{Graph, GraphError, NodeDecl};
 use serde_json::json;
 
@@ -37,11 +33,11 @@ fn a_cycle_is_printed_in_full() {
     ];
     assert_eq!(
         fault(nodes).to_string(),
-        "nodes wait for each other: a -> b -> c -> a"
+        "the nodes form a cycle: a -> b -> c -> a"
     );
     assert_eq!(
         fault(vec![at_most("a", "a")]).to_string(),
-        "nodes wait for each other: a -> a"
+        "the nodes form a cycle: a -> a"
     );
 }
 
@@ -77,7 +73,7 @@ fn an_input_must_be_one_the_stage_has_and_the_upstream_gives() {
     let draw = node("draw", "draw", 0, json!({ "seed": 1 }), &["input=archive"]);
     assert_eq!(
         fault(vec![archive(), draw]).to_string(),
-        "`draw.input` wants `sum` of `archive`, which gives photos, verdicts, companions"
+        "`input` of `node.draw` needs `sum`; `node.archive` (stage `archive`) gives photos, verdicts, companions"
     );
     let twice = node(
         "a",

@@ -1,33 +1,29 @@
 //! Failures, stops, kills, damage, and several programs on one store.
 
-#![allow(clippy::unwrap_used, reason = "a test that is set up wrong should stop")]
-
-mod common;
-
 use std::{
     path::{Path, PathBuf},
     sync::{Arc, Barrier},
 };
 
-use common::*;
+use crate::common::*;
 use marf_cache::{Digest, Store};
 use marf_engine::{Cancel, Event, Graph, NodeState, Outcome, PlanState, last_run, plan};
 
-fn broken_graph(world: u64, how: &str) -> Graph {
-    let mut nodes = Line::new(world).nodes();
+fn broken_graph(fixture: u64, how: &str) -> Graph {
+    let mut nodes = TestPipeline::new(fixture).nodes();
     let how = serde_json::json!({ "how": how });
-    nodes.push(node("broken", "broken", world, how, &["input=at_most"]));
+    nodes.push(node("broken", "broken", fixture, how, &["input=at_most"]));
     nodes.push(node(
         "below",
         "draw",
-        world,
+        fixture,
         serde_json::json!({ "seed": 1 }),
         &["input=broken"],
     ));
     let below = node(
         "far_below",
         "many",
-        world,
+        fixture,
         serde_json::json!({ "b": 1, "unlucky": 99 }),
         &["input=broken"],
     );
@@ -38,9 +34,9 @@ fn broken_graph(world: u64, how: &str) -> Graph {
 #[test]
 fn a_failing_node_skips_what_depends_on_it_and_nothing_else() {
     let (_dir, store) = fresh_store();
-    let (number, world) = new_world();
-    world.put_shard(1);
-    let (record, ears) = run_on(&broken_graph(number, "fails"), &store);
+    let (number, fixture) = new_fixture();
+    fixture.put_shard(1);
+    let (record, log) = run_on(&broken_graph(number, "fails"), &store);
     assert_eq!(record.outcome, Outcome::Failed);
     assert_eq!(record.node("below").unwrap().state, NodeState::Skipped);
     assert_eq!(record.node("below").unwrap().reason, "broken failed");
@@ -52,9 +48,9 @@ fn a_failing_node_skips_what_depends_on_it_and_nothing_else() {
         cause: Some("numbers".into()),
         hint: Some("use letters".into()),
     };
-    assert!(ears.0.lock().unwrap().contains(&failed));
-    let (again, ears) = run_on(&broken_graph(number, "fails"), &store);
-    assert_eq!(reason_of(&ears, "broken").unwrap(), "it failed in the last run");
+    assert!(log.0.lock().contains(&failed));
+    let (again, log) = run_on(&broken_graph(number, "fails"), &store);
+    assert_eq!(reason_of(&log, "broken").unwrap(), "it failed in the last run");
     assert_eq!(
         again.node("many").unwrap().state,
         NodeState::Reused,
@@ -72,8 +68,8 @@ fn a_stage_that_panics_or_breaks_its_contract_is_a_failed_node_that_says_so() {
     ];
     for (how, expected) in cases {
         let (_dir, store) = fresh_store();
-        let (number, world) = new_world();
-        world.put_shard(1);
+        let (number, fixture) = new_fixture();
+        fixture.put_shard(1);
         let (record, _) = run_on(&broken_graph(number, how), &store);
         assert_eq!(record.outcome, Outcome::Failed);
         assert_eq!(record.node("broken").unwrap().reason, expected);
@@ -84,17 +80,17 @@ fn a_stage_that_panics_or_breaks_its_contract_is_a_failed_node_that_says_so() {
 #[test]
 fn an_archive_that_cannot_be_listed_fails_with_its_hint() {
     let (_dir, store) = fresh_store();
-    let (number, _world) = new_world();
-    let graph = Line::new(number).graph();
+    let (number, _fixture) = new_fixture();
+    let graph = TestPipeline::new(number).graph();
     let planned = plan(&graph, &store, None).unwrap();
     assert_eq!(
         planned[0].reason,
         "it cannot list what is there: the archive is empty"
     );
-    let (record, ears) = run_on(&graph, &store);
+    let (record, log) = run_on(&graph, &store);
     assert_eq!(record.outcome, Outcome::Failed);
     assert_eq!(record.node("many").unwrap().reason, "sum was skipped");
-    let events = ears.0.lock().unwrap();
+    let events = log.0.lock();
     assert!(
         matches!(&events[0], Event::Failed { hint: Some(hint), .. } if hint == "fill it"),
         "{events:?}"
@@ -104,26 +100,26 @@ fn an_archive_that_cannot_be_listed_fails_with_its_hint() {
 #[test]
 fn of_failing_members_the_others_are_kept() {
     let (_dir, store) = fresh_store();
-    let (number, world) = new_world();
-    world.put_shard(1);
-    let line = Line {
+    let (number, fixture) = new_fixture();
+    fixture.put_shard(1);
+    let pipeline = TestPipeline {
         b: 15,
         unlucky: 13,
-        ..Line::new(number)
+        ..TestPipeline::new(number)
     };
-    let (record, _) = run_on(&line.graph(), &store);
+    let (record, _) = run_on(&pipeline.graph(), &store);
     let many = record.node("many").unwrap();
     assert_eq!(many.state, NodeState::Failed);
     assert_eq!(many.reason, "1 of 15 of its nodes failed, first `many/member-13`");
-    let (_, ears) = run_on(&Line { b: 12, ..line }.graph(), &store);
-    assert_eq!(ran(&ears), vec!["many"]);
+    let (_, log) = run_on(&TestPipeline { b: 12, ..pipeline }.graph(), &store);
+    assert_eq!(ran(&log), vec!["many"]);
 }
 
 #[test]
 fn stopped_in_the_middle_it_goes_on_where_it_was() {
     let (_dir, store) = fresh_store();
-    let (number, world) = new_world();
-    (1..=3).for_each(|shard| world.put_shard(shard));
+    let (number, fixture) = new_fixture();
+    (1..=3).for_each(|shard| fixture.put_shard(shard));
     let cancel = Cancel::default();
     let stop = cancel.clone();
     let at = move |before| {
@@ -131,18 +127,18 @@ fn stopped_in_the_middle_it_goes_on_where_it_was() {
             stop.set()
         }
     };
-    *world.at_measure.lock().unwrap() = Some(Box::new(at));
-    let graph = Line::new(number).graph();
+    *fixture.at_measure.lock() = Some(Box::new(at));
+    let graph = TestPipeline::new(number).graph();
     let (record, _) = run_with(&graph, &store, &options(1), &cancel);
     assert_eq!(record.outcome, Outcome::Cancelled);
     assert_eq!(record.node("at_most").unwrap().state, NodeState::Cancelled);
     assert_eq!(record.node("many").unwrap().reason, "the run was stopped");
-    assert_eq!(world.take_measured(), 12);
-    *world.at_measure.lock().unwrap() = None;
+    assert_eq!(fixture.take_measured(), 12);
+    *fixture.at_measure.lock() = None;
 
-    let (record, ears) = run_on(&graph, &store);
+    let (record, log) = run_on(&graph, &store);
     assert_eq!(record.outcome, Outcome::Done);
-    assert_eq!(reason_of(&ears, "at_most").unwrap(), "the last run was stopped");
+    assert_eq!(reason_of(&log, "at_most").unwrap(), "the last run was stopped");
     assert_eq!(record.node("archive").unwrap().state, NodeState::Reused);
     assert_eq!(record.node("at_most").unwrap().counts["measured"], 30 - 12);
     let (_dir2, other) = fresh_store();
@@ -156,12 +152,12 @@ fn stopped_in_the_middle_it_goes_on_where_it_was() {
 #[test]
 fn a_set_stage_that_hears_the_wish_to_stop_is_stopped_not_failed() {
     let (_dir, store) = fresh_store();
-    let (number, world) = new_world();
-    world.put_shard(1);
+    let (number, fixture) = new_fixture();
+    fixture.put_shard(1);
     let cancel = Cancel::default();
     let stop = cancel.clone();
-    *world.at_sum.lock().unwrap() = Some(Arc::new(move || stop.set()));
-    let (record, _) = run_with(&Line::new(number).graph(), &store, &options(2), &cancel);
+    *fixture.at_sum.lock() = Some(Arc::new(move || stop.set()));
+    let (record, _) = run_with(&TestPipeline::new(number).graph(), &store, &options(2), &cancel);
     assert_eq!(record.outcome, Outcome::Cancelled);
     assert_eq!(record.node("sum").unwrap().state, NodeState::Cancelled);
     assert_eq!(record.node("distinct").unwrap().state, NodeState::Finished);
@@ -170,17 +166,17 @@ fn a_set_stage_that_hears_the_wish_to_stop_is_stopped_not_failed() {
 #[test]
 fn two_programs_on_one_store_share_the_work_and_agree() {
     let (dir, _store) = fresh_store();
-    let (number, world) = new_world();
-    (1..=4).for_each(|shard| world.put_shard(shard));
+    let (number, fixture) = new_fixture();
+    (1..=4).for_each(|shard| fixture.put_shard(shard));
     let start = Barrier::new(2);
     let records: Vec<_> = std::thread::scope(|scope| {
         let program = || {
             let store = Store::open(dir.path().join(".marf")).unwrap();
             start.wait();
             run_on(
-                &Line {
+                &TestPipeline {
                     b: 8,
-                    ..Line::new(number)
+                    ..TestPipeline::new(number)
                 }
                 .graph(),
                 &store,
@@ -198,7 +194,7 @@ fn two_programs_on_one_store_share_the_work_and_agree() {
             node.name
         );
     }
-    assert_eq!(world.take_ran(), 1 + 8, "each key is worked on once");
+    assert_eq!(fixture.take_ran(), 1 + 8, "each key is worked on once");
     assert_ne!(records[0].number, records[1].number);
 }
 
@@ -228,47 +224,54 @@ fn packs_with(store: &Store, wanted: &[u8]) -> Vec<PathBuf> {
 #[test]
 fn a_damaged_output_is_made_again_and_the_stream_says_so() {
     let (dir, store) = fresh_store();
-    let (number, world) = new_world();
-    world.put_shard(1);
-    let line = Line::new(number);
-    let (first, _) = run_on(&line.graph(), &store);
-    world.take_ran();
+    let (number, fixture) = new_fixture();
+    fixture.put_shard(1);
+    let pipeline = TestPipeline::new(number);
+    let (first, _) = run_on(&pipeline.graph(), &store);
+    fixture.take_ran();
     let blob = b"\x06\0\0\0sum 20"; // its length, then its bytes
     damage(&packs_with(&store, blob)[0], blob);
     let store = Store::open(dir.path().join(".marf")).unwrap();
     // Nobody reads it: nothing is noticed yet. One more member reads it.
-    let (record, ears) = run_on(&Line { b: 4, ..line.clone() }.graph(), &store);
-    assert_eq!(record.outcome, Outcome::Done, "{:?}", happened(&ears));
-    let told = warnings(&ears);
+    let (record, log) = run_on(
+        &TestPipeline {
+            b: 4,
+            ..pipeline.clone()
+        }
+        .graph(),
+        &store,
+    );
+    assert_eq!(record.outcome, Outcome::Done, "{:?}", node_events(&log));
+    let told = warnings(&log);
     assert_eq!(told.len(), 1, "{told:?}");
     assert!(
         told[0].ends_with("is missing or damaged; `sum` will run again"),
         "{told:?}"
     );
-    assert_eq!(ran(&ears), vec!["many", "many/member-03", "sum"]);
+    assert_eq!(ran(&log), vec!["many", "many/member-03", "sum"]);
     assert_eq!(
         record.node("sum").unwrap().outputs,
         first.node("sum").unwrap().outputs
     );
     assert_eq!(store.stat().unwrap().quarantined, 1);
-    let (_, ears) = run_on(&Line { b: 4, ..line }.graph(), &store);
-    assert_eq!(ran(&ears), Vec::<String>::new());
+    let (_, log) = run_on(&TestPipeline { b: 4, ..pipeline }.graph(), &store);
+    assert_eq!(ran(&log), Vec::<String>::new());
 }
 
 #[test]
 fn a_damaged_member_runs_again_when_it_is_read() {
     let (dir, store) = fresh_store();
-    let (number, world) = new_world();
-    world.put_shard(1);
-    let line = Line::new(number);
-    run_on(&line.graph(), &store);
-    world.take_ran();
+    let (number, fixture) = new_fixture();
+    fixture.put_shard(1);
+    let pipeline = TestPipeline::new(number);
+    run_on(&pipeline.graph(), &store);
+    fixture.take_ran();
     let blob = b"\x08\0\0\0sum 20 2";
     damage(&packs_with(&store, blob)[0], blob);
     let store = Store::open(dir.path().join(".marf")).unwrap();
-    let (record, ears) = run_on(&Line { b: 4, ..line }.graph(), &store);
-    assert_eq!(record.outcome, Outcome::Done, "{:?}", happened(&ears));
-    assert_eq!(ran(&ears), vec!["many", "many/member-01", "many/member-03"]);
+    let (record, log) = run_on(&TestPipeline { b: 4, ..pipeline }.graph(), &store);
+    assert_eq!(record.outcome, Outcome::Done, "{:?}", node_events(&log));
+    assert_eq!(ran(&log), vec!["many", "many/member-01", "many/member-03"]);
     assert_eq!(
         text(&store, &record, "many", "mean"),
         "sum 20 0\nsum 20 2\nsum 20 4\nsum 20 1\n"
@@ -278,28 +281,28 @@ fn a_damaged_member_runs_again_when_it_is_read() {
 #[test]
 fn a_damaged_photo_is_fetched_again() {
     let (dir, store) = fresh_store();
-    let (number, world) = new_world();
-    (1..=2).for_each(|shard| world.put_shard(shard));
-    run_on(&Line::new(number).graph(), &store);
-    world.take_fetched();
+    let (number, fixture) = new_fixture();
+    (1..=2).for_each(|shard| fixture.put_shard(shard));
+    run_on(&TestPipeline::new(number).graph(), &store);
+    fixture.take_fetched();
     damage(&packs_with(&store, b"image 12")[0], b"image 12");
     let store = Store::open(dir.path().join(".marf")).unwrap();
-    let line = Line {
+    let pipeline = TestPipeline {
         times: 2,
-        ..Line::new(number)
+        ..TestPipeline::new(number)
     };
-    let (record, ears) = run_on(&line.graph(), &store);
-    assert_eq!(record.outcome, Outcome::Done, "{:?}", happened(&ears));
+    let (record, log) = run_on(&pipeline.graph(), &store);
+    assert_eq!(record.outcome, Outcome::Done, "{:?}", node_events(&log));
     assert_eq!(text(&store, &record, "sum", "sum"), "sum 84");
-    assert_eq!(world.take_fetched(), vec![2], "only the shard that holds it");
+    assert_eq!(fixture.take_fetched(), vec![2], "only the shard that holds it");
 }
 
 #[test]
 fn a_lost_output_is_a_miss_with_its_reason() {
     let (dir, store) = fresh_store();
-    let (number, world) = new_world();
-    world.put_shard(1);
-    let graph = Line::new(number).graph();
+    let (number, fixture) = new_fixture();
+    fixture.put_shard(1);
+    let graph = TestPipeline::new(number).graph();
     run_on(&graph, &store);
     drop(store);
     let store = Store::open(dir.path().join(".marf")).unwrap();
@@ -314,24 +317,24 @@ fn a_lost_output_is_a_miss_with_its_reason() {
     let many = planned.iter().find(|node| node.node == "many").unwrap();
     assert_eq!(many.state, PlanState::WillRun);
     assert_eq!(many.reason, "its stored output `mean` is missing");
-    let (record, ears) = run_on(&graph, &store);
+    let (record, log) = run_on(&graph, &store);
     assert_eq!(record.outcome, Outcome::Done);
-    assert_eq!(ran(&ears), vec!["many"]);
+    assert_eq!(ran(&log), vec!["many"]);
 }
 
 #[test]
 fn a_second_answer_for_one_key_is_told_and_the_first_stays() {
     let (dir, store) = fresh_store();
-    let (number, world) = new_world();
-    world.put_shard(1);
-    let graph = Line::new(number).graph();
+    let (number, fixture) = new_fixture();
+    fixture.put_shard(1);
+    let graph = TestPipeline::new(number).graph();
     // Another program stores its answer for `sum` while ours is at work.
     let (_dir2, elsewhere) = fresh_store();
     let (there, _) = run_on(&graph, &elsewhere);
     let key = there.node("sum").unwrap().key.unwrap();
     let mut record = elsewhere.record(&key).unwrap().unwrap();
     let path = dir.path().join(".marf");
-    let first = Arc::new(std::sync::Mutex::new(None));
+    let first = Arc::new(parking_lot::Mutex::new(None));
     let kept = Arc::clone(&first);
     let meddle = move || {
         let other = Store::open(&path).unwrap();
@@ -343,15 +346,15 @@ fn a_second_answer_for_one_key_is_told_and_the_first_stays() {
         record.metadata.program = "another".into();
         other.put_record(record);
         other.commit().unwrap();
-        *kept.lock().unwrap() = Some(digest);
+        *kept.lock() = Some(digest);
     };
-    let meddle = std::sync::Mutex::new(meddle);
-    *world.at_sum.lock().unwrap() = Some(Arc::new(move || (meddle.lock().unwrap())()));
-    let (record, ears) = run_on(&graph, &store);
-    let told = warnings(&ears);
+    let meddle = parking_lot::Mutex::new(meddle);
+    *fixture.at_sum.lock() = Some(Arc::new(move || (meddle.lock())()));
+    let (record, log) = run_on(&graph, &store);
+    let told = warnings(&log);
     assert_eq!(told.len(), 1, "{told:?}");
     assert!(told[0].contains("gave two results for key"), "{told:?}");
-    let kept: Digest = first.lock().unwrap().unwrap();
+    let kept: Digest = first.lock().unwrap();
     assert_eq!(record.node("sum").unwrap().outputs["sum"].digest, kept);
     assert!(
         text(&store, &record, "many", "mean").starts_with("sum 41 0"),
@@ -361,10 +364,10 @@ fn a_second_answer_for_one_key_is_told_and_the_first_stays() {
 
 const KILL_DIR: &str = "MARF_TEST_KILL_DIR";
 
-fn line_of_forty(world: u64) -> Line {
-    Line {
+fn pipeline_of_forty(fixture: u64) -> TestPipeline {
+    TestPipeline {
         b: 40,
-        ..Line::new(world)
+        ..TestPipeline::new(fixture)
     }
 }
 
@@ -374,10 +377,10 @@ fn the_program_that_is_killed() {
     let Ok(dir) = std::env::var(KILL_DIR) else {
         return;
     };
-    let (number, world) = new_world();
-    world.put_shard(1);
+    let (number, fixture) = new_fixture();
+    fixture.put_shard(1);
     run_on(
-        &line_of_forty(number).graph(),
+        &pipeline_of_forty(number).graph(),
         &Store::open(Path::new(&dir)).unwrap(),
     );
 }
@@ -387,7 +390,7 @@ fn killed_again_and_again_it_loses_nothing_that_was_recorded() {
     let (_dir, store) = fresh_store();
     for wanted in [2, 10, 20] {
         let mut program = std::process::Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "the_program_that_is_killed"])
+            .args(["--exact", "faults::the_program_that_is_killed"])
             .env(KILL_DIR, store.dir())
             .stdout(std::process::Stdio::null())
             .spawn()
@@ -398,8 +401,8 @@ fn killed_again_and_again_it_loses_nothing_that_was_recorded() {
         program.kill().unwrap();
         program.wait().unwrap();
     }
-    let (number, world) = new_world();
-    world.put_shard(1);
+    let (number, fixture) = new_fixture();
+    fixture.put_shard(1);
     let recorded = store.records().unwrap();
     assert!(
         recorded
@@ -409,11 +412,15 @@ fn killed_again_and_again_it_loses_nothing_that_was_recorded() {
     );
     let members = recorded.iter().filter(|record| record.stage == "draw").count();
     let reopened = Store::open(store.dir()).unwrap();
-    let (record, ears) = run_on(&line_of_forty(number).graph(), &reopened);
-    assert_eq!(record.outcome, Outcome::Done, "{:?}", happened(&ears));
-    assert_eq!(world.take_ran() as usize, 40 - members, "{members} were recorded");
+    let (record, log) = run_on(&pipeline_of_forty(number).graph(), &reopened);
+    assert_eq!(record.outcome, Outcome::Done, "{:?}", node_events(&log));
+    assert_eq!(
+        fixture.take_ran() as usize,
+        40 - members,
+        "{members} were recorded"
+    );
     let (_dir2, other) = fresh_store();
-    let (anew, _) = run_on(&line_of_forty(number).graph(), &other);
+    let (anew, _) = run_on(&pipeline_of_forty(number).graph(), &other);
     for node in &record.nodes {
         assert_eq!(
             node.outputs,

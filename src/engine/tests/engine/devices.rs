@@ -1,6 +1,4 @@
-//! Nodes on a GPU take turns; their class stands in their key.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
-
+//! Nodes on a GPU run one after the other; their backend id is in their key.
 use std::num::NonZero;
 use std::sync::Barrier;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -12,11 +10,11 @@ use marf_stage::{Ctx, Define, Inputs, Outputs, ParamError, Port, Set, Stage, Sta
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// Runs under way on the device, and the most there were at once.
-static NOW: AtomicUsize = AtomicUsize::new(0);
-static MOST: AtomicUsize = AtomicUsize::new(0);
-/// The three others wait for each other: they end only if they run side by side.
-static OTHERS: Barrier = Barrier::new(3);
+/// Number of nodes on the device, and its maximum.
+static RUNNING: AtomicUsize = AtomicUsize::new(0);
+static MAX_RUNNING: AtomicUsize = AtomicUsize::new(0);
+/// The three other nodes wait for each other: they end only if they run in parallel.
+static CPU_NODES: Barrier = Barrier::new(3);
 
 #[derive(Deserialize, JsonSchema, ContentHash)]
 struct Params {
@@ -24,9 +22,9 @@ struct Params {
     on_gpu: bool,
 }
 
-struct Visitor(Params);
+struct DeviceStage(Params);
 
-impl Stage for Visitor {
+impl Stage for DeviceStage {
     fn params(&self) -> &dyn ContentHash {
         &self.0
     }
@@ -40,9 +38,9 @@ impl Stage for Visitor {
     }
 }
 
-impl Define for Visitor {
+impl Define for DeviceStage {
     type Params = Params;
-    const NAME: &'static str = "visitor";
+    const NAME: &'static str = "device_stage";
     const ABOUT: &'static str = "";
     const VERSION: u32 = 1;
     const PORTS: &'static [Port] = &[];
@@ -53,15 +51,15 @@ impl Define for Visitor {
     }
 }
 
-impl Set for Visitor {
+impl Set for DeviceStage {
     fn run(&self, ctx: &Ctx<'_>, _inputs: &Inputs) -> Result<Outputs, StageError> {
         if self.0.on_gpu {
-            let inside = NOW.fetch_add(1, Ordering::SeqCst) + 1;
-            MOST.fetch_max(inside, Ordering::SeqCst);
+            let inside = RUNNING.fetch_add(1, Ordering::SeqCst) + 1;
+            MAX_RUNNING.fetch_max(inside, Ordering::SeqCst);
             std::thread::sleep(Duration::from_millis(50));
-            NOW.fetch_sub(1, Ordering::SeqCst);
+            RUNNING.fetch_sub(1, Ordering::SeqCst);
         } else {
-            OTHERS.wait();
+            CPU_NODES.wait();
         }
         let digest = ctx.put(&self.0.number.to_le_bytes())?;
         Ok(Outputs::from([("out".to_owned(), digest)]))
@@ -70,11 +68,11 @@ impl Set for Visitor {
 
 #[test]
 fn one_node_at_a_time_is_on_the_gpu_and_the_others_run_beside_it() {
-    let def = define::<Visitor>();
+    let def = define::<DeviceStage>();
     let decl = |number: u64, on_gpu: bool| NodeDecl {
         name: format!("node-{number}"),
         stage: def,
-        bound: Box::new(Visitor(Params { number, on_gpu })),
+        bound: Box::new(DeviceStage(Params { number, on_gpu })),
         edges: Vec::new(),
     };
     let decls = (0..6).map(|number| decl(number, number < 3)).collect();
@@ -88,7 +86,7 @@ fn one_node_at_a_time_is_on_the_gpu_and_the_others_run_beside_it() {
     };
     let record = run(&graph, &store, &options, &Silent, &Cancel::default()).unwrap();
     assert_eq!(record.outcome, Outcome::Done);
-    assert_eq!(MOST.load(Ordering::SeqCst), 1);
+    assert_eq!(MAX_RUNNING.load(Ordering::SeqCst), 1);
     let made = store.record(&record.nodes[0].key.unwrap()).unwrap().unwrap();
     assert_eq!(made.metadata.device, "a card, its driver");
     assert!(
