@@ -2,6 +2,7 @@
 //!
 //! Invariant: a key that no stage reads is refused, with the nearest name that one reads.
 
+mod archives;
 mod by_hand;
 mod high;
 mod low;
@@ -14,6 +15,8 @@ use marf_field::Device;
 
 pub use high::{Node, Pipeline};
 pub use low::Origin;
+/// What may be asked of the network.
+pub use marf_stage::Access;
 pub use schema::schema;
 pub use templates::{TEMPLATES, template};
 
@@ -81,7 +84,7 @@ pub struct LoadError {
 }
 
 /// What the command line says for all nodes and archives.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct Wishes {
     /// What nodes run on that can run on several devices and name none.
     pub device: Option<Device>,
@@ -89,25 +92,12 @@ pub struct Wishes {
     pub access: Access,
 }
 
-/// What may be asked of the network.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub enum Access {
-    /// Everything.
-    #[default]
-    Online,
-    /// Products that the lock file names.
-    Locked,
-    /// Nothing.
-    Offline,
-}
-
-impl Access {
-    /// Returns the word that archives know it by.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Online => "online",
-            Self::Locked => "locked",
-            Self::Offline => "offline",
+/// Nothing is said: nodes choose their device, archives may be asked.
+impl Default for Wishes {
+    fn default() -> Self {
+        Self {
+            device: None,
+            access: Access::Online,
         }
     }
 }

@@ -17,6 +17,7 @@ use super::gate::Gates;
 use super::origin::{Origin, shown};
 use super::transfer::{Counters, Shared};
 use super::{Answer, Conduct, NetError, Traffic, Trouble, Want};
+use crate::archive::access::NetworkPermit;
 
 /// How often the caller looks at the wish to stop.
 const LOOK: Duration = Duration::from_millis(50);
@@ -40,7 +41,7 @@ impl Client {
     ///
     /// # Errors
     /// A system without certificates to trust, threads that cannot be started.
-    pub(crate) fn new(conduct: Conduct) -> Result<Self, NetError> {
+    pub(crate) fn new(_permit: NetworkPermit, conduct: Conduct) -> Result<Self, NetError> {
         let runtime = Builder::new_multi_thread()
             .worker_threads(WORKERS)
             .thread_name("marf-net")

@@ -1,9 +1,10 @@
 //! One host: how many requests at once, how far apart, and when it is left alone.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 
+use parking_lot::Mutex;
 use tokio::sync::{Semaphore, SemaphorePermit};
 use tokio::time::{Instant, sleep_until};
 
@@ -40,13 +41,13 @@ impl Gates {
     /// The gate of an origin's host and port.
     pub(super) fn of(&self, origin: &Origin) -> Arc<Gate> {
         let name = origin.authority();
-        let mut hosts = lock(&self.hosts);
+        let mut hosts = self.hosts.lock();
         let gate = hosts.entry(name).or_insert_with_key(|name| self.shared(name));
         Arc::clone(gate)
     }
 
     fn shared(&self, name: &str) -> Arc<Gate> {
-        let mut shared = lock(&SHARED);
+        let mut shared = SHARED.lock();
         let gate = shared
             .entry((name.to_owned(), self.per_host, self.delay))
             .or_default();
@@ -102,7 +103,7 @@ impl Gate {
 
     /// Takes the start now, or tells when to come again.
     fn start(&self) -> Result<Option<Instant>, Trouble> {
-        let mut state = lock(&self.state);
+        let mut state = self.state.lock();
         if let Some(why) = &state.stopped {
             return Err(Trouble::HostStopped {
                 host: self.name.clone(),
@@ -125,13 +126,13 @@ impl Gate {
     pub(super) fn pause(&self, wait: Duration) {
         // A year stands for all that no clock can hold.
         let wait = wait.min(Duration::from_secs(365 * 86_400));
-        let mut state = lock(&self.state);
+        let mut state = self.state.lock();
         state.next = state.next.max(Instant::now().checked_add(wait));
     }
 
     /// An answer 403 came.
     pub(super) fn refused(&self) {
-        let mut state = lock(&self.state);
+        let mut state = self.state.lock();
         state.refusals += 1;
         if state.refusals >= MOST_REFUSALS {
             let why = format!("it answered 403 {MOST_REFUSALS} times in a row, as a firewall does");
@@ -141,13 +142,13 @@ impl Gate {
 
     /// An answer of use came.
     pub(super) fn answered(&self) {
-        let mut state = lock(&self.state);
+        let mut state = self.state.lock();
         (state.refusals, state.failures) = (0, 0);
     }
 
     /// An address was given up after all its tries.
     pub(super) fn failed(&self, trouble: &Trouble) {
-        let mut state = lock(&self.state);
+        let mut state = self.state.lock();
         state.failures += 1;
         if state.failures >= MOST_FAILURES {
             let why =
@@ -155,10 +156,6 @@ impl Gate {
             state.stopped.get_or_insert(why);
         }
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

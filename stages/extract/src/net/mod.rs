@@ -1,4 +1,4 @@
-//! A polite, bounded HTTP client for archives; the only room that opens a socket.
+//! A polite, bounded HTTP client for archives; the only module that opens a socket.
 //!
 //! ```text
 //! client.rs    the blocking surface: many wants, few connections, one caller
@@ -6,7 +6,6 @@
 //! gate.rs      one host: how many at once, how far apart, when it is left alone
 //! part.rs      a body on its way, kept on disk and continued
 //! policy.rs backoff.rs origin.rs range.rs pace.rs meter.rs   decisions without a socket
-//! hosts.rs     the hosts that hold photos of Mars
 //! ```
 //!
 //! Invariants: no request leaves for an origin that the configuration does not name, redirects included; nothing is
@@ -21,7 +20,6 @@ mod backoff;
 mod client;
 mod error;
 mod gate;
-pub(crate) mod hosts;
 mod meter;
 mod origin;
 mod pace;

@@ -4,7 +4,6 @@
 //! The part holds nothing that the sidecar's digest does not vouch for, so neither needs a sync: what a crash spoils
 //! does not verify and is fetched again. A part that another process holds is left to it.
 
-use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -14,6 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::error::Trouble;
 use super::{Url, Validators, range};
+use crate::files::{self, beside};
 
 /// Bytes after which the sidecar is written again.
 const CHECKPOINT_BYTES: u64 = 1 << 20;
@@ -253,11 +253,9 @@ impl Holder {
             blake3: Digest::from_bytes(*body.hasher.finalize().as_bytes()),
             complete: self.complete,
         });
-        let fresh = beside(path, ".json.new");
         let written = text
             .map_err(std::io::Error::other)
-            .and_then(|text| fs::write(&fresh, text))
-            .and_then(|()| fs::rename(&fresh, sidecar(path)));
+            .and_then(|text| files::replace(&sidecar(path), &text));
         written.map_err(|error| in_part(path, &error))?;
         self.saved = body.len();
         Ok(())
@@ -292,12 +290,6 @@ fn remove(path: &Path) {
 
 fn sidecar(part: &Path) -> PathBuf {
     beside(part, ".json")
-}
-
-fn beside(part: &Path, suffix: &str) -> PathBuf {
-    let mut name = OsString::from(part);
-    name.push(suffix);
-    PathBuf::from(name)
 }
 
 fn opened(path: &Path) -> std::io::Result<File> {

@@ -15,7 +15,12 @@ use marf_stage::StageError;
 use marf_stage::harness::Harness;
 
 use super::*;
+use crate::archive::access::NetworkPermit;
 use server::Server;
+
+fn permit() -> NetworkPermit {
+    NetworkPermit::for_tests()
+}
 
 /// A conduct of short waits that may ask these servers.
 fn quick(servers: &[&Server]) -> Conduct {
@@ -32,7 +37,7 @@ fn quick(servers: &[&Server]) -> Conduct {
 }
 
 fn client(server: &Server) -> Client {
-    Client::new(quick(&[server])).unwrap()
+    Client::new(permit(), quick(&[server])).unwrap()
 }
 
 /// A want of a path, 1 MB at most.

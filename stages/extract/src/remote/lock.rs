@@ -5,14 +5,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
-use std::io::Write as _;
-use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::path::Path;
 
 use marf_cache::Digest;
 use marf_stage::StageError;
+use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 
+use crate::files;
 use crate::net::Validators;
 
 /// Name of the file, beside pipeline.toml.
@@ -148,7 +148,7 @@ pub(crate) fn read(path: &Path, archive: &str) -> Result<Pins, StageError> {
 pub(crate) fn write(path: &Path, archive: &str, pins: &Pins) -> Result<(), StageError> {
     // Several archives of one pipeline share the file.
     static WRITING: Mutex<()> = Mutex::new(());
-    let _writing = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
+    let _writing = WRITING.lock();
     let old = text(path)?.unwrap_or_default();
     let new = with_table(&old, archive, &pins.table(archive));
     if new == old {
@@ -157,11 +157,7 @@ pub(crate) fn write(path: &Path, archive: &str, pins: &Pins) -> Result<(), Stage
     let fail = |error: std::io::Error| {
         StageError::new(format!("`{}` cannot be written", path.display())).cause(error.to_string())
     };
-    let fresh = PathBuf::from(format!("{}.new", path.display()));
-    let mut file = std::fs::File::create(&fresh).map_err(fail)?;
-    file.write_all(new.as_bytes()).map_err(fail)?;
-    file.sync_all().map_err(fail)?;
-    std::fs::rename(&fresh, path).map_err(fail)
+    files::replace_durably(path, new.as_bytes()).map_err(fail)
 }
 
 fn text(path: &Path) -> Result<Option<String>, StageError> {

@@ -59,7 +59,7 @@ fn five_tries_are_all() {
 #[test]
 fn a_refusal_is_final_for_its_mirror_alone() {
     let (first, second) = (Server::start(), Server::start());
-    let client = Client::new(quick(&[&first, &second])).unwrap();
+    let client = Client::new(permit(), quick(&[&first, &second])).unwrap();
     second.file("/a", *b"here");
     let mut both = want(&first, "/a");
     both.urls.push(Url::parse(&second.url("/a")).unwrap());
@@ -80,7 +80,7 @@ fn a_refusal_is_final_for_its_mirror_alone() {
 #[test]
 fn absent_is_what_no_mirror_has() {
     let (first, second) = (Server::start(), Server::start());
-    let client = Client::new(quick(&[&first, &second])).unwrap();
+    let client = Client::new(permit(), quick(&[&first, &second])).unwrap();
     let mut both = want(&first, "/a");
     both.urls.push(Url::parse(&second.url("/a")).unwrap());
     second.script("/a", vec![Reply::status(410)]);
@@ -133,12 +133,15 @@ fn bodies_end_at_their_cap() {
 #[test]
 fn drips_and_silence_are_given_up() {
     let server = Server::start();
-    let client = Client::new(Conduct {
-        tries: 1,
-        slow_after: Duration::from_millis(400),
-        slowest: 20_000,
-        ..quick(&[&server])
-    })
+    let client = Client::new(
+        permit(),
+        Conduct {
+            tries: 1,
+            slow_after: Duration::from_millis(400),
+            slowest: 20_000,
+            ..quick(&[&server])
+        },
+    )
     .unwrap();
     server.file("/a", noise(1, 900_000));
     let every = Duration::from_millis(20);
@@ -202,10 +205,13 @@ fn a_firewall_page_that_calls_itself_a_success_is_a_body() {
 #[test]
 fn a_burst_of_403_stops_the_host() {
     let server = Server::start();
-    let client = Client::new(Conduct {
-        per_host: 1,
-        ..quick(&[&server])
-    })
+    let client = Client::new(
+        permit(),
+        Conduct {
+            per_host: 1,
+            ..quick(&[&server])
+        },
+    )
     .unwrap();
     server.file("/ok", *b"ok");
     let paths: Vec<String> = (0..9).map(|index| format!("/{index}")).collect();
@@ -227,11 +233,14 @@ fn a_burst_of_403_stops_the_host() {
 #[test]
 fn a_dead_host_is_left_alone() {
     let server = Server::start();
-    let client = Client::new(Conduct {
-        tries: 2,
-        per_host: 1,
-        ..quick(&[&server])
-    })
+    let client = Client::new(
+        permit(),
+        Conduct {
+            tries: 2,
+            per_host: 1,
+            ..quick(&[&server])
+        },
+    )
     .unwrap();
     let wants: Vec<Want> = (0..40).map(|index| want(&server, &format!("/{index}"))).collect();
     drop(server);
@@ -262,7 +271,7 @@ fn retry_after_is_waited_up_to_ten_minutes() {
     );
     for value in ["3600", "Fri, 31 Dec 9999 23:59:59 GMT"] {
         let server = Server::start();
-        let client = Client::new(quick(&[&server])).unwrap();
+        let client = Client::new(permit(), quick(&[&server])).unwrap();
         server.script("/a", vec![Reply::with(503, "Retry-After", value)]);
         let error = trouble(one(&client, &want(&server, "/a")));
         assert!(
@@ -288,12 +297,12 @@ fn a_fifth_of_faults_changes_no_byte() {
         tries: 8,
         ..quick(&[&server])
     };
-    let good: Vec<Vec<u8>> = all(&Client::new(patient.clone()).unwrap(), &wants)
+    let good: Vec<Vec<u8>> = all(&Client::new(permit(), patient.clone()).unwrap(), &wants)
         .into_iter()
         .map(|answer| bytes(answer.unwrap()))
         .collect();
     server.faults(1, 0.2);
-    let client = Client::new(patient).unwrap();
+    let client = Client::new(permit(), patient).unwrap();
     let spoilt: Vec<Vec<u8>> = all(&client, &wants)
         .into_iter()
         .map(|answer| bytes(answer.unwrap()))

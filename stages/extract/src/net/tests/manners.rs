@@ -18,10 +18,13 @@ fn two_at_a_time_and_a_pause_between_starts() {
         server.file(path, noise(0, 4_000));
         server.script(path, vec![Reply::Drip { bytes: 500, every }]);
     }
-    let client = Client::new(Conduct {
-        delay: DELAY,
-        ..quick(&[&server])
-    })
+    let client = Client::new(
+        permit(),
+        Conduct {
+            delay: DELAY,
+            ..quick(&[&server])
+        },
+    )
     .unwrap();
     let wants: Vec<Want> = paths.iter().map(|path| want(&server, path)).collect();
     all(&client, &wants)
@@ -38,7 +41,7 @@ fn two_at_a_time_and_a_pause_between_starts() {
 #[test]
 fn a_host_that_many_redirect_to_is_asked_two_at_a_time_too() {
     let (one, two, three) = (Server::start(), Server::start(), Server::start());
-    let client = Client::new(quick(&[&one, &two, &three])).unwrap();
+    let client = Client::new(permit(), quick(&[&one, &two, &three])).unwrap();
     let every = Duration::from_millis(20);
     let mut wants = Vec::new();
     for index in 0..6 {
@@ -154,7 +157,7 @@ fn https_is_never_spoken_in_the_clear() {
         tries: 1,
         ..quick(&[])
     };
-    let error = match Client::new(conduct) {
+    let error = match Client::new(permit(), conduct) {
         Ok(client) => {
             let mut secure = want(&server, "/a");
             secure.urls = vec![Url::parse(&format!("{origin}/a")).unwrap()];

@@ -48,10 +48,13 @@ fn kept(server: &Server, path: &str, part: &Path) -> Want {
 
 /// One try only, so that the next call is a next run.
 fn hasty(server: &Server) -> Client {
-    Client::new(Conduct {
-        tries: 1,
-        ..quick(&[server])
-    })
+    Client::new(
+        permit(),
+        Conduct {
+            tries: 1,
+            ..quick(&[server])
+        },
+    )
     .unwrap()
 }
 
@@ -261,7 +264,7 @@ fn a_part_never_mixes_hosts() {
         tries: 2,
         ..quick(&[&first, &second])
     };
-    let client = Client::new(conduct).unwrap();
+    let client = Client::new(permit(), conduct).unwrap();
     assert_eq!(bytes(one(&client, &both)), noise(2, 9_000));
     assert_eq!(second.requests()[0].header("range"), None);
     forget(&folder.part("a.part"));
@@ -383,7 +386,7 @@ fn a_wish_to_stop_ends_every_kind_of_wait() {
             stall: Duration::from_secs(60),
             ..quick(&[&server])
         };
-        let client = Client::new(conduct).unwrap();
+        let client = Client::new(permit(), conduct).unwrap();
         let harness = Harness::default();
         let (cancel, server) = (&harness.cancel, &server);
         let began = std::thread::scope(|scope| {

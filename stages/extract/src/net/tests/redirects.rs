@@ -12,7 +12,7 @@ fn sent_to(server: &Server, location: &str) -> NetError {
 #[test]
 fn a_redirect_inside_the_list_is_followed_and_told() {
     let (first, second) = (Server::start(), Server::start());
-    let client = Client::new(quick(&[&first, &second])).unwrap();
+    let client = Client::new(permit(), quick(&[&first, &second])).unwrap();
     second.file("/moved/a", *b"moved");
     for status in [301, 302, 303, 307, 308] {
         first.script(

@@ -1,4 +1,7 @@
-//! What every archive offers: files by shard, each with its kind and digest.
+//! What every archive gives: files by shard, each with its kind and digest.
+
+pub(crate) mod access;
+pub(crate) mod kind;
 
 use std::fs::File;
 use std::io::Read;
