@@ -157,3 +157,88 @@ fn kind_schema(def: &ArchiveDef) -> Json {
     schema["additionalProperties"] = json!(false);
     schema
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Wishes, check};
+    use super::*;
+
+    /// Checks a pipeline that cannot be used; returns place, message and hint.
+    fn refused(text: &str) -> (String, String) {
+        let error = check(text, &[], &Wishes::default(), Path::new("")).err().unwrap();
+        let hint = error.hint.clone().unwrap_or_default();
+        (error.render(Path::new("p"), text), hint)
+    }
+
+    #[test]
+    fn what_an_archive_does_not_read_is_refused_at_its_place_with_the_nearest_name() {
+        let navcam = "mission = 'curiosity'\ninstrument = 'navcam'\nsols = 1";
+        for (table, message, hint) in [
+            (
+                "kind = 'demo'\nsoles = 1".to_owned(),
+                "p:3:1: unknown key `soles` in `archive.a` (kind `demo`)",
+                "`sols`",
+            ),
+            (
+                format!("kind = 'feed'\n{navcam}\n  network = {{ trys = 1 }}"),
+                "p:6:15: unknown key `trys` in `archive.a.network`",
+                "`tries`",
+            ),
+            (
+                "kind = 'dmo'".to_owned(),
+                "p:2:8: there is no kind of archive `dmo`",
+                "`demo`",
+            ),
+            (
+                "kind = 3".to_owned(),
+                "p:2:8: `kind` must be a string",
+                "kind = \"pds\"",
+            ),
+            (
+                "sols = 1".to_owned(),
+                "p:1:10: `archive.a` has no `kind`",
+                "kind = \"folder\"",
+            ),
+        ] {
+            // No node reads the table: it is refused all the same.
+            let (said, way_out) = refused(&format!("[archive.a]\n{table}\n"));
+            assert!(said.starts_with(message), "{table}: {said}");
+            assert!(way_out.contains(hint), "{table}: {way_out}");
+        }
+    }
+
+    #[test]
+    fn what_an_archive_cannot_use_is_refused_at_its_place() {
+        for (table, message) in [
+            (
+                "kind = 'demo'\nsols = '5..=1'",
+                "p:3:8: archive.a.sols: `5..=1` is an empty range",
+            ),
+            (
+                "kind = 'demo'\nsols = true",
+                "p:3:8: archive.a.sols: expected sols like",
+            ),
+            ("kind = 'folder'", "p:1:10: archive.a: missing field `path`"),
+            (
+                "kind = 'feed'\nmission = 'ingenuity'\ninstrument = 'navcam'\nsols = 1",
+                "p:4:14: archive.a.instrument: ingenuity has no navcam",
+            ),
+            (
+                "kind = 'feed'\nmission = 'ingenuity'\ninstrument = 'helicam'\nsols = 1\nnetwork = { tries = 0 }",
+                "p:6:21: archive.a.network.tries: 0 is not within 1 to 10",
+            ),
+        ] {
+            let (said, _) = refused(&format!("[archive.a]\n{table}\n[node.extract]\narchive = 'a'\n"));
+            assert!(said.starts_with(message), "{table}: {said}");
+        }
+    }
+
+    #[test]
+    fn an_archive_that_is_not_there_is_refused_with_the_nearest_name() {
+        let (said, hint) = refused("[archive.jezero]\nkind = 'demo'\n[node.extract]\narchive = 'jezro'\n");
+        assert!(
+            said.contains("names no `[archive.*]` table") && hint.contains("`jezero`"),
+            "{said} {hint}"
+        );
+    }
+}

@@ -59,3 +59,6 @@ fn stage_schema(def: &marf_stage::StageDef) -> Json {
     schema["additionalProperties"] = json!(false);
     schema
 }
+
+#[cfg(test)]
+mod tests;
