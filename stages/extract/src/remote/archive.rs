@@ -11,7 +11,7 @@ use super::catalog::{CatalogSource, SolFiles};
 use super::lock::{self, Pins, SolPins};
 use super::network::Network;
 use crate::archive::access::RemoteContext;
-use crate::net::{Client, Conduct};
+use crate::net::{Client, ClientSettings};
 use crate::sols::Sols;
 
 /// An archive on a server.
@@ -20,7 +20,7 @@ pub(crate) struct RemoteArchive {
     /// What the pipeline asks for beside the sols, in words; kept in marf.lock.
     asked: String,
     sols: Sols,
-    conduct: Conduct,
+    settings: ClientSettings,
     source: Box<dyn CatalogSource>,
     client: OnceLock<Client>,
     state: Mutex<State>,
@@ -59,7 +59,7 @@ impl RemoteArchive {
             context,
             asked: request.asked,
             sols: request.sols,
-            conduct: request.network.conduct(request.allowed)?,
+            settings: request.network.settings(request.allowed)?,
             source,
             client: OnceLock::new(),
             state: Mutex::default(),
@@ -84,7 +84,7 @@ impl RemoteArchive {
         if let Some(client) = self.client.get() {
             return Ok(client);
         }
-        let client = Client::new(self.context.permit()?, self.conduct.clone())?;
+        let client = Client::new(self.context.permit()?, self.settings.clone())?;
         Ok(self.client.get_or_init(|| client))
     }
 

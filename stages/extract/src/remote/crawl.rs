@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::cache;
 use crate::listing::{self, Entry};
-use crate::net::{Answer, Client, Url, Validators, Want};
+use crate::net::{Answer, Client, Download, Url, Validators};
 
 /// Largest page that is read.
 const MAX_PAGE_BYTES: u64 = 16 << 20;
@@ -54,7 +54,7 @@ impl Crawl<'_> {
             })
             .collect();
         let want = |index: &usize| {
-            Ok(Want {
+            Ok(Download {
                 urls: urls(self.bases, &format!("{}/", folders[*index].path))?,
                 cap_bytes: MAX_PAGE_BYTES,
                 known: pages[*index].as_ref().map(|page| page.validators.clone()),
@@ -64,7 +64,7 @@ impl Crawl<'_> {
         let wants = asked
             .iter()
             .map(want)
-            .collect::<Result<Vec<Want>, StageError>>()?;
+            .collect::<Result<Vec<Download>, StageError>>()?;
         let total = wants.len() as u64;
         let mut done = 0;
         self.client.get_all(self.ctx, &wants, &mut |number, answer| {

@@ -10,7 +10,7 @@ use super::archive::RemoteArchive;
 use super::catalog::{RemoteFile, SolFiles, changed};
 use super::lock::{self, Pin, SolPins};
 use crate::archive::ArchiveFile;
-use crate::net::{self, Answer, Meter, Trouble, Validators, Want};
+use crate::net::{self, Answer, Download, Meter, NetErrorKind, Validators};
 
 /// How often what was fetched is written into the lock.
 const SAVE_EVERY: Duration = Duration::from_secs(10);
@@ -137,7 +137,7 @@ impl Sol<'_> {
     }
 
     fn download(&mut self, wanted: &[(&String, &RemoteFile)]) -> Result<Vec<Failure>, StageError> {
-        let wants: Vec<Want> = wanted.iter().map(|(name, file)| self.want(name, file)).collect();
+        let wants: Vec<Download> = wanted.iter().map(|(name, file)| self.want(name, file)).collect();
         let (mut failures, mut meter, began) = (Vec::new(), Meter::new(wanted.len() as u64), Instant::now());
         let (mut done, mut bytes) = (0, 0);
         let client = self.archive.client()?;
@@ -148,8 +148,8 @@ impl Sol<'_> {
                     bytes += length(&answer);
                     self.take(name, file, &wants[index], answer)?
                 }
-                Err(error) => match *error.trouble {
-                    Trouble::Status(status) if !error.again => {
+                Err(error) => match *error.kind {
+                    NetErrorKind::Status(status) if !error.retryable => {
                         self.pins.gone.insert(name.clone(), status);
                         Ok(())
                     }
@@ -179,13 +179,13 @@ impl Sol<'_> {
         Ok(failures)
     }
 
-    fn want(&self, name: &str, file: &RemoteFile) -> Want {
+    fn want(&self, name: &str, file: &RemoteFile) -> Download {
         let pin = self.pins.files.get(name);
         // A pin whose bytes are here is asked for on condition; one whose bytes are lost is asked for whole.
         let here = pin.filter(|pin| self.ctx.get(&pin.blake3).is_ok());
         // The one part of a server's name that reaches the disk is its digest.
         let key = Digest::of(name.as_bytes());
-        Want {
+        Download {
             urls: file.urls.clone(),
             cap_bytes: file.cap_bytes,
             known: here.map(|pin| pin.validators.clone()),
@@ -198,7 +198,7 @@ impl Sol<'_> {
         &mut self,
         name: &str,
         file: &RemoteFile,
-        want: &Want,
+        want: &Download,
         answer: Answer,
     ) -> Result<Result<(), String>, StageError> {
         match answer {

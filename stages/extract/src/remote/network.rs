@@ -6,7 +6,7 @@ use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use crate::net::{Conduct, Origin};
+use crate::net::{ClientSettings, Origin};
 
 /// How the network is used.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -52,7 +52,7 @@ impl Network {
     ///
     /// # Errors
     /// A number out of range, a contact that is not plain ASCII, an address that cannot be asked.
-    pub fn conduct(&self, allowed: &[String]) -> Result<Conduct, ParamError> {
+    pub fn settings(&self, allowed: &[String]) -> Result<ClientSettings, ParamError> {
         let within = |key: &str, value: u64, least: u64, most: u64| {
             if (least..=most).contains(&value) {
                 return Ok(());
@@ -69,13 +69,13 @@ impl Network {
         if contact.is_some_and(|contact| !contact.bytes().all(|byte| (b' '..=b'~').contains(&byte))) {
             return Err(ParamError::new("network.contact", "not plain ASCII"));
         }
-        Ok(Conduct {
+        Ok(ClientSettings {
             per_host: self.connections,
             delay: Duration::from_millis(self.delay_ms),
             tries: self.tries,
             first_wait: Duration::from_millis(self.retry_ms),
             stall: Duration::from_secs(self.stall_s),
-            ..Conduct::polite(origins(allowed)?, contact)
+            ..ClientSettings::polite(origins(allowed)?, contact)
         })
     }
 }

@@ -16,7 +16,7 @@ use super::mission::{Instrument, Mission};
 use crate::archive::ArchiveFiles;
 use crate::archive::access::{Remote, RemoteContext};
 use crate::archive::kind::ArchiveKind;
-use crate::net::{Answer, Client, Origin, Url, Want};
+use crate::net::{Answer, Client, Download, Origin, Url};
 use crate::remote::catalog::{Catalog, CatalogSource, RemoteFile, SolFiles};
 use crate::remote::crawl::urls;
 use crate::remote::network::{Network, bases, origins};
@@ -376,7 +376,7 @@ struct Pages<'a> {
 impl Pages<'_> {
     /// Downloads one page.
     fn one(&self, path: &str) -> Result<Value, StageError> {
-        let want = Want {
+        let want = Download {
             urls: urls(self.bases, path)?,
             cap_bytes: MAX_PAGE_BYTES,
             known: None,

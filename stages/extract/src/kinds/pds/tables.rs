@@ -8,7 +8,7 @@ use super::layout::Tree;
 use super::products::{FoundFile, Products};
 use crate::index_table::Index;
 use crate::inventory;
-use crate::net::{Answer, Validators, Want};
+use crate::net::{Answer, Download, Validators};
 use crate::remote::cache;
 use crate::remote::catalog::Catalog;
 use crate::remote::crawl::{Crawl, urls};
@@ -109,7 +109,7 @@ fn index_of(crawl: &Crawl<'_>, volume: &str) -> Result<BTreeMap<u32, Vec<FoundFi
 fn table(crawl: &Crawl<'_>, path: &str) -> Result<Vec<u8>, StageError> {
     let key = cache::key("table", path);
     let cached: Option<(Validators, String)> = cache::read(crawl.ctx.scratch, &key);
-    let want = Want {
+    let want = Download {
         urls: urls(crawl.bases, path)?,
         cap_bytes: MAX_TABLE_BYTES,
         known: cached.as_ref().map(|cached| cached.0.clone()),
