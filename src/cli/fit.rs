@@ -74,7 +74,7 @@ fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<Json, CliE
     let metrics: Json = serde_json::from_slice(&session.store.get(&output.digest)?)
         .map_err(|error| CliError::failed(format!("metrics: {error}")))?;
     let made = node.key.and_then(|key| session.store.record(&key).ok().flatten());
-    let peak_mb = made.map_or(0, |record| record.circumstances.peak_mb);
+    let peak_mb = made.map_or(0, |record| record.metadata.peak_mb);
     // The time of the node less that of finding the pace: decoding, training and rendering the held-out views.
     let pace = record
         .nodes

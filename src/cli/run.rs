@@ -1,6 +1,5 @@
-use std::sync::{Mutex, PoisonError};
-
 use marf_engine::{Cancel, Event, Listener, NodeRun, NodeState, Options, Outcome, RunRecord};
+use parking_lot::Mutex;
 
 use super::args::{Global, RunArgs};
 use super::error::{CliError, Complaint};
@@ -75,7 +74,7 @@ pub fn execute(
     for line in by_hand::idle(&session.nodes, &verdicts::all(session, &record)) {
         crate::talk(&format!("warning: {line}"));
     }
-    let failure = ear.failure.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let failure = ear.failure.into_inner();
     let ended = match record.outcome {
         Outcome::Done => Ok(()),
         Outcome::Cancelled => Err(CliError::Interrupted),
@@ -93,8 +92,8 @@ struct Ear {
 }
 
 impl Listener for Ear {
-    fn hear(&self, event: &Event) {
-        self.voice.hear(event);
+    fn on_event(&self, event: &Event) {
+        self.voice.on_event(event);
         if let Event::Failed {
             node,
             message,
@@ -107,10 +106,7 @@ impl Listener for Ear {
                 cause: cause.clone(),
                 hint: hint.clone(),
             };
-            self.failure
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner)
-                .get_or_insert(complaint);
+            self.failure.lock().get_or_insert(complaint);
         }
     }
 }

@@ -1,8 +1,8 @@
 use std::collections::HashMap;
-use std::sync::{Mutex, PoisonError};
 
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use marf_engine::{Event, Listener};
+use parking_lot::Mutex;
 
 use super::sentence;
 use crate::cli::printable;
@@ -16,7 +16,7 @@ pub struct Bars {
 
 impl Bars {
     fn bar(&self, node: &str, total: u64) -> ProgressBar {
-        let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut running = self.running.lock();
         let make = || {
             let bar = self.all.add(ProgressBar::new(total)).with_prefix(printable(node));
             let template = "{prefix:<22} {bar:28} {pos:>6}/{len:<6} {elapsed:>4} left {eta:<5} {msg}";
@@ -29,7 +29,7 @@ impl Bars {
     }
 
     fn end(&self, node: &str) {
-        let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut running = self.running.lock();
         if let Some(bar) = running.remove(node) {
             bar.finish_and_clear();
             self.all.remove(&bar);
@@ -38,7 +38,7 @@ impl Bars {
 }
 
 impl Listener for Bars {
-    fn hear(&self, event: &Event) {
+    fn on_event(&self, event: &Event) {
         match event {
             Event::Progress {
                 node,

@@ -1,8 +1,8 @@
 use std::collections::HashMap;
-use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use marf_engine::{Event, Listener};
+use parking_lot::Mutex;
 
 use super::{duration, sentence};
 use crate::cli::printable;
@@ -30,7 +30,7 @@ impl Lines {
     /// Another total is another piece of work: the clock starts anew.
     fn due(&self, node: &str, done: u64, total: u64) -> Option<String> {
         let now = Instant::now();
-        let mut heard = self.heard.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut heard = self.heard.lock();
         let fresh = Heard {
             began: now,
             last: now,
@@ -55,7 +55,7 @@ impl Lines {
 }
 
 impl Listener for Lines {
-    fn hear(&self, event: &Event) {
+    fn on_event(&self, event: &Event) {
         if let Event::Progress {
             node,
             done,

@@ -32,15 +32,15 @@ impl Voice {
 }
 
 impl Listener for Voice {
-    fn hear(&self, event: &Event) {
+    fn on_event(&self, event: &Event) {
         match self {
             Self::Json => {
                 if let Ok(line) = serde_json::to_string(event) {
                     crate::say(&line);
                 }
             }
-            Self::Bars(bars) => bars.hear(event),
-            Self::Lines(lines) => lines.hear(event),
+            Self::Bars(bars) => bars.on_event(event),
+            Self::Lines(lines) => lines.on_event(event),
         }
     }
 }

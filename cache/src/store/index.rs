@@ -6,10 +6,10 @@
 use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
-    sync::{Mutex, PoisonError},
     time::{Duration, Instant},
 };
 
+use parking_lot::Mutex;
 use redb::{
     Builder, Database, DatabaseError, ReadOnlyDatabase, ReadTransaction, ReadableDatabase, ReadableTable,
     ReadableTableMetadata, TableDefinition,
@@ -102,7 +102,7 @@ impl Index {
         memos: &BTreeMap<Digest, Digest>,
         lives: impl Fn(&Record) -> bool,
     ) -> Result<Vec<Conflict>, StoreError> {
-        let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
+        let _turn = self.turn.lock();
         self.make()?;
         let database = self.open(|path| builder().create(path))?;
         write(&database, records, memos, lives).map_err(|error| self.explain(error))
@@ -135,7 +135,7 @@ impl Index {
         &self,
         look: impl FnOnce(&ReadTransaction) -> Result<T, redb::Error>,
     ) -> Result<Option<T>, StoreError> {
-        let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
+        let _turn = self.turn.lock();
         if !self.path.exists() {
             return Ok(None);
         }

@@ -29,8 +29,10 @@ use std::{
     collections::BTreeSet,
     fs,
     path::{Path, PathBuf},
-    sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError},
+    sync::Arc,
 };
+
+use parking_lot::{Mutex, MutexGuard};
 
 use self::{
     files::Published,
@@ -42,7 +44,7 @@ use self::{
 use crate::Digest;
 
 pub use error::StoreError;
-pub use record::{Circumstances, Conflict, Output, Record, StoreStat};
+pub use record::{Conflict, Output, Record, RunMetadata, StoreStat};
 
 /// Blobs from this length on are files of their own.
 const LARGE_BYTES: usize = 64 << 10;
@@ -72,10 +74,6 @@ impl Staged {
     fn find<T>(&self, look: impl Fn(&Group) -> Option<T>) -> Option<T> {
         look(&self.open).or_else(|| self.leaving.as_deref().and_then(look))
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Store {
@@ -118,7 +116,7 @@ impl Store {
 
     /// The first write makes our folder of temporary files: a reader makes none.
     fn session(&self) -> Result<Arc<Session>, StoreError> {
-        let mut session = lock(&self.session);
+        let mut session = self.session.lock();
         if let Some(session) = session.as_ref() {
             return Ok(Arc::clone(session));
         }
@@ -133,12 +131,12 @@ impl Store {
     /// A store that cannot be written; nothing of it becomes visible.
     pub fn put(&self, bytes: &[u8]) -> Result<Digest, StoreError> {
         let digest = Digest::of(bytes);
-        let staged = lock(&self.staged).find(|group| group.size_of(&digest)).is_some();
+        let staged = self.staged.lock().find(|group| group.size_of(&digest)).is_some();
         if staged || self.shelf.knows(&digest) {
             return Ok(digest);
         }
         match bytes.len() {
-            0..LARGE_BYTES => lock(&self.staged).open.add_small(digest, bytes),
+            0..LARGE_BYTES => self.staged.lock().open.add_small(digest, bytes),
             _ => self.put_large(digest, bytes)?,
         }
         self.commit_if_due()?;
@@ -153,7 +151,7 @@ impl Store {
             path,
             bytes: bytes.len() as u64,
         };
-        let mut staged = lock(&self.staged);
+        let mut staged = self.staged.lock();
         match staged.find(|group| group.size_of(&digest)) {
             None => staged.open.add_large(digest, large),
             // Another thread put the same bytes meanwhile.
@@ -163,14 +161,13 @@ impl Store {
     }
 
     fn commit_if_due(&self) -> Result<(), StoreError> {
-        if !lock(&self.staged).open.is_due() {
+        if !self.staged.lock().open.is_due() {
             return Ok(());
         }
+        // Where another thread is sealing, these blobs go with the next batch.
         match self.sealing.try_lock() {
-            // Somebody is at it: our blobs go with the next group.
-            Err(TryLockError::WouldBlock) => Ok(()),
-            Err(TryLockError::Poisoned(gate)) => self.seal_open(&gate.into_inner()),
-            Ok(gate) => self.seal_open(&gate),
+            None => Ok(()),
+            Some(gate) => self.seal_open(&gate),
         }
     }
 
@@ -180,7 +177,7 @@ impl Store {
     /// [`StoreError::Missing`], or [`StoreError::Damaged`] once: a damaged blob is set aside and then missing.
     pub fn get(&self, digest: &Digest) -> Result<Arc<[u8]>, StoreError> {
         let (small, large) = {
-            let staged = lock(&self.staged);
+            let staged = self.staged.lock();
             let small = staged.find(|group| group.small.get(digest).cloned());
             let large = staged.find(|group| group.large.get(digest).cloned());
             (small, large)
@@ -203,7 +200,7 @@ impl Store {
 
     /// Returns a blob's length in bytes.
     pub fn size_of(&self, digest: &Digest) -> Option<u64> {
-        let staged = lock(&self.staged).find(|group| group.size_of(digest));
+        let staged = self.staged.lock().find(|group| group.size_of(digest));
         staged.or_else(|| self.shelf.size_of(digest))
     }
 
@@ -212,7 +209,7 @@ impl Store {
     /// # Errors
     /// An index that is locked or cannot be used.
     pub fn record(&self, key: &Digest) -> Result<Option<Record>, StoreError> {
-        let staged = lock(&self.staged).find(|group| group.records.get(key).cloned());
+        let staged = self.staged.lock().find(|group| group.records.get(key).cloned());
         match staged {
             Some(record) => Ok(Some(record)),
             None => self.index.record(key),
@@ -236,7 +233,7 @@ impl Store {
 
     /// Stages a record for the next group; where the key has a record whose outputs are here, that one stays.
     pub fn put_record(&self, record: Record) {
-        lock(&self.staged).open.add_record(record);
+        self.staged.lock().open.add_record(record);
     }
 
     /// Returns the blob last stored under a memo key.
@@ -244,7 +241,7 @@ impl Store {
     /// # Errors
     /// As [`Store::record`].
     pub fn memo(&self, key: &Digest) -> Result<Option<Digest>, StoreError> {
-        let staged = lock(&self.staged).find(|group| group.memos.get(key).copied());
+        let staged = self.staged.lock().find(|group| group.memos.get(key).copied());
         match staged {
             Some(blob) => Ok(Some(blob)),
             None => self.index.memo(key),
@@ -253,7 +250,7 @@ impl Store {
 
     /// Stages a memo for the next group; it replaces an earlier one.
     pub fn put_memo(&self, key: Digest, blob: Digest) {
-        lock(&self.staged).open.add_memo(key, blob);
+        self.staged.lock().open.add_memo(key, blob);
     }
 
     /// Seals everything put so far.
@@ -261,13 +258,13 @@ impl Store {
     /// # Errors
     /// What stopped it; everything stays staged and readable, and the next call tries again.
     pub fn commit(&self) -> Result<(), StoreError> {
-        let gate = lock(&self.sealing);
+        let gate = self.sealing.lock();
         self.seal_open(&gate)
     }
 
     fn seal_open(&self, _gate: &MutexGuard<'_, ()>) -> Result<(), StoreError> {
         let group = {
-            let mut staged = lock(&self.staged);
+            let mut staged = self.staged.lock();
             if staged.open.is_empty() {
                 return Ok(());
             }
@@ -276,7 +273,7 @@ impl Store {
             group
         };
         let sealed = self.seal(&group);
-        let mut staged = lock(&self.staged);
+        let mut staged = self.staged.lock();
         staged.leaving = None;
         if sealed.is_err() {
             staged.open.take_back(&group);
@@ -291,7 +288,7 @@ impl Store {
         }
         let lives = |record: &Record| self.lives(record);
         let conflicts = self.index.commit(&group.records, &group.memos, lives)?;
-        lock(&self.conflicts).extend(conflicts);
+        self.conflicts.lock().extend(conflicts);
         Ok(())
     }
 
@@ -356,7 +353,7 @@ impl Store {
 
     /// Hands over the results that came second for their key and differ, each once.
     pub fn conflicts(&self) -> Vec<Conflict> {
-        std::mem::take(&mut *lock(&self.conflicts))
+        std::mem::take(&mut *self.conflicts.lock())
     }
 
     /// Returns all sealed records, sorted by key.
@@ -384,7 +381,7 @@ impl Store {
             memos,
             runs: self.run_numbers()?.len() as u64,
             index_bytes: self.index.bytes(),
-            set_aside: count.set_aside,
+            quarantined: count.quarantined,
         })
     }
 }

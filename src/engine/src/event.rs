@@ -2,12 +2,12 @@
 
 use std::{
     collections::BTreeMap,
-    sync::{Mutex, PoisonError},
     time::{Duration, Instant},
 };
 
 use marf_cache::Output;
 use marf_stage::Progress;
+use parking_lot::Mutex;
 use serde::Serialize;
 
 /// Shortest time between two progress events of a node, but for its last.
@@ -85,7 +85,7 @@ pub enum Event {
 /// Hears events, from several threads.
 pub trait Listener: Sync {
     /// Hears one event.
-    fn hear(&self, event: &Event);
+    fn on_event(&self, event: &Event);
 }
 
 /// Hears and forgets.
@@ -93,7 +93,7 @@ pub trait Listener: Sync {
 pub struct Silent;
 
 impl Listener for Silent {
-    fn hear(&self, _event: &Event) {}
+    fn on_event(&self, _event: &Event) {}
 }
 
 /// Turns a stage's progress into events of its node, not too many.
@@ -113,7 +113,7 @@ impl<'a> NodeProgress<'a> {
     }
 
     fn is_due(&self) -> bool {
-        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut last = self.last.lock();
         let due = last.is_none_or(|last| last.elapsed() >= PROGRESS_PAUSE);
         if due {
             *last = Some(Instant::now());
@@ -125,7 +125,7 @@ impl<'a> NodeProgress<'a> {
 impl Progress for NodeProgress<'_> {
     fn at(&self, done: u64, total: u64, note: &str) {
         if done == total || self.is_due() {
-            self.listener.hear(&Event::Progress {
+            self.listener.on_event(&Event::Progress {
                 node: self.node.clone(),
                 done,
                 total,
@@ -145,8 +145,8 @@ mod tests {
     struct Ears(Mutex<Vec<Event>>);
 
     impl Listener for Ears {
-        fn hear(&self, event: &Event) {
-            self.0.lock().unwrap().push(event.clone());
+        fn on_event(&self, event: &Event) {
+            self.0.lock().push(event.clone());
         }
     }
 
@@ -207,7 +207,7 @@ mod tests {
         let progress = NodeProgress::new("train", &ears);
         let total = 1_000_000;
         (1..=total).for_each(|done| progress.at(done, total, ""));
-        let heard = ears.0.into_inner().unwrap();
+        let heard = ears.0.into_inner();
         let done = |event: &Event| match event {
             Event::Progress { done, .. } => *done,
             _ => 0,

@@ -18,8 +18,6 @@ mod mapper;
 mod masks;
 mod matching;
 mod metric;
-mod metrics;
-mod params;
 mod photos;
 mod resample;
 mod sfm;
@@ -28,8 +26,11 @@ mod stage;
 mod two_view;
 
 pub use export::{Sight, TrackPoint, Tracks, write_colmap, write_ply, write_transforms};
-pub use metrics::{Metrics, Missing, PhotoMetrics, Totals};
-pub use params::{CalibrateParams, FirstOctaveParam, Intrinsics, LensParam, Method, Pairs, PrincipalPoint};
+use marf_schema::calibrate as params;
+pub use marf_schema::calibrate::{
+    CalibrateParams, FirstOctaveParam, Intrinsics, LensParam, Method, Metrics, Missing, Pairs, PhotoMetrics,
+    PrincipalPoint, Totals,
+};
 pub use stage::{Calibrate, METRICS, POINTS, SCENE, SPARSE, TRANSFORMS};
 
 /// What the benches measure; no part of the interface.

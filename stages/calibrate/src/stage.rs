@@ -3,7 +3,8 @@ use std::collections::BTreeMap;
 use marf_cache::ContentHash;
 use marf_scene::{Frame, Scene, Unplaced};
 use marf_stage::{
-    COMPANIONS, Ctx, Define, Inputs, Outputs, PHOTOS, ParamError, Port, Set, Stage, StageError, Threads, Work,
+    COMPANIONS, Ctx, Define, Document, Inputs, Outputs, PHOTOS, ParamError, Port, Set, Stage, StageError,
+    Threads, Work,
 };
 
 use crate::photos::{Calibrated, HeldOut, Item, Placed, load};
@@ -12,16 +13,10 @@ use crate::{
     write_colmap, write_ply, write_transforms,
 };
 
-/// Output that holds the scene ([`Scene::encode`]).
-pub const SCENE: &str = "scene";
+pub use marf_schema::output::{POINTS, SCENE, SPARSE, TRANSFORMS};
+
 /// Output that says how each photo fared ([`Metrics`] as JSON).
-pub const METRICS: &str = "metrics";
-/// Output that holds the scene as transforms.json ([`write_transforms`]).
-pub const TRANSFORMS: &str = "transforms";
-/// Outputs below this name are the scene as COLMAP's model ([`write_colmap`]): `sparse/0/cameras.bin`.
-pub const SPARSE: &str = "sparse/";
-/// Output that holds the sparse points as PLY ([`write_ply`]).
-pub const POINTS: &str = "points.ply";
+pub const METRICS: &str = Metrics::OUTPUT;
 
 /// Finds the camera of each photo.
 ///
@@ -38,7 +33,7 @@ pub struct Calibrate(CalibrateParams);
 
 impl Define for Calibrate {
     type Params = CalibrateParams;
-    const NAME: &'static str = "calibrate";
+    const NAME: &'static str = <CalibrateParams as marf_stage::Params>::STAGE;
     const ABOUT: &'static str =
         "Photos to a calibrated scene: from what they show, from labels, or from imported cameras";
     const VERSION: u32 = 4;
@@ -94,8 +89,9 @@ impl Set for Calibrate {
         let bytes = scene
             .encode()
             .map_err(|error| StageError::new(error.to_string()))?;
-        let metrics =
-            serde_json::to_vec_pretty(&metrics).map_err(|error| StageError::new(error.to_string()))?;
+        let metrics = metrics
+            .encode()
+            .map_err(|error| StageError::new(error.to_string()))?;
         let outputs = [
             (SCENE, bytes),
             (METRICS, metrics),

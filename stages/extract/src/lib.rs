@@ -13,38 +13,14 @@
 //! ```
 
 mod archive;
-mod camera;
-mod companding;
-pub mod demo;
-mod demosaic;
-mod describe;
-mod exif;
-mod feed;
 mod fetch;
 mod files;
-#[doc(hidden)]
-pub mod fuzzing;
-mod index_table;
-mod inventory;
 mod kinds;
-mod label;
-mod listing;
-mod names;
 mod net;
-mod odl;
 mod params;
-mod pds3;
-mod pds4;
-mod pixels;
 mod products;
-mod raw;
 mod remote;
 mod sols;
-#[cfg(test)]
-mod testing;
-mod tone;
-mod values;
-mod vicar;
 
 use marf_cache::ContentHash;
 use marf_stage::{
@@ -108,12 +84,14 @@ impl Define for Extract {
     }
 
     fn with_archive(params: ExtractParams, context: ArchiveContext) -> Result<Self, ParamError> {
-        let of_archive =
-            |error: ParamError| ParamError::new(format!("archive.{}", error.path), error.message);
+        let of_archive = |error: ParamError| {
+            let path = format!("archive.{}", error.path);
+            ParamError::new(path.trim_end_matches('.'), error.message)
+        };
         Ok(Self {
             archive: params.archive.open(context).map_err(of_archive)?,
             reading: Reading {
-                white_radiance: tone::WHITE_RADIANCE,
+                white_radiance: marf_pds::WHITE_RADIANCE,
             },
         })
     }

@@ -72,7 +72,7 @@ impl JsonSchema for Sols {
 /// Reads one part of a choice: a sol or a range.
 fn range(part: &str) -> Result<(u32, u32), String> {
     let sol = |text: &str| {
-        crate::values::sol(text).ok_or_else(|| {
+        marf_pds::values::sol(text).ok_or_else(|| {
             format!("`{part}` is no sol or range; write `3`, `1..=5`, `1,4,7..=9` or `latest`")
         })
     };

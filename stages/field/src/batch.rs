@@ -1,7 +1,6 @@
 //! A batch in chunks of rays: samples, features, loss, and all gradients but those of the tables.
 
-use std::sync::Mutex;
-
+use parking_lot::Mutex;
 use rayon::prelude::*;
 
 use crate::cpu::composite::{Gathered, RAW_LIMIT, Ray, Runaways, colour, colour_slope, runs_away};
@@ -128,12 +127,9 @@ pub fn train(shared: &Shared, targets: &[Target], rays: usize, chunks: &mut Vec<
     encode(shared, chunks);
     let pairs = chunks.par_iter_mut().zip(targets.par_chunks(rays));
     pairs.with_max_len(1).for_each(|(chunk, targets)| {
-        let spare = spares.lock().ok().and_then(|mut spares| spares.pop());
-        let mut scratch = spare.unwrap_or_default();
+        let mut scratch = spares.lock().pop().unwrap_or_default();
         scratch.train(shared, targets, chunk);
-        if let Ok(mut spares) = spares.lock() {
-            spares.push(scratch);
-        }
+        spares.lock().push(scratch);
     });
 }
 

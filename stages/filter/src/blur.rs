@@ -4,10 +4,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
-use crate::filter::{Filter, Opinion, Seen, within};
-use crate::look::Look;
+use crate::decoded::DecodedPhoto;
+use crate::filter::{Decision, Filter, MeasuredPhoto, check_range};
 use crate::octave::Octave;
-use crate::statistics::{Ranked, by_instrument};
+use crate::statistics::{SortedValues, group_by_instrument};
 
 /// Rejects photos that are out of focus, smeared by motion, or nothing but noise.
 pub struct Blur;
@@ -85,41 +85,41 @@ impl Filter for Blur {
     const VERSION: u32 = 2;
     type Params = BlurParams;
     type Measure = Sharpness;
-    const MEASURE: Option<fn(&Look) -> Sharpness> = Some(sharpness);
+    const MEASURE: Option<fn(&DecodedPhoto) -> Sharpness> = Some(sharpness);
 
     fn by_hand(params: &BlurParams) -> &ByHand {
         &params.by_hand
     }
 
     fn check(params: &BlurParams) -> Result<(), ParamError> {
-        within("min_ratio", params.min_ratio, 0.01, 1e6)?;
-        within("min_share", params.min_share, 0.0, 1.0)?;
-        within("ceiling_ratio", params.ceiling_ratio, 0.0, 1e6)?;
-        within("floor_ratio", params.floor_ratio, 0.01, params.ceiling_ratio)?;
-        within("max_ratio", params.max_ratio, params.min_ratio, 1e12)?;
-        within("max_multiple", params.max_multiple, 1.0, 1e6)?;
-        within("tau", params.tau, 0.0, 1e6)
+        check_range("min_ratio", params.min_ratio, 0.01, 1e6)?;
+        check_range("min_share", params.min_share, 0.0, 1.0)?;
+        check_range("ceiling_ratio", params.ceiling_ratio, 0.0, 1e6)?;
+        check_range("floor_ratio", params.floor_ratio, 0.01, params.ceiling_ratio)?;
+        check_range("max_ratio", params.max_ratio, params.min_ratio, 1e12)?;
+        check_range("max_multiple", params.max_multiple, 1.0, 1e6)?;
+        check_range("tau", params.tau, 0.0, 1e6)
     }
 
-    fn decide(params: &BlurParams, photos: &[Seen<Sharpness>]) -> Vec<Opinion> {
+    fn decide(params: &BlurParams, photos: &[MeasuredPhoto<Sharpness>]) -> Vec<Decision> {
         if params.rule == BlurRule::Laplacian {
             return photos
                 .iter()
                 .map(|photo| judge_laplacian(params, &photo.measure))
                 .collect();
         }
-        let mut opinions = vec![Opinion::pass(""); photos.len()];
-        for group in by_instrument(photos) {
-            let set = Usual::of(group.iter().map(|index| &photos[*index].measure));
+        let mut decisions = vec![Decision::pass(""); photos.len()];
+        for group in group_by_instrument(photos) {
+            let set = TypicalRatios::of(group.iter().map(|index| &photos[*index].measure));
             for index in group {
-                opinions[index] = judge_reblur(params, &photos[index].measure, &set);
+                decisions[index] = judge_reblur(params, &photos[index].measure, &set);
             }
         }
-        opinions
+        decisions
     }
 }
 
-fn sharpness(look: &Look) -> Sharpness {
+fn sharpness(look: &DecodedPhoto) -> Sharpness {
     let mut octaves = Vec::new();
     let luma = &look.luma;
     if luma.width > 2 && luma.height > 2 {
@@ -139,24 +139,25 @@ fn sharpness(look: &Look) -> Sharpness {
 }
 
 /// The ratios of a set of photos, to be asked without one of them.
-struct Usual {
+struct TypicalRatios {
     /// By number of halvings.
-    lowest: [Ranked; OCTAVES],
-    finest: Ranked,
+    lowest: [SortedValues; OCTAVES],
+    finest: SortedValues,
     photos: usize,
 }
 
-impl Usual {
+impl TypicalRatios {
     fn of<'a>(photos: impl Iterator<Item = &'a Sharpness> + Clone) -> Self {
         let octaves = |halvings: usize| {
             photos
                 .clone()
                 .filter_map(move |photo| photo.octaves.get(halvings))
         };
-        let lowest = |halvings| Ranked::new(octaves(halvings).map(|octave| octave.lowest().0).collect());
+        let lowest =
+            |halvings| SortedValues::new(octaves(halvings).map(|octave| octave.lowest().0).collect());
         Self {
             lowest: std::array::from_fn(lowest),
-            finest: Ranked::new(octaves(0).map(Octave::highest).collect()),
+            finest: SortedValues::new(octaves(0).map(Octave::highest).collect()),
             photos: photos.clone().count(),
         }
     }
@@ -170,7 +171,7 @@ impl Usual {
         if !self.is_set(params) {
             return params.min_ratio;
         }
-        let usual = self.lowest[halvings].without(ratio, 1, 2);
+        let usual = self.lowest[halvings].quantile_without(ratio, 1, 2);
         (params.min_share * usual).clamp(params.floor_ratio, params.ceiling_ratio)
     }
 
@@ -179,13 +180,13 @@ impl Usual {
         if !self.is_set(params) {
             return params.max_ratio;
         }
-        (params.max_multiple * self.finest.without(ratio, 1, 2)).max(params.max_ratio)
+        (params.max_multiple * self.finest.quantile_without(ratio, 1, 2)).max(params.max_ratio)
     }
 }
 
-fn judge_reblur(params: &BlurParams, photo: &Sharpness, set: &Usual) -> Opinion {
+fn judge_reblur(params: &BlurParams, photo: &Sharpness, set: &TypicalRatios) -> Decision {
     let Some(fine) = photo.octaves.first() else {
-        return Opinion::reject(
+        return Decision::reject(
             0.0,
             params.min_ratio,
             "fewer than 3 pixels a side: nothing can be sharp",
@@ -201,27 +202,27 @@ fn judge_reblur(params: &BlurParams, photo: &Sharpness, set: &Usual) -> Opinion 
         let (part, axis) = (1 << halvings, ["rows", "columns"][axis]);
         let reason =
             format!("reblur ratio {ratio:.1} at 1/{part} of the size along {axis}, at least {least:.1}");
-        return Opinion::reject(ratio, least, reason);
+        return Decision::reject(ratio, least, reason);
     }
     let (finest, most) = (fine.highest(), set.most(params, fine.highest()));
     if finest > most {
-        return Opinion::reject(
+        return Decision::reject(
             finest,
             most,
             format!("reblur ratio {finest:.0}, at most {most:.0}: noise or a raw mosaic"),
         );
     }
-    Opinion::keep(ratio, least)
+    Decision::keep(ratio, least)
 }
 
-fn judge_laplacian(params: &BlurParams, photo: &Sharpness) -> Opinion {
+fn judge_laplacian(params: &BlurParams, photo: &Sharpness) -> Decision {
     let (variance, tau) = (photo.laplacian, params.tau);
     if variance < tau {
-        return Opinion::reject(
+        return Decision::reject(
             variance,
             tau,
             format!("variance of the Laplacian {variance:.1}, at least {tau}"),
         );
     }
-    Opinion::keep(variance, tau)
+    Decision::keep(variance, tau)
 }

@@ -5,7 +5,7 @@ use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::filter::Opinion;
+use crate::filter::Decision;
 
 /// Photos on which a person has decided, whatever the filter says.
 ///
@@ -38,31 +38,31 @@ impl ByHand {
         self.keep.contains(id) || self.keep.contains(file)
     }
 
-    /// Returns the opinion as the lists leave it; score and threshold stay, the reason says who decided.
-    pub(crate) fn overrule(&self, id: &str, file: &str, opinion: Opinion) -> Opinion {
+    /// Returns the decision as the lists leave it; score and threshold stay, the reason says who decided.
+    pub(crate) fn overrule(&self, id: &str, file: &str, decision: Decision) -> Decision {
         if self.keeps(id, file) {
-            let reason = match opinion.keep {
+            let reason = match decision.keep {
                 true => "kept by hand, and by the filter".to_owned(),
-                false => format!("kept by hand, against the filter: {}", opinion.reason),
+                false => format!("kept by hand, against the filter: {}", decision.reason),
             };
-            return Opinion {
+            return Decision {
                 keep: true,
                 reason,
-                ..opinion
+                ..decision
             };
         }
         if self.reject.contains(id) || self.reject.contains(file) {
-            let reason = match opinion.keep {
+            let reason = match decision.keep {
                 true => "rejected by hand, against the filter".to_owned(),
-                false => format!("rejected by hand, and by the filter: {}", opinion.reason),
+                false => format!("rejected by hand, and by the filter: {}", decision.reason),
             };
-            return Opinion {
+            return Decision {
                 keep: false,
                 reason,
-                ..opinion
+                ..decision
             };
         }
-        opinion
+        decision
     }
 }
 
@@ -80,8 +80,8 @@ mod tests {
             keep: list(&["a", "dir/b.jpg"]),
             reject: list(&["c"]),
         };
-        let no = || Opinion::reject(3.0, 9.0, "ratio 3");
-        let yes = || Opinion::keep(12.0, 9.0);
+        let no = || Decision::reject(3.0, 9.0, "ratio 3");
+        let yes = || Decision::keep(12.0, 9.0);
         let kept = lists.overrule("a", "a.jpg", no());
         assert!(
             kept.keep && kept.score == Some(3.0) && kept.reason.contains("ratio 3"),

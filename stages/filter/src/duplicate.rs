@@ -6,12 +6,12 @@ use marf_stage::{Ctx, Define, Fold, Measure, Measured, ParamError, Port, Stage, 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::adapter::{OUTPUTS, PORTS};
 use crate::by_hand::ByHand;
-use crate::filter::{Opinion, facts_of, undecodable, within};
-use crate::kin::{Kin, development, kin};
-use crate::near::{bits, brightness_bits, correlation, same_aspect};
-use crate::sketch::{Sketch, take};
+use crate::descriptor::{ViewDescriptor, take};
+use crate::filter::{Decision, check_range, facts_of, undecodable};
+use crate::relation::{Relation, processing_rank, relation_between};
+use crate::similarity::{bits, brightness_bits, correlation, same_aspect};
+use crate::stage::{OUTPUTS, PORTS};
 use crate::survey::{self, Section, Surveyed, survey, unreadable};
 use crate::{SECTIONS, VERSIONS};
 
@@ -80,11 +80,11 @@ impl Define for Duplicate {
     const OUTPUTS: &'static [&'static str] = OUTPUTS;
 
     fn new(params: DuplicateParams) -> Result<Self, ParamError> {
-        within("candidate_bits", f64::from(params.candidate_bits), 0.0, 64.0)?;
-        within("max_bits", f64::from(params.max_bits), 0.0, 65.0)?;
-        within("min_correlation", params.min_correlation, -1.0, 1.0)?;
-        within("filter_correlation", params.filter_correlation, -1.0, 1.0)?;
-        within("version_correlation", params.version_correlation, -1.0, 1.0)?;
+        check_range("candidate_bits", f64::from(params.candidate_bits), 0.0, 64.0)?;
+        check_range("max_bits", f64::from(params.max_bits), 0.0, 65.0)?;
+        check_range("min_correlation", params.min_correlation, -1.0, 1.0)?;
+        check_range("filter_correlation", params.filter_correlation, -1.0, 1.0)?;
+        check_range("version_correlation", params.version_correlation, -1.0, 1.0)?;
         params.by_hand.check()?;
         Ok(Self { params })
     }
@@ -104,7 +104,7 @@ impl Surveyed for Duplicate {
     const SECTION: Option<Section> = Some(Section {
         name: Self::NAME,
         version: Self::VERSION,
-        measure: |look| Ok(Sketch::of(look).encode()),
+        measure: |look| Ok(ViewDescriptor::of(look).encode()),
     });
 }
 
@@ -133,22 +133,22 @@ impl Fold for Duplicate {
         let mut kept = state.map_or_else(|| Ok(Vec::new()), read_state)?;
         let earlier = kept.len();
         let read = items.iter().map(read_item).collect::<Result<Vec<_>, _>>()?;
-        let mut best_first: Vec<(usize, &View)> = read
+        let mut best_first: Vec<(usize, &ComparedPhoto)> = read
             .iter()
             .enumerate()
             .filter_map(|(at, item)| item.as_ref().ok().map(|view| (at, view)))
             .collect();
-        let wanted = |view: &View| self.params.by_hand.keeps(&view.id, &view.facts.file);
+        let wanted = |view: &ComparedPhoto| self.params.by_hand.keeps(&view.id, &view.facts.file);
         best_first.sort_by(|a, b| wanted(b.1).cmp(&wanted(a.1)).then_with(|| a.1.better(b.1)));
         let mut verdicts: Vec<Option<Verdict>> =
             read.iter().map(|item| item.as_ref().err().cloned()).collect();
         for (at, view) in best_first {
-            let opinion = self.judge(view, &kept);
-            let opinion = self.params.by_hand.overrule(&view.id, &view.facts.file, opinion);
-            if opinion.keep {
+            let decision = self.judge(view, &kept);
+            let decision = self.params.by_hand.overrule(&view.id, &view.facts.file, decision);
+            if decision.keep {
                 kept.push(view.clone());
             }
-            verdicts[at] = Some(opinion.verdict(Self::NAME, items[at].row, &view.facts));
+            verdicts[at] = Some(decision.verdict(Self::NAME, items[at].row, &view.facts));
         }
         kept[earlier..].sort_by(|a, b| a.id.cmp(&b.id));
         // Every item is either undecodable or has been judged, so none is dropped here.
@@ -158,17 +158,17 @@ impl Fold for Duplicate {
 
 /// One photo as the comparison sees it.
 #[derive(Debug, Clone)]
-struct View {
+struct ComparedPhoto {
     id: String,
     facts: PhotoFacts,
-    sketch: Sketch,
+    sketch: ViewDescriptor,
 }
 
 /// Below this the colours of a photo are one tint: narrow-band JPEG copies have 0.0025 to 0.0095, the palest photo
 /// of the Navcam feed 0.021, rover and fox 0.087 and more.
 const COLOUR: f64 = 0.014;
 
-impl View {
+impl ComparedPhoto {
     /// Orders the better photo first; ids are unique, so no two are equal.
     fn better(&self, other: &Self) -> Ordering {
         let area = |view: &Self| u64::from(view.sketch.width) * u64::from(view.sketch.height);
@@ -176,7 +176,7 @@ impl View {
             .is_broad()
             .cmp(&self.is_broad())
             .then_with(|| (other.sketch.colour >= COLOUR).cmp(&(self.sketch.colour >= COLOUR)))
-            .then_with(|| development(&self.id).cmp(&development(&other.id)))
+            .then_with(|| processing_rank(&self.id).cmp(&processing_rank(&other.id)))
             .then_with(|| other.sketch.sharpness.total_cmp(&self.sketch.sharpness))
             .then_with(|| area(other).cmp(&area(self)))
             .then_with(|| self.id.cmp(&other.id))
@@ -194,8 +194,8 @@ impl View {
 
 impl Duplicate {
     /// Compares with all that are kept; of several twins the most alike is named, of equals the first.
-    fn judge(&self, view: &View, kept: &[View]) -> Opinion {
-        let mut nearest: Option<(f64, Opinion)> = None;
+    fn judge(&self, view: &ComparedPhoto, kept: &[ComparedPhoto]) -> Decision {
+        let mut nearest: Option<(f64, Decision)> = None;
         for other in kept
             .iter()
             .filter(|other| same_aspect(&view.sketch, &other.sketch))
@@ -204,26 +204,26 @@ impl Duplicate {
                 DuplicateRule::Confirmed => self.confirm(view, other),
                 DuplicateRule::Phash => Some(self.hashes_alone(view, other)),
             };
-            if let Some((excess, opinion)) = compared
+            if let Some((excess, decision)) = compared
                 && nearest.as_ref().is_none_or(|(most, _)| excess > *most)
             {
-                nearest = Some((excess, opinion));
+                nearest = Some((excess, decision));
             }
         }
-        nearest.map_or_else(|| Opinion::pass(""), |(_, opinion)| opinion)
+        nearest.map_or_else(|| Decision::pass(""), |(_, decision)| decision)
     }
 
-    /// Returns by how much the pair is over its threshold, and the opinion; `None` if it is no candidate.
-    fn confirm(&self, view: &View, other: &View) -> Option<(f64, Opinion)> {
+    /// Returns by how much the pair is over its threshold, and the decision; `None` if it is no candidate.
+    fn confirm(&self, view: &ComparedPhoto, other: &ComparedPhoto) -> Option<(f64, Decision)> {
         let bits = bits(&view.sketch, &other.sketch);
-        let kin = kin((&view.id, &view.facts), (&other.id, &other.facts));
-        if bits > self.params.candidate_bits && kin == Kin::Unknown {
+        let relation = relation_between((&view.id, &view.facts), (&other.id, &other.facts));
+        if bits > self.params.candidate_bits && relation == Relation::Unknown {
             return None;
         }
-        let limit = self.limit(kin);
+        let limit = self.limit(relation);
         let score = correlation(&view.sketch, &other.sketch);
         let reason = || {
-            let (twin, words) = (&other.id, kin.words());
+            let (twin, words) = (&other.id, relation.reason_suffix());
             format!(
                 "like `{twin}`: gradients correlate {score:.3}, at least {limit}, hashes {bits} bits apart{words}"
             )
@@ -234,18 +234,18 @@ impl Duplicate {
         ))
     }
 
-    fn limit(&self, kin: Kin) -> f64 {
+    fn limit(&self, relation: Relation) -> f64 {
         let (usual, filter) = (self.params.min_correlation, self.params.filter_correlation);
-        let limit = match kin {
-            Kin::Version => self.params.version_correlation,
-            Kin::Filter => filter,
-            Kin::PerhapsFilter => (usual + filter) / 2.0,
-            Kin::Unknown => usual,
+        let limit = match relation {
+            Relation::SameExposure => self.params.version_correlation,
+            Relation::SamePointing => filter,
+            Relation::SameCamera => (usual + filter) / 2.0,
+            Relation::Unknown => usual,
         };
         limit.min(usual)
     }
 
-    fn hashes_alone(&self, view: &View, other: &View) -> (f64, Opinion) {
+    fn hashes_alone(&self, view: &ComparedPhoto, other: &ComparedPhoto) -> (f64, Decision) {
         let (bits, limit) = (brightness_bits(&view.sketch, &other.sketch), self.params.max_bits);
         let (score, threshold) = (f64::from(bits), f64::from(limit));
         let reason = || format!("like `{}`: hashes {bits} bits apart, less than {limit}", other.id);
@@ -256,38 +256,44 @@ impl Duplicate {
     }
 }
 
-fn compared(alike: bool, score: f64, limit: f64, reason: impl Fn() -> String, other: &View) -> Opinion {
+fn compared(
+    alike: bool,
+    score: f64,
+    limit: f64,
+    reason: impl Fn() -> String,
+    other: &ComparedPhoto,
+) -> Decision {
     if !alike {
-        return Opinion {
+        return Decision {
             reason: format!("nearest is `{}`", other.id),
-            ..Opinion::keep(score, limit)
+            ..Decision::keep(score, limit)
         };
     }
-    Opinion {
+    Decision {
         twin: Some(other.id.clone()),
-        ..Opinion::reject(score, limit, reason())
+        ..Decision::reject(score, limit, reason())
     }
 }
 
 /// Returns the photo, or its verdict if it could not be decoded.
-fn read_item(item: &Measured<'_>) -> Result<Result<View, Verdict>, StageError> {
+fn read_item(item: &Measured<'_>) -> Result<Result<ComparedPhoto, Verdict>, StageError> {
     let facts = facts_of(item.row)?;
     match survey::part(item.measure, Duplicate::NAME, item.row)? {
         Ok(mut sketch) => {
             let sketch =
-                Sketch::decode(&mut sketch).ok_or_else(|| unreadable(item.row, "it is no sketch"))?;
+                ViewDescriptor::decode(&mut sketch).ok_or_else(|| unreadable(item.row, "it is no sketch"))?;
             let id = item.row.id.clone();
-            Ok(Ok(View { id, facts, sketch }))
+            Ok(Ok(ComparedPhoto { id, facts, sketch }))
         }
         Err(reason) => Ok(Err(undecodable(item.row, &facts, reason))),
     }
 }
 
 /// Writes, for each photo, a length and a JSON header (u32 LE first), then its sketch.
-fn write_state(kept: &[View]) -> Vec<u8> {
+fn write_state(kept: &[ComparedPhoto]) -> Vec<u8> {
     let mut bytes = Vec::new();
     for view in kept {
-        let head = Head {
+        let head = StateHeader {
             id: view.id.clone(),
             instrument: view.facts.instrument.clone(),
             filter: view.facts.filter.clone(),
@@ -304,14 +310,14 @@ fn write_state(kept: &[View]) -> Vec<u8> {
 
 /// What later sols need to know of a kept photo beside its sketch.
 #[derive(Serialize, Deserialize)]
-struct Head {
+struct StateHeader {
     id: String,
     instrument: Option<String>,
     filter: Option<String>,
     sol: Option<u32>,
 }
 
-fn read_state(mut bytes: &[u8]) -> Result<Vec<View>, StageError> {
+fn read_state(mut bytes: &[u8]) -> Result<Vec<ComparedPhoto>, StageError> {
     let mut kept = Vec::new();
     while !bytes.is_empty() {
         let view = read_view(&mut bytes);
@@ -320,19 +326,19 @@ fn read_state(mut bytes: &[u8]) -> Result<Vec<View>, StageError> {
     Ok(kept)
 }
 
-fn read_view(bytes: &mut &[u8]) -> Option<View> {
+fn read_view(bytes: &mut &[u8]) -> Option<ComparedPhoto> {
     let length = u32::from_le_bytes(take(bytes)?) as usize;
     let (head, rest) = bytes.split_at_checked(length)?;
     *bytes = rest;
-    let head: Head = serde_json::from_slice(head).ok()?;
+    let head: StateHeader = serde_json::from_slice(head).ok()?;
     let facts = PhotoFacts {
         instrument: head.instrument,
         filter: head.filter,
         sol: head.sol,
         ..PhotoFacts::default()
     };
-    let sketch = Sketch::decode(bytes)?;
-    Some(View {
+    let sketch = ViewDescriptor::decode(bytes)?;
+    Some(ComparedPhoto {
         id: head.id,
         facts,
         sketch,

@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::by_hand::ByHand;
-use crate::look::Look;
+use crate::decoded::DecodedPhoto;
 
 /// A rule that keeps or rejects photos, its measure apart from its decision.
 pub trait Filter: Send + Sync + Sized + 'static {
@@ -33,14 +33,14 @@ pub trait Filter: Send + Sync + Sized + 'static {
     /// `decide`. `None` where facts are enough; `Measure` is then `()`.
     ///
     /// All filters of the table measure a photo in one go, from one decode (`survey.rs`).
-    const MEASURE: Option<fn(&Look) -> Self::Measure>;
+    const MEASURE: Option<fn(&DecodedPhoto) -> Self::Measure>;
 
-    /// Returns one opinion for each photo, in the same order; the opinions themselves do not depend on it.
-    fn decide(params: &Self::Params, photos: &[Seen<Self::Measure>]) -> Vec<Opinion>;
+    /// Returns one decision for each photo, in the same order; the decisions themselves do not depend on it.
+    fn decide(params: &Self::Params, photos: &[MeasuredPhoto<Self::Measure>]) -> Vec<Decision>;
 }
 
 /// A photo at the moment of decision.
-pub struct Seen<M> {
+pub struct MeasuredPhoto<M> {
     /// Name of the photo.
     pub id: String,
     /// What its archive says of it.
@@ -51,10 +51,10 @@ pub struct Seen<M> {
 
 /// What a filter says of one photo.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Opinion {
+pub struct Decision {
     /// Whether the photo stays.
     pub keep: bool,
-    /// The number the opinion rests on, in the filter's own unit.
+    /// The number the decision rests on, in the filter's own unit.
     pub score: Option<f64>,
     /// What it was held against.
     pub threshold: Option<f64>,
@@ -64,7 +64,7 @@ pub struct Opinion {
     pub reason: String,
 }
 
-impl Opinion {
+impl Decision {
     /// The photo stays: `score` is on the good side of `threshold`.
     pub fn keep(score: f64, threshold: f64) -> Self {
         Self {
@@ -118,11 +118,11 @@ pub(crate) fn facts_of(row: &Row) -> Result<PhotoFacts, StageError> {
 
 /// Returns the verdict of a photo that could not be decoded.
 pub(crate) fn undecodable(row: &Row, facts: &PhotoFacts, reason: String) -> Verdict {
-    let opinion = Opinion {
+    let decision = Decision {
         keep: false,
-        ..Opinion::pass(reason)
+        ..Decision::pass(reason)
     };
-    opinion.verdict(crate::DECODE, row, facts)
+    decision.verdict(crate::DECODE, row, facts)
 }
 
 fn file_of(row: &Row, facts: &PhotoFacts) -> String {
@@ -135,7 +135,7 @@ fn file_of(row: &Row, facts: &PhotoFacts) -> String {
 }
 
 /// Refuses a number outside `[low, high]`, and NaN.
-pub(crate) fn within(key: &str, value: f64, low: f64, high: f64) -> Result<(), ParamError> {
+pub(crate) fn check_range(key: &str, value: f64, low: f64, high: f64) -> Result<(), ParamError> {
     if (low..=high).contains(&value) {
         Ok(())
     } else {

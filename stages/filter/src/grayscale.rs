@@ -4,8 +4,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
-use crate::filter::{Filter, Opinion, Seen, within};
-use crate::look::Look;
+use crate::decoded::DecodedPhoto;
+use crate::filter::{Decision, Filter, MeasuredPhoto, check_range};
 
 /// Rejects photos without colour: one band, or three equal ones within the noise of JPEG.
 pub struct Grayscale;
@@ -48,7 +48,7 @@ impl Default for GrayscaleParams {
 
 /// How far the channels of a photo's pixels lie apart.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Spread {
+pub struct ChannelSpread {
     /// Bands stored in the file.
     bands: u8,
     /// Pixels of a sample by (largest channel - smallest channel); trailing zeros are cut.
@@ -60,8 +60,8 @@ impl Filter for Grayscale {
     const ABOUT: &'static str = "rejects photos without colour";
     const VERSION: u32 = 2;
     type Params = GrayscaleParams;
-    type Measure = Spread;
-    const MEASURE: Option<fn(&Look) -> Spread> = Some(|look| Spread {
+    type Measure = ChannelSpread;
+    const MEASURE: Option<fn(&DecodedPhoto) -> ChannelSpread> = Some(|look| ChannelSpread {
         bands: look.photo.bands,
         pixels: spread(look.sample()),
     });
@@ -71,10 +71,10 @@ impl Filter for Grayscale {
     }
 
     fn check(params: &GrayscaleParams) -> Result<(), ParamError> {
-        within("min_share", params.min_share, 0.0, 1.0)
+        check_range("min_share", params.min_share, 0.0, 1.0)
     }
 
-    fn decide(params: &GrayscaleParams, photos: &[Seen<Spread>]) -> Vec<Opinion> {
+    fn decide(params: &GrayscaleParams, photos: &[MeasuredPhoto<ChannelSpread>]) -> Vec<Decision> {
         photos.iter().map(|photo| judge(params, &photo.measure)).collect()
     }
 }
@@ -94,7 +94,7 @@ fn spread(pixels: impl Iterator<Item = [u8; 3]>) -> Vec<u32> {
     counts
 }
 
-impl Spread {
+impl ChannelSpread {
     /// Returns the share of pixels whose spread is above `limit`, in [0, 1].
     fn share_above(&self, limit: u8) -> f64 {
         let all: u64 = self.pixels.iter().map(|count| u64::from(*count)).sum();
@@ -103,16 +103,16 @@ impl Spread {
     }
 }
 
-fn judge(params: &GrayscaleParams, measure: &Spread) -> Opinion {
+fn judge(params: &GrayscaleParams, measure: &ChannelSpread) -> Decision {
     let (share, least) = (measure.share_above(params.min_spread), params.min_share);
     if params.keep == Keep::All {
-        return Opinion {
+        return Decision {
             score: Some(share),
-            ..Opinion::pass("")
+            ..Decision::pass("")
         };
     }
     if measure.bands == 1 {
-        return Opinion::reject(share, least, "one band");
+        return Decision::reject(share, least, "one band");
     }
     if share < least {
         let reason = format!(
@@ -121,7 +121,7 @@ fn judge(params: &GrayscaleParams, measure: &Spread) -> Opinion {
             params.min_spread,
             100.0 * least
         );
-        return Opinion::reject(share, least, reason);
+        return Decision::reject(share, least, reason);
     }
-    Opinion::keep(share, least)
+    Decision::keep(share, least)
 }

@@ -4,10 +4,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
-use crate::filter::{Filter, Opinion, Seen, within};
-use crate::look::Look;
+use crate::decoded::DecodedPhoto;
+use crate::filter::{Decision, Filter, MeasuredPhoto, check_range};
 use crate::luma::{Luma, luma};
-use crate::statistics::{Ranked, by_instrument};
+use crate::statistics::{SortedValues, group_by_instrument};
 
 /// Rejects photos whose brightness or colours do not belong to the set, and photos with lost areas.
 pub struct Histogram;
@@ -73,7 +73,7 @@ impl Default for HistogramParams {
 
 /// Where a photo's brightness and colours lie.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Tones {
+pub struct ToneHistograms {
     /// Pixels of a sample by brightness, 256 bins of 1 step.
     luma: Vec<u32>,
     /// Pixels by red - green + 256, 128 bins of 4 steps.
@@ -100,41 +100,41 @@ impl Filter for Histogram {
     const ABOUT: &'static str = "rejects photos whose brightness or colours do not belong to the set";
     const VERSION: u32 = 2;
     type Params = HistogramParams;
-    type Measure = Tones;
-    const MEASURE: Option<fn(&Look) -> Tones> = Some(tones);
+    type Measure = ToneHistograms;
+    const MEASURE: Option<fn(&DecodedPhoto) -> ToneHistograms> = Some(tones);
 
     fn by_hand(params: &HistogramParams) -> &ByHand {
         &params.by_hand
     }
 
     fn check(params: &HistogramParams) -> Result<(), ParamError> {
-        within("max_flat", params.max_flat, 0.0, 1.0)?;
-        within("max_clipped", params.max_clipped, 0.0, 1.0)?;
-        within("min_light", params.min_light, 0.0, 512.0)?;
-        within("min_distance", params.min_distance, 0.0, 512.0)?;
-        within("spreads", params.spreads, 0.0, 1e6)?;
-        within("max_bins", params.max_bins, 0.0, 1.0)?;
-        within("sigmas", params.sigmas, 0.0, 1e6)
+        check_range("max_flat", params.max_flat, 0.0, 1.0)?;
+        check_range("max_clipped", params.max_clipped, 0.0, 1.0)?;
+        check_range("min_light", params.min_light, 0.0, 512.0)?;
+        check_range("min_distance", params.min_distance, 0.0, 512.0)?;
+        check_range("spreads", params.spreads, 0.0, 1e6)?;
+        check_range("max_bins", params.max_bins, 0.0, 1.0)?;
+        check_range("sigmas", params.sigmas, 0.0, 1e6)
     }
 
-    fn decide(params: &HistogramParams, photos: &[Seen<Tones>]) -> Vec<Opinion> {
-        let mut opinions = vec![Opinion::pass(""); photos.len()];
-        for group in by_instrument(photos) {
-            let tones: Vec<&Tones> = group.iter().map(|index| &photos[*index].measure).collect();
+    fn decide(params: &HistogramParams, photos: &[MeasuredPhoto<ToneHistograms>]) -> Vec<Decision> {
+        let mut decisions = vec![Decision::pass(""); photos.len()];
+        for group in group_by_instrument(photos) {
+            let tones: Vec<&ToneHistograms> = group.iter().map(|index| &photos[*index].measure).collect();
             let judged = match params.rule {
                 HistogramRule::Robust => robust(params, &tones),
                 HistogramRule::Paper => paper(params, &tones),
             };
-            for (index, opinion) in group.into_iter().zip(judged) {
-                opinions[index] = opinion;
+            for (index, decision) in group.into_iter().zip(judged) {
+                decisions[index] = decision;
             }
         }
-        opinions
+        decisions
     }
 }
 
-fn tones(look: &Look) -> Tones {
-    let mut tones = Tones {
+fn tones(look: &DecodedPhoto) -> ToneHistograms {
+    let mut tones = ToneHistograms {
         luma: vec![0; 256],
         red_green: vec![0; 128],
         blue_green: vec![0; 128],
@@ -166,7 +166,7 @@ fn flat_blocks(luma: &Luma) -> u32 {
     flat
 }
 
-impl Tones {
+impl ToneHistograms {
     fn flat_share(&self) -> f64 {
         f64::from(self.flat_blocks) / f64::from(self.blocks.max(1))
     }
@@ -194,32 +194,40 @@ impl Tones {
 }
 
 /// A share of a photo that holds no picture: how it is read, its limit, what it is called.
-type Lost = (fn(&Tones) -> f64, fn(&HistogramParams) -> f64, &'static str);
+type Lost = (
+    fn(&ToneHistograms) -> f64,
+    fn(&HistogramParams) -> f64,
+    &'static str,
+);
 
 const LOST: [Lost; 2] = [
     (
-        Tones::flat_share,
+        ToneHistograms::flat_share,
         |params| params.max_flat,
         "in blocks of one single brightness",
     ),
     (
-        Tones::clipped_share,
+        ToneHistograms::clipped_share,
         |params| params.max_clipped,
         "burnt out or black",
     ),
 ];
 
-/// Returns the opinions on the photos of one instrument: of all complaints the worst.
-fn robust(params: &HistogramParams, tones: &[&Tones]) -> Vec<Opinion> {
+/// Returns the decisions on the photos of one instrument: of all complaints the worst.
+fn robust(params: &HistogramParams, tones: &[&ToneHistograms]) -> Vec<Decision> {
     let set = tones.len() >= params.min_set as usize;
-    let mut opinions: Vec<Option<Opinion>> = vec![None; tones.len()];
+    let mut decisions: Vec<Option<Decision>> = vec![None; tones.len()];
     for (share, limit, what) in LOST {
-        let ranked = Ranked::new(tones.iter().map(|tones| share(tones)).collect());
-        for (opinion, tones) in opinions.iter_mut().zip(tones) {
+        let ranked = SortedValues::new(tones.iter().map(|tones| share(tones)).collect());
+        for (decision, tones) in decisions.iter_mut().zip(tones) {
             let share = share(tones);
-            let usual = if set { ranked.without(share, 3, 4) } else { 0.0 };
-            *opinion = Some(worse(
-                opinion.take(),
+            let usual = if set {
+                ranked.quantile_without(share, 3, 4)
+            } else {
+                0.0
+            };
+            *decision = Some(worse(
+                decision.take(),
                 judge_lost(share, limit(params) + usual, what),
             ));
         }
@@ -227,44 +235,48 @@ fn robust(params: &HistogramParams, tones: &[&Tones]) -> Vec<Opinion> {
     let floors = [params.min_light, params.min_distance, params.min_distance];
     for (channel, (name, step)) in CHANNELS.iter().enumerate().filter(|_| set) {
         let distances = distances(tones, channel, *step);
-        let ranked = Ranked::new(distances.clone());
-        for (opinion, distance) in opinions.iter_mut().zip(distances) {
-            let (median, quartile) = (ranked.without(distance, 1, 2), ranked.without(distance, 3, 4));
+        let ranked = SortedValues::new(distances.clone());
+        for (decision, distance) in decisions.iter_mut().zip(distances) {
+            let (median, quartile) = (
+                ranked.quantile_without(distance, 1, 2),
+                ranked.quantile_without(distance, 3, 4),
+            );
             let limit = (median + params.spreads * (quartile - median)).max(floors[channel]);
-            *opinion = Some(worse(
-                opinion.take(),
+            *decision = Some(worse(
+                decision.take(),
                 judge_distance(name, distance, median, limit),
             ));
         }
     }
-    opinions.into_iter().flatten().collect()
+    decisions.into_iter().flatten().collect()
 }
 
-fn judge_lost(share: f64, limit: f64, what: &str) -> Opinion {
+fn judge_lost(share: f64, limit: f64, what: &str) -> Decision {
     if share > limit {
         let reason = format!(
             "{:.0} % of the photo {what}, at most {:.0} %",
             100.0 * share,
             100.0 * limit
         );
-        return Opinion::reject(share, limit, reason);
+        return Decision::reject(share, limit, reason);
     }
-    Opinion::keep(share, limit)
+    Decision::keep(share, limit)
 }
 
-fn judge_distance(name: &str, distance: f64, usual: f64, limit: f64) -> Opinion {
+fn judge_distance(name: &str, distance: f64, usual: f64, limit: f64) -> Decision {
     if distance > limit {
         let reason = format!(
             "{name} is {distance:.0} steps from the set's median histogram, usual {usual:.0}, at most {limit:.0}"
         );
-        return Opinion::reject(distance, limit, reason);
+        return Decision::reject(distance, limit, reason);
     }
-    Opinion::keep(distance, limit)
+    Decision::keep(distance, limit)
 }
 
-/// Returns the opinion whose score is the largest part of its threshold; the earlier one of equals.
-fn worse(earlier: Option<Opinion>, later: Opinion) -> Opinion {
-    let part = |opinion: &Opinion| opinion.score.unwrap_or(0.0) / opinion.threshold.unwrap_or(1.0).max(1e-9);
+/// Returns the decision whose score is the largest part of its threshold; the earlier one of equals.
+fn worse(earlier: Option<Decision>, later: Decision) -> Decision {
+    let part =
+        |decision: &Decision| decision.score.unwrap_or(0.0) / decision.threshold.unwrap_or(1.0).max(1e-9);
     match earlier {
         Some(earlier) if part(&later) <= part(&earlier) => earlier,
         _ => later,
@@ -273,13 +285,13 @@ fn worse(earlier: Option<Opinion>, later: Opinion) -> Opinion {
 
 /// Returns each photo's distance to the median of the others' cumulative histograms: the mean way a pixel would
 /// have to move (earth mover), in 8-bit steps.
-fn distances(tones: &[&Tones], channel: usize, step: f64) -> Vec<f64> {
+fn distances(tones: &[&ToneHistograms], channel: usize, step: f64) -> Vec<f64> {
     let shares: Vec<Vec<f64>> = tones.iter().map(|tones| tones.cumulative(channel)).collect();
     let mut distances = vec![0.0; tones.len()];
     for bin in 0..tones.first().map_or(0, |tones| tones.channel(channel).len()) {
-        let ranked = Ranked::new(shares.iter().map(|shares| shares[bin]).collect());
+        let ranked = SortedValues::new(shares.iter().map(|shares| shares[bin]).collect());
         for (distance, shares) in distances.iter_mut().zip(&shares) {
-            *distance += step * (shares[bin] - ranked.without(shares[bin], 1, 2)).abs();
+            *distance += step * (shares[bin] - ranked.quantile_without(shares[bin], 1, 2)).abs();
         }
     }
     distances
@@ -288,10 +300,10 @@ fn distances(tones: &[&Tones], channel: usize, step: f64) -> Vec<f64> {
 /// Shares are counted in units of 2^-24, so that sums over the set are integers and free of order.
 const SHARE: u64 = 1 << 24;
 
-/// Returns the opinions of the paper's rule on the photos of one instrument.
-fn paper(params: &HistogramParams, tones: &[&Tones]) -> Vec<Opinion> {
+/// Returns the decisions of the paper's rule on the photos of one instrument.
+fn paper(params: &HistogramParams, tones: &[&ToneHistograms]) -> Vec<Decision> {
     if tones.len() < 3 {
-        return vec![Opinion::pass("fewer than 3 photos have no mean to be far from"); tones.len()];
+        return vec![Decision::pass("fewer than 3 photos have no mean to be far from"); tones.len()];
     }
     let shares: Vec<Vec<u64>> = tones.iter().map(|tones| normalised(&tones.luma)).collect();
     let sum = |bin: usize| shares.iter().map(|shares| shares[bin]).sum::<u64>();
@@ -324,14 +336,14 @@ fn normalised(bins: &[u32]) -> Vec<u64> {
         .collect()
 }
 
-fn judge_bins(share: f64, limit: f64) -> Opinion {
+fn judge_bins(share: f64, limit: f64) -> Decision {
     if share > limit {
         let reason = format!(
             "{:.0} % of the bins out of place, at most {:.0} %",
             100.0 * share,
             100.0 * limit
         );
-        return Opinion::reject(share, limit, reason);
+        return Decision::reject(share, limit, reason);
     }
-    Opinion::keep(share, limit)
+    Decision::keep(share, limit)
 }

@@ -6,39 +6,39 @@
 //! key and record come from its [`Filter`] implementation. Invariant: no verdict depends on the order of the
 //! photos, and no threshold reaches a measure.
 
-mod adapter;
 mod blur;
 mod by_hand;
+mod decoded;
+mod descriptor;
 mod duplicate;
 mod filter;
 mod grayscale;
 mod hash;
 mod histogram;
-mod kin;
-mod look;
 mod luma;
-mod near;
 mod octave;
+mod relation;
 mod shape;
+mod similarity;
 mod size;
-mod sketch;
+mod stage;
 mod statistics;
 mod survey;
 
 use marf_stage::{StageDef, define};
 use survey::{Section, Surveyed, Versions};
 
-pub use adapter::Judge;
 pub use blur::{Blur, BlurParams, BlurRule};
 pub use by_hand::ByHand;
+pub use decoded::DecodedPhoto;
 pub use duplicate::{Duplicate, DuplicateParams, DuplicateRule};
-pub use filter::{Filter, Opinion, Seen};
+pub use filter::{Decision, Filter, MeasuredPhoto};
 pub use grayscale::{Grayscale, GrayscaleParams, Keep};
 pub use histogram::{Histogram, HistogramParams, HistogramRule};
-pub use look::Look;
 pub use luma::Luma;
 pub use shape::{Shape, ShapeParams};
 pub use size::{Size, SizeParams};
+pub use stage::FilterStage;
 
 /// What a survey depends on beside the photo.
 const VERSIONS: Versions = Versions(SECTIONS);
@@ -56,10 +56,10 @@ macro_rules! filters {
 }
 
 filters! {
-    Judge<Size>,
-    Judge<Shape>,
+    FilterStage<Size>,
+    FilterStage<Shape>,
     Duplicate,
-    Judge<Grayscale>,
-    Judge<Histogram>,
-    Judge<Blur>,
+    FilterStage<Grayscale>,
+    FilterStage<Histogram>,
+    FilterStage<Blur>,
 }

@@ -7,8 +7,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
-use crate::filter::{Filter, Opinion, Seen, within};
-use crate::look::Look;
+use crate::decoded::DecodedPhoto;
+use crate::filter::{Decision, Filter, MeasuredPhoto, check_range};
 
 /// Rejects thumbnails, and photos smaller than asked for or much smaller than their camera's others.
 pub struct Shape;
@@ -53,20 +53,21 @@ impl Filter for Shape {
     type Params = ShapeParams;
     type Measure = ();
     /// The sizes are facts of the photo.
-    const MEASURE: Option<fn(&Look)> = None;
+    const MEASURE: Option<fn(&DecodedPhoto)> = None;
 
     fn by_hand(params: &ShapeParams) -> &ByHand {
         &params.by_hand
     }
 
     fn check(params: &ShapeParams) -> Result<(), ParamError> {
-        within("min_share", params.min_share, 0.0, 1.0)?;
-        within("common_share", params.common_share, 0.0, 1.0)
+        check_range("min_share", params.min_share, 0.0, 1.0)?;
+        check_range("common_share", params.common_share, 0.0, 1.0)
     }
 
-    fn decide(params: &ShapeParams, photos: &[Seen<()>]) -> Vec<Opinion> {
+    fn decide(params: &ShapeParams, photos: &[MeasuredPhoto<()>]) -> Vec<Decision> {
         let cameras = cameras(photos);
-        let judge = |photo: &Seen<()>| judge(params, &photo.facts, cameras.get(&photo.facts.instrument));
+        let judge =
+            |photo: &MeasuredPhoto<()>| judge(params, &photo.facts, cameras.get(&photo.facts.instrument));
         photos.iter().map(judge).collect()
     }
 }
@@ -98,7 +99,7 @@ impl Camera {
 }
 
 /// Thumbnails are left out: an archive may hold one for every photo.
-fn cameras(photos: &[Seen<()>]) -> BTreeMap<Option<String>, Camera> {
+fn cameras(photos: &[MeasuredPhoto<()>]) -> BTreeMap<Option<String>, Camera> {
     let mut cameras = BTreeMap::<_, Camera>::new();
     for photo in photos.iter().filter(|photo| !photo.facts.thumbnail) {
         let camera = cameras.entry(photo.facts.instrument.clone()).or_default();
@@ -112,11 +113,11 @@ fn sides(facts: &PhotoFacts) -> (u32, u32) {
     (facts.width.min(facts.height), facts.width.max(facts.height))
 }
 
-fn judge(params: &ShapeParams, facts: &PhotoFacts, camera: Option<&Camera>) -> Opinion {
+fn judge(params: &ShapeParams, facts: &PhotoFacts, camera: Option<&Camera>) -> Decision {
     let (width, height) = (f64::from(facts.width), f64::from(facts.height));
     let size = format!("{} x {} pixels", facts.width, facts.height);
     if facts.thumbnail {
-        return Opinion::reject(
+        return Decision::reject(
             width,
             f64::from(params.min_width),
             format!("{size}, a thumbnail by its name"),
@@ -124,11 +125,11 @@ fn judge(params: &ShapeParams, facts: &PhotoFacts, camera: Option<&Camera>) -> O
     }
     if facts.width < params.min_width {
         let least = params.min_width;
-        return Opinion::reject(width, f64::from(least), format!("{size}, width at least {least}"));
+        return Decision::reject(width, f64::from(least), format!("{size}, width at least {least}"));
     }
     if facts.height < params.min_height {
         let least = params.min_height;
-        return Opinion::reject(
+        return Decision::reject(
             height,
             f64::from(least),
             format!("{size}, height at least {least}"),
@@ -141,7 +142,7 @@ fn judge(params: &ShapeParams, facts: &PhotoFacts, camera: Option<&Camera>) -> O
     if f64::from(short) < least && !common {
         let reason =
             format!("{size}, an odd one out: short side {short}, usual {usual}, at least {least:.0}");
-        return Opinion::reject(f64::from(short), least, reason);
+        return Decision::reject(f64::from(short), least, reason);
     }
-    Opinion::keep(f64::from(short), least)
+    Decision::keep(f64::from(short), least)
 }

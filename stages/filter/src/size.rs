@@ -4,8 +4,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
-use crate::filter::{Filter, Opinion, Seen, within};
-use crate::look::Look;
+use crate::decoded::DecodedPhoto;
+use crate::filter::{Decision, Filter, MeasuredPhoto, check_range};
 
 /// Rejects photos that carry too few bytes: broken downloads and pictures compressed to mud.
 pub struct Size;
@@ -40,25 +40,25 @@ impl Filter for Size {
     type Params = SizeParams;
     type Measure = ();
     /// The sizes are facts of the photo.
-    const MEASURE: Option<fn(&Look)> = None;
+    const MEASURE: Option<fn(&DecodedPhoto)> = None;
 
     fn by_hand(params: &SizeParams) -> &ByHand {
         &params.by_hand
     }
 
     fn check(params: &SizeParams) -> Result<(), ParamError> {
-        within("min_bits_per_pixel", params.min_bits_per_pixel, 0.0, 48.0)
+        check_range("min_bits_per_pixel", params.min_bits_per_pixel, 0.0, 48.0)
     }
 
-    fn decide(params: &SizeParams, photos: &[Seen<()>]) -> Vec<Opinion> {
+    fn decide(params: &SizeParams, photos: &[MeasuredPhoto<()>]) -> Vec<Decision> {
         photos.iter().map(|photo| judge(params, photo)).collect()
     }
 }
 
-fn judge(params: &SizeParams, photo: &Seen<()>) -> Opinion {
+fn judge(params: &SizeParams, photo: &MeasuredPhoto<()>) -> Decision {
     let (bytes, least) = (photo.facts.size_bytes, params.min_bytes);
     if bytes < least {
-        return Opinion::reject(
+        return Decision::reject(
             bytes as f64,
             least as f64,
             format!("{bytes} bytes, at least {least}"),
@@ -71,7 +71,7 @@ fn judge(params: &SizeParams, photo: &Seen<()>) -> Opinion {
             "{bits:.3} bits a pixel ({bytes} bytes), at least {}",
             params.min_bits_per_pixel
         );
-        return Opinion::reject(bits, params.min_bits_per_pixel, reason);
+        return Decision::reject(bits, params.min_bits_per_pixel, reason);
     }
-    Opinion::keep(bytes as f64, least as f64)
+    Decision::keep(bytes as f64, least as f64)
 }

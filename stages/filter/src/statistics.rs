@@ -1,9 +1,9 @@
 use std::collections::BTreeMap;
 
-use crate::filter::Seen;
+use crate::filter::MeasuredPhoto;
 
 /// Returns the indices of photos by instrument: one camera is not held against another.
-pub(crate) fn by_instrument<M>(photos: &[Seen<M>]) -> Vec<Vec<usize>> {
+pub(crate) fn group_by_instrument<M>(photos: &[MeasuredPhoto<M>]) -> Vec<Vec<usize>> {
     let mut groups = BTreeMap::<_, Vec<usize>>::new();
     for (index, photo) in photos.iter().enumerate() {
         groups
@@ -15,9 +15,9 @@ pub(crate) fn by_instrument<M>(photos: &[Seen<M>]) -> Vec<Vec<usize>> {
 }
 
 /// Values in ascending order, asked for their quantiles with one of them left out.
-pub(crate) struct Ranked(Vec<f64>);
+pub(crate) struct SortedValues(Vec<f64>);
 
-impl Ranked {
+impl SortedValues {
     /// Sorts values; none may be NaN.
     pub(crate) fn new(mut values: Vec<f64>) -> Self {
         values.sort_by(f64::total_cmp);
@@ -26,7 +26,7 @@ impl Ranked {
 
     /// Returns the quantile `numerator / denominator` of all values but one equal to `left_out`, linear between
     /// neighbours; 0 if none is left.
-    pub(crate) fn without(&self, left_out: f64, numerator: usize, denominator: usize) -> f64 {
+    pub(crate) fn quantile_without(&self, left_out: f64, numerator: usize, denominator: usize) -> f64 {
         let gap = self.0.partition_point(|value| *value < left_out);
         let last = match self.0.len() {
             0 | 1 => return 0.0,
@@ -47,16 +47,16 @@ mod tests {
 
     #[test]
     fn a_value_left_out_does_not_move_the_median() {
-        let ranked = Ranked::new(vec![5.0, 1.0, 2.0, 100.0, 3.0]);
-        assert_eq!(ranked.without(100.0, 1, 2), 2.5);
-        assert_eq!(ranked.without(1.0, 1, 2), 4.0);
-        assert_eq!(ranked.without(3.0, 3, 4), 28.75);
+        let ranked = SortedValues::new(vec![5.0, 1.0, 2.0, 100.0, 3.0]);
+        assert_eq!(ranked.quantile_without(100.0, 1, 2), 2.5);
+        assert_eq!(ranked.quantile_without(1.0, 1, 2), 4.0);
+        assert_eq!(ranked.quantile_without(3.0, 3, 4), 28.75);
     }
 
     #[test]
     fn one_value_has_no_others() {
-        assert_eq!(Ranked::new(vec![7.0]).without(7.0, 1, 2), 0.0);
-        assert_eq!(Ranked::new(vec![]).without(7.0, 1, 2), 0.0);
-        assert_eq!(Ranked::new(vec![7.0, 8.0]).without(7.0, 1, 2), 8.0);
+        assert_eq!(SortedValues::new(vec![7.0]).quantile_without(7.0, 1, 2), 0.0);
+        assert_eq!(SortedValues::new(vec![]).quantile_without(7.0, 1, 2), 0.0);
+        assert_eq!(SortedValues::new(vec![7.0, 8.0]).quantile_without(7.0, 1, 2), 8.0);
     }
 }

@@ -2,12 +2,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use marf_cache::{
     Digest,
     manifest::{Leaf, LeafRef, Root, Row},
 };
+use parking_lot::Mutex;
 
 use crate::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Memos, Progress};
 
@@ -40,18 +41,18 @@ impl Harness {
     /// Stores bytes.
     pub fn put(&self, bytes: &[u8]) -> Digest {
         let digest = Digest::of(bytes);
-        lock(&self.blobs).insert(digest, Arc::from(bytes));
+        self.blobs.lock().insert(digest, Arc::from(bytes));
         digest
     }
 
     /// Reads bytes that a stage stored.
     pub fn get(&self, digest: &Digest) -> Option<Arc<[u8]>> {
-        lock(&self.blobs).get(digest).cloned()
+        self.blobs.lock().get(digest).cloned()
     }
 
     /// Loses a blob, as a store may.
     pub fn forget(&self, digest: &Digest) {
-        lock(&self.blobs).remove(digest);
+        self.blobs.lock().remove(digest);
     }
 
     /// Stores items `(shard, row)` as a set and returns the digest of its root.
@@ -84,10 +85,6 @@ impl Harness {
     }
 }
 
-fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl Blobs for Harness {
     fn get(&self, digest: &Digest) -> Result<Arc<[u8]>, BlobError> {
         Self::get(self, digest).ok_or_else(|| BlobError {
@@ -107,20 +104,20 @@ impl Progress for Harness {
 
 impl Checkpoints for Harness {
     fn load(&self) -> Option<Vec<u8>> {
-        lock(&self.checkpoint).clone()
+        self.checkpoint.lock().clone()
     }
 
     fn save(&self, state: &[u8]) {
-        *lock(&self.checkpoint) = Some(state.to_vec());
+        *self.checkpoint.lock() = Some(state.to_vec());
     }
 }
 
 impl Memos for Harness {
     fn load(&self, key: &Digest) -> Option<Arc<[u8]>> {
-        lock(&self.memos).get(key).cloned()
+        self.memos.lock().get(key).cloned()
     }
 
     fn save(&self, key: &Digest, table: &[u8]) {
-        lock(&self.memos).insert(*key, Arc::from(table));
+        self.memos.lock().insert(*key, Arc::from(table));
     }
 }

@@ -7,6 +7,7 @@
 mod archive;
 mod ctx;
 mod define;
+mod document;
 mod error;
 pub mod harness;
 
@@ -18,6 +19,7 @@ use serde::{Deserialize, Serialize};
 pub use archive::{Access, ArchiveContext};
 pub use ctx::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Memos, Progress};
 pub use define::{Define, ParamError, Port, StageDef, define, from_json, schema_of};
+pub use document::{Document, Params, TypedOutputs};
 pub use error::StageError;
 
 /// Name of the output that holds a set of items as a Merkle root ([`marf_cache::manifest::Root`]).

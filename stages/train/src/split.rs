@@ -1,10 +1,11 @@
 use marf_cache::digest_of;
 use marf_field::{Pixels, View};
 use marf_scene::{Camera, Frame, Image, Photo, Scene, Srgb, picture_names};
+use marf_schema::train::Holdout;
 use marf_stage::{Ctx, StageError};
 use rayon::prelude::*;
 
-use crate::{Holdout, TrainError, memory::Plan};
+use crate::{TrainError, memory::Plan};
 
 /// Every how many training photos one is held out for [`Holdout::Validation`].
 pub(crate) const VALIDATION_EVERY: usize = 8;
@@ -86,7 +87,7 @@ pub(crate) fn reduced(ctx: &Ctx<'_>, frame: &Frame, scale: u32) -> Result<Reduce
     ctx.check()?;
     let bytes = ctx.get(&frame.image)?;
     let id = || frame.id.clone();
-    let photo = Photo::decode_again(&bytes).map_err(|cause| TrainError::Photo { id: id(), cause })?;
+    let photo = Photo::decode_validated(&bytes).map_err(|cause| TrainError::Photo { id: id(), cause })?;
     let (image, camera) = (photo.image, &frame.camera);
     let (width, height) = (image.width, image.height);
     if (width, height) != (camera.width, camera.height) {

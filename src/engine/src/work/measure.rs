@@ -2,12 +2,13 @@
 
 use std::{
     collections::BTreeMap,
-    sync::{Arc, Mutex, PoisonError},
+    sync::Arc,
     time::{Duration, Instant},
 };
 
 use marf_cache::{Digest, manifest::Row};
 use marf_stage::{Measure, Measured, StageError};
+use parking_lot::Mutex;
 use rayon::prelude::*;
 
 use super::{Job, store_error};
@@ -63,10 +64,10 @@ pub(super) fn measure(job: &Job<'_>, stage: &dyn Measure, parts: &[Part]) -> Res
     let outcome = missing.par_iter().try_for_each(|(shard, row, digest)| {
         job.ctx.check()?;
         let measure = stage.measure(&job.ctx, row)?;
-        let mut tables = shared.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut tables = shared.lock();
         tables.add(*shard, *digest, measure, total)
     });
-    let mut tables = shared.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let mut tables = shared.into_inner();
     // Also after a failure or a wish to stop: what was measured stays.
     tables.flush()?;
     outcome?;

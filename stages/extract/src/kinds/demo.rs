@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use marf_demo::{DemoError, DemoOptions, SOLS};
 use marf_stage::{Ctx, Listing, ParamError, Shard, StageError};
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -9,7 +10,6 @@ use serde::Deserialize;
 use crate::archive::access::{Local, LocalContext};
 use crate::archive::kind::ArchiveKind;
 use crate::archive::{ArchiveFile, ArchiveFiles};
-use crate::demo::{self, DemoError, DemoOptions, SOLS};
 use crate::sols::Sols;
 
 /// The keys of `kind = "demo"`.
@@ -36,7 +36,7 @@ impl Default for DemoParams {
 
 /// The built-in Mars and the sols asked for.
 pub(crate) struct Demo {
-    demo: demo::Demo,
+    demo: marf_demo::Demo,
     sols: BTreeSet<u32>,
 }
 
@@ -62,7 +62,7 @@ impl ArchiveKind for Demo {
             )));
         }
         let (width_px, height_px) = (params.width, params.width / 4 * 3);
-        let demo = demo::Demo::new(DemoOptions {
+        let demo = marf_demo::Demo::new(DemoOptions {
             width_px,
             height_px,
             seed: params.seed,

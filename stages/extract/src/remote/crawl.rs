@@ -1,10 +1,10 @@
 //! Folder pages of a server, cached from run to run.
 
+use marf_pds::listing::{self, Entry};
 use marf_stage::{Ctx, StageError};
 use serde::{Deserialize, Serialize};
 
 use super::cache;
-use crate::listing::{self, Entry};
 use crate::net::{Answer, Client, Download, Url, Validators};
 
 /// Largest page that is read.

@@ -21,7 +21,7 @@ use std::path::Path;
 use std::sync::{Arc, LazyLock, Mutex};
 
 use common::{real, source, stage_in};
-use marf_extract::demo::{Demo, DemoFile, DemoOptions};
+use marf_demo::{Demo, DemoFile, DemoOptions};
 use marf_stage::harness::Harness;
 use marf_stage::{Access, ArchiveContext, Listing, Stage, StageError, Verdict};
 use serde_json::{Value, json};

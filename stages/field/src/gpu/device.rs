@@ -1,10 +1,11 @@
 use std::collections::HashMap;
 use std::fmt;
 use std::str::FromStr;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 
 use marf_cache::Digest;
 use marf_shaders::SHADERS;
+use parking_lot::Mutex;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -103,7 +104,7 @@ impl Device {
     /// As [`Gpu::open`].
     pub fn open(&self) -> Result<Option<Arc<Gpu>>, GpuError> {
         let opened = OPENED.get_or_init(Mutex::default);
-        let mut opened = opened.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut opened = opened.lock();
         if let Some(gpu) = opened.get(self) {
             return Ok(gpu.clone());
         }

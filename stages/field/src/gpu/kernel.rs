@@ -2,7 +2,6 @@
 
 use std::marker::PhantomData;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::PoisonError;
 
 use bytemuck::Pod;
 use marf_shaders::Shader;
@@ -82,7 +81,7 @@ impl Gpu {
         self.check()?;
         let text = shader.source(head);
         let key = (entry.to_owned(), text.clone());
-        let compiled = || self.kernels.lock().unwrap_or_else(PoisonError::into_inner);
+        let compiled = || self.kernels.lock();
         if let Some(kernel) = compiled().get(&key) {
             return Ok(kernel.clone());
         }

@@ -2,10 +2,11 @@
 
 use std::fmt;
 use std::ops::Range;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use marf_scene::{Camera, Pose};
 use marf_shaders::{PixelRange, counts, faults};
+use parking_lot::Mutex;
 
 use super::forward::{Forward, Kernels, Lanes, Purpose, check_columns, write_walks};
 use super::kernel::{Array, Bound, Work};
@@ -69,7 +70,7 @@ impl Renderer {
         cam_from_world: &Pose,
         rows: Range<u32>,
     ) -> Result<Render, FieldError> {
-        let studio = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let studio = self.0.lock();
         studio.rows(field, camera, cam_from_world, rows)
     }
 }

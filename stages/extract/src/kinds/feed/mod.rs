@@ -6,6 +6,7 @@ mod records;
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use marf_pds::values;
 use marf_stage::{Ctx, ParamError, StageError};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -22,7 +23,6 @@ use crate::remote::crawl::urls;
 use crate::remote::network::{Network, bases, origins};
 use crate::remote::{RemoteArchive, Request, cache};
 use crate::sols::Sols;
-use crate::values;
 
 /// The raw-image feeds of both missions: lists of photos, hours after their downlink.
 const FEEDS: &str = "https://mars.nasa.gov";

@@ -1,8 +1,7 @@
 //! Values of a record.
 
+use marf_pds::values;
 use serde_json::Value;
-
-use crate::values;
 
 /// Returns the sol of a record.
 pub(super) fn sol_of(record: &Value) -> Option<u32> {

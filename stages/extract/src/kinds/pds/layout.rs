@@ -1,11 +1,11 @@
 //! Where the Planetary Data System keeps the products of each camera (reference: PDS imaging node, collections of
 //! Mars 2020 and volumes of MSL).
 
+use marf_pds::{ProductName, Scheme};
 use marf_stage::ParamError;
 
 use super::params::{Level, PdsParams, PixelSource};
 use crate::kinds::mission::{Instrument, Mission};
-use crate::names::{ProductName, Scheme};
 
 /// Folders that hold one folder a sol.
 #[derive(Debug, Clone, PartialEq, Eq)]

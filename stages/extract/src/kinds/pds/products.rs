@@ -3,11 +3,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use marf_pds::{ProductName, join_key};
 use marf_stage::StageError;
 
 use super::layout::{CameraLayout, exposure};
 use crate::archive::{extension, stem};
-use crate::names::{ProductName, join_key};
 use crate::remote::catalog::{Catalog, RemoteFile, SolFiles};
 use crate::remote::crawl::urls;
 use crate::sols::Sols;

@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
+use marf_pds::index_table::{Index, IndexError};
+use marf_pds::{ProductName, inventory};
 use marf_stage::StageError;
 
 use super::layout::Tree;
 use super::products::{FoundFile, Products};
-use crate::index_table::Index;
-use crate::inventory;
 use crate::net::{Answer, Download, Validators};
 use crate::remote::cache;
 use crate::remote::catalog::Catalog;
@@ -37,7 +37,7 @@ pub(super) fn by_inventory(
         let Some(stem) = inventory::file_stems(member).into_iter().next() else {
             continue;
         };
-        let Some(sol) = crate::names::ProductName::read(&stem).and_then(|name| name.sol) else {
+        let Some(sol) = ProductName::read(&stem).and_then(|name| name.sol) else {
             continue;
         };
         for tree in products.layout.layouts.iter().flatten() {
@@ -83,7 +83,7 @@ pub(super) fn by_index(products: &Products, crawl: &Crawl<'_>, sols: &Sols) -> R
 /// Returns the products of one volume, by sol: label and pixels of each.
 fn index_of(crawl: &Crawl<'_>, volume: &str) -> Result<BTreeMap<u32, Vec<FoundFile>>, StageError> {
     let paths = INDEX.map(|name| format!("{volume}/INDEX/{name}"));
-    let bad = |error: crate::index_table::IndexError| unreadable(&paths[1], &error.to_string());
+    let bad = |error: IndexError| unreadable(&paths[1], &error.to_string());
     let index = Index::of(&table(crawl, &paths[0])?).map_err(bad)?;
     let table = table(crawl, &paths[1])?;
     let mut found: BTreeMap<u32, Vec<FoundFile>> = BTreeMap::new();

@@ -1,0 +1,11 @@
+//! Random numbers and the choice of instruction set, for every crate that computes.
+//!
+//! Invariant: the same seed gives the same numbers, and every instruction set the same bits, on every machine.
+
+mod instruction_set;
+mod rng;
+
+#[cfg(target_arch = "x86_64")]
+pub use instruction_set::{Avx2, Avx512};
+pub use instruction_set::{Dispatch, InstructionSet, Plain};
+pub use rng::{GOLDEN, Rng, mix};
