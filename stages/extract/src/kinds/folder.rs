@@ -65,7 +65,7 @@ pub(crate) struct Folder {
     last: Mutex<Option<Arc<Survey>>>,
 }
 
-/// What is in the folder.
+/// The files of the folder.
 struct Survey {
     shards: BTreeMap<u32, Vec<ArchiveFile>>,
     companions: Vec<ArchiveFile>,

@@ -12,11 +12,11 @@ const MAX_PAGE_BYTES: u64 = 16 << 20;
 
 /// Reads the folders of a server.
 pub(crate) struct Crawl<'a> {
-    /// What the stage may use.
+    /// The context of the stage.
     pub ctx: &'a Ctx<'a>,
-    /// How to ask.
+    /// The client.
     pub client: &'a Client,
-    /// Where the archive lies.
+    /// Addresses of the archive, in order of preference.
     pub bases: &'a [String],
 }
 
@@ -29,7 +29,7 @@ pub(crate) struct Folder {
     pub settled: bool,
 }
 
-/// What a folder held when it was last listed.
+/// A folder as it was last listed.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 struct Page {
     url: String,

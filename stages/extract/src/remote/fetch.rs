@@ -96,7 +96,7 @@ impl Sol<'_> {
         self.download(&wanted)
     }
 
-    /// Takes what came with the listing, and drops pins of what is file no more.
+    /// Takes what came with the listing, and drops pins of files that are listed no more.
     fn settle(&mut self, listed: &SolFiles) -> Result<(), StageError> {
         self.pins.files.retain(|name, _| listed.files.contains_key(name));
         self.pins.gone.retain(|name, _| listed.files.contains_key(name));
@@ -193,7 +193,7 @@ impl Sol<'_> {
         }
     }
 
-    /// The inner error is of this one file.
+    /// Stores and pins what a download gave. The inner error is of this one file.
     fn take(
         &mut self,
         name: &str,
@@ -269,7 +269,7 @@ impl Sol<'_> {
         )))
     }
 
-    /// Writes the lock, then gives up the parts it now stands for.
+    /// Writes the lock, then deletes the parts of the downloads that it pins.
     fn save(&mut self) -> Result<(), StageError> {
         let mut state = self.archive.state();
         let pins = state.pins.get_or_insert_default();
@@ -321,7 +321,7 @@ fn length(answer: &Answer) -> u64 {
     }
 }
 
-/// A web page where a file should be: what a firewall answers with status 200.
+/// Tells whether the bytes are a web page: what a firewall answers with status 200 in place of a file.
 fn is_page(bytes: &[u8]) -> bool {
     let start: Vec<u8> = bytes.iter().take(64).map(u8::to_ascii_lowercase).collect();
     let start = start.trim_ascii_start();

@@ -62,10 +62,10 @@ pub(crate) struct FeedParams {
 /// One camera of a feed.
 pub(crate) struct Feed {
     form: Form,
-    /// Names of the camera's eyes in the feed.
+    /// Names in the feed of the left and the right camera.
     instruments: &'static [&'static str],
     bases: Vec<String>,
-    /// Where its pictures may lie.
+    /// Origins that its pictures may come from.
     allowed: Vec<Origin>,
     relist_sols: u32,
 }

@@ -7,12 +7,12 @@ use marf_stage::ParamError;
 use super::params::{Level, PdsParams, PixelSource};
 use crate::kinds::mission::{Instrument, Mission};
 
-/// Folders that hold one folder a sol.
+/// A folder that holds one folder a sol.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Tree {
-    /// Below the archive's base.
+    /// Its path below the archive's base.
     pub root: String,
-    /// Shape of the names of volumes in the root (`?` is any letter or digit), if sols lie in volumes.
+    /// Pattern of the names of volumes in the root (`?` is any letter or digit), if sols lie in volumes.
     pub volumes: Option<&'static str>,
     /// From a volume to the folder of sols.
     pub below_volume: &'static str,
@@ -27,7 +27,7 @@ pub(crate) struct Tree {
 /// Where the products of one camera lie, and which are taken.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct CameraLayout {
-    /// Ways the archive may be laid out; the first that is there is taken. Each is a set of trees to be joined.
+    /// Possible layouts; the first that is there is taken. Each is a set of trees whose files belong together.
     pub layouts: Vec<Vec<Tree>>,
     /// Folder of the collection whose inventory names the products, if it has one.
     pub collection: Option<String>,
