@@ -6,7 +6,8 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use marf_field::Device;
 
-use crate::config::{Access, GlobalOptions};
+use crate::config::GlobalOptions;
+use marf_stage::Access;
 
 /// Raw Mars rover and helicopter photos to radiance fields, with proof of how.
 #[derive(Debug, Parser)]

@@ -2,6 +2,7 @@
 //!
 //! Invariant: a key that no stage reads is refused, with the nearest name that one reads.
 
+mod archives;
 mod by_hand;
 mod error;
 mod high;
@@ -14,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 pub use error::{ConfigError, Origin};
 pub use high::{Node, Pipeline};
-pub use options::{Access, GlobalOptions};
+pub use options::GlobalOptions;
 pub use schema::schema;
 pub use templates::{TEMPLATES, template};
 

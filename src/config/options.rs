@@ -1,7 +1,8 @@
 use marf_field::Device;
+use marf_stage::Access;
 
 /// What the command line says for all nodes and archives.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct GlobalOptions {
     /// What nodes run on that can run on several devices and name none.
     pub device: Option<Device>,
@@ -9,25 +10,12 @@ pub struct GlobalOptions {
     pub access: Access,
 }
 
-/// What may be asked of the network.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub enum Access {
-    /// Everything.
-    #[default]
-    Online,
-    /// Products that the lock file names.
-    Locked,
-    /// Nothing.
-    Offline,
-}
-
-impl Access {
-    /// Returns the word that archives know it by.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Online => "online",
-            Self::Locked => "locked",
-            Self::Offline => "offline",
+impl Default for GlobalOptions {
+    /// Nodes choose their device, and archives may be asked.
+    fn default() -> Self {
+        Self {
+            device: None,
+            access: Access::Online,
         }
     }
 }
