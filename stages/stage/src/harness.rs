@@ -16,6 +16,7 @@ use crate::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Memos, Progress};
 #[derive(Default)]
 pub struct Harness {
     blobs: Mutex<BTreeMap<Digest, Arc<[u8]>>>,
+    reads: Mutex<BTreeMap<Digest, u64>>,
     checkpoint: Mutex<Option<Vec<u8>>>,
     memos: Mutex<BTreeMap<Digest, Arc<[u8]>>>,
     /// The wish to stop that stages under test see.
@@ -48,6 +49,11 @@ impl Harness {
     /// Reads bytes that a stage stored.
     pub fn get(&self, digest: &Digest) -> Option<Arc<[u8]>> {
         self.blobs.lock().get(digest).cloned()
+    }
+
+    /// Returns how often stages have read a blob.
+    pub fn reads(&self, digest: &Digest) -> u64 {
+        self.reads.lock().get(digest).copied().unwrap_or(0)
     }
 
     /// Loses a blob, as a store may.
@@ -87,6 +93,7 @@ impl Harness {
 
 impl Blobs for Harness {
     fn get(&self, digest: &Digest) -> Result<Arc<[u8]>, BlobError> {
+        *self.reads.lock().entry(*digest).or_default() += 1;
         Self::get(self, digest).ok_or_else(|| BlobError {
             message: format!("no blob {digest}"),
             lost: Some(*digest),

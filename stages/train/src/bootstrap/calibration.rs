@@ -34,7 +34,7 @@ const LEAST_PHOTOS: usize = 4;
 
 /// Spread and absolute error of the pixels of one photo.
 #[derive(Debug, Clone, Copy)]
-pub struct Intervals<'a> {
+pub(crate) struct PixelErrors<'a> {
     /// Standard deviation of a pixel.
     pub std: &'a [f32],
     /// |mean - photo| of a pixel.
@@ -43,11 +43,11 @@ pub struct Intervals<'a> {
 
 /// Fits on the photos at even places and tests on those at odd ones; pixels of one photo stay together, since
 /// they are not independent. None with fewer than four photos.
-pub fn calibrate(photos: &[Intervals<'_>]) -> Option<Calibration> {
+pub(crate) fn calibrate(photos: &[PixelErrors<'_>]) -> Option<Calibration> {
     if photos.len() < LEAST_PHOTOS {
         return None;
     }
-    let half = |odd: usize| -> Vec<Intervals<'_>> { photos.iter().skip(odd).step_by(2).copied().collect() };
+    let half = |odd: usize| -> Vec<PixelErrors<'_>> { photos.iter().skip(odd).step_by(2).copied().collect() };
     let (fitted, tested) = (half(0), half(1));
     let t = scale_t(&fitted);
     let widest = conformal_score(&fitted, OUTSIDE);
@@ -70,7 +70,7 @@ pub fn calibrate(photos: &[Intervals<'_>]) -> Option<Calibration> {
 }
 
 /// Returns e / max(s, 1/255) of every pixel of every photo.
-fn scores<'a>(photos: &'a [Intervals<'_>]) -> impl Iterator<Item = f64> + 'a {
+fn scores<'a>(photos: &'a [PixelErrors<'_>]) -> impl Iterator<Item = f64> + 'a {
     let pixels = photos.iter().flat_map(|photo| photo.std.iter().zip(photo.error));
     pixels.map(|(std, error)| f64::from(*error) / f64::from(*std).max(FLOOR))
 }
@@ -81,12 +81,12 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// Returns the share of pixels whose error is at most `widths` standard deviations.
-pub fn coverage(photos: &[Intervals<'_>], widths: f64) -> f64 {
+pub(crate) fn coverage(photos: &[PixelErrors<'_>], widths: f64) -> f64 {
     mean(scores(photos).map(|score| f64::from(u8::from(score <= widths))))
 }
 
 /// Returns the factor t by which the spread should be widened: t² = mean e² / s².
-pub fn scale_t(photos: &[Intervals<'_>]) -> f64 {
+pub(crate) fn scale_t(photos: &[PixelErrors<'_>]) -> f64 {
     mean(scores(photos).map(|score| score * score)).sqrt()
 }
 
@@ -94,7 +94,7 @@ pub fn scale_t(photos: &[Intervals<'_>]) -> f64 {
 /// `t · max(s, 1/255)`, in nats.
 ///
 /// Uses the platform's logarithm; a caller that stores it rounds it.
-pub fn nll(photos: &[Intervals<'_>], t: f64) -> f64 {
+pub(crate) fn nll(photos: &[PixelErrors<'_>], t: f64) -> f64 {
     let pixels = photos.iter().flat_map(|photo| photo.std.iter().zip(photo.error));
     mean(pixels.map(|(std, error)| {
         let std = t * f64::from(*std).max(FLOOR);
@@ -104,7 +104,7 @@ pub fn nll(photos: &[Intervals<'_>], t: f64) -> f64 {
 }
 
 /// Mean |share inside - nominal| over the nominal shares 0.05 to 0.95.
-fn calibration_error(photos: &[Intervals<'_>], t: f64) -> f64 {
+fn calibration_error(photos: &[PixelErrors<'_>], t: f64) -> f64 {
     let mut inside = [0_u64; Z.len()];
     let mut count = 0_u64;
     for score in scores(photos) {
@@ -125,13 +125,13 @@ fn calibration_error(photos: &[Intervals<'_>], t: f64) -> f64 {
 
 /// Returns which of `count` sorted scores (1 is the least) bounds a share of `1 - outside` of new ones:
 /// ⌈(count + 1)(1 - outside)⌉; none if that is beyond the last.
-pub fn conformal_rank(count: usize, outside: f64) -> Option<usize> {
+pub(crate) fn conformal_rank(count: usize, outside: f64) -> Option<usize> {
     // 1e-9: a product that is whole must not be lifted by its rounding.
     let rank = ((count + 1) as f64 * (1.0 - outside) - 1e-9).ceil().max(1.0) as usize;
     (rank <= count).then_some(rank)
 }
 
-fn conformal_score(photos: &[Intervals<'_>], outside: f64) -> Option<f64> {
+fn conformal_score(photos: &[PixelErrors<'_>], outside: f64) -> Option<f64> {
     let mut sorted: Vec<f64> = scores(photos).collect();
     sorted.sort_unstable_by(f64::total_cmp);
     conformal_rank(sorted.len(), outside).map(|rank| sorted[rank - 1])
@@ -139,8 +139,8 @@ fn conformal_score(photos: &[Intervals<'_>], outside: f64) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::maps::{maps, tests::example};
     use super::*;
-    use crate::maps::{maps, tests::example};
 
     const TRUTH: [f32; 4] = [0.50, 0.30, 0.72, 0.60];
 
@@ -163,7 +163,7 @@ mod tests {
     #[test]
     fn the_worked_example_of_intervals_comes_out() {
         let (std, error) = example_error();
-        let photos = [Intervals {
+        let photos = [PixelErrors {
             std: &std,
             error: &error,
         }];
@@ -205,7 +205,7 @@ mod tests {
     fn a_spread_that_is_half_the_truth_is_doubled_and_then_covers() {
         let (std, error) = honest(0.1, 0.05);
         let photos = vec![
-            Intervals {
+            PixelErrors {
                 std: &std,
                 error: &error
             };
@@ -222,7 +222,7 @@ mod tests {
     #[test]
     fn three_photos_are_too_few_and_zero_spread_is_held_at_the_floor() {
         let (std, error) = (vec![0.0_f32; 5], vec![1.0_f32 / 255.0; 5]);
-        let photos = [Intervals {
+        let photos = [PixelErrors {
             std: &std,
             error: &error,
         }; 3];
