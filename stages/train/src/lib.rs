@@ -13,6 +13,7 @@ mod io;
 mod memory;
 mod pace;
 mod photos;
+mod random;
 mod render;
 mod scoring;
 mod settings;

@@ -6,8 +6,8 @@ use crate::{
     split::{NamedFrame, Split},
 };
 
-/// The program itself, its threads' stacks and scratch, and what the allocator holds back: 60 MB were measured on 2
-/// threads.
+/// Memory of the program itself: stacks and scratch of its threads, and what the allocator keeps. 60 MB were measured
+/// on 2 threads.
 const PROGRAM_BYTES: u64 = 100_000_000;
 
 /// How photos are kept so that a training stays within its memory.
@@ -56,6 +56,7 @@ pub(crate) fn plan_memory(
     Ok(MemoryPlan { run, at_once })
 }
 
+/// Returns the bytes of the training photos as they are kept.
 fn kept_bytes(training: &[NamedFrame<'_>], times: &[usize], scale: u32, run: u32) -> u64 {
     let photos = training.iter().zip(times).map(|(named, times)| {
         let camera = named.frame.camera.box_reduced(scale);
@@ -64,6 +65,7 @@ fn kept_bytes(training: &[NamedFrame<'_>], times: &[usize], scale: u32, run: u32
     photos.sum()
 }
 
+/// Returns the most that `bytes` says of any frame.
 fn largest<'a>(
     frames: impl Iterator<Item = &'a NamedFrame<'a>>,
     scale: u32,

@@ -35,7 +35,7 @@ pub(crate) fn score_views(
     Ok(means(views))
 }
 
-/// Returns the mean PSNR over photos, dB, without storing anything.
+/// Returns the mean PSNR over photos, dB; nothing is stored.
 pub(crate) fn mean_psnr(
     ctx: &Ctx<'_>,
     field: &Field,

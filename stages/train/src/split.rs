@@ -1,10 +1,9 @@
-use marf_cache::digest_of;
 use marf_scene::{Frame, Scene, picture_names};
 use marf_schema::train::Holdout;
 
-use crate::TrainError;
+use crate::{TrainError, random::random_u64};
 
-/// Every how many training photos one is held out for [`Holdout::Validation`].
+/// One of so many training photos is held out for [`Holdout::Validation`].
 const VALIDATION_EVERY: usize = 8;
 
 /// A frame with the name of its pictures.
@@ -14,7 +13,7 @@ pub(crate) struct NamedFrame<'a> {
     pub name: String,
 }
 
-/// Photos to train on and photos to measure on; none is in both.
+/// Photos to train on and photos to measure on; none is both.
 #[derive(Debug)]
 pub(crate) struct Split<'a> {
     pub training: Vec<NamedFrame<'a>>,
@@ -73,9 +72,7 @@ pub(crate) fn hold_out_every_eighth(frames: Vec<NamedFrame<'_>>) -> Split<'_> {
 pub(crate) fn draws(count: usize, seed: u64) -> Vec<usize> {
     let mut times = vec![0; count];
     for index in 0..count as u64 {
-        let digest = digest_of(&("photo", seed, index));
-        let bytes = digest.as_bytes().iter().take(8).rev();
-        let random = bytes.fold(0_u64, |value, byte| value << 8 | u64::from(*byte));
+        let random = random_u64(&("photo", seed, index));
         times[((random as u128 * count as u128) >> 64) as usize] += 1;
     }
     times

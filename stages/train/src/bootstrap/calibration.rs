@@ -1,7 +1,7 @@
 use marf_schema::bootstrap::Calibration;
 
-/// A spread below one step of 8 bits is held at it.
-const FLOOR: f64 = 1.0 / 255.0;
+/// Least spread: one step of 8 bits.
+const MIN_STD: f64 = 1.0 / 255.0;
 /// z with P(|Z| <= z) = 0.05, 0.10, .. 0.95 for a standard normal Z; written out because erf differs between
 /// libraries.
 const Z: [f64; 19] = [
@@ -41,8 +41,8 @@ pub(crate) struct PixelErrors<'a> {
     pub error: &'a [f32],
 }
 
-/// Fits on the photos at even places and tests on those at odd ones; pixels of one photo stay together, since
-/// they are not independent. None with fewer than four photos.
+/// Returns how far intervals hold: fitted on the photos at even places, tested on those at odd ones. Pixels of one
+/// photo stay together, since they are not independent. `None` with fewer than four photos.
 pub(crate) fn calibrate(photos: &[PixelErrors<'_>]) -> Option<Calibration> {
     if photos.len() < LEAST_PHOTOS {
         return None;
@@ -72,11 +72,14 @@ pub(crate) fn calibrate(photos: &[PixelErrors<'_>]) -> Option<Calibration> {
 /// Returns e / max(s, 1/255) of every pixel of every photo.
 fn scores<'a>(photos: &'a [PixelErrors<'_>]) -> impl Iterator<Item = f64> + 'a {
     let pixels = photos.iter().flat_map(|photo| photo.std.iter().zip(photo.error));
-    pixels.map(|(std, error)| f64::from(*error) / f64::from(*std).max(FLOOR))
+    pixels.map(|(std, error)| f64::from(*error) / f64::from(*std).max(MIN_STD))
 }
 
-fn mean(values: impl Iterator<Item = f64>) -> f64 {
-    let (sum, count) = values.fold((0.0, 0_u64), |(sum, count), value| (sum + value, count + 1));
+/// Returns the mean, 0 of no values.
+pub(crate) fn mean<T: Into<f64>>(values: impl Iterator<Item = T>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0_u64), |(sum, count), value| {
+        (sum + value.into(), count + 1)
+    });
     sum / count.max(1) as f64
 }
 
@@ -97,13 +100,13 @@ pub(crate) fn scale_t(photos: &[PixelErrors<'_>]) -> f64 {
 pub(crate) fn nll(photos: &[PixelErrors<'_>], t: f64) -> f64 {
     let pixels = photos.iter().flat_map(|photo| photo.std.iter().zip(photo.error));
     mean(pixels.map(|(std, error)| {
-        let std = t * f64::from(*std).max(FLOOR);
+        let std = t * f64::from(*std).max(MIN_STD);
         let score = f64::from(*error) / std;
         0.5 * std::f64::consts::TAU.ln() + std.ln() + score * score / 2.0
     }))
 }
 
-/// Mean |share inside - nominal| over the nominal shares 0.05 to 0.95.
+/// Returns the mean |share inside - nominal| over the nominal shares 0.05 to 0.95.
 fn calibration_error(photos: &[PixelErrors<'_>], t: f64) -> f64 {
     let mut inside = [0_u64; Z.len()];
     let mut count = 0_u64;
@@ -131,6 +134,7 @@ pub(crate) fn conformal_rank(count: usize, outside: f64) -> Option<usize> {
     (rank <= count).then_some(rank)
 }
 
+/// Returns the score that bounds a share of `1 - outside` of new ones; `None` where there are too few scores.
 fn conformal_score(photos: &[PixelErrors<'_>], outside: f64) -> Option<f64> {
     let mut sorted: Vec<f64> = scores(photos).collect();
     sorted.sort_unstable_by(f64::total_cmp);
@@ -220,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn three_photos_are_too_few_and_zero_spread_is_held_at_the_floor() {
+    fn three_photos_are_too_few_and_zero_spread_counts_as_one_step_of_8_bits() {
         let (std, error) = (vec![0.0_f32; 5], vec![1.0_f32 / 255.0; 5]);
         let photos = [PixelErrors {
             std: &std,

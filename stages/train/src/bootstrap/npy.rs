@@ -1,4 +1,4 @@
-/// Encodes f32 values as a NumPy array file, version 1.0, little endian, C order.
+/// Returns f32 values as a NumPy array file, version 1.0, little endian, C order.
 ///
 /// `shape`: rows, columns and so on; its product is the number of values. `numpy.load` reads it as float32.
 pub(crate) fn encode_npy(shape: &[u32], values: impl IntoIterator<Item = f32>) -> Vec<u8> {

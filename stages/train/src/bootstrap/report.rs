@@ -1,7 +1,7 @@
 use marf_schema::bootstrap::{Coverage, HeldOut, Member, Metrics, Mode, PhotoReport, ViewReport};
 
 use super::{
-    calibration::{PixelErrors, calibrate, coverage, nll},
+    calibration::{PixelErrors, calibrate, coverage, mean, nll},
     maps::Maps,
     sparsification::{Norm, Sparsification, hundredths, sparsify, spearman},
 };
@@ -30,6 +30,7 @@ const NOMINAL: Coverage = Coverage {
     sd3: 0.997_300,
 };
 
+/// Returns the metrics of a bootstrap.
 pub(crate) fn report(b: u32, mode: Mode, members: Vec<Member>, views: &[ViewMaps]) -> Metrics {
     let all = |map: fn(&Maps) -> &[f32]| mean(views.iter().flat_map(|view| map(&view.maps)).copied());
     let channel = |channel: usize| {
@@ -53,6 +54,7 @@ pub(crate) fn report(b: u32, mode: Mode, members: Vec<Member>, views: &[ViewMaps
     }
 }
 
+/// Returns the figures of one viewpoint.
 fn view_report(view: &ViewMaps) -> ViewReport {
     let maps = &view.maps;
     let (depth_std, unseen_share) = depth(maps.depth_std.iter());
@@ -68,6 +70,7 @@ fn view_report(view: &ViewMaps) -> ViewReport {
     }
 }
 
+/// Returns how well the spread ranks the errors against a photo.
 fn photo_report(maps: &Maps, truth: &GroundTruth) -> PhotoReport {
     let removed = hundredths();
     let by = |map: &[f32], norm| -> Sparsification { sparsify(map, &truth.error, &removed, norm) };
@@ -83,6 +86,7 @@ fn photo_report(maps: &Maps, truth: &GroundTruth) -> PhotoReport {
     }
 }
 
+/// Returns the figures over all held-out photos; `None` where there are none.
 fn held_out(views: &[ViewMaps], members: &[Member]) -> Option<HeldOut> {
     let photos: Vec<PhotoReport> = views.iter().filter_map(|view| view_report(view).photo).collect();
     let errors: Vec<PixelErrors<'_>> = views
@@ -123,19 +127,12 @@ fn held_out(views: &[ViewMaps], members: &[Member]) -> Option<HeldOut> {
     })
 }
 
-/// Mean over the pixels that have a depth, and the share of those that have none.
+/// Returns the mean over the pixels that have a depth, and the share of those that have none.
 fn depth<'a>(map: impl Iterator<Item = &'a f32> + Clone) -> (Option<f64>, f64) {
     let count = map.clone().count();
     let seen: Vec<f32> = map.copied().filter(|std| *std >= 0.0).collect();
     let unseen = (count - seen.len()) as f64 / count.max(1) as f64;
     ((!seen.is_empty()).then(|| mean(seen.iter().copied())), unseen)
-}
-
-fn mean<T: Into<f64>>(values: impl Iterator<Item = T>) -> f64 {
-    let (sum, count) = values.fold((0.0, 0_u64), |(sum, count), value| {
-        (sum + value.into(), count + 1)
-    });
-    sum / count.max(1) as f64
 }
 
 #[cfg(test)]

@@ -96,7 +96,7 @@ impl Expand for Train {
             .ok_or_else(|| StageError::new("`pace` did not run"))?;
         let name = PaceParams::STAGE.to_owned();
         let Steps(steps) = Child { name, outputs }.read(ctx)?;
-        let steps = trials::less_trials(&self.params, steps);
+        let steps = trials::steps_after_trials(&self.params, steps);
         train(ctx, inputs, &self.params, steps)
     }
 }

@@ -14,19 +14,19 @@ use crate::{
     views::{new_trainer, training_views},
 };
 
-/// All trials together take at most this part of the training's steps.
+/// All trials together take at most a fifth of the training's steps.
 const PART: u64 = 5;
-/// Fewer steps show only which side starts faster.
+/// Least steps of a trial: fewer show only which configuration starts faster.
 const LEAST_STEPS: u64 = 100;
 /// Longest side of a photo that a trial is measured on, pixels: its render costs as much as 5 steps.
 const SCORED_SIDE_PX: u32 = 128;
 /// Photos are halved once more for trials, unless a side would fall below this, pixels.
 const LEAST_SIDE_PX: u32 = 64;
 
-/// A part of the field, with and without.
+/// A part of the field, and the configurations with and without it.
 struct Part {
     name: &'static str,
-    /// A key that is set decides in place of the trial.
+    /// Keys that decide in place of a trial where they are set.
     keys: &'static [&'static str],
     with: fn(&Config) -> Config,
     without: fn(&Config) -> Config,
@@ -102,10 +102,10 @@ pub(crate) struct TrialRequest<'a> {
     pub steps: u64,
 }
 
-/// Decides the parts whose keys are not set.
+/// Returns `config` with the parts that gain more than `least_gain_db`, and the reports of all trials.
 ///
-/// Returns `config` with the parts that gain more than `least_gain_db`, and every trial; none at quality `draft`,
-/// with `fit = "fixed"`, or where steps or photos are too few.
+/// A part whose key is set is left as it is. There are no trials at quality `draft`, with `fit = "fixed"`, or where
+/// steps or photos are too few.
 pub(crate) fn decide(
     ctx: &Ctx<'_>,
     request: &TrialRequest<'_>,
@@ -148,15 +148,15 @@ pub(crate) fn decide(
 }
 
 /// Returns the steps left for the training where trials come out of the same budget.
-pub(crate) fn less_trials(params: &TrainParams, steps: u64) -> u64 {
+pub(crate) fn steps_after_trials(params: &TrainParams, steps: u64) -> u64 {
     match params.trials.steps {
-        None if are_wanted(params) => (steps - steps / (PART + 1)).max(1),
+        None if run_by_default(params) => (steps - steps / (PART + 1)).max(1),
         _ => steps,
     }
 }
 
 /// Tells whether trials run where `trials.steps` is not set.
-fn are_wanted(params: &TrainParams) -> bool {
+fn run_by_default(params: &TrainParams) -> bool {
     params.quality != Quality::Draft && params.fit == Fit::Scene
 }
 
@@ -166,7 +166,7 @@ fn steps_each(params: &TrainParams, steps: u64, open: u64) -> u64 {
     match params.trials.steps {
         _ if open == 0 || params.fit == Fit::Fixed => 0,
         Some(steps) => steps,
-        None if are_wanted(params) && share >= LEAST_STEPS => share,
+        None if run_by_default(params) && share >= LEAST_STEPS => share,
         None => 0,
     }
 }
@@ -183,7 +183,7 @@ fn not_tried(part: &Part, key: &str) -> Trial {
     }
 }
 
-/// Mean PSNR and trained numbers of one side.
+/// Mean PSNR and number of parameters of one configuration.
 #[derive(Debug, Clone, Copy)]
 struct Outcome {
     psnr: f64,
@@ -331,14 +331,14 @@ mod tests {
     fn a_budget_is_shared_between_training_and_trials() {
         let standard = params(json!({"quality": "standard"}));
         for paced in [1, 7, 3_000, 1_000_003] {
-            let steps = less_trials(&standard, paced);
+            let steps = steps_after_trials(&standard, paced);
             let all = steps + 5 * steps_each(&standard, steps, 4);
             assert!(
                 steps >= 1 && all <= paced.max(1) && all * 10 >= paced * 8,
                 "{paced}: {steps} of {all}"
             );
         }
-        assert_eq!(less_trials(&params(json!({})), 3_000), 3_000);
+        assert_eq!(steps_after_trials(&params(json!({})), 3_000), 3_000);
     }
 
     #[test]
@@ -346,6 +346,12 @@ mod tests {
         for quality in [Quality::Draft, Quality::Standard, Quality::Best] {
             let config = quality.config();
             for part in &PARTS {
+                let known = serde_json::to_value(&config).unwrap();
+                assert!(
+                    part.keys.iter().all(|key| known.get(key).is_some()),
+                    "{:?}",
+                    part.keys
+                );
                 let (with, without) = ((part.with)(&config), (part.without)(&config));
                 assert_ne!(with, without, "{quality:?} {}", part.name);
                 assert!(config == with || config == without, "{quality:?} {}", part.name);

@@ -1,7 +1,8 @@
-use marf_cache::digest_of;
 use marf_field::Overrides;
 use marf_schema::tune::{Range, Space};
 use serde_json::Value;
+
+use crate::random::random_u64;
 
 /// Returns the keys of one trial: a value for every key of the space, drawn by seed, trial and key alone.
 ///
@@ -12,7 +13,7 @@ pub(crate) fn sample_params(space: &Space, seed: u64, trial: u32) -> Overrides {
         return drawn;
     }
     for (key, range) in space {
-        match value_at(range, random(key, seed, trial)) {
+        match value_at(range, random_u64(&(key.as_str(), seed, u64::from(trial)))) {
             Value::Object(table) => drawn.0.extend(table),
             value => {
                 drawn.0.insert(key.clone(), value);
@@ -20,13 +21,6 @@ pub(crate) fn sample_params(space: &Space, seed: u64, trial: u32) -> Overrides {
         }
     }
     drawn
-}
-
-/// Returns 64 random bits: the first of the content hash of key, seed and trial.
-fn random(key: &str, seed: u64, trial: u32) -> u64 {
-    let digest = digest_of(&(key, seed, u64::from(trial)));
-    let bytes = digest.as_bytes().iter().take(8).rev();
-    bytes.fold(0, |value, byte| value << 8 | u64::from(*byte))
 }
 
 /// Returns the value at a place in the range; 0 is the low end, the largest u64 the high one.
