@@ -28,22 +28,30 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 16] = [
+const CRATES: [Crate; 18] = [
     row("shaders", "marf-shaders", &[]),
     row("cache/derive", "marf-cache-derive", &[]),
     row("cache", "marf-cache", &["marf-cache-derive"]),
     row("stages/numeric", "marf-numeric", &[]),
     row("stages/stage", "marf-stage", &["marf-cache"]),
     row("stages/scene", "marf-scene", &["marf-cache"]),
+    row("stages/pds", "marf-pds", &["marf-scene"]),
+    row("stages/demo", "marf-demo", &["marf-cache", "marf-scene"]),
     row(
         "stages/field",
         "marf-field",
-        &["marf-cache", "marf-numeric", "marf-scene", "marf-shaders"],
+        &["marf-shaders", "marf-cache", "marf-numeric", "marf-scene"],
     ),
+    row(
+        "stages/schema",
+        "marf-schema",
+        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
+    ),
+    row("stages/sfm", "marf-sfm", &["marf-numeric", "marf-scene"]),
     row(
         "stages/extract",
         "marf-extract",
-        &["marf-cache", "marf-stage", "marf-scene"],
+        &["marf-cache", "marf-stage", "marf-scene", "marf-pds", "marf-demo"],
     ),
     row(
         "stages/filter",
@@ -51,27 +59,29 @@ const CRATES: [Crate; 16] = [
         &["marf-cache", "marf-stage", "marf-scene"],
     ),
     Crate {
-        tests_use: &["marf-extract"],
+        tests_use: &["marf-demo", "marf-extract"],
         ..row(
             "stages/calibrate",
             "marf-calibrate",
-            &["marf-cache", "marf-stage", "marf-scene"],
+            &[
+                "marf-cache",
+                "marf-stage",
+                "marf-scene",
+                "marf-schema",
+                "marf-sfm",
+            ],
         )
     },
     row(
-        "stages/tune",
-        "marf-tune",
-        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
-    ),
-    row(
         "stages/train",
         "marf-train",
-        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
-    ),
-    row(
-        "stages/bootstrap",
-        "marf-bootstrap",
-        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
+        &[
+            "marf-cache",
+            "marf-stage",
+            "marf-scene",
+            "marf-field",
+            "marf-schema",
+        ],
     ),
     row(
         "stages",
@@ -81,9 +91,7 @@ const CRATES: [Crate; 16] = [
             "marf-extract",
             "marf-filter",
             "marf-calibrate",
-            "marf-tune",
             "marf-train",
-            "marf-bootstrap",
         ],
     ),
     row("src/engine", "marf-engine", &["marf-cache", "marf-stage"]),
@@ -92,18 +100,19 @@ const CRATES: [Crate; 16] = [
         "marf",
         &[
             "marf-cache",
-            "marf-engine",
             "marf-stage",
-            "marf-stages",
             "marf-scene",
             "marf-field",
+            "marf-schema",
+            "marf-stages",
+            "marf-engine",
         ],
     ),
 ];
 
 /// Packages that only these crates may use.
 const RESTRICTED: [(&str, &[&str]); 7] = [
-    ("kamadak-exif", &["marf-extract"]),
+    ("kamadak-exif", &["marf-pds"]),
     ("petgraph", &["marf-engine"]),
     ("redb", &["marf-cache"]),
     ("reqwest", &["marf-extract"]),

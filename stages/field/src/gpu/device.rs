@@ -15,7 +15,7 @@ pub struct Gpu {
     pub(super) limits: wgpu::Limits,
     pub(super) features: wgpu::Features,
     name: String,
-    class: String,
+    id: String,
     kind: wgpu::DeviceType,
     /// What was compiled so far, by entry point and text: fields of one shape share their kernels.
     pub(super) pipelines: Mutex<HashMap<(String, String), wgpu::ComputePipeline>>,
@@ -25,7 +25,7 @@ pub struct Gpu {
 
 impl fmt::Debug for Gpu {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("Gpu").field(&self.class).finish()
+        f.debug_tuple("Gpu").field(&self.id).finish()
     }
 }
 
@@ -40,7 +40,7 @@ const BACKENDS: wgpu::Backends = wgpu::Backends::VULKAN
     .union(wgpu::Backends::METAL)
     .union(wgpu::Backends::DX12);
 
-/// Version of wgpu; a part of the numeric class. A test holds it against Cargo.lock.
+/// Version of wgpu; a part of the backend id. A test holds it against Cargo.lock.
 const WGPU: &str = "wgpu 30.0.1";
 
 impl Gpu {
@@ -127,7 +127,7 @@ impl Gpu {
             queue,
             limits,
             features,
-            class: format!(
+            id: format!(
                 "{}, {} {}, {WGPU}, kernels {}",
                 info.name,
                 info.driver,
@@ -146,9 +146,9 @@ impl Gpu {
         &self.name
     }
 
-    /// Returns adapter, driver, version of wgpu and digest of the kernels: two runs of one class give the same bytes.
-    pub fn class(&self) -> &str {
-        &self.class
+    /// Returns adapter, driver, version of wgpu and digest of the kernels: two runs with one id give the same bytes.
+    pub fn id(&self) -> &str {
+        &self.id
     }
 
     /// Tells whether a processor of the computer only plays the GPU.
@@ -209,7 +209,7 @@ impl Gpu {
     }
 }
 
-/// Returns a short digest of all kernels: a kernel that changed is another class, which no version has to tell.
+/// Returns a short digest of all kernels: a kernel that changed gives another id, so that no version has to be raised.
 fn kernels() -> String {
     let texts = SHADERS
         .iter()
@@ -247,7 +247,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_version_in_the_class_is_the_one_that_is_built() {
+    fn the_version_in_the_id_is_the_one_that_is_built() {
         let lock = include_str!("../../../../Cargo.lock");
         let version = WGPU.trim_start_matches("wgpu ");
         let entry = format!("name = \"wgpu\"\nversion = \"{version}\"\n");
