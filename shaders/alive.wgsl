@@ -1,4 +1,4 @@
-// alive: tells after a round which rays of a picture go on, and how many.
+// alive: finds after a round which rays of a picture go on, and how many.
 //
 // Source    a ray ends where less than OPAQUE passes, or at its last step
 // Twin      marf_field::render::Tile::finish; equal

@@ -1,4 +1,4 @@
-// kept: tells for every sample that is kept which of the visited ones it was.
+// kept: writes for every sample that is kept which of the visited ones it was.
 //
 // Source    none.
 // Twin      marf_field::shade::Shade::drop_hidden (its list `kept`); equal.

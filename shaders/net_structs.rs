@@ -12,7 +12,7 @@ pub struct ProductRun {
     pub outputs: u32,
     /// Numbers a column.
     pub capacity: u32,
-    /// Which of `counts` tells the samples in use.
+    /// Place in `counts` of the samples in use.
     pub slot: u32,
     /// First row of A.
     pub first_a: u32,
@@ -42,7 +42,7 @@ pub struct OuterRun {
     pub outputs: u32,
     /// Numbers a column.
     pub capacity: u32,
-    /// Which of `counts` tells the samples in use.
+    /// Place in `counts` of the samples in use.
     pub slot: u32,
     /// Samples a part, a multiple of 4.
     pub chunk: u32,
@@ -60,7 +60,7 @@ pub struct OuterRun {
 pub struct SumRun {
     /// Numbers a part.
     pub weights: u32,
-    /// Which of `counts` tells the samples in use.
+    /// Place in `counts` of the samples in use.
     pub slot: u32,
     /// Samples a part.
     pub chunk: u32,
@@ -106,7 +106,7 @@ pub struct Pace {
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct HarmonicsRun {
-    /// Which of `counts` tells what is in use.
+    /// Place in `counts` of what is in use.
     pub slot: u32,
     /// Numbers a column.
     pub stride: u32,
@@ -120,7 +120,7 @@ pub struct HarmonicsRun {
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct Extent {
-    /// Which of `counts` tells what is in use.
+    /// Place in `counts` of what is in use.
     pub slot: u32,
     /// Numbers a column of samples.
     pub capacity: u32,
@@ -134,7 +134,7 @@ pub struct Extent {
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct GatherRun {
-    /// Which of `counts` tells the samples in use.
+    /// Place in `counts` of the samples in use.
     pub slot: u32,
     /// Numbers a column.
     pub capacity: u32,
@@ -148,7 +148,7 @@ pub struct GatherRun {
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct CompareRun {
-    /// Which of `counts` tells the rays in use.
+    /// Place in `counts` of the rays in use.
     pub slot: u32,
     /// Numbers a column of samples.
     pub capacity: u32,
@@ -168,7 +168,7 @@ pub struct CompareRun {
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct SpreadRun {
-    /// Which of `counts` tells the rays in use.
+    /// Place in `counts` of the rays in use.
     pub slot: u32,
     /// Numbers a column of samples.
     pub capacity: u32,
@@ -190,7 +190,7 @@ pub struct SpreadRun {
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct RunawayRun {
-    /// Which of `counts` tells the samples in use.
+    /// Place in `counts` of the samples in use.
     pub slot: u32,
     /// Numbers a column.
     pub capacity: u32,
@@ -224,7 +224,7 @@ pub struct Total {
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct PaintRun {
-    /// Which of `counts` tells the rays in use.
+    /// Place in `counts` of the rays in use.
     pub slot: u32,
     /// Numbers a column of samples.
     pub capacity: u32,
@@ -238,7 +238,7 @@ pub struct PaintRun {
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct FinishRun {
-    /// Which of `counts` tells the rays in use.
+    /// Place in `counts` of the rays in use.
     pub slot: u32,
     /// Numbers a column of rays.
     pub rays: u32,

@@ -173,7 +173,7 @@ pub const JOIN: Shader = Shader {
     heads: PLAIN,
 };
 
-/// Looks for numbers that run away.
+/// Finds numbers that run away.
 pub const RUNAWAY: Shader = Shader {
     name: "runaway",
     shared: &[MATH],

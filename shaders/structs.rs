@@ -61,8 +61,8 @@ pub struct Step {
     /// Kept pixels of all photos.
     pub pixels: u32,
     /// Pixels that see a sparse point; 0 where none pulls, or no longer.
-    pub sightings: u32,
-    /// One ray in so many goes to a sighting.
+    pub observations: u32,
+    /// One ray in so many goes to a observation.
     pub share: u32,
     /// Rays wanted.
     pub rays: u32,
@@ -83,7 +83,7 @@ pub struct ViewCamera {
     /// fx, fy, cx, cy, pixels.
     pub lens: [f32; 4],
     /// k1, k2, p1, p2.
-    pub bend: [f32; 4],
+    pub distortion: [f32; 4],
     /// First row of the rotation from the camera to the world; the fourth number is the centre, half sides.
     pub row_x: [f32; 4],
     /// Second row, in the same way.
@@ -100,10 +100,10 @@ pub struct ViewCamera {
     pub height: u32,
 }
 
-/// A pixel that sees a sparse point, an element of `sightings`.
+/// A pixel that sees a sparse point, an element of `observations`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
-pub struct Sighted {
+pub struct Observed {
     /// Number of the pixel among all kept.
     pub pixel: u32,
     /// Number of the step at the point as a share of all steps.
@@ -150,7 +150,7 @@ pub struct Walk {
     pub resumes: u32,
     /// Place in `counts` of the number of samples.
     pub slot: u32,
-    /// 1 where `counts` already tells which rays are in use.
+    /// 1 where `counts` already has which rays are in use.
     pub again: u32,
 }
 

@@ -90,7 +90,7 @@ fn rust_layouts() -> Vec<Layout> {
             seed,
             number,
             pixels,
-            sightings,
+            observations,
             share,
             rays,
             views,
@@ -100,7 +100,7 @@ fn rust_layouts() -> Vec<Layout> {
         }),
         layout!(ViewCamera {
             lens,
-            bend,
+            distortion,
             row_x,
             row_y,
             row_z,
@@ -109,7 +109,7 @@ fn rust_layouts() -> Vec<Layout> {
             width,
             height
         }),
-        layout!(Sighted { pixel, place, pulls }),
+        layout!(Observed { pixel, place, pulls }),
         layout!(PixelRange {
             camera,
             first,

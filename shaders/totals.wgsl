@@ -1,4 +1,4 @@
-// totals: what the host is told of a step.
+// totals: counts, faults and loss of a step, for the host.
 //
 // Source    none.
 // Twin      marf_field::trainer::Trainer::step (its sums); the loss within 1e-5: f32 here, f64 there.

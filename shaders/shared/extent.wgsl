@@ -1,6 +1,6 @@
 // Sizes of columns.
 struct Extent {
-    // Which of `counts` tells what is in use.
+    // Place in `counts` of what is in use.
     slot: u32,
     // Numbers a column of samples.
     capacity: u32,

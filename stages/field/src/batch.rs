@@ -84,7 +84,7 @@ impl Found {
     }
 }
 
-/// Memory of the workers; who needs some takes it from here and brings it back.
+/// Memory of the workers; a worker takes one and gives it back.
 pub type Spares = Mutex<Vec<Scratch>>;
 
 /// Memory of one worker.

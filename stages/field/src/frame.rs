@@ -53,7 +53,7 @@ impl Frame {
         found.unwrap_or_else(|| from_baseline(&centres))
     }
 
-    /// Tells whether every camera has a place in the box that f32 can tell from others.
+    /// Checks that every camera has a place in the box that f32 can tell from others.
     ///
     /// # Errors
     /// [`FieldError::OutOfBox`] names the first that has none.

@@ -106,7 +106,7 @@ impl Sizes {
         Steps::new(self.near.value, self.far.value, shortest, cone)
     }
 
-    /// Tells whether a field of another program can have these sizes.
+    /// Checks that these sizes, which another program may have written, can be used.
     pub(crate) fn check(&self, config: &Config) -> Result<(), FieldError> {
         let finest = self.finest.value;
         if finest < config.base_resolution || finest > 1 << 20 {
@@ -156,7 +156,7 @@ struct Depths {
 }
 
 impl Depths {
-    /// Looks through every camera; `Err` tells why nothing is known.
+    /// Computes it from every camera; `Err` is the reason where nothing is known.
     fn seen(views: &[View], points: &[[f64; 3]], frame: &Frame) -> Result<Self, String> {
         if points.len() < ENOUGH_POINTS {
             let few = points.len();

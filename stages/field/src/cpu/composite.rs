@@ -231,7 +231,7 @@ impl Ray<'_> {
 /// holds as Adam's second moment. Those of a training that learns are below 1.
 pub const RUNAWAY: f32 = 1_073_741_824.0;
 
-/// Tells whether a number is NaN, infinite or of the size [`RUNAWAY`], by its bits.
+/// Returns whether a number is NaN, infinite or of the size [`RUNAWAY`], by its bits.
 #[inline(always)]
 pub fn runs_away(value: f32) -> bool {
     value.to_bits() & 0x7fff_ffff >= RUNAWAY.to_bits()

@@ -81,7 +81,7 @@ impl Bits {
         }
     }
 
-    /// Tells whether a cell is occupied.
+    /// Returns whether a cell is occupied.
     #[inline(always)]
     pub fn holds(&self, cell: u32) -> bool {
         self.words[(cell >> 6) as usize] >> (cell & 63) & 1 == 1
@@ -122,7 +122,7 @@ impl Samples {
         self.x.len()
     }
 
-    /// Tells whether there is none.
+    /// Returns whether there is none.
     pub fn is_empty(&self) -> bool {
         self.x.is_empty()
     }

@@ -116,7 +116,7 @@ impl Gpu {
         let failed = Arc::new(OnceLock::new());
         let (lost, refused) = (failed.clone(), failed.clone());
         device.set_device_lost_callback(move |reason, message| {
-            // The first error is the one that tells.
+            // The first error is the cause of the others.
             let _ = lost.set(format!("device lost ({reason:?}): {message}"));
         });
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
@@ -151,12 +151,12 @@ impl Gpu {
         &self.id
     }
 
-    /// Tells whether a processor of the computer only plays the GPU.
+    /// Returns whether the adapter is software on the CPU.
     pub fn is_software(&self) -> bool {
         rank(self.kind) >= SOFTWARE
     }
 
-    /// Tells whether the device still does what it is told.
+    /// Checks that the device was not lost and has refused nothing.
     ///
     /// # Errors
     /// [`GpuError::Lost`] with the first complaint of the driver.
@@ -174,7 +174,7 @@ impl Gpu {
             .min(u64::from(u32::MAX))
     }
 
-    /// Tells whether one binding holds so many bytes; `hint` says what to set where it does not.
+    /// Checks that one binding holds so many bytes; `hint` is the advice where it does not.
     ///
     /// # Errors
     /// [`GpuError::Limit`].

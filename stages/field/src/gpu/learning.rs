@@ -60,7 +60,7 @@ pub struct Learning {
 
 /// What is bound together.
 #[derive(Clone, Copy)]
-pub struct Bench<'a> {
+pub struct Bindings<'a> {
     /// The device.
     pub gpu: &'a Gpu,
     /// Kernels shared with pictures.
@@ -88,38 +88,42 @@ impl Learning {
     ///
     /// # Errors
     /// Memory that was refused.
-    pub fn new(bench: Bench<'_>) -> Result<Self, GpuError> {
-        let Bench {
+    pub fn new(bindings: Bindings<'_>) -> Result<Self, GpuError> {
+        let Bindings {
             gpu, lanes, arrays, ..
-        } = bench;
-        let exposing = (bench.config.gain != Gain::Off).then(|| {
+        } = bindings;
+        let exposing = (bindings.config.gain != Gain::Off).then(|| {
             let inputs = ExposureInputs {
-                step: bench.step,
+                step: bindings.step,
                 counts: &lanes.counts,
                 targets: &lanes.rays.targets,
                 slopes: &arrays.found,
                 bias: &arrays.bias,
                 faults: &lanes.faults,
             };
-            bench.kernels.exposures.bind(gpu, &arrays.exposures, inputs)
+            bindings.kernels.exposures.bind(gpu, &arrays.exposures, inputs)
         });
         let mut blend = Work::default();
-        let pairs = bench.weights.arrays().into_iter().zip(bench.average.arrays());
+        let pairs = bindings
+            .weights
+            .arrays()
+            .into_iter()
+            .zip(bindings.average.arrays());
         for (values, average) in pairs {
             let blending = &arrays.blending;
             blend = blend.then(
-                bench
+                bindings
                     .kernels
                     .blend
                     .bind(gpu, blending, &lanes.faults, values, average),
             );
         }
         Ok(Self {
-            back: bench.losses()?.then(bench.nets()?).then(bench.tables()?),
+            back: bindings.losses()?.then(bindings.nets()?).then(bindings.tables()?),
             exposing,
-            scale: bench.scales()?,
-            learn: bench.moves()?.then(bench.turns()?),
-            turn: bench.turns()?,
+            scale: bindings.scales()?,
+            learn: bindings.moves()?.then(bindings.turns()?),
+            turn: bindings.turns()?,
             blend,
         })
     }
@@ -141,7 +145,7 @@ impl Learning {
     }
 }
 
-impl Bench<'_> {
+impl Bindings<'_> {
     /// From colours to the slopes of logits and raw densities.
     fn losses(self) -> Result<Work, GpuError> {
         let (lanes, arrays, light) = (self.lanes, self.arrays, &self.shared.light);
@@ -234,7 +238,7 @@ impl Bench<'_> {
         Ok(work)
     }
 
-    /// From the slopes of features to those of table entries, and what the host is told.
+    /// From the slopes of features to those of table entries, and the totals for the host.
     fn tables(self) -> Result<Work, GpuError> {
         let (gpu, lanes, arrays) = (self.gpu, self.lanes, self.arrays);
         let batch = lanes.batch(gpu);

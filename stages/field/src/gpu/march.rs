@@ -23,7 +23,7 @@ pub struct SampleArrays {
 }
 
 impl SampleArrays {
-    /// Makes room for samples.
+    /// Allocates the arrays of samples.
     ///
     /// # Errors
     /// More than the device holds.
@@ -86,7 +86,7 @@ pub fn kept_walk(whole: Walk) -> Walk {
 /// What a walk reads and writes.
 #[derive(Clone, Copy)]
 pub struct MarchArrays<'a> {
-    /// What it is told.
+    /// Sizes and limits of the walk.
     pub walk: &'a Array<Walk>,
     /// The rays.
     pub rays: &'a RayArrays,
