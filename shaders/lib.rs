@@ -111,8 +111,8 @@ const FAULTS: &str = include_str!("shared/faults.wgsl");
 /// Structs of the occupancy grid.
 const FILLING: &str = include_str!("shared/filling.wgsl");
 
-/// Own exponential functions.
-const MATH: &str = include_str!("shared/math.wgsl");
+/// Own exponential functions, for kernels and their tests.
+pub const MATH: &str = include_str!("shared/math.wgsl");
 
 /// Streams of random numbers, for kernels and their tests.
 pub const RNG: &str = include_str!("shared/rng.wgsl");

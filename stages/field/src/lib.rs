@@ -46,6 +46,8 @@ mod size;
 mod size_tests;
 mod state;
 mod tensors;
+#[cfg(test)]
+mod test_scene;
 mod trainer;
 mod training;
 #[cfg(test)]

@@ -12,8 +12,8 @@ use super::nets::{CHUNK, Nets};
 use super::record::dispatch;
 use super::session::GpuSession;
 use super::testing::{advance, gpu, on_gpu, own_gpu, upload};
+use crate::test_scene::{ball, ball_view, psnr, small};
 use crate::training::Training;
-use crate::training_tests::{ball, ball_view, psnr, small};
 use crate::{
     Background, Config, Device, Field, FieldError, Gain, GpuError, Pixels, Trainer, View, ViewDependence,
 };

@@ -11,8 +11,8 @@ use super::testing::{gpu, own_gpu};
 use crate::draw::Target;
 use crate::frame::{Frame, RayStart};
 use crate::rng::{Purpose, Rng};
+use crate::test_scene::small;
 use crate::training::Training;
-use crate::training_tests::small;
 use crate::{Config, GpuError, Pixels, View};
 
 /// Of a direction, where the distortion moves a pixel by no more than an ideal camera: f32 rounds its terms.
