@@ -62,12 +62,12 @@ pub fn constants() -> String {
     lines.concat()
 }
 
-/// The head of kernels that read rows of the tables: `Row` is one entry of `features` numbers, 2 or 4.
+/// Returns the head of kernels that read rows of the tables: `Row` is one entry of `features` numbers, 2 or 4.
 pub fn row_head(features: u32) -> String {
     format!("alias Row = vec{features}<f32>;\nconst FEATURES: u32 = {features}u;\n")
 }
 
-/// The head of kernels that find entries: after [`row_head`], the hash's multipliers of y and z.
+/// Returns the head of kernels that find entries: after [`row_head`], the hash's multipliers of y and z.
 pub fn grid_head(features: u32, primes: [u32; 2]) -> String {
     let [y, z] = primes;
     format!(
@@ -76,7 +76,7 @@ pub fn grid_head(features: u32, primes: [u32; 2]) -> String {
     )
 }
 
-/// The head of kernels that know gradients in fixed point, after one of those above: `Quanta` is the gradient of an
+/// Returns the head of kernels that know gradients in fixed point, after one of those above: `Quanta` is the gradient of an
 /// entry; `packed` where pairs of features share a 64-bit word; no contribution has more than `most` quanta.
 pub fn quanta_head(features: u32, packed: bool, most: i32) -> String {
     format!(

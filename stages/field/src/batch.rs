@@ -115,7 +115,7 @@ pub fn train(shared: &Shared, targets: &[Target], rays: usize, chunks: &mut Vec<
     });
 }
 
-/// One task a level and chunk, level by level.
+/// Looks up the features of all chunks: one task a level and chunk, level by level.
 fn encode(shared: &Shared, chunks: &mut [Chunk]) {
     let weights = shared.weights;
     let levels = weights.shapes.iter().zip(&weights.tables);

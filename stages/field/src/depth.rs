@@ -73,7 +73,7 @@ pub fn observations(
     found.collect::<Vec<_>>().concat()
 }
 
-/// Pixel and distance of a point inside a photo.
+/// Returns pixel and distance of a point inside a photo.
 fn project(view: &View, point: &[f64; 3]) -> Option<(Vector2<f64>, f64)> {
     let at = view.cam_from_world.point(&Vector3::from(*point));
     let pixel = view.camera.project(&at)?;

@@ -52,7 +52,7 @@ pub struct Probe {
 }
 
 impl Occupancy {
-    /// All seen cells occupied.
+    /// Returns a grid with all seen cells occupied.
     pub fn full(side: u32, frame: &Frame, views: &[View]) -> Self {
         let seen = seen_cells(side, frame, views);
         let mut bits = Bits::new(side);
@@ -67,7 +67,7 @@ impl Occupancy {
         }
     }
 
-    /// Seen cells near the sparse points occupied, within 2 cells in the inner box and 4 outside.
+    /// Returns a grid with the seen cells near the sparse points occupied, within 2 cells in the inner box and 4 outside.
     ///
     /// All other seen cells start empty and fill where they are found dense. Without points: as [`Self::full`].
     pub fn near(side: u32, frame: &Frame, views: &[View], points: &[[f64; 3]]) -> Self {
@@ -260,7 +260,7 @@ fn sees(watcher: &Watcher, ball: &Ball) -> bool {
         && pixel[1] < f64::from(camera.height) + margin
 }
 
-/// How far the distortion moves the corners of the photo outwards at most, pixels.
+/// Returns how far the distortion moves the corners of the photo outwards at most, pixels.
 fn distortion_px(camera: &marf_scene::Camera) -> f64 {
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
     let corners = [[0.0, 0.0], [width, 0.0], [0.0, height], [width, height]];

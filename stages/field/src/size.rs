@@ -243,7 +243,7 @@ fn finest(config: &Config, frame: &Frame, views: &[View]) -> Chosen<u32> {
     Chosen::new(cells.max(config.base_resolution), reason)
 }
 
-/// The fewest levels whose growth is at most 2, of those that fill blocks of 16 features.
+/// Returns the fewest levels whose growth is at most 2, of those that fill blocks of 16 features.
 fn levels(config: &Config, finest: u32) -> Chosen<u32> {
     if let Some(levels) = config.levels {
         return Chosen::said(levels, "levels");
@@ -349,7 +349,7 @@ fn halvings(config: &Config, views: &[View]) -> Chosen<u32> {
     Chosen::new(halvings, reason)
 }
 
-/// Four cells of the surface an entry, but no more entries than the training has samples to fill.
+/// Returns the table for four cells of the surface an entry, but no more entries than the training has samples to fill.
 fn log2_table(config: &Config, cells: u64) -> Chosen<u32> {
     if let Some(log2) = config.log2_table {
         return Chosen::said(log2, "log2_table");
@@ -380,7 +380,7 @@ fn log2_table(config: &Config, cells: u64) -> Chosen<u32> {
     Chosen::new(wanted, format!("the scene decides: {scene}; {budget}"))
 }
 
-/// Binary logarithm of the table that so many samples fill: 2^15 at 2^25 samples, 4 times as large at 8 times as many.
+/// Returns the binary logarithm of the table that so many samples fill: 2^15 at 2^25 samples, 4 times as large at 8 times as many.
 ///
 /// A larger one has learnt less by then, a smaller one cannot hold more: `benches/size.md`.
 fn log2_filled(samples: u64) -> u32 {

@@ -44,7 +44,7 @@ const BACKENDS: wgpu::Backends = wgpu::Backends::VULKAN
 const WGPU: &str = "wgpu 30.0.1";
 
 impl Gpu {
-    /// As [`Gpu::open`], but only the first call for a device opens it: later ones get the same.
+    /// Opens the wanted device once in a process: later calls get the same; `None` is the CPU.
     ///
     /// # Errors
     /// As [`Gpu::open`].

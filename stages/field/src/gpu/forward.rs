@@ -371,7 +371,7 @@ fn words(array: &Array<u32>) -> Rows<'_> {
     }
 }
 
-/// What kept samples take over from visited ones, and how many rows it has.
+/// Returns what kept samples take over from visited ones, and how many rows it has.
 fn gathered(lanes: &Lanes, purpose: Purpose) -> Vec<(Rows<'_>, Rows<'_>, usize)> {
     let (from, to) = (&lanes.visited, &lanes.kept);
     let whole = |array: &Array<f32>| array.len() / lanes.capacity;

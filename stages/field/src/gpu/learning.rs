@@ -1,4 +1,4 @@
-//! The way back: from the loss of a batch to new weights, bound to the arrays of a training.
+//! The backward pass: from the loss of a batch to new weights, bound to the arrays of a training.
 
 use marf_shaders::{counts, faults, found};
 
@@ -16,7 +16,7 @@ use crate::schedule::{BACKGROUND_RATE, DECAY};
 use crate::weights::NET_ROW;
 use crate::{Background, Config, Gain, GpuError};
 
-/// The kernels of the way back.
+/// The kernels of the backward pass.
 pub struct Kernels {
     scatter: Scatter,
     scales: Scales,
@@ -26,7 +26,7 @@ pub struct Kernels {
 }
 
 impl Kernels {
-    /// Compiles them for entries of `features` numbers.
+    /// Compiles the kernels for entries of `features` numbers.
     ///
     /// # Errors
     /// A driver that does not.
@@ -58,14 +58,14 @@ pub struct Learning {
     pub turn: Work,
 }
 
-/// What is bound together.
+/// Kernels and arrays that are bound together.
 #[derive(Clone, Copy)]
 pub struct Bindings<'a> {
     /// The device.
     pub gpu: &'a Gpu,
     /// Kernels shared with pictures.
     pub shared: &'a Shared,
-    /// Kernels of the way back.
+    /// Kernels of the backward pass.
     pub kernels: &'a Kernels,
     /// The levels.
     pub grid: &'a Grid,
@@ -84,7 +84,7 @@ pub struct Bindings<'a> {
 }
 
 impl Learning {
-    /// Binds them.
+    /// Binds the kernels to their arrays.
     ///
     /// # Errors
     /// Memory that was refused.
@@ -146,7 +146,7 @@ impl Learning {
 }
 
 impl Bindings<'_> {
-    /// From colours to the slopes of logits and raw densities.
+    /// Returns the passes from colours to the slopes of logits and raw densities.
     fn losses(self) -> Result<Work, GpuError> {
         let (lanes, arrays, light) = (self.lanes, self.arrays, &self.shared.light);
         let batch = lanes.batch(self.gpu);
@@ -183,7 +183,7 @@ impl Bindings<'_> {
         Ok(work)
     }
 
-    /// Through both networks to the slopes of features.
+    /// Returns the passes back through both networks to the slopes of features.
     fn nets(self) -> Result<Work, GpuError> {
         let (lanes, arrays) = (self.lanes, self.arrays);
         let batch = lanes.batch(self.gpu);
@@ -204,7 +204,7 @@ impl Bindings<'_> {
         Ok(color.then(join).then(density))
     }
 
-    /// Through one network; `ends`: its input, and the slope of its output.
+    /// Returns the passes back through one network; `ends`: its input, and the slope of its output.
     fn net(
         self,
         (layers, learnt): (&[DeviceLayer], &[Learnt]),
@@ -238,7 +238,7 @@ impl Bindings<'_> {
         Ok(work)
     }
 
-    /// From the slopes of features to those of table entries, and the totals for the host.
+    /// Returns the passes from the slopes of features to those of table entries, and the totals for the host.
     fn tables(self) -> Result<Work, GpuError> {
         let (gpu, lanes, arrays) = (self.gpu, self.lanes, self.arrays);
         let batch = lanes.batch(gpu);
@@ -269,7 +269,7 @@ impl Bindings<'_> {
         kernel.bind(self.gpu, self.grid, &arrays.gradient, scales, &self.lanes.faults)
     }
 
-    /// All weights take a step.
+    /// Returns the passes in which all weights take a step.
     fn moves(self) -> Result<Work, GpuError> {
         let (gpu, lanes, arrays) = (self.gpu, self.lanes, self.arrays);
         let batch = lanes.batch(gpu);

@@ -52,7 +52,7 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// Rays at their first step.
+    /// Returns rays at their first step.
     ///
     /// # Errors
     /// More than the device holds.

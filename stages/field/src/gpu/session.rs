@@ -280,7 +280,7 @@ impl GpuSession {
         self.submit(times, |recorder| self.update.finish(recorder))
     }
 
-    /// Submits; where times are wanted, every dispatch in a pass of its own.
+    /// Submits a recording; where times are wanted, every dispatch in a pass of its own.
     fn submit(
         &self,
         times: Option<&mut Vec<Timing>>,
