@@ -380,7 +380,8 @@ fn log2_table(config: &Config, cells: u64) -> Chosen<u32> {
     Chosen::new(wanted, format!("the scene decides: {scene}; {budget}"))
 }
 
-/// Returns the binary logarithm of the table that so many samples fill: 2^15 at 2^25 samples, 4 times as large at 8 times as many.
+/// Returns the binary logarithm of the table that so many samples fill: 2^15 at 2^25 samples, 4 times as large at 8
+/// times as many.
 ///
 /// A larger one has learnt less by then, a smaller one cannot hold more: `benches/size.md`.
 fn log2_filled(samples: u64) -> u32 {

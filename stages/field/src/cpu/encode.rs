@@ -57,7 +57,9 @@ struct Axis<I: Isa> {
 }
 
 impl<I: Isa> Axis<I> {
-    /// Returns the two corners of a coordinate along an axis. The last cell takes 1.0; NaN counts as 0. `factor` is the axis' stride or prime.
+    /// Returns the two corners of a coordinate along an axis; `factor` is the axis' stride or prime.
+    ///
+    /// The last cell takes 1.0; NaN counts as 0.
     #[inline(always)]
     fn new(isa: I, at: &Block, resolution: u32, factor: u32) -> Self {
         let q = isa.mul(isa.unit(isa.load(at)), isa.splat(resolution as f32));
