@@ -4,20 +4,21 @@ use marf_engine::NodeState;
 
 use super::args::Global;
 use super::error::CliError;
-use super::say_json;
+use super::output::print_json;
 use super::session::existing_store;
 use crate::progress::duration;
+use crate::terminal::print_line;
 
 /// `marf log`: the runs so far, the newest first.
 pub fn log(global: &Global, last: usize) -> Result<(), CliError> {
     let runs = marf_engine::runs(&existing_store(global)?)?;
     let shown: Vec<_> = runs.iter().rev().take(last).collect();
     if global.json {
-        return say_json(&shown);
+        return print_json(&shown);
     }
     for run in shown {
         let count = |state: NodeState| run.nodes.iter().filter(|node| node.state == state).count();
-        crate::say(&format!(
+        print_line(&format!(
             "{:>4}  {}  {:<9} {:>3} ran, {:>3} reused, {} failed  {:>12}  {}",
             run.number,
             utc(run.started_unix_s),

@@ -8,8 +8,11 @@ use marf_field::Device;
 use marf_stage::{ParamError, Stage, StageDef};
 use serde_json::Value as Json;
 
-use super::low::{Entry, Located, Origin};
-use super::{Access, ConfigError, Wishes, by_hand, nearest};
+use super::by_hand;
+use super::error::{ConfigError, Origin};
+use super::low::{Entry, Located};
+use super::options::{Access, GlobalOptions};
+use crate::nearest::did_you_mean;
 
 /// A checked pipeline.
 pub struct Pipeline {
@@ -43,11 +46,11 @@ struct Around<'a> {
     by_hand: Option<serde_json::Map<String, Json>>,
 }
 
-pub(super) fn check(root: &Located, wishes: &Wishes, base: &Path) -> Result<Pipeline, ConfigError> {
+pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Result<Pipeline, ConfigError> {
     for entry in root.entries().unwrap_or_default() {
         if !TOP.contains(&entry.key.as_str()) {
             let message = format!("unknown key `{}`", entry.key);
-            return Err(ConfigError::at(entry.at.clone(), message).hint(nearest(&entry.key, TOP)));
+            return Err(ConfigError::at(entry.at.clone(), message).hint(did_you_mean(&entry.key, TOP)));
         }
     }
     let name = match root.entry("name") {
@@ -55,8 +58,8 @@ pub(super) fn check(root: &Located, wishes: &Wishes, base: &Path) -> Result<Pipe
         Some(entry) => text(entry)?.to_owned(),
     };
     let around = Around {
-        archives: archives(root, wishes.access, base)?,
-        device: wishes.device.as_ref(),
+        archives: archives(root, options.access, base)?,
+        device: options.device.as_ref(),
         by_hand: by_hand::lists(root)?,
     };
     let tables = tables(root, "node")?;
@@ -167,7 +170,7 @@ fn node(entry: &Entry, names: &[&str], around: &Around<'_>) -> Result<Node, Conf
                 "unknown key `{key}` in `node.{}` (stage `{}`)",
                 entry.key, def.name
             );
-            return Err(ConfigError::at(field.at.clone(), message).hint(nearest(key, known)));
+            return Err(ConfigError::at(field.at.clone(), message).hint(did_you_mean(key, known)));
         }
     }
     if let Some(port) = def
@@ -207,7 +210,7 @@ fn stage_of(entry: &Entry) -> Result<StageDef, ConfigError> {
     };
     let known = marf_stages::stages();
     known.iter().find(|def| def.name == name).copied().ok_or_else(|| {
-        let hint = nearest(name, known.iter().map(|def| def.name)).or_else(|| {
+        let hint = did_you_mean(name, known.iter().map(|def| def.name)).or_else(|| {
             Some(format!(
                 "say which stage with `uses`, e.g. `uses = \"{}\"`",
                 known[0].name
@@ -233,14 +236,14 @@ fn upstream(field: &Entry, names: &[&str]) -> Result<String, ConfigError> {
         return Ok(name.to_owned());
     }
     let message = format!("`{} = \"{name}\"` names no node", field.key);
-    Err(ConfigError::at(field.value.at.clone(), message).hint(nearest(name, names.iter().copied())))
+    Err(ConfigError::at(field.value.at.clone(), message).hint(did_you_mean(name, names.iter().copied())))
 }
 
 fn archive(field: &Entry, archives: &BTreeMap<String, Json>) -> Result<Json, ConfigError> {
     let name = text(field)?;
     archives.get(name).cloned().ok_or_else(|| {
         let message = format!("`archive = \"{name}\"` names no `[archive.*]` table");
-        let hint = nearest(name, archives.keys().map(String::as_str));
+        let hint = did_you_mean(name, archives.keys().map(String::as_str));
         ConfigError::at(field.value.at.clone(), message).hint(hint)
     })
 }
