@@ -1,80 +1,104 @@
-//! The arrows between rooms: who may import whom. A new arrow needs a new row here, and a reason.
+//! The dependencies between the crates of the workspace: a new one needs a new row here, and a reason.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
     reason = "a test that cannot go on should stop"
 )]
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// Room (folder), package, and the rooms of ours it may import.
-const ROOMS: [(&str, &str, &[&str]); 17] = [
-    ("shaders", "marf-shaders", &[]),
-    ("cache/derive", "marf-cache-derive", &[]),
-    ("cache", "marf-cache", &["marf-cache-derive"]),
-    ("stages/stage", "marf-stage", &["marf-cache"]),
-    ("stages/numeric", "marf-numeric", &[]),
-    ("stages/scene", "marf-scene", &["marf-cache"]),
-    (
+/// A crate of the workspace and those of ours that it may use.
+struct Crate {
+    folder: &'static str,
+    package: &'static str,
+    /// Under `[dependencies]`.
+    uses: &'static [&'static str],
+    /// Under `[dev-dependencies]`, beside those.
+    tests_use: &'static [&'static str],
+}
+
+const fn row(folder: &'static str, package: &'static str, uses: &'static [&'static str]) -> Crate {
+    Crate {
+        folder,
+        package,
+        uses,
+        tests_use: &[],
+    }
+}
+
+/// From the lowest to the highest: a crate uses only crates above its row.
+const CRATES: [Crate; 19] = [
+    row("shaders", "marf-shaders", &[]),
+    row("cache/derive", "marf-cache-derive", &[]),
+    row("cache", "marf-cache", &["marf-cache-derive"]),
+    row("stages/numeric", "marf-numeric", &[]),
+    row("stages/stage", "marf-stage", &["marf-cache"]),
+    row("stages/scene", "marf-scene", &["marf-cache"]),
+    row("stages/pds", "marf-pds", &["marf-scene"]),
+    row("stages/demo", "marf-demo", &["marf-cache", "marf-scene"]),
+    row(
         "stages/field",
         "marf-field",
-        &["marf-cache", "marf-scene", "marf-shaders"],
+        &["marf-shaders", "marf-cache", "marf-scene"],
     ),
-    (
+    row(
         "stages/schema",
         "marf-schema",
         &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
     ),
-    (
+    row(
         "stages/extract",
         "marf-extract",
-        &["marf-cache", "marf-stage", "marf-scene"],
+        &["marf-cache", "marf-stage", "marf-scene", "marf-pds", "marf-demo"],
     ),
-    (
+    row(
         "stages/filter",
         "marf-filter",
         &["marf-cache", "marf-stage", "marf-scene"],
     ),
-    (
-        "stages/calibrate",
-        "marf-calibrate",
-        &["marf-cache", "marf-stage", "marf-scene", "marf-schema"],
-    ),
-    (
+    Crate {
+        tests_use: &["marf-demo", "marf-extract"],
+        ..row(
+            "stages/calibrate",
+            "marf-calibrate",
+            &["marf-cache", "marf-stage", "marf-scene", "marf-schema"],
+        )
+    },
+    row(
         "stages/tune",
         "marf-tune",
         &[
             "marf-cache",
             "marf-stage",
             "marf-scene",
-            "marf-schema",
             "marf-field",
+            "marf-schema",
         ],
     ),
-    (
+    row(
         "stages/train",
         "marf-train",
         &[
             "marf-cache",
             "marf-stage",
             "marf-scene",
-            "marf-schema",
             "marf-field",
+            "marf-schema",
         ],
     ),
-    (
+    row(
         "stages/bootstrap",
         "marf-bootstrap",
         &[
             "marf-cache",
             "marf-stage",
             "marf-scene",
-            "marf-schema",
             "marf-field",
+            "marf-schema",
         ],
     ),
-    (
+    row(
         "stages",
         "marf-stages",
         &[
@@ -87,25 +111,25 @@ const ROOMS: [(&str, &str, &[&str]); 17] = [
             "marf-bootstrap",
         ],
     ),
-    ("src/engine", "marf-engine", &["marf-cache", "marf-stage"]),
-    (
+    row("src/engine", "marf-engine", &["marf-cache", "marf-stage"]),
+    row(
         "",
         "marf",
         &[
             "marf-cache",
-            "marf-engine",
             "marf-stage",
-            "marf-stages",
             "marf-scene",
-            "marf-schema",
             "marf-field",
+            "marf-schema",
+            "marf-stages",
+            "marf-engine",
         ],
     ),
 ];
 
-/// Packages that belong to one room alone.
-const FENCED: [(&str, &[&str]); 7] = [
-    ("kamadak-exif", &["marf-extract"]),
+/// Packages that only these crates may use.
+const RESTRICTED: [(&str, &[&str]); 7] = [
+    ("kamadak-exif", &["marf-pds"]),
     ("petgraph", &["marf-engine"]),
     ("redb", &["marf-cache"]),
     ("reqwest", &["marf-extract"]),
@@ -114,106 +138,151 @@ const FENCED: [(&str, &[&str]); 7] = [
     ("wgpu", &["marf-field"]),
 ];
 
+/// Where `unsafe` may stand: detection of instruction sets, and the kernels written for them.
+const UNSAFE: [&str; 4] = [
+    "stages/numeric/src/instruction_set.rs",
+    "stages/field/src/cpu/simd.rs",
+    "stages/field/src/cpu/simd/",
+    "stages/calibrate/src/simd.rs",
+];
+
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Names under `[dependencies]` (not the ones only tests and benches use).
-fn dependencies(manifest: &Path) -> Vec<String> {
+/// Returns the names in one section of a manifest.
+fn section(manifest: &Path, section: &str) -> Vec<String> {
     let text =
         std::fs::read_to_string(manifest).unwrap_or_else(|error| panic!("{}: {error}", manifest.display()));
     let table: toml::Table = text.parse().unwrap();
-    let names = |key: &str| -> Vec<String> {
-        table
-            .get(key)
-            .and_then(|value| value.as_table())
-            .map(|table| table.keys().cloned().collect())
-            .unwrap_or_default()
-    };
-    names("dependencies")
+    let found = table.get(section).and_then(|value| value.as_table());
+    found
+        .map(|table| table.keys().cloned().collect())
+        .unwrap_or_default()
 }
 
-fn rust_files(folder: &Path, found: &mut Vec<PathBuf>) {
-    let mut entries: Vec<_> = std::fs::read_dir(folder)
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
-        .collect();
-    entries.sort();
-    for path in entries {
+fn manifest(krate: &Crate) -> PathBuf {
+    root().join(krate.folder).join("Cargo.toml")
+}
+
+fn is_ours(package: &str) -> bool {
+    package == "marf" || package.starts_with("marf-")
+}
+
+/// Returns every Rust file below a folder with its path from there, build output left out.
+fn rust_files(root: &Path, folder: &Path, found: &mut Vec<String>) {
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
         let name = path
             .file_name()
             .unwrap_or_default()
             .to_string_lossy()
             .into_owned();
         if path.is_dir() && !name.starts_with('.') && name != "target" && name != "out" {
-            rust_files(&path, found);
+            rust_files(root, &path, found);
         } else if path.extension().is_some_and(|extension| extension == "rs") {
-            found.push(path);
+            let below = path.strip_prefix(root).unwrap();
+            found.push(below.to_string_lossy().replace('\\', "/"));
         }
     }
 }
 
 #[test]
-fn every_room_is_in_the_table_and_imports_only_what_it_may() {
-    let members: toml::Table = std::fs::read_to_string(root().join("Cargo.toml"))
+fn every_member_of_the_workspace_has_a_row() {
+    let workspace: toml::Table = std::fs::read_to_string(root().join("Cargo.toml"))
         .unwrap()
         .parse()
         .unwrap();
-    let listed = members["workspace"]["members"].as_array().unwrap();
-    assert_eq!(
-        listed.len() + 1,
-        ROOMS.len(),
-        "a workspace member is missing from the table of rooms"
-    );
-    for (folder, package, allowed) in ROOMS {
-        for name in dependencies(&root().join(folder).join("Cargo.toml")) {
-            let ours = name == "marf" || name.starts_with("marf-");
+    let listed = workspace["workspace"]["members"].as_array().unwrap();
+    let mut listed: BTreeSet<&str> = listed.iter().map(|member| member.as_str().unwrap()).collect();
+    listed.insert("");
+    let rows: BTreeSet<&str> = CRATES.iter().map(|krate| krate.folder).collect();
+    assert_eq!(listed, rows);
+}
+
+#[test]
+fn crates_use_only_what_their_row_allows() {
+    for krate in &CRATES {
+        for name in section(&manifest(krate), "dependencies") {
             assert!(
-                !ours || allowed.contains(&name.as_str()),
-                "{package} imports {name}: not an arrow of the table"
+                !is_ours(&name) || krate.uses.contains(&name.as_str()),
+                "{} uses {name}, which its row does not allow",
+                krate.package
+            );
+        }
+        for name in section(&manifest(krate), "dev-dependencies") {
+            assert!(
+                !is_ours(&name)
+                    || krate.uses.contains(&name.as_str())
+                    || krate.tests_use.contains(&name.as_str()),
+                "tests of {} use {name}, which its row does not allow",
+                krate.package
             );
         }
     }
 }
 
 #[test]
-fn fenced_packages_stay_in_their_room() {
-    let fences: BTreeMap<&str, &[&str]> = FENCED.into_iter().collect();
-    for (folder, package, _) in ROOMS {
-        for name in dependencies(&root().join(folder).join("Cargo.toml")) {
-            let fence = fences.get(name.as_str());
+fn rows_allow_nothing_that_is_not_used_and_nothing_below_them() {
+    let mut above: BTreeSet<&str> = BTreeSet::new();
+    for krate in &CRATES {
+        let used = section(&manifest(krate), "dependencies");
+        let tested = section(&manifest(krate), "dev-dependencies");
+        for name in krate.uses {
             assert!(
-                fence.is_none_or(|rooms| rooms.contains(&package)),
-                "{package} imports {name}"
+                above.contains(name),
+                "{} allows {name}, which stands below it",
+                krate.package
+            );
+            assert!(
+                used.contains(&(*name).to_owned()),
+                "{} allows {name} and does not use it",
+                krate.package
+            );
+        }
+        for name in krate.tests_use {
+            assert!(
+                tested.contains(&(*name).to_owned()),
+                "tests of {} do not use {name}",
+                krate.package
+            );
+        }
+        above.insert(krate.package);
+    }
+}
+
+#[test]
+fn restricted_packages_are_used_only_where_they_belong() {
+    let restricted: BTreeMap<&str, &[&str]> = RESTRICTED.into_iter().collect();
+    for krate in &CRATES {
+        for name in section(&manifest(krate), "dependencies") {
+            let crates = restricted.get(name.as_str());
+            assert!(
+                crates.is_none_or(|crates| crates.contains(&krate.package)),
+                "{} uses {name}",
+                krate.package
             );
         }
     }
 }
 
 #[test]
-fn unsafe_code_stands_in_two_rooms_of_kernels() {
+fn unsafe_code_stands_only_in_the_files_of_kernels() {
     let mut files = Vec::new();
-    rust_files(&root(), &mut files);
+    rust_files(&root(), &root(), &mut files);
     assert!(files.len() > 20, "only {} source files found", files.len());
-    // Spelt in two parts, so that this file does not name what it looks for.
+    // Spelt in two parts, so that this file does not contain what it searches for.
     let words = [
         concat!("allow(un", "safe_code"),
         concat!("un", "safe {"),
         concat!("un", "safe fn"),
     ];
-    for file in files {
-        let text = std::fs::read_to_string(&file).unwrap();
-        let fenced = file.ends_with("stages/numeric/src/instruction_set.rs")
-            || file.ends_with("stages/field/src/cpu/simd.rs")
-            || file.ends_with("stages/calibrate/src/simd.rs");
-        let fenced = fenced
-            || file
-                .parent()
-                .is_some_and(|folder| folder.ends_with("stages/field/src/cpu/simd"));
-        assert!(
-            fenced || !words.iter().any(|word| text.contains(word)),
-            "{}",
-            file.display()
-        );
+    for file in files.iter().filter(|file| {
+        !UNSAFE
+            .iter()
+            .any(|place| *file == place || (place.ends_with('/') && file.starts_with(place)))
+    }) {
+        let text = std::fs::read_to_string(root().join(file)).unwrap();
+        assert!(!words.iter().any(|word| text.contains(word)), "{file}");
     }
 }

@@ -5,18 +5,18 @@ use crate::Digest;
 
 /// A value whose content can be walked in one fixed order.
 ///
-/// One walk serves every [`Listener`]: one of them hashes, another writes text, so the text that `marf why`
+/// One walk serves every [`Visitor`]: one of them hashes, another writes text, so the text that `marf why`
 /// compares cannot disagree with the key. Derive it; field names are part of the content.
 pub trait ContentHash {
-    /// Tells `listener` the whole content of `self`.
-    fn walk(&self, listener: &mut dyn Listener);
+    /// Tells `visitor` the whole content of `self`.
+    fn walk(&self, visitor: &mut dyn Visitor);
 }
 
 /// What hears a walk.
 ///
 /// Every leaf arrives as one call. Names and lengths arrive before what they name, hence no two different
 /// contents make the same calls.
-pub trait Listener {
+pub trait Visitor {
     /// A struct, or a struct-like variant's fields, with this many fields.
     fn open(&mut self, name: &str, fields: usize);
     /// The next value is this field.
@@ -72,7 +72,7 @@ impl Hashing {
     }
 }
 
-impl Listener for Hashing {
+impl Visitor for Hashing {
     fn open(&mut self, name: &str, fields: usize) {
         self.sized(b'{', name.as_bytes());
         self.0.update(&(fields as u64).to_le_bytes());
@@ -153,7 +153,7 @@ impl Writing {
     }
 }
 
-impl Listener for Writing {
+impl Visitor for Writing {
     fn open(&mut self, _name: &str, _fields: usize) {
         self.next_element();
         self.counters.push(None);
@@ -209,8 +209,8 @@ impl Listener for Writing {
 macro_rules! leaf {
     ($call:ident as $wide:ty: $($ty:ty),*) => {$(
         impl ContentHash for $ty {
-            fn walk(&self, listener: &mut dyn Listener) {
-                listener.$call(<$wide>::from(*self));
+            fn walk(&self, visitor: &mut dyn Visitor) {
+                visitor.$call(<$wide>::from(*self));
             }
         }
     )*};
@@ -221,105 +221,105 @@ leaf!(float as f64: f32, f64);
 leaf!(truth as bool: bool);
 
 impl ContentHash for usize {
-    fn walk(&self, listener: &mut dyn Listener) {
-        listener.unsigned(*self as u64);
+    fn walk(&self, visitor: &mut dyn Visitor) {
+        visitor.unsigned(*self as u64);
     }
 }
 
 impl ContentHash for str {
-    fn walk(&self, listener: &mut dyn Listener) {
-        listener.text(self);
+    fn walk(&self, visitor: &mut dyn Visitor) {
+        visitor.text(self);
     }
 }
 
 impl ContentHash for String {
-    fn walk(&self, listener: &mut dyn Listener) {
-        listener.text(self);
+    fn walk(&self, visitor: &mut dyn Visitor) {
+        visitor.text(self);
     }
 }
 
 impl ContentHash for Digest {
-    fn walk(&self, listener: &mut dyn Listener) {
-        listener.digest(self);
+    fn walk(&self, visitor: &mut dyn Visitor) {
+        visitor.digest(self);
     }
 }
 
 impl<T: ContentHash + ?Sized> ContentHash for &T {
-    fn walk(&self, listener: &mut dyn Listener) {
-        (**self).walk(listener);
+    fn walk(&self, visitor: &mut dyn Visitor) {
+        (**self).walk(visitor);
     }
 }
 
 impl<T: ContentHash + ?Sized> ContentHash for Box<T> {
-    fn walk(&self, listener: &mut dyn Listener) {
-        (**self).walk(listener);
+    fn walk(&self, visitor: &mut dyn Visitor) {
+        (**self).walk(visitor);
     }
 }
 
 impl<T: ContentHash> ContentHash for Option<T> {
-    fn walk(&self, listener: &mut dyn Listener) {
+    fn walk(&self, visitor: &mut dyn Visitor) {
         match self {
             None => {
-                listener.variant("none", 0);
-                listener.open("none", 0);
+                visitor.variant("none", 0);
+                visitor.open("none", 0);
             }
             Some(value) => {
-                listener.variant("some", 1);
-                listener.open("some", 1);
-                listener.field("value");
-                value.walk(listener);
+                visitor.variant("some", 1);
+                visitor.open("some", 1);
+                visitor.field("value");
+                value.walk(visitor);
             }
         }
-        listener.close();
+        visitor.close();
     }
 }
 
 impl<T: ContentHash> ContentHash for [T] {
-    fn walk(&self, listener: &mut dyn Listener) {
-        listener.sequence(self.len() as u64);
-        self.iter().for_each(|value| value.walk(listener));
-        listener.close();
+    fn walk(&self, visitor: &mut dyn Visitor) {
+        visitor.sequence(self.len() as u64);
+        self.iter().for_each(|value| value.walk(visitor));
+        visitor.close();
     }
 }
 
 impl<T: ContentHash> ContentHash for Vec<T> {
-    fn walk(&self, listener: &mut dyn Listener) {
-        self.as_slice().walk(listener);
+    fn walk(&self, visitor: &mut dyn Visitor) {
+        self.as_slice().walk(visitor);
     }
 }
 
 impl<T: ContentHash, const N: usize> ContentHash for [T; N] {
-    fn walk(&self, listener: &mut dyn Listener) {
-        self.as_slice().walk(listener);
+    fn walk(&self, visitor: &mut dyn Visitor) {
+        self.as_slice().walk(visitor);
     }
 }
 
 impl<T: ContentHash> ContentHash for BTreeSet<T> {
-    fn walk(&self, listener: &mut dyn Listener) {
-        listener.sequence(self.len() as u64);
-        self.iter().for_each(|value| value.walk(listener));
-        listener.close();
+    fn walk(&self, visitor: &mut dyn Visitor) {
+        visitor.sequence(self.len() as u64);
+        self.iter().for_each(|value| value.walk(visitor));
+        visitor.close();
     }
 }
 
 impl<K: ContentHash, V: ContentHash> ContentHash for BTreeMap<K, V> {
-    fn walk(&self, listener: &mut dyn Listener) {
-        listener.sequence(2 * self.len() as u64);
+    fn walk(&self, visitor: &mut dyn Visitor) {
+        visitor.sequence(2 * self.len() as u64);
         for (key, value) in self {
-            key.walk(listener);
-            value.walk(listener);
+            key.walk(visitor);
+            value.walk(visitor);
         }
-        listener.close();
+        visitor.close();
     }
 }
 
 macro_rules! tuple {
     ($($name:ident $index:tt),+) => {
         impl<$($name: ContentHash),+> ContentHash for ($($name,)+) {
-            fn walk(&self, listener: &mut dyn Listener) {
-                listener.sequence(const { [$($index),+].len() as u64 });
-                $(self.$index.walk(listener);)+
-                listener.close();
+            fn walk(&self, visitor: &mut dyn Visitor) {
+                visitor.sequence(const { [$($index),+].len() as u64 });
+                $(self.$index.walk(visitor);)+
+                visitor.close();
             }
         }
     };
@@ -375,6 +375,20 @@ mod tests {
             assert_ne!(digest_of(other), base, "change {index}");
         }
         assert_eq!(digest_of(&sample()), base);
+    }
+
+    #[test]
+    fn a_renamed_struct_keeps_its_key_under_its_first_name() {
+        #[derive(crate::ContentHash)]
+        struct First {
+            seed: u64,
+        }
+        #[derive(crate::ContentHash)]
+        #[content_hash(name = "First")]
+        struct Renamed {
+            seed: u64,
+        }
+        assert_eq!(digest_of(&First { seed: 3 }), digest_of(&Renamed { seed: 3 }));
     }
 
     #[test]

@@ -10,12 +10,12 @@ mod digest;
 pub mod manifest;
 mod store;
 
-pub use content_hash::{ContentHash, Listener, digest_of, manifest_text};
+pub use content_hash::{ContentHash, Visitor, digest_of, manifest_text};
 pub use digest::{Digest, ParseDigestError};
 pub use marf_cache_derive::ContentHash;
-pub use store::{Circumstances, Conflict, Output, Record, Store, StoreError, StoreStat};
+pub use store::{Conflict, Output, Record, RunMetadata, Store, StoreError, StoreStat};
 
 #[doc(hidden)]
 pub mod __private {
-    pub use crate::content_hash::{ContentHash, Listener};
+    pub use crate::content_hash::{ContentHash, Visitor};
 }

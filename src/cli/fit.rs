@@ -91,7 +91,7 @@ fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<Fitted, Cl
     }
     let metrics: Metrics = session.document(node)?;
     let made = node.key.and_then(|key| session.store.record(&key).ok().flatten());
-    let peak_mb = made.map_or(0, |record| record.circumstances.peak_mb);
+    let peak_mb = made.map_or(0, |record| record.metadata.peak_mb);
     // The node's time less that of its child `pace`.
     let pace = record
         .nodes

@@ -96,8 +96,8 @@ struct RunListener {
 }
 
 impl Listener for RunListener {
-    fn hear(&self, event: &Event) {
-        self.progress.hear(event);
+    fn on_event(&self, event: &Event) {
+        self.progress.on_event(event);
         if let Event::Failed {
             node,
             message,

@@ -41,7 +41,7 @@ impl Bars {
 }
 
 impl Listener for Bars {
-    fn hear(&self, event: &Event) {
+    fn on_event(&self, event: &Event) {
         match event {
             Event::Progress {
                 node,

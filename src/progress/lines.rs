@@ -55,7 +55,7 @@ impl Lines {
 }
 
 impl Listener for Lines {
-    fn hear(&self, event: &Event) {
+    fn on_event(&self, event: &Event) {
         if let Event::Progress {
             node,
             done,

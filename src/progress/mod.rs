@@ -35,15 +35,15 @@ impl Progress {
 }
 
 impl Listener for Progress {
-    fn hear(&self, event: &Event) {
+    fn on_event(&self, event: &Event) {
         match self {
             Self::Json => {
                 if let Ok(line) = serde_json::to_string(event) {
                     print_line(&line);
                 }
             }
-            Self::Bars(bars) => bars.hear(event),
-            Self::Lines(lines) => lines.hear(event),
+            Self::Bars(bars) => bars.on_event(event),
+            Self::Lines(lines) => lines.on_event(event),
         }
     }
 }

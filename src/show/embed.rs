@@ -125,7 +125,7 @@ fn embed_stored(input: &ReportInput<'_>, digest: &Digest, form: Form) -> Result<
 pub(super) fn decode(input: &ReportInput<'_>, digest: &Digest) -> Result<Image<Srgb>, String> {
     let bytes = (input.read)(digest).ok_or_else(|| not_stored("The picture", digest))?;
     let photo =
-        Photo::decode_again(&bytes).map_err(|error| format!("The picture cannot be shown: {error}."))?;
+        Photo::decode_validated(&bytes).map_err(|error| format!("The picture cannot be shown: {error}."))?;
     Ok(photo.image)
 }
 

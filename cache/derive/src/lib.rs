@@ -1,6 +1,8 @@
 //! `#[derive(ContentHash)]`: walks the fields of a struct or enum in the order they are written.
 //!
-//! A struct's field under `#[content_hash(skip)]` is left out: it is circumstance, not content.
+//! - `#[content_hash(skip)]` on a field of a struct leaves it out of the content.
+//! - `#[content_hash(name = "Old")]` on a struct hashes that name instead of its own: a struct's name is part of
+//!   every key that holds it, so a struct that is renamed keeps its first name here.
 
 use proc_macro::TokenStream;
 use proc_macro2::TokenStream as Tokens;
@@ -12,13 +14,16 @@ use syn::{Data, DeriveInput, Fields, parse_macro_input};
 pub fn derive_content_hash(input: TokenStream) -> TokenStream {
     let input = parse_macro_input!(input as DeriveInput);
     let body = match &input.data {
-        Data::Struct(data) => struct_body(&input.ident.to_string(), &data.fields),
+        Data::Struct(data) => match hashed_name(&input) {
+            Ok(name) => struct_body(&name, &data.fields),
+            Err(error) => return error.to_compile_error().into(),
+        },
         Data::Enum(data) => {
             let arms = data.variants.iter().zip(0_u32..).map(|(variant, ordinal)| {
                 let ident = &variant.ident;
                 let name = ident.to_string();
                 let (pattern, walk) = bound(&name, &variant.fields);
-                quote! { Self::#ident #pattern => { listener.variant(#name, #ordinal); #walk } }
+                quote! { Self::#ident #pattern => { visitor.variant(#name, #ordinal); #walk } }
             });
             quote! { match self { #(#arms)* } }
         }
@@ -32,10 +37,27 @@ pub fn derive_content_hash(input: TokenStream) -> TokenStream {
     let (generics, types, wheres) = input.generics.split_for_impl();
     quote! {
         impl #generics ::marf_cache::__private::ContentHash for #ident #types #wheres {
-            fn walk(&self, listener: &mut dyn ::marf_cache::__private::Listener) { #body }
+            fn walk(&self, visitor: &mut dyn ::marf_cache::__private::Visitor) { #body }
         }
     }
     .into()
+}
+
+/// Returns the name under which a struct is hashed: that of `#[content_hash(name = "...")]`, or its own.
+fn hashed_name(input: &DeriveInput) -> syn::Result<String> {
+    let mut name = input.ident.to_string();
+    for attribute in &input.attrs {
+        if attribute.path().is_ident("content_hash") {
+            attribute.parse_nested_meta(|meta| match meta.path.is_ident("name") {
+                true => {
+                    name = meta.value()?.parse::<syn::LitStr>()?.value();
+                    Ok(())
+                }
+                false => Err(meta.error("expected `name = \"...\"`")),
+            })?;
+        }
+    }
+    Ok(name)
 }
 
 fn struct_body(name: &str, fields: &Fields) -> Tokens {
@@ -46,11 +68,14 @@ fn struct_body(name: &str, fields: &Fields) -> Tokens {
         .collect();
     let count = fields.len();
     let walks = fields.into_iter().map(|(index, field)| {
-        let member = field.ident.clone().map_or_else(|| syn::Member::from(index), syn::Member::Named);
+        let member = field
+            .ident
+            .clone()
+            .map_or_else(|| syn::Member::from(index), syn::Member::Named);
         let label = label(index, field);
-        quote! { listener.field(#label); ::marf_cache::__private::ContentHash::walk(&self.#member, listener); }
+        quote! { visitor.field(#label); ::marf_cache::__private::ContentHash::walk(&self.#member, visitor); }
     });
-    quote! { listener.open(#name, #count); #(#walks)* listener.close(); }
+    quote! { visitor.open(#name, #count); #(#walks)* visitor.close(); }
 }
 
 fn is_skipped(field: &syn::Field) -> bool {
@@ -74,9 +99,9 @@ fn bound(name: &str, fields: &Fields) -> (Tokens, Tokens) {
         .enumerate()
         .map(|(index, field)| label(index, field));
     let walk = quote! {
-        listener.open(#name, #count);
-        #(listener.field(#labels); ::marf_cache::__private::ContentHash::walk(#names, listener);)*
-        listener.close();
+        visitor.open(#name, #count);
+        #(visitor.field(#labels); ::marf_cache::__private::ContentHash::walk(#names, visitor);)*
+        visitor.close();
     };
     let pattern = match fields {
         Fields::Unit => quote! {},

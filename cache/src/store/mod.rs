@@ -44,7 +44,7 @@ use self::{
 use crate::Digest;
 
 pub use error::StoreError;
-pub use record::{Circumstances, Conflict, Output, Record, StoreStat};
+pub use record::{Conflict, Output, Record, RunMetadata, StoreStat};
 
 /// Blobs from this length on are files of their own.
 const LARGE_BYTES: usize = 64 << 10;
@@ -381,7 +381,7 @@ impl Store {
             memos,
             runs: self.run_numbers()?.len() as u64,
             index_bytes: self.index.bytes(),
-            set_aside: count.set_aside,
+            quarantined: count.quarantined,
         })
     }
 }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::Digest;
 
-/// What one action did: its content, and the circumstances apart from it.
+/// The result of one action: its key, its outputs, and metadata that no key depends on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record {
     /// Digest of everything that may change the answer.
@@ -20,8 +20,9 @@ pub struct Record {
     /// Keys of the actions this one asked for, by their names below it.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub children: BTreeMap<String, Digest>,
-    /// How it went; never part of a comparison.
-    pub circumstances: Circumstances,
+    /// How the run went; never compared. The serialised name is that of the first stores.
+    #[serde(rename = "circumstances")]
+    pub metadata: RunMetadata,
 }
 
 /// A blob that came out of an action.
@@ -33,9 +34,9 @@ pub struct Output {
     pub bytes: u64,
 }
 
-/// How an action went, as far as its answer does not depend on it.
+/// Time, memory, device and program of the run that made a record; no output depends on them.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct Circumstances {
+pub struct RunMetadata {
     /// Time it took on the wall.
     pub seconds: f64,
     /// Largest memory of the whole program up to its end, in MB; 0 where the system does not tell.
@@ -82,8 +83,9 @@ pub struct StoreStat {
     pub runs: u64,
     /// Bytes of the index file.
     pub index_bytes: u64,
-    /// Damaged blobs under `bad/`.
-    pub set_aside: u64,
+    /// Damaged blobs in quarantine, under `bad/`.
+    #[serde(rename = "set_aside")]
+    pub quarantined: u64,
 }
 
 impl Record {
@@ -103,5 +105,24 @@ impl Record {
             return None;
         }
         serde_json::from_slice(json).ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Stores of 0.1.0 hold records of exactly these bytes.
+    #[test]
+    fn the_bytes_of_a_record_do_not_change() {
+        let digest = Digest::of(b"output");
+        let json = format!(
+            r#"{{"key":"{key}","stage":"blur","version":1,"manifest":"stage = \"blur\"\n","outputs":{{"photos":{{"digest":"{digest}","bytes":6}}}},"circumstances":{{"seconds":0.5,"peak_mb":3,"started_unix_s":7,"device":"cpu","program":"marf 0.1.0"}}}}"#,
+            key = Digest::of(b"key"),
+        );
+        let bytes = [Digest::of(json.as_bytes()).as_bytes(), json.as_bytes()].concat();
+        let record = Record::decode(&bytes).unwrap();
+        assert_eq!(record.metadata.program, "marf 0.1.0");
+        assert_eq!(record.encode(), bytes);
     }
 }

@@ -38,7 +38,7 @@ pub(super) struct Count {
     pub(super) packs: u64,
     pub(super) packed: u64,
     pub(super) packed_bytes: u64,
-    pub(super) set_aside: u64,
+    pub(super) quarantined: u64,
 }
 
 impl Shelf {
@@ -195,7 +195,7 @@ impl Shelf {
             packs: packs.loaded.len() as u64,
             packed: packs.places.len() as u64,
             packed_bytes: packs.places.values().map(|place| u64::from(place.len)).sum(),
-            set_aside: files::names(&self.bad_path(""))?.len() as u64,
+            quarantined: files::names(&self.bad_path(""))?.len() as u64,
         })
     }
 }

@@ -26,7 +26,7 @@ fn record(key: &str, store: &Store, output: &[u8]) -> Record {
         manifest: "stage = \"blur\"\n".into(),
         outputs: BTreeMap::from([("photos".to_owned(), output)]),
         children: BTreeMap::new(),
-        circumstances: Circumstances::default(),
+        metadata: RunMetadata::default(),
     }
 }
 
@@ -92,7 +92,7 @@ proptest! {
             prop_assert_eq!(error.lost(), Some(digest));
             prop_assert!(!store.contains(&digest), "still claimed");
             prop_assert!(!again(&dir).contains(&digest), "claimed after reopening");
-            prop_assert_eq!(store.stat().unwrap().set_aside, 1);
+            prop_assert_eq!(store.stat().unwrap().quarantined, 1);
             prop_assert_eq!(store.put(&blob).unwrap(), digest);
             store.commit().unwrap();
             prop_assert_eq!(&*again(&dir).get(&digest).unwrap(), blob.as_slice());
@@ -261,7 +261,7 @@ fn the_count_of_a_store_is_exact() {
         records: 1,
         memos: 1,
         runs: 1,
-        set_aside: 0,
+        quarantined: 0,
         index_bytes: stat.index_bytes,
     };
     assert_eq!(stat, expected);

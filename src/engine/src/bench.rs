@@ -79,7 +79,7 @@ impl Checkpoints for FileCheckpoints<'_> {
 
     fn save(&self, state: &[u8]) {
         if let Err(error) = self.write(state) {
-            self.listener.hear(&Event::Warning {
+            self.listener.on_event(&Event::Warning {
                 node: Some(self.node.clone()),
                 message: format!("cannot keep the checkpoint `{}`: {error}", self.path.display()),
             });
@@ -115,7 +115,7 @@ impl Memos for StoreMemos<'_> {
     fn save(&self, key: &Digest, table: &[u8]) {
         match self.store.put(table) {
             Ok(blob) => self.store.put_memo(*key, blob),
-            Err(error) => self.listener.hear(&Event::Warning {
+            Err(error) => self.listener.on_event(&Event::Warning {
                 node: Some(self.node.clone()),
                 message: format!("cannot keep a table of partial results: {error}"),
             }),

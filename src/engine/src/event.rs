@@ -85,7 +85,7 @@ pub enum Event {
 /// Hears events, from several threads.
 pub trait Listener: Sync {
     /// Hears one event.
-    fn hear(&self, event: &Event);
+    fn on_event(&self, event: &Event);
 }
 
 /// Hears and forgets.
@@ -93,7 +93,7 @@ pub trait Listener: Sync {
 pub struct Silent;
 
 impl Listener for Silent {
-    fn hear(&self, _event: &Event) {}
+    fn on_event(&self, _event: &Event) {}
 }
 
 /// Turns a stage's progress into events of its node, not too many.
@@ -125,7 +125,7 @@ impl<'a> NodeProgress<'a> {
 impl Progress for NodeProgress<'_> {
     fn at(&self, done: u64, total: u64, note: &str) {
         if done == total || self.is_due() {
-            self.listener.hear(&Event::Progress {
+            self.listener.on_event(&Event::Progress {
                 node: self.node.clone(),
                 done,
                 total,
@@ -145,7 +145,7 @@ mod tests {
     struct Ears(Mutex<Vec<Event>>);
 
     impl Listener for Ears {
-        fn hear(&self, event: &Event) {
+        fn on_event(&self, event: &Event) {
             self.0.lock().push(event.clone());
         }
     }

@@ -263,19 +263,19 @@ impl Graph {
 }
 
 impl ContentHash for Node {
-    fn walk(&self, listener: &mut dyn marf_cache::Listener) {
-        listener.open("node", 5);
-        listener.field("name");
-        self.name.walk(listener);
-        listener.field("stage");
-        self.def.name.walk(listener);
-        listener.field("version");
-        self.def.version.walk(listener);
-        listener.field("params");
-        self.bound.params().walk(listener);
-        listener.field("edges");
-        self.edges.walk(listener);
-        listener.close();
+    fn walk(&self, visitor: &mut dyn marf_cache::Visitor) {
+        visitor.open("node", 5);
+        visitor.field("name");
+        self.name.walk(visitor);
+        visitor.field("stage");
+        self.def.name.walk(visitor);
+        visitor.field("version");
+        self.def.version.walk(visitor);
+        visitor.field("params");
+        self.bound.params().walk(visitor);
+        visitor.field("edges");
+        self.edges.walk(visitor);
+        visitor.close();
     }
 }
 

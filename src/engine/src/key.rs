@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, fmt};
 
-use marf_cache::{ContentHash, Digest, Listener, digest_of, manifest_text};
+use marf_cache::{ContentHash, Digest, Visitor, digest_of, manifest_text};
 use marf_stage::{EARLIER, Inputs, Listing, Stage, StageDef};
 use serde::Serialize;
 
@@ -36,52 +36,52 @@ pub(crate) fn node_key(def: &StageDef, stage: &dyn Stage, inputs: &Inputs, listi
 }
 
 impl ContentHash for NodeContent<'_> {
-    fn walk(&self, listener: &mut dyn Listener) {
+    fn walk(&self, visitor: &mut dyn Visitor) {
         let class = self.stage.backend_id();
         let more = usize::from(self.listing.is_some()) + usize::from(class.is_some());
-        listener.open("node", 4 + more);
-        listener.field("stage");
-        listener.text(self.def.name);
-        listener.field("version");
-        listener.unsigned(u64::from(self.def.version));
-        listener.field("params");
-        self.stage.params().walk(listener);
-        listener.field("inputs");
-        walk_named(&self.inputs.0, listener);
+        visitor.open("node", 4 + more);
+        visitor.field("stage");
+        visitor.text(self.def.name);
+        visitor.field("version");
+        visitor.unsigned(u64::from(self.def.version));
+        visitor.field("params");
+        self.stage.params().walk(visitor);
+        visitor.field("inputs");
+        walk_named(&self.inputs.0, visitor);
         if let Some(class) = class {
-            listener.field("backend_id");
-            listener.text(&class);
+            visitor.field("backend_id");
+            visitor.text(&class);
         }
         if let Some(listing) = self.listing {
-            listener.field("listing");
-            walk_listing(listing, listener);
+            visitor.field("listing");
+            walk_listing(listing, visitor);
         }
-        listener.close();
+        visitor.close();
     }
 }
 
 /// Shards are fields by their number, so that the text says which sol is new.
-fn walk_listing(listing: &Listing, listener: &mut dyn Listener) {
-    listener.open("listing", 2);
-    listener.field("shards");
-    listener.open("shards", listing.shards.len());
+fn walk_listing(listing: &Listing, visitor: &mut dyn Visitor) {
+    visitor.open("listing", 2);
+    visitor.field("shards");
+    visitor.open("shards", listing.shards.len());
     for shard in &listing.shards {
-        listener.field(&shard.shard.to_string());
-        listener.digest(&shard.fingerprint);
+        visitor.field(&shard.shard.to_string());
+        visitor.digest(&shard.fingerprint);
     }
-    listener.close();
-    listener.field("companions");
-    walk_named(&listing.companions, listener);
-    listener.close();
+    visitor.close();
+    visitor.field("companions");
+    walk_named(&listing.companions, visitor);
+    visitor.close();
 }
 
-fn walk_named(digests: &BTreeMap<String, Digest>, listener: &mut dyn Listener) {
-    listener.open("named", digests.len());
+fn walk_named(digests: &BTreeMap<String, Digest>, visitor: &mut dyn Visitor) {
+    visitor.open("named", digests.len());
     for (name, digest) in digests {
-        listener.field(name);
-        listener.digest(digest);
+        visitor.field(name);
+        visitor.digest(digest);
     }
-    listener.close();
+    visitor.close();
 }
 
 /// The key of a part of a node's work: one shard of a source, one table of measures, one step of a fold.
@@ -95,17 +95,17 @@ pub(crate) struct PartContent<'a> {
 }
 
 impl ContentHash for PartContent<'_> {
-    fn walk(&self, listener: &mut dyn Listener) {
-        listener.open(self.what, 4);
-        listener.field("stage");
-        listener.text(self.stage);
-        listener.field("version");
-        listener.unsigned(u64::from(self.version));
-        listener.field("params");
-        self.params.walk(listener);
-        listener.field("of");
-        self.of.walk(listener);
-        listener.close();
+    fn walk(&self, visitor: &mut dyn Visitor) {
+        visitor.open(self.what, 4);
+        visitor.field("stage");
+        visitor.text(self.stage);
+        visitor.field("version");
+        visitor.unsigned(u64::from(self.version));
+        visitor.field("params");
+        self.params.walk(visitor);
+        visitor.field("of");
+        self.of.walk(visitor);
+        visitor.close();
     }
 }
 

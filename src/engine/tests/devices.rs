@@ -90,7 +90,7 @@ fn one_node_at_a_time_is_on_the_gpu_and_the_others_run_beside_it() {
     assert_eq!(record.outcome, Outcome::Done);
     assert_eq!(MOST.load(Ordering::SeqCst), 1);
     let made = store.record(&record.nodes[0].key.unwrap()).unwrap().unwrap();
-    assert_eq!(made.circumstances.device, "a card, its driver");
+    assert_eq!(made.metadata.device, "a card, its driver");
     assert!(
         made.manifest.contains("backend_id = \"a card, its driver\""),
         "{}",

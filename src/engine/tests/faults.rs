@@ -250,7 +250,7 @@ fn a_damaged_output_is_made_again_and_the_stream_says_so() {
         record.node("sum").unwrap().outputs,
         first.node("sum").unwrap().outputs
     );
-    assert_eq!(store.stat().unwrap().set_aside, 1);
+    assert_eq!(store.stat().unwrap().quarantined, 1);
     let (_, ears) = run_on(&Line { b: 4, ..line }.graph(), &store);
     assert_eq!(ran(&ears), Vec::<String>::new());
 }
@@ -340,7 +340,7 @@ fn a_second_answer_for_one_key_is_told_and_the_first_stays() {
             .outputs
             .insert("sum".into(), marf_cache::Output { digest, bytes: 6 });
         let mut record = record.clone();
-        record.circumstances.program = "another".into();
+        record.metadata.program = "another".into();
         other.put_record(record);
         other.commit().unwrap();
         *kept.lock().unwrap() = Some(digest);

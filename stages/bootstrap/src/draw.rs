@@ -1,7 +1,7 @@
 use marf_cache::Digest;
 use marf_scene::{
     Image, Srgb, encode_png,
-    picture::{Palette, Scale, beside, draw_map, nice_top},
+    picture::{ColorScale, Palette, draw_map, round_upper_limit, side_by_side},
 };
 use marf_schema::{bootstrap::Shown, output::MAPS};
 use marf_stage::{Ctx, Outputs, StageError};
@@ -14,17 +14,17 @@ const REACH: f64 = 0.995;
 /// The scales of all maps: one a quantity, so that viewpoints can be compared.
 #[derive(Debug)]
 pub(crate) struct Scales {
-    std: Scale,
-    opacity: Scale,
-    total: Scale,
-    depth_std: Scale,
-    error: Scale,
+    std: ColorScale,
+    opacity: ColorScale,
+    total: ColorScale,
+    depth_std: ColorScale,
+    error: ColorScale,
 }
 
 impl Scales {
     /// `metres_per_unit` as the scene knows it.
     pub fn of(views: &[View], metres_per_unit: Option<f64>) -> Self {
-        let scale = |title: &str, unit: &str, high: f64| Scale {
+        let scale = |title: &str, unit: &str, high: f64| ColorScale {
             title: title.to_owned(),
             unit: unit.to_owned(),
             low: 0.0,
@@ -33,7 +33,7 @@ impl Scales {
         };
         let top = |map: &dyn Fn(&View) -> Vec<f32>| {
             let values: Vec<f32> = views.iter().flat_map(map).collect();
-            nice_top(&values, REACH)
+            round_upper_limit(&values, REACH)
         };
         let unit = if metres_per_unit.is_some() {
             "m"
@@ -89,7 +89,7 @@ pub(crate) fn put_view(
         outputs.insert(name, digest);
         Ok(())
     };
-    let draw = |values: &[f32], scale: &Scale| draw_map(values, maps.width, maps.height, scale);
+    let draw = |values: &[f32], scale: &ColorScale| draw_map(values, maps.width, maps.height, scale);
     put("mean", &mean_picture(maps))?;
     put("std", &draw(&maps.std, &scales.std))?;
     put("opacity", &draw(&maps.opacity_term, &scales.opacity))?;
@@ -125,7 +125,7 @@ pub(crate) fn flight_picture(maps: &Maps, scales: &Scales, shown: Shown) -> Imag
         Shown::Std => draw_map(&maps.std, maps.width, maps.height, &scales.std),
         Shown::Total => draw_map(&maps.total, maps.width, maps.height, &scales.total),
     };
-    beside(&[&mean_picture(maps), &map])
+    side_by_side(&[&mean_picture(maps), &map])
 }
 
 /// Rounds the mean colour to 8 bits.

@@ -109,7 +109,7 @@ fn item(row: Row) -> Result<Item, StageError> {
 /// Reads and decodes a photo of the set.
 pub(crate) fn decode(ctx: &Ctx<'_>, item: &Item) -> Result<Photo, StageError> {
     let bytes = ctx.get(&item.image)?;
-    Photo::decode_again(&bytes).map_err(|error| StageError::new(format!("photo `{}`: {error}", item.id)))
+    Photo::decode_validated(&bytes).map_err(|error| StageError::new(format!("photo `{}`: {error}", item.id)))
 }
 
 /// The whole factor that brings the longer side to at most `longest_side_px`.

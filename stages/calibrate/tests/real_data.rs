@@ -4,7 +4,7 @@
 mod common;
 
 use common::{Input, folder, shared};
-use marf_scene::{Cahvor, CameraPrior, Entrance, Image, Photo, PhotoFacts, Pose, Scene, Srgb};
+use marf_scene::{Cahvor, CameraPrior, EntrancePupil, Image, Photo, PhotoFacts, Pose, Scene, Srgb};
 use nalgebra::{Quaternion, UnitQuaternion, Vector2, Vector3};
 use serde_json::{Value, json};
 
@@ -184,7 +184,7 @@ fn three(text: &str) -> [f64; 3] {
 fn feed_facts(record: &Value, file: &str, size: (u32, u32)) -> PhotoFacts {
     let list = record["camera"]["camera_model_component_list"].as_str().unwrap();
     let parts: Vec<&str> = list.split(';').collect();
-    let entrance = (parts.len() == 9).then(|| Entrance {
+    let entrance = (parts.len() == 9).then(|| EntrancePupil {
         terms: three(parts[6]),
         linearity: match parts[7].parse::<f64>().unwrap() {
             1.0 => 1.0,

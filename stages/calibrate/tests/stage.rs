@@ -5,7 +5,7 @@ mod common;
 
 use common::{Input, shared};
 use marf_calibrate::Calibrate;
-use marf_scene::{Cahvor, CameraPrior, Entrance, Image, PhotoFacts, Pose, Srgb, encode_png};
+use marf_scene::{Cahvor, CameraPrior, EntrancePupil, Image, PhotoFacts, Pose, Srgb, encode_png};
 use marf_stage::{Define, StageDef, define};
 use nalgebra::Vector3;
 use serde_json::json;
@@ -164,7 +164,7 @@ fn a_bad_label_costs_one_photo_and_is_named() {
         ..cahvor()
     };
     let lost = Cahvor {
-        e: Some(Entrance {
+        e: Some(EntrancePupil {
             terms: [0.0; 3],
             linearity: -1.0,
         }),

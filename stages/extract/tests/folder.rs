@@ -187,8 +187,8 @@ fn a_moved_folder_lists_the_same() {
 
 struct Walked(Box<dyn marf_stage::Stage>);
 impl marf_cache::ContentHash for Walked {
-    fn walk(&self, listener: &mut dyn marf_cache::Listener) {
-        self.0.params().walk(listener);
+    fn walk(&self, visitor: &mut dyn marf_cache::Visitor) {
+        self.0.params().walk(visitor);
     }
 }
 

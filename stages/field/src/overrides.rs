@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use marf_cache::{ContentHash, Listener};
+use marf_cache::{ContentHash, Visitor};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -72,46 +72,46 @@ impl JsonSchema for Overrides {
 }
 
 impl ContentHash for Overrides {
-    fn walk(&self, listener: &mut dyn Listener) {
-        walk_table(self.0.iter(), self.0.len(), listener);
+    fn walk(&self, visitor: &mut dyn Visitor) {
+        walk_table(self.0.iter(), self.0.len(), visitor);
     }
 }
 
 fn walk_table<'a>(
     entries: impl Iterator<Item = (&'a String, &'a Value)>,
     count: usize,
-    listener: &mut dyn Listener,
+    visitor: &mut dyn Visitor,
 ) {
-    listener.open("table", count);
+    visitor.open("table", count);
     for (key, value) in entries {
-        listener.field(key);
-        walk_value(value, listener);
+        visitor.field(key);
+        walk_value(value, visitor);
     }
-    listener.close();
+    visitor.close();
 }
 
 /// Walks JSON by content: a whole number is the same however it was written.
-fn walk_value(value: &Value, listener: &mut dyn Listener) {
+fn walk_value(value: &Value, visitor: &mut dyn Visitor) {
     match value {
-        Value::Null => listener.text("null"),
-        Value::Bool(value) => listener.truth(*value),
-        Value::String(value) => listener.text(value),
+        Value::Null => visitor.text("null"),
+        Value::Bool(value) => visitor.truth(*value),
+        Value::String(value) => visitor.text(value),
         Value::Number(number) => match (number.as_u64(), number.as_i64()) {
-            (Some(value), _) => listener.unsigned(value),
-            (None, Some(value)) => listener.signed(value),
+            (Some(value), _) => visitor.unsigned(value),
+            (None, Some(value)) => visitor.signed(value),
             // Without arbitrary precision every other number is an f64.
-            (None, None) => listener.float(number.as_f64().unwrap_or(f64::NAN)),
+            (None, None) => visitor.float(number.as_f64().unwrap_or(f64::NAN)),
         },
         Value::Array(values) => {
-            listener.sequence(values.len() as u64);
-            values.iter().for_each(|value| walk_value(value, listener));
-            listener.close();
+            visitor.sequence(values.len() as u64);
+            values.iter().for_each(|value| walk_value(value, visitor));
+            visitor.close();
         }
         Value::Object(table) => {
             // Sorted, whichever order the map keeps.
             let sorted: BTreeMap<&String, &Value> = table.iter().collect();
             let count = sorted.len();
-            walk_table(sorted.into_iter(), count, listener);
+            walk_table(sorted.into_iter(), count, visitor);
         }
     }
 }

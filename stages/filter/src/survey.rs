@@ -1,6 +1,6 @@
 //! What all filters measure of a photo, from one decode.
 
-use marf_cache::{ContentHash, Listener, manifest::Row};
+use marf_cache::{ContentHash, Visitor, manifest::Row};
 use marf_scene::Photo;
 use marf_stage::{Ctx, StageError};
 
@@ -29,14 +29,14 @@ pub(crate) trait Surveyed {
 pub(crate) struct Versions(pub(crate) &'static [Option<Section>]);
 
 impl ContentHash for Versions {
-    fn walk(&self, listener: &mut dyn Listener) {
+    fn walk(&self, visitor: &mut dyn Visitor) {
         let sections = || self.0.iter().flatten();
-        listener.open("survey", sections().count());
+        visitor.open("survey", sections().count());
         for section in sections() {
-            listener.field(section.name);
-            listener.unsigned(u64::from(section.version));
+            visitor.field(section.name);
+            visitor.unsigned(u64::from(section.version));
         }
-        listener.close();
+        visitor.close();
     }
 }
 
@@ -51,7 +51,7 @@ pub(crate) fn survey(sections: &[Option<Section>], ctx: &Ctx<'_>, row: &Row) -> 
     let digest = row.blobs.get("image");
     let digest = digest.ok_or_else(|| StageError::new(format!("photo `{}` has no blob `image`", row.id)))?;
     let refused = |reason: String| Ok([&[0][..], reason.as_bytes()].concat());
-    let photo = match Photo::decode_again(&ctx.get(digest)?) {
+    let photo = match Photo::decode_validated(&ctx.get(digest)?) {
         Ok(photo) if photo.image.pixels.is_empty() => return refused("the image has no pixels".to_owned()),
         Ok(photo) => photo,
         Err(error) => return refused(error.to_string()),

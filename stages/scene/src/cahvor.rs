@@ -25,14 +25,14 @@ pub struct Cahvor {
     /// Radial terms r0, r1, r2.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub r: Option<[f64; 3]>,
-    /// Entrance pupil terms.
+    /// EntrancePupil pupil terms.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub e: Option<Entrance>,
+    pub e: Option<EntrancePupil>,
 }
 
 /// The E of CAHVORE: how the entrance pupil moves with the angle, and the kind of lens.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Entrance {
+pub struct EntrancePupil {
     /// e0, e1, e2, metres.
     pub terms: [f64; 3],
     /// Linearity L: 1 perspective, 0 fish-eye, other values general.

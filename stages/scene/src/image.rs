@@ -1,7 +1,7 @@
 use std::fmt::Debug;
 
 /// A colour space: decides the type of a channel.
-pub trait Space: Clone + Debug + PartialEq {
+pub trait ColorSpace: Clone + Debug + PartialEq {
     /// Type of one channel.
     type Channel: Copy + Debug + Default + PartialEq + Send + Sync;
 }
@@ -14,17 +14,17 @@ pub struct Srgb;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Linear;
 
-impl Space for Srgb {
+impl ColorSpace for Srgb {
     type Channel = u8;
 }
 
-impl Space for Linear {
+impl ColorSpace for Linear {
     type Channel = f32;
 }
 
 /// An image of three channels, rows from the top.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Image<S: Space> {
+pub struct Image<S: ColorSpace> {
     /// Pixels a row.
     pub width: u32,
     /// Rows.
@@ -33,7 +33,7 @@ pub struct Image<S: Space> {
     pub pixels: Vec<[S::Channel; 3]>,
 }
 
-impl<S: Space> Image<S> {
+impl<S: ColorSpace> Image<S> {
     /// Makes an image from a function of (column, row).
     pub fn from_fn(width: u32, height: u32, mut pixel: impl FnMut(u32, u32) -> [S::Channel; 3]) -> Self {
         let pixels = (0..height).flat_map(|row| (0..width).map(move |column| (column, row)));

@@ -15,10 +15,10 @@ pub mod picture;
 mod pose;
 mod scene;
 
-pub use cahvor::{Cahvor, CahvorError, Entrance, Intrinsics, Pinhole, Ray};
+pub use cahvor::{Cahvor, CahvorError, EntrancePupil, Intrinsics, Pinhole, Ray};
 pub use camera::Camera;
 pub use facts::{CameraPrior, PhotoFacts};
-pub use image::{Image, Linear, Space, Srgb};
+pub use image::{ColorSpace, Image, Linear, Srgb};
 pub use names::picture_names;
 pub use photo::{DecodeError, Photo, encode_png};
 pub use pose::Pose;

@@ -101,7 +101,7 @@ impl Photo {
     ///
     /// # Errors
     /// As [`Photo::decode`].
-    pub fn decode_again(bytes: &[u8]) -> Result<Self, DecodeError> {
+    pub fn decode_validated(bytes: &[u8]) -> Result<Self, DecodeError> {
         match plain_jpeg(bytes).filter(|_| has_end(bytes)) {
             Some(photo) => Ok(photo),
             None => Self::decode(bytes),
@@ -313,8 +313,8 @@ mod tests {
         assert_eq!(Photo::decode(&gray).unwrap().bands, 1);
         assert_eq!(plain_jpeg(&bytes[..40]), None);
         for bytes in [bytes, gray, encode_png(&gradient()).unwrap()] {
-            assert_eq!(Photo::decode_again(&bytes), Photo::decode(&bytes));
-            assert!(Photo::decode_again(&bytes[..bytes.len() / 2]).is_err());
+            assert_eq!(Photo::decode_validated(&bytes), Photo::decode(&bytes));
+            assert!(Photo::decode_validated(&bytes[..bytes.len() / 2]).is_err());
         }
     }
 

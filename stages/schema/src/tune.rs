@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use marf_cache::{ContentHash, Listener};
+use marf_cache::{ContentHash, Visitor};
 use marf_field::{Device, Overrides, Quality};
 use marf_stage::{Document, ParamError, Params};
 use schemars::JsonSchema;
@@ -148,23 +148,23 @@ impl Range {
 }
 
 impl ContentHash for Range {
-    fn walk(&self, listener: &mut dyn Listener) {
+    fn walk(&self, visitor: &mut dyn Visitor) {
         match self {
             Self::Log(ends) => {
-                listener.variant("log", 0);
-                ends.walk(listener);
+                visitor.variant("log", 0);
+                ends.walk(visitor);
             }
             Self::Int(ends) => {
-                listener.variant("int", 1);
-                ends.walk(listener);
+                visitor.variant("int", 1);
+                ends.walk(visitor);
             }
             Self::Choice(values) => {
-                listener.variant("choice", 2);
+                visitor.variant("choice", 2);
                 let tables = values.iter().map(|value| {
                     let entry = ("value".to_owned(), value.clone());
                     Overrides(BTreeMap::from([entry]))
                 });
-                tables.collect::<Vec<_>>().walk(listener);
+                tables.collect::<Vec<_>>().walk(visitor);
             }
         }
     }

@@ -3,7 +3,7 @@ use marf_field::{Field, render_in_bands};
 use marf_scene::{
     Image, Scene, Srgb,
     path::{self, Viewpoint},
-    picture::{Palette, Scale, draw_map, encode_gif, nice_top},
+    picture::{ColorScale, Palette, draw_map, encode_gif, round_upper_limit},
 };
 use marf_schema::{
     output::{DEPTH, FRAMES, SCENE, VIDEO, WEIGHTS},
@@ -96,7 +96,7 @@ fn viewpoints(scene: &Scene, params: &RenderParams) -> Result<Vec<Viewpoint>, Tr
         let frames = named(scene).into_iter();
         let chosen = frames.filter(move |named| named.frame.held_out == held_out);
         let first = chosen.take(params.frames as usize);
-        path::at_frames(first.map(|named| (named.frame, named.name)), params.width)
+        path::viewpoints_at(first.map(|named| (named.frame, named.name)), params.width)
     };
     let (name, path) = match params.path {
         PathKind::Flythrough => ("flythrough", path::flythrough(scene, params.frames, params.width)),
@@ -159,7 +159,7 @@ fn put_depths(
         .iter()
         .map(|depth| depth.iter().map(in_metres).collect())
         .collect();
-    let scale = Scale {
+    let scale = ColorScale {
         title: "depth".to_owned(),
         unit: if scene.metres_per_unit.is_some() {
             "m"
@@ -168,7 +168,7 @@ fn put_depths(
         }
         .to_owned(),
         low: 0.0,
-        high: nice_top(&depths.concat(), 0.99),
+        high: round_upper_limit(&depths.concat(), 0.99),
         palette: Palette::Viridis,
     };
     for (index, (depth, place)) in depths.iter().zip(path).enumerate() {

@@ -87,7 +87,7 @@ pub(crate) fn reduced(ctx: &Ctx<'_>, frame: &Frame, scale: u32) -> Result<Reduce
     ctx.check()?;
     let bytes = ctx.get(&frame.image)?;
     let id = || frame.id.clone();
-    let photo = Photo::decode_again(&bytes).map_err(|cause| TrainError::Photo { id: id(), cause })?;
+    let photo = Photo::decode_validated(&bytes).map_err(|cause| TrainError::Photo { id: id(), cause })?;
     let (image, camera) = (photo.image, &frame.camera);
     let (width, height) = (image.width, image.height);
     if (width, height) != (camera.width, camera.height) {

@@ -33,7 +33,7 @@ impl Floor<'_> {
             true => "it is tried again".to_owned(),
             false => format!("{} will run again", names.join(", ")),
         };
-        self.site.listener.hear(&Event::Warning {
+        self.site.listener.on_event(&Event::Warning {
             node: Some(self.tasks[index].name.clone()),
             message: format!("blob {} is missing or damaged; {again}", lost.short()),
         });

@@ -7,7 +7,7 @@ use std::{
     time::{Instant, SystemTime},
 };
 
-use marf_cache::{Circumstances, Digest, Output, Record, StoreError};
+use marf_cache::{Digest, Output, Record, RunMetadata, StoreError};
 use marf_stage::{Checkpoints, Ctx, NodeSpec, Outputs, Stage, StageDef, StageError, Work};
 
 use super::{Site, task::Order};
@@ -81,7 +81,7 @@ impl Shift<'_> {
         {
             return Ok(Done::Reused(record));
         }
-        self.site.listener.hear(&Event::WillRun {
+        self.site.listener.on_event(&Event::WillRun {
             node: self.node.clone(),
             reason: self.order.reason.clone(),
             device: self.device(),
@@ -101,18 +101,18 @@ impl Shift<'_> {
 
     fn warn(&self, message: String) {
         let node = Some(self.node.clone());
-        self.site.listener.hear(&Event::Warning { node, message });
+        self.site.listener.on_event(&Event::Warning { node, message });
     }
 
     fn run(&self) -> Result<Done, Fault> {
         let key = self.order.key.digest;
         let checkpoints = FileCheckpoints::new(self.site.store, &key, &self.node, self.site.listener);
-        let circumstances = self.circumstances();
-        let produced = self.produce(&checkpoints, &circumstances);
+        let metadata = self.metadata();
+        let produced = self.produce(&checkpoints, &metadata);
         match produced.map_err(|error| self.blame(error))? {
             Produced::Children(specs) => Ok(Done::Expanded(specs)),
             Produced::Outputs(outputs, counts) => {
-                let record = self.keep(outputs, circumstances)?;
+                let record = self.keep(outputs, metadata)?;
                 checkpoints.remove();
                 Ok(Done::Finished(record, counts))
             }
@@ -130,11 +130,7 @@ impl Shift<'_> {
         }
     }
 
-    fn produce(
-        &self,
-        checkpoints: &dyn Checkpoints,
-        circumstances: &Circumstances,
-    ) -> Result<Produced, StageError> {
+    fn produce(&self, checkpoints: &dyn Checkpoints, metadata: &RunMetadata) -> Result<Produced, StageError> {
         let blobs = StoreBlobs(self.site.store);
         let memos = StoreMemos::new(self.site.store, &self.node, self.site.listener);
         let progress = NodeProgress::new(&self.node, self.site.listener);
@@ -157,7 +153,7 @@ impl Shift<'_> {
             inputs: &self.order.inputs,
             listing: self.order.listing.as_ref(),
             check: self.check,
-            circumstances,
+            metadata,
         };
         let act = || match &self.step {
             Step::Start => perform(&job),
@@ -169,7 +165,7 @@ impl Shift<'_> {
     }
 
     /// Checks and stores what came out, and returns what the store keeps for the key.
-    fn keep(&self, outputs: Outputs, circumstances: Circumstances) -> Result<Box<Record>, Fault> {
+    fn keep(&self, outputs: Outputs, metadata: RunMetadata) -> Result<Box<Record>, Fault> {
         self.check_names(&outputs)?;
         let store = self.site.store;
         let outputs: BTreeMap<String, Output> = sized(store, outputs)?;
@@ -184,10 +180,10 @@ impl Shift<'_> {
             manifest: self.order.key.manifest.clone(),
             outputs,
             children,
-            circumstances: Circumstances {
+            metadata: RunMetadata {
                 seconds: self.began.elapsed().as_secs_f64(),
                 peak_mb: peak_mb(),
-                ..circumstances
+                ..metadata
             },
         };
         store.put_record(record.clone());
@@ -237,8 +233,8 @@ impl Shift<'_> {
         self.bound.backend_id().unwrap_or_else(|| "cpu".to_owned())
     }
 
-    fn circumstances(&self) -> Circumstances {
-        Circumstances {
+    fn metadata(&self) -> RunMetadata {
+        RunMetadata {
             seconds: 0.0,
             peak_mb: 0,
             started_unix_s: unix_seconds(),

@@ -254,10 +254,10 @@ impl<'a> Floor<'a> {
     fn finish(&mut self, index: usize, record: Record, counts: Counts) {
         let task = &mut self.tasks[index];
         task.phase = Phase::Finished;
-        task.told.seconds = record.circumstances.seconds;
+        task.told.seconds = record.metadata.seconds;
         task.told.outputs = record.outputs;
         task.told.counts = counts;
-        self.site.listener.hear(&Event::Finished {
+        self.site.listener.on_event(&Event::Finished {
             node: task.name.clone(),
             seconds: task.told.seconds,
             outputs: task.told.outputs.clone(),
@@ -321,7 +321,7 @@ impl<'a> Floor<'a> {
             .map(|&child| self.tasks[child].phase)
             .collect();
         let settled = phases.iter().filter(|phase| phase.is_settled()).count();
-        self.site.listener.hear(&Event::Progress {
+        self.site.listener.on_event(&Event::Progress {
             node: self.tasks[parent].name.clone(),
             done: settled as u64,
             total: phases.len() as u64,
@@ -353,7 +353,7 @@ impl<'a> Floor<'a> {
             if task.phase == Phase::Stopped || !task.phase.is_settled() {
                 task.phase = Phase::Stopped;
                 task.told.reason = "the run was stopped".to_owned();
-                self.site.listener.hear(&Event::Skipped {
+                self.site.listener.on_event(&Event::Skipped {
                     node: task.name.clone(),
                     reason: task.told.reason.clone(),
                 });

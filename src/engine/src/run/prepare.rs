@@ -138,7 +138,7 @@ impl Floor<'_> {
         task.phase = Phase::Skipped;
         task.told.reason.clone_from(&reason);
         let node = task.name.clone();
-        self.site.listener.hear(&Event::Skipped { node, reason });
+        self.site.listener.on_event(&Event::Skipped { node, reason });
         self.child_settled(index);
     }
 
@@ -156,12 +156,12 @@ impl Floor<'_> {
         let task = &mut self.tasks[index];
         task.phase = Phase::Reused;
         task.told.reason = reason.to_owned();
-        task.told.seconds = record.circumstances.seconds;
+        task.told.seconds = record.metadata.seconds;
         task.told.counts = counts;
         task.told.outputs = record.outputs;
         task.told.children = record.children;
         if task.role == Role::Run {
-            self.site.listener.hear(&Event::Reused {
+            self.site.listener.on_event(&Event::Reused {
                 node: task.name.clone(),
                 reason: reason.to_owned(),
             });
@@ -183,7 +183,7 @@ impl Floor<'_> {
         };
         task.phase = Phase::Failed;
         task.told.reason.clone_from(&message);
-        self.site.listener.hear(&Event::Failed {
+        self.site.listener.on_event(&Event::Failed {
             node,
             message,
             cause,

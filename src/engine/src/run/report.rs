@@ -64,7 +64,7 @@ impl Floor<'_> {
                 key: Some(*key),
                 state: NodeState::Reused,
                 reason: format!("{parent} was reused"),
-                seconds: record.circumstances.seconds,
+                seconds: record.metadata.seconds,
                 counts: counts_of(self.site.store, &record),
                 outputs: record.outputs.clone(),
             });

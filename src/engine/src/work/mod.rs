@@ -8,7 +8,7 @@ mod source;
 
 use std::collections::BTreeMap;
 
-use marf_cache::{Circumstances, ContentHash, Digest, Record, Store, StoreError};
+use marf_cache::{ContentHash, Digest, Record, RunMetadata, Store, StoreError};
 use marf_stage::{Ctx, Inputs, Listing, Measure, NodeSpec, Outputs, Stage, StageDef, StageError, Work};
 
 use crate::{
@@ -45,7 +45,7 @@ pub(crate) struct Job<'a> {
     pub(crate) inputs: &'a Inputs,
     pub(crate) listing: Option<&'a Listing>,
     pub(crate) check: Check,
-    pub(crate) circumstances: &'a Circumstances,
+    pub(crate) metadata: &'a RunMetadata,
 }
 
 /// Does the node's work.
@@ -100,7 +100,7 @@ impl Job<'_> {
             manifest: key.manifest,
             outputs,
             children: BTreeMap::new(),
-            circumstances: self.circumstances.clone(),
+            metadata: self.metadata.clone(),
         });
         Ok(())
     }

@@ -93,7 +93,7 @@ impl World {
 pub struct In(pub u64);
 
 impl ContentHash for In {
-    fn walk(&self, listener: &mut dyn marf_cache::Listener) {
+    fn walk(&self, listener: &mut dyn marf_cache::Visitor) {
         listener.open("In", 0);
         listener.close();
     }
@@ -576,7 +576,7 @@ impl Line {
 pub struct Ears(pub Mutex<Vec<Event>>);
 
 impl Listener for Ears {
-    fn hear(&self, event: &Event) {
+    fn on_event(&self, event: &Event) {
         self.0.lock().unwrap().push(event.clone());
     }
 }

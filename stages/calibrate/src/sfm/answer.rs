@@ -187,7 +187,7 @@ fn note(label: Option<&str>, outvoted: Option<&Outvoted>) -> Option<String> {
 
 fn reduced(ctx: &Ctx<'_>, image: &Digest, file: &str, factor: u32) -> Result<Digest, StageError> {
     let complain = |error: &dyn std::fmt::Display| StageError::new(format!("photo `{file}`: {error}"));
-    let photo = Photo::decode_again(&ctx.get(image)?).map_err(|error| complain(&error))?;
+    let photo = Photo::decode_validated(&ctx.get(image)?).map_err(|error| complain(&error))?;
     let bytes = marf_scene::encode_png(&photo.image.box_reduced(factor)).map_err(|error| complain(&error))?;
     ctx.put(&bytes)
 }

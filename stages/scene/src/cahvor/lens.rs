@@ -1,6 +1,6 @@
 //! The lens of CAHVOR and CAHVORE: radial terms, and an entrance pupil that moves with the angle.
 
-use super::Entrance;
+use super::EntrancePupil;
 
 /// Newton steps of the pupil angle; it converges quadratically from a start within 1e-2.
 const NEWTON_STEPS: usize = 30;
@@ -94,7 +94,7 @@ impl Radial {
     }
 }
 
-impl Entrance {
+impl EntrancePupil {
     /// E(angle) = e0 + e1 angle² + e2 angle⁴, metres.
     fn pupil(&self, angle: f64) -> f64 {
         let [e0, e1, e2] = self.terms;
@@ -153,7 +153,7 @@ impl Entrance {
         })
     }
 
-    /// Undoes [`Entrance::chi`].
+    /// Undoes [`EntrancePupil::chi`].
     pub(super) fn angle_of_chi(&self, chi: f64) -> Option<f64> {
         let l = self.linearity;
         let angle = match l {
@@ -172,7 +172,7 @@ mod tests {
 
     use super::super::tests::{cahvor, cahvore, mastcam_z, navcam_tile, near};
     use super::Radial;
-    use crate::{Cahvor, Entrance};
+    use crate::{Cahvor, EntrancePupil};
 
     /// 1 + r0 + 3 r1 t + 5 r2 t² = 0 by hand: r1 = -1 gives t = 1/3; r2 = -0.2 gives t = 1; r1 = -2, r2 = 1 gives
     /// 1 - 6 t + 5 t², roots 0.2 and 1; r1 = 1, r2 = -0.4 gives 1 + 3 t - 2 t², root (3 + √17) / 4.
@@ -241,7 +241,7 @@ mod tests {
     /// θ / sin θ - 1 by its series, θ²/6 + 7 θ⁴/360, whose third term is 31 θ⁶/15120: by hand 1.6666668611e-7 at 1e-3.
     #[test]
     fn the_pupil_moves_smoothly_where_the_quotient_would_cancel() {
-        let entrance = Entrance {
+        let entrance = EntrancePupil {
             terms: [1.0, 0.0, 0.0],
             linearity: 0.0,
         };
@@ -268,7 +268,7 @@ mod tests {
             let sideways = Cahvor {
                 o: Some([0.0, 1.0, 0.0]),
                 r: Some([0.0; 3]),
-                e: model.e.map(|e| Entrance {
+                e: model.e.map(|e| EntrancePupil {
                     terms: [1e-3, 0.0, 0.0],
                     ..e
                 }),

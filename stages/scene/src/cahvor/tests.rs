@@ -31,7 +31,7 @@ pub(super) fn cahvore(linearity: f64) -> Cahvor {
         v: [480.0, 0.0, 740.0],
         o: unit(1.0, 0.002, -0.001),
         r: Some([0.0, 0.05, -0.017]),
-        e: Some(Entrance {
+        e: Some(EntrancePupil {
             terms: [-0.0036, 0.013, -0.024],
             linearity,
         }),
@@ -60,7 +60,7 @@ pub(super) fn navcam_tile() -> Cahvor {
         v: [-1646.95, -46.5234, 2456.62],
         o: Some([0.824089, 0.0304646, 0.565654]),
         r: Some([1.736e-6, 0.0501396, -0.0171254]),
-        e: Some(Entrance {
+        e: Some(EntrancePupil {
             terms: [-8e-9, 1e-8, -2.9e-8],
             linearity: 0.0,
         }),

@@ -24,7 +24,7 @@ pub struct Viewpoint {
 }
 
 /// Returns the viewpoints of photos, `width` pixels wide in each photo's own distorted camera.
-pub fn at_frames<'a>(frames: impl Iterator<Item = (&'a Frame, String)>, width: u32) -> Vec<Viewpoint> {
+pub fn viewpoints_at<'a>(frames: impl Iterator<Item = (&'a Frame, String)>, width: u32) -> Vec<Viewpoint> {
     let viewpoint = |(frame, name): (&Frame, String)| Viewpoint {
         name,
         camera: to_width(&frame.camera, width),
@@ -118,7 +118,7 @@ mod tests {
     fn a_photo_is_seen_from_its_own_place() {
         let scene = ring(3);
         let frame = &scene.frames[1];
-        let places = at_frames([(frame, "one".to_owned())].into_iter(), 40);
+        let places = viewpoints_at([(frame, "one".to_owned())].into_iter(), 40);
         assert_eq!((places[0].camera.width, places[0].camera.height), (40, 30));
         assert_eq!(places[0].cam_from_world, frame.cam_from_world);
     }

@@ -3,7 +3,7 @@ use crate::{Image, Srgb};
 
 /// How values become colours, printed under the map.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Scale {
+pub struct ColorScale {
     /// What the map shows.
     pub title: String,
     /// Unit of the values; empty for a plain number.
@@ -25,7 +25,7 @@ const GROUND: [u8; 3] = [24, 24, 28];
 ///
 /// `values`: `[height * width]`, row-major from the top; negative ones have no value and are gray.
 /// The picture is at least as wide as its text, the map is centred in it.
-pub fn draw_map(values: &[f32], width: u32, height: u32, scale: &Scale) -> Image<Srgb> {
+pub fn draw_map(values: &[f32], width: u32, height: u32, scale: &ColorScale) -> Image<Srgb> {
     let zoom = (width / 240).max(1);
     let gap = 3 * zoom;
     let line = HEIGHT_PX * zoom + 2 * gap;
@@ -71,7 +71,7 @@ pub fn draw_map(values: &[f32], width: u32, height: u32, scale: &Scale) -> Image
 }
 
 /// Puts pictures side by side, tops aligned, dark where a shorter one ends.
-pub fn beside(pictures: &[&Image<Srgb>]) -> Image<Srgb> {
+pub fn side_by_side(pictures: &[&Image<Srgb>]) -> Image<Srgb> {
     let width = pictures.iter().map(|picture| picture.width).sum();
     let height = pictures.iter().map(|picture| picture.height).max().unwrap_or(0);
     let mut all = Image::from_fn(width, height, |_, _| GROUND);
@@ -88,7 +88,7 @@ pub fn beside(pictures: &[&Image<Srgb>]) -> Image<Srgb> {
 /// Returns the least of 1, 2, 5 times a power of ten that `share` of the values do not exceed.
 ///
 /// Values below zero do not count. Extremes: 1e-6 if there is nothing above it, at most 1e30.
-pub fn nice_top(values: &[f32], share: f64) -> f64 {
+pub fn round_upper_limit(values: &[f32], share: f64) -> f64 {
     let mut sorted: Vec<f32> = values.iter().copied().filter(|value| *value >= 0.0).collect();
     sorted.sort_unstable_by(f32::total_cmp);
     let last = sorted.len().saturating_sub(1);
@@ -102,7 +102,7 @@ pub fn nice_top(values: &[f32], share: f64) -> f64 {
 }
 
 /// Says so where a value lies above the scale.
-fn top_label(values: &[f32], scale: &Scale) -> String {
+fn top_label(values: &[f32], scale: &ColorScale) -> String {
     if values.iter().any(|value| f64::from(*value) > scale.high) {
         format!(">={}", scale.high)
     } else {
@@ -130,8 +130,8 @@ fn paste(
 mod tests {
     use super::*;
 
-    fn scale() -> Scale {
-        Scale {
+    fn scale() -> ColorScale {
+        ColorScale {
             title: "standard deviation".into(),
             unit: "of white".into(),
             low: 0.0,
@@ -151,11 +151,11 @@ mod tests {
             (vec![f32::MAX], 1e30),
         ];
         for (values, top) in cases {
-            assert_eq!(nice_top(&values, 1.0), top, "{values:?}");
+            assert_eq!(round_upper_limit(&values, 1.0), top, "{values:?}");
         }
         let mut mostly_small = vec![0.01; 99];
         mostly_small.push(9.0);
-        assert_eq!(nice_top(&mostly_small, 0.98), 0.01);
+        assert_eq!(round_upper_limit(&mostly_small, 0.98), 0.01);
     }
 
     #[test]
@@ -182,7 +182,7 @@ mod tests {
     fn pictures_stand_side_by_side() {
         let dark = Image::from_fn(2, 3, |_, _| [1, 2, 3]);
         let light = Image::from_fn(1, 1, |_, _| [250, 250, 250]);
-        let both = beside(&[&dark, &light]);
+        let both = side_by_side(&[&dark, &light]);
         assert_eq!((both.width, both.height), (3, 3));
         assert_eq!(
             (both.at(1, 2), both.at(2, 0), both.at(2, 1)),

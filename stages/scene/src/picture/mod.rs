@@ -7,5 +7,5 @@ mod palette;
 
 pub use font::{draw_text, text_width_px};
 pub use gif::encode_gif;
-pub use map::{Scale, beside, draw_map, nice_top};
+pub use map::{ColorScale, draw_map, round_upper_limit, side_by_side};
 pub use palette::Palette;

@@ -8,7 +8,7 @@ use crate::names::Scheme;
 
 /// A table of 256 counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Table {
+pub struct Table {
     /// Count of each code, rising.
     pub counts: &'static [u16; 256],
     /// Count that is white: the largest.
@@ -17,7 +17,7 @@ pub(crate) struct Table {
 
 /// Returns the table of a name as labels write it (`MMM_LUT0`, `ilut/M20_LUT2_v2a.txt`); `None` for those that are
 /// not public (the Mastcam-Z ones).
-pub(crate) fn table(name: &str, scheme: Option<Scheme>) -> Option<Table> {
+pub fn table(name: &str, scheme: Option<Scheme>) -> Option<Table> {
     let upper = name.to_ascii_uppercase();
     let file = upper.rsplit('/').next().unwrap_or_default();
     let counts = match file.strip_suffix(".TXT").unwrap_or(file) {

@@ -5,7 +5,7 @@ use crate::values;
 
 /// What a product's name says of it.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct ProductName {
+pub struct ProductName {
     /// The name without what a feed appends (`_1200`), as written.
     pub id: String,
     /// Which scheme it follows.
@@ -28,7 +28,7 @@ pub(crate) struct ProductName {
 
 /// A naming scheme.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Scheme {
+pub enum Scheme {
     /// Mars 2020: all cameras.
     M2020,
     /// MSL: Mastcam, MAHLI, MARDI.
@@ -89,7 +89,7 @@ impl ProductName {
 }
 
 /// Returns what the files of one product share: the name in upper case, without version and what feeds append.
-pub(crate) fn join_key(stem: &str) -> String {
+pub fn join_key(stem: &str) -> String {
     let upper = stem.to_ascii_uppercase();
     match ProductName::read(&upper) {
         Some(name) if name.scheme == Scheme::M2020 => upper[..52].to_owned(),

@@ -22,7 +22,7 @@ const MAX_ATTRIBUTES: usize = 1_000;
 
 /// XML that is no PDS4 label of an observation.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum Pds4Error {
+pub enum Pds4Error {
     /// Larger than any label.
     #[error("{0} bytes of XML, at most {MAX_LABEL_BYTES} are read")]
     TooLarge(usize),
@@ -44,7 +44,7 @@ pub(crate) enum Pds4Error {
 ///
 /// # Errors
 /// See [`Pds4Error`]; a label without a usable camera is no error but a note.
-pub(crate) fn read(bytes: &[u8]) -> Result<Label, Pds4Error> {
+pub fn read(bytes: &[u8]) -> Result<Label, Pds4Error> {
     if bytes.len() > MAX_LABEL_BYTES {
         return Err(Pds4Error::TooLarge(bytes.len()));
     }

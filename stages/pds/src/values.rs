@@ -39,7 +39,7 @@ pub(crate) fn integer(text: &str) -> Option<i64> {
 }
 
 /// Reads a sol: 0 to 99,999.
-pub(crate) fn sol(text: &str) -> Option<u32> {
+pub fn sol(text: &str) -> Option<u32> {
     integer(text)
         .and_then(|value| u32::try_from(value).ok())
         .filter(|sol| *sol < 100_000)
@@ -53,7 +53,7 @@ pub(crate) fn tuple<const N: usize>(text: &str) -> Option<[f64; N]> {
 }
 
 /// Turns a word that means "no value" into `None`.
-pub(crate) fn known(text: &str) -> Option<String> {
+pub fn known(text: &str) -> Option<String> {
     let text = text.trim();
     let unknown = ["", "UNK", "UNKNOWN", "NULL", "N/A", "NONE", "NONE AVAILABLE"];
     (!unknown.contains(&text.to_ascii_uppercase().as_str())).then(|| text.to_owned())

@@ -2,11 +2,10 @@
 
 use std::{collections::BTreeMap, fs};
 
+use marf_demo::{Demo, DemoOptions, FlawKind};
+use marf_extract::{Archive, Extract, ExtractParams, FolderArchive};
 use marf_scene::PhotoFacts;
 use marf_stage::{Define, Source, Verdict, harness::Harness};
-
-use super::{Demo, DemoOptions, FlawKind};
-use crate::{Archive, Extract, ExtractParams, FolderArchive};
 
 /// Writes sol 2 into a folder and extracts it: facts by file, and verdicts.
 fn extracted(demo: &Demo) -> (BTreeMap<String, PhotoFacts>, Vec<Verdict>) {

@@ -11,7 +11,7 @@ const MAX_ITEMS: usize = 50_000;
 
 /// Reads the label at the start of the bytes, and the one continued at the end of the file where it says EOL=1.
 /// `None` if there is none.
-pub(crate) fn parse(bytes: &[u8]) -> Option<Group> {
+pub fn parse(bytes: &[u8]) -> Option<Group> {
     if !bytes.starts_with(b"LBLSIZE=") {
         return None;
     }

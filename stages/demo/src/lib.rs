@@ -11,8 +11,6 @@ mod lens;
 mod light;
 mod math;
 mod plan;
-#[cfg(test)]
-mod reader_tests;
 mod render;
 mod rocks;
 #[cfg(test)]

@@ -8,7 +8,7 @@ use crate::values;
 
 /// JSON that is no record of a raw-image feed.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum FeedError {
+pub enum FeedError {
     /// Larger than any record.
     #[error("{0} bytes of JSON, at most {MAX_LABEL_BYTES} are read")]
     TooLarge(usize),
@@ -27,7 +27,7 @@ pub(crate) enum FeedError {
 ///
 /// # Errors
 /// See [`FeedError`]; a record without a usable camera is no error but a note.
-pub(crate) fn read(bytes: &[u8]) -> Result<Label, FeedError> {
+pub fn read(bytes: &[u8]) -> Result<Label, FeedError> {
     if bytes.len() > MAX_LABEL_BYTES {
         return Err(FeedError::TooLarge(bytes.len()));
     }

@@ -1,6 +1,6 @@
 //! From the numbers of a label to a camera model that can be used.
 
-use marf_scene::{Cahvor, CahvorError, Entrance};
+use marf_scene::{Cahvor, CahvorError, EntrancePupil};
 
 /// Largest tolerated deviation of |A| and |O| from 1: labels of six digits leave 8e-6.
 const UNIT_TOLERANCE: f64 = 1e-3;
@@ -9,7 +9,7 @@ const ASPECT_TOLERANCE: f64 = 0.05;
 
 /// A camera model as a label writes it.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(crate) struct RawModel {
+pub struct RawModel {
     /// C, A, H, V.
     pub cahv: [[f64; 3]; 4],
     /// O and R.
@@ -20,7 +20,7 @@ pub(crate) struct RawModel {
 
 /// A camera model that cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub(crate) enum CameraError {
+pub enum CameraError {
     /// A number that is missing, not finite or a sentinel.
     #[error("{0} is missing or no finite number")]
     Number(&'static str),
@@ -58,7 +58,7 @@ pub(crate) enum CameraError {
 ///
 /// # Errors
 /// See [`CameraError`].
-pub(crate) fn normalised(raw: &RawModel) -> Result<Cahvor, CameraError> {
+pub fn normalised(raw: &RawModel) -> Result<Cahvor, CameraError> {
     check_finite(raw)?;
     let [c, a, h, v] = raw.cahv;
     let length = unit_length('A', a)?;
@@ -83,14 +83,14 @@ pub(crate) fn normalised(raw: &RawModel) -> Result<Cahvor, CameraError> {
 }
 
 /// Returns h_s = |A x H| and v_s = |A x V|: the focal lengths in pixels of a normalised model.
-pub(crate) fn focal_px(model: &Cahvor) -> (f64, f64) {
+pub fn focal_px(model: &Cahvor) -> (f64, f64) {
     (norm(cross(model.a, model.h)), norm(cross(model.a, model.v)))
 }
 
 /// Carries a model over to a photo scaled by `scale`; integer coordinates stay pixel centres.
 ///
 /// The pixel corner x + 0.5 scales, hence x' = s (x + 0.5) - 0.5, and H' = s H + (s - 1)/2 A.
-pub(crate) fn rescaled(model: &Cahvor, scale: f64) -> Cahvor {
+pub fn rescaled(model: &Cahvor, scale: f64) -> Cahvor {
     let shift = (scale - 1.0) / 2.0;
     let carry = |rows: [f64; 3]| [0, 1, 2].map(|axis| scale * rows[axis] + shift * model.a[axis]);
     Cahvor {
@@ -100,7 +100,7 @@ pub(crate) fn rescaled(model: &Cahvor, scale: f64) -> Cahvor {
     }
 }
 
-pub(crate) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+pub fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [
         a[1] * b[2] - a[2] * b[1],
         a[2] * b[0] - a[0] * b[2],
@@ -108,11 +108,11 @@ pub(crate) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     ]
 }
 
-pub(crate) fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+pub fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-pub(crate) fn norm(a: [f64; 3]) -> f64 {
+pub fn norm(a: [f64; 3]) -> f64 {
     dot(a, a).sqrt()
 }
 
@@ -163,14 +163,14 @@ fn check_axes(a: [f64; 3], h: [f64; 3], v: [f64; 3]) -> Result<(), CameraError> 
     }
 }
 
-fn entrance((terms, kind, parameter): ([f64; 3], i64, f64)) -> Result<Entrance, CameraError> {
+fn entrance((terms, kind, parameter): ([f64; 3], i64, f64)) -> Result<EntrancePupil, CameraError> {
     let linearity = match kind {
         1 => 1.0,
         2 => 0.0,
         3 => parameter,
         other => return Err(CameraError::EntranceType(other)),
     };
-    Ok(Entrance { terms, linearity })
+    Ok(EntrancePupil { terms, linearity })
 }
 
 #[cfg(test)]

@@ -6,15 +6,15 @@ use nalgebra::{Matrix3, Vector3};
 use crate::camera::{self, CameraError, RawModel};
 
 /// Largest label that is read: real ones have at most 300 kB.
-pub(crate) const MAX_LABEL_BYTES: usize = 2 << 20;
+pub const MAX_LABEL_BYTES: usize = 2 << 20;
 /// Largest tolerated deviation of a quaternion's length from 1.
 const QUATERNION_TOLERANCE: f64 = 1e-3;
 
 /// What a label says of its photo.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct Label {
+pub struct Label {
     /// Product id, as written.
-    pub product: Option<String>,
+    pub(crate) product: Option<String>,
     /// Sol.
     pub sol: Option<u32>,
     /// Instrument, as the label names it.
@@ -26,13 +26,13 @@ pub(crate) struct Label {
     /// Camera model and pose.
     pub prior: Option<CameraPrior>,
     /// Focal length, mm, where the label has it.
-    pub focal_mm: Option<f64>,
+    pub(crate) focal_mm: Option<f64>,
     /// Pixels of the detector averaged into one, along one side.
-    pub averaged: u32,
+    pub(crate) averaged: u32,
     /// (width, height) of the photo the model is for.
-    pub size: Option<(u32, u32)>,
+    pub(crate) size: Option<(u32, u32)>,
     /// Where the pixels lie, if the label describes an array.
-    pub array: Option<Array>,
+    pub(crate) array: Option<Array>,
     /// Phase of a colour mosaic that the pixels still are.
     pub mosaic: Option<Phase>,
     /// Where on the detector the photo starts, whether a mosaic or not.
@@ -43,7 +43,7 @@ pub(crate) struct Label {
 
 /// First line and sample of the photo on the detector, 0-based: the phase of its RGGB mosaic.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub(crate) struct Phase {
+pub struct Phase {
     /// First line.
     pub line: u32,
     /// First sample.
@@ -52,7 +52,7 @@ pub(crate) struct Phase {
 
 /// An array of pixels in a file.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Array {
+pub struct Array {
     /// Name of the file, if not the label's own.
     pub file: Option<String>,
     /// Where the first record starts, bytes.
@@ -83,7 +83,7 @@ pub(crate) struct Array {
 
 /// Nesting of bands, lines and samples; the last varies fastest.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Order {
+pub enum Order {
     /// Band, line, sample.
     BandSequential,
     /// Line, band, sample.
@@ -94,7 +94,7 @@ pub(crate) enum Order {
 
 /// Type of one stored sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Sample {
+pub struct Sample {
     /// Whole or floating.
     pub kind: Number,
     /// 1, 2, 4 or 8 (4 or 8 for floats).
@@ -105,7 +105,7 @@ pub(crate) struct Sample {
 
 /// Kind of number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Number {
+pub enum Number {
     /// Whole, from 0.
     Unsigned,
     /// Whole, two's complement.
@@ -116,7 +116,7 @@ pub(crate) enum Number {
 
 /// What an array's scaled values are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Quantity {
+pub enum Quantity {
     /// Counts of the detector, in proportion to light.
     Counts,
     /// Spectral radiance, W / (m2 sr nm).
@@ -128,7 +128,7 @@ pub(crate) enum Quantity {
 impl Label {
     /// Keeps a camera that can be used, or the reason why it cannot. The photo's size must have been read before: the
     /// lens is checked up to its corners.
-    pub fn set_camera(&mut self, raw: &RawModel, frame: String, pose: FramePose, counter: Vec<i64>) {
+    pub(crate) fn set_camera(&mut self, raw: &RawModel, frame: String, pose: FramePose, counter: Vec<i64>) {
         let checked = camera::normalised(raw).and_then(|model| {
             let (width, height) = self.size.unwrap_or((1, 1));
             let checked = model.check_lens(width, height);
@@ -149,14 +149,14 @@ impl Label {
     }
 
     /// Notes that the label's camera cannot be used.
-    pub fn refuse_camera(&mut self, error: &CameraError) {
+    pub(crate) fn refuse_camera(&mut self, error: &CameraError) {
         self.notes.push(format!("label has no usable camera: {error}"));
     }
 }
 
 /// What a label says of the pose of a frame in its site.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum FramePose {
+pub enum FramePose {
     /// The camera is in the site's frame.
     IsSite,
     /// v_site = R(q) v_frame + offset; q scalar first.
@@ -190,7 +190,7 @@ impl FramePose {
 }
 
 /// Returns v_site = R(q) v + offset for a quaternion, scalar first, of length 1 within 1e-3.
-pub(crate) fn pose(quaternion: [f64; 4], offset: [f64; 3]) -> Option<Pose> {
+pub fn pose(quaternion: [f64; 4], offset: [f64; 3]) -> Option<Pose> {
     let length = quaternion.iter().map(|value| value * value).sum::<f64>().sqrt();
     let finite = offset.iter().all(|value| value.is_finite());
     let unit = (length - 1.0).abs() <= QUATERNION_TOLERANCE; // false for NaN
@@ -217,7 +217,7 @@ pub(crate) fn pose(quaternion: [f64; 4], offset: [f64; 3]) -> Option<Pose> {
 
 /// Counters in the order that [`CameraPrior`] promises: SITE, DRIVE and POSE first, then the others as the label has
 /// them. Empty without SITE: the first number would be taken for it.
-pub(crate) fn ordered_counter(entries: &[(String, i64)]) -> Vec<i64> {
+pub fn ordered_counter(entries: &[(String, i64)]) -> Vec<i64> {
     const FIRST: [&str; 3] = ["SITE", "DRIVE", "POSE"];
     let of = |name: &str| {
         entries
@@ -238,7 +238,7 @@ pub(crate) fn ordered_counter(entries: &[(String, i64)]) -> Vec<i64> {
 }
 
 /// Tells whether two sets of counters name the same place, as far as both have the same counter.
-pub(crate) fn same_place(a: &[(String, i64)], b: &[(String, i64)]) -> bool {
+pub fn same_place(a: &[(String, i64)], b: &[(String, i64)]) -> bool {
     ["SITE", "DRIVE", "POSE"].iter().all(|name| {
         let of = |entries: &[(String, i64)]| entries.iter().find(|(own, _)| own == name).map(|entry| entry.1);
         of(a).zip(of(b)).is_none_or(|(a, b)| a == b)

@@ -22,7 +22,7 @@ const MISSING: [&str; 8] = [
 const SATURATED: [&str; 2] = ["HIGH_INSTR_SATURATION", "HIGH_REPR_SATURATION"];
 
 /// Reads what a label says. Sizes come from OBJECT = IMAGE only: `LINES` also names what was asked for.
-pub(crate) fn label(odl: &Group) -> Label {
+pub fn label(odl: &Group) -> Label {
     let state = odl.find(&["INSTRUMENT_STATE_PARMS"]);
     let mut label = Label {
         product: top(odl, "PRODUCT_ID").and_then(values::known),
@@ -44,7 +44,7 @@ pub(crate) fn label(odl: &Group) -> Label {
 }
 
 /// Returns why a label is not of a photo, if so.
-pub(crate) fn no_photo(odl: &Group) -> Option<String> {
+pub fn no_photo(odl: &Group) -> Option<String> {
     let image = odl.find(&["IMAGE", "IMAGE_DATA"]);
     if image.is_none() && odl.text("NL").is_none() {
         let objects: Vec<&str> = odl

@@ -14,7 +14,7 @@ const MAX_COLUMNS: usize = 2_000;
 
 /// What an index label says of its table.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Index {
+pub struct Index {
     /// Name of the table's file, if the label says.
     pub file: Option<String>,
     /// Rows that the table has, if the label says.
@@ -34,7 +34,7 @@ struct Column {
 
 /// An index that cannot be read.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum IndexError {
+pub enum IndexError {
     /// The label is no ODL.
     #[error("index {0}")]
     Odl(#[from] OdlError),
@@ -160,7 +160,7 @@ fn file_name(pointer: &odl::Value) -> Option<String> {
 }
 
 /// The rows of a table, see [`Index::rows`].
-pub(crate) struct Rows<'a, R> {
+pub struct Rows<'a, R> {
     index: &'a Index,
     table: BufReader<R>,
     /// Rows read so far.
@@ -220,7 +220,7 @@ impl<'a, R: Read> Rows<'a, R> {
 
 /// One row of a table.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Row<'a> {
+pub struct Row<'a> {
     index: &'a Index,
     /// ASCII.
     text: String,
@@ -228,7 +228,7 @@ pub(crate) struct Row<'a> {
 
 /// Where a product lies, as far as an index says.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(crate) struct Place {
+pub struct Place {
     /// Volume.
     pub volume: Option<String>,
     /// Folder in the volume, parts joined by `/`, without `/` at either end; each part is a plain name.

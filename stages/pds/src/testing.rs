@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 /// The folder of real data, where it is there.
-pub(crate) fn real(name: &str) -> Option<PathBuf> {
+pub fn real(name: &str) -> Option<PathBuf> {
     let root = std::env::var_os("MARF_SHARED_DATA").map_or_else(
         || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
         PathBuf::from,

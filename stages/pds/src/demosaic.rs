@@ -11,7 +11,7 @@ use crate::label::Phase;
 /// # Extremes
 /// Borders are mirrored about the outermost pixel, which keeps the pattern; below 3 pixels a side there is nothing
 /// to mirror and `None` is returned. Sums are taken in one order: same bits everywhere.
-pub(crate) fn rggb(plane: &[f32], width: usize, height: usize, phase: Phase) -> Option<Vec<[f32; 3]>> {
+pub fn rggb(plane: &[f32], width: usize, height: usize, phase: Phase) -> Option<Vec<[f32; 3]>> {
     if width < 3 || height < 3 || plane.len() != width * height {
         return None;
     }

@@ -13,7 +13,7 @@ const MAX_DEVICE: usize = 80;
 
 /// What EXIF tells of a camera.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct Lens {
+pub struct Lens {
     /// Focal length, pixels of the photo.
     pub focal_px: Option<f64>,
     /// Make and model.
@@ -31,7 +31,7 @@ pub(crate) struct Lens {
 /// # Extremes
 /// A photo without EXIF says nothing. EXIF that is damaged, or a number that is 0, infinite or no focal length
 /// between 0.1 and 50 longer sides, is left out with a note; it never costs the photo.
-pub(crate) fn read(bytes: &[u8], longer_px: u32) -> Lens {
+pub fn read(bytes: &[u8], longer_px: u32) -> Lens {
     let mut lens = Lens::default();
     if bytes.starts_with(b"GIF8") {
         return lens; // the one format of ours that has none

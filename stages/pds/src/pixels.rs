@@ -14,7 +14,7 @@ const MAX_PIXELS: u64 = 32 << 20;
 
 /// Pixels that cannot be read.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub(crate) enum PixelError {
+pub enum PixelError {
     /// A shape that is no photo or too large.
     #[error("an array of {} bands, {} lines, {} samples is not read (1 or 3 bands, up to {MAX_SIDE} a side)", .0[0], .0[1], .0[2])]
     Shape([u32; 3]),
@@ -33,7 +33,7 @@ pub(crate) enum PixelError {
 
 /// An image made from an array.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Made {
+pub struct Made {
     /// The image.
     pub image: Image<Srgb>,
     /// Bands: 1 or 3, a mosaic counts as 3.
@@ -51,7 +51,7 @@ pub(crate) struct Made {
 ///
 /// # Errors
 /// See [`PixelError`]; nothing is allocated before the file has been found long enough.
-pub(crate) fn make(
+pub fn make(
     array: &Array,
     mosaic: Option<Phase>,
     table: Option<Table>,
@@ -109,7 +109,7 @@ pub(crate) fn make(
 }
 
 /// Returns an 8-bit code of a value in [0, 1] without a curve.
-pub(crate) fn stored_code(value: f32) -> u8 {
+pub fn stored_code(value: f32) -> u8 {
     (value * 255.0 + 0.5).clamp(0.0, 255.0) as u8
 }
 

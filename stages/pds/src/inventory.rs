@@ -13,7 +13,7 @@ const TRIED_VERSIONS: u32 = 9;
 
 /// A product of a collection.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Member {
+pub struct Member {
     /// Logical identifier, `urn:nasa:pds:bundle:collection:product`.
     pub lid: String,
     /// Version, `1.0`; empty where a secondary member names none.
@@ -24,7 +24,7 @@ pub(crate) struct Member {
 
 /// Text that is no such list.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum InventoryError {
+pub enum InventoryError {
     /// Larger than any list.
     #[error("an inventory of {0} bytes, at most {MAX_BYTES} are read")]
     TooLarge(usize),
@@ -49,7 +49,7 @@ pub(crate) enum InventoryError {
 /// # Errors
 /// See [`InventoryError`]. A line without line end is the last one; a list cut inside an identifier cannot be told from
 /// a whole one, but for its version: `::` without `M.m` is refused.
-pub(crate) fn read(bytes: &[u8]) -> Result<Vec<Member>, InventoryError> {
+pub fn read(bytes: &[u8]) -> Result<Vec<Member>, InventoryError> {
     if bytes.len() > MAX_BYTES {
         return Err(InventoryError::TooLarge(bytes.len()));
     }
@@ -128,7 +128,7 @@ fn is_number(text: &str) -> bool {
 
 /// Returns the product's name as its files begin: the identifier's last part in upper case, for Mars 2020 52 characters
 /// without the version. `None` for what follows no naming scheme (documents, browse collections of other kinds).
-pub(crate) fn stem(member: &Member) -> Option<String> {
+pub fn stem(member: &Member) -> Option<String> {
     let tail = member.lid.rsplit(':').next()?.to_ascii_uppercase();
     let name = ProductName::read(&tail)?;
     (name.id.len() == tail.len() && name.version.len() < 2).then_some(tail)
@@ -136,7 +136,7 @@ pub(crate) fn stem(member: &Member) -> Option<String> {
 
 /// Returns the names its files may have, likeliest first: for Mars 2020 the stem with the identifier's version as two
 /// characters, then the first nine versions, newest first; for other schemes the stem.
-pub(crate) fn file_stems(member: &Member) -> Vec<String> {
+pub fn file_stems(member: &Member) -> Vec<String> {
     let Some(stem) = stem(member) else {
         return Vec::new();
     };

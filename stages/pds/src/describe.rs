@@ -3,7 +3,7 @@
 use crate::label::{Array, Number, Order};
 
 /// Describes an array: bands x lines x samples, type, order, scaling.
-pub(crate) fn array(array: &Array) -> String {
+pub fn array(array: &Array) -> String {
     let [bands, lines, samples] = array.shape;
     let kind = match array.sample.kind {
         Number::Unsigned => 'u',

@@ -7,7 +7,7 @@ const MAX_STATEMENTS: usize = 50_000;
 
 /// A group or object with what is in it.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct Group {
+pub struct Group {
     /// Name, upper case; empty for the whole label.
     pub name: String,
     /// Keys in order, upper case, without a mission's prefix (`MSL:`).
@@ -18,7 +18,7 @@ pub(crate) struct Group {
 
 /// A value.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) enum Value {
+pub enum Value {
     /// A word, number or quoted text; units are in [`Value::Unit`].
     Text(String),
     /// A value with its unit.
@@ -30,7 +30,7 @@ pub(crate) enum Value {
 /// Text that is no ODL.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("label line {line}: {what}")]
-pub(crate) struct OdlError {
+pub struct OdlError {
     /// Line, from 1.
     pub line: usize,
     /// What is wrong there.
@@ -102,7 +102,7 @@ impl Value {
 ///
 /// # Errors
 /// Names the line of what is no ODL.
-pub(crate) fn parse(bytes: &[u8]) -> Result<Group, OdlError> {
+pub fn parse(bytes: &[u8]) -> Result<Group, OdlError> {
     let mut reader = Reader { bytes, at: 0 };
     let mut open = vec![Group::default()];
     for _ in 0..MAX_STATEMENTS {

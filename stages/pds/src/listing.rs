@@ -19,7 +19,7 @@ const MAX_NAME: usize = 255;
 
 /// A file or folder that a page lists.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) struct Entry {
+pub struct Entry {
     /// Name without a slash: `[A-Za-z0-9_.-]+`, neither `.` nor `..`.
     pub name: String,
     /// The page writes it with a slash at its end.
@@ -30,7 +30,7 @@ pub(crate) struct Entry {
 
 /// A page that is no listing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum ListingError {
+pub enum ListingError {
     /// Larger than any listing.
     #[error("a page of {0} bytes, at most {MAX_PAGE_BYTES} are read")]
     TooLarge(usize),
@@ -52,7 +52,7 @@ pub(crate) enum ListingError {
 ///
 /// # Errors
 /// See [`ListingError`]; a listing without entries is no error.
-pub(crate) fn read(html: &[u8]) -> Result<Vec<Entry>, ListingError> {
+pub fn read(html: &[u8]) -> Result<Vec<Entry>, ListingError> {
     if html.len() > MAX_PAGE_BYTES {
         return Err(ListingError::TooLarge(html.len()));
     }
@@ -74,7 +74,7 @@ pub(crate) fn read(html: &[u8]) -> Result<Vec<Entry>, ListingError> {
 }
 
 /// Tells whether a name is made of letters, digits, `_`, `.`, `-`, and is no way up.
-pub(crate) fn is_plain(name: &[u8]) -> bool {
+pub fn is_plain(name: &[u8]) -> bool {
     let plain = |byte: &u8| byte.is_ascii_alphanumeric() || b"_.-".contains(byte);
     (1..=MAX_NAME).contains(&name.len()) && name.iter().all(plain) && !matches!(name, b"." | b"..")
 }

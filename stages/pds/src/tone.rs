@@ -7,12 +7,12 @@ use std::sync::OnceLock;
 /// Half of what a white surface sends under the mean sun of Mars at 550 nm, and above the brightest dust, which
 /// reflects a third of the light in the red. In the Mastcam-Z scenes measured, 99.5 % of the samples lie below
 /// 0.055, on the calibration target in the sun 93 % below 0.1.
-pub(crate) const WHITE_RADIANCE: f64 = 0.125;
+pub const WHITE_RADIANCE: f64 = 0.125;
 
 /// Returns the sRGB code of light in [0, 1]; below and NaN is 0, above 255.
 ///
 /// Rounds half up in code space, by comparison with 255 thresholds: no transcendental function, same code everywhere.
-pub(crate) fn code(light: f32) -> u8 {
+pub fn code(light: f32) -> u8 {
     let thresholds = thresholds();
     thresholds.partition_point(|threshold| *threshold <= light) as u8
 }

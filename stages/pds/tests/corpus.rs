@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use marf_extract::fuzzing::{TARGETS, Target};
+use marf_pds::fuzzing::{TARGETS, Target};
 
 /// The files of a target's corpus, by name.
 fn corpus(target: &str) -> Vec<(PathBuf, Vec<u8>)> {

@@ -1,18 +1,18 @@
 //! Products whose pixels lie behind an attached label, or are described by a detached one.
 
-use marf_scene::{Photo, encode_png};
+use marf_scene::{Image, Photo, Srgb, encode_png};
 
 use crate::demosaic;
 use crate::label::{Array, Label, MAX_LABEL_BYTES, Phase, Quantity};
 use crate::names::ProductName;
-use crate::pixels::{self, Made};
+use crate::pixels;
 use crate::{companding, describe, odl, pds3, vicar};
 
 /// Reads the label at the head of a file: VICAR, or PDS3 / ODL.
 ///
 /// # Errors
 /// Why there is none, or why it is not of a photo.
-pub(crate) fn head(bytes: &[u8]) -> Result<Label, String> {
+pub fn head(bytes: &[u8]) -> Result<Label, String> {
     let group = match vicar::parse(bytes) {
         Some(group) => group,
         None => {
@@ -41,9 +41,13 @@ pub(crate) fn head(bytes: &[u8]) -> Result<Label, String> {
 }
 
 /// What a file of raw pixels gave.
-pub(crate) struct Developed {
+pub struct Developed {
     /// The image.
-    pub made: Made,
+    pub image: Image<Srgb>,
+    /// Bands: 1 or 3, a mosaic counts as 3.
+    pub bands: u8,
+    /// How stored values became codes.
+    pub notes: Vec<String>,
     /// The label at its head, if it has one.
     pub attached: Option<Label>,
 }
@@ -52,7 +56,7 @@ pub(crate) struct Developed {
 ///
 /// # Errors
 /// Why it cannot.
-pub(crate) fn develop(
+pub fn develop(
     name: Option<&ProductName>,
     bytes: &[u8],
     beside: Option<&Label>,
@@ -92,7 +96,12 @@ pub(crate) fn develop(
         made.notes
             .push("the name says colour mosaic, the label does not: left as it is".to_owned());
     }
-    Ok(Developed { made, attached })
+    Ok(Developed {
+        image: made.image,
+        bands: made.bands,
+        notes: made.notes,
+        attached,
+    })
 }
 
 /// What a scaled array holds, by the product's type, where the label names no unit: RA? and RZ? radiance, IO? I/F.
@@ -109,7 +118,7 @@ fn quantity(name: &ProductName, array: &Array) -> Option<Quantity> {
 
 /// Makes a colour PNG of a picture that is still a mosaic by its name: one band, or three equal ones.
 /// `None` where it is none.
-pub(crate) fn develop_mosaic(photo: &Photo, phase: Option<Phase>) -> Option<Photo> {
+pub fn develop_mosaic(photo: &Photo, phase: Option<Phase>) -> Option<Photo> {
     let grey = photo
         .image
         .pixels
@@ -147,6 +156,6 @@ pub(crate) fn develop_mosaic(photo: &Photo, phase: Option<Phase>) -> Option<Phot
 ///
 /// # Errors
 /// An image of zero pixels.
-pub(crate) fn png(image: &marf_scene::Image<marf_scene::Srgb>) -> Result<Vec<u8>, String> {
+pub fn png(image: &Image<Srgb>) -> Result<Vec<u8>, String> {
     encode_png(image).map_err(|error| error.to_string())
 }
