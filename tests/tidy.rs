@@ -28,7 +28,7 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 19] = [
+const CRATES: [Crate; 20] = [
     row("shaders", "marf-shaders", &[]),
     row("cache/derive", "marf-cache-derive", &[]),
     row("cache", "marf-cache", &["marf-cache-derive"]),
@@ -47,6 +47,7 @@ const CRATES: [Crate; 19] = [
         "marf-schema",
         &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
     ),
+    row("stages/sfm", "marf-sfm", &["marf-numeric", "marf-scene"]),
     row(
         "stages/extract",
         "marf-extract",
@@ -62,7 +63,13 @@ const CRATES: [Crate; 19] = [
         ..row(
             "stages/calibrate",
             "marf-calibrate",
-            &["marf-cache", "marf-stage", "marf-scene", "marf-schema"],
+            &[
+                "marf-cache",
+                "marf-stage",
+                "marf-scene",
+                "marf-schema",
+                "marf-sfm",
+            ],
         )
     },
     row(

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use marf_engine::NodeShape;
 use marf_field::Device;
 use marf_stage::{ParamError, Stage, StageDef};
 use serde_json::Value as Json;
@@ -81,8 +82,7 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
         let message = "`[keep]` and `[reject]` overrule filters, but no node filters photos".to_owned();
         return Err(ConfigError::at(at, message));
     }
-    check_outputs(&nodes, tables)?;
-    check_cycles(&nodes, tables)?;
+    check_graph(&nodes, tables)?;
     Ok(Pipeline { name, nodes })
 }
 
@@ -263,72 +263,26 @@ fn complaint(entry: &Entry, error: &ParamError) -> ConfigError {
     ConfigError::at(at, format!("node.{}{key}: {}", entry.key, error.message))
 }
 
-fn check_outputs(nodes: &[Node], tables: &[Entry]) -> Result<(), ConfigError> {
-    let find = |name: &str| nodes.iter().find(|node| node.name == name);
-    for (node, entry) in nodes.iter().zip(tables) {
-        for port in node.def.ports {
-            let Some(upstream) = node.edges.get(port.key).and_then(|name| find(name)) else {
-                continue;
-            };
-            if port.required && !upstream.def.outputs.contains(&port.output) {
-                let message = format!(
-                    "`{}` of `node.{}` needs `{}`; `node.{}` (stage `{}`) gives {}",
-                    port.key,
-                    node.name,
-                    port.output,
-                    upstream.name,
-                    upstream.def.name,
-                    upstream.def.outputs.join(", "),
-                );
-                return Err(ConfigError::at(entry.value.place(port.key), message));
-            }
-        }
-    }
-    Ok(())
-}
-
-/// Walks up from every node; a node met again on the way up closes a cycle, printed in full.
-fn check_cycles(nodes: &[Node], tables: &[Entry]) -> Result<(), ConfigError> {
-    let mut cleared: Vec<&str> = Vec::new();
-    for node in nodes {
-        let mut path = Vec::new();
-        if let Some(cycle) = find_cycle(nodes, &node.name, &mut path, &mut cleared) {
-            let at = tables
+/// Checks that the nodes form a graph; an error has the place of the key or the node at fault.
+fn check_graph(nodes: &[Node], tables: &[Entry]) -> Result<(), ConfigError> {
+    let shapes: Vec<NodeShape<'_>> = nodes
+        .iter()
+        .map(|node| NodeShape {
+            name: &node.name,
+            stage: &node.def,
+            edges: node
+                .edges
                 .iter()
-                .find(|entry| entry.key == cycle[0])
-                .map(|entry| entry.at.clone());
-            let at = at.unwrap_or(Origin::Text(0..0));
-            return Err(ConfigError::at(
-                at,
-                format!("the nodes form a cycle: {}", cycle.join(" -> ")),
-            ));
-        }
-    }
-    Ok(())
-}
-
-fn find_cycle<'a>(
-    nodes: &'a [Node],
-    name: &'a str,
-    path: &mut Vec<&'a str>,
-    cleared: &mut Vec<&'a str>,
-) -> Option<Vec<&'a str>> {
-    if let Some(start) = path.iter().position(|seen| *seen == name) {
-        // The path runs from consumer to producer; people read along the data.
-        let mut cycle: Vec<&str> = path[start..].iter().rev().copied().collect();
-        cycle.insert(0, path[start]);
-        return Some(cycle);
-    }
-    if cleared.contains(&name) {
-        return None;
-    }
-    path.push(name);
-    let node = nodes.iter().find(|node| node.name == name)?;
-    let found = node
-        .edges
-        .values()
-        .find_map(|upstream| find_cycle(nodes, upstream, path, cleared));
-    path.pop();
-    cleared.push(name);
-    found
+                .map(|(key, upstream)| (key.as_str(), upstream.as_str()))
+                .collect(),
+        })
+        .collect();
+    marf_engine::check(&shapes).map_err(|error| {
+        let entry = tables.iter().find(|entry| entry.key == error.node());
+        let at = entry.map_or(Origin::Text(0..0), |entry| match error.key() {
+            Some(key) => entry.value.place(key),
+            None => entry.at.clone(),
+        });
+        ConfigError::at(at, error.to_string())
+    })
 }
