@@ -8,10 +8,11 @@ use marf_field::Device;
 use marf_stage::{ParamError, Stage, StageDef};
 use serde_json::Value as Json;
 
+use super::archives::{self, Archives};
 use super::by_hand;
 use super::error::{ConfigError, Origin};
 use super::low::{Entry, Located};
-use super::options::{Access, GlobalOptions};
+use super::options::GlobalOptions;
 use crate::nearest::did_you_mean;
 
 /// A checked pipeline.
@@ -39,9 +40,9 @@ pub struct Node {
 /// Keys a whole pipeline may have.
 const TOP: [&str; 5] = ["name", "archive", "node", "keep", "reject"];
 
-/// What nodes take from beside their own table.
-struct Around<'a> {
-    archives: BTreeMap<String, Json>,
+/// What a node's parameters depend on beside its own table.
+struct PipelineContext<'a> {
+    archives: Archives<'a>,
     device: Option<&'a Device>,
     by_hand: Option<serde_json::Map<String, Json>>,
 }
@@ -57,8 +58,8 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
         None => "marf".to_owned(),
         Some(entry) => text(entry)?.to_owned(),
     };
-    let around = Around {
-        archives: archives(root, options.access, base)?,
+    let context = PipelineContext {
+        archives: Archives::new(tables(root, ARCHIVE)?, options.access, base)?,
         device: options.device.as_ref(),
         by_hand: by_hand::lists(root)?,
     };
@@ -66,13 +67,13 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
     let names: Vec<&str> = tables.iter().map(|entry| entry.key.as_str()).collect();
     let nodes = tables
         .iter()
-        .map(|entry| node(entry, &names, &around))
+        .map(|entry| node(entry, &names, &context))
         .collect::<Result<Vec<_>, _>>()?;
     if nodes.is_empty() {
         let hint = Some("write one with `marf init`".to_owned());
         return Err(ConfigError::at(root.at.clone(), "the pipeline has no node".to_owned()).hint(hint));
     }
-    if around.by_hand.is_some() && !nodes.iter().any(|node| node.params.get(by_hand::PARAM).is_some()) {
+    if context.by_hand.is_some() && !nodes.iter().any(|node| node.params.get(by_hand::PARAM).is_some()) {
         let at = root.place(
             by_hand::LISTS
                 .iter()
@@ -99,50 +100,12 @@ fn tables<'a>(root: &'a Located, key: &str) -> Result<&'a [Entry], ConfigError> 
     }
 }
 
-/// Name of the lock file.
-const LOCK: &str = "marf.lock";
-/// Kinds of archives that lie on servers.
-const REMOTE: [&str; 2] = ["pds", "feed"];
-/// Key under which the program tells such an archive where it works.
-const SITE: &str = "site";
-
-/// Archives as JSON; a relative `path` is meant from the pipeline's folder.
-fn archives(root: &Located, access: Access, base: &Path) -> Result<BTreeMap<String, Json>, ConfigError> {
-    let mut archives = BTreeMap::new();
-    for entry in tables(root, "archive")? {
-        let mut json = entry.value.json();
-        if let Some(Json::String(path)) = json.get_mut("path") {
-            *path = base.join(&*path).to_string_lossy().into_owned();
-        }
-        if let Some(table) = json.as_object_mut().filter(|table| is_remote(table)) {
-            let lock = base.join(LOCK);
-            let site = serde_json::json!({ "name": entry.key, "lock": lock, "access": access.word() });
-            table.insert(SITE.to_owned(), site);
-        }
-        archives.insert(entry.key.clone(), json);
-    }
-    Ok(archives)
-}
-
-fn is_remote(table: &serde_json::Map<String, Json>) -> bool {
-    table
-        .get("kind")
-        .and_then(Json::as_str)
-        .is_some_and(|kind| REMOTE.contains(&kind))
-}
-
-/// The parameters as people wrote them.
-fn for_people(mut params: Json) -> Json {
-    if let Some(Json::Object(archive)) = params.get_mut("archive") {
-        archive.remove(SITE);
-    }
-    params
-}
-
+/// Key of stages that read an archive.
+const ARCHIVE: &str = "archive";
 /// Key of stages that can run on several devices.
 const DEVICE: &str = "device";
 
-fn node(entry: &Entry, names: &[&str], around: &Around<'_>) -> Result<Node, ConfigError> {
+fn node(entry: &Entry, names: &[&str], context: &PipelineContext<'_>) -> Result<Node, ConfigError> {
     let table = &entry.value;
     let def = stage_of(entry)?;
     let schema = (def.schema)();
@@ -153,6 +116,7 @@ fn node(entry: &Entry, names: &[&str], around: &Around<'_>) -> Result<Node, Conf
         .unwrap_or_default();
     let ports: Vec<&str> = def.ports.iter().map(|port| port.key).collect();
     let (mut edges, mut params) = (BTreeMap::new(), serde_json::Map::new());
+    let mut archive = None;
     for field in table.entries().unwrap_or_default() {
         let key = field.key.as_str();
         if key == "uses" {
@@ -160,8 +124,10 @@ fn node(entry: &Entry, names: &[&str], around: &Around<'_>) -> Result<Node, Conf
         }
         if ports.contains(&key) {
             edges.insert(key.to_owned(), upstream(field, names)?);
-        } else if key == "archive" && keys.contains(&key) {
-            params.insert(key.to_owned(), archive(field, &around.archives)?);
+        } else if key == ARCHIVE && keys.contains(&key) {
+            let table = context.archives.named(field, text(field)?)?;
+            params.insert(key.to_owned(), table.value.json());
+            archive = Some(table);
         } else if keys.contains(&key) {
             params.insert(key.to_owned(), field.value.json());
         } else {
@@ -182,24 +148,28 @@ fn node(entry: &Entry, names: &[&str], around: &Around<'_>) -> Result<Node, Conf
         let message = format!("`node.{name}` needs `{key} = \"…\"`, the node that gives it `{output}`");
         return Err(ConfigError::at(entry.at.clone(), message));
     }
-    if let Some(device) = around.device
+    if let Some(device) = context.device
         && keys.contains(&DEVICE)
     {
         params.entry(DEVICE).or_insert_with(|| device.to_string().into());
     }
-    if let Some(lists) = &around.by_hand
+    if let Some(lists) = &context.by_hand
         && keys.contains(&by_hand::PARAM)
     {
         by_hand::lay_under(&mut params, lists);
     }
     let params = Json::Object(params);
-    let stage = (def.bind)(params.clone()).map_err(|error| complaint(entry, &error))?;
+    let stage = match archive {
+        Some(table) => (def.bind_archive)(params.clone(), context.archives.context(table)),
+        None => (def.bind)(params.clone()),
+    }
+    .map_err(|error| param_error(entry, archive, &error))?;
     Ok(Node {
         name: entry.key.clone(),
         def,
         stage,
         edges,
-        params: for_people(params),
+        params,
     })
 }
 
@@ -239,17 +209,12 @@ fn upstream(field: &Entry, names: &[&str]) -> Result<String, ConfigError> {
     Err(ConfigError::at(field.value.at.clone(), message).hint(did_you_mean(name, names.iter().copied())))
 }
 
-fn archive(field: &Entry, archives: &BTreeMap<String, Json>) -> Result<Json, ConfigError> {
-    let name = text(field)?;
-    archives.get(name).cloned().ok_or_else(|| {
-        let message = format!("`archive = \"{name}\"` names no `[archive.*]` table");
-        let hint = did_you_mean(name, archives.keys().map(String::as_str));
-        ConfigError::at(field.value.at.clone(), message).hint(hint)
-    })
-}
-
-/// Puts a stage's complaint at the key it is about.
-fn complaint(entry: &Entry, error: &ParamError) -> ConfigError {
+/// Puts a stage's error at the key it is about, in the node's table or in that of the archive it reads.
+fn param_error(entry: &Entry, archive: Option<&Entry>, error: &ParamError) -> ConfigError {
+    let in_archive = error.path.strip_prefix(ARCHIVE);
+    if let (Some(table), Some(path)) = (archive, in_archive) {
+        return archives::param_error(table, path.trim_start_matches('.'), error);
+    }
     let at = if error.path.is_empty() {
         entry.at.clone()
     } else {

@@ -1,33 +1,21 @@
 use marf_field::Device;
+use marf_stage::Access;
 
-/// What the command line says for all nodes and archives.
-#[derive(Debug, Clone, Default)]
+/// Options of the command line that hold for all nodes and archives.
+#[derive(Debug, Clone)]
 pub struct GlobalOptions {
-    /// What nodes run on that can run on several devices and name none.
+    /// Device of the nodes that can run on several and name none.
     pub device: Option<Device>,
     /// What may be asked of the network.
     pub access: Access,
 }
 
-/// What may be asked of the network.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub enum Access {
-    /// Everything.
-    #[default]
-    Online,
-    /// Products that the lock file names.
-    Locked,
-    /// Nothing.
-    Offline,
-}
-
-impl Access {
-    /// Returns the word that archives know it by.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Online => "online",
-            Self::Locked => "locked",
-            Self::Offline => "offline",
+/// Without options: every node chooses its device, and archives on servers may be asked.
+impl Default for GlobalOptions {
+    fn default() -> Self {
+        Self {
+            device: None,
+            access: Access::Online,
         }
     }
 }

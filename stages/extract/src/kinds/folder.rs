@@ -6,11 +6,15 @@ use std::sync::Arc;
 
 use marf_cache::{Digest, digest_of};
 use marf_pds::join_key;
-use marf_stage::{Ctx, Listing, Shard, StageError};
+use marf_stage::{Ctx, Listing, ParamError, Shard, StageError};
 use parking_lot::Mutex;
 use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::Deserialize;
 use walkdir::{DirEntry, WalkDir};
 
+use crate::archive::access::{Local, LocalContext};
+use crate::archive::kind::ArchiveKind;
 use crate::archive::{ArchiveFile, ArchiveFiles, Kind, extension, folder, stem};
 use crate::sols::Sols;
 
@@ -33,7 +37,26 @@ const MASKS: &str = "masks";
 /// Folders in which companions are looked for.
 const COMPANION_FOLDERS: [&str; 3] = ["", "sparse", "sparse/0"];
 
-/// A folder and which of its files are meant.
+/// The keys of `kind = "folder"`.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct FolderParams {
+    /// The folder; a relative one is meant from pipeline.toml.
+    path: PathBuf,
+    /// Which sols: `1..=5`, `3`, `1,4,7..=9` or `latest`; all, and photos of no known sol, if left out.
+    #[serde(default)]
+    #[schemars(with = "Sols")]
+    sols: Option<Sols>,
+    /// Whether folders in the folder are read too.
+    #[serde(default = "yes")]
+    recursive: bool,
+}
+
+fn yes() -> bool {
+    true
+}
+
+/// A folder, and which of its files are photos of the archive.
 pub(crate) struct Folder {
     root: PathBuf,
     sols: Sols,
@@ -42,32 +65,30 @@ pub(crate) struct Folder {
     last: Mutex<Option<Arc<Survey>>>,
 }
 
-/// What is in the folder.
+/// The files of the folder.
 struct Survey {
     shards: BTreeMap<u32, Vec<ArchiveFile>>,
     companions: Vec<ArchiveFile>,
 }
 
-/// How far below the folder files are looked for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Depth {
-    /// The folder itself.
-    Flat,
-    /// All folders in it.
-    Recursive,
+impl ArchiveKind for Folder {
+    type Params = FolderParams;
+    type Location = Local;
+    const KIND: &'static str = "folder";
+    const ABOUT: &'static str = "a folder of photos, with or without labels beside them";
+
+    fn open(params: FolderParams, context: LocalContext) -> Result<Box<dyn ArchiveFiles>, ParamError> {
+        Ok(Box::new(Self {
+            root: context.path(&params.path),
+            sols: params.sols.unwrap_or(Sols::All),
+            depth: if params.recursive { MAX_DEPTH } else { 1 },
+            last: Mutex::new(None),
+        }))
+    }
 }
 
 impl Folder {
-    /// Makes the archive; nothing is read yet.
-    pub fn new(root: PathBuf, sols: Sols, depth: Depth) -> Self {
-        Self {
-            root,
-            sols,
-            depth: if depth == Depth::Recursive { MAX_DEPTH } else { 1 },
-            last: Mutex::new(None),
-        }
-    }
-
+    /// Reads every file once and sorts them into shards and companions.
     fn survey(&self, ctx: &Ctx<'_>) -> Result<Arc<Survey>, StageError> {
         self.check_root()?;
         let found: Vec<_> = self.walk();
@@ -131,7 +152,7 @@ impl Folder {
         StageError::new(message).hint("a photo is a JPEG, PNG, WebP, GIF or .IMG; hidden files are not read")
     }
 
-    /// Every file by name, in order; hidden files and folders are left out, links are followed but not in circles.
+    /// Returns every file by name, in order; hidden files and folders are left out, links are followed but not in circles.
     fn walk(&self) -> Vec<(String, Result<PathBuf, String>)> {
         let visible =
             |entry: &DirEntry| entry.depth() == 0 || !entry.file_name().as_encoded_bytes().starts_with(b".");
@@ -170,13 +191,14 @@ impl Folder {
         }
     }
 
-    /// The name below the folder with `/`, and whether it is whole.
+    /// Returns the name below the folder with `/`, and whether it is UTF-8.
     fn relative(&self, path: &Path) -> (String, bool) {
         let below = path.strip_prefix(&self.root).unwrap_or(path);
         let parts: Vec<_> = below.iter().map(|part| part.to_string_lossy()).collect();
         (parts.join("/"), below.to_str().is_some())
     }
 
+    /// Returns the shards of the sols asked for.
     fn chosen(
         &self,
         shards: BTreeMap<u32, Vec<ArchiveFile>>,
@@ -241,7 +263,7 @@ impl ArchiveFiles for Folder {
     }
 }
 
-/// Digest over names and digests of all files of a shard.
+/// Returns the digest over names and digests of all files of a shard.
 fn fingerprint(files: &[ArchiveFile]) -> Digest {
     let content: Vec<(String, Digest)> = files
         .iter()

@@ -1,19 +1,33 @@
-//! The raw-image feeds of Mars 2020 and MSL: pages of records to offers.
+//! The raw-image feeds of Mars 2020 and MSL: one camera of one mission.
 //!
-//! The record is the label. Pages are asked for by runs of sols and remembered by sol.
+//! The record of a photo is its label. Pages of records are asked for by runs of sols and cached by sol.
+
+mod records;
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use marf_pds::values;
 use marf_stage::{Ctx, ParamError, StageError};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::crawl::{memory_key, recall, remember, urls};
-use super::offer::{Offer, Offered, Offers, Survey};
-use crate::net::{Answer, Client, Origin, Url, Want};
-use crate::params::{FeedArchive, Instrument, Mission};
+use self::records::{field, id_of, sol_of, text};
+use super::mission::{Instrument, Mission};
+use crate::archive::ArchiveFiles;
+use crate::archive::access::{Remote, RemoteContext};
+use crate::archive::kind::ArchiveKind;
+use crate::net::{Answer, Client, Download, Origin, Url};
+use crate::remote::catalog::{Catalog, CatalogSource, RemoteFile, SolFiles};
+use crate::remote::crawl::urls;
+use crate::remote::network::{Network, bases, origins};
+use crate::remote::{RemoteArchive, Request, cache};
 use crate::sols::Sols;
+
+/// The raw-image feeds of both missions: lists of photos, hours after their downlink.
+const FEEDS: &str = "https://mars.nasa.gov";
+/// Another host of photos that the feeds name.
+const PICTURES: &str = "https://mars.jpl.nasa.gov";
 
 /// Records asked for at a time.
 const PER_PAGE: usize = 100;
@@ -24,18 +38,39 @@ const MAX_PAGES: usize = 1_000;
 const MAX_PAGE_BYTES: u64 = 32 << 20;
 const MAX_PICTURE_BYTES: u64 = 64 << 20;
 
+/// The keys of `kind = "feed"`.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct FeedParams {
+    /// The mission.
+    mission: Mission,
+    /// The camera.
+    instrument: Instrument,
+    /// Which sols: `1..=5`, `3`, `1,4,7..=9` or `latest`.
+    sols: Sols,
+    /// Where the feed lies, tried in this order.
+    #[serde(default)]
+    base: Vec<String>,
+    /// Hosts that pictures may come from, beside those of `base`.
+    #[serde(default)]
+    picture_hosts: Vec<String>,
+    /// How the network is used.
+    #[serde(default)]
+    network: Network,
+}
+
 /// One camera of a feed.
 pub(crate) struct Feed {
     form: Form,
-    /// Names of the camera's eyes in the feed.
+    /// Names in the feed of the left and the right camera.
     instruments: &'static [&'static str],
     bases: Vec<String>,
-    /// Where its pictures may lie.
+    /// Origins that its pictures may come from.
     allowed: Vec<Origin>,
     relist_sols: u32,
 }
 
-/// How a mission's feed asks and answers.
+/// The form of a mission's questions and answers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Form {
     /// `images[]`, nested; the categories asked for.
@@ -44,21 +79,44 @@ enum Form {
     Msl,
 }
 
-/// Records of one sol, as remembered.
+/// Records of one sol, as cached.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
-struct Remembered {
+struct CachedSol {
     settled: bool,
     records: BTreeMap<String, Value>,
 }
 
+impl ArchiveKind for Feed {
+    type Params = FeedParams;
+    type Location = Remote;
+    const KIND: &'static str = "feed";
+    const ABOUT: &'static str = "one camera of one mission in NASA's raw-image feeds";
+
+    fn open(params: FeedParams, context: RemoteContext) -> Result<Box<dyn ArchiveFiles>, ParamError> {
+        let bases = bases(&params.base, &[FEEDS]);
+        let mut allowed = bases.clone();
+        allowed.extend(params.picture_hosts.iter().cloned());
+        if params.base.is_empty() {
+            allowed.extend([FEEDS, PICTURES].map(str::to_owned));
+        }
+        let feed = Self::new(&params, bases, origins(&allowed)?)?;
+        let request = Request {
+            asked: format!("feed {:?} {:?}", params.mission, params.instrument).to_lowercase(),
+            sols: params.sols,
+            network: &params.network,
+            allowed: &allowed,
+        };
+        Ok(Box::new(RemoteArchive::new(context, request, Box::new(feed))?))
+    }
+}
+
 impl Feed {
-    /// Finds the feed of a camera.
+    /// Returns the feed of a camera.
     ///
     /// # Errors
     /// A camera that the mission does not have.
-    pub fn new(archive: &FeedArchive, bases: Vec<String>, allowed: Vec<Origin>) -> Result<Self, ParamError> {
-        let (form, instruments): (Form, &'static [&'static str]) = match (archive.mission, archive.instrument)
-        {
+    fn new(params: &FeedParams, bases: Vec<String>, allowed: Vec<Origin>) -> Result<Self, ParamError> {
+        let (form, instruments): (Form, &'static [&'static str]) = match (params.mission, params.instrument) {
             (Mission::Perseverance, Instrument::MastcamZ) => {
                 (Form::Mars2020("mars2020"), &["MCZ_LEFT", "MCZ_RIGHT"])
             }
@@ -75,7 +133,7 @@ impl Feed {
             ),
             (mission, instrument) => {
                 let message = format!("{mission:?} has no {instrument:?}").to_lowercase();
-                return Err(ParamError::new("archive.instrument", message));
+                return Err(ParamError::new("instrument", message));
             }
         };
         Ok(Self {
@@ -83,18 +141,19 @@ impl Feed {
             instruments,
             bases,
             allowed,
-            relist_sols: archive.network.relist_sols,
+            relist_sols: params.network.relist_sols,
         })
     }
 
-    fn newest(&self, asking: &Asking<'_>) -> Result<Option<u32>, StageError> {
+    /// Returns the feed's latest sol, which is that of any camera.
+    fn newest(&self, pages: &Pages<'_>) -> Result<Option<u32>, StageError> {
         let path = match self.form {
             Form::Mars2020(category) => {
                 format!("rss/api/?feed=raw_images&category={category}&feedtype=json&ver=1.2&latest=true")
             }
             Form::Msl => "api/v1/raw_image_items/msl/latest/".to_owned(),
         };
-        let json = asking.one(&path)?;
+        let json = pages.one(&path)?;
         Ok(json
             .get("latest_sol")
             .and_then(text)
@@ -118,13 +177,13 @@ impl Feed {
     /// Asks for all records of a run of sols, page by page.
     fn records(
         &self,
-        asking: &Asking<'_>,
+        pages: &Pages<'_>,
         first: u32,
         last: u32,
     ) -> Result<BTreeMap<u32, Records>, StageError> {
         let (mut sols, mut seen): (BTreeMap<u32, Records>, usize) = (BTreeMap::new(), 0);
         for page in 0..MAX_PAGES {
-            let json = asking.one(&self.page_path(first, last, page))?;
+            let json = pages.one(&self.page_path(first, last, page))?;
             let (records, total) = self.read_page(&json, first, last)?;
             let before: usize = sols.values().map(BTreeMap::len).sum();
             seen += records.len();
@@ -138,7 +197,7 @@ impl Feed {
                 }
             }
             let after: usize = sols.values().map(BTreeMap::len).sum();
-            asking.ctx.progress.at(
+            pages.ctx.progress.at(
                 u64::from(first),
                 u64::from(last.max(1)),
                 "records asked for, by sol",
@@ -154,7 +213,7 @@ impl Feed {
         .hint("ask for fewer sols"))
     }
 
-    /// The records of a page that are of this mission and camera, and how many there are in all.
+    /// Returns the records of a page, and how many there are on all pages.
     fn read_page<'a>(
         &self,
         json: &'a Value,
@@ -178,31 +237,33 @@ impl Feed {
         Ok((records.iter().collect(), total))
     }
 
-    fn offer(&self, records: &Records) -> Offer {
-        let mut offer = Offer::default();
+    /// Returns the files of the records of one sol: of each photo the picture and the record.
+    fn sol_files(&self, records: &Records) -> SolFiles {
+        let mut files = SolFiles::default();
         for (id, record) in records {
             match self.picture(record) {
                 Ok(Picture { url, extension }) => {
-                    let offered = |urls, bytes| Offered {
+                    let file = |urls, bytes| RemoteFile {
                         urls,
                         cap_bytes: MAX_PICTURE_BYTES,
                         listed: None,
                         bytes,
                     };
                     let label = record.to_string().into_bytes();
-                    offer
+                    files
                         .files
-                        .insert(format!("{id}.{extension}"), offered(vec![url], None));
-                    offer
+                        .insert(format!("{id}.{extension}"), file(vec![url], None));
+                    files
                         .files
-                        .insert(format!("{id}.json"), offered(Vec::new(), Some(label)));
+                        .insert(format!("{id}.json"), file(Vec::new(), Some(label)));
                 }
-                Err(reason) => drop(offer.left_out.insert(id.clone(), reason)),
+                Err(reason) => drop(files.left_out.insert(id.clone(), reason)),
             }
         }
-        offer
+        files
     }
 
+    /// Returns the picture that a record names, or why it is not taken.
     fn picture(&self, record: &Value) -> Result<Picture, String> {
         let instrument = field(record, "instrument").unwrap_or_default();
         if !self.instruments.contains(&instrument.as_str()) {
@@ -247,54 +308,54 @@ impl Feed {
         Ok(Picture { url, extension })
     }
 
-    fn remembered(&self, sol: u32) -> marf_cache::Digest {
-        memory_key(
+    fn cache_key(&self, sol: u32) -> marf_cache::Digest {
+        cache::key(
             "feed",
             &format!("{:?} {} {sol}", self.form, self.instruments.join(" ")),
         )
     }
 }
 
-impl Offers for Feed {
-    fn survey(&self, ctx: &Ctx<'_>, client: &Client, sols: &Sols) -> Result<Survey, StageError> {
-        let asking = Asking {
+impl CatalogSource for Feed {
+    fn catalog(&self, ctx: &Ctx<'_>, client: &Client, sols: &Sols) -> Result<Catalog, StageError> {
+        let pages = Pages {
             ctx,
             client,
             bases: &self.bases,
         };
-        let newest = self.newest(&asking)?;
+        let newest = self.newest(&pages)?;
         let wanted = wanted(sols, newest)?;
         let settled = |sol: u32| newest.is_some_and(|newest| newest.saturating_sub(sol) >= self.relist_sols);
-        let mut known: BTreeMap<u32, Remembered> = BTreeMap::new();
+        let mut known: BTreeMap<u32, CachedSol> = BTreeMap::new();
         let mut asked = BTreeSet::new();
         for sol in wanted {
-            match recall::<Remembered>(ctx.scratch, &self.remembered(sol)) {
-                Some(remembered) if remembered.settled => drop(known.insert(sol, remembered)),
+            match cache::read::<CachedSol>(ctx.scratch, &self.cache_key(sol)) {
+                Some(cached) if cached.settled => drop(known.insert(sol, cached)),
                 _ => drop(asked.insert(sol)),
             }
         }
         for (first, last) in runs(&asked) {
-            let mut found = self.records(&asking, first, last)?;
+            let mut found = self.records(&pages, first, last)?;
             for sol in (first..=last).filter(|sol| asked.contains(sol)) {
-                let remembered = Remembered {
+                let cached = CachedSol {
                     settled: settled(sol),
                     records: found.remove(&sol).unwrap_or_default(),
                 };
-                remember(ctx.scratch, &self.remembered(sol), &remembered);
-                known.insert(sol, remembered);
+                cache::write(ctx.scratch, &self.cache_key(sol), &cached);
+                known.insert(sol, cached);
             }
         }
-        let offers: BTreeMap<u32, Offer> = known
+        let files: BTreeMap<u32, SolFiles> = known
             .into_iter()
-            .map(|(sol, remembered)| (sol, self.offer(&remembered.records)))
-            .filter(|(_, offer)| !offer.is_empty())
+            .map(|(sol, cached)| (sol, self.sol_files(&cached.records)))
+            .filter(|(_, files)| !files.is_empty())
             .collect();
-        let present = offers.keys().copied().chain(newest).collect();
-        let offers = match sols {
-            Sols::Latest => latest(offers),
-            _ => offers,
+        let present = files.keys().copied().chain(newest).collect();
+        let sols = match sols {
+            Sols::Latest => latest(files),
+            _ => files,
         };
-        Ok(Survey { offers, present })
+        Ok(Catalog { sols, present })
     }
 }
 
@@ -305,16 +366,17 @@ struct Picture {
     extension: String,
 }
 
-/// A way to the pages of a feed.
-struct Asking<'a> {
+/// Reads the pages of a feed.
+struct Pages<'a> {
     ctx: &'a Ctx<'a>,
     client: &'a Client,
     bases: &'a [String],
 }
 
-impl Asking<'_> {
+impl Pages<'_> {
+    /// Downloads one page.
     fn one(&self, path: &str) -> Result<Value, StageError> {
-        let want = Want {
+        let want = Download {
             urls: urls(self.bases, path)?,
             cap_bytes: MAX_PAGE_BYTES,
             known: None,
@@ -339,13 +401,13 @@ impl Asking<'_> {
     }
 }
 
-/// The latest sol on which this camera took a photo.
-fn latest(mut offers: BTreeMap<u32, Offer>) -> BTreeMap<u32, Offer> {
-    offers.retain(|_, offer| !offer.files.is_empty());
-    offers.pop_last().into_iter().collect()
+/// Returns the latest sol on which this camera took a photo.
+fn latest(mut sols: BTreeMap<u32, SolFiles>) -> BTreeMap<u32, SolFiles> {
+    sols.retain(|_, files| !files.files.is_empty());
+    sols.pop_last().into_iter().collect()
 }
 
-/// The sols to ask for; for the latest a run of them, since the feed's latest sol is that of any camera.
+/// Returns the sols to ask for; for the latest a run of them, since the feed's latest sol is that of any camera.
 fn wanted(sols: &Sols, newest: Option<u32>) -> Result<BTreeSet<u32>, StageError> {
     let unknown = || {
         StageError::new("the feed does not tell its latest sol")
@@ -365,7 +427,7 @@ fn wanted(sols: &Sols, newest: Option<u32>) -> Result<BTreeSet<u32>, StageError>
     }
 }
 
-/// Runs of sols that are asked for together; between them at most a few that are not.
+/// Returns first and last of the runs of sols that are asked for together; sols between may not be asked for.
 fn runs(sols: &BTreeSet<u32>) -> Vec<(u32, u32)> {
     let mut runs: Vec<(u32, u32)> = Vec::new();
     for &sol in sols {
@@ -375,35 +437,6 @@ fn runs(sols: &BTreeSet<u32>) -> Vec<(u32, u32)> {
         }
     }
     runs
-}
-
-fn sol_of(record: &Value) -> Option<u32> {
-    field(record, "sol").and_then(|sol| values::sol(&sol))
-}
-
-/// The record's id, if it can be part of a name: what a server writes never is a path.
-fn id_of(record: &Value) -> Option<String> {
-    let id = field(record, "imageid")?;
-    let plain = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'_' || byte == b'-';
-    (id.len() <= 80 && id.bytes().all(plain)).then_some(id)
-}
-
-/// A known value at the top, or under `camera` or `extended`.
-fn field(record: &Value, key: &str) -> Option<String> {
-    let places = [Some(record), record.get("camera"), record.get("extended")];
-    places
-        .into_iter()
-        .flatten()
-        .find_map(|place| place.get(key).and_then(text))
-}
-
-fn text(value: &Value) -> Option<String> {
-    match value {
-        Value::String(text) => values::known(text),
-        Value::Number(number) => Some(number.to_string()),
-        Value::Bool(truth) => Some(truth.to_string()),
-        _ => None,
-    }
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! One host: how many requests at once, how far apart, and when it is left alone.
+//! Limits of one host: how many requests at once, how far apart, and when no more are sent.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Weak};
@@ -9,27 +9,27 @@ use tokio::sync::{Semaphore, SemaphorePermit};
 use tokio::time::{Instant, sleep_until};
 
 use super::backoff::LONGEST_RETRY_AFTER;
-use super::error::Trouble;
+use super::error::NetErrorKind;
 use super::origin::Origin;
 
-/// Answers 403 in a row after which a host is left alone.
+/// Answers 403 in a row after which a host is asked no more.
 const MOST_REFUSALS: u32 = 5;
-/// Addresses in a row that failed at every try after which a host is left alone.
+/// Addresses in a row that failed at every try after which a host is asked no more.
 const MOST_FAILURES: u32 = 5;
 
-/// Gates by host and manners. Two archives of one pipeline that ask one host in the same manner share its gate, so that
-/// the host sees no more of both than of one.
-static SHARED: Mutex<BTreeMap<(String, usize, Duration), Weak<Gate>>> = Mutex::new(BTreeMap::new());
+/// Limiters by host and settings. Two archives of one pipeline with the same settings share the limiter of a host, so
+/// that the host sees no more requests of both than of one.
+static SHARED: Mutex<BTreeMap<(String, usize, Duration), Weak<HostLimiter>>> = Mutex::new(BTreeMap::new());
 
-/// The gates of the hosts that a client has asked; what a host asked for lasts as long as a client that heard it.
+/// The limiters of the hosts that a client has asked. A pause that a host asked for lasts as long as such a client.
 #[derive(Debug)]
-pub(super) struct Gates {
+pub(super) struct HostLimiters {
     per_host: usize,
     delay: Duration,
-    hosts: Mutex<BTreeMap<String, Arc<Gate>>>,
+    hosts: Mutex<BTreeMap<String, Arc<HostLimiter>>>,
 }
 
-impl Gates {
+impl HostLimiters {
     pub(super) fn new(per_host: usize, delay: Duration) -> Self {
         Self {
             per_host: per_host.clamp(1, Semaphore::MAX_PERMITS),
@@ -38,35 +38,35 @@ impl Gates {
         }
     }
 
-    /// The gate of an origin's host and port.
-    pub(super) fn of(&self, origin: &Origin) -> Arc<Gate> {
+    /// The limiter of an origin's host and port.
+    pub(super) fn of(&self, origin: &Origin) -> Arc<HostLimiter> {
         let name = origin.authority();
         let mut hosts = self.hosts.lock();
-        let gate = hosts.entry(name).or_insert_with_key(|name| self.shared(name));
-        Arc::clone(gate)
+        let limiter = hosts.entry(name).or_insert_with_key(|name| self.shared(name));
+        Arc::clone(limiter)
     }
 
-    fn shared(&self, name: &str) -> Arc<Gate> {
+    fn shared(&self, name: &str) -> Arc<HostLimiter> {
         let mut shared = SHARED.lock();
-        let gate = shared
+        let limiter = shared
             .entry((name.to_owned(), self.per_host, self.delay))
             .or_default();
-        gate.upgrade().unwrap_or_else(|| {
-            let fresh = Arc::new(Gate {
+        limiter.upgrade().unwrap_or_else(|| {
+            let fresh = Arc::new(HostLimiter {
                 name: name.to_owned(),
                 delay: self.delay,
                 slots: Semaphore::new(self.per_host),
                 state: Mutex::default(),
             });
-            *gate = Arc::downgrade(&fresh);
+            *limiter = Arc::downgrade(&fresh);
             fresh
         })
     }
 }
 
-/// The gate of one host.
+/// The limiter of one host.
 #[derive(Debug)]
-pub(super) struct Gate {
+pub(super) struct HostLimiter {
     name: String,
     delay: Duration,
     slots: Semaphore,
@@ -81,18 +81,18 @@ struct State {
     refusals: u32,
     /// Addresses given up in a row.
     failures: u32,
-    /// Why the host is left alone.
+    /// Why the host is asked no more.
     stopped: Option<String>,
 }
 
-impl Gate {
-    /// Waits for a place and for the delay after the last start; the request starts when this returns, and its place
-    /// is free when the permit is dropped.
+impl HostLimiter {
+    /// Waits until a request may start: for a free connection, and for the delay since the last start. The connection
+    /// is free again when the permit is dropped.
     ///
     /// # Errors
-    /// The host is left alone, or has asked for a wait that is too long.
-    pub(super) async fn enter(&self) -> Result<SemaphorePermit<'_>, Trouble> {
-        let permit = self.slots.acquire().await.map_err(|_| Trouble::Lost)?;
+    /// The host is asked no more, or has asked for a wait that is too long.
+    pub(super) async fn enter(&self) -> Result<SemaphorePermit<'_>, NetErrorKind> {
+        let permit = self.slots.acquire().await.map_err(|_| NetErrorKind::Lost)?;
         loop {
             match self.start()? {
                 None => return Ok(permit),
@@ -101,11 +101,11 @@ impl Gate {
         }
     }
 
-    /// Takes the start now, or tells when to come again.
-    fn start(&self) -> Result<Option<Instant>, Trouble> {
+    /// Starts a request now, or returns when one may start.
+    fn start(&self) -> Result<Option<Instant>, NetErrorKind> {
         let mut state = self.state.lock();
         if let Some(why) = &state.stopped {
-            return Err(Trouble::HostStopped {
+            return Err(NetErrorKind::HostStopped {
                 host: self.name.clone(),
                 why: why.clone(),
             });
@@ -114,7 +114,7 @@ impl Gate {
         if let Some(next) = state.next.filter(|next| *next > now) {
             let wait = next - now;
             if wait > LONGEST_RETRY_AFTER.max(self.delay) {
-                return Err(Trouble::Later { wait });
+                return Err(NetErrorKind::Later { wait });
             }
             return Ok(Some(next));
         }
@@ -122,7 +122,7 @@ impl Gate {
         Ok(None)
     }
 
-    /// The host asked for a pause: no request starts before its end.
+    /// Starts no request before the end of a pause that the host asked for.
     pub(super) fn pause(&self, wait: Duration) {
         // A year stands for all that no clock can hold.
         let wait = wait.min(Duration::from_secs(365 * 86_400));
@@ -130,7 +130,7 @@ impl Gate {
         state.next = state.next.max(Instant::now().checked_add(wait));
     }
 
-    /// An answer 403 came.
+    /// Counts an answer 403.
     pub(super) fn refused(&self) {
         let mut state = self.state.lock();
         state.refusals += 1;
@@ -140,19 +140,18 @@ impl Gate {
         }
     }
 
-    /// An answer of use came.
+    /// Sets the counts of failures back: the host answered.
     pub(super) fn answered(&self) {
         let mut state = self.state.lock();
         (state.refusals, state.failures) = (0, 0);
     }
 
-    /// An address was given up after all its tries.
-    pub(super) fn failed(&self, trouble: &Trouble) {
+    /// Counts an address that was given up after all its tries.
+    pub(super) fn failed(&self, kind: &NetErrorKind) {
         let mut state = self.state.lock();
         state.failures += 1;
         if state.failures >= MOST_FAILURES {
-            let why =
-                format!("{MOST_FAILURES} addresses in a row failed at every try, the last one: {trouble}");
+            let why = format!("{MOST_FAILURES} addresses in a row failed at every try, the last one: {kind}");
             state.stopped.get_or_insert(why);
         }
     }
@@ -162,39 +161,39 @@ impl Gate {
 mod tests {
     use super::*;
 
-    fn gate(host: &str, delay: Duration) -> Arc<Gate> {
-        Gates::new(2, delay).of(&Origin::parse(&format!("https://{host}")).unwrap())
+    fn limiter(host: &str, delay: Duration) -> Arc<HostLimiter> {
+        HostLimiters::new(2, delay).of(&Origin::parse(&format!("https://{host}")).unwrap())
     }
 
     #[test]
-    fn two_clients_of_the_same_manners_share_a_host() {
+    fn two_clients_with_the_same_settings_share_a_host() {
         let (one, other) = (
-            gate("shared.example", Duration::ZERO),
-            gate("shared.example", Duration::ZERO),
+            limiter("shared.example", Duration::ZERO),
+            limiter("shared.example", Duration::ZERO),
         );
         assert!(Arc::ptr_eq(&one, &other));
         assert!(!Arc::ptr_eq(
             &one,
-            &gate("shared.example", Duration::from_secs(1))
+            &limiter("shared.example", Duration::from_secs(1))
         ));
         (0..MOST_REFUSALS).for_each(|_| one.refused());
         assert!(other.start().is_err());
         drop((one, other));
         assert!(
-            gate("shared.example", Duration::ZERO).start().is_ok(),
+            limiter("shared.example", Duration::ZERO).start().is_ok(),
             "forgotten with the last client"
         );
     }
 
     #[test]
     fn a_burst_of_403_stops_the_host_and_says_so() {
-        let gate = gate("a.example", Duration::ZERO);
-        (0..4).for_each(|_| gate.refused());
-        gate.answered();
-        (0..4).for_each(|_| gate.refused());
-        assert_eq!(gate.start(), Ok(None));
-        gate.refused();
-        let text = gate.start().unwrap_err().to_string();
+        let limiter = limiter("a.example", Duration::ZERO);
+        (0..4).for_each(|_| limiter.refused());
+        limiter.answered();
+        (0..4).for_each(|_| limiter.refused());
+        assert_eq!(limiter.start(), Ok(None));
+        limiter.refused();
+        let text = limiter.start().unwrap_err().to_string();
         assert!(
             text.contains("a.example:443") && text.contains("403 5 times"),
             "{text}"
@@ -203,20 +202,20 @@ mod tests {
 
     #[test]
     fn a_dead_host_is_stopped_and_named() {
-        let gate = gate("b.example", Duration::ZERO);
-        (0..MOST_FAILURES).for_each(|_| gate.failed(&Trouble::Status(503)));
-        let text = gate.start().unwrap_err().to_string();
+        let limiter = limiter("b.example", Duration::ZERO);
+        (0..MOST_FAILURES).for_each(|_| limiter.failed(&NetErrorKind::Status(503)));
+        let text = limiter.start().unwrap_err().to_string();
         assert!(text.contains("in a row") && text.contains("503"), "{text}");
     }
 
     #[test]
     fn a_pause_holds_the_host_and_a_long_one_is_an_error() {
-        let gate = gate("c.example", Duration::from_millis(250));
-        assert_eq!(gate.start(), Ok(None));
-        assert!(gate.start().unwrap().is_some(), "the delay holds");
-        gate.pause(Duration::from_secs(599));
-        assert!(gate.start().unwrap().is_some());
-        gate.pause(Duration::MAX);
-        assert!(matches!(gate.start(), Err(Trouble::Later { wait }) if wait.as_secs() > 600));
+        let limiter = limiter("c.example", Duration::from_millis(250));
+        assert_eq!(limiter.start(), Ok(None));
+        assert!(limiter.start().unwrap().is_some(), "the delay holds");
+        limiter.pause(Duration::from_secs(599));
+        assert!(limiter.start().unwrap().is_some());
+        limiter.pause(Duration::MAX);
+        assert!(matches!(limiter.start(), Err(NetErrorKind::Later { wait }) if wait.as_secs() > 600));
     }
 }

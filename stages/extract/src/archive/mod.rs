@@ -1,4 +1,7 @@
-//! What every archive offers: files by shard, each with its kind and digest.
+//! What every archive gives: files by shard, each with its kind and digest.
+
+pub(crate) mod access;
+pub(crate) mod kind;
 
 use std::fs::File;
 use std::io::Read;
@@ -12,7 +15,7 @@ use marf_stage::{Ctx, Listing, StageError};
 /// Largest file that is read: products have at most 64 MB.
 pub(crate) const MAX_FILE_BYTES: u64 = 128 << 20;
 
-/// A place that photos come from.
+/// An archive, ready to be read.
 pub(crate) trait ArchiveFiles: Send + Sync {
     /// Lists shards with fingerprints over all their files, and stores companions.
     fn list(&self, ctx: &Ctx<'_>) -> Result<Listing, StageError>;
@@ -25,11 +28,11 @@ pub(crate) trait ArchiveFiles: Send + Sync {
 pub(crate) struct ArchiveFile {
     /// Name in the archive, relative, with `/`.
     pub name: String,
-    /// What it is.
+    /// Its kind.
     pub kind: Kind,
     /// Digest of its bytes; of the reason where it cannot be read.
     pub digest: Digest,
-    /// Sol, as far as the file alone tells.
+    /// Sol, where the name or the file's own label has it.
     pub sol: Option<u32>,
     bytes: Bytes,
 }
@@ -64,7 +67,7 @@ pub(crate) enum Kind {
 /// Why bytes were not read.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum ReadError {
-    /// The system refused.
+    /// The operating system refused.
     #[error("cannot be read: {0}")]
     Io(std::io::ErrorKind),
     /// Too large.
@@ -73,7 +76,7 @@ pub(crate) enum ReadError {
 }
 
 impl ArchiveFile {
-    /// A file whose bytes are here; the way in for archives that make their files.
+    /// Returns a file whose bytes are in memory, for archives that make their files.
     pub fn in_memory(name: String, bytes: Vec<u8>) -> Self {
         let kind = kind(&name, &bytes);
         Self {
@@ -85,7 +88,7 @@ impl ArchiveFile {
         }
     }
 
-    /// A file on disk; reads it once, for kind, digest and sol.
+    /// Returns a file on disk; reads it once, for kind, digest and sol.
     pub fn on_disk(name: String, path: PathBuf) -> Self {
         match read_path(&path) {
             Ok(bytes) => {
@@ -102,7 +105,7 @@ impl ArchiveFile {
         }
     }
 
-    /// A file whose bytes are in the store; its name alone says what it is.
+    /// Returns a file whose bytes are in the store; its kind is by its name alone.
     pub fn stored(name: String, digest: Digest, sol: u32) -> Self {
         Self {
             kind: kind(&name, &[]),
@@ -113,7 +116,7 @@ impl ArchiveFile {
         }
     }
 
-    /// A file that an archive offers and that is not taken.
+    /// Returns a file that an archive lists and that is not taken.
     pub fn left_out(name: String, reason: String, sol: u32) -> Self {
         Self {
             digest: Digest::of(reason.as_bytes()),
@@ -124,7 +127,7 @@ impl ArchiveFile {
         }
     }
 
-    /// A file that is there and cannot be read.
+    /// Returns a file that is there and cannot be read.
     pub fn unreadable(name: String, reason: String) -> Self {
         Self {
             digest: Digest::of(reason.as_bytes()),
@@ -135,7 +138,7 @@ impl ArchiveFile {
         }
     }
 
-    /// Returns the bytes, the very ones that were listed.
+    /// Returns the bytes, checked to be those that were listed.
     ///
     /// # Errors
     /// A file that has changed since: its shard's fingerprint would name other bytes.
@@ -223,7 +226,7 @@ fn kind(name: &str, bytes: &[u8]) -> Kind {
     }
 }
 
-/// The sol by the name, or by the label that the file is or begins with.
+/// Returns the sol by the name, or by the label that the file is or begins with.
 fn own_sol(name: &str, kind: &Kind, bytes: &[u8]) -> Option<u32> {
     ProductName::read(stem(name))
         .and_then(|product| product.sol)

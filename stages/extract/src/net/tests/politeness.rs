@@ -18,13 +18,16 @@ fn two_at_a_time_and_a_pause_between_starts() {
         server.file(path, noise(0, 4_000));
         server.script(path, vec![Reply::Drip { bytes: 500, every }]);
     }
-    let client = Client::new(Conduct {
-        delay: DELAY,
-        ..quick(&[&server])
-    })
+    let client = Client::new(
+        permit(),
+        ClientSettings {
+            delay: DELAY,
+            ..quick(&[&server])
+        },
+    )
     .unwrap();
-    let wants: Vec<Want> = paths.iter().map(|path| want(&server, path)).collect();
-    all(&client, &wants)
+    let downloads: Vec<Download> = paths.iter().map(|path| download(&server, path)).collect();
+    all(&client, &downloads)
         .into_iter()
         .for_each(|answer| assert_eq!(bytes(answer.unwrap()), noise(0, 4_000)));
     assert_eq!(server.most_at_once(), 2);
@@ -38,18 +41,18 @@ fn two_at_a_time_and_a_pause_between_starts() {
 #[test]
 fn a_host_that_many_redirect_to_is_asked_two_at_a_time_too() {
     let (one, two, three) = (Server::start(), Server::start(), Server::start());
-    let client = Client::new(quick(&[&one, &two, &three])).unwrap();
+    let client = Client::new(permit(), quick(&[&one, &two, &three])).unwrap();
     let every = Duration::from_millis(20);
-    let mut wants = Vec::new();
+    let mut downloads = Vec::new();
     for index in 0..6 {
         let path = format!("/{index}");
         three.file(&path, noise(index, 3_000));
         three.script(&path, vec![Reply::Drip { bytes: 1_000, every }]);
         let first = if index % 2 == 0 { &one } else { &two };
         first.script(&path, vec![Reply::Redirect(three.url(&path))]);
-        wants.push(want(first, &path));
+        downloads.push(download(first, &path));
     }
-    for (index, answer) in (0..6).zip(all(&client, &wants)) {
+    for (index, answer) in (0..6).zip(all(&client, &downloads)) {
         assert_eq!(bytes(answer.unwrap()), noise(index, 3_000));
     }
     assert_eq!(three.most_at_once(), 2);
@@ -59,7 +62,7 @@ fn a_host_that_many_redirect_to_is_asked_two_at_a_time_too() {
 fn a_request_says_who_asks_and_nothing_else() {
     let server = Server::start();
     server.file("/a", *b"a");
-    bytes(one(&client(&server), &want(&server, "/a")));
+    bytes(one(&client(&server), &download(&server, "/a")));
     let request = &server.requests()[0];
     let mut names: Vec<&str> = request.headers.iter().map(|header| header.0.as_str()).collect();
     names.sort_unstable();
@@ -76,11 +79,11 @@ fn what_is_known_is_not_brought_again() {
     let server = Server::start();
     let client = client(&server);
     server.file("/a", *b"one");
-    let Ok(Answer::Whole { validators, .. }) = one(&client, &want(&server, "/a")) else {
+    let Ok(Answer::Whole { validators, .. }) = one(&client, &download(&server, "/a")) else {
         panic!()
     };
     assert_eq!(validators.modified.as_deref(), Some(MODIFIED));
-    let mut known = want(&server, "/a");
+    let mut known = download(&server, "/a");
     known.known = Some(validators.clone());
     assert_eq!(one(&client, &known).unwrap(), Answer::Unchanged);
     known.known = Some(Validators {
@@ -124,22 +127,22 @@ fn only_named_origins_are_asked() {
         "file:///etc/passwd".to_owned(),
         "data:text/plain,x".to_owned(),
     ] {
-        let wanted = Want {
+        let wanted = Download {
             urls: vec![Url::parse(&url).unwrap()],
-            ..want(&server, "/a")
+            ..download(&server, "/a")
         };
-        let error = trouble(one(&client, &wanted));
+        let error = kind(one(&client, &wanted));
         assert_eq!(
-            (&*error.trouble, error.again),
-            (&Trouble::NotAllowed, false),
+            (&*error.kind, error.retryable),
+            (&NetErrorKind::NotAllowed, false),
             "{url}"
         );
     }
-    let nothing = Want {
+    let nothing = Download {
         urls: Vec::new(),
-        ..want(&server, "/a")
+        ..download(&server, "/a")
     };
-    assert_eq!(*trouble(one(&client, &nothing)).trouble, Trouble::NoAddress);
+    assert_eq!(*kind(one(&client, &nothing)).kind, NetErrorKind::NoAddress);
     assert!(server.requests().is_empty() && other.requests().is_empty());
 }
 
@@ -149,16 +152,16 @@ fn https_is_never_spoken_in_the_clear() {
     let server = Server::start();
     server.file("/a", *b"a");
     let origin = server.origin().replace("http:", "https:");
-    let conduct = Conduct {
+    let settings = ClientSettings {
         allowed: vec![Origin::parse(&origin).unwrap()],
         tries: 1,
         ..quick(&[])
     };
-    let error = match Client::new(conduct) {
+    let error = match Client::new(permit(), settings) {
         Ok(client) => {
-            let mut secure = want(&server, "/a");
+            let mut secure = download(&server, "/a");
             secure.urls = vec![Url::parse(&format!("{origin}/a")).unwrap()];
-            trouble(one(&client, &secure))
+            kind(one(&client, &secure))
         }
         // A machine that trusts nobody says so.
         Err(error) => error,
@@ -174,9 +177,9 @@ fn no_wants_are_no_work_and_done_can_stop() {
     let client = client(&server);
     assert!(all(&client, &[]).is_empty());
     server.file("/a", *b"a");
-    let wants = vec![want(&server, "/a"); 50];
+    let downloads = vec![download(&server, "/a"); 50];
     let mut ended = 0;
-    let stop = client.get_all(&Harness::default().ctx(), &wants, &mut |_, _| {
+    let stop = client.get_all(&Harness::default().ctx(), &downloads, &mut |_, _| {
         ended += 1;
         Err(StageError::new("the store is full"))
     });
@@ -197,7 +200,7 @@ fn listings_and_feeds_of_the_test_archive_are_as_an_archive_s() {
     server.feed("/api", |path, query| {
         (query != "none").then(|| format!("{path}?{query}").into_bytes())
     });
-    let page = String::from_utf8(bytes(one(&client, &want(&server, "/data/sol/00012/")))).unwrap();
+    let page = String::from_utf8(bytes(one(&client, &download(&server, "/data/sol/00012/")))).unwrap();
     assert_eq!(page.matches(&format!("<a href=\"{long}\">")).count(), 2, "{page}");
     for part in [
         "?C=N;O=D",
@@ -207,17 +210,17 @@ fn listings_and_feeds_of_the_test_archive_are_as_an_archive_s() {
     ] {
         assert!(page.contains(part), "{part}: {page}");
     }
-    let sols = String::from_utf8(bytes(one(&client, &want(&server, "/data/sol")))).unwrap();
+    let sols = String::from_utf8(bytes(one(&client, &download(&server, "/data/sol")))).unwrap();
     assert!(
         sols.contains("\"00012/\"") && sols.contains("\"00013/\""),
         "{sols}"
     );
-    let root = String::from_utf8(bytes(one(&client, &want(&server, "/")))).unwrap();
+    let root = String::from_utf8(bytes(one(&client, &download(&server, "/")))).unwrap();
     assert!(root.contains("<a href=\"data/\">"), "{root}");
     assert_eq!(
-        bytes(one(&client, &want(&server, "/api?page=0&x=%20"))),
+        bytes(one(&client, &download(&server, "/api?page=0&x=%20"))),
         b"/api?page=0&x=%20"
     );
-    let absent = one(&client, &want(&server, "/api?none")).unwrap();
+    let absent = one(&client, &download(&server, "/api?none")).unwrap();
     assert!(matches!(absent, Answer::Absent { status: 404, .. }), "{absent:?}");
 }

@@ -4,14 +4,15 @@
 use marf_pds::{ProductName, Scheme};
 use marf_stage::ParamError;
 
-use crate::params::{Instrument, Level, Mission, PdsArchive, PixelSource};
+use super::params::{Level, PdsParams, PixelSource};
+use crate::kinds::mission::{Instrument, Mission};
 
-/// Folders that hold one folder a sol.
+/// A folder that holds one folder a sol.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Tree {
-    /// Below the archive's base.
+    /// Its path below the archive's base.
     pub root: String,
-    /// Shape of the names of volumes in the root (`?` is any letter or digit), if sols lie in volumes.
+    /// Pattern of the names of volumes in the root (`?` is any letter or digit), if sols lie in volumes.
     pub volumes: Option<&'static str>,
     /// From a volume to the folder of sols.
     pub below_volume: &'static str,
@@ -23,10 +24,10 @@ pub(crate) struct Tree {
     pub takes: &'static [&'static str],
 }
 
-/// One camera in the archive.
+/// Where the products of one camera lie, and which are taken.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Holding {
-    /// Ways the archive may be laid out; the first that is there is taken. Each is a set of trees to be joined.
+pub(crate) struct CameraLayout {
+    /// Possible layouts; the first that is there is taken. Each is a set of trees whose files belong together.
     pub layouts: Vec<Vec<Tree>>,
     /// Folder of the collection whose inventory names the products, if it has one.
     pub collection: Option<String>,
@@ -39,13 +40,13 @@ pub(crate) struct Holding {
 /// Video frames and stacks of focus: one exposure, many products.
 const SERIES: [&str; 6] = ["ECV", "EVD", "ECZ", "EZS", "ECR", "ERD"];
 
-impl Holding {
-    /// Finds the place of a camera.
+impl CameraLayout {
+    /// Returns the layout of a camera.
     ///
     /// # Errors
     /// A combination that the archive does not have.
-    pub fn of(archive: &PdsArchive) -> Result<Self, ParamError> {
-        let mut holding = match (archive.mission, archive.instrument) {
+    pub fn of(archive: &PdsParams) -> Result<Self, ParamError> {
+        let mut layout = match (archive.mission, archive.instrument) {
             (Mission::Perseverance, Instrument::MastcamZ) => {
                 mars2020(archive, "mars2020_mastcamz_ops", "zcam", &["ZL", "ZR"])?
             }
@@ -60,23 +61,20 @@ impl Holding {
             (mission, instrument) => {
                 let message = format!("{mission:?} has no {instrument:?}").to_lowercase();
                 let hint = "perseverance: mastcam-z, navcam; ingenuity: helicam; curiosity: mastcam, navcam";
-                return Err(ParamError::new(
-                    "archive.instrument",
-                    format!("{message} ({hint})"),
-                ));
+                return Err(ParamError::new("instrument", format!("{message} ({hint})")));
             }
         };
         if !archive.products.is_empty() {
-            holding.types = archive
+            layout.types = archive
                 .products
                 .iter()
                 .map(|kind| kind.to_ascii_uppercase())
                 .collect();
         }
-        Ok(holding)
+        Ok(layout)
     }
 
-    /// Tells where a product type stands among the wanted, or why it is not wanted.
+    /// Returns the rank of a product among the wanted types, 0 the best, or why it is not wanted.
     pub fn rank(&self, name: &ProductName) -> Result<usize, String> {
         if name.thumbnail {
             return Err("thumbnail".to_owned());
@@ -96,7 +94,7 @@ impl Holding {
     }
 }
 
-/// What the products of one exposure share: the name without colour, type, producer and version.
+/// Returns what the products of one exposure share: the name without colour, type, producer and version.
 pub(crate) fn exposure(name: &ProductName) -> String {
     let id = name.id.to_ascii_uppercase();
     match name.scheme {
@@ -108,11 +106,11 @@ pub(crate) fn exposure(name: &ProductName) -> String {
 }
 
 fn mars2020(
-    archive: &PdsArchive,
+    archive: &PdsParams,
     bundle: &str,
     camera: &str,
     codes: &'static [&'static str],
-) -> Result<Holding, ParamError> {
+) -> Result<CameraLayout, ParamError> {
     let (level, kind) = match archive.level {
         Level::Edr => ("edr", "_raw"),
         Level::Fdr => ("fdr", "_calibrated"),
@@ -121,7 +119,7 @@ fn mars2020(
     let single = bundle == "mars2020_helicam";
     if single && archive.level != Level::Edr {
         let message = "the helicopter's bundle has level `edr` only".to_owned();
-        return Err(ParamError::new("archive.level", message));
+        return Err(ParamError::new("level", message));
     }
     let bundle = if single {
         bundle.to_owned()
@@ -146,7 +144,7 @@ fn mars2020(
         (Level::Fdr, _) => &["FDR"],
         (Level::Rdr, _) => &["RAD", "RZD", "IOF"],
     };
-    Ok(Holding {
+    Ok(CameraLayout {
         layouts: vec![trees],
         collection: Some(format!("mars2020/{bundle}/data")),
         codes,
@@ -155,10 +153,10 @@ fn mars2020(
 }
 
 /// Raw Mastcam products hold compressed .DAT, which nothing here reads: the decompressed ones are taken.
-fn mastcam(archive: &PdsArchive) -> Result<Holding, ParamError> {
+fn mastcam(archive: &PdsParams) -> Result<CameraLayout, ParamError> {
     if archive.level == Level::Fdr {
         return Err(ParamError::new(
-            "archive.level",
+            "level",
             "Curiosity has no level `fdr`".to_owned(),
         ));
     }
@@ -170,7 +168,7 @@ fn mastcam(archive: &PdsArchive) -> Result<Holding, ParamError> {
         below_sol: String::new(),
         takes: &["img", "lbl", "xml"],
     };
-    Ok(Holding {
+    Ok(CameraLayout {
         layouts: vec![vec![tree]],
         collection: None,
         codes: &["ML", "MR"],
@@ -180,10 +178,10 @@ fn mastcam(archive: &PdsArchive) -> Result<Holding, ParamError> {
     })
 }
 
-fn curiosity_navcam(archive: &PdsArchive) -> Result<Holding, ParamError> {
+fn curiosity_navcam(archive: &PdsParams) -> Result<CameraLayout, ParamError> {
     if archive.level != Level::Edr {
         let message = "of Curiosity's Navcam only level `edr` is known here".to_owned();
-        return Err(ParamError::new("archive.level", message));
+        return Err(ParamError::new("level", message));
     }
     let tree = |root: &str, volumes, below_volume| Tree {
         root: root.to_owned(),
@@ -193,7 +191,7 @@ fn curiosity_navcam(archive: &PdsArchive) -> Result<Holding, ParamError> {
         below_sol: String::new(),
         takes: &["img", "lbl", "xml"],
     };
-    Ok(Holding {
+    Ok(CameraLayout {
         layouts: vec![
             vec![tree("msl/msl_navcam_raw/DATA", None, "")],
             vec![tree("msl", Some("MSLNAV_?XXX"), "DATA")],
@@ -233,7 +231,7 @@ impl Tree {
 mod tests {
     use super::*;
 
-    fn archive(text: &str) -> PdsArchive {
+    fn archive(text: &str) -> PdsParams {
         toml::from_str(text).unwrap()
     }
 
@@ -255,14 +253,14 @@ mod tests {
             ("curiosity", "navcam", "msl/msl_navcam_raw/DATA"),
         ] {
             let text = format!("mission = '{mission}'\ninstrument = '{instrument}'\nsols = 1");
-            let holding = Holding::of(&archive(&text)).unwrap();
-            assert_eq!(holding.layouts[0][0].root, root);
+            let layout = CameraLayout::of(&archive(&text)).unwrap();
+            assert_eq!(layout.layouts[0][0].root, root);
         }
     }
 
     #[test]
     fn what_the_archive_does_not_have_is_refused_with_what_it_has() {
-        let refused = |text: &str| Holding::of(&archive(text)).unwrap_err().to_string();
+        let refused = |text: &str| CameraLayout::of(&archive(text)).unwrap_err().to_string();
         let wrong = refused("mission = 'curiosity'\ninstrument = 'helicam'\nsols = 1");
         assert!(
             wrong.contains("curiosity has no helicam") && wrong.contains("mastcam, navcam"),

@@ -1,17 +1,17 @@
 //! Products found in tables instead of folder pages: the inventory of a collection, the indices of volumes.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use marf_pds::index_table::{Index, IndexError};
 use marf_pds::{ProductName, inventory};
-use marf_stage::{ParamError, StageError};
+use marf_stage::StageError;
 
-use super::crawl::{Crawl, memory_key, recall, remember, urls};
-use super::offer::Survey;
-use super::pds::{Found, Pds};
-use super::trees::Tree;
-use crate::net::{Answer, Validators, Want};
-use crate::params::Discover;
+use super::layout::Tree;
+use super::products::{FoundFile, Products};
+use crate::net::{Answer, Download, Validators};
+use crate::remote::cache;
+use crate::remote::catalog::Catalog;
+use crate::remote::crawl::{Crawl, urls};
 use crate::sols::Sols;
 
 /// Largest inventory or index that is read.
@@ -21,40 +21,18 @@ const INVENTORY: &str = "collection_data_inventory.csv";
 /// Label and table of a volume's index of decompressed products.
 const INDEX: [&str; 2] = ["RDRINDEX.LBL", "RDRINDEX.TAB"];
 
-impl Pds {
-    /// Checks that products can be found as asked for.
-    ///
-    /// # Errors
-    /// A camera without inventory or index.
-    pub fn check(&self) -> Result<(), ParamError> {
-        let volumes = self
-            .holding
-            .layouts
-            .iter()
-            .flatten()
-            .all(|tree| tree.volumes.is_some());
-        match self.discover {
-            Discover::Inventory if self.holding.collection.is_none() => Err(ParamError::new(
-                "archive.discover",
-                "this camera's archive has no inventory; use \"listing\" or \"index\"".to_owned(),
-            )),
-            Discover::Index if !volumes => Err(ParamError::new(
-                "archive.discover",
-                "this camera's archive has no index tables; use \"listing\" or \"inventory\"".to_owned(),
-            )),
-            _ => Ok(()),
-        }
-    }
-}
-
 /// Finds products in the inventory of the collection: names without folders, dates and versions. The version is taken
 /// to be that of the identifier; a product whose file has another is listed as gone.
-pub(super) fn by_inventory(pds: &Pds, crawl: &Crawl<'_>, sols: &Sols) -> Result<Survey, StageError> {
-    let collection = pds.holding.collection.as_deref().unwrap_or_default();
+pub(super) fn by_inventory(
+    products: &Products,
+    crawl: &Crawl<'_>,
+    sols: &Sols,
+) -> Result<Catalog, StageError> {
+    let collection = products.layout.collection.as_deref().unwrap_or_default();
     let path = format!("{collection}/{INVENTORY}");
-    let table = whole(crawl, &path)?;
+    let table = table(crawl, &path)?;
     let members = inventory::read(&table).map_err(|error| unreadable(&path, &error.to_string()))?;
-    let mut found: BTreeMap<u32, Vec<Found>> = BTreeMap::new();
+    let mut found: BTreeMap<u32, Vec<FoundFile>> = BTreeMap::new();
     for member in members.iter().filter(|member| member.primary) {
         let Some(stem) = inventory::file_stems(member).into_iter().next() else {
             continue;
@@ -62,18 +40,18 @@ pub(super) fn by_inventory(pds: &Pds, crawl: &Crawl<'_>, sols: &Sols) -> Result<
         let Some(sol) = ProductName::read(&stem).and_then(|name| name.sol) else {
             continue;
         };
-        for tree in pds.holding.layouts.iter().flatten() {
+        for tree in products.layout.layouts.iter().flatten() {
             found.entry(sol).or_default().extend(files_of(tree, sol, &stem));
         }
     }
-    chosen(pds, found, sols)
+    products.chosen(found, sols)
 }
 
-/// The files of a product in a tree, as they are named.
-fn files_of(tree: &Tree, sol: u32, stem: &str) -> Vec<Found> {
+/// Returns the files of a product in a tree, as they are named.
+fn files_of(tree: &Tree, sol: u32, stem: &str) -> Vec<FoundFile> {
     let digits = tree.sol.1;
     let folder = tree.products(&tree.root, &format!("{}{sol:0digits$}", tree.sol.0));
-    let file = |extension: &&str| Found {
+    let file = |extension: &&str| FoundFile {
         folder: folder.clone(),
         name: match *extension {
             "img" => format!("{stem}.IMG"),
@@ -85,9 +63,9 @@ fn files_of(tree: &Tree, sol: u32, stem: &str) -> Vec<Found> {
 }
 
 /// Finds products in the indices of all volumes.
-pub(super) fn by_index(pds: &Pds, crawl: &Crawl<'_>, sols: &Sols) -> Result<Survey, StageError> {
-    let mut found: BTreeMap<u32, Vec<Found>> = BTreeMap::new();
-    for tree in pds.holding.layouts.iter().flatten() {
+pub(super) fn by_index(products: &Products, crawl: &Crawl<'_>, sols: &Sols) -> Result<Catalog, StageError> {
+    let mut found: BTreeMap<u32, Vec<FoundFile>> = BTreeMap::new();
+    for tree in products.layout.layouts.iter().flatten() {
         let volumes = crawl.folder(&tree.root)?.unwrap_or_default();
         for volume in volumes
             .iter()
@@ -99,16 +77,16 @@ pub(super) fn by_index(pds: &Pds, crawl: &Crawl<'_>, sols: &Sols) -> Result<Surv
             }
         }
     }
-    chosen(pds, found, sols)
+    products.chosen(found, sols)
 }
 
-/// The products of one volume, by sol: label and pixels of each.
-fn index_of(crawl: &Crawl<'_>, volume: &str) -> Result<BTreeMap<u32, Vec<Found>>, StageError> {
+/// Returns the products of one volume, by sol: label and pixels of each.
+fn index_of(crawl: &Crawl<'_>, volume: &str) -> Result<BTreeMap<u32, Vec<FoundFile>>, StageError> {
     let paths = INDEX.map(|name| format!("{volume}/INDEX/{name}"));
     let bad = |error: IndexError| unreadable(&paths[1], &error.to_string());
-    let index = Index::of(&whole(crawl, &paths[0])?).map_err(bad)?;
-    let table = whole(crawl, &paths[1])?;
-    let mut found: BTreeMap<u32, Vec<Found>> = BTreeMap::new();
+    let index = Index::of(&table(crawl, &paths[0])?).map_err(bad)?;
+    let table = table(crawl, &paths[1])?;
+    let mut found: BTreeMap<u32, Vec<FoundFile>> = BTreeMap::new();
     for row in index.rows(table.as_slice()) {
         let place = row.map_err(bad)?.place();
         let (Some(sol), Some(path), Some(file)) = (place.sol, place.path, place.file) else {
@@ -118,7 +96,7 @@ fn index_of(crawl: &Crawl<'_>, volume: &str) -> Result<BTreeMap<u32, Vec<Found>>
         found
             .entry(sol)
             .or_default()
-            .extend([".LBL", ".IMG"].map(|end| Found {
+            .extend([".LBL", ".IMG"].map(|end| FoundFile {
                 folder: format!("{volume}/{path}"),
                 name: format!("{stem}{end}"),
                 modified: None,
@@ -127,24 +105,14 @@ fn index_of(crawl: &Crawl<'_>, volume: &str) -> Result<BTreeMap<u32, Vec<Found>>
     Ok(found)
 }
 
-fn chosen(pds: &Pds, mut found: BTreeMap<u32, Vec<Found>>, sols: &Sols) -> Result<Survey, StageError> {
-    let present: BTreeSet<u32> = found.keys().copied().collect();
-    let chosen = sols.choose(&present);
-    found.retain(|sol, _| chosen.contains(sol));
-    Ok(Survey {
-        offers: pds.offers(found)?,
-        present,
-    })
-}
-
-/// Brings a table; one that did not change since is taken from memory.
-fn whole(crawl: &Crawl<'_>, path: &str) -> Result<Vec<u8>, StageError> {
-    let key = memory_key("table", path);
-    let memory: Option<(Validators, String)> = recall(crawl.ctx.scratch, &key);
-    let want = Want {
+/// Downloads a table; one that did not change since is taken from the cache.
+fn table(crawl: &Crawl<'_>, path: &str) -> Result<Vec<u8>, StageError> {
+    let key = cache::key("table", path);
+    let cached: Option<(Validators, String)> = cache::read(crawl.ctx.scratch, &key);
+    let want = Download {
         urls: urls(crawl.bases, path)?,
         cap_bytes: MAX_TABLE_BYTES,
-        known: memory.as_ref().map(|memory| memory.0.clone()),
+        known: cached.as_ref().map(|cached| cached.0.clone()),
         part: None,
     };
     let mut got = None;
@@ -156,13 +124,13 @@ fn whole(crawl: &Crawl<'_>, path: &str) -> Result<Vec<u8>, StageError> {
         Some(Answer::Whole {
             bytes, validators, ..
         }) => {
-            // A table is ASCII; one that is no text is not remembered, so that the next run sees the same bytes.
+            // A table is ASCII; one that is no text is not cached, so that the next run sees the same bytes.
             if let Ok(text) = std::str::from_utf8(&bytes) {
-                remember(crawl.ctx.scratch, &key, &(validators, text));
+                cache::write(crawl.ctx.scratch, &key, &(validators, text));
             }
             Ok(bytes)
         }
-        Some(Answer::Unchanged) => Ok(memory.map(|memory| memory.1.into_bytes()).unwrap_or_default()),
+        Some(Answer::Unchanged) => Ok(cached.map(|cached| cached.1.into_bytes()).unwrap_or_default()),
         _ => Err(StageError::new(format!("the archive has no `{path}`"))
             .cause(format!("asked at {}", crawl.bases.join(", ")))
             .hint("find products by `discover = \"listing\"`, or set `base` of the archive")),
