@@ -9,9 +9,9 @@ use marf_stage::{ParamError, Stage, StageDef};
 use serde_json::Value as Json;
 
 use super::archives::{self, Archives};
-use super::by_hand;
 use super::error::{ConfigError, Origin};
 use super::low::{Entry, Located};
+use super::manual_lists;
 use super::options::GlobalOptions;
 use crate::nearest::did_you_mean;
 
@@ -44,7 +44,7 @@ const TOP: [&str; 5] = ["name", "archive", "node", "keep", "reject"];
 struct PipelineContext<'a> {
     archives: Archives<'a>,
     device: Option<&'a Device>,
-    by_hand: Option<serde_json::Map<String, Json>>,
+    manual_lists: Option<serde_json::Map<String, Json>>,
 }
 
 pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Result<Pipeline, ConfigError> {
@@ -61,7 +61,7 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
     let context = PipelineContext {
         archives: Archives::new(tables(root, ARCHIVE)?, options.access, base)?,
         device: options.device.as_ref(),
-        by_hand: by_hand::lists(root)?,
+        manual_lists: manual_lists::lists(root)?,
     };
     let tables = tables(root, "node")?;
     let names: Vec<&str> = tables.iter().map(|entry| entry.key.as_str()).collect();
@@ -73,9 +73,13 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
         let hint = Some("write one with `marf init`".to_owned());
         return Err(ConfigError::at(root.at.clone(), "the pipeline has no node".to_owned()).hint(hint));
     }
-    if context.by_hand.is_some() && !nodes.iter().any(|node| node.params.get(by_hand::PARAM).is_some()) {
+    if context.manual_lists.is_some()
+        && !nodes
+            .iter()
+            .any(|node| node.params.get(manual_lists::PARAM).is_some())
+    {
         let at = root.place(
-            by_hand::LISTS
+            manual_lists::LISTS
                 .iter()
                 .find(|list| root.entry(list).is_some())
                 .unwrap_or(&""),
@@ -153,10 +157,10 @@ fn node(entry: &Entry, names: &[&str], context: &PipelineContext<'_>) -> Result<
     {
         params.entry(DEVICE).or_insert_with(|| device.to_string().into());
     }
-    if let Some(lists) = &context.by_hand
-        && keys.contains(&by_hand::PARAM)
+    if let Some(lists) = &context.manual_lists
+        && keys.contains(&manual_lists::PARAM)
     {
-        by_hand::lay_under(&mut params, lists);
+        manual_lists::add_to(&mut params, lists);
     }
     let params = Json::Object(params);
     let stage = match archive {

@@ -4,10 +4,10 @@
 //! Invariant: a key that no stage reads is refused, with the nearest name that one reads.
 
 mod archives;
-mod by_hand;
 mod error;
 mod high;
 mod low;
+mod manual_lists;
 mod options;
 mod schema;
 mod templates;
@@ -16,6 +16,7 @@ use std::path::{Path, PathBuf};
 
 pub use error::{ConfigError, Origin};
 pub use high::{Node, Pipeline};
+pub use manual_lists::entries as manual_entries;
 pub use options::GlobalOptions;
 pub use schema::schema;
 pub use templates::{TEMPLATES, template};
