@@ -1,21 +1,22 @@
 use marf_schema::bootstrap::{Coverage, HeldOut, Member, Metrics, Mode, PhotoReport, ViewReport};
 
-use crate::{
-    Intervals, Maps, Norm, Sparsification, calibrate, coverage, nll, sparsification::hundredths, sparsify,
-    spearman,
+use super::{
+    calibration::{PixelErrors, calibrate, coverage, mean, nll},
+    maps::Maps,
+    sparsification::{Norm, Sparsification, hundredths, sparsify, spearman},
 };
 
 /// A viewpoint's maps with the error against its photo, if there is one.
 #[derive(Debug)]
-pub(crate) struct View {
+pub(crate) struct ViewMaps {
     pub name: String,
     pub maps: Maps,
-    pub truth: Option<Truth>,
+    pub truth: Option<GroundTruth>,
 }
 
-/// What is known where a photo was held out.
+/// The error of the mean render against a photo that was held out.
 #[derive(Debug)]
-pub(crate) struct Truth {
+pub(crate) struct GroundTruth {
     /// |mean gray - gray of the photo|, a value a pixel.
     pub error: Vec<f32>,
     /// PSNR of the mean render, dB.
@@ -29,7 +30,8 @@ const NOMINAL: Coverage = Coverage {
     sd3: 0.997_300,
 };
 
-pub(crate) fn report(b: u32, mode: Mode, members: Vec<Member>, views: &[View]) -> Metrics {
+/// Returns the metrics of a bootstrap.
+pub(crate) fn report(b: u32, mode: Mode, members: Vec<Member>, views: &[ViewMaps]) -> Metrics {
     let all = |map: fn(&Maps) -> &[f32]| mean(views.iter().flat_map(|view| map(&view.maps)).copied());
     let channel = |channel: usize| {
         let pixels = views.iter().flat_map(|view| &view.maps.rgb_std);
@@ -52,7 +54,8 @@ pub(crate) fn report(b: u32, mode: Mode, members: Vec<Member>, views: &[View]) -
     }
 }
 
-fn view_report(view: &View) -> ViewReport {
+/// Returns the figures of one viewpoint.
+fn view_report(view: &ViewMaps) -> ViewReport {
     let maps = &view.maps;
     let (depth_std, unseen_share) = depth(maps.depth_std.iter());
     ViewReport {
@@ -67,7 +70,8 @@ fn view_report(view: &View) -> ViewReport {
     }
 }
 
-fn photo_report(maps: &Maps, truth: &Truth) -> PhotoReport {
+/// Returns how well the spread ranks the errors against a photo.
+fn photo_report(maps: &Maps, truth: &GroundTruth) -> PhotoReport {
     let removed = hundredths();
     let by = |map: &[f32], norm| -> Sparsification { sparsify(map, &truth.error, &removed, norm) };
     let (mae, rmse) = (by(&maps.std, Norm::Mae), by(&maps.std, Norm::Rmse));
@@ -82,13 +86,14 @@ fn photo_report(maps: &Maps, truth: &Truth) -> PhotoReport {
     }
 }
 
-fn held_out(views: &[View], members: &[Member]) -> Option<HeldOut> {
+/// Returns the figures over all held-out photos; `None` where there are none.
+fn held_out(views: &[ViewMaps], members: &[Member]) -> Option<HeldOut> {
     let photos: Vec<PhotoReport> = views.iter().filter_map(|view| view_report(view).photo).collect();
-    let intervals: Vec<Intervals<'_>> = views
+    let errors: Vec<PixelErrors<'_>> = views
         .iter()
         .filter_map(|view| {
             let error = &view.truth.as_ref()?.error;
-            Some(Intervals {
+            Some(PixelErrors {
                 std: &view.maps.std,
                 error,
             })
@@ -112,17 +117,17 @@ fn held_out(views: &[View], members: &[Member]) -> Option<HeldOut> {
         },
         psnr_members_mean: mean(members.iter().map(|member| member.psnr)),
         coverage: Coverage {
-            sd1: coverage(&intervals, 1.0),
-            sd2: coverage(&intervals, 2.0),
-            sd3: coverage(&intervals, 3.0),
+            sd1: coverage(&errors, 1.0),
+            sd2: coverage(&errors, 2.0),
+            sd3: coverage(&errors, 3.0),
         },
         coverage_nominal: NOMINAL,
-        nll: (nll(&intervals, 1.0) * 1e6).round() / 1e6,
-        calibration: calibrate(&intervals),
+        nll: (nll(&errors, 1.0) * 1e6).round() / 1e6,
+        calibration: calibrate(&errors),
     })
 }
 
-/// Mean over the pixels that have a depth, and the share of those that have none.
+/// Returns the mean over the pixels that have a depth, and the share of those that have none.
 fn depth<'a>(map: impl Iterator<Item = &'a f32> + Clone) -> (Option<f64>, f64) {
     let count = map.clone().count();
     let seen: Vec<f32> = map.copied().filter(|std| *std >= 0.0).collect();
@@ -130,17 +135,10 @@ fn depth<'a>(map: impl Iterator<Item = &'a f32> + Clone) -> (Option<f64>, f64) {
     ((!seen.is_empty()).then(|| mean(seen.iter().copied())), unseen)
 }
 
-fn mean<T: Into<f64>>(values: impl Iterator<Item = T>) -> f64 {
-    let (sum, count) = values.fold((0.0, 0_u64), |(sum, count), value| {
-        (sum + value.into(), count + 1)
-    });
-    sum / count.max(1) as f64
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::maps::{maps, tests::example};
     use super::*;
-    use crate::{maps, maps::tests::example};
 
     fn member(seed: u64) -> Member {
         Member {
@@ -153,7 +151,7 @@ mod tests {
 
     #[test]
     fn a_report_without_photos_has_spreads_and_nothing_more() {
-        let view = View {
+        let view = ViewMaps {
             name: "0001".into(),
             maps: maps(&example()),
             truth: None,
@@ -172,17 +170,17 @@ mod tests {
     #[test]
     fn photos_give_order_coverage_and_calibration() {
         let view = |index: usize| {
-            let truth = Truth {
+            let truth = GroundTruth {
                 error: vec![0.0, 0.10, 0.08, 0.19],
                 psnr: 21.5,
             };
-            View {
+            ViewMaps {
                 name: format!("{index}"),
                 maps: maps(&example()),
                 truth: Some(truth),
             }
         };
-        let views: Vec<View> = (0..4).map(view).collect();
+        let views: Vec<ViewMaps> = (0..4).map(view).collect();
         let found = report(4, Mode::Seeds, vec![member(0), member(2)], &views)
             .heldout
             .unwrap();

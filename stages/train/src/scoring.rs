@@ -1,30 +1,33 @@
 use marf_field::{Field, render_in_bands};
-use marf_scene::{Image, Srgb, encode_png, metrics};
+use marf_scene::{Image, Srgb, metrics};
 use marf_schema::{
     output::{HELDOUT, PHOTO},
     scores::{PhotoScores, Scores},
 };
-use marf_stage::{Ctx, Outputs, StageError, TypedOutputs};
+use marf_stage::{Ctx, Outputs, StageError};
 
 use crate::{
     TrainError,
     error::field_failed,
-    split::{Named, Reduced, reduced},
+    io::put_png,
+    photos::{PhotoReader, ScaledPhoto},
+    split::NamedFrame,
 };
 
-/// Renders every photo's view, compares, and stores both pictures; one photo at a time is in memory.
-pub(crate) fn judge(
+/// Renders the view of every photo, compares it with the photo and stores both pictures; one photo at a time is in
+/// memory.
+pub(crate) fn score_views(
     ctx: &Ctx<'_>,
     field: &Field,
-    frames: &[Named<'_>],
-    scale: u32,
+    photos: &PhotoReader<'_>,
+    frames: &[NamedFrame<'_>],
     outputs: &mut Outputs,
 ) -> Result<Scores, StageError> {
     let mut views = Vec::with_capacity(frames.len());
     for named in frames {
-        let photo = &reduced(ctx, named.frame, scale)?;
+        let photo = &photos.read(named.frame)?;
         let render = render(ctx, field, named, photo)?;
-        views.push(scores(named, &render, &photo.image)?);
+        views.push(compare(named, &render, &photo.image)?);
         let name = &named.name;
         put_png(ctx, outputs, format!("{HELDOUT}{name}.png"), &render)?;
         put_png(ctx, outputs, format!("{PHOTO}{name}.png"), &photo.image)?;
@@ -32,43 +35,38 @@ pub(crate) fn judge(
     Ok(means(views))
 }
 
-/// Returns the mean PSNR over photos, dB, without storing anything.
+/// Returns the mean PSNR over photos, dB; nothing is stored.
 pub(crate) fn mean_psnr(
     ctx: &Ctx<'_>,
     field: &Field,
-    probes: &[(Named<'_>, Reduced)],
+    probes: &[(NamedFrame<'_>, ScaledPhoto)],
 ) -> Result<f64, StageError> {
     let mut sum = 0.0;
     for (named, photo) in probes {
         let render = render(ctx, field, named, photo)?;
-        sum += scores(named, &render, &photo.image)?.psnr;
+        sum += compare(named, &render, &photo.image)?.psnr;
     }
     Ok(sum / probes.len().max(1) as f64)
 }
 
-/// Stores a picture as PNG and lists it under `name`.
-pub(crate) fn put_png(
-    ctx: &Ctx<'_>,
-    outputs: &mut Outputs,
-    name: String,
-    image: &Image<Srgb>,
-) -> Result<(), StageError> {
-    let png = encode_png(image).map_err(|error| StageError::new(error.to_string()))?;
-    outputs.put_bytes(ctx, name, &png)
-}
-
+/// Renders the view of a photo.
 fn render(
     ctx: &Ctx<'_>,
     field: &Field,
-    named: &Named<'_>,
-    photo: &Reduced,
+    named: &NamedFrame<'_>,
+    photo: &ScaledPhoto,
 ) -> Result<Image<Srgb>, StageError> {
     let pose = &named.frame.cam_from_world;
     let render = render_in_bands(field, &photo.camera, pose, || ctx.check(), field_failed)?;
     Ok(render.to_image())
 }
 
-fn scores(named: &Named<'_>, render: &Image<Srgb>, photo: &Image<Srgb>) -> Result<PhotoScores, TrainError> {
+/// Returns the scores of a render against its photo.
+fn compare(
+    named: &NamedFrame<'_>,
+    render: &Image<Srgb>,
+    photo: &Image<Srgb>,
+) -> Result<PhotoScores, TrainError> {
     let psnr = metrics::psnr(render, photo).map_err(|cause| TrainError::Metric {
         id: named.frame.id.clone(),
         cause,
@@ -84,6 +82,7 @@ fn scores(named: &Named<'_>, render: &Image<Srgb>, photo: &Image<Srgb>) -> Resul
     })
 }
 
+/// Returns the means over photos, with each photo's own scores.
 fn means(views: Vec<PhotoScores>) -> Scores {
     let mean = |value: fn(&PhotoScores) -> Option<f64>| {
         let values: Vec<f64> = views.iter().filter_map(value).collect();

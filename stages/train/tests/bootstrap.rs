@@ -5,7 +5,6 @@
     reason = "a test that cannot go on should stop"
 )]
 
-use marf_bootstrap::Bootstrap;
 use marf_cache::Digest;
 use marf_field::{Overrides, Trainer, View};
 use marf_scene::{Camera, Frame, Image, Photo, Pose, Scene, Srgb, encode_png};
@@ -14,6 +13,7 @@ use marf_schema::{
     example,
 };
 use marf_stage::{Define, Document, Expand, Inputs, Outputs, TypedOutputs, harness::Harness};
+use marf_train::Bootstrap;
 use nalgebra::Vector3;
 use serde_json::json;
 

@@ -2,9 +2,10 @@ use marf_schema::{
     train::Metrics,
     tune::{BestParams, Scatter, Trial, Trials, TuneParams},
 };
-use marf_stage::{Ctx, Document, Outputs, StageError, TypedOutputs};
+use marf_stage::{Ctx, Outputs, StageError, TypedOutputs};
 
-use crate::draw;
+use super::sampling::sample_params;
+use crate::child::Child;
 
 /// Ranks the trials and writes what the best one had set.
 pub(crate) fn reduce(
@@ -12,9 +13,10 @@ pub(crate) fn reduce(
     params: &TuneParams,
     children: &[Outputs],
 ) -> Result<Outputs, StageError> {
-    let trained = (0_u32..)
-        .zip(children)
-        .map(|(index, outputs)| read(ctx, index, outputs));
+    let trained = (0_u32..).zip(children).map(|(index, outputs)| {
+        let name = format!("trial {index:02}");
+        Child { name, outputs }.read::<Metrics>(ctx)
+    });
     let mut trained = trained.collect::<Result<Vec<_>, _>>()?;
     let (Some(again), true) = (trained.pop(), children.len() == params.trials as usize + 1) else {
         let message = format!(
@@ -42,14 +44,7 @@ pub(crate) fn reduce(
     Ok(outputs)
 }
 
-fn read(ctx: &Ctx<'_>, index: u32, outputs: &Outputs) -> Result<Metrics, StageError> {
-    let name = Metrics::OUTPUT;
-    let missing = || StageError::new(format!("trial {index:02} has no output `{name}`"));
-    let bytes = ctx.get(outputs.get(name).ok_or_else(missing)?)?;
-    Metrics::decode(&bytes)
-        .map_err(|error| StageError::new(format!("trial {index:02}, output `{name}`: {error}")))
-}
-
+/// Returns the trials by number, with their ranks.
 fn ranked(params: &TuneParams, trained: &[Metrics]) -> Vec<Trial> {
     let mut order: Vec<usize> = (0..trained.len()).collect();
     order.sort_by(|a, b| {
@@ -70,7 +65,7 @@ fn ranked(params: &TuneParams, trained: &[Metrics]) -> Vec<Trial> {
         psnr: trained.scores.psnr,
         psnr_paper: trained.scores.psnr_paper,
         ssim: trained.scores.ssim,
-        params: draw(&params.space, params.seed, trial),
+        params: sample_params(&params.space, params.seed, trial),
     })
     .collect()
 }

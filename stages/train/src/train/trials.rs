@@ -1,33 +1,32 @@
-//! Which parts of the field pay on this scene: short trainings, judged on photos that they do not see.
+//! Short trainings that decide which parts of the field are used, by PSNR on training photos held back.
 
-use marf_field::{
-    Background, Config, Device, Field, Gain, Overrides, Quality, Trainer, Trial, View, ViewDependence,
-};
+use marf_field::{Background, Config, Field, Gain, Overrides, Quality, Trial, View, ViewDependence};
 use marf_scene::Scene;
 use marf_schema::train::{Fit, TrainParams};
 use marf_stage::{Ctx, StageError};
 
 use crate::{
     TrainError,
-    fit::shrunk,
-    judge::mean_psnr,
-    memory::plan,
-    split::{Named, Reduced, Split, VALIDATION_EVERY, each_reduced, points, views},
+    memory::plan_memory,
+    photos::{PhotoReader, ScaledPhoto},
+    scoring::mean_psnr,
+    split::{NamedFrame, Split, hold_out_every_eighth},
+    views::{new_trainer, training_views},
 };
 
-/// All trials together take at most this part of the training's steps.
+/// All trials together take at most a fifth of the training's steps.
 const PART: u64 = 5;
-/// Fewer steps show only which side starts faster.
+/// Least steps of a trial: fewer show only which configuration starts faster.
 const LEAST_STEPS: u64 = 100;
-/// Longest side of a photo that a trial is judged on, pixels: its render costs as much as 5 steps.
-const JUDGED_SIDE_PX: u32 = 128;
+/// Longest side of a photo that a trial is measured on, pixels: its render costs as much as 5 steps.
+const SCORED_SIDE_PX: u32 = 128;
 /// Photos are halved once more for trials, unless a side would fall below this, pixels.
 const LEAST_SIDE_PX: u32 = 64;
 
-/// A part of the field, with and without.
+/// A part of the field, and the configurations with and without it.
 struct Part {
     name: &'static str,
-    /// A key that is set decides in place of the trial.
+    /// Keys that decide in place of a trial where they are set.
     keys: &'static [&'static str],
     with: fn(&Config) -> Config,
     without: fn(&Config) -> Config,
@@ -91,8 +90,8 @@ const PARTS: [Part; 4] = [
     },
 ];
 
-/// What a training is asked for.
-pub(crate) struct Asked<'a> {
+/// The training that trials decide for.
+pub(crate) struct TrialRequest<'a> {
     pub scene: &'a Scene,
     pub split: &'a Split<'a>,
     pub scale: u32,
@@ -103,26 +102,26 @@ pub(crate) struct Asked<'a> {
     pub steps: u64,
 }
 
-/// Decides the parts whose keys are not set.
+/// Returns `config` with the parts that gain more than `least_gain_db`, and the reports of all trials.
 ///
-/// Returns `config` with the parts that gain more than `least_gain_db`, and every trial; none at quality `draft`,
-/// with `fit = "fixed"`, or where steps or photos are too few.
+/// A part whose key is set is left as it is. There are no trials at quality `draft`, with `fit = "fixed"`, or where
+/// steps or photos are too few.
 pub(crate) fn decide(
     ctx: &Ctx<'_>,
-    asked: &Asked<'_>,
+    request: &TrialRequest<'_>,
     config: Config,
 ) -> Result<(Config, Vec<Trial>), StageError> {
-    let is_set = |part: &Part| part.keys.iter().find(|key| asked.keys.0.contains_key(**key));
+    let is_set = |part: &Part| part.keys.iter().find(|key| request.keys.0.contains_key(**key));
     let open = PARTS.iter().filter(|part| is_set(part).is_none()).count() as u64;
-    let steps = steps_each(asked.params, asked.steps, open);
-    let bench = match steps {
+    let steps = steps_each(request.params, request.steps, open);
+    let setup = match steps {
         0 => None,
-        _ => Bench::new(ctx, asked, &config, steps)?,
+        _ => TrialSetup::new(ctx, request, &config, steps)?,
     };
-    let Some(bench) = bench else {
+    let Some(setup) = setup else {
         return Ok((config, Vec::new()));
     };
-    let base = bench.run(ctx, &config, "as it is")?;
+    let base = setup.run(ctx, &config, "as it is")?;
     let (mut decided, mut trials) = (config.clone(), Vec::new());
     for part in &PARTS {
         if let Some(key) = is_set(part) {
@@ -131,13 +130,13 @@ pub(crate) fn decide(
         }
         let (with, without) = ((part.with)(&config), (part.without)(&config));
         let other = if config == with { &without } else { &with };
-        let other = bench.run(ctx, other, part.name)?;
+        let other = setup.run(ctx, other, part.name)?;
         let pair = if config == with {
             [base, other]
         } else {
             [other, base]
         };
-        let (trial, pays) = judged(part, pair, &bench, asked.params.trials.least_gain_db);
+        let (trial, pays) = compared(part, pair, &setup, request.params.trials.least_gain_db);
         decided = if pays {
             (part.with)(&decided)
         } else {
@@ -149,28 +148,30 @@ pub(crate) fn decide(
 }
 
 /// Returns the steps left for the training where trials come out of the same budget.
-pub(crate) fn less_trials(params: &TrainParams, steps: u64) -> u64 {
+pub(crate) fn steps_after_trials(params: &TrainParams, steps: u64) -> u64 {
     match params.trials.steps {
-        None if are_wanted(params) => (steps - steps / (PART + 1)).max(1),
+        None if run_by_default(params) => (steps - steps / (PART + 1)).max(1),
         _ => steps,
     }
 }
 
-fn are_wanted(params: &TrainParams) -> bool {
+/// Tells whether trials run where `trials.steps` is not set.
+fn run_by_default(params: &TrainParams) -> bool {
     params.quality != Quality::Draft && params.fit == Fit::Scene
 }
 
-/// Steps of one trial, `open` parts and the configuration as it is; 0 for none.
+/// Returns the steps of one trial where `open` parts are tried beside the configuration as it is; 0 for none.
 fn steps_each(params: &TrainParams, steps: u64, open: u64) -> u64 {
     let share = steps / (PART * (open + 1));
     match params.trials.steps {
         _ if open == 0 || params.fit == Fit::Fixed => 0,
         Some(steps) => steps,
-        None if are_wanted(params) && share >= LEAST_STEPS => share,
+        None if run_by_default(params) && share >= LEAST_STEPS => share,
         None => 0,
     }
 }
 
+/// Returns the report of a part that a key decides.
 fn not_tried(part: &Part, key: &str) -> Trial {
     Trial {
         part: part.name.to_owned(),
@@ -182,15 +183,20 @@ fn not_tried(part: &Part, key: &str) -> Trial {
     }
 }
 
-/// Mean PSNR and trained numbers of one side.
+/// Mean PSNR and number of parameters of one configuration.
 #[derive(Debug, Clone, Copy)]
 struct Outcome {
     psnr: f64,
     parameters: u64,
 }
 
-/// Tells whether the part pays, and the trial as it is told.
-fn judged(part: &Part, [with, without]: [Outcome; 2], bench: &Bench<'_>, least_db: f64) -> (Trial, bool) {
+/// Returns the trial as it is reported, and whether the part gains enough to be used.
+fn compared(
+    part: &Part,
+    [with, without]: [Outcome; 2],
+    setup: &TrialSetup<'_>,
+    least_db: f64,
+) -> (Trial, bool) {
     let gain_db = with.psnr - without.psnr;
     let pays = gain_db > least_db;
     let (word, relation) = if pays {
@@ -200,65 +206,62 @@ fn judged(part: &Part, [with, without]: [Outcome; 2], bench: &Bench<'_>, least_d
     };
     let decision = format!(
         "{word}: {gain_db:+.2} dB on {} validation photos after {} steps, {relation} {least_db} dB",
-        bench.judges.len(),
-        bench.steps
+        setup.held_out.len(),
+        setup.steps
     );
     let trial = Trial {
         part: part.name.to_owned(),
         with_db: Some(with.psnr),
         without_db: Some(without.psnr),
         parameters: Some(with.parameters.saturating_sub(without.parameters)),
-        steps: bench.steps,
+        steps: setup.steps,
         decision,
     };
     (trial, pays)
 }
 
-/// Photos to try on and to judge by.
-struct Bench<'a> {
+/// Photos that trials train on and are measured on.
+struct TrialSetup<'a> {
+    request: &'a TrialRequest<'a>,
     views: Vec<View>,
-    judges: Vec<(Named<'a>, Reduced)>,
-    points: Vec<[f64; 3]>,
-    device: Device,
-    seed: u64,
+    held_out: Vec<(NamedFrame<'a>, ScaledPhoto)>,
     steps: u64,
 }
 
-impl<'a> Bench<'a> {
+impl<'a> TrialSetup<'a> {
     /// Holds back every 8th training photo; `None` where that leaves none to train on.
     fn new(
         ctx: &Ctx<'_>,
-        asked: &Asked<'a>,
+        request: &'a TrialRequest<'a>,
         config: &Config,
         steps: u64,
     ) -> Result<Option<Self>, StageError> {
-        let split = halves(&asked.split.training);
+        let split = hold_out_every_eighth(request.split.training.clone());
         if split.training.is_empty() {
             return Ok(None);
         }
-        let (scale, times) = (scale(asked), vec![1; split.training.len()]);
-        let plan = plan(asked.params.memory, &split, &times, scale, config)?;
-        let small = |_, photo| shrunk(&photo, JUDGED_SIDE_PX);
-        let photos = each_reduced(ctx, &split.held_out, scale, plan.at_once, small)?;
+        let (scale, times) = (scale(request), vec![1; split.training.len()]);
+        let plan = plan_memory(request.params.memory, &split, &times, scale, config)?;
+        let photos = PhotoReader::new(ctx, request.scene, scale);
+        let shrunk = |_, photo: ScaledPhoto| photo.shrunk_to(SCORED_SIDE_PX);
+        let scored = photos.map(&split.held_out, plan.at_once, shrunk)?;
         Ok(Some(Self {
-            views: views(ctx, &split, &times, scale, plan, asked.params.seed)?,
-            judges: split.held_out.into_iter().zip(photos).collect(),
-            points: points(asked.scene),
-            device: asked.params.device.clone(),
-            seed: asked.params.seed,
+            request,
+            views: training_views(&photos, &split.training, &times, plan, request.params.seed)?,
+            held_out: split.held_out.into_iter().zip(scored).collect(),
             steps,
         }))
     }
 
+    /// Trains with `config` and measures it.
     fn run(&self, ctx: &Ctx<'_>, config: &Config, note: &str) -> Result<Outcome, StageError> {
         let config = Config {
             steps: Some(self.steps),
             ..config.clone()
         };
+        let (params, scene) = (self.request.params, self.request.scene);
         let views = self.views.clone();
-        let trainer = Trainer::new(views, &self.points, &config, self.seed);
-        let trainer = trainer.and_then(|trainer| trainer.on(&self.device));
-        let mut trainer = trainer.map_err(TrainError::from)?;
+        let mut trainer = new_trainer(views, scene, &config, params.seed, &params.device)?;
         while trainer.steps() < self.steps {
             ctx.check()?;
             trainer
@@ -269,29 +272,19 @@ impl<'a> Bench<'a> {
         }
         let field: Field = trainer.field().map_err(TrainError::from)?;
         Ok(Outcome {
-            psnr: mean_psnr(ctx, &field, &self.judges)?,
+            psnr: mean_psnr(ctx, &field, &self.held_out)?,
             parameters: field.facts().parameters,
         })
     }
 }
 
-/// Splits training photos into those that judge trials, every 8th, and the others.
-fn halves<'a>(training: &[Named<'a>]) -> Split<'a> {
-    let numbered = training.iter().cloned().enumerate();
-    let (judges, others): (Vec<_>, Vec<_>) = numbered.partition(|(index, _)| index % VALIDATION_EVERY == 0);
-    let plain = |pairs: Vec<(usize, Named<'a>)>| pairs.into_iter().map(|(_, named)| named).collect();
-    Split {
-        training: plain(others),
-        held_out: plain(judges),
-    }
-}
-
-fn scale(asked: &Asked<'_>) -> u32 {
-    let cameras = asked.split.training.iter().map(|named| &named.frame.camera);
+/// Returns the factor by which trials shrink photos.
+fn scale(request: &TrialRequest<'_>) -> u32 {
+    let cameras = request.split.training.iter().map(|named| &named.frame.camera);
     let shortest = cameras.map(|camera| camera.width.min(camera.height)).min();
-    let halved = asked.scale.saturating_mul(2);
+    let halved = request.scale.saturating_mul(2);
     if shortest.unwrap_or(0) / halved < LEAST_SIDE_PX {
-        return asked.scale;
+        return request.scale;
     }
     halved
 }
@@ -338,14 +331,14 @@ mod tests {
     fn a_budget_is_shared_between_training_and_trials() {
         let standard = params(json!({"quality": "standard"}));
         for paced in [1, 7, 3_000, 1_000_003] {
-            let steps = less_trials(&standard, paced);
+            let steps = steps_after_trials(&standard, paced);
             let all = steps + 5 * steps_each(&standard, steps, 4);
             assert!(
                 steps >= 1 && all <= paced.max(1) && all * 10 >= paced * 8,
                 "{paced}: {steps} of {all}"
             );
         }
-        assert_eq!(less_trials(&params(json!({})), 3_000), 3_000);
+        assert_eq!(steps_after_trials(&params(json!({})), 3_000), 3_000);
     }
 
     #[test]
@@ -353,6 +346,12 @@ mod tests {
         for quality in [Quality::Draft, Quality::Standard, Quality::Best] {
             let config = quality.config();
             for part in &PARTS {
+                let known = serde_json::to_value(&config).unwrap();
+                assert!(
+                    part.keys.iter().all(|key| known.get(key).is_some()),
+                    "{:?}",
+                    part.keys
+                );
                 let (with, without) = ((part.with)(&config), (part.without)(&config));
                 assert_ne!(with, without, "{quality:?} {}", part.name);
                 assert!(config == with || config == without, "{quality:?} {}", part.name);

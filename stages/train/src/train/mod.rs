@@ -1,6 +1,7 @@
-use marf_cache::{ContentHash, Digest};
-use marf_field::{Config, Device, Trainer, View};
-use marf_scene::Scene;
+mod training_loop;
+mod trials;
+
+use marf_cache::ContentHash;
 use marf_schema::{
     output::{HELDOUT, PHOTO, SCENE, WEIGHTS},
     pace::{PaceParams, Steps},
@@ -13,20 +14,23 @@ use marf_stage::{
 };
 
 use crate::{
-    TrainError,
-    fit::{Fitted, fit, probes},
-    judge::judge,
-    memory::plan,
-    params,
-    split::{Split, draws, points, split, views},
-    trials::{self, Asked},
+    child::Child,
+    io::read_scene,
+    memory::plan_memory,
+    photos::PhotoReader,
+    scoring::score_views,
+    settings::{field_config, field_keys, scale_to},
+    split::{Split, draws, split},
+    views::{new_trainer, training_views},
 };
+use training_loop::{TrainedField, curve_photos, train_to};
+use trials::TrialRequest;
 
 /// Trains a field on a scene and measures it on the photos held out.
 ///
-/// With `budget` it asks for one node `pace`, which finds the steps; the training then belongs to the
-/// reduction. The key of `train` holds the budget; the steps come in by the content of `pace`'s output, which
-/// differs between machines. `steps`, as the metrics print them, gives the same field anywhere.
+/// With `budget` it asks for one node `pace`, which finds the steps, and trains when that has run. The key of `train`
+/// then holds the budget, and `pace` finds other steps on another machine; `steps`, as the metrics print them, gives
+/// the same field anywhere.
 #[derive(Debug)]
 pub struct Train {
     params: TrainParams,
@@ -87,29 +91,27 @@ impl Expand for Train {
     }
 
     fn reduce(&self, ctx: &Ctx<'_>, inputs: &Inputs, children: &[Outputs]) -> Result<Outputs, StageError> {
-        let pace = children
+        let outputs = children
             .first()
-            .ok_or_else(|| StageError::new("`pace` gave no steps"))?;
-        let Steps(steps) = pace.read(ctx)?;
-        train(
-            ctx,
-            inputs,
-            &self.params,
-            trials::less_trials(&self.params, steps),
-        )
+            .ok_or_else(|| StageError::new("`pace` did not run"))?;
+        let name = PaceParams::STAGE.to_owned();
+        let Steps(steps) = Child { name, outputs }.read(ctx)?;
+        let steps = trials::steps_after_trials(&self.params, steps);
+        train(ctx, inputs, &self.params, steps)
     }
 }
 
+/// Trains for `steps`, measures the field on the photos held out and stores everything.
 fn train(ctx: &Ctx<'_>, inputs: &Inputs, params: &TrainParams, steps: u64) -> Result<Outputs, StageError> {
-    let scene_digest = inputs.required(SCENE)?;
-    let scene = read_scene(ctx, scene_digest)?;
-    let keys = params::keys(ctx, inputs, &params.field)?;
-    let scale = params::scale(params.scale, params.quality, &scene);
+    let scene = read_scene(ctx, inputs)?;
+    let keys = field_keys(ctx, inputs, &params.field)?;
+    let side_px = params.quality.longest_side_px();
+    let scale = params.scale.unwrap_or_else(|| scale_to(side_px, &scene));
     let split = split(&scene, params.holdout)?;
-    let config = params::config(&keys, params.quality, params.fit, steps)?;
+    let config = field_config(&keys, params.quality, params.fit, steps)?;
     let times = times(&split, params.resample);
-    let plan = plan(params.memory, &split, &times, scale, &config)?;
-    let tried = Asked {
+    let plan = plan_memory(params.memory, &split, &times, scale, &config)?;
+    let request = TrialRequest {
         scene: &scene,
         split: &split,
         scale,
@@ -117,16 +119,17 @@ fn train(ctx: &Ctx<'_>, inputs: &Inputs, params: &TrainParams, steps: u64) -> Re
         params,
         steps,
     };
-    let (config, trials) = trials::decide(ctx, &tried, config)?;
-    let views = views(ctx, &split, &times, scale, plan, params.seed)?;
-    let probes = probes(ctx, &split.held_out, scale)?;
-    let trainer = trainer(views, &scene, &config, params.seed, &params.device)?;
-    let Fitted { field, log } = fit(ctx, trainer, steps, &probes)?;
+    let (config, trials) = trials::decide(ctx, &request, config)?;
+    let photos = PhotoReader::new(ctx, &scene, scale);
+    let curve_photos = curve_photos(&photos, &split.held_out, plan.at_once)?;
+    let views = training_views(&photos, &split.training, &times, plan, params.seed)?;
+    let trainer = new_trainer(views, &scene, &config, params.seed, &params.device)?;
+    let TrainedField { field, log } = train_to(ctx, trainer, steps, &curve_photos)?;
     let field = field.with_trials(trials);
-    let mut outputs = Outputs::from([(SCENE.to_owned(), *scene_digest)]);
+    let mut outputs = Outputs::from([(SCENE.to_owned(), *inputs.required(SCENE)?)]);
     outputs.put_bytes(ctx, WEIGHTS, &field.encode())?;
     let metrics = Metrics {
-        scores: judge(ctx, &field, &split.held_out, scale, &mut outputs)?,
+        scores: score_views(ctx, &field, &photos, &split.held_out, &mut outputs)?,
         steps,
         rays: log.rays,
         samples: log.samples,
@@ -148,30 +151,13 @@ fn train(ctx: &Ctx<'_>, inputs: &Inputs, params: &TrainParams, steps: u64) -> Re
     Ok(outputs)
 }
 
-pub(crate) fn read_scene(ctx: &Ctx<'_>, digest: &Digest) -> Result<Scene, StageError> {
-    Ok(Scene::decode(&ctx.get(digest)?).map_err(TrainError::from)?)
-}
-
-/// Makes a trainer at step 0.
-pub(crate) fn trainer(
-    views: Vec<View>,
-    scene: &Scene,
-    config: &Config,
-    seed: u64,
-    device: &Device,
-) -> Result<Trainer, StageError> {
-    let trainer = Trainer::new(views, &points(scene), config, seed);
-    Ok(trainer
-        .and_then(|trainer| trainer.on(device))
-        .map_err(TrainError::from)?)
-}
-
-/// How often each training photo is used.
+/// Returns how often each training photo is used.
 fn times(split: &Split<'_>, resample: Option<u64>) -> Vec<usize> {
     let count = split.training.len();
     resample.map_or_else(|| vec![1; count], |seed| draws(count, seed))
 }
 
+/// Returns the ids of the training photos, each as often as it is used.
 fn drawn(split: &Split<'_>, times: &[usize]) -> Vec<String> {
     let repeated = split.training.iter().zip(times);
     repeated

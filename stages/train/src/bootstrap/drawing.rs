@@ -1,17 +1,17 @@
-use marf_cache::Digest;
 use marf_scene::{
-    Image, Srgb, encode_png,
+    Image, Srgb,
     picture::{ColorScale, Palette, draw_map, round_upper_limit, side_by_side},
 };
 use marf_schema::{bootstrap::Shown, output::MAPS};
-use marf_stage::{Ctx, Outputs, StageError};
+use marf_stage::{Ctx, Outputs, StageError, TypedOutputs};
 
-use crate::{BootstrapError, Maps, encode_npy, report::View};
+use super::{maps::Maps, npy::encode_npy, report::ViewMaps};
+use crate::io::put_png;
 
 /// Share of the pixels that a scale reaches; what lies above has the top colour, and the label says so.
 const REACH: f64 = 0.995;
 
-/// The scales of all maps: one a quantity, so that viewpoints can be compared.
+/// Colour scales of all maps, one for each quantity, so that viewpoints can be compared.
 #[derive(Debug)]
 pub(crate) struct Scales {
     std: ColorScale,
@@ -22,8 +22,8 @@ pub(crate) struct Scales {
 }
 
 impl Scales {
-    /// `metres_per_unit` as the scene knows it.
-    pub fn of(views: &[View], metres_per_unit: Option<f64>) -> Self {
+    /// Returns scales that reach the largest values of all views.
+    pub fn of(views: &[ViewMaps], metres_per_unit: Option<f64>) -> Self {
         let scale = |title: &str, unit: &str, high: f64| ColorScale {
             title: title.to_owned(),
             unit: unit.to_owned(),
@@ -31,7 +31,7 @@ impl Scales {
             high,
             palette: Palette::Inferno,
         };
-        let top = |map: &dyn Fn(&View) -> Vec<f32>| {
+        let top = |map: &dyn Fn(&ViewMaps) -> Vec<f32>| {
             let values: Vec<f32> = views.iter().flat_map(map).collect();
             round_upper_limit(&values, REACH)
         };
@@ -40,7 +40,7 @@ impl Scales {
         } else {
             "scene units"
         };
-        let error = |view: &View| {
+        let error = |view: &ViewMaps| {
             view.truth
                 .as_ref()
                 .map_or_else(Vec::new, |truth| truth.error.clone())
@@ -67,7 +67,7 @@ impl Scales {
     }
 }
 
-/// Depth spread in metres where the scene knows them, -1 where unseen.
+/// Returns the depth spread in metres where the scene knows them, -1 where unseen.
 fn in_metres(maps: &Maps, metres_per_unit: Option<f64>) -> Vec<f32> {
     let metres = metres_per_unit.unwrap_or(1.0) as f32;
     let convert = |std: &f32| if *std < 0.0 { -1.0 } else { std * metres };
@@ -77,16 +77,14 @@ fn in_metres(maps: &Maps, metres_per_unit: Option<f64>) -> Vec<f32> {
 /// Writes every map of a viewpoint as a picture with its scale, and the raw values as arrays.
 pub(crate) fn put_view(
     ctx: &Ctx<'_>,
-    view: &View,
+    view: &ViewMaps,
     scales: &Scales,
     metres_per_unit: Option<f64>,
     outputs: &mut Outputs,
 ) -> Result<(), StageError> {
     let (maps, name) = (&view.maps, &view.name);
     let mut put = |kind: &str, picture: &Image<Srgb>| -> Result<(), StageError> {
-        let name = format!("{MAPS}{name}-{kind}.png");
-        let digest = put_png(ctx, &name, picture)?;
-        outputs.insert(name, digest);
+        put_png(ctx, outputs, format!("{MAPS}{name}-{kind}.png"), picture)?;
         Ok(())
     };
     let draw = |values: &[f32], scale: &ColorScale| draw_map(values, maps.width, maps.height, scale);
@@ -109,18 +107,17 @@ pub(crate) fn put_view(
     ];
     for (kind, values) in plain {
         let array = encode_npy(&shape, values.iter().copied());
-        outputs.insert(format!("{MAPS}{name}-{kind}.npy"), ctx.put(&array)?);
+        outputs.put_bytes(ctx, format!("{MAPS}{name}-{kind}.npy"), &array)?;
     }
     let array = encode_npy(
         &[maps.height, maps.width, 3],
         maps.rgb_std.as_flattened().iter().copied(),
     );
-    outputs.insert(format!("{MAPS}{name}-rgb-std.npy"), ctx.put(&array)?);
-    Ok(())
+    outputs.put_bytes(ctx, format!("{MAPS}{name}-rgb-std.npy"), &array)
 }
 
-/// Draws a picture of the fly-through: mean colour, and beside it the spread.
-pub(crate) fn flight_picture(maps: &Maps, scales: &Scales, shown: Shown) -> Image<Srgb> {
+/// Returns a picture of the fly-through: mean colour, and beside it the spread.
+pub(crate) fn flythrough_picture(maps: &Maps, scales: &Scales, shown: Shown) -> Image<Srgb> {
     let map = match shown {
         Shown::Std => draw_map(&maps.std, maps.width, maps.height, &scales.std),
         Shown::Total => draw_map(&maps.total, maps.width, maps.height, &scales.total),
@@ -128,7 +125,7 @@ pub(crate) fn flight_picture(maps: &Maps, scales: &Scales, shown: Shown) -> Imag
     side_by_side(&[&mean_picture(maps), &map])
 }
 
-/// Rounds the mean colour to 8 bits.
+/// Returns the mean colour, rounded to 8 bits.
 pub(crate) fn mean_picture(maps: &Maps) -> Image<Srgb> {
     let round = |value: f32| (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
     Image {
@@ -136,12 +133,4 @@ pub(crate) fn mean_picture(maps: &Maps) -> Image<Srgb> {
         height: maps.height,
         pixels: maps.mean.iter().map(|rgb| rgb.map(round)).collect(),
     }
-}
-
-pub(crate) fn put_png(ctx: &Ctx<'_>, name: &str, picture: &Image<Srgb>) -> Result<Digest, StageError> {
-    let png = encode_png(picture).map_err(|error| BootstrapError::Picture {
-        name: name.to_owned(),
-        cause: error.to_string(),
-    })?;
-    ctx.put(&png)
 }

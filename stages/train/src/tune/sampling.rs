@@ -1,18 +1,19 @@
-use marf_cache::digest_of;
 use marf_field::Overrides;
 use marf_schema::tune::{Range, Space};
 use serde_json::Value;
 
-/// Draws one value for every key of the space.
+use crate::random::random_u64;
+
+/// Returns the keys of one trial: a value for every key of the space, drawn by seed, trial and key alone.
 ///
-/// Trial 0 draws nothing: it is the defaults, against which the others are held.
-pub fn draw(space: &Space, seed: u64, trial: u32) -> Overrides {
+/// Trial 0 sets none: it is the defaults, with which the others are compared.
+pub(crate) fn sample_params(space: &Space, seed: u64, trial: u32) -> Overrides {
     let mut drawn = Overrides::default();
     if trial == 0 {
         return drawn;
     }
     for (key, range) in space {
-        match value_at(range, random(key, seed, trial)) {
+        match value_at(range, random_u64(&(key.as_str(), seed, u64::from(trial)))) {
             Value::Object(table) => drawn.0.extend(table),
             value => {
                 drawn.0.insert(key.clone(), value);
@@ -20,13 +21,6 @@ pub fn draw(space: &Space, seed: u64, trial: u32) -> Overrides {
         }
     }
     drawn
-}
-
-/// 64 random bits: the first of the content hash of key, seed and trial.
-fn random(key: &str, seed: u64, trial: u32) -> u64 {
-    let digest = digest_of(&(key, seed, u64::from(trial)));
-    let bytes = digest.as_bytes().iter().take(8).rev();
-    bytes.fold(0, |value, byte| value << 8 | u64::from(*byte))
 }
 
 /// Returns the value at a place in the range; 0 is the low end, the largest u64 the high one.
@@ -45,7 +39,7 @@ fn value_at(range: &Range, place: u64) -> Value {
     }
 }
 
-/// low · (high / low)^u, u = place / 2⁶⁴, to three digits.
+/// Returns low · (high / low)^u, u = place / 2⁶⁴, to three digits.
 ///
 /// The power is a product of repeated square roots, one for every bit of u: sqrt is exact everywhere, pow is not.
 fn log_uniform(low: f64, high: f64, place: u64) -> f64 {
@@ -72,20 +66,24 @@ mod tests {
     #[test]
     fn equal_seeds_draw_equally_and_every_bit_of_a_seed_counts() {
         let space = default_space();
-        assert_eq!(draw(&space, 7, 3), draw(&space, 7, 3));
+        assert_eq!(sample_params(&space, 7, 3), sample_params(&space, 7, 3));
         for bit in [0, 31, 32, 63] {
-            assert_ne!(draw(&space, 7, 3), draw(&space, 7 ^ (1 << bit), 3), "bit {bit}");
+            assert_ne!(
+                sample_params(&space, 7, 3),
+                sample_params(&space, 7 ^ (1 << bit), 3),
+                "bit {bit}"
+            );
         }
-        assert_ne!(draw(&space, 7, 3), draw(&space, 7, 4));
-        assert_eq!(draw(&space, 7, 0), Overrides::default());
+        assert_ne!(sample_params(&space, 7, 3), sample_params(&space, 7, 4));
+        assert_eq!(sample_params(&space, 7, 0), Overrides::default());
     }
 
     #[test]
     fn another_key_leaves_the_draws_of_the_others() {
         let mut space = default_space();
-        let before = draw(&space, 1, 5);
+        let before = sample_params(&space, 1, 5);
         space.insert("distortion".to_owned(), Range::Log([1e-4, 1e-2]));
-        let after = draw(&space, 1, 5);
+        let after = sample_params(&space, 1, 5);
         for (key, value) in &before.0 {
             assert_eq!(after.0.get(key), Some(value), "{key}");
         }
@@ -123,7 +121,7 @@ mod tests {
     #[test]
     fn many_draws_cover_the_ranges_evenly() {
         let space = default_space();
-        let drawn: Vec<Overrides> = (1..=2000).map(|trial| draw(&space, 0, trial)).collect();
+        let drawn: Vec<Overrides> = (1..=2000).map(|trial| sample_params(&space, 0, trial)).collect();
         let share = |test: &dyn Fn(&Overrides) -> bool| drawn.iter().filter(|set| test(set)).count();
         for table in 14..=17 {
             let count = share(&|set| set.0["log2_table"] == json!(table));

@@ -5,8 +5,8 @@ use marf_stage::{Ctx, Document, Inputs, StageError};
 
 use crate::TrainError;
 
-/// Returns the keys that are set: those of the input `params`, under `field`.
-pub(crate) fn keys(ctx: &Ctx<'_>, inputs: &Inputs, field: &Overrides) -> Result<Overrides, StageError> {
+/// Returns the keys of the field that are set: `field` laid over those of the input `params`.
+pub(crate) fn field_keys(ctx: &Ctx<'_>, inputs: &Inputs, field: &Overrides) -> Result<Overrides, StageError> {
     let best = match inputs.optional(BestParams::OUTPUT) {
         Some(digest) => {
             BestParams::decode(&ctx.get(digest)?).map_err(|error| TrainError::Params(error.to_string()))?
@@ -16,8 +16,13 @@ pub(crate) fn keys(ctx: &Ctx<'_>, inputs: &Inputs, field: &Overrides) -> Result<
     Ok(best.field.with(field))
 }
 
-/// Returns the configuration that keys are laid over; `steps` are those the training is expected to take.
-pub(crate) fn config(keys: &Overrides, quality: Quality, fit: Fit, steps: u64) -> Result<Config, StageError> {
+/// Returns the configuration of a field: `keys` laid over that of `quality` and `fit` for a training of `steps`.
+pub(crate) fn field_config(
+    keys: &Overrides,
+    quality: Quality,
+    fit: Fit,
+    steps: u64,
+) -> Result<Config, StageError> {
     let base = Config {
         steps: Some(steps.max(1)),
         ..fit.config(quality)
@@ -26,14 +31,14 @@ pub(crate) fn config(keys: &Overrides, quality: Quality, fit: Fit, steps: u64) -
     Ok(config.map_err(|error| TrainError::Params(error.to_string()))?)
 }
 
-/// Returns `scale`, or the least whole factor that brings every photo to the size worth training on.
-pub(crate) fn scale(scale: Option<u32>, quality: Quality, scene: &Scene) -> u32 {
+/// Returns the least whole factor that brings the longest side of every photo to at most `side_px`.
+pub(crate) fn scale_to(side_px: u32, scene: &Scene) -> u32 {
     let sides = scene
         .frames
         .iter()
         .map(|frame| frame.camera.width.max(frame.camera.height));
     let longest = sides.max().unwrap_or(1);
-    scale.unwrap_or_else(|| longest.div_ceil(quality.longest_side_px()).max(1))
+    longest.div_ceil(side_px.max(1)).max(1)
 }
 
 #[cfg(test)]
@@ -43,7 +48,8 @@ mod tests {
     #[test]
     fn photos_are_shrunk_by_the_least_factor_that_fits() {
         let mut scene = Scene::default();
-        assert_eq!(scale(None, Quality::Draft, &scene), 1);
+        let side_px = Quality::Draft.longest_side_px();
+        assert_eq!(scale_to(side_px, &scene), 1);
         for (width, height, factor) in [(480, 360, 1), (481, 10, 2), (1440, 1920, 4), (10, 961, 3)] {
             scene.frames = vec![marf_scene::Frame {
                 id: String::new(),
@@ -54,8 +60,7 @@ mod tests {
                 held_out: false,
                 error_px: None,
             }];
-            assert_eq!(scale(None, Quality::Draft, &scene), factor, "{width} x {height}");
-            assert_eq!(scale(Some(7), Quality::Draft, &scene), 7);
+            assert_eq!(scale_to(side_px, &scene), factor, "{width} x {height}");
         }
     }
 }

@@ -8,8 +8,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     TrainError,
-    judge::mean_psnr,
-    split::{Named, Reduced, reduced},
+    photos::{PhotoReader, ScaledPhoto},
+    scoring::mean_psnr,
+    split::NamedFrame,
 };
 
 /// Wall clock between two checkpoints: what a killed run loses at most.
@@ -17,18 +18,18 @@ const CHECKPOINT_EVERY: Duration = Duration::from_secs(10);
 /// Wall clock between two reports of progress.
 const REPORT_EVERY: Duration = Duration::from_millis(200);
 /// Photos that the curve is measured on, and their longest side in pixels: nine points cost a tenth of a draft.
-const PROBES: usize = 3;
-const PROBE_SIDE_PX: u32 = 64;
+const CURVE_PHOTOS: usize = 3;
+const CURVE_SIDE_PX: u32 = 64;
 
-/// A training that has come to its end.
-pub(crate) struct Fitted {
+/// A field at the end of its training.
+pub(crate) struct TrainedField {
     pub field: Field,
-    pub log: Log,
+    pub log: TrainingLog,
 }
 
-/// What is counted beside the weights; part of a checkpoint, so that a resumed run tells the same.
+/// Counts beside the weights; part of a checkpoint, so that a resumed training reports the same.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Log {
+pub(crate) struct TrainingLog {
     /// Steps this training goes to: `budget` may mean others on another machine, and the curve's places follow.
     steps: u64,
     pub curve: Curve,
@@ -38,19 +39,19 @@ pub(crate) struct Log {
     loss_steps: u64,
 }
 
-/// Trains to `steps`, measuring the curve on `probes`, from the last checkpoint if there is one.
-pub(crate) fn fit(
+/// Trains to `steps` from the last checkpoint, if there is one; the curve is measured on `curve_photos`.
+pub(crate) fn train_to(
     ctx: &Ctx<'_>,
     mut trainer: Trainer,
     steps: u64,
-    probes: &[(Named<'_>, Reduced)],
-) -> Result<Fitted, StageError> {
+    curve_photos: &[(NamedFrame<'_>, ScaledPhoto)],
+) -> Result<TrainedField, StageError> {
     let mut log = resume(ctx, &mut trainer, steps);
-    let mut kept = Instant::now();
+    let mut saved_at = Instant::now();
     let mut reported: Option<Instant> = None;
     while trainer.steps() < steps {
         if let Err(stopped) = ctx.check() {
-            ctx.checkpoints.save(&pack(&log, &saved(&mut trainer)?));
+            save(ctx, &log, &mut trainer)?;
             return Err(stopped);
         }
         let before = trainer.steps();
@@ -58,55 +59,41 @@ pub(crate) fn fit(
         log.add(&step);
         if is_curve_point(before..trainer.steps(), steps) {
             let field = trainer.field().map_err(TrainError::from)?;
-            let psnr = mean_psnr(ctx, &field, probes)?;
+            let psnr = mean_psnr(ctx, &field, curve_photos)?;
             log.point(trainer.steps(), psnr);
         }
         if reported.is_none_or(|at| at.elapsed() >= REPORT_EVERY) {
             ctx.progress.at(trainer.steps(), steps, &log.note(step.loss));
             reported = Some(Instant::now());
         }
-        if kept.elapsed() >= CHECKPOINT_EVERY {
-            ctx.checkpoints.save(&pack(&log, &saved(&mut trainer)?));
-            kept = Instant::now();
+        if saved_at.elapsed() >= CHECKPOINT_EVERY {
+            save(ctx, &log, &mut trainer)?;
+            saved_at = Instant::now();
         }
     }
     let field = trainer.field().map_err(TrainError::from)?;
-    Ok(Fitted { field, log })
+    Ok(TrainedField { field, log })
 }
 
-/// Reads evenly spaced held-out photos and shrinks them further.
-pub(crate) fn probes<'a>(
-    ctx: &Ctx<'_>,
-    held_out: &[Named<'a>],
-    scale: u32,
-) -> Result<Vec<(Named<'a>, Reduced)>, StageError> {
-    let count = held_out.len().min(PROBES);
-    let places = (0..count).map(|probe| probe * held_out.len() / count);
-    places
-        .map(|place| {
-            let named = &held_out[place];
-            let photo = reduced(ctx, named.frame, scale)?;
-            Ok((named.clone(), shrunk(&photo, PROBE_SIDE_PX)))
-        })
-        .collect()
+/// Reads all held-out photos, so that one that cannot be read stops a training before it begins, and returns up to
+/// three, evenly spaced and shrunk, to measure the curve on.
+pub(crate) fn curve_photos<'a>(
+    photos: &PhotoReader<'_>,
+    held_out: &[NamedFrame<'a>],
+    at_once: usize,
+) -> Result<Vec<(NamedFrame<'a>, ScaledPhoto)>, StageError> {
+    let count = held_out.len().min(CURVE_PHOTOS);
+    let places: Vec<usize> = (0..count).map(|photo| photo * held_out.len() / count).collect();
+    let shrunk =
+        |index: usize, photo: ScaledPhoto| places.contains(&index).then(|| photo.shrunk_to(CURVE_SIDE_PX));
+    let read = photos.map(held_out, at_once, shrunk)?;
+    let pairs = held_out.iter().zip(read);
+    Ok(pairs
+        .filter_map(|(named, photo)| Some((named.clone(), photo?)))
+        .collect())
 }
 
-/// Shrinks a photo until its longest side is at most `side_px`, if its shortest bears it.
-pub(crate) fn shrunk(photo: &Reduced, side_px: u32) -> Reduced {
-    let longest = photo.camera.width.max(photo.camera.height);
-    let shortest = photo.camera.width.min(photo.camera.height);
-    let factor = longest.div_ceil(side_px).clamp(1, shortest);
-    Reduced {
-        camera: photo.camera.box_reduced(factor),
-        image: photo.image.box_reduced(factor),
-    }
-}
-
-fn saved(trainer: &mut Trainer) -> Result<Vec<u8>, TrainError> {
-    Ok(trainer.save()?)
-}
-
-/// At 1/16 of the steps and at every eighth, or as soon after as a trainer that takes several at once tells.
+/// Tells whether a point of the curve falls among the steps taken: at 1/16 of all steps and at every eighth.
 fn is_curve_point(taken: Range<u64>, steps: u64) -> bool {
     let crosses = |parts: u64| {
         let part = |step: u64| u128::from(step) * u128::from(parts) / u128::from(steps);
@@ -115,7 +102,7 @@ fn is_curve_point(taken: Range<u64>, steps: u64) -> bool {
     crosses(8) || (crosses(16) && taken.start < steps / 8)
 }
 
-impl Log {
+impl TrainingLog {
     fn add(&mut self, step: &marf_field::Step) {
         self.rays += step.rays;
         self.samples += step.samples;
@@ -142,28 +129,35 @@ impl Log {
     }
 }
 
-/// A checkpoint of another length, or one that cannot be read, costs only time: training then starts over.
-fn resume(ctx: &Ctx<'_>, trainer: &mut Trainer, steps: u64) -> Log {
-    let fresh = Log {
+/// Restores the last checkpoint and returns its counts; without one, or with one of another training, those of step 0.
+fn resume(ctx: &Ctx<'_>, trainer: &mut Trainer, steps: u64) -> TrainingLog {
+    let fresh = TrainingLog {
         steps,
-        ..Log::default()
+        ..TrainingLog::default()
     };
     let Some(state) = ctx.checkpoints.load() else {
         return fresh;
     };
-    let fits = |(log, weights): &(Log, &[u8])| log.steps == steps && trainer.restore(weights).is_ok();
+    let fits = |(log, weights): &(TrainingLog, &[u8])| log.steps == steps && trainer.restore(weights).is_ok();
     unpack(&state).filter(fits).map_or(fresh, |(log, _)| log)
 }
 
+/// Saves a checkpoint.
+fn save(ctx: &Ctx<'_>, log: &TrainingLog, trainer: &mut Trainer) -> Result<(), TrainError> {
+    ctx.checkpoints.save(&pack(log, &trainer.save()?));
+    Ok(())
+}
+
 /// Length of the log as u64 LE, the log as JSON, the trainer's own state.
-fn pack(log: &Log, trainer: &[u8]) -> Vec<u8> {
+fn pack(log: &TrainingLog, trainer: &[u8]) -> Vec<u8> {
     // Numbers and lists always serialise.
     let log = serde_json::to_vec(log).unwrap_or_default();
     let length = (log.len() as u64).to_le_bytes();
     [length.as_slice(), &log, trainer].concat()
 }
 
-fn unpack(state: &[u8]) -> Option<(Log, &[u8])> {
+/// Reads what [`pack`] wrote; none if it is anything else.
+fn unpack(state: &[u8]) -> Option<(TrainingLog, &[u8])> {
     let (length, rest) = state.split_first_chunk::<8>()?;
     let (log, trainer) = rest.split_at_checked(u64::from_le_bytes(*length) as usize)?;
     Some((serde_json::from_slice(log).ok()?, trainer))
@@ -192,7 +186,7 @@ mod tests {
 
     #[test]
     fn a_checkpoint_survives_and_a_cut_one_is_no_checkpoint() {
-        let mut log = Log::default();
+        let mut log = TrainingLog::default();
         log.add(&marf_field::Step {
             steps: 1,
             loss: 0.1,

@@ -1,7 +1,7 @@
 use marf_schema::bootstrap::Calibration;
 
-/// A spread below one step of 8 bits is held at it.
-const FLOOR: f64 = 1.0 / 255.0;
+/// Least spread: one step of 8 bits.
+const MIN_STD: f64 = 1.0 / 255.0;
 /// z with P(|Z| <= z) = 0.05, 0.10, .. 0.95 for a standard normal Z; written out because erf differs between
 /// libraries.
 const Z: [f64; 19] = [
@@ -34,20 +34,20 @@ const LEAST_PHOTOS: usize = 4;
 
 /// Spread and absolute error of the pixels of one photo.
 #[derive(Debug, Clone, Copy)]
-pub struct Intervals<'a> {
+pub(crate) struct PixelErrors<'a> {
     /// Standard deviation of a pixel.
     pub std: &'a [f32],
     /// |mean - photo| of a pixel.
     pub error: &'a [f32],
 }
 
-/// Fits on the photos at even places and tests on those at odd ones; pixels of one photo stay together, since
-/// they are not independent. None with fewer than four photos.
-pub fn calibrate(photos: &[Intervals<'_>]) -> Option<Calibration> {
+/// Returns how far intervals hold: fitted on the photos at even places, tested on those at odd ones. Pixels of one
+/// photo stay together, since they are not independent. `None` with fewer than four photos.
+pub(crate) fn calibrate(photos: &[PixelErrors<'_>]) -> Option<Calibration> {
     if photos.len() < LEAST_PHOTOS {
         return None;
     }
-    let half = |odd: usize| -> Vec<Intervals<'_>> { photos.iter().skip(odd).step_by(2).copied().collect() };
+    let half = |odd: usize| -> Vec<PixelErrors<'_>> { photos.iter().skip(odd).step_by(2).copied().collect() };
     let (fitted, tested) = (half(0), half(1));
     let t = scale_t(&fitted);
     let widest = conformal_score(&fitted, OUTSIDE);
@@ -70,23 +70,26 @@ pub fn calibrate(photos: &[Intervals<'_>]) -> Option<Calibration> {
 }
 
 /// Returns e / max(s, 1/255) of every pixel of every photo.
-fn scores<'a>(photos: &'a [Intervals<'_>]) -> impl Iterator<Item = f64> + 'a {
+fn scores<'a>(photos: &'a [PixelErrors<'_>]) -> impl Iterator<Item = f64> + 'a {
     let pixels = photos.iter().flat_map(|photo| photo.std.iter().zip(photo.error));
-    pixels.map(|(std, error)| f64::from(*error) / f64::from(*std).max(FLOOR))
+    pixels.map(|(std, error)| f64::from(*error) / f64::from(*std).max(MIN_STD))
 }
 
-fn mean(values: impl Iterator<Item = f64>) -> f64 {
-    let (sum, count) = values.fold((0.0, 0_u64), |(sum, count), value| (sum + value, count + 1));
+/// Returns the mean, 0 of no values.
+pub(crate) fn mean<T: Into<f64>>(values: impl Iterator<Item = T>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0_u64), |(sum, count), value| {
+        (sum + value.into(), count + 1)
+    });
     sum / count.max(1) as f64
 }
 
 /// Returns the share of pixels whose error is at most `widths` standard deviations.
-pub fn coverage(photos: &[Intervals<'_>], widths: f64) -> f64 {
+pub(crate) fn coverage(photos: &[PixelErrors<'_>], widths: f64) -> f64 {
     mean(scores(photos).map(|score| f64::from(u8::from(score <= widths))))
 }
 
 /// Returns the factor t by which the spread should be widened: t² = mean e² / s².
-pub fn scale_t(photos: &[Intervals<'_>]) -> f64 {
+pub(crate) fn scale_t(photos: &[PixelErrors<'_>]) -> f64 {
     mean(scores(photos).map(|score| score * score)).sqrt()
 }
 
@@ -94,17 +97,17 @@ pub fn scale_t(photos: &[Intervals<'_>]) -> f64 {
 /// `t · max(s, 1/255)`, in nats.
 ///
 /// Uses the platform's logarithm; a caller that stores it rounds it.
-pub fn nll(photos: &[Intervals<'_>], t: f64) -> f64 {
+pub(crate) fn nll(photos: &[PixelErrors<'_>], t: f64) -> f64 {
     let pixels = photos.iter().flat_map(|photo| photo.std.iter().zip(photo.error));
     mean(pixels.map(|(std, error)| {
-        let std = t * f64::from(*std).max(FLOOR);
+        let std = t * f64::from(*std).max(MIN_STD);
         let score = f64::from(*error) / std;
         0.5 * std::f64::consts::TAU.ln() + std.ln() + score * score / 2.0
     }))
 }
 
-/// Mean |share inside - nominal| over the nominal shares 0.05 to 0.95.
-fn calibration_error(photos: &[Intervals<'_>], t: f64) -> f64 {
+/// Returns the mean |share inside - nominal| over the nominal shares 0.05 to 0.95.
+fn calibration_error(photos: &[PixelErrors<'_>], t: f64) -> f64 {
     let mut inside = [0_u64; Z.len()];
     let mut count = 0_u64;
     for score in scores(photos) {
@@ -125,13 +128,14 @@ fn calibration_error(photos: &[Intervals<'_>], t: f64) -> f64 {
 
 /// Returns which of `count` sorted scores (1 is the least) bounds a share of `1 - outside` of new ones:
 /// ⌈(count + 1)(1 - outside)⌉; none if that is beyond the last.
-pub fn conformal_rank(count: usize, outside: f64) -> Option<usize> {
+pub(crate) fn conformal_rank(count: usize, outside: f64) -> Option<usize> {
     // 1e-9: a product that is whole must not be lifted by its rounding.
     let rank = ((count + 1) as f64 * (1.0 - outside) - 1e-9).ceil().max(1.0) as usize;
     (rank <= count).then_some(rank)
 }
 
-fn conformal_score(photos: &[Intervals<'_>], outside: f64) -> Option<f64> {
+/// Returns the score that bounds a share of `1 - outside` of new ones; `None` where there are too few scores.
+fn conformal_score(photos: &[PixelErrors<'_>], outside: f64) -> Option<f64> {
     let mut sorted: Vec<f64> = scores(photos).collect();
     sorted.sort_unstable_by(f64::total_cmp);
     conformal_rank(sorted.len(), outside).map(|rank| sorted[rank - 1])
@@ -139,8 +143,8 @@ fn conformal_score(photos: &[Intervals<'_>], outside: f64) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::maps::{maps, tests::example};
     use super::*;
-    use crate::maps::{maps, tests::example};
 
     const TRUTH: [f32; 4] = [0.50, 0.30, 0.72, 0.60];
 
@@ -163,7 +167,7 @@ mod tests {
     #[test]
     fn the_worked_example_of_intervals_comes_out() {
         let (std, error) = example_error();
-        let photos = [Intervals {
+        let photos = [PixelErrors {
             std: &std,
             error: &error,
         }];
@@ -205,7 +209,7 @@ mod tests {
     fn a_spread_that_is_half_the_truth_is_doubled_and_then_covers() {
         let (std, error) = honest(0.1, 0.05);
         let photos = vec![
-            Intervals {
+            PixelErrors {
                 std: &std,
                 error: &error
             };
@@ -220,9 +224,9 @@ mod tests {
     }
 
     #[test]
-    fn three_photos_are_too_few_and_zero_spread_is_held_at_the_floor() {
+    fn three_photos_are_too_few_and_zero_spread_counts_as_one_step_of_8_bits() {
         let (std, error) = (vec![0.0_f32; 5], vec![1.0_f32 / 255.0; 5]);
-        let photos = [Intervals {
+        let photos = [PixelErrors {
             std: &std,
             error: &error,
         }; 3];

@@ -4,7 +4,7 @@ use marf_field::Render;
 ///
 /// Colours are sRGB in [0, 1]; gray is (R + G + B) / 3 of a member's render.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Maps {
+pub(crate) struct Maps {
     /// Pixels a row.
     pub width: u32,
     /// Rows.
@@ -29,7 +29,7 @@ pub struct Maps {
 }
 
 /// Mean opacity up to which a pixel counts as unseen.
-const SEEN: f64 = 0.5;
+const MIN_OPACITY: f64 = 0.5;
 
 /// Mean and both standard deviations of a few numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,12 +41,7 @@ pub(crate) struct Moments {
     pub population: f64,
 }
 
-/// Returns the sample standard deviation (divisor B - 1) of at least two values; the order does not matter.
-pub fn sample_std(values: &mut [f64]) -> f64 {
-    moments(values).sample
-}
-
-/// Sorts first: sums then have one order, whichever order the members came in.
+/// Returns the moments of at least one value. Sorts first: the order of the members then changes no sum.
 pub(crate) fn moments(values: &mut [f64]) -> Moments {
     values.sort_unstable_by(f64::total_cmp);
     let count = values.len() as f64;
@@ -59,10 +54,10 @@ pub(crate) fn moments(values: &mut [f64]) -> Moments {
     }
 }
 
-/// Reduces the members' renders of one viewpoint; they have one size.
+/// Returns the spread of the members' renders of one viewpoint, which have one size.
 ///
 /// Extremes: one member has spread 0 everywhere, which says nothing; the stage refuses B = 1.
-pub fn maps(renders: &[Render]) -> Maps {
+pub(crate) fn maps(renders: &[Render]) -> Maps {
     let (width, height) = renders
         .first()
         .map_or((0, 0), |render| (render.width, render.height));
@@ -85,7 +80,7 @@ pub fn maps(renders: &[Render]) -> Maps {
     maps
 }
 
-/// (R + G + B) / 3.
+/// Returns (R + G + B) / 3.
 pub(crate) fn gray(rgb: &[f32; 3]) -> f64 {
     (f64::from(rgb[0]) + f64::from(rgb[1]) + f64::from(rgb[2])) / 3.0
 }
@@ -116,7 +111,7 @@ impl Maps {
         self.rgb_std.push(channels.map(|channel| channel.sample as f32));
         self.opacity_term.push(unseen as f32);
         self.total.push(total as f32);
-        let seen = opacity > SEEN;
+        let seen = opacity > MIN_OPACITY;
         self.depth_std.push(if seen { depth.sample as f32 } else { -1.0 });
     }
 }

@@ -1,4 +1,15 @@
-use marf_cache::ContentHash;
+//! `bootstrap`: B retrainings to maps of where they disagree, and a fly-through; every member is a `train` node.
+//!
+//! Members are sorted pixel by pixel before they are summed, so no map depends on their order.
+
+mod calibration;
+mod drawing;
+mod maps;
+mod npy;
+mod reduce;
+mod report;
+mod sparsification;
+
 use marf_schema::{
     bootstrap::{BootstrapParams, Metrics, Mode},
     output::{FLYTHROUGH, MAPS, SCENE, VIDEO},
@@ -6,11 +17,11 @@ use marf_schema::{
     tune::BestParams,
 };
 use marf_stage::{
-    Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, ParamError, Params, Port, Stage, StageError,
-    Threads, Work,
+    Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, ParamError, Params, Port, StageError,
 };
 
-use crate::reduce::reduce;
+use crate::stage_on_device;
+use reduce::reduce;
 
 /// Trains B fields that differ in seed or photos, and maps where they disagree.
 #[derive(Debug)]
@@ -35,23 +46,7 @@ impl Define for Bootstrap {
     }
 }
 
-impl Stage for Bootstrap {
-    fn params(&self) -> &dyn ContentHash {
-        &self.params
-    }
-
-    fn work(&self) -> Work<'_> {
-        Work::Expand(self)
-    }
-
-    fn threads(&self) -> Threads {
-        Threads::All
-    }
-
-    fn backend_id(&self) -> Option<String> {
-        self.params.device.class()
-    }
-}
+stage_on_device!(Bootstrap, Expand);
 
 impl Expand for Bootstrap {
     fn expand(&self, _ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
@@ -65,7 +60,8 @@ impl Expand for Bootstrap {
     }
 }
 
-/// Member `index`: its seed, and in mode `photos` its draw of photos, is `seed + index`, round the end of u64.
+/// Returns the training of member `index`: its seed, and in mode `photos` its draw of photos, is `seed + index`,
+/// wrapping.
 fn member(params: &BootstrapParams, index: u32, inputs: &Inputs) -> Result<NodeSpec, StageError> {
     let seed = params.seed.wrapping_add(u64::from(index));
     let train = TrainParams {

@@ -1,6 +1,13 @@
+//! `tune`: random search of the field's hyper-parameters; every trial is a `train` node.
+//!
+//! What a trial sets depends on the seed, its number and the key alone, so more trials, or another key, leave the
+//! earlier trials as they were.
+
+mod reduce;
+mod sampling;
+
 use marf_cache::ContentHash;
 use marf_field::Overrides;
-use marf_scene::Scene;
 use marf_schema::{
     output::SCENE,
     train::{Holdout, TrainParams, TrialsParams},
@@ -11,11 +18,13 @@ use marf_stage::{
     Work,
 };
 
-use crate::{draw::draw, reduce::reduce};
+use crate::{io::read_scene, settings::scale_to};
+use reduce::reduce;
+use sampling::sample_params;
 
-/// Tries parameter sets on validation photos and keeps the best.
+/// Trains with drawn parameter sets and keeps the best.
 ///
-/// The photos that `calibrate` holds out are never looked at: every 8th training photo judges the trials.
+/// Trials are measured on every 8th training photo; those that `calibrate` holds out are never read.
 #[derive(Debug)]
 pub struct Tune {
     params: TuneParams,
@@ -47,14 +56,18 @@ impl Stage for Tune {
 
 impl Expand for Tune {
     fn expand(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
-        let params = TuneParams {
-            scale: Some(self.scale(ctx, inputs)?),
+        let side_px = self.params.quality.longest_side_px() / 2;
+        let scale = match self.params.scale {
+            Some(scale) => scale,
+            None => scale_to(side_px, &read_scene(ctx, inputs)?),
+        };
+        let params = &TuneParams {
+            scale: Some(scale),
             ..self.params.clone()
         };
-        let params = &params;
         let mut nodes = Vec::with_capacity(params.trials as usize + 1);
         for trial in 0..params.trials {
-            let set = draw(&params.space, params.seed, trial);
+            let set = sample_params(&params.space, params.seed, trial);
             nodes.push(node(
                 params,
                 &format!("trial-{trial:02}"),
@@ -70,23 +83,6 @@ impl Expand for Tune {
 
     fn reduce(&self, ctx: &Ctx<'_>, _inputs: &Inputs, children: &[Outputs]) -> Result<Outputs, StageError> {
         reduce(ctx, &self.params, children)
-    }
-}
-
-impl Tune {
-    fn scale(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<u32, StageError> {
-        if let Some(scale) = self.params.scale {
-            return Ok(scale);
-        }
-        let scene = Scene::decode(&ctx.get(inputs.required(SCENE)?)?)
-            .map_err(|error| StageError::new(error.to_string()))?;
-        let cameras = scene.frames.iter().map(|frame| &frame.camera);
-        let longest = cameras
-            .map(|camera| camera.width.max(camera.height))
-            .max()
-            .unwrap_or(1);
-        let side_px = (self.params.quality.longest_side_px() / 2).max(1);
-        Ok(longest.div_ceil(side_px).max(1))
     }
 }
 
@@ -119,7 +115,7 @@ fn node(
 mod tests {
     use super::*;
     use marf_cache::digest_of;
-    use marf_scene::{Camera, Frame, Pose};
+    use marf_scene::{Camera, Frame, Pose, Scene};
     use marf_stage::harness::Harness;
     use serde_json::json;
 
