@@ -50,7 +50,7 @@ const CRATES: [Crate; 18] = [
     row(
         "stages/filter",
         "marf-filter",
-        &["marf-cache", "marf-stage", "marf-scene"],
+        &["marf-cache", "marf-stage", "marf-scene", "marf-pds"],
     ),
     Crate {
         tests_use: &["marf-demo", "marf-extract"],

@@ -30,5 +30,5 @@ pub mod values;
 mod vicar;
 
 pub use label::{Label, Phase};
-pub use names::{ProductName, Scheme, join_key};
+pub use names::{Mars2020Name, ProductName, Scheme, join_key};
 pub use tone::WHITE_RADIANCE;

@@ -1,7 +1,13 @@
 //! What file names of the three missions say: Mars 2020 (54 characters), MSL Mastcam / MAHLI / MARDI (30), and the
 //! engineering cameras of MSL (36) and MER (27).
 
+mod mars2020;
+
+pub use mars2020::Mars2020Name;
+pub(crate) use mars2020::version_suffix;
+
 use crate::values;
+use mars2020::{UNVERSIONED, VERSIONED};
 
 /// What a product's name says of it.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -46,6 +52,9 @@ const NO_PICTURE: [&str; 21] = [
     "MXY", "DSP", "DSR", "ARM", "RUF", "SLP",
 ];
 
+/// Product types of Mars 2020 that are frames of videos and of stacks of focus.
+const SERIES: [&str; 6] = ["ECV", "EVD", "ECZ", "EZS", "ECR", "ERD"];
+
 impl ProductName {
     /// Reads a file name without its extension; `None` if it follows no known scheme.
     pub fn read(stem: &str) -> Option<Self> {
@@ -59,6 +68,23 @@ impl ProductName {
             .or_else(|| mer(&upper))?;
         name.id = stem[..name.id.len()].to_owned();
         Some(name)
+    }
+
+    /// Returns whether the product is a frame of a video or of a stack of focus: one exposure, many products.
+    pub fn is_of_series(&self) -> bool {
+        SERIES.contains(&self.product_type.as_str())
+    }
+
+    /// Returns what the products of one exposure share, in upper case: the name without colour filter, type, producer
+    /// and version.
+    pub fn exposure_key(&self) -> String {
+        let id = self.id.to_ascii_uppercase();
+        match self.scheme {
+            Scheme::M2020 => format!("{}{}{}", &id[..2], &id[3..23], &id[26..51]),
+            Scheme::MslScience => id[..24].to_owned(),
+            Scheme::MslEngineering => format!("{}{}", &id[..13], &id[16..35]),
+            Scheme::Mer => id,
+        }
     }
 
     /// Returns why a file of this name is no photo, if so.
@@ -92,7 +118,7 @@ impl ProductName {
 pub fn join_key(stem: &str) -> String {
     let upper = stem.to_ascii_uppercase();
     match ProductName::read(&upper) {
-        Some(name) if name.scheme == Scheme::M2020 => upper[..52].to_owned(),
+        Some(name) if name.scheme == Scheme::M2020 => upper[..UNVERSIONED].to_owned(),
         Some(name) => name.id,
         None => upper,
     }
@@ -110,32 +136,26 @@ fn letters_or_digits(text: &str) -> bool {
 /// 54 characters, or 52 in feeds, which may append `_1200` and the like.
 fn mars2020(upper: &str) -> Option<ProductName> {
     let bytes = upper.as_bytes();
-    let shape = upper.len() >= 52
-        && letters_or_digits(upper)
-        && digits(&upper[9..19])
-        && bytes[19] == b'_'
-        && digits(&upper[20..23])
-        && matches!(bytes[27], b'T' | b'N')
-        && bytes[48].is_ascii_digit()
-        && bytes[8] == b'_'
-        && bytes[0].is_ascii_alphabetic();
+    let fields = Mars2020Name::read(upper)?;
+    let strict =
+        letters_or_digits(upper) && bytes[0].is_ascii_alphabetic() && fields.downsampling().is_ascii_digit();
     let length = match upper.len() {
-        52 => 52,
-        _ if shape && matches!(bytes.get(52), Some(b'_')) => 52,
-        54 => 54,
-        _ if bytes.get(54) == Some(&b'_') => 54,
+        UNVERSIONED => UNVERSIONED,
+        _ if bytes[UNVERSIONED] == b'_' => UNVERSIONED,
+        VERSIONED => VERSIONED,
+        _ if bytes.get(VERSIONED) == Some(&b'_') => VERSIONED,
         _ => return None,
     };
-    shape.then(|| ProductName {
+    strict.then(|| ProductName {
         id: upper[..length].to_owned(),
         scheme: Scheme::M2020,
-        instrument: upper[..2].to_owned(),
-        filter: values::known(upper[2..3].trim_matches('_')),
-        sol: values::sol(&upper[4..8]).filter(|_| digits(&upper[4..8])),
-        thumbnail: bytes[27] == b'T',
-        product_type: upper[23..26].to_owned(),
-        version: upper[52..length].to_owned(),
-        reduced: 1 << u32::from(bytes[48] - b'0'),
+        instrument: fields.instrument().to_owned(),
+        filter: values::known(fields.filter().trim_matches('_')),
+        sol: values::sol(fields.sol()).filter(|_| digits(fields.sol())),
+        thumbnail: fields.is_thumbnail(),
+        product_type: fields.product_type().to_owned(),
+        version: upper[UNVERSIONED..length].to_owned(),
+        reduced: 1 << u32::from(fields.downsampling() - b'0'),
     })
 }
 
@@ -267,6 +287,19 @@ mod tests {
         assert!(!read("NRE_0060_0672265209_237ECM_N0032046NCAM00410_00_1LLJ").says_mosaic());
         assert!(read("ZL0_0001_0667035659_559ECM_N0010052AUT_04096_0260LMJ01").says_mosaic());
         assert!(!read("ZL1_0001_0667035659_559ECM_N0010052AUT_04096_0260LMJ01").says_mosaic());
+    }
+
+    #[test]
+    fn renditions_of_one_exposure_share_their_key() {
+        let key = |stem: &str| read(stem).exposure_key();
+        let raw = key("ZL0_0012_0668000000_100ECM_N0030000ZCAM00001_0340LMJ01");
+        assert_eq!(raw, key("ZLF_0012_0668000000_100EBY_N0030000ZCAM00001_0340LMA02"));
+        assert_ne!(raw, key("ZR0_0012_0668000000_100ECM_N0030000ZCAM00001_0340LMJ01"));
+        assert_ne!(raw, key("ZL0_0012_0668000000_101ECM_N0030000ZCAM00001_0340LMJ01"));
+        assert_eq!(
+            key("2264ML0121141200805116C00_DRCL"),
+            key("2264ML0121141200805116C01_DRCX")
+        );
     }
 
     #[test]

@@ -7,7 +7,7 @@ use marf_stage::{Ctx, StageError};
 
 use super::crawl::{Crawl, Folder, urls};
 use super::offer::{Offer, Offered, Offers, Survey};
-use super::trees::{Holding, Tree, exposure};
+use super::trees::{Holding, Tree};
 use crate::archive::{extension, stem};
 use crate::net::Client;
 use crate::params::Discover;
@@ -213,7 +213,7 @@ fn best(
         let key = if all {
             join_key(&photo.0.id)
         } else {
-            exposure(&photo.0)
+            photo.0.exposure_key()
         };
         groups.entry(key).or_default().push(photo);
     }

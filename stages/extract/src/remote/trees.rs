@@ -1,7 +1,7 @@
 //! Where the Planetary Data System keeps the products of each camera (reference: PDS imaging node, collections of
 //! Mars 2020 and volumes of MSL).
 
-use marf_pds::{ProductName, Scheme};
+use marf_pds::ProductName;
 use marf_stage::ParamError;
 
 use crate::params::{Instrument, Level, Mission, PdsArchive, PixelSource};
@@ -35,9 +35,6 @@ pub(crate) struct Holding {
     /// Product types, the preferred first.
     pub types: Vec<String>,
 }
-
-/// Video frames and stacks of focus: one exposure, many products.
-const SERIES: [&str; 6] = ["ECV", "EVD", "ECZ", "EZS", "ECR", "ERD"];
 
 impl Holding {
     /// Finds the place of a camera.
@@ -89,21 +86,10 @@ impl Holding {
             .types
             .iter()
             .position(|wanted| wanted == kind || wanted == "*");
-        place.ok_or_else(|| match SERIES.contains(&kind) {
+        place.ok_or_else(|| match name.is_of_series() {
             true => format!("{kind} is a frame of a video or a stack; name it in `products` to take it"),
             false => format!("product type {kind} is not asked for"),
         })
-    }
-}
-
-/// What the products of one exposure share: the name without colour, type, producer and version.
-pub(crate) fn exposure(name: &ProductName) -> String {
-    let id = name.id.to_ascii_uppercase();
-    match name.scheme {
-        Scheme::M2020 if id.len() >= 51 => format!("{}{}{}", &id[..2], &id[3..23], &id[26..51]),
-        Scheme::MslScience => id[..24].to_owned(),
-        Scheme::MslEngineering => format!("{}{}", &id[..13], &id[16..35]),
-        _ => id,
     }
 }
 
@@ -293,19 +279,6 @@ mod tests {
         assert_eq!(
             msl.products("msl/MSLMST_0001/DATA/RDR/SURFACE", "0001"),
             "msl/MSLMST_0001/DATA/RDR/SURFACE/0001"
-        );
-    }
-
-    #[test]
-    fn renditions_of_one_exposure_share_their_key() {
-        let key = |stem: &str| exposure(&ProductName::read(stem).unwrap());
-        let raw = key("ZL0_0012_0668000000_100ECM_N0030000ZCAM00001_0340LMJ01");
-        assert_eq!(raw, key("ZLF_0012_0668000000_100EBY_N0030000ZCAM00001_0340LMA02"));
-        assert_ne!(raw, key("ZR0_0012_0668000000_100ECM_N0030000ZCAM00001_0340LMJ01"));
-        assert_ne!(raw, key("ZL0_0012_0668000000_101ECM_N0030000ZCAM00001_0340LMJ01"));
-        assert_eq!(
-            key("2264ML0121141200805116C00_DRCL"),
-            key("2264ML0121141200805116C01_DRCX")
         );
     }
 }
