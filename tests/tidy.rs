@@ -41,7 +41,11 @@ const CRATES: [Crate; 18] = [
         &["marf-cache", "marf-scene", "marf-shaders"],
     ),
     row("stages/pds", "marf-pds", &["marf-scene"]),
-    row("stages/demo", "marf-demo", &["marf-cache", "marf-scene"]),
+    row(
+        "stages/demo",
+        "marf-demo",
+        &["marf-cache", "marf-numeric", "marf-scene"],
+    ),
     row(
         "stages/extract",
         "marf-extract",

@@ -222,7 +222,7 @@ fn numbers(node: Node<'_, '_>, element: &str) -> Vec<f64> {
     numbers.collect()
 }
 
-fn told(label: &str) -> (Lens, Quaternion, V3) {
+fn labelled(label: &str) -> (Lens, Quaternion, V3) {
     let document = Document::parse(label).unwrap();
     let root = document.root_element();
     let space = root
@@ -247,7 +247,7 @@ fn told(label: &str) -> (Lens, Quaternion, V3) {
 fn labels_tell_a_pose_that_is_a_little_off() {
     for photo in small().ground_truth(1).unwrap().photos {
         let label = std::str::from_utf8(&sol_1()[&format!("{}.xml", &photo.file[..54])]).unwrap();
-        let (rover, turn, offset) = told(label);
+        let (rover, turn, offset) = labelled(label);
         let site = rover.moved(&turn.columns(), offset);
         let truth = lens(&photo.site_model);
         let turned = (site.a - truth.a)
@@ -307,8 +307,8 @@ fn the_thumbnails_label_is_in_its_own_grid() {
         .find(|flaw| flaw.kind == FlawKind::Thumbnail)
         .unwrap();
     let label = |file: &str| std::str::from_utf8(&sol_1()[&format!("{}.xml", &file[..54])]).unwrap();
-    let (large, ..) = told(label(flaw.twin.as_ref().unwrap()));
-    let (little, ..) = told(label(&flaw.file));
+    let (large, ..) = labelled(label(flaw.twin.as_ref().unwrap()));
+    let (little, ..) = labelled(label(&flaw.file));
     let (x, y) = little.project(large.c + large.ray(41.5, 81.5) * 5.0).unwrap();
     assert!((x - 10.0).abs() < 1e-6 && (y - 20.0).abs() < 1e-6, "{x} {y}");
 }

@@ -44,9 +44,8 @@ pub(crate) fn relation_between(a: (&str, &PhotoFacts), b: (&str, &PhotoFacts)) -
         return Relation::Unknown;
     }
     let by_label = same_pointing(a.1, b.1);
-    let by_name = names.map(|(a, b)| {
-        a.is_same_planned_pointing(b) && a.clock_s().abs_diff(b.clock_s()) <= MAX_INTERVAL_S
-    });
+    let by_name = names
+        .map(|(a, b)| a.is_same_planned_pointing(b) && a.clock_s().abs_diff(b.clock_s()) <= MAX_INTERVAL_S);
     // A label holds the measured pointing, a name only the planned one.
     match by_label.or(by_name) {
         Some(true) => Relation::SamePointing,

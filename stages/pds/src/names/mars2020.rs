@@ -114,8 +114,17 @@ mod tests {
         let read = |text| Mars2020Name::read(text).unwrap();
         let copy = format!("{name} (1).png");
         assert!(read(name).is_other_product_of_exposure(read(&copy)));
-        assert_eq!((read(&copy).clock_s(), read(&copy).product_type()), (729_888_971, "RAD"));
-        for bad in ["", "ZL0", &copy[1..], &format!("{name} é"), &copy.replacen("_N", "_X", 1)] {
+        assert_eq!(
+            (read(&copy).clock_s(), read(&copy).product_type()),
+            (729_888_971, "RAD")
+        );
+        for bad in [
+            "",
+            "ZL0",
+            &copy[1..],
+            &format!("{name} é"),
+            &copy.replacen("_N", "_X", 1),
+        ] {
             assert!(Mars2020Name::read(bad).is_none(), "{bad}");
         }
     }
