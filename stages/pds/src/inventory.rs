@@ -1,14 +1,14 @@
-//! The list of a PDS4 collection's members: `P` or `S`, and the LIDVID, one a line, without header.
+//! The inventory of a PDS4 collection: a line per member with `P` or `S` and the LIDVID, without header.
 
 use crate::names::{ProductName, Scheme, version_suffix};
 
-/// Largest list that is read: a million members of 130 bytes.
+/// Largest inventory that is read: a million members of 130 bytes.
 const MAX_BYTES: usize = 128 << 20;
 /// Most members that are read.
 const MAX_MEMBERS: usize = 2_000_000;
 /// Longest identifier, bytes (PDS4 Standards Reference, 6D.2).
 const MAX_LID: usize = 255;
-/// The version suffixes that are tried where the identifier's own version is not in the name.
+/// Number of version suffixes that are tried beside the identifier's own version.
 const TRIED_VERSIONS: u32 = 9;
 
 /// A product of a collection.
@@ -18,14 +18,14 @@ pub struct Member {
     pub lid: String,
     /// Version, `1.0`; empty where a secondary member names none.
     pub version: String,
-    /// Belongs to this collection first (`P`); else it is another's (`S`).
+    /// Primary member (`P`); else secondary (`S`): primary in another collection.
     pub primary: bool,
 }
 
-/// Text that is no such list.
+/// Bytes that are not an inventory.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum InventoryError {
-    /// Larger than any list.
+    /// Larger than any inventory.
     #[error("an inventory of {0} bytes, at most {MAX_BYTES} are read")]
     TooLarge(usize),
     /// More members than any collection has.
@@ -44,11 +44,11 @@ pub enum InventoryError {
     },
 }
 
-/// Reads a list, in its order.
+/// Reads an inventory, in its order.
 ///
 /// # Errors
-/// See [`InventoryError`]. A line without line end is the last one; a list cut inside an identifier cannot be told from
-/// a whole one, but for its version: `::` without `M.m` is refused.
+/// See [`InventoryError`]. An inventory that was cut inside an identifier cannot be recognised,
+/// except by its version: `::` without `M.m` is refused.
 pub fn read(bytes: &[u8]) -> Result<Vec<Member>, InventoryError> {
     if bytes.len() > MAX_BYTES {
         return Err(InventoryError::TooLarge(bytes.len()));
@@ -101,7 +101,7 @@ fn member(line: &[u8]) -> Result<Member, &'static str> {
     })
 }
 
-/// A cell without blanks and double quotes around it.
+/// Returns a cell without the blanks and double quotes around it.
 fn unquoted(cell: &str) -> Result<&str, &'static str> {
     let cell = cell.trim();
     match cell.strip_prefix('"') {
@@ -110,7 +110,7 @@ fn unquoted(cell: &str) -> Result<&str, &'static str> {
     }
 }
 
-/// `urn:agency:archive:bundle:collection:product`, none of them empty.
+/// Returns whether a text is `urn:agency:archive:bundle:collection:product` with no part empty.
 fn is_lid(lid: &str) -> bool {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"_.-".contains(&byte);
     let parts: Vec<&str> = lid.splitn(7, ':').collect();
