@@ -35,17 +35,23 @@ const CRATES: [Crate; 18] = [
     row("stages/numeric", "marf-numeric", &[]),
     row("stages/stage", "marf-stage", &["marf-cache"]),
     row("stages/scene", "marf-scene", &["marf-cache"]),
-    row(
-        "stages/field",
-        "marf-field",
-        &["marf-cache", "marf-scene", "marf-shaders"],
-    ),
     row("stages/pds", "marf-pds", &["marf-scene"]),
     row(
         "stages/demo",
         "marf-demo",
         &["marf-cache", "marf-numeric", "marf-scene"],
     ),
+    row(
+        "stages/field",
+        "marf-field",
+        &["marf-shaders", "marf-cache", "marf-numeric", "marf-scene"],
+    ),
+    row(
+        "stages/schema",
+        "marf-schema",
+        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
+    ),
+    row("stages/sfm", "marf-sfm", &["marf-numeric", "marf-scene"]),
     row(
         "stages/extract",
         "marf-extract",
@@ -61,23 +67,25 @@ const CRATES: [Crate; 18] = [
         ..row(
             "stages/calibrate",
             "marf-calibrate",
-            &["marf-cache", "marf-stage", "marf-scene"],
+            &[
+                "marf-cache",
+                "marf-stage",
+                "marf-scene",
+                "marf-schema",
+                "marf-sfm",
+            ],
         )
     },
     row(
-        "stages/tune",
-        "marf-tune",
-        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
-    ),
-    row(
         "stages/train",
         "marf-train",
-        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
-    ),
-    row(
-        "stages/bootstrap",
-        "marf-bootstrap",
-        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
+        &[
+            "marf-cache",
+            "marf-stage",
+            "marf-scene",
+            "marf-field",
+            "marf-schema",
+        ],
     ),
     row(
         "stages",
@@ -87,9 +95,7 @@ const CRATES: [Crate; 18] = [
             "marf-extract",
             "marf-filter",
             "marf-calibrate",
-            "marf-tune",
             "marf-train",
-            "marf-bootstrap",
         ],
     ),
     row("src/engine", "marf-engine", &["marf-cache", "marf-stage"]),
@@ -98,11 +104,12 @@ const CRATES: [Crate; 18] = [
         "marf",
         &[
             "marf-cache",
-            "marf-engine",
             "marf-stage",
-            "marf-stages",
             "marf-scene",
             "marf-field",
+            "marf-schema",
+            "marf-stages",
+            "marf-engine",
         ],
     ),
 ];

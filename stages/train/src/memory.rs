@@ -1,139 +1,48 @@
-use std::{fmt, str::FromStr};
-
-use marf_cache::ContentHash;
 use marf_field::{Config, Pixels, decoding_bytes, judging_bytes, training_bytes};
-use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::{Deserialize, Serialize};
+use marf_schema::train::Memory;
 
 use crate::{
     TrainError,
-    split::{Named, Split},
+    split::{NamedFrame, Split},
 };
 
-/// Memory that a training may take, written as `2GB` or `800MB`; whole megabytes of 10^6 bytes.
-///
-/// A number of its own and not a share of the machine's: what is kept of the photos follows from it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ContentHash)]
-#[serde(try_from = "String", into = "String")]
-pub struct Memory {
-    megabytes: u64,
-}
-
-/// A text that is no memory.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{text}` is no memory; write `2GB` or `800MB`, from 1MB to 1000000GB")]
-pub struct ParseMemoryError {
-    text: String,
-}
-
-impl Default for Memory {
-    fn default() -> Self {
-        Self { megabytes: 4_000 }
-    }
-}
-
-impl Memory {
-    /// Returns the bytes.
-    pub fn bytes(self) -> u64 {
-        self.megabytes * 1_000_000
-    }
-}
-
-impl FromStr for Memory {
-    type Err = ParseMemoryError;
-
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let fail = || ParseMemoryError {
-            text: text.to_owned(),
-        };
-        let trimmed = text.trim();
-        let scaled = |unit: &str, scale: f64| Some((trimmed.strip_suffix(unit)?, scale));
-        let (number, scale) = scaled("GB", 1e3).or_else(|| scaled("MB", 1.0)).ok_or_else(fail)?;
-        let megabytes = number.trim().parse::<f64>().map_err(|_| fail())? * scale + 0.5;
-        if !(1.0..=1e9).contains(&megabytes) {
-            return Err(fail());
-        }
-        Ok(Self {
-            megabytes: megabytes as u64,
-        })
-    }
-}
-
-impl fmt::Display for Memory {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.megabytes.is_multiple_of(1000) {
-            write!(f, "{}GB", self.megabytes / 1000)
-        } else {
-            write!(f, "{}MB", self.megabytes)
-        }
-    }
-}
-
-impl TryFrom<String> for Memory {
-    type Error = ParseMemoryError;
-
-    fn try_from(text: String) -> Result<Self, Self::Error> {
-        text.parse()
-    }
-}
-
-impl From<Memory> for String {
-    fn from(memory: Memory) -> Self {
-        memory.to_string()
-    }
-}
-
-impl JsonSchema for Memory {
-    fn schema_name() -> std::borrow::Cow<'static, str> {
-        "Memory".into()
-    }
-
-    fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        json_schema!({
-            "type": "string",
-            "pattern": "^[0-9.]+ *(MB|GB)$",
-            "description": "Memory that a training may take: `2GB`, `800MB`."
-        })
-    }
-}
-
-/// The program itself, its threads' stacks and scratch, and what the allocator holds back: 60 MB were measured on 2
-/// threads.
+/// Memory of the program itself: stacks and scratch of its threads, and what the allocator keeps. 60 MB were measured
+/// on 2 threads.
 const PROGRAM_BYTES: u64 = 100_000_000;
 
 /// How photos are kept so that a training stays within its memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Plan {
+pub(crate) struct MemoryPlan {
     /// Pixels of a run, one of which is kept.
     pub run: u32,
     /// Photos that may be decoded at once; no result depends on it.
     pub at_once: usize,
 }
 
-/// Finds the shortest run with which all fits.
+/// Returns the shortest run of pixels with which a training fits its memory, and how many photos may be decoded at once.
 ///
-/// Counted are, each at its largest: the photos kept with the training ([`training_bytes`]), the photos kept with
-/// one being decoded, one view being judged; and the program.
+/// `times`: how often each training photo is used. Counted are, each at its largest: the photos kept with the
+/// training ([`training_bytes`]), the photos kept with one being decoded, one view being compared; and the program.
 ///
 /// # Errors
 /// [`TrainError::Memory`] if not even one pixel in 256 fits, before anything is decoded.
-pub(crate) fn plan(
+pub(crate) fn plan_memory(
     memory: Memory,
     split: &Split<'_>,
     times: &[usize],
     scale: u32,
     config: &Config,
-) -> Result<Plan, TrainError> {
+) -> Result<MemoryPlan, TrainError> {
     let drawn = times.iter().sum();
     let training = training_bytes(config, drawn)?;
     let decoding = largest(split.training.iter().chain(&split.held_out), 1, decoding_bytes);
-    let judging = largest(split.held_out.iter(), 1, decoding_bytes).max(largest(
+    let scoring = largest(split.held_out.iter(), 1, decoding_bytes).max(largest(
         split.held_out.iter(),
         scale,
         judging_bytes,
     ));
     let kept = |run: u32| kept_bytes(&split.training, times, scale, run);
-    let needed = |run: u32| PROGRAM_BYTES + (kept(run) + training.max(decoding)).max(judging);
+    let needed = |run: u32| PROGRAM_BYTES + (kept(run) + training.max(decoding)).max(scoring);
     let Some(run) = (1..=Pixels::LONGEST_RUN).find(|run| needed(*run) <= memory.bytes()) else {
         return Err(TrainError::Memory {
             memory,
@@ -144,10 +53,11 @@ pub(crate) fn plan(
     };
     let free = memory.bytes() - PROGRAM_BYTES - kept(run);
     let at_once = (free / decoding.max(1)).clamp(1, 1 << 16) as usize;
-    Ok(Plan { run, at_once })
+    Ok(MemoryPlan { run, at_once })
 }
 
-fn kept_bytes(training: &[Named<'_>], times: &[usize], scale: u32, run: u32) -> u64 {
+/// Returns the bytes of the training photos as they are kept.
+fn kept_bytes(training: &[NamedFrame<'_>], times: &[usize], scale: u32, run: u32) -> u64 {
     let photos = training.iter().zip(times).map(|(named, times)| {
         let camera = named.frame.camera.box_reduced(scale);
         *times as u64 * Pixels::bytes(camera.width, camera.height, run)
@@ -155,8 +65,9 @@ fn kept_bytes(training: &[Named<'_>], times: &[usize], scale: u32, run: u32) -> 
     photos.sum()
 }
 
+/// Returns the most that `bytes` says of any frame.
 fn largest<'a>(
-    frames: impl Iterator<Item = &'a Named<'a>>,
+    frames: impl Iterator<Item = &'a NamedFrame<'a>>,
     scale: u32,
     bytes: impl Fn(u32, u32) -> u64,
 ) -> u64 {
@@ -170,8 +81,9 @@ fn largest<'a>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Holdout, split::split};
+    use crate::split::split;
     use marf_scene::{Camera, Frame, Pose, Scene};
+    use marf_schema::train::Holdout;
 
     fn scene(count: usize, width: u32, height: u32) -> Scene {
         let frame = |index: usize| Frame {
@@ -189,7 +101,7 @@ mod tests {
         }
     }
 
-    fn planned(memory: &str, scene: &Scene, scale: u32) -> Result<Plan, TrainError> {
+    fn planned(memory: &str, scene: &Scene, scale: u32) -> Result<MemoryPlan, TrainError> {
         let split = split(scene, Holdout::Test).unwrap();
         let times = vec![1; split.training.len()];
         let config = Config {
@@ -197,34 +109,7 @@ mod tests {
             log2_table: Some(15),
             ..Config::default()
         };
-        plan(memory.parse().unwrap(), &split, &times, scale, &config)
-    }
-
-    #[test]
-    fn memory_reads_its_units_and_prints_them() {
-        for (text, printed, bytes) in [
-            ("2GB", "2GB", 2_000_000_000),
-            (" 1.5 GB", "1500MB", 1_500_000_000),
-            ("800MB", "800MB", 800_000_000),
-            ("1000 MB", "1GB", 1_000_000_000),
-        ] {
-            let memory: Memory = text.parse().unwrap();
-            assert_eq!(
-                (memory.to_string().as_str(), memory.bytes()),
-                (printed, bytes),
-                "{text}"
-            );
-            assert_eq!(memory.to_string().parse::<Memory>(), Ok(memory));
-        }
-        for text in [
-            "", "2", "GB", "-1GB", "0MB", "2TB", "nanGB", "infGB", "9e9GB", "2 gigs",
-        ] {
-            let error = text.parse::<Memory>().unwrap_err().to_string();
-            assert!(
-                error.contains(&format!("`{text}`")) && error.contains("`2GB`"),
-                "{error}"
-            );
-        }
+        plan_memory(memory.parse().unwrap(), &split, &times, scale, &config)
     }
 
     #[test]
@@ -261,7 +146,7 @@ mod tests {
     #[test]
     fn as_many_photos_are_decoded_at_once_as_fit_and_at_least_one() {
         let large = scene(1000, 1600, 1250);
-        let Plan { run, at_once } = planned("2GB", &large, 1).unwrap();
+        let MemoryPlan { run, at_once } = planned("2GB", &large, 1).unwrap();
         let decoding = decoding_bytes(1600, 1250) * at_once as u64;
         let kept = 875 * Pixels::bytes(1600, 1250, run);
         assert!(

@@ -1,18 +1,24 @@
 use std::time::{Duration, Instant};
 
-use marf_cache::ContentHash;
-use marf_field::{Device, EXPECTED_STEPS_PER_S, Overrides, Quality, Trainer};
-use marf_stage::{Ctx, Define, Inputs, Outputs, ParamError, Port, Set, Stage, StageError, Threads, Work};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use marf_field::{EXPECTED_STEPS_PER_S, Trainer};
+use marf_schema::{
+    output::SCENE,
+    pace::{PaceParams, Steps},
+    tune::BestParams,
+};
+use marf_stage::{
+    Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, StageError, TypedOutputs,
+};
 
 use crate::{
-    Budget, Fit, Holdout, Memory, TrainError, TrainParams,
-    judge::{outputs, put_json},
-    memory::plan,
-    params,
-    split::{split, views},
-    train::{read_scene, trainer},
+    TrainError,
+    io::read_scene,
+    memory::plan_memory,
+    photos::PhotoReader,
+    settings::{field_config, field_keys, scale_to},
+    split::split,
+    stage_on_device,
+    views::{new_trainer, training_views},
 };
 
 /// Longest measurement, seconds.
@@ -20,112 +26,52 @@ const LONGEST_S: f64 = 8.0;
 
 /// Turns a time to train for into optimiser steps, once, by training for a moment on this machine.
 ///
-/// The one stage whose answer depends on the clock, which is its purpose: its record keeps what was found, and
-/// whoever shares the store shares the steps.
+/// The one stage whose answer depends on the clock: its record keeps the steps that were found, so that every run on
+/// the same store trains the same steps.
 #[derive(Debug)]
 pub struct Pace {
     params: PaceParams,
 }
 
-/// Parameters of `pace`: those of `train` that decide how long a step takes.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
-#[serde(deny_unknown_fields)]
-pub struct PaceParams {
-    /// Time to train for (`60s`, `5m`).
-    pub budget: Budget,
-    /// Size of the photos and of the field.
-    #[serde(default)]
-    pub quality: Quality,
-    /// Whole factor by which photos are shrunk; absent: the least that brings them to the size of `quality`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub scale: Option<u32>,
-    /// Memory that the training may take.
-    #[serde(default)]
-    pub memory: Memory,
-    /// Photos that are kept away from training.
-    #[serde(default)]
-    pub holdout: Holdout,
-    /// What decides how large the field is.
-    #[serde(default)]
-    pub fit: Fit,
-    /// Keys of the field; they win over those of the input `params`.
-    #[serde(default)]
-    pub field: Overrides,
-    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
-    /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
-    #[serde(default)]
-    #[content_hash(skip)]
-    pub device: Device,
-}
-
-impl PaceParams {
-    /// Returns what `train` asks to be paced, if it has a budget.
-    pub(crate) fn of(train: &TrainParams) -> Option<Self> {
-        Some(Self {
-            budget: train.budget?,
-            quality: train.quality,
-            scale: train.scale,
-            memory: train.memory,
-            holdout: train.holdout,
-            fit: train.fit,
-            field: train.field.clone(),
-            device: train.device.clone(),
-        })
-    }
-}
-
 impl Define for Pace {
     type Params = PaceParams;
-    const NAME: &'static str = "pace";
+    const NAME: &'static str = PaceParams::STAGE;
     const ABOUT: &'static str = "Measures how many training steps a time budget buys on this machine";
     const VERSION: u32 = 2;
     const PORTS: &'static [Port] = &[
-        Port::required("input", "scene"),
-        Port::optional("params", "params"),
+        Port::required("input", SCENE),
+        Port::optional("params", BestParams::OUTPUT),
     ];
-    const OUTPUTS: &'static [&'static str] = &["steps"];
+    const OUTPUTS: &'static [&'static str] = &[Steps::OUTPUT];
 
     fn new(params: PaceParams) -> Result<Self, ParamError> {
-        params::check_scale(params.scale)?;
-        params::check_field(params.quality, params.fit, &params.field)?;
+        params.check()?;
         Ok(Self { params })
     }
 }
 
-impl Stage for Pace {
-    fn params(&self) -> &dyn ContentHash {
-        &self.params
-    }
-
-    fn work(&self) -> Work<'_> {
-        Work::Set(self)
-    }
-
-    fn threads(&self) -> Threads {
-        Threads::All
-    }
-
-    fn backend_id(&self) -> Option<String> {
-        self.params.device.class()
-    }
-}
+stage_on_device!(Pace, Set);
 
 impl Set for Pace {
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
         let params = &self.params;
-        let scene = read_scene(ctx, inputs.required("scene")?)?;
-        let keys = params::keys(ctx, inputs, &params.field)?;
+        let scene = read_scene(ctx, inputs)?;
+        let keys = field_keys(ctx, inputs, &params.field)?;
         let expected = (params.budget.seconds() * EXPECTED_STEPS_PER_S) as u64;
-        let config = params::config(&keys, params.quality, params.fit, expected)?;
-        let scale = params::scale(params.scale, params.quality, &scene);
+        let config = field_config(&keys, params.quality, params.fit, expected)?;
+        let side_px = params.quality.longest_side_px();
+        let scale = params.scale.unwrap_or_else(|| scale_to(side_px, &scene));
         let split = split(&scene, params.holdout)?;
         let times = vec![1; split.training.len()];
-        let plan = plan(params.memory, &split, &times, scale, &config)?;
-        let views = views(ctx, &split, &times, scale, plan, 0)?;
-        let mut trainer = trainer(views, &scene, &config, 0, &params.device)?;
+        let plan = plan_memory(params.memory, &split, &times, scale, &config)?;
+        let photos = PhotoReader::new(ctx, &scene, scale);
+        let views = training_views(&photos, &split.training, &times, plan, 0)?;
+        let mut trainer = new_trainer(views, &scene, &config, 0, &params.device)?;
         let budget_s = params.budget.seconds();
         let rate = steps_per_second(ctx, &mut trainer, (budget_s / 4.0).min(LONGEST_S))?;
-        Ok(outputs([("steps", put_json(ctx, &steps_in(budget_s, rate))?)]))
+        let mut outputs = Outputs::new();
+        outputs.put(ctx, &Steps(steps_in(budget_s, rate)))?;
+        Ok(outputs)
     }
 }
 
@@ -139,7 +85,7 @@ fn steps_per_second(ctx: &Ctx<'_>, trainer: &mut Trainer, measure_s: f64) -> Res
     Ok((trainer.steps() - before) as f64 / begun.elapsed().as_secs_f64())
 }
 
-/// At least one step.
+/// Trains for a time, at least one step.
 fn run_for(ctx: &Ctx<'_>, trainer: &mut Trainer, time: Duration, note: &str) -> Result<(), StageError> {
     let begun = Instant::now();
     loop {
@@ -154,7 +100,7 @@ fn run_for(ctx: &Ctx<'_>, trainer: &mut Trainer, time: Duration, note: &str) -> 
     }
 }
 
-/// At least one step, however short the budget.
+/// Returns the steps that a budget buys, at least one.
 fn steps_in(budget_s: f64, steps_per_second: f64) -> u64 {
     ((budget_s * steps_per_second) as u64).max(1)
 }
