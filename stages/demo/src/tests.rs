@@ -257,7 +257,7 @@ fn labels_tell_a_pose_that_is_a_little_off() {
         let moved = (site.c - truth.c).norm();
         assert!((0.02..0.3).contains(&turned), "{}: {turned} degrees", photo.file);
         assert!((0.001..0.05).contains(&moved), "{}: {moved} m", photo.file);
-        // The lens itself is told exactly, but for the digits of the label.
+        // The label states the lens exactly, up to its digits.
         let focal = |lens: &Lens| lens.a.cross(lens.h).norm();
         assert!((focal(&site) - focal(&truth)).abs() < 1e-5, "{}", photo.file);
         assert!(
@@ -365,7 +365,7 @@ fn distance(a: [u8; 3], b: [f64; 3]) -> f64 {
     (0..3).map(|k| (f64::from(a[k]) - b[k]).abs()).fold(0.0, f64::max)
 }
 
-/// Every photo looks at rocks a few metres off, from metres apart.
+/// Every photo shows rocks a few metres away, from positions metres apart.
 #[test]
 fn sols_look_at_the_same_rocks_from_different_places() {
     let demo = small();

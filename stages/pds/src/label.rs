@@ -303,11 +303,11 @@ mod tests {
             label.set_camera(&raw, "SITE_FRAME".to_owned(), FramePose::IsSite, vec![1]);
             assert_eq!(label.prior.is_some(), usable, "{:?}", label.notes);
             assert_eq!(label.notes.is_empty(), usable);
-            let told = label
+            let explained = label
                 .notes
                 .iter()
                 .all(|note| note.contains("turn over at chi = 0.5774"));
-            assert!(told, "{:?}", label.notes);
+            assert!(explained, "{:?}", label.notes);
         }
     }
 
