@@ -28,7 +28,7 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 19] = [
+const CRATES: [Crate; 18] = [
     row("shaders", "marf-shaders", &[]),
     row("cache/derive", "marf-cache-derive", &[]),
     row("cache", "marf-cache", &["marf-cache-derive"]),
@@ -40,13 +40,14 @@ const CRATES: [Crate; 19] = [
     row(
         "stages/field",
         "marf-field",
-        &["marf-shaders", "marf-cache", "marf-scene"],
+        &["marf-shaders", "marf-cache", "marf-numeric", "marf-scene"],
     ),
     row(
         "stages/schema",
         "marf-schema",
         &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
     ),
+    row("stages/sfm", "marf-sfm", &["marf-numeric", "marf-scene"]),
     row(
         "stages/extract",
         "marf-extract",
@@ -62,34 +63,18 @@ const CRATES: [Crate; 19] = [
         ..row(
             "stages/calibrate",
             "marf-calibrate",
-            &["marf-cache", "marf-stage", "marf-scene", "marf-schema"],
+            &[
+                "marf-cache",
+                "marf-stage",
+                "marf-scene",
+                "marf-schema",
+                "marf-sfm",
+            ],
         )
     },
     row(
-        "stages/tune",
-        "marf-tune",
-        &[
-            "marf-cache",
-            "marf-stage",
-            "marf-scene",
-            "marf-field",
-            "marf-schema",
-        ],
-    ),
-    row(
         "stages/train",
         "marf-train",
-        &[
-            "marf-cache",
-            "marf-stage",
-            "marf-scene",
-            "marf-field",
-            "marf-schema",
-        ],
-    ),
-    row(
-        "stages/bootstrap",
-        "marf-bootstrap",
         &[
             "marf-cache",
             "marf-stage",
@@ -106,9 +91,7 @@ const CRATES: [Crate; 19] = [
             "marf-extract",
             "marf-filter",
             "marf-calibrate",
-            "marf-tune",
             "marf-train",
-            "marf-bootstrap",
         ],
     ),
     row("src/engine", "marf-engine", &["marf-cache", "marf-stage"]),

@@ -6,8 +6,9 @@ use marf_stage::{Access, ArchiveContext, ParamError};
 use marf_stages::ArchiveDef;
 use serde_json::{Map, Value as Json, json};
 
+use super::error::ConfigError;
 use super::low::{Entry, Located};
-use super::{ConfigError, nearest};
+use crate::nearest::did_you_mean;
 
 /// Key that names the kind of an archive.
 const KIND: &str = "kind";
@@ -22,8 +23,8 @@ pub(super) struct Archives<'a> {
 }
 
 impl<'a> Archives<'a> {
-    /// Checks that every table has a known kind and no key that its kind does not read. Relative paths are meant from
-    /// `folder`, where the lock file lies too.
+    /// Checks that every table has a known kind and no key that its kind does not read. Paths are relative to
+    /// `folder`, the folder of the lock file.
     ///
     /// # Errors
     /// The first thing that is wrong, with its place.
@@ -52,7 +53,7 @@ impl<'a> Archives<'a> {
     pub fn named(&self, field: &Entry, name: &str) -> Result<&'a Entry, ConfigError> {
         self.tables.iter().find(|table| table.key == name).ok_or_else(|| {
             let message = format!("`archive = \"{name}\"` names no `[archive.*]` table");
-            let hint = nearest(name, self.tables.iter().map(|table| table.key.as_str()));
+            let hint = did_you_mean(name, self.tables.iter().map(|table| table.key.as_str()));
             ConfigError::at(field.value.at.clone(), message).hint(hint)
         })
     }
@@ -68,8 +69,8 @@ impl<'a> Archives<'a> {
     }
 }
 
-/// Puts a stage's complaint about the archive it reads at the key of the archive's table; `path` is below the table.
-pub(super) fn complaint(table: &Entry, path: &str, error: &ParamError) -> ConfigError {
+/// Puts a stage's error about the archive it reads at the key of the archive's table; `path` is below the table.
+pub(super) fn param_error(table: &Entry, path: &str, error: &ParamError) -> ConfigError {
     let (at, key) = match path {
         "" => (table.at.clone(), String::new()),
         path => (table.value.place(path), format!(".{path}")),
@@ -96,7 +97,7 @@ fn kind_of(table: &Entry) -> Result<&'static ArchiveDef, ConfigError> {
         return Err(ConfigError::at(entry.value.at.clone(), message).hint(Some(list())));
     };
     known.iter().find(|def| def.kind == kind).ok_or_else(|| {
-        let hint = nearest(kind, words).unwrap_or_else(list);
+        let hint = did_you_mean(kind, words).unwrap_or_else(list);
         let message = format!("there is no kind of archive `{kind}`");
         ConfigError::at(entry.value.at.clone(), message).hint(Some(hint))
     })
@@ -111,7 +112,7 @@ fn check_keys(table: &Located, schema: &Json, owner: &str, of: &str) -> Result<(
         let key = entry.key.as_str();
         let Some(inner) = properties.get(key) else {
             let message = format!("unknown key `{key}` in `{owner}`{of}");
-            let hint = nearest(key, properties.keys().map(String::as_str));
+            let hint = did_you_mean(key, properties.keys().map(String::as_str));
             return Err(ConfigError::at(entry.at.clone(), message).hint(hint));
         };
         check_keys(&entry.value, inner, &format!("{owner}.{key}"), of)?;
@@ -160,12 +161,14 @@ fn kind_schema(def: &ArchiveDef) -> Json {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Wishes, check};
+    use super::super::{GlobalOptions, check};
     use super::*;
 
     /// Checks a pipeline that cannot be used; returns place, message and hint.
     fn refused(text: &str) -> (String, String) {
-        let error = check(text, &[], &Wishes::default(), Path::new("")).err().unwrap();
+        let error = check(text, &[], &GlobalOptions::default(), Path::new(""))
+            .err()
+            .unwrap();
         let hint = error.hint.clone().unwrap_or_default();
         (error.render(Path::new("p"), text), hint)
     }

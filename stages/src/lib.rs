@@ -11,12 +11,12 @@ static STAGES: LazyLock<Vec<StageDef>> = LazyLock::new(|| {
     stages.extend_from_slice(marf_filter::STAGES);
     stages.extend([
         define::<marf_calibrate::Calibrate>(),
-        define::<marf_tune::Tune>(),
+        define::<marf_train::Tune>(),
         define::<marf_train::Train>(),
         define::<marf_train::Pace>(),
         define::<marf_train::Evaluate>(),
         define::<marf_train::Render>(),
-        define::<marf_bootstrap::Bootstrap>(),
+        define::<marf_train::Bootstrap>(),
     ]);
     stages
 });

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::*;
-use crate::config::{Wishes, check, low};
+use crate::config::{GlobalOptions, check, low};
 
 /// Keywords that only describe.
 const ANNOTATIONS: [&str; 6] = ["$schema", "$defs", "title", "description", "default", "format"];
@@ -147,7 +147,7 @@ fn every_kind_of_archive_is_in_the_schema_with_all_its_keys() {
     for table in ARCHIVES {
         let text = format!("[archive.a]\n{table}\n[node.extract]\narchive = 'a'\n");
         assert_eq!(refused(&text), Vec::<String>::new(), "{text}");
-        let checked = check(&text, &[], &Wishes::default(), Path::new(""));
+        let checked = check(&text, &[], &GlobalOptions::default(), Path::new(""));
         assert!(checked.is_ok(), "{text}: {:?}", checked.err());
     }
     for def in marf_stages::archives() {

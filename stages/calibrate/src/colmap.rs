@@ -1,7 +1,7 @@
 //! Cameras from an installed COLMAP, by explicit choice.
 //!
-//! The one method that leaves the program: what it answers is COLMAP's, not reproducible to the byte, and kept
-//! under the node's key like any other result. The version that made it is named in the scene.
+//! The only method that runs another program: its result is COLMAP's, not reproducible to the byte, and kept under the
+//! node's key like any other result. The version of COLMAP is named in the scene.
 
 mod program;
 
@@ -12,18 +12,19 @@ use marf_scene::encode_png;
 use marf_stage::{Ctx, Inputs, StageError};
 use rayon::prelude::*;
 
-use crate::CalibrateParams;
+use crate::calibration::{Calibration, PlacedPhoto, mean_up};
 use crate::import::{self, Model, read_colmap_binary};
 use crate::masks::mask_file;
-use crate::photos::{Calibrated, Item, Placed, decode};
-use program::Program;
+use crate::photos::{InputPhoto, decode};
+use marf_schema::calibrate::CalibrateParams;
+use program::{Program, cannot_write};
 
 /// Up to this many photos every pair is matched; beyond, each with its neighbours by file name.
 const EXHAUSTIVE: usize = 60;
 /// Names of the model's files, for messages and on the disk.
 const FILES: [&str; 3] = ["cameras.bin", "images.bin", "points3D.bin"];
 
-/// Places the photos that the largest of COLMAP's models has.
+/// Returns the cameras of the largest of COLMAP's models.
 ///
 /// Photos of one instrument, device and size share a camera of the model OPENCV; masks are given along; features
 /// and matches are found on the CPU. The world is COLMAP's own, without scale; up is the mean of the cameras'.
@@ -33,12 +34,12 @@ const FILES: [&str; 3] = ["cameras.bin", "images.bin", "points3D.bin"];
 pub(crate) fn run(
     ctx: &Ctx<'_>,
     inputs: &Inputs,
-    items: &[Item],
+    items: &[InputPhoto],
     params: &CalibrateParams,
-) -> Result<Calibrated, StageError> {
-    let room = tempfile::tempdir().map_err(|error| disk("a temporary folder", &error))?;
-    let program = Program::find(ctx, params.colmap.as_deref().unwrap_or("colmap"), room.path())?;
-    let names = lay_out(ctx, inputs, items, room.path())?;
+) -> Result<Calibration, StageError> {
+    let folder = tempfile::tempdir().map_err(|error| cannot_write("a temporary folder", &error))?;
+    let program = Program::find(ctx, params.colmap.as_deref().unwrap_or("colmap"), folder.path())?;
+    let names = write_inputs(ctx, inputs, items, folder.path())?;
     let matcher = match items.len() {
         0..=EXHAUSTIVE => "exhaustive_matcher",
         _ => "sequential_matcher",
@@ -46,7 +47,7 @@ pub(crate) fn run(
     program.extract_features(ctx)?;
     program.find_matches(ctx, matcher)?;
     program.map(ctx)?;
-    let models = models(&room.path().join("models"))?;
+    let models = models(&folder.path().join("models"))?;
     let Some(files) = models.first() else {
         return Err(StageError::new("colmap placed no photo").hint(
             "photos of one scene that overlap by half are needed; `method = \"sfm\"` says which photos match",
@@ -67,19 +68,19 @@ pub(crate) fn run(
     let placed = views
         .par_iter()
         .map(|(item, view)| import::place(ctx, FILES[1], view, *item, &items[*item], params))
-        .collect::<Result<Vec<Placed>, StageError>>()?;
+        .collect::<Result<Vec<PlacedPhoto>, StageError>>()?;
     let found: BTreeSet<usize> = placed.iter().map(|one| one.item).collect();
     let absent = (0..items.len()).filter(|item| !found.contains(item));
     let reason = format!("not in the largest of colmap's models, of {}", models.len());
-    Ok(Calibrated {
+    Ok(Calibration {
         unplaced: absent.map(|item| (item, reason.clone())).collect(),
         missing: Vec::new(),
         points: cameras.points,
         tracks: Vec::new(),
         components: None,
-        seen: Vec::new(),
+        statistics: Vec::new(),
         cause: None,
-        up: import::mean_up(&placed),
+        up: mean_up(&placed),
         placed,
         metres_per_unit: None,
         method: format!("{}: OPENCV cameras, {matcher}, largest model", program.version),
@@ -87,21 +88,16 @@ pub(crate) fn run(
     })
 }
 
-fn disk(what: &str, error: &std::io::Error) -> StageError {
-    StageError::new(format!("{what} for colmap cannot be written: {error}"))
-        .hint("make room in the folder for temporary files (TMPDIR)")
-}
-
 /// Writes photos and masks as COLMAP reads them and returns which item each name stands for.
 ///
 /// Photos that share a camera share a folder; names sort as the files do, because neighbours are matched.
-fn lay_out(
+fn write_inputs(
     ctx: &Ctx<'_>,
     inputs: &Inputs,
-    items: &[Item],
-    room: &Path,
+    items: &[InputPhoto],
+    folder: &Path,
 ) -> Result<BTreeMap<String, usize>, StageError> {
-    let camera = |item: &Item| {
+    let camera = |item: &InputPhoto| {
         let facts = item.facts.clone();
         (facts.instrument, facts.device, facts.width, facts.height)
     };
@@ -111,21 +107,21 @@ fn lay_out(
     let mut names = BTreeMap::new();
     for (rank, item) in order.into_iter().enumerate() {
         ctx.check()?;
-        let folder = cameras.iter().position(|one| *one == camera(&items[item]));
+        let subfolder = cameras.iter().position(|one| *one == camera(&items[item]));
         let (bytes, end) = upright(ctx, &items[item])?;
-        let name = format!("{:03}/{rank:05}.{end}", folder.unwrap_or_default());
-        write(&room.join("images").join(&name), &bytes)?;
+        let name = format!("{:03}/{rank:05}.{end}", subfolder.unwrap_or_default());
+        write(&folder.join("images").join(&name), &bytes)?;
         if let Some(mask) = mask_file(ctx, inputs, &items[item])? {
             let mask = encode_png(&mask).map_err(|error| StageError::new(error.to_string()))?;
-            write(&room.join("masks").join(format!("{name}.png")), &mask)?;
+            write(&folder.join("masks").join(format!("{name}.png")), &mask)?;
         }
         names.insert(name, item);
     }
     Ok(names)
 }
 
-/// The photo's own bytes if COLMAP sees in them what we do: it reads JPEG and PNG, and turns nothing upright.
-fn upright(ctx: &Ctx<'_>, item: &Item) -> Result<(Vec<u8>, &'static str), StageError> {
+/// Returns the photo's own bytes if COLMAP decodes them as we do: it reads JPEG and PNG, and ignores the orientation.
+fn upright(ctx: &Ctx<'_>, item: &InputPhoto) -> Result<(Vec<u8>, &'static str), StageError> {
     let bytes = ctx.get(&item.image)?;
     let turned = item
         .facts
@@ -142,14 +138,15 @@ fn upright(ctx: &Ctx<'_>, item: &Item) -> Result<(Vec<u8>, &'static str), StageE
     }
 }
 
+/// Writes a file and its folders.
 fn write(path: &Path, bytes: &[u8]) -> Result<(), StageError> {
     let folder = path.parent().map_or(Ok(()), std::fs::create_dir_all);
     folder
         .and_then(|()| std::fs::write(path, bytes))
-        .map_err(|error| disk("a photo", &error))
+        .map_err(|error| cannot_write("a photo", &error))
 }
 
-/// Reads all models, the one with most photos first, then by number.
+/// Returns all models, the one with most photos first, then by number.
 fn models(folder: &Path) -> Result<Vec<[Vec<u8>; 3]>, StageError> {
     let mut models = Vec::new();
     for number in 0.. {

@@ -7,5 +7,5 @@ mod transforms;
 
 pub use colmap::write_colmap;
 pub use ply::write_ply;
-pub use tracks::{Sight, TrackPoint, Tracks};
+pub use tracks::{Observation, TrackPoint, Tracks};
 pub use transforms::write_transforms;

@@ -1,136 +1,66 @@
 //! Cameras and points that another program found: transforms.json of instant-ngp and nerfstudio with its PLY,
 //! models of COLMAP.
 
+mod cameras;
 mod choose;
 mod colmap;
+mod json_node;
 mod lens;
-mod matching;
-mod node;
+mod photo_names;
 mod ply;
 mod transforms;
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::Digest;
-use marf_scene::{Camera, Point, Pose};
+use marf_scene::Camera;
 use marf_stage::{COMPANIONS, Ctx, Inputs, StageError};
-use nalgebra::Vector3;
 use rayon::prelude::*;
 
+pub use cameras::{Cameras, ImportError, Role, View};
 pub use colmap::{Model, read_colmap_binary, read_colmap_text};
 pub use lens::{Focal, Lens};
 pub use ply::read_ply;
 pub use transforms::{Transforms, read_transforms};
 
-use crate::photos::{Calibrated, Found, HeldOut, Item, Placed, as_png, decode, reduction, store};
-use crate::{CalibrateParams, Missing};
+use crate::calibration::{Calibration, HeldOut, PhotoStatistics, PlacedPhoto, mean_up};
+use crate::photos::{InputPhoto, as_png, decode, reduction, store};
 use choose::{Source, choose};
-use matching::Photos;
+use marf_schema::calibrate::CalibrateParams;
+use marf_schema::calibrate::Missing;
+use photo_names::PhotoNames;
 use transforms::POINTS_KEY;
 
-/// A camera file that cannot be used.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{file}`{}: {problem}", place_text(place))]
-pub struct ImportError {
-    /// Name of the file beside the photos.
-    pub file: String,
-    /// JSON pointer, line or record; empty for the whole file.
-    pub place: String,
-    /// What is wrong, with the value.
-    pub problem: String,
-}
-
-fn place_text(place: &str) -> String {
-    if place.is_empty() {
-        String::new()
-    } else {
-        format!(" {place}")
-    }
-}
-
-impl ImportError {
-    fn new(file: &str, place: impl Into<String>, problem: impl Into<String>) -> Self {
-        Self {
-            file: file.to_owned(),
-            place: place.into(),
-            problem: problem.into(),
-        }
-    }
-}
-
-/// A photo's camera as another program has it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct View {
-    /// Where in the file it stands, for messages.
-    pub place: String,
-    /// The photo's name relative to the archive, with `/`; the extension may be missing.
-    pub file: String,
-    /// Its lens, before the photo's size is known.
-    pub lens: Lens,
-    /// Its pose: x right, y down, z forward.
-    pub cam_from_world: Pose,
-    /// What it is for.
-    pub role: Role,
-    /// Features found in the photo, if the file tells.
-    pub matches: Option<u32>,
-    /// Those of them that belong to a point, if the file tells.
-    pub inliers: Option<u32>,
-    /// Their mean distance from their points' projections, pixels of this lens.
-    pub error_px: Option<f64>,
-}
-
-/// What the file says a photo is for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Role {
-    /// The file says nothing.
-    Open,
-    /// Training.
-    Train,
-    /// Measuring.
-    HeldOut,
-    /// The file has lists of photos for training and measuring and this one is in none.
-    Unlisted,
-}
-
-/// Everything of a camera file.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Cameras {
-    /// One for each photo it has.
-    pub views: Vec<View>,
-    /// Sparse points, sorted by the file's own number, or in its order.
-    pub points: Vec<Point>,
-}
-
-/// Places the photos that the chosen file has cameras for; the world is the file's own.
+/// Returns the cameras of the chosen file for the photos; the world is that of the file.
 ///
 /// Its unit is not known to be metres, so `metres_per_unit` stays empty; up is the mean of the cameras' up
 /// vectors unless they cancel.
 pub(crate) fn run(
     ctx: &Ctx<'_>,
     inputs: &Inputs,
-    items: &[Item],
+    items: &[InputPhoto],
     params: &CalibrateParams,
-) -> Result<Calibrated, StageError> {
+) -> Result<Calibration, StageError> {
     let files = companions(ctx, inputs)?;
     let source = choose(&files, params.file.as_deref())?;
     let cameras = read(ctx, &files, &source)?;
-    let sorted = sort_out(&source, &cameras.views, items).map_err(refused)?;
-    let done = sorted.pairs.par_iter().map(|(item, view)| {
+    let matched = match_views(&source, &cameras.views, items).map_err(refused)?;
+    let done = matched.pairs.par_iter().map(|(item, view)| {
         ctx.check()?;
         place(ctx, &source.name(), view, *item, &items[*item], params)
     });
-    let placed = done.collect::<Result<Vec<Placed>, StageError>>()?;
-    Ok(Calibrated {
+    let placed = done.collect::<Result<Vec<PlacedPhoto>, StageError>>()?;
+    Ok(Calibration {
         up: mean_up(&placed),
         placed,
-        unplaced: sorted.unplaced,
-        missing: sorted.missing,
+        unplaced: matched.unplaced,
+        missing: matched.missing,
         points: cameras.points,
         tracks: Vec::new(),
         metres_per_unit: None,
         method: format!("import of {}", source.name()),
         components: None,
-        seen: Vec::new(),
+        statistics: Vec::new(),
         cause: None,
         hint: format!(
             "check that the names in {} are those of the photos beside it",
@@ -139,11 +69,13 @@ pub(crate) fn run(
     })
 }
 
+/// Returns the error of a refused camera file.
 fn refused(error: ImportError) -> StageError {
     StageError::new(error.to_string())
         .hint("correct the file or write it anew; no camera of it was used".to_owned())
 }
 
+/// Returns the files beside the photos.
 fn companions(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<BTreeMap<String, Digest>, StageError> {
     let digest = inputs.optional(COMPANIONS).ok_or_else(|| {
         StageError::new(
@@ -155,6 +87,7 @@ fn companions(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<BTreeMap<String, Digest>
         .map_err(|error| StageError::new(format!("the list of files beside the photos: {error}")))
 }
 
+/// Returns the cameras and points of the chosen file.
 fn read(ctx: &Ctx<'_>, files: &BTreeMap<String, Digest>, source: &Source) -> Result<Cameras, StageError> {
     let get = |name: &str| match files.get(name) {
         Some(digest) => ctx.get(digest),
@@ -199,7 +132,7 @@ fn read(ctx: &Ctx<'_>, files: &BTreeMap<String, Digest>, source: &Source) -> Res
     }
 }
 
-/// Complains of points that are named and not there.
+/// Returns the error of a missing file of points.
 fn no_points(file: &str, points: &str) -> StageError {
     let problem = format!(
         "`{points}` is not among the files beside the photos; points are found as `points.ply` or \
@@ -211,15 +144,20 @@ fn no_points(file: &str, points: &str) -> StageError {
     ))
 }
 
-/// Which photo gets which camera, and what is left over.
-struct Sorted<'a> {
+/// Photos with their views, and what has no partner.
+struct MatchedViews<'a> {
     pairs: Vec<(usize, &'a View)>,
     unplaced: Vec<(usize, String)>,
     missing: Vec<Missing>,
 }
 
-fn sort_out<'a>(source: &Source, views: &'a [View], items: &[Item]) -> Result<Sorted<'a>, ImportError> {
-    let photos = Photos::new(items);
+/// Finds the photo of each view.
+fn match_views<'a>(
+    source: &Source,
+    views: &'a [View],
+    items: &[InputPhoto],
+) -> Result<MatchedViews<'a>, ImportError> {
+    let photos = PhotoNames::new(items);
     let mut taken: BTreeMap<usize, &View> = BTreeMap::new();
     let mut missing = Vec::new();
     for view in views {
@@ -255,22 +193,22 @@ fn sort_out<'a>(source: &Source, views: &'a [View], items: &[Item]) -> Result<So
         .into_iter()
         .filter(|(_, view)| view.role != Role::Unlisted)
         .collect();
-    Ok(Sorted {
+    Ok(MatchedViews {
         pairs,
         unplaced,
         missing,
     })
 }
 
-/// Places one photo by its view; `file` is where the view stands, for messages.
+/// Returns one photo with the camera of its view; `file` is named in errors.
 pub(crate) fn place(
     ctx: &Ctx<'_>,
     file: &str,
     view: &View,
     index: usize,
-    item: &Item,
+    item: &InputPhoto,
     params: &CalibrateParams,
-) -> Result<Placed, StageError> {
+) -> Result<PlacedPhoto, StageError> {
     let (width, height) = match (item.facts.width, item.facts.height) {
         (0, _) | (_, 0) => {
             let photo = decode(ctx, item)?.image;
@@ -283,7 +221,7 @@ pub(crate) fn place(
         refused(ImportError::new(file, &view.place, problem))
     })?;
     let (image, name, camera) = sized(ctx, item, camera, params)?;
-    Ok(Placed {
+    Ok(PlacedPhoto {
         item: index,
         file: name,
         image,
@@ -294,19 +232,19 @@ pub(crate) fn place(
             Role::HeldOut => Some(HeldOut::Yes),
             Role::Train | Role::Unlisted => Some(HeldOut::No),
         },
-        found: Found {
+        statistics: PhotoStatistics {
             matches: view.matches,
             inliers: view.inliers,
             error_px: view.error_px,
-            ..Found::default()
+            ..PhotoStatistics::default()
         },
     })
 }
 
-/// The photo and its camera at the working size.
+/// Returns image, file name and camera of a photo at the size that the field is trained on.
 fn sized(
     ctx: &Ctx<'_>,
-    item: &Item,
+    item: &InputPhoto,
     camera: Camera,
     params: &CalibrateParams,
 ) -> Result<(Digest, String, Camera), StageError> {
@@ -327,14 +265,4 @@ fn sized(
         as_png(&item.facts.file),
         camera.box_reduced(factor),
     ))
-}
-
-/// Mean of the cameras' up vectors, unless they all but cancel.
-pub(crate) fn mean_up(placed: &[Placed]) -> Option<[f64; 3]> {
-    let down: Vector3<f64> = placed
-        .iter()
-        .map(|one| one.cam_from_world.rotation.row(1).transpose())
-        .sum();
-    let clear = down.norm() > 0.1 * placed.len() as f64;
-    clear.then(|| (-down.normalize()).into())
 }

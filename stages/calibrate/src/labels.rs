@@ -8,9 +8,10 @@ use marf_stage::{Ctx, StageError};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use crate::CalibrateParams;
-use crate::photos::{Calibrated, Found, Item, Placed, as_png, decode, reduction, store};
+use crate::calibration::{Calibration, PhotoStatistics, PlacedPhoto};
+use crate::photos::{InputPhoto, as_png, decode, reduction, store};
 use crate::resample::resample;
+use marf_schema::calibrate::CalibrateParams;
 
 /// A photo whose label can be used.
 pub(crate) struct Candidate<'a> {
@@ -20,16 +21,16 @@ pub(crate) struct Candidate<'a> {
     pub site_from_frame: Pose,
 }
 
-/// A candidate with its image.
-struct Made {
+/// Image and camera of a photo.
+struct PinholePhoto {
     image: Digest,
     file: String,
     camera: Camera,
     cam_from_site: Pose,
 }
 
-/// A photo as an ideal pinhole takes it.
-pub(crate) struct Ideal {
+/// A photo as an ideal pinhole would take it.
+pub(crate) struct IdealPhoto {
     pub image: Image<Srgb>,
     pub pixels: Pixels,
     pub camera: Camera,
@@ -39,16 +40,20 @@ pub(crate) struct Ideal {
 /// Where an ideal image's pixels come from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Pixels {
-    /// They are the photo's own.
+    /// From the photo itself.
     Own,
-    /// They were resampled through the label's lens.
+    /// Resampled with the lens of the label.
     Resampled,
 }
 
-/// Places the photos of one site: x north, y east, z down, in metres, the origin at the median of the cameras.
+/// Returns the photos of one site with the cameras of their labels: x north, y east, z down, in metres, the origin at the median of the cameras.
 ///
 /// A photo whose model is an ideal pinhole already keeps its bytes; every other one is resampled once.
-pub(crate) fn run(ctx: &Ctx<'_>, items: &[Item], params: &CalibrateParams) -> Result<Calibrated, StageError> {
+pub(crate) fn run(
+    ctx: &Ctx<'_>,
+    items: &[InputPhoto],
+    params: &CalibrateParams,
+) -> Result<Calibration, StageError> {
     let mut unplaced = Vec::new();
     let mut candidates = Vec::new();
     for (index, item) in items.iter().enumerate() {
@@ -75,7 +80,7 @@ pub(crate) fn run(ctx: &Ctx<'_>, items: &[Item], params: &CalibrateParams) -> Re
         }
     }
     centre(&mut placed);
-    Ok(Calibrated {
+    Ok(Calibration {
         placed,
         unplaced,
         missing: Vec::new(),
@@ -84,7 +89,7 @@ pub(crate) fn run(ctx: &Ctx<'_>, items: &[Item], params: &CalibrateParams) -> Re
         up: Some([0.0, 0.0, -1.0]),
         metres_per_unit: Some(1.0),
         components: None,
-        seen: Vec::new(),
+        statistics: Vec::new(),
         cause: None,
         method: "labels: resampled once to an ideal pinhole, cubic in 8-bit sRGB".to_owned(),
         hint: "take an archive whose labels hold camera models, choose another `site`, widen `sols`, or use \
@@ -93,7 +98,8 @@ pub(crate) fn run(ctx: &Ctx<'_>, items: &[Item], params: &CalibrateParams) -> Re
     })
 }
 
-fn candidate(index: usize, item: &Item) -> Result<Candidate<'_>, String> {
+/// Returns the usable label of a photo, or why there is none.
+fn candidate(index: usize, item: &InputPhoto) -> Result<Candidate<'_>, String> {
     let Some(prior) = &item.facts.prior else {
         return Err(no_prior(item));
     };
@@ -105,8 +111,8 @@ fn candidate(index: usize, item: &Item) -> Result<Candidate<'_>, String> {
     })
 }
 
-/// The label of each photo, if it can be used and is of the chosen site; without one, of the busiest.
-pub(crate) fn of_one_site(items: &[Item], site: Option<i64>) -> Vec<Option<Candidate<'_>>> {
+/// Returns the label of each photo that can be used and is of the chosen site, by default that with most photos.
+pub(crate) fn of_one_site(items: &[InputPhoto], site: Option<i64>) -> Vec<Option<Candidate<'_>>> {
     let candidates = items
         .iter()
         .enumerate()
@@ -122,10 +128,11 @@ pub(crate) fn of_one_site(items: &[Item], site: Option<i64>) -> Vec<Option<Candi
 }
 
 fn chosen_site(candidates: &[Candidate<'_>], asked: Option<i64>) -> Option<i64> {
-    asked.map_or_else(|| busiest(candidates), Some)
+    asked.map_or_else(|| site_with_most_photos(candidates), Some)
 }
 
-fn no_prior(item: &Item) -> String {
+/// Returns why a photo has no camera from its label.
+fn no_prior(item: &InputPhoto) -> String {
     let said = item.facts.notes.iter().find(|note| note.starts_with("label"));
     match (said, item.labelled) {
         (Some(note), _) => format!("label without camera ({note})"),
@@ -134,6 +141,7 @@ fn no_prior(item: &Item) -> String {
     }
 }
 
+/// Returns the pose of the label's frame in its site.
 fn site_from_frame(prior: &CameraPrior) -> Result<Pose, String> {
     match prior.site_from_frame {
         Some(pose) if pose.is_valid() => Ok(pose),
@@ -141,13 +149,13 @@ fn site_from_frame(prior: &CameraPrior) -> Result<Pose, String> {
             "label's pose of {} in its site is no rotation",
             prior.frame
         )),
-        None if prior.frame.starts_with("SITE") => Ok(Pose::identity()),
+        None if prior.frame.starts_with("site_with_most_photos") => Ok(Pose::identity()),
         None => Err(format!("label does not say where {} is in its site", prior.frame)),
     }
 }
 
-/// The site with most photos; of equals the first.
-fn busiest(candidates: &[Candidate<'_>]) -> Option<i64> {
+/// Returns the site with most photos; of equals the first.
+fn site_with_most_photos(candidates: &[Candidate<'_>]) -> Option<i64> {
     let mut counts: BTreeMap<Option<i64>, usize> = BTreeMap::new();
     for candidate in candidates {
         *counts.entry(candidate.site).or_default() += 1;
@@ -156,6 +164,7 @@ fn busiest(candidates: &[Candidate<'_>]) -> Option<i64> {
     counts.into_iter().find(|(_, count)| *count == most)?.0
 }
 
+/// Returns why a photo of another site is not placed.
 fn other_site(own: Option<i64>, chosen: Option<i64>) -> String {
     let name = |site: Option<i64>| site.map_or("unknown".to_owned(), |site| site.to_string());
     match own {
@@ -170,13 +179,13 @@ fn other_site(own: Option<i64>, chosen: Option<i64>) -> String {
     }
 }
 
-/// An image and camera for each candidate, or why there is none.
+/// Returns image and camera of each candidate, or why there is none.
 fn make_all(
     ctx: &Ctx<'_>,
-    items: &[Item],
+    items: &[InputPhoto],
     candidates: &[Candidate<'_>],
     params: &CalibrateParams,
-) -> Result<Vec<Result<Made, String>>, StageError> {
+) -> Result<Vec<Result<PinholePhoto, String>>, StageError> {
     let done = std::sync::atomic::AtomicU64::new(0);
     let all = candidates.par_iter().map(|candidate| {
         ctx.check()?;
@@ -189,12 +198,13 @@ fn make_all(
     all.collect()
 }
 
+/// Returns image and camera of a photo at the size that the field is trained on.
 fn make(
     ctx: &Ctx<'_>,
-    item: &Item,
+    item: &InputPhoto,
     candidate: &Candidate<'_>,
     params: &CalibrateParams,
-) -> Result<Result<Made, String>, StageError> {
+) -> Result<Result<PinholePhoto, String>, StageError> {
     let ideal = match ideal(ctx, item, candidate)? {
         Ok(ideal) => ideal,
         Err(reason) => return Ok(Err(reason)),
@@ -208,7 +218,7 @@ fn make(
             as_png(&item.facts.file),
         )
     };
-    Ok(Ok(Made {
+    Ok(Ok(PinholePhoto {
         image,
         file,
         camera: ideal.camera.box_reduced(factor),
@@ -216,12 +226,12 @@ fn make(
     }))
 }
 
-/// Decodes a photo and resamples it, if need be, to the pinhole of its label; the reason if that cannot be.
+/// Returns a photo resampled, if needed, to the pinhole of its label, or why that is not possible.
 pub(crate) fn ideal(
     ctx: &Ctx<'_>,
-    item: &Item,
+    item: &InputPhoto,
     candidate: &Candidate<'_>,
-) -> Result<Result<Ideal, String>, StageError> {
+) -> Result<Result<IdealPhoto, String>, StageError> {
     let photo = decode(ctx, item)?.image;
     let (width, height) = (photo.width, photo.height);
     let labelled = (item.facts.width, item.facts.height);
@@ -231,18 +241,18 @@ pub(crate) fn ideal(
             labelled.0, labelled.1
         )));
     }
-    let (pinhole, straight) = match pinhole(candidate.model, width, height) {
+    let (pinhole, undistortion) = match pinhole(candidate.model, width, height) {
         Ok(found) => found,
         Err(error) => return Ok(Err(error.to_string())),
     };
-    let (image, pixels) = match straight {
-        Straight::Already => (photo, Pixels::Own),
-        Straight::Through(model) => match resample(&photo, &model, &pinhole) {
+    let (image, pixels) = match undistortion {
+        Undistortion::None => (photo, Pixels::Own),
+        Undistortion::Resample(model) => match resample(&photo, &model, &pinhole) {
             Ok(image) => (image, Pixels::Resampled),
             Err(error) => return Ok(Err(error.to_string())),
         },
     };
-    Ok(Ok(Ideal {
+    Ok(Ok(IdealPhoto {
         image,
         pixels,
         camera: pinhole.camera,
@@ -250,36 +260,41 @@ pub(crate) fn ideal(
     }))
 }
 
-/// How a photo becomes an ideal pinhole's.
-enum Straight {
-    /// It is one.
-    Already,
-    /// By resampling through this model (normalised).
-    Through(Cahvor),
+/// How a photo becomes that of an ideal pinhole.
+enum Undistortion {
+    /// It already is.
+    None,
+    /// By resampling with this model (normalised).
+    Resample(Cahvor),
 }
 
-fn pinhole(model: &Cahvor, width: u32, height: u32) -> Result<(Pinhole, Straight), marf_scene::CahvorError> {
+/// Returns the pinhole of a camera model, and how photos become its.
+fn pinhole(
+    model: &Cahvor,
+    width: u32,
+    height: u32,
+) -> Result<(Pinhole, Undistortion), marf_scene::CahvorError> {
     if let Some(pinhole) = model.exact_pinhole(width, height)? {
-        return Ok((pinhole, Straight::Already));
+        return Ok((pinhole, Undistortion::None));
     }
     let pinhole = model.linearised(width, height)?;
-    Ok((pinhole, Straight::Through(model.normalised()?)))
+    Ok((pinhole, Undistortion::Resample(model.normalised()?)))
 }
 
-fn place(item: usize, made: Made) -> Placed {
-    Placed {
+fn place(item: usize, made: PinholePhoto) -> PlacedPhoto {
+    PlacedPhoto {
         item,
         file: made.file,
         image: made.image,
         camera: made.camera,
         cam_from_world: made.cam_from_site,
         held_out: None,
-        found: Found::default(),
+        statistics: PhotoStatistics::default(),
     }
 }
 
-/// Moves the origin to the median of the camera centres, axis by axis: f32 later has no metres to waste.
-fn centre(placed: &mut [Placed]) {
+/// Moves the origin to the median of the camera centres, axis by axis, so that f32 coordinates stay precise.
+fn centre(placed: &mut [PlacedPhoto]) {
     let centres: Vec<Vector3<f64>> = placed.iter().map(|one| one.cam_from_world.centre()).collect();
     let site_from_world = Pose {
         translation: median(&centres),
@@ -290,7 +305,7 @@ fn centre(placed: &mut [Placed]) {
     }
 }
 
-/// The median of points, axis by axis; the origin of none.
+/// Returns the median of points, axis by axis; the origin for no points.
 pub(crate) fn median(points: &[Vector3<f64>]) -> Vector3<f64> {
     Vector3::from_fn(|axis, _| {
         let mut values: Vec<f64> = points.iter().map(|point| point[axis]).collect();

@@ -1,4 +1,4 @@
-//! Masks beside the photos: which part of a photo is not to be looked at.
+//! Masks beside the photos: which part of a photo is ignored.
 
 use std::collections::BTreeMap;
 
@@ -6,9 +6,9 @@ use marf_cache::Digest;
 use marf_scene::{Image, Photo, Srgb};
 use marf_stage::{COMPANIONS, Ctx, Inputs, StageError};
 
-use crate::photos::{Item, without_extension};
+use crate::photos::{InputPhoto, without_extension};
 
-/// Returns the mask of a photo, in its pixel grid: black is hidden. None if there is none, or `cameras` is not
+/// Returns the mask of a photo, in its pixel grid: black is ignored. `None` if there is none, or `cameras` is not
 /// connected.
 ///
 /// A photo's own mask is `masks/<name>.png`, with or without the extension of its name, in any folder above the
@@ -20,7 +20,7 @@ use crate::photos::{Item, without_extension};
 pub(crate) fn mask_file(
     ctx: &Ctx<'_>,
     inputs: &Inputs,
-    item: &Item,
+    item: &InputPhoto,
 ) -> Result<Option<Image<Srgb>>, StageError> {
     let Some(digest) = inputs.optional(COMPANIONS) else {
         return Ok(None);
@@ -48,6 +48,7 @@ pub(crate) fn mask_file(
     Ok(Some(mask).filter(|mask| (mask.width, mask.height) == (width, height)))
 }
 
+/// Decodes a mask.
 fn decode(ctx: &Ctx<'_>, name: &str, digest: &Digest) -> Result<Image<Srgb>, StageError> {
     let photo = Photo::decode(&ctx.get(digest)?);
     let photo = photo.map_err(|error| {
@@ -56,12 +57,13 @@ fn decode(ctx: &Ctx<'_>, name: &str, digest: &Digest) -> Result<Image<Srgb>, Sta
     Ok(photo.image)
 }
 
-/// Every folder above the file with its slash, the nearest first, the top ("") last.
+/// Returns every folder above the file with its slash, the nearest first, the top ("") last.
 fn above(file: &str) -> impl Iterator<Item = &str> {
     let slashes = file.rmatch_indices('/').map(|(at, _)| &file[..=at]);
     slashes.chain([""])
 }
 
+/// Returns the names that a photo's own mask may have.
 fn own_names(file: &str) -> Vec<String> {
     let base = file.rsplit('/').next().unwrap_or(file);
     let mut names = Vec::new();
@@ -75,6 +77,7 @@ fn own_names(file: &str) -> Vec<String> {
     names
 }
 
+/// Returns the names that a mask of an instrument may have.
 fn instrument_names(file: &str, instrument: &str) -> Vec<String> {
     above(file)
         .map(|folder| format!("{folder}masks/{instrument}.png"))
@@ -90,8 +93,8 @@ mod tests {
 
     const GREY: [u8; 3] = [7; 3];
 
-    fn item(file: &str, instrument: &str) -> Item {
-        Item {
+    fn item(file: &str, instrument: &str) -> InputPhoto {
+        InputPhoto {
             id: file.to_owned(),
             image: Digest::of(b"image"),
             labelled: false,

@@ -7,18 +7,15 @@ use marf_stage::{
     Threads, Work,
 };
 
-use crate::photos::{Calibrated, HeldOut, Item, Placed, load};
-use crate::{
-    CalibrateParams, Method, Metrics, PhotoMetrics, Totals, TrackPoint, Tracks, colmap, import, labels, sfm,
-    write_colmap, write_ply, write_transforms,
-};
+use crate::calibration::{Calibration, HeldOut, PlacedPhoto};
+use crate::export::{TrackPoint, Tracks, write_colmap, write_ply, write_transforms};
+use crate::photos::{InputPhoto, load};
+use crate::{colmap, import, labels, sfm};
+use marf_schema::calibrate::{CalibrateParams, Method};
+use marf_schema::calibrate::{Metrics, PhotoMetrics, Totals};
+use marf_schema::output::{POINTS, SCENE, SPARSE, TRANSFORMS};
 
-pub use marf_schema::output::{POINTS, SCENE, SPARSE, TRANSFORMS};
-
-/// Output that says how each photo fared ([`Metrics`] as JSON).
-pub const METRICS: &str = Metrics::OUTPUT;
-
-/// Finds the camera of each photo.
+/// Returns the camera of each photo, as a scene.
 ///
 /// - In: the photos; for `import` the files beside them, for `sfm` masks among these; with `extend` its own last
 ///   scene.
@@ -41,7 +38,7 @@ impl Define for Calibrate {
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),
     ];
-    const OUTPUTS: &'static [&'static str] = &[SCENE, METRICS, TRANSFORMS, SPARSE, POINTS];
+    const OUTPUTS: &'static [&'static str] = &[SCENE, Metrics::OUTPUT, TRANSFORMS, SPARSE, POINTS];
 
     fn new(params: CalibrateParams) -> Result<Self, ParamError> {
         params.check()?;
@@ -80,11 +77,11 @@ impl Set for Calibrate {
         hold_out(&mut found.placed, self.0.hold_every);
         check_training(&found.placed)?;
         let metrics = metrics(&found, &items);
-        let seen = std::mem::take(&mut found.tracks);
+        let tracks = std::mem::take(&mut found.tracks);
         let scene = scene(found, &items);
-        let tracks = match seen.is_empty() {
-            true => Tracks::without_sights(&scene.points),
-            false => of_frames(seen, &scene, &items),
+        let tracks = match tracks.is_empty() {
+            true => Tracks::without_observations(&scene.points),
+            false => of_frames(tracks, &scene, &items),
         };
         let bytes = scene
             .encode()
@@ -94,7 +91,7 @@ impl Set for Calibrate {
             .map_err(|error| StageError::new(error.to_string()))?;
         let outputs = [
             (SCENE, bytes),
-            (METRICS, metrics),
+            (Metrics::OUTPUT, metrics),
             (TRANSFORMS, write_transforms(&scene).into_bytes()),
             (POINTS, write_ply(&tracks)),
         ];
@@ -105,8 +102,8 @@ impl Set for Calibrate {
     }
 }
 
-/// Refuses a scene of too few photos, with the commonest reason.
-fn check_enough(found: &Calibrated, total: usize, min_registered: u32) -> Result<(), StageError> {
+/// Refuses a scene of too few photos, with the most common reason.
+fn check_enough(found: &Calibration, total: usize, min_registered: u32) -> Result<(), StageError> {
     let placed = found.placed.len();
     if placed > 0 && placed >= min_registered as usize {
         return Ok(());
@@ -115,20 +112,20 @@ fn check_enough(found: &Calibrated, total: usize, min_registered: u32) -> Result
     for (_, reason) in &found.unplaced {
         *reasons.entry(reason).or_default() += 1;
     }
-    let commonest = reasons.into_iter().max_by_key(|(_, count)| *count);
-    let commonest = commonest.map(|(reason, count)| format!("{count} photos: {reason}"));
+    let most_common = reasons.into_iter().max_by_key(|(_, count)| *count);
+    let most_common = most_common.map(|(reason, count)| format!("{count} photos: {reason}"));
     let error = StageError::new(format!(
         "{placed} of {total} photos were placed; `min_registered` asks for {min_registered}"
     ))
     .hint(found.hint.clone());
-    Err(match found.cause.clone().or(commonest) {
+    Err(match found.cause.clone().or(most_common) {
         Some(cause) => error.cause(cause),
         None => error,
     })
 }
 
-/// Sorts by file name and keeps every so many from training, unless the import has decided.
-fn hold_out(placed: &mut [Placed], every: u32) {
+/// Sorts photos by file name and holds out every `every`-th, unless the import has decided.
+fn hold_out(placed: &mut [PlacedPhoto], every: u32) {
     placed.sort_by(|a, b| (&a.file, a.item).cmp(&(&b.file, b.item)));
     if placed.iter().any(|one| one.held_out.is_some()) {
         return;
@@ -139,7 +136,8 @@ fn hold_out(placed: &mut [Placed], every: u32) {
     }
 }
 
-fn check_training(placed: &[Placed]) -> Result<(), StageError> {
+/// Refuses a scene without photos for training.
+fn check_training(placed: &[PlacedPhoto]) -> Result<(), StageError> {
     if placed.iter().any(|one| one.held_out != Some(HeldOut::Yes)) {
         return Ok(());
     }
@@ -150,10 +148,11 @@ fn check_training(placed: &[Placed]) -> Result<(), StageError> {
     .hint("set `hold_every = 0`, or name photos in `train_filenames`"))
 }
 
-fn metrics(found: &Calibrated, items: &[Item]) -> Metrics {
+/// Returns the metrics of all photos.
+fn metrics(found: &Calibration, items: &[InputPhoto]) -> Metrics {
     let mut photos: Vec<PhotoMetrics> = items.iter().map(unregistered).collect();
-    for (photo, seen) in photos.iter_mut().zip(&found.seen) {
-        (photo.features, photo.matches) = (seen.features, seen.matches);
+    for (photo, statistics) in photos.iter_mut().zip(&found.statistics) {
+        (photo.features, photo.matches) = (statistics.features, statistics.matches);
     }
     for (index, reason) in &found.unplaced {
         photos[*index].reason.clone_from(reason);
@@ -162,15 +161,21 @@ fn metrics(found: &Calibrated, items: &[Item]) -> Metrics {
         let photo = &mut photos[one.item];
         photo.registered = true;
         photo.held_out = one.held_out == Some(HeldOut::Yes);
-        (photo.features, photo.matches, photo.inliers) =
-            (one.found.features, one.found.matches, one.found.inliers);
-        (photo.error_px, photo.note) = (one.found.error_px, one.found.note.clone());
-        photo.angle_sigma_deg = one.found.deviation.map(|one| one.angle_rad.to_degrees());
-        photo.centre_sigma = one.found.deviation.map(|one| one.distance);
+        (photo.features, photo.matches, photo.inliers) = (
+            one.statistics.features,
+            one.statistics.matches,
+            one.statistics.inliers,
+        );
+        (photo.error_px, photo.note) = (one.statistics.error_px, one.statistics.note.clone());
+        photo.angle_sigma_deg = one.statistics.uncertainty.map(|one| one.angle_rad.to_degrees());
+        photo.centre_sigma = one.statistics.uncertainty.map(|one| one.distance);
     }
     let mean =
         |errors: Vec<f64>| (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64);
-    let working = found.placed.iter().filter_map(|one| one.found.error_working_px);
+    let working = found
+        .placed
+        .iter()
+        .filter_map(|one| one.statistics.error_working_px);
     let totals = Totals {
         photos: items.len(),
         registered: found.placed.len(),
@@ -191,7 +196,8 @@ fn metrics(found: &Calibrated, items: &[Item]) -> Metrics {
     }
 }
 
-fn unregistered(item: &Item) -> PhotoMetrics {
+/// Returns the metrics of a photo that is not registered.
+fn unregistered(item: &InputPhoto) -> PhotoMetrics {
     PhotoMetrics {
         id: item.id.clone(),
         file: item.facts.file.clone(),
@@ -208,15 +214,16 @@ fn unregistered(item: &Item) -> PhotoMetrics {
     }
 }
 
-fn scene(found: Calibrated, items: &[Item]) -> Scene {
-    let frame = |one: Placed| Frame {
+/// Returns the scene of a calibration.
+fn scene(found: Calibration, items: &[InputPhoto]) -> Scene {
+    let frame = |one: PlacedPhoto| Frame {
         id: items[one.item].id.clone(),
         file: one.file,
         image: one.image,
         camera: one.camera,
         cam_from_world: one.cam_from_world,
         held_out: one.held_out == Some(HeldOut::Yes),
-        error_px: one.found.error_px,
+        error_px: one.statistics.error_px,
     };
     let mut frames: Vec<Frame> = found.placed.into_iter().map(frame).collect();
     frames.sort_by(|a, b| a.id.cmp(&b.id));
@@ -236,13 +243,13 @@ fn scene(found: Calibrated, items: &[Item]) -> Scene {
     }
 }
 
-/// The points with their sights named by frame: the scene's frames are sorted by id.
-fn of_frames(mut points: Vec<TrackPoint>, scene: &Scene, items: &[Item]) -> Tracks {
-    let by_id = |item: &Item| scene.frames.binary_search_by(|frame| frame.id.cmp(&item.id)).ok();
+/// Returns the points with the frames of their observations as indices in the scene, whose frames are sorted by id.
+fn of_frames(mut points: Vec<TrackPoint>, scene: &Scene, items: &[InputPhoto]) -> Tracks {
+    let by_id = |item: &InputPhoto| scene.frames.binary_search_by(|frame| frame.id.cmp(&item.id)).ok();
     let frame_of: Vec<Option<usize>> = items.iter().map(by_id).collect();
-    for sight in points.iter_mut().flat_map(|point| &mut point.sights) {
-        // A point's sights are photos of the scene; another would be a mistake of the method.
-        sight.frame = frame_of[sight.frame as usize].map_or(u32::MAX, |frame| frame as u32);
+    for observation in points.iter_mut().flat_map(|point| &mut point.observations) {
+        // All observations are of photos of the scene; another would be an error of the method.
+        observation.frame = frame_of[observation.frame as usize].map_or(u32::MAX, |frame| frame as u32);
     }
     Tracks { points }
 }

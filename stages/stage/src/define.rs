@@ -3,7 +3,7 @@ use serde::de::DeserializeOwned;
 
 use crate::{ArchiveContext, Stage};
 
-/// An input of a stage: the key that names the upstream node, and which of its outputs flows in.
+/// An input of a stage: the key that names the upstream node, and the output of that node that is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Port {
     /// Key in pipeline.toml that names the upstream node (`input`, `params`).
@@ -15,7 +15,7 @@ pub struct Port {
 }
 
 impl Port {
-    /// An input the stage cannot run without.
+    /// Returns an input that the stage cannot run without.
     pub const fn required(key: &'static str, output: &'static str) -> Self {
         Self {
             key,
@@ -24,7 +24,7 @@ impl Port {
         }
     }
 
-    /// An input the stage can do without.
+    /// Returns an input that may be absent.
     pub const fn optional(key: &'static str, output: &'static str) -> Self {
         Self {
             key,
@@ -45,7 +45,7 @@ pub struct ParamError {
 }
 
 impl ParamError {
-    /// A complaint about one key.
+    /// Returns the error of one key.
     pub fn new(path: impl Into<String>, message: impl Into<String>) -> Self {
         Self {
             path: path.into(),
@@ -58,11 +58,11 @@ impl ParamError {
 pub trait Define: Stage + Sized + 'static {
     /// Its section in pipeline.toml; doc comments of its fields become the help text.
     type Params: DeserializeOwned + JsonSchema;
-    /// Name in pipeline.toml and in keys.
+    /// Name in pipeline.toml and in keys; where the parameters are [`crate::Params`], their `STAGE`.
     const NAME: &'static str;
     /// One line for people.
     const ABOUT: &'static str;
-    /// Raised by hand when the stage may answer differently.
+    /// Raised by hand when the stage may give another result.
     const VERSION: u32;
     /// Inputs.
     const PORTS: &'static [Port];
@@ -84,14 +84,14 @@ pub trait Define: Stage + Sized + 'static {
     }
 }
 
-/// A row of the table of stages.
+/// A row of the registry of stages.
 #[derive(Clone, Copy)]
 pub struct StageDef {
     /// Name in pipeline.toml and in keys.
     pub name: &'static str,
     /// One line for people.
     pub about: &'static str,
-    /// Raised by hand when the stage may answer differently.
+    /// Raised by hand when the stage may give another result.
     pub version: u32,
     /// Inputs.
     pub ports: &'static [Port],
@@ -105,7 +105,7 @@ pub struct StageDef {
     pub bind_archive: fn(serde_json::Value, ArchiveContext) -> Result<Box<dyn Stage>, ParamError>,
 }
 
-/// Returns the table row of a stage.
+/// Returns the registry row of a stage.
 pub const fn define<S: Define>() -> StageDef {
     StageDef {
         name: S::NAME,

@@ -7,9 +7,9 @@ use std::time::Duration;
 
 use marf_stage::{Ctx, StageError};
 
-/// Pause between two looks at a running step.
+/// Pause between two polls of a running step.
 const PAUSE: Duration = Duration::from_millis(50);
-/// Last lines of a failed step that are told.
+/// Last lines of a failed step that are shown.
 const LAST_LINES: usize = 6;
 /// Steps of a run, for its progress.
 const STEPS: u64 = 3;
@@ -17,12 +17,12 @@ const STEPS: u64 = 3;
 /// An installed COLMAP and the folder it works in.
 pub(super) struct Program {
     path: PathBuf,
-    room: PathBuf,
+    folder: PathBuf,
     /// As it calls itself (`COLMAP 3.8`).
     pub(super) version: String,
 }
 
-/// A step that is killed when it is forgotten.
+/// A running step that is killed when dropped.
 struct Running(Child);
 
 impl Drop for Running {
@@ -34,15 +34,17 @@ impl Drop for Running {
 }
 
 impl Program {
-    /// Asks the program for its version.
-    pub(super) fn find(ctx: &Ctx<'_>, path: &str, room: &Path) -> Result<Self, StageError> {
+    /// Finds the program and its version.
+    pub(super) fn find(ctx: &Ctx<'_>, path: &str, folder: &Path) -> Result<Self, StageError> {
         let mut program = Self {
             path: PathBuf::from(path),
-            room: room.to_path_buf(),
+            folder: folder.to_path_buf(),
             version: String::new(),
         };
-        let (_, told) = program.run(ctx, &["help"])?;
-        let line = told.lines().find(|line| line.trim_start().starts_with("COLMAP "));
+        let (_, output) = program.run(ctx, &["help"])?;
+        let line = output
+            .lines()
+            .find(|line| line.trim_start().starts_with("COLMAP "));
         let line = line.ok_or_else(|| {
             StageError::new(format!("`{path}` does not call itself COLMAP")).hint(missing_hint())
         })?;
@@ -50,6 +52,7 @@ impl Program {
         Ok(program)
     }
 
+    /// Runs `feature_extractor`.
     pub(super) fn extract_features(&self, ctx: &Ctx<'_>) -> Result<(), StageError> {
         let (database, images, masks) = (
             self.place("database.db"),
@@ -69,13 +72,15 @@ impl Program {
         self.step(ctx, 0, "feature_extractor", &words)
     }
 
+    /// Runs a matcher.
     pub(super) fn find_matches(&self, ctx: &Ctx<'_>, matcher: &str) -> Result<(), StageError> {
         self.step(ctx, 1, matcher, &["--database_path", &self.place("database.db")])
     }
 
+    /// Runs `mapper`.
     pub(super) fn map(&self, ctx: &Ctx<'_>) -> Result<(), StageError> {
         let models = self.place("models");
-        std::fs::create_dir_all(&models).map_err(|error| super::disk("a model", &error))?;
+        std::fs::create_dir_all(&models).map_err(|error| cannot_write("a model", &error))?;
         let (database, images) = (self.place("database.db"), self.place("images"));
         let words = [
             "--database_path",
@@ -88,8 +93,9 @@ impl Program {
         self.step(ctx, 2, "mapper", &words)
     }
 
+    /// Returns the path of a file in the folder.
     fn place(&self, name: &str) -> String {
-        self.room.join(name).to_string_lossy().into_owned()
+        self.folder.join(name).to_string_lossy().into_owned()
     }
 
     /// Runs a step to its end; a failing one is an error with its last lines.
@@ -121,20 +127,20 @@ impl Program {
             all.extend(name.into_iter().flatten());
         }
         let all: Vec<&str> = all.iter().map(String::as_str).collect();
-        let (status, told) = self.run(ctx, &all)?;
+        let (status, output) = self.run(ctx, &all)?;
         if status.success() {
             ctx.progress.at(done + 1, STEPS, name);
             return Ok(());
         }
-        let lines: Vec<&str> = told.lines().filter(|line| !line.trim().is_empty()).collect();
+        let lines: Vec<&str> = output.lines().filter(|line| !line.trim().is_empty()).collect();
         let last = lines[lines.len().saturating_sub(LAST_LINES)..].join("\n");
         Err(StageError::new(format!("`colmap {name}` failed: {status}")).cause(last))
     }
 
-    /// Runs to the end, or kills it when asked to stop; returns how it ended and what it said.
+    /// Runs the program to its end, or kills it when the run is cancelled; returns exit status and output.
     fn run(&self, ctx: &Ctx<'_>, words: &[&str]) -> Result<(ExitStatus, String), StageError> {
-        let log = self.room.join("log");
-        let failed = |error: std::io::Error| super::disk("a log", &error);
+        let log = self.folder.join("log");
+        let failed = |error: std::io::Error| cannot_write("a log", &error);
         let out = File::create(&log).map_err(failed)?;
         let both = out.try_clone().map_err(failed)?;
         let command = Command::new(&self.path)
@@ -152,10 +158,10 @@ impl Program {
                 Err(error) => return Err(self.cannot_start(&error)),
             }
         };
-        // Ctrl-C reaches the child too: that it failed then is no news.
+        // Ctrl-C reaches the child too: its failure is then expected.
         ctx.check()?;
-        let told = std::fs::read(&log).map_err(failed)?;
-        Ok((status, String::from_utf8_lossy(&told).into_owned()))
+        let output = std::fs::read(&log).map_err(failed)?;
+        Ok((status, String::from_utf8_lossy(&output).into_owned()))
     }
 
     fn cannot_start(&self, error: &std::io::Error) -> StageError {
@@ -166,6 +172,12 @@ impl Program {
         };
         StageError::new(what).hint(missing_hint())
     }
+}
+
+/// Returns the error of a file that cannot be written.
+pub(super) fn cannot_write(what: &str, error: &std::io::Error) -> StageError {
+    StageError::new(format!("{what} for colmap cannot be written: {error}"))
+        .hint("make room in the folder for temporary files (TMPDIR)")
 }
 
 /// Returns the name under which this version has an option.

@@ -6,13 +6,13 @@
 use marf_scene::{Camera, Scene};
 use nalgebra::Matrix3;
 
-use super::{Sight, Tracks};
+use super::tracks::{Observation, Tracks};
 
 /// Writes a scene and its points as `cameras.bin`, `images.bin` and `points3D.bin`.
 ///
 /// Images are numbered from 1 in the order of [`Scene::frames`] and named by their files; frames of equal cameras
 /// share one. A camera is PINHOLE, SIMPLE_RADIAL, RADIAL or OPENCV: the smallest that holds it exactly. Points
-/// are numbered from 1 in their order; a sight of a frame that the scene does not have is left out.
+/// are numbered from 1 in their order; a observation of a frame that the scene does not have is left out.
 pub fn write_colmap(scene: &Scene, tracks: &Tracks) -> [(&'static str, Vec<u8>); 3] {
     let mut cameras: Vec<Camera> = Vec::new();
     let mut camera_of = Vec::with_capacity(scene.frames.len());
@@ -87,9 +87,9 @@ fn model(camera: &Camera) -> (u32, Vec<f64>) {
 fn image_file(scene: &Scene, camera_of: &[u32], tracks: &Tracks) -> Vec<u8> {
     let mut features: Vec<Vec<([f64; 2], u64)>> = vec![Vec::new(); scene.frames.len()];
     for (point, track) in (1..).zip(&tracks.points) {
-        for sight in &track.sights {
-            if let Some(features) = features.get_mut(sight.frame as usize) {
-                features.push((sight.pixel, point));
+        for observation in &track.observations {
+            if let Some(features) = features.get_mut(observation.frame as usize) {
+                features.push((observation.pixel, point));
             }
         }
     }
@@ -113,16 +113,16 @@ fn point_file(frames: usize, tracks: &Tracks) -> Vec<u8> {
     let mut features = vec![0_u32; frames];
     let mut bytes = Bytes::counted(tracks.points.len());
     for (number, track) in (1..).zip(&tracks.points) {
-        let known = |sight: &&Sight| (sight.frame as usize) < frames;
+        let known = |observation: &&Observation| (observation.frame as usize) < frames;
         bytes.u64(number);
         bytes.floats(track.position);
         bytes.0.extend(track.color);
         bytes.floats([track.error_px]);
-        bytes.u64(track.sights.iter().filter(known).count() as u64);
-        for sight in track.sights.iter().filter(known) {
+        bytes.u64(track.observations.iter().filter(known).count() as u64);
+        for observation in track.observations.iter().filter(known) {
             // The features of an image come in the order of the points, as in `image_file`.
-            let feature = &mut features[sight.frame as usize];
-            bytes.u32(sight.frame + 1);
+            let feature = &mut features[observation.frame as usize];
+            bytes.u32(observation.frame + 1);
             bytes.u32(*feature);
             *feature += 1;
         }

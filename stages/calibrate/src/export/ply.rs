@@ -1,6 +1,6 @@
 //! Sparse points as PLY, which every viewer of point clouds reads.
 
-use super::Tracks;
+use super::tracks::Tracks;
 
 /// Writes the points as binary little-endian PLY: x, y, z as f32, red, green, blue as u8.
 ///
@@ -37,7 +37,7 @@ mod tests {
             position: [x, -2.0, 0.5],
             color: [1, 2, 255],
             error_px: 0.0,
-            sights: Vec::new(),
+            observations: Vec::new(),
         };
         let bytes = write_ply(&Tracks {
             points: vec![point(1.0), point(1e300)],

@@ -3,7 +3,7 @@
 use marf_scene::{Camera, Frame, Pose, Scene};
 use serde::Serialize;
 
-use crate::POINTS;
+use marf_schema::output::POINTS;
 
 #[derive(Serialize)]
 struct Transforms<'a> {
@@ -139,7 +139,11 @@ mod tests {
         let scene = scene();
         let read = read_transforms("transforms.json", write_transforms(&scene).as_bytes()).unwrap();
         assert_eq!(read.points.as_deref(), Some("points.ply"));
-        let points = read_ply("points.ply", &write_ply(&Tracks::without_sights(&scene.points))).unwrap();
+        let points = read_ply(
+            "points.ply",
+            &write_ply(&Tracks::without_observations(&scene.points)),
+        )
+        .unwrap();
         let (before, after) = (&scene.frames[0], &read.views[0]);
         let camera = after.lens.camera(640, 480).unwrap();
         for (ours, theirs) in scene.points.iter().zip(&points) {

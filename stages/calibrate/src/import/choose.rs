@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use marf_cache::Digest;
 use marf_stage::StageError;
 
-use super::Role;
+use super::cameras::Role;
 
 /// The chosen file or files.
 #[derive(Debug, Clone, PartialEq, Eq)]

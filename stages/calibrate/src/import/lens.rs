@@ -1,3 +1,5 @@
+//! Intrinsics of a camera file.
+
 use marf_scene::Camera;
 
 /// Largest width or height a camera may have, pixels.
@@ -77,7 +79,7 @@ impl Lens {
     }
 }
 
-/// Tangent of an angle in (0, π/2), from + - * / alone: focal lengths end in digests, and `tan` differs in its
+/// Returns the tangent of an angle in (0, π/2), from + - * / alone: focal lengths end in digests, and `tan` differs in its
 /// last bit between machines. Taylor series to x²⁷, below 1e-20 at π/2.
 fn tan(angle_rad: f64) -> f64 {
     let t = -angle_rad * angle_rad;

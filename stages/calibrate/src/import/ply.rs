@@ -4,7 +4,7 @@
 
 use marf_scene::Point;
 
-use super::ImportError;
+use super::cameras::ImportError;
 
 /// Longest header; those of other programs stay below 2 KB.
 const MAX_HEADER_BYTES: usize = 64 * 1024;

@@ -6,10 +6,10 @@ use marf_scene::Pose;
 use nalgebra::{Matrix3, Vector3};
 use serde_json::Value;
 
+use super::cameras::{ImportError, Role, View};
 use super::choose::folder;
-use super::lens::MAX_SIDE_PX;
-use super::node::Node;
-use super::{Focal, ImportError, Lens, Role, View};
+use super::json_node::JsonNode;
+use super::lens::{Focal, Lens, MAX_SIDE_PX};
 
 /// Models that k1, k2, p1, p2 cover; anything else needs equations we do not have.
 const LENSES: [&str; 6] = [
@@ -57,7 +57,7 @@ pub fn read_transforms(file: &str, bytes: &[u8]) -> Result<Transforms, ImportErr
             format!("not JSON: {error} (NaN and infinities are no JSON numbers)"),
         )
     })?;
-    let root = Node::root(file, &value);
+    let root = JsonNode::root(file, &value);
     if !value.is_object() {
         return Err(root.error("not an object with `frames`"));
     }
@@ -74,7 +74,7 @@ pub fn read_transforms(file: &str, bytes: &[u8]) -> Result<Transforms, ImportErr
     })
 }
 
-fn view(root: &Node<'_>, frame: &Node<'_>, roles: &Roles) -> Result<View, ImportError> {
+fn view(root: &JsonNode<'_>, frame: &JsonNode<'_>, roles: &Roles) -> Result<View, ImportError> {
     let name = path(&frame.required("file_path")?)?;
     Ok(View {
         place: frame.pointer.clone(),
@@ -89,7 +89,7 @@ fn view(root: &Node<'_>, frame: &Node<'_>, roles: &Roles) -> Result<View, Import
 }
 
 /// A path as the archive has it: relative to its root, with `/`.
-fn path(node: &Node<'_>) -> Result<String, ImportError> {
+fn path(node: &JsonNode<'_>) -> Result<String, ImportError> {
     let text = node.text()?.replace('\\', "/");
     let drive = text.as_bytes().get(1) == Some(&b':');
     if text.starts_with('/') || drive {
@@ -120,7 +120,7 @@ struct Roles {
 }
 
 impl Roles {
-    fn read(root: &Node<'_>) -> Result<Self, ImportError> {
+    fn read(root: &JsonNode<'_>) -> Result<Self, ImportError> {
         let list = |key: &str| -> Result<Option<BTreeSet<String>>, ImportError> {
             let Some(node) = root.get(key) else {
                 return Ok(None);
@@ -149,7 +149,7 @@ impl Roles {
 }
 
 /// The frame's own intrinsics, else those at the top.
-fn lens(root: &Node<'_>, frame: &Node<'_>) -> Result<Lens, ImportError> {
+fn lens(root: &JsonNode<'_>, frame: &JsonNode<'_>) -> Result<Lens, ImportError> {
     let find = |key: &str| frame.get(key).or_else(|| root.get(key));
     let number = |key: &str| find(key).map(|node| node.number()).transpose();
     check_model(&find)?;
@@ -168,7 +168,7 @@ fn lens(root: &Node<'_>, frame: &Node<'_>) -> Result<Lens, ImportError> {
     })
 }
 
-fn check_model<'a>(find: &impl Fn(&str) -> Option<Node<'a>>) -> Result<(), ImportError> {
+fn check_model<'a>(find: &impl Fn(&str) -> Option<JsonNode<'a>>) -> Result<(), ImportError> {
     if let Some(model) = find("camera_model")
         && !LENSES.contains(&model.text()?.to_ascii_uppercase().as_str())
     {
@@ -194,7 +194,7 @@ fn check_model<'a>(find: &impl Fn(&str) -> Option<Node<'a>>) -> Result<(), Impor
 }
 
 /// A whole number of pixels; some files write `1440.0`.
-fn side(node: &Node<'_>) -> Result<u32, ImportError> {
+fn side(node: &JsonNode<'_>) -> Result<u32, ImportError> {
     let number = node.number()?;
     let whole = number >= 1.0 && number <= f64::from(MAX_SIDE_PX) && number.fract() == 0.0;
     let refuse = || {
@@ -205,7 +205,10 @@ fn side(node: &Node<'_>) -> Result<u32, ImportError> {
     whole.then_some(number as u32).ok_or_else(refuse)
 }
 
-fn focal<'a>(frame: &Node<'a>, find: &impl Fn(&str) -> Option<Node<'a>>) -> Result<Focal, ImportError> {
+fn focal<'a>(
+    frame: &JsonNode<'a>,
+    find: &impl Fn(&str) -> Option<JsonNode<'a>>,
+) -> Result<Focal, ImportError> {
     let positive = |key: &str| positive(find(key), f64::MAX, "a positive focal length in pixels");
     let angle = |key: &str| positive_angle(find(key));
     match (positive("fl_x")?, positive("fl_y")?) {
@@ -218,7 +221,7 @@ fn focal<'a>(frame: &Node<'a>, find: &impl Fn(&str) -> Option<Node<'a>>) -> Resu
     }
 }
 
-fn positive_angle(node: Option<Node<'_>>) -> Result<Option<f64>, ImportError> {
+fn positive_angle(node: Option<JsonNode<'_>>) -> Result<Option<f64>, ImportError> {
     positive(
         node,
         std::f64::consts::PI,
@@ -226,7 +229,7 @@ fn positive_angle(node: Option<Node<'_>>) -> Result<Option<f64>, ImportError> {
     )
 }
 
-fn positive(node: Option<Node<'_>>, below: f64, what: &str) -> Result<Option<f64>, ImportError> {
+fn positive(node: Option<JsonNode<'_>>, below: f64, what: &str) -> Result<Option<f64>, ImportError> {
     let Some(node) = node else {
         return Ok(None);
     };
@@ -236,7 +239,7 @@ fn positive(node: Option<Node<'_>>, below: f64, what: &str) -> Result<Option<f64
         .ok_or_else(|| node.error(format!("{number} is not {what}")))
 }
 
-fn pose(node: &Node<'_>) -> Result<Pose, ImportError> {
+fn pose(node: &JsonNode<'_>) -> Result<Pose, ImportError> {
     let rows = node.items()?;
     if rows.len() != 4 {
         return Err(node.error(format!("{} rows, a transform has 4 of 4 numbers", rows.len())));

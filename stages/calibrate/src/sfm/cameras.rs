@@ -1,31 +1,32 @@
+//! Which photos share a camera, and what is known of it.
+
 use marf_scene::Camera;
+use marf_sfm::two_view::FocalKnown;
+use marf_sfm::view_graph::{SharedCamera, View};
 
-use super::pairs::Compared;
-use super::prepare::Prepared;
-use crate::mapper::{SharedCamera, View};
-use crate::params::{CalibrateParams, Intrinsics};
-use crate::photos::Item;
-use crate::two_view::{FocalKnown, focal_from_pairs};
+use super::photo_features::PhotoFeatures;
+use crate::photos::InputPhoto;
+use marf_schema::calibrate::{CalibrateParams, Intrinsics};
 
-/// How far the focal lengths of labels and of EXIF are trusted, as a share. A tenth of a percent is our choice: the
-/// demo's labels are exact in it, and photos that say otherwise outvote it. EXIF has whole millimetres.
+/// Standard deviation of the focal lengths of labels and of EXIF, as a fraction. A tenth of a percent is our choice: the
+/// demo's labels are exact, and photos that disagree outweigh it. EXIF has whole millimetres.
 const LABEL_SIGMA: f64 = 0.001;
 const EXIF_SIGMA: f64 = 0.1;
-/// Without any word on the focal length: COLMAP's guess, a share of the longer side.
+/// Focal length if nothing is known: COLMAP's guess, as a fraction of the longer side.
 const GUESS: f64 = 1.2;
-/// Cameras of labels are one camera if they differ by no more than this.
+/// Cameras of labels are the same if they differ by no more than this.
 const SAME_SHARE: f64 = 2e-4;
 const SAME_PX: f64 = 0.05;
 
-/// Groups the photos by camera; returns the cameras at working size and each photo's index.
+/// Returns the cameras of the photos at working size, and each photo with the index of its camera.
 pub(super) fn group(
-    items: &[Item],
-    prepared: &[Prepared],
+    items: &[InputPhoto],
+    features: &[PhotoFeatures],
     params: &CalibrateParams,
 ) -> (Vec<SharedCamera>, Vec<View>) {
     let mut cameras: Vec<(String, SharedCamera)> = Vec::new();
-    let mut views = Vec::with_capacity(prepared.len());
-    for (photo, one) in prepared.iter().enumerate() {
+    let mut views = Vec::with_capacity(features.len());
+    for (photo, one) in features.iter().enumerate() {
         let facts = &items[photo].facts;
         let name = match params.intrinsics {
             Intrinsics::Camera => {
@@ -33,7 +34,7 @@ pub(super) fn group(
             }
             Intrinsics::Photo => photo.to_string(),
         };
-        let start = start(&items[photo], one);
+        let start = initial_camera(&items[photo], one);
         let known = cameras
             .iter()
             .position(|(other, shared)| *other == name && same(&shared.camera, &start.camera));
@@ -49,6 +50,7 @@ pub(super) fn group(
     (cameras.into_iter().map(|(_, shared)| shared).collect(), views)
 }
 
+/// Tells whether two cameras are the same.
 fn same(a: &Camera, b: &Camera) -> bool {
     (a.width, a.height) == (b.width, b.height)
         && (a.fx_px / b.fx_px - 1.0).abs() < SAME_SHARE
@@ -57,8 +59,8 @@ fn same(a: &Camera, b: &Camera) -> bool {
         && (a.cy_px - b.cy_px).abs() < SAME_PX
 }
 
-/// What is known of a photo's camera, at working size.
-fn start(item: &Item, one: &Prepared) -> SharedCamera {
+/// Returns what is known of a photo's camera, at working size.
+fn initial_camera(item: &InputPhoto, one: &PhotoFeatures) -> SharedCamera {
     let row = &one.row;
     let (width, height) = (row.width, row.height);
     let (camera, focal, focal_sigma_share) = match (row.label, item.facts.focal_px) {
@@ -79,43 +81,4 @@ fn start(item: &Item, one: &Prepared) -> SharedCamera {
         focal,
         focal_sigma_share,
     }
-}
-
-/// Replaces guessed focal lengths by what the pairs of one camera's photos say; where they say nothing, by what
-/// the others are found to have, relative to the longer side: mostly it is one camera, held upright or reduced.
-pub(super) fn refine_guesses(cameras: &mut [SharedCamera], views: &[View], compared: &[Compared]) {
-    let mut open = Vec::new();
-    let mut found = Vec::new();
-    for (index, shared) in cameras.iter_mut().enumerate() {
-        if shared.focal == FocalKnown::Known {
-            continue;
-        }
-        let own = compared
-            .iter()
-            .filter(|one| one.photos.iter().all(|&photo| views[photo].camera == index));
-        let pairs: Vec<_> = own
-            .filter_map(|one| Some((one.verified.fundamental?, one.verified.inliers.len())))
-            .collect();
-        let side = longer_side(&shared.camera);
-        match focal_from_pairs(&pairs, &shared.camera) {
-            Some(focal_px) => {
-                (shared.camera.fx_px, shared.camera.fy_px) = (focal_px, focal_px);
-                found.push(focal_px / side);
-            }
-            None => open.push(index),
-        }
-    }
-    found.sort_by(f64::total_cmp);
-    let Some(share) = found.get(found.len() / 2) else {
-        return;
-    };
-    for index in open {
-        let camera = &mut cameras[index].camera;
-        let focal_px = share * longer_side(camera);
-        (camera.fx_px, camera.fy_px) = (focal_px, focal_px);
-    }
-}
-
-fn longer_side(camera: &Camera) -> f64 {
-    f64::from(camera.width.max(camera.height))
 }

@@ -1,129 +1,138 @@
+//! Why a photo was not placed.
+
 use std::fmt;
 
-use super::Solved;
-use crate::two_view::RelationKind;
+use marf_sfm::two_view::RelativePoseKind;
 
-/// Fewer features than this cannot hold a photo.
+use super::reconstruction::Reconstruction;
+
+/// Fewer features than this are too few to place a photo.
 const FEW_FEATURES: usize = 60;
-/// Numbers of a motion counter that say where the rover stands: site, drive, pose.
+/// Leading numbers of a motion counter that identify the position of the rover: site, drive, pose.
 const PLACE: usize = 3;
-/// Names of photos a reason spells out.
+/// Largest number of file names in a reason.
 const NAMED: usize = 8;
 
-/// Why a photo has no place in the scene.
+/// Why a photo was not placed.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Cause {
-    Features {
+    FewFeatures {
         found: usize,
     },
-    Overlap {
+    NoOverlap {
         most: usize,
     },
-    Rotation {
-        turns: usize,
-        /// Where the rover stood, if the labels say the same of all photos of these pairs.
+    PureRotation {
+        pairs: usize,
+        /// Site, drive and pose of the rover, if they are the same for all photos of these pairs.
         place: Option<Vec<i64>>,
     },
-    Component {
+    OtherComponent {
         rank: usize,
         files: Vec<String>,
         mapped: Mapped,
     },
-    Pose {
+    NoPose {
         links: usize,
     },
-    /// No photos at all have matches and parallax enough to begin with.
-    Start {
+    /// No pair of photos has enough matches and parallax to start a model.
+    NoInitialPair {
         angle_deg: f64,
         fewest: Fewest,
     },
     /// There is no other photo.
-    Alone,
+    SinglePhoto,
 }
 
-/// How many photos make a scene: two are believed only where there are no more.
+/// Smallest number of photos of a scene: two suffice only if there are no more.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Fewest {
     Two,
     Three,
 }
 
-/// Whether photos apart from the scene were placed among themselves.
+/// Whether photos of another component were placed relative to each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Mapped {
     Yes,
     No,
 }
 
-/// `component` is the rank of each photo's group of linked photos.
-pub(super) fn cause(solved: &Solved<'_>, component: &[usize], photo: usize) -> Cause {
-    let found = solved.prepared[photo].features.keypoints.len();
-    let links: Vec<_> = solved
-        .task
+/// Repairs why a photo was not placed; `component` is the rank of each photo's connected component.
+pub(super) fn cause(reconstruction: &Reconstruction<'_>, component: &[usize], photo: usize) -> Cause {
+    let found = reconstruction.features[photo].features.keypoints.len();
+    let links: Vec<_> = reconstruction
+        .input
         .links
         .iter()
         .filter(|link| link.photos.contains(&photo))
         .collect();
     if links.is_empty() {
-        let own = solved.compared.iter().filter(|one| one.photos.contains(&photo));
+        let own = reconstruction
+            .compared
+            .iter()
+            .filter(|one| one.photos.contains(&photo));
         let most = own.map(|one| one.verified.inliers.len()).max().unwrap_or(0);
         return match found {
-            0..FEW_FEATURES => Cause::Features { found },
-            _ if solved.prepared.len() == 1 => Cause::Alone,
-            _ => Cause::Overlap { most },
+            0..FEW_FEATURES => Cause::FewFeatures { found },
+            _ if reconstruction.features.len() == 1 => Cause::SinglePhoto,
+            _ => Cause::NoOverlap { most },
         };
     }
     if links
         .iter()
-        .all(|link| link.relation.kind == RelationKind::Rotation)
+        .all(|link| link.relative_pose.kind == RelativePoseKind::Rotation)
     {
-        return Cause::Rotation {
-            turns: links.len(),
-            place: one_place(solved, links.iter().flat_map(|link| link.photos)),
+        return Cause::PureRotation {
+            pairs: links.len(),
+            place: one_place(reconstruction, links.iter().flat_map(|link| link.photos)),
         };
     }
-    if solved.models.is_empty() {
+    if reconstruction.models.is_empty() {
         let angles = links
             .iter()
-            .map(|link| link.relation.median_angle_rad.to_degrees());
-        return Cause::Start {
+            .map(|link| link.relative_pose.median_angle_rad.to_degrees());
+        return Cause::NoInitialPair {
             angle_deg: angles.fold(0.0, f64::max),
-            fewest: if solved.prepared.len() > 2 {
+            fewest: if reconstruction.features.len() > 2 {
                 Fewest::Three
             } else {
                 Fewest::Two
             },
         };
     }
-    let main = solved.models.first().and_then(|model| model.photos().next());
+    let main = reconstruction
+        .models
+        .first()
+        .and_then(|model| model.photos().next());
     let apart = main.is_some_and(|main| component[main] != component[photo]);
-    let mapped = solved
+    let mapped = reconstruction
         .models
         .iter()
         .skip(1)
         .find(|model| model.poses[photo].is_some());
     if !apart && mapped.is_none() {
-        return Cause::Pose { links: links.len() };
+        return Cause::NoPose { links: links.len() };
     }
-    let file = |photo: usize| solved.items[photo].facts.file.clone();
+    let file = |photo: usize| reconstruction.items[photo].facts.file.clone();
     let members: Vec<usize> = match mapped {
         Some(model) => model.photos().collect(),
         None => (0..component.len())
             .filter(|&other| component[other] == component[photo])
             .collect(),
     };
-    Cause::Component {
+    Cause::OtherComponent {
         rank: component[photo] + 1,
         files: members.into_iter().map(file).collect(),
         mapped: if mapped.is_some() { Mapped::Yes } else { Mapped::No },
     }
 }
 
-/// Site, drive and pose of the rover's motion counter, where all these photos' labels have the same: then only its mast
-/// moved between them.
-fn one_place(solved: &Solved<'_>, photos: impl Iterator<Item = usize>) -> Option<Vec<i64>> {
+/// Repairs site, drive and pose of the rover if the labels of all photos have the same: then only its mast moved between
+/// them.
+fn one_place(reconstruction: &Reconstruction<'_>, photos: impl Iterator<Item = usize>) -> Option<Vec<i64>> {
     let place = |photo: usize| {
-        let prior = solved.items[photo].facts.prior.as_ref()?;
+        let prior = reconstruction.items[photo].facts.prior.as_ref()?;
         prior.motion_counter.get(..PLACE).map(<[i64]>::to_vec)
     };
     let mut places = photos.map(place);
@@ -134,57 +143,57 @@ fn one_place(solved: &Solved<'_>, photos: impl Iterator<Item = usize>) -> Option
 }
 
 impl Cause {
-    /// The cause without what differs from photo to photo.
+    /// Repairs the cause without what differs from photo to photo.
     pub(super) fn kind(&self) -> &'static str {
         match self {
-            Self::Features { .. } => "too few features: too blurred, too dark or without texture",
-            Self::Overlap { .. } => "no overlap: too few matches with any other photo hold",
-            Self::Rotation { .. } => {
+            Self::FewFeatures { .. } => "too few features: too blurred, too dark or without texture",
+            Self::NoOverlap { .. } => "no overlap: too few matches with any other photo hold",
+            Self::PureRotation { .. } => {
                 "panorama: pure rotation on the spot, without parallax there is no depth to find"
             }
-            Self::Component { .. } => "a component of their own: nothing links them to the scene",
-            Self::Pose { .. } => "linked to the scene, but no pose fits",
-            Self::Start {
+            Self::OtherComponent { .. } => "a component of their own: nothing links them to the scene",
+            Self::NoPose { .. } => "linked to the scene, but no pose fits",
+            Self::NoInitialPair {
                 fewest: Fewest::Two, ..
             } => "no pair of photos has both matches and parallax enough to begin with",
-            Self::Start {
+            Self::NoInitialPair {
                 fewest: Fewest::Three,
                 ..
             } => "no three photos that overlap have both matches and parallax enough to begin with",
-            Self::Alone => "a single photo: depth takes two or more, from different places",
+            Self::SinglePhoto => "a single photo: depth takes two or more, from different places",
         }
     }
 
-    /// What the labels say of a panorama, to follow its kind; empty where they say nothing.
+    /// Repairs what the labels say of a panorama, to follow its kind; empty if they do not agree.
     pub(super) fn place(&self) -> String {
         match self {
-            Self::Rotation {
+            Self::PureRotation {
                 place: Some(place), ..
             } => format!("; the labels agree: the rover stood still, at site, drive, pose {place:?}"),
             _ => String::new(),
         }
     }
 
-    /// What to try.
+    /// Repairs what to try.
     pub(super) fn hint(&self) -> &'static str {
         match self {
-            Self::Features { .. } => {
+            Self::FewFeatures { .. } => {
                 "leave out blurred photos (`blur`), raise `feature_side_px`, or set `first_octave = \"doubled\"`"
             }
-            Self::Overlap { .. } => {
+            Self::NoOverlap { .. } => {
                 "add the photos between (widen `extract.sols`), compare all with `pairs = \"exhaustive\"`, or \
                  lower `min_matches`"
             }
-            Self::Rotation { .. } => {
+            Self::PureRotation { .. } => {
                 "a panorama of pure rotation cannot be calibrated from photos: add photos from other places, or \
                  take the label's cameras with method = \"labels\""
             }
-            Self::Component { .. } => {
+            Self::OtherComponent { .. } => {
                 "add photos that link the parts, compare all with `pairs = \"exhaustive\"`, or calibrate the \
                  parts one by one"
             }
-            Self::Pose { .. } => "raise `max_features`, or lower `min_matches`",
-            Self::Start { .. } | Self::Alone => {
+            Self::NoPose { .. } => "raise `max_features`, or lower `min_matches`",
+            Self::NoInitialPair { .. } | Self::SinglePhoto => {
                 "add photos from places farther apart (a tenth of the distance to what they show), or take the \
                  label's cameras with method = \"labels\""
             }
@@ -195,13 +204,13 @@ impl Cause {
 impl fmt::Display for Cause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Alone => f.write_str(self.kind()),
-            Self::Features { found } => write!(f, "{} ({found} found)", self.kind()),
-            Self::Overlap { most } => {
+            Self::SinglePhoto => f.write_str(self.kind()),
+            Self::FewFeatures { found } => write!(f, "{} ({found} found)", self.kind()),
+            Self::NoOverlap { most } => {
                 write!(f, "no overlap: at most {most} matches with any other photo hold")
             }
-            Self::Rotation { turns, .. } => write!(f, "{} ({turns} pairs){}", self.kind(), self.place()),
-            Self::Component { rank, files, mapped } => {
+            Self::PureRotation { pairs, .. } => write!(f, "{} ({pairs} pairs){}", self.kind(), self.place()),
+            Self::OtherComponent { rank, files, mapped } => {
                 let named = files
                     .iter()
                     .take(NAMED)
@@ -220,10 +229,10 @@ impl fmt::Display for Cause {
                 )?;
                 f.write_str("no verified pair links them to the scene")
             }
-            Self::Start { angle_deg, .. } => {
+            Self::NoInitialPair { angle_deg, .. } => {
                 write!(f, "{} (widest angle {angle_deg:.2} degrees)", self.kind())
             }
-            Self::Pose { links } => write!(f, "{}: {links} pairs hold", self.kind()),
+            Self::NoPose { links } => write!(f, "{}: {links} pairs hold", self.kind()),
         }
     }
 }

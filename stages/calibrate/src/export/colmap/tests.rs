@@ -52,13 +52,13 @@ fn tracks(scene: &Scene, off_px: f64) -> Tracks {
         let (x, y, z) = (index % 4, index / 4 % 4, index / 16);
         [x, y, z].map(|step| f64::from(step) * 0.4 - 0.6)
     };
-    let sight = |position: [f64; 3], frame: usize| {
+    let observation = |position: [f64; 3], frame: usize| {
         let at = &scene.frames[frame];
         let pixel = at
             .camera
             .project(&at.cam_from_world.point(&Vector3::from(position)))
             .unwrap();
-        Sight {
+        Observation {
             frame: frame as u32,
             pixel: (pixel + Vector2::new(off_px, 0.0)).into(),
         }
@@ -67,8 +67,8 @@ fn tracks(scene: &Scene, off_px: f64) -> Tracks {
         position: position(index),
         color: [index as u8, 10, 255],
         error_px: off_px,
-        sights: (0..scene.frames.len())
-            .map(|frame| sight(position(index), frame))
+        observations: (0..scene.frames.len())
+            .map(|frame| observation(position(index), frame))
             .collect(),
     };
     Tracks {
@@ -141,9 +141,9 @@ fn each_camera_gets_the_smallest_lens_and_equal_ones_share_it() {
 fn a_sight_of_a_frame_that_is_not_there_is_left_out() {
     let scene = scene();
     let mut tracks = tracks(&scene, 0.0);
-    tracks.points[0].sights.insert(
+    tracks.points[0].observations.insert(
         1,
-        Sight {
+        Observation {
             frame: 5,
             pixel: [1.0, 2.0],
         },

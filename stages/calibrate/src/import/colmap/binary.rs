@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 
 use marf_scene::Point;
 
-use super::{Image, LENSES, lens};
-use crate::import::{ImportError, Lens};
+use super::record::{Image, LENSES, lens};
+use crate::import::cameras::ImportError;
+use crate::import::lens::Lens;
 
 /// Longest name of an image.
 const MAX_NAME_BYTES: usize = 4096;

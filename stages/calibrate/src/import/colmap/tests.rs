@@ -1,4 +1,5 @@
 use super::*;
+use crate::import::lens::Focal;
 
 const CAMERAS: &str =
     "# Camera list\n1 OPENCV 100 80 90 91 50 40 0.1 -0.1 0.001 0.002\n2 SIMPLE_RADIAL 100 80 90 50 40 0.1\n";

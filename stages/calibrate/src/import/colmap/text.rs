@@ -5,8 +5,9 @@ use std::str::FromStr;
 
 use marf_scene::Point;
 
-use super::{Image, lens};
-use crate::import::{ImportError, Lens};
+use super::record::{Image, lens};
+use crate::import::cameras::ImportError;
+use crate::import::lens::Lens;
 
 /// The words of a line.
 struct Words<'a> {

@@ -1,0 +1,76 @@
+//! The result of a method, before it becomes a scene.
+
+use marf_cache::Digest;
+use marf_scene::{Camera, Point, Pose};
+use marf_sfm::mapper::PoseUncertainty;
+use nalgebra::Vector3;
+
+use crate::export::TrackPoint;
+use marf_schema::calibrate::Missing;
+
+/// A photo with a camera, before held-out photos are chosen.
+pub(crate) struct PlacedPhoto {
+    /// Index in the input set.
+    pub item: usize,
+    /// File name for people and exports: another extension if the photo was encoded anew.
+    pub file: String,
+    pub image: Digest,
+    pub camera: Camera,
+    pub cam_from_world: Pose,
+    /// Whether the import holds it out, if it says so.
+    pub held_out: Option<HeldOut>,
+    pub statistics: PhotoStatistics,
+}
+
+/// What the method knows of a photo's features and errors.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct PhotoStatistics {
+    pub features: Option<u32>,
+    pub matches: Option<u32>,
+    pub inliers: Option<u32>,
+    pub error_px: Option<f64>,
+    pub error_working_px: Option<f64>,
+    pub uncertainty: Option<PoseUncertainty>,
+    /// A remark on its label.
+    pub note: Option<String>,
+}
+
+/// Whether a photo is kept from training, for measuring.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum HeldOut {
+    Yes,
+    No,
+}
+
+/// The result of a method.
+pub(crate) struct Calibration {
+    pub placed: Vec<PlacedPhoto>,
+    /// Index in the input set, and the reason.
+    pub unplaced: Vec<(usize, String)>,
+    /// Files that have a camera but are not in the input set.
+    pub missing: Vec<Missing>,
+    pub points: Vec<Point>,
+    /// Points with their observations, if the method has them; the frame of an observation is the index in the input set.
+    pub tracks: Vec<TrackPoint>,
+    pub up: Option<[f64; 3]>,
+    pub metres_per_unit: Option<f64>,
+    pub method: String,
+    /// Statistics of each photo of the input set, placed or not; empty if the method has none.
+    pub statistics: Vec<PhotoStatistics>,
+    /// Number of connected components of two and more photos, if the method knows it.
+    pub components: Option<usize>,
+    /// Why most of the others were not placed, if the method knows better than the most common reason.
+    pub cause: Option<String>,
+    /// What to try if too few photos were placed.
+    pub hint: String,
+}
+
+/// Returns the mean of the cameras' up vectors, unless they nearly cancel.
+pub(crate) fn mean_up(placed: &[PlacedPhoto]) -> Option<[f64; 3]> {
+    let down: Vector3<f64> = placed
+        .iter()
+        .map(|one| one.cam_from_world.rotation.row(1).transpose())
+        .sum();
+    let clear = down.norm() > 0.1 * placed.len() as f64;
+    clear.then(|| (-down.normalize()).into())
+}

@@ -1,0 +1,78 @@
+//! Cameras and points as a file has them, and why a file is refused.
+
+use marf_scene::{Point, Pose};
+
+use super::lens::Lens;
+
+/// A camera file that cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{file}`{}: {problem}", place_text(place))]
+pub struct ImportError {
+    /// Name of the file beside the photos.
+    pub file: String,
+    /// JSON pointer, line or record; empty for the whole file.
+    pub place: String,
+    /// What is wrong, with the value.
+    pub problem: String,
+}
+
+fn place_text(place: &str) -> String {
+    if place.is_empty() {
+        String::new()
+    } else {
+        format!(" {place}")
+    }
+}
+
+impl ImportError {
+    pub(super) fn new(file: &str, place: impl Into<String>, problem: impl Into<String>) -> Self {
+        Self {
+            file: file.to_owned(),
+            place: place.into(),
+            problem: problem.into(),
+        }
+    }
+}
+
+/// A photo's camera as another program has it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct View {
+    /// Where in the file it stands, for messages.
+    pub place: String,
+    /// The photo's name relative to the archive, with `/`; the extension may be missing.
+    pub file: String,
+    /// Its lens, before the photo's size is known.
+    pub lens: Lens,
+    /// Its pose: x right, y down, z forward.
+    pub cam_from_world: Pose,
+    /// What it is for.
+    pub role: Role,
+    /// Features found in the photo, if the file tells.
+    pub matches: Option<u32>,
+    /// Those of them that belong to a point, if the file tells.
+    pub inliers: Option<u32>,
+    /// Their mean distance from their points' projections, pixels of this lens.
+    pub error_px: Option<f64>,
+}
+
+/// What the file says a photo is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Role {
+    /// The file says nothing.
+    Open,
+    /// Training.
+    Train,
+    /// Measuring.
+    HeldOut,
+    /// The file has lists of photos for training and measuring and this one is in none.
+    Unlisted,
+}
+
+/// Everything of a camera file.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Cameras {
+    /// One for each photo it has.
+    pub views: Vec<View>,
+    /// Sparse points, sorted by the file's own number, or in its order.
+    pub points: Vec<Point>,
+}

@@ -1,0 +1,19 @@
+//! Everything known when the mapping is done.
+
+use marf_sfm::mapper::{MapperInput, Model};
+use marf_sfm::metric::RejectedLabel;
+use marf_sfm::view_graph::ComparedPair;
+
+use super::photo_features::PhotoFeatures;
+use crate::photos::InputPhoto;
+
+/// The models with all they were made from.
+pub(super) struct Reconstruction<'a> {
+    pub items: &'a [InputPhoto],
+    pub features: &'a [PhotoFeatures],
+    pub compared: &'a [ComparedPair],
+    pub input: &'a MapperInput<'a>,
+    pub models: &'a [Model],
+    /// For each model that is in the frame of its labels: the labels that were rejected.
+    pub metric: &'a [Option<Vec<RejectedLabel>>],
+}

@@ -1,0 +1,128 @@
+//! The steps from photos to a calibration.
+
+use marf_cache::Digest;
+use marf_sfm::bundle::LensModel;
+use marf_sfm::mapper::{
+    LensChoice, MapError, MapOptions, MapperInput, Model, PrincipalPointChoice, Tracks, extend, map,
+};
+use marf_sfm::metric::{LabelPose, RejectedLabel, align_to_labels};
+use marf_sfm::view_graph::{ComparedPair, SharedCamera, link_pairs, refine_focal_lengths};
+use marf_stage::{Ctx, Inputs, StageError};
+
+use super::capture_order::capture_order;
+use super::photo_features::{PhotoFeatures, photo_features};
+use super::reconstruction::Reconstruction;
+use super::{assemble, cameras, compare, earlier};
+use crate::calibration::Calibration;
+use crate::labels;
+use crate::photos::InputPhoto;
+use marf_schema::calibrate::{CalibrateParams, LensParam, PrincipalPoint};
+
+/// Returns the cameras of the photos by structure from motion.
+pub(crate) fn run(
+    ctx: &Ctx<'_>,
+    inputs: &Inputs,
+    items: &[InputPhoto],
+    params: &CalibrateParams,
+) -> Result<Calibration, StageError> {
+    let candidates = labels::of_one_site(items, params.site);
+    let features = photo_features(ctx, inputs, items, &candidates, params)?;
+    let (mut shared, views) = cameras::group(items, &features, params);
+    let pairs = compare::choose(&features, &capture_order(items), params);
+    let compared = compare::compare(ctx, &features, &views, &shared, &pairs, params)?;
+    refine_focal_lengths(&mut shared, &views, &compared);
+    let seed = |pair: &ComparedPair| seed_of_inliers(pair) ^ params.seed;
+    let links = link_pairs(&views, &shared, &compared, params.min_matches as usize, seed);
+    ctx.check()?;
+    let total = features.len() as u64;
+    let input = MapperInput {
+        views: &views,
+        cameras: &shared,
+        links: &links,
+        tracks: Tracks::build(&views, &links),
+        options: options(params, &shared),
+        stop: &|| ctx.cancel.is_set(),
+        registered: &|count| ctx.progress.at(count as u64, total, "photos placed"),
+    };
+    let earlier = earlier::load(ctx, inputs, items, &input)?;
+    let mut models = match &earlier {
+        Some(earlier) => extend(&input, &earlier.known)
+            .map_err(failed)?
+            .into_iter()
+            .collect(),
+        None => map(&input).map_err(failed)?,
+    };
+    let metric = match &earlier {
+        Some(_) => vec![None; models.len()],
+        None => align_all(&input, &mut models, &label_poses(items, &features))?,
+    };
+    let reconstruction = Reconstruction {
+        items,
+        features: &features,
+        compared: &compared,
+        input: &input,
+        models: &models,
+        metric: &metric,
+    };
+    assemble::assemble(ctx, &reconstruction, earlier.as_ref(), params)
+}
+
+fn failed(error: MapError) -> StageError {
+    match error {
+        MapError::Stopped => StageError::Cancelled,
+        other => StageError::new(other.to_string()),
+    }
+}
+
+/// Aligns each model with the labels of its photos, where enough of them agree.
+fn align_all(
+    input: &MapperInput<'_>,
+    models: &mut [Model],
+    labels: &[Option<LabelPose>],
+) -> Result<Vec<Option<Vec<RejectedLabel>>>, StageError> {
+    let aligned = models
+        .iter_mut()
+        .map(|model| align_to_labels(input, model, labels));
+    aligned.collect::<Result<_, _>>().map_err(failed)
+}
+
+/// Returns the options of the mapper: the automatic ones, or what the parameters ask for.
+fn options(params: &CalibrateParams, cameras: &[SharedCamera]) -> MapOptions {
+    let automatic = MapOptions::automatic(cameras, params.seed);
+    MapOptions {
+        lens: match params.lens {
+            LensParam::Auto => automatic.lens,
+            LensParam::Pinhole => LensChoice::Fixed(LensModel::Pinhole),
+            LensParam::SimpleRadial => LensChoice::Fixed(LensModel::SimpleRadial),
+            LensParam::Radial => LensChoice::Fixed(LensModel::Radial),
+            LensParam::Opencv => LensChoice::Fixed(LensModel::OpenCv),
+        },
+        principal_point: match params.principal_point {
+            PrincipalPoint::Centre => PrincipalPointChoice::Fixed,
+            PrincipalPoint::Free => PrincipalPointChoice::Free,
+            PrincipalPoint::Auto => automatic.principal_point,
+        },
+        ..automatic
+    }
+}
+
+/// Returns a seed that depends on the verified matches of a pair alone.
+fn seed_of_inliers(pair: &ComparedPair) -> u64 {
+    let indices = pair.verified.inliers.iter().flatten();
+    let bytes: Vec<u8> = indices.flat_map(|index| index.to_le_bytes()).collect();
+    compare::seed_of(&Digest::of(&bytes))
+}
+
+/// Returns the pose of each photo from its label, if it has one of the chosen site.
+fn label_poses(items: &[InputPhoto], features: &[PhotoFeatures]) -> Vec<Option<LabelPose>> {
+    let label = |(photo, one): (usize, &PhotoFeatures)| {
+        let (_, cam_from_site) = one.row.label?;
+        let facts = &items[photo].facts;
+        Some(LabelPose {
+            cam_from_site,
+            motion_counter: facts.prior.as_ref()?.motion_counter.clone(),
+            instrument: facts.instrument.clone().unwrap_or_default(),
+        })
+    };
+    features.iter().enumerate().map(label).collect()
+}

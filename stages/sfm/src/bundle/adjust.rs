@@ -1,0 +1,225 @@
+//! Levenberg-Marquardt: damped Gauss-Newton steps; the damping follows how well the last gain was predicted.
+
+use super::normal_equations::NormalEquations;
+use super::objective::Objective;
+use super::options::{BundleOptions, BundleReport, Solver};
+use super::problem::Problem;
+use super::schur::{SchurComplement, predicted_gain};
+use super::state::{Normalization, State, Step};
+use super::validate::{self, BundleError};
+use super::{conjugate_gradients, dense};
+
+/// Damping of the first step, as a share of the diagonal.
+const FIRST_DAMPING: f64 = 1e-4;
+
+/// Free poses up to which the matrix is factored. A ring of 300 photos took 5 CPU s dense and 34 by conjugate gradients (15
+/// steps, long chains converge slowly); at 600 a factorisation is 16 GFLOP and the matrix 104 MB.
+const MOST_DENSE_POSES: usize = 600;
+
+/// Trials with ten times the damping when the matrix is not positive definite.
+const MOST_FAILURES: usize = 10;
+
+/// Root mean square residual that is only rounding, pixels (coordinates of 1e4 px times 2^-53, some operations).
+const EXACT_PX: f64 = 1e-11;
+
+/// Relative rounding error of the cost: some 1e4 terms of 2^-53.
+const ROUNDING: f64 = 1e-12;
+
+/// Adjusts poses, points and cameras in place so that the cost of observations and priors is smallest.
+///
+/// Levenberg-Marquardt with Marquardt's scaling and Nielsen's damping (1999), points eliminated (SchurComplement complement),
+/// robust losses by reweighting. Rotations are updated from the left, about the camera centre. The cost never rises and
+/// no number becomes non-finite; what did not move keeps its bits. `stop` is polled before each step.
+///
+/// # Extremes
+/// - An observation behind the camera, beyond the fold of the distortion or with an error above 1e9 px costs as much as
+///   an error of the photo's diagonal, and contributes no gradient.
+/// - A point without observations, or not determined by them (parallax below 1e-7 rad, one observation), is held. A pose
+///   without observation and prior is held.
+/// - f stays in [0.1, 10] times the longer side, |k|, |p| within 1: a step ends at the bound, and the parameter is
+///   held from then on. A start outside may at most double.
+///
+/// # Errors
+/// Lists of different lengths, indices out of range, numbers that are not finite, observations out of order.
+pub fn adjust(
+    problem: &mut Problem,
+    options: &BundleOptions,
+    stop: &dyn Fn() -> bool,
+) -> Result<BundleReport, BundleError> {
+    validate::check_options(options)?;
+    validate::check(problem)?;
+    let normalization = Normalization::of(problem);
+    let start = State::new(problem, &normalization);
+    let objective = Objective::new(problem, &normalization, options.loss, options.prior_loss);
+    let (state, mut report) = descend(&objective, &start, options, stop);
+    if report.final_cost < report.initial_cost {
+        state.write(&start, &normalization, problem);
+    } else {
+        report.final_cost = report.initial_cost;
+    }
+    Ok(report)
+}
+
+/// Buffers of a step, allocated once.
+struct Workspace {
+    equations: NormalEquations,
+    schur: SchurComplement,
+    step: Step,
+    matrix: Vec<f64>,
+    conjugate_gradients: conjugate_gradients::Workspace,
+}
+
+/// How the next step is computed.
+struct StepControl {
+    solver: Solver,
+    damping: f64,
+    /// Factor by which the damping rises next.
+    rise: f64,
+    /// Relative residual at which conjugate gradients end.
+    forcing: f64,
+}
+
+impl StepControl {
+    fn new(objective: &Objective, options: &BundleOptions) -> Self {
+        let solver = match options.solver {
+            Solver::Auto if objective.index.slots > MOST_DENSE_POSES => Solver::ConjugateGradients,
+            Solver::Auto => Solver::Dense,
+            chosen => chosen,
+        };
+        Self {
+            solver,
+            damping: FIRST_DAMPING,
+            rise: 2.0,
+            forcing: 0.1,
+        }
+    }
+
+    /// Nielsen's rule: the damping falls to a third after a step as good as predicted, and rises after a poor one.
+    fn accepted(&mut self, gain: f64, change: f64) {
+        let miss = 2.0 * gain - 1.0;
+        self.damping = (self.damping * (1.0 - miss * miss * miss).max(1.0 / 3.0)).max(1e-30);
+        self.rise = 2.0;
+        self.forcing = change.clamp(1e-3, 0.1);
+    }
+
+    /// Raises the damping, each time by a larger factor.
+    fn rejected(&mut self) {
+        self.damping *= self.rise;
+        self.rise *= 2.0;
+        self.forcing = self.forcing.min(1e-3);
+    }
+}
+
+/// Returns the state at which a step changes the cost by less than the tolerance, and the report.
+fn descend(
+    objective: &Objective,
+    start: &State,
+    options: &BundleOptions,
+    stop: &dyn Fn() -> bool,
+) -> (State, BundleReport) {
+    let mut control = StepControl::new(objective, options);
+    let mut workspace = Workspace::new(objective);
+    let (mut state, mut trial) = (start.clone(), start.clone());
+    let mut report = BundleReport::new(objective, start);
+    let exact = 0.5 * EXACT_PX * EXACT_PX * report.residuals as f64;
+    let mut linearised = Linearised::No;
+    report.converged = report.final_cost <= exact;
+    while !report.converged && report.iterations < options.max_iterations && !stop() {
+        report.iterations += 1;
+        if linearised == Linearised::No {
+            workspace.equations.linearise(objective, &state);
+            linearised = Linearised::Yes;
+        }
+        if !workspace.solve(objective, &mut control) {
+            break;
+        }
+        trial.set_stepped(
+            &state,
+            &workspace.step,
+            &objective.index,
+            &objective.camera_bounds,
+        );
+        let cost = objective.cost(&trial);
+        let expected = predicted_gain(objective, &workspace.equations, &workspace.step, control.damping);
+        let gain = report.final_cost - cost;
+        // The last step: its gain is below the rounding of the sum, but it still doubles the number of correct digits.
+        let lost = expected <= ROUNDING * cost && gain.abs() <= ROUNDING * cost;
+        if gain > 0.0 || lost {
+            let change = gain / report.final_cost;
+            control.accepted(gain / expected.max(f64::MIN_POSITIVE), change);
+            std::mem::swap(&mut state, &mut trial);
+            report.final_cost = cost;
+            linearised = Linearised::No;
+            report.converged = change <= options.tolerance || cost <= exact || lost;
+            continue;
+        }
+        control.rejected();
+        report.converged = expected <= report.final_cost * f64::EPSILON;
+    }
+    report.hidden = objective.hidden(&state);
+    (state, report)
+}
+
+/// Whether the normal equations are those of the present state.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Linearised {
+    No,
+    Yes,
+}
+
+impl BundleReport {
+    fn new(objective: &Objective, start: &State) -> Self {
+        let cost = objective.cost(start);
+        Self {
+            iterations: 0,
+            initial_cost: cost,
+            final_cost: cost,
+            residuals: objective.residuals(),
+            parameters: objective.index.parameters(),
+            hidden: 0,
+            converged: false,
+        }
+    }
+}
+
+impl Workspace {
+    fn new(objective: &Objective) -> Self {
+        Self {
+            equations: NormalEquations::new(objective),
+            schur: SchurComplement::new(objective),
+            step: Step {
+                reduced: vec![0.0; objective.index.unknowns()],
+                points: vec![nalgebra::Vector3::zeros(); objective.problem.points.len()],
+            },
+            matrix: Vec::new(),
+            conjugate_gradients: conjugate_gradients::Workspace::default(),
+        }
+    }
+
+    /// Computes the step; tells whether one was found within the trials of the damping.
+    fn solve(&mut self, objective: &Objective, control: &mut StepControl) -> bool {
+        for _ in 0..=MOST_FAILURES {
+            self.schur.eliminate(objective, &self.equations, control.damping);
+            if self.solve_reduced(objective, control) {
+                self.schur.substitute(objective, &mut self.step);
+                if self.step.is_finite() {
+                    return true;
+                }
+            }
+            control.damping *= 10.0;
+        }
+        false
+    }
+
+    fn solve_reduced(&mut self, objective: &Objective, control: &StepControl) -> bool {
+        let (equations, schur, solution) = (&self.equations, &self.schur, &mut self.step.reduced);
+        let damping = control.damping;
+        if control.solver == Solver::ConjugateGradients {
+            let (forcing, workspace) = (control.forcing, &mut self.conjugate_gradients);
+            return conjugate_gradients::solve(
+                objective, equations, schur, damping, forcing, workspace, solution,
+            );
+        }
+        dense::solve(objective, equations, schur, damping, &mut self.matrix, solution)
+    }
+}

@@ -1,0 +1,366 @@
+//! The normal equations at one state: JᵀJ and -Jᵀr, by point, pose and camera, without damping.
+
+use nalgebra::{Matrix6, Vector6};
+use rayon::prelude::*;
+
+use super::index::{ActivePose, NONE, POSE_PARAMS};
+use super::objective::{Objective, near};
+use super::problem::{Observation, Prior};
+use super::residual::{CAMERA_PARAMS, CameraJacobian, CameraParam, ResidualBlock, project};
+use super::state::State;
+use super::{cholesky3, index, priors};
+
+/// Smallest number of items for a thread.
+pub(super) const GRAIN: usize = 1024;
+
+/// A pivot this much below its diagonal is only rounding: the parallax of the point is below 1e-7 rad.
+const SINGULAR: f64 = 1e-14;
+
+/// Normal equations of one point; zero if it is held.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct PointBlock {
+    /// xx, yx, yy, zx, zy, zz.
+    pub h: [f64; 6],
+    pub g: [f64; 3],
+    pub determined: Determined,
+}
+
+/// Whether the observations determine a point.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(super) enum Determined {
+    #[default]
+    No,
+    Yes,
+}
+
+/// Normal equations of one pose, its contribution to those of its camera, and their off-diagonal block.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct PoseBlock {
+    pub h: [[f64; POSE_PARAMS]; POSE_PARAMS],
+    pub g: [f64; POSE_PARAMS],
+    /// Rows of the camera, columns of the pose.
+    pub mixed: [[f64; POSE_PARAMS]; CAMERA_PARAMS],
+    pub camera: CameraBlock,
+}
+
+/// Normal equations of one camera.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct CameraBlock {
+    pub h: [[f64; CAMERA_PARAMS]; CAMERA_PARAMS],
+    pub g: [f64; CAMERA_PARAMS],
+}
+
+/// The off-diagonal block of a prior between two free poses.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct CrossBlock {
+    pub slots: [usize; 2],
+    /// JᵀJ, rows of the first, columns of the second.
+    pub h: Matrix6<f64>,
+}
+
+/// All normal equations and the rows they were summed from.
+#[derive(Debug, Default)]
+pub(super) struct NormalEquations {
+    pub rows: Vec<ResidualBlock>,
+    /// Empty if no camera has free parameters.
+    pub camera_jacobians: Vec<CameraJacobian>,
+    pub points: Vec<PointBlock>,
+    /// Of the active poses ([`ActivePose`]).
+    pub poses: Vec<PoseBlock>,
+    pub cameras: Vec<CameraBlock>,
+    pub cross_blocks: Vec<CrossBlock>,
+}
+
+impl NormalEquations {
+    pub(super) fn new(objective: &Objective) -> Self {
+        let observations = objective.problem.observations.len();
+        let camera_jacobians = if objective.index.camera_unknowns == 0 {
+            0
+        } else {
+            observations
+        };
+        Self {
+            rows: vec![ResidualBlock::default(); observations],
+            camera_jacobians: vec![CameraJacobian::default(); camera_jacobians],
+            points: vec![PointBlock::default(); objective.problem.points.len()],
+            poses: vec![PoseBlock::default(); objective.index.active.len()],
+            cameras: vec![CameraBlock::default(); objective.problem.cameras.len()],
+            cross_blocks: Vec::new(),
+        }
+    }
+
+    /// Recomputes everything at a state.
+    pub(super) fn linearise(&mut self, objective: &Objective, state: &State) {
+        self.set_rows(objective, state);
+        self.set_points(objective);
+        self.set_poses(objective);
+        self.add_priors(objective, state);
+    }
+
+    /// Recomputes everything at a state, without the observations of points that they do not determine.
+    pub(super) fn linearise_determined(&mut self, objective: &Objective, state: &State) {
+        self.set_rows(objective, state);
+        self.set_points(objective);
+        for (point, block) in self.points.iter().enumerate() {
+            if block.determined == Determined::No {
+                let seen = objective.index.observations_of(point);
+                self.rows[seen.clone()].fill(ResidualBlock::default());
+                if !self.camera_jacobians.is_empty() {
+                    self.camera_jacobians[seen].fill(CameraJacobian::default());
+                }
+            }
+        }
+        self.set_poses(objective);
+        self.add_priors(objective, state);
+    }
+
+    fn set_rows(&mut self, objective: &Objective, state: &State) {
+        let held = held_columns(objective, state);
+        let seen = &objective.problem.observations;
+        let linearised = |seen: &Observation| {
+            linearised(objective, state, seen, &held[objective.camera_of(seen)]).unwrap_or_default()
+        };
+        if self.camera_jacobians.is_empty() {
+            let rows = self.rows.par_iter_mut().zip(seen).with_min_len(GRAIN);
+            rows.for_each(|(row, seen)| *row = linearised(seen).0);
+            return;
+        }
+        let rows = self.rows.par_iter_mut().zip(&mut self.camera_jacobians).zip(seen);
+        rows.with_min_len(GRAIN)
+            .for_each(|((row, camera_jacobian), seen)| (*row, *camera_jacobian) = linearised(seen));
+    }
+
+    fn set_points(&mut self, objective: &Objective) {
+        let rows = &self.rows;
+        let blocks = self.points.par_iter_mut().enumerate().with_min_len(GRAIN);
+        blocks.for_each(|(point, block)| *block = point_block(&rows[objective.index.observations_of(point)]));
+    }
+
+    fn set_poses(&mut self, objective: &Objective) {
+        let (rows, camera_jacobians) = (&self.rows, &self.camera_jacobians);
+        let blocks = self.poses.par_iter_mut().zip(&objective.index.active).enumerate();
+        blocks.for_each(|(active, (block, pose))| {
+            *block = pose_block(objective, active, pose, rows, camera_jacobians)
+        });
+        self.cameras.fill(CameraBlock::default());
+        for (block, active) in self.poses.iter().zip(&objective.index.active) {
+            let camera = &mut self.cameras[objective.problem.camera_of_pose[active.pose as usize] as usize];
+            add(&mut camera.g, &block.camera.g);
+            camera
+                .h
+                .iter_mut()
+                .zip(&block.camera.h)
+                .for_each(|(to, from)| add(to, from));
+        }
+    }
+
+    fn add_priors(&mut self, objective: &Objective, state: &State) {
+        self.cross_blocks.clear();
+        for prior in &objective.priors {
+            let error = priors::error(prior, state);
+            let weight = objective.prior_loss.weight(error.norm_squared());
+            if let Prior::Focal {
+                camera, sigma_share, ..
+            } = *prior
+            {
+                self.add_focal(objective, state, camera as usize, weight, error.x, sigma_share);
+                continue;
+            }
+            self.add_pose_prior(objective, state, prior, weight, &error);
+        }
+    }
+
+    /// Adds a prior on a focal length, which is the first parameter of its camera if it is free.
+    fn add_focal(
+        &mut self,
+        objective: &Objective,
+        state: &State,
+        camera: usize,
+        weight: f64,
+        error: f64,
+        sigma: f64,
+    ) {
+        let reached = objective.camera_bounds[camera].reached(&state.cameras[camera], CameraParam::Focal);
+        if objective.index.terms[camera].first() == Some(&CameraParam::Focal) && !reached {
+            self.cameras[camera].h[0][0] += weight / (sigma * sigma);
+            self.cameras[camera].g[0] -= weight * error / sigma;
+        }
+    }
+
+    fn add_pose_prior(
+        &mut self,
+        objective: &Objective,
+        state: &State,
+        prior: &Prior,
+        weight: f64,
+        error: &Vector6<f64>,
+    ) {
+        let slot = |pose: Option<u32>| pose.map_or(NONE, |pose| objective.index.slot_of_pose[pose as usize]);
+        let slots = index::poses_of(prior).map(slot);
+        let mut jacobians = priors::jacobians(prior, state);
+        for (jacobian, slot) in jacobians.iter_mut().zip(slots) {
+            if slot == NONE {
+                continue;
+            }
+            if let Some(axis) = objective.index.held_axis[slot as usize] {
+                jacobian.column_mut(3 + usize::from(axis)).fill(0.0);
+            }
+            let block = &mut self.poses[objective.index.active_of_slot[slot as usize] as usize];
+            let (h, g) = (
+                jacobian.tr_mul(jacobian) * weight,
+                jacobian.tr_mul(error) * weight,
+            );
+            for row in 0..POSE_PARAMS {
+                block.g[row] -= g[row];
+                for column in 0..POSE_PARAMS {
+                    block.h[row][column] += h[(row, column)];
+                }
+            }
+        }
+        if slots.iter().all(|&slot| slot != NONE) {
+            self.cross_blocks.push(CrossBlock {
+                slots: slots.map(|slot| slot as usize),
+                h: jacobians[0].tr_mul(&jacobians[1]) * weight,
+            });
+        }
+    }
+}
+
+/// Returns for each camera the columns of parameters that lie on their bound.
+fn held_columns(objective: &Objective, state: &State) -> Vec<Vec<usize>> {
+    let held = |(camera, terms): (usize, &Vec<CameraParam>)| {
+        let reached =
+            |term: &CameraParam| objective.camera_bounds[camera].reached(&state.cameras[camera], *term);
+        (0..terms.len())
+            .filter(|&column| reached(&terms[column]))
+            .collect()
+    };
+    objective.index.terms.iter().enumerate().map(held).collect()
+}
+
+/// Returns the residual block and camera Jacobian of one observation; `None` if it has no projection.
+#[inline]
+fn linearised(
+    objective: &Objective,
+    state: &State,
+    seen: &Observation,
+    held: &[usize],
+) -> Option<(ResidualBlock, CameraJacobian)> {
+    let terms = &objective.index.terms[objective.camera_of(seen)];
+    let camera = &state.cameras[objective.camera_of(seen)];
+    let view = &state.views[seen.pose as usize];
+    let projection = project(view, camera, &state.points[seen.point as usize])?;
+    let error = projection.error(camera, &seen.pixel);
+    let weight = objective.loss.weight(near(error)?).sqrt();
+    let mut camera_jacobian = projection.camera_jacobian(camera, terms, weight);
+    for row in &mut camera_jacobian {
+        held.iter().for_each(|&column| row[column] = 0.0);
+    }
+    Some((projection.row(view, camera, error, weight), camera_jacobian))
+}
+
+/// Returns the derivatives by rotation and centre of a pose, zero for a fixed coordinate.
+#[inline]
+pub(super) fn pose_columns(row: &ResidualBlock, held_axis: Option<u8>) -> [[f64; POSE_PARAMS]; 2] {
+    let mut columns = [0, 1].map(|k| {
+        let ([a, b, c], [x, y, z]) = (row.rotation[k], row.point[k]);
+        [a, b, c, -x, -y, -z]
+    });
+    if let Some(axis) = held_axis {
+        columns
+            .iter_mut()
+            .for_each(|columns| columns[3 + usize::from(axis).min(2)] = 0.0);
+    }
+    columns
+}
+
+/// Returns the normal equations of a point.
+fn point_block(rows: &[ResidualBlock]) -> PointBlock {
+    let mut block = PointBlock::default();
+    for row in rows {
+        for ([x, y, z], error) in row.point.iter().zip(row.error) {
+            add(&mut block.h, &[x * x, y * x, y * y, z * x, z * y, z * z]);
+            add(&mut block.g, &[-x * error, -y * error, -z * error]);
+        }
+    }
+    if is_singular(&block.h) {
+        return PointBlock::default();
+    }
+    block.determined = Determined::Yes;
+    block
+}
+
+/// Tells whether a point is not determined.
+fn is_singular(h: &[f64; 6]) -> bool {
+    match cholesky3::factor(h) {
+        Some([xx, _, yy, _, _, zz]) => {
+            xx * xx < f64::MIN_POSITIVE || yy * yy < SINGULAR * h[2] || zz * zz < SINGULAR * h[5]
+        }
+        None => true,
+    }
+}
+
+/// Returns the normal equations of a pose.
+fn pose_block(
+    objective: &Objective,
+    active: usize,
+    pose: &ActivePose,
+    rows: &[ResidualBlock],
+    camera_jacobians: &[CameraJacobian],
+) -> PoseBlock {
+    let mut block = PoseBlock::default();
+    let held_axis = objective
+        .index
+        .held_axis
+        .get(pose.slot as usize)
+        .copied()
+        .flatten();
+    let camera = objective.problem.camera_of_pose[pose.pose as usize] as usize;
+    let terms = objective.index.terms[camera].len();
+    for &observation in objective.index.observations_of_active.of(active) {
+        let row = &rows[observation as usize];
+        let columns = pose_columns(row, held_axis);
+        if pose.slot != NONE {
+            add_products(&mut block.h, &columns, &columns);
+            add_gradient(&mut block.g, &columns, &row.error);
+        }
+        if terms == 0 {
+            continue;
+        }
+        let camera_jacobian = &camera_jacobians[observation as usize];
+        add_products(&mut block.camera.h[..terms], camera_jacobian, camera_jacobian);
+        add_gradient(&mut block.camera.g, camera_jacobian, &row.error);
+        if pose.slot != NONE {
+            add_products(&mut block.mixed[..terms], camera_jacobian, &columns);
+        }
+    }
+    block
+}
+
+/// to += leftᵀ right, of the first rows.
+#[inline]
+fn add_products<const R: usize, const C: usize>(
+    to: &mut [[f64; C]],
+    left: &[[f64; R]; 2],
+    right: &[[f64; C]; 2],
+) {
+    for (row, to) in to.iter_mut().enumerate().take(R) {
+        let (first, second) = (left[0][row], left[1][row]);
+        for (column, to) in to.iter_mut().enumerate() {
+            *to += first * right[0][column] + second * right[1][column];
+        }
+    }
+}
+
+/// g -= Jᵀ r.
+#[inline]
+fn add_gradient<const N: usize>(g: &mut [f64; N], columns: &[[f64; N]; 2], error: &[f64; 2]) {
+    for (term, g) in g.iter_mut().enumerate() {
+        *g -= columns[0][term] * error[0] + columns[1][term] * error[1];
+    }
+}
+
+#[inline]
+fn add<const N: usize>(to: &mut [f64; N], from: &[f64; N]) {
+    to.iter_mut().zip(from).for_each(|(to, from)| *to += from);
+}

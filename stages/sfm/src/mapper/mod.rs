@@ -1,0 +1,28 @@
+//! Incremental mapping: which photos start a model, which come next, what is kept (Schönberger and Frahm 2016).
+//!
+//! Invariant: the result depends on the photos, the view graph and the seed alone. Each step over many tracks is a pure
+//! function of one track, collected in order.
+
+mod extend;
+mod global_adjustment;
+mod initial_pair;
+mod input;
+mod lens;
+mod map;
+mod merge;
+mod model;
+mod options;
+mod register;
+mod tracks;
+
+pub use extend::extend;
+pub(crate) use global_adjustment::{FINE, refine};
+pub use global_adjustment::{PoseUncertainty, pose_uncertainties};
+pub use input::{MapError, MapperInput};
+pub use map::map;
+pub use model::Model;
+pub use options::{LensChoice, MapOptions, PrincipalPointChoice};
+pub use tracks::{Observation, Tracks};
+
+#[cfg(test)]
+pub(crate) use merge::merge_last;

@@ -1,0 +1,13 @@
+//! Which photos to compare, and which of their features match.
+//!
+//! Pure functions of descriptors in integers: the same matches on any instruction set, with any number of threads.
+
+mod match_pair;
+mod nearest;
+mod pairs;
+
+pub use match_pair::{MatchOptions, match_pair};
+pub use pairs::{exhaustive, retrieve, sequential};
+
+#[cfg(test)]
+mod tests;

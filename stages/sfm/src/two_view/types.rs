@@ -1,0 +1,102 @@
+//! Inputs and results of verification and of relative pose estimation.
+
+use marf_scene::{Camera, Pose};
+use nalgebra::{Matrix3, Vector2};
+
+/// Options of geometric verification.
+#[derive(Debug, Clone)]
+pub struct VerifyOptions {
+    /// Largest Sampson error of an inlier, pixels: 4 at a longer side of 1000.
+    pub max_error_px: f64,
+    /// Smallest number of inliers of a verified pair; more are required where so many may agree by chance.
+    pub min_inliers: u32,
+    /// Largest number of samples of seven points; of five and of four a quarter of it.
+    pub max_samples: u32,
+    /// Wanted probability of one sample without outliers.
+    pub confidence: f64,
+}
+
+impl Default for VerifyOptions {
+    fn default() -> Self {
+        Self {
+            max_error_px: 4.0,
+            min_inliers: 15,
+            max_samples: 2000,
+            confidence: 0.999,
+        }
+    }
+}
+
+/// The camera of a photo (its focal length may be a guess) and the positions of its features.
+#[derive(Debug, Clone, Copy)]
+pub struct ViewPoints<'a> {
+    /// The camera.
+    pub camera: &'a Camera,
+    /// Positions of the features, pixels.
+    pub pixels: &'a [Vector2<f64>],
+}
+
+/// Whether focal lengths are known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FocalKnown {
+    /// From a label or from EXIF.
+    Known,
+    /// A guess.
+    Guessed,
+}
+
+/// Kind of geometry that explains the matches of a pair.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum VerifiedKind {
+    /// A scene with depth.
+    General,
+    /// A plane or a pure rotation: a homography explains more than .8 of the inliers.
+    Planar,
+    /// Objects fixed to the camera, or the same image twice: at least .8 of the inliers do not move.
+    Stationary,
+    /// No more inliers than expected by chance.
+    None,
+}
+
+/// Matches of a pair of photos after geometric verification.
+#[derive(Debug, Clone)]
+pub struct VerifiedPair {
+    /// Inlier matches in the given order, one for each pair of positions.
+    pub inliers: Vec<[u32; 2]>,
+    /// Fundamental matrix: x2ᵀ F x1 = 0 in undistorted pixels, unit norm.
+    pub fundamental: Option<Matrix3<f64>>,
+    /// Inliers of the fundamental matrix.
+    pub fundamental_inliers: u32,
+    /// Inliers of the essential matrix.
+    pub essential_inliers: u32,
+    /// Inliers of the homography.
+    pub homography_inliers: u32,
+    /// Kind of geometry.
+    pub kind: VerifiedKind,
+}
+
+/// Kind of geometry that a relative pose was estimated from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RelativePoseKind {
+    /// A scene with depth.
+    General,
+    /// A plane.
+    Planar,
+    /// A pure rotation: no baseline.
+    Rotation,
+}
+
+/// The relative pose of two photos.
+#[derive(Debug, Clone)]
+pub struct RelativePose {
+    /// What it was estimated from.
+    pub kind: RelativePoseKind,
+    /// The pose; translation of unit length, zero for `Rotation`.
+    pub cam2_from_cam1: Pose,
+    /// Inlier matches in the given order, one for each pair of positions.
+    pub inliers: Vec<[u32; 2]>,
+    /// Median triangulation angle of the inliers.
+    pub median_angle_rad: f64,
+    /// |t·z| of the unit translation t: the part of the motion along the optical axis; 0 for `Rotation`.
+    pub forward: f64,
+}

@@ -1,0 +1,11 @@
+//! The view graph: photos as nodes, relative poses as edges.
+
+mod components;
+mod focal;
+mod links;
+mod view;
+
+pub use components::components;
+pub use focal::refine_focal_lengths;
+pub use links::link_pairs;
+pub use view::{ComparedPair, Link, SharedCamera, View, focal_known, max_error_px};
