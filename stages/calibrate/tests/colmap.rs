@@ -42,7 +42,7 @@ impl Fake {
     fn model(&self, number: u32, files: &[&str]) {
         let folder = self.path("models").join(number.to_string());
         std::fs::create_dir_all(&folder).unwrap();
-        for (name, bytes) in write_colmap(&scene(files), &Tracks::without_sights(&[point()])) {
+        for (name, bytes) in write_colmap(&scene(files), &Tracks::without_observations(&[point()])) {
             std::fs::write(folder.join(name), bytes).unwrap();
         }
     }

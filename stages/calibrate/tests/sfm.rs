@@ -90,7 +90,7 @@ fn the_demo_is_brought_back_to_its_true_cameras_in_metres() {
 }
 
 /// If this fails, `sfm` answers differently: raise the stage's VERSION and that of the memo whose rows differ
-/// (`sfm/prepare.rs`, `sfm/pairs.rs`), then put the new pair here. It must not fail on another machine.
+/// (`sfm/photo_features.rs`, `sfm/compare.rs`), then put the new pair here. It must not fail on another machine.
 #[test]
 fn the_version_is_raised_when_structure_from_motion_answers_otherwise() {
     let (input, _) = demo();

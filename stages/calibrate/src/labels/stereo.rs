@@ -8,8 +8,8 @@ use marf_stage::harness::Harness;
 use marf_stage::{Work, define};
 use nalgebra::{Vector2, Vector3};
 
-use crate::features::{FeatureOptions, Features, Gray, Mask, extract};
-use crate::matching::{MatchOptions, match_pair};
+use marf_sfm::features::{FeatureOptions, Features, Gray, Mask, extract};
+use marf_sfm::matching::{MatchOptions, match_pair};
 
 /// Zoom, product of the left and of the right eye, focal length, and the median residual measured elsewhere.
 const PAIRS: [(u32, &str, &str, f64, [f64; 2]); 3] = [
