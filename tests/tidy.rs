@@ -28,22 +28,29 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 17] = [
+const CRATES: [Crate; 20] = [
     row("shaders", "marf-shaders", &[]),
     row("cache/derive", "marf-cache-derive", &[]),
     row("cache", "marf-cache", &["marf-cache-derive"]),
     row("stages/numeric", "marf-numeric", &[]),
     row("stages/stage", "marf-stage", &["marf-cache"]),
     row("stages/scene", "marf-scene", &["marf-cache"]),
+    row("stages/pds", "marf-pds", &["marf-scene"]),
+    row("stages/demo", "marf-demo", &["marf-cache", "marf-scene"]),
     row(
         "stages/field",
         "marf-field",
-        &["marf-cache", "marf-scene", "marf-shaders"],
+        &["marf-shaders", "marf-cache", "marf-scene"],
+    ),
+    row(
+        "stages/schema",
+        "marf-schema",
+        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
     ),
     row(
         "stages/extract",
         "marf-extract",
-        &["marf-cache", "marf-stage", "marf-scene"],
+        &["marf-cache", "marf-stage", "marf-scene", "marf-pds", "marf-demo"],
     ),
     row(
         "stages/filter",
@@ -52,27 +59,51 @@ const CRATES: [Crate; 17] = [
     ),
     row("stages/sfm", "marf-sfm", &["marf-numeric", "marf-scene"]),
     Crate {
-        tests_use: &["marf-extract"],
+        tests_use: &["marf-pds", "marf-demo"],
         ..row(
             "stages/calibrate",
             "marf-calibrate",
-            &["marf-cache", "marf-stage", "marf-scene", "marf-sfm"],
+            &[
+                "marf-cache",
+                "marf-stage",
+                "marf-scene",
+                "marf-schema",
+                "marf-sfm",
+            ],
         )
     },
     row(
         "stages/tune",
         "marf-tune",
-        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
+        &[
+            "marf-cache",
+            "marf-stage",
+            "marf-scene",
+            "marf-field",
+            "marf-schema",
+        ],
     ),
     row(
         "stages/train",
         "marf-train",
-        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
+        &[
+            "marf-cache",
+            "marf-stage",
+            "marf-scene",
+            "marf-field",
+            "marf-schema",
+        ],
     ),
     row(
         "stages/bootstrap",
         "marf-bootstrap",
-        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
+        &[
+            "marf-cache",
+            "marf-stage",
+            "marf-scene",
+            "marf-field",
+            "marf-schema",
+        ],
     ),
     row(
         "stages",
@@ -93,18 +124,19 @@ const CRATES: [Crate; 17] = [
         "marf",
         &[
             "marf-cache",
-            "marf-engine",
             "marf-stage",
-            "marf-stages",
             "marf-scene",
             "marf-field",
+            "marf-schema",
+            "marf-stages",
+            "marf-engine",
         ],
     ),
 ];
 
 /// Packages that only these crates may use.
 const RESTRICTED: [(&str, &[&str]); 7] = [
-    ("kamadak-exif", &["marf-extract"]),
+    ("kamadak-exif", &["marf-pds"]),
     ("petgraph", &["marf-engine"]),
     ("redb", &["marf-cache"]),
     ("reqwest", &["marf-extract"]),

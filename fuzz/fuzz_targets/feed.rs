@@ -1,5 +1,5 @@
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
-    marf_extract::fuzzing::feed(bytes);
+    marf_pds::fuzzing::feed(bytes);
 });

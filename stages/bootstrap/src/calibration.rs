@@ -1,4 +1,4 @@
-use serde::{Deserialize, Serialize};
+use marf_schema::bootstrap::Calibration;
 
 /// A spread below one step of 8 bits is held at it.
 const FLOOR: f64 = 1.0 / 255.0;
@@ -39,23 +39,6 @@ pub struct Intervals<'a> {
     pub std: &'a [f32],
     /// |mean - photo| of a pixel.
     pub error: &'a [f32],
-}
-
-/// How far intervals hold on photos they were not fitted on.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Calibration {
-    /// Factor on the spread, fitted on half of the photos: t² = mean e² / s².
-    pub t: f64,
-    /// Mean |share inside - nominal| over 19 nominal shares, on the other half, after scaling by t.
-    pub ece: f64,
-    /// Share of the other half inside the distribution-free 90 % interval.
-    pub coverage90: Option<f64>,
-    /// Photos fitted on.
-    pub fit_photos: u64,
-    /// Photos tested on.
-    pub test_photos: u64,
-    /// What to keep in mind.
-    pub note: String,
 }
 
 /// Fits on the photos at even places and tests on those at odd ones; pixels of one photo stay together, since

@@ -3,9 +3,10 @@ use marf_scene::{
     Image, Srgb, encode_png,
     picture::{ColorScale, Palette, draw_map, round_upper_limit, side_by_side},
 };
+use marf_schema::{bootstrap::Shown, output::MAPS};
 use marf_stage::{Ctx, Outputs, StageError};
 
-use crate::{BootstrapError, Maps, Shown, encode_npy, report::View};
+use crate::{BootstrapError, Maps, encode_npy, report::View};
 
 /// Share of the pixels that a scale reaches; what lies above has the top colour, and the label says so.
 const REACH: f64 = 0.995;
@@ -83,7 +84,7 @@ pub(crate) fn put_view(
 ) -> Result<(), StageError> {
     let (maps, name) = (&view.maps, &view.name);
     let mut put = |kind: &str, picture: &Image<Srgb>| -> Result<(), StageError> {
-        let name = format!("maps/{name}-{kind}.png");
+        let name = format!("{MAPS}{name}-{kind}.png");
         let digest = put_png(ctx, &name, picture)?;
         outputs.insert(name, digest);
         Ok(())
@@ -108,13 +109,13 @@ pub(crate) fn put_view(
     ];
     for (kind, values) in plain {
         let array = encode_npy(&shape, values.iter().copied());
-        outputs.insert(format!("maps/{name}-{kind}.npy"), ctx.put(&array)?);
+        outputs.insert(format!("{MAPS}{name}-{kind}.npy"), ctx.put(&array)?);
     }
     let array = encode_npy(
         &[maps.height, maps.width, 3],
         maps.rgb_std.as_flattened().iter().copied(),
     );
-    outputs.insert(format!("maps/{name}-rgb-std.npy"), ctx.put(&array)?);
+    outputs.insert(format!("{MAPS}{name}-rgb-std.npy"), ctx.put(&array)?);
     Ok(())
 }
 

@@ -14,10 +14,9 @@ mod reduce;
 mod report;
 mod sparsification;
 
-pub use calibration::{Calibration, Intervals, calibrate, conformal_rank, coverage, nll, scale_t};
+pub use calibration::{Intervals, calibrate, conformal_rank, coverage, nll, scale_t};
 pub use error::BootstrapError;
 pub use maps::{Maps, maps, sample_std};
 pub use npy::encode_npy;
-pub use params::{Bootstrap, BootstrapParams, Mode, Shown, Viewpoints};
-pub use report::{Coverage, HeldOut, Member, PhotoReport, Report, ViewReport};
+pub use params::Bootstrap;
 pub use sparsification::{Norm, Sparsification, pearson, sparsify, spearman};

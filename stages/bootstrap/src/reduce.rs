@@ -9,10 +9,15 @@ use marf_scene::{
     picture::encode_gif,
     picture_names,
 };
-use marf_stage::{Ctx, Inputs, Outputs, StageError};
+use marf_schema::{
+    bootstrap::{BootstrapParams, Member, Viewpoints},
+    output::{FLYTHROUGH, MAPS, PHOTO, SCENE, VIDEO, WEIGHTS},
+    train,
+};
+use marf_stage::{Ctx, Document, Inputs, Outputs, StageError, TypedOutputs};
 
 use crate::{
-    BootstrapError, BootstrapParams, Maps, Member, Viewpoints,
+    BootstrapError, Maps,
     draw::{Scales, flight_picture, mean_picture, put_png, put_view},
     maps::{gray, maps},
     report::{Truth, View, report},
@@ -39,7 +44,7 @@ pub(crate) fn reduce(
     inputs: &Inputs,
     children: &[Outputs],
 ) -> Result<Outputs, StageError> {
-    let scene = Scene::decode(&ctx.get(inputs.required("scene")?)?).map_err(BootstrapError::from)?;
+    let scene = Scene::decode(&ctx.get(inputs.required(SCENE)?)?).map_err(BootstrapError::from)?;
     let members = members(ctx, children)?;
     let scale = members.first().map_or(1, |member| member.scale);
     let stops = stops(ctx, params.viewpoints, params.map_frames, &scene, scale, children)?;
@@ -58,7 +63,7 @@ pub(crate) fn reduce(
     for stop in &stops {
         let maps = maps(&renders.at(&stop.place)?);
         if let Some((digest, _)) = &stop.photo {
-            outputs.insert(format!("maps/{}-photo.png", stop.place.name), *digest);
+            outputs.insert(format!("{MAPS}{}-photo.png", stop.place.name), *digest);
         }
         views.push(View {
             name: stop.place.name.clone(),
@@ -70,9 +75,7 @@ pub(crate) fn reduce(
     for view in &views {
         put_view(ctx, view, &scales, scene.metres_per_unit, &mut outputs)?;
     }
-    let report = report(params.b, params.mode, members, &views);
-    let json = serde_json::to_vec(&report).map_err(|error| StageError::new(error.to_string()))?;
-    outputs.insert("metrics".to_owned(), ctx.put(&json)?);
+    outputs.put(ctx, &report(params.b, params.mode, members, &views))?;
     drop(views);
     fly(params, &flight, &scales, &mut renders, &mut outputs)?;
     Ok(outputs)
@@ -109,26 +112,31 @@ fn fly(
     for place in flight {
         let maps = maps(&renders.at(place)?);
         let picture = flight_picture(&maps, scales, params.show);
-        let name = format!("flythrough/{}.png", place.name);
+        let name = format!("{FLYTHROUGH}{}.png", place.name);
         let digest = put_png(renders.ctx, &name, &picture)?;
         outputs.insert(name, digest);
         pictures.push(picture);
     }
     let video = encode_gif(&pictures, params.fps).map_err(|error| BootstrapError::Picture {
-        name: "video".to_owned(),
+        name: VIDEO.to_owned(),
         cause: error.to_string(),
     })?;
-    outputs.insert("video".to_owned(), renders.ctx.put(&video)?);
-    Ok(())
+    outputs.put_bytes(renders.ctx, VIDEO, &video)
 }
 
 fn members(ctx: &Ctx<'_>, children: &[Outputs]) -> Result<Vec<Member>, StageError> {
     let numbered = children.iter().enumerate();
     numbered
         .map(|(member, outputs)| {
-            let bytes = ctx.get(output(outputs, member, "metrics")?)?;
-            let read = serde_json::from_slice(&bytes);
-            Ok(read.map_err(|error| malformed(member, "metrics", &error))?)
+            let name = train::Metrics::OUTPUT;
+            let bytes = ctx.get(output(outputs, member, name)?)?;
+            let metrics = train::Metrics::decode(&bytes).map_err(|error| malformed(member, name, &error))?;
+            Ok(Member {
+                seed: metrics.seed,
+                scale: metrics.scale,
+                psnr: metrics.scores.psnr,
+                ssim: metrics.scores.ssim,
+            })
         })
         .collect()
 }
@@ -137,8 +145,8 @@ fn fields(ctx: &Ctx<'_>, children: &[Outputs], device: &Device) -> Result<Vec<Fi
     let numbered = children.iter().enumerate();
     numbered
         .map(|(member, outputs)| {
-            let bytes = ctx.get(output(outputs, member, "weights")?)?;
-            let field = Field::decode(&bytes).map_err(|error| malformed(member, "weights", &error))?;
+            let bytes = ctx.get(output(outputs, member, WEIGHTS)?)?;
+            let field = Field::decode(&bytes).map_err(|error| malformed(member, WEIGHTS, &error))?;
             Ok(field.on(device).map_err(gpu_failed)?)
         })
         .collect()
@@ -207,7 +215,7 @@ fn held_out_stops(
     let first = children.first().unwrap_or(&empty);
     let mut stops = Vec::new();
     for (frame, name) in scene.frames.iter().zip(picture_names(scene)) {
-        let output = format!("photo/{name}.png");
+        let output = format!("{PHOTO}{name}.png");
         let Some(digest) = first.get(&output) else {
             continue;
         };

@@ -1,121 +1,9 @@
-use serde::{Deserialize, Serialize};
+use marf_schema::bootstrap::{Coverage, HeldOut, Member, Metrics, Mode, PhotoReport, ViewReport};
 
 use crate::{
-    Calibration, Intervals, Maps, Mode, Norm, Sparsification, calibrate, coverage, nll,
-    sparsification::hundredths, sparsify, spearman,
+    Intervals, Maps, Norm, Sparsification, calibrate, coverage, nll, sparsification::hundredths, sparsify,
+    spearman,
 };
-
-/// Output `metrics` of `bootstrap`. Spreads are of sRGB in [0, 1], means over all pixels of all viewpoints.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Report {
-    /// Members.
-    pub b: u32,
-    /// What differs between them.
-    pub mode: Mode,
-    /// Mean sample standard deviation of gray, divisor B - 1.
-    pub std: f64,
-    /// The paper's figure: mean standard deviation of gray, divisor B.
-    pub std_paper: f64,
-    /// Mean sample standard deviation of each channel.
-    pub std_rgb: [f64; 3],
-    /// Mean opacity term.
-    pub opacity_term: f64,
-    /// Mean total standard deviation.
-    pub total_sd: f64,
-    /// Mean sample standard deviation of the depth where it is seen, world units.
-    pub depth_std: Option<f64>,
-    /// Share of pixels where the mean opacity is at most 0.5.
-    pub unseen_share: f64,
-    /// The members, in order.
-    pub members: Vec<Member>,
-    /// What the photos held out say; none where the viewpoints are not photos.
-    pub heldout: Option<HeldOut>,
-    /// Every viewpoint.
-    pub views: Vec<ViewReport>,
-}
-
-/// A member, from its own metrics.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Member {
-    /// Its seed.
-    pub seed: u64,
-    /// Factor by which its photos were shrunk.
-    pub scale: u32,
-    /// Mean PSNR on the photos held out, dB.
-    pub psnr: f64,
-    /// Mean SSIM on them.
-    pub ssim: Option<f64>,
-}
-
-/// One viewpoint.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ViewReport {
-    /// Name of its maps.
-    pub name: String,
-    /// Mean sample standard deviation of gray.
-    pub std: f64,
-    /// The same with divisor B.
-    pub std_paper: f64,
-    /// Mean opacity term.
-    pub opacity_term: f64,
-    /// Mean total standard deviation.
-    pub total_sd: f64,
-    /// Mean standard deviation of the depth where it is seen, world units.
-    pub depth_std: Option<f64>,
-    /// Share of pixels unseen.
-    pub unseen_share: f64,
-    /// How well the spread ranks the errors; only where there is a photo.
-    #[serde(flatten, skip_serializing_if = "Option::is_none")]
-    pub photo: Option<PhotoReport>,
-}
-
-/// A viewpoint compared with its photo. Errors are |mean gray - gray of the photo|.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct PhotoReport {
-    /// PSNR of the mean render, dB.
-    pub psnr: f64,
-    /// Area under the sparsification error by the standard deviation, mean absolute error.
-    pub ause_mae: f64,
-    /// Of a random order.
-    pub ause_mae_random: f64,
-    /// Root mean squared error.
-    pub ause_rmse: f64,
-    /// Of a random order.
-    pub ause_rmse_random: f64,
-    /// By the total standard deviation, mean absolute error.
-    pub ause_mae_total: f64,
-    /// Rank correlation of standard deviation and error.
-    pub spearman: f64,
-}
-
-/// What the photos held out say about the spread.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct HeldOut {
-    /// Means of [`PhotoReport`] over photos, `spearman` as the median.
-    #[serde(flatten)]
-    pub mean: PhotoReport,
-    /// Mean of the members' own PSNR, dB: what averaging gains is the difference.
-    pub psnr_members_mean: f64,
-    /// Share of pixels whose error lies within the spread.
-    pub coverage: Coverage,
-    /// What these would be, were the errors normal with that spread.
-    pub coverage_nominal: Coverage,
-    /// Mean negative log-likelihood of the errors, nats, to six decimals.
-    pub nll: f64,
-    /// Fitted on half of the photos and tested on the other; none with fewer than four.
-    pub calibration: Option<Calibration>,
-}
-
-/// Shares of pixels whose error is at most 1, 2 and 3 standard deviations.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Coverage {
-    /// Within one.
-    pub sd1: f64,
-    /// Within two.
-    pub sd2: f64,
-    /// Within three.
-    pub sd3: f64,
-}
 
 /// A viewpoint's maps with the error against its photo, if there is one.
 #[derive(Debug)]
@@ -141,14 +29,14 @@ const NOMINAL: Coverage = Coverage {
     sd3: 0.997_300,
 };
 
-pub(crate) fn report(b: u32, mode: Mode, members: Vec<Member>, views: &[View]) -> Report {
+pub(crate) fn report(b: u32, mode: Mode, members: Vec<Member>, views: &[View]) -> Metrics {
     let all = |map: fn(&Maps) -> &[f32]| mean(views.iter().flat_map(|view| map(&view.maps)).copied());
     let channel = |channel: usize| {
         let pixels = views.iter().flat_map(|view| &view.maps.rgb_std);
         mean(pixels.map(|rgb| rgb[channel]))
     };
     let (depth_std, unseen_share) = depth(views.iter().flat_map(|view| &view.maps.depth_std));
-    Report {
+    Metrics {
         b,
         mode,
         std: all(|maps| &maps.std),

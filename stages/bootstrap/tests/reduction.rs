@@ -5,11 +5,15 @@
     reason = "a test that cannot go on should stop"
 )]
 
-use marf_bootstrap::{Bootstrap, BootstrapParams, Report};
+use marf_bootstrap::Bootstrap;
 use marf_cache::Digest;
 use marf_field::{Overrides, Trainer, View};
 use marf_scene::{Camera, Frame, Image, Photo, Pose, Scene, Srgb, encode_png};
-use marf_stage::{Define, Expand, Inputs, Outputs, harness::Harness};
+use marf_schema::{
+    bootstrap::{BootstrapParams, Metrics},
+    example,
+};
+use marf_stage::{Define, Document, Expand, Inputs, Outputs, TypedOutputs, harness::Harness};
 use nalgebra::Vector3;
 use serde_json::json;
 
@@ -75,17 +79,14 @@ fn member(harness: &Harness, scene: &Scene, seed: u64) -> Outputs {
     for _ in 0..80 {
         trainer.advance(1).unwrap();
     }
-    let metrics =
-        json!({"psnr": 20.0, "psnr_paper": 19.0, "ssim": null, "scale": 1, "seed": seed, "steps": 80});
+    let mut metrics = example::train_metrics();
+    (metrics.seed, metrics.scores.ssim) = (seed, None);
     let photos = held_out
         .iter()
         .map(|frame| (format!("photo/{}.png", frame.id), frame.image));
     let mut outputs: Outputs = photos.collect();
     outputs.insert("weights".into(), harness.put(&trainer.field().unwrap().encode()));
-    outputs.insert(
-        "metrics".into(),
-        harness.put(&serde_json::to_vec(&metrics).unwrap()),
-    );
+    outputs.put(&harness.ctx(), &metrics).unwrap();
     outputs
 }
 
@@ -109,14 +110,14 @@ fn fixture(count: u64) -> Fixture {
 }
 
 impl Fixture {
-    fn reduce(&self, params: serde_json::Value) -> (Report, Outputs) {
+    fn reduce(&self, params: serde_json::Value) -> (Metrics, Outputs) {
         let params: BootstrapParams = serde_json::from_value(params).unwrap();
         let stage = Bootstrap::new(params).unwrap();
         let outputs = stage
             .reduce(&self.harness.ctx(), &self.inputs, &self.members)
             .unwrap();
         let metrics = self.harness.get(&outputs["metrics"]).unwrap();
-        (serde_json::from_slice(&metrics).unwrap(), outputs)
+        (Metrics::decode(&metrics).unwrap(), outputs)
     }
 }
 

@@ -6,7 +6,7 @@ use marf_sfm::mapper::PoseUncertainty;
 use nalgebra::Vector3;
 
 use crate::export::TrackPoint;
-use crate::metrics::Missing;
+use marf_schema::calibrate::Missing;
 
 /// A photo with a camera, before held-out photos are chosen.
 pub(crate) struct PlacedPhoto {

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use crate::calibration::{Calibration, PlacedPhoto, mean_up};
 use crate::import::{self, Model, read_colmap_binary};
 use crate::masks::mask_file;
-use crate::params::CalibrateParams;
+use marf_schema::calibrate::CalibrateParams;
 use crate::photos::{InputPhoto, decode};
 use program::{Program, cannot_write};
 

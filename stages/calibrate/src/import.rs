@@ -24,8 +24,8 @@ pub use ply::read_ply;
 pub use transforms::{Transforms, read_transforms};
 
 use crate::calibration::{Calibration, HeldOut, PhotoStatistics, PlacedPhoto, mean_up};
-use crate::metrics::Missing;
-use crate::params::CalibrateParams;
+use marf_schema::calibrate::Missing;
+use marf_schema::calibrate::CalibrateParams;
 use crate::photos::{InputPhoto, as_png, decode, reduction, store};
 use choose::{Source, choose};
 use photo_names::PhotoNames;

@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::calibration::{Calibration, PhotoStatistics, PlacedPhoto};
-use crate::params::CalibrateParams;
+use marf_schema::calibrate::CalibrateParams;
 use crate::photos::{InputPhoto, as_png, decode, reduction, store};
 use crate::resample::resample;
 

@@ -11,16 +11,15 @@ mod export;
 pub mod import;
 mod labels;
 mod masks;
-mod metrics;
-mod outputs;
-mod params;
 mod photos;
 mod resample;
 mod sfm;
 mod stage;
 
 pub use export::{Observation, TrackPoint, Tracks, write_colmap, write_ply, write_transforms};
-pub use metrics::{Metrics, Missing, PhotoMetrics, Totals};
-pub use outputs::{METRICS, POINTS, SCENE, SPARSE, TRANSFORMS};
-pub use params::{CalibrateParams, FirstOctaveParam, Intrinsics, LensParam, Method, Pairs, PrincipalPoint};
-pub use stage::Calibrate;
+pub use marf_schema::calibrate::{
+    CalibrateParams, FirstOctaveParam, Intrinsics, LensParam, Method, Metrics, Missing, Pairs, PhotoMetrics,
+    PrincipalPoint, Totals,
+};
+pub use marf_schema::output::{POINTS, SCENE, SPARSE, TRANSFORMS};
+pub use stage::{Calibrate, METRICS};

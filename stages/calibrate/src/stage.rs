@@ -2,17 +2,20 @@ use std::collections::BTreeMap;
 
 use marf_cache::ContentHash;
 use marf_scene::{Frame, Scene, Unplaced};
+use marf_schema::calibrate::{CalibrateParams, Method, Metrics, PhotoMetrics, Totals};
+use marf_schema::output::{POINTS, SCENE, SPARSE, TRANSFORMS};
 use marf_stage::{
-    COMPANIONS, Ctx, Define, Inputs, Outputs, PHOTOS, ParamError, Port, Set, Stage, StageError, Threads, Work,
+    COMPANIONS, Ctx, Define, Document, Inputs, Outputs, PHOTOS, ParamError, Params, Port, Set, Stage, StageError,
+    Threads, Work,
 };
 
 use crate::calibration::{Calibration, HeldOut, PlacedPhoto};
 use crate::export::{TrackPoint, Tracks, write_colmap, write_ply, write_transforms};
-use crate::metrics::{Metrics, PhotoMetrics, Totals};
-use crate::outputs::{METRICS, POINTS, SCENE, SPARSE, TRANSFORMS};
-use crate::params::{CalibrateParams, Method};
 use crate::photos::{InputPhoto, load};
 use crate::{colmap, import, labels, sfm};
+
+/// Output that holds the result of each photo ([`Metrics`] as JSON).
+pub const METRICS: &str = Metrics::OUTPUT;
 
 /// Returns the camera of each photo, as a scene.
 ///
@@ -29,7 +32,7 @@ pub struct Calibrate(CalibrateParams);
 
 impl Define for Calibrate {
     type Params = CalibrateParams;
-    const NAME: &'static str = "calibrate";
+    const NAME: &'static str = <CalibrateParams as Params>::STAGE;
     const ABOUT: &'static str =
         "Photos to a calibrated scene: from what they show, from labels, or from imported cameras";
     const VERSION: u32 = 4;
@@ -85,8 +88,9 @@ impl Set for Calibrate {
         let bytes = scene
             .encode()
             .map_err(|error| StageError::new(error.to_string()))?;
-        let metrics =
-            serde_json::to_vec_pretty(&metrics).map_err(|error| StageError::new(error.to_string()))?;
+        let metrics = metrics
+            .encode()
+            .map_err(|error| StageError::new(error.to_string()))?;
         let outputs = [
             (SCENE, bytes),
             (METRICS, metrics),

@@ -6,11 +6,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use marf_cache::Digest;
+use marf_pds::{Label, ProductName, feed, pds4, raw};
 use marf_stage::{Ctx, Listing, StageError};
-
-use crate::label::Label;
-use crate::names::ProductName;
-use crate::{feed, pds4, raw};
 
 /// Largest file that is read: products have at most 64 MB.
 pub(crate) const MAX_FILE_BYTES: u64 = 128 << 20;

@@ -5,9 +5,9 @@ use std::collections::BTreeSet;
 use marf_stage::{Ctx, Listing, ParamError, Shard, StageError};
 
 use crate::archive::{ArchiveFile, ArchiveFiles};
-use crate::demo::{Demo, DemoError, DemoOptions, SOLS};
 use crate::params::DemoArchive;
 use crate::sols::Sols;
+use marf_demo::{Demo, DemoError, DemoOptions, SOLS};
 
 /// The demo with the sols asked for.
 pub(crate) struct BuiltIn {

@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use marf_cache::{Digest, digest_of};
+use marf_pds::join_key;
 use marf_stage::{Ctx, Listing, Shard, StageError};
 use parking_lot::Mutex;
 use rayon::prelude::*;
 use walkdir::{DirEntry, WalkDir};
 
 use crate::archive::{ArchiveFile, ArchiveFiles, Kind, extension, folder, stem};
-use crate::names::join_key;
 use crate::sols::Sols;
 
 /// Deepest folder that is entered.

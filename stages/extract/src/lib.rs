@@ -6,37 +6,13 @@
 
 mod archive;
 mod built_in;
-mod camera;
-mod companding;
-pub mod demo;
-mod demosaic;
-mod describe;
-mod exif;
-mod feed;
 mod fetch;
 mod folder;
-#[doc(hidden)]
-pub mod fuzzing;
-mod index_table;
-mod inventory;
-mod label;
-mod listing;
-mod names;
 mod net;
-mod odl;
 mod params;
-mod pds3;
-mod pds4;
-mod pixels;
 mod products;
-mod raw;
 mod remote;
 mod sols;
-#[cfg(test)]
-mod testing;
-mod tone;
-mod values;
-mod vicar;
 
 use marf_cache::ContentHash;
 use marf_stage::{Ctx, Define, Fetched, Listing, ParamError, Port, Source, Stage, StageError, Threads, Work};
@@ -98,7 +74,7 @@ impl Define for Extract {
         Ok(Self {
             archive: params.open()?,
             reading: Reading {
-                white_radiance: tone::WHITE_RADIANCE,
+                white_radiance: marf_pds::WHITE_RADIANCE,
             },
         })
     }

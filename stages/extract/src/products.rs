@@ -4,12 +4,11 @@ use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
 use marf_cache::Digest;
+use marf_pds::{Label, ProductName, join_key};
 use marf_stage::{Ctx, StageError, Verdict};
 use rayon::prelude::*;
 
 use crate::archive::{ArchiveFile, Kind, extension, folder, read_label, stem};
-use crate::label::Label;
-use crate::names::{ProductName, join_key};
 
 /// A photo to be: its files, best first, and the label beside them.
 pub(crate) struct Product {

@@ -41,7 +41,7 @@ impl Sols {
 
 fn range(part: &str) -> Result<(u32, u32), String> {
     let sol = |text: &str| {
-        crate::values::sol(text).ok_or_else(|| {
+        marf_pds::values::sol(text).ok_or_else(|| {
             format!("`{part}` is no sol or range; write `3`, `1..=5`, `1,4,7..=9` or `latest`")
         })
     };

@@ -6,6 +6,7 @@
 
 mod ctx;
 mod define;
+mod document;
 mod error;
 pub mod harness;
 
@@ -16,6 +17,7 @@ use serde::{Deserialize, Serialize};
 
 pub use ctx::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Memos, Progress};
 pub use define::{Define, ParamError, Port, StageDef, define};
+pub use document::{Document, Params, TypedOutputs};
 pub use error::StageError;
 
 /// Name of the output that holds a set of items as a Merkle root ([`marf_cache::manifest::Root`]).

@@ -1,7 +1,6 @@
 use marf_field::FieldError;
+use marf_schema::train::Memory;
 use marf_stage::StageError;
-
-use crate::Memory;
 
 /// What keeps a field from being trained, judged or rendered.
 #[derive(Debug, thiserror::Error)]

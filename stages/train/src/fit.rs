@@ -2,6 +2,7 @@ use std::ops::Range;
 use std::time::{Duration, Instant};
 
 use marf_field::{Field, Trainer};
+use marf_schema::train::{Curve, CurvePoint};
 use marf_stage::{Ctx, StageError};
 use serde::{Deserialize, Serialize};
 
@@ -19,21 +20,6 @@ const REPORT_EVERY: Duration = Duration::from_millis(200);
 const PROBES: usize = 3;
 const PROBE_SIDE_PX: u32 = 64;
 
-/// A point of the training curve.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct CurvePoint {
-    /// Optimiser steps so far.
-    pub step: u64,
-    /// Rays trained so far.
-    pub rays: u64,
-    /// Samples trained so far.
-    pub samples: u64,
-    /// Mean squared error of the batches since the last point, sRGB in [0, 1].
-    pub loss: f64,
-    /// Mean PSNR on up to three held-out photos of at most 64 pixels a side, dB.
-    pub psnr: f64,
-}
-
 /// A training that has come to its end.
 pub(crate) struct Fitted {
     pub field: Field,
@@ -45,7 +31,7 @@ pub(crate) struct Fitted {
 pub(crate) struct Log {
     /// Steps this training goes to: `budget` may mean others on another machine, and the curve's places follow.
     steps: u64,
-    pub curve: Vec<CurvePoint>,
+    pub curve: Curve,
     pub rays: u64,
     pub samples: u64,
     loss_sum: f64,
@@ -138,7 +124,7 @@ impl Log {
     }
 
     fn point(&mut self, step: u64, psnr: f64) {
-        self.curve.push(CurvePoint {
+        self.curve.0.push(CurvePoint {
             step,
             rays: self.rays,
             samples: self.samples,
@@ -149,7 +135,7 @@ impl Log {
     }
 
     fn note(&self, loss: f64) -> String {
-        match self.curve.last() {
+        match self.curve.0.last() {
             Some(point) => format!("loss {loss:.4} psnr {:.1}", point.psnr),
             None => format!("loss {loss:.4}"),
         }

@@ -1,45 +1,16 @@
-use std::collections::BTreeMap;
-
 use marf_field::{Field, render_in_bands};
 use marf_scene::{Image, Srgb, encode_png, metrics};
-use marf_stage::{Ctx, Outputs, StageError};
-use serde::{Deserialize, Serialize};
+use marf_schema::{
+    output::{HELDOUT, PHOTO},
+    scores::{PhotoScores, Scores},
+};
+use marf_stage::{Ctx, Outputs, StageError, TypedOutputs};
 
 use crate::{
     TrainError,
     error::field_failed,
     split::{Named, Reduced, reduced},
 };
-
-/// How well one photo is reproduced.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Scores {
-    /// Id of the photo.
-    pub id: String,
-    /// Its file.
-    pub file: String,
-    /// Name of its pictures (`heldout/<name>.png`, `photo/<name>.png`).
-    pub name: String,
-    /// Peak signal-to-noise ratio, peak 1, dB; 100 at most, which equal pictures have.
-    pub psnr: f64,
-    /// The paper's definition, peak = largest value of the photo, dB; none for a black photo.
-    pub psnr_paper: Option<f64>,
-    /// Structural similarity, at most 1; none for a photo smaller than its window of 11 pixels.
-    pub ssim: Option<f64>,
-}
-
-/// Means over photos, and each photo's own.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Metrics {
-    /// Mean of [`Scores::psnr`], dB.
-    pub psnr: f64,
-    /// Mean of [`Scores::psnr_paper`] over the photos that have one, dB.
-    pub psnr_paper: Option<f64>,
-    /// Mean of [`Scores::ssim`] over the photos that have one.
-    pub ssim: Option<f64>,
-    /// Every photo.
-    pub views: Vec<Scores>,
-}
 
 /// Renders every photo's view, compares, and stores both pictures; one photo at a time is in memory.
 pub(crate) fn judge(
@@ -48,15 +19,15 @@ pub(crate) fn judge(
     frames: &[Named<'_>],
     scale: u32,
     outputs: &mut Outputs,
-) -> Result<Metrics, StageError> {
+) -> Result<Scores, StageError> {
     let mut views = Vec::with_capacity(frames.len());
     for named in frames {
         let photo = &reduced(ctx, named.frame, scale)?;
         let render = render(ctx, field, named, photo)?;
         views.push(scores(named, &render, &photo.image)?);
         let name = &named.name;
-        outputs.insert(format!("heldout/{name}.png"), put_png(ctx, &render)?);
-        outputs.insert(format!("photo/{name}.png"), put_png(ctx, &photo.image)?);
+        put_png(ctx, outputs, format!("{HELDOUT}{name}.png"), &render)?;
+        put_png(ctx, outputs, format!("{PHOTO}{name}.png"), &photo.image)?;
     }
     Ok(means(views))
 }
@@ -75,14 +46,15 @@ pub(crate) fn mean_psnr(
     Ok(sum / probes.len().max(1) as f64)
 }
 
-pub(crate) fn put_png(ctx: &Ctx<'_>, image: &Image<Srgb>) -> Result<marf_cache::Digest, StageError> {
+/// Stores a picture as PNG and lists it under `name`.
+pub(crate) fn put_png(
+    ctx: &Ctx<'_>,
+    outputs: &mut Outputs,
+    name: String,
+    image: &Image<Srgb>,
+) -> Result<(), StageError> {
     let png = encode_png(image).map_err(|error| StageError::new(error.to_string()))?;
-    ctx.put(&png)
-}
-
-pub(crate) fn put_json(ctx: &Ctx<'_>, value: &impl Serialize) -> Result<marf_cache::Digest, StageError> {
-    let json = serde_json::to_vec(value).map_err(|error| StageError::new(error.to_string()))?;
-    ctx.put(&json)
+    outputs.put_bytes(ctx, name, &png)
 }
 
 fn render(
@@ -96,12 +68,12 @@ fn render(
     Ok(render.to_image())
 }
 
-fn scores(named: &Named<'_>, render: &Image<Srgb>, photo: &Image<Srgb>) -> Result<Scores, TrainError> {
+fn scores(named: &Named<'_>, render: &Image<Srgb>, photo: &Image<Srgb>) -> Result<PhotoScores, TrainError> {
     let psnr = metrics::psnr(render, photo).map_err(|cause| TrainError::Metric {
         id: named.frame.id.clone(),
         cause,
     })?;
-    Ok(Scores {
+    Ok(PhotoScores {
         id: named.frame.id.clone(),
         file: named.frame.file.clone(),
         name: named.name.clone(),
@@ -112,31 +84,15 @@ fn scores(named: &Named<'_>, render: &Image<Srgb>, photo: &Image<Srgb>) -> Resul
     })
 }
 
-fn means(views: Vec<Scores>) -> Metrics {
-    let mean = |value: fn(&Scores) -> Option<f64>| {
+fn means(views: Vec<PhotoScores>) -> Scores {
+    let mean = |value: fn(&PhotoScores) -> Option<f64>| {
         let values: Vec<f64> = views.iter().filter_map(value).collect();
         (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
     };
-    Metrics {
+    Scores {
         psnr: mean(|view| Some(view.psnr)).unwrap_or_default(),
         psnr_paper: mean(|view| view.psnr_paper),
         ssim: mean(|view| view.ssim),
         views,
     }
-}
-
-/// Reads a JSON output of an upstream node.
-pub(crate) fn get_json<T: serde::de::DeserializeOwned>(
-    ctx: &Ctx<'_>,
-    name: &str,
-    digest: &marf_cache::Digest,
-) -> Result<T, StageError> {
-    let bytes = ctx.get(digest)?;
-    serde_json::from_slice(&bytes).map_err(|error| StageError::new(format!("input `{name}`: {error}")))
-}
-
-/// Collects named outputs.
-pub(crate) fn outputs<const N: usize>(named: [(&str, marf_cache::Digest); N]) -> Outputs {
-    let owned = named.map(|(name, digest)| (name.to_owned(), digest));
-    BTreeMap::from(owned)
 }

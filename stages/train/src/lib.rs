@@ -4,7 +4,6 @@
 //! answers depends on photos, cameras, parameters and seed; the clock decides only when a checkpoint is kept,
 //! and, in `pace` alone, how many steps a budget buys on this machine.
 
-mod budget;
 mod error;
 mod evaluate;
 mod fit;
@@ -17,13 +16,8 @@ mod split;
 mod train;
 mod trials;
 
-pub use budget::Budget;
 pub use error::TrainError;
-pub use evaluate::{Evaluate, EvaluateParams, Which};
-pub use fit::CurvePoint;
-pub use judge::{Metrics, Scores};
-pub use memory::Memory;
-pub use pace::{Pace, PaceParams};
-pub use params::{Fit, Holdout, TrainParams, TrialsParams};
-pub use render::{PathKind, Render, RenderParams};
-pub use train::{Report, Train};
+pub use evaluate::Evaluate;
+pub use pace::Pace;
+pub use render::Render;
+pub use train::Train;

@@ -1,101 +1,10 @@
-use std::{fmt, str::FromStr};
-
-use marf_cache::ContentHash;
 use marf_field::{Config, Pixels, decoding_bytes, judging_bytes, training_bytes};
-use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::{Deserialize, Serialize};
+use marf_schema::train::Memory;
 
 use crate::{
     TrainError,
     split::{Named, Split},
 };
-
-/// Memory that a training may take, written as `2GB` or `800MB`; whole megabytes of 10^6 bytes.
-///
-/// A number of its own and not a share of the machine's: what is kept of the photos follows from it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ContentHash)]
-#[serde(try_from = "String", into = "String")]
-pub struct Memory {
-    megabytes: u64,
-}
-
-/// A text that is no memory.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{text}` is no memory; write `2GB` or `800MB`, from 1MB to 1000000GB")]
-pub struct ParseMemoryError {
-    text: String,
-}
-
-impl Default for Memory {
-    fn default() -> Self {
-        Self { megabytes: 4_000 }
-    }
-}
-
-impl Memory {
-    /// Returns the bytes.
-    pub fn bytes(self) -> u64 {
-        self.megabytes * 1_000_000
-    }
-}
-
-impl FromStr for Memory {
-    type Err = ParseMemoryError;
-
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let fail = || ParseMemoryError {
-            text: text.to_owned(),
-        };
-        let trimmed = text.trim();
-        let scaled = |unit: &str, scale: f64| Some((trimmed.strip_suffix(unit)?, scale));
-        let (number, scale) = scaled("GB", 1e3).or_else(|| scaled("MB", 1.0)).ok_or_else(fail)?;
-        let megabytes = number.trim().parse::<f64>().map_err(|_| fail())? * scale + 0.5;
-        if !(1.0..=1e9).contains(&megabytes) {
-            return Err(fail());
-        }
-        Ok(Self {
-            megabytes: megabytes as u64,
-        })
-    }
-}
-
-impl fmt::Display for Memory {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.megabytes.is_multiple_of(1000) {
-            write!(f, "{}GB", self.megabytes / 1000)
-        } else {
-            write!(f, "{}MB", self.megabytes)
-        }
-    }
-}
-
-impl TryFrom<String> for Memory {
-    type Error = ParseMemoryError;
-
-    fn try_from(text: String) -> Result<Self, Self::Error> {
-        text.parse()
-    }
-}
-
-impl From<Memory> for String {
-    fn from(memory: Memory) -> Self {
-        memory.to_string()
-    }
-}
-
-impl JsonSchema for Memory {
-    fn schema_name() -> std::borrow::Cow<'static, str> {
-        "Memory".into()
-    }
-
-    fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        json_schema!({
-            "type": "string",
-            "pattern": "^[0-9.]+ *(MB|GB)$",
-            "description": "Memory that a training may take: `2GB`, `800MB`."
-        })
-    }
-}
 
 /// The program itself, its threads' stacks and scratch, and what the allocator holds back: 60 MB were measured on 2
 /// threads.
@@ -170,8 +79,9 @@ fn largest<'a>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Holdout, split::split};
+    use crate::split::split;
     use marf_scene::{Camera, Frame, Pose, Scene};
+    use marf_schema::train::Holdout;
 
     fn scene(count: usize, width: u32, height: u32) -> Scene {
         let frame = |index: usize| Frame {
@@ -198,33 +108,6 @@ mod tests {
             ..Config::default()
         };
         plan(memory.parse().unwrap(), &split, &times, scale, &config)
-    }
-
-    #[test]
-    fn memory_reads_its_units_and_prints_them() {
-        for (text, printed, bytes) in [
-            ("2GB", "2GB", 2_000_000_000),
-            (" 1.5 GB", "1500MB", 1_500_000_000),
-            ("800MB", "800MB", 800_000_000),
-            ("1000 MB", "1GB", 1_000_000_000),
-        ] {
-            let memory: Memory = text.parse().unwrap();
-            assert_eq!(
-                (memory.to_string().as_str(), memory.bytes()),
-                (printed, bytes),
-                "{text}"
-            );
-            assert_eq!(memory.to_string().parse::<Memory>(), Ok(memory));
-        }
-        for text in [
-            "", "2", "GB", "-1GB", "0MB", "2TB", "nanGB", "infGB", "9e9GB", "2 gigs",
-        ] {
-            let error = text.parse::<Memory>().unwrap_err().to_string();
-            assert!(
-                error.contains(&format!("`{text}`")) && error.contains("`2GB`"),
-                "{error}"
-            );
-        }
     }
 
     #[test]

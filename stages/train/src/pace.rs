@@ -1,14 +1,19 @@
 use std::time::{Duration, Instant};
 
 use marf_cache::ContentHash;
-use marf_field::{Device, EXPECTED_STEPS_PER_S, Overrides, Quality, Trainer};
-use marf_stage::{Ctx, Define, Inputs, Outputs, ParamError, Port, Set, Stage, StageError, Threads, Work};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use marf_field::{EXPECTED_STEPS_PER_S, Trainer};
+use marf_schema::{
+    output::SCENE,
+    pace::{PaceParams, Steps},
+    tune::BestParams,
+};
+use marf_stage::{
+    Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, Stage, StageError, Threads,
+    TypedOutputs, Work,
+};
 
 use crate::{
-    Budget, Fit, Holdout, Memory, TrainError, TrainParams,
-    judge::{outputs, put_json},
+    TrainError,
     memory::plan,
     params,
     split::{split, views},
@@ -27,67 +32,19 @@ pub struct Pace {
     params: PaceParams,
 }
 
-/// Parameters of `pace`: those of `train` that decide how long a step takes.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
-#[serde(deny_unknown_fields)]
-pub struct PaceParams {
-    /// Time to train for (`60s`, `5m`).
-    pub budget: Budget,
-    /// Size of the photos and of the field.
-    #[serde(default)]
-    pub quality: Quality,
-    /// Whole factor by which photos are shrunk; absent: the least that brings them to the size of `quality`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub scale: Option<u32>,
-    /// Memory that the training may take.
-    #[serde(default)]
-    pub memory: Memory,
-    /// Photos that are kept away from training.
-    #[serde(default)]
-    pub holdout: Holdout,
-    /// What decides how large the field is.
-    #[serde(default)]
-    pub fit: Fit,
-    /// Keys of the field; they win over those of the input `params`.
-    #[serde(default)]
-    pub field: Overrides,
-    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
-    /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
-    #[serde(default)]
-    #[content_hash(skip)]
-    pub device: Device,
-}
-
-impl PaceParams {
-    /// Returns what `train` asks to be paced, if it has a budget.
-    pub(crate) fn of(train: &TrainParams) -> Option<Self> {
-        Some(Self {
-            budget: train.budget?,
-            quality: train.quality,
-            scale: train.scale,
-            memory: train.memory,
-            holdout: train.holdout,
-            fit: train.fit,
-            field: train.field.clone(),
-            device: train.device.clone(),
-        })
-    }
-}
-
 impl Define for Pace {
     type Params = PaceParams;
-    const NAME: &'static str = "pace";
+    const NAME: &'static str = PaceParams::STAGE;
     const ABOUT: &'static str = "Measures how many training steps a time budget buys on this machine";
     const VERSION: u32 = 2;
     const PORTS: &'static [Port] = &[
-        Port::required("input", "scene"),
-        Port::optional("params", "params"),
+        Port::required("input", SCENE),
+        Port::optional("params", BestParams::OUTPUT),
     ];
-    const OUTPUTS: &'static [&'static str] = &["steps"];
+    const OUTPUTS: &'static [&'static str] = &[Steps::OUTPUT];
 
     fn new(params: PaceParams) -> Result<Self, ParamError> {
-        params::check_scale(params.scale)?;
-        params::check_field(params.quality, params.fit, &params.field)?;
+        params.check()?;
         Ok(Self { params })
     }
 }
@@ -113,7 +70,7 @@ impl Stage for Pace {
 impl Set for Pace {
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
         let params = &self.params;
-        let scene = read_scene(ctx, inputs.required("scene")?)?;
+        let scene = read_scene(ctx, inputs.required(SCENE)?)?;
         let keys = params::keys(ctx, inputs, &params.field)?;
         let expected = (params.budget.seconds() * EXPECTED_STEPS_PER_S) as u64;
         let config = params::config(&keys, params.quality, params.fit, expected)?;
@@ -125,7 +82,9 @@ impl Set for Pace {
         let mut trainer = trainer(views, &scene, &config, 0, &params.device)?;
         let budget_s = params.budget.seconds();
         let rate = steps_per_second(ctx, &mut trainer, (budget_s / 4.0).min(LONGEST_S))?;
-        Ok(outputs([("steps", put_json(ctx, &steps_in(budget_s, rate))?)]))
+        let mut outputs = Outputs::new();
+        outputs.put(ctx, &Steps(steps_in(budget_s, rate)))?;
+        Ok(outputs)
     }
 }
 

@@ -1,73 +1,21 @@
 use marf_cache::ContentHash;
-use marf_field::{Device, Field, render_in_bands};
+use marf_field::{Field, render_in_bands};
 use marf_scene::{
-    Camera, Image, Pose, Scene, Srgb,
+    Image, Scene, Srgb,
     path::{self, Viewpoint},
     picture::{ColorScale, Palette, draw_map, encode_gif, round_upper_limit},
 };
-use marf_stage::{Ctx, Define, Inputs, Outputs, ParamError, Port, Set, Stage, StageError, Threads, Work};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
-use crate::{
-    TrainError,
-    error::field_failed,
-    judge::{outputs, put_json, put_png},
-    split::named,
-    train::read_scene,
+use marf_schema::{
+    output::{DEPTH, FRAMES, SCENE, VIDEO, WEIGHTS},
+    render::{PathKind, Place, Poses, RenderParams},
+};
+use marf_stage::{
+    Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, Stage, StageError, Threads,
+    TypedOutputs, Work,
 };
 
-/// Where the camera goes.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
-#[serde(rename_all = "snake_case")]
-pub enum PathKind {
-    /// A smooth path through training cameras that lie far apart.
-    #[default]
-    Flythrough,
-    /// To the photos held out.
-    Heldout,
-    /// To the photos trained on.
-    Train,
-    /// Around the point the cameras look at.
-    Orbit,
-}
+use crate::{TrainError, error::field_failed, judge::put_png, split::named, train::read_scene};
 
-/// Parameters of `render`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
-#[serde(default, deny_unknown_fields)]
-pub struct RenderParams {
-    /// Where the camera goes.
-    pub path: PathKind,
-    /// Pictures along the path; for `heldout` and `train` at most so many.
-    pub frames: u32,
-    /// Width of a picture, pixels; the height follows from the photos.
-    pub width: u32,
-    /// Pictures a second of the animation.
-    pub fps: u32,
-    /// Whether pictures of the depth are made too.
-    pub depth: bool,
-    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
-    /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
-    #[content_hash(skip)]
-    pub device: Device,
-}
-
-impl Default for RenderParams {
-    fn default() -> Self {
-        Self {
-            path: PathKind::Flythrough,
-            frames: 48,
-            width: 320,
-            fps: 12,
-            depth: false,
-            device: Device::default(),
-        }
-    }
-}
-
-/// Largest picture and longest animation; beyond it a number is a slip.
-const MAX_WIDTH_PX: u32 = 4096;
-const MAX_FRAMES: u32 = 10_000;
 /// Rays that met less matter than this have no depth.
 const SEEN: f32 = 0.5;
 
@@ -77,34 +25,16 @@ pub struct Render {
     params: RenderParams,
 }
 
-/// An entry of the output `poses`.
-#[derive(Debug, Serialize)]
-struct Place<'a> {
-    name: &'a str,
-    camera: Camera,
-    cam_from_world: Pose,
-}
-
 impl Define for Render {
     type Params = RenderParams;
-    const NAME: &'static str = "render";
+    const NAME: &'static str = RenderParams::STAGE;
     const ABOUT: &'static str = "Renders a trained field along a path: pictures and an animation";
     const VERSION: u32 = 3;
-    const PORTS: &'static [Port] = &[
-        Port::required("input", "weights"),
-        Port::required("input", "scene"),
-    ];
-    const OUTPUTS: &'static [&'static str] = &["video", "poses", "frames/", "depth/"];
+    const PORTS: &'static [Port] = &[Port::required("input", WEIGHTS), Port::required("input", SCENE)];
+    const OUTPUTS: &'static [&'static str] = &[VIDEO, Poses::OUTPUT, FRAMES, DEPTH];
 
     fn new(params: RenderParams) -> Result<Self, ParamError> {
-        let within = |key: &str, value: u32, most: u32| match value {
-            0 => Err(ParamError::new(key, "0 makes no picture; at least 1")),
-            _ if value > most => Err(ParamError::new(key, format!("{value} is more than {most}"))),
-            _ => Ok(()),
-        };
-        within("frames", params.frames, MAX_FRAMES)?;
-        within("width", params.width, MAX_WIDTH_PX)?;
-        within("fps", params.fps, 100)?;
+        params.check()?;
         Ok(Self { params })
     }
 }
@@ -129,13 +59,14 @@ impl Stage for Render {
 
 impl Set for Render {
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
-        let scene = read_scene(ctx, inputs.required("scene")?)?;
-        let field = Field::decode(&ctx.get(inputs.required("weights")?)?);
+        let scene = read_scene(ctx, inputs.required(SCENE)?)?;
+        let field = Field::decode(&ctx.get(inputs.required(WEIGHTS)?)?);
         let field = field
             .and_then(|field| field.on(&self.params.device))
             .map_err(TrainError::from)?;
         let path = viewpoints(&scene, &self.params)?;
-        let mut outputs = outputs([("poses", put_json(ctx, &places(&path))?)]);
+        let mut outputs = Outputs::new();
+        outputs.put(ctx, &Poses(places(&path)))?;
         let (mut pictures, mut depths) = (Vec::new(), Vec::new());
         for (index, place) in path.iter().enumerate() {
             let note = format!("picture {}", place.name);
@@ -143,14 +74,19 @@ impl Set for Render {
             let (camera, pose) = (&place.camera, &place.cam_from_world);
             let render = render_in_bands(&field, camera, pose, || ctx.check(), field_failed)?;
             let picture = render.to_image();
-            outputs.insert(format!("frames/{:04}.png", index + 1), put_png(ctx, &picture)?);
+            put_png(
+                ctx,
+                &mut outputs,
+                format!("{FRAMES}{:04}.png", index + 1),
+                &picture,
+            )?;
             if self.params.depth {
                 depths.push(seen_depth(&render));
             }
             pictures.push(picture);
         }
         put_depths(ctx, &scene, &path, &depths, &mut outputs)?;
-        outputs.insert("video".to_owned(), ctx.put(&video(&pictures, self.params.fps)?)?);
+        outputs.put_bytes(ctx, VIDEO, &video(&pictures, self.params.fps)?)?;
         Ok(outputs)
     }
 }
@@ -174,16 +110,12 @@ fn viewpoints(scene: &Scene, params: &RenderParams) -> Result<Vec<Viewpoint>, Tr
     Ok(path)
 }
 
-fn places(path: &[Viewpoint]) -> Vec<Place<'_>> {
-    let place = |place: &'_ Viewpoint| (place.camera, place.cam_from_world);
+fn places(path: &[Viewpoint]) -> Vec<Place> {
     path.iter()
-        .map(|viewpoint| {
-            let (camera, cam_from_world) = place(viewpoint);
-            Place {
-                name: &viewpoint.name,
-                camera,
-                cam_from_world,
-            }
+        .map(|viewpoint| Place {
+            name: viewpoint.name.clone(),
+            camera: viewpoint.camera,
+            cam_from_world: viewpoint.cam_from_world,
         })
         .collect()
 }
@@ -241,7 +173,7 @@ fn put_depths(
     };
     for (index, (depth, place)) in depths.iter().zip(path).enumerate() {
         let map = draw_map(depth, place.camera.width, place.camera.height, &scale);
-        outputs.insert(format!("depth/{:04}.png", index + 1), put_png(ctx, &map)?);
+        put_png(ctx, outputs, format!("{DEPTH}{:04}.png", index + 1), &map)?;
     }
     Ok(())
 }

@@ -1,10 +1,11 @@
 use marf_cache::digest_of;
 use marf_field::{Pixels, View};
 use marf_scene::{Camera, Frame, Image, Photo, Scene, Srgb, picture_names};
+use marf_schema::train::Holdout;
 use marf_stage::{Ctx, StageError};
 use rayon::prelude::*;
 
-use crate::{Holdout, TrainError, memory::Plan};
+use crate::{TrainError, memory::Plan};
 
 /// Every how many training photos one is held out for [`Holdout::Validation`].
 pub(crate) const VALIDATION_EVERY: usize = 8;

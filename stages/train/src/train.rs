@@ -1,15 +1,21 @@
 use marf_cache::{ContentHash, Digest};
-use marf_field::{Config, Device, Facts, Trainer, View};
+use marf_field::{Config, Device, Trainer, View};
 use marf_scene::Scene;
-use marf_stage::{
-    Ctx, Define, Expand, Inputs, NodeSpec, Outputs, ParamError, Port, Set, Stage, StageError, Threads, Work,
+use marf_schema::{
+    output::{HELDOUT, PHOTO, SCENE, WEIGHTS},
+    pace::{PaceParams, Steps},
+    train::{Curve, Metrics, TrainParams},
+    tune::BestParams,
 };
-use serde::{Deserialize, Serialize};
+use marf_stage::{
+    Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, ParamError, Params, Port, Set, Stage,
+    StageError, Threads, TypedOutputs, Work,
+};
 
 use crate::{
-    Fit, Holdout, Metrics, PaceParams, TrainError, TrainParams,
+    TrainError,
     fit::{Fitted, fit, probes},
-    judge::{judge, outputs, put_json},
+    judge::judge,
     memory::plan,
     params,
     split::{Split, draws, points, split, views},
@@ -26,57 +32,17 @@ pub struct Train {
     params: TrainParams,
 }
 
-/// Output `metrics` of `train`. Nothing in it comes from a clock.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Report {
-    /// On the photos held out.
-    #[serde(flatten)]
-    pub metrics: Metrics,
-    /// Optimiser steps.
-    pub steps: u64,
-    /// Rays trained.
-    pub rays: u64,
-    /// Samples trained.
-    pub samples: u64,
-    /// Mean squared error of the batches of the last eighth, sRGB in [0, 1].
-    pub loss: f64,
-    /// Factor by which photos were shrunk.
-    pub scale: u32,
-    /// One pixel of so many of each training photo was kept; absent: all.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub thinned: Option<u32>,
-    /// Seed.
-    pub seed: u64,
-    /// Which photos were held out.
-    pub holdout: Holdout,
-    /// Photos trained on, each counted once.
-    pub train_photos: u64,
-    /// Photos held out.
-    pub held_out_photos: u64,
-    /// Ids of the photos drawn, as often as they were; only with `resample`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub drawn: Option<Vec<String>>,
-    /// What decided how large the field is.
-    pub fit: Fit,
-    /// The GPU that trained, with driver and interface; absent: the CPU.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub gpu: Option<String>,
-    /// The configuration as it was used.
-    pub config: Config,
-    /// What the field was sized by.
-    pub field: Facts,
-}
-
 impl Define for Train {
     type Params = TrainParams;
-    const NAME: &'static str = "train";
+    const NAME: &'static str = TrainParams::STAGE;
     const ABOUT: &'static str = "Trains a radiance field and measures it on held-out photos";
     const VERSION: u32 = 3;
     const PORTS: &'static [Port] = &[
-        Port::required("input", "scene"),
-        Port::optional("params", "params"),
+        Port::required("input", SCENE),
+        Port::optional("params", BestParams::OUTPUT),
     ];
-    const OUTPUTS: &'static [&'static str] = &["weights", "metrics", "curve", "scene", "heldout/", "photo/"];
+    const OUTPUTS: &'static [&'static str] =
+        &[WEIGHTS, Metrics::OUTPUT, Curve::OUTPUT, SCENE, HELDOUT, PHOTO];
 
     fn new(params: TrainParams) -> Result<Self, ParamError> {
         params.check()?;
@@ -117,19 +83,14 @@ impl Expand for Train {
         let Some(pace) = PaceParams::of(&self.params) else {
             return Ok(Vec::new());
         };
-        let params = serde_json::to_value(pace).map_err(|error| StageError::new(error.to_string()))?;
-        Ok(vec![NodeSpec {
-            name: "pace".to_owned(),
-            stage: "pace".to_owned(),
-            params,
-            inputs: inputs.clone(),
-        }])
+        Ok(vec![NodeSpec::of(PaceParams::STAGE, &pace, inputs)?])
     }
 
     fn reduce(&self, ctx: &Ctx<'_>, inputs: &Inputs, children: &[Outputs]) -> Result<Outputs, StageError> {
-        let found = children.first().and_then(|pace| pace.get("steps"));
-        let digest = found.ok_or_else(|| StageError::new("`pace` gave no steps"))?;
-        let steps: u64 = crate::judge::get_json(ctx, "steps", digest)?;
+        let pace = children
+            .first()
+            .ok_or_else(|| StageError::new("`pace` gave no steps"))?;
+        let Steps(steps) = pace.read(ctx)?;
         train(
             ctx,
             inputs,
@@ -140,7 +101,7 @@ impl Expand for Train {
 }
 
 fn train(ctx: &Ctx<'_>, inputs: &Inputs, params: &TrainParams, steps: u64) -> Result<Outputs, StageError> {
-    let scene_digest = inputs.required("scene")?;
+    let scene_digest = inputs.required(SCENE)?;
     let scene = read_scene(ctx, scene_digest)?;
     let keys = params::keys(ctx, inputs, &params.field)?;
     let scale = params::scale(params.scale, params.quality, &scene);
@@ -162,13 +123,14 @@ fn train(ctx: &Ctx<'_>, inputs: &Inputs, params: &TrainParams, steps: u64) -> Re
     let trainer = trainer(views, &scene, &config, params.seed, &params.device)?;
     let Fitted { field, log } = fit(ctx, trainer, steps, &probes)?;
     let field = field.with_trials(trials);
-    let mut outputs = outputs([("scene", *scene_digest), ("weights", ctx.put(&field.encode())?)]);
-    let report = Report {
-        metrics: judge(ctx, &field, &split.held_out, scale, &mut outputs)?,
+    let mut outputs = Outputs::from([(SCENE.to_owned(), *scene_digest)]);
+    outputs.put_bytes(ctx, WEIGHTS, &field.encode())?;
+    let metrics = Metrics {
+        scores: judge(ctx, &field, &split.held_out, scale, &mut outputs)?,
         steps,
         rays: log.rays,
         samples: log.samples,
-        loss: log.curve.last().map_or(0.0, |point| point.loss),
+        loss: log.curve.0.last().map_or(0.0, |point| point.loss),
         scale,
         thinned: (plan.run > 1).then_some(plan.run),
         seed: params.seed,
@@ -181,8 +143,8 @@ fn train(ctx: &Ctx<'_>, inputs: &Inputs, params: &TrainParams, steps: u64) -> Re
         config,
         field: field.facts().clone(),
     };
-    outputs.insert("metrics".to_owned(), put_json(ctx, &report)?);
-    outputs.insert("curve".to_owned(), put_json(ctx, &log.curve)?);
+    outputs.put(ctx, &metrics)?;
+    outputs.put(ctx, &log.curve)?;
     Ok(outputs)
 }
 

@@ -4,10 +4,11 @@ use marf_field::{
     Background, Config, Device, Field, Gain, Overrides, Quality, Trainer, Trial, View, ViewDependence,
 };
 use marf_scene::Scene;
+use marf_schema::train::{Fit, TrainParams};
 use marf_stage::{Ctx, StageError};
 
 use crate::{
-    Fit, TrainError, TrainParams,
+    TrainError,
     fit::shrunk,
     judge::mean_psnr,
     memory::plan,

@@ -8,6 +8,5 @@ mod draw;
 mod params;
 mod reduce;
 
-pub use draw::{Range, Space, default_space, draw};
-pub use params::{Tune, TuneParams};
-pub use reduce::{Scatter, Trial};
+pub use draw::draw;
+pub use params::Tune;

@@ -1,58 +1,17 @@
 use marf_cache::ContentHash;
-use marf_field::{Device, Overrides, Quality};
+use marf_field::Overrides;
 use marf_scene::Scene;
-use marf_stage::{Ctx, Define, Expand, Inputs, NodeSpec, Outputs, ParamError, Port, Stage, StageError, Work};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-use serde_json::json;
-
-use crate::{
-    draw::{Space, default_space, draw},
-    reduce::reduce,
+use marf_schema::{
+    output::SCENE,
+    train::{Holdout, TrainParams, TrialsParams},
+    tune::{BestParams, Scatter, Trials, TuneParams},
+};
+use marf_stage::{
+    Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, ParamError, Params, Port, Stage, StageError,
+    Work,
 };
 
-/// Parameters of `tune`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
-#[serde(default, deny_unknown_fields)]
-pub struct TuneParams {
-    /// Parameter sets that are tried, the defaults among them.
-    pub trials: u32,
-    /// Seed of the draws, and of every trial's weights and rays.
-    pub seed: u64,
-    /// Size of the photos and of the field that the draws are laid over.
-    pub quality: Quality,
-    /// Optimiser steps of a trial; absent: a quarter of those of `quality`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub steps: Option<u64>,
-    /// Whole factor by which photos are shrunk; absent: the least that brings them to half the size of `quality`,
-    /// for most of a trial's time goes into rendering the photos it is judged by.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub scale: Option<u32>,
-    /// What may be tried: key = `{ log = [low, high] }`, `{ int = [low, high] }` or `{ choice = [..] }`; a choice that
-    /// is a table sets its own keys, and its name here is only a name.
-    pub space: Space,
-    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
-    /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
-    #[content_hash(skip)]
-    pub device: Device,
-}
-
-impl Default for TuneParams {
-    fn default() -> Self {
-        Self {
-            trials: 6,
-            seed: 0,
-            quality: Quality::default(),
-            steps: None,
-            scale: None,
-            space: default_space(),
-            device: Device::default(),
-        }
-    }
-}
-
-/// Most trials; beyond it a number is a slip.
-const MAX_TRIALS: u32 = 1000;
+use crate::{draw::draw, reduce::reduce};
 
 /// Tries parameter sets on validation photos and keeps the best.
 ///
@@ -64,46 +23,16 @@ pub struct Tune {
 
 impl Define for Tune {
     type Params = TuneParams;
-    const NAME: &'static str = "tune";
+    const NAME: &'static str = TuneParams::STAGE;
     const ABOUT: &'static str = "Tries parameters of the field at random and keeps the best";
     const VERSION: u32 = 1;
-    const PORTS: &'static [Port] = &[Port::required("input", "scene")];
-    const OUTPUTS: &'static [&'static str] = &["params", "trials", "scatter"];
+    const PORTS: &'static [Port] = &[Port::required("input", SCENE)];
+    const OUTPUTS: &'static [&'static str] = &[BestParams::OUTPUT, Trials::OUTPUT, Scatter::OUTPUT];
 
     fn new(params: TuneParams) -> Result<Self, ParamError> {
-        check(&params)?;
+        params.check()?;
         Ok(Self { params })
     }
-}
-
-fn check(params: &TuneParams) -> Result<(), ParamError> {
-    if !(1..=MAX_TRIALS).contains(&params.trials) {
-        let message = format!(
-            "{} trials; from 1, which is the defaults, to {MAX_TRIALS}",
-            params.trials
-        );
-        return Err(ParamError::new("trials", message));
-    }
-    for (key, value) in [("steps", params.steps), ("scale", params.scale.map(u64::from))] {
-        if value == Some(0) {
-            return Err(ParamError::new(key, "0 gives nothing; at least 1"));
-        }
-    }
-    for (key, range) in &params.space {
-        let path = format!("space.{key}");
-        if let Some(fault) = range.fault() {
-            return Err(ParamError::new(path, fault));
-        }
-        for value in range.extremes() {
-            let set = match value {
-                serde_json::Value::Object(table) => Overrides(table.into_iter().collect()),
-                value => Overrides([(key.clone(), value)].into()),
-            };
-            let checked = set.over(&params.quality.config());
-            checked.map_err(|error| ParamError::new(path.as_str(), error.message))?;
-        }
-    }
-    Ok(())
 }
 
 impl Stage for Tune {
@@ -123,19 +52,20 @@ impl Expand for Tune {
             ..self.params.clone()
         };
         let params = &params;
-        let trials = (0..params.trials).map(|trial| {
+        let mut nodes = Vec::with_capacity(params.trials as usize + 1);
+        for trial in 0..params.trials {
             let set = draw(&params.space, params.seed, trial);
-            node(params, format!("trial-{trial:02}"), params.seed, &set, inputs)
-        });
+            nodes.push(node(
+                params,
+                &format!("trial-{trial:02}"),
+                params.seed,
+                set,
+                inputs,
+            )?);
+        }
         let again = params.seed.wrapping_add(1);
-        let scatter = node(
-            params,
-            "scatter-00".to_owned(),
-            again,
-            &Overrides::default(),
-            inputs,
-        );
-        Ok(trials.chain([scatter]).collect())
+        nodes.push(node(params, "scatter-00", again, Overrides::default(), inputs)?);
+        Ok(nodes)
     }
 
     fn reduce(&self, ctx: &Ctx<'_>, _inputs: &Inputs, children: &[Outputs]) -> Result<Outputs, StageError> {
@@ -148,7 +78,7 @@ impl Tune {
         if let Some(scale) = self.params.scale {
             return Ok(scale);
         }
-        let scene = Scene::decode(&ctx.get(inputs.required("scene")?)?)
+        let scene = Scene::decode(&ctx.get(inputs.required(SCENE)?)?)
             .map_err(|error| StageError::new(error.to_string()))?;
         let cameras = scene.frames.iter().map(|frame| &frame.camera);
         let longest = cameras
@@ -160,28 +90,38 @@ impl Tune {
     }
 }
 
-fn node(params: &TuneParams, name: String, seed: u64, set: &Overrides, inputs: &Inputs) -> NodeSpec {
-    let steps = params.steps.unwrap_or((params.quality.steps() / 4).max(1));
-    let mut table = json!({
-        "quality": params.quality, "steps": steps, "seed": seed, "holdout": "validation", "field": set,
-        "scale": params.scale, "trials": {"steps": 0},
-    });
-    if params.device != Device::default() {
-        table["device"] = json!(params.device);
-    }
-    NodeSpec {
-        name,
-        stage: "train".to_owned(),
-        params: table,
-        inputs: inputs.clone(),
-    }
+/// Returns the training of one parameter set, judged on validation photos.
+fn node(
+    params: &TuneParams,
+    name: &str,
+    seed: u64,
+    set: Overrides,
+    inputs: &Inputs,
+) -> Result<NodeSpec, StageError> {
+    let train = TrainParams {
+        quality: params.quality,
+        steps: Some(params.steps.unwrap_or((params.quality.steps() / 4).max(1))),
+        seed,
+        scale: params.scale,
+        holdout: Holdout::Validation,
+        trials: TrialsParams {
+            steps: Some(0),
+            ..TrialsParams::default()
+        },
+        field: set,
+        device: params.device.clone(),
+        ..TrainParams::default()
+    };
+    NodeSpec::of(name, &train, inputs)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use marf_cache::digest_of;
     use marf_scene::{Camera, Frame, Pose};
     use marf_stage::harness::Harness;
+    use serde_json::json;
 
     fn asked(table: serde_json::Value) -> Vec<NodeSpec> {
         let harness = Harness::default();
@@ -235,29 +175,27 @@ mod tests {
         assert_eq!(nodes[0].params["field"], nodes[2].params["field"]);
     }
 
+    /// The keys of trials follow from these: other parameters would train all stores anew.
     #[test]
-    fn what_cannot_be_searched_is_refused_by_its_key() {
-        for (table, key) in [
-            (json!({"trials": 0}), "trials"),
-            (json!({"trials": 1001}), "trials"),
-            (json!({"steps": 0}), "steps"),
+    fn a_trial_has_the_parameters_it_always_had() {
+        let device = json!("gpu:a100");
+        for (table, given) in [
             (
-                json!({"space": {"lerning_rate": {"log": [0.1, 0.2]}}}),
-                "space.lerning_rate",
+                json!({"trials": 2, "scale": 3}),
+                json!({"scale": 3, "steps": 375}),
             ),
             (
-                json!({"space": {"log2_table": {"int": [14, 99]}}}),
-                "space.log2_table",
-            ),
-            (json!({"space": {"cone": {"log": [0.2, 0.1]}}}), "space.cone"),
-            (
-                json!({"space": {"layout": {"choice": [{"levls": 8}]}}}),
-                "space.layout",
+                json!({"trials": 2, "seed": 7, "steps": 40, "quality": "best", "device": device}),
+                json!({"seed": 7, "steps": 40, "quality": "best", "scale": 2, "device": device}),
             ),
         ] {
-            let error = Tune::new(serde_json::from_value(table).unwrap()).unwrap_err();
-            assert_eq!(error.path, key, "{error:?}");
+            let mut written = json!({"holdout": "validation", "trials": {"steps": 0}});
+            let keys = given.as_object().unwrap().clone();
+            written.as_object_mut().unwrap().extend(keys);
+            let written: TrainParams = serde_json::from_value(written).unwrap();
+            let node = asked(table).swap_remove(0);
+            let bound: TrainParams = serde_json::from_value(node.params).unwrap();
+            assert_eq!((digest_of(&bound), &bound), (digest_of(&written), &written));
         }
-        Tune::new(TuneParams::default()).unwrap();
     }
 }

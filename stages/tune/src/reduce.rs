@@ -1,45 +1,10 @@
-use marf_field::Overrides;
-use marf_stage::{Ctx, Outputs, StageError};
-use serde::{Deserialize, Serialize};
-use serde_json::json;
+use marf_schema::{
+    train::Metrics,
+    tune::{BestParams, Scatter, Trial, Trials, TuneParams},
+};
+use marf_stage::{Ctx, Document, Outputs, StageError, TypedOutputs};
 
-use crate::{TuneParams, draw};
-
-/// A row of the output `trials`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Trial {
-    /// Its number; 0 is the defaults.
-    pub trial: u32,
-    /// 1 is the best PSNR; of equals the first.
-    pub rank: u32,
-    /// Mean PSNR on the validation photos, dB.
-    pub psnr: f64,
-    /// The paper's definition.
-    pub psnr_paper: Option<f64>,
-    /// Mean SSIM.
-    pub ssim: Option<f64>,
-    /// What was set.
-    pub params: Overrides,
-}
-
-/// Output `scatter`: how much of a difference the seed alone makes.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Scatter {
-    /// PSNR of the defaults with the seed and with the next one, dB.
-    pub psnr: [f64; 2],
-    /// Their distance, dB: gains below it may be chance.
-    pub difference_db: f64,
-    /// What the best trial has above the defaults, dB.
-    pub best_minus_default_db: f64,
-}
-
-/// Of `train`'s metrics, what is needed here.
-#[derive(Debug, Clone, Deserialize)]
-struct Trained {
-    psnr: f64,
-    psnr_paper: Option<f64>,
-    ssim: Option<f64>,
-}
+use crate::draw;
 
 /// Ranks the trials and writes what the best one had set.
 pub(crate) fn reduce(
@@ -65,27 +30,35 @@ pub(crate) fn reduce(
         return Err(StageError::new("no trial came back"));
     };
     let scatter = Scatter {
-        psnr: [default.psnr, again.psnr],
-        difference_db: (default.psnr - again.psnr).abs(),
+        psnr: [default.psnr, again.scores.psnr],
+        difference_db: (default.psnr - again.scores.psnr).abs(),
         best_minus_default_db: best.psnr - default.psnr,
     };
     let mut outputs = Outputs::new();
-    outputs.insert("params".to_owned(), put(ctx, &json!({ "field": best.params }))?);
-    outputs.insert("trials".to_owned(), put(ctx, &trials)?);
-    outputs.insert("scatter".to_owned(), put(ctx, &scatter)?);
+    let field = best.params.clone();
+    outputs.put(ctx, &BestParams { field })?;
+    outputs.put(ctx, &Trials(trials))?;
+    outputs.put(ctx, &scatter)?;
     Ok(outputs)
 }
 
-fn read(ctx: &Ctx<'_>, index: u32, outputs: &Outputs) -> Result<Trained, StageError> {
-    let missing = || StageError::new(format!("trial {index:02} has no output `metrics`"));
-    let bytes = ctx.get(outputs.get("metrics").ok_or_else(missing)?)?;
-    let malformed = |error| StageError::new(format!("trial {index:02}, output `metrics`: {error}"));
-    serde_json::from_slice(&bytes).map_err(malformed)
+fn read(ctx: &Ctx<'_>, index: u32, outputs: &Outputs) -> Result<Metrics, StageError> {
+    let name = Metrics::OUTPUT;
+    let missing = || StageError::new(format!("trial {index:02} has no output `{name}`"));
+    let bytes = ctx.get(outputs.get(name).ok_or_else(missing)?)?;
+    Metrics::decode(&bytes)
+        .map_err(|error| StageError::new(format!("trial {index:02}, output `{name}`: {error}")))
 }
 
-fn ranked(params: &TuneParams, trained: &[Trained]) -> Vec<Trial> {
+fn ranked(params: &TuneParams, trained: &[Metrics]) -> Vec<Trial> {
     let mut order: Vec<usize> = (0..trained.len()).collect();
-    order.sort_by(|a, b| trained[*b].psnr.total_cmp(&trained[*a].psnr).then(a.cmp(b)));
+    order.sort_by(|a, b| {
+        trained[*b]
+            .scores
+            .psnr
+            .total_cmp(&trained[*a].scores.psnr)
+            .then(a.cmp(b))
+    });
     let mut ranks = vec![0; trained.len()];
     for (rank, index) in (1_u32..).zip(order) {
         ranks[index] = rank;
@@ -94,17 +67,12 @@ fn ranked(params: &TuneParams, trained: &[Trained]) -> Vec<Trial> {
     rows.map(|((trial, trained), rank)| Trial {
         trial,
         rank,
-        psnr: trained.psnr,
-        psnr_paper: trained.psnr_paper,
-        ssim: trained.ssim,
+        psnr: trained.scores.psnr,
+        psnr_paper: trained.scores.psnr_paper,
+        ssim: trained.scores.ssim,
         params: draw(&params.space, params.seed, trial),
     })
     .collect()
-}
-
-fn put(ctx: &Ctx<'_>, value: &impl Serialize) -> Result<marf_cache::Digest, StageError> {
-    let json = serde_json::to_vec(value).map_err(|error| StageError::new(error.to_string()))?;
-    ctx.put(&json)
 }
 
 #[cfg(test)]
@@ -112,14 +80,19 @@ mod tests {
     use super::*;
     use crate::Tune;
     use marf_cache::Digest;
+    use marf_schema::example;
     use marf_stage::{Define, Expand, Inputs, harness::Harness};
+    use serde_json::json;
 
     fn reduced(psnr: &[f64]) -> (Vec<Trial>, Scatter, serde_json::Value, Outputs) {
         let harness = Harness::default();
         let child = |psnr: &f64| {
-            let metrics = json!({"psnr": psnr, "psnr_paper": null, "ssim": 0.5, "steps": 9});
-            let digest = harness.put(&serde_json::to_vec(&metrics).unwrap());
-            Outputs::from([("metrics".to_owned(), digest)])
+            let mut metrics = example::train_metrics();
+            (metrics.scores.psnr, metrics.scores.psnr_paper) = (*psnr, None);
+            metrics.scores.ssim = Some(0.5);
+            let mut outputs = Outputs::new();
+            outputs.put(&harness.ctx(), &metrics).unwrap();
+            outputs
         };
         let children: Vec<Outputs> = psnr.iter().map(child).collect();
         let params = TuneParams {

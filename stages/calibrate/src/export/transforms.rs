@@ -3,7 +3,7 @@
 use marf_scene::{Camera, Frame, Pose, Scene};
 use serde::Serialize;
 
-use crate::outputs::POINTS;
+use marf_schema::output::POINTS;
 
 #[derive(Serialize)]
 struct Transforms<'a> {

@@ -19,7 +19,7 @@ use super::reconstruction::Reconstruction;
 use crate::calibration::{Calibration, PhotoStatistics, PlacedPhoto, mean_up};
 use crate::export::{Observation, TrackPoint};
 use crate::labels::median;
-use crate::params::CalibrateParams;
+use marf_schema::calibrate::CalibrateParams;
 use crate::photos::{as_png, reduction};
 
 /// Returns the calibration of the largest model and of those in the same metric frame.

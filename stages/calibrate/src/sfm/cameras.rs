@@ -5,7 +5,7 @@ use marf_sfm::two_view::FocalKnown;
 use marf_sfm::view_graph::{SharedCamera, View};
 
 use super::photo_features::PhotoFeatures;
-use crate::params::{CalibrateParams, Intrinsics};
+use marf_schema::calibrate::{CalibrateParams, Intrinsics};
 use crate::photos::InputPhoto;
 
 /// Standard deviation of the focal lengths of labels and of EXIF, as a fraction. A tenth of a percent is our choice: the

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 
 use super::memo_table::MemoTable;
 use super::photo_features::PhotoFeatures;
-use crate::params::{CalibrateParams, Pairs};
+use marf_schema::calibrate::{CalibrateParams, Pairs};
 
 /// Raised when matching or verification may change.
 const VERSION: u32 = 1;

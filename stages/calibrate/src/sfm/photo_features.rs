@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::memo_table::MemoTable;
 use crate::labels::{Candidate, Pixels, ideal};
 use crate::masks::mask_file;
-use crate::params::{CalibrateParams, FirstOctaveParam};
+use marf_schema::calibrate::{CalibrateParams, FirstOctaveParam};
 use crate::photos::{InputPhoto, as_png, decode, store};
 
 /// Raised when features, working images or label cameras may change.

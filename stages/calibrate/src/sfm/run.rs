@@ -15,7 +15,7 @@ use super::reconstruction::Reconstruction;
 use super::{assemble, cameras, compare, earlier};
 use crate::calibration::Calibration;
 use crate::labels;
-use crate::params::{CalibrateParams, LensParam, PrincipalPoint};
+use marf_schema::calibrate::{CalibrateParams, LensParam, PrincipalPoint};
 use crate::photos::InputPhoto;
 
 /// Returns the cameras of the photos by structure from motion.

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use marf_cache::Digest;
+use marf_pds::listing::{self, Entry};
 use marf_stage::{Ctx, StageError};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use crate::listing::{self, Entry};
 use crate::net::{Answer, Client, Url, Validators, Want};
 
 /// Largest page that is read.

@@ -4,6 +4,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use marf_pds::values;
 use marf_stage::{Ctx, ParamError, StageError};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -13,7 +14,6 @@ use super::offer::{Offer, Offered, Offers, Survey};
 use crate::net::{Answer, Client, Origin, Url, Want};
 use crate::params::{FeedArchive, Instrument, Mission};
 use crate::sols::Sols;
-use crate::values;
 
 /// Records asked for at a time.
 const PER_PAGE: usize = 100;

@@ -2,13 +2,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use marf_pds::{ProductName, join_key};
 use marf_stage::{Ctx, StageError};
 
 use super::crawl::{Crawl, Folder, urls};
 use super::offer::{Offer, Offered, Offers, Survey};
 use super::trees::{Holding, Tree, exposure};
 use crate::archive::{extension, stem};
-use crate::names::{ProductName, join_key};
 use crate::net::Client;
 use crate::params::Discover;
 use crate::sols::Sols;

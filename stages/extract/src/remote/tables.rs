@@ -2,14 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use marf_pds::index_table::{Index, IndexError};
+use marf_pds::{ProductName, inventory};
 use marf_stage::{ParamError, StageError};
 
 use super::crawl::{Crawl, memory_key, recall, remember, urls};
 use super::offer::Survey;
 use super::pds::{Found, Pds};
 use super::trees::Tree;
-use crate::index_table::Index;
-use crate::inventory;
 use crate::net::{Answer, Validators, Want};
 use crate::params::Discover;
 use crate::sols::Sols;
@@ -59,7 +59,7 @@ pub(super) fn by_inventory(pds: &Pds, crawl: &Crawl<'_>, sols: &Sols) -> Result<
         let Some(stem) = inventory::file_stems(member).into_iter().next() else {
             continue;
         };
-        let Some(sol) = crate::names::ProductName::read(&stem).and_then(|name| name.sol) else {
+        let Some(sol) = ProductName::read(&stem).and_then(|name| name.sol) else {
             continue;
         };
         for tree in pds.holding.layouts.iter().flatten() {
@@ -105,7 +105,7 @@ pub(super) fn by_index(pds: &Pds, crawl: &Crawl<'_>, sols: &Sols) -> Result<Surv
 /// The products of one volume, by sol: label and pixels of each.
 fn index_of(crawl: &Crawl<'_>, volume: &str) -> Result<BTreeMap<u32, Vec<Found>>, StageError> {
     let paths = INDEX.map(|name| format!("{volume}/INDEX/{name}"));
-    let bad = |error: crate::index_table::IndexError| unreadable(&paths[1], &error.to_string());
+    let bad = |error: IndexError| unreadable(&paths[1], &error.to_string());
     let index = Index::of(&whole(crawl, &paths[0])?).map_err(bad)?;
     let table = whole(crawl, &paths[1])?;
     let mut found: BTreeMap<u32, Vec<Found>> = BTreeMap::new();

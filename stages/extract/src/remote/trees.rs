@@ -1,9 +1,9 @@
 //! Where the Planetary Data System keeps the products of each camera (reference: PDS imaging node, collections of
 //! Mars 2020 and volumes of MSL).
 
+use marf_pds::{ProductName, Scheme};
 use marf_stage::ParamError;
 
-use crate::names::{ProductName, Scheme};
 use crate::params::{Instrument, Level, Mission, PdsArchive, PixelSource};
 
 /// Folders that hold one folder a sol.

@@ -20,7 +20,7 @@ use std::path::Path;
 use std::sync::{Arc, LazyLock, Mutex};
 
 use common::{real, source, stage};
-use marf_extract::demo::{Demo, DemoFile, DemoOptions};
+use marf_demo::{Demo, DemoFile, DemoOptions};
 use marf_stage::harness::Harness;
 use marf_stage::{Listing, StageError, Verdict};
 use serde_json::{Value, json};

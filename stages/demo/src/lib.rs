@@ -1,0 +1,419 @@
+//! A built-in Mars: procedural, deterministic, offline, with ground truth.
+//!
+//! Serves what a real archive serves: images and PDS4 labels, named in the Mars 2020 scheme, good photos and
+//! flawed ones. The same options give the same bytes on every machine and for any thread count: only
+//! + - * / and sqrt are used, and every pixel is a function of its place alone.
+
+mod flaws;
+mod ground;
+mod label;
+mod lens;
+mod light;
+mod math;
+mod plan;
+mod render;
+mod rocks;
+#[cfg(test)]
+mod tests;
+mod tour;
+mod truth;
+mod world;
+
+use std::{
+    io::Cursor,
+    ops::RangeInclusive,
+    sync::{
+        OnceLock,
+        atomic::{AtomicU64, Ordering},
+    },
+};
+
+use image::{ExtendedColorType, ImageEncoder, codecs::jpeg::JpegEncoder, codecs::png::PngEncoder};
+use marf_cache::{ContentHash, Digest, digest_of};
+use marf_scene::{Image, Srgb};
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use label::Facts;
+use math::Display;
+use plan::{Product, View};
+use render::Shot;
+use tour::{Stop, Taken};
+use world::World;
+
+pub use plan::FlawKind;
+pub use truth::{Flaw, RangeMap, TruePhoto, Truth};
+
+/// Version of what the demo draws and writes; raised when any byte of it may change.
+pub const DEMO_VERSION: u32 = 1;
+
+/// Sols that can be asked for; 1 and 2 are the usual ones.
+pub const SOLS: RangeInclusive<u32> = plan::SOLS;
+
+/// What may be chosen about the demo.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ContentHash, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct DemoOptions {
+    /// Width of the photos in pixels, from 16 to 4096.
+    pub width_px: u32,
+    /// Height of the photos in pixels, from 16 to 4096.
+    pub height_px: u32,
+    /// Seed of the landscape, of the tour and of the errors in the labels.
+    pub seed: u64,
+}
+
+impl Default for DemoOptions {
+    fn default() -> Self {
+        Self {
+            width_px: 640,
+            height_px: 480,
+            seed: 1,
+        }
+    }
+}
+
+/// A file of the archive.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DemoFile {
+    /// Name, without a folder (in [`Demo::archive`], truth lies under `truth/`).
+    pub name: String,
+    /// Content.
+    pub bytes: Vec<u8>,
+}
+
+/// Why the demo gave no files.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum DemoError {
+    /// The caller asked to stop.
+    #[error("stopped")]
+    Cancelled,
+    /// A sol out of range.
+    #[error("the demo has no sol {sol}; ask for one of {} to {}", SOLS.start(), SOLS.end())]
+    Sol {
+        /// The sol asked for.
+        sol: u32,
+    },
+    /// A photo too small or too large to draw.
+    #[error("the demo draws photos of 16 to 4096 pixels a side, not {width_px} x {height_px}")]
+    Size {
+        /// Width asked for.
+        width_px: u32,
+        /// Height asked for.
+        height_px: u32,
+    },
+    /// A file that is no good photo of the sol.
+    #[error("the demo took no good photo `{file}` on sol {sol}")]
+    File {
+        /// The name asked for.
+        file: String,
+        /// The sol.
+        sol: u32,
+    },
+    /// An image that could not be encoded.
+    #[error("`{file}` could not be encoded: {message}")]
+    Encode {
+        /// Name of the file.
+        file: String,
+        /// What the encoder said.
+        message: String,
+    },
+}
+
+/// Hears (files done, files in all) of a sol; called from several threads.
+pub type OnProgress<'a> = &'a (dyn Fn(u64, u64) + Sync);
+/// Tells whether to stop; asked from several threads, before each photo.
+pub type IsCancelled<'a> = &'a (dyn Fn() -> bool + Sync);
+
+/// The demo with its options; the landscape is made when first needed, in about half a second.
+pub struct Demo {
+    options: DemoOptions,
+    world: OnceLock<World>,
+}
+
+impl Demo {
+    /// Checks the options.
+    ///
+    /// # Errors
+    /// [`DemoError::Size`].
+    pub fn new(options: DemoOptions) -> Result<Self, DemoError> {
+        let DemoOptions {
+            width_px, height_px, ..
+        } = options;
+        let drawable = |side: u32| (16..=4096).contains(&side);
+        if !drawable(width_px) || !drawable(height_px) {
+            return Err(DemoError::Size { width_px, height_px });
+        }
+        Ok(Self {
+            options,
+            world: OnceLock::new(),
+        })
+    }
+
+    /// Returns a digest of everything [`Demo::files`] depends on; draws nothing.
+    ///
+    /// # Errors
+    /// [`DemoError::Sol`].
+    pub fn fingerprint(&self, sol: u32) -> Result<Digest, DemoError> {
+        check(sol)?;
+        Ok(digest_of(&(DEMO_VERSION, sol, &self.options)))
+    }
+
+    /// Draws the images of a sol and writes their labels: about 20 good photos and 13 flawed ones, each file
+    /// followed by its label. Takes about half a second a photo and core.
+    ///
+    /// # Errors
+    /// [`DemoError::Sol`], [`DemoError::Cancelled`], [`DemoError::Encode`].
+    pub fn files(
+        &self,
+        sol: u32,
+        progress: OnProgress<'_>,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Vec<DemoFile>, DemoError> {
+        let tour = self.tour(sol)?;
+        let (done, total) = (
+            AtomicU64::new(0),
+            tour.views.iter().map(|view| view.products.len() as u64).sum(),
+        );
+        let display = Display::new();
+        let files = tour.views.par_iter().map(|view| {
+            if cancelled() {
+                return Err(DemoError::Cancelled);
+            }
+            let files = self.view(&tour, view, &display)?;
+            let finished = view.products.len() as u64;
+            progress(done.fetch_add(finished, Ordering::Relaxed) + finished, total);
+            Ok(files)
+        });
+        Ok(files.collect::<Result<Vec<_>, _>>()?.concat())
+    }
+
+    /// Returns what is really so on a sol; draws nothing.
+    ///
+    /// # Errors
+    /// [`DemoError::Sol`].
+    pub fn ground_truth(&self, sol: u32) -> Result<Truth, DemoError> {
+        let tour = self.tour(sol)?;
+        let mut truth = Truth {
+            photos: Vec::new(),
+            flaws: Vec::new(),
+        };
+        for view in &tour.views {
+            let good = view
+                .products
+                .iter()
+                .find(|product| product.flaw.is_none())
+                .map(Product::file);
+            truth
+                .photos
+                .extend(good.clone().map(|file| self.true_photo(&tour, view, file)));
+            truth.flaws.extend(view.products.iter().filter_map(|product| {
+                Some(Flaw {
+                    file: product.file(),
+                    kind: product.flaw?,
+                    twin: good.clone(),
+                })
+            }));
+        }
+        Ok(truth)
+    }
+
+    /// Returns the distances a good photo really shows.
+    ///
+    /// # Errors
+    /// [`DemoError::Sol`], [`DemoError::File`].
+    pub fn ranges(&self, sol: u32, file: &str) -> Result<RangeMap, DemoError> {
+        let tour = self.tour(sol)?;
+        let shows = |view: &&View| {
+            let mut products = view.products.iter();
+            products.any(|product| product.flaw.is_none() && product.file() == file)
+        };
+        let view = tour.views.iter().find(shows).ok_or_else(|| DemoError::File {
+            file: file.to_owned(),
+            sol,
+        })?;
+        let shot = self.shot(&self.taken(&tour, view));
+        Ok(RangeMap {
+            width: shot.width,
+            height: shot.height,
+            range_m: shot.ranges_m(),
+        })
+    }
+
+    /// Returns an archive folder of several sols: images and labels side by side, and under `truth/` one JSON
+    /// a sol. Writing it is the caller's.
+    ///
+    /// # Errors
+    /// As [`Demo::files`].
+    pub fn archive(
+        &self,
+        sols: RangeInclusive<u32>,
+        progress: OnProgress<'_>,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Vec<DemoFile>, DemoError> {
+        let mut all = Vec::new();
+        for sol in sols {
+            all.extend(self.files(sol, progress, cancelled)?);
+            all.push(DemoFile {
+                name: format!("truth/sol_{sol:04}.json"),
+                bytes: format!("{:#}\n", self.ground_truth(sol)?.to_json()).into_bytes(),
+            });
+        }
+        Ok(all)
+    }
+
+    fn world(&self) -> &World {
+        self.world.get_or_init(|| World::new(self.options.seed))
+    }
+
+    fn tour(&self, sol: u32) -> Result<Tour, DemoError> {
+        check(sol)?;
+        let stops = tour::stops(self.world(), self.options.seed, sol);
+        let drives: Vec<u32> = stops.iter().map(|stop| stop.drive).collect();
+        Ok(Tour {
+            sol,
+            views: plan::views(sol, &drives),
+            stops,
+        })
+    }
+
+    fn taken(&self, tour: &Tour, view: &View) -> Taken {
+        let size_px = (self.options.width_px, self.options.height_px);
+        let stop = &tour.stops[view.pointing.stop];
+        tour::take(stop, &view.pointing, view.eye, size_px, self.options.seed)
+    }
+
+    fn shot(&self, taken: &Taken) -> Shot<'_> {
+        Shot {
+            world: self.world(),
+            lens: taken.site,
+            width: self.options.width_px,
+            height: self.options.height_px,
+        }
+    }
+
+    fn true_photo(&self, tour: &Tour, view: &View, file: String) -> TruePhoto {
+        let taken = self.taken(tour, view);
+        let stop = &tour.stops[view.pointing.stop];
+        let (cam_from_site, pinhole) =
+            truth::pinhole_of(&taken.site, self.options.width_px, self.options.height_px);
+        TruePhoto {
+            file,
+            rover_model: taken.rover.cahvor(),
+            site_from_rover: truth::pose_of(stop.site_from_rover),
+            site_model: taken.site.cahvor(),
+            cam_from_site,
+            pinhole,
+        }
+    }
+
+    /// Makes the files of one view; Mars is drawn once for all of them.
+    fn view(&self, tour: &Tour, view: &View, display: &Display) -> Result<Vec<DemoFile>, DemoError> {
+        let taken = self.taken(tour, view);
+        let shows_mars = view
+            .products
+            .iter()
+            .any(|product| product.flaw.is_none_or(FlawKind::shows_mars));
+        let photo = if shows_mars {
+            self.shot(&taken).photo(display)
+        } else {
+            Image::from_fn(self.options.width_px, self.options.height_px, |_, _| [0; 3])
+        };
+        let mut files = Vec::new();
+        for product in &view.products {
+            let salt = math::mix32(product.clock_s ^ self.options.seed as u32);
+            let (width, height, bands, bytes) = picture(product, &photo, salt)?;
+            let factor = self.options.width_px / width;
+            let facts = Facts {
+                sol: tour.sol,
+                view,
+                product,
+                stop: &tour.stops[view.pointing.stop],
+                taken: &taken,
+                told: taken.told_rover.reduced(factor),
+                width,
+                height,
+                bands,
+            };
+            let name = product.file();
+            files.push(DemoFile { name, bytes });
+            files.push(DemoFile {
+                name: format!("{}.xml", product.id),
+                bytes: label::xml(&facts).into_bytes(),
+            });
+        }
+        Ok(files)
+    }
+}
+
+/// What happens on one sol.
+struct Tour {
+    sol: u32,
+    stops: Vec<Stop>,
+    views: Vec<View>,
+}
+
+fn check(sol: u32) -> Result<(), DemoError> {
+    SOLS.contains(&sol).then_some(()).ok_or(DemoError::Sol { sol })
+}
+
+/// Returns width, height, bands and bytes of a product.
+fn picture(product: &Product, photo: &Image<Srgb>, salt: u32) -> Result<(u32, u32, u32, Vec<u8>), DemoError> {
+    let (width, height) = (photo.width, photo.height);
+    let image = match product.flaw {
+        None | Some(FlawKind::ExactCopy) => return png(product, photo),
+        Some(FlawKind::MonoCopy | FlawKind::Mono) => return mono_png(product, photo),
+        Some(FlawKind::Reencoded) => return jpeg(product, photo, 75),
+        Some(FlawKind::Truncated) => {
+            let (width, height, bands, mut bytes) = jpeg(product, photo, 92)?;
+            bytes.truncate(bytes.len() / 2);
+            return Ok((width, height, bands, bytes));
+        }
+        Some(FlawKind::Thumbnail) => photo.box_reduced(plan::THUMBNAIL_FACTOR),
+        Some(FlawKind::EqualBands) => flaws::mapped(photo, |pixel| [flaws::luma(pixel); 3]),
+        Some(FlawKind::NarrowBand(filter)) => flaws::narrow_band(photo, filter),
+        Some(FlawKind::Defocus) => flaws::defocused(photo),
+        Some(FlawKind::Motion) => flaws::smeared(photo),
+        Some(FlawKind::Noise) => flaws::noise(width, height, salt),
+        Some(FlawKind::ColourBlocks) => flaws::colour_blocks(width, height, salt),
+        Some(FlawKind::Deck) => flaws::deck(width, height, salt),
+        Some(FlawKind::Dark) => flaws::dark(width, height, salt),
+    };
+    png(product, &image)
+}
+
+type Encoded = Result<(u32, u32, u32, Vec<u8>), DemoError>;
+
+fn png(product: &Product, image: &Image<Srgb>) -> Encoded {
+    let bytes = marf_scene::encode_png(image).map_err(|error| failed(product, &error))?;
+    Ok((image.width, image.height, 3, bytes))
+}
+
+fn mono_png(product: &Product, image: &Image<Srgb>) -> Encoded {
+    let luma: Vec<u8> = image.pixels.iter().map(|&pixel| flaws::luma(pixel)).collect();
+    let mut bytes = Vec::new();
+    PngEncoder::new(&mut bytes)
+        .write_image(&luma, image.width, image.height, ExtendedColorType::L8)
+        .map_err(|error| failed(product, &error))?;
+    Ok((image.width, image.height, 1, bytes))
+}
+
+fn jpeg(product: &Product, image: &Image<Srgb>, quality: u8) -> Encoded {
+    let mut bytes = Cursor::new(Vec::new());
+    JpegEncoder::new_with_quality(&mut bytes, quality)
+        .write_image(
+            image.pixels.as_flattened(),
+            image.width,
+            image.height,
+            ExtendedColorType::Rgb8,
+        )
+        .map_err(|error| failed(product, &error))?;
+    Ok((image.width, image.height, 3, bytes.into_inner()))
+}
+
+fn failed(product: &Product, error: &dyn std::fmt::Display) -> DemoError {
+    DemoError::Encode {
+        file: product.file(),
+        message: error.to_string(),
+    }
+}

@@ -1,0 +1,34 @@
+//! Readers of what NASA's archives of rover photos hold: labels (ODL, PDS3, PDS4, VICAR, records of the raw-image
+//! feeds), arrays of pixels, product names, index tables, inventories of collections, and folder pages.
+//!
+//! Every reader takes bytes and returns typed values: no file, network, clock or random number is used. The bytes are
+//! not trusted: each reader bounds the memory it takes, and returns an error for what it cannot read.
+
+mod camera;
+mod companding;
+mod demosaic;
+mod describe;
+pub mod exif;
+pub mod feed;
+mod fit;
+#[doc(hidden)]
+pub mod fuzzing;
+pub mod index_table;
+pub mod inventory;
+mod label;
+pub mod listing;
+mod names;
+mod odl;
+mod pds3;
+pub mod pds4;
+mod pixels;
+pub mod raw;
+#[cfg(test)]
+mod testing;
+mod tone;
+pub mod values;
+mod vicar;
+
+pub use label::{Label, Phase};
+pub use names::{ProductName, Scheme, join_key};
+pub use tone::WHITE_RADIANCE;

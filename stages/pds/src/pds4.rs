@@ -1,0 +1,419 @@
+//! PDS4 labels: XML, read by namespace and explicit path, never by a search through the whole document (which
+//! would hit the copies under commanded parameters).
+
+mod array;
+mod guard;
+
+use roxmltree::{Document, Node, ParsingOptions};
+
+use crate::camera::{CameraError, RawModel};
+use crate::label::{FramePose, Label, MAX_LABEL_BYTES, Phase, ordered_counter, same_place};
+use crate::values;
+
+const PDS: &str = "http://pds.nasa.gov/pds4/pds/v1";
+const GEOM: &str = "http://pds.nasa.gov/pds4/geom/v1";
+const IMG: &str = "http://pds.nasa.gov/pds4/img/v1";
+const MSN: &str = "http://pds.nasa.gov/pds4/msn/v1";
+const MARS2020: &str = "http://pds.nasa.gov/pds4/mission/mars2020/v1";
+/// Real labels have up to 4,000 nodes.
+const MAX_NODES: u32 = 200_000;
+/// Most attributes of one element; real labels have up to 30. The parser compares each with all others.
+const MAX_ATTRIBUTES: usize = 1_000;
+
+/// XML that is no PDS4 label of an observation.
+#[derive(Debug, thiserror::Error)]
+pub enum Pds4Error {
+    /// Larger than any label.
+    #[error("{0} bytes of XML, at most {MAX_LABEL_BYTES} are read")]
+    TooLarge(usize),
+    /// Not UTF-8.
+    #[error("XML that is not UTF-8")]
+    Encoding,
+    /// Not well-formed, with a document type, or of too many nodes.
+    #[error("XML is refused: {0}")]
+    Malformed(#[from] roxmltree::Error),
+    /// An element that only serves to keep a parser busy.
+    #[error("XML is refused: an element has more than {MAX_ATTRIBUTES} attributes")]
+    Attributes,
+    /// Another document.
+    #[error("XML whose root is not `Product_Observational` of PDS4")]
+    NoLabel,
+}
+
+/// Reads a label.
+///
+/// # Errors
+/// See [`Pds4Error`]; a label without a usable camera is no error but a note.
+pub fn read(bytes: &[u8]) -> Result<Label, Pds4Error> {
+    if bytes.len() > MAX_LABEL_BYTES {
+        return Err(Pds4Error::TooLarge(bytes.len()));
+    }
+    let text = std::str::from_utf8(bytes).map_err(|_| Pds4Error::Encoding)?;
+    if guard::most_attributes(bytes) > MAX_ATTRIBUTES {
+        return Err(Pds4Error::Attributes);
+    }
+    let options = ParsingOptions {
+        nodes_limit: MAX_NODES,
+        ..ParsingOptions::default()
+    };
+    let document = Document::parse_with_options(text, options)?;
+    let root = document.root_element();
+    if !root.has_tag_name((PDS, "Product_Observational")) {
+        return Err(Pds4Error::NoLabel);
+    }
+    Ok(label(root))
+}
+
+fn label(root: Node<'_, '_>) -> Label {
+    let area = child(root, PDS, "Observation_Area");
+    let discipline = area.and_then(|area| child(area, PDS, "Discipline_Area"));
+    let imaging = discipline.and_then(|area| child(area, IMG, "Imaging"));
+    let mut label = Label {
+        product: product(root),
+        sol: area.and_then(sol),
+        instrument: area.and_then(instrument),
+        filter: imaging.and_then(filter),
+        focal_mm: imaging
+            .and_then(|node| number_at(node, &[(IMG, "Optical_Properties"), (IMG, "focal_length")]))
+            .filter(|focal| *focal > 0.0),
+        averaged: imaging.and_then(averaged).unwrap_or(1),
+        array: array::read(root),
+        ..Label::default()
+    };
+    if let Some(array) = &mut label.array {
+        let bits = imaging.and_then(|node| number_at(node, &[(IMG, "Sampling"), (IMG, "sample_bits")]));
+        array.bits = bits
+            .filter(|bits| (1.0..=32.0).contains(bits))
+            .map(|bits| bits as u32);
+        array.companded_by = imaging.and_then(companded_by);
+    }
+    label.size = label.array.as_ref().map(|array| (array.shape[2], array.shape[1]));
+    label.mosaic = imaging.and_then(|node| mosaic(node, &mut label.notes));
+    match discipline.and_then(geometry) {
+        Some(lander) => add_camera(lander, &mut label),
+        None => label.notes.push("label has no camera".to_owned()),
+    }
+    label
+}
+
+fn child<'a, 'd>(node: Node<'a, 'd>, namespace: &str, name: &str) -> Option<Node<'a, 'd>> {
+    node.children()
+        .find(|child| child.has_tag_name((namespace, name)))
+}
+
+fn children<'a, 'd>(
+    node: Node<'a, 'd>,
+    namespace: &'a str,
+    name: &'a str,
+) -> impl Iterator<Item = Node<'a, 'd>> {
+    node.children()
+        .filter(move |child| child.has_tag_name((namespace, name)))
+}
+
+fn at<'a, 'd>(node: Node<'a, 'd>, path: &[(&str, &str)]) -> Option<Node<'a, 'd>> {
+    path.iter()
+        .try_fold(node, |node, (namespace, name)| child(node, namespace, name))
+}
+
+fn text_at(node: Node<'_, '_>, path: &[(&str, &str)]) -> Option<String> {
+    values::known(at(node, path)?.text()?)
+}
+
+fn number_at(node: Node<'_, '_>, path: &[(&str, &str)]) -> Option<f64> {
+    values::number(at(node, path)?.text()?)
+}
+
+fn product(root: Node<'_, '_>) -> Option<String> {
+    let identification = child(root, PDS, "Identification_Area")?;
+    text_at(
+        identification,
+        &[(PDS, "Alias_List"), (PDS, "Alias"), (PDS, "alternate_id")],
+    )
+    .or_else(|| {
+        let lid = text_at(identification, &[(PDS, "logical_identifier")])?;
+        Some(lid.rsplit(':').next()?.to_ascii_uppercase())
+    })
+}
+
+fn sol(area: Node<'_, '_>) -> Option<u32> {
+    let mission = [
+        (PDS, "Mission_Area"),
+        (MARS2020, "Mars2020_Parameters"),
+        (MARS2020, "Observation_Information"),
+        (MARS2020, "sol_number"),
+    ];
+    let surface = [
+        (PDS, "Discipline_Area"),
+        (MSN, "Mission_Information"),
+        (MSN, "Surface_Mission"),
+        (MSN, "start_sol_number"),
+    ];
+    text_at(area, &mission)
+        .or_else(|| text_at(area, &surface))
+        .and_then(|text| values::sol(&text))
+}
+
+fn instrument(area: Node<'_, '_>) -> Option<String> {
+    let system = child(area, PDS, "Observing_System")?;
+    let component = children(system, PDS, "Observing_System_Component")
+        .find(|component| text_at(*component, &[(PDS, "type")]).as_deref() == Some("Instrument"))?;
+    text_at(component, &[(PDS, "name")])
+}
+
+fn filter(imaging: Node<'_, '_>) -> Option<String> {
+    let filter = child(imaging, IMG, "Optical_Filter")?;
+    text_at(filter, &[(IMG, "filter_number")]).or_else(|| text_at(filter, &[(IMG, "filter_name")]))
+}
+
+fn averaged(imaging: Node<'_, '_>) -> Option<u32> {
+    let box_size = at(
+        imaging,
+        &[(IMG, "Downsampling"), (IMG, "Pixel_Averaging_Dimensions")],
+    )?;
+    let [height, width] = ["height_pixels", "width_pixels"].map(|name| number_at(box_size, &[(IMG, name)]));
+    (height == width)
+        .then_some(width?)
+        .filter(|side| (1.0..=64.0).contains(side))
+        .map(|side| side as u32)
+}
+
+/// The table whose codes the pixels still are. Further copies below commanded parameters are not looked at.
+fn companded_by(imaging: Node<'_, '_>) -> Option<String> {
+    let companding = at(imaging, &[(IMG, "Sampling"), (IMG, "Companding")])?;
+    let state = text_at(companding, &[(IMG, "companding_state")])?;
+    state
+        .eq_ignore_ascii_case("Companded")
+        .then(|| text_at(companding, &[(IMG, "processing_algorithm")]))?
+}
+
+fn mosaic(imaging: Node<'_, '_>, notes: &mut Vec<String>) -> Option<Phase> {
+    let colours = child(imaging, IMG, "Color_Filter_Array")?;
+    let is = |name, word: &str| {
+        text_at(colours, &[(IMG, name)]).is_some_and(|text| text.eq_ignore_ascii_case(word))
+    };
+    if !(is("color_filter_array_state", "Encoded") && is("color_filter_array_type", "Bayer RGGB")) {
+        return None;
+    }
+    let first = |name| number_at(imaging, &[(IMG, "Detector"), (IMG, name)]).filter(|first| *first >= 1.0);
+    match (first("first_line"), first("first_sample")) {
+        (Some(line), Some(sample)) => Some(Phase {
+            line: line as u32 - 1,
+            sample: sample as u32 - 1,
+        }),
+        _ => {
+            notes.push(
+                "label does not say where on the detector the mosaic starts: taken as its first pixel".into(),
+            );
+            Some(Phase::default())
+        }
+    }
+}
+
+/// The first geometry of a lander that has a camera model; further ones are refined solutions.
+fn geometry<'a, 'd>(discipline: Node<'a, 'd>) -> Option<Node<'a, 'd>> {
+    let geometry = child(discipline, GEOM, "Geometry")?;
+    children(geometry, GEOM, "Geometry_Lander")
+        .find(|lander| child(*lander, GEOM, "Camera_Model_Parameters").is_some())
+}
+
+fn add_camera(lander: Node<'_, '_>, label: &mut Label) {
+    let Some(parameters) = child(lander, GEOM, "Camera_Model_Parameters") else {
+        return;
+    };
+    let raw = match model(parameters) {
+        Ok(raw) => raw,
+        Err(error) => return label.refuse_camera(&error),
+    };
+    let definitions: Vec<_> = children(lander, GEOM, "Coordinate_Space_Definition").collect();
+    let reference =
+        child(parameters, GEOM, "Coordinate_Space_Reference").and_then(|node| space(node, &definitions));
+    let Some(reference) = reference else {
+        label
+            .notes
+            .push("label has no usable camera: its frame is not named".to_owned());
+        return;
+    };
+    let pose = frame_pose(&reference, &definitions);
+    let counter = counter(lander, &reference, &mut label.notes);
+    label.set_camera(&raw, reference.frame, pose, counter);
+}
+
+/// Dispatches on the element that is there: old dictionaries say CAHVORE above a CAHVOR.
+fn model(parameters: Node<'_, '_>) -> Result<RawModel, CameraError> {
+    let named = |name| child(parameters, GEOM, name);
+    let says_cahvore = text_at(parameters, &[(GEOM, "model_type")]).as_deref() == Some("CAHVORE");
+    if let Some(node) = named("CAHVORE_Model") {
+        let kind = number_at(node, &[(GEOM, "cahvore_model_type")]);
+        let kind = kind.ok_or(CameraError::Number("cahvore_model_type"))? as i64;
+        let parameter = number_at(node, &[(GEOM, "cahvore_model_parameter")]);
+        let parameter = parameter.or((kind != 3).then_some(0.0));
+        let parameter = parameter.ok_or(CameraError::Number("cahvore_model_parameter"))?;
+        return Ok(RawModel {
+            entrance: Some((vector(node, "Entrance_Terms", "c0 c1 c2", "E")?, kind, parameter)),
+            distortion: Some(distortion(node)?),
+            cahv: cahv(node)?,
+        });
+    }
+    if says_cahvore {
+        return Err(CameraError::Number("E of a CAHVORE"));
+    }
+    let (node, distorted) = match (named("CAHVOR_Model"), named("CAHV_Model")) {
+        (Some(node), _) => (node, true),
+        (None, Some(node)) => (node, false),
+        (None, None) => return Err(CameraError::Number("a CAHV, CAHVOR or CAHVORE model")),
+    };
+    Ok(RawModel {
+        cahv: cahv(node)?,
+        distortion: distorted.then(|| distortion(node)).transpose()?,
+        entrance: None,
+    })
+}
+
+fn cahv(node: Node<'_, '_>) -> Result<[[f64; 3]; 4], CameraError> {
+    Ok([
+        vector(node, "Vector_Center", "x_position y_position z_position", "C")?,
+        vector(node, "Vector_Axis", "x_unit y_unit z_unit", "A")?,
+        vector(node, "Vector_Horizontal", "x_pixel y_pixel z_pixel", "H")?,
+        vector(node, "Vector_Vertical", "x_pixel y_pixel z_pixel", "V")?,
+    ])
+}
+
+/// O under its new or its old name, and R.
+fn distortion(node: Node<'_, '_>) -> Result<[[f64; 3]; 2], CameraError> {
+    let o = vector(node, "Vector_Optical", "x_unit y_unit z_unit", "O")
+        .or_else(|_| vector(node, "Optical_Terms", "c0 c1 c2", "O"))?;
+    Ok([o, vector(node, "Radial_Terms", "c0 c1 c2", "R")?])
+}
+
+fn vector(
+    node: Node<'_, '_>,
+    name: &str,
+    parts: &str,
+    letter: &'static str,
+) -> Result<[f64; 3], CameraError> {
+    let node = child(node, GEOM, name).ok_or(CameraError::Number(letter))?;
+    let numbers: Option<Vec<f64>> = parts
+        .split(' ')
+        .map(|part| number_at(node, &[(GEOM, part)]))
+        .collect();
+    numbers
+        .and_then(|numbers| numbers.try_into().ok())
+        .ok_or(CameraError::Number(letter))
+}
+
+/// A frame with the counters it is valid for.
+struct Space {
+    frame: String,
+    index: Vec<(String, i64)>,
+}
+
+/// Reads a reference to a frame: by type and index, or by the identifier of a definition.
+fn space(reference: Node<'_, '_>, definitions: &[Node<'_, '_>]) -> Option<Space> {
+    if let Some(indexed) = child(reference, GEOM, "Coordinate_Space_Indexed") {
+        return Some(Space {
+            frame: text_at(indexed, &[(GEOM, "coordinate_space_frame_type")])?,
+            index: index(indexed, "Coordinate_Space_Index"),
+        });
+    }
+    let local = child(reference, PDS, "Local_Internal_Reference")
+        .or_else(|| child(reference, GEOM, "Local_Internal_Reference"))?;
+    let wanted = text_at(local, &[(PDS, "local_identifier_reference")])?;
+    let names = |node: &Node<'_, '_>| {
+        children(*node, PDS, "local_identifier")
+            .any(|name| name.text().map(str::trim) == Some(wanted.as_str()))
+    };
+    present(*definitions.iter().find(|node| names(node))?)
+}
+
+fn present(definition: Node<'_, '_>) -> Option<Space> {
+    let indexed = at(
+        definition,
+        &[
+            (GEOM, "Coordinate_Space_Present"),
+            (GEOM, "Coordinate_Space_Indexed"),
+        ],
+    )?;
+    Some(Space {
+        frame: text_at(indexed, &[(GEOM, "coordinate_space_frame_type")])?,
+        index: index(indexed, "Coordinate_Space_Index"),
+    })
+}
+
+/// Counters by name; older labels call the name `index_name`.
+fn index(node: Node<'_, '_>, element: &str) -> Vec<(String, i64)> {
+    let read = |entry: Node<'_, '_>| {
+        let name =
+            text_at(entry, &[(GEOM, "index_id")]).or_else(|| text_at(entry, &[(GEOM, "index_name")]))?;
+        Some((
+            name,
+            values::integer(&text_at(entry, &[(GEOM, "index_value_number")])?)?,
+        ))
+    };
+    node.children()
+        .filter(|child| child.has_tag_name((GEOM, element)))
+        .filter_map(read)
+        .collect()
+}
+
+/// Finds the definition of just this frame and these counters, relative to a site.
+///
+/// MSL labels hold a second, mislabelled definition of ROVER_NAV_FRAME: hence every counter must be there.
+fn frame_pose(reference: &Space, definitions: &[Node<'_, '_>]) -> FramePose {
+    if reference.frame == "SITE_FRAME" {
+        return FramePose::IsSite;
+    }
+    let fits = |node: &&Node<'_, '_>| {
+        present(**node).is_some_and(|space| {
+            // Fragments without counters in the definition are taken by frame alone.
+            let counters =
+                space.index.is_empty() || reference.index.iter().all(|entry| space.index.contains(entry));
+            space.frame == reference.frame && counters
+        }) && child(**node, GEOM, "Coordinate_Space_Reference")
+            .and_then(|node| space(node, definitions))
+            .is_some_and(|space| space.frame == "SITE_FRAME" && same_place(&space.index, &reference.index))
+    };
+    definitions
+        .iter()
+        .find(fits)
+        .and_then(|node| definition_pose(*node))
+        .unwrap_or(FramePose::Unknown)
+}
+
+fn definition_pose(definition: Node<'_, '_>) -> Option<FramePose> {
+    let offset = vector(
+        definition,
+        "Vector_Origin_Offset",
+        "x_position y_position z_position",
+        "offset",
+    )
+    .ok()?;
+    let node = child(definition, GEOM, "Quaternion_Plus_Direction")
+        .or_else(|| child(definition, GEOM, "Quaternion_1"))?;
+    let part = |name| number_at(node, &[(GEOM, name)]);
+    let [w, x, y, z] = [part("qcos")?, part("qsin1")?, part("qsin2")?, part("qsin3")?];
+    let reverse = text_at(node, &[(GEOM, "rotation_direction")]).is_some_and(|word| word != "Forward");
+    let quaternion = if reverse { [w, -x, -y, -z] } else { [w, x, y, z] };
+    Some(FramePose::Given { quaternion, offset })
+}
+
+/// The rover's counters at the photo; where they are of another place than the camera's frame, those of the frame.
+fn counter(lander: Node<'_, '_>, reference: &Space, notes: &mut Vec<String>) -> Vec<i64> {
+    let whole = child(lander, GEOM, "Motion_Counter").map(|node| index(node, "Motion_Counter_Index"));
+    let whole = whole.unwrap_or_default();
+    if !same_place(&whole, &reference.index) {
+        notes.push(format!(
+            "label's motion counter {:?} is not that of its camera's frame {:?}: the latter is taken",
+            ordered_counter(&whole),
+            ordered_counter(&reference.index)
+        ));
+        return ordered_counter(&reference.index);
+    }
+    let counter = ordered_counter(&whole);
+    if counter.is_empty() {
+        return ordered_counter(&reference.index);
+    }
+    counter
+}
+
+#[cfg(test)]
+mod tests;

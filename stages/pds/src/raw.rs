@@ -1,0 +1,161 @@
+//! Products whose pixels lie behind an attached label, or are described by a detached one.
+
+use marf_scene::{Image, Photo, Srgb, encode_png};
+
+use crate::demosaic;
+use crate::label::{Array, Label, MAX_LABEL_BYTES, Phase, Quantity};
+use crate::names::ProductName;
+use crate::pixels;
+use crate::{companding, describe, odl, pds3, vicar};
+
+/// Reads the label at the head of a file: VICAR, or PDS3 / ODL.
+///
+/// # Errors
+/// Why there is none, or why it is not of a photo.
+pub fn head(bytes: &[u8]) -> Result<Label, String> {
+    let group = match vicar::parse(bytes) {
+        Some(group) => group,
+        None => {
+            let start = &bytes[..bytes.len().min(MAX_LABEL_BYTES)];
+            let known = [
+                "PDS_VERSION_ID",
+                "ODL_VERSION_ID",
+                "CCSD3ZF",
+                "NJPL",
+                "XV_COMPATIBILITY",
+                "FILE_TYPE",
+            ];
+            if !known
+                .iter()
+                .any(|word| start.trim_ascii_start().starts_with(word.as_bytes()))
+            {
+                return Err("no label at the head of the file".to_owned());
+            }
+            odl::parse(start).map_err(|error| error.to_string())?
+        }
+    };
+    match pds3::no_photo(&group) {
+        Some(reason) => Err(reason),
+        None => Ok(pds3::label(&group)),
+    }
+}
+
+/// What a file of raw pixels gave.
+pub struct Developed {
+    /// The image.
+    pub image: Image<Srgb>,
+    /// Bands: 1 or 3, a mosaic counts as 3.
+    pub bands: u8,
+    /// How stored values became codes.
+    pub notes: Vec<String>,
+    /// The label at its head, if it has one.
+    pub attached: Option<Label>,
+}
+
+/// Makes an image of a file's pixels by the label at its head, else by the one beside it.
+///
+/// # Errors
+/// Why it cannot.
+pub fn develop(
+    name: Option<&ProductName>,
+    bytes: &[u8],
+    beside: Option<&Label>,
+) -> Result<Developed, String> {
+    let (attached, reason) = match head(bytes) {
+        Ok(label) => (
+            Some(label),
+            "its label describes no array that is read".to_owned(),
+        ),
+        Err(reason) => (None, reason),
+    };
+    let own = attached.as_ref().filter(|label| label.array.is_some());
+    let Some((label, array)) = own
+        .or(beside)
+        .and_then(|label| Some((label, label.array.as_ref()?)))
+    else {
+        return Err(reason);
+    };
+    let mut array = array.clone();
+    if let Some(quantity) = name.and_then(|name| quantity(name, &array)) {
+        array.quantity = quantity;
+    }
+    let mosaic = label
+        .mosaic
+        .filter(|_| array.shape[0] == 1 && label.averaged <= 1);
+    // Processed products are no codes any more, though their labels still tell how the camera stored them.
+    if !name.is_some_and(ProductName::is_as_received) {
+        array.companded_by = None;
+    }
+    let scheme = name.map(|name| name.scheme);
+    let codes = array.companded_by.as_deref();
+    let table = codes.and_then(|codes| companding::table(codes, scheme));
+    let mut made = pixels::make(&array, mosaic, table, bytes).map_err(|error| error.to_string())?;
+    made.notes
+        .insert(0, format!("samples {}", describe::array(&array)));
+    if label.mosaic.is_none() && array.shape[0] == 1 && name.is_some_and(ProductName::says_mosaic) {
+        made.notes
+            .push("the name says colour mosaic, the label does not: left as it is".to_owned());
+    }
+    Ok(Developed {
+        image: made.image,
+        bands: made.bands,
+        notes: made.notes,
+        attached,
+    })
+}
+
+/// What a scaled array holds, by the product's type, where the label names no unit: RA? and RZ? radiance, IO? I/F.
+fn quantity(name: &ProductName, array: &Array) -> Option<Quantity> {
+    if array.quantity != Quantity::Counts {
+        return None;
+    }
+    match name.product_type.get(..2)? {
+        "RA" | "RZ" => Some(Quantity::Radiance),
+        "IO" => Some(Quantity::Reflectance),
+        _ => None,
+    }
+}
+
+/// Makes a colour PNG of a picture that is still a mosaic by its name: one band, or three equal ones.
+/// `None` where it is none.
+pub fn develop_mosaic(photo: &Photo, phase: Option<Phase>) -> Option<Photo> {
+    let grey = photo
+        .image
+        .pixels
+        .iter()
+        .all(|[red, green, blue]| red == green && green == blue);
+    if !grey {
+        return None;
+    }
+    let plane: Vec<f32> = photo
+        .image
+        .pixels
+        .iter()
+        .map(|pixel| f32::from(pixel[0]) / 255.0)
+        .collect();
+    let (width, height) = (photo.image.width as usize, photo.image.height as usize);
+    let rgb = demosaic::rggb(&plane, width, height, phase.unwrap_or_default())?;
+    let mut developed = photo.clone();
+    developed.image.pixels = rgb
+        .into_iter()
+        .map(|pixel| pixel.map(pixels::stored_code))
+        .collect();
+    developed.bands = 3;
+    developed
+        .notes
+        .push("colour mosaic (RGGB) interpolated after Malvar, He and Cutler".to_owned());
+    if phase.is_none() {
+        developed
+            .notes
+            .push("where on the detector it starts is not known: taken as its first pixel".to_owned());
+    }
+    Some(developed)
+}
+
+/// Encodes what was made, as later stages decode it.
+///
+/// # Errors
+/// An image of zero pixels.
+pub fn png(image: &Image<Srgb>) -> Result<Vec<u8>, String> {
+    encode_png(image).map_err(|error| error.to_string())
+}

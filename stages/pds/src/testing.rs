@@ -1,0 +1,18 @@
+//! What the unit tests of several modules share.
+#![allow(clippy::print_stdout, reason = "a test that is skipped says so")]
+
+use std::path::{Path, PathBuf};
+
+/// The folder of real data, where it is there.
+pub fn real(name: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("MARF_SHARED_DATA").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
+        PathBuf::from,
+    );
+    let path = root.join(name);
+    if !path.is_dir() {
+        println!("skipped: {name} needs ../shared/data");
+        return None;
+    }
+    Some(path)
+}

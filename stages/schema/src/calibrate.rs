@@ -1,0 +1,281 @@
+//! `calibrate`: photos and priors to a calibrated scene.
+
+use marf_cache::ContentHash;
+use marf_stage::{Document, ParamError, Params};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// How cameras are found, and what is done with the photos.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(default, deny_unknown_fields)]
+pub struct CalibrateParams {
+    /// Where cameras come from: `sfm` (the photos themselves, labels as priors), `labels` (the archive's labels
+    /// as they are), `import` (transforms.json or a COLMAP model beside the photos) or `colmap` (an installed
+    /// COLMAP is run on the photos).
+    pub method: Method,
+    /// Every so many photos, sorted by file name and starting with the first, one is kept from training and
+    /// measured; 0 keeps none. An import with train and test file names decides by itself.
+    pub hold_every: u32,
+    /// Longest side of the photos the field is trained on, in pixels: larger ones are reduced by a whole
+    /// factor. Without it photos keep their size.
+    pub longest_side_px: Option<u32>,
+    /// Fewest photos with a camera; with fewer the node fails and says why.
+    pub min_registered: u32,
+    /// `labels`: the site (first number of the rover motion counter) to build; without it the one with most
+    /// photos. Frames of different sites agree to metres only.
+    pub site: Option<i64>,
+    /// `sfm`: most features of a photo.
+    pub max_features: u32,
+    /// `sfm`: longest side at which features are sought, in pixels: larger photos are reduced by a whole factor.
+    pub feature_side_px: u32,
+    /// `sfm`: where the search for features begins: `native`, or `doubled` (more features, four times the work).
+    pub first_octave: FirstOctaveParam,
+    /// `sfm`: which photos are compared: `auto`, `exhaustive` or `sequential`.
+    pub pairs: Pairs,
+    /// `sfm`: fewest verified matches that link two photos.
+    pub min_matches: u32,
+    /// `sfm`: lens terms: `auto` (the smallest model the photos support), `pinhole`, `simple-radial`, `radial`,
+    /// `opencv`.
+    pub lens: LensParam,
+    /// `sfm`: which photos share a camera: `camera` (one instrument, size and focal length) or `photo` (none).
+    pub intrinsics: Intrinsics,
+    /// `sfm`: principal point: `centre` (of the photo, or the label's), `free`, or `auto` (free where 20 photos
+    /// and more look from all sides, no label tells it, and the photos ask for it).
+    pub principal_point: PrincipalPoint,
+    /// `sfm`: seed of all random samples.
+    pub seed: u64,
+    /// `import`: the file to read (`transforms.json`, `sparse/0/cameras.bin`), where there are several.
+    pub file: Option<String>,
+    /// `sfm`: keep the scene of the last run as it is and register only the photos that are new. That scene is
+    /// then an input of this node; without it, or with `false`, the scene is built anew.
+    pub extend: bool,
+    /// `colmap`: the program to run; without it the `colmap` that is found on PATH.
+    pub colmap: Option<String>,
+}
+
+/// Where cameras come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "lowercase")]
+pub enum Method {
+    /// Structure from motion: the photos themselves, labels as priors.
+    Sfm,
+    /// Camera models and rover poses of the labels.
+    Labels,
+    /// Cameras of another program.
+    Import,
+    /// An installed COLMAP; its answer is not the same to the byte on every machine.
+    Colmap,
+}
+
+/// Where the search for features begins.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "lowercase")]
+pub enum FirstOctaveParam {
+    /// At the working size.
+    Native,
+    /// At twice the working size: more and smaller features for four times the work.
+    Doubled,
+}
+
+/// Which photos are compared.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "lowercase")]
+pub enum Pairs {
+    /// All of up to 60 photos; of more, neighbours by name, those that look alike and those whose labels say so.
+    Auto,
+    /// All.
+    Exhaustive,
+    /// Neighbours by name: those 1, 2, 4, 8 … further on.
+    Sequential,
+}
+
+/// Which lens terms the cameras get.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "kebab-case")]
+pub enum LensParam {
+    /// The smallest model the photos support.
+    Auto,
+    /// None.
+    Pinhole,
+    /// k1.
+    SimpleRadial,
+    /// k1 and k2.
+    Radial,
+    /// k1, k2, p1 and p2.
+    Opencv,
+}
+
+/// What becomes of the principal point.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "lowercase")]
+pub enum PrincipalPoint {
+    /// Moves where the photos support it.
+    Auto,
+    /// Stays where it is.
+    Centre,
+    /// Moves as the last step.
+    Free,
+}
+
+/// Which photos share a camera.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "lowercase")]
+pub enum Intrinsics {
+    /// Photos of one instrument, size and focal length.
+    Camera,
+    /// None: each has its own.
+    Photo,
+}
+
+impl Params for CalibrateParams {
+    const STAGE: &'static str = "calibrate";
+}
+
+impl Default for CalibrateParams {
+    fn default() -> Self {
+        Self {
+            method: Method::Sfm,
+            hold_every: 8,
+            longest_side_px: None,
+            min_registered: 2,
+            site: None,
+            max_features: 2048,
+            feature_side_px: 1280,
+            first_octave: FirstOctaveParam::Native,
+            pairs: Pairs::Auto,
+            min_matches: 15,
+            lens: LensParam::Auto,
+            intrinsics: Intrinsics::Camera,
+            principal_point: PrincipalPoint::Auto,
+            seed: 0,
+            file: None,
+            extend: false,
+            colmap: None,
+        }
+    }
+}
+
+impl CalibrateParams {
+    /// Checks what a type cannot.
+    ///
+    /// # Errors
+    /// Names the key: one photo in one held out, a working size below 16 px, features or matches too few to hold
+    /// a pose.
+    pub fn check(&self) -> Result<(), ParamError> {
+        let least = [
+            ("max_features", self.max_features, 64),
+            ("feature_side_px", self.feature_side_px, 64),
+            ("min_matches", self.min_matches, 8),
+        ];
+        if let Some((key, value, least)) = least.into_iter().find(|(_, value, least)| value < least) {
+            return Err(ParamError::new(
+                key,
+                format!("{value} is too few, at least {least}"),
+            ));
+        }
+        if self.hold_every == 1 {
+            return Err(ParamError::new(
+                "hold_every",
+                "1 would keep every photo from training; 0 keeps none",
+            ));
+        }
+        if self.extend && self.method != Method::Sfm {
+            return Err(ParamError::new(
+                "extend",
+                "only method = \"sfm\" goes on from an earlier scene",
+            ));
+        }
+        match self.longest_side_px {
+            Some(side) if side < 16 => Err(ParamError::new(
+                "longest_side_px",
+                format!("{side} px are no photo, at least 16"),
+            )),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Output `metrics` of `calibrate`: how each photo fared.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Metrics {
+    /// What placed the photos.
+    pub method: String,
+    /// Sums.
+    pub totals: Totals,
+    /// One entry for each photo of the input, sorted by id.
+    pub photos: Vec<PhotoMetrics>,
+    /// Files the import has a camera for that are not among the photos, sorted by name.
+    pub missing: Vec<Missing>,
+}
+
+impl Document for Metrics {
+    const STAGE: &'static str = CalibrateParams::STAGE;
+    const OUTPUT: &'static str = "metrics";
+
+    /// JSON with a line a field, as people read it.
+    fn encode(&self) -> Result<Vec<u8>, serde_json::Error> {
+        serde_json::to_vec_pretty(self)
+    }
+}
+
+/// Sums over all photos.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Totals {
+    /// Photos of the input.
+    pub photos: usize,
+    /// Photos with a camera.
+    pub registered: usize,
+    /// Photos with a camera that are kept from training.
+    pub held_out: usize,
+    /// Photos without a camera.
+    pub unplaced: usize,
+    /// Files with a camera that are not among the photos.
+    pub missing: usize,
+    /// Sparse points.
+    pub points: usize,
+    /// Groups of photos that could not be joined, the scene's own among them, if the method tells.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub components: Option<usize>,
+    /// Mean over the photos that have one of their mean reprojection error, pixels.
+    pub error_px: Option<f64>,
+    /// The same at the size at which features were sought, pixels; `sfm` only.
+    pub error_working_px: Option<f64>,
+}
+
+/// How one photo fared.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PhotoMetrics {
+    /// Its id.
+    pub id: String,
+    /// Its file.
+    pub file: String,
+    /// Whether it has a camera.
+    pub registered: bool,
+    /// Whether it is kept from training.
+    pub held_out: bool,
+    /// Features found in it, if the method tells.
+    pub features: Option<u32>,
+    /// Features that agree with another photo's, if the method tells.
+    pub matches: Option<u32>,
+    /// Features that belong to a point of the scene, if the method tells.
+    pub inliers: Option<u32>,
+    /// Mean distance of those features from their points' projections, pixels of its camera.
+    pub error_px: Option<f64>,
+    /// Standard deviation of its attitude relative to the scene's first photo, degrees; `sfm` only.
+    pub angle_sigma_deg: Option<f64>,
+    /// Standard deviation of its centre, likewise, in the scene's unit; `sfm` only.
+    pub centre_sigma: Option<f64>,
+    /// What is worth knowing beside it (a label the photos outvoted).
+    pub note: Option<String>,
+    /// Why it has no camera; empty if it has.
+    pub reason: String,
+}
+
+/// A file with a camera that is not among the photos.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Missing {
+    /// Its name in the import.
+    pub file: String,
+    /// Why it is not in the scene.
+    pub reason: String,
+}

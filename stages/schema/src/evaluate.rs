@@ -1,0 +1,78 @@
+//! `evaluate`: renders of a trained field compared with photos.
+
+use marf_cache::ContentHash;
+use marf_field::Device;
+use marf_scene::Frame;
+use marf_stage::{Document, ParamError, Params};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::{check_scale, scores::Scores};
+
+/// Photos that are compared with their renders.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "snake_case")]
+pub enum Which {
+    /// Those held out of training.
+    #[default]
+    Heldout,
+    /// Those trained on, as in the paper's table.
+    Train,
+    /// All of them.
+    All,
+}
+
+/// Parameters of `evaluate`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(default, deny_unknown_fields)]
+pub struct EvaluateParams {
+    /// Photos that are compared.
+    pub views: Which,
+    /// Whole factor by which photos are shrunk; absent: that of the training.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scale: Option<u32>,
+    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
+    /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
+    #[content_hash(skip)]
+    pub device: Device,
+}
+
+impl Params for EvaluateParams {
+    const STAGE: &'static str = "evaluate";
+}
+
+impl EvaluateParams {
+    /// Checks what can be checked without a scene.
+    ///
+    /// # Errors
+    /// Names the key that is out of range.
+    pub fn check(&self) -> Result<(), ParamError> {
+        check_scale(self.scale)
+    }
+}
+
+impl Which {
+    /// Tells whether a photo is among them.
+    pub fn has(self, frame: &Frame) -> bool {
+        match self {
+            Self::Heldout => frame.held_out,
+            Self::Train => !frame.held_out,
+            Self::All => true,
+        }
+    }
+}
+
+/// Output `metrics` of `evaluate`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Metrics {
+    /// On the photos that were compared.
+    #[serde(flatten)]
+    pub scores: Scores,
+    /// Factor by which photos were shrunk.
+    pub scale: u32,
+}
+
+impl Document for Metrics {
+    const STAGE: &'static str = EvaluateParams::STAGE;
+    const OUTPUT: &'static str = "metrics";
+}

@@ -1,0 +1,134 @@
+//! Outputs with invented numbers, for tests of code that reads outputs.
+
+use marf_field::{Chosen, Config, Facts, Quality, Sizes};
+
+use crate::{
+    bootstrap::{self, Mode},
+    scores::{PhotoScores, Scores},
+    train::{self, Fit, Holdout},
+};
+
+/// Returns metrics of a training with seed 0 on two photos, one of which is held out.
+pub fn train_metrics() -> train::Metrics {
+    train::Metrics {
+        scores: scores(),
+        steps: 400,
+        rays: 409_600,
+        samples: 8_192_000,
+        loss: 0.0031,
+        scale: 1,
+        thinned: None,
+        seed: 0,
+        holdout: Holdout::Test,
+        train_photos: 1,
+        held_out_photos: 1,
+        drawn: None,
+        fit: Fit::Scene,
+        gpu: None,
+        config: Quality::Draft.config(),
+        field: facts(&Quality::Draft.config()),
+    }
+}
+
+/// Returns the scores of one photo, `0001.png`.
+pub fn scores() -> Scores {
+    let photo = PhotoScores {
+        id: "0001".to_owned(),
+        file: "0001.png".to_owned(),
+        name: "0001".to_owned(),
+        psnr: 20.0,
+        psnr_paper: Some(19.0),
+        ssim: Some(0.75),
+    };
+    Scores {
+        psnr: photo.psnr,
+        psnr_paper: photo.psnr_paper,
+        ssim: photo.ssim,
+        views: vec![photo],
+    }
+}
+
+/// Returns metrics of two members without held-out photos.
+pub fn bootstrap_metrics() -> bootstrap::Metrics {
+    let view = bootstrap::ViewReport {
+        name: "0001".to_owned(),
+        std: 0.02,
+        std_paper: 0.014,
+        opacity_term: 0.01,
+        total_sd: 0.03,
+        depth_std: Some(0.5),
+        unseen_share: 0.1,
+        photo: None,
+    };
+    let member = |seed| bootstrap::Member {
+        seed,
+        scale: 1,
+        psnr: 20.0,
+        ssim: None,
+    };
+    bootstrap::Metrics {
+        b: 2,
+        mode: Mode::Seeds,
+        std: view.std,
+        std_paper: view.std_paper,
+        std_rgb: [view.std; 3],
+        opacity_term: view.opacity_term,
+        total_sd: view.total_sd,
+        depth_std: view.depth_std,
+        unseen_share: view.unseen_share,
+        members: vec![member(0), member(1)],
+        heldout: None,
+        views: vec![view],
+    }
+}
+
+fn facts(config: &Config) -> Facts {
+    Facts {
+        origin: [0.0; 3],
+        half_side: 1.0,
+        box_reason: "invented".to_owned(),
+        near: 0.1,
+        far: 8.0,
+        steps_per_ray: 256,
+        halvings: 0,
+        levels: Vec::new(),
+        sizes: Sizes {
+            near: chosen(0.1),
+            far: chosen(8.0),
+            finest: chosen(1024),
+            levels: chosen(config.levels.unwrap_or(8)),
+            surface_cells: chosen(100_000),
+            log2_table: chosen(config.log2_table.unwrap_or(15)),
+            halvings: chosen(0),
+        },
+        trials: Vec::new(),
+        parameters: 1_000_000,
+        seen_share: 0.5,
+        occupied_share: 0.25,
+        steps: 400,
+    }
+}
+
+fn chosen<T>(value: T) -> Chosen<T> {
+    Chosen {
+        value,
+        reason: "invented".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use marf_stage::Document;
+
+    #[test]
+    fn examples_survive_their_bytes() {
+        let train = train_metrics();
+        let bytes = train.encode().unwrap();
+        assert!(bytes.starts_with(br#"{"psnr":20.0,"psnr_paper":19.0,"ssim":0.75,"views":[{"#));
+        assert_eq!(train::Metrics::decode(&bytes).unwrap(), train);
+        let bootstrap = bootstrap_metrics();
+        let bytes = bootstrap.encode().unwrap();
+        assert_eq!(bootstrap::Metrics::decode(&bytes).unwrap(), bootstrap);
+    }
+}

@@ -1,0 +1,52 @@
+//! Parameters and outputs of `calibrate`, `tune`, `train`, `pace`, `evaluate`, `render` and `bootstrap`.
+//!
+//! One module a stage: its parameters ([`Params`](marf_stage::Params)) with the checks that need no input, and each
+//! JSON output ([`Document`](marf_stage::Document)). Stages, commands and the report read and write these types, so
+//! that a field that is renamed or gone fails to compile. Names of outputs that are not JSON are in [`output`].
+//!
+//! Invariant: the order of fields, `rename` and `skip_serializing_if` decide stored bytes, and names of parameter
+//! structs and their fields decide keys; a change of either needs a new version of the stage.
+//!
+//! Parameters of filters and of archives are not here: they stand in the one file of the filter or archive.
+
+pub mod bootstrap;
+mod budget;
+pub mod calibrate;
+pub mod evaluate;
+pub mod example;
+mod memory;
+pub mod output;
+pub mod pace;
+pub mod render;
+pub mod scores;
+pub mod train;
+pub mod tune;
+
+use marf_field::{Overrides, Quality};
+use marf_stage::ParamError;
+
+/// Checks a factor by which photos are shrunk.
+///
+/// # Errors
+/// 0.
+pub(crate) fn check_scale(scale: Option<u32>) -> Result<(), ParamError> {
+    match scale {
+        Some(0) => Err(ParamError::new(
+            "scale",
+            "photos cannot be shrunk by 0; 1 keeps them",
+        )),
+        _ => Ok(()),
+    }
+}
+
+/// Checks keys of the field against the configuration they are laid over.
+///
+/// # Errors
+/// Names the key that is unknown, of another type or out of its range.
+pub(crate) fn check_field(quality: Quality, fit: train::Fit, field: &Overrides) -> Result<(), ParamError> {
+    let checked = field.over(&fit.config(quality));
+    checked.map(|_| ()).map_err(|error| {
+        let path = format!("field.{}", error.key);
+        ParamError::new(path.trim_end_matches('.'), error.message)
+    })
+}

@@ -1,0 +1,26 @@
+//! Names of outputs that are not JSON documents. One that ends with `/` is a prefix: any number of outputs lie below.
+
+/// A scene ([`marf_scene::Scene::encode`]), of `calibrate` and passed on by `train`.
+pub const SCENE: &str = "scene";
+/// The scene of `calibrate` as `transforms.json` of nerfstudio.
+pub const TRANSFORMS: &str = "transforms";
+/// The scene of `calibrate` as COLMAP's model: `sparse/0/cameras.bin`.
+pub const SPARSE: &str = "sparse/";
+/// The sparse points of `calibrate` as PLY.
+pub const POINTS: &str = "points.ply";
+/// A trained field (safetensors), of `train`.
+pub const WEIGHTS: &str = "weights";
+/// Renders at the views of photos, of `train` and `evaluate`: `heldout/<name>.png`.
+pub const HELDOUT: &str = "heldout/";
+/// The photos of those views at the size they were compared at: `photo/<name>.png`.
+pub const PHOTO: &str = "photo/";
+/// An animation (GIF), of `render` and `bootstrap`.
+pub const VIDEO: &str = "video";
+/// Pictures along the path of `render`: `frames/0001.png`.
+pub const FRAMES: &str = "frames/";
+/// Depths along the path of `render`: `depth/0001.png`.
+pub const DEPTH: &str = "depth/";
+/// Maps of `bootstrap`: `maps/<viewpoint>-std.png`.
+pub const MAPS: &str = "maps/";
+/// Pictures of the fly-through of `bootstrap`: `flythrough/0001.png`.
+pub const FLYTHROUGH: &str = "flythrough/";

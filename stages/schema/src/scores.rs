@@ -1,0 +1,33 @@
+//! How well a field reproduces photos; part of the metrics of `train` and `evaluate`.
+
+use serde::{Deserialize, Serialize};
+
+/// How well one photo is reproduced.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PhotoScores {
+    /// Id of the photo.
+    pub id: String,
+    /// Its file.
+    pub file: String,
+    /// Name of its pictures (`heldout/<name>.png`, `photo/<name>.png`).
+    pub name: String,
+    /// Peak signal-to-noise ratio, peak 1, dB; 100 at most, which equal pictures have.
+    pub psnr: f64,
+    /// The paper's definition, peak = largest value of the photo, dB; none for a black photo.
+    pub psnr_paper: Option<f64>,
+    /// Structural similarity, at most 1; none for a photo smaller than its window of 11 pixels.
+    pub ssim: Option<f64>,
+}
+
+/// Means over photos, and each photo's own.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Scores {
+    /// Mean of [`PhotoScores::psnr`], dB.
+    pub psnr: f64,
+    /// Mean of [`PhotoScores::psnr_paper`] over the photos that have one, dB.
+    pub psnr_paper: Option<f64>,
+    /// Mean of [`PhotoScores::ssim`] over the photos that have one.
+    pub ssim: Option<f64>,
+    /// Every photo.
+    pub views: Vec<PhotoScores>,
+}

@@ -1,0 +1,253 @@
+//! `train`: a scene to a trained field, measured on held-out photos.
+
+use marf_cache::ContentHash;
+use marf_field::{Config, Device, Facts, Overrides, Quality};
+use marf_stage::{Document, ParamError, Params};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::{check_field, check_scale, scores::Scores};
+
+pub use crate::{
+    budget::{Budget, ParseBudgetError},
+    memory::{Memory, ParseMemoryError},
+};
+
+/// Which photos are kept away from training, to measure on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "snake_case")]
+pub enum Holdout {
+    /// Those that `calibrate` holds out.
+    #[default]
+    Test,
+    /// Every 8th of the others, and those that `calibrate` holds out are not looked at: for choosing parameters.
+    Validation,
+}
+
+/// What decides how large the field is.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(rename_all = "snake_case")]
+pub enum Fit {
+    /// The scene and the steps.
+    #[default]
+    Scene,
+    /// Nothing: the full base configuration of instant-ngp, to compare with.
+    Fixed,
+}
+
+/// Short trainings that tell which parts of the field pay.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrialsParams {
+    /// Steps of one trial, 0 for none; absent: none at quality `draft`, else all together a fifth of the training.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub steps: Option<u64>,
+    /// Least gain for which a part is kept, dB; seeds differ by about a tenth.
+    pub least_gain_db: f64,
+}
+
+impl Default for TrialsParams {
+    fn default() -> Self {
+        Self {
+            steps: None,
+            least_gain_db: 0.1,
+        }
+    }
+}
+
+/// Parameters of `train`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainParams {
+    /// Steps, size of the photos and size of the field together.
+    pub quality: Quality,
+    /// Optimiser steps, instead of those of `quality`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub steps: Option<u64>,
+    /// Time to train for (`60s`, `5m`), instead of `steps`: measured once on this machine by a node `pace`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub budget: Option<Budget>,
+    /// Not in this version.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub target_psnr: Option<f64>,
+    /// Seed of weights and rays.
+    pub seed: u64,
+    /// Whole factor by which photos are shrunk; absent: the least that brings them to the size of `quality`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scale: Option<u32>,
+    /// Memory that the training may take (`2GB`); where the photos do not fit, one pixel of every few is kept.
+    pub memory: Memory,
+    /// Photos that are kept away from training.
+    pub holdout: Holdout,
+    /// Seed with which as many training photos are drawn as there are, with replacement (a bootstrap sample).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub resample: Option<u64>,
+    /// What decides how large the field is.
+    pub fit: Fit,
+    /// Short trainings on every 8th training photo held back: width, view dependence, exposure and sky by their gain.
+    pub trials: TrialsParams,
+    /// Keys of the field; they win over those of the input `params`.
+    pub field: Overrides,
+    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
+    /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
+    #[content_hash(skip)]
+    pub device: Device,
+}
+
+impl Params for TrainParams {
+    const STAGE: &'static str = "train";
+}
+
+impl Fit {
+    /// Returns the configuration that keys of the field are laid over.
+    pub fn config(self, quality: Quality) -> Config {
+        match self {
+            Self::Scene => quality.config(),
+            Self::Fixed => Config::fixed(),
+        }
+    }
+}
+
+impl TrainParams {
+    /// Checks what can be checked without a scene.
+    ///
+    /// # Errors
+    /// Names the key that is out of range.
+    pub fn check(&self) -> Result<(), ParamError> {
+        if self.target_psnr.is_some() {
+            let message = "not in this version; set `quality`, `steps` or `budget`";
+            return Err(ParamError::new("target_psnr", message));
+        }
+        if self.steps == Some(0) {
+            return Err(ParamError::new("steps", "0 steps train nothing; at least 1"));
+        }
+        if self.steps.is_some() && self.budget.is_some() {
+            return Err(ParamError::new(
+                "budget",
+                "`steps` is given too; keep one of the two",
+            ));
+        }
+        check_scale(self.scale)?;
+        if !(0.0..=100.0).contains(&self.trials.least_gain_db) {
+            let message = format!("{} dB; from 0 to 100", self.trials.least_gain_db);
+            return Err(ParamError::new("trials.least_gain_db", message));
+        }
+        check_field(self.quality, self.fit, &self.field)
+    }
+}
+
+/// Output `metrics` of `train`. Nothing in it comes from a clock.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Metrics {
+    /// On the photos held out.
+    #[serde(flatten)]
+    pub scores: Scores,
+    /// Optimiser steps.
+    pub steps: u64,
+    /// Rays trained.
+    pub rays: u64,
+    /// Samples trained.
+    pub samples: u64,
+    /// Mean squared error of the batches of the last eighth, sRGB in [0, 1].
+    pub loss: f64,
+    /// Factor by which photos were shrunk.
+    pub scale: u32,
+    /// One pixel of so many of each training photo was kept; absent: all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub thinned: Option<u32>,
+    /// Seed.
+    pub seed: u64,
+    /// Which photos were held out.
+    pub holdout: Holdout,
+    /// Photos trained on, each counted once.
+    pub train_photos: u64,
+    /// Photos held out.
+    pub held_out_photos: u64,
+    /// Ids of the photos drawn, as often as they were; only with `resample`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub drawn: Option<Vec<String>>,
+    /// What decided how large the field is.
+    pub fit: Fit,
+    /// The GPU that trained, with driver and interface; absent: the CPU.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gpu: Option<String>,
+    /// The configuration as it was used.
+    pub config: Config,
+    /// What the field was sized by.
+    pub field: Facts,
+}
+
+impl Document for Metrics {
+    const STAGE: &'static str = TrainParams::STAGE;
+    const OUTPUT: &'static str = "metrics";
+}
+
+/// Output `curve` of `train`: points in the order of steps.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Curve(pub Vec<CurvePoint>);
+
+impl Document for Curve {
+    const STAGE: &'static str = TrainParams::STAGE;
+    const OUTPUT: &'static str = "curve";
+}
+
+/// A point of the training curve.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct CurvePoint {
+    /// Optimiser steps so far.
+    pub step: u64,
+    /// Rays trained so far.
+    pub rays: u64,
+    /// Samples trained so far.
+    pub samples: u64,
+    /// Mean squared error of the batches since the last point, sRGB in [0, 1].
+    pub loss: f64,
+    /// Mean PSNR on up to three held-out photos of at most 64 pixels a side, dB.
+    pub psnr: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use marf_cache::digest_of;
+    use serde_json::json;
+
+    fn params(value: serde_json::Value) -> TrainParams {
+        serde_json::from_value(value).unwrap()
+    }
+
+    #[test]
+    fn what_cannot_be_trained_is_refused_by_its_key() {
+        for (value, path) in [
+            (json!({"target_psnr": 28.0}), "target_psnr"),
+            (json!({"steps": 0}), "steps"),
+            (json!({"steps": 5, "budget": "60s"}), "budget"),
+            (json!({"scale": 0}), "scale"),
+            (json!({"trials": {"least_gain_db": -1.0}}), "trials.least_gain_db"),
+            (json!({"field": {"levls": 3}}), "field.levls"),
+            (json!({"field": {"log2_table": 99}}), "field.log2_table"),
+        ] {
+            let error = params(value).check().unwrap_err();
+            assert!(
+                error.path == path || error.message.contains("log2_table"),
+                "{path}: {error:?}"
+            );
+        }
+        params(json!({"budget": "60s", "field": {"log2_table": 16}}))
+            .check()
+            .unwrap();
+    }
+
+    #[test]
+    fn a_seed_of_64_bits_is_kept_whole() {
+        let (high, low) = (
+            params(json!({"seed": u64::MAX})),
+            params(json!({"seed": u64::from(u32::MAX)})),
+        );
+        assert_eq!(high.seed, u64::MAX);
+        assert_ne!(digest_of(&high), digest_of(&low));
+        let text = serde_json::to_string(&high).unwrap();
+        assert_eq!(serde_json::from_str::<TrainParams>(&text).unwrap(), high);
+    }
+}

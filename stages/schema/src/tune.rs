@@ -1,0 +1,274 @@
+//! `tune`: random search of the field's hyper-parameters.
+
+use std::collections::BTreeMap;
+
+use marf_cache::{ContentHash, Visitor};
+use marf_field::{Device, Overrides, Quality};
+use marf_stage::{Document, ParamError, Params};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+/// Parameters of `tune`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[serde(default, deny_unknown_fields)]
+pub struct TuneParams {
+    /// Parameter sets that are tried, the defaults among them.
+    pub trials: u32,
+    /// Seed of the draws, and of every trial's weights and rays.
+    pub seed: u64,
+    /// Size of the photos and of the field that the draws are laid over.
+    pub quality: Quality,
+    /// Optimiser steps of a trial; absent: a quarter of those of `quality`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub steps: Option<u64>,
+    /// Whole factor by which photos are shrunk; absent: the least that brings them to half the size of `quality`,
+    /// for most of a trial's time goes into rendering the photos it is judged by.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scale: Option<u32>,
+    /// What may be tried: key = `{ log = [low, high] }`, `{ int = [low, high] }` or `{ choice = [..] }`; a choice that
+    /// is a table sets its own keys, and its name here is only a name.
+    pub space: Space,
+    /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
+    /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
+    #[content_hash(skip)]
+    pub device: Device,
+}
+
+impl Default for TuneParams {
+    fn default() -> Self {
+        Self {
+            trials: 6,
+            seed: 0,
+            quality: Quality::default(),
+            steps: None,
+            scale: None,
+            space: default_space(),
+            device: Device::default(),
+        }
+    }
+}
+
+/// Most trials; beyond it a number is a slip.
+const MAX_TRIALS: u32 = 1000;
+
+impl Params for TuneParams {
+    const STAGE: &'static str = "tune";
+}
+
+impl TuneParams {
+    /// Checks what can be checked without a scene.
+    ///
+    /// # Errors
+    /// Names the key that is out of range.
+    pub fn check(&self) -> Result<(), ParamError> {
+        if !(1..=MAX_TRIALS).contains(&self.trials) {
+            let message = format!(
+                "{} trials; from 1, which is the defaults, to {MAX_TRIALS}",
+                self.trials
+            );
+            return Err(ParamError::new("trials", message));
+        }
+        for (key, value) in [("steps", self.steps), ("scale", self.scale.map(u64::from))] {
+            if value == Some(0) {
+                return Err(ParamError::new(key, "0 gives nothing; at least 1"));
+            }
+        }
+        for (key, range) in &self.space {
+            let path = format!("space.{key}");
+            if let Some(fault) = range.fault() {
+                return Err(ParamError::new(path, fault));
+            }
+            for value in range.extremes() {
+                let set = match value {
+                    serde_json::Value::Object(table) => Overrides(table.into_iter().collect()),
+                    value => Overrides([(key.clone(), value)].into()),
+                };
+                let checked = set.over(&self.quality.config());
+                checked.map_err(|error| ParamError::new(path.as_str(), error.message))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What may be tried for each key.
+pub type Space = BTreeMap<String, Range>;
+
+/// Values from which one is drawn.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Range {
+    /// From the first to the second number, evenly by factor; rounded to three digits.
+    Log([f64; 2]),
+    /// A whole number from the first to the second, both included.
+    Int([i64; 2]),
+    /// One of these; a table sets several keys at once.
+    Choice(Vec<Value>),
+}
+
+/// Returns what is searched by default: step size, table size, layout of the levels, length of a step along a ray.
+pub fn default_space() -> Space {
+    let layout = |levels: u32, features: u32| {
+        let keys = [("levels", levels), ("features", features)];
+        Value::from_iter(keys.map(|(key, value)| (key, Value::from(value))))
+    };
+    Space::from([
+        ("learning_rate".to_owned(), Range::Log([0.005, 0.05])),
+        ("log2_table".to_owned(), Range::Int([14, 17])),
+        (
+            "layout".to_owned(),
+            Range::Choice(vec![layout(8, 4), layout(16, 2)]),
+        ),
+        ("cone".to_owned(), Range::Log([0.02, 0.08])),
+    ])
+}
+
+impl Range {
+    /// Returns both ends, or every choice: values that all must be allowed.
+    fn extremes(&self) -> Vec<Value> {
+        match self {
+            Self::Log(ends) => ends.iter().copied().map(Value::from).collect(),
+            Self::Int(ends) => ends.iter().copied().map(Value::from).collect(),
+            Self::Choice(values) => values.clone(),
+        }
+    }
+
+    /// Returns what is wrong with the range itself.
+    fn fault(&self) -> Option<String> {
+        match self {
+            Self::Log([low, high]) => {
+                let fine = *low > 0.0 && low <= high && (high / low).is_finite();
+                (!fine).then(|| format!("`log = [{low}, {high}]` must rise from above 0 to a finite number"))
+            }
+            Self::Int([low, high]) => (low > high).then(|| format!("`int = [{low}, {high}]` must not fall")),
+            Self::Choice(values) => values.is_empty().then(|| "`choice` is empty".to_owned()),
+        }
+    }
+}
+
+impl ContentHash for Range {
+    fn walk(&self, visitor: &mut dyn Visitor) {
+        match self {
+            Self::Log(ends) => {
+                visitor.variant("log", 0);
+                ends.walk(visitor);
+            }
+            Self::Int(ends) => {
+                visitor.variant("int", 1);
+                ends.walk(visitor);
+            }
+            Self::Choice(values) => {
+                visitor.variant("choice", 2);
+                let tables = values.iter().map(|value| {
+                    let entry = ("value".to_owned(), value.clone());
+                    Overrides(BTreeMap::from([entry]))
+                });
+                tables.collect::<Vec<_>>().walk(visitor);
+            }
+        }
+    }
+}
+
+/// Output `params` of `tune`: the keys that the best trial had set.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct BestParams {
+    /// Keys of the field.
+    pub field: Overrides,
+}
+
+impl Document for BestParams {
+    const STAGE: &'static str = TuneParams::STAGE;
+    const OUTPUT: &'static str = "params";
+}
+
+/// Output `trials` of `tune`: every trial, by number.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Trials(pub Vec<Trial>);
+
+impl Document for Trials {
+    const STAGE: &'static str = TuneParams::STAGE;
+    const OUTPUT: &'static str = "trials";
+}
+
+/// A row of the output `trials`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Trial {
+    /// Its number; 0 is the defaults.
+    pub trial: u32,
+    /// 1 is the best PSNR; of equals the first.
+    pub rank: u32,
+    /// Mean PSNR on the validation photos, dB.
+    pub psnr: f64,
+    /// The paper's definition.
+    pub psnr_paper: Option<f64>,
+    /// Mean SSIM.
+    pub ssim: Option<f64>,
+    /// What was set.
+    pub params: Overrides,
+}
+
+/// Output `scatter`: how much of a difference the seed alone makes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Scatter {
+    /// PSNR of the defaults with the seed and with the next one, dB.
+    pub psnr: [f64; 2],
+    /// Their distance, dB: gains below it may be chance.
+    pub difference_db: f64,
+    /// What the best trial has above the defaults, dB.
+    pub best_minus_default_db: f64,
+}
+
+impl Document for Scatter {
+    const STAGE: &'static str = TuneParams::STAGE;
+    const OUTPUT: &'static str = "scatter";
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn ranges_that_cannot_be_drawn_from_say_why() {
+        for (range, word) in [
+            (Range::Log([0.0, 1.0]), "above 0"),
+            (Range::Log([2.0, 1.0]), "above 0"),
+            (Range::Log([f64::NAN, 1.0]), "above 0"),
+            (Range::Log([1.0, f64::INFINITY]), "finite"),
+            (Range::Int([3, 2]), "must not fall"),
+            (Range::Choice(vec![]), "empty"),
+        ] {
+            assert!(range.fault().unwrap().contains(word), "{range:?}");
+        }
+        assert!(default_space().values().all(|range| range.fault().is_none()));
+    }
+
+    #[test]
+    fn what_cannot_be_searched_is_refused_by_its_key() {
+        for (table, key) in [
+            (json!({"trials": 0}), "trials"),
+            (json!({"trials": 1001}), "trials"),
+            (json!({"steps": 0}), "steps"),
+            (
+                json!({"space": {"lerning_rate": {"log": [0.1, 0.2]}}}),
+                "space.lerning_rate",
+            ),
+            (
+                json!({"space": {"log2_table": {"int": [14, 99]}}}),
+                "space.log2_table",
+            ),
+            (json!({"space": {"cone": {"log": [0.2, 0.1]}}}), "space.cone"),
+            (
+                json!({"space": {"layout": {"choice": [{"levls": 8}]}}}),
+                "space.layout",
+            ),
+        ] {
+            let params: TuneParams = serde_json::from_value(table).unwrap();
+            let error = params.check().unwrap_err();
+            assert_eq!(error.path, key, "{error:?}");
+        }
+        TuneParams::default().check().unwrap();
+    }
+}
