@@ -24,10 +24,10 @@ pub use ply::read_ply;
 pub use transforms::{Transforms, read_transforms};
 
 use crate::calibration::{Calibration, HeldOut, PhotoStatistics, PlacedPhoto, mean_up};
-use marf_schema::calibrate::Missing;
-use marf_schema::calibrate::CalibrateParams;
 use crate::photos::{InputPhoto, as_png, decode, reduction, store};
 use choose::{Source, choose};
+use marf_schema::calibrate::CalibrateParams;
+use marf_schema::calibrate::Missing;
 use photo_names::PhotoNames;
 use transforms::POINTS_KEY;
 

@@ -9,9 +9,9 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::calibration::{Calibration, PhotoStatistics, PlacedPhoto};
-use marf_schema::calibrate::CalibrateParams;
 use crate::photos::{InputPhoto, as_png, decode, reduction, store};
 use crate::resample::resample;
+use marf_schema::calibrate::CalibrateParams;
 
 /// A photo whose label can be used.
 pub(crate) struct Candidate<'a> {
@@ -313,6 +313,3 @@ pub(crate) fn median(points: &[Vector3<f64>]) -> Vector3<f64> {
         values.get(values.len() / 2).copied().unwrap_or(0.0)
     })
 }
-
-#[cfg(test)]
-mod stereo;

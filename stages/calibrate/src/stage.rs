@@ -5,8 +5,8 @@ use marf_scene::{Frame, Scene, Unplaced};
 use marf_schema::calibrate::{CalibrateParams, Method, Metrics, PhotoMetrics, Totals};
 use marf_schema::output::{POINTS, SCENE, SPARSE, TRANSFORMS};
 use marf_stage::{
-    COMPANIONS, Ctx, Define, Document, Inputs, Outputs, PHOTOS, ParamError, Params, Port, Set, Stage, StageError,
-    Threads, Work,
+    COMPANIONS, Ctx, Define, Document, Inputs, Outputs, PHOTOS, ParamError, Params, Port, Set, Stage,
+    StageError, Threads, Work,
 };
 
 use crate::calibration::{Calibration, HeldOut, PlacedPhoto};
