@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use marf_cache::Digest;
 use marf_scene::{Cahvor, Camera, CameraPrior, Image, Pinhole, Pose, Srgb};
+use marf_schema::calibrate::CalibrateParams;
 use marf_stage::{Ctx, StageError};
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -11,7 +12,6 @@ use rayon::prelude::*;
 use crate::calibration::{Calibration, PhotoStatistics, PlacedPhoto};
 use crate::photos::{InputPhoto, as_png, decode, reduction, store};
 use crate::resample::resample;
-use marf_schema::calibrate::CalibrateParams;
 
 /// A photo whose label can be used.
 pub(crate) struct Candidate<'a> {

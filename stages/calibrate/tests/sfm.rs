@@ -7,8 +7,6 @@ mod errors;
 
 use std::sync::OnceLock;
 
-use common::{Input, Output, folder, shared};
-use errors::errors_of;
 use marf_calibrate::Calibrate;
 use marf_demo::{Demo, DemoFile, DemoOptions};
 use marf_pds::{ProductName, join_key, pds4};
@@ -16,6 +14,9 @@ use marf_scene::{Camera, Image, Photo, PhotoFacts, Pose, Srgb, encode_png};
 use marf_stage::Define;
 use nalgebra::{Vector2, Vector3};
 use serde_json::json;
+
+use common::{Input, Output, folder, shared};
+use errors::errors_of;
 
 /// A photo of the demo: id, image and facts.
 type Taken = (String, Vec<u8>, PhotoFacts);

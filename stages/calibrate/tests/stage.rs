@@ -3,12 +3,13 @@
 
 mod common;
 
-use common::{Input, shared};
 use marf_calibrate::Calibrate;
 use marf_scene::{Cahvor, CameraPrior, EntrancePupil, Image, PhotoFacts, Pose, Srgb, encode_png};
 use marf_stage::{Define, StageDef, define};
 use nalgebra::Vector3;
 use serde_json::json;
+
+use common::{Input, shared};
 
 /// A photo that is different everywhere.
 fn picture(seed: u32) -> Vec<u8> {

@@ -6,12 +6,13 @@ mod common;
 
 use std::path::{Path, PathBuf};
 
-use common::shared;
 use marf_pds::{ProductName, pds4, raw};
 use marf_scene::{Cahvor, Photo};
 use marf_sfm::features::{FeatureOptions, Features, Gray, Mask, extract};
 use marf_sfm::matching::{MatchOptions, match_pair};
 use nalgebra::{Vector2, Vector3};
+
+use common::shared;
 
 /// Zoom, product of the left and of the right eye, focal length, and the median residual measured elsewhere.
 const PAIRS: [(u32, &str, &str, f64, [f64; 2]); 3] = [

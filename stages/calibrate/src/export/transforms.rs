@@ -1,9 +1,8 @@
 //! A scene as transforms.json, which nerfstudio and instant-ngp read.
 
 use marf_scene::{Camera, Frame, Pose, Scene};
-use serde::Serialize;
-
 use marf_schema::output::POINTS;
+use serde::Serialize;
 
 #[derive(Serialize)]
 struct Transforms<'a> {

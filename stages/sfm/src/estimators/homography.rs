@@ -1,5 +1,6 @@
 //! Homographies from four points and from many, and the relative poses that a homography decomposes into.
 
+use marf_numeric::Rng;
 use marf_scene::Pose;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 
@@ -8,7 +9,6 @@ use super::fundamental::{moved, normalisation};
 use super::ransac::{Consensus, RansacOptions, lo_ransac};
 use super::rotation::nearest_rotation;
 use super::svd::{matrix, smallest_eigenvector, svd3};
-use marf_numeric::Rng;
 
 /// Returns H with x2 ~ H x1 for four points, unit norm; `None` where three of them are on a line in either
 /// photo.

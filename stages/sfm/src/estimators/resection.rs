@@ -1,5 +1,6 @@
 //! Camera pose from 2D-3D correspondences (resection).
 
+use marf_numeric::Rng;
 use marf_scene::Pose;
 use nalgebra::{SVector, Vector2, Vector3};
 
@@ -7,7 +8,6 @@ use super::levenberg_marquardt::{NormalEquations, minimise};
 use super::p3p::p3p;
 use super::ransac::{RansacOptions, lo_ransac};
 use super::rotation::exp_so3;
-use marf_numeric::Rng;
 
 /// A 2D-3D correspondence: a world point and its position in the image plane.
 #[derive(Debug, Clone, Copy)]

@@ -1,11 +1,11 @@
 //! Triangulation: points from the rays of several photos.
 
+use marf_numeric::Rng;
 use marf_scene::Pose;
 use nalgebra::{Matrix3, SVector, Vector2, Vector3};
 
 use super::levenberg_marquardt::{NormalEquations, minimise};
 use super::rotation::ray_angle_rad;
-use marf_numeric::Rng;
 
 /// The ray on which one photo observes a point.
 #[derive(Debug, Clone)]

@@ -1,5 +1,6 @@
 //! Robust estimation of fundamental matrix, essential matrix and homography from the matches of a pair.
 
+use marf_numeric::Rng;
 use marf_scene::Camera;
 use nalgebra::{Matrix3, Vector3};
 
@@ -10,7 +11,6 @@ use crate::estimators::{
     five_point, lo_ransac, locally_optimised, ransac_homography, refine_epipolar, sampson2, scored_if_better,
     seven_point,
 };
-use marf_numeric::Rng;
 
 /// Damped steps of a refinement inside the search, and of the last one.
 const QUICK_STEPS: usize = 3;

@@ -1,5 +1,6 @@
 //! VerifiedPair matches and focal lengths in, a relative pose out.
 
+use marf_numeric::Rng;
 use marf_scene::Pose;
 use nalgebra::{Matrix3, Vector3};
 
@@ -13,7 +14,6 @@ use crate::estimators::{
     essential_of, five_point, lo_ransac, locally_optimised, pose_of_essential, poses_from_homography,
     ransac_homography, refine_epipolar, rotation_between, sampson2, scored_if_better, transfer2,
 };
-use marf_numeric::Rng;
 
 /// VerifiedPair matches are mostly right: a hundred samples reach a share of .4 of five.
 const RANSAC: RansacOptions = RansacOptions {

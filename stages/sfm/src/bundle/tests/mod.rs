@@ -6,12 +6,12 @@ mod jacobians;
 mod noise;
 mod priors;
 
+use marf_numeric::Rng;
 use marf_scene::Pose;
 
 use super::objective::residual;
 use super::synthetic::{RingSize, perturb, ring};
 use super::*;
-use marf_numeric::Rng;
 
 const EXACT: BundleOptions = BundleOptions {
     loss: Loss::Squared,
