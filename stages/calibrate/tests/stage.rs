@@ -122,12 +122,12 @@ fn labels_place_one_site_in_metres_and_say_why_of_the_others() {
         ("b.png", marf_cache::Digest::of(&picture(2)))
     );
     assert_eq!((straight.camera.cx_px, straight.camera.width), (32.5, 64));
-    let bent = &frames[0];
-    assert_eq!(bent.file, "a.png");
+    let resampled = &frames[0];
+    assert_eq!(resampled.file, "a.png");
     assert!(
-        bent.camera.width < 64 && bent.camera.cx_px.fract() == 0.0,
+        resampled.camera.width < 64 && resampled.camera.cx_px.fract() == 0.0,
         "{:?}",
-        bent.camera
+        resampled.camera
     );
     let photo = &output.metrics.photos[0];
     assert!(

@@ -60,7 +60,7 @@ impl Lens {
 /// OpenCV; frames sorted by file name; held-out photos as test and validation, the others as training.
 ///
 /// One camera for all frames stands at the top, different ones stand with their frames. The world is the
-/// scene's own, neither turned nor scaled. The names are those of [`Frame::file`], relative to where the file
+/// scene's own, neither rotated nor scaled. The names are those of [`Frame::file`], relative to where the file
 /// is put; photos that were encoded anew have the extension `.png` there. A scene with sparse points names
 /// [`POINTS`], which is put beside the file.
 pub fn write_transforms(scene: &Scene) -> String {

@@ -1,4 +1,4 @@
-//! Sparse points as PLY: the header says what a vertex is, the body holds them as text or as little-endian bytes.
+//! Sparse points as PLY: the header describes a vertex, the body holds vertices as text or as little-endian bytes.
 //!
 //! Format: Greg Turk, The PLY Polygon File Format, 1994.
 
@@ -13,7 +13,7 @@ const MAX_HEADER_BYTES: usize = 64 * 1024;
 ///
 /// Forms `ascii` and `binary_little_endian`, version 1.0, lines ending in LF or CRLF. A vertex has x, y, z as float
 /// or double; red, green, blue count where all three are uchar; other scalars are skipped, and so are elements
-/// before and after the vertices. How many photos see a point is not told: `views` is 0.
+/// before and after the vertices. The number of photos that see a point is not known: `views` is 0.
 ///
 /// # Errors
 /// Names file and line of the header, or the vertex: another form, a header without end within 64 KiB, no
@@ -268,7 +268,7 @@ impl Layout {
     }
 }
 
-/// A vertex as it stands in the file, as long as its element says.
+/// A vertex as it is in the file, of the length of its element.
 enum Record<'a> {
     Words(Vec<&'a str>),
     Bytes(&'a [u8]),

@@ -27,7 +27,7 @@ const ROTATION_TOLERANCE: f64 = 1e-3;
 /// Rotations closer than this to orthonormal are taken as they are.
 const ROTATION_EXACT: f64 = 1e-14;
 
-/// What a transforms.json says.
+/// Content of a transforms.json.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Transforms {
     /// One for each frame.

@@ -103,10 +103,10 @@ impl NormalEquations {
         self.set_points(objective);
         for (point, block) in self.points.iter().enumerate() {
             if block.determined == Determined::No {
-                let seen = objective.index.observations_of(point);
-                self.rows[seen.clone()].fill(ResidualBlock::default());
+                let range = objective.index.observations_of(point);
+                self.rows[range.clone()].fill(ResidualBlock::default());
                 if !self.camera_jacobians.is_empty() {
-                    self.camera_jacobians[seen].fill(CameraJacobian::default());
+                    self.camera_jacobians[range].fill(CameraJacobian::default());
                 }
             }
         }
@@ -116,18 +116,30 @@ impl NormalEquations {
 
     fn set_rows(&mut self, objective: &Objective, state: &State) {
         let held = held_columns(objective, state);
-        let seen = &objective.problem.observations;
-        let linearised = |seen: &Observation| {
-            linearised(objective, state, seen, &held[objective.camera_of(seen)]).unwrap_or_default()
+        let observations = &objective.problem.observations;
+        let linearised = |observation: &Observation| {
+            linearised(
+                objective,
+                state,
+                observation,
+                &held[objective.camera_of(observation)],
+            )
+            .unwrap_or_default()
         };
         if self.camera_jacobians.is_empty() {
-            let rows = self.rows.par_iter_mut().zip(seen).with_min_len(GRAIN);
-            rows.for_each(|(row, seen)| *row = linearised(seen).0);
+            let rows = self.rows.par_iter_mut().zip(observations).with_min_len(GRAIN);
+            rows.for_each(|(row, observation)| *row = linearised(observation).0);
             return;
         }
-        let rows = self.rows.par_iter_mut().zip(&mut self.camera_jacobians).zip(seen);
+        let rows = self
+            .rows
+            .par_iter_mut()
+            .zip(&mut self.camera_jacobians)
+            .zip(observations);
         rows.with_min_len(GRAIN)
-            .for_each(|((row, camera_jacobian), seen)| (*row, *camera_jacobian) = linearised(seen));
+            .for_each(|((row, camera_jacobian), observation)| {
+                (*row, *camera_jacobian) = linearised(observation)
+            });
     }
 
     fn set_points(&mut self, objective: &Objective) {
@@ -243,14 +255,14 @@ fn held_columns(objective: &Objective, state: &State) -> Vec<Vec<usize>> {
 fn linearised(
     objective: &Objective,
     state: &State,
-    seen: &Observation,
+    observation: &Observation,
     held: &[usize],
 ) -> Option<(ResidualBlock, CameraJacobian)> {
-    let terms = &objective.index.terms[objective.camera_of(seen)];
-    let camera = &state.cameras[objective.camera_of(seen)];
-    let view = &state.views[seen.pose as usize];
-    let projection = project(view, camera, &state.points[seen.point as usize])?;
-    let error = projection.error(camera, &seen.pixel);
+    let terms = &objective.index.terms[objective.camera_of(observation)];
+    let camera = &state.cameras[objective.camera_of(observation)];
+    let view = &state.views[observation.pose as usize];
+    let projection = project(view, camera, &state.points[observation.point as usize])?;
+    let error = projection.error(camera, &observation.pixel);
     let weight = objective.loss.weight(near(error)?).sqrt();
     let mut camera_jacobian = projection.camera_jacobian(camera, terms, weight);
     for row in &mut camera_jacobian {

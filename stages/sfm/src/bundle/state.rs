@@ -18,11 +18,11 @@ pub(super) struct Normalization {
 impl Normalization {
     /// Returns the normalisation of a problem; medians, so that a few points near infinity have no influence.
     pub(super) fn of(problem: &Problem) -> Self {
-        let seen = problem
+        let observed = problem
             .observations
             .chunk_by(|a, b| a.point == b.point)
-            .map(|seen| problem.points[seen[0].point as usize]);
-        let places: Vec<Vector3<f64>> = seen.chain(problem.poses.iter().map(Pose::centre)).collect();
+            .map(|group| problem.points[group[0].point as usize]);
+        let places: Vec<Vector3<f64>> = observed.chain(problem.poses.iter().map(Pose::centre)).collect();
         let middle = Vector3::from_fn(|axis, _| median(places.iter().map(|place| place[axis]).collect()));
         let size = median(places.iter().map(|place| (place - middle).norm()).collect());
         let usable = size.is_finite() && size > 0.0 && (1.0 / size).is_finite();

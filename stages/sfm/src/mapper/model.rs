@@ -164,10 +164,10 @@ impl Model {
         let range = input.tracks.range(track);
         let (mut indices, mut rays, mut errors) = (Vec::new(), Vec::new(), Vec::new());
         for observation in range.clone() {
-            let seen = &input.tracks.observations[observation];
-            let photo = seen.photo as usize;
+            let one = &input.tracks.observations[observation];
+            let photo = one.photo as usize;
             let camera = &self.cameras[input.views[photo].camera];
-            let (Some(pose), Some(ray)) = (self.poses[photo], camera.unproject(&seen.pixel)) else {
+            let (Some(pose), Some(ray)) = (self.poses[photo], camera.unproject(&one.pixel)) else {
                 continue;
             };
             indices.push(observation - range.start);
