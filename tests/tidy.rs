@@ -28,7 +28,7 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 20] = [
+const CRATES: [Crate; 18] = [
     row("shaders", "marf-shaders", &[]),
     row("cache/derive", "marf-cache-derive", &[]),
     row("cache", "marf-cache", &["marf-cache-derive"]),
@@ -40,13 +40,14 @@ const CRATES: [Crate; 20] = [
     row(
         "stages/field",
         "marf-field",
-        &["marf-shaders", "marf-cache", "marf-scene"],
+        &["marf-shaders", "marf-cache", "marf-numeric", "marf-scene"],
     ),
     row(
         "stages/schema",
         "marf-schema",
         &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
     ),
+    row("stages/sfm", "marf-sfm", &["marf-numeric", "marf-scene"]),
     row(
         "stages/extract",
         "marf-extract",
@@ -57,7 +58,6 @@ const CRATES: [Crate; 20] = [
         "marf-filter",
         &["marf-cache", "marf-stage", "marf-scene"],
     ),
-    row("stages/sfm", "marf-sfm", &["marf-numeric", "marf-scene"]),
     Crate {
         tests_use: &["marf-pds", "marf-demo"],
         ..row(
@@ -73,30 +73,8 @@ const CRATES: [Crate; 20] = [
         )
     },
     row(
-        "stages/tune",
-        "marf-tune",
-        &[
-            "marf-cache",
-            "marf-stage",
-            "marf-scene",
-            "marf-field",
-            "marf-schema",
-        ],
-    ),
-    row(
         "stages/train",
         "marf-train",
-        &[
-            "marf-cache",
-            "marf-stage",
-            "marf-scene",
-            "marf-field",
-            "marf-schema",
-        ],
-    ),
-    row(
-        "stages/bootstrap",
-        "marf-bootstrap",
         &[
             "marf-cache",
             "marf-stage",
@@ -113,9 +91,7 @@ const CRATES: [Crate; 20] = [
             "marf-extract",
             "marf-filter",
             "marf-calibrate",
-            "marf-tune",
             "marf-train",
-            "marf-bootstrap",
         ],
     ),
     row("src/engine", "marf-engine", &["marf-cache", "marf-stage"]),
@@ -150,7 +126,7 @@ const UNSAFE: [&str; 4] = [
     "stages/numeric/src/instruction_set.rs",
     "stages/field/src/cpu/simd.rs",
     "stages/field/src/cpu/simd/",
-    "stages/sfm/src/simd.rs",
+    "stages/calibrate/src/simd.rs",
 ];
 
 fn root() -> PathBuf {

@@ -5,8 +5,9 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use marf_field::Device;
+use marf_stage::Access;
 
-use crate::config::{Access, Wishes};
+use crate::config::GlobalOptions;
 
 /// Raw Mars rover and helicopter photos to radiance fields, with proof of how.
 #[derive(Debug, Parser)]
@@ -71,14 +72,14 @@ pub struct Global {
 }
 
 impl Global {
-    /// Returns what is said for all nodes and archives.
-    pub fn wishes(&self) -> Wishes {
+    /// Returns the options that hold for all nodes and archives.
+    pub fn options(&self) -> GlobalOptions {
         let access = match (self.offline, self.locked) {
             (true, _) => Access::Offline,
             (false, true) => Access::Locked,
             (false, false) => Access::Online,
         };
-        Wishes {
+        GlobalOptions {
             device: self.device.clone(),
             access,
         }

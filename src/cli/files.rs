@@ -1,8 +1,8 @@
-//! Writing files for people: whole or not at all.
+//! Writing files atomically.
 
 use std::path::Path;
 
-use super::error::{CliError, Complaint};
+use super::error::{CliError, Diagnostic};
 
 /// Writes a file through a temporary neighbour, so that a reader never sees half of it.
 ///
@@ -10,7 +10,7 @@ use super::error::{CliError, Complaint};
 /// A folder that cannot be made or written; the path and the system's word for it.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
     let refuse = |error: std::io::Error| {
-        CliError::Failed(Complaint {
+        CliError::Failed(Diagnostic {
             message: format!("cannot write {}", path.display()),
             cause: Some(error.to_string()),
             hint: Some("make room or choose another place with --out".to_owned()),
@@ -25,7 +25,7 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
     std::fs::write(&partial, bytes)
         .and_then(|()| std::fs::rename(&partial, path))
         .map_err(|error| {
-            let _ = std::fs::remove_file(&partial); // it may not exist; the first error is the one to tell
+            let _ = std::fs::remove_file(&partial); // it may not exist; the first error is returned
             refuse(error)
         })
 }

@@ -1,9 +1,29 @@
 use marf_engine::{PlanState, PlannedNode};
+use serde::Serialize;
 
 use super::args::{Global, Selection};
 use super::error::CliError;
-use super::say_json;
+use super::output::print_json;
 use super::session::Session;
+use crate::terminal::print_line;
+
+/// A node, as `--json` prints it.
+#[derive(Debug, Serialize)]
+struct Row<'a> {
+    node: &'a str,
+    reason: &'a str,
+    state: PlanState,
+}
+
+impl<'a> Row<'a> {
+    fn of(planned: &'a PlannedNode) -> Self {
+        Self {
+            node: &planned.node,
+            reason: &planned.reason,
+            state: planned.state,
+        }
+    }
+}
 
 /// `marf plan`: the state of every node and the first thing that changed.
 pub fn plan(global: &Global, selection: &Selection) -> Result<(), CliError> {
@@ -15,19 +35,17 @@ pub fn plan(global: &Global, selection: &Selection) -> Result<(), CliError> {
         .select(selection.to.as_slice(), selection.from.as_slice())?;
     nodes.retain(|node| chosen.contains(&node.node));
     if global.json {
-        let rows = nodes
-            .iter()
-            .map(|node| serde_json::json!({"node": node.node, "state": node.state, "reason": node.reason}));
-        return say_json(&rows.collect::<Vec<_>>());
+        let rows: Vec<Row<'_>> = nodes.iter().map(Row::of).collect();
+        return print_json(&rows);
     }
     for node in &nodes {
-        crate::say(format!("{:<16} {:<9} {}", node.node, word(node.state), node.reason).trim_end());
+        print_line(format!("{:<16} {:<9} {}", node.node, word(node.state), node.reason).trim_end());
     }
     let runs = nodes
         .iter()
         .filter(|node| node.state == PlanState::WillRun)
         .count();
-    crate::say(&format!("{runs} of {} nodes will run", nodes.len()));
+    print_line(&format!("{runs} of {} nodes will run", nodes.len()));
     Ok(())
 }
 
@@ -37,24 +55,24 @@ pub fn why(global: &Global, node: &str) -> Result<(), CliError> {
     let last = session.last()?;
     let planned = marf_engine::why(&session.graph, &session.store, last.as_ref(), node)?;
     if global.json {
-        return say_json(&planned);
+        return print_json(&planned);
     }
-    crate::say(&format!(
+    print_line(&format!(
         "{} ({}): {}",
         planned.node,
         word(planned.state),
         planned.reason
     ));
-    tell_changes(&planned);
+    print_changes(&planned);
     Ok(())
 }
 
-fn tell_changes(planned: &PlannedNode) {
+fn print_changes(planned: &PlannedNode) {
     if let Some(key) = planned.key {
-        crate::say(&format!("  key {key}"));
+        print_line(&format!("  key {key}"));
     }
     for change in &planned.changes {
-        crate::say(&format!("  {change}"));
+        print_line(&format!("  {change}"));
     }
 }
 

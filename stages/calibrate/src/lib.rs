@@ -17,9 +17,4 @@ mod sfm;
 mod stage;
 
 pub use export::{Observation, TrackPoint, Tracks, write_colmap, write_ply, write_transforms};
-pub use marf_schema::calibrate::{
-    CalibrateParams, FirstOctaveParam, Intrinsics, LensParam, Method, Metrics, Missing, Pairs, PhotoMetrics,
-    PrincipalPoint, Totals,
-};
-pub use marf_schema::output::{POINTS, SCENE, SPARSE, TRANSFORMS};
-pub use stage::{Calibrate, METRICS};
+pub use stage::Calibrate;

@@ -14,9 +14,6 @@ use crate::export::{TrackPoint, Tracks, write_colmap, write_ply, write_transform
 use crate::photos::{InputPhoto, load};
 use crate::{colmap, import, labels, sfm};
 
-/// Output that holds the result of each photo ([`Metrics`] as JSON).
-pub const METRICS: &str = Metrics::OUTPUT;
-
 /// Returns the camera of each photo, as a scene.
 ///
 /// - In: the photos; for `import` the files beside them, for `sfm` masks among these; with `extend` its own last
@@ -40,7 +37,7 @@ impl Define for Calibrate {
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),
     ];
-    const OUTPUTS: &'static [&'static str] = &[SCENE, METRICS, TRANSFORMS, SPARSE, POINTS];
+    const OUTPUTS: &'static [&'static str] = &[SCENE, Metrics::OUTPUT, TRANSFORMS, SPARSE, POINTS];
 
     fn new(params: CalibrateParams) -> Result<Self, ParamError> {
         params.check()?;
@@ -93,7 +90,7 @@ impl Set for Calibrate {
             .map_err(|error| StageError::new(error.to_string()))?;
         let outputs = [
             (SCENE, bytes),
-            (METRICS, metrics),
+            (Metrics::OUTPUT, metrics),
             (TRANSFORMS, write_transforms(&scene).into_bytes()),
             (POINTS, write_ply(&tracks)),
         ];

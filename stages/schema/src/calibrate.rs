@@ -198,7 +198,7 @@ impl CalibrateParams {
 /// Output `metrics` of `calibrate`: how each photo fared.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Metrics {
-    /// What placed the photos.
+    /// The method, in a sentence.
     pub method: String,
     /// Sums.
     pub totals: Totals,
@@ -233,7 +233,7 @@ pub struct Totals {
     pub missing: usize,
     /// Sparse points.
     pub points: usize,
-    /// Groups of photos that could not be joined, the scene's own among them, if the method tells.
+    /// Connected components of photos, that of the scene included, if the method knows them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub components: Option<usize>,
     /// Mean over the photos that have one of their mean reprojection error, pixels.
@@ -242,7 +242,7 @@ pub struct Totals {
     pub error_working_px: Option<f64>,
 }
 
-/// How one photo fared.
+/// Result of one photo.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PhotoMetrics {
     /// Its id.
@@ -253,19 +253,19 @@ pub struct PhotoMetrics {
     pub registered: bool,
     /// Whether it is kept from training.
     pub held_out: bool,
-    /// Features found in it, if the method tells.
+    /// Features found in it, if the method knows.
     pub features: Option<u32>,
-    /// Features that agree with another photo's, if the method tells.
+    /// Features that match those of another photo, if the method knows.
     pub matches: Option<u32>,
-    /// Features that belong to a point of the scene, if the method tells.
+    /// Features that belong to a point of the scene, if the method knows.
     pub inliers: Option<u32>,
-    /// Mean distance of those features from their points' projections, pixels of its camera.
+    /// Mean reprojection error of those features, pixels of its camera.
     pub error_px: Option<f64>,
     /// Standard deviation of its attitude relative to the scene's first photo, degrees; `sfm` only.
     pub angle_sigma_deg: Option<f64>,
     /// Standard deviation of its centre, likewise, in the scene's unit; `sfm` only.
     pub centre_sigma: Option<f64>,
-    /// What is worth knowing beside it (a label the photos outvoted).
+    /// A remark (a label that disagrees with the photos).
     pub note: Option<String>,
     /// Why it has no camera; empty if it has.
     pub reason: String,

@@ -7,9 +7,15 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use marf_cache::{Digest, manifest::Row};
-use marf_calibrate::{Calibrate, METRICS, Metrics, POINTS, SCENE, TRANSFORMS};
+use marf_calibrate::Calibrate;
 use marf_scene::{Cahvor, CameraPrior, Photo, PhotoFacts, Scene};
-use marf_stage::{COMPANIONS, Inputs, PHOTOS, Stage, StageDef, StageError, Work, define, harness::Harness};
+use marf_schema::{
+    calibrate::Metrics,
+    output::{POINTS, SCENE, TRANSFORMS},
+};
+use marf_stage::{
+    COMPANIONS, Document, Inputs, PHOTOS, Stage, StageDef, StageError, Work, define, harness::Harness,
+};
 
 /// Photos, companions and a store.
 #[derive(Default)]
@@ -144,7 +150,7 @@ impl Input {
         Ok(Output {
             scene: Scene::decode(&get(SCENE)).unwrap(),
             scene_digest: outputs[SCENE],
-            metrics: serde_json::from_slice(&get(METRICS)).unwrap(),
+            metrics: serde_json::from_slice(&get(Metrics::OUTPUT)).unwrap(),
             transforms: String::from_utf8(get(TRANSFORMS).to_vec()).unwrap(),
             model: ["cameras", "images", "points3D"]
                 .map(|name| get(&format!("sparse/0/{name}.bin")).to_vec()),

@@ -1,0 +1,158 @@
+//! `[keep]` and `[reject]`: photos that a person keeps or rejects, whatever the filters of the pipeline decide.
+
+use serde_json::{Map, Value as Json, json};
+
+use super::error::ConfigError;
+use super::low::{Entry, Located, Value};
+use crate::nearest::did_you_mean;
+
+/// The tables, each with one key `ids`; also the keys of a filter's `by_hand`.
+pub(super) const LISTS: [&str; 2] = ["keep", "reject"];
+/// The parameter of filters that takes the lists.
+pub(super) const PARAM: &str = "by_hand";
+const IDS: &str = "ids";
+
+/// Returns the lists as `{"keep": [...], "reject": [...]}`; none if the pipeline has neither.
+///
+/// # Errors
+/// Another key than `ids`, something that is no list of names, a name in both lists.
+pub(super) fn lists(root: &Located) -> Result<Option<Map<String, Json>>, ConfigError> {
+    let mut lists = Map::new();
+    for name in LISTS {
+        if let Some(entry) = root.entry(name) {
+            lists.insert(name.to_owned(), Json::Array(names(entry)?));
+        }
+    }
+    if let [Some(Json::Array(keep)), Some(Json::Array(reject))] = LISTS.map(|name| lists.get(name))
+        && let Some(both) = keep.iter().find(|name| reject.contains(name))
+    {
+        let message = format!("{both} is in `[keep]` and in `[reject]`");
+        let hint = Some("take it out of one of them".to_owned());
+        return Err(ConfigError::at(root.place("reject.ids"), message).hint(hint));
+    }
+    Ok((!lists.is_empty()).then_some(lists))
+}
+
+fn names(table: &Entry) -> Result<Vec<Json>, ConfigError> {
+    let name = &table.key;
+    let shape = || format!("write it as `[{name}]` with `{IDS} = [\"product id or file name\", …]`");
+    let refuse = |at: &Located| {
+        ConfigError::at(at.at.clone(), format!("`{name}` is no list of photos")).hint(Some(shape()))
+    };
+    let entries = table.value.entries().ok_or_else(|| refuse(&table.value))?;
+    let mut all = Vec::new();
+    for entry in entries {
+        if entry.key != IDS {
+            let message = format!("unknown key `{}` in `[{name}]`", entry.key);
+            let hint = did_you_mean(&entry.key, [IDS]).or_else(|| Some(shape()));
+            return Err(ConfigError::at(entry.at.clone(), message).hint(hint));
+        }
+        let Value::Array(items) = &entry.value.value else {
+            return Err(refuse(&entry.value));
+        };
+        for item in items {
+            all.push(Json::from(item.text().ok_or_else(|| refuse(item))?));
+        }
+    }
+    Ok(all)
+}
+
+/// Returns list and name of every entry in the parameters of a filter.
+pub fn entries(params: &Json) -> impl Iterator<Item = (&'static str, &str)> {
+    let lists = params.get(PARAM).into_iter().flat_map(|own| {
+        let names = |list| own.get(list).and_then(Json::as_array).into_iter().flatten();
+        LISTS.map(|list| (list, names(list)))
+    });
+    lists.flat_map(|(list, names)| names.filter_map(move |name| Some((list, name.as_str()?))))
+}
+
+/// Adds the pipeline's lists to those of a filter's own `by_hand`.
+pub(super) fn add_to(params: &mut Map<String, Json>, lists: &Map<String, Json>) {
+    let own = params.entry(PARAM).or_insert_with(|| json!({}));
+    // The stage refuses anything but a table.
+    let Some(own) = own.as_object_mut() else { return };
+    for (name, ids) in lists {
+        let all = own.entry(name.as_str()).or_insert_with(|| json!([]));
+        if let (Some(all), Some(ids)) = (all.as_array_mut(), ids.as_array()) {
+            all.extend(ids.iter().cloned());
+        }
+    }
+}
+
+/// Returns the schema of one of the tables.
+pub(super) fn schema(what: &str) -> Json {
+    json!({
+        "type": "object",
+        "additionalProperties": false,
+        "description": format!("Photos that every filter {what}, whatever it measures; recorded in its key and as the verdict's reason."),
+        "properties": {IDS: {
+            "type": "array",
+            "items": {"type": "string"},
+            "description": "Product ids, or file names as the archive has them.",
+        }},
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::error::Origin;
+    use super::super::{GlobalOptions, check, low};
+    use super::*;
+
+    const HEAD: &str = "[archive.demo]\nkind = \"demo\"\n[node.extract]\narchive = \"demo\"\n[node.blur]\ninput = \"extract\"\n";
+
+    fn blur_of(text: &str) -> Json {
+        let pipeline = check(text, &[], &GlobalOptions::default(), std::path::Path::new("")).unwrap();
+        pipeline.nodes[1].params.clone()
+    }
+
+    #[test]
+    fn the_lists_reach_every_filter_and_join_its_own() {
+        let text =
+            format!("{HEAD}by_hand = {{ keep = [\"a\"] }}\n[keep]\nids = [\"b\"]\n[reject]\nids = [\"c\"]\n");
+        assert_eq!(
+            blur_of(&text)["by_hand"],
+            json!({"keep": ["a", "b"], "reject": ["c"]})
+        );
+        assert_eq!(blur_of(HEAD).get("by_hand"), None);
+    }
+
+    #[test]
+    fn what_is_no_list_of_names_is_refused_at_its_place() {
+        for (text, at, says) in [
+            ("[keep]\nid = [\"a\"]\n", "id = ", "did you mean `ids`?"),
+            ("[keep]\nids = \"a\"\n", "\"a\"", "product id"),
+            ("[keep]\nids = [\"a\", 3]\n", "3]", "product id"),
+            (
+                "[keep]\nids = [\"a\"]\n[reject]\nids = [\"a\"]\n",
+                "[\"a\"]",
+                "take it out",
+            ),
+        ] {
+            let error = lists(&low::parse(text).unwrap()).unwrap_err();
+            let place = match &error.at {
+                Origin::Text(range) => range.start,
+                Origin::Argument(argument) => panic!("{argument}"),
+            };
+            assert!(text[place..].starts_with(at), "{text}: {place}");
+            assert!(error.hint.as_ref().unwrap().contains(says), "{error:?}");
+        }
+    }
+
+    #[test]
+    fn lists_without_a_filter_are_refused() {
+        let text =
+            "[archive.demo]\nkind = \"demo\"\n[node.extract]\narchive = \"demo\"\n[keep]\nids = [\"a\"]\n";
+        let error = check(text, &[], &GlobalOptions::default(), std::path::Path::new(""))
+            .err()
+            .unwrap();
+        assert!(error.message.contains("no node filters photos"), "{error:?}");
+    }
+
+    #[test]
+    fn set_reaches_the_lists() {
+        let set = ["keep.ids=[\"x\"]".to_owned()];
+        let pipeline = check(HEAD, &set, &GlobalOptions::default(), std::path::Path::new("")).unwrap();
+        assert_eq!(pipeline.nodes[1].params["by_hand"], json!({"keep": ["x"]}));
+    }
+}

@@ -1,0 +1,192 @@
+//! What every kernel of a training step takes: for `cargo bench` alone.
+
+use std::sync::Arc;
+
+use super::Gpu;
+use super::forward::{Purpose, gathered_rows};
+use super::session::{GpuSession, Watch};
+use super::weights::{BACKGROUND, DeviceLayer};
+use crate::backend::{Session, Step};
+#[cfg(test)]
+use crate::state::State;
+use crate::training::Training;
+use crate::{Background, Config, FieldError, View};
+
+/// Steps that were timed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Timed {
+    /// Steps.
+    pub steps: u64,
+    /// Rays of their batches.
+    pub rays: u64,
+    /// Samples that rays visited.
+    pub visited: u64,
+    /// Samples that were trained.
+    pub samples: u64,
+    /// The kernels, the one that took longest first.
+    pub kernels: Vec<KernelTime>,
+    /// Seconds that updates of the occupancy took a step, one in 16.
+    pub update_s: f64,
+}
+
+/// What a kernel took.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KernelTime {
+    /// Its name.
+    pub name: &'static str,
+    /// Dispatches a step.
+    pub calls: f64,
+    /// Seconds a step.
+    pub seconds: f64,
+    /// What it had to do in a step, where that can be counted.
+    pub load: Option<Load>,
+}
+
+/// What binds a kernel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Load {
+    /// Bytes that it cannot do without, read and written.
+    Bytes(f64),
+    /// Operations, two a multiply-add.
+    Operations(f64),
+}
+
+/// A training on a GPU whose kernels are timed.
+pub struct TimedTraining {
+    training: Training,
+    session: GpuSession,
+}
+
+impl TimedTraining {
+    /// Returns a training at step 0 on a GPU.
+    ///
+    /// # Errors
+    /// As [`crate::Trainer::new`] and [`crate::Trainer::on`].
+    pub fn new(gpu: &Arc<Gpu>, views: Vec<View>, config: &Config, seed: u64) -> Result<Self, FieldError> {
+        let mut training = Training::new(views, &[], config, seed)?;
+        let session = GpuSession::new(gpu, &mut training)?;
+        Ok(Self { training, session })
+    }
+
+    /// Returns the state that was last brought back.
+    #[cfg(test)]
+    pub(crate) fn state(&self) -> &State {
+        &self.training.state
+    }
+
+    /// Takes `steps` steps and returns the samples that were trained.
+    ///
+    /// # Errors
+    /// As [`crate::Trainer::advance`].
+    pub fn advance(&mut self, steps: u64) -> Result<u64, FieldError> {
+        let (end, mut samples) = (self.training.state.steps + steps, 0);
+        while self.training.state.steps < end {
+            let most = end - self.training.state.steps;
+            samples += self.session.advance(&mut self.training, most)?.samples;
+        }
+        Ok(samples)
+    }
+
+    /// Takes `steps` steps, every dispatch between two timestamps.
+    ///
+    /// # Errors
+    /// As [`crate::Trainer::advance`]; a device without timestamps.
+    pub fn time(&mut self, steps: u64) -> Result<Timed, FieldError> {
+        let (training, session) = (&mut self.training, &mut self.session);
+        session.download(&mut training.state)?;
+        let before = rows_moved(training);
+        let mut watch = Watch::default();
+        let sum = session.watch_steps(training, steps, &mut watch)?;
+        session.download(&mut training.state)?;
+        let rows = rows_moved(training) - before;
+        Ok(session.timed(training, &watch, sum, rows))
+    }
+}
+
+/// Returns the rows of the tables that Adam has moved, in all steps so far.
+fn rows_moved(training: &Training) -> u64 {
+    let levels = training.state.weights.tables.len();
+    let counts = training.state.moments[..levels]
+        .iter()
+        .flat_map(|level| &level.count);
+    counts.map(|count| u64::from(*count)).sum()
+}
+
+impl GpuSession {
+    fn watch_steps(
+        &mut self,
+        training: &mut Training,
+        steps: u64,
+        watch: &mut Watch,
+    ) -> Result<Step, FieldError> {
+        let mut sum = self.watched(training, steps, Some(watch))?;
+        while sum.steps < steps {
+            let some = self.watched(training, steps - sum.steps, Some(watch))?;
+            sum.steps += some.steps;
+            sum.rays += some.rays;
+            sum.samples += some.samples;
+        }
+        Ok(sum)
+    }
+
+    fn timed(&self, training: &Training, watch: &Watch, sum: Step, rows: u64) -> Timed {
+        let steps = sum.steps as f64;
+        let mut kernels: Vec<KernelTime> = Vec::new();
+        for (name, seconds) in &watch.steps {
+            let known = kernels.iter().position(|kernel| kernel.name == *name);
+            let index = known.unwrap_or(kernels.len());
+            if known.is_none() {
+                kernels.push(KernelTime {
+                    name,
+                    calls: 0.0,
+                    seconds: 0.0,
+                    load: self.load(name, training, watch, sum, rows),
+                });
+            }
+            kernels[index].calls += 1.0 / steps;
+            kernels[index].seconds += seconds / steps;
+        }
+        kernels.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
+        Timed {
+            steps: sum.steps,
+            rays: sum.rays,
+            visited: watch.visited,
+            samples: sum.samples,
+            kernels,
+            update_s: watch.updates.iter().map(|(_, seconds)| seconds).sum::<f64>() / steps,
+        }
+    }
+
+    /// Returns what a kernel has to do in a step, counted from what it must read, write and compute.
+    fn load(&self, name: &str, training: &Training, watch: &Watch, sum: Step, rows: u64) -> Option<Load> {
+        let [visited, kept, rays, rows] =
+            [watch.visited, sum.samples, sum.rays, rows].map(|count| count as f64 / sum.steps as f64);
+        let weights = |layers: &[DeviceLayer]| -> f64 {
+            let sizes = layers.iter().map(|layer| layer.inputs * layer.outputs);
+            sizes.sum::<usize>() as f64
+        };
+        let (density, color) = (weights(&self.weights.density), weights(&self.weights.color));
+        let entries = 4.0 * self.grid.numbers() as f64;
+        let row = 4.0 * self.grid.features() as f64;
+        let behind = match training.config.background {
+            Background::Direction => BACKGROUND as f64,
+            Background::Black => 0.0,
+        };
+        Some(match name {
+            // Weight and both moments read and written, the count too; of the gradient zeros.
+            "adam_table" => Load::Bytes(entries + rows * (7.0 * row + 8.0)),
+            "peak" => Load::Bytes(entries),
+            "blend" => {
+                let numbers: usize = self.weights.arrays().iter().map(|array| array.len()).sum();
+                let steps = training.state.steps - sum.steps..training.state.steps;
+                let due = steps.filter(|step| training.kept_at(*step).is_some()).count();
+                Load::Bytes(12.0 * numbers as f64 * due as f64 / sum.steps as f64)
+            }
+            "gather" => Load::Bytes(8.0 * kept * gathered_rows(&self.lanes, Purpose::Training) as f64),
+            // Forward: densities of visited samples, colours of kept ones; back through both.
+            "product" => Load::Operations(2.0 * (visited * density + kept * (density + 2.0 * color))),
+            "outer" => Load::Operations(2.0 * (kept * (density + color) + rays * behind)),
+            _ => return None,
+        })
+    }
+}

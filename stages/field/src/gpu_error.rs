@@ -1,0 +1,67 @@
+/// What keeps a GPU from being used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum GpuError {
+    /// A GPU was asked for, and the feature `gpu` is off.
+    #[error("this marf was built without the GPU: rebuild with `--features gpu`, or use `--device cpu`")]
+    NotBuilt,
+    /// No adapter that was asked for.
+    #[error("no GPU {wanted}: found {found}; take `device = \"cpu\"`, or `gpu:NAME` for one of these")]
+    NoAdapter {
+        /// What was asked for.
+        wanted: String,
+        /// Names of the adapters there are, or `none`.
+        found: String,
+    },
+    /// An adapter that offers less than is needed.
+    #[error("`{adapter}` offers {offered} {limit}, {needed} are needed: {hint}")]
+    Limit {
+        /// The adapter.
+        adapter: String,
+        /// Name of the limit, as WebGPU calls it.
+        limit: &'static str,
+        /// What it offers.
+        offered: u64,
+        /// What is needed.
+        needed: u64,
+        /// What to set.
+        hint: &'static str,
+    },
+    /// Memory that was refused.
+    #[error(
+        "`{adapter}` refused {bytes} bytes for `{what}`: lower `batch_samples`, `log2_table` or `memory`, or take `device = \"cpu\"`"
+    )]
+    Memory {
+        /// The adapter.
+        adapter: String,
+        /// The buffer.
+        what: &'static str,
+        /// Its size.
+        bytes: u64,
+    },
+    /// A kernel that this driver does not compile.
+    #[error("kernel `{kernel}` does not compile on `{adapter}`: {message}; take `device = \"cpu\"`")]
+    Kernel {
+        /// The kernel.
+        kernel: &'static str,
+        /// The adapter.
+        adapter: String,
+        /// What the driver said.
+        message: String,
+    },
+    /// An adapter whose kernels cannot be timed.
+    #[error("`{adapter}` has no timestamp queries: time whole trainings with `marf bench train`")]
+    NoTimestamps {
+        /// The adapter.
+        adapter: String,
+    },
+    /// A device that was lost, or refused a command.
+    #[error(
+        "`{adapter}` failed: {message}; run again to go on from the last checkpoint, or take `device = \"cpu\"`"
+    )]
+    Lost {
+        /// The adapter.
+        adapter: String,
+        /// What the driver said.
+        message: String,
+    },
+}
