@@ -12,7 +12,6 @@ use rayon::prelude::*;
 use crate::calibration::{Calibration, PhotoStatistics, PlacedPhoto};
 use crate::photos::{InputPhoto, as_png, decode, reduction, store};
 use crate::resample::resample;
-use marf_schema::calibrate::CalibrateParams;
 
 /// A photo whose label can be used.
 pub(crate) struct Candidate<'a> {

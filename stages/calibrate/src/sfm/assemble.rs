@@ -21,7 +21,6 @@ use crate::calibration::{Calibration, PhotoStatistics, PlacedPhoto, mean_up};
 use crate::export::{Observation, TrackPoint};
 use crate::labels::median;
 use crate::photos::{as_png, reduction};
-use marf_schema::calibrate::CalibrateParams;
 
 /// Returns the calibration of the largest model and of those in the same metric frame.
 pub(super) fn assemble(

@@ -15,7 +15,6 @@ use super::memo_table::MemoTable;
 use crate::labels::{Candidate, Pixels, ideal};
 use crate::masks::mask_file;
 use crate::photos::{InputPhoto, as_png, decode, store};
-use marf_schema::calibrate::{CalibrateParams, FirstOctaveParam};
 
 /// Raised when features, working images or label cameras may change.
 const VERSION: u32 = 1;

@@ -17,7 +17,6 @@ use super::{assemble, cameras, compare, earlier};
 use crate::calibration::Calibration;
 use crate::labels;
 use crate::photos::InputPhoto;
-use marf_schema::calibrate::{CalibrateParams, LensParam, PrincipalPoint};
 
 /// Returns the cameras of the photos by structure from motion.
 pub(crate) fn run(
