@@ -127,6 +127,7 @@ pub(crate) fn of_one_site(items: &[InputPhoto], site: Option<i64>) -> Vec<Option
     by_item
 }
 
+/// Returns the requested site, or that with most photos.
 fn chosen_site(candidates: &[Candidate<'_>], asked: Option<i64>) -> Option<i64> {
     asked.map_or_else(|| site_with_most_photos(candidates), Some)
 }
@@ -281,6 +282,7 @@ fn pinhole(
     Ok((pinhole, Undistortion::Resample(model.normalised()?)))
 }
 
+/// Returns a placed photo.
 fn place(item: usize, made: PinholePhoto) -> PlacedPhoto {
     PlacedPhoto {
         item,

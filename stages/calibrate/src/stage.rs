@@ -1,3 +1,5 @@
+//! The stage: its declaration, its outputs, and what makes a result too poor.
+
 use std::collections::BTreeMap;
 
 use marf_cache::ContentHash;

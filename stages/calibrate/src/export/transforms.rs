@@ -4,6 +4,7 @@ use marf_scene::{Camera, Frame, Pose, Scene};
 use marf_schema::output::POINTS;
 use serde::Serialize;
 
+/// transforms.json.
 #[derive(Serialize)]
 struct Transforms<'a> {
     camera_model: &'static str,
@@ -17,6 +18,7 @@ struct Transforms<'a> {
     frames: Vec<Entry<'a>>,
 }
 
+/// A frame of it.
 #[derive(Serialize)]
 struct Entry<'a> {
     file_path: &'a str,
@@ -25,6 +27,7 @@ struct Entry<'a> {
     transform_matrix: [[f64; 4]; 4],
 }
 
+/// Intrinsics, at the top or of a frame.
 #[derive(Serialize)]
 struct Lens {
     w: u32,

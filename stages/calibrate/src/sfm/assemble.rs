@@ -261,6 +261,7 @@ fn tracks(reconstruction: &Reconstruction<'_>, model: &Model) -> Vec<TrackPoint>
         .collect()
 }
 
+/// Returns the mean colour, rounded.
 fn mean_color(colors: Vec<[u8; 3]>) -> [u8; 3] {
     let count = colors.len().max(1) as u32;
     [0, 1, 2].map(|channel| {
@@ -269,6 +270,7 @@ fn mean_color(colors: Vec<[u8; 3]>) -> [u8; 3] {
     })
 }
 
+/// Returns a point without its observations.
 fn sparse(point: &TrackPoint) -> Point {
     Point {
         position: point.position,

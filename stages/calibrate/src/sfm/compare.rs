@@ -108,6 +108,7 @@ fn overlap((camera, cam_from_site): &(Camera, Pose), (other, other_from_site): &
     .sum()
 }
 
+/// Key of the memo of pairs; its name and fields are part of the key.
 #[derive(ContentHash)]
 struct MemoKey {
     what: &'static str,

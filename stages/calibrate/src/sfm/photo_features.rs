@@ -56,6 +56,7 @@ pub(super) struct FeatureRow {
     pub found: Digest,
 }
 
+/// Key of the memo of features; its name and fields are part of the key.
 #[derive(ContentHash)]
 struct MemoKey {
     what: &'static str,
@@ -196,6 +197,7 @@ fn computed(
     })
 }
 
+/// Returns the options of feature extraction.
 fn options(params: &CalibrateParams) -> FeatureOptions {
     FeatureOptions {
         max_features: params.max_features,

@@ -75,6 +75,7 @@ pub(super) fn solve(
     true
 }
 
+/// to += factor · from.
 fn add_scaled(to: &mut [f64], from: &[f64], factor: f64) {
     to.iter_mut()
         .zip(from)

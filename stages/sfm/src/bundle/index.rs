@@ -130,14 +130,17 @@ impl Index {
         self.unknowns() - held + 3 * points
     }
 
+    /// Returns the observations of a point.
     pub(super) fn observations_of(&self, point: usize) -> std::ops::Range<usize> {
         range(&self.observation_start, point)
     }
 
+    /// Returns the observations of a point by free poses.
     pub(super) fn free_of(&self, point: usize) -> std::ops::Range<usize> {
         range(&self.free_start, point)
     }
 
+    /// Returns the cameras with free parameters that observe a point.
     pub(super) fn point_cameras_of(&self, point: usize) -> std::ops::Range<usize> {
         range(&self.point_camera_start, point)
     }
@@ -202,6 +205,7 @@ impl Index {
         self.observations_of_active = Groups::new(self.active.len(), groups);
     }
 
+    /// Lists the observations by free poses, by point and by pose.
     fn add_free_observations(&mut self, problem: &Problem) {
         self.observation_start = starts(
             problem.points.len(),
@@ -224,6 +228,7 @@ impl Index {
         self.free_of_slot = Groups::new(self.slots, self.free_observations.iter().map(|free| free.slot));
     }
 
+    /// Lists the cameras with free parameters of each point.
     fn add_point_cameras(&mut self, problem: &Problem) {
         let mut cameras = Vec::new();
         for point in 0..problem.points.len() {
@@ -275,6 +280,7 @@ fn starts(count: usize, groups: impl Iterator<Item = u32>) -> Vec<u32> {
     start
 }
 
+/// Returns the range of a group.
 fn range(start: &[u32], group: usize) -> std::ops::Range<usize> {
     start[group] as usize..start[group + 1] as usize
 }

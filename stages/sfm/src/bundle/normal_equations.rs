@@ -114,6 +114,7 @@ impl NormalEquations {
         self.add_priors(objective, state);
     }
 
+    /// Computes residual blocks and camera Jacobians of all observations.
     fn set_rows(&mut self, objective: &Objective, state: &State) {
         let held = held_columns(objective, state);
         let observations = &objective.problem.observations;
@@ -142,12 +143,14 @@ impl NormalEquations {
             });
     }
 
+    /// Sums the normal equations of the points.
     fn set_points(&mut self, objective: &Objective) {
         let rows = &self.rows;
         let blocks = self.points.par_iter_mut().enumerate().with_min_len(GRAIN);
         blocks.for_each(|(point, block)| *block = point_block(&rows[objective.index.observations_of(point)]));
     }
 
+    /// Sums the normal equations of poses and cameras.
     fn set_poses(&mut self, objective: &Objective) {
         let (rows, camera_jacobians) = (&self.rows, &self.camera_jacobians);
         let blocks = self.poses.par_iter_mut().zip(&objective.index.active).enumerate();
@@ -166,6 +169,7 @@ impl NormalEquations {
         }
     }
 
+    /// Adds the priors.
     fn add_priors(&mut self, objective: &Objective, state: &State) {
         self.cross_blocks.clear();
         for prior in &objective.priors {
@@ -199,6 +203,7 @@ impl NormalEquations {
         }
     }
 
+    /// Adds a prior on one or two poses.
     fn add_pose_prior(
         &mut self,
         objective: &Objective,
@@ -372,6 +377,7 @@ fn add_gradient<const N: usize>(g: &mut [f64; N], columns: &[[f64; N]; 2], error
     }
 }
 
+/// to += from.
 #[inline]
 fn add<const N: usize>(to: &mut [f64; N], from: &[f64; N]) {
     to.iter_mut().zip(from).for_each(|(to, from)| *to += from);

@@ -60,6 +60,7 @@ impl<'a> Objective<'a> {
         }
     }
 
+    /// Returns the index of the camera of an observation.
     pub(super) fn camera_of(&self, observation: &Observation) -> usize {
         self.problem.camera_of_pose[observation.pose as usize] as usize
     }
@@ -88,6 +89,7 @@ impl<'a> Objective<'a> {
         self.problem.observations.iter().filter(hidden).count()
     }
 
+    /// Returns Σ ρ of a chunk of observations.
     fn cost_of(&self, chunk: &[Observation], state: &State) -> f64 {
         let cost = |observation: &Observation| match squared_error(self, observation, state) {
             Some(squared) => self.loss.cost(squared),
@@ -97,6 +99,7 @@ impl<'a> Objective<'a> {
     }
 }
 
+/// Returns the squared reprojection error; `None` without a projection.
 fn squared_error(objective: &Objective, observation: &Observation, state: &State) -> Option<f64> {
     let camera = &state.cameras[objective.camera_of(observation)];
     let view = &state.views[observation.pose as usize];

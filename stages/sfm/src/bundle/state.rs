@@ -32,14 +32,17 @@ impl Normalization {
         }
     }
 
+    /// Returns a position in normalised coordinates.
     fn normalize(&self, place: &Vector3<f64>) -> Vector3<f64> {
         (place - self.middle) / self.scale
     }
 
+    /// Returns a position in the coordinates of the problem.
     fn denormalize(&self, place: &Vector3<f64>) -> Vector3<f64> {
         place * self.scale + self.middle
     }
 
+    /// Returns a pose in normalised coordinates.
     fn view(&self, pose: &Pose) -> CentredPose {
         let twice = so3::orthonormal(&so3::orthonormal(&pose.rotation));
         CentredPose {
@@ -48,6 +51,7 @@ impl Normalization {
         }
     }
 
+    /// Returns a pose in the coordinates of the problem.
     fn pose(&self, view: &CentredPose) -> Pose {
         Pose {
             rotation: view.rotation,
@@ -103,6 +107,7 @@ pub(super) struct Step {
 }
 
 impl Step {
+    /// Tells whether all changes are finite.
     pub(super) fn is_finite(&self) -> bool {
         let finite = |point: &Vector3<f64>| (point.x + point.y + point.z).is_finite();
         self.reduced.iter().all(|value| value.is_finite()) && self.points.iter().all(finite)
@@ -203,6 +208,7 @@ impl CameraBounds {
         }
     }
 
+    /// Adds to a parameter, within its bounds.
     fn change(&self, camera: &mut Camera, term: CameraParam, change: f64) {
         let within = |value: f64, limit: f64| (value + change).clamp(-limit, limit);
         match term {

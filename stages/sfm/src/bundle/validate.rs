@@ -78,6 +78,7 @@ pub(super) fn check(problem: &Problem) -> Result<(), BundleError> {
     all_valid("prior", problem.priors.iter().map(is_valid))
 }
 
+/// Refuses lists of different lengths.
 fn check_lengths(problem: &Problem) -> Result<(), BundleError> {
     let poses = problem.poses.len();
     let lengths = [
@@ -95,6 +96,7 @@ fn check_lengths(problem: &Problem) -> Result<(), BundleError> {
     }
 }
 
+/// Refuses observations that are out of order, out of range or not finite.
 fn check_observations(problem: &Problem) -> Result<(), BundleError> {
     let mut last = None;
     for (index, observation) in problem.observations.iter().enumerate() {

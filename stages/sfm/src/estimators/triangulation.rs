@@ -180,6 +180,7 @@ fn refined(start: &Vector3<f64>, rays: &[&Ray]) -> Option<Vector3<f64>> {
     point.iter().all(|value| value.is_finite()).then_some(point)
 }
 
+/// Returns the depth of a point in the frame of a camera.
 #[cfg(test)]
 fn depth(ray: &Ray, point: &Vector3<f64>) -> f64 {
     ray.cam_from_world.point(point).z

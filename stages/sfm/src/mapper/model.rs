@@ -141,6 +141,7 @@ impl Model {
         }
     }
 
+    /// Returns the state of a track as it is.
     fn state(&self, input: &MapperInput<'_>, track: usize) -> TrackState {
         (
             self.points[track],
@@ -148,6 +149,7 @@ impl Model {
         )
     }
 
+    /// Returns a track triangulated, or with the observations that fit its point.
     fn completed(&self, input: &MapperInput<'_>, track: usize) -> TrackState {
         let Some(point) = self.points[track] else {
             return self.triangulated(input, track);
@@ -160,6 +162,7 @@ impl Model {
         (Some(point), range.map(fits).collect())
     }
 
+    /// Returns a track triangulated from all its registered photos.
     fn triangulated(&self, input: &MapperInput<'_>, track: usize) -> TrackState {
         let range = input.tracks.range(track);
         let (mut indices, mut rays, mut errors) = (Vec::new(), Vec::new(), Vec::new());
@@ -185,6 +188,7 @@ impl Model {
         (found.map(|found| found.point), active)
     }
 
+    /// Returns a track without observations whose error is too large, and without its point if too few are left.
     fn filtered(&self, input: &MapperInput<'_>, track: usize) -> TrackState {
         let Some(point) = self.points[track] else {
             return self.state(input, track);

@@ -1,3 +1,5 @@
+//! Registration of photos: which comes next, and whether it is kept.
+
 use std::collections::BTreeMap;
 
 use super::global_adjustment::{COARSE, adjust_local, refine};
@@ -83,6 +85,7 @@ impl Attempts {
             .is_none_or(|&(tries, last)| tries < TRIES && visible * 10 > last * 11)
     }
 
+    /// Records a failed attempt.
     fn note(&mut self, photo: usize, visible: usize) {
         let entry = self.0.entry(photo).or_default();
         *entry = (entry.0 + 1, visible);

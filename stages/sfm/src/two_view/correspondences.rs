@@ -53,6 +53,7 @@ impl Correspondences {
         }
     }
 
+    /// Returns the number of correspondences.
     pub(super) fn len(&self) -> usize {
         self.matches.len()
     }

@@ -126,6 +126,7 @@ pub fn estimate_relative_pose(
 struct Estimation<'a>(RayMatches<'a>);
 
 impl Estimation<'_> {
+    /// Returns the inliers of the matches.
     fn agreed<'a>(&'a self, inliers: &'a [usize]) -> impl Iterator<Item = &'a PointPair> + Clone {
         inliers.iter().map(|&i| &self.0.pairs[i])
     }
@@ -138,10 +139,12 @@ impl Estimation<'_> {
         }
     }
 
+    /// Returns the squared Sampson error over the squared limit.
     fn epipolar_error(&self, essential: &Matrix3<f64>, i: usize) -> f64 {
         sampson2(essential, &self.0.pairs[i], self.0.noise2) / (self.0.limit * self.0.limit)
     }
 
+    /// Returns an essential matrix refined on its inliers.
     fn refined(&self, essential: &Matrix3<f64>, inliers: &[usize], steps: usize) -> Option<Matrix3<f64>> {
         let (agreed, scale) = (self.agreed(inliers), self.0.limit / 2.0);
         (inliers.len() >= MIN_INLIERS)
@@ -158,6 +161,7 @@ impl Estimation<'_> {
             .flatten()
     }
 
+    /// Returns the essential matrix with the largest consensus.
     fn essential(&self, rng: &mut Rng) -> Option<Consensus<Matrix3<f64>>> {
         let solve = |sample: &[usize; 5]| {
             let side = |side: usize| sample.map(|i| self.0.pairs[i][side]);
@@ -182,6 +186,7 @@ impl Estimation<'_> {
         if carried.z > 0.0 { distance2 } else { f64::INFINITY }
     }
 
+    /// Returns the pure rotation with the largest consensus.
     fn rotation(&self, rng: &mut Rng) -> Option<Consensus<Matrix3<f64>>> {
         let rays = |i: usize| {
             let [p, q] = &self.0.pairs[i];
@@ -200,6 +205,7 @@ impl Estimation<'_> {
         )
     }
 
+    /// Returns the homography with the largest consensus.
     fn homography(&self, rng: &mut Rng) -> Option<Consensus<InvertibleHomography>> {
         ransac_homography(
             self.0.pairs,
@@ -281,6 +287,7 @@ impl Estimation<'_> {
         !(depth_1 > 0.0 && depth_2 > 0.0) && angle_rad(pose, &self.0.pairs[i]) > doubt
     }
 
+    /// Returns the median triangulation angle of the inliers.
     fn median_angle_rad(&self, found: &Consensus<Candidate>) -> f64 {
         let mut angles: Vec<f64> = self
             .agreed(&found.inliers)
