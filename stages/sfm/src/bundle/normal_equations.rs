@@ -4,7 +4,7 @@ use nalgebra::{Matrix6, Vector6};
 use rayon::prelude::*;
 
 use super::index::{ActivePose, NONE, POSE_PARAMS};
-use super::objective::{Objective, near};
+use super::objective::{Objective, squared_length};
 use super::problem::{Observation, Prior};
 use super::residual::{CAMERA_PARAMS, CameraJacobian, CameraParam, ResidualBlock, project};
 use super::state::State;
@@ -268,7 +268,7 @@ fn linearised(
     let view = &state.views[observation.pose as usize];
     let projection = project(view, camera, &state.points[observation.point as usize])?;
     let error = projection.error(camera, &observation.pixel);
-    let weight = objective.loss.weight(near(error)?).sqrt();
+    let weight = objective.loss.weight(squared_length(error)?).sqrt();
     let mut camera_jacobian = projection.camera_jacobian(camera, terms, weight);
     for row in &mut camera_jacobian {
         held.iter().for_each(|&column| row[column] = 0.0);

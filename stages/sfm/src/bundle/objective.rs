@@ -104,12 +104,12 @@ fn squared_error(objective: &Objective, observation: &Observation, state: &State
     let camera = &state.cameras[objective.camera_of(observation)];
     let view = &state.views[observation.pose as usize];
     let projection = project(view, camera, &state.points[observation.point as usize])?;
-    near(projection.error(camera, &observation.pixel))
+    squared_length(projection.error(camera, &observation.pixel))
 }
 
 /// Returns the squared length of a residual, or `None` if it is too long.
 #[inline]
-pub(super) fn near(error: [f64; 2]) -> Option<f64> {
+pub(super) fn squared_length(error: [f64; 2]) -> Option<f64> {
     let squared = error[0] * error[0] + error[1] * error[1];
     (squared < FAR_PX * FAR_PX).then_some(squared)
 }

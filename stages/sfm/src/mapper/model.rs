@@ -47,7 +47,7 @@ impl Model {
     }
 
     /// Sets the distortion model to the smallest that holds the coefficients of all cameras.
-    pub(crate) fn keep_lens(&mut self) {
+    pub(crate) fn set_lens_from_cameras(&mut self) {
         let used = |camera: &Camera| match camera {
             camera if camera.p1 != 0.0 || camera.p2 != 0.0 => LensModel::OpenCv,
             camera if camera.k2 != 0.0 => LensModel::Radial,
