@@ -126,7 +126,7 @@ const UNSAFE: [&str; 4] = [
     "stages/numeric/src/instruction_set.rs",
     "stages/field/src/cpu/simd.rs",
     "stages/field/src/cpu/simd/",
-    "stages/calibrate/src/simd.rs",
+    "stages/sfm/src/simd.rs",
 ];
 
 fn root() -> PathBuf {
