@@ -63,7 +63,7 @@ const CRATES: [Crate; 18] = [
         &["marf-cache", "marf-stage", "marf-scene", "marf-pds"],
     ),
     Crate {
-        tests_use: &["marf-demo", "marf-extract"],
+        tests_use: &["marf-pds", "marf-demo"],
         ..row(
             "stages/calibrate",
             "marf-calibrate",
@@ -130,7 +130,7 @@ const UNSAFE: [&str; 4] = [
     "stages/numeric/src/instruction_set.rs",
     "stages/field/src/cpu/simd.rs",
     "stages/field/src/cpu/simd/",
-    "stages/calibrate/src/simd.rs",
+    "stages/sfm/src/simd.rs",
 ];
 
 fn root() -> PathBuf {
