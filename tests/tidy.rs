@@ -28,7 +28,7 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 20] = [
+const CRATES: [Crate; 18] = [
     row("shaders", "marf-shaders", &[]),
     row("cache/derive", "marf-cache-derive", &[]),
     row("cache", "marf-cache", &["marf-cache-derive"]),
@@ -73,30 +73,8 @@ const CRATES: [Crate; 20] = [
         )
     },
     row(
-        "stages/tune",
-        "marf-tune",
-        &[
-            "marf-cache",
-            "marf-stage",
-            "marf-scene",
-            "marf-field",
-            "marf-schema",
-        ],
-    ),
-    row(
         "stages/train",
         "marf-train",
-        &[
-            "marf-cache",
-            "marf-stage",
-            "marf-scene",
-            "marf-field",
-            "marf-schema",
-        ],
-    ),
-    row(
-        "stages/bootstrap",
-        "marf-bootstrap",
         &[
             "marf-cache",
             "marf-stage",
@@ -113,9 +91,7 @@ const CRATES: [Crate; 20] = [
             "marf-extract",
             "marf-filter",
             "marf-calibrate",
-            "marf-tune",
             "marf-train",
-            "marf-bootstrap",
         ],
     ),
     row("src/engine", "marf-engine", &["marf-cache", "marf-stage"]),

@@ -6,10 +6,12 @@ use marf_stage::Verdict;
 
 use super::args::{FilterArgs, Global};
 use super::error::CliError;
+use super::output::print_json;
 use super::run::{execute, options};
 use super::session::Session;
-use super::{files, report, say_json, verdicts};
+use super::{files, report, verdicts};
 use crate::show::{FACTORS, calls, percent};
+use crate::terminal::{eprint_line, print_line};
 
 /// Returns the nodes of `marf filter` in their order: extract, then every filter of the table.
 fn chain() -> Vec<&'static str> {
@@ -34,13 +36,13 @@ pub fn filter(global: &Global, args: &FilterArgs, cancel: &Cancel) -> Result<(),
         *counts.entry(&verdict.verdict).or_default() += 1;
     }
     if global.json {
-        return say_json(&counts);
+        return print_json(&counts);
     }
     for (name, count) in &counts {
-        crate::say(&format!("{name:<12} {count}"));
+        print_line(&format!("{name:<12} {count}"));
     }
-    crate::talk(&changed_by_thresholds(&by_node, &chain));
-    crate::talk(&format!(
+    eprint_line(&changed_by_thresholds(&by_node, &chain));
+    eprint_line(&format!(
         "wrote {} and {}",
         args.out.display(),
         page(&args.out).display()

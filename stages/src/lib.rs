@@ -1,7 +1,8 @@
-//! The table of stages: everything a pipeline can be made of, and nothing else.
+//! The tables of stages and of kinds of archives: everything a pipeline can be made of, and nothing else.
 
 use std::sync::LazyLock;
 
+pub use marf_extract::ArchiveDef;
 use marf_stage::{StageDef, define};
 
 /// Every stage, in the order in which a pipeline usually has them.
@@ -10,12 +11,12 @@ static STAGES: LazyLock<Vec<StageDef>> = LazyLock::new(|| {
     stages.extend_from_slice(marf_filter::STAGES);
     stages.extend([
         define::<marf_calibrate::Calibrate>(),
-        define::<marf_tune::Tune>(),
+        define::<marf_train::Tune>(),
         define::<marf_train::Train>(),
         define::<marf_train::Pace>(),
         define::<marf_train::Evaluate>(),
         define::<marf_train::Render>(),
-        define::<marf_bootstrap::Bootstrap>(),
+        define::<marf_train::Bootstrap>(),
     ]);
     stages
 });
@@ -28,4 +29,9 @@ pub fn filters() -> &'static [StageDef] {
 /// Returns the table of stages.
 pub fn stages() -> &'static [StageDef] {
     &STAGES
+}
+
+/// Returns the table of kinds of archives.
+pub fn archives() -> &'static [ArchiveDef] {
+    marf_extract::ARCHIVES
 }

@@ -8,31 +8,31 @@ use marf_cache::Digest;
 
 use crate::StageError;
 
-/// What a running stage may use of the outside.
+/// What a running stage may use beside its parameters and inputs.
 #[derive(Clone, Copy)]
 pub struct Ctx<'a> {
-    /// The store.
+    /// The object store.
     pub blobs: &'a dyn Blobs,
-    /// The wish to stop.
+    /// Whether the run should stop.
     pub cancel: &'a Cancel,
-    /// Who wants to know how far it is.
+    /// Receives progress.
     pub progress: &'a dyn Progress,
-    /// A place for the state of an unfinished run of this very key.
+    /// Saves the state of an unfinished run under this node's key.
     pub checkpoints: &'a dyn Checkpoints,
     /// Tables of partial results that outlive this run.
     pub memos: &'a dyn Memos,
-    /// A folder for files of unfinished work (half a download, what a server last listed), made by who first needs it.
-    /// What lies there may vanish between runs and never reaches a result.
+    /// A folder for files of unfinished work (half a download, the last listing of a server); the stage creates it. Its
+    /// files may vanish between runs and never change a result.
     pub scratch: &'a Path,
     /// Threads given to this run; a rayon pool of that size is installed. Never part of a result.
     pub threads: usize,
 }
 
 impl Ctx<'_> {
-    /// Stops here if the user asked to.
+    /// Returns an error if the user asked to stop.
     ///
     /// # Errors
-    /// [`StageError::Cancelled`] then.
+    /// [`StageError::Cancelled`].
     pub fn check(&self) -> Result<(), StageError> {
         if self.cancel.is_set() {
             Err(StageError::Cancelled)
@@ -41,7 +41,7 @@ impl Ctx<'_> {
         }
     }
 
-    /// Reads a blob; its bytes have been verified.
+    /// Reads a blob and verifies its digest.
     ///
     /// # Errors
     /// A missing or damaged blob.
@@ -49,7 +49,7 @@ impl Ctx<'_> {
         Ok(self.blobs.get(digest)?)
     }
 
-    /// Stores a blob and returns its name.
+    /// Stores a blob and returns its digest.
     ///
     /// # Errors
     /// A store that cannot be written.
@@ -58,14 +58,14 @@ impl Ctx<'_> {
     }
 }
 
-/// Byte strings by digest.
+/// A store of byte strings by digest.
 pub trait Blobs: Sync {
-    /// Reads and verifies.
+    /// Reads a blob and verifies its digest.
     ///
     /// # Errors
     /// A missing or damaged blob.
     fn get(&self, digest: &Digest) -> Result<Arc<[u8]>, BlobError>;
-    /// Stores; storing the same bytes twice is one blob.
+    /// Stores a blob; the same bytes are stored once.
     ///
     /// # Errors
     /// A store that cannot be written.
@@ -78,46 +78,46 @@ pub trait Blobs: Sync {
 pub struct BlobError {
     /// Path, numbers and cause in one line.
     pub message: String,
-    /// The blob that was asked for and is missing or damaged, so that its producer can run again.
+    /// The blob that is missing or damaged, so that the node that produced it can run again.
     pub lost: Option<Digest>,
 }
 
-/// Hears how far a run is.
+/// Receives the progress of a run.
 pub trait Progress: Sync {
-    /// `done` of `total` units; `note` is a short figure of the moment (`loss 0.0123`).
+    /// Reports `done` of `total` units; `note` is a short current figure (`loss 0.0123`).
     fn at(&self, done: u64, total: u64, note: &str);
 }
 
-/// Keeps the state of an unfinished run, by the node's key.
+/// Keeps the state of an unfinished run under the node's key.
 pub trait Checkpoints: Sync {
-    /// Returns what the last unfinished run of this key saved.
+    /// Returns the state that the last unfinished run of this key saved.
     fn load(&self) -> Option<Vec<u8>>;
-    /// Replaces it. A failure costs only time, and is reported by the engine.
+    /// Replaces the state. A failure costs only time, and the engine reports it.
     fn save(&self, state: &[u8]);
 }
 
-/// Keeps tables of partial results from run to run, by a key of the stage's own making.
+/// Keeps partial results from run to run under keys that the stage chooses.
 ///
-/// The key holds all that the table's rows depend on. Losing a memo costs time, never a result: a table that was
-/// never saved, or is damaged, is none, and the stage works it out anew.
+/// The key must be a digest of everything the value depends on. A memo that is lost, damaged or was never saved costs
+/// time, never a result: the stage computes the value again.
 pub trait Memos: Sync {
-    /// Returns the table last saved under this key.
+    /// Returns the bytes last saved under this key.
     fn load(&self, key: &Digest) -> Option<Arc<[u8]>>;
-    /// Replaces it. A failure costs only time, and is reported by the engine.
-    fn save(&self, key: &Digest, table: &[u8]);
+    /// Replaces the bytes. A failure costs only time, and the engine reports it.
+    fn save(&self, key: &Digest, value: &[u8]);
 }
 
-/// A wish to stop that many threads can see.
+/// A request to stop, shared between threads.
 #[derive(Debug, Clone, Default)]
 pub struct Cancel(Arc<AtomicBool>);
 
 impl Cancel {
-    /// Asks to stop.
+    /// Requests a stop.
     pub fn set(&self) {
         self.0.store(true, Ordering::Relaxed);
     }
 
-    /// Tells whether somebody asked to stop.
+    /// Returns whether a stop was requested.
     pub fn is_set(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }

@@ -3,7 +3,7 @@ use crate::BlobError;
 /// Why a node stopped.
 #[derive(Debug, Clone, thiserror::Error)]
 pub enum StageError {
-    /// The user asked to stop; what was kept stays.
+    /// The user asked to stop; what is already in the store stays.
     #[error("stopped")]
     Cancelled,
     /// The work cannot be done.
@@ -11,18 +11,18 @@ pub enum StageError {
     Failed {
         /// What, where and how much, in one line.
         message: String,
-        /// What lies behind it, if known.
+        /// The cause, if known.
         cause: Option<String>,
-        /// The key to turn or the command to run, if known.
+        /// The key to change or the command to run, if known.
         hint: Option<String>,
     },
-    /// The store did not give or take a blob.
+    /// A blob could not be read or written.
     #[error(transparent)]
     Blob(#[from] BlobError),
 }
 
 impl StageError {
-    /// A failure with its one-line message.
+    /// Returns a failure with its one-line message.
     pub fn new(message: impl Into<String>) -> Self {
         Self::Failed {
             message: message.into(),
@@ -31,7 +31,7 @@ impl StageError {
         }
     }
 
-    /// Adds what lies behind it.
+    /// Adds the cause.
     #[must_use]
     pub fn cause(mut self, text: impl Into<String>) -> Self {
         if let Self::Failed { cause, .. } = &mut self {
@@ -40,7 +40,7 @@ impl StageError {
         self
     }
 
-    /// Adds the way out.
+    /// Adds the key to change or the command to run.
     #[must_use]
     pub fn hint(mut self, text: impl Into<String>) -> Self {
         if let Self::Failed { hint, .. } = &mut self {

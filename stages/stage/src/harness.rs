@@ -12,20 +12,21 @@ use parking_lot::Mutex;
 
 use crate::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Memos, Progress};
 
-/// A store in memory with silent progress.
+/// A store in memory; progress is ignored.
 #[derive(Default)]
 pub struct Harness {
     blobs: Mutex<BTreeMap<Digest, Arc<[u8]>>>,
+    reads: Mutex<BTreeMap<Digest, u64>>,
     checkpoint: Mutex<Option<Vec<u8>>>,
     memos: Mutex<BTreeMap<Digest, Arc<[u8]>>>,
-    /// The wish to stop that stages under test see.
+    /// Whether stages under test should stop.
     pub cancel: Cancel,
     /// Folder for files of unfinished work; a test that needs one sets it.
     pub scratch: PathBuf,
 }
 
 impl Harness {
-    /// Returns what a stage under test gets.
+    /// Returns the context of a stage under test.
     pub fn ctx(&self) -> Ctx<'_> {
         Ctx {
             blobs: self,
@@ -50,7 +51,12 @@ impl Harness {
         self.blobs.lock().get(digest).cloned()
     }
 
-    /// Loses a blob, as a store may.
+    /// Returns how often stages have read a blob.
+    pub fn reads(&self, digest: &Digest) -> u64 {
+        self.reads.lock().get(digest).copied().unwrap_or(0)
+    }
+
+    /// Removes a blob, as a damaged store may.
     pub fn forget(&self, digest: &Digest) {
         self.blobs.lock().remove(digest);
     }
@@ -87,6 +93,7 @@ impl Harness {
 
 impl Blobs for Harness {
     fn get(&self, digest: &Digest) -> Result<Arc<[u8]>, BlobError> {
+        *self.reads.lock().entry(*digest).or_default() += 1;
         Self::get(self, digest).ok_or_else(|| BlobError {
             message: format!("no blob {digest}"),
             lost: Some(*digest),

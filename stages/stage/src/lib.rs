@@ -4,6 +4,7 @@
 //! contents of its inputs, and on nothing else (no clock, no path, no thread count). Invariant: everything a
 //! stage can read of the outside comes through [`Ctx`] or, for a [`Source`], is part of its fingerprint.
 
+mod archive;
 mod ctx;
 mod define;
 mod document;
@@ -15,69 +16,70 @@ use std::collections::BTreeMap;
 use marf_cache::{ContentHash, Digest, manifest::Row};
 use serde::{Deserialize, Serialize};
 
+pub use archive::{Access, ArchiveContext};
 pub use ctx::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Memos, Progress};
-pub use define::{Define, ParamError, Port, StageDef, define};
+pub use define::{Define, ParamError, Port, StageDef, define, from_json, schema_of};
 pub use document::{Document, Params, TypedOutputs};
 pub use error::StageError;
 
 /// Name of the output that holds a set of items as a Merkle root ([`marf_cache::manifest::Root`]).
 pub const PHOTOS: &str = "photos";
-/// Name of the output that holds one [`Verdict`] a line, for every item a set stage looked at.
+/// Name of the output that holds one [`Verdict`] a line, for every item the stage examined.
 pub const VERDICTS: &str = "verdicts";
-/// Name of a source's output that maps names of files beside the photos to digests, as JSON.
+/// Name of a source's output that maps the names of companion files to digests, as JSON.
 pub const COMPANIONS: &str = "companions";
 /// Name of the input that holds the stage's own output of its last finished run ([`Stage::earlier`]).
 pub const EARLIER: &str = "earlier";
 
 /// A stage with its parameters, ready to run.
 pub trait Stage: Send + Sync {
-    /// Everything of the parameters that may change the answer.
+    /// Returns the parameters that may change the result; they are hashed into the key.
     fn params(&self) -> &dyn ContentHash;
-    /// What kind of work this is.
+    /// Returns the kind of work, with the implementation to run.
     fn work(&self) -> Work<'_>;
-    /// How many threads one run of it can use.
+    /// Returns how many threads one run can use.
     fn threads(&self) -> Threads {
         Threads::One
     }
-    /// Names what decides the bits of its numbers beside program and inputs: adapter, driver and interface of a GPU.
-    /// `None` is the CPU, whose bits are the same everywhere. It is in the key.
+    /// Returns the backend that computes the result where results differ from backend to backend: adapter, driver and
+    /// interface of a GPU. `None` is the CPU, whose results are equal to the bit everywhere. It is part of the key.
     fn backend_id(&self) -> Option<String> {
         None
     }
-    /// Names the output of its own that it wants of its last finished run, as the input [`EARLIER`]; that output
-    /// is then in its key, and absent at the first run.
+    /// Returns the name of the output of the stage's own last finished run that it reads as the input [`EARLIER`]. That
+    /// output is then part of the key; at the first run it is absent.
     fn earlier(&self) -> Option<&'static str> {
         None
     }
 }
 
-/// The grains of work.
+/// The kinds of work, by what is cached.
 pub enum Work<'a> {
-    /// Brings items in from outside, one record a shard.
+    /// Reads items from an archive; one record a shard.
     Source(&'a dyn Source),
-    /// Judges each item by a measure of its own; the measure is kept.
+    /// Accepts or rejects each item by its measure; measures are cached by item.
     Map(&'a dyn Map),
-    /// Judges items in the light of all earlier shards, one record a shard.
+    /// Accepts or rejects items with a state from all earlier shards; one record a shard.
     Fold(&'a dyn Fold),
-    /// Needs all its inputs at once, one record.
+    /// Needs all its inputs at once; one record.
     Set(&'a dyn Set),
-    /// Asks for further nodes and reduces their outputs, one record.
+    /// Requests further nodes and reduces their outputs; one record.
     Expand(&'a dyn Expand),
 }
 
-/// How many threads a run can use; the engine may give fewer, never a different answer.
+/// How many threads a run can use; fewer never change the result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Threads {
-    /// Runs beside others on one core.
+    /// One; other nodes run at the same time.
     One,
-    /// Shares out to as many as it gets.
+    /// As many as there are.
     All,
 }
 
 /// Outputs of a stage by name, each a digest in the store.
 pub type Outputs = BTreeMap<String, Digest>;
 
-/// Contents that reach a stage, by the name of the output they come from.
+/// Inputs of a stage, by the name of the upstream output.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Inputs(pub BTreeMap<String, Digest>);
 
@@ -103,18 +105,18 @@ impl Inputs {
 pub struct Shard {
     /// The sol; 0 where there is none.
     pub shard: u32,
-    /// Digest of everything [`Source::fetch`] would read for it.
+    /// Digest of everything that [`Source::fetch`] would read for it.
     pub fingerprint: Digest,
 }
 
-/// What a source has to offer now.
+/// What an archive offers now.
 #[derive(Debug, Clone, Default, PartialEq, Eq, ContentHash)]
 pub struct Listing {
     /// Sorted by shard.
     pub shards: Vec<Shard>,
-    /// Files beside the photos (cameras of another program), by relative name; their bytes are in the store.
+    /// Companion files of the photos (cameras of another program), by relative name; their bytes are in the store.
     pub companions: BTreeMap<String, Digest>,
-    /// What bringing it would take, for people (`90 files to fetch`); not part of the key.
+    /// How much there is to fetch, for people (`90 files to fetch`); not part of the key.
     #[content_hash(skip)]
     pub note: Option<String>,
 }
@@ -129,61 +131,60 @@ impl Listing {
     }
 }
 
-/// What one shard brought.
+/// The items of one shard.
 #[derive(Debug, Default)]
 pub struct Fetched {
     /// The items, in any order.
     pub rows: Vec<Row>,
-    /// One verdict for every file seen, also for those that gave no item and why.
+    /// One verdict for every file seen; files that gave no item say why.
     pub verdicts: Vec<Verdict>,
 }
 
-/// Brings items in from outside.
+/// Reads items from an archive.
 pub trait Source: Send + Sync {
-    /// Lists what is there; cheap, runs at every plan.
+    /// Lists the shards; cheap, runs at every plan.
     ///
     /// # Errors
     /// A missing or unreadable archive.
     fn list(&self, ctx: &Ctx<'_>) -> Result<Listing, StageError>;
 
-    /// Brings one shard; runs when its fingerprint is new.
+    /// Reads one shard; runs when its fingerprint is new.
     ///
     /// # Errors
-    /// Only what spoils the whole shard; a bad file is a verdict.
+    /// Only failures of the whole shard; a bad file is a verdict.
     fn fetch(&self, ctx: &Ctx<'_>, shard: u32) -> Result<Fetched, StageError>;
 }
 
 /// Measures items one by one.
 pub trait Measure: Send + Sync {
-    /// What of the parameters the measure depends on; thresholds are not among it.
+    /// Returns the parameters that the measure depends on; thresholds are not among them.
     fn measure_params(&self) -> &dyn ContentHash;
 
-    /// Name and version under which measures are kept, where several stages measure the same: what one of them has
-    /// measured none measures again. `measure_params` then tells all that the measure depends on. `None`: the
-    /// stage's own name and version.
+    /// Returns the name and version under which measures are cached where several stages share them; `measure_params`
+    /// then holds everything the measure depends on. `None`: the stage's own name and version.
     fn shared(&self) -> Option<(&'static str, u32)> {
         None
     }
 
-    /// Measures one item; a pure function of the bytes behind the row, kept by them.
+    /// Measures one item: a pure function of the row and the bytes it names, cached by them.
     ///
     /// # Errors
-    /// Only what spoils the whole node; an item that cannot be measured is a measure that says so.
+    /// Only failures of the whole node; an item that cannot be measured has a measure that says so.
     fn measure(&self, ctx: &Ctx<'_>, row: &Row) -> Result<Vec<u8>, StageError>;
 }
 
 /// An item with its measure.
 #[derive(Debug, Clone, Copy)]
 pub struct Measured<'a> {
-    /// The shard it is of.
+    /// Its shard.
     pub shard: u32,
     /// The item.
     pub row: &'a Row,
-    /// What [`Measure::measure`] said.
+    /// The result of [`Measure::measure`].
     pub measure: &'a [u8],
 }
 
-/// Judges each item of a set by its measure.
+/// Accepts or rejects each item by its measure.
 pub trait Map: Measure {
     /// Returns one verdict for each item, in the same order. Cheap: runs whenever a threshold changes.
     ///
@@ -192,7 +193,7 @@ pub trait Map: Measure {
     fn decide(&self, items: &[Measured<'_>]) -> Result<Vec<Verdict>, StageError>;
 }
 
-/// Judges items of one shard in the light of a state from all earlier shards.
+/// Accepts or rejects items of one shard with a state from all earlier shards.
 pub trait Fold: Measure {
     /// Returns the state for the next shard and one verdict for each item, in the same order.
     ///
@@ -205,44 +206,44 @@ pub trait Fold: Measure {
     ) -> Result<(Vec<u8>, Vec<Verdict>), StageError>;
 }
 
-/// Turns whole inputs into outputs.
+/// Computes outputs from whole inputs.
 pub trait Set: Send + Sync {
-    /// Runs to the end.
+    /// Computes the outputs.
     ///
     /// # Errors
     /// What stops the node; [`StageError::Cancelled`] when asked to stop.
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError>;
 }
 
-/// Asks for further nodes and reduces their outputs.
+/// Requests further nodes and reduces their outputs.
 pub trait Expand: Send + Sync {
-    /// Returns the nodes it needs.
+    /// Returns the nodes to run.
     ///
     /// # Errors
-    /// Inputs from which no node can be drawn.
+    /// Inputs that no node can be derived from.
     fn expand(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError>;
 
-    /// Reduces the outputs of those nodes, given in the order they were asked for.
+    /// Computes the outputs from those of the nodes, which come in the order of the requests.
     ///
     /// # Errors
     /// What stops the node.
     fn reduce(&self, ctx: &Ctx<'_>, inputs: &Inputs, children: &[Outputs]) -> Result<Outputs, StageError>;
 }
 
-/// "Run this stage with these parameters on these inputs."
+/// A request to run a stage with parameters on inputs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeSpec {
-    /// Name below the asking node, unique there (`trial-03`).
+    /// Name below the requesting node, unique there (`trial-03`).
     pub name: String,
     /// Name of the stage in the table.
     pub stage: String,
-    /// Its parameters as JSON, checked when bound.
+    /// Its parameters as JSON; they are checked when the stage is bound.
     pub params: serde_json::Value,
     /// Its inputs.
     pub inputs: Inputs,
 }
 
-/// What became of one item, and why.
+/// Whether one item is kept or rejected, and why.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Verdict {
     /// The item's id; for a file that gave no item, its name.
@@ -254,10 +255,10 @@ pub struct Verdict {
     /// The measure the verdict rests on, in the filter's own unit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub score: Option<f64>,
-    /// The threshold it was held against.
+    /// The threshold that the measure was compared with.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub threshold: Option<f64>,
-    /// The item that stays in its place, for duplicates.
+    /// For duplicates, the item that is kept instead.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub twin: Option<String>,
     /// One sentence for people; empty for a plain `keep`.
@@ -266,10 +267,10 @@ pub struct Verdict {
 }
 
 impl Verdict {
-    /// The verdict of an item that stays.
+    /// The verdict of an item that is kept.
     pub const KEEP: &'static str = "keep";
 
-    /// Tells whether the item stays.
+    /// Returns whether the item is kept.
     pub fn keeps(&self) -> bool {
         self.verdict == Self::KEEP
     }

@@ -2,7 +2,7 @@ use marf_field::FieldError;
 use marf_schema::train::Memory;
 use marf_stage::StageError;
 
-/// What keeps a field from being trained, judged or rendered.
+/// What keeps a field from being trained, measured or rendered.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
     /// The scene cannot be read.
@@ -84,7 +84,39 @@ pub enum TrainError {
     /// The field refused.
     #[error(transparent)]
     Field(#[from] FieldError),
-    /// A path along which there is nothing to stand on.
+    /// A child node without an output that is needed.
+    #[error("{node} has no output `{output}`")]
+    MissingOutput {
+        /// The node.
+        node: String,
+        /// The output.
+        output: String,
+    },
+    /// An output of a child node that cannot be read.
+    #[error("{node}, output `{output}`: {cause}")]
+    MalformedOutput {
+        /// The node.
+        node: String,
+        /// The output.
+        output: String,
+        /// What the reader said.
+        cause: String,
+    },
+    /// A picture that cannot be written.
+    #[error("picture `{name}`: {cause}")]
+    Picture {
+        /// Its name.
+        name: String,
+        /// What the encoder said.
+        cause: String,
+    },
+    /// Nowhere to make maps at.
+    #[error("the scene has no viewpoint `{viewpoints}`")]
+    NoViewpoint {
+        /// The kind that was asked for.
+        viewpoints: &'static str,
+    },
+    /// No camera that a path could be laid through.
     #[error("the scene has no photo to lay the path `{path}` through")]
     NoPath {
         /// The kind of path.
@@ -111,13 +143,14 @@ impl TrainError {
             }
             Self::Field(FieldError::NotFinite { .. }) => "lower `field.learning_rate`",
             Self::NoPath { .. } => "take another `path`",
+            Self::NoViewpoint { .. } => "take other `viewpoints`",
             _ => return None,
         };
         Some(text.to_owned())
     }
 }
 
-/// A field that cannot be rendered stops the stage.
+/// Returns the error of a field that cannot be rendered.
 pub(crate) fn field_failed(error: FieldError) -> StageError {
     TrainError::from(error).into()
 }

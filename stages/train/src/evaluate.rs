@@ -1,20 +1,19 @@
-use marf_cache::ContentHash;
-use marf_field::Field;
 use marf_schema::{
     evaluate::{EvaluateParams, Metrics, Which},
     output::{HELDOUT, PHOTO, SCENE, WEIGHTS},
     train,
 };
 use marf_stage::{
-    Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, Stage, StageError, Threads,
-    TypedOutputs, Work,
+    Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, StageError, TypedOutputs,
 };
 
 use crate::{
     TrainError,
-    judge::judge,
-    split::{Named, named},
-    train::read_scene,
+    io::{read_field, read_scene},
+    photos::PhotoReader,
+    scoring::score_views,
+    split::{NamedFrame, named_frames},
+    stage_on_device,
 };
 
 /// Renders the views of photos and compares them with the photos.
@@ -41,34 +40,15 @@ impl Define for Evaluate {
     }
 }
 
-impl Stage for Evaluate {
-    fn params(&self) -> &dyn ContentHash {
-        &self.params
-    }
-
-    fn work(&self) -> Work<'_> {
-        Work::Set(self)
-    }
-
-    fn threads(&self) -> Threads {
-        Threads::All
-    }
-
-    fn backend_id(&self) -> Option<String> {
-        self.params.device.class()
-    }
-}
+stage_on_device!(Evaluate, Set);
 
 impl Set for Evaluate {
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
-        let scene = read_scene(ctx, inputs.required(SCENE)?)?;
+        let scene = read_scene(ctx, inputs)?;
         let trained: train::Metrics = inputs.read(ctx)?;
         let scale = self.params.scale.unwrap_or(trained.scale);
-        let field = Field::decode(&ctx.get(inputs.required(WEIGHTS)?)?);
-        let field = field
-            .and_then(|field| field.on(&self.params.device))
-            .map_err(TrainError::from)?;
-        let frames: Vec<Named<'_>> = named(&scene)
+        let field = read_field(ctx, inputs, &self.params.device)?;
+        let frames: Vec<NamedFrame<'_>> = named_frames(&scene)
             .into_iter()
             .filter(|named| self.params.views.has(named.frame))
             .collect();
@@ -84,7 +64,8 @@ impl Set for Evaluate {
             .into());
         }
         let mut outputs = Outputs::new();
-        let scores = judge(ctx, &field, &frames, scale, &mut outputs)?;
+        let photos = PhotoReader::new(ctx, &scene, scale);
+        let scores = score_views(ctx, &field, &photos, &frames, &mut outputs)?;
         outputs.put(ctx, &Metrics { scores, scale })?;
         Ok(outputs)
     }

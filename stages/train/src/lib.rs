@@ -1,23 +1,56 @@
-//! A scene and parameters to a trained field, its metrics and its pictures.
+//! Trained fields: search of parameters, training, evaluation, renders and uncertainty maps.
 //!
-//! Four stages: `train`, `pace` (turns a budget into steps), `evaluate` and `render`. Invariant: what a node
-//! answers depends on photos, cameras, parameters and seed; the clock decides only when a checkpoint is kept,
-//! and, in `pace` alone, how many steps a budget buys on this machine.
+//! Six stages: `tune`, `train`, `pace` (turns a time budget into steps), `evaluate`, `render` and `bootstrap`. They
+//! share how photos are read, split, scored and written. Invariant: what a node answers depends on photos, cameras,
+//! parameters and seed; the clock decides only when a checkpoint is kept and, in `pace` alone, how many steps a
+//! budget buys on this machine. Held-out photos never reach a training step.
 
+mod bootstrap;
+mod child;
 mod error;
 mod evaluate;
-mod fit;
-mod judge;
+mod io;
 mod memory;
 mod pace;
-mod params;
+mod photos;
+mod random;
 mod render;
+mod scoring;
+mod settings;
 mod split;
 mod train;
-mod trials;
+mod tune;
+mod views;
 
+pub use bootstrap::Bootstrap;
 pub use error::TrainError;
 pub use evaluate::Evaluate;
 pub use pace::Pace;
 pub use render::Render;
 pub use train::Train;
+pub use tune::Tune;
+
+/// Implements [`marf_stage::Stage`] for a stage with `params.device` that uses all threads; `$work` is its variant of
+/// [`marf_stage::Work`].
+macro_rules! stage_on_device {
+    ($stage:ty, $work:ident) => {
+        impl marf_stage::Stage for $stage {
+            fn params(&self) -> &dyn marf_cache::ContentHash {
+                &self.params
+            }
+
+            fn work(&self) -> marf_stage::Work<'_> {
+                marf_stage::Work::$work(self)
+            }
+
+            fn threads(&self) -> marf_stage::Threads {
+                marf_stage::Threads::All
+            }
+
+            fn backend_id(&self) -> Option<String> {
+                self.params.device.class()
+            }
+        }
+    };
+}
+pub(crate) use stage_on_device;

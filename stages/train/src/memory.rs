@@ -3,46 +3,46 @@ use marf_schema::train::Memory;
 
 use crate::{
     TrainError,
-    split::{Named, Split},
+    split::{NamedFrame, Split},
 };
 
-/// The program itself, its threads' stacks and scratch, and what the allocator holds back: 60 MB were measured on 2
-/// threads.
+/// Memory of the program itself: stacks and scratch of its threads, and what the allocator keeps. 60 MB were measured
+/// on 2 threads.
 const PROGRAM_BYTES: u64 = 100_000_000;
 
 /// How photos are kept so that a training stays within its memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Plan {
+pub(crate) struct MemoryPlan {
     /// Pixels of a run, one of which is kept.
     pub run: u32,
     /// Photos that may be decoded at once; no result depends on it.
     pub at_once: usize,
 }
 
-/// Finds the shortest run with which all fits.
+/// Returns the shortest run of pixels with which a training fits its memory, and how many photos may be decoded at once.
 ///
-/// Counted are, each at its largest: the photos kept with the training ([`training_bytes`]), the photos kept with
-/// one being decoded, one view being judged; and the program.
+/// `times`: how often each training photo is used. Counted are, each at its largest: the photos kept with the
+/// training ([`training_bytes`]), the photos kept with one being decoded, one view being compared; and the program.
 ///
 /// # Errors
 /// [`TrainError::Memory`] if not even one pixel in 256 fits, before anything is decoded.
-pub(crate) fn plan(
+pub(crate) fn plan_memory(
     memory: Memory,
     split: &Split<'_>,
     times: &[usize],
     scale: u32,
     config: &Config,
-) -> Result<Plan, TrainError> {
+) -> Result<MemoryPlan, TrainError> {
     let drawn = times.iter().sum();
     let training = training_bytes(config, drawn)?;
     let decoding = largest(split.training.iter().chain(&split.held_out), 1, decoding_bytes);
-    let judging = largest(split.held_out.iter(), 1, decoding_bytes).max(largest(
+    let scoring = largest(split.held_out.iter(), 1, decoding_bytes).max(largest(
         split.held_out.iter(),
         scale,
         judging_bytes,
     ));
     let kept = |run: u32| kept_bytes(&split.training, times, scale, run);
-    let needed = |run: u32| PROGRAM_BYTES + (kept(run) + training.max(decoding)).max(judging);
+    let needed = |run: u32| PROGRAM_BYTES + (kept(run) + training.max(decoding)).max(scoring);
     let Some(run) = (1..=Pixels::LONGEST_RUN).find(|run| needed(*run) <= memory.bytes()) else {
         return Err(TrainError::Memory {
             memory,
@@ -53,10 +53,11 @@ pub(crate) fn plan(
     };
     let free = memory.bytes() - PROGRAM_BYTES - kept(run);
     let at_once = (free / decoding.max(1)).clamp(1, 1 << 16) as usize;
-    Ok(Plan { run, at_once })
+    Ok(MemoryPlan { run, at_once })
 }
 
-fn kept_bytes(training: &[Named<'_>], times: &[usize], scale: u32, run: u32) -> u64 {
+/// Returns the bytes of the training photos as they are kept.
+fn kept_bytes(training: &[NamedFrame<'_>], times: &[usize], scale: u32, run: u32) -> u64 {
     let photos = training.iter().zip(times).map(|(named, times)| {
         let camera = named.frame.camera.box_reduced(scale);
         *times as u64 * Pixels::bytes(camera.width, camera.height, run)
@@ -64,8 +65,9 @@ fn kept_bytes(training: &[Named<'_>], times: &[usize], scale: u32, run: u32) -> 
     photos.sum()
 }
 
+/// Returns the most that `bytes` says of any frame.
 fn largest<'a>(
-    frames: impl Iterator<Item = &'a Named<'a>>,
+    frames: impl Iterator<Item = &'a NamedFrame<'a>>,
     scale: u32,
     bytes: impl Fn(u32, u32) -> u64,
 ) -> u64 {
@@ -99,7 +101,7 @@ mod tests {
         }
     }
 
-    fn planned(memory: &str, scene: &Scene, scale: u32) -> Result<Plan, TrainError> {
+    fn planned(memory: &str, scene: &Scene, scale: u32) -> Result<MemoryPlan, TrainError> {
         let split = split(scene, Holdout::Test).unwrap();
         let times = vec![1; split.training.len()];
         let config = Config {
@@ -107,7 +109,7 @@ mod tests {
             log2_table: Some(15),
             ..Config::default()
         };
-        plan(memory.parse().unwrap(), &split, &times, scale, &config)
+        plan_memory(memory.parse().unwrap(), &split, &times, scale, &config)
     }
 
     #[test]
@@ -144,7 +146,7 @@ mod tests {
     #[test]
     fn as_many_photos_are_decoded_at_once_as_fit_and_at_least_one() {
         let large = scene(1000, 1600, 1250);
-        let Plan { run, at_once } = planned("2GB", &large, 1).unwrap();
+        let MemoryPlan { run, at_once } = planned("2GB", &large, 1).unwrap();
         let decoding = decoding_bytes(1600, 1250) * at_once as u64;
         let kept = 875 * Pixels::bytes(1600, 1250, run);
         assert!(

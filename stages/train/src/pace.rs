@@ -1,6 +1,5 @@
 use std::time::{Duration, Instant};
 
-use marf_cache::ContentHash;
 use marf_field::{EXPECTED_STEPS_PER_S, Trainer};
 use marf_schema::{
     output::SCENE,
@@ -8,16 +7,18 @@ use marf_schema::{
     tune::BestParams,
 };
 use marf_stage::{
-    Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, Stage, StageError, Threads,
-    TypedOutputs, Work,
+    Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, StageError, TypedOutputs,
 };
 
 use crate::{
     TrainError,
-    memory::plan,
-    params,
-    split::{split, views},
-    train::{read_scene, trainer},
+    io::read_scene,
+    memory::plan_memory,
+    photos::PhotoReader,
+    settings::{field_config, field_keys, scale_to},
+    split::split,
+    stage_on_device,
+    views::{new_trainer, training_views},
 };
 
 /// Longest measurement, seconds.
@@ -25,8 +26,8 @@ const LONGEST_S: f64 = 8.0;
 
 /// Turns a time to train for into optimiser steps, once, by training for a moment on this machine.
 ///
-/// The one stage whose answer depends on the clock, which is its purpose: its record keeps what was found, and
-/// whoever shares the store shares the steps.
+/// The one stage whose answer depends on the clock: its record keeps the steps that were found, so that every run on
+/// the same store trains the same steps.
 #[derive(Debug)]
 pub struct Pace {
     params: PaceParams,
@@ -49,37 +50,23 @@ impl Define for Pace {
     }
 }
 
-impl Stage for Pace {
-    fn params(&self) -> &dyn ContentHash {
-        &self.params
-    }
-
-    fn work(&self) -> Work<'_> {
-        Work::Set(self)
-    }
-
-    fn threads(&self) -> Threads {
-        Threads::All
-    }
-
-    fn backend_id(&self) -> Option<String> {
-        self.params.device.class()
-    }
-}
+stage_on_device!(Pace, Set);
 
 impl Set for Pace {
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
         let params = &self.params;
-        let scene = read_scene(ctx, inputs.required(SCENE)?)?;
-        let keys = params::keys(ctx, inputs, &params.field)?;
+        let scene = read_scene(ctx, inputs)?;
+        let keys = field_keys(ctx, inputs, &params.field)?;
         let expected = (params.budget.seconds() * EXPECTED_STEPS_PER_S) as u64;
-        let config = params::config(&keys, params.quality, params.fit, expected)?;
-        let scale = params::scale(params.scale, params.quality, &scene);
+        let config = field_config(&keys, params.quality, params.fit, expected)?;
+        let side_px = params.quality.longest_side_px();
+        let scale = params.scale.unwrap_or_else(|| scale_to(side_px, &scene));
         let split = split(&scene, params.holdout)?;
         let times = vec![1; split.training.len()];
-        let plan = plan(params.memory, &split, &times, scale, &config)?;
-        let views = views(ctx, &split, &times, scale, plan, 0)?;
-        let mut trainer = trainer(views, &scene, &config, 0, &params.device)?;
+        let plan = plan_memory(params.memory, &split, &times, scale, &config)?;
+        let photos = PhotoReader::new(ctx, &scene, scale);
+        let views = training_views(&photos, &split.training, &times, plan, 0)?;
+        let mut trainer = new_trainer(views, &scene, &config, 0, &params.device)?;
         let budget_s = params.budget.seconds();
         let rate = steps_per_second(ctx, &mut trainer, (budget_s / 4.0).min(LONGEST_S))?;
         let mut outputs = Outputs::new();
@@ -98,7 +85,7 @@ fn steps_per_second(ctx: &Ctx<'_>, trainer: &mut Trainer, measure_s: f64) -> Res
     Ok((trainer.steps() - before) as f64 / begun.elapsed().as_secs_f64())
 }
 
-/// At least one step.
+/// Trains for a time, at least one step.
 fn run_for(ctx: &Ctx<'_>, trainer: &mut Trainer, time: Duration, note: &str) -> Result<(), StageError> {
     let begun = Instant::now();
     loop {
@@ -113,7 +100,7 @@ fn run_for(ctx: &Ctx<'_>, trainer: &mut Trainer, time: Duration, note: &str) -> 
     }
 }
 
-/// At least one step, however short the budget.
+/// Returns the steps that a budget buys, at least one.
 fn steps_in(budget_s: f64, steps_per_second: f64) -> u64 {
     ((budget_s * steps_per_second) as u64).max(1)
 }

@@ -1,23 +1,27 @@
-use marf_cache::ContentHash;
-use marf_field::{Field, render_in_bands};
+use marf_field::{Render as Rendered, render_in_bands};
 use marf_scene::{
     Image, Scene, Srgb,
     path::{self, Viewpoint},
-    picture::{ColorScale, Palette, draw_map, encode_gif, round_upper_limit},
+    picture::{ColorScale, Palette, draw_map, round_upper_limit},
 };
 use marf_schema::{
     output::{DEPTH, FRAMES, SCENE, VIDEO, WEIGHTS},
     render::{PathKind, Place, Poses, RenderParams},
 };
 use marf_stage::{
-    Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, Stage, StageError, Threads,
-    TypedOutputs, Work,
+    Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, StageError, TypedOutputs,
 };
 
-use crate::{TrainError, error::field_failed, judge::put_png, split::named, train::read_scene};
+use crate::{
+    TrainError,
+    error::field_failed,
+    io::{put_png, put_video, read_field, read_scene},
+    split::named_frames,
+    stage_on_device,
+};
 
-/// Rays that met less matter than this have no depth.
-const SEEN: f32 = 0.5;
+/// Rays with less opacity have no depth.
+const MIN_OPACITY: f32 = 0.5;
 
 /// Renders a trained field along a path.
 #[derive(Debug)]
@@ -39,31 +43,12 @@ impl Define for Render {
     }
 }
 
-impl Stage for Render {
-    fn params(&self) -> &dyn ContentHash {
-        &self.params
-    }
-
-    fn work(&self) -> Work<'_> {
-        Work::Set(self)
-    }
-
-    fn threads(&self) -> Threads {
-        Threads::All
-    }
-
-    fn backend_id(&self) -> Option<String> {
-        self.params.device.class()
-    }
-}
+stage_on_device!(Render, Set);
 
 impl Set for Render {
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
-        let scene = read_scene(ctx, inputs.required(SCENE)?)?;
-        let field = Field::decode(&ctx.get(inputs.required(WEIGHTS)?)?);
-        let field = field
-            .and_then(|field| field.on(&self.params.device))
-            .map_err(TrainError::from)?;
+        let scene = read_scene(ctx, inputs)?;
+        let field = read_field(ctx, inputs, &self.params.device)?;
         let path = viewpoints(&scene, &self.params)?;
         let mut outputs = Outputs::new();
         outputs.put(ctx, &Poses(places(&path)))?;
@@ -81,19 +66,20 @@ impl Set for Render {
                 &picture,
             )?;
             if self.params.depth {
-                depths.push(seen_depth(&render));
+                depths.push(depth_of(&render));
             }
             pictures.push(picture);
         }
         put_depths(ctx, &scene, &path, &depths, &mut outputs)?;
-        outputs.put_bytes(ctx, VIDEO, &video(&pictures, self.params.fps)?)?;
+        put_video(ctx, &mut outputs, &same_size(&pictures), self.params.fps)?;
         Ok(outputs)
     }
 }
 
+/// Returns the cameras along the path.
 fn viewpoints(scene: &Scene, params: &RenderParams) -> Result<Vec<Viewpoint>, TrainError> {
     let photos = |held_out: bool| {
-        let frames = named(scene).into_iter();
+        let frames = named_frames(scene).into_iter();
         let chosen = frames.filter(move |named| named.frame.held_out == held_out);
         let first = chosen.take(params.frames as usize);
         path::viewpoints_at(first.map(|named| (named.frame, named.name)), params.width)
@@ -110,6 +96,7 @@ fn viewpoints(scene: &Scene, params: &RenderParams) -> Result<Vec<Viewpoint>, Tr
     Ok(path)
 }
 
+/// Returns the cameras as they are written.
 fn places(path: &[Viewpoint]) -> Vec<Place> {
     path.iter()
         .map(|viewpoint| Place {
@@ -120,28 +107,25 @@ fn places(path: &[Viewpoint]) -> Vec<Place> {
         .collect()
 }
 
-/// All pictures in the size of the first: photos of one scene may differ in shape.
-fn video(pictures: &[Image<Srgb>], fps: u32) -> Result<Vec<u8>, StageError> {
-    let Some(first) = pictures.first() else {
-        return Err(StageError::new("no picture to animate"));
-    };
-    let fitted: Vec<Image<Srgb>> = pictures
-        .iter()
-        .map(|picture| {
-            Image::from_fn(first.width, first.height, |column, row| {
-                let inside = column < picture.width && row < picture.height;
-                if inside { picture.at(column, row) } else { [0; 3] }
-            })
+/// Returns all pictures in the size of the first, cut or filled with black: photos of one scene may differ in shape.
+fn same_size(pictures: &[Image<Srgb>]) -> Vec<Image<Srgb>> {
+    let (width, height) = pictures
+        .first()
+        .map_or((0, 0), |first| (first.width, first.height));
+    let fitted = pictures.iter().map(|picture| {
+        Image::from_fn(width, height, |column, row| {
+            let inside = column < picture.width && row < picture.height;
+            if inside { picture.at(column, row) } else { [0; 3] }
         })
-        .collect();
-    encode_gif(&fitted, fps).map_err(|error| StageError::new(error.to_string()))
+    });
+    fitted.collect()
 }
 
-/// Depth along the ray, -1 where nothing was met.
-fn seen_depth(render: &marf_field::Render) -> Vec<f32> {
+/// Returns the depth along every ray, -1 where the ray met too little.
+fn depth_of(render: &Rendered) -> Vec<f32> {
     let pixels = render.depth.iter().zip(&render.opacity);
     pixels
-        .map(|(depth, opacity)| if *opacity > SEEN { *depth } else { -1.0 })
+        .map(|(depth, opacity)| if *opacity > MIN_OPACITY { *depth } else { -1.0 })
         .collect()
 }
 

@@ -1,0 +1,215 @@
+use marf_field::Render;
+
+/// Spread of the members at one viewpoint, all `[height * width]`, rows from the top.
+///
+/// Colours are sRGB in [0, 1]; gray is (R + G + B) / 3 of a member's render.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Maps {
+    /// Pixels a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Mean colour.
+    pub mean: Vec<[f32; 3]>,
+    /// Mean gray.
+    pub gray: Vec<f32>,
+    /// Sample standard deviation of gray, divisor B - 1.
+    pub std: Vec<f32>,
+    /// The paper's: standard deviation of gray, divisor B.
+    pub std_paper: Vec<f32>,
+    /// Sample standard deviation of each channel.
+    pub rgb_std: Vec<[f32; 3]>,
+    /// (1 - q)², q the mean opacity: 1 where no member met anything (arXiv 2209.08718). A learnt sky is not
+    /// matter: there the term is 1 though photos saw it.
+    pub opacity_term: Vec<f32>,
+    /// √(divisor-B variance + opacity term).
+    pub total: Vec<f32>,
+    /// Sample standard deviation of the depth, world units; -1 where q <= 0.5: unseen.
+    pub depth_std: Vec<f32>,
+}
+
+/// Mean opacity up to which a pixel counts as unseen.
+const MIN_OPACITY: f64 = 0.5;
+
+/// Mean and both standard deviations of a few numbers.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Moments {
+    pub mean: f64,
+    /// Divisor B - 1.
+    pub sample: f64,
+    /// Divisor B.
+    pub population: f64,
+}
+
+/// Returns the moments of at least one value. Sorts first: the order of the members then changes no sum.
+pub(crate) fn moments(values: &mut [f64]) -> Moments {
+    values.sort_unstable_by(f64::total_cmp);
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let squares: f64 = values.iter().map(|value| (value - mean) * (value - mean)).sum();
+    Moments {
+        mean,
+        sample: (squares / (count - 1.0).max(1.0)).sqrt(),
+        population: (squares / count).sqrt(),
+    }
+}
+
+/// Returns the spread of the members' renders of one viewpoint, which have one size.
+///
+/// Extremes: one member has spread 0 everywhere, which says nothing; the stage refuses B = 1.
+pub(crate) fn maps(renders: &[Render]) -> Maps {
+    let (width, height) = renders
+        .first()
+        .map_or((0, 0), |render| (render.width, render.height));
+    let count = width as usize * height as usize;
+    let mut maps = Maps::with_capacity(width, height, count);
+    let mut values = vec![0.0; renders.len()];
+    for pixel in 0..count {
+        let mut of = |value: &dyn Fn(&Render) -> f64| {
+            for (slot, render) in values.iter_mut().zip(renders) {
+                *slot = value(render);
+            }
+            moments(&mut values)
+        };
+        let channels = [0, 1, 2].map(|channel| of(&|render| f64::from(render.rgb[pixel][channel])));
+        let gray = of(&|render| gray(&render.rgb[pixel]));
+        let opacity = of(&|render| f64::from(render.opacity[pixel])).mean;
+        let depth = of(&|render| f64::from(render.depth[pixel]));
+        maps.push(&channels, &gray, opacity, &depth);
+    }
+    maps
+}
+
+/// Returns (R + G + B) / 3.
+pub(crate) fn gray(rgb: &[f32; 3]) -> f64 {
+    (f64::from(rgb[0]) + f64::from(rgb[1]) + f64::from(rgb[2])) / 3.0
+}
+
+impl Maps {
+    fn with_capacity(width: u32, height: u32, count: usize) -> Self {
+        Self {
+            width,
+            height,
+            mean: Vec::with_capacity(count),
+            gray: Vec::with_capacity(count),
+            std: Vec::with_capacity(count),
+            std_paper: Vec::with_capacity(count),
+            rgb_std: Vec::with_capacity(count),
+            opacity_term: Vec::with_capacity(count),
+            total: Vec::with_capacity(count),
+            depth_std: Vec::with_capacity(count),
+        }
+    }
+
+    fn push(&mut self, channels: &[Moments; 3], gray: &Moments, opacity: f64, depth: &Moments) {
+        let unseen = (1.0 - opacity) * (1.0 - opacity);
+        let total = (gray.population * gray.population + unseen).sqrt();
+        self.mean.push(channels.map(|channel| channel.mean as f32));
+        self.gray.push(gray.mean as f32);
+        self.std.push(gray.sample as f32);
+        self.std_paper.push(gray.population as f32);
+        self.rgb_std.push(channels.map(|channel| channel.sample as f32));
+        self.opacity_term.push(unseen as f32);
+        self.total.push(total as f32);
+        let seen = opacity > MIN_OPACITY;
+        self.depth_std.push(if seen { depth.sample as f32 } else { -1.0 });
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// The worked example: 4 pixels, 4 members, gray colours.
+    pub(crate) fn example() -> Vec<Render> {
+        let rows = [
+            [0.50, 0.20, 0.80, 0.40],
+            [0.52, 0.26, 0.75, 0.40],
+            [0.48, 0.14, 0.85, 0.40],
+            [0.50, 0.20, 0.80, 0.44],
+        ];
+        let opacity = [
+            [1.0, 1.0, 1.0, 0.1],
+            [1.0, 1.0, 0.9, 0.2],
+            [1.0, 1.0, 1.0, 0.1],
+            [1.0, 0.98, 1.0, 0.2],
+        ];
+        let render = |member: usize| Render {
+            width: 4,
+            height: 1,
+            rgb: rows[member].map(|gray| [gray; 3]).to_vec(),
+            opacity: opacity[member].to_vec(),
+            depth: vec![2.0 + member as f32; 4],
+        };
+        (0..4).map(render).collect()
+    }
+
+    /// Asserts six decimals, as the example is printed; f32 renders leave 1e-7.
+    pub(crate) fn close(found: impl Into<f64>, expected: f64, what: &str) {
+        let found = found.into();
+        assert!((found - expected).abs() < 6e-7, "{what}: {found}, not {expected}");
+    }
+
+    #[test]
+    fn the_worked_example_comes_out_digit_for_digit() {
+        let maps = maps(&example());
+        let rows: [(&str, &[f32], [f64; 4]); 5] = [
+            ("mean", &maps.gray, [0.50, 0.20, 0.80, 0.41]),
+            (
+                "divisor B",
+                &maps.std_paper,
+                [0.014142, 0.042426, 0.035355, 0.017321],
+            ),
+            (
+                "divisor B - 1",
+                &maps.std,
+                [0.016330, 0.048990, 0.040825, 0.020000],
+            ),
+            (
+                "opacity term",
+                &maps.opacity_term,
+                [0.0, 0.000025, 0.000625, 0.7225],
+            ),
+            ("total", &maps.total, [0.014142, 0.042720, 0.043301, 0.850176]),
+        ];
+        for (what, found, expected) in rows {
+            for (pixel, (found, expected)) in found.iter().zip(expected).enumerate() {
+                close(*found, expected, &format!("{what}, p{}", pixel + 1));
+            }
+        }
+        let mean = maps.std_paper.iter().map(|std| f64::from(*std)).sum::<f64>() / 4.0;
+        close(mean, 0.027311, "scene mean");
+    }
+
+    #[test]
+    fn what_is_mostly_empty_has_no_depth_and_each_channel_its_own_spread() {
+        let mut renders = example();
+        for render in &mut renders {
+            render.rgb[0][2] = 0.7;
+        }
+        let maps = maps(&renders);
+        close(maps.depth_std[0], (5.0_f64 / 3.0).sqrt(), "depth 2 3 4 5");
+        assert_eq!(maps.depth_std[3], -1.0);
+        assert_eq!(maps.rgb_std[0][2], 0.0);
+        close(maps.rgb_std[0][0], 0.016330, "red");
+    }
+
+    #[test]
+    fn the_order_of_the_members_does_not_matter_to_the_last_bit() {
+        let mut renders = example();
+        renders[1].rgb[2] = [0.1, 0.7, 0.3];
+        let before = maps(&renders);
+        renders.rotate_left(1);
+        renders.swap(0, 2);
+        assert_eq!(maps(&renders), before);
+    }
+
+    #[test]
+    fn equal_members_have_no_spread() {
+        let renders = vec![example().remove(0); 3];
+        let maps = maps(&renders);
+        for (map, pixel) in [&maps.std, &maps.std_paper, &maps.depth_std].iter().zip(0..) {
+            assert!(map[..3].iter().all(|std| *std < 1e-7), "{pixel}: {map:?}");
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! `bootstrap`: B retrainings to maps of where they disagree, and a fly-through; every member is a `train` node.
+//!
+//! Members are sorted pixel by pixel before they are summed, so no map depends on their order.
+
+mod calibration;
+mod drawing;
+mod maps;
+mod npy;
+mod reduce;
+mod report;
+mod sparsification;
+
+use marf_schema::{
+    bootstrap::{BootstrapParams, Metrics, Mode},
+    output::{FLYTHROUGH, MAPS, SCENE, VIDEO},
+    train::{TrainParams, TrialsParams},
+    tune::BestParams,
+};
+use marf_stage::{
+    Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, ParamError, Params, Port, StageError,
+};
+
+use crate::stage_on_device;
+use reduce::reduce;
+
+/// Trains B fields that differ in seed or photos, and maps where they disagree.
+#[derive(Debug)]
+pub struct Bootstrap {
+    params: BootstrapParams,
+}
+
+impl Define for Bootstrap {
+    type Params = BootstrapParams;
+    const NAME: &'static str = BootstrapParams::STAGE;
+    const ABOUT: &'static str = "Retrains B times and maps where the fields disagree";
+    const VERSION: u32 = 3;
+    const PORTS: &'static [Port] = &[
+        Port::required("input", SCENE),
+        Port::optional("params", BestParams::OUTPUT),
+    ];
+    const OUTPUTS: &'static [&'static str] = &[Metrics::OUTPUT, VIDEO, MAPS, FLYTHROUGH];
+
+    fn new(params: BootstrapParams) -> Result<Self, ParamError> {
+        params.check()?;
+        Ok(Self { params })
+    }
+}
+
+stage_on_device!(Bootstrap, Expand);
+
+impl Expand for Bootstrap {
+    fn expand(&self, _ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
+        (0..self.params.b)
+            .map(|index| member(&self.params, index, inputs))
+            .collect()
+    }
+
+    fn reduce(&self, ctx: &Ctx<'_>, inputs: &Inputs, children: &[Outputs]) -> Result<Outputs, StageError> {
+        reduce(ctx, &self.params, inputs, children)
+    }
+}
+
+/// Returns the training of member `index`: its seed, and in mode `photos` its draw of photos, is `seed + index`,
+/// wrapping.
+fn member(params: &BootstrapParams, index: u32, inputs: &Inputs) -> Result<NodeSpec, StageError> {
+    let seed = params.seed.wrapping_add(u64::from(index));
+    let train = TrainParams {
+        quality: params.quality,
+        steps: params.steps,
+        seed,
+        scale: params.scale,
+        resample: (params.mode == Mode::Photos).then_some(seed),
+        // Members differ by their seed or photos alone: none tries parts of its own.
+        trials: TrialsParams {
+            steps: Some(0),
+            ..TrialsParams::default()
+        },
+        field: params.field.clone(),
+        device: params.device.clone(),
+        ..TrainParams::default()
+    };
+    NodeSpec::of(format!("member-{index:02}"), &train, inputs)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use marf_cache::digest_of;
+    use marf_stage::harness::Harness;
+    use serde_json::json;
+
+    fn asked(table: serde_json::Value) -> Vec<NodeSpec> {
+        let params = serde_json::from_value(table).unwrap();
+        let harness = Harness::default();
+        let stage = Bootstrap::new(params).unwrap();
+        stage.expand(&harness.ctx(), &Inputs::default()).unwrap()
+    }
+
+    #[test]
+    fn more_members_keep_the_first_ones() {
+        let (three, five) = (asked(json!({"b": 3})), asked(json!({"b": 5})));
+        assert_eq!(three, five[..3]);
+        assert_eq!(five[4].name, "member-04");
+        assert_eq!(five[4].params["seed"], 4);
+    }
+
+    #[test]
+    fn seeds_of_64_bits_stay_whole_and_wrap() {
+        let seed = u64::MAX - 1;
+        let members = asked(json!({"b": 3, "seed": seed, "mode": "photos"}));
+        let seeds: Vec<u64> = members
+            .iter()
+            .filter_map(|node| node.params["seed"].as_u64())
+            .collect();
+        assert_eq!(seeds, [seed, u64::MAX, 0]);
+        assert_eq!(members[1].params["resample"], json!(u64::MAX));
+        assert_eq!(asked(json!({}))[0].params.get("resample"), None);
+    }
+
+    /// The keys of members follow from these: other parameters would train all stores anew.
+    #[test]
+    fn a_member_has_the_parameters_it_always_had() {
+        let field = json!({"background": "black"});
+        for (table, written) in [
+            (json!({"b": 2}), json!({"seed": 1})),
+            (
+                json!({"b": 2, "seed": 8, "mode": "photos", "steps": 40, "scale": 3, "quality": "best", "field": field,
+                    "device": "gpu"}),
+                json!({"seed": 9, "resample": 9, "steps": 40, "scale": 3, "quality": "best", "field": field,
+                    "device": "gpu"}),
+            ),
+        ] {
+            let mut written = written;
+            written["trials"] = json!({"steps": 0});
+            let written: TrainParams = serde_json::from_value(written).unwrap();
+            let node = asked(table).swap_remove(1);
+            let bound: TrainParams = serde_json::from_value(node.params).unwrap();
+            assert_eq!((digest_of(&bound), &bound), (digest_of(&written), &written));
+        }
+    }
+}

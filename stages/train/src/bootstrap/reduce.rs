@@ -1,0 +1,245 @@
+use marf_cache::Digest;
+use marf_field::{Device, Field, Render, render_in_bands};
+use marf_scene::{
+    Camera, Image, Photo, Scene, Srgb,
+    metrics::psnr,
+    path::{self, Viewpoint},
+    picture_names,
+};
+use marf_schema::{
+    bootstrap::{BootstrapParams, Member, Viewpoints},
+    output::{FLYTHROUGH, MAPS, PHOTO, WEIGHTS},
+    train,
+};
+use marf_stage::{Ctx, Inputs, Outputs, StageError, TypedOutputs};
+
+use super::{
+    drawing::{Scales, flythrough_picture, mean_picture, put_view},
+    maps::{Maps, gray, maps},
+    report::{GroundTruth, ViewMaps, report},
+};
+use crate::{
+    TrainError,
+    child::Child,
+    error::field_failed,
+    io::{put_png, put_video, read_scene},
+};
+
+/// A viewpoint of maps, and its photo where one was held out.
+struct MapView {
+    place: Viewpoint,
+    photo: Option<(Digest, Image<Srgb>)>,
+}
+
+/// Renders the fields of all members and reports progress.
+struct MemberRenderer<'a> {
+    ctx: &'a Ctx<'a>,
+    fields: Vec<Field>,
+    done: u64,
+    total: u64,
+}
+
+/// Renders every member at every viewpoint and along the fly-through, and writes maps and figures.
+pub(crate) fn reduce(
+    ctx: &Ctx<'_>,
+    params: &BootstrapParams,
+    inputs: &Inputs,
+    children: &[Outputs],
+) -> Result<Outputs, StageError> {
+    let scene = read_scene(ctx, inputs)?;
+    let children: Vec<Child<'_>> = (0..)
+        .zip(children)
+        .map(|(member, outputs): (u32, _)| {
+            let name = format!("member {member:02}");
+            Child { name, outputs }
+        })
+        .collect();
+    let members = members(ctx, &children)?;
+    let scale = members.first().map_or(1, |member| member.scale);
+    let map_views = map_views(ctx, params, &scene, scale, &children)?;
+    let flythrough = path::flythrough(&scene, params.frames, params.width);
+    let fields = fields(ctx, &children, &params.device)?;
+    let total = ((map_views.len() + flythrough.len()) * fields.len()) as u64;
+    let mut renderer = MemberRenderer {
+        ctx,
+        fields,
+        done: 0,
+        total,
+    };
+
+    let mut outputs = Outputs::new();
+    let mut views = Vec::with_capacity(map_views.len());
+    for view in &map_views {
+        let maps = maps(&renderer.render(&view.place)?);
+        let name = view.place.name.clone();
+        if let Some((digest, _)) = &view.photo {
+            outputs.insert(format!("{MAPS}{name}-photo.png"), *digest);
+        }
+        views.push(ViewMaps {
+            name,
+            truth: ground_truth(&maps, view)?,
+            maps,
+        });
+    }
+    let scales = Scales::of(&views, scene.metres_per_unit);
+    for view in &views {
+        put_view(ctx, view, &scales, scene.metres_per_unit, &mut outputs)?;
+    }
+    outputs.put(ctx, &report(params.b, params.mode, members, &views))?;
+    drop(views);
+    render_flythrough(params, &flythrough, &scales, &mut renderer, &mut outputs)?;
+    Ok(outputs)
+}
+
+impl MemberRenderer<'_> {
+    /// Returns the render of every member at one viewpoint.
+    fn render(&mut self, place: &Viewpoint) -> Result<Vec<Render>, StageError> {
+        let mut renders = Vec::with_capacity(self.fields.len());
+        for field in &self.fields {
+            let note = format!("render {}", place.name);
+            self.ctx.progress.at(self.done, self.total, &note);
+            let (camera, pose) = (&place.camera, &place.cam_from_world);
+            renders.push(render_in_bands(
+                field,
+                camera,
+                pose,
+                || self.ctx.check(),
+                field_failed,
+            )?);
+            self.done += 1;
+        }
+        Ok(renders)
+    }
+}
+
+/// Writes the pictures of the fly-through and their animation.
+fn render_flythrough(
+    params: &BootstrapParams,
+    flythrough: &[Viewpoint],
+    scales: &Scales,
+    renderer: &mut MemberRenderer<'_>,
+    outputs: &mut Outputs,
+) -> Result<(), StageError> {
+    let mut pictures = Vec::with_capacity(flythrough.len());
+    for place in flythrough {
+        let maps = maps(&renderer.render(place)?);
+        let picture = flythrough_picture(&maps, scales, params.show);
+        let name = format!("{FLYTHROUGH}{}.png", place.name);
+        put_png(renderer.ctx, outputs, name, &picture)?;
+        pictures.push(picture);
+    }
+    put_video(renderer.ctx, outputs, &pictures, params.fps)
+}
+
+/// Returns what the report says of every member.
+fn members(ctx: &Ctx<'_>, children: &[Child<'_>]) -> Result<Vec<Member>, StageError> {
+    let member = |child: &Child<'_>| {
+        let metrics: train::Metrics = child.read(ctx)?;
+        Ok(Member {
+            seed: metrics.seed,
+            scale: metrics.scale,
+            psnr: metrics.scores.psnr,
+            ssim: metrics.scores.ssim,
+        })
+    };
+    children.iter().map(member).collect()
+}
+
+/// Reads the field of every member.
+fn fields(ctx: &Ctx<'_>, children: &[Child<'_>], device: &Device) -> Result<Vec<Field>, StageError> {
+    let field = |child: &Child<'_>| {
+        let bytes = ctx.get(child.digest(WEIGHTS)?)?;
+        let field = Field::decode(&bytes).map_err(|error| child.malformed(WEIGHTS, &error))?;
+        field.on(device).map_err(field_failed)
+    };
+    children.iter().map(field).collect()
+}
+
+/// Returns the viewpoints that maps are made at.
+fn map_views(
+    ctx: &Ctx<'_>,
+    params: &BootstrapParams,
+    scene: &Scene,
+    scale: u32,
+    children: &[Child<'_>],
+) -> Result<Vec<MapView>, StageError> {
+    let widths = scene.frames.iter().map(|frame| frame.camera.width);
+    let width = (widths.max().unwrap_or(1) / scale).max(1);
+    let without_photo = |places: Vec<Viewpoint>| -> Vec<MapView> {
+        let places = places.into_iter();
+        places.map(|place| MapView { place, photo: None }).collect()
+    };
+    let frames = params.map_frames;
+    let (name, views) = match params.viewpoints {
+        Viewpoints::Heldout => ("heldout", held_out_views(ctx, scene, scale, children)?),
+        Viewpoints::Flythrough => (
+            "flythrough",
+            without_photo(path::flythrough(scene, frames, width)),
+        ),
+        Viewpoints::Orbit => ("orbit", without_photo(path::orbit(scene, frames, width))),
+    };
+    if views.is_empty() {
+        return Err(TrainError::NoViewpoint { viewpoints: name }.into());
+    }
+    Ok(views)
+}
+
+/// Returns the views of the photos that the members held out, with the photos as the first member wrote them.
+fn held_out_views(
+    ctx: &Ctx<'_>,
+    scene: &Scene,
+    scale: u32,
+    children: &[Child<'_>],
+) -> Result<Vec<MapView>, StageError> {
+    let Some(first) = children.first() else {
+        return Ok(Vec::new());
+    };
+    let mut views = Vec::new();
+    for (frame, name) in scene.frames.iter().zip(picture_names(scene)) {
+        let output = format!("{PHOTO}{name}.png");
+        let Some(digest) = first.outputs.get(&output) else {
+            continue;
+        };
+        let photo = Photo::decode(&ctx.get(digest)?).map_err(|error| first.malformed(&output, &error))?;
+        views.push(MapView {
+            place: Viewpoint {
+                name,
+                camera: sized(&frame.camera.box_reduced(scale), &photo.image),
+                cam_from_world: frame.cam_from_world,
+            },
+            photo: Some((*digest, photo.image)),
+        });
+    }
+    Ok(views)
+}
+
+/// Returns the camera with the size of the photo as it was written.
+fn sized(camera: &Camera, photo: &Image<Srgb>) -> Camera {
+    Camera {
+        width: photo.width,
+        height: photo.height,
+        ..*camera
+    }
+}
+
+/// Returns the error of the mean render, where there is a photo.
+fn ground_truth(maps: &Maps, view: &MapView) -> Result<Option<GroundTruth>, TrainError> {
+    let Some((_, photo)) = &view.photo else {
+        return Ok(None);
+    };
+    let grays = photo
+        .pixels
+        .iter()
+        .map(|rgb| gray(&rgb.map(|channel| f32::from(channel) / 255.0)));
+    let pixels = maps.gray.iter().zip(grays);
+    let psnr = psnr(&mean_picture(maps), photo).map_err(|error| TrainError::Picture {
+        name: view.place.name.clone(),
+        cause: error.to_string(),
+    })?;
+    Ok(Some(GroundTruth {
+        error: pixels
+            .map(|(mean, photo)| (f64::from(*mean) - photo).abs() as f32)
+            .collect(),
+        psnr,
+    }))
+}

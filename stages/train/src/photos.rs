@@ -1,0 +1,289 @@
+//! Photos of a scene, decoded and shrunk once for all trainings of a run.
+
+use std::collections::BTreeSet;
+
+use marf_cache::{Digest, digest_of};
+use marf_scene::{Camera, Frame, Image, Photo, Scene, Srgb};
+use marf_stage::{Ctx, StageError};
+use rayon::prelude::*;
+
+use crate::{TrainError, split::NamedFrame};
+
+/// Most bytes of shrunk photos that are kept of a scene at one working size: 800 photos of 480 x 360 pixels, 200 of
+/// 960 x 720. Photos beyond it, in the order of the scene, are decoded whenever they are needed.
+const KEPT_BYTES: u64 = 420_000_000;
+
+/// A photo at its working size, with its camera.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct ScaledPhoto {
+    pub camera: Camera,
+    pub image: Image<Srgb>,
+}
+
+impl ScaledPhoto {
+    /// Returns the photo shrunk until its longest side is at most `side_px`, or its shortest is one pixel.
+    pub fn shrunk_to(&self, side_px: u32) -> Self {
+        let longest = self.camera.width.max(self.camera.height);
+        let shortest = self.camera.width.min(self.camera.height);
+        let factor = longest.div_ceil(side_px).clamp(1, shortest);
+        Self {
+            camera: self.camera.box_reduced(factor),
+            image: self.image.box_reduced(factor),
+        }
+    }
+}
+
+/// Reads photos of a scene at one working size.
+///
+/// A shrunk photo is kept as a memo under the digest of the photo's bytes and the factor, so that later trainings
+/// read it instead of decoding the photo again. Without memos the same pixels come out later.
+#[derive(Clone)]
+pub(crate) struct PhotoReader<'a> {
+    ctx: &'a Ctx<'a>,
+    /// Whole factor by which photos are shrunk.
+    pub scale: u32,
+    /// Photos that have a memo.
+    kept: BTreeSet<Digest>,
+}
+
+impl<'a> PhotoReader<'a> {
+    pub fn new(ctx: &'a Ctx<'a>, scene: &Scene, scale: u32) -> Self {
+        Self {
+            ctx,
+            scale,
+            kept: kept(scene, scale, KEPT_BYTES),
+        }
+    }
+
+    /// Reads one photo.
+    ///
+    /// # Errors
+    /// A photo that cannot be decoded, has another size than its camera, or vanishes at this scale.
+    pub fn read(&self, frame: &Frame) -> Result<ScaledPhoto, StageError> {
+        self.ctx.check()?;
+        let key = self
+            .kept
+            .contains(&frame.image)
+            .then(|| memo_key(&frame.image, self.scale));
+        let known = key.and_then(|key| unpack(&self.ctx.memos.load(&key)?, self.scale));
+        let (size_px, image) = match known {
+            Some(known) => known,
+            None => self.decode(frame, key)?,
+        };
+        check_size(frame, size_px)?;
+        Ok(ScaledPhoto {
+            camera: frame.camera.box_reduced(self.scale),
+            image,
+        })
+    }
+
+    /// Returns the size of the photo before it was shrunk, and its pixels after.
+    fn decode(&self, frame: &Frame, key: Option<Digest>) -> Result<([u32; 2], Image<Srgb>), StageError> {
+        let decoded = Photo::decode_validated(&self.ctx.get(&frame.image)?);
+        let photo = decoded.map_err(|cause| TrainError::Photo {
+            id: frame.id.clone(),
+            cause,
+        })?;
+        let (width, height) = (photo.image.width, photo.image.height);
+        check_size(frame, [width, height])?;
+        if width < self.scale || height < self.scale {
+            return Err(TrainError::Vanished {
+                id: frame.id.clone(),
+                width,
+                height,
+                scale: self.scale,
+            }
+            .into());
+        }
+        let image = match self.scale {
+            1 => photo.image,
+            scale => photo.image.box_reduced(scale),
+        };
+        if let Some(key) = key {
+            self.ctx.memos.save(&key, &pack([width, height], &image));
+        }
+        Ok(([width, height], image))
+    }
+
+    /// Reads photos and returns what `keep` makes of each, in order; at most `at_once` photos are in memory.
+    ///
+    /// # Errors
+    /// As [`PhotoReader::read`].
+    pub fn map<T: Send>(
+        &self,
+        frames: &[NamedFrame<'_>],
+        at_once: usize,
+        keep: impl Fn(usize, ScaledPhoto) -> T + Sync,
+    ) -> Result<Vec<T>, StageError> {
+        let at_once = at_once.max(1);
+        let mut kept = Vec::with_capacity(frames.len());
+        for (group, frames) in frames.chunks(at_once).enumerate() {
+            let photos = frames.par_iter().enumerate().with_max_len(1);
+            let of_group: Result<Vec<T>, StageError> = photos
+                .map(|(index, named)| Ok(keep(group * at_once + index, self.read(named.frame)?)))
+                .collect();
+            kept.extend(of_group?);
+        }
+        Ok(kept)
+    }
+}
+
+/// Returns the photos of a scene, from the first, that together have at most `most_bytes` at a working size.
+fn kept(scene: &Scene, scale: u32, most_bytes: u64) -> BTreeSet<Digest> {
+    let mut bytes = 0;
+    let fits = |frame: &&Frame| {
+        let camera = frame.camera.box_reduced(scale);
+        bytes += 3 * u64::from(camera.width) * u64::from(camera.height);
+        bytes <= most_bytes
+    };
+    let frames = scene.frames.iter().take_while(fits);
+    frames.map(|frame| frame.image).collect()
+}
+
+/// Returns the key of a memo; its number is raised when a photo may decode or shrink to other pixels.
+fn memo_key(photo: &Digest, scale: u32) -> Digest {
+    digest_of(&("shrunk photo 1", *photo, scale))
+}
+
+/// Width and height before shrinking as u32 LE, then the pixels after it, 3 bytes each.
+fn pack(size_px: [u32; 2], image: &Image<Srgb>) -> Vec<u8> {
+    let size = size_px.map(u32::to_le_bytes);
+    [size.as_flattened(), image.pixels.as_flattened()].concat()
+}
+
+/// Reads what [`pack`] wrote; none if it is anything else.
+fn unpack(bytes: &[u8], scale: u32) -> Option<([u32; 2], Image<Srgb>)> {
+    let (width, rest) = bytes.split_first_chunk::<4>()?;
+    let (height, rest) = rest.split_first_chunk::<4>()?;
+    let size_px = [width, height].map(|side| u32::from_le_bytes(*side));
+    let [width, height] = size_px.map(|side| side / scale.max(1));
+    let (pixels, left) = rest.as_chunks::<3>();
+    let whole = left.is_empty() && pixels.len() as u64 == u64::from(width) * u64::from(height);
+    let image = Image {
+        width,
+        height,
+        pixels: pixels.to_vec(),
+    };
+    (whole && !pixels.is_empty()).then_some((size_px, image))
+}
+
+fn check_size(frame: &Frame, [width, height]: [u32; 2]) -> Result<(), TrainError> {
+    let (camera_width, camera_height) = (frame.camera.width, frame.camera.height);
+    if (width, height) == (camera_width, camera_height) {
+        return Ok(());
+    }
+    Err(TrainError::Size {
+        id: frame.id.clone(),
+        width,
+        height,
+        camera_width,
+        camera_height,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use marf_scene::{Pose, encode_png};
+    use marf_stage::{Memos, harness::Harness};
+
+    fn frame(harness: &Harness, index: u32) -> Frame {
+        let image = Image::from_fn(10, 6, |column, row| {
+            [column as u8 * 20, row as u8 * 30, index as u8]
+        });
+        Frame {
+            id: format!("{index}"),
+            file: format!("{index}.png"),
+            image: harness.put(&encode_png(&image).unwrap()),
+            camera: Camera::pinhole(10, 6, 8.0),
+            cam_from_world: Pose::identity(),
+            held_out: false,
+            error_px: None,
+        }
+    }
+
+    fn scene(harness: &Harness, count: u32) -> Scene {
+        Scene {
+            frames: (0..count).map(|index| frame(harness, index)).collect(),
+            ..Scene::default()
+        }
+    }
+
+    #[test]
+    fn a_photo_is_decoded_once_a_scale_and_read_the_same_afterwards() {
+        let harness = Harness::default();
+        let (scene, ctx) = (scene(&harness, 2), harness.ctx());
+        for scale in [1, 2, 3] {
+            let reader = PhotoReader::new(&ctx, &scene, scale);
+            let before = harness.reads(&scene.frames[0].image);
+            let first = reader.read(&scene.frames[0]).unwrap();
+            let again = reader.read(&scene.frames[0]).unwrap();
+            assert_eq!(first, again, "scale {scale}");
+            assert_eq!(harness.reads(&scene.frames[0].image), before + 1, "scale {scale}");
+            assert_eq!((first.image.width, first.image.height), (10 / scale, 6 / scale));
+        }
+    }
+
+    #[test]
+    fn a_damaged_memo_costs_only_time() {
+        let harness = Harness::default();
+        let (scene, ctx) = (scene(&harness, 1), harness.ctx());
+        let (reader, frame) = (PhotoReader::new(&ctx, &scene, 2), &scene.frames[0]);
+        let expected = reader.read(frame).unwrap();
+        let key = memo_key(&frame.image, 2);
+        let whole = harness.load(&key).unwrap();
+        let cut = whole.len() - 1;
+        for damaged in [&[][..], &whole[..7], &whole[..cut], &[0; 8], &[255; 8]] {
+            harness.save(&key, damaged);
+            assert_eq!(reader.read(frame).unwrap(), expected, "{} bytes", damaged.len());
+            assert_eq!(
+                harness.load(&key).unwrap(),
+                whole,
+                "{} bytes are replaced",
+                damaged.len()
+            );
+        }
+    }
+
+    #[test]
+    fn a_camera_of_another_size_is_refused_from_the_memo_too() {
+        let harness = Harness::default();
+        let (mut scene, ctx) = (scene(&harness, 1), harness.ctx());
+        PhotoReader::new(&ctx, &scene, 2).read(&scene.frames[0]).unwrap();
+        scene.frames[0].camera = Camera::pinhole(11, 7, 8.0);
+        let reader = PhotoReader::new(&ctx, &scene, 2);
+        let error = reader.read(&scene.frames[0]).unwrap_err().to_string();
+        assert!(error.contains("10 x 6") && error.contains("11 x 7"), "{error}");
+    }
+
+    #[test]
+    fn the_first_photos_of_a_scene_are_kept_up_to_the_bound() {
+        let harness = Harness::default();
+        let scene = scene(&harness, 4);
+        // At scale 2 a photo is 5 x 3 pixels, 45 bytes.
+        for (most_bytes, count) in [(44, 0), (45, 1), (134, 2), (1000, 4)] {
+            let kept = kept(&scene, 2, most_bytes);
+            assert_eq!(kept.len(), count, "{most_bytes}");
+            assert!(
+                scene.frames[..count]
+                    .iter()
+                    .all(|frame| kept.contains(&frame.image))
+            );
+        }
+    }
+
+    #[test]
+    fn a_photo_is_shrunk_to_a_side_and_never_to_nothing() {
+        let harness = Harness::default();
+        let (scene, ctx) = (scene(&harness, 1), harness.ctx());
+        let photo = PhotoReader::new(&ctx, &scene, 1).read(&scene.frames[0]).unwrap();
+        for (side_px, width, height) in [(20, 10, 6), (5, 5, 3), (4, 3, 2), (1, 1, 1)] {
+            let small = photo.shrunk_to(side_px);
+            assert_eq!(
+                (small.image.width, small.image.height),
+                (width, height),
+                "{side_px}"
+            );
+        }
+    }
+}

@@ -1,0 +1,209 @@
+use std::ops::Range;
+use std::time::{Duration, Instant};
+
+use marf_field::{Field, Trainer};
+use marf_schema::train::{Curve, CurvePoint};
+use marf_stage::{Ctx, StageError};
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    TrainError,
+    photos::{PhotoReader, ScaledPhoto},
+    scoring::mean_psnr,
+    split::NamedFrame,
+};
+
+/// Wall clock between two checkpoints: what a killed run loses at most.
+const CHECKPOINT_EVERY: Duration = Duration::from_secs(10);
+/// Wall clock between two reports of progress.
+const REPORT_EVERY: Duration = Duration::from_millis(200);
+/// Photos that the curve is measured on, and their longest side in pixels: nine points cost a tenth of a draft.
+const CURVE_PHOTOS: usize = 3;
+const CURVE_SIDE_PX: u32 = 64;
+
+/// A field at the end of its training.
+pub(crate) struct TrainedField {
+    pub field: Field,
+    pub log: TrainingLog,
+}
+
+/// Counts beside the weights; part of a checkpoint, so that a resumed training reports the same.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct TrainingLog {
+    /// Steps this training goes to: `budget` may mean others on another machine, and the curve's places follow.
+    steps: u64,
+    pub curve: Curve,
+    pub rays: u64,
+    pub samples: u64,
+    loss_sum: f64,
+    loss_steps: u64,
+}
+
+/// Trains to `steps` from the last checkpoint, if there is one; the curve is measured on `curve_photos`.
+pub(crate) fn train_to(
+    ctx: &Ctx<'_>,
+    mut trainer: Trainer,
+    steps: u64,
+    curve_photos: &[(NamedFrame<'_>, ScaledPhoto)],
+) -> Result<TrainedField, StageError> {
+    let mut log = resume(ctx, &mut trainer, steps);
+    let mut saved_at = Instant::now();
+    let mut reported: Option<Instant> = None;
+    while trainer.steps() < steps {
+        if let Err(stopped) = ctx.check() {
+            save(ctx, &log, &mut trainer)?;
+            return Err(stopped);
+        }
+        let before = trainer.steps();
+        let step = trainer.advance(steps - before).map_err(TrainError::from)?;
+        log.add(&step);
+        if is_curve_point(before..trainer.steps(), steps) {
+            let field = trainer.field().map_err(TrainError::from)?;
+            let psnr = mean_psnr(ctx, &field, curve_photos)?;
+            log.point(trainer.steps(), psnr);
+        }
+        if reported.is_none_or(|at| at.elapsed() >= REPORT_EVERY) {
+            ctx.progress.at(trainer.steps(), steps, &log.note(step.loss));
+            reported = Some(Instant::now());
+        }
+        if saved_at.elapsed() >= CHECKPOINT_EVERY {
+            save(ctx, &log, &mut trainer)?;
+            saved_at = Instant::now();
+        }
+    }
+    let field = trainer.field().map_err(TrainError::from)?;
+    Ok(TrainedField { field, log })
+}
+
+/// Reads all held-out photos, so that one that cannot be read stops a training before it begins, and returns up to
+/// three, evenly spaced and shrunk, to measure the curve on.
+pub(crate) fn curve_photos<'a>(
+    photos: &PhotoReader<'_>,
+    held_out: &[NamedFrame<'a>],
+    at_once: usize,
+) -> Result<Vec<(NamedFrame<'a>, ScaledPhoto)>, StageError> {
+    let count = held_out.len().min(CURVE_PHOTOS);
+    let places: Vec<usize> = (0..count).map(|photo| photo * held_out.len() / count).collect();
+    let shrunk =
+        |index: usize, photo: ScaledPhoto| places.contains(&index).then(|| photo.shrunk_to(CURVE_SIDE_PX));
+    let read = photos.map(held_out, at_once, shrunk)?;
+    let pairs = held_out.iter().zip(read);
+    Ok(pairs
+        .filter_map(|(named, photo)| Some((named.clone(), photo?)))
+        .collect())
+}
+
+/// Tells whether a point of the curve falls among the steps taken: at 1/16 of all steps and at every eighth.
+fn is_curve_point(taken: Range<u64>, steps: u64) -> bool {
+    let crosses = |parts: u64| {
+        let part = |step: u64| u128::from(step) * u128::from(parts) / u128::from(steps);
+        part(taken.end) > part(taken.start)
+    };
+    crosses(8) || (crosses(16) && taken.start < steps / 8)
+}
+
+impl TrainingLog {
+    fn add(&mut self, step: &marf_field::Step) {
+        self.rays += step.rays;
+        self.samples += step.samples;
+        self.loss_sum += step.loss * step.steps as f64;
+        self.loss_steps += step.steps;
+    }
+
+    fn point(&mut self, step: u64, psnr: f64) {
+        self.curve.0.push(CurvePoint {
+            step,
+            rays: self.rays,
+            samples: self.samples,
+            loss: self.loss_sum / self.loss_steps.max(1) as f64,
+            psnr,
+        });
+        (self.loss_sum, self.loss_steps) = (0.0, 0);
+    }
+
+    fn note(&self, loss: f64) -> String {
+        match self.curve.0.last() {
+            Some(point) => format!("loss {loss:.4} psnr {:.1}", point.psnr),
+            None => format!("loss {loss:.4}"),
+        }
+    }
+}
+
+/// Restores the last checkpoint and returns its counts; without one, or with one of another training, those of step 0.
+fn resume(ctx: &Ctx<'_>, trainer: &mut Trainer, steps: u64) -> TrainingLog {
+    let fresh = TrainingLog {
+        steps,
+        ..TrainingLog::default()
+    };
+    let Some(state) = ctx.checkpoints.load() else {
+        return fresh;
+    };
+    let fits = |(log, weights): &(TrainingLog, &[u8])| log.steps == steps && trainer.restore(weights).is_ok();
+    unpack(&state).filter(fits).map_or(fresh, |(log, _)| log)
+}
+
+/// Saves a checkpoint.
+fn save(ctx: &Ctx<'_>, log: &TrainingLog, trainer: &mut Trainer) -> Result<(), TrainError> {
+    ctx.checkpoints.save(&pack(log, &trainer.save()?));
+    Ok(())
+}
+
+/// Length of the log as u64 LE, the log as JSON, the trainer's own state.
+fn pack(log: &TrainingLog, trainer: &[u8]) -> Vec<u8> {
+    // Numbers and lists always serialise.
+    let log = serde_json::to_vec(log).unwrap_or_default();
+    let length = (log.len() as u64).to_le_bytes();
+    [length.as_slice(), &log, trainer].concat()
+}
+
+/// Reads what [`pack`] wrote; none if it is anything else.
+fn unpack(state: &[u8]) -> Option<(TrainingLog, &[u8])> {
+    let (length, rest) = state.split_first_chunk::<8>()?;
+    let (log, trainer) = rest.split_at_checked(u64::from_le_bytes(*length) as usize)?;
+    Some((serde_json::from_slice(log).ok()?, trainer))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_curve_has_nine_points_at_fixed_shares_of_the_steps() {
+        for steps in [16_u64, 100, 401, 20_000] {
+            let points: Vec<u64> = (1..=steps)
+                .filter(|step| is_curve_point(*step - 1..*step, steps))
+                .collect();
+            assert_eq!(points.len(), 9, "{steps}: {points:?}");
+            assert_eq!((points[0], points[8]), (steps.div_ceil(16), steps));
+        }
+        for steps in 1..16 {
+            let points: Vec<u64> = (1..=steps)
+                .filter(|step| is_curve_point(*step - 1..*step, steps))
+                .collect();
+            assert_eq!(points.last(), Some(&steps), "{points:?}");
+        }
+    }
+
+    #[test]
+    fn a_checkpoint_survives_and_a_cut_one_is_no_checkpoint() {
+        let mut log = TrainingLog::default();
+        log.add(&marf_field::Step {
+            steps: 1,
+            loss: 0.1,
+            rays: 3,
+            samples: 7,
+        });
+        log.point(1, 12.345_678_901_234_567);
+        log.add(&marf_field::Step {
+            steps: 1,
+            loss: 1.0 / 3.0,
+            rays: 3,
+            samples: 7,
+        });
+        let packed = pack(&log, b"weights");
+        assert_eq!(unpack(&packed), Some((log, b"weights".as_slice())));
+        assert_eq!(unpack(&packed[..20]), None);
+        assert_eq!(unpack(&[255; 8]), None);
+        assert_eq!(unpack(&[]), None);
+    }
+}

@@ -1,0 +1,362 @@
+//! Short trainings that decide which parts of the field are used, by PSNR on training photos held back.
+
+use marf_field::{Background, Config, Field, Gain, Overrides, Quality, Trial, View, ViewDependence};
+use marf_scene::Scene;
+use marf_schema::train::{Fit, TrainParams};
+use marf_stage::{Ctx, StageError};
+
+use crate::{
+    TrainError,
+    memory::plan_memory,
+    photos::{PhotoReader, ScaledPhoto},
+    scoring::mean_psnr,
+    split::{NamedFrame, Split, hold_out_every_eighth},
+    views::{new_trainer, training_views},
+};
+
+/// All trials together take at most a fifth of the training's steps.
+const PART: u64 = 5;
+/// Least steps of a trial: fewer show only which configuration starts faster.
+const LEAST_STEPS: u64 = 100;
+/// Longest side of a photo that a trial is measured on, pixels: its render costs as much as 5 steps.
+const SCORED_SIDE_PX: u32 = 128;
+/// Photos are halved once more for trials, unless a side would fall below this, pixels.
+const LEAST_SIDE_PX: u32 = 64;
+
+/// A part of the field, and the configurations with and without it.
+struct Part {
+    name: &'static str,
+    /// Keys that decide in place of a trial where they are set.
+    keys: &'static [&'static str],
+    with: fn(&Config) -> Config,
+    without: fn(&Config) -> Config,
+}
+
+const PARTS: [Part; 4] = [
+    Part {
+        name: "view_dependence",
+        keys: &["view_dependence"],
+        with: |config| Config {
+            view_dependence: ViewDependence::On,
+            ..config.clone()
+        },
+        without: |config| Config {
+            view_dependence: ViewDependence::Off,
+            ..config.clone()
+        },
+    },
+    Part {
+        name: "gain",
+        keys: &["gain"],
+        with: |config| Config {
+            gain: Gain::PerPhoto,
+            ..config.clone()
+        },
+        without: |config| Config {
+            gain: Gain::Off,
+            ..config.clone()
+        },
+    },
+    Part {
+        name: "background",
+        keys: &["background"],
+        with: |config| Config {
+            background: Background::Direction,
+            ..config.clone()
+        },
+        without: |config| Config {
+            background: Background::Black,
+            ..config.clone()
+        },
+    },
+    Part {
+        name: "width",
+        keys: &["density_width", "color_width", "color_layers"],
+        // The width of quality `best` stays its own.
+        with: |config| Config {
+            density_width: match config.color_width {
+                32 => 64,
+                _ => config.density_width,
+            },
+            color_width: config.color_width.max(64),
+            ..config.clone()
+        },
+        without: |config| Config {
+            density_width: 32,
+            color_width: 32,
+            color_layers: 1,
+            ..config.clone()
+        },
+    },
+];
+
+/// The training that trials decide for.
+pub(crate) struct TrialRequest<'a> {
+    pub scene: &'a Scene,
+    pub split: &'a Split<'a>,
+    pub scale: u32,
+    /// Keys of the field that are set.
+    pub keys: &'a Overrides,
+    pub params: &'a TrainParams,
+    /// Steps of the training itself.
+    pub steps: u64,
+}
+
+/// Returns `config` with the parts that gain more than `least_gain_db`, and the reports of all trials.
+///
+/// A part whose key is set is left as it is. There are no trials at quality `draft`, with `fit = "fixed"`, or where
+/// steps or photos are too few.
+pub(crate) fn decide(
+    ctx: &Ctx<'_>,
+    request: &TrialRequest<'_>,
+    config: Config,
+) -> Result<(Config, Vec<Trial>), StageError> {
+    let is_set = |part: &Part| part.keys.iter().find(|key| request.keys.0.contains_key(**key));
+    let open = PARTS.iter().filter(|part| is_set(part).is_none()).count() as u64;
+    let steps = steps_each(request.params, request.steps, open);
+    let setup = match steps {
+        0 => None,
+        _ => TrialSetup::new(ctx, request, &config, steps)?,
+    };
+    let Some(setup) = setup else {
+        return Ok((config, Vec::new()));
+    };
+    let base = setup.run(ctx, &config, "as it is")?;
+    let (mut decided, mut trials) = (config.clone(), Vec::new());
+    for part in &PARTS {
+        if let Some(key) = is_set(part) {
+            trials.push(not_tried(part, key));
+            continue;
+        }
+        let (with, without) = ((part.with)(&config), (part.without)(&config));
+        let other = if config == with { &without } else { &with };
+        let other = setup.run(ctx, other, part.name)?;
+        let pair = if config == with {
+            [base, other]
+        } else {
+            [other, base]
+        };
+        let (trial, pays) = compared(part, pair, &setup, request.params.trials.least_gain_db);
+        decided = if pays {
+            (part.with)(&decided)
+        } else {
+            (part.without)(&decided)
+        };
+        trials.push(trial);
+    }
+    Ok((decided, trials))
+}
+
+/// Returns the steps left for the training where trials come out of the same budget.
+pub(crate) fn steps_after_trials(params: &TrainParams, steps: u64) -> u64 {
+    match params.trials.steps {
+        None if run_by_default(params) => (steps - steps / (PART + 1)).max(1),
+        _ => steps,
+    }
+}
+
+/// Tells whether trials run where `trials.steps` is not set.
+fn run_by_default(params: &TrainParams) -> bool {
+    params.quality != Quality::Draft && params.fit == Fit::Scene
+}
+
+/// Returns the steps of one trial where `open` parts are tried beside the configuration as it is; 0 for none.
+fn steps_each(params: &TrainParams, steps: u64, open: u64) -> u64 {
+    let share = steps / (PART * (open + 1));
+    match params.trials.steps {
+        _ if open == 0 || params.fit == Fit::Fixed => 0,
+        Some(steps) => steps,
+        None if run_by_default(params) && share >= LEAST_STEPS => share,
+        None => 0,
+    }
+}
+
+/// Returns the report of a part that a key decides.
+fn not_tried(part: &Part, key: &str) -> Trial {
+    Trial {
+        part: part.name.to_owned(),
+        with_db: None,
+        without_db: None,
+        parameters: None,
+        steps: 0,
+        decision: format!("not tried: `{key}` says so"),
+    }
+}
+
+/// Mean PSNR and number of parameters of one configuration.
+#[derive(Debug, Clone, Copy)]
+struct Outcome {
+    psnr: f64,
+    parameters: u64,
+}
+
+/// Returns the trial as it is reported, and whether the part gains enough to be used.
+fn compared(
+    part: &Part,
+    [with, without]: [Outcome; 2],
+    setup: &TrialSetup<'_>,
+    least_db: f64,
+) -> (Trial, bool) {
+    let gain_db = with.psnr - without.psnr;
+    let pays = gain_db > least_db;
+    let (word, relation) = if pays {
+        ("kept", "more than")
+    } else {
+        ("left out", "not more than")
+    };
+    let decision = format!(
+        "{word}: {gain_db:+.2} dB on {} validation photos after {} steps, {relation} {least_db} dB",
+        setup.held_out.len(),
+        setup.steps
+    );
+    let trial = Trial {
+        part: part.name.to_owned(),
+        with_db: Some(with.psnr),
+        without_db: Some(without.psnr),
+        parameters: Some(with.parameters.saturating_sub(without.parameters)),
+        steps: setup.steps,
+        decision,
+    };
+    (trial, pays)
+}
+
+/// Photos that trials train on and are measured on.
+struct TrialSetup<'a> {
+    request: &'a TrialRequest<'a>,
+    views: Vec<View>,
+    held_out: Vec<(NamedFrame<'a>, ScaledPhoto)>,
+    steps: u64,
+}
+
+impl<'a> TrialSetup<'a> {
+    /// Holds back every 8th training photo; `None` where that leaves none to train on.
+    fn new(
+        ctx: &Ctx<'_>,
+        request: &'a TrialRequest<'a>,
+        config: &Config,
+        steps: u64,
+    ) -> Result<Option<Self>, StageError> {
+        let split = hold_out_every_eighth(request.split.training.clone());
+        if split.training.is_empty() {
+            return Ok(None);
+        }
+        let (scale, times) = (scale(request), vec![1; split.training.len()]);
+        let plan = plan_memory(request.params.memory, &split, &times, scale, config)?;
+        let photos = PhotoReader::new(ctx, request.scene, scale);
+        let shrunk = |_, photo: ScaledPhoto| photo.shrunk_to(SCORED_SIDE_PX);
+        let scored = photos.map(&split.held_out, plan.at_once, shrunk)?;
+        Ok(Some(Self {
+            request,
+            views: training_views(&photos, &split.training, &times, plan, request.params.seed)?,
+            held_out: split.held_out.into_iter().zip(scored).collect(),
+            steps,
+        }))
+    }
+
+    /// Trains with `config` and measures it.
+    fn run(&self, ctx: &Ctx<'_>, config: &Config, note: &str) -> Result<Outcome, StageError> {
+        let config = Config {
+            steps: Some(self.steps),
+            ..config.clone()
+        };
+        let (params, scene) = (self.request.params, self.request.scene);
+        let views = self.views.clone();
+        let mut trainer = new_trainer(views, scene, &config, params.seed, &params.device)?;
+        while trainer.steps() < self.steps {
+            ctx.check()?;
+            trainer
+                .advance(self.steps - trainer.steps())
+                .map_err(TrainError::from)?;
+            ctx.progress
+                .at(trainer.steps(), self.steps, &format!("trying {note}"));
+        }
+        let field: Field = trainer.field().map_err(TrainError::from)?;
+        Ok(Outcome {
+            psnr: mean_psnr(ctx, &field, &self.held_out)?,
+            parameters: field.facts().parameters,
+        })
+    }
+}
+
+/// Returns the factor by which trials shrink photos.
+fn scale(request: &TrialRequest<'_>) -> u32 {
+    let cameras = request.split.training.iter().map(|named| &named.frame.camera);
+    let shortest = cameras.map(|camera| camera.width.min(camera.height)).min();
+    let halved = request.scale.saturating_mul(2);
+    if shortest.unwrap_or(0) / halved < LEAST_SIDE_PX {
+        return request.scale;
+    }
+    halved
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn params(value: serde_json::Value) -> TrainParams {
+        serde_json::from_value(value).unwrap()
+    }
+
+    #[test]
+    fn all_trials_together_take_at_most_a_fifth_of_the_steps() {
+        for quality in ["standard", "best"] {
+            let params = params(json!({ "quality": quality }));
+            for (steps, open) in [(4_000, 4), (20_000, 4), (20_000, 1), (2_500, 4), (u64::MAX, 4)] {
+                let each = steps_each(&params, steps, open);
+                assert!(
+                    each >= LEAST_STEPS && each <= steps / PART / (open + 1),
+                    "{quality} {steps} {open}: {each}"
+                );
+            }
+            assert_eq!(steps_each(&params, 2_499, 4), 0, "99 steps say nothing");
+            assert_eq!(steps_each(&params, 4_000, 0), 0, "nothing is open");
+        }
+    }
+
+    #[test]
+    fn a_draft_and_a_fixed_field_try_nothing_unless_told() {
+        for table in [
+            json!({}),
+            json!({"quality": "best", "fit": "fixed"}),
+            json!({"quality": "best", "trials": {"steps": 0}}),
+        ] {
+            assert_eq!(steps_each(&params(table.clone()), 20_000, 4), 0, "{table}");
+        }
+        assert_eq!(steps_each(&params(json!({"trials": {"steps": 7}})), 20_000, 4), 7);
+    }
+
+    /// A budget pays for the trials, too, and the steps it leaves ask for the same trials again.
+    #[test]
+    fn a_budget_is_shared_between_training_and_trials() {
+        let standard = params(json!({"quality": "standard"}));
+        for paced in [1, 7, 3_000, 1_000_003] {
+            let steps = steps_after_trials(&standard, paced);
+            let all = steps + 5 * steps_each(&standard, steps, 4);
+            assert!(
+                steps >= 1 && all <= paced.max(1) && all * 10 >= paced * 8,
+                "{paced}: {steps} of {all}"
+            );
+        }
+        assert_eq!(steps_after_trials(&params(json!({})), 3_000), 3_000);
+    }
+
+    #[test]
+    fn the_sides_of_a_part_differ_and_one_is_the_configuration_as_it_is() {
+        for quality in [Quality::Draft, Quality::Standard, Quality::Best] {
+            let config = quality.config();
+            for part in &PARTS {
+                let known = serde_json::to_value(&config).unwrap();
+                assert!(
+                    part.keys.iter().all(|key| known.get(key).is_some()),
+                    "{:?}",
+                    part.keys
+                );
+                let (with, without) = ((part.with)(&config), (part.without)(&config));
+                assert_ne!(with, without, "{quality:?} {}", part.name);
+                assert!(config == with || config == without, "{quality:?} {}", part.name);
+                with.check().and(without.check()).unwrap();
+            }
+        }
+    }
+}

@@ -1,0 +1,88 @@
+//! How often photos are decoded: a decoding reads the photo from the store, a memo does not.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a test that cannot go on should stop"
+)]
+
+mod common;
+
+use std::sync::Arc;
+
+use common::{inputs, put_scene, run, scene, small, stage};
+use marf_cache::Digest;
+use marf_schema::train::TrainParams;
+use marf_stage::{Ctx, Define, Expand, Inputs, Memos, Outputs, Params, harness::Harness};
+use marf_train::{Bootstrap, Evaluate, Pace, Train, Tune};
+use serde_json::json;
+
+/// Runs the trainings that a stage asks for and reduces their outputs.
+fn expand(ctx: &Ctx<'_>, stage: &impl Expand, inputs: &Inputs) -> (Outputs, usize) {
+    let nodes = stage.expand(ctx, inputs).unwrap();
+    let trained = nodes.into_iter().map(|node| {
+        assert_eq!(node.stage, TrainParams::STAGE);
+        let mut params: TrainParams = serde_json::from_value(node.params).unwrap();
+        params.field = serde_json::from_value(small()).unwrap();
+        run(&Train::new(params).unwrap(), ctx, &node.inputs).unwrap()
+    });
+    let trained: Vec<Outputs> = trained.collect();
+    (stage.reduce(ctx, inputs, &trained).unwrap(), trained.len())
+}
+
+#[test]
+fn the_trainings_of_the_default_pipeline_decode_each_photo_once_a_working_size() {
+    let harness = Harness::default();
+    let (ctx, scene) = (harness.ctx(), scene(&harness, 12));
+    let inputs = inputs(&[("scene", put_scene(&harness, &scene))]);
+
+    // Six trials and the scatter, at another working size than the rest.
+    let tune: Tune = stage(json!({"scale": 3, "steps": 2}));
+    let (_, trials) = expand(&ctx, &tune, &inputs);
+    let pace: Pace = stage(json!({"budget": "40ms", "scale": 2, "field": small()}));
+    run(&pace, &ctx, &inputs).unwrap();
+    let train: Train = stage(json!({"steps": 2, "scale": 2, "field": small(), "trials": {"steps": 1}}));
+    let trained = run(&train, &ctx, &inputs).unwrap();
+    let evaluate: Evaluate = stage(json!({"views": "all"}));
+    run(&evaluate, &ctx, &Inputs(trained)).unwrap();
+    let bootstrap: Bootstrap = stage(json!({"steps": 2, "scale": 2, "frames": 1, "width": 16}));
+    let (_, members) = expand(&ctx, &bootstrap, &inputs);
+
+    assert_eq!(trials + 1 + members, 13);
+    for frame in &scene.frames {
+        // Trials never look at the photos that the scene holds out.
+        let sizes = if frame.held_out { 1 } else { 2 };
+        assert_eq!(harness.reads(&frame.image), sizes, "photo {}", frame.id);
+    }
+}
+
+/// Keeps nothing.
+struct NoMemos;
+
+impl Memos for NoMemos {
+    fn load(&self, _key: &Digest) -> Option<Arc<[u8]>> {
+        None
+    }
+
+    fn save(&self, _key: &Digest, _table: &[u8]) {}
+}
+
+#[test]
+fn a_training_without_memos_gives_the_same_bytes_and_decodes_held_out_photos_twice() {
+    let harness = Harness::default();
+    let scene = scene(&harness, 12);
+    let inputs = inputs(&[("scene", put_scene(&harness, &scene))]);
+    let train: Train = stage(json!({"steps": 16, "scale": 2, "field": small()}));
+    let without = Ctx {
+        memos: &NoMemos,
+        ..harness.ctx()
+    };
+    let expected = run(&train, &without, &inputs).unwrap();
+    for frame in &scene.frames {
+        // Before the training, and when the field is measured.
+        let reads = if frame.held_out { 2 } else { 1 };
+        assert_eq!(harness.reads(&frame.image), reads, "photo {}", frame.id);
+    }
+    for _ in 0..2 {
+        assert_eq!(run(&train, &harness.ctx(), &inputs).unwrap(), expected);
+    }
+}
