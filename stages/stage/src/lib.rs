@@ -250,7 +250,7 @@ pub struct Verdict {
     pub id: String,
     /// The file it came from.
     pub file: String,
-    /// `keep`, or what rejected it (`decode`, `size`, `shape`, `duplicate`, `grayscale`, `histogram`, `blur`).
+    /// `keep`, or the name of the filter that rejected it; `decode` if it could not be decoded.
     pub verdict: String,
     /// The measure the verdict rests on, in the filter's own unit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
