@@ -96,9 +96,9 @@ pub enum GraphError {
         /// The stage of the upstream node.
         stage: &'static str,
         /// The output.
-        output: String,
+        output: &'static str,
         /// The outputs that the upstream node has.
-        outputs: Vec<String>,
+        outputs: &'static [&'static str],
     },
     /// Two upstream nodes for one input.
     #[error("`{node}` gets `{input}` twice")]
@@ -270,8 +270,8 @@ fn connected_ports<'a>(
             key: key.to_owned(),
             upstream: upstream.name.to_owned(),
             stage: upstream.stage.name,
-            output: port.output.to_owned(),
-            outputs: outputs.iter().map(|&output| output.to_owned()).collect(),
+            output: port.output,
+            outputs,
         }),
     }
 }
