@@ -5,8 +5,16 @@ use std::path::Path;
 use super::*;
 use crate::config::{GlobalOptions, check, low};
 
-/// Keywords that only describe.
-const ANNOTATIONS: [&str; 6] = ["$schema", "$defs", "title", "description", "default", "format"];
+/// Keywords that only describe, and `pattern`, whose texts the stages read.
+const ANNOTATIONS: [&str; 7] = [
+    "$schema",
+    "$defs",
+    "title",
+    "description",
+    "default",
+    "format",
+    "pattern",
+];
 
 /// What of a value a schema does not allow, as `place: complaint`. Knows the keywords that our schemas use and panics
 /// at any other.
@@ -67,6 +75,10 @@ fn complaints(root: &Json, schema: &Json, value: &Json, at: &str) -> Vec<String>
             "maxItems" => value
                 .as_array()
                 .is_none_or(|items| items.len() as u64 <= rule.as_u64().unwrap()),
+            "uniqueItems" => value.as_array().is_none_or(|items| {
+                let repeated = |(index, item)| items[..index].contains(item);
+                !items.iter().enumerate().any(repeated)
+            }),
             "items" => {
                 for item in value.as_array().into_iter().flatten() {
                     found.extend(inner(rule, item));
