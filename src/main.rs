@@ -16,7 +16,7 @@ fn main() -> ExitCode {
         asked.set();
     });
     if let Err(error) = handler {
-        marf::talk(&format!(
+        marf::terminal::eprint_line(&format!(
             "warning: Ctrl-C stops at once and not at a checkpoint: {error}"
         ));
     }

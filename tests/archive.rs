@@ -213,7 +213,10 @@ fn an_archive_that_cannot_be_is_a_usage_error() {
         ("archive.jezero.sols=5..=1", "empty range"),
         ("archive.jezero.network.connections=9", "not within 1 to 4"),
         ("archive.jezero.discover=index", "no index tables"),
-        ("archive.jezero.nonsense=1", "unknown field"),
+        (
+            "archive.jezero.nonsense=1",
+            "unknown key `nonsense` in `archive.jezero`",
+        ),
     ] {
         let ran = run(dir.path(), &["--set", set]).exits(2);
         assert!(ran.stderr.contains(part), "{set}: {}", ran.stderr);

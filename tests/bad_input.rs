@@ -84,7 +84,7 @@ fn an_archive_on_a_server_names_its_missing_keys() {
     for (kind, missing) in [
         ("pds", "mission"),
         ("feed", "mission"),
-        ("tape", "unknown variant `tape`"),
+        ("tape", "there is no kind of archive `tape`"),
     ] {
         let dir = with_pipeline(&format!(
             "[archive.a]\nkind = \"{kind}\"\n[node.extract]\narchive = \"a\"\n"

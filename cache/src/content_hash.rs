@@ -1,27 +1,28 @@
+//! Content hashes: one walk over a value makes both its digest and its text.
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 
 use crate::Digest;
 
-/// A value whose content can be walked in one fixed order.
+/// A value whose content can be visited in one fixed order.
 ///
-/// One walk serves every [`Visitor`]: one of them hashes, another writes text, so the text that `marf why`
-/// compares cannot disagree with the key. Derive it; field names are part of the content.
+/// One visitor hashes, another writes text: the text that `marf why` compares holds what the key holds. Derive
+/// it; the names of structs, fields and variants are part of the content.
 pub trait ContentHash {
-    /// Tells `visitor` the whole content of `self`.
+    /// Passes the whole content of `self` to a visitor.
     fn walk(&self, visitor: &mut dyn Visitor);
 }
 
-/// What hears a walk.
+/// Receives the content of a value, one call for each leaf.
 ///
-/// Every leaf arrives as one call. Names and lengths arrive before what they name, hence no two different
-/// contents make the same calls.
+/// Names and lengths come before what they describe, so different contents make different calls.
 pub trait Visitor {
     /// A struct, or a struct-like variant's fields, with this many fields.
     fn open(&mut self, name: &str, fields: usize);
     /// The next value is this field.
     fn field(&mut self, name: &str);
-    /// The struct, sequence or map is complete.
+    /// The end of a struct, sequence or map.
     fn close(&mut self);
     /// An enum's variant, by ordinal; its fields follow as a struct.
     fn variant(&mut self, name: &str, ordinal: u32);
@@ -43,24 +44,24 @@ pub trait Visitor {
     fn digest(&mut self, value: &Digest);
 }
 
-/// Returns the digest of a value's content: the key.
+/// Returns the digest of a value's content.
 pub fn digest_of(value: &(impl ContentHash + ?Sized)) -> Digest {
-    let mut hasher = Hashing(blake3::Hasher::new());
+    let mut hasher = HashVisitor(blake3::Hasher::new());
     value.walk(&mut hasher);
     Digest::from_bytes(*hasher.0.finalize().as_bytes())
 }
 
-/// Returns a value's content as text, one leaf a line (`path.to.field = value`).
+/// Returns a value's content as text, one leaf a line: `path.to.field = value`.
 pub fn manifest_text(value: &(impl ContentHash + ?Sized)) -> String {
-    let mut writer = Writing::default();
+    let mut writer = TextVisitor::default();
     value.walk(&mut writer);
     writer.text
 }
 
-/// Each call is a tag byte, then lengths as u64 LE, ordinals as u32 LE, floats by bits.
-struct Hashing(blake3::Hasher);
+/// Hashes a tag byte for each call, then lengths as u64 LE, ordinals as u32 LE, floats by bits.
+struct HashVisitor(blake3::Hasher);
 
-impl Hashing {
+impl HashVisitor {
     fn tagged(&mut self, tag: u8, payload: &[u8]) {
         self.0.update(&[tag]);
         self.0.update(payload);
@@ -72,7 +73,7 @@ impl Hashing {
     }
 }
 
-impl Visitor for Hashing {
+impl Visitor for HashVisitor {
     fn open(&mut self, name: &str, fields: usize) {
         self.sized(b'{', name.as_bytes());
         self.0.update(&(fields as u64).to_le_bytes());
@@ -121,14 +122,15 @@ fn canonical(value: f64) -> f64 {
     }
 }
 
+/// Writes one line for each leaf.
 #[derive(Default)]
-struct Writing {
+struct TextVisitor {
     text: String,
     path: Vec<String>,
     counters: Vec<Option<usize>>,
 }
 
-impl Writing {
+impl TextVisitor {
     fn leaf(&mut self, value: &str) {
         self.next_element();
         let path = if self.path.is_empty() {
@@ -140,7 +142,7 @@ impl Writing {
         self.done();
     }
 
-    /// Inside a sequence every value gets its index as the path's last part.
+    /// Appends the index of a value inside a sequence to the path.
     fn next_element(&mut self) {
         if let Some(Some(index)) = self.counters.last_mut() {
             self.path.push(index.to_string());
@@ -153,7 +155,7 @@ impl Writing {
     }
 }
 
-impl Visitor for Writing {
+impl Visitor for TextVisitor {
     fn open(&mut self, _name: &str, _fields: usize) {
         self.next_element();
         self.counters.push(None);

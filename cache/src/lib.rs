@@ -1,7 +1,7 @@
 //! Content-addressed store of marf: digests, content hashes, manifests, records, blobs.
 //!
-//! Bytes only: this room knows no graph, no stage and no image.
-//! Invariant: a byte string that leaves the store has the digest it was asked for by.
+//! This crate knows bytes only: no graph, no stage, no image.
+//! Invariant: the bytes that the store returns have the digest they were asked for by.
 
 extern crate self as marf_cache;
 

@@ -1,7 +1,7 @@
-//! Merkle manifests: a set of items as leaves of sorted rows, one shard (sol) after the other.
+//! Merkle manifests: a set of items as leaves of sorted rows, shard (sol) by shard.
 //!
-//! Root = sorted list of (shard, leaf digest); leaf = up to [`ROWS_A_LEAF`] rows sorted by id. Equal root:
-//! nothing to do. Equal leaf: that part is skipped unread.
+//! A root is a sorted list of (shard, digest of a leaf); a leaf is up to [`ROWS_A_LEAF`] rows sorted by id. Sets
+//! of equal roots are equal, and equal leaves need not be read.
 
 use std::collections::BTreeMap;
 
@@ -12,12 +12,12 @@ use crate::Digest;
 /// Most rows of one leaf: 4,000 rows of some hundred bytes stay under a megabyte.
 pub const ROWS_A_LEAF: usize = 4_000;
 
-/// One item of a set: its name, what it is made of, and facts about it.
+/// One item of a set: its name, its blobs, and facts about it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Row {
     /// Name of the item, unique in its set (a product id, or a file name).
     pub id: String,
-    /// Digests of the item's byte strings by role (`image`, `label`, `raw`).
+    /// Digests of the item's blobs by role (`image`, `label`, `raw`).
     pub blobs: BTreeMap<String, Digest>,
     /// Facts about the item as canonical JSON (keys sorted, no clock, no path of this machine).
     #[serde(default, skip_serializing_if = "serde_json::Value::is_null")]
@@ -31,14 +31,14 @@ pub struct Leaf {
     pub rows: Vec<Row>,
 }
 
-/// The whole set: its leaves in order.
+/// A whole set: its leaves in order.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Root {
     /// Sorted by shard, then by the first id of the leaf.
     pub leaves: Vec<LeafRef>,
 }
 
-/// Where a leaf is.
+/// A reference to a leaf.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LeafRef {
     /// The sol; 0 where a set has none.
@@ -52,7 +52,7 @@ pub struct LeafRef {
 /// A manifest that cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum ManifestError {
-    /// The bytes are not a manifest.
+    /// The bytes are no manifest.
     #[error("not a manifest: {0}")]
     Malformed(#[from] serde_json::Error),
     /// Rows are not sorted or an id occurs twice.
@@ -64,7 +64,7 @@ pub enum ManifestError {
 }
 
 impl Leaf {
-    /// Sorts rows into a leaf. Rows of equal id must have been resolved before.
+    /// Sorts rows into a leaf; every id may occur once.
     ///
     /// # Errors
     /// Names an id that occurs twice.
@@ -75,7 +75,7 @@ impl Leaf {
         Ok(leaf)
     }
 
-    /// Returns the canonical bytes: one JSON row a line, so that leaves can be read with any tool.
+    /// Returns the canonical bytes: one row a line, as JSON.
     pub fn encode(&self) -> Vec<u8> {
         encode_lines(&self.rows)
     }
@@ -111,7 +111,7 @@ impl Root {
     /// Reads what [`Root::encode`] wrote.
     ///
     /// # Errors
-    /// Refuses bytes that are not a root.
+    /// Bytes that are no root.
     pub fn decode(bytes: &[u8]) -> Result<Self, ManifestError> {
         Ok(Self {
             leaves: decode_lines(bytes)?,

@@ -6,7 +6,8 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use marf_field::Device;
 
-use crate::config::{Access, Wishes};
+use crate::config::GlobalOptions;
+use marf_stage::Access;
 
 /// Raw Mars rover and helicopter photos to radiance fields, with proof of how.
 #[derive(Debug, Parser)]
@@ -72,13 +73,13 @@ pub struct Global {
 
 impl Global {
     /// Returns what is said for all nodes and archives.
-    pub fn wishes(&self) -> Wishes {
+    pub fn options(&self) -> GlobalOptions {
         let access = match (self.offline, self.locked) {
             (true, _) => Access::Offline,
             (false, true) => Access::Locked,
             (false, false) => Access::Online,
         };
-        Wishes {
+        GlobalOptions {
             device: self.device.clone(),
             access,
         }

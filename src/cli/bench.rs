@@ -10,14 +10,19 @@ use std::{fmt, fs};
 use marf_engine::{Cancel, Options};
 use marf_field::{Config, Device, EXPECTED_STEPS_PER_S, Field, Overrides, Quality, Trainer, View};
 use marf_scene::{Frame, Image, Photo, Scene, Srgb, encode_png, metrics, picture_names};
+use marf_schema::calibrate::CalibrateParams;
+use marf_schema::output;
+use marf_schema::train::TrainParams;
+use marf_stage::Params;
 use serde::{Deserialize, Serialize, Serializer};
 
 use super::args::{BenchArgs, Clock, Global};
 use super::error::CliError;
 use super::filter::folder;
 use super::run::{execute, options};
-use super::session::Session;
+use super::session::{Session, node_named};
 use super::{budget, files};
+use crate::terminal::{eprint_line, print_line};
 
 /// Ticks a second in /proc/self/stat, on every Linux.
 const TICKS_PER_S: f64 = 100.0;
@@ -75,7 +80,7 @@ fn budgets(args: &BenchArgs) -> Result<Vec<Budget>, CliError> {
     let seconds = args
         .seconds
         .iter()
-        .map(|text| Ok(Budget::Seconds(budget::seconds(text)?)));
+        .map(|text| Ok(Budget::Seconds(budget::whole_seconds(text)?)));
     let mut budgets = match args.steps.as_slice() {
         [] => seconds.collect::<Result<Vec<_>, CliError>>()?,
         steps => steps.iter().map(|steps| Budget::Steps((*steps).max(1))).collect(),
@@ -146,7 +151,7 @@ pub fn train(global: &Global, args: &BenchArgs, cancel: &Cancel) -> Result<(), C
     };
     let points: Vec<[f64; 3]> = scene.points.iter().map(|point| point.position).collect();
     let lines = pool.install(|| bench.run(&views, &tests, &points, (&config, keys.seed), &budgets))?;
-    crate::talk(&table(&lines));
+    eprint_line(&table(&lines));
     Ok(())
 }
 
@@ -159,7 +164,7 @@ fn pipeline(dir: &Path) -> String {
 }
 
 fn keys(session: &Session) -> Result<Keys, CliError> {
-    let node = session.nodes.iter().find(|node| node.name == "train");
+    let node = session.nodes.iter().find(|node| node.name == TrainParams::STAGE);
     let mut params = node.map(|node| node.params.clone()).unwrap_or_default();
     if let Some(table) = params.as_object_mut() {
         table.retain(|_, value| !value.is_null());
@@ -170,15 +175,13 @@ fn keys(session: &Session) -> Result<Keys, CliError> {
 /// Runs what leads to the cameras.
 fn import(session: &Session, global: &Global, cancel: &Cancel) -> Result<Scene, CliError> {
     let options = Options {
-        to: vec!["calibrate".to_owned()],
+        to: vec![CalibrateParams::STAGE.to_owned()],
         ..options(global, &session.name)
     };
     let (record, ended) = execute(session, &options, global, cancel)?;
     ended?;
-    let node = record.nodes.iter().find(|node| node.name == "calibrate");
-    let output = node.and_then(|node| node.outputs.get("scene"));
-    let output = output.ok_or_else(|| CliError::failed("calibrate gave no `scene`"))?;
-    let bytes = session.store.get(&output.digest)?;
+    let node = node_named(&record, CalibrateParams::STAGE)?;
+    let bytes = session.output(node, output::SCENE)?;
     Scene::decode(&bytes).map_err(|error| CliError::failed(error.to_string()))
 }
 
@@ -250,7 +253,7 @@ impl Bench<'_> {
             let (mut trainer, spent) = self.trained(views.to_vec(), points, (&config, seed), *budget)?;
             let line = self.look(&mut trainer, tests, &spent, *budget)?;
             let text = serde_json::to_string(&line);
-            crate::say(&text.map_err(|error| CliError::failed(error.to_string()))?);
+            print_line(&text.map_err(|error| CliError::failed(error.to_string()))?);
             lines.push(line);
         }
         Ok(lines)

@@ -1,36 +1,32 @@
+use marf_schema::train::Budget;
+
 use super::error::CliError;
 
 /// Longest training a budget may ask for: a day.
 const LONGEST_S: f64 = 86_400.0;
 
-/// Reads `10s`, `5m`, `1h` or `90` as whole seconds.
+/// Reads a time to train for (`10s`, `5m`, `1h`) as whole seconds; a number without a unit is seconds.
 ///
 /// # Errors
-/// Names a text that is no time, or out of 1 s to 24 h.
-pub fn seconds(text: &str) -> Result<u32, CliError> {
-    let text = text.trim();
-    let unit = text
-        .find(|char: char| char.is_ascii_alphabetic())
-        .unwrap_or(text.len());
-    let scale = match &text[unit..] {
-        "" | "s" => 1.0,
-        "m" | "min" => 60.0,
-        "h" => 3_600.0,
-        _ => return Err(refuse(text)),
+/// A text that is no time, or a time not within 1 s to 24 h.
+pub fn whole_seconds(text: &str) -> Result<u32, CliError> {
+    let refuse = || {
+        CliError::usage(format!(
+            "`{text}` is no budget: write 10s, 5m or 1h, from 1 s to 24 h"
+        ))
     };
-    let value: f64 = text[..unit].trim().parse().map_err(|_| refuse(text))?;
-    let seconds = (value * scale).round();
+    let unit = if text.trim_end().ends_with(|last: char| last.is_ascii_digit()) {
+        "s"
+    } else {
+        ""
+    };
+    let budget: Budget = format!("{text}{unit}").parse().map_err(|_| refuse())?;
+    let seconds = budget.seconds().round();
     if (1.0..=LONGEST_S).contains(&seconds) {
         Ok(seconds as u32)
     } else {
-        Err(refuse(text))
+        Err(refuse())
     }
-}
-
-fn refuse(text: &str) -> CliError {
-    CliError::usage(format!(
-        "`{text}` is no budget: write 10s, 5m or 1h, from 1 s to 24 h"
-    ))
 }
 
 #[cfg(test)]
@@ -42,19 +38,20 @@ mod tests {
         for (text, expected) in [
             ("10s", 10),
             ("60", 60),
+            (" 60 ", 60),
             ("5m", 300),
             ("1.5m", 90),
             ("1h", 3600),
             (" 10 s", 10),
         ] {
-            assert_eq!(seconds(text), Ok(expected), "{text}");
+            assert_eq!(whole_seconds(text), Ok(expected), "{text}");
         }
     }
 
     #[test]
     fn what_is_no_budget_is_refused() {
         for text in ["", "s", "-1s", "0s", "25h", "10x", "nan", "inf", "1e9s"] {
-            assert!(seconds(text).is_err(), "{text}");
+            assert!(whole_seconds(text).is_err(), "{text}");
         }
     }
 }

@@ -1,18 +1,21 @@
 use std::path::{Path, PathBuf};
 
-use marf_cache::Digest;
 use marf_engine::{Cancel, NodeRun};
 use marf_scene::Scene;
-use serde_json::Value as Json;
+use marf_schema::calibrate::{CalibrateParams, Metrics};
+use marf_schema::output;
+use marf_stage::{Document, Params};
 
 use super::args::{CalibrateArgs, Global};
-use super::error::{CliError, Complaint};
+use super::error::{CliError, Diagnostic};
+use super::export;
 use super::filter::folder;
+use super::output::print_json;
 use super::run::{execute, options};
-use super::session::Session;
-use super::{export, say_json};
+use super::session::{Session, digest, node_named};
+use crate::terminal::{escape_control, print_line};
 
-/// Most reasons of photos without a camera that are told one by one.
+/// Most reasons of photos without a camera that have a line of their own.
 const MOST_REASONS: usize = 3;
 
 /// `marf calibrate DIR`: writes transforms.json, and beside it metrics.json, COLMAP's model and the points.
@@ -20,18 +23,15 @@ pub fn calibrate(global: &Global, args: &CalibrateArgs, cancel: &Cancel) -> Resu
     let session = Session::implicit(&pipeline(args), global).map_err(for_this_verb)?;
     let (record, ended) = execute(&session, &options(global, &session.name), global, cancel)?;
     ended.map_err(for_this_verb)?;
-    let node = record.nodes.iter().find(|node| node.name == "calibrate");
-    let node = node.ok_or_else(|| CliError::failed("nothing was calibrated"))?;
+    let node = node_named(&record, CalibrateParams::STAGE)?;
     let written = write(&session, node, &args.out)?;
-    let bytes = session.store.get(&output(node, "metrics")?)?;
-    let metrics: Json =
-        serde_json::from_slice(&bytes).map_err(|error| CliError::failed(format!("metrics: {error}")))?;
+    let metrics: Metrics = session.document(node)?;
     if global.json {
-        return say_json(&metrics);
+        return print_json(&serde_json::to_value(metrics).unwrap_or_default());
     }
-    let scene = Scene::decode(&session.store.get(&output(node, "scene")?)?);
+    let scene = Scene::decode(&session.output(node, output::SCENE)?);
     let scene = scene.map_err(|error| CliError::failed(error.to_string()))?;
-    crate::say(&table(&metrics, &scene, &written));
+    print_line(&table(&metrics, &scene, &written));
     Ok(())
 }
 
@@ -43,35 +43,28 @@ fn pipeline(args: &CalibrateArgs) -> String {
     )
 }
 
-fn output(node: &NodeRun, name: &str) -> Result<Digest, CliError> {
-    let output = node.outputs.get(name);
-    let output = output.ok_or_else(|| CliError::failed(format!("calibrate gave no `{name}`")))?;
-    Ok(output.digest)
-}
-
 /// Writes what other programs read, and returns where.
 fn write(session: &Session, node: &NodeRun, out: &Path) -> Result<Vec<PathBuf>, CliError> {
     let mut written = vec![out.to_path_buf(), out.with_file_name("metrics.json")];
-    export::one(session, &output(node, "transforms")?, &written[0])?;
-    export::one(session, &output(node, "metrics")?, &written[1])?;
-    for (name, output) in &node.outputs {
-        if name.starts_with("sparse/") || name == "points.ply" {
+    export::one(session, &digest(node, output::TRANSFORMS)?, &written[0])?;
+    export::one(session, &digest(node, Metrics::OUTPUT)?, &written[1])?;
+    for (name, found) in &node.outputs {
+        if name.starts_with(output::SPARSE) || name == output::POINTS {
             let path = out.with_file_name("").join(name);
-            export::one(session, &output.digest, &path)?;
+            export::one(session, &found.digest, &path)?;
             written.push(path);
         }
     }
     Ok(written)
 }
 
-fn table(metrics: &Json, scene: &Scene, written: &[PathBuf]) -> String {
-    let totals = &metrics["totals"];
-    let count = |key: &str| totals[key].as_u64().unwrap_or(0);
+fn table(metrics: &Metrics, scene: &Scene, written: &[PathBuf]) -> String {
+    let totals = &metrics.totals;
     let mut rows = vec![
         ("method", scene.method.clone()),
         (
             "registered",
-            format!("{} of {} photos", count("registered"), count("photos")),
+            format!("{} of {} photos", totals.registered, totals.photos),
         ),
     ];
     let mut reasons = reasons(scene);
@@ -87,16 +80,17 @@ fn table(metrics: &Json, scene: &Scene, written: &[PathBuf]) -> String {
     );
     rows.extend((rest > 0).then(|| ("", format!("{rest} not, for other reasons (metrics.json)"))));
     rows.extend(
-        totals["components"]
-            .as_u64()
+        totals
+            .components
             .map(|components| ("components", components.to_string())),
     );
-    let error = totals["error_px"].as_f64();
     rows.push((
         "mean error",
-        error.map_or("not measured".to_owned(), |error| format!("{error:.3} px")),
+        totals
+            .error_px
+            .map_or("not measured".to_owned(), |error| format!("{error:.3} px")),
     ));
-    rows.push(("points", count("points").to_string()));
+    rows.push(("points", totals.points.to_string()));
     let scale = scene
         .metres_per_unit
         .map(|metres| format!("one unit is {metres} m"));
@@ -106,7 +100,7 @@ fn table(metrics: &Json, scene: &Scene, written: &[PathBuf]) -> String {
     }
     let lines = rows
         .iter()
-        .map(|(what, value)| format!("{what:<12} {}", super::printable(value)));
+        .map(|(what, value)| format!("{what:<12} {}", escape_control(value)));
     lines.collect::<Vec<_>>().join("\n")
 }
 
@@ -121,15 +115,15 @@ fn reasons(scene: &Scene) -> Vec<(&str, usize)> {
     counts
 }
 
-/// Says hints about pipeline.toml as this verb's arguments, as it has no pipeline to edit.
+/// Rewrites hints about pipeline.toml as arguments: this verb has no pipeline to edit.
 fn for_this_verb(error: CliError) -> CliError {
-    let say = |complaint: Complaint| Complaint {
-        hint: complaint.hint.map(|hint| as_arguments(&hint)),
-        ..complaint
+    let say = |diagnostic: Diagnostic| Diagnostic {
+        hint: diagnostic.hint.map(|hint| as_arguments(&hint)),
+        ..diagnostic
     };
     match error {
-        CliError::Failed(complaint) => CliError::Failed(say(complaint)),
-        CliError::Usage(complaint) => CliError::Usage(say(complaint)),
+        CliError::Failed(diagnostic) => CliError::Failed(say(diagnostic)),
+        CliError::Usage(diagnostic) => CliError::Usage(say(diagnostic)),
         other => other,
     }
 }
@@ -152,7 +146,9 @@ fn as_arguments(hint: &str) -> String {
 }
 
 fn is_key(word: &str) -> bool {
-    let calibrate = marf_stages::stages().iter().find(|def| def.name == "calibrate");
+    let calibrate = marf_stages::stages()
+        .iter()
+        .find(|def| def.name == CalibrateParams::STAGE);
     let schema = calibrate.map(|def| (def.schema)().to_value());
     schema.is_some_and(|schema| schema["properties"].get(word).is_some())
 }

@@ -1,33 +1,34 @@
 use std::process::ExitCode;
 
 use crate::config::LoadError;
+use crate::terminal::escape_control;
 
-/// Why a command did not end well; decides the exit code.
+/// Why a command failed; decides the exit code.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CliError {
     /// A stage failed, or a result cannot be read or written: exit code 1.
-    Failed(Complaint),
+    Failed(Diagnostic),
     /// A bad command line or pipeline.toml: exit code 2.
-    Usage(Complaint),
+    Usage(Diagnostic),
     /// Another process holds the store: exit code 11.
-    Locked(Complaint),
+    Locked(Diagnostic),
     /// Ctrl-C: exit code 130.
     Interrupted,
 }
 
-/// One error for people: what, what lies behind it, the way out.
+/// The text of an error: message, cause, hint.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Complaint {
+pub struct Diagnostic {
     /// What, where and how much, in one line.
     pub message: String,
-    /// What lies behind it, if known.
+    /// The cause, if known.
     pub cause: Option<String>,
-    /// The way out, if known.
+    /// What to do about it, if known.
     pub hint: Option<String>,
 }
 
-impl Complaint {
-    /// A complaint without cause or hint.
+impl Diagnostic {
+    /// Returns a text without cause or hint.
     pub fn new(message: impl Into<String>) -> Self {
         Self {
             message: message.into(),
@@ -36,54 +37,42 @@ impl Complaint {
         }
     }
 
-    /// Adds the way out.
+    /// Adds a hint.
     #[must_use]
     pub fn hint(mut self, hint: impl Into<String>) -> Self {
         self.hint = Some(hint.into());
         self
     }
 
-    /// Returns `error: …`, `cause: …`, `hint: …` on a line each; control characters of foreign names are shown
-    /// escaped, so that no file name can drive the terminal.
+    /// Returns `error: …`, `cause: …`, `hint: …` on a line each, with control characters escaped, so that no
+    /// file name can drive the terminal.
     pub fn render(&self) -> String {
         let line = |label: &str, text: &Option<String>| {
             text.as_ref()
-                .map(|text| format!("\n  {label}: {}", printable(text)))
+                .map(|text| format!("\n  {label}: {}", escape_control(text)))
                 .unwrap_or_default()
         };
         format!(
             "error: {}{}{}",
-            printable(&self.message),
+            escape_control(&self.message),
             line("cause", &self.cause),
             line("hint", &self.hint)
         )
     }
 }
 
-/// Escapes control characters but the line feed.
-pub fn printable(text: &str) -> String {
-    let escape = |char: char| {
-        if char.is_control() && char != '\n' {
-            char.escape_default().to_string()
-        } else {
-            char.into()
-        }
-    };
-    text.chars().map(escape).collect()
-}
-
 impl CliError {
-    /// A failure with its one line.
+    /// Returns a failure with a message alone.
     pub fn failed(message: impl Into<String>) -> Self {
-        Self::Failed(Complaint::new(message))
+        Self::Failed(Diagnostic::new(message))
     }
 
-    /// A misuse with its one line.
+    /// Returns a usage error with a message alone.
     pub fn usage(message: impl Into<String>) -> Self {
-        Self::Usage(Complaint::new(message))
+        Self::Usage(Diagnostic::new(message))
     }
 
-    /// Returns the exit code of design section 10.
+    /// Returns the exit code: 1, 2, 11 or 130.
     pub fn code(&self) -> ExitCode {
         match self {
             Self::Failed(_) => ExitCode::from(1),
@@ -93,10 +82,22 @@ impl CliError {
         }
     }
 
+    /// Returns the message alone.
+    pub fn message(&self) -> &str {
+        match self {
+            Self::Failed(diagnostic) | Self::Usage(diagnostic) | Self::Locked(diagnostic) => {
+                &diagnostic.message
+            }
+            Self::Interrupted => "stopped",
+        }
+    }
+
     /// Returns what to print to stderr.
     pub fn render(&self) -> String {
         match self {
-            Self::Failed(complaint) | Self::Usage(complaint) | Self::Locked(complaint) => complaint.render(),
+            Self::Failed(diagnostic) | Self::Usage(diagnostic) | Self::Locked(diagnostic) => {
+                diagnostic.render()
+            }
             Self::Interrupted => "stopped; what was computed is kept, run again to go on".to_owned(),
         }
     }
@@ -104,7 +105,7 @@ impl CliError {
 
 impl From<LoadError> for CliError {
     fn from(error: LoadError) -> Self {
-        Self::Usage(Complaint {
+        Self::Usage(Diagnostic {
             message: error.message,
             cause: None,
             hint: error.hint,
@@ -117,12 +118,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_complaint_has_its_three_lines_and_no_escape_codes() {
-        let complaint = Complaint {
+    fn a_diagnostic_has_its_three_lines_and_no_escape_codes() {
+        let diagnostic = Diagnostic {
             message: "bad\u{1b}[2J".into(),
             cause: Some("c".into()),
             hint: Some("h".into()),
         };
-        assert_eq!(complaint.render(), "error: bad\\u{1b}[2J\n  cause: c\n  hint: h");
+        assert_eq!(diagnostic.render(), "error: bad\\u{1b}[2J\n  cause: c\n  hint: h");
     }
 }

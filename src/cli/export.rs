@@ -4,6 +4,8 @@ use std::path::{Component, Path};
 
 use marf_cache::Digest;
 use marf_engine::RunRecord;
+use marf_schema::{output, train, tune};
+use marf_stage::{Document, VERDICTS};
 
 use super::error::CliError;
 use super::files;
@@ -11,16 +13,16 @@ use super::session::Session;
 
 /// Outputs without a file name of their own, and the name they get.
 const NAMED: [(&str, &str); 10] = [
-    ("scene", "scene.json"),
-    ("transforms", "transforms.json"),
-    ("metrics", "metrics.json"),
-    ("weights", "weights.safetensors"),
-    ("curve", "curve.json"),
-    ("params", "params.json"),
-    ("trials", "trials.json"),
-    ("scatter", "scatter.json"),
-    ("verdicts", "verdicts.jsonl"),
-    ("video", "video.gif"),
+    (output::SCENE, "scene.json"),
+    (output::TRANSFORMS, "transforms.json"),
+    (train::Metrics::OUTPUT, "metrics.json"),
+    (output::WEIGHTS, "weights.safetensors"),
+    (train::Curve::OUTPUT, "curve.json"),
+    (tune::BestParams::OUTPUT, "params.json"),
+    (tune::Trials::OUTPUT, "trials.json"),
+    (tune::Scatter::OUTPUT, "scatter.json"),
+    (VERDICTS, "verdicts.jsonl"),
+    (output::VIDEO, "video.gif"),
 ];
 
 /// Writes what is new or different; a file that already holds the same bytes is left alone.

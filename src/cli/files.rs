@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::error::{CliError, Complaint};
+use super::error::{CliError, Diagnostic};
 
 /// Writes a file through a temporary neighbour, so that a reader never sees half of it.
 ///
@@ -10,7 +10,7 @@ use super::error::{CliError, Complaint};
 /// A folder that cannot be made or written; the path and the system's word for it.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
     let refuse = |error: std::io::Error| {
-        CliError::Failed(Complaint {
+        CliError::Failed(Diagnostic {
             message: format!("cannot write {}", path.display()),
             cause: Some(error.to_string()),
             hint: Some("make room or choose another place with --out".to_owned()),

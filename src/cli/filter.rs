@@ -6,10 +6,12 @@ use marf_stage::Verdict;
 
 use super::args::{FilterArgs, Global};
 use super::error::CliError;
+use super::output::print_json;
 use super::run::{execute, options};
 use super::session::Session;
-use super::{files, report, say_json, verdicts};
+use super::{files, report, verdicts};
 use crate::show::{FACTORS, calls, percent};
+use crate::terminal::{eprint_line, print_line};
 
 /// The chain of `marf filter`, with every filter's own defaults.
 const CHAIN: [&str; 7] = [
@@ -38,13 +40,13 @@ pub fn filter(global: &Global, args: &FilterArgs, cancel: &Cancel) -> Result<(),
         *counts.entry(&verdict.verdict).or_default() += 1;
     }
     if global.json {
-        return say_json(&counts);
+        return print_json(&counts);
     }
     for (name, count) in &counts {
-        crate::say(&format!("{name:<12} {count}"));
+        print_line(&format!("{name:<12} {count}"));
     }
-    crate::talk(&firmness(&by_node));
-    crate::talk(&format!(
+    eprint_line(&firmness(&by_node));
+    eprint_line(&format!(
         "wrote {} and {}",
         args.out.display(),
         page(&args.out).display()

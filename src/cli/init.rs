@@ -1,14 +1,15 @@
 use super::args::{Global, Mission};
-use super::error::{CliError, Complaint};
+use super::error::{CliError, Diagnostic};
 use super::files;
 use crate::config;
+use crate::terminal::eprint_line;
 
 /// `marf init`: writes a commented pipeline; never over one that is there.
 pub fn init(global: &Global, mission: Mission) -> Result<(), CliError> {
     if global.file.exists() {
-        let complaint = Complaint::new(format!("{} is there already", global.file.display()));
+        let diagnostic = Diagnostic::new(format!("{} is there already", global.file.display()));
         return Err(CliError::Usage(
-            complaint.hint("name another with --file, or remove it"),
+            diagnostic.hint("name another with --file, or remove it"),
         ));
     }
     let name = match mission {
@@ -20,6 +21,6 @@ pub fn init(global: &Global, mission: Mission) -> Result<(), CliError> {
     };
     let template = config::template(name).ok_or_else(|| CliError::failed(format!("no template `{name}`")))?;
     files::write(&global.file, template.text.as_bytes())?;
-    crate::talk(&format!("wrote {}: {}", global.file.display(), template.about));
+    eprint_line(&format!("wrote {}: {}", global.file.display(), template.about));
     Ok(())
 }

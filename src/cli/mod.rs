@@ -1,4 +1,4 @@
-//! The verbs, one file each. Only this room and `main` print.
+//! The verbs, one file each.
 
 mod args;
 mod bench;
@@ -13,6 +13,7 @@ mod filter;
 mod fit;
 mod init;
 mod log;
+mod output;
 mod photos;
 mod plan;
 mod report;
@@ -26,10 +27,10 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser};
 use marf_engine::Cancel;
 
+use crate::terminal::{eprint_line, print_line};
 use args::{BenchVerb, CacheVerb, Cli, Verb};
 use error::CliError;
-
-pub use error::printable;
+use output::print_json;
 
 /// Reads the command line, does what it says, and returns the exit code.
 ///
@@ -38,14 +39,14 @@ pub fn main(cancel: &Cancel) -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) => {
-            let _ = error.print(); // help to stdout, misuse to stderr; a closed pipe is nobody's error
+            let _ = error.print(); // help to stdout, usage errors to stderr; a closed pipe is no error
             return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
         }
     };
     match dispatch(&cli, cancel) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            crate::talk(&error.render());
+            eprint_line(&error.render());
             error.code()
         }
     }
@@ -62,7 +63,7 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
         Verb::Status => status::status(global),
         Verb::Log { last } => log::log(global, *last),
         Verb::Init { mission } => init::init(global, *mission),
-        Verb::Schema => say_json(&crate::config::schema()),
+        Verb::Schema => print_json(&crate::config::schema()),
         Verb::Report { out } => report::report(global, out),
         Verb::Cache {
             verb: CacheVerb::Stat,
@@ -77,17 +78,10 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
         Verb::Completions { shell } => {
             let mut bytes = Vec::new();
             clap_complete::generate(*shell, &mut Cli::command(), "marf", &mut bytes);
-            crate::say(String::from_utf8_lossy(&bytes).trim_end());
+            print_line(String::from_utf8_lossy(&bytes).trim_end());
             Ok(())
         }
     }
-}
-
-/// Prints a value as JSON.
-fn say_json(value: &impl serde::Serialize) -> Result<(), CliError> {
-    let text = serde_json::to_string_pretty(value).map_err(|error| CliError::failed(error.to_string()))?;
-    crate::say(&text);
-    Ok(())
 }
 
 #[cfg(test)]

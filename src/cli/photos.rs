@@ -9,9 +9,11 @@ use serde::Serialize;
 
 use super::args::Global;
 use super::error::CliError;
+use super::filter;
+use super::output::print_json;
 use super::run::{execute, options};
 use super::session::Session;
-use super::{filter, say_json};
+use crate::terminal::print_line;
 
 /// One photo, as the table shows it.
 #[derive(Debug, Serialize)]
@@ -40,13 +42,13 @@ pub fn photos(global: &Global, dir: Option<&Path>, node: &str, cancel: &Cancel) 
     };
     let lines = lines(&session, &record, node)?;
     if global.json {
-        return say_json(&lines);
+        return print_json(&lines);
     }
-    crate::say(
+    print_line(
         "| product | format | pixels | camera of the label | frame | site, drive, pose | sol | notes |",
     );
-    crate::say("|---|---|---|---|---|---|---|---|");
-    lines.iter().for_each(|line| crate::say(&row(line)));
+    print_line("|---|---|---|---|---|---|---|---|");
+    lines.iter().for_each(|line| print_line(&row(line)));
     Ok(())
 }
 

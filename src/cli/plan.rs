@@ -2,8 +2,9 @@ use marf_engine::{PlanState, PlannedNode};
 
 use super::args::{Global, Selection};
 use super::error::CliError;
-use super::say_json;
+use super::output::print_json;
 use super::session::Session;
+use crate::terminal::print_line;
 
 /// `marf plan`: the state of every node and the first thing that changed.
 pub fn plan(global: &Global, selection: &Selection) -> Result<(), CliError> {
@@ -18,16 +19,16 @@ pub fn plan(global: &Global, selection: &Selection) -> Result<(), CliError> {
         let rows = nodes
             .iter()
             .map(|node| serde_json::json!({"node": node.node, "state": node.state, "reason": node.reason}));
-        return say_json(&rows.collect::<Vec<_>>());
+        return print_json(&rows.collect::<Vec<_>>());
     }
     for node in &nodes {
-        crate::say(format!("{:<16} {:<9} {}", node.node, word(node.state), node.reason).trim_end());
+        print_line(format!("{:<16} {:<9} {}", node.node, word(node.state), node.reason).trim_end());
     }
     let runs = nodes
         .iter()
         .filter(|node| node.state == PlanState::WillRun)
         .count();
-    crate::say(&format!("{runs} of {} nodes will run", nodes.len()));
+    print_line(&format!("{runs} of {} nodes will run", nodes.len()));
     Ok(())
 }
 
@@ -37,9 +38,9 @@ pub fn why(global: &Global, node: &str) -> Result<(), CliError> {
     let last = session.last()?;
     let planned = marf_engine::why(&session.graph, &session.store, last.as_ref(), node)?;
     if global.json {
-        return say_json(&planned);
+        return print_json(&planned);
     }
-    crate::say(&format!(
+    print_line(&format!(
         "{} ({}): {}",
         planned.node,
         word(planned.state),
@@ -51,10 +52,10 @@ pub fn why(global: &Global, node: &str) -> Result<(), CliError> {
 
 fn tell_changes(planned: &PlannedNode) {
     if let Some(key) = planned.key {
-        crate::say(&format!("  key {key}"));
+        print_line(&format!("  key {key}"));
     }
     for change in &planned.changes {
-        crate::say(&format!("  {change}"));
+        print_line(&format!("  {change}"));
     }
 }
 

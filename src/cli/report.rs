@@ -11,6 +11,7 @@ use super::files;
 use super::log::utc;
 use super::session::Session;
 use crate::show::{self, ChildView, NodeView, ReportInput, State};
+use crate::terminal::eprint_line;
 
 /// `marf report`: writes the report of the last run.
 pub fn report(global: &Global, out: &Path) -> Result<(), CliError> {
@@ -19,7 +20,7 @@ pub fn report(global: &Global, out: &Path) -> Result<(), CliError> {
         .last()?
         .ok_or_else(|| CliError::failed(format!("`{}` has not run yet", session.name)))?;
     write(&session, &record, out)?;
-    crate::talk(&format!("wrote {}", out.display()));
+    eprint_line(&format!("wrote {}", out.display()));
     Ok(())
 }
 

@@ -1,11 +1,15 @@
 use marf_engine::{Cancel, Event, Listener, NodeRun, NodeState, Options, Outcome, RunRecord};
+use marf_schema::scores::Scores;
+use marf_schema::{bootstrap, evaluate, train};
+use marf_stage::Document;
 use parking_lot::Mutex;
 
 use super::args::{Global, RunArgs};
-use super::error::{CliError, Complaint};
+use super::error::{CliError, Diagnostic};
 use super::session::Session;
 use super::{by_hand, export, report, verdicts};
-use crate::progress::{Voice, duration};
+use crate::progress::{Progress, duration};
+use crate::terminal::{eprint_line, print_line};
 
 /// `marf run`: runs what changed, writes pictures, models and the report.
 pub fn run(global: &Global, args: &RunArgs, cancel: &Cancel) -> Result<(), CliError> {
@@ -18,19 +22,19 @@ pub fn run(global: &Global, args: &RunArgs, cancel: &Cancel) -> Result<(), CliEr
     };
     let (record, ended) = execute(&session, &options, global, cancel)?;
     if !global.json {
-        crate::say(&table(&record, &session));
+        print_line(&table(&record, &session));
     }
     if record.outcome != Outcome::Cancelled {
         export::outputs(&session, &record, &args.out)?;
         report::refresh(&session, &record, &args.out.join("report.html"))?;
         if !global.json {
-            crate::talk(&format!("report: {}", args.out.join("report.html").display()));
+            eprint_line(&format!("report: {}", args.out.join("report.html").display()));
         }
     }
     ended
 }
 
-/// Returns the options every run of this command line has.
+/// Returns the run options that the global arguments give.
 pub fn options(global: &Global, pipeline: &str) -> Options {
     let words: Vec<String> = std::env::args().skip(1).collect();
     Options {
@@ -42,8 +46,8 @@ pub fn options(global: &Global, pipeline: &str) -> Options {
     }
 }
 
-/// Runs a session's graph and tells of it; beside the record comes how it ended, as the exit code will say it:
-/// the first failure with its cause and hint, or [`CliError::Interrupted`] after Ctrl-C.
+/// Runs a session's graph and prints its progress. Returns the record, and beside it the error the verb ends with: the
+/// first failure with its cause and hint, or [`CliError::Interrupted`] after Ctrl-C.
 ///
 /// # Errors
 /// An unknown node in the selection, or a store that cannot be read or written.
@@ -53,13 +57,13 @@ pub fn execute(
     global: &Global,
     cancel: &Cancel,
 ) -> Result<(RunRecord, Result<(), CliError>), CliError> {
-    let voice = if global.json {
-        Voice::Json
+    let progress = if global.json {
+        Progress::Json
     } else {
-        Voice::for_people()
+        Progress::for_people()
     };
-    let ear = Ear {
-        voice,
+    let listener = RunListener {
+        progress,
         failure: Mutex::default(),
     };
     if !global.json {
@@ -68,32 +72,32 @@ pub fn execute(
         } else {
             session.devices.join("; ")
         };
-        crate::talk(&format!("device  {device}"));
+        eprint_line(&format!("device  {device}"));
     }
-    let record = marf_engine::run(&session.graph, &session.store, options, &ear, cancel)?;
+    let record = marf_engine::run(&session.graph, &session.store, options, &listener, cancel)?;
     for line in by_hand::idle(&session.nodes, &verdicts::all(session, &record)) {
-        crate::talk(&format!("warning: {line}"));
+        eprint_line(&format!("warning: {line}"));
     }
-    let failure = ear.failure.into_inner();
+    let failure = listener.failure.into_inner();
     let ended = match record.outcome {
         Outcome::Done => Ok(()),
         Outcome::Cancelled => Err(CliError::Interrupted),
         Outcome::Failed => Err(CliError::Failed(
-            failure.unwrap_or_else(|| Complaint::new("a node failed")),
+            failure.unwrap_or_else(|| Diagnostic::new("a node failed")),
         )),
     };
     Ok((record, ended))
 }
 
-/// Passes events on and remembers the first failure: the others follow from it more often than not.
-struct Ear {
-    voice: Voice,
-    failure: Mutex<Option<Complaint>>,
+/// Prints events and keeps the first failure: later ones often follow from it.
+struct RunListener {
+    progress: Progress,
+    failure: Mutex<Option<Diagnostic>>,
 }
 
-impl Listener for Ear {
+impl Listener for RunListener {
     fn on_event(&self, event: &Event) {
-        self.voice.on_event(event);
+        self.progress.on_event(event);
         if let Event::Failed {
             node,
             message,
@@ -101,17 +105,17 @@ impl Listener for Ear {
             hint,
         } = event
         {
-            let complaint = Complaint {
+            let diagnostic = Diagnostic {
                 message: format!("{node}: {message}"),
                 cause: cause.clone(),
                 hint: hint.clone(),
             };
-            self.failure.lock().get_or_insert(complaint);
+            self.failure.lock().get_or_insert(diagnostic);
         }
     }
 }
 
-/// The nodes of a run as a table: what became of each, how long, how many photos.
+/// Returns the nodes of a run as a table: state, time, result.
 fn table(record: &RunRecord, session: &Session) -> String {
     let mut lines = vec![format!("{:<16} {:<9} {:>12}  result", "node", "state", "time")];
     for node in record.nodes.iter().filter(|node| node.parent.is_none()) {
@@ -155,7 +159,7 @@ pub fn state_word(state: NodeState) -> &'static str {
     }
 }
 
-/// What a node came to: photos kept, the PSNR of a training, the message of a failure.
+/// Returns the result of a node in words: counts, means of its metrics, or the message of a failure.
 fn result(node: &NodeRun, session: &Session) -> String {
     if matches!(node.state, NodeState::Failed | NodeState::Skipped) {
         return node.reason.clone();
@@ -165,23 +169,24 @@ fn result(node: &NodeRun, session: &Session) -> String {
         .iter()
         .map(|(what, count)| format!("{count} {}", what.replace('_', " ")))
         .collect();
-    let metrics = node
-        .outputs
-        .get("metrics")
-        .and_then(|output| session.store.get(&output.digest).ok());
-    let metrics = metrics.and_then(|bytes| serde_json::from_slice::<serde_json::Value>(&bytes).ok());
-    for (key, label, unit) in [
-        ("psnr", "held-out PSNR", " dB"),
-        ("ssim", "SSIM", ""),
-        ("std", "mean std", ""),
-    ] {
-        if let Some(value) = metrics
-            .as_ref()
-            .and_then(|metrics| metrics.get(key))
-            .and_then(|value| value.as_f64())
-        {
-            parts.push(format!("{label} {value:.3}{unit}"));
-        }
-    }
+    parts.extend(figures(node, session).unwrap_or_else(|error| vec![error.message().to_owned()]));
     parts.join(", ")
+}
+
+/// Returns the means of a node's metrics, if it is of a stage that has some.
+fn figures(node: &NodeRun, session: &Session) -> Result<Vec<String>, CliError> {
+    let of_scores = |scores: Scores| {
+        let psnr = format!("held-out PSNR {:.3} dB", scores.psnr);
+        let ssim = scores.ssim.map(|ssim| format!("SSIM {ssim:.3}"));
+        [psnr].into_iter().chain(ssim).collect()
+    };
+    Ok(match node.stage.as_str() {
+        train::Metrics::STAGE => of_scores(session.document::<train::Metrics>(node)?.scores),
+        evaluate::Metrics::STAGE => of_scores(session.document::<evaluate::Metrics>(node)?.scores),
+        bootstrap::Metrics::STAGE => {
+            let metrics = session.document::<bootstrap::Metrics>(node)?;
+            vec![format!("mean std {:.3}", metrics.std)]
+        }
+        _ => Vec::new(),
+    })
 }

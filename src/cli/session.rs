@@ -2,12 +2,14 @@
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use marf_cache::{Store, StoreError};
-use marf_engine::{Edge, EngineError, Graph, GraphError, NodeDecl, RunRecord};
+use marf_cache::{Digest, Store, StoreError};
+use marf_engine::{Edge, EngineError, Graph, GraphError, NodeDecl, NodeRun, RunRecord};
+use marf_stage::Document;
 
 use super::args::Global;
-use super::error::{CliError, Complaint};
+use super::error::{CliError, Diagnostic};
 use crate::config::{self, Pipeline};
 
 /// A pipeline ready to plan and run.
@@ -41,7 +43,7 @@ impl Session {
     /// # Errors
     /// A bad pipeline, or a store that cannot be opened.
     pub fn open(global: &Global) -> Result<Self, CliError> {
-        let loaded = config::load(&global.file, &global.sets, &global.wishes())?;
+        let loaded = config::load(&global.file, &global.sets, &global.options())?;
         Self::of(loaded.pipeline, &store_dir(global, &global.file))
     }
 
@@ -51,8 +53,8 @@ impl Session {
     /// As [`Session::open`].
     pub fn implicit(text: &str, global: &Global) -> Result<Self, CliError> {
         let pipeline =
-            config::check(text, &global.sets, &global.wishes(), Path::new("")).map_err(|error| {
-                CliError::Usage(Complaint {
+            config::check(text, &global.sets, &global.options(), Path::new("")).map_err(|error| {
+                CliError::Usage(Diagnostic {
                     message: error.render(Path::new("(built-in pipeline)"), text),
                     cause: None,
                     hint: error.hint,
@@ -93,6 +95,24 @@ impl Session {
         })
     }
 
+    /// Reads a document that a node has written.
+    ///
+    /// # Errors
+    /// An output that the node or the store does not have, or that is no such document.
+    pub fn document<D: Document>(&self, node: &NodeRun) -> Result<D, CliError> {
+        let bytes = self.output(node, D::OUTPUT)?;
+        D::decode(&bytes)
+            .map_err(|error| CliError::failed(format!("{} of `{}`: {error}", D::OUTPUT, node.name)))
+    }
+
+    /// Reads an output of a node.
+    ///
+    /// # Errors
+    /// An output that the node or the store does not have.
+    pub fn output(&self, node: &NodeRun, name: &str) -> Result<Arc<[u8]>, CliError> {
+        Ok(self.store.get(&digest(node, name)?)?)
+    }
+
     /// Returns the last run of this pipeline.
     ///
     /// # Errors
@@ -100,6 +120,25 @@ impl Session {
     pub fn last(&self) -> Result<Option<RunRecord>, CliError> {
         Ok(marf_engine::last_run(&self.store, &self.name)?)
     }
+}
+
+/// Returns the node of this name.
+///
+/// # Errors
+/// A run without that node.
+pub fn node_named<'r>(record: &'r RunRecord, name: &str) -> Result<&'r NodeRun, CliError> {
+    let node = record.nodes.iter().find(|node| node.name == name);
+    node.ok_or_else(|| CliError::failed(format!("the run has no node `{name}`")))
+}
+
+/// Returns the digest of an output of a node.
+///
+/// # Errors
+/// Names the output that the node does not have.
+pub fn digest(node: &NodeRun, name: &str) -> Result<Digest, CliError> {
+    let output = node.outputs.get(name);
+    let output = output.ok_or_else(|| CliError::failed(format!("`{}` has no output `{name}`", node.name)))?;
+    Ok(output.digest)
 }
 
 /// Opens a store, making it if need be.
@@ -117,9 +156,9 @@ pub fn open_store(dir: &Path) -> Result<Store, CliError> {
 pub fn existing_store(global: &Global) -> Result<Store, CliError> {
     let dir = store_dir(global, &global.file);
     if !dir.is_dir() {
-        let complaint = Complaint::new(format!("there is no store at {}", dir.display()));
+        let diagnostic = Diagnostic::new(format!("there is no store at {}", dir.display()));
         return Err(CliError::Failed(
-            complaint.hint("`marf run` makes one; name another with --store"),
+            diagnostic.hint("`marf run` makes one; name another with --store"),
         ));
     }
     open_store(&dir)
@@ -138,12 +177,12 @@ fn store_dir(global: &Global, file: &Path) -> PathBuf {
 
 impl From<StoreError> for CliError {
     fn from(error: StoreError) -> Self {
-        let complaint = Complaint::new(error.to_string());
+        let diagnostic = Diagnostic::new(error.to_string());
         match error {
             StoreError::Locked { .. } => {
-                Self::Locked(complaint.hint("wait for the other run, or give this one its own --store"))
+                Self::Locked(diagnostic.hint("wait for the other run, or give this one its own --store"))
             }
-            _ => Self::Failed(complaint),
+            _ => Self::Failed(diagnostic),
         }
     }
 }

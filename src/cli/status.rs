@@ -1,9 +1,10 @@
 use super::args::Global;
 use super::error::CliError;
+use super::output::print_json;
 use super::run::state_word;
-use super::say_json;
 use super::session::existing_store;
 use crate::progress::duration;
+use crate::terminal::print_line;
 
 /// `marf status`: the nodes of the last run.
 pub fn status(global: &Global) -> Result<(), CliError> {
@@ -13,10 +14,10 @@ pub fn status(global: &Global) -> Result<(), CliError> {
         return Err(CliError::failed(format!("no run in {}", store.dir().display())));
     };
     if global.json {
-        return say_json(run);
+        return print_json(run);
     }
     let outcome = format!("{:?}", run.outcome).to_lowercase();
-    crate::say(&format!(
+    print_line(&format!(
         "run {} of `{}`: {outcome} in {}",
         run.number,
         run.pipeline,
@@ -30,7 +31,7 @@ pub fn status(global: &Global) -> Result<(), CliError> {
             state_word(node.state),
             node.reason
         );
-        crate::say(line.trim_end());
+        print_line(line.trim_end());
     }
     Ok(())
 }

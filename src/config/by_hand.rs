@@ -2,8 +2,9 @@
 
 use serde_json::{Map, Value as Json, json};
 
+use super::error::ConfigError;
 use super::low::{Entry, Located, Value};
-use super::{ConfigError, nearest};
+use crate::nearest::did_you_mean;
 
 /// The tables, each with one key `ids`; also the keys of a filter's `by_hand`.
 pub(super) const LISTS: [&str; 2] = ["keep", "reject"];
@@ -43,7 +44,7 @@ fn names(table: &Entry) -> Result<Vec<Json>, ConfigError> {
     for entry in entries {
         if entry.key != IDS {
             let message = format!("unknown key `{}` in `[{name}]`", entry.key);
-            let hint = nearest(&entry.key, [IDS]).or_else(|| Some(shape()));
+            let hint = did_you_mean(&entry.key, [IDS]).or_else(|| Some(shape()));
             return Err(ConfigError::at(entry.at.clone(), message).hint(hint));
         }
         let Value::Array(items) = &entry.value.value else {
@@ -85,13 +86,14 @@ pub(super) fn schema(what: &str) -> Json {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Wishes, check, low};
+    use super::super::error::Origin;
+    use super::super::{GlobalOptions, check, low};
     use super::*;
 
     const HEAD: &str = "[archive.demo]\nkind = \"demo\"\n[node.extract]\narchive = \"demo\"\n[node.blur]\ninput = \"extract\"\n";
 
     fn blur_of(text: &str) -> Json {
-        let pipeline = check(text, &[], &Wishes::default(), std::path::Path::new("")).unwrap();
+        let pipeline = check(text, &[], &GlobalOptions::default(), std::path::Path::new("")).unwrap();
         pipeline.nodes[1].params.clone()
     }
 
@@ -120,8 +122,8 @@ mod tests {
         ] {
             let error = lists(&low::parse(text).unwrap()).unwrap_err();
             let place = match &error.at {
-                low::Origin::Text(range) => range.start,
-                low::Origin::Argument(argument) => panic!("{argument}"),
+                Origin::Text(range) => range.start,
+                Origin::Argument(argument) => panic!("{argument}"),
             };
             assert!(text[place..].starts_with(at), "{text}: {place}");
             assert!(error.hint.as_ref().unwrap().contains(says), "{error:?}");
@@ -132,7 +134,7 @@ mod tests {
     fn lists_without_a_filter_are_refused() {
         let text =
             "[archive.demo]\nkind = \"demo\"\n[node.extract]\narchive = \"demo\"\n[keep]\nids = [\"a\"]\n";
-        let error = check(text, &[], &Wishes::default(), std::path::Path::new(""))
+        let error = check(text, &[], &GlobalOptions::default(), std::path::Path::new(""))
             .err()
             .unwrap();
         assert!(error.message.contains("no node filters photos"), "{error:?}");
@@ -141,7 +143,7 @@ mod tests {
     #[test]
     fn set_reaches_the_lists() {
         let set = ["keep.ids=[\"x\"]".to_owned()];
-        let pipeline = check(HEAD, &set, &Wishes::default(), std::path::Path::new("")).unwrap();
+        let pipeline = check(HEAD, &set, &GlobalOptions::default(), std::path::Path::new("")).unwrap();
         assert_eq!(pipeline.nodes[1].params["by_hand"], json!({"keep": ["x"]}));
     }
 }

@@ -3,12 +3,17 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use marf_engine::NodeShape;
 use marf_field::Device;
 use marf_stage::{ParamError, Stage, StageDef};
 use serde_json::Value as Json;
 
-use super::low::{Entry, Located, Origin};
-use super::{Access, ConfigError, Wishes, by_hand, nearest};
+use super::archives::{self, Archives};
+use super::by_hand;
+use super::error::{ConfigError, Origin};
+use super::low::{Entry, Located};
+use super::options::GlobalOptions;
+use crate::nearest::did_you_mean;
 
 /// A checked pipeline.
 pub struct Pipeline {
@@ -37,16 +42,16 @@ const TOP: [&str; 5] = ["name", "archive", "node", "keep", "reject"];
 
 /// What nodes take from beside their own table.
 struct Around<'a> {
-    archives: BTreeMap<String, Json>,
+    archives: Archives<'a>,
     device: Option<&'a Device>,
     by_hand: Option<serde_json::Map<String, Json>>,
 }
 
-pub(super) fn check(root: &Located, wishes: &Wishes, base: &Path) -> Result<Pipeline, ConfigError> {
+pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Result<Pipeline, ConfigError> {
     for entry in root.entries().unwrap_or_default() {
         if !TOP.contains(&entry.key.as_str()) {
             let message = format!("unknown key `{}`", entry.key);
-            return Err(ConfigError::at(entry.at.clone(), message).hint(nearest(&entry.key, TOP)));
+            return Err(ConfigError::at(entry.at.clone(), message).hint(did_you_mean(&entry.key, TOP)));
         }
     }
     let name = match root.entry("name") {
@@ -54,8 +59,8 @@ pub(super) fn check(root: &Located, wishes: &Wishes, base: &Path) -> Result<Pipe
         Some(entry) => text(entry)?.to_owned(),
     };
     let around = Around {
-        archives: archives(root, wishes.access, base)?,
-        device: wishes.device.as_ref(),
+        archives: Archives::new(tables(root, "archive")?, options.access, base)?,
+        device: options.device.as_ref(),
         by_hand: by_hand::lists(root)?,
     };
     let tables = tables(root, "node")?;
@@ -78,8 +83,7 @@ pub(super) fn check(root: &Located, wishes: &Wishes, base: &Path) -> Result<Pipe
         let message = "`[keep]` and `[reject]` overrule filters, but no node filters photos".to_owned();
         return Err(ConfigError::at(at, message));
     }
-    check_outputs(&nodes, tables)?;
-    check_cycles(&nodes, tables)?;
+    check_graph(&nodes, tables)?;
     Ok(Pipeline { name, nodes })
 }
 
@@ -96,46 +100,8 @@ fn tables<'a>(root: &'a Located, key: &str) -> Result<&'a [Entry], ConfigError> 
     }
 }
 
-/// Name of the lock file.
-const LOCK: &str = "marf.lock";
-/// Kinds of archives that lie on servers.
-const REMOTE: [&str; 2] = ["pds", "feed"];
-/// Key under which the program tells such an archive where it works.
-const SITE: &str = "site";
-
-/// Archives as JSON; a relative `path` is meant from the pipeline's folder.
-fn archives(root: &Located, access: Access, base: &Path) -> Result<BTreeMap<String, Json>, ConfigError> {
-    let mut archives = BTreeMap::new();
-    for entry in tables(root, "archive")? {
-        let mut json = entry.value.json();
-        if let Some(Json::String(path)) = json.get_mut("path") {
-            *path = base.join(&*path).to_string_lossy().into_owned();
-        }
-        if let Some(table) = json.as_object_mut().filter(|table| is_remote(table)) {
-            let lock = base.join(LOCK);
-            let site = serde_json::json!({ "name": entry.key, "lock": lock, "access": access.word() });
-            table.insert(SITE.to_owned(), site);
-        }
-        archives.insert(entry.key.clone(), json);
-    }
-    Ok(archives)
-}
-
-fn is_remote(table: &serde_json::Map<String, Json>) -> bool {
-    table
-        .get("kind")
-        .and_then(Json::as_str)
-        .is_some_and(|kind| REMOTE.contains(&kind))
-}
-
-/// The parameters as people wrote them.
-fn for_people(mut params: Json) -> Json {
-    if let Some(Json::Object(archive)) = params.get_mut("archive") {
-        archive.remove(SITE);
-    }
-    params
-}
-
+/// Key of stages that read an archive.
+const ARCHIVE: &str = "archive";
 /// Key of stages that can run on several devices.
 const DEVICE: &str = "device";
 
@@ -150,6 +116,7 @@ fn node(entry: &Entry, names: &[&str], around: &Around<'_>) -> Result<Node, Conf
         .unwrap_or_default();
     let ports: Vec<&str> = def.ports.iter().map(|port| port.key).collect();
     let (mut edges, mut params) = (BTreeMap::new(), serde_json::Map::new());
+    let mut archive = None;
     for field in table.entries().unwrap_or_default() {
         let key = field.key.as_str();
         if key == "uses" {
@@ -157,8 +124,10 @@ fn node(entry: &Entry, names: &[&str], around: &Around<'_>) -> Result<Node, Conf
         }
         if ports.contains(&key) {
             edges.insert(key.to_owned(), upstream(field, names)?);
-        } else if key == "archive" && keys.contains(&key) {
-            params.insert(key.to_owned(), archive(field, &around.archives)?);
+        } else if key == ARCHIVE && keys.contains(&key) {
+            let table = around.archives.named(field, text(field)?)?;
+            params.insert(key.to_owned(), table.value.json());
+            archive = Some(table);
         } else if keys.contains(&key) {
             params.insert(key.to_owned(), field.value.json());
         } else {
@@ -167,7 +136,7 @@ fn node(entry: &Entry, names: &[&str], around: &Around<'_>) -> Result<Node, Conf
                 "unknown key `{key}` in `node.{}` (stage `{}`)",
                 entry.key, def.name
             );
-            return Err(ConfigError::at(field.at.clone(), message).hint(nearest(key, known)));
+            return Err(ConfigError::at(field.at.clone(), message).hint(did_you_mean(key, known)));
         }
     }
     if let Some(port) = def
@@ -190,13 +159,17 @@ fn node(entry: &Entry, names: &[&str], around: &Around<'_>) -> Result<Node, Conf
         by_hand::lay_under(&mut params, lists);
     }
     let params = Json::Object(params);
-    let stage = (def.bind)(params.clone()).map_err(|error| complaint(entry, &error))?;
+    let stage = match archive {
+        Some(table) => (def.bind_archive)(params.clone(), around.archives.context(table)),
+        None => (def.bind)(params.clone()),
+    }
+    .map_err(|error| complaint(entry, archive, &error))?;
     Ok(Node {
         name: entry.key.clone(),
         def,
         stage,
         edges,
-        params: for_people(params),
+        params,
     })
 }
 
@@ -207,7 +180,7 @@ fn stage_of(entry: &Entry) -> Result<StageDef, ConfigError> {
     };
     let known = marf_stages::stages();
     known.iter().find(|def| def.name == name).copied().ok_or_else(|| {
-        let hint = nearest(name, known.iter().map(|def| def.name)).or_else(|| {
+        let hint = did_you_mean(name, known.iter().map(|def| def.name)).or_else(|| {
             Some(format!(
                 "say which stage with `uses`, e.g. `uses = \"{}\"`",
                 known[0].name
@@ -233,20 +206,15 @@ fn upstream(field: &Entry, names: &[&str]) -> Result<String, ConfigError> {
         return Ok(name.to_owned());
     }
     let message = format!("`{} = \"{name}\"` names no node", field.key);
-    Err(ConfigError::at(field.value.at.clone(), message).hint(nearest(name, names.iter().copied())))
+    Err(ConfigError::at(field.value.at.clone(), message).hint(did_you_mean(name, names.iter().copied())))
 }
 
-fn archive(field: &Entry, archives: &BTreeMap<String, Json>) -> Result<Json, ConfigError> {
-    let name = text(field)?;
-    archives.get(name).cloned().ok_or_else(|| {
-        let message = format!("`archive = \"{name}\"` names no `[archive.*]` table");
-        let hint = nearest(name, archives.keys().map(String::as_str));
-        ConfigError::at(field.value.at.clone(), message).hint(hint)
-    })
-}
-
-/// Puts a stage's complaint at the key it is about.
-fn complaint(entry: &Entry, error: &ParamError) -> ConfigError {
+/// Puts a stage's complaint at the key it is about, in the node's table or in that of the archive it reads.
+fn complaint(entry: &Entry, archive: Option<&Entry>, error: &ParamError) -> ConfigError {
+    let in_archive = error.path.strip_prefix(ARCHIVE);
+    if let (Some(table), Some(path)) = (archive, in_archive) {
+        return archives::complaint(table, path.trim_start_matches('.'), error);
+    }
     let at = if error.path.is_empty() {
         entry.at.clone()
     } else {
@@ -260,72 +228,26 @@ fn complaint(entry: &Entry, error: &ParamError) -> ConfigError {
     ConfigError::at(at, format!("node.{}{key}: {}", entry.key, error.message))
 }
 
-fn check_outputs(nodes: &[Node], tables: &[Entry]) -> Result<(), ConfigError> {
-    let find = |name: &str| nodes.iter().find(|node| node.name == name);
-    for (node, entry) in nodes.iter().zip(tables) {
-        for port in node.def.ports {
-            let Some(upstream) = node.edges.get(port.key).and_then(|name| find(name)) else {
-                continue;
-            };
-            if port.required && !upstream.def.outputs.contains(&port.output) {
-                let message = format!(
-                    "`{}` of `node.{}` needs `{}`; `node.{}` (stage `{}`) gives {}",
-                    port.key,
-                    node.name,
-                    port.output,
-                    upstream.name,
-                    upstream.def.name,
-                    upstream.def.outputs.join(", "),
-                );
-                return Err(ConfigError::at(entry.value.place(port.key), message));
-            }
-        }
-    }
-    Ok(())
-}
-
-/// Walks up from every node; a node met again on the way up closes a cycle, printed in full.
-fn check_cycles(nodes: &[Node], tables: &[Entry]) -> Result<(), ConfigError> {
-    let mut cleared: Vec<&str> = Vec::new();
-    for node in nodes {
-        let mut path = Vec::new();
-        if let Some(cycle) = find_cycle(nodes, &node.name, &mut path, &mut cleared) {
-            let at = tables
+/// Checks that the nodes form a graph; an error has the place of the key or the node at fault.
+fn check_graph(nodes: &[Node], tables: &[Entry]) -> Result<(), ConfigError> {
+    let shapes: Vec<NodeShape<'_>> = nodes
+        .iter()
+        .map(|node| NodeShape {
+            name: &node.name,
+            stage: &node.def,
+            edges: node
+                .edges
                 .iter()
-                .find(|entry| entry.key == cycle[0])
-                .map(|entry| entry.at.clone());
-            let at = at.unwrap_or(Origin::Text(0..0));
-            return Err(ConfigError::at(
-                at,
-                format!("the nodes form a cycle: {}", cycle.join(" -> ")),
-            ));
-        }
-    }
-    Ok(())
-}
-
-fn find_cycle<'a>(
-    nodes: &'a [Node],
-    name: &'a str,
-    path: &mut Vec<&'a str>,
-    cleared: &mut Vec<&'a str>,
-) -> Option<Vec<&'a str>> {
-    if let Some(start) = path.iter().position(|seen| *seen == name) {
-        // The path runs from consumer to producer; people read along the data.
-        let mut cycle: Vec<&str> = path[start..].iter().rev().copied().collect();
-        cycle.insert(0, path[start]);
-        return Some(cycle);
-    }
-    if cleared.contains(&name) {
-        return None;
-    }
-    path.push(name);
-    let node = nodes.iter().find(|node| node.name == name)?;
-    let found = node
-        .edges
-        .values()
-        .find_map(|upstream| find_cycle(nodes, upstream, path, cleared));
-    path.pop();
-    cleared.push(name);
-    found
+                .map(|(key, upstream)| (key.as_str(), upstream.as_str()))
+                .collect(),
+        })
+        .collect();
+    marf_engine::check(&shapes).map_err(|error| {
+        let entry = tables.iter().find(|entry| entry.key == error.node());
+        let at = entry.map_or(Origin::Text(0..0), |entry| match error.key() {
+            Some(key) => entry.value.place(key),
+            None => entry.at.clone(),
+        });
+        ConfigError::at(at, error.to_string())
+    })
 }

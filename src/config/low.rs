@@ -5,16 +5,7 @@ use std::ops::Range;
 use serde_json::{Map, Number, Value as Json};
 use toml::de::{DeTable, DeValue};
 
-use super::ConfigError;
-
-/// Where a key or value comes from.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Origin {
-    /// Bytes of pipeline.toml.
-    Text(Range<usize>),
-    /// A `--set` argument.
-    Argument(String),
-}
+use super::error::{ConfigError, Origin};
 
 /// A value and its place.
 #[derive(Debug, Clone, PartialEq)]

@@ -13,6 +13,7 @@ pub fn schema() -> Json {
             "then": {"$ref": format!("#/$defs/{}", def.name)},
         }));
     }
+    let archive = super::archives::schema(&mut definitions);
     let by_name: Map<String, Json> = names
         .iter()
         .map(|name| {
@@ -31,7 +32,7 @@ pub fn schema() -> Json {
             "name": {"type": "string", "description": "Name of the pipeline."},
             "keep": super::by_hand::schema("keeps"),
             "reject": super::by_hand::schema("rejects"),
-            "archive": {"type": "object", "additionalProperties": {"type": "object"}, "description": "Where photos come from, by name."},
+            "archive": archive,
             "node": {
                 "type": "object",
                 "description": "A node's stage is its name, or `uses`.",
@@ -43,15 +44,12 @@ pub fn schema() -> Json {
     })
 }
 
-/// The stage's parameters, its ports (each names a node) and `uses`; `archive` is a name here.
+/// Returns the stage's parameters, its ports (each names a node) and `uses`.
 fn stage_schema(def: &marf_stage::StageDef) -> Json {
     let mut schema: Json = (def.schema)().to_value();
     schema["description"] = json!(def.about);
     if !schema["properties"].is_object() {
         schema["properties"] = json!({});
-    }
-    if let Some(archive) = schema["properties"].get_mut("archive") {
-        *archive = json!({"type": "string", "description": "Name of an `[archive.*]` table."});
     }
     schema["properties"]["uses"] = json!({"const": def.name});
     for port in def.ports {
@@ -61,3 +59,6 @@ fn stage_schema(def: &marf_stage::StageDef) -> Json {
     schema["additionalProperties"] = json!(false);
     schema
 }
+
+#[cfg(test)]
+mod tests;

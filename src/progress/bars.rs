@@ -4,8 +4,8 @@ use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use marf_engine::{Event, Listener};
 use parking_lot::Mutex;
 
-use super::sentence;
-use crate::cli::printable;
+use super::text::sentence;
+use crate::terminal::escape_control;
 
 /// A bar for each running node, finished nodes as lines above them.
 #[derive(Default)]
@@ -18,7 +18,10 @@ impl Bars {
     fn bar(&self, node: &str, total: u64) -> ProgressBar {
         let mut running = self.running.lock();
         let make = || {
-            let bar = self.all.add(ProgressBar::new(total)).with_prefix(printable(node));
+            let bar = self
+                .all
+                .add(ProgressBar::new(total))
+                .with_prefix(escape_control(node));
             let template = "{prefix:<22} {bar:28} {pos:>6}/{len:<6} {elapsed:>4} left {eta:<5} {msg}";
             bar.set_style(
                 ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()),
@@ -48,11 +51,11 @@ impl Listener for Bars {
             } => {
                 let bar = self.bar(node, *total);
                 if bar.length() != Some(*total) {
-                    bar.set_length(*total); // another piece of work: what it took so far says nothing
+                    bar.set_length(*total); // the node has begun another piece of work
                     bar.reset_eta();
                 }
                 bar.set_position(*done);
-                bar.set_message(printable(note));
+                bar.set_message(escape_control(note));
             }
             Event::Finished { node, .. } | Event::Failed { node, .. } | Event::Reused { node, .. } => {
                 self.end(node);
@@ -60,7 +63,7 @@ impl Listener for Bars {
             _ => {}
         }
         if let Some(line) = sentence(event) {
-            let _ = self.all.println(printable(&line)); // a closed terminal is nobody's error
+            let _ = self.all.println(escape_control(&line)); // a closed terminal is no error
         }
     }
 }

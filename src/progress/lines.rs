@@ -4,21 +4,21 @@ use std::time::{Duration, Instant};
 use marf_engine::{Event, Listener};
 use parking_lot::Mutex;
 
-use super::{duration, sentence};
-use crate::cli::printable;
+use super::text::{duration, sentence};
+use crate::terminal::{eprint_line, escape_control};
 
-/// Between two progress lines of one node.
+/// Least time between two progress lines of one node.
 const EVERY: Duration = Duration::from_secs(10);
 
-/// Plain lines, for logs: every event once, progress each ten seconds with what is left.
+/// Plain lines, for logs: one an event, and one each ten seconds for a node's progress and remaining time.
 #[derive(Default)]
 pub struct Lines {
-    heard: Mutex<HashMap<String, Heard>>,
+    tracked: Mutex<HashMap<String, Tracked>>,
 }
 
-/// What a node has told of one piece of its work.
+/// Progress of one piece of a node's work.
 #[derive(Clone, Copy)]
-struct Heard {
+struct Tracked {
     began: Instant,
     last: Instant,
     at_first: u64,
@@ -26,25 +26,25 @@ struct Heard {
 }
 
 impl Lines {
-    /// Returns how long the node's work will still take, if it is time for its next line.
-    /// Another total is another piece of work: the clock starts anew.
+    /// Returns the remaining time of the node's work, if its next line is due. Another total is another piece of work,
+    /// whose time is measured anew.
     fn due(&self, node: &str, done: u64, total: u64) -> Option<String> {
         let now = Instant::now();
-        let mut heard = self.heard.lock();
-        let fresh = Heard {
+        let mut tracked = self.tracked.lock();
+        let fresh = Tracked {
             began: now,
             last: now,
             at_first: done,
             total,
         };
-        let heard = heard.entry(node.to_owned()).or_insert(fresh);
-        if heard.total != total {
-            *heard = fresh;
+        let tracked = tracked.entry(node.to_owned()).or_insert(fresh);
+        if tracked.total != total {
+            *tracked = fresh;
         }
-        (now - heard.last >= EVERY).then(|| {
-            heard.last = now;
-            let spent = (now - heard.began).as_secs_f64();
-            let (did, left) = (done.saturating_sub(heard.at_first), total.saturating_sub(done));
+        (now - tracked.last >= EVERY).then(|| {
+            tracked.last = now;
+            let spent = (now - tracked.began).as_secs_f64();
+            let (did, left) = (done.saturating_sub(tracked.at_first), total.saturating_sub(done));
             if did == 0 {
                 "?".to_owned()
             } else {
@@ -66,11 +66,11 @@ impl Listener for Lines {
             let Some(left) = self.due(node, *done, *total) else {
                 return;
             };
-            crate::talk(&printable(&format!(
+            eprint_line(&escape_control(&format!(
                 "at      {node:<22} {done}/{total}, {left} left  {note}"
             )));
         } else if let Some(line) = sentence(event) {
-            crate::talk(&printable(&line));
+            eprint_line(&escape_control(&line));
         }
     }
 }

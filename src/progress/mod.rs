@@ -1,17 +1,20 @@
-//! Listens to the engine: bars on a terminal, plain lines elsewhere, JSON lines for programs.
+//! Prints the events of a run: bars on a terminal, plain lines elsewhere, JSON lines with `--json`.
 
 mod bars;
 mod lines;
+mod text;
 
 use std::io::IsTerminal as _;
 
+use crate::terminal::print_line;
 use marf_engine::{Event, Listener};
 
 pub use bars::Bars;
 pub use lines::Lines;
+pub use text::duration;
 
-/// How to tell what happens.
-pub enum Voice {
+/// How the events of a run are printed.
+pub enum Progress {
     /// One JSON object a line on stdout.
     Json,
     /// Bars and lines on stderr.
@@ -20,8 +23,8 @@ pub enum Voice {
     Lines(Lines),
 }
 
-impl Voice {
-    /// Bars if stderr is a terminal, plain lines otherwise.
+impl Progress {
+    /// Returns bars if stderr is a terminal, plain lines otherwise.
     pub fn for_people() -> Self {
         if std::io::stderr().is_terminal() {
             Self::Bars(Box::default())
@@ -31,75 +34,16 @@ impl Voice {
     }
 }
 
-impl Listener for Voice {
+impl Listener for Progress {
     fn on_event(&self, event: &Event) {
         match self {
             Self::Json => {
                 if let Ok(line) = serde_json::to_string(event) {
-                    crate::say(&line);
+                    print_line(&line);
                 }
             }
             Self::Bars(bars) => bars.on_event(event),
             Self::Lines(lines) => lines.on_event(event),
-        }
-    }
-}
-
-/// Returns `3.2 s`, `2 min 05 s` or `1 h 02 min`.
-pub fn duration(seconds: f64) -> String {
-    let whole = seconds.round() as u64;
-    match whole {
-        0..60 => format!("{seconds:.1} s"),
-        60..3600 => format!("{} min {:02} s", whole / 60, whole % 60),
-        _ => format!("{} h {:02} min", whole / 3600, whole % 3600 / 60),
-    }
-}
-
-/// Returns the line that tells an event, or `None` for progress.
-fn sentence(event: &Event) -> Option<String> {
-    let name = |node: &str| format!("{node:<22}");
-    Some(match event {
-        Event::WillRun { node, reason, .. } => format!("run     {} {reason}", name(node)),
-        Event::Reused { node, .. } => format!("reuse   {}", name(node)),
-        Event::Finished {
-            node,
-            seconds,
-            counts,
-            ..
-        } => {
-            let counts: Vec<String> = counts
-                .iter()
-                .map(|(what, count)| format!("{count} {what}"))
-                .collect();
-            format!(
-                "done    {} {:>10}  {}",
-                name(node),
-                duration(*seconds),
-                counts.join(", ")
-            )
-        }
-        Event::Failed { node, message, .. } => format!("failed  {} {message}", name(node)),
-        Event::Skipped { node, reason } => format!("skip    {} {reason}", name(node)),
-        Event::Warning { node, message } => {
-            format!("warning {} {message}", name(node.as_deref().unwrap_or("")))
-        }
-        Event::Progress { .. } => return None,
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn durations_read_well_at_every_size() {
-        for (seconds, text) in [
-            (0.04, "0.0 s"),
-            (59.4, "59.4 s"),
-            (60.0, "1 min 00 s"),
-            (3725.0, "1 h 02 min"),
-        ] {
-            assert_eq!(duration(seconds), text);
         }
     }
 }

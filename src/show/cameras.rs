@@ -4,15 +4,16 @@ use std::collections::BTreeMap;
 
 use marf_cache::Digest;
 use marf_scene::{Frame, Point, Scene};
+use marf_schema::{calibrate, output};
 use maud::{Markup, html};
-use serde_json::Value;
 
-use super::NodeView;
 use super::axis::round_step;
 use super::format::{count, number, px};
+use super::input::NodeView;
 use super::json;
-use super::page::{Missing, Page, unreadable};
-use super::quality::figures;
+use super::page::{Page, has_document};
+use super::quality::{figures, of_calibration};
+use super::read::{Missing, unreadable};
 use super::vector::{Vec3, add, cross, dot, scaled, sub, unit};
 
 const WIDTH: f64 = 680.0;
@@ -32,8 +33,8 @@ const VIEW_SHARE: f64 = 0.06;
 pub(super) fn body(page: &Page<'_>) -> Markup {
     let mut holders: BTreeMap<Digest, Vec<&NodeView>> = BTreeMap::new();
     let mut order = Vec::new();
-    for node in page.with_output("scene") {
-        if let Some(digest) = node.outputs.get("scene") {
+    for node in page.with_output(output::SCENE) {
+        if let Some(digest) = node.outputs.get(output::SCENE) {
             if !holders.contains_key(digest) {
                 order.push(*digest);
             }
@@ -57,24 +58,21 @@ fn of_nodes(page: &Page<'_>, nodes: &[&NodeView]) -> Markup {
             Ok(scene) => (of_scene(&scene)),
             Err(missing) => (missing),
         }
-        @if !first.outputs.contains_key("curve") { (metrics(page, first)) }
+        @if has_document::<calibrate::Metrics>(first) { (metrics(page, first)) }
     }
 }
 
 fn scene(page: &Page<'_>, node: &NodeView) -> Result<Scene, Missing> {
-    let bytes = page.bytes(node, "scene")?;
-    Scene::decode(&bytes).map_err(|error| unreadable(node, "scene", &error))
+    let bytes = page.bytes(node, output::SCENE)?;
+    Scene::decode(&bytes).map_err(|error| unreadable(node, output::SCENE, &error))
 }
 
 /// Figures of the calibration itself.
 fn metrics(page: &Page<'_>, node: &NodeView) -> Markup {
-    if !node.outputs.contains_key("metrics") {
-        return html! {};
-    }
-    match page.json::<Value>(node, "metrics") {
+    match page.document::<calibrate::Metrics>(node) {
         Ok(metrics) => html! {
-            (figures(&metrics))
-            details { summary { "all metrics of the calibration" } (json::tables(&metrics)) }
+            (figures(&of_calibration(&metrics)))
+            details { summary { "all metrics of the calibration" } (json::fields(&metrics)) }
         },
         Err(missing) => html! { (missing) },
     }

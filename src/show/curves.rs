@@ -1,92 +1,88 @@
 //! Training: figures of merit and how they grew.
 
-use marf_stage::PHOTOS;
+use marf_schema::train::{Curve, CurvePoint};
+use marf_schema::{evaluate, scores::Scores, train};
 use maud::{Markup, html};
-use serde_json::Value;
 
-use super::NodeView;
 use super::axis::{Chart, Scale};
 use super::format::number;
+use super::input::NodeView;
 use super::json;
 use super::page::Page;
-use super::quality::{figures, without_views};
+use super::quality::{figures, of_evaluation, of_training};
+use super::read::Missing;
 use super::sizes;
 
-/// Curves and metrics of every node that has either.
+/// Shows metrics and curves of every training, and metrics of every evaluation.
 pub(super) fn body(page: &Page<'_>) -> Markup {
-    let trained: Vec<&NodeView> = page.with_output("curve").collect();
-    let measured = |node: &&NodeView| !node.outputs.contains_key("curve") && is_measured(node);
-    let others: Vec<&NodeView> = page.with_output("metrics").filter(measured).collect();
-    if trained.is_empty() && others.is_empty() {
+    let trained: Vec<&NodeView> = page.with_document::<Curve>().collect();
+    let evaluated: Vec<&NodeView> = page.with_document::<evaluate::Metrics>().collect();
+    if trained.is_empty() && evaluated.is_empty() {
         return page.absent("training curves or metrics");
     }
     html! {
-        @for node in trained { h3 { (node.name) } (metrics(page, node)) (curves(page, node)) }
-        @for node in others { h3 { (node.name) } (metrics(page, node)) }
+        @for node in trained { h3 { (node.name) } (training(page, node)) (curves(page, node)) }
+        @for node in evaluated { h3 { (node.name) } (evaluation(page, node)) }
     }
 }
 
-/// Metrics of calibrations and of maps stand in their own sections.
-fn is_measured(node: &NodeView) -> bool {
-    let elsewhere = |name: &String| name.starts_with("maps/") || name == PHOTOS;
-    let renders = node.outputs.keys().any(|name| name.starts_with("heldout/"));
-    renders || !(node.outputs.contains_key("scene") || node.outputs.keys().any(elsewhere))
+fn training(page: &Page<'_>, node: &NodeView) -> Markup {
+    let shown = |metrics: train::Metrics| {
+        let scores = without_views(&metrics.scores);
+        html! {
+            (figures(&of_training(&metrics)))
+            (sizes::shown(&metrics.field))
+            details { summary { "all metrics" } (json::fields(&train::Metrics { scores, ..metrics })) }
+        }
+    };
+    page.document(node).map_or_else(said, shown)
 }
 
-fn metrics(page: &Page<'_>, node: &NodeView) -> Markup {
-    if !node.outputs.contains_key("metrics") {
-        return html! {};
-    }
-    match page.json::<Value>(node, "metrics") {
-        Ok(value) => html! {
-            (figures(&value))
-            (sizes::shown(&value))
-            details { summary { "all metrics" } (json::tables(&without_views(&value))) }
-        },
-        Err(missing) => html! { (missing) },
+fn evaluation(page: &Page<'_>, node: &NodeView) -> Markup {
+    let shown = |metrics: evaluate::Metrics| {
+        let scores = without_views(&metrics.scores);
+        html! {
+            (figures(&of_evaluation(&metrics)))
+            details { summary { "all metrics" } (json::fields(&evaluate::Metrics { scores, ..metrics })) }
+        }
+    };
+    page.document(node).map_or_else(said, shown)
+}
+
+fn said(missing: Missing) -> Markup {
+    html! { (missing) }
+}
+
+/// The means alone: each photo's scores stand beside its pictures.
+fn without_views(scores: &Scores) -> Scores {
+    Scores {
+        views: Vec::new(),
+        ..scores.clone()
     }
 }
 
 fn curves(page: &Page<'_>, node: &NodeView) -> Markup {
-    let points: Vec<Value> = match page.json(node, "curve") {
-        Ok(points) => points,
-        Err(missing) => return html! { (missing) },
+    let points = match page.document(node) {
+        Ok(Curve(points)) => points,
+        Err(missing) => return said(missing),
     };
-    let chart = |title, key, label, scale| Chart {
+    let chart = |title, label, scale, value: fn(&CurvePoint) -> f64| Chart {
         title,
         x_label: "step",
         y_label: label,
         scale,
-        points: line(&points, key),
+        points: points
+            .iter()
+            .map(|point| (point.step as f64, value(point)))
+            .collect(),
     };
     html! {
         div.charts {
-            (chart("PSNR against step", "psnr", "PSNR, dB", Scale::Linear).drawn())
-            (chart("Loss against step", "loss", "loss", Scale::Log).drawn())
+            (chart("PSNR against step", "PSNR, dB", Scale::Linear, |point| point.psnr).drawn())
+            (chart("Loss against step", "loss", Scale::Log, |point| point.loss).drawn())
         }
-        (work_done(&points))
-    }
-}
-
-fn line(points: &[Value], key: &str) -> Vec<(f64, f64)> {
-    let value = |point: &Value, key: &str| point.get(key).and_then(Value::as_f64);
-    points
-        .iter()
-        .filter_map(|point| Some((value(point, "step")?, value(point, key)?)))
-        .collect()
-}
-
-/// Says how much work the last point of the curve stands for.
-fn work_done(points: &[Value]) -> Markup {
-    let last = |key: &str| {
-        points
-            .last()
-            .and_then(|point| point.get(key))
-            .and_then(Value::as_f64)
-    };
-    html! {
-        @if let (Some(rays), Some(samples)) = (last("rays"), last("samples")) {
-            p.quiet { (number(rays)) " rays, " (number(samples)) " samples in all." }
+        @if let Some(last) = points.last() {
+            p.quiet { (number(last.rays as f64)) " rays, " (number(last.samples as f64)) " samples in all." }
         }
     }
 }

@@ -11,9 +11,9 @@ use marf_scene::{Image, Photo, Srgb, encode_png};
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
-use super::ReportInput;
 use super::format::megabytes;
-use super::page::not_stored;
+use super::input::ReportInput;
+use super::read::not_stored;
 
 /// Most bytes the data URIs of all pictures take together, and those of all films: with both, and half a
 /// megabyte of text and drawings, the file stays below 15 MB.

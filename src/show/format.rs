@@ -34,10 +34,20 @@ pub(super) fn figure(key: &str, value: f64) -> String {
     let name = key.rsplit('.').next().unwrap_or(key);
     match name {
         _ if !value.is_finite() => number(value),
-        "psnr" | "psnr_paper" | "psnr_members_mean" => format!("{value:.2}"),
-        "ssim" => format!("{value:.3}"),
+        "psnr" | "psnr_paper" | "psnr_members_mean" => decibels(value),
+        "ssim" => similarity(value),
         _ => number(value),
     }
+}
+
+/// Decibels with two decimals.
+pub(super) fn decibels(value: f64) -> String {
+    format!("{value:.2}")
+}
+
+/// A structural similarity with three decimals.
+pub(super) fn similarity(value: f64) -> String {
+    format!("{value:.3}")
 }
 
 /// Milliseconds to hours, each with its unit.

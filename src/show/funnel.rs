@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 use marf_stage::{VERDICTS, Verdict};
 use maud::{Markup, html};
 
-use super::NodeView;
 use super::format::{count, cut, px};
-use super::page::{Missing, Page};
+use super::input::NodeView;
+use super::page::Page;
 use super::photos::verdicts;
+use super::read::Missing;
 
 const BAR_LEFT: f64 = 150.0;
 const BAR_WIDTH: f64 = 440.0;

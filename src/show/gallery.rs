@@ -3,12 +3,12 @@
 use marf_stage::{VERDICTS, Verdict};
 use maud::{Markup, html};
 
-use super::NodeView;
-use super::embed::{Form, words};
 use super::format::{count, number};
+use super::input::NodeView;
 use super::page::Page;
 use super::photos::{last_photo_nodes, verdicts};
 use super::review::{Closest, against, closest};
+use super::thumbs::{name_of, thumb};
 
 /// Most thumbnails of one gallery.
 const MOST_THUMBS: usize = 60;
@@ -77,21 +77,6 @@ fn score(verdict: &Verdict) -> Option<String> {
         number(score),
         number(threshold)
     ))
-}
-
-pub(super) fn name_of<'p>(page: &'p Page<'_>, id: &'p str) -> &'p str {
-    page.photos.get(id).map_or(id, |photo| photo.file.as_str())
-}
-
-pub(super) fn thumb(page: &Page<'_>, id: &str, what: &str) -> Markup {
-    let Some(photo) = page.photos.get(id) else {
-        return words("This photo is in no manifest of the run.");
-    };
-    let alt = format!("{what}: {}", photo.file);
-    match &photo.image {
-        Some(image) => page.pictures.stored(page.input, image, Form::Thumb, &alt),
-        None => words("The manifest names no image."),
-    }
 }
 
 /// What was left at the end of the filters.

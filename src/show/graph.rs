@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use maud::{Markup, html};
 
 use super::format::{count, cut, px, seconds};
+use super::input::{ChildView, NodeView, State};
 use super::page::Page;
-use super::{ChildView, NodeView, State};
 
 const BOX_WIDTH: f64 = 150.0;
 const BOX_HEIGHT: f64 = 54.0;

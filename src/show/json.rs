@@ -1,8 +1,10 @@
-//! Any JSON as tables: what a stage says about itself is shown even where this page does not know its fields.
+//! Documents of stages as tables of all their fields, whatever these are.
 
 use std::collections::BTreeSet;
 
+use marf_stage::Document;
 use maud::{Markup, html};
+use serde::Serialize;
 use serde_json::Value;
 
 use super::format::{count, figure, number};
@@ -12,8 +14,20 @@ const MOST_ROWS: usize = 200;
 /// Most entries of a list that are written out.
 const MOST_ENTRIES: usize = 12;
 
-/// Shows an object: single values as one table, each list of objects as its own.
-pub(super) fn tables(value: &Value) -> Markup {
+/// Shows all fields of a document: single values as one table, each list of objects as its own; empty lists are left
+/// out.
+pub(super) fn fields(document: &impl Document) -> Markup {
+    tables(&value(document))
+}
+
+/// Returns a value as JSON, with the digits of its text.
+pub(super) fn value(value: &impl Serialize) -> Value {
+    // Through the text: a direct conversion would widen f32 to all digits of its f64. What JSON cannot hold is null.
+    let text = serde_json::to_vec(value).unwrap_or_default();
+    serde_json::from_slice(&text).unwrap_or_default()
+}
+
+fn tables(value: &Value) -> Markup {
     let mut singles = Vec::new();
     let mut lists = Vec::new();
     flatten("", value, &mut singles, &mut lists);
@@ -99,6 +113,7 @@ fn flatten<'v>(
     lists: &mut Vec<(String, &'v [Value])>,
 ) {
     walk(key, value, &mut |key, value| match value {
+        Value::Array(rows) if rows.is_empty() => {}
         Value::Array(rows) if rows.iter().any(Value::is_object) => lists.push((key.to_owned(), rows)),
         value => singles.push((key.to_owned(), figure_or_text(key, value))),
     });

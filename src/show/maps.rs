@@ -3,15 +3,16 @@
 use std::collections::BTreeMap;
 
 use marf_cache::Digest;
+use marf_schema::bootstrap::{Metrics, ViewReport};
+use marf_schema::output;
 use maud::{Markup, html};
-use serde_json::Value;
 
-use super::NodeView;
 use super::embed::Form;
 use super::format::{count, number};
+use super::input::NodeView;
 use super::json;
 use super::page::Page;
-use super::quality::{figures, view, without_views};
+use super::quality::{figures, of_bootstrap};
 
 /// Most viewpoints of one node.
 const MOST_VIEWS: usize = 8;
@@ -28,33 +29,9 @@ const KINDS: [(&str, &str); 8] = [
     ("rgb-std", "standard deviation, each channel"),
 ];
 
-/// Figures of the maps: path in the metrics, name.
-const FIGURES: [(&str, &str); 14] = [
-    ("std", "mean standard deviation"),
-    ("total_sd", "mean total deviation"),
-    ("opacity_term", "mean opacity term"),
-    ("unseen_share", "share of unseen pixels"),
-    ("heldout.psnr", "PSNR of the mean, dB"),
-    ("heldout.psnr_members_mean", "PSNR of one member, dB, mean"),
-    ("heldout.ause_mae", "AUSE by standard deviation (0 is best)"),
-    ("heldout.ause_mae_total", "AUSE by total deviation"),
-    ("heldout.ause_mae_random", "AUSE of a random order"),
-    ("heldout.spearman", "rank correlation of deviation and error"),
-    (
-        "heldout.coverage.sd1",
-        "errors within 1 deviation (68 % if normal)",
-    ),
-    (
-        "heldout.coverage.sd2",
-        "errors within 2 deviations (95 % if normal)",
-    ),
-    ("heldout.calibration.ece", "calibration error after scaling"),
-    ("heldout.calibration.coverage90", "cover of the 90 % interval"),
-];
-
 /// Maps of every node that has some.
 pub(super) fn body(page: &Page<'_>) -> Markup {
-    let nodes: Vec<&NodeView> = page.with_outputs_under("maps/").collect();
+    let nodes: Vec<&NodeView> = page.with_outputs_under(output::MAPS).collect();
     if nodes.is_empty() {
         return page.absent("maps of uncertainty");
     }
@@ -62,51 +39,79 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
 }
 
 fn of_node(page: &Page<'_>, node: &NodeView) -> Markup {
-    let views = by_view(node);
-    let metrics = page.json::<Value>(node, "metrics");
-    let known = metrics.as_ref().ok();
+    let pictures = by_view(node);
+    let metrics = page.document::<Metrics>(node);
+    let views = metrics.as_ref().map_or(&[][..], |metrics| &metrics.views);
+    let view = |name: &str| views.iter().find(|view| view.name == name);
     html! {
         @match &metrics {
             Ok(metrics) => (trust(metrics)),
             Err(missing) => (missing),
         }
-        @for (name, maps) in views.iter().take(MOST_VIEWS) {
-            (row(page, name, maps, known.and_then(|metrics| view(metrics, name))))
+        @for (name, maps) in pictures.iter().take(MOST_VIEWS) { (row(page, name, maps, view(name))) }
+        @if pictures.len() > MOST_VIEWS {
+            p.quiet { (count(pictures.len() - MOST_VIEWS, "viewpoint")) " not shown." }
         }
-        @if views.len() > MOST_VIEWS { p.quiet { (count(views.len() - MOST_VIEWS, "viewpoint")) " not shown." } }
     }
 }
 
 /// The figures that say whether high deviation goes with large error.
-fn trust(metrics: &Value) -> Markup {
-    let at = |path: &str| {
-        metrics
-            .pointer(&format!("/{}", path.replace('.', "/")))
-            .and_then(Value::as_f64)
+fn trust(metrics: &Metrics) -> Markup {
+    let alone = Metrics {
+        views: Vec::new(), // they stand beside the maps
+        ..metrics.clone()
     };
     html! {
-        (figures(metrics))
+        (figures(&of_bootstrap(metrics)))
         table.facts {
-            @for (path, name) in FIGURES { @if let Some(value) = at(path) {
-                tr { th scope="row" { (name) } td.number { (number(value)) } }
-            } }
+            @for (name, value) in spread(metrics) { tr { th scope="row" { (name) } td.number { (number(value)) } } }
         }
-        details { summary { "all metrics" } (json::tables(&without_views(metrics))) }
+        details { summary { "all metrics" } (json::fields(&alone)) }
     }
+}
+
+/// Name and value of what is known of the spread.
+fn spread(metrics: &Metrics) -> Vec<(&'static str, f64)> {
+    let mut found = vec![
+        ("mean standard deviation", metrics.std),
+        ("mean total deviation", metrics.total_sd),
+        ("mean opacity term", metrics.opacity_term),
+        ("share of unseen pixels", metrics.unseen_share),
+    ];
+    let Some(held_out) = &metrics.heldout else {
+        return found;
+    };
+    let (mean, coverage) = (&held_out.mean, &held_out.coverage);
+    found.extend([
+        ("PSNR of the mean, dB", mean.psnr),
+        ("PSNR of one member, dB, mean", held_out.psnr_members_mean),
+        ("AUSE by standard deviation (0 is best)", mean.ause_mae),
+        ("AUSE by total deviation", mean.ause_mae_total),
+        ("AUSE of a random order", mean.ause_mae_random),
+        ("rank correlation of deviation and error", mean.spearman),
+        ("errors within 1 deviation (68 % if normal)", coverage.sd1),
+        ("errors within 2 deviations (95 % if normal)", coverage.sd2),
+    ]);
+    if let Some(calibration) = &held_out.calibration {
+        found.push(("calibration error after scaling", calibration.ece));
+        let coverage = calibration.coverage90;
+        found.extend(coverage.map(|share| ("cover of the 90 % interval", share)));
+    }
+    found
 }
 
 fn row(
     page: &Page<'_>,
     name: &str,
     maps: &BTreeMap<usize, (&str, &Digest)>,
-    metrics: Option<&Value>,
+    metrics: Option<&ViewReport>,
 ) -> Markup {
     html! {
         div.view {
             h4 {
                 span.file { (name) }
-                @if let Some(std) = metrics.and_then(|view| view.get("std")?.as_f64()) {
-                    span.quiet { "mean standard deviation " (number(std)) }
+                @if let Some(view) = metrics {
+                    span.quiet { "mean standard deviation " (number(view.std)) }
                 }
             }
             div.row.maps {
@@ -142,7 +147,7 @@ fn by_view(node: &NodeView) -> BTreeMap<&str, BTreeMap<usize, (&str, &Digest)>> 
     let mut views: BTreeMap<&str, BTreeMap<usize, (&str, &Digest)>> = BTreeMap::new();
     for (output, digest) in &node.outputs {
         let picture = output
-            .strip_prefix("maps/")
+            .strip_prefix(output::MAPS)
             .and_then(|name| name.strip_suffix(".png"));
         let Some((view, column, kind)) = picture.and_then(split) else {
             continue;

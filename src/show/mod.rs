@@ -12,6 +12,7 @@ mod format;
 mod funnel;
 mod gallery;
 mod graph;
+mod input;
 mod json;
 mod maps;
 mod nodes;
@@ -19,8 +20,10 @@ mod page;
 mod photos;
 mod pictures;
 mod quality;
+mod read;
 mod review;
 mod sizes;
+mod thumbs;
 mod tune;
 mod vector;
 
@@ -31,96 +34,12 @@ mod real;
 #[cfg(test)]
 mod tests;
 
-use std::collections::BTreeMap;
-use std::sync::Arc;
-
-use marf_cache::Digest;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use page::Page;
+
+pub use input::{ChildView, NodeView, ReadBlob, ReportInput, State};
 pub use review::{Call, FACTORS, calls, percent};
-
-/// Looks up the bytes of a digest; `None` where the store does not have them.
-pub type ReadBlob<'a> = dyn Fn(&Digest) -> Option<Arc<[u8]>> + 'a;
-
-/// What a report is made of.
-pub struct ReportInput<'a> {
-    /// Name of the pipeline.
-    pub pipeline: String,
-    /// The command line that ran it.
-    pub command: String,
-    /// When the run started, RFC 3339; only shown.
-    pub started: String,
-    /// Name and version of the program.
-    pub program: String,
-    /// The nodes, in any order; producers before consumers reads best.
-    pub nodes: Vec<NodeView>,
-    /// The store.
-    pub read: &'a ReadBlob<'a>,
-    /// Where pictures as they are embedded are kept from report to report.
-    pub memos: &'a dyn marf_stage::Memos,
-}
-
-/// A node of the pipeline as the run left it.
-#[derive(Debug, Clone)]
-pub struct NodeView {
-    /// Name in pipeline.toml.
-    pub name: String,
-    /// Name of its stage.
-    pub stage: String,
-    /// One line about the stage.
-    pub about: String,
-    /// (Key of the port, name of the upstream node).
-    pub upstream: Vec<(String, String)>,
-    /// What became of it.
-    pub state: State,
-    /// Why it ran, was reused or skipped; of a failed node the message.
-    pub reason: String,
-    /// Wall time of its work, seconds; of a reused node what it took then, if known.
-    pub seconds: Option<f64>,
-    /// Its parameters.
-    pub params: serde_json::Value,
-    /// Its outputs by name.
-    pub outputs: BTreeMap<String, Digest>,
-    /// The nodes it asked for.
-    pub children: Vec<ChildView>,
-}
-
-/// A node that another node asked for: a tuning trial, a retraining.
-#[derive(Debug, Clone)]
-pub struct ChildView {
-    /// Name below the asking node.
-    pub name: String,
-    /// What became of it.
-    pub state: State,
-    /// Wall time of its work, seconds.
-    pub seconds: Option<f64>,
-}
-
-/// What became of a node in this run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum State {
-    /// Worked in this run.
-    Ran,
-    /// Its outputs were there already.
-    Reused,
-    /// Stopped with an error.
-    Failed,
-    /// Not reached, since something before it failed or it was not asked for.
-    Skipped,
-}
-
-impl State {
-    /// The state as a word, also its class in the style sheet.
-    pub const fn word(self) -> &'static str {
-        match self {
-            Self::Ran => "ran",
-            Self::Reused => "reused",
-            Self::Failed => "failed",
-            Self::Skipped => "skipped",
-        }
-    }
-}
 
 /// Writes the report as one HTML file. Equal input gives equal bytes; nothing in it can make it panic.
 pub fn write(input: &ReportInput<'_>) -> String {

@@ -3,8 +3,8 @@
 use maud::{Markup, html};
 
 use super::format::{count, seconds};
+use super::input::{NodeView, ReportInput, State};
 use super::page::Page;
-use super::{NodeView, ReportInput, State};
 
 /// Says in one sentence what ran: `12 nodes: 3 ran, 9 reused, 61 s`.
 pub(super) fn sentence(input: &ReportInput<'_>) -> String {

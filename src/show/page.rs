@@ -1,28 +1,18 @@
 use std::sync::Arc;
 
-use marf_cache::Digest;
-use maud::{Markup, Render, html};
-use serde::de::DeserializeOwned;
+use marf_stage::Document;
+use maud::{Markup, html};
 
 use super::embed::Pictures;
+use super::input::{NodeView, ReportInput, State};
 use super::photos::PhotoIndex;
-use super::{NodeView, ReportInput, State};
+use super::read::{Missing, read, unreadable};
 
 /// What all sections share: the input, the photos by id, and how much room is left for pictures.
 pub(super) struct Page<'a> {
     pub(super) input: &'a ReportInput<'a>,
     pub(super) photos: PhotoIndex,
     pub(super) pictures: Pictures,
-}
-
-/// Why something is not shown, as a sentence that stands in its place.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Missing(pub(super) String);
-
-impl Render for Missing {
-    fn render(&self) -> Markup {
-        html! { p.missing { (self.0) } }
-    }
 }
 
 impl<'a> Page<'a> {
@@ -54,10 +44,15 @@ impl<'a> Page<'a> {
         read(self.input, node, output)
     }
 
-    /// Reads an output that is JSON.
-    pub(super) fn json<T: DeserializeOwned>(&self, node: &NodeView, output: &str) -> Result<T, Missing> {
-        let bytes = self.bytes(node, output)?;
-        serde_json::from_slice(&bytes).map_err(|error| unreadable(node, output, &error))
+    /// Returns the nodes that have a document of this type.
+    pub(super) fn with_document<D: Document>(&self) -> impl Iterator<Item = &'a NodeView> {
+        self.input.nodes.iter().filter(|node| has_document::<D>(node))
+    }
+
+    /// Reads a document of a node.
+    pub(super) fn document<D: Document>(&self, node: &NodeView) -> Result<D, Missing> {
+        let bytes = self.bytes(node, D::OUTPUT)?;
+        D::decode(&bytes).map_err(|error| unreadable(node, D::OUTPUT, &error))
     }
 
     /// Says that no node gave something, and which nodes could not.
@@ -73,29 +68,9 @@ impl<'a> Page<'a> {
     }
 }
 
-/// Reads an output of a node from the store of the input.
-pub(super) fn read(input: &ReportInput<'_>, node: &NodeView, output: &str) -> Result<Arc<[u8]>, Missing> {
-    let (name, outputs) = (&node.name, &node.outputs);
-    let digest = outputs
-        .get(output)
-        .ok_or_else(|| Missing(format!("Node {name} has no output {output}.")))?;
-    (input.read)(digest).ok_or_else(|| Missing(not_stored(&format!("{output} of {name}"), digest)))
-}
-
-/// Says that an output is there but cannot be understood.
-pub(super) fn unreadable(node: &NodeView, output: &str, error: &dyn std::fmt::Display) -> Missing {
-    Missing(format!(
-        "{output} of {} cannot be read and is not shown: {error}.",
-        node.name
-    ))
-}
-
-/// Says that the store does not have an object.
-pub(super) fn not_stored(what: &str, digest: &Digest) -> String {
-    format!(
-        "{what} is not shown: object {} is not in the store.",
-        digest.short()
-    )
+/// Tells whether a node is of the stage that writes this document, and has it.
+pub(super) fn has_document<D: Document>(node: &NodeView) -> bool {
+    node.stage == D::STAGE && node.outputs.contains_key(D::OUTPUT)
 }
 
 fn stopped_as(node: &NodeView) -> String {

@@ -6,8 +6,8 @@ use marf_cache::manifest::{Leaf, Root, Row};
 use marf_scene::PhotoFacts;
 use marf_stage::{PHOTOS, VERDICTS, Verdict};
 
-use super::page::{Missing, not_stored, read, unreadable};
-use super::{NodeView, ReportInput};
+use super::input::{NodeView, ReportInput};
+use super::read::{Missing, not_stored, read, unreadable};
 
 /// A photo as the manifests know it.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,21 +1,22 @@
-//! Renders beside the photos they were never shown, and films.
+//! Renders of held-out photos beside these photos, and films.
 
 use std::collections::BTreeSet;
 
 use marf_cache::Digest;
 use marf_scene::{Image, Srgb};
+use marf_schema::scores::{PhotoScores, Scores};
+use marf_schema::{evaluate, output, train};
 use maud::{Markup, html};
-use serde_json::Value;
 
-use super::NodeView;
 use super::embed::{Form, decode, words};
 use super::format::count;
-use super::page::Page;
-use super::quality::{figure, view};
+use super::input::NodeView;
+use super::page::{Page, has_document};
+use super::quality::of_photo;
+use super::read::Missing;
 
-const HELD_OUT: &str = "heldout/";
 /// Where nodes keep the single pictures of a film.
-const FRAMES: [&str; 2] = ["frames/", "flythrough/"];
+const FRAMES: [&str; 2] = [output::FRAMES, output::FLYTHROUGH];
 /// Most views of one node.
 const MOST_VIEWS: usize = 12;
 /// Most single frames in place of a film.
@@ -27,8 +28,8 @@ const ERROR_GAIN: u8 = 4;
 pub(super) fn held_out(page: &Page<'_>) -> Markup {
     let mut shown: BTreeSet<Vec<Digest>> = BTreeSet::new();
     let parts: Vec<Markup> = page
-        .with_outputs_under(HELD_OUT)
-        .map(|node| match shown.insert(digests(node, HELD_OUT)) {
+        .with_outputs_under(output::HELDOUT)
+        .map(|node| match shown.insert(digests(node, output::HELDOUT)) {
             true => views(page, node),
             false => html! { h3 { (node.name) } p { "The same renders as above." } },
         })
@@ -48,24 +49,31 @@ fn digests(node: &NodeView, prefix: &str) -> Vec<Digest> {
 }
 
 fn views(page: &Page<'_>, node: &NodeView) -> Markup {
-    let metrics = page.json::<Value>(node, "metrics").unwrap_or_default();
+    let scores = scores(page, node);
+    let views = scores.as_ref().map_or(&[][..], |scores| &scores.views);
+    let view = |name: &str| views.iter().find(|view| view.name == name);
     let mut names: Vec<&str> = node
         .outputs
         .keys()
-        .filter_map(|name| picture_name(name, HELD_OUT))
+        .filter_map(|name| picture_name(name, output::HELDOUT))
         .collect();
     // Ties, and views without a figure, keep the order of their names.
-    let psnr = |name: &str| view(&metrics, name).and_then(|view| view.get("psnr")?.as_f64());
-    names.sort_by(|a, b| {
-        psnr(a)
-            .unwrap_or(f64::MAX)
-            .total_cmp(&psnr(b).unwrap_or(f64::MAX))
-    });
+    let psnr = |name: &str| view(name).map_or(f64::MAX, |view| view.psnr);
+    names.sort_by(|a, b| psnr(a).total_cmp(&psnr(b)));
     html! {
         h3 { (node.name) ": " (count(names.len(), "view")) }
-        @for name in names.iter().take(MOST_VIEWS) { (triple(page, node, name, view(&metrics, name))) }
+        @if let Err(missing) = &scores { (missing) }
+        @for name in names.iter().take(MOST_VIEWS) { (triple(page, node, name, view(name))) }
         @if names.len() > MOST_VIEWS { p.quiet { (count(names.len() - MOST_VIEWS, "better view")) " not shown." } }
     }
+}
+
+/// Reads the scores of a training or an evaluation.
+fn scores(page: &Page<'_>, node: &NodeView) -> Result<Scores, Missing> {
+    if has_document::<evaluate::Metrics>(node) {
+        return Ok(page.document::<evaluate::Metrics>(node)?.scores);
+    }
+    Ok(page.document::<train::Metrics>(node)?.scores)
 }
 
 fn picture_name<'n>(output: &'n str, prefix: &str) -> Option<&'n str> {
@@ -73,9 +81,9 @@ fn picture_name<'n>(output: &'n str, prefix: &str) -> Option<&'n str> {
 }
 
 /// Render, photo and error in a row, with the figures of the view.
-fn triple(page: &Page<'_>, node: &NodeView, name: &str, metrics: Option<&Value>) -> Markup {
-    let render = node.outputs.get(&format!("{HELD_OUT}{name}.png"));
-    let photo = node.outputs.get(&format!("photo/{name}.png"));
+fn triple(page: &Page<'_>, node: &NodeView, name: &str, scores: Option<&PhotoScores>) -> Markup {
+    let render = node.outputs.get(&format!("{}{name}.png", output::HELDOUT));
+    let photo = node.outputs.get(&format!("{}{name}.png", output::PHOTO));
     let stored = |digest: Option<&Digest>, what: &str| match digest {
         Some(digest) => page
             .pictures
@@ -84,7 +92,7 @@ fn triple(page: &Page<'_>, node: &NodeView, name: &str, metrics: Option<&Value>)
     };
     html! {
         div.view {
-            h4 { span.file { (name) } @for text in view_figures(metrics) { span.quiet { (text) } } }
+            h4 { span.file { (name) } @for text in view_figures(scores) { span.quiet { (text) } } }
             div.row {
                 figure { (stored(render, "render")) figcaption { "render" } }
                 figure { (stored(photo, "photo")) figcaption { "photo" } }
@@ -94,19 +102,12 @@ fn triple(page: &Page<'_>, node: &NodeView, name: &str, metrics: Option<&Value>)
     }
 }
 
-fn view_figures(metrics: Option<&Value>) -> Vec<String> {
-    let Some(metrics) = metrics else {
+fn view_figures(scores: Option<&PhotoScores>) -> Vec<String> {
+    let Some(scores) = scores else {
         return vec!["no figures recorded".to_owned()];
     };
-    let named = [
-        ("psnr", "PSNR", "dB"),
-        ("psnr_paper", "PSNR by peak of the picture", "dB"),
-        ("ssim", "SSIM", ""),
-    ];
-    let found = named
-        .iter()
-        .filter_map(|(key, name, unit)| Some(format!("{name} {}", figure(metrics, key, unit)?)));
-    found.collect()
+    let named = of_photo(scores).into_iter();
+    named.map(|(name, text)| format!("{name} {text}")).collect()
 }
 
 fn error_picture(page: &Page<'_>, render: Option<&Digest>, photo: Option<&Digest>, name: &str) -> Markup {
@@ -146,7 +147,8 @@ fn difference(a: &Image<Srgb>, b: &Image<Srgb>) -> Result<Image<Srgb>, String> {
 /// Films; single frames where a node has no film, or none that can be shown.
 pub(super) fn flights(page: &Page<'_>) -> Markup {
     let flies = |node: &&NodeView| {
-        node.outputs.contains_key("video") || node.outputs.keys().any(|name| name.starts_with(FRAMES[0]))
+        node.outputs.contains_key(output::VIDEO)
+            || node.outputs.keys().any(|name| name.starts_with(output::FRAMES))
     };
     let nodes: Vec<&NodeView> = page.input.nodes.iter().filter(flies).collect();
     if nodes.is_empty() {
@@ -159,9 +161,9 @@ fn flight(page: &Page<'_>, node: &NodeView) -> Markup {
     let alt = format!("fly-through by {}", node.name);
     let film = node
         .outputs
-        .get("video")
+        .get(output::VIDEO)
         .map(|digest| page.pictures.film(page.input, digest, &alt));
-    let doubt = node.outputs.keys().any(|name| name.starts_with("maps/"));
+    let doubt = node.outputs.keys().any(|name| name.starts_with(output::MAPS));
     html! {
         h3 { (node.name) @if doubt { ": mean on the left, uncertainty on the right" } }
         @match film {

@@ -1,101 +1,81 @@
 //! Figures of merit with their units.
 
+use marf_schema::scores::{PhotoScores, Scores};
+use marf_schema::{bootstrap, calibrate, evaluate, train};
 use maud::{Markup, html};
-use serde_json::Value;
 
-use super::format;
+use super::format::{decibels, number, similarity};
 
-/// Known figures: key, name, unit.
-const KNOWN: [(&str, &str, &str); 10] = [
-    ("psnr", "PSNR", "dB"),
-    ("psnr_paper", "PSNR, peak of the picture", "dB"),
-    ("ssim", "SSIM", ""),
-    ("steps", "steps", ""),
-    ("train_photos", "photos trained on", ""),
-    ("held_out_photos", "photos held out", ""),
-    ("scale", "photos reduced by", ""),
-    ("b", "members", ""),
-    ("registered", "photos placed", ""),
-    ("error_px", "reprojection error", "px"),
-];
+/// A figure: its name, its value with the unit.
+pub(super) type Figure = (&'static str, String);
 
-/// The figures people look for first, large.
-pub(super) fn figures(metrics: &Value) -> Markup {
-    let found = KNOWN
-        .iter()
-        .filter_map(|(key, name, unit)| Some((name, figure(metrics, key, unit)?)));
+/// Shows figures, large.
+pub(super) fn figures(figures: &[Figure]) -> Markup {
     html! {
-        dl.figures { @for (name, text) in found { div { dt { (name) } dd { (text) } } } }
+        dl.figures { @for (name, text) in figures { div { dt { (name) } dd { (text) } } } }
     }
 }
 
-/// A figure with its unit, where it is recorded as a number.
-pub(super) fn figure(metrics: &Value, key: &str, unit: &str) -> Option<String> {
-    let value = metrics.get(key)?.as_f64()?;
-    let text = format::figure(key, value);
-    Some(if unit.is_empty() {
-        text
-    } else {
-        format!("{text} {unit}")
-    })
+/// Returns the figures of a training.
+pub(super) fn of_training(metrics: &train::Metrics) -> Vec<Figure> {
+    let counts = [
+        ("steps", number(metrics.steps as f64)),
+        ("photos trained on", number(metrics.train_photos as f64)),
+        ("photos held out", number(metrics.held_out_photos as f64)),
+        ("photos reduced by", number(f64::from(metrics.scale))),
+    ];
+    means(&metrics.scores).into_iter().chain(counts).collect()
 }
 
-/// The metrics less their views, which stand beside the pictures.
-pub(super) fn without_views(metrics: &Value) -> Value {
-    let mut metrics = metrics.clone();
-    if let Some(fields) = metrics.as_object_mut() {
-        fields.remove("views");
-    }
-    metrics
+/// Returns the figures of an evaluation.
+pub(super) fn of_evaluation(metrics: &evaluate::Metrics) -> Vec<Figure> {
+    let scale = ("photos reduced by", number(f64::from(metrics.scale)));
+    means(&metrics.scores).into_iter().chain([scale]).collect()
 }
 
-/// The record of one view by the name of its picture; names may be with or without ending.
-pub(super) fn view<'m>(metrics: &'m Value, picture: &str) -> Option<&'m Value> {
-    let views = metrics.get("views")?.as_array()?;
-    let named = |view: &&Value, same: fn(&str, &str) -> bool| {
-        let names = ["name", "id", "file"]
-            .iter()
-            .filter_map(|key| view.get(key)?.as_str());
-        names.into_iter().any(|name| same(name, picture))
-    };
-    let exact = views
-        .iter()
-        .find(|view| named(view, |name, picture| name == picture));
-    exact.or_else(|| {
-        views
-            .iter()
-            .find(|view| named(view, |name, picture| stem(name) == picture))
-    })
+/// Returns the figures of a bootstrap.
+pub(super) fn of_bootstrap(metrics: &bootstrap::Metrics) -> Vec<Figure> {
+    vec![("members", number(f64::from(metrics.b)))]
 }
 
-fn stem(name: &str) -> &str {
-    let file = name.rsplit('/').next().unwrap_or(name);
-    file.rsplit_once('.').map_or(file, |(stem, _)| stem)
+/// Returns the figures of a calibration.
+pub(super) fn of_calibration(metrics: &calibrate::Metrics) -> Vec<Figure> {
+    let totals = &metrics.totals;
+    let error = totals.error_px.map(|error| format!("{} px", number(error)));
+    let error = error.map(|error| ("reprojection error", error));
+    let placed = ("photos placed", number(totals.registered as f64));
+    [placed].into_iter().chain(error).collect()
+}
+
+/// Returns the figures of one photo.
+pub(super) fn of_photo(scores: &PhotoScores) -> Vec<Figure> {
+    let paper = "PSNR by peak of the picture";
+    of_scores(scores.psnr, scores.psnr_paper, scores.ssim, paper)
+}
+
+fn means(scores: &Scores) -> Vec<Figure> {
+    let paper = "PSNR, peak of the picture";
+    of_scores(scores.psnr, scores.psnr_paper, scores.ssim, paper)
+}
+
+fn of_scores(psnr: f64, psnr_paper: Option<f64>, ssim: Option<f64>, paper: &'static str) -> Vec<Figure> {
+    let in_db = |value: f64| format!("{} dB", decibels(value));
+    let all = [
+        Some(("PSNR", in_db(psnr))),
+        psnr_paper.map(|value| (paper, in_db(value))),
+        ssim.map(|value| ("SSIM", similarity(value))),
+    ];
+    all.into_iter().flatten().collect()
 }
 
 #[cfg(test)]
 mod tests {
-    use serde_json::json;
-
     use super::*;
 
     #[test]
-    fn a_view_is_found_by_name_before_stem() {
-        let metrics = json!({"views": [
-            {"id": "x/a.png", "psnr": 1.0},
-            {"id": "9", "file": "b.jpg", "name": "a", "psnr": 2.0},
-        ]});
-        assert_eq!(view(&metrics, "a").unwrap()["psnr"], 2.0);
-        assert_eq!(view(&metrics, "b").unwrap()["psnr"], 2.0);
-        assert_eq!(view(&metrics, "c"), None);
-        assert_eq!(view(&json!({"views": 3}), "a"), None);
-    }
-
-    #[test]
-    fn figures_carry_their_unit_and_skip_what_is_no_number() {
-        let metrics = json!({"psnr": 27.318, "ssim": 0.9, "scale": "none"});
-        assert_eq!(figure(&metrics, "psnr", "dB").as_deref(), Some("27.32 dB"));
-        assert_eq!(figure(&metrics, "ssim", "").as_deref(), Some("0.900"));
-        assert_eq!(figure(&metrics, "scale", ""), None);
+    fn figures_carry_their_unit_and_skip_what_was_not_measured() {
+        let found = of_scores(27.318, None, Some(0.9), "paper");
+        let expected = [("PSNR", "27.32 dB".to_owned()), ("SSIM", "0.900".to_owned())];
+        assert_eq!(found, expected);
     }
 }

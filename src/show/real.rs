@@ -2,12 +2,18 @@
 
 use std::path::PathBuf;
 
+use std::collections::BTreeMap;
+
+use marf_cache::Digest;
 use marf_cache::manifest::Row;
+use marf_field::Overrides;
 use marf_scene::{Camera, Frame, Photo, PhotoFacts, Point, Pose, Scene, Unplaced, encode_png};
-use marf_stage::Verdict;
+use marf_schema::scores::{PhotoScores, Scores};
+use marf_schema::{output, train, tune};
+use marf_stage::{PHOTOS, VERDICTS, Verdict};
 use serde_json::{Value, json};
 
-use super::fixture::{Store, giving, node, verdict};
+use super::fixture::{Store, calibration, giving, node, spread, training, trial, verdict};
 use super::*;
 
 fn shared_data() -> PathBuf {
@@ -71,8 +77,8 @@ fn filter(store: &mut Store, name: &str, upstream: &str, rows: &mut Vec<Row>, nt
     giving(
         node,
         [
-            ("photos", store.put_photos(rows.clone())),
-            ("verdicts", store.put_verdicts(&verdicts)),
+            (PHOTOS, store.put_photos(rows.clone())),
+            (VERDICTS, store.put_verdicts(&verdicts)),
         ],
     )
 }
@@ -142,15 +148,22 @@ fn scene() -> Scene {
     }
 }
 
-fn figures(index: usize, id: &str) -> Value {
-    json!({"id": id, "name": id.trim_end_matches(".jpg"), "psnr": 24.0 + index as f64 * 0.37, "psnr_paper": 23.1 + index as f64 * 0.3, "ssim": 0.78})
+fn scores(index: usize, id: &str) -> PhotoScores {
+    PhotoScores {
+        id: id.to_owned(),
+        file: id.to_owned(),
+        name: id.trim_end_matches(".jpg").to_owned(),
+        psnr: 24.0 + index as f64 * 0.37,
+        psnr_paper: Some(23.1 + index as f64 * 0.3),
+        ssim: Some(0.78),
+    }
 }
 
 /// Photos beside a coarse copy of themselves, as a field of few steps would render them.
 fn train(store: &mut Store, rows: &[Row], scene: Digest) -> NodeView {
-    let mut train = giving(node("train", &["calibrate", "tune"]), [("scene", scene)]);
-    train.upstream[1].0 = "params".to_owned();
-    train.seconds = Some(61.3);
+    let mut node = giving(node("train", &["calibrate", "tune"]), [(output::SCENE, scene)]);
+    node.upstream[1].0 = "params".to_owned();
+    node.seconds = Some(61.3);
     for row in rows.iter().take(6) {
         let photo = Photo::decode(&store.blobs[&row.blobs["image"]])
             .unwrap()
@@ -159,34 +172,38 @@ fn train(store: &mut Store, rows: &[Row], scene: Digest) -> NodeView {
         let coarse =
             marf_scene::Image::from_fn(photo.width, photo.height, |x, y| photo.at(x / 5 * 5, y / 5 * 5));
         let stem = row.id.trim_end_matches(".jpg");
-        train.outputs.insert(
-            format!("photo/{stem}.png"),
+        node.outputs.insert(
+            format!("{}{stem}.png", output::PHOTO),
             store.put(&encode_png(&photo).unwrap()),
         );
-        train.outputs.insert(
-            format!("heldout/{stem}.png"),
+        node.outputs.insert(
+            format!("{}{stem}.png", output::HELDOUT),
             store.put(&encode_png(&coarse).unwrap()),
         );
     }
-    let views: Vec<Value> = rows
-        .iter()
-        .take(6)
-        .enumerate()
-        .map(|(index, row)| figures(index, &row.id))
-        .collect();
-    let metrics = json!({"psnr": 25.1, "psnr_paper": 24.2, "ssim": 0.78, "steps": 2000, "rays": 2048000, "samples": 51234567, "loss": 0.0031,
-        "scale": 4, "seed": 7, "holdout": "test", "train_photos": 70, "held_out_photos": 10, "config": {"levels": 8, "table_log2": 17}, "views": views});
-    let curve: Vec<Value> = [125, 250, 500, 750, 1000, 1250, 1500, 1750, 2000].iter().map(|step| {
-        let grown = f64::from(*step).ln();
-        json!({"step": step, "rays": step * 1024, "samples": step * 25000, "loss": 1.0 / grown.powi(3), "psnr": 8.0 + 2.2 * grown})
-    }).collect();
-    giving(
-        train,
-        [
-            ("metrics", store.put_json(&metrics)),
-            ("curve", store.put_json(&json!(curve))),
-        ],
-    )
+    let views = rows.iter().take(6).enumerate();
+    let metrics = training(Scores {
+        psnr: 25.1,
+        psnr_paper: Some(24.2),
+        ssim: Some(0.78),
+        views: views.map(|(index, row)| scores(index, &row.id)).collect(),
+    });
+    let point = |step: u64| {
+        let grown = (step as f64).ln();
+        train::CurvePoint {
+            step,
+            rays: step * 1024,
+            samples: step * 25_000,
+            loss: 1.0 / grown.powi(3),
+            psnr: 8.0 + 2.2 * grown,
+        }
+    };
+    let curve = [125, 250, 500, 750, 1000, 1250, 1500, 1750, 2000].map(point);
+    let outputs = [
+        store.document(&metrics),
+        store.document(&train::Curve(curve.to_vec())),
+    ];
+    giving(node, outputs)
 }
 
 fn bootstrap(store: &mut Store, train: &NodeView) -> NodeView {
@@ -198,13 +215,15 @@ fn bootstrap(store: &mut Store, train: &NodeView) -> NodeView {
             seconds: Some(58.0),
         })
         .collect();
+    let mut names = Vec::new();
     for (name, digest) in &train.outputs {
         let Some(stem) = name
-            .strip_prefix("photo/")
+            .strip_prefix(output::PHOTO)
             .and_then(|name| name.strip_suffix(".png"))
         else {
             continue;
         };
+        names.push(stem.to_owned());
         let photo = Photo::decode(&store.blobs[digest]).unwrap().image;
         for (index, kind) in ["photo", "mean", "error", "std", "opacity", "total", "depth-std"]
             .into_iter()
@@ -214,15 +233,13 @@ fn bootstrap(store: &mut Store, train: &NodeView) -> NodeView {
                 photo.at(x, y).map(|value| value / (1 + index as u8))
             });
             maps.outputs.insert(
-                format!("maps/{stem}-{kind}.png"),
+                format!("{}{stem}-{kind}.png", output::MAPS),
                 store.put(&encode_png(&picture).unwrap()),
             );
         }
     }
-    let metrics = json!({"b": 5, "mode": "seeds", "std": 0.0213, "total_sd": 0.031, "opacity_term": 0.004, "unseen_share": 0.012,
-        "heldout": {"psnr": 25.8, "psnr_members_mean": 25.0, "ause_mae": 0.29, "ause_mae_random": 0.65, "spearman": 0.51, "coverage": {"sd1": 0.55, "sd2": 0.81, "sd3": 0.9}, "calibration": null},
-        "members": [{"seed": 0, "psnr": 25.0, "ssim": 0.77}, {"seed": 1, "psnr": 25.1, "ssim": 0.78}]});
-    giving(maps, [("metrics", store.put_json(&metrics))])
+    let metrics = store.document(&spread(names));
+    giving(maps, [metrics])
 }
 
 fn tune(store: &mut Store) -> NodeView {
@@ -234,17 +251,30 @@ fn tune(store: &mut Store) -> NodeView {
             seconds: Some(21.0),
         })
         .collect();
-    let trials: Vec<Value> = (0..6_u32).map(|index| json!({"trial": format!("trial-{index:02}"), "rank": 1 + (index + 3) % 6, "psnr": 24.0 - f64::from((index + 3) % 6) * 0.2, "psnr_paper": 23.0, "ssim": 0.7,
-        "params": {"learning_rate": 0.01 / f64::from(index + 1), "levels": 8 + index % 2 * 8}})).collect();
-    let scatter = json!({"psnr": [23.4, 23.6], "difference_db": 0.2, "best_minus_default_db": 0.6});
-    giving(
-        tune,
-        [
-            ("trials", store.put_json(&json!(trials))),
-            ("scatter", store.put_json(&scatter)),
-            ("params", store.put_json(&json!({"field": {"levels": 8}}))),
-        ],
-    )
+    let trials = (0..6_u32).map(|index| {
+        let place = (index + 3) % 6;
+        let rate = ("learning_rate".to_owned(), (0.01 / f64::from(index + 1)).into());
+        let levels = ("levels".to_owned(), (8 + index % 2 * 8).into());
+        tune::Trial {
+            params: Overrides([rate, levels].into()),
+            ..trial(index, 1 + place, 24.0 - f64::from(place) * 0.2)
+        }
+    });
+    let trials = tune::Trials(trials.collect());
+    let scatter = tune::Scatter {
+        psnr: [23.4, 23.6],
+        difference_db: 0.2,
+        best_minus_default_db: 0.6,
+    };
+    let best = tune::BestParams {
+        field: trials.0[3].params.clone(),
+    };
+    let outputs = [
+        store.document(&trials),
+        store.document(&scatter),
+        store.document(&best),
+    ];
+    giving(tune, outputs)
 }
 
 fn film(store: &mut Store, rows: &[Row]) -> Digest {
@@ -275,8 +305,8 @@ fn run_of_the_rover() -> (Store, Vec<NodeView>) {
         ..verdict("<img src=x onerror=alert(1)>.jpg", "decode")
     });
     let outputs = [
-        ("photos", store.put_photos(rows.clone())),
-        ("verdicts", store.put_verdicts(&seen)),
+        (PHOTOS, store.put_photos(rows.clone())),
+        (VERDICTS, store.put_verdicts(&seen)),
     ];
     let mut nodes = vec![giving(node("photos", &[]), outputs)];
     nodes[0].stage = "extract".to_owned();
@@ -293,16 +323,16 @@ fn run_of_the_rover() -> (Store, Vec<NodeView>) {
         upstream = name;
     }
     let scene = store.put(&scene().encode().unwrap());
-    let placed = json!({"registered": 92, "error_px": 0.71, "photos": [{"id": "frame_00002.jpg", "registered": true, "matches": 812, "inliers": 640, "error_px": 0.7}]});
+    let placed = store.document(&calibration("import of transforms.json", 92, 0.71));
     nodes.push(giving(
         node("calibrate", &["blur"]),
-        [("scene", scene), ("metrics", store.put_json(&placed))],
+        [(output::SCENE, scene), placed],
     ));
     nodes.push(tune(&mut store));
     nodes.push(train(&mut store, &rows, scene));
     nodes.push(bootstrap(&mut store, &nodes[9].clone()));
     let film = film(&mut store, &rows);
-    nodes.push(giving(node("flight", &["train"]), [("video", film)]));
+    nodes.push(giving(node("flight", &["train"]), [(output::VIDEO, film)]));
     let mut failed = node("evaluate", &["train"]);
     (failed.state, failed.reason) = (
         State::Failed,

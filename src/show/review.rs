@@ -6,9 +6,9 @@ use marf_stage::{VERDICTS, Verdict};
 use maud::{Markup, html};
 
 use super::format::{count, number};
-use super::gallery::{name_of, thumb};
 use super::page::Page;
 use super::photos::verdicts;
+use super::thumbs::{name_of, thumb};
 
 /// Thresholds that are tried, as multiples of those in force.
 pub const FACTORS: [f64; 6] = [0.8, 0.9, 0.95, 1.05, 1.1, 1.2];

@@ -1,5 +1,7 @@
 use super::fixture::{HOSTILE, full, giving, node, verdict};
 use super::*;
+use marf_cache::Digest;
+use marf_stage::{PHOTOS, VERDICTS};
 
 const VOID: [&str; 4] = ["meta", "img", "br", "hr"];
 const TITLES: [&str; 12] = [
@@ -211,8 +213,8 @@ fn a_long_list_of_rejected_photos_is_cut_and_counted() {
     let rows = names.iter().map(|id| fixture::row(&mut store, id, 9)).collect();
     let verdicts: Vec<_> = names.iter().map(|id| verdict(id, "blur")).collect();
     let outputs = [
-        ("photos", store.put_photos(rows)),
-        ("verdicts", store.put_verdicts(&verdicts)),
+        (PHOTOS, store.put_photos(rows)),
+        (VERDICTS, store.put_verdicts(&verdicts)),
     ];
     let html = store.report(&[giving(node("blur", &[]), outputs)]);
     assert!(html.contains("blur: 75 photos of 75"), "{html}");

@@ -1,18 +1,20 @@
-//! Trials of the parameters: the best marked, and whether it is better than luck.
+//! Trials of the parameters: the best marked, and its gain beside what another seed alone changes.
 
+use marf_schema::tune::{BestParams, Scatter, Trial, Trials};
 use maud::{Markup, html};
 use serde_json::Value;
 
-use super::NodeView;
+use super::format::{decibels, similarity};
+use super::input::NodeView;
 use super::json;
 use super::page::Page;
 
-/// Columns that stand before the parameters.
-const FIRST: [&str; 5] = ["trial", "rank", "psnr", "psnr_paper", "ssim"];
+/// Columns before the parameters, in the order of [`scores`].
+const SCORES: [&str; 5] = ["trial", "rank", "psnr", "psnr_paper", "ssim"];
 
 /// The table of trials of every node that has one.
 pub(super) fn body(page: &Page<'_>) -> Markup {
-    let nodes: Vec<&NodeView> = page.with_output("trials").collect();
+    let nodes: Vec<&NodeView> = page.with_document::<Trials>().collect();
     if nodes.is_empty() {
         return page.absent("trials of parameters");
     }
@@ -20,43 +22,47 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
 }
 
 fn of_node(page: &Page<'_>, node: &NodeView) -> Markup {
-    let found = match page.json::<Value>(node, "trials") {
-        Ok(found) => found,
+    let trials = match page.document(node) {
+        Ok(Trials(trials)) => trials,
         Err(missing) => return html! { (missing) },
     };
-    let listed = found.get("trials").unwrap_or(&found);
-    let Some(trials) = listed.as_array() else {
-        return html! { p.missing { "trials of " (node.name) " is not a list and is not shown." } };
-    };
     html! {
-        (luck(page, node, trials))
-        (table(trials))
-        @if node.outputs.contains_key("params") { (chosen(page, node)) }
+        @match page.document::<Scatter>(node) {
+            Ok(scatter) => p { (gain(&scatter, &trials)) },
+            Err(missing) => (missing),
+        }
+        (table(&trials))
+        @match page.document::<BestParams>(node) {
+            Ok(params) => details { summary { "chosen parameters" } (json::fields(&params)) },
+            Err(missing) => (missing),
+        }
     }
 }
 
 /// Best first; the order of equal trials is that of the file.
-fn table(trials: &[Value]) -> Markup {
-    let mut sorted: Vec<&Value> = trials.iter().collect();
-    sorted.sort_by(|a, b| psnr(b).total_cmp(&psnr(a)));
-    let mut columns = json::columns(trials);
-    columns.sort_by_key(|column| {
-        FIRST
-            .iter()
-            .position(|first| first == column)
-            .unwrap_or(FIRST.len())
-    });
-    let best = best(trials);
+fn table(trials: &[Trial]) -> Markup {
+    let mut sorted: Vec<(&Trial, Value)> = trials
+        .iter()
+        .map(|trial| (trial, json::value(&trial.params)))
+        .collect();
+    let params: Vec<Value> = sorted.iter().map(|(_, params)| params.clone()).collect();
+    sorted.sort_by(|(a, _), (b, _)| b.psnr.total_cmp(&a.psnr));
+    let columns = json::columns(&params);
     html! {
         div.scroll {
             table {
-                thead { tr { th {} @for column in &columns { (json::head(trials, column, column.trim_start_matches("params."))) } } }
+                thead { tr {
+                    th {}
+                    @for name in SCORES { th.number { (name) } }
+                    @for column in &columns { (json::head(&params, column, column)) }
+                } }
                 tbody {
-                    @for trial in sorted {
-                        @let chosen = best.is_some_and(|best| std::ptr::eq(best, trial));
-                        tr.best[chosen] {
-                            td { @if chosen { strong { "chosen" } } }
-                            @for column in &columns { (json::cell(trial, column)) }
+                    @for (trial, params) in sorted {
+                        @let best = trial.rank == 1;
+                        tr.best[best] {
+                            td { @if best { strong { "chosen" } } }
+                            @for score in scores(trial) { td.number { (score) } }
+                            @for column in &columns { (json::cell(&params, column)) }
                         }
                     }
                 }
@@ -65,89 +71,55 @@ fn table(trials: &[Value]) -> Markup {
     }
 }
 
-fn psnr(trial: &Value) -> f64 {
-    trial
-        .get("psnr")
-        .and_then(Value::as_f64)
-        .unwrap_or(f64::NEG_INFINITY)
+fn scores(trial: &Trial) -> [String; 5] {
+    let known = |value: Option<f64>, text: fn(f64) -> String| value.map_or_else(|| "–".to_owned(), text);
+    [
+        trial.trial.to_string(),
+        trial.rank.to_string(),
+        decibels(trial.psnr),
+        known(trial.psnr_paper, decibels),
+        known(trial.ssim, similarity),
+    ]
 }
 
-/// The trial of the lowest rank; without ranks the one of the highest PSNR.
-fn best(trials: &[Value]) -> Option<&Value> {
-    let ranked = trials
-        .iter()
-        .filter_map(|trial| Some((trial.get("rank")?.as_f64()?, trial)));
-    let first = ranked.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, trial)| trial);
-    first.or_else(|| trials.iter().max_by(|a, b| psnr(a).total_cmp(&psnr(b))))
-}
-
-/// Holds what was won against what another seed alone changes.
-fn luck(page: &Page<'_>, node: &NodeView, trials: &[Value]) -> Markup {
-    if !node.outputs.contains_key("scatter") {
-        return html! { p.quiet { "No trial was repeated with another seed: the scatter is not known." } };
-    }
-    let scatter = match page.json::<Value>(node, "scatter") {
-        Ok(scatter) => scatter,
-        Err(missing) => return html! { (missing) },
-    };
-    html! {
-        @match sentence(&scatter, trials) {
-            Some(sentence) => p { (sentence) },
-            None => (json::tables(&scatter)),
-        }
-    }
-}
-
-fn sentence(scatter: &Value, trials: &[Value]) -> Option<String> {
-    let luck = scatter.get("difference_db")?.as_f64()?.abs();
-    let won = scatter.get("best_minus_default_db")?.as_f64()?;
-    let mut values: Vec<f64> = trials
-        .iter()
-        .map(psnr)
-        .filter(|value| value.is_finite())
-        .collect();
+/// Says what the best trial gained, and whether that is more than another seed alone changes.
+fn gain(scatter: &Scatter, trials: &[Trial]) -> String {
+    let (noise, gain) = (scatter.difference_db.abs(), scatter.best_minus_default_db);
+    let mut values: Vec<f64> = trials.iter().map(|trial| trial.psnr).collect();
     values.sort_by(|a, b| b.total_cmp(a));
     let lead = match values[..] {
         [first, second, ..] => format!(" The first leads the second by {:.2} dB.", first - second),
         _ => String::new(),
     };
-    let judged = if won > luck { "more" } else { "not more" };
-    Some(format!(
-        "Chosen over the defaults: {won:+.2} dB. Another seed alone changes PSNR by {luck:.2} dB: the gain is {judged} than that.{lead}"
-    ))
-}
-
-fn chosen(page: &Page<'_>, node: &NodeView) -> Markup {
-    match page.json::<Value>(node, "params") {
-        Ok(params) => html! { details { summary { "chosen parameters" } (json::tables(&params)) } },
-        Err(missing) => html! { (missing) },
-    }
+    let judged = if gain > noise { "more" } else { "not more" };
+    format!(
+        "Chosen over the defaults: {gain:+.2} dB. Another seed alone changes PSNR by {noise:.2} dB: the gain is {judged} than that.{lead}"
+    )
 }
 
 #[cfg(test)]
 mod tests {
-    use serde_json::json;
-
     use super::*;
+    use crate::show::fixture::trial;
 
     #[test]
-    fn the_best_trial_is_the_first_rank_or_the_highest_psnr() {
-        let ranked = [json!({"rank": 2, "psnr": 30.0}), json!({"rank": 1, "psnr": 20.0})];
-        assert_eq!(best(&ranked), Some(&ranked[1]));
-        let plain = [json!({"psnr": 30.0}), json!({"psnr": 20.0}), json!({})];
-        assert_eq!(best(&plain), Some(&plain[0]));
-        assert_eq!(best(&[]), None);
+    fn the_first_rank_is_marked_and_the_highest_psnr_stands_first() {
+        let shown = table(&[trial(0, 2, 30.0), trial(1, 1, 20.0)]).into_string();
+        let place = |text: &str| shown.find(text).unwrap_or_else(|| panic!("{text}: {shown}"));
+        assert!(place("30.00") < place("chosen") && place("chosen") < place("20.00"));
+        assert_eq!(shown.matches("chosen").count(), 1);
     }
 
     #[test]
     fn a_gain_below_the_scatter_is_called_so() {
-        let trials = [json!({"psnr": 21.0}), json!({"psnr": 20.5})];
-        let said = |won: f64| {
-            sentence(
-                &json!({"difference_db": -0.4, "best_minus_default_db": won}),
-                &trials,
-            )
-            .unwrap()
+        let trials = [trial(0, 1, 21.0), trial(1, 2, 20.5)];
+        let said = |best_minus_default_db: f64| {
+            let scatter = Scatter {
+                psnr: [21.0, 20.6],
+                difference_db: 0.4,
+                best_minus_default_db,
+            };
+            gain(&scatter, &trials)
         };
         assert!(
             said(0.3).contains("not more than that. The first leads the second by 0.50 dB"),

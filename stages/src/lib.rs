@@ -1,7 +1,8 @@
-//! The table of stages: everything a pipeline can be made of, and nothing else.
+//! The tables of stages and of kinds of archives: everything a pipeline can be made of, and nothing else.
 
 use std::sync::LazyLock;
 
+pub use marf_extract::ArchiveDef;
 use marf_stage::{StageDef, define};
 
 /// Every stage, in the order in which a pipeline usually has them.
@@ -23,4 +24,9 @@ static STAGES: LazyLock<Vec<StageDef>> = LazyLock::new(|| {
 /// Returns the table of stages.
 pub fn stages() -> &'static [StageDef] {
     &STAGES
+}
+
+/// Returns the table of kinds of archives.
+pub fn archives() -> &'static [ArchiveDef] {
+    marf_extract::ARCHIVES
 }

@@ -6,23 +6,25 @@
 )]
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 /// What a run of the binary left.
 pub struct Ran {
     /// Exit code; -1 if killed.
     pub code: i32,
-    /// Data.
+    /// What it printed to stdout.
     pub stdout: String,
-    /// Talk.
+    /// What it printed to stderr.
     pub stderr: String,
 }
 
-/// Runs `marf ARGS` in a folder.
+/// Runs `marf ARGS` in a folder, without a terminal and at a line width of 100.
 pub fn marf(folder: &Path, args: &[&str]) -> Ran {
     let output = Command::new(env!("CARGO_BIN_EXE_marf"))
         .current_dir(folder)
         .args(args)
+        .stdin(Stdio::null())
+        .env("COLUMNS", "100")
         .output()
         .unwrap();
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();

@@ -2,31 +2,31 @@ use std::{io, path::PathBuf};
 
 use crate::Digest;
 
-/// Why the store did not give or take something.
+/// Why the store could not be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
-    /// Nobody put it, or it was set aside before.
+    /// The blob was never stored, or is in quarantine.
     #[error("blob {digest} is not in the store")]
     Missing {
         /// The blob asked for.
         digest: Digest,
     },
-    /// Its bytes are not the ones it is named by; it has just been set aside.
-    #[error("blob {digest} was damaged; it is set aside as `{}`", path.display())]
+    /// The bytes do not have their digest; the blob has just been quarantined.
+    #[error("blob {digest} was damaged; it is in quarantine as `{}`", path.display())]
     Damaged {
         /// The blob asked for.
         digest: Digest,
-        /// Where the damaged bytes are now.
+        /// The file in quarantine.
         path: PathBuf,
     },
     /// A file of the store could not be read or written (a full disk, a read-only store).
     #[error("cannot {doing} `{}`: {source}", path.display())]
     Io {
-        /// What was tried, as an infinitive (`write`).
+        /// The operation, as an infinitive (`write`).
         doing: &'static str,
         /// The file or folder.
         path: PathBuf,
-        /// The system's answer.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// Another program has held the index for longer than a commit may take.
@@ -34,7 +34,7 @@ pub enum StoreError {
     Locked {
         /// The index file.
         path: PathBuf,
-        /// How long we waited.
+        /// The time waited.
         waited_ms: u64,
     },
     /// The index cannot be used.
@@ -42,7 +42,7 @@ pub enum StoreError {
     Index {
         /// The index file.
         path: PathBuf,
-        /// What the database says.
+        /// The error of the database.
         message: String,
     },
 }
@@ -53,7 +53,7 @@ impl StoreError {
         move |source| Self::Io { doing, path, source }
     }
 
-    /// Returns the blob that is missing or damaged, so that its producer can run again.
+    /// Returns the digest of the blob that is missing or damaged.
     pub fn lost(&self) -> Option<Digest> {
         match self {
             Self::Missing { digest } | Self::Damaged { digest, .. } => Some(*digest),
@@ -61,7 +61,7 @@ impl StoreError {
         }
     }
 
-    /// Returns what to do about it, if we know.
+    /// Returns what the user can do about it, if anything.
     pub fn hint(&self) -> Option<String> {
         match self {
             Self::Io { source, .. } if source.kind() == io::ErrorKind::StorageFull => {

@@ -1,4 +1,4 @@
-//! Files written so that a crash leaves the old or the new, never a half.
+//! File operations after which a crash leaves the old file or the new one, never a part of it.
 
 use std::{
     fs::{self, File, OpenOptions},
@@ -6,16 +6,17 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::StoreError;
+use super::error::StoreError;
 
-/// Most threads that wait for the disk at once: the journal takes their syncs together.
+/// Most threads that sync at once: the file system's journal then combines their syncs.
 const SYNC_THREADS: usize = 8;
 
+/// Creates a folder and its parents.
 pub(super) fn create_dir(path: &Path) -> Result<(), StoreError> {
     fs::create_dir_all(path).map_err(StoreError::io("create folder", path))
 }
 
-/// Writes a new file that nobody may change afterwards.
+/// Writes a new read-only file; on an error nothing is left of it.
 pub(super) fn write_new(path: &Path, chunks: &[&[u8]]) -> Result<(), StoreError> {
     let write = || -> io::Result<()> {
         let mut options = OpenOptions::new();
@@ -26,13 +27,12 @@ pub(super) fn write_new(path: &Path, chunks: &[&[u8]]) -> Result<(), StoreError>
         chunks.iter().try_for_each(|chunk| file.write_all(chunk))
     };
     write().map_err(|error| {
-        // A half-written file is of no use to anybody.
         let _ = fs::remove_file(path);
         StoreError::io("write", path)(error)
     })
 }
 
-/// Brings files (their bytes) or folders (their entries) to the disk.
+/// Flushes files (their bytes) and folders (their entries) to the disk.
 pub(super) fn sync(paths: &[PathBuf]) -> Result<(), StoreError> {
     let share = paths.len().div_ceil(SYNC_THREADS).max(1);
     if paths.len() == 1 {
@@ -60,33 +60,35 @@ fn sync_one(path: &Path) -> Result<(), StoreError> {
     sync().map_err(StoreError::io("sync", path))
 }
 
-/// Gives a finished temporary file its name; what has the name already, stays.
-///
-/// Returns whether the name was free.
+/// Moves a finished temporary file to its final name. A file that has the name already stays, and the temporary
+/// file is removed.
 pub(super) fn publish(from: &Path, to: &Path) -> Result<Published, StoreError> {
-    let outcome = match fs::hard_link(from, to) {
-        Ok(()) => Published::New,
-        Err(_) if to.exists() => Published::Present,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => {
-            return Err(StoreError::io("name", to)(error));
-        }
-        // A file system without hard links.
-        Err(_) => return rename(from, to),
-    };
+    let outcome = link(from, to)?;
     let _ = fs::remove_file(from);
     Ok(outcome)
 }
 
-/// Whether [`publish`] found its name free.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Published {
-    New,
-    Present,
+/// Gives a finished temporary file a second, final name, unless another file has that name.
+///
+/// On a file system without hard links the file is renamed.
+pub(super) fn link(from: &Path, to: &Path) -> Result<Published, StoreError> {
+    match fs::hard_link(from, to) {
+        Ok(()) => Ok(Published::New),
+        Err(_) if to.exists() => Ok(Published::Present),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Err(StoreError::io("name", to)(error)),
+        Err(_) => fs::rename(from, to)
+            .map(|()| Published::New)
+            .map_err(StoreError::io("name", to)),
+    }
 }
 
-fn rename(from: &Path, to: &Path) -> Result<Published, StoreError> {
-    fs::rename(from, to).map_err(StoreError::io("name", to))?;
-    Ok(Published::New)
+/// Whether a final name was free.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Published {
+    /// It was free, and is the file's now.
+    New,
+    /// Another file has it.
+    Present,
 }
 
 /// Returns the names of a folder's entries, sorted; an absent folder has none.

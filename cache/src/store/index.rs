@@ -1,7 +1,7 @@
 //! The index: records and memos in one redb file, shared by several processes.
 //!
-//! redb lets one process write or several read. So the file is opened only for the milliseconds of a lookup or
-//! a commit: readers share a lock, a commit waits for them and they for it, nobody longer than [`PATIENCE`].
+//! redb lets one process write or several read. So the file is open only for the milliseconds of a lookup or a
+//! commit: readers share its lock, a commit takes it alone, and none waits longer than [`LOCK_TIMEOUT`].
 
 use std::{
     collections::BTreeMap,
@@ -15,47 +15,54 @@ use redb::{
     ReadableTableMetadata, TableDefinition,
 };
 
-use super::{Conflict, Record, StoreError};
+use super::{
+    error::StoreError,
+    record::{Conflict, Record},
+};
 use crate::Digest;
 
-/// Longest wait for another process; a commit of 10,000 rows takes 0.3 s.
-const PATIENCE: Duration = Duration::from_secs(15);
-/// Pause between two tries.
-const PAUSE: Duration = Duration::from_millis(2);
+/// Longest wait for the file lock; a commit of 10,000 rows takes 0.3 s.
+const LOCK_TIMEOUT: Duration = Duration::from_secs(15);
+/// Pause between two attempts to open the file.
+const RETRY_INTERVAL: Duration = Duration::from_millis(2);
 /// Memory the database may use while it is open.
 const CACHE_BYTES: usize = 16 << 20;
 
 const RECORDS: TableDefinition<&[u8; 32], &[u8]> = TableDefinition::new("records");
 const MEMOS: TableDefinition<&[u8; 32], &[u8; 32]> = TableDefinition::new("memos");
 
+/// Records and memos by key.
 pub(super) struct Index {
     path: PathBuf,
-    patience: Duration,
-    /// Threads of this process take turns, so that they never wait for each other's file lock.
-    turn: Mutex<()>,
+    lock_timeout: Duration,
+    /// Held while a thread of this process has the file open, so that none waits for another's file lock.
+    file_lock: Mutex<()>,
 }
 
 impl Index {
+    /// Returns the index in the folder of a store; opens nothing.
     pub(super) fn new(root: &Path) -> Self {
         Self {
             path: root.join("index.redb"),
-            patience: PATIENCE,
-            turn: Mutex::default(),
+            lock_timeout: LOCK_TIMEOUT,
+            file_lock: Mutex::default(),
         }
     }
 
     #[cfg(test)]
-    pub(super) fn with_patience(root: &Path, patience: Duration) -> Self {
+    pub(super) fn with_lock_timeout(root: &Path, lock_timeout: Duration) -> Self {
         Self {
-            patience,
+            lock_timeout,
             ..Self::new(root)
         }
     }
 
+    /// Returns the length of the file.
     pub(super) fn bytes(&self) -> u64 {
         std::fs::metadata(&self.path).map_or(0, |meta| meta.len())
     }
 
+    /// Returns the record of a key.
     pub(super) fn record(&self, key: &Digest) -> Result<Option<Record>, StoreError> {
         let found = self.read(|reader| {
             let table = reader.open_table(RECORDS)?;
@@ -65,6 +72,7 @@ impl Index {
         Ok(found.flatten())
     }
 
+    /// Returns the blob stored under a memo key.
     pub(super) fn memo(&self, key: &Digest) -> Result<Option<Digest>, StoreError> {
         let found = self.read(|reader| {
             let table = reader.open_table(MEMOS)?;
@@ -74,6 +82,7 @@ impl Index {
         Ok(found.flatten())
     }
 
+    /// Returns all records, sorted by key.
     pub(super) fn records(&self) -> Result<Vec<Record>, StoreError> {
         let all = self.read(|reader| {
             let table = reader.open_table(RECORDS)?;
@@ -93,23 +102,24 @@ impl Index {
         Ok((records.unwrap_or_default(), memos.unwrap_or_default()))
     }
 
-    /// Writes a group in one transaction and returns the results that came second and differ.
+    /// Writes records and memos in one transaction and returns the conflicts: results that came second for their
+    /// key and differ.
     ///
-    /// `lives` tells whether a record's outputs are all in the store; one that does not live is replaced.
+    /// `has_outputs` tells whether all outputs of a record are in the store; a record without is replaced.
     pub(super) fn commit(
         &self,
         records: &BTreeMap<Digest, Record>,
         memos: &BTreeMap<Digest, Digest>,
-        lives: impl Fn(&Record) -> bool,
+        has_outputs: impl Fn(&Record) -> bool,
     ) -> Result<Vec<Conflict>, StoreError> {
-        let _turn = self.turn.lock();
-        self.make()?;
+        let _guard = self.file_lock.lock();
+        self.create_if_absent()?;
         let database = self.open(|path| builder().create(path))?;
-        write(&database, records, memos, lives).map_err(|error| self.explain(error))
+        write(&database, records, memos, has_outputs).map_err(|error| self.index_error(error))
     }
 
-    /// Makes the file beside its place and links it there whole: a reader, or a kill, never meets half a file.
-    fn make(&self) -> Result<(), StoreError> {
+    /// Creates the file under a temporary name and links it to its own, so that it is never seen half-written.
+    fn create_if_absent(&self) -> Result<(), StoreError> {
         if self.path.exists() {
             return Ok(());
         }
@@ -123,7 +133,7 @@ impl Index {
         drop(
             builder()
                 .create(fresh.path())
-                .map_err(|error| self.explain(error.into()))?,
+                .map_err(|error| self.index_error(error.into()))?,
         );
         match fresh.persist_noclobber(&self.path) {
             Err(error) if error.error.kind() != std::io::ErrorKind::AlreadyExists => Err(failed(error.error)),
@@ -131,11 +141,12 @@ impl Index {
         }
     }
 
+    /// Runs a query; none if the file or the table is absent.
     fn read<T>(
         &self,
-        look: impl FnOnce(&ReadTransaction) -> Result<T, redb::Error>,
+        query: impl FnOnce(&ReadTransaction) -> Result<T, redb::Error>,
     ) -> Result<Option<T>, StoreError> {
-        let _turn = self.turn.lock();
+        let _guard = self.file_lock.lock();
         if !self.path.exists() {
             return Ok(None);
         }
@@ -147,25 +158,26 @@ impl Index {
             None => self.repair()?,
         };
         let answer = opened.begin_read().map_err(Into::into);
-        match answer.and_then(|reader| look(&reader)) {
+        match answer.and_then(|reader| query(&reader)) {
             Ok(answer) => Ok(Some(answer)),
             Err(redb::Error::TableDoesNotExist(_)) => Ok(None),
-            Err(error) => Err(self.explain(error)),
+            Err(error) => Err(self.index_error(error)),
         }
     }
 
-    /// A process was killed inside a commit: opening for writing rolls it back.
+    /// Opens for writing, which rolls back the commit of a process that was killed, then for reading.
     fn repair(&self) -> Result<ReadOnlyDatabase, StoreError> {
         drop(self.open(|path| builder().open(path))?);
         self.open(|path| builder().open_read_only(path))
     }
 
+    /// Opens the file, waiting for other processes up to the timeout.
     fn open<T>(&self, open: impl Fn(&Path) -> Result<T, DatabaseError>) -> Result<T, StoreError> {
         let began = Instant::now();
         loop {
             match open(&self.path) {
-                Err(DatabaseError::DatabaseAlreadyOpen) if began.elapsed() < self.patience => {
-                    std::thread::sleep(PAUSE);
+                Err(DatabaseError::DatabaseAlreadyOpen) if began.elapsed() < self.lock_timeout => {
+                    std::thread::sleep(RETRY_INTERVAL);
                 }
                 Err(DatabaseError::DatabaseAlreadyOpen) => {
                     return Err(StoreError::Locked {
@@ -173,12 +185,12 @@ impl Index {
                         waited_ms: began.elapsed().as_millis() as u64,
                     });
                 }
-                other => return other.map_err(|error| self.explain(error.into())),
+                other => return other.map_err(|error| self.index_error(error.into())),
             }
         }
     }
 
-    fn explain(&self, error: redb::Error) -> StoreError {
+    fn index_error(&self, error: redb::Error) -> StoreError {
         match error {
             redb::Error::Io(source) => StoreError::io("use", &self.path)(source),
             other => StoreError::Index {
@@ -199,7 +211,7 @@ fn write(
     database: &Database,
     records: &BTreeMap<Digest, Record>,
     memos: &BTreeMap<Digest, Digest>,
-    lives: impl Fn(&Record) -> bool,
+    has_outputs: impl Fn(&Record) -> bool,
 ) -> Result<Vec<Conflict>, redb::Error> {
     let writer = database.begin_write()?;
     let mut conflicts = Vec::new();
@@ -208,7 +220,7 @@ fn write(
         for record in records.values() {
             let present = table.get(record.key.as_bytes())?;
             let first = present.and_then(|value| Record::decode(value.value()));
-            match first.filter(&lives) {
+            match first.filter(&has_outputs) {
                 Some(first) if first.outputs != record.outputs => conflicts.push(conflict(first, record)),
                 Some(_) => {}
                 None => {

@@ -1,32 +1,32 @@
-//! The store: blobs by digest, records by key, tables of measures, run roots.
+//! The store: blobs (byte strings by their digest), records (results by key), memos and runs.
 //!
 //! ```text
 //! .marf/cas/xx/<62 hex>      blobs from 64 KiB, one file each
-//! .marf/packs/<id>.pack .idx smaller blobs, many a file, never changed after sealing
-//! .marf/index.redb           records (key -> what came out) and memos (key -> blob, may be replaced)
+//! .marf/packs/<id>.pack .idx smaller blobs, many in one file that never changes
+//! .marf/index.redb           records (key -> result) and memos (key -> blob, may be replaced)
 //! .marf/runs/NNNNNN.json     one root a run
-//! .marf/tmp/<id>/            unfinished files of a live process
-//! .marf/bad/                 damaged blobs, set aside
-//! .marf/scratch/             what stages keep of unfinished work; nothing needs it
+//! .marf/tmp/<id>/            temporary files of one open store
+//! .marf/bad/                 quarantine: damaged blobs
+//! .marf/scratch/             files of unfinished work of stages; may be removed at any time
 //! ```
-//! Order of writes: bytes to the disk, then their names, then the folders, only then records, last run roots.
-//! So nothing ever points at what may not be there, and a crash leaves orphans only. All of a group share the
-//! waits: a group is sealed about each second, at 64 MiB, and when [`Store::commit`] is called.
+//! Order of writes: bytes to the disk, then their names, then the folders, then records, last run roots. So
+//! nothing names an object that may be missing, and a crash leaves only objects that nothing names. Writes are
+//! collected in a write batch, so that they share the waits for the disk: a batch is committed when it is a
+//! second old, at 64 MiB, and when [`Store::commit`] is called.
 
 mod error;
 mod files;
-mod group;
 mod index;
+mod object_store;
 mod pack;
 mod record;
 mod runs;
-mod session;
-mod shelf;
+mod staging;
 #[cfg(test)]
 mod tests;
+mod write_batch;
 
 use std::{
-    collections::BTreeSet,
     fs,
     path::{Path, PathBuf},
     sync::Arc,
@@ -35,11 +35,10 @@ use std::{
 use parking_lot::{Mutex, MutexGuard};
 
 use self::{
-    files::Published,
-    group::{Group, Large},
     index::Index,
-    session::Session,
-    shelf::Shelf,
+    object_store::ObjectStore,
+    staging::StagingDir,
+    write_batch::{LargeBlob, WriteBatch},
 };
 use crate::Digest;
 
@@ -51,34 +50,37 @@ const LARGE_BYTES: usize = 64 << 10;
 
 /// A store that several threads and processes share.
 ///
-/// What is put can be read at once by this store, and by other processes after the group is sealed. Dropping a
-/// store forgets what is not sealed.
+/// This store reads at once what it was given; other processes read it after the next commit. Dropping a store
+/// discards what is not committed.
 pub struct Store {
     dir: PathBuf,
-    shelf: Shelf,
+    objects: ObjectStore,
     index: Index,
-    session: Mutex<Option<Arc<Session>>>,
-    staged: Mutex<Staged>,
-    sealing: Mutex<()>,
+    staging: Mutex<Option<Arc<StagingDir>>>,
+    pending: Mutex<Pending>,
+    commit_lock: Mutex<()>,
     conflicts: Mutex<Vec<Conflict>>,
 }
 
+/// What is not committed yet.
 #[derive(Default)]
-struct Staged {
-    open: Group,
-    /// The group on its way to the disk; readable until it is there.
-    leaving: Option<Arc<Group>>,
+struct Pending {
+    /// The batch that takes new writes.
+    open: WriteBatch,
+    /// The batch that is being written; readable until it is committed.
+    committing: Option<Arc<WriteBatch>>,
 }
 
-impl Staged {
-    fn find<T>(&self, look: impl Fn(&Group) -> Option<T>) -> Option<T> {
-        look(&self.open).or_else(|| self.leaving.as_deref().and_then(look))
+impl Pending {
+    /// Returns what `get` finds in the open batch, or else in the one that is being written.
+    fn find<T>(&self, get: impl Fn(&WriteBatch) -> Option<T>) -> Option<T> {
+        get(&self.open).or_else(|| self.committing.as_deref().and_then(get))
     }
 }
 
 impl Store {
-    /// Opens the store in this folder (`.marf` itself), making it if need be, and removes what dead processes
-    /// left unfinished.
+    /// Opens the store in this folder (`.marf` itself), creates it if it is absent, and removes the temporary
+    /// files of dead processes.
     ///
     /// # Errors
     /// A folder that cannot be made or read.
@@ -90,15 +92,15 @@ impl Store {
                 files::create_dir(&path)?;
             }
         }
-        session::sweep(&dir.join("tmp"));
-        let shelf = Shelf::new(&dir);
-        shelf.refresh()?;
+        staging::sweep(&dir.join("tmp"));
+        let objects = ObjectStore::new(&dir);
+        objects.refresh()?;
         Ok(Self {
-            shelf,
+            objects,
             index: Index::new(&dir),
-            session: Mutex::default(),
-            staged: Mutex::default(),
-            sealing: Mutex::default(),
+            staging: Mutex::default(),
+            pending: Mutex::default(),
+            commit_lock: Mutex::default(),
             conflicts: Mutex::default(),
             dir,
         })
@@ -109,34 +111,34 @@ impl Store {
         &self.dir
     }
 
-    /// Returns the folder for files of unfinished work, which may not be there yet; nothing in it is needed.
+    /// Returns the folder for files of unfinished work, which may be absent; nothing in it is needed.
     pub fn scratch(&self) -> PathBuf {
         self.dir.join("scratch")
     }
 
-    /// The first write makes our folder of temporary files: a reader makes none.
-    fn session(&self) -> Result<Arc<Session>, StoreError> {
-        let mut session = self.session.lock();
-        if let Some(session) = session.as_ref() {
-            return Ok(Arc::clone(session));
+    /// Returns the folder of temporary files. The first write creates it, so that a reader writes nothing.
+    fn staging(&self) -> Result<Arc<StagingDir>, StoreError> {
+        let mut staging = self.staging.lock();
+        if let Some(staging) = staging.as_ref() {
+            return Ok(Arc::clone(staging));
         }
-        let begun = Arc::new(Session::begin(&self.dir.join("tmp"))?);
-        *session = Some(Arc::clone(&begun));
-        Ok(begun)
+        let created = Arc::new(StagingDir::create(&self.dir.join("tmp"))?);
+        *staging = Some(Arc::clone(&created));
+        Ok(created)
     }
 
-    /// Stores bytes and returns their name; the same bytes are stored once.
+    /// Stores a blob and returns its digest; the same bytes are stored once.
     ///
     /// # Errors
-    /// A store that cannot be written; nothing of it becomes visible.
+    /// A store that cannot be written; nothing of the blob becomes visible.
     pub fn put(&self, bytes: &[u8]) -> Result<Digest, StoreError> {
         let digest = Digest::of(bytes);
-        let staged = self.staged.lock().find(|group| group.size_of(&digest)).is_some();
-        if staged || self.shelf.knows(&digest) {
+        let is_pending = self.pending.lock().find(|batch| batch.size_of(&digest)).is_some();
+        if is_pending || self.objects.knows(&digest) {
             return Ok(digest);
         }
         match bytes.len() {
-            0..LARGE_BYTES => self.staged.lock().open.add_small(digest, bytes),
+            0..LARGE_BYTES => self.pending.lock().open.add_small(digest, bytes),
             _ => self.put_large(digest, bytes)?,
         }
         self.commit_if_due()?;
@@ -144,16 +146,16 @@ impl Store {
     }
 
     fn put_large(&self, digest: Digest, bytes: &[u8]) -> Result<(), StoreError> {
-        let session = self.session()?;
-        let path = session.path(&session.next_name());
+        let staging = self.staging()?;
+        let path = staging.path(&staging.next_name());
         files::write_new(&path, &[bytes])?;
-        let large = Large {
+        let large = LargeBlob {
             path,
             bytes: bytes.len() as u64,
         };
-        let mut staged = self.staged.lock();
-        match staged.find(|group| group.size_of(&digest)) {
-            None => staged.open.add_large(digest, large),
+        let mut pending = self.pending.lock();
+        match pending.find(|batch| batch.size_of(&digest)) {
+            None => pending.open.add_large(digest, large),
             // Another thread put the same bytes meanwhile.
             Some(_) => drop(fs::remove_file(&large.path)),
         }
@@ -161,47 +163,47 @@ impl Store {
     }
 
     fn commit_if_due(&self) -> Result<(), StoreError> {
-        if !self.staged.lock().open.is_due() {
+        if !self.pending.lock().open.is_due() {
             return Ok(());
         }
-        // Where another thread is sealing, these blobs go with the next batch.
-        match self.sealing.try_lock() {
+        // While another thread commits, these writes stay in the open batch.
+        match self.commit_lock.try_lock() {
             None => Ok(()),
-            Some(gate) => self.seal_open(&gate),
+            Some(guard) => self.commit_open(&guard),
         }
     }
 
-    /// Reads a blob; its bytes have been verified.
+    /// Reads a blob and verifies its digest.
     ///
     /// # Errors
-    /// [`StoreError::Missing`], or [`StoreError::Damaged`] once: a damaged blob is set aside and then missing.
+    /// [`StoreError::Missing`], or [`StoreError::Damaged`] once: a damaged blob is quarantined and then missing.
     pub fn get(&self, digest: &Digest) -> Result<Arc<[u8]>, StoreError> {
         let (small, large) = {
-            let staged = self.staged.lock();
-            let small = staged.find(|group| group.small.get(digest).cloned());
-            let large = staged.find(|group| group.large.get(digest).cloned());
+            let pending = self.pending.lock();
+            let small = pending.find(|batch| batch.small.get(digest).cloned());
+            let large = pending.find(|batch| batch.large.get(digest).cloned());
             (small, large)
         };
         if let Some(bytes) = small {
             return Ok(bytes);
         }
-        // A temporary file may get its final name at this very moment; then the shelf has it.
+        // A temporary file that cannot be read has just got its final name.
         let read = large.and_then(|large| fs::read(large.path).ok());
         match read {
             Some(bytes) if Digest::of(&bytes) == *digest => Ok(Arc::from(bytes)),
-            _ => self.shelf.get(digest),
+            _ => self.objects.get(digest),
         }
     }
 
-    /// Tells whether a blob is here, also one another process has sealed. Its bytes are not looked at.
+    /// Tells whether a blob is in the store, whichever process committed it. Its bytes are not read.
     pub fn contains(&self, digest: &Digest) -> bool {
         self.size_of(digest).is_some()
     }
 
     /// Returns a blob's length in bytes.
     pub fn size_of(&self, digest: &Digest) -> Option<u64> {
-        let staged = self.staged.lock().find(|group| group.size_of(digest));
-        staged.or_else(|| self.shelf.size_of(digest))
+        let pending = self.pending.lock().find(|batch| batch.size_of(digest));
+        pending.or_else(|| self.objects.size_of(digest))
     }
 
     /// Returns the record of a key as it was written.
@@ -209,31 +211,32 @@ impl Store {
     /// # Errors
     /// An index that is locked or cannot be used.
     pub fn record(&self, key: &Digest) -> Result<Option<Record>, StoreError> {
-        let staged = self.staged.lock().find(|group| group.records.get(key).cloned());
-        match staged {
+        let pending = self.pending.lock().find(|batch| batch.records.get(key).cloned());
+        match pending {
             Some(record) => Ok(Some(record)),
             None => self.index.record(key),
         }
     }
 
-    /// Returns the record of a key if all its outputs are here: otherwise it is a miss.
+    /// Returns the record of a key if all its outputs are in the store.
     ///
     /// # Errors
     /// As [`Store::record`].
     pub fn hit(&self, key: &Digest) -> Result<Option<Record>, StoreError> {
-        Ok(self.record(key)?.filter(|record| self.lives(record)))
+        Ok(self.record(key)?.filter(|record| self.has_outputs(record)))
     }
 
-    fn lives(&self, record: &Record) -> bool {
+    fn has_outputs(&self, record: &Record) -> bool {
         record
             .outputs
             .values()
             .all(|output| self.contains(&output.digest))
     }
 
-    /// Stages a record for the next group; where the key has a record whose outputs are here, that one stays.
+    /// Adds a record to the open batch. A committed record of the same key whose outputs are in the store is kept
+    /// instead.
     pub fn put_record(&self, record: Record) {
-        self.staged.lock().open.add_record(record);
+        self.pending.lock().open.add_record(record);
     }
 
     /// Returns the blob last stored under a memo key.
@@ -241,122 +244,65 @@ impl Store {
     /// # Errors
     /// As [`Store::record`].
     pub fn memo(&self, key: &Digest) -> Result<Option<Digest>, StoreError> {
-        let staged = self.staged.lock().find(|group| group.memos.get(key).copied());
-        match staged {
+        let pending = self.pending.lock().find(|batch| batch.memos.get(key).copied());
+        match pending {
             Some(blob) => Ok(Some(blob)),
             None => self.index.memo(key),
         }
     }
 
-    /// Stages a memo for the next group; it replaces an earlier one.
+    /// Adds a memo to the open batch; it replaces an earlier one of the same key.
     pub fn put_memo(&self, key: Digest, blob: Digest) {
-        self.staged.lock().open.add_memo(key, blob);
+        self.pending.lock().open.add_memo(key, blob);
     }
 
-    /// Seals everything put so far.
+    /// Makes everything put so far durable.
     ///
     /// # Errors
-    /// What stopped it; everything stays staged and readable, and the next call tries again.
+    /// The first failed write; everything stays pending and readable, and the next call tries again.
     pub fn commit(&self) -> Result<(), StoreError> {
-        let gate = self.sealing.lock();
-        self.seal_open(&gate)
+        let guard = self.commit_lock.lock();
+        self.commit_open(&guard)
     }
 
-    fn seal_open(&self, _gate: &MutexGuard<'_, ()>) -> Result<(), StoreError> {
-        let group = {
-            let mut staged = self.staged.lock();
-            if staged.open.is_empty() {
+    /// Commits the open batch; the guard proves that no other thread commits.
+    fn commit_open(&self, _guard: &MutexGuard<'_, ()>) -> Result<(), StoreError> {
+        let batch = {
+            let mut pending = self.pending.lock();
+            if pending.open.is_empty() {
                 return Ok(());
             }
-            let group = Arc::new(std::mem::take(&mut staged.open));
-            staged.leaving = Some(Arc::clone(&group));
-            group
+            let batch = Arc::new(std::mem::take(&mut pending.open));
+            pending.committing = Some(Arc::clone(&batch));
+            batch
         };
-        let sealed = self.seal(&group);
-        let mut staged = self.staged.lock();
-        staged.leaving = None;
-        if sealed.is_err() {
-            staged.open.take_back(&group);
+        let written = self.write(&batch);
+        let mut pending = self.pending.lock();
+        pending.committing = None;
+        if written.is_err() {
+            pending.open.restore(&batch);
         }
-        sealed
+        written
     }
 
-    fn seal(&self, group: &Group) -> Result<(), StoreError> {
-        self.seal_blobs(group)?;
-        if group.records.is_empty() && group.memos.is_empty() {
+    /// Writes the blobs of a batch, then its records and memos.
+    fn write(&self, batch: &WriteBatch) -> Result<(), StoreError> {
+        self.objects.write(batch, || self.staging())?;
+        if batch.records.is_empty() && batch.memos.is_empty() {
             return Ok(());
         }
-        let lives = |record: &Record| self.lives(record);
-        let conflicts = self.index.commit(&group.records, &group.memos, lives)?;
+        let has_outputs = |record: &Record| self.has_outputs(record);
+        let conflicts = self.index.commit(&batch.records, &batch.memos, has_outputs)?;
         self.conflicts.lock().extend(conflicts);
         Ok(())
     }
 
-    /// Bytes, then names, then folders.
-    fn seal_blobs(&self, group: &Group) -> Result<(), StoreError> {
-        let mut unsynced: Vec<PathBuf> = group.large.values().map(|large| large.path.clone()).collect();
-        unsynced.retain(|path| path.exists()); // named by a try that failed later
-        let mut folders = BTreeSet::new();
-        let pack = self.write_pack(group)?;
-        if let Some(pack) = &pack {
-            unsynced.extend([pack.file.clone(), pack.file.with_extension("idx")]);
-        }
-        files::sync(&unsynced)?;
-        for (digest, large) in &group.large {
-            self.name_large(digest, large, &mut folders)?;
-        }
-        if let Some(pack) = &pack {
-            let to = self.shelf.packs_dir().join(&pack.name);
-            files::publish(&pack.file, &to.with_extension("pack"))?;
-            files::publish(&pack.file.with_extension("idx"), &to.with_extension("idx"))?;
-            folders.insert(self.shelf.packs_dir());
-        }
-        files::sync(&folders.into_iter().collect::<Vec<_>>())?;
-        if let Some(pack) = pack {
-            self.shelf.add(&pack.name, &pack.entries);
-        }
-        Ok(())
-    }
-
-    fn write_pack(&self, group: &Group) -> Result<Option<NewPack>, StoreError> {
-        if group.small.is_empty() {
-            return Ok(None);
-        }
-        let session = self.session()?;
-        let name = session.next_name();
-        let file = session.path(&format!("{name}.pack"));
-        let entries = pack::write(&file, &file.with_extension("idx"), &group.small)?;
-        Ok(Some(NewPack { name, file, entries }))
-    }
-
-    fn name_large(
-        &self,
-        digest: &Digest,
-        large: &Large,
-        folders: &mut BTreeSet<PathBuf>,
-    ) -> Result<(), StoreError> {
-        let to = self.shelf.loose_path(digest);
-        if to.exists() {
-            let _ = fs::remove_file(&large.path);
-            return Ok(());
-        }
-        let Some(folder) = to.parent() else { return Ok(()) };
-        if !folder.is_dir() {
-            files::create_dir(folder)?;
-            folders.insert(self.dir.join("cas"));
-        }
-        if files::publish(&large.path, &to)? == Published::New {
-            folders.insert(folder.to_owned());
-        }
-        Ok(())
-    }
-
-    /// Hands over the results that came second for their key and differ, each once.
-    pub fn conflicts(&self) -> Vec<Conflict> {
+    /// Returns the conflicts found since the last call: results that came second for their key and differ.
+    pub fn take_conflicts(&self) -> Vec<Conflict> {
         std::mem::take(&mut *self.conflicts.lock())
     }
 
-    /// Returns all sealed records, sorted by key.
+    /// Returns all committed records, sorted by key.
     ///
     /// # Errors
     /// As [`Store::record`].
@@ -364,12 +310,45 @@ impl Store {
         self.index.records()
     }
 
-    /// Counts what is sealed.
+    /// Commits everything put so far, then stores a run's root under the next free number and returns the number.
+    ///
+    /// # Errors
+    /// A store that cannot be written.
+    pub fn put_run(&self, bytes: &[u8]) -> Result<u64, StoreError> {
+        self.commit()?;
+        let staging = self.staging()?;
+        let file = staging.path(&staging.next_name());
+        files::write_new(&file, &[bytes])?;
+        files::sync(std::slice::from_ref(&file))?;
+        runs::publish(&self.runs_dir(), &file)
+    }
+
+    /// Returns the numbers of all runs, oldest first.
+    ///
+    /// # Errors
+    /// A folder that cannot be read.
+    pub fn run_numbers(&self) -> Result<Vec<u64>, StoreError> {
+        runs::numbers(&self.runs_dir())
+    }
+
+    /// Reads a run's root.
+    ///
+    /// # Errors
+    /// A number without a run, or a file that cannot be read.
+    pub fn run(&self, number: u64) -> Result<Vec<u8>, StoreError> {
+        runs::read(&self.runs_dir(), number)
+    }
+
+    fn runs_dir(&self) -> PathBuf {
+        self.dir.join("runs")
+    }
+
+    /// Counts what is committed.
     ///
     /// # Errors
     /// A folder or an index that cannot be read.
     pub fn stat(&self) -> Result<StoreStat, StoreError> {
-        let count = self.shelf.count()?;
+        let count = self.objects.count()?;
         let (records, memos) = self.index.count()?;
         Ok(StoreStat {
             loose_blobs: count.loose,
@@ -384,11 +363,4 @@ impl Store {
             quarantined: count.quarantined,
         })
     }
-}
-
-/// A pack under its temporary name.
-struct NewPack {
-    name: String,
-    file: PathBuf,
-    entries: Vec<pack::Entry>,
 }

@@ -2,7 +2,7 @@
 //!
 //! Pack = `marf-pack-1\n`, then for each blob its digest (32 bytes), its length (u32 LE), its bytes.
 //! Index = `marf-pidx-1\n`, then for each blob in the order of digests: digest, offset of its bytes (u64 LE),
-//! length (u32 LE); last the blake3 of all that. An index that is missing or damaged is read off the pack.
+//! length (u32 LE); last the blake3 of all that. Without a valid index the entries are scanned from the pack.
 
 use std::{
     collections::BTreeMap,
@@ -12,7 +12,7 @@ use std::{
     sync::Arc,
 };
 
-use super::{StoreError, files};
+use super::{error::StoreError, files};
 use crate::Digest;
 
 const PACK_MAGIC: &[u8; 12] = b"marf-pack-1\n";
@@ -21,7 +21,7 @@ const DIGEST: usize = 32;
 const HEAD: usize = DIGEST + 4;
 const INDEX_ROW: usize = DIGEST + 8 + 4;
 
-/// Where a blob lies in its pack.
+/// A blob of a pack: its digest, and offset and length of its bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Entry {
     pub(super) digest: Digest,
@@ -61,14 +61,14 @@ fn encode(entries: &[Entry]) -> Vec<u8> {
         bytes.extend_from_slice(&entry.offset.to_le_bytes());
         bytes.extend_from_slice(&entry.len.to_le_bytes());
     }
-    let seal = Digest::of(&bytes);
-    bytes.extend_from_slice(seal.as_bytes());
+    let checksum = Digest::of(&bytes);
+    bytes.extend_from_slice(checksum.as_bytes());
     bytes
 }
 
 fn decode(bytes: &[u8]) -> Option<Vec<Entry>> {
-    let (body, seal) = bytes.split_at_checked(bytes.len().checked_sub(DIGEST)?)?;
-    if Digest::of(body).as_bytes() != seal {
+    let (body, checksum) = bytes.split_at_checked(bytes.len().checked_sub(DIGEST)?)?;
+    if Digest::of(body).as_bytes() != checksum {
         return None;
     }
     let rows = body.strip_prefix(INDEX_MAGIC.as_slice())?.chunks_exact(INDEX_ROW);
@@ -87,7 +87,7 @@ fn digest_at(bytes: &[u8]) -> Option<Digest> {
     Some(Digest::from_bytes(bytes))
 }
 
-/// Lists what is in a pack, from its index or, without a good one, from the pack itself.
+/// Returns the entries of a pack, from its index or, without a valid one, by a scan of the pack.
 pub(super) fn load(pack: &Path) -> Result<Vec<Entry>, StoreError> {
     let index = fs::read(pack.with_extension("idx")).ok();
     if let Some(entries) = index.as_deref().and_then(decode) {
@@ -97,7 +97,7 @@ pub(super) fn load(pack: &Path) -> Result<Vec<Entry>, StoreError> {
     Ok(scan(&bytes))
 }
 
-/// Walks a pack and keeps what has the digest it claims, up to the first torn blob.
+/// Returns the entries whose bytes have their digest, up to the first truncated blob.
 fn scan(bytes: &[u8]) -> Vec<Entry> {
     let mut entries = Vec::new();
     let mut at = PACK_MAGIC.len();
@@ -120,7 +120,7 @@ fn head_at(bytes: &[u8], at: usize) -> Option<(Digest, u32)> {
     Some((digest_at(head)?, len))
 }
 
-/// Reads one blob's bytes, unverified.
+/// Reads the bytes of one blob without a check of their digest.
 pub(super) fn read(pack: &Path, offset: u64, len: u32) -> io::Result<Vec<u8>> {
     let mut file = File::open(pack)?;
     file.seek(SeekFrom::Start(offset))?;
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn a_torn_pack_keeps_its_whole_blobs() {
+    fn a_truncated_pack_keeps_its_whole_blobs() {
         let dir = tempfile::tempdir().unwrap();
         let pack = dir.path().join("a.pack");
         let written = write(&pack, &pack.with_extension("idx"), &blobs(9)).unwrap();

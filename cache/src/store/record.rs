@@ -7,17 +7,17 @@ use crate::Digest;
 /// The result of one action: its key, its outputs, and metadata that no key depends on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record {
-    /// Digest of everything that may change the answer.
+    /// Digest of everything that the outputs depend on.
     pub key: Digest,
     /// Name of the stage.
     pub stage: String,
     /// Version of the stage.
     pub version: u32,
-    /// The key's content as text, one leaf a line.
+    /// The content of the key as text, one value a line.
     pub manifest: String,
-    /// What came out, by name.
+    /// Output blobs by name.
     pub outputs: BTreeMap<String, Output>,
-    /// Keys of the actions this one asked for, by their names below it.
+    /// Keys of the child nodes, by their names below this one.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub children: BTreeMap<String, Digest>,
     /// How the run went; never compared. The serialised name is that of the first stores.
@@ -25,27 +25,27 @@ pub struct Record {
     pub metadata: RunMetadata,
 }
 
-/// A blob that came out of an action.
+/// A blob that an action made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Output {
-    /// Its name in the store.
+    /// Its digest.
     pub digest: Digest,
-    /// Its length.
+    /// Its length in bytes.
     pub bytes: u64,
 }
 
 /// Time, memory, device and program of the run that made a record; no output depends on them.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct RunMetadata {
-    /// Time it took on the wall.
+    /// Wall time.
     pub seconds: f64,
-    /// Largest memory of the whole program up to its end, in MB; 0 where the system does not tell.
+    /// Peak memory of the whole program up to the end of the action, in MB; 0 where the system does not tell.
     pub peak_mb: u64,
-    /// When it began, in seconds since 1970.
+    /// Start, in seconds since 1970.
     pub started_unix_s: u64,
-    /// What it ran on: `cpu`, or adapter, driver and interface of a GPU.
+    /// Device: `cpu`, or adapter, driver and interface of a GPU.
     pub device: String,
-    /// The program with version and commit.
+    /// Program with version and commit.
     pub program: String,
 }
 
@@ -75,9 +75,9 @@ pub struct StoreStat {
     pub packed_blobs: u64,
     /// Their bytes.
     pub packed_bytes: u64,
-    /// Action records.
+    /// Records.
     pub records: u64,
-    /// Tables of measures.
+    /// Memos.
     pub memos: u64,
     /// Runs.
     pub runs: u64,
@@ -89,7 +89,7 @@ pub struct StoreStat {
 }
 
 impl Record {
-    /// Returns the bytes kept in the index: a digest of the JSON, then the JSON.
+    /// Returns the bytes stored in the index: the digest of the JSON, then the JSON.
     pub(super) fn encode(&self) -> Vec<u8> {
         // Strings, numbers and sorted maps always serialise.
         let json = serde_json::to_vec(self).unwrap_or_default();
@@ -98,10 +98,10 @@ impl Record {
         bytes
     }
 
-    /// Reads what [`Record::encode`] wrote; a damaged record is none.
+    /// Reads what [`Record::encode`] wrote; none if the bytes are damaged.
     pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
-        let (seal, json) = bytes.split_at_checked(32)?;
-        if Digest::of(json).as_bytes() != seal {
+        let (checksum, json) = bytes.split_at_checked(32)?;
+        if Digest::of(json).as_bytes() != checksum {
             return None;
         }
         serde_json::from_slice(json).ok()

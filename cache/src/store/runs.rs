@@ -1,63 +1,45 @@
-//! Run roots: numbered files that are written last.
+//! Run roots: numbered files, one a run, written after everything they name.
 
-use std::{fs, path::PathBuf};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
 
-use super::{Published, Store, StoreError, files};
+use super::{
+    error::StoreError,
+    files::{self, Published},
+};
 
-impl Store {
-    /// Seals everything put so far, then stores a run under the next free number.
-    ///
-    /// # Errors
-    /// A store that cannot be written.
-    pub fn put_run(&self, bytes: &[u8]) -> Result<u64, StoreError> {
-        self.commit()?;
-        let session = self.session()?;
-        let file = session.path(&session.next_name());
-        files::write_new(&file, &[bytes])?;
-        files::sync(std::slice::from_ref(&file))?;
-        let mut number = self.run_numbers()?.last().copied().unwrap_or(0) + 1;
-        // Two processes may want one number: the second takes the next.
-        while self.name_run(&file, number)? == Published::Present {
-            number += 1;
-        }
-        let _ = fs::remove_file(&file);
-        files::sync(&[self.dir.join("runs")])?;
-        Ok(number)
+/// Gives a finished temporary file the next free number in the folder of runs, durably, and returns the number.
+pub(super) fn publish(dir: &Path, file: &Path) -> Result<u64, StoreError> {
+    let mut number = numbers(dir)?.last().copied().unwrap_or(0) + 1;
+    // Two processes may want one number: the second takes the next.
+    while files::link(file, &path_of(dir, number))? == Published::Present {
+        number += 1;
     }
+    let _ = fs::remove_file(file);
+    files::sync(&[dir.to_owned()])?;
+    Ok(number)
+}
 
-    fn name_run(&self, file: &std::path::Path, number: u64) -> Result<Published, StoreError> {
-        let to = self.run_path(number);
-        match fs::hard_link(file, &to) {
-            Ok(()) => Ok(Published::New),
-            Err(_) if to.exists() => Ok(Published::Present),
-            Err(_) => files::publish(file, &to),
-        }
-    }
+/// Returns the path of a run's file.
+fn path_of(dir: &Path, number: u64) -> PathBuf {
+    dir.join(format!("{number:06}.json"))
+}
 
-    fn run_path(&self, number: u64) -> PathBuf {
-        self.dir.join("runs").join(format!("{number:06}.json"))
-    }
+/// Returns the numbers of all runs, oldest first.
+pub(super) fn numbers(dir: &Path) -> Result<Vec<u64>, StoreError> {
+    let names = files::names(dir)?;
+    let numbers = names
+        .iter()
+        .filter_map(|name| name.strip_suffix(".json")?.parse().ok());
+    let mut numbers: Vec<u64> = numbers.collect();
+    numbers.sort_unstable();
+    Ok(numbers)
+}
 
-    /// Returns the numbers of all runs, oldest first.
-    ///
-    /// # Errors
-    /// A folder that cannot be read.
-    pub fn run_numbers(&self) -> Result<Vec<u64>, StoreError> {
-        let names = files::names(&self.dir.join("runs"))?;
-        let numbers = names
-            .iter()
-            .filter_map(|name| name.strip_suffix(".json")?.parse().ok());
-        let mut numbers: Vec<u64> = numbers.collect();
-        numbers.sort_unstable();
-        Ok(numbers)
-    }
-
-    /// Reads a run.
-    ///
-    /// # Errors
-    /// A number without a run, or a file that cannot be read.
-    pub fn run(&self, number: u64) -> Result<Vec<u8>, StoreError> {
-        let path = self.run_path(number);
-        fs::read(&path).map_err(StoreError::io("read", path))
-    }
+/// Reads a run's file.
+pub(super) fn read(dir: &Path, number: u64) -> Result<Vec<u8>, StoreError> {
+    let path = path_of(dir, number);
+    fs::read(&path).map_err(StoreError::io("read", path))
 }

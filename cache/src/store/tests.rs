@@ -51,7 +51,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn what_is_put_comes_back_before_and_after_sealing_and_reopening(
+    fn what_is_put_comes_back_before_and_after_a_commit_and_reopening(
         lengths in prop::collection::vec(prop_oneof![0_usize..300, 65_000_usize..66_000], 1..12),
         seed: u8,
     ) {
@@ -73,7 +73,7 @@ proptest! {
     }
 
     #[test]
-    fn a_flipped_bit_is_found_set_aside_and_never_served(position in 0.0_f64..1.0, bit in 0_u8..8, seed in 1_u8..) {
+    fn a_flipped_bit_is_quarantined_and_never_served(position in 0.0_f64..1.0, bit in 0_u8..8, seed in 1_u8..) {
         for blob in [large(seed), vec![seed; 3000]] {
             let (dir, store) = fresh();
             let digest = store.put(&blob).unwrap();
@@ -101,7 +101,7 @@ proptest! {
 }
 
 #[test]
-fn a_record_is_seen_at_once_here_and_after_sealing_elsewhere() {
+fn a_record_is_seen_at_once_here_and_after_a_commit_elsewhere() {
     let (dir, store) = fresh();
     let record = record("k", &store, b"out");
     store.put_record(record.clone());
@@ -120,17 +120,17 @@ fn a_second_different_result_is_refused_and_reported_once() {
     store.commit().unwrap();
     store.put_record(first.clone());
     store.commit().unwrap();
-    assert_eq!(store.conflicts(), vec![]);
+    assert_eq!(store.take_conflicts(), vec![]);
     store.put_record(second.clone());
     store.commit().unwrap();
     assert_eq!(store.hit(&first.key).unwrap(), Some(first.clone()));
-    let conflicts = store.conflicts();
+    let conflicts = store.take_conflicts();
     assert_eq!(conflicts.len(), 1);
     assert_eq!(
         (&conflicts[0].kept, &conflicts[0].refused),
         (&first.outputs, &second.outputs)
     );
-    assert_eq!(store.conflicts(), vec![]);
+    assert_eq!(store.take_conflicts(), vec![]);
 }
 
 #[test]
@@ -139,13 +139,13 @@ fn a_record_whose_output_is_gone_is_a_miss_and_may_be_replaced() {
     let first = record("k", &store, &large(3));
     store.put_record(first.clone());
     store.commit().unwrap();
-    fs::remove_file(store.shelf.loose_path(&first.outputs["photos"].digest)).unwrap();
+    fs::remove_file(store.objects.loose_path(&first.outputs["photos"].digest)).unwrap();
     assert_eq!(store.hit(&first.key).unwrap(), None);
     let second = record("k", &store, &large(5));
     store.put_record(second.clone());
     store.commit().unwrap();
     assert_eq!(again(&dir).hit(&first.key).unwrap(), Some(second));
-    assert_eq!(store.conflicts(), vec![]);
+    assert_eq!(store.take_conflicts(), vec![]);
 }
 
 #[test]
@@ -166,9 +166,9 @@ fn a_crash_between_blobs_and_records_leaves_orphans_only() {
     let (dir, store) = fresh();
     let record = record("k", &store, b"out");
     store.put_record(record.clone());
-    let group = store.staged.lock().open.clone();
-    store.seal_blobs(&group).unwrap();
-    std::mem::forget(store.session().unwrap()); // a killed process removes nothing
+    let batch = store.pending.lock().open.clone();
+    store.objects.write(&batch, || store.staging()).unwrap();
+    std::mem::forget(store.staging().unwrap()); // a killed process removes nothing
     let other = again(&dir);
     assert_eq!(other.hit(&record.key).unwrap(), None);
     assert!(other.contains(&record.outputs["photos"].digest));
@@ -198,14 +198,14 @@ fn another_process_that_keeps_the_index_is_an_error_after_a_bounded_wait() {
     store.put_record(record("k", &store, b"out"));
     store.commit().unwrap();
     let held = redb::Database::open(store.dir().join("index.redb")).unwrap();
-    let impatient = Index::with_patience(store.dir(), Duration::from_millis(20));
-    let error = impatient.record(&Digest::of(b"k")).unwrap_err();
+    let index = Index::with_lock_timeout(store.dir(), Duration::from_millis(20));
+    let error = index.record(&Digest::of(b"k")).unwrap_err();
     assert!(
         matches!(error, StoreError::Locked { waited_ms: 20.., .. }),
         "{error}"
     );
     drop(held);
-    assert!(impatient.record(&Digest::of(b"k")).unwrap().is_some());
+    assert!(index.record(&Digest::of(b"k")).unwrap().is_some());
 }
 
 #[test]

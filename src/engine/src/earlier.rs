@@ -3,32 +3,32 @@
 use marf_cache::{Digest, Store, StoreError};
 use marf_stage::{EARLIER, Inputs, Listing, Stage, StageDef};
 
-use crate::{RunRecord, key::node_key};
+use crate::{key::node_key, record::RunRecord};
 
-/// A node whose key is about to be made.
-pub(crate) struct Asks<'a> {
+/// A node that needs a key.
+pub(crate) struct KeyRequest<'a> {
     pub(crate) name: &'a str,
     pub(crate) def: &'a StageDef,
     pub(crate) stage: &'a dyn Stage,
     pub(crate) listing: Option<&'a Listing>,
 }
 
-/// Adds what the stage wants of its last finished run as the input [`EARLIER`]; none if there was no such run or
-/// its output is not in the store any more.
+/// Adds the output of the node's last finished run as the input [`EARLIER`], if the stage asks for it and the store
+/// has it.
 ///
-/// Where nothing else changed, the input stays what that run had: a node never runs on its own output alone.
+/// If nothing else changed, the input is that of the last run: a node never runs because of its own output alone.
 pub(crate) fn with_earlier(
     store: &Store,
     last: Option<&RunRecord>,
-    asks: &Asks<'_>,
+    request: &KeyRequest<'_>,
     inputs: Inputs,
 ) -> Result<Inputs, StoreError> {
-    let Some(wanted) = asks.stage.earlier() else {
+    let Some(wanted) = request.stage.earlier() else {
         return Ok(inputs);
     };
-    let key = last.and_then(|run| run.latest.get(asks.name));
+    let key = last.and_then(|run| run.latest.get(request.name));
     let record = key.map(|key| store.record(key)).transpose()?.flatten();
-    let Some(record) = record.filter(|record| record.stage == asks.def.name) else {
+    let Some(record) = record.filter(|record| record.stage == request.def.name) else {
         return Ok(inputs);
     };
     let with = |earlier: Option<Digest>| {
@@ -39,15 +39,15 @@ pub(crate) fn with_earlier(
             .extend(earlier.map(|digest| (EARLIER.to_owned(), digest)));
         inputs
     };
-    let as_then = with(used(&record.manifest));
-    if node_key(asks.def, asks.stage, &as_then, asks.listing).digest == record.key {
-        return Ok(as_then);
+    let unchanged = with(earlier_input(&record.manifest));
+    if node_key(request.def, request.stage, &unchanged, request.listing).digest == record.key {
+        return Ok(unchanged);
     }
     Ok(with(record.outputs.get(wanted).map(|output| output.digest)))
 }
 
-/// Returns the earlier output that a run itself used, from the text of its key.
-fn used(manifest: &str) -> Option<Digest> {
+/// Returns the earlier output that a run had as input, from the text of its key.
+fn earlier_input(manifest: &str) -> Option<Digest> {
     let value = |line: &str| {
         let (path, value) = line.split_once(" = ")?;
         (path.strip_prefix("inputs.") == Some(EARLIER)).then(|| value.parse().ok())?

@@ -1,4 +1,4 @@
-//! Events: what runs, and why; one list for bars, JSON lines and tests.
+//! Events of a run: what happens to each node, for progress bars, JSON lines and tests.
 
 use std::{
     collections::BTreeMap,
@@ -10,8 +10,8 @@ use marf_stage::Progress;
 use parking_lot::Mutex;
 use serde::Serialize;
 
-/// Shortest time between two progress events of a node, but for its last.
-const PROGRESS_PAUSE: Duration = Duration::from_millis(100);
+/// Shortest time between two progress events of a node, except the last one.
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Something that happened to a node. A child of an expanded node is named `parent/child`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -21,19 +21,19 @@ pub enum Event {
     WillRun {
         /// The node.
         node: String,
-        /// The first thing that changed since it last ran.
+        /// The first difference from its last key.
         reason: String,
-        /// What it runs on: `cpu`, or adapter, driver and interface of a GPU.
+        /// Its device: `cpu`, or adapter, driver and interface of a GPU.
         device: String,
     },
     /// Its result was in the store.
     Reused {
         /// The node.
         node: String,
-        /// Where the result is from.
+        /// Whether it is the result of the last run.
         reason: String,
     },
-    /// How far it is; at most ten a second.
+    /// Progress; at most ten events a second.
     Progress {
         /// The node.
         node: String,
@@ -41,18 +41,18 @@ pub enum Event {
         done: u64,
         /// Units in all.
         total: u64,
-        /// A figure of the moment.
+        /// A current figure, for people.
         note: String,
     },
     /// It ran to its end.
     Finished {
         /// The node.
         node: String,
-        /// Time on the wall.
+        /// Wall time.
         seconds: f64,
-        /// What came out, by name.
+        /// Output blobs by name.
         outputs: BTreeMap<String, Output>,
-        /// Figures: `photos` that came out, `rejected`, `measured`, `fetched`, `children`.
+        /// Figures: `photos` kept, `rejected`, `measured`, `fetched`, `children`.
         counts: BTreeMap<String, u64>,
     },
     /// It failed.
@@ -61,34 +61,34 @@ pub enum Event {
         node: String,
         /// What, where and how much.
         message: String,
-        /// What lies behind it.
+        /// The underlying cause.
         cause: Option<String>,
         /// What to do about it.
         hint: Option<String>,
     },
-    /// It did not run because something it needs is not there.
+    /// It did not run because an upstream node has no result, or the run was stopped.
     Skipped {
         /// The node.
         node: String,
-        /// What is not there.
+        /// Which upstream node, or the stop.
         reason: String,
     },
-    /// Something that is no failure but must be known.
+    /// A warning.
     Warning {
-        /// The node, if it is about one.
+        /// The node, if the warning is about one.
         node: Option<String>,
         /// One sentence.
         message: String,
     },
 }
 
-/// Hears events, from several threads.
+/// Receives events, from several threads.
 pub trait Listener: Sync {
-    /// Hears one event.
+    /// Receives one event.
     fn on_event(&self, event: &Event);
 }
 
-/// Hears and forgets.
+/// Ignores all events.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Silent;
 
@@ -96,7 +96,7 @@ impl Listener for Silent {
     fn on_event(&self, _event: &Event) {}
 }
 
-/// Turns a stage's progress into events of its node, not too many.
+/// Converts a stage's progress to events of its node, at a limited rate.
 pub(crate) struct NodeProgress<'a> {
     node: String,
     listener: &'a dyn Listener,
@@ -114,7 +114,7 @@ impl<'a> NodeProgress<'a> {
 
     fn is_due(&self) -> bool {
         let mut last = self.last.lock();
-        let due = last.is_none_or(|last| last.elapsed() >= PROGRESS_PAUSE);
+        let due = last.is_none_or(|last| last.elapsed() >= PROGRESS_INTERVAL);
         if due {
             *last = Some(Instant::now());
         }
@@ -142,9 +142,9 @@ mod tests {
     use super::*;
 
     #[derive(Default)]
-    struct Ears(Mutex<Vec<Event>>);
+    struct EventLog(Mutex<Vec<Event>>);
 
-    impl Listener for Ears {
+    impl Listener for EventLog {
         fn on_event(&self, event: &Event) {
             self.0.lock().push(event.clone());
         }
@@ -202,18 +202,18 @@ mod tests {
     }
 
     #[test]
-    fn of_a_million_steps_the_first_and_the_last_are_told_and_few_between() {
-        let ears = Ears::default();
-        let progress = NodeProgress::new("train", &ears);
+    fn of_a_million_steps_the_first_the_last_and_few_between_are_events() {
+        let log = EventLog::default();
+        let progress = NodeProgress::new("train", &log);
         let total = 1_000_000;
         (1..=total).for_each(|done| progress.at(done, total, ""));
-        let heard = ears.0.into_inner();
+        let events = log.0.into_inner();
         let done = |event: &Event| match event {
             Event::Progress { done, .. } => *done,
             _ => 0,
         };
-        assert_eq!(heard.first().map(done), Some(1));
-        assert_eq!(heard.last().map(done), Some(total));
-        assert!(heard.len() < 1_000, "{}", heard.len());
+        assert_eq!(events.first().map(done), Some(1));
+        assert_eq!(events.last().map(done), Some(total));
+        assert!(events.len() < 1_000, "{}", events.len());
     }
 }

@@ -1,4 +1,4 @@
-//! Keys: one walk over everything that may change an answer, heard by the hasher and by the writer of the text.
+//! Keys: the digest of everything that a result depends on, and the same content as text.
 
 use std::{collections::BTreeMap, fmt};
 
@@ -13,7 +13,7 @@ pub(crate) struct Key {
     pub(crate) manifest: String,
 }
 
-/// Everything that may change the answer of a node.
+/// Everything that the result of a node depends on.
 struct NodeContent<'a> {
     def: &'a StageDef,
     stage: &'a dyn Stage,
@@ -21,7 +21,7 @@ struct NodeContent<'a> {
     listing: Option<&'a Listing>,
 }
 
-/// Returns the key of a node; a source has its listing in it.
+/// Returns the key of a node; that of a source holds its listing.
 pub(crate) fn node_key(def: &StageDef, stage: &dyn Stage, inputs: &Inputs, listing: Option<&Listing>) -> Key {
     let content = NodeContent {
         def,
@@ -60,7 +60,7 @@ impl ContentHash for NodeContent<'_> {
     }
 }
 
-/// Shards are fields by their number, so that the text says which sol is new.
+/// Visits a listing; each shard is a field of its number, so that the text names a new sol.
 fn walk_listing(listing: &Listing, visitor: &mut dyn Visitor) {
     visitor.open("listing", 2);
     visitor.field("shards");
@@ -75,6 +75,7 @@ fn walk_listing(listing: &Listing, visitor: &mut dyn Visitor) {
     visitor.close();
 }
 
+/// Visits digests by name.
 fn walk_named(digests: &BTreeMap<String, Digest>, visitor: &mut dyn Visitor) {
     visitor.open("named", digests.len());
     for (name, digest) in digests {
@@ -84,9 +85,9 @@ fn walk_named(digests: &BTreeMap<String, Digest>, visitor: &mut dyn Visitor) {
     visitor.close();
 }
 
-/// The key of a part of a node's work: one shard of a source, one table of measures, one step of a fold.
+/// What a part of a node's work depends on: a shard of a source, a table of measures, a step of a fold.
 pub(crate) struct PartContent<'a> {
-    /// What part it is (`fetch`, `measure`, `fold`).
+    /// The kind of part (`fetch`, `measure`, `fold`).
     pub(crate) what: &'static str,
     pub(crate) stage: &'static str,
     pub(crate) version: u32,
@@ -110,6 +111,7 @@ impl ContentHash for PartContent<'_> {
 }
 
 impl PartContent<'_> {
+    /// Returns the key of the part.
     pub(crate) fn key(&self) -> Key {
         Key {
             digest: digest_of(self),
@@ -118,19 +120,19 @@ impl PartContent<'_> {
     }
 }
 
-/// A line in which two manifests differ. As text: `params.threshold: 0.2 -> 0.3`, `input photos changed`.
+/// A difference between two keys. As text: `params.threshold: 0.2 -> 0.3`, `input photos changed`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Change {
-    /// Where (`params.threshold`).
+    /// Path of the value (`params.threshold`).
     pub path: String,
-    /// What it was; none if it was not there.
+    /// The old value; none if there was none.
     pub old: Option<String>,
-    /// What it is now; none if it is not there any more.
+    /// The new value; none if there is none.
     pub new: Option<String>,
 }
 
-/// Returns the lines in which a new manifest differs from an old one, in the order of the new one; its own earlier
-/// output comes last, as it changes whenever anything else does.
+/// Returns the differences between two manifests, in the order of the new one. The node's own earlier output comes
+/// last, as it changes whenever anything else does.
 pub(crate) fn differences(old: &str, new: &str) -> Vec<Change> {
     let (before, after) = (lines(old), lines(new));
     let earlier: BTreeMap<&str, &str> = before.iter().copied().collect();
@@ -149,6 +151,7 @@ pub(crate) fn differences(old: &str, new: &str) -> Vec<Change> {
     changes
 }
 
+/// Splits a manifest into paths and values.
 fn lines(manifest: &str) -> Vec<(&str, &str)> {
     manifest
         .lines()
@@ -182,6 +185,7 @@ impl fmt::Display for Change {
 }
 
 impl Change {
+    /// Writes `path old -> new`.
     fn write_values(&self, f: &mut fmt::Formatter<'_>, path: &str) -> fmt::Result {
         let value = |value: &Option<String>| value.clone().unwrap_or_else(|| "absent".to_owned());
         write!(f, "{path} {} -> {}", value(&self.old), value(&self.new))
@@ -193,7 +197,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_first_difference_is_told_as_people_say_it() {
+    fn a_difference_is_one_plain_phrase() {
         let old = "stage = \"blur\"\nversion = 1\nparams.threshold = 0.2\ninputs.photos = aa\nlisting.shards.1 = ff\n";
         let cases = [
             (old.replace("0.2", "0.3"), "params.threshold: 0.2 -> 0.3"),

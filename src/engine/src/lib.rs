@@ -1,23 +1,27 @@
 //! Plans and runs the graph of stages; knows no Mars, no image, no GPU.
 //!
-//! Invariant: what a node answers depends on its key alone, and the key on the contents it names; threads,
-//! order, cancellation and history change only what runs again.
+//! Invariant: the result of a node depends on its key alone, and the key on the contents it names. Threads, order,
+//! cancellation and history change only which nodes run.
 
-mod bench;
+mod check;
 mod earlier;
+mod errors;
 mod event;
 mod graph;
+mod items;
 mod key;
+mod listing;
 mod lookup;
-mod memo;
-mod photos;
+mod measure_table;
 mod plan;
 mod record;
 mod run;
+mod stage_io;
 mod work;
 
+pub use check::{Edge, GraphError, NodeShape, check};
 pub use event::{Event, Listener, Silent};
-pub use graph::{Edge, Graph, GraphError, NodeDecl, NodeView};
+pub use graph::{Graph, NodeDecl, NodeView};
 pub use key::Change;
 pub use marf_stage::Cancel;
 pub use plan::{PlanState, PlannedNode, plan, why};

@@ -1,4 +1,4 @@
-//! Looks a key up, and tells why it was not found.
+//! Lookup of keys in the store, and the reason of a miss.
 
 use std::collections::BTreeMap;
 
@@ -9,44 +9,46 @@ use marf_cache::{
 use marf_stage::{Outputs, PHOTOS};
 
 use crate::{
-    Change, NodeState, RunRecord,
-    key::{Key, differences},
+    key::{Change, Key, differences},
+    record::{NodeState, RunRecord},
 };
 
 /// What the store has for a key.
-pub(crate) enum Found {
-    /// A record whose outputs are all here.
+pub(crate) enum Lookup {
+    /// A record whose outputs are all in the store.
     Hit(Box<Record>),
-    /// A record whose output of this name is not here, or is damaged.
-    Lost(String),
+    /// A record whose output of this name is missing or damaged.
+    MissingOutput(String),
     /// No record.
-    Nothing,
+    Miss,
 }
 
-/// Looks a key up; a set of items must have its leaves too.
-pub(crate) fn look_up(store: &Store, key: &Digest) -> Result<Found, StoreError> {
+/// Looks a key up. A set of items must also have its leaves in the store.
+pub(crate) fn look_up(store: &Store, key: &Digest) -> Result<Lookup, StoreError> {
     let Some(record) = store.record(key)? else {
-        return Ok(Found::Nothing);
+        return Ok(Lookup::Miss);
     };
     for (name, output) in &record.outputs {
-        let whole = store.contains(&output.digest) && (name != PHOTOS || leaves_live(store, &output.digest)?);
-        if !whole {
-            return Ok(Found::Lost(name.clone()));
+        let is_present =
+            store.contains(&output.digest) && (name != PHOTOS || has_leaves(store, &output.digest)?);
+        if !is_present {
+            return Ok(Lookup::MissingOutput(name.clone()));
         }
     }
-    Ok(Found::Hit(Box::new(record)))
+    Ok(Lookup::Hit(Box::new(record)))
 }
 
-fn leaves_live(store: &Store, root: &Digest) -> Result<bool, StoreError> {
+fn has_leaves(store: &Store, root: &Digest) -> Result<bool, StoreError> {
     let bytes = match store.get(root) {
         Err(error) if error.lost().is_some() => return Ok(false),
         other => other?,
     };
-    // A stage may call something else `photos`; then there are no leaves to look for.
+    // A stage may name something else `photos`; that has no leaves.
     let leaves = Root::decode(&bytes).unwrap_or_default().leaves;
     Ok(leaves.iter().all(|leaf| store.contains(&leaf.leaf)))
 }
 
+/// Returns the digests of a record's outputs.
 pub(crate) fn outputs_of(record: &Record) -> Outputs {
     let outputs = record.outputs.iter();
     outputs
@@ -54,7 +56,7 @@ pub(crate) fn outputs_of(record: &Record) -> Outputs {
         .collect()
 }
 
-/// Returns the figures that can be read off the outputs of a node that did not run.
+/// Returns the figures that a stored result shows.
 pub(crate) fn counts_of(store: &Store, record: &Record) -> BTreeMap<String, u64> {
     let mut counts = BTreeMap::new();
     let root = record
@@ -71,20 +73,20 @@ pub(crate) fn counts_of(store: &Store, record: &Record) -> BTreeMap<String, u64>
 }
 
 /// Why a node must run.
-pub(crate) struct Why {
+pub(crate) struct RunReason {
     pub(crate) reason: String,
     pub(crate) changes: Vec<Change>,
 }
 
-/// Compares a key that was not found with the last one of the same node.
+/// Explains a miss by the differences from the last key of the same node.
 pub(crate) fn why_missed(
     store: &Store,
     last: Option<&RunRecord>,
     node: &str,
     key: &Key,
-    found: &Found,
-) -> Result<Why, StoreError> {
-    if let Found::Lost(output) = found {
+    lookup: &Lookup,
+) -> Result<RunReason, StoreError> {
+    if let Lookup::MissingOutput(output) = lookup {
         return Ok(because(format!("its stored output `{output}` is missing")));
     }
     let Some(old) = last.and_then(|run| run.latest.get(node)) else {
@@ -97,9 +99,10 @@ pub(crate) fn why_missed(
     let reason = changes
         .first()
         .map_or_else(|| "its record is gone".to_owned(), ToString::to_string);
-    Ok(Why { reason, changes })
+    Ok(RunReason { reason, changes })
 }
 
+/// Returns the reason of a node that never finished.
 fn never_finished(last: Option<&RunRecord>, node: &str) -> String {
     let state = last.and_then(|run| run.node(node)).map(|node| node.state);
     let reason = match state {
@@ -110,23 +113,24 @@ fn never_finished(last: Option<&RunRecord>, node: &str) -> String {
     reason.to_owned()
 }
 
-pub(crate) fn because(reason: String) -> Why {
-    Why {
+/// Returns a reason without differences.
+pub(crate) fn because(reason: String) -> RunReason {
+    RunReason {
         reason,
         changes: Vec::new(),
     }
 }
 
-/// Tells whether outputs are here down to the last blob that a set of items names.
-pub(crate) fn is_whole(store: &Store, outputs: &BTreeMap<String, Output>) -> bool {
+/// Tells whether all outputs are in the store, with every blob that a set of items names.
+pub(crate) fn is_complete(store: &Store, outputs: &BTreeMap<String, Output>) -> bool {
     outputs.iter().all(|(name, output)| {
         store.contains(&output.digest)
-            && (name != PHOTOS || set_is_whole(store, &output.digest).unwrap_or(false))
+            && (name != PHOTOS || set_is_complete(store, &output.digest).unwrap_or(false))
     })
 }
 
-/// None if a part of the set cannot be read.
-fn set_is_whole(store: &Store, root: &Digest) -> Option<bool> {
+/// Tells the same of a set; none if a part of it cannot be read.
+fn set_is_complete(store: &Store, root: &Digest) -> Option<bool> {
     let root = Root::decode(&store.get(root).ok()?).ok()?;
     for leaf in root.leaves {
         let leaf = Leaf::decode(&store.get(&leaf.leaf).ok()?).ok()?;

@@ -1,13 +1,13 @@
-//! Run records: what a run did, node by node, kept under `.marf/runs`.
+//! Run records: what a run did with each node, stored under `.marf/runs`.
 
 use std::collections::BTreeMap;
 
 use marf_cache::{Digest, Output, Store, StoreError};
 use serde::{Deserialize, Serialize};
 
-use crate::Edge;
+use crate::check::Edge;
 
-/// A run from its beginning to its end.
+/// A run and its results.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunRecord {
     /// Number of the run in its store, from 1; not in the file, as it is the file's name.
@@ -19,9 +19,9 @@ pub struct RunRecord {
     pub command: String,
     /// The program with version and commit.
     pub program: String,
-    /// When it began, in seconds since 1970.
+    /// Start, in seconds since 1970.
     pub started_unix_s: u64,
-    /// Time on the wall.
+    /// Wall time.
     pub seconds: f64,
     /// How it ended.
     pub outcome: Outcome,
@@ -43,7 +43,7 @@ pub enum Outcome {
     Done,
     /// At least one node failed.
     Failed,
-    /// Somebody asked it to stop.
+    /// The run was cancelled.
     Cancelled,
 }
 
@@ -54,9 +54,9 @@ pub struct NodeRun {
     pub name: String,
     /// Name of its stage.
     pub stage: String,
-    /// The node that asked for it.
+    /// The node whose child it is.
     pub parent: Option<String>,
-    /// Where its inputs come from.
+    /// The upstream nodes of its inputs.
     pub edges: Vec<Edge>,
     /// Its key, as far as its inputs were known.
     pub key: Option<Digest>,
@@ -64,9 +64,9 @@ pub struct NodeRun {
     pub state: NodeState,
     /// Why.
     pub reason: String,
-    /// Time on the wall; of a reused node, when it ran.
+    /// Wall time; of a reused node that of the run that made the result.
     pub seconds: f64,
-    /// What came out, by name.
+    /// Output blobs by name.
     pub outputs: BTreeMap<String, Output>,
     /// Figures, as in [`crate::Event::Finished`].
     pub counts: BTreeMap<String, u64>,
@@ -82,24 +82,24 @@ pub enum NodeState {
     Finished,
     /// It failed.
     Failed,
-    /// Something it needs is not there.
+    /// An upstream node has no result.
     Skipped,
     /// The run was stopped before its end.
     Cancelled,
 }
 
-/// Why there is no plan or no run.
+/// Why a plan or a run cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum EngineError {
     /// The store cannot be used.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// A node was named that is not there.
+    /// A name that is not in the graph.
     #[error("there is no node `{node}`; there are {}", known.join(", "))]
     UnknownNode {
         /// The name.
         node: String,
-        /// The names there are.
+        /// The names of all nodes.
         known: Vec<String>,
     },
     /// A run record that cannot be read.
@@ -107,13 +107,13 @@ pub enum EngineError {
     BadRun {
         /// Its number.
         number: u64,
-        /// What is wrong with it.
+        /// The error of the reader.
         message: String,
     },
 }
 
 impl EngineError {
-    /// Returns what to do about it, if we know.
+    /// Returns what the user can do about it, if anything.
     pub fn hint(&self) -> Option<String> {
         match self {
             Self::Store(error) => error.hint(),
@@ -123,7 +123,7 @@ impl EngineError {
 }
 
 impl NodeState {
-    /// Tells whether its outputs are there.
+    /// Tells whether the node has its outputs.
     pub fn is_good(self) -> bool {
         matches!(self, Self::Reused | Self::Finished)
     }
@@ -169,6 +169,7 @@ pub fn last_run(store: &Store, pipeline: &str) -> Result<Option<RunRecord>, Engi
     Ok(None)
 }
 
+/// Reads one run.
 fn read(store: &Store, number: u64) -> Result<RunRecord, EngineError> {
     let run: Result<RunRecord, _> = serde_json::from_slice(&store.run(number)?);
     let run = run.map_err(|error| EngineError::BadRun {

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use crate::archive::{ArchiveFile, Kind};
 use crate::products::{Product, Sorted, left, sort};
 
-/// Brings one shard.
+/// Decodes the files of one shard and stores them: a row for each photo, a verdict for each file.
 ///
 /// # Errors
 /// The store, the wish to stop, or a file that changed; a bad file is a verdict.
@@ -74,13 +74,13 @@ fn one_product(
     Ok((row, verdicts))
 }
 
-/// A decoded photo, and what its own file said.
+/// A decoded photo, and what its own file says of it.
 struct Decoded {
     size: (u32, u32),
     bands: u8,
     notes: Vec<String>,
     lens: Lens,
-    /// The picture later stages decode, if not the file itself.
+    /// The picture that later stages decode, if it is not the file itself.
     made: Option<Vec<u8>>,
     /// The label at the head of the file.
     attached: Option<Label>,

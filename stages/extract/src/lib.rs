@@ -1,13 +1,21 @@
 //! Archives to photos and labels.
 //!
 //! Names, labels and pixels of three missions are read into photos that every later stage can decode, with the
-//! label's camera as a prior. Invariant: nothing an archive holds can stop the room: a file that cannot be used
+//! label's camera as a prior. Invariant: nothing an archive holds stops the stage: a file that cannot be used
 //! becomes a verdict with its reason, and no file is left out in silence.
+//!
+//! ```text
+//! kinds/    the table of kinds of archives: one file and one row a kind
+//! archive/  what a kind declares and what it may reach; files by shard
+//! remote/   what archives on servers share: catalogs, marf.lock, downloads
+//! net/      the HTTP client
+//! fetch.rs  from the files of a shard to rows and verdicts
+//! ```
 
 mod archive;
-mod built_in;
 mod fetch;
-mod folder;
+mod files;
+mod kinds;
 mod net;
 mod params;
 mod products;
@@ -15,12 +23,13 @@ mod remote;
 mod sols;
 
 use marf_cache::ContentHash;
-use marf_stage::{Ctx, Define, Fetched, Listing, ParamError, Port, Source, Stage, StageError, Threads, Work};
-
-pub use params::{
-    Access, Archive, DemoArchive, Discover, ExtractParams, FeedArchive, FolderArchive, Instrument, Level,
-    Mission, Network, PdsArchive, PixelSource, Site,
+use marf_stage::{
+    ArchiveContext, Ctx, Define, Fetched, Listing, ParamError, Port, Source, Stage, StageError, Threads, Work,
 };
+
+pub use archive::kind::ArchiveDef;
+pub use kinds::ARCHIVES;
+pub use params::{ArchiveTable, ExtractParams};
 
 /// Brings photos in from an archive.
 ///
@@ -31,7 +40,7 @@ pub struct Extract {
     reading: Reading,
 }
 
-/// What of the reading enters the key: paths and choices do not, they are in the fingerprints.
+/// The parameters that enter the key. The archive's do not: what they choose is in the fingerprints of its shards.
 #[derive(ContentHash)]
 struct Reading {
     white_radiance: f64,
@@ -71,8 +80,16 @@ impl Define for Extract {
         &[marf_stage::PHOTOS, marf_stage::VERDICTS, marf_stage::COMPANIONS];
 
     fn new(params: ExtractParams) -> Result<Self, ParamError> {
+        Self::with_archive(params, ArchiveContext::default())
+    }
+
+    fn with_archive(params: ExtractParams, context: ArchiveContext) -> Result<Self, ParamError> {
+        let of_archive = |error: ParamError| {
+            let path = format!("archive.{}", error.path);
+            ParamError::new(path.trim_end_matches('.'), error.message)
+        };
         Ok(Self {
-            archive: params.open()?,
+            archive: params.archive.open(context).map_err(of_archive)?,
             reading: Reading {
                 white_radiance: marf_pds::WHITE_RADIANCE,
             },

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::archive::{ArchiveFile, Kind, extension, folder, read_label, stem};
 
-/// A photo to be: its files, best first, and the label beside them.
+/// A product: the files that may be its photo, best first, and its label.
 pub(crate) struct Product {
     /// Unique in the archive: the product id, or the relative file name.
     pub id: String,
@@ -18,7 +18,7 @@ pub(crate) struct Product {
     pub name: Option<ProductName>,
     /// Candidates; the first that can be decoded is the photo.
     pub files: Vec<ArchiveFile>,
-    /// The label beside them.
+    /// Its label, where it lies in a file of its own.
     pub label: Option<Detached>,
 }
 
@@ -29,13 +29,13 @@ pub(crate) struct Detached {
     pub name: String,
     /// Digest of its bytes, which are in the store.
     pub digest: Digest,
-    /// What it says.
+    /// Its values.
     pub label: Label,
 }
 
-/// Files of a shard, sorted.
+/// The files of a shard, sorted into products.
 pub(crate) struct Sorted {
-    /// Photos to be.
+    /// The products.
     pub products: Vec<Product>,
     /// A verdict for each file that is of no product.
     pub left_out: Vec<Verdict>,
@@ -74,7 +74,7 @@ pub(crate) fn sort(ctx: &Ctx<'_>, files: &[ArchiveFile]) -> Result<Sorted, Stage
     Ok(Sorted { products, left_out })
 }
 
-/// The verdict of a file that gives no photo.
+/// Returns the verdict of a file that gives no photo.
 pub(crate) fn left(file: &str, verdict: &str, reason: String) -> Verdict {
     Verdict {
         id: file.to_owned(),

@@ -1,11 +1,15 @@
-//! Which sols a person asked for: `1..=5`, `3`, `1,4,7..=9`, `latest`.
+//! Which sols a pipeline asks for: `1..=5`, `3`, `1,4,7..=9`, `latest`.
 
+use std::borrow::Cow;
 use std::collections::BTreeSet;
+
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::{Deserialize, Deserializer, de::Error as _};
 
 /// A choice of sols.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Sols {
-    /// Whatever is there, also photos of an unknown sol.
+    /// All that are there, also photos of an unknown sol.
     All,
     /// The greatest sol that is there.
     Latest,
@@ -39,6 +43,33 @@ impl Sols {
     }
 }
 
+/// A text, or a bare number for one sol.
+impl<'de> Deserialize<'de> for Sols {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        #[derive(Deserialize)]
+        #[serde(untagged, expecting = "expected sols like \"1..=3\" or a number")]
+        enum Either {
+            Text(String),
+            Number(u32),
+        }
+        match Either::deserialize(deserializer)? {
+            Either::Text(text) => Self::parse(&text).map_err(D::Error::custom),
+            Either::Number(sol) => Self::parse(&sol.to_string()).map_err(D::Error::custom),
+        }
+    }
+}
+
+impl JsonSchema for Sols {
+    fn schema_name() -> Cow<'static, str> {
+        "Sols".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({"type": ["string", "integer"], "minimum": 0})
+    }
+}
+
+/// Reads one part of a choice: a sol or a range.
 fn range(part: &str) -> Result<(u32, u32), String> {
     let sol = |text: &str| {
         marf_pds::values::sol(text).ok_or_else(|| {

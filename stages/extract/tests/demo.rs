@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, fs};
 
 use marf_demo::{Demo, DemoOptions, FlawKind};
-use marf_extract::{Archive, Extract, ExtractParams, FolderArchive};
+use marf_extract::Extract;
 use marf_scene::PhotoFacts;
 use marf_stage::{Define, Source, Verdict, harness::Harness};
 
@@ -13,12 +13,9 @@ fn extracted(demo: &Demo) -> (BTreeMap<String, PhotoFacts>, Vec<Verdict>) {
     for file in demo.files(2, &|_, _| (), &|| false).unwrap() {
         fs::write(dir.path().join(file.name), file.bytes).unwrap();
     }
-    let archive = Archive::Folder(FolderArchive {
-        path: dir.path().to_owned(),
-        sols: None,
-        recursive: true,
-    });
-    let source = Extract::new(ExtractParams { archive }).unwrap();
+    let archive = serde_json::json!({"kind": "folder", "path": dir.path()});
+    let params = serde_json::from_value(serde_json::json!({ "archive": archive })).unwrap();
+    let source = Extract::new(params).unwrap();
     let harness = Harness::default();
     let listing = source.list(&harness.ctx()).unwrap();
     assert_eq!(listing.shards.len(), 1, "all is of one sol");

@@ -409,7 +409,7 @@ fn archives_with_bad_keys_say_so() {
     for kind in ["pds", "feed"] {
         let archive =
             serde_json::json!({"kind": kind, "mission": "mars2020", "instrument": "navcam", "sols": "1..=5"});
-        fail(archive, "archive", "unknown variant `mars2020`");
+        fail(archive, "archive.mission", "unknown variant `mars2020`");
     }
     fail(
         serde_json::json!({"kind": "folder", "path": "x", "sols": "5..=1"}),

@@ -1,7 +1,7 @@
 use schemars::{JsonSchema, Schema, generate::SchemaSettings};
 use serde::de::DeserializeOwned;
 
-use crate::Stage;
+use crate::{ArchiveContext, Stage};
 
 /// An input of a stage: the key that names the upstream node, and the output of that node that is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -74,6 +74,14 @@ pub trait Define: Stage + Sized + 'static {
     /// # Errors
     /// Names the key that is out of range.
     fn new(params: Self::Params) -> Result<Self, ParamError>;
+
+    /// As [`Define::new`], for a stage that reads an archive; all others have no use for the context.
+    ///
+    /// # Errors
+    /// Names the key that is out of range.
+    fn with_archive(params: Self::Params, _context: ArchiveContext) -> Result<Self, ParamError> {
+        Self::new(params)
+    }
 }
 
 /// A row of the registry of stages.
@@ -93,6 +101,8 @@ pub struct StageDef {
     pub schema: fn() -> Schema,
     /// Checks parameters and returns the stage, ready to run.
     pub bind: fn(serde_json::Value) -> Result<Box<dyn Stage>, ParamError>,
+    /// As `bind`, with the context of the archive that the stage reads.
+    pub bind_archive: fn(serde_json::Value, ArchiveContext) -> Result<Box<dyn Stage>, ParamError>,
 }
 
 /// Returns the registry row of a stage.
@@ -103,23 +113,27 @@ pub const fn define<S: Define>() -> StageDef {
         version: S::VERSION,
         ports: S::PORTS,
         outputs: S::OUTPUTS,
-        schema: schema_of::<S>,
-        bind: bind::<S>,
+        schema: schema_of::<S::Params>,
+        bind: |params| Ok(Box::new(S::new(from_json(params)?)?)),
+        bind_archive: |params, context| Ok(Box::new(S::with_archive(from_json(params)?, context)?)),
     }
 }
 
-/// Returns the schema with everything inlined, so that it can be nested in the schema of the whole file.
-fn schema_of<S: Define>() -> Schema {
+/// Returns the JSON schema of a table of parameters, inlined, so that it can be nested in the schema of the whole file.
+pub fn schema_of<P: JsonSchema>() -> Schema {
     let settings = SchemaSettings::draft2020_12().with(|settings| settings.inline_subschemas = true);
-    settings.into_generator().into_root_schema_for::<S::Params>()
+    settings.into_generator().into_root_schema_for::<P>()
 }
 
-fn bind<S: Define>(params: serde_json::Value) -> Result<Box<dyn Stage>, ParamError> {
-    let params = serde_path_to_error::deserialize(params).map_err(|error| {
+/// Reads a table of parameters.
+///
+/// # Errors
+/// Names the key whose value cannot be read.
+pub fn from_json<P: DeserializeOwned>(params: serde_json::Value) -> Result<P, ParamError> {
+    serde_path_to_error::deserialize(params).map_err(|error| {
         ParamError::new(
             error.path().to_string().trim_start_matches('.'),
             error.inner().to_string(),
         )
-    })?;
-    Ok(Box::new(S::new(params)?))
+    })
 }

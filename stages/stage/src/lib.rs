@@ -4,6 +4,7 @@
 //! contents of its inputs, and on nothing else (no clock, no path, no thread count). Invariant: everything a
 //! stage can read of the outside comes through [`Ctx`] or, for a [`Source`], is part of its fingerprint.
 
+mod archive;
 mod ctx;
 mod define;
 mod document;
@@ -15,8 +16,9 @@ use std::collections::BTreeMap;
 use marf_cache::{ContentHash, Digest, manifest::Row};
 use serde::{Deserialize, Serialize};
 
+pub use archive::{Access, ArchiveContext};
 pub use ctx::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Memos, Progress};
-pub use define::{Define, ParamError, Port, StageDef, define};
+pub use define::{Define, ParamError, Port, StageDef, define, from_json, schema_of};
 pub use document::{Document, Params, TypedOutputs};
 pub use error::StageError;
 

@@ -1,4 +1,4 @@
-//! One piece of work on a thread of its own: lease, look again, run, check, store.
+//! A job: takes the lease on a key, looks the key up again, runs the stage, checks and stores its outputs.
 
 use std::{
     collections::BTreeMap,
@@ -10,174 +10,182 @@ use std::{
 use marf_cache::{Digest, Output, Record, RunMetadata, StoreError};
 use marf_stage::{Checkpoints, Ctx, NodeSpec, Outputs, Stage, StageDef, StageError, Work};
 
-use super::{Site, task::Order};
+use super::{context::RunContext, task::Prepared};
 use crate::{
-    Event,
-    bench::{FileCheckpoints, Lease, StoreBlobs, StoreMemos},
-    event::NodeProgress,
-    lookup::{Found, look_up},
-    photos::bug,
-    plan::panicked,
-    work::{Check, Counts, Job, Produced, perform, reduce, sized},
+    errors::{contract_violation, panicked},
+    event::{Event, NodeProgress},
+    lookup::{Lookup, look_up},
+    stage_io::{FileCheckpoints, Lease, StoreBlobs, StoreMemos},
+    work::{BlobCheck, Counts, Produced, StageRun, execute, reduce, with_lengths},
 };
 
 /// Stack of a worker thread: decoders and solvers recurse.
 const STACK_BYTES: usize = 8 << 20;
 
-pub(super) struct Shift<'a> {
-    pub(super) site: Site<'a>,
+/// One half of a node's work, on a thread of its own.
+pub(super) struct Job<'a> {
+    pub(super) context: RunContext<'a>,
     pub(super) node: String,
     pub(super) def: StageDef,
     pub(super) bound: Arc<dyn Stage>,
-    pub(super) order: Order,
+    pub(super) prepared: Prepared,
     pub(super) step: Step,
-    pub(super) check: Check,
+    pub(super) check: BlobCheck,
     pub(super) threads: usize,
     pub(super) began: Instant,
 }
 
 /// Which half of a node's work.
 pub(super) enum Step {
+    /// The first half; the only one of a node without children.
     Start,
-    /// The children have these outputs, and these keys by name.
+    /// The reduction of the children's outputs; with their keys by name.
     Reduce(Vec<Outputs>, BTreeMap<String, Digest>),
 }
 
-pub(super) enum Done {
+/// What a job gave.
+pub(super) enum JobOutput {
+    /// A result that is in the store by now.
     Reused(Box<Record>),
+    /// A result of its own.
     Finished(Box<Record>, Counts),
+    /// Child nodes that must run first.
     Expanded(Vec<NodeSpec>),
 }
 
-pub(super) enum Fault {
+/// Why a job failed.
+pub(super) enum JobError {
     Stage(StageError),
     Store(StoreError),
 }
 
-impl From<StoreError> for Fault {
+impl From<StoreError> for JobError {
     fn from(error: StoreError) -> Self {
         Self::Store(error)
     }
 }
 
-impl From<StageError> for Fault {
+impl From<StageError> for JobError {
     fn from(error: StageError) -> Self {
         Self::Stage(error)
     }
 }
 
-impl Shift<'_> {
-    pub(super) fn work(self) -> Result<Done, Fault> {
+impl Job<'_> {
+    /// Does the work; the result is in the store by then.
+    pub(super) fn execute(self) -> Result<JobOutput, JobError> {
         if matches!(self.step, Step::Reduce(..)) {
             return self.run();
         }
-        // Children take leases of their own; one that waits for them must not hold any.
+        // Children take leases of their own; their parent holds none while it waits for them.
         let _lease = match self.bound.work() {
             Work::Expand(_) => None,
             _ => Some(self.lease()?),
         };
-        if self.check == Check::Names
-            && let Found::Hit(record) = look_up(self.site.store, &self.order.key.digest)?
+        if self.check == BlobCheck::Names
+            && let Lookup::Hit(record) = look_up(self.context.store, &self.prepared.key.digest)?
         {
-            return Ok(Done::Reused(record));
+            return Ok(JobOutput::Reused(record));
         }
-        self.site.listener.on_event(&Event::WillRun {
+        self.context.listener.on_event(&Event::WillRun {
             node: self.node.clone(),
-            reason: self.order.reason.clone(),
+            reason: self.prepared.reason.clone(),
             device: self.device(),
         });
         self.run()
     }
 
+    /// Waits for the lease on the key.
     fn lease(&self) -> Result<Lease, StageError> {
         let busy = || self.warn("the same result is being made elsewhere; waiting for it".to_owned());
         Lease::take(
-            self.site.store.dir(),
-            &self.order.key.digest,
-            self.site.cancel,
+            self.context.store.dir(),
+            &self.prepared.key.digest,
+            self.context.cancel,
             busy,
         )
     }
 
     fn warn(&self, message: String) {
         let node = Some(self.node.clone());
-        self.site.listener.on_event(&Event::Warning { node, message });
+        self.context.listener.on_event(&Event::Warning { node, message });
     }
 
-    fn run(&self) -> Result<Done, Fault> {
-        let key = self.order.key.digest;
-        let checkpoints = FileCheckpoints::new(self.site.store, &key, &self.node, self.site.listener);
+    fn run(&self) -> Result<JobOutput, JobError> {
+        let key = self.prepared.key.digest;
+        let checkpoints = FileCheckpoints::new(self.context.store, &key, &self.node, self.context.listener);
         let metadata = self.metadata();
         let produced = self.produce(&checkpoints, &metadata);
-        match produced.map_err(|error| self.blame(error))? {
-            Produced::Children(specs) => Ok(Done::Expanded(specs)),
+        match produced.map_err(|error| self.attribute(error))? {
+            Produced::Children(specs) => Ok(JobOutput::Expanded(specs)),
             Produced::Outputs(outputs, counts) => {
-                let record = self.keep(outputs, metadata)?;
+                let record = self.store_record(outputs, metadata)?;
                 checkpoints.remove();
-                Ok(Done::Finished(record, counts))
+                Ok(JobOutput::Finished(record, counts))
             }
         }
     }
 
-    /// A stage that cannot write is not to blame where the store cannot write either (a full disk, a lock).
-    fn blame(&self, error: StageError) -> Fault {
+    /// Attributes an error to the store if the store cannot be written either (a full disk, a lock).
+    fn attribute(&self, error: StageError) -> JobError {
         match &error {
-            StageError::Blob(blob) if blob.lost.is_none() => match self.site.store.commit() {
-                Err(trouble) => Fault::Store(trouble),
-                Ok(()) => Fault::Stage(error),
+            StageError::Blob(blob) if blob.lost.is_none() => match self.context.store.commit() {
+                Err(store_error) => JobError::Store(store_error),
+                Ok(()) => JobError::Stage(error),
             },
-            _ => Fault::Stage(error),
+            _ => JobError::Stage(error),
         }
     }
 
+    /// Runs the stage on the threads of the job.
     fn produce(&self, checkpoints: &dyn Checkpoints, metadata: &RunMetadata) -> Result<Produced, StageError> {
-        let blobs = StoreBlobs(self.site.store);
-        let memos = StoreMemos::new(self.site.store, &self.node, self.site.listener);
-        let progress = NodeProgress::new(&self.node, self.site.listener);
+        let blobs = StoreBlobs(self.context.store);
+        let memos = StoreMemos::new(self.context.store, &self.node, self.context.listener);
+        let progress = NodeProgress::new(&self.node, self.context.listener);
         let stage: &dyn Stage = self.bound.as_ref();
-        let scratch = self.site.store.scratch();
+        let scratch = self.context.store.scratch();
         let ctx = Ctx {
             blobs: &blobs,
-            cancel: self.site.cancel,
+            cancel: self.context.cancel,
             progress: &progress,
             checkpoints,
             memos: &memos,
             scratch: &scratch,
             threads: self.threads,
         };
-        let job = Job {
-            store: self.site.store,
+        let run = StageRun {
+            store: self.context.store,
             ctx,
             def: &self.def,
             stage,
-            inputs: &self.order.inputs,
-            listing: self.order.listing.as_ref(),
+            inputs: &self.prepared.inputs,
+            listing: self.prepared.listing.as_ref(),
             check: self.check,
             metadata,
         };
-        let act = || match &self.step {
-            Step::Start => perform(&job),
+        let work = || match &self.step {
+            Step::Start => execute(&run),
             Step::Reduce(children, _) => {
-                reduce(&job, children).map(|(outputs, counts)| Produced::Outputs(outputs, counts))
+                reduce(&run, children).map(|(outputs, counts)| Produced::Outputs(outputs, counts))
             }
         };
-        on_threads(self.threads, act)
+        on_threads(self.threads, work)
     }
 
-    /// Checks and stores what came out, and returns what the store keeps for the key.
-    fn keep(&self, outputs: Outputs, metadata: RunMetadata) -> Result<Box<Record>, Fault> {
+    /// Checks and stores the outputs, and returns the record that the store keeps for the key.
+    fn store_record(&self, outputs: Outputs, metadata: RunMetadata) -> Result<Box<Record>, JobError> {
         self.check_names(&outputs)?;
-        let store = self.site.store;
-        let outputs: BTreeMap<String, Output> = sized(store, outputs)?;
+        let store = self.context.store;
+        let outputs: BTreeMap<String, Output> = with_lengths(store, outputs)?;
         let children = match &self.step {
             Step::Start => BTreeMap::new(),
             Step::Reduce(_, keys) => keys.clone(),
         };
         let record = Record {
-            key: self.order.key.digest,
+            key: self.prepared.key.digest,
             stage: self.def.name.to_owned(),
             version: self.def.version,
-            manifest: self.order.key.manifest.clone(),
+            manifest: self.prepared.key.manifest.clone(),
             outputs,
             children,
             metadata: RunMetadata {
@@ -188,11 +196,12 @@ impl Shift<'_> {
         };
         store.put_record(record.clone());
         store.commit()?;
-        self.tell_conflicts();
+        self.report_conflicts();
         let kept = store.hit(&record.key)?.unwrap_or(record);
         Ok(Box::new(kept))
     }
 
+    /// Checks the names of the outputs against those that the stage declares.
     fn check_names(&self, outputs: &Outputs) -> Result<(), StageError> {
         let declared = self.def.outputs;
         // A name that ends with `/` is a family of any number.
@@ -202,18 +211,20 @@ impl Shift<'_> {
         };
         let mut wanted = declared.iter().filter(|name| !is_family(name));
         if let Some(absent) = wanted.find(|&&name| !outputs.contains_key(name)) {
-            return Err(bug(format!("its output `{absent}` did not come")));
+            return Err(contract_violation(format!("its output `{absent}` did not come")));
         }
         let known = |name: &str| declared.iter().any(|declared| covers(declared, name));
         match outputs.keys().find(|name| !known(name)) {
-            Some(foreign) => Err(bug(format!("its output `{foreign}` is not declared"))),
+            Some(foreign) => Err(contract_violation(format!(
+                "its output `{foreign}` is not declared"
+            ))),
             None => Ok(()),
         }
     }
 
-    /// Conflicts of other nodes may come along: a group is committed by whoever ends first.
-    fn tell_conflicts(&self) {
-        for conflict in self.site.store.conflicts() {
+    /// Warns of conflicts, also those of other nodes: a write batch holds records of several.
+    fn report_conflicts(&self) {
+        for conflict in self.context.store.take_conflicts() {
             let digests = |outputs: &BTreeMap<String, Output>| {
                 let outputs = outputs.iter();
                 let texts = outputs.map(|(name, output)| format!("{name} {}", output.digest.short()));
@@ -229,41 +240,44 @@ impl Shift<'_> {
         }
     }
 
+    /// Returns the name of the device that the stage runs on.
     fn device(&self) -> String {
         self.bound.backend_id().unwrap_or_else(|| "cpu".to_owned())
     }
 
+    /// Returns the metadata of a run that starts now.
     fn metadata(&self) -> RunMetadata {
         RunMetadata {
             seconds: 0.0,
             peak_mb: 0,
             started_unix_s: unix_seconds(),
             device: self.device(),
-            program: self.site.program.to_owned(),
+            program: self.context.program.to_owned(),
         }
     }
 }
 
-/// Runs in a pool of that many threads; a panic becomes a failure.
+/// Runs `work` in a pool of that many threads; a panic becomes an error.
 fn on_threads(
     threads: usize,
-    act: impl Fn() -> Result<Produced, StageError> + Send,
+    work: impl Fn() -> Result<Produced, StageError> + Send,
 ) -> Result<Produced, StageError> {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .stack_size(STACK_BYTES)
         .build()
         .map_err(|error| StageError::new(format!("{threads} threads cannot be started: {error}")))?;
-    pool.install(|| catch_unwind(AssertUnwindSafe(act)))
+    pool.install(|| catch_unwind(AssertUnwindSafe(work)))
         .unwrap_or_else(|payload| Err(panicked(payload.as_ref())))
 }
 
+/// Returns the time of the clock in seconds since 1970.
 pub(super) fn unix_seconds() -> u64 {
     let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
     since.map_or(0, |since| since.as_secs())
 }
 
-/// Largest memory of this program so far, in MB; 0 where the system does not tell.
+/// Returns the peak memory of this program in MB; 0 where the system does not tell.
 fn peak_mb() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));

@@ -1,48 +1,51 @@
-//! Which nodes a run is about.
+//! Selection of the nodes of a run.
 
 use std::collections::BTreeSet;
 
-use super::{Options, task::Role};
-use crate::{EngineError, Graph};
+use super::task::Role;
+use crate::{graph::Graph, record::EngineError};
 
 impl Graph {
-    /// Returns the names of what leads to one of `to` and follows from one of `from`; an empty list does not limit.
+    /// Returns the names of the nodes that a node of `to` depends on and that depend on a node of `from`, with
+    /// these; an empty list does not limit.
     ///
     /// # Errors
-    /// Names a node that is not there.
+    /// A name that is not in the graph.
     pub fn select(&self, to: &[String], from: &[String]) -> Result<BTreeSet<String>, EngineError> {
-        Ok(chosen(self, to, from)?
+        Ok(selected(self, to, from)?
             .into_iter()
             .map(|index| self.nodes[index].name.clone())
             .collect())
     }
 }
 
-fn chosen(graph: &Graph, to: &[String], from: &[String]) -> Result<BTreeSet<usize>, EngineError> {
-    let mut chosen: BTreeSet<usize> = (0..graph.nodes.len()).collect();
+/// Returns the indices of the selected nodes.
+fn selected(graph: &Graph, to: &[String], from: &[String]) -> Result<BTreeSet<usize>, EngineError> {
+    let mut selected: BTreeSet<usize> = (0..graph.nodes.len()).collect();
     if !to.is_empty() {
         let to = graph.with_ancestors(&indices(graph, to)?);
-        chosen.retain(|index| to.contains(index));
+        selected.retain(|index| to.contains(index));
     }
     if !from.is_empty() {
         let from = graph.with_descendants(&indices(graph, from)?);
-        chosen.retain(|index| from.contains(index));
+        selected.retain(|index| from.contains(index));
     }
-    Ok(chosen)
+    Ok(selected)
 }
 
-/// Returns the role of each node.
-pub(super) fn roles(graph: &Graph, options: &Options) -> Result<Vec<Role>, EngineError> {
-    let chosen = chosen(graph, &options.to, &options.from)?;
-    let needed = graph.with_ancestors(&chosen);
-    let role = |index: usize| match (chosen.contains(&index), needed.contains(&index)) {
+/// Returns the role of each node in a run limited by `to` and `from`.
+pub(super) fn roles(graph: &Graph, to: &[String], from: &[String]) -> Result<Vec<Role>, EngineError> {
+    let selected = selected(graph, to, from)?;
+    let needed = graph.with_ancestors(&selected);
+    let role = |index: usize| match (selected.contains(&index), needed.contains(&index)) {
         (true, _) => Role::Run,
         (false, true) => Role::LookUp,
-        (false, false) => Role::Leave,
+        (false, false) => Role::Ignore,
     };
     Ok((0..graph.nodes.len()).map(role).collect())
 }
 
+/// Returns the indices of the named nodes.
 fn indices(graph: &Graph, names: &[String]) -> Result<BTreeSet<usize>, EngineError> {
     let find = |name: &String| {
         graph.index(name).ok_or_else(|| EngineError::UnknownNode {

@@ -1,4 +1,4 @@
-//! A node while its graph runs.
+//! A node during a run.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -9,135 +9,159 @@ use std::{
 use marf_cache::{Digest, Output};
 use marf_stage::{Inputs, Listing, Outputs, Stage, StageDef};
 
-use crate::{Edge, graph::Node, graph::Wire, key::Key, work::Counts};
+use crate::{
+    check::{Connection, Edge},
+    graph::Node,
+    key::Key,
+    work::Counts,
+};
 
+/// A node during a run: what it is, how far it is, and what came of it.
 pub(super) struct Task {
     pub(super) name: String,
     pub(super) def: StageDef,
     pub(super) bound: Arc<dyn Stage>,
     pub(super) edges: Vec<Edge>,
-    pub(super) feed: Feed,
+    pub(super) inputs: InputSource,
     pub(super) parent: Option<usize>,
-    /// In the order they were asked for.
+    /// In the order of the expansion.
     pub(super) children: Vec<usize>,
     pub(super) role: Role,
     pub(super) phase: Phase,
-    pub(super) waits: BTreeSet<usize>,
-    pub(super) trust: Trust,
+    /// Nodes that must settle first.
+    pub(super) waits_for: BTreeSet<usize>,
+    pub(super) reuse: Reuse,
     pub(super) tries: u32,
-    pub(super) order: Option<Order>,
+    pub(super) prepared: Option<Prepared>,
     pub(super) began: Option<Instant>,
-    pub(super) told: Told,
+    pub(super) outcome: NodeOutcome,
 }
 
 /// Where inputs come from.
-pub(super) enum Feed {
-    /// From nodes of the graph.
-    Wires(Vec<Wire>),
-    /// Given by the node that asked for this one.
+pub(super) enum InputSource {
+    /// From upstream nodes of the graph.
+    Upstream(Vec<Connection>),
+    /// Given by the parent of a child.
     Fixed(Inputs),
 }
 
 /// What a run may do with a node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Role {
+    /// It is selected: it may run.
     Run,
-    /// It was not chosen, but its stored result is needed.
+    /// It is not selected, but its stored result is needed.
     LookUp,
-    Leave,
+    /// It is not needed.
+    Ignore,
 }
 
-/// Whether a stored result of the node is believed.
+/// Whether a stored result of the node may be used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Trust {
-    Stored,
-    /// A blob behind it was lost: it runs again.
-    Nothing,
+pub(super) enum Reuse {
+    /// The result is used.
+    Allowed,
+    /// A blob of the result was lost: the node runs again.
+    Forbidden,
 }
 
+/// How far a node is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Phase {
+    /// Upstream nodes have not settled.
     Waiting,
+    /// It has inputs and a key that is not in the store.
     Ready,
     Running,
-    /// Its children are on their way.
+    /// Its children are running.
     Expanding,
     /// Its children have their outputs.
     Reducible,
+    /// It has a stored result.
     Reused,
+    /// It ran and has a result.
     Finished,
     Failed,
+    /// An upstream node has no result.
     Skipped,
+    /// The run was stopped first.
     Stopped,
-    /// It was not chosen and has no stored result.
+    /// It is not selected and has no stored result.
     Absent,
-    /// A child of an expansion that is done anew.
+    /// A child of an expansion that starts over.
     Replaced,
 }
 
-/// All that is needed to do a node's work.
+/// What a node needs to run.
 #[derive(Clone)]
-pub(super) struct Order {
+pub(super) struct Prepared {
     pub(super) key: Key,
     pub(super) inputs: Inputs,
     pub(super) listing: Option<Listing>,
     pub(super) reason: String,
 }
 
-/// What the run record will tell of the node.
+/// What the run record will hold of the node.
 #[derive(Default)]
-pub(super) struct Told {
+pub(super) struct NodeOutcome {
     pub(super) key: Option<Digest>,
     pub(super) reason: String,
     pub(super) seconds: f64,
     pub(super) outputs: BTreeMap<String, Output>,
     pub(super) counts: Counts,
-    /// Keys of children that did not have to be asked for.
-    pub(super) children: BTreeMap<String, Digest>,
+    /// Keys of the children of a reused node.
+    pub(super) stored_children: BTreeMap<String, Digest>,
 }
 
 impl Task {
+    /// Returns the task of a node of the graph.
     pub(super) fn of_node(node: &Node, role: Role) -> Self {
         let phase = match role {
-            Role::Leave => Phase::Absent,
+            Role::Ignore => Phase::Absent,
             Role::Run | Role::LookUp => Phase::Waiting,
         };
         Self {
             edges: node.edges.clone(),
             role,
             phase,
-            waits: node.wires.iter().map(|wire| wire.upstream).collect(),
+            waits_for: node
+                .connections
+                .iter()
+                .map(|connection| connection.upstream)
+                .collect(),
             ..Self::new(
                 node.name.clone(),
                 node.def,
                 Arc::clone(&node.bound),
-                Feed::Wires(node.wires.clone()),
+                InputSource::Upstream(node.connections.clone()),
             )
         }
     }
 
-    pub(super) fn new(name: String, def: StageDef, bound: Arc<dyn Stage>, feed: Feed) -> Self {
+    /// Returns a task that waits for nothing.
+    pub(super) fn new(name: String, def: StageDef, bound: Arc<dyn Stage>, inputs: InputSource) -> Self {
         Self {
             name,
             def,
             bound,
             edges: Vec::new(),
-            feed,
+            inputs,
             parent: None,
             children: Vec::new(),
             role: Role::Run,
             phase: Phase::Waiting,
-            waits: BTreeSet::new(),
-            trust: Trust::Stored,
+            waits_for: BTreeSet::new(),
+            reuse: Reuse::Allowed,
             tries: 0,
-            order: None,
+            prepared: None,
             began: None,
-            told: Told::default(),
+            outcome: NodeOutcome::default(),
         }
     }
 
+    /// Returns the digests of its outputs by name.
     pub(super) fn outputs(&self) -> Outputs {
-        let outputs = self.told.outputs.iter();
+        let outputs = self.outcome.outputs.iter();
         outputs
             .map(|(name, output)| (name.clone(), output.digest))
             .collect()
@@ -145,12 +169,12 @@ impl Task {
 }
 
 impl Phase {
-    /// Its outputs are there.
+    /// Tells whether it has its outputs.
     pub(super) fn is_good(self) -> bool {
         matches!(self, Self::Reused | Self::Finished)
     }
 
-    /// Nothing more happens to it.
+    /// Tells whether nothing more happens to it.
     pub(super) fn is_settled(self) -> bool {
         !matches!(
             self,

@@ -1,4 +1,5 @@
-//! Folds: a state goes from shard to shard, one record a step, so a new shard continues from the last state.
+//! Folds: a state is passed from shard to shard. Each step has its record, so a new shard continues from the last
+//! state.
 
 use std::collections::BTreeMap;
 
@@ -9,64 +10,69 @@ use marf_cache::{
 use marf_stage::{Fold, Outputs, PHOTOS, StageError, VERDICTS};
 
 use super::{
-    Counts, Job, map,
+    map,
     measure::{Measures, measure},
+    stage_run::{Counts, StageRun},
 };
-use crate::photos::{Part, by_shard, kept, read_part, read_root, read_verdicts, write_part, write_verdicts};
+use crate::items::{
+    ShardRows, by_shard, kept, read_root, read_shard, read_verdicts, write_shard, write_verdicts,
+};
 
 const STATE: &str = "state";
 
-/// What a step depends on beside stage and parameters.
+/// What a step depends on besides stage and parameters; part of its key.
 #[derive(ContentHash)]
-struct Step {
+#[content_hash(name = "Step")]
+struct StepContent {
     shard: u32,
     state: Option<Digest>,
     leaves: Vec<Digest>,
 }
 
-/// What a step gave.
-struct Stepped {
+/// The outputs of a step.
+struct StepOutputs {
     state: Digest,
     root: Digest,
     verdicts: Digest,
 }
 
-pub(super) fn perform(job: &Job<'_>, fold: &dyn Fold) -> Result<(Outputs, Counts), StageError> {
-    let shards = by_shard(&read_root(&job.ctx, job.inputs.required(PHOTOS)?)?);
-    let mut rest = Rest::default();
+/// Runs a fold over all shards, from the first whose step has no record.
+pub(super) fn execute(run: &StageRun<'_>, fold: &dyn Fold) -> Result<(Outputs, Counts), StageError> {
+    let shards = by_shard(&read_root(&run.ctx, run.inputs.required(PHOTOS)?)?);
+    let mut new = NewShards::default();
     let mut state = None;
     let mut leaves = Vec::new();
     let mut verdicts = Vec::new();
     for (index, (shard, refs)) in shards.iter().enumerate() {
-        job.ctx.check()?;
-        let step = Step {
+        run.ctx.check()?;
+        let step = StepContent {
             shard: *shard,
             state,
             leaves: refs.iter().map(|leaf| leaf.leaf).collect(),
         };
-        let params = (fold.measure_params(), job.stage.params());
-        let key = job.part_key("fold", &params, &step);
-        let stepped = match job.part_hit(&key)? {
-            Some(record) => Stepped {
+        let params = (fold.measure_params(), run.stage.params());
+        let key = run.part_key("fold", &params, &step);
+        let outputs = match run.part_hit(&key)? {
+            Some(record) => StepOutputs {
                 state: record.outputs[STATE].digest,
                 root: record.outputs[PHOTOS].digest,
                 verdicts: record.outputs[VERDICTS].digest,
             },
             None => {
-                rest.measure_from(job, fold, &shards, index)?;
-                let stepped = rest.step(job, fold, index, state)?;
-                job.put_part(key, stepped.outputs())?;
-                stepped
+                new.measure_from(run, fold, &shards, index)?;
+                let outputs = new.step(run, fold, index, state)?;
+                run.put_part(key, outputs.outputs())?;
+                outputs
             }
         };
-        state = Some(stepped.state);
-        leaves.extend(read_root(&job.ctx, &stepped.root)?.leaves);
-        verdicts.extend(read_verdicts(&job.ctx, &stepped.verdicts)?);
+        state = Some(outputs.state);
+        leaves.extend(read_root(&run.ctx, &outputs.root)?.leaves);
+        verdicts.extend(read_verdicts(&run.ctx, &outputs.verdicts)?);
     }
-    map::outputs(job, Root { leaves }, verdicts, rest.measured())
+    map::outputs(run, Root { leaves }, verdicts, new.measured())
 }
 
-impl Stepped {
+impl StepOutputs {
     fn outputs(&self) -> Outputs {
         BTreeMap::from([
             (STATE.to_owned(), self.state),
@@ -76,18 +82,19 @@ impl Stepped {
     }
 }
 
-/// The shards from the first new step on, measured together so that all threads have work.
+/// The shards from the first new one on, measured together so that all threads have work.
 #[derive(Default)]
-struct Rest {
+struct NewShards {
     first: usize,
-    parts: Vec<Part>,
+    shards: Vec<ShardRows>,
     measures: Option<Measures>,
 }
 
-impl Rest {
+impl NewShards {
+    /// Reads and measures the shards from `first` on, once.
     fn measure_from(
         &mut self,
-        job: &Job<'_>,
+        run: &StageRun<'_>,
         fold: &dyn Fold,
         shards: &[(u32, Vec<LeafRef>)],
         first: usize,
@@ -96,42 +103,43 @@ impl Rest {
             return Ok(());
         }
         let parts = shards[first..].iter();
-        let parts: Result<Vec<Part>, _> = parts
-            .map(|(shard, leaves)| read_part(&job.ctx, *shard, leaves))
+        let parts: Result<Vec<ShardRows>, _> = parts
+            .map(|(shard, leaves)| read_shard(&run.ctx, *shard, leaves))
             .collect();
         self.first = first;
-        self.parts = parts?;
-        self.measures = Some(measure(job, fold, &self.parts)?);
+        self.shards = parts?;
+        self.measures = Some(measure(run, fold, &self.shards)?);
         Ok(())
     }
 
+    /// Folds one shard into the state and stores what comes out.
     fn step(
         &self,
-        job: &Job<'_>,
+        run: &StageRun<'_>,
         fold: &dyn Fold,
         index: usize,
         state: Option<Digest>,
-    ) -> Result<Stepped, StageError> {
+    ) -> Result<StepOutputs, StageError> {
         let at = index - self.first;
         let items = self
             .measures
             .as_ref()
-            .map(|measures| measures.items(&self.parts, at));
-        let before = state.map(|state| job.ctx.get(&state)).transpose()?;
+            .map(|measures| measures.items(&self.shards, at));
+        let before = state.map(|state| run.ctx.get(&state)).transpose()?;
         let (after, verdicts) = fold.fold(before.as_deref(), &items.unwrap_or_default())?;
-        let part = &self.parts[at];
+        let part = &self.shards[at];
         let rows = kept(part.rows.clone(), &verdicts)?;
-        let leaves = write_part(
-            &job.ctx,
-            Part {
+        let leaves = write_shard(
+            &run.ctx,
+            ShardRows {
                 shard: part.shard,
                 rows,
             },
         )?;
-        Ok(Stepped {
-            state: job.ctx.put(&after)?,
-            root: job.ctx.put(&Root { leaves }.encode())?,
-            verdicts: write_verdicts(&job.ctx, verdicts)?,
+        Ok(StepOutputs {
+            state: run.ctx.put(&after)?,
+            root: run.ctx.put(&Root { leaves }.encode())?,
+            verdicts: write_verdicts(&run.ctx, verdicts)?,
         })
     }
 

@@ -1,21 +1,30 @@
-//! Maps: measures by row, then one decision over the whole set.
+//! Maps: a measure for each row, then one decision over the whole set.
 
 use marf_cache::manifest::Root;
 use marf_stage::{Map, Measured, Outputs, PHOTOS, StageError, VERDICTS, Verdict};
 
-use super::{Counts, Job, measure::measure};
-use crate::photos::{Part, bug, kept, read_parts, write_part, write_verdicts};
+use super::{
+    measure::measure,
+    stage_run::{Counts, StageRun},
+};
+use crate::{
+    errors::contract_violation,
+    items::{ShardRows, kept, read_all_shards, write_shard, write_verdicts},
+};
 
-pub(super) fn perform(job: &Job<'_>, map: &dyn Map) -> Result<(Outputs, Counts), StageError> {
-    let parts = read_parts(&job.ctx, job.inputs.required(PHOTOS)?)?;
-    let measures = measure(job, map, &parts)?;
+/// Measures the rows of all shards, decides, and keeps the rows that the decision keeps.
+pub(super) fn execute(run: &StageRun<'_>, map: &dyn Map) -> Result<(Outputs, Counts), StageError> {
+    let parts = read_all_shards(&run.ctx, run.inputs.required(PHOTOS)?)?;
+    let measures = measure(run, map, &parts)?;
     let items: Vec<Measured<'_>> = (0..parts.len())
         .flat_map(|index| measures.items(&parts, index))
         .collect();
     let verdicts = map.decide(&items)?;
     if verdicts.len() != items.len() {
         let (got, wanted) = (verdicts.len(), items.len());
-        return Err(bug(format!("{got} verdicts came for {wanted} photos")));
+        return Err(contract_violation(format!(
+            "{got} verdicts came for {wanted} photos"
+        )));
     }
     drop(items);
     let mut leaves = Vec::new();
@@ -24,14 +33,14 @@ pub(super) fn perform(job: &Job<'_>, map: &dyn Map) -> Result<(Outputs, Counts),
         let (own, others) = rest.split_at(part.rows.len());
         rest = others;
         let rows = kept(part.rows, own)?;
-        leaves.extend(write_part(&job.ctx, Part { rows, ..part })?);
+        leaves.extend(write_shard(&run.ctx, ShardRows { rows, ..part })?);
     }
-    outputs(job, Root { leaves }, verdicts, measures.measured)
+    outputs(run, Root { leaves }, verdicts, measures.measured)
 }
 
-/// Stores the set that stays and the verdicts on all.
+/// Stores the rows kept and all verdicts, and returns them with the figures of the work.
 pub(super) fn outputs(
-    job: &Job<'_>,
+    run: &StageRun<'_>,
     root: Root,
     verdicts: Vec<Verdict>,
     measured: u64,
@@ -43,8 +52,8 @@ pub(super) fn outputs(
         ("measured", measured),
     ];
     let outputs = [
-        (PHOTOS, job.ctx.put(&root.encode())?),
-        (VERDICTS, write_verdicts(&job.ctx, verdicts)?),
+        (PHOTOS, run.ctx.put(&root.encode())?),
+        (VERDICTS, write_verdicts(&run.ctx, verdicts)?),
     ];
     Ok((
         outputs

@@ -1,4 +1,4 @@
-//! Sources: one record a shard, so only shards whose fingerprint is new are fetched.
+//! Sources: each shard has its record, so only shards with a new fingerprint are fetched.
 
 use std::collections::BTreeMap;
 
@@ -8,73 +8,78 @@ use marf_cache::{
 };
 use marf_stage::{COMPANIONS, Listing, Outputs, PHOTOS, Shard, Source, StageError, VERDICTS, Verdict};
 
-use super::{Check, Counts, Job};
-use crate::photos::{Part, bug, read_part, read_root, read_verdicts, write_part, write_verdicts};
+use super::stage_run::{BlobCheck, Counts, StageRun};
+use crate::{
+    errors::contract_violation,
+    items::{ShardRows, read_root, read_shard, read_verdicts, write_shard, write_verdicts},
+};
 
-pub(super) fn perform(job: &Job<'_>, source: &dyn Source) -> Result<(Outputs, Counts), StageError> {
-    let Some(listing) = job.listing else {
-        return Err(bug("a source runs without its listing".to_owned()));
+/// Fetches the shards that have no record, and joins all shards to one set.
+pub(super) fn execute(run: &StageRun<'_>, source: &dyn Source) -> Result<(Outputs, Counts), StageError> {
+    let Some(listing) = run.listing else {
+        return Err(contract_violation("a source runs without its listing".to_owned()));
     };
     let mut fetched = 0;
     let mut leaves = Vec::new();
     let mut verdicts = Vec::new();
     for (done, shard) in (1..).zip(&listing.shards) {
-        job.ctx.check()?;
-        let key = job.part_key("fetch", job.stage.params(), shard);
-        let part = match job.part_hit(&key)? {
-            Some(record) if is_whole(job, &record.outputs[PHOTOS].digest)? => {
+        run.ctx.check()?;
+        let key = run.part_key("fetch", run.stage.params(), shard);
+        let part = match run.part_hit(&key)? {
+            Some(record) if is_complete(run, &record.outputs[PHOTOS].digest)? => {
                 (record.outputs[PHOTOS].digest, record.outputs[VERDICTS].digest)
             }
             _ => {
                 fetched += 1;
-                let part = fetch(job, source, shard)?;
+                let part = fetch(run, source, shard)?;
                 let outputs = [(PHOTOS.to_owned(), part.0), (VERDICTS.to_owned(), part.1)];
-                job.put_part(key, BTreeMap::from(outputs))?;
+                run.put_part(key, BTreeMap::from(outputs))?;
                 part
             }
         };
-        leaves.extend(read_root(&job.ctx, &part.0)?.leaves);
-        verdicts.extend(read_verdicts(&job.ctx, &part.1)?);
-        job.ctx.progress.at(done, listing.shards.len() as u64, "");
+        leaves.extend(read_root(&run.ctx, &part.0)?.leaves);
+        verdicts.extend(read_verdicts(&run.ctx, &part.1)?);
+        run.ctx.progress.at(done, listing.shards.len() as u64, "");
     }
-    outputs(job, listing, leaves, verdicts, fetched)
+    outputs(run, listing, leaves, verdicts, fetched)
 }
 
-/// Tells whether a shard's leaves are here, and if asked for also every blob its rows name.
-fn is_whole(job: &Job<'_>, root: &Digest) -> Result<bool, StageError> {
-    let leaves = read_root(&job.ctx, root)?.leaves;
-    if !leaves.iter().all(|leaf| job.store.contains(&leaf.leaf)) {
+/// Tells whether a shard's leaves are in the store, and if the run checks blobs, every blob its rows name.
+fn is_complete(run: &StageRun<'_>, root: &Digest) -> Result<bool, StageError> {
+    let leaves = read_root(&run.ctx, root)?.leaves;
+    if !leaves.iter().all(|leaf| run.store.contains(&leaf.leaf)) {
         return Ok(false);
     }
-    if job.check == Check::Names {
+    if run.check == BlobCheck::Names {
         return Ok(true);
     }
     for leaf in leaves {
-        let rows = read_part(&job.ctx, leaf.shard, &[leaf])?.rows;
+        let rows = read_shard(&run.ctx, leaf.shard, &[leaf])?.rows;
         let mut blobs = rows.iter().flat_map(|row| row.blobs.values());
-        if !blobs.all(|blob| job.store.contains(blob)) {
+        if !blobs.all(|blob| run.store.contains(blob)) {
             return Ok(false);
         }
     }
     Ok(true)
 }
 
-/// Brings one shard and returns its root and its verdicts.
-fn fetch(job: &Job<'_>, source: &dyn Source, shard: &Shard) -> Result<(Digest, Digest), StageError> {
-    let fetched = source.fetch(&job.ctx, shard.shard)?;
-    let leaves = write_part(
-        &job.ctx,
-        Part {
+/// Fetches one shard and returns the digests of its root and its verdicts.
+fn fetch(run: &StageRun<'_>, source: &dyn Source, shard: &Shard) -> Result<(Digest, Digest), StageError> {
+    let fetched = source.fetch(&run.ctx, shard.shard)?;
+    let leaves = write_shard(
+        &run.ctx,
+        ShardRows {
             shard: shard.shard,
             rows: fetched.rows,
         },
     )?;
-    let root = job.ctx.put(&Root { leaves }.encode())?;
-    Ok((root, write_verdicts(&job.ctx, fetched.verdicts)?))
+    let root = run.ctx.put(&Root { leaves }.encode())?;
+    Ok((root, write_verdicts(&run.ctx, fetched.verdicts)?))
 }
 
+/// Stores the set, the verdicts and the companions.
 fn outputs(
-    job: &Job<'_>,
+    run: &StageRun<'_>,
     listing: &Listing,
     leaves: Vec<LeafRef>,
     verdicts: Vec<Verdict>,
@@ -83,7 +88,7 @@ fn outputs(
     let root = Root { leaves };
     let rejected = verdicts.iter().filter(|verdict| !verdict.keeps()).count() as u64;
     let companions = serde_json::to_vec(&listing.companions)
-        .map_err(|error| bug(format!("companions cannot be kept: {error}")))?;
+        .map_err(|error| contract_violation(format!("companions cannot be kept: {error}")))?;
     let counts = [
         ("photos", root.rows()),
         ("rejected", rejected),
@@ -91,13 +96,13 @@ fn outputs(
         ("shards", listing.shards.len() as u64),
     ];
     let outputs = [
-        (PHOTOS, job.ctx.put(&root.encode())?),
-        (VERDICTS, write_verdicts(&job.ctx, verdicts)?),
-        (COMPANIONS, job.ctx.put(&companions)?),
+        (PHOTOS, run.ctx.put(&root.encode())?),
+        (VERDICTS, write_verdicts(&run.ctx, verdicts)?),
+        (COMPANIONS, run.ctx.put(&companions)?),
     ];
     let declared = outputs
         .into_iter()
-        .filter(|(name, _)| job.def.outputs.contains(name));
+        .filter(|(name, _)| run.def.outputs.contains(name));
     Ok((
         declared.map(|(name, digest)| (name.to_owned(), digest)).collect(),
         counts

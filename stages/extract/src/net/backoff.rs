@@ -3,7 +3,7 @@
 use std::hash::{BuildHasher, RandomState};
 use std::time::{Duration, SystemTime};
 
-use super::Conduct;
+use super::ClientSettings;
 
 /// Longest `Retry-After` that is waited.
 pub(super) const LONGEST_RETRY_AFTER: Duration = Duration::from_secs(600);
@@ -12,12 +12,12 @@ pub(super) const LONGEST_RETRY_AFTER: Duration = Duration::from_secs(600);
 /// at most `longest_wait` (Brooker, "Exponential backoff and jitter").
 ///
 /// `random` decides the share, 0 none and `u64::MAX` all. No result may depend on it.
-pub(super) fn wait(conduct: &Conduct, failed: u32, random: u64) -> Duration {
+pub(super) fn wait(settings: &ClientSettings, failed: u32, random: u64) -> Duration {
     let doublings = failed.saturating_sub(1).min(31);
-    let top = conduct
+    let top = settings
         .first_wait
         .saturating_mul(1 << doublings)
-        .min(conduct.longest_wait);
+        .min(settings.longest_wait);
     top.mul_f64(random as f64 / u64::MAX as f64)
 }
 
@@ -45,13 +45,13 @@ pub(super) fn retry_after(value: &str, date: Option<&str>, now: SystemTime) -> O
 mod tests {
     use super::*;
 
-    fn conduct() -> Conduct {
-        Conduct::polite(Vec::new(), None)
+    fn settings() -> ClientSettings {
+        ClientSettings::polite(Vec::new(), None)
     }
 
     #[test]
     fn waits_double_up_to_the_longest() {
-        let seconds = |failed| wait(&conduct(), failed, u64::MAX).as_secs_f64();
+        let seconds = |failed| wait(&settings(), failed, u64::MAX).as_secs_f64();
         for (failed, top) in [
             (0, 1.0),
             (1, 1.0),
@@ -67,8 +67,8 @@ mod tests {
 
     #[test]
     fn jitter_is_full() {
-        assert_eq!(wait(&conduct(), 3, 0), Duration::ZERO);
-        let half = wait(&conduct(), 3, u64::MAX / 2).as_secs_f64();
+        assert_eq!(wait(&settings(), 3, 0), Duration::ZERO);
+        let half = wait(&settings(), 3, u64::MAX / 2).as_secs_f64();
         assert!((half - 2.0).abs() < 1e-9, "{half}");
         let draws: std::collections::BTreeSet<u64> = (0..16).map(|_| random()).collect();
         assert!(draws.len() > 1, "{draws:?}");

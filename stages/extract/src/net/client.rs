@@ -1,4 +1,4 @@
-//! The blocking surface: many wants, few connections, one caller.
+//! The blocking interface: many downloads, few connections, one caller.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -13,22 +13,23 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::task::JoinHandle;
 
 use super::error::broken;
-use super::gate::Gates;
+use super::limiter::HostLimiters;
 use super::origin::{Origin, shown};
 use super::transfer::{Counters, Shared};
-use super::{Answer, Conduct, NetError, Traffic, Trouble, Want};
+use super::{Answer, ClientSettings, Download, NetError, NetErrorKind, Traffic};
+use crate::archive::access::NetworkPermit;
 
-/// How often the caller looks at the wish to stop.
-const LOOK: Duration = Duration::from_millis(50);
-/// Longest time that downloads get to put their parts in order when they are stopped.
-const END: Duration = Duration::from_millis(1_500);
-/// A connection without a request for so long is not used again: many servers close it after 5 s, and a request that
+/// How often the caller checks the wish to stop.
+const CHECK: Duration = Duration::from_millis(50);
+/// Longest time that downloads get to finish their parts when they are stopped.
+const GRACE: Duration = Duration::from_millis(1_500);
+/// A connection without a request for so long is not used retryable: many servers close it after 5 s, and a request that
 /// meets the close is lost.
 const IDLE: Duration = Duration::from_secs(4);
 /// Threads of the runtime: they wait, copy and hash.
 const WORKERS: usize = 2;
 
-/// Asks hosts politely. Dropping it ends what is under way; parts stay.
+/// Downloads files, few at a time from one host. Dropping it ends what is under way; parts stay.
 #[derive(Debug)]
 pub(crate) struct Client {
     shared: Arc<Shared>,
@@ -40,21 +41,21 @@ impl Client {
     ///
     /// # Errors
     /// A system without certificates to trust, threads that cannot be started.
-    pub(crate) fn new(conduct: Conduct) -> Result<Self, NetError> {
+    pub(crate) fn new(_permit: NetworkPermit, settings: ClientSettings) -> Result<Self, NetError> {
         let runtime = Builder::new_multi_thread()
             .worker_threads(WORKERS)
             .thread_name("marf-net")
             .enable_all()
             .build()
             .map_err(|error| unstarted(error.to_string()))?;
-        let secure = conduct.allowed.iter().any(Origin::is_secure);
-        let secure = secure.then(|| secure_client(&conduct)).transpose()?;
+        let secure = settings.allowed.iter().any(Origin::is_secure);
+        let secure = secure.then(|| secure_client(&settings)).transpose()?;
         let shared = Shared {
-            gates: Gates::new(conduct.per_host, conduct.delay),
-            plain: plain_client(&conduct)?,
+            limiters: HostLimiters::new(settings.per_host, settings.delay),
+            plain: plain_client(&settings)?,
             secure,
             counters: Counters::default(),
-            conduct,
+            settings,
         };
         Ok(Self {
             shared: Arc::new(shared),
@@ -63,27 +64,27 @@ impl Client {
     }
 
     /// Asks for all, at most `per_host` at a time a host; `done(index, answer)` is called on the caller's thread as
-    /// each ends, in the order they end. What one want costs in memory, `cap_bytes`, may be held `per_host` times a
+    /// each ends, in the order they end. What one download costs in memory, `cap_bytes`, may be held `per_host` times a
     /// host, and once more in `done`.
     ///
     /// # Errors
-    /// [`StageError::Cancelled`] within 2 s of the wish to stop, what `done` says, two wants with one part. Parts of
-    /// what was under way stay, and the next call goes on from them. A want that fails is no error here.
+    /// [`StageError::Cancelled`] within 2 s of the wish to stop, what `done` says, two downloads with one part. Parts of
+    /// what was under way stay, and the next call goes on from them. A download that fails is no error here.
     pub(crate) fn get_all(
         &self,
         ctx: &Ctx<'_>,
-        wants: &[Want],
+        downloads: &[Download],
         done: &mut dyn FnMut(usize, Result<Answer, NetError>) -> Result<(), StageError>,
     ) -> Result<(), StageError> {
-        distinct_parts(wants)?;
+        distinct_parts(downloads)?;
         let runtime = self.runtime.as_ref().ok_or_else(|| StageError::from(lost()))?;
-        let mut round = Round::new(&self.shared, runtime, wants);
-        round.fill();
-        while !round.under_way.is_empty() {
+        let mut batch = Batch::new(&self.shared, runtime, downloads);
+        batch.fill();
+        while !batch.under_way.is_empty() {
             ctx.check()?;
-            match round.reports.recv_timeout(LOOK) {
+            match batch.reports.recv_timeout(CHECK) {
                 Ok((index, answer)) => {
-                    round.ended(index);
+                    batch.ended(index);
                     done(index, answer)?;
                 }
                 Err(RecvTimeoutError::Timeout) => {}
@@ -93,7 +94,7 @@ impl Client {
         ctx.check()
     }
 
-    /// What was asked since the client was made.
+    /// Returns what was asked since the client was made.
     pub(crate) fn traffic(&self) -> Traffic {
         self.shared.counters.read()
     }
@@ -111,21 +112,21 @@ impl Drop for Client {
 type Reported = (usize, Result<Answer, NetError>);
 
 /// One call of `get_all`: what waits, by the host it asks first, and what is under way.
-struct Round<'a> {
+struct Batch<'a> {
     shared: &'a Arc<Shared>,
     runtime: &'a Runtime,
-    wants: &'a [Want],
+    downloads: &'a [Download],
     waiting: BTreeMap<String, VecDeque<usize>>,
     under_way: BTreeMap<usize, (String, JoinHandle<()>)>,
     reporter: Option<Sender<Reported>>,
     reports: Receiver<Reported>,
 }
 
-impl<'a> Round<'a> {
-    fn new(shared: &'a Arc<Shared>, runtime: &'a Runtime, wants: &'a [Want]) -> Self {
+impl<'a> Batch<'a> {
+    fn new(shared: &'a Arc<Shared>, runtime: &'a Runtime, downloads: &'a [Download]) -> Self {
         let mut waiting: BTreeMap<String, VecDeque<usize>> = BTreeMap::new();
-        for (index, want) in wants.iter().enumerate() {
-            let origin = want.urls.first().and_then(Origin::of);
+        for (index, download) in downloads.iter().enumerate() {
+            let origin = download.urls.first().and_then(Origin::of);
             let host = origin.map_or_else(String::new, |origin| origin.authority());
             waiting.entry(host).or_default().push_back(index);
         }
@@ -133,7 +134,7 @@ impl<'a> Round<'a> {
         Self {
             shared,
             runtime,
-            wants,
+            downloads,
             waiting,
             under_way: BTreeMap::new(),
             reporter: Some(reporter),
@@ -141,28 +142,28 @@ impl<'a> Round<'a> {
         }
     }
 
-    /// Starts what each host has room for.
+    /// Starts as many downloads as each host may have at once.
     fn fill(&mut self) {
         let hosts: Vec<String> = self.waiting.keys().cloned().collect();
         for host in hosts {
-            (0..self.shared.conduct.per_host.max(1)).for_each(|_| self.start(&host));
+            (0..self.shared.settings.per_host.max(1)).for_each(|_| self.start(&host));
         }
     }
 
-    /// Starts the next want of a host, if there is one.
+    /// Starts the next download of a host, if there is one.
     fn start(&mut self, host: &str) {
         let next = self.waiting.get_mut(host).and_then(VecDeque::pop_front);
         let (Some(index), Some(reporter)) = (next, &self.reporter) else {
             return;
         };
-        let (shared, want) = (Arc::clone(self.shared), self.wants[index].clone());
+        let (shared, download) = (Arc::clone(self.shared), self.downloads[index].clone());
         let report = Report {
             index,
-            url: want.urls.first().map_or_else(String::new, shown),
+            url: download.urls.first().map_or_else(String::new, shown),
             reporter: Some(reporter.clone()),
         };
         let task = self.runtime.spawn(async move {
-            let answer = shared.bring(&want).await;
+            let answer = shared.download(&download).await;
             report.send(answer);
         });
         self.under_way.insert(index, (host.to_owned(), task));
@@ -175,13 +176,13 @@ impl<'a> Round<'a> {
     }
 }
 
-/// Stops what is under way and waits, for a while, until its parts are in order.
-impl Drop for Round<'_> {
+/// Stops what is under way and waits, for a while, until its parts are finished.
+impl Drop for Batch<'_> {
     fn drop(&mut self) {
         self.under_way.values().for_each(|(_, task)| task.abort());
         self.reporter = None;
         let began = Instant::now();
-        while let Some(left) = END.checked_sub(began.elapsed()) {
+        while let Some(left) = GRACE.checked_sub(began.elapsed()) {
             if let Err(RecvTimeoutError::Disconnected | RecvTimeoutError::Timeout) =
                 self.reports.recv_timeout(left)
             {
@@ -191,7 +192,7 @@ impl Drop for Round<'_> {
     }
 }
 
-/// Tells the caller how one want ended, also where its task panicked.
+/// Reports to the caller how one download ended, also where its task panicked.
 struct Report {
     index: usize,
     url: String,
@@ -219,11 +220,11 @@ impl Drop for Report {
     }
 }
 
-fn distinct_parts(wants: &[Want]) -> Result<(), StageError> {
+fn distinct_parts(downloads: &[Download]) -> Result<(), StageError> {
     let mut seen = BTreeSet::new();
-    match wants
+    match downloads
         .iter()
-        .filter_map(|want| want.part.as_deref())
+        .filter_map(|download| download.part.as_deref())
         .find(|part| !seen.insert(*part))
     {
         Some(part) => Err(StageError::new(format!(
@@ -234,33 +235,33 @@ fn distinct_parts(wants: &[Want]) -> Result<(), StageError> {
     }
 }
 
-fn basic(conduct: &Conduct) -> reqwest::ClientBuilder {
+fn basic(settings: &ClientSettings) -> reqwest::ClientBuilder {
     reqwest::Client::builder()
-        .user_agent(&conduct.agent)
+        .user_agent(&settings.agent)
         .redirect(Policy::none())
         .retry(reqwest::retry::never())
         .referer(false)
-        .connect_timeout(conduct.stall)
-        .pool_max_idle_per_host(conduct.per_host)
+        .connect_timeout(settings.stall)
+        .pool_max_idle_per_host(settings.per_host)
         .pool_idle_timeout(IDLE)
 }
 
-/// Trusts nobody and knows no proxy: for loopback origins, which are asked without TLS.
-fn plain_client(conduct: &Conduct) -> Result<reqwest::Client, NetError> {
+/// Returns a client without certificates and proxies: for loopback origins, which are asked without TLS.
+fn plain_client(settings: &ClientSettings) -> Result<reqwest::Client, NetError> {
     let nobody = tls()?
         .with_root_certificates(RootCertStore::empty())
         .with_no_client_auth();
-    let client = basic(conduct).no_proxy().tls_backend_preconfigured(nobody);
+    let client = basic(settings).no_proxy().tls_backend_preconfigured(nobody);
     client.build().map_err(unbuilt)
 }
 
-/// Trusts whom the system trusts, and goes through the proxy of the environment.
-fn secure_client(conduct: &Conduct) -> Result<reqwest::Client, NetError> {
+/// Returns a client that trusts the certificates of the system, and uses the proxy of the environment.
+fn secure_client(settings: &ClientSettings) -> Result<reqwest::Client, NetError> {
     let config = tls()?
         .with_platform_verifier()
         .map_err(|error| unstarted(error.to_string()))?
         .with_no_client_auth();
-    let client = basic(conduct).https_only(true).tls_backend_preconfigured(config);
+    let client = basic(settings).https_only(true).tls_backend_preconfigured(config);
     client.build().map_err(unbuilt)
 }
 
@@ -276,7 +277,7 @@ fn unbuilt(error: reqwest::Error) -> NetError {
 
 fn unstarted(why: String) -> NetError {
     NetError {
-        trouble: Box::new(Trouble::Unstarted(why)),
+        kind: Box::new(NetErrorKind::Unstarted(why)),
         ..lost()
     }
 }
@@ -284,10 +285,10 @@ fn unstarted(why: String) -> NetError {
 fn lost() -> NetError {
     NetError {
         url: "the client".to_owned(),
-        trouble: Box::new(Trouble::Lost),
+        kind: Box::new(NetErrorKind::Lost),
         tries: 0,
         took: Duration::ZERO,
-        again: false,
+        retryable: false,
         before: Vec::new(),
     }
 }

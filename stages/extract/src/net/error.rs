@@ -1,4 +1,4 @@
-//! What can go wrong on the way to a body.
+//! Why a download failed.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -9,26 +9,26 @@ use marf_stage::StageError;
 use super::backoff::LONGEST_RETRY_AFTER;
 use super::origin::{MAX_HOPS, Refused};
 
-/// A want that was not brought.
+/// A download that failed.
 #[derive(Debug, Clone, thiserror::Error)]
 pub(crate) struct NetError {
     /// Scheme, host and path of the address asked last.
     pub url: String,
     /// What happened at the last try.
-    pub trouble: Box<Trouble>,
+    pub kind: Box<NetErrorKind>,
     /// Tries at that address.
     pub tries: u32,
     /// From the first of these tries to the end of the last, waits included.
     pub took: Duration,
-    /// Whether the same want may be brought at another time.
-    pub again: bool,
-    /// What the mirrors before it said, one line each.
+    /// Whether the same download may succeed at another time.
+    pub retryable: bool,
+    /// The errors of the mirrors before it, one line each.
     pub before: Vec<String>,
 }
 
 impl fmt::Display for NetError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: {}", self.url, self.trouble)?;
+        write!(f, "{}: {}", self.url, self.kind)?;
         if self.tries > 0 {
             let tries = if self.tries == 1 { "try" } else { "tries" };
             let seconds = self.took.as_secs_f64();
@@ -43,20 +43,20 @@ impl fmt::Display for NetError {
 impl From<NetError> for StageError {
     fn from(error: NetError) -> Self {
         let failed = Self::new(error.to_string());
-        match &*error.trouble {
-            Trouble::Part { .. } => failed.hint("free space or choose another folder, and run again"),
-            Trouble::Redirect(_) | Trouble::NotAllowed => {
+        match &*error.kind {
+            NetErrorKind::Part { .. } => failed.hint("free space or choose another folder, and run again"),
+            NetErrorKind::Redirect(_) | NetErrorKind::NotAllowed => {
                 failed.hint("check the archive's `base` addresses; only their hosts are asked")
             }
-            _ if error.again => failed.hint("run again later: what has come is kept"),
+            _ if error.retryable => failed.hint("run again later: what has come is kept"),
             _ => failed,
         }
     }
 }
 
-/// What happened.
+/// The cause of a failed try.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum Trouble {
+pub(crate) enum NetErrorKind {
     /// A status that is no answer.
     #[error("answers status {0}")]
     Status(u16),
@@ -122,11 +122,11 @@ pub(crate) enum Trouble {
     /// An origin that the configuration does not name.
     #[error("its origin is not among the archive's")]
     NotAllowed,
-    /// A want without an address.
+    /// A download without an address.
     #[error("no address is given")]
     NoAddress,
-    /// The host is left alone from here on.
-    #[error("host {host} is left alone: {why}")]
+    /// No more requests are sent to the host.
+    #[error("host {host} is asked no more: {why}")]
     HostStopped {
         /// Host and port.
         host: String,
@@ -149,9 +149,9 @@ pub(crate) enum Trouble {
     Lost,
 }
 
-impl Trouble {
-    /// Tells whether the next try may go better.
-    pub(super) fn may_pass(&self) -> bool {
+impl NetErrorKind {
+    /// Tells whether the next try may succeed.
+    pub(super) fn worth_another_try(&self) -> bool {
         match self {
             Self::Broken(_)
             | Self::Stalled { .. }
@@ -163,9 +163,9 @@ impl Trouble {
         }
     }
 
-    /// Tells whether another run may go better.
-    pub(super) fn may_pass_later(&self) -> bool {
-        self.may_pass()
+    /// Tells whether another run may succeed.
+    pub(super) fn worth_another_run(&self) -> bool {
+        self.worth_another_try()
             || matches!(
                 self,
                 Self::Later { .. } | Self::HostStopped { .. } | Self::Part { .. }
@@ -173,8 +173,8 @@ impl Trouble {
     }
 }
 
-/// Turns what the HTTP library says into one line without the address.
-pub(super) fn broken(error: reqwest::Error) -> Trouble {
+/// Returns an error of the HTTP library as one line without the address.
+pub(super) fn broken(error: reqwest::Error) -> NetErrorKind {
     let error = error.without_url();
     let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(&error);
     let mut words: Vec<String> = Vec::new();
@@ -182,7 +182,7 @@ pub(super) fn broken(error: reqwest::Error) -> Trouble {
         if let Some(tls) = tls_error(current)
             && matches!(tls, rustls::Error::InvalidCertificate(_))
         {
-            return Trouble::Certificate(super::origin::cut(&tls.to_string()));
+            return NetErrorKind::Certificate(super::origin::cut(&tls.to_string()));
         }
         let text = super::origin::cut(&current.to_string());
         if words.last().is_none_or(|last| !last.contains(&text)) {
@@ -190,10 +190,10 @@ pub(super) fn broken(error: reqwest::Error) -> Trouble {
         }
         cause = current.source();
     }
-    Trouble::Broken(words.join(": "))
+    NetErrorKind::Broken(words.join(": "))
 }
 
-/// An error of TLS, bare or inside errors of input and output, which do not tell of it as their source.
+/// Returns an error of TLS, bare or inside errors of input and output, which do not name it as their source.
 fn tls_error<'a>(error: &'a (dyn std::error::Error + 'static)) -> Option<&'a rustls::Error> {
     match error.downcast_ref::<std::io::Error>() {
         Some(outer) => tls_error(outer.get_ref()?),
@@ -209,10 +209,10 @@ mod tests {
     fn an_error_says_where_what_how_often_and_how_long() {
         let mut error = NetError {
             url: "https://a.example/x".into(),
-            trouble: Box::new(Trouble::Status(503)),
+            kind: Box::new(NetErrorKind::Status(503)),
             tries: 5,
             took: Duration::from_millis(12_340),
-            again: true,
+            retryable: true,
             before: vec!["https://b.example/x: answers status 500".into()],
         };
         assert_eq!(
@@ -224,7 +224,7 @@ mod tests {
         };
         assert!(hint.unwrap().contains("run again"));
         (error.tries, error.before) = (0, Vec::new());
-        *error.trouble = Trouble::Later {
+        *error.kind = NetErrorKind::Later {
             wait: Duration::from_secs(3_600),
         };
         assert_eq!(
@@ -241,21 +241,23 @@ mod tests {
         assert_eq!(tls_error(&outer), Some(&refused));
         assert_eq!(tls_error(&refused), Some(&refused));
         assert_eq!(tls_error(&std::io::Error::other("text")), None);
-        assert!(!Trouble::Certificate(String::new()).may_pass_later());
+        assert!(!NetErrorKind::Certificate(String::new()).worth_another_run());
     }
 
     #[test]
     fn what_may_pass_is_what_policy_retries() {
-        use super::super::policy::{Asked, Meaning, judge};
+        use super::super::status::{Asked, StatusClass, classify};
         let asked = Asked {
             rest: false,
             condition: false,
         };
         for status in 100..=650 {
-            if judge(status, asked) == Meaning::Again {
-                assert!(Trouble::Status(status).may_pass(), "{status}");
+            if classify(status, asked) == StatusClass::Again {
+                assert!(NetErrorKind::Status(status).worth_another_try(), "{status}");
             }
         }
-        assert!(!Trouble::Status(403).may_pass() && !Trouble::NotAllowed.may_pass_later());
+        assert!(
+            !NetErrorKind::Status(403).worth_another_try() && !NetErrorKind::NotAllowed.worth_another_run()
+        );
     }
 }

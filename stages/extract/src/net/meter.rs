@@ -1,14 +1,14 @@
-//! How far, how fast, how long: a short note for a progress bar.
+//! Bytes, rate and remaining time as a short note for a progress bar.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Span over which the rate is taken.
 const WINDOW: Duration = Duration::from_secs(20);
-/// Time after which a guess at the rest is made.
+/// Time after which the remaining time is estimated.
 const FIRST_GUESS: Duration = Duration::from_secs(3);
 
-/// Counts bytes against time; the caller tells the time.
+/// Measures the rate of downloads; the caller passes the time.
 #[derive(Debug)]
 pub(crate) struct Meter {
     total: u64,
@@ -22,7 +22,7 @@ struct Seen {
 }
 
 impl Meter {
-    /// `total`: the things to bring.
+    /// Begins at time 0 with `total` files to download.
     pub(crate) fn new(total: u64) -> Self {
         let begin = Seen {
             at: Duration::ZERO,
@@ -34,8 +34,8 @@ impl Meter {
         }
     }
 
-    /// Hears that `done` things and `bytes` have come by `at`, since the beginning; returns the note, as
-    /// `84 MB, 3.1 MB/s, 4 min left`. The guess is by things at the pace so far, since no archive tells bytes ahead.
+    /// Returns the note when `done` files and `bytes` have come by `at`, since the beginning, as
+    /// `84 MB, 3.1 MB/s, 4 min left`. The estimate counts files, since no archive announces bytes.
     pub(crate) fn note(&mut self, at: Duration, done: u64, bytes: u64) -> String {
         self.seen.push_back(Seen { at, bytes });
         // The first one stays the youngest that is at least a window old.
@@ -59,7 +59,7 @@ impl Meter {
         note
     }
 
-    /// Time for the rest at the mean pace so far.
+    /// Returns the time that the rest takes at the mean rate so far.
     fn left(&self, at: Duration, done: u64) -> Option<Duration> {
         let rest = self.total.saturating_sub(done);
         if done == 0 || rest == 0 || at < FIRST_GUESS {
@@ -70,7 +70,7 @@ impl Meter {
     }
 }
 
-/// Bytes in decimal units, two to three digits.
+/// Returns bytes in decimal units, two to three digits.
 fn size(bytes: f64) -> String {
     let units = ["B", "kB", "MB", "GB", "TB"];
     let mut value = bytes;

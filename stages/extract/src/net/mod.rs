@@ -1,12 +1,11 @@
-//! A polite, bounded HTTP client for archives; the only room that opens a socket.
+//! A polite, bounded HTTP client for archives; the only module that opens a socket.
 //!
 //! ```text
-//! client.rs    the blocking surface: many wants, few connections, one caller
-//! transfer.rs  one want: mirrors, tries, redirects, the body
-//! gate.rs      one host: how many at once, how far apart, when it is left alone
-//! part.rs      a body on its way, kept on disk and continued
-//! policy.rs backoff.rs origin.rs range.rs pace.rs meter.rs   decisions without a socket
-//! hosts.rs     the hosts that hold photos of Mars
+//! client.rs    the blocking interface: many downloads, few connections, one caller
+//! transfer.rs  one download: mirrors, tries, redirects, the body
+//! limiter.rs   one host: how many requests at once, how far apart, when no more are sent
+//! part.rs      an unfinished body, kept on disk and continued
+//! status.rs backoff.rs origin.rs range.rs rate.rs meter.rs   decisions without a socket
 //! ```
 //!
 //! Invariants: no request leaves for an origin that the configuration does not name, redirects included; nothing is
@@ -20,14 +19,13 @@
 mod backoff;
 mod client;
 mod error;
-mod gate;
-pub(crate) mod hosts;
+mod limiter;
 mod meter;
 mod origin;
-mod pace;
 mod part;
-mod policy;
 mod range;
+mod rate;
+mod status;
 #[cfg(test)]
 mod tests;
 mod transfer;
@@ -38,16 +36,16 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 
 pub(crate) use client::Client;
-pub(crate) use error::{NetError, Trouble};
+pub(crate) use error::{NetError, NetErrorKind};
 pub(crate) use meter::Meter;
 pub(crate) use origin::Origin;
 pub(crate) use part::forget;
-/// A parsed address.
+/// An address.
 pub(crate) use reqwest::Url;
 
-/// How a [`Client`] behaves towards hosts.
+/// How a [`Client`] treats hosts.
 #[derive(Debug, Clone)]
-pub(crate) struct Conduct {
+pub(crate) struct ClientSettings {
     /// The origins that may be asked, by first request or by redirect.
     pub allowed: Vec<Origin>,
     /// Requests at once to one host.
@@ -56,9 +54,9 @@ pub(crate) struct Conduct {
     pub delay: Duration,
     /// Tries an address, the first included; at least 1.
     pub tries: u32,
-    /// Upper end of the wait before the second try; it doubles with each further one.
+    /// Longest wait before the second try; it doubles with each further one.
     pub first_wait: Duration,
-    /// Upper end of any such wait. A host's own `Retry-After` may ask for more, up to 10 minutes.
+    /// Longest of these waits. A host's own `Retry-After` may ask for more, up to 10 minutes.
     pub longest_wait: Duration,
     /// A try ends when its head is not complete after so long, or no byte of its body came for so long.
     pub stall: Duration,
@@ -66,15 +64,15 @@ pub(crate) struct Conduct {
     pub slow_after: Duration,
     /// Smallest mean rate over a window, bytes a second; a body that drips slower is given up.
     pub slowest: u64,
-    /// Who asks: program, version, contact.
+    /// The `User-Agent`: program, version, contact.
     pub agent: String,
 }
 
-impl Conduct {
+impl ClientSettings {
     /// Two connections a host, 250 ms between starts, 5 tries with waits of 1 to 60 s, 30 s without a byte, and
     /// 1 kB/s over a minute at least.
     ///
-    /// `contact` is an address at which a host's keeper finds out who asks, plain ASCII.
+    /// `contact` is an address for those who look after the host, plain ASCII.
     pub(crate) fn polite(allowed: Vec<Origin>, contact: Option<&str>) -> Self {
         let program = concat!("marf/", env!("CARGO_PKG_VERSION"));
         Self {
@@ -92,7 +90,7 @@ impl Conduct {
     }
 }
 
-/// What a host said of the version of a body; asks "is it still this one?".
+/// What a host said of the version of a body; sent back, it asks whether the body is still the same.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Validators {
     /// `ETag`, with its quotes.
@@ -103,24 +101,24 @@ pub(crate) struct Validators {
     pub modified: Option<String>,
 }
 
-/// One thing to bring.
+/// One file to download.
 #[derive(Debug, Clone)]
-pub(crate) struct Want {
-    /// The same thing on mirrors, in order of preference; the one an unfinished part came from goes first.
+pub(crate) struct Download {
+    /// Its address on each mirror, in order of preference; the one that an unfinished part came from goes first.
     pub urls: Vec<Url>,
     /// Largest body that is taken, bytes.
     pub cap_bytes: u64,
-    /// What the first address said last time; only that address is asked "still the same?".
+    /// What the first address said last time; that address alone is asked whether the file changed since.
     pub known: Option<Validators>,
-    /// Where an unfinished body is kept, with a sidecar `PART.json` beside it; one want a part.
+    /// Where an unfinished body is kept, with a sidecar `PART.json` beside it; no two downloads share one.
     pub part: Option<PathBuf>,
 }
 
-/// What came of a want.
+/// How a download ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Answer {
-    /// The body. Whether it is what it should be is for the caller to judge: a firewall's page is a body too.
-    /// Its part stays, complete, until [`forget`]: a process that ends before then takes it up without a request.
+    /// The body. The caller checks what it is: a firewall's page is a body too. Its part stays, complete, until
+    /// [`forget`]: a process that ends before then leaves it to the next, which needs no request.
     Whole {
         /// The body, `cap_bytes` at most.
         bytes: Vec<u8>,
@@ -129,7 +127,7 @@ pub(crate) enum Answer {
         /// What that address said of the version.
         validators: Validators,
     },
-    /// Still what `known` says.
+    /// The file is still what `known` says.
     Unchanged,
     /// 404 or 410 on every mirror.
     Absent {
@@ -140,7 +138,7 @@ pub(crate) enum Answer {
     },
 }
 
-/// What a [`Client`] has done so far.
+/// What a [`Client`] has asked so far.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Traffic {
     /// Requests sent, redirects and tries included.
@@ -149,8 +147,8 @@ pub(crate) struct Traffic {
     pub retries: u64,
     /// Bodies continued from where they broke off.
     pub resumed: u64,
-    /// Bytes of bodies that came, broken ones included.
+    /// Bytes of bodies received, broken ones included.
     pub bytes: u64,
-    /// Waits before retries, summed over wants.
+    /// Waits before retries, summed over downloads.
     pub waited: Duration,
 }

@@ -7,7 +7,7 @@ use super::Url;
 
 /// Redirects followed for one request.
 pub(super) const MAX_HOPS: usize = 5;
-/// Longest piece of a foreign text that is shown.
+/// Longest piece of a server's text that is shown, characters.
 const SHOWN: usize = 120;
 
 /// Scheme, host and port.
@@ -81,7 +81,7 @@ impl Origin {
         self.secure
     }
 
-    /// Host and port: what politeness is counted by.
+    /// Returns host and port, by which requests are limited.
     pub(super) fn authority(&self) -> String {
         format!("{}:{}", self.host, self.port)
     }
@@ -121,7 +121,7 @@ impl fmt::Display for Origin {
     }
 }
 
-/// Ranges of RFC 6890 that are not globally reachable, and multicast.
+/// Tells whether an address is in a range of RFC 6890 that is not globally reachable, or multicast.
 fn private_v4(address: Ipv4Addr) -> bool {
     let [a, b, c, _] = address.octets();
     address.is_private()
@@ -198,7 +198,7 @@ fn has_user(url: &Url) -> bool {
     !url.username().is_empty() || url.password().is_some()
 }
 
-/// Scheme, host and path of an address, for people; no user, no query.
+/// Returns scheme, host and path of an address, for people; no user, no query.
 pub(super) fn shown(url: &Url) -> String {
     match url.host_str() {
         Some(host) => {
@@ -209,7 +209,7 @@ pub(super) fn shown(url: &Url) -> String {
     }
 }
 
-/// Cuts a foreign text and makes its control characters visible.
+/// Cuts a server's text and makes its control characters visible.
 pub(super) fn cut(text: &str) -> String {
     let mut kept: String = text.chars().take(SHOWN).flat_map(char::escape_debug).collect();
     if text.chars().nth(SHOWN).is_some() {

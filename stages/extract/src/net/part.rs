@@ -1,10 +1,9 @@
-//! A body on its way: in memory, and in a part on disk from which a later run goes on.
+//! An unfinished body: in memory, and in a part on disk from which a later run goes on.
 //!
 //! Beside `PART` lies `PART.json`: the address, its validators, the length, how many bytes are good and their blake3.
-//! The part holds nothing that the sidecar's digest does not vouch for, so neither needs a sync: what a crash spoils
+//! Only bytes with the sidecar's digest are taken from a part, so neither file needs a sync: what a crash spoils
 //! does not verify and is fetched again. A part that another process holds is left to it.
 
-use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -12,20 +11,21 @@ use std::path::{Path, PathBuf};
 use marf_cache::Digest;
 use serde::{Deserialize, Serialize};
 
-use super::error::Trouble;
+use super::error::NetErrorKind;
 use super::{Url, Validators, range};
+use crate::files::{self, beside};
 
 /// Bytes after which the sidecar is written again.
 const CHECKPOINT_BYTES: u64 = 1 << 20;
-/// Most room that is made on a host's word, before any byte has come.
-const MOST_ROOM: u64 = 8 << 20;
+/// Largest buffer that is reserved for an announced length, before any byte has come.
+const MOST_RESERVED: u64 = 8 << 20;
 /// Largest sidecar that is read.
 const MAX_SIDECAR_BYTES: u64 = 64 << 10;
 
-/// What is known of a body before it has come.
+/// What the head of an answer says of the body.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Head {
-    /// The address of the want.
+    /// The address that was asked.
     pub asked: String,
     /// The address that answered, after redirects.
     pub url: String,
@@ -43,7 +43,7 @@ struct Sidecar {
     complete: bool,
 }
 
-/// A body, as far as it has come.
+/// The bytes of a body that have come.
 #[derive(Debug)]
 pub(super) struct Body {
     pub head: Head,
@@ -58,24 +58,24 @@ impl Body {
     }
 }
 
-/// Holds the body of one want, and its part.
+/// The body of one download, and its part.
 #[derive(Debug)]
-pub(super) struct Holder {
+pub(super) struct PartialDownload {
     cap: u64,
     part: Option<(PathBuf, File)>,
     body: Option<Body>,
-    /// Bytes that the sidecar vouches for.
+    /// Bytes that the sidecar has the digest of.
     saved: u64,
     complete: bool,
 }
 
-impl Holder {
-    /// Takes up what an earlier try or run has left; what does not verify is dropped.
+impl PartialDownload {
+    /// Opens the part that an earlier try or run has left; what does not verify is dropped.
     ///
     /// # Errors
     /// A part that cannot be opened or read.
-    pub(super) fn open(part: Option<&Path>, cap: u64) -> Result<Self, Trouble> {
-        let mut holder = Self {
+    pub(super) fn open(part: Option<&Path>, cap: u64) -> Result<Self, NetErrorKind> {
+        let mut partial = Self {
             cap,
             part: None,
             body: None,
@@ -83,32 +83,32 @@ impl Holder {
             complete: false,
         };
         let Some(path) = part else {
-            return Ok(holder);
+            return Ok(partial);
         };
         let mut file = opened(path).map_err(|error| in_part(path, &error))?;
         match file.try_lock() {
             Ok(()) => {}
             // Another process fetches the same thing; ours stays in memory.
-            Err(fs::TryLockError::WouldBlock) => return Ok(holder),
+            Err(fs::TryLockError::WouldBlock) => return Ok(partial),
             Err(fs::TryLockError::Error(error)) => return Err(in_part(path, &error)),
         }
         if let Some((body, complete)) = left_behind(path, &mut file, cap) {
-            (holder.saved, holder.complete) = (body.len(), complete);
-            holder.body = Some(body);
+            (partial.saved, partial.complete) = (body.len(), complete);
+            partial.body = Some(body);
         }
-        file.set_len(holder.saved)
+        file.set_len(partial.saved)
             .and_then(|()| file.seek(SeekFrom::End(0)))
             .map_err(|error| in_part(path, &error))?;
-        holder.part = Some((path.to_owned(), file));
-        Ok(holder)
+        partial.part = Some((path.to_owned(), file));
+        Ok(partial)
     }
 
-    /// The body so far, if any.
+    /// Returns the body so far, if any.
     pub(super) fn body(&self) -> Option<&Body> {
         self.body.as_ref()
     }
 
-    /// Tells whether all of it is here.
+    /// Tells whether the body is complete.
     pub(super) fn is_complete(&self) -> bool {
         self.complete
     }
@@ -121,11 +121,11 @@ impl Holder {
         (same && body.len() > 0 && !self.complete).then_some((body, value))
     }
 
-    /// Begins from zero.
+    /// Drops what has come and begins a new body.
     ///
     /// # Errors
     /// A part that cannot be written.
-    pub(super) fn restart(&mut self, head: Head) -> Result<(), Trouble> {
+    pub(super) fn restart(&mut self, head: Head) -> Result<(), NetErrorKind> {
         self.discard()?;
         self.body = Some(Body {
             head,
@@ -139,7 +139,7 @@ impl Holder {
     ///
     /// # Errors
     /// A part that cannot be written.
-    pub(super) fn discard(&mut self) -> Result<(), Trouble> {
+    pub(super) fn discard(&mut self) -> Result<(), NetErrorKind> {
         (self.body, self.saved, self.complete) = (None, 0, false);
         let Some((path, file)) = &mut self.part else {
             return Ok(());
@@ -150,48 +150,48 @@ impl Holder {
             .map_err(|error| in_part(path, &error))
     }
 
-    /// This address has nothing to continue: drops what came from it.
+    /// Drops what came from an address that has nothing to continue.
     ///
     /// # Errors
     /// A part that cannot be written.
-    pub(super) fn gone(&mut self, asked: &Url) -> Result<(), Trouble> {
+    pub(super) fn gone(&mut self, asked: &Url) -> Result<(), NetErrorKind> {
         match &self.body {
             Some(body) if body.head.asked == asked.as_str() => self.discard(),
             _ => Ok(()),
         }
     }
 
-    /// Refuses a body that is announced as too large, and makes room for one that is not.
+    /// Refuses a body that is announced as too large, and reserves memory for one that is not.
     ///
     /// # Errors
     /// More than the cap.
-    pub(super) fn announced(&mut self) -> Result<(), Trouble> {
-        let (cap, body) = (self.cap, self.body.as_mut().ok_or(Trouble::Lost)?);
+    pub(super) fn announced(&mut self) -> Result<(), NetErrorKind> {
+        let (cap, body) = (self.cap, self.body.as_mut().ok_or(NetErrorKind::Lost)?);
         let bytes = body.head.length.unwrap_or(0);
         if bytes > cap {
-            return Err(Trouble::TooLarge { bytes, cap });
+            return Err(NetErrorKind::TooLarge { bytes, cap });
         }
-        let room = bytes.saturating_sub(body.len()).min(MOST_ROOM);
-        body.bytes.reserve(room as usize);
+        let reserved = bytes.saturating_sub(body.len()).min(MOST_RESERVED);
+        body.bytes.reserve(reserved as usize);
         Ok(())
     }
 
-    /// The length of the whole is known now.
+    /// Sets the length of the whole.
     pub(super) fn set_length(&mut self, length: u64) {
         if let Some(body) = &mut self.body {
             body.head.length = Some(length);
         }
     }
 
-    /// Adds what came.
+    /// Adds bytes that came.
     ///
     /// # Errors
     /// More than the cap, or a part that cannot be written.
-    pub(super) fn push(&mut self, chunk: &[u8]) -> Result<(), Trouble> {
-        let body = self.body.as_mut().ok_or(Trouble::Lost)?;
+    pub(super) fn push(&mut self, chunk: &[u8]) -> Result<(), NetErrorKind> {
+        let body = self.body.as_mut().ok_or(NetErrorKind::Lost)?;
         let bytes = body.len() + chunk.len() as u64;
         if bytes > self.cap {
-            return Err(Trouble::TooLarge { bytes, cap: self.cap });
+            return Err(NetErrorKind::TooLarge { bytes, cap: self.cap });
         }
         body.bytes.extend_from_slice(chunk);
         body.hasher.update(chunk);
@@ -204,20 +204,20 @@ impl Holder {
         Ok(())
     }
 
-    /// The body has ended: returns its bytes, if they are as many as announced.
+    /// Ends the body and returns its bytes, if they are as many as announced.
     ///
     /// # Errors
     /// Another length; a part that cannot be written.
-    pub(super) fn finish(&mut self) -> Result<(Head, Vec<u8>), Trouble> {
-        let body = self.body.as_mut().ok_or(Trouble::Lost)?;
+    pub(super) fn finish(&mut self) -> Result<(Head, Vec<u8>), NetErrorKind> {
+        let body = self.body.as_mut().ok_or(NetErrorKind::Lost)?;
         let came = body.len();
         if let Some(announced) = body.head.length.filter(|announced| *announced != came) {
-            return Err(Trouble::Length { announced, came });
+            return Err(NetErrorKind::Length { announced, came });
         }
         body.head.length = Some(came);
         self.complete = true;
         self.checkpoint()?;
-        self.taken().ok_or(Trouble::Lost)
+        self.taken().ok_or(NetErrorKind::Lost)
     }
 
     /// Takes the body out; the part stays as it is.
@@ -226,11 +226,11 @@ impl Holder {
         Some((body.head, body.bytes))
     }
 
-    /// After a failed try: keeps what can be continued, drops the rest.
+    /// Ends a failed try: keeps what can be continued, drops the rest.
     ///
     /// # Errors
     /// A part that cannot be written.
-    pub(super) fn settle(&mut self) -> Result<(), Trouble> {
+    pub(super) fn settle(&mut self) -> Result<(), NetErrorKind> {
         let usable = |body: &Body| {
             let within = body.head.length.is_none_or(|length| body.len() < length);
             body.len() > 0 && within && range::if_range(&body.head.validators).is_some()
@@ -242,8 +242,8 @@ impl Holder {
         }
     }
 
-    /// Writes the sidecar: all that has come is good.
-    fn checkpoint(&mut self) -> Result<(), Trouble> {
+    /// Writes the sidecar of all that has come.
+    fn checkpoint(&mut self) -> Result<(), NetErrorKind> {
         let (Some((path, _)), Some(body)) = (&self.part, &self.body) else {
             return Ok(());
         };
@@ -253,19 +253,17 @@ impl Holder {
             blake3: Digest::from_bytes(*body.hasher.finalize().as_bytes()),
             complete: self.complete,
         });
-        let fresh = beside(path, ".json.new");
         let written = text
             .map_err(std::io::Error::other)
-            .and_then(|text| fs::write(&fresh, text))
-            .and_then(|()| fs::rename(&fresh, sidecar(path)));
+            .and_then(|text| files::replace(&sidecar(path), &text));
         written.map_err(|error| in_part(path, &error))?;
         self.saved = body.len();
         Ok(())
     }
 }
 
-/// A download that is dropped half-way keeps what has come; failing that, it costs only time.
-impl Drop for Holder {
+/// An unfinished download keeps what has come; where that fails, it costs only time.
+impl Drop for PartialDownload {
     fn drop(&mut self) {
         if !self.complete {
             let _ = self.settle();
@@ -277,8 +275,7 @@ impl Drop for Holder {
     }
 }
 
-/// Deletes a part and its sidecar: what it held is stored. A file that cannot be deleted stays, never to be taken for
-/// a body without its sidecar.
+/// Deletes a part and its sidecar. A part that cannot be deleted stays, and is never read without its sidecar.
 pub(crate) fn forget(part: &Path) {
     [&sidecar(part), &beside(part, ".json.new"), part]
         .iter()
@@ -294,12 +291,6 @@ fn sidecar(part: &Path) -> PathBuf {
     beside(part, ".json")
 }
 
-fn beside(part: &Path, suffix: &str) -> PathBuf {
-    let mut name = OsString::from(part);
-    name.push(suffix);
-    PathBuf::from(name)
-}
-
 fn opened(path: &Path) -> std::io::Result<File> {
     if let Some(folder) = path.parent() {
         fs::create_dir_all(folder)?;
@@ -312,7 +303,7 @@ fn opened(path: &Path) -> std::io::Result<File> {
         .open(path)
 }
 
-/// Reads what the sidecar vouches for, if it verifies.
+/// Reads the bytes that the sidecar has the digest of, if they verify.
 fn left_behind(path: &Path, file: &mut File, cap: u64) -> Option<(Body, bool)> {
     let mut text = Vec::new();
     File::open(sidecar(path))
@@ -339,8 +330,8 @@ fn left_behind(path: &Path, file: &mut File, cap: u64) -> Option<(Body, bool)> {
     (verified && body.len() == sidecar.bytes).then_some((body, sidecar.complete))
 }
 
-fn in_part(path: &Path, error: &std::io::Error) -> Trouble {
-    Trouble::Part {
+fn in_part(path: &Path, error: &std::io::Error) -> NetErrorKind {
+    NetErrorKind::Part {
         path: path.to_owned(),
         error: error.to_string(),
     }
@@ -369,45 +360,48 @@ mod tests {
     fn a_killed_download_keeps_all_but_the_last_megabyte() {
         let folder = tempfile::tempdir().unwrap();
         let (live, dead) = (folder.path().join("live"), folder.path().join("dead"));
-        let mut holder = Holder::open(Some(&live), CAP).unwrap();
-        holder.restart(head()).unwrap();
+        let mut partial = PartialDownload::open(Some(&live), CAP).unwrap();
+        partial.restart(head()).unwrap();
         for step in 0..50_u8 {
-            holder.push(&[step; 65_536]).unwrap();
+            partial.push(&[step; 65_536]).unwrap();
         }
         fs::copy(&live, &dead).unwrap();
         fs::copy(sidecar(&live), sidecar(&dead)).unwrap();
-        let back = Holder::open(Some(&dead), CAP).unwrap();
+        let back = PartialDownload::open(Some(&dead), CAP).unwrap();
         let body = back.body().unwrap();
         assert_eq!((body.len(), &body.head), (3 << 20, &head()));
         assert_eq!(body.bytes[body.bytes.len() - 1], 47);
-        let small = Holder::open(Some(&dead), CAP);
+        let small = PartialDownload::open(Some(&dead), CAP);
         assert!(small.unwrap().body().is_none(), "held by `back`");
         drop(back);
         assert!(
-            Holder::open(Some(&dead), 1_000).unwrap().body().is_none(),
+            PartialDownload::open(Some(&dead), 1_000)
+                .unwrap()
+                .body()
+                .is_none(),
             "past the cap"
         );
     }
 
     #[test]
-    fn a_host_s_word_makes_no_room_beyond_the_cap() {
-        let mut holder = Holder::open(None, 1_000).unwrap();
-        holder.restart(head()).unwrap();
-        let refused = holder.announced();
+    fn an_announced_length_reserves_no_more_than_the_cap() {
+        let mut partial = PartialDownload::open(None, 1_000).unwrap();
+        partial.restart(head()).unwrap();
+        let refused = partial.announced();
         assert_eq!(
             refused,
-            Err(Trouble::TooLarge {
+            Err(NetErrorKind::TooLarge {
                 bytes: 4 << 20,
                 cap: 1_000
             })
         );
-        let mut holder = Holder::open(None, u64::MAX).unwrap();
+        let mut partial = PartialDownload::open(None, u64::MAX).unwrap();
         let endless = Head {
             length: Some(u64::MAX),
             ..head()
         };
-        holder.restart(endless).unwrap();
-        holder.announced().unwrap();
-        assert!(holder.body.as_ref().unwrap().bytes.capacity() as u64 <= 2 * MOST_ROOM);
+        partial.restart(endless).unwrap();
+        partial.announced().unwrap();
+        assert!(partial.body.as_ref().unwrap().bytes.capacity() as u64 <= 2 * MOST_RESERVED);
     }
 }

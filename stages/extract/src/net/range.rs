@@ -1,11 +1,11 @@
-//! Continuing a body: by what it is recognised, and whether what comes is its rest.
+//! Continuing a body: its validators, and whether an answer is its rest.
 
 use super::Validators;
 
 /// Longest validator that is kept.
 const MAX_VALIDATOR_BYTES: usize = 256;
 
-/// Keeps a validator as a host sent it, if it can be sent back.
+/// Returns a validator as a host sent it, if it can be sent back.
 pub(super) fn validator(value: Option<&str>) -> Option<String> {
     let value = value?.trim();
     let plain = value.bytes().all(|byte| byte == b' ' || byte.is_ascii_graphic());

@@ -4,8 +4,8 @@
 mod server;
 
 mod faults;
-mod manners;
 mod parts;
+mod politeness;
 mod redirects;
 
 use std::path::PathBuf;
@@ -15,29 +15,34 @@ use marf_stage::StageError;
 use marf_stage::harness::Harness;
 
 use super::*;
+use crate::archive::access::NetworkPermit;
 use server::Server;
 
-/// A conduct of short waits that may ask these servers.
-fn quick(servers: &[&Server]) -> Conduct {
+fn permit() -> NetworkPermit {
+    NetworkPermit::for_tests()
+}
+
+/// A settings of short waits that may ask these servers.
+fn quick(servers: &[&Server]) -> ClientSettings {
     let origins = servers
         .iter()
         .map(|server| Origin::parse(&server.origin()).unwrap());
-    Conduct {
+    ClientSettings {
         delay: Duration::ZERO,
         first_wait: Duration::from_millis(2),
         longest_wait: Duration::from_millis(10),
         stall: Duration::from_millis(700),
-        ..Conduct::polite(origins.collect(), Some("https://example.org/marf"))
+        ..ClientSettings::polite(origins.collect(), Some("https://example.org/marf"))
     }
 }
 
 fn client(server: &Server) -> Client {
-    Client::new(quick(&[server])).unwrap()
+    Client::new(permit(), quick(&[server])).unwrap()
 }
 
-/// A want of a path, 1 MB at most.
-fn want(server: &Server, path: &str) -> Want {
-    Want {
+/// A download of a path, 1 MB at most.
+fn download(server: &Server, path: &str) -> Download {
+    Download {
         urls: vec![Url::parse(&server.url(path)).unwrap()],
         cap_bytes: 1_000_000,
         known: None,
@@ -47,21 +52,21 @@ fn want(server: &Server, path: &str) -> Want {
 
 type Answers = Vec<Option<Result<Answer, NetError>>>;
 
-/// Brings all, answers in the order of the wants.
-fn all(client: &Client, wants: &[Want]) -> Answers {
-    let mut answers: Answers = vec![None; wants.len()];
+/// Brings all, answers in the order of the downloads.
+fn all(client: &Client, downloads: &[Download]) -> Answers {
+    let mut answers: Answers = vec![None; downloads.len()];
     let harness = Harness::default();
     let keep = &mut |index: usize, answer| {
         assert!(answers[index].is_none(), "{index} ended twice");
         answers[index] = Some(answer);
         Ok(())
     };
-    client.get_all(&harness.ctx(), wants, keep).unwrap();
+    client.get_all(&harness.ctx(), downloads, keep).unwrap();
     answers
 }
 
-fn one(client: &Client, want: &Want) -> Result<Answer, NetError> {
-    all(client, std::slice::from_ref(want)).remove(0).unwrap()
+fn one(client: &Client, download: &Download) -> Result<Answer, NetError> {
+    all(client, std::slice::from_ref(download)).remove(0).unwrap()
 }
 
 fn bytes(answer: Result<Answer, NetError>) -> Vec<u8> {
@@ -71,7 +76,7 @@ fn bytes(answer: Result<Answer, NetError>) -> Vec<u8> {
     }
 }
 
-fn trouble(answer: Result<Answer, NetError>) -> NetError {
+fn kind(answer: Result<Answer, NetError>) -> NetError {
     match answer {
         Err(error) => error,
         Ok(Answer::Whole { bytes, url, .. }) => panic!("{} bytes of {url}", bytes.len()),

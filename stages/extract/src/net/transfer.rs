@@ -1,4 +1,4 @@
-//! One want: mirrors, tries, redirects, the body.
+//! One download: mirrors, tries, redirects, the body.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, SystemTime};
@@ -10,24 +10,24 @@ use reqwest::header::{
 use reqwest::{RequestBuilder, Response};
 use tokio::time::{Instant, sleep, timeout};
 
-use super::error::{Trouble, broken};
-use super::gate::{Gate, Gates};
+use super::error::{NetErrorKind, broken};
+use super::limiter::{HostLimiter, HostLimiters};
 use super::origin::{MAX_HOPS, Origin, may_ask, redirected, shown};
-use super::pace::Pace;
-use super::part::{Head, Holder};
-use super::policy::{Asked, Meaning, judge};
-use super::{Answer, Conduct, NetError, Traffic, Url, Validators, Want, backoff, range};
+use super::part::{Head, PartialDownload};
+use super::rate::RateMonitor;
+use super::status::{Asked, StatusClass, classify};
+use super::{Answer, ClientSettings, Download, NetError, Traffic, Url, Validators, backoff, range};
 
-/// Largest body of an answer without use that is read, to keep its connection.
+/// Largest body of an unused answer that is read, so that its connection can be used again.
 const DRAIN_BYTES: u64 = 16 << 10;
-/// Longest time for it.
+/// Longest time for that.
 const DRAIN_TIME: Duration = Duration::from_secs(2);
 
 /// What all transfers of a client share.
 #[derive(Debug)]
 pub(super) struct Shared {
-    pub conduct: Conduct,
-    pub gates: Gates,
+    pub settings: ClientSettings,
+    pub limiters: HostLimiters,
     /// Asks loopback origins; knows neither proxies nor TLS.
     pub plain: reqwest::Client,
     /// Asks everything else.
@@ -62,55 +62,57 @@ fn add(counter: &AtomicU64, count: u64) {
     counter.fetch_add(count, Ordering::Relaxed);
 }
 
-/// A try that brought nothing.
+/// A failed try.
 struct Failure {
-    trouble: Trouble,
+    kind: NetErrorKind,
     /// What the host asked to wait.
     wait: Option<Duration>,
 }
 
-impl From<Trouble> for Failure {
-    fn from(trouble: Trouble) -> Self {
-        Self { trouble, wait: None }
+impl From<NetErrorKind> for Failure {
+    fn from(kind: NetErrorKind) -> Self {
+        Self { kind, wait: None }
     }
 }
 
 impl Shared {
-    /// Brings a want from the first mirror that has it.
-    pub(super) async fn bring(&self, want: &Want) -> Result<Answer, NetError> {
+    /// Downloads from the first mirror that has the file.
+    pub(super) async fn download(&self, download: &Download) -> Result<Answer, NetError> {
         let began = Instant::now();
-        let failed = |url: Option<&Url>, trouble: Trouble| NetError {
+        let failed = |url: Option<&Url>, kind: NetErrorKind| NetError {
             url: url.map_or_else(String::new, shown),
-            again: trouble.may_pass_later(),
-            trouble: Box::new(trouble),
+            retryable: kind.worth_another_run(),
+            kind: Box::new(kind),
             tries: 0,
             took: began.elapsed(),
             before: Vec::new(),
         };
-        let Some(first) = want.urls.first() else {
-            return Err(failed(None, Trouble::NoAddress));
+        let Some(first) = download.urls.first() else {
+            return Err(failed(None, NetErrorKind::NoAddress));
         };
-        let mut holder = Holder::open(want.part.as_deref(), want.cap_bytes)
-            .map_err(|trouble| failed(Some(first), trouble))?;
-        let begun = holder.body().map(|body| body.head.asked.clone());
-        if holder.is_complete()
-            && begun.is_some_and(|asked| want.urls.iter().any(|url| *url.as_str() == asked))
+        let mut partial = PartialDownload::open(download.part.as_deref(), download.cap_bytes)
+            .map_err(|kind| failed(Some(first), kind))?;
+        let begun = partial.body().map(|body| body.head.asked.clone());
+        if partial.is_complete()
+            && begun.is_some_and(|asked| download.urls.iter().any(|url| *url.as_str() == asked))
         {
-            let taken = holder.taken().ok_or_else(|| failed(Some(first), Trouble::Lost));
+            let taken = partial
+                .taken()
+                .ok_or_else(|| failed(Some(first), NetErrorKind::Lost));
             return taken.map(whole);
         }
-        self.mirrors(want, &mut holder).await
+        self.mirrors(download, &mut partial).await
     }
 
-    /// Asks one mirror after the other; the one that a part is from goes first.
-    async fn mirrors(&self, want: &Want, holder: &mut Holder) -> Result<Answer, NetError> {
-        let begun = holder.body().map(|body| body.head.asked.clone());
-        let mut order: Vec<usize> = (0..want.urls.len()).collect();
-        order.sort_by_key(|place| begun.as_deref() != Some(want.urls[*place].as_str()));
+    /// Asks one mirror after the other; the one that the part came from goes first.
+    async fn mirrors(&self, download: &Download, partial: &mut PartialDownload) -> Result<Answer, NetError> {
+        let begun = partial.body().map(|body| body.head.asked.clone());
+        let mut order: Vec<usize> = (0..download.urls.len()).collect();
+        order.sort_by_key(|place| begun.as_deref() != Some(download.urls[*place].as_str()));
         let (mut absent, mut errors) = (None, Vec::new());
         for place in order {
-            let known = want.known.as_ref().filter(|_| place == 0);
-            match self.mirror(&want.urls[place], known, holder).await {
+            let known = download.known.as_ref().filter(|_| place == 0);
+            match self.mirror(&download.urls[place], known, partial).await {
                 Ok(answer @ Answer::Absent { .. }) => absent = Some(answer),
                 Ok(answer) => return Ok(answer),
                 Err(error) => errors.push(error),
@@ -118,12 +120,12 @@ impl Shared {
         }
         match (errors.pop(), absent) {
             (Some(mut last), _) => {
-                last.again |= errors.iter().any(|error| error.again);
+                last.retryable |= errors.iter().any(|error| error.retryable);
                 last.before = errors.iter().map(ToString::to_string).collect();
                 Err(last)
             }
             (None, Some(absent)) => Ok(absent),
-            (None, None) => Err(lost(&want.urls[0])),
+            (None, None) => Err(lost(&download.urls[0])),
         }
     }
 
@@ -132,40 +134,40 @@ impl Shared {
         &self,
         asked: &Url,
         known: Option<&Validators>,
-        holder: &mut Holder,
+        partial: &mut PartialDownload,
     ) -> Result<Answer, NetError> {
         let began = Instant::now();
-        let most = self.conduct.tries.max(1);
+        let most = self.settings.tries.max(1);
         let mut tries = 0;
         loop {
             tries += 1;
-            let failure = match self.one_try(asked, known, holder).await {
+            let failure = match self.one_try(asked, known, partial).await {
                 Ok(answer) => {
                     // Its redirect may have led to another host, which is not the one that would be blamed.
-                    self.gate(asked).iter().for_each(|gate| gate.answered());
+                    self.limiter(asked).iter().for_each(|limiter| limiter.answered());
                     return Ok(answer);
                 }
                 Err(failure) => failure,
             };
-            let settled = match &failure.trouble {
-                Trouble::TooLarge { .. } => holder.discard(),
-                _ => holder.settle(),
+            let settled = match &failure.kind {
+                NetErrorKind::TooLarge { .. } => partial.discard(),
+                _ => partial.settle(),
             };
-            let trouble = settled.err().unwrap_or(failure.trouble);
-            if !trouble.may_pass() || tries >= most {
-                if let (true, Some(gate)) = (trouble.may_pass(), self.gate(asked)) {
-                    gate.failed(&trouble);
+            let kind = settled.err().unwrap_or(failure.kind);
+            if !kind.worth_another_try() || tries >= most {
+                if let (true, Some(limiter)) = (kind.worth_another_try(), self.limiter(asked)) {
+                    limiter.failed(&kind);
                 }
                 return Err(NetError {
                     url: shown(asked),
-                    again: trouble.may_pass_later(),
-                    trouble: Box::new(trouble),
+                    retryable: kind.worth_another_run(),
+                    kind: Box::new(kind),
                     tries,
                     took: began.elapsed(),
                     before: Vec::new(),
                 });
             }
-            let jittered = backoff::wait(&self.conduct, tries, backoff::random());
+            let jittered = backoff::wait(&self.settings, tries, backoff::random());
             let wait = jittered.max(failure.wait.unwrap_or_default());
             add(&self.counters.waited_ms, wait.as_millis() as u64);
             sleep(wait).await;
@@ -173,50 +175,50 @@ impl Shared {
         }
     }
 
-    fn gate(&self, url: &Url) -> Option<std::sync::Arc<Gate>> {
-        Origin::of(url).map(|origin| self.gates.of(&origin))
+    fn limiter(&self, url: &Url) -> Option<std::sync::Arc<HostLimiter>> {
+        Origin::of(url).map(|origin| self.limiters.of(&origin))
     }
 
-    /// One try: the request, and those its redirects lead to.
+    /// Sends the request, and those that its redirects lead to.
     async fn one_try(
         &self,
         asked: &Url,
         known: Option<&Validators>,
-        holder: &mut Holder,
+        partial: &mut PartialDownload,
     ) -> Result<Answer, Failure> {
         let mut url = asked.clone();
-        if !may_ask(&self.conduct.allowed, &url) {
-            return Err(Trouble::NotAllowed.into());
+        if !may_ask(&self.settings.allowed, &url) {
+            return Err(NetErrorKind::NotAllowed.into());
         }
         for _ in 0..=MAX_HOPS {
-            let gate = self.gate(&url).ok_or(Trouble::NotAllowed)?;
-            let place = gate.enter().await?;
-            let (request, about) = self.request(asked, &url, known, holder)?;
+            let limiter = self.limiter(&url).ok_or(NetErrorKind::NotAllowed)?;
+            let place = limiter.enter().await?;
+            let (request, about) = self.request(asked, &url, known, partial)?;
             add(&self.counters.requests, 1);
-            let response = timeout(self.conduct.stall, request.send())
+            let response = timeout(self.settings.stall, request.send())
                 .await
                 .map_err(|_| self.stalled(0))?
                 .map_err(broken)?;
-            let meaning = judge(response.status().as_u16(), about);
-            if meaning == Meaning::Elsewhere {
-                url = elsewhere(&self.conduct, &url, &response)?;
-                drain(response, self.conduct.stall).await;
+            let class = classify(response.status().as_u16(), about);
+            if class == StatusClass::Elsewhere {
+                url = elsewhere(&self.settings, &url, &response)?;
+                drain(response, self.settings.stall).await;
                 drop(place);
                 continue;
             }
-            return self.answer(asked, &url, meaning, response, &gate, holder).await;
+            return self.answer(asked, &url, class, response, &limiter, partial).await;
         }
-        Err(Trouble::TooManyRedirects(shown(&url)).into())
+        Err(NetErrorKind::TooManyRedirects(shown(&url)).into())
     }
 
-    /// Builds the request, with the questions that fit this address.
+    /// Builds the request, with the conditions that fit this address.
     fn request(
         &self,
         asked: &Url,
         url: &Url,
         known: Option<&Validators>,
-        holder: &Holder,
-    ) -> Result<(RequestBuilder, Asked), Trouble> {
+        partial: &PartialDownload,
+    ) -> Result<(RequestBuilder, Asked), NetErrorKind> {
         let secure = Origin::of(url).is_some_and(|origin| origin.is_secure());
         let client = if secure {
             self.secure.as_ref()
@@ -224,14 +226,14 @@ impl Shared {
             Some(&self.plain)
         };
         let mut request = client
-            .ok_or(Trouble::NotAllowed)?
+            .ok_or(NetErrorKind::NotAllowed)?
             .get(url.clone())
             .header(ACCEPT_ENCODING, "identity");
         let mut about = Asked {
             rest: false,
             condition: false,
         };
-        if let Some((body, validator)) = holder.continues(asked, url) {
+        if let Some((body, validator)) = partial.continues(asked, url) {
             request = request
                 .header(RANGE, format!("bytes={}-", body.len()))
                 .header(IF_RANGE, validator);
@@ -249,51 +251,51 @@ impl Shared {
         Ok((request, about))
     }
 
-    /// Makes an answer of a response that is no redirect.
+    /// Returns the answer of a response that is no redirect.
     async fn answer(
         &self,
         asked: &Url,
         url: &Url,
-        meaning: Meaning,
+        class: StatusClass,
         response: Response,
-        gate: &Gate,
-        holder: &mut Holder,
+        limiter: &HostLimiter,
+        partial: &mut PartialDownload,
     ) -> Result<Answer, Failure> {
         let status = response.status().as_u16();
-        match meaning {
-            Meaning::Whole | Meaning::Rest => {
-                if meaning == Meaning::Whole {
-                    holder.restart(head(asked, url, &response))?;
-                } else if let Err(trouble) = check_rest(&response, holder) {
-                    holder.discard()?;
-                    return Err(trouble.into());
+        match class {
+            StatusClass::Whole | StatusClass::Rest => {
+                if class == StatusClass::Whole {
+                    partial.restart(head(asked, url, &response))?;
+                } else if let Err(kind) = check_rest(&response, partial) {
+                    partial.discard()?;
+                    return Err(kind.into());
                 } else {
                     add(&self.counters.resumed, 1);
                 }
-                let answer = self.body(response, holder).await?;
-                gate.answered();
+                let answer = self.body(response, partial).await?;
+                limiter.answered();
                 return Ok(answer);
             }
-            Meaning::Unchanged | Meaning::Absent => {
-                gate.answered();
-                holder.gone(asked)?;
+            StatusClass::Unchanged | StatusClass::Absent => {
+                limiter.answered();
+                partial.gone(asked)?;
             }
-            Meaning::Restart => holder.discard()?,
-            Meaning::Forbidden => gate.refused(),
-            Meaning::Again | Meaning::Final | Meaning::Elsewhere => {}
+            StatusClass::Restart => partial.discard()?,
+            StatusClass::Forbidden => limiter.refused(),
+            StatusClass::Again | StatusClass::Final | StatusClass::Elsewhere => {}
         }
-        let wait = if meaning == Meaning::Again {
+        let wait = if class == StatusClass::Again {
             asked_wait(&response)
         } else {
             None
         };
         if let Some(wait) = wait {
-            gate.pause(wait);
+            limiter.pause(wait);
         }
-        drain(response, self.conduct.stall).await;
-        match meaning {
-            Meaning::Unchanged => Ok(Answer::Unchanged),
-            Meaning::Absent => Ok(Answer::Absent {
+        drain(response, self.settings.stall).await;
+        match class {
+            StatusClass::Unchanged => Ok(Answer::Unchanged),
+            StatusClass::Absent => Ok(Answer::Absent {
                 status,
                 url: url.to_string(),
             }),
@@ -301,35 +303,39 @@ impl Shared {
         }
     }
 
-    /// Reads a body to its end into the holder.
-    async fn body(&self, mut response: Response, holder: &mut Holder) -> Result<Answer, Trouble> {
+    /// Reads a body to its end.
+    async fn body(
+        &self,
+        mut response: Response,
+        partial: &mut PartialDownload,
+    ) -> Result<Answer, NetErrorKind> {
         if let Some(encoding) = text(&response, CONTENT_ENCODING).filter(|value| *value != "identity") {
-            return Err(Trouble::Encoded(super::origin::cut(encoding)));
+            return Err(NetErrorKind::Encoded(super::origin::cut(encoding)));
         }
-        holder.announced()?;
+        partial.announced()?;
         let began = Instant::now();
-        let mut pace = Pace::new(self.conduct.slow_after, self.conduct.slowest);
+        let mut pace = RateMonitor::new(self.settings.slow_after, self.settings.slowest);
         loop {
-            let at = holder.body().map_or(0, super::part::Body::len);
-            let chunk = timeout(self.conduct.stall, response.chunk())
+            let at = partial.body().map_or(0, super::part::Body::len);
+            let chunk = timeout(self.settings.stall, response.chunk())
                 .await
                 .map_err(|_| self.stalled(at))?
                 .map_err(broken)?;
             let Some(chunk) = chunk else {
-                return holder.finish().map(whole);
+                return partial.finish().map(whole);
             };
             add(&self.counters.bytes, chunk.len() as u64);
-            holder.push(&chunk)?;
+            partial.push(&chunk)?;
             if let Some(rate) = pace.came(chunk.len() as u64, began.elapsed()) {
-                let slowest = self.conduct.slowest;
-                return Err(Trouble::Slow { rate, slowest });
+                let slowest = self.settings.slowest;
+                return Err(NetErrorKind::Slow { rate, slowest });
             }
         }
     }
 
-    fn stalled(&self, at: u64) -> Trouble {
-        Trouble::Stalled {
-            after: self.conduct.stall,
+    fn stalled(&self, at: u64) -> NetErrorKind {
+        NetErrorKind::Stalled {
+            after: self.settings.stall,
             at,
         }
     }
@@ -343,12 +349,12 @@ fn whole((head, bytes): (Head, Vec<u8>)) -> Answer {
     }
 }
 
-/// The failure of a status; a wait that is too long ends the tries.
+/// Returns the failure of a status; a wait that is too long ends the tries.
 fn refusal(status: u16, wait: Option<Duration>) -> Failure {
     match wait.filter(|wait| *wait > backoff::LONGEST_RETRY_AFTER) {
-        Some(wait) => Trouble::Later { wait }.into(),
+        Some(wait) => NetErrorKind::Later { wait }.into(),
         None => Failure {
-            trouble: Trouble::Status(status),
+            kind: NetErrorKind::Status(status),
             wait,
         },
     }
@@ -357,10 +363,10 @@ fn refusal(status: u16, wait: Option<Duration>) -> Failure {
 fn lost(url: &Url) -> NetError {
     NetError {
         url: shown(url),
-        trouble: Box::new(Trouble::Lost),
+        kind: Box::new(NetErrorKind::Lost),
         tries: 0,
         took: Duration::ZERO,
-        again: false,
+        retryable: false,
         before: Vec::new(),
     }
 }
@@ -385,19 +391,19 @@ fn head(asked: &Url, url: &Url, response: &Response) -> Head {
     }
 }
 
-fn elsewhere(conduct: &Conduct, from: &Url, response: &Response) -> Result<Url, Trouble> {
-    let location = text(response, LOCATION).ok_or(Trouble::NoLocation(response.status().as_u16()))?;
-    Ok(redirected(&conduct.allowed, from, location)?)
+fn elsewhere(settings: &ClientSettings, from: &Url, response: &Response) -> Result<Url, NetErrorKind> {
+    let location = text(response, LOCATION).ok_or(NetErrorKind::NoLocation(response.status().as_u16()))?;
+    Ok(redirected(&settings.allowed, from, location)?)
 }
 
 /// Tells whether a 206 is the rest of what is held.
-fn check_rest(response: &Response, holder: &mut Holder) -> Result<(), Trouble> {
-    let body = holder.body().ok_or(Trouble::Lost)?;
+fn check_rest(response: &Response, partial: &mut PartialDownload) -> Result<(), NetErrorKind> {
+    let body = partial.body().ok_or(NetErrorKind::Lost)?;
     if range::differs(&body.head.validators, &validators(response)) {
-        return Err(Trouble::Rest("it is of another version".into()));
+        return Err(NetErrorKind::Rest("it is of another version".into()));
     }
     let total = range::rest(text(response, CONTENT_RANGE), body.len(), body.head.length);
-    holder.set_length(total.map_err(Trouble::Rest)?);
+    partial.set_length(total.map_err(NetErrorKind::Rest)?);
     Ok(())
 }
 
@@ -417,6 +423,6 @@ async fn drain(mut response: Response, stall: Duration) {
             }
         }
     };
-    // Nothing hangs on it: a connection that is cut is opened again.
+    // Where that fails, the next request opens a new connection.
     let _ = timeout(stall.min(DRAIN_TIME), all).await;
 }

@@ -1,24 +1,22 @@
-//! Folder pages of an archive, remembered from run to run.
+//! Folder pages of a server, cached from run to run.
 
-use std::path::{Path, PathBuf};
-
-use marf_cache::Digest;
 use marf_pds::listing::{self, Entry};
 use marf_stage::{Ctx, StageError};
-use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use serde::{Deserialize, Serialize};
 
-use crate::net::{Answer, Client, Url, Validators, Want};
+use super::cache;
+use crate::net::{Answer, Client, Download, Url, Validators};
 
 /// Largest page that is read.
 const MAX_PAGE_BYTES: u64 = 16 << 20;
 
-/// A way to the folders of an archive.
+/// Reads the folders of a server.
 pub(crate) struct Crawl<'a> {
-    /// What the stage may use.
+    /// The context of the stage.
     pub ctx: &'a Ctx<'a>,
-    /// How to ask.
+    /// The client.
     pub client: &'a Client,
-    /// Where the archive lies.
+    /// Addresses of the archive, in order of preference.
     pub bases: &'a [String],
 }
 
@@ -27,16 +25,16 @@ pub(crate) struct Crawl<'a> {
 pub(crate) struct Folder {
     /// Below the base, without slashes at its ends.
     pub path: String,
-    /// It is old enough not to change any more: listed once as such, it is not asked for again.
+    /// It is too old to change: once it was listed as such, it is not asked for again.
     pub settled: bool,
 }
 
-/// What a folder held when it was last listed.
+/// A folder as it was last listed.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 struct Page {
     url: String,
     validators: Validators,
-    /// It was old enough not to change any more when it was listed.
+    /// It was too old to change when it was listed.
     #[serde(default)]
     settled: bool,
     /// None: it is not there.
@@ -49,14 +47,14 @@ impl Crawl<'_> {
     /// # Errors
     /// A server that cannot be asked, a page that is no listing, the wish to stop.
     pub fn folders(&self, folders: &[Folder]) -> Result<Vec<Option<Vec<Entry>>>, StageError> {
-        let mut pages: Vec<Option<Page>> = folders.iter().map(|folder| self.recall(&folder.path)).collect();
+        let mut pages: Vec<Option<Page>> = folders.iter().map(|folder| self.cached(&folder.path)).collect();
         let asked: Vec<usize> = (0..folders.len())
             .filter(|index| {
                 !(folders[*index].settled && pages[*index].as_ref().is_some_and(|page| page.settled))
             })
             .collect();
         let want = |index: &usize| {
-            Ok(Want {
+            Ok(Download {
                 urls: urls(self.bases, &format!("{}/", folders[*index].path))?,
                 cap_bytes: MAX_PAGE_BYTES,
                 known: pages[*index].as_ref().map(|page| page.validators.clone()),
@@ -66,7 +64,7 @@ impl Crawl<'_> {
         let wants = asked
             .iter()
             .map(want)
-            .collect::<Result<Vec<Want>, StageError>>()?;
+            .collect::<Result<Vec<Download>, StageError>>()?;
         let total = wants.len() as u64;
         let mut done = 0;
         self.client.get_all(self.ctx, &wants, &mut |number, answer| {
@@ -75,7 +73,7 @@ impl Crawl<'_> {
             let page = read(answer, &folders[index].path)?.or_else(|| pages[index].take());
             if let Some(mut page) = page {
                 page.settled = folders[index].settled;
-                self.remember(&folders[index].path, &page);
+                self.cache(&folders[index].path, &page);
                 pages[index] = Some(page);
             }
             done += 1;
@@ -100,16 +98,16 @@ impl Crawl<'_> {
         Ok(self.folders(&[folder])?.pop().flatten())
     }
 
-    fn recall(&self, path: &str) -> Option<Page> {
-        recall(self.ctx.scratch, &memory_key("folder", path))
+    fn cached(&self, path: &str) -> Option<Page> {
+        cache::read(self.ctx.scratch, &cache::key("folder", path))
     }
 
-    fn remember(&self, path: &str, page: &Page) {
-        remember(self.ctx.scratch, &memory_key("folder", path), page);
+    fn cache(&self, path: &str, page: &Page) {
+        cache::write(self.ctx.scratch, &cache::key("folder", path), page);
     }
 }
 
-/// `None`: nothing changed.
+/// Reads the answer to a question for a folder; `None`: nothing changed.
 fn read(answer: Answer, path: &str) -> Result<Option<Page>, StageError> {
     match answer {
         Answer::Unchanged => Ok(None),
@@ -147,32 +145,4 @@ pub(crate) fn urls(bases: &[String], path: &str) -> Result<Vec<Url>, StageError>
         Url::parse(&text).map_err(|error| StageError::new(format!("`{text}` is no address: {error}")))
     };
     bases.iter().map(address).collect()
-}
-
-/// Key of something remembered.
-pub(crate) fn memory_key(kind: &str, name: &str) -> Digest {
-    Digest::of(format!("{kind}\n{name}").as_bytes())
-}
-
-fn memory_file(scratch: &Path, key: &Digest) -> PathBuf {
-    scratch.join("listings").join(format!("{key}.json"))
-}
-
-/// Returns what was remembered; nothing, where it is lost or of another form.
-pub(crate) fn recall<T: DeserializeOwned>(scratch: &Path, key: &Digest) -> Option<T> {
-    serde_json::from_slice(&std::fs::read(memory_file(scratch, key)).ok()?).ok()
-}
-
-/// Remembers; where that fails, the next run asks again.
-pub(crate) fn remember<T: Serialize>(scratch: &Path, key: &Digest, value: &T) {
-    let file = memory_file(scratch, key);
-    let fresh = file.with_extension("new");
-    let written = serde_json::to_vec(value)
-        .map_err(std::io::Error::from)
-        .and_then(|bytes| {
-            std::fs::create_dir_all(scratch.join("listings"))?;
-            std::fs::write(&fresh, bytes)?;
-            std::fs::rename(&fresh, &file)
-        });
-    drop(written);
 }

@@ -1,24 +1,23 @@
-//! Brings the files of one sol: what is pinned and here stays, the rest is downloaded, checked and pinned.
+//! Fetches the files of one sol: what is pinned and in the store stays, the rest is downloaded, checked and pinned.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant, SystemTime};
 
 use marf_cache::Digest;
-use marf_stage::{Ctx, StageError};
+use marf_stage::{Access, Ctx, StageError};
 
+use super::archive::RemoteArchive;
+use super::catalog::{RemoteFile, SolFiles, changed};
 use super::lock::{self, Pin, SolPins};
-use super::offer::{Offer, Offered};
-use super::{Remote, changed};
 use crate::archive::ArchiveFile;
-use crate::net::{self, Answer, Meter, Trouble, Validators, Want};
-use crate::params::Access;
+use crate::net::{self, Answer, Download, Meter, NetErrorKind, Validators};
 
 /// How often what was fetched is written into the lock.
 const SAVE_EVERY: Duration = Duration::from_secs(10);
 
-/// One sol on its way.
+/// The download of one sol.
 struct Sol<'a> {
-    remote: &'a Remote,
+    archive: &'a RemoteArchive,
     ctx: &'a Ctx<'a>,
     sol: u32,
     pins: SolPins,
@@ -27,68 +26,68 @@ struct Sol<'a> {
     saved: Instant,
 }
 
-/// A file that could not be had.
+/// A file that could not be fetched.
 struct Failure {
     name: String,
     cause: String,
 }
 
-/// Returns the files of a sol, downloading what is not here.
+/// Returns the files of a sol, downloading those that the store lacks.
 ///
 /// # Errors
 /// Files that could not be fetched (the others are kept), bytes that are not the locked ones, the wish to stop.
 pub(super) fn sol(
-    remote: &Remote,
+    archive: &RemoteArchive,
     ctx: &Ctx<'_>,
     sol: u32,
-    offer: &Offer,
+    listed: &SolFiles,
 ) -> Result<Vec<ArchiveFile>, StageError> {
-    let pins = remote
+    let pins = archive
         .state()
         .pins
         .as_ref()
         .and_then(|pins| pins.sols.get(&sol).cloned())
         .unwrap_or_default();
     let mut work = Sol {
-        remote,
+        archive,
         ctx,
         sol,
         pins,
         unsaved: Vec::new(),
         saved: Instant::now(),
     };
-    let brought = work.bring(offer);
+    let fetched = work.fetch(listed);
     // What was fetched is kept, also where the rest failed.
     let saved = work.save();
-    let failures = brought?;
+    let failures = fetched?;
     saved?;
     if let Some(first) = failures.first() {
         let message = format!(
             "{} of {} files of sol {sol} could not be fetched",
             failures.len(),
-            offer.files.len()
+            listed.files.len()
         );
         return Err(StageError::new(message)
             .cause(format!("`{}`: {}", first.name, first.cause))
             .hint("run again: what is here stays, and half a download goes on"));
     }
-    Ok(work.files(offer))
+    Ok(work.files(listed))
 }
 
 impl Sol<'_> {
-    fn bring(&mut self, offer: &Offer) -> Result<Vec<Failure>, StageError> {
-        self.settle(offer)?;
-        let mut wanted: Vec<(&String, &Offered)> = Vec::new();
-        for (name, offered) in &offer.files {
+    fn fetch(&mut self, listed: &SolFiles) -> Result<Vec<Failure>, StageError> {
+        self.settle(listed)?;
+        let mut wanted: Vec<(&String, &RemoteFile)> = Vec::new();
+        for (name, file) in &listed.files {
             self.ctx.check()?;
-            if !self.is_here(name, offered) {
-                wanted.push((name, offered));
+            if !self.is_here(name, file) {
+                wanted.push((name, file));
             }
         }
         if wanted.is_empty() {
             return Ok(Vec::new());
         }
-        if self.remote.site.access == Access::Offline {
+        if self.archive.access() == Access::Offline {
             let message = format!("{} files of sol {} are not in the store", wanted.len(), self.sol);
             return Err(StageError::new(message)
                 .cause(format!("the first is `{}`", wanted[0].0))
@@ -97,13 +96,13 @@ impl Sol<'_> {
         self.download(&wanted)
     }
 
-    /// Takes what came with the listing, and drops pins of what is offered no more.
-    fn settle(&mut self, offer: &Offer) -> Result<(), StageError> {
-        self.pins.files.retain(|name, _| offer.files.contains_key(name));
-        self.pins.gone.retain(|name, _| offer.files.contains_key(name));
-        self.pins.left_out.clone_from(&offer.left_out);
-        for (name, offered) in &offer.files {
-            let Some(bytes) = &offered.bytes else {
+    /// Takes what came with the listing, and drops pins of files that are listed no more.
+    fn settle(&mut self, listed: &SolFiles) -> Result<(), StageError> {
+        self.pins.files.retain(|name, _| listed.files.contains_key(name));
+        self.pins.gone.retain(|name, _| listed.files.contains_key(name));
+        self.pins.left_out.clone_from(&listed.left_out);
+        for (name, file) in &listed.files {
+            let Some(bytes) = &file.bytes else {
                 continue;
             };
             let blake3 = self.ctx.put(bytes)?;
@@ -129,31 +128,28 @@ impl Sol<'_> {
         Ok(())
     }
 
-    fn is_here(&self, name: &str, offered: &Offered) -> bool {
+    fn is_here(&self, name: &str, file: &RemoteFile) -> bool {
         let Some(pin) = self.pins.files.get(name) else {
             return false;
         };
-        let same = changed(pin.listed.as_deref(), offered.listed.as_deref()).is_none();
+        let same = changed(pin.listed.as_deref(), file.listed.as_deref()).is_none();
         same && self.ctx.get(&pin.blake3).is_ok()
     }
 
-    fn download(&mut self, wanted: &[(&String, &Offered)]) -> Result<Vec<Failure>, StageError> {
-        let wants: Vec<Want> = wanted
-            .iter()
-            .map(|(name, offered)| self.want(name, offered))
-            .collect();
+    fn download(&mut self, wanted: &[(&String, &RemoteFile)]) -> Result<Vec<Failure>, StageError> {
+        let wants: Vec<Download> = wanted.iter().map(|(name, file)| self.want(name, file)).collect();
         let (mut failures, mut meter, began) = (Vec::new(), Meter::new(wanted.len() as u64), Instant::now());
         let (mut done, mut bytes) = (0, 0);
-        let client = self.remote.client()?;
+        let client = self.archive.client()?;
         client.get_all(self.ctx, &wants, &mut |index, answer| {
-            let (name, offered) = wanted[index];
+            let (name, file) = wanted[index];
             let outcome = match answer {
                 Ok(answer) => {
                     bytes += length(&answer);
-                    self.take(name, offered, &wants[index], answer)?
+                    self.take(name, file, &wants[index], answer)?
                 }
-                Err(error) => match *error.trouble {
-                    Trouble::Status(status) if !error.again => {
+                Err(error) => match *error.kind {
+                    NetErrorKind::Status(status) if !error.retryable => {
                         self.pins.gone.insert(name.clone(), status);
                         Ok(())
                     }
@@ -183,32 +179,32 @@ impl Sol<'_> {
         Ok(failures)
     }
 
-    fn want(&self, name: &str, offered: &Offered) -> Want {
+    fn want(&self, name: &str, file: &RemoteFile) -> Download {
         let pin = self.pins.files.get(name);
         // A pin whose bytes are here is asked for on condition; one whose bytes are lost is asked for whole.
         let here = pin.filter(|pin| self.ctx.get(&pin.blake3).is_ok());
         // The one part of a server's name that reaches the disk is its digest.
         let key = Digest::of(name.as_bytes());
-        Want {
-            urls: offered.urls.clone(),
-            cap_bytes: offered.cap_bytes,
+        Download {
+            urls: file.urls.clone(),
+            cap_bytes: file.cap_bytes,
             known: here.map(|pin| pin.validators.clone()),
             part: Some(self.ctx.scratch.join("downloads").join(format!("{key}.part"))),
         }
     }
 
-    /// The inner error is of this one file.
+    /// Stores and pins what a download gave. The inner error is of this one file.
     fn take(
         &mut self,
         name: &str,
-        offered: &Offered,
-        want: &Want,
+        file: &RemoteFile,
+        want: &Download,
         answer: Answer,
     ) -> Result<Result<(), String>, StageError> {
         match answer {
             Answer::Unchanged => {
                 if let Some(pin) = self.pins.files.get_mut(name) {
-                    pin.listed.clone_from(&offered.listed);
+                    pin.listed.clone_from(&file.listed);
                 }
             }
             Answer::Absent { status, .. } => {
@@ -230,7 +226,7 @@ impl Sol<'_> {
                     url,
                     fetched: now(),
                     validators,
-                    listed: offered.listed.clone(),
+                    listed: file.listed.clone(),
                     others: Default::default(),
                 };
                 self.unsaved.extend(want.part.clone());
@@ -254,7 +250,7 @@ impl Sol<'_> {
         }
         old.others.insert(fresh.blake3);
         old.listed.clone_from(&fresh.listed);
-        if self.ctx.get(&old.blake3).is_ok() && self.remote.site.access == Access::Online {
+        if self.ctx.get(&old.blake3).is_ok() && self.archive.access() == Access::Online {
             return Ok(Ok(()));
         }
         Err(StageError::new(format!(
@@ -273,15 +269,14 @@ impl Sol<'_> {
         )))
     }
 
-    /// Writes the lock, then gives up the parts it now stands for.
+    /// Writes the lock, then deletes the parts of the downloads that it pins.
     fn save(&mut self) -> Result<(), StageError> {
-        let site = &self.remote.site;
-        let mut state = self.remote.state();
+        let mut state = self.archive.state();
         let pins = state.pins.get_or_insert_default();
         if pins.sols.get(&self.sol) != Some(&self.pins) {
             pins.sols.insert(self.sol, self.pins.clone());
-            if site.access == Access::Online {
-                lock::write(&site.lock, &site.name, pins)?;
+            if self.archive.access() == Access::Online {
+                self.archive.write_lock(pins)?;
             }
         }
         self.saved = Instant::now();
@@ -289,7 +284,7 @@ impl Sol<'_> {
         Ok(())
     }
 
-    fn files(&self, offer: &Offer) -> Vec<ArchiveFile> {
+    fn files(&self, listed: &SolFiles) -> Vec<ArchiveFile> {
         let here = self
             .pins
             .files
@@ -311,7 +306,7 @@ impl Sol<'_> {
             let reason = format!("listed, but the server answered {status}");
             ArchiveFile::left_out(name.clone(), reason, self.sol)
         });
-        let left_out = offer
+        let left_out = listed
             .left_out
             .iter()
             .map(|(name, why)| ArchiveFile::left_out(name.clone(), why.clone(), self.sol));
@@ -326,7 +321,7 @@ fn length(answer: &Answer) -> u64 {
     }
 }
 
-/// A web page where a file should be: what a firewall answers with status 200.
+/// Tells whether the bytes are a web page: what a firewall answers with status 200 in place of a file.
 fn is_page(bytes: &[u8]) -> bool {
     let start: Vec<u8> = bytes.iter().take(64).map(u8::to_ascii_lowercase).collect();
     let start = start.trim_ascii_start();

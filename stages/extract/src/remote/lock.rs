@@ -1,30 +1,30 @@
 //! marf.lock: what each network archive gave, to the byte.
 //!
-//! A file a user keeps under version control. One line a product, so that a difference reads like a list; other
-//! archives' tables are kept as they are.
+//! Users keep it under version control: one line a product, so that a diff is a list of products. The tables of other
+//! archives are kept as they are.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
-use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use marf_cache::Digest;
 use marf_stage::StageError;
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 
+use crate::files;
 use crate::net::Validators;
 
 /// Name of the file, beside pipeline.toml.
 pub(crate) const FILE: &str = "marf.lock";
 /// In the place of an address: the bytes came with the page that listed them (the record of a feed).
 pub(crate) const WITH_LISTING: &str = "with the listing";
-/// Form of the file; another is refused.
+/// Version of the format; another is refused.
 const VERSION: i64 = 1;
 /// Largest lock that is read: two million products.
 const MAX_BYTES: u64 = 1 << 30;
 
-/// What one archive gave.
+/// The pins of one archive.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Pins {
     /// What the pipeline asked the archive for: kind, mission, camera and the like.
@@ -33,14 +33,14 @@ pub(crate) struct Pins {
     pub sols: BTreeMap<u32, SolPins>,
 }
 
-/// What one sol gave.
+/// The pins of one sol.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct SolPins {
-    /// Files that are here, by name.
+    /// Files that were fetched, by name.
     pub files: BTreeMap<String, Pin>,
     /// Files that were not wanted, by name, and why.
     pub left_out: BTreeMap<String, String>,
-    /// Files that were listed and could not be had, by name: the last status.
+    /// Files that were listed and could not be fetched, by name: the last status.
     pub gone: BTreeMap<String, u16>,
 }
 
@@ -51,9 +51,9 @@ pub(crate) struct Pin {
     pub bytes: u64,
     /// Digest of the bytes.
     pub blake3: Digest,
-    /// Where from.
+    /// The address that gave it.
     pub url: String,
-    /// When, as `YYYY-MM-DDTHH:MM:SSZ`.
+    /// The time, as `YYYY-MM-DDTHH:MM:SSZ`.
     pub fetched: String,
     /// What the server says of this state of the file.
     pub validators: Validators,
@@ -157,11 +157,7 @@ pub(crate) fn write(path: &Path, archive: &str, pins: &Pins) -> Result<(), Stage
     let fail = |error: std::io::Error| {
         StageError::new(format!("`{}` cannot be written", path.display())).cause(error.to_string())
     };
-    let fresh = PathBuf::from(format!("{}.new", path.display()));
-    let mut file = std::fs::File::create(&fresh).map_err(fail)?;
-    file.write_all(new.as_bytes()).map_err(fail)?;
-    file.sync_all().map_err(fail)?;
-    std::fs::rename(&fresh, path).map_err(fail)
+    files::replace_durably(path, new.as_bytes()).map_err(fail)
 }
 
 fn text(path: &Path) -> Result<Option<String>, StageError> {
@@ -177,7 +173,7 @@ fn text(path: &Path) -> Result<Option<String>, StageError> {
         .map_err(|error| fail(error.to_string()))
 }
 
-/// The file with one archive's table replaced; tables in the order of their names.
+/// Returns the file with one archive's table replaced; tables in the order of their names.
 fn with_table(old: &str, archive: &str, table: &str) -> String {
     let mut tables: BTreeMap<String, String> = BTreeMap::new();
     let mut current = None;
@@ -204,7 +200,7 @@ fn with_table(old: &str, archive: &str, table: &str) -> String {
         .fold(head, |file, table| format!("{file}\n{}\n", table.trim_end()))
 }
 
-/// A key of TOML: bare where it may be.
+/// Returns a key of TOML, bare where it may be.
 fn key(name: &str) -> String {
     let bare = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'_' || byte == b'-';
     if !name.is_empty() && name.bytes().all(bare) {
@@ -214,7 +210,7 @@ fn key(name: &str) -> String {
     }
 }
 
-/// A basic string; what JSON escapes, TOML reads the same way.
+/// Returns a basic string of TOML; what JSON escapes, TOML reads the same way.
 fn quoted(text: &str) -> String {
     serde_json::Value::from(text)
         .to_string()

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use marf_extract::Extract;
 use marf_scene::PhotoFacts;
 use marf_stage::harness::Harness;
-use marf_stage::{Listing, ParamError, Source, Stage, StageError, Verdict, Work, define};
+use marf_stage::{ArchiveContext, Listing, ParamError, Source, Stage, StageError, Verdict, Work, define};
 
 /// Everything an archive brought.
 pub struct Brought {
@@ -34,7 +34,11 @@ impl Brought {
 }
 
 pub fn stage(archive: serde_json::Value) -> Result<Box<dyn Stage>, ParamError> {
-    (define::<Extract>().bind)(serde_json::json!({ "archive": archive }))
+    stage_in(archive, ArchiveContext::default())
+}
+
+pub fn stage_in(archive: serde_json::Value, context: ArchiveContext) -> Result<Box<dyn Stage>, ParamError> {
+    (define::<Extract>().bind_archive)(serde_json::json!({ "archive": archive }), context)
 }
 
 pub fn source(stage: &dyn Stage) -> &dyn Source {

@@ -68,7 +68,7 @@ fn the_saved_records_of_the_real_feed_are_replayed_and_only_new_ones_fetched() {
     }
     server.clear();
     let offline = place
-        .bring(&access(&place.feed(&server, "50..=900"), "offline"))
+        .bring(&access(&place.feed(&server, "50..=900"), Access::Offline))
         .unwrap();
     assert_eq!((&all.listing, &all.rows), (&offline.listing, &offline.rows));
     assert!(server.requests().is_empty());
@@ -77,7 +77,7 @@ fn the_saved_records_of_the_real_feed_are_replayed_and_only_new_ones_fetched() {
     let other = Place::new();
     std::fs::write(other.dir.path().join("marf.lock"), place.lock()).unwrap();
     let locked = other
-        .bring(&access(&other.feed(&server, "50..=900"), "locked"))
+        .bring(&access(&other.feed(&server, "50..=900"), Access::Locked))
         .unwrap();
     assert_eq!((&all.listing, &all.rows), (&locked.listing, &locked.rows));
 
@@ -99,7 +99,7 @@ fn the_saved_records_of_the_real_feed_are_replayed_and_only_new_ones_fetched() {
     let late = Place::new();
     std::fs::write(late.dir.path().join("marf.lock"), other.lock()).unwrap();
     let error = late
-        .bring(&access(&late.feed(&server, "50..=900"), "locked"))
+        .bring(&access(&late.feed(&server, "50..=900"), Access::Locked))
         .err()
         .unwrap();
     assert!(error.to_string().contains(&id), "{error}");
@@ -204,7 +204,7 @@ fn the_latest_sol_is_the_latest_with_a_photo_of_this_camera() {
     let sols: Vec<u32> = brought.listing.shards.iter().map(|shard| shard.shard).collect();
     assert_eq!((sols, brought.rows.len()), (vec![95], 1));
     let offline = place
-        .bring(&access(&place.feed(&server, "latest"), "offline"))
+        .bring(&access(&place.feed(&server, "latest"), Access::Offline))
         .unwrap();
     assert_eq!(brought.rows, offline.rows);
 }

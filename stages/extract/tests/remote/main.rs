@@ -11,6 +11,7 @@
 mod common;
 mod curiosity;
 mod feed;
+mod offline;
 mod pds;
 #[path = "../common/server.rs"]
 mod server;
@@ -19,10 +20,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::{Arc, LazyLock, Mutex};
 
-use common::{real, source, stage};
+use common::{real, source, stage_in};
 use marf_demo::{Demo, DemoFile, DemoOptions};
 use marf_stage::harness::Harness;
-use marf_stage::{Listing, StageError, Verdict};
+use marf_stage::{Access, ArchiveContext, Listing, Stage, StageError, Verdict};
 use serde_json::{Value, json};
 use server::{Reply, Server};
 
@@ -82,31 +83,41 @@ impl Place {
         Self { dir, harness }
     }
 
-    fn archive(&self, server: &Server, sols: &str) -> Value {
-        json!({
+    fn archive(&self, server: &Server, sols: &str) -> Archive {
+        let table = json!({
             "kind": "pds", "mission": "perseverance", "instrument": "mastcam-z", "sols": sols,
             "base": [server.url("/img/data")],
             "network": {"delay_ms": 0, "retry_ms": 1, "stall_s": 1},
-            "site": {"name": "jezero", "lock": self.dir.path().join("marf.lock"), "access": "online"},
-        })
+        });
+        self.named("jezero", table)
     }
 
-    fn feed(&self, server: &Server, sols: &str) -> Value {
-        json!({
+    fn feed(&self, server: &Server, sols: &str) -> Archive {
+        let table = json!({
             "kind": "feed", "mission": "perseverance", "instrument": "navcam", "sols": sols,
             "base": [server.origin()],
             "network": {"delay_ms": 0, "retry_ms": 1, "stall_s": 1},
-            "site": {"name": "raws", "lock": self.dir.path().join("marf.lock"), "access": "online"},
-        })
+        });
+        self.named("raws", table)
     }
 
-    fn list(&self, archive: &Value) -> Result<Listing, StageError> {
-        let stage = stage(archive.clone()).unwrap();
+    fn named(&self, name: &str, table: Value) -> Archive {
+        let context = ArchiveContext {
+            name: name.to_owned(),
+            folder: self.dir.path().to_owned(),
+            lock: Some(self.dir.path().join("marf.lock")),
+            access: Access::Online,
+        };
+        Archive { table, context }
+    }
+
+    fn list(&self, archive: &Archive) -> Result<Listing, StageError> {
+        let stage = archive.stage();
         source(stage.as_ref()).list(&self.harness.ctx())
     }
 
-    fn bring(&self, archive: &Value) -> Result<Brought, StageError> {
-        let stage = stage(archive.clone()).unwrap();
+    fn bring(&self, archive: &Archive) -> Result<Brought, StageError> {
+        let stage = archive.stage();
         let source = source(stage.as_ref());
         let listing = source.list(&self.harness.ctx())?;
         let mut brought = Brought::default();
@@ -157,6 +168,19 @@ impl Place {
     }
 }
 
+/// An `[archive.*]` table and what it is told of its pipeline.
+#[derive(Clone)]
+struct Archive {
+    table: Value,
+    context: ArchiveContext,
+}
+
+impl Archive {
+    fn stage(&self) -> Box<dyn Stage> {
+        stage_in(self.table.clone(), self.context.clone()).unwrap()
+    }
+}
+
 #[derive(Default)]
 struct Brought {
     listing: Listing,
@@ -181,14 +205,16 @@ impl Brought {
     }
 }
 
-fn with(mut archive: Value, pointer: &str, value: Value) -> Value {
+fn with(mut archive: Archive, pointer: &str, value: Value) -> Archive {
     let (parent, key) = pointer.rsplit_once('/').unwrap();
-    archive.pointer_mut(parent).unwrap()[key] = value;
+    archive.table.pointer_mut(parent).unwrap()[key] = value;
     archive
 }
 
-fn access(archive: &Value, access: &str) -> Value {
-    with(archive.clone(), "/site/access", json!(access))
+fn access(archive: &Archive, access: Access) -> Archive {
+    let mut archive = archive.clone();
+    archive.context.access = access;
+    archive
 }
 
 fn pictures(server: &Server) -> usize {

@@ -118,10 +118,10 @@ fn locked_takes_what_the_lock_names_and_offline_opens_no_connection() {
     let online = place.bring(&archive).unwrap();
     mount(&server, [3]);
     server.clear();
-    let offline = place.bring(&access(&archive, "offline")).unwrap();
+    let offline = place.bring(&access(&archive, Access::Offline)).unwrap();
     assert_eq!((&online.listing, &online.rows), (&offline.listing, &offline.rows));
     assert_eq!(online.verdicts, offline.verdicts);
-    let locked = place.bring(&access(&archive, "locked")).unwrap();
+    let locked = place.bring(&access(&archive, Access::Locked)).unwrap();
     assert_eq!((&online.listing, &online.rows), (&locked.listing, &locked.rows));
     assert!(server.requests().is_empty(), "everything was here");
 
@@ -129,10 +129,10 @@ fn locked_takes_what_the_lock_names_and_offline_opens_no_connection() {
     let other = Place::new();
     std::fs::write(other.dir.path().join("marf.lock"), place.lock()).unwrap();
     let archive = other.archive(&server, "1..=9");
-    let error = other.bring(&access(&archive, "offline")).err().unwrap();
+    let error = other.bring(&access(&archive, Access::Offline)).err().unwrap();
     assert!(error.to_string().contains("not in the store"), "{error}");
     assert!(server.requests().is_empty());
-    let moved = other.bring(&access(&archive, "locked")).unwrap();
+    let moved = other.bring(&access(&archive, Access::Locked)).unwrap();
     assert_eq!((&online.listing, &online.rows), (&moved.listing, &moved.rows));
     assert!(
         server
@@ -156,7 +156,7 @@ fn locked_names_the_product_whose_bytes_are_others() {
         *b"\x89PNG\r\n\x1a\nother",
     );
     let error = other
-        .bring(&access(&other.archive(&server, "1"), "locked"))
+        .bring(&access(&other.archive(&server, "1"), Access::Locked))
         .err()
         .unwrap();
     assert!(
@@ -368,7 +368,7 @@ fn a_lock_of_another_camera_is_no_answer() {
     let archive = place.archive(&server, "1");
     place.bring(&archive).unwrap();
     let navcam = with(archive, "/instrument", json!("navcam"));
-    let error = place.list(&access(&navcam, "locked")).unwrap_err();
+    let error = place.list(&access(&navcam, Access::Locked)).unwrap_err();
     assert!(error.to_string().contains("pins other products"), "{error}");
     let folder = BROWSE.replace("mastcamz", "navcam");
     server.folder(&format!("{folder}/"));
@@ -388,4 +388,31 @@ fn a_lock_of_another_camera_is_no_answer() {
             .lock()
             .contains("asked = \"pds perseverance navcam edr browse\"")
     );
+}
+
+/// Fingerprints are part of keys: these were those of the first release.
+#[test]
+fn fingerprints_of_remote_archives_stay_what_they_are() {
+    let server = Server::start();
+    let name = "ZL0_0012_0668000000_100EBY_N0030000ZCAM00001_0340LMJ01";
+    let old = "ZL0_0012_0668000000_100ECM_N0030000ZCAM00001_0340LMJ01";
+    for stem in [name, old] {
+        server.file(&format!("{BROWSE}/00012/{BELOW}/{stem}.png"), image_bytes(3));
+    }
+    server.file(&format!("{DATA}/00012/{BELOW}/{name}.xml"), "<label/>");
+    let place = Place::new();
+    let archive = place.archive(&server, "12");
+    let fresh = place.list(&archive).unwrap().shards[0].fingerprint.to_string();
+    place.bring(&archive).unwrap();
+    let fetched = place.list(&archive).unwrap().shards[0].fingerprint.to_string();
+
+    let record = json!({"imageid": "GOOD", "sol": 5, "camera": {"instrument": "NAVCAM_LEFT"}, "sample_type": "Full",
+        "image_files": {"full_res": "https://mars.nasa.gov/p/good.png"}});
+    play(&server, vec![record]);
+    let hosts = json!(["https://mars.nasa.gov"]);
+    let feed = with(place.feed(&server, "5"), "/picture_hosts", hosts);
+    let feed = place.list(&feed).unwrap().shards[0].fingerprint.to_string();
+    let pds = "2a422030349479d3684d710ff9c091441f3f1fb7a975e416d2876d498c630a0e";
+    let one_record = "443c0768174c7607cc59d65e61d596947aa6f06a374553bef922c0e9cd93f9d4";
+    assert_eq!([fresh, fetched, feed], [pds, pds, one_record]);
 }

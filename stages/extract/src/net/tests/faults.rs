@@ -28,7 +28,7 @@ fn what_may_pass_is_tried_again() {
         let name = format!("{fault:?}");
         let before = client.traffic();
         server.script("/a", vec![fault]);
-        assert_eq!(bytes(one(&client, &want(&server, "/a"))), body, "{name}");
+        assert_eq!(bytes(one(&client, &download(&server, "/a"))), body, "{name}");
         let after = client.traffic();
         // A body that ends early looks like a cut at the very end: the rest is asked for, and there is none.
         let tries = if name.starts_with("Announce") { 2 } else { 1 };
@@ -44,9 +44,9 @@ fn what_may_pass_is_tried_again() {
 fn five_tries_are_all() {
     let server = Server::start();
     server.script("/a", vec![Reply::status(503).always()]);
-    let error = trouble(one(&client(&server), &want(&server, "/a")));
+    let error = kind(one(&client(&server), &download(&server, "/a")));
     assert_eq!(
-        (error.tries, server.requests().len(), error.again),
+        (error.tries, server.requests().len(), error.retryable),
         (5, 5, true),
         "{error}"
     );
@@ -59,9 +59,9 @@ fn five_tries_are_all() {
 #[test]
 fn a_refusal_is_final_for_its_mirror_alone() {
     let (first, second) = (Server::start(), Server::start());
-    let client = Client::new(quick(&[&first, &second])).unwrap();
+    let client = Client::new(permit(), quick(&[&first, &second])).unwrap();
     second.file("/a", *b"here");
-    let mut both = want(&first, "/a");
+    let mut both = download(&first, "/a");
     both.urls.push(Url::parse(&second.url("/a")).unwrap());
     for status in [400, 401, 403, 404, 410, 451] {
         first.clear();
@@ -80,8 +80,8 @@ fn a_refusal_is_final_for_its_mirror_alone() {
 #[test]
 fn absent_is_what_no_mirror_has() {
     let (first, second) = (Server::start(), Server::start());
-    let client = Client::new(quick(&[&first, &second])).unwrap();
-    let mut both = want(&first, "/a");
+    let client = Client::new(permit(), quick(&[&first, &second])).unwrap();
+    let mut both = download(&first, "/a");
     both.urls.push(Url::parse(&second.url("/a")).unwrap());
     second.script("/a", vec![Reply::status(410)]);
     let absent = Answer::Absent {
@@ -90,10 +90,13 @@ fn absent_is_what_no_mirror_has() {
     };
     assert_eq!(one(&client, &both).unwrap(), absent);
     second.script("/a", vec![Reply::status(503).always()]);
-    let error = trouble(one(&client, &both));
-    assert!(error.again && *error.trouble == Trouble::Status(503), "{error}");
+    let error = kind(one(&client, &both));
+    assert!(
+        error.retryable && *error.kind == NetErrorKind::Status(503),
+        "{error}"
+    );
     first.script("/a", vec![Reply::status(500).always()]);
-    let error = trouble(one(&client, &both));
+    let error = kind(one(&client, &both));
     assert!(
         error.to_string().contains("before it http://127.0.0.1"),
         "{error}"
@@ -105,24 +108,24 @@ fn absent_is_what_no_mirror_has() {
 fn bodies_end_at_their_cap() {
     let server = Server::start();
     let client = client(&server);
-    let mut small = want(&server, "/a");
+    let mut small = download(&server, "/a");
     small.cap_bytes = 50_000;
     server.file("/a", noise(1, 50_000));
     assert_eq!(bytes(one(&client, &small)).len(), 50_000);
     let before = client.traffic().bytes;
     server.file("/a", noise(1, 50_001));
-    let error = trouble(one(&client, &small));
+    let error = kind(one(&client, &small));
     assert_eq!(
-        *error.trouble,
-        Trouble::TooLarge {
+        *error.kind,
+        NetErrorKind::TooLarge {
             bytes: 50_001,
             cap: 50_000
         }
     );
     assert_eq!(client.traffic().bytes, before, "announced, so not read");
     server.script("/a", vec![Reply::Endless]);
-    let error = trouble(one(&client, &small));
-    assert!(matches!(*error.trouble, Trouble::TooLarge { .. }), "{error}");
+    let error = kind(one(&client, &small));
+    assert!(matches!(*error.kind, NetErrorKind::TooLarge { .. }), "{error}");
     assert!(
         client.traffic().bytes < before + 500_000,
         "{:?}",
@@ -133,31 +136,34 @@ fn bodies_end_at_their_cap() {
 #[test]
 fn drips_and_silence_are_given_up() {
     let server = Server::start();
-    let client = Client::new(Conduct {
-        tries: 1,
-        slow_after: Duration::from_millis(400),
-        slowest: 20_000,
-        ..quick(&[&server])
-    })
+    let client = Client::new(
+        permit(),
+        ClientSettings {
+            tries: 1,
+            slow_after: Duration::from_millis(400),
+            slowest: 20_000,
+            ..quick(&[&server])
+        },
+    )
     .unwrap();
     server.file("/a", noise(1, 900_000));
     let every = Duration::from_millis(20);
     server.script("/a", vec![Reply::Drip { bytes: 100, every }]);
-    let error = trouble(one(&client, &want(&server, "/a")));
+    let error = kind(one(&client, &download(&server, "/a")));
     assert!(
-        matches!(*error.trouble, Trouble::Slow { slowest: 20_000, .. }) && error.again,
+        matches!(*error.kind, NetErrorKind::Slow { slowest: 20_000, .. }) && error.retryable,
         "{error}"
     );
     server.script("/a", vec![Reply::Stall { after: 1_234 }]);
-    let error = trouble(one(&client, &want(&server, "/a")));
+    let error = kind(one(&client, &download(&server, "/a")));
     assert!(
-        matches!(*error.trouble, Trouble::Stalled { at: 1_234, .. }),
+        matches!(*error.kind, NetErrorKind::Stalled { at: 1_234, .. }),
         "{error}"
     );
     server.script("/a", vec![Reply::Silent]);
-    let error = trouble(one(&client, &want(&server, "/a")));
+    let error = kind(one(&client, &download(&server, "/a")));
     assert!(
-        matches!(*error.trouble, Trouble::Stalled { at: 0, .. }),
+        matches!(*error.kind, NetErrorKind::Stalled { at: 0, .. }),
         "{error}"
     );
 }
@@ -170,8 +176,11 @@ fn bytes_beyond_the_announced_are_never_an_answer() {
     server.file("/a", noise(1, 1_000));
     server.file("/b", noise(2, 1_000));
     server.script("/a", vec![Reply::Announce { more: -400 }]);
-    assert_eq!(bytes(one(&client, &want(&server, "/a"))), noise(1, 1_000)[..600]);
-    assert_eq!(bytes(one(&client, &want(&server, "/b"))), noise(2, 1_000));
+    assert_eq!(
+        bytes(one(&client, &download(&server, "/a"))),
+        noise(1, 1_000)[..600]
+    );
+    assert_eq!(bytes(one(&client, &download(&server, "/b"))), noise(2, 1_000));
 }
 
 #[test]
@@ -185,8 +194,8 @@ fn an_encoded_body_is_refused() {
             vec![31; 10],
         )],
     );
-    let error = trouble(one(&client(&server), &want(&server, "/a")));
-    assert_eq!(*error.trouble, Trouble::Encoded("gzip".into()));
+    let error = kind(one(&client(&server), &download(&server, "/a")));
+    assert_eq!(*error.kind, NetErrorKind::Encoded("gzip".into()));
     assert_eq!(server.requests()[0].header("accept-encoding"), Some("identity"));
 }
 
@@ -195,55 +204,63 @@ fn an_encoded_body_is_refused() {
 fn a_firewall_page_that_calls_itself_a_success_is_a_body() {
     let server = Server::start();
     server.script("/a.IMG", vec![Reply::firewall()]);
-    let page = bytes(one(&client(&server), &want(&server, "/a.IMG")));
+    let page = bytes(one(&client(&server), &download(&server, "/a.IMG")));
     assert!(String::from_utf8(page).unwrap().contains("Request Rejected"));
 }
 
 #[test]
 fn a_burst_of_403_stops_the_host() {
     let server = Server::start();
-    let client = Client::new(Conduct {
-        per_host: 1,
-        ..quick(&[&server])
-    })
+    let client = Client::new(
+        permit(),
+        ClientSettings {
+            per_host: 1,
+            ..quick(&[&server])
+        },
+    )
     .unwrap();
     server.file("/ok", *b"ok");
     let paths: Vec<String> = (0..9).map(|index| format!("/{index}")).collect();
     for path in &paths {
         server.script(path, vec![Reply::status(403)]);
     }
-    let wants: Vec<Want> = paths.iter().map(|path| want(&server, path)).collect();
-    let answers = all(&client, &wants);
+    let downloads: Vec<Download> = paths.iter().map(|path| download(&server, path)).collect();
+    let answers = all(&client, &downloads);
     assert_eq!(server.requests().len(), 5);
-    let last = trouble(answers.into_iter().next_back().unwrap().unwrap());
+    let last = kind(answers.into_iter().next_back().unwrap().unwrap());
     assert!(
-        last.again && last.to_string().contains("403 5 times in a row"),
+        last.retryable && last.to_string().contains("403 5 times in a row"),
         "{last}"
     );
-    let ok = trouble(one(&client, &want(&server, "/ok")));
-    assert!(matches!(*ok.trouble, Trouble::HostStopped { .. }), "{ok}");
+    let ok = kind(one(&client, &download(&server, "/ok")));
+    assert!(matches!(*ok.kind, NetErrorKind::HostStopped { .. }), "{ok}");
 }
 
 #[test]
 fn a_dead_host_is_left_alone() {
     let server = Server::start();
-    let client = Client::new(Conduct {
-        tries: 2,
-        per_host: 1,
-        ..quick(&[&server])
-    })
+    let client = Client::new(
+        permit(),
+        ClientSettings {
+            tries: 2,
+            per_host: 1,
+            ..quick(&[&server])
+        },
+    )
     .unwrap();
-    let wants: Vec<Want> = (0..40).map(|index| want(&server, &format!("/{index}"))).collect();
+    let downloads: Vec<Download> = (0..40)
+        .map(|index| download(&server, &format!("/{index}")))
+        .collect();
     drop(server);
-    let answers = all(&client, &wants);
+    let answers = all(&client, &downloads);
     assert!(client.traffic().requests <= 12, "{:?}", client.traffic());
-    let first = trouble(answers[0].clone().unwrap());
+    let first = kind(answers[0].clone().unwrap());
     assert!(
-        matches!(*first.trouble, Trouble::Broken(_)) && first.again,
+        matches!(*first.kind, NetErrorKind::Broken(_)) && first.retryable,
         "{first}"
     );
-    let last = trouble(answers[39].clone().unwrap());
-    assert!(last.to_string().contains("is left alone"), "{last}");
+    let last = kind(answers[39].clone().unwrap());
+    assert!(last.to_string().contains("is asked no more"), "{last}");
 }
 
 #[test]
@@ -252,7 +269,7 @@ fn retry_after_is_waited_up_to_ten_minutes() {
     let client = client(&server);
     server.file("/a", *b"a");
     server.script("/a", vec![Reply::with(429, "Retry-After", "1")]);
-    assert_eq!(bytes(one(&client, &want(&server, "/a"))), b"a");
+    assert_eq!(bytes(one(&client, &download(&server, "/a"))), b"a");
     let gap = server.smallest_gap().unwrap();
     assert!(gap >= Duration::from_millis(990), "{gap:?}");
     assert!(
@@ -262,16 +279,16 @@ fn retry_after_is_waited_up_to_ten_minutes() {
     );
     for value in ["3600", "Fri, 31 Dec 9999 23:59:59 GMT"] {
         let server = Server::start();
-        let client = Client::new(quick(&[&server])).unwrap();
+        let client = Client::new(permit(), quick(&[&server])).unwrap();
         server.script("/a", vec![Reply::with(503, "Retry-After", value)]);
-        let error = trouble(one(&client, &want(&server, "/a")));
+        let error = kind(one(&client, &download(&server, "/a")));
         assert!(
-            error.again && error.to_string().contains("at most 600 s are waited"),
+            error.retryable && error.to_string().contains("at most 600 s are waited"),
             "{error}"
         );
-        let other = trouble(one(&client, &want(&server, "/b")));
-        assert!(matches!(*other.trouble, Trouble::Later { .. }), "{other}");
-        assert_eq!(server.requests().len(), 1, "the host is left alone until then");
+        let other = kind(one(&client, &download(&server, "/b")));
+        assert!(matches!(*other.kind, NetErrorKind::Later { .. }), "{other}");
+        assert_eq!(server.requests().len(), 1, "the host is not asked until then");
     }
 }
 
@@ -283,18 +300,18 @@ fn a_fifth_of_faults_changes_no_byte() {
     for (index, path) in (0..FILES).zip(&paths) {
         server.file(path, noise(index, 1_000 + 31 * usize::from(index)));
     }
-    let wants: Vec<Want> = paths.iter().map(|path| want(&server, path)).collect();
-    let patient = Conduct {
+    let downloads: Vec<Download> = paths.iter().map(|path| download(&server, path)).collect();
+    let patient = ClientSettings {
         tries: 8,
         ..quick(&[&server])
     };
-    let good: Vec<Vec<u8>> = all(&Client::new(patient.clone()).unwrap(), &wants)
+    let good: Vec<Vec<u8>> = all(&Client::new(permit(), patient.clone()).unwrap(), &downloads)
         .into_iter()
         .map(|answer| bytes(answer.unwrap()))
         .collect();
     server.faults(1, 0.2);
-    let client = Client::new(patient).unwrap();
-    let spoilt: Vec<Vec<u8>> = all(&client, &wants)
+    let client = Client::new(permit(), patient).unwrap();
+    let spoilt: Vec<Vec<u8>> = all(&client, &downloads)
         .into_iter()
         .map(|answer| bytes(answer.unwrap()))
         .collect();

@@ -39,27 +39,30 @@ impl Folder {
     }
 }
 
-fn kept(server: &Server, path: &str, part: &Path) -> Want {
-    Want {
+fn kept(server: &Server, path: &str, part: &Path) -> Download {
+    Download {
         part: Some(part.to_owned()),
-        ..want(server, path)
+        ..download(server, path)
     }
 }
 
 /// One try only, so that the next call is a next run.
 fn hasty(server: &Server) -> Client {
-    Client::new(Conduct {
-        tries: 1,
-        ..quick(&[server])
-    })
+    Client::new(
+        permit(),
+        ClientSettings {
+            tries: 1,
+            ..quick(&[server])
+        },
+    )
     .unwrap()
 }
 
 /// Leaves a part of `after` bytes.
-fn cut(server: &Server, folder: &Folder, after: usize) -> Want {
-    let want = kept(server, "/a", &folder.part("a.part"));
+fn cut(server: &Server, folder: &Folder, after: usize) -> Download {
+    let download = kept(server, "/a", &folder.part("a.part"));
     server.script("/a", vec![Reply::Cut { after }]);
-    trouble(one(&hasty(server), &want));
+    kind(one(&hasty(server), &download));
     assert_eq!(
         folder.files().get("a.part"),
         Some(&(after as u64)),
@@ -67,7 +70,7 @@ fn cut(server: &Server, folder: &Folder, after: usize) -> Want {
         folder.files()
     );
     server.clear();
-    want
+    download
 }
 
 #[test]
@@ -75,9 +78,9 @@ fn a_cut_download_goes_on_by_range() {
     let (server, folder) = (Server::start(), Folder::new());
     let body = noise(3, 300_000);
     server.file("/a", body.clone());
-    let want = cut(&server, &folder, 200_000);
+    let download = cut(&server, &folder, 200_000);
     let client = hasty(&server);
-    assert_eq!(bytes(one(&client, &want)), body);
+    assert_eq!(bytes(one(&client, &download)), body);
     let request = server.requests().remove(0);
     assert_eq!(request.header("range"), Some("bytes=200000-"));
     assert!(
@@ -100,7 +103,7 @@ fn tries_within_a_call_go_on_too_even_without_a_part() {
         vec![Reply::Cut { after: 100_000 }, Reply::Cut { after: 100_000 }],
     );
     let client = client(&server);
-    assert_eq!(bytes(one(&client, &want(&server, "/a"))), body);
+    assert_eq!(bytes(one(&client, &download(&server, "/a"))), body);
     let ranges: Vec<Option<String>> = server
         .requests()
         .iter()
@@ -121,9 +124,9 @@ fn tries_within_a_call_go_on_too_even_without_a_part() {
 fn a_changed_file_begins_from_zero() {
     let (server, folder) = (Server::start(), Folder::new());
     server.file("/a", noise(3, 300_000));
-    let want = cut(&server, &folder, 200_000);
+    let download = cut(&server, &folder, 200_000);
     server.file("/a", noise(4, 310_000));
-    assert_eq!(bytes(one(&hasty(&server), &want)), noise(4, 310_000));
+    assert_eq!(bytes(one(&hasty(&server), &download)), noise(4, 310_000));
     assert_eq!(server.requests().len(), 1, "a 200 is taken as it is");
 }
 
@@ -142,9 +145,9 @@ fn a_rest_that_does_not_fit_begins_from_zero() {
         let (server, folder) = (Server::start(), Folder::new());
         let body = noise(3, 300_000);
         server.file("/a", body.clone());
-        let want = cut(&server, &folder, 200_000);
+        let download = cut(&server, &folder, 200_000);
         server.script("/a", vec![fault]);
-        assert_eq!(bytes(one(&client(&server), &want)), body, "{name}");
+        assert_eq!(bytes(one(&client(&server), &download)), body, "{name}");
         let ranges: Vec<bool> = server
             .requests()
             .iter()
@@ -164,8 +167,8 @@ fn without_a_strong_validator_nothing_is_continued() {
         let (server, folder) = (Server::start(), Folder::new());
         server.file_with("/a", noise(1, 9_000), etag, modified);
         server.script("/a", vec![Reply::Cut { after: 4_000 }]);
-        let want = kept(&server, "/a", &folder.part("a.part"));
-        assert_eq!(bytes(one(&client(&server), &want)), noise(1, 9_000));
+        let download = kept(&server, "/a", &folder.part("a.part"));
+        assert_eq!(bytes(one(&client(&server), &download)), noise(1, 9_000));
         assert!(
             server
                 .requests()
@@ -180,14 +183,14 @@ fn without_a_strong_validator_nothing_is_continued() {
 fn a_finished_part_needs_no_request() {
     let (server, folder) = (Server::start(), Folder::new());
     server.file("/a", noise(1, 9_000));
-    let want = kept(&server, "/a", &folder.part("a.part"));
-    let first = one(&hasty(&server), &want).unwrap();
+    let download = kept(&server, "/a", &folder.part("a.part"));
+    let first = one(&hasty(&server), &download).unwrap();
     server.clear();
-    assert_eq!(one(&hasty(&server), &want).unwrap(), first);
-    assert_eq!(one(&hasty(&server), &want).unwrap(), first, "and stays");
+    assert_eq!(one(&hasty(&server), &download).unwrap(), first);
+    assert_eq!(one(&hasty(&server), &download).unwrap(), first, "and stays");
     assert!(server.requests().is_empty());
     forget(&folder.part("a.part"));
-    assert_eq!(one(&hasty(&server), &want).unwrap(), first);
+    assert_eq!(one(&hasty(&server), &download).unwrap(), first);
     assert_eq!(server.requests().len(), 1);
 }
 
@@ -224,9 +227,9 @@ fn a_part_that_does_not_verify_is_fetched_again() {
     for (name, damage) in damages {
         let (server, folder) = (Server::start(), Folder::new());
         server.file("/a", noise(1, 9_000));
-        let want = cut(&server, &folder, 6_000);
+        let download = cut(&server, &folder, 6_000);
         damage(&folder.part("a.part"), &folder.part("a.part.json"));
-        assert_eq!(bytes(one(&hasty(&server), &want)), noise(1, 9_000), "{name}");
+        assert_eq!(bytes(one(&hasty(&server), &download)), noise(1, 9_000), "{name}");
         assert_eq!(server.requests()[0].header("range"), None, "{name}");
     }
 }
@@ -236,11 +239,11 @@ fn a_part_that_does_not_verify_is_fetched_again() {
 fn bytes_beyond_the_sidecar_are_fetched_again() {
     let (server, folder) = (Server::start(), Folder::new());
     server.file("/a", noise(1, 9_000));
-    let want = cut(&server, &folder, 6_000);
+    let download = cut(&server, &folder, 6_000);
     let mut longer = fs::read(folder.part("a.part")).unwrap();
     longer.extend([0; 700]);
     fs::write(folder.part("a.part"), longer).unwrap();
-    assert_eq!(bytes(one(&hasty(&server), &want)), noise(1, 9_000));
+    assert_eq!(bytes(one(&hasty(&server), &download)), noise(1, 9_000));
     assert_eq!(server.requests()[0].header("range"), Some("bytes=6000-"));
     assert_eq!(folder.files()["a.part"], 9_000);
 }
@@ -257,11 +260,11 @@ fn a_part_never_mixes_hosts() {
         "/a",
         vec![Reply::Cut { after: 5_000 }, Reply::status(503).always()],
     );
-    let conduct = Conduct {
+    let settings = ClientSettings {
         tries: 2,
         ..quick(&[&first, &second])
     };
-    let client = Client::new(conduct).unwrap();
+    let client = Client::new(permit(), settings).unwrap();
     assert_eq!(bytes(one(&client, &both)), noise(2, 9_000));
     assert_eq!(second.requests()[0].header("range"), None);
     forget(&folder.part("a.part"));
@@ -271,7 +274,7 @@ fn a_part_never_mixes_hosts() {
         "/a",
         vec![Reply::Cut { after: 5_000 }, Reply::Cut { after: 2_000 }],
     );
-    trouble(one(&client, &both));
+    kind(one(&client, &both));
     first.clear();
     second.clear();
     assert_eq!(bytes(one(&client, &both)), noise(2, 9_000));
@@ -295,28 +298,34 @@ fn a_part_that_another_process_holds_is_left_to_it() {
     server.file("/a", noise(1, 9_000));
     let held = fs::File::create(folder.part("a.part")).unwrap();
     held.lock().unwrap();
-    let want = kept(&server, "/a", &folder.part("a.part"));
-    assert_eq!(bytes(one(&hasty(&server), &want)), noise(1, 9_000));
+    let download = kept(&server, "/a", &folder.part("a.part"));
+    assert_eq!(bytes(one(&hasty(&server), &download)), noise(1, 9_000));
     assert_eq!(folder.files(), BTreeMap::from([("a.part".to_owned(), 0)]));
 }
 
 #[test]
 fn what_brings_nothing_leaves_nothing() {
     let (server, folder) = (Server::start(), Folder::new());
-    let want = kept(&server, "/a", &folder.part("a.part"));
-    assert!(matches!(one(&hasty(&server), &want), Ok(Answer::Absent { .. })));
+    let download = kept(&server, "/a", &folder.part("a.part"));
+    assert!(matches!(
+        one(&hasty(&server), &download),
+        Ok(Answer::Absent { .. })
+    ));
     server.script("/a", vec![Reply::Endless]);
-    trouble(one(&hasty(&server), &want));
+    kind(one(&hasty(&server), &download));
     assert!(folder.files().is_empty(), "{:?}", folder.files());
     // With a validator too: what is too large stays too large.
     server.file("/a", noise(1, 9_000));
     server.script("/a", vec![Reply::Endless]);
-    let error = trouble(one(&hasty(&server), &want));
-    assert!(matches!(*error.trouble, Trouble::TooLarge { .. }), "{error}");
+    let error = kind(one(&hasty(&server), &download));
+    assert!(matches!(*error.kind, NetErrorKind::TooLarge { .. }), "{error}");
     assert!(folder.files().is_empty(), "{:?}", folder.files());
     cut(&server, &folder, 6_000);
     server.remove("/a");
-    assert!(matches!(one(&hasty(&server), &want), Ok(Answer::Absent { .. })));
+    assert!(matches!(
+        one(&hasty(&server), &download),
+        Ok(Answer::Absent { .. })
+    ));
     assert!(
         folder.files().is_empty(),
         "gone there, gone here: {:?}",
@@ -330,9 +339,9 @@ fn a_part_that_cannot_be_written_is_named() {
     server.file("/a", *b"a");
     fs::write(folder.part("file"), b"").unwrap();
     let part = folder.part("file").join("a.part");
-    let error = trouble(one(&hasty(&server), &kept(&server, "/a", &part)));
+    let error = kind(one(&hasty(&server), &kept(&server, "/a", &part)));
     assert!(
-        matches!(&*error.trouble, Trouble::Part { path, .. } if *path == part),
+        matches!(&*error.kind, NetErrorKind::Part { path, .. } if *path == part),
         "{error}"
     );
     let twice = [kept(&server, "/a", &part), kept(&server, "/a", &part)];
@@ -347,13 +356,13 @@ fn a_stopped_download_goes_on_at_the_next_call() {
     server.file("/a", noise(5, 900_000));
     let every = Duration::from_millis(10);
     server.script("/a", vec![Reply::Drip { bytes: 10_000, every }]);
-    let wants = [
-        want(&server, "/small"),
+    let downloads = [
+        download(&server, "/small"),
         kept(&server, "/a", &folder.part("a.part")),
     ];
     let harness = Harness::default();
     let mut stopped = None;
-    let ended = client(&server).get_all(&harness.ctx(), &wants, &mut |index, _| {
+    let ended = client(&server).get_all(&harness.ctx(), &downloads, &mut |index, _| {
         assert_eq!(index, 0, "the large one cannot be done");
         while folder.files().get("a.part").is_none_or(|length| *length < 50_000) {
             std::thread::yield_now();
@@ -368,7 +377,7 @@ fn a_stopped_download_goes_on_at_the_next_call() {
     let kept = folder.files()["a.part"];
     assert!((50_000..900_000).contains(&kept), "{kept}");
     server.clear();
-    assert_eq!(bytes(one(&client(&server), &wants[1])), noise(5, 900_000));
+    assert_eq!(bytes(one(&client(&server), &downloads[1])), noise(5, 900_000));
     let range = format!("bytes={kept}-");
     assert_eq!(server.requests()[0].header("range"), Some(range.as_str()));
 }
@@ -379,11 +388,11 @@ fn a_wish_to_stop_ends_every_kind_of_wait() {
     server.script("/silent", vec![Reply::Silent.always()]);
     server.script("/later", vec![Reply::with(503, "Retry-After", "500").always()]);
     for path in ["/silent", "/later"] {
-        let conduct = Conduct {
+        let settings = ClientSettings {
             stall: Duration::from_secs(60),
             ..quick(&[&server])
         };
-        let client = Client::new(conduct).unwrap();
+        let client = Client::new(permit(), settings).unwrap();
         let harness = Harness::default();
         let (cancel, server) = (&harness.cancel, &server);
         let began = std::thread::scope(|scope| {
@@ -394,7 +403,7 @@ fn a_wish_to_stop_ends_every_kind_of_wait() {
                 cancel.set();
                 Instant::now()
             });
-            let ended = client.get_all(&harness.ctx(), &[want(server, path)], &mut |_, _| Ok(()));
+            let ended = client.get_all(&harness.ctx(), &[download(server, path)], &mut |_, _| Ok(()));
             assert!(matches!(ended, Err(StageError::Cancelled)), "{path}: {ended:?}");
             stopper.join().unwrap()
         });

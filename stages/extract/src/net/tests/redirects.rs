@@ -6,20 +6,20 @@ use super::*;
 fn sent_to(server: &Server, location: &str) -> NetError {
     server.clear();
     server.script("/a", vec![Reply::Redirect(location.to_owned()).always()]);
-    trouble(one(&client(server), &want(server, "/a")))
+    kind(one(&client(server), &download(server, "/a")))
 }
 
 #[test]
 fn a_redirect_inside_the_list_is_followed_and_told() {
     let (first, second) = (Server::start(), Server::start());
-    let client = Client::new(quick(&[&first, &second])).unwrap();
+    let client = Client::new(permit(), quick(&[&first, &second])).unwrap();
     second.file("/moved/a", *b"moved");
     for status in [301, 302, 303, 307, 308] {
         first.script(
             "/a",
             vec![Reply::with(status, "Location", &second.url("/moved/a"))],
         );
-        let Ok(Answer::Whole { bytes, url, .. }) = one(&client, &want(&first, "/a")) else {
+        let Ok(Answer::Whole { bytes, url, .. }) = one(&client, &download(&first, "/a")) else {
             panic!("{status}")
         };
         assert_eq!((bytes.as_slice(), url), (&b"moved"[..], second.url("/moved/a")));
@@ -48,7 +48,7 @@ fn hostile_redirects_are_refused_without_a_request() {
         let error = sent_to(&server, &location);
         let text = error.to_string();
         assert!(
-            matches!(*error.trouble, Trouble::Redirect(_)) && !error.again,
+            matches!(*error.kind, NetErrorKind::Redirect(_)) && !error.retryable,
             "{location}: {text}"
         );
         let from = server.url("/a");
@@ -72,24 +72,27 @@ fn five_hops_are_followed_and_no_sixth() {
     }
     server.file("/6", *b"end");
     let client = client(&server);
-    assert_eq!(bytes(one(&client, &want(&server, "/1"))), b"end");
+    assert_eq!(bytes(one(&client, &download(&server, "/1"))), b"end");
     server.clear();
-    let error = trouble(one(&client, &want(&server, "/0")));
+    let error = kind(one(&client, &download(&server, "/0")));
     assert!(
-        matches!(*error.trouble, Trouble::TooManyRedirects(_)) && !error.again,
+        matches!(*error.kind, NetErrorKind::TooManyRedirects(_)) && !error.retryable,
         "{error}"
     );
     assert_eq!(server.requests().len(), 6, "one request and five hops");
-    let round = sent_to(&server, "/a");
-    assert!(matches!(*round.trouble, Trouble::TooManyRedirects(_)), "{round}");
+    let batch = sent_to(&server, "/a");
+    assert!(
+        matches!(*batch.kind, NetErrorKind::TooManyRedirects(_)),
+        "{batch}"
+    );
 }
 
 #[test]
 fn a_redirect_without_a_target_is_an_error() {
     let server = Server::start();
     server.script("/a", vec![Reply::status(302)]);
-    let error = trouble(one(&client(&server), &want(&server, "/a")));
-    assert_eq!(*error.trouble, Trouble::NoLocation(302));
+    let error = kind(one(&client(&server), &download(&server, "/a")));
+    assert_eq!(*error.kind, NetErrorKind::NoLocation(302));
     let error = sent_to(&server, "http://[");
     assert!(error.to_string().contains("no address"), "{error}");
 }

@@ -1,0 +1,92 @@
+//! Writes that become durable together.
+
+use std::{
+    collections::BTreeMap,
+    path::PathBuf,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use super::record::Record;
+use crate::Digest;
+
+/// A batch is committed when it is this old ...
+const MAX_AGE: Duration = Duration::from_secs(1);
+/// ... or holds this many bytes.
+const MAX_BYTES: u64 = 64 << 20;
+
+/// Blobs, records and memos that are committed together.
+#[derive(Clone, Default)]
+pub(super) struct WriteBatch {
+    pub(super) small: BTreeMap<Digest, Arc<[u8]>>,
+    pub(super) large: BTreeMap<Digest, LargeBlob>,
+    pub(super) records: BTreeMap<Digest, Record>,
+    pub(super) memos: BTreeMap<Digest, Digest>,
+    bytes: u64,
+    first_write: Option<Instant>,
+}
+
+/// A blob in a temporary file.
+#[derive(Clone)]
+pub(super) struct LargeBlob {
+    pub(super) path: PathBuf,
+    pub(super) bytes: u64,
+}
+
+impl WriteBatch {
+    /// Adds a blob that will go into a pack.
+    pub(super) fn add_small(&mut self, digest: Digest, bytes: &[u8]) {
+        self.note_write(bytes.len() as u64);
+        self.small.insert(digest, Arc::from(bytes));
+    }
+
+    /// Adds a blob that will be a file of its own.
+    pub(super) fn add_large(&mut self, digest: Digest, large: LargeBlob) {
+        self.note_write(large.bytes);
+        self.large.insert(digest, large);
+    }
+
+    /// Adds a record; the first of two records of one key is kept, as in the index.
+    pub(super) fn add_record(&mut self, record: Record) {
+        self.note_write(0);
+        self.records.entry(record.key).or_insert(record);
+    }
+
+    /// Adds a memo; the last of two memos of one key is kept.
+    pub(super) fn add_memo(&mut self, key: Digest, blob: Digest) {
+        self.note_write(0);
+        self.memos.insert(key, blob);
+    }
+
+    fn note_write(&mut self, bytes: u64) {
+        self.bytes += bytes;
+        self.first_write.get_or_insert_with(Instant::now);
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.first_write.is_none()
+    }
+
+    /// Tells whether the batch is old or large enough to be committed.
+    pub(super) fn is_due(&self) -> bool {
+        self.bytes >= MAX_BYTES || self.first_write.is_some_and(|first| first.elapsed() >= MAX_AGE)
+    }
+
+    /// Returns the length of a blob of this batch, in bytes.
+    pub(super) fn size_of(&self, digest: &Digest) -> Option<u64> {
+        let small = self.small.get(digest).map(|bytes| bytes.len() as u64);
+        small.or_else(|| self.large.get(digest).map(|large| large.bytes))
+    }
+
+    /// Puts back an older batch that could not be committed; newer memos win, older records win.
+    pub(super) fn restore(&mut self, older: &Self) {
+        let newer = std::mem::replace(self, older.clone());
+        self.small.extend(newer.small);
+        self.large.extend(newer.large);
+        self.memos.extend(newer.memos);
+        for (key, record) in newer.records {
+            self.records.entry(key).or_insert(record);
+        }
+        self.bytes += newer.bytes;
+    }
+}

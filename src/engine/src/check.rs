@@ -1,0 +1,351 @@
+//! The checks of a graph: names, edges, outputs, cycles.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use marf_cache::ContentHash;
+use marf_stage::{Port, StageDef};
+use petgraph::{Direction, algo::tarjan_scc, graph::DiGraph, graph::NodeIndex};
+use serde::{Deserialize, Serialize};
+
+/// An edge of the graph: a key of a node, and the upstream node that it names.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ContentHash)]
+pub struct Edge {
+    /// The key in the node's table (`input`).
+    pub key: String,
+    /// The upstream node.
+    pub upstream: String,
+}
+
+/// The part of a node that decides whether it fits into a graph.
+#[derive(Clone)]
+pub struct NodeShape<'a> {
+    /// Name of the node.
+    pub name: &'a str,
+    /// Its stage.
+    pub stage: &'a StageDef,
+    /// Its keys, each with the upstream node that it names.
+    pub edges: Vec<(&'a str, &'a str)>,
+}
+
+/// An output of an upstream node that is an input of a node, under the same name.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Connection {
+    pub(crate) output: &'static str,
+    /// Index of the upstream node.
+    pub(crate) upstream: usize,
+}
+
+/// The order and the connections of checked nodes.
+pub(crate) struct Topology {
+    /// Indices of the nodes in topological order, ties in the order given.
+    pub(crate) order: Vec<usize>,
+    /// The connections of each node, in the order given.
+    pub(crate) connections: Vec<Vec<Connection>>,
+}
+
+/// Why nodes do not form a graph.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum GraphError {
+    /// Two nodes of one name.
+    #[error("two nodes are named `{node}`")]
+    DuplicateNode {
+        /// The name.
+        node: String,
+    },
+    /// A key names a node that does not exist.
+    #[error("`{node}.{key}` names the node `{upstream}`, which is not there; there are {}", known.join(", "))]
+    UnknownUpstream {
+        /// The node with the key.
+        node: String,
+        /// The key.
+        key: String,
+        /// The unknown name.
+        upstream: String,
+        /// The names of all nodes.
+        known: Vec<String>,
+    },
+    /// A key that the stage lacks.
+    #[error("`{node}` has no input `{key}`; it has {}", known.join(", "))]
+    UnknownKey {
+        /// The node.
+        node: String,
+        /// The key.
+        key: String,
+        /// The keys of the stage.
+        known: Vec<String>,
+    },
+    /// A required input without an upstream node.
+    #[error("`{node}` needs `{key}`, the name of a node that gives `{output}`")]
+    NotConnected {
+        /// The node.
+        node: String,
+        /// The absent key.
+        key: String,
+        /// The output that the input needs.
+        output: String,
+    },
+    /// The upstream node lacks the output that an input needs.
+    #[error("`{key}` of `node.{node}` needs `{output}`; `node.{upstream}` (stage `{stage}`) gives {}", outputs.join(", "))]
+    NoSuchOutput {
+        /// The node.
+        node: String,
+        /// The key.
+        key: String,
+        /// The upstream node.
+        upstream: String,
+        /// The stage of the upstream node.
+        stage: &'static str,
+        /// The output.
+        output: String,
+        /// The outputs that the upstream node has.
+        outputs: Vec<String>,
+    },
+    /// Two upstream nodes for one input.
+    #[error("`{node}` gets `{input}` twice")]
+    Ambiguous {
+        /// The node.
+        node: String,
+        /// The key or input that occurs twice.
+        input: String,
+    },
+    /// Nodes that depend on each other.
+    #[error("the nodes form a cycle: {}", path.join(" -> "))]
+    Cycle {
+        /// The nodes of the cycle along the flow of data, the first one repeated at the end.
+        path: Vec<String>,
+    },
+}
+
+impl GraphError {
+    /// Returns the name of the node at fault; of a cycle the first one.
+    pub fn node(&self) -> &str {
+        match self {
+            Self::DuplicateNode { node }
+            | Self::UnknownUpstream { node, .. }
+            | Self::UnknownKey { node, .. }
+            | Self::NotConnected { node, .. }
+            | Self::NoSuchOutput { node, .. }
+            | Self::Ambiguous { node, .. } => node,
+            Self::Cycle { path } => path.first().map_or("", String::as_str),
+        }
+    }
+
+    /// Returns the key at fault, if the fault is that of one key of the node.
+    pub fn key(&self) -> Option<&str> {
+        match self {
+            Self::UnknownUpstream { key, .. }
+            | Self::UnknownKey { key, .. }
+            | Self::NoSuchOutput { key, .. } => Some(key),
+            _ => None,
+        }
+    }
+}
+
+/// Checks that nodes form a graph.
+///
+/// # Errors
+/// The first fault, in the order of [`GraphError`].
+pub fn check(nodes: &[NodeShape<'_>]) -> Result<(), GraphError> {
+    topology(nodes).map(drop)
+}
+
+/// Checks nodes, and returns their order and connections.
+pub(crate) fn topology(nodes: &[NodeShape<'_>]) -> Result<Topology, GraphError> {
+    let names = index_by_name(nodes)?;
+    nodes.iter().try_for_each(|node| check_edges(node, &names))?;
+    let connections: Result<Vec<_>, _> = nodes
+        .iter()
+        .map(|node| connections(node, nodes, &names))
+        .collect();
+    Ok(Topology {
+        connections: connections?,
+        order: topological_order(nodes, &names)?,
+    })
+}
+
+fn index_by_name<'a>(nodes: &[NodeShape<'a>]) -> Result<BTreeMap<&'a str, usize>, GraphError> {
+    let mut names = BTreeMap::new();
+    for (index, node) in nodes.iter().enumerate() {
+        if names.insert(node.name, index).is_some() {
+            return Err(GraphError::DuplicateNode {
+                node: node.name.to_owned(),
+            });
+        }
+    }
+    Ok(names)
+}
+
+/// Checks that every edge has a known key and a known upstream node, and that every required key has an edge.
+fn check_edges(node: &NodeShape<'_>, names: &BTreeMap<&str, usize>) -> Result<(), GraphError> {
+    for &(key, upstream) in &node.edges {
+        check_edge(node, key, upstream, names)?;
+    }
+    let is_connected = |port: &Port| node.edges.iter().any(|(key, _)| *key == port.key);
+    let mut required = node.stage.ports.iter().filter(|port| port.required);
+    match required.find(|port| !is_connected(port)) {
+        None => Ok(()),
+        Some(port) => Err(GraphError::NotConnected {
+            node: node.name.to_owned(),
+            key: port.key.to_owned(),
+            output: port.output.to_owned(),
+        }),
+    }
+}
+
+fn check_edge(
+    node: &NodeShape<'_>,
+    key: &str,
+    upstream: &str,
+    names: &BTreeMap<&str, usize>,
+) -> Result<(), GraphError> {
+    let keys: BTreeSet<&str> = node.stage.ports.iter().map(|port| port.key).collect();
+    if !keys.contains(key) {
+        return Err(GraphError::UnknownKey {
+            node: node.name.to_owned(),
+            key: key.to_owned(),
+            known: keys.into_iter().map(str::to_owned).collect(),
+        });
+    }
+    if node.edges.iter().filter(|(other, _)| *other == key).count() > 1 {
+        return Err(GraphError::Ambiguous {
+            node: node.name.to_owned(),
+            input: key.to_owned(),
+        });
+    }
+    if !names.contains_key(upstream) {
+        return Err(GraphError::UnknownUpstream {
+            node: node.name.to_owned(),
+            key: key.to_owned(),
+            upstream: upstream.to_owned(),
+            known: names.keys().map(|&name| name.to_owned()).collect(),
+        });
+    }
+    Ok(())
+}
+
+/// Returns the connections of a node; no two may have the same output name.
+fn connections(
+    node: &NodeShape<'_>,
+    nodes: &[NodeShape<'_>],
+    names: &BTreeMap<&str, usize>,
+) -> Result<Vec<Connection>, GraphError> {
+    let mut connections: Vec<Connection> = Vec::new();
+    for &(key, upstream) in &node.edges {
+        let Some(&index) = names.get(upstream) else {
+            continue;
+        };
+        for port in connected_ports(node, key, &nodes[index])? {
+            if connections.iter().any(|other| other.output == port.output) {
+                return Err(GraphError::Ambiguous {
+                    node: node.name.to_owned(),
+                    input: port.output.to_owned(),
+                });
+            }
+            connections.push(Connection {
+                output: port.output,
+                upstream: index,
+            });
+        }
+    }
+    Ok(connections)
+}
+
+/// Returns the ports of a key whose output the upstream node has: all required ones, and at least one.
+fn connected_ports<'a>(
+    node: &NodeShape<'a>,
+    key: &str,
+    upstream: &NodeShape<'_>,
+) -> Result<Vec<&'a Port>, GraphError> {
+    let outputs = upstream.stage.outputs;
+    let ports = node.stage.ports.iter().filter(|port| port.key == key);
+    let (found, absent): (Vec<&Port>, Vec<&Port>) = ports.partition(|port| outputs.contains(&port.output));
+    let fault = match found.is_empty() {
+        true => absent.first(),
+        false => absent.iter().find(|port| port.required),
+    };
+    match fault {
+        None => Ok(found),
+        Some(port) => Err(GraphError::NoSuchOutput {
+            node: node.name.to_owned(),
+            key: key.to_owned(),
+            upstream: upstream.name.to_owned(),
+            stage: upstream.stage.name,
+            output: port.output.to_owned(),
+            outputs: outputs.iter().map(|&output| output.to_owned()).collect(),
+        }),
+    }
+}
+
+/// Nodes by index; edges along the flow of data.
+type Flow = DiGraph<usize, ()>;
+
+/// Returns the indices of nodes in topological order, ties in the order given.
+fn topological_order(
+    nodes: &[NodeShape<'_>],
+    names: &BTreeMap<&str, usize>,
+) -> Result<Vec<usize>, GraphError> {
+    let mut flow = Flow::new();
+    let indices: Vec<NodeIndex> = (0..nodes.len()).map(|index| flow.add_node(index)).collect();
+    for (node, &index) in nodes.iter().zip(&indices) {
+        for upstream in node.edges.iter().filter_map(|(_, name)| names.get(name)) {
+            flow.update_edge(indices[*upstream], index, ());
+        }
+    }
+    if let Some(path) = shortest_cycle(&flow) {
+        let path = path.into_iter().map(|node| nodes[flow[node]].name.to_owned());
+        return Err(GraphError::Cycle { path: path.collect() });
+    }
+    Ok(in_order(&flow))
+}
+
+/// Returns the nodes of a graph without cycles in topological order (Kahn's algorithm), lowest index first.
+fn in_order(flow: &Flow) -> Vec<usize> {
+    let in_degree = |node| flow.neighbors_directed(node, Direction::Incoming).count();
+    let mut left: Vec<usize> = flow.node_indices().map(in_degree).collect();
+    let mut ready: BTreeSet<NodeIndex> = flow
+        .node_indices()
+        .filter(|node| left[node.index()] == 0)
+        .collect();
+    let mut order = Vec::new();
+    while let Some(node) = ready.pop_first() {
+        order.push(flow[node]);
+        for next in flow.neighbors(node) {
+            left[next.index()] -= 1;
+            if left[next.index()] == 0 {
+                ready.insert(next);
+            }
+        }
+    }
+    order
+}
+
+/// Returns a shortest cycle through the first node that is in one, by breadth-first search.
+fn shortest_cycle(flow: &Flow) -> Option<Vec<NodeIndex>> {
+    let components = tarjan_scc(flow).into_iter();
+    let start = components
+        .filter(|part| part.len() > 1 || flow.contains_edge(part[0], part[0]))
+        .filter_map(|part| part.into_iter().min())
+        .min()?;
+    let mut predecessor: BTreeMap<NodeIndex, NodeIndex> = BTreeMap::new();
+    let mut front = vec![start];
+    while !predecessor.contains_key(&start) && !front.is_empty() {
+        let mut next_front = Vec::new();
+        for node in front {
+            let mut next: Vec<NodeIndex> = flow.neighbors(node).collect();
+            next.sort_unstable();
+            next.retain(|next| !predecessor.contains_key(next));
+            predecessor.extend(next.iter().map(|next| (*next, node)));
+            next_front.extend(next);
+        }
+        front = next_front;
+    }
+    let mut path = vec![start];
+    let mut at = *predecessor.get(&start)?;
+    while at != start {
+        path.push(at);
+        at = *predecessor.get(&at)?;
+    }
+    path.push(start);
+    path.reverse();
+    Some(path)
+}

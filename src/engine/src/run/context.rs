@@ -1,0 +1,19 @@
+//! What the scheduler and its jobs share.
+
+use marf_cache::Store;
+use marf_stage::Cancel;
+
+use crate::{event::Listener, graph::Graph, record::RunRecord};
+
+/// What the scheduler and all jobs of a run have in common.
+#[derive(Clone, Copy)]
+pub(super) struct RunContext<'a> {
+    pub(super) graph: &'a Graph,
+    pub(super) store: &'a Store,
+    pub(super) listener: &'a dyn Listener,
+    pub(super) cancel: &'a Cancel,
+    /// The program with version and commit, for records.
+    pub(super) program: &'a str,
+    /// The last run of the same pipeline.
+    pub(super) last: Option<&'a RunRecord>,
+}

@@ -1,0 +1,97 @@
+//! Nodes on a GPU run one after the other; their backend id is in their key.
+use std::num::NonZero;
+use std::sync::Barrier;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+use marf_cache::{ContentHash, Store};
+use marf_engine::{Cancel, Graph, NodeDecl, Options, Outcome, Silent, run};
+use marf_stage::{Ctx, Define, Inputs, Outputs, ParamError, Port, Set, Stage, StageError, Work, define};
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// Number of nodes on the device, and its maximum.
+static RUNNING: AtomicUsize = AtomicUsize::new(0);
+static MAX_RUNNING: AtomicUsize = AtomicUsize::new(0);
+/// The three other nodes wait for each other: they end only if they run in parallel.
+static CPU_NODES: Barrier = Barrier::new(3);
+
+#[derive(Deserialize, JsonSchema, ContentHash)]
+struct Params {
+    number: u64,
+    on_gpu: bool,
+}
+
+struct DeviceStage(Params);
+
+impl Stage for DeviceStage {
+    fn params(&self) -> &dyn ContentHash {
+        &self.0
+    }
+
+    fn work(&self) -> Work<'_> {
+        Work::Set(self)
+    }
+
+    fn backend_id(&self) -> Option<String> {
+        self.0.on_gpu.then(|| "a card, its driver".to_owned())
+    }
+}
+
+impl Define for DeviceStage {
+    type Params = Params;
+    const NAME: &'static str = "device_stage";
+    const ABOUT: &'static str = "";
+    const VERSION: u32 = 1;
+    const PORTS: &'static [Port] = &[];
+    const OUTPUTS: &'static [&'static str] = &["out"];
+
+    fn new(params: Params) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
+}
+
+impl Set for DeviceStage {
+    fn run(&self, ctx: &Ctx<'_>, _inputs: &Inputs) -> Result<Outputs, StageError> {
+        if self.0.on_gpu {
+            let inside = RUNNING.fetch_add(1, Ordering::SeqCst) + 1;
+            MAX_RUNNING.fetch_max(inside, Ordering::SeqCst);
+            std::thread::sleep(Duration::from_millis(50));
+            RUNNING.fetch_sub(1, Ordering::SeqCst);
+        } else {
+            CPU_NODES.wait();
+        }
+        let digest = ctx.put(&self.0.number.to_le_bytes())?;
+        Ok(Outputs::from([("out".to_owned(), digest)]))
+    }
+}
+
+#[test]
+fn one_node_at_a_time_is_on_the_gpu_and_the_others_run_beside_it() {
+    let def = define::<DeviceStage>();
+    let decl = |number: u64, on_gpu: bool| NodeDecl {
+        name: format!("node-{number}"),
+        stage: def,
+        bound: Box::new(DeviceStage(Params { number, on_gpu })),
+        edges: Vec::new(),
+    };
+    let decls = (0..6).map(|number| decl(number, number < 3)).collect();
+    let graph = Graph::new(decls, &[def]).unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    let store = Store::open(dir.path()).unwrap();
+    let options = Options {
+        threads: NonZero::new(6),
+        pipeline: "devices".to_owned(),
+        ..Options::default()
+    };
+    let record = run(&graph, &store, &options, &Silent, &Cancel::default()).unwrap();
+    assert_eq!(record.outcome, Outcome::Done);
+    assert_eq!(MAX_RUNNING.load(Ordering::SeqCst), 1);
+    let made = store.record(&record.nodes[0].key.unwrap()).unwrap().unwrap();
+    assert_eq!(made.metadata.device, "a card, its driver");
+    assert!(
+        made.manifest.contains("backend_id = \"a card, its driver\""),
+        "{}",
+        made.manifest
+    );
+}

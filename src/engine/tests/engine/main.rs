@@ -1,0 +1,10 @@
+//! The engine run on small stages: what runs, failures, devices, and the checks of graphs.
+
+#![allow(clippy::unwrap_used, reason = "a test that is set up wrong should stop")]
+
+mod common;
+mod devices;
+mod earlier;
+mod faults;
+mod graph;
+mod what_ran;

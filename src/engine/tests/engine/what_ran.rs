@@ -1,0 +1,404 @@
+//! Which nodes ran when: the engine does what changed, and nothing else.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use crate::common::*;
+use proptest::prelude::*;
+
+use marf_engine::{NodeState, Outcome, PlanState, last_run, plan, runs, why};
+
+/// A store with the pipeline's first run in it.
+fn after_first_run() -> (
+    tempfile::TempDir,
+    marf_cache::Store,
+    TestPipeline,
+    std::sync::Arc<Fixture>,
+    marf_engine::RunRecord,
+) {
+    let (dir, store) = fresh_store();
+    let (number, fixture) = new_fixture();
+    fixture.put_shard(1);
+    fixture.put_shard(2);
+    let pipeline = TestPipeline::new(number);
+    let (record, log) = run_on(&pipeline.graph(), &store);
+    assert_eq!(record.outcome, Outcome::Done, "{:?}", node_events(&log));
+    (dir, store, pipeline, fixture, record)
+}
+
+#[test]
+fn everything_runs_the_first_time_and_gives_the_hand_worked_answer() {
+    let (_dir, store, _pipeline, fixture, record) = after_first_run();
+    // Shard 1 holds 0..=9, shard 2 the even numbers 0..=18; up to 12 stay; of n / 2 each is kept once:
+    // 0 2 4 6 8 of shard 1, then 10 (5) and 12 (6) of shard 2.
+    assert_eq!(text(&store, &record, "sum", "sum"), "sum 42");
+    assert_eq!(
+        text(&store, &record, "many", "mean"),
+        "sum 42 0\nsum 42 2\nsum 42 4\n"
+    );
+    assert_eq!(fixture.take_fetched(), vec![1, 2]);
+    assert_eq!(fixture.take_measured(), 20 + 17);
+    assert_eq!(fixture.take_folded(), vec![1, 2]);
+    assert_eq!(fixture.take_ran(), 4);
+    let counts = &record.node("distinct").unwrap().counts;
+    assert_eq!(
+        (counts["photos"], counts["rejected"], counts["measured"]),
+        (7, 10, 17)
+    );
+}
+
+#[test]
+fn nothing_runs_when_nothing_changed() {
+    let (_dir, store, pipeline, fixture, first) = after_first_run();
+    let before = (
+        fixture.take_fetched(),
+        fixture.take_measured(),
+        fixture.take_folded(),
+        fixture.take_ran(),
+    );
+    assert_eq!(before.1, 37);
+    let graph = pipeline.graph();
+    let planned = plan(&graph, &store, Some(&first)).unwrap();
+    assert!(
+        planned.iter().all(|node| node.state == PlanState::Fresh),
+        "{planned:?}"
+    );
+    let (record, log) = run_on(&graph, &store);
+    assert_eq!(ran(&log), Vec::<String>::new());
+    assert_eq!(record.outcome, Outcome::Done);
+    assert_eq!(
+        (
+            fixture.take_fetched(),
+            fixture.take_measured(),
+            fixture.take_ran()
+        ),
+        (vec![], 0, 0)
+    );
+    let names = |record: &marf_engine::RunRecord| -> Vec<_> {
+        record
+            .nodes
+            .iter()
+            .map(|node| (node.name.clone(), node.key, node.outputs.clone()))
+            .collect()
+    };
+    assert_eq!(
+        names(&record),
+        names(&first),
+        "children of a reused node are told too"
+    );
+}
+
+#[test]
+fn a_new_threshold_measures_nothing_and_an_equal_result_stops_there() {
+    let (_dir, store, mut pipeline, fixture, first) = after_first_run();
+    fixture.take_measured();
+    pipeline.most = 13; // no number is 13: the same photos stay
+    let graph = pipeline.graph();
+    let planned = why(&graph, &store, Some(&first), "at_most").unwrap();
+    assert_eq!(planned.state, PlanState::WillRun);
+    assert_eq!(planned.reason, "params.most: 12 -> 13");
+    let downstream = why(&graph, &store, Some(&first), "sum").unwrap();
+    assert_eq!(downstream.reason, "upstream distinct will run");
+    let (record, log) = run_on(&graph, &store);
+    assert_eq!(ran(&log), vec!["at_most"]);
+    assert_eq!(fixture.take_measured(), 0);
+    assert_eq!(record.node("distinct").unwrap().state, NodeState::Reused);
+
+    pipeline.most = 4;
+    let (record, log) = run_on(&pipeline.graph(), &store);
+    assert_eq!(fixture.take_measured(), 0, "a decision never measures");
+    assert_eq!(reason_of(&log, "at_most").unwrap(), "params.most: 13 -> 4");
+    assert_eq!(reason_of(&log, "sum").unwrap(), "input photos changed");
+    assert_eq!(text(&store, &record, "sum", "sum"), "sum 6");
+}
+
+#[test]
+fn going_back_to_an_old_parameter_runs_nothing() {
+    let (_dir, store, mut pipeline, _fixture, _) = after_first_run();
+    pipeline.most = 4;
+    run_on(&pipeline.graph(), &store);
+    pipeline.most = 12;
+    let last = last_run(&store, "test").unwrap();
+    let planned = plan(&pipeline.graph(), &store, last.as_ref()).unwrap();
+    let states: Vec<PlanState> = planned.iter().map(|node| node.state).collect();
+    assert_eq!(states[0], PlanState::Fresh);
+    assert!(
+        states[1..].iter().all(|state| *state == PlanState::Cached),
+        "{states:?}"
+    );
+    let (_, log) = run_on(&pipeline.graph(), &store);
+    assert_eq!(ran(&log), Vec::<String>::new());
+}
+
+#[test]
+fn of_a_new_shard_only_that_shard_is_fetched_measured_and_folded() {
+    let (_dir, store, pipeline, fixture, _) = after_first_run();
+    fixture.clear_log();
+    fixture.put_shard(3);
+    let (record, log) = run_on(&pipeline.graph(), &store);
+    assert_eq!(
+        reason_of(&log, "archive").unwrap(),
+        "shard 3 is new; 3 shards there"
+    );
+    assert_eq!(fixture.take_fetched(), vec![3]);
+    assert_eq!(
+        fixture.take_measured(),
+        10 + 5,
+        "ten of the shard, and the five of them up to 12 again"
+    );
+    assert_eq!(
+        fixture.take_folded(),
+        vec![3],
+        "the fold goes on from its last state"
+    );
+    assert_eq!(record.node("archive").unwrap().counts["fetched"], 1);
+}
+
+#[test]
+fn history_does_not_show_in_a_result() {
+    let (_dir, store, pipeline, fixture, _) = after_first_run();
+    fixture.put_shard(3);
+    let (grown, _) = run_on(&pipeline.graph(), &store);
+    let (_dir2, other) = fresh_store();
+    let (anew, _) = run_on(&pipeline.graph(), &other);
+    for node in &grown.nodes {
+        assert_eq!(
+            Some(&node.outputs),
+            anew.node(&node.name).map(|node| &node.outputs),
+            "{}",
+            node.name
+        );
+    }
+}
+
+#[test]
+fn one_changed_photo_is_measured_alone() {
+    let (_dir, store, pipeline, fixture, _) = after_first_run();
+    fixture.clear_log();
+    fixture.put(2, "s2-9", 11);
+    let (_, log) = run_on(&pipeline.graph(), &store);
+    assert_eq!(reason_of(&log, "archive").unwrap(), "shard 2 changed");
+    assert_eq!((fixture.take_fetched(), fixture.take_measured()), (vec![2], 2));
+    assert_eq!(fixture.take_folded(), vec![2]);
+}
+
+#[test]
+fn from_three_members_to_five_two_run() {
+    let (_dir, store, mut pipeline, fixture, _) = after_first_run();
+    fixture.take_ran();
+    pipeline.b = 5;
+    let (record, log) = run_on(&pipeline.graph(), &store);
+    assert_eq!(ran(&log), vec!["many", "many/member-03", "many/member-04"]);
+    assert_eq!(reason_of(&log, "many").unwrap(), "params.b: 3 -> 5");
+    assert_eq!(fixture.take_ran(), 2);
+    assert_eq!(record.node("many").unwrap().counts["children"], 5);
+    let members = record
+        .nodes
+        .iter()
+        .filter(|node| node.parent.as_deref() == Some("many"));
+    assert_eq!(members.count(), 5);
+}
+
+#[test]
+fn a_raised_version_runs_the_node_and_measures_all_again() {
+    let (_dir, store, mut pipeline, fixture, _) = after_first_run();
+    fixture.take_measured();
+    pipeline.version = 2;
+    let (_, log) = run_on(&pipeline.graph(), &store);
+    assert_eq!(
+        ran(&log),
+        vec!["at_most"],
+        "its result is the same, so nothing below it ran"
+    );
+    assert_eq!(reason_of(&log, "at_most").unwrap(), "stage version 1 -> 2");
+    assert_eq!(fixture.take_measured(), 20);
+}
+
+#[test]
+fn threads_do_not_show_in_any_digest() {
+    let (number, fixture) = new_fixture();
+    (1..4).for_each(|shard| fixture.put_shard(shard));
+    let graph = TestPipeline::new(number).graph();
+    let digests = [1, 2, 4].map(|threads| {
+        let (_dir, store) = fresh_store();
+        let (record, _) = run_with(&graph, &store, &options(threads), &marf_engine::Cancel::default());
+        assert_eq!(record.threads, threads);
+        let nodes = record.nodes.into_iter();
+        nodes
+            .map(|node| (node.name, node.key, node.outputs))
+            .collect::<Vec<_>>()
+    });
+    assert_eq!(digests[0], digests[1]);
+    assert_eq!(digests[0], digests[2]);
+    let given = fixture.sum_threads.lock().clone();
+    assert_eq!(given, vec![1, 2, 4], "alone it gets all threads");
+}
+
+#[test]
+fn runs_are_kept_in_order_and_carry_the_latest_keys() {
+    let (_dir, store, pipeline, _fixture, first) = after_first_run();
+    let mut options = options(1);
+    options.to = vec!["at_most".to_owned()];
+    let (second, _) = run_with(
+        &pipeline.graph(),
+        &store,
+        &options,
+        &marf_engine::Cancel::default(),
+    );
+    assert_eq!(second.nodes.len(), 2);
+    assert_eq!(second.latest, first.latest, "a short run forgets nothing");
+    let all = runs(&store).unwrap();
+    assert_eq!(all.iter().map(|run| run.number).collect::<Vec<_>>(), vec![1, 2]);
+    assert_eq!(all[1], second);
+    assert_eq!(last_run(&store, "test").unwrap(), Some(second));
+    assert_eq!(last_run(&store, "another").unwrap(), None);
+}
+
+#[test]
+fn to_runs_what_leads_there_and_from_what_follows() {
+    let (_dir, store) = fresh_store();
+    let (number, fixture) = new_fixture();
+    fixture.put_shard(1);
+    let graph = TestPipeline::new(number).graph();
+    let with = |to: &[&str], from: &[&str]| {
+        let mut options = options(2);
+        options.to = to.iter().map(|&name| name.to_owned()).collect();
+        options.from = from.iter().map(|&name| name.to_owned()).collect();
+        run_with(&graph, &store, &options, &marf_engine::Cancel::default())
+    };
+    let (record, log) = with(&[], &["sum"]);
+    assert_eq!(record.outcome, Outcome::Failed);
+    let told = node_events(&log);
+    assert_eq!(told[0].0, "sum");
+    assert!(
+        told[0].1.contains("distinct is not among the nodes to run"),
+        "{told:?}"
+    );
+    let (_, log) = with(&["distinct"], &[]);
+    assert_eq!(ran(&log), vec!["archive", "at_most", "distinct"]);
+    let (record, log) = with(&["sum"], &["sum"]);
+    assert_eq!(record.outcome, Outcome::Done);
+    assert_eq!(ran(&log), vec!["sum"]);
+    assert!(record.node("many").is_none());
+}
+
+#[test]
+fn the_plan_says_never_ran_and_writes_nothing() {
+    let (_dir, store) = fresh_store();
+    let (number, fixture) = new_fixture();
+    fixture.put_shard(1);
+    let planned = plan(&TestPipeline::new(number).graph(), &store, None).unwrap();
+    assert_eq!(planned[0].reason, "never ran");
+    assert_eq!(planned[1].reason, "upstream archive will run");
+    assert!(planned.iter().all(|node| node.state == PlanState::WillRun));
+    let stat = store.stat().unwrap();
+    assert_eq!((stat.records, stat.packs, stat.runs), (0, 0, 0));
+}
+
+#[test]
+fn independent_nodes_and_members_run_side_by_side() {
+    let (_dir, store) = fresh_store();
+    let (number, fixture) = new_fixture();
+    fixture.put_shard(1);
+    // Each sum waits until the other has begun; one after the other they would wait in vain.
+    let begun = AtomicU64::new(0);
+    let meet = move || {
+        begun.fetch_add(1, Ordering::SeqCst);
+        let deadline = Instant::now() + Duration::from_secs(20);
+        while begun.load(Ordering::SeqCst) < 2 {
+            assert!(Instant::now() < deadline, "the other did not begin");
+            std::thread::yield_now();
+        }
+    };
+    *fixture.at_sum.lock() = Some(Arc::new(meet));
+    let json = serde_json::json!({ "times": 1 });
+    let nodes = vec![
+        node("archive", "archive", number, serde_json::json!({}), &[]),
+        node("one", "sum", number, json, &["input=archive"]),
+        node(
+            "two",
+            "sum",
+            number,
+            serde_json::json!({ "times": 2 }),
+            &["input=archive"],
+        ),
+    ];
+    let graph = marf_engine::Graph::new(nodes, TABLE).unwrap();
+    let (record, _) = run_on(&graph, &store);
+    assert_eq!(text(&store, &record, "one", "sum"), "sum 45");
+    assert_eq!(text(&store, &record, "two", "sum"), "sum 90");
+    assert_eq!(
+        fixture.sum_threads.lock().clone(),
+        vec![1, 1],
+        "each gets its share"
+    );
+}
+
+#[test]
+fn a_shard_of_more_rows_than_a_leaf_holds_is_one_shard_still() {
+    let (_dir, store) = fresh_store();
+    let (number, fixture) = new_fixture();
+    let rows = marf_cache::manifest::ROWS_A_LEAF as u64 + 1;
+    (0..rows).for_each(|row| fixture.put(7, &format!("{row:05}"), row));
+    let pipeline = TestPipeline {
+        most: rows - 2, // the last row goes, so the rest fits one leaf
+        by: 1,
+        ..TestPipeline::new(number)
+    };
+    let (record, _) = run_on(&pipeline.graph(), &store);
+    let leaves = |node: &str| {
+        let root = record.node(node).unwrap().outputs["photos"].digest;
+        let root = marf_cache::manifest::Root::decode(&store.get(&root).unwrap()).unwrap();
+        root.leaves
+            .iter()
+            .map(|leaf| (leaf.shard, leaf.rows))
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(leaves("archive"), vec![(7, 4000), (7, 1)]);
+    assert_eq!(leaves("at_most"), vec![(7, 4000)]);
+    assert_eq!(fixture.take_folded(), vec![7]);
+    assert_eq!(record.node("distinct").unwrap().counts["photos"], 4000);
+}
+
+#[test]
+fn a_set_of_which_nothing_stays_is_no_failure_of_the_engine() {
+    let (_dir, store) = fresh_store();
+    let (number, fixture) = new_fixture();
+    fixture.put(1, "a", 50);
+    let (record, _) = run_on(&TestPipeline::new(number).graph(), &store);
+    assert_eq!(record.outcome, Outcome::Done);
+    let counts = &record.node("at_most").unwrap().counts;
+    assert_eq!((counts["photos"], counts["rejected"]), (0, 1));
+    assert_eq!(text(&store, &record, "sum", "sum"), "sum 0");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(4))]
+
+    /// Whatever ran before, a run answers as it would on an empty store.
+    #[test]
+    fn any_history_gives_the_answers_of_no_history(
+        steps in prop::collection::vec((0_u64..30, 1_u64..4, 1_u64..5, 1_u32..5), 2..4)
+    ) {
+        let (_dir, store) = fresh_store();
+        let (number, fixture) = new_fixture();
+        fixture.put_shard(2);
+        for (most, by, b, shard) in steps {
+            fixture.put_shard(shard);
+            fixture.put(2, "s2-0", most);
+            let pipeline = TestPipeline { most, by, b, ..TestPipeline::new(number) };
+            let (_dir2, empty) = fresh_store();
+            let (with, _) = run_on(&pipeline.graph(), &store);
+            let (without, _) = run_on(&pipeline.graph(), &empty);
+            prop_assert_eq!(with.nodes.len(), without.nodes.len());
+            for (one, two) in with.nodes.iter().zip(&without.nodes) {
+                prop_assert_eq!((&one.name, one.key, &one.outputs), (&two.name, two.key, &two.outputs));
+            }
+        }
+    }
+}

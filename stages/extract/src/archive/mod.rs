@@ -1,0 +1,237 @@
+//! What every archive gives: files by shard, each with its kind and digest.
+
+pub(crate) mod access;
+pub(crate) mod kind;
+
+use std::fs::File;
+use std::io::Read;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use marf_cache::Digest;
+use marf_pds::{Label, ProductName, feed, pds4, raw};
+use marf_stage::{Ctx, Listing, StageError};
+
+/// Largest file that is read: products have at most 64 MB.
+pub(crate) const MAX_FILE_BYTES: u64 = 128 << 20;
+
+/// An archive, ready to be read.
+pub(crate) trait ArchiveFiles: Send + Sync {
+    /// Lists shards with fingerprints over all their files, and stores companions.
+    fn list(&self, ctx: &Ctx<'_>) -> Result<Listing, StageError>;
+    /// Returns the files of one listed shard.
+    fn files(&self, ctx: &Ctx<'_>, shard: u32) -> Result<Vec<ArchiveFile>, StageError>;
+}
+
+/// A file of an archive.
+#[derive(Debug, Clone)]
+pub(crate) struct ArchiveFile {
+    /// Name in the archive, relative, with `/`.
+    pub name: String,
+    /// Its kind.
+    pub kind: Kind,
+    /// Digest of its bytes; of the reason where it cannot be read.
+    pub digest: Digest,
+    /// Sol, where the name or the file's own label has it.
+    pub sol: Option<u32>,
+    bytes: Bytes,
+}
+
+#[derive(Debug, Clone)]
+enum Bytes {
+    Memory(Arc<[u8]>),
+    Path(PathBuf),
+    /// In the store, under the file's digest.
+    Stored,
+}
+
+/// What a file is, by name and first bytes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Kind {
+    /// JPEG, PNG, WebP or GIF, or a file that says it is a picture.
+    Photo,
+    /// A picture behind an attached label, or an array that a detached label describes.
+    Raw,
+    /// PDS4 label.
+    Pds4,
+    /// Record of a raw-image feed.
+    Feed,
+    /// PDS3 label without pixels.
+    Odl,
+    /// None of these, and why.
+    Other(String),
+    /// Cannot be read, and why.
+    Unreadable(String),
+}
+
+/// Why bytes were not read.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum ReadError {
+    /// The operating system refused.
+    #[error("cannot be read: {0}")]
+    Io(std::io::ErrorKind),
+    /// Too large.
+    #[error("larger than {} MB", MAX_FILE_BYTES >> 20)]
+    TooLarge,
+}
+
+impl ArchiveFile {
+    /// Returns a file whose bytes are in memory, for archives that make their files.
+    pub fn in_memory(name: String, bytes: Vec<u8>) -> Self {
+        let kind = kind(&name, &bytes);
+        Self {
+            digest: Digest::of(&bytes),
+            sol: own_sol(&name, &kind, &bytes),
+            bytes: Bytes::Memory(bytes.into()),
+            name,
+            kind,
+        }
+    }
+
+    /// Returns a file on disk; reads it once, for kind, digest and sol.
+    pub fn on_disk(name: String, path: PathBuf) -> Self {
+        match read_path(&path) {
+            Ok(bytes) => {
+                let kind = kind(&name, &bytes);
+                Self {
+                    digest: Digest::of(&bytes),
+                    sol: own_sol(&name, &kind, &bytes),
+                    bytes: Bytes::Path(path),
+                    name,
+                    kind,
+                }
+            }
+            Err(error) => Self::unreadable(name, error.to_string()),
+        }
+    }
+
+    /// Returns a file whose bytes are in the store; its kind is by its name alone.
+    pub fn stored(name: String, digest: Digest, sol: u32) -> Self {
+        Self {
+            kind: kind(&name, &[]),
+            digest,
+            sol: Some(sol),
+            bytes: Bytes::Stored,
+            name,
+        }
+    }
+
+    /// Returns a file that an archive lists and that is not taken.
+    pub fn left_out(name: String, reason: String, sol: u32) -> Self {
+        Self {
+            digest: Digest::of(reason.as_bytes()),
+            sol: Some(sol),
+            bytes: Bytes::Memory(Arc::default()),
+            kind: Kind::Other(reason),
+            name,
+        }
+    }
+
+    /// Returns a file that is there and cannot be read.
+    pub fn unreadable(name: String, reason: String) -> Self {
+        Self {
+            digest: Digest::of(reason.as_bytes()),
+            sol: ProductName::read(stem(&name)).and_then(|product| product.sol),
+            bytes: Bytes::Memory(Arc::default()),
+            kind: Kind::Unreadable(reason),
+            name,
+        }
+    }
+
+    /// Returns the bytes, checked to be those that were listed.
+    ///
+    /// # Errors
+    /// A file that has changed since: its shard's fingerprint would name other bytes.
+    pub fn read(&self, ctx: &Ctx<'_>) -> Result<Vec<u8>, StageError> {
+        let changed = |cause: &str| {
+            StageError::new(format!("`{}` changed while it was read", self.name))
+                .cause(cause)
+                .hint("run again when nothing writes into the archive")
+        };
+        let bytes = match &self.bytes {
+            Bytes::Memory(bytes) => bytes.to_vec(),
+            Bytes::Stored => return Ok(ctx.get(&self.digest)?.to_vec()),
+            Bytes::Path(path) => read_path(path).map_err(|error| changed(&error.to_string()))?,
+        };
+        if Digest::of(&bytes) == self.digest {
+            Ok(bytes)
+        } else {
+            Err(changed("its bytes differ from those that were listed"))
+        }
+    }
+}
+
+/// Returns the folder part of a relative name, without the slash.
+pub(crate) fn folder(name: &str) -> &str {
+    name.rsplit_once('/').map_or("", |(folder, _)| folder)
+}
+
+/// Returns a name's last part without its extension.
+pub(crate) fn stem(name: &str) -> &str {
+    let file = name.rsplit('/').next().unwrap_or(name);
+    file.rsplit_once('.').map_or(file, |(stem, _)| stem)
+}
+
+/// Returns a name's extension in lower case, empty if there is none.
+pub(crate) fn extension(name: &str) -> String {
+    let file = name.rsplit('/').next().unwrap_or(name);
+    file.rsplit_once('.')
+        .map_or_else(String::new, |(_, extension)| extension.to_ascii_lowercase())
+}
+
+/// Reads a label of any kind.
+///
+/// # Errors
+/// Why the bytes are no label of that kind.
+pub(crate) fn read_label(kind: &Kind, bytes: &[u8]) -> Result<Label, String> {
+    match kind {
+        Kind::Pds4 => pds4::read(bytes).map_err(|error| error.to_string()),
+        Kind::Feed => feed::read(bytes).map_err(|error| error.to_string()),
+        Kind::Odl | Kind::Raw => raw::head(bytes),
+        other => Err(format!("{other:?} is no label")),
+    }
+}
+
+fn read_path(path: &std::path::Path) -> Result<Vec<u8>, ReadError> {
+    let io = |error: std::io::Error| ReadError::Io(error.kind());
+    let file = File::open(path).map_err(io)?;
+    let mut bytes = Vec::new();
+    file.take(MAX_FILE_BYTES + 1)
+        .read_to_end(&mut bytes)
+        .map_err(io)?;
+    if bytes.len() as u64 > MAX_FILE_BYTES {
+        return Err(ReadError::TooLarge);
+    }
+    Ok(bytes)
+}
+
+fn kind(name: &str, bytes: &[u8]) -> Kind {
+    let magic: [&[u8]; 4] = [b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"GIF8", b"RIFF"];
+    if magic.iter().any(|magic| bytes.starts_with(magic)) {
+        return Kind::Photo;
+    }
+    match extension(name).as_str() {
+        "jpg" | "jpeg" | "png" | "webp" | "gif" | "tif" | "tiff" | "bmp" | "jp2" | "heic" | "avif" => {
+            Kind::Photo
+        }
+        "img" | "vic" | "vicar" => Kind::Raw,
+        "xml" => Kind::Pds4,
+        "json" => Kind::Feed,
+        "lbl" => Kind::Odl,
+        "dat" => {
+            Kind::Other("compressed .DAT of MSL: take the decompressed product (DXXX, DRCX, DRCL)".into())
+        }
+        "" => Kind::Other("no photo and no label: unknown first bytes, no extension".into()),
+        other => Kind::Other(format!("no photo and no label: `.{other}`")),
+    }
+}
+
+/// Returns the sol by the name, or by the label that the file is or begins with.
+fn own_sol(name: &str, kind: &Kind, bytes: &[u8]) -> Option<u32> {
+    ProductName::read(stem(name))
+        .and_then(|product| product.sol)
+        .or_else(|| match kind {
+            Kind::Pds4 | Kind::Feed | Kind::Odl | Kind::Raw => read_label(kind, bytes).ok()?.sol,
+            _ => None,
+        })
+}

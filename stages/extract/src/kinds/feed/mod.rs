@@ -1,0 +1,443 @@
+//! The raw-image feeds of Mars 2020 and MSL: one camera of one mission.
+//!
+//! The record of a photo is its label. Pages of records are asked for by runs of sols and cached by sol.
+
+mod records;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use marf_pds::values;
+use marf_stage::{Ctx, ParamError, StageError};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use self::records::{field, id_of, sol_of, text};
+use super::mission::{Instrument, Mission};
+use crate::archive::ArchiveFiles;
+use crate::archive::access::{Remote, RemoteContext};
+use crate::archive::kind::ArchiveKind;
+use crate::net::{Answer, Client, Download, Origin, Url};
+use crate::remote::catalog::{Catalog, CatalogSource, RemoteFile, SolFiles};
+use crate::remote::crawl::urls;
+use crate::remote::network::{Network, bases, origins};
+use crate::remote::{RemoteArchive, Request, cache};
+use crate::sols::Sols;
+
+/// The raw-image feeds of both missions: lists of photos, hours after their downlink.
+const FEEDS: &str = "https://mars.nasa.gov";
+/// Another host of photos that the feeds name.
+const PICTURES: &str = "https://mars.jpl.nasa.gov";
+
+/// Records asked for at a time.
+const PER_PAGE: usize = 100;
+/// Sols asked for at a time.
+const RUN_SOLS: u32 = 20;
+/// Most pages of one question: a hundred thousand pictures in a run of sols.
+const MAX_PAGES: usize = 1_000;
+const MAX_PAGE_BYTES: u64 = 32 << 20;
+const MAX_PICTURE_BYTES: u64 = 64 << 20;
+
+/// The keys of `kind = "feed"`.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct FeedParams {
+    /// The mission.
+    mission: Mission,
+    /// The camera.
+    instrument: Instrument,
+    /// Which sols: `1..=5`, `3`, `1,4,7..=9` or `latest`.
+    sols: Sols,
+    /// Where the feed lies, tried in this order.
+    #[serde(default)]
+    base: Vec<String>,
+    /// Hosts that pictures may come from, beside those of `base`.
+    #[serde(default)]
+    picture_hosts: Vec<String>,
+    /// How the network is used.
+    #[serde(default)]
+    network: Network,
+}
+
+/// One camera of a feed.
+pub(crate) struct Feed {
+    form: Form,
+    /// Names in the feed of the left and the right camera.
+    instruments: &'static [&'static str],
+    bases: Vec<String>,
+    /// Origins that its pictures may come from.
+    allowed: Vec<Origin>,
+    relist_sols: u32,
+}
+
+/// The form of a mission's questions and answers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Form {
+    /// `images[]`, nested; the categories asked for.
+    Mars2020(&'static str),
+    /// `items[]`, flat.
+    Msl,
+}
+
+/// Records of one sol, as cached.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+struct CachedSol {
+    settled: bool,
+    records: BTreeMap<String, Value>,
+}
+
+impl ArchiveKind for Feed {
+    type Params = FeedParams;
+    type Location = Remote;
+    const KIND: &'static str = "feed";
+    const ABOUT: &'static str = "one camera of one mission in NASA's raw-image feeds";
+
+    fn open(params: FeedParams, context: RemoteContext) -> Result<Box<dyn ArchiveFiles>, ParamError> {
+        let bases = bases(&params.base, &[FEEDS]);
+        let mut allowed = bases.clone();
+        allowed.extend(params.picture_hosts.iter().cloned());
+        if params.base.is_empty() {
+            allowed.extend([FEEDS, PICTURES].map(str::to_owned));
+        }
+        let feed = Self::new(&params, bases, origins(&allowed)?)?;
+        let request = Request {
+            asked: format!("feed {:?} {:?}", params.mission, params.instrument).to_lowercase(),
+            sols: params.sols,
+            network: &params.network,
+            allowed: &allowed,
+        };
+        Ok(Box::new(RemoteArchive::new(context, request, Box::new(feed))?))
+    }
+}
+
+impl Feed {
+    /// Returns the feed of a camera.
+    ///
+    /// # Errors
+    /// A camera that the mission does not have.
+    fn new(params: &FeedParams, bases: Vec<String>, allowed: Vec<Origin>) -> Result<Self, ParamError> {
+        let (form, instruments): (Form, &'static [&'static str]) = match (params.mission, params.instrument) {
+            (Mission::Perseverance, Instrument::MastcamZ) => {
+                (Form::Mars2020("mars2020"), &["MCZ_LEFT", "MCZ_RIGHT"])
+            }
+            (Mission::Perseverance, Instrument::Navcam) => {
+                (Form::Mars2020("mars2020"), &["NAVCAM_LEFT", "NAVCAM_RIGHT"])
+            }
+            (Mission::Ingenuity, Instrument::Helicam) => {
+                (Form::Mars2020("mars2020,ingenuity"), &["HELI_NAV", "HELI_RTE"])
+            }
+            (Mission::Curiosity, Instrument::Mastcam) => (Form::Msl, &["MAST_LEFT", "MAST_RIGHT"]),
+            (Mission::Curiosity, Instrument::Navcam) => (
+                Form::Msl,
+                &["NAV_LEFT_A", "NAV_RIGHT_A", "NAV_LEFT_B", "NAV_RIGHT_B"],
+            ),
+            (mission, instrument) => {
+                let message = format!("{mission:?} has no {instrument:?}").to_lowercase();
+                return Err(ParamError::new("instrument", message));
+            }
+        };
+        Ok(Self {
+            form,
+            instruments,
+            bases,
+            allowed,
+            relist_sols: params.network.relist_sols,
+        })
+    }
+
+    /// Returns the feed's latest sol, which is that of any camera.
+    fn newest(&self, pages: &Pages<'_>) -> Result<Option<u32>, StageError> {
+        let path = match self.form {
+            Form::Mars2020(category) => {
+                format!("rss/api/?feed=raw_images&category={category}&feedtype=json&ver=1.2&latest=true")
+            }
+            Form::Msl => "api/v1/raw_image_items/msl/latest/".to_owned(),
+        };
+        let json = pages.one(&path)?;
+        Ok(json
+            .get("latest_sol")
+            .and_then(text)
+            .and_then(|sol| values::sol(&sol)))
+    }
+
+    fn page_path(&self, first: u32, last: u32, page: usize) -> String {
+        let search = self.instruments.join("%7C");
+        match self.form {
+            Form::Mars2020(category) => format!(
+                "rss/api/?feed=raw_images&category={category}&feedtype=json&ver=1.2&num={PER_PAGE}&page={page}\
+                 &order=sol%20desc&search={search}&condition_2={first}:sol:gte&condition_3={last}:sol:lte"
+            ),
+            Form::Msl => format!(
+                "api/v1/raw_image_items/?order=sol%20desc&per_page={PER_PAGE}&page={page}&search={search}\
+                 &condition_1=msl:mission&condition_2={first}:sol:gte&condition_3={last}:sol:lte"
+            ),
+        }
+    }
+
+    /// Asks for all records of a run of sols, page by page.
+    fn records(
+        &self,
+        pages: &Pages<'_>,
+        first: u32,
+        last: u32,
+    ) -> Result<BTreeMap<u32, Records>, StageError> {
+        let (mut sols, mut seen): (BTreeMap<u32, Records>, usize) = (BTreeMap::new(), 0);
+        for page in 0..MAX_PAGES {
+            let json = pages.one(&self.page_path(first, last, page))?;
+            let (records, total) = self.read_page(&json, first, last)?;
+            let before: usize = sols.values().map(BTreeMap::len).sum();
+            seen += records.len();
+            let empty = records.is_empty();
+            for record in records {
+                let (Some(sol), Some(id)) = (sol_of(record), id_of(record)) else {
+                    continue;
+                };
+                if (first..=last).contains(&sol) {
+                    sols.entry(sol).or_default().insert(id, record.clone());
+                }
+            }
+            let after: usize = sols.values().map(BTreeMap::len).sum();
+            pages.ctx.progress.at(
+                u64::from(first),
+                u64::from(last.max(1)),
+                "records asked for, by sol",
+            );
+            // Some answers ignore the page asked for: a page that brings nothing new is the last.
+            if empty || total.is_some_and(|total| seen >= total) || (page > 0 && after == before) {
+                return Ok(sols);
+            }
+        }
+        Err(StageError::new(format!(
+            "the feed of sols {first} to {last} does not end after {MAX_PAGES} pages"
+        ))
+        .hint("ask for fewer sols"))
+    }
+
+    /// Returns the records of a page, and how many there are on all pages.
+    fn read_page<'a>(
+        &self,
+        json: &'a Value,
+        first: u32,
+        last: u32,
+    ) -> Result<(Vec<&'a Value>, Option<usize>), StageError> {
+        let (list, total) = match self.form {
+            Form::Mars2020(_) => ("images", "total_results"),
+            Form::Msl => ("items", "total"),
+        };
+        let records = json.get(list).and_then(Value::as_array).ok_or_else(|| {
+            StageError::new(format!(
+                "the feed's answer for sols {first} to {last} has no `{list}`"
+            ))
+            .hint("the feed may have changed, or a firewall answered: open it in a browser, or set `base`")
+        })?;
+        let total = json
+            .get(total)
+            .and_then(text)
+            .and_then(|total| total.parse().ok());
+        Ok((records.iter().collect(), total))
+    }
+
+    /// Returns the files of the records of one sol: of each photo the picture and the record.
+    fn sol_files(&self, records: &Records) -> SolFiles {
+        let mut files = SolFiles::default();
+        for (id, record) in records {
+            match self.picture(record) {
+                Ok(Picture { url, extension }) => {
+                    let file = |urls, bytes| RemoteFile {
+                        urls,
+                        cap_bytes: MAX_PICTURE_BYTES,
+                        listed: None,
+                        bytes,
+                    };
+                    let label = record.to_string().into_bytes();
+                    files
+                        .files
+                        .insert(format!("{id}.{extension}"), file(vec![url], None));
+                    files
+                        .files
+                        .insert(format!("{id}.json"), file(Vec::new(), Some(label)));
+                }
+                Err(reason) => drop(files.left_out.insert(id.clone(), reason)),
+            }
+        }
+        files
+    }
+
+    /// Returns the picture that a record names, or why it is not taken.
+    fn picture(&self, record: &Value) -> Result<Picture, String> {
+        let instrument = field(record, "instrument").unwrap_or_default();
+        if !self.instruments.contains(&instrument.as_str()) {
+            return Err(format!("of another camera ({})", instrument.escape_default()));
+        }
+        let is =
+            |key: &str, word: &str| field(record, key).is_some_and(|text| text.eq_ignore_ascii_case(word));
+        if is("sample_type", "thumbnail") || is("is_thumbnail", "true") {
+            return Err("thumbnail".to_owned());
+        }
+        if self.form == Form::Msl
+            && field(record, "mission").is_some_and(|mission| !mission.eq_ignore_ascii_case("msl"))
+        {
+            return Err("of another mission".to_owned());
+        }
+        let url = match self.form {
+            Form::Mars2020(_) => record
+                .get("image_files")
+                .and_then(|files| files.get("full_res"))
+                .and_then(text),
+            Form::Msl => field(record, "https_url").or_else(|| field(record, "url")),
+        };
+        let url = url
+            .and_then(|url| Url::parse(&url).ok())
+            .ok_or("its record names no picture")?;
+        let extension = url
+            .path()
+            .rsplit('.')
+            .next()
+            .unwrap_or_default()
+            .to_ascii_lowercase();
+        if !["png", "jpg", "jpeg"].contains(&extension.as_str()) {
+            return Err("its record names no PNG or JPEG".to_owned());
+        }
+        if !Origin::of(&url).is_some_and(|origin| self.allowed.contains(&origin)) {
+            let host = url.host_str().unwrap_or_default();
+            return Err(format!(
+                "its picture is at `{}`, which `picture_hosts` does not name",
+                host.escape_default()
+            ));
+        }
+        Ok(Picture { url, extension })
+    }
+
+    fn cache_key(&self, sol: u32) -> marf_cache::Digest {
+        cache::key(
+            "feed",
+            &format!("{:?} {} {sol}", self.form, self.instruments.join(" ")),
+        )
+    }
+}
+
+impl CatalogSource for Feed {
+    fn catalog(&self, ctx: &Ctx<'_>, client: &Client, sols: &Sols) -> Result<Catalog, StageError> {
+        let pages = Pages {
+            ctx,
+            client,
+            bases: &self.bases,
+        };
+        let newest = self.newest(&pages)?;
+        let wanted = wanted(sols, newest)?;
+        let settled = |sol: u32| newest.is_some_and(|newest| newest.saturating_sub(sol) >= self.relist_sols);
+        let mut known: BTreeMap<u32, CachedSol> = BTreeMap::new();
+        let mut asked = BTreeSet::new();
+        for sol in wanted {
+            match cache::read::<CachedSol>(ctx.scratch, &self.cache_key(sol)) {
+                Some(cached) if cached.settled => drop(known.insert(sol, cached)),
+                _ => drop(asked.insert(sol)),
+            }
+        }
+        for (first, last) in runs(&asked) {
+            let mut found = self.records(&pages, first, last)?;
+            for sol in (first..=last).filter(|sol| asked.contains(sol)) {
+                let cached = CachedSol {
+                    settled: settled(sol),
+                    records: found.remove(&sol).unwrap_or_default(),
+                };
+                cache::write(ctx.scratch, &self.cache_key(sol), &cached);
+                known.insert(sol, cached);
+            }
+        }
+        let files: BTreeMap<u32, SolFiles> = known
+            .into_iter()
+            .map(|(sol, cached)| (sol, self.sol_files(&cached.records)))
+            .filter(|(_, files)| !files.is_empty())
+            .collect();
+        let present = files.keys().copied().chain(newest).collect();
+        let sols = match sols {
+            Sols::Latest => latest(files),
+            _ => files,
+        };
+        Ok(Catalog { sols, present })
+    }
+}
+
+type Records = BTreeMap<String, Value>;
+
+struct Picture {
+    url: Url,
+    extension: String,
+}
+
+/// Reads the pages of a feed.
+struct Pages<'a> {
+    ctx: &'a Ctx<'a>,
+    client: &'a Client,
+    bases: &'a [String],
+}
+
+impl Pages<'_> {
+    /// Downloads one page.
+    fn one(&self, path: &str) -> Result<Value, StageError> {
+        let want = Download {
+            urls: urls(self.bases, path)?,
+            cap_bytes: MAX_PAGE_BYTES,
+            known: None,
+            part: None,
+        };
+        let mut got = None;
+        self.client.get_all(self.ctx, &[want], &mut |_, answer| {
+            got = Some(answer?);
+            Ok(())
+        })?;
+        match got {
+            Some(Answer::Whole { bytes, url, .. }) => serde_json::from_slice(&bytes).map_err(|error| {
+                StageError::new(format!("`{url}` answered no JSON"))
+                    .cause(error.to_string())
+                    .hint("a firewall may have answered: open the address in a browser, or set `base`")
+            }),
+            _ => Err(
+                StageError::new(format!("the feed is not at {}", self.bases.join(", ")))
+                    .hint("it may have moved: set `base` of the archive"),
+            ),
+        }
+    }
+}
+
+/// Returns the latest sol on which this camera took a photo.
+fn latest(mut sols: BTreeMap<u32, SolFiles>) -> BTreeMap<u32, SolFiles> {
+    sols.retain(|_, files| !files.files.is_empty());
+    sols.pop_last().into_iter().collect()
+}
+
+/// Returns the sols to ask for; for the latest a run of them, since the feed's latest sol is that of any camera.
+fn wanted(sols: &Sols, newest: Option<u32>) -> Result<BTreeSet<u32>, StageError> {
+    let unknown = || {
+        StageError::new("the feed does not tell its latest sol")
+            .hint("write the sols as a range, e.g. \"1..=5\"")
+    };
+    match sols {
+        Sols::Latest => {
+            let newest = newest.ok_or_else(unknown)?;
+            Ok((newest.saturating_sub(RUN_SOLS - 1)..=newest).collect())
+        }
+        Sols::All => Ok((0..=newest.ok_or_else(unknown)?).collect()),
+        Sols::Ranges(ranges) => {
+            let newest = newest.unwrap_or(99_999);
+            let within = |(first, last): &(u32, u32)| *first..=(*last).min(newest);
+            Ok(ranges.iter().flat_map(within).collect())
+        }
+    }
+}
+
+/// Returns first and last of the runs of sols that are asked for together; sols between may not be asked for.
+fn runs(sols: &BTreeSet<u32>) -> Vec<(u32, u32)> {
+    let mut runs: Vec<(u32, u32)> = Vec::new();
+    for &sol in sols {
+        match runs.last_mut() {
+            Some((first, last)) if sol - *first < RUN_SOLS => *last = sol,
+            _ => runs.push((sol, sol)),
+        }
+    }
+    runs
+}
+
+#[cfg(test)]
+mod tests;

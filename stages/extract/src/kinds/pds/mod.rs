@@ -1,0 +1,123 @@
+//! The imaging node of the Planetary Data System: one camera of one mission.
+//!
+//! ```text
+//! params.rs     the keys of the table
+//! layout.rs     where the archive keeps the products of each camera
+//! listing.rs    products found by folder pages
+//! tables.rs     products found by inventories and index tables
+//! products.rs   which of the found products are taken
+//! ```
+
+mod layout;
+mod listing;
+mod params;
+mod products;
+mod tables;
+
+use marf_stage::{Ctx, ParamError, StageError};
+
+use self::layout::CameraLayout;
+use self::params::{Discover, PdsParams};
+use self::products::Products;
+use crate::archive::ArchiveFiles;
+use crate::archive::access::{Remote, RemoteContext};
+use crate::archive::kind::ArchiveKind;
+use crate::net::Client;
+use crate::remote::catalog::{Catalog, CatalogSource};
+use crate::remote::crawl::Crawl;
+use crate::remote::network::bases;
+use crate::remote::{RemoteArchive, Request};
+use crate::sols::Sols;
+
+/// Mirrors of the imaging node, in order of preference: `mars2020/BUNDLE/…` and `msl/…` lie below them. The second is
+/// the older address of the same trees, and may redirect to the first.
+const MIRRORS: [&str; 2] = [
+    "https://planetarydata.jpl.nasa.gov/img/data",
+    "https://pds-imaging.jpl.nasa.gov/data",
+];
+
+/// One camera of the archive.
+pub(crate) struct Pds {
+    products: Products,
+    discover: Discover,
+    /// Sols younger than the newest by less are listed again.
+    relist_sols: u32,
+}
+
+impl ArchiveKind for Pds {
+    type Params = PdsParams;
+    type Location = Remote;
+    const KIND: &'static str = "pds";
+    const ABOUT: &'static str = "one camera of one mission in the Planetary Data System";
+
+    fn open(params: PdsParams, context: RemoteContext) -> Result<Box<dyn ArchiveFiles>, ParamError> {
+        let layout = CameraLayout::of(&params)?;
+        check(params.discover, &layout)?;
+        let (mission, instrument, level, pixels) =
+            (params.mission, params.instrument, params.level, params.pixels);
+        let asked = format!("pds {mission:?} {instrument:?} {level:?} {pixels:?}").to_lowercase();
+        let bases = bases(&params.base, &MIRRORS);
+        let request = Request {
+            asked,
+            sols: params.sols,
+            network: &params.network,
+            allowed: &bases,
+        };
+        let source = Self {
+            products: Products {
+                layout,
+                bases: bases.clone(),
+            },
+            discover: params.discover,
+            relist_sols: params.network.relist_sols,
+        };
+        Ok(Box::new(RemoteArchive::new(context, request, Box::new(source))?))
+    }
+}
+
+impl CatalogSource for Pds {
+    fn catalog(&self, ctx: &Ctx<'_>, client: &Client, sols: &Sols) -> Result<Catalog, StageError> {
+        let crawl = Crawl {
+            ctx,
+            client,
+            bases: &self.products.bases,
+        };
+        match self.discover {
+            Discover::Listing => listing::by_listing(&self.products, &crawl, sols, self.relist_sols),
+            Discover::Inventory => tables::by_inventory(&self.products, &crawl, sols),
+            Discover::Index => tables::by_index(&self.products, &crawl, sols),
+        }
+    }
+}
+
+/// Checks that the products of a camera can be found as asked for.
+fn check(discover: Discover, layout: &CameraLayout) -> Result<(), ParamError> {
+    let mut trees = layout.layouts.iter().flatten();
+    match discover {
+        Discover::Inventory if layout.collection.is_none() => Err(ParamError::new(
+            "discover",
+            "this camera's archive has no inventory; use \"listing\" or \"index\"",
+        )),
+        Discover::Index if !trees.all(|tree| tree.volumes.is_some()) => Err(ParamError::new(
+            "discover",
+            "this camera's archive has no index tables; use \"listing\" or \"inventory\"",
+        )),
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::net::Origin;
+
+    #[test]
+    fn every_mirror_is_asked_over_https() {
+        for base in MIRRORS {
+            assert!(
+                Origin::parse(base).unwrap().is_secure() && !base.ends_with('/'),
+                "{base}"
+            );
+        }
+    }
+}

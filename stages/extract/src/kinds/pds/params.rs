@@ -1,0 +1,75 @@
+//! The keys of `kind = "pds"`.
+
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+use crate::kinds::mission::{Instrument, Mission};
+use crate::remote::network::Network;
+use crate::sols::Sols;
+
+/// The keys of `kind = "pds"`: one camera of one mission.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct PdsParams {
+    /// The mission.
+    pub mission: Mission,
+    /// The camera.
+    pub instrument: Instrument,
+    /// Which sols: `1..=5`, `3`, `1,4,7..=9` or `latest`.
+    pub sols: Sols,
+    /// How far the products were worked on; `edr` is raw.
+    #[serde(default)]
+    pub level: Level,
+    /// Where pixels come from; labels come from beside the `.IMG` either way.
+    #[serde(default)]
+    pub pixels: PixelSource,
+    /// Product types, the preferred first; of an exposure the first that exists is taken. Left out: the usual ones.
+    #[serde(default)]
+    pub products: Vec<String>,
+    /// How products are found.
+    #[serde(default)]
+    pub discover: Discover,
+    /// Where the archive lies: folders that hold `mars2020/` and `msl/`, tried in this order.
+    #[serde(default)]
+    pub base: Vec<String>,
+    /// How the network is used.
+    #[serde(default)]
+    pub network: Network,
+}
+
+/// How far products were worked on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum Level {
+    /// Raw.
+    #[default]
+    Edr,
+    /// Geometry refined; Mars 2020 only.
+    Fdr,
+    /// Calibrated.
+    Rdr,
+}
+
+/// Where pixels come from.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum PixelSource {
+    /// PNG of 8 bits; Mars 2020 only, elsewhere the same as `img`.
+    #[default]
+    Browse,
+    /// The `.IMG` as archived, 16 bits and more.
+    Img,
+}
+
+/// How products are found.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum Discover {
+    /// Folder pages, sol by sol.
+    #[default]
+    Listing,
+    /// The inventory of the collection, one file for all sols; Mars 2020 only.
+    Inventory,
+    /// The index tables of the volumes; Curiosity's Mastcam only.
+    Index,
+}

@@ -1,0 +1,37 @@
+use std::path::PathBuf;
+
+/// What an archive may ask of the network.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Access {
+    /// List what the server has, and fetch what is new.
+    Online,
+    /// Take exactly what the lock file names; fetch what of it is not in the store.
+    Locked,
+    /// As `Locked`, and open no connection.
+    Offline,
+}
+
+/// What an archive is told beside the keys of its `[archive.*]` table; no part of it is in a key.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ArchiveContext {
+    /// Name of the `[archive.*]` table.
+    pub name: String,
+    /// Folder from which relative paths of the table are meant: that of pipeline.toml.
+    pub folder: PathBuf,
+    /// The lock file; `None` where there is none.
+    pub lock: Option<PathBuf>,
+    /// What may be asked of the network.
+    pub access: Access,
+}
+
+/// The context of an archive outside a pipeline: it has no lock file and may open no connection.
+impl Default for ArchiveContext {
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            folder: PathBuf::new(),
+            lock: None,
+            access: Access::Offline,
+        }
+    }
+}

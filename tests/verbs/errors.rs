@@ -1,0 +1,60 @@
+//! The errors of a bad pipeline.toml.
+
+use super::{assert_transcript, with_pipeline};
+
+const HEAD: &str = "[archive.demo]\nkind = \"demo\"\n\n[node.extract]\narchive = \"demo\"\n\n";
+
+/// One test a fault: what follows the archive and its node, and the snapshot of `marf plan`.
+macro_rules! refused {
+    ($($name:ident: $text:expr;)*) => { $(
+        #[test]
+        fn $name() {
+            let dir = with_pipeline(&format!("{HEAD}{}", $text));
+            assert_transcript!(dir.path(), &[&["plan"]]);
+        }
+    )* };
+}
+
+refused! {
+    error_unknown_key: "[node.size]\ninput = \"extract\"\nmin_byte = 3\n";
+    error_unknown_key_of_the_file: "[nodes.size]\n";
+    error_unknown_key_far_from_all: "[node.size]\ninput = \"extract\"\nzzzzzzzz = 3\n";
+    error_unknown_stage: "[node.blurr]\ninput = \"extract\"\n";
+    error_unknown_stage_of_uses: "[node.sharp]\nuses = \"sharpness\"\ninput = \"extract\"\n";
+    error_unknown_node: "[node.size]\ninput = \"extrat\"\n";
+    error_cycle: "[node.size]\ninput = \"blur\"\n[node.shape]\ninput = \"size\"\n[node.blur]\ninput = \"shape\"\n";
+    error_missing_input: "[node.size]\nmin_bytes = 3\n";
+    error_input_of_another_kind: "[node.train]\ninput = \"extract\"\n";
+    error_wrong_type: "[node.size]\ninput = \"extract\"\nmin_bytes = \"many\"\n";
+    error_out_of_range: "[node.calibrate]\ninput = \"extract\"\n[node.tune]\ninput = \"calibrate\"\ntrials = 0\n";
+    error_unknown_variant: "[node.calibrate]\ninput = \"extract\"\nmethod = \"magic\"\n";
+    error_bad_budget: "[node.calibrate]\ninput = \"extract\"\n[node.train]\ninput = \"calibrate\"\nbudget = \"soon\"\n";
+    error_unknown_archive: "[node.more]\nuses = \"extract\"\narchive = \"demmo\"\n";
+    error_unknown_kind_of_archive: "[archive.tape]\nkind = \"tape\"\n[node.more]\nuses = \"extract\"\narchive = \"tape\"\n";
+    error_unknown_key_of_an_archive: "[archive.two]\nkind = \"demo\"\nsoles = \"1\"\n[node.more]\nuses = \"extract\"\narchive = \"two\"\n";
+    error_not_a_table: "[archive]\ntwo = 3\n";
+    error_bad_toml: "[node.size\ninput = 3\n";
+    error_kept_and_rejected: "[node.size]\ninput = \"extract\"\n[keep]\nids = [\"a\"]\n[reject]\nids = [\"a\"]\n";
+    error_lists_without_a_filter: "[keep]\nids = [\"a\"]\n";
+}
+
+#[test]
+fn error_of_an_argument() {
+    let dir = with_pipeline(&format!("{HEAD}[node.size]\ninput = \"extract\"\n"));
+    assert_transcript!(
+        dir.path(),
+        &[
+            &["plan", "--set", "size.min_byte=3"],
+            &["plan", "--set", "size"],
+            &["plan", "--set", "size.min_bytes.a=3"],
+            &["plan", "--to", "blur"],
+            &["plna"],
+        ]
+    );
+}
+
+#[test]
+fn error_without_a_pipeline() {
+    let dir = tempfile::tempdir().unwrap();
+    assert_transcript!(dir.path(), &[&["plan"], &["plan", "--file", "other.toml"]]);
+}

@@ -1,0 +1,32 @@
+use super::assert_transcript;
+
+/// One test a verb: the snapshot of its `--help`.
+macro_rules! help_of {
+    ($($name:ident: $($word:literal),+;)*) => { $(
+        #[test]
+        fn $name() {
+            assert_transcript!(std::path::Path::new("."), &[&[$($word),+]]);
+        }
+    )* };
+}
+
+help_of! {
+    help: "--help";
+    help_run: "run", "--help";
+    help_plan: "plan", "--help";
+    help_why: "why", "--help";
+    help_status: "status", "--help";
+    help_log: "log", "--help";
+    help_init: "init", "--help";
+    help_schema: "schema", "--help";
+    help_report: "report", "--help";
+    help_cache: "cache", "--help";
+    help_cache_stat: "cache", "stat", "--help";
+    help_filter: "filter", "--help";
+    help_photos: "photos", "--help";
+    help_calibrate: "calibrate", "--help";
+    help_fit: "fit", "--help";
+    help_bench: "bench", "--help";
+    help_bench_train: "bench", "train", "--help";
+    help_completions: "completions", "--help";
+}
