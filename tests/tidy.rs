@@ -40,7 +40,7 @@ const CRATES: [Crate; 18] = [
     row(
         "stages/field",
         "marf-field",
-        &["marf-shaders", "marf-cache", "marf-scene"],
+        &["marf-shaders", "marf-cache", "marf-numeric", "marf-scene"],
     ),
     row(
         "stages/schema",

@@ -23,8 +23,8 @@ pub(super) struct Archives<'a> {
 }
 
 impl<'a> Archives<'a> {
-    /// Checks that every table has a known kind and no key that its kind does not read. Relative paths are meant from
-    /// `folder`, where the lock file lies too.
+    /// Checks that every table has a known kind and no key that its kind does not read. Paths are relative to
+    /// `folder`, the folder of the lock file.
     ///
     /// # Errors
     /// The first thing that is wrong, with its place.
@@ -69,8 +69,8 @@ impl<'a> Archives<'a> {
     }
 }
 
-/// Puts a stage's complaint about the archive it reads at the key of the archive's table; `path` is below the table.
-pub(super) fn complaint(table: &Entry, path: &str, error: &ParamError) -> ConfigError {
+/// Puts a stage's error about the archive it reads at the key of the archive's table; `path` is below the table.
+pub(super) fn param_error(table: &Entry, path: &str, error: &ParamError) -> ConfigError {
     let (at, key) = match path {
         "" => (table.at.clone(), String::new()),
         path => (table.value.place(path), format!(".{path}")),

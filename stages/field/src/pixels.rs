@@ -68,6 +68,7 @@ impl Pixels {
     }
 
     /// Returns the pixels of a run, of which one is kept.
+    #[cfg(feature = "gpu")]
     pub(crate) fn run(&self) -> u32 {
         self.run
     }

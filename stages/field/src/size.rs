@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use crate::config::MOST_HALVINGS;
 use crate::cpu::march::{Steps, contract};
 use crate::cpu::math::root;
 use crate::frame::{ENOUGH_POINTS, FAR, Frame, MOST_FINEST, percentile};
@@ -59,8 +60,6 @@ const ENOUGH_CELLS: usize = 8;
 const CELLS_AN_ENTRY: u64 = 4;
 /// A step need not be shorter than so many pixels are wide at its distance.
 const PIXELS_A_STEP: f64 = 2.0;
-/// Steps are never halved more often.
-pub const MOST_HALVINGS: u32 = 6;
 /// Smallest and largest table that is derived.
 const TABLES: [u32; 2] = [12, 22];
 

@@ -274,7 +274,7 @@ impl Samples {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cpu::simd::Level;
+    use crate::cpu::simd::{InstructionSet, Run};
 
     fn full(side: u32) -> Bits {
         let mut bits = Bits::new(side);
@@ -284,7 +284,7 @@ mod tests {
 
     fn walk(steps: &Steps, bits: &Bits, origin: [f32; 3], direction: [f32; 3]) -> Samples {
         let mut samples = Samples::default();
-        let end = Level::best().run(March {
+        let end = InstructionSet::best().run(March {
             steps,
             bits,
             origin,
@@ -387,7 +387,7 @@ mod tests {
         while first < steps.begin.len() {
             let (origin, direction, samples) = ([0.1; 3], [0.0, 0.6, 0.8], &mut parts);
             let (steps, bits, jitter, limit) = (&steps, &bits, 0.5, 8);
-            first = Level::best().run(March {
+            first = InstructionSet::best().run(March {
                 steps,
                 bits,
                 origin,

@@ -2,18 +2,18 @@
 
 use marf_shaders::{Blending, LevelScale, Pace, Rates, Rescaling, SpreadRun, Total, found};
 
+use super::Gpu;
+use super::array::Array;
 use super::exposures::ExposureArrays;
 use super::forward::Lanes;
-use super::kernel::Array;
 use super::light::{RING, weights_of_losses};
 use super::nets::{Gradient, Nets};
 use super::tables::{Grid, Rise, rescaling, start_scales};
 use super::weights::{BACKGROUND, DeviceLayer, DeviceWeights};
-use super::{Gpu, GpuError};
 use crate::cpu::adam::{Bias, Moments};
 use crate::cpu::march::Steps;
 use crate::weights::NET_ROW;
-use crate::{Config, Gain};
+use crate::{Config, Gain, GpuError};
 
 /// First and second moments of a tensor, and the steps of its rows.
 pub struct DeviceMoments {

@@ -2,13 +2,16 @@
 
 use marf_shaders::{EXPOSURE_LEARN, EXPOSURE_SUMS, Exposed, Step, counts, faults};
 
-use super::kernel::{Array, Bound, Kernel, Recorder, fold};
+use super::Gpu;
+use super::array::Array;
+use super::kernel::{Bound, Kernel, fold};
 use super::nets::limits;
-use super::{Gpu, GpuError};
+use super::record::Recorder;
 use crate::Gain;
+use crate::GpuError;
 use crate::cpu::adam::{BETA1, BETA2, Moments};
 use crate::exposure::{LIMITS, RATE};
-use crate::learn::EPSILON;
+use crate::schedule::EPSILON;
 
 /// Log gains, their moments and what they come to.
 pub struct ExposureArrays {

@@ -2,15 +2,17 @@
 
 use marf_shaders::{Walk, counts, faults};
 
-use super::kernel::{Array, Work};
+use super::Gpu;
+use super::array::Array;
 use super::light::{Colours, Columns, Light};
-use super::march::{MarchArrays, Progress, SampleArrays, Scan};
+use super::march::{MarchArrays, SampleArrays, Scan};
 use super::nets::{After, Batch, Gradient, Nets, Product, Rows};
 use super::picture::STATE;
-use super::rays::RayArrays;
+use super::rays::{Progress, RayArrays};
+use super::record::Work;
 use super::tables::{Encode, Encoded, Grid, Slots};
 use super::weights::{DeviceLayer, DeviceWeights};
-use super::{Gpu, GpuError};
+use crate::GpuError;
 use crate::cpu::march::Steps;
 use crate::sh;
 use crate::weights::{LATENT, Weights};

@@ -2,18 +2,19 @@
 
 use marf_shaders::{counts, faults, found};
 
+use super::Gpu;
+use super::array::Array;
 use super::arrays::{Arrays, DeviceMoments, Learnt};
 use super::exposures::{Exposing, ExposureInputs, Exposures};
 use super::forward::{Kernels as Shared, Lanes};
-use super::kernel::{Array, Recorder, Work};
 use super::light::Aims;
 use super::nets::{After, Gradient, Product, Rates as NetRates, Rows, Tensor};
+use super::record::{Recorder, Work};
 use super::tables::{AdamTable, Blend, Grid, Scales, Scatter, Scattered, Slots, Sums, Trained};
 use super::weights::{DeviceLayer, DeviceWeights};
-use super::{Gpu, GpuError};
-use crate::learn::{BACKGROUND_RATE, DECAY};
+use crate::schedule::{BACKGROUND_RATE, DECAY};
 use crate::weights::NET_ROW;
-use crate::{Background, Config, Gain};
+use crate::{Background, Config, Gain, GpuError};
 
 /// The kernels of the way back.
 pub struct Kernels {

@@ -4,10 +4,13 @@ use marf_shaders::{
     self as shaders, CompareRun, Extent, GatherRun, HarmonicsRun, Pace, RunawayRun, SpreadRun, Total, counts,
 };
 
-use super::kernel::{Array, GROUP, Kernel, Part, Work, dispatch};
+use super::Gpu;
+use super::array::{Array, Part};
+use super::kernel::{GROUP, Kernel};
 use super::nets::{Batch, Rows, four_each, limits, one_each};
-use super::{Gpu, GpuError};
+use super::record::{Work, dispatch};
 use crate::Config;
+use crate::GpuError;
 use crate::cpu::march::Steps;
 use crate::depth::{FLOOR, REACH};
 

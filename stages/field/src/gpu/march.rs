@@ -2,9 +2,12 @@
 
 use marf_shaders::{ALIVE, MARCH, SCAN, Walk, counts};
 
-use super::kernel::{Array, Bound, Kernel, Recorder, halves};
-use super::rays::RayArrays;
-use super::{Gpu, GpuError};
+use super::Gpu;
+use super::array::{Array, halves};
+use super::kernel::{Bound, Kernel};
+use super::rays::{Progress, RayArrays};
+use super::record::Recorder;
+use crate::GpuError;
 use crate::cpu::composite::OPAQUE;
 use crate::cpu::march::{Bits, Steps};
 use crate::cpu::simd::LANES;
@@ -29,27 +32,6 @@ impl SampleArrays {
             xyz: gpu.zeros("xyz", 3 * capacity)?,
             along: gpu.zeros("along", 3 * capacity)?,
             ray_of: gpu.zeros("ray_of", capacity)?,
-        })
-    }
-}
-
-/// How far the rays of a picture have come.
-pub struct Progress {
-    /// Step to go on from, `[rays]`.
-    pub next_step: Array<u32>,
-    /// 1 where a ray has ended, `[rays]`.
-    pub done: Array<u32>,
-}
-
-impl Progress {
-    /// Rays at their first step.
-    ///
-    /// # Errors
-    /// More than the device holds.
-    pub fn new(gpu: &Gpu, slots: usize) -> Result<Self, GpuError> {
-        Ok(Self {
-            next_step: gpu.zeros("next_step", slots)?,
-            done: gpu.zeros("done", slots)?,
         })
     }
 }

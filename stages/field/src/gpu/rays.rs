@@ -3,9 +3,10 @@
 use marf_scene::{Camera, Pose};
 use marf_shaders::{PixelRange, RAYS, Sighted, Step, VIEW_RAYS, ViewCamera};
 
-use super::kernel::{Array, Bound, Kernel, halves};
-use super::march::Progress;
-use super::{Gpu, GpuError};
+use super::Gpu;
+use super::array::{Array, halves};
+use super::kernel::{Bound, Kernel};
+use crate::GpuError;
 use crate::View;
 use crate::cpu::march::Steps;
 use crate::depth::{SHARE, Sighting, place};
@@ -38,6 +39,27 @@ impl RayArrays {
             directions: gpu.zeros("directions", slots)?,
             targets: gpu.zeros("targets", slots)?,
             pulls: gpu.zeros("pulls", slots)?,
+        })
+    }
+}
+
+/// How far the rays of a picture have come.
+pub struct Progress {
+    /// Step to go on from, `[rays]`.
+    pub next_step: Array<u32>,
+    /// 1 where a ray has ended, `[rays]`.
+    pub done: Array<u32>,
+}
+
+impl Progress {
+    /// Rays at their first step.
+    ///
+    /// # Errors
+    /// More than the device holds.
+    pub fn new(gpu: &Gpu, slots: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            next_step: gpu.zeros("next_step", slots)?,
+            done: gpu.zeros("done", slots)?,
         })
     }
 }

@@ -4,10 +4,11 @@ use std::sync::Arc;
 
 use marf_shaders::faults;
 
-use super::kernel::Array;
+use super::Gpu;
+use super::array::Array;
 use super::nets::Batch;
 use super::testing::{gpu, worst};
-use super::{Gpu, GpuError};
+use crate::GpuError;
 use crate::cpu::simd::{Block, LANES, flat_mut};
 
 /// Rounding of sums of up to 1,101 terms, or 37 chunks of 128, where a driver does not fuse multiply-adds, as a share of

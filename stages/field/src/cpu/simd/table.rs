@@ -3,7 +3,7 @@
 #[cfg(target_arch = "x86_64")]
 use std::arch::x86_64::*;
 
-use super::{Isa, LANES};
+use super::isa::{Isa, LANES};
 
 /// Rows of F numbers, read at indices that are checked 128 at a time.
 #[derive(Clone, Copy)]
