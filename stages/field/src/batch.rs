@@ -84,7 +84,7 @@ impl Found {
     }
 }
 
-/// Memory of the workers; who needs some takes it from here and brings it back.
+/// Memory of the workers; a worker takes one and gives it back.
 pub type Spares = Mutex<Vec<Scratch>>;
 
 /// Memory of one worker.
@@ -115,7 +115,7 @@ pub fn train(shared: &Shared, targets: &[Target], rays: usize, chunks: &mut Vec<
     });
 }
 
-/// One task a level and chunk, level by level.
+/// Looks up the features of all chunks: one task a level and chunk, level by level.
 fn encode(shared: &Shared, chunks: &mut [Chunk]) {
     let weights = shared.weights;
     let levels = weights.shapes.iter().zip(&weights.tables);

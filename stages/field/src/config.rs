@@ -169,7 +169,7 @@ impl Config {
         }
     }
 
-    /// Tells whether every number lies in its documented range.
+    /// Checks that every number lies in its documented range.
     ///
     /// # Errors
     /// [`FieldError::Config`] names the key, the value and the range.

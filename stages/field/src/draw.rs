@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::cpu::math::exp;
-use crate::depth::{Pull, SHARE, Sighting, place};
+use crate::depth::{Observation, Pull, SHARE, place};
 use crate::exposure::{Exposure, ROW};
 use crate::frame::RayStart;
 use crate::rng::{Purpose, Rng};
@@ -22,7 +22,7 @@ pub struct Target {
     pub rgb: [f32; 3],
     /// Exposure of the photo.
     pub exposure: Exposure,
-    /// Where its matter is, if a sparse point tells.
+    /// Where its matter is, if a sparse point says so.
     pub pull: Option<Pull>,
 }
 
@@ -74,7 +74,7 @@ impl Training {
         let Some(weight) = weight else {
             return (rng.below(self.pixels.last().copied().unwrap_or(0)), None);
         };
-        let Sighting { pixel, t } = self.sightings[rng.below(self.sightings.len() as u64) as usize];
+        let Observation { pixel, t } = self.observations[rng.below(self.observations.len() as u64) as usize];
         let pull = place(&self.march, t).map(|place| Pull { place, weight });
         (pixel, pull)
     }

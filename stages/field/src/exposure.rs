@@ -10,7 +10,7 @@ pub const LIMITS: [f32; 2] = [2.0, 0.5];
 /// Numbers of a photo in a row: three channels and one that is unused.
 pub const ROW: usize = 4;
 
-/// What a photo makes of a colour; also the slopes of the loss in log gain and offset.
+/// How a photo changes a colour, gain * colour + offset; also the slopes of the loss in log gain and offset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exposure {
     /// e^(log gain).
@@ -19,7 +19,7 @@ pub struct Exposure {
     pub offset: [f32; 3],
 }
 
-/// Loss of one ray and where it leads.
+/// Loss of one ray and its gradients.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Compared {
     /// Squared errors of the channels.

@@ -10,7 +10,7 @@ use crate::cpu::simd::InstructionSet;
 use crate::draw::Target;
 use crate::exposure::Exposure;
 use crate::frame::RayStart;
-use crate::training_tests::{ball, ball_view, small, trained};
+use crate::test_scene::{ball, ball_view, small, trained};
 use crate::{Background, Config, FieldError, Trainer, View};
 
 fn refused(trainer: &mut Trainer) -> String {

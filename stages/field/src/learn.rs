@@ -36,7 +36,7 @@ struct Pace {
     keep: Option<f32>,
 }
 
-/// One task owns one level: it adds all samples in order, then moves the table.
+/// Moves the tables: one task owns one level, adds all samples in order, then takes the step.
 fn learn_tables(
     level: InstructionSet,
     training: &mut Training,

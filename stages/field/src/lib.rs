@@ -1,6 +1,6 @@
 //! The radiance field: a multiresolution hash grid and two small networks, trained and rendered on the CPU or a GPU.
 //!
-//! Room rule: it knows scenes (photos, cameras, poses), no stage and no file system. Bytes come in, bytes go out.
+//! It knows scenes (photos, cameras, poses), no stage and no file system. Bytes come in, bytes go out.
 //! Invariant: the same views, points, config and seed give the same weights, bit for bit, for any number of
 //! threads and any instruction set; no result holds a number that is not finite.
 
@@ -46,6 +46,8 @@ mod size;
 mod size_tests;
 mod state;
 mod tensors;
+#[cfg(test)]
+mod test_scene;
 mod trainer;
 mod training;
 #[cfg(test)]

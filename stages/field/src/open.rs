@@ -22,7 +22,7 @@ impl Device {
     /// `None` for the CPU, whose numbers are the same on every machine.
     ///
     /// A device that cannot be opened has its name for an id: whoever runs on it gets the error.
-    pub fn class(&self) -> Option<String> {
+    pub fn backend_id(&self) -> Option<String> {
         match self.backend() {
             Ok(backend) => backend.id().map(str::to_owned),
             Err(_) => Some(self.to_string()),
@@ -49,15 +49,15 @@ mod tests {
 
     #[test]
     fn the_cpu_has_no_id_because_its_numbers_are_the_same_everywhere() {
-        assert_eq!(Device::Cpu.class(), None);
+        assert_eq!(Device::Cpu.backend_id(), None);
     }
 
     #[cfg(not(feature = "gpu"))]
     #[test]
     fn without_the_feature_a_gpu_is_refused_and_auto_is_the_cpu() {
-        assert_eq!(Device::Auto.class(), None);
+        assert_eq!(Device::Auto.backend_id(), None);
         let gpu = Device::Gpu(None);
         assert_eq!(gpu.backend().err(), Some(GpuError::NotBuilt));
-        assert_eq!(gpu.class().as_deref(), Some("gpu"));
+        assert_eq!(gpu.backend_id().as_deref(), Some("gpu"));
     }
 }

@@ -1,6 +1,6 @@
 //! Training on what rover photos bring: changing exposure and sparse points.
 
-use crate::training_tests::{ball, ball_view, small, trained};
+use crate::test_scene::{ball, ball_view, small, trained};
 use crate::{Config, FieldError, Gain, Occupied, Trainer};
 
 #[test]

@@ -45,7 +45,7 @@ impl Training {
     pub fn pull_at(&self, step: u64, rays: usize) -> Option<f32> {
         let fading = 1.0 - step as f64 / f64::from(self.config.depth_steps);
         let weight = self.config.depth_weight * fading * SHARE as f64 / rays as f64;
-        (!self.sightings.is_empty() && fading > 0.0).then_some(weight as f32)
+        (!self.observations.is_empty() && fading > 0.0).then_some(weight as f32)
     }
 
     /// Halves the steps along rays once there is a surface to find more exactly.

@@ -4,7 +4,7 @@ use marf_scene::Pose;
 
 use crate::cpu::adam::Bias;
 use crate::cpu::march::Steps;
-use crate::depth::{Sighting, sightings};
+use crate::depth::{Observation, observations};
 use crate::frame::Frame;
 use crate::occupancy::Occupancy;
 use crate::rng::Fingerprint;
@@ -32,7 +32,7 @@ pub struct Training {
     /// Steps along rays, as often halved as the state says.
     pub march: Steps,
     /// What the views see of the sparse points; empty where they do not pull.
-    pub sightings: Vec<Sighting>,
+    pub observations: Vec<Observation>,
     /// Corrections of the moments by step count.
     pub bias: Bias,
     /// All that changes.
@@ -69,8 +69,8 @@ impl Training {
         };
         let state = State::new(config, &views, weights, occupancy, march.count as f64);
         let pixels = pixel_offsets(&views);
-        let sightings = if config.depth_weight > 0.0 {
-            sightings(&views, &pixels, points, &frame, &march)
+        let observations = if config.depth_weight > 0.0 {
+            observations(&views, &pixels, points, &frame, &march)
         } else {
             Vec::new()
         };
@@ -83,7 +83,7 @@ impl Training {
             frame,
             sizes,
             march,
-            sightings,
+            observations,
             bias: Bias::default(),
             state,
         })
@@ -109,8 +109,8 @@ impl Training {
                 .chain([&self.frame.half_side])
                 .map(|number| number.to_bits()),
         );
-        for sighting in &self.sightings {
-            sum.add([sighting.pixel, sighting.t.to_bits().into()]);
+        for observation in &self.observations {
+            sum.add([observation.pixel, observation.t.to_bits().into()]);
         }
         sum.0
     }

@@ -41,7 +41,7 @@ fn run() -> Result<(), Box<dyn Error>> {
     };
     let samples = setting("MARF_BENCH_SAMPLES", samples)?;
     let steps = setting("MARF_BENCH_STEPS", steps)?;
-    println!("{}\n{samples} samples a batch, {steps} steps each", gpu.class());
+    println!("{}\n{samples} samples a batch, {steps} steps each", gpu.id());
     let most = ceilings(&gpu)?;
     println!(
         "copy of 64 MB {:.1} GB/s, fused multiply-add {:.0} GFLOP/s",

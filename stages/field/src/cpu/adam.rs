@@ -44,7 +44,7 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// All zero, for `len` numbers in rows of `row`.
+    /// Returns moments of zero for `len` numbers in rows of `row`.
     pub fn new(len: usize, row: usize) -> Self {
         Self {
             first: vec![0.0; len],

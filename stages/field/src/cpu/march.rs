@@ -72,7 +72,7 @@ pub struct Bits {
 }
 
 impl Bits {
-    /// All cells empty.
+    /// Returns a grid whose cells are all empty.
     pub fn new(side: u32) -> Self {
         let cells = (side as usize).pow(3);
         Self {
@@ -81,7 +81,7 @@ impl Bits {
         }
     }
 
-    /// Tells whether a cell is occupied.
+    /// Returns whether a cell is occupied.
     #[inline(always)]
     pub fn holds(&self, cell: u32) -> bool {
         self.words[(cell >> 6) as usize] >> (cell & 63) & 1 == 1
@@ -122,7 +122,7 @@ impl Samples {
         self.x.len()
     }
 
-    /// Tells whether there is none.
+    /// Returns whether there is none.
     pub fn is_empty(&self) -> bool {
         self.x.is_empty()
     }
@@ -228,7 +228,7 @@ impl March<'_> {
 }
 
 impl Bits {
-    /// One bit for each of 16 points in the unit box: whether its cell is occupied.
+    /// Returns one bit for each of 16 points in the unit box: whether its cell is occupied.
     #[inline(always)]
     fn hits<I: Isa>(&self, isa: I, xyz: [&Block; 3]) -> u32 {
         let (cells, last) = (isa.splat(self.side as f32), isa.splat_u(self.side - 1));

@@ -47,7 +47,7 @@ pub struct Net {
 }
 
 impl Net {
-    /// All weights zero; `widths` are those of input, hidden layers and output.
+    /// Returns a network of zero weights; `widths` are those of input, hidden layers and output.
     pub fn new(widths: &[usize]) -> Self {
         let layers = widths.windows(2).map(|pair| Layer::new(pair[0], pair[1]));
         Self {

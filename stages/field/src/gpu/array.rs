@@ -168,7 +168,7 @@ impl Gpu {
         wait: impl FnOnce() -> Result<wgpu::PollStatus, wgpu::PollError>,
     ) -> Result<(), GpuError> {
         let waited = catch_unwind(AssertUnwindSafe(wait));
-        // What the driver said tells more.
+        // What the driver said is more precise.
         self.check()?;
         match waited {
             Ok(Ok(_)) => Ok(()),

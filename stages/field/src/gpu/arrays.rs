@@ -118,12 +118,12 @@ pub struct Arrays {
     pub blending: Array<Blending>,
     /// What the losses weigh.
     pub losses: Array<SpreadRun>,
-    /// What the host is told.
+    /// Totals of the last steps, read by the host.
     pub ring: Array<Total>,
 }
 
 impl Arrays {
-    /// Makes room.
+    /// Allocates the arrays.
     ///
     /// # Errors
     /// More than the device holds.
@@ -166,12 +166,12 @@ impl Arrays {
         })
     }
 
-    /// Tells how far scales may rise from now on.
+    /// Writes how far scales may rise from now on.
     pub fn write_rise(&self, gpu: &Gpu, grid: &Grid, rise: Rise) {
         gpu.write(&self.rescaling, 0, &[rescaling(grid, rise)]);
     }
 
-    /// Tells `spread` of the steps along rays.
+    /// Writes what `spread` needs of the steps along rays.
     pub fn write_losses(&self, gpu: &Gpu, lanes: &Lanes, config: &Config, steps: &Steps) {
         gpu.write(
             &self.losses,

@@ -12,7 +12,7 @@ use crate::training::Training;
 
 impl Backend for Gpu {
     fn id(&self) -> Option<&str> {
-        Some(self.class())
+        Some(Gpu::id(self))
     }
 
     fn begin(self: Arc<Self>, training: &mut Training) -> Result<Box<dyn Session>, FieldError> {

@@ -1,4 +1,4 @@
-//! A whole batch on the device, from features to gradients; what the rays' room does in between is done here.
+//! A whole batch on the device, from features to gradients; what the rays' kernels do in between is done here.
 
 use marf_shaders::{Pace, Total, counts, faults, found};
 

@@ -14,8 +14,8 @@ use crate::depth::Pull;
 use crate::draw::Target;
 use crate::exposure::Exposure;
 use crate::shade::{Shade, Span};
+use crate::test_scene::{ball, small};
 use crate::training::Training;
-use crate::training_tests::{ball, small};
 
 pub const CAPACITY: usize = 4096;
 pub const SLOTS: usize = 64;

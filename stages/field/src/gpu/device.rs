@@ -3,7 +3,7 @@ use std::fmt;
 use std::sync::{Arc, LazyLock, OnceLock};
 
 use marf_cache::Digest;
-use marf_shaders::SHADERS;
+use marf_shaders::{SHADERS, constants};
 use parking_lot::Mutex;
 
 use crate::{Device, GpuError};
@@ -15,7 +15,7 @@ pub struct Gpu {
     pub(super) limits: wgpu::Limits,
     pub(super) features: wgpu::Features,
     name: String,
-    class: String,
+    id: String,
     kind: wgpu::DeviceType,
     /// What was compiled so far, by entry point and text: fields of one shape share their kernels.
     pub(super) pipelines: Mutex<HashMap<(String, String), wgpu::ComputePipeline>>,
@@ -25,7 +25,7 @@ pub struct Gpu {
 
 impl fmt::Debug for Gpu {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("Gpu").field(&self.class).finish()
+        f.debug_tuple("Gpu").field(&self.id).finish()
     }
 }
 
@@ -40,11 +40,11 @@ const BACKENDS: wgpu::Backends = wgpu::Backends::VULKAN
     .union(wgpu::Backends::METAL)
     .union(wgpu::Backends::DX12);
 
-/// Version of wgpu; a part of the numeric class. A test holds it against Cargo.lock.
+/// Version of wgpu; a part of the backend id. A test holds it against Cargo.lock.
 const WGPU: &str = "wgpu 30.0.1";
 
 impl Gpu {
-    /// As [`Gpu::open`], but only the first call for a device opens it: later ones get the same.
+    /// Opens the wanted device once in a process: later calls get the same; `None` is the CPU.
     ///
     /// # Errors
     /// As [`Gpu::open`].
@@ -116,7 +116,7 @@ impl Gpu {
         let failed = Arc::new(OnceLock::new());
         let (lost, refused) = (failed.clone(), failed.clone());
         device.set_device_lost_callback(move |reason, message| {
-            // The first error is the one that tells.
+            // The first error is the cause of the others.
             let _ = lost.set(format!("device lost ({reason:?}): {message}"));
         });
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
@@ -127,7 +127,7 @@ impl Gpu {
             queue,
             limits,
             features,
-            class: format!(
+            id: format!(
                 "{}, {} {}, {WGPU}, kernels {}",
                 info.name,
                 info.driver,
@@ -146,17 +146,17 @@ impl Gpu {
         &self.name
     }
 
-    /// Returns adapter, driver, version of wgpu and digest of the kernels: two runs of one class give the same bytes.
-    pub fn class(&self) -> &str {
-        &self.class
+    /// Returns adapter, driver, version of wgpu and digest of the kernels: two runs with one id give the same bytes.
+    pub fn id(&self) -> &str {
+        &self.id
     }
 
-    /// Tells whether a processor of the computer only plays the GPU.
+    /// Returns whether the adapter is software on the CPU.
     pub fn is_software(&self) -> bool {
         rank(self.kind) >= SOFTWARE
     }
 
-    /// Tells whether the device still does what it is told.
+    /// Checks that the device was not lost and has refused nothing.
     ///
     /// # Errors
     /// [`GpuError::Lost`] with the first complaint of the driver.
@@ -174,7 +174,7 @@ impl Gpu {
             .min(u64::from(u32::MAX))
     }
 
-    /// Tells whether one binding holds so many bytes; `hint` says what to set where it does not.
+    /// Checks that one binding holds so many bytes; `hint` is the advice where it does not.
     ///
     /// # Errors
     /// [`GpuError::Limit`].
@@ -209,12 +209,12 @@ impl Gpu {
     }
 }
 
-/// Returns a short digest of all kernels: a kernel that changed is another class, which no version has to tell.
+/// Returns a short digest of all kernels: a kernel that changed gives another id, so that no version has to be raised.
 fn kernels() -> String {
     let texts = SHADERS
         .iter()
         .flat_map(|shader| shader.shared.iter().chain([&shader.text]));
-    let all: String = texts.copied().collect();
+    let all = constants() + &texts.copied().collect::<String>();
     Digest::of(all.as_bytes()).short().to_string()
 }
 
@@ -247,7 +247,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_version_in_the_class_is_the_one_that_is_built() {
+    fn the_version_in_the_id_is_the_one_that_is_built() {
         let lock = include_str!("../../../../Cargo.lock");
         let version = WGPU.trim_start_matches("wgpu ");
         let entry = format!("name = \"wgpu\"\nversion = \"{version}\"\n");

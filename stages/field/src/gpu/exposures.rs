@@ -1,6 +1,6 @@
 //! Exposure of single photos on the device.
 
-use marf_shaders::{EXPOSURE_LEARN, EXPOSURE_SUMS, Exposed, Step, counts, faults};
+use marf_shaders::{EXPOSURE_LEARN, EXPOSURE_SUMS, Exposed, Step};
 
 use super::Gpu;
 use super::array::Array;
@@ -127,13 +127,8 @@ impl Exposures {
     /// # Errors
     /// A driver that does not.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        let places = format!(
-            "const RAYS: u32 = {}u;\nconst EXPOSURES: u32 = {}u;\n",
-            counts::RAYS,
-            faults::EXPOSURES
-        );
         Ok(Self {
-            sums: gpu.kernel(&EXPOSURE_SUMS, &(places + &limits()))?,
+            sums: gpu.kernel(&EXPOSURE_SUMS, &limits())?,
             learn: gpu.kernel(&EXPOSURE_LEARN, "")?,
         })
     }

@@ -13,8 +13,8 @@ use crate::cpu::simd::InstructionSet;
 use crate::exposure::Exposure;
 use crate::learn::learn_exposures;
 use crate::rng::{Purpose, Rng};
+use crate::test_scene::{ball_view, small};
 use crate::training::Training;
-use crate::training_tests::{ball_view, small};
 use crate::{Config, Gain};
 
 /// Of a gain after ten steps of 1e-3: sums of slopes and the mean are added in another order.

@@ -12,8 +12,8 @@ use super::nets::{CHUNK, Nets};
 use super::record::dispatch;
 use super::session::GpuSession;
 use super::testing::{advance, gpu, on_gpu, own_gpu, upload};
+use crate::test_scene::{ball, ball_view, psnr, small};
 use crate::training::Training;
-use crate::training_tests::{ball, ball_view, psnr, small};
 use crate::{
     Background, Config, Device, Field, FieldError, Gain, GpuError, Pixels, Trainer, View, ViewDependence,
 };
@@ -251,7 +251,7 @@ fn points_pull_and_steps_along_rays_are_halved_as_on_the_cpu() {
     };
     let trainers = close(&gpu, "points", (ball(4, 24), &points()), &config, 140);
     for trainer in trainers {
-        assert!(!trainer.training.sightings.is_empty());
+        assert!(!trainer.training.observations.is_empty());
         assert_eq!(trainer.training.state.halvings, 1);
     }
 }
@@ -336,7 +336,7 @@ fn a_rate_that_is_too_high_stops_by_name_and_leaves_a_state_that_can_be_taken_ba
         matches!(refused, FieldError::NotFinite { step: named, .. } if named == step),
         "{refused}"
     );
-    // As a training that was told to end there.
+    // As a training that ends there.
     let mut before = trainer();
     advance(&mut before, step);
     let saved = stopped.save().unwrap();

@@ -35,7 +35,7 @@ impl Gpu {
         self.entry(shader, head, "main")
     }
 
-    /// As [`Gpu::kernel`], with a named entry point.
+    /// Compiles a named entry point of a kernel, as [`Gpu::kernel`] does `main`.
     ///
     /// # Errors
     /// As [`Gpu::kernel`].

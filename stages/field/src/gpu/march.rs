@@ -23,7 +23,7 @@ pub struct SampleArrays {
 }
 
 impl SampleArrays {
-    /// Makes room for samples.
+    /// Allocates the arrays of samples.
     ///
     /// # Errors
     /// More than the device holds.
@@ -86,7 +86,7 @@ pub fn kept_walk(whole: Walk) -> Walk {
 /// What a walk reads and writes.
 #[derive(Clone, Copy)]
 pub struct MarchArrays<'a> {
-    /// What it is told.
+    /// Sizes and limits of the walk.
     pub walk: &'a Array<Walk>,
     /// The rays.
     pub rays: &'a RayArrays,
@@ -188,9 +188,7 @@ impl Scan {
     /// # Errors
     /// A driver that does not.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        let (rays, alive) = (counts::RAYS, counts::ALIVE);
-        let head = format!("const RAYS: u32 = {rays}u;\nconst ALIVE: u32 = {alive}u;\n");
-        Ok(Self(gpu.kernel(&SCAN, &head)?))
+        Ok(Self(gpu.kernel(&SCAN, "")?))
     }
 
     /// Binds it, for one workgroup; of `amounts` the first `rays` numbers are read.
@@ -225,10 +223,7 @@ impl Alive {
     /// # Errors
     /// A driver that does not.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        let head = format!(
-            "const ALIVE: u32 = {}u;\nconst OPAQUE: f32 = {OPAQUE:?};\n",
-            counts::ALIVE
-        );
+        let head = format!("const OPAQUE: f32 = {OPAQUE:?};\n");
         Ok(Self(gpu.kernel(&ALIVE, &head)?))
     }
 

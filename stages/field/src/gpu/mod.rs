@@ -15,6 +15,8 @@ mod chain_f64;
 mod chain_net;
 #[cfg(test)]
 mod chain_tests;
+#[cfg(test)]
+mod constants_tests;
 mod device;
 mod exposures;
 #[cfg(test)]

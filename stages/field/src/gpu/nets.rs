@@ -182,7 +182,7 @@ impl Nets {
         })
     }
 
-    /// Binds a product; `slot` tells the samples in use.
+    /// Binds a product; `slot` is the place in `counts` of the samples in use.
     ///
     /// # Errors
     /// The memory of a uniform.

@@ -6,13 +6,13 @@ use nalgebra::{Vector2, Vector3};
 
 use super::Gpu;
 use super::array::halves;
-use super::rays::{DrawRays, Photos, Progress, RayArrays, ViewRays, camera, sighted};
+use super::rays::{DrawRays, Photos, Progress, RayArrays, ViewRays, camera, observed};
 use super::testing::{gpu, own_gpu};
 use crate::draw::Target;
 use crate::frame::{Frame, RayStart};
 use crate::rng::{Purpose, Rng};
+use crate::test_scene::small;
 use crate::training::Training;
-use crate::training_tests::small;
 use crate::{Config, GpuError, Pixels, View};
 
 /// Of a direction, where the distortion moves a pixel by no more than an ideal camera: f32 rounds its terms.
@@ -179,15 +179,15 @@ fn apart(
 /// Draws `rays` rays of the training's next step into `rays + 10` slots that held 7s.
 fn drawn(gpu: &Gpu, training: &Training, rays: usize) -> RayArrays {
     let photos = Photos::new(gpu, &training.views, &training.world_from_cams, &training.frame).unwrap();
-    let sightings = sighted(&training.sightings, &training.march);
+    let observations = observed(&training.observations, &training.march);
     let weight = training.pull_at(training.state.steps, training.ray_count());
     let step = marf_shaders::Step {
         rays: rays as u32,
-        sightings: weight.map_or(0, |_| sightings.len() as u32),
+        observations: weight.map_or(0, |_| observations.len() as u32),
         pull: weight.unwrap_or(0.0),
         ..photos.step(training.seed, training.state.steps)
     };
-    let sightings = gpu.filled("sightings", &sightings).unwrap();
+    let observations = gpu.filled("observations", &observations).unwrap();
     let step = gpu.uniform("step", step).unwrap();
     let arrays = RayArrays::new(gpu, rays + 10).unwrap();
     gpu.write(&arrays.origins, 0, &vec![[7.0; 4]; rays + 10]);
@@ -196,7 +196,7 @@ fn drawn(gpu: &Gpu, training: &Training, rays: usize) -> RayArrays {
     gpu.write(&arrays.pulls, 0, &vec![[7.0; 2]; rays + 10]);
     let bound = DrawRays::new(gpu)
         .unwrap()
-        .bind(gpu, &step, &photos, &sightings, &arrays);
+        .bind(gpu, &step, &photos, &observations, &arrays);
     gpu.submit(|recorder| recorder.threads(&bound, rays));
     arrays
 }
@@ -208,7 +208,7 @@ fn drawn_pixel(training: &Training, ray: u64, target: &Target) -> [f64; 2] {
         .pull_at(training.state.steps, training.ray_count())
         .filter(|_| ray.is_multiple_of(8))
     {
-        Some(_) => training.sightings[rng.below(training.sightings.len() as u64) as usize].pixel,
+        Some(_) => training.observations[rng.below(training.observations.len() as u64) as usize].pixel,
         None => rng.below(training.pixels[training.views.len()]),
     };
     let view = target.view as usize;
@@ -283,7 +283,7 @@ fn every_ray_of_a_picture_runs_through_the_middle_of_its_pixel() {
             first,
             count,
             jitter: 0.5,
-            unused: 0,
+            pad: 0,
         };
         let asked = gpu.uniform("asked", asked).unwrap();
         let (rays, progress) = (

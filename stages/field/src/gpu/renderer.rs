@@ -28,7 +28,7 @@ const RAYS: usize = 1 << 14;
 const CAPACITY: usize = 1 << 17;
 /// Samples that a ray gets in the first round; later rounds take twice as many.
 const FIRST_ROUND: u32 = 8;
-/// Rounds between two looks at how many rays go on.
+/// Rounds between two reads of how many rays go on.
 const LOOK_EVERY: usize = 2;
 
 /// A field on a device, and what its pictures are made with; one picture at a time.
@@ -137,7 +137,7 @@ impl Canvas {
                 first: (first + start) as u32,
                 count: count as u32,
                 jitter: MIDDLE,
-                unused: 0,
+                pad: 0,
             };
             self.rays(model, range)?;
             let picture = self.gpu.read(&self.picture)?;

@@ -17,7 +17,7 @@ pub const TOLERANCE: f32 = 2e-6;
 /// What arrays hold where nothing must be written.
 pub const UNTOUCHED: f32 = -7.25;
 
-/// Tells whether nothing was written over [`UNTOUCHED`].
+/// Returns whether nothing was written over [`UNTOUCHED`].
 pub fn is_untouched(value: &f32) -> bool {
     value.to_bits() == UNTOUCHED.to_bits()
 }

@@ -2,18 +2,18 @@
 
 use std::sync::Arc;
 
-use marf_shaders::{Blending, Pace, Sighted, Step as StepUniform, Total, faults};
+use marf_shaders::{Blending, Observed, Pace, Step as StepUniform, Total, faults};
 
 use super::Gpu;
 use super::array::Array;
 use super::arrays::Arrays;
 use super::forward::{Forward, Kernels as Shared, Lanes, Purpose, check_columns, write_walks};
 use super::kernel::Bound;
-use super::learning::{Bench, Kernels, Learning};
+use super::learning::{Bindings, Kernels, Learning};
 use super::light::RING;
 use super::march::{March, Marching, step_table, whole_walk};
 use super::occupancy::{self, Due, Probed, Update};
-use super::rays::{DrawRays, Photos, sighted};
+use super::rays::{DrawRays, Photos, observed};
 use super::record::{Recorder, Timing};
 use super::tables::{Grid, Rise, blending, rates};
 use super::weights::DeviceWeights;
@@ -26,7 +26,7 @@ use crate::training::Training;
 
 /// Sample slots a sample of the batch: rays visit more samples than they train.
 const VISITED: usize = 2;
-/// Looks at the gradients of the first step: the first scale is a guess, the second close, the third good.
+/// Passes over the gradients of the first step: the first scale is a guess, the second close, the third good.
 const CALIBRATIONS: usize = 2;
 /// Slots come in multiples of this.
 const SLOTS: usize = 256;
@@ -40,7 +40,7 @@ pub struct GpuSession {
     pub(super) lanes: Lanes,
     arrays: Arrays,
     photos: Photos,
-    sightings: Array<Sighted>,
+    observations: Array<Observed>,
     step: Array<StepUniform>,
     occupancy: occupancy::State,
     draw: Bound,
@@ -74,18 +74,18 @@ impl GpuSession {
             &training.world_from_cams,
             &training.frame,
         )?;
-        let seen = training.sightings.len();
+        let seen = training.observations.len();
         let hint = "set `depth_weight = 0`, so that sparse points do not pull";
-        device.check_binding((seen * size_of::<Sighted>()) as u64, hint)?;
-        let sightings = device.zeros("sightings", seen)?;
+        device.check_binding((seen * size_of::<Observed>()) as u64, hint)?;
+        let observations = device.zeros("observations", seen)?;
         let step = device.uniform("step", bytemuck::Zeroable::zeroed())?;
         let occupancy = occupancy::State::new(device, &state.occupancy)?;
         let features = state.weights.features;
         let (shared, kernels) = (Shared::new(device, features)?, Kernels::new(device, features)?);
-        let draw = DrawRays::new(device)?.bind(device, &step, &photos, &sightings, &lanes.rays);
+        let draw = DrawRays::new(device)?.bind(device, &step, &photos, &observations, &lanes.rays);
         let marching = March::new(device)?.bind(device, lanes.marched(&occupancy.bits));
         let forward = Forward::new(device, &shared, &grid, &weights, &lanes, Purpose::Training)?;
-        let learning = Learning::new(Bench {
+        let learning = Learning::new(Bindings {
             gpu: device,
             shared: &shared,
             kernels: &kernels,
@@ -116,7 +116,7 @@ impl GpuSession {
             lanes,
             arrays,
             photos,
-            sightings,
+            observations,
             step,
             occupancy,
             draw,
@@ -208,7 +208,7 @@ impl GpuSession {
         Ok(sum)
     }
 
-    /// Tells the walks how many rays there are.
+    /// Writes the number of rays to the uniforms of the walks.
     fn begin(&self, training: &Training, rays: usize) {
         let side = training.config.occupancy_resolution;
         let (slots, capacity) = (self.lanes.rays.slots, self.lanes.capacity);
@@ -216,7 +216,7 @@ impl GpuSession {
         write_walks(&self.gpu, &self.lanes, whole);
     }
 
-    /// Tells the kernels of a step; returns whether the averages are due.
+    /// Writes the uniforms of a step; returns whether the averages are due.
     fn write_step(&self, training: &Training, number: u64, rays: usize) -> bool {
         let rate = training.rate_at(number);
         let pull = training.pull_at(number, rays);
@@ -224,7 +224,7 @@ impl GpuSession {
             rays: rays as u32,
             rate,
             pull: pull.unwrap_or(0.0),
-            sightings: pull.map_or(0, |_| self.sightings.len() as u32),
+            observations: pull.map_or(0, |_| self.observations.len() as u32),
             ..self.photos.step(training.seed, number)
         };
         let pace = Pace {
@@ -254,7 +254,7 @@ impl GpuSession {
         self.forward.colours.record(recorder);
     }
 
-    /// Looks at cells of the occupancy grid and decides anew which are occupied.
+    /// Computes the density of some cells anew and decides which are occupied.
     fn probe(
         &self,
         training: &Training,
@@ -280,7 +280,7 @@ impl GpuSession {
         self.submit(times, |recorder| self.update.finish(recorder))
     }
 
-    /// Submits; where times are wanted, every dispatch in a pass of its own.
+    /// Submits a recording; where times are wanted, every dispatch in a pass of its own.
     fn submit(
         &self,
         times: Option<&mut Vec<Timing>>,
@@ -297,7 +297,11 @@ impl GpuSession {
     fn write_march(&self, training: &Training) {
         let gpu = &self.gpu;
         gpu.write(&self.lanes.steps, 0, &step_table(&training.march));
-        gpu.write(&self.sightings, 0, &sighted(&training.sightings, &training.march));
+        gpu.write(
+            &self.observations,
+            0,
+            &observed(&training.observations, &training.march),
+        );
         self.arrays
             .write_losses(gpu, &self.lanes, &training.config, &training.march);
     }

@@ -2,7 +2,7 @@
 
 use super::TimedTraining;
 use super::testing::{advance, gpu, on_gpu, upload, worst};
-use crate::training_tests::{ball, psnr, small};
+use crate::test_scene::{ball, psnr, small};
 use crate::{Config, Field, FieldError, Gain, Trainer};
 
 fn config() -> Config {

@@ -7,7 +7,7 @@ use crate::rng::{Purpose, Rng};
 use crate::training::Training;
 use crate::{Config, Device, GpuError, Trainer, View};
 
-/// The adapter that tests run on: `MARF_TEST_GPU` (`gpu`, `gpu:NAME` or a part of its name), or llvmpipe; and whether
+/// Returns the adapter that tests run on: `MARF_TEST_GPU` (`gpu`, `gpu:NAME` or a part of its name), or llvmpipe; and whether
 /// it was asked for.
 fn wanted() -> (Device, bool) {
     let named = |name: String| Device::Gpu(Some(name));
@@ -35,7 +35,7 @@ pub fn gpu(test: &str) -> Option<Arc<Gpu>> {
     opened(test, Gpu::shared)
 }
 
-/// As [`gpu`], a device of the test's own, which it may change or lose.
+/// Opens, as [`gpu`] does, a device of the test's own, which it may change or lose.
 pub fn own_gpu(test: &str) -> Option<Gpu> {
     opened(test, Gpu::open)
 }
@@ -63,7 +63,7 @@ pub fn upload(trainer: &mut Trainer) {
     trainer.session.upload(&trainer.training).unwrap();
 }
 
-/// The largest difference, and where.
+/// Returns the largest difference, and where.
 pub fn worst(found: &[f32], expected: &[f32]) -> (f32, usize) {
     assert_eq!(found.len(), expected.len());
     let pairs = found.iter().zip(expected).enumerate();
@@ -74,7 +74,7 @@ pub fn worst(found: &[f32], expected: &[f32]) -> (f32, usize) {
     })
 }
 
-/// Random numbers in [-1, 1).
+/// Returns random numbers in [-1, 1).
 pub fn numbers(len: usize, stream: u64) -> Vec<f32> {
     let mut rng = Rng::new(13, Purpose::Rays, 0, stream);
     (0..len).map(|_| rng.unit() * 2.0 - 1.0).collect()

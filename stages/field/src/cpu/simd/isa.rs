@@ -94,43 +94,43 @@ pub trait Isa: Copy + Send + Sync {
     type U: Copy;
     /// Whether 16 accumulators and their operands fit the registers.
     const WIDE: bool;
-    /// All lanes the same.
+    /// Returns 16 lanes of one value.
     fn splat(self, value: f32) -> Self::V;
     /// Reads 16 lanes.
     fn load(self, from: &Block) -> Self::V;
     /// Writes 16 lanes.
     fn store(self, value: Self::V, to: &mut Block);
-    /// a b + c, rounded once.
+    /// Returns a b + c, rounded once.
     fn mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
-    /// 0 where 0 > x, else x: keeps a NaN.
+    /// Returns 0 where 0 > x, else x: keeps a NaN.
     fn relu(self, value: Self::V) -> Self::V;
-    /// x where gate > 0, else 0.
+    /// Returns x where gate > 0, else 0.
     fn gate(self, value: Self::V, gate: Self::V) -> Self::V;
-    /// a b.
+    /// Returns a b.
     fn mul(self, a: Self::V, b: Self::V) -> Self::V;
-    /// a - b.
+    /// Returns a - b.
     fn sub(self, a: Self::V, b: Self::V) -> Self::V;
-    /// Cut to [0, 1]; NaN becomes 0.
+    /// Cuts to [0, 1]; NaN becomes 0.
     fn unit(self, value: Self::V) -> Self::V;
-    /// The integer towards zero, of 0 <= x < 2^31.
+    /// Returns the integer towards zero, of 0 <= x < 2^31.
     fn whole(self, value: Self::V) -> Self::U;
-    /// As a float, of x < 2^31.
+    /// Returns the integer as a float, for x < 2^31.
     fn float(self, value: Self::U) -> Self::V;
-    /// All lanes the same.
+    /// Returns 16 lanes of one value.
     fn splat_u(self, value: u32) -> Self::U;
     /// Writes 16 lanes.
     fn store_u(self, value: Self::U, to: &mut [u32; LANES]);
-    /// The sum, modulo 2^32.
+    /// Returns the sum, modulo 2^32.
     fn add_u(self, a: Self::U, b: Self::U) -> Self::U;
-    /// The product, modulo 2^32.
+    /// Returns the product, modulo 2^32.
     fn mul_u(self, a: Self::U, b: Self::U) -> Self::U;
-    /// Bits that differ.
+    /// Returns the bits that differ.
     fn xor_u(self, a: Self::U, b: Self::U) -> Self::U;
-    /// Bits of both.
+    /// Returns the bits that both have.
     fn and_u(self, a: Self::U, b: Self::U) -> Self::U;
-    /// The lesser.
+    /// Returns the lesser.
     fn min_u(self, a: Self::U, b: Self::U) -> Self::U;
-    /// The greater.
+    /// Returns the greater.
     fn max_u(self, a: Self::U, b: Self::U) -> Self::U;
     /// Moves the lanes whose bit is set to the front, in order; the rest is 0.
     #[inline(always)]
@@ -147,9 +147,9 @@ pub trait Isa: Copy + Send + Sync {
 
 /// Work that is compiled once a set. `run` and all it calls must be `#[inline(always)]`.
 pub trait Kernel {
-    /// What it answers.
+    /// What the kernel returns.
     type Output;
-    /// The body.
+    /// Runs the kernel on a set.
     fn run<I: Isa>(self, isa: I) -> Self::Output;
 }
 

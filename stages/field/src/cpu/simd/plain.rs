@@ -4,7 +4,7 @@ use marf_numeric::Plain;
 
 use super::isa::{Block, Isa, LANES};
 
-/// Lane by lane.
+/// Applies a function lane by lane.
 #[inline(always)]
 fn each<T: Copy, R: Copy + Default>(a: [T; LANES], b: [T; LANES], work: fn(T, T) -> R) -> [R; LANES] {
     let mut found = [R::default(); LANES];

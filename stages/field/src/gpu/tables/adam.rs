@@ -9,7 +9,7 @@ use crate::gpu::array::{Array, Part};
 use crate::gpu::kernel::{GROUP, Kernel, fold};
 use crate::gpu::record::Work;
 
-/// The uniform of a step of Adam.
+/// Returns the uniform of a step of Adam.
 ///
 /// `epsilon`: of the CPU; a quantum is added to it. `decay`: pull to zero, times the weight.
 pub fn rates(rate: f32, epsilon: f32, decay: f32) -> Rates {
@@ -81,7 +81,7 @@ impl AdamTable {
     }
 }
 
-/// The uniform of a running average that keeps this share of itself.
+/// Returns the uniform of a running average that keeps this share of itself.
 pub fn blending(keep: f32) -> Blending {
     Blending { keep, pad: [0.0; 3] }
 }

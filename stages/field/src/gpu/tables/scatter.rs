@@ -22,7 +22,7 @@ pub enum Sums {
 }
 
 impl Sums {
-    /// The better one of those that a device can.
+    /// Returns the better way of those that a device offers.
     pub fn of(gpu: &Gpu) -> Self {
         let wide = wgpu::Features::SHADER_INT64 | wgpu::Features::SHADER_INT64_ATOMIC_ALL_OPS;
         if gpu.features.contains(wide) {
@@ -32,7 +32,7 @@ impl Sums {
         }
     }
 
-    /// The head of kernels that read or write gradients.
+    /// Returns the head of kernels that read or write gradients.
     pub(super) fn head(self, features: usize) -> String {
         quanta_head(features as u32, self == Self::Packed, MOST_QUANTA)
     }
