@@ -7,12 +7,9 @@
 
 mod common;
 
-use std::sync::Arc;
-
-use common::{inputs, put_scene, run, scene, small, stage};
-use marf_cache::Digest;
+use common::{NoMemos, inputs, put_scene, run, scene, small, stage};
 use marf_schema::train::TrainParams;
-use marf_stage::{Ctx, Define, Expand, Inputs, Memos, Outputs, Params, harness::Harness};
+use marf_stage::{Ctx, Define, Expand, Inputs, Outputs, Params, harness::Harness};
 use marf_train::{Bootstrap, Evaluate, Pace, Train, Tune};
 use serde_json::json;
 
@@ -53,17 +50,6 @@ fn the_trainings_of_the_default_pipeline_decode_each_photo_once_a_working_size()
         let sizes = if frame.held_out { 1 } else { 2 };
         assert_eq!(harness.reads(&frame.image), sizes, "photo {}", frame.id);
     }
-}
-
-/// Keeps nothing.
-struct NoMemos;
-
-impl Memos for NoMemos {
-    fn load(&self, _key: &Digest) -> Option<Arc<[u8]>> {
-        None
-    }
-
-    fn save(&self, _key: &Digest, _table: &[u8]) {}
 }
 
 #[test]

@@ -1,9 +1,11 @@
 //! A tiny scene: a checkered floor, photographed from a ring of cameras.
 #![allow(dead_code, reason = "each test file uses a part")]
 
+use std::sync::Arc;
+
 use marf_cache::Digest;
 use marf_scene::{Camera, Frame, Image, Pose, Scene, Srgb, encode_png};
-use marf_stage::{Ctx, Define, Inputs, Outputs, Stage, StageError, Work, harness::Harness};
+use marf_stage::{Ctx, Define, Inputs, Memos, Outputs, Stage, StageError, Work, harness::Harness};
 use nalgebra::Vector3;
 use serde_json::Value;
 
@@ -102,4 +104,15 @@ pub fn run(stage: &dyn Stage, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs,
 
 pub fn json(harness: &Harness, outputs: &Outputs, name: &str) -> Value {
     serde_json::from_slice(&harness.get(&outputs[name]).unwrap()).unwrap()
+}
+
+/// Keeps nothing.
+pub struct NoMemos;
+
+impl Memos for NoMemos {
+    fn load(&self, _key: &Digest) -> Option<Arc<[u8]>> {
+        None
+    }
+
+    fn save(&self, _key: &Digest, _table: &[u8]) {}
 }
