@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::*;
-use crate::config::{GlobalOptions, check, low};
+use crate::config::{GlobalOptions, check, syntax};
 
 /// Keywords that only describe.
 const ANNOTATIONS: [&str; 6] = ["$schema", "$defs", "title", "description", "default", "format"];
@@ -115,7 +115,7 @@ fn is_of(word: &str, value: &Json) -> bool {
 
 fn refused(text: &str) -> Vec<String> {
     let schema = schema();
-    complaints(&schema, &schema, &low::parse(text).unwrap().json(), "")
+    complaints(&schema, &schema, &syntax::parse(text).unwrap().json(), "")
 }
 
 #[test]
