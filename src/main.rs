@@ -1,4 +1,4 @@
-//! The command line: argv to command to exit code.
+//! Handles Ctrl-C and runs the command line.
 
 use std::process::ExitCode;
 

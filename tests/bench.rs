@@ -61,13 +61,13 @@ fn a_bench_prints_one_line_a_budget_and_writes_the_test_views() {
 #[test]
 fn a_bench_refuses_keys_that_it_would_not_listen_to() {
     let dir = photos();
-    for (set, told) in [
+    for (set, expected) in [
         ("train.steps=5", "steps"),
         ("train.field.log2_table=99", "log2_table"),
         ("train.field.levls=3", "levls"),
     ] {
         let ran = marf(dir.path(), &["bench", "train", "photos", "--set", set]).exits(2);
-        assert!(ran.stderr.contains(told), "{set}: {}", ran.stderr);
+        assert!(ran.stderr.contains(expected), "{set}: {}", ran.stderr);
     }
     let ran = marf(dir.path(), &["bench", "train", "photos", "--seconds", "soon"]).exits(2);
     assert!(ran.stderr.contains("`soon` is no budget"), "{}", ran.stderr);

@@ -83,9 +83,9 @@ fn the_adapter_stands_in_the_log_and_in_the_key_and_two_stores_get_the_same_byte
     let back = on("cpu", "one");
     assert_eq!(weights(&back), None, "the CPU's result is still there");
 
-    let talk = marf(dir.path(), &["run", "--device", &device, "--store", "one"]).exits(0);
-    let first = talk.stderr.lines().find(|line| line.starts_with("device"));
-    assert!(first.is_some_and(|line| line.contains("wgpu")), "{}", talk.stderr);
+    let ran = marf(dir.path(), &["run", "--device", &device, "--store", "one"]).exits(0);
+    let first = ran.stderr.lines().find(|line| line.starts_with("device"));
+    assert!(first.is_some_and(|line| line.contains("wgpu")), "{}", ran.stderr);
 }
 
 #[test]

@@ -117,8 +117,8 @@ fn a_person_has_the_last_word_and_it_is_in_the_key() {
     marf(work.path(), &["run"]).exits(0);
     pipeline("[keep]\nids = [\"gray.png\"]\n[reject]\nids = [\"place_2.png\", \"palce_4.png\"]\n");
     let plan = marf(work.path(), &["plan"]).exits(0);
-    let told = format!("{}{}", plan.stdout, plan.stderr);
-    assert!(told.contains("by_hand"), "{told}");
+    let printed = format!("{}{}", plan.stdout, plan.stderr);
+    assert!(printed.contains("by_hand"), "{printed}");
     let ran = marf(work.path(), &["run"]).exits(0);
     assert!(
         ran.stderr

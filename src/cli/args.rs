@@ -19,18 +19,18 @@ use crate::config::GlobalOptions;
     arg_required_else_help = true
 )]
 pub struct Cli {
-    /// What to do.
+    /// The verb.
     #[command(subcommand)]
     pub verb: Verb,
-    /// What all verbs share.
+    /// Options of all verbs.
     #[command(flatten)]
     pub global: Global,
 }
 
-/// What all verbs share.
+/// Options of all verbs.
 #[derive(Debug, Clone, Args)]
 pub struct Global {
-    /// Work as if started in this folder
+    /// Change to this folder first
     #[arg(
         short = 'C',
         long = "directory",
@@ -39,7 +39,7 @@ pub struct Global {
         default_value = "."
     )]
     pub directory: PathBuf,
-    /// The pipeline
+    /// The pipeline file
     #[arg(
         short,
         long,
@@ -48,22 +48,23 @@ pub struct Global {
         default_value = "pipeline.toml"
     )]
     pub file: PathBuf,
-    /// The store of results [default: .marf beside the pipeline]
+    /// Folder of the store [default: .marf beside the pipeline]
     #[arg(long, global = true, value_name = "DIR")]
     pub store: Option<PathBuf>,
-    /// Lay a value over the pipeline, e.g. `blur.min_share=0.6` or `archive.demo.sols=1..=3`
+    /// Override a value of the pipeline, e.g. `blur.min_share=0.6` or `archive.demo.sols=1..=3`
     #[arg(long = "set", global = true, value_name = "NODE.KEY=VALUE")]
     pub sets: Vec<String>,
     /// Cores to use [default: all]; results do not depend on it
     #[arg(long, global = true, value_name = "N")]
     pub threads: Option<NonZero<usize>>,
-    /// What trains and renders: `auto` (a GPU, if there is one), `cpu`, `gpu` or `gpu:NAME`; a node's own `device` wins
+    /// Device that trains and renders: `auto` (a GPU, if there is one), `cpu`, `gpu` or `gpu:NAME`; a node's own `device`
+    /// has priority
     #[arg(long, global = true, value_name = "DEVICE")]
     pub device: Option<Device>,
-    /// Take exactly what marf.lock names of archives on servers, and fail by name where bytes differ
+    /// Use exactly the products of archives on servers that marf.lock lists; fail where their bytes differ
     #[arg(long, global = true)]
     pub locked: bool,
-    /// As --locked, and open no connection
+    /// Like --locked, and open no connection
     #[arg(long, global = true)]
     pub offline: bool,
     /// Print JSON to stdout
@@ -91,9 +92,9 @@ impl Global {
 pub enum Verb {
     /// Run what changed, and write the report
     Run(RunArgs),
-    /// Say what would run, and the first thing that changed
+    /// Show which nodes would run, and the first thing that changed
     Plan(Selection),
-    /// Say why a node runs, or what made its last result
+    /// Show why a node would run, or the key of its result
     Why {
         /// The node
         node: String,
@@ -120,13 +121,13 @@ pub enum Verb {
         #[arg(long, value_name = "FILE", default_value = "report.html")]
         out: PathBuf,
     },
-    /// Look after the store
+    /// Inspect the store
     Cache {
         /// What to do with it
         #[command(subcommand)]
         verb: CacheVerb,
     },
-    /// Judge the photos of a folder, and show every verdict
+    /// Filter the photos of a folder, and show every verdict
     Filter(FilterArgs),
     /// Show what was read of every photo: format, size, the label's camera, site, drive and pose, sol
     Photos {
@@ -140,7 +141,7 @@ pub enum Verb {
     Calibrate(CalibrateArgs),
     /// Train a field on images/ and transforms.json of a folder, and render the held-out views
     Fit(FitArgs),
-    /// Measure this program against the clock
+    /// Benchmark this program
     Bench {
         /// What to measure
         #[command(subcommand)]

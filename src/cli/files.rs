@@ -13,7 +13,7 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
         CliError::Failed(Diagnostic {
             message: format!("cannot write {}", path.display()),
             cause: Some(error.to_string()),
-            hint: Some("make room or choose another place with --out".to_owned()),
+            hint: Some("free space there or choose another place with --out".to_owned()),
         })
     };
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());

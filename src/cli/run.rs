@@ -60,7 +60,7 @@ pub fn execute(
     let progress = if global.json {
         Progress::Json
     } else {
-        Progress::for_people()
+        Progress::for_stderr()
     };
     let listener = RunListener {
         progress,

@@ -7,7 +7,7 @@ use marf_stages::ArchiveDef;
 use serde_json::{Map, Value as Json, json};
 
 use super::error::ConfigError;
-use super::low::{Entry, Located};
+use super::syntax::{Entry, Located};
 use crate::nearest::did_you_mean;
 
 /// Key that names the kind of an archive.
@@ -56,7 +56,7 @@ impl<'a> Archives<'a> {
         })
     }
 
-    /// Returns what an archive is told beside its table.
+    /// Returns the context of an archive beside its table.
     pub fn context(&self, table: &Entry) -> ArchiveContext {
         ArchiveContext {
             name: table.key.clone(),

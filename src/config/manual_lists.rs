@@ -3,7 +3,7 @@
 use serde_json::{Map, Value as Json, json};
 
 use super::error::ConfigError;
-use super::low::{Entry, Located, Value};
+use super::syntax::{Entry, Located, Value};
 use crate::nearest::did_you_mean;
 
 /// The tables, each with one key `ids`; also the keys of a filter's `by_hand`.
@@ -96,7 +96,7 @@ pub(super) fn schema(what: &str) -> Json {
 #[cfg(test)]
 mod tests {
     use super::super::error::Origin;
-    use super::super::{GlobalOptions, check, low};
+    use super::super::{GlobalOptions, check, syntax};
     use super::*;
 
     const HEAD: &str = "[archive.demo]\nkind = \"demo\"\n[node.extract]\narchive = \"demo\"\n[node.blur]\ninput = \"extract\"\n";
@@ -129,7 +129,7 @@ mod tests {
                 "take it out",
             ),
         ] {
-            let error = lists(&low::parse(text).unwrap()).unwrap_err();
+            let error = lists(&syntax::parse(text).unwrap()).unwrap_err();
             let place = match &error.at {
                 Origin::Text(range) => range.start,
                 Origin::Argument(argument) => panic!("{argument}"),

@@ -1,23 +1,23 @@
-//! pipeline.toml: its syntax tree (`low`), checked against the tables of stages and archives (`high`, `archives`), and its
-//! JSON schema.
+//! pipeline.toml: its syntax tree (`syntax`), checked against the tables of stages and archives (`resolve`,
+//! `archives`), and its JSON schema.
 //!
 //! Invariant: a key that no stage reads is refused, with the nearest name that one reads.
 
 mod archives;
 mod error;
-mod high;
-mod low;
 mod manual_lists;
 mod options;
+mod resolve;
 mod schema;
+mod syntax;
 mod templates;
 
 use std::path::{Path, PathBuf};
 
 pub use error::{ConfigError, Origin};
-pub use high::{Node, Pipeline};
 pub use manual_lists::entries as manual_entries;
 pub use options::GlobalOptions;
+pub use resolve::{Node, Pipeline};
 pub use schema::schema;
 pub use templates::{TEMPLATES, template};
 
@@ -66,9 +66,9 @@ pub fn check(
     options: &GlobalOptions,
     base: &Path,
 ) -> Result<Pipeline, ConfigError> {
-    let mut root = low::parse(text)?;
+    let mut root = syntax::parse(text)?;
     for argument in sets {
-        low::set(&mut root, argument)?;
+        syntax::set(&mut root, argument)?;
     }
-    high::check(&root, options, &PathBuf::from(base))
+    resolve::check(&root, options, &PathBuf::from(base))
 }

@@ -25,7 +25,7 @@ pub enum Progress {
 
 impl Progress {
     /// Returns bars if stderr is a terminal, plain lines otherwise.
-    pub fn for_people() -> Self {
+    pub fn for_stderr() -> Self {
         if std::io::stderr().is_terminal() {
             Self::Bars(Box::default())
         } else {

@@ -30,6 +30,8 @@ mod vector;
 #[cfg(test)]
 mod fixture;
 #[cfg(test)]
+mod fixture_documents;
+#[cfg(test)]
 mod real;
 #[cfg(test)]
 mod tests;

@@ -13,7 +13,8 @@ use marf_schema::{output, train, tune};
 use marf_stage::{PHOTOS, VERDICTS, Verdict};
 use serde_json::{Value, json};
 
-use super::fixture::{Store, calibration, giving, node, spread, training, trial, verdict};
+use super::fixture::{Store, giving, node, verdict};
+use super::fixture_documents::{calibration, spread, training, trial};
 use super::*;
 
 fn shared_data() -> PathBuf {

@@ -56,7 +56,7 @@ fn rows(facts: &Facts) -> [(&'static str, f64, &'static str, &str); 6] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::show::fixture::facts;
+    use crate::show::fixture_documents::facts;
 
     #[test]
     fn every_size_stands_beside_its_reason_and_every_part_beside_its_decision() {

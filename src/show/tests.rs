@@ -1,7 +1,8 @@
 use super::fixture::{HOSTILE, full, giving, node, verdict};
 use super::*;
 use marf_cache::Digest;
-use marf_stage::{PHOTOS, VERDICTS};
+use marf_schema::train;
+use marf_stage::{Document, PHOTOS, VERDICTS};
 
 const VOID: [&str; 4] = ["meta", "img", "br", "hr"];
 const TITLES: [&str; 12] = [
@@ -203,6 +204,23 @@ fn json_of_another_shape_is_no_panic() {
             .map(|digest| (*digest, shape.as_bytes().into()))
             .collect();
         check_balance(&store.report(&nodes));
+    }
+}
+
+#[test]
+fn metrics_of_an_older_version_become_one_sentence_and_the_rest_is_shown() {
+    let (mut store, mut nodes) = full();
+    let older = store.put(br#"{"psnr": 24.5, "views": []}"#);
+    let trained = nodes.iter_mut().find(|node| node.name == "train").unwrap();
+    trained.outputs.insert(train::Metrics::OUTPUT.to_owned(), older);
+    let html = store.report(&nodes);
+    check_balance(&html);
+    for text in [
+        "metrics of train cannot be read and is not shown: missing field",
+        "PSNR against step",
+        "no figures recorded",
+    ] {
+        assert!(html.contains(text), "{text}");
     }
 }
 

@@ -100,7 +100,7 @@ fn gain(scatter: &Scatter, trials: &[Trial]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::show::fixture::trial;
+    use crate::show::fixture_documents::trial;
 
     #[test]
     fn the_first_rank_is_marked_and_the_highest_psnr_stands_first() {

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::*;
-use crate::config::{GlobalOptions, check, low};
+use crate::config::{GlobalOptions, check, syntax};
 
 /// Keywords that only describe, and `pattern`, whose texts the stages read.
 const ANNOTATIONS: [&str; 7] = [
@@ -127,7 +127,7 @@ fn is_of(word: &str, value: &Json) -> bool {
 
 fn refused(text: &str) -> Vec<String> {
     let schema = schema();
-    complaints(&schema, &schema, &low::parse(text).unwrap().json(), "")
+    complaints(&schema, &schema, &syntax::parse(text).unwrap().json(), "")
 }
 
 #[test]

@@ -10,9 +10,9 @@ use serde_json::Value as Json;
 
 use super::archives::{self, Archives};
 use super::error::{ConfigError, Origin};
-use super::low::{Entry, Located};
 use super::manual_lists;
 use super::options::GlobalOptions;
+use super::syntax::{Entry, Located};
 use crate::nearest::did_you_mean;
 
 /// A checked pipeline.

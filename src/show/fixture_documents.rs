@@ -1,0 +1,164 @@
+//! Made-up documents of stages for tests.
+
+use marf_field::{Chosen, Config, Facts, Overrides, Sizes};
+use marf_schema::scores::Scores;
+use marf_schema::{bootstrap, calibrate, train, tune};
+
+/// Metrics of a calibration with one photo in its list.
+pub(super) fn calibration(method: &str, registered: usize, error_px: f64) -> calibrate::Metrics {
+    let photo = calibrate::PhotoMetrics {
+        id: "a.jpg".to_owned(),
+        file: "a.jpg".to_owned(),
+        registered: true,
+        held_out: false,
+        features: Some(900),
+        matches: Some(812),
+        inliers: Some(640),
+        error_px: Some(error_px),
+        angle_sigma_deg: None,
+        centre_sigma: None,
+        note: None,
+        reason: String::new(),
+    };
+    calibrate::Metrics {
+        method: method.to_owned(),
+        totals: calibrate::Totals {
+            photos: registered + 1,
+            registered,
+            held_out: 1,
+            unplaced: 1,
+            missing: 0,
+            points: 1,
+            components: None,
+            error_px: Some(error_px),
+            error_working_px: None,
+        },
+        photos: vec![photo],
+        missing: Vec::new(),
+    }
+}
+
+/// A trial of eight levels.
+pub(super) fn trial(number: u32, rank: u32, psnr: f64) -> tune::Trial {
+    tune::Trial {
+        trial: number,
+        rank,
+        psnr,
+        psnr_paper: Some(psnr - 1.0),
+        ssim: Some(0.7),
+        params: Overrides([("levels".to_owned(), 8.into())].into()),
+    }
+}
+
+/// Metrics of a training of 4,000 steps.
+pub(super) fn training(scores: Scores) -> train::Metrics {
+    train::Metrics {
+        scores,
+        steps: 4000,
+        rays: 2_048_000,
+        samples: 51_234_567,
+        loss: 0.0031,
+        scale: 4,
+        thinned: None,
+        seed: 7,
+        holdout: train::Holdout::Test,
+        train_photos: 70,
+        held_out_photos: 10,
+        drawn: None,
+        fit: train::Fit::Scene,
+        gpu: None,
+        config: Config::default(),
+        field: facts(),
+    }
+}
+
+/// Facts of a field with one part that was tried.
+pub(super) fn facts() -> Facts {
+    fn chosen<T>(value: T, reason: &str) -> Chosen<T> {
+        let reason = reason.to_owned();
+        Chosen { value, reason }
+    }
+    let trial = marf_field::Trial {
+        part: "gain".to_owned(),
+        with_db: Some(20.02),
+        without_db: Some(20.0),
+        parameters: Some(100),
+        steps: 500,
+        decision: "left out: +0.02 dB".to_owned(),
+    };
+    Facts {
+        origin: [0.0; 3],
+        half_side: 3.5,
+        box_reason: "80 % of the points".to_owned(),
+        near: 0.9,
+        far: 30.0,
+        steps_per_ray: 90,
+        halvings: 1,
+        levels: Vec::new(),
+        sizes: Sizes {
+            near: chosen(0.25, "half of <that>"),
+            far: chosen(8.5, "the farthest point"),
+            finest: chosen(512, "two pixels"),
+            levels: chosen(8, "by 1.9 a level"),
+            surface_cells: chosen(12_345, "points in cells"),
+            log2_table: chosen(17, "cells of the surface"),
+            halvings: chosen(3, "two pixels"),
+        },
+        trials: vec![trial],
+        parameters: 1_000_000,
+        seen_share: 0.5,
+        occupied_share: 0.1,
+        steps: 4000,
+    }
+}
+
+/// Metrics of a bootstrap of five members at these viewpoints.
+pub(super) fn spread(names: Vec<String>) -> bootstrap::Metrics {
+    let photo = bootstrap::PhotoReport {
+        psnr: 25.8,
+        ause_mae: 0.29,
+        ause_mae_random: 0.65,
+        ause_rmse: 0.3,
+        ause_rmse_random: 0.7,
+        ause_mae_total: 0.31,
+        spearman: 0.51,
+    };
+    let coverage = |sd1: f64, sd2: f64, sd3: f64| bootstrap::Coverage { sd1, sd2, sd3 };
+    let view = |name: String| bootstrap::ViewReport {
+        name,
+        std: 0.0213,
+        std_paper: 0.019,
+        opacity_term: 0.004,
+        total_sd: 0.031,
+        depth_std: None,
+        unseen_share: 0.012,
+        photo: Some(photo.clone()),
+    };
+    let member = |seed: u64| bootstrap::Member {
+        seed,
+        scale: 4,
+        psnr: 25.0,
+        ssim: Some(0.77),
+    };
+    bootstrap::Metrics {
+        b: 5,
+        mode: bootstrap::Mode::Seeds,
+        std: 0.0213,
+        std_paper: 0.019,
+        std_rgb: [0.02; 3],
+        opacity_term: 0.004,
+        total_sd: 0.031,
+        depth_std: None,
+        unseen_share: 0.012,
+        members: (0..5).map(member).collect(),
+        heldout: Some(bootstrap::HeldOut {
+            mean: photo.clone(),
+            psnr_members_mean: 25.0,
+            coverage: coverage(0.55, 0.81, 0.9),
+            coverage_nominal: coverage(0.68, 0.95, 0.997),
+            nll: 0.5,
+            calibration: None,
+        }),
+        views: names.into_iter().map(view).collect(),
+    }
+}
