@@ -6,63 +6,39 @@
 )]
 
 mod common;
+#[path = "../stages/filter/tests/common/pictures.rs"]
+mod pictures;
 
 use std::path::Path;
 
 use common::marf;
-use image::RgbImage;
-
-/// Value noise of several sizes in colour; another seed is another place.
-fn ground(seed: u32) -> RgbImage {
-    let hash = |x: u32, y: u32| {
-        let mixed =
-            (x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ seed.wrapping_mul(0xc2b2_ae3d))
-                .wrapping_mul(0x2c1b_3c6d);
-        f64::from((mixed ^ (mixed >> 15)).wrapping_mul(0x297a_2d39) >> 24)
-    };
-    RgbImage::from_fn(400, 300, |x, y| {
-        let smooth = |cell: u32| {
-            let (column, row) = (x / cell, y / cell);
-            let (u, v) = (
-                f64::from(x % cell) / f64::from(cell),
-                f64::from(y % cell) / f64::from(cell),
-            );
-            let top = hash(column, row) * (1.0 - u) + hash(column + 1, row) * u;
-            let bottom = hash(column, row + 1) * (1.0 - u) + hash(column + 1, row + 1) * u;
-            top * (1.0 - v) + bottom * v
-        };
-        let shade = 30.0 + 0.3 * smooth(60) + 0.25 * smooth(17) + 0.15 * smooth(5) + 0.08 * smooth(2);
-        image::Rgb([shade, shade * 0.8, shade * 0.55].map(|value| value as u8))
-    })
-}
+use image::ImageFormat;
+use pictures::{dynamic, encoded, ground, png};
 
 /// Six places, a copy, a gray photo and a text that claims to be a photo.
 fn photos() -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
+    let write = |name: &str, bytes: &[u8]| std::fs::write(dir.path().join(name), bytes).unwrap();
     for seed in 0..6 {
-        ground(seed)
-            .save(dir.path().join(format!("place_{seed}.png")))
-            .unwrap();
+        write(&format!("place_{seed}.png"), &png(&ground(seed)));
     }
-    std::fs::copy(dir.path().join("place_3.png"), dir.path().join("copy.png")).unwrap();
-    image::DynamicImage::from(ground(9))
-        .to_luma8()
-        .save(dir.path().join("gray.png"))
-        .unwrap();
-    std::fs::write(dir.path().join("page.jpg"), "<html>404</html>").unwrap();
+    write("copy.png", &png(&ground(3)));
+    let gray = dynamic(&ground(9)).to_luma8().into();
+    write("gray.png", &encoded(&gray, ImageFormat::Png));
+    write("page.jpg", b"<html>404</html>");
     dir
 }
 
-/// File and verdict of every line of a CSV, and its reasons.
+/// File, verdict and reason of every line of a CSV.
 fn csv(path: &Path) -> Vec<(String, String, String)> {
-    let text = std::fs::read_to_string(path).unwrap();
-    let mut lines = text.lines();
-    assert_eq!(lines.next(), Some("file,verdict,score,threshold,twin,reason"));
-    lines
-        .map(|line| {
-            let fields: Vec<&str> = line.splitn(6, ',').collect();
-            (fields[0].to_owned(), fields[1].to_owned(), fields[5].to_owned())
-        })
+    let mut reader = csv::Reader::from_path(path).unwrap();
+    let heads = ["file", "verdict", "score", "threshold", "twin", "reason"];
+    assert_eq!(reader.headers().unwrap(), heads.as_slice());
+    let field = |line: &csv::StringRecord, at: usize| line[at].to_owned();
+    reader
+        .records()
+        .map(|line| line.unwrap())
+        .map(|line| (field(&line, 0), field(&line, 1), field(&line, 5)))
         .collect()
 }
 

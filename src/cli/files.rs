@@ -30,24 +30,9 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
         })
 }
 
-/// Returns a CSV field, quoted where it must be (RFC 4180).
-pub fn csv_field(text: &str) -> String {
-    if text.contains([',', '"', '\n', '\r']) {
-        format!("\"{}\"", text.replace('"', "\"\""))
-    } else {
-        text.to_owned()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn csv_fields_are_quoted_only_where_needed() {
-        assert_eq!(csv_field("a b"), "a b");
-        assert_eq!(csv_field("a,\"b\""), "\"a,\"\"b\"\"\"");
-    }
 
     #[test]
     fn a_file_appears_whole_in_a_folder_that_did_not_exist() {

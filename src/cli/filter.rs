@@ -13,30 +13,26 @@ use super::{files, report, verdicts};
 use crate::show::{FACTORS, calls, percent};
 use crate::terminal::{eprint_line, print_line};
 
-/// The chain of `marf filter`, with every filter's own defaults.
-const CHAIN: [&str; 7] = [
-    "extract",
-    "size",
-    "shape",
-    "duplicate",
-    "grayscale",
-    "histogram",
-    "blur",
-];
+/// Returns the nodes of `marf filter` in their order: extract, then every filter of the table.
+fn chain() -> Vec<&'static str> {
+    let filters = marf_stages::filters().iter().map(|filter| filter.name);
+    std::iter::once("extract").chain(filters).collect()
+}
 
-/// `marf filter DIR`: judges the photos of a folder.
+/// Runs `marf filter DIR`: every filter with its defaults on the photos of a folder.
 pub fn filter(global: &Global, args: &FilterArgs, cancel: &Cancel) -> Result<(), CliError> {
-    let session = Session::implicit(&pipeline(args), global)?;
+    let chain = chain();
+    let session = Session::implicit(&pipeline(&chain, args), global)?;
     let (record, ended) = execute(&session, &options(global, &session.name), global, cancel)?;
     let by_node = verdicts::by_node(&session, &record)?;
-    let judged = verdicts::merged(&by_node, &CHAIN);
-    if !judged.is_empty() {
-        files::write(&args.out, verdicts::csv(&judged).as_bytes())?;
+    let merged = verdicts::merged(&by_node, &chain);
+    if !merged.is_empty() {
+        files::write(&args.out, &verdicts::csv(&merged)?)?;
         report::write(&session, &record, &page(&args.out))?;
     }
     ended?;
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
-    for verdict in &judged {
+    for verdict in &merged {
         *counts.entry(&verdict.verdict).or_default() += 1;
     }
     if global.json {
@@ -45,7 +41,7 @@ pub fn filter(global: &Global, args: &FilterArgs, cancel: &Cancel) -> Result<(),
     for (name, count) in &counts {
         print_line(&format!("{name:<12} {count}"));
     }
-    eprint_line(&firmness(&by_node));
+    eprint_line(&changed_by_thresholds(&by_node, &chain));
     eprint_line(&format!(
         "wrote {} and {}",
         args.out.display(),
@@ -54,21 +50,21 @@ pub fn filter(global: &Global, args: &FilterArgs, cancel: &Cancel) -> Result<(),
     Ok(())
 }
 
-/// The page of the verdicts, beside the CSV.
+/// Returns the path of the page of the verdicts, beside the CSV.
 fn page(csv: &Path) -> PathBuf {
     csv.with_extension("html")
 }
 
-/// How many verdicts of each filter would change at another threshold.
-fn firmness(by_node: &BTreeMap<String, Vec<Verdict>>) -> String {
+/// Returns a table of how many verdicts of each filter would change at other thresholds.
+fn changed_by_thresholds(by_node: &BTreeMap<String, Vec<Verdict>>, chain: &[&str]) -> String {
     let heads: Vec<String> = FACTORS
         .iter()
         .map(|factor| format!("{:>7}", percent(factor - 1.0)))
         .collect();
     let mut lines = vec![format!("{:<12} {}", "threshold", heads.concat())];
-    for name in CHAIN {
+    for name in chain {
         let calls = by_node
-            .get(name)
+            .get(*name)
             .map(|verdicts| calls(verdicts))
             .unwrap_or_default();
         let flips = |factor: f64| calls.iter().filter(|call| call.flips_at(factor)).count();
@@ -87,9 +83,10 @@ fn firmness(by_node: &BTreeMap<String, Vec<Verdict>>) -> String {
     lines.join("\n")
 }
 
-fn pipeline(args: &FilterArgs) -> String {
+/// Returns the text of the pipeline that runs a chain of nodes on the folder of `args`.
+fn pipeline(chain: &[&str], args: &FilterArgs) -> String {
     let mut text = format!("name = \"filter\"\n{}", folder(&args.dir));
-    for pair in CHAIN.windows(2) {
+    for pair in chain.windows(2) {
         text.push_str(&format!("[node.{}]\ninput = \"{}\"\n", pair[1], pair[0]));
     }
     for (list, ids) in [("keep", &args.keep), ("reject", &args.reject)] {
@@ -101,7 +98,7 @@ fn pipeline(args: &FilterArgs) -> String {
     text
 }
 
-/// Returns the archive and the extract node of a folder.
+/// Returns the text of an archive and its extract node for a folder of photos.
 pub fn folder(dir: &Path) -> String {
     let path = toml::Value::String(dir.to_string_lossy().into_owned());
     format!("[archive.folder]\nkind = \"folder\"\npath = {path}\n[node.extract]\narchive = \"folder\"\n")

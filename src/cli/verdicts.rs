@@ -1,4 +1,4 @@
-//! The verdicts of a chain of filters, one line a file.
+//! The verdicts of the filters of a run, and their CSV.
 
 use std::collections::BTreeMap;
 
@@ -6,22 +6,21 @@ use marf_engine::RunRecord;
 use marf_stage::{VERDICTS, Verdict};
 
 use super::error::CliError;
-use super::files::csv_field;
 use super::session::Session;
 
-/// Verdict of files that are no photos (labels, notes): they are not judged.
+/// Verdict of files that are no photos (labels, notes); no filter sees them.
 const SKIPPED: &str = "skipped";
 
-/// Returns the verdicts of every node that judged, by the node's name.
+/// Returns the verdicts of every node that has some, by the node's name.
 ///
 /// # Errors
-/// Verdicts that the store has lost.
+/// Verdicts that cannot be read from the store.
 pub fn by_node(session: &Session, record: &RunRecord) -> Result<BTreeMap<String, Vec<Verdict>>, CliError> {
-    let judged = record
+    let outputs = record
         .nodes
         .iter()
         .filter_map(|node| Some((node.name.clone(), node.outputs.get(VERDICTS)?)));
-    judged
+    outputs
         .map(|(name, output)| Ok((name, parse(&session.store.get(&output.digest)?)?)))
         .collect()
 }
@@ -32,8 +31,8 @@ pub fn all(session: &Session, record: &RunRecord) -> Vec<Verdict> {
     by_node.into_values().flatten().collect()
 }
 
-/// Returns one verdict a photo, by file name: of the filter of the chain that rejected it, else of the last one. A
-/// photo that a person kept against a filter says so.
+/// Returns one verdict for each photo, sorted by file: that of the filter that rejected it, else that of the last
+/// filter of the chain. Where a person kept a photo against a filter, that filter's verdict says so.
 pub fn merged(by_node: &BTreeMap<String, Vec<Verdict>>, chain: &[&str]) -> Vec<Verdict> {
     let mut by_id: BTreeMap<&str, &Verdict> = BTreeMap::new();
     for verdict in chain.iter().filter_map(|name| by_node.get(*name)).flatten() {
@@ -53,6 +52,7 @@ pub fn merged(by_node: &BTreeMap<String, Vec<Verdict>>, chain: &[&str]) -> Vec<V
     verdicts
 }
 
+/// Reads verdicts, one JSON object a line.
 fn parse(bytes: &[u8]) -> Result<Vec<Verdict>, CliError> {
     let lines = bytes.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
     lines
@@ -62,23 +62,31 @@ fn parse(bytes: &[u8]) -> Result<Vec<Verdict>, CliError> {
         .collect()
 }
 
-/// Returns the CSV: file, verdict, score, threshold, twin, reason.
-pub fn csv(verdicts: &[Verdict]) -> String {
+/// Returns the verdicts as CSV: file, verdict, score, threshold, twin, reason.
+///
+/// # Errors
+/// What the writer refuses.
+pub fn csv(verdicts: &[Verdict]) -> Result<Vec<u8>, CliError> {
     let number = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
-    let mut text = String::from("file,verdict,score,threshold,twin,reason\n");
-    for verdict in verdicts {
-        let fields = [
-            csv_field(&verdict.file),
-            csv_field(&verdict.verdict),
+    let failed = |error: String| CliError::failed(format!("verdicts: {error}"));
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    let heads = ["file", "verdict", "score", "threshold", "twin", "reason"].map(str::to_owned);
+    let lines = verdicts.iter().map(|verdict| {
+        [
+            verdict.file.clone(),
+            verdict.verdict.clone(),
             number(verdict.score),
             number(verdict.threshold),
-            csv_field(verdict.twin.as_deref().unwrap_or_default()),
-            csv_field(&verdict.reason),
-        ];
-        text.push_str(&fields.join(","));
-        text.push('\n');
+            verdict.twin.clone().unwrap_or_default(),
+            verdict.reason.clone(),
+        ]
+    });
+    for line in std::iter::once(heads).chain(lines) {
+        writer
+            .write_record(line)
+            .map_err(|error| failed(error.to_string()))?;
     }
-    text
+    writer.into_inner().map_err(|error| failed(error.to_string()))
 }
 
 #[cfg(test)]
@@ -97,7 +105,7 @@ mod tests {
             reason: "ratio 6.25, at least 10".into(),
         };
         assert_eq!(
-            csv(&[verdict]),
+            String::from_utf8(csv(&[verdict]).unwrap()).unwrap(),
             "file,verdict,score,threshold,twin,reason\n\"x/a,b.png\",blur,6.25,10,,\"ratio 6.25, at least 10\"\n"
         );
     }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use marf_stage::{Access, ArchiveContext, ParamError};
+use marf_stage::{Access, ArchiveContext, LOCK_FILE, ParamError};
 use marf_stages::ArchiveDef;
 use serde_json::{Map, Value as Json, json};
 
@@ -12,8 +12,6 @@ use crate::nearest::did_you_mean;
 
 /// Key that names the kind of an archive.
 const KIND: &str = "kind";
-/// Name of the lock file, beside pipeline.toml.
-const LOCK: &str = "marf.lock";
 
 /// The `[archive.*]` tables of a pipeline.
 pub(super) struct Archives<'a> {
@@ -63,7 +61,7 @@ impl<'a> Archives<'a> {
         ArchiveContext {
             name: table.key.clone(),
             folder: self.folder.to_owned(),
-            lock: Some(self.folder.join(LOCK)),
+            lock: Some(self.folder.join(LOCK_FILE)),
             access: self.access,
         }
     }

@@ -21,6 +21,11 @@ static STAGES: LazyLock<Vec<StageDef>> = LazyLock::new(|| {
     stages
 });
 
+/// Returns the filters among them, in the order in which `marf filter` runs them.
+pub fn filters() -> &'static [StageDef] {
+    marf_filter::STAGES
+}
+
 /// Returns the table of stages.
 pub fn stages() -> &'static [StageDef] {
     &STAGES

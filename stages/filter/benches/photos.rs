@@ -1,4 +1,4 @@
-//! Photos per CPU second: decoding alone, and decoding with all six measures, on one thread.
+//! Photos per CPU second: decoding alone, and decoding with the measures of all filters, on one thread.
 //!
 //! usage: cargo bench -p marf-filter --bench photos [-- FOLDER...]; default: photos of 1440 x 1920 made here.
 #![allow(
@@ -9,11 +9,14 @@
 
 use std::{collections::BTreeMap, fs, hint::black_box, time::Instant};
 
-use image::{ExtendedColorType, ImageEncoder};
 use marf_cache::manifest::Row;
 use marf_filter::STAGES;
-use marf_scene::Photo;
+use marf_scene::{Image, Photo};
 use marf_stage::{Measure, Work, harness::Harness};
+use pictures::{dynamic, jpeg, noise};
+
+#[path = "../tests/common/pictures.rs"]
+mod pictures;
 
 const ROUNDS: usize = 5;
 
@@ -39,7 +42,7 @@ fn main() {
     }
 }
 
-/// The time this thread was on a core, where the system tells it (Linux); else the wall clock.
+/// A clock of the CPU time of this thread, where the system has one (Linux); else of the wall time.
 struct Clock {
     wall: Instant,
     on_core_ns: Option<u64>,
@@ -97,7 +100,7 @@ fn report(name: &str, photos: &[Vec<u8>]) {
     }
     times.iter_mut().for_each(|times| times.sort_by(f64::total_cmp));
     println!("{name}: {} photos, {ROUNDS} rounds, one thread", photos.len());
-    for (what, times) in ["decoding", "decoding and six measures"].iter().zip(&times) {
+    for (what, times) in ["decoding", "decoding and all measures"].iter().zip(&times) {
         let rate = |seconds: f64| 1.0 / seconds;
         println!(
             "  {what}: {:.1} / {:.1} / {:.1} photos/s (min / median / max)",
@@ -113,25 +116,15 @@ fn report(name: &str, photos: &[Vec<u8>]) {
     );
 }
 
-/// A photo of 1440 x 1920 with detail of several sizes, as JPEG of quality 92.
+/// Returns a photo of 1440 x 1920 with detail of several sizes, as JPEG of quality 92.
 fn made(seed: u32) -> Vec<u8> {
-    let hash = |x: u32, y: u32| {
-        let mixed =
-            (x.wrapping_mul(0x9e37_79b9) ^ y.wrapping_mul(0x85eb_ca77) ^ seed).wrapping_mul(0xc2b2_ae3d);
-        ((mixed ^ (mixed >> 15)).wrapping_mul(0x27d4_eb2f) >> 24) as u8
-    };
-    let image = image::RgbImage::from_fn(1440, 1920, |x, y| {
-        let sum = u32::from(hash(x / 64, y / 64)) + u32::from(hash(x / 9, y / 9)) + u32::from(hash(x, y)) / 4;
-        let shade = (sum / 3) as u8;
-        image::Rgb([
-            shade,
-            (f32::from(shade) * 0.8) as u8,
-            (f32::from(shade) * 0.6) as u8,
-        ])
+    let image = Image::from_fn(1440, 1920, |x, y| {
+        let sum: u32 = [(64, 4), (9, 4), (1, 1)]
+            .map(|(cell, weight)| weight * u32::from(noise(x / cell, y / cell, seed)))
+            .iter()
+            .sum();
+        let shade = (sum / 12) as u8;
+        [1.0, 0.8, 0.6].map(|tint| (f32::from(shade) * tint) as u8)
     });
-    let mut bytes = Vec::new();
-    image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 92)
-        .write_image(&image, 1440, 1920, ExtendedColorType::Rgb8)
-        .unwrap();
-    bytes
+    jpeg(&dynamic(&image), 92)
 }

@@ -1,3 +1,5 @@
+//! The filter `blur`.
+
 use marf_cache::ContentHash;
 use marf_stage::ParamError;
 use schemars::JsonSchema;
@@ -6,19 +8,21 @@ use serde::{Deserialize, Serialize};
 use crate::by_hand::ByHand;
 use crate::decoded::DecodedPhoto;
 use crate::filter::{Decision, Filter, MeasuredPhoto, check_range};
+#[cfg(test)]
+use crate::guard::Guard;
 use crate::octave::Octave;
 use crate::statistics::{SortedValues, group_by_instrument};
 
 /// Rejects photos that are out of focus, smeared by motion, or nothing but noise.
 pub struct Blur;
 
-/// How [`Blur`] judges.
+/// The rule of [`Blur`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
 #[serde(rename_all = "snake_case")]
 pub enum BlurRule {
-    /// By how much the photo loses when it is blurred once more: a blurred one loses little.
+    /// Ratio of detail before and after one more blur: a blurred photo loses little.
     Reblur,
-    /// The paper's rule: variance of the Laplacian of the photo as it is, below `tau` out.
+    /// The paper's rule: photos whose Laplacian has a variance below `tau` are rejected.
     Laplacian,
 }
 
@@ -30,14 +34,14 @@ pub struct BlurParams {
     pub rule: BlurRule,
     /// Smallest reblur ratio where fewer than `min_set` photos of the instrument are known.
     pub min_ratio: f64,
-    /// With enough photos the smallest ratio at each size is this share of the median of the other photos of the
+    /// With `min_set` photos and more the smallest ratio at each size is this share of the median of the other photos of the
     /// instrument at that size, but never below `floor_ratio` nor above `ceiling_ratio`.
     pub min_share: f64,
-    /// Below this every photo is blurred, whatever the set.
+    /// A photo with a smaller ratio is blurred, whatever the other photos are.
     pub floor_ratio: f64,
-    /// Above this no photo is called blurred, whatever the set.
+    /// A photo with a larger ratio is not blurred, whatever the other photos are.
     pub ceiling_ratio: f64,
-    /// Fewest photos of one instrument that make a set.
+    /// Fewest photos of one instrument that are compared with each other.
     pub min_set: u32,
     /// Largest ratio at full size: above it the photo is noise or an undeveloped Bayer mosaic.
     pub max_ratio: f64,
@@ -45,7 +49,7 @@ pub struct BlurParams {
     pub max_multiple: f64,
     /// Smallest variance of the Laplacian in squared 8-bit steps, for `rule = "laplacian"`.
     pub tau: f64,
-    /// Photos on which a person has decided; filled from `[keep]` and `[reject]` of the pipeline.
+    /// Photos kept or rejected by hand; filled from `[keep]` and `[reject]` of the pipeline.
     pub by_hand: ByHand,
 }
 
@@ -75,17 +79,24 @@ pub struct Sharpness {
     octaves: Vec<Octave>,
 }
 
-/// Sizes that are judged, each half of the one before: a motion of 15 pixels leaves the finest scale to the noise of
-/// JPEG (ratio 8 to 14), but is plain at half size (4 to 8).
+/// Number of sizes, each half of the one before. A motion of 15 pixels leaves only the noise of JPEG at full size
+/// (ratio 8 to 14), but shows at half size (4 to 8).
 const OCTAVES: usize = 3;
 
 impl Filter for Blur {
     const NAME: &'static str = "blur";
     const ABOUT: &'static str = "rejects photos that are blurred or mere noise";
-    const VERSION: u32 = 2;
+    const MEASURE_VERSION: u32 = 2;
+    const DECISION_VERSION: u32 = 0;
     type Params = BlurParams;
     type Measure = Sharpness;
     const MEASURE: Option<fn(&DecodedPhoto) -> Sharpness> = Some(sharpness);
+
+    #[cfg(test)]
+    const GUARD: Guard = Guard {
+        measures: "",
+        decisions: "",
+    };
 
     fn by_hand(params: &BlurParams) -> &ByHand {
         &params.by_hand
@@ -105,23 +116,24 @@ impl Filter for Blur {
         if params.rule == BlurRule::Laplacian {
             return photos
                 .iter()
-                .map(|photo| judge_laplacian(params, &photo.measure))
+                .map(|photo| decide_laplacian(params, &photo.measure))
                 .collect();
         }
         let mut decisions = vec![Decision::pass(""); photos.len()];
         for group in group_by_instrument(photos) {
             let set = TypicalRatios::of(group.iter().map(|index| &photos[*index].measure));
             for index in group {
-                decisions[index] = judge_reblur(params, &photos[index].measure, &set);
+                decisions[index] = decide_reblur(params, &photos[index].measure, &set);
             }
         }
         decisions
     }
 }
 
-fn sharpness(look: &DecodedPhoto) -> Sharpness {
+/// Measures the sharpness of a photo.
+fn sharpness(decoded: &DecodedPhoto) -> Sharpness {
     let mut octaves = Vec::new();
-    let luma = &look.luma;
+    let luma = &decoded.luma;
     if luma.width > 2 && luma.height > 2 {
         octaves.push(Octave::of_luma(luma));
         let mut next = luma.halved();
@@ -133,15 +145,16 @@ fn sharpness(look: &DecodedPhoto) -> Sharpness {
         }
     }
     Sharpness {
-        laplacian: look.laplacian.variance,
+        laplacian: decoded.laplacian.variance,
         octaves,
     }
 }
 
-/// The ratios of a set of photos, to be asked without one of them.
+/// The reblur ratios of the photos of one instrument; medians leave out the photo that is decided on.
 struct TypicalRatios {
-    /// By number of halvings.
+    /// Smaller ratio of both axes, by number of halvings.
     lowest: [SortedValues; OCTAVES],
+    /// Larger ratio of both axes at full size.
     finest: SortedValues,
     photos: usize,
 }
@@ -162,29 +175,31 @@ impl TypicalRatios {
         }
     }
 
-    fn is_set(&self, params: &BlurParams) -> bool {
+    /// Returns whether there are enough photos to compare with each other.
+    fn is_large_enough(&self, params: &BlurParams) -> bool {
         self.photos >= params.min_set as usize
     }
 
-    /// Returns the smallest ratio a sharp photo has after so many halvings.
-    fn least(&self, params: &BlurParams, halvings: usize, ratio: f64) -> f64 {
-        if !self.is_set(params) {
+    /// Returns the smallest ratio that a photo of this `ratio` needs after so many halvings.
+    fn min_ratio(&self, params: &BlurParams, halvings: usize, ratio: f64) -> f64 {
+        if !self.is_large_enough(params) {
             return params.min_ratio;
         }
         let usual = self.lowest[halvings].quantile_without(ratio, 1, 2);
         (params.min_share * usual).clamp(params.floor_ratio, params.ceiling_ratio)
     }
 
-    /// Returns the largest ratio at full size of a photo that is not noise.
-    fn most(&self, params: &BlurParams, ratio: f64) -> f64 {
-        if !self.is_set(params) {
+    /// Returns the largest ratio at full size that a photo of this `ratio` may have.
+    fn max_ratio(&self, params: &BlurParams, ratio: f64) -> f64 {
+        if !self.is_large_enough(params) {
             return params.max_ratio;
         }
         (params.max_multiple * self.finest.quantile_without(ratio, 1, 2)).max(params.max_ratio)
     }
 }
 
-fn judge_reblur(params: &BlurParams, photo: &Sharpness, set: &TypicalRatios) -> Decision {
+/// Decides by the rule [`BlurRule::Reblur`].
+fn decide_reblur(params: &BlurParams, photo: &Sharpness, set: &TypicalRatios) -> Decision {
     let Some(fine) = photo.octaves.first() else {
         return Decision::reject(
             0.0,
@@ -194,7 +209,7 @@ fn judge_reblur(params: &BlurParams, photo: &Sharpness, set: &TypicalRatios) -> 
     };
     let worst = photo.octaves.iter().enumerate().map(|(halvings, octave)| {
         let (ratio, axis) = octave.lowest();
-        (ratio, set.least(params, halvings, ratio), halvings, axis)
+        (ratio, set.min_ratio(params, halvings, ratio), halvings, axis)
     });
     let worst = worst.min_by(|a, b| (a.0 / a.1).total_cmp(&(b.0 / b.1)));
     let (ratio, least, halvings, axis) = worst.unwrap_or((0.0, params.min_ratio, 0, 0));
@@ -204,7 +219,7 @@ fn judge_reblur(params: &BlurParams, photo: &Sharpness, set: &TypicalRatios) -> 
             format!("reblur ratio {ratio:.1} at 1/{part} of the size along {axis}, at least {least:.1}");
         return Decision::reject(ratio, least, reason);
     }
-    let (finest, most) = (fine.highest(), set.most(params, fine.highest()));
+    let (finest, most) = (fine.highest(), set.max_ratio(params, fine.highest()));
     if finest > most {
         return Decision::reject(
             finest,
@@ -215,7 +230,8 @@ fn judge_reblur(params: &BlurParams, photo: &Sharpness, set: &TypicalRatios) -> 
     Decision::keep(ratio, least)
 }
 
-fn judge_laplacian(params: &BlurParams, photo: &Sharpness) -> Decision {
+/// Decides by the rule [`BlurRule::Laplacian`].
+fn decide_laplacian(params: &BlurParams, photo: &Sharpness) -> Decision {
     let (variance, tau) = (photo.laplacian, params.tau);
     if variance < tau {
         return Decision::reject(

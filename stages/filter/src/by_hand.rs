@@ -1,3 +1,5 @@
+//! Decisions of a person on single photos.
+
 use std::collections::BTreeSet;
 
 use marf_cache::ContentHash;
@@ -7,11 +9,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::filter::Decision;
 
-/// Photos on which a person has decided, whatever the filter says.
+/// Photos that a person keeps or rejects; these decisions override the filter.
 ///
-/// Each entry is a product id, or the name of a file as its archive has it. The lists are parameters, hence in the
-/// key of every filter they reach; the measures do not know them. A photo kept by hand still counts where a filter
-/// compares with the set, and of a group of duplicates it is the one that stays.
+/// Each entry is a product id, or the name of a file as its archive has it. The lists are parameters, hence part
+/// of the key of every filter they are given to; no measure depends on them. A photo kept by hand still counts where a
+/// filter compares photos with each other, and of a group of duplicates it is the one that is kept.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
 #[serde(default, deny_unknown_fields)]
 pub struct ByHand {
@@ -22,7 +24,10 @@ pub struct ByHand {
 }
 
 impl ByHand {
-    /// Refuses a name that is in both lists.
+    /// Checks that no name is in both lists.
+    ///
+    /// # Errors
+    /// The name.
     pub(crate) fn check(&self) -> Result<(), ParamError> {
         match self.keep.intersection(&self.reject).next() {
             None => Ok(()),
@@ -33,12 +38,12 @@ impl ByHand {
         }
     }
 
-    /// Tells whether a person wants to keep the photo.
+    /// Returns whether the photo is kept by hand.
     pub(crate) fn keeps(&self, id: &str, file: &str) -> bool {
         self.keep.contains(id) || self.keep.contains(file)
     }
 
-    /// Returns the decision as the lists leave it; score and threshold stay, the reason says who decided.
+    /// Returns the decision with the lists applied: score and threshold stay, the reason says who decided.
     pub(crate) fn overrule(&self, id: &str, file: &str, decision: Decision) -> Decision {
         if self.keeps(id, file) {
             let reason = match decision.keep {
@@ -80,18 +85,18 @@ mod tests {
             keep: list(&["a", "dir/b.jpg"]),
             reject: list(&["c"]),
         };
-        let no = || Decision::reject(3.0, 9.0, "ratio 3");
-        let yes = || Decision::keep(12.0, 9.0);
-        let kept = lists.overrule("a", "a.jpg", no());
+        let rejected = || Decision::reject(3.0, 9.0, "ratio 3");
+        let passed = || Decision::keep(12.0, 9.0);
+        let kept = lists.overrule("a", "a.jpg", rejected());
         assert!(
             kept.keep && kept.score == Some(3.0) && kept.reason.contains("ratio 3"),
             "{kept:?}"
         );
-        assert!(lists.overrule("b", "dir/b.jpg", no()).keep);
-        assert!(!lists.overrule("b", "b.jpg", no()).keep);
-        let gone = lists.overrule("c", "c.jpg", yes());
+        assert!(lists.overrule("b", "dir/b.jpg", rejected()).keep);
+        assert!(!lists.overrule("b", "b.jpg", rejected()).keep);
+        let gone = lists.overrule("c", "c.jpg", passed());
         assert!(!gone.keep && gone.threshold == Some(9.0) && gone.reason.starts_with("rejected by hand"));
-        assert_eq!(lists.overrule("d", "d.jpg", yes()), yes());
+        assert_eq!(lists.overrule("d", "d.jpg", passed()), passed());
     }
 
     #[test]

@@ -1,11 +1,13 @@
+//! A decoded photo with what several filters measure on.
+
 use marf_scene::Photo;
 
 use crate::luma::{Laplacian, Luma};
 
-/// Fewest pixels of a sample, where the photo has as many.
+/// Fewest pixels of a sample, unless the photo has fewer.
 const SAMPLE: usize = 1 << 18;
 
-/// A photo as the filters look at it: decoded once, with what several of them need.
+/// A decoded photo, and what several filters compute from it.
 pub struct DecodedPhoto {
     /// The photo, of at least one pixel.
     pub photo: Photo,
@@ -16,7 +18,7 @@ pub struct DecodedPhoto {
 }
 
 impl DecodedPhoto {
-    /// Looks at a photo of at least one pixel.
+    /// Takes a photo of at least one pixel and computes what several filters need.
     pub(crate) fn of(photo: Photo) -> Self {
         let luma = Luma::of(&photo.image);
         let laplacian = luma.laplacian();
@@ -27,8 +29,9 @@ impl DecodedPhoto {
         }
     }
 
-    /// Returns pixels spread evenly over the photo, 2^18 and more of a larger one, enough to tell shares of 0.5 % by:
-    /// each k-th of each k-th row, k odd so that all places of a Bayer mosaic are met.
+    /// Returns a sample of pixels: each k-th pixel of each k-th row, 2^18 pixels and more of a larger photo.
+    ///
+    /// So many measure a share of 0.5 %; k is odd, so that every position of a Bayer mosaic occurs.
     pub fn sample(&self) -> impl Iterator<Item = [u8; 3]> + '_ {
         let image = &self.photo.image;
         let step = step(image.pixels.len());
@@ -38,7 +41,7 @@ impl DecodedPhoto {
     }
 }
 
-/// Returns the largest odd step that leaves [`SAMPLE`] pixels.
+/// Returns the largest odd step that leaves at least [`SAMPLE`] pixels.
 fn step(pixels: usize) -> usize {
     let mut step = 1;
     while pixels / ((step + 2) * (step + 2)) >= SAMPLE {
@@ -59,15 +62,15 @@ mod tests {
             (1, 1, 1, 3)
         );
         assert_eq!((step(1440 * 1920), step(400_000_000)), (3, 39));
-        let look = |width, height| {
+        let decoded = |width, height| {
             DecodedPhoto::of(Photo {
                 image: Image::from_fn(width, height, |x, y| [x as u8, y as u8, 7]),
                 bands: 3,
                 notes: Vec::new(),
             })
         };
-        let small = look(31, 7);
+        let small = decoded(31, 7);
         assert!(small.sample().eq(small.photo.image.pixels.iter().copied()));
-        assert_eq!(look(1600, 1500).sample().count(), 534 * 500);
+        assert_eq!(decoded(1600, 1500).sample().count(), 534 * 500);
     }
 }

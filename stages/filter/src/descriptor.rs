@@ -1,3 +1,5 @@
+//! The descriptor of a view: a small summary of a photo that is compared to find duplicates.
+
 use marf_scene::{Image, Srgb};
 
 use crate::decoded::DecodedPhoto;
@@ -12,11 +14,12 @@ const GRADIENT_STEPS: f64 = 96.0;
 /// Added to the mean brightness a gradient is divided by, in 8-bit steps, so that noise in black stays small.
 const DARK: f64 = 4.0;
 
-/// What is kept of a photo to tell whether it shows the same view as another.
+/// A summary of a photo from which two photos of the same view are recognised.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct ViewDescriptor {
-    /// Upright size, pixels.
+    /// Width of the upright photo, pixels.
     pub(crate) width: u32,
+    /// Height of the upright photo, pixels.
     pub(crate) height: u32,
     /// Laplacian energy inside the blocks of JPEG times the squared number of pixels: scaled copies are compared in
     /// units of the scene, and block edges do not count as detail.
@@ -30,10 +33,10 @@ pub(crate) struct ViewDescriptor {
 }
 
 impl ViewDescriptor {
-    /// Draws the sketch of a photo.
-    pub(crate) fn of(look: &DecodedPhoto) -> Self {
-        let image = &look.photo.image;
-        let bands = if look.photo.bands == 1 { 1 } else { 3 };
+    /// Computes the descriptor of a photo.
+    pub(crate) fn of(decoded: &DecodedPhoto) -> Self {
+        let image = &decoded.photo.image;
+        let bands = if decoded.photo.bands == 1 { 1 } else { 3 };
         let means = Grid::of(image);
         let area = f64::from(image.width) * f64::from(image.height);
         let brightness = means.hash(|cell| luma(cell.map(eight_bits)));
@@ -42,14 +45,14 @@ impl ViewDescriptor {
         Self {
             width: image.width,
             height: image.height,
-            sharpness: look.laplacian.detail * area * area,
+            sharpness: decoded.laplacian.detail * area * area,
             colour: means.colour(),
             hashes,
             gradients: (0..bands).map(|band| means.gradient(band)).collect(),
         }
     }
 
-    /// Returns the sketch as bytes.
+    /// Returns the descriptor as bytes, all numbers little-endian.
     pub(crate) fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(48 + self.gradients.len() * (CELLS * CELLS + 8));
         bytes.extend(self.width.to_le_bytes());
@@ -62,7 +65,7 @@ impl ViewDescriptor {
         bytes
     }
 
-    /// Reads what [`ViewDescriptor::encode`] wrote from the front of `bytes`, and moves on; `None` if it is not that.
+    /// Reads what [`ViewDescriptor::encode`] wrote and removes it from the front of `bytes`; `None` if it is not that.
     pub(crate) fn decode(bytes: &mut &[u8]) -> Option<Self> {
         let width = u32::from_le_bytes(take(bytes)?);
         let height = u32::from_le_bytes(take(bytes)?);
@@ -89,14 +92,14 @@ impl ViewDescriptor {
     }
 }
 
-/// Takes `N` bytes from the front.
+/// Removes `N` bytes from the front; `None` if there are fewer.
 pub(crate) fn take<const N: usize>(bytes: &mut &[u8]) -> Option<[u8; N]> {
     let (front, rest) = bytes.split_first_chunk::<N>()?;
     *bytes = rest;
     Some(*front)
 }
 
-/// Means over `CELLS * CELLS` cells, whatever the shape of the image.
+/// The means of an image over `CELLS * CELLS` cells, whatever its shape.
 struct Grid {
     /// `[CELLS * CELLS]` means by band in steps of 1/16, in [0, 4080].
     cells: Vec<[u32; 3]>,
@@ -133,7 +136,7 @@ impl Grid {
         Self { cells }
     }
 
-    /// Returns the hash of one value a cell, from the means of 2 x 2 cells.
+    /// Returns the perceptual hash of `value` on the means of 2 x 2 cells.
     fn hash(&self, value: impl Fn([u32; 3]) -> u8) -> Option<Hash> {
         let mut values = [0; SIDE * SIDE];
         for (at, out) in values.iter_mut().enumerate() {
@@ -145,32 +148,33 @@ impl Grid {
         hash::of_bits(hash::dct(&values))
     }
 
-    /// Returns the cell `(dx, dy)` away; the edge repeats.
-    fn near(&self, x: usize, y: usize, dx: isize, dy: isize) -> [u32; 3] {
+    /// Returns the cell at an offset from (x, y); beyond the edge, the edge.
+    fn neighbour(&self, x: usize, y: usize, dx: isize, dy: isize) -> [u32; 3] {
         let clamp = |at: usize, by: isize| at.saturating_add_signed(by).min(CELLS - 1);
         self.cells[clamp(y, dy) * CELLS + clamp(x, dx)]
     }
 
-    /// Returns the Sobel magnitude over the local mean: what stays when light or a filter changes the brightness
-    /// by a factor.
+    /// Returns the Sobel gradient magnitude of every cell, divided by the local mean: it stays the same where light or a
+    /// colour filter changes the brightness by a factor.
     fn gradient(&self, band: usize) -> Vec<u8> {
         let cell = |index: usize| self.relative_gradient(index % CELLS, index / CELLS, band);
         (0..self.cells.len()).map(cell).collect()
     }
 
+    /// Returns the value of [`Grid::gradient`] for one cell.
     fn relative_gradient(&self, x: usize, y: usize, band: usize) -> u8 {
-        let at = |dx, dy| i64::from(self.near(x, y, dx, dy)[band]);
+        let at = |dx, dy| i64::from(self.neighbour(x, y, dx, dy)[band]);
         let across = at(1, -1) + 2 * at(1, 0) + at(1, 1) - at(-1, -1) - 2 * at(-1, 0) - at(-1, 1);
         let down = at(-1, 1) + 2 * at(0, 1) + at(1, 1) - at(-1, -1) - 2 * at(0, -1) - at(1, -1);
         let sum: i64 = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| at(dx, dy))).sum();
         let mean = sum as f64 / 9.0 + 16.0 * DARK;
         let magnitude = ((across * across + down * down) as f64).sqrt();
-        // Positive, so that adding a half and cutting rounds; `as` ends at 255.
+        // Positive, so that adding a half and truncating rounds; `as` saturates at 255.
         (GRADIENT_STEPS * magnitude / mean + 0.5) as u8
     }
 
-    /// Returns the mean of |r - b| / (r + b) over the cells, red and blue each scaled to mean 1: 0 for gray and
-    /// for one band seen through any tint.
+    /// Returns the mean of |r - b| / (r + b) over the cells, red and blue each scaled to mean 1: 0 for gray photos and
+    /// for one band with any tint.
     fn colour(&self) -> f64 {
         let sum = |band: usize| self.cells.iter().map(|cell| u64::from(cell[band])).sum::<u64>();
         let (reds, blues) = (sum(0), sum(2));
@@ -187,12 +191,13 @@ impl Grid {
     }
 }
 
-/// Returns the pixels `[from, to)` of a cell; at least one.
+/// Returns the range `[from, to)` of pixels along one side that a cell covers; at least one pixel.
 fn bounds(cell: usize, side: usize, pixels: usize) -> (usize, usize) {
     let from = cell * pixels / side;
     (from, ((cell + 1) * pixels / side).max(from + 1))
 }
 
+/// Rounds a mean in steps of 1/16 to 8 bits.
 fn eight_bits(sixteenths: u32) -> u8 {
     ((sixteenths + 8) / 16).min(255) as u8
 }
@@ -203,7 +208,7 @@ mod tests {
 
     use super::*;
 
-    fn look(image: Image<Srgb>) -> DecodedPhoto {
+    fn decoded(image: Image<Srgb>) -> DecodedPhoto {
         DecodedPhoto::of(Photo {
             image,
             bands: 3,
@@ -220,11 +225,11 @@ mod tests {
     }
 
     #[test]
-    fn a_sketch_survives_its_bytes() {
-        let sketch = ViewDescriptor::of(&look(hills()));
-        let bytes = [sketch.encode(), vec![7]].concat();
+    fn a_descriptor_survives_its_bytes() {
+        let descriptor = ViewDescriptor::of(&decoded(hills()));
+        let bytes = [descriptor.encode(), vec![7]].concat();
         let mut rest = bytes.as_slice();
-        assert_eq!(ViewDescriptor::decode(&mut rest), Some(sketch));
+        assert_eq!(ViewDescriptor::decode(&mut rest), Some(descriptor));
         assert_eq!(rest, [7]);
         for cut in [0, 3, 24, 40, bytes.len() - 2] {
             assert_eq!(ViewDescriptor::decode(&mut &bytes[..cut]), None, "cut at {cut}");
@@ -233,7 +238,7 @@ mod tests {
 
     #[test]
     fn gray_and_one_tint_have_no_colour_and_a_coloured_photo_has() {
-        let colour = |image: Image<Srgb>| ViewDescriptor::of(&look(image)).colour;
+        let colour = |image: Image<Srgb>| ViewDescriptor::of(&decoded(image)).colour;
         let tinted = |[red, green, blue]: [f64; 3]| {
             let hills = hills();
             Image::from_fn(200, 150, |x, y| {
@@ -268,7 +273,7 @@ mod tests {
 
     #[test]
     fn the_hash_does_not_ask_how_bright_a_photo_is_and_differs_for_its_mirror() {
-        let hash = |image: Image<Srgb>| ViewDescriptor::of(&look(image)).hashes[0].clone();
+        let hash = |image: Image<Srgb>| ViewDescriptor::of(&decoded(image)).hashes[0].clone();
         let hills = hills();
         let dim = Image::from_fn(200, 150, |x, y| hills.at(x, y).map(|value| value / 2));
         let mirror = Image::from_fn(200, 150, |x, y| hills.at(199 - x, y));

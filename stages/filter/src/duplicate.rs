@@ -1,3 +1,5 @@
+//! The filter `duplicate`.
+
 use std::cmp::Ordering;
 
 use marf_cache::{ContentHash, manifest::Row};
@@ -9,27 +11,29 @@ use serde::{Deserialize, Serialize};
 use crate::by_hand::ByHand;
 use crate::descriptor::{ViewDescriptor, take};
 use crate::filter::{Decision, check_range, facts_of, undecodable};
+#[cfg(test)]
+use crate::guard::Guard;
 use crate::relation::{Relation, processing_rank, relation_between};
-use crate::similarity::{bits, brightness_bits, correlation, same_aspect};
+use crate::similarity::{brightness_hash_distance, correlation, hash_distance, same_aspect};
 use crate::stage::{OUTPUTS, PORTS};
-use crate::survey::{self, Section, Surveyed, survey, unreadable};
-use crate::{SECTIONS, VERSIONS};
+use crate::survey::{self, Section, Surveyed, damaged, survey, unreadable};
+use crate::{SECTION_VERSIONS, SECTIONS};
 
-/// Rejects photos that show the same view as a better one, up to size, light and colour filter.
+/// Rejects photos that show the same view as a better one, whatever their size, light and colour filter.
 ///
-/// Best first: kept by hand, broad-band before narrow-band, colour before gray, radiance before other versions of an
-/// exposure, then sharpest, largest, smallest id. A photo goes only if it is itself like one that stays, so a chain of
-/// neighbours is never lost; and a photo of an earlier sol always stays before one of a later sol.
+/// The better photo is, in this order: kept by hand, broad-band, in colour, calibrated radiance of several versions of
+/// an exposure, sharper, larger, of the smaller id. A photo is rejected only if it is similar to one that is kept, so of
+/// a chain of neighbours some are always kept; a photo of an earlier sol is preferred to one of a later sol.
 pub struct Duplicate {
     params: DuplicateParams,
 }
 
-/// How [`Duplicate`] judges.
+/// The rule of [`Duplicate`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
 #[serde(rename_all = "snake_case")]
 pub enum DuplicateRule {
     /// Perceptual hash for candidates, correlation of gradients as proof: stereo partners and video neighbours
-    /// stay.
+    /// are kept.
     Confirmed,
     /// The paper's rule: perceptual hashes of brightness closer than `max_bits`.
     Phash,
@@ -53,7 +57,7 @@ pub struct DuplicateParams {
     pub version_correlation: f64,
     /// Hashes closer than this many bits are duplicates, for `rule = "phash"`.
     pub max_bits: u32,
-    /// Photos on which a person has decided; filled from `[keep]` and `[reject]` of the pipeline.
+    /// Photos kept or rejected by hand; filled from `[keep]` and `[reject]` of the pipeline.
     pub by_hand: ByHand,
 }
 
@@ -75,7 +79,7 @@ impl Define for Duplicate {
     type Params = DuplicateParams;
     const NAME: &'static str = "duplicate";
     const ABOUT: &'static str = "rejects photos that show the same view as a better one";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = Self::MEASURE_VERSION + Self::DECISION_VERSION;
     const PORTS: &'static [Port] = PORTS;
     const OUTPUTS: &'static [&'static str] = OUTPUTS;
 
@@ -103,28 +107,33 @@ impl Stage for Duplicate {
 impl Surveyed for Duplicate {
     const SECTION: Option<Section> = Some(Section {
         name: Self::NAME,
-        version: Self::VERSION,
-        measure: |look| Ok(ViewDescriptor::of(look).encode()),
+        version: Self::MEASURE_VERSION,
+        measure: |photo| Ok(ViewDescriptor::of(photo).encode()),
     });
+    #[cfg(test)]
+    const GUARD: Guard = Guard {
+        measures: "",
+        decisions: "",
+    };
 }
 
 impl Measure for Duplicate {
     fn measure_params(&self) -> &dyn ContentHash {
-        &VERSIONS
+        &SECTION_VERSIONS
     }
 
     fn shared(&self) -> Option<(&'static str, u32)> {
         Some(survey::TABLE)
     }
 
-    /// Returns the survey of the photo; its part for this filter is a sketch of some 12 KB.
+    /// Returns the survey of the photo; the part of this filter is a [`ViewDescriptor`] of some 12 KB.
     fn measure(&self, ctx: &Ctx<'_>, row: &Row) -> Result<Vec<u8>, StageError> {
         survey(SECTIONS, ctx, row)
     }
 }
 
 impl Fold for Duplicate {
-    /// The state holds what is needed of every photo kept so far, sol by sol, sorted by id within a sol.
+    /// Decides on the photos of one sol; the state holds the descriptor of every photo kept so far, by sol and id.
     fn fold(
         &self,
         state: Option<&[u8]>,
@@ -132,57 +141,66 @@ impl Fold for Duplicate {
     ) -> Result<(Vec<u8>, Vec<Verdict>), StageError> {
         let mut kept = state.map_or_else(|| Ok(Vec::new()), read_state)?;
         let earlier = kept.len();
-        let read = items.iter().map(read_item).collect::<Result<Vec<_>, _>>()?;
+        let read = items.iter().map(read_photo).collect::<Result<Vec<_>, _>>()?;
         let mut best_first: Vec<(usize, &ComparedPhoto)> = read
             .iter()
             .enumerate()
-            .filter_map(|(at, item)| item.as_ref().ok().map(|view| (at, view)))
+            .filter_map(|(at, item)| item.as_ref().ok().map(|photo| (at, photo)))
             .collect();
-        let wanted = |view: &ComparedPhoto| self.params.by_hand.keeps(&view.id, &view.facts.file);
-        best_first.sort_by(|a, b| wanted(b.1).cmp(&wanted(a.1)).then_with(|| a.1.better(b.1)));
+        let kept_by_hand = |photo: &ComparedPhoto| self.params.by_hand.keeps(&photo.id, &photo.facts.file);
+        best_first.sort_by(|a, b| {
+            kept_by_hand(b.1)
+                .cmp(&kept_by_hand(a.1))
+                .then_with(|| a.1.compare_quality(b.1))
+        });
         let mut verdicts: Vec<Option<Verdict>> =
             read.iter().map(|item| item.as_ref().err().cloned()).collect();
-        for (at, view) in best_first {
-            let decision = self.judge(view, &kept);
-            let decision = self.params.by_hand.overrule(&view.id, &view.facts.file, decision);
+        for (at, photo) in best_first {
+            let decision = self.decide(photo, &kept);
+            let decision = self
+                .params
+                .by_hand
+                .overrule(&photo.id, &photo.facts.file, decision);
             if decision.keep {
-                kept.push(view.clone());
+                kept.push(photo.clone());
             }
-            verdicts[at] = Some(decision.verdict(Self::NAME, items[at].row, &view.facts));
+            verdicts[at] = Some(decision.verdict(Self::NAME, items[at].row, &photo.facts));
         }
         kept[earlier..].sort_by(|a, b| a.id.cmp(&b.id));
-        // Every item is either undecodable or has been judged, so none is dropped here.
+        // Every photo either has the verdict of the decoder or has been decided on, so `flatten` drops none.
         Ok((write_state(&kept), verdicts.into_iter().flatten().collect()))
     }
 }
 
-/// One photo as the comparison sees it.
+/// A photo with what it is compared by.
 #[derive(Debug, Clone)]
 struct ComparedPhoto {
     id: String,
     facts: PhotoFacts,
-    sketch: ViewDescriptor,
+    descriptor: ViewDescriptor,
 }
 
-/// Below this the colours of a photo are one tint: narrow-band JPEG copies have 0.0025 to 0.0095, the palest photo
-/// of the Navcam feed 0.021, rover and fox 0.087 and more.
-const COLOUR: f64 = 0.014;
+/// A photo whose [`ViewDescriptor::colour`] is below this has one tint: narrow-band JPEG copies have 0.0025 to 0.0095,
+/// the palest photo of the Navcam feed 0.021, rover and fox 0.087 and more.
+const MIN_COLOUR: f64 = 0.014;
 
 impl ComparedPhoto {
-    /// Orders the better photo first; ids are unique, so no two are equal.
-    fn better(&self, other: &Self) -> Ordering {
-        let area = |view: &Self| u64::from(view.sketch.width) * u64::from(view.sketch.height);
+    /// Orders the better photo first; ids are unique, so no two photos are equal.
+    fn compare_quality(&self, other: &Self) -> Ordering {
+        let area = |photo: &Self| u64::from(photo.descriptor.width) * u64::from(photo.descriptor.height);
         other
             .is_broad()
             .cmp(&self.is_broad())
-            .then_with(|| (other.sketch.colour >= COLOUR).cmp(&(self.sketch.colour >= COLOUR)))
+            .then_with(|| {
+                (other.descriptor.colour >= MIN_COLOUR).cmp(&(self.descriptor.colour >= MIN_COLOUR))
+            })
             .then_with(|| processing_rank(&self.id).cmp(&processing_rank(&other.id)))
-            .then_with(|| other.sketch.sharpness.total_cmp(&self.sketch.sharpness))
+            .then_with(|| other.descriptor.sharpness.total_cmp(&self.descriptor.sharpness))
             .then_with(|| area(other).cmp(&area(self)))
             .then_with(|| self.id.cmp(&other.id))
     }
 
-    /// Tells whether the archive names no colour filter, or a broad-band one: `0` of the science cameras, `F` (full
+    /// Returns whether the archive names no colour filter, or a broad-band one: `0` of the science cameras, `F` (full
     /// colour), `E` (its mosaic) and `M` (panchromatic) of the engineering cameras of Mars 2020.
     fn is_broad(&self) -> bool {
         self.facts
@@ -193,16 +211,21 @@ impl ComparedPhoto {
 }
 
 impl Duplicate {
-    /// Compares with all that are kept; of several twins the most alike is named, of equals the first.
-    fn judge(&self, view: &ComparedPhoto, kept: &[ComparedPhoto]) -> Decision {
+    /// As [`Filter::MEASURE_VERSION`](crate::Filter::MEASURE_VERSION).
+    const MEASURE_VERSION: u32 = 2;
+    /// As [`Filter::DECISION_VERSION`](crate::Filter::DECISION_VERSION).
+    const DECISION_VERSION: u32 = 0;
+
+    /// Decides on a photo by comparing it with all kept ones; the reason names the most similar one, of equals the first.
+    fn decide(&self, photo: &ComparedPhoto, kept: &[ComparedPhoto]) -> Decision {
         let mut nearest: Option<(f64, Decision)> = None;
         for other in kept
             .iter()
-            .filter(|other| same_aspect(&view.sketch, &other.sketch))
+            .filter(|other| same_aspect(&photo.descriptor, &other.descriptor))
         {
             let compared = match self.params.rule {
-                DuplicateRule::Confirmed => self.confirm(view, other),
-                DuplicateRule::Phash => Some(self.hashes_alone(view, other)),
+                DuplicateRule::Confirmed => self.compare_gradients(photo, other),
+                DuplicateRule::Phash => Some(self.compare_hashes(photo, other)),
             };
             if let Some((excess, decision)) = compared
                 && nearest.as_ref().is_none_or(|(most, _)| excess > *most)
@@ -213,15 +236,16 @@ impl Duplicate {
         nearest.map_or_else(|| Decision::pass(""), |(_, decision)| decision)
     }
 
-    /// Returns by how much the pair is over its threshold, and the decision; `None` if it is no candidate.
-    fn confirm(&self, view: &ComparedPhoto, other: &ComparedPhoto) -> Option<(f64, Decision)> {
-        let bits = bits(&view.sketch, &other.sketch);
-        let relation = relation_between((&view.id, &view.facts), (&other.id, &other.facts));
+    /// Compares by hashes and gradients: returns by how much the score exceeds the threshold, and the decision; `None`
+    /// where the hashes are too far apart.
+    fn compare_gradients(&self, photo: &ComparedPhoto, other: &ComparedPhoto) -> Option<(f64, Decision)> {
+        let bits = hash_distance(&photo.descriptor, &other.descriptor);
+        let relation = relation_between((&photo.id, &photo.facts), (&other.id, &other.facts));
         if bits > self.params.candidate_bits && relation == Relation::Unknown {
             return None;
         }
-        let limit = self.limit(relation);
-        let score = correlation(&view.sketch, &other.sketch);
+        let limit = self.min_correlation(relation);
+        let score = correlation(&photo.descriptor, &other.descriptor);
         let reason = || {
             let (twin, words) = (&other.id, relation.reason_suffix());
             format!(
@@ -234,7 +258,8 @@ impl Duplicate {
         ))
     }
 
-    fn limit(&self, relation: Relation) -> f64 {
+    /// Returns the smallest correlation of two duplicates that are related like this.
+    fn min_correlation(&self, relation: Relation) -> f64 {
         let (usual, filter) = (self.params.min_correlation, self.params.filter_correlation);
         let limit = match relation {
             Relation::SameExposure => self.params.version_correlation,
@@ -245,8 +270,12 @@ impl Duplicate {
         limit.min(usual)
     }
 
-    fn hashes_alone(&self, view: &ComparedPhoto, other: &ComparedPhoto) -> (f64, Decision) {
-        let (bits, limit) = (brightness_bits(&view.sketch, &other.sketch), self.params.max_bits);
+    /// Compares by the hashes of the brightness alone, as [`Duplicate::compare_gradients`] does.
+    fn compare_hashes(&self, photo: &ComparedPhoto, other: &ComparedPhoto) -> (f64, Decision) {
+        let (bits, limit) = (
+            brightness_hash_distance(&photo.descriptor, &other.descriptor),
+            self.params.max_bits,
+        );
         let (score, threshold) = (f64::from(bits), f64::from(limit));
         let reason = || format!("like `{}`: hashes {bits} bits apart, less than {limit}", other.id);
         (
@@ -256,6 +285,7 @@ impl Duplicate {
     }
 }
 
+/// Returns the decision on a photo that was compared with `other`.
 fn compared(
     alike: bool,
     score: f64,
@@ -275,40 +305,44 @@ fn compared(
     }
 }
 
-/// Returns the photo, or its verdict if it could not be decoded.
-fn read_item(item: &Measured<'_>) -> Result<Result<ComparedPhoto, Verdict>, StageError> {
+/// Reads a photo with its descriptor; the inner error is the verdict of a photo that could not be decoded.
+fn read_photo(item: &Measured<'_>) -> Result<Result<ComparedPhoto, Verdict>, StageError> {
     let facts = facts_of(item.row)?;
     match survey::part(item.measure, Duplicate::NAME, item.row)? {
-        Ok(mut sketch) => {
-            let sketch =
-                ViewDescriptor::decode(&mut sketch).ok_or_else(|| unreadable(item.row, "it is no sketch"))?;
+        Ok(mut descriptor) => {
+            let descriptor = ViewDescriptor::decode(&mut descriptor)
+                .ok_or_else(|| unreadable(item.row, "it is no descriptor"))?;
             let id = item.row.id.clone();
-            Ok(Ok(ComparedPhoto { id, facts, sketch }))
+            Ok(Ok(ComparedPhoto {
+                id,
+                facts,
+                descriptor,
+            }))
         }
         Err(reason) => Ok(Err(undecodable(item.row, &facts, reason))),
     }
 }
 
-/// Writes, for each photo, a length and a JSON header (u32 LE first), then its sketch.
+/// Writes, for each photo, a length and a JSON header (u32 LE first), then its descriptor.
 fn write_state(kept: &[ComparedPhoto]) -> Vec<u8> {
     let mut bytes = Vec::new();
-    for view in kept {
+    for photo in kept {
         let head = StateHeader {
-            id: view.id.clone(),
-            instrument: view.facts.instrument.clone(),
-            filter: view.facts.filter.clone(),
-            sol: view.facts.sol,
+            id: photo.id.clone(),
+            instrument: photo.facts.instrument.clone(),
+            filter: photo.facts.filter.clone(),
+            sol: photo.facts.sol,
         };
         // Strings and numbers always serialise; an empty header would be refused on reading.
         let head = serde_json::to_vec(&head).unwrap_or_default();
         bytes.extend((head.len() as u32).to_le_bytes());
         bytes.extend(head);
-        bytes.extend(view.sketch.encode());
+        bytes.extend(photo.descriptor.encode());
     }
     bytes
 }
 
-/// What later sols need to know of a kept photo beside its sketch.
+/// The facts of a kept photo that later sols need beside its descriptor.
 #[derive(Serialize, Deserialize)]
 struct StateHeader {
     id: String,
@@ -317,16 +351,18 @@ struct StateHeader {
     sol: Option<u32>,
 }
 
+/// Reads what [`write_state`] wrote.
 fn read_state(mut bytes: &[u8]) -> Result<Vec<ComparedPhoto>, StageError> {
     let mut kept = Vec::new();
     while !bytes.is_empty() {
-        let view = read_view(&mut bytes);
-        kept.push(view.ok_or_else(|| broken(format!("state cannot be read after {} photos", kept.len())))?);
+        let photo = read_kept(&mut bytes);
+        kept.push(photo.ok_or_else(|| damaged(format!("state cannot be read after {} photos", kept.len())))?);
     }
     Ok(kept)
 }
 
-fn read_view(bytes: &mut &[u8]) -> Option<ComparedPhoto> {
+/// Reads one photo and removes it from the front of `bytes`; `None` if it is not that.
+fn read_kept(bytes: &mut &[u8]) -> Option<ComparedPhoto> {
     let length = u32::from_le_bytes(take(bytes)?) as usize;
     let (head, rest) = bytes.split_at_checked(length)?;
     *bytes = rest;
@@ -337,14 +373,10 @@ fn read_view(bytes: &mut &[u8]) -> Option<ComparedPhoto> {
         sol: head.sol,
         ..PhotoFacts::default()
     };
-    let sketch = ViewDescriptor::decode(bytes)?;
+    let descriptor = ViewDescriptor::decode(bytes)?;
     Some(ComparedPhoto {
         id: head.id,
         facts,
-        sketch,
+        descriptor,
     })
-}
-
-fn broken(message: String) -> StageError {
-    StageError::new(message).hint("the store may be damaged: measure again in an empty one, `--store DIR`")
 }

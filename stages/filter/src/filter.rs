@@ -1,3 +1,5 @@
+//! What a filter is: a measure of one photo, and a decision by thresholds.
+
 use marf_cache::{ContentHash, manifest::Row};
 use marf_scene::PhotoFacts;
 use marf_stage::{ParamError, StageError, Verdict};
@@ -7,17 +9,22 @@ use serde::{Serialize, de::DeserializeOwned};
 use crate::by_hand::ByHand;
 use crate::decoded::DecodedPhoto;
 
-/// A rule that keeps or rejects photos, its measure apart from its decision.
+/// A rule that keeps or rejects photos by thresholds on a measure of each photo.
 pub trait Filter: Send + Sync + Sized + 'static {
-    /// Name in pipeline.toml, in keys, and the verdict of what it rejects.
+    /// Name in pipeline.toml and in keys; also the verdict of the photos it rejects.
     const NAME: &'static str;
-    /// One line for people.
+    /// One line of help.
     const ABOUT: &'static str;
-    /// Raised by hand when `measure` or `decide` may answer differently.
-    const VERSION: u32;
-    /// Thresholds and rules; doc comments of its fields become the help text.
+    /// Version of the measure, raised by hand when [`Filter::MEASURE`] may return something else for a photo; the kept
+    /// measures of all filters are then computed again. 0 where there is no measure.
+    const MEASURE_VERSION: u32;
+    /// Version of the decision, raised by hand when `decide` may answer differently; the kept measures stay.
+    const DECISION_VERSION: u32;
+    /// Version of the stage, part of the key of its nodes: raising either of the two above gives it a new value.
+    const VERSION: u32 = Self::MEASURE_VERSION + Self::DECISION_VERSION;
+    /// Thresholds and choice of rule; the doc comments of its fields are the help text.
     type Params: DeserializeOwned + JsonSchema + ContentHash + Send + Sync + 'static;
-    /// What is kept per photo.
+    /// What is measured of a photo, kept as JSON.
     type Measure: Serialize + DeserializeOwned;
 
     /// Checks the thresholds.
@@ -26,46 +33,50 @@ pub trait Filter: Send + Sync + Sized + 'static {
     /// Names the key that is out of range.
     fn check(params: &Self::Params) -> Result<(), ParamError>;
 
-    /// Returns what a person has decided on single photos.
+    /// Returns the photos on which a person has decided.
     fn by_hand(params: &Self::Params) -> &ByHand;
 
-    /// Measures one photo, a pure function of its pixels: facts may change while the bytes stay, so they are read in
-    /// `decide`. `None` where facts are enough; `Measure` is then `()`.
+    /// Measures one photo, as a pure function of its pixels; facts may change while the bytes stay, so they are read
+    /// in `decide`. `None` where the facts are enough; `Measure` is then `()`.
     ///
-    /// All filters of the table measure a photo in one go, from one decode (`survey.rs`).
+    /// All filters measure a photo together, from one decode (`survey.rs`).
     const MEASURE: Option<fn(&DecodedPhoto) -> Self::Measure>;
 
-    /// Returns one decision for each photo, in the same order; the decisions themselves do not depend on it.
+    /// Digests of the filter's answers on fixed photos, beside the versions they belong to.
+    #[cfg(test)]
+    const GUARD: crate::guard::Guard;
+
+    /// Returns one decision for each photo, in the same order; no decision depends on the order.
     fn decide(params: &Self::Params, photos: &[MeasuredPhoto<Self::Measure>]) -> Vec<Decision>;
 }
 
-/// A photo at the moment of decision.
+/// A photo with its measure and the facts of its archive.
 pub struct MeasuredPhoto<M> {
     /// Name of the photo.
     pub id: String,
-    /// What its archive says of it.
+    /// Facts from its archive.
     pub facts: PhotoFacts,
-    /// What was measured.
+    /// What [`Filter::MEASURE`] returned.
     pub measure: M,
 }
 
-/// What a filter says of one photo.
+/// Whether a filter keeps a photo, and why.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Decision {
-    /// Whether the photo stays.
+    /// Whether the photo is kept.
     pub keep: bool,
-    /// The number the decision rests on, in the filter's own unit.
+    /// The number that was compared with the threshold, in the filter's own unit.
     pub score: Option<f64>,
-    /// What it was held against.
+    /// The threshold.
     pub threshold: Option<f64>,
-    /// The photo that stays in its place.
+    /// Of a duplicate, the photo that is kept instead.
     pub twin: Option<String>,
-    /// One sentence; empty where a kept photo needs no word.
+    /// One sentence; may be empty for a kept photo.
     pub reason: String,
 }
 
 impl Decision {
-    /// The photo stays: `score` is on the good side of `threshold`.
+    /// Returns the decision to keep a photo whose `score` satisfies `threshold`.
     pub fn keep(score: f64, threshold: f64) -> Self {
         Self {
             keep: true,
@@ -73,7 +84,7 @@ impl Decision {
         }
     }
 
-    /// The photo stays without being held against anything, and why.
+    /// Returns the decision to keep a photo that was compared with no threshold, and why.
     pub fn pass(reason: impl Into<String>) -> Self {
         Self {
             keep: true,
@@ -84,7 +95,7 @@ impl Decision {
         }
     }
 
-    /// The photo goes.
+    /// Returns the decision to reject a photo.
     pub fn reject(score: f64, threshold: f64, reason: impl Into<String>) -> Self {
         Self {
             keep: false,
@@ -95,7 +106,7 @@ impl Decision {
         }
     }
 
-    /// Returns the verdict of filter `name` on the photo of `row`.
+    /// Returns the decision as the verdict of filter `name` on the photo of `row`.
     pub(crate) fn verdict(self, name: &str, row: &Row, facts: &PhotoFacts) -> Verdict {
         Verdict {
             id: row.id.clone(),
@@ -109,7 +120,10 @@ impl Decision {
     }
 }
 
-/// Returns the facts of a row.
+/// Reads the facts of a row.
+///
+/// # Errors
+/// Facts that are not those of a photo, with the photo's id.
 pub(crate) fn facts_of(row: &Row) -> Result<PhotoFacts, StageError> {
     PhotoFacts::from_json(&row.facts).map_err(|error| {
         StageError::new(format!("facts of photo `{}` cannot be read", row.id)).cause(error.to_string())
@@ -125,6 +139,7 @@ pub(crate) fn undecodable(row: &Row, facts: &PhotoFacts, reason: String) -> Verd
     decision.verdict(crate::DECODE, row, facts)
 }
 
+/// Returns the file a photo came from, or its id where no file is known.
 fn file_of(row: &Row, facts: &PhotoFacts) -> String {
     if facts.file.is_empty() {
         &row.id
@@ -134,7 +149,10 @@ fn file_of(row: &Row, facts: &PhotoFacts) -> String {
     .clone()
 }
 
-/// Refuses a number outside `[low, high]`, and NaN.
+/// Checks that the value of `key` is in `[low, high]`.
+///
+/// # Errors
+/// A value outside, and NaN.
 pub(crate) fn check_range(key: &str, value: f64, low: f64, high: f64) -> Result<(), ParamError> {
     if (low..=high).contains(&value) {
         Ok(())

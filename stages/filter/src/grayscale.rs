@@ -1,3 +1,5 @@
+//! The filter `grayscale`.
+
 use marf_cache::ContentHash;
 use marf_stage::ParamError;
 use schemars::JsonSchema;
@@ -6,6 +8,8 @@ use serde::{Deserialize, Serialize};
 use crate::by_hand::ByHand;
 use crate::decoded::DecodedPhoto;
 use crate::filter::{Decision, Filter, MeasuredPhoto, check_range};
+#[cfg(test)]
+use crate::guard::Guard;
 
 /// Rejects photos without colour: one band, or three equal ones within the noise of JPEG.
 pub struct Grayscale;
@@ -31,7 +35,7 @@ pub struct GrayscaleParams {
     pub min_spread: u8,
     /// Smallest share of pixels with colour, in [0, 1].
     pub min_share: f64,
-    /// Photos on which a person has decided; filled from `[keep]` and `[reject]` of the pipeline.
+    /// Photos kept or rejected by hand; filled from `[keep]` and `[reject]` of the pipeline.
     pub by_hand: ByHand,
 }
 
@@ -46,25 +50,32 @@ impl Default for GrayscaleParams {
     }
 }
 
-/// How far the channels of a photo's pixels lie apart.
+/// Histogram of the spread of the pixels of a photo: the difference of their largest and smallest channel.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ChannelSpread {
     /// Bands stored in the file.
     bands: u8,
-    /// Pixels of a sample by (largest channel - smallest channel); trailing zeros are cut.
+    /// Pixels of a sample by their spread; trailing zeros are left out.
     pixels: Vec<u32>,
 }
 
 impl Filter for Grayscale {
     const NAME: &'static str = "grayscale";
     const ABOUT: &'static str = "rejects photos without colour";
-    const VERSION: u32 = 2;
+    const MEASURE_VERSION: u32 = 2;
+    const DECISION_VERSION: u32 = 0;
     type Params = GrayscaleParams;
     type Measure = ChannelSpread;
-    const MEASURE: Option<fn(&DecodedPhoto) -> ChannelSpread> = Some(|look| ChannelSpread {
-        bands: look.photo.bands,
-        pixels: spread(look.sample()),
+    const MEASURE: Option<fn(&DecodedPhoto) -> ChannelSpread> = Some(|decoded| ChannelSpread {
+        bands: decoded.photo.bands,
+        pixels: spread(decoded.sample()),
     });
+
+    #[cfg(test)]
+    const GUARD: Guard = Guard {
+        measures: "",
+        decisions: "",
+    };
 
     fn by_hand(params: &GrayscaleParams) -> &ByHand {
         &params.by_hand
@@ -75,11 +86,14 @@ impl Filter for Grayscale {
     }
 
     fn decide(params: &GrayscaleParams, photos: &[MeasuredPhoto<ChannelSpread>]) -> Vec<Decision> {
-        photos.iter().map(|photo| judge(params, &photo.measure)).collect()
+        photos
+            .iter()
+            .map(|photo| decide(params, &photo.measure))
+            .collect()
     }
 }
 
-/// Counts pixels by the difference of their largest and smallest channel.
+/// Counts pixels by their spread.
 fn spread(pixels: impl Iterator<Item = [u8; 3]>) -> Vec<u32> {
     let mut counts = vec![0_u32; 256];
     for [red, green, blue] in pixels {
@@ -103,7 +117,8 @@ impl ChannelSpread {
     }
 }
 
-fn judge(params: &GrayscaleParams, measure: &ChannelSpread) -> Decision {
+/// Decides on one photo.
+fn decide(params: &GrayscaleParams, measure: &ChannelSpread) -> Decision {
     let (share, least) = (measure.share_above(params.min_spread), params.min_share);
     if params.keep == Keep::All {
         return Decision {

@@ -1,21 +1,21 @@
 //! The perceptual hash: which low frequencies of a picture are stronger than their median.
 //!
-//! The hash is `img_hash`'s. The transform behind it is our own, in integers: that of the library is in floats, rounded as
-//! the platform's cosines and instruction set will, and its bits are kept in stores.
+//! The hash is `img_hash`'s. The transform behind it is our own, in integers: that of the library is in floats, which
+//! round differently from platform to platform, and the bits of hashes are kept in stores.
 
 use img_hash::ImageHash;
 
-/// 64 bits.
+/// A hash of 64 bits.
 pub(crate) type Hash = ImageHash<[u8; 8]>;
 
-/// Cells a side that are transformed.
+/// Cells along a side of the transformed picture.
 pub(crate) const SIDE: usize = 32;
-/// Frequencies a side that count.
+/// Frequencies along an axis that are hashed.
 const LOW: usize = 8;
 
 /// cos(k pi / 64) in units of 2^-30, rounded, for k = 0 to 32.
 ///
-/// Written out, since the last bit of a platform's cosine is its own. A test holds them against `f64::cos`.
+/// Written out, since the last bit of a cosine differs between platforms. A test compares them with `f64::cos`.
 const COSINES: [i64; SIDE + 1] = [
     1_073_741_824,
     1_072_448_455,
@@ -72,7 +72,7 @@ pub(crate) fn of_bits(bits: u64) -> Option<Hash> {
 /// frequency (u, v) of the DCT-II is above the median of the 64 lowest (pHash; the `imagehash` of the paper's code
 /// transforms 32 x 32 as well). In integers: the same bits on every machine.
 ///
-/// Extremes: a flat picture has only its mean, hence bit 0 alone; black has no bit at all.
+/// Extremes: a flat picture has its mean alone, hence bit 0 alone; black has no bit.
 pub(crate) fn dct(values: &[i64; SIDE * SIDE]) -> u64 {
     // By column of cells: frequencies along y. At most 32 * 255 * 2^30 = 2^43.
     let mut down = [[0_i64; SIDE]; LOW];
@@ -128,8 +128,8 @@ mod tests {
         assert_eq!(dct(&[0; SIDE * SIDE]), 0, "black");
     }
 
-    /// The library's own transform, of 16 x 16 cells in f32, sees the same picture: other cells move a few bits of 64,
-    /// another picture half of them.
+    /// The library transforms 16 x 16 cells in f32: on the same picture it differs in a few bits of 64, on another in half
+    /// of them.
     #[test]
     fn the_librarys_own_hash_is_near() {
         use img_hash::{BitOrder, HashAlg, HasherConfig};

@@ -1,3 +1,5 @@
+//! The filter `histogram`.
+
 use marf_cache::ContentHash;
 use marf_stage::ParamError;
 use schemars::JsonSchema;
@@ -6,18 +8,21 @@ use serde::{Deserialize, Serialize};
 use crate::by_hand::ByHand;
 use crate::decoded::DecodedPhoto;
 use crate::filter::{Decision, Filter, MeasuredPhoto, check_range};
+#[cfg(test)]
+use crate::guard::Guard;
 use crate::luma::{Luma, luma};
 use crate::statistics::{SortedValues, group_by_instrument};
 
-/// Rejects photos whose brightness or colours do not belong to the set, and photos with lost areas.
+/// Rejects photos whose brightness or colours differ too much from those of the other photos, and photos with lost
+/// areas.
 pub struct Histogram;
 
-/// How [`Histogram`] judges.
+/// The rule of [`Histogram`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
 #[serde(rename_all = "snake_case")]
 pub enum HistogramRule {
-    /// Distance to the set's median histograms of brightness and of two colour differences, against the
-    /// distances of the other photos; and the shares of the photo that are flat, burnt out or black.
+    /// Distance to the median histograms of brightness and of two colour differences, compared with the distances of
+    /// the other photos; and the shares of the photo that are flat, burnt out or black.
     Robust,
     /// The paper's rule: more than half of the bins of brightness are further than one standard deviation from
     /// the set's mean, the photo itself left out of both.
@@ -30,27 +35,28 @@ pub enum HistogramRule {
 pub struct HistogramParams {
     /// `robust` (default) or `paper`.
     pub rule: HistogramRule,
-    /// Largest share of 8 x 8 blocks of one single brightness: areas lost in transmission, blocks, stripes. In a
-    /// set it is counted on top of the upper quartile of the other photos of the instrument.
+    /// Largest share of 8 x 8 blocks of one single brightness: areas lost in transmission, blocks, stripes. With
+    /// `min_set` photos and more it is added to the upper quartile of the other photos of the instrument.
     pub max_flat: f64,
     /// Largest share of pixels without information: burnt out (a channel at 254 and more) or black (all at 4 and
-    /// less). In a set it is counted on top of the upper quartile of the other photos of the instrument. Good photos of
+    /// less). With `min_set` photos and more it is added to the upper quartile of the other photos of the instrument. Good photos of
     /// three cameras have 0.054 at most, a Navcam photo of burnt-out ground 0.40.
     pub max_clipped: f64,
-    /// A distance of brightness to the median histogram up to this is never held against a photo, in 8-bit steps: a
+    /// A distance of brightness to the median histogram up to this never rejects a photo, in 8-bit steps: a
     /// good Navcam photo in deep shadow is 67 away, an underexposed one of the demo 84, one of an eighth of the light 110.
     pub min_light: f64,
-    /// The same for the two colour differences: by so much colours wander between good photos.
+    /// The same for the two colour differences: colours of good photos differ by so much.
     pub min_distance: f64,
     /// Largest distance: the median of the others' distances plus this multiple of (upper quartile - median).
     pub spreads: f64,
-    /// Fewest photos of one instrument that make a set; in a smaller one only `max_flat` and `max_clipped` judge.
+    /// Fewest photos of one instrument that are compared with each other; of fewer, only `max_flat` and `max_clipped`
+    /// reject.
     pub min_set: u32,
     /// Largest share of bins out of place, for `rule = "paper"`.
     pub max_bins: f64,
     /// How many standard deviations a bin may be off, for `rule = "paper"`.
     pub sigmas: f64,
-    /// Photos on which a person has decided; filled from `[keep]` and `[reject]` of the pipeline.
+    /// Photos kept or rejected by hand; filled from `[keep]` and `[reject]` of the pipeline.
     pub by_hand: ByHand,
 }
 
@@ -71,7 +77,7 @@ impl Default for HistogramParams {
     }
 }
 
-/// Where a photo's brightness and colours lie.
+/// Histograms of brightness and colour differences of a photo, and counts of its lost areas.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ToneHistograms {
     /// Pixels of a sample by brightness, 256 bins of 1 step.
@@ -82,26 +88,35 @@ pub struct ToneHistograms {
     blue_green: Vec<u32>,
     /// Whole 8 x 8 blocks, counted from the top left corner.
     blocks: u32,
-    /// Those of one single brightness.
+    /// Blocks of one single brightness.
     flat_blocks: u32,
     /// Pixels of the sample that are burnt out or black.
     clipped: u32,
 }
 
+/// Pixels a side of a block.
 const BLOCK: usize = 8;
-/// A channel from here on has lost what it measured.
+/// A channel at this value or above is burnt out.
 const BURNT: u8 = 254;
 /// A pixel is black if no channel is above this.
 const BLACK: u8 = 4;
+/// Name of each histogram, and width of its bins in 8-bit steps.
 const CHANNELS: [(&str, f64); 3] = [("brightness", 1.0), ("red - green", 4.0), ("blue - green", 4.0)];
 
 impl Filter for Histogram {
     const NAME: &'static str = "histogram";
     const ABOUT: &'static str = "rejects photos whose brightness or colours do not belong to the set";
-    const VERSION: u32 = 2;
+    const MEASURE_VERSION: u32 = 2;
+    const DECISION_VERSION: u32 = 0;
     type Params = HistogramParams;
     type Measure = ToneHistograms;
     const MEASURE: Option<fn(&DecodedPhoto) -> ToneHistograms> = Some(tones);
+
+    #[cfg(test)]
+    const GUARD: Guard = Guard {
+        measures: "",
+        decisions: "",
+    };
 
     fn by_hand(params: &HistogramParams) -> &ByHand {
         &params.by_hand
@@ -121,11 +136,11 @@ impl Filter for Histogram {
         let mut decisions = vec![Decision::pass(""); photos.len()];
         for group in group_by_instrument(photos) {
             let tones: Vec<&ToneHistograms> = group.iter().map(|index| &photos[*index].measure).collect();
-            let judged = match params.rule {
+            let decided = match params.rule {
                 HistogramRule::Robust => robust(params, &tones),
                 HistogramRule::Paper => paper(params, &tones),
             };
-            for (index, decision) in group.into_iter().zip(judged) {
+            for (index, decision) in group.into_iter().zip(decided) {
                 decisions[index] = decision;
             }
         }
@@ -133,16 +148,17 @@ impl Filter for Histogram {
     }
 }
 
-fn tones(look: &DecodedPhoto) -> ToneHistograms {
+/// Measures the histograms of a photo.
+fn tones(decoded: &DecodedPhoto) -> ToneHistograms {
     let mut tones = ToneHistograms {
         luma: vec![0; 256],
         red_green: vec![0; 128],
         blue_green: vec![0; 128],
-        blocks: ((look.luma.width / BLOCK) * (look.luma.height / BLOCK)) as u32,
-        flat_blocks: flat_blocks(&look.luma),
+        blocks: ((decoded.luma.width / BLOCK) * (decoded.luma.height / BLOCK)) as u32,
+        flat_blocks: flat_blocks(&decoded.luma),
         clipped: 0,
     };
-    for pixel in look.sample() {
+    for pixel in decoded.sample() {
         let [red, green, blue] = pixel;
         let difference = |channel: u8| (256 + usize::from(channel) - usize::from(green)) / 4;
         let most = red.max(green).max(blue);
@@ -154,6 +170,7 @@ fn tones(look: &DecodedPhoto) -> ToneHistograms {
     tones
 }
 
+/// Counts the blocks of one single brightness.
 fn flat_blocks(luma: &Luma) -> u32 {
     let mut flat = 0;
     for rows in luma.values.chunks_exact((BLOCK * luma.width).max(1)) {
@@ -167,20 +184,23 @@ fn flat_blocks(luma: &Luma) -> u32 {
 }
 
 impl ToneHistograms {
+    /// Returns the share of blocks of one single brightness, in [0, 1].
     fn flat_share(&self) -> f64 {
         f64::from(self.flat_blocks) / f64::from(self.blocks.max(1))
     }
 
+    /// Returns the share of pixels that are burnt out or black, in [0, 1].
     fn clipped_share(&self) -> f64 {
         let all: u64 = self.luma.iter().map(|count| u64::from(*count)).sum();
         f64::from(self.clipped) / all.max(1) as f64
     }
 
+    /// Returns a histogram by its index in [`CHANNELS`].
     fn channel(&self, channel: usize) -> &[u32] {
         [&self.luma, &self.red_green, &self.blue_green][channel]
     }
 
-    /// Returns the share of pixels in each bin or below, in [0, 1].
+    /// Returns the cumulative histogram of a channel: the share of pixels in each bin or below, in [0, 1].
     fn cumulative(&self, channel: usize) -> Vec<f64> {
         let bins = self.channel(channel);
         let all: u64 = bins.iter().map(|count| u64::from(*count)).sum();
@@ -193,14 +213,15 @@ impl ToneHistograms {
     }
 }
 
-/// A share of a photo that holds no picture: how it is read, its limit, what it is called.
-type Lost = (
+/// A kind of lost area: the share of the photo, its limit, and what a reason says of it.
+type LostArea = (
     fn(&ToneHistograms) -> f64,
     fn(&HistogramParams) -> f64,
     &'static str,
 );
 
-const LOST: [Lost; 2] = [
+/// The kinds of lost areas.
+const LOST_AREAS: [LostArea; 2] = [
     (
         ToneHistograms::flat_share,
         |params| params.max_flat,
@@ -213,11 +234,12 @@ const LOST: [Lost; 2] = [
     ),
 ];
 
-/// Returns the decisions on the photos of one instrument: of all complaints the worst.
+/// Decides on the photos of one instrument by the rule [`HistogramRule::Robust`]: for each photo, the decision whose
+/// score is largest against its threshold.
 fn robust(params: &HistogramParams, tones: &[&ToneHistograms]) -> Vec<Decision> {
     let set = tones.len() >= params.min_set as usize;
     let mut decisions: Vec<Option<Decision>> = vec![None; tones.len()];
-    for (share, limit, what) in LOST {
+    for (share, limit, what) in LOST_AREAS {
         let ranked = SortedValues::new(tones.iter().map(|tones| share(tones)).collect());
         for (decision, tones) in decisions.iter_mut().zip(tones) {
             let share = share(tones);
@@ -228,7 +250,7 @@ fn robust(params: &HistogramParams, tones: &[&ToneHistograms]) -> Vec<Decision> 
             };
             *decision = Some(worse(
                 decision.take(),
-                judge_lost(share, limit(params) + usual, what),
+                decide_lost_area(share, limit(params) + usual, what),
             ));
         }
     }
@@ -244,14 +266,15 @@ fn robust(params: &HistogramParams, tones: &[&ToneHistograms]) -> Vec<Decision> 
             let limit = (median + params.spreads * (quartile - median)).max(floors[channel]);
             *decision = Some(worse(
                 decision.take(),
-                judge_distance(name, distance, median, limit),
+                decide_distance(name, distance, median, limit),
             ));
         }
     }
     decisions.into_iter().flatten().collect()
 }
 
-fn judge_lost(share: f64, limit: f64, what: &str) -> Decision {
+/// Decides by the share of one kind of lost area.
+fn decide_lost_area(share: f64, limit: f64, what: &str) -> Decision {
     if share > limit {
         let reason = format!(
             "{:.0} % of the photo {what}, at most {:.0} %",
@@ -263,7 +286,8 @@ fn judge_lost(share: f64, limit: f64, what: &str) -> Decision {
     Decision::keep(share, limit)
 }
 
-fn judge_distance(name: &str, distance: f64, usual: f64, limit: f64) -> Decision {
+/// Decides by the distance of one histogram to the median.
+fn decide_distance(name: &str, distance: f64, usual: f64, limit: f64) -> Decision {
     if distance > limit {
         let reason = format!(
             "{name} is {distance:.0} steps from the set's median histogram, usual {usual:.0}, at most {limit:.0}"
@@ -283,8 +307,8 @@ fn worse(earlier: Option<Decision>, later: Decision) -> Decision {
     }
 }
 
-/// Returns each photo's distance to the median of the others' cumulative histograms: the mean way a pixel would
-/// have to move (earth mover), in 8-bit steps.
+/// Returns each photo's earth mover's distance to the median histogram of the others, in 8-bit steps: the mean over all
+/// pixels of how far they would have to move.
 fn distances(tones: &[&ToneHistograms], channel: usize, step: f64) -> Vec<f64> {
     let shares: Vec<Vec<f64>> = tones.iter().map(|tones| tones.cumulative(channel)).collect();
     let mut distances = vec![0.0; tones.len()];
@@ -297,10 +321,10 @@ fn distances(tones: &[&ToneHistograms], channel: usize, step: f64) -> Vec<f64> {
     distances
 }
 
-/// Shares are counted in units of 2^-24, so that sums over the set are integers and free of order.
+/// Shares are counted in units of 2^-24, so that sums over photos are exact integers and do not depend on the order.
 const SHARE: u64 = 1 << 24;
 
-/// Returns the decisions of the paper's rule on the photos of one instrument.
+/// Decides on the photos of one instrument by the rule [`HistogramRule::Paper`].
 fn paper(params: &HistogramParams, tones: &[&ToneHistograms]) -> Vec<Decision> {
     if tones.len() < 3 {
         return vec![Decision::pass("fewer than 3 photos have no mean to be far from"); tones.len()];
@@ -325,10 +349,11 @@ fn paper(params: &HistogramParams, tones: &[&ToneHistograms]) -> Vec<Decision> {
     };
     shares
         .iter()
-        .map(|shares| judge_bins(far(shares), params.max_bins))
+        .map(|shares| decide_bins(far(shares), params.max_bins))
         .collect()
 }
 
+/// Returns the bins as shares of all pixels, in units of 1 / [`SHARE`].
 fn normalised(bins: &[u32]) -> Vec<u64> {
     let all: u64 = bins.iter().map(|count| u64::from(*count)).sum();
     bins.iter()
@@ -336,7 +361,8 @@ fn normalised(bins: &[u32]) -> Vec<u64> {
         .collect()
 }
 
-fn judge_bins(share: f64, limit: f64) -> Decision {
+/// Decides by the share of bins out of place.
+fn decide_bins(share: f64, limit: f64) -> Decision {
     if share > limit {
         let reason = format!(
             "{:.0} % of the bins out of place, at most {:.0} %",

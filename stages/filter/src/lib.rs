@@ -1,10 +1,10 @@
-//! Photos to verdicts: the six filters.
+//! The filters: each photo is kept or rejected, with the score and the reason.
 //!
-//! All filters together measure a photo once, from one decode (kept by the engine); each decides by thresholds
-//! (cheap, always run again).
-//! A new filter is one file here and one line in the `filters!` table below: config section, help text, cache
-//! key and record come from its [`Filter`] implementation. Invariant: no verdict depends on the order of the
-//! photos, and no threshold reaches a measure.
+//! A filter is a file of this folder that implements [`Filter`], declared by `mod`, and one row of the `filters!` table
+//! below. Its section in pipeline.toml, its help text, its keys and its place in `marf filter` come from there. All
+//! filters measure a photo together, from one decode, and the engine keeps the measures; decisions by thresholds are
+//! cheap and always made again. Invariant: no verdict depends on the order of the photos, and no threshold changes a
+//! measure.
 
 mod blur;
 mod by_hand;
@@ -13,6 +13,8 @@ mod descriptor;
 mod duplicate;
 mod filter;
 mod grayscale;
+#[cfg(test)]
+mod guard;
 mod hash;
 mod histogram;
 mod luma;
@@ -25,41 +27,45 @@ mod stage;
 mod statistics;
 mod survey;
 
-use marf_stage::{StageDef, define};
-use survey::{Section, Surveyed, Versions};
+#[cfg(test)]
+extern crate self as marf_filter;
+/// The photos of the integration tests.
+#[cfg(test)]
+#[path = "../tests/common/mod.rs"]
+mod common;
 
-pub use blur::{Blur, BlurParams, BlurRule};
+use marf_stage::{StageDef, define};
+use survey::{Section, SectionVersions, Surveyed};
+
 pub use by_hand::ByHand;
 pub use decoded::DecodedPhoto;
-pub use duplicate::{Duplicate, DuplicateParams, DuplicateRule};
 pub use filter::{Decision, Filter, MeasuredPhoto};
-pub use grayscale::{Grayscale, GrayscaleParams, Keep};
-pub use histogram::{Histogram, HistogramParams, HistogramRule};
 pub use luma::Luma;
-pub use shape::{Shape, ShapeParams};
-pub use size::{Size, SizeParams};
 pub use stage::FilterStage;
 
-/// What a survey depends on beside the photo.
-const VERSIONS: Versions = Versions(SECTIONS);
+/// The filter, version and measure of every section of a survey, as part of the key of the kept surveys.
+const SECTION_VERSIONS: SectionVersions = SectionVersions(SECTIONS);
 
 /// Verdict of a photo whose bytes cannot be decoded here.
 pub const DECODE: &str = "decode";
 
 macro_rules! filters {
     ($($stage:ty),* $(,)?) => {
-        /// The filters in the order in which the default pipeline runs them.
+        /// The filters in the order in which `marf filter` runs them.
         pub const STAGES: &[StageDef] = &[$(define::<$stage>()),*];
-        /// What each of them measures.
+        /// What each of them adds to a survey.
         const SECTIONS: &[Option<Section>] = &[$(<$stage as Surveyed>::SECTION),*];
+        /// Name, version and guard of each of them.
+        #[cfg(test)]
+        const GUARDS: &[guard::Guarded] = &[$(guard::Guarded::of::<$stage>()),*];
     };
 }
 
 filters! {
-    FilterStage<Size>,
-    FilterStage<Shape>,
-    Duplicate,
-    FilterStage<Grayscale>,
-    FilterStage<Histogram>,
-    FilterStage<Blur>,
+    FilterStage<size::Size>,
+    FilterStage<shape::Shape>,
+    duplicate::Duplicate,
+    FilterStage<grayscale::Grayscale>,
+    FilterStage<histogram::Histogram>,
+    FilterStage<blur::Blur>,
 }

@@ -1,3 +1,5 @@
+//! The brightness of a photo, and its second differences.
+
 use marf_scene::{Image, Srgb};
 
 /// Brightness of a photo in 8-bit steps, rows from the top.
@@ -11,7 +13,7 @@ pub struct Luma {
     pub values: Vec<u8>,
 }
 
-/// Second differences of a photo as the file has it, in 8-bit steps.
+/// Statistics of the Laplacian of the brightness at full size, in squared 8-bit steps.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Laplacian {
     /// Variance of the 4-neighbour Laplacian over all inner pixels; 0 where a side is below 3.
@@ -36,11 +38,12 @@ impl Luma {
         }
     }
 
+    /// Returns row `y`.
     pub(crate) fn row(&self, y: usize) -> &[u8] {
         &self.values[y * self.width..(y + 1) * self.width]
     }
 
-    /// Works both figures out in one pass; sums are exact integers.
+    /// Returns the statistics of the Laplacian, in one pass; sums are exact integers.
     pub(crate) fn laplacian(&self) -> Laplacian {
         let inner = self.width.saturating_sub(2);
         // Whether the pixel and all its neighbours lie in one block, by column.
@@ -49,19 +52,26 @@ impl Luma {
             .collect();
         let (mut sum, mut squares, mut detail) = (0_i64, 0_u64, 0_u64);
         let (mut count, mut blocks) = (0_u64, 0_u64);
-        let mut bends = vec![0_i16; inner];
+        let mut differences = vec![0_i16; inner];
         let rows = if inner == 0 { 0 } else { self.height };
         for y in 1..rows.saturating_sub(1) {
-            laplacian_row([y - 1, y, y + 1].map(|y| self.row(y)), &mut bends);
+            laplacian_row([y - 1, y, y + 1].map(|y| self.row(y)), &mut differences);
             let in_block = (1..7).contains(&(y % 8));
             // 512 squares of at most 1020² stay below 2^31.
-            for (bends, whole) in bends.chunks(512).zip(whole.chunks(512)) {
-                let squared = |bend: &i16| i32::from(*bend) * i32::from(*bend);
-                sum += i64::from(bends.iter().map(|bend| i32::from(*bend)).sum::<i32>());
-                squares += bends.iter().map(squared).sum::<i32>() as u64;
+            for (differences, whole) in differences.chunks(512).zip(whole.chunks(512)) {
+                let squared = |difference: &i16| i32::from(*difference) * i32::from(*difference);
+                sum += i64::from(
+                    differences
+                        .iter()
+                        .map(|difference| i32::from(*difference))
+                        .sum::<i32>(),
+                );
+                squares += differences.iter().map(squared).sum::<i32>() as u64;
                 if in_block {
-                    let pairs = bends.iter().zip(whole);
-                    detail += pairs.map(|(bend, whole)| squared(bend) * whole).sum::<i32>() as u64;
+                    let pairs = differences.iter().zip(whole);
+                    detail += pairs
+                        .map(|(difference, whole)| squared(difference) * whole)
+                        .sum::<i32>() as u64;
                 }
             }
             count += inner as u64;
@@ -76,19 +86,21 @@ impl Luma {
         }
     }
 
-    /// Returns the means over blocks of 2 x 2, a last odd row or column cut. `None` once a side is below 2.
+    /// Returns the picture at half size, means over 2 x 2 pixels; a last odd row or column is left out. `None` where a
+    /// side is below 2.
     pub(crate) fn halved(&self) -> Option<Plane> {
         halved(self.width, self.height, |y| self.row(y), |sum| (sum << 6) as u16)
     }
 }
 
-fn laplacian_row([up, here, down]: [&[u8]; 3], bends: &mut [i16]) {
-    let inner = bends.len();
+/// Writes the 4-neighbour Laplacian of the inner pixels of a row.
+fn laplacian_row([up, here, down]: [&[u8]; 3], differences: &mut [i16]) {
+    let inner = differences.len();
     let level = here.iter().zip(&here[1..]).zip(&here[2..]);
     let upright = up[1..=inner].iter().zip(&down[1..=inner]);
-    for ((bend, ((left, here), right)), (up, down)) in bends.iter_mut().zip(level).zip(upright) {
+    for ((difference, ((left, here), right)), (up, down)) in differences.iter_mut().zip(level).zip(upright) {
         let around = i16::from(*up) + i16::from(*down) + i16::from(*left) + i16::from(*right);
-        *bend = around - 4 * i16::from(*here);
+        *difference = around - 4 * i16::from(*here);
     }
 }
 
@@ -102,11 +114,12 @@ pub(crate) struct Plane {
 }
 
 impl Plane {
+    /// Returns row `y`.
     pub(crate) fn row(&self, y: usize) -> &[u16] {
         &self.values[y * self.width..(y + 1) * self.width]
     }
 
-    /// As [`Luma::halved`].
+    /// Returns the picture at half size, as [`Luma::halved`] does.
     pub(crate) fn halved(&self) -> Option<Self> {
         halved(
             self.width,
@@ -117,6 +130,7 @@ impl Plane {
     }
 }
 
+/// Returns a picture at half size; `mean` divides the sum of four values.
 fn halved<'a, T: Copy + Into<u32> + 'a>(
     width: usize,
     height: usize,
@@ -166,7 +180,7 @@ mod tests {
     }
 
     /// By hand: of the inner pixels of an 8 x 8 image all but those at its own edge lie in the block: 36 in all, of
-    /// which one point of 10 bends by -40 and its four neighbours by 10.
+    /// which one point of 10 has a Laplacian of -40 and its four neighbours 10.
     #[test]
     fn detail_is_the_mean_over_the_inside_of_blocks() {
         let image = Image::from_fn(8, 8, |x, y| if (x, y) == (3, 3) { [10; 3] } else { [0; 3] });
@@ -195,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn tiny_planes_have_no_bends() {
+    fn tiny_planes_have_no_second_differences() {
         for (width, height) in [(1, 1), (2, 2), (1, 9), (9, 2)] {
             let luma = Luma::of(&Image::from_fn(width, height, |x, y| [(40 * x + 9 * y) as u8; 3]));
             let found = luma.laplacian();

@@ -4,40 +4,40 @@ use serde::{Deserialize, Serialize};
 
 use crate::luma::{Luma, Plane};
 
-/// Rows of one band that is looked at.
+/// Rows of one band.
 const BAND: usize = 32;
-/// Pixels that are enough to tell how sharp a photo is; a larger one is looked at in bands from top to bottom.
-const ENOUGH: usize = 1 << 18;
+/// Pixels from which sharpness is measured at least; a larger picture is measured in bands from top to bottom.
+const MIN_PIXELS: usize = 1 << 18;
 /// Fewest bands, so that sky, horizon and ground all count.
-const FEWEST: usize = 8;
-/// Rows above and below that a blurred row needs.
+const MIN_BANDS: usize = 8;
+/// Rows above and below that the blur of a row needs.
 const REACH: usize = 4;
 
-/// Sums of squared second differences before and after one more blur, in squared steps of 1/256.
+/// Sums of squared second differences of a picture before and after one more blur, in squared steps of 1/256.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Octave {
-    /// Pixels that were looked at.
+    /// Number of pixels measured.
     pixels: u64,
-    /// Along rows, along columns.
+    /// Sums before the blur, along rows and along columns.
     before: [u64; 2],
-    /// Along rows, along columns.
+    /// Sums after the blur, along rows and along columns.
     after: [u64; 2],
 }
 
 impl Octave {
-    /// Looks at the brightness as the file has it.
+    /// Measures a picture at full size.
     pub(crate) fn of_luma(luma: &Luma) -> Self {
         Self::of(luma.width, luma.height, |y, out| {
             out.extend(luma.row(y).iter().map(|value| u16::from(*value) << 8));
         })
     }
 
-    /// Looks at a reduced picture.
+    /// Measures a picture at reduced size.
     pub(crate) fn of_plane(plane: &Plane) -> Self {
         Self::of(plane.width, plane.height, |y, out| out.extend(plane.row(y)))
     }
 
-    /// Looks at bands of a picture whose rows `read` appends.
+    /// Measures bands of a picture; `read` appends a row to a vector.
     fn of(width: usize, height: usize, read: impl Fn(usize, &mut Vec<u16>)) -> Self {
         let mut octave = Self::default();
         for (top, bottom) in bands(width, height) {
@@ -57,6 +57,7 @@ impl Octave {
         octave
     }
 
+    /// Adds the sums of one band.
     fn add(&mut self, band: &Band) {
         self.pixels += ((band.bottom - band.top) * band.width) as u64;
         let first = band.top.saturating_sub(1);
@@ -64,13 +65,13 @@ impl Octave {
         let blurred = band.blurred(first, last);
         let sharp = &band.rows[(first - band.first) * band.width..(last - band.first) * band.width];
         for (sums, rows) in [(&mut self.before, sharp), (&mut self.after, &blurred)] {
-            let found = bends(band.width, rows);
+            let found = second_differences(band.width, rows);
             (0..2).for_each(|axis| sums[axis] = sums[axis].saturating_add(found[axis]));
         }
     }
 
-    /// Returns how much larger the second differences are before the blur than after, along rows (0) or columns
-    /// (1); 1 where there are none.
+    /// Returns the reblur ratio along rows (0) or columns (1): the sum before the blur over the sum after it; 1 for a flat
+    /// picture.
     pub(crate) fn ratio(&self, axis: usize) -> f64 {
         // One step of 1/256 a pixel on both sides: below rounding, and flat photos get 1 instead of 0 / 0.
         (self.before[axis] + self.pixels) as f64 / (self.after[axis] + self.pixels) as f64
@@ -92,10 +93,10 @@ impl Octave {
     }
 }
 
-/// Returns the bands `[top, bottom)` that are looked at: the whole of a small picture, else bands evenly from the
-/// top row to the bottom row.
+/// Returns the bands `[top, bottom)` to measure: the whole of a small picture, else bands at even distances from the top
+/// row to the bottom row.
 fn bands(width: usize, height: usize) -> Vec<(usize, usize)> {
-    let count = (ENOUGH / (BAND * width.max(1))).max(FEWEST);
+    let count = (MIN_PIXELS / (BAND * width.max(1))).max(MIN_BANDS);
     if count * BAND * 2 >= height {
         return vec![(0, height)];
     }
@@ -105,11 +106,11 @@ fn bands(width: usize, height: usize) -> Vec<(usize, usize)> {
         .collect()
 }
 
-/// Rows around a band; edges of the picture repeat.
+/// The rows of a band and those around it that its blur needs.
 struct Band {
     width: usize,
     height: usize,
-    /// Number of the first row at hand.
+    /// Number of the first of `rows` in the picture.
     first: usize,
     rows: Vec<u16>,
     top: usize,
@@ -117,8 +118,8 @@ struct Band {
 }
 
 impl Band {
-    /// Blurs rows `[from, to)` by the binomial of order 8 (1 8 28 56 70 56 28 8 1) along both axes: a Gauss of
-    /// sigma 1.41 in integers, the same on every machine.
+    /// Blurs rows `[from, to)` by the binomial of order 8 (1 8 28 56 70 56 28 8 1) along both axes: a Gaussian
+    /// of sigma 1.41 in integers, the same on every machine. Edges of the picture repeat.
     fn blurred(&self, from: usize, to: usize) -> Vec<u16> {
         let mut along = Vec::with_capacity(self.rows.len());
         let mut padded = vec![0; self.width + 2 * REACH];
@@ -142,7 +143,7 @@ impl Band {
     }
 }
 
-/// Appends the weighted means of nine slices of equal length, weight by weight: such loops run on all lanes.
+/// Appends the weighted means of nine slices of equal length, weight by weight, so that the loops are vectorised.
 fn binomial(taps: [&[u16]; 2 * REACH + 1], sums: &mut Vec<u32>, out: &mut Vec<u16>) {
     sums.clear();
     sums.extend(taps[REACH].iter().map(|here| 70 * u32::from(*here) + 128));
@@ -154,31 +155,33 @@ fn binomial(taps: [&[u16]; 2 * REACH + 1], sums: &mut Vec<u32>, out: &mut Vec<u1
     out.extend(sums.iter().map(|sum| (sum >> 8) as u16));
 }
 
-/// Returns the sums over all inner pixels, along rows and along columns; 0 where a side is below 3.
+/// Returns the sums of squared second differences over all inner pixels, along rows and along columns; 0 where a side is
+/// below 3.
 ///
-/// At most 2^18 to 2^19 pixels of (4 * 65280)² fit in 56 bits; a picture of one immense band saturates.
-fn bends(width: usize, rows: &[u16]) -> [u64; 2] {
+/// At most 2^18 to 2^19 pixels of (4 * 65280)² fit in 56 bits; a picture of one very large band saturates.
+fn second_differences(width: usize, rows: &[u16]) -> [u64; 2] {
     let mut sums = [0_u64; 2];
     let inner = width.saturating_sub(2);
     let rows: Vec<&[u16]> = rows.chunks_exact(width.max(1)).collect();
     for near in rows.windows(3) {
         let here = &near[1][..inner + width.min(2)];
-        let across = squares([here, &here[width.min(1)..], &here[width.min(2)..]], inner);
-        let along = squares([near[0], near[1], near[2]].map(|row| &row[width.min(1)..]), inner);
+        let across = sum_of_squares([here, &here[width.min(1)..], &here[width.min(2)..]], inner);
+        let along = sum_of_squares([near[0], near[1], near[2]].map(|row| &row[width.min(1)..]), inner);
         sums[0] = sums[0].saturating_add(across);
         sums[1] = sums[1].saturating_add(along);
     }
     sums
 }
 
-fn squares(rows: [&[u16]; 3], count: usize) -> u64 {
+/// Returns the sum of the squared second differences of three rows, element by element.
+fn sum_of_squares(rows: [&[u16]; 3], count: usize) -> u64 {
     let [before, here, after] = rows.map(|row| &row[..count]);
     let near = before.iter().zip(here).zip(after);
-    let bends = near.map(|((before, here), after)| {
-        let bend = i32::from(*before) + i32::from(*after) - 2 * i32::from(*here);
-        u64::from(bend.unsigned_abs())
+    let differences = near.map(|((before, here), after)| {
+        let difference = i32::from(*before) + i32::from(*after) - 2 * i32::from(*here);
+        u64::from(difference.unsigned_abs())
     });
-    bends.map(|bend| bend * bend).sum()
+    differences.map(|difference| difference * difference).sum()
 }
 
 #[cfg(test)]
@@ -190,9 +193,9 @@ mod tests {
         Luma::of(&Image::from_fn(width, height, |x, y| [value(x, y); 3]))
     }
 
-    /// By hand: two inner rows of 100² + 100² in steps of 1/256; nothing bends along columns.
+    /// By hand: two inner rows of 100² + 100² in steps of 1/256; nothing changes along columns.
     #[test]
-    fn a_vertical_step_bends_along_rows_only() {
+    fn a_vertical_step_has_second_differences_along_rows_only() {
         let octave = Octave::of_luma(&luma(6, 4, |x, _| if x < 3 { 0 } else { 100 }));
         assert_eq!(octave.before, [2 * 2 * 10_000 * 65_536, 0]);
         assert_eq!(octave.pixels, 24);
@@ -232,7 +235,7 @@ mod tests {
             );
             let rows: usize = bands.iter().map(|(top, bottom)| bottom - top).sum();
             assert!(
-                rows >= (FEWEST * BAND).min(height) && 2 * rows <= 2 * height,
+                rows >= (MIN_BANDS * BAND).min(height) && 2 * rows <= 2 * height,
                 "{width} x {height}: {rows}"
             );
             assert!(
@@ -244,7 +247,7 @@ mod tests {
         assert_eq!(bands(0, 0), [(0, 0)]);
     }
 
-    /// A band in the middle sees the rows beyond it, so that its edge is not blurred against itself.
+    /// A band in the middle is blurred with the rows around it, not against its own edge.
     #[test]
     fn a_texture_has_the_same_ratio_in_bands_and_as_a_whole() {
         let value = |x: u32, y: u32| ((x * x / 3 + y * y / 5 + x * y / 7) % 251) as u8;

@@ -1,3 +1,5 @@
+//! The filter `shape`.
+
 use std::collections::BTreeMap;
 
 use marf_cache::ContentHash;
@@ -9,8 +11,10 @@ use serde::{Deserialize, Serialize};
 use crate::by_hand::ByHand;
 use crate::decoded::DecodedPhoto;
 use crate::filter::{Decision, Filter, MeasuredPhoto, check_range};
+#[cfg(test)]
+use crate::guard::Guard;
 
-/// Rejects thumbnails, and photos smaller than asked for or much smaller than their camera's others.
+/// Rejects thumbnails, and photos smaller than asked for or much smaller than others of the same instrument.
 pub struct Shape;
 
 /// Parameters of [`Shape`].
@@ -24,12 +28,12 @@ pub struct ShapeParams {
     /// Smallest short side as a share of the median short side among photos of the same instrument; 0 turns it
     /// off. Half-size copies have 0.5; the 8 to 16 pixels by which tiles of one camera differ do not matter.
     pub min_share: f64,
-    /// A size that at least this share of the photos of an instrument has is one of its own formats (tiles, strips) and is
-    /// not held against `min_share`; two photos at the least.
+    /// A size that at least this share of the photos of an instrument has, and two photos at the least, is one of its
+    /// formats (tiles, strips), to which `min_share` does not apply.
     pub common_share: f64,
-    /// Fewest photos of one instrument that make a set; in a smaller one nothing is an odd one out.
+    /// Fewest photos of one instrument that are compared with each other.
     pub min_set: u32,
-    /// Photos on which a person has decided; filled from `[keep]` and `[reject]` of the pipeline.
+    /// Photos kept or rejected by hand; filled from `[keep]` and `[reject]` of the pipeline.
     pub by_hand: ByHand,
 }
 
@@ -49,11 +53,18 @@ impl Default for ShapeParams {
 impl Filter for Shape {
     const NAME: &'static str = "shape";
     const ABOUT: &'static str = "rejects thumbnails and photos that are too small";
-    const VERSION: u32 = 2;
+    const MEASURE_VERSION: u32 = 0;
+    const DECISION_VERSION: u32 = 2;
     type Params = ShapeParams;
     type Measure = ();
-    /// The sizes are facts of the photo.
+    /// The size is a fact of the photo.
     const MEASURE: Option<fn(&DecodedPhoto)> = None;
+
+    #[cfg(test)]
+    const GUARD: Guard = Guard {
+        measures: "",
+        decisions: "",
+    };
 
     fn by_hand(params: &ShapeParams) -> &ByHand {
         &params.by_hand
@@ -65,21 +76,21 @@ impl Filter for Shape {
     }
 
     fn decide(params: &ShapeParams, photos: &[MeasuredPhoto<()>]) -> Vec<Decision> {
-        let cameras = cameras(photos);
-        let judge =
-            |photo: &MeasuredPhoto<()>| judge(params, &photo.facts, cameras.get(&photo.facts.instrument));
-        photos.iter().map(judge).collect()
+        let counts = count_sizes(photos);
+        let decide_one =
+            |photo: &MeasuredPhoto<()>| decide(params, &photo.facts, counts.get(&photo.facts.instrument));
+        photos.iter().map(decide_one).collect()
     }
 }
 
-/// How often one instrument made photos of each size (short side, long side), pixels.
+/// The number of photos of one instrument by size (short side, long side), pixels.
 #[derive(Default)]
-struct Camera {
+struct SizeCounts {
     sizes: BTreeMap<(u32, u32), usize>,
     photos: usize,
 }
 
-impl Camera {
+impl SizeCounts {
     /// Returns the lower median of the short sides.
     fn median_short(&self) -> u32 {
         let mut below = 0;
@@ -92,28 +103,31 @@ impl Camera {
         0
     }
 
+    /// Returns whether at least this share of the photos, and at least two, have a size.
     fn is_common(&self, sides: (u32, u32), share: f64) -> bool {
         let count = self.sizes.get(&sides).copied().unwrap_or(0);
         count >= 2 && count as f64 >= share * self.photos as f64
     }
 }
 
-/// Thumbnails are left out: an archive may hold one for every photo.
-fn cameras(photos: &[MeasuredPhoto<()>]) -> BTreeMap<Option<String>, Camera> {
-    let mut cameras = BTreeMap::<_, Camera>::new();
+/// Counts the sizes of the photos of each instrument, without thumbnails: an archive may hold one for every photo.
+fn count_sizes(photos: &[MeasuredPhoto<()>]) -> BTreeMap<Option<String>, SizeCounts> {
+    let mut counts = BTreeMap::<_, SizeCounts>::new();
     for photo in photos.iter().filter(|photo| !photo.facts.thumbnail) {
-        let camera = cameras.entry(photo.facts.instrument.clone()).or_default();
-        *camera.sizes.entry(sides(&photo.facts)).or_default() += 1;
-        camera.photos += 1;
+        let sizes = counts.entry(photo.facts.instrument.clone()).or_default();
+        *sizes.sizes.entry(sides(&photo.facts)).or_default() += 1;
+        sizes.photos += 1;
     }
-    cameras
+    counts
 }
 
+/// Returns the short and the long side.
 fn sides(facts: &PhotoFacts) -> (u32, u32) {
     (facts.width.min(facts.height), facts.width.max(facts.height))
 }
 
-fn judge(params: &ShapeParams, facts: &PhotoFacts, camera: Option<&Camera>) -> Decision {
+/// Decides on one photo.
+fn decide(params: &ShapeParams, facts: &PhotoFacts, counts: Option<&SizeCounts>) -> Decision {
     let (width, height) = (f64::from(facts.width), f64::from(facts.height));
     let size = format!("{} x {} pixels", facts.width, facts.height);
     if facts.thumbnail {
@@ -135,10 +149,10 @@ fn judge(params: &ShapeParams, facts: &PhotoFacts, camera: Option<&Camera>) -> D
             format!("{size}, height at least {least}"),
         );
     }
-    let set = camera.filter(|camera| camera.photos >= params.min_set as usize);
-    let (short, usual) = (sides(facts).0, set.map_or(0, Camera::median_short));
+    let set = counts.filter(|counts| counts.photos >= params.min_set as usize);
+    let (short, usual) = (sides(facts).0, set.map_or(0, SizeCounts::median_short));
     let least = params.min_share * f64::from(usual);
-    let common = camera.is_some_and(|camera| camera.is_common(sides(facts), params.common_share));
+    let common = counts.is_some_and(|counts| counts.is_common(sides(facts), params.common_share));
     if f64::from(short) < least && !common {
         let reason =
             format!("{size}, an odd one out: short side {short}, usual {usual}, at least {least:.0}");

@@ -1,3 +1,5 @@
+//! The filter `size`.
+
 use marf_cache::ContentHash;
 use marf_stage::ParamError;
 use schemars::JsonSchema;
@@ -6,8 +8,10 @@ use serde::{Deserialize, Serialize};
 use crate::by_hand::ByHand;
 use crate::decoded::DecodedPhoto;
 use crate::filter::{Decision, Filter, MeasuredPhoto, check_range};
+#[cfg(test)]
+use crate::guard::Guard;
 
-/// Rejects photos that carry too few bytes: broken downloads and pictures compressed to mud.
+/// Rejects photos stored in too few bytes: broken downloads and pictures compressed beyond use.
 pub struct Size;
 
 /// Parameters of [`Size`].
@@ -16,10 +20,10 @@ pub struct Size;
 pub struct SizeParams {
     /// Fewest bytes of the image as stored in the archive. The paper asks for 100,000, of photos of 2 megapixels.
     pub min_bytes: u64,
-    /// Fewest stored bits a pixel; 0 turns it off. JPEG at the lowest quality takes 0.15 to 0.17, real photos of
+    /// Fewest stored bits per pixel; 0 turns it off. JPEG at the lowest quality takes 0.15 to 0.17, real photos of
     /// Perseverance take 0.7 and more.
     pub min_bits_per_pixel: f64,
-    /// Photos on which a person has decided; filled from `[keep]` and `[reject]` of the pipeline.
+    /// Photos kept or rejected by hand; filled from `[keep]` and `[reject]` of the pipeline.
     pub by_hand: ByHand,
 }
 
@@ -36,11 +40,18 @@ impl Default for SizeParams {
 impl Filter for Size {
     const NAME: &'static str = "size";
     const ABOUT: &'static str = "rejects photos that carry too few bytes";
-    const VERSION: u32 = 2;
+    const MEASURE_VERSION: u32 = 0;
+    const DECISION_VERSION: u32 = 2;
     type Params = SizeParams;
     type Measure = ();
-    /// The sizes are facts of the photo.
+    /// The size is a fact of the photo.
     const MEASURE: Option<fn(&DecodedPhoto)> = None;
+
+    #[cfg(test)]
+    const GUARD: Guard = Guard {
+        measures: "",
+        decisions: "",
+    };
 
     fn by_hand(params: &SizeParams) -> &ByHand {
         &params.by_hand
@@ -51,11 +62,12 @@ impl Filter for Size {
     }
 
     fn decide(params: &SizeParams, photos: &[MeasuredPhoto<()>]) -> Vec<Decision> {
-        photos.iter().map(|photo| judge(params, photo)).collect()
+        photos.iter().map(|photo| decide(params, photo)).collect()
     }
 }
 
-fn judge(params: &SizeParams, photo: &MeasuredPhoto<()>) -> Decision {
+/// Decides on one photo.
+fn decide(params: &SizeParams, photo: &MeasuredPhoto<()>) -> Decision {
     let (bytes, least) = (photo.facts.size_bytes, params.min_bytes);
     if bytes < least {
         return Decision::reject(

@@ -1,3 +1,5 @@
+//! A filter as a stage of a pipeline.
+
 use marf_cache::{ContentHash, manifest::Row};
 use marf_stage::{
     Ctx, Define, Map, Measure, Measured, PHOTOS, ParamError, Port, Stage, StageError, VERDICTS, Verdict, Work,
@@ -5,14 +7,14 @@ use marf_stage::{
 
 use crate::filter::{Filter, MeasuredPhoto, facts_of, undecodable};
 use crate::survey::{self, Section, Surveyed, survey, unreadable};
-use crate::{SECTIONS, VERSIONS};
+use crate::{SECTION_VERSIONS, SECTIONS};
 
 /// Inputs of every filter: one set of photos.
 pub(crate) const PORTS: &[Port] = &[Port::required("input", PHOTOS)];
-/// Outputs of every filter: the photos that stay, and what became of each.
+/// Outputs of every filter: the photos that are kept, and a verdict on each photo.
 pub(crate) const OUTPUTS: &[&str] = &[PHOTOS, VERDICTS];
 
-/// A [`Filter`] with its parameters, as a stage.
+/// The stage that runs a [`Filter`] with its parameters.
 pub struct FilterStage<F: Filter> {
     params: F::Params,
 }
@@ -47,20 +49,22 @@ impl<F: Filter> Surveyed for FilterStage<F> {
         None => None,
         Some(_) => Some(Section {
             name: F::NAME,
-            version: F::VERSION,
-            measure: |look| match F::MEASURE {
-                Some(measure) => serde_json::to_vec(&measure(look)),
+            version: F::MEASURE_VERSION,
+            measure: |photo| match F::MEASURE {
+                Some(measure) => serde_json::to_vec(&measure(photo)),
                 None => Ok(Vec::new()),
             },
         }),
     };
+    #[cfg(test)]
+    const GUARD: crate::guard::Guard = F::GUARD;
 }
 
 impl<F: Filter> Measure for FilterStage<F> {
-    /// No parameter of a filter changes what it measures.
+    /// Returns the versions of the measures; no parameter of a filter changes a measure.
     fn measure_params(&self) -> &dyn ContentHash {
         if F::MEASURE.is_some() {
-            &VERSIONS
+            &SECTION_VERSIONS
         } else {
             &NO_PARAMS
         }
@@ -70,7 +74,7 @@ impl<F: Filter> Measure for FilterStage<F> {
         F::MEASURE.map(|_| survey::TABLE)
     }
 
-    /// Returns the survey of the photo; nothing where facts are enough.
+    /// Returns the survey of the photo; no bytes where the facts are enough.
     fn measure(&self, ctx: &Ctx<'_>, row: &Row) -> Result<Vec<u8>, StageError> {
         match F::MEASURE {
             Some(_) => survey(SECTIONS, ctx, row),
@@ -81,32 +85,32 @@ impl<F: Filter> Measure for FilterStage<F> {
 
 impl<F: Filter> Map for FilterStage<F> {
     fn decide(&self, items: &[Measured<'_>]) -> Result<Vec<Verdict>, StageError> {
-        let mut seen = Vec::with_capacity(items.len());
-        let mut unread = Vec::with_capacity(items.len());
+        let mut measured = Vec::with_capacity(items.len());
+        let mut undecodables = Vec::with_capacity(items.len());
         for item in items {
             let facts = facts_of(item.row)?;
-            match read::<F>(item)? {
+            match read_measure::<F>(item)? {
                 Ok(measure) => {
-                    unread.push(None);
-                    seen.push(MeasuredPhoto {
+                    undecodables.push(None);
+                    measured.push(MeasuredPhoto {
                         id: item.row.id.clone(),
                         facts,
                         measure,
                     });
                 }
-                Err(reason) => unread.push(Some(undecodable(item.row, &facts, reason))),
+                Err(reason) => undecodables.push(Some(undecodable(item.row, &facts, reason))),
             }
         }
-        let decisions = F::decide(&self.params, &seen);
+        let decisions = F::decide(&self.params, &measured);
         let by_hand = F::by_hand(&self.params);
-        let mut judged = seen.iter().zip(decisions);
-        let verdicts = items.iter().zip(unread).map(|(item, unread)| {
+        let mut decided = measured.iter().zip(decisions);
+        let verdicts = items.iter().zip(undecodables).map(|(item, undecodable)| {
             let missing = || StageError::new(format!("filter `{}` gave too few decisions", F::NAME));
-            unread.map_or_else(
+            undecodable.map_or_else(
                 || {
-                    let (seen, decision) = judged.next().ok_or_else(missing)?;
-                    let decision = by_hand.overrule(&seen.id, &seen.facts.file, decision);
-                    Ok(decision.verdict(F::NAME, item.row, &seen.facts))
+                    let (photo, decision) = decided.next().ok_or_else(missing)?;
+                    let decision = by_hand.overrule(&photo.id, &photo.facts.file, decision);
+                    Ok(decision.verdict(F::NAME, item.row, &photo.facts))
                 },
                 Ok,
             )
@@ -115,13 +119,13 @@ impl<F: Filter> Map for FilterStage<F> {
     }
 }
 
-/// What a filter that judges by facts depends on beside the photo: nothing.
+/// Parameters of the measure of a filter that needs the facts alone: none.
 const NO_PARAMS: [u8; 0] = [];
 
-/// Returns the filter's own part of a measure, or why the photo could not be decoded.
-fn read<F: Filter>(item: &Measured<'_>) -> Result<Result<F::Measure, String>, StageError> {
+/// Reads the measure of one filter from a survey; the inner error says why the photo could not be decoded.
+fn read_measure<F: Filter>(item: &Measured<'_>) -> Result<Result<F::Measure, String>, StageError> {
     let part = match F::MEASURE {
-        // Facts are enough: the measure is empty, and the unit type is JSON's `null`.
+        // Without a measure the bytes are empty, and the unit type is JSON's `null`.
         None if item.measure.is_empty() => Ok(&b"null"[..]),
         None => return Err(unreadable(item.row, "it should be empty")),
         Some(_) => survey::part(item.measure, F::NAME, item.row)?,

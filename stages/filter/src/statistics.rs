@@ -1,8 +1,10 @@
+//! Statistics over the photos of one instrument.
+
 use std::collections::BTreeMap;
 
 use crate::filter::MeasuredPhoto;
 
-/// Returns the indices of photos by instrument: one camera is not held against another.
+/// Returns the indices of the photos of each instrument: photos of different cameras are not compared.
 pub(crate) fn group_by_instrument<M>(photos: &[MeasuredPhoto<M>]) -> Vec<Vec<usize>> {
     let mut groups = BTreeMap::<_, Vec<usize>>::new();
     for (index, photo) in photos.iter().enumerate() {
@@ -14,11 +16,11 @@ pub(crate) fn group_by_instrument<M>(photos: &[MeasuredPhoto<M>]) -> Vec<Vec<usi
     groups.into_values().collect()
 }
 
-/// Values in ascending order, asked for their quantiles with one of them left out.
+/// Values in ascending order, for quantiles that leave one of them out.
 pub(crate) struct SortedValues(Vec<f64>);
 
 impl SortedValues {
-    /// Sorts values; none may be NaN.
+    /// Sorts the values; none may be NaN.
     pub(crate) fn new(mut values: Vec<f64>) -> Self {
         values.sort_by(f64::total_cmp);
         Self(values)

@@ -1,4 +1,4 @@
-//! What all filters measure of a photo, from one decode.
+//! The survey of a photo: the measures of all filters, from one decode.
 
 use marf_cache::{ContentHash, Visitor, manifest::Row};
 use marf_scene::Photo;
@@ -6,29 +6,32 @@ use marf_stage::{Ctx, StageError};
 
 use crate::decoded::DecodedPhoto;
 
-/// Name and version of the table in which surveys are kept, for all filters together.
+/// Name and version of the table that keeps the surveys, for all filters together.
 pub(crate) const TABLE: (&str, u32) = ("filters", 1);
 
-/// The measure of one filter as part of a survey.
+/// The part of a survey that belongs to one filter.
 pub(crate) struct Section {
     /// Name of the filter.
     pub(crate) name: &'static str,
-    /// Version of the filter.
+    /// Version of the measure.
     pub(crate) version: u32,
-    /// Measures a photo; the bytes are the filter's own affair.
+    /// Measures a photo; only the filter itself reads the bytes.
     pub(crate) measure: fn(&DecodedPhoto) -> Result<Vec<u8>, serde_json::Error>,
 }
 
-/// A filter as the table lists it.
+/// A stage of the table of filters.
 pub(crate) trait Surveyed {
-    /// What it adds to a survey; none if it judges by facts alone.
+    /// What it adds to a survey; `None` for a filter that needs the facts alone.
     const SECTION: Option<Section>;
+    /// Digests of its answers on fixed photos.
+    #[cfg(test)]
+    const GUARD: crate::guard::Guard;
 }
 
-/// What a survey depends on beside the photo: which filters there are, and their versions.
-pub(crate) struct Versions(pub(crate) &'static [Option<Section>]);
+/// What a survey depends on beside the photo: the name and the measure's version of every section.
+pub(crate) struct SectionVersions(pub(crate) &'static [Option<Section>]);
 
-impl ContentHash for Versions {
+impl ContentHash for SectionVersions {
     fn walk(&self, visitor: &mut dyn Visitor) {
         let sections = || self.0.iter().flatten();
         visitor.open("survey", sections().count());
@@ -56,10 +59,10 @@ pub(crate) fn survey(sections: &[Option<Section>], ctx: &Ctx<'_>, row: &Row) -> 
         Ok(photo) => photo,
         Err(error) => return refused(error.to_string()),
     };
-    let look = DecodedPhoto::of(photo);
+    let decoded = DecodedPhoto::of(photo);
     let mut bytes = vec![1];
     for section in sections.iter().flatten() {
-        let measure = (section.measure)(&look).map_err(|error| {
+        let measure = (section.measure)(&decoded).map_err(|error| {
             let what = format!("measure `{}` of `{}` cannot be written", section.name, row.id);
             StageError::new(what).cause(error.to_string())
         })?;
@@ -69,6 +72,7 @@ pub(crate) fn survey(sections: &[Option<Section>], ctx: &Ctx<'_>, row: &Row) -> 
     Ok(bytes)
 }
 
+/// Appends a part behind its length.
 fn put(bytes: &mut Vec<u8>, part: &[u8]) {
     bytes.extend((part.len() as u32).to_le_bytes());
     bytes.extend(part);
@@ -95,7 +99,7 @@ pub(crate) fn part<'a>(
         .ok_or_else(|| unreadable(row, "it has no such part"))
 }
 
-/// Takes a length and so many bytes from the front.
+/// Removes a part, and its length before it, from the front of `bytes`; `None` if they are too short.
 fn take<'a>(bytes: &mut &'a [u8]) -> Option<&'a [u8]> {
     let (length, rest) = bytes.split_first_chunk::<4>()?;
     let (part, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
@@ -103,16 +107,24 @@ fn take<'a>(bytes: &mut &'a [u8]) -> Option<&'a [u8]> {
     Some(part)
 }
 
-/// Says that a measure is not what was written.
+/// Returns the error of a kept measure that is not what was written.
 pub(crate) fn unreadable(row: &Row, cause: impl std::fmt::Display) -> StageError {
-    StageError::new(format!("measure of `{}` cannot be read", row.id))
-        .cause(cause.to_string())
-        .hint("the store may be damaged: measure again in an empty one, `--store DIR`")
+    damaged(format!("measure of `{}` cannot be read", row.id)).cause(cause.to_string())
+}
+
+/// Returns the error of something kept that cannot be read, with what to do about it.
+pub(crate) fn damaged(message: String) -> StageError {
+    StageError::new(message).hint("the store may be damaged: measure again in an empty one, `--store DIR`")
 }
 
 #[cfg(test)]
 mod tests {
+    use marf_cache::{Digest, digest_of};
+    use marf_stage::{ParamError, define};
+
     use super::*;
+    use crate::guard::Guard;
+    use crate::{ByHand, Decision, Filter, FilterStage, MeasuredPhoto};
 
     fn row() -> Row {
         Row {
@@ -120,6 +132,50 @@ mod tests {
             blobs: Default::default(),
             facts: serde_json::Value::Null,
         }
+    }
+
+    /// A filter without a rule, with a version of its measure and one of its decision.
+    struct Versioned<const MEASURE: u32, const DECISION: u32>;
+
+    impl<const MEASURE: u32, const DECISION: u32> Filter for Versioned<MEASURE, DECISION> {
+        const NAME: &'static str = "versioned";
+        const ABOUT: &'static str = "keeps every photo";
+        const MEASURE_VERSION: u32 = MEASURE;
+        const DECISION_VERSION: u32 = DECISION;
+        const GUARD: Guard = Guard::NONE;
+        type Params = ByHand;
+        type Measure = u32;
+        const MEASURE: Option<fn(&DecodedPhoto) -> u32> = Some(|_| 0);
+
+        fn check(_: &ByHand) -> Result<(), ParamError> {
+            Ok(())
+        }
+
+        fn by_hand(params: &ByHand) -> &ByHand {
+            params
+        }
+
+        fn decide(_: &ByHand, photos: &[MeasuredPhoto<u32>]) -> Vec<Decision> {
+            vec![Decision::pass(""); photos.len()]
+        }
+    }
+
+    /// Returns the version in the key of a node of the filter, and the digest in the key of its kept measures.
+    fn keys<F: Filter>() -> (u32, Digest) {
+        let sections = vec![<FilterStage<F> as Surveyed>::SECTION].leak();
+        (
+            define::<FilterStage<F>>().version,
+            digest_of(&SectionVersions(sections)),
+        )
+    }
+
+    #[test]
+    fn a_new_decision_keeps_the_measures_and_a_new_measure_renews_both() {
+        let (node, measures) = keys::<Versioned<1, 1>>();
+        let (decided_anew, kept) = keys::<Versioned<1, 2>>();
+        assert!(decided_anew != node && kept == measures);
+        let (measured_anew, renewed) = keys::<Versioned<2, 1>>();
+        assert!(measured_anew != node && renewed != measures);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{Photos, defaults, dynamic, encoded, ground, jpeg, png, recoloured, scatter, smeared};
+use common::{Photos, defaults, dynamic, encoded, ground, jpeg, noise, png, recoloured, smeared};
 use image::ImageFormat;
 use marf_scene::{Image, Srgb};
 use serde_json::json;
@@ -146,9 +146,7 @@ fn histogram_rejects_lost_areas_blocks_stripes_and_wrong_light() {
             place.at(x, y)
         }
     });
-    let blocks = Image::from_fn(320, 240, |x, y| {
-        [0, 1, 2].map(|band| scatter(x / 32, y / 32, band))
-    });
+    let blocks = Image::from_fn(320, 240, |x, y| [0, 1, 2].map(|band| noise(x / 32, y / 32, band)));
     let dark = recoloured(&place, |pixel| pixel.map(|value| value / 8));
     let negative = recoloured(&place, |pixel| pixel.map(|value| 255 - value));
     for (name, image) in [
@@ -213,12 +211,12 @@ fn the_papers_histogram_rule_counts_bins_out_of_place() {
 #[test]
 fn blur_rejects_smear_along_either_axis_and_noise() {
     let turn = |image: &Image<Srgb>| Image::from_fn(image.height, image.width, |x, y| image.at(y, x));
-    let noise = Image::from_fn(320, 240, |x, y| [0, 1, 2].map(|band| scatter(x, y, band)));
+    let static_noise = Image::from_fn(320, 240, |x, y| [0, 1, 2].map(|band| noise(x, y, band)));
     for (name, image) in [
         ("along-rows", smeared(&ground(120), 15)),
         ("along-columns", turn(&smeared(&turn(&ground(120)), 15))),
         ("focus", turn(&smeared(&turn(&smeared(&ground(120), 5)), 5))),
-        ("noise", noise),
+        ("noise", static_noise),
     ] {
         let verdicts = among_others(name, &image).judge("blur", defaults());
         for verdict in verdicts.values() {

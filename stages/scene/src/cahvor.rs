@@ -1,3 +1,5 @@
+//! The camera models of NASA's labels: CAHV, CAHVOR and CAHVORE.
+
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -25,7 +27,7 @@ pub struct Cahvor {
     /// Radial terms r0, r1, r2.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub r: Option<[f64; 3]>,
-    /// EntrancePupil pupil terms.
+    /// Entrance pupil terms.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub e: Option<EntrancePupil>,
 }
@@ -39,7 +41,7 @@ pub struct EntrancePupil {
     pub linearity: f64,
 }
 
-/// A half-line of sight.
+/// The ray of sight of a pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ray {
     /// Where it starts, metres: C, or for CAHVORE the entrance pupil at this angle.
@@ -48,7 +50,7 @@ pub struct Ray {
     pub direction: Vector3<f64>,
 }
 
-/// The linear part of a model taken apart.
+/// The intrinsics and the pose of the linear part of a model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Intrinsics {
     /// Horizontal focal length |A x H|, pixels.
@@ -69,7 +71,7 @@ pub struct Intrinsics {
 /// A camera model that cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CahvorError {
-    /// NaN or an infinity.
+    /// A number is NaN or infinite.
     #[error("the camera model has a number that is not finite: {vector} = {value:?}")]
     NotFinite {
         /// Letter of the vector.
@@ -77,7 +79,7 @@ pub enum CahvorError {
         /// Its components.
         value: [f64; 3],
     },
-    /// A or O is no unit vector, even allowing for the digits that labels have.
+    /// A or O is no unit vector, beyond what the rounding of labels explains.
     #[error("the camera model's |{vector}| is {length}, not 1 within {UNIT_TOLERANCE}")]
     NotUnit {
         /// Letter of the vector.
@@ -85,7 +87,7 @@ pub enum CahvorError {
         /// Its length.
         length: f64,
     },
-    /// A, H and V do not span the space, or the image is mirrored, so that it is no photograph.
+    /// A, H and V are linearly dependent, or the image is mirrored.
     #[error("the camera model's A, H, V have the determinant {determinant}: flat or mirrored")]
     Degenerate {
         /// A · (H x V), pixels².
@@ -99,7 +101,7 @@ pub enum CahvorError {
         /// Vertical focal length, pixels.
         vs: f64,
     },
-    /// The radial terms turn over inside the image, or a pixel of the border sees nothing.
+    /// The radial terms turn over inside the image, or a pixel of the border has no ray.
     #[error("the camera model has no line of sight for pixel ({x}, {y})")]
     Blind {
         /// Column, 0-based.
@@ -138,9 +140,9 @@ pub enum CahvorError {
     },
 }
 
-/// Labels round to 6 digits, which leaves |A| - 1 near 1e-5; a thousandth is a wrong vector.
+/// Most that |A| and |O| may differ from 1: labels round to 6 digits, which makes 1e-5.
 const UNIT_TOLERANCE: f64 = 1e-3;
-/// A point this many metres away counts as infinitely far: the pupil of 4 mm turns it by 4e-12 rad.
+/// Distance that stands for infinity, metres: the pupil of 4 mm turns such a point by 4e-12 rad.
 const FAR_M: f64 = 1e9;
 
 impl Cahvor {
@@ -203,6 +205,7 @@ impl Cahvor {
         Ok(())
     }
 
+    /// Checks that every number is finite.
     fn check_finite(&self) -> Result<(), CahvorError> {
         let entrance = self.e.map(|e| [e.terms, [e.linearity; 3]]).unwrap_or_default();
         let vectors = [
@@ -224,6 +227,7 @@ impl Cahvor {
         }
     }
 
+    /// Checks that the image plane is neither flat nor mirrored, and the focal lengths alike.
     fn check_shape(&self) -> Result<(), CahvorError> {
         let determinant = self.determinant();
         if determinant.is_nan() || determinant <= 0.0 {
@@ -237,12 +241,12 @@ impl Cahvor {
         Ok(())
     }
 
-    /// A · (H x V), pixels² after normalising: positive unless the image is mirrored.
+    /// Returns A · (H x V), pixels² after normalising: positive unless the image is mirrored.
     fn determinant(&self) -> f64 {
         vector(self.a).dot(&vector(self.h).cross(&vector(self.v)))
     }
 
-    /// Tells whether the model is a plain CAHV in effect: no lens terms, or all of them zero.
+    /// Returns whether the model is in effect a CAHV: no lens terms, or all of them zero.
     pub fn is_linear(&self) -> bool {
         let straight = self.r.is_none_or(|r| r == [0.0; 3]);
         let perspective = self.e.is_none_or(|e| e.linearity == 1.0 && e.terms == [0.0; 3]);
@@ -267,23 +271,24 @@ impl Cahvor {
         self.project_offset(&(direction.try_normalize(1e-300)? * FAR_M))
     }
 
+    /// Projects a point given from C; see [`Cahvor::project`].
     fn project_offset(&self, p: &Vector3<f64>) -> Option<Vector2<f64>> {
-        let bent = match self.o {
-            Some(o) if !self.is_linear() => self.bend(p, &vector(o).try_normalize(1e-300)?)?,
+        let distorted = match self.o {
+            Some(o) if !self.is_linear() => self.distort(p, &vector(o).try_normalize(1e-300)?)?,
             _ => *p,
         };
-        let depth = bent.dot(&vector(self.a));
-        let pixel = Vector2::new(bent.dot(&vector(self.h)), bent.dot(&vector(self.v))) / depth;
+        let depth = distorted.dot(&vector(self.a));
+        let pixel = Vector2::new(distorted.dot(&vector(self.h)), distorted.dot(&vector(self.v))) / depth;
         (depth > 0.0 && pixel.iter().all(|value| value.is_finite())).then_some(pixel)
     }
 
-    /// Where the linear camera would have to see the point for the pixel to be right.
-    fn bend(&self, p: &Vector3<f64>, o: &Vector3<f64>) -> Option<Vector3<f64>> {
+    /// Returns the point with the distortion of the lens applied, so that the linear part projects it to the pixel.
+    fn distort(&self, p: &Vector3<f64>, o: &Vector3<f64>) -> Option<Vector3<f64>> {
         let along = p.dot(o);
         let across = p - o * along;
         let radial = Radial(self.r.unwrap_or_default());
         let Some(entrance) = self.e else {
-            // w² in tau hides the sign: a point behind would land inside the image.
+            // w² in tau loses the sign: a point behind the camera would be projected into the image.
             let chi = across.norm() / along;
             return (along > 0.0 && radial.rises(chi)).then(|| p + across * radial.mu(chi));
         };
@@ -300,7 +305,7 @@ impl Cahvor {
 
     /// Returns the line of sight of a pixel (0-based, integer = pixel centre) in the model's frame.
     ///
-    /// Undoes [`Cahvor::project`]; the same remark on the standard library holds.
+    /// The inverse of [`Cahvor::project`], with the same remark on the standard library.
     ///
     /// Returns `None` where the lens has no such ray: beyond its range, or where the radial terms turn over.
     pub fn unproject(&self, pixel: &Vector2<f64>) -> Option<Ray> {
@@ -310,19 +315,20 @@ impl Cahvor {
             direction: apparent,
         };
         match self.o {
-            Some(o) if !self.is_linear() => self.unbend(&apparent, &vector(o).try_normalize(1e-300)?),
+            Some(o) if !self.is_linear() => self.undistort(&apparent, &vector(o).try_normalize(1e-300)?),
             _ => apparent.iter().all(|value| value.is_finite()).then_some(straight),
         }
     }
 
-    /// Unit vector to a pixel by the linear part alone.
+    /// Returns the unit vector to a pixel by the linear part alone.
     fn apparent(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
         let (a, h, v) = (vector(self.a), vector(self.h), vector(self.v));
         let apparent = (v - a * pixel.y).cross(&(h - a * pixel.x)) * a.dot(&v.cross(&h)).signum();
         apparent.try_normalize(1e-300)
     }
 
-    fn unbend(&self, apparent: &Vector3<f64>, o: &Vector3<f64>) -> Option<Ray> {
+    /// Returns the ray whose distorted direction is `apparent`, the inverse of [`Cahvor::distort`].
+    fn undistort(&self, apparent: &Vector3<f64>, o: &Vector3<f64>) -> Option<Ray> {
         let along = apparent.dot(o);
         let across = apparent - o * along;
         let radial = Radial(self.r.unwrap_or_default());
@@ -342,7 +348,7 @@ impl Cahvor {
         })
     }
 
-    /// Takes the linear part apart; [`Cahvor::normalised`] first.
+    /// Returns the intrinsics and the pose of the linear part; [`Cahvor::normalised`] first.
     ///
     /// # Errors
     /// A flat or mirrored image plane.
@@ -413,6 +419,10 @@ impl Cahvor {
     }
 }
 
+/// Returns the length of a vector that should be 1.
+///
+/// # Errors
+/// A length further off than [`UNIT_TOLERANCE`].
 fn unit_length(name: char, value: [f64; 3]) -> Result<f64, CahvorError> {
     let length = vector(value).norm();
     if (length - 1.0).abs() > UNIT_TOLERANCE {
@@ -421,11 +431,12 @@ fn unit_length(name: char, value: [f64; 3]) -> Result<f64, CahvorError> {
     Ok(length)
 }
 
+/// Returns components as a vector.
 fn vector(value: [f64; 3]) -> Vector3<f64> {
     Vector3::from(value)
 }
 
-/// Pose of a camera at `centre` whose axes are these unit vectors.
+/// Returns the pose of a camera at `centre` whose axes are these unit vectors.
 fn pose(right: &Vector3<f64>, down: &Vector3<f64>, forward: &Vector3<f64>, centre: &Vector3<f64>) -> Pose {
     let rotation = nalgebra::Matrix3::from_rows(&[right.transpose(), down.transpose(), forward.transpose()]);
     Pose {

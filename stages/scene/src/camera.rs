@@ -1,3 +1,5 @@
+//! Pinhole cameras with lens distortion.
+
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -17,29 +19,29 @@ pub struct Camera {
     pub fx_px: f64,
     /// Focal length along y, pixels.
     pub fy_px: f64,
-    /// Principal point, pixels from the left edge; may lie outside the image.
+    /// Column of the principal point, pixels from the left edge; may lie outside the image.
     pub cx_px: f64,
-    /// Principal point, pixels from the top edge; may lie outside the image.
+    /// Row of the principal point, pixels from the top edge; may lie outside the image.
     pub cy_px: f64,
-    /// Radial distortion, r².
+    /// Radial distortion, factor of r².
     #[serde(default)]
     pub k1: f64,
-    /// Radial distortion, r⁴.
+    /// Radial distortion, factor of r⁴.
     #[serde(default)]
     pub k2: f64,
-    /// Tangential distortion.
+    /// Tangential distortion, first term.
     #[serde(default)]
     pub p1: f64,
-    /// Tangential distortion.
+    /// Tangential distortion, second term.
     #[serde(default)]
     pub p2: f64,
 }
 
 impl Camera {
-    /// Newton steps that suffice to undo the distortion; the fold test stops runaways.
+    /// Most Newton steps for inverting the distortion.
     pub const NEWTON_STEPS: usize = 20;
 
-    /// An ideal pinhole with its principal point at the centre.
+    /// Returns an ideal pinhole with its principal point at the centre.
     pub fn pinhole(width: u32, height: u32, focal_px: f64) -> Self {
         let (cx_px, cy_px) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
         Self {
@@ -57,13 +59,14 @@ impl Camera {
     }
 
     /// Projects a point of the camera frame (x right, y down, z forward) to a pixel.
-    /// Returns `None` behind the camera or where the distortion folds over.
+    ///
+    /// Returns `None` behind the camera and where the distortion is no longer invertible.
     pub fn project(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
         if point.z <= 0.0 {
             return None;
         }
         let plane = Vector2::new(point.x / point.z, point.y / point.z);
-        if !self.unfolded(plane.norm_squared()) {
+        if !self.is_invertible(plane.norm_squared()) {
             return None;
         }
         let distorted = self.distort(&plane);
@@ -73,7 +76,7 @@ impl Camera {
         ))
     }
 
-    /// Returns the direction (z = 1) behind a pixel; `None` where the distortion has no inverse.
+    /// Returns the viewing direction (z = 1) of a pixel; `None` where the distortion has no inverse.
     pub fn unproject(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
         let target = Vector2::new(
             (pixel.x - self.cx_px) / self.fx_px,
@@ -88,10 +91,10 @@ impl Camera {
             plane -= self.newton_step(&plane, &error)?;
         }
         let closed = (self.distort(&plane) - target).amax() < 1e-9;
-        (closed && self.unfolded(plane.norm_squared())).then(|| Vector3::new(plane.x, plane.y, 1.0))
+        (closed && self.is_invertible(plane.norm_squared())).then(|| Vector3::new(plane.x, plane.y, 1.0))
     }
 
-    /// Returns the camera of the same photo at another size; both axes may differ by rounding.
+    /// Returns the camera of the same photo at another size; the two axes may scale differently.
     #[must_use]
     pub fn resized(&self, width: u32, height: u32) -> Self {
         let (sx, sy) = (
@@ -101,7 +104,7 @@ impl Camera {
         self.scaled(sx, sy, width, height)
     }
 
-    /// Returns the camera of a photo reduced by an integer factor, the rest of the division cut off.
+    /// Returns the camera of a photo reduced as by [`Image::box_reduced`](crate::Image::box_reduced).
     #[must_use]
     pub fn box_reduced(&self, factor: u32) -> Self {
         let scale = 1.0 / f64::from(factor.max(1));
@@ -113,7 +116,7 @@ impl Camera {
         )
     }
 
-    /// Tells whether every number is finite, the size is not zero and the focal lengths are positive.
+    /// Returns whether every number is finite, the size is not zero and the focal lengths are positive.
     pub fn is_valid(&self) -> bool {
         let numbers = [
             self.fx_px, self.fy_px, self.cx_px, self.cy_px, self.k1, self.k2, self.p1, self.p2,
@@ -122,6 +125,7 @@ impl Camera {
         positive && numbers.iter().all(|number| number.is_finite())
     }
 
+    /// Returns the camera with both axes scaled, for an image of this size.
     fn scaled(&self, sx: f64, sy: f64, width: u32, height: u32) -> Self {
         let (fx_px, fy_px) = (self.fx_px * sx, self.fy_px * sy);
         Self {
@@ -135,6 +139,7 @@ impl Camera {
         }
     }
 
+    /// Applies the distortion to a point of the plane z = 1.
     fn distort(&self, plane: &Vector2<f64>) -> Vector2<f64> {
         let (x, y) = (plane.x, plane.y);
         let r2 = x * x + y * y;
@@ -145,7 +150,7 @@ impl Camera {
         )
     }
 
-    /// Solves the 2 x 2 Newton system of the distortion.
+    /// Returns the Newton step that reduces `error` at a point; `None` where the Jacobian is singular.
     fn newton_step(&self, plane: &Vector2<f64>, error: &Vector2<f64>) -> Option<Vector2<f64>> {
         let (x, y) = (plane.x, plane.y);
         let r2 = x * x + y * y;
@@ -159,10 +164,10 @@ impl Camera {
             .then(|| Vector2::new(yy * error.x - xy * error.y, xx * error.y - xy * error.x) / determinant)
     }
 
-    /// The radial map r (1 + k1 r² + k2 r⁴) must still rise at r: 1 + 3 k1 r² + 5 k2 r⁴ > 0.
-    fn unfolded(&self, r2: f64) -> bool {
+    /// Returns whether the radial map r (1 + k1 r² + k2 r⁴) rises up to r, hence is invertible: 1 + 3 k1 r² + 5 k2 r⁴ > 0.
+    fn is_invertible(&self, r2: f64) -> bool {
         let rises = |r2: f64| 1.0 + r2 * (3.0 * self.k1 + r2 * 5.0 * self.k2) > 0.0;
-        // The slope is a parabola in r²: it may dip below zero before r.
+        // The slope is a parabola in r² and may be negative before r.
         let vertex = if self.k2 > 0.0 {
             (-0.3 * self.k1 / self.k2).clamp(0.0, r2)
         } else {

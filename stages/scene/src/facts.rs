@@ -1,8 +1,10 @@
+//! Facts of a photo that are known without decoding it.
+
 use serde::{Deserialize, Serialize};
 
 use crate::{Cahvor, Pose};
 
-/// What is known of a photo without decoding it; the facts of a manifest's row.
+/// The facts of a photo, as the row of a manifest keeps them.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PhotoFacts {
@@ -16,7 +18,7 @@ pub struct PhotoFacts {
     pub height: u32,
     /// Bands stored in the file, 1 or 3.
     pub bands: u8,
-    /// Martian day.
+    /// Sol: the Martian day since landing.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sol: Option<u32>,
     /// Instrument and eye as the archive names them (`ZL`, `NAVCAM_LEFT`).
@@ -25,24 +27,24 @@ pub struct PhotoFacts {
     /// Colour filter as the archive names it (`0` is broad-band).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub filter: Option<String>,
-    /// The archive calls it a thumbnail.
+    /// Whether the archive calls it a thumbnail.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub thumbnail: bool,
     /// Camera model and pose of the label.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub prior: Option<CameraPrior>,
-    /// Focal length by the photo's own EXIF, pixels of the stored image.
+    /// Focal length from EXIF, pixels of the stored image.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub focal_px: Option<f64>,
-    /// Make and model of the device by EXIF, for grouping photos by camera.
+    /// Make and model of the camera from EXIF, for grouping photos by camera.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub device: Option<String>,
-    /// What the reader had to do or could not use (`turned upright`, `label has no camera: …`).
+    /// What was changed or could not be used in reading (`turned upright`, `label has no camera: …`).
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
 }
 
-/// A label's camera model and the frame it is in.
+/// The camera model of a label and the frame it is in.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CameraPrior {
     /// The model, in the photo's own pixel grid (integer = pixel centre, 0-based) and in `frame`.
@@ -58,16 +60,16 @@ pub struct CameraPrior {
 }
 
 impl PhotoFacts {
-    /// Returns the facts as a manifest keeps them.
+    /// Returns the facts as JSON.
     pub fn to_json(&self) -> serde_json::Value {
         // Strings, numbers and lists always serialise; a non-finite float becomes null and is refused on reading.
         serde_json::to_value(self).unwrap_or_default()
     }
 
-    /// Reads what a manifest keeps.
+    /// Reads the facts from JSON.
     ///
     /// # Errors
-    /// Facts of another shape.
+    /// JSON with other fields or types.
     pub fn from_json(value: &serde_json::Value) -> Result<Self, serde_json::Error> {
         Self::deserialize(value)
     }

@@ -1,6 +1,8 @@
+//! Images in sRGB and in linear RGB, as different types.
+
 use std::fmt::Debug;
 
-/// A colour space: decides the type of a channel.
+/// A colour space, with the type of its channels.
 pub trait ColorSpace: Clone + Debug + PartialEq {
     /// Type of one channel.
     type Channel: Copy + Debug + Default + PartialEq + Send + Sync;
@@ -10,7 +12,7 @@ pub trait ColorSpace: Clone + Debug + PartialEq {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Srgb;
 
-/// Light-linear RGB, f32 a channel, 1 = white of the sRGB form.
+/// Linear RGB, f32 a channel; 1 is the white of sRGB.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Linear;
 
@@ -34,7 +36,7 @@ pub struct Image<S: ColorSpace> {
 }
 
 impl<S: ColorSpace> Image<S> {
-    /// Makes an image from a function of (column, row).
+    /// Returns the image whose pixels a function of (column, row) gives.
     pub fn from_fn(width: u32, height: u32, mut pixel: impl FnMut(u32, u32) -> [S::Channel; 3]) -> Self {
         let pixels = (0..height).flat_map(|row| (0..width).map(move |column| (column, row)));
         Self {
@@ -54,8 +56,9 @@ impl<S: ColorSpace> Image<S> {
 }
 
 impl Image<Srgb> {
-    /// Shrinks by an integer factor with an exact box mean in 8-bit sRGB space, rounded half away from zero;
-    /// the rest of a division is cut at the right and bottom edge.
+    /// Returns the image reduced by an integer factor: exact box means of 8-bit sRGB, rounded half up.
+    ///
+    /// Columns and rows that do not fill a box are left out at the right and bottom edge.
     pub fn box_reduced(&self, factor: u32) -> Self {
         if factor <= 1 {
             return self.clone();

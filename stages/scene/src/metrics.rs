@@ -1,4 +1,4 @@
-//! How alike two images are: PSNR (two definitions) and SSIM.
+//! Image metrics: PSNR (two definitions) and SSIM.
 
 use std::collections::VecDeque;
 
@@ -8,7 +8,7 @@ use crate::{Image, Srgb};
 const MIN_MSE: f64 = 1e-10;
 /// Pixels on each side of a window of [`ssim`].
 const RADIUS: usize = 5;
-/// Pixels a side of a window of [`ssim`], and of the smallest image it can judge.
+/// Pixels a side of a window of [`ssim`], and of the smallest image it accepts.
 const WINDOW: usize = 2 * RADIUS + 1;
 /// exp(-i² / (2 · 1.5²)) for i = -5..=5, divided by the sum; written out because `exp` differs between libms.
 const GAUSSIAN: [f64; WINDOW] = [
@@ -36,17 +36,17 @@ pub enum MetricError {
         /// Width and height of the second one.
         b: (u32, u32),
     },
-    /// Fewer pixels than the metric needs.
+    /// The images have fewer pixels than the metric needs.
     #[error("{width} x {height} pixels, at least {min} a side are needed")]
     TooSmall {
         /// Width of both.
         width: u32,
         /// Height of both.
         height: u32,
-        /// What is needed a side.
+        /// Pixels needed a side.
         min: u32,
     },
-    /// The photo is black, so the paper's PSNR has no peak.
+    /// The photo is black, so [`psnr_paper`] has no peak.
     #[error("the photo is black everywhere: there is no peak to measure against")]
     NoPeak,
 }
@@ -97,6 +97,7 @@ pub fn ssim(a: &Image<Srgb>, b: &Image<Srgb>) -> Result<f64, MetricError> {
     Ok(mean)
 }
 
+/// Checks that two images have the same size, and at least `min` pixels a side.
 fn check(a: &Image<Srgb>, b: &Image<Srgb>, min: u32) -> Result<(), MetricError> {
     let (width, height) = (a.width, a.height);
     if (width, height) != (b.width, b.height) {
@@ -112,7 +113,7 @@ fn check(a: &Image<Srgb>, b: &Image<Srgb>, min: u32) -> Result<(), MetricError> 
     Ok(())
 }
 
-/// At least [`MIN_MSE`].
+/// Returns the mean squared error with white = 1, at least [`MIN_MSE`].
 fn mean_squared_error(a: &Image<Srgb>, b: &Image<Srgb>) -> Result<f64, MetricError> {
     check(a, b, 1)?;
     let (a, b) = (a.pixels.as_flattened(), b.pixels.as_flattened());
@@ -121,11 +122,12 @@ fn mean_squared_error(a: &Image<Srgb>, b: &Image<Srgb>) -> Result<f64, MetricErr
     Ok((sum as f64 / (a.len() as f64 * 65_025.0)).max(MIN_MSE))
 }
 
+/// Returns a ratio of powers in decibels.
 fn decibels(ratio: f64) -> f64 {
     10.0 * ln(ratio) * std::f64::consts::LOG10_E
 }
 
-/// Natural logarithm of a positive normal number within 2 ulp, from + - * / alone.
+/// Returns the natural logarithm of a positive normal number within 2 ulp, from + - * / alone.
 ///
 /// x = m 2ᵉ with m in [√½, √2); ln m = 2 artanh(s), s = (m - 1) / (m + 1), |s| <= 0.172: the first dropped
 /// term is s²⁴ / 25 < 2e-20.
@@ -144,9 +146,10 @@ fn ln(x: f64) -> f64 {
     exponent as f64 * std::f64::consts::LN_2 + 2.0 * s * series
 }
 
-/// Weighted sums of a window: a, b, a², b², a b.
+/// Weighted means over a window: of a, b, a², b² and a b.
 type Moments = [f64; 5];
 
+/// Returns the mean SSIM of one channel.
 fn ssim_channel(a: &Image<Srgb>, b: &Image<Srgb>, channel: usize) -> f64 {
     let width = a.width as usize;
     // Only the rows under one window are kept: a whole photo of moments would take 40 bytes a pixel.
@@ -164,7 +167,7 @@ fn ssim_channel(a: &Image<Srgb>, b: &Image<Srgb>, channel: usize) -> f64 {
     sum / ((a.height as usize - 2 * RADIUS) as f64 * (width - 2 * RADIUS) as f64)
 }
 
-/// Moments along one row, for each window that lies inside it.
+/// Returns the moments along one row, for each window that lies inside it.
 fn filter_row(a: &[[u8; 3]], b: &[[u8; 3]], channel: usize) -> Vec<Moments> {
     let products: Vec<Moments> = (a.iter().zip(b))
         .map(|(a, b)| {
@@ -178,7 +181,7 @@ fn filter_row(a: &[[u8; 3]], b: &[[u8; 3]], channel: usize) -> Vec<Moments> {
         .collect()
 }
 
-/// Sum of the SSIM of all windows whose rows these are.
+/// Returns the sum of the SSIM of all windows that these rows cover.
 fn ssim_of_rows(rows: &VecDeque<Vec<Moments>>) -> f64 {
     let columns = rows.front().map_or(0, Vec::len);
     (0..columns)
@@ -186,6 +189,7 @@ fn ssim_of_rows(rows: &VecDeque<Vec<Moments>>) -> f64 {
         .sum()
 }
 
+/// Returns the moments of a window weighted by [`GAUSSIAN`].
 fn weighted<'a>(window: impl Iterator<Item = &'a Moments>) -> Moments {
     let mut sums = [0.0; 5];
     for (moments, weight) in window.zip(GAUSSIAN) {
@@ -196,6 +200,7 @@ fn weighted<'a>(window: impl Iterator<Item = &'a Moments>) -> Moments {
     sums
 }
 
+/// Returns the SSIM of one window.
 fn ssim_of([a, b, aa, bb, ab]: Moments) -> f64 {
     const C1: f64 = 0.01 * 0.01;
     const C2: f64 = 0.03 * 0.03;
@@ -215,7 +220,7 @@ mod tests {
         Image::from_fn(16, 12, |_, _| [value; 3])
     }
 
-    /// Two images anybody can make again: the values of tests came from scikit-image on the same formulas.
+    /// Returns two images by formulas; scikit-image computed the expected values on the same formulas.
     fn patterns(width: u32, height: u32) -> (Image<Srgb>, Image<Srgb>) {
         let a = Image::from_fn(width, height, |x, y| {
             [(x * 7 + y * 3) % 256, (x * x + y) % 256, (x * y) % 256].map(|v| v as u8)

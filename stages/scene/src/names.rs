@@ -1,8 +1,10 @@
+//! File names of the pictures of a scene.
+
 use std::collections::BTreeSet;
 
 use crate::Scene;
 
-/// Returns a name for the pictures of each frame, in the order of the frames.
+/// Returns the base name of the pictures of each frame, in the order of the frames.
 ///
 /// The stem of the frame's file, with every character outside `[A-Za-z0-9._-]` turned into `_`; a stem that
 /// is taken gets `-2`, `-3`, … in the order of the frames, so that a frame has one name in every stage.
@@ -15,6 +17,7 @@ pub fn picture_names(scene: &Scene) -> Vec<String> {
         .collect()
 }
 
+/// Returns the stem of a file's name with unsafe characters replaced.
 fn stem(file: &str) -> String {
     let base = file.rsplit('/').next().unwrap_or(file);
     let stem = base.rsplit_once('.').map_or(base, |(stem, _)| stem);
@@ -26,6 +29,7 @@ fn stem(file: &str) -> String {
     if name.is_empty() { "frame".to_owned() } else { name }
 }
 
+/// Returns the stem, or the stem with the first number that is not taken, and marks it as taken.
 fn free_name(stem: &str, taken: &mut BTreeSet<String>) -> String {
     let numbered = (2..).map(|number| format!("{stem}-{number}"));
     let mut candidates = std::iter::once(stem.to_owned()).chain(numbered);

@@ -1,3 +1,5 @@
+//! Decoding of photos, and encoding as PNG.
+
 use std::io::Cursor;
 
 use image::metadata::Orientation;
@@ -17,21 +19,21 @@ pub const MAX_SIDE: u32 = 20_000;
 /// Most memory one decode may take, in bytes.
 pub const MAX_DECODE_BYTES: u64 = 256 << 20;
 
-/// A photo as decoded: upright, opaque, three channels.
+/// A decoded photo: upright, opaque, three channels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Photo {
     /// The pixels; one band is repeated three times.
     pub image: Image<Srgb>,
     /// Bands stored in the file: 1 or 3 (alpha is blended over black and not counted).
     pub bands: u8,
-    /// What the file needed to become this (`rotated by EXIF 6`, `first of 3 frames`), for the report.
+    /// What was changed in decoding (`turned upright from EXIF orientation 6`), for the report.
     pub notes: Vec<String>,
 }
 
-/// Bytes that are no whole photo.
+/// Bytes that cannot be decoded as a photo.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum DecodeError {
-    /// None of the formats that are read (JPEG, PNG, WebP, GIF).
+    /// The bytes are no JPEG, PNG, WebP or GIF.
     #[error("not a JPEG, PNG, WebP or GIF (starts with {start})")]
     Format {
         /// The first bytes, in hexadecimal.
@@ -42,7 +44,7 @@ pub enum DecodeError {
     Damaged {
         /// Name of the format.
         format: &'static str,
-        /// What the decoder said.
+        /// Message of the decoder, in one line.
         message: String,
     },
     /// No bytes at all.
@@ -70,7 +72,7 @@ impl Photo {
     pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
         let format = image::guess_format(bytes)
             .ok()
-            .filter(|format| name(*format).is_some());
+            .filter(|format| format_name(*format).is_some());
         let Some(format) = format else {
             if bytes.is_empty() {
                 return Err(DecodeError::Empty);
@@ -96,8 +98,8 @@ impl Photo {
         })
     }
 
-    /// Decodes bytes that [`Photo::decode`] has taken before, in half the time: the same pixels, but damage inside the
-    /// scan is not looked for again.
+    /// Decodes bytes that [`Photo::decode`] has accepted before, to the same pixels in half the time: it does not check
+    /// the scan for damage again.
     ///
     /// # Errors
     /// As [`Photo::decode`].
@@ -108,7 +110,7 @@ impl Photo {
         }
     }
 
-    /// Returns (width, height) from the header alone, before EXIF rotation.
+    /// Returns width and height in pixels from the header alone, before EXIF rotation; `None` without a known header.
     pub fn size_px(bytes: &[u8]) -> Option<(u32, u32)> {
         ImageReader::new(Cursor::new(bytes))
             .with_guessed_format()
@@ -118,7 +120,7 @@ impl Photo {
     }
 }
 
-/// Encodes as PNG, always to the same bytes.
+/// Encodes an image as PNG; equal images give equal bytes.
 ///
 /// # Errors
 /// An image of zero pixels.
@@ -136,7 +138,8 @@ pub fn encode_png(image: &Image<Srgb>) -> Result<Vec<u8>, DecodeError> {
     Ok(bytes)
 }
 
-fn name(format: ImageFormat) -> Option<&'static str> {
+/// Returns the name of a format that is decoded; `None` for all others.
+fn format_name(format: ImageFormat) -> Option<&'static str> {
     match format {
         ImageFormat::Jpeg => Some("JPEG"),
         ImageFormat::Png => Some("PNG"),
@@ -146,14 +149,15 @@ fn name(format: ImageFormat) -> Option<&'static str> {
     }
 }
 
+/// Returns the error of a decoder, in one line.
 fn damaged(format: &'static str, error: &dyn std::fmt::Display) -> DecodeError {
-    // Decoders break their lines.
+    // Messages of decoders have line breaks.
     let message = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
     DecodeError::Damaged { format, message }
 }
 
-/// Decodes strictly and requires the end marker: a file cut in half, or with a damaged scan, must not become training
-/// data. (The `image` crate decodes with the same library, but leniently.)
+/// Decodes a JPEG strictly and requires its end marker: a file cut in half, or with a damaged scan, must not become
+/// training data. (The `image` crate decodes with the same library, but leniently.)
 fn decode_jpeg(bytes: &[u8]) -> Result<(DynamicImage, Vec<String>), DecodeError> {
     let fail = |error: DecodeErrors| damaged("JPEG", &format!("{error:?}"));
     let options = DecoderOptions::default()
@@ -188,7 +192,7 @@ fn decode_jpeg(bytes: &[u8]) -> Result<(DynamicImage, Vec<String>), DecodeError>
     Ok(upright(decoded, orientation.unwrap_or(Orientation::NoTransforms)))
 }
 
-/// Turns a picture as its EXIF says, and notes it.
+/// Applies an EXIF orientation; returns the picture, and a note if it was turned.
 fn upright(mut decoded: DynamicImage, orientation: Orientation) -> (DynamicImage, Vec<String>) {
     let mut notes = Vec::new();
     if orientation.to_exif() != 1 {
@@ -201,16 +205,15 @@ fn upright(mut decoded: DynamicImage, orientation: Orientation) -> (DynamicImage
     (decoded, notes)
 }
 
-/// Tells whether a JPEG's end marker stands near its end.
+/// Returns whether a JPEG has its end marker within its last 4096 bytes.
 fn has_end(bytes: &[u8]) -> bool {
     bytes.windows(2).rev().take(4096).any(|pair| pair == [0xff, 0xd9])
 }
 
-/// Decodes a JPEG of three channels that is stored upright, straight into its pixels.
+/// Decodes an upright JPEG of three channels straight into its pixels; `None` for anything else, errors included.
 ///
-/// The same decoder as above, but without two copies of the pixels, which take as long as half of the decoding, and
-/// without counting the units of its scan. `None` for anything else, errors and limits included: the general way says
-/// what it is.
+/// The same decoder as in [`decode_jpeg`], but without two copies of the pixels, which take half as long as decoding,
+/// and without counting the units of the scan. Where it returns `None`, [`Photo::decode`] finds the error.
 fn plain_jpeg(bytes: &[u8]) -> Option<Photo> {
     let options = DecoderOptions::default()
         .set_strict_mode(false)
@@ -242,8 +245,9 @@ fn plain_jpeg(bytes: &[u8]) -> Option<Photo> {
     })
 }
 
+/// Decodes a photo other than a JPEG with the `image` crate, within the limits of size and memory.
 fn decode_limited(bytes: &[u8], format: ImageFormat) -> Result<(DynamicImage, Vec<String>), DecodeError> {
-    let name = name(format).unwrap_or("image");
+    let name = format_name(format).unwrap_or("image");
     let fail = |error: image::ImageError| damaged(name, &error);
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     let mut limits = Limits::default();
@@ -261,7 +265,7 @@ fn decode_limited(bytes: &[u8], format: ImageFormat) -> Result<(DynamicImage, Ve
     Ok(upright(decoded, orientation))
 }
 
-/// Takes the pixels over: 8-bit colour without alpha, what nearly every photo is, is copied once and not converted.
+/// Returns the pixels with alpha blended over black; 8-bit colour without alpha is copied once and not converted.
 fn opaque(decoded: DynamicImage) -> Image<Srgb> {
     let (width, height) = (decoded.width(), decoded.height());
     let pixels = if decoded.color().has_alpha() {
@@ -303,7 +307,7 @@ mod tests {
         bytes
     }
 
-    /// The short way for plain photos is the general one without its copies; it takes nothing else.
+    /// [`plain_jpeg`] gives the same pixels as the strict decoder, and refuses everything else.
     #[test]
     fn a_plain_jpeg_has_the_same_pixels_both_ways() {
         let bytes = jpeg(gradient().pixels.as_flattened(), image::ExtendedColorType::Rgb8);
@@ -344,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_told_in_one_line() {
+    fn an_error_is_one_line() {
         let error = Photo::decode(b"\xff\xd8\xff\xe0").unwrap_err().to_string();
         assert!(!error.contains('\n') && !error.ends_with(' '), "{error:?}");
     }

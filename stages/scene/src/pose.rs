@@ -1,3 +1,5 @@
+//! Rigid transforms between frames.
+
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -5,14 +7,14 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(into = "[[f64; 4]; 3]", from = "[[f64; 4]; 3]")]
 pub struct Pose {
-    /// R, a proper rotation.
+    /// R: a proper rotation.
     pub rotation: Matrix3<f64>,
-    /// t.
+    /// t: the origin of frame a in frame b.
     pub translation: Vector3<f64>,
 }
 
 impl Pose {
-    /// The transform that changes nothing.
+    /// Returns the identity.
     pub fn identity() -> Self {
         Self {
             rotation: Matrix3::identity(),
@@ -20,7 +22,7 @@ impl Pose {
         }
     }
 
-    /// Returns `a_from_b`.
+    /// Returns the inverse transform, `a_from_b`.
     #[must_use]
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.transpose();
@@ -30,23 +32,24 @@ impl Pose {
         }
     }
 
-    /// Carries a point over.
+    /// Transforms a point: R x + t.
     pub fn point(&self, point: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * point + self.translation
     }
 
-    /// Carries a direction over.
+    /// Transforms a direction: R d.
     pub fn direction(&self, direction: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * direction
     }
 
-    /// For `cam_from_world`: the camera's centre in the world, C = -Rᵀ t.
+    /// Returns the origin of frame b in frame a, -Rᵀ t; of a `cam_from_world` the camera centre in the world.
     pub fn centre(&self) -> Vector3<f64> {
         -(self.rotation.transpose() * self.translation)
     }
 
-    /// For `cam_from_world` (x right, y down, z forward): a camera at `eye` that looks at `target`.
-    /// `down` need not be orthogonal; if it is along the view, any orthogonal one is taken.
+    /// Returns the `cam_from_world` (x right, y down, z forward) of a camera at `eye` that looks at `target`.
+    ///
+    /// `down` need not be orthogonal to the view; if it is parallel to it, another axis is taken.
     pub fn looking_at(eye: Vector3<f64>, target: Vector3<f64>, down: Vector3<f64>) -> Self {
         let forward = (target - eye).try_normalize(1e-300).unwrap_or_else(Vector3::z);
         let sideways = |down: Vector3<f64>| down.cross(&forward).try_normalize(1e-9);
@@ -65,7 +68,7 @@ impl Pose {
         }
     }
 
-    /// Tells whether every number is finite and R is a proper rotation within 1e-4.
+    /// Returns whether every number is finite and R is a proper rotation within 1e-4.
     pub fn is_valid(&self) -> bool {
         let finite = self
             .rotation
@@ -82,7 +85,7 @@ impl Pose {
 impl std::ops::Mul for Pose {
     type Output = Self;
 
-    /// `c_from_b * b_from_a` is `c_from_a`.
+    /// Returns the composition: `c_from_b * b_from_a` is `c_from_a`.
     fn mul(self, other: Self) -> Self {
         Self {
             rotation: self.rotation * other.rotation,

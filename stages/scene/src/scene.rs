@@ -1,26 +1,28 @@
+//! A calibrated scene: photos with cameras and poses, and sparse points.
+
 use marf_cache::Digest;
 use serde::{Deserialize, Serialize};
 
 use crate::{Camera, Pose};
 
-/// A calibrated scene: which photo was taken by which camera from where.
+/// A calibrated scene: the camera and the pose of each photo.
 ///
-/// Frames are sorted by id, so that one scene has one encoding.
+/// Frames are sorted by id, so that equal scenes have equal encodings.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scene {
     /// Photos with a camera, sorted by id.
     pub frames: Vec<Frame>,
-    /// Photos without one, and why.
+    /// Photos that could not be placed, with the reason.
     #[serde(default)]
     pub unplaced: Vec<Unplaced>,
-    /// Sparse points, if the method finds any.
+    /// Sparse points; empty if the method finds none.
     #[serde(default)]
     pub points: Vec<Point>,
     /// Unit vector that points up in the world, if known.
     #[serde(default)]
     pub up: Option<[f64; 3]>,
-    /// Metres of one unit of the world, if known.
+    /// Metres per unit of the world, if known.
     #[serde(default)]
     pub metres_per_unit: Option<f64>,
     /// Name of the method and what it did to the photos (`resampled to an ideal pinhole`).
@@ -42,7 +44,7 @@ pub struct Frame {
     pub camera: Camera,
     /// Its pose: x_cam = R x_world + t; x right, y down, z forward.
     pub cam_from_world: Pose,
-    /// Kept away from training, for measuring.
+    /// Whether the photo is kept out of training, to measure quality.
     pub held_out: bool,
     /// Mean reprojection error, pixels, if measured.
     #[serde(default)]
@@ -54,7 +56,7 @@ pub struct Frame {
 pub struct Unplaced {
     /// Id of the photo.
     pub id: String,
-    /// Why, in one line.
+    /// The reason, in one line.
     pub reason: String,
 }
 
@@ -63,7 +65,7 @@ pub struct Unplaced {
 pub struct Point {
     /// Position in the world.
     pub position: [f64; 3],
-    /// sRGB, if known.
+    /// Its colour in sRGB, if known.
     #[serde(default)]
     pub color: Option<[u8; 3]>,
     /// Number of photos that see it.
@@ -86,7 +88,7 @@ pub enum SceneError {
 }
 
 impl Scene {
-    /// Returns the canonical bytes (JSON; floats as the shortest text that reads back to the same bits).
+    /// Returns the scene as JSON; floats are the shortest text that reads back to the same bits.
     ///
     /// # Errors
     /// Names a frame that is not finite: JSON would turn it into null.
@@ -95,7 +97,7 @@ impl Scene {
         Ok(serde_json::to_vec(self)?)
     }
 
-    /// Reads what [`Scene::encode`] wrote, and checks it.
+    /// Reads what [`Scene::encode`] wrote and checks it.
     ///
     /// # Errors
     /// See [`SceneError`].
@@ -105,6 +107,7 @@ impl Scene {
         Ok(scene)
     }
 
+    /// Checks that all cameras and poses are valid.
     fn check(&self) -> Result<(), SceneError> {
         let valid = |frame: &Frame| frame.camera.is_valid() && frame.cam_from_world.is_valid();
         match self.frames.iter().find(|frame| !valid(frame)) {

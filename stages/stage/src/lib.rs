@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use marf_cache::{ContentHash, Digest, manifest::Row};
 use serde::{Deserialize, Serialize};
 
-pub use archive::{Access, ArchiveContext};
+pub use archive::{Access, ArchiveContext, LOCK_FILE};
 pub use ctx::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Memos, Progress};
 pub use define::{Define, ParamError, Port, StageDef, define, from_json, schema_of};
 pub use document::{Document, Params, TypedOutputs};
@@ -250,7 +250,7 @@ pub struct Verdict {
     pub id: String,
     /// The file it came from.
     pub file: String,
-    /// `keep`, or what rejected it (`decode`, `size`, `shape`, `duplicate`, `grayscale`, `histogram`, `blur`).
+    /// `keep`, or the name of the filter that rejected it; `decode` if it could not be decoded.
     pub verdict: String,
     /// The measure the verdict rests on, in the filter's own unit.
     #[serde(default, skip_serializing_if = "Option::is_none")]

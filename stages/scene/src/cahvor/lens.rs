@@ -5,36 +5,37 @@ use super::EntrancePupil;
 /// Newton steps of the pupil angle; it converges quadratically from a start within 1e-2.
 const NEWTON_STEPS: usize = 30;
 
-/// chi' = chi (1 + mu), mu = r0 + r1 chi² + r2 chi⁴: from the true to the apparent distance off axis.
+/// The radial terms: chi' = chi (1 + mu), mu = r0 + r1 chi² + r2 chi⁴: from the true to the apparent distance off axis.
 pub(super) struct Radial(pub(super) [f64; 3]);
 
 impl Radial {
+    /// Returns mu at chi.
     pub(super) fn mu(&self, chi: f64) -> f64 {
         let [r0, r1, r2] = self.0;
         let t = chi * chi;
         r0 + t * (r1 + t * r2)
     }
 
-    /// Slope of the map at t = chi².
+    /// Returns the slope of the map at t = chi².
     fn slope(&self, t: f64) -> f64 {
         let [r0, r1, r2] = self.0;
         1.0 + r0 + t * (3.0 * r1 + t * 5.0 * r2)
     }
 
-    /// Tells whether the map rises all the way from the axis to `chi`.
+    /// Returns whether the map rises all the way from the axis to `chi`.
     pub(super) fn rises(&self, chi: f64) -> bool {
         let [_, r1, r2] = self.0;
         let t = chi * chi;
-        // The slope is a parabola in t: it may dip below zero on the way.
-        let dip = if r2 > 0.0 {
+        // The slope is a parabola in t and may be negative on the way.
+        let vertex = if r2 > 0.0 {
             (-0.3 * r1 / r2).clamp(0.0, t)
         } else {
             0.0
         };
-        t.is_finite() && [0.0, dip, t].into_iter().all(|t| self.slope(t) > 0.0)
+        t.is_finite() && [0.0, vertex, t].into_iter().all(|t| self.slope(t) > 0.0)
     }
 
-    /// Returns the chi at which the map first stops rising, and its chi'; `None` where it rises for ever.
+    /// Returns the chi at which the map first stops rising, and its chi'; `None` where it always rises.
     ///
     /// Root of 1 + r0 + 3 r1 t + 5 r2 t² in t = chi².
     pub(super) fn turn(&self) -> Option<(f64, f64)> {
@@ -58,9 +59,9 @@ impl Radial {
         Some((chi, chi * (1.0 + self.mu(chi))))
     }
 
-    /// Finds chi of chi'; `None` where the map turns over before it gets there.
+    /// Returns the chi of an apparent chi'; `None` where the map turns over before.
     ///
-    /// Newton held inside a bracket: where r2 is near -1 plain Newton runs over the turning point.
+    /// Newton steps inside a bracket: where r2 is near -1 plain Newton steps pass the turning point.
     pub(super) fn solve(&self, apparent: f64) -> Option<f64> {
         let mut high = apparent;
         for _ in 0..64 {
@@ -95,14 +96,14 @@ impl Radial {
 }
 
 impl EntrancePupil {
-    /// E(angle) = e0 + e1 angle² + e2 angle⁴, metres.
+    /// Returns E(angle) = e0 + e1 angle² + e2 angle⁴, metres.
     fn pupil(&self, angle: f64) -> f64 {
         let [e0, e1, e2] = self.terms;
         let t = angle * angle;
         e0 + t * (e1 + t * e2)
     }
 
-    /// How far the pupil has moved along O, metres: (angle / sin angle - 1) E.
+    /// Returns how far the pupil has moved along O, metres: (angle / sin angle - 1) E.
     pub(super) fn shift(&self, angle: f64) -> f64 {
         // The quotient cancels below 1e-3, where two terms of its series are exact.
         let t = angle * angle;
@@ -114,7 +115,7 @@ impl EntrancePupil {
         stretch * self.pupil(angle)
     }
 
-    /// Finds the angle off O, in [0, π), at which a point `along` and `offset` metres off C is seen.
+    /// Returns the angle off O, in [0, π), at which a point `along` and `offset` metres off C is seen.
     pub(super) fn angle(&self, along: f64, offset: f64) -> Option<f64> {
         let [_, e1, e2] = self.terms;
         let mut angle = offset.atan2(along);
@@ -153,7 +154,7 @@ impl EntrancePupil {
         })
     }
 
-    /// Undoes [`EntrancePupil::chi`].
+    /// Returns the angle of a chi, the inverse of [`EntrancePupil::chi`].
     pub(super) fn angle_of_chi(&self, chi: f64) -> Option<f64> {
         let l = self.linearity;
         let angle = match l {

@@ -1,4 +1,4 @@
-//! From a CAHV(OR(E)) model to the ideal pinhole that sees the same.
+//! Conversion of a CAHV(OR(E)) model to an ideal pinhole.
 
 use nalgebra::{Vector2, Vector3};
 
@@ -7,14 +7,14 @@ use crate::{Camera, Pose};
 
 /// Tangent of the largest angle off axis that is kept, 60 degrees: a flat image of more is mostly stretching.
 const MAX_TANGENT: f64 = 1.732;
-/// Most shear across the image, in pixels, that a camera without skew may hide.
+/// Most shear across the image, in pixels, that is neglected in a camera without skew.
 const MAX_SHEAR_PX: f64 = 0.1;
-/// The pinhole's image may be this many times as wide or high as the photo.
+/// Most times that the pinhole's image may be as wide or high as the photo.
 const MAX_STRETCH: f64 = 4.0;
-/// Fewer pixels a side than this are no photo.
+/// Fewest pixels a side of the pinhole's image.
 const MIN_SIDE_PX: f64 = 16.0;
 
-/// An ideal pinhole that stands where a CAHV(OR(E)) model stands.
+/// An ideal pinhole with the centre of projection of a CAHV(OR(E)) model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pinhole {
     /// The pinhole; its first pixel centre is (0.5, 0.5), it has no distortion.
@@ -24,7 +24,7 @@ pub struct Pinhole {
 }
 
 impl Cahvor {
-    /// Returns the pinhole that sees the very pixels of this photo, where the model is one.
+    /// Returns the pinhole that has the pixels of this photo unchanged, if the model is one.
     ///
     /// `None` for a lens with radial terms, and where the axes shear by more than 0.1 px across the image: then
     /// see [`Cahvor::linearised`]. The principal point may lie far outside the image (tiles).
@@ -90,7 +90,7 @@ impl Cahvor {
         })
     }
 
-    /// Finds the rectangle, at unit distance, between the four borders of the photo.
+    /// Returns the rectangle, at unit distance, between the four borders of the photo.
     fn window(&self, axes: &Axes, width: u32, height: u32) -> Result<Window, CahvorError> {
         let (last_x, last_y) = (f64::from(width) - 1.0, f64::from(height) - 1.0);
         let mut window = Window {
@@ -98,18 +98,18 @@ impl Cahvor {
             max: Vector2::repeat(MAX_TANGENT),
         };
         for y in (0..height).map(f64::from) {
-            window.min.x = window.min.x.max(self.seen(axes, 0.0, y)?.x);
-            window.max.x = window.max.x.min(self.seen(axes, last_x, y)?.x);
+            window.min.x = window.min.x.max(self.on_plane(axes, 0.0, y)?.x);
+            window.max.x = window.max.x.min(self.on_plane(axes, last_x, y)?.x);
         }
         for x in (0..width).map(f64::from) {
-            window.min.y = window.min.y.max(self.seen(axes, x, 0.0)?.y);
-            window.max.y = window.max.y.min(self.seen(axes, x, last_y)?.y);
+            window.min.y = window.min.y.max(self.on_plane(axes, x, 0.0)?.y);
+            window.max.y = window.max.y.min(self.on_plane(axes, x, last_y)?.y);
         }
         Ok(window)
     }
 
-    /// Where a pixel lies in the plane at unit distance; infinite from 90 degrees off axis.
-    fn seen(&self, axes: &Axes, x: f64, y: f64) -> Result<Vector2<f64>, CahvorError> {
+    /// Returns where a pixel lies in the plane at unit distance; infinite from 90 degrees off axis.
+    fn on_plane(&self, axes: &Axes, x: f64, y: f64) -> Result<Vector2<f64>, CahvorError> {
         let ray = self
             .unproject(&Vector2::new(x, y))
             .ok_or(CahvorError::Blind { x, y })?;
@@ -118,13 +118,13 @@ impl Cahvor {
     }
 }
 
-/// Upright rectangle in the plane at unit distance.
+/// An upright rectangle in the plane at unit distance.
 struct Window {
     min: Vector2<f64>,
     max: Vector2<f64>,
 }
 
-/// Axes of the pinhole in the model's frame.
+/// The axes of the pinhole in the model's frame.
 struct Axes {
     right: Vector3<f64>,
     down: Vector3<f64>,
@@ -132,7 +132,7 @@ struct Axes {
 }
 
 impl Axes {
-    /// Of a normalised model: forward is O, or A where the lens does nothing.
+    /// Returns the axes for a normalised model: forward is O, or A for a model without lens terms.
     fn of(model: &Cahvor) -> Self {
         let forward = match model.o {
             Some(o) if !model.is_linear() => vector(o),

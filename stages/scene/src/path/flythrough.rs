@@ -1,11 +1,13 @@
+//! A fly-through along training cameras.
+
 use nalgebra::{Quaternion, Rotation3, SVector, UnitQuaternion, Vector3, Vector4};
 
 use super::{Viewpoint, forward, mean, median, numbered, training, typical_camera};
 use crate::{Pose, Scene};
 
-/// Training cameras the path passes through, at most.
-const KEYS: usize = 8;
-/// Two cameras nearer than this (in the measure of [`apart`]) are one place.
+/// Most training cameras that the path passes through.
+const MAX_KEYS: usize = 8;
+/// Two cameras with a smaller [`camera_distance`] are at one place.
 const SAME_PLACE: f64 = 1e-6;
 
 /// Returns a smooth open path of `frames` viewpoints that passes through training cameras.
@@ -25,20 +27,25 @@ pub fn flythrough(scene: &Scene, frames: u32, width: u32) -> Vec<Viewpoint> {
     numbered(typical_camera(scene, width), path)
 }
 
+/// The cameras that the path passes through, in its order.
 struct Keys {
     poses: Vec<Pose>,
+    /// Median distance of all training cameras from their mean centre.
     spread: f64,
 }
 
-/// A place on the path: centre and quaternion, at the distance travelled so far.
+/// A knot of the path's splines.
 struct Knot {
+    /// Distance travelled up to here, in units of [`camera_distance`].
     at: f64,
+    /// Camera centre.
     centre: Vector3<f64>,
+    /// Rotation `cam_from_world` as a quaternion.
     turn: Vector4<f64>,
 }
 
-/// Distance of two cameras: of the centres in units of their spread, plus the chord between the directions.
-fn apart(a: &Pose, b: &Pose, spread: f64) -> f64 {
+/// Returns the distance of two cameras: of their centres in units of `spread`, plus the chord between the directions.
+fn camera_distance(a: &Pose, b: &Pose, spread: f64) -> f64 {
     let moved = if spread > 0.0 {
         (a.centre() - b.centre()).norm() / spread
     } else {
@@ -47,15 +54,17 @@ fn apart(a: &Pose, b: &Pose, spread: f64) -> f64 {
     moved + (forward(a) - forward(b)).norm()
 }
 
-/// Picks cameras far apart from each other and puts them in the order of a short tour.
+/// Chooses cameras far from each other and orders them as a short tour; `None` without cameras.
 fn keys(poses: &[Pose]) -> Option<Keys> {
     let middle = mean(poses.iter().map(Pose::centre));
     let spread = median(poses.iter().map(|pose| (pose.centre() - middle).norm()).collect())?;
     let first = farthest(poses, |pose| (pose.centre() - middle).norm())?;
     let mut chosen = vec![first];
-    while chosen.len() < KEYS {
+    while chosen.len() < MAX_KEYS {
         let nearest = |pose: &Pose| {
-            let distances = chosen.iter().map(|&key| apart(pose, &poses[key], spread));
+            let distances = chosen
+                .iter()
+                .map(|&key| camera_distance(pose, &poses[key], spread));
             distances.fold(f64::INFINITY, f64::min)
         };
         match farthest(poses, nearest) {
@@ -63,8 +72,8 @@ fn keys(poses: &[Pose]) -> Option<Keys> {
             _ => break,
         }
     }
-    let mut order = tour(&chosen, |a, b| apart(&poses[a], &poses[b], spread));
-    // One direction of the tour for one set of cameras.
+    let mut order = tour(&chosen, |a, b| camera_distance(&poses[a], &poses[b], spread));
+    // The same set of cameras always gives the same direction of the tour.
     if order.first() > order.last() {
         order.reverse();
     }
@@ -74,7 +83,7 @@ fn keys(poses: &[Pose]) -> Option<Keys> {
     })
 }
 
-/// Returns the first index with the largest value.
+/// Returns the first index with the largest value; `None` without poses.
 fn farthest(poses: &[Pose], value: impl Fn(&Pose) -> f64) -> Option<usize> {
     let values = poses.iter().map(value).enumerate();
     values
@@ -82,7 +91,7 @@ fn farthest(poses: &[Pose], value: impl Fn(&Pose) -> f64) -> Option<usize> {
         .map(|(index, _)| index)
 }
 
-/// Returns an open tour that no reversal of a part makes shorter.
+/// Returns an open tour that no reversal of a part makes shorter (2-opt).
 fn tour(places: &[usize], distance: impl Fn(usize, usize) -> f64) -> Vec<usize> {
     let mut order = places.to_vec();
     let length = |order: &[usize]| {
@@ -110,6 +119,7 @@ fn tour(places: &[usize], distance: impl Fn(usize, usize) -> f64) -> Vec<usize> 
     order
 }
 
+/// Returns the knots of the poses.
 fn knots(keys: &[Pose], spread: f64) -> Vec<Knot> {
     let mut knots: Vec<Knot> = Vec::with_capacity(keys.len());
     for (index, pose) in keys.iter().enumerate() {
@@ -118,7 +128,7 @@ fn knots(keys: &[Pose], spread: f64) -> Vec<Knot> {
         if let Some(before) = knots.last() {
             // q and -q are one rotation; the nearer one keeps the curve short.
             turn *= if before.turn.dot(&turn) < 0.0 { -1.0 } else { 1.0 };
-            at = before.at + apart(&keys[index - 1], pose, spread);
+            at = before.at + camera_distance(&keys[index - 1], pose, spread);
         }
         knots.push(Knot {
             at,
@@ -129,10 +139,12 @@ fn knots(keys: &[Pose], spread: f64) -> Vec<Knot> {
     knots
 }
 
+/// Returns the rotation of a pose as a quaternion.
 fn quaternion(pose: &Pose) -> Vector4<f64> {
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(pose.rotation)).coords
 }
 
+/// Returns the pose at a distance along the path.
 fn pose_at(knots: &[Knot], at: f64) -> Pose {
     let after = knots.iter().position(|knot| knot.at > at);
     let last = knots.len() - 1;
@@ -149,7 +161,7 @@ fn pose_at(knots: &[Knot], at: f64) -> Pose {
     }
 }
 
-/// Cubic Hermite curve between two knots, with the tangents of [`slope`].
+/// Returns a value of the cubic Hermite curve between two knots, with the tangents of [`slope`].
 fn hermite<const N: usize>(
     knots: &[Knot],
     low: usize,
@@ -169,7 +181,7 @@ fn hermite<const N: usize>(
         + slope(knots, high, &value) * (span * (t3 - t2))
 }
 
-/// Slope at a knot of the parabola through it and its two neighbours; at an end, that parabola's slope there.
+/// Returns the slope at a knot of the parabola through it and its two neighbours; at an end, that parabola's slope there.
 fn slope<const N: usize>(
     knots: &[Knot],
     index: usize,

@@ -1,4 +1,4 @@
-//! Camera paths through a scene: where to stand for a fly-through, an orbit, or at the photos themselves.
+//! Camera paths through a scene: a fly-through, an orbit, or the poses of the photos.
 //!
 //! Only + - * / and sqrt, so that a path has the same bits on every machine.
 
@@ -12,7 +12,7 @@ use crate::{Camera, Frame, Pose, Scene};
 pub use flythrough::flythrough;
 pub use orbit::{focus_point, orbit};
 
-/// A place to look from.
+/// A camera with its pose, and the name of its picture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Viewpoint {
     /// Name of the picture: `0001`, or the name of the photo's pictures.
@@ -23,7 +23,7 @@ pub struct Viewpoint {
     pub cam_from_world: Pose,
 }
 
-/// Returns the viewpoints of photos, `width` pixels wide in each photo's own distorted camera.
+/// Returns the viewpoints of photos with their own distorted cameras, scaled to `width` pixels.
 pub fn viewpoints_at<'a>(frames: impl Iterator<Item = (&'a Frame, String)>, width: u32) -> Vec<Viewpoint> {
     let viewpoint = |(frame, name): (&Frame, String)| Viewpoint {
         name,
@@ -33,7 +33,7 @@ pub fn viewpoints_at<'a>(frames: impl Iterator<Item = (&'a Frame, String)>, widt
     frames.map(viewpoint).collect()
 }
 
-/// Returns an ideal pinhole camera like those of the scene: the median focal length and shape.
+/// Returns an ideal pinhole camera with the median focal length and aspect ratio of the scene's cameras.
 ///
 /// Extremes: a scene without frames gives a square camera of one focal length.
 pub fn typical_camera(scene: &Scene, width: u32) -> Camera {
@@ -47,32 +47,35 @@ pub fn typical_camera(scene: &Scene, width: u32) -> Camera {
     Camera::pinhole(width, height.max(1), focal * f64::from(width))
 }
 
-/// Returns the camera of the same photo at another width, the shape kept within rounding.
+/// Returns the camera of the same photo at another width, the aspect ratio kept within rounding.
 fn to_width(camera: &Camera, width: u32) -> Camera {
     let height = f64::from(camera.height) * f64::from(width) / f64::from(camera.width);
     camera.resized(width, ((height + 0.5) as u32).max(1))
 }
 
+/// Returns the frames that are not held out.
 fn training(scene: &Scene) -> Vec<&Frame> {
     scene.frames.iter().filter(|frame| !frame.held_out).collect()
 }
 
-/// Returns the lower median.
+/// Returns the lower median; `None` of no values.
 fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_unstable_by(f64::total_cmp);
     values.get(values.len().saturating_sub(1) / 2).copied()
 }
 
+/// Returns the mean of vectors; zero of none.
 fn mean(vectors: impl ExactSizeIterator<Item = Vector3<f64>>) -> Vector3<f64> {
     let count = vectors.len().max(1) as f64;
     vectors.fold(Vector3::zeros(), |sum, vector| sum + vector) / count
 }
 
-/// Direction of view in the world.
+/// Returns the viewing direction in the world.
 fn forward(pose: &Pose) -> Vector3<f64> {
     pose.rotation.row(2).transpose()
 }
 
+/// Returns viewpoints named `0001`, `0002` and so on.
 fn numbered(camera: Camera, poses: impl Iterator<Item = Pose>) -> Vec<Viewpoint> {
     let viewpoint = |(index, cam_from_world): (usize, Pose)| Viewpoint {
         name: format!("{:04}", index + 1),
@@ -86,7 +89,7 @@ fn numbered(camera: Camera, poses: impl Iterator<Item = Pose>) -> Vec<Viewpoint>
 mod tests {
     use super::*;
 
-    /// Cameras on a half circle of radius 4 around (1, 0, 0), 1 above it, z down, looking at it.
+    /// Returns a scene of cameras on a half circle of radius 4 around (1, 0, 0), 1 above it, z down, looking at it.
     pub(super) fn ring(count: u32) -> Scene {
         let frame = |index: u32| {
             let (cos, sin) = orbit::turn(f64::from(index) / f64::from(2 * count));

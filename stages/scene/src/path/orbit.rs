@@ -1,3 +1,5 @@
+//! An orbit around the point that the training cameras look at.
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::{Viewpoint, forward, mean, median, numbered, training, typical_camera};
@@ -6,13 +8,13 @@ use crate::{Frame, Pose, Scene};
 /// Least determinant of the normal matrix (its diagonal is at most 1) at which views count as converging;
 /// 1e-4 is a spread of about half a degree in one direction or 1 degree in both.
 const CONVERGING: f64 = 1e-4;
-/// Cameras whose mean direction from the target is shorter than this stand all around it.
+/// Cameras whose mean direction from the target is shorter than this are all around it.
 const ALL_AROUND: f64 = 0.5;
 
 /// Returns `frames` viewpoints that circle the point the training cameras look at.
 ///
-/// Distance and height are the median ones of the cameras. Where these stand all around the point the path is
-/// a full circle; else it sways between the outermost cameras, so that it stays where photos were taken.
+/// Distance and height are the median ones of the cameras. Where these are all around the point the path is a
+/// full circle; else it swings between the outermost cameras, so that it stays where photos were taken.
 /// Up is `scene.up`, or the mean up of the photos. Extremes: no camera gives no viewpoint.
 pub fn orbit(scene: &Scene, frames: u32, width: u32) -> Vec<Viewpoint> {
     let cameras = training(scene);
@@ -38,7 +40,9 @@ pub fn focus_point(scene: &Scene) -> Vector3<f64> {
     converging_point(&cameras).unwrap_or_else(|| point_ahead(scene, &cameras))
 }
 
-/// Minimises the sum of squared distances to the axes: Σ (I - d dᵀ) x = Σ (I - d dᵀ) c.
+/// Returns the point with the least sum of squared distances to the viewing axes; `None` where they do not converge.
+///
+/// Solves Σ (I - d dᵀ) x = Σ (I - d dᵀ) c over axes with direction d through c.
 fn converging_point(cameras: &[&Frame]) -> Option<Vector3<f64>> {
     let count = cameras.len().max(1) as f64;
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
@@ -58,6 +62,7 @@ fn converging_point(cameras: &[&Frame]) -> Option<Vector3<f64>> {
     (2 * ahead.count() > cameras.len()).then_some(point)
 }
 
+/// Returns a point ahead of the cameras, as [`focus_point`] says.
 fn point_ahead(scene: &Scene, cameras: &[&Frame]) -> Vector3<f64> {
     let centre = mean(cameras.iter().map(|camera| camera.cam_from_world.centre()));
     let ahead = mean(cameras.iter().map(|camera| forward(&camera.cam_from_world)));
@@ -78,6 +83,7 @@ fn point_ahead(scene: &Scene, cameras: &[&Frame]) -> Vector3<f64> {
     centre + ahead * if range > 0.0 { range } else { 1.0 }
 }
 
+/// Returns the up direction of the scene, or the mean of the cameras.
 fn up(scene: &Scene, cameras: &[&Frame]) -> Vector3<f64> {
     let rows = cameras
         .iter()
@@ -87,17 +93,19 @@ fn up(scene: &Scene, cameras: &[&Frame]) -> Vector3<f64> {
     up.try_normalize(1e-9).unwrap_or_else(Vector3::z)
 }
 
+/// The circle of an orbit.
 struct Circle {
     centre: Vector3<f64>,
     radius: f64,
     /// Unit vectors in the plane of the circle; the first points to the middle of the cameras.
     along: Vector3<f64>,
     across: Vector3<f64>,
-    /// Tangent of the half angle to sway by; none for a full circle.
-    sway: Option<f64>,
+    /// Tangent of the half angle of the swing; `None` for a full circle.
+    swing: Option<f64>,
 }
 
 impl Circle {
+    /// Returns the circle around `target` at the median distance and height of the cameras.
     fn around(target: &Vector3<f64>, up: &Vector3<f64>, cameras: &[&Frame]) -> Self {
         let offsets: Vec<Vector3<f64>> = cameras
             .iter()
@@ -112,7 +120,7 @@ impl Circle {
         let along = middle
             .try_normalize(1e-9)
             .or_else(|| sides.first().copied())
-            .unwrap_or_else(|| any_across(up));
+            .unwrap_or_else(|| any_orthogonal(up));
         let widest = sides.iter().map(|side| side.dot(&along)).fold(1.0, f64::min);
         let height = median(offsets.iter().map(|offset| offset.dot(up)).collect()).unwrap_or(0.0);
         let radius = median(offsets.iter().map(|offset| flat(offset).norm()).collect()).unwrap_or(1.0);
@@ -121,17 +129,18 @@ impl Circle {
             radius,
             along,
             across: up.cross(&along),
-            // Beyond 80 degrees to a side (cos 0.17) the tangent runs away; the sway ends there.
-            sway: (middle.norm() >= ALL_AROUND).then(|| {
+            // Beyond 80 degrees to a side (cos 0.17) the tangent grows without limit; the swing ends there.
+            swing: (middle.norm() >= ALL_AROUND).then(|| {
                 let cos = widest.clamp(0.17, 1.0);
                 ((1.0 - cos * cos) / (cos * cos)).sqrt()
             }),
         }
     }
 
+    /// Returns the camera centre after a share of the orbit in [0, 1].
     fn eye(&self, share: f64) -> Vector3<f64> {
         let (cos, sin) = turn(share);
-        let side = match self.sway {
+        let side = match self.swing {
             None => self.along * cos + self.across * sin,
             Some(tan) => {
                 let side = self.along + self.across * (tan * sin);
@@ -142,14 +151,15 @@ impl Circle {
     }
 }
 
-fn any_across(up: &Vector3<f64>) -> Vector3<f64> {
+/// Returns a unit vector orthogonal to `up`.
+fn any_orthogonal(up: &Vector3<f64>) -> Vector3<f64> {
     let sideways = up.cross(&Vector3::x()).try_normalize(1e-3);
     sideways.unwrap_or_else(|| up.cross(&Vector3::y()).normalize())
 }
 
 /// Returns cosine and sine of a share of a full turn, for shares in [0, 1].
 ///
-/// Taylor series of an eighth of a turn (error below 1e-15), so that no machine's own library is asked.
+/// Taylor series over an eighth of a turn (error below 1e-15), because library functions differ between machines.
 pub(super) fn turn(share: f64) -> (f64, f64) {
     let eighths = share * 8.0;
     let octant = eighths as u64;
@@ -215,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn an_orbit_of_half_a_ring_sways_inside_it_with_the_target_ahead() {
+    fn an_orbit_of_half_a_ring_swings_inside_it_with_the_target_ahead() {
         let scene = ring(24);
         let path = orbit(&scene, 32, 100);
         assert_eq!(path.len(), 32);

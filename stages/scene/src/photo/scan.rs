@@ -1,35 +1,35 @@
-//! Whether the scans of a JPEG hold as many blocks as its frame needs.
+//! Checks that the scans of a JPEG hold as many blocks as its frame needs.
 //!
-//! Decoders fill what a scan lacks with grey and do not say so, if only an end marker follows. Hence the Huffman codes
-//! are counted here once, without making pixels of them (ITU-T T.81, annexes B and F). Progressive, arithmetic and
+//! Decoders fill what a scan lacks with grey without an error, if an end marker follows. Hence the Huffman codes are
+//! counted here once, without decoding them to pixels (ITU-T T.81, annexes B and F). Progressive, arithmetic and
 //! lossless frames are not counted.
 
-/// Bytes behind the last block that are no marker: the photos at hand have none, some encoders pad.
+/// Most bytes between the last block and the next marker: none in our photos, but some encoders pad.
 const MAX_LEFT_OVER: usize = 2;
 
 /// What is wrong with a scan.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(super) enum ScanError {
-    /// A segment that does not fit into the file, or contradicts another.
+    /// A segment reaches beyond the file, or contradicts another.
     #[error("its segments are damaged at byte {0}")]
     Segment(usize),
-    /// Too few blocks.
+    /// A scan has fewer blocks than the frame needs.
     #[error("a scan ends after {has} of {needed} units: it is cut short or damaged")]
     Short {
-        /// Units (MCUs) that are whole.
+        /// Units (MCUs) that are complete.
         has: usize,
         /// Units that the frame needs.
         needed: usize,
     },
-    /// More data than blocks.
+    /// A scan has more data than blocks.
     #[error("{0} bytes are left over behind the last unit of a scan: it is damaged")]
     LeftOver(usize),
 }
 
-/// Counts the units of every scan of a baseline JPEG.
+/// Checks that every scan of a baseline JPEG has all its units.
 ///
 /// # Errors
-/// See [`ScanError`]. Frames of other kinds are taken as they are.
+/// See [`ScanError`]. Frames of other kinds are accepted unchecked.
 pub(super) fn check(bytes: &[u8]) -> Result<(), ScanError> {
     let mut jpeg = Jpeg::default();
     let mut at = 2;
@@ -68,7 +68,7 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), ScanError> {
     }
 }
 
-/// Returns the next marker and where its segment begins.
+/// Returns the next marker from `from` on and the position of its segment; `None` if there is none.
 fn next_marker(bytes: &[u8], from: usize) -> Option<(u8, usize)> {
     let rest = bytes.get(from..)?;
     let is_marker = |pair: &[u8]| pair[0] == 0xff && !matches!(pair[1], 0x00 | 0xff);
@@ -76,12 +76,12 @@ fn next_marker(bytes: &[u8], from: usize) -> Option<(u8, usize)> {
     Some((rest[found + 1], from + found + 2))
 }
 
-/// Tables and frame as far as they have been read.
+/// The tables and the frame that were read so far.
 #[derive(Default)]
 struct Jpeg {
-    /// DC 0 to 3, AC 0 to 3.
+    /// Huffman tables: DC 0 to 3, then AC 0 to 3.
     tables: [Option<Box<Huffman>>; 8],
-    /// Id and blocks across and down in a unit, of each component.
+    /// Of each component its id, and its blocks per unit across and down.
     components: Vec<(u8, usize, usize)>,
     width: usize,
     height: usize,
@@ -90,6 +90,7 @@ struct Jpeg {
 }
 
 impl Jpeg {
+    /// Reads a frame header (SOF); `None` if it is damaged.
     fn frame(&mut self, body: &[u8]) -> Option<()> {
         let number = |at: usize| Some(usize::from(*body.get(at)?) << 8 | usize::from(*body.get(at + 1)?));
         (self.height, self.width) = (number(1)?, number(3)?);
@@ -102,6 +103,7 @@ impl Jpeg {
             .then_some(())
     }
 
+    /// Reads Huffman tables (DHT); `None` if they are damaged.
     fn tables(&mut self, mut body: &[u8]) -> Option<()> {
         while let Some((&kind, rest)) = body.split_first() {
             let counts = rest.first_chunk::<16>()?;
@@ -114,6 +116,7 @@ impl Jpeg {
         Some(())
     }
 
+    /// Reads a scan header (SOS); `None` if it is damaged or names a table that is missing.
     fn scan(&self, body: &[u8]) -> Option<Scan<'_>> {
         let count = usize::from(*body.first()?);
         let chosen = body.get(1..1 + 2 * count)?.chunks_exact(2);
@@ -122,7 +125,7 @@ impl Jpeg {
             let (_, h, v) = *self.components.iter().find(|(id, ..)| *id == pair[0])?;
             let dc = self.tables.get(usize::from(pair[1] >> 4) % 4)?.as_deref()?;
             let ac = self.tables.get(4 + usize::from(pair[1] & 15) % 4)?.as_deref()?;
-            // A scan of one component has its blocks one by one.
+            // The unit of a scan of one component is a single block.
             let repeated = if count == 1 { 1 } else { h * v };
             blocks.extend(std::iter::repeat_n((dc, ac), repeated));
             size = (h, v);
@@ -143,7 +146,7 @@ impl Jpeg {
     }
 }
 
-/// One scan: the tables of each block of a unit.
+/// A scan: the DC and AC table of each block of a unit, and how many units it has.
 struct Scan<'a> {
     blocks: Vec<(&'a Huffman, &'a Huffman)>,
     units: usize,
@@ -151,7 +154,7 @@ struct Scan<'a> {
 }
 
 impl Scan<'_> {
-    /// Counts the units from `at` on; returns where the next marker is looked for.
+    /// Counts the units from `at` on; returns the position behind the last one.
     fn count(&self, bytes: &[u8], at: usize) -> Result<usize, ScanError> {
         let mut bits = Bits {
             bytes,
@@ -179,13 +182,14 @@ impl Scan<'_> {
     }
 }
 
-/// A table of codes of up to 16 bits.
+/// A Huffman table with codes of up to 16 bits.
 struct Huffman {
     /// By the next 16 bits: length in the upper, symbol in the lower byte; 0 is no code.
     by_bits: Vec<u16>,
 }
 
 impl Huffman {
+    /// Builds the table from the number of codes of each length and their symbols; `None` if there are too many codes.
     fn new(counts: &[u8; 16], symbols: &[u8]) -> Option<Self> {
         let mut by_bits = vec![0; 1 << 16];
         let (mut next, mut symbols) = (0_usize, symbols.iter());
@@ -202,7 +206,7 @@ impl Huffman {
     }
 }
 
-/// The bits of a scan, up to its next marker.
+/// A reader of the bits of a scan; it stops at the next marker.
 struct Bits<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -212,6 +216,7 @@ struct Bits<'a> {
 }
 
 impl Bits<'_> {
+    /// Reads bytes until more than 48 bits are held, or up to the next marker.
     fn fill(&mut self) {
         while self.count <= 48 {
             let byte = match (self.bytes.get(self.at), self.bytes.get(self.at + 1)) {
@@ -230,13 +235,14 @@ impl Bits<'_> {
         }
     }
 
+    /// Removes bits; `None` if fewer are held.
     fn skip(&mut self, bits: u32) -> Option<()> {
         self.count = self.count.checked_sub(bits)?;
         self.held <<= bits;
         Some(())
     }
 
-    /// Reads a code and steps over the number behind it, whose length is the symbol's lower half.
+    /// Reads a code and skips the number behind it, whose length is the lower half of the symbol.
     fn coefficient(&mut self, table: &Huffman) -> Option<u8> {
         self.fill();
         let entry = table.by_bits[(self.held >> 48) as usize];
@@ -246,6 +252,7 @@ impl Bits<'_> {
         Some(symbol)
     }
 
+    /// Reads one block; `None` if it is incomplete or damaged.
     fn block(&mut self, dc: &Huffman, ac: &Huffman) -> Option<()> {
         self.coefficient(dc)?;
         let mut place = 1;
@@ -260,7 +267,7 @@ impl Bits<'_> {
         (place <= 64).then_some(())
     }
 
-    /// Drops what is left of the last byte and steps over the restart marker, where there is one.
+    /// Drops the rest of the last byte and skips the restart marker, if there is one.
     fn restart(&mut self) {
         (self.held, self.count) = (0, 0);
         if let (Some(0xff), Some(0xd0..=0xd7)) = (self.bytes.get(self.at), self.bytes.get(self.at + 1)) {

@@ -1,8 +1,10 @@
+//! A small bitmap font.
+
 use crate::{Image, Srgb};
 
 /// Height of a line of text at zoom 1.
 pub(super) const HEIGHT_PX: u32 = 9;
-/// From one letter to the next at zoom 1: five columns and a gap.
+/// Distance from one letter to the next at zoom 1: five columns and a gap.
 const ADVANCE_PX: u32 = 6;
 
 /// Returns the width of a text, without the gap after its last letter.
@@ -13,7 +15,7 @@ pub fn text_width_px(text: &str, zoom: u32) -> u32 {
 
 /// Draws a line of text with its upper left corner at (left, top), each dot `zoom` pixels wide and high.
 ///
-/// Letters without a drawing become `?`; dots outside the picture are left out.
+/// Letters that the font lacks become `?`; dots outside the picture are left out.
 pub fn draw_text(picture: &mut Image<Srgb>, left: u32, top: u32, zoom: u32, ink: [u8; 3], text: &str) {
     for (index, letter) in (0_u32..).zip(text.chars()) {
         let rows = glyph(letter);
@@ -26,6 +28,7 @@ pub fn draw_text(picture: &mut Image<Srgb>, left: u32, top: u32, zoom: u32, ink:
     }
 }
 
+/// Draws one dot of a letter.
 fn dot(picture: &mut Image<Srgb>, left: u32, top: u32, zoom: u32, ink: [u8; 3]) {
     for y in top..(top + zoom).min(picture.height) {
         for x in left..(left + zoom).min(picture.width) {
@@ -34,6 +37,7 @@ fn dot(picture: &mut Image<Srgb>, left: u32, top: u32, zoom: u32, ink: [u8; 3]) 
     }
 }
 
+/// Returns the nine rows of a letter.
 fn glyph(letter: char) -> [u8; 9] {
     if letter == ' ' {
         return [0; 9];

@@ -1,3 +1,5 @@
+//! Animated GIFs.
+
 use image::{
     Delay, Frame, RgbaImage,
     codecs::gif::{GifEncoder, Repeat},
@@ -8,9 +10,9 @@ use crate::{DecodeError, Image, Srgb};
 /// Effort of the colour reduction, 1 (best) to 30; 10 is the encoder's own default.
 const SPEED: i32 = 10;
 
-/// Encodes pictures of one size as an animation that loops for ever, always to the same bytes.
+/// Encodes pictures of one size as an endless animation; equal pictures give equal bytes.
 ///
-/// `frames_per_second` is rounded to whole hundredths of a second a frame, as the format keeps them.
+/// `frames_per_second` is rounded to whole hundredths of a second a frame, as the format stores them.
 ///
 /// # Errors
 /// No picture, or pictures the encoder refuses.
@@ -32,6 +34,7 @@ pub fn encode_gif(pictures: &[Image<Srgb>], frames_per_second: u32) -> Result<Ve
     Ok(bytes)
 }
 
+/// Returns an opaque picture with an alpha channel.
 fn with_alpha(picture: &Image<Srgb>) -> RgbaImage {
     RgbaImage::from_fn(picture.width, picture.height, |column, row| {
         let [red, green, blue] = picture.at(column, row);
@@ -39,6 +42,7 @@ fn with_alpha(picture: &Image<Srgb>) -> RgbaImage {
     })
 }
 
+/// Returns the error of the encoder.
 fn damaged(error: &dyn std::fmt::Display) -> DecodeError {
     DecodeError::Damaged {
         format: "GIF",

@@ -1,16 +1,18 @@
+//! Values drawn as colours, with a scale.
+
 use super::{Palette, draw_text, font::HEIGHT_PX, text_width_px};
 use crate::{Image, Srgb};
 
-/// How values become colours, printed under the map.
+/// The colour scale of a map, drawn below it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColorScale {
-    /// What the map shows.
+    /// Title of the map.
     pub title: String,
     /// Unit of the values; empty for a plain number.
     pub unit: String,
     /// Value of the lowest colour.
     pub low: f64,
-    /// Value of the highest colour; above it the colour stays.
+    /// Value of the highest colour; larger values have the same one.
     pub high: f64,
     /// The colours.
     pub palette: Palette,
@@ -18,7 +20,9 @@ pub struct ColorScale {
 
 /// Colour of a pixel without a value.
 const NO_VALUE: [u8; 3] = [96, 96, 104];
+/// Colour of text.
 const INK: [u8; 3] = [235, 235, 235];
+/// Colour of the background.
 const GROUND: [u8; 3] = [24, 24, 28];
 
 /// Draws values as colours, the title above and the colour scale with its two ends below.
@@ -31,7 +35,7 @@ pub fn draw_map(values: &[f32], width: u32, height: u32, scale: &ColorScale) -> 
     let line = HEIGHT_PX * zoom + 2 * gap;
     let (low, high) = (scale.low.to_string(), top_label(values, scale));
     let end = text_width_px(&low, zoom).max(text_width_px(&high, zoom));
-    // The unit stands in the middle, hence room for the longer end on both sides.
+    // The unit is in the middle, hence space for the longer end label on both sides.
     let legend = text_width_px(&scale.unit, zoom) + 2 * end + 10 * gap;
     let title = text_width_px(&scale.title, zoom) + 2 * gap;
     let full = width.max(title).max(legend);
@@ -70,7 +74,7 @@ pub fn draw_map(values: &[f32], width: u32, height: u32, scale: &ColorScale) -> 
     picture
 }
 
-/// Puts pictures side by side, tops aligned, dark where a shorter one ends.
+/// Returns pictures side by side, tops aligned, dark below shorter ones.
 pub fn side_by_side(pictures: &[&Image<Srgb>]) -> Image<Srgb> {
     let width = pictures.iter().map(|picture| picture.width).sum();
     let height = pictures.iter().map(|picture| picture.height).max().unwrap_or(0);
@@ -87,7 +91,7 @@ pub fn side_by_side(pictures: &[&Image<Srgb>]) -> Image<Srgb> {
 
 /// Returns the least of 1, 2, 5 times a power of ten that `share` of the values do not exceed.
 ///
-/// Values below zero do not count. Extremes: 1e-6 if there is nothing above it, at most 1e30.
+/// Values below zero do not count. Extremes: at least 1e-6, at most 1e30.
 pub fn round_upper_limit(values: &[f32], share: f64) -> f64 {
     let mut sorted: Vec<f32> = values.iter().copied().filter(|value| *value >= 0.0).collect();
     sorted.sort_unstable_by(f32::total_cmp);
@@ -101,7 +105,7 @@ pub fn round_upper_limit(values: &[f32], share: f64) -> f64 {
         .unwrap_or(1e30)
 }
 
-/// Says so where a value lies above the scale.
+/// Returns the label of the highest colour, with `>=` where a value is above the scale.
 fn top_label(values: &[f32], scale: &ColorScale) -> String {
     if values.iter().any(|value| f64::from(*value) > scale.high) {
         format!(">={}", scale.high)
@@ -110,6 +114,7 @@ fn top_label(values: &[f32], scale: &ColorScale) -> String {
     }
 }
 
+/// Draws a rectangle from a function of its (column, row).
 fn paste(
     picture: &mut Image<Srgb>,
     left: u32,

@@ -1,4 +1,4 @@
-//! Pictures for people: colour maps with a printed scale, text, animations.
+//! Drawn pictures: colour maps with a scale, text, animations.
 
 mod font;
 mod gif;

@@ -1,4 +1,6 @@
-/// A colour map whose lightness rises steadily, so that it also reads in gray and by colour-blind eyes.
+//! Colour maps.
+
+/// A colour map whose lightness rises steadily, so that it is readable in gray and by the colour-blind.
 ///
 /// Both are matplotlib's maps of the same name (CC0), reduced to ten anchors with straight lines between.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,6 +39,7 @@ impl Palette {
     }
 }
 
+/// Returns the channels of 0xRRGGBB.
 fn channels(rgb: u32) -> [f32; 3] {
     [16, 8, 0].map(|shift| ((rgb >> shift) & 255) as f32)
 }

@@ -1,0 +1,131 @@
+//! Guards against answers that change while their version stays.
+
+use marf_cache::Digest;
+use marf_stage::{Define, Stage};
+use serde_json::json;
+
+use crate::common::{Photos, bind, defaults, mixed};
+use crate::survey::{Surveyed, part};
+
+/// Digests of a filter's answers on the photos of [`mixed`], each behind the version it belongs to.
+///
+/// Where a digest changed and its version did not: raise the version of the filter, then write the new line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Guard {
+    /// MEASURE_VERSION, and the digest of the measures; empty for a filter without a measure.
+    pub measures: &'static str,
+    /// VERSION, and the digest of the verdicts.
+    pub decisions: &'static str,
+}
+
+impl Guard {
+    /// The guard of a filter that is in no table.
+    pub(crate) const NONE: Self = Self {
+        measures: "",
+        decisions: "",
+    };
+}
+
+/// A row of the table with its guard.
+pub(crate) struct Guarded {
+    name: &'static str,
+    version: u32,
+    measure_version: Option<u32>,
+    guard: Guard,
+}
+
+impl Guarded {
+    pub(crate) const fn of<S: Define + Stage + Surveyed>() -> Self {
+        Self {
+            name: S::NAME,
+            version: S::VERSION,
+            measure_version: match S::SECTION {
+                Some(section) => Some(section.version),
+                None => None,
+            },
+            guard: S::GUARD,
+        }
+    }
+}
+
+/// Returns the photos of the guards; the length of an encoded PNG belongs to the encoder, not to the filters.
+fn photos() -> Photos {
+    let mut photos = mixed();
+    for row in &mut photos.rows {
+        row.facts["size_bytes"] = json!(50_000);
+    }
+    photos
+}
+
+#[test]
+fn measures_change_only_with_their_version() {
+    let photos = photos();
+    let found = |row: &Guarded| {
+        let surveys = photos.measures(&*bind(row.name, defaults()));
+        let line = row.measure_version.map(|version| {
+            let parts = surveys.iter().zip(&photos.rows).map(|(survey, photo)| {
+                let part = part(survey, row.name, photo).unwrap();
+                part.map_or_else(String::into_bytes, <[u8]>::to_vec)
+            });
+            format!(
+                "{version} {}",
+                Digest::of(&parts.collect::<Vec<_>>().concat()).short()
+            )
+        });
+        (row.name, line.unwrap_or_default())
+    };
+    let guards = crate::GUARDS.iter();
+    let expected: Vec<_> = guards
+        .map(|row| (row.name, row.guard.measures.to_owned()))
+        .collect();
+    assert_eq!(crate::GUARDS.iter().map(found).collect::<Vec<_>>(), expected);
+}
+
+#[test]
+fn decisions_change_only_with_the_version() {
+    let photos = photos();
+    let found = |row: &Guarded| {
+        let verdicts = serde_json::to_vec(&photos.judge(row.name, defaults())).unwrap();
+        let digest = Digest::of(&verdicts).short();
+        (row.name, format!("{} {digest}", row.version))
+    };
+    let guards = crate::GUARDS.iter();
+    let expected: Vec<_> = guards
+        .map(|row| (row.name, row.guard.decisions.to_owned()))
+        .collect();
+    assert_eq!(crate::GUARDS.iter().map(found).collect::<Vec<_>>(), expected);
+}
+
+#[test]
+fn temporary_old_guard() {
+    let photos = photos();
+    let found = |row: &Guarded| {
+        let surveys = photos.measures(&*bind(row.name, defaults()));
+        let measures: Vec<Vec<u8>> = surveys
+            .iter()
+            .zip(&photos.rows)
+            .map(|(survey, photo)| {
+                if survey.first() != Some(&1) {
+                    return survey.clone();
+                }
+                part(survey, row.name, photo).unwrap().unwrap().to_vec()
+            })
+            .collect();
+        let verdicts = serde_json::to_vec(&photos.judge(row.name, defaults())).unwrap();
+        format!(
+            "{} {} {}",
+            row.name,
+            row.version,
+            Digest::of(&[measures.concat(), verdicts].concat()).short()
+        )
+    };
+    let old = [
+        "size 2 980ee38a3c37",
+        "shape 2 fd64df115ca8",
+        "duplicate 2 118d4be8ac45",
+        "grayscale 2 43d9c316d24d",
+        "histogram 2 c0e0403bbabf",
+        "blur 2 54617c69f0ad",
+    ];
+    assert_eq!(crate::GUARDS.iter().map(found).collect::<Vec<_>>(), old);
+}
