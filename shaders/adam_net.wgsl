@@ -4,7 +4,7 @@
 // Twin      marf_field::cpu::adam::Adam::<16> with its decay; within 1e-6 of the step: root and quotient may be rounded
 //           otherwise.
 // Threads   one per row: workgroup 64, folded.
-// Reads     gradient [rows][16], bias [last + 1] (corrections by step count), faults [8]; pace.rate, the step size
+// Reads     gradient [rows][16], bias [last + 1] (corrections by step count), faults [FAULT_SLOTS]; pace.rate, the step size
 // Writes    weights, mean, square [rows][16] and count [rows] of rows with a gradient; gradient becomes 0
 // Extremes  any fault: nothing is written. Both zeros are no gradient. A gradient above 1.8e19 makes the second moment
 //           infinite and its row stands still. A count above `last` takes the last correction.
@@ -18,27 +18,15 @@ struct AdamNet {
     beta2: f32,
     pad0: u32,
 }
-struct Pace {
-    rate: f32,
-    total: u32,
-    pad0: u32,
-    pad1: u32,
-}
 @group(0) @binding(0) var<uniform> run: AdamNet;
 @group(0) @binding(1) var<uniform> pace: Pace;
-@group(0) @binding(2) var<storage, read> faults: array<u32>;
+@group(0) @binding(2) var<storage, read> faults: array<vec4<u32>, FAULT_SLOTS / 4u>;
 @group(0) @binding(3) var<storage, read> bias: array<vec2<f32>>;
 @group(0) @binding(4) var<storage, read_write> weights: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read_write> gradient: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> mean: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read_write> square: array<vec4<f32>>;
 @group(0) @binding(8) var<storage, read_write> count: array<u32>;
-
-fn any_fault() -> bool {
-    var found = 0u;
-    for (var kind = 0u; kind < 8u; kind++) { found |= faults[kind]; }
-    return found != 0u;
-}
 
 fn advance(at: u32, rate: f32, correction: vec2<f32>) {
     let weight = weights[at];
@@ -55,7 +43,7 @@ fn advance(at: u32, rate: f32, correction: vec2<f32>) {
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let row = flat(id, groups);
-    if row >= run.rows || any_fault() { return; }
+    if row >= run.rows || faulted() { return; }
     let at = 4u * row;
     let touched = bitcast<vec4<u32>>(gradient[at])
         | bitcast<vec4<u32>>(gradient[at + 1u])

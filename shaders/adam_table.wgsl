@@ -4,7 +4,7 @@
 // Twin      marf_field::cpu::adam::Adam<FEATURES> with epsilon + quantum; weights equal within 1e-5 rates a step
 //           and 1e-6 of their size (gpu/tables/adam.rs).
 // Threads   one per (entry, level): workgroup 64, folded over x and y; z counts the levels of this part.
-// Reads     rates, scales [L]: quantum, skip, first, entries; bias [4096] of 1 / (1 - beta^n); faults [8]
+// Reads     rates, scales [L]: quantum, skip, first, entries; bias [4096] of 1 / (1 - beta^n); faults [FAULT_SLOTS]
 // Writes    weights, mean, square [entries] of Row, count [entries], gradient [entries] of Quanta to 0; from
 //           entry `base` on. Nothing where a fault is set or all quanta are 0; the gradient alone where the level
 //           is skipped.
@@ -24,7 +24,7 @@ struct Rates {
 @group(0) @binding(1) var<uniform> rates: Rates;
 @group(0) @binding(2) var<storage, read> scales: array<LevelScale>;
 @group(0) @binding(3) var<storage, read> bias: array<vec2<f32>>;
-@group(0) @binding(4) var<storage, read> faults: array<vec4<u32>, 2>;
+@group(0) @binding(4) var<storage, read> faults: array<vec4<u32>, FAULT_SLOTS / 4u>;
 @group(0) @binding(5) var<storage, read_write> gradient: array<Quanta>;
 @group(0) @binding(6) var<storage, read_write> weights: array<Row>;
 @group(0) @binding(7) var<storage, read_write> mean: array<Row>;

@@ -1,10 +1,10 @@
-// alive: tells after a round which rays of a picture go on, and how many.
+// alive: finds after a round which rays of a picture go on, and how many.
 //
 // Source    a ray ends where less than OPAQUE passes, or at its last step
 // Twin      marf_field::render::Tile::finish; equal
 // Threads   one per ray: workgroup 64, folded
 // Reads     walk; state [6][ray slots], row 5: what the ray lets pass; next_step [rays]
-// Writes    done [rays]: 1 where a ray has ended, never back to 0; counts[ALIVE], which scan.wgsl sets to 0, by adding
+// Writes    done [rays]: 1 where a ray has ended, never back to 0; counts[COUNT_ALIVE], which scan.wgsl sets to 0, by adding
 // Extremes  What passes is never NaN: the kernels before cut it and mark the fault. A ray that is not there ends with
 //           the first round.
 @group(0) @binding(0) var<uniform> walk: Walk;
@@ -18,5 +18,5 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let ray = flat(id, groups);
     if ray >= walk.rays { return; }
     let goes_on = state[5u * walk.ray_slots + ray] >= OPAQUE && next_step[ray] < walk.padded;
-    if goes_on { atomicAdd(&counts[ALIVE], 1u); } else { done[ray] = 1u; }
+    if goes_on { atomicAdd(&counts[COUNT_ALIVE], 1u); } else { done[ray] = 1u; }
 }

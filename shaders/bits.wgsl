@@ -4,11 +4,11 @@
 // Twin      marf_field::occupancy::Occupancy::update, last loop; equal but where a density lies within 1e-5
 //           relative of its threshold, which is a sum of floats.
 // Threads   one per word of 32 cells: workgroup 64, folded over x and y.
-// Reads     density [cells], least [2] from thresholds, faults [8]
+// Reads     density [cells], least [2] from thresholds, faults [FAULT_SLOTS]
 // Writes    bits [cells / 32] of u32, each exactly once; nothing where a fault is set
 // Extremes  a cell that no camera sees (density < 0) is empty; bits beyond the last cell are 0.
 @group(0) @binding(0) var<uniform> filling: Filling;
-@group(0) @binding(1) var<storage, read> faults: array<vec4<u32>, 2>;
+@group(0) @binding(1) var<storage, read> faults: array<vec4<u32>, FAULT_SLOTS / 4u>;
 @group(0) @binding(2) var<storage, read> density: array<f32>;
 @group(0) @binding(3) var<storage, read> least: array<f32>;
 @group(0) @binding(4) var<storage, read_write> bits: array<u32>;

@@ -3,7 +3,7 @@
 // Source    none: average += (1 - keep) (value - average).
 // Twin      marf_field::learn::blend; equal within one rounding of the larger: a GPU may contract the sum.
 // Threads   one per 4 numbers: workgroup 64, folded over x and y.
-// Reads     values [n / 4] of vec4, faults [8]
+// Reads     values [n / 4] of vec4, faults [FAULT_SLOTS]
 // Writes    average [n / 4] of vec4, each element exactly once; nothing where a fault is set
 // Extremes  keep 1 leaves the average, keep 0 takes the values but for a rounding.
 struct Blending {
@@ -13,7 +13,7 @@ struct Blending {
     pad2: f32,
 }
 @group(0) @binding(0) var<uniform> blending: Blending;
-@group(0) @binding(1) var<storage, read> faults: array<vec4<u32>, 2>;
+@group(0) @binding(1) var<storage, read> faults: array<vec4<u32>, FAULT_SLOTS / 4u>;
 @group(0) @binding(2) var<storage, read> values: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read_write> average: array<vec4<f32>>;
 

@@ -4,14 +4,8 @@
 // Twin      marf_field::cpu::composite::Colours; within 1e-6. Of the 16 logits only the 3 that are used are checked.
 // Threads   one per sample: workgroup 64, folded.
 // Reads     logits [16][capacity] rows 0 to 2, counts[slot] samples in use
-// Writes    rgb [3][capacity], sRGB in (0, 1), samples in use, each element once; faults[1] where a logit runs away
+// Writes    rgb [3][capacity], sRGB in (0, 1), samples in use, each element once; faults[FAULT_LOGITS] where a logit runs away
 // Extremes  NaN counts as the upper limit and is a fault.
-struct Extent {
-    slot: u32,
-    capacity: u32,
-    rays: u32,
-    pad0: u32,
-}
 @group(0) @binding(0) var<uniform> extent: Extent;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> logits: array<f32>;
@@ -29,5 +23,5 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         is_wild = is_wild || runs_away(logit);
         rgb[at] = colour_of(logit);
     }
-    if is_wild { atomicMax(&faults[1], 1u); }
+    if is_wild { atomicMax(&faults[FAULT_LOGITS], 1u); }
 }

@@ -10,8 +10,8 @@
 // Writes    found [FOUND_ROWS][rays] of rays in use, each element once, but row 3 never: rows 0 to 2 slopes in the
 //           background's logits (row 3 stays 0 and makes a multiple of 4), FOUND_GAIN 3 in log gains, FOUND_OFFSET 3 in
 //           offsets, FOUND_LOSS sum of squares, FOUND_SLOPE 3 in the ray's colour, FOUND_TOWARDS slope times colour
-//           behind; faults[2] where a loss, [5] where a coefficient of the background, [6] where an exposure or its
-//           slope runs away
+//           behind; faults of FAULT_LOSS where a loss, FAULT_BACKGROUND where a coefficient of the background,
+//           FAULT_EXPOSURES where an exposure or its slope runs away
 // Extremes  an empty ray shows the background. A ray that is not there gets zeros and no fault.
 struct CompareRun {
     slot: u32,
@@ -66,7 +66,7 @@ fn any_runs_away(value: vec3<f32>) -> bool {
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let ray = flat(id, groups);
     if ray >= run.rays { return; }
-    if run.behind == 1u && ray < 48u && runs_away(background[ray]) { atomicMax(&faults[5], 1u); }
+    if run.behind == 1u && ray < 48u && runs_away(background[ray]) { atomicMax(&faults[FAULT_BACKGROUND], 1u); }
     if ray >= counts[run.slot] { return; }
     let direction = directions[ray];
     if !(direction.w > 0.0) {
@@ -105,7 +105,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         colour_slope(logits.x, behind.x), colour_slope(logits.y, behind.y), colour_slope(logits.z, behind.z)
     );
     put(0u, ray, select(vec3<f32>(0.0), sum.w * slope * inner, is_seen));
-    if runs_away(loss) { atomicMax(&faults[2], 1u); }
+    if runs_away(loss) { atomicMax(&faults[FAULT_LOSS], 1u); }
     if any_runs_away(log_gain) || any_runs_away(offset) || any_runs_away(slope * plain)
-        || any_runs_away(scale * error) { atomicMax(&faults[6], 1u); }
+        || any_runs_away(scale * error) { atomicMax(&faults[FAULT_EXPOSURES], 1u); }
 }

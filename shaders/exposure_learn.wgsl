@@ -1,17 +1,17 @@
 // exposure_learn: moves log gains and offsets of all photos, cuts them and takes their mean away.
 //
 // Source    Adam, arXiv 1412.6980, algorithm 1, over rows of one photo; rows without a slope keep everything
-// Twin      marf_field::exposure::Trainer::learn_exposures and centre, marf_field::cpu::adam::Adam; within 1e-6: the
+// Twin      marf_field::learn::learn_exposures and marf_field::exposure::centre, marf_field::cpu::adam::Adam; within 1e-6: the
 //           order of the mean differs, and is that of the indices
 // Threads   one workgroup of 256, each every 256th photo: dispatch (1, 1)
-// Reads     step.rate; asked; sums [2][views] vec4; bias [counts] 1 / (1 - decay^n) of both moments; faults [8]
+// Reads     step.rate; asked; sums [2][views] vec4; bias [counts] 1 / (1 - decay^n) of both moments; faults [FAULT_SLOTS]
 // Writes    gains, mean, square [views or 2 views] vec4, count as many u32
 // Extremes  any fault: nothing changes. Counts beyond the last bias take the last. One photo alone: 0.
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<uniform> asked: Exposed;
 @group(0) @binding(2) var<storage, read> sums: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> bias: array<vec2<f32>>;
-@group(0) @binding(4) var<storage, read> faults: array<u32, 8>;
+@group(0) @binding(4) var<storage, read> faults: array<vec4<u32>, FAULT_SLOTS / 4u>;
 @group(0) @binding(5) var<storage, read_write> gains: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> mean: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read_write> square: array<vec4<f32>>;
@@ -20,12 +20,6 @@
 const THREADS: u32 = 256u;
 
 var<workgroup> totals: array<vec3<f32>, THREADS>;
-
-fn any_fault() -> bool {
-    var found = 0u;
-    for (var k = 0u; k < 8u; k++) { found |= faults[k]; }
-    return found != 0u;
-}
 
 // One row of Adam.
 fn moved(row: u32) -> vec4<f32> {
@@ -70,7 +64,7 @@ fn learn(first: u32, limit: f32, me: u32) {
 @compute @workgroup_size(256)
 fn main(@builtin(local_invocation_index) me: u32) {
     // Uniform for all threads: faults are read only here.
-    if any_fault() { return; }
+    if faulted() { return; }
     learn(0u, asked.limits.x, me);
     if asked.offsets == 1u { learn(asked.views, asked.limits.y, me); }
 }

@@ -1,12 +1,12 @@
 // exposure_sums: adds up the slopes of all rays of a photo, in its log gain and its offset.
 //
 // Source    sum over the rays of a batch, photo by photo
-// Twin      marf_field::exposure::Trainer::learn_exposures, its first loop; within 1e-5 of the sum of sizes: the order
+// Twin      marf_field::learn::learn_exposures, its first loop; within 1e-5 of the sum of sizes: the order
 //           differs, and is that of the indices
 // Threads   one workgroup of 64 per view, each thread every 64th ray: dispatch (views folded)
-// Reads     asked; counts[RAYS] rays that fit; targets [rays] w: view; slopes [row + 6][ray slots] from row
+// Reads     asked; counts[COUNT_RAYS] rays that fit; targets [rays] w: view; slopes [row + 6][ray slots] from row
 //           asked.row on gain rgb, offset rgb, 0 where a ray has no loss; gains [views or 2 views] vec4
-// Writes    sums [2][views] vec4, each once; faults[EXPOSURES] where a slope or a gain runs away
+// Writes    sums [2][views] vec4, each once; faults[FAULT_EXPOSURES] where a slope or a gain runs away
 // Extremes  a view without rays: 0. NaN, infinity or 2^30 and more: the fault, before any weight changes.
 @group(0) @binding(0) var<uniform> asked: Exposed;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
@@ -14,7 +14,7 @@
 @group(0) @binding(3) var<storage, read> slopes: array<f32>;
 @group(0) @binding(4) var<storage, read> gains: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read_write> sums: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read_write> faults: array<atomic<u32>, 8>;
+@group(0) @binding(6) var<storage, read_write> faults: array<atomic<u32>, FAULT_SLOTS>;
 
 const THREADS: u32 = 64u;
 
@@ -39,7 +39,7 @@ fn main(
 ) {
     let view = group.x + group.y * groups.x;
     if view >= asked.views { return; }
-    let rays = min(counts[RAYS], asked.ray_slots);
+    let rays = min(counts[COUNT_RAYS], asked.ray_slots);
     var gain = vec3(0.0);
     var offset = vec3(0.0);
     var wild = false;
@@ -60,10 +60,10 @@ fn main(
             of_offset[me] += of_offset[me + apart];
         }
     }
-    if wild { atomicMax(&faults[EXPOSURES], 1u); }
+    if wild { atomicMax(&faults[FAULT_EXPOSURES], 1u); }
     if me > 0u { return; }
     sums[view] = vec4(of_gain[0], 0.0);
     sums[asked.views + view] = vec4(of_offset[0], 0.0);
     let unruly = is_wild(gains[view].xyz) || (asked.offsets == 1u && is_wild(gains[asked.views + view].xyz));
-    if unruly { atomicMax(&faults[EXPOSURES], 1u); }
+    if unruly { atomicMax(&faults[FAULT_EXPOSURES], 1u); }
 }

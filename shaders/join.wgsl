@@ -7,12 +7,6 @@
 // Writes    slope row 0 of [.][capacity], samples in use, each element once; its rows 1 to 15 are the slope of the other
 //           outputs of the density network already
 // Extremes  no sample: nothing is written.
-struct Extent {
-    slot: u32,
-    capacity: u32,
-    rays: u32,
-    pad0: u32,
-}
 @group(0) @binding(0) var<uniform> extent: Extent;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> light: array<f32>;

@@ -1,4 +1,4 @@
-// kept: tells for every sample that is kept which of the visited ones it was.
+// kept: writes for every sample that is kept which of the visited ones it was.
 //
 // Source    none.
 // Twin      marf_field::shade::Shade::drop_hidden (its list `kept`); equal.
@@ -7,12 +7,6 @@
 //           rays in use
 // Writes    origin u32 [capacity]: number of the visited sample, for samples of rays in use, each once
 // Extremes  a ray without samples writes nothing; samples beyond the capacity are not written.
-struct Extent {
-    slot: u32,
-    capacity: u32,
-    rays: u32,
-    pad0: u32,
-}
 @group(0) @binding(0) var<uniform> extent: Extent;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> visited: array<u32>;

@@ -1,7 +1,8 @@
 //! WGSL kernels of marf and their uniforms. One kernel a file, each with its contract at the head.
 //!
 //! Invariants: every kernel parses and validates in naga, with no capability beyond core WebGPU unless its contract
-//! says so; no constant lives in both Rust and WGSL: Rust writes it into the head or into a uniform.
+//! says so; no place, size or rate is written in both Rust and WGSL: Rust writes it into [`constants`], the head or a
+//! uniform, and a test compares every field of every uniform by name, type and offset.
 
 mod net_structs;
 mod nets;
@@ -25,9 +26,10 @@ pub struct Shader {
 }
 
 impl Shader {
-    /// Returns the whole text; `head` holds the constants that decide its shape.
+    /// Returns the whole text, which begins with [`constants`]; `head` holds the constants that decide its shape.
     pub fn source(&self, head: &str) -> String {
-        let mut text = head.to_owned();
+        let mut text = constants();
+        text.push_str(head);
         for part in self.shared.iter().chain([&self.text]) {
             text.push('\n');
             text.push_str(part);
@@ -36,12 +38,36 @@ impl Shader {
     }
 }
 
-/// The head of kernels that read rows of the tables: `Row` is one entry of `features` numbers, 2 or 4.
+/// Returns the places in the arrays `counts`, `faults` and `found` as constants of WGSL.
+pub fn constants() -> String {
+    let places = [
+        ("COUNT_VISITED", counts::VISITED),
+        ("COUNT_KEPT", counts::KEPT),
+        ("COUNT_RAYS", counts::RAYS),
+        ("COUNT_ALIVE", counts::ALIVE),
+        ("FAULT_DENSITY", faults::DENSITY),
+        ("FAULT_LOGITS", faults::LOGITS),
+        ("FAULT_LOSS", faults::LOSS),
+        ("FAULT_BACKGROUND", faults::BACKGROUND),
+        ("FAULT_EXPOSURES", faults::EXPOSURES),
+        ("FAULT_SLOTS", faults::LEN as u32),
+        ("FOUND_GAIN", found::GAIN as u32),
+        ("FOUND_OFFSET", found::OFFSET as u32),
+        ("FOUND_LOSS", found::LOSS as u32),
+        ("FOUND_SLOPE", found::SLOPE as u32),
+        ("FOUND_TOWARDS", found::TOWARDS as u32),
+        ("FOUND_ROWS", found::LEN as u32),
+    ];
+    let lines = places.map(|(name, place)| format!("const {name}: u32 = {place}u;\n"));
+    lines.concat()
+}
+
+/// Returns the head of kernels that read rows of the tables: `Row` is one entry of `features` numbers, 2 or 4.
 pub fn row_head(features: u32) -> String {
     format!("alias Row = vec{features}<f32>;\nconst FEATURES: u32 = {features}u;\n")
 }
 
-/// The head of kernels that find entries: after [`row_head`], the hash's multipliers of y and z.
+/// Returns the head of kernels that find entries: after [`row_head`], the hash's multipliers of y and z.
 pub fn grid_head(features: u32, primes: [u32; 2]) -> String {
     let [y, z] = primes;
     format!(
@@ -50,7 +76,7 @@ pub fn grid_head(features: u32, primes: [u32; 2]) -> String {
     )
 }
 
-/// The head of kernels that know gradients in fixed point, after one of those above: `Quanta` is the gradient of an
+/// Returns the head of kernels that know gradients in fixed point, after one of those above: `Quanta` is the gradient of an
 /// entry; `packed` where pairs of features share a 64-bit word; no contribution has more than `most` quanta.
 pub fn quanta_head(features: u32, packed: bool, most: i32) -> String {
     format!(
@@ -85,8 +111,8 @@ const FAULTS: &str = include_str!("shared/faults.wgsl");
 /// Structs of the occupancy grid.
 const FILLING: &str = include_str!("shared/filling.wgsl");
 
-/// Own exponential functions.
-const MATH: &str = include_str!("shared/math.wgsl");
+/// Own exponential functions, for kernels and their tests.
+pub const MATH: &str = include_str!("shared/math.wgsl");
 
 /// Streams of random numbers, for kernels and their tests.
 pub const RNG: &str = include_str!("shared/rng.wgsl");
@@ -97,10 +123,10 @@ pub const CAMERA: &str = include_str!("shared/camera.wgsl");
 /// What changes with every step of training.
 const STEP: &str = include_str!("shared/step.wgsl");
 
-/// What a walk along rays is told.
+/// Sizes and limits of a walk along rays.
 const WALK: &str = include_str!("shared/walk.wgsl");
 
-/// What the kernels of exposures are told.
+/// Sizes and rates of the kernels of exposures.
 const EXPOSED: &str = include_str!("shared/exposed.wgsl");
 
 /// All kernels.
@@ -270,7 +296,7 @@ pub const SCAN: Shader = Shader {
     name: "scan",
     shared: &[WALK],
     text: include_str!("scan.wgsl"),
-    heads: &["const RAYS: u32 = 2u;\nconst ALIVE: u32 = 3u;\n"],
+    heads: &[""],
 };
 
 /// Which rays of a picture go on.
@@ -278,7 +304,7 @@ pub const ALIVE: Shader = Shader {
     name: "alive",
     shared: &[FLAT, WALK],
     text: include_str!("alive.wgsl"),
-    heads: &["const ALIVE: u32 = 3u;\nconst OPAQUE: f32 = 0.1;\n"],
+    heads: &["const OPAQUE: f32 = 0.1;\n"],
 };
 
 /// Adds up the slopes of exposures, photo by photo.
@@ -286,13 +312,13 @@ pub const EXPOSURE_SUMS: Shader = Shader {
     name: "exposure_sums",
     shared: &[EXPOSED],
     text: include_str!("exposure_sums.wgsl"),
-    heads: &["const RAYS: u32 = 2u;\nconst EXPOSURES: u32 = 6u;\nconst RUNAWAY: u32 = 0x4e800000u;\n"],
+    heads: &["const RUNAWAY: u32 = 0x4e800000u;\n"],
 };
 
 /// Moves the exposures of all photos.
 pub const EXPOSURE_LEARN: Shader = Shader {
     name: "exposure_learn",
-    shared: &[STEP, EXPOSED],
+    shared: &[STEP, EXPOSED, FAULTS],
     text: include_str!("exposure_learn.wgsl"),
     heads: &[""],
 };

@@ -11,7 +11,7 @@ struct Chains {
     rounds: u32,
     factor: f32,
     addend: f32,
-    pad: u32,
+    pad0: u32,
 }
 @group(0) @binding(0) var<uniform> run: Chains;
 @group(0) @binding(1) var<storage, read_write> sums: array<vec4<f32>>;

@@ -1,4 +1,4 @@
-//! The uniforms of the kernels of networks and of light, and what they tell the host.
+//! The uniforms of the kernels of networks and of light, and what they report to the host.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -12,13 +12,13 @@ pub struct ProductRun {
     pub outputs: u32,
     /// Numbers a column.
     pub capacity: u32,
-    /// Which of `counts` tells the samples in use.
+    /// Place in `counts` of the samples in use.
     pub slot: u32,
     /// First row of A.
     pub first_a: u32,
     /// First row of C.
     pub first_c: u32,
-    /// Nothing.
+    /// Padding to 16 bytes.
     pub pad: [u32; 2],
 }
 
@@ -42,7 +42,7 @@ pub struct OuterRun {
     pub outputs: u32,
     /// Numbers a column.
     pub capacity: u32,
-    /// Which of `counts` tells the samples in use.
+    /// Place in `counts` of the samples in use.
     pub slot: u32,
     /// Samples a part, a multiple of 4.
     pub chunk: u32,
@@ -50,17 +50,17 @@ pub struct OuterRun {
     pub first_a: u32,
     /// First row of D.
     pub first_d: u32,
-    /// Nothing.
+    /// Padding to 16 bytes.
     pub pad: u32,
 }
 
-/// What is summed, and whose fault it is.
+/// Which parts are summed, and the fault to set where a sum runs away.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct SumRun {
     /// Numbers a part.
     pub weights: u32,
-    /// Which of `counts` tells the samples in use.
+    /// Place in `counts` of the samples in use.
     pub slot: u32,
     /// Samples a part.
     pub chunk: u32,
@@ -86,7 +86,7 @@ pub struct AdamNet {
     pub beta1: f32,
     /// Decay of the second moment.
     pub beta2: f32,
-    /// Nothing.
+    /// Padding to 16 bytes.
     pub pad: u32,
 }
 
@@ -98,21 +98,21 @@ pub struct Pace {
     pub rate: f32,
     /// Place in the ring of totals.
     pub total: u32,
-    /// Nothing.
+    /// Padding to 16 bytes.
     pub pad: [u32; 2],
 }
 
-/// Where harmonics go.
+/// Which rows harmonics are written to.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct HarmonicsRun {
-    /// Which of `counts` tells what is in use.
+    /// Place in `counts` of what is in use.
     pub slot: u32,
     /// Numbers a column.
     pub stride: u32,
     /// First row.
     pub first: u32,
-    /// Nothing.
+    /// Padding to 16 bytes.
     pub pad: u32,
 }
 
@@ -120,13 +120,13 @@ pub struct HarmonicsRun {
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct Extent {
-    /// Which of `counts` tells what is in use.
+    /// Place in `counts` of what is in use.
     pub slot: u32,
     /// Numbers a column of samples.
     pub capacity: u32,
     /// Numbers a column of rays.
     pub rays: u32,
-    /// Nothing.
+    /// Padding to 16 bytes.
     pub pad: u32,
 }
 
@@ -134,7 +134,7 @@ pub struct Extent {
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct GatherRun {
-    /// Which of `counts` tells the samples in use.
+    /// Place in `counts` of the samples in use.
     pub slot: u32,
     /// Numbers a column.
     pub capacity: u32,
@@ -144,11 +144,11 @@ pub struct GatherRun {
     pub first_to: u32,
 }
 
-/// Sizes, and what rays are compared with.
+/// Sizes and switches of the comparison of rays with pixels.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct CompareRun {
-    /// Which of `counts` tells the rays in use.
+    /// Place in `counts` of the rays in use.
     pub slot: u32,
     /// Numbers a column of samples.
     pub capacity: u32,
@@ -160,7 +160,7 @@ pub struct CompareRun {
     pub offsets: u32,
     /// 1 where the background is learnt, 0 where it is black.
     pub behind: u32,
-    /// Nothing.
+    /// Padding to 16 bytes.
     pub pad: [u32; 2],
 }
 
@@ -168,7 +168,7 @@ pub struct CompareRun {
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct SpreadRun {
-    /// Which of `counts` tells the rays in use.
+    /// Place in `counts` of the rays in use.
     pub slot: u32,
     /// Numbers a column of samples.
     pub capacity: u32,
@@ -186,21 +186,21 @@ pub struct SpreadRun {
     pub floor: f32,
 }
 
-/// What is looked at, and whose fault it is.
+/// Which rows are checked, and the fault to set where a number runs away.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct RunawayRun {
-    /// Which of `counts` tells the samples in use.
+    /// Place in `counts` of the samples in use.
     pub slot: u32,
     /// Numbers a column.
     pub capacity: u32,
     /// Place in `faults`.
     pub fault: u32,
-    /// Nothing.
+    /// Padding to 16 bytes.
     pub pad: u32,
 }
 
-/// What the host is told of a step.
+/// Counts and loss of a step, read by the host.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct Total {
@@ -216,15 +216,15 @@ pub struct Total {
     pub faults: u32,
     /// Sum of squared errors over rays and channels.
     pub loss: f32,
-    /// Nothing.
+    /// Padding to 16 bytes.
     pub pad: [u32; 2],
 }
 
-/// Sizes, and where rays end.
+/// Sizes, and the optical depth at which rays end.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct PaintRun {
-    /// Which of `counts` tells the rays in use.
+    /// Place in `counts` of the rays in use.
     pub slot: u32,
     /// Numbers a column of samples.
     pub capacity: u32,
@@ -234,11 +234,11 @@ pub struct PaintRun {
     pub deep: f32,
 }
 
-/// Sizes, and what a pixel is made with.
+/// Sizes of a picture and its background.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct FinishRun {
-    /// Which of `counts` tells the rays in use.
+    /// Place in `counts` of the rays in use.
     pub slot: u32,
     /// Numbers a column of rays.
     pub rays: u32,

@@ -1,6 +1,11 @@
 //! The kernels of networks and of light along rays.
 
-use crate::{FLAT, MATH, Shader};
+use crate::{FAULTS, FLAT, MATH, Shader};
+
+/// Sizes of columns.
+const EXTENT: &str = include_str!("shared/extent.wgsl");
+/// What changes from step to step.
+const PACE: &str = include_str!("shared/pace.wgsl");
 
 /// Colours of logits.
 const COLOUR_OF: &str = include_str!("shared/colour.wgsl");
@@ -37,17 +42,6 @@ impl Limits {
         ] {
             head += &format!("const {name}: f32 = {value:?};\n");
         }
-        let rows = [
-            ("GAIN", found::GAIN),
-            ("OFFSET", found::OFFSET),
-            ("LOSS", found::LOSS),
-            ("SLOPE", found::SLOPE),
-            ("TOWARDS", found::TOWARDS),
-            ("ROWS", found::LEN),
-        ];
-        for (name, row) in rows {
-            head += &format!("const FOUND_{name}: u32 = {row}u;\n");
-        }
         head
     }
 }
@@ -72,9 +66,7 @@ pub mod found {
 const PLAIN: &[&str] = &[""];
 const HEADS: &[&str] = &[
     "const RUNAWAY: u32 = 9u; const RAW_LIMIT: f32 = 1.0; const RAW_SHIFT: f32 = -1.0; \
-    const LOGIT_LIMIT: f32 = 1.0; const OPAQUE: f32 = 0.1; const FOUND_GAIN: u32 = 4u; const FOUND_OFFSET: u32 = 7u; \
-    const FOUND_LOSS: u32 = 10u; const FOUND_SLOPE: u32 = 11u; const FOUND_TOWARDS: u32 = 14u; \
-    const FOUND_ROWS: u32 = 15u;",
+    const LOGIT_LIMIT: f32 = 1.0; const OPAQUE: f32 = 0.1;",
 ];
 
 /// One layer for all samples; entries `main`, `rectified` and `gated`.
@@ -112,7 +104,7 @@ pub const SUM: Shader = Shader {
 /// Adam in rows of 16 numbers.
 pub const ADAM_NET: Shader = Shader {
     name: "adam_net",
-    shared: &[FLAT],
+    shared: &[FLAT, PACE, FAULTS],
     text: include_str!("adam_net.wgsl"),
     heads: PLAIN,
 };
@@ -128,7 +120,7 @@ pub const HARMONICS: Shader = Shader {
 /// Raw densities to opacities and transmittances along rays.
 pub const OPACITY: Shader = Shader {
     name: "opacity",
-    shared: &[FLAT, MATH],
+    shared: &[FLAT, EXTENT, MATH],
     text: include_str!("opacity.wgsl"),
     heads: HEADS,
 };
@@ -136,7 +128,7 @@ pub const OPACITY: Shader = Shader {
 /// Which of the visited samples the kept ones are.
 pub const KEPT: Shader = Shader {
     name: "kept",
-    shared: &[FLAT],
+    shared: &[FLAT, EXTENT],
     text: include_str!("kept.wgsl"),
     heads: PLAIN,
 };
@@ -152,7 +144,7 @@ pub const GATHER: Shader = Shader {
 /// Logits to colours.
 pub const COLOUR: Shader = Shader {
     name: "colour",
-    shared: &[FLAT, MATH, COLOUR_OF],
+    shared: &[FLAT, EXTENT, MATH, COLOUR_OF],
     text: include_str!("colour.wgsl"),
     heads: HEADS,
 };
@@ -176,12 +168,12 @@ pub const SPREAD: Shader = Shader {
 /// Adds both slopes of the raw density.
 pub const JOIN: Shader = Shader {
     name: "join",
-    shared: &[FLAT],
+    shared: &[FLAT, EXTENT],
     text: include_str!("join.wgsl"),
     heads: PLAIN,
 };
 
-/// Looks for numbers that run away.
+/// Finds numbers that run away.
 pub const RUNAWAY: Shader = Shader {
     name: "runaway",
     shared: &[MATH],
@@ -189,10 +181,10 @@ pub const RUNAWAY: Shader = Shader {
     heads: HEADS,
 };
 
-/// What the host is told of a step.
+/// Counts and loss of a step for the host.
 pub const TOTALS: Shader = Shader {
     name: "totals",
-    shared: &[],
+    shared: &[EXTENT, PACE],
     text: include_str!("totals.wgsl"),
     heads: PLAIN,
 };

@@ -3,11 +3,11 @@
 // Source    instant-ngp, arXiv 2201.05989, appendix on occupancy grids: decay and maximum.
 // Twin      marf_field::occupancy::Occupancy::update, first loop, on exp(raw + shift); within 2e-7 relative.
 // Threads   one per slot: workgroup 64, folded over x and y.
-// Reads     cells [capacity], raw [capacity] raw density, counts[slot] probes, faults [8]
+// Reads     cells [capacity], raw [capacity] raw density, counts[slot] probes, faults [FAULT_SLOTS]
 // Writes    density [cells] of the probed cells, each once: no two slots have one cell. Nothing on a fault.
 // Extremes  NaN and infinite raw densities leave the cell; a cell never looked at takes what is found.
 @group(0) @binding(0) var<uniform> filling: Filling;
-@group(0) @binding(1) var<storage, read> faults: array<vec4<u32>, 2>;
+@group(0) @binding(1) var<storage, read> faults: array<vec4<u32>, FAULT_SLOTS / 4u>;
 @group(0) @binding(2) var<storage, read> cells: array<u32>;
 @group(0) @binding(3) var<storage, read> raw: array<f32>;
 @group(0) @binding(4) var<storage, read_write> density: array<f32>;

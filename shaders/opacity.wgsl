@@ -7,15 +7,9 @@
 //           before [rays] (optical depth in front of the first sample), counts[slot] rays in use
 // Writes    light [3][capacity]: tau, alpha, transmittance of the samples of rays in use, each element once;
 //           shown u32 [2][rays]: samples in front of the first with a transmittance below OPAQUE, and the bits of the
-//           sum of all tau; both 0 for rays not in use. faults[0] where a raw density runs away
+//           sum of all tau; both 0 for rays not in use. faults[FAULT_DENSITY] where a raw density runs away
 // Extremes  raw densities are cut at RAW_LIMIT; NaN counts as the limit and is a fault. A length of 0 has tau 0 and
 //           alpha 0. An empty ray shows 0 samples.
-struct Extent {
-    slot: u32,
-    capacity: u32,
-    rays: u32,
-    pad0: u32,
-}
 @group(0) @binding(0) var<uniform> extent: Extent;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> spans: array<u32>;
@@ -52,7 +46,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
             depth += tau;
             total += tau;
         }
-        if is_wild { atomicMax(&faults[0], 1u); }
+        if is_wild { atomicMax(&faults[FAULT_DENSITY], 1u); }
     }
     shown[ray] = visible;
     shown[extent.rays + ray] = bitcast<u32>(total);

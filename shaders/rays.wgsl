@@ -2,14 +2,14 @@
 //
 // Source    uniform over all kept pixels of all photos; of every `share`th ray, while sparse points pull, uniform over
 //           the pixels that see one (DS-NeRF, arXiv 2107.02791, draws them in the same batch).
-// Twin      marf_field::trainer::Trainer::target; pixel, colour, view, jitter, origin, pull equal bit for bit, direction
+// Twin      marf_field::draw::Training::target; pixel, colour, view, jitter, origin, pull equal bit for bit, direction
 //           within 2e-6 (shared/camera.wgsl).
 // Threads   one per ray: workgroup 64, folded
-// Reads     step; cameras [views]; pixels [kept] r | g << 8 | b << 16 | place in its run << 24; sightings [S]
+// Reads     step; cameras [views]; pixels [kept] r | g << 8 | b << 16 | place in its run << 24; observations [S]
 // Writes    origins, directions, targets [rays wanted] vec4, pulls [rays wanted] vec2, each once; no slot beyond
-// Extremes  no inverse of the distortion: directions.w is 0. A sighting beyond the last step pulls with weight 0.
-//           sightings = 0: no ray goes to one. The view number travels as integer bits: as f32 it is a denormal.
-struct Sighted {
+// Extremes  no inverse of the distortion: directions.w is 0. A observation beyond the last step pulls with weight 0.
+//           observations = 0: no ray goes to one. The view number travels as integer bits: as f32 it is a denormal.
+struct Observed {
     // Number of the pixel among all kept.
     pixel: u32,
     // Number of the step at the point as a share of all steps.
@@ -21,7 +21,7 @@ struct Sighted {
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<storage, read> cameras: array<ViewCamera>;
 @group(0) @binding(2) var<storage, read> pixels: array<u32>;
-@group(0) @binding(3) var<storage, read> sightings: array<Sighted>;
+@group(0) @binding(3) var<storage, read> observations: array<Observed>;
 @group(0) @binding(4) var<storage, read_write> origins: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read_write> directions: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> targets: array<vec4<u32>>;
@@ -57,8 +57,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     var rng = rng_new(step.seed, PURPOSE, step.number, vec2(ray, 0u));
     var pull = vec2(0.0);
     var pixel = 0u;
-    if step.sightings > 0u && ray % step.share == 0u {
-        let seen = sightings[rng_below(&rng, vec2(step.sightings, 0u)).x];
+    if step.observations > 0u && ray % step.share == 0u {
+        let seen = observations[rng_below(&rng, vec2(step.observations, 0u)).x];
         pixel = seen.pixel;
         if seen.pulls == 1u { pull = vec2(seen.place, step.pull); }
     } else {

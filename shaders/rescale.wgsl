@@ -3,7 +3,7 @@
 // Source    none: fixed point with a scale that follows the largest sum.
 // Twin      the function `rescaled` of the tests in gpu/tables/scales.rs; equal.
 // Threads   one per level: workgroup 64, dispatch 1.
-// Reads     scales [L]: scale, peak, clamped; faults [8]
+// Reads     scales [L]: scale, peak, clamped; faults [FAULT_SLOTS]
 // Writes    scales [L]: scale (next), quantum (1 / scale of this gradient), skip, overflows; peak, clamped to 0.
 //           Nothing where a fault is set.
 // Extremes  peak above `most` or clamped: the level is skipped and its scale falls by 2^back_off. Else the scale
@@ -28,7 +28,7 @@ struct Rescaling {
 }
 @group(0) @binding(0) var<uniform> rescaling: Rescaling;
 @group(0) @binding(1) var<storage, read_write> scales: array<LevelScale>;
-@group(0) @binding(2) var<storage, read> faults: array<vec4<u32>, 2>;
+@group(0) @binding(2) var<storage, read> faults: array<vec4<u32>, FAULT_SLOTS / 4u>;
 
 // 2^n, of -126 <= n <= 127.
 fn power(n: i32) -> f32 {

@@ -1,4 +1,4 @@
-// runaway: looks for numbers that run away in the rows of an array.
+// runaway: finds numbers that run away in the rows of an array.
 //
 // Source    none.
 // Twin      marf_field::cpu::composite::Runaways; equal.

@@ -3,11 +3,11 @@
 // Source    exclusive prefix sum in integers: Hillis and Steele 1986 over 256 runs of neighbouring rays
 // Twin      marf_field::gpu::scan_tests, a running sum; equal
 // Threads   one workgroup of 256, each a run of rays; 16 of them also clear what fills up the last block of samples
-// Reads     walk; amounts [rays]: samples of every ray; counts[RAYS] rays in use where walk.again is 1
+// Reads     walk; amounts [rays]: samples of every ray; counts[COUNT_RAYS] rays in use where walk.again is 1
 // Writes    spans [2][ray slots] of the rays in use; counts[slot] samples; xyz, along, ray_of between the number of
-//           samples and the next multiple of 16: 0; where walk.again is 0 counts[RAYS] rays that fit, counts[ALIVE] 0
+//           samples and the next multiple of 16: 0; where walk.again is 0 counts[COUNT_RAYS] rays that fit, counts[COUNT_ALIVE] 0
 // Extremes  The first ray whose samples do not fit, and every ray behind it, is CLIPPED with count 0: its first sample
-//           is 0xffffffff and counts[RAYS] <= its number. 0 rays: both counts are 0. Sums beyond 2^32 - 1 stay there.
+//           is 0xffffffff and counts[COUNT_RAYS] <= its number. 0 rays: both counts are 0. Sums beyond 2^32 - 1 stay there.
 @group(0) @binding(0) var<uniform> walk: Walk;
 @group(0) @binding(1) var<storage, read> amounts: array<u32>;
 @group(0) @binding(2) var<storage, read_write> spans: array<u32>;
@@ -52,7 +52,7 @@ fn clear(sample: u32) {
 @compute @workgroup_size(256)
 fn main(@builtin(local_invocation_index) me: u32) {
     var rays = walk.rays;
-    if walk.again == 1u { rays = min(rays, counts[RAYS]); }
+    if walk.again == 1u { rays = min(rays, counts[COUNT_RAYS]); }
     let run = (rays + THREADS - 1u) / THREADS;
     let first = min(me * run, rays);
     let end = min(first + run, rays);
@@ -85,8 +85,8 @@ fn main(@builtin(local_invocation_index) me: u32) {
         counts[walk.slot] = total;
     }
     if me == 0u && walk.again == 0u {
-        counts[RAYS] = atomicLoad(&fitting);
-        counts[ALIVE] = 0u;
+        counts[COUNT_RAYS] = atomicLoad(&fitting);
+        counts[COUNT_ALIVE] = 0u;
     }
     let end_of_block = min((total + BLOCK - 1u) / BLOCK * BLOCK, walk.capacity);
     if total + me < end_of_block { clear(total + me); }

@@ -61,8 +61,8 @@ pub struct Step {
     /// Kept pixels of all photos.
     pub pixels: u32,
     /// Pixels that see a sparse point; 0 where none pulls, or no longer.
-    pub sightings: u32,
-    /// One ray in so many goes to a sighting.
+    pub observations: u32,
+    /// One ray in so many goes to a observation.
     pub share: u32,
     /// Rays wanted.
     pub rays: u32,
@@ -72,8 +72,8 @@ pub struct Step {
     pub pull: f32,
     /// Step size of the optimiser.
     pub rate: f32,
-    /// Nothing.
-    pub unused: u32,
+    /// Padding to 16 bytes.
+    pub pad: u32,
 }
 
 /// A camera with its pose, an element of `cameras`.
@@ -83,9 +83,13 @@ pub struct ViewCamera {
     /// fx, fy, cx, cy, pixels.
     pub lens: [f32; 4],
     /// k1, k2, p1, p2.
-    pub bend: [f32; 4],
-    /// Rows of the rotation from the camera to the world; the fourth number is the centre, half sides.
-    pub rows: [[f32; 4]; 3],
+    pub distortion: [f32; 4],
+    /// First row of the rotation from the camera to the world; the fourth number is the centre, half sides.
+    pub row_x: [f32; 4],
+    /// Second row, in the same way.
+    pub row_y: [f32; 4],
+    /// Third row, in the same way.
+    pub row_z: [f32; 4],
     /// Number of its first kept pixel among all.
     pub first: u32,
     /// Pixels of which one is kept.
@@ -96,10 +100,10 @@ pub struct ViewCamera {
     pub height: u32,
 }
 
-/// A pixel that sees a sparse point, an element of `sightings`.
+/// A pixel that sees a sparse point, an element of `observations`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
-pub struct Sighted {
+pub struct Observed {
     /// Number of the pixel among all kept.
     pub pixel: u32,
     /// Number of the step at the point as a share of all steps.
@@ -112,7 +116,7 @@ pub struct Sighted {
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub struct PixelRange {
-    /// The camera; `first` and `run` are not looked at.
+    /// The camera; `first` and `run` are not read.
     pub camera: ViewCamera,
     /// First pixel, counted along the rows.
     pub first: u32,
@@ -120,11 +124,11 @@ pub struct PixelRange {
     pub count: u32,
     /// Place of samples within every step, in [0, 1).
     pub jitter: f32,
-    /// Nothing.
-    pub unused: u32,
+    /// Padding to 16 bytes.
+    pub pad: u32,
 }
 
-/// What a walk along rays is told.
+/// Sizes and limits of a walk along rays.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
 pub struct Walk {
@@ -146,11 +150,11 @@ pub struct Walk {
     pub resumes: u32,
     /// Place in `counts` of the number of samples.
     pub slot: u32,
-    /// 1 where `counts` already tells which rays are in use.
+    /// 1 where `counts` already has which rays are in use.
     pub again: u32,
 }
 
-/// What the kernels of exposures are told.
+/// Sizes and rates of the kernels of exposures.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub struct Exposed {
@@ -226,7 +230,7 @@ pub struct Rescaling {
     pub highest: i32,
     /// log2 of what a scale rises by at most.
     pub rise: i32,
-    /// Unused.
+    /// Padding to 16 bytes.
     pub pad: u32,
 }
 
@@ -244,7 +248,7 @@ pub struct Rates {
     pub beta1: f32,
     /// Decay of the second moment.
     pub beta2: f32,
-    /// Unused.
+    /// Padding to 16 bytes.
     pub pad: [f32; 3],
 }
 
@@ -254,7 +258,7 @@ pub struct Rates {
 pub struct Blending {
     /// Share of itself that the average keeps.
     pub keep: f32,
-    /// Unused.
+    /// Padding to 16 bytes.
     pub pad: [f32; 3],
 }
 
@@ -286,7 +290,7 @@ pub struct Probing {
     pub phase: u32,
     /// Place in `counts` of the number of probes.
     pub slot: u32,
-    /// Unused.
+    /// Padding to 16 bytes.
     pub pad: [u32; 2],
 }
 
@@ -324,7 +328,7 @@ pub struct Tally {
     pub count: u32,
 }
 
-/// What chains of multiply-adds are told.
+/// Length and numbers of chains of multiply-adds.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub struct Chains {
@@ -334,6 +338,6 @@ pub struct Chains {
     pub factor: f32,
     /// And adds this.
     pub addend: f32,
-    /// Unused.
+    /// Padding to 16 bytes.
     pub pad: u32,
 }

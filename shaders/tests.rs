@@ -20,65 +20,378 @@ fn validated(name: &str, source: &str) -> naga::Module {
     module
 }
 
-/// Bytes of every struct of a shader, as naga lays it out.
-fn spans(module: &naga::Module) -> Vec<(String, usize)> {
+/// The type of a field as WGSL spells it.
+trait Wgsl {
+    const TYPE: &'static str;
+}
+
+macro_rules! wgsl {
+    ($($rust:ty => $name:literal),* $(,)?) => {
+        $(impl Wgsl for $rust {
+            const TYPE: &'static str = $name;
+        })*
+    };
+}
+
+wgsl! {
+    u32 => "u32",
+    i32 => "i32",
+    f32 => "f32",
+    [u32; 2] => "vec2<u32>",
+    [f32; 2] => "vec2<f32>",
+    [f32; 3] => "vec3<f32>",
+    [f32; 4] => "vec4<f32>",
+    ViewCamera => "ViewCamera",
+}
+
+/// A field: name, type and offset in bytes.
+type Field = (String, String, usize);
+
+/// A struct: name, bytes and fields in the order of their offsets.
+type Layout = (String, usize, Vec<Field>);
+
+/// Returns a field of Rust as WGSL declares it; padding is one number a word there: `pad0`, `pad1`.
+fn rust_field<S, T: Wgsl>(_: fn(&S) -> &T, name: &str, offset: usize) -> Vec<Field> {
+    if name != "pad" {
+        return vec![(name.to_owned(), T::TYPE.to_owned(), offset)];
+    }
+    let scalar = T::TYPE.split(['<', '>']).nth(1).unwrap_or(T::TYPE);
+    let words = 0..size_of::<T>() / 4;
+    let field = |word: usize| (format!("pad{word}"), scalar.to_owned(), offset + 4 * word);
+    words.map(field).collect()
+}
+
+/// Returns the layout of a struct; a field that is left out here does not compile.
+macro_rules! layout {
+    ($name:ident { $($field:ident),* $(,)? }) => {{
+        let _ = |all: $name| {
+            let $name { $($field),* } = all;
+            $(let _ = $field;)*
+        };
+        let fields = [$(rust_field(
+            |all: &$name| &all.$field,
+            stringify!($field),
+            std::mem::offset_of!($name, $field),
+        )),*];
+        (stringify!($name).to_owned(), size_of::<$name>(), fields.concat())
+    }};
+}
+
+/// Returns the layout of every struct that Rust writes or reads.
+fn rust_layouts() -> Vec<Layout> {
+    vec![
+        layout!(GridLevel {
+            resolution,
+            entries,
+            first,
+            dense
+        }),
+        layout!(Step {
+            seed,
+            number,
+            pixels,
+            observations,
+            share,
+            rays,
+            views,
+            pull,
+            rate,
+            pad
+        }),
+        layout!(ViewCamera {
+            lens,
+            distortion,
+            row_x,
+            row_y,
+            row_z,
+            first,
+            run,
+            width,
+            height
+        }),
+        layout!(Observed { pixel, place, pulls }),
+        layout!(PixelRange {
+            camera,
+            first,
+            count,
+            jitter,
+            pad
+        }),
+        layout!(Walk {
+            rays,
+            ray_slots,
+            capacity,
+            limit,
+            steps,
+            padded,
+            side,
+            resumes,
+            slot,
+            again
+        }),
+        layout!(Exposed {
+            views,
+            offsets,
+            ray_slots,
+            share,
+            limits,
+            decays,
+            epsilon,
+            row
+        }),
+        layout!(GridPart {
+            capacity,
+            slot,
+            level,
+            base
+        }),
+        layout!(LevelScale {
+            scale,
+            quantum,
+            peak,
+            clamped,
+            skip,
+            overflows,
+            first,
+            entries
+        }),
+        layout!(Rescaling {
+            levels,
+            target_bits,
+            most,
+            back_off,
+            lowest,
+            highest,
+            rise,
+            pad
+        }),
+        layout!(Rates {
+            rate,
+            epsilon,
+            decay,
+            beta1,
+            beta2,
+            pad
+        }),
+        layout!(Blending { keep, pad }),
+        layout!(Probing {
+            seed,
+            round,
+            purpose,
+            capacity,
+            first,
+            side,
+            every,
+            offset,
+            empty,
+            factor,
+            phase,
+            slot,
+            pad
+        }),
+        layout!(Filling {
+            cells,
+            parts,
+            capacity,
+            at_mean,
+            decay,
+            unknown,
+            shows,
+            shift,
+            slot
+        }),
+        layout!(Tally { sum, count }),
+        layout!(Chains {
+            rounds,
+            factor,
+            addend,
+            pad
+        }),
+        layout!(ProductRun {
+            inner,
+            outputs,
+            capacity,
+            slot,
+            first_a,
+            first_c,
+            pad
+        }),
+        layout!(TransposeRun { inputs, outputs }),
+        layout!(OuterRun {
+            inner,
+            outputs,
+            capacity,
+            slot,
+            chunk,
+            first_a,
+            first_d,
+            pad
+        }),
+        layout!(SumRun {
+            weights,
+            slot,
+            chunk,
+            fault
+        }),
+        layout!(AdamNet {
+            rows,
+            last,
+            factor,
+            decay,
+            epsilon,
+            beta1,
+            beta2,
+            pad
+        }),
+        layout!(Pace { rate, total, pad }),
+        layout!(HarmonicsRun {
+            slot,
+            stride,
+            first,
+            pad
+        }),
+        layout!(Extent {
+            slot,
+            capacity,
+            rays,
+            pad
+        }),
+        layout!(GatherRun {
+            slot,
+            capacity,
+            first_from,
+            first_to
+        }),
+        layout!(CompareRun {
+            slot,
+            capacity,
+            rays,
+            views,
+            offsets,
+            behind,
+            pad
+        }),
+        layout!(SpreadRun {
+            slot,
+            capacity,
+            rays,
+            distortion,
+            cell,
+            emptiness,
+            reach,
+            floor
+        }),
+        layout!(RunawayRun {
+            slot,
+            capacity,
+            fault,
+            pad
+        }),
+        layout!(Total {
+            visited,
+            kept,
+            rays,
+            alive,
+            faults,
+            loss,
+            pad
+        }),
+        layout!(PaintRun {
+            slot,
+            capacity,
+            rays,
+            deep
+        }),
+        layout!(FinishRun {
+            slot,
+            rays,
+            behind,
+            half_side
+        }),
+    ]
+}
+
+/// Returns the type of a field as WGSL spells it; an atomic is the number that it holds.
+fn type_name(module: &naga::Module, ty: naga::Handle<naga::Type>) -> String {
+    let scalar = |scalar: naga::Scalar| match scalar.kind {
+        naga::ScalarKind::Uint => "u32",
+        naga::ScalarKind::Sint => "i32",
+        naga::ScalarKind::Float => "f32",
+        _ => "another kind",
+    };
+    let ty = &module.types[ty];
+    match &ty.inner {
+        naga::TypeInner::Scalar(kind) | naga::TypeInner::Atomic(kind) => scalar(*kind).to_owned(),
+        naga::TypeInner::Vector { size, scalar: kind } => format!("vec{}<{}>", *size as u32, scalar(*kind)),
+        _ => ty.name.clone().unwrap_or_else(|| format!("{:?}", ty.inner)),
+    }
+}
+
+/// Returns the layout of every struct of a shader, as naga lays it out.
+fn wgsl_layouts(module: &naga::Module) -> Vec<Layout> {
     let named = module.types.iter().filter_map(|(_, ty)| match &ty.inner {
-        naga::TypeInner::Struct { span, .. } => Some((ty.name.clone()?, *span as usize)),
+        naga::TypeInner::Struct { members, span } => {
+            let fields = members.iter().map(|member| {
+                let name = member.name.clone().unwrap_or_default();
+                (name, type_name(module, member.ty), member.offset as usize)
+            });
+            Some((ty.name.clone()?, *span as usize, fields.collect()))
+        }
         _ => None,
     });
     named.collect()
 }
 
-/// Every struct of WGSL and its twin in Rust.
-const LAYOUTS: &[(&str, usize)] = &[
-    ("GridLevel", size_of::<GridLevel>()),
-    ("Step", size_of::<Step>()),
-    ("ViewCamera", size_of::<ViewCamera>()),
-    ("Sighted", size_of::<Sighted>()),
-    ("PixelRange", size_of::<PixelRange>()),
-    ("Walk", size_of::<Walk>()),
-    ("Exposed", size_of::<Exposed>()),
-    ("GridPart", size_of::<GridPart>()),
-    ("LevelScale", size_of::<LevelScale>()),
-    ("Rescaling", size_of::<Rescaling>()),
-    ("Rates", size_of::<Rates>()),
-    ("Blending", size_of::<Blending>()),
-    ("Probing", size_of::<Probing>()),
-    ("Filling", size_of::<Filling>()),
-    ("Tally", size_of::<Tally>()),
-    ("ProductRun", size_of::<ProductRun>()),
-    ("TransposeRun", size_of::<TransposeRun>()),
-    ("OuterRun", size_of::<OuterRun>()),
-    ("SumRun", size_of::<SumRun>()),
-    ("AdamNet", size_of::<AdamNet>()),
-    ("Pace", size_of::<Pace>()),
-    ("HarmonicsRun", size_of::<HarmonicsRun>()),
-    ("Extent", size_of::<Extent>()),
-    ("GatherRun", size_of::<GatherRun>()),
-    ("CompareRun", size_of::<CompareRun>()),
-    ("SpreadRun", size_of::<SpreadRun>()),
-    ("RunawayRun", size_of::<RunawayRun>()),
-    ("Total", size_of::<Total>()),
-    ("PaintRun", size_of::<PaintRun>()),
-    ("FinishRun", size_of::<FinishRun>()),
-    ("Chains", size_of::<Chains>()),
-];
-
+/// Names, types and offsets: two numbers of one type that change places in Rust or in WGSL alone fail here.
 #[test]
-fn every_kernel_is_valid_core_webgpu_and_its_structs_are_laid_out_as_in_rust() {
+fn every_kernel_is_valid_core_webgpu_and_its_structs_have_the_fields_of_rust() {
+    let (known, mut met) = (rust_layouts(), std::collections::BTreeSet::new());
     for shader in SHADERS {
         for head in shader.heads {
             let module = validated(shader.name, &shader.source(head));
-            for (name, span) in spans(&module) {
-                let known = LAYOUTS.iter().find(|(layout, _)| *layout == name);
-                assert_eq!(
-                    known.map(|(_, bytes)| *bytes),
-                    Some(span),
-                    "{}: {name}",
-                    shader.name
-                );
+            for layout in wgsl_layouts(&module) {
+                let rust = known.iter().find(|(name, ..)| *name == layout.0);
+                assert_eq!(Some(&layout), rust, "{}: WGSL, then Rust", shader.name);
+                met.insert(layout.0);
             }
         }
+    }
+    for (name, ..) in known {
+        assert!(met.contains(&name), "no kernel declares `{name}`");
+    }
+}
+
+/// The comparison above tells two numbers of one type apart: here they change places in the text of a kernel.
+#[test]
+fn two_numbers_that_change_places_in_a_kernel_are_found() {
+    let text = SPREAD.source(SPREAD.heads[0]);
+    let (before, after) = (
+        "distortion: f32,\n    cell: f32,",
+        "cell: f32,\n    distortion: f32,",
+    );
+    assert!(text.contains(before), "{text}");
+    let known = rust_layouts();
+    let is_known = |text: &str| {
+        let layouts = wgsl_layouts(&validated("spread", text));
+        layouts.iter().all(|layout| known.contains(layout))
+    };
+    assert!(is_known(&text) && !is_known(&text.replace(before, after)));
+}
+
+/// A struct is declared in one file; two kinds of kernels see the marks of a level, with and without atomics.
+#[test]
+fn every_struct_is_declared_once() {
+    let mut texts: Vec<&str> = SHADERS
+        .iter()
+        .flat_map(|shader| shader.shared.iter().copied().chain([shader.text]))
+        .filter(|text| *text != LEVEL_MARKS)
+        .collect();
+    texts.sort_unstable();
+    texts.dedup();
+    for (name, ..) in rust_layouts() {
+        let declared = format!("struct {name} {{");
+        let times: usize = texts.iter().map(|text| text.matches(&declared).count()).sum();
+        assert_eq!(times, 1, "`{name}` is declared {times} times");
     }
 }
 

@@ -1,23 +1,11 @@
-// totals: what the host is told of a step.
+// totals: counts, faults and loss of a step, for the host.
 //
 // Source    none.
 // Twin      marf_field::trainer::Trainer::step (its sums); the loss within 1e-5: f32 here, f64 there.
 // Threads   one workgroup of 256, dispatch (1).
-// Reads     loss f32 [rays] of rays in use (row FOUND_LOSS of `compare`), counts [4], faults [8]; pace.total
+// Reads     loss f32 [rays] of rays in use (row FOUND_LOSS of `compare`), counts [4], faults [FAULT_SLOTS]; pace.total
 // Writes    ring[pace.total], modulo its length: one element
 // Extremes  no ray: the loss is 0. NaN is passed on; its fault is set already.
-struct Extent {
-    slot: u32,
-    capacity: u32,
-    rays: u32,
-    pad0: u32,
-}
-struct Pace {
-    rate: f32,
-    total: u32,
-    pad0: u32,
-    pad1: u32,
-}
 struct Total {
     visited: u32,
     kept: u32,
@@ -49,7 +37,9 @@ fn main(@builtin(local_invocation_index) lane: u32) {
     }
     if lane > 0u { return; }
     var mask = 0u;
-    for (var kind = 0u; kind < 8u; kind++) { mask |= select(0u, 1u, faults[kind] > 0u) << kind; }
+    for (var kind = 0u; kind < FAULT_SLOTS; kind++) { mask |= select(0u, 1u, faults[kind] > 0u) << kind; }
     let place = pace.total % arrayLength(&ring);
-    ring[place] = Total(counts[0], counts[1], counts[2], counts[3], mask, sums[0], 0u, 0u);
+    ring[place] = Total(
+        counts[COUNT_VISITED], counts[COUNT_KEPT], counts[COUNT_RAYS], counts[COUNT_ALIVE], mask, sums[0], 0u, 0u
+    );
 }

@@ -12,7 +12,7 @@ struct PixelRange {
     first: u32,
     count: u32,
     jitter: f32,
-    unused: u32,
+    pad0: u32,
 }
 
 @group(0) @binding(0) var<uniform> asked: PixelRange;

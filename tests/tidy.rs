@@ -36,11 +36,15 @@ const CRATES: [Crate; 18] = [
     row("stages/stage", "marf-stage", &["marf-cache"]),
     row("stages/scene", "marf-scene", &["marf-cache"]),
     row("stages/pds", "marf-pds", &["marf-scene"]),
-    row("stages/demo", "marf-demo", &["marf-cache", "marf-scene"]),
+    row(
+        "stages/demo",
+        "marf-demo",
+        &["marf-cache", "marf-numeric", "marf-scene"],
+    ),
     row(
         "stages/field",
         "marf-field",
-        &["marf-shaders", "marf-cache", "marf-scene"],
+        &["marf-shaders", "marf-cache", "marf-numeric", "marf-scene"],
     ),
     row(
         "stages/schema",
@@ -56,10 +60,10 @@ const CRATES: [Crate; 18] = [
     row(
         "stages/filter",
         "marf-filter",
-        &["marf-cache", "marf-stage", "marf-scene"],
+        &["marf-cache", "marf-stage", "marf-scene", "marf-pds"],
     ),
     Crate {
-        tests_use: &["marf-demo", "marf-extract"],
+        tests_use: &["marf-pds", "marf-demo"],
         ..row(
             "stages/calibrate",
             "marf-calibrate",
@@ -126,7 +130,7 @@ const UNSAFE: [&str; 4] = [
     "stages/numeric/src/instruction_set.rs",
     "stages/field/src/cpu/simd.rs",
     "stages/field/src/cpu/simd/",
-    "stages/calibrate/src/simd.rs",
+    "stages/sfm/src/simd.rs",
 ];
 
 fn root() -> PathBuf {

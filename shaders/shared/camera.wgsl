@@ -7,7 +7,7 @@ struct ViewCamera {
     // fx, fy, cx, cy, pixels
     lens: vec4<f32>,
     // k1, k2, p1, p2
-    bend: vec4<f32>,
+    distortion: vec4<f32>,
     // Rows of the rotation from the camera to the world; w is the centre, half sides.
     row_x: vec4<f32>,
     row_y: vec4<f32>,
@@ -25,35 +25,35 @@ const SOLVED: f32 = 1e-7;
 // the fold, by that much: of pixels within 1e-5 of a focal length of it, a hundredth of a pixel, f64 may judge otherwise.
 const CLOSED: f32 = 1e-5;
 
-fn distorted(bend: vec4<f32>, plane: vec2<f32>) -> vec2<f32> {
+fn distorted(distortion: vec4<f32>, plane: vec2<f32>) -> vec2<f32> {
     let r2 = dot(plane, plane);
-    let radial = 1.0 + r2 * (bend.x + r2 * bend.y);
+    let radial = 1.0 + r2 * (distortion.x + r2 * distortion.y);
     let product = 2.0 * plane.x * plane.y;
-    let aside = vec2(bend.w * (r2 + 2.0 * plane.x * plane.x), bend.z * (r2 + 2.0 * plane.y * plane.y));
-    return plane * radial + bend.zw * product + aside;
+    let aside = vec2(distortion.w * (r2 + 2.0 * plane.x * plane.x), distortion.z * (r2 + 2.0 * plane.y * plane.y));
+    return plane * radial + distortion.zw * product + aside;
 }
 
 // The step (x, y) of Newton's method and the determinant, whose size tells whether there is one.
-fn newton_step(bend: vec4<f32>, plane: vec2<f32>, error: vec2<f32>) -> vec3<f32> {
+fn newton_step(distortion: vec4<f32>, plane: vec2<f32>, error: vec2<f32>) -> vec3<f32> {
     let r2 = dot(plane, plane);
-    let radial = 1.0 + r2 * (bend.x + r2 * bend.y);
-    let slope = 2.0 * (bend.x + 2.0 * bend.y * r2);
-    let xx = radial + slope * plane.x * plane.x + 2.0 * bend.z * plane.y + 6.0 * bend.w * plane.x;
-    let xy = slope * plane.x * plane.y + 2.0 * bend.z * plane.x + 2.0 * bend.w * plane.y;
-    let yy = radial + slope * plane.y * plane.y + 6.0 * bend.z * plane.y + 2.0 * bend.w * plane.x;
+    let radial = 1.0 + r2 * (distortion.x + r2 * distortion.y);
+    let slope = 2.0 * (distortion.x + 2.0 * distortion.y * r2);
+    let xx = radial + slope * plane.x * plane.x + 2.0 * distortion.z * plane.y + 6.0 * distortion.w * plane.x;
+    let xy = slope * plane.x * plane.y + 2.0 * distortion.z * plane.x + 2.0 * distortion.w * plane.y;
+    let yy = radial + slope * plane.y * plane.y + 6.0 * distortion.z * plane.y + 2.0 * distortion.w * plane.x;
     let determinant = xx * yy - xy * xy;
     return vec3(vec2(yy * error.x - xy * error.y, xx * error.y - xy * error.x) / determinant, determinant);
 }
 
 // Whether the radial map still rises at r2, and before: its slope is a parabola in r2.
-fn unfolded(bend: vec4<f32>, r2: f32) -> bool {
+fn unfolded(distortion: vec4<f32>, r2: f32) -> bool {
     var lowest = 0.0;
-    if bend.y > 0.0 {
-        let vertex = -0.3 * bend.x / bend.y;
+    if distortion.y > 0.0 {
+        let vertex = -0.3 * distortion.x / distortion.y;
         lowest = select(0.0, select(r2, vertex, vertex < r2), vertex > 0.0);
     }
-    let here = 1.0 + r2 * (3.0 * bend.x + r2 * 5.0 * bend.y);
-    let before = 1.0 + lowest * (3.0 * bend.x + lowest * 5.0 * bend.y);
+    let here = 1.0 + r2 * (3.0 * distortion.x + r2 * 5.0 * distortion.y);
+    let before = 1.0 + lowest * (3.0 * distortion.x + lowest * 5.0 * distortion.y);
     return here > 0.0 && before > 0.0;
 }
 
@@ -74,16 +74,16 @@ fn unprojected(camera: ViewCamera, pixel: vec2<f32>) -> vec4<f32> {
     let reach = 1.0 + largest(goal);
     var plane = goal;
     for (var k = 0u; k < NEWTON_STEPS; k++) {
-        let error = distorted(camera.bend, plane) - goal;
+        let error = distorted(camera.distortion, plane) - goal;
         if !is_finite(error) { return vec4(0.0); }
         if largest(error) < SOLVED * reach { break; }
-        let solved = newton_step(camera.bend, plane, error);
+        let solved = newton_step(camera.distortion, plane, error);
         if abs(solved.z) <= 1e-12 { return vec4(0.0); }
         plane -= solved.xy;
     }
-    let error = distorted(camera.bend, plane) - goal;
+    let error = distorted(camera.distortion, plane) - goal;
     let closed = is_finite(error) && largest(error) < CLOSED * reach;
-    return select(vec4(0.0), vec4(plane, 1.0, 1.0), closed && unfolded(camera.bend, dot(plane, plane)));
+    return select(vec4(0.0), vec4(plane, 1.0, 1.0), closed && unfolded(camera.distortion, dot(plane, plane)));
 }
 
 // The unit direction in the world behind a pixel, and 1; all zero where there is none.

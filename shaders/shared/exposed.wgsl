@@ -1,4 +1,4 @@
-// What the kernels of exposures are told.
+// Sizes and rates of the kernels of exposures.
 struct Exposed {
     views: u32,
     // 1 where photos have offsets behind their gains.

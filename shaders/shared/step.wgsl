@@ -6,8 +6,8 @@ struct Step {
     // Kept pixels of all photos.
     pixels: u32,
     // Pixels that see a sparse point; 0 where none pulls, or no longer.
-    sightings: u32,
-    // One ray in so many goes to a sighting.
+    observations: u32,
+    // One ray in so many goes to a observation.
     share: u32,
     // Rays wanted.
     rays: u32,
@@ -16,5 +16,5 @@ struct Step {
     pull: f32,
     // Step size of the optimiser.
     rate: f32,
-    unused: u32,
+    pad0: u32,
 }

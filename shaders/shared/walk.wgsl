@@ -1,4 +1,4 @@
-// What a walk along rays is told.
+// Sizes and limits of a walk along rays.
 struct Walk {
     // Rays in use, and slots there are for rays: columns of `spans` are that long.
     rays: u32,
@@ -16,7 +16,7 @@ struct Walk {
     resumes: u32,
     // Place in `counts` of the number of samples.
     slot: u32,
-    // 1 where `counts` already tells which rays are in use: those whose samples once fitted.
+    // 1 where `counts` already has which rays are in use: those whose samples once fitted.
     again: u32,
 }
 

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use marf_field::Device;
+use marf_stage::Access;
 
 use crate::config::GlobalOptions;
-use marf_stage::Access;
 
 /// Raw Mars rover and helicopter photos to radiance fields, with proof of how.
 #[derive(Debug, Parser)]
@@ -72,7 +72,7 @@ pub struct Global {
 }
 
 impl Global {
-    /// Returns what is said for all nodes and archives.
+    /// Returns the options that hold for all nodes and archives.
     pub fn options(&self) -> GlobalOptions {
         let access = match (self.offline, self.locked) {
             (true, _) => Access::Offline,

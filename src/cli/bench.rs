@@ -1,7 +1,8 @@
-//! `marf bench`: trains against the clock, as the side-by-side comparison with other trainers asks.
+//! `marf bench train`: trains against the clock, for comparisons with other trainers.
 //!
-//! The clock lives here and nowhere in a stage: what is trained depends on it, hence nothing of it is kept in the
-//! store but what import reads.
+//! It has a training loop of its own: the clock counts optimiser steps alone, without the decoding, checkpoints and
+//! probes of the stage `train`, and decides how many there are. Such a result is no function of parameters and inputs,
+//! so it is not kept in the store.
 
 use std::path::Path;
 use std::time::Instant;
@@ -27,10 +28,10 @@ use crate::terminal::{eprint_line, print_line};
 /// Ticks a second in /proc/self/stat, on every Linux.
 const TICKS_PER_S: f64 = 100.0;
 
-/// Keys of `train` that a bench listens to; the seconds come from the command line.
+/// Keys of `train` that `marf bench train` takes; the seconds come from the command line.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-struct Keys {
+struct BenchParams {
     quality: Quality,
     seed: u64,
     scale: Option<u32>,
@@ -116,8 +117,8 @@ struct Line {
     render_rays_per_s: f64,
 }
 
-/// A photo held out: name of its picture, its view, its pixels.
-struct Test {
+/// A held-out view: name of its picture, its frame, its photo.
+struct TestView {
     name: String,
     frame: Frame,
     photo: Image<Srgb>,
@@ -163,7 +164,7 @@ fn pipeline(dir: &Path) -> String {
     )
 }
 
-fn keys(session: &Session) -> Result<Keys, CliError> {
+fn keys(session: &Session) -> Result<BenchParams, CliError> {
     let node = session.nodes.iter().find(|node| node.name == TrainParams::STAGE);
     let mut params = node.map(|node| node.params.clone()).unwrap_or_default();
     if let Some(table) = params.as_object_mut() {
@@ -186,7 +187,7 @@ fn import(session: &Session, global: &Global, cancel: &Cancel) -> Result<Scene, 
 }
 
 /// Decodes all photos, those to train on and those held out.
-fn photos(session: &Session, scene: &Scene, scale: u32) -> Result<(Vec<View>, Vec<Test>), CliError> {
+fn photos(session: &Session, scene: &Scene, scale: u32) -> Result<(Vec<View>, Vec<TestView>), CliError> {
     let (mut views, mut tests) = (Vec::new(), Vec::new());
     for (frame, name) in scene.frames.iter().zip(picture_names(scene)) {
         let photo = Photo::decode(&session.store.get(&frame.image)?);
@@ -198,7 +199,7 @@ fn photos(session: &Session, scene: &Scene, scale: u32) -> Result<(Vec<View>, Ve
                 camera,
                 ..frame.clone()
             };
-            tests.push(Test { name, frame, photo });
+            tests.push(TestView { name, frame, photo });
         } else {
             views.push(View {
                 id: frame.id.clone(),
@@ -216,7 +217,7 @@ fn photos(session: &Session, scene: &Scene, scale: u32) -> Result<(Vec<View>, Ve
     Ok((views, tests))
 }
 
-/// What a training is timed with.
+/// Settings of a benchmark.
 struct Bench<'a> {
     clock: Clock,
     threads: usize,
@@ -225,9 +226,9 @@ struct Bench<'a> {
     device: &'a Device,
 }
 
-/// Seconds and work of the training so far.
+/// Time and work so far.
 #[derive(Default)]
-struct Spent {
+struct Effort {
     wall_s: f64,
     cpu_s: f64,
     rays: u64,
@@ -239,7 +240,7 @@ impl Bench<'_> {
     fn run(
         &self,
         views: &[View],
-        tests: &[Test],
+        tests: &[TestView],
         points: &[[f64; 3]],
         (config, seed): (&Config, u64),
         budgets: &[Budget],
@@ -250,8 +251,8 @@ impl Bench<'_> {
                 steps: config.steps.or(Some(budget.expected_steps())),
                 ..config.clone()
             };
-            let (mut trainer, spent) = self.trained(views.to_vec(), points, (&config, seed), *budget)?;
-            let line = self.look(&mut trainer, tests, &spent, *budget)?;
+            let (mut trainer, effort) = self.trained(views.to_vec(), points, (&config, seed), *budget)?;
+            let line = self.evaluate(&mut trainer, tests, &effort, *budget)?;
             let text = serde_json::to_string(&line);
             print_line(&text.map_err(|error| CliError::failed(error.to_string()))?);
             lines.push(line);
@@ -265,18 +266,18 @@ impl Bench<'_> {
         points: &[[f64; 3]],
         (config, seed): (&Config, u64),
         budget: Budget,
-    ) -> Result<(Trainer, Spent), CliError> {
+    ) -> Result<(Trainer, Effort), CliError> {
         let failed = |error: marf_field::FieldError| CliError::failed(error.to_string());
-        let mut spent = Spent::default();
-        let mut trainer = spent
+        let mut effort = Effort::default();
+        let mut trainer = effort
             .timed(|| Trainer::new(views, points, config, seed))
             .and_then(|trainer| trainer.on(self.device))
             .map_err(failed)?;
-        let is_open = |trainer: &Trainer, spent: &Spent| match budget {
-            Budget::Seconds(seconds) => self.seconds(spent) < f64::from(seconds),
+        let is_open = |trainer: &Trainer, effort: &Effort| match budget {
+            Budget::Seconds(seconds) => self.seconds(effort) < f64::from(seconds),
             Budget::Steps(steps) => trainer.steps() < steps,
         };
-        while is_open(&trainer, &spent) {
+        while is_open(&trainer, &effort) {
             if self.cancel.is_set() {
                 return Err(CliError::Interrupted);
             }
@@ -284,32 +285,32 @@ impl Bench<'_> {
                 Budget::Seconds(_) => u64::MAX,
                 Budget::Steps(steps) => steps - trainer.steps(),
             };
-            let step = spent.timed(|| trainer.advance(most)).map_err(failed)?;
-            spent.rays += step.rays;
-            spent.samples += step.samples;
+            let step = effort.timed(|| trainer.advance(most)).map_err(failed)?;
+            effort.rays += step.rays;
+            effort.samples += step.samples;
         }
-        Ok((trainer, spent))
+        Ok((trainer, effort))
     }
 
-    fn seconds(&self, spent: &Spent) -> f64 {
+    fn seconds(&self, effort: &Effort) -> f64 {
         match self.clock {
-            Clock::Wall => spent.wall_s,
-            Clock::Cpu => spent.cpu_s / self.threads as f64,
+            Clock::Wall => effort.wall_s,
+            Clock::Cpu => effort.cpu_s / self.threads as f64,
         }
     }
 
     /// Renders and scores the test views as of now.
-    fn look(
+    fn evaluate(
         &self,
         trainer: &mut Trainer,
-        tests: &[Test],
-        spent: &Spent,
+        tests: &[TestView],
+        effort: &Effort,
         budget: Budget,
     ) -> Result<Line, CliError> {
         let failed = |error: marf_field::FieldError| CliError::failed(error.to_string());
         let field = trainer.field().map_err(failed)?;
         let folder = self.out.join(budget.to_string());
-        let mut rendering = Spent::default();
+        let mut rendering = Effort::default();
         let (mut psnr, mut paper, mut ssim) = (Vec::new(), Vec::new(), Vec::new());
         for test in tests {
             let render = rendering.timed(|| rendered(&field, test)).map_err(failed)?;
@@ -321,14 +322,14 @@ impl Bench<'_> {
             let png = encode_png(&render).map_err(|error| fail(&error))?;
             files::write(&folder.join(format!("{}.png", test.name)), &png)?;
         }
-        let clock = self.seconds(spent);
+        let clock = self.seconds(effort);
         Ok(Line {
             budget,
             clock,
-            cpu_s: spent.cpu_s,
+            cpu_s: effort.cpu_s,
             steps: trainer.steps(),
-            rays_per_s: spent.rays as f64 / clock,
-            samples_per_s: spent.samples as f64 / clock,
+            rays_per_s: effort.rays as f64 / clock,
+            samples_per_s: effort.samples as f64 / clock,
             rss_mb: peak_mb(),
             psnr: mean(&psnr).unwrap_or_default(),
             psnr_paper: mean(&paper),
@@ -339,12 +340,12 @@ impl Bench<'_> {
     }
 }
 
-fn rendered(field: &Field, test: &Test) -> Result<Image<Srgb>, marf_field::FieldError> {
+fn rendered(field: &Field, test: &TestView) -> Result<Image<Srgb>, marf_field::FieldError> {
     let render = field.render(&test.frame.camera, &test.frame.cam_from_world)?;
     Ok(render.to_image())
 }
 
-impl Spent {
+impl Effort {
     fn timed<T>(&mut self, work: impl FnOnce() -> T) -> T {
         let (wall, cpu_s) = (Instant::now(), cpu_s());
         let done = work();
@@ -358,7 +359,7 @@ fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// Processor seconds of this process so far; 0 where /proc does not tell.
+/// Processor seconds of this process so far; 0 without /proc.
 fn cpu_s() -> f64 {
     let stat = fs::read_to_string("/proc/self/stat").unwrap_or_default();
     // The name in brackets may hold spaces: user and system time are the 12th and 13th word after it.
@@ -370,7 +371,7 @@ fn cpu_s() -> f64 {
     ticks.sum::<f64>() / TICKS_PER_S
 }
 
-/// Largest resident size so far, MB; 0 where /proc does not tell.
+/// Largest resident size so far, MB; 0 without /proc.
 fn peak_mb() -> u64 {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));

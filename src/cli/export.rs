@@ -1,4 +1,4 @@
-//! Puts the outputs of a run where people look for them: `OUT/<node>/<file>`.
+//! Writes the outputs of a run to `OUT/<node>/<file>`.
 
 use std::path::{Component, Path};
 

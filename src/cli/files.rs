@@ -1,4 +1,4 @@
-//! Writing files for people: whole or not at all.
+//! Writing files atomically.
 
 use std::path::Path;
 
@@ -25,7 +25,7 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
     std::fs::write(&partial, bytes)
         .and_then(|()| std::fs::rename(&partial, path))
         .map_err(|error| {
-            let _ = std::fs::remove_file(&partial); // it may not exist; the first error is the one to tell
+            let _ = std::fs::remove_file(&partial); // it may not exist; the first error is returned
             refuse(error)
         })
 }

@@ -3,7 +3,6 @@
 mod args;
 mod bench;
 mod budget;
-mod by_hand;
 mod cache;
 mod calibrate;
 mod error;
@@ -13,6 +12,7 @@ mod filter;
 mod fit;
 mod init;
 mod log;
+mod manual_lists;
 mod output;
 mod photos;
 mod plan;
@@ -32,7 +32,7 @@ use args::{BenchVerb, CacheVerb, Cli, Verb};
 use error::CliError;
 use output::print_json;
 
-/// Reads the command line, does what it says, and returns the exit code.
+/// Parses the command line, runs the verb and returns the exit code.
 ///
 /// `cancel` is set by the caller when the user wants to stop.
 pub fn main(cancel: &Cancel) -> ExitCode {

@@ -1,10 +1,29 @@
 use marf_engine::{PlanState, PlannedNode};
+use serde::Serialize;
 
 use super::args::{Global, Selection};
 use super::error::CliError;
 use super::output::print_json;
 use super::session::Session;
 use crate::terminal::print_line;
+
+/// A node, as `--json` prints it.
+#[derive(Debug, Serialize)]
+struct Row<'a> {
+    node: &'a str,
+    reason: &'a str,
+    state: PlanState,
+}
+
+impl<'a> Row<'a> {
+    fn of(planned: &'a PlannedNode) -> Self {
+        Self {
+            node: &planned.node,
+            reason: &planned.reason,
+            state: planned.state,
+        }
+    }
+}
 
 /// `marf plan`: the state of every node and the first thing that changed.
 pub fn plan(global: &Global, selection: &Selection) -> Result<(), CliError> {
@@ -16,10 +35,8 @@ pub fn plan(global: &Global, selection: &Selection) -> Result<(), CliError> {
         .select(selection.to.as_slice(), selection.from.as_slice())?;
     nodes.retain(|node| chosen.contains(&node.node));
     if global.json {
-        let rows = nodes
-            .iter()
-            .map(|node| serde_json::json!({"node": node.node, "state": node.state, "reason": node.reason}));
-        return print_json(&rows.collect::<Vec<_>>());
+        let rows: Vec<Row<'_>> = nodes.iter().map(Row::of).collect();
+        return print_json(&rows);
     }
     for node in &nodes {
         print_line(format!("{:<16} {:<9} {}", node.node, word(node.state), node.reason).trim_end());
@@ -46,11 +63,11 @@ pub fn why(global: &Global, node: &str) -> Result<(), CliError> {
         word(planned.state),
         planned.reason
     ));
-    tell_changes(&planned);
+    print_changes(&planned);
     Ok(())
 }
 
-fn tell_changes(planned: &PlannedNode) {
+fn print_changes(planned: &PlannedNode) {
     if let Some(key) = planned.key {
         print_line(&format!("  key {key}"));
     }

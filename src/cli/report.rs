@@ -24,14 +24,14 @@ pub fn report(global: &Global, out: &Path) -> Result<(), CliError> {
     Ok(())
 }
 
-/// Writes the report after a run; where nothing ran, the one that is there tells what did.
+/// Writes the report after a run, unless nothing ran and the report that is there is of the same keys.
 ///
 /// # Errors
 /// A place that cannot be written.
 pub fn refresh(session: &Session, record: &RunRecord, out: &Path) -> Result<(), CliError> {
-    let quiet = record.nodes.iter().all(|node| node.state == NodeState::Reused);
+    let nothing_ran = record.nodes.iter().all(|node| node.state == NodeState::Reused);
     let current = std::fs::read_to_string(out).is_ok_and(|text| text.contains(&marker(record)));
-    if quiet && current {
+    if nothing_ran && current {
         Ok(())
     } else {
         write(session, record, out)
@@ -51,17 +51,17 @@ pub fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<(), Cl
         program: record.program.clone(),
         nodes: nodes(session, record),
         read: &read,
-        memos: &Kept(&session.store),
+        memos: &StoreMemos(&session.store),
     };
     let page = show::write(&input);
     session.store.commit()?;
     files::write(out, format!("{page}\n{}\n", marker(record)).as_bytes())
 }
 
-/// Memos of the store; one that is lost costs only time.
-struct Kept<'a>(&'a Store);
+/// Memos in the store; a lost one costs only time.
+struct StoreMemos<'a>(&'a Store);
 
-impl Memos for Kept<'_> {
+impl Memos for StoreMemos<'_> {
     fn load(&self, key: &Digest) -> Option<Arc<[u8]>> {
         let blob = self.0.memo(key).ok()??;
         self.0.get(&blob).ok()
@@ -74,7 +74,7 @@ impl Memos for Kept<'_> {
     }
 }
 
-/// A comment that names the keys of all nodes: equal keys, equal content.
+/// Returns a comment with a digest of the keys of all nodes: equal keys give equal reports.
 fn marker(record: &RunRecord) -> String {
     let keys: Vec<String> = record
         .nodes

@@ -7,7 +7,7 @@ use parking_lot::Mutex;
 use super::args::{Global, RunArgs};
 use super::error::{CliError, Diagnostic};
 use super::session::Session;
-use super::{by_hand, export, report, verdicts};
+use super::{export, manual_lists, report, verdicts};
 use crate::progress::{Progress, duration};
 use crate::terminal::{eprint_line, print_line};
 
@@ -75,7 +75,7 @@ pub fn execute(
         eprint_line(&format!("device  {device}"));
     }
     let record = marf_engine::run(&session.graph, &session.store, options, &listener, cancel)?;
-    for line in by_hand::idle(&session.nodes, &verdicts::all(session, &record)) {
+    for line in manual_lists::without_effect(&session.nodes, &verdicts::all(session, &record)) {
         eprint_line(&format!("warning: {line}"));
     }
     let failure = listener.failure.into_inner();

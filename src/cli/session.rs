@@ -26,7 +26,7 @@ pub struct Session {
     pub devices: Vec<String>,
 }
 
-/// What a report says of a node beside what ran.
+/// What a report shows of a node beside its run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeInfo {
     /// Its name.
@@ -47,7 +47,7 @@ impl Session {
         Self::of(loaded.pipeline, &store_dir(global, &global.file))
     }
 
-    /// Takes a pipeline that a one-folder verb has written.
+    /// Loads the text of a pipeline that a verb has built for one folder.
     ///
     /// # Errors
     /// As [`Session::open`].

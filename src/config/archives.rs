@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use marf_stage::{Access, ArchiveContext, ParamError};
+use marf_stage::{Access, ArchiveContext, LOCK_FILE, ParamError};
 use marf_stages::ArchiveDef;
 use serde_json::{Map, Value as Json, json};
 
@@ -12,8 +12,6 @@ use crate::nearest::did_you_mean;
 
 /// Key that names the kind of an archive.
 const KIND: &str = "kind";
-/// Name of the lock file, beside pipeline.toml.
-const LOCK: &str = "marf.lock";
 
 /// The `[archive.*]` tables of a pipeline.
 pub(super) struct Archives<'a> {
@@ -23,8 +21,8 @@ pub(super) struct Archives<'a> {
 }
 
 impl<'a> Archives<'a> {
-    /// Checks that every table has a known kind and no key that its kind does not read. Relative paths are meant from
-    /// `folder`, where the lock file lies too.
+    /// Checks that every table has a known kind and no key that its kind does not read. Paths are relative to
+    /// `folder`, the folder of the lock file.
     ///
     /// # Errors
     /// The first thing that is wrong, with its place.
@@ -63,14 +61,14 @@ impl<'a> Archives<'a> {
         ArchiveContext {
             name: table.key.clone(),
             folder: self.folder.to_owned(),
-            lock: Some(self.folder.join(LOCK)),
+            lock: Some(self.folder.join(LOCK_FILE)),
             access: self.access,
         }
     }
 }
 
-/// Puts a stage's complaint about the archive it reads at the key of the archive's table; `path` is below the table.
-pub(super) fn complaint(table: &Entry, path: &str, error: &ParamError) -> ConfigError {
+/// Puts a stage's error about the archive it reads at the key of the archive's table; `path` is below the table.
+pub(super) fn param_error(table: &Entry, path: &str, error: &ParamError) -> ConfigError {
     let (at, key) = match path {
         "" => (table.at.clone(), String::new()),
         path => (table.value.place(path), format!(".{path}")),

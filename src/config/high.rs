@@ -9,9 +9,9 @@ use marf_stage::{ParamError, Stage, StageDef};
 use serde_json::Value as Json;
 
 use super::archives::{self, Archives};
-use super::by_hand;
 use super::error::{ConfigError, Origin};
 use super::low::{Entry, Located};
+use super::manual_lists;
 use super::options::GlobalOptions;
 use crate::nearest::did_you_mean;
 
@@ -40,11 +40,11 @@ pub struct Node {
 /// Keys a whole pipeline may have.
 const TOP: [&str; 5] = ["name", "archive", "node", "keep", "reject"];
 
-/// What nodes take from beside their own table.
-struct Around<'a> {
+/// What a node's parameters depend on beside its own table.
+struct PipelineContext<'a> {
     archives: Archives<'a>,
     device: Option<&'a Device>,
-    by_hand: Option<serde_json::Map<String, Json>>,
+    manual_lists: Option<serde_json::Map<String, Json>>,
 }
 
 pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Result<Pipeline, ConfigError> {
@@ -58,24 +58,28 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
         None => "marf".to_owned(),
         Some(entry) => text(entry)?.to_owned(),
     };
-    let around = Around {
-        archives: Archives::new(tables(root, "archive")?, options.access, base)?,
+    let context = PipelineContext {
+        archives: Archives::new(tables(root, ARCHIVE)?, options.access, base)?,
         device: options.device.as_ref(),
-        by_hand: by_hand::lists(root)?,
+        manual_lists: manual_lists::lists(root)?,
     };
     let tables = tables(root, "node")?;
     let names: Vec<&str> = tables.iter().map(|entry| entry.key.as_str()).collect();
     let nodes = tables
         .iter()
-        .map(|entry| node(entry, &names, &around))
+        .map(|entry| node(entry, &names, &context))
         .collect::<Result<Vec<_>, _>>()?;
     if nodes.is_empty() {
         let hint = Some("write one with `marf init`".to_owned());
         return Err(ConfigError::at(root.at.clone(), "the pipeline has no node".to_owned()).hint(hint));
     }
-    if around.by_hand.is_some() && !nodes.iter().any(|node| node.params.get(by_hand::PARAM).is_some()) {
+    if context.manual_lists.is_some()
+        && !nodes
+            .iter()
+            .any(|node| node.params.get(manual_lists::PARAM).is_some())
+    {
         let at = root.place(
-            by_hand::LISTS
+            manual_lists::LISTS
                 .iter()
                 .find(|list| root.entry(list).is_some())
                 .unwrap_or(&""),
@@ -105,7 +109,7 @@ const ARCHIVE: &str = "archive";
 /// Key of stages that can run on several devices.
 const DEVICE: &str = "device";
 
-fn node(entry: &Entry, names: &[&str], around: &Around<'_>) -> Result<Node, ConfigError> {
+fn node(entry: &Entry, names: &[&str], context: &PipelineContext<'_>) -> Result<Node, ConfigError> {
     let table = &entry.value;
     let def = stage_of(entry)?;
     let schema = (def.schema)();
@@ -125,7 +129,7 @@ fn node(entry: &Entry, names: &[&str], around: &Around<'_>) -> Result<Node, Conf
         if ports.contains(&key) {
             edges.insert(key.to_owned(), upstream(field, names)?);
         } else if key == ARCHIVE && keys.contains(&key) {
-            let table = around.archives.named(field, text(field)?)?;
+            let table = context.archives.named(field, text(field)?)?;
             params.insert(key.to_owned(), table.value.json());
             archive = Some(table);
         } else if keys.contains(&key) {
@@ -148,22 +152,22 @@ fn node(entry: &Entry, names: &[&str], around: &Around<'_>) -> Result<Node, Conf
         let message = format!("`node.{name}` needs `{key} = \"…\"`, the node that gives it `{output}`");
         return Err(ConfigError::at(entry.at.clone(), message));
     }
-    if let Some(device) = around.device
+    if let Some(device) = context.device
         && keys.contains(&DEVICE)
     {
         params.entry(DEVICE).or_insert_with(|| device.to_string().into());
     }
-    if let Some(lists) = &around.by_hand
-        && keys.contains(&by_hand::PARAM)
+    if let Some(lists) = &context.manual_lists
+        && keys.contains(&manual_lists::PARAM)
     {
-        by_hand::lay_under(&mut params, lists);
+        manual_lists::add_to(&mut params, lists);
     }
     let params = Json::Object(params);
     let stage = match archive {
-        Some(table) => (def.bind_archive)(params.clone(), around.archives.context(table)),
+        Some(table) => (def.bind_archive)(params.clone(), context.archives.context(table)),
         None => (def.bind)(params.clone()),
     }
-    .map_err(|error| complaint(entry, archive, &error))?;
+    .map_err(|error| param_error(entry, archive, &error))?;
     Ok(Node {
         name: entry.key.clone(),
         def,
@@ -209,11 +213,11 @@ fn upstream(field: &Entry, names: &[&str]) -> Result<String, ConfigError> {
     Err(ConfigError::at(field.value.at.clone(), message).hint(did_you_mean(name, names.iter().copied())))
 }
 
-/// Puts a stage's complaint at the key it is about, in the node's table or in that of the archive it reads.
-fn complaint(entry: &Entry, archive: Option<&Entry>, error: &ParamError) -> ConfigError {
+/// Puts a stage's error at the key it is about, in the node's table or in that of the archive it reads.
+fn param_error(entry: &Entry, archive: Option<&Entry>, error: &ParamError) -> ConfigError {
     let in_archive = error.path.strip_prefix(ARCHIVE);
     if let (Some(table), Some(path)) = (archive, in_archive) {
-        return archives::complaint(table, path.trim_start_matches('.'), error);
+        return archives::param_error(table, path.trim_start_matches('.'), error);
     }
     let at = if error.path.is_empty() {
         entry.at.clone()

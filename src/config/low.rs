@@ -1,4 +1,4 @@
-//! pipeline.toml as written: values with the place they stand at.
+//! The syntax tree of pipeline.toml: values with their places.
 
 use std::ops::Range;
 

@@ -1,12 +1,13 @@
-//! pipeline.toml: as written (`low`), checked against the table of stages (`high`), and its JSON schema.
+//! pipeline.toml: its syntax tree (`low`), checked against the tables of stages and archives (`high`, `archives`), and its
+//! JSON schema.
 //!
 //! Invariant: a key that no stage reads is refused, with the nearest name that one reads.
 
 mod archives;
-mod by_hand;
 mod error;
 mod high;
 mod low;
+mod manual_lists;
 mod options;
 mod schema;
 mod templates;
@@ -15,6 +16,7 @@ use std::path::{Path, PathBuf};
 
 pub use error::{ConfigError, Origin};
 pub use high::{Node, Pipeline};
+pub use manual_lists::entries as manual_entries;
 pub use options::GlobalOptions;
 pub use schema::schema;
 pub use templates::{TEMPLATES, template};
@@ -27,20 +29,20 @@ pub struct Loaded {
     pub text: String,
 }
 
-/// Why a pipeline could not be loaded, ready for people.
+/// Why a pipeline could not be loaded, as text.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{message}")]
 pub struct LoadError {
-    /// Place and complaint in one line.
+    /// Place and message in one line.
     pub message: String,
-    /// The way out, if known.
+    /// What to do about it, if known.
     pub hint: Option<String>,
 }
 
-/// Reads and checks a pipeline file, with `--set` arguments laid over it.
+/// Reads and checks a pipeline file, with `--set` arguments applied to it.
 ///
 /// # Errors
-/// A file that cannot be read, and everything [`ConfigError`] says.
+/// A file that cannot be read, and every [`ConfigError`].
 pub fn load(file: &Path, sets: &[String], options: &GlobalOptions) -> Result<Loaded, LoadError> {
     let text = std::fs::read_to_string(file).map_err(|error| LoadError {
         message: format!("{}: {error}", file.display()),
@@ -54,7 +56,7 @@ pub fn load(file: &Path, sets: &[String], options: &GlobalOptions) -> Result<Loa
     Ok(Loaded { pipeline, text })
 }
 
-/// Checks a pipeline's text; relative paths of archives are meant from `base`, where marf.lock lies too.
+/// Checks a pipeline's text. Paths of archives are relative to `base`, the folder of marf.lock.
 ///
 /// # Errors
 /// The first thing that is wrong, with its place.

@@ -1,17 +1,17 @@
 use marf_field::Device;
 use marf_stage::Access;
 
-/// What the command line says for all nodes and archives.
+/// Options of the command line that hold for all nodes and archives.
 #[derive(Debug, Clone)]
 pub struct GlobalOptions {
-    /// What nodes run on that can run on several devices and name none.
+    /// Device of the nodes that can run on several and name none.
     pub device: Option<Device>,
     /// What may be asked of the network.
     pub access: Access,
 }
 
+/// Without options: every node chooses its device, and archives on servers may be asked.
 impl Default for GlobalOptions {
-    /// Nodes choose their device, and archives may be asked.
     fn default() -> Self {
         Self {
             device: None,

@@ -30,8 +30,8 @@ pub fn schema() -> Json {
         "additionalProperties": false,
         "properties": {
             "name": {"type": "string", "description": "Name of the pipeline."},
-            "keep": super::by_hand::schema("keeps"),
-            "reject": super::by_hand::schema("rejects"),
+            "keep": super::manual_lists::schema("keeps"),
+            "reject": super::manual_lists::schema("rejects"),
             "archive": archive,
             "node": {
                 "type": "object",

@@ -2,7 +2,7 @@
 pub struct Template {
     /// Name on the command line.
     pub name: &'static str,
-    /// One line for people.
+    /// One line about it.
     pub about: &'static str,
     /// The file.
     pub text: &'static str,

@@ -22,7 +22,7 @@ pub(super) enum Scale {
 
 /// A chart of one line.
 pub(super) struct Chart<'a> {
-    /// What it shows, for people who hear the page.
+    /// What it shows, for screen readers.
     pub(super) title: &'a str,
     /// Quantity and unit along x.
     pub(super) x_label: &'a str,
@@ -35,7 +35,7 @@ pub(super) struct Chart<'a> {
 }
 
 impl Chart<'_> {
-    /// Draws the chart, or says that there is nothing to draw.
+    /// Draws the chart, or a sentence that there is nothing to draw.
     pub(super) fn drawn(&self) -> Markup {
         let points: Vec<(f64, f64)> = self
             .points
@@ -104,12 +104,12 @@ fn short(value: f64) -> String {
     if value != 0.0 && !(1e-3..1e6).contains(&value.abs()) {
         return format!("{value:.0e}");
     }
-    // Ticks are multiples of a round step: six decimals say them exactly.
+    // Ticks are multiples of a round step: six decimals are exact.
     let rounded = (value * 1e6).round() / 1e6;
     format!("{}", rounded + 0.0)
 }
 
-/// Where a value lies between the first tick (0) and the last (1).
+/// Returns the place of a value between the first tick (0) and the last (1).
 fn share(value: f64, ticks: &[f64], scale: Scale) -> f64 {
     let of = |value: f64| match scale {
         Scale::Linear => value,
@@ -127,7 +127,7 @@ fn share(value: f64, ticks: &[f64], scale: Scale) -> f64 {
 /// Multiples of 1, 2 or 5 times a power of ten that enclose all values; five to ten of them.
 pub(super) fn linear_ticks(values: impl Iterator<Item = f64>) -> Vec<f64> {
     let (low, high) = range(values);
-    // A flat line gets room above and below, else it would lie on the frame.
+    // A flat line gets a margin above and below, else it would coincide with the frame.
     let (low, high) = if high > low {
         (low, high)
     } else {

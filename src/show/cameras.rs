@@ -20,8 +20,8 @@ const WIDTH: f64 = 680.0;
 /// A drawing is at most and at least so high.
 const HEIGHT: f64 = 520.0;
 const LEAST_HEIGHT: f64 = 200.0;
-/// Room around the cameras for what they look at, scale and compass.
-const ROOM: f64 = 126.0;
+/// Margin around the cameras for their views, scale and compass, pixels.
+const MARGIN: f64 = 126.0;
 /// Most sparse points that are drawn, evenly from all.
 const MOST_POINTS: usize = 3_000;
 /// An axis whose cosine with up is larger counts as up, within 2.6 degrees.
@@ -239,21 +239,21 @@ fn fitted<'v>(scene: &Scene, view: &'v View) -> Fit<'v> {
         (low.min(point_low), high.max(point_high))
     };
     let (x, y) = (range(|place| place.0), range(|place| place.1));
-    let fit = |(low, high): (f64, f64), room: f64| {
+    let fit = |(low, high): (f64, f64), side: f64| {
         let extent = (high - low).abs();
         if extent > 1e-12 && extent.is_finite() {
-            room / extent
+            side / extent
         } else {
             f64::INFINITY
         }
     };
-    let each = fit(x, WIDTH - ROOM).min(fit(y, HEIGHT - ROOM));
+    let each = fit(x, WIDTH - MARGIN).min(fit(y, HEIGHT - MARGIN));
     let px_each = if each.is_finite() { each } else { 40.0 };
     Fit {
         view,
         centre: ((x.0 + x.1) / 2.0, (y.0 + y.1) / 2.0),
         px_each,
-        height: (ROOM + (y.1 - y.0).abs() * px_each).clamp(LEAST_HEIGHT, HEIGHT),
+        height: (MARGIN + (y.1 - y.0).abs() * px_each).clamp(LEAST_HEIGHT, HEIGHT),
     }
 }
 

@@ -35,7 +35,7 @@ fn training(page: &Page<'_>, node: &NodeView) -> Markup {
             details { summary { "all metrics" } (json::fields(&train::Metrics { scores, ..metrics })) }
         }
     };
-    page.document(node).map_or_else(said, shown)
+    page.document(node).map_or_else(sentence, shown)
 }
 
 fn evaluation(page: &Page<'_>, node: &NodeView) -> Markup {
@@ -46,10 +46,10 @@ fn evaluation(page: &Page<'_>, node: &NodeView) -> Markup {
             details { summary { "all metrics" } (json::fields(&evaluate::Metrics { scores, ..metrics })) }
         }
     };
-    page.document(node).map_or_else(said, shown)
+    page.document(node).map_or_else(sentence, shown)
 }
 
-fn said(missing: Missing) -> Markup {
+fn sentence(missing: Missing) -> Markup {
     html! { (missing) }
 }
 
@@ -64,7 +64,7 @@ fn without_views(scores: &Scores) -> Scores {
 fn curves(page: &Page<'_>, node: &NodeView) -> Markup {
     let points = match page.document(node) {
         Ok(Curve(points)) => points,
-        Err(missing) => return said(missing),
+        Err(missing) => return sentence(missing),
     };
     let chart = |title, label, scale, value: fn(&CurvePoint) -> f64| Chart {
         title,

@@ -50,7 +50,7 @@ pub(super) struct Pictures {
 }
 
 impl Pictures {
-    /// Shows a stored picture, or says why not.
+    /// Shows a stored picture, or the reason why not.
     pub(super) fn stored(&self, input: &ReportInput<'_>, digest: &Digest, form: Form, alt: &str) -> Markup {
         let key = (*digest, form);
         let known = self.made.borrow().get(&key).cloned();
@@ -103,7 +103,7 @@ impl Pictures {
     }
 }
 
-/// Raised by hand when the same picture would be embedded as other bytes.
+/// Version of the memos: to be raised when the same picture would be embedded as other bytes.
 const VERSION: u32 = 1;
 
 /// Embeds a stored picture, or takes what an earlier report made of it.

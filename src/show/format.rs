@@ -1,4 +1,4 @@
-//! Numbers as people read them.
+//! Numbers, times and counts as text.
 
 /// Up to four significant digits, thousands with commas; very small and very large ones with an exponent.
 pub(super) fn number(value: f64) -> String {

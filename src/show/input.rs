@@ -35,7 +35,7 @@ pub struct NodeView {
     pub about: String,
     /// (Key of the port, name of the upstream node).
     pub upstream: Vec<(String, String)>,
-    /// What became of it.
+    /// Its state.
     pub state: State,
     /// Why it ran, was reused or skipped; of a failed node the message.
     pub reason: String,
@@ -45,22 +45,22 @@ pub struct NodeView {
     pub params: serde_json::Value,
     /// Its outputs by name.
     pub outputs: BTreeMap<String, Digest>,
-    /// The nodes it asked for.
+    /// Its child nodes.
     pub children: Vec<ChildView>,
 }
 
-/// A node that another node asked for: a tuning trial, a retraining.
+/// A child node: a tuning trial, a retraining.
 #[derive(Debug, Clone)]
 pub struct ChildView {
-    /// Name below the asking node.
+    /// Its name below the parent.
     pub name: String,
-    /// What became of it.
+    /// Its state.
     pub state: State,
     /// Wall time of its work, seconds.
     pub seconds: Option<f64>,
 }
 
-/// What became of a node in this run.
+/// The state of a node in this run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum State {
     /// Worked in this run.
@@ -69,7 +69,7 @@ pub enum State {
     Reused,
     /// Stopped with an error.
     Failed,
-    /// Not reached, since something before it failed or it was not asked for.
+    /// Not run, since a node before it failed or it was not selected.
     Skipped,
 }
 

@@ -135,7 +135,7 @@ fn walk<'v>(key: &str, value: &'v Value, found: &mut impl FnMut(&str, &'v Value)
     }
 }
 
-/// A value under a key that may tell its kind.
+/// Returns a value as text; the key of a PSNR or SSIM sets its decimals.
 fn figure_or_text(key: &str, value: &Value) -> String {
     let short = key.starts_with("psnr") || key.starts_with("ssim");
     match value.as_f64() {
@@ -144,7 +144,7 @@ fn figure_or_text(key: &str, value: &Value) -> String {
     }
 }
 
-/// A value as people read it.
+/// Returns a value as text.
 pub(super) fn text(value: &Value) -> String {
     match value {
         Value::Null => "–".to_owned(),

@@ -45,7 +45,7 @@ fn of_node(page: &Page<'_>, node: &NodeView) -> Markup {
     let view = |name: &str| views.iter().find(|view| view.name == name);
     html! {
         @match &metrics {
-            Ok(metrics) => (trust(metrics)),
+            Ok(metrics) => (reliability(metrics)),
             Err(missing) => (missing),
         }
         @for (name, maps) in pictures.iter().take(MOST_VIEWS) { (row(page, name, maps, view(name))) }
@@ -55,8 +55,8 @@ fn of_node(page: &Page<'_>, node: &NodeView) -> Markup {
     }
 }
 
-/// The figures that say whether high deviation goes with large error.
-fn trust(metrics: &Metrics) -> Markup {
+/// Shows how well the deviation predicts the error.
+fn reliability(metrics: &Metrics) -> Markup {
     let alone = Metrics {
         views: Vec::new(), // they stand beside the maps
         ..metrics.clone()

@@ -2,7 +2,7 @@
 //!
 //! One file, complete in itself: pictures as data URIs, charts as inline SVG, no script, no request to
 //! anywhere. Invariant: no text of the outside (file names, labels, reasons) reaches the page unescaped, and
-//! an output that is absent or unreadable is said in words in its place.
+//! a sentence stands in place of an output that is absent or unreadable.
 
 mod axis;
 mod cameras;
@@ -103,7 +103,7 @@ fn sections(page: &Page<'_>) -> Vec<Section> {
     sections
 }
 
-/// Tells whether the pipeline only finds and judges photos, so that nothing is to be said of a scene.
+/// Tells whether the pipeline only finds and filters photos, so that there is no scene to show.
 fn filters_alone(input: &ReportInput<'_>) -> bool {
     let stages = marf_stages::stages();
     let judges = |node: &NodeView| {

@@ -8,7 +8,7 @@ use super::input::{NodeView, ReportInput, State};
 use super::photos::PhotoIndex;
 use super::read::{Missing, read, unreadable};
 
-/// What all sections share: the input, the photos by id, and how much room is left for pictures.
+/// What all sections share: the input, the photos by id, and the pictures embedded so far.
 pub(super) struct Page<'a> {
     pub(super) input: &'a ReportInput<'a>,
     pub(super) photos: PhotoIndex,
@@ -55,7 +55,7 @@ impl<'a> Page<'a> {
         D::decode(&bytes).map_err(|error| unreadable(node, D::OUTPUT, &error))
     }
 
-    /// Says that no node gave something, and which nodes could not.
+    /// Returns a sentence that no node gave something, and which nodes stopped.
     pub(super) fn absent(&self, what: &str) -> Markup {
         let stopped = |node: &&NodeView| matches!(node.state, State::Failed | State::Skipped);
         let names: Vec<String> = self.input.nodes.iter().filter(stopped).map(stopped_as).collect();

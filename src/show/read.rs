@@ -5,7 +5,7 @@ use maud::{Markup, Render, html};
 
 use super::input::{NodeView, ReportInput};
 
-/// Why something is not shown, as a sentence that stands in its place.
+/// The sentence that stands in place of something that cannot be shown.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Missing(pub(super) String);
 
@@ -24,7 +24,7 @@ pub(super) fn read(input: &ReportInput<'_>, node: &NodeView, output: &str) -> Re
     (input.read)(digest).ok_or_else(|| Missing(not_stored(&format!("{output} of {name}"), digest)))
 }
 
-/// Says that an output is there but cannot be understood.
+/// Returns the sentence for an output that cannot be decoded, such as one of an older version.
 pub(super) fn unreadable(node: &NodeView, output: &str, error: &dyn std::fmt::Display) -> Missing {
     Missing(format!(
         "{output} of {} cannot be read and is not shown: {error}.",
@@ -32,7 +32,7 @@ pub(super) fn unreadable(node: &NodeView, output: &str, error: &dyn std::fmt::Di
     ))
 }
 
-/// Says that the store does not have an object.
+/// Returns the sentence for an object that the store does not have.
 pub(super) fn not_stored(what: &str, digest: &Digest) -> String {
     format!(
         "{what} is not shown: object {} is not in the store.",

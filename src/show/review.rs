@@ -28,7 +28,7 @@ pub struct Call {
 impl Call {
     /// Reads it from a verdict; none where there is no score or threshold, or a person has decided.
     pub fn of(verdict: &Verdict) -> Option<Self> {
-        let by_hand =
+        let manual =
             verdict.reason.starts_with("kept by hand") || verdict.reason.starts_with("rejected by hand");
         let call = Self {
             keeps: verdict.keeps(),
@@ -36,7 +36,7 @@ impl Call {
             threshold: verdict.threshold?,
         };
         let sound = call.score.is_finite() && call.threshold.is_finite() && call.threshold != 0.0;
-        (sound && !by_hand).then_some(call)
+        (sound && !manual).then_some(call)
     }
 
     /// Returns how far the score lies above the threshold, as a share of it; negative below.
@@ -45,7 +45,7 @@ impl Call {
     }
 
     /// Tells whether the verdict would be another one if the threshold were so many times as large. Only this score
-    /// is asked: what else the filter looks at stays as it is.
+    /// counts: other measures of the filter stay as they are.
     pub fn flips_at(&self, factor: f64) -> bool {
         // The side on which photos go: where a rejected one is, and a kept one is not.
         let high_goes = (self.score >= self.threshold) != self.keeps;
@@ -66,7 +66,7 @@ pub fn calls(verdicts: &[Verdict]) -> Vec<Call> {
 /// For each photo the verdict that was closest to falling the other way, and the node that gave it.
 pub(super) type Closest<'a> = BTreeMap<String, (&'a str, Verdict, f64)>;
 
-/// Finds the closest call of every photo of the run.
+/// Returns the closest call of every photo of the run.
 pub(super) fn closest<'a>(page: &Page<'a>) -> Closest<'a> {
     let mut closest = Closest::new();
     for node in page.with_output(VERDICTS) {
@@ -104,7 +104,7 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
             } }
             tbody { @for (name, verdicts) in &judged { (row(name, &calls(verdicts))) } }
         } }
-        (by_hand(page))
+        (overruled(page))
         @for (name, verdicts) in &judged { (closest_of(page, name, verdicts)) }
     }
 }
@@ -122,23 +122,23 @@ fn row(name: &str, calls: &[Call]) -> Markup {
 }
 
 /// Verdicts that a person has given.
-fn by_hand(page: &Page<'_>) -> Markup {
+fn overruled(page: &Page<'_>) -> Markup {
     let all = page.with_output(VERDICTS).flat_map(|node| {
         let verdicts = verdicts(page.input, node).unwrap_or_default();
         verdicts.into_iter().map(|verdict| (node.name.clone(), verdict))
     });
-    let by_hand: Vec<(String, Verdict)> = all
+    let overruled: Vec<(String, Verdict)> = all
         .filter(|(_, verdict)| {
             verdict.reason.starts_with("kept by hand, against")
                 || verdict.reason.starts_with("rejected by hand")
         })
         .collect();
     html! {
-        @if !by_hand.is_empty() {
+        @if !overruled.is_empty() {
             h3 { "Overruled by hand" }
             div.scroll { table {
                 thead { tr { th { "File" } th { "Filter" } th { "What" } } }
-                tbody { @for (node, verdict) in &by_hand {
+                tbody { @for (node, verdict) in &overruled {
                     tr { td.file { (verdict.file) } td { (node) } td { (verdict.reason) } }
                 } }
             } }
@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn margins_are_told_in_percent() {
+    fn margins_are_percentages() {
         let verdict = verdict(true, 21.5, 9.3);
         let margin = Call::of(&verdict).unwrap().margin();
         assert_eq!(against(&verdict, margin), "21.5 against 9.3, 131.2 % above");

@@ -55,7 +55,7 @@ fn every_section_is_there_and_every_tag_is_closed() {
 }
 
 #[test]
-fn what_is_known_is_said_with_its_unit() {
+fn known_figures_have_their_unit() {
     let (store, nodes) = full();
     let html = store.report(&nodes);
     for text in [

@@ -8,7 +8,7 @@ pub(super) fn name_of<'p>(page: &'p Page<'_>, id: &'p str) -> &'p str {
     page.photos.get(id).map_or(id, |photo| photo.file.as_str())
 }
 
-/// Shows a photo as a thumbnail, or says why not.
+/// Shows a photo as a thumbnail, or the reason why not.
 pub(super) fn thumb(page: &Page<'_>, id: &str, what: &str) -> Markup {
     let Some(photo) = page.photos.get(id) else {
         return words("This photo is in no manifest of the run.");

@@ -3,7 +3,10 @@
 use marf_cache::{Digest, Store, StoreError};
 use marf_stage::{EARLIER, Inputs, Listing, Stage, StageDef};
 
-use crate::{key::node_key, record::RunRecord};
+use crate::{
+    key::{Key, node_key},
+    record::RunRecord,
+};
 
 /// A node that needs a key.
 pub(crate) struct KeyRequest<'a> {
@@ -13,11 +16,23 @@ pub(crate) struct KeyRequest<'a> {
     pub(crate) listing: Option<&'a Listing>,
 }
 
+/// Returns the key of a node, and its inputs with its own earlier output among them.
+pub(crate) fn key_of(
+    store: &Store,
+    last: Option<&RunRecord>,
+    request: &KeyRequest<'_>,
+    inputs: Inputs,
+) -> Result<(Key, Inputs), StoreError> {
+    let inputs = with_earlier(store, last, request, inputs)?;
+    let key = node_key(request.def, request.stage, &inputs, request.listing);
+    Ok((key, inputs))
+}
+
 /// Adds the output of the node's last finished run as the input [`EARLIER`], if the stage asks for it and the store
 /// has it.
 ///
 /// If nothing else changed, the input is that of the last run: a node never runs because of its own output alone.
-pub(crate) fn with_earlier(
+fn with_earlier(
     store: &Store,
     last: Option<&RunRecord>,
     request: &KeyRequest<'_>,

@@ -5,9 +5,9 @@ use marf_stage::{Cancel, Inputs, Outputs};
 use serde::Serialize;
 
 use crate::{
-    earlier::{KeyRequest, with_earlier},
-    graph::Graph,
-    key::{Change, Key, node_key},
+    earlier::{KeyRequest, key_of},
+    graph::{Graph, Node},
+    key::{Change, Key},
     listing::{NoProgress, list},
     lookup::{Lookup, RunReason, because, look_up, outputs_of, why_missed},
     record::{EngineError, RunRecord},
@@ -75,6 +75,7 @@ pub fn why(
     })
 }
 
+/// Plans one node; returns its outputs too if they are in the store.
 fn plan_node(
     graph: &Graph,
     store: &Store,
@@ -91,17 +92,13 @@ fn plan_node(
         key: key.map(|key| key.digest),
         changes: why.changes,
     };
-    let mut inputs = Inputs::default();
-    for connection in &node.connections {
-        let Some(outputs) = &known[connection.upstream] else {
-            let reason = format!("upstream {} will run", graph.nodes[connection.upstream].name);
+    let inputs = match inputs_of(node, known) {
+        Ok(inputs) => inputs,
+        Err(upstream) => {
+            let reason = format!("upstream {} will run", graph.nodes[upstream].name);
             return Ok((planned(PlanState::WillRun, because(reason), None), None));
-        };
-        let output = outputs.get(connection.output);
-        inputs
-            .0
-            .extend(output.map(|digest| (connection.output.to_owned(), *digest)));
-    }
+        }
+    };
     let listing = match list(node.bound.as_ref(), store, &Cancel::default(), &NoProgress) {
         Ok(listing) => listing,
         Err(error) => {
@@ -115,8 +112,7 @@ fn plan_node(
         stage: node.bound.as_ref(),
         listing: listing.as_ref(),
     };
-    let inputs = with_earlier(store, last, &request, inputs)?;
-    let key = node_key(&node.def, node.bound.as_ref(), &inputs, listing.as_ref());
+    let (key, _) = key_of(store, last, &request, inputs)?;
     let lookup = look_up(store, &key.digest)?;
     let Lookup::Hit(record) = lookup else {
         let mut why = why_missed(store, last, &node.name, &key, &lookup)?;
@@ -130,4 +126,17 @@ fn plan_node(
     };
     let planned = planned(state, because(reason.to_owned()), Some(&key));
     Ok((planned, Some(outputs_of(&record))))
+}
+
+/// Returns the inputs of a node, or an upstream node whose outputs are not known.
+fn inputs_of(node: &Node, known: &[Option<Outputs>]) -> Result<Inputs, usize> {
+    let mut inputs = Inputs::default();
+    for connection in &node.connections {
+        let outputs = known[connection.upstream].as_ref().ok_or(connection.upstream)?;
+        let output = outputs.get(connection.output);
+        inputs
+            .0
+            .extend(output.map(|digest| (connection.output.to_owned(), *digest)));
+    }
+    Ok(inputs)
 }

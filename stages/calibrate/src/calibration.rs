@@ -2,11 +2,11 @@
 
 use marf_cache::Digest;
 use marf_scene::{Camera, Point, Pose};
+use marf_schema::calibrate::Missing;
 use marf_sfm::mapper::PoseUncertainty;
 use nalgebra::Vector3;
 
 use crate::export::TrackPoint;
-use marf_schema::calibrate::Missing;
 
 /// A photo with a camera, before held-out photos are chosen.
 pub(crate) struct PlacedPhoto {

@@ -9,6 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use marf_scene::encode_png;
+use marf_schema::calibrate::CalibrateParams;
 use marf_stage::{Ctx, Inputs, StageError};
 use rayon::prelude::*;
 
@@ -16,7 +17,6 @@ use crate::calibration::{Calibration, PlacedPhoto, mean_up};
 use crate::import::{self, Model, read_colmap_binary};
 use crate::masks::mask_file;
 use crate::photos::{InputPhoto, decode};
-use marf_schema::calibrate::CalibrateParams;
 use program::{Program, cannot_write};
 
 /// Up to this many photos every pair is matched; beyond, each with its neighbours by file name.

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use marf_cache::Digest;
 use marf_scene::{Cahvor, Camera, CameraPrior, Image, Pinhole, Pose, Srgb};
+use marf_schema::calibrate::CalibrateParams;
 use marf_stage::{Ctx, StageError};
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -11,7 +12,6 @@ use rayon::prelude::*;
 use crate::calibration::{Calibration, PhotoStatistics, PlacedPhoto};
 use crate::photos::{InputPhoto, as_png, decode, reduction, store};
 use crate::resample::resample;
-use marf_schema::calibrate::CalibrateParams;
 
 /// A photo whose label can be used.
 pub(crate) struct Candidate<'a> {
@@ -127,6 +127,7 @@ pub(crate) fn of_one_site(items: &[InputPhoto], site: Option<i64>) -> Vec<Option
     by_item
 }
 
+/// Returns the requested site, or that with most photos.
 fn chosen_site(candidates: &[Candidate<'_>], asked: Option<i64>) -> Option<i64> {
     asked.map_or_else(|| site_with_most_photos(candidates), Some)
 }
@@ -281,6 +282,7 @@ fn pinhole(
     Ok((pinhole, Undistortion::Resample(model.normalised()?)))
 }
 
+/// Returns a placed photo.
 fn place(item: usize, made: PinholePhoto) -> PlacedPhoto {
     PlacedPhoto {
         item,
@@ -313,6 +315,3 @@ pub(crate) fn median(points: &[Vector3<f64>]) -> Vector3<f64> {
         values.get(values.len() / 2).copied().unwrap_or(0.0)
     })
 }
-
-#[cfg(test)]
-mod stereo;

@@ -36,6 +36,7 @@ pub(crate) fn load(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<InputPhoto>, St
     Ok(items)
 }
 
+/// Returns the photo of a row.
 fn item(row: Row) -> Result<InputPhoto, StageError> {
     let facts = PhotoFacts::from_json(&row.facts)
         .map_err(|error| StageError::new(format!("photo `{}`: its facts cannot be read: {error}", row.id)))?;

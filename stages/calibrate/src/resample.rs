@@ -34,6 +34,7 @@ pub(crate) fn resample(
     })
 }
 
+/// Returns one row of the resampled photo.
 fn resample_row(
     photo: &Image<Srgb>,
     model: &Cahvor,

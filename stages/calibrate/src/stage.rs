@@ -1,19 +1,20 @@
+//! The stage: its declaration, its outputs, and what makes a result too poor.
+
 use std::collections::BTreeMap;
 
 use marf_cache::ContentHash;
 use marf_scene::{Frame, Scene, Unplaced};
+use marf_schema::calibrate::{CalibrateParams, Method, Metrics, PhotoMetrics, Totals};
+use marf_schema::output::{POINTS, SCENE, SPARSE, TRANSFORMS};
 use marf_stage::{
-    COMPANIONS, Ctx, Define, Document, Inputs, Outputs, PHOTOS, ParamError, Port, Set, Stage, StageError,
-    Threads, Work,
+    COMPANIONS, Ctx, Define, Document, Inputs, Outputs, PHOTOS, ParamError, Params, Port, Set, Stage,
+    StageError, Threads, Work,
 };
 
 use crate::calibration::{Calibration, HeldOut, PlacedPhoto};
 use crate::export::{TrackPoint, Tracks, write_colmap, write_ply, write_transforms};
 use crate::photos::{InputPhoto, load};
 use crate::{colmap, import, labels, sfm};
-use marf_schema::calibrate::{CalibrateParams, Method};
-use marf_schema::calibrate::{Metrics, PhotoMetrics, Totals};
-use marf_schema::output::{POINTS, SCENE, SPARSE, TRANSFORMS};
 
 /// Returns the camera of each photo, as a scene.
 ///
@@ -30,7 +31,7 @@ pub struct Calibrate(CalibrateParams);
 
 impl Define for Calibrate {
     type Params = CalibrateParams;
-    const NAME: &'static str = <CalibrateParams as marf_stage::Params>::STAGE;
+    const NAME: &'static str = <CalibrateParams as Params>::STAGE;
     const ABOUT: &'static str =
         "Photos to a calibrated scene: from what they show, from labels, or from imported cameras";
     const VERSION: u32 = 4;

@@ -7,13 +7,14 @@ mod common;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use common::{Input, Output};
 use marf_cache::Digest;
 use marf_calibrate::{Tracks, write_colmap};
 use marf_scene::{Camera, Frame, Image, PhotoFacts, Point, Pose, Scene, Srgb, encode_png};
 use marf_stage::StageError;
 use nalgebra::Vector3;
 use serde_json::json;
+
+use common::{Input, Output};
 
 /// A folder with a link to the script, by which it finds what it has to do.
 struct Fake(tempfile::TempDir);

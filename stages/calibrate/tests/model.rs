@@ -3,10 +3,11 @@
 
 mod common;
 
-use common::Input;
 use marf_calibrate::import::{Model, read_colmap_binary};
 use marf_scene::{Image, Srgb, encode_png};
 use serde_json::json;
+
+use common::Input;
 
 /// Two photos with a model of twice their size beside them.
 fn input() -> Input {

@@ -3,10 +3,11 @@
 
 mod common;
 
-use common::{Input, folder, shared};
 use marf_scene::{Cahvor, CameraPrior, EntrancePupil, Image, Photo, PhotoFacts, Pose, Scene, Srgb};
 use nalgebra::{Quaternion, UnitQuaternion, Vector2, Vector3};
 use serde_json::{Value, json};
+
+use common::{Input, folder, shared};
 
 fn import(name: &str, json: &str, photos: &str) -> Option<Input> {
     let root = shared(name)?.join(name);

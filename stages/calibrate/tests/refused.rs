@@ -3,9 +3,10 @@
 
 mod common;
 
-use common::Input;
 use marf_scene::{Image, Srgb, encode_png};
 use serde_json::json;
+
+use common::Input;
 
 /// Discs of all sizes and greys, as an integer hash of their number strews them.
 fn picture() -> Image<Srgb> {

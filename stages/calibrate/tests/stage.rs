@@ -3,12 +3,13 @@
 
 mod common;
 
-use common::{Input, shared};
 use marf_calibrate::Calibrate;
 use marf_scene::{Cahvor, CameraPrior, EntrancePupil, Image, PhotoFacts, Pose, Srgb, encode_png};
 use marf_stage::{Define, StageDef, define};
 use nalgebra::Vector3;
 use serde_json::json;
+
+use common::{Input, shared};
 
 /// A photo that is different everywhere.
 fn picture(seed: u32) -> Vec<u8> {
@@ -121,12 +122,12 @@ fn labels_place_one_site_in_metres_and_say_why_of_the_others() {
         ("b.png", marf_cache::Digest::of(&picture(2)))
     );
     assert_eq!((straight.camera.cx_px, straight.camera.width), (32.5, 64));
-    let bent = &frames[0];
-    assert_eq!(bent.file, "a.png");
+    let resampled = &frames[0];
+    assert_eq!(resampled.file, "a.png");
     assert!(
-        bent.camera.width < 64 && bent.camera.cx_px.fract() == 0.0,
+        resampled.camera.width < 64 && resampled.camera.cx_px.fract() == 0.0,
         "{:?}",
-        bent.camera
+        resampled.camera
     );
     let photo = &output.metrics.photos[0];
     assert!(

@@ -1,14 +1,14 @@
-//! What can go wrong with a photo, done to it on purpose.
+//! The defects that are put into photos.
 
 use marf_scene::{Image, Srgb};
 
 use super::math::{cell, cell_bits, noise2, smoothstep};
 
-/// Box blurs in a row: three are close to a Gaussian.
+/// Number of box blurs, one after another: three are close to a Gaussian.
 const PASSES: usize = 3;
 /// Half width of each box at 640 pixels: sigma² = 3 (7² - 1) / 12 = 12, sigma 3.5 pixels.
 const BOX: usize = 3;
-/// Length of the smear at 640 pixels.
+/// Length of the motion blur at 640 pixels.
 const SMEAR: u32 = 29;
 
 pub fn luma(pixel: [u8; 3]) -> u8 {
@@ -24,7 +24,7 @@ pub fn mapped(image: &Image<Srgb>, change: impl Fn([u8; 3]) -> [u8; 3]) -> Image
     }
 }
 
-/// The view through a narrow filter: one band, tinted as a browse product is.
+/// Returns the photo as through a narrow filter: one band, tinted as browse products are.
 pub fn narrow_band(image: &Image<Srgb>, filter: u8) -> Image<Srgb> {
     let (band, tint) = match filter {
         1 => (0, [258, 150, 96]),
@@ -45,7 +45,7 @@ pub fn defocused(image: &Image<Srgb>) -> Image<Srgb> {
     image
 }
 
-/// The mean of 2 radius + 1 pixels along a step; the border goes on.
+/// Returns the mean of 2 radius + 1 pixels along a step; the border is repeated.
 fn box_blurred(image: &Image<Srgb>, radius: i64, step_x: i64, step_y: i64) -> Image<Srgb> {
     let count = (2 * radius + 1) as u32;
     Image::from_fn(image.width, image.height, |x, y| {
@@ -65,7 +65,7 @@ fn clamped(image: &Image<Srgb>, x: i64, y: i64) -> [u8; 3] {
     image.at(within(x, image.width), within(y, image.height))
 }
 
-/// Smears along a line that falls one pixel in three.
+/// Blurs along a line that descends one pixel in three.
 pub fn smeared(image: &Image<Srgb>) -> Image<Srgb> {
     let length = (SMEAR * image.width / 640).max(3);
     Image::from_fn(image.width, image.height, |x, y| {
@@ -100,7 +100,7 @@ pub fn colour_blocks(width: u32, height: u32, salt: u32) -> Image<Srgb> {
     })
 }
 
-/// A frame taken in the dark: black with a few hot pixels.
+/// Returns a frame taken in the dark: black with a few hot pixels.
 pub fn dark(width: u32, height: u32, salt: u32) -> Image<Srgb> {
     Image::from_fn(width, height, |x, y| {
         let hot = cell(i64::from(x), i64::from(y), salt);
@@ -108,7 +108,7 @@ pub fn dark(width: u32, height: u32, salt: u32) -> Image<Srgb> {
     })
 }
 
-/// The deck from above: white plates, seams, screws, cables, a round target, dust.
+/// Returns the rover's deck from above: white plates, seams, screws, cables, a round target, dust.
 pub fn deck(width: u32, height: u32, salt: u32) -> Image<Srgb> {
     let unit = 10.0 / f64::from(width);
     Image::from_fn(width, height, |column, row| {
@@ -124,7 +124,7 @@ pub fn deck(width: u32, height: u32, salt: u32) -> Image<Srgb> {
     })
 }
 
-/// Brightness of the deck, 0 to 1.
+/// Returns the brightness of the deck, 0 to 1.
 fn plate(u: f64, v: f64, salt: u32) -> f64 {
     let (i, j) = ((u / 2.6).floor(), (v / 1.9).floor());
     let (a, b) = (u - 2.6 * i, v - 1.9 * j);

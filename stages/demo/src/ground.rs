@@ -1,4 +1,4 @@
-//! The ground: a height field, finely gridded around the outcrop and smooth beyond.
+//! The ground: a height field on three nested grids, the finest around the outcrop.
 
 use rayon::prelude::*;
 
@@ -8,43 +8,43 @@ use super::{
     rocks::{Ray, Rock},
 };
 
-/// Middle of the gridded squares, metres in the site: the outcrop.
+/// Centre of the outcrop and of all grids, metres in the site.
 pub const OUTCROP: (f64, f64) = (7.0, 3.0);
-/// Half the side of the finest square, metres.
+/// Half the side of the finest grid, metres.
 const FINE_M: f64 = 20.48;
-/// The squares: nodes a side, metres between them. The first has ripples and lumps, the others the large forms.
+/// The grids: nodes per side, metres between them. The first has ripples and lumps, the others the large forms only.
 const LEVELS: [(usize, f64); 3] = [(1025, 0.04), (513, 0.4), (513, 2.5)];
-/// Rise the march reckons with. Ripples have more, but a step is never longer than about ten times the room
-/// left, too short to pass through one; where it ends below ground, the change of sign is caught.
+/// Slope that ray marching assumes. Ripples are steeper, but a step is at most about ten times the height above
+/// ground, too short to pass through one; where it ends below ground, the change of sign is detected.
 const STEEPEST: f64 = 0.10;
-/// Nothing of the ground is higher, metres.
+/// Upper bound of the ground's height, metres.
 const CEILING: f64 = 1.6;
-/// Where the plain ends in haze, metres.
+/// Distance at which the plain ends in haze, metres.
 pub const FAR: f64 = 600.0;
 
-/// How the ground lies at a place, and what it is made of.
+/// Slope and composition of the ground at a point.
 #[derive(Debug, Clone, Copy)]
-pub struct Lie {
+pub struct GroundPoint {
     /// Rise along x and y.
     pub slope: (f64, f64),
-    /// Share of the sky seen.
+    /// Visible share of the sky.
     pub open: f64,
     /// Share of drifted sand.
     pub sand: f64,
     /// Share of dust in the colour.
     pub dusty: f64,
-    /// Brightness of the colour, about 0.
+    /// Relative brightness of the colour; 0 is the mean.
     pub tone: f64,
 }
 
-/// A square of nodes.
+/// A square grid of nodes.
 struct Grid {
     side: usize,
     step_m: f64,
-    /// Heights, metres up.
+    /// Heights, metres.
     heights: Vec<f32>,
     /// Slope along x and y, openness, sand, dust, tone.
-    lies: Vec<[f32; 6]>,
+    points: Vec<[f32; 6]>,
 }
 
 pub struct Ground {
@@ -65,7 +65,7 @@ impl Ground {
         })
     }
 
-    /// Returns where a ray meets the ground.
+    /// Returns the distance at which a ray meets the ground.
     pub fn first(&self, ray: &Ray) -> Option<f64> {
         let (from, along) = (ray.from, ray.along);
         let level = (along.x * along.x + along.y * along.y).sqrt();
@@ -80,15 +80,15 @@ impl Ground {
         };
         let mut above = (t, f64::INFINITY);
         for _ in 0..200 {
-            let room = self.room(ray, t);
-            if room < 0.0 && above.1.is_finite() {
-                return Some(self.crossing(ray, above, (t, room)));
+            let clearance = self.clearance(ray, t);
+            if clearance < 0.0 && above.1.is_finite() {
+                return Some(self.crossing(ray, above, (t, clearance)));
             }
-            if room < 0.000_2 * t {
-                return Some(t + room * pace);
+            if clearance < 0.000_2 * t {
+                return Some(t + clearance * pace);
             }
-            above = (t, room);
-            t += room * pace;
+            above = (t, clearance);
+            t += clearance * pace;
             if t > FAR || (along.z > 0.0 && from.z + along.z * t > CEILING) {
                 return None;
             }
@@ -96,11 +96,11 @@ impl Ground {
         Some(t)
     }
 
-    /// Returns how the ground lies at a place.
-    pub fn lie(&self, x: f64, y: f64) -> Lie {
+    /// Returns slope and composition of the ground at a point.
+    pub fn point(&self, x: f64, y: f64) -> GroundPoint {
         self.at(x, y, |grid, spot| {
-            let part = |k: usize| spot.blend(|index| f64::from(grid.lies[index][k]));
-            Lie {
+            let part = |k: usize| spot.blend(|index| f64::from(grid.points[index][k]));
+            GroundPoint {
                 slope: (part(0), part(1)),
                 open: part(2),
                 sand: part(3),
@@ -110,30 +110,30 @@ impl Ground {
         })
     }
 
-    fn room(&self, ray: &Ray, t: f64) -> f64 {
+    fn clearance(&self, ray: &Ray, t: f64) -> f64 {
         let p = ray.at(t);
         p.z - self.height(p.x, p.y)
     }
 
-    /// Closes in on a change of sign by the chord, four times.
+    /// Finds the crossing between two points above and below ground by four steps of the secant method.
     fn crossing(&self, ray: &Ray, mut above: (f64, f64), mut below: (f64, f64)) -> f64 {
         let chord = |a: (f64, f64), b: (f64, f64)| a.0 + (b.0 - a.0) * (a.1 / (a.1 - b.1));
         for _ in 0..4 {
             let t = chord(above, below);
-            let room = self.room(ray, t);
-            if room.abs() < 0.000_05 * t {
+            let clearance = self.clearance(ray, t);
+            if clearance.abs() < 0.000_05 * t {
                 return t;
             }
-            if room > 0.0 {
-                above = (t, room);
+            if clearance > 0.0 {
+                above = (t, clearance);
             } else {
-                below = (t, room);
+                below = (t, clearance);
             }
         }
         chord(above, below)
     }
 
-    /// Finds the finest grid around a place; beyond the last one its border goes on.
+    /// Reads from the finest grid that holds a point; beyond the last grid, its border is repeated.
     fn at<T>(&self, x: f64, y: f64, read: impl Fn(&Grid, &Spot) -> T) -> T {
         let (x, y) = (x - OUTCROP.0, y - OUTCROP.1);
         let far = x.abs().max(y.abs());
@@ -144,7 +144,7 @@ impl Ground {
     }
 }
 
-/// A place between four nodes.
+/// A position within a grid cell.
 struct Spot {
     index: usize,
     side: usize,
@@ -181,15 +181,15 @@ impl Grid {
                 .iter()
                 .for_each(|rock| settle(&mut nodes, side, step_m, rock));
         }
-        let lies = (0..side * side)
+        let points = (0..side * side)
             .into_par_iter()
-            .map(|index| lie_at(&nodes, side, step_m, index, place(index), salt))
+            .map(|index| point_at(&nodes, side, step_m, index, place(index), salt))
             .collect();
         Self {
             side,
             step_m,
             heights: nodes.iter().map(|node| node.0 as f32).collect(),
-            lies,
+            points,
         }
     }
 
@@ -197,7 +197,7 @@ impl Grid {
         (self.side / 2) as f64 * self.step_m
     }
 
-    /// `x` and `y` from the middle, metres; clamped into the square.
+    /// Returns the cell of a point, `x` and `y` from the centre in metres, clamped into the grid.
     fn spot(&self, x: f64, y: f64) -> Spot {
         let last = (self.side - 1) as f64 - 1e-6;
         let (u, v) = (
@@ -214,7 +214,7 @@ impl Grid {
     }
 }
 
-fn lie_at(
+fn point_at(
     nodes: &[(f64, f64)],
     side: usize,
     step_m: f64,
@@ -233,7 +233,7 @@ fn lie_at(
     [slope_x, slope_y, nodes[index].1, sand, dusty, tone].map(|number| number as f32)
 }
 
-/// The large forms: swells of the plain and the rise on which the outcrop stands.
+/// Returns the height of the large forms: swells of the plain, and the rise below the outcrop.
 pub fn plain(x: f64, y: f64, salt: u32) -> f64 {
     let swell = |size: f64, salt: u32| noise2(x / size + 0.37, y / size + 0.11, salt).0;
     let (dx, dy) = (x - OUTCROP.0, y - OUTCROP.1);
@@ -243,13 +243,13 @@ pub fn plain(x: f64, y: f64, salt: u32) -> f64 {
     0.10 * swell(7.0, salt ^ 1) + rise + far * 0.7 * swell(46.0, salt ^ 3) + 0.14 * swell(19.0, salt ^ 2)
 }
 
-/// Share of drifted sand, 0 to 1: there are ripples and few stones.
+/// Returns the share of drifted sand, 0 to 1; sand has ripples and few stones.
 pub fn sandiness(x: f64, y: f64, salt: u32) -> f64 {
     let patches = noise2(x / 3.1, y / 3.1, salt ^ 21).0 + 0.4 * noise2(x / 1.1, y / 1.1, salt ^ 22).0;
     smoothstep(-0.25, 0.45, patches)
 }
 
-/// Height of a ripple's profile at a phase in turns: a gentle stoss side, a steeper lee.
+/// Returns the height of a ripple's profile at a phase in turns: a gentle stoss side, a steeper lee side.
 fn ripple(phase: f64) -> f64 {
     let (sin, _) = sin_cos(2.0 * std::f64::consts::PI * phase);
     let (skew, _) = sin_cos(2.0 * std::f64::consts::PI * phase + 0.55 * sin);
@@ -263,16 +263,16 @@ fn height_without_rocks(x: f64, y: f64, salt: u32) -> f64 {
         return plain(x, y, salt);
     }
     let lumps = |size: f64, salt: u32| noise2((x + 0.3 * y) / size, (y - 0.3 * x) / size, salt).0;
-    let bend = 0.7 * lumps(1.9, salt ^ 31) + 0.22 * lumps(0.6, salt ^ 32);
-    // Their crests lie across the light, as wind and afternoon have it.
-    let ripples = 0.0075 * ripple((0.57 * y - 0.82 * x) / 0.27 + bend);
+    let phase_shift = 0.7 * lumps(1.9, salt ^ 31) + 0.22 * lumps(0.6, salt ^ 32);
+    // Their crests are perpendicular to the sunlight, which makes them visible.
+    let ripples = 0.0075 * ripple((0.57 * y - 0.82 * x) / 0.27 + phase_shift);
     let sand = sandiness(x, y, salt);
     let rough = 0.018 * lumps(0.55, salt ^ 33) + 0.008 * lumps(0.23, salt ^ 34);
     plain(x, y, salt)
         + inside * (ripples * sand + rough * (1.0 - 0.6 * sand) + 0.004 * lumps(0.12, salt ^ 35))
 }
 
-/// Lets sand creep up around a rock, and takes the sky away from the ground close to it.
+/// Piles sand against a rock, and lowers the visible share of the sky next to it.
 fn settle(nodes: &mut [(f64, f64)], side: usize, step_m: f64, rock: &Rock) {
     let wide = (rock.half.x + rock.half.y) / 2.0;
     if wide < 0.03 {
@@ -299,7 +299,7 @@ fn settle(nodes: &mut [(f64, f64)], side: usize, step_m: f64, rock: &Rock) {
     }
 }
 
-/// Upward unit normal of a surface with these slopes.
+/// Returns the upward unit normal of a surface with these slopes.
 pub fn normal_of(slope_x: f64, slope_y: f64) -> V3 {
     v3(-slope_x, -slope_y, 1.0).unit()
 }

@@ -1,10 +1,10 @@
-//! A PDS4 label as the archive's own, with what a reader of camera models needs.
+//! PDS4 labels like those of the archive, with the elements that readers of camera models need.
 
 use super::{
     lens::{Lens, Quaternion},
     math::V3,
     plan::{Product, View},
-    tour::{Eye, MAST, Stop, Taken},
+    tour::{Capture, Eye, MAST, Stop},
 };
 
 const HEAD: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
@@ -18,21 +18,21 @@ const COUNTERS: [&str; 10] = [
     "SITE", "DRIVE", "POSE", "ARM", "SHA", "DRILL", "RSM", "HGA", "BITCAR", "SEAL",
 ];
 
-/// What a label tells beside the plan.
+/// What a label is written from.
 pub struct Facts<'a> {
     pub sol: u32,
     pub view: &'a View,
     pub product: &'a Product,
     pub stop: &'a Stop,
-    pub taken: &'a Taken,
-    /// Lens as told, in the grid of this file.
-    pub told: Lens,
+    pub taken: &'a Capture,
+    /// The camera model that the label states, in pixels of this file.
+    pub labelled_lens: Lens,
     pub width: u32,
     pub height: u32,
     pub bands: u32,
 }
 
-/// Writes the label.
+/// Returns the label's XML.
 pub fn xml(facts: &Facts<'_>) -> String {
     [
         HEAD.to_owned(),
@@ -111,7 +111,7 @@ fn observation(facts: &Facts<'_>) -> String {
 }
 
 fn geometry(facts: &Facts<'_>) -> String {
-    let (attitude, offset) = facts.stop.told;
+    let (attitude, offset) = facts.stop.labelled;
     let identifier = counters(facts).map(|count| count.to_string()).join("_");
     format!(
         "      <geom:Geometry>
@@ -149,7 +149,7 @@ fn geometry(facts: &Facts<'_>) -> String {
 }
 
 fn camera(facts: &Facts<'_>) -> String {
-    let lens = &facts.told;
+    let lens = &facts.labelled_lens;
     let unit = |name, v| vector(name, v, ["x_unit", "y_unit", "z_unit"], "");
     let pixel = |name, v| vector(name, v, ["x_pixel", "y_pixel", "z_pixel"], "");
     let [r0, r1, r2] = lens.r;
@@ -212,7 +212,7 @@ fn space(frame: &str, indices: &str) -> String {
     )
 }
 
-/// Nine decimals: a hundred-thousandth of a pixel, a nanometre.
+/// Returns a number with nine decimals: a nanometre, and far below a pixel.
 fn vector(element: &str, v: V3, names: [&str; 3], unit: &str) -> String {
     let parts = names.iter().zip(v.array());
     let parts: String = parts

@@ -1,4 +1,4 @@
-//! The lens: CAHVOR, both ways.
+//! The camera model: CAHVOR, projection and back-projection.
 
 use marf_scene::Cahvor;
 
@@ -15,16 +15,16 @@ pub struct Lens {
     pub r: [f64; 3],
 }
 
-/// How the demo's lens is made, in units of its focal length; mild, as a wide rover camera is.
+/// Radial distortion of the demo's lens; mild, as that of a wide rover camera.
 const RADIAL: [f64; 3] = [0.0002, -0.035, 0.012];
 const OPTICAL_TILT: (f64, f64) = (0.006, -0.004);
 
 impl Lens {
-    /// A camera at `c` that looks along `forward`, with `right` along its rows.
+    /// Returns a camera at `c` that looks along `forward`, with `right` along its rows.
     pub fn new(c: V3, forward: V3, right: V3, size_px: (u32, u32), focal_px: f64) -> Self {
         let down = forward.cross(right);
         let centre = |side: u32| (f64::from(side) - 1.0) / 2.0;
-        // The sensor sits a little off the axis, as every real one does.
+        // The principal point is off centre, as that of every real camera.
         let (hc, vc) = (
             centre(size_px.0) + 0.008 * focal_px,
             centre(size_px.1) - 0.005 * focal_px,
@@ -83,7 +83,7 @@ impl Lens {
         (self.o * along + off * (true_tan / seen)).unit()
     }
 
-    /// Carries the camera over by a rotation (columns) and then a shift.
+    /// Returns the camera moved by a rotation (columns) and then a shift.
     pub fn moved(&self, rotation: &[V3; 3], shift: V3) -> Self {
         let turn = |p: V3| rotate(rotation, p);
         Self {
@@ -96,7 +96,7 @@ impl Lens {
         }
     }
 
-    /// The camera of the photo reduced by a box of `factor` pixels a side.
+    /// Returns the camera of the photo reduced by boxes of `factor` x `factor` pixels.
     pub fn reduced(&self, factor: u32) -> Self {
         let (shift, scale) = ((f64::from(factor) - 1.0) / 2.0, 1.0 / f64::from(factor));
         Self {
@@ -128,7 +128,7 @@ pub fn rotate(columns: &[V3; 3], p: V3) -> V3 {
 pub struct Quaternion(pub [f64; 4]);
 
 impl Quaternion {
-    /// Turns by the angle whose half has this sine and cosine, about a unit axis.
+    /// Returns the rotation by an angle about a unit axis.
     pub fn about(axis: V3, angle_rad: f64) -> Self {
         let (sin, cos) = super::math::sin_cos(angle_rad / 2.0);
         Self([cos, axis.x * sin, axis.y * sin, axis.z * sin])
@@ -144,7 +144,7 @@ impl Quaternion {
         ])
     }
 
-    /// Columns of the rotation matrix.
+    /// Returns the columns of the rotation matrix.
     pub fn columns(self) -> [V3; 3] {
         let [w, x, y, z] = self.0;
         [

@@ -1,8 +1,8 @@
-//! A built-in Mars: procedural, deterministic, offline, with ground truth.
+//! A built-in Mars: procedural, deterministic photos and labels with ground truth, without a network.
 //!
-//! Serves what a real archive serves: images and PDS4 labels, named in the Mars 2020 scheme, good photos and
-//! flawed ones. The same options give the same bytes on every machine and for any thread count: only
-//! + - * / and sqrt are used, and every pixel is a function of its place alone.
+//! Its files are like those of a real archive: images and PDS4 labels with Mars 2020 product names, good photos and
+//! flawed ones. Invariant: the same options give the same bytes on every machine and for any number of threads. Only
+//! + - * / and sqrt are used, and every pixel is a function of its position alone.
 
 mod flaws;
 mod ground;
@@ -36,10 +36,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use label::Facts;
-use math::Display;
+use math::SrgbEncoder;
 use plan::{Product, View};
 use render::Shot;
-use tour::{Stop, Taken};
+use tour::{Capture, Stop};
 use world::World;
 
 pub use plan::FlawKind;
@@ -48,10 +48,10 @@ pub use truth::{Flaw, RangeMap, TruePhoto, Truth};
 /// Version of what the demo draws and writes; raised when any byte of it may change.
 pub const DEMO_VERSION: u32 = 1;
 
-/// Sols that can be asked for; 1 and 2 are the usual ones.
+/// Sols that exist; 1 and 2 are the usual ones.
 pub const SOLS: RangeInclusive<u32> = plan::SOLS;
 
-/// What may be chosen about the demo.
+/// Options of the demo.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ContentHash, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DemoOptions {
@@ -73,39 +73,39 @@ impl Default for DemoOptions {
     }
 }
 
-/// A file of the archive.
+/// A file of the demo's archive.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DemoFile {
-    /// Name, without a folder (in [`Demo::archive`], truth lies under `truth/`).
+    /// Name, without a folder (ground truth of [`Demo::archive`] is under `truth/`).
     pub name: String,
-    /// Content.
+    /// Contents.
     pub bytes: Vec<u8>,
 }
 
-/// Why the demo gave no files.
+/// A failure to make the demo's files.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum DemoError {
     /// The caller asked to stop.
     #[error("stopped")]
     Cancelled,
-    /// A sol out of range.
+    /// A sol that does not exist.
     #[error("the demo has no sol {sol}; ask for one of {} to {}", SOLS.start(), SOLS.end())]
     Sol {
-        /// The sol asked for.
+        /// The sol.
         sol: u32,
     },
     /// A photo too small or too large to draw.
     #[error("the demo draws photos of 16 to 4096 pixels a side, not {width_px} x {height_px}")]
     Size {
-        /// Width asked for.
+        /// Width.
         width_px: u32,
-        /// Height asked for.
+        /// Height.
         height_px: u32,
     },
-    /// A file that is no good photo of the sol.
+    /// A file that is not a good photo of the sol.
     #[error("the demo took no good photo `{file}` on sol {sol}")]
     File {
-        /// The name asked for.
+        /// The file's name.
         file: String,
         /// The sol.
         sol: u32,
@@ -115,24 +115,24 @@ pub enum DemoError {
     Encode {
         /// Name of the file.
         file: String,
-        /// What the encoder said.
+        /// The encoder's error.
         message: String,
     },
 }
 
-/// Hears (files done, files in all) of a sol; called from several threads.
+/// Receives progress as (files done, files in all) of a sol; called from several threads.
 pub type OnProgress<'a> = &'a (dyn Fn(u64, u64) + Sync);
-/// Tells whether to stop; asked from several threads, before each photo.
+/// Returns whether to stop; called from several threads, before each photo.
 pub type IsCancelled<'a> = &'a (dyn Fn() -> bool + Sync);
 
-/// The demo with its options; the landscape is made when first needed, in about half a second.
+/// The demo with its options; the landscape is built when first needed, in about half a second.
 pub struct Demo {
     options: DemoOptions,
     world: OnceLock<World>,
 }
 
 impl Demo {
-    /// Checks the options.
+    /// Checks the options and returns the demo.
     ///
     /// # Errors
     /// [`DemoError::Size`].
@@ -175,12 +175,12 @@ impl Demo {
             AtomicU64::new(0),
             tour.views.iter().map(|view| view.products.len() as u64).sum(),
         );
-        let display = Display::new();
+        let encoder = SrgbEncoder::new();
         let files = tour.views.par_iter().map(|view| {
             if cancelled() {
                 return Err(DemoError::Cancelled);
             }
-            let files = self.view(&tour, view, &display)?;
+            let files = self.view(&tour, view, &encoder)?;
             let finished = view.products.len() as u64;
             progress(done.fetch_add(finished, Ordering::Relaxed) + finished, total);
             Ok(files)
@@ -188,7 +188,7 @@ impl Demo {
         Ok(files.collect::<Result<Vec<_>, _>>()?.concat())
     }
 
-    /// Returns what is really so on a sol; draws nothing.
+    /// Returns the ground truth of a sol; draws nothing.
     ///
     /// # Errors
     /// [`DemoError::Sol`].
@@ -218,7 +218,7 @@ impl Demo {
         Ok(truth)
     }
 
-    /// Returns the distances a good photo really shows.
+    /// Returns the true range map of a good photo.
     ///
     /// # Errors
     /// [`DemoError::Sol`], [`DemoError::File`].
@@ -241,7 +241,7 @@ impl Demo {
     }
 
     /// Returns an archive folder of several sols: images and labels side by side, and under `truth/` one JSON
-    /// a sol. Writing it is the caller's.
+    /// per sol. Nothing is written to disk.
     ///
     /// # Errors
     /// As [`Demo::files`].
@@ -277,13 +277,13 @@ impl Demo {
         })
     }
 
-    fn taken(&self, tour: &Tour, view: &View) -> Taken {
+    fn taken(&self, tour: &Tour, view: &View) -> Capture {
         let size_px = (self.options.width_px, self.options.height_px);
         let stop = &tour.stops[view.pointing.stop];
         tour::take(stop, &view.pointing, view.eye, size_px, self.options.seed)
     }
 
-    fn shot(&self, taken: &Taken) -> Shot<'_> {
+    fn shot(&self, taken: &Capture) -> Shot<'_> {
         Shot {
             world: self.world(),
             lens: taken.site,
@@ -307,15 +307,15 @@ impl Demo {
         }
     }
 
-    /// Makes the files of one view; Mars is drawn once for all of them.
-    fn view(&self, tour: &Tour, view: &View, display: &Display) -> Result<Vec<DemoFile>, DemoError> {
+    /// Returns the files of one view, all made from one drawing.
+    fn view(&self, tour: &Tour, view: &View, encoder: &SrgbEncoder) -> Result<Vec<DemoFile>, DemoError> {
         let taken = self.taken(tour, view);
         let shows_mars = view
             .products
             .iter()
             .any(|product| product.flaw.is_none_or(FlawKind::shows_mars));
         let photo = if shows_mars {
-            self.shot(&taken).photo(display)
+            self.shot(&taken).photo(encoder)
         } else {
             Image::from_fn(self.options.width_px, self.options.height_px, |_, _| [0; 3])
         };
@@ -330,7 +330,7 @@ impl Demo {
                 product,
                 stop: &tour.stops[view.pointing.stop],
                 taken: &taken,
-                told: taken.told_rover.reduced(factor),
+                labelled_lens: taken.labelled_rover.reduced(factor),
                 width,
                 height,
                 bands,
@@ -346,7 +346,7 @@ impl Demo {
     }
 }
 
-/// What happens on one sol.
+/// Stops and views of one sol.
 struct Tour {
     sol: u32,
     stops: Vec<Stop>,
@@ -357,7 +357,7 @@ fn check(sol: u32) -> Result<(), DemoError> {
     SOLS.contains(&sol).then_some(()).ok_or(DemoError::Sol { sol })
 }
 
-/// Returns width, height, bands and bytes of a product.
+/// Returns width, height, bands and encoded bytes of a product's image.
 fn picture(product: &Product, photo: &Image<Srgb>, salt: u32) -> Result<(u32, u32, u32, Vec<u8>), DemoError> {
     let (width, height) = (photo.width, photo.height);
     let image = match product.flaw {

@@ -1,16 +1,16 @@
 //! Light and materials: sun, sky, sand, stones, rock.
 
 use super::{
-    ground::Lie,
-    math::{V3, cell_bits, mix32, noise2, noise3, smoothstep, v3, whole},
+    ground::GroundPoint,
+    math::{V3, cell_bits, mix32, noise2, noise3, smoothstep, split_floor, v3},
     rocks::Rock,
 };
 
-/// Light of the sun on a surface that faces it, linear RGB.
+/// Irradiance of the sun on a surface that faces it, linear RGB.
 pub const SUN: V3 = v3(1.32, 1.16, 0.98);
-/// Light of the open sky.
+/// Irradiance of the open sky.
 const SKY_LIGHT: V3 = v3(0.26, 0.205, 0.155);
-/// Light thrown up by the sunlit ground.
+/// Irradiance reflected by the sunlit ground.
 const BOUNCE: V3 = v3(0.15, 0.085, 0.045);
 const HORIZON: V3 = v3(0.66, 0.475, 0.315);
 const ZENITH: V3 = v3(0.40, 0.285, 0.19);
@@ -21,21 +21,21 @@ const GRIT: V3 = v3(0.17, 0.118, 0.082);
 /// Unit direction to the sun (site x, y, up): azimuth 128 degrees, elevation 37.
 pub const TO_SUN: V3 = v3(-0.491_689, 0.629_334, 0.601_815);
 
-/// A surface's colour, and how it bends the normal.
-pub struct Skin {
+/// Albedo and normal of a surface.
+pub struct Material {
     pub albedo: V3,
     pub normal: V3,
 }
 
-/// Light that leaves a surface.
-pub fn lit(skin: &Skin, sun_share: f64, open: f64) -> V3 {
-    let facing = skin.normal.dot(TO_SUN).max(0.0) * sun_share;
-    let up = 0.5 + 0.5 * skin.normal.z;
+/// Returns the light that a surface reflects.
+pub fn lit(material: &Material, sun_share: f64, open: f64) -> V3 {
+    let facing = material.normal.dot(TO_SUN).max(0.0) * sun_share;
+    let up = 0.5 + 0.5 * material.normal.z;
     let light = SUN * facing + SKY_LIGHT * (open * up) + BOUNCE * (open * (1.0 - up) + 0.04);
-    skin.albedo.times(light)
+    material.albedo.times(light)
 }
 
-/// The sky with the hills on its rim.
+/// Returns the light of the sky, with hills on the horizon.
 pub fn sky(along: V3, salt: u32) -> V3 {
     let level = (along.x * along.x + along.y * along.y).sqrt().max(1e-9);
     let (east, north) = (along.x / level, along.y / level);
@@ -64,18 +64,18 @@ pub fn sky(along: V3, salt: u32) -> V3 {
     light
 }
 
-/// Dust in the air between here and there.
+/// Returns light after it passed dusty air over a distance.
 pub fn hazed(light: V3, range_m: f64) -> V3 {
     let share = range_m / (range_m + 260.0);
     light.mix(HORIZON.mix(SAND, 0.25), share * share.sqrt())
 }
 
-/// How much of a detail of this size a pixel of that footprint can hold: all from 1.7 footprints on.
+/// Returns the contrast at which a pixel of this footprint resolves detail of a size: 1 from 1.7 footprints on.
 fn held(size_m: f64, footprint_m: f64) -> f64 {
     smoothstep(0.7, 1.7, size_m / footprint_m)
 }
 
-/// What tints the ground over metres: dust against sand, and a tone about 0.
+/// Returns the ground's large-scale tint: the share of dust, and a relative brightness.
 pub fn broad_tint(x: f64, y: f64, sand: f64, salt: u32) -> (f64, f64) {
     let broad = noise2(x / 2.3, y / 2.3, salt ^ 41).0;
     let blotch = noise2(x / 0.61, y / 0.61, salt ^ 42).0;
@@ -83,11 +83,11 @@ pub fn broad_tint(x: f64, y: f64, sand: f64, salt: u32) -> (f64, f64) {
     (dusty, 0.10 * broad + 0.05 * blotch)
 }
 
-/// Sand, dust and small stones at a place.
-pub fn ground_skin(x: f64, y: f64, lie: &Lie, footprint_m: f64, salt: u32) -> Skin {
-    let mut albedo = SAND.mix(DUST, lie.dusty);
-    let (mut slope_x, mut slope_y) = lie.slope;
-    let (sand, mut tone) = (lie.sand, lie.tone);
+/// Returns the material of the ground at a point: sand, dust and small stones.
+pub fn ground_material(x: f64, y: f64, point: &GroundPoint, footprint_m: f64, salt: u32) -> Material {
+    let mut albedo = SAND.mix(DUST, point.dusty);
+    let (mut slope_x, mut slope_y) = point.slope;
+    let (sand, mut tone) = (point.sand, point.tone);
     let rough = 1.0 - 0.62 * sand;
     let (mut px, mut py, mut size) = (x, y, 0.26);
     for octave in 0..7_u32 {
@@ -95,7 +95,7 @@ pub fn ground_skin(x: f64, y: f64, lie: &Lie, footprint_m: f64, salt: u32) -> Sk
         if share <= 0.0 {
             break;
         }
-        // Each octave is turned by the angle of a 3-4-5 triangle, so that no lattice shows.
+        // Each octave is rotated by the angle of a 3-4-5 triangle, which hides the lattice.
         (px, py) = (0.8 * px - 0.6 * py, 0.6 * px + 0.8 * py);
         let (value, dx, dy) = noise2(px / size, py / size, salt ^ (50 + octave));
         let strength = share * rough * 0.085;
@@ -106,7 +106,7 @@ pub fn ground_skin(x: f64, y: f64, lie: &Lie, footprint_m: f64, salt: u32) -> Sk
         size *= 0.52;
     }
     albedo = albedo * (1.0 + tone);
-    let mut skin = Skin {
+    let mut material = Material {
         albedo,
         normal: super::ground::normal_of(slope_x, slope_y),
     };
@@ -115,7 +115,7 @@ pub fn ground_skin(x: f64, y: f64, lie: &Lie, footprint_m: f64, salt: u32) -> Sk
         .enumerate()
     {
         stones(
-            &mut skin,
+            &mut material,
             (x, y),
             size,
             share * (1.0 - 0.93 * sand),
@@ -123,10 +123,10 @@ pub fn ground_skin(x: f64, y: f64, lie: &Lie, footprint_m: f64, salt: u32) -> Sk
             salt ^ (90 + layer as u32),
         );
     }
-    skin
+    material
 }
 
-/// Turns a slope back by `times` 3-4-5 angles.
+/// Rotates a slope back by `times` 3-4-5 angles.
 fn back(mut dx: f64, mut dy: f64, times: u32) -> (f64, f64) {
     for _ in 0..times {
         (dx, dy) = (0.8 * dx + 0.6 * dy, -0.6 * dx + 0.8 * dy);
@@ -134,10 +134,10 @@ fn back(mut dx: f64, mut dy: f64, times: u32) -> (f64, f64) {
     (dx, dy)
 }
 
-/// A layer of pebbles, at most one a cell, each a dome with its own little shadow.
-fn stones(skin: &mut Skin, at: (f64, f64), size_m: f64, share: f64, footprint_m: f64, salt: u32) {
+/// Adds a layer of pebbles, at most one per cell, each a dome with its shadow.
+fn stones(material: &mut Material, at: (f64, f64), size_m: f64, share: f64, footprint_m: f64, salt: u32) {
     let (u, v) = (at.0 / size_m, at.1 / size_m);
-    let ((i, u), (j, v)) = (whole(u), whole(v));
+    let ((i, u), (j, v)) = (split_floor(u), split_floor(v));
     let bits = cell_bits(i, j, salt);
     let visible = held(size_m * 0.35, footprint_m);
     if f64::from(bits & 0xffff) / 65_536.0 > share || visible <= 0.0 {
@@ -158,13 +158,13 @@ fn stones(skin: &mut Skin, at: (f64, f64), size_m: f64, share: f64, footprint_m:
     let (a, b, r2) = outline(dx, dy);
     let stone = visible * smoothstep(1.0 + soft, 1.0 - soft, r2);
     let colour = GRIT.mix(DUST, 0.75 * number(6) * number(6)) * (0.75 + 0.6 * number(7));
-    skin.albedo = (skin.albedo * (1.0 - dark)).mix(colour, stone);
+    material.albedo = (material.albedo * (1.0 - dark)).mix(colour, stone);
     let dome = v3(a * 0.75, b * 0.75, 0.55).unit();
-    skin.normal = skin.normal.mix(dome, stone * 0.85).unit();
+    material.normal = material.normal.mix(dome, stone * 0.85).unit();
 }
 
-/// Rock: beds, grain, pits, and dust on what faces up.
-pub fn rock_skin(rock: &Rock, point: V3, normal: V3, footprint_m: f64, salt: u32) -> Skin {
+/// Returns the material of rock: bedding, grain, pits, and dust on upward faces.
+pub fn rock_material(rock: &Rock, point: V3, normal: V3, footprint_m: f64, salt: u32) -> Material {
     let number = |k: u32| f64::from(mix32(rock.salt ^ k) >> 8) / 16_777_216.0;
     let local = rock.local(point - rock.centre) + v3(number(1), number(2), number(3)) * 50.0;
     let fresh = v3(0.150, 0.122, 0.100).mix(v3(0.265, 0.190, 0.125), number(4));
@@ -175,7 +175,7 @@ pub fn rock_skin(rock: &Rock, point: V3, normal: V3, footprint_m: f64, salt: u32
             size *= 0.5;
             continue;
         }
-        // Beds: detail is finer across the layers than along them.
+        // Bedding: detail is finer across the layers than along them.
         let p = v3(local.x / size, local.y / size, local.z * 1.7 / size);
         let (value, slope) = noise3(p, salt ^ (120 + octave));
         tone += share * 0.13 * value;
@@ -183,15 +183,15 @@ pub fn rock_skin(rock: &Rock, point: V3, normal: V3, footprint_m: f64, salt: u32
         size *= 0.5;
     }
     let pit = smoothstep(0.26, 0.42, -tone);
-    let bend = rock.world(bump);
-    let normal = (normal - (bend - normal * bend.dot(normal))).unit();
+    let tilt = rock.world(bump);
+    let normal = (normal - (tilt - normal * tilt.dot(normal))).unit();
     let coat = smoothstep(0.35, 0.95, normal.z + 1.1 * tone) * (0.35 + 0.5 * number(5));
     let stain = smoothstep(0.22, 0.0, point.z - rock.ground_z) * 0.45;
     let albedo = fresh.mix(DUST, coat.max(stain)) * ((1.0 + tone) * (1.0 - 0.4 * pit));
-    Skin { albedo, normal }
+    Material { albedo, normal }
 }
 
-/// Share of the sky a point of a rock sees: less near the ground.
+/// Returns the share of the sky visible from a point of a rock: less near the ground.
 pub fn rock_openness(rock: &Rock, point: V3) -> f64 {
     let height = (point.z - rock.ground_z) / (rock.half.z + 0.01);
     0.5 + 0.5 * smoothstep(-0.1, 0.9, height)

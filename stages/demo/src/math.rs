@@ -1,4 +1,4 @@
-//! Numbers that are the same on every machine: only + - * / sqrt and floor, no libm.
+//! Mathematics with the same bits on every machine: only + - * / sqrt and floor, no libm.
 
 use std::ops::{Add, Mul, Sub};
 
@@ -27,7 +27,7 @@ impl V3 {
         )
     }
 
-    /// Product by component: light times albedo.
+    /// Returns the product by component: light times albedo.
     pub fn times(self, other: V3) -> V3 {
         v3(self.x * other.x, self.y * other.y, self.z * other.z)
     }
@@ -105,7 +105,7 @@ pub fn sin_cos(angle_rad: f64) -> (f64, f64) {
     }
 }
 
-/// 0 below `from`, 1 above `to`, smooth between; falls if `from` > `to`.
+/// Returns 0 below `from`, 1 above `to`, and a smooth transition between; decreasing if `from` > `to`.
 pub fn smoothstep(from: f64, to: f64, x: f64) -> f64 {
     let t = ((x - from) / (to - from)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
@@ -120,7 +120,7 @@ pub fn mix32(mut h: u32) -> u32 {
     h ^ (h >> 16)
 }
 
-/// A reproducible number in [0, 1) for a lattice cell.
+/// Returns the random number in [0, 1) of a lattice cell.
 pub fn cell(x: i64, y: i64, salt: u32) -> f64 {
     unit_of(cell_bits(x, y, salt))
 }
@@ -133,37 +133,35 @@ fn unit_of(bits: u32) -> f64 {
     f64::from(bits) * (1.0 / 4_294_967_296.0)
 }
 
-/// A stream of reproducible numbers (splitmix64).
+/// A stream of random numbers.
 #[derive(Debug, Clone)]
-pub struct Dice(u64);
+pub struct Rng(marf_numeric::Rng);
 
-impl Dice {
+impl Rng {
+    /// Returns one of the streams of a seed; streams of different numbers are independent.
     pub fn new(seed: u64, stream: u64) -> Self {
-        let mut dice = Self(seed ^ stream.wrapping_mul(0xd134_2543_de82_ef95));
-        dice.bits();
-        dice
+        let mut rng = marf_numeric::Rng::new(seed ^ stream.wrapping_mul(0xd134_2543_de82_ef95));
+        rng.bits();
+        Self(rng)
     }
 
+    /// Returns the next 64 bits.
     pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+        self.0.bits()
     }
 
-    /// In [from, to).
+    /// Returns a number in [from, to).
     pub fn within(&mut self, from: f64, to: f64) -> f64 {
-        from + (to - from) * ((self.bits() >> 11) as f64 * (1.0 / 9_007_199_254_740_992.0))
+        from + (to - from) * self.0.unit_f64()
     }
 
-    /// Roughly normal, mean 0, deviation 1, never beyond 3 (sum of twelve numbers).
+    /// Returns a roughly normal number: mean 0, deviation 1, at most 3 from 0 (a sum of twelve uniform numbers).
     pub fn normal(&mut self) -> f64 {
         let sum: f64 = (0..12).map(|_| self.within(0.0, 1.0)).sum();
         (sum - 6.0).clamp(-3.0, 3.0)
     }
 
-    /// A direction, evenly over the sphere.
+    /// Returns a unit vector, uniform over the sphere.
     pub fn direction(&mut self) -> V3 {
         let z = self.within(-1.0, 1.0);
         let (sin, cos) = sin_cos(self.within(0.0, 2.0 * std::f64::consts::PI));
@@ -172,8 +170,8 @@ impl Dice {
     }
 }
 
-/// Splits a number into its floor and the rest; `f64::floor` is a call on plain x86-64, this is not.
-pub fn whole(x: f64) -> (i64, f64) {
+/// Returns a number's floor and fraction; `f64::floor` is a function call on baseline x86-64, this is not.
+pub fn split_floor(x: f64) -> (i64, f64) {
     let cut = x as i64;
     let floor = cut - i64::from(x < cut as f64);
     (floor, x - floor as f64)
@@ -184,9 +182,9 @@ fn quintic(t: f64) -> (f64, f64) {
     (t * t * t * (t * (t * 6.0 - 15.0) + 10.0), 30.0 * t * t * s * s)
 }
 
-/// Value noise in the plane, lattice 1: (value in [-1, 1], d/dx, d/dy).
+/// Returns value noise in the plane, lattice 1: (value in [-1, 1], d/dx, d/dy).
 pub fn noise2(x: f64, y: f64, salt: u32) -> (f64, f64, f64) {
-    let ((i, fx), (j, fy)) = (whole(x), whole(y));
+    let ((i, fx), (j, fy)) = (split_floor(x), split_floor(y));
     let ((u, du), (v, dv)) = (quintic(fx), quintic(fy));
     let corner = |di, dj| cell(i + di, j + dj, salt) * 2.0 - 1.0;
     let (a, b, c, d) = (corner(0, 0), corner(1, 0), corner(0, 1), corner(1, 1));
@@ -198,9 +196,9 @@ pub fn noise2(x: f64, y: f64, salt: u32) -> (f64, f64, f64) {
     )
 }
 
-/// Value noise in space, lattice 1: value in [-1, 1] and gradient.
+/// Returns value noise in space, lattice 1: value in [-1, 1] and gradient.
 pub fn noise3(p: V3, salt: u32) -> (f64, V3) {
-    let (k, fz) = whole(p.z);
+    let (k, fz) = split_floor(p.z);
     let (k, (w, dw)) = (k as u32, quintic(fz));
     let (a, ax, ay) = noise2(p.x, p.y, salt ^ mix32(k));
     let (b, bx, by) = noise2(p.x, p.y, salt ^ mix32(k.wrapping_add(1)));
@@ -210,25 +208,25 @@ pub fn noise3(p: V3, salt: u32) -> (f64, V3) {
     )
 }
 
-/// Turns linear light into 8-bit sRGB through a table of its 255 thresholds.
-pub struct Display {
-    /// `coarse[i]`: the value at i / 4096.
+/// Converts linear light to 8-bit sRGB by a table of its 255 thresholds.
+pub struct SrgbEncoder {
+    /// `coarse[i]`: the code of i / 4096.
     coarse: Vec<u8>,
-    /// `thresholds[v]`: the least linear light that is shown as v + 1.
+    /// `thresholds[v]`: the least linear light of code v + 1.
     thresholds: Vec<f64>,
 }
 
-impl Display {
+impl SrgbEncoder {
     pub fn new() -> Self {
         let thresholds: Vec<f64> = (0..255)
             .map(|v| linear_of((f64::from(v) + 0.5) / 255.0))
             .collect();
-        let shown = |light: f64| thresholds.partition_point(|&least| least <= light) as u8;
-        let coarse = (0..=4096).map(|i| shown(f64::from(i) / 4096.0)).collect();
+        let code_of = |light: f64| thresholds.partition_point(|&least| least <= light) as u8;
+        let coarse = (0..=4096).map(|i| code_of(f64::from(i) / 4096.0)).collect();
         Self { coarse, thresholds }
     }
 
-    pub fn shown(&self, light: f64) -> u8 {
+    pub fn code_of(&self, light: f64) -> u8 {
         let light = light.clamp(0.0, 1.0);
         let mut value = self.coarse[(light * 4096.0) as usize];
         while value < 255 && self.thresholds[usize::from(value)] <= light {
@@ -238,11 +236,11 @@ impl Display {
     }
 
     pub fn rgb(&self, light: V3) -> [u8; 3] {
-        [light.x, light.y, light.z].map(|channel| self.shown(channel))
+        [light.x, light.y, light.z].map(|channel| self.code_of(channel))
     }
 }
 
-/// sRGB to linear: x^2.4 as x² · x^0.4, the fifth root by Newton's method.
+/// Returns the linear light of an sRGB value: x^2.4 as x² · x^0.4, the fifth root by Newton's method.
 pub fn linear_of(srgb: f64) -> f64 {
     if srgb <= 0.040_45 {
         return srgb / 12.92;
@@ -273,12 +271,12 @@ mod tests {
 
     #[test]
     fn every_8_bit_value_survives_light_and_back() {
-        let display = Display::new();
+        let display = SrgbEncoder::new();
         for value in 0..=255_u8 {
             let light = linear_of(f64::from(value) / 255.0);
-            assert_eq!(display.shown(light), value, "light {light}");
+            assert_eq!(display.code_of(light), value, "light {light}");
         }
-        assert_eq!((display.shown(-1.0), display.shown(9.0)), (0, 255));
+        assert_eq!((display.code_of(-1.0), display.code_of(9.0)), (0, 255));
         assert!((linear_of(0.5) - 0.214_041_140_482).abs() < 1e-9);
     }
 

@@ -1,25 +1,25 @@
-//! What a sol's archive holds: which view becomes which file, and what is wrong with it.
+//! The files of a sol: which view becomes which file, with which flaw.
 
 use super::tour::{self, Eye, Pointing};
 
-/// Sols that can be asked for.
+/// Sols that exist.
 pub const SOLS: std::ops::RangeInclusive<u32> = 1..=999;
-/// A thumbnail is smaller by this factor.
+/// Factor by which thumbnails are reduced.
 pub const THUMBNAIL_FACTOR: u32 = 4;
-/// Clock of the first sol, seconds, and seconds of a sol.
+/// Spacecraft clock at the first sol, seconds, and seconds per sol.
 const CLOCK_S: u32 = 667_000_000;
 const SOL_S: u32 = 88_775;
 
-/// What was planted in a file.
+/// The flaw of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FlawKind {
-    /// The small version of a good photo; the name says so.
+    /// The thumbnail of a good photo, named as one.
     Thumbnail,
-    /// One band, of a good photo.
+    /// A good photo in one band.
     MonoCopy,
-    /// One band, of a view nothing else shows.
+    /// One band, of a view that no other file shows.
     Mono,
-    /// Three equal bands, of a view nothing else shows.
+    /// Three equal bands, of a view that no other file shows.
     EqualBands,
     /// A good photo's view through a narrow colour filter of this number.
     NarrowBand(u8),
@@ -29,11 +29,11 @@ pub enum FlawKind {
     Reencoded,
     /// Out of focus.
     Defocus,
-    /// Smeared by a turning mast.
+    /// Motion blur of a turning mast.
     Motion,
     /// Noise instead of a picture.
     Noise,
-    /// Blocks of loud colours instead of a picture.
+    /// Blocks of saturated colours instead of a picture.
     ColourBlocks,
     /// The rover's own deck fills the photo.
     Deck,
@@ -44,7 +44,7 @@ pub enum FlawKind {
 }
 
 impl FlawKind {
-    /// Names of the filters of which one should reject it, the likeliest first; `decode` for the reader itself.
+    /// Returns the filters of which one should reject it, the likeliest first; `decode` means extraction itself.
     pub const fn expected(self) -> &'static [&'static str] {
         match self {
             Self::Thumbnail => &["shape", "size"],
@@ -59,7 +59,7 @@ impl FlawKind {
         }
     }
 
-    /// Tells whether it is made from a photo of the landscape.
+    /// Returns whether it is made from a photo of the landscape.
     pub(super) const fn shows_mars(self) -> bool {
         !matches!(self, Self::Noise | Self::ColourBlocks | Self::Deck | Self::Dark)
     }
@@ -75,7 +75,7 @@ impl FlawKind {
 /// One image file.
 #[derive(Debug, Clone)]
 pub struct Product {
-    /// 54 characters.
+    /// Product name, 54 characters.
     pub id: String,
     pub extension: &'static str,
     pub flaw: Option<FlawKind>,
@@ -91,7 +91,7 @@ impl Product {
     }
 }
 
-/// One look through one eye, and the files it gives.
+/// One exposure of one eye, and the files made from it.
 #[derive(Debug, Clone)]
 pub struct View {
     pub pointing: Pointing,
@@ -99,7 +99,7 @@ pub struct View {
     pub products: Vec<Product>,
 }
 
-/// Returns the views of a sol in the order they were taken. `first_drive` counts the rover's first stop.
+/// Returns the views of a sol in the order they were taken.
 pub fn views(sol: u32, drives: &[u32]) -> Vec<View> {
     let mut slot = 0;
     let mut view = |pointing: Pointing, eye: Eye, flaws: &[Option<FlawKind>]| {
@@ -140,7 +140,7 @@ pub fn views(sol: u32, drives: &[u32]) -> Vec<View> {
     all
 }
 
-/// Files of one of the good views: the photo, then what was planted beside it.
+/// Returns the files of a good view: the photo, then the flawed ones made from it.
 fn copies(pair: usize, eye: Eye) -> &'static [Option<FlawKind>] {
     match (pair, eye) {
         (0, Eye::Left) => &[

@@ -1,24 +1,24 @@
-//! A photo, pixel by pixel.
+//! Rendering of a photo.
 
 use marf_scene::{Image, Srgb};
 use rayon::prelude::*;
 
 use super::{
     lens::Lens,
-    math::{Display, V3, v3},
-    world::{Sight, Thing, World},
+    math::{SrgbEncoder, V3, v3},
+    world::{RaySample, Surface, World},
 };
 
-/// Where the four further rays of an edge pixel go, in pixels from its centre.
+/// Offsets of the four additional rays of an edge pixel, pixels.
 const CORNERS: [(f64, f64); 4] = [(-0.375, -0.125), (0.125, -0.375), (0.375, 0.125), (-0.125, 0.375)];
-/// Neighbours whose ranges differ by more than this share lie on an edge.
+/// Relative difference of range above which two neighbours are on an edge.
 const EDGE: f64 = 0.03;
 
-/// Share of a pixel's light that the lens puts on each neighbour along a row or column: about 0.6 pixels of blur,
-/// as good optics have, and what keeps point samples from looking like noise.
+/// Share of a pixel's light that falls on each neighbour along a row or column: about 0.6 pixels of blur,
+/// as good optics have; it also suppresses aliasing of the point samples.
 const SPREAD: f64 = 0.17;
 
-/// Size and place of the camera in the site frame (z down).
+/// A camera in the site frame (z down), and what it photographs.
 pub struct Shot<'a> {
     pub world: &'a World,
     pub lens: Lens,
@@ -27,10 +27,10 @@ pub struct Shot<'a> {
 }
 
 impl Shot<'_> {
-    /// Takes the photo. Rows are shared out to the threads; every pixel is its own function of its place.
-    pub fn photo(&self, display: &Display) -> Image<Srgb> {
+    /// Renders the photo, rows in parallel; every pixel is a function of its position alone.
+    pub fn photo(&self, encoder: &SrgbEncoder) -> Image<Srgb> {
         let width = self.width as usize;
-        let first: Vec<Sight> = self.each(|x, y| self.look(x, y));
+        let first: Vec<RaySample> = self.each(|x, y| self.trace(x, y));
         let light: Vec<V3> = (0..first.len())
             .into_par_iter()
             .map(|index| {
@@ -38,7 +38,7 @@ impl Shot<'_> {
                     return first[index].light;
                 }
                 let (x, y) = ((index % width) as f64, (index / width) as f64);
-                let corners = CORNERS.iter().map(|(dx, dy)| self.look(x + dx, y + dy).light);
+                let corners = CORNERS.iter().map(|(dx, dy)| self.trace(x + dx, y + dy).light);
                 corners.fold(first[index].light, |sum, light| sum + light) * 0.2
             })
             .collect();
@@ -47,12 +47,12 @@ impl Shot<'_> {
             width: self.width,
             height: self.height,
             pixels: pixels
-                .map(|index| display.rgb(self.spread(&light, index)))
+                .map(|index| encoder.rgb(self.spread(&light, index)))
                 .collect(),
         }
     }
 
-    /// What falls on a pixel through the lens; the border goes on.
+    /// Returns the light on a pixel after the lens's blur; the border is repeated.
     fn spread(&self, light: &[V3], index: usize) -> V3 {
         let (width, height) = (self.width as usize, self.height as usize);
         let (x, y) = (index % width, index / width);
@@ -64,7 +64,7 @@ impl Shot<'_> {
             + (along_row(y.saturating_sub(1)) + along_row((y + 1).min(height - 1))) * SPREAD
     }
 
-    /// Distance from the camera's centre along each pixel's ray, metres; infinite for the sky.
+    /// Returns the distance from the camera's centre along each pixel's ray, metres; infinite for the sky.
     pub fn ranges_m(&self) -> Vec<f32> {
         self.each(|x, y| {
             let (from, along) = self.ray(x, y);
@@ -80,20 +80,20 @@ impl Shot<'_> {
             .collect()
     }
 
-    fn look(&self, x: f64, y: f64) -> Sight {
+    fn trace(&self, x: f64, y: f64) -> RaySample {
         let (from, along) = self.ray(x, y);
         self.world
-            .look(from, along, 1.0 / self.lens.h.cross(self.lens.a).norm())
+            .trace(from, along, 1.0 / self.lens.h.cross(self.lens.a).norm())
     }
 
-    /// The world's z is up, the site's is down.
+    /// Traces a pixel's ray; z is up in the world and down in the site.
     fn ray(&self, x: f64, y: f64) -> (V3, V3) {
         let up = |p: V3| v3(p.x, p.y, -p.z);
         (up(self.lens.c), up(self.lens.ray(x, y)))
     }
 
-    fn is_edge(&self, sights: &[Sight], index: usize) -> bool {
-        let (width, here) = (self.width as usize, &sights[index]);
+    fn is_edge(&self, samples: &[RaySample], index: usize) -> bool {
+        let (width, here) = (self.width as usize, &samples[index]);
         let mut neighbours = [None; 4];
         if !index.is_multiple_of(width) {
             neighbours[0] = Some(index - 1);
@@ -102,18 +102,18 @@ impl Shot<'_> {
             neighbours[1] = Some(index + 1);
         }
         neighbours[2] = index.checked_sub(width);
-        neighbours[3] = Some(index + width).filter(|&below| below < sights.len());
+        neighbours[3] = Some(index + width).filter(|&below| below < samples.len());
         neighbours
             .into_iter()
             .flatten()
-            .any(|other| differs(here, &sights[other]))
+            .any(|other| differs(here, &samples[other]))
     }
 }
 
-fn differs(here: &Sight, there: &Sight) -> bool {
-    if here.what == Thing::Sky && there.what == Thing::Sky {
-        // The hills' outline.
+fn differs(here: &RaySample, there: &RaySample) -> bool {
+    if here.surface == Surface::Sky && there.surface == Surface::Sky {
+        // The outline of the hills.
         return (here.light - there.light).norm() > 0.03;
     }
-    here.what != there.what || (here.range_m - there.range_m).abs() > EDGE * here.range_m
+    here.surface != there.surface || (here.range_m - there.range_m).abs() > EDGE * here.range_m
 }

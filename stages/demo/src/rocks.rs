@@ -1,15 +1,15 @@
-//! Rocks: convex blocks with cut corners, in a tree of boxes.
+//! Rocks: convex polyhedra in a bounding volume hierarchy.
 
-use super::math::{Dice, V3, sin_cos, v3};
+use super::math::{Rng, V3, sin_cos, v3};
 
-/// Planes of one shape: the six of its box and these cuts.
+/// Planes that cut the corners of a shape, beside the six of its box.
 const CUTS: usize = 18;
 const PLANES: usize = CUTS + 6;
 const SHAPES: usize = 48;
-/// What single precision may lose between a ray and a box, metres; boxes are larger by this.
+/// Margin of the boxes for rounding in single precision, metres.
 const SLACK_M: f64 = 0.002;
 
-/// A convex body in [-1, 1]³: normal · p <= reach for every plane.
+/// A convex polyhedron in [-1, 1]³: normal · p <= reach for every plane.
 struct Shape {
     nx: [f64; PLANES],
     ny: [f64; PLANES],
@@ -17,7 +17,7 @@ struct Shape {
     reach: [f64; PLANES],
 }
 
-/// One rock: a shape, scaled, turned and put somewhere.
+/// One rock: a scaled, rotated and placed shape.
 #[derive(Debug, Clone)]
 pub struct Rock {
     pub centre: V3,
@@ -27,13 +27,13 @@ pub struct Rock {
     pub half: V3,
     inverse_half: V3,
     shape: usize,
-    /// Differs from rock to rock: colour and texture.
+    /// Seed of its colour and texture.
     pub salt: u32,
     /// Height of the ground at its centre, metres.
     pub ground_z: f64,
 }
 
-/// Where and how to put a rock.
+/// Position, size and attitude of a rock.
 pub struct Place {
     pub centre: V3,
     pub half: V3,
@@ -43,12 +43,12 @@ pub struct Place {
     pub ground_z: f64,
 }
 
-/// A ray's first rock.
+/// The first intersection of a ray with a rock.
 #[derive(Debug, Clone, Copy)]
 pub struct RockHit {
     pub t: f64,
     pub rock: usize,
-    /// Outward, with softened edges.
+    /// Outward normal, smoothed at edges.
     pub normal: V3,
 }
 
@@ -58,11 +58,11 @@ pub struct Rocks {
     nodes: Vec<Node>,
 }
 
-/// A box of the tree in single precision: half the memory, and it only sorts out.
+/// A node of the hierarchy; single precision halves the memory, and the exact test follows at the rock.
 struct Node {
     low: [f32; 3],
     high: [f32; 3],
-    /// Index of a fork's second child (the first one follows the node), or of a leaf's rock.
+    /// Index of an inner node's second child (the first follows the node), or of a leaf's rock.
     next: u32,
     kind: Kind,
 }
@@ -74,7 +74,7 @@ enum Kind {
     ForkAlongY,
 }
 
-/// A ray with what the box test needs.
+/// A ray with the values that the box test needs.
 #[derive(Clone, Copy)]
 pub struct Ray {
     pub from: V3,
@@ -129,7 +129,7 @@ impl Rock {
         }
     }
 
-    /// Turns a world vector into the rock's own axes, in metres.
+    /// Returns a world vector in the rock's axes, metres.
     pub fn local(&self, p: V3) -> V3 {
         v3(self.rows[0].dot(p), self.rows[1].dot(p), self.rows[2].dot(p))
     }
@@ -138,7 +138,7 @@ impl Rock {
         self.rows[0] * p.x + self.rows[1] * p.y + self.rows[2] * p.z
     }
 
-    /// Half extents of the box around it, along the world's axes.
+    /// Returns the half extents of its bounding box along the world's axes.
     fn reach(&self) -> V3 {
         let along = |pick: fn(V3) -> f64| {
             pick(self.rows[0]).abs() * self.half.x
@@ -150,7 +150,7 @@ impl Rock {
 }
 
 impl Shape {
-    fn new(dice: &mut Dice) -> Self {
+    fn new(rng: &mut Rng) -> Self {
         let mut shape = Self {
             nx: [0.0; PLANES],
             ny: [0.0; PLANES],
@@ -164,27 +164,28 @@ impl Shape {
             axis[i][2 * i + 1] = -1.0;
         }
         for i in 6..PLANES {
-            let mut normal = dice.direction();
+            let mut normal = rng.direction();
             // Fresh breaks are steep: flatten half of the cuts towards the horizon.
             if i % 2 == 0 {
                 normal = v3(normal.x, normal.y, normal.z * 0.3).unit();
             }
             (shape.nx[i], shape.ny[i], shape.nz[i]) = (normal.x, normal.y, normal.z);
-            shape.reach[i] = dice.within(0.62, 0.98);
+            shape.reach[i] = rng.within(0.62, 0.98);
         }
         shape
     }
 
-    /// Returns where a ray enters before `limit`; 0 if it starts inside.
+    /// Returns the distance at which a ray enters, if below `limit`; 0 if it starts inside.
     fn enter(&self, from: V3, along: V3, limit: f64) -> Option<f64> {
         let (mut enter, mut leave) = (0.0_f64, limit);
-        // Six planes at a time without a branch, for the vector unit; the box comes first and rejects most.
+        // Six planes at a time without a branch, which vectorises; the box's planes come first and reject most rays.
         for first in (0..PLANES).step_by(6) {
             for i in first..first + 6 {
                 let speed = self.nx[i] * along.x + self.ny[i] * along.y + self.nz[i] * along.z;
-                let room = self.reach[i] - (self.nx[i] * from.x + self.ny[i] * from.y + self.nz[i] * from.z);
-                // Parallel: ±inf tells inside from outside; on the plane itself NaN changes nothing.
-                let t = room / speed;
+                let distance =
+                    self.reach[i] - (self.nx[i] * from.x + self.ny[i] * from.y + self.nz[i] * from.z);
+                // Parallel rays give ±inf, which is right inside and outside; on the plane itself NaN changes nothing.
+                let t = distance / speed;
                 let (entry, exit) = if speed < 0.0 { (t, f64::INFINITY) } else { (0.0, t) };
                 enter = if entry > enter { entry } else { enter };
                 leave = if exit < leave { exit } else { leave };
@@ -196,7 +197,7 @@ impl Shape {
         (leave > 0.0).then_some(enter)
     }
 
-    /// The outward normal at a surface point; planes that are nearly touched share it, so edges look worn.
+    /// Returns the outward normal at a surface point, blended with planes close by: edges look worn.
     fn normal(&self, p: V3, wear: f64) -> V3 {
         let gap = |i: usize| self.reach[i] - (self.nx[i] * p.x + self.ny[i] * p.y + self.nz[i] * p.z);
         let least = (0..PLANES).map(gap).fold(f64::INFINITY, f64::min);
@@ -209,12 +210,12 @@ impl Shape {
 
 impl Rocks {
     pub fn new(seed: u64, places: &[Place]) -> Self {
-        let mut dice = Dice::new(seed, 0x726f_636b);
-        let shapes = (0..SHAPES).map(|_| Shape::new(&mut dice)).collect();
+        let mut rng = Rng::new(seed, 0x726f_636b);
+        let shapes = (0..SHAPES).map(|_| Shape::new(&mut rng)).collect();
         let mut all: Vec<Rock> = places
             .iter()
             .map(|place| {
-                let bits = dice.bits();
+                let bits = rng.bits();
                 Rock::new(place, (bits >> 32) as usize % SHAPES, bits as u32)
             })
             .collect();
@@ -224,7 +225,7 @@ impl Rocks {
         Self { shapes, all, nodes }
     }
 
-    /// Returns the first rock on a ray before `limit`.
+    /// Returns the first intersection of a ray with a rock, if before `limit`.
     pub fn first(&self, ray: &Ray, limit: f64) -> Option<RockHit> {
         let mut best: Option<(f64, usize)> = None;
         self.visit(ray, limit, |t, rock| {
@@ -239,12 +240,12 @@ impl Rocks {
         })
     }
 
-    /// Tells whether a ray that starts at or in the ground meets a rock, or starts inside one.
+    /// Returns whether a ray that starts at or in the ground meets a rock, or starts inside one.
     pub fn shade_ground(&self, ray: &Ray, limit: f64) -> bool {
         self.blocks(ray, 0.0, limit)
     }
 
-    /// Tells whether a ray that starts on a rock meets another; the one it starts on does not count.
+    /// Returns whether a ray that starts on a rock meets another rock.
     pub fn shade_rock(&self, ray: &Ray, limit: f64) -> bool {
         self.blocks(ray, f64::MIN_POSITIVE, limit)
     }
@@ -265,7 +266,7 @@ impl Rocks {
         rock.world(normal.times(rock.inverse_half)).unit()
     }
 
-    /// Calls `hit` for hits before the limit it last returned; `None` ends the walk.
+    /// Calls `hit` for intersections before the limit it last returned; `None` ends the traversal.
     fn visit(&self, ray: &Ray, mut limit: f64, mut hit: impl FnMut(f64, usize) -> Option<f64>) {
         let mut stack = [0_u32; 48];
         let mut depth = 1;
@@ -316,7 +317,7 @@ fn bounds(rocks: &[Rock]) -> (V3, V3) {
     (low, high)
 }
 
-/// Builds the tree over `all[from..to]`, sorting it in place; the wider axis is cut at its middle rock.
+/// Builds the hierarchy over `all[from..to]`, sorting it in place; the longer axis is split at its median rock.
 fn grow(nodes: &mut Vec<Node>, all: &mut [Rock], from: usize, to: usize) {
     if from == to {
         return;
@@ -352,12 +353,12 @@ mod tests {
     use super::*;
 
     fn field() -> Rocks {
-        let mut dice = Dice::new(5, 5);
+        let mut rng = Rng::new(5, 5);
         let places: Vec<Place> = (0..400)
             .map(|_| Place {
-                centre: v3(dice.within(-5.0, 5.0), dice.within(-5.0, 5.0), 0.0),
-                half: v3(dice.within(0.05, 0.4), 0.2, 0.15),
-                yaw_rad: dice.within(0.0, 6.0),
+                centre: v3(rng.within(-5.0, 5.0), rng.within(-5.0, 5.0), 0.0),
+                half: v3(rng.within(0.05, 0.4), 0.2, 0.15),
+                yaw_rad: rng.within(0.0, 6.0),
                 tilt: (0.1, -0.2),
                 ground_z: 0.0,
             })
@@ -365,15 +366,15 @@ mod tests {
         Rocks::new(5, &places)
     }
 
-    /// The tree must find what asking every rock finds.
+    /// The hierarchy finds what a test of every rock finds.
     #[test]
     fn the_tree_misses_no_rock() {
         let rocks = field();
-        let mut dice = Dice::new(1, 2);
+        let mut rng = Rng::new(1, 2);
         let mut hits = 0;
         for _ in 0..500 {
-            let from = v3(dice.within(-6.0, 6.0), dice.within(-6.0, 6.0), 1.0);
-            let ray = Ray::new(from, (dice.direction() + v3(0.0, 0.0, -0.8)).unit());
+            let from = v3(rng.within(-6.0, 6.0), rng.within(-6.0, 6.0), 1.0);
+            let ray = Ray::new(from, (rng.direction() + v3(0.0, 0.0, -0.8)).unit());
             let every = (0..rocks.all.len()).filter_map(|index| rocks.enter(index, &ray, 1e9));
             let nearest = every.fold(f64::INFINITY, f64::min);
             let found = rocks.first(&ray, 1e9).map_or(f64::INFINITY, |hit| hit.t);
@@ -387,9 +388,9 @@ mod tests {
     #[test]
     fn normals_face_the_viewer() {
         let rocks = field();
-        let mut dice = Dice::new(3, 4);
+        let mut rng = Rng::new(3, 4);
         for _ in 0..500 {
-            let from = v3(dice.within(-6.0, 6.0), dice.within(-6.0, 6.0), 2.0);
+            let from = v3(rng.within(-6.0, 6.0), rng.within(-6.0, 6.0), 2.0);
             let ray = Ray::new(from, v3(0.0, 0.6, -0.8));
             if let Some(hit) = rocks.first(&ray, 1e9) {
                 assert!(hit.normal.dot(ray.along) < 0.35, "{:?}", hit.normal);

@@ -222,7 +222,7 @@ fn numbers(node: Node<'_, '_>, element: &str) -> Vec<f64> {
     numbers.collect()
 }
 
-fn told(label: &str) -> (Lens, Quaternion, V3) {
+fn labelled(label: &str) -> (Lens, Quaternion, V3) {
     let document = Document::parse(label).unwrap();
     let root = document.root_element();
     let space = root
@@ -247,7 +247,7 @@ fn told(label: &str) -> (Lens, Quaternion, V3) {
 fn labels_tell_a_pose_that_is_a_little_off() {
     for photo in small().ground_truth(1).unwrap().photos {
         let label = std::str::from_utf8(&sol_1()[&format!("{}.xml", &photo.file[..54])]).unwrap();
-        let (rover, turn, offset) = told(label);
+        let (rover, turn, offset) = labelled(label);
         let site = rover.moved(&turn.columns(), offset);
         let truth = lens(&photo.site_model);
         let turned = (site.a - truth.a)
@@ -257,7 +257,7 @@ fn labels_tell_a_pose_that_is_a_little_off() {
         let moved = (site.c - truth.c).norm();
         assert!((0.02..0.3).contains(&turned), "{}: {turned} degrees", photo.file);
         assert!((0.001..0.05).contains(&moved), "{}: {moved} m", photo.file);
-        // The lens itself is told exactly, but for the digits of the label.
+        // The label states the lens exactly, up to its digits.
         let focal = |lens: &Lens| lens.a.cross(lens.h).norm();
         assert!((focal(&site) - focal(&truth)).abs() < 1e-5, "{}", photo.file);
         assert!(
@@ -307,8 +307,8 @@ fn the_thumbnails_label_is_in_its_own_grid() {
         .find(|flaw| flaw.kind == FlawKind::Thumbnail)
         .unwrap();
     let label = |file: &str| std::str::from_utf8(&sol_1()[&format!("{}.xml", &file[..54])]).unwrap();
-    let (large, ..) = told(label(flaw.twin.as_ref().unwrap()));
-    let (little, ..) = told(label(&flaw.file));
+    let (large, ..) = labelled(label(flaw.twin.as_ref().unwrap()));
+    let (little, ..) = labelled(label(&flaw.file));
     let (x, y) = little.project(large.c + large.ray(41.5, 81.5) * 5.0).unwrap();
     assert!((x - 10.0).abs() < 1e-6 && (y - 20.0).abs() < 1e-6, "{x} {y}");
 }
@@ -365,7 +365,7 @@ fn distance(a: [u8; 3], b: [f64; 3]) -> f64 {
     (0..3).map(|k| (f64::from(a[k]) - b[k]).abs()).fold(0.0, f64::max)
 }
 
-/// Every photo looks at rocks a few metres off, from metres apart.
+/// Every photo shows rocks a few metres away, from positions metres apart.
 #[test]
 fn sols_look_at_the_same_rocks_from_different_places() {
     let demo = small();

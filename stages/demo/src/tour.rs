@@ -1,9 +1,9 @@
-//! Where the rover stops, where it looks, and what its telemetry believes.
+//! The rover's stops, where its cameras point, and the erroneous poses that labels state.
 
 use super::{
     ground::OUTCROP,
     lens::{Lens, Quaternion, rotate},
-    math::{DEGREE, Dice, V3, sin_cos, v3},
+    math::{DEGREE, Rng, V3, sin_cos, v3},
     world::World,
 };
 
@@ -16,48 +16,48 @@ pub enum Eye {
     Right,
 }
 
-/// Distance between the eyes, metres (Mastcam-Z).
+/// Stereo baseline, metres (Mastcam-Z).
 pub const BASELINE_M: f64 = 0.244;
-/// The mast's head in the rover frame, metres (x forward, y right, z down; Mastcam-Z of a real label).
+/// Position of the cameras in the rover frame, metres (x forward, y right, z down; from a real Mastcam-Z label).
 pub const MAST: V3 = v3(0.8049, 0.5595, -1.9190);
-/// Stops of one sol.
+/// Number of stops per sol.
 pub const STOPS: u32 = 3;
 /// Horizontal field of view, degrees.
 const FIELD_DEG: f64 = 52.0;
 
-/// One stop: true pose of the rover in the site, and the one its telemetry tells.
+/// One stop: the true pose of the rover in the site, and the one that labels state.
 #[derive(Debug, Clone)]
 pub struct Stop {
     pub drive: u32,
     pub site_from_rover: (Quaternion, V3),
-    pub told: (Quaternion, V3),
+    pub labelled: (Quaternion, V3),
 }
 
-/// One way of looking from a stop, both eyes alike.
+/// One direction of the mast at a stop, for both eyes.
 #[derive(Debug, Clone, Copy)]
 pub struct Pointing {
     pub stop: usize,
-    /// Where the mast looks relative to the line to the outcrop, degrees to the right.
+    /// Azimuth relative to the direction of the outcrop, degrees to the right.
     pub pan_deg: f64,
-    /// Degrees above the horizon.
+    /// Elevation, degrees.
     pub tilt_deg: f64,
     /// Motion counter of the mast.
     pub rsm: u32,
 }
 
-/// Returns the stops of a sol: an arc around the outcrop, one sol going on where the last ended.
+/// Returns the stops of a sol: an arc around the outcrop, which the next sol continues.
 pub fn stops(world: &World, seed: u64, sol: u32) -> Vec<Stop> {
     (0..STOPS)
         .map(|k| {
             let step = (sol - 1) * STOPS + k;
             let lap = f64::from(step / 20 % 5);
-            let mut dice = Dice::new(seed, 0x73_746f_7000 + u64::from(step));
-            let bearing = (205.0 + 18.0 * f64::from(step % 20) + 7.0 * lap + dice.within(-2.0, 2.0)) * DEGREE;
-            let radius = 4.9 + 0.45 * lap + dice.within(-0.35, 0.35);
+            let mut rng = Rng::new(seed, 0x73_746f_7000 + u64::from(step));
+            let bearing = (205.0 + 18.0 * f64::from(step % 20) + 7.0 * lap + rng.within(-2.0, 2.0)) * DEGREE;
+            let radius = 4.9 + 0.45 * lap + rng.within(-0.35, 0.35);
             let (sin, cos) = sin_cos(bearing);
             stop(
                 world,
-                &mut dice,
+                &mut rng,
                 20 + step * 3,
                 (OUTCROP.0 + radius * cos, OUTCROP.1 + radius * sin),
             )
@@ -65,11 +65,11 @@ pub fn stops(world: &World, seed: u64, sol: u32) -> Vec<Stop> {
         .collect()
 }
 
-fn stop(world: &World, dice: &mut Dice, drive: u32, at: (f64, f64)) -> Stop {
-    // The rover faces the outcrop a little past it, so that its mast has to turn.
+fn stop(world: &World, rng: &mut Rng, drive: u32, at: (f64, f64)) -> Stop {
+    // The rover points past the outcrop, so that its mast has to turn.
     let (dx, dy) = (OUTCROP.0 - at.0, OUTCROP.1 - at.1);
-    let facing = angle(dx, dy) + dice.within(-14.0, 14.0) * DEGREE;
-    let (slope_x, slope_y) = world.lie(at.0, at.1);
+    let facing = angle(dx, dy) + rng.within(-14.0, 14.0) * DEGREE;
+    let (slope_x, slope_y) = world.slope(at.0, at.1);
     let (sin, cos) = sin_cos(facing);
     let (pitch, roll) = (
         (slope_x * cos + slope_y * sin) / 1.8,
@@ -79,25 +79,21 @@ fn stop(world: &World, dice: &mut Dice, drive: u32, at: (f64, f64)) -> Stop {
         .after(Quaternion::about(v3(0.0, 1.0, 0.0), pitch))
         .after(Quaternion::about(v3(1.0, 0.0, 0.0), roll));
     let place = v3(at.0, at.1, -world.height(at.0, at.1));
-    let slip = v3(
-        dice.normal() * 0.010,
-        dice.normal() * 0.010,
-        dice.normal() * 0.006,
-    );
-    let told = tilted(dice, 0.06).after(attitude);
+    let slip = v3(rng.normal() * 0.010, rng.normal() * 0.010, rng.normal() * 0.006);
+    let labelled = tilted(rng, 0.06).after(attitude);
     Stop {
         drive,
         site_from_rover: (attitude, place),
-        told: (told, place + slip),
+        labelled: (labelled, place + slip),
     }
 }
 
-/// A turn of about this many degrees, any axis.
-fn tilted(dice: &mut Dice, degrees: f64) -> Quaternion {
-    Quaternion::about(dice.direction(), degrees * DEGREE * dice.within(0.7, 1.3))
+/// Returns a rotation of about this many degrees about a random axis.
+fn tilted(rng: &mut Rng, degrees: f64) -> Quaternion {
+    Quaternion::about(rng.direction(), degrees * DEGREE * rng.within(0.7, 1.3))
 }
 
-/// The angle of a direction in the plane, by halving: tan(angle / 2) = y / (r + x), and a series below 22.5 degrees.
+/// Returns the angle of a direction in the plane: tan(angle / 2) = y / (r + x), and a series below 22.5 degrees.
 fn angle(x: f64, y: f64) -> f64 {
     let r = (x * x + y * y).sqrt();
     if x < 0.0 {
@@ -118,7 +114,7 @@ fn angle(x: f64, y: f64) -> f64 {
     scale * t * (1.0 - t2 * (1.0 / 3.0 - t2 * (0.2 - t2 * (1.0 / 7.0 - t2 * (1.0 / 9.0 - t2 / 11.0)))))
 }
 
-/// Of each stop, pan and tilt in degrees: ten pairs for the field.
+/// Azimuth and elevation in degrees of the good views, by stop: ten stereo pairs.
 const PAIRS: [(usize, f64, f64); 10] = [
     (0, 0.0, -16.0),
     (0, -16.0, -13.0),
@@ -131,7 +127,7 @@ const PAIRS: [(usize, f64, f64); 10] = [
     (2, 13.0, -14.0),
     (2, -15.0, -11.0),
 ];
-/// Views that only flawed photos show, so that no sharp colour twin hides the flaw.
+/// Views that only flawed photos show, so that no sharp colour photo duplicates them.
 const SPARE: [(usize, f64, f64); 4] = [
     (0, 26.0, -11.0),
     (1, -27.0, -14.0),
@@ -139,17 +135,17 @@ const SPARE: [(usize, f64, f64); 4] = [
     (2, -27.0, -18.0),
 ];
 
-/// What the rover looks at on every sol for the field.
+/// Returns the directions of the good photos of a sol.
 pub fn pairs() -> Vec<Pointing> {
     numbered(&PAIRS, 100)
 }
 
-/// What only flawed photos show.
+/// Returns the directions that only flawed photos show.
 pub fn spare() -> Vec<Pointing> {
     numbered(&SPARE, 400)
 }
 
-/// Straight back and down at the deck.
+/// Backwards and down at the deck.
 pub const DECK: Pointing = Pointing {
     stop: 1,
     pan_deg: 168.0,
@@ -168,24 +164,24 @@ fn numbered(plan: &[(usize, f64, f64)], first_rsm: u32) -> Vec<Pointing> {
     plan.iter().zip(rsm).map(pointing).collect()
 }
 
-/// A camera as it was, and as its label tells.
+/// A camera as it was, and as its label states.
 #[derive(Debug, Clone, Copy)]
-pub struct Taken {
+pub struct Capture {
     /// The true lens in the true site frame.
     pub site: Lens,
     /// The true lens in the rover frame.
     pub rover: Lens,
-    /// What the label says, in the rover frame.
-    pub told_rover: Lens,
-    /// Turn of the mast, as the label quotes it.
+    /// The lens that the label states, in the rover frame.
+    pub labelled_rover: Lens,
+    /// Rotation of the mast, as the label states it.
     pub mast: Quaternion,
 }
 
-/// Points the mast and takes the camera of one eye.
-pub fn take(stop: &Stop, pointing: &Pointing, eye: Eye, size_px: (u32, u32), seed: u64) -> Taken {
+/// Returns the camera of one eye after the mast has been pointed.
+pub fn take(stop: &Stop, pointing: &Pointing, eye: Eye, size_px: (u32, u32), seed: u64) -> Capture {
     let (attitude, place) = stop.site_from_rover;
     let columns = attitude.columns();
-    // The line from the mast to the outcrop, in the rover frame.
+    // The direction from the mast to the outcrop, in the rover frame.
     let head = rotate(&columns, MAST) + place;
     let to = v3(OUTCROP.0, OUTCROP.1, head.z) - head;
     let azimuth = angle(columns[0].dot(to), columns[1].dot(to)) + pointing.pan_deg * DEGREE;
@@ -195,22 +191,22 @@ pub fn take(stop: &Stop, pointing: &Pointing, eye: Eye, size_px: (u32, u32), see
     let side = if eye == Eye::Left { -0.5 } else { 0.5 };
     let centre = MAST + forward * 0.06 + right * (side * BASELINE_M) + down * 0.02;
     let rover = Lens::new(centre, forward, right, size_px, focal_px(size_px.0));
-    // Backlash of the mast's joints: the same for both eyes, which hang on one bar.
-    let mut dice = Dice::new(
+    // Backlash of the mast's joints: the same for both eyes.
+    let mut rng = Rng::new(
         seed,
         0x706f_696e_7400 + u64::from(stop.drive) * 65_536 + u64::from(pointing.rsm),
     );
-    let backlash = tilted(&mut dice, 0.08).columns();
+    let backlash = tilted(&mut rng, 0.08).columns();
     let about_head = MAST - rotate(&backlash, MAST);
-    Taken {
+    Capture {
         site: rover.moved(&columns, place),
         rover,
-        told_rover: rover.moved(&backlash, about_head),
+        labelled_rover: rover.moved(&backlash, about_head),
         mast,
     }
 }
 
-/// Focal length that gives the field of view, pixels.
+/// Returns the focal length of the field of view, pixels.
 pub fn focal_px(width: u32) -> f64 {
     let (sin, cos) = sin_cos(FIELD_DEG / 2.0 * DEGREE);
     f64::from(width) / 2.0 * cos / sin

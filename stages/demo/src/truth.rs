@@ -1,4 +1,4 @@
-//! What is really so: for tests and for the curious, never for the pipeline.
+//! Ground truth: for tests and for people, never read by the pipeline.
 
 use marf_scene::{Cahvor, Camera, Pose};
 use nalgebra::{Matrix3, Vector3};
@@ -10,12 +10,12 @@ use super::{
     plan::FlawKind,
 };
 
-/// The truth of one sol.
+/// The ground truth of one sol.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Truth {
     /// The good photos, in the order they were taken.
     pub photos: Vec<TruePhoto>,
-    /// What was planted.
+    /// The flawed files.
     pub flaws: Vec<Flaw>,
 }
 
@@ -24,9 +24,9 @@ pub struct Truth {
 pub struct TruePhoto {
     /// Name of the file.
     pub file: String,
-    /// The lens as it was, in the rover's frame; its label tells a slightly other one.
+    /// The true lens in the rover's frame; the label states a slightly different one.
     pub rover_model: Cahvor,
-    /// The rover as it stood; its label tells a slightly other pose.
+    /// The rover's true pose; the label states a slightly different one.
     pub site_from_rover: Pose,
     /// The same lens in the site frame.
     pub site_model: Cahvor,
@@ -36,21 +36,21 @@ pub struct TruePhoto {
     pub pinhole: Camera,
 }
 
-/// A planted flaw.
+/// A flawed file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Flaw {
     /// Name of the file.
     pub file: String,
     /// What is wrong with it.
     pub kind: FlawKind,
-    /// The good photo it was made from. An exact copy may as well be kept in the place of that one.
+    /// The good photo it was made from. Of an exact copy and its original, either may be kept.
     pub twin: Option<String>,
 }
 
 /// Distances along the rays of a photo's pixels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RangeMap {
-    /// Pixels a row.
+    /// Pixels per row.
     pub width: u32,
     /// Rows.
     pub height: u32,
@@ -66,7 +66,7 @@ pub fn pose_of((turn, place): (Quaternion, V3)) -> Pose {
     }
 }
 
-/// The pinhole of a lens whose rows and columns are square to each other, as all of the demo's are.
+/// Returns the pinhole of a lens whose rows and columns are perpendicular, as those of the demo's lenses are.
 pub fn pinhole_of(lens: &Lens, width: u32, height: u32) -> (Pose, Camera) {
     let (right, down) = (
         lens.a.cross(lens.h).cross(lens.a),
@@ -92,7 +92,7 @@ pub fn pinhole_of(lens: &Lens, width: u32, height: u32) -> (Pose, Camera) {
 }
 
 impl Truth {
-    /// Writes it for people: cameras, and every flaw with the filters that should see it.
+    /// Returns it as JSON: cameras, and every flaw with the filters that should reject it.
     pub fn to_json(&self) -> serde_json::Value {
         let photo = |photo: &TruePhoto| {
             json!({

@@ -1,46 +1,46 @@
-//! The place itself: what lies where, and what a ray sees of it.
+//! The landscape: ground and rocks, and what a ray sees of them.
 
 use super::{
     ground::{self, FAR, Ground, OUTCROP},
     light::{self, TO_SUN},
-    math::{Dice, V3, mix32, sin_cos, v3},
+    math::{Rng, V3, mix32, sin_cos, v3},
     rocks::{Place, Ray, Rocks},
 };
 
 const TURN: f64 = 2.0 * std::f64::consts::PI;
-/// Farther off, a shadow is smaller than a pixel, metres.
+/// Distance beyond which shadows are smaller than a pixel, metres.
 const SHADOWS_M: f64 = 120.0;
-/// Longest shadow, metres along the light.
+/// Longest shadow, metres along the sunlight.
 const SHADOW_M: f64 = 6.0;
 
-/// A piece of Mars; the same for every sol of a seed.
+/// The landscape of a seed; the same for every sol.
 pub struct World {
     ground: Ground,
     rocks: Rocks,
     salt: u32,
 }
 
-/// What a ray meets.
+/// What a ray sees.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sight {
+pub struct RaySample {
     /// Linear RGB.
     pub light: V3,
     /// Metres along the ray; infinite for the sky.
     pub range_m: f64,
-    /// What it is; where neighbours differ, there is an edge.
-    pub what: Thing,
+    /// The surface; where neighbours differ, there is an edge.
+    pub surface: Surface,
 }
 
-/// What is seen, and whether the sun reaches it.
+/// A kind of surface, and whether the sun reaches it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Thing {
+pub enum Surface {
     /// Sky or far hills.
     Sky,
     /// Sunlit ground.
     Ground,
     /// Ground in a cast shadow.
     ShadedGround,
-    /// A sunlit rock, by number.
+    /// A sunlit rock, by index.
     Rock(usize),
     /// A rock in a cast shadow.
     ShadedRock(usize),
@@ -54,13 +54,13 @@ impl World {
         Self { ground, rocks, salt }
     }
 
-    /// Height of the ground, metres up.
+    /// Returns the height of the ground, metres.
     pub fn height(&self, x: f64, y: f64) -> f64 {
         self.ground.height(x, y)
     }
 
-    /// Slopes of the large forms along x and y.
-    pub fn lie(&self, x: f64, y: f64) -> (f64, f64) {
+    /// Returns the slopes of the large forms along x and y.
+    pub fn slope(&self, x: f64, y: f64) -> (f64, f64) {
         let plain = |dx: f64, dy: f64| ground::plain(x + dx, y + dy, self.salt);
         (
             plain(0.9, 0.0) - plain(-0.9, 0.0),
@@ -68,8 +68,8 @@ impl World {
         )
     }
 
-    /// Looks along a ray; `pixel_rad` is the angle of a pixel, below which no detail is drawn.
-    pub fn look(&self, from: V3, along: V3, pixel_rad: f64) -> Sight {
+    /// Traces a ray; `pixel_rad` is the angle of a pixel, below which no detail is drawn.
+    pub fn trace(&self, from: V3, along: V3, pixel_rad: f64) -> RaySample {
         let ray = Ray::new(from, along);
         let ground_m = self.ground.first(&ray);
         if let Some(hit) = self.rocks.first(&ray, ground_m.unwrap_or(FAR)) {
@@ -77,15 +77,15 @@ impl World {
         }
         match ground_m.filter(|&range| range < FAR) {
             Some(range_m) => self.sand(&ray, range_m, pixel_rad),
-            None => Sight {
+            None => RaySample {
                 light: light::sky(along, self.salt),
                 range_m: f64::INFINITY,
-                what: Thing::Sky,
+                surface: Surface::Sky,
             },
         }
     }
 
-    /// Returns the range alone, metres; infinite for the sky.
+    /// Returns the range of a ray alone, metres; infinite for the sky.
     pub fn range_m(&self, from: V3, along: V3) -> f64 {
         let ray = Ray::new(from, along);
         let ground = self.ground.first(&ray).filter(|&range| range < FAR);
@@ -93,126 +93,126 @@ impl World {
         rock.map(|hit| hit.t).or(ground).unwrap_or(f64::INFINITY)
     }
 
-    fn sand(&self, ray: &Ray, range_m: f64, pixel_rad: f64) -> Sight {
+    fn sand(&self, ray: &Ray, range_m: f64, pixel_rad: f64) -> RaySample {
         let p = ray.at(range_m);
-        let lie = self.ground.lie(p.x, p.y);
-        let facing = -ray.along.dot(ground::normal_of(lie.slope.0, lie.slope.1));
-        // A pixel is long on the ground; half-way between its two sides keeps detail without shimmer.
+        let point = self.ground.point(p.x, p.y);
+        let facing = -ray.along.dot(ground::normal_of(point.slope.0, point.slope.1));
+        // A pixel's footprint is elongated: the geometric mean of its sides keeps detail without aliasing.
         let footprint_m = range_m * pixel_rad / facing.clamp(0.06, 1.0).sqrt();
-        let skin = light::ground_skin(p.x, p.y, &lie, footprint_m, self.salt);
-        // Only rocks cast shadows: the ground is gentler than the sun is high.
+        let material = light::ground_material(p.x, p.y, &point, footprint_m, self.salt);
+        // Only rocks cast shadows: the ground is less steep than the sun is high.
         let to_sun = Ray::new(p + v3(0.0, 0.0, 0.004), TO_SUN);
         let shaded = range_m < SHADOWS_M && self.rocks.shade_ground(&to_sun, SHADOW_M);
-        let light = light::lit(&skin, if shaded { 0.0 } else { 1.0 }, lie.open);
-        Sight {
+        let light = light::lit(&material, if shaded { 0.0 } else { 1.0 }, point.open);
+        RaySample {
             light: light::hazed(light, range_m),
             range_m,
-            what: if shaded {
-                Thing::ShadedGround
+            surface: if shaded {
+                Surface::ShadedGround
             } else {
-                Thing::Ground
+                Surface::Ground
             },
         }
     }
 
-    fn rock(&self, ray: &Ray, hit: super::rocks::RockHit, pixel_rad: f64) -> Sight {
+    fn rock(&self, ray: &Ray, hit: super::rocks::RockHit, pixel_rad: f64) -> RaySample {
         let rock = &self.rocks.all[hit.rock];
         let p = ray.at(hit.t);
-        let skin = light::rock_skin(rock, p, hit.normal, hit.t * pixel_rad, self.salt);
+        let material = light::rock_material(rock, p, hit.normal, hit.t * pixel_rad, self.salt);
         let turned_away = hit.normal.dot(TO_SUN) <= 0.0;
         let to_sun = Ray::new(p + hit.normal * 0.003, TO_SUN);
         let shaded = !turned_away && hit.t < SHADOWS_M && self.rocks.shade_rock(&to_sun, SHADOW_M);
         let light = light::lit(
-            &skin,
+            &material,
             if shaded { 0.0 } else { 1.0 },
             light::rock_openness(rock, p),
         );
-        Sight {
+        RaySample {
             light: light::hazed(light, hit.t),
             range_m: hit.t,
-            what: if shaded {
-                Thing::ShadedRock(hit.rock)
+            surface: if shaded {
+                Surface::ShadedRock(hit.rock)
             } else {
-                Thing::Rock(hit.rock)
+                Surface::Rock(hit.rock)
             },
         }
     }
 }
 
-/// Draws where rocks lie: the outcrop, its debris, the stones of the plain, boulders far off.
+/// Returns random positions of rocks: the outcrop, its debris, the stones of the plain, distant boulders.
 fn places(seed: u64, salt: u32) -> Vec<Place> {
-    let mut dice = Dice::new(seed, 0x706c_6163);
-    let mut all = outcrop(&mut dice, salt);
+    let mut rng = Rng::new(seed, 0x706c_6163);
+    let mut all = outcrop(&mut rng, salt);
     for _ in 0..1500 {
-        let (x, y) = (dice.normal() * 2.3, dice.normal() * 2.3);
-        let size = power_law(&mut dice, 0.018, 0.20);
-        all.extend(stone(&mut dice, (OUTCROP.0 + x, OUTCROP.1 + y), size, salt));
+        let (x, y) = (rng.normal() * 2.3, rng.normal() * 2.3);
+        let size = power_law(&mut rng, 0.018, 0.20);
+        all.extend(stone(&mut rng, (OUTCROP.0 + x, OUTCROP.1 + y), size, salt));
     }
     for _ in 0..7000 {
-        let at = disc(&mut dice, 0.0, 17.0);
-        let size = power_law(&mut dice, 0.018, 0.30);
-        all.extend(stone(&mut dice, at, size, salt));
+        let at = disc(&mut rng, 0.0, 17.0);
+        let size = power_law(&mut rng, 0.018, 0.30);
+        all.extend(stone(&mut rng, at, size, salt));
     }
     for _ in 0..1600 {
-        let at = disc(&mut dice, 16.0, 80.0);
-        let size = power_law(&mut dice, 0.07, 0.7);
-        all.extend(stone(&mut dice, at, size, salt));
+        let at = disc(&mut rng, 16.0, 80.0);
+        let size = power_law(&mut rng, 0.07, 0.7);
+        all.extend(stone(&mut rng, at, size, salt));
     }
     all
 }
 
-/// How many are larger than r falls as r^-2, as counts on Mars roughly do.
-fn power_law(dice: &mut Dice, least_m: f64, most_m: f64) -> f64 {
-    (least_m / dice.within(0.0, 1.0).max(1e-9).sqrt()).min(most_m)
+/// Returns a random size; the number of rocks larger than r falls as r^-2, as on Mars.
+fn power_law(rng: &mut Rng, least_m: f64, most_m: f64) -> f64 {
+    (least_m / rng.within(0.0, 1.0).max(1e-9).sqrt()).min(most_m)
 }
 
-fn disc(dice: &mut Dice, from_m: f64, to_m: f64) -> (f64, f64) {
-    let radius = dice.within(from_m * from_m, to_m * to_m).sqrt();
-    let (sin, cos) = sin_cos(dice.within(0.0, TURN));
+fn disc(rng: &mut Rng, from_m: f64, to_m: f64) -> (f64, f64) {
+    let radius = rng.within(from_m * from_m, to_m * to_m).sqrt();
+    let (sin, cos) = sin_cos(rng.within(0.0, TURN));
     (OUTCROP.0 + radius * cos, OUTCROP.1 + radius * sin)
 }
 
-/// Broken, tilted slabs and blocks that lean on each other.
-fn outcrop(dice: &mut Dice, salt: u32) -> Vec<Place> {
+/// Returns the outcrop: broken, tilted slabs and blocks.
+fn outcrop(rng: &mut Rng, salt: u32) -> Vec<Place> {
     let mut all = Vec::new();
     for index in 0..26 {
         let spread = if index < 12 { 0.75 } else { 1.5 };
-        let (x, y) = (dice.normal() * spread, dice.normal() * spread);
+        let (x, y) = (rng.normal() * spread, rng.normal() * spread);
         let at = (OUTCROP.0 + x, OUTCROP.1 + y);
-        let wide = dice.within(0.22, 0.58) * if index < 12 { 1.0 } else { 0.75 };
+        let wide = rng.within(0.22, 0.58) * if index < 12 { 1.0 } else { 0.75 };
         let slab = index % 3 != 0;
         let flat = if slab {
-            dice.within(0.26, 0.42)
+            rng.within(0.26, 0.42)
         } else {
-            dice.within(0.55, 0.85)
+            rng.within(0.55, 0.85)
         };
-        let half = v3(wide, wide * dice.within(0.55, 0.9), wide * flat);
-        let tilt = (dice.within(-0.35, 0.35), dice.within(-0.35, 0.35));
-        all.push(place(dice, at, half, tilt, dice_bury(index), salt));
+        let half = v3(wide, wide * rng.within(0.55, 0.9), wide * flat);
+        let tilt = (rng.within(-0.35, 0.35), rng.within(-0.35, 0.35));
+        all.push(place(rng, at, half, tilt, buried_share(index), salt));
     }
     all
 }
 
-fn dice_bury(index: usize) -> f64 {
+fn buried_share(index: usize) -> f64 {
     [0.12, 0.3, 0.45, 0.2][index % 4]
 }
 
-/// A stone of the plain; none where sand has drifted, unless it is large.
-fn stone(dice: &mut Dice, at: (f64, f64), size: f64, salt: u32) -> Option<Place> {
-    let half = v3(size, size * dice.within(0.6, 0.95), size * dice.within(0.4, 0.8));
-    let tilt = (dice.within(-0.25, 0.25), dice.within(-0.25, 0.25));
-    let bury = dice.within(0.1, 0.6);
-    let buried_by_sand = dice.within(0.0, 1.0) < ground::sandiness(at.0, at.1, salt) * 0.94 && size < 0.11;
-    let stone = place(dice, at, half, tilt, bury, salt);
+/// Returns a stone of the plain; none where sand has drifted, unless it is large.
+fn stone(rng: &mut Rng, at: (f64, f64), size: f64, salt: u32) -> Option<Place> {
+    let half = v3(size, size * rng.within(0.6, 0.95), size * rng.within(0.4, 0.8));
+    let tilt = (rng.within(-0.25, 0.25), rng.within(-0.25, 0.25));
+    let bury = rng.within(0.1, 0.6);
+    let buried_by_sand = rng.within(0.0, 1.0) < ground::sandiness(at.0, at.1, salt) * 0.94 && size < 0.11;
+    let stone = place(rng, at, half, tilt, bury, salt);
     (!buried_by_sand).then_some(stone)
 }
 
-fn place(dice: &mut Dice, at: (f64, f64), half: V3, tilt: (f64, f64), bury: f64, salt: u32) -> Place {
+fn place(rng: &mut Rng, at: (f64, f64), half: V3, tilt: (f64, f64), bury: f64, salt: u32) -> Place {
     let ground_z = ground::plain(at.0, at.1, salt);
     Place {
         centre: v3(at.0, at.1, ground_z + half.z * (1.0 - 2.0 * bury)),
         half,
-        yaw_rad: dice.within(0.0, TURN),
+        yaw_rad: rng.within(0.0, TURN),
         tilt,
         ground_z,
     }

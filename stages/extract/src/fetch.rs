@@ -103,7 +103,7 @@ fn decode(product: &Product, file: &ArchiveFile, bytes: &[u8]) -> Result<Decoded
         });
     }
     let photo = Photo::decode(bytes).map_err(|error| error.to_string())?;
-    let mosaic = name.is_some_and(ProductName::says_mosaic);
+    let mosaic = name.is_some_and(ProductName::is_mosaic);
     let phase = beside.and_then(|label| label.mosaic.or(label.phase));
     let developed = if mosaic {
         raw::develop_mosaic(&photo, phase)

@@ -418,7 +418,7 @@ fn archives_with_bad_keys_say_so() {
     );
     fail(
         serde_json::json!({"kind": "folder", "path": "x", "sol": 1}),
-        "archive",
+        "archive.sol",
         "unknown field `sol`",
     );
     fail(serde_json::json!({"kind": "tape"}), "archive.kind", "tape");

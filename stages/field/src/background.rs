@@ -2,7 +2,8 @@
 
 use nalgebra::{SMatrix, SVector, Vector2};
 
-use crate::rng::GOLDEN;
+use marf_numeric::GOLDEN;
+
 use crate::{View, sh};
 
 /// Pixels looked at in a photo, at most.

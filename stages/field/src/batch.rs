@@ -6,36 +6,18 @@ use rayon::prelude::*;
 use crate::cpu::composite::{Gathered, RAW_LIMIT, Ray, Runaways, colour, colour_slope, runs_away};
 use crate::cpu::encode::Points;
 use crate::cpu::march::{Bits, March, Samples, Steps};
-use crate::cpu::simd::{Block, Isa, Kernel, LANES, Level, Stripe, flat};
-use crate::depth::Pull;
+use crate::cpu::simd::{Block, InstructionSet, Isa, Kernel, LANES, Run, Stripe, flat};
+use crate::draw::Target;
 use crate::exposure::Exposure;
-use crate::frame::RayStart;
 use crate::shade::{Shade, Span, lookup};
 use crate::weights::Weights;
 use crate::{Background, Config, sh};
-
-/// A ray with its photo and pixel.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Target {
-    /// Where it runs; `None` where the distortion has no inverse.
-    pub start: Option<RayStart>,
-    /// Place within every step.
-    pub jitter: f32,
-    /// Number of the photo.
-    pub view: u32,
-    /// The pixel, sRGB in [0, 1].
-    pub rgb: [f32; 3],
-    /// Exposure of the photo.
-    pub exposure: Exposure,
-    /// Where its matter is, if a sparse point tells.
-    pub pull: Option<Pull>,
-}
 
 /// What all chunks of a step share.
 #[derive(Clone, Copy)]
 pub struct Shared<'a> {
     /// Instruction set.
-    pub level: Level,
+    pub level: InstructionSet,
     /// Hyper-parameters.
     pub config: &'a Config,
     /// The weights.
@@ -102,7 +84,7 @@ impl Found {
     }
 }
 
-/// Memory of the workers; who needs some takes it from here and brings it back.
+/// Memory of the workers; a worker takes one and gives it back.
 pub type Spares = Mutex<Vec<Scratch>>;
 
 /// Memory of one worker.
@@ -133,7 +115,7 @@ pub fn train(shared: &Shared, targets: &[Target], rays: usize, chunks: &mut Vec<
     });
 }
 
-/// One task a level and chunk, level by level.
+/// Looks up the features of all chunks: one task a level and chunk, level by level.
 fn encode(shared: &Shared, chunks: &mut [Chunk]) {
     let weights = shared.weights;
     let levels = weights.shapes.iter().zip(&weights.tables);

@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::cpu::adam::Moments;
+use crate::state::State;
 use crate::tensors::{Reader, Writer};
-use crate::trainer::State;
 use crate::{Config, FieldError, Sizes, Trainer};
 
 #[derive(Serialize, Deserialize)]
@@ -33,7 +33,7 @@ impl Trainer {
     /// A GPU that failed.
     pub fn save(&mut self) -> Result<Vec<u8>, FieldError> {
         self.sync()?;
-        let state = &self.state;
+        let state = &self.training.state;
         let mut writer = Writer::default();
         for (name, values) in state.weights.tensors() {
             writer.floats(format!("weights.{name}"), values);
@@ -65,41 +65,36 @@ impl Trainer {
         let bits = u64::from_str_radix(&header.samples_per_ray, 16);
         let bits = bits.map_err(|error| reader.malformed(format!("samples per ray: {error}")))?;
         let samples_per_ray = f64::from_bits(bits);
-        if header.halvings > self.sizes.halvings.value {
+        if header.halvings > self.training.sizes.halvings.value {
             return Err(reader.malformed(format!("steps halved {} times", header.halvings)));
         }
         if !samples_per_ray.is_finite() || samples_per_ray < 1.0 {
             return Err(reader.malformed(format!("{samples_per_ray} samples per ray")));
         }
-        let mut restored = self.state.clone();
+        let mut restored = self.training.state.clone();
         restored.steps = header.steps;
         restored.halvings = header.halvings;
         restored.samples_per_ray = samples_per_ray;
         read_state(&reader, &mut restored)?;
-        self.march = self.sizes.steps(&self.config, restored.halvings);
-        self.state = restored;
-        if let Some(session) = self.session.take() {
-            let uploaded = session.upload(self);
-            self.session = Some(session);
-            uploaded?;
-        }
-        Ok(())
+        self.training.march = self
+            .training
+            .sizes
+            .steps(&self.training.config, restored.halvings);
+        self.training.state = restored;
+        self.session.upload(&self.training)
     }
 
     fn header(&self) -> Header {
         Header {
-            config: self.config.clone(),
-            seed: self.seed.to_string(),
-            views: self.views.len(),
-            pixels: format!("{:016x}", self.fingerprint()),
-            sizes: self.sizes.clone(),
-            steps: self.state.steps,
-            halvings: self.state.halvings,
-            samples_per_ray: format!("{:016x}", self.state.samples_per_ray.to_bits()),
-            gpu: self
-                .session
-                .as_ref()
-                .map(|session| session.gpu().class().to_owned()),
+            config: self.training.config.clone(),
+            seed: self.training.seed.to_string(),
+            views: self.training.views.len(),
+            pixels: format!("{:016x}", self.training.fingerprint()),
+            sizes: self.training.sizes.clone(),
+            steps: self.training.state.steps,
+            halvings: self.training.state.halvings,
+            samples_per_ray: format!("{:016x}", self.training.state.samples_per_ray.to_bits()),
+            gpu: self.backend.id().map(str::to_owned),
         }
     }
 

@@ -3,7 +3,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::FieldError;
-use crate::size::MOST_HALVINGS;
+
+/// Steps along rays are never halved more often.
+pub const MOST_HALVINGS: u32 = 6;
 
 /// What a ray gathers behind the last sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
@@ -167,7 +169,7 @@ impl Config {
         }
     }
 
-    /// Tells whether every number lies in its documented range.
+    /// Checks that every number lies in its documented range.
     ///
     /// # Errors
     /// [`FieldError::Config`] names the key, the value and the range.

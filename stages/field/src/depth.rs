@@ -9,7 +9,7 @@ use crate::cpu::composite::Ray;
 use crate::cpu::march::Steps;
 use crate::frame::Frame;
 
-/// One ray in so many goes to a sighting.
+/// One ray in so many goes to a observation.
 pub const SHARE: u64 = 8;
 /// A photo's longer side has this many squares; a point hides others in its own and the eight around it.
 const SQUARES: f64 = 30.0;
@@ -22,7 +22,7 @@ pub(crate) const FLOOR: f32 = 0.05;
 
 /// A pixel in which a point is seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sighting {
+pub struct Observation {
     /// Number of the pixel among all pixels of all views.
     pub pixel: u64,
     /// Distance of the point along its ray, half sides.
@@ -40,40 +40,40 @@ pub struct Pull {
 
 /// Returns what every view sees of the points, view by view, in the order of the points.
 ///
-/// The points bear no names of photos, so sight is judged by the points alone: hidden is what lies behind a nearer
+/// The points bear no names of photos, so visibility is judged by the points alone: hidden is what lies behind a nearer
 /// one close by in the picture. Of what this wrongly takes for seen on two sets of real photos (15,862 and 7,011
 /// points) 77 and 89 % lie within 5 % of the distance of the nearest point that the photo truly matched.
 /// Points behind a camera, outside its photo, before the first or behind the last step are not seen, nor is what
 /// lies in a pixel that is not kept.
 ///
 /// `first_pixels`: number of the first pixel of every view.
-pub fn sightings(
+pub fn observations(
     views: &[View],
     first_pixels: &[u64],
     points: &[[f64; 3]],
     frame: &Frame,
     steps: &Steps,
-) -> Vec<Sighting> {
+) -> Vec<Observation> {
     let pairs = views.par_iter().zip(first_pixels);
     let found = pairs.map(|(view, first)| {
         let seen = unhidden(
             &view.camera,
             points.iter().filter_map(|point| project(view, point)).collect(),
         );
-        let sightings = seen.into_iter().filter_map(|(pixel, distance)| {
+        let observations = seen.into_iter().filter_map(|(pixel, distance)| {
             let column = (pixel.x as u64).min(u64::from(view.camera.width) - 1);
             let row = (pixel.y as u64).min(u64::from(view.camera.height) - 1);
-            Some(Sighting {
+            Some(Observation {
                 pixel: first + view.image.kept(column, row)?,
                 t: Some((distance / frame.half_side) as f32).filter(|t| place(steps, *t).is_some())?,
             })
         });
-        sightings.collect::<Vec<_>>()
+        observations.collect::<Vec<_>>()
     });
     found.collect::<Vec<_>>().concat()
 }
 
-/// Pixel and distance of a point inside a photo.
+/// Returns pixel and distance of a point inside a photo.
 fn project(view: &View, point: &[f64; 3]) -> Option<(Vector2<f64>, f64)> {
     let at = view.cam_from_world.point(&Vector3::from(*point));
     let pixel = view.camera.project(&at)?;
@@ -156,7 +156,7 @@ mod tests {
         }
     }
 
-    fn seen(views: &[View], points: &[[f64; 3]]) -> Vec<Sighting> {
+    fn seen(views: &[View], points: &[[f64; 3]]) -> Vec<Observation> {
         let frame = Frame::derive(views, &[]);
         let frame = Frame {
             origin: [0.0; 3],
@@ -164,7 +164,7 @@ mod tests {
             ..frame
         };
         let steps = Steps::new(0.5, 100.0, 0.5, 0.0);
-        sightings(views, &pixel_offsets(views), points, &frame, &steps)
+        observations(views, &pixel_offsets(views), points, &frame, &steps)
     }
 
     #[test]
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn points_that_no_camera_can_use_give_no_sighting() {
+    fn points_that_no_camera_can_use_give_no_observation() {
         let views = [view([0.0; 3])];
         for point in [
             [0.0, 0.0, -6.0],

@@ -1,19 +1,16 @@
 //! Exposure of single photos: a photo shows gain * colour + offset, channel by channel.
 
-use crate::batch::Chunk;
-use crate::cpu::math::exp;
-use crate::learn::adam;
-use crate::{Gain, Trainer};
+use crate::Gain;
 
 /// Step size of log gains and offsets, as a share of the learning rate.
-pub(crate) const RATE: f32 = 0.1;
+pub const RATE: f32 = 0.1;
 /// Log gains stay within +-2 (2.9 stops), offsets within +-0.5, before their mean is taken away: a black photo
 /// would pull its gain down without end and all others up.
-pub(crate) const LIMITS: [f32; 2] = [2.0, 0.5];
+pub const LIMITS: [f32; 2] = [2.0, 0.5];
 /// Numbers of a photo in a row: three channels and one that is unused.
-const ROW: usize = 4;
+pub const ROW: usize = 4;
 
-/// What a photo makes of a colour; also the slopes of the loss in log gain and offset.
+/// How a photo changes a colour, gain * colour + offset; also the slopes of the loss in log gain and offset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exposure {
     /// e^(log gain).
@@ -22,7 +19,7 @@ pub struct Exposure {
     pub offset: [f32; 3],
 }
 
-/// Loss of one ray and where it leads.
+/// Loss of one ray and its gradients.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Compared {
     /// Squared errors of the channels.
@@ -57,8 +54,8 @@ impl Exposure {
 }
 
 impl Gain {
-    /// Numbers that the exposures of all photos take: `[views, 4]` log gains, then as many offsets.
-    pub(crate) fn numbers(self, views: usize) -> usize {
+    /// Returns how many numbers the exposures of all photos take: `[views, 4]` log gains, then as many offsets.
+    pub fn numbers(self, views: usize) -> usize {
         match self {
             Self::Off | Self::PerPhoto => views * ROW,
             Self::PerPhotoAndOffset => 2 * views * ROW,
@@ -66,52 +63,8 @@ impl Gain {
     }
 }
 
-impl Trainer {
-    /// Returns the exposure of every photo.
-    pub(crate) fn exposures(&self) -> Vec<Exposure> {
-        let (gains, offsets) = self.state.gains.split_at(self.views.len() * ROW);
-        let channels = |row: &[f32]| [row[0], row[1], row[2]];
-        let offsets = offsets.chunks_exact(ROW).map(channels);
-        let pairs = gains
-            .chunks_exact(ROW)
-            .zip(offsets.chain(std::iter::repeat([0.0; 3])));
-        pairs
-            .map(|(row, offset)| Exposure {
-                gain: channels(row).map(exp),
-                offset,
-            })
-            .collect()
-    }
-
-    /// Moves log gains and offsets and takes their means away: the scene keeps its own brightness.
-    pub(crate) fn learn_exposures(&mut self, chunks: &[Chunk], rate: f32) {
-        let half = self.views.len() * ROW;
-        let mut gradient = vec![0.0; self.state.gains.len()];
-        for (view, slopes) in chunks.iter().flat_map(|chunk| &chunk.found.exposures) {
-            let first = *view as usize * ROW;
-            add(&mut gradient[first..], slopes.gain);
-            if let Some(offsets) = gradient.get_mut(half + first..) {
-                add(offsets, slopes.offset);
-            }
-        }
-        let (numbers, moments) = (&mut self.state.gains, &mut self.state.gain_moments);
-        let rates = [rate * RATE, 0.0];
-        adam::<ROW>(self.level, numbers, &mut gradient, moments, rates, &self.bias);
-        for (numbers, limit) in numbers.chunks_mut(half).zip(LIMITS) {
-            centre(numbers, limit);
-        }
-    }
-}
-
-/// Adds three channels where there is a row to take them.
-fn add(row: &mut [f32], slopes: [f32; 3]) {
-    for (sum, slope) in row.iter_mut().zip(slopes) {
-        *sum += slope;
-    }
-}
-
 /// Cuts `[views, 4]` numbers at +-`limit`, then takes the mean of every channel away.
-fn centre(numbers: &mut [f32], limit: f32) {
+pub fn centre(numbers: &mut [f32], limit: f32) {
     numbers
         .iter_mut()
         .for_each(|number| *number = number.clamp(-limit, limit));
@@ -126,6 +79,7 @@ fn centre(numbers: &mut [f32], limit: f32) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cpu::math::exp;
 
     #[test]
     fn a_comparison_sends_back_the_slopes_of_its_f64_twin() {

@@ -4,17 +4,18 @@
 use marf_scene::{Camera, Image, Pose};
 use nalgebra::Vector3;
 
-use crate::batch::{self, Shared, Spares, Target};
+use crate::batch::{self, Shared, Spares};
 use crate::cpu::march::Bits;
-use crate::cpu::simd::Level;
+use crate::cpu::simd::InstructionSet;
+use crate::draw::Target;
 use crate::exposure::Exposure;
 use crate::frame::RayStart;
-use crate::training_tests::{ball, ball_view, small, trained};
+use crate::test_scene::{ball, ball_view, small, trained};
 use crate::{Background, Config, FieldError, Trainer, View};
 
 fn refused(trainer: &mut Trainer) -> String {
     let before = trainer.save().unwrap();
-    let Err(error) = trainer.step() else {
+    let Err(error) = trainer.advance(1) else {
         return "trained on".to_owned();
     };
     assert!(trainer.save().unwrap() == before, "changed by {error}");
@@ -38,8 +39,8 @@ fn a_nan_in_any_tensor_stops_the_step_by_name_and_leaves_the_state() {
         for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
             let mut trainer = Trainer::new(ball(3, 12), &[], &small(), 2).unwrap();
             trainer.restore(&good).unwrap();
-            let moments = trainer.state.moments.clone();
-            let mut tensors = trainer.state.weights.tensors_mut();
+            let moments = trainer.training.state.moments.clone();
+            let mut tensors = trainer.training.state.weights.tensors_mut();
             let place = tensors.iter().position(|(tensor, _)| tensor == name).unwrap();
             // An entry that training reaches: the one touched most often.
             let row = (0..moments[place].count.len())
@@ -47,7 +48,7 @@ fn a_nan_in_any_tensor_stops_the_step_by_name_and_leaves_the_state() {
                 .unwrap();
             let width = tensors[place].1.len() / moments[place].count.len();
             tensors[place].1[row * width..][..width].fill(value);
-            trainer.state.weights.refresh();
+            trainer.training.state.weights.refresh();
             let text = refused(&mut trainer);
             assert!(
                 text.starts_with("step 5: `")
@@ -57,13 +58,13 @@ fn a_nan_in_any_tensor_stops_the_step_by_name_and_leaves_the_state() {
             );
             trainer.restore(&good).unwrap();
             assert!(
-                trainer.step().is_ok(),
+                trainer.advance(1).is_ok(),
                 "{value} in {name}: a good checkpoint goes on"
             );
         }
     }
     let mut trainer = trained(ball(3, 12), &small(), 2, 5);
-    trainer.state.gains[5] = f32::NAN;
+    trainer.training.state.gains[5] = f32::NAN;
     let text = refused(&mut trainer);
     assert!(
         text.starts_with("step 5: `gains` is not finite, or beyond 1e9, at 5"),
@@ -83,11 +84,11 @@ fn a_rate_that_is_too_high_stops_by_name_or_leaves_a_state_that_can_be_taken_bac
             ..small()
         };
         let mut trainer = Trainer::new(ball(3, 12), &[], &config, 2).unwrap();
-        trainer.config.learning_rate = rate;
+        trainer.training.config.learning_rate = rate;
         for step in 0..40 {
             let before = trainer.save().unwrap();
             assert_eq!(trainer.restore(&before), Ok(()), "rate {rate:e}, step {step}");
-            if let Err(error) = trainer.step() {
+            if let Err(error) = trainer.advance(1) {
                 let text = error.to_string();
                 assert!(
                     text.starts_with(&format!("step {step}: `")),
@@ -108,11 +109,11 @@ fn a_rate_that_is_too_high_stops_by_name_or_leaves_a_state_that_can_be_taken_bac
 fn batch_of(target: Target) -> Option<&'static str> {
     let trainer = trained(ball(3, 12), &small(), 2, 5);
     let shared = Shared {
-        level: Level::best(),
+        level: InstructionSet::best(),
         config: &small(),
-        weights: &trainer.state.weights,
-        steps: &trainer.sizes.steps(&small(), 0),
-        bits: &trainer.state.occupancy.bits,
+        weights: &trainer.training.state.weights,
+        steps: &trainer.training.sizes.steps(&small(), 0),
+        bits: &trainer.training.state.occupancy.bits,
         rays: 1,
     };
     let mut chunks = Vec::new();
@@ -228,7 +229,7 @@ fn cameras_a_hundred_thousand_half_sides_away_train_and_see_the_box() {
     let views: Vec<View> = (0..4).map(view).collect();
     let mut trainer = Trainer::new(views.clone(), &points, &small(), 3).unwrap();
     for step in 0..20 {
-        let found = trainer.step().unwrap();
+        let found = trainer.advance(1).unwrap();
         assert!(
             found.samples > 0 && found.loss.is_finite(),
             "step {step}: {found:?}"
@@ -271,7 +272,7 @@ fn near_at_far_or_behind_it_is_refused_and_a_hair_before_it_trains() {
         ..small()
     };
     let mut trainer = Trainer::new(ball(2, 8), &[], &config, 0).unwrap();
-    let step = trainer.step().unwrap();
+    let step = trainer.advance(1).unwrap();
     assert!(
         step.rays > 0 && step.loss.is_finite(),
         "near 1, far 1 + 2^-52: {step:?}"
@@ -292,13 +293,13 @@ fn tables_of_2_to_8_up_to_2_to_24_entries_train() {
             ..small()
         };
         let trainer = trained(ball(2, 8), &config, 0, 2);
-        let shape = trainer.state.weights.shapes[7];
+        let shape = trainer.training.state.weights.shapes[7];
         assert_eq!(
             (shape.entries, shape.dense),
             (1 << log2_table, false),
             "2^{log2_table}"
         );
-        let moved = trainer.state.moments[7]
+        let moved = trainer.training.state.moments[7]
             .count
             .iter()
             .filter(|count| **count > 0)
@@ -323,11 +324,12 @@ fn ten_million_pixels_are_trained_on_and_ten_million_rays_rendered() {
     let mut field = trained(vec![view.clone(), ball_view(2.0, 0.0, 8)], &config, 0, 3)
         .field()
         .unwrap();
-    field.bits = Bits::new(field.bits.side);
-    let middle = field.bits.side / 2;
+    field.model.bits = Bits::new(field.model.bits.side);
+    let middle = field.model.bits.side / 2;
     field
+        .model
         .bits
-        .set(((middle * field.bits.side + middle) * field.bits.side + middle) as usize);
+        .set(((middle * field.model.bits.side + middle) * field.model.bits.side + middle) as usize);
     let asked = std::cell::Cell::new(0);
     let all = crate::render_in_bands(
         &field,
@@ -357,7 +359,13 @@ fn ten_million_pixels_are_trained_on_and_ten_million_rays_rendered() {
             .chain(&all.opacity)
             .all(|value| *value >= 0.0 && value.is_finite())
     );
-    let last = crate::render::render_rows(&field, &view.camera, &view.cam_from_world, 2493..2500);
+    let last = crate::render::render_rows(
+        InstructionSet::best(),
+        &field.model,
+        &view.camera,
+        &view.cam_from_world,
+        2493..2500,
+    );
     assert!(
         all.rgb[2493 * 4000..] == last.rgb,
         "the last rows are those of the last rows alone"
@@ -404,7 +412,7 @@ fn a_black_photo_before_a_black_background_stays_matched_for_a_thousand_steps() 
     let mut trainer = Trainer::new(views, &[], &config, 1).unwrap();
     let mut worst = 0.0_f64;
     for step in 0..1000 {
-        let loss = trainer.step().unwrap().loss;
+        let loss = trainer.advance(1).unwrap().loss;
         if step >= 300 {
             worst = worst.max(loss);
         }

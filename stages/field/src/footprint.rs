@@ -1,4 +1,4 @@
-//! How much memory a training takes, told before anything is decoded or trained.
+//! How much memory a training takes, known before anything is decoded or trained.
 
 use crate::weights::{NET_ROW, Weights};
 use crate::{Config, FieldError, Pixels, Sizes};

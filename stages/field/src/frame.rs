@@ -53,7 +53,7 @@ impl Frame {
         found.unwrap_or_else(|| from_baseline(&centres))
     }
 
-    /// Tells whether every camera has a place in the box that f32 can tell from others.
+    /// Checks that every camera has a place in the box that f32 can tell from others.
     ///
     /// # Errors
     /// [`FieldError::OutOfBox`] names the first that has none.
@@ -145,7 +145,7 @@ fn from_points(views: &[View], points: &[[f64; 3]]) -> Option<Frame> {
     })
 }
 
-/// Median depth of the points a view sees, 0 if none.
+/// Returns the median depth of the points a view sees, 0 if none.
 fn seen_depth(view: &View, points: &[[f64; 3]]) -> f64 {
     let depths = points
         .iter()
@@ -207,7 +207,7 @@ fn from_baseline(centres: &[Vector3<f64>]) -> Frame {
     }
 }
 
-/// Largest distance of a camera from their mean.
+/// Returns the largest distance of a camera from their mean.
 fn extent(centres: &[Vector3<f64>]) -> f64 {
     let mean = centres.iter().sum::<Vector3<f64>>() / centres.len().max(1) as f64;
     centres

@@ -1,31 +1,29 @@
-use std::ops::Range;
-use std::sync::Arc;
+//! A trained field as data, and as bytes.
 
-use marf_scene::{Camera, Pose};
 use safetensors::tensor::Dtype;
 use serde::{Deserialize, Serialize};
 
 use crate::cpu::march::{Bits, Steps};
-use crate::cpu::simd::Level;
 use crate::frame::Frame;
-use crate::gpu::Renderer;
-use crate::render::render_rows;
 use crate::tensors::{Reader, Writer};
 use crate::weights::Weights;
-use crate::{Config, Device, Facts, FieldError, Gpu, Render, Trial};
+use crate::{Config, Facts, FieldError};
 
-/// A trained field: everything needed to render.
+/// What a trained field consists of: everything needed to render it.
 #[derive(Clone, Debug)]
-pub struct Field {
-    pub(crate) level: Level,
-    pub(crate) config: Config,
-    pub(crate) frame: Frame,
-    pub(crate) steps: Steps,
-    pub(crate) weights: Weights,
-    pub(crate) bits: Bits,
-    pub(crate) facts: Facts,
-    /// Where it is rendered, if not here.
-    renderer: Option<Arc<Renderer>>,
+pub struct Model {
+    /// Hyper-parameters.
+    pub config: Config,
+    /// The box of the scene.
+    pub frame: Frame,
+    /// Steps along rays.
+    pub steps: Steps,
+    /// The weights.
+    pub weights: Weights,
+    /// Occupied cells.
+    pub bits: Bits,
+    /// What the field was sized by.
+    pub facts: Facts,
 }
 
 /// The JSON in the file's header.
@@ -36,40 +34,23 @@ struct Header {
     format: u32,
     config: Config,
     frame: Frame,
-    pub(crate) facts: Facts,
+    facts: Facts,
 }
 
 /// Raised when the meaning of the file changes.
 const FORMAT: u32 = 1;
 
-impl Field {
-    pub(crate) fn new(config: Config, frame: Frame, facts: Facts, weights: Weights, bits: Bits) -> Self {
+impl Model {
+    /// Returns a model; the steps along rays follow from config and facts.
+    pub fn new(config: Config, frame: Frame, facts: Facts, weights: Weights, bits: Bits) -> Self {
         Self {
-            level: Level::best(),
             steps: facts.sizes.steps(&config, facts.halvings),
             config,
             frame,
             weights,
             bits,
             facts,
-            renderer: None,
         }
-    }
-
-    /// Moves the rendering to a device.
-    ///
-    /// # Errors
-    /// A GPU that is not there, that lacks something, or that has too little memory.
-    pub fn on(self, device: &Device) -> Result<Self, FieldError> {
-        match device.open()? {
-            None => Ok(self),
-            Some(gpu) => self.with_gpu(&gpu),
-        }
-    }
-
-    pub(crate) fn with_gpu(mut self, gpu: &Arc<Gpu>) -> Result<Self, FieldError> {
-        self.renderer = Some(Arc::new(Renderer::new(gpu, &self)?));
-        Ok(self)
     }
 
     /// Returns the field as safetensors; the header's `marf` entry is JSON with box, layout, config and facts.
@@ -92,7 +73,7 @@ impl Field {
         writer.finish(serde_json::to_string(&header).unwrap_or_default())
     }
 
-    /// Reads what [`Field::encode`] wrote.
+    /// Reads what [`Model::encode`] wrote.
     ///
     /// # Errors
     /// [`FieldError::Malformed`] names the tensor; shapes are compared with the file before memory is taken.
@@ -134,41 +115,5 @@ impl Field {
             weights,
             bits,
         ))
-    }
-
-    /// Renders a photo: `camera` with its distortion, at `cam_from_world`.
-    ///
-    /// Tiles run in parallel in the current pool; the pixels do not depend on its size. Pixels where the
-    /// distortion has no inverse are black and empty.
-    ///
-    /// # Errors
-    /// A GPU that failed.
-    pub fn render(&self, camera: &Camera, cam_from_world: &Pose) -> Result<Render, FieldError> {
-        self.rows(camera, cam_from_world, 0..camera.height)
-    }
-
-    /// Renders some rows.
-    pub(crate) fn rows(
-        &self,
-        camera: &Camera,
-        cam_from_world: &Pose,
-        rows: Range<u32>,
-    ) -> Result<Render, FieldError> {
-        match &self.renderer {
-            None => Ok(render_rows(self, camera, cam_from_world, rows)),
-            Some(renderer) => Ok(renderer.rows(self, camera, cam_from_world, rows)?),
-        }
-    }
-
-    /// Takes down what was tried before the training.
-    #[must_use]
-    pub fn with_trials(mut self, trials: Vec<Trial>) -> Self {
-        self.facts.trials = trials;
-        self
-    }
-
-    /// Returns what the field was sized by.
-    pub fn facts(&self) -> &Facts {
-        &self.facts
     }
 }

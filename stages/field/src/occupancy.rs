@@ -52,7 +52,7 @@ pub struct Probe {
 }
 
 impl Occupancy {
-    /// All seen cells occupied.
+    /// Returns a grid with all seen cells occupied.
     pub fn full(side: u32, frame: &Frame, views: &[View]) -> Self {
         let seen = seen_cells(side, frame, views);
         let mut bits = Bits::new(side);
@@ -67,7 +67,7 @@ impl Occupancy {
         }
     }
 
-    /// Seen cells near the sparse points occupied, within 2 cells in the inner box and 4 outside.
+    /// Returns a grid with the seen cells near the sparse points occupied, within 2 cells in the inner box and 4 outside.
     ///
     /// All other seen cells start empty and fill where they are found dense. Without points: as [`Self::full`].
     pub fn near(side: u32, frame: &Frame, views: &[View], points: &[[f64; 3]]) -> Self {
@@ -176,14 +176,14 @@ impl Occupancy {
     }
 }
 
-/// Tells for every cell whether some camera looks at it; a margin makes the answer yes where in doubt.
+/// Returns for every cell whether some camera looks at it; a margin makes the answer yes where in doubt.
 fn seen_cells(side: u32, frame: &Frame, views: &[View]) -> Vec<bool> {
     let bricks = side / BRICK;
     let watchers: Vec<_> = views
         .iter()
         .map(|view| Watcher {
             view,
-            bend_px: bend_px(&view.camera),
+            distortion_px: distortion_px(&view.camera),
         })
         .collect();
     let slabs = (0..bricks).into_par_iter().map(|slab| {
@@ -210,7 +210,7 @@ fn seen_cells(side: u32, frame: &Frame, views: &[View]) -> Vec<bool> {
 /// A view and how far its distortion moves a corner.
 struct Watcher<'a> {
     view: &'a View,
-    bend_px: f64,
+    distortion_px: f64,
 }
 
 /// Centre and radius of a cell in the world.
@@ -253,15 +253,15 @@ fn sees(watcher: &Watcher, ball: &Ball) -> bool {
         camera.fx_px.mul_add(at.x / depth, camera.cx_px),
         camera.fy_px.mul_add(at.y / depth, camera.cy_px),
     ];
-    let margin = camera.fx_px.max(camera.fy_px) * ball.radius / depth + watcher.bend_px;
+    let margin = camera.fx_px.max(camera.fy_px) * ball.radius / depth + watcher.distortion_px;
     pixel[0] > -margin
         && pixel[1] > -margin
         && pixel[0] < f64::from(camera.width) + margin
         && pixel[1] < f64::from(camera.height) + margin
 }
 
-/// How far the distortion moves the corners of the photo outwards at most, pixels.
-fn bend_px(camera: &marf_scene::Camera) -> f64 {
+/// Returns how far the distortion moves the corners of the photo outwards at most, pixels.
+fn distortion_px(camera: &marf_scene::Camera) -> f64 {
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
     let corners = [[0.0, 0.0], [width, 0.0], [0.0, height], [width, height]];
     let moved = corners.map(|[x, y]| {

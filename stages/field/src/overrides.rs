@@ -65,7 +65,7 @@ impl JsonSchema for Overrides {
         Config::schema_name()
     }
 
-    /// That of [`Config`], none of whose keys is required.
+    /// Returns the schema of [`Config`], none of whose keys is required.
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
         Config::json_schema(generator)
     }

@@ -68,11 +68,12 @@ impl Pixels {
     }
 
     /// Returns the pixels of a run, of which one is kept.
+    #[cfg(feature = "gpu")]
     pub(crate) fn run(&self) -> u32 {
         self.run
     }
 
-    /// Tells whether the pixels fill the photo, and there is one.
+    /// Returns whether the pixels fill the photo, and there is one.
     pub(crate) fn is_whole(&self) -> bool {
         let all = self.width as usize * self.height as usize;
         !self.pixels.is_empty() && self.pixels.len() == all.div_ceil(self.run as usize)

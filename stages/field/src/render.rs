@@ -1,54 +1,16 @@
 use std::ops::Range;
 
-use marf_scene::{Camera, Image, Pose, Srgb};
+use marf_scene::{Camera, Pose};
 use rayon::prelude::*;
 
 use crate::cpu::composite::OPAQUE;
 use crate::cpu::march::March;
-use crate::cpu::simd::{Isa, Kernel};
+use crate::cpu::simd::{InstructionSet, Isa, Kernel, Run};
 use crate::frame::RayStart;
+use crate::model::Model;
+use crate::picture::Render;
+use crate::sh;
 use crate::shade::{Shade, Span};
-use crate::{Field, sh};
-
-/// A rendered photo, rows from the top.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Render {
-    /// Pixels a row.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-    /// `[height * width]`, sRGB in [0, 1].
-    pub rgb: Vec<[f32; 3]>,
-    /// `[height * width]`, share of the ray that met matter, in [0, 1].
-    pub opacity: Vec<f32>,
-    /// `[height * width]`, expected distance along the ray, world units; 0 where opacity is 0. Never NaN.
-    pub depth: Vec<f32>,
-}
-
-impl Render {
-    /// Black and empty.
-    pub(crate) fn empty(width: u32, height: u32) -> Self {
-        let pixels = width as usize * height as usize;
-        Self {
-            width,
-            height,
-            rgb: vec![[0.0; 3]; pixels],
-            opacity: vec![0.0; pixels],
-            depth: vec![0.0; pixels],
-        }
-    }
-
-    /// Rounds to 8 bits.
-    pub fn to_image(&self) -> Image<Srgb> {
-        let pixels = self.rgb.iter();
-        let round = |value: f32| (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
-        Image {
-            width: self.width,
-            height: self.height,
-            pixels: pixels.map(|rgb| rgb.map(round)).collect(),
-        }
-    }
-}
 
 /// Samples a ray gets in the first round; later rounds, with fewer rays left, take twice as many.
 const FIRST_ROUND: usize = 8;
@@ -100,8 +62,9 @@ struct Tile {
 }
 
 /// The view that is rendered.
-struct Sight<'a> {
-    field: &'a Field,
+struct Viewpoint<'a> {
+    level: InstructionSet,
+    model: &'a Model,
     camera: &'a Camera,
     world_from_cam: Pose,
 }
@@ -117,9 +80,16 @@ struct Strip<'a> {
 /// Renders some rows of a photo; strips of tiles run in parallel.
 ///
 /// A pixel depends on nothing but its ray, hence neither on the rows asked for nor on the pool.
-pub(crate) fn render_rows(field: &Field, camera: &Camera, cam_from_world: &Pose, rows: Range<u32>) -> Render {
-    let sight = Sight {
-        field,
+pub fn render_rows(
+    level: InstructionSet,
+    model: &Model,
+    camera: &Camera,
+    cam_from_world: &Pose,
+    rows: Range<u32>,
+) -> Render {
+    let viewpoint = Viewpoint {
+        level,
+        model,
         camera,
         world_from_cam: cam_from_world.inverse(),
     };
@@ -140,32 +110,32 @@ pub(crate) fn render_rows(field: &Field, camera: &Camera, cam_from_world: &Pose,
             depth,
         };
         for left in (0..camera.width).step_by(TILE[1] as usize) {
-            tile.render(&sight, strip, left);
+            tile.render(&viewpoint, strip, left);
         }
     });
     whole
 }
 
 impl Tile {
-    fn render(&mut self, sight: &Sight, strip: &mut Strip, left: u32) {
-        self.begin(sight, strip, left);
+    fn render(&mut self, viewpoint: &Viewpoint, strip: &mut Strip, left: u32) {
+        self.begin(viewpoint, strip, left);
         let mut limit = FIRST_ROUND;
         while !self.walks.is_empty() {
-            self.advance(sight.field, limit);
+            self.advance(viewpoint, limit);
             limit *= 2;
-            self.finish(sight.field, strip);
+            self.finish(viewpoint.model, strip);
         }
     }
 
     /// Sets out a ray for every pixel of the tile that has one.
-    fn begin(&mut self, sight: &Sight, strip: &Strip, left: u32) {
-        let width = sight.camera.width;
+    fn begin(&mut self, viewpoint: &Viewpoint, strip: &Strip, left: u32) {
+        let width = viewpoint.camera.width;
         let rows = strip.rgb.len() as u32 / width.max(1);
         for row in 0..rows {
             for column in left..width.min(left + TILE[1]) {
                 let centre = [f64::from(column) + 0.5, f64::from(strip.top + row) + 0.5];
-                let frame = &sight.field.frame;
-                let Some(start) = frame.ray(sight.camera, &sight.world_from_cam, centre) else {
+                let frame = &viewpoint.model.frame;
+                let Some(start) = frame.ray(viewpoint.camera, &viewpoint.world_from_cam, centre) else {
                     continue;
                 };
                 self.harmonics.push(sh::harmonics(start.direction));
@@ -184,15 +154,16 @@ impl Tile {
     }
 
     /// Carries every ray over its next occupied samples.
-    fn advance(&mut self, field: &Field, limit: usize) {
+    fn advance(&mut self, viewpoint: &Viewpoint, limit: usize) {
+        let Viewpoint { level, model, .. } = *viewpoint;
         let shade = &mut self.shade;
         shade.samples.resize(0);
         self.spans.clear();
         for walk in &mut self.walks {
             let first = shade.samples.len();
-            walk.next_step = field.level.run(March {
-                steps: &field.steps,
-                bits: &field.bits,
+            walk.next_step = level.run(March {
+                steps: &model.steps,
+                bits: &model.bits,
                 origin: walk.start.origin,
                 direction: walk.start.direction,
                 jitter: MIDDLE,
@@ -206,11 +177,11 @@ impl Tile {
         self.before.clear();
         self.before
             .extend(self.walks.iter().map(|walk| walk.optical_depth));
-        shade.densities(field.level, &field.weights);
-        shade.opacities(field.level, &self.spans, &self.before);
+        shade.densities(level, &model.weights);
+        shade.opacities(level, &self.spans, &self.before);
         self.kept.clear();
         self.weights.clear();
-        field.level.run(Weigh {
+        level.run(Weigh {
             walks: &mut self.walks,
             spans: &mut self.spans,
             shade,
@@ -218,8 +189,8 @@ impl Tile {
             weights: &mut self.weights,
         });
         shade.keep_latent(&self.kept);
-        shade.colours(field.level, &field.weights, &self.spans, &self.harmonics);
-        field.level.run(Gather {
+        shade.colours(level, &model.weights, &self.spans, &self.harmonics);
+        level.run(Gather {
             walks: &mut self.walks,
             spans: &self.spans,
             rgb: &shade.rgb,
@@ -228,17 +199,17 @@ impl Tile {
     }
 
     /// Writes the rays that are done and keeps the others.
-    fn finish(&mut self, field: &Field, strip: &mut Strip) {
+    fn finish(&mut self, model: &Model, strip: &mut Strip) {
         let mut going_on = 0;
         for index in 0..self.walks.len() {
             let walk = &self.walks[index];
-            if walk.left >= OPAQUE && walk.next_step < field.steps.begin.len() {
+            if walk.left >= OPAQUE && walk.next_step < model.steps.begin.len() {
                 self.walks.swap(going_on, index);
                 self.harmonics.swap(going_on, index);
                 going_on += 1;
                 continue;
             }
-            let pixel = walk.pixel(field, &self.harmonics[index]);
+            let pixel = walk.pixel(model, &self.harmonics[index]);
             strip.rgb[walk.pixel] = pixel.rgb;
             strip.opacity[walk.pixel] = pixel.opacity;
             strip.depth[walk.pixel] = pixel.depth;
@@ -316,12 +287,12 @@ impl Kernel for Gather<'_> {
 }
 
 impl Walk {
-    fn pixel(&self, field: &Field, harmonics: &[f32; sh::COUNT]) -> Pixel {
-        let behind = field.weights.behind(field.config.background, harmonics);
+    fn pixel(&self, model: &Model, harmonics: &[f32; sh::COUNT]) -> Pixel {
+        let behind = model.weights.behind(model.config.background, harmonics);
         // What was too faint for a colour of its own takes the one behind it.
         let through = self.left + self.faint;
         let opacity = (1.0 - self.left).clamp(0.0, 1.0);
-        let half_side = field.frame.half_side as f32;
+        let half_side = model.frame.half_side as f32;
         let depth = if opacity > 0.0 {
             self.distance / opacity * half_side
         } else {

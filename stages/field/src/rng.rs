@@ -1,5 +1,7 @@
 //! Random numbers by counter: any thread can draw the numbers of any ray of any step.
 
+use marf_numeric::{GOLDEN, mix};
+
 /// What the numbers are for; each purpose has its own stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
@@ -17,50 +19,40 @@ pub enum Purpose {
 
 /// A stream of random numbers that depends on all 64 bits of the seed.
 #[derive(Clone, Debug)]
-pub struct Rng(u64);
-
-/// Odd part of 2^64 / golden ratio (SplitMix64, Steele, Lea and Flood 2014).
-pub const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
-
-/// A bijection of 64 bits (finaliser of SplitMix64).
-fn mix(mut z: u64) -> u64 {
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
-}
+pub struct Rng(marf_numeric::Rng);
 
 impl Rng {
-    /// The stream of (seed, purpose, step, index).
+    /// Returns the stream of (seed, purpose, step, index).
     pub fn new(seed: u64, purpose: Purpose, step: u64, index: u64) -> Self {
         let stream = mix(seed.wrapping_add(GOLDEN)).wrapping_add((purpose as u64).wrapping_mul(GOLDEN));
         let stream = mix(stream).wrapping_add(step.wrapping_mul(GOLDEN));
         // The last mix keeps neighbouring streams apart: draws advance by GOLDEN, too.
-        Self(mix(mix(stream).wrapping_add(index.wrapping_mul(GOLDEN))))
+        let stream = mix(mix(stream).wrapping_add(index.wrapping_mul(GOLDEN)));
+        Self(marf_numeric::Rng::new(stream))
     }
 
     /// Returns 64 random bits.
     pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(GOLDEN);
-        mix(self.0)
+        self.0.bits()
     }
 
     /// Returns a number in [0, 1), a multiple of 2^-24.
     pub fn unit(&mut self) -> f32 {
-        (self.bits() >> 40) as f32 / 16_777_216.0
+        self.0.unit_f32()
     }
 
-    /// Returns an integer in [0, n); 0 if n is 0. Bias below n / 2^64.
+    /// Returns an integer in [0, n); 0 if n is 0. The bias is below n / 2^64.
     pub fn below(&mut self, n: u64) -> u64 {
-        ((u128::from(self.bits()) * u128::from(n)) >> 64) as u64
+        self.0.below(n)
     }
 }
 
-/// A 64-bit sum of numbers in order. No protection against intent: it tells mistakes.
+/// A 64-bit digest of numbers in order, to tell mistakes; no protection against forgery.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Fingerprint(pub u64);
 
 impl Fingerprint {
-    /// Takes in more numbers.
+    /// Adds more numbers.
     pub fn add(&mut self, numbers: impl IntoIterator<Item = u64>) {
         for number in numbers {
             self.0 = mix(self.0.wrapping_add(GOLDEN) ^ mix(number));

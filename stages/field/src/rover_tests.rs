@@ -1,6 +1,6 @@
 //! Training on what rover photos bring: changing exposure and sparse points.
 
-use crate::training_tests::{ball, ball_view, small, trained};
+use crate::test_scene::{ball, ball_view, small, trained};
 use crate::{Config, FieldError, Gain, Occupied, Trainer};
 
 #[test]
@@ -17,6 +17,7 @@ fn gains_follow_the_exposure_and_keep_a_mean_of_zero() {
     let trainer = trained(views.clone(), &config, 4, 400);
     for channel in 0..3 {
         let gains: Vec<f32> = trainer
+            .training
             .state
             .gains
             .iter()
@@ -37,6 +38,7 @@ fn gains_follow_the_exposure_and_keep_a_mean_of_zero() {
     };
     assert!(
         trained(views, &off, 4, 10)
+            .training
             .state
             .gains
             .iter()
@@ -56,7 +58,7 @@ fn offsets_follow_what_a_gain_cannot_and_keep_a_mean_of_zero() {
         ..small()
     };
     let trainer = trained(views, &config, 4, 400);
-    let (gains, offsets) = trainer.state.gains.split_at(24);
+    let (gains, offsets) = trainer.training.state.gains.split_at(24);
     for channel in 0..3 {
         for numbers in [gains, offsets] {
             let sum: f32 = numbers.iter().skip(channel).step_by(4).sum();
@@ -84,9 +86,18 @@ fn a_black_photo_and_a_single_photo_leave_exposures_finite_and_bounded() {
             };
             let trainer = trained(views[..count].to_vec(), &config, 4, 100);
             // Cut at 2, then moved by a mean of 2 at most.
-            let bounded = trainer.state.gains.iter().all(|number| number.abs() <= 4.0);
-            assert!(bounded, "{gain:?}, {count} photos: {:?}", trainer.state.gains);
-            assert!(count > 1 || trainer.state.gains.iter().all(|number| *number == 0.0));
+            let bounded = trainer
+                .training
+                .state
+                .gains
+                .iter()
+                .all(|number| number.abs() <= 4.0);
+            assert!(
+                bounded,
+                "{gain:?}, {count} photos: {:?}",
+                trainer.training.state.gains
+            );
+            assert!(count > 1 || trainer.training.state.gains.iter().all(|number| *number == 0.0));
         }
     }
 }
@@ -121,7 +132,7 @@ fn sparse_points_make_the_ball_opaque_sooner_and_leave_no_trace_where_they_are_o
     let middle = |config: &Config| {
         let mut trainer = Trainer::new(ball(12, 24), &coat(), config, 3).unwrap();
         for _ in 0..100 {
-            trainer.step().unwrap();
+            trainer.advance(1).unwrap();
         }
         let view = ball_view(0.4, 0.3, 24);
         let render = trainer
@@ -136,7 +147,7 @@ fn sparse_points_make_the_ball_opaque_sooner_and_leave_no_trace_where_they_are_o
     let there = with.0 > without.0 + 0.1 && (1.4..2.7).contains(&with.1);
     assert!(there, "{with:?} {without:?}");
     // No points: nothing to start from and nothing that pulls.
-    let states = [&pulled, &plain].map(|config| trained(ball(3, 12), config, 3, 20).state);
+    let states = [&pulled, &plain].map(|config| trained(ball(3, 12), config, 3, 20).training.state);
     assert!(states[0] == states[1]);
 }
 
@@ -151,7 +162,7 @@ fn a_resumed_training_with_points_gives_the_same_bytes_and_refuses_other_points(
     let fresh = |points: &[[f64; 3]]| Trainer::new(ball(4, 16), points, &config, 7).unwrap();
     let run = |mut trainer: Trainer, steps: u32| {
         for _ in 0..steps {
-            trainer.step().unwrap();
+            trainer.advance(1).unwrap();
         }
         trainer
     };

@@ -3,7 +3,7 @@
 use crate::cpu::composite::{Colours, Depths, ExpNeg, OPAQUE};
 use crate::cpu::encode::{Lookup, Points, Shape};
 use crate::cpu::march::Samples;
-use crate::cpu::simd::{Block, LANES, Level, Stripe};
+use crate::cpu::simd::{Block, InstructionSet, LANES, Run, Stripe};
 use crate::sh;
 use crate::weights::Weights;
 
@@ -43,7 +43,7 @@ pub struct Span {
 
 impl Shade {
     /// Encodes all samples and runs the density network.
-    pub fn densities(&mut self, level: Level, weights: &Weights) {
+    pub fn densities(&mut self, level: InstructionSet, weights: &Weights) {
         self.samples.resize(self.samples.len().next_multiple_of(LANES));
         let width = weights.row_blocks();
         self.features.resize(self.samples.len() * width, Block::default());
@@ -57,7 +57,7 @@ impl Shade {
     }
 
     /// Runs the density network on encoded samples.
-    pub fn infer(&mut self, level: Level, weights: &Weights) {
+    pub fn infer(&mut self, level: InstructionSet, weights: &Weights) {
         weights.density.forward(level, &self.features, &mut self.density);
         let latent = self.density.last().map_or(&[][..], Vec::as_slice);
         self.raw.clear();
@@ -67,7 +67,7 @@ impl Shade {
     /// Turns raw densities into optical depths and opacities, and these into transmittances along every ray.
     ///
     /// `before`: optical depth in front of the first sample of every ray.
-    pub fn opacities(&mut self, level: Level, spans: &[Span], before: &[f32]) {
+    pub fn opacities(&mut self, level: InstructionSet, spans: &[Span], before: &[f32]) {
         let n = self.raw.len();
         for array in [&mut self.tau, &mut self.alpha, &mut self.transmittance] {
             array.resize(n, 0.0);
@@ -134,7 +134,7 @@ impl Shade {
     /// Runs the colour network; `harmonics` are those of every ray's direction.
     pub fn colours(
         &mut self,
-        level: Level,
+        level: InstructionSet,
         weights: &Weights,
         spans: &[Span],
         harmonics: &[[f32; sh::COUNT]],
@@ -164,7 +164,14 @@ impl Shade {
 }
 
 /// Looks up one level for all points.
-pub fn lookup(level: Level, features: usize, shape: Shape, table: &[f32], points: Points, to: Stripe) {
+pub fn lookup(
+    level: InstructionSet,
+    features: usize,
+    shape: Shape,
+    table: &[f32],
+    points: Points,
+    to: Stripe,
+) {
     match features {
         2 => level.run(Lookup::<2> {
             shape,

@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use crate::config::MOST_HALVINGS;
 use crate::cpu::march::{Steps, contract};
 use crate::cpu::math::root;
 use crate::frame::{ENOUGH_POINTS, FAR, Frame, MOST_FINEST, percentile};
@@ -59,8 +60,6 @@ const ENOUGH_CELLS: usize = 8;
 const CELLS_AN_ENTRY: u64 = 4;
 /// A step need not be shorter than so many pixels are wide at its distance.
 const PIXELS_A_STEP: f64 = 2.0;
-/// Steps are never halved more often.
-pub const MOST_HALVINGS: u32 = 6;
 /// Smallest and largest table that is derived.
 const TABLES: [u32; 2] = [12, 22];
 
@@ -107,7 +106,7 @@ impl Sizes {
         Steps::new(self.near.value, self.far.value, shortest, cone)
     }
 
-    /// Tells whether a field of another program can have these sizes.
+    /// Checks that these sizes, which another program may have written, can be used.
     pub(crate) fn check(&self, config: &Config) -> Result<(), FieldError> {
         let finest = self.finest.value;
         if finest < config.base_resolution || finest > 1 << 20 {
@@ -157,7 +156,7 @@ struct Depths {
 }
 
 impl Depths {
-    /// Looks through every camera; `Err` tells why nothing is known.
+    /// Computes it from every camera; `Err` is the reason where nothing is known.
     fn seen(views: &[View], points: &[[f64; 3]], frame: &Frame) -> Result<Self, String> {
         if points.len() < ENOUGH_POINTS {
             let few = points.len();
@@ -244,7 +243,7 @@ fn finest(config: &Config, frame: &Frame, views: &[View]) -> Chosen<u32> {
     Chosen::new(cells.max(config.base_resolution), reason)
 }
 
-/// The fewest levels whose growth is at most 2, of those that fill blocks of 16 features.
+/// Returns the fewest levels whose growth is at most 2, of those that fill blocks of 16 features.
 fn levels(config: &Config, finest: u32) -> Chosen<u32> {
     if let Some(levels) = config.levels {
         return Chosen::said(levels, "levels");
@@ -350,7 +349,7 @@ fn halvings(config: &Config, views: &[View]) -> Chosen<u32> {
     Chosen::new(halvings, reason)
 }
 
-/// Four cells of the surface an entry, but no more entries than the training has samples to fill.
+/// Returns the table for four cells of the surface an entry, but no more entries than the training has samples to fill.
 fn log2_table(config: &Config, cells: u64) -> Chosen<u32> {
     if let Some(log2) = config.log2_table {
         return Chosen::said(log2, "log2_table");
@@ -381,7 +380,8 @@ fn log2_table(config: &Config, cells: u64) -> Chosen<u32> {
     Chosen::new(wanted, format!("the scene decides: {scene}; {budget}"))
 }
 
-/// Binary logarithm of the table that so many samples fill: 2^15 at 2^25 samples, 4 times as large at 8 times as many.
+/// Returns the binary logarithm of the table that so many samples fill: 2^15 at 2^25 samples, 4 times as large at 8
+/// times as many.
 ///
 /// A larger one has learnt less by then, a smaller one cannot hold more: `benches/size.md`.
 fn log2_filled(samples: u64) -> u32 {

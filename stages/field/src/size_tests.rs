@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use crate::cpu::simd::LANES;
 use crate::frame::Frame;
 use crate::size::{Sizes, derive};
-use crate::training_tests::{ball, ball_view, psnr, small, trained};
+use crate::test_scene::{ball, ball_view, psnr, small, trained};
 use crate::{Config, View, ViewDependence};
 
 /// Cameras in a row, 10 above the plane z = 0, looking down; photos of `side` pixels a side.

@@ -1,95 +1,15 @@
 //! Training as a whole: equal bytes, resumption, learning, refusals, degenerate photos.
 
+use std::sync::Arc;
+
 use marf_scene::{Camera, Image, Pose};
 use nalgebra::Vector3;
 
-use crate::cpu::simd::Level;
-use crate::{Background, Config, Field, FieldError, Gain, Trainer, View, ViewDependence};
-
-/// A ball of radius 1 with a wavy coat before a sky that grows lighter upwards.
-fn shade(origin: Vector3<f64>, direction: Vector3<f64>) -> [u8; 3] {
-    let toward = -origin.dot(&direction);
-    let miss = (origin + direction * toward).norm_squared();
-    if miss > 1.0 || toward < 0.0 {
-        let up = 0.5 + 0.5 * direction.z;
-        return [
-            (90.0 + 60.0 * up) as u8,
-            (110.0 + 60.0 * up) as u8,
-            (150.0 + 80.0 * up) as u8,
-        ];
-    }
-    let hit = origin + direction * (toward - (1.0 - miss).sqrt());
-    let wave = (hit.x * 4.0).sin() * (hit.y * 4.0).cos() + 0.5 * hit.z;
-    [160.0 + 60.0 * wave, 110.0 - 40.0 * wave, 80.0 + 20.0 * wave].map(|channel| channel as u8)
-}
-
-pub(crate) fn ball_view(angle: f64, height: f64, width: u32) -> View {
-    let eye = Vector3::new(3.0 * angle.cos(), 3.0 * angle.sin(), height);
-    let camera = Camera::pinhole(width, width, f64::from(width));
-    let cam_from_world = Pose::looking_at(eye, Vector3::zeros(), -Vector3::z());
-    let image = Image::from_fn(width, width, |column, row| {
-        let pixel = nalgebra::Vector2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
-        let ray = cam_from_world
-            .inverse()
-            .direction(&camera.unproject(&pixel).unwrap());
-        shade(eye, ray.normalize())
-    });
-    View {
-        id: format!("ball {angle:.2}"),
-        camera,
-        cam_from_world,
-        image: image.into(),
-    }
-}
-
-pub(crate) fn ball(count: u32, width: u32) -> Vec<View> {
-    let angle = |index: u32| f64::from(index) / f64::from(count) * std::f64::consts::TAU;
-    (0..count)
-        .map(|index| ball_view(angle(index), [0.8, -0.6][index as usize % 2], width))
-        .collect()
-}
-
-pub(crate) fn small() -> Config {
-    Config {
-        levels: Some(4),
-        log2_table: Some(11),
-        base_resolution: 8,
-        density_width: 16,
-        color_width: 16,
-        batch_samples: 1024,
-        occupancy_resolution: 32,
-        cone: 0.1,
-        min_step: 0.05,
-        near: Some(0.2),
-        gain: Gain::PerPhoto,
-        ..Config::default()
-    }
-}
-
-pub(crate) fn trained(views: Vec<View>, config: &Config, seed: u64, steps: u32) -> Trainer {
-    let mut trainer = Trainer::new(views, &[], config, seed).unwrap();
-    for _ in 0..steps {
-        trainer.step().unwrap();
-    }
-    trainer
-}
-
-pub(crate) fn psnr(field: &Field, view: &View) -> f64 {
-    let found = field
-        .render(&view.camera, &view.cam_from_world)
-        .unwrap()
-        .to_image();
-    let pairs = found
-        .pixels
-        .as_flattened()
-        .iter()
-        .zip(view.image.pixels.as_flattened());
-    let sum: f64 = pairs.map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
-    -10.0
-        * (sum / (3 * found.pixels.len()) as f64 / 65025.0)
-            .max(1e-10)
-            .log10()
-}
+use crate::cpu::simd::InstructionSet;
+use crate::cpu_backend::Cpu;
+use crate::test_scene::{ball, ball_view, psnr, small, trained};
+use crate::training::Training;
+use crate::{Background, Config, Field, FieldError, Trainer, View, ViewDependence};
 
 #[test]
 fn a_patterned_ball_is_learnt_to_25_db_on_a_held_out_view() {
@@ -172,7 +92,13 @@ fn a_pixel_is_the_same_in_any_rows_any_bands_and_with_any_threads() {
     for height in [1, 5, 8, 30] {
         for top in (0..37).step_by(height) {
             let rows = top as u32..37.min((top + height) as u32);
-            let band = crate::render::render_rows(&field, &camera, &view.cam_from_world, rows);
+            let band = crate::render::render_rows(
+                InstructionSet::best(),
+                &field.model,
+                &camera,
+                &view.cam_from_world,
+                rows,
+            );
             let same = band.rgb == whole.rgb[top * 43..][..band.rgb.len()]
                 && band.depth == whole.depth[top * 43..][..band.rgb.len()];
             assert!(same, "{height} rows from {top}");
@@ -211,21 +137,20 @@ fn weights_are_the_same_on_every_instruction_set() {
             },
             ..small()
         };
-        let state = |level: Level| {
-            let mut trainer = Trainer::new(ball(3, 12), &[], &config, 3).unwrap();
-            trainer.level = level;
+        let state = |level: InstructionSet| {
+            let training = Training::new(ball(3, 12), &[], &config, 3).unwrap();
+            let mut trainer = Trainer::with_backend(training, Arc::new(Cpu { level })).unwrap();
             for _ in 0..20 {
-                trainer.step().unwrap();
+                trainer.advance(1).unwrap();
             }
-            let mut field = trainer.field().unwrap();
-            field.level = level;
+            let field = trainer.field().unwrap();
             let view = ball_view(1.0, 0.0, 12);
             (
                 trainer.save().unwrap(),
                 field.render(&view.camera, &view.cam_from_world).unwrap(),
             )
         };
-        let levels = Level::all();
+        let levels = InstructionSet::all();
         let plain = state(levels[0]);
         for level in &levels[1..] {
             assert!(state(*level) == plain, "{level:?}, {features} features");
@@ -241,7 +166,7 @@ fn a_resumed_training_gives_the_bytes_of_an_uninterrupted_one() {
     resumed.restore(&half.save().unwrap()).unwrap();
     assert_eq!(resumed.steps(), 37);
     for _ in 37..60 {
-        resumed.step().unwrap();
+        resumed.advance(1).unwrap();
     }
     assert!(
         resumed.save().unwrap() == whole.save().unwrap()
@@ -310,13 +235,13 @@ fn a_field_survives_its_bytes_and_refuses_damaged_ones() {
         );
     }
     let mut nan = field.clone();
-    nan.weights.tables[1][5] = f32::NAN;
+    nan.model.weights.tables[1][5] = f32::NAN;
     let error = Field::decode(&nan.encode()).unwrap_err().to_string();
     assert_eq!(error, "not a field: `table.1` is NaN at 5");
     let text = String::from_utf8_lossy(&bytes).replacen("\\\"levels\\\":4", "\\\"levels\\\":8", 1);
     assert!(Field::decode(text.as_bytes()).is_err());
     let mut larger = field;
-    larger.facts.sizes.log2_table.value = 24;
+    larger.model.facts.sizes.log2_table.value = 24;
     let error = Field::decode(&larger.encode()).unwrap_err().to_string();
     assert!(error.starts_with("not a field: tensor `table."), "{error}");
 }
@@ -360,9 +285,9 @@ fn what_cannot_be_learnt_from_is_refused_by_name() {
 #[test]
 fn a_nan_weight_stops_the_step_and_leaves_the_state() {
     let mut trainer = trained(ball(3, 12), &small(), 2, 5);
-    trainer.state.weights.tables[0].fill(f32::NAN);
+    trainer.training.state.weights.tables[0].fill(f32::NAN);
     let before = trainer.save().unwrap();
-    let error = trainer.step().unwrap_err();
+    let error = trainer.advance(1).unwrap_err();
     let text = error.to_string();
     assert!(
         text.starts_with("step 5: `raw density` is not finite, or beyond 1e9, at chunk 0"),
@@ -374,17 +299,17 @@ fn a_nan_weight_stops_the_step_and_leaves_the_state() {
 #[test]
 fn a_learning_rate_of_a_million_stops_by_name_or_stays_finite() {
     let mut trainer = Trainer::new(ball(3, 12), &[], &small(), 2).unwrap();
-    trainer.config.learning_rate = 1e6;
+    trainer.training.config.learning_rate = 1e6;
     for _ in 0..50 {
         let before = trainer.save().unwrap();
-        if let Err(error) = trainer.step() {
+        if let Err(error) = trainer.advance(1) {
             assert!(matches!(error, FieldError::NotFinite { .. }), "{error}");
             assert!(trainer.save().unwrap() == before);
             return;
         }
         let finite = |(_, values): (String, &[f32])| values.iter().all(|value| value.is_finite());
         assert!(
-            trainer.state.weights.tensors().into_iter().all(finite),
+            trainer.training.state.weights.tensors().into_iter().all(finite),
             "step {}",
             trainer.steps()
         );
@@ -424,7 +349,15 @@ fn a_black_background_stays_black_where_nothing_is() {
         ..small()
     };
     let trainer = trained(ball(3, 12), &config, 4, 10);
-    assert!(trainer.state.weights.background.iter().all(|value| *value == 0.0));
+    assert!(
+        trainer
+            .training
+            .state
+            .weights
+            .background
+            .iter()
+            .all(|value| *value == 0.0)
+    );
 }
 
 /// Changes only when training answers differently: then the stages built on it raise their VERSION.

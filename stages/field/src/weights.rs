@@ -45,7 +45,7 @@ pub fn resolutions(base: u32, finest: u32, levels: u32) -> Vec<u32> {
 }
 
 impl Weights {
-    /// The levels of a configuration.
+    /// Returns the levels of a configuration.
     pub fn shapes(config: &Config, sizes: &Sizes) -> Vec<Shape> {
         let sides = resolutions(config.base_resolution, sizes.finest.value, sizes.levels.value);
         sides
@@ -59,7 +59,7 @@ impl Weights {
         self.shapes.len() * self.features / LANES
     }
 
-    /// All numbers zero.
+    /// Returns weights of zero.
     pub fn zeros(config: &Config, sizes: &Sizes) -> Self {
         let shapes = Self::shapes(config, sizes);
         let features = config.features as usize;
@@ -111,7 +111,7 @@ impl Weights {
         all
     }
 
-    /// As [`Weights::tensors`], to be written; call [`Weights::refresh`] afterwards.
+    /// Returns the tensors of [`Weights::tensors`], to be written; call [`Weights::refresh`] afterwards.
     pub fn tensors_mut(&mut self) -> Vec<(String, &mut [f32])> {
         let tables = self.tables.iter_mut().enumerate();
         let mut all: Vec<_> = tables

@@ -1,5 +1,6 @@
 //! How two photos are related by their product names and labels, before any pixel is compared.
 
+use marf_pds::Mars2020Name;
 use marf_scene::{CameraPrior, PhotoFacts};
 
 /// Most seconds between two photos of one pointing through different filters: a wheel of eight positions takes
@@ -35,15 +36,16 @@ impl Relation {
 
 /// Returns how two photos, each given by product id and facts, are related.
 pub(crate) fn relation_between(a: (&str, &PhotoFacts), b: (&str, &PhotoFacts)) -> Relation {
-    let names = Name::read(a.0).zip(Name::read(b.0));
-    if names.is_some_and(|(a, b)| a.is_version_of(&b)) {
+    let names = Mars2020Name::read(a.0).zip(Mars2020Name::read(b.0));
+    if names.is_some_and(|(a, b)| a.is_other_product_of_exposure(b)) {
         return Relation::SameExposure;
     }
     if !differ_in_filter(a.1, b.1) {
         return Relation::Unknown;
     }
     let by_label = same_pointing(a.1, b.1);
-    let by_name = names.map(|(a, b)| a.is_pointed_as(&b));
+    let by_name = names
+        .map(|(a, b)| a.is_same_planned_pointing(b) && a.clock_s().abs_diff(b.clock_s()) <= MAX_INTERVAL_S);
     // A label holds the measured pointing, a name only the planned one.
     match by_label.or(by_name) {
         Some(true) => Relation::SamePointing,
@@ -56,10 +58,8 @@ pub(crate) fn relation_between(a: (&str, &PhotoFacts), b: (&str, &PhotoFacts)) -
 ///
 /// Calibrated radiance is 0, so that the same kind of product is kept throughout the set.
 pub(crate) fn processing_rank(id: &str) -> u8 {
-    match Name::read(id)
-        .map(|name| name.0[23..26].to_ascii_uppercase())
-        .as_deref()
-    {
+    let product_type = Mars2020Name::read(id).map(|name| name.product_type().to_ascii_uppercase());
+    match product_type.as_deref() {
         Some("RAD") => 0,
         Some(product) if product.starts_with('R') => 1,
         _ => 2,
@@ -94,40 +94,6 @@ fn same_pointing(a: &PhotoFacts, b: &PhotoFacts) -> Option<bool> {
 /// Returns the middle of a photo, pixel centres at integers.
 fn middle_px(facts: &PhotoFacts) -> [f64; 2] {
     [facts.width, facts.height].map(|side| (f64::from(side) - 1.0) / 2.0)
-}
-
-/// A product name of Mars 2020: fields by position in its first 52 characters.
-#[derive(Clone, Copy)]
-struct Name<'a>(&'a str);
-
-impl<'a> Name<'a> {
-    fn read(id: &'a str) -> Option<Self> {
-        let bytes = id.as_bytes();
-        let digits = |from: usize, to: usize| bytes[from..to].iter().all(u8::is_ascii_digit);
-        let fits = id.is_ascii()
-            && bytes.len() >= 52
-            && bytes[8] == b'_'
-            && digits(9, 19)
-            && bytes[19] == b'_'
-            && digits(20, 23)
-            && matches!(bytes[27], b'T' | b'N' | b't' | b'n');
-        fits.then_some(Self(id))
-    }
-
-    /// The same instrument, filter and clock to the millisecond, place, sequence and part of the frame; only the kind
-    /// of product, compression and version may differ.
-    fn is_version_of(&self, other: &Self) -> bool {
-        let exposure = |name: &Self| [&name.0[..23], &name.0[27..48]].map(str::to_ascii_uppercase);
-        let kind = |name: &Self| [&name.0[23..27], &name.0[48..]].map(str::to_ascii_uppercase);
-        exposure(self) == exposure(other) && kind(self) != kind(other)
-    }
-
-    /// The same instrument, sol, place, sequence, focal length and part of the frame, within minutes.
-    fn is_pointed_as(&self, other: &Self) -> bool {
-        let plan = |name: &Self| [&name.0[..2], &name.0[4..8], &name.0[27..48]].map(str::to_ascii_uppercase);
-        let seconds = |name: &Self| name.0[9..19].parse::<u64>().unwrap_or(0);
-        plan(self) == plan(other) && seconds(self).abs_diff(seconds(other)) <= MAX_INTERVAL_S
-    }
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! From the numbers of a label to a camera model that can be used.
+//! Checks and normalisation of the camera models of labels.
 
 use marf_scene::{Cahvor, CahvorError, EntrancePupil};
 
@@ -40,18 +40,18 @@ pub enum CameraError {
         /// |A x V|.
         vertical_px: f64,
     },
-    /// Rows and columns that are (nearly) parallel or swapped.
+    /// Axes that are (nearly) parallel or mirrored.
     #[error("A . (H x V) is {0:.3e} of the product of the focal lengths: axes are parallel or mirrored")]
     Axes(f64),
     /// A type of CAHVORE that does not exist.
     #[error("CAHVORE type {0} is not 1, 2 or 3")]
     EntranceType(i64),
-    /// A lens that does not see the photo's corners, or sees them twice.
+    /// A lens whose projection fails or turns over within the photo.
     #[error(transparent)]
     Lens(CahvorError),
 }
 
-/// Checks a model and divides A, H and V by |A| together, and O by |O|.
+/// Returns the model with A, H and V divided by |A| together, and O by |O|.
 ///
 /// Six-digit labels leave |A| - 1 of about 8e-6; dividing A alone would move pixels by 0.01. The result is
 /// exact to rounding of f64.
@@ -87,7 +87,7 @@ pub fn focal_px(model: &Cahvor) -> (f64, f64) {
     (norm(cross(model.a, model.h)), norm(cross(model.a, model.v)))
 }
 
-/// Carries a model over to a photo scaled by `scale`; integer coordinates stay pixel centres.
+/// Returns the model for a photo scaled by `scale`; integer coordinates stay pixel centres.
 ///
 /// The pixel corner x + 0.5 scales, hence x' = s (x + 0.5) - 0.5, and H' = s H + (s - 1)/2 A.
 pub fn rescaled(model: &Cahvor, scale: f64) -> Cahvor {

@@ -1,15 +1,15 @@
-//! Tables that make counts of 8-bit codes again.
+//! Look-up tables that turn 8-bit codes back into counts of the detector.
 //!
 //! The cameras store about the square root of the light in 8 bits. Pictures (browse files, feeds) are left as they
 //! are: that root is close to a display's curve. Arrays of raw products are expanded, so that a product as received and
-//! its expanded twin become the same photo.
+//! its expanded version become the same photo.
 
 use crate::names::Scheme;
 
-/// A table of 256 counts.
+/// A look-up table of 256 counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Table {
-    /// Count of each code, rising.
+    /// Count of each code, never falling.
     pub counts: &'static [u16; 256],
     /// Count that is white: the largest.
     pub white: u16,

@@ -1,6 +1,6 @@
-//! From a colour mosaic to three channels.
+//! Interpolation of a colour mosaic to three channels.
 
-use crate::label::Phase;
+use crate::label::BayerPhase;
 
 /// Interpolates an RGGB mosaic (Malvar, He, Cutler, ICASSP 2004: gradient-corrected bilinear, 5 x 5).
 ///
@@ -11,7 +11,7 @@ use crate::label::Phase;
 /// # Extremes
 /// Borders are mirrored about the outermost pixel, which keeps the pattern; below 3 pixels a side there is nothing
 /// to mirror and `None` is returned. Sums are taken in one order: same bits everywhere.
-pub fn rggb(plane: &[f32], width: usize, height: usize, phase: Phase) -> Option<Vec<[f32; 3]>> {
+pub fn rggb(plane: &[f32], width: usize, height: usize, phase: BayerPhase) -> Option<Vec<[f32; 3]>> {
     if width < 3 || height < 3 || plane.len() != width * height {
         return None;
     }
@@ -58,7 +58,7 @@ mod tests {
     fn mosaic(
         width: usize,
         height: usize,
-        phase: Phase,
+        phase: BayerPhase,
         colour: impl Fn(usize, usize) -> [f32; 3],
     ) -> Vec<f32> {
         let site = |x: usize, y: usize| {
@@ -74,7 +74,7 @@ mod tests {
     #[test]
     fn a_flat_colour_comes_back_exactly_at_every_phase() {
         for (line, sample) in [(0, 0), (0, 1), (1, 0), (1, 1), (545, 961)] {
-            let phase = Phase { line, sample };
+            let phase = BayerPhase { line, sample };
             let plane = mosaic(7, 5, phase, |_, _| [0.75, 0.5, 0.25]);
             let rgb = rggb(&plane, 7, 5, phase).unwrap();
             // The kernels mix channels: a flat colour that is not grey comes back exactly at its own sites only.
@@ -93,8 +93,12 @@ mod tests {
     #[test]
     fn a_flat_colour_that_is_not_grey_comes_back_inside() {
         let colour = [0.75, 0.5, 0.25];
-        let plane = mosaic(9, 9, Phase::default(), |_, _| colour);
-        for (index, pixel) in rggb(&plane, 9, 9, Phase::default()).unwrap().iter().enumerate() {
+        let plane = mosaic(9, 9, BayerPhase::default(), |_, _| colour);
+        for (index, pixel) in rggb(&plane, 9, 9, BayerPhase::default())
+            .unwrap()
+            .iter()
+            .enumerate()
+        {
             for channel in 0..3 {
                 assert!(
                     (pixel[channel] - colour[channel]).abs() < 1e-6,
@@ -106,10 +110,10 @@ mod tests {
 
     #[test]
     fn a_grey_ramp_comes_back_inside() {
-        let plane = mosaic(12, 10, Phase::default(), |x, y| {
+        let plane = mosaic(12, 10, BayerPhase::default(), |x, y| {
             [0.1 + 0.02 * x as f32 + 0.03 * y as f32; 3]
         });
-        let rgb = rggb(&plane, 12, 10, Phase::default()).unwrap();
+        let rgb = rggb(&plane, 12, 10, BayerPhase::default()).unwrap();
         for (x, y) in [(2, 2), (5, 4), (9, 7), (3, 6)] {
             let expected = 0.1 + 0.02 * x as f32 + 0.03 * y as f32;
             for channel in rgb[y * 12 + x] {
@@ -120,8 +124,8 @@ mod tests {
 
     #[test]
     fn too_small_a_mosaic_is_refused() {
-        assert_eq!(rggb(&[0.0; 4], 2, 2, Phase::default()), None);
-        assert_eq!(rggb(&[0.0; 9], 3, 2, Phase::default()), None);
-        assert!(rggb(&[0.0; 9], 3, 3, Phase::default()).is_some());
+        assert_eq!(rggb(&[0.0; 4], 2, 2, BayerPhase::default()), None);
+        assert_eq!(rggb(&[0.0; 9], 3, 2, BayerPhase::default()), None);
+        assert!(rggb(&[0.0; 9], 3, 3, BayerPhase::default()).is_some());
     }
 }

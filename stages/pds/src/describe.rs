@@ -1,14 +1,14 @@
-//! What a label says of its array, in words; for tables that people read.
+//! Descriptions of arrays for the notes of a photo.
 
-use crate::label::{Array, Number, Order};
+use crate::label::{Array, BandStorage, SampleKind};
 
-/// Describes an array: bands x lines x samples, type, order, scaling.
+/// Returns a description of an array: bands x lines x samples, type, interleaving, scaling.
 pub fn array(array: &Array) -> String {
     let [bands, lines, samples] = array.shape;
     let kind = match array.sample.kind {
-        Number::Unsigned => 'u',
-        Number::Signed => 'i',
-        Number::Float => 'f',
+        SampleKind::Unsigned => 'u',
+        SampleKind::Signed => 'i',
+        SampleKind::Float => 'f',
     };
     let ends = match (array.sample.bytes, array.sample.big_endian) {
         (1, _) => "",
@@ -17,9 +17,9 @@ pub fn array(array: &Array) -> String {
     };
     let order = match (bands, array.order) {
         (1, _) => "",
-        (_, Order::BandSequential) => " by band",
-        (_, Order::LineInterleaved) => " by line",
-        (_, Order::PixelInterleaved) => " by pixel",
+        (_, BandStorage::BandSequential) => " by band",
+        (_, BandStorage::LineInterleaved) => " by line",
+        (_, BandStorage::PixelInterleaved) => " by pixel",
     };
     let bits = array.bits.map_or(String::new(), |bits| format!(", {bits} bits"));
     let scaling = match array.scaling {

@@ -1,4 +1,4 @@
-//! What a photo's own EXIF says of its camera.
+//! Camera facts from the EXIF of a photo.
 
 use std::io::Cursor;
 
@@ -6,12 +6,12 @@ use exif::{Error, Exif, Field, In, Reader, Tag};
 
 /// Longer side of a frame of 35 mm film, mm.
 const FILM_SIDE_MM: f64 = 36.0;
-/// Focal lengths that are believed, in longer sides of the photo: 3.6 mm to 1800 mm on 35 mm film.
+/// Plausible focal lengths, in longer sides of the photo: 3.6 mm to 1800 mm on 35 mm film.
 const BELIEVED: std::ops::RangeInclusive<f64> = 0.1..=50.0;
 /// Longest name of a device, characters.
 const MAX_DEVICE: usize = 80;
 
-/// What EXIF tells of a camera.
+/// Camera facts of EXIF.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Lens {
     /// Focal length, pixels of the photo.
@@ -29,8 +29,8 @@ pub struct Lens {
 /// PixelXDimension and PixelYDimension, as those resolutions are of the photo as taken.
 ///
 /// # Extremes
-/// A photo without EXIF says nothing. EXIF that is damaged, or a number that is 0, infinite or no focal length
-/// between 0.1 and 50 longer sides, is left out with a note; it never costs the photo.
+/// A photo without EXIF gives no facts. EXIF that is damaged, or a number that is 0, infinite or no focal length
+/// between 0.1 and 50 longer sides, is left out with a note; it is never an error.
 pub fn read(bytes: &[u8], longer_px: u32) -> Lens {
     let mut lens = Lens::default();
     if bytes.starts_with(b"GIF8") {

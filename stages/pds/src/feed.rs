@@ -1,18 +1,18 @@
-//! Records of the raw-image feeds: Mars 2020 (nested) and MSL (flat), one record a file.
+//! Records of the raw-image feeds of Mars 2020 (nested JSON) and MSL (flat), one record per file.
 
 use serde_json::Value;
 
 use crate::camera::{CameraError, RawModel};
-use crate::label::{FramePose, Label, MAX_LABEL_BYTES, Phase};
+use crate::label::{BayerPhase, FramePose, Label, MAX_LABEL_BYTES};
 use crate::values;
 
-/// JSON that is no record of a raw-image feed.
+/// Bytes that are not a record of a raw-image feed.
 #[derive(Debug, thiserror::Error)]
 pub enum FeedError {
     /// Larger than any record.
     #[error("{0} bytes of JSON, at most {MAX_LABEL_BYTES} are read")]
     TooLarge(usize),
-    /// No JSON.
+    /// Not JSON.
     #[error("no JSON: {0}")]
     Malformed(#[from] serde_json::Error),
     /// A page or another JSON.
@@ -23,7 +23,7 @@ pub enum FeedError {
     Page(usize),
 }
 
-/// Reads one record.
+/// Reads one record as a label.
 ///
 /// # Errors
 /// See [`FeedError`]; a record without a usable camera is no error but a note.
@@ -85,11 +85,11 @@ impl Record<'_> {
     }
 
     /// `(x0,y0,w,h)`, from 1.
-    fn phase(&self) -> Option<Phase> {
+    fn phase(&self) -> Option<BayerPhase> {
         let [sample, line, _, _] =
             values::tuple::<4>(&self.text("subframeRect").or_else(|| self.text("subframe_rect"))?)?;
         let first = |value: f64| (1.0..=65_536.0).contains(&value).then(|| value as u32 - 1);
-        Some(Phase {
+        Some(BayerPhase {
             line: first(line)?,
             sample: first(sample)?,
         })

@@ -1,4 +1,4 @@
-//! The label's camera in the pixel grid of the photo that was decoded.
+//! Conversion of a label's camera to the pixels of the decoded photo.
 
 use marf_scene::CameraPrior;
 
@@ -7,11 +7,11 @@ use crate::{Label, ProductName};
 
 /// Pixel of the detectors of Mastcam and Mastcam-Z, mm.
 const MASTCAM_PIXEL_MM: f64 = 7.4e-3;
-/// Largest deviation of a model's focal length from the lens's.
+/// Largest relative deviation of a model's focal length from the lens's.
 const FOCAL_TOLERANCE: f64 = 0.05;
 
 impl Label {
-    /// Carries a label's camera into the photo's pixel grid, or says why it cannot be used.
+    /// Returns the label's camera for the pixels of the decoded photo; `None`, with a note, if it cannot be used.
     pub fn fit_camera(
         &self,
         name: Option<&ProductName>,
@@ -47,7 +47,8 @@ impl Label {
     }
 }
 
-/// Models of MSL thumbnails are shifted to their subframe but not reduced like their pixels: the lens tells.
+/// Scales down models that were shifted to their subframe but not reduced like its pixels, as those of MSL thumbnails
+/// are; the focal length of the lens shows which.
 fn undo_missing_average(
     label: &Label,
     name: Option<&ProductName>,

@@ -1,7 +1,7 @@
-//! The ways in for fuzzers: one function per reader of bytes from outside. Not part of the interface.
+//! Entry points of fuzzers: one function per reader of untrusted bytes. Not part of the public interface.
 //!
-//! Each returns how much it read, so that nothing is optimised away, and states what must hold of any input; what does
-//! not hold panics, which is what a fuzzer looks for.
+//! Each returns how much it read, so that nothing is optimised away, and panics if a property that holds for every
+//! input is broken.
 #![allow(
     clippy::panic,
     clippy::assertions_on_constants,
@@ -10,10 +10,10 @@
 
 use crate::{feed, index_table, inventory, listing, odl, pds4, raw, vicar};
 
-/// A reader of bytes from outside.
+/// A reader of untrusted bytes.
 pub type Target = fn(&[u8]) -> usize;
 
-/// Every target by the name of its corpus.
+/// All targets with the names of their corpora.
 pub const TARGETS: [(&str, Target); 7] = [
     ("listing", listing),
     ("odl", odl),
@@ -24,7 +24,7 @@ pub const TARGETS: [(&str, Target); 7] = [
     ("index", index),
 ];
 
-/// Folder pages.
+/// Reads a folder page.
 pub fn listing(bytes: &[u8]) -> usize {
     let Ok(entries) = listing::read(bytes) else {
         return 0;
@@ -40,29 +40,29 @@ pub fn listing(bytes: &[u8]) -> usize {
     entries.iter().filter(|entry| entry.folder).count() + entries.len()
 }
 
-/// PDS3 and ODL labels, attached or detached.
+/// Reads a PDS3 or ODL label, attached or detached.
 pub fn odl(bytes: &[u8]) -> usize {
-    let groups = odl::parse(bytes).map_or(0, |group| group.below().len());
+    let groups = odl::parse(bytes).map_or(0, |group| group.descendants().len());
     groups + usize::from(raw::head(bytes).is_ok())
 }
 
-/// PDS4 labels.
+/// Reads a PDS4 label.
 pub fn pds4(bytes: &[u8]) -> usize {
     pds4::read(bytes).map_or(0, |label| 1 + label.notes.len())
 }
 
-/// VICAR labels.
+/// Reads a VICAR label.
 pub fn vicar(bytes: &[u8]) -> usize {
-    let groups = vicar::parse(bytes).map_or(0, |group| group.below().len());
+    let groups = vicar::parse(bytes).map_or(0, |group| group.descendants().len());
     groups + usize::from(raw::head(bytes).is_ok())
 }
 
-/// Records of the raw-image feeds.
+/// Reads a record of a raw-image feed.
 pub fn feed(bytes: &[u8]) -> usize {
     feed::read(bytes).map_or(0, |label| 1 + label.notes.len())
 }
 
-/// Inventories of PDS4 collections.
+/// Reads the inventory of a PDS4 collection.
 pub fn inventory(bytes: &[u8]) -> usize {
     let Ok(members) = inventory::read(bytes) else {
         return 0;
@@ -83,7 +83,7 @@ pub fn inventory(bytes: &[u8]) -> usize {
     members.iter().map(stems).sum()
 }
 
-/// Index labels, and the table that follows after the label's `END` line.
+/// Reads an index label, and the table that follows after its `END` line.
 pub fn index(bytes: &[u8]) -> usize {
     let end = bytes
         .windows(5)
@@ -93,7 +93,7 @@ pub fn index(bytes: &[u8]) -> usize {
     let Ok(index) = index_table::Index::of(label) else {
         return 0;
     };
-    let places = index.rows(table).map_while(Result::ok).map(|row| row.place());
+    let places = index.rows(table).map_while(Result::ok).map(|row| row.location());
     let named = places.filter(|place| {
         let plain = |name: &String| listing::is_plain(name.as_bytes());
         assert!(place.file.iter().all(plain), "plain");

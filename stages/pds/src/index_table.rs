@@ -1,4 +1,4 @@
-//! The index of a PDS3 volume: a label whose columns describe the rows of a table of text.
+//! The index of a PDS3 volume: a label that describes the columns of a fixed-width text table.
 
 use std::io::{BufReader, Read};
 
@@ -12,7 +12,7 @@ const MAX_ROW_BYTES: usize = 1 << 16;
 /// Most columns.
 const MAX_COLUMNS: usize = 2_000;
 
-/// What an index label says of its table.
+/// The description of a table by its label.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Index {
     /// Name of the table's file, if the label says.
@@ -27,7 +27,7 @@ pub struct Index {
 struct Column {
     /// Upper case.
     name: String,
-    /// Of the first byte, from 0.
+    /// Index of the first byte, from 0.
     start: usize,
     bytes: usize,
 }
@@ -35,16 +35,16 @@ struct Column {
 /// An index that cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum IndexError {
-    /// The label is no ODL.
+    /// The label is not ODL.
     #[error("index {0}")]
     Odl(#[from] OdlError),
     /// The label is larger than any.
     #[error("an index label of {0} bytes, at most {MAX_LABEL_BYTES} are read")]
     TooLarge(usize),
-    /// The label describes no table of text, or not fully.
+    /// The label describes no text table, or not completely.
     #[error("index label: {0}")]
     Label(String),
-    /// A row that is no row of this label.
+    /// A row that does not fit the label.
     #[error("index table row {row}: {what}")]
     Row {
         /// Row, from 1.
@@ -60,7 +60,7 @@ pub enum IndexError {
         /// Rows that the label says.
         said: u64,
     },
-    /// The table cannot be read on.
+    /// The table cannot be read further.
     #[error("index table row {row}: cannot be read: {error}")]
     Io {
         /// Row, from 1.
@@ -82,7 +82,7 @@ impl Index {
         let odl = odl::parse(label)?;
         let is_column = |group: &&Group| group.name == "COLUMN";
         let refuse = |what: &str| IndexError::Label(what.to_owned());
-        let below = odl.below();
+        let below = odl.descendants();
         let table = below
             .into_iter()
             .find(|group| group.name.ends_with("TABLE") && group.groups.iter().any(|inner| is_column(&inner)))
@@ -153,7 +153,7 @@ fn size(group: &Group, key: &str) -> Option<usize> {
     usize::try_from(values::integer(group.text(key)?)?).ok()
 }
 
-/// `"EDRINDEX.TAB"` or `("EDRINDEX.TAB", 1)`, if it is a plain name.
+/// Returns the file of a pointer (`"EDRINDEX.TAB"` or `("EDRINDEX.TAB", 1)`), if it is a plain name.
 fn file_name(pointer: &odl::Value) -> Option<String> {
     let name = pointer.items().first()?.text()?;
     is_plain(name.as_bytes()).then(|| name.to_owned())
@@ -207,7 +207,7 @@ impl<'a, R: Read> Rows<'a, R> {
             return refuse("beyond the rows that its label says".to_owned());
         }
         self.row = row;
-        // Beyond ASCII nothing is known of the letters; what is left is text.
+        // The encoding of bytes beyond ASCII is unknown: they are replaced.
         let text = bytes
             .into_iter()
             .map(|byte| if byte.is_ascii() { char::from(byte) } else { '?' });
@@ -226,9 +226,9 @@ pub struct Row<'a> {
     text: String,
 }
 
-/// Where a product lies, as far as an index says.
+/// Where a product is stored, as far as the index says.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Place {
+pub struct ProductLocation {
     /// Volume.
     pub volume: Option<String>,
     /// Folder in the volume, parts joined by `/`, without `/` at either end; each part is a plain name.
@@ -252,9 +252,9 @@ impl Row<'_> {
         Some(inner.strip_suffix('"').unwrap_or(inner).trim())
     }
 
-    /// Returns where the product lies. Paths and names that are not plain are `None`: they come from outside and
+    /// Returns where the product is stored. Paths and names that are not plain are `None`: they are untrusted and
     /// become addresses.
-    pub fn place(&self) -> Place {
+    pub fn location(&self) -> ProductLocation {
         let known = |names: &[&str]| names.iter().find_map(|name| values::known(self.text(name)?));
         let specification = known(&["FILE_SPECIFICATION_NAME"]).map(|whole| whole.replace('\\', "/"));
         let (mut path, mut file) = match specification.as_deref().map(|whole| whole.rsplit_once('/')) {
@@ -264,7 +264,7 @@ impl Row<'_> {
         };
         path = known(&["PATH_NAME"]).or(path);
         file = known(&["FILE_NAME"]).or(file);
-        Place {
+        ProductLocation {
             volume: known(&["VOLUME_ID"]),
             path: path.and_then(|path| plain_path(&path)),
             file: file.filter(|file| is_plain(file.as_bytes())),

@@ -1,14 +1,14 @@
-//! The list of a PDS4 collection's members: `P` or `S`, and the LIDVID, one a line, without header.
+//! The inventory of a PDS4 collection: a line per member with `P` or `S` and the LIDVID, without header.
 
-use crate::names::{ProductName, Scheme};
+use crate::names::{ProductName, Scheme, version_suffix};
 
-/// Largest list that is read: a million members of 130 bytes.
+/// Largest inventory that is read: a million members of 130 bytes.
 const MAX_BYTES: usize = 128 << 20;
 /// Most members that are read.
 const MAX_MEMBERS: usize = 2_000_000;
 /// Longest identifier, bytes (PDS4 Standards Reference, 6D.2).
 const MAX_LID: usize = 255;
-/// The version suffixes that are tried where the identifier's own version is not in the name.
+/// Number of version suffixes that are tried beside the identifier's own version.
 const TRIED_VERSIONS: u32 = 9;
 
 /// A product of a collection.
@@ -18,14 +18,14 @@ pub struct Member {
     pub lid: String,
     /// Version, `1.0`; empty where a secondary member names none.
     pub version: String,
-    /// Belongs to this collection first (`P`); else it is another's (`S`).
+    /// Primary member (`P`); else secondary (`S`): primary in another collection.
     pub primary: bool,
 }
 
-/// Text that is no such list.
+/// Bytes that are not an inventory.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum InventoryError {
-    /// Larger than any list.
+    /// Larger than any inventory.
     #[error("an inventory of {0} bytes, at most {MAX_BYTES} are read")]
     TooLarge(usize),
     /// More members than any collection has.
@@ -44,11 +44,11 @@ pub enum InventoryError {
     },
 }
 
-/// Reads a list, in its order.
+/// Reads an inventory, in its order.
 ///
 /// # Errors
-/// See [`InventoryError`]. A line without line end is the last one; a list cut inside an identifier cannot be told from
-/// a whole one, but for its version: `::` without `M.m` is refused.
+/// See [`InventoryError`]. An inventory that was cut inside an identifier cannot be recognised,
+/// except by its version: `::` without `M.m` is refused.
 pub fn read(bytes: &[u8]) -> Result<Vec<Member>, InventoryError> {
     if bytes.len() > MAX_BYTES {
         return Err(InventoryError::TooLarge(bytes.len()));
@@ -101,7 +101,7 @@ fn member(line: &[u8]) -> Result<Member, &'static str> {
     })
 }
 
-/// A cell without blanks and double quotes around it.
+/// Returns a cell without the blanks and double quotes around it.
 fn unquoted(cell: &str) -> Result<&str, &'static str> {
     let cell = cell.trim();
     match cell.strip_prefix('"') {
@@ -110,7 +110,7 @@ fn unquoted(cell: &str) -> Result<&str, &'static str> {
     }
 }
 
-/// `urn:agency:archive:bundle:collection:product`, none of them empty.
+/// Returns whether a text is `urn:agency:archive:bundle:collection:product` with no part empty.
 fn is_lid(lid: &str) -> bool {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"_.-".contains(&byte);
     let parts: Vec<&str> = lid.splitn(7, ':').collect();
@@ -154,22 +154,8 @@ pub fn file_stems(member: &Member) -> Vec<String> {
             .rev()
             .filter(|version| Some(*version) != major),
     );
-    let suffixes = versions.into_iter().filter_map(suffix);
+    let suffixes = versions.into_iter().filter_map(version_suffix);
     suffixes.map(|suffix| format!("{stem}{suffix}")).collect()
-}
-
-/// A version as names write it: 01 to 99, then A0 to A9, AA to AZ, B0 … ZZ. `None` beyond.
-fn suffix(version: u32) -> Option<String> {
-    let digit = |value: u32| char::from_digit(value, 36).map(|digit| digit.to_ascii_uppercase());
-    match version {
-        1..=99 => Some(format!("{version:02}")),
-        100.. => {
-            let above = version - 100;
-            let first = digit(10 + above / 36).filter(|_| above < 26 * 36)?;
-            Some([first, digit(above % 36)?].iter().collect())
-        }
-        0 => None,
-    }
 }
 
 #[cfg(test)]
@@ -273,12 +259,5 @@ mod tests {
             let member = one(other);
             assert_eq!((stem(&member), file_stems(&member).len()), (None, 0), "{other}");
         }
-    }
-
-    #[test]
-    fn versions_are_two_characters() {
-        let found = [0, 1, 99, 100, 109, 110, 135, 136, 1035, 1036, u32::MAX].map(suffix);
-        let want = ["", "01", "99", "A0", "A9", "AA", "AZ", "B0", "ZZ", "", ""];
-        assert_eq!(found.map(Option::unwrap_or_default), want);
     }
 }

@@ -1,4 +1,4 @@
-//! What every kind of label is read into.
+//! The contents that all kinds of labels are read into.
 
 use marf_scene::{CameraPrior, Pose};
 use nalgebra::{Matrix3, Vector3};
@@ -10,7 +10,7 @@ pub const MAX_LABEL_BYTES: usize = 2 << 20;
 /// Largest tolerated deviation of a quaternion's length from 1.
 const QUATERNION_TOLERANCE: f64 = 1e-3;
 
-/// What a label says of its photo.
+/// The contents of a photo's label.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Label {
     /// Product id, as written.
@@ -33,17 +33,17 @@ pub struct Label {
     pub(crate) size: Option<(u32, u32)>,
     /// Where the pixels lie, if the label describes an array.
     pub(crate) array: Option<Array>,
-    /// Phase of a colour mosaic that the pixels still are.
-    pub mosaic: Option<Phase>,
-    /// Where on the detector the photo starts, whether a mosaic or not.
-    pub phase: Option<Phase>,
+    /// Phase of the colour mosaic, if the pixels are not interpolated yet.
+    pub mosaic: Option<BayerPhase>,
+    /// Where on the detector the photo starts, for mosaics and other photos.
+    pub phase: Option<BayerPhase>,
     /// What could not be used, and why.
     pub notes: Vec<String>,
 }
 
 /// First line and sample of the photo on the detector, 0-based: the phase of its RGGB mosaic.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Phase {
+pub struct BayerPhase {
     /// First line.
     pub line: u32,
     /// First sample.
@@ -60,7 +60,7 @@ pub struct Array {
     /// Bands, lines, samples.
     pub shape: [u32; 3],
     /// How the three are nested.
-    pub order: Order,
+    pub order: BandStorage,
     /// Type of one sample.
     pub sample: Sample,
     /// Bytes before each record's samples (VICAR's NBB, PDS3's LINE_PREFIX_BYTES).
@@ -83,7 +83,7 @@ pub struct Array {
 
 /// Nesting of bands, lines and samples; the last varies fastest.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Order {
+pub enum BandStorage {
     /// Band, line, sample.
     BandSequential,
     /// Line, band, sample.
@@ -95,8 +95,8 @@ pub enum Order {
 /// Type of one stored sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sample {
-    /// Whole or floating.
-    pub kind: Number,
+    /// Integer or float.
+    pub kind: SampleKind,
     /// 1, 2, 4 or 8 (4 or 8 for floats).
     pub bytes: u32,
     /// Most significant byte first.
@@ -105,10 +105,10 @@ pub struct Sample {
 
 /// Kind of number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Number {
-    /// Whole, from 0.
+pub enum SampleKind {
+    /// Unsigned integer.
     Unsigned,
-    /// Whole, two's complement.
+    /// Integer in two's complement.
     Signed,
     /// IEEE 754.
     Float,
@@ -126,7 +126,7 @@ pub enum Quantity {
 }
 
 impl Label {
-    /// Keeps a camera that can be used, or the reason why it cannot. The photo's size must have been read before: the
+    /// Sets the camera, or adds a note why it cannot be used. The photo's size must have been read before: the
     /// lens is checked up to its corners.
     pub(crate) fn set_camera(&mut self, raw: &RawModel, frame: String, pose: FramePose, counter: Vec<i64>) {
         let checked = camera::normalised(raw).and_then(|model| {
@@ -154,7 +154,7 @@ impl Label {
     }
 }
 
-/// What a label says of the pose of a frame in its site.
+/// The pose of a frame in its site, as a label states it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum FramePose {
     /// The camera is in the site's frame.
@@ -215,8 +215,8 @@ pub fn pose(quaternion: [f64; 4], offset: [f64; 3]) -> Option<Pose> {
     })
 }
 
-/// Counters in the order that [`CameraPrior`] promises: SITE, DRIVE and POSE first, then the others as the label has
-/// them. Empty without SITE: the first number would be taken for it.
+/// Returns counters in the order of [`CameraPrior`]: SITE, DRIVE and POSE first, then the others in the label's order;
+/// none without SITE, as the first number would be read as SITE.
 pub fn ordered_counter(entries: &[(String, i64)]) -> Vec<i64> {
     const FIRST: [&str; 3] = ["SITE", "DRIVE", "POSE"];
     let of = |name: &str| {
@@ -237,7 +237,7 @@ pub fn ordered_counter(entries: &[(String, i64)]) -> Vec<i64> {
     first.chain(others.map(|(_, value)| *value)).collect()
 }
 
-/// Tells whether two sets of counters name the same place, as far as both have the same counter.
+/// Returns whether all of SITE, DRIVE and POSE that both sets have are equal.
 pub fn same_place(a: &[(String, i64)], b: &[(String, i64)]) -> bool {
     ["SITE", "DRIVE", "POSE"].iter().all(|name| {
         let of = |entries: &[(String, i64)]| entries.iter().find(|(own, _)| own == name).map(|entry| entry.1);
@@ -303,11 +303,11 @@ mod tests {
             label.set_camera(&raw, "SITE_FRAME".to_owned(), FramePose::IsSite, vec![1]);
             assert_eq!(label.prior.is_some(), usable, "{:?}", label.notes);
             assert_eq!(label.notes.is_empty(), usable);
-            let told = label
+            let explained = label
                 .notes
                 .iter()
                 .all(|note| note.contains("turn over at chi = 0.5774"));
-            assert!(told, "{:?}", label.notes);
+            assert!(explained, "{:?}", label.notes);
         }
     }
 

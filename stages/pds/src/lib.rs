@@ -29,6 +29,6 @@ mod tone;
 pub mod values;
 mod vicar;
 
-pub use label::{Label, Phase};
-pub use names::{ProductName, Scheme, join_key};
+pub use label::{BayerPhase, Label};
+pub use names::{Mars2020Name, ProductName, Scheme, join_key};
 pub use tone::WHITE_RADIANCE;

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 mod html;
 mod time;
 
-use html::{Piece, Tag};
+use html::{Tag, Token};
 use serde::{Deserialize, Serialize};
 
 /// Largest page that is read; one sol folder of an archive is one page of some megabytes.
@@ -28,7 +28,7 @@ pub struct Entry {
     pub modified: Option<String>,
 }
 
-/// A page that is no listing.
+/// Bytes that are not a folder listing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum ListingError {
     /// Larger than any listing.
@@ -48,7 +48,7 @@ pub enum ListingError {
 /// Reads a page into its entries, sorted by name, each name once.
 ///
 /// Hrefs other than plain relative names are left out: sort links, the parent, absolute and percent-encoded ones,
-/// entities. The text of a link is not looked at (servers cut it).
+/// entities. The text of a link is ignored (servers cut it).
 ///
 /// # Errors
 /// See [`ListingError`]; a listing without entries is no error.
@@ -57,9 +57,9 @@ pub fn read(html: &[u8]) -> Result<Vec<Entry>, ListingError> {
         return Err(ListingError::TooLarge(html.len()));
     }
     let mut page = Page::default();
-    let mut pieces = html::pieces(html);
-    for piece in pieces.by_ref() {
-        page.take(&piece);
+    let mut tokens = html::tokens(html);
+    for token in tokens.by_ref() {
+        page.take(&token);
         if page.entries.len() > MAX_ENTRIES {
             return Err(ListingError::TooMany);
         }
@@ -67,19 +67,19 @@ pub fn read(html: &[u8]) -> Result<Vec<Entry>, ListingError> {
     if !page.says_index || !page.has_list {
         return Err(ListingError::NoListing(html.len()));
     }
-    if pieces.is_cut() || page.open_lists > 0 {
+    if tokens.is_cut() || page.open_lists > 0 {
         return Err(ListingError::Cut(html.len()));
     }
     Ok(page.entries.into_values().collect())
 }
 
-/// Tells whether a name is made of letters, digits, `_`, `.`, `-`, and is no way up.
+/// Returns whether a name consists of letters, digits, `_`, `.` and `-`, and is neither `.` nor `..`.
 pub fn is_plain(name: &[u8]) -> bool {
     let plain = |byte: &u8| byte.is_ascii_alphanumeric() || b"_.-".contains(byte);
     (1..=MAX_NAME).contains(&name.len()) && name.iter().all(plain) && !matches!(name, b"." | b"..")
 }
 
-/// What has been seen of a page.
+/// State of reading a page.
 #[derive(Default)]
 struct Page {
     entries: BTreeMap<String, Entry>,
@@ -89,16 +89,16 @@ struct Page {
     open_lists: usize,
     in_heading: bool,
     in_link: bool,
-    /// Whose row it is.
+    /// Name of the entry whose row is being read.
     current: Option<String>,
 }
 
 impl Page {
-    fn take(&mut self, piece: &Piece<'_>) {
-        match piece {
-            Piece::Text(text) => self.text(text),
-            Piece::Open(tag) => self.open(tag),
-            Piece::Close(name) => self.close(name),
+    fn take(&mut self, token: &Token<'_>) {
+        match token {
+            Token::Text(text) => self.text(text),
+            Token::Open(tag) => self.open(tag),
+            Token::Close(name) => self.close(name),
         }
     }
 

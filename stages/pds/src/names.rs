@@ -1,29 +1,35 @@
-//! What file names of the three missions say: Mars 2020 (54 characters), MSL Mastcam / MAHLI / MARDI (30), and the
-//! engineering cameras of MSL (36) and MER (27).
+//! Product names, for all missions: Mars 2020 (54 characters), MSL Mastcam, MAHLI and MARDI (30), and the
+//! engineering cameras of MSL (36) and MER (27). No other module splits a name.
+
+mod mars2020;
+
+pub use mars2020::Mars2020Name;
+pub(crate) use mars2020::version_suffix;
 
 use crate::values;
+use mars2020::{UNVERSIONED, VERSIONED};
 
-/// What a product's name says of it.
+/// The fields of a product name.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ProductName {
-    /// The name without what a feed appends (`_1200`), as written.
+    /// The name as written, without the suffix of feeds (`_1200`).
     pub id: String,
-    /// Which scheme it follows.
+    /// Naming scheme.
     pub scheme: Scheme,
     /// Instrument code (`ZL`, `NL`, `ML`, `NLA`, `1N`).
     pub instrument: String,
-    /// Colour filter, if the name tells.
+    /// Colour filter, if the name has it.
     pub filter: Option<String>,
-    /// Sol, if the name tells.
+    /// Sol, if the name has it.
     pub sol: Option<u32>,
-    /// The name calls it a thumbnail.
+    /// The product is a thumbnail.
     pub thumbnail: bool,
     /// Type of product (`RAD`, `ECM`, `DRCL`).
     pub product_type: String,
     /// Version; the highest supersedes the others. Empty where the name has none (feeds).
     pub version: String,
-    /// Factor by which the detector's pixels were averaged, where the name tells.
-    pub reduced: u32,
+    /// Factor by which the detector's pixels were averaged; 1 where the name has none.
+    pub downsampling: u32,
 }
 
 /// A naming scheme.
@@ -39,12 +45,15 @@ pub enum Scheme {
     Mer,
 }
 
-/// Product types of Mars 2020 and of the engineering cameras that hold no picture: reference pixels, sums,
+/// Product types of Mars 2020 and of the engineering cameras that are no photo: reference pixels, sums,
 /// histograms, depth, coordinates, ranges, normals, disparity, reachability, roughness, slopes.
 const NO_PICTURE: [&str; 21] = [
     "EDM", "ERP", "ERS", "ECS", "EHG", "ETH", "XYZ", "XYM", "XYR", "XYE", "RNG", "RNM", "RNR", "RNE", "UVW",
     "MXY", "DSP", "DSR", "ARM", "RUF", "SLP",
 ];
+
+/// Product types of Mars 2020 that are frames of videos and of stacks of focus.
+const SERIES: [&str; 6] = ["ECV", "EVD", "ECZ", "EZS", "ECR", "ERD"];
 
 impl ProductName {
     /// Reads a file name without its extension; `None` if it follows no known scheme.
@@ -61,13 +70,30 @@ impl ProductName {
         Some(name)
     }
 
-    /// Returns why a file of this name is no photo, if so.
+    /// Returns whether the product is a frame of a video or of a stack of focus: one exposure, many products.
+    pub fn is_of_series(&self) -> bool {
+        SERIES.contains(&self.product_type.as_str())
+    }
+
+    /// Returns the key that all products of an exposure share: the name in upper case, without colour filter, type,
+    /// producer and version.
+    pub fn exposure_key(&self) -> String {
+        let id = self.id.to_ascii_uppercase();
+        match self.scheme {
+            Scheme::M2020 => format!("{}{}{}", &id[..2], &id[3..23], &id[26..51]),
+            Scheme::MslScience => id[..24].to_owned(),
+            Scheme::MslEngineering => format!("{}{}", &id[..13], &id[16..35]),
+            Scheme::Mer => id,
+        }
+    }
+
+    /// Returns the reason if a file of this name is no photo.
     pub fn no_photo(&self) -> Option<String> {
         (self.scheme != Scheme::MslScience && NO_PICTURE.contains(&self.product_type.as_str()))
             .then(|| format!("product type {} holds no photo", self.product_type))
     }
 
-    /// Tells whether the pixels are as the camera sent them: such products may still be codes of a table.
+    /// Returns whether the pixels are as the camera sent them; such pixels may still be codes of a look-up table.
     pub fn is_as_received(&self) -> bool {
         let kinds: &[&str] = match self.scheme {
             Scheme::M2020 => &["ECM", "ECV", "ECZ", "ECR"],
@@ -77,22 +103,22 @@ impl ProductName {
         kinds.contains(&self.product_type.as_str())
     }
 
-    /// Tells whether the name alone says that the pixels are still a colour mosaic if they have one band.
-    pub fn says_mosaic(&self) -> bool {
+    /// Returns whether, by the name alone, pixels in one band are a colour mosaic that is not interpolated yet.
+    pub fn is_mosaic(&self) -> bool {
         let raw =
             ["ECM", "EDR", "ECV", "EVD", "ECZ", "EZS", "ECR", "ERD"].contains(&self.product_type.as_str());
         let filter = self.filter.as_deref().unwrap_or_default();
         let mastcam = self.instrument.starts_with('Z');
-        let whole = self.reduced == 1;
+        let whole = self.downsampling == 1;
         self.scheme == Scheme::M2020 && raw && whole && (filter == "E" || (mastcam && filter == "0"))
     }
 }
 
-/// Returns what the files of one product share: the name in upper case, without version and what feeds append.
+/// Returns the key that all files of a product share: the name in upper case, without version and suffix of feeds.
 pub fn join_key(stem: &str) -> String {
     let upper = stem.to_ascii_uppercase();
     match ProductName::read(&upper) {
-        Some(name) if name.scheme == Scheme::M2020 => upper[..52].to_owned(),
+        Some(name) if name.scheme == Scheme::M2020 => upper[..UNVERSIONED].to_owned(),
         Some(name) => name.id,
         None => upper,
     }
@@ -107,39 +133,33 @@ fn letters_or_digits(text: &str) -> bool {
         .all(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
 }
 
-/// 54 characters, or 52 in feeds, which may append `_1200` and the like.
+/// Reads a name of 54 characters, or of 52 in feeds, which may append `_1200` and the like.
 fn mars2020(upper: &str) -> Option<ProductName> {
     let bytes = upper.as_bytes();
-    let shape = upper.len() >= 52
-        && letters_or_digits(upper)
-        && digits(&upper[9..19])
-        && bytes[19] == b'_'
-        && digits(&upper[20..23])
-        && matches!(bytes[27], b'T' | b'N')
-        && bytes[48].is_ascii_digit()
-        && bytes[8] == b'_'
-        && bytes[0].is_ascii_alphabetic();
+    let fields = Mars2020Name::read(upper)?;
+    let strict =
+        letters_or_digits(upper) && bytes[0].is_ascii_alphabetic() && fields.downsampling().is_ascii_digit();
     let length = match upper.len() {
-        52 => 52,
-        _ if shape && matches!(bytes.get(52), Some(b'_')) => 52,
-        54 => 54,
-        _ if bytes.get(54) == Some(&b'_') => 54,
+        UNVERSIONED => UNVERSIONED,
+        _ if bytes[UNVERSIONED] == b'_' => UNVERSIONED,
+        VERSIONED => VERSIONED,
+        _ if bytes.get(VERSIONED) == Some(&b'_') => VERSIONED,
         _ => return None,
     };
-    shape.then(|| ProductName {
+    strict.then(|| ProductName {
         id: upper[..length].to_owned(),
         scheme: Scheme::M2020,
-        instrument: upper[..2].to_owned(),
-        filter: values::known(upper[2..3].trim_matches('_')),
-        sol: values::sol(&upper[4..8]).filter(|_| digits(&upper[4..8])),
-        thumbnail: bytes[27] == b'T',
-        product_type: upper[23..26].to_owned(),
-        version: upper[52..length].to_owned(),
-        reduced: 1 << u32::from(bytes[48] - b'0'),
+        instrument: fields.instrument().to_owned(),
+        filter: values::known(fields.filter().trim_matches('_')),
+        sol: values::sol(fields.sol()).filter(|_| digits(fields.sol())),
+        thumbnail: fields.is_thumbnail(),
+        product_type: fields.product_type().to_owned(),
+        version: upper[UNVERSIONED..length].to_owned(),
+        downsampling: 1 << u32::from(fields.downsampling() - b'0'),
     })
 }
 
-/// `2264ML0121141200805116C00_DRCL`.
+/// Reads a name like `2264ML0121141200805116C00_DRCL`.
 fn msl_science(upper: &str) -> Option<ProductName> {
     let bytes = upper.as_bytes();
     let shape = upper.len() == 30
@@ -158,11 +178,11 @@ fn msl_science(upper: &str) -> Option<ProductName> {
         thumbnail: b"GHIOPQTU".contains(&bytes[22]),
         product_type: upper[26..].to_owned(),
         version: upper[24..25].to_owned(),
-        reduced: 1,
+        downsampling: 1,
     })
 }
 
-/// `NLB_586004185EDR_F0721234NCAM00295M1`.
+/// Reads a name like `NLB_586004185EDR_F0721234NCAM00295M1`.
 fn msl_engineering(upper: &str) -> Option<ProductName> {
     let bytes = upper.as_bytes();
     let shape = upper.len() == 36
@@ -179,11 +199,11 @@ fn msl_engineering(upper: &str) -> Option<ProductName> {
         thumbnail: bytes[17] == b'T',
         product_type: upper[13..16].to_owned(),
         version: upper[35..].to_owned(),
-        reduced: 1,
+        downsampling: 1,
     })
 }
 
-/// `1N491020834ILFCNY9P0706L0M1`.
+/// Reads a name like `1N491020834ILFCNY9P0706L0M1`.
 fn mer(upper: &str) -> Option<ProductName> {
     let bytes = upper.as_bytes();
     let shape = upper.len() == 27
@@ -202,7 +222,7 @@ fn mer(upper: &str) -> Option<ProductName> {
         thumbnail: &upper[12..14] == "TH",
         product_type: upper[11..14].to_owned(),
         version: upper[26..].to_owned(),
-        reduced: 1,
+        downsampling: 1,
     })
 }
 
@@ -236,7 +256,7 @@ mod tests {
         ] {
             assert_eq!(join_key(&other), join_key(feed), "{other}");
         }
-        assert_eq!(read(feed).reduced, 4);
+        assert_eq!(read(feed).downsampling, 4);
         assert_eq!(read(&format!("{feed}01_800")).id, format!("{feed}01"));
         assert_ne!(join_key(feed), join_key(&feed.replace("295J", "195J")));
     }
@@ -262,11 +282,24 @@ mod tests {
 
     #[test]
     fn only_raw_broad_band_names_say_mosaic() {
-        assert!(read("NRE_0060_0672265209_237ECM_N0032046NCAM00410_00_0LLJ").says_mosaic());
-        assert!(!read("NLF_0060_0672265209_237EBY_N0032046NCAM00410_00_0LLJ").says_mosaic());
-        assert!(!read("NRE_0060_0672265209_237ECM_N0032046NCAM00410_00_1LLJ").says_mosaic());
-        assert!(read("ZL0_0001_0667035659_559ECM_N0010052AUT_04096_0260LMJ01").says_mosaic());
-        assert!(!read("ZL1_0001_0667035659_559ECM_N0010052AUT_04096_0260LMJ01").says_mosaic());
+        assert!(read("NRE_0060_0672265209_237ECM_N0032046NCAM00410_00_0LLJ").is_mosaic());
+        assert!(!read("NLF_0060_0672265209_237EBY_N0032046NCAM00410_00_0LLJ").is_mosaic());
+        assert!(!read("NRE_0060_0672265209_237ECM_N0032046NCAM00410_00_1LLJ").is_mosaic());
+        assert!(read("ZL0_0001_0667035659_559ECM_N0010052AUT_04096_0260LMJ01").is_mosaic());
+        assert!(!read("ZL1_0001_0667035659_559ECM_N0010052AUT_04096_0260LMJ01").is_mosaic());
+    }
+
+    #[test]
+    fn renditions_of_one_exposure_share_their_key() {
+        let key = |stem: &str| read(stem).exposure_key();
+        let raw = key("ZL0_0012_0668000000_100ECM_N0030000ZCAM00001_0340LMJ01");
+        assert_eq!(raw, key("ZLF_0012_0668000000_100EBY_N0030000ZCAM00001_0340LMA02"));
+        assert_ne!(raw, key("ZR0_0012_0668000000_100ECM_N0030000ZCAM00001_0340LMJ01"));
+        assert_ne!(raw, key("ZL0_0012_0668000000_101ECM_N0030000ZCAM00001_0340LMJ01"));
+        assert_eq!(
+            key("2264ML0121141200805116C00_DRCL"),
+            key("2264ML0121141200805116C01_DRCX")
+        );
     }
 
     #[test]

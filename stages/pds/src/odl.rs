@@ -5,7 +5,7 @@ const MAX_DEPTH: usize = 16;
 /// Most statements of one label; real ones have some hundred.
 const MAX_STATEMENTS: usize = 50_000;
 
-/// A group or object with what is in it.
+/// A group or object with its contents.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Group {
     /// Name, upper case; empty for the whole label.
@@ -27,7 +27,7 @@ pub enum Value {
     List(Vec<Self>),
 }
 
-/// Text that is no ODL.
+/// Bytes that are not ODL.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("label line {line}: {what}")]
 pub struct OdlError {
@@ -38,7 +38,7 @@ pub struct OdlError {
 }
 
 impl Group {
-    /// Returns the first value of a key in this very group.
+    /// Returns the first value of a key of this group, not of its groups.
     pub fn get(&self, key: &str) -> Option<&Value> {
         self.entries
             .iter()
@@ -51,8 +51,8 @@ impl Group {
         self.get(key)?.text()
     }
 
-    /// Returns all groups below, depth first, this one excluded.
-    pub fn below(&self) -> Vec<&Self> {
+    /// Returns all groups in this one, depth first.
+    pub fn descendants(&self) -> Vec<&Self> {
         let mut found = Vec::new();
         let mut open: Vec<&Self> = self.groups.iter().rev().collect();
         while let Some(group) = open.pop() {
@@ -62,9 +62,9 @@ impl Group {
         found
     }
 
-    /// Returns the first group below of one of these names.
+    /// Returns the first group in this one that has one of these names.
     pub fn find(&self, names: &[&str]) -> Option<&Self> {
-        self.below()
+        self.descendants()
             .into_iter()
             .find(|group| names.contains(&group.name.as_str()))
     }
@@ -101,7 +101,7 @@ impl Value {
 /// Reads a label up to its `END`, or to the end of the bytes.
 ///
 /// # Errors
-/// Names the line of what is no ODL.
+/// The line that is not ODL.
 pub fn parse(bytes: &[u8]) -> Result<Group, OdlError> {
     let mut reader = Reader { bytes, at: 0 };
     let mut open = vec![Group::default()];
@@ -116,7 +116,7 @@ pub fn parse(bytes: &[u8]) -> Result<Group, OdlError> {
             return Err(reader.error("groups nested too deeply"));
         }
     }
-    // Labels that were cut end inside a group: what was read counts.
+    // Labels that were cut end inside a group: what was read is kept.
     while open.len() > 1 {
         close(&mut open);
     }
@@ -205,7 +205,7 @@ impl Reader<'_> {
         }
     }
 
-    /// A key in upper case, its prefix cut off; `None` at the end.
+    /// Reads a key in upper case, without its prefix; `None` at the end.
     fn key(&mut self) -> Result<Option<String>, OdlError> {
         let start = self.at;
         let part = |byte: u8| byte.is_ascii_alphanumeric() || b"_^:-".contains(&byte);
@@ -272,7 +272,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Quoted text; white space with line ends becomes one blank.
+    /// Reads quoted text; runs of white space become one blank.
     fn quoted(&mut self, quote: u8) -> Result<String, OdlError> {
         self.at += 1;
         let rest = &self.bytes[self.at..];
@@ -290,7 +290,7 @@ impl Reader<'_> {
         while self.peek().is_some_and(|byte| !ends(byte)) {
             self.at += 1;
         }
-        // A lone sign that ends words would not move on.
+        // A lone delimiter is skipped, or reading would not advance.
         if self.at == start {
             self.at += 1;
         }

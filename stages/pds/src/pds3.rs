@@ -1,13 +1,14 @@
-//! PDS3 / ODL and VICAR labels, attached or detached, to what every label is read into.
+//! PDS3, ODL and VICAR labels, attached or detached, read as [`Label`].
 
 use crate::camera::{CameraError, RawModel};
 use crate::label::{
-    Array, FramePose, Label, Number, Order, Phase, Quantity, Sample, ordered_counter, same_place,
+    Array, BandStorage, BayerPhase, FramePose, Label, Quantity, Sample, SampleKind, ordered_counter,
+    same_place,
 };
 use crate::odl::{Group, Value};
 use crate::values;
 
-/// Constants without light: no value, or less than can be stored.
+/// Keys of values that mean no light: no value, or less than can be stored.
 const MISSING: [&str; 8] = [
     "MISSING_CONSTANT",
     "INVALID_CONSTANT",
@@ -18,10 +19,10 @@ const MISSING: [&str; 8] = [
     "LOW_INSTR_SATURATION",
     "LOW_REPR_SATURATION",
 ];
-/// Constants of more light than can be stored.
+/// Keys of values that mean more light than can be stored.
 const SATURATED: [&str; 2] = ["HIGH_INSTR_SATURATION", "HIGH_REPR_SATURATION"];
 
-/// Reads what a label says. Sizes come from OBJECT = IMAGE only: `LINES` also names what was asked for.
+/// Returns the contents of a label. Sizes come from OBJECT = IMAGE only: elsewhere `LINES` is what was requested.
 pub fn label(odl: &Group) -> Label {
     let state = odl.find(&["INSTRUMENT_STATE_PARMS"]);
     let mut label = Label {
@@ -43,7 +44,7 @@ pub fn label(odl: &Group) -> Label {
     label
 }
 
-/// Returns why a label is not of a photo, if so.
+/// Returns the reason if a label is not of a photo.
 pub fn no_photo(odl: &Group) -> Option<String> {
     let image = odl.find(&["IMAGE", "IMAGE_DATA"]);
     if image.is_none() && odl.text("NL").is_none() {
@@ -63,7 +64,7 @@ pub fn no_photo(odl: &Group) -> Option<String> {
         .map(|kind| format!("a product of type {kind} holds no photo"))
 }
 
-/// A key of the label itself; VICAR keeps those in a property.
+/// Returns the value of a key of the label itself; VICAR has those in a property.
 fn identification<'a>(odl: &'a Group, key: &str) -> Option<&'a Value> {
     odl.get(key).or_else(|| odl.find(&["IDENTIFICATION"])?.get(key))
 }
@@ -80,9 +81,9 @@ fn unsigned(group: &Group, key: &str) -> Option<u32> {
     values::integer(group.text(key)?).and_then(|value| u32::try_from(value).ok())
 }
 
-/// Side of the box of detector pixels that became one, where both sides agree.
+/// Returns the side of the boxes of detector pixels that were averaged, if both sides are equal.
 fn averaged(odl: &Group) -> u32 {
-    let places = odl.below();
+    let places = odl.descendants();
     let box_of = |group: &&Group| {
         let sides = (
             unsigned(group, "PIXEL_AVERAGING_HEIGHT")?,
@@ -95,8 +96,8 @@ fn averaged(odl: &Group) -> u32 {
     side.filter(|side| (1..=64).contains(side)).unwrap_or(1)
 }
 
-/// The phase of a mosaic that the label says the pixels are.
-fn mosaic(odl: &Group) -> Option<Phase> {
+/// Returns the phase of the colour mosaic, if by the label the pixels are not interpolated.
+fn mosaic(odl: &Group) -> Option<BayerPhase> {
     let state = odl.find(&["INSTRUMENT_STATE_PARMS"])?;
     let raw = text(state, "BAYER_METHOD").is_some_and(|method| method == "RAW_BAYER");
     let pattern = text(state, "CFA_TYPE").is_none_or(|pattern| pattern == "BAYER_RGGB");
@@ -105,7 +106,7 @@ fn mosaic(odl: &Group) -> Option<Phase> {
     }
     let image = odl.find(&["IMAGE", "IMAGE_DATA"])?;
     let first = |key| unsigned(image, key).unwrap_or(1).max(1) - 1;
-    Some(Phase {
+    Some(BayerPhase {
         line: first("FIRST_LINE"),
         sample: first("FIRST_LINE_SAMPLE"),
     })
@@ -161,7 +162,7 @@ fn model(group: &Group) -> Result<RawModel, CameraError> {
     })
 }
 
-/// Components 8 and 9 of a CAHVORE: its type and parameter.
+/// Returns terms, type and parameter of a CAHVORE (components 7 to 9).
 fn entrance(group: &Group, terms: [f64; 3]) -> Result<([f64; 3], i64, f64), CameraError> {
     let kind = group.text("MODEL_COMPONENT_8").and_then(values::integer);
     let kind = kind.ok_or(CameraError::Number("the type of the CAHVORE"))?;
@@ -174,7 +175,7 @@ fn entrance(group: &Group, terms: [f64; 3]) -> Result<([f64; 3], i64, f64), Came
     ))
 }
 
-/// The rover's counters by name; where the label has no names, as all labels have them: SITE, DRIVE, POSE, …
+/// Returns the rover's counters by name; without names, in the order of all labels: SITE, DRIVE, POSE, …
 fn motion_counter(odl: &Group) -> Vec<(String, i64)> {
     let values = identification(odl, "ROVER_MOTION_COUNTER");
     let names = identification(odl, "ROVER_MOTION_COUNTER_NAME");
@@ -197,7 +198,7 @@ fn counters(values: Option<&Value>, names: Option<&Value>) -> Vec<(String, i64)>
     all.unwrap_or_default()
 }
 
-/// Finds the group that places the camera's `frame` in a site: of the same name and counters.
+/// Returns the camera frame's pose in its site, from the group of the same name and counters.
 fn frame_pose(odl: &Group, camera: &Group, frame: &str, notes: &mut Vec<String>) -> FramePose {
     if frame == "SITE_FRAME" {
         return FramePose::IsSite;
@@ -219,7 +220,7 @@ fn frame_pose(odl: &Group, camera: &Group, frame: &str, notes: &mut Vec<String>)
                 &wanted,
             )
     };
-    let below = odl.below();
+    let below = odl.descendants();
     let Some(group) = below.iter().find(places) else {
         return FramePose::Unknown;
     };
@@ -242,9 +243,9 @@ fn array(odl: &Group) -> Option<Array> {
     let bits = unsigned(image, "SAMPLE_BITS")?;
     let stored = sample(image.text("SAMPLE_TYPE")?, bits)?;
     let order = match text(image, "BAND_STORAGE_TYPE").as_deref() {
-        None | Some("BAND_SEQUENTIAL") => Order::BandSequential,
-        Some("LINE_INTERLEAVED") => Order::LineInterleaved,
-        Some("SAMPLE_INTERLEAVED") => Order::PixelInterleaved,
+        None | Some("BAND_SEQUENTIAL") => BandStorage::BandSequential,
+        Some("LINE_INTERLEAVED") => BandStorage::LineInterleaved,
+        Some("SAMPLE_INTERLEAVED") => BandStorage::PixelInterleaved,
         Some(_) => return None,
     };
     let number = |key| image.text(key).and_then(values::number);
@@ -279,9 +280,9 @@ fn constants(image: &Group, names: &[&str], sample: Sample) -> Vec<f64> {
     names.iter().filter_map(constant).collect()
 }
 
-/// The table whose codes the pixels still are: `HARDWARE_INVERTED` and the like say that they are counts again.
+/// Returns the look-up table whose codes the pixels are; with `HARDWARE_INVERTED` and the like they are counts again.
 fn companded_by(odl: &Group) -> Option<String> {
-    let all = odl.below();
+    let all = odl.descendants();
     let places = all.iter().filter(|group| !group.name.contains("REQUEST"));
     let known = |key: &str| places.clone().find_map(|group| text(group, key));
     let method = known("SAMPLE_BIT_METHOD")?;
@@ -293,7 +294,7 @@ fn companded_by(odl: &Group) -> Option<String> {
         .flatten()
 }
 
-/// What the values are, by the unit the label names.
+/// Returns the quantity of the values, by their unit.
 fn quantity(odl: &Group) -> Quantity {
     let derived = odl.find(&["DERIVED_IMAGE_PARMS"]);
     let unit = derived
@@ -306,7 +307,7 @@ fn quantity(odl: &Group) -> Quantity {
     }
 }
 
-/// `^IMAGE = 15` (record from 1), `= 8641 <BYTES>` (byte from 1), `= ("F.IMG", 15)`, `= "F.IMG"`.
+/// Returns file and offset of `^IMAGE = 15` (record from 1), `8641 <BYTES>` (byte from 1), `("F.IMG", 15)`, `"F.IMG"`.
 fn pointer(odl: &Group) -> Option<(Option<String>, u64)> {
     let value = odl.get("^IMAGE")?;
     let items = value.items();
@@ -335,13 +336,13 @@ fn sample(kind: &str, bits: u32) -> Option<Sample> {
     let big_endian = !["LSB", "PC", "VAX"].iter().any(|little| kind.starts_with(little));
     let number = match kind.as_str() {
         "VAX_REAL" => return None, // not IEEE 754
-        _ if kind.contains("REAL") || kind == "FLOAT" => Number::Float,
-        _ if kind.contains("UNSIGNED") => Number::Unsigned,
-        _ if kind.contains("INTEGER") => Number::Signed,
+        _ if kind.contains("REAL") || kind == "FLOAT" => SampleKind::Float,
+        _ if kind.contains("UNSIGNED") => SampleKind::Unsigned,
+        _ if kind.contains("INTEGER") => SampleKind::Signed,
         _ => return None,
     };
-    let whole = number != Number::Float && matches!(bits, 8 | 16 | 32 | 64);
-    let float = number == Number::Float && matches!(bits, 32 | 64);
+    let whole = number != SampleKind::Float && matches!(bits, 8 | 16 | 32 | 64);
+    let float = number == SampleKind::Float && matches!(bits, 32 | 64);
     (whole || float).then_some(Sample {
         kind: number,
         bytes: bits / 8,
@@ -349,7 +350,7 @@ fn sample(kind: &str, bits: u32) -> Option<Sample> {
     })
 }
 
-/// `2#0000111111111111#` is 12.
+/// Returns the number of bits of a mask: of `2#0000111111111111#` 12.
 fn mask_bits(mask: &str) -> Option<u32> {
     let digits = mask.strip_prefix("2#")?.strip_suffix('#')?;
     let binary = !digits.is_empty() && digits.bytes().all(|byte| matches!(byte, b'0' | b'1'));
@@ -357,21 +358,21 @@ fn mask_bits(mask: &str) -> Option<u32> {
     (binary && (1..=32).contains(&bits)).then_some(bits as u32)
 }
 
-/// The array that a VICAR label alone describes.
+/// Returns the array that a VICAR label describes by its system items.
 fn vicar_array(odl: &Group) -> Option<Array> {
     let offset = u64::from(unsigned(odl, "LBLSIZE")?);
     let record = u64::from(unsigned(odl, "RECSIZE")?);
     let header = u64::from(unsigned(odl, "NLB").unwrap_or(0));
     let (kind, bytes) = match odl.text("FORMAT")? {
-        "BYTE" => (Number::Unsigned, 1),
-        "HALF" | "WORD" => (Number::Signed, 2),
-        "FULL" | "LONG" => (Number::Signed, 4),
-        "REAL" => (Number::Float, 4),
-        "DOUB" => (Number::Float, 8),
+        "BYTE" => (SampleKind::Unsigned, 1),
+        "HALF" | "WORD" => (SampleKind::Signed, 2),
+        "FULL" | "LONG" => (SampleKind::Signed, 4),
+        "REAL" => (SampleKind::Float, 4),
+        "DOUB" => (SampleKind::Float, 8),
         _ => return None,
     };
     let big_endian = match kind {
-        Number::Float => match odl.text("REALFMT") {
+        SampleKind::Float => match odl.text("REALFMT") {
             Some("IEEE") => true,
             Some("RIEEE") => false,
             _ => return None, // VAX, also where nothing is said
@@ -389,9 +390,9 @@ fn vicar_array(odl: &Group) -> Option<Array> {
         offset: offset.checked_add(header.checked_mul(record)?)?,
         shape: [unsigned(odl, "NB")?, unsigned(odl, "NL")?, unsigned(odl, "NS")?],
         order: match odl.text("ORG")? {
-            "BSQ" => Order::BandSequential,
-            "BIL" => Order::LineInterleaved,
-            "BIP" => Order::PixelInterleaved,
+            "BSQ" => BandStorage::BandSequential,
+            "BIL" => BandStorage::LineInterleaved,
+            "BIP" => BandStorage::PixelInterleaved,
             _ => return None,
         },
         sample,

@@ -1,5 +1,5 @@
 //! PDS4 labels: XML, read by namespace and explicit path, never by a search through the whole document (which
-//! would hit the copies under commanded parameters).
+//! would find the copies under commanded parameters).
 
 mod array;
 mod guard;
@@ -7,7 +7,7 @@ mod guard;
 use roxmltree::{Document, Node, ParsingOptions};
 
 use crate::camera::{CameraError, RawModel};
-use crate::label::{FramePose, Label, MAX_LABEL_BYTES, Phase, ordered_counter, same_place};
+use crate::label::{BayerPhase, FramePose, Label, MAX_LABEL_BYTES, ordered_counter, same_place};
 use crate::values;
 
 const PDS: &str = "http://pds.nasa.gov/pds4/pds/v1";
@@ -32,7 +32,7 @@ pub enum Pds4Error {
     /// Not well-formed, with a document type, or of too many nodes.
     #[error("XML is refused: {0}")]
     Malformed(#[from] roxmltree::Error),
-    /// An element that only serves to keep a parser busy.
+    /// An element with so many attributes that it would keep the parser busy.
     #[error("XML is refused: an element has more than {MAX_ATTRIBUTES} attributes")]
     Attributes,
     /// Another document.
@@ -40,7 +40,7 @@ pub enum Pds4Error {
     NoLabel,
 }
 
-/// Reads a label.
+/// Reads a PDS4 label.
 ///
 /// # Errors
 /// See [`Pds4Error`]; a label without a usable camera is no error but a note.
@@ -177,7 +177,7 @@ fn averaged(imaging: Node<'_, '_>) -> Option<u32> {
         .map(|side| side as u32)
 }
 
-/// The table whose codes the pixels still are. Further copies below commanded parameters are not looked at.
+/// Returns the look-up table whose codes the pixels are; copies under commanded parameters are ignored.
 fn companded_by(imaging: Node<'_, '_>) -> Option<String> {
     let companding = at(imaging, &[(IMG, "Sampling"), (IMG, "Companding")])?;
     let state = text_at(companding, &[(IMG, "companding_state")])?;
@@ -186,7 +186,7 @@ fn companded_by(imaging: Node<'_, '_>) -> Option<String> {
         .then(|| text_at(companding, &[(IMG, "processing_algorithm")]))?
 }
 
-fn mosaic(imaging: Node<'_, '_>, notes: &mut Vec<String>) -> Option<Phase> {
+fn mosaic(imaging: Node<'_, '_>, notes: &mut Vec<String>) -> Option<BayerPhase> {
     let colours = child(imaging, IMG, "Color_Filter_Array")?;
     let is = |name, word: &str| {
         text_at(colours, &[(IMG, name)]).is_some_and(|text| text.eq_ignore_ascii_case(word))
@@ -196,7 +196,7 @@ fn mosaic(imaging: Node<'_, '_>, notes: &mut Vec<String>) -> Option<Phase> {
     }
     let first = |name| number_at(imaging, &[(IMG, "Detector"), (IMG, name)]).filter(|first| *first >= 1.0);
     match (first("first_line"), first("first_sample")) {
-        (Some(line), Some(sample)) => Some(Phase {
+        (Some(line), Some(sample)) => Some(BayerPhase {
             line: line as u32 - 1,
             sample: sample as u32 - 1,
         }),
@@ -204,12 +204,12 @@ fn mosaic(imaging: Node<'_, '_>, notes: &mut Vec<String>) -> Option<Phase> {
             notes.push(
                 "label does not say where on the detector the mosaic starts: taken as its first pixel".into(),
             );
-            Some(Phase::default())
+            Some(BayerPhase::default())
         }
     }
 }
 
-/// The first geometry of a lander that has a camera model; further ones are refined solutions.
+/// Returns the first geometry of a lander that has a camera model; further ones are refined solutions.
 fn geometry<'a, 'd>(discipline: Node<'a, 'd>) -> Option<Node<'a, 'd>> {
     let geometry = child(discipline, GEOM, "Geometry")?;
     children(geometry, GEOM, "Geometry_Lander")
@@ -238,7 +238,7 @@ fn add_camera(lander: Node<'_, '_>, label: &mut Label) {
     label.set_camera(&raw, reference.frame, pose, counter);
 }
 
-/// Dispatches on the element that is there: old dictionaries say CAHVORE above a CAHVOR.
+/// Reads the model by the elements that are present: old dictionaries say CAHVORE above a CAHVOR.
 fn model(parameters: Node<'_, '_>) -> Result<RawModel, CameraError> {
     let named = |name| child(parameters, GEOM, name);
     let says_cahvore = text_at(parameters, &[(GEOM, "model_type")]).as_deref() == Some("CAHVORE");
@@ -278,7 +278,7 @@ fn cahv(node: Node<'_, '_>) -> Result<[[f64; 3]; 4], CameraError> {
     ])
 }
 
-/// O under its new or its old name, and R.
+/// Reads O under its new or its old name, and R.
 fn distortion(node: Node<'_, '_>) -> Result<[[f64; 3]; 2], CameraError> {
     let o = vector(node, "Vector_Optical", "x_unit y_unit z_unit", "O")
         .or_else(|_| vector(node, "Optical_Terms", "c0 c1 c2", "O"))?;
@@ -339,7 +339,7 @@ fn present(definition: Node<'_, '_>) -> Option<Space> {
     })
 }
 
-/// Counters by name; older labels call the name `index_name`.
+/// Returns counters by name; older labels call the name `index_name`.
 fn index(node: Node<'_, '_>, element: &str) -> Vec<(String, i64)> {
     let read = |entry: Node<'_, '_>| {
         let name =
@@ -355,7 +355,7 @@ fn index(node: Node<'_, '_>, element: &str) -> Vec<(String, i64)> {
         .collect()
 }
 
-/// Finds the definition of just this frame and these counters, relative to a site.
+/// Returns the definition of exactly this frame and these counters, relative to a site.
 ///
 /// MSL labels hold a second, mislabelled definition of ROVER_NAV_FRAME: hence every counter must be there.
 fn frame_pose(reference: &Space, definitions: &[Node<'_, '_>]) -> FramePose {
@@ -364,7 +364,7 @@ fn frame_pose(reference: &Space, definitions: &[Node<'_, '_>]) -> FramePose {
     }
     let fits = |node: &&Node<'_, '_>| {
         present(**node).is_some_and(|space| {
-            // Fragments without counters in the definition are taken by frame alone.
+            // Definitions without counters are matched by frame alone.
             let counters =
                 space.index.is_empty() || reference.index.iter().all(|entry| space.index.contains(entry));
             space.frame == reference.frame && counters
@@ -396,7 +396,7 @@ fn definition_pose(definition: Node<'_, '_>) -> Option<FramePose> {
     Some(FramePose::Given { quaternion, offset })
 }
 
-/// The rover's counters at the photo; where they are of another place than the camera's frame, those of the frame.
+/// Returns the rover's counters at the photo; if they differ from those of the camera's frame, the latter.
 fn counter(lander: Node<'_, '_>, reference: &Space, notes: &mut Vec<String>) -> Vec<i64> {
     let whole = child(lander, GEOM, "Motion_Counter").map(|node| index(node, "Motion_Counter_Index"));
     let whole = whole.unwrap_or_default();

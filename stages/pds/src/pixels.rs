@@ -1,10 +1,10 @@
-//! From an array that a label describes to an 8-bit sRGB image.
+//! Conversion of an array that a label describes to an 8-bit sRGB image.
 
 use marf_scene::{Image, Srgb};
 
 use crate::companding::Table;
 use crate::demosaic;
-use crate::label::{Array, Number, Order, Phase, Quantity, Sample};
+use crate::label::{Array, BandStorage, BayerPhase, Quantity, Sample, SampleKind};
 use crate::tone::{self, WHITE_RADIANCE};
 
 /// Longest side that is read, pixels.
@@ -12,10 +12,10 @@ const MAX_SIDE: u32 = 20_000;
 /// Most pixels that are read; real products have up to 20 million.
 const MAX_PIXELS: u64 = 32 << 20;
 
-/// Pixels that cannot be read.
+/// An array that cannot be converted.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PixelError {
-    /// A shape that is no photo or too large.
+    /// A shape that is not a photo's, or too large.
     #[error("an array of {} bands, {} lines, {} samples is not read (1 or 3 bands, up to {MAX_SIDE} a side)", .0[0], .0[1], .0[2])]
     Shape([u32; 3]),
     /// The file ends before the array.
@@ -26,37 +26,37 @@ pub enum PixelError {
         /// Bytes of the file.
         has: u64,
     },
-    /// Samples whose meaning is not known.
+    /// Samples of an unknown quantity.
     #[error("floating samples of an unknown quantity: what is white is not known")]
     UnknownQuantity,
 }
 
 /// An image made from an array.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Made {
+pub struct RenderedArray {
     /// The image.
     pub image: Image<Srgb>,
     /// Bands: 1 or 3, a mosaic counts as 3.
     pub bands: u8,
-    /// How stored values became codes.
+    /// How stored values were converted to codes.
     pub notes: Vec<String>,
 }
 
-/// Reads an array and makes an 8-bit sRGB image of it.
+/// Returns the 8-bit sRGB image of an array.
 ///
 /// The scaling is fixed, so that photos of one set stay comparable: spectral radiance by 0.125 W / (m2 sr nm) as white,
 /// I/F by 1, counts by the largest count of their bits, then the sRGB curve; 8-bit codes are taken as they are, or
-/// become counts again by `table`. No colour is balanced. Values that mean "missing" become black, values that mean
+/// converted to counts by `table`. Colours are not balanced. Values that mean "missing" become black, values that mean
 /// "saturated" white.
 ///
 /// # Errors
 /// See [`PixelError`]; nothing is allocated before the file has been found long enough.
-pub fn make(
+pub fn render(
     array: &Array,
-    mosaic: Option<Phase>,
+    mosaic: Option<BayerPhase>,
     table: Option<Table>,
     bytes: &[u8],
-) -> Result<Made, PixelError> {
+) -> Result<RenderedArray, PixelError> {
     let layout = Layout::of(array, bytes.len() as u64)?;
     let (scale, mut notes) = Scale::of(array, table)?;
     let (bands, lines, samples) = layout.shape;
@@ -97,7 +97,7 @@ pub fn make(
             tone::code(light)
         }
     };
-    Ok(Made {
+    Ok(RenderedArray {
         image: Image {
             width: array.shape[2],
             height: array.shape[1],
@@ -132,16 +132,16 @@ impl Layout {
         let margin = u64::from(array.prefix_bytes) + u64::from(array.suffix_bytes);
         let (bands, lines, samples) = (u64::from(bands), u64::from(lines), u64::from(samples));
         // A record is a line of one band, or of all bands where pixels are interleaved.
-        let across = if array.order == Order::PixelInterleaved {
+        let across = if array.order == BandStorage::PixelInterleaved {
             bands
         } else {
             1
         };
         let record = samples * across * size + margin;
         let strides = match array.order {
-            Order::BandSequential => [lines * record, record, size],
-            Order::LineInterleaved => [record, bands * record, size],
-            Order::PixelInterleaved => [size, record, bands * size],
+            BandStorage::BandSequential => [lines * record, record, size],
+            BandStorage::LineInterleaved => [record, bands * record, size],
+            BandStorage::PixelInterleaved => [size, record, bands * size],
         };
         let needed = array
             .offset
@@ -180,10 +180,10 @@ fn read(sample: Sample, bytes: &[u8], at: usize) -> f64 {
     let bits = u64::from_be_bytes(word);
     let shift = 64 - 8 * sample.bytes;
     match (sample.kind, sample.bytes) {
-        (Number::Unsigned, _) => bits as f64,
-        (Number::Signed, _) => ((bits << shift) as i64 >> shift) as f64,
-        (Number::Float, 4) => f64::from(f32::from_bits(bits as u32)),
-        (Number::Float, _) => f64::from_bits(bits),
+        (SampleKind::Unsigned, _) => bits as f64,
+        (SampleKind::Signed, _) => ((bits << shift) as i64 >> shift) as f64,
+        (SampleKind::Float, 4) => f64::from(f32::from_bits(bits as u32)),
+        (SampleKind::Float, _) => f64::from_bits(bits),
     }
 }
 
@@ -193,7 +193,7 @@ enum Curve {
     AsStored,
 }
 
-/// From stored values to light in [0, 1].
+/// Conversion of stored values to light in [0, 1].
 struct Scale<'a> {
     factor: f64,
     offset: f64,
@@ -220,7 +220,7 @@ impl<'a> Scale<'a> {
         if let Some(codes) = array
             .companded_by
             .as_deref()
-            .filter(|_| sample.kind != Number::Float)
+            .filter(|_| sample.kind != SampleKind::Float)
         {
             let (factor, curve, note) = match table {
                 Some(table) => (
@@ -241,7 +241,7 @@ impl<'a> Scale<'a> {
             return Ok((Scale { table, ..scale }, notes));
         }
         let (scale, offset) = scaling.unwrap_or((1.0, 0.0));
-        let physical = scaling.is_some() || sample.kind == Number::Float;
+        let physical = scaling.is_some() || sample.kind == SampleKind::Float;
         match array.quantity {
             Quantity::Radiance if physical => {
                 let note = format!("radiance to sRGB, white at {WHITE_RADIANCE} W/m2/sr/nm");
@@ -250,15 +250,15 @@ impl<'a> Scale<'a> {
             Quantity::Reflectance if physical => {
                 with(scale, offset, Curve::Srgb, "I/F to sRGB, white at 1".to_owned())
             }
-            _ if sample.kind == Number::Float => Err(PixelError::UnknownQuantity),
-            _ if sample.bytes == 1 && sample.kind == Number::Unsigned => with(
+            _ if sample.kind == SampleKind::Float => Err(PixelError::UnknownQuantity),
+            _ if sample.bytes == 1 && sample.kind == SampleKind::Unsigned => with(
                 1.0 / 255.0,
                 0.0,
                 Curve::AsStored,
                 "8-bit codes as stored".to_owned(),
             ),
             _ => {
-                let whole = 8 * sample.bytes - u32::from(sample.kind == Number::Signed);
+                let whole = 8 * sample.bytes - u32::from(sample.kind == SampleKind::Signed);
                 // A mask of fewer bits describes the detector, not values that were scaled since.
                 let bits = array
                     .bits

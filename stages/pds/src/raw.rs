@@ -1,9 +1,9 @@
-//! Products whose pixels lie behind an attached label, or are described by a detached one.
+//! Products of raw pixels, described by an attached or a detached label.
 
 use marf_scene::{Image, Photo, Srgb, encode_png};
 
 use crate::demosaic;
-use crate::label::{Array, Label, MAX_LABEL_BYTES, Phase, Quantity};
+use crate::label::{Array, BayerPhase, Label, MAX_LABEL_BYTES, Quantity};
 use crate::names::ProductName;
 use crate::pixels;
 use crate::{companding, describe, odl, pds3, vicar};
@@ -40,22 +40,22 @@ pub fn head(bytes: &[u8]) -> Result<Label, String> {
     }
 }
 
-/// What a file of raw pixels gave.
+/// The image of a file of raw pixels.
 pub struct Developed {
     /// The image.
     pub image: Image<Srgb>,
     /// Bands: 1 or 3, a mosaic counts as 3.
     pub bands: u8,
-    /// How stored values became codes.
+    /// How stored values were converted to codes.
     pub notes: Vec<String>,
     /// The label at its head, if it has one.
     pub attached: Option<Label>,
 }
 
-/// Makes an image of a file's pixels by the label at its head, else by the one beside it.
+/// Returns the image of a file's pixels by its attached label, else by the detached one.
 ///
 /// # Errors
-/// Why it cannot.
+/// The reason if it cannot be done.
 pub fn develop(
     name: Option<&ProductName>,
     bytes: &[u8],
@@ -82,17 +82,17 @@ pub fn develop(
     let mosaic = label
         .mosaic
         .filter(|_| array.shape[0] == 1 && label.averaged <= 1);
-    // Processed products are no codes any more, though their labels still tell how the camera stored them.
+    // Processed products are counts again, though their labels still state how the camera stored them.
     if !name.is_some_and(ProductName::is_as_received) {
         array.companded_by = None;
     }
     let scheme = name.map(|name| name.scheme);
     let codes = array.companded_by.as_deref();
     let table = codes.and_then(|codes| companding::table(codes, scheme));
-    let mut made = pixels::make(&array, mosaic, table, bytes).map_err(|error| error.to_string())?;
+    let mut made = pixels::render(&array, mosaic, table, bytes).map_err(|error| error.to_string())?;
     made.notes
         .insert(0, format!("samples {}", describe::array(&array)));
-    if label.mosaic.is_none() && array.shape[0] == 1 && name.is_some_and(ProductName::says_mosaic) {
+    if label.mosaic.is_none() && array.shape[0] == 1 && name.is_some_and(ProductName::is_mosaic) {
         made.notes
             .push("the name says colour mosaic, the label does not: left as it is".to_owned());
     }
@@ -104,7 +104,7 @@ pub fn develop(
     })
 }
 
-/// What a scaled array holds, by the product's type, where the label names no unit: RA? and RZ? radiance, IO? I/F.
+/// Returns the quantity of an array without unit by the product's type: RA? and RZ? are radiance, IO? is I/F.
 fn quantity(name: &ProductName, array: &Array) -> Option<Quantity> {
     if array.quantity != Quantity::Counts {
         return None;
@@ -116,9 +116,9 @@ fn quantity(name: &ProductName, array: &Array) -> Option<Quantity> {
     }
 }
 
-/// Makes a colour PNG of a picture that is still a mosaic by its name: one band, or three equal ones.
-/// `None` where it is none.
-pub fn develop_mosaic(photo: &Photo, phase: Option<Phase>) -> Option<Photo> {
+/// Returns the interpolated photo of a picture that is a colour mosaic by its name: one band, or three equal ones.
+/// `None` if the bands differ, or the photo is too small.
+pub fn develop_mosaic(photo: &Photo, phase: Option<BayerPhase>) -> Option<Photo> {
     let grey = photo
         .image
         .pixels
@@ -152,7 +152,7 @@ pub fn develop_mosaic(photo: &Photo, phase: Option<Phase>) -> Option<Photo> {
     Some(developed)
 }
 
-/// Encodes what was made, as later stages decode it.
+/// Encodes an image as PNG, for later stages.
 ///
 /// # Errors
 /// An image of zero pixels.

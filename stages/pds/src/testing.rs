@@ -1,9 +1,9 @@
-//! What the unit tests of several modules share.
+//! Helpers of the unit tests.
 #![allow(clippy::print_stdout, reason = "a test that is skipped says so")]
 
 use std::path::{Path, PathBuf};
 
-/// The folder of real data, where it is there.
+/// Returns a folder of the real data; `None`, with a line of output, if it is absent.
 pub fn real(name: &str) -> Option<PathBuf> {
     let root = std::env::var_os("MARF_SHARED_DATA").map_or_else(
         || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),

@@ -1,11 +1,11 @@
-//! From light to 8-bit sRGB, the same for every photo, so that photos of one set stay comparable.
+//! Conversion of light to 8-bit sRGB, the same for every photo, so that photos of one set stay comparable.
 
 use std::sync::OnceLock;
 
 /// Spectral radiance that becomes white, W / (m2 sr nm).
 ///
-/// Half of what a white surface sends under the mean sun of Mars at 550 nm, and above the brightest dust, which
-/// reflects a third of the light in the red. In the Mastcam-Z scenes measured, 99.5 % of the samples lie below
+/// Half the radiance of a white surface under the mean sun of Mars at 550 nm, and above that of the brightest dust,
+/// which reflects a third of the light in the red. In the Mastcam-Z scenes measured, 99.5 % of the samples lie below
 /// 0.055, on the calibration target in the sun 93 % below 0.1.
 pub const WHITE_RADIANCE: f64 = 0.125;
 
@@ -17,13 +17,13 @@ pub fn code(light: f32) -> u8 {
     thresholds.partition_point(|threshold| *threshold <= light) as u8
 }
 
-/// Light at which code k - 1 becomes k, for k = 1..=255.
+/// Returns the light at which code k - 1 becomes k, for k = 1..=255.
 fn thresholds() -> &'static [f32; 255] {
     static TABLE: OnceLock<[f32; 255]> = OnceLock::new();
     TABLE.get_or_init(|| std::array::from_fn(|index| linear((index as f64 + 0.5) / 255.0) as f32))
 }
 
-/// The inverse of sRGB's transfer (IEC 61966-2-1): c / 12.92, or ((c + 0.055) / 1.055)^2.4.
+/// Returns the light of an sRGB value (IEC 61966-2-1): c / 12.92, or ((c + 0.055) / 1.055)^2.4.
 fn linear(code: f64) -> f64 {
     if code <= 0.04045 {
         return code / 12.92;
@@ -33,7 +33,7 @@ fn linear(code: f64) -> f64 {
     square * fifth_root(square) // x^2.4 = x^2 (x^2)^(1/5)
 }
 
-/// Newton's iteration from above, for `value` in (0, 1]: falls monotonically, 60 steps reach the last bit.
+/// Returns the fifth root of a value in (0, 1] by Newton's method from above: monotonic, 60 steps reach the last bit.
 fn fifth_root(value: f64) -> f64 {
     let mut root = 1.0;
     for _ in 0..60 {

@@ -1,6 +1,6 @@
-//! Numbers and tuples as labels write them.
+//! Numbers, tuples and words as labels write them.
 
-use crate::label::{Number, Sample};
+use crate::label::{Sample, SampleKind};
 
 /// Magnitudes from here on mean "unknown" (labels write 1.0e+30).
 const SENTINEL: f64 = 1e29;
@@ -14,16 +14,16 @@ pub(crate) fn number(text: &str) -> Option<f64> {
 /// Reads a special constant: a decimal number, or `16#FF7FFFFB#`, which for floating samples is their bits.
 pub(crate) fn constant(text: &str, sample: Sample) -> Option<f64> {
     let Some((base, digits)) = text.trim().split_once('#') else {
-        // Sentinels are what is looked for here: no limit but being finite.
+        // Special constants may be sentinels: they only have to be finite.
         return text.trim().parse().ok().filter(|value: &f64| value.is_finite());
     };
     let base = base.parse().ok().filter(|base| (2..=36).contains(base))?;
     let bits = u64::from_str_radix(digits.strip_suffix('#')?, base).ok()?;
     let value = match (sample.kind, sample.bytes) {
-        (Number::Float, 4) => f64::from(f32::from_bits(u32::try_from(bits).ok()?)),
-        (Number::Float, _) => f64::from_bits(bits),
-        (Number::Signed, 2) => f64::from(u16::try_from(bits).ok()? as i16),
-        (Number::Signed, 4) => f64::from(u32::try_from(bits).ok()? as i32),
+        (SampleKind::Float, 4) => f64::from(f32::from_bits(u32::try_from(bits).ok()?)),
+        (SampleKind::Float, _) => f64::from_bits(bits),
+        (SampleKind::Signed, 2) => f64::from(u16::try_from(bits).ok()? as i16),
+        (SampleKind::Signed, 4) => f64::from(u32::try_from(bits).ok()? as i32),
         _ => bits as f64,
     };
     Some(value).filter(|value| !value.is_nan())
@@ -52,7 +52,7 @@ pub(crate) fn tuple<const N: usize>(text: &str) -> Option<[f64; N]> {
     numbers?.try_into().ok()
 }
 
-/// Turns a word that means "no value" into `None`.
+/// Returns the trimmed text; `None` if it means "no value" (`UNK`, `N/A` and the like).
 pub fn known(text: &str) -> Option<String> {
     let text = text.trim();
     let unknown = ["", "UNK", "UNKNOWN", "NULL", "N/A", "NONE", "NONE AVAILABLE"];
@@ -82,16 +82,16 @@ mod tests {
             bytes,
             big_endian: true,
         };
-        let float = constant("16#FF7FFFFB#", of(Number::Float, 4)).unwrap();
+        let float = constant("16#FF7FFFFB#", of(SampleKind::Float, 4)).unwrap();
         assert_eq!(float, f64::from(f32::from_bits(0xff7f_fffb)));
         assert_eq!(
-            constant("-3.4028226550889045e+38", of(Number::Float, 4)),
+            constant("-3.4028226550889045e+38", of(SampleKind::Float, 4)),
             Some(float)
         );
-        assert_eq!(constant("16#8000#", of(Number::Signed, 2)), Some(-32_768.0));
-        assert_eq!(constant("16#FF#", of(Number::Unsigned, 1)), Some(255.0));
-        assert_eq!(constant("2#1111#", of(Number::Unsigned, 2)), Some(15.0));
-        assert_eq!(constant(" 0.0 ", of(Number::Signed, 2)), Some(0.0));
+        assert_eq!(constant("16#8000#", of(SampleKind::Signed, 2)), Some(-32_768.0));
+        assert_eq!(constant("16#FF#", of(SampleKind::Unsigned, 1)), Some(255.0));
+        assert_eq!(constant("2#1111#", of(SampleKind::Unsigned, 2)), Some(15.0));
+        assert_eq!(constant(" 0.0 ", of(SampleKind::Signed, 2)), Some(0.0));
         for bad in [
             "NULL",
             "16#",
@@ -103,7 +103,7 @@ mod tests {
             "nan",
             "16#FFFFFFFFF#",
         ] {
-            assert_eq!(constant(bad, of(Number::Float, 4)), None, "{bad}");
+            assert_eq!(constant(bad, of(SampleKind::Float, 4)), None, "{bad}");
         }
     }
 

@@ -1,6 +1,6 @@
 //! VICAR labels: `KEY=value` separated by blanks, system items first, then properties.
 //!
-//! They are read into the same groups as ODL, so that one reader serves both.
+//! They are read into the same groups as ODL, so that one reader of labels serves both.
 
 use crate::odl::{Group, Value};
 
@@ -36,7 +36,7 @@ fn size_of(bytes: &[u8]) -> Option<usize> {
     std::str::from_utf8(&digits[..length]).ok()?.parse().ok()
 }
 
-/// The continued label starts after all records of the image.
+/// Returns the label's continuation, after all records of the image.
 fn end_label<'a>(label: &Group, bytes: &'a [u8], size: usize) -> Option<&'a [u8]> {
     let number = |key: &str| label.text(key)?.parse::<usize>().ok();
     let records = match label.text("ORG")? {
@@ -99,7 +99,7 @@ impl Reader<'_> {
         }
     }
 
-    /// One `KEY=value`; `None` at the end or at what is no item.
+    /// Reads one `KEY=value`; `None` at the end or where there is no item.
     fn item(&mut self) -> Option<(String, Value)> {
         self.skip_blank();
         let start = self.at;
@@ -140,7 +140,7 @@ impl Reader<'_> {
         }
     }
 
-    /// A number, word, or text in single quotes (a doubled quote is one).
+    /// Reads a number, word, or text in single quotes (a doubled quote is one).
     fn scalar(&mut self) -> Option<String> {
         let mut text = Vec::new();
         if self.peek()? == b'\'' {

@@ -3,10 +3,11 @@
 #[path = "../tests/common/bundle_scene.rs"]
 mod bundle_scene;
 
-use bundle_scene::{RingSize, add_noise, perturb, ring};
 use criterion::{Criterion, criterion_group, criterion_main};
 use marf_numeric::Rng;
 use marf_sfm::bundle::{BundleOptions, Loss, PoseFreedom, Problem, Solver, adjust};
+
+use bundle_scene::{RingSize, add_noise, perturb, ring};
 
 /// Returns a perturbed problem of which the first `free` poses are free.
 fn problem(poses: usize, points: usize, free: usize) -> Problem {

@@ -14,7 +14,7 @@ pub struct LabelPose {
     pub cam_from_site: Pose,
     /// Rover motion counter: photos with the same one were taken with mast and rover at rest.
     pub motion_counter: Vec<i64>,
-    /// Instrument and eye.
+    /// Instrument, with its eye (left or right).
     pub instrument: String,
 }
 

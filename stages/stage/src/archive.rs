@@ -1,5 +1,8 @@
 use std::path::PathBuf;
 
+/// Name of the file that pins what archives on servers gave; it lies beside pipeline.toml.
+pub const LOCK_FILE: &str = "marf.lock";
+
 /// What an archive may ask of the network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Access {

@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use marf_cache::{ContentHash, Digest, manifest::Row};
 use serde::{Deserialize, Serialize};
 
-pub use archive::{Access, ArchiveContext};
+pub use archive::{Access, ArchiveContext, LOCK_FILE};
 pub use ctx::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Memos, Progress};
 pub use define::{Define, ParamError, Port, StageDef, define, from_json, schema_of};
 pub use document::{Document, Params, TypedOutputs};

@@ -48,7 +48,7 @@ macro_rules! stage_on_device {
             }
 
             fn backend_id(&self) -> Option<String> {
-                self.params.device.class()
+                self.params.device.backend_id()
             }
         }
     };

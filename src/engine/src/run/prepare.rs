@@ -1,16 +1,15 @@
 //! Preparation: gives waiting nodes their inputs and keys, and looks the keys up in the store.
 
 use marf_cache::StoreError;
-use marf_stage::Inputs;
+use marf_stage::{Inputs, Listing};
 
 use super::{
     state::RunState,
     task::{InputSource, Phase, Prepared, Reuse, Role},
 };
 use crate::{
-    earlier::{KeyRequest, with_earlier},
+    earlier::{KeyRequest, key_of},
     event::NodeProgress,
-    key::node_key,
     listing::list,
     lookup::{Lookup, look_up, why_missed},
 };
@@ -35,7 +34,7 @@ pub(super) fn prepare_all(state: &mut RunState<'_>) -> Result<(), StoreError> {
     Ok(())
 }
 
-/// Moves a waiting node on: to its stored result, to readiness, or to failure.
+/// Gathers the inputs of a waiting node, lists what a source offers, and looks the node up.
 fn prepare(state: &mut RunState<'_>, index: usize) -> Result<(), StoreError> {
     let context = state.context;
     let inputs = match inputs(state, index) {
@@ -54,14 +53,25 @@ fn prepare(state: &mut RunState<'_>, index: usize) -> Result<(), StoreError> {
             return Ok(());
         }
     };
+    look_up_node(state, index, inputs, listing)
+}
+
+/// Makes the key of a node and looks it up; a node with a stored result is reused, another one becomes ready.
+fn look_up_node(
+    state: &mut RunState<'_>,
+    index: usize,
+    inputs: Inputs,
+    listing: Option<Listing>,
+) -> Result<(), StoreError> {
+    let context = state.context;
+    let task = &state.tasks[index];
     let request = KeyRequest {
         name: &task.name,
         def: &task.def,
         stage: task.bound.as_ref(),
         listing: listing.as_ref(),
     };
-    let inputs = with_earlier(context.store, context.last, &request, inputs)?;
-    let key = node_key(&task.def, task.bound.as_ref(), &inputs, listing.as_ref());
+    let (key, inputs) = key_of(context.store, context.last, &request, inputs)?;
     state.tasks[index].outcome.key = Some(key.digest);
     let task = &state.tasks[index];
     let lookup = match task.reuse {

@@ -61,7 +61,7 @@ pub(super) fn execute(run: &StageRun<'_>, fold: &dyn Fold) -> Result<(Outputs, C
             None => {
                 new.measure_from(run, fold, &shards, index)?;
                 let outputs = new.step(run, fold, index, state)?;
-                run.put_part(key, outputs.outputs())?;
+                run.put_part(key, outputs.by_name())?;
                 outputs
             }
         };
@@ -73,7 +73,8 @@ pub(super) fn execute(run: &StageRun<'_>, fold: &dyn Fold) -> Result<(Outputs, C
 }
 
 impl StepOutputs {
-    fn outputs(&self) -> Outputs {
+    /// Returns the outputs by name, for the record of the step.
+    fn by_name(&self) -> Outputs {
         BTreeMap::from([
             (STATE.to_owned(), self.state),
             (PHOTOS.to_owned(), self.root),
@@ -102,12 +103,12 @@ impl NewShards {
         if self.measures.is_some() {
             return Ok(());
         }
-        let parts = shards[first..].iter();
-        let parts: Result<Vec<ShardRows>, _> = parts
+        let new: Result<Vec<ShardRows>, _> = shards[first..]
+            .iter()
             .map(|(shard, leaves)| read_shard(&run.ctx, *shard, leaves))
             .collect();
         self.first = first;
-        self.shards = parts?;
+        self.shards = new?;
         self.measures = Some(measure(run, fold, &self.shards)?);
         Ok(())
     }

@@ -14,10 +14,10 @@ use crate::{
 
 /// Measures the rows of all shards, decides, and keeps the rows that the decision keeps.
 pub(super) fn execute(run: &StageRun<'_>, map: &dyn Map) -> Result<(Outputs, Counts), StageError> {
-    let parts = read_all_shards(&run.ctx, run.inputs.required(PHOTOS)?)?;
-    let measures = measure(run, map, &parts)?;
-    let items: Vec<Measured<'_>> = (0..parts.len())
-        .flat_map(|index| measures.items(&parts, index))
+    let shards = read_all_shards(&run.ctx, run.inputs.required(PHOTOS)?)?;
+    let measures = measure(run, map, &shards)?;
+    let items: Vec<Measured<'_>> = (0..shards.len())
+        .flat_map(|index| measures.items(&shards, index))
         .collect();
     let verdicts = map.decide(&items)?;
     if verdicts.len() != items.len() {
@@ -29,7 +29,7 @@ pub(super) fn execute(run: &StageRun<'_>, map: &dyn Map) -> Result<(Outputs, Cou
     drop(items);
     let mut leaves = Vec::new();
     let mut rest = verdicts.as_slice();
-    for part in parts {
+    for part in shards {
         let (own, others) = rest.split_at(part.rows.len());
         rest = others;
         let rows = kept(part.rows, own)?;

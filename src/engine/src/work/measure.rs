@@ -47,14 +47,14 @@ struct Table {
 pub(super) fn measure(
     run: &StageRun<'_>,
     stage: &dyn Measure,
-    parts: &[ShardRows],
+    shards: &[ShardRows],
 ) -> Result<Measures, StageError> {
-    let mut tables = Tables::load(run, stage, parts)?;
-    let digests: Vec<Vec<Digest>> = parts
+    let mut tables = Tables::load(run, stage, shards)?;
+    let digests: Vec<Vec<Digest>> = shards
         .par_iter()
         .map(|part| part.rows.iter().map(row_digest).collect())
         .collect();
-    let pairs = parts.iter().zip(&digests);
+    let pairs = shards.iter().zip(&digests);
     let rows = pairs.flat_map(|(part, digests)| {
         part.rows
             .iter()
@@ -77,14 +77,14 @@ pub(super) fn measure(
     // New measures are stored also after a failure or a cancellation.
     tables.flush()?;
     outcome?;
-    tables.collect(parts, &digests, total)
+    tables.collect(shards, &digests, total)
 }
 
 impl<'a> Tables<'a> {
     /// Reads the tables of all shards.
-    fn load(run: &'a StageRun<'a>, stage: &dyn Measure, parts: &[ShardRows]) -> Result<Self, StageError> {
+    fn load(run: &'a StageRun<'a>, stage: &dyn Measure, shards: &[ShardRows]) -> Result<Self, StageError> {
         let mut by_shard = BTreeMap::new();
-        for part in parts {
+        for part in shards {
             let key = run.table_key(stage, part.shard);
             let blob = run.store.memo(&key).map_err(store_error)?;
             // A missing or damaged table is an empty one.
@@ -151,7 +151,7 @@ impl<'a> Tables<'a> {
     /// Returns the measures of all rows.
     fn collect(
         self,
-        parts: &[ShardRows],
+        shards: &[ShardRows],
         digests: &[Vec<Digest>],
         measured: u64,
     ) -> Result<Measures, StageError> {
@@ -159,7 +159,7 @@ impl<'a> Tables<'a> {
             let values = digests.iter().map(|digest| self.get(part.shard, digest).cloned());
             values.collect::<Option<Vec<_>>>()
         };
-        let values: Option<Vec<Vec<_>>> = parts.iter().zip(digests).map(of_part).collect();
+        let values: Option<Vec<Vec<_>>> = shards.iter().zip(digests).map(of_part).collect();
         let values = values.ok_or_else(|| contract_violation("a measure got lost".to_owned()))?;
         Ok(Measures { values, measured })
     }
@@ -167,8 +167,8 @@ impl<'a> Tables<'a> {
 
 impl Measures {
     /// Returns the rows of one shard with their measures.
-    pub(super) fn items<'a>(&'a self, parts: &'a [ShardRows], index: usize) -> Vec<Measured<'a>> {
-        let part = &parts[index];
+    pub(super) fn items<'a>(&'a self, shards: &'a [ShardRows], index: usize) -> Vec<Measured<'a>> {
+        let part = &shards[index];
         let items = part.rows.iter().zip(&self.values[index]);
         items
             .map(|(row, measure)| Measured {

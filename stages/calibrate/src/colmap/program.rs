@@ -164,6 +164,7 @@ impl Program {
         Ok((status, String::from_utf8_lossy(&output).into_owned()))
     }
 
+    /// Returns the error of a program that cannot be started.
     fn cannot_start(&self, error: &std::io::Error) -> StageError {
         let path = self.path.display();
         let what = match error.kind() {
@@ -187,6 +188,7 @@ fn known(help: &str, names: [&'static str; 2]) -> Option<&'static str> {
         .find(|name| help.contains(&format!("--{name} ")))
 }
 
+/// Returns how to get COLMAP.
 fn missing_hint() -> &'static str {
     "install COLMAP (https://colmap.github.io), name it with `colmap = \"/path/to/colmap\"`, or use `method = \"sfm\"`"
 }

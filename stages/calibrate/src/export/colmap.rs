@@ -35,6 +35,7 @@ pub fn write_colmap(scene: &Scene, tracks: &Tracks) -> [(&'static str, Vec<u8>);
 struct Bytes(Vec<u8>);
 
 impl Bytes {
+    /// Returns bytes that start with a count.
     fn counted(count: usize) -> Self {
         let mut bytes = Self::default();
         bytes.u64(count as u64);
@@ -54,6 +55,7 @@ impl Bytes {
     }
 }
 
+/// Returns cameras.bin.
 fn camera_file(cameras: &[Camera]) -> Vec<u8> {
     let mut bytes = Bytes::counted(cameras.len());
     for (number, camera) in (1..).zip(cameras) {
@@ -84,6 +86,7 @@ fn model(camera: &Camera) -> (u32, Vec<f64>) {
     }
 }
 
+/// Returns images.bin.
 fn image_file(scene: &Scene, camera_of: &[u32], tracks: &Tracks) -> Vec<u8> {
     let mut features: Vec<Vec<([f64; 2], u64)>> = vec![Vec::new(); scene.frames.len()];
     for (point, track) in (1..).zip(&tracks.points) {
@@ -109,6 +112,7 @@ fn image_file(scene: &Scene, camera_of: &[u32], tracks: &Tracks) -> Vec<u8> {
     bytes.0
 }
 
+/// Returns points3D.bin.
 fn point_file(frames: usize, tracks: &Tracks) -> Vec<u8> {
     let mut features = vec![0_u32; frames];
     let mut bytes = Bytes::counted(tracks.points.len());

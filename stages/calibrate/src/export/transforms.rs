@@ -1,10 +1,10 @@
 //! A scene as transforms.json, which nerfstudio and instant-ngp read.
 
 use marf_scene::{Camera, Frame, Pose, Scene};
+use marf_schema::output::POINTS;
 use serde::Serialize;
 
-use marf_schema::output::POINTS;
-
+/// transforms.json.
 #[derive(Serialize)]
 struct Transforms<'a> {
     camera_model: &'static str,
@@ -18,6 +18,7 @@ struct Transforms<'a> {
     frames: Vec<Entry<'a>>,
 }
 
+/// A frame of it.
 #[derive(Serialize)]
 struct Entry<'a> {
     file_path: &'a str,
@@ -26,6 +27,7 @@ struct Entry<'a> {
     transform_matrix: [[f64; 4]; 4],
 }
 
+/// Intrinsics, at the top or of a frame.
 #[derive(Serialize)]
 struct Lens {
     w: u32,
@@ -61,7 +63,7 @@ impl Lens {
 /// OpenCV; frames sorted by file name; held-out photos as test and validation, the others as training.
 ///
 /// One camera for all frames stands at the top, different ones stand with their frames. The world is the
-/// scene's own, neither turned nor scaled. The names are those of [`Frame::file`], relative to where the file
+/// scene's own, neither rotated nor scaled. The names are those of [`Frame::file`], relative to where the file
 /// is put; photos that were encoded anew have the extension `.png` there. A scene with sparse points names
 /// [`POINTS`], which is put beside the file.
 pub fn write_transforms(scene: &Scene) -> String {

@@ -55,10 +55,10 @@ pub struct View {
     pub error_px: Option<f64>,
 }
 
-/// What the file says a photo is for.
+/// The purpose of a photo in the file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Role {
-    /// The file says nothing.
+    /// Not specified.
     Open,
     /// Training.
     Train,

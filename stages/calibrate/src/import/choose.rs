@@ -28,6 +28,7 @@ impl Source {
     }
 }
 
+/// Names and digests of the files beside the photos.
 type Files = BTreeMap<String, Digest>;
 
 /// Chooses the named file, or the only one there is, or the only JSON beside COLMAP models: programs that write both
@@ -52,6 +53,7 @@ pub(super) fn choose(files: &Files, wanted: Option<&str>) -> Result<Source, Stag
     }
 }
 
+/// Returns the error if no file has cameras.
 fn none(files: &Files) -> StageError {
     let what = if files.is_empty() {
         "no file with cameras lies beside the photos".to_owned()
@@ -66,6 +68,7 @@ fn none(files: &Files) -> StageError {
     )
 }
 
+/// Returns the error if the named file is not there.
 fn absent(files: &Files, wanted: &str) -> StageError {
     StageError::new(format!("`{wanted}` is no file with cameras beside the photos"))
         .cause(format!("there are: {}", listed(files.keys())))
@@ -102,6 +105,7 @@ fn candidates(files: &Files) -> Vec<String> {
     transforms.chain(folders.iter().filter_map(model)).collect()
 }
 
+/// Returns the source of a name: a JSON file, a file of a COLMAP model, or its folder.
 fn named(files: &Files, wanted: &str) -> Option<Source> {
     if wanted.ends_with(".json") {
         return files.contains_key(wanted).then(|| transforms(files, wanted));
@@ -144,10 +148,12 @@ fn transforms(files: &Files, wanted: &str) -> Source {
     Source::Transforms(parts)
 }
 
+/// Returns the three files of a COLMAP model.
 fn names(folder: &str, kind: &str) -> [String; 3] {
     ["cameras", "images", "points3D"].map(|name| format!("{folder}{name}.{kind}"))
 }
 
+/// Returns the last component of a path.
 fn base(name: &str) -> &str {
     name.rsplit('/').next().unwrap_or(name)
 }
@@ -157,6 +163,7 @@ pub(super) fn folder(name: &str) -> String {
     name[..name.len() - base(name).len()].to_owned()
 }
 
+/// Returns a folder with its slash.
 fn prefix(folder: &str) -> String {
     if folder.is_empty() || folder == "." {
         String::new()

@@ -73,6 +73,7 @@ struct Parts {
 }
 
 impl Parts {
+    /// Returns the views of all images, and the points.
     fn assemble(self, model: &Model<'_>) -> Result<Cameras, ImportError> {
         if self.images.is_empty() {
             return Err(ImportError::new(model.names[1], "", "holds no image"));
@@ -85,6 +86,7 @@ impl Parts {
         })
     }
 
+    /// Returns the view of an image.
     fn view(&self, model: &Model<'_>, image: &Image) -> Result<View, ImportError> {
         let fail = |problem: String| ImportError::new(model.names[1], &image.place, problem);
         let lens = self.lenses.get(&image.camera);
@@ -122,6 +124,7 @@ impl Parts {
     }
 }
 
+/// Returns the pose of an image; an error for numbers that are no pose.
 fn pose(image: &Image) -> Result<Pose, String> {
     let numbers = || image.quaternion.into_iter().chain(image.translation);
     if numbers().any(|number| !number.is_finite()) {

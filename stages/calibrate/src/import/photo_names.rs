@@ -44,6 +44,7 @@ impl<'a> PhotoNames<'a> {
             .or_else(|| self.by_id(file))
     }
 
+    /// Returns the photo with this id.
     fn by_id(&self, file: &str) -> Option<usize> {
         let named = |item: &InputPhoto| item.id == file || item.id == base(file) || item.id == stem(file);
         self.items.iter().position(named)

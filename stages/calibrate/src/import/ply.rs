@@ -1,4 +1,4 @@
-//! Sparse points as PLY: the header says what a vertex is, the body holds them as text or as little-endian bytes.
+//! Sparse points as PLY: the header describes a vertex, the body holds vertices as text or as little-endian bytes.
 //!
 //! Format: Greg Turk, The PLY Polygon File Format, 1994.
 
@@ -13,7 +13,7 @@ const MAX_HEADER_BYTES: usize = 64 * 1024;
 ///
 /// Forms `ascii` and `binary_little_endian`, version 1.0, lines ending in LF or CRLF. A vertex has x, y, z as float
 /// or double; red, green, blue count where all three are uchar; other scalars are skipped, and so are elements
-/// before and after the vertices. How many photos see a point is not told: `views` is 0.
+/// before and after the vertices. The number of photos that see a point is not known: `views` is 0.
 ///
 /// # Errors
 /// Names file and line of the header, or the vertex: another form, a header without end within 64 KiB, no
@@ -62,6 +62,7 @@ enum Scalar {
 }
 
 impl Scalar {
+    /// Returns the type of a name.
     fn named(name: &str) -> Option<Self> {
         Some(match name {
             "float" | "float32" => Self::Float,
@@ -74,6 +75,7 @@ impl Scalar {
         })
     }
 
+    /// Returns its size.
     fn bytes(self) -> usize {
         match self {
             Self::Float => 4,
@@ -119,6 +121,7 @@ struct Header {
 }
 
 impl Header {
+    /// Reads the header.
     fn read(file: &str, bytes: &[u8]) -> Result<Self, ImportError> {
         let head = bytes.get(..MAX_HEADER_BYTES).unwrap_or(bytes);
         let mut header = Self {
@@ -145,6 +148,7 @@ impl Header {
         Err(ImportError::new(file, "", problem))
     }
 
+    /// Reads one line of the header.
     fn line(&mut self, words: &[&str]) -> Result<(), String> {
         match words {
             [] | ["comment" | "obj_info", ..] => Ok(()),
@@ -165,6 +169,7 @@ impl Header {
         }
     }
 
+    /// Reads a line `element`.
     fn element(&mut self, name: &str, count: &str) -> Result<(), String> {
         let count = count.parse();
         let count = count.map_err(|_| format!("`{name}` has no count that can be read"))?;
@@ -180,6 +185,7 @@ impl Header {
         Ok(())
     }
 
+    /// Reads a line `property`.
     fn property(&mut self, scalar: &str, name: &str) -> Result<(), String> {
         let read = Scalar::named(scalar);
         let scalar = read.ok_or_else(|| format!("`{}` is no type of a property", short(scalar)))?;
@@ -193,6 +199,7 @@ impl Header {
     }
 }
 
+/// Returns the form of a line `format`.
 fn form_of(form: &str, version: &str) -> Result<Form, String> {
     match (form, version) {
         ("ascii", "1.0") => Ok(Form::Ascii),
@@ -225,6 +232,7 @@ struct Layout {
 }
 
 impl Layout {
+    /// Returns the columns of a vertex.
     fn of(vertex: &Element) -> Result<Self, String> {
         let find = |name: &str| {
             let index = vertex.properties.iter().position(|(known, _)| known == name)?;
@@ -250,6 +258,7 @@ impl Layout {
         })
     }
 
+    /// Returns the point of a vertex.
     fn point(&self, record: &Record<'_>) -> Result<Point, String> {
         let [x, y, z] = self.position.map(|column| record.number(column));
         let position = [x?, y?, z?];
@@ -268,7 +277,7 @@ impl Layout {
     }
 }
 
-/// A vertex as it stands in the file, as long as its element says.
+/// A vertex as it is in the file, of the length of its element.
 enum Record<'a> {
     Words(Vec<&'a str>),
     Bytes(&'a [u8]),
@@ -283,6 +292,7 @@ impl Record<'_> {
     }
 }
 
+/// Returns a word as a number.
 fn text_number(word: &str, scalar: Scalar) -> Result<f64, String> {
     let number = match scalar {
         Scalar::Uchar => word.parse::<u8>().ok().map(f64::from),
@@ -339,6 +349,7 @@ fn skipped(form: Form, before: &[Element], vertex: &Element, there: usize) -> Re
 /// Points and how many bytes follow them; an error with its place.
 type Read = Result<(Vec<Point>, usize), (String, String)>;
 
+/// Reads vertices of a binary body.
 fn binary(vertex: &Element, layout: &Layout, body: &[u8], skipped: usize) -> Read {
     let width = vertex.width(Form::LittleEndian);
     // `skipped` has found the body long enough for both.
@@ -350,6 +361,7 @@ fn binary(vertex: &Element, layout: &Layout, body: &[u8], skipped: usize) -> Rea
     Ok((points.collect::<Result<_, _>>()?, after.len()))
 }
 
+/// Reads vertices of a text body.
 fn ascii(vertex: &Element, layout: &Layout, body: &[u8], skipped: usize) -> Read {
     let columns = vertex.properties.len();
     let text = std::str::from_utf8(body).map_err(|_| (String::new(), "its body is no text".to_owned()))?;

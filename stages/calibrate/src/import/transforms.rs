@@ -27,7 +27,7 @@ const ROTATION_TOLERANCE: f64 = 1e-3;
 /// Rotations closer than this to orthonormal are taken as they are.
 const ROTATION_EXACT: f64 = 1e-14;
 
-/// What a transforms.json says.
+/// Content of a transforms.json.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Transforms {
     /// One for each frame.
@@ -74,6 +74,7 @@ pub fn read_transforms(file: &str, bytes: &[u8]) -> Result<Transforms, ImportErr
     })
 }
 
+/// Returns the view of a frame.
 fn view(root: &JsonNode<'_>, frame: &JsonNode<'_>, roles: &Roles) -> Result<View, ImportError> {
     let name = path(&frame.required("file_path")?)?;
     Ok(View {
@@ -137,6 +138,7 @@ impl Roles {
         Ok(Self { train, held_out })
     }
 
+    /// Returns the purpose of a photo.
     fn of(&self, name: &str) -> Role {
         let within = |names: &Option<BTreeSet<String>>| names.as_ref().map(|names| names.contains(name));
         match (within(&self.train), within(&self.held_out)) {
@@ -168,6 +170,7 @@ fn lens(root: &JsonNode<'_>, frame: &JsonNode<'_>) -> Result<Lens, ImportError> 
     })
 }
 
+/// Refuses lenses that k1, k2, p1 and p2 do not cover.
 fn check_model<'a>(find: &impl Fn(&str) -> Option<JsonNode<'a>>) -> Result<(), ImportError> {
     if let Some(model) = find("camera_model")
         && !LENSES.contains(&model.text()?.to_ascii_uppercase().as_str())
@@ -205,6 +208,7 @@ fn side(node: &JsonNode<'_>) -> Result<u32, ImportError> {
     whole.then_some(number as u32).ok_or_else(refuse)
 }
 
+/// Returns the focal length of a frame.
 fn focal<'a>(
     frame: &JsonNode<'a>,
     find: &impl Fn(&str) -> Option<JsonNode<'a>>,
@@ -229,6 +233,7 @@ fn positive_angle(node: Option<JsonNode<'_>>) -> Result<Option<f64>, ImportError
     )
 }
 
+/// Returns a number in (0, below), if there is one.
 fn positive(node: Option<JsonNode<'_>>, below: f64, what: &str) -> Result<Option<f64>, ImportError> {
     let Some(node) = node else {
         return Ok(None);
@@ -239,6 +244,7 @@ fn positive(node: Option<JsonNode<'_>>, below: f64, what: &str) -> Result<Option
         .ok_or_else(|| node.error(format!("{number} is not {what}")))
 }
 
+/// Returns the pose of a transform matrix.
 fn pose(node: &JsonNode<'_>) -> Result<Pose, ImportError> {
     let rows = node.items()?;
     if rows.len() != 4 {

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use marf_cache::Digest;
 use marf_scene::{Camera, Photo, Point, Pose};
+use marf_schema::calibrate::CalibrateParams;
 use marf_sfm::align::Similarity;
 use marf_sfm::bundle::LensModel;
 use marf_sfm::mapper::{Model, pose_uncertainties};
@@ -20,7 +21,6 @@ use crate::calibration::{Calibration, PhotoStatistics, PlacedPhoto, mean_up};
 use crate::export::{Observation, TrackPoint};
 use crate::labels::median;
 use crate::photos::{as_png, reduction};
-use marf_schema::calibrate::CalibrateParams;
 
 /// Returns the calibration of the largest model and of those in the same metric frame.
 pub(super) fn assemble(
@@ -261,6 +261,7 @@ fn tracks(reconstruction: &Reconstruction<'_>, model: &Model) -> Vec<TrackPoint>
         .collect()
 }
 
+/// Returns the mean colour, rounded.
 fn mean_color(colors: Vec<[u8; 3]>) -> [u8; 3] {
     let count = colors.len().max(1) as u32;
     [0, 1, 2].map(|channel| {
@@ -269,6 +270,7 @@ fn mean_color(colors: Vec<[u8; 3]>) -> [u8; 3] {
     })
 }
 
+/// Returns a point without its observations.
 fn sparse(point: &TrackPoint) -> Point {
     Point {
         position: point.position,

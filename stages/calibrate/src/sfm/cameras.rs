@@ -1,12 +1,12 @@
 //! Which photos share a camera, and what is known of it.
 
 use marf_scene::Camera;
+use marf_schema::calibrate::{CalibrateParams, Intrinsics};
 use marf_sfm::two_view::FocalKnown;
 use marf_sfm::view_graph::{SharedCamera, View};
 
 use super::photo_features::PhotoFeatures;
 use crate::photos::InputPhoto;
-use marf_schema::calibrate::{CalibrateParams, Intrinsics};
 
 /// Standard deviation of the focal lengths of labels and of EXIF, as a fraction. A tenth of a percent is our choice: the
 /// demo's labels are exact, and photos that disagree outweigh it. EXIF has whole millimetres.

@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use marf_cache::{ContentHash, Digest, digest_of};
 use marf_scene::{Camera, Pose};
+use marf_schema::calibrate::{CalibrateParams, Pairs};
 use marf_sfm::features::Features;
 use marf_sfm::matching::{MatchOptions, exhaustive, match_pair, retrieve, sequential};
 use marf_sfm::two_view::{FocalKnown, VerifiedKind, VerifiedPair, VerifyOptions, ViewPoints, verify};
@@ -15,7 +16,6 @@ use rayon::prelude::*;
 
 use super::memo_table::MemoTable;
 use super::photo_features::PhotoFeatures;
-use marf_schema::calibrate::{CalibrateParams, Pairs};
 
 /// Raised when matching or verification may change.
 const VERSION: u32 = 1;
@@ -108,6 +108,7 @@ fn overlap((camera, cam_from_site): &(Camera, Pose), (other, other_from_site): &
     .sum()
 }
 
+/// Key of the memo of pairs; its name and fields are part of the key.
 #[derive(ContentHash)]
 struct MemoKey {
     what: &'static str,

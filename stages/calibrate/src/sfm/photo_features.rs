@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use marf_cache::{ContentHash, Digest, digest_of};
 use marf_scene::{Camera, Image, Pose, Srgb};
+use marf_schema::calibrate::{CalibrateParams, FirstOctaveParam};
 use marf_sfm::features::{FeatureOptions, Features, FirstOctave, Gray, Mask, extract};
 use marf_stage::{Ctx, Inputs, StageError};
 use nalgebra::Vector2;
@@ -14,7 +15,6 @@ use super::memo_table::MemoTable;
 use crate::labels::{Candidate, Pixels, ideal};
 use crate::masks::mask_file;
 use crate::photos::{InputPhoto, as_png, decode, store};
-use marf_schema::calibrate::{CalibrateParams, FirstOctaveParam};
 
 /// Raised when features, working images or label cameras may change.
 const VERSION: u32 = 1;
@@ -56,6 +56,7 @@ pub(super) struct FeatureRow {
     pub found: Digest,
 }
 
+/// Key of the memo of features; its name and fields are part of the key.
 #[derive(ContentHash)]
 struct MemoKey {
     what: &'static str,
@@ -196,6 +197,7 @@ fn computed(
     })
 }
 
+/// Returns the options of feature extraction.
 fn options(params: &CalibrateParams) -> FeatureOptions {
     FeatureOptions {
         max_features: params.max_features,

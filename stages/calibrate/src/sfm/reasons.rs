@@ -58,7 +58,7 @@ pub(super) enum Mapped {
     No,
 }
 
-/// Repairs why a photo was not placed; `component` is the rank of each photo's connected component.
+/// Returns why a photo was not placed; `component` is the rank of each photo's connected component.
 pub(super) fn cause(reconstruction: &Reconstruction<'_>, component: &[usize], photo: usize) -> Cause {
     let found = reconstruction.features[photo].features.keypoints.len();
     let links: Vec<_> = reconstruction
@@ -128,7 +128,7 @@ pub(super) fn cause(reconstruction: &Reconstruction<'_>, component: &[usize], ph
     }
 }
 
-/// Repairs site, drive and pose of the rover if the labels of all photos have the same: then only its mast moved between
+/// Returns site, drive and pose of the rover if the labels of all photos have the same: then only its mast moved between
 /// them.
 fn one_place(reconstruction: &Reconstruction<'_>, photos: impl Iterator<Item = usize>) -> Option<Vec<i64>> {
     let place = |photo: usize| {
@@ -143,7 +143,7 @@ fn one_place(reconstruction: &Reconstruction<'_>, photos: impl Iterator<Item = u
 }
 
 impl Cause {
-    /// Repairs the cause without what differs from photo to photo.
+    /// Returns the cause without what differs from photo to photo.
     pub(super) fn kind(&self) -> &'static str {
         match self {
             Self::FewFeatures { .. } => "too few features: too blurred, too dark or without texture",
@@ -164,7 +164,7 @@ impl Cause {
         }
     }
 
-    /// Repairs what the labels say of a panorama, to follow its kind; empty if they do not agree.
+    /// Returns what the labels say of a panorama, to follow its kind; empty if they do not agree.
     pub(super) fn place(&self) -> String {
         match self {
             Self::PureRotation {
@@ -174,7 +174,7 @@ impl Cause {
         }
     }
 
-    /// Repairs what to try.
+    /// Returns what to try.
     pub(super) fn hint(&self) -> &'static str {
         match self {
             Self::FewFeatures { .. } => {

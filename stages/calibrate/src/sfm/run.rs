@@ -1,6 +1,7 @@
 //! The steps from photos to a calibration.
 
 use marf_cache::Digest;
+use marf_schema::calibrate::{CalibrateParams, LensParam, PrincipalPoint};
 use marf_sfm::bundle::LensModel;
 use marf_sfm::mapper::{
     LensChoice, MapError, MapOptions, MapperInput, Model, PrincipalPointChoice, Tracks, extend, map,
@@ -16,7 +17,6 @@ use super::{assemble, cameras, compare, earlier};
 use crate::calibration::Calibration;
 use crate::labels;
 use crate::photos::InputPhoto;
-use marf_schema::calibrate::{CalibrateParams, LensParam, PrincipalPoint};
 
 /// Returns the cameras of the photos by structure from motion.
 pub(crate) fn run(

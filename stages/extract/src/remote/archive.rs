@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, OnceLock};
 
 use marf_cache::Digest;
-use marf_stage::{Access, Ctx, ParamError, StageError};
+use marf_stage::{Access, Ctx, LOCK_FILE, ParamError, StageError};
 use parking_lot::{Mutex, MutexGuard};
 
 use super::catalog::{CatalogSource, SolFiles};
@@ -138,11 +138,7 @@ impl RemoteArchive {
                 ..Pins::default()
             });
         }
-        let message = format!(
-            "`{}` pins other products of archive `{}`",
-            lock::FILE,
-            self.name()
-        );
+        let message = format!("`{}` pins other products of archive `{}`", LOCK_FILE, self.name());
         Err(StageError::new(message)
             .cause(format!(
                 "it was written for `{}`, the pipeline asks for `{}`",
@@ -187,7 +183,7 @@ impl RemoteArchive {
             let changed = |name: &str| {
                 StageError::new(format!(
                     "record `{name}` of sol {sol} is not what `{}` pins",
-                    lock::FILE
+                    LOCK_FILE
                 ))
                 .cause("the feed gives it with other content now, or no longer")
                 .hint("run without --locked to take what the feed gives now")

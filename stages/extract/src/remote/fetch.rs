@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant, SystemTime};
 
 use marf_cache::Digest;
-use marf_stage::{Access, Ctx, StageError};
+use marf_stage::{Access, Ctx, LOCK_FILE, StageError};
 
 use super::archive::RemoteArchive;
 use super::catalog::{RemoteFile, SolFiles, changed};
@@ -255,8 +255,7 @@ impl Sol<'_> {
         }
         Err(StageError::new(format!(
             "`{name}` of sol {} is not what `{}` pins",
-            self.sol,
-            lock::FILE
+            self.sol, LOCK_FILE
         ))
         .cause(format!(
             "{} gave {} bytes with blake3 {}, locked are {} bytes with {}",
@@ -265,7 +264,7 @@ impl Sol<'_> {
         .hint(format!(
             "the archive changed a product without a new version; to accept it, delete its line from `{}` \
                            and run without --locked",
-            lock::FILE
+            LOCK_FILE
         )))
     }
 

@@ -15,8 +15,6 @@ use serde::{Deserialize, Serialize};
 use crate::files;
 use crate::net::Validators;
 
-/// Name of the file, beside pipeline.toml.
-pub(crate) const FILE: &str = "marf.lock";
 /// In the place of an address: the bytes came with the page that listed them (the record of a feed).
 pub(crate) const WITH_LISTING: &str = "with the listing";
 /// Version of the format; another is refused.

@@ -8,10 +8,11 @@ mod scene;
 
 use std::error::Error;
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::Instant;
 
-use marf_field::bench::{Ceilings, KernelTime, Load, Timed, ceilings, time_steps};
-use marf_field::{Config, Device, Trainer};
+use marf_field::bench::{Ceilings, Gpu, KernelTime, Load, Timed, TimedTraining, ceilings};
+use marf_field::{Config, Device};
 
 fn main() -> ExitCode {
     if !std::env::args().any(|argument| argument == "--bench") {
@@ -30,8 +31,7 @@ const HINT: &str = "set `MARF_BENCH_GPU=gpu:NAME` to a part of an adapter's name
 
 fn run() -> Result<(), Box<dyn Error>> {
     let device: Device = setting("MARF_BENCH_GPU", Device::Gpu(None))?;
-    let gpu = device
-        .open()
+    let gpu = Gpu::shared(&device)
         .map_err(|error| format!("{error}\n  hint: {HINT}"))?
         .ok_or(HINT)?;
     let (samples, steps) = if gpu.is_software() {
@@ -41,7 +41,7 @@ fn run() -> Result<(), Box<dyn Error>> {
     };
     let samples = setting("MARF_BENCH_SAMPLES", samples)?;
     let steps = setting("MARF_BENCH_STEPS", steps)?;
-    println!("{}\n{samples} samples a batch, {steps} steps each", gpu.class());
+    println!("{}\n{samples} samples a batch, {steps} steps each", gpu.id());
     let most = ceilings(&gpu)?;
     println!(
         "copy of 64 MB {:.1} GB/s, fused multiply-add {:.0} GFLOP/s",
@@ -54,7 +54,7 @@ fn run() -> Result<(), Box<dyn Error>> {
             ..config
         };
         println!("\n{name}\n");
-        field(&device, &config, steps, &most)?;
+        field(&gpu, &config, steps, &most)?;
     }
     Ok(())
 }
@@ -84,12 +84,12 @@ fn fields() -> [(&'static str, Config); 2] {
     ]
 }
 
-fn field(device: &Device, config: &Config, steps: u64, most: &Ceilings) -> Result<(), Box<dyn Error>> {
-    let mut trainer = Trainer::new(scene::views(), &[], config, 0)?.on(device)?;
-    take(&mut trainer, steps)?;
-    let timed = time_steps(&mut trainer, steps)?.ok_or("the training is on the CPU")?;
+fn field(gpu: &Arc<Gpu>, config: &Config, steps: u64, most: &Ceilings) -> Result<(), Box<dyn Error>> {
+    let mut training = TimedTraining::new(gpu, scene::views(), config, 0)?;
+    training.advance(steps)?;
+    let timed = training.time(steps)?;
     let begin = Instant::now();
-    let samples = take(&mut trainer, steps)?;
+    let samples = training.advance(steps)?;
     let wall_s = begin.elapsed().as_secs_f64();
     table(&timed, most);
     let each = |count: u64| count as f64 / timed.steps as f64;
@@ -106,15 +106,6 @@ fn field(device: &Device, config: &Config, steps: u64, most: &Ceilings) -> Resul
         samples as f64 / wall_s / 1e6
     );
     Ok(())
-}
-
-/// Takes steps, and returns the samples that they trained.
-fn take(trainer: &mut Trainer, steps: u64) -> Result<u64, Box<dyn Error>> {
-    let (end, mut samples) = (trainer.steps() + steps, 0);
-    while trainer.steps() < end {
-        samples += trainer.advance(end - trainer.steps())?.samples;
-    }
-    Ok(samples)
 }
 
 fn step_s(timed: &Timed) -> f64 {

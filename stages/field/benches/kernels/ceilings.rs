@@ -2,7 +2,7 @@
 
 use std::hint::black_box;
 
-use marf_field::bench::simd::{Block, Isa, Kernel, LANES, Level};
+use marf_field::bench::simd::{Block, InstructionSet, Isa, Kernel, LANES, Run};
 
 use crate::clock::{Threads, best};
 
@@ -41,9 +41,9 @@ fn chains<I: Isa, const N: usize>(isa: I, rounds: usize) -> f32 {
 }
 
 /// Fused multiply-adds a second times 2, all threads, in 1e9.
-pub fn gflops(level: Level, threads: &Threads) -> f64 {
+pub fn gflops(level: InstructionSet, threads: &Threads) -> f64 {
     let (rounds, chains) = match level {
-        Level::Plain(_) => (200, 6),
+        InstructionSet::Plain(_) => (200, 6),
         _ if format!("{level:?}").starts_with("Avx512") => (20_000, 16),
         _ => (20_000, 6),
     };

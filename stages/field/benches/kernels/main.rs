@@ -10,7 +10,7 @@ mod clock;
 mod work;
 
 use clock::Threads;
-use marf_field::bench::simd::Level;
+use marf_field::bench::simd::InstructionSet;
 use work::Field;
 
 fn main() {
@@ -27,7 +27,7 @@ fn main() {
             let limits = field.limits(&threads);
             println!("{limits}");
             println!("| kernel | set | M/s | share | ceiling |\n|---|---|---|---|---|");
-            for level in Level::all() {
+            for level in InstructionSet::all() {
                 let peak = ceilings::gflops(level, &threads);
                 println!("| multiply-add | {} | {peak:.0} GF/s | | |", set(level));
                 for (name, run) in work::KERNELS {
@@ -46,7 +46,7 @@ fn main() {
 }
 
 /// The instruction set's name without its token.
-fn set(level: Level) -> String {
+fn set(level: InstructionSet) -> String {
     let name = format!("{level:?}");
     name.split('(').next().unwrap_or_default().to_owned()
 }

@@ -8,7 +8,7 @@ use marf_field::bench::composite::{Colours, Depths, ExpNeg, Gather, Ray, Spread}
 use marf_field::bench::encode::{Lookup, Points, Scatter, Shape};
 use marf_field::bench::march::{Bits, March, Samples, Steps};
 use marf_field::bench::net::Net;
-use marf_field::bench::simd::{Block, LANES, Level, Stripe, flat_mut};
+use marf_field::bench::simd::{Block, InstructionSet, LANES, Run, Stripe, flat_mut};
 
 use crate::ceilings;
 use crate::clock::{Threads, best, once};
@@ -19,10 +19,10 @@ const RAY: usize = 64;
 const CHUNK: usize = 768;
 
 /// Name, and a run that returns rate and ceiling in million samples (numbers, rays) a second.
-type Run = fn(&Field, Level, &Threads, &Limits, f64) -> [f64; 2];
+type Work = fn(&Field, InstructionSet, &Threads, &Limits, f64) -> [f64; 2];
 
 /// The kernels.
-pub const KERNELS: [(&str, Run); 9] = [
+pub const KERNELS: [(&str, Work); 9] = [
     ("encode", encode),
     ("scatter", scatter),
     ("density forward", |field, level, threads, _, peak| {
@@ -143,8 +143,8 @@ impl Field {
 }
 
 /// Samples of a run; plain Rust calls a function for every multiply-add.
-fn samples(level: Level) -> usize {
-    if matches!(level, Level::Plain(_)) {
+fn samples(level: InstructionSet) -> usize {
+    if matches!(level, InstructionSet::Plain(_)) {
         1 << 13
     } else {
         1 << 16
@@ -191,7 +191,7 @@ fn whole([x, y, z]: &[Vec<f32>; 3]) -> Points<'_> {
 }
 
 /// Level by level over all points, as long as one level's table is in the cache.
-fn encode(field: &Field, level: Level, threads: &Threads, limits: &Limits, _peak: f64) -> [f64; 2] {
+fn encode(field: &Field, level: InstructionSet, threads: &Threads, limits: &Limits, _peak: f64) -> [f64; 2] {
     let (count, width, features) = (samples(level), field.width(), field.features);
     let (axes, tables) = (points(count), field.tables());
     let rate = threads.rate(|_| {
@@ -227,7 +227,7 @@ fn encode(field: &Field, level: Level, threads: &Threads, limits: &Limits, _peak
 }
 
 /// Every thread has its own tables: in training it has its own levels.
-fn scatter(field: &Field, level: Level, threads: &Threads, limits: &Limits, _peak: f64) -> [f64; 2] {
+fn scatter(field: &Field, level: InstructionSet, threads: &Threads, limits: &Limits, _peak: f64) -> [f64; 2] {
     let (count, width, features) = (samples(level), field.width(), field.features);
     let axes = points(count);
     let rows = &blocks(count * width, 1)[..];
@@ -267,7 +267,13 @@ fn scatter(field: &Field, level: Level, threads: &Threads, limits: &Limits, _pea
 }
 
 /// One chunk of samples again and again, as many as training takes at once.
-fn network(widths: &[usize], level: Level, threads: &Threads, peak: f64, direction: Direction) -> [f64; 2] {
+fn network(
+    widths: &[usize],
+    level: InstructionSet,
+    threads: &Threads,
+    peak: f64,
+    direction: Direction,
+) -> [f64; 2] {
     let mut net = Net::new(widths);
     for layer in &mut net.layers {
         layer.weights = blocks(layer.weights.len(), 2);
@@ -303,7 +309,7 @@ fn network(widths: &[usize], level: Level, threads: &Threads, peak: f64, directi
 }
 
 /// Every number has a gradient.
-fn adam(field: &Field, level: Level, threads: &Threads, limits: &Limits, _peak: f64) -> [f64; 2] {
+fn adam(field: &Field, level: InstructionSet, threads: &Threads, limits: &Limits, _peak: f64) -> [f64; 2] {
     let (fresh, bias) = (field.tables(), &Bias::default());
     let count: usize = fresh.iter().map(Vec::len).sum();
     let rate = threads.rate(|_| {
@@ -344,7 +350,7 @@ fn adam(field: &Field, level: Level, threads: &Threads, limits: &Limits, _peak: 
 }
 
 /// The samples of 16 rays.
-fn composite(_: &Field, level: Level, threads: &Threads, _: &Limits, peak: f64) -> [f64; 2] {
+fn composite(_: &Field, level: InstructionSet, threads: &Threads, _: &Limits, peak: f64) -> [f64; 2] {
     let count = 16 * RAY;
     let rate = threads.rate(|_| {
         let (raw, logits, delta) = (numbers(count, 7), blocks(count, 6), vec![0.01; count]);
@@ -398,7 +404,7 @@ fn composite(_: &Field, level: Level, threads: &Threads, _: &Limits, peak: f64) 
 }
 
 /// Rays from everywhere through a shell of 1 cell in 40.
-fn march(_: &Field, level: Level, threads: &Threads, _: &Limits, peak: f64) -> [f64; 2] {
+fn march(_: &Field, level: InstructionSet, threads: &Threads, _: &Limits, peak: f64) -> [f64; 2] {
     let (steps, mut bits) = (Steps::new(0.1, 512.0, 0.03, 0.04), Bits::new(128));
     for cell in 0..128_usize.pow(3) {
         let at = [cell % 128, cell / 128 % 128, cell / 128 / 128].map(|at| at as f32 - 63.5);

@@ -44,7 +44,7 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// All zero, for `len` numbers in rows of `row`.
+    /// Returns moments of zero for `len` numbers in rows of `row`.
     pub fn new(len: usize, row: usize) -> Self {
         Self {
             first: vec![0.0; len],
@@ -120,7 +120,7 @@ impl<const F: usize> Kernel for Adam<'_, F> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cpu::simd::Level;
+    use crate::cpu::simd::{InstructionSet, Run};
 
     /// Takes steps with these gradients of one row of 4 (all the same), returns the weight after each.
     fn path(gradients: &[f32], count: u32) -> Vec<f32> {
@@ -129,7 +129,7 @@ mod tests {
         let bias = Bias::default();
         let steps = gradients.iter().map(|gradient| {
             let mut gradient = vec![*gradient; 4];
-            Level::best().run(Adam::<4> {
+            InstructionSet::best().run(Adam::<4> {
                 weights: &mut weights,
                 gradient: &mut gradient,
                 moments: &mut moments,

@@ -85,14 +85,14 @@ impl Kernel for Colours<'_> {
     }
 }
 
-/// The colour of one logit.
+/// Returns the colour of one logit.
 #[inline(always)]
 pub fn colour(logit: f32) -> f32 {
     let below = if logit < LOGIT_LIMIT { logit } else { LOGIT_LIMIT };
     sigmoid(if below > -LOGIT_LIMIT { below } else { -LOGIT_LIMIT })
 }
 
-/// Slope of [`colour`], from its value.
+/// Returns the slope of [`colour`], from its value.
 #[inline(always)]
 pub fn colour_slope(logit: f32, value: f32) -> f32 {
     let inside = logit.abs() < LOGIT_LIMIT;
@@ -165,7 +165,7 @@ impl Kernel for Spread<'_> {
 }
 
 impl Ray<'_> {
-    /// As [`Gather`].
+    /// Gathers a colour as [`Gather`] does.
     #[inline(always)]
     pub fn gather(&self) -> Gathered {
         let mut found = Gathered {
@@ -182,7 +182,7 @@ impl Ray<'_> {
         found
     }
 
-    /// As [`Spread`], with its fields in order.
+    /// Spreads a slope as [`Spread`] does, with its fields in order.
     #[inline(always)]
     pub fn spread(
         &self,
@@ -231,7 +231,7 @@ impl Ray<'_> {
 /// holds as Adam's second moment. Those of a training that learns are below 1.
 pub const RUNAWAY: f32 = 1_073_741_824.0;
 
-/// Tells whether a number is NaN, infinite or of the size [`RUNAWAY`], by its bits.
+/// Returns whether a number is NaN, infinite or of the size [`RUNAWAY`], by its bits.
 #[inline(always)]
 pub fn runs_away(value: f32) -> bool {
     value.to_bits() & 0x7fff_ffff >= RUNAWAY.to_bits()

@@ -17,7 +17,7 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// The level of `resolution` cells a side with at most `2^log2_table` entries.
+    /// Returns the level of `resolution` cells a side with at most `2^log2_table` entries.
     pub fn new(resolution: u32, log2_table: u32) -> Self {
         let corners = (u64::from(resolution) + 1).pow(3);
         let table = 1_u64 << log2_table;
@@ -57,7 +57,9 @@ struct Axis<I: Isa> {
 }
 
 impl<I: Isa> Axis<I> {
-    /// The last cell takes 1.0; NaN counts as 0. `factor` is the axis' stride or prime.
+    /// Returns the two corners of a coordinate along an axis; `factor` is the axis' stride or prime.
+    ///
+    /// The last cell takes 1.0; NaN counts as 0.
     #[inline(always)]
     fn new(isa: I, at: &Block, resolution: u32, factor: u32) -> Self {
         let q = isa.mul(isa.unit(isa.load(at)), isa.splat(resolution as f32));

@@ -5,7 +5,7 @@ use super::adam::{Adam, Bias, Moments};
 use super::composite::{Depths, ExpNeg, RAW_LIMIT, RAW_SHIFT, Ray, runs_away};
 use super::encode::{Lookup, Points, Shape};
 use super::march::{Bits, March, Samples, Steps};
-use super::simd::{Block, LANES, Level, Stripe};
+use super::simd::{Block, InstructionSet, LANES, Run, Stripe};
 
 const S: usize = 64;
 const SLOPE: [f32; 3] = [0.7, -0.3, 0.9];
@@ -17,7 +17,7 @@ fn shades() -> Vec<[f32; 4]> {
 }
 
 /// Colour before the background, and gradients of the raw densities, by the kernels.
-fn composited(level: Level, raw: f32, dt: f32) -> Vec<f32> {
+fn composited(level: InstructionSet, raw: f32, dt: f32) -> Vec<f32> {
     let (mut tau, mut alpha) = ([0.0; S], [0.0; S]);
     let (raw, delta) = (&[raw; S], &[dt; S]);
     level.run(Depths {
@@ -87,7 +87,7 @@ fn compositing_stays_exact_in_every_case_that_breaks_the_product_form() {
         (100.0, 1e10),
     ] {
         let expected = composited_in_f64(raw, dt);
-        let found = composited(Level::best(), raw as f32, dt as f32);
+        let found = composited(InstructionSet::best(), raw as f32, dt as f32);
         for (part, name) in [(0..3, "colour"), (3..S + 3, "gradient")] {
             // Thin rays are judged by what little they show, opaque ones by one.
             let largest = expected[part.clone()].iter().fold(0.0_f64, |m, x| m.max(x.abs()));
@@ -102,7 +102,7 @@ fn compositing_stays_exact_in_every_case_that_breaks_the_product_form() {
                 );
             }
         }
-        for level in Level::all() {
+        for level in InstructionSet::all() {
             assert_eq!(
                 composited(level, raw as f32, dt as f32),
                 found,
@@ -117,7 +117,7 @@ fn compositing_stays_exact_in_every_case_that_breaks_the_product_form() {
 fn a_raw_density_that_is_not_finite_is_counted_and_composites_to_finite_numbers() {
     for raw in [f32::NAN, -f32::NAN, f32::NEG_INFINITY, f32::INFINITY] {
         assert!(runs_away(raw), "{raw}");
-        for level in Level::all() {
+        for level in InstructionSet::all() {
             let found = composited(level, raw, 0.01);
             assert!(
                 found.iter().all(|value| value.is_finite()),
@@ -133,7 +133,7 @@ fn full(side: u32) -> Bits {
     bits
 }
 
-fn walk(level: Level, steps: &Steps, bits: &Bits, origin: [f32; 3], direction: [f32; 3]) -> Samples {
+fn walk(level: InstructionSet, steps: &Steps, bits: &Bits, origin: [f32; 3], direction: [f32; 3]) -> Samples {
     let mut samples = Samples::default();
     level.run(March {
         steps,
@@ -179,7 +179,7 @@ fn a_ray_along_a_face_or_from_one_finds_the_cells_beside_it() {
     for z in 0..16 {
         bits.set((z * 16 + 8) * 16 + 8);
     }
-    for level in Level::all() {
+    for level in InstructionSet::all() {
         for zero in [0.0, -0.0, 1e-40, f32::MIN_POSITIVE] {
             for end in [1.0, -1.0] {
                 let found = walk(level, &steps, &bits, [0.0, 0.0, 0.0], [zero, zero, end]);
@@ -203,7 +203,7 @@ fn a_ray_along_a_face_or_from_one_finds_the_cells_beside_it() {
 #[test]
 fn cells_of_numbers_that_have_none_are_those_of_the_border() {
     let steps = Steps::new(1.0, 17.0, 1.0, 0.0);
-    for level in Level::all() {
+    for level in InstructionSet::all() {
         for bad in [
             f32::NAN,
             f32::INFINITY,
@@ -224,7 +224,7 @@ fn cells_of_numbers_that_have_none_are_those_of_the_border() {
 /// ceil(scale) + 1 corners are one short where the scale is whole or x is 1: a level has resolution + 1 of them.
 #[test]
 fn the_far_corner_has_an_entry_at_every_resolution() {
-    for level in Level::all() {
+    for level in InstructionSet::all() {
         for (resolution, log2_table) in [
             (1, 8),
             (4, 8),
@@ -272,7 +272,7 @@ fn moved(gradient: f32, count: u32, epsilon: f32) -> f32 {
     for step in 0..200 {
         let now = if step == 0 { gradient } else { 0.0 };
         let mut gradient = [[now; 4], [0.0; 4]].concat();
-        Level::best().run(Adam::<4> {
+        InstructionSet::best().run(Adam::<4> {
             weights: &mut weights,
             gradient: &mut gradient,
             moments: &mut moments,

@@ -137,7 +137,7 @@ impl Tiles<'_> {
         }
     }
 
-    /// All rows of `NV` block columns, `MR` rows at a time; returns `NV`.
+    /// Computes all rows of `NV` block columns, `MR` rows at a time; returns `NV`.
     #[inline(always)]
     fn panel<I: Isa, const MR: usize, const NV: usize>(&mut self, isa: I, column: usize) -> usize {
         for first in (0..self.c.len() / self.columns).step_by(MR) {

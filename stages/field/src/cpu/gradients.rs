@@ -4,7 +4,7 @@ use super::composite::{LOGIT_LIMIT, RAW_LIMIT, Ray, colour, colour_slope};
 use super::encode::{Lookup, Points, Scatter, Shape};
 use super::math::{exp, one_minus_exp_neg};
 use super::net::Net;
-use super::simd::{Block, LANES, Level, Stripe, flat, flat_mut};
+use super::simd::{Block, InstructionSet, LANES, Run, Stripe, flat, flat_mut};
 use crate::rng::{Purpose, Rng};
 
 /// f32 sums of some tens of terms against f64: 24 bits less rounding of each term.
@@ -223,10 +223,10 @@ fn a_network_sends_back_the_slopes_of_the_f64_twin() {
         .collect();
     let (mut activations, mut spare, mut gradients) = (vec![], vec![], vec![]);
     net.shape_gradients(&mut gradients);
-    net.forward(Level::best(), &input, &mut activations);
+    net.forward(InstructionSet::best(), &input, &mut activations);
     let mut back = d.clone();
     net.backward(
-        Level::best(),
+        InstructionSet::best(),
         &input,
         &activations,
         &mut back,
@@ -246,7 +246,7 @@ fn a_network_sends_back_the_slopes_of_the_f64_twin() {
 /// Features of one level are linear in its table: the transpose must satisfy <A t, d> = <t, A^T d>.
 #[test]
 fn scatter_is_the_transpose_of_lookup() {
-    let level = Level::best();
+    let level = InstructionSet::best();
     let coordinates: Vec<Vec<f32>> = (0..3)
         .map(|axis| random(32, axis).iter().map(|x| x * 0.5 + 0.5).collect())
         .collect();
@@ -307,7 +307,7 @@ fn lookup_of_a_linear_table_is_exact_also_at_the_far_corner() {
     let (y, z) = (vec![1.0; LANES], vec![0.25; LANES]);
     let points = Points { x: &x, y: &y, z: &z };
     let mut rows = vec![Block::default(); LANES];
-    Level::best().run(Lookup::<4> {
+    InstructionSet::best().run(Lookup::<4> {
         shape,
         table: &table,
         points,

@@ -72,7 +72,7 @@ pub struct Bits {
 }
 
 impl Bits {
-    /// All cells empty.
+    /// Returns a grid whose cells are all empty.
     pub fn new(side: u32) -> Self {
         let cells = (side as usize).pow(3);
         Self {
@@ -81,7 +81,7 @@ impl Bits {
         }
     }
 
-    /// Tells whether a cell is occupied.
+    /// Returns whether a cell is occupied.
     #[inline(always)]
     pub fn holds(&self, cell: u32) -> bool {
         self.words[(cell >> 6) as usize] >> (cell & 63) & 1 == 1
@@ -122,7 +122,7 @@ impl Samples {
         self.x.len()
     }
 
-    /// Tells whether there is none.
+    /// Returns whether there is none.
     pub fn is_empty(&self) -> bool {
         self.x.is_empty()
     }
@@ -228,7 +228,7 @@ impl March<'_> {
 }
 
 impl Bits {
-    /// One bit for each of 16 points in the unit box: whether its cell is occupied.
+    /// Returns one bit for each of 16 points in the unit box: whether its cell is occupied.
     #[inline(always)]
     fn hits<I: Isa>(&self, isa: I, xyz: [&Block; 3]) -> u32 {
         let (cells, last) = (isa.splat(self.side as f32), isa.splat_u(self.side - 1));
@@ -274,7 +274,7 @@ impl Samples {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cpu::simd::Level;
+    use crate::cpu::simd::{InstructionSet, Run};
 
     fn full(side: u32) -> Bits {
         let mut bits = Bits::new(side);
@@ -284,7 +284,7 @@ mod tests {
 
     fn walk(steps: &Steps, bits: &Bits, origin: [f32; 3], direction: [f32; 3]) -> Samples {
         let mut samples = Samples::default();
-        let end = Level::best().run(March {
+        let end = InstructionSet::best().run(March {
             steps,
             bits,
             origin,
@@ -387,7 +387,7 @@ mod tests {
         while first < steps.begin.len() {
             let (origin, direction, samples) = ([0.1; 3], [0.0, 0.6, 0.8], &mut parts);
             let (steps, bits, jitter, limit) = (&steps, &bits, 0.5, 8);
-            first = Level::best().run(March {
+            first = InstructionSet::best().run(March {
                 steps,
                 bits,
                 origin,

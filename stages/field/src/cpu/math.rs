@@ -3,7 +3,7 @@
 /// Adding and subtracting it rounds |x| < 2^22 to the nearest integer (1.5 * 2^23).
 const ROUND: f32 = 12_582_912.0;
 
-/// e^x, relative error below 2e-7 for x in [-87, 88]; outside, the value at the border.
+/// Returns e^x, relative error below 2e-7 for x in [-87, 88]; outside, the value at the border.
 ///
 /// Cody-Waite reduction by ln 2 in two parts, polynomial of degree 6 (Cephes `expf`).
 /// NaN gives a finite number: count NaN before.
@@ -26,7 +26,7 @@ pub fn exp(x: f32) -> f32 {
     p * f32::from_bits(exponent)
 }
 
-/// 1 - e^-x for x >= 0, relative error below 3e-7 also where x is tiny; 1 above 87.
+/// Returns 1 - e^-x for x >= 0, relative error below 3e-7 also where x is tiny; 1 above 87.
 #[inline(always)]
 pub fn one_minus_exp_neg(x: f32) -> f32 {
     // Below 0.5 the series x - x^2/2 + ... to x^9; above, 1 - e^-x loses at most one bit.
@@ -43,7 +43,7 @@ pub fn one_minus_exp_neg(x: f32) -> f32 {
     if x < 0.5 { small } else { large }
 }
 
-/// 1 / (1 + e^-x).
+/// Returns 1 / (1 + e^-x).
 #[inline(always)]
 pub fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + exp(-x))
@@ -62,7 +62,7 @@ impl ClampTo for f32 {
     }
 }
 
-/// n-th root of `ratio` >= 1 by bisection with products only: the same bits on every platform.
+/// Returns the n-th root of `ratio` >= 1 by bisection with products only: the same bits on every platform.
 pub fn root(ratio: f64, n: u32) -> f64 {
     let power = |base: f64| (0..n).fold(1.0, |product, _| product * base);
     let (mut low, mut high) = (1.0_f64, ratio.max(1.0));

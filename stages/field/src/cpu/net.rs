@@ -1,7 +1,7 @@
 //! A multilayer perceptron without biases; ReLU between the layers.
 
 use super::gemm::{After, Outer, Product};
-use super::simd::{Block, LANES, Level, flat, flat_mut};
+use super::simd::{Block, InstructionSet, LANES, Run, flat, flat_mut};
 use crate::rng::Rng;
 
 /// One layer; both widths are multiples of 16.
@@ -47,7 +47,7 @@ pub struct Net {
 }
 
 impl Net {
-    /// All weights zero; `widths` are those of input, hidden layers and output.
+    /// Returns a network of zero weights; `widths` are those of input, hidden layers and output.
     pub fn new(widths: &[usize]) -> Self {
         let layers = widths.windows(2).map(|pair| Layer::new(pair[0], pair[1]));
         Self {
@@ -75,7 +75,7 @@ impl Net {
     }
 
     /// Runs rows through all layers; `activations[l]` receives the output of layer l.
-    pub fn forward(&self, level: Level, input: &[Block], activations: &mut Vec<Vec<Block>>) {
+    pub fn forward(&self, level: InstructionSet, input: &[Block], activations: &mut Vec<Vec<Block>>) {
         activations.resize_with(self.layers.len(), Vec::new);
         let rows = self
             .layers
@@ -102,7 +102,7 @@ impl Net {
     /// `gradients` are overwritten.
     pub fn backward(
         &self,
-        level: Level,
+        level: InstructionSet,
         input: &[Block],
         activations: &[Vec<Block>],
         slope: &mut Vec<Block>,

@@ -5,7 +5,7 @@ use super::composite::{Colours, Depths, ExpNeg, Runaways};
 use super::encode::{Lookup, Points, Scatter, Shape};
 use super::gemm::{After, Outer, Product};
 use super::march::{Bits, March, Samples, Steps};
-use super::simd::{Block, LANES, Level, Plain, Stripe, flat, flat_mut};
+use super::simd::{Block, InstructionSet, LANES, Plain, Run, Stripe, flat, flat_mut};
 use crate::rng::{Purpose, Rng};
 
 fn numbers(len: usize, stream: u64) -> Vec<f32> {
@@ -24,13 +24,13 @@ fn bits(values: &[f32]) -> Vec<u32> {
 }
 
 /// Runs `work` on every set and compares with plain Rust.
-fn same_on_all(name: &str, work: impl Fn(Level) -> Vec<f32>) {
-    let plain = bits(&work(Level::Plain(Plain)));
+fn same_on_all(name: &str, work: impl Fn(InstructionSet) -> Vec<f32>) {
+    let plain = bits(&work(InstructionSet::Plain(Plain)));
     assert!(
         plain.iter().any(|bits| *bits != 0),
         "{name}: all zero proves nothing"
     );
-    for level in Level::all() {
+    for level in InstructionSet::all() {
         assert_eq!(bits(&work(level)), plain, "{name} on {level:?}");
     }
 }
@@ -74,7 +74,7 @@ fn products_are_the_same_on_every_set_and_width() {
 fn a_product_of_16_by_16_is_the_sum_in_order() {
     let (a, b) = (blocks(16, 1), blocks(16, 2));
     let mut c = blocks(16, 3);
-    Level::best().run(Product {
+    InstructionSet::best().run(Product {
         a: &a,
         b: &b,
         c: &mut c,
@@ -92,7 +92,7 @@ fn a_product_of_16_by_16_is_the_sum_in_order() {
 
 #[test]
 fn a_relu_keeps_a_nan() {
-    for level in Level::all() {
+    for level in InstructionSet::all() {
         let mut a = blocks(16, 1);
         a[3].0[0] = f32::NAN;
         let (b, mut c) = (blocks(16, 2), blocks(16, 3));
@@ -200,7 +200,7 @@ fn a_lookup_in_a_table_of_any_size_is_the_mean_of_its_corners() {
             let axes = axes.map(|axis| axis.iter().map(|x| x * 0.6 + 0.5).collect::<Vec<f32>>());
             let shape = Shape::new(resolution, log2_table);
             let table = numbers(shape.entries as usize * 4, 7);
-            for level in Level::all() {
+            for level in InstructionSet::all() {
                 let mut rows = vec![Block::default(); count];
                 level.run(Lookup::<4> {
                     shape,
@@ -241,7 +241,7 @@ fn points_outside_the_box_or_nan_look_up_its_border() {
         1e30,
     ];
     let border = [0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0];
-    let look = |level: Level, x: [f32; 8]| {
+    let look = |level: InstructionSet, x: [f32; 8]| {
         let (mut rows, x) = (blocks(16, 8), [x, x].concat());
         let (y, z) = (&x.clone()[..], &[0.3; 16][..]);
         level.run(Lookup::<4> {
@@ -252,7 +252,7 @@ fn points_outside_the_box_or_nan_look_up_its_border() {
         });
         bits(flat(&rows))
     };
-    for level in Level::all() {
+    for level in InstructionSet::all() {
         assert_eq!(look(level, outside), look(level, border), "{level:?}");
     }
 }
@@ -270,7 +270,7 @@ fn a_scatter_in_a_large_table_is_the_transpose_of_its_lookup() {
     };
     let (table, slopes) = (numbers(shape.entries as usize * 4, 7), blocks(160, 9));
     let mut found = Vec::new();
-    for level in Level::all() {
+    for level in InstructionSet::all() {
         let (mut rows, mut gradient) = (vec![Block::default(); 160], vec![0.0; table.len()]);
         let (width, first) = (1, 4);
         level.run(Lookup::<4> {
@@ -300,7 +300,7 @@ fn a_scatter_in_a_large_table_is_the_transpose_of_its_lookup() {
 #[test]
 fn any_number_of_rows_moves_row_by_row() {
     // 13 rows of 2 are no whole number of vectors; every third has no gradient.
-    let moved = |level: Level, rows: usize| {
+    let moved = |level: InstructionSet, rows: usize| {
         let (mut weights, mut gradient) = (numbers(26, 1), numbers(26, 2));
         weights.truncate(rows * 2);
         gradient.truncate(rows * 2);
@@ -320,8 +320,8 @@ fn any_number_of_rows_moves_row_by_row() {
         assert_eq!(moments.count, counts.collect::<Vec<u32>>(), "{rows} rows");
         [weights, moments.first, moments.second].map(|numbers| bits(&numbers))
     };
-    let plain = moved(Level::Plain(Plain), 13);
-    for level in Level::all() {
+    let plain = moved(InstructionSet::Plain(Plain), 13);
+    for level in InstructionSet::all() {
         assert_eq!(moved(level, 13), plain, "{level:?}");
         for rows in 0..13 {
             let fewer = moved(level, rows);

@@ -2,18 +2,18 @@
 
 use marf_shaders::{Blending, LevelScale, Pace, Rates, Rescaling, SpreadRun, Total, found};
 
+use super::Gpu;
+use super::array::Array;
 use super::exposures::ExposureArrays;
 use super::forward::Lanes;
-use super::kernel::Array;
 use super::light::{RING, weights_of_losses};
 use super::nets::{Gradient, Nets};
 use super::tables::{Grid, Rise, rescaling, start_scales};
 use super::weights::{BACKGROUND, DeviceLayer, DeviceWeights};
-use super::{Gpu, GpuError};
 use crate::cpu::adam::{Bias, Moments};
 use crate::cpu::march::Steps;
 use crate::weights::NET_ROW;
-use crate::{Config, Gain};
+use crate::{Config, Gain, GpuError};
 
 /// First and second moments of a tensor, and the steps of its rows.
 pub struct DeviceMoments {
@@ -118,12 +118,12 @@ pub struct Arrays {
     pub blending: Array<Blending>,
     /// What the losses weigh.
     pub losses: Array<SpreadRun>,
-    /// What the host is told.
+    /// Totals of the last steps, read by the host.
     pub ring: Array<Total>,
 }
 
 impl Arrays {
-    /// Makes room.
+    /// Allocates the arrays.
     ///
     /// # Errors
     /// More than the device holds.
@@ -166,12 +166,12 @@ impl Arrays {
         })
     }
 
-    /// Tells how far scales may rise from now on.
+    /// Writes how far scales may rise from now on.
     pub fn write_rise(&self, gpu: &Gpu, grid: &Grid, rise: Rise) {
         gpu.write(&self.rescaling, 0, &[rescaling(grid, rise)]);
     }
 
-    /// Tells `spread` of the steps along rays.
+    /// Writes what `spread` needs of the steps along rays.
     pub fn write_losses(&self, gpu: &Gpu, lanes: &Lanes, config: &Config, steps: &Steps) {
         gpu.write(
             &self.losses,

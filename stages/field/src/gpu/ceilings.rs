@@ -2,9 +2,11 @@
 
 use marf_shaders::{COPY, Chains, MULTIPLY_ADD};
 
-use super::kernel::{Array, Work, dispatch};
+use super::Gpu;
+use super::array::Array;
 use super::nets::one_each;
-use super::{Gpu, GpuError};
+use super::record::{Work, dispatch};
+use crate::GpuError;
 
 /// Bytes that are copied: more than the caches of most devices hold.
 const BYTES: usize = 64 << 20;
@@ -125,7 +127,7 @@ mod tests {
         };
         let numbers = vec![7; 1 << 16];
         let ((copy, copied), (chains, _)) = (copy(&gpu, &numbers).unwrap(), chains(&gpu, 3, 64).unwrap());
-        let record = |recorder: &mut crate::gpu::kernel::Recorder<'_>| {
+        let record = |recorder: &mut crate::gpu::record::Recorder<'_>| {
             copy.record(recorder);
             chains.record(recorder);
         };

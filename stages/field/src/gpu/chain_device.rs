@@ -1,17 +1,19 @@
-//! A whole batch on the device, from features to gradients; what the rays' room does in between is done here.
+//! A whole batch on the device, from features to gradients; what the rays' kernels do in between is done here.
 
 use marf_shaders::{Pace, Total, counts, faults, found};
 
+use super::array::Array;
 use super::chain_net::OnDevice;
 use super::chain_tests::{CAPACITY, RAYS, SLOTS, visited};
-use super::kernel::{Array, Recorder, Work};
 use super::light::{Aims, Colours, Columns, Light, RING, weights_of_losses};
 use super::nets::{Gradient, Nets, Rows};
+use super::record::{Recorder, Work};
 use super::rig::{Rig, blocks, columns};
-use crate::Trainer;
-use crate::batch::{Found, Target};
+use crate::batch::Found;
 use crate::cpu::simd::{Block, flat};
+use crate::draw::Target;
 use crate::shade::Span;
+use crate::training::Training;
 
 /// What the device finds.
 pub struct Trained {
@@ -92,9 +94,9 @@ struct Device<'a> {
 }
 
 /// Visited samples, encoded by the CPU.
-fn samples(rig: &Rig, trainer: &Trainer, targets: &[Target]) -> Samples {
-    let (shade, spans) = visited(trainer, targets);
-    let width = trainer.state.weights.row_blocks() * 16;
+fn samples(rig: &Rig, training: &Training, targets: &[Target]) -> Samples {
+    let (shade, spans) = visited(training, targets);
+    let width = training.state.weights.row_blocks() * 16;
     let mut along = vec![f32::NAN; 3 * CAPACITY];
     let rows = [&shade.samples.t, &shade.samples.delta, &shade.samples.place];
     for (row, values) in rows.into_iter().enumerate() {
@@ -113,8 +115,8 @@ fn samples(rig: &Rig, trainer: &Trainer, targets: &[Target]) -> Samples {
 }
 
 impl<'a> Device<'a> {
-    fn new(rig: &'a Rig, trainer: &Trainer, targets: &[Target]) -> Self {
-        let weights = &trainer.state.weights;
+    fn new(rig: &'a Rig, training: &Training, targets: &[Target]) -> Self {
+        let weights = &training.state.weights;
         let zeros = |numbers: usize| rig.gpu.zeros::<f32>("numbers", numbers).unwrap();
         let words = |numbers: usize| rig.gpu.zeros::<u32>("words", numbers).unwrap();
         let width = weights.row_blocks() * 16;
@@ -125,7 +127,7 @@ impl<'a> Device<'a> {
             light: Light::new(&rig.gpu).unwrap(),
             density: OnDevice::new(rig, &weights.density),
             color: OnDevice::new(rig, &weights.color),
-            all: samples(rig, trainer, targets),
+            all: samples(rig, training, targets),
             kept: Samples {
                 spans: words(2 * SLOTS),
                 along: zeros(3 * CAPACITY),
@@ -206,7 +208,7 @@ impl<'a> Device<'a> {
     }
 
     /// Colours, loss and slopes in logits and raw densities.
-    fn compare(&self, trainer: &Trainer) -> Vec<Work> {
+    fn compare(&self, training: &Training) -> Vec<Work> {
         let (rig, light, batch) = (self.rig, &self.light, self.rig.batch());
         let to = Rows {
             part: (&self.latent).into(),
@@ -233,7 +235,7 @@ impl<'a> Device<'a> {
         };
         runs.push(light.colour(batch, colours).unwrap());
         runs.push(light.compare(batch, columns, &self.rgb, aims).unwrap());
-        let losses = weights_of_losses(batch, &trainer.config, &trainer.march);
+        let losses = weights_of_losses(batch, &training.config, &training.march);
         let losses = rig.gpu.uniform("losses", losses).unwrap();
         let to = [&self.found, &self.d_logits];
         runs.push(light.spread(batch, &losses, (columns, colours), to, &self.pulls));
@@ -297,12 +299,12 @@ impl<'a> Device<'a> {
 }
 
 /// Trains on all rays up to the gradients.
-pub fn on_the_device(rig: &Rig, trainer: &Trainer, targets: &[Target]) -> Trained {
-    let device = Device::new(rig, trainer, targets);
+pub fn on_the_device(rig: &Rig, training: &Training, targets: &[Target]) -> Trained {
+    let device = Device::new(rig, training, targets);
     let kept = device.look();
     for runs in [
         device.keep(),
-        device.compare(trainer),
+        device.compare(training),
         device.backward(),
         device.rays(),
     ] {

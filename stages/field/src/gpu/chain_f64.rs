@@ -1,13 +1,13 @@
 //! The loss of a batch in f64, for differences.
 
 use super::chain_tests::visited;
-use crate::Trainer;
-use crate::batch::Target;
 use crate::cpu::composite::{OPAQUE, RAW_SHIFT};
 use crate::cpu::net::Net;
 use crate::cpu::simd::flat;
 use crate::depth::{FLOOR, REACH};
+use crate::draw::Target;
 use crate::sh;
+use crate::training::Training;
 
 /// Layers as rows of weights `[inputs][outputs]`, with the number of outputs.
 type Layers = Vec<(Vec<f64>, usize)>;
@@ -45,9 +45,9 @@ fn sigmoid(x: f64) -> f64 {
 ///
 /// Tensors are the layers of the density network, then those of the colour network. Exposures are none, no raw
 /// density and no logit is at its limit.
-pub fn loss(trainer: &Trainer, targets: &[Target], (tensor, at, by): (usize, usize, f64)) -> f64 {
-    let (shade, spans) = visited(trainer, targets);
-    let weights = &trainer.state.weights;
+pub fn loss(training: &Training, targets: &[Target], (tensor, at, by): (usize, usize, f64)) -> f64 {
+    let (shade, spans) = visited(training, targets);
+    let weights = &training.state.weights;
     let (mut density, mut color) = (layers(&weights.density), layers(&weights.color));
     let moved = density.iter_mut().chain(&mut color).nth(tensor);
     moved.unwrap().0[at] += by;
@@ -83,7 +83,7 @@ pub fn loss(trainer: &Trainer, targets: &[Target], (tensor, at, by): (usize, usi
             .logits_behind(&harmonics)
             .map(|logit| sigmoid(f64::from(logit)));
         total += ray_loss(
-            trainer,
+            training,
             target,
             &seen,
             [0, 1, 2].map(|c| rgb[c] + left * behind[c]),
@@ -94,8 +94,14 @@ pub fn loss(trainer: &Trainer, targets: &[Target], (tensor, at, by): (usize, usi
 }
 
 /// `seen`: weight, opacity and place of the samples.
-fn ray_loss(trainer: &Trainer, target: &Target, seen: &[(f64, f64, f64)], rgb: [f64; 3], rays: usize) -> f64 {
-    let cell = f64::from(1.0 / trainer.march.count as f32);
+fn ray_loss(
+    training: &Training,
+    target: &Target,
+    seen: &[(f64, f64, f64)],
+    rgb: [f64; 3],
+    rays: usize,
+) -> f64 {
+    let cell = f64::from(1.0 / training.march.count as f32);
     let share = 1.0 / rays as f64;
     let squares: f64 = rgb
         .iter()
@@ -112,5 +118,5 @@ fn ray_loss(trainer: &Trainer, target: &Target, seen: &[(f64, f64, f64)], rgb: [
         let there: f64 = seen.iter().filter(|a| near(a.2)).map(|a| a.0).sum();
         -f64::from(pull.weight) * (there + f64::from(FLOOR)).ln()
     });
-    share * (squares / 3.0 + trainer.config.distortion * apart + trainer.config.emptiness * opacity) + pull
+    share * (squares / 3.0 + training.config.distortion * apart + training.config.emptiness * opacity) + pull
 }

@@ -2,8 +2,9 @@
 
 use marf_shaders::counts;
 
-use super::kernel::{Array, Work};
+use super::array::Array;
 use super::nets::{After, Gradient, Nets, Product};
+use super::record::Work;
 use super::rig::Rig;
 use crate::cpu::net::Net;
 use crate::cpu::simd::flat;

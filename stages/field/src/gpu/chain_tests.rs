@@ -6,14 +6,16 @@ use super::chain_device::on_the_device;
 use super::chain_f64::loss;
 use super::rig::{Rig, agree, columns};
 use super::testing::{numbers, worst};
-use crate::batch::{Chunk, Shared, Spares, Target, train};
+use crate::Config;
+use crate::batch::{Chunk, Shared, Spares, train};
 use crate::cpu::march::March;
-use crate::cpu::simd::{Level, flat};
+use crate::cpu::simd::{InstructionSet, Run, flat};
 use crate::depth::Pull;
+use crate::draw::Target;
 use crate::exposure::Exposure;
 use crate::shade::{Shade, Span};
-use crate::training_tests::{ball, small};
-use crate::{Config, Trainer};
+use crate::test_scene::{ball, small};
+use crate::training::Training;
 
 pub const CAPACITY: usize = 4096;
 pub const SLOTS: usize = 64;
@@ -23,7 +25,7 @@ const NO_RAY: usize = 9;
 const CHAIN: f32 = 1e-5;
 
 /// A field that is not yet trained but has something to see, and rays.
-pub fn scene() -> (Trainer, Vec<Target>) {
+pub fn scene() -> (Training, Vec<Target>) {
     let config = Config {
         density_width: 32,
         color_width: 32,
@@ -32,22 +34,22 @@ pub fn scene() -> (Trainer, Vec<Target>) {
         emptiness: 1e-3,
         ..small()
     };
-    let mut trainer = Trainer::new(ball(3, 16), &[], &config, 7).unwrap();
-    for (level, table) in trainer.state.weights.tables.iter_mut().enumerate() {
+    let mut training = Training::new(ball(3, 16), &[], &config, 7).unwrap();
+    for (level, table) in training.state.weights.tables.iter_mut().enumerate() {
         let values = numbers(table.len(), 50 + level as u64);
         table
             .iter_mut()
             .zip(values)
             .for_each(|(entry, value)| *entry = 25.0 * value);
     }
-    let targets = (0..RAYS).map(|ray| target(&trainer, ray)).collect();
-    (trainer, targets)
+    let targets = (0..RAYS).map(|ray| target(&training, ray)).collect();
+    (training, targets)
 }
 
-fn target(trainer: &Trainer, ray: usize) -> Target {
-    let view = &trainer.views[ray % 3];
+fn target(training: &Training, ray: usize) -> Target {
+    let view = &training.views[ray % 3];
     let (centre, rgb) = view.image.at(ray * 37 % view.image.len());
-    let start = trainer
+    let start = training
         .frame
         .ray(&view.camera, &view.cam_from_world.inverse(), centre);
     let pull = Pull {
@@ -68,14 +70,14 @@ fn target(trainer: &Trainer, ray: usize) -> Target {
 }
 
 /// All samples of the rays, encoded.
-pub fn visited(trainer: &Trainer, targets: &[Target]) -> (Shade, Vec<Span>) {
+pub fn visited(training: &Training, targets: &[Target]) -> (Shade, Vec<Span>) {
     let (mut shade, mut spans) = (Shade::default(), Vec::new());
     for target in targets {
         let first = shade.samples.len();
         if let Some(start) = target.start {
-            Level::best().run(March {
-                steps: &trainer.march,
-                bits: &trainer.state.occupancy.bits,
+            InstructionSet::best().run(March {
+                steps: &training.march,
+                bits: &training.state.occupancy.bits,
                 origin: start.origin,
                 direction: start.direction,
                 jitter: target.jitter,
@@ -87,18 +89,18 @@ pub fn visited(trainer: &Trainer, targets: &[Target]) -> (Shade, Vec<Span>) {
         let end = shade.samples.len();
         spans.push(Span { first, end });
     }
-    shade.densities(Level::best(), &trainer.state.weights);
+    shade.densities(InstructionSet::best(), &training.state.weights);
     (shade, spans)
 }
 
 /// The CPU's gradients; the chunk holds those of the features, too.
-fn on_the_cpu(trainer: &Trainer, targets: &[Target]) -> Chunk {
+fn on_the_cpu(training: &Training, targets: &[Target]) -> Chunk {
     let shared = Shared {
-        level: Level::best(),
-        config: &trainer.config,
-        weights: &trainer.state.weights,
-        steps: &trainer.march,
-        bits: &trainer.state.occupancy.bits,
+        level: InstructionSet::best(),
+        config: &training.config,
+        weights: &training.state.weights,
+        steps: &training.march,
+        bits: &training.state.occupancy.bits,
         rays: targets.len(),
     };
     let mut chunks = Vec::new();
@@ -112,9 +114,9 @@ fn a_batch_has_the_gradients_of_the_cpu() {
     let Some(rig) = Rig::new(test, [CAPACITY, SLOTS], [0; 3]) else {
         return;
     };
-    let (trainer, targets) = scene();
-    let here = on_the_device(&rig, &trainer, &targets);
-    let there = on_the_cpu(&trainer, &targets);
+    let (training, targets) = scene();
+    let here = on_the_device(&rig, &training, &targets);
+    let there = on_the_cpu(&training, &targets);
     let expected = &there.found;
     assert_eq!((expected.bad, here.total.faults), (None, 0));
     assert_eq!(here.kept as u64, expected.samples);
@@ -145,7 +147,7 @@ fn a_batch_has_the_gradients_of_the_cpu() {
         &expected.background,
         CHAIN,
     );
-    let width = trainer.state.weights.row_blocks() * 16;
+    let width = training.state.weights.row_blocks() * 16;
     let rows = columns(&flat(&there.features)[..here.kept * width], width, CAPACITY, 0.0);
     let pairs = here.features.chunks(CAPACITY).zip(rows.chunks(CAPACITY));
     let (found, wanted): (Vec<_>, Vec<_>) = pairs
@@ -176,10 +178,10 @@ fn a_batch_has_the_slopes_of_its_f64_twin() {
     let Some(rig) = Rig::new(test, [CAPACITY, SLOTS], [0; 3]) else {
         return;
     };
-    let (trainer, targets) = scene();
-    let here = on_the_device(&rig, &trainer, &targets).found;
+    let (training, targets) = scene();
+    let here = on_the_device(&rig, &training, &targets).found;
     let slope = |tensor: usize, at: usize| {
-        let moved = |by: f64| loss(&trainer, &targets, (tensor, at, by));
+        let moved = |by: f64| loss(&training, &targets, (tensor, at, by));
         (moved(1e-6) - moved(-1e-6)) / 2e-6
     };
     let layers: Vec<&[f32]> = here

@@ -1,74 +1,12 @@
 use std::collections::HashMap;
 use std::fmt;
-use std::str::FromStr;
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, LazyLock, OnceLock};
 
 use marf_cache::Digest;
-use marf_shaders::SHADERS;
+use marf_shaders::{SHADERS, constants};
 use parking_lot::Mutex;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
-use super::GpuError;
-use super::kernel::Kernel;
-
-/// Which processor is wanted: `auto`, `cpu`, `gpu` or `gpu:NAME`.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
-#[serde(try_from = "String", into = "String")]
-#[schemars(with = "String")]
-pub enum Device {
-    /// A GPU where there is one, never a software adapter; else the CPU.
-    #[default]
-    Auto,
-    /// The CPU.
-    Cpu,
-    /// A GPU; with a name, the first adapter whose name holds it, whatever its kind.
-    Gpu(Option<String>),
-}
-
-/// A text that names no device.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no device: auto, cpu, gpu or gpu:NAME")]
-pub struct DeviceError(String);
-
-impl FromStr for Device {
-    type Err = DeviceError;
-
-    fn from_str(text: &str) -> Result<Self, DeviceError> {
-        match text.split_once(':') {
-            None if text == "auto" => Ok(Self::Auto),
-            None if text == "cpu" => Ok(Self::Cpu),
-            None if text == "gpu" => Ok(Self::Gpu(None)),
-            Some(("gpu", name)) if !name.is_empty() => Ok(Self::Gpu(Some(name.to_owned()))),
-            _ => Err(DeviceError(text.to_owned())),
-        }
-    }
-}
-
-impl TryFrom<String> for Device {
-    type Error = DeviceError;
-
-    fn try_from(text: String) -> Result<Self, DeviceError> {
-        text.parse()
-    }
-}
-
-impl From<Device> for String {
-    fn from(device: Device) -> Self {
-        device.to_string()
-    }
-}
-
-impl fmt::Display for Device {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Auto => f.write_str("auto"),
-            Self::Cpu => f.write_str("cpu"),
-            Self::Gpu(None) => f.write_str("gpu"),
-            Self::Gpu(Some(name)) => write!(f, "gpu:{name}"),
-        }
-    }
-}
+use crate::{Device, GpuError};
 
 /// An opened GPU.
 pub struct Gpu {
@@ -77,17 +15,17 @@ pub struct Gpu {
     pub(super) limits: wgpu::Limits,
     pub(super) features: wgpu::Features,
     name: String,
-    class: String,
+    id: String,
     kind: wgpu::DeviceType,
     /// What was compiled so far, by entry point and text: fields of one shape share their kernels.
-    pub(super) kernels: Mutex<HashMap<(String, String), Kernel>>,
+    pub(super) pipelines: Mutex<HashMap<(String, String), wgpu::ComputePipeline>>,
     /// The first error that no call returned.
     failed: Arc<OnceLock<String>>,
 }
 
 impl fmt::Debug for Gpu {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("Gpu").field(&self.class).finish()
+        f.debug_tuple("Gpu").field(&self.id).finish()
     }
 }
 
@@ -95,44 +33,31 @@ impl fmt::Debug for Gpu {
 pub(super) const BINDING: &str = "max_storage_buffer_binding_size";
 
 /// What was opened so far, by what was asked for: a process holds one device an adapter.
-static OPENED: OnceLock<Mutex<HashMap<Device, Option<Arc<Gpu>>>>> = OnceLock::new();
-
-impl Device {
-    /// Opens this device once in a process; `None` is the CPU.
-    ///
-    /// # Errors
-    /// As [`Gpu::open`].
-    pub fn open(&self) -> Result<Option<Arc<Gpu>>, GpuError> {
-        let opened = OPENED.get_or_init(Mutex::default);
-        let mut opened = opened.lock();
-        if let Some(gpu) = opened.get(self) {
-            return Ok(gpu.clone());
-        }
-        let gpu = Gpu::open(self)?.map(Arc::new);
-        opened.insert(self.clone(), gpu.clone());
-        Ok(gpu)
-    }
-
-    /// Returns the numeric class of what this device opens, as keys hold it; `None` is the CPU.
-    ///
-    /// A device that cannot be opened has its wish for a class: whoever runs on it gets the error.
-    pub fn class(&self) -> Option<String> {
-        match self.open() {
-            Ok(gpu) => gpu.map(|gpu| gpu.class().to_owned()),
-            Err(_) => Some(self.to_string()),
-        }
-    }
-}
+static OPENED: LazyLock<Mutex<HashMap<Device, Option<Arc<Gpu>>>>> = LazyLock::new(Mutex::default);
 
 /// What adapters are looked for through; OpenGL lacks what the kernels need.
 const BACKENDS: wgpu::Backends = wgpu::Backends::VULKAN
     .union(wgpu::Backends::METAL)
     .union(wgpu::Backends::DX12);
 
-/// Version of wgpu; a part of the numeric class. A test holds it against Cargo.lock.
+/// Version of wgpu; a part of the backend id. A test holds it against Cargo.lock.
 const WGPU: &str = "wgpu 30.0.1";
 
 impl Gpu {
+    /// Opens the wanted device once in a process: later calls get the same; `None` is the CPU.
+    ///
+    /// # Errors
+    /// As [`Gpu::open`].
+    pub fn shared(wanted: &Device) -> Result<Option<Arc<Self>>, GpuError> {
+        let mut opened = OPENED.lock();
+        if let Some(gpu) = opened.get(wanted) {
+            return Ok(gpu.clone());
+        }
+        let gpu = Self::open(wanted)?.map(Arc::new);
+        opened.insert(wanted.clone(), gpu.clone());
+        Ok(gpu)
+    }
+
     /// Opens the wanted device; `None` is the CPU.
     ///
     /// # Errors
@@ -191,7 +116,7 @@ impl Gpu {
         let failed = Arc::new(OnceLock::new());
         let (lost, refused) = (failed.clone(), failed.clone());
         device.set_device_lost_callback(move |reason, message| {
-            // The first error is the one that tells.
+            // The first error is the cause of the others.
             let _ = lost.set(format!("device lost ({reason:?}): {message}"));
         });
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
@@ -202,7 +127,7 @@ impl Gpu {
             queue,
             limits,
             features,
-            class: format!(
+            id: format!(
                 "{}, {} {}, {WGPU}, kernels {}",
                 info.name,
                 info.driver,
@@ -211,7 +136,7 @@ impl Gpu {
             ),
             name: info.name,
             kind: info.device_type,
-            kernels: Mutex::default(),
+            pipelines: Mutex::default(),
             failed,
         })
     }
@@ -221,17 +146,17 @@ impl Gpu {
         &self.name
     }
 
-    /// Returns adapter, driver, version of wgpu and digest of the kernels: two runs of one class give the same bytes.
-    pub fn class(&self) -> &str {
-        &self.class
+    /// Returns adapter, driver, version of wgpu and digest of the kernels: two runs with one id give the same bytes.
+    pub fn id(&self) -> &str {
+        &self.id
     }
 
-    /// Tells whether a processor of the computer only plays the GPU.
+    /// Returns whether the adapter is software on the CPU.
     pub fn is_software(&self) -> bool {
         rank(self.kind) >= SOFTWARE
     }
 
-    /// Tells whether the device still does what it is told.
+    /// Checks that the device was not lost and has refused nothing.
     ///
     /// # Errors
     /// [`GpuError::Lost`] with the first complaint of the driver.
@@ -249,7 +174,7 @@ impl Gpu {
             .min(u64::from(u32::MAX))
     }
 
-    /// Tells whether one binding holds so many bytes; `hint` says what to set where it does not.
+    /// Checks that one binding holds so many bytes; `hint` is the advice where it does not.
     ///
     /// # Errors
     /// [`GpuError::Limit`].
@@ -284,12 +209,12 @@ impl Gpu {
     }
 }
 
-/// Returns a short digest of all kernels: a kernel that changed is another class, which no version has to tell.
+/// Returns a short digest of all kernels: a kernel that changed gives another id, so that no version has to be raised.
 fn kernels() -> String {
     let texts = SHADERS
         .iter()
         .flat_map(|shader| shader.shared.iter().chain([&shader.text]));
-    let all: String = texts.copied().collect();
+    let all = constants() + &texts.copied().collect::<String>();
     Digest::of(all.as_bytes()).short().to_string()
 }
 
@@ -322,18 +247,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_device_reads_as_it_is_written() {
-        for text in ["auto", "cpu", "gpu", "gpu:H200"] {
-            let device: Result<Device, _> = text.parse();
-            assert_eq!(device.map(|device| device.to_string()), Ok(text.to_owned()));
-        }
-        for text in ["", "gpu:", "cuda", "cpu:0"] {
-            assert!(text.parse::<Device>().is_err(), "{text}");
-        }
-    }
-
-    #[test]
-    fn the_version_in_the_class_is_the_one_that_is_built() {
+    fn the_version_in_the_id_is_the_one_that_is_built() {
         let lock = include_str!("../../../../Cargo.lock");
         let version = WGPU.trim_start_matches("wgpu ");
         let entry = format!("name = \"wgpu\"\nversion = \"{version}\"\n");

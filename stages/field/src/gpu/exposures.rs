@@ -1,14 +1,17 @@
 //! Exposure of single photos on the device.
 
-use marf_shaders::{EXPOSURE_LEARN, EXPOSURE_SUMS, Exposed, Step, counts, faults};
+use marf_shaders::{EXPOSURE_LEARN, EXPOSURE_SUMS, Exposed, Step};
 
-use super::kernel::{Array, Bound, Kernel, Recorder, fold};
+use super::Gpu;
+use super::array::Array;
+use super::kernel::{Bound, Kernel, fold};
 use super::nets::limits;
-use super::{Gpu, GpuError};
+use super::record::Recorder;
 use crate::Gain;
+use crate::GpuError;
 use crate::cpu::adam::{BETA1, BETA2, Moments};
 use crate::exposure::{LIMITS, RATE};
-use crate::learn::EPSILON;
+use crate::schedule::EPSILON;
 
 /// Log gains, their moments and what they come to.
 pub struct ExposureArrays {
@@ -124,13 +127,8 @@ impl Exposures {
     /// # Errors
     /// A driver that does not.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        let places = format!(
-            "const RAYS: u32 = {}u;\nconst EXPOSURES: u32 = {}u;\n",
-            counts::RAYS,
-            faults::EXPOSURES
-        );
         Ok(Self {
-            sums: gpu.kernel(&EXPOSURE_SUMS, &(places + &limits()))?,
+            sums: gpu.kernel(&EXPOSURE_SUMS, &limits())?,
             learn: gpu.kernel(&EXPOSURE_LEARN, "")?,
         })
     }

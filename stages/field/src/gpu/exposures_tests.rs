@@ -4,15 +4,18 @@ use bytemuck::Zeroable;
 use marf_shaders::{Step, counts, faults};
 
 use super::Gpu;
+use super::array::Array;
 use super::exposures::{Exposing, ExposureArrays, ExposureInputs, Exposures};
-use super::kernel::Array;
 use super::testing::{gpu, worst};
 use crate::batch::Chunk;
 use crate::cpu::adam::Bias;
+use crate::cpu::simd::InstructionSet;
 use crate::exposure::Exposure;
+use crate::learn::learn_exposures;
 use crate::rng::{Purpose, Rng};
-use crate::training_tests::{ball_view, small};
-use crate::{Config, Gain, Trainer};
+use crate::test_scene::{ball_view, small};
+use crate::training::Training;
+use crate::{Config, Gain};
 
 /// Of a gain after ten steps of 1e-3: sums of slopes and the mean are added in another order.
 const GAIN: f32 = 1e-6;
@@ -103,9 +106,9 @@ fn random_rays(count: usize, views: usize, rng: &mut Rng) -> Vec<(u32, Exposure)
         .collect()
 }
 
-fn trainer(views: usize, gain: Gain) -> Trainer {
+fn training(views: usize, gain: Gain) -> Training {
     let views = (0..views).map(|view| ball_view(view as f64, 0.5, 2)).collect();
-    Trainer::new(views, &[], &Config { gain, ..small() }, 1).unwrap()
+    Training::new(views, &[], &Config { gain, ..small() }, 1).unwrap()
 }
 
 #[test]
@@ -120,17 +123,17 @@ fn exposures_learn_what_the_cpu_learns() {
         (5, Gain::PerPhotoAndOffset),
         (300, Gain::PerPhotoAndOffset),
     ] {
-        let (scene, mut trainer) = (scene(&gpu, views, gain), trainer(views, gain));
+        let (scene, mut training) = (scene(&gpu, views, gain), training(views, gain));
         for _ in 0..10 {
             let rays = random_rays(600, views, &mut rng);
             scene.learn(&gpu, &rays);
             let mut chunk = Chunk::default();
             chunk.found.exposures = rays;
-            trainer.learn_exposures(&[chunk], RATE);
+            learn_exposures(InstructionSet::best(), &mut training, &[chunk], RATE);
         }
-        let moments = &trainer.state.gain_moments;
+        let moments = &training.state.gain_moments;
         let flat = |array: &Array<[f32; 4]>| gpu.read(array).unwrap().into_flattened();
-        let (apart, at) = worst(&scene.gains(&gpu), &trainer.state.gains);
+        let (apart, at) = worst(&scene.gains(&gpu), &training.state.gains);
         let (mean, _) = worst(&flat(&scene.arrays.mean), &moments.first);
         let (square, _) = worst(&flat(&scene.arrays.square), &moments.second);
         eprintln!("{views} views, {gain:?}: gains {apart:e}, mean {mean:e}, square {square:e}");
@@ -146,16 +149,16 @@ fn exposures_are_cut_and_lose_their_mean_as_on_the_cpu() {
     let Some(gpu) = gpu("exposures_are_cut_and_lose_their_mean_as_on_the_cpu") else {
         return;
     };
-    let (scene, mut trainer) = (
+    let (scene, mut training) = (
         scene(&gpu, 3, Gain::PerPhotoAndOffset),
-        trainer(3, Gain::PerPhotoAndOffset),
+        training(3, Gain::PerPhotoAndOffset),
     );
     let wide = [3.0, -5.0, 0.25, 0.0];
-    trainer.state.gains = [wide, [1.0; 4], [0.0; 4], wide, [-0.3; 4], [0.2; 4]].concat();
-    gpu.write(&scene.arrays.gains, 0, trainer.state.gains.as_chunks::<4>().0);
+    training.state.gains = [wide, [1.0; 4], [0.0; 4], wide, [-0.3; 4], [0.2; 4]].concat();
+    gpu.write(&scene.arrays.gains, 0, training.state.gains.as_chunks::<4>().0);
     scene.learn(&gpu, &[]);
-    trainer.learn_exposures(&[Chunk::default()], RATE);
-    let (apart, at) = worst(&scene.gains(&gpu), &trainer.state.gains);
+    learn_exposures(InstructionSet::best(), &mut training, &[Chunk::default()], RATE);
+    let (apart, at) = worst(&scene.gains(&gpu), &training.state.gains);
     assert!(apart < GAIN, "{apart} at {at}");
 }
 

@@ -5,13 +5,18 @@ use std::sync::Arc;
 use marf_scene::{Camera, Image, Pose};
 use nalgebra::Vector3;
 
+use super::Gpu;
 use super::forward::check_columns;
-use super::kernel::{GROUP, dispatch};
+use super::kernel::GROUP;
 use super::nets::{CHUNK, Nets};
+use super::record::dispatch;
+use super::session::GpuSession;
 use super::testing::{advance, gpu, on_gpu, own_gpu, upload};
-use super::{Gpu, GpuError};
-use crate::training_tests::{ball, ball_view, psnr, small};
-use crate::{Background, Config, Field, FieldError, Gain, Pixels, Trainer, View, ViewDependence};
+use crate::test_scene::{ball, ball_view, psnr, small};
+use crate::training::Training;
+use crate::{
+    Background, Config, Device, Field, FieldError, Gain, GpuError, Pixels, Trainer, View, ViewDependence,
+};
 
 /// Between two trainings that round differently, after few steps on few small photos.
 const CLOSE_DB: f64 = 0.3;
@@ -41,7 +46,7 @@ fn a_lost_device_is_an_error_with_advice_wherever_it_is_met() {
     assert!(lost(trainer.field()));
     assert!(lost(field.render(&view.camera, &view.cam_from_world)));
     assert!(lost(trainer.restore(&good)));
-    assert!(lost(field.clone().with_gpu(&gpu)));
+    assert!(lost(Field::new(field.model.clone(), gpu.clone())));
     // Whatever is done with a lost device, nothing panics.
     gpu.write(&numbers, 2, &[7_u32]);
     for made in [
@@ -72,8 +77,8 @@ fn a_device_that_is_lost_before_the_first_step_is_an_error_too() {
     let work = dispatch(&gpu, &kernel, &parts, [GROUP, 1, 1]);
     gpu.submit(|recorder| work.record(recorder));
     assert!(gpu.wait().is_err());
-    let mut trainer = Trainer::new(ball(2, 8), &[], &small(), 1).unwrap();
-    assert!(super::Session::new(&gpu, &mut trainer).is_err());
+    let mut training = Training::new(ball(2, 8), &[], &small(), 1).unwrap();
+    assert!(GpuSession::new(&gpu, &mut training).is_err());
 }
 
 #[test]
@@ -89,13 +94,13 @@ fn columns_beyond_a_binding_are_refused_with_both_numbers() {
     };
     // 128 rows of 2 x 4096 slots; parts of the gradients are no more.
     let needed = 128 * 2 * 4096 * 4;
-    let mut trainer = Trainer::new(ball(2, 8), &[], &config, 0).unwrap();
+    let mut training = Training::new(ball(2, 8), &[], &config, 0).unwrap();
     assert_eq!(2 * 4096 / CHUNK * 128 * 128 * 4, needed as usize);
     gpu.limits.max_storage_buffer_binding_size = needed;
-    assert_eq!(check_columns(&gpu, &trainer.state.weights, 2 * 4096), Ok(()));
+    assert_eq!(check_columns(&gpu, &training.state.weights, 2 * 4096), Ok(()));
     gpu.limits.max_storage_buffer_binding_size = needed - 1;
     let adapter = gpu.name().to_owned();
-    let refused = super::Session::new(&Arc::new(gpu), &mut trainer).err();
+    let refused = GpuSession::new(&Arc::new(gpu), &mut training).err();
     let text = refused.map(|error| error.to_string()).unwrap_or_default();
     let offered = needed - 1;
     assert_eq!(
@@ -123,13 +128,13 @@ fn close(
 ) -> [Trainer; 2] {
     let there = on_gpu(gpu, views.clone(), points, (config, 3));
     let here = Trainer::new(views.clone(), points, config, 3).unwrap();
-    let mut trainers = [there, here];
-    let [there, here] = trainers.each_mut().map(|trainer| {
-        advance(trainer, steps);
-        trainer.sync().unwrap();
-        trainer.session = None;
-        mean(&trainer.field().unwrap(), &views)
+    let mut trainers = [there, here].map(|mut trainer| {
+        advance(&mut trainer, steps);
+        trainer.on(&Device::Cpu).unwrap()
     });
+    let [there, here] = trainers
+        .each_mut()
+        .map(|trainer| mean(&trainer.field().unwrap(), &views));
     println!("{name}, {steps} steps: {there:.2} dB on the GPU, {here:.2} dB on the CPU");
     assert!(
         (there - here).abs() < CLOSE_DB,
@@ -167,6 +172,7 @@ fn every_shape_of_a_field_learns_as_on_the_cpu() {
     for (name, config) in [("two features", two), ("hashed", hashed), ("plain", plain)] {
         let [there, _] = close(&gpu, name, (ball(4, 12), &[]), &config, 48);
         let dense = there
+            .training
             .state
             .weights
             .shapes
@@ -245,8 +251,8 @@ fn points_pull_and_steps_along_rays_are_halved_as_on_the_cpu() {
     };
     let trainers = close(&gpu, "points", (ball(4, 24), &points()), &config, 140);
     for trainer in trainers {
-        assert!(!trainer.sightings.is_empty());
-        assert_eq!(trainer.state.halvings, 1);
+        assert!(!trainer.training.observations.is_empty());
+        assert_eq!(trainer.training.state.halvings, 1);
     }
 }
 
@@ -290,7 +296,7 @@ fn numbers_that_run_away_stop_by_name_and_leave_the_state_before_the_step() {
     let good = trainer.save().unwrap();
     for tensor in ["table.0", "density.1", "color.0", "background"] {
         trainer.restore(&good).unwrap();
-        let mut tensors = trainer.state.weights.tensors_mut();
+        let mut tensors = trainer.training.state.weights.tensors_mut();
         let found = tensors.iter_mut().find(|(name, _)| name == tensor);
         found.unwrap().1.fill(1e30);
         drop(tensors);
@@ -315,7 +321,7 @@ fn a_rate_that_is_too_high_stops_by_name_and_leaves_a_state_that_can_be_taken_ba
     };
     let trainer = || {
         let mut trainer = on_gpu(&gpu, ball(3, 12), &[], (&small(), 2));
-        trainer.config.learning_rate = 1e6;
+        trainer.training.config.learning_rate = 1e6;
         trainer
     };
     let mut stopped = trainer();
@@ -330,7 +336,7 @@ fn a_rate_that_is_too_high_stops_by_name_and_leaves_a_state_that_can_be_taken_ba
         matches!(refused, FieldError::NotFinite { step: named, .. } if named == step),
         "{refused}"
     );
-    // As a training that was told to end there.
+    // As a training that ends there.
     let mut before = trainer();
     advance(&mut before, step);
     let saved = stopped.save().unwrap();

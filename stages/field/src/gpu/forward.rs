@@ -2,15 +2,17 @@
 
 use marf_shaders::{Walk, counts, faults};
 
-use super::kernel::{Array, Work};
+use super::Gpu;
+use super::array::Array;
 use super::light::{Colours, Columns, Light};
-use super::march::{MarchArrays, Progress, SampleArrays, Scan};
+use super::march::{MarchArrays, SampleArrays, Scan};
 use super::nets::{After, Batch, Gradient, Nets, Product, Rows};
 use super::picture::STATE;
-use super::rays::RayArrays;
+use super::rays::{Progress, RayArrays};
+use super::record::Work;
 use super::tables::{Encode, Encoded, Grid, Slots};
 use super::weights::{DeviceLayer, DeviceWeights};
-use super::{Gpu, GpuError};
+use crate::GpuError;
 use crate::cpu::march::Steps;
 use crate::sh;
 use crate::weights::{LATENT, Weights};
@@ -43,7 +45,7 @@ pub struct Lanes {
     pub latent: Array<f32>,
     /// Tau, alpha, transmittance of visited and of kept samples.
     pub light: [Array<f32>; 2],
-    /// What `opacity` tells of rays.
+    /// What `opacity` writes of rays.
     pub shown: Array<u32>,
     /// Which visited sample a kept one was; in an update of the occupancy, the cells of probes.
     pub origin: Array<u32>,
@@ -73,7 +75,7 @@ pub enum Purpose {
 }
 
 impl Lanes {
-    /// Makes room; `most_steps` is the longest table of steps there will be.
+    /// Allocates the arrays; `most_steps` is the longest table of steps there will be.
     ///
     /// # Errors
     /// More than one binding or the device holds.
@@ -183,7 +185,7 @@ impl Lanes {
     }
 }
 
-/// Tells whether one binding holds the largest array of a batch, before any memory is taken.
+/// Checks that one binding holds the largest array of a batch, before any memory is taken.
 ///
 /// # Errors
 /// [`GpuError::Limit`].
@@ -369,7 +371,7 @@ fn words(array: &Array<u32>) -> Rows<'_> {
     }
 }
 
-/// What kept samples take over from visited ones, and how many rows it has.
+/// Returns what kept samples take over from visited ones, and how many rows it has.
 fn gathered(lanes: &Lanes, purpose: Purpose) -> Vec<(Rows<'_>, Rows<'_>, usize)> {
     let (from, to) = (&lanes.visited, &lanes.kept);
     let whole = |array: &Array<f32>| array.len() / lanes.capacity;
@@ -395,7 +397,7 @@ pub fn gathered_rows(lanes: &Lanes, purpose: Purpose) -> usize {
     gathered(lanes, purpose).iter().map(|(_, _, rows)| rows).sum()
 }
 
-/// Tells the walks of a batch how many rays there are.
+/// Writes the number of rays to the uniforms of the walks of a batch.
 pub fn write_walks(gpu: &Gpu, lanes: &Lanes, whole: Walk) {
     gpu.write(&lanes.walks[0], 0, &[whole]);
     gpu.write(&lanes.walks[1], 0, &[super::march::kept_walk(whole)]);

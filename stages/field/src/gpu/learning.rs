@@ -1,21 +1,22 @@
-//! The way back: from the loss of a batch to new weights, bound to the arrays of a training.
+//! The backward pass: from the loss of a batch to new weights, bound to the arrays of a training.
 
 use marf_shaders::{counts, faults, found};
 
+use super::Gpu;
+use super::array::Array;
 use super::arrays::{Arrays, DeviceMoments, Learnt};
 use super::exposures::{Exposing, ExposureInputs, Exposures};
 use super::forward::{Kernels as Shared, Lanes};
-use super::kernel::{Array, Recorder, Work};
 use super::light::Aims;
 use super::nets::{After, Gradient, Product, Rates as NetRates, Rows, Tensor};
+use super::record::{Recorder, Work};
 use super::tables::{AdamTable, Blend, Grid, Scales, Scatter, Scattered, Slots, Sums, Trained};
 use super::weights::{DeviceLayer, DeviceWeights};
-use super::{Gpu, GpuError};
-use crate::learn::{BACKGROUND_RATE, DECAY};
+use crate::schedule::{BACKGROUND_RATE, DECAY};
 use crate::weights::NET_ROW;
-use crate::{Background, Config, Gain};
+use crate::{Background, Config, Gain, GpuError};
 
-/// The kernels of the way back.
+/// The kernels of the backward pass.
 pub struct Kernels {
     scatter: Scatter,
     scales: Scales,
@@ -25,7 +26,7 @@ pub struct Kernels {
 }
 
 impl Kernels {
-    /// Compiles them for entries of `features` numbers.
+    /// Compiles the kernels for entries of `features` numbers.
     ///
     /// # Errors
     /// A driver that does not.
@@ -57,14 +58,14 @@ pub struct Learning {
     pub turn: Work,
 }
 
-/// What is bound together.
+/// Kernels and arrays that are bound together.
 #[derive(Clone, Copy)]
-pub struct Bench<'a> {
+pub struct Bindings<'a> {
     /// The device.
     pub gpu: &'a Gpu,
     /// Kernels shared with pictures.
     pub shared: &'a Shared,
-    /// Kernels of the way back.
+    /// Kernels of the backward pass.
     pub kernels: &'a Kernels,
     /// The levels.
     pub grid: &'a Grid,
@@ -83,42 +84,46 @@ pub struct Bench<'a> {
 }
 
 impl Learning {
-    /// Binds them.
+    /// Binds the kernels to their arrays.
     ///
     /// # Errors
     /// Memory that was refused.
-    pub fn new(bench: Bench<'_>) -> Result<Self, GpuError> {
-        let Bench {
+    pub fn new(bindings: Bindings<'_>) -> Result<Self, GpuError> {
+        let Bindings {
             gpu, lanes, arrays, ..
-        } = bench;
-        let exposing = (bench.config.gain != Gain::Off).then(|| {
+        } = bindings;
+        let exposing = (bindings.config.gain != Gain::Off).then(|| {
             let inputs = ExposureInputs {
-                step: bench.step,
+                step: bindings.step,
                 counts: &lanes.counts,
                 targets: &lanes.rays.targets,
                 slopes: &arrays.found,
                 bias: &arrays.bias,
                 faults: &lanes.faults,
             };
-            bench.kernels.exposures.bind(gpu, &arrays.exposures, inputs)
+            bindings.kernels.exposures.bind(gpu, &arrays.exposures, inputs)
         });
         let mut blend = Work::default();
-        let pairs = bench.weights.arrays().into_iter().zip(bench.average.arrays());
+        let pairs = bindings
+            .weights
+            .arrays()
+            .into_iter()
+            .zip(bindings.average.arrays());
         for (values, average) in pairs {
             let blending = &arrays.blending;
             blend = blend.then(
-                bench
+                bindings
                     .kernels
                     .blend
                     .bind(gpu, blending, &lanes.faults, values, average),
             );
         }
         Ok(Self {
-            back: bench.losses()?.then(bench.nets()?).then(bench.tables()?),
+            back: bindings.losses()?.then(bindings.nets()?).then(bindings.tables()?),
             exposing,
-            scale: bench.scales()?,
-            learn: bench.moves()?.then(bench.turns()?),
-            turn: bench.turns()?,
+            scale: bindings.scales()?,
+            learn: bindings.moves()?.then(bindings.turns()?),
+            turn: bindings.turns()?,
             blend,
         })
     }
@@ -140,8 +145,8 @@ impl Learning {
     }
 }
 
-impl Bench<'_> {
-    /// From colours to the slopes of logits and raw densities.
+impl Bindings<'_> {
+    /// Returns the passes from colours to the slopes of logits and raw densities.
     fn losses(self) -> Result<Work, GpuError> {
         let (lanes, arrays, light) = (self.lanes, self.arrays, &self.shared.light);
         let batch = lanes.batch(self.gpu);
@@ -178,7 +183,7 @@ impl Bench<'_> {
         Ok(work)
     }
 
-    /// Through both networks to the slopes of features.
+    /// Returns the passes back through both networks to the slopes of features.
     fn nets(self) -> Result<Work, GpuError> {
         let (lanes, arrays) = (self.lanes, self.arrays);
         let batch = lanes.batch(self.gpu);
@@ -199,7 +204,7 @@ impl Bench<'_> {
         Ok(color.then(join).then(density))
     }
 
-    /// Through one network; `ends`: its input, and the slope of its output.
+    /// Returns the passes back through one network; `ends`: its input, and the slope of its output.
     fn net(
         self,
         (layers, learnt): (&[DeviceLayer], &[Learnt]),
@@ -233,7 +238,7 @@ impl Bench<'_> {
         Ok(work)
     }
 
-    /// From the slopes of features to those of table entries, and what the host is told.
+    /// Returns the passes from the slopes of features to those of table entries, and the totals for the host.
     fn tables(self) -> Result<Work, GpuError> {
         let (gpu, lanes, arrays) = (self.gpu, self.lanes, self.arrays);
         let batch = lanes.batch(gpu);
@@ -264,7 +269,7 @@ impl Bench<'_> {
         kernel.bind(self.gpu, self.grid, &arrays.gradient, scales, &self.lanes.faults)
     }
 
-    /// All weights take a step.
+    /// Returns the passes in which all weights take a step.
     fn moves(self) -> Result<Work, GpuError> {
         let (gpu, lanes, arrays) = (self.gpu, self.lanes, self.arrays);
         let batch = lanes.batch(gpu);

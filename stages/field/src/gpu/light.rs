@@ -4,10 +4,13 @@ use marf_shaders::{
     self as shaders, CompareRun, Extent, GatherRun, HarmonicsRun, Pace, RunawayRun, SpreadRun, Total, counts,
 };
 
-use super::kernel::{Array, GROUP, Kernel, Part, Work, dispatch};
+use super::Gpu;
+use super::array::{Array, Part};
+use super::kernel::{GROUP, Kernel};
 use super::nets::{Batch, Rows, four_each, limits, one_each};
-use super::{Gpu, GpuError};
+use super::record::{Work, dispatch};
 use crate::Config;
+use crate::GpuError;
 use crate::cpu::march::Steps;
 use crate::depth::{FLOOR, REACH};
 
@@ -143,7 +146,7 @@ impl Light {
         Ok(dispatch(batch.gpu, &self.of_rays, &parts, one_each(batch.rays)))
     }
 
-    /// Binds opacities and transmittances of visited samples; `slot` tells the rays in use.
+    /// Binds opacities and transmittances of visited samples; `slot` is the place in `counts` of the rays in use.
     ///
     /// `before`: f32 `[rays]`, optical depth in front of the first sample (more numbers may follow).
     /// `shown`: u32 `[2][rays]`, receives the samples that show and the bits of the optical depth of all.
@@ -348,7 +351,7 @@ impl Light {
         Ok(dispatch(batch.gpu, &self.runaway, &parts, groups))
     }
 
-    /// Binds what the host is told of a step; `loss` is f32 `[rays]`, row `found::LOSS` of what `compare` found.
+    /// Binds the totals of a step for the host; `loss` is f32 `[rays]`, row `found::LOSS` of what `compare` found.
     ///
     /// # Errors
     /// The memory of a uniform.

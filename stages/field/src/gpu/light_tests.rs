@@ -2,13 +2,13 @@
 
 use marf_shaders::counts;
 
-use super::kernel::Array;
+use super::array::Array;
 use super::light::{Colours, Columns, Light};
 use super::nets::Rows;
 use super::rig::{Rig, TOLERANCE, UNTOUCHED, agree, columns, is_untouched};
 use super::testing::numbers;
 use crate::cpu::composite::{colour, runs_away};
-use crate::cpu::simd::Level;
+use crate::cpu::simd::InstructionSet;
 use crate::sh;
 use crate::shade::{Shade, Span};
 use marf_shaders::faults;
@@ -191,7 +191,7 @@ fn opacities_and_what_shows_are_those_of_the_cpu() {
     let light = rig.gpu.read(&arrays.light).unwrap();
     let shown = rig.gpu.read(&shown).unwrap();
 
-    shade.opacities(Level::best(), &spans, &before);
+    shade.opacities(InstructionSet::best(), &spans, &before);
     for (row, expected) in [&shade.tau, &shade.alpha].into_iter().enumerate() {
         let pairs = light[row * CAPACITY..].iter().zip(expected);
         let errors = pairs.map(|(found, expected)| (found - expected).abs() / expected.max(1e-30));

@@ -10,7 +10,7 @@ use super::rig::{Rig, TOLERANCE, UNTOUCHED, agree, columns, is_untouched};
 use super::testing::numbers;
 use crate::cpu::composite::{Gathered, RAW_LIMIT, Ray, colour, colour_slope};
 use crate::cpu::math::exp;
-use crate::cpu::simd::Level;
+use crate::cpu::simd::InstructionSet;
 use crate::depth::{FLOOR, Pull, REACH};
 use crate::exposure::Exposure;
 use crate::sh;
@@ -39,7 +39,7 @@ impl Scene {
             .iter_mut()
             .for_each(|delta| *delta = delta.min(1.0));
         let (mut spans, mut kept) = (spans(), Vec::new());
-        shade.opacities(Level::best(), &spans, &before);
+        shade.opacities(InstructionSet::best(), &spans, &before);
         shade.drop_hidden(&mut spans, &mut kept);
         let n = shade.raw.len();
         let logits = numbers(3 * n, 37)

@@ -2,9 +2,12 @@
 
 use marf_shaders::{ALIVE, MARCH, SCAN, Walk, counts};
 
-use super::kernel::{Array, Bound, Kernel, Recorder, halves};
-use super::rays::RayArrays;
-use super::{Gpu, GpuError};
+use super::Gpu;
+use super::array::{Array, halves};
+use super::kernel::{Bound, Kernel};
+use super::rays::{Progress, RayArrays};
+use super::record::Recorder;
+use crate::GpuError;
 use crate::cpu::composite::OPAQUE;
 use crate::cpu::march::{Bits, Steps};
 use crate::cpu::simd::LANES;
@@ -20,7 +23,7 @@ pub struct SampleArrays {
 }
 
 impl SampleArrays {
-    /// Makes room for samples.
+    /// Allocates the arrays of samples.
     ///
     /// # Errors
     /// More than the device holds.
@@ -29,27 +32,6 @@ impl SampleArrays {
             xyz: gpu.zeros("xyz", 3 * capacity)?,
             along: gpu.zeros("along", 3 * capacity)?,
             ray_of: gpu.zeros("ray_of", capacity)?,
-        })
-    }
-}
-
-/// How far the rays of a picture have come.
-pub struct Progress {
-    /// Step to go on from, `[rays]`.
-    pub next_step: Array<u32>,
-    /// 1 where a ray has ended, `[rays]`.
-    pub done: Array<u32>,
-}
-
-impl Progress {
-    /// Rays at their first step.
-    ///
-    /// # Errors
-    /// More than the device holds.
-    pub fn new(gpu: &Gpu, slots: usize) -> Result<Self, GpuError> {
-        Ok(Self {
-            next_step: gpu.zeros("next_step", slots)?,
-            done: gpu.zeros("done", slots)?,
         })
     }
 }
@@ -104,7 +86,7 @@ pub fn kept_walk(whole: Walk) -> Walk {
 /// What a walk reads and writes.
 #[derive(Clone, Copy)]
 pub struct MarchArrays<'a> {
-    /// What it is told.
+    /// Sizes and limits of the walk.
     pub walk: &'a Array<Walk>,
     /// The rays.
     pub rays: &'a RayArrays,
@@ -206,9 +188,7 @@ impl Scan {
     /// # Errors
     /// A driver that does not.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        let (rays, alive) = (counts::RAYS, counts::ALIVE);
-        let head = format!("const RAYS: u32 = {rays}u;\nconst ALIVE: u32 = {alive}u;\n");
-        Ok(Self(gpu.kernel(&SCAN, &head)?))
+        Ok(Self(gpu.kernel(&SCAN, "")?))
     }
 
     /// Binds it, for one workgroup; of `amounts` the first `rays` numbers are read.
@@ -243,10 +223,7 @@ impl Alive {
     /// # Errors
     /// A driver that does not.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        let head = format!(
-            "const ALIVE: u32 = {}u;\nconst OPAQUE: f32 = {OPAQUE:?};\n",
-            counts::ALIVE
-        );
+        let head = format!("const OPAQUE: f32 = {OPAQUE:?};\n");
         Ok(Self(gpu.kernel(&ALIVE, &head)?))
     }
 

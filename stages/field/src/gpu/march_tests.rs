@@ -3,14 +3,14 @@
 use marf_shaders::{Walk, counts};
 
 use super::Gpu;
-use super::kernel::Array;
+use super::array::Array;
 use super::march::{
-    Alive, March, MarchArrays, Marching, Progress, SampleArrays, bit_words, round, step_table, whole_walk,
+    Alive, March, MarchArrays, Marching, SampleArrays, bit_words, round, step_table, whole_walk,
 };
-use super::rays::RayArrays;
+use super::rays::{Progress, RayArrays};
 use super::testing::gpu;
 use crate::cpu::march::{self, Bits, Samples, Steps};
-use crate::cpu::simd::Level;
+use crate::cpu::simd::{InstructionSet, Run};
 use crate::rng::{Purpose, Rng};
 
 /// Of a position in the unit box, of a share of steps, and of t and delta by their size: two units in the last place
@@ -138,7 +138,7 @@ impl Found {
 fn on_the_cpu(steps: &Steps, bits: &Bits, [origin, direction]: Ray) -> Vec<[f32; 6]> {
     let mut samples = Samples::default();
     if direction[3] == 1.0 {
-        Level::best().run(march::March {
+        InstructionSet::best().run(march::March {
             steps,
             bits,
             origin: [origin[0], origin[1], origin[2]],

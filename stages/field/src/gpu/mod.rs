@@ -3,7 +3,9 @@
 //! Invariant: no kernel adds floats in an order that threads decide. Sums over many threads are integers or go
 //! through partial sums in the order of their index; two runs on one adapter give the same bytes.
 
+mod array;
 mod arrays;
+mod backend;
 mod ceilings;
 #[cfg(test)]
 mod chain_device;
@@ -13,8 +15,9 @@ mod chain_f64;
 mod chain_net;
 #[cfg(test)]
 mod chain_tests;
+#[cfg(test)]
+mod constants_tests;
 mod device;
-mod error;
 mod exposures;
 #[cfg(test)]
 mod exposures_tests;
@@ -41,6 +44,7 @@ mod picture_tests;
 mod rays;
 #[cfg(test)]
 mod rays_tests;
+mod record;
 mod renderer;
 #[cfg(test)]
 mod rig;
@@ -52,11 +56,9 @@ mod session_tests;
 mod tables;
 #[cfg(test)]
 pub(crate) mod testing;
+mod timing;
 mod weights;
 
 pub use ceilings::{Ceilings, ceilings};
-pub use device::{Device, DeviceError, Gpu};
-pub use error::GpuError;
-pub(crate) use renderer::Renderer;
-pub(crate) use session::Session;
-pub use session::{KernelTime, Load, Timed, time_steps};
+pub use device::Gpu;
+pub use timing::{KernelTime, Load, Timed, TimedTraining};

@@ -2,11 +2,14 @@
 
 use marf_shaders::{self as shaders, AdamNet, OuterRun, Pace, ProductRun, SumRun, TransposeRun};
 
-use super::kernel::{Array, GROUP, Kernel, Part, Work, dispatch, fold};
-use super::{Gpu, GpuError};
+use super::Gpu;
+use super::array::{Array, Part};
+use super::kernel::{GROUP, Kernel, fold};
+use super::record::{Work, dispatch};
+use crate::GpuError;
 use crate::cpu::adam::{BETA1, BETA2, Bias};
 use crate::cpu::composite::{LOGIT_LIMIT, OPAQUE, RAW_LIMIT, RAW_SHIFT, RUNAWAY};
-use crate::learn::EPSILON;
+use crate::schedule::EPSILON;
 
 /// Samples of a thread of the products.
 const LANES: usize = 4;
@@ -179,7 +182,7 @@ impl Nets {
         })
     }
 
-    /// Binds a product; `slot` tells the samples in use.
+    /// Binds a product; `slot` is the place in `counts` of the samples in use.
     ///
     /// # Errors
     /// The memory of a uniform.

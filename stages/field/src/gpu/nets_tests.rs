@@ -7,8 +7,8 @@ use super::rig::{Rig, TOLERANCE, UNTOUCHED, agree, blocks, columns, is_untouched
 use super::testing::numbers;
 use crate::cpu::adam::{Adam, Bias, Moments};
 use crate::cpu::gemm;
-use crate::cpu::simd::{Block, LANES, Level, flat};
-use crate::learn::{DECAY, EPSILON};
+use crate::cpu::simd::{Block, InstructionSet, LANES, Run, flat};
+use crate::schedule::{DECAY, EPSILON};
 
 const SHAPES: [[usize; 2]; 5] = [[32, 64], [64, 16], [16, 16], [32, 32], [16, 128]];
 
@@ -27,7 +27,7 @@ fn products_are_those_of_the_cpu_and_write_nothing_else() {
         let pairs = [gemm::After::Nothing, gemm::After::Relu, gemm::After::Gate(&open)];
         for (index, after) in pairs.into_iter().enumerate() {
             let mut expected = vec![Block::ZERO; 304 * outputs / LANES];
-            Level::best().run(gemm::Product {
+            InstructionSet::best().run(gemm::Product {
                 a: &blocks(&a),
                 b: &blocks(&b),
                 c: &mut expected,
@@ -201,7 +201,7 @@ fn gradients_of_weights_are_those_of_the_cpu_chunk_by_chunk() {
             // The whole CPU kernel, which goes on where the parts begin anew.
             let (a, d) = (blocks(&a), blocks(&d));
             let mut whole = vec![Block::ZERO; inner * outputs / LANES];
-            Level::best().run(gemm::Outer {
+            InstructionSet::best().run(gemm::Outer {
                 a: &a,
                 d: &d,
                 g: &mut whole,
@@ -302,7 +302,7 @@ fn adam_moves_weights_as_the_cpu_does() {
     let last = 16 * (ROWS - 1);
     for mut gradient in gradients() {
         gradient[last..].fill(0.0);
-        Level::best().run(Adam::<16> {
+        InstructionSet::best().run(Adam::<16> {
             weights: &mut expected,
             gradient: &mut gradient,
             moments: &mut moments,

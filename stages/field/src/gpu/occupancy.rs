@@ -5,10 +5,13 @@
 
 use marf_shaders::{BITS, DENSITY_SUM, Filling, OCCUPANCY, PROBE, Probing, THRESHOLDS, Tally, counts};
 
-use super::kernel::{Array, Bound, GROUP, Kernel, Part, Recorder, fold, halves};
+use super::Gpu;
+use super::array::{Array, Part, halves};
+use super::kernel::{Bound, GROUP, Kernel, fold};
 use super::march::bit_words;
 use super::nets::limits;
-use super::{Gpu, GpuError};
+use super::record::Recorder;
+use crate::GpuError;
 use crate::cpu::composite::RAW_SHIFT;
 use crate::cpu::march::Bits;
 use crate::occupancy::{DECAY, OCCUPIED, Occupancy, Refill, SPREAD, UNKNOWN};

@@ -2,10 +2,12 @@
 
 use marf_shaders::{self as shaders, FinishRun, PaintRun};
 
-use super::GpuError;
-use super::kernel::{Array, Kernel, Part, Work, dispatch};
+use super::array::{Array, Part};
+use super::kernel::Kernel;
 use super::light::Columns;
 use super::nets::{Batch, limits, one_each};
+use super::record::{Work, dispatch};
+use crate::GpuError;
 use crate::render::DEEP;
 
 /// Rows of a ray's state: optical depth, colour, distance, what is left.

@@ -8,7 +8,7 @@ use super::picture::{PICTURE, Picture, STATE};
 use super::rig::{Rig, TOLERANCE, UNTOUCHED, agree, columns};
 use super::testing::numbers;
 use crate::cpu::composite::{OPAQUE, colour};
-use crate::cpu::simd::Level;
+use crate::cpu::simd::InstructionSet;
 use crate::render::DEEP;
 use crate::shade::{Shade, Span};
 
@@ -20,7 +20,7 @@ const HALF_SIDE: f32 = 3.5;
 /// `[STATE][SLOTS]` after one more round, as `render::Gather`; `before` is that of the round.
 fn painted(state: &mut [f32], shade: &mut Shade, spans: &[Span], rgb: &[f32]) {
     let before = state[..RAYS].to_vec();
-    shade.opacities(Level::best(), spans, &before);
+    shade.opacities(InstructionSet::best(), spans, &before);
     for (ray, span) in spans.iter().enumerate() {
         let at = |row: usize| row * SLOTS + ray;
         state[at(0)] += shade.tau[span.first..span.end].iter().sum::<f32>();

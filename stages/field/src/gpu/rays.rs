@@ -1,14 +1,15 @@
 //! Rays of a training step and of a picture, drawn and set out on the device.
 
 use marf_scene::{Camera, Pose};
-use marf_shaders::{PixelRange, RAYS, Sighted, Step, VIEW_RAYS, ViewCamera};
+use marf_shaders::{Observed, PixelRange, RAYS, Step, VIEW_RAYS, ViewCamera};
 
-use super::kernel::{Array, Bound, Kernel, halves};
-use super::march::Progress;
-use super::{Gpu, GpuError};
+use super::Gpu;
+use super::array::{Array, halves};
+use super::kernel::{Bound, Kernel};
+use crate::GpuError;
 use crate::View;
 use crate::cpu::march::Steps;
-use crate::depth::{SHARE, Sighting, place};
+use crate::depth::{Observation, SHARE, place};
 use crate::frame::Frame;
 use crate::rng::Purpose;
 
@@ -27,7 +28,7 @@ pub struct RayArrays {
 }
 
 impl RayArrays {
-    /// Makes room for rays.
+    /// Allocates the arrays of rays.
     ///
     /// # Errors
     /// More than the device holds.
@@ -38,6 +39,27 @@ impl RayArrays {
             directions: gpu.zeros("directions", slots)?,
             targets: gpu.zeros("targets", slots)?,
             pulls: gpu.zeros("pulls", slots)?,
+        })
+    }
+}
+
+/// How far the rays of a picture have come.
+pub struct Progress {
+    /// Step to go on from, `[rays]`.
+    pub next_step: Array<u32>,
+    /// 1 where a ray has ended, `[rays]`.
+    pub done: Array<u32>,
+}
+
+impl Progress {
+    /// Returns rays at their first step.
+    ///
+    /// # Errors
+    /// More than the device holds.
+    pub fn new(gpu: &Gpu, slots: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            next_step: gpu.zeros("next_step", slots)?,
+            done: gpu.zeros("done", slots)?,
         })
     }
 }
@@ -76,7 +98,7 @@ impl Photos {
         Ok(Self { cameras, pixels })
     }
 
-    /// Returns the uniform of a step; sightings, rays, weight of a pull and step size are still 0.
+    /// Returns the uniform of a step; observations, rays, weight of a pull and step size are still 0.
     pub fn step(&self, seed: u64, number: u64) -> Step {
         Step {
             seed: halves(seed),
@@ -98,8 +120,10 @@ pub fn camera(camera: &Camera, world_from_cam: &Pose, frame: &Frame) -> ViewCame
     };
     ViewCamera {
         lens: [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px].map(|number| number as f32),
-        bend: [camera.k1, camera.k2, camera.p1, camera.p2].map(|number| number as f32),
-        rows: [0, 1, 2].map(row),
+        distortion: [camera.k1, camera.k2, camera.p1, camera.p2].map(|number| number as f32),
+        row_x: row(0),
+        row_y: row(1),
+        row_z: row(2),
         first: 0,
         run: 1,
         width: camera.width,
@@ -107,17 +131,17 @@ pub fn camera(camera: &Camera, world_from_cam: &Pose, frame: &Frame) -> ViewCame
     }
 }
 
-/// Returns sightings as kernels see them; to be made again whenever the steps are.
-pub fn sighted(sightings: &[Sighting], steps: &Steps) -> Vec<Sighted> {
-    let one = |sighting: &Sighting| {
-        let place = place(steps, sighting.t);
-        Sighted {
-            pixel: sighting.pixel as u32,
+/// Returns observations as kernels see them; to be made again whenever the steps are.
+pub fn observed(observations: &[Observation], steps: &Steps) -> Vec<Observed> {
+    let one = |observation: &Observation| {
+        let place = place(steps, observation.t);
+        Observed {
+            pixel: observation.pixel as u32,
             place: place.unwrap_or(0.0),
             pulls: u32::from(place.is_some()),
         }
     };
-    sightings.iter().map(one).collect()
+    observations.iter().map(one).collect()
 }
 
 fn newton_head() -> String {
@@ -147,14 +171,14 @@ impl DrawRays {
         gpu: &Gpu,
         step: &Array<Step>,
         photos: &Photos,
-        sightings: &Array<Sighted>,
+        observations: &Array<Observed>,
         rays: &RayArrays,
     ) -> Bound {
         let parts = [
             step.into(),
             (&photos.cameras).into(),
             (&photos.pixels).into(),
-            sightings.into(),
+            observations.into(),
             (&rays.origins).into(),
             (&rays.directions).into(),
             (&rays.targets).into(),

@@ -4,16 +4,16 @@ use marf_scene::{Camera, Image, Pose};
 use marf_shaders::{PixelRange, RNG, Shader};
 use nalgebra::{Vector2, Vector3};
 
-use super::kernel::halves;
-use super::march::Progress;
-use super::rays::{DrawRays, Photos, RayArrays, ViewRays, camera, sighted};
+use super::Gpu;
+use super::array::halves;
+use super::rays::{DrawRays, Photos, Progress, RayArrays, ViewRays, camera, observed};
 use super::testing::{gpu, own_gpu};
-use super::{Gpu, GpuError};
-use crate::batch::Target;
+use crate::draw::Target;
 use crate::frame::{Frame, RayStart};
 use crate::rng::{Purpose, Rng};
-use crate::training_tests::small;
-use crate::{Config, Pixels, Trainer, View};
+use crate::test_scene::small;
+use crate::training::Training;
+use crate::{Config, GpuError, Pixels, View};
 
 /// Of a direction, where the distortion moves a pixel by no more than an ideal camera: f32 rounds its terms.
 const DIRECTION: f64 = 2e-6;
@@ -115,7 +115,7 @@ fn view(camera: Camera, angle: f64, run: u32) -> View {
     }
 }
 
-fn trainer() -> Trainer {
+fn training() -> Training {
     let [rover, folded] = lenses();
     let views = vec![view(rover, 0.0, 1), view(folded, 2.0, 1), view(rover, 4.0, 8)];
     let points: Vec<[f64; 3]> = (0..60)
@@ -129,7 +129,7 @@ fn trainer() -> Trainer {
         depth_steps: 1000,
         ..small()
     };
-    Trainer::new(views, &points, &config, 0x9876_5432_1012_3456).unwrap()
+    Training::new(views, &points, &config, 0x9876_5432_1012_3456).unwrap()
 }
 
 /// How much farther than in an ideal camera a direction moves with its pixel; infinite at the fold.
@@ -176,18 +176,18 @@ fn apart(
     error.sqrt() / (DIRECTION * spread(camera, pixel))
 }
 
-/// Draws `rays` rays of the trainer's next step into `rays + 10` slots that held 7s.
-fn drawn(gpu: &Gpu, trainer: &Trainer, rays: usize) -> RayArrays {
-    let photos = Photos::new(gpu, &trainer.views, &trainer.world_from_cams, &trainer.frame).unwrap();
-    let sightings = sighted(&trainer.sightings, &trainer.march);
-    let weight = trainer.pull_at(trainer.state.steps, trainer.ray_count());
+/// Draws `rays` rays of the training's next step into `rays + 10` slots that held 7s.
+fn drawn(gpu: &Gpu, training: &Training, rays: usize) -> RayArrays {
+    let photos = Photos::new(gpu, &training.views, &training.world_from_cams, &training.frame).unwrap();
+    let observations = observed(&training.observations, &training.march);
+    let weight = training.pull_at(training.state.steps, training.ray_count());
     let step = marf_shaders::Step {
         rays: rays as u32,
-        sightings: weight.map_or(0, |_| sightings.len() as u32),
+        observations: weight.map_or(0, |_| observations.len() as u32),
         pull: weight.unwrap_or(0.0),
-        ..photos.step(trainer.seed, trainer.state.steps)
+        ..photos.step(training.seed, training.state.steps)
     };
-    let sightings = gpu.filled("sightings", &sightings).unwrap();
+    let observations = gpu.filled("observations", &observations).unwrap();
     let step = gpu.uniform("step", step).unwrap();
     let arrays = RayArrays::new(gpu, rays + 10).unwrap();
     gpu.write(&arrays.origins, 0, &vec![[7.0; 4]; rays + 10]);
@@ -196,25 +196,25 @@ fn drawn(gpu: &Gpu, trainer: &Trainer, rays: usize) -> RayArrays {
     gpu.write(&arrays.pulls, 0, &vec![[7.0; 2]; rays + 10]);
     let bound = DrawRays::new(gpu)
         .unwrap()
-        .bind(gpu, &step, &photos, &sightings, &arrays);
+        .bind(gpu, &step, &photos, &observations, &arrays);
     gpu.submit(|recorder| recorder.threads(&bound, rays));
     arrays
 }
 
 /// The centre of the pixel that a ray was drawn for.
-fn drawn_pixel(trainer: &Trainer, ray: u64, target: &Target) -> [f64; 2] {
-    let mut rng = Rng::new(trainer.seed, Purpose::Rays, trainer.state.steps, ray);
-    let pixel = match trainer
-        .pull_at(trainer.state.steps, trainer.ray_count())
+fn drawn_pixel(training: &Training, ray: u64, target: &Target) -> [f64; 2] {
+    let mut rng = Rng::new(training.seed, Purpose::Rays, training.state.steps, ray);
+    let pixel = match training
+        .pull_at(training.state.steps, training.ray_count())
         .filter(|_| ray.is_multiple_of(8))
     {
-        Some(_) => trainer.sightings[rng.below(trainer.sightings.len() as u64) as usize].pixel,
-        None => rng.below(trainer.pixels[trainer.views.len()]),
+        Some(_) => training.observations[rng.below(training.observations.len() as u64) as usize].pixel,
+        None => rng.below(training.pixels[training.views.len()]),
     };
     let view = target.view as usize;
-    trainer.views[view]
+    training.views[view]
         .image
-        .at((pixel - trainer.pixels[view]) as usize)
+        .at((pixel - training.pixels[view]) as usize)
         .0
 }
 
@@ -223,12 +223,12 @@ fn rays_are_drawn_for_the_pixels_that_the_cpu_draws() {
     let Some(gpu) = gpu("rays_are_drawn_for_the_pixels_that_the_cpu_draws") else {
         return;
     };
-    let mut trainer = trainer();
-    let (rays, exposures) = (2000, trainer.exposures());
+    let mut training = training();
+    let (rays, exposures) = (2000, training.exposures());
     // The second step lies beyond the last that pulls.
     for step in [100, (1 << 33) + 5] {
-        trainer.state.steps = step;
-        let arrays = drawn(&gpu, &trainer, rays);
+        training.state.steps = step;
+        let arrays = drawn(&gpu, &training, rays);
         let (origins, directions) = (
             gpu.read(&arrays.origins).unwrap(),
             gpu.read(&arrays.directions).unwrap(),
@@ -239,7 +239,7 @@ fn rays_are_drawn_for_the_pixels_that_the_cpu_draws() {
         );
         let (mut worst, mut pulled, mut absent) = (0.0_f64, 0, 0);
         for ray in 0..rays {
-            let target = trainer.target(ray as u64, &exposures);
+            let target = training.target(ray as u64, &exposures);
             let [r, g, b] = target.rgb.map(f32::to_bits);
             assert_eq!(
                 targets[ray].map(f32::to_bits),
@@ -251,8 +251,8 @@ fn rays_are_drawn_for_the_pixels_that_the_cpu_draws() {
             assert_eq!(pulls[ray], pull, "ray {ray}");
             pulled += usize::from(target.pull.is_some());
             absent += usize::from(target.start.is_none());
-            let pixel = drawn_pixel(&trainer, ray as u64, &target);
-            let lens = trainer.views[target.view as usize].camera;
+            let pixel = drawn_pixel(&training, ray as u64, &target);
+            let lens = training.views[target.view as usize].camera;
             worst = worst.max(apart(&lens, pixel, target.start, [origins[ray], directions[ray]]));
         }
         eprintln!(
@@ -283,7 +283,7 @@ fn every_ray_of_a_picture_runs_through_the_middle_of_its_pixel() {
             first,
             count,
             jitter: 0.5,
-            unused: 0,
+            pad: 0,
         };
         let asked = gpu.uniform("asked", asked).unwrap();
         let (rays, progress) = (
@@ -332,9 +332,9 @@ fn more_pixels_than_a_binding_holds_are_refused_with_the_key_to_set() {
         return;
     };
     gpu.limits.max_storage_buffer_binding_size = 1 << 12;
-    let trainer = trainer();
-    let refused = Photos::new(&gpu, &trainer.views, &trainer.world_from_cams, &trainer.frame).err();
-    let kept = trainer.pixels[3];
+    let training = training();
+    let refused = Photos::new(&gpu, &training.views, &training.world_from_cams, &training.frame).err();
+    let kept = training.pixels[3];
     assert!(
         matches!(&refused, Some(GpuError::Limit { needed, hint, .. })
             if *needed == 4 * kept && hint.contains("`memory`")),

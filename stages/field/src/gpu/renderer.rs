@@ -8,35 +8,39 @@ use marf_scene::{Camera, Pose};
 use marf_shaders::{PixelRange, counts, faults};
 use parking_lot::Mutex;
 
+use super::Gpu;
+use super::array::Array;
 use super::forward::{Forward, Kernels, Lanes, Purpose, check_columns, write_walks};
-use super::kernel::{Array, Bound, Work};
+use super::kernel::Bound;
 use super::march::{Alive, March, Marching, bit_words, round, step_table, whole_walk};
 use super::picture::{PICTURE, Picture};
 use super::rays::{ViewRays, camera};
+use super::record::Work;
 use super::tables::Grid;
 use super::weights::DeviceWeights;
-use super::{Gpu, GpuError};
+use crate::backend::Renderer;
+use crate::model::Model;
 use crate::render::MIDDLE;
-use crate::{Background, Field, FieldError, Render};
+use crate::{Background, FieldError, GpuError, Render};
 
 /// Rays at once, and samples they share.
 const RAYS: usize = 1 << 14;
 const CAPACITY: usize = 1 << 17;
 /// Samples that a ray gets in the first round; later rounds take twice as many.
 const FIRST_ROUND: u32 = 8;
-/// Rounds between two looks at how many rays go on.
+/// Rounds between two reads of how many rays go on.
 const LOOK_EVERY: usize = 2;
 
 /// A field on a device, and what its pictures are made with; one picture at a time.
-pub struct Renderer(Mutex<Studio>);
+pub struct GpuRenderer(Mutex<Canvas>);
 
-impl fmt::Debug for Renderer {
+impl fmt::Debug for GpuRenderer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Renderer")
+        f.write_str("GpuRenderer")
     }
 }
 
-struct Studio {
+struct Canvas {
     gpu: Arc<Gpu>,
     lanes: Lanes,
     asked: Array<PixelRange>,
@@ -50,42 +54,40 @@ struct Studio {
     alive: Bound,
 }
 
-impl Renderer {
-    /// Copies a field to a device and compiles the kernels.
+impl GpuRenderer {
+    /// Copies a model to a device and compiles the kernels.
     ///
     /// # Errors
     /// A device that lacks something or has too little memory.
-    pub fn new(gpu: &Arc<Gpu>, field: &Field) -> Result<Self, FieldError> {
-        Ok(Self(Mutex::new(Studio::new(gpu, field)?)))
+    pub fn new(gpu: &Arc<Gpu>, model: &Model) -> Result<Self, FieldError> {
+        Ok(Self(Mutex::new(Canvas::new(gpu, model)?)))
     }
+}
 
-    /// Renders some rows of a photo.
-    ///
-    /// # Errors
-    /// A lost device, or a field that is not finite.
-    pub fn rows(
+impl Renderer for GpuRenderer {
+    fn rows(
         &self,
-        field: &Field,
+        model: &Model,
         camera: &Camera,
         cam_from_world: &Pose,
         rows: Range<u32>,
     ) -> Result<Render, FieldError> {
-        let studio = self.0.lock();
-        studio.rows(field, camera, cam_from_world, rows)
+        let canvas = self.0.lock();
+        canvas.rows(model, camera, cam_from_world, rows)
     }
 }
 
-impl Studio {
-    fn new(gpu: &Arc<Gpu>, field: &Field) -> Result<Self, GpuError> {
+impl Canvas {
+    fn new(gpu: &Arc<Gpu>, model: &Model) -> Result<Self, GpuError> {
         let device = gpu.as_ref();
-        let features = field.weights.features;
-        check_columns(device, &field.weights, CAPACITY)?;
-        let grid = Grid::new(device, &field.weights.shapes, features)?;
-        let weights = DeviceWeights::new(device, &grid, &field.weights)?;
+        let features = model.weights.features;
+        check_columns(device, &model.weights, CAPACITY)?;
+        let grid = Grid::new(device, &model.weights.shapes, features)?;
+        let weights = DeviceWeights::new(device, &grid, &model.weights)?;
         let slots = [CAPACITY, RAYS];
-        let lanes = Lanes::new(device, &weights, slots, &field.steps, Purpose::Picture)?;
-        device.write(&lanes.steps, 0, &step_table(&field.steps));
-        let bits = device.filled("occupied cells", &bit_words(&field.bits))?;
+        let lanes = Lanes::new(device, &weights, slots, &model.steps, Purpose::Picture)?;
+        device.write(&lanes.steps, 0, &step_table(&model.steps));
+        let bits = device.filled("occupied cells", &bit_words(&model.bits))?;
         let asked = device.uniform("pixels asked for", bytemuck::Zeroable::zeroed())?;
         let picture = device.zeros("picture", PICTURE * RAYS)?;
         let kernels = Kernels::new(device, features)?;
@@ -94,11 +96,11 @@ impl Studio {
         let shown = (&lanes.shown, &lanes.state);
         let columns = lanes.kept_columns();
         let [begin, paint] = painter.paint(batch, counts::RAYS, columns, &lanes.rgb, shown)?;
-        let background = match field.config.background {
+        let background = match model.config.background {
             Background::Direction => Some(&weights.background),
             Background::Black => None,
         };
-        let half_side = field.frame.half_side as f32;
+        let half_side = model.frame.half_side as f32;
         let directions = &lanes.rays.directions;
         let ends = [&lanes.state, &picture];
         let finish = painter.finish(batch, (counts::RAYS, half_side), directions, background, ends)?;
@@ -120,14 +122,14 @@ impl Studio {
 
     fn rows(
         &self,
-        field: &Field,
+        model: &Model,
         seen: &Camera,
         cam_from_world: &Pose,
         rows: Range<u32>,
     ) -> Result<Render, FieldError> {
         let mut whole = Render::empty(seen.width, rows.end.saturating_sub(rows.start));
         let first = rows.start as usize * seen.width as usize;
-        let view = camera(seen, &cam_from_world.inverse(), &field.frame);
+        let view = camera(seen, &cam_from_world.inverse(), &model.frame);
         for start in (0..whole.rgb.len()).step_by(RAYS) {
             let count = RAYS.min(whole.rgb.len() - start);
             let range = PixelRange {
@@ -135,9 +137,9 @@ impl Studio {
                 first: (first + start) as u32,
                 count: count as u32,
                 jitter: MIDDLE,
-                unused: 0,
+                pad: 0,
             };
-            self.rays(field, range)?;
+            self.rays(model, range)?;
             let picture = self.gpu.read(&self.picture)?;
             for pixel in 0..count {
                 let number = |row: usize| picture[row * RAYS + pixel];
@@ -150,10 +152,10 @@ impl Studio {
     }
 
     /// Carries the rays of some pixels to their end, round by round.
-    fn rays(&self, field: &Field, range: PixelRange) -> Result<(), FieldError> {
+    fn rays(&self, model: &Model, range: PixelRange) -> Result<(), FieldError> {
         let (gpu, lanes) = (&self.gpu, &self.lanes);
         let count = range.count as usize;
-        let whole = whole_walk(count, RAYS, CAPACITY, &field.steps, field.bits.side);
+        let whole = whole_walk(count, RAYS, CAPACITY, &model.steps, model.bits.side);
         gpu.write(&self.asked, 0, &[range]);
         gpu.submit(|recorder| {
             recorder.threads(&self.view, count);

@@ -4,10 +4,11 @@ use std::sync::Arc;
 
 use marf_shaders::faults;
 
-use super::kernel::Array;
+use super::Gpu;
+use super::array::Array;
 use super::nets::Batch;
 use super::testing::{gpu, worst};
-use super::{Gpu, GpuError};
+use crate::GpuError;
 use crate::cpu::simd::{Block, LANES, flat_mut};
 
 /// Rounding of sums of up to 1,101 terms, or 37 chunks of 128, where a driver does not fuse multiply-adds, as a share of
@@ -16,7 +17,7 @@ pub const TOLERANCE: f32 = 2e-6;
 /// What arrays hold where nothing must be written.
 pub const UNTOUCHED: f32 = -7.25;
 
-/// Tells whether nothing was written over [`UNTOUCHED`].
+/// Returns whether nothing was written over [`UNTOUCHED`].
 pub fn is_untouched(value: &f32) -> bool {
     value.to_bits() == UNTOUCHED.to_bits()
 }

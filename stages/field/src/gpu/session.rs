@@ -1,44 +1,46 @@
 //! A training on a device: what stays there between steps, and the steps.
 
-mod timing;
-
 use std::sync::Arc;
 
-use marf_shaders::{Blending, Pace, Sighted, Step as StepUniform, Total, faults};
+use marf_shaders::{Blending, Observed, Pace, Step as StepUniform, Total, faults};
 
+use super::Gpu;
+use super::array::Array;
 use super::arrays::Arrays;
 use super::forward::{Forward, Kernels as Shared, Lanes, Purpose, check_columns, write_walks};
-use super::kernel::{Array, Bound, Recorder, Timing};
-use super::learning::{Bench, Kernels, Learning};
+use super::kernel::Bound;
+use super::learning::{Bindings, Kernels, Learning};
 use super::light::RING;
 use super::march::{March, Marching, step_table, whole_walk};
 use super::occupancy::{self, Due, Probed, Update};
-use super::rays::{DrawRays, Photos, sighted};
+use super::rays::{DrawRays, Photos, observed};
+use super::record::{Recorder, Timing};
 use super::tables::{Grid, Rise, blending, rates};
 use super::weights::DeviceWeights;
-use super::{Gpu, GpuError};
-use crate::learn::EPSILON;
-use crate::trainer::{State, Step, UPDATE_EVERY};
-use crate::{FieldError, Trainer};
-pub use timing::{KernelTime, Load, Timed, time_steps};
+use crate::FieldError;
+use crate::GpuError;
+use crate::backend::{Session, Step};
+use crate::schedule::{EPSILON, UPDATE_EVERY};
+use crate::state::State;
+use crate::training::Training;
 
 /// Sample slots a sample of the batch: rays visit more samples than they train.
 const VISITED: usize = 2;
-/// Looks at the gradients of the first step: the first scale is a guess, the second close, the third good.
+/// Passes over the gradients of the first step: the first scale is a guess, the second close, the third good.
 const CALIBRATIONS: usize = 2;
 /// Slots come in multiples of this.
 const SLOTS: usize = 256;
 
 /// A training on a device.
-pub struct Session {
+pub struct GpuSession {
     gpu: Arc<Gpu>,
-    grid: Grid,
-    weights: DeviceWeights,
+    pub(super) grid: Grid,
+    pub(super) weights: DeviceWeights,
     average: DeviceWeights,
-    lanes: Lanes,
+    pub(super) lanes: Lanes,
     arrays: Arrays,
     photos: Photos,
-    sightings: Array<Sighted>,
+    observations: Array<Observed>,
     step: Array<StepUniform>,
     occupancy: occupancy::State,
     draw: Bound,
@@ -48,37 +50,42 @@ pub struct Session {
     update: Update,
 }
 
-impl Session {
+impl GpuSession {
     /// Copies a training to a device, compiles the kernels and finds the scales of the first step.
     ///
     /// # Errors
     /// A device that lacks something or has too little memory.
-    pub fn new(gpu: &Arc<Gpu>, trainer: &mut Trainer) -> Result<Self, FieldError> {
+    pub fn new(gpu: &Arc<Gpu>, training: &mut Training) -> Result<Self, FieldError> {
         let device = gpu.as_ref();
-        let (config, state) = (&trainer.config, &trainer.state);
+        let (config, state) = (&training.config, &training.state);
         let rays = (config.batch_samples as usize).next_multiple_of(SLOTS);
         let slots = [VISITED * rays, rays];
         check_columns(device, &state.weights, slots[0])?;
         let grid = Grid::new(device, &state.weights.shapes, state.weights.features)?;
         let weights = DeviceWeights::new(device, &grid, &state.weights)?;
         let average = DeviceWeights::new(device, &grid, &state.average)?;
-        let most_steps = trainer.sizes.steps(config, trainer.sizes.halvings.value);
+        let most_steps = training.sizes.steps(config, training.sizes.halvings.value);
         let lanes = Lanes::new(device, &weights, slots, &most_steps, Purpose::Training)?;
-        let gain = (trainer.views.len(), config.gain);
-        let arrays = Arrays::new(device, &grid, &weights, &lanes, gain, &trainer.bias)?;
-        let photos = Photos::new(device, &trainer.views, &trainer.world_from_cams, &trainer.frame)?;
-        let seen = trainer.sightings.len();
+        let gain = (training.views.len(), config.gain);
+        let arrays = Arrays::new(device, &grid, &weights, &lanes, gain, &training.bias)?;
+        let photos = Photos::new(
+            device,
+            &training.views,
+            &training.world_from_cams,
+            &training.frame,
+        )?;
+        let seen = training.observations.len();
         let hint = "set `depth_weight = 0`, so that sparse points do not pull";
-        device.check_binding((seen * size_of::<Sighted>()) as u64, hint)?;
-        let sightings = device.zeros("sightings", seen)?;
+        device.check_binding((seen * size_of::<Observed>()) as u64, hint)?;
+        let observations = device.zeros("observations", seen)?;
         let step = device.uniform("step", bytemuck::Zeroable::zeroed())?;
         let occupancy = occupancy::State::new(device, &state.occupancy)?;
         let features = state.weights.features;
         let (shared, kernels) = (Shared::new(device, features)?, Kernels::new(device, features)?);
-        let draw = DrawRays::new(device)?.bind(device, &step, &photos, &sightings, &lanes.rays);
+        let draw = DrawRays::new(device)?.bind(device, &step, &photos, &observations, &lanes.rays);
         let marching = March::new(device)?.bind(device, lanes.marched(&occupancy.bits));
         let forward = Forward::new(device, &shared, &grid, &weights, &lanes, Purpose::Training)?;
-        let learning = Learning::new(Bench {
+        let learning = Learning::new(Bindings {
             gpu: device,
             shared: &shared,
             kernels: &kernels,
@@ -101,7 +108,7 @@ impl Session {
         let min_step = config.min_step as f32;
         let cells = occupancy::Kernels::new(device)?;
         let update = Update::new(device, &cells, &occupancy, probed, probing, min_step)?;
-        let session = Self {
+        let mut session = Self {
             gpu: gpu.clone(),
             grid,
             weights,
@@ -109,7 +116,7 @@ impl Session {
             lanes,
             arrays,
             photos,
-            sightings,
+            observations,
             step,
             occupancy,
             draw,
@@ -118,23 +125,23 @@ impl Session {
             learning,
             update,
         };
-        session.write_march(trainer);
+        session.write_march(training);
         session.turn();
-        session.calibrate(trainer);
-        session.probe(trainer, 0, None)?;
-        trainer.state.scales = session.scales()?;
-        session.upload(trainer)?;
+        session.calibrate(training);
+        session.probe(training, 0, None)?;
+        training.state.scales = session.scales()?;
+        session.upload(training)?;
         Ok(session)
     }
 
     /// Finds the scales of the first step by its own gradients, which are then thrown away; also compiles all kernels
     /// of drivers that compile at the first use.
-    fn calibrate(&self, trainer: &Trainer) {
-        let rays = trainer.ray_count().min(self.lanes.rays.slots);
-        self.begin(trainer, rays);
+    fn calibrate(&self, training: &Training) {
+        let rays = training.ray_count().min(self.lanes.rays.slots);
+        self.begin(training, rays);
         self.arrays.write_rise(&self.gpu, &self.grid, Rise::Free);
         for _ in 0..CALIBRATIONS {
-            self.write_step(trainer, trainer.state.steps, rays);
+            self.write_step(training, training.state.steps, rays);
             self.gpu.submit(|recorder| {
                 self.forward(recorder, rays);
                 self.learning.back.record(recorder);
@@ -144,8 +151,8 @@ impl Session {
         }
         self.arrays.write_rise(&self.gpu, &self.grid, Rise::Slow);
         // All else that is written here is uploaded anew.
-        self.write_step(trainer, trainer.state.steps, 0);
-        self.begin(trainer, 0);
+        self.write_step(training, training.state.steps, 0);
+        self.begin(training, 0);
         self.gpu.submit(|recorder| self.record(recorder, 0, true));
     }
 
@@ -153,33 +160,20 @@ impl Session {
         self.gpu.submit(|recorder| self.learning.turn.record(recorder));
     }
 
-    /// Returns the device.
-    pub fn gpu(&self) -> &Arc<Gpu> {
-        &self.gpu
-    }
-
-    /// Takes steps up to the next update of the occupancy, at most `most`, at least one.
-    ///
-    /// # Errors
-    /// [`FieldError::NotFinite`] names the step, before which the state on the device then is; a lost device.
-    pub fn advance(&mut self, trainer: &mut Trainer, most: u64) -> Result<Step, FieldError> {
-        self.watched(trainer, most, None)
-    }
-
-    /// As [`Session::advance`]; `watch` takes the time of every dispatch.
-    fn watched(
+    /// Takes steps up to the next update of the occupancy; `watch` takes the time of every dispatch.
+    pub(super) fn watched(
         &mut self,
-        trainer: &mut Trainer,
+        training: &mut Training,
         most: u64,
         mut watch: Option<&mut Watch>,
     ) -> Result<Step, FieldError> {
-        let first = trainer.state.steps;
+        let first = training.state.steps;
         let update = (first / UPDATE_EVERY + 1) * UPDATE_EVERY;
         let end = first.saturating_add(most.max(1)).min(update);
-        let rays = trainer.ray_count().min(self.lanes.rays.slots);
-        self.begin(trainer, rays);
+        let rays = training.ray_count().min(self.lanes.rays.slots);
+        self.begin(training, rays);
         for number in first..end {
-            let is_due = self.write_step(trainer, number, rays);
+            let is_due = self.write_step(training, number, rays);
             let times = watch.as_deref_mut().map(|watch| &mut watch.steps);
             self.submit(times, |recorder| self.record(recorder, rays, is_due))?;
         }
@@ -193,45 +187,45 @@ impl Session {
         for number in first..end {
             let total = &totals[number as usize % RING];
             if total.faults != 0 {
-                trainer.state.steps = number;
-                return Err(fault(trainer, total));
+                training.state.steps = number;
+                return Err(fault(training, total));
             }
-            trainer.take(&mut sum, total);
+            add(&mut training.state, &mut sum, total);
             if let Some(watch) = &mut watch {
                 watch.visited += u64::from(total.visited);
             }
         }
         sum.loss /= sum.steps as f64;
-        if trainer.state.steps == update {
+        if training.state.steps == update {
             let times = watch.map(|watch| &mut watch.updates);
-            self.probe(trainer, update / UPDATE_EVERY, times)?;
-            let before = trainer.state.halvings;
-            trainer.halve_steps();
-            if trainer.state.halvings != before {
-                self.write_march(trainer);
+            self.probe(training, update / UPDATE_EVERY, times)?;
+            let before = training.state.halvings;
+            training.halve_steps();
+            if training.state.halvings != before {
+                self.write_march(training);
             }
         }
         Ok(sum)
     }
 
-    /// Tells the walks how many rays there are.
-    fn begin(&self, trainer: &Trainer, rays: usize) {
-        let side = trainer.config.occupancy_resolution;
+    /// Writes the number of rays to the uniforms of the walks.
+    fn begin(&self, training: &Training, rays: usize) {
+        let side = training.config.occupancy_resolution;
         let (slots, capacity) = (self.lanes.rays.slots, self.lanes.capacity);
-        let whole = whole_walk(rays, slots, capacity, &trainer.march, side);
+        let whole = whole_walk(rays, slots, capacity, &training.march, side);
         write_walks(&self.gpu, &self.lanes, whole);
     }
 
-    /// Tells the kernels of a step; returns whether the averages are due.
-    fn write_step(&self, trainer: &Trainer, number: u64, rays: usize) -> bool {
-        let rate = trainer.rate_at(number);
-        let pull = trainer.pull_at(number, rays);
+    /// Writes the uniforms of a step; returns whether the averages are due.
+    fn write_step(&self, training: &Training, number: u64, rays: usize) -> bool {
+        let rate = training.rate_at(number);
+        let pull = training.pull_at(number, rays);
         let step = StepUniform {
             rays: rays as u32,
             rate,
             pull: pull.unwrap_or(0.0),
-            sightings: pull.map_or(0, |_| self.sightings.len() as u32),
-            ..self.photos.step(trainer.seed, number)
+            observations: pull.map_or(0, |_| self.observations.len() as u32),
+            ..self.photos.step(training.seed, number)
         };
         let pace = Pace {
             rate,
@@ -242,7 +236,7 @@ impl Session {
         gpu.write(&self.step, 0, &[step]);
         gpu.write(&self.arrays.pace, 0, &[pace]);
         gpu.write(&self.arrays.rates, 0, &[rates(rate, EPSILON, 0.0)]);
-        let keep = trainer.kept_at(number);
+        let keep = training.kept_at(number);
         let blending: Blending = blending(keep.unwrap_or(1.0));
         gpu.write(&self.arrays.blending, 0, &[blending]);
         keep.is_some()
@@ -260,10 +254,10 @@ impl Session {
         self.forward.colours.record(recorder);
     }
 
-    /// Looks at cells of the occupancy grid and decides anew which are occupied.
+    /// Computes the density of some cells anew and decides which are occupied.
     fn probe(
         &self,
-        trainer: &Trainer,
+        training: &Training,
         round: u64,
         mut times: Option<&mut Vec<Timing>>,
     ) -> Result<(), GpuError> {
@@ -272,7 +266,7 @@ impl Session {
             occupied: OCCUPIED_EVERY,
             empty: if round <= 16 { OCCUPIED_EVERY } else { 16 },
         };
-        self.update.begin(&self.gpu, trainer.seed, due);
+        self.update.begin(&self.gpu, training.seed, due);
         for pass in 0..self.update.passes() {
             let none = [0];
             self.gpu
@@ -286,7 +280,7 @@ impl Session {
         self.submit(times, |recorder| self.update.finish(recorder))
     }
 
-    /// Submits; where times are wanted, every dispatch in a pass of its own.
+    /// Submits a recording; where times are wanted, every dispatch in a pass of its own.
     fn submit(
         &self,
         times: Option<&mut Vec<Timing>>,
@@ -300,20 +294,32 @@ impl Session {
     }
 
     /// Copies what depends on the length of the steps along rays.
-    fn write_march(&self, trainer: &Trainer) {
+    fn write_march(&self, training: &Training) {
         let gpu = &self.gpu;
-        gpu.write(&self.lanes.steps, 0, &step_table(&trainer.march));
-        gpu.write(&self.sightings, 0, &sighted(&trainer.sightings, &trainer.march));
+        gpu.write(&self.lanes.steps, 0, &step_table(&training.march));
+        gpu.write(
+            &self.observations,
+            0,
+            &observed(&training.observations, &training.march),
+        );
         self.arrays
-            .write_losses(gpu, &self.lanes, &trainer.config, &trainer.march);
+            .write_losses(gpu, &self.lanes, &training.config, &training.march);
     }
 
-    /// Copies the state to the device.
-    ///
-    /// # Errors
-    /// A lost device.
-    pub fn upload(&self, trainer: &Trainer) -> Result<(), GpuError> {
-        let (gpu, state) = (self.gpu.as_ref(), &trainer.state);
+    fn scales(&self) -> Result<Vec<f32>, GpuError> {
+        let scales = self.gpu.read(&self.arrays.scales)?;
+        Ok(scales.iter().map(|level| level.scale).collect())
+    }
+}
+
+impl Session for GpuSession {
+    /// Takes steps up to the next update of the occupancy.
+    fn advance(&mut self, training: &mut Training, most: u64) -> Result<Step, FieldError> {
+        self.watched(training, most, None)
+    }
+
+    fn upload(&mut self, training: &Training) -> Result<(), FieldError> {
+        let (gpu, state) = (self.gpu.as_ref(), &training.state);
         self.weights.write(gpu, &self.grid, &state.weights);
         self.average.write(gpu, &self.grid, &state.average);
         let (tables, nets) = state.moments.split_at(state.weights.tables.len());
@@ -333,16 +339,12 @@ impl Session {
             gpu.write(&self.arrays.scales, 0, &scales);
         }
         gpu.write(&self.lanes.faults, 0, &[0; faults::LEN]);
-        self.write_march(trainer);
+        self.write_march(training);
         self.turn();
-        gpu.wait()
+        Ok(gpu.wait()?)
     }
 
-    /// Copies the state back.
-    ///
-    /// # Errors
-    /// A lost device.
-    pub fn download(&self, state: &mut State) -> Result<(), GpuError> {
+    fn download(&self, state: &mut State) -> Result<(), FieldError> {
         let gpu = self.gpu.as_ref();
         self.weights.read(gpu, &self.grid, &mut state.weights)?;
         self.average.read(gpu, &self.grid, &mut state.average)?;
@@ -357,28 +359,23 @@ impl Session {
         state.scales = self.scales()?;
         Ok(())
     }
-
-    fn scales(&self) -> Result<Vec<f32>, GpuError> {
-        let scales = self.gpu.read(&self.arrays.scales)?;
-        Ok(scales.iter().map(|level| level.scale).collect())
-    }
 }
 
-/// What is learnt about steps that are timed.
+/// Times and counts of steps that are timed.
 #[derive(Default)]
-struct Watch {
+pub struct Watch {
     /// Dispatches of steps.
-    steps: Vec<Timing>,
+    pub steps: Vec<Timing>,
     /// Dispatches of updates of the occupancy.
-    updates: Vec<Timing>,
+    pub updates: Vec<Timing>,
     /// Samples that rays visited.
-    visited: u64,
+    pub visited: u64,
 }
 
 /// Of occupied cells one in so many is looked at in an update.
 const OCCUPIED_EVERY: u32 = 4;
 
-fn fault(trainer: &Trainer, total: &Total) -> FieldError {
+fn fault(training: &Training, total: &Total) -> FieldError {
     let tensor = match total.faults.trailing_zeros() {
         faults::DENSITY => "raw density",
         faults::LOGITS => "colour logits",
@@ -389,22 +386,20 @@ fn fault(trainer: &Trainer, total: &Total) -> FieldError {
         _ => "gains",
     };
     FieldError::NotFinite {
-        step: trainer.state.steps,
+        step: training.state.steps,
         tensor,
         place: "some sample of the batch".to_owned(),
-        learning_rate: trainer.config.learning_rate,
+        learning_rate: training.config.learning_rate,
     }
 }
 
-impl Trainer {
-    /// Takes down what a step on a device did.
-    fn take(&mut self, sum: &mut Step, total: &Total) {
-        let (rays, samples) = (u64::from(total.rays), u64::from(total.kept));
-        self.state.learn_cost(rays.max(1), total.visited.into(), samples);
-        self.state.steps += 1;
-        sum.steps += 1;
-        sum.rays += rays;
-        sum.samples += samples;
-        sum.loss += f64::from(total.loss) / (3 * rays.max(1)) as f64;
-    }
+/// Adds what one step on the device did to the state and to the sum of the steps of a call.
+fn add(state: &mut State, sum: &mut Step, total: &Total) {
+    let (rays, samples) = (u64::from(total.rays), u64::from(total.kept));
+    state.learn_cost(rays.max(1), total.visited.into(), samples);
+    state.steps += 1;
+    sum.steps += 1;
+    sum.rays += rays;
+    sum.samples += samples;
+    sum.loss += f64::from(total.loss) / (3 * rays.max(1)) as f64;
 }

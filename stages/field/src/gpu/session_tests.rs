@@ -1,8 +1,8 @@
 //! Whole trainings and pictures on a software adapter, beside the CPU's.
 
+use super::TimedTraining;
 use super::testing::{advance, gpu, on_gpu, upload, worst};
-use super::time_steps;
-use crate::training_tests::{ball, psnr, small};
+use crate::test_scene::{ball, psnr, small};
 use crate::{Config, Field, FieldError, Gain, Trainer};
 
 fn config() -> Config {
@@ -28,6 +28,7 @@ fn a_first_step_on_both_devices_ends_at_the_same_weights() {
     there.sync().unwrap();
     let bits = |trainer: &Trainer| {
         trainer
+            .training
             .state
             .scales
             .iter()
@@ -39,11 +40,12 @@ fn a_first_step_on_both_devices_ends_at_the_same_weights() {
     // In tables, noise is all that is less than some quanta, and the first scale is a guess.
     let rate = config().learning_rate as f32;
     for ((name, there), (_, here)) in there
+        .training
         .state
         .weights
         .tensors()
         .iter()
-        .zip(here.state.weights.tensors())
+        .zip(here.training.state.weights.tensors())
     {
         let far = there
             .iter()
@@ -76,6 +78,7 @@ fn a_ball_is_learnt_as_well_as_on_the_cpu_and_twice_with_the_same_bytes() {
     println!(
         "scales {:?}",
         there
+            .training
             .state
             .scales
             .iter()
@@ -95,18 +98,19 @@ fn steps_that_are_timed_learn_the_same_bytes_and_name_every_kernel() {
     let Some(gpu) = gpu(name) else {
         return;
     };
-    let [mut timed, mut plain] = [0, 1].map(|_| on_gpu(&gpu, ball(4, 16), &[], (&config(), 7)));
-    let found = time_steps(&mut timed, 20).unwrap().unwrap();
+    let mut timed = TimedTraining::new(&gpu, ball(4, 16), &config(), 7).unwrap();
+    let mut plain = on_gpu(&gpu, ball(4, 16), &[], (&config(), 7));
+    let found = timed.time(20).unwrap();
     advance(&mut plain, 20);
-    assert!(timed.save().unwrap() == plain.save().unwrap());
-    assert_eq!((found.steps, timed.steps()), (20, 20));
+    plain.sync().unwrap();
+    assert!(*timed.state() == plain.training.state);
+    assert_eq!(found.steps, 20);
     assert!(found.samples > 0 && found.samples <= found.visited && found.update_s > 0.0);
     for once in ["rays", "opacity", "peak", "adam_table", "totals"] {
         let kernel = found.kernels.iter().find(|kernel| kernel.name == once);
         let calls = kernel.map_or(0.0, |kernel| kernel.calls);
         assert!((calls - 1.0).abs() < 1e-9, "{once}: {calls} calls a step");
     }
-    assert!(time_steps(&mut Trainer::new(ball(4, 16), &[], &config(), 7).unwrap(), 1) == Ok(None));
 }
 
 #[test]
@@ -118,7 +122,7 @@ fn a_picture_is_the_same_on_both_devices() {
     let mut trainer = Trainer::new(views.clone(), &[], &config(), 1).unwrap();
     advance(&mut trainer, 150);
     let here = trainer.field().unwrap();
-    let there = here.clone().with_gpu(&gpu).unwrap();
+    let there = Field::new(here.model.clone(), gpu.clone()).unwrap();
     let [here, there] =
         [here, there].map(|field| field.render(&views[0].camera, &views[0].cam_from_world).unwrap());
     // The CPU joins samples that weigh less than 1 / 512. A sample on the border of a cell may lie on its other side.
@@ -166,12 +170,12 @@ fn a_nan_stops_the_step_by_name_and_leaves_the_state_before_it() {
     let good = trainer.save().unwrap();
     for tensor in ["background", "density", "table"] {
         trainer.restore(&good).unwrap();
-        let mut broken = trainer.state.clone();
+        let mut broken = trainer.training.state.clone();
         let mut tensors = broken.weights.tensors_mut();
         let found = tensors.iter_mut().find(|(name, _)| name.starts_with(tensor));
         found.unwrap().1.fill(f32::NAN);
         drop(tensors);
-        trainer.state = broken;
+        trainer.training.state = broken;
         upload(&mut trainer);
         let refused = trainer.advance(5).unwrap_err();
         assert!(

@@ -2,11 +2,12 @@
 
 use std::sync::Arc;
 
-use super::{Device, Gpu, Session};
+use super::Gpu;
 use crate::rng::{Purpose, Rng};
-use crate::{Config, Trainer, View};
+use crate::training::Training;
+use crate::{Config, Device, GpuError, Trainer, View};
 
-/// The adapter that tests run on: `MARF_TEST_GPU` (`gpu`, `gpu:NAME` or a part of its name), or llvmpipe; and whether
+/// Returns the adapter that tests run on: `MARF_TEST_GPU` (`gpu`, `gpu:NAME` or a part of its name), or llvmpipe; and whether
 /// it was asked for.
 fn wanted() -> (Device, bool) {
     let named = |name: String| Device::Gpu(Some(name));
@@ -16,7 +17,7 @@ fn wanted() -> (Device, bool) {
     }
 }
 
-fn opened<T>(test: &str, open: impl Fn(&Device) -> Result<Option<T>, super::GpuError>) -> Option<T> {
+fn opened<T>(test: &str, open: impl Fn(&Device) -> Result<Option<T>, GpuError>) -> Option<T> {
     let (device, is_asked) = wanted();
     let opened = open(&device);
     assert!(!matches!(opened, Ok(None)), "MARF_TEST_GPU={device} is no GPU");
@@ -31,10 +32,10 @@ fn opened<T>(test: &str, open: impl Fn(&Device) -> Result<Option<T>, super::GpuE
 ///
 /// Without one the test says so and is passed over, unless `MARF_TEST_GPU` asks for it.
 pub fn gpu(test: &str) -> Option<Arc<Gpu>> {
-    opened(test, Device::open)
+    opened(test, Gpu::shared)
 }
 
-/// As [`gpu`], a device of the test's own, which it may change or lose.
+/// Opens, as [`gpu`] does, a device of the test's own, which it may change or lose.
 pub fn own_gpu(test: &str) -> Option<Gpu> {
     opened(test, Gpu::open)
 }
@@ -46,9 +47,8 @@ pub fn on_gpu(
     points: &[[f64; 3]],
     (config, seed): (&Config, u64),
 ) -> Trainer {
-    let mut trainer = Trainer::new(views, points, config, seed).unwrap();
-    trainer.session = Some(Session::new(gpu, &mut trainer).unwrap());
-    trainer
+    let training = Training::new(views, points, config, seed).unwrap();
+    Trainer::with_backend(training, gpu.clone()).unwrap()
 }
 
 /// Trains up to a step.
@@ -60,12 +60,10 @@ pub fn advance(trainer: &mut Trainer, to: u64) {
 
 /// Copies the state that the trainer holds to the device.
 pub fn upload(trainer: &mut Trainer) {
-    let session = trainer.session.take().unwrap();
-    session.upload(trainer).unwrap();
-    trainer.session = Some(session);
+    trainer.session.upload(&trainer.training).unwrap();
 }
 
-/// The largest difference, and where.
+/// Returns the largest difference, and where.
 pub fn worst(found: &[f32], expected: &[f32]) -> (f32, usize) {
     assert_eq!(found.len(), expected.len());
     let pairs = found.iter().zip(expected).enumerate();
@@ -76,7 +74,7 @@ pub fn worst(found: &[f32], expected: &[f32]) -> (f32, usize) {
     })
 }
 
-/// Random numbers in [-1, 1).
+/// Returns random numbers in [-1, 1).
 pub fn numbers(len: usize, stream: u64) -> Vec<f32> {
     let mut rng = Rng::new(13, Purpose::Rays, 0, stream);
     (0..len).map(|_| rng.unit() * 2.0 - 1.0).collect()

@@ -1,8 +1,9 @@
 //! The trained numbers of a field on a device.
 
-use super::kernel::Array;
+use super::Gpu;
+use super::array::Array;
 use super::tables::Grid;
-use super::{Gpu, GpuError};
+use crate::GpuError;
 use crate::cpu::net::{Layer, Net};
 use crate::cpu::simd::{flat, flat_mut};
 use crate::weights::{NET_ROW, Weights};

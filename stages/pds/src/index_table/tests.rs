@@ -41,9 +41,9 @@ fn index() -> Index {
     Index::of(LABEL.as_bytes()).unwrap()
 }
 
-fn read(index: &Index, table: &str) -> Result<Vec<Place>, String> {
+fn read(index: &Index, table: &str) -> Result<Vec<ProductLocation>, String> {
     let rows = index.rows(table.as_bytes());
-    rows.map(|row| row.map(|row| row.place()).map_err(|error| error.to_string()))
+    rows.map(|row| row.map(|row| row.location()).map_err(|error| error.to_string()))
         .collect()
 }
 
@@ -59,17 +59,17 @@ fn rows_are_read_by_column() {
         (Some("x.img"), None)
     );
     assert_eq!(
-        rows[0].place(),
-        Place {
+        rows[0].location(),
+        ProductLocation {
             volume: Some("V1".into()),
             path: Some("edr/a".into()),
             file: Some("x.img".into()),
             sol: Some(12),
-            ..Place::default()
+            ..ProductLocation::default()
         }
     );
     assert_eq!(
-        (rows[1].place().path.as_deref(), rows[1].place().sol),
+        (rows[1].location().path.as_deref(), rows[1].location().sol),
         (Some("edr/b"), None)
     );
 }
@@ -219,8 +219,8 @@ fn the_real_index_label_is_read() {
     index.rows = Some(1);
     let rows: Vec<_> = index.rows(bytes.as_slice()).map(Result::unwrap).collect();
     assert_eq!(
-        rows[0].place(),
-        Place {
+        rows[0].location(),
+        ProductLocation {
             volume: Some("MER1NO_0XXX".into()),
             path: Some("data/navcam/site0070".into()),
             file: Some("1n491020834ilfcny9p0706l0m1.img".into()),

@@ -1,9 +1,9 @@
-//! Tags, hrefs and text of a page, in one pass; no more of HTML than folder listings need.
+//! Tokens of a page: tags, hrefs and text, in one pass; no more of HTML than folder listings need.
 
-/// A piece of a page.
+/// A token of a page.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Piece<'a> {
-    /// What stands between two tags.
+pub(super) enum Token<'a> {
+    /// Text between two tags.
     Text(&'a [u8]),
     /// `<name …>`.
     Open(Tag<'a>),
@@ -11,7 +11,7 @@ pub(super) enum Piece<'a> {
     Close(&'a [u8]),
 }
 
-/// A tag that opens.
+/// A start tag.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Tag<'a> {
     /// Name as written.
@@ -20,24 +20,24 @@ pub(super) struct Tag<'a> {
     pub href: Option<&'a [u8]>,
 }
 
-/// Takes a page apart; comments, declarations, scripts and styles are left out.
-pub(super) fn pieces(page: &[u8]) -> Pieces<'_> {
-    Pieces {
+/// Returns the tokens of a page without comments, declarations, scripts and styles.
+pub(super) fn tokens(page: &[u8]) -> Tokens<'_> {
+    Tokens {
         page,
         at: 0,
         cut: false,
     }
 }
 
-/// See [`pieces`]. Every byte is looked at a bounded number of times: what does not end ends the page.
-pub(super) struct Pieces<'a> {
+/// See [`tokens`]. Every byte is read a bounded number of times: what is not closed extends to the end of the page.
+pub(super) struct Tokens<'a> {
     page: &'a [u8],
     at: usize,
     cut: bool,
 }
 
-impl<'a> Pieces<'a> {
-    /// Tells whether the page ended inside a tag, a comment or a script.
+impl<'a> Tokens<'a> {
+    /// Returns whether the page ended inside a tag, a comment or a script.
     pub fn is_cut(&self) -> bool {
         self.cut
     }
@@ -57,7 +57,7 @@ impl<'a> Pieces<'a> {
         &rest[..length]
     }
 
-    /// Moves behind the next `end`, letters of either case; to the end of the page where there is none.
+    /// Moves past the next `end`, in either case; to the end of the page if there is none.
     fn skip_past(&mut self, end: &[u8]) {
         let found = self
             .rest()
@@ -83,7 +83,7 @@ impl<'a> Pieces<'a> {
                 }
                 Some(_) => {}
             }
-            // Takes a byte at least: what stands here is no blank, no `/` and no `>`; a `=` is taken below.
+            // At least one byte is taken: the next is no blank, `/` or `>`; a `=` is taken below.
             let name = self.take_while(|byte| !byte.is_ascii_whitespace() && !b"=>/".contains(&byte));
             self.take_while(|byte| byte.is_ascii_whitespace());
             let value = if self.peek() == Some(b'=') {
@@ -98,7 +98,7 @@ impl<'a> Pieces<'a> {
         }
     }
 
-    /// The value behind `=`, without its quotes.
+    /// Reads the value after `=`, without its quotes.
     fn value(&mut self) -> &'a [u8] {
         self.take_while(|byte| byte.is_ascii_whitespace());
         match self.peek() {
@@ -113,13 +113,13 @@ impl<'a> Pieces<'a> {
     }
 }
 
-impl<'a> Iterator for Pieces<'a> {
-    type Item = Piece<'a>;
+impl<'a> Iterator for Tokens<'a> {
+    type Item = Token<'a>;
 
-    fn next(&mut self) -> Option<Piece<'a>> {
+    fn next(&mut self) -> Option<Token<'a>> {
         while self.at < self.page.len() {
             if self.peek() != Some(b'<') {
-                return Some(Piece::Text(self.take_while(|byte| byte != b'<')));
+                return Some(Token::Text(self.take_while(|byte| byte != b'<')));
             }
             let rest = self.rest();
             match rest.get(1) {
@@ -132,7 +132,7 @@ impl<'a> Iterator for Pieces<'a> {
                     self.at += 2;
                     let name = self.take_while(|byte| byte.is_ascii_alphanumeric());
                     self.skip_past(b">");
-                    return Some(Piece::Close(name));
+                    return Some(Token::Close(name));
                 }
                 Some(letter) if letter.is_ascii_alphabetic() => {
                     self.at += 1;
@@ -144,12 +144,12 @@ impl<'a> Iterator for Pieces<'a> {
                             self.skip_past(b">");
                         }
                     }
-                    return Some(Piece::Open(Tag { name, href }));
+                    return Some(Token::Open(Tag { name, href }));
                 }
-                // A lone sign is text.
+                // A lone `<` is text.
                 _ => {
                     self.at += 1;
-                    return Some(Piece::Text(&rest[..1]));
+                    return Some(Token::Text(&rest[..1]));
                 }
             }
         }
@@ -162,13 +162,13 @@ mod tests {
     use super::*;
 
     fn hrefs(page: &str) -> (Vec<String>, bool) {
-        let mut pieces = pieces(page.as_bytes());
-        let found = pieces.by_ref().filter_map(|piece| match piece {
-            Piece::Open(tag) => Some(String::from_utf8_lossy(tag.href?).into_owned()),
+        let mut tokens = tokens(page.as_bytes());
+        let found = tokens.by_ref().filter_map(|token| match token {
+            Token::Open(tag) => Some(String::from_utf8_lossy(tag.href?).into_owned()),
             _ => None,
         });
         let found = found.collect();
-        (found, pieces.is_cut())
+        (found, tokens.is_cut())
     }
 
     #[test]

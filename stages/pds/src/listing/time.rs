@@ -1,4 +1,4 @@
-//! The column `Last modified`.
+//! Times of the column `Last modified`.
 
 const MONTHS: [&[u8]; 12] = [
     b"Jan", b"Feb", b"Mar", b"Apr", b"May", b"Jun", b"Jul", b"Aug", b"Sep", b"Oct", b"Nov", b"Dec",
@@ -43,7 +43,7 @@ fn clock(word: &[u8]) -> Option<(u32, u32)> {
     (hour < 24 && minute < 60 && seconds && parts.next().is_none()).then_some((hour, minute))
 }
 
-/// Exactly so many digits.
+/// Reads exactly this many digits.
 fn digits(word: &[u8], length: usize) -> Option<u32> {
     let whole = word.len() == length && word.iter().all(u8::is_ascii_digit);
     whole.then(|| {

@@ -67,7 +67,7 @@ fn a_label_is_read_by_its_groups() {
     assert_eq!((label.filter.as_deref(), label.focal_mm), (Some("0"), Some(34.0)));
     assert_eq!(
         label.mosaic,
-        Some(Phase {
+        Some(BayerPhase {
             line: 4,
             sample: 1024
         })
@@ -116,14 +116,14 @@ fn every_form_of_a_pointer_is_read() {
 #[test]
 fn types_of_samples_are_read() {
     let read = |kind, bits| sample(kind, bits).map(|sample| (sample.kind, sample.bytes, sample.big_endian));
-    assert_eq!(read("MSB_INTEGER", 16), Some((Number::Signed, 2, true)));
-    assert_eq!(read("UNSIGNED_INTEGER", 8), Some((Number::Unsigned, 1, true)));
+    assert_eq!(read("MSB_INTEGER", 16), Some((SampleKind::Signed, 2, true)));
+    assert_eq!(read("UNSIGNED_INTEGER", 8), Some((SampleKind::Unsigned, 1, true)));
     assert_eq!(
         read("LSB_UNSIGNED_INTEGER", 16),
-        Some((Number::Unsigned, 2, false))
+        Some((SampleKind::Unsigned, 2, false))
     );
-    assert_eq!(read("IEEE_REAL", 32), Some((Number::Float, 4, true)));
-    assert_eq!(read("PC_REAL", 32), Some((Number::Float, 4, false)));
+    assert_eq!(read("IEEE_REAL", 32), Some((SampleKind::Float, 4, true)));
+    assert_eq!(read("PC_REAL", 32), Some((SampleKind::Float, 4, false)));
     for (kind, bits) in [
         ("MSB_INTEGER", 12),
         ("VAX_REAL", 32),
@@ -176,7 +176,7 @@ fn a_vicar_label_alone_describes_its_array() {
     );
     assert_eq!(
         (array.sample.kind, array.sample.bytes, array.sample.big_endian),
-        (Number::Signed, 2, true)
+        (SampleKind::Signed, 2, true)
     );
     assert!(label.notes[0].contains("no usable camera"), "{:?}", label.notes);
 }

@@ -1,12 +1,12 @@
-//! Where a PDS4 label says the pixels lie.
+//! The array of pixels that a PDS4 label describes.
 
 use roxmltree::Node;
 
 use super::{PDS, child, children, number_at, text_at};
-use crate::label::{Array, Number, Order, Quantity, Sample};
+use crate::label::{Array, BandStorage, Quantity, Sample, SampleKind};
 use crate::values;
 
-/// Constants without light: no value, or less than can be stored.
+/// Keys of values that mean no light: no value, or less than can be stored.
 const MISSING: [&str; 7] = [
     "missing_constant",
     "invalid_constant",
@@ -16,14 +16,14 @@ const MISSING: [&str; 7] = [
     "low_instrument_saturation",
     "low_representation_saturation",
 ];
-/// Constants of more light than can be stored.
+/// Keys of values that mean more light than can be stored.
 const SATURATED: [&str; 3] = [
     "saturated_constant",
     "high_instrument_saturation",
     "high_representation_saturation",
 ];
 
-/// Reads the first array of two or three dimensions; `None` where there is none that is read.
+/// Returns the first array of two or three dimensions; `None` if there is none that can be read.
 pub(super) fn read(root: Node<'_, '_>) -> Option<Array> {
     let area = child(root, PDS, "File_Area_Observational")?;
     let node = ["Array_2D_Image", "Array_3D_Image"]
@@ -64,7 +64,7 @@ fn constants_of(node: Node<'_, '_>, names: &[&str], sample: Sample) -> Vec<f64> 
     names.iter().filter_map(constant).collect()
 }
 
-fn axes(node: Node<'_, '_>) -> Option<([u32; 3], Order)> {
+fn axes(node: Node<'_, '_>) -> Option<([u32; 3], BandStorage)> {
     let mut axes: Vec<(u32, String, u32)> = Vec::new();
     for axis in children(node, PDS, "Axis_Array").take(4) {
         let side = |name| {
@@ -79,9 +79,9 @@ fn axes(node: Node<'_, '_>) -> Option<([u32; 3], Order)> {
     axes.sort();
     let names: Vec<&str> = axes.iter().map(|axis| axis.1.as_str()).collect();
     let order = match names.as_slice() {
-        ["Line", "Sample"] | ["Band", "Line", "Sample"] => Order::BandSequential,
-        ["Line", "Band", "Sample"] => Order::LineInterleaved,
-        ["Line", "Sample", "Band"] => Order::PixelInterleaved,
+        ["Line", "Sample"] | ["Band", "Line", "Sample"] => BandStorage::BandSequential,
+        ["Line", "Band", "Sample"] => BandStorage::LineInterleaved,
+        ["Line", "Sample", "Band"] => BandStorage::PixelInterleaved,
         _ => return None,
     };
     let length = |name: &str| axes.iter().find(|axis| axis.1 == name).map(|axis| axis.2);
@@ -93,11 +93,11 @@ fn axes(node: Node<'_, '_>) -> Option<([u32; 3], Order)> {
 
 pub(super) fn sample(data_type: &str) -> Option<Sample> {
     let (kind, rest) = if let Some(rest) = data_type.strip_prefix("Unsigned") {
-        (Number::Unsigned, rest)
+        (SampleKind::Unsigned, rest)
     } else if let Some(rest) = data_type.strip_prefix("Signed") {
-        (Number::Signed, rest)
+        (SampleKind::Signed, rest)
     } else {
-        (Number::Float, data_type.strip_prefix("IEEE754")?)
+        (SampleKind::Float, data_type.strip_prefix("IEEE754")?)
     };
     let (big_endian, size) = match (rest.strip_prefix("MSB"), rest.strip_prefix("LSB")) {
         (Some(size), _) => (true, size),
@@ -105,12 +105,12 @@ pub(super) fn sample(data_type: &str) -> Option<Sample> {
         _ => (true, rest),
     };
     let bytes = match (kind, size) {
-        (Number::Float, "Single") => 4,
-        (Number::Float, "Double") => 8,
-        (Number::Unsigned | Number::Signed, "Byte") => 1,
-        (Number::Unsigned | Number::Signed, "2") => 2,
-        (Number::Unsigned | Number::Signed, "4") => 4,
-        (Number::Unsigned | Number::Signed, "8") => 8,
+        (SampleKind::Float, "Single") => 4,
+        (SampleKind::Float, "Double") => 8,
+        (SampleKind::Unsigned | SampleKind::Signed, "Byte") => 1,
+        (SampleKind::Unsigned | SampleKind::Signed, "2") => 2,
+        (SampleKind::Unsigned | SampleKind::Signed, "4") => 4,
+        (SampleKind::Unsigned | SampleKind::Signed, "8") => 8,
         _ => return None,
     };
     Some(Sample {

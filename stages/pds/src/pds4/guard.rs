@@ -1,6 +1,6 @@
-//! A look at XML before it is parsed.
+//! A check of XML before it is parsed.
 
-/// Counts `=` outside quotes in each tag, and returns the most.
+/// Returns the largest number of attributes of a tag, counted as `=` outside quotes.
 pub(super) fn most_attributes(bytes: &[u8]) -> usize {
     let (mut rest, mut most) = (bytes, 0);
     while let Some(start) = rest.iter().position(|byte| *byte == b'<') {

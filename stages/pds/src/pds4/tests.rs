@@ -1,7 +1,7 @@
 use super::array::sample;
 use super::guard::most_attributes;
 use super::*;
-use crate::label::Number;
+use crate::label::SampleKind;
 
 /// The fragment of the reference, in a whole label; values invented.
 fn document(camera: &str, definition: &str) -> String {
@@ -260,11 +260,11 @@ fn other_documents_are_refused() {
 #[test]
 fn types_of_samples_are_read() {
     let read = |name| sample(name).map(|sample| (sample.kind, sample.bytes, sample.big_endian));
-    assert_eq!(read("SignedMSB2"), Some((Number::Signed, 2, true)));
-    assert_eq!(read("UnsignedByte"), Some((Number::Unsigned, 1, true)));
-    assert_eq!(read("UnsignedLSB4"), Some((Number::Unsigned, 4, false)));
-    assert_eq!(read("IEEE754MSBSingle"), Some((Number::Float, 4, true)));
-    assert_eq!(read("IEEE754LSBDouble"), Some((Number::Float, 8, false)));
+    assert_eq!(read("SignedMSB2"), Some((SampleKind::Signed, 2, true)));
+    assert_eq!(read("UnsignedByte"), Some((SampleKind::Unsigned, 1, true)));
+    assert_eq!(read("UnsignedLSB4"), Some((SampleKind::Unsigned, 4, false)));
+    assert_eq!(read("IEEE754MSBSingle"), Some((SampleKind::Float, 4, true)));
+    assert_eq!(read("IEEE754LSBDouble"), Some((SampleKind::Float, 8, false)));
     for bad in [
         "ComplexMSB16",
         "SignedMSB3",

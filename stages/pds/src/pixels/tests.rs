@@ -1,11 +1,11 @@
 use super::*;
 
-fn array(shape: [u32; 3], kind: Number, bytes: u32) -> Array {
+fn array(shape: [u32; 3], kind: SampleKind, bytes: u32) -> Array {
     Array {
         file: None,
         offset: 0,
         shape,
-        order: Order::BandSequential,
+        order: BandStorage::BandSequential,
         sample: Sample {
             kind,
             bytes,
@@ -35,14 +35,14 @@ fn every_type_of_sample_is_read_in_both_orders() {
             0,
         )
     };
-    assert_eq!(read(Number::Unsigned, &[0xff, 0xfe], true), 65534.0);
-    assert_eq!(read(Number::Signed, &[0xff, 0xfe], true), -2.0);
-    assert_eq!(read(Number::Signed, &[0xfe, 0xff], false), -2.0);
-    assert_eq!(read(Number::Signed, &[0x80], true), -128.0);
-    assert_eq!(read(Number::Unsigned, &[1, 0, 0, 0], false), 1.0);
-    assert_eq!(read(Number::Signed, &[0xff; 8], true), -1.0);
-    assert_eq!(read(Number::Float, &1.5_f32.to_be_bytes(), true), 1.5);
-    assert_eq!(read(Number::Float, &(-2.25_f64).to_le_bytes(), false), -2.25);
+    assert_eq!(read(SampleKind::Unsigned, &[0xff, 0xfe], true), 65534.0);
+    assert_eq!(read(SampleKind::Signed, &[0xff, 0xfe], true), -2.0);
+    assert_eq!(read(SampleKind::Signed, &[0xfe, 0xff], false), -2.0);
+    assert_eq!(read(SampleKind::Signed, &[0x80], true), -128.0);
+    assert_eq!(read(SampleKind::Unsigned, &[1, 0, 0, 0], false), 1.0);
+    assert_eq!(read(SampleKind::Signed, &[0xff; 8], true), -1.0);
+    assert_eq!(read(SampleKind::Float, &1.5_f32.to_be_bytes(), true), 1.5);
+    assert_eq!(read(SampleKind::Float, &(-2.25_f64).to_le_bytes(), false), -2.25);
 }
 
 #[test]
@@ -65,13 +65,13 @@ fn the_three_orders_give_the_same_image() {
     }
     let mut images = Vec::new();
     for (order, bytes) in [
-        (Order::BandSequential, bsq),
-        (Order::LineInterleaved, bil),
-        (Order::PixelInterleaved, bip),
+        (BandStorage::BandSequential, bsq),
+        (BandStorage::LineInterleaved, bil),
+        (BandStorage::PixelInterleaved, bip),
     ] {
-        let mut array = array([3, 2, 4], Number::Unsigned, 1);
+        let mut array = array([3, 2, 4], SampleKind::Unsigned, 1);
         (array.order, array.prefix_bytes, array.offset) = (order, 1, 4);
-        images.push(make(&array, None, None, &bytes).unwrap().image);
+        images.push(render(&array, None, None, &bytes).unwrap().image);
     }
     assert_eq!(images[0].at(3, 1), [13, 113, 213]);
     assert!(images[0] == images[1] && images[1] == images[2]);
@@ -79,7 +79,7 @@ fn the_three_orders_give_the_same_image() {
 
 #[test]
 fn radiance_counts_and_missing_values_have_fixed_codes() {
-    let mut radiance = array([1, 1, 4], Number::Signed, 2);
+    let mut radiance = array([1, 1, 4], SampleKind::Signed, 2);
     radiance.scaling = Some((5e-6, 0.0));
     radiance.quantity = Quantity::Radiance;
     radiance.missing = vec![0.0];
@@ -90,12 +90,12 @@ fn radiance_counts_and_missing_values_have_fixed_codes() {
             .collect::<Vec<u8>>()
     };
     let codes = |array: &Array, values| {
-        let made = make(array, None, None, &stored(values)).unwrap();
+        let made = render(array, None, None, &stored(values)).unwrap();
         made.image.pixels.iter().map(|pixel| pixel[0]).collect::<Vec<_>>()
     };
     // 25,000 x 5e-6 = 0.125 is white; a quarter of it is sRGB 137.
     assert_eq!(codes(&radiance, [0, 6_250, 25_000, 32_767]), [0, 137, 255, 255]);
-    let mut counts = array([1, 1, 4], Number::Signed, 2);
+    let mut counts = array([1, 1, 4], SampleKind::Signed, 2);
     counts.bits = Some(12);
     assert_eq!(codes(&counts, [0, 2048, 4095, 5000]), [0, 188, 255, 255]);
     counts.bits = None;
@@ -104,7 +104,7 @@ fn radiance_counts_and_missing_values_have_fixed_codes() {
 
 #[test]
 fn shapes_that_do_not_fit_are_refused_before_memory_is_taken() {
-    let refuse = |array: &Array, has: usize| make(array, None, None, &vec![0; has]).unwrap_err();
+    let refuse = |array: &Array, has: usize| render(array, None, None, &vec![0; has]).unwrap_err();
     for shape in [
         [0, 1, 1],
         [1, 0, 5],
@@ -114,19 +114,19 @@ fn shapes_that_do_not_fit_are_refused_before_memory_is_taken() {
         [1, u32::MAX, u32::MAX],
     ] {
         assert_eq!(
-            refuse(&array(shape, Number::Unsigned, 1), 10),
+            refuse(&array(shape, SampleKind::Unsigned, 1), 10),
             PixelError::Shape(shape)
         );
     }
-    let short = refuse(&array([1, 4, 4], Number::Signed, 2), 31);
+    let short = refuse(&array([1, 4, 4], SampleKind::Signed, 2), 31);
     assert_eq!(short, PixelError::Short { needed: 32, has: 31 });
-    let mut far = array([1, 1, 1], Number::Unsigned, 1);
+    let mut far = array([1, 1, 1], SampleKind::Unsigned, 1);
     far.offset = u64::MAX;
     assert!(matches!(refuse(&far, 10), PixelError::Short { .. }));
     (far.offset, far.prefix_bytes) = (0, u32::MAX);
     assert!(matches!(refuse(&far, 10), PixelError::Short { .. }));
     assert_eq!(
-        refuse(&array([1, 1, 1], Number::Float, 4), 4),
+        refuse(&array([1, 1, 1], SampleKind::Float, 4), 4),
         PixelError::UnknownQuantity
     );
 }
@@ -139,9 +139,9 @@ fn codes_become_counts_by_their_table_whatever_they_are_stored_in() {
         let mut codes = array(
             [1, 1, 4],
             if bytes == 1 {
-                Number::Unsigned
+                SampleKind::Unsigned
             } else {
-                Number::Signed
+                SampleKind::Signed
             },
             bytes,
         );
@@ -151,8 +151,8 @@ fn codes_become_counts_by_their_table_whatever_they_are_stored_in() {
             .iter()
             .flat_map(|code| if bytes == 1 { vec![*code] } else { vec![0, *code] })
             .collect();
-        let made = |table| make(&codes, None, table, &stored).unwrap();
-        let red = |made: &Made| made.image.pixels.iter().map(|pixel| pixel[0]).collect::<Vec<_>>();
+        let made = |table| render(&codes, None, table, &stored).unwrap();
+        let red = |made: &RenderedArray| made.image.pixels.iter().map(|pixel| pixel[0]).collect::<Vec<_>>();
         assert_eq!(red(&made(table)), [0, 141, 207, 255], "{bytes}");
         assert!(
             made(table).notes[0].contains("white at 2033"),
@@ -171,14 +171,14 @@ fn codes_become_counts_by_their_table_whatever_they_are_stored_in() {
 
 #[test]
 fn special_constants_are_black_or_white() {
-    let mut special = array([1, 1, 5], Number::Signed, 2);
+    let mut special = array([1, 1, 5], SampleKind::Signed, 2);
     special.missing = vec![-32_768.0, -1.0];
     special.saturated = vec![-32_766.0];
     let stored: Vec<u8> = [-32_768_i16, -1, -32_766, 32_767, 0]
         .iter()
         .flat_map(|value| value.to_be_bytes())
         .collect();
-    let made = make(&special, None, None, &stored).unwrap();
+    let made = render(&special, None, None, &stored).unwrap();
     let red: Vec<u8> = made.image.pixels.iter().map(|pixel| pixel[0]).collect();
     assert_eq!(red, [0, 0, 255, 255, 0]);
     assert_eq!(made.notes.len(), 1, "saturated is not clipped: {:?}", made.notes);

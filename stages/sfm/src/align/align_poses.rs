@@ -84,8 +84,11 @@ fn score(pairs: &[(Pose, Pose)], similarity: Similarity, tolerance: &Tolerance) 
 /// Returns the distance between centres, in the unit of the target, and the angle between attitudes.
 pub fn pose_difference((source, target): &(Pose, Pose), similarity: &Similarity) -> (f64, f64) {
     let moved = similarity.pose(source);
-    let turn = moved.rotation * target.rotation.transpose();
-    ((moved.centre() - target.centre()).norm(), log_so3(&turn).norm())
+    let rotation = moved.rotation * target.rotation.transpose();
+    (
+        (moved.centre() - target.centre()).norm(),
+        log_so3(&rotation).norm(),
+    )
 }
 
 /// Returns the similarity of least squares over some photos.
@@ -134,7 +137,7 @@ mod tests {
         )
     }
 
-    /// Scale 3, a turn about z, and a shift of kilometres.
+    /// Scale 3, a rotation about z, and a translation of kilometres.
     fn truth() -> Similarity {
         Similarity {
             scale: 3.0,

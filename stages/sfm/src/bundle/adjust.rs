@@ -211,6 +211,7 @@ impl Workspace {
         false
     }
 
+    /// Solves the reduced system; tells whether there is a solution.
     fn solve_reduced(&mut self, objective: &Objective, control: &StepControl) -> bool {
         let (equations, schur, solution) = (&self.equations, &self.schur, &mut self.step.reduced);
         let damping = control.damping;

@@ -75,6 +75,7 @@ pub(super) fn solve(
     true
 }
 
+/// to += factor · from.
 fn add_scaled(to: &mut [f64], from: &[f64], factor: f64) {
     to.iter_mut()
         .zip(from)
@@ -122,7 +123,7 @@ fn multiply(
         let of_pose: [f64; POSE_PARAMS] = padded(vector, index.pose_at(slot), POSE_PARAMS);
         let mut sum = [0.0; POSE_PARAMS];
         for (row, sum) in sum.iter_mut().enumerate() {
-            *sum = extra(block.h[row][row], damping) * of_pose[row] + dot(&block.h[row], &of_pose);
+            *sum = damping_term(block.h[row][row], damping) * of_pose[row] + dot(&block.h[row], &of_pose);
         }
         for (mixed, value) in block.mixed.iter().zip(of_camera) {
             add_scaled(&mut sum, mixed, *value);
@@ -165,7 +166,7 @@ fn multiply_cameras(
         let terms = index.terms[camera].len();
         let own: [f64; CAMERA_PARAMS] = padded(vector, index.camera_at[camera], terms);
         for row in 0..terms {
-            product[row] = extra(block.h[row][row], damping) * own[row] + dot(&block.h[row], &own);
+            product[row] = damping_term(block.h[row][row], damping) * own[row] + dot(&block.h[row], &own);
         }
     }
     for (slot, &active) in index.active_of_slot.iter().enumerate() {
@@ -184,7 +185,7 @@ fn multiply_cameras(
 }
 
 /// Returns what damping adds to a diagonal element.
-fn extra(h: f64, damping: f64) -> f64 {
+fn damping_term(h: f64, damping: f64) -> f64 {
     damped(h, damping) - h
 }
 
@@ -240,7 +241,7 @@ impl Block {
         let size = h.len();
         let mut factor: Vec<f64> = h.iter().flat_map(|row| row[..size].iter().copied()).collect();
         for row in 0..size {
-            factor[row * size + row] += extra(undamped[row][row], damping);
+            factor[row * size + row] += damping_term(undamped[row][row], damping);
         }
         cholesky::factor(&mut factor, size, 0.0).then_some(Self { at, size, factor })
     }

@@ -107,6 +107,7 @@ struct Factor {
     scale: Vec<f64>,
 }
 
+/// Returns the factor of the undamped reduced matrix; `None` if it is singular.
 fn factored(objective: &Objective, state: &State) -> Option<Factor> {
     let mut equations = NormalEquations::new(objective);
     equations.linearise_determined(objective, state);

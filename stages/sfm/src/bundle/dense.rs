@@ -158,6 +158,7 @@ fn assemble_pose(
     }
 }
 
+/// Subtracts one row of a product of two blocks.
 #[inline]
 fn subtract_row<const N: usize>(target: &mut [f64], left: [f64; 3], right: &[[f64; N]; 3]) {
     for (term, target) in target.iter_mut().enumerate().take(N) {

@@ -130,14 +130,17 @@ impl Index {
         self.unknowns() - held + 3 * points
     }
 
+    /// Returns the observations of a point.
     pub(super) fn observations_of(&self, point: usize) -> std::ops::Range<usize> {
         range(&self.observation_start, point)
     }
 
+    /// Returns the observations of a point by free poses.
     pub(super) fn free_of(&self, point: usize) -> std::ops::Range<usize> {
         range(&self.free_start, point)
     }
 
+    /// Returns the cameras with free parameters that observe a point.
     pub(super) fn point_cameras_of(&self, point: usize) -> std::ops::Range<usize> {
         range(&self.point_camera_start, point)
     }
@@ -145,8 +148,8 @@ impl Index {
     /// Lists the free parameters of the cameras; a camera without observation and prior has none.
     fn add_cameras(&mut self, problem: &Problem) {
         let mut used = vec![false; problem.cameras.len()];
-        for seen in &problem.observations {
-            used[problem.camera_of_pose[seen.pose as usize] as usize] = true;
+        for observation in &problem.observations {
+            used[problem.camera_of_pose[observation.pose as usize] as usize] = true;
         }
         for prior in &problem.priors {
             if let Prior::Focal { camera, .. } = prior {
@@ -163,11 +166,11 @@ impl Index {
 
     /// Lists the free poses; a pose without observation and prior is held.
     fn add_poses(&mut self, problem: &Problem) {
-        let mut seen = vec![false; problem.poses.len()];
+        let mut observed = vec![false; problem.poses.len()];
         for observation in &problem.observations {
-            seen[observation.pose as usize] = true;
+            observed[observation.pose as usize] = true;
         }
-        let mut affected = seen.clone();
+        let mut affected = observed.clone();
         for prior in &problem.priors {
             for pose in poses_of(prior).into_iter().flatten() {
                 affected[pose as usize] = true;
@@ -179,7 +182,7 @@ impl Index {
             let camera_free = !self.terms[problem.camera_of_pose[pose] as usize].is_empty();
             let slot = if free { self.slots as u32 } else { NONE };
             self.slot_of_pose.push(slot);
-            if free || (seen[pose] && camera_free) {
+            if free || (observed[pose] && camera_free) {
                 active_of_pose[pose] = self.active.len() as u32;
                 self.active.push(ActivePose {
                     pose: pose as u32,
@@ -198,21 +201,22 @@ impl Index {
         let groups = problem
             .observations
             .iter()
-            .map(|seen| active_of_pose[seen.pose as usize]);
+            .map(|observation| active_of_pose[observation.pose as usize]);
         self.observations_of_active = Groups::new(self.active.len(), groups);
     }
 
+    /// Lists the observations by free poses, by point and by pose.
     fn add_free_observations(&mut self, problem: &Problem) {
         self.observation_start = starts(
             problem.points.len(),
-            problem.observations.iter().map(|seen| seen.point),
+            problem.observations.iter().map(|observation| observation.point),
         );
-        for (observation, seen) in problem.observations.iter().enumerate() {
-            let slot = self.slot_of_pose[seen.pose as usize];
+        for (number, observation) in problem.observations.iter().enumerate() {
+            let slot = self.slot_of_pose[observation.pose as usize];
             if slot != NONE {
                 self.free_observations.push(FreeObservation {
-                    observation: observation as u32,
-                    point: seen.point,
+                    observation: number as u32,
+                    point: observation.point,
                     slot,
                 });
             }
@@ -224,12 +228,13 @@ impl Index {
         self.free_of_slot = Groups::new(self.slots, self.free_observations.iter().map(|free| free.slot));
     }
 
+    /// Lists the cameras with free parameters of each point.
     fn add_point_cameras(&mut self, problem: &Problem) {
         let mut cameras = Vec::new();
         for point in 0..problem.points.len() {
-            let seen = problem.observations[self.observations_of(point)].iter();
+            let observations = problem.observations[self.observations_of(point)].iter();
             cameras.clear();
-            cameras.extend(seen.map(|seen| problem.camera_of_pose[seen.pose as usize]));
+            cameras.extend(observations.map(|observation| problem.camera_of_pose[observation.pose as usize]));
             cameras.retain(|&camera| !self.terms[camera as usize].is_empty());
             cameras.sort_unstable();
             cameras.dedup();
@@ -275,6 +280,7 @@ fn starts(count: usize, groups: impl Iterator<Item = u32>) -> Vec<u32> {
     start
 }
 
+/// Returns the range of a group.
 fn range(start: &[u32], group: usize) -> std::ops::Range<usize> {
     start[group] as usize..start[group + 1] as usize
 }

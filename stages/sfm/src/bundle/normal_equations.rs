@@ -4,7 +4,7 @@ use nalgebra::{Matrix6, Vector6};
 use rayon::prelude::*;
 
 use super::index::{ActivePose, NONE, POSE_PARAMS};
-use super::objective::{Objective, near};
+use super::objective::{Objective, squared_length};
 use super::problem::{Observation, Prior};
 use super::residual::{CAMERA_PARAMS, CameraJacobian, CameraParam, ResidualBlock, project};
 use super::state::State;
@@ -103,10 +103,10 @@ impl NormalEquations {
         self.set_points(objective);
         for (point, block) in self.points.iter().enumerate() {
             if block.determined == Determined::No {
-                let seen = objective.index.observations_of(point);
-                self.rows[seen.clone()].fill(ResidualBlock::default());
+                let range = objective.index.observations_of(point);
+                self.rows[range.clone()].fill(ResidualBlock::default());
                 if !self.camera_jacobians.is_empty() {
-                    self.camera_jacobians[seen].fill(CameraJacobian::default());
+                    self.camera_jacobians[range].fill(CameraJacobian::default());
                 }
             }
         }
@@ -114,28 +114,43 @@ impl NormalEquations {
         self.add_priors(objective, state);
     }
 
+    /// Computes residual blocks and camera Jacobians of all observations.
     fn set_rows(&mut self, objective: &Objective, state: &State) {
         let held = held_columns(objective, state);
-        let seen = &objective.problem.observations;
-        let linearised = |seen: &Observation| {
-            linearised(objective, state, seen, &held[objective.camera_of(seen)]).unwrap_or_default()
+        let observations = &objective.problem.observations;
+        let linearised = |observation: &Observation| {
+            linearised(
+                objective,
+                state,
+                observation,
+                &held[objective.camera_of(observation)],
+            )
+            .unwrap_or_default()
         };
         if self.camera_jacobians.is_empty() {
-            let rows = self.rows.par_iter_mut().zip(seen).with_min_len(GRAIN);
-            rows.for_each(|(row, seen)| *row = linearised(seen).0);
+            let rows = self.rows.par_iter_mut().zip(observations).with_min_len(GRAIN);
+            rows.for_each(|(row, observation)| *row = linearised(observation).0);
             return;
         }
-        let rows = self.rows.par_iter_mut().zip(&mut self.camera_jacobians).zip(seen);
+        let rows = self
+            .rows
+            .par_iter_mut()
+            .zip(&mut self.camera_jacobians)
+            .zip(observations);
         rows.with_min_len(GRAIN)
-            .for_each(|((row, camera_jacobian), seen)| (*row, *camera_jacobian) = linearised(seen));
+            .for_each(|((row, camera_jacobian), observation)| {
+                (*row, *camera_jacobian) = linearised(observation)
+            });
     }
 
+    /// Sums the normal equations of the points.
     fn set_points(&mut self, objective: &Objective) {
         let rows = &self.rows;
         let blocks = self.points.par_iter_mut().enumerate().with_min_len(GRAIN);
         blocks.for_each(|(point, block)| *block = point_block(&rows[objective.index.observations_of(point)]));
     }
 
+    /// Sums the normal equations of poses and cameras.
     fn set_poses(&mut self, objective: &Objective) {
         let (rows, camera_jacobians) = (&self.rows, &self.camera_jacobians);
         let blocks = self.poses.par_iter_mut().zip(&objective.index.active).enumerate();
@@ -154,6 +169,7 @@ impl NormalEquations {
         }
     }
 
+    /// Adds the priors.
     fn add_priors(&mut self, objective: &Objective, state: &State) {
         self.cross_blocks.clear();
         for prior in &objective.priors {
@@ -187,6 +203,7 @@ impl NormalEquations {
         }
     }
 
+    /// Adds a prior on one or two poses.
     fn add_pose_prior(
         &mut self,
         objective: &Objective,
@@ -243,15 +260,15 @@ fn held_columns(objective: &Objective, state: &State) -> Vec<Vec<usize>> {
 fn linearised(
     objective: &Objective,
     state: &State,
-    seen: &Observation,
+    observation: &Observation,
     held: &[usize],
 ) -> Option<(ResidualBlock, CameraJacobian)> {
-    let terms = &objective.index.terms[objective.camera_of(seen)];
-    let camera = &state.cameras[objective.camera_of(seen)];
-    let view = &state.views[seen.pose as usize];
-    let projection = project(view, camera, &state.points[seen.point as usize])?;
-    let error = projection.error(camera, &seen.pixel);
-    let weight = objective.loss.weight(near(error)?).sqrt();
+    let terms = &objective.index.terms[objective.camera_of(observation)];
+    let camera = &state.cameras[objective.camera_of(observation)];
+    let view = &state.views[observation.pose as usize];
+    let projection = project(view, camera, &state.points[observation.point as usize])?;
+    let error = projection.error(camera, &observation.pixel);
+    let weight = objective.loss.weight(squared_length(error)?).sqrt();
     let mut camera_jacobian = projection.camera_jacobian(camera, terms, weight);
     for row in &mut camera_jacobian {
         held.iter().for_each(|&column| row[column] = 0.0);
@@ -360,6 +377,7 @@ fn add_gradient<const N: usize>(g: &mut [f64; N], columns: &[[f64; N]; 2], error
     }
 }
 
+/// to += from.
 #[inline]
 fn add<const N: usize>(to: &mut [f64; N], from: &[f64; N]) {
     to.iter_mut().zip(from).for_each(|(to, from)| *to += from);

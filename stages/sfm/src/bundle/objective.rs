@@ -60,8 +60,9 @@ impl<'a> Objective<'a> {
         }
     }
 
-    pub(super) fn camera_of(&self, seen: &Observation) -> usize {
-        self.problem.camera_of_pose[seen.pose as usize] as usize
+    /// Returns the index of the camera of an observation.
+    pub(super) fn camera_of(&self, observation: &Observation) -> usize {
+        self.problem.camera_of_pose[observation.pose as usize] as usize
     }
 
     /// Returns the number of residual scalars: two for each observation, projected or not, and those of the priors.
@@ -84,29 +85,31 @@ impl<'a> Objective<'a> {
 
     /// Returns the number of observations without a projection.
     pub(super) fn hidden(&self, state: &State) -> usize {
-        let hidden = |seen: &&Observation| squared_error(self, seen, state).is_none();
+        let hidden = |observation: &&Observation| squared_error(self, observation, state).is_none();
         self.problem.observations.iter().filter(hidden).count()
     }
 
+    /// Returns Σ ρ of a chunk of observations.
     fn cost_of(&self, chunk: &[Observation], state: &State) -> f64 {
-        let cost = |seen: &Observation| match squared_error(self, seen, state) {
+        let cost = |observation: &Observation| match squared_error(self, observation, state) {
             Some(squared) => self.loss.cost(squared),
-            None => self.hidden[self.camera_of(seen)],
+            None => self.hidden[self.camera_of(observation)],
         };
         chunk.iter().map(cost).sum()
     }
 }
 
-fn squared_error(objective: &Objective, seen: &Observation, state: &State) -> Option<f64> {
-    let camera = &state.cameras[objective.camera_of(seen)];
-    let view = &state.views[seen.pose as usize];
-    let projection = project(view, camera, &state.points[seen.point as usize])?;
-    near(projection.error(camera, &seen.pixel))
+/// Returns the squared reprojection error; `None` without a projection.
+fn squared_error(objective: &Objective, observation: &Observation, state: &State) -> Option<f64> {
+    let camera = &state.cameras[objective.camera_of(observation)];
+    let view = &state.views[observation.pose as usize];
+    let projection = project(view, camera, &state.points[observation.point as usize])?;
+    squared_length(projection.error(camera, &observation.pixel))
 }
 
 /// Returns the squared length of a residual, or `None` if it is too long.
 #[inline]
-pub(super) fn near(error: [f64; 2]) -> Option<f64> {
+pub(super) fn squared_length(error: [f64; 2]) -> Option<f64> {
     let squared = error[0] * error[0] + error[1] * error[1];
     (squared < FAR_PX * FAR_PX).then_some(squared)
 }

@@ -41,6 +41,7 @@ pub(super) fn damped(h: f64, damping: f64) -> f64 {
     if h == 0.0 { 1.0 } else { h + damping * scale(h) }
 }
 
+/// Returns the scale of the damping of a diagonal element.
 fn scale(h: f64) -> f64 {
     h.clamp(1e-6, 1e32)
 }
@@ -81,6 +82,7 @@ impl SchurComplement {
         self.set_right(objective, equations);
     }
 
+    /// Computes the right side of the reduced system.
     fn set_right(&mut self, objective: &Objective, equations: &NormalEquations) {
         let index = &objective.index;
         let (cameras, poses) = self.right.split_at_mut(index.camera_unknowns);
@@ -167,6 +169,7 @@ pub(super) fn predicted_gain(
     0.5 * sum
 }
 
+/// Returns the inverse factor and y of a point; zero if it is not determined.
 fn point_factor(block: &PointBlock, damping: f64) -> PointFactor {
     if block.determined == Determined::No {
         return PointFactor::default();
@@ -185,6 +188,7 @@ fn point_factor(block: &PointBlock, damping: f64) -> PointFactor {
     }
 }
 
+/// Returns Uᵀ of a free pose and a point.
 #[inline]
 fn free_block(
     objective: &Objective,
@@ -205,6 +209,7 @@ fn free_block(
     })
 }
 
+/// Returns Uᵀ of a camera and a point, summed over its observations.
 fn point_camera_block(
     objective: &Objective,
     equations: &NormalEquations,

@@ -18,11 +18,11 @@ pub(super) struct Normalization {
 impl Normalization {
     /// Returns the normalisation of a problem; medians, so that a few points near infinity have no influence.
     pub(super) fn of(problem: &Problem) -> Self {
-        let seen = problem
+        let observed = problem
             .observations
             .chunk_by(|a, b| a.point == b.point)
-            .map(|seen| problem.points[seen[0].point as usize]);
-        let places: Vec<Vector3<f64>> = seen.chain(problem.poses.iter().map(Pose::centre)).collect();
+            .map(|group| problem.points[group[0].point as usize]);
+        let places: Vec<Vector3<f64>> = observed.chain(problem.poses.iter().map(Pose::centre)).collect();
         let middle = Vector3::from_fn(|axis, _| median(places.iter().map(|place| place[axis]).collect()));
         let size = median(places.iter().map(|place| (place - middle).norm()).collect());
         let usable = size.is_finite() && size > 0.0 && (1.0 / size).is_finite();
@@ -32,14 +32,17 @@ impl Normalization {
         }
     }
 
+    /// Returns a position in normalised coordinates.
     fn normalize(&self, place: &Vector3<f64>) -> Vector3<f64> {
         (place - self.middle) / self.scale
     }
 
+    /// Returns a position in the coordinates of the problem.
     fn denormalize(&self, place: &Vector3<f64>) -> Vector3<f64> {
         place * self.scale + self.middle
     }
 
+    /// Returns a pose in normalised coordinates.
     fn view(&self, pose: &Pose) -> CentredPose {
         let twice = so3::orthonormal(&so3::orthonormal(&pose.rotation));
         CentredPose {
@@ -48,6 +51,7 @@ impl Normalization {
         }
     }
 
+    /// Returns a pose in the coordinates of the problem.
     fn pose(&self, view: &CentredPose) -> Pose {
         Pose {
             rotation: view.rotation,
@@ -103,6 +107,7 @@ pub(super) struct Step {
 }
 
 impl Step {
+    /// Tells whether all changes are finite.
     pub(super) fn is_finite(&self) -> bool {
         let finite = |point: &Vector3<f64>| (point.x + point.y + point.z).is_finite();
         self.reduced.iter().all(|value| value.is_finite()) && self.points.iter().all(finite)
@@ -203,6 +208,7 @@ impl CameraBounds {
         }
     }
 
+    /// Adds to a parameter, within its bounds.
     fn change(&self, camera: &mut Camera, term: CameraParam, change: f64) {
         let within = |value: f64, limit: f64| (value + change).clamp(-limit, limit);
         match term {

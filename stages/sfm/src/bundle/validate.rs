@@ -78,6 +78,7 @@ pub(super) fn check(problem: &Problem) -> Result<(), BundleError> {
     all_valid("prior", problem.priors.iter().map(is_valid))
 }
 
+/// Refuses lists of different lengths.
 fn check_lengths(problem: &Problem) -> Result<(), BundleError> {
     let poses = problem.poses.len();
     let lengths = [
@@ -95,20 +96,24 @@ fn check_lengths(problem: &Problem) -> Result<(), BundleError> {
     }
 }
 
+/// Refuses observations that are out of order, out of range or not finite.
 fn check_observations(problem: &Problem) -> Result<(), BundleError> {
     let mut last = None;
-    for (index, seen) in problem.observations.iter().enumerate() {
-        known("observation", index, seen.point, problem.points.len())?;
-        known("observation", index, seen.pose, problem.poses.len())?;
-        if last >= Some((seen.point, seen.pose)) {
+    for (index, observation) in problem.observations.iter().enumerate() {
+        known("observation", index, observation.point, problem.points.len())?;
+        known("observation", index, observation.pose, problem.poses.len())?;
+        if last >= Some((observation.point, observation.pose)) {
             return Err(BundleError::Order { index });
         }
-        last = Some((seen.point, seen.pose));
+        last = Some((observation.point, observation.pose));
     }
     let finite = |pixel: nalgebra::Vector2<f64>| pixel.x.is_finite() && pixel.y.is_finite();
     all_valid(
         "observation",
-        problem.observations.iter().map(|seen| finite(seen.pixel)),
+        problem
+            .observations
+            .iter()
+            .map(|observation| finite(observation.pixel)),
     )
 }
 

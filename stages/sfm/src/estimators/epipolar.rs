@@ -44,6 +44,7 @@ struct Factors {
 }
 
 impl Factors {
+    /// Returns M.
     fn matrix(&self) -> Matrix3<f64> {
         let (u, v) = (&self.u, &self.v);
         u.column(0) * v.column(0).transpose() + u.column(1) * v.column(1).transpose() * self.s

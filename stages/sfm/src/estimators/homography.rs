@@ -1,5 +1,6 @@
 //! Homographies from four points and from many, and the relative poses that a homography decomposes into.
 
+use marf_numeric::Rng;
 use marf_scene::Pose;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 
@@ -8,7 +9,6 @@ use super::fundamental::{moved, normalisation};
 use super::ransac::{Consensus, RansacOptions, lo_ransac};
 use super::rotation::nearest_rotation;
 use super::svd::{matrix, smallest_eigenvector, svd3};
-use marf_numeric::Rng;
 
 /// Returns H with x2 ~ H x1 for four points, unit norm; `None` where three of them are on a line in either
 /// photo.
@@ -25,7 +25,7 @@ pub(crate) fn four_point(points_1: &[Vector2<f64>; 4], points_2: &[Vector2<f64>;
 fn frame(points: &[Vector2<f64>; 4]) -> Option<Matrix3<f64>> {
     let [a, b, c, d] = points.map(|point| point.push(1.0));
     let scales = Vector3::new(d.dot(&b.cross(&c)), d.dot(&c.cross(&a)), d.dot(&a.cross(&b)));
-    // A triangle of 1e-6 of the largest has no say in the scale of its corner.
+    // Below 1e-6 of the largest triangle three points count as collinear.
     let flat = scales.amin() <= 1e-6 * scales.amax() || !scales.amax().is_finite();
     let area = a.dot(&b.cross(&c));
     (!flat && area.abs() > 1e-6 * scales.amax())

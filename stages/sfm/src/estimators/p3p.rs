@@ -22,7 +22,7 @@ pub(crate) fn p3p(plane: &[Vector2<f64>; 3], world: &[Vector3<f64>; 3]) -> Vec<P
     let sides = sides.map(|side| side / size);
     let area = sides[0].cross(&sides[1]).norm();
     let finite = rays.iter().all(|ray| ray.iter().all(|value| value.is_finite()));
-    // A triangle of height 1e-7 leaves the turn about its line to the last digits.
+    // With a triangle of height 1e-7 the rotation about its line depends on the last digits.
     if !finite || area.is_nan() || area < 1e-7 {
         return Vec::new();
     }

@@ -1,5 +1,6 @@
 //! Camera pose from 2D-3D correspondences (resection).
 
+use marf_numeric::Rng;
 use marf_scene::Pose;
 use nalgebra::{SVector, Vector2, Vector3};
 
@@ -7,7 +8,6 @@ use super::levenberg_marquardt::{NormalEquations, minimise};
 use super::p3p::p3p;
 use super::ransac::{RansacOptions, lo_ransac};
 use super::rotation::exp_so3;
-use marf_numeric::Rng;
 
 /// A 2D-3D correspondence: a world point and its position in the image plane.
 #[derive(Debug, Clone, Copy)]
@@ -39,10 +39,10 @@ const LAST_STEPS: usize = 20;
 ///
 /// `max_error` in plane units (pixels / focal). Equal observations count once. `None` with fewer than
 /// 6 inliers; the caller's own minimum should be higher, since 6 of 500 may agree by chance.
-pub(crate) fn resect(seen: &[PointObservation], max_error: f64, seed: u64) -> Option<Resection> {
-    let usable = distinct(seen);
+pub(crate) fn resect(observations: &[PointObservation], max_error: f64, seed: u64) -> Option<Resection> {
+    let usable = distinct(observations);
     let limit2 = max_error * max_error;
-    let at = |i: usize| &seen[usable[i]];
+    let at = |i: usize| &observations[usable[i]];
     let options = RansacOptions {
         max_samples: MAX_SAMPLES,
         confidence: CONFIDENCE,
@@ -73,7 +73,7 @@ pub(crate) fn resect(seen: &[PointObservation], max_error: f64, seed: u64) -> Op
     let inliers: Vec<usize> = usable
         .iter()
         .copied()
-        .filter(|&i| offset2(&cam_from_world, &seen[i]) <= limit2)
+        .filter(|&i| offset2(&cam_from_world, &observations[i]) <= limit2)
         .collect();
     (inliers.len() >= MIN_INLIERS && cam_from_world.is_valid()).then_some(Resection {
         cam_from_world,
@@ -85,23 +85,23 @@ pub(crate) fn resect(seen: &[PointObservation], max_error: f64, seed: u64) -> Op
 /// a distant origin costs no more digits than t has lost.
 fn refined<'a>(
     start: &Pose,
-    seen: impl Iterator<Item = &'a PointObservation> + Clone,
+    observations: impl Iterator<Item = &'a PointObservation> + Clone,
     scale: f64,
     steps: usize,
 ) -> Option<Pose> {
-    let in_front = seen
+    let in_front = observations
         .clone()
-        .filter(|seen| start.point(&seen.world).z > 0.0)
+        .filter(|observation| start.point(&observation.world).z > 0.0)
         .count();
     if in_front < 3 {
         return None;
     }
     let linearise = |pose: &Pose| {
         let mut normal = NormalEquations::<6>::zero();
-        for seen in seen.clone() {
-            let point = pose.point(&seen.world);
+        for observation in observations.clone() {
+            let point = pose.point(&observation.world);
             if point.z > 0.0 {
-                add_offset(&mut normal, &point, &seen.plane, scale * scale);
+                add_offset(&mut normal, &point, &observation.plane, scale * scale);
             } else {
                 // An observation behind the camera costs as much as an error of 1 in the plane.
                 normal.cost += scale * scale * libm::log1p(1.0 / (scale * scale));
@@ -110,10 +110,10 @@ fn refined<'a>(
         normal.cost.is_finite().then_some(normal)
     };
     let moved = |pose: &Pose, step: &SVector<f64, 6>| {
-        let turn = exp_so3(&step.fixed_rows::<3>(0).into_owned());
+        let rotation = exp_so3(&step.fixed_rows::<3>(0).into_owned());
         Pose {
-            rotation: turn * pose.rotation,
-            translation: turn * pose.translation + step.fixed_rows::<3>(3),
+            rotation: rotation * pose.rotation,
+            translation: rotation * pose.translation + step.fixed_rows::<3>(3),
         }
     };
     let pose = minimise(start, steps, linearise, moved)?;
@@ -142,11 +142,14 @@ fn add_offset(normal: &mut NormalEquations<6>, point: &Vector3<f64>, plane: &Vec
 }
 
 /// Returns the squared reprojection error in the plane; infinite behind the camera.
-fn offset2(pose: &Pose, seen: &PointObservation) -> f64 {
-    let point = pose.point(&seen.world);
+fn offset2(pose: &Pose, observation: &PointObservation) -> f64 {
+    let point = pose.point(&observation.world);
     if point.z > 0.0 {
         let inverse = 1.0 / point.z;
-        let (dx, dy) = (point.x * inverse - seen.plane.x, point.y * inverse - seen.plane.y);
+        let (dx, dy) = (
+            point.x * inverse - observation.plane.x,
+            point.y * inverse - observation.plane.y,
+        );
         dx * dx + dy * dy
     } else {
         f64::INFINITY
@@ -154,16 +157,16 @@ fn offset2(pose: &Pose, seen: &PointObservation) -> f64 {
 }
 
 /// Returns the index of the first of each group of equal finite observations, rising.
-fn distinct(seen: &[PointObservation]) -> Vec<usize> {
+fn distinct(observations: &[PointObservation]) -> Vec<usize> {
     let bits = |i: usize| {
-        let PointObservation { plane, world } = &seen[i];
+        let PointObservation { plane, world } = &observations[i];
         [plane.x, plane.y, world.x, world.y, world.z].map(f64::to_bits)
     };
     let finite = |i: &usize| {
-        let PointObservation { plane, world } = &seen[*i];
+        let PointObservation { plane, world } = &observations[*i];
         plane.iter().chain(world.iter()).all(|value| value.is_finite())
     };
-    let mut order: Vec<usize> = (0..seen.len()).filter(finite).collect();
+    let mut order: Vec<usize> = (0..observations.len()).filter(finite).collect();
     order.sort_by_key(|&i| (bits(i), i));
     order.dedup_by_key(|i| bits(*i));
     order.sort_unstable();

@@ -44,13 +44,13 @@ fn within_one(coefficients: &[f64; TERMS], degree: usize) -> Vec<f64> {
         }
         derivatives[order][degree - order + 1..].fill(0.0);
     }
-    let (mut turns, mut roots) = (Vec::with_capacity(TERMS), Vec::with_capacity(TERMS));
+    let (mut extrema, mut roots) = (Vec::with_capacity(TERMS), Vec::with_capacity(TERMS));
     for order in (0..degree).rev() {
         roots.clear();
         let terms = &derivatives[order][..=degree - order];
         let mut left = -1.0;
         let mut at_left = value_and_slope(terms, left).0;
-        for right in turns.iter().copied().chain([1.0]) {
+        for right in extrema.iter().copied().chain([1.0]) {
             let at_right = value_and_slope(terms, right).0;
             if at_left == 0.0 || at_left * at_right < 0.0 {
                 // Newton squares the error: a last step of 1e-6 leaves 1e-12, enough for a bracket or a
@@ -62,9 +62,9 @@ fn within_one(coefficients: &[f64; TERMS], degree: usize) -> Vec<f64> {
             }
             (left, at_left) = (right, at_right);
         }
-        std::mem::swap(&mut turns, &mut roots);
+        std::mem::swap(&mut extrema, &mut roots);
     }
-    turns
+    extrema
 }
 
 /// Tells whether a value is zero within the rounding of its own terms.

@@ -1,11 +1,11 @@
 //! Synthetic views with known ground truth, for tests.
 
+use marf_numeric::Rng;
 use marf_scene::Pose;
 use nalgebra::{Vector2, Vector3};
 
 use super::epipolar::PointPair;
 use super::rotation::exp_so3;
-use marf_numeric::Rng;
 
 /// Returns the pose of a rotation vector and a translation.
 pub(crate) fn pose(turn: [f64; 3], translation: [f64; 3]) -> Pose {

@@ -1,11 +1,11 @@
 //! Triangulation: points from the rays of several photos.
 
+use marf_numeric::Rng;
 use marf_scene::Pose;
 use nalgebra::{Matrix3, SVector, Vector2, Vector3};
 
 use super::levenberg_marquardt::{NormalEquations, minimise};
 use super::rotation::ray_angle_rad;
-use marf_numeric::Rng;
 
 /// The ray on which one photo observes a point.
 #[derive(Debug, Clone)]
@@ -180,6 +180,7 @@ fn refined(start: &Vector3<f64>, rays: &[&Ray]) -> Option<Vector3<f64>> {
     point.iter().all(|value| value.is_finite()).then_some(point)
 }
 
+/// Returns the depth of a point in the frame of a camera.
 #[cfg(test)]
 fn depth(ray: &Ray, point: &Vector3<f64>) -> f64 {
     ray.cam_from_world.point(point).z

@@ -35,6 +35,7 @@ impl Features {
     }
 }
 
+/// Reads one keypoint.
 fn keypoint(bytes: &[u8]) -> Option<Keypoint> {
     let mut numbers = bytes.as_chunks().0.iter().map(|&bytes| f32::from_le_bytes(bytes));
     let mut next = || numbers.next().filter(|number| number.is_finite());

@@ -21,6 +21,6 @@ pub type Descriptor = [u8; 128];
 pub struct Features {
     /// Where each feature is.
     pub keypoints: Vec<Keypoint>,
-    /// What each feature looks like.
+    /// The descriptor of each feature.
     pub descriptors: Vec<Descriptor>,
 }

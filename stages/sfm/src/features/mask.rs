@@ -113,6 +113,7 @@ pub(super) struct ClosedPixels {
 }
 
 impl ClosedPixels {
+    /// Sums the closed pixels of a mask.
     pub(super) fn of(mask: &Mask) -> Self {
         let (width, height) = (mask.width as usize, mask.height as usize);
         let mut table = Self {

@@ -61,17 +61,17 @@ fn by(points: &[Score], value: fn(&Score) -> f32) -> Vec<usize> {
 fn by_cells(points: &[Score]) -> Vec<usize> {
     let at = |share: f32| ((share * SIDE as f32) as usize).min(SIDE - 1);
     let mut rounds = [0_u32; SIDE * SIDE];
-    let mut turn = |index: usize| {
+    let mut round_of = |index: usize| {
         let round = &mut rounds[at(points[index].down) * SIDE + at(points[index].across)];
         *round += 1;
         (*round, index)
     };
-    let mut turns: Vec<(u32, usize)> = by(points, |point| point.response)
+    let mut by_round: Vec<(u32, usize)> = by(points, |point| point.response)
         .into_iter()
-        .map(&mut turn)
+        .map(&mut round_of)
         .collect();
-    turns.sort_by_key(|&(round, _)| round);
-    turns.into_iter().map(|(_, index)| index).collect()
+    by_round.sort_by_key(|&(round, _)| round);
+    by_round.into_iter().map(|(_, index)| index).collect()
 }
 
 /// Interleaves two orders of the same indices; each index stays where it first appears.
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn two_orders_take_turns_and_no_index_comes_twice() {
+    fn two_orders_are_interleaved_and_no_index_comes_twice() {
         assert_eq!(interleaved(&[0, 1, 2, 3], &[3, 0, 2, 1]), [0, 3, 1, 2]);
         assert!(interleaved(&[], &[]).is_empty());
     }

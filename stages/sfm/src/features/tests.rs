@@ -1,7 +1,8 @@
+use marf_numeric::Rng;
+
 use super::extract::extract_on;
 use super::*;
 use crate::simd::InstructionSet;
-use marf_numeric::Rng;
 
 /// A smooth texture: blobs of many sizes, as a function of the plane.
 struct Texture(Vec<[f64; 4]>);

@@ -23,7 +23,7 @@ pub fn extend(input: &MapperInput<'_>, known: &[Option<(Pose, Camera)>]) -> Resu
             model.cameras[input.views[photo].camera] = *camera;
         }
     }
-    model.keep_lens();
+    model.set_lens_from_cameras();
     model.complete(input, input.tracks.all());
     let mut model = register_all(input, model, &vec![false; input.views.len()])?;
     refine(input, &mut model, &[], FINE)?;

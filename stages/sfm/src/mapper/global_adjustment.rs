@@ -233,11 +233,11 @@ fn build(input: &MapperInput<'_>, model: &Model, tracks: &[usize]) -> IndexedPro
             .range(track)
             .filter(|&observation| model.active[observation])
         {
-            let seen = &input.tracks.observations[observation];
+            let one = &input.tracks.observations[observation];
             problem.observations.push(bundle::Observation {
                 point: kept.len() as u32,
-                pose: rank[seen.photo as usize],
-                pixel: seen.pixel,
+                pose: rank[one.photo as usize],
+                pixel: one.pixel,
             });
         }
         kept.push(track);

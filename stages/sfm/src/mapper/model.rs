@@ -47,7 +47,7 @@ impl Model {
     }
 
     /// Sets the distortion model to the smallest that holds the coefficients of all cameras.
-    pub(crate) fn keep_lens(&mut self) {
+    pub(crate) fn set_lens_from_cameras(&mut self) {
         let used = |camera: &Camera| match camera {
             camera if camera.p1 != 0.0 || camera.p2 != 0.0 => LensModel::OpenCv,
             camera if camera.k2 != 0.0 => LensModel::Radial,
@@ -141,6 +141,7 @@ impl Model {
         }
     }
 
+    /// Returns the state of a track as it is.
     fn state(&self, input: &MapperInput<'_>, track: usize) -> TrackState {
         (
             self.points[track],
@@ -148,6 +149,7 @@ impl Model {
         )
     }
 
+    /// Returns a track triangulated, or with the observations that fit its point.
     fn completed(&self, input: &MapperInput<'_>, track: usize) -> TrackState {
         let Some(point) = self.points[track] else {
             return self.triangulated(input, track);
@@ -160,14 +162,15 @@ impl Model {
         (Some(point), range.map(fits).collect())
     }
 
+    /// Returns a track triangulated from all its registered photos.
     fn triangulated(&self, input: &MapperInput<'_>, track: usize) -> TrackState {
         let range = input.tracks.range(track);
         let (mut indices, mut rays, mut errors) = (Vec::new(), Vec::new(), Vec::new());
         for observation in range.clone() {
-            let seen = &input.tracks.observations[observation];
-            let photo = seen.photo as usize;
+            let one = &input.tracks.observations[observation];
+            let photo = one.photo as usize;
             let camera = &self.cameras[input.views[photo].camera];
-            let (Some(pose), Some(ray)) = (self.poses[photo], camera.unproject(&seen.pixel)) else {
+            let (Some(pose), Some(ray)) = (self.poses[photo], camera.unproject(&one.pixel)) else {
                 continue;
             };
             indices.push(observation - range.start);
@@ -185,6 +188,7 @@ impl Model {
         (found.map(|found| found.point), active)
     }
 
+    /// Returns a track without observations whose error is too large, and without its point if too few are left.
     fn filtered(&self, input: &MapperInput<'_>, track: usize) -> TrackState {
         let Some(point) = self.points[track] else {
             return self.state(input, track);

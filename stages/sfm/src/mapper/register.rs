@@ -1,3 +1,5 @@
+//! Registration of photos: which comes next, and whether it is kept.
+
 use std::collections::BTreeMap;
 
 use super::global_adjustment::{COARSE, adjust_local, refine};
@@ -58,17 +60,17 @@ pub(super) fn largest_model(input: &MapperInput<'_>, taken: &[bool]) -> Result<O
 
 /// Returns the number of photos not taken that are connected to a photo.
 fn reachable(input: &MapperInput<'_>, from: usize, taken: &[bool]) -> usize {
-    let mut seen = vec![false; taken.len()];
+    let mut visited = vec![false; taken.len()];
     let mut open = vec![from];
     while let Some(photo) = open.pop() {
-        if std::mem::replace(&mut seen[photo], true) {
+        if std::mem::replace(&mut visited[photo], true) {
             continue;
         }
         let links = input.links.iter().filter(|link| link.photos.contains(&photo));
         let others = links.map(|link| link.photos[0] + link.photos[1] - photo);
-        open.extend(others.filter(|&other| !seen[other] && !taken[other]));
+        open.extend(others.filter(|&other| !visited[other] && !taken[other]));
     }
-    seen.iter().filter(|seen| **seen).count()
+    visited.iter().filter(|visited| **visited).count()
 }
 
 /// Number of attempts and points visible at the last one, of photos that did not fit.
@@ -83,6 +85,7 @@ impl Attempts {
             .is_none_or(|&(tries, last)| tries < TRIES && visible * 10 > last * 11)
     }
 
+    /// Records a failed attempt.
     fn note(&mut self, photo: usize, visible: usize) {
         let entry = self.0.entry(photo).or_default();
         *entry = (entry.0 + 1, visible);
@@ -229,19 +232,19 @@ fn resection(
 ) -> Option<Resection> {
     let mut camera = model.cameras[input.views[photo].camera];
     (camera.fx_px, camera.fy_px) = (camera.fx_px * factor, camera.fy_px * factor);
-    let (mut tried, mut seen) = (Vec::new(), Vec::new());
+    let (mut tried, mut points) = (Vec::new(), Vec::new());
     for &observation in observations {
         let one = &input.tracks.observations[observation];
         if let (Some(world), Some(ray)) = (model.points[one.track as usize], camera.unproject(&one.pixel)) {
             tried.push(observation);
-            seen.push(PointObservation {
+            points.push(PointObservation {
                 plane: ray.xy(),
                 world,
             });
         }
     }
     let max_error = RESECTION_SLACK * input.options.max_error_px / camera.fx_px;
-    let mut found = resect(&seen, max_error, input.options.seed ^ photo as u64)?;
+    let mut found = resect(&points, max_error, input.options.seed ^ photo as u64)?;
     found
         .inliers
         .iter_mut()

@@ -135,6 +135,7 @@ impl DisjointSets {
         }
     }
 
+    /// Returns the position of a feature in the list of all.
     fn index(&self, (photo, feature): FeatureId) -> usize {
         self.first[photo] + feature as usize
     }

@@ -1,8 +1,9 @@
+use marf_numeric::Rng;
+
 use super::nearest::{NearestTwo, Packed, nearest};
 use super::*;
 use crate::features::{Features, Keypoint};
 use crate::simd::InstructionSet;
-use marf_numeric::Rng;
 
 /// Descriptors of the length that RootSIFT has, 512 or a little less.
 fn descriptors(seed: u64, count: usize) -> Vec<[u8; 128]> {

@@ -302,7 +302,7 @@ fn noise_is_followed_and_more_of_it_is_survived() {
     }
 }
 
-/// Two halves of a walk, in frames of their own, with four photos in both.
+/// Two halves of an orbit, in frames of their own, with four photos in both.
 #[test]
 fn models_that_share_photos_are_merged_and_others_stay_apart() {
     let scene = Synthetic::new(arc(12, 6.0, 2.0), ball(400));

@@ -74,7 +74,7 @@ pub(super) fn cloud(count: usize, centre: Vector3<f64>, half: Vector3<f64>, seed
 pub(super) fn arc(count: usize, radius: f64, angle_rad: f64) -> Vec<Pose> {
     let pose = |index: usize| {
         let angle = angle_rad * (index as f64 / (count.max(2) - 1) as f64 - 0.5);
-        // A little up and down, as nobody walks on rails.
+        // A little up and down.
         let height = 0.1 * radius * libm::sin(3.0 * index as f64);
         let eye = Vector3::new(radius * libm::sin(angle), height, -radius * libm::cos(angle));
         Pose::looking_at(eye, Vector3::zeros(), Vector3::y())

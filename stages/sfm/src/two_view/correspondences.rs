@@ -19,13 +19,13 @@ impl Correspondences {
     /// Returns the first of each group of matches between the same two positions, without those that name no feature, are
     /// not finite or have no ray.
     pub(super) fn new(a: &ViewPoints, b: &ViewPoints, matches: &[[u32; 2]]) -> Self {
-        let seen: Vec<(usize, PointPair)> = matches
+        let usable: Vec<(usize, PointPair)> = matches
             .iter()
             .enumerate()
             .filter_map(|(i, m)| Some((i, measured(a, b, m)?)))
             .collect();
         let bits = |(_, [p, q]): &(usize, PointPair)| [p.x, p.y, q.x, q.y].map(f64::to_bits);
-        let mut distinct = seen;
+        let mut distinct = usable;
         distinct.sort_by_key(|one| (bits(one), one.0));
         distinct.dedup_by_key(|one| bits(one));
         distinct.sort_by_key(|one| one.0);
@@ -53,6 +53,7 @@ impl Correspondences {
         }
     }
 
+    /// Returns the number of correspondences.
     pub(super) fn len(&self) -> usize {
         self.matches.len()
     }

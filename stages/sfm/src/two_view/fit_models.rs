@@ -1,5 +1,6 @@
 //! Robust estimation of fundamental matrix, essential matrix and homography from the matches of a pair.
 
+use marf_numeric::Rng;
 use marf_scene::Camera;
 use nalgebra::{Matrix3, Vector3};
 
@@ -10,7 +11,6 @@ use crate::estimators::{
     five_point, lo_ransac, locally_optimised, ransac_homography, refine_epipolar, sampson2, scored_if_better,
     seven_point,
 };
-use marf_numeric::Rng;
 
 /// Damped steps of a refinement inside the search, and of the last one.
 const QUICK_STEPS: usize = 3;
@@ -108,6 +108,7 @@ pub(super) fn fit_models(
 }
 
 impl Search<'_> {
+    /// Returns the inliers of a list.
     fn selected<'a>(
         from: &'a [PointPair],
         inliers: &'a [usize],
@@ -125,6 +126,7 @@ impl Search<'_> {
         }
     }
 
+    /// Returns the homography with the largest consensus.
     fn homography(&self, rng: &mut Rng) -> Option<Consensus<InvertibleHomography>> {
         ransac_homography(&self.pairs, [1.0; 2], self.limit, &self.few(), rng)
     }
@@ -155,6 +157,7 @@ impl Search<'_> {
         lo_ransac(self.planes.len(), &self.few(), rng, solve, error2, improve)
     }
 
+    /// Returns the best fundamental matrix, by seven points or through the homography.
     fn fundamental(
         &self,
         homography: Option<&Consensus<InvertibleHomography>>,
@@ -208,6 +211,7 @@ impl Search<'_> {
             .unwrap_or(found)
     }
 
+    /// Returns the squared Sampson error over the squared limit.
     fn epipolar_error(&self, fundamental: &Matrix3<f64>, i: usize) -> f64 {
         sampson2(fundamental, &self.pairs[i], [1.0; 2]) / (self.limit * self.limit)
     }

@@ -1,5 +1,6 @@
 //! VerifiedPair matches and focal lengths in, a relative pose out.
 
+use marf_numeric::Rng;
 use marf_scene::Pose;
 use nalgebra::{Matrix3, Vector3};
 
@@ -13,7 +14,6 @@ use crate::estimators::{
     essential_of, five_point, lo_ransac, locally_optimised, pose_of_essential, poses_from_homography,
     ransac_homography, refine_epipolar, rotation_between, sampson2, scored_if_better, transfer2,
 };
-use marf_numeric::Rng;
 
 /// VerifiedPair matches are mostly right: a hundred samples reach a share of .4 of five.
 const RANSAC: RansacOptions = RansacOptions {
@@ -126,6 +126,7 @@ pub fn estimate_relative_pose(
 struct Estimation<'a>(RayMatches<'a>);
 
 impl Estimation<'_> {
+    /// Returns the inliers of the matches.
     fn agreed<'a>(&'a self, inliers: &'a [usize]) -> impl Iterator<Item = &'a PointPair> + Clone {
         inliers.iter().map(|&i| &self.0.pairs[i])
     }
@@ -138,10 +139,12 @@ impl Estimation<'_> {
         }
     }
 
+    /// Returns the squared Sampson error over the squared limit.
     fn epipolar_error(&self, essential: &Matrix3<f64>, i: usize) -> f64 {
         sampson2(essential, &self.0.pairs[i], self.0.noise2) / (self.0.limit * self.0.limit)
     }
 
+    /// Returns an essential matrix refined on its inliers.
     fn refined(&self, essential: &Matrix3<f64>, inliers: &[usize], steps: usize) -> Option<Matrix3<f64>> {
         let (agreed, scale) = (self.agreed(inliers), self.0.limit / 2.0);
         (inliers.len() >= MIN_INLIERS)
@@ -158,6 +161,7 @@ impl Estimation<'_> {
             .flatten()
     }
 
+    /// Returns the essential matrix with the largest consensus.
     fn essential(&self, rng: &mut Rng) -> Option<Consensus<Matrix3<f64>>> {
         let solve = |sample: &[usize; 5]| {
             let side = |side: usize| sample.map(|i| self.0.pairs[i][side]);
@@ -182,6 +186,7 @@ impl Estimation<'_> {
         if carried.z > 0.0 { distance2 } else { f64::INFINITY }
     }
 
+    /// Returns the pure rotation with the largest consensus.
     fn rotation(&self, rng: &mut Rng) -> Option<Consensus<Matrix3<f64>>> {
         let rays = |i: usize| {
             let [p, q] = &self.0.pairs[i];
@@ -200,6 +205,7 @@ impl Estimation<'_> {
         )
     }
 
+    /// Returns the homography with the largest consensus.
     fn homography(&self, rng: &mut Rng) -> Option<Consensus<InvertibleHomography>> {
         ransac_homography(
             self.0.pairs,
@@ -281,6 +287,7 @@ impl Estimation<'_> {
         !(depth_1 > 0.0 && depth_2 > 0.0) && angle_rad(pose, &self.0.pairs[i]) > doubt
     }
 
+    /// Returns the median triangulation angle of the inliers.
     fn median_angle_rad(&self, found: &Consensus<Candidate>) -> f64 {
         let mut angles: Vec<f64> = self
             .agreed(&found.inliers)

@@ -1,10 +1,11 @@
 //! Geometric verification of matches.
 
+use marf_numeric::Rng;
+
 use super::correspondences::{Correspondences, intrinsics};
 use super::fit_models::{TwoViewModels, fit_models};
 use super::types::{FocalKnown, VerifiedKind, VerifiedPair, VerifyOptions, ViewPoints};
 use crate::estimators::sampson2;
-use marf_numeric::Rng;
 
 /// A pair is planar if a homography explains more than this share of its inliers.
 pub(super) const PLANAR_SHARE: f64 = 0.8;

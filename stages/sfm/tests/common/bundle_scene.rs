@@ -1,10 +1,9 @@
 //! Synthetic bundle adjustment problems with known ground truth, shared by unit tests and benches.
 
-use marf_scene::{Camera, Pose};
-use nalgebra::{Rotation3, Vector2, Vector3};
-
 use marf_numeric::Rng;
+use marf_scene::{Camera, Pose};
 use marf_sfm::bundle::{CameraFreedom, LensModel, Observation, PoseFreedom, Problem};
+use nalgebra::{Rotation3, Vector2, Vector3};
 
 /// Size of a synthetic problem.
 #[derive(Debug, Clone, Copy)]

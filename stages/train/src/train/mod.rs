@@ -71,7 +71,7 @@ impl Stage for Train {
     }
 
     fn backend_id(&self) -> Option<String> {
-        self.params.device.class()
+        self.params.device.backend_id()
     }
 }
 
@@ -142,7 +142,7 @@ fn train(ctx: &Ctx<'_>, inputs: &Inputs, params: &TrainParams, steps: u64) -> Re
         held_out_photos: split.held_out.len() as u64,
         drawn: params.resample.map(|_| drawn(&split, &times)),
         fit: params.fit,
-        gpu: params.device.class(),
+        gpu: params.device.backend_id(),
         config,
         field: field.facts().clone(),
     };

@@ -18,6 +18,7 @@ struct Bytes<'a> {
 }
 
 impl<'a> Bytes<'a> {
+    /// Returns the next bytes.
     fn take(&mut self, len: usize, place: &str) -> Result<&'a [u8], ImportError> {
         let ends = || {
             ImportError::new(
@@ -76,6 +77,7 @@ impl<'a> Bytes<'a> {
         Ok(name)
     }
 
+    /// Refuses bytes after the last record.
     fn finish(self) -> Result<(), ImportError> {
         if self.rest.is_empty() {
             return Ok(());
@@ -88,6 +90,7 @@ impl<'a> Bytes<'a> {
     }
 }
 
+/// Reads cameras.bin.
 pub(super) fn lenses(file: &str, bytes: &[u8]) -> Result<BTreeMap<u32, Lens>, ImportError> {
     let mut bytes = Bytes { file, rest: bytes };
     let mut lenses = BTreeMap::new();
@@ -108,6 +111,7 @@ pub(super) fn lenses(file: &str, bytes: &[u8]) -> Result<BTreeMap<u32, Lens>, Im
     Ok(lenses)
 }
 
+/// Reads images.bin.
 pub(super) fn images(file: &str, bytes: &[u8]) -> Result<Vec<Image>, ImportError> {
     let mut bytes = Bytes { file, rest: bytes };
     let mut images = Vec::new();
@@ -139,6 +143,7 @@ pub(super) fn images(file: &str, bytes: &[u8]) -> Result<Vec<Image>, ImportError
     Ok(images)
 }
 
+/// Reads points3D.bin.
 pub(super) fn points(file: &str, bytes: &[u8]) -> Result<BTreeMap<u64, Point>, ImportError> {
     let mut bytes = Bytes { file, rest: bytes };
     let mut points = BTreeMap::new();

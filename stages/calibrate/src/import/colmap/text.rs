@@ -17,16 +17,19 @@ struct Words<'a> {
 }
 
 impl<'a> Words<'a> {
+    /// Returns an error at this line.
     fn fail(&self, problem: impl Into<String>) -> ImportError {
         ImportError::new(self.file, &self.place, problem)
     }
 
+    /// Returns the next word.
     fn word(&mut self, what: &str) -> Result<&'a str, ImportError> {
         self.words
             .next()
             .ok_or_else(|| self.fail(format!("the line ends before {what}")))
     }
 
+    /// Returns the next word as a number.
     fn number<T: FromStr>(&mut self, what: &str) -> Result<T, ImportError> {
         let word = self.word(what)?;
         word.parse()
@@ -60,6 +63,7 @@ fn is_blank(line: &Words<'_>) -> bool {
     line.words.clone().next().is_none()
 }
 
+/// Reads cameras.txt.
 pub(super) fn lenses(file: &str, bytes: &[u8]) -> Result<BTreeMap<u32, Lens>, ImportError> {
     let mut lenses = BTreeMap::new();
     for mut line in lines(file, bytes)?.filter(|line| !is_blank(line)) {
@@ -78,6 +82,7 @@ pub(super) fn lenses(file: &str, bytes: &[u8]) -> Result<BTreeMap<u32, Lens>, Im
     Ok(lenses)
 }
 
+/// Reads images.txt.
 pub(super) fn images(file: &str, bytes: &[u8]) -> Result<Vec<Image>, ImportError> {
     let mut images = Vec::new();
     let mut lines = lines(file, bytes)?;
@@ -113,6 +118,7 @@ pub(super) fn images(file: &str, bytes: &[u8]) -> Result<Vec<Image>, ImportError
 /// Number of features, and position and point of those that have one.
 type Observations = (u32, Vec<([f64; 2], u64)>);
 
+/// Reads the second line of an image.
 fn observations(mut line: Words<'_>) -> Result<Observations, ImportError> {
     let (mut features, mut found) = (0, Vec::new());
     while !is_blank(&line) {
@@ -126,6 +132,7 @@ fn observations(mut line: Words<'_>) -> Result<Observations, ImportError> {
     Ok((features, found))
 }
 
+/// Reads points3D.txt.
 pub(super) fn points(file: &str, bytes: &[u8]) -> Result<BTreeMap<u64, Point>, ImportError> {
     let mut points = BTreeMap::new();
     for mut line in lines(file, bytes)?.filter(|line| !is_blank(line)) {

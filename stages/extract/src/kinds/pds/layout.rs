@@ -1,7 +1,7 @@
 //! Where the Planetary Data System keeps the products of each camera (reference: PDS imaging node, collections of
 //! Mars 2020 and volumes of MSL).
 
-use marf_pds::{ProductName, Scheme};
+use marf_pds::ProductName;
 use marf_stage::ParamError;
 
 use super::params::{Level, PdsParams, PixelSource};
@@ -36,9 +36,6 @@ pub(crate) struct CameraLayout {
     /// Product types, the preferred first.
     pub types: Vec<String>,
 }
-
-/// Video frames and stacks of focus: one exposure, many products.
-const SERIES: [&str; 6] = ["ECV", "EVD", "ECZ", "EZS", "ECR", "ERD"];
 
 impl CameraLayout {
     /// Returns the layout of a camera.
@@ -87,21 +84,10 @@ impl CameraLayout {
             .types
             .iter()
             .position(|wanted| wanted == kind || wanted == "*");
-        place.ok_or_else(|| match SERIES.contains(&kind) {
+        place.ok_or_else(|| match name.is_of_series() {
             true => format!("{kind} is a frame of a video or a stack; name it in `products` to take it"),
             false => format!("product type {kind} is not asked for"),
         })
-    }
-}
-
-/// Returns what the products of one exposure share: the name without colour, type, producer and version.
-pub(crate) fn exposure(name: &ProductName) -> String {
-    let id = name.id.to_ascii_uppercase();
-    match name.scheme {
-        Scheme::M2020 if id.len() >= 51 => format!("{}{}{}", &id[..2], &id[3..23], &id[26..51]),
-        Scheme::MslScience => id[..24].to_owned(),
-        Scheme::MslEngineering => format!("{}{}", &id[..13], &id[16..35]),
-        _ => id,
     }
 }
 
@@ -291,19 +277,6 @@ mod tests {
         assert_eq!(
             msl.products("msl/MSLMST_0001/DATA/RDR/SURFACE", "0001"),
             "msl/MSLMST_0001/DATA/RDR/SURFACE/0001"
-        );
-    }
-
-    #[test]
-    fn renditions_of_one_exposure_share_their_key() {
-        let key = |stem: &str| exposure(&ProductName::read(stem).unwrap());
-        let raw = key("ZL0_0012_0668000000_100ECM_N0030000ZCAM00001_0340LMJ01");
-        assert_eq!(raw, key("ZLF_0012_0668000000_100EBY_N0030000ZCAM00001_0340LMA02"));
-        assert_ne!(raw, key("ZR0_0012_0668000000_100ECM_N0030000ZCAM00001_0340LMJ01"));
-        assert_ne!(raw, key("ZL0_0012_0668000000_101ECM_N0030000ZCAM00001_0340LMJ01"));
-        assert_eq!(
-            key("2264ML0121141200805116C00_DRCL"),
-            key("2264ML0121141200805116C01_DRCX")
         );
     }
 }

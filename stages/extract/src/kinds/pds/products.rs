@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use marf_pds::{ProductName, join_key};
 use marf_stage::StageError;
 
-use super::layout::{CameraLayout, exposure};
+use super::layout::CameraLayout;
 use crate::archive::{extension, stem};
 use crate::remote::catalog::{Catalog, RemoteFile, SolFiles};
 use crate::remote::crawl::urls;
@@ -136,7 +136,7 @@ fn preferred(
         let key = if all {
             join_key(&photo.0.id)
         } else {
-            exposure(&photo.0)
+            photo.0.exposure_key()
         };
         groups.entry(key).or_default().push(photo);
     }

@@ -88,8 +88,8 @@ fn index_of(crawl: &Crawl<'_>, volume: &str) -> Result<BTreeMap<u32, Vec<FoundFi
     let table = table(crawl, &paths[1])?;
     let mut found: BTreeMap<u32, Vec<FoundFile>> = BTreeMap::new();
     for row in index.rows(table.as_slice()) {
-        let place = row.map_err(bad)?.place();
-        let (Some(sol), Some(path), Some(file)) = (place.sol, place.path, place.file) else {
+        let location = row.map_err(bad)?.location();
+        let (Some(sol), Some(path), Some(file)) = (location.sol, location.path, location.file) else {
             continue;
         };
         let stem = crate::archive::stem(&file).to_owned();

@@ -1,3 +1,5 @@
+use marf_stage::LOCK_FILE;
+
 use super::*;
 
 fn pin(byte: u8) -> Pin {
@@ -30,7 +32,7 @@ fn pins() -> Pins {
 #[test]
 fn what_is_written_is_read() {
     let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join(FILE);
+    let path = dir.path().join(LOCK_FILE);
     assert_eq!(read(&path, "a").unwrap(), Pins::default());
     for name in ["jezero", "a.b c", "\"", "é", ""] {
         write(&path, name, &pins()).unwrap();
@@ -48,7 +50,7 @@ fn what_is_written_is_read() {
 #[test]
 fn another_archives_table_stays_to_the_byte() {
     let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join(FILE);
+    let path = dir.path().join(LOCK_FILE);
     write(&path, "b", &pins()).unwrap();
     let before = std::fs::read_to_string(&path).unwrap();
     write(&path, "a", &Pins::default()).unwrap();
@@ -69,7 +71,7 @@ fn another_archives_table_stays_to_the_byte() {
 #[test]
 fn a_file_that_is_no_lock_is_refused_with_the_way_out() {
     let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join(FILE);
+    let path = dir.path().join(LOCK_FILE);
     for (text, part) in [
         ("version = 2\n", "version is 2"),
         ("x", "TOML parse error"),

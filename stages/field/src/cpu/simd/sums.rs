@@ -1,6 +1,6 @@
 //! Sums of products whose places are checked once a tile.
 
-use super::{Block, Isa};
+use super::isa::{Block, Isa};
 
 /// A matrix in numbers: element (row, step) is at `row * self.row + step * self.step`.
 #[derive(Clone, Copy)]

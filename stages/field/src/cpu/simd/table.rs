@@ -3,7 +3,7 @@
 #[cfg(target_arch = "x86_64")]
 use std::arch::x86_64::*;
 
-use super::{Isa, LANES};
+use super::isa::{Isa, LANES};
 
 /// Rows of F numbers, read at indices that are checked 128 at a time.
 #[derive(Clone, Copy)]
@@ -83,7 +83,7 @@ impl<const F: usize> TableMut<'_, F> {
 }
 
 impl<const F: usize> Checked<'_, F> {
-    /// The row of one corner of one point.
+    /// Returns the row of one corner of one point.
     #[inline(always)]
     pub fn row(&self, corner: usize, lane: usize) -> &[f32; F] {
         // SAFETY: the greatest index was compared with the number of rows when self was made.
@@ -92,7 +92,7 @@ impl<const F: usize> Checked<'_, F> {
 }
 
 impl<const F: usize> CheckedMut<'_, F> {
-    /// The row of one corner of one point.
+    /// Returns the row of one corner of one point.
     #[inline(always)]
     pub fn row(&mut self, corner: usize, lane: usize) -> &mut [f32; F] {
         // SAFETY: as in `Checked::row`; the borrow is exclusive.
@@ -100,7 +100,7 @@ impl<const F: usize> CheckedMut<'_, F> {
     }
 }
 
-/// A hint without effect on any value, hence any index will do. `WRITE`: 1 where the row will be written.
+/// Asks for a row to be brought to the first cache: a hint without effect on any value, hence any index will do. `WRITE`: 1 where the row will be written.
 #[inline(always)]
 fn prefetch<const F: usize, const WRITE: i32>(table: &[[f32; F]], index: u32) {
     let row = table.as_ptr().wrapping_add(index as usize);

@@ -2,7 +2,9 @@
 
 use std::arch::x86_64::*;
 
-use super::{Avx2, Avx512, Block, Isa, LANES};
+use marf_numeric::{Avx2, Avx512};
+
+use super::isa::{Block, Isa, LANES};
 
 impl Isa for Avx2 {
     type V = [__m256; 2];

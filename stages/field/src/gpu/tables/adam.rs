@@ -1,11 +1,15 @@
 use marf_shaders::{ADAM_TABLE, BLEND, Blending, LevelScale, Rates, row_head};
 
-use super::{Grid, Slots, Sums, Work, largest};
+use super::grid::{Grid, Slots, largest};
+use super::scatter::Sums;
+use crate::GpuError;
 use crate::cpu::adam::{BETA1, BETA2};
-use crate::gpu::kernel::{Array, GROUP, Kernel, Part, fold};
-use crate::gpu::{Gpu, GpuError};
+use crate::gpu::Gpu;
+use crate::gpu::array::{Array, Part};
+use crate::gpu::kernel::{GROUP, Kernel, fold};
+use crate::gpu::record::Work;
 
-/// The uniform of a step of Adam.
+/// Returns the uniform of a step of Adam.
 ///
 /// `epsilon`: of the CPU; a quantum is added to it. `decay`: pull to zero, times the weight.
 pub fn rates(rate: f32, epsilon: f32, decay: f32) -> Rates {
@@ -77,7 +81,7 @@ impl AdamTable {
     }
 }
 
-/// The uniform of a running average that keeps this share of itself.
+/// Returns the uniform of a running average that keeps this share of itself.
 pub fn blending(keep: f32) -> Blending {
     Blending { keep, pad: [0.0; 3] }
 }
@@ -139,10 +143,10 @@ impl Blend {
 #[cfg(test)]
 mod tests {
     use super::super::fixture::Case;
-    use super::super::start_scales;
+    use super::super::scales::start_scales;
     use super::*;
     use crate::cpu::adam::{Adam, Bias, Moments};
-    use crate::cpu::simd::Level;
+    use crate::cpu::simd::{InstructionSet, Run};
     use crate::gpu::testing::{gpu, numbers};
 
     const RATE: f32 = 1e-2;
@@ -235,7 +239,7 @@ mod tests {
         let bias = Bias::default();
         for quanta in steps {
             let mut gradient: Vec<f32> = quanta.iter().map(|q| *q as f32 * quantum).collect();
-            Level::best().run(Adam::<F> {
+            InstructionSet::best().run(Adam::<F> {
                 weights: &mut weights,
                 gradient: &mut gradient,
                 moments: &mut moments,

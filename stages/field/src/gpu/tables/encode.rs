@@ -1,9 +1,12 @@
 use marf_shaders::{HASH_ENCODE, grid_head};
 
-use super::{Grid, Slots, Work};
+use super::grid::{Grid, Slots};
+use crate::GpuError;
 use crate::cpu::encode::PRIMES;
-use crate::gpu::kernel::{Array, Kernel, Part};
-use crate::gpu::{Gpu, GpuError};
+use crate::gpu::Gpu;
+use crate::gpu::array::{Array, Part};
+use crate::gpu::kernel::Kernel;
+use crate::gpu::record::Work;
 
 /// Looks samples up in all tables: twin of `cpu::encode::Lookup`.
 pub struct Encode(Kernel);

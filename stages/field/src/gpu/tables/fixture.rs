@@ -1,7 +1,7 @@
 //! Tables, samples and slopes that the tests of kernels share, and what the CPU makes of them.
 
 use crate::cpu::encode::{Points, Scatter, Shape};
-use crate::cpu::simd::{Block, LANES, Level, Stripe, flat, flat_mut};
+use crate::cpu::simd::{Block, InstructionSet, LANES, Run, Stripe, flat, flat_mut};
 use crate::gpu::testing::numbers;
 use crate::shade::lookup;
 
@@ -84,7 +84,14 @@ impl Case {
         let mut blocks = vec![Block::ZERO; CAPACITY * width];
         let stripes = Stripe::cut(&mut blocks, width, self.features);
         for ((shape, table), stripe) in self.shapes.iter().zip(&self.tables).zip(stripes) {
-            lookup(Level::best(), self.features, *shape, table, self.points(), stripe);
+            lookup(
+                InstructionSet::best(),
+                self.features,
+                *shape,
+                table,
+                self.points(),
+                stripe,
+            );
         }
         let numbers = flat(&blocks);
         let columns = (0..rows).flat_map(|row| (0..CAPACITY).map(move |sample| (row, sample)));
@@ -157,7 +164,7 @@ fn scatter(
     [width, first]: [usize; 2],
 ) {
     match features {
-        2 => Level::best().run(Scatter::<2> {
+        2 => InstructionSet::best().run(Scatter::<2> {
             shape,
             gradient,
             points,
@@ -165,7 +172,7 @@ fn scatter(
             width,
             first,
         }),
-        _ => Level::best().run(Scatter::<4> {
+        _ => InstructionSet::best().run(Scatter::<4> {
             shape,
             gradient,
             points,

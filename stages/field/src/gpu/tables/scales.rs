@@ -1,8 +1,12 @@
 use marf_shaders::{LevelScale, PEAK, RESCALE, Rescaling, row_head};
 
-use super::{Grid, Slots, Sums, Work, largest};
-use crate::gpu::kernel::{Array, Kernel, Part, fold};
-use crate::gpu::{Gpu, GpuError};
+use super::grid::{Grid, Slots, largest};
+use super::scatter::Sums;
+use crate::GpuError;
+use crate::gpu::Gpu;
+use crate::gpu::array::{Array, Part};
+use crate::gpu::kernel::{Kernel, fold};
+use crate::gpu::record::Work;
 
 /// log2 of the first scale: gradients of a mean over the batch stay below 1, hence below `MOST`.
 const START_BITS: u32 = 28;

@@ -1,9 +1,12 @@
 use marf_shaders::{LevelScale, SCATTER, SCATTER_PACKED, grid_head, quanta_head};
 
-use super::{Grid, Slots, Work};
+use super::grid::{Grid, Slots};
+use crate::GpuError;
 use crate::cpu::encode::PRIMES;
-use crate::gpu::kernel::{Array, Kernel, Part};
-use crate::gpu::{Gpu, GpuError};
+use crate::gpu::Gpu;
+use crate::gpu::array::{Array, Part};
+use crate::gpu::kernel::Kernel;
+use crate::gpu::record::Work;
 
 /// Most quanta of a single contribution: with peaks of 2^25 one that is larger is far from what the scale was made
 /// for, and 31 of them do not wrap a sum.
@@ -19,7 +22,7 @@ pub enum Sums {
 }
 
 impl Sums {
-    /// The better one of those that a device can.
+    /// Returns the better way of those that a device offers.
     pub fn of(gpu: &Gpu) -> Self {
         let wide = wgpu::Features::SHADER_INT64 | wgpu::Features::SHADER_INT64_ATOMIC_ALL_OPS;
         if gpu.features.contains(wide) {
@@ -29,7 +32,7 @@ impl Sums {
         }
     }
 
-    /// The head of kernels that read or write gradients.
+    /// Returns the head of kernels that read or write gradients.
     pub(super) fn head(self, features: usize) -> String {
         quanta_head(features as u32, self == Self::Packed, MOST_QUANTA)
     }
@@ -101,7 +104,7 @@ pub(super) fn quanta_of(words: &[i32], sums: Sums) -> Vec<i32> {
 #[cfg(test)]
 mod tests {
     use super::super::fixture::{CAPACITY, Case};
-    use super::super::start_scales;
+    use super::super::scales::start_scales;
     use super::*;
     use crate::gpu::testing::gpu;
 

@@ -3,7 +3,7 @@ use nalgebra::Vector3;
 use super::super::synthetic::{add_noise, fix_gauge};
 use super::*;
 
-/// A walk with noise, moved from its truth, reproducible.
+/// A noisy problem, perturbed, always the same.
 fn noisy() -> Problem {
     let mut problem = ring(&SMALL);
     add_noise(&mut problem, 0.5, &mut Rng::new(1));

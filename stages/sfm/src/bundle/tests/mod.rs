@@ -6,12 +6,12 @@ mod jacobians;
 mod noise;
 mod priors;
 
+use marf_numeric::Rng;
 use marf_scene::Pose;
 
 use super::objective::residual;
 use super::synthetic::{RingSize, perturb, ring};
 use super::*;
-use marf_numeric::Rng;
 
 const EXACT: BundleOptions = BundleOptions {
     loss: Loss::Squared,
@@ -32,7 +32,7 @@ fn run(problem: &mut Problem, options: &BundleOptions) -> BundleReport {
     adjust(problem, options, &|| false).unwrap()
 }
 
-/// Largest difference of turns (radian) and of centres.
+/// Largest difference of rotations (radian) and of centres.
 fn distance(found: &[Pose], truth: &[Pose]) -> (f64, f64) {
     let mut worst = (0.0_f64, 0.0_f64);
     for (found, truth) in found.iter().zip(truth) {

@@ -11,7 +11,7 @@ fn centre(pose: u32, exact: &Problem, sigma: f64) -> Prior {
     }
 }
 
-/// The walk with nothing held.
+/// The exact problem with all poses free.
 fn free() -> Problem {
     let mut problem = ring(&SMALL);
     problem.pose_freedom.fill(PoseFreedom::Free);

@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// Fundamental matrices of pairs of one camera that moves and turns freely.
+/// Fundamental matrices of pairs of one camera that moves and rotates freely.
 fn pairs(
     count: u64,
     sigma_px: f64,
@@ -53,7 +53,7 @@ fn the_focal_length_comes_back_from_a_guess_far_off() {
     }
 }
 
-/// [e]x H of a turn is essential at the true focal length for any e.
+/// [e]x H of a pure rotation is essential at the true focal length for any e.
 #[test]
 fn turns_give_the_focal_length_or_none() {
     let turns = |rng: &mut Rng| pose([rng.unit_f64() * 0.2, 0.1, 0.1], [0.0; 3]);

@@ -1,11 +1,12 @@
 //! Synthetic pairs of photos with known ground truth.
 
-use super::*;
-use crate::estimators::scenes::{gauss, pose};
-use crate::estimators::{log_so3, ray_angle_rad};
 use marf_numeric::Rng;
 use marf_scene::{Camera, Pose};
 use nalgebra::{Matrix3, Vector2, Vector3};
+
+use super::*;
+use crate::estimators::scenes::{gauss, pose};
+use crate::estimators::{log_so3, ray_angle_rad};
 
 mod focal;
 mod relative_pose;

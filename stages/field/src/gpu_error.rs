@@ -1,6 +1,9 @@
 /// What keeps a GPU from being used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum GpuError {
+    /// A GPU was asked for, and the feature `gpu` is off.
+    #[error("this marf was built without the GPU: rebuild with `--features gpu`, or use `--device cpu`")]
+    NotBuilt,
     /// No adapter that was asked for.
     #[error("no GPU {wanted}: found {found}; take `device = \"cpu\"`, or `gpu:NAME` for one of these")]
     NoAdapter {

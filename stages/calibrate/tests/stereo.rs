@@ -1,15 +1,18 @@
-//! Real Mastcam-Z pairs: what the labels' cameras say of points that our own features find in both eyes.
+//! Real Mastcam-Z pairs: the cameras of the labels against matches of our own features in both eyes.
+#![allow(clippy::unwrap_used, reason = "a fixture that is wrong should stop the test")]
+#![allow(clippy::print_stdout, reason = "a skipped test says so")]
+
+mod common;
 
 use std::path::{Path, PathBuf};
 
-use marf_extract::Extract;
-use marf_scene::{Cahvor, CameraPrior, Photo, PhotoFacts};
-use marf_stage::harness::Harness;
-use marf_stage::{Work, define};
-use nalgebra::{Vector2, Vector3};
-
+use marf_pds::{ProductName, pds4, raw};
+use marf_scene::{Cahvor, Photo};
 use marf_sfm::features::{FeatureOptions, Features, Gray, Mask, extract};
 use marf_sfm::matching::{MatchOptions, match_pair};
+use nalgebra::{Vector2, Vector3};
+
+use common::shared;
 
 /// Zoom, product of the left and of the right eye, focal length, and the median residual measured elsewhere.
 const PAIRS: [(u32, &str, &str, f64, [f64; 2]); 3] = [
@@ -37,70 +40,56 @@ const PAIRS: [(u32, &str, &str, f64, [f64; 2]); 3] = [
 ];
 /// The residuals were measured with other features.
 const RESIDUAL_TOLERANCE_PX: f64 = 0.5;
-/// Farther from the line of sight of its partner than this a match is a wrong one, not a pose's error, px.
-const WRONG_PX: f64 = 40.0;
+/// A match farther than this from the epipolar curve is wrong, px.
+const MAX_RESIDUAL_PX: f64 = 40.0;
 
 /// A photo with its features and its camera in the frame of the site.
 struct Eye {
     model: Cahvor,
     features: Features,
-    facts: PhotoFacts,
+    motion_counter: Vec<i64>,
 }
 
-fn real(name: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("MARF_SHARED_DATA").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
-        PathBuf::from,
-    );
-    let path = root.join(name);
-    if !path.is_dir() {
-        println!("skipped: {name} needs ../shared/data");
-        return None;
-    }
-    Some(path)
-}
-
-/// Brings all photos of a folder.
-fn eyes(path: &Path) -> Vec<(String, Eye)> {
-    let harness = Harness::default();
-    let stage =
-        (define::<Extract>().bind)(serde_json::json!({"archive": {"kind": "folder", "path": path}})).unwrap();
-    let Work::Source(source) = stage.work() else {
-        panic!("extract is a source")
+/// Reads a product with its detached label.
+fn eye(folder: &Path, product: &str) -> Eye {
+    let files = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let mut files: Vec<PathBuf> = files
+        .filter(|path| path.file_stem().is_some_and(|stem| stem == product))
+        .collect();
+    files.sort();
+    let with = |extension: &str| {
+        let found = files.iter().find(|path| {
+            let own = path.extension().unwrap_or_default();
+            own.eq_ignore_ascii_case(extension)
+        });
+        found.map(|path| std::fs::read(path).unwrap())
     };
-    let listing = source.list(&harness.ctx()).unwrap();
-    let mut eyes = Vec::new();
-    for shard in &listing.shards {
-        for row in source.fetch(&harness.ctx(), shard.shard).unwrap().rows {
-            let facts = PhotoFacts::from_json(&row.facts).unwrap();
-            let photo = Photo::decode(&harness.get(&row.blobs["image"]).unwrap()).unwrap();
-            let options = FeatureOptions {
-                max_features: 8192,
-                ..FeatureOptions::default()
-            };
-            let features = extract(
-                &Gray::of(&photo.image, 1),
-                &Mask::of(&photo.image, 1, None),
-                &options,
-            );
-            let prior: &CameraPrior = facts.prior.as_ref().unwrap();
-            let model = prior.model.transformed(&prior.site_from_frame.unwrap());
-            eyes.push((
-                row.id.clone(),
-                Eye {
-                    model,
-                    features,
-                    facts,
-                },
-            ));
-        }
+    let detached = with("xml").map(|bytes| pds4::read(&bytes).unwrap());
+    let name = ProductName::read(product).unwrap();
+    let developed = raw::develop(Some(&name), &with("img").unwrap(), detached.as_ref()).unwrap();
+    let label = developed.attached.filter(|label| label.prior.is_some());
+    let label = label.or(detached).unwrap();
+    let size = (developed.image.width, developed.image.height);
+    let prior = label.fit_camera(Some(&name), size, &mut Vec::new()).unwrap();
+    let options = FeatureOptions {
+        max_features: 8192,
+        ..FeatureOptions::default()
+    };
+    // The 8-bit picture that later stages decode.
+    let photo = Photo::decode(&raw::png(&developed.image).unwrap()).unwrap();
+    let (gray, mask) = (Gray::of(&photo.image, 1), Mask::of(&photo.image, 1, None));
+    Eye {
+        model: prior.model.transformed(&prior.site_from_frame.unwrap()),
+        features: extract(&gray, &mask, &options),
+        motion_counter: prior.motion_counter,
     }
-    eyes
 }
 
-/// Distance of a point of `b` from the line on which `b` sees the line of sight of a point of `a`, pixels.
+/// Returns the distance of a point of `b` from the epipolar curve of a point of `a`, pixels.
 ///
-/// The line is bent by the lens: 400 chords from 1 m to 10 km, even in 1/range.
+/// The line is curved by the distortion: 400 chords from 1 m to 10 km, even in 1/range.
 fn residual_px(a: &Cahvor, b: &Cahvor, seen_a: &Vector2<f64>, seen_b: &Vector2<f64>) -> Option<f64> {
     let ray = a.unproject(seen_a)?;
     let steps = 400;
@@ -130,18 +119,17 @@ fn median(mut values: Vec<f64>) -> f64 {
 
 #[test]
 fn labels_alone_place_the_eyes_of_mastcam_z_as_measured_elsewhere() {
-    let Some(path) = real("m2020_sol0709_img") else {
+    let Some(data) = shared("labels alone place the eyes of Mastcam-Z") else {
         return;
     };
-    let eyes = eyes(&path);
-    let eye = |id: &str| &eyes.iter().find(|(own, _)| own == id).unwrap().1;
+    let folder = data.join("m2020_sol0709_img");
     println!(
         "| zoom | baseline m | focal px left, right | matches | right | median px in the left, in the right |"
     );
     for (zoom_mm, left, right, focal_px, [least, most]) in PAIRS {
-        let (left, right) = (eye(left), eye(right));
+        let (left, right) = (eye(&folder, left), eye(&folder, right));
         let baseline = (Vector3::from(left.model.c) - Vector3::from(right.model.c)).norm();
-        let focal = [left, right].map(|eye| eye.model.normalised().unwrap().intrinsics().unwrap().hs);
+        let focal = [&left, &right].map(|eye| eye.model.normalised().unwrap().intrinsics().unwrap().hs);
         let matches = match_pair(&left.features, &right.features, &MatchOptions::default());
         let both: Vec<[f64; 2]> = matches
             .iter()
@@ -155,7 +143,7 @@ fn labels_alone_place_the_eyes_of_mastcam_z_as_measured_elsewhere() {
             .collect();
         let good: Vec<&[f64; 2]> = both
             .iter()
-            .filter(|pair| pair[0].max(pair[1]) < WRONG_PX)
+            .filter(|pair| pair[0].max(pair[1]) < MAX_RESIDUAL_PX)
             .collect();
         let medians = [0, 1].map(|side| median(good.iter().map(|pair| pair[side]).collect()));
         println!(
@@ -175,10 +163,7 @@ fn labels_alone_place_the_eyes_of_mastcam_z_as_measured_elsewhere() {
             focal.iter().all(|focal| (focal / focal_px - 1.0).abs() < 0.01),
             "{zoom_mm} mm: {focal:?} px"
         );
-        assert_eq!(
-            left.facts.prior.as_ref().unwrap().motion_counter[..3],
-            right.facts.prior.as_ref().unwrap().motion_counter[..3]
-        );
+        assert_eq!(left.motion_counter[..3], right.motion_counter[..3]);
         assert!(
             good.len() >= 50 && good.len() * 4 >= both.len() * 3,
             "{zoom_mm} mm: {} of {}",

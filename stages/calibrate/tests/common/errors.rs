@@ -1,15 +1,15 @@
-//! A calibrated scene against cameras that are known.
+//! Errors of a calibrated scene against known cameras.
 
 use marf_scene::{Pose, Scene};
 use nalgebra::{Matrix3, Vector3};
 
-/// How far a scene is from the truth after the best similarity.
+/// Errors of a scene after the best similarity.
 #[derive(Debug)]
-pub struct Judged {
+pub struct Errors {
     pub photos: usize,
     /// Median and largest distance of a centre from the truth, share of the largest distance of two true centres.
     pub position: [f64; 2],
-    /// Median and largest angle, less the turn that all cameras have in common: a principal point's shift.
+    /// Median and largest angle, without the rotation that all cameras have in common: a principal point's shift.
     pub rest_deg: [f64; 2],
     /// Median and largest angle.
     pub angle_deg: [f64; 2],
@@ -17,8 +17,8 @@ pub struct Judged {
     pub scale: f64,
 }
 
-/// Compares by file name, without its extension.
-pub fn judge(scene: &Scene, truth: &[(String, Pose)]) -> Judged {
+/// Returns the errors of a scene; photos are compared by file name, without the extension.
+pub fn errors_of(scene: &Scene, truth: &[(String, Pose)]) -> Errors {
     let stem = |name: &str| name.rsplit_once('.').map_or(name, |parts| parts.0).to_owned();
     let pairs: Vec<(Pose, Pose)> = scene
         .frames
@@ -36,21 +36,21 @@ pub fn judge(scene: &Scene, truth: &[(String, Pose)]) -> Judged {
     let position = pairs.iter().map(|(found, known)| {
         (scale * rotation * found.centre() + translation - known.centre()).norm() / extent
     });
-    // What is left in each camera's own frame.
+    // The remaining rotation in the frame of each camera.
     let left: Vec<Matrix3<f64>> = pairs
         .iter()
         .map(|(found, known)| known.rotation * (found.rotation * rotation.transpose()).transpose())
         .collect();
     let common = nearest(&left.iter().sum());
-    Judged {
+    Errors {
         photos: pairs.len(),
-        position: spread(position.collect()),
-        rest_deg: spread(
+        position: median_and_max(position.collect()),
+        rest_deg: median_and_max(
             left.iter()
                 .map(|one| angle_deg(&(common.transpose() * one)))
                 .collect(),
         ),
-        angle_deg: spread(left.iter().map(angle_deg).collect()),
+        angle_deg: median_and_max(left.iter().map(angle_deg).collect()),
         scale,
     }
 }
@@ -92,7 +92,7 @@ fn angle_deg(r: &Matrix3<f64>) -> f64 {
     axis.norm().atan2(r.trace() - 1.0).to_degrees()
 }
 
-fn spread(mut values: Vec<f64>) -> [f64; 2] {
+fn median_and_max(mut values: Vec<f64>) -> [f64; 2] {
     values.sort_by(f64::total_cmp);
     [values[values.len() / 2], values[values.len() - 1]]
 }

@@ -1,10 +1,16 @@
 //! What every kernel of a training step takes: for `cargo bench` alone.
 
-use super::{Session, Watch};
-use crate::gpu::forward::{Purpose, gathered_rows};
-use crate::gpu::weights::{BACKGROUND, DeviceLayer};
-use crate::trainer::Step;
-use crate::{Background, FieldError, Trainer};
+use std::sync::Arc;
+
+use super::Gpu;
+use super::forward::{Purpose, gathered_rows};
+use super::session::{GpuSession, Watch};
+use super::weights::{BACKGROUND, DeviceLayer};
+use crate::backend::{Session, Step};
+#[cfg(test)]
+use crate::state::State;
+use crate::training::Training;
+use crate::{Background, Config, FieldError, View};
 
 /// Steps that were timed.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,45 +51,77 @@ pub enum Load {
     Operations(f64),
 }
 
-/// Takes `steps` steps of a training on a GPU, every dispatch between two timestamps; `None` on the CPU.
-///
-/// # Errors
-/// As [`Trainer::advance`]; a device without timestamps.
-pub fn time_steps(trainer: &mut Trainer, steps: u64) -> Result<Option<Timed>, FieldError> {
-    trainer.sync()?;
-    let before = rows_moved(trainer);
-    let Some(mut session) = trainer.session.take() else {
-        return Ok(None);
-    };
-    let mut watch = Watch::default();
-    let taken = session.watch_steps(trainer, steps, &mut watch);
-    trainer.session = Some(session);
-    let sum = taken?;
-    trainer.sync()?;
-    let rows = rows_moved(trainer) - before;
-    let session = trainer.session.as_ref();
-    Ok(session.map(|session| session.timed(trainer, &watch, sum, rows)))
+/// A training on a GPU whose kernels are timed.
+pub struct TimedTraining {
+    training: Training,
+    session: GpuSession,
 }
 
-/// Rows of the tables that Adam has moved, in all steps so far.
-fn rows_moved(trainer: &Trainer) -> u64 {
-    let levels = trainer.state.weights.tables.len();
-    let counts = trainer.state.moments[..levels]
+impl TimedTraining {
+    /// Returns a training at step 0 on a GPU.
+    ///
+    /// # Errors
+    /// As [`crate::Trainer::new`] and [`crate::Trainer::on`].
+    pub fn new(gpu: &Arc<Gpu>, views: Vec<View>, config: &Config, seed: u64) -> Result<Self, FieldError> {
+        let mut training = Training::new(views, &[], config, seed)?;
+        let session = GpuSession::new(gpu, &mut training)?;
+        Ok(Self { training, session })
+    }
+
+    /// Returns the state that was last brought back.
+    #[cfg(test)]
+    pub(crate) fn state(&self) -> &State {
+        &self.training.state
+    }
+
+    /// Takes `steps` steps and returns the samples that were trained.
+    ///
+    /// # Errors
+    /// As [`crate::Trainer::advance`].
+    pub fn advance(&mut self, steps: u64) -> Result<u64, FieldError> {
+        let (end, mut samples) = (self.training.state.steps + steps, 0);
+        while self.training.state.steps < end {
+            let most = end - self.training.state.steps;
+            samples += self.session.advance(&mut self.training, most)?.samples;
+        }
+        Ok(samples)
+    }
+
+    /// Takes `steps` steps, every dispatch between two timestamps.
+    ///
+    /// # Errors
+    /// As [`crate::Trainer::advance`]; a device without timestamps.
+    pub fn time(&mut self, steps: u64) -> Result<Timed, FieldError> {
+        let (training, session) = (&mut self.training, &mut self.session);
+        session.download(&mut training.state)?;
+        let before = rows_moved(training);
+        let mut watch = Watch::default();
+        let sum = session.watch_steps(training, steps, &mut watch)?;
+        session.download(&mut training.state)?;
+        let rows = rows_moved(training) - before;
+        Ok(session.timed(training, &watch, sum, rows))
+    }
+}
+
+/// Returns the rows of the tables that Adam has moved, in all steps so far.
+fn rows_moved(training: &Training) -> u64 {
+    let levels = training.state.weights.tables.len();
+    let counts = training.state.moments[..levels]
         .iter()
         .flat_map(|level| &level.count);
     counts.map(|count| u64::from(*count)).sum()
 }
 
-impl Session {
+impl GpuSession {
     fn watch_steps(
         &mut self,
-        trainer: &mut Trainer,
+        training: &mut Training,
         steps: u64,
         watch: &mut Watch,
     ) -> Result<Step, FieldError> {
-        let mut sum = self.watched(trainer, steps, Some(watch))?;
+        let mut sum = self.watched(training, steps, Some(watch))?;
         while sum.steps < steps {
-            let some = self.watched(trainer, steps - sum.steps, Some(watch))?;
+            let some = self.watched(training, steps - sum.steps, Some(watch))?;
             sum.steps += some.steps;
             sum.rays += some.rays;
             sum.samples += some.samples;
@@ -91,7 +129,7 @@ impl Session {
         Ok(sum)
     }
 
-    fn timed(&self, trainer: &Trainer, watch: &Watch, sum: Step, rows: u64) -> Timed {
+    fn timed(&self, training: &Training, watch: &Watch, sum: Step, rows: u64) -> Timed {
         let steps = sum.steps as f64;
         let mut kernels: Vec<KernelTime> = Vec::new();
         for (name, seconds) in &watch.steps {
@@ -102,7 +140,7 @@ impl Session {
                     name,
                     calls: 0.0,
                     seconds: 0.0,
-                    load: self.load(name, trainer, watch, sum, rows),
+                    load: self.load(name, training, watch, sum, rows),
                 });
             }
             kernels[index].calls += 1.0 / steps;
@@ -120,7 +158,7 @@ impl Session {
     }
 
     /// Returns what a kernel has to do in a step, counted from what it must read, write and compute.
-    fn load(&self, name: &str, trainer: &Trainer, watch: &Watch, sum: Step, rows: u64) -> Option<Load> {
+    fn load(&self, name: &str, training: &Training, watch: &Watch, sum: Step, rows: u64) -> Option<Load> {
         let [visited, kept, rays, rows] =
             [watch.visited, sum.samples, sum.rays, rows].map(|count| count as f64 / sum.steps as f64);
         let weights = |layers: &[DeviceLayer]| -> f64 {
@@ -130,7 +168,7 @@ impl Session {
         let (density, color) = (weights(&self.weights.density), weights(&self.weights.color));
         let entries = 4.0 * self.grid.numbers() as f64;
         let row = 4.0 * self.grid.features() as f64;
-        let behind = match trainer.config.background {
+        let behind = match training.config.background {
             Background::Direction => BACKGROUND as f64,
             Background::Black => 0.0,
         };
@@ -140,8 +178,8 @@ impl Session {
             "peak" => Load::Bytes(entries),
             "blend" => {
                 let numbers: usize = self.weights.arrays().iter().map(|array| array.len()).sum();
-                let steps = trainer.state.steps - sum.steps..trainer.state.steps;
-                let due = steps.filter(|step| trainer.kept_at(*step).is_some()).count();
+                let steps = training.state.steps - sum.steps..training.state.steps;
+                let due = steps.filter(|step| training.kept_at(*step).is_some()).count();
                 Load::Bytes(12.0 * numbers as f64 * due as f64 / sum.steps as f64)
             }
             "gather" => Load::Bytes(8.0 * kept * gathered_rows(&self.lanes, Purpose::Training) as f64),

@@ -1,4 +1,4 @@
-//! `[keep]` and `[reject]`: photos on which a person has decided, for every filter of the pipeline.
+//! `[keep]` and `[reject]`: photos that a person keeps or rejects, whatever the filters of the pipeline decide.
 
 use serde_json::{Map, Value as Json, json};
 
@@ -57,10 +57,19 @@ fn names(table: &Entry) -> Result<Vec<Json>, ConfigError> {
     Ok(all)
 }
 
-/// Adds the pipeline's lists to what a filter's own `by_hand` says.
-pub(super) fn lay_under(params: &mut Map<String, Json>, lists: &Map<String, Json>) {
+/// Returns list and name of every entry in the parameters of a filter.
+pub fn entries(params: &Json) -> impl Iterator<Item = (&'static str, &str)> {
+    let lists = params.get(PARAM).into_iter().flat_map(|own| {
+        let names = |list| own.get(list).and_then(Json::as_array).into_iter().flatten();
+        LISTS.map(|list| (list, names(list)))
+    });
+    lists.flat_map(|(list, names)| names.filter_map(move |name| Some((list, name.as_str()?))))
+}
+
+/// Adds the pipeline's lists to those of a filter's own `by_hand`.
+pub(super) fn add_to(params: &mut Map<String, Json>, lists: &Map<String, Json>) {
     let own = params.entry(PARAM).or_insert_with(|| json!({}));
-    // Anything but a table is the stage's to refuse.
+    // The stage refuses anything but a table.
     let Some(own) = own.as_object_mut() else { return };
     for (name, ids) in lists {
         let all = own.entry(name.as_str()).or_insert_with(|| json!([]));

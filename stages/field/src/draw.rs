@@ -1,0 +1,81 @@
+//! The rays of a training step: which pixels they run through, drawn at random.
+
+use rayon::prelude::*;
+
+use crate::cpu::math::exp;
+use crate::depth::{Observation, Pull, SHARE, place};
+use crate::exposure::{Exposure, ROW};
+use crate::frame::RayStart;
+use crate::rng::{Purpose, Rng};
+use crate::training::Training;
+
+/// A ray with its photo and pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Target {
+    /// Where it runs; `None` where the distortion has no inverse.
+    pub start: Option<RayStart>,
+    /// Place within every step.
+    pub jitter: f32,
+    /// Number of the photo.
+    pub view: u32,
+    /// The pixel, sRGB in [0, 1].
+    pub rgb: [f32; 3],
+    /// Exposure of the photo.
+    pub exposure: Exposure,
+    /// Where its matter is, if a sparse point says so.
+    pub pull: Option<Pull>,
+}
+
+impl Training {
+    /// Returns the exposure of every photo.
+    pub fn exposures(&self) -> Vec<Exposure> {
+        let (gains, offsets) = self.state.gains.split_at(self.views.len() * ROW);
+        let channels = |row: &[f32]| [row[0], row[1], row[2]];
+        let offsets = offsets.chunks_exact(ROW).map(channels);
+        let pairs = gains
+            .chunks_exact(ROW)
+            .zip(offsets.chain(std::iter::repeat([0.0; 3])));
+        pairs
+            .map(|(row, offset)| Exposure {
+                gain: channels(row).map(exp),
+                offset,
+            })
+            .collect()
+    }
+
+    /// Draws the rays of the next step.
+    pub fn targets(&self) -> Vec<Target> {
+        let exposures = self.exposures();
+        let rays = (0..self.ray_count()).into_par_iter();
+        rays.map(|ray| self.target(ray as u64, &exposures)).collect()
+    }
+
+    /// Draws ray number `ray` of the next step; `exposures` are those of the photos.
+    pub fn target(&self, ray: u64, exposures: &[Exposure]) -> Target {
+        let mut rng = Rng::new(self.seed, Purpose::Rays, self.state.steps, ray);
+        let (pixel, pull) = self.aim(ray, &mut rng);
+        let index = self.pixels.partition_point(|first| *first <= pixel) - 1;
+        let view = &self.views[index];
+        let (centre, rgb) = view.image.at((pixel - self.pixels[index]) as usize);
+        Target {
+            start: self.frame.ray(&view.camera, &self.world_from_cams[index], centre),
+            jitter: rng.unit(),
+            view: index as u32,
+            rgb,
+            exposure: exposures[index],
+            pull,
+        }
+    }
+
+    /// Draws the pixel of a ray: of every eighth, while sparse points pull, one that sees a point.
+    fn aim(&self, ray: u64, rng: &mut Rng) -> (u64, Option<Pull>) {
+        let weight = self.pull_at(self.state.steps, self.ray_count());
+        let weight = weight.filter(|_| ray.is_multiple_of(SHARE));
+        let Some(weight) = weight else {
+            return (rng.below(self.pixels.last().copied().unwrap_or(0)), None);
+        };
+        let Observation { pixel, t } = self.observations[rng.below(self.observations.len() as u64) as usize];
+        let pull = place(&self.march, t).map(|place| Pull { place, weight });
+        (pixel, pull)
+    }
+}

@@ -1,0 +1,86 @@
+//! A trained field on the backend that renders it.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use marf_scene::{Camera, Pose};
+
+use crate::backend::{Backend, Renderer};
+use crate::cpu_backend::Cpu;
+use crate::model::Model;
+use crate::{Device, Facts, FieldError, Render, Trial};
+
+/// A trained field: everything needed to render.
+#[derive(Clone, Debug)]
+pub struct Field {
+    pub(crate) model: Model,
+    renderer: Arc<dyn Renderer>,
+}
+
+impl Field {
+    /// Returns a field that is rendered on `backend`.
+    ///
+    /// # Errors
+    /// A device that lacks something or has too little memory.
+    pub(crate) fn new(model: Model, backend: Arc<dyn Backend>) -> Result<Self, FieldError> {
+        let renderer = backend.renderer(&model)?;
+        Ok(Self { model, renderer })
+    }
+
+    /// Moves the rendering to a device.
+    ///
+    /// # Errors
+    /// A GPU that is not there, that lacks something, or that has too little memory.
+    pub fn on(self, device: &Device) -> Result<Self, FieldError> {
+        Self::new(self.model, device.backend()?)
+    }
+
+    /// Returns the field as safetensors; the header's `marf` entry is JSON with box, layout, config and facts.
+    ///
+    /// Tensors: `table.L` `[entries * features]`, `density.I` and `color.I` `[inputs * outputs]` by rows of
+    /// inputs, `background` `[3 * 16]`, `occupancy` `[side^3 / 64]` bits, x fastest.
+    pub fn encode(&self) -> Vec<u8> {
+        self.model.encode()
+    }
+
+    /// Reads what [`Field::encode`] wrote; it renders on the CPU.
+    ///
+    /// # Errors
+    /// [`FieldError::Malformed`] names the tensor; shapes are compared with the file before memory is taken.
+    pub fn decode(bytes: &[u8]) -> Result<Self, FieldError> {
+        Self::new(Model::decode(bytes)?, Arc::new(Cpu::best()))
+    }
+
+    /// Renders a photo: `camera` with its distortion, at `cam_from_world`.
+    ///
+    /// Tiles run in parallel in the current pool; the pixels do not depend on its size. Pixels where the
+    /// distortion has no inverse are black and empty.
+    ///
+    /// # Errors
+    /// A GPU that failed.
+    pub fn render(&self, camera: &Camera, cam_from_world: &Pose) -> Result<Render, FieldError> {
+        self.rows(camera, cam_from_world, 0..camera.height)
+    }
+
+    /// Renders some rows.
+    pub(crate) fn rows(
+        &self,
+        camera: &Camera,
+        cam_from_world: &Pose,
+        rows: Range<u32>,
+    ) -> Result<Render, FieldError> {
+        self.renderer.rows(&self.model, camera, cam_from_world, rows)
+    }
+
+    /// Returns the field with the trials that were made before its training.
+    #[must_use]
+    pub fn with_trials(mut self, trials: Vec<Trial>) -> Self {
+        self.model.facts.trials = trials;
+        self
+    }
+
+    /// Returns what the field was sized by.
+    pub fn facts(&self) -> &Facts {
+        &self.model.facts
+    }
+}

@@ -1,0 +1,226 @@
+//! Arrays on the device: making, writing and reading them.
+
+use std::marker::PhantomData;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use bytemuck::Pod;
+
+use super::Gpu;
+use crate::GpuError;
+
+/// An array on the device.
+pub struct Array<T> {
+    pub(super) buffer: wgpu::Buffer,
+    len: usize,
+    of: PhantomData<T>,
+}
+
+impl<T> Array<T> {
+    /// Returns the number of elements.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+}
+
+/// A buffer, or a part of it, as a kernel sees it.
+#[derive(Clone)]
+pub struct Part<'a>(pub(super) wgpu::BufferBinding<'a>);
+
+impl<'a, T> From<&'a Array<T>> for Part<'a> {
+    fn from(array: &'a Array<T>) -> Self {
+        Self(array.buffer.as_entire_buffer_binding())
+    }
+}
+
+impl<T> Array<T> {
+    /// Returns elements `first..first + len`, whose first byte is a multiple of 256.
+    pub fn part(&self, first: usize, len: usize) -> Part<'_> {
+        let bytes = |count: usize| (count * size_of::<T>()) as u64;
+        Part(wgpu::BufferBinding {
+            buffer: &self.buffer,
+            offset: bytes(first),
+            size: std::num::NonZero::new(bytes(len)),
+        })
+    }
+}
+
+impl Gpu {
+    /// Makes a storage array of zeros.
+    ///
+    /// # Errors
+    /// More than a buffer or the memory holds; a lost device.
+    pub fn zeros<T: Pod>(&self, what: &'static str, len: usize) -> Result<Array<T>, GpuError> {
+        self.array(what, len, wgpu::BufferUsages::STORAGE)
+    }
+
+    /// Makes a storage array of these values.
+    ///
+    /// # Errors
+    /// As [`Gpu::zeros`].
+    pub fn filled<T: Pod>(&self, what: &'static str, values: &[T]) -> Result<Array<T>, GpuError> {
+        let array = self.zeros(what, values.len())?;
+        self.write(&array, 0, values);
+        Ok(array)
+    }
+
+    /// Makes a uniform.
+    ///
+    /// # Errors
+    /// As [`Gpu::zeros`].
+    pub fn uniform<T: Pod>(&self, what: &'static str, value: T) -> Result<Array<T>, GpuError> {
+        let array = self.array(what, 1, wgpu::BufferUsages::UNIFORM)?;
+        self.write(&array, 0, &[value]);
+        Ok(array)
+    }
+
+    /// Makes an array for one use.
+    pub(super) fn array<T: Pod>(
+        &self,
+        what: &'static str,
+        len: usize,
+        usage: wgpu::BufferUsages,
+    ) -> Result<Array<T>, GpuError> {
+        // An empty buffer cannot be bound.
+        let bytes = (len.max(1) * size_of::<T>()).next_multiple_of(4) as u64;
+        let offered = self.limits.max_buffer_size;
+        if bytes > offered {
+            let hint = "lower `batch_samples`, `log2_table` or `memory`";
+            return Err(self.limit("max_buffer_size", [offered, bytes], hint));
+        }
+        // A lost device gives a buffer that is none, and no error.
+        self.check()?;
+        let scopes = [wgpu::ErrorFilter::OutOfMemory, wgpu::ErrorFilter::Validation]
+            .map(|filter| self.device.push_error_scope(filter));
+        let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(what),
+            size: bytes,
+            usage: usage | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC,
+            mapped_at_creation: false,
+        });
+        let mut refused = None;
+        for scope in scopes.into_iter().rev() {
+            refused = pollster::block_on(scope.pop()).or(refused);
+        }
+        match refused {
+            None => Ok(Array {
+                buffer,
+                len,
+                of: PhantomData,
+            }),
+            Some(wgpu::Error::OutOfMemory { .. }) => Err(GpuError::Memory {
+                adapter: self.name().to_owned(),
+                what,
+                bytes,
+            }),
+            Some(error) => Err(self.lost(error.to_string())),
+        }
+    }
+
+    /// Overwrites elements from `first` on, before whatever is submitted next.
+    pub fn write<T: Pod>(&self, array: &Array<T>, first: usize, values: &[T]) {
+        let offset = (first * size_of::<T>()) as u64;
+        self.queue
+            .write_buffer(&array.buffer, offset, bytemuck::cast_slice(values));
+    }
+
+    /// Waits for all that was submitted and copies an array back.
+    ///
+    /// # Errors
+    /// A lost device.
+    pub fn read<T: Pod>(&self, array: &Array<T>) -> Result<Vec<T>, GpuError> {
+        let size = array.buffer.size();
+        let staging = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("read back"),
+            size,
+            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let mut encoder = self.device.create_command_encoder(&Default::default());
+        encoder.copy_buffer_to_buffer(&array.buffer, 0, &staging, 0, size);
+        self.queue.submit([encoder.finish()]);
+        let (sender, receiver) = std::sync::mpsc::channel();
+        staging.map_async(wgpu::MapMode::Read, .., move |mapped| {
+            // The receiver waits below; if it is gone nobody wants the answer.
+            let _ = sender.send(mapped);
+        });
+        self.wait()?;
+        let failed = |error: &dyn std::fmt::Display| self.lost(error.to_string());
+        let mapped = receiver.recv().map_err(|error| failed(&error))?;
+        mapped.map_err(|error| failed(&error))?;
+        let view = staging.get_mapped_range(..).map_err(|error| failed(&error))?;
+        let mut values: Vec<T> = bytemuck::pod_collect_to_vec(&view[..]);
+        values.truncate(array.len);
+        Ok(values)
+    }
+
+    /// Waits until all that was submitted is done.
+    ///
+    /// # Errors
+    /// A lost device.
+    pub fn wait(&self) -> Result<(), GpuError> {
+        self.guarded(|| self.device.poll(wgpu::PollType::wait_indefinitely()))
+    }
+
+    /// Makes an error of a wait that panics: wgpu 30 does where the driver loses the device meanwhile, and nowhere else
+    /// that is called here.
+    fn guarded(
+        &self,
+        wait: impl FnOnce() -> Result<wgpu::PollStatus, wgpu::PollError>,
+    ) -> Result<(), GpuError> {
+        let waited = catch_unwind(AssertUnwindSafe(wait));
+        // What the driver said is more precise.
+        self.check()?;
+        match waited {
+            Ok(Ok(_)) => Ok(()),
+            Ok(Err(error)) => Err(self.lost(error.to_string())),
+            Err(panic) => {
+                let text = panic.downcast_ref::<String>().map(|text| text.trim_end());
+                Err(self.lost(text.unwrap_or("lost while it was waited for").to_owned()))
+            }
+        }
+    }
+}
+
+/// Returns the low and the high half of a word, which is how kernels see 64 bits.
+pub fn halves(word: u64) -> [u32; 2] {
+    [word as u32, (word >> 32) as u32]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::testing::gpu;
+
+    #[test]
+    fn what_is_written_is_read_back_and_the_rest_is_zero() {
+        let Some(gpu) = gpu("what_is_written_is_read_back_and_the_rest_is_zero") else {
+            return;
+        };
+        let array = gpu.zeros::<u32>("numbers", 5).unwrap();
+        gpu.write(&array, 1, &[7, 8]);
+        assert_eq!(gpu.read(&array), Ok(vec![0, 7, 8, 0, 0]));
+    }
+
+    #[test]
+    fn more_than_the_device_has_is_refused_with_the_number() {
+        let Some(gpu) = gpu("more_than_the_device_has_is_refused_with_the_number") else {
+            return;
+        };
+        let refused = gpu.zeros::<u64>("table", 1 << 50).err();
+        assert!(
+            matches!(refused, Some(GpuError::Limit { needed, .. }) if needed == 1 << 53),
+            "{refused:?}"
+        );
+    }
+
+    #[test]
+    fn a_wait_that_panics_is_a_lost_device() {
+        let Some(gpu) = gpu("a_wait_that_panics_is_a_lost_device") else {
+            return;
+        };
+        let refused = gpu.guarded(|| panic!("Error in Device::poll: {} is lost\n", gpu.name()));
+        let told = gpu.lost(format!("Error in Device::poll: {} is lost", gpu.name()));
+        assert_eq!(refused, Err(told));
+        assert_eq!(gpu.wait(), Ok(()));
+    }
+}

@@ -1,0 +1,144 @@
+//! What a training learns from, and its state: all that a backend needs to take steps.
+
+use marf_scene::Pose;
+
+use crate::cpu::adam::Bias;
+use crate::cpu::march::Steps;
+use crate::depth::{Observation, observations};
+use crate::frame::Frame;
+use crate::occupancy::Occupancy;
+use crate::rng::Fingerprint;
+use crate::state::State;
+use crate::views::{View, check_points, check_views, pixel_offsets};
+use crate::weights::Weights;
+use crate::{Background, Config, Facts, FieldError, LevelFacts, Occupied, Sizes, background, size};
+
+/// A training: photos, settings, what was derived from them, and the state.
+pub struct Training {
+    /// Hyper-parameters.
+    pub config: Config,
+    /// Seed of all random numbers.
+    pub seed: u64,
+    /// The photos.
+    pub views: Vec<View>,
+    /// Poses of the photos' cameras, the other way round.
+    pub world_from_cams: Vec<Pose>,
+    /// Number of the first kept pixel of every view, and of all at the end.
+    pub pixels: Vec<u64>,
+    /// The box of the scene.
+    pub frame: Frame,
+    /// Levels, table, near and far.
+    pub sizes: Sizes,
+    /// Steps along rays, as often halved as the state says.
+    pub march: Steps,
+    /// What the views see of the sparse points; empty where they do not pull.
+    pub observations: Vec<Observation>,
+    /// Corrections of the moments by step count.
+    pub bias: Bias,
+    /// All that changes.
+    pub state: State,
+}
+
+impl Training {
+    /// Returns a training at step 0; `points` are sparse surface points in the world and may be empty.
+    ///
+    /// # Errors
+    /// See [`FieldError`]: no views, sizes that differ, cameras that are not finite, a key out of range.
+    pub fn new(
+        views: Vec<View>,
+        points: &[[f64; 3]],
+        config: &Config,
+        seed: u64,
+    ) -> Result<Self, FieldError> {
+        config.check()?;
+        check_views(&views)?;
+        check_points(points)?;
+        let frame = Frame::derive(&views, points);
+        frame.check(&views)?;
+        let sizes = size::derive(&views, points, config, &frame);
+        let mut weights = Weights::zeros(config, &sizes);
+        weights.randomise(seed);
+        if config.background == Background::Direction {
+            weights.background = background::fit(&views);
+        }
+        let march = sizes.steps(config, 0);
+        let side = config.occupancy_resolution;
+        let occupancy = match config.occupied {
+            Occupied::Seen => Occupancy::full(side, &frame, &views),
+            Occupied::NearPoints => Occupancy::near(side, &frame, &views, points),
+        };
+        let state = State::new(config, &views, weights, occupancy, march.count as f64);
+        let pixels = pixel_offsets(&views);
+        let observations = if config.depth_weight > 0.0 {
+            observations(&views, &pixels, points, &frame, &march)
+        } else {
+            Vec::new()
+        };
+        Ok(Self {
+            config: config.clone(),
+            seed,
+            world_from_cams: views.iter().map(|view| view.cam_from_world.inverse()).collect(),
+            pixels,
+            views,
+            frame,
+            sizes,
+            march,
+            observations,
+            bias: Bias::default(),
+            state,
+        })
+    }
+
+    /// Returns a digest of photos, cameras, poses and box: checkpoints of another training have another.
+    pub fn fingerprint(&self) -> u64 {
+        let mut sum = Fingerprint::default();
+        for view in &self.views {
+            let camera = &view.camera;
+            sum.add([camera.width.into(), camera.height.into()]);
+            let lens = [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px];
+            let distortion = [camera.k1, camera.k2, camera.p1, camera.p2];
+            sum.add(lens.iter().chain(&distortion).map(|number| number.to_bits()));
+            let pose: [[f64; 4]; 3] = view.cam_from_world.into();
+            sum.add(pose.as_flattened().iter().map(|number| number.to_bits()));
+            sum.add(view.image.words());
+        }
+        sum.add(
+            self.frame
+                .origin
+                .iter()
+                .chain([&self.frame.half_side])
+                .map(|number| number.to_bits()),
+        );
+        for observation in &self.observations {
+            sum.add([observation.pixel, observation.t.to_bits().into()]);
+        }
+        sum.0
+    }
+
+    /// Returns what the field was sized by.
+    pub fn facts(&self) -> Facts {
+        let weights = &self.state.weights;
+        let levels = weights.shapes.iter().map(|shape| LevelFacts {
+            resolution: shape.resolution,
+            entries: shape.entries,
+            dense: shape.dense,
+        });
+        let parameters: usize = weights.tensors().iter().map(|(_, values)| values.len()).sum();
+        Facts {
+            origin: self.frame.origin,
+            half_side: self.frame.half_side,
+            box_reason: self.frame.reason.clone(),
+            near: self.sizes.near.value * self.frame.half_side,
+            far: self.sizes.far.value * self.frame.half_side,
+            steps_per_ray: self.march.count as u32,
+            halvings: self.state.halvings,
+            levels: levels.collect(),
+            sizes: self.sizes.clone(),
+            trials: Vec::new(),
+            parameters: parameters as u64,
+            seen_share: self.state.occupancy.seen_share(),
+            occupied_share: self.state.occupancy.bits.share(),
+            steps: self.state.steps,
+        }
+    }
+}
