@@ -94,8 +94,8 @@ impl Filter for Blur {
 
     #[cfg(test)]
     const GUARD: Guard = Guard {
-        measures: "",
-        decisions: "",
+        measures: "2 ddfe1b405b14",
+        decisions: "2 4b8d0694aae1",
     };
 
     fn by_hand(params: &BlurParams) -> &ByHand {

@@ -112,8 +112,8 @@ impl Surveyed for Duplicate {
     });
     #[cfg(test)]
     const GUARD: Guard = Guard {
-        measures: "",
-        decisions: "",
+        measures: "2 3d93d57f69c7",
+        decisions: "2 8a7685578a5e",
     };
 }
 

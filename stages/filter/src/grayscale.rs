@@ -73,8 +73,8 @@ impl Filter for Grayscale {
 
     #[cfg(test)]
     const GUARD: Guard = Guard {
-        measures: "",
-        decisions: "",
+        measures: "2 e48583dac47d",
+        decisions: "2 4e119ff2c0a0",
     };
 
     fn by_hand(params: &GrayscaleParams) -> &ByHand {

@@ -95,37 +95,3 @@ fn decisions_change_only_with_the_version() {
         .collect();
     assert_eq!(crate::GUARDS.iter().map(found).collect::<Vec<_>>(), expected);
 }
-
-#[test]
-fn temporary_old_guard() {
-    let photos = photos();
-    let found = |row: &Guarded| {
-        let surveys = photos.measures(&*bind(row.name, defaults()));
-        let measures: Vec<Vec<u8>> = surveys
-            .iter()
-            .zip(&photos.rows)
-            .map(|(survey, photo)| {
-                if survey.first() != Some(&1) {
-                    return survey.clone();
-                }
-                part(survey, row.name, photo).unwrap().unwrap().to_vec()
-            })
-            .collect();
-        let verdicts = serde_json::to_vec(&photos.judge(row.name, defaults())).unwrap();
-        format!(
-            "{} {} {}",
-            row.name,
-            row.version,
-            Digest::of(&[measures.concat(), verdicts].concat()).short()
-        )
-    };
-    let old = [
-        "size 2 980ee38a3c37",
-        "shape 2 fd64df115ca8",
-        "duplicate 2 118d4be8ac45",
-        "grayscale 2 43d9c316d24d",
-        "histogram 2 c0e0403bbabf",
-        "blur 2 54617c69f0ad",
-    ];
-    assert_eq!(crate::GUARDS.iter().map(found).collect::<Vec<_>>(), old);
-}

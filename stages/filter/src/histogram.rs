@@ -114,8 +114,8 @@ impl Filter for Histogram {
 
     #[cfg(test)]
     const GUARD: Guard = Guard {
-        measures: "",
-        decisions: "",
+        measures: "2 b666ddc40224",
+        decisions: "2 e7fceec64855",
     };
 
     fn by_hand(params: &HistogramParams) -> &ByHand {

@@ -63,7 +63,7 @@ impl Filter for Shape {
     #[cfg(test)]
     const GUARD: Guard = Guard {
         measures: "",
-        decisions: "",
+        decisions: "2 fd64df115ca8",
     };
 
     fn by_hand(params: &ShapeParams) -> &ByHand {
