@@ -194,7 +194,7 @@ fn note(label: Option<&str>, rejected: Option<&RejectedLabel>) -> Option<String>
     let rejected = rejected.map(|one| {
         let angle_deg = one.angle_rad.to_degrees();
         format!(
-            "label rejected by the photos: {:.2} m and {angle_deg:.2} degrees off",
+            "label outvoted by the photos: {:.2} m and {angle_deg:.2} degrees off",
             one.distance_m
         )
     });
@@ -328,7 +328,7 @@ fn method(reconstruction: &Reconstruction<'_>, metric: bool, earlier: Option<&Ea
     let rejected: usize = reconstruction.metric.iter().flatten().map(Vec::len).sum();
     let scale = match (earlier, metric) {
         (Some(_), _) => "added to the earlier scene".to_owned(),
-        (None, true) => format!("in metres by the labels, {rejected} of them rejected"),
+        (None, true) => format!("in metres by the labels, {rejected} of them outvoted"),
         (None, false) => match labelled(reconstruction, model) {
             0 => "without scale: no labels".to_owned(),
             count => format!("without scale: of {count} labels no half agrees with the photos"),
