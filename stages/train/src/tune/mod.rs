@@ -178,7 +178,7 @@ mod tests {
         for (table, given) in [
             (
                 json!({"trials": 2, "scale": 3}),
-                json!({"scale": 3, "steps": 375}),
+                json!({"scale": 3, "steps": 100}),
             ),
             (
                 json!({"trials": 2, "seed": 7, "steps": 40, "quality": "best", "device": device}),
