@@ -1,4 +1,5 @@
 //! The reader of real archives reads the demo's files.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use std::{collections::BTreeMap, fs};
 

@@ -66,7 +66,8 @@ impl<'a> Mars2020Name<'a> {
     /// drive, sequence and camera settings are the same; type, geometry, compression and version may differ.
     pub fn is_other_product_of_exposure(self, other: Mars2020Name<'_>) -> bool {
         self.same_at(other, [0..23, 27..48])
-            && !(self.same_at(other, [23..27]) && self.0[48..].eq_ignore_ascii_case(&other.0[48..]))
+            && !(self.0[23..27].eq_ignore_ascii_case(&other.0[23..27])
+                && self.0[48..].eq_ignore_ascii_case(&other.0[48..]))
     }
 
     /// Returns whether two exposures were planned with one pointing: instrument, sol, site, drive, sequence and camera
