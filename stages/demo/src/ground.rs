@@ -3,7 +3,6 @@
 use rayon::prelude::*;
 
 use super::{
-    light,
     math::{V3, noise2, sin_cos, smoothstep, v3},
     rocks::{Ray, Rock},
 };
@@ -229,7 +228,7 @@ fn point_at(
     let slope_x = (at(right, row) - at(left, row)) / ((right - left) as f64 * step_m);
     let slope_y = (at(column, below) - at(column, above)) / ((below - above) as f64 * step_m);
     let sand = sandiness(place.0, place.1, salt);
-    let (dusty, tone) = light::broad_tint(place.0, place.1, sand, salt);
+    let (dusty, tone) = broad_tint(place.0, place.1, sand, salt);
     [slope_x, slope_y, nodes[index].1, sand, dusty, tone].map(|number| number as f32)
 }
 
@@ -302,4 +301,12 @@ fn settle(nodes: &mut [(f64, f64)], side: usize, step_m: f64, rock: &Rock) {
 /// Returns the upward unit normal of a surface with these slopes.
 pub fn normal_of(slope_x: f64, slope_y: f64) -> V3 {
     v3(-slope_x, -slope_y, 1.0).unit()
+}
+
+/// Returns the ground's large-scale tint: the share of dust, and a relative brightness.
+fn broad_tint(x: f64, y: f64, sand: f64, salt: u32) -> (f64, f64) {
+    let broad = noise2(x / 2.3, y / 2.3, salt ^ 41).0;
+    let blotch = noise2(x / 0.61, y / 0.61, salt ^ 42).0;
+    let dusty = smoothstep(-0.6, 0.9, 0.8 * broad + 0.5 * blotch - 0.9 * (sand - 0.5));
+    (dusty, 0.10 * broad + 0.05 * blotch)
 }

@@ -75,14 +75,6 @@ fn held(size_m: f64, footprint_m: f64) -> f64 {
     smoothstep(0.7, 1.7, size_m / footprint_m)
 }
 
-/// Returns the ground's large-scale tint: the share of dust, and a relative brightness.
-pub fn broad_tint(x: f64, y: f64, sand: f64, salt: u32) -> (f64, f64) {
-    let broad = noise2(x / 2.3, y / 2.3, salt ^ 41).0;
-    let blotch = noise2(x / 0.61, y / 0.61, salt ^ 42).0;
-    let dusty = smoothstep(-0.6, 0.9, 0.8 * broad + 0.5 * blotch - 0.9 * (sand - 0.5));
-    (dusty, 0.10 * broad + 0.05 * blotch)
-}
-
 /// Returns the material of the ground at a point: sand, dust and small stones.
 pub fn ground_material(x: f64, y: f64, point: &GroundPoint, footprint_m: f64, salt: u32) -> Material {
     let mut albedo = SAND.mix(DUST, point.dusty);

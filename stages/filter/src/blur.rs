@@ -6,8 +6,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
+use crate::decision::Decision;
 use crate::decoded::DecodedPhoto;
-use crate::filter::{Decision, Filter, MeasuredPhoto, check_range};
+use crate::filter::{Filter, MeasuredPhoto, check_range};
 #[cfg(test)]
 use crate::guard::Guard;
 use crate::octave::Octave;

@@ -7,7 +7,7 @@ use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::filter::Decision;
+use crate::decision::Decision;
 
 /// Photos that a person keeps or rejects; these decisions override the filter.
 ///

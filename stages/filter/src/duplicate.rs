@@ -9,8 +9,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
+use crate::decision::Decision;
 use crate::descriptor::{ViewDescriptor, take};
-use crate::filter::{Decision, check_range, facts_of, undecodable};
+use crate::filter::{check_range, facts_of, undecodable};
 #[cfg(test)]
 use crate::guard::Guard;
 use crate::relation::{Relation, processing_rank, relation_between};

@@ -8,6 +8,7 @@
 
 mod blur;
 mod by_hand;
+mod decision;
 mod decoded;
 mod descriptor;
 mod duplicate;
@@ -38,8 +39,9 @@ use marf_stage::{StageDef, define};
 use survey::{Section, SectionVersions, Surveyed};
 
 pub use by_hand::ByHand;
+pub use decision::Decision;
 pub use decoded::DecodedPhoto;
-pub use filter::{Decision, Filter, MeasuredPhoto};
+pub use filter::{Filter, MeasuredPhoto};
 pub use luma::Luma;
 pub use stage::FilterStage;
 
