@@ -18,7 +18,7 @@ const BAND_GAP: f64 = 36.0;
 /// Lines that go on in another band keep this far apart, up to [`LANES`] of them.
 const LANE: f64 = 5.0;
 const LANES: usize = 5;
-/// Room left and right of the boxes for lines that go on in another band.
+/// Space left and right of the boxes for lines that go on in another band.
 const MARGIN: f64 = 36.0;
 /// Most columns of a band: 6 x 190 px fit a page of 1400 px, and one of 1000 px a little smaller.
 const MOST_COLUMNS: usize = 6;

@@ -1,4 +1,4 @@
-//! Every stage of the room on a tiny scene, with the real field.
+//! Every stage of this crate on a tiny scene, with the real field.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,

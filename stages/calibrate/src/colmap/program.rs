@@ -178,7 +178,7 @@ impl Program {
 /// Returns the error of a file that cannot be written.
 pub(super) fn cannot_write(what: &str, error: &std::io::Error) -> StageError {
     StageError::new(format!("{what} for colmap cannot be written: {error}"))
-        .hint("make room in the folder for temporary files (TMPDIR)")
+        .hint("free space in the folder for temporary files (TMPDIR)")
 }
 
 /// Returns the name under which this version has an option.
