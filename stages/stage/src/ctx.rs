@@ -70,6 +70,14 @@ pub trait Blobs: Sync {
     /// # Errors
     /// A store that cannot be written.
     fn put(&self, bytes: &[u8]) -> Result<Digest, BlobError>;
+    /// Copies a file into the store, sharing its blocks where the file system can, and returns the bytes that were stored
+    /// with their digest.
+    ///
+    /// # Errors
+    /// A file that cannot be read, is larger than `max_bytes`, or a store that cannot be written.
+    fn put_file(&self, path: &Path, max_bytes: u64) -> Result<(Digest, Arc<[u8]>), BlobError>;
+    /// Tells whether a blob is in the store; its bytes are not read.
+    fn contains(&self, digest: &Digest) -> bool;
 }
 
 /// A blob that could not be read or written.
@@ -88,12 +96,13 @@ pub trait Progress: Sync {
     fn at(&self, done: u64, total: u64, note: &str);
 }
 
-/// Keeps the state of an unfinished run under the node's key.
+/// Keeps the state of an unfinished run under the node's key, in named parts (`training`, `trial-2`). All are removed when
+/// the node finishes.
 pub trait Checkpoints: Sync {
-    /// Returns the state that the last unfinished run of this key saved.
-    fn load(&self) -> Option<Vec<u8>>;
-    /// Replaces the state. A failure costs only time, and the engine reports it.
-    fn save(&self, state: &[u8]);
+    /// Returns what the last unfinished run of this key saved as this part; none if it is damaged.
+    fn load(&self, part: &str) -> Option<Vec<u8>>;
+    /// Replaces a part. A failure costs only time, and the engine reports it.
+    fn save(&self, part: &str, state: &[u8]);
 }
 
 /// Keeps partial results from run to run under keys that the stage chooses.

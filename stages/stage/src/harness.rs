@@ -1,7 +1,7 @@
 //! Runs a stage without an engine: a store in memory, for tests of stages.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use marf_cache::{
@@ -17,7 +17,7 @@ use crate::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Memos, Progress};
 pub struct Harness {
     blobs: Mutex<BTreeMap<Digest, Arc<[u8]>>>,
     reads: Mutex<BTreeMap<Digest, u64>>,
-    checkpoint: Mutex<Option<Vec<u8>>>,
+    checkpoints: Mutex<BTreeMap<String, Vec<u8>>>,
     memos: Mutex<BTreeMap<Digest, Arc<[u8]>>>,
     /// Whether stages under test should stop.
     pub cancel: Cancel,
@@ -103,6 +103,22 @@ impl Blobs for Harness {
     fn put(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
         Ok(Self::put(self, bytes))
     }
+
+    fn put_file(&self, path: &Path, max_bytes: u64) -> Result<(Digest, Arc<[u8]>), BlobError> {
+        let refused = |why: String| BlobError {
+            message: format!("cannot read `{}`: {why}", path.display()),
+            lost: None,
+        };
+        let bytes = std::fs::read(path).map_err(|error| refused(error.to_string()))?;
+        if bytes.len() as u64 > max_bytes {
+            return Err(refused(format!("{} bytes, at most {max_bytes}", bytes.len())));
+        }
+        Ok((Self::put(self, &bytes), Arc::from(bytes)))
+    }
+
+    fn contains(&self, digest: &Digest) -> bool {
+        self.blobs.lock().contains_key(digest)
+    }
 }
 
 impl Progress for Harness {
@@ -110,12 +126,12 @@ impl Progress for Harness {
 }
 
 impl Checkpoints for Harness {
-    fn load(&self) -> Option<Vec<u8>> {
-        self.checkpoint.lock().clone()
+    fn load(&self, part: &str) -> Option<Vec<u8>> {
+        self.checkpoints.lock().get(part).cloned()
     }
 
-    fn save(&self, state: &[u8]) {
-        *self.checkpoint.lock() = Some(state.to_vec());
+    fn save(&self, part: &str, state: &[u8]) {
+        self.checkpoints.lock().insert(part.to_owned(), state.to_vec());
     }
 }
 

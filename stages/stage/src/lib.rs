@@ -138,6 +138,19 @@ pub struct Fetched {
     pub rows: Vec<Row>,
     /// One verdict for every file seen; files that gave no item say why.
     pub verdicts: Vec<Verdict>,
+    /// Measures that were made of items while they were in memory, so that no stage reads the items again for them.
+    pub measures: Vec<FetchedMeasure>,
+}
+
+/// A measure that a source made of an item.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FetchedMeasure {
+    /// The item.
+    pub id: String,
+    /// The table that keeps it.
+    pub table: Table,
+    /// What [`Measure::measure`] would return of the item for this table.
+    pub measure: Vec<u8>,
 }
 
 /// Reads items from an archive.
@@ -155,22 +168,39 @@ pub trait Source: Send + Sync {
     fn fetch(&self, ctx: &Ctx<'_>, shard: u32) -> Result<Fetched, StageError>;
 }
 
+/// A table of measures: one value an item, a pure function of the item. It is kept by shard under this name and version.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ContentHash)]
+pub struct Table {
+    /// Its name, unique among all tables.
+    pub name: &'static str,
+    /// Raised by hand when a value may differ.
+    pub version: u32,
+}
+
 /// Measures items one by one.
 pub trait Measure: Send + Sync {
-    /// Returns the parameters that the measure depends on; thresholds are not among them.
-    fn measure_params(&self) -> &dyn ContentHash;
+    /// Returns the table that this stage reads; `None` if the rows are enough for it.
+    fn table(&self) -> Option<Table>;
 
-    /// Returns the name and version under which measures are cached where several stages share them; `measure_params`
-    /// then holds everything the measure depends on. `None`: the stage's own name and version.
-    fn shared(&self) -> Option<(&'static str, u32)> {
-        None
+    /// Returns the tables that one look at an item can fill, [`Measure::table`] among them. Several stages may return the
+    /// same ones: the first of them that runs fills all.
+    fn together(&self) -> Vec<Table> {
+        self.table().into_iter().collect()
     }
 
-    /// Measures one item: a pure function of the row and the bytes it names, cached by them.
+    /// Measures one item for each of the wanted tables, some of [`Measure::together`]: pure functions of the row and the
+    /// bytes it names, cached by them. No parameter changes a measure.
+    ///
+    /// Large parts of a measure may be blobs of their own, stored through `ctx`; [`Measure::blobs`] names them.
     ///
     /// # Errors
     /// Only failures of the whole node; an item that cannot be measured has a measure that says so.
-    fn measure(&self, ctx: &Ctx<'_>, row: &Row) -> Result<Vec<u8>, StageError>;
+    fn measure(&self, ctx: &Ctx<'_>, row: &Row, wanted: &[Table]) -> Result<Vec<Vec<u8>>, StageError>;
+
+    /// Returns the blobs that a measure names. One that is lost makes the item be measured again.
+    fn blobs(&self, _measure: &[u8]) -> Vec<Digest> {
+        Vec::new()
+    }
 }
 
 /// An item with its measure.
@@ -180,30 +210,58 @@ pub struct Measured<'a> {
     pub shard: u32,
     /// The item.
     pub row: &'a Row,
-    /// The result of [`Measure::measure`].
+    /// The result of [`Measure::measure`]; empty without a table.
     pub measure: &'a [u8],
+}
+
+/// How far the verdict on an item looks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Scope {
+    /// At the item alone: a new shard changes no verdict on another.
+    Item,
+    /// At all items of the set.
+    Set,
 }
 
 /// Accepts or rejects each item by its measure.
 pub trait Map: Measure {
+    /// Returns how far a verdict looks.
+    fn scope(&self) -> Scope;
+
     /// Returns one verdict for each item, in the same order. Cheap: runs whenever a threshold changes.
+    ///
+    /// The items are those of one shard where the scope is [`Scope::Item`], else those of the set.
     ///
     /// # Errors
     /// A measure that cannot be read.
     fn decide(&self, items: &[Measured<'_>]) -> Result<Vec<Verdict>, StageError>;
 }
 
-/// Accepts or rejects items of one shard with a state from all earlier shards.
+/// Accepts or rejects items shard by shard, each with what earlier shards added to a state.
 pub trait Fold: Measure {
-    /// Returns the state for the next shard and one verdict for each item, in the same order.
+    /// Returns the state before the first shard.
+    fn begin(&self) -> Box<dyn FoldState + '_>;
+}
+
+/// The state of a fold between two shards.
+pub trait FoldState {
+    /// Adds what [`FoldState::fold`] returned of the next shard in an earlier run, instead of folding it again.
     ///
     /// # Errors
-    /// A state or measure that cannot be read.
-    fn fold(
-        &self,
-        state: Option<&[u8]>,
-        items: &[Measured<'_>],
-    ) -> Result<(Vec<u8>, Vec<Verdict>), StageError>;
+    /// Bytes that `fold` did not return.
+    fn replay(&mut self, ctx: &Ctx<'_>, added: &[u8]) -> Result<(), StageError>;
+
+    /// Decides the items of the next shard. Returns what they add to the state (of a size that follows from this shard
+    /// alone, never from earlier ones) and one verdict for each item, in the same order.
+    ///
+    /// # Errors
+    /// A measure that cannot be read.
+    fn fold(&mut self, ctx: &Ctx<'_>, items: &[Measured<'_>]) -> Result<(Vec<u8>, Vec<Verdict>), StageError>;
+
+    /// Returns the blobs that `added` names.
+    fn blobs(&self, _added: &[u8]) -> Vec<Digest> {
+        Vec::new()
+    }
 }
 
 /// Computes outputs from whole inputs.
@@ -217,6 +275,10 @@ pub trait Set: Send + Sync {
 
 /// Requests further nodes and reduces their outputs.
 pub trait Expand: Send + Sync {
+    /// Returns every stage that a child may be of, each with parameters that choose the backend as the child's do. Their
+    /// versions and backends are part of the key of this node.
+    fn children(&self) -> Vec<ChildStage>;
+
     /// Returns the nodes to run.
     ///
     /// # Errors
@@ -228,6 +290,15 @@ pub trait Expand: Send + Sync {
     /// # Errors
     /// What stops the node.
     fn reduce(&self, ctx: &Ctx<'_>, inputs: &Inputs, children: &[Outputs]) -> Result<Outputs, StageError>;
+}
+
+/// A stage that children of a node are of.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ChildStage {
+    /// Name of the stage in the table.
+    pub stage: &'static str,
+    /// Parameters of such a child, as JSON.
+    pub params: serde_json::Value,
 }
 
 /// A request to run a stage with parameters on inputs.
