@@ -5,13 +5,17 @@
 
 extern crate self as marf_cache;
 
+mod action;
 mod content_hash;
 mod digest;
+mod json;
 pub mod manifest;
 mod store;
 
+pub use action::{ACTION_FORMAT, Action, ActionError, ChildVersion};
 pub use content_hash::{ContentHash, Visitor, digest_of, manifest_text};
 pub use digest::{Digest, ParseDigestError};
+pub use json::canonical_json;
 pub use marf_cache_derive::ContentHash;
 pub use store::{Conflict, Output, Record, RunMetadata, Store, StoreError, StoreStat};
 

@@ -1,9 +1,13 @@
 //! Merkle manifests: a set of items as leaves of sorted rows, shard (sol) by shard.
 //!
-//! A root is a sorted list of (shard, digest of a leaf); a leaf is up to [`ROWS_A_LEAF`] rows sorted by id. Sets
-//! of equal roots are equal, and equal leaves need not be read.
+//! A set is a sorted list of (shard, digest of a leaf); a leaf is up to [`ROWS_A_LEAF`] rows sorted by id. The list is
+//! stored in blocks of [`SHARDS_A_BLOCK`] shards below one root, so that a new sol writes its leaf, one block and the root.
+//! Sets of equal roots are equal, and equal blocks and leaves need not be read.
+//!
+//! Verdicts by shard, the parts of a node by shard and the listing of a source have the same form; their "leaves" are
+//! blobs of verdicts, keys of parts, fingerprints.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, sync::Arc};
 
 use serde::{Deserialize, Serialize};
 
@@ -11,6 +15,8 @@ use crate::Digest;
 
 /// Most rows of one leaf: 4,000 rows of some hundred bytes stay under a megabyte.
 pub const ROWS_A_LEAF: usize = 4_000;
+/// Shard numbers of one block: a mission of 4,000 sols has 63 blocks of 64 lines.
+pub const SHARDS_A_BLOCK: u32 = 64;
 
 /// One item of a set: its name, its blobs, and facts about it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -47,6 +53,15 @@ pub struct LeafRef {
     pub leaf: Digest,
     /// Number of rows.
     pub rows: u32,
+}
+
+/// A line of a root: the leaves of the shards from `block * SHARDS_A_BLOCK` on.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+struct BlockRef {
+    block: u32,
+    digest: Digest,
+    leaves: u32,
+    rows: u64,
 }
 
 /// A manifest that cannot be read.
@@ -103,25 +118,68 @@ impl Leaf {
 }
 
 impl Root {
-    /// Returns the canonical bytes, one leaf a line.
-    pub fn encode(&self) -> Vec<u8> {
-        encode_lines(&self.leaves)
+    /// Stores the set through `put`, which stores bytes and returns their digest; returns the digest of its root.
+    ///
+    /// # Errors
+    /// The first error of `put`.
+    pub fn write<E>(&self, mut put: impl FnMut(&[u8]) -> Result<Digest, E>) -> Result<Digest, E> {
+        let mut blocks = Vec::new();
+        for leaves in self
+            .leaves
+            .chunk_by(|a, b| a.shard / SHARDS_A_BLOCK == b.shard / SHARDS_A_BLOCK)
+        {
+            blocks.push(BlockRef {
+                block: leaves[0].shard / SHARDS_A_BLOCK,
+                digest: put(&encode_lines(leaves))?,
+                leaves: leaves.len() as u32,
+                rows: rows(leaves),
+            });
+        }
+        put(&encode_lines(&blocks))
     }
 
-    /// Reads what [`Root::encode`] wrote.
+    /// Reads what [`Root::write`] stored; `get` returns the bytes of a digest.
+    ///
+    /// # Errors
+    /// The first error of `get`, or bytes that are no manifest.
+    pub fn read<E: From<ManifestError>>(
+        root: &Digest,
+        mut get: impl FnMut(&Digest) -> Result<Arc<[u8]>, E>,
+    ) -> Result<Self, E> {
+        let blocks: Vec<BlockRef> = decode_lines(&get(root)?)?;
+        let mut leaves = Vec::new();
+        for block in blocks {
+            leaves.extend(decode_lines::<LeafRef>(&get(&block.digest)?)?);
+        }
+        Ok(Self { leaves })
+    }
+
+    /// Returns the digests of the blocks that the bytes of a root name.
     ///
     /// # Errors
     /// Bytes that are no root.
-    pub fn decode(bytes: &[u8]) -> Result<Self, ManifestError> {
-        Ok(Self {
-            leaves: decode_lines(bytes)?,
-        })
+    pub fn blocks(root: &[u8]) -> Result<Vec<Digest>, ManifestError> {
+        let blocks: Vec<BlockRef> = decode_lines(root)?;
+        Ok(blocks.into_iter().map(|block| block.digest).collect())
+    }
+
+    /// Returns the number of rows from the bytes of a root alone.
+    ///
+    /// # Errors
+    /// Bytes that are no root.
+    pub fn count(root: &[u8]) -> Result<u64, ManifestError> {
+        let blocks: Vec<BlockRef> = decode_lines(root)?;
+        Ok(blocks.iter().map(|block| block.rows).sum())
     }
 
     /// Returns the number of rows in all leaves.
     pub fn rows(&self) -> u64 {
-        self.leaves.iter().map(|leaf| u64::from(leaf.rows)).sum()
+        rows(&self.leaves)
     }
+}
+
+fn rows(leaves: &[LeafRef]) -> u64 {
+    leaves.iter().map(|leaf| u64::from(leaf.rows)).sum()
 }
 
 fn encode_lines<T: Serialize>(items: &[T]) -> Vec<u8> {
@@ -167,9 +225,60 @@ mod tests {
         assert!(error.to_string().contains("`a`"), "{error}");
     }
 
+    /// A store in memory.
+    #[derive(Default)]
+    struct Blobs(BTreeMap<Digest, Arc<[u8]>>);
+
+    impl Blobs {
+        fn put(&mut self, bytes: &[u8]) -> Result<Digest, ManifestError> {
+            let digest = Digest::of(bytes);
+            self.0.insert(digest, Arc::from(bytes));
+            Ok(digest)
+        }
+
+        fn read(&self, root: &Digest) -> Result<Root, ManifestError> {
+            Root::read(root, |digest| Ok(Arc::clone(&self.0[digest])))
+        }
+    }
+
+    fn root(shards: impl IntoIterator<Item = u32>) -> Root {
+        let leaf = |shard: u32| LeafRef {
+            shard,
+            leaf: Digest::of(&shard.to_le_bytes()),
+            rows: 3,
+        };
+        Root {
+            leaves: shards.into_iter().map(leaf).collect(),
+        }
+    }
+
     #[test]
-    fn an_empty_leaf_and_root_survive() {
+    fn an_empty_leaf_and_an_empty_set_survive() {
         assert_eq!(Leaf::decode(&Leaf::default().encode()).unwrap(), Leaf::default());
-        assert_eq!(Root::decode(&Root::default().encode()).unwrap(), Root::default());
+        let mut blobs = Blobs::default();
+        let digest = Root::default().write(|bytes| blobs.put(bytes)).unwrap();
+        assert_eq!(blobs.read(&digest).unwrap(), Root::default());
+    }
+
+    #[test]
+    fn a_new_shard_writes_one_block_and_the_root() {
+        let mut blobs = Blobs::default();
+        let set = root(0..1000);
+        let digest = set.write(|bytes| blobs.put(bytes)).unwrap();
+        assert_eq!(blobs.read(&digest).unwrap(), set);
+        assert_eq!(Root::count(&blobs.0[&digest]).unwrap(), 3000);
+        let before = blobs.0.len();
+        root(0..1001).write(|bytes| blobs.put(bytes)).unwrap();
+        assert_eq!(blobs.0.len() - before, 2);
+    }
+
+    /// The extreme shards, and two leaves of one shard, which lie in one block.
+    #[test]
+    fn shards_at_the_ends_of_their_range_survive() {
+        let mut blobs = Blobs::default();
+        let set = root([0, 0, 63, 64, u32::MAX]);
+        let digest = set.write(|bytes| blobs.put(bytes)).unwrap();
+        assert_eq!(blobs.read(&digest).unwrap(), set);
+        assert_eq!(Root::blocks(&blobs.0[&digest]).unwrap().len(), 3);
     }
 }

@@ -4,24 +4,25 @@ use serde::{Deserialize, Serialize};
 
 use crate::Digest;
 
-/// The result of one action: its key, its outputs, and metadata that no key depends on.
+/// The result of one action: its key, its outputs, everything these may name, and metadata that no key depends on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record {
-    /// Digest of everything that the outputs depend on.
+    /// Digest of the bytes of its [`crate::Action`], which are in the store.
     pub key: Digest,
     /// Name of the stage.
     pub stage: String,
-    /// Version of the stage.
-    pub version: u32,
-    /// The content of the key as text, one value a line.
-    pub manifest: String,
     /// Output blobs by name.
     pub outputs: BTreeMap<String, Output>,
+    /// A blob with the digests of all other blobs that the work stored ([`digest_list`]); absent if there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub needs: Option<Digest>,
+    /// Keys of the parts of the work by shard, as a set ([`crate::manifest::Root`] with keys for leaves).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub parts: Option<Digest>,
     /// Keys of the child nodes, by their names below this one.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub children: BTreeMap<String, Digest>,
-    /// How the run went; never compared. The serialised name is that of the first stores.
-    #[serde(rename = "circumstances")]
+    /// How the run went; never compared.
     pub metadata: RunMetadata,
 }
 
@@ -47,6 +48,9 @@ pub struct RunMetadata {
     pub device: String,
     /// Program with version and commit.
     pub program: String,
+    /// Figures of the work by name (`photos`, `rejected`, `measured`).
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub counts: BTreeMap<String, u64>,
 }
 
 /// Two results for one key: the first is kept.

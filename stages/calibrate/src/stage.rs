@@ -48,8 +48,8 @@ impl Define for Calibrate {
 }
 
 impl Stage for Calibrate {
-    fn params(&self) -> &dyn ContentHash {
-        &self.0
+    fn params(&self) -> serde_json::Value {
+        marf_stage::key_params(&self.0, &[])
     }
 
     fn work(&self) -> Work<'_> {

@@ -41,14 +41,14 @@ pub struct Extract {
 }
 
 /// The parameters that enter the key. The archive's do not: what they choose is in the fingerprints of its shards.
-#[derive(ContentHash)]
+#[derive(serde::Serialize)]
 struct Reading {
     white_radiance: f64,
 }
 
 impl Stage for Extract {
-    fn params(&self) -> &dyn ContentHash {
-        &self.reading
+    fn params(&self) -> serde_json::Value {
+        marf_stage::key_params(&self.reading, &[])
     }
 
     fn work(&self) -> Work<'_> {

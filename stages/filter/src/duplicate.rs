@@ -96,8 +96,8 @@ impl Define for Duplicate {
 }
 
 impl Stage for Duplicate {
-    fn params(&self) -> &dyn ContentHash {
-        &self.params
+    fn params(&self) -> serde_json::Value {
+        marf_stage::key_params(&self.params, &[])
     }
 
     fn work(&self) -> Work<'_> {

@@ -35,8 +35,8 @@ impl<F: Filter> Define for FilterStage<F> {
 }
 
 impl<F: Filter> Stage for FilterStage<F> {
-    fn params(&self) -> &dyn ContentHash {
-        &self.params
+    fn params(&self) -> serde_json::Value {
+        marf_stage::key_params(&self.params, &[])
     }
 
     fn work(&self) -> Work<'_> {

@@ -1,5 +1,5 @@
 use schemars::{JsonSchema, Schema, generate::SchemaSettings};
-use serde::de::DeserializeOwned;
+use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{ArchiveContext, Stage};
 
@@ -123,6 +123,17 @@ pub const fn define<S: Define>() -> StageDef {
 pub fn schema_of<P: JsonSchema>() -> Schema {
     let settings = SchemaSettings::draft2020_12().with(|settings| settings.inline_subschemas = true);
     settings.into_generator().into_root_schema_for::<P>()
+}
+
+/// Returns parameters as JSON for a key, without the keys that change no result (`device`: the backend is told apart).
+///
+/// Numbers that JSON cannot hold, NaN and infinities, become `null`; stages refuse them before.
+pub fn key_params(params: &impl Serialize, without: &[&str]) -> serde_json::Value {
+    let mut json = serde_json::to_value(params).unwrap_or_default();
+    if let Some(table) = json.as_object_mut() {
+        without.iter().for_each(|key| drop(table.remove(*key)));
+    }
+    json
 }
 
 /// Reads a table of parameters.

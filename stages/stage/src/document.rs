@@ -1,11 +1,11 @@
-use marf_cache::{ContentHash, Digest};
+use marf_cache::Digest;
 use schemars::JsonSchema;
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{Ctx, Inputs, NodeSpec, Outputs, StageError};
 
 /// Parameters of a stage that another stage, or a command, may make a node of.
-pub trait Params: Serialize + DeserializeOwned + JsonSchema + ContentHash {
+pub trait Params: Serialize + DeserializeOwned + JsonSchema {
     /// Name of the stage in pipeline.toml and in keys.
     const STAGE: &'static str;
 }
@@ -120,7 +120,7 @@ mod tests {
     use crate::harness::Harness;
     use serde::Deserialize;
 
-    #[derive(Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
+    #[derive(Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
     struct Knobs {
         #[serde(skip_serializing_if = "Option::is_none")]
         steps: Option<u64>,

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 
 pub use archive::{Access, ArchiveContext, LOCK_FILE};
 pub use ctx::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Memos, Progress};
-pub use define::{Define, ParamError, Port, StageDef, define, from_json, schema_of};
+pub use define::{Define, ParamError, Port, StageDef, define, from_json, key_params, schema_of};
 pub use document::{Document, Params, TypedOutputs};
 pub use error::StageError;
 
@@ -33,8 +33,9 @@ pub const EARLIER: &str = "earlier";
 
 /// A stage with its parameters, ready to run.
 pub trait Stage: Send + Sync {
-    /// Returns the parameters that may change the result; they are hashed into the key.
-    fn params(&self) -> &dyn ContentHash;
+    /// Returns the parameters that may change the result, defaults included, as JSON ([`key_params`]); they are part of the
+    /// key.
+    fn params(&self) -> serde_json::Value;
     /// Returns the kind of work, with the implementation to run.
     fn work(&self) -> Work<'_>;
     /// Returns how many threads one run can use.

@@ -35,8 +35,8 @@ pub use tune::Tune;
 macro_rules! stage_on_device {
     ($stage:ty, $work:ident) => {
         impl marf_stage::Stage for $stage {
-            fn params(&self) -> &dyn marf_cache::ContentHash {
-                &self.params
+            fn params(&self) -> serde_json::Value {
+                marf_stage::key_params(&self.params, &["device"])
             }
 
             fn work(&self) -> marf_stage::Work<'_> {

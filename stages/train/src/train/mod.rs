@@ -55,8 +55,8 @@ impl Define for Train {
 }
 
 impl Stage for Train {
-    fn params(&self) -> &dyn ContentHash {
-        &self.params
+    fn params(&self) -> serde_json::Value {
+        marf_stage::key_params(&self.params, &["device"])
     }
 
     fn work(&self) -> Work<'_> {

@@ -45,8 +45,8 @@ impl Define for Tune {
 }
 
 impl Stage for Tune {
-    fn params(&self) -> &dyn ContentHash {
-        &self.params
+    fn params(&self) -> serde_json::Value {
+        marf_stage::key_params(&self.params, &["device"])
     }
 
     fn work(&self) -> Work<'_> {
