@@ -27,6 +27,9 @@ pub struct Action {
     /// Which part of the stage's work it is (`fetch`, `decide`, `fold`); absent if it is all of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub part: Option<String>,
+    /// The shard that the part is about; absent if it is about none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shard: Option<u32>,
     /// Parameters of the stage, all of them, defaults included.
     pub params: Value,
     /// Digests of the contents it reads, by name.
@@ -111,6 +114,7 @@ mod tests {
             stage: "blur".to_owned(),
             version: 3,
             part: None,
+            shard: None,
             params: json!({"min_share": 0.5, "by_hand": {"keep": [], "reject": []}, "tau": 30.0}),
             inputs: BTreeMap::from([("photos".to_owned(), Digest::of(b"photos"))]),
             backend: None,
@@ -138,7 +142,9 @@ mod tests {
             Action::decode(spaced.as_bytes()),
             Err(ActionError::NotCanonical)
         ));
-        let newer = String::from_utf8(bytes).unwrap().replace("\"action\":2", "\"action\":3");
+        let newer = String::from_utf8(bytes)
+            .unwrap()
+            .replace("\"action\":2", "\"action\":3");
         let error = Action::decode(newer.as_bytes()).unwrap_err().to_string();
         assert!(error.contains("form 3"), "{error}");
         assert!(Action::decode(b"{").is_err());

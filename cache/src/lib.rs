@@ -17,7 +17,9 @@ pub use content_hash::{ContentHash, Visitor, digest_of, manifest_text};
 pub use digest::{Digest, ParseDigestError};
 pub use json::canonical_json;
 pub use marf_cache_derive::ContentHash;
-pub use store::{Conflict, Output, Record, RunMetadata, Store, StoreError, StoreStat};
+pub use store::{
+    Conflict, Output, Record, RunMetadata, Store, StoreError, StoreStat, digest_list, read_digest_list,
+};
 
 #[doc(hidden)]
 pub mod __private {

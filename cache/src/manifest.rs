@@ -154,6 +154,19 @@ impl Root {
         Ok(Self { leaves })
     }
 
+    /// Returns references to leaves as bytes, one a line: the form of a block.
+    pub fn encode_leaves(leaves: &[LeafRef]) -> Vec<u8> {
+        encode_lines(leaves)
+    }
+
+    /// Reads what [`Root::encode_leaves`] wrote.
+    ///
+    /// # Errors
+    /// Bytes that are no references.
+    pub fn decode_leaves(bytes: &[u8]) -> Result<Vec<LeafRef>, ManifestError> {
+        decode_lines(bytes)
+    }
+
     /// Returns the digests of the blocks that the bytes of a root name.
     ///
     /// # Errors

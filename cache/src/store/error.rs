@@ -53,6 +53,12 @@ impl StoreError {
         move |source| Self::Io { doing, path, source }
     }
 
+    /// Tells whether the store may not be written.
+    pub fn is_read_only(&self) -> bool {
+        use io::ErrorKind::{PermissionDenied, ReadOnlyFilesystem};
+        matches!(self, Self::Io { source, .. } if matches!(source.kind(), ReadOnlyFilesystem | PermissionDenied))
+    }
+
     /// Returns the digest of the blob that is missing or damaged.
     pub fn lost(&self) -> Option<Digest> {
         match self {

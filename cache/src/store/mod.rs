@@ -43,7 +43,7 @@ use self::{
 use crate::Digest;
 
 pub use error::StoreError;
-pub use record::{Conflict, Output, Record, RunMetadata, StoreStat};
+pub use record::{Conflict, Output, Record, RunMetadata, StoreStat, digest_list, read_digest_list};
 
 /// Blobs from this length on are files of their own.
 const LARGE_BYTES: usize = 64 << 10;
@@ -162,6 +162,20 @@ impl Store {
         Ok(())
     }
 
+    pub fn put_file(&self, path: &Path, max_bytes: u64) -> Result<(Digest, Arc<[u8]>), StoreError> {
+        let bytes = fs::read(path).map_err(StoreError::io("read", path))?;
+        if bytes.len() as u64 > max_bytes {
+            return Err(StoreError::io("read", path)(std::io::Error::other("too large")));
+        }
+        Ok((self.put(&bytes)?, Arc::from(bytes)))
+    }
+
+    pub fn take_warnings(&self) -> Vec<String> {
+        Vec::new()
+    }
+
+    pub fn set_interrupt(&self, _interrupt: impl Fn() -> bool + Send + Sync + 'static) {}
+
     fn commit_if_due(&self) -> Result<(), StoreError> {
         if !self.pending.lock().open.is_due() {
             return Ok(());
@@ -252,7 +266,7 @@ impl Store {
     }
 
     /// Adds a memo to the open batch; it replaces an earlier one of the same key.
-    pub fn put_memo(&self, key: Digest, blob: Digest) {
+    pub fn put_memo(&self, key: Digest, blob: Digest, _maker: Digest) {
         self.pending.lock().open.add_memo(key, blob);
     }
 

@@ -53,6 +53,19 @@ pub struct RunMetadata {
     pub counts: BTreeMap<String, u64>,
 }
 
+/// Returns the bytes of a list of digests: sorted, each once, 32 bytes each.
+pub fn digest_list(digests: &[Digest]) -> Vec<u8> {
+    let sorted: std::collections::BTreeSet<&Digest> = digests.iter().collect();
+    sorted.into_iter().flat_map(|digest| *digest.as_bytes()).collect()
+}
+
+/// Reads what [`digest_list`] wrote; none if the bytes are no such list.
+pub fn read_digest_list(bytes: &[u8]) -> Option<Vec<Digest>> {
+    let (chunks, rest) = bytes.as_chunks::<32>();
+    let digests: Vec<Digest> = chunks.iter().map(|bytes| Digest::from_bytes(*bytes)).collect();
+    (rest.is_empty() && digests.is_sorted_by(|a, b| a < b)).then_some(digests)
+}
+
 /// Two results for one key: the first is kept.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Conflict {

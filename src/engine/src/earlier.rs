@@ -1,71 +1,82 @@
 //! A node's own last output as an input of its next run.
 
 use marf_cache::{Digest, Store, StoreError};
-use marf_stage::{EARLIER, Inputs, Listing, Stage, StageDef};
+use marf_stage::{EARLIER, Inputs, Stage, StageDef, StageError};
 
 use crate::{
-    key::{Key, node_key},
+    errors::store_error,
+    key::{Key, StageTable, action_of, node_key},
     record::RunRecord,
 };
 
 /// A node that needs a key.
 pub(crate) struct KeyRequest<'a> {
+    pub(crate) table: &'a StageTable,
     pub(crate) name: &'a str,
     pub(crate) def: &'a StageDef,
     pub(crate) stage: &'a dyn Stage,
-    pub(crate) listing: Option<&'a Listing>,
 }
 
-/// Returns the key of a node, and its inputs with its own earlier output among them.
-pub(crate) fn key_of(
-    store: &Store,
-    last: Option<&RunRecord>,
-    request: &KeyRequest<'_>,
-    inputs: Inputs,
-) -> Result<(Key, Inputs), StoreError> {
-    let inputs = with_earlier(store, last, request, inputs)?;
-    let key = node_key(request.def, request.stage, &inputs, request.listing);
-    Ok((key, inputs))
-}
-
-/// Adds the output of the node's last finished run as the input [`EARLIER`], if the stage asks for it and the store
-/// has it.
-///
-/// If nothing else changed, the input is that of the last run: a node never runs because of its own output alone.
-fn with_earlier(
-    store: &Store,
-    last: Option<&RunRecord>,
-    request: &KeyRequest<'_>,
-    inputs: Inputs,
-) -> Result<Inputs, StoreError> {
-    let Some(wanted) = request.stage.earlier() else {
-        return Ok(inputs);
-    };
-    let key = last.and_then(|run| run.latest.get(request.name));
-    let record = key.map(|key| store.record(key)).transpose()?.flatten();
-    let Some(record) = record.filter(|record| record.stage == request.def.name) else {
-        return Ok(inputs);
-    };
-    let with = |earlier: Option<Digest>| {
-        let mut inputs = inputs.clone();
-        let earlier = earlier.filter(|digest| store.contains(digest));
-        inputs
-            .0
-            .extend(earlier.map(|digest| (EARLIER.to_owned(), digest)));
-        inputs
-    };
-    let unchanged = with(earlier_input(&record.manifest));
-    if node_key(request.def, request.stage, &unchanged, request.listing).digest == record.key {
-        return Ok(unchanged);
+impl KeyRequest<'_> {
+    /// Returns the key of the node, and its inputs with its own earlier output among them.
+    pub(crate) fn key(
+        &self,
+        store: &Store,
+        last: Option<&RunRecord>,
+        inputs: Inputs,
+    ) -> Result<(Key, Inputs), StageError> {
+        let inputs = self.with_earlier(store, last, inputs)?;
+        let key = self.node_key(&inputs)?;
+        Ok((key, inputs))
     }
-    Ok(with(record.outputs.get(wanted).map(|output| output.digest)))
-}
 
-/// Returns the earlier output that a run had as input, from the text of its key.
-fn earlier_input(manifest: &str) -> Option<Digest> {
-    let value = |line: &str| {
-        let (path, value) = line.split_once(" = ")?;
-        (path.strip_prefix("inputs.") == Some(EARLIER)).then(|| value.parse().ok())?
-    };
-    manifest.lines().find_map(value)
+    fn node_key(&self, inputs: &Inputs) -> Result<Key, StageError> {
+        node_key(self.table, self.def, self.stage, inputs)
+    }
+
+    /// Adds the output of the node's last finished run as the input [`EARLIER`], if the stage asks for it and the store
+    /// has it.
+    ///
+    /// If nothing else changed, the input is that of the last run: a node never runs because of its own output alone.
+    fn with_earlier(
+        &self,
+        store: &Store,
+        last: Option<&RunRecord>,
+        inputs: Inputs,
+    ) -> Result<Inputs, StageError> {
+        let Some(wanted) = self.stage.earlier() else {
+            return Ok(inputs);
+        };
+        let Some((record, earlier)) = self.last_result(store, last).map_err(store_error)? else {
+            return Ok(inputs);
+        };
+        let with = |earlier: Option<Digest>| {
+            let mut inputs = inputs.clone();
+            let earlier = earlier.filter(|digest| store.contains(digest));
+            inputs
+                .0
+                .extend(earlier.map(|digest| (EARLIER.to_owned(), digest)));
+            inputs
+        };
+        let unchanged = with(earlier);
+        if self.node_key(&unchanged)?.digest == record.key {
+            return Ok(unchanged);
+        }
+        Ok(with(record.outputs.get(wanted).map(|output| output.digest)))
+    }
+
+    /// Returns the record of the node's last result, and the earlier output that it had as input.
+    fn last_result(
+        &self,
+        store: &Store,
+        last: Option<&RunRecord>,
+    ) -> Result<Option<(marf_cache::Record, Option<Digest>)>, StoreError> {
+        let key = last.and_then(|run| run.latest.get(self.name));
+        let record = key.map(|key| store.record(key)).transpose()?.flatten();
+        let Some(record) = record.filter(|record| record.stage == self.def.name) else {
+            return Ok(None);
+        };
+        let earlier = action_of(store, &record)?.and_then(|action| action.inputs.get(EARLIER).copied());
+        Ok(Some((record, earlier)))
+    }
 }

@@ -169,7 +169,7 @@ impl ContentHash for Node {
         visitor.field("version");
         self.def.version.walk(visitor);
         visitor.field("params");
-        self.bound.params().walk(visitor);
+        visitor.bytes(&marf_cache::canonical_json(&self.bound.params()));
         visitor.field("edges");
         self.edges.walk(visitor);
         visitor.close();

@@ -1,5 +1,7 @@
 //! Sets of items: reads and writes roots, leaves and verdicts.
 
+use std::sync::Arc;
+
 use marf_cache::{
     Digest,
     manifest::{Leaf, LeafRef, ManifestError, ROWS_A_LEAF, Root, Row},
@@ -9,40 +11,58 @@ use marf_stage::{Ctx, StageError, Verdict};
 use crate::errors::contract_violation;
 
 /// The rows of one shard.
+#[derive(Clone)]
 pub(crate) struct ShardRows {
     pub(crate) shard: u32,
     pub(crate) rows: Vec<Row>,
 }
 
-/// Reads the root of a set.
-pub(crate) fn read_root(ctx: &Ctx<'_>, root: &Digest) -> Result<Root, StageError> {
-    Root::decode(&ctx.get(root)?).map_err(|error| unreadable("set", root, &error))
+/// A shard of a set: its leaves.
+pub(crate) type ShardLeaves = (u32, Vec<LeafRef>);
+
+/// Reads a set.
+pub(crate) fn read_set(ctx: &Ctx<'_>, root: &Digest) -> Result<Root, StageError> {
+    /// A blob that cannot be read, or is no manifest.
+    enum Fault {
+        Stage(StageError),
+        Manifest(ManifestError),
+    }
+    impl From<ManifestError> for Fault {
+        fn from(error: ManifestError) -> Self {
+            Self::Manifest(error)
+        }
+    }
+    Root::read(root, |digest| ctx.get(digest).map_err(Fault::Stage)).map_err(|fault| match fault {
+        Fault::Stage(error) => error,
+        Fault::Manifest(error) => unreadable("set", root, &error),
+    })
+}
+
+/// Stores a set.
+pub(crate) fn write_set(ctx: &Ctx<'_>, leaves: Vec<LeafRef>) -> Result<Digest, StageError> {
+    Root { leaves }.write(|bytes| ctx.put(bytes))
 }
 
 /// Returns the leaves of each shard, in order.
-pub(crate) fn by_shard(root: &Root) -> Vec<(u32, Vec<LeafRef>)> {
+pub(crate) fn by_shard(root: &Root) -> Vec<ShardLeaves> {
     let runs = root.leaves.chunk_by(|a, b| a.shard == b.shard);
     runs.map(|run| (run[0].shard, run.to_vec())).collect()
 }
 
+/// Returns the number of rows of a shard.
+pub(crate) fn rows_of(leaves: &[LeafRef]) -> u64 {
+    leaves.iter().map(|leaf| u64::from(leaf.rows)).sum()
+}
+
 /// Reads the rows of a shard's leaves, in order.
-pub(crate) fn read_shard(ctx: &Ctx<'_>, shard: u32, leaves: &[LeafRef]) -> Result<ShardRows, StageError> {
+pub(crate) fn read_shard(ctx: &Ctx<'_>, (shard, leaves): &ShardLeaves) -> Result<ShardRows, StageError> {
     let mut rows = Vec::new();
     for leaf in leaves {
         let read =
             Leaf::decode(&ctx.get(&leaf.leaf)?).map_err(|error| unreadable("leaf", &leaf.leaf, &error))?;
         rows.extend(read.rows);
     }
-    Ok(ShardRows { shard, rows })
-}
-
-/// Reads all rows of a set, shard by shard.
-pub(crate) fn read_all_shards(ctx: &Ctx<'_>, root: &Digest) -> Result<Vec<ShardRows>, StageError> {
-    let shards = by_shard(&read_root(ctx, root)?);
-    shards
-        .iter()
-        .map(|(shard, leaves)| read_shard(ctx, *shard, leaves))
-        .collect()
+    Ok(ShardRows { shard: *shard, rows })
 }
 
 /// Stores the rows of a shard as leaves; none if there are no rows.
@@ -52,37 +72,48 @@ pub(crate) fn write_shard(ctx: &Ctx<'_>, rows: ShardRows) -> Result<Vec<LeafRef>
         .map_err(|error| StageError::new(format!("shard {shard} cannot be kept: {error}")))?;
     let leaves = whole.rows.chunks(ROWS_A_LEAF).map(|rows| {
         let leaf = Leaf { rows: rows.to_vec() };
-        Ok(LeafRef {
-            shard,
-            leaf: ctx.put(&leaf.encode())?,
-            rows: leaf.rows.len() as u32,
-        })
+        leaf_ref(ctx, shard, leaf.rows.len(), &leaf.encode())
     });
     leaves.collect()
 }
 
-/// Stores verdicts as one JSON line each, sorted by id, then by file.
-pub(crate) fn write_verdicts(ctx: &Ctx<'_>, mut verdicts: Vec<Verdict>) -> Result<Digest, StageError> {
+/// Stores the verdicts of a shard as leaves, one JSON line each, sorted by id, then by file.
+pub(crate) fn write_verdicts(
+    ctx: &Ctx<'_>,
+    shard: u32,
+    mut verdicts: Vec<Verdict>,
+) -> Result<Vec<LeafRef>, StageError> {
     verdicts.sort_by(|a, b| (&a.id, &a.file).cmp(&(&b.id, &b.file)));
-    let mut bytes = Vec::new();
-    for verdict in &verdicts {
-        serde_json::to_writer(&mut bytes, verdict).map_err(|error| {
-            StageError::new(format!("verdict on `{}` cannot be kept: {error}", verdict.id))
-        })?;
-        bytes.push(b'\n');
-    }
-    ctx.put(&bytes)
+    let leaves = verdicts.chunks(ROWS_A_LEAF).map(|verdicts| {
+        let mut bytes = Vec::new();
+        for verdict in verdicts {
+            serde_json::to_writer(&mut bytes, verdict).map_err(|error| {
+                StageError::new(format!("verdict on `{}` cannot be kept: {error}", verdict.id))
+            })?;
+            bytes.push(b'\n');
+        }
+        leaf_ref(ctx, shard, verdicts.len(), &bytes)
+    });
+    leaves.collect()
 }
 
-/// Reads what [`write_verdicts`] stored.
-pub(crate) fn read_verdicts(ctx: &Ctx<'_>, digest: &Digest) -> Result<Vec<Verdict>, StageError> {
-    let bytes = ctx.get(digest)?;
-    let lines = bytes.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
-    lines
-        .map(|line| {
-            serde_json::from_slice(line).map_err(|error| unreadable("verdict", digest, &error.into()))
-        })
-        .collect()
+fn leaf_ref(ctx: &Ctx<'_>, shard: u32, rows: usize, bytes: &[u8]) -> Result<LeafRef, StageError> {
+    Ok(LeafRef {
+        shard,
+        leaf: ctx.put(bytes)?,
+        rows: rows as u32,
+    })
+}
+
+/// Reads references to leaves that are an output of a part.
+pub(crate) fn read_refs(ctx: &Ctx<'_>, digest: &Digest) -> Result<Vec<LeafRef>, StageError> {
+    let bytes: Arc<[u8]> = ctx.get(digest)?;
+    Root::decode_leaves(&bytes).map_err(|error| unreadable("list of leaves", digest, &error))
+}
+
+/// Stores references to leaves as an output of a part.
+pub(crate) fn write_refs(ctx: &Ctx<'_>, leaves: &[LeafRef]) -> Result<Digest, StageError> {
+    ctx.put(&Root::encode_leaves(leaves))
 }
 
 /// Returns the rows that their verdicts keep; there must be one verdict for each row, in the same order.

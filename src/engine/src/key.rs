@@ -1,122 +1,94 @@
-//! Keys: the digest of everything that a result depends on, and the same content as text.
+//! Keys: the action of a node or of a part of its work, and how two actions differ.
 
 use std::{collections::BTreeMap, fmt};
 
-use marf_cache::{ContentHash, Digest, Visitor, digest_of, manifest_text};
-use marf_stage::{EARLIER, Inputs, Listing, Stage, StageDef};
+use marf_cache::{ACTION_FORMAT, Action, ChildVersion, Digest, Record, Store, StoreError};
+use marf_stage::{EARLIER, Inputs, Stage, StageDef, StageError, Work};
 use serde::Serialize;
+use serde_json::Value;
 
-/// The key of a node, and the same content as text.
+use crate::{errors::contract_violation, listing::LISTING};
+
+/// Stages by name.
+pub(crate) type StageTable = BTreeMap<&'static str, StageDef>;
+
+/// An action with its key.
 #[derive(Debug, Clone)]
 pub(crate) struct Key {
     pub(crate) digest: Digest,
-    pub(crate) manifest: String,
+    pub(crate) action: Action,
 }
 
-/// Everything that the result of a node depends on.
-struct NodeContent<'a> {
-    def: &'a StageDef,
-    stage: &'a dyn Stage,
-    inputs: &'a Inputs,
-    listing: Option<&'a Listing>,
+impl Key {
+    pub(crate) fn of(action: Action) -> Self {
+        Self {
+            digest: action.key(),
+            action,
+        }
+    }
 }
 
-/// Returns the key of a node; that of a source holds its listing.
-pub(crate) fn node_key(def: &StageDef, stage: &dyn Stage, inputs: &Inputs, listing: Option<&Listing>) -> Key {
-    let content = NodeContent {
-        def,
-        stage,
-        inputs,
-        listing,
+/// Returns the key of a node.
+///
+/// # Errors
+/// A child of a stage that is not in the table or refuses its parameters.
+pub(crate) fn node_key(
+    table: &StageTable,
+    def: &StageDef,
+    stage: &dyn Stage,
+    inputs: &Inputs,
+) -> Result<Key, StageError> {
+    let mut children = BTreeMap::new();
+    add_children(table, stage, &mut children)?;
+    Ok(Key::of(Action {
+        action: ACTION_FORMAT,
+        stage: def.name.to_owned(),
+        version: def.version,
+        part: None,
+        shard: None,
+        params: stage.params(),
+        inputs: inputs.0.clone(),
+        backend: stage.backend_id(),
+        children,
+    }))
+}
+
+/// Adds the stages that the children of a node are of, and those of their own children.
+fn add_children(
+    table: &StageTable,
+    stage: &dyn Stage,
+    children: &mut BTreeMap<String, ChildVersion>,
+) -> Result<(), StageError> {
+    let Work::Expand(expand) = stage.work() else {
+        return Ok(());
     };
-    Key {
-        digest: digest_of(&content),
-        manifest: manifest_text(&content),
+    for child in expand.children() {
+        let def = table.get(child.stage).ok_or_else(|| {
+            contract_violation(format!(
+                "its children are of the stage `{}`, which is not there",
+                child.stage
+            ))
+        })?;
+        let bound = (def.bind)(child.params)
+            .map_err(|error| contract_violation(format!("children of stage `{}`: {error}", child.stage)))?;
+        let version = ChildVersion {
+            version: def.version,
+            backend: bound.backend_id(),
+        };
+        children.insert(child.stage.to_owned(), version);
+        add_children(table, bound.as_ref(), children)?;
     }
+    Ok(())
 }
 
-impl ContentHash for NodeContent<'_> {
-    fn walk(&self, visitor: &mut dyn Visitor) {
-        let class = self.stage.backend_id();
-        let more = usize::from(self.listing.is_some()) + usize::from(class.is_some());
-        visitor.open("node", 4 + more);
-        visitor.field("stage");
-        visitor.text(self.def.name);
-        visitor.field("version");
-        visitor.unsigned(u64::from(self.def.version));
-        visitor.field("params");
-        self.stage.params().walk(visitor);
-        visitor.field("inputs");
-        walk_named(&self.inputs.0, visitor);
-        if let Some(class) = class {
-            visitor.field("backend_id");
-            visitor.text(&class);
-        }
-        if let Some(listing) = self.listing {
-            visitor.field("listing");
-            walk_listing(listing, visitor);
-        }
-        visitor.close();
-    }
-}
-
-/// Visits a listing; each shard is a field of its number, so that the text names a new sol.
-fn walk_listing(listing: &Listing, visitor: &mut dyn Visitor) {
-    visitor.open("listing", 2);
-    visitor.field("shards");
-    visitor.open("shards", listing.shards.len());
-    for shard in &listing.shards {
-        visitor.field(&shard.shard.to_string());
-        visitor.digest(&shard.fingerprint);
-    }
-    visitor.close();
-    visitor.field("companions");
-    walk_named(&listing.companions, visitor);
-    visitor.close();
-}
-
-/// Visits digests by name.
-fn walk_named(digests: &BTreeMap<String, Digest>, visitor: &mut dyn Visitor) {
-    visitor.open("named", digests.len());
-    for (name, digest) in digests {
-        visitor.field(name);
-        visitor.digest(digest);
-    }
-    visitor.close();
-}
-
-/// What a part of a node's work depends on: a shard of a source, a table of measures, a step of a fold.
-pub(crate) struct PartContent<'a> {
-    /// The kind of part (`fetch`, `measure`, `fold`).
-    pub(crate) what: &'static str,
-    pub(crate) stage: &'static str,
-    pub(crate) version: u32,
-    pub(crate) params: &'a dyn ContentHash,
-    pub(crate) of: &'a dyn ContentHash,
-}
-
-impl ContentHash for PartContent<'_> {
-    fn walk(&self, visitor: &mut dyn Visitor) {
-        visitor.open(self.what, 4);
-        visitor.field("stage");
-        visitor.text(self.stage);
-        visitor.field("version");
-        visitor.unsigned(u64::from(self.version));
-        visitor.field("params");
-        self.params.walk(visitor);
-        visitor.field("of");
-        self.of.walk(visitor);
-        visitor.close();
-    }
-}
-
-impl PartContent<'_> {
-    /// Returns the key of the part.
-    pub(crate) fn key(&self) -> Key {
-        Key {
-            digest: digest_of(self),
-            manifest: manifest_text(self),
-        }
+/// Returns the action of a stored record.
+///
+/// # Errors
+/// A store that cannot be read; a lost or foreign action is none.
+pub(crate) fn action_of(store: &Store, record: &Record) -> Result<Option<Action>, StoreError> {
+    match store.get(&record.key) {
+        Err(error) if error.lost().is_some() => Ok(None),
+        other => Ok(Action::decode(&other?).ok()),
     }
 }
 
@@ -131,32 +103,54 @@ pub struct Change {
     pub new: Option<String>,
 }
 
-/// Returns the differences between two manifests, in the order of the new one. The node's own earlier output comes
-/// last, as it changes whenever anything else does.
-pub(crate) fn differences(old: &str, new: &str) -> Vec<Change> {
-    let (before, after) = (lines(old), lines(new));
-    let earlier: BTreeMap<&str, &str> = before.iter().copied().collect();
-    let later: BTreeMap<&str, &str> = after.iter().copied().collect();
-    let change = |path: &str| Change {
-        path: path.to_owned(),
-        old: earlier.get(path).map(|&value| value.to_owned()),
-        new: later.get(path).map(|&value| value.to_owned()),
-    };
-    let new_or_other = after
-        .iter()
-        .filter(|(path, value)| earlier.get(path) != Some(value));
-    let gone = before.iter().filter(|(path, _)| !later.contains_key(path));
-    let mut changes: Vec<Change> = new_or_other.chain(gone).map(|(path, _)| change(path)).collect();
+/// Returns the differences between two actions, sorted by path. The node's own earlier output comes last, as it changes
+/// whenever anything else does.
+pub(crate) fn differences(old: &Action, new: &Action) -> Vec<Change> {
+    let mut changes = changes_between(&leaves(old), &leaves(new));
     changes.sort_by_key(|change| change.path.strip_prefix("inputs.") == Some(EARLIER));
     changes
 }
 
-/// Splits a manifest into paths and values.
-fn lines(manifest: &str) -> Vec<(&str, &str)> {
-    manifest
-        .lines()
-        .filter_map(|line| line.split_once(" = "))
+/// Returns the differences between two tables, sorted by name.
+pub(crate) fn changes_between(old: &BTreeMap<String, String>, new: &BTreeMap<String, String>) -> Vec<Change> {
+    let paths: std::collections::BTreeSet<&String> = old.keys().chain(new.keys()).collect();
+    let differs = paths.into_iter().filter(|path| old.get(*path) != new.get(*path));
+    differs
+        .map(|path| Change {
+            path: path.clone(),
+            old: old.get(path).cloned(),
+            new: new.get(path).cloned(),
+        })
         .collect()
+}
+
+/// Returns the values of an action by their dotted paths.
+fn leaves(action: &Action) -> BTreeMap<String, String> {
+    let mut leaves = BTreeMap::new();
+    let json = serde_json::to_value(action).unwrap_or_default();
+    add_leaves(String::new(), &json, &mut leaves);
+    leaves
+}
+
+fn add_leaves(path: String, value: &Value, leaves: &mut BTreeMap<String, String>) {
+    let below = |name: &str| match path.is_empty() {
+        true => name.to_owned(),
+        false => format!("{path}.{name}"),
+    };
+    match value {
+        Value::Object(table) => table
+            .iter()
+            .for_each(|(name, value)| add_leaves(below(name), value, leaves)),
+        Value::Array(values) if !values.is_empty() => (0..)
+            .zip(values)
+            .for_each(|(index, value)| add_leaves(below(&index.to_string()), value, leaves)),
+        Value::String(text) if is_digest_path(&path) => drop(leaves.insert(path, text.clone())),
+        leaf => drop(leaves.insert(path, leaf.to_string())),
+    }
+}
+
+fn is_digest_path(path: &str) -> bool {
+    path.starts_with("inputs.")
 }
 
 impl fmt::Display for Change {
@@ -167,13 +161,23 @@ impl fmt::Display for Change {
             _ => "changed",
         };
         if let Some(input) = self.path.strip_prefix("inputs.") {
-            return write!(f, "input {input} {became}");
+            return match input {
+                LISTING => write!(f, "what the archive lists {became}"),
+                _ => write!(f, "input {input} {became}"),
+            };
         }
-        if let Some(shard) = self.path.strip_prefix("listing.shards.") {
+        if let Some(shard) = self.path.strip_prefix("listing.") {
             return write!(f, "shard {shard} {became}");
         }
-        if let Some(file) = self.path.strip_prefix("listing.companions.") {
-            return write!(f, "file {file} {became}");
+        if let Some(photo) = self.path.strip_prefix("photos.") {
+            return write!(f, "photo {photo} {became}");
+        }
+        if let Some((stage, "version")) = self
+            .path
+            .strip_prefix("children.")
+            .and_then(|path| path.rsplit_once('.'))
+        {
+            return self.write_values(f, &format!("version of stage {stage}"));
         }
         let path = match self.path.as_str() {
             "version" => "stage version",
@@ -194,27 +198,67 @@ impl Change {
 
 #[cfg(test)]
 mod tests {
+    use serde_json::json;
+
     use super::*;
+
+    fn action() -> Action {
+        Action {
+            action: ACTION_FORMAT,
+            stage: "blur".to_owned(),
+            version: 1,
+            part: None,
+            shard: None,
+            params: json!({"threshold": 0.2}),
+            inputs: BTreeMap::from([("photos".to_owned(), Digest::of(b"a"))]),
+            backend: None,
+            children: BTreeMap::from([(
+                "train".to_owned(),
+                ChildVersion {
+                    version: 4,
+                    backend: None,
+                },
+            )]),
+        }
+    }
 
     #[test]
     fn a_difference_is_one_plain_phrase() {
-        let old = "stage = \"blur\"\nversion = 1\nparams.threshold = 0.2\ninputs.photos = aa\nlisting.shards.1 = ff\n";
-        let cases = [
-            (old.replace("0.2", "0.3"), "params.threshold: 0.2 -> 0.3"),
-            (old.replace("= 1\n", "= 2\n"), "stage version 1 -> 2"),
-            (old.replace("aa", "bb"), "input photos changed"),
-            (format!("{old}listing.shards.2 = ee\n"), "shard 2 is new"),
-            (old.replace("listing.shards.1 = ff\n", ""), "shard 1 is gone"),
+        type Edit = fn(&mut Action);
+        let cases: [(Edit, &str); 7] = [
             (
-                format!("{old}params.rule = Robust\n"),
-                "params.rule: absent -> Robust",
+                |action| action.params["threshold"] = json!(0.3),
+                "params.threshold: 0.2 -> 0.3",
+            ),
+            (|action| action.version = 2, "stage version 1 -> 2"),
+            (
+                |action| drop(action.inputs.insert("photos".to_owned(), Digest::of(b"b"))),
+                "input photos changed",
+            ),
+            (
+                |action| drop(action.inputs.insert(LISTING.to_owned(), Digest::of(b"b"))),
+                "what the archive lists is new",
+            ),
+            (
+                |action| action.params["rule"] = json!("Robust"),
+                "params.rule: absent -> \"Robust\"",
+            ),
+            (
+                |action| action.backend = Some("a GPU".to_owned()),
+                "backend: absent -> \"a GPU\"",
+            ),
+            (
+                |action| action.children.values_mut().for_each(|child| child.version = 5),
+                "version of stage train 4 -> 5",
             ),
         ];
-        for (new, expected) in cases {
-            let changes = differences(old, &new);
+        for (edit, expected) in cases {
+            let mut new = action();
+            edit(&mut new);
+            let changes = differences(&action(), &new);
             assert_eq!(changes.len(), 1, "{expected}");
             assert_eq!(changes[0].to_string(), expected);
         }
-        assert_eq!(differences(old, old), vec![]);
+        assert_eq!(differences(&action(), &action()), vec![]);
     }
 }

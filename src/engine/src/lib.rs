@@ -25,5 +25,6 @@ pub use graph::{Graph, NodeDecl, NodeView};
 pub use key::Change;
 pub use marf_stage::Cancel;
 pub use plan::{PlanState, PlannedNode, plan, why};
-pub use record::{EngineError, NodeRun, NodeState, Outcome, RunRecord, last_run, runs};
+pub use record::{EngineError, NodeRun, NodeState, Outcome, RUN_FORMAT, RunRecord, last_run, runs};
 pub use run::{Options, run};
+pub use work::Extent;

@@ -1,61 +1,142 @@
 //! Listings of sources, made for every plan and every run.
 
 use std::{
+    collections::BTreeMap,
+    convert::Infallible,
     panic::{AssertUnwindSafe, catch_unwind},
+    path::PathBuf,
     sync::Arc,
 };
 
-use marf_cache::{Digest, Store};
-use marf_stage::{Cancel, Checkpoints, Ctx, Listing, Memos, Progress, Stage, StageError, Work};
+use marf_cache::{
+    Action, Digest, Store, canonical_json,
+    manifest::{LeafRef, ManifestError, Root},
+};
+use marf_stage::{
+    COMPANIONS, Cancel, Checkpoints, Ctx, Inputs, Listing, Memos, Progress, Stage, StageError, Work,
+};
 
 use crate::{
     errors::{contract_violation, panicked},
+    key::{Change, changes_between},
     stage_io::StoreBlobs,
 };
 
-/// Lists what a source offers; none for other stages.
+/// Name of the input of a source that holds the fingerprints of its shards.
+pub(crate) const LISTING: &str = "listing";
+
+/// A listing, and the inputs that stand for it in the key of its source.
+#[derive(Clone)]
+pub(crate) struct Listed {
+    pub(crate) listing: Listing,
+    pub(crate) inputs: Inputs,
+}
+
+/// Lists what a source offers, on the threads of `pool`; none for other stages.
 pub(crate) fn list(
     stage: &dyn Stage,
     store: &Store,
     cancel: &Cancel,
     progress: &dyn Progress,
-) -> Result<Option<Listing>, StageError> {
+    pool: &rayon::ThreadPool,
+) -> Result<Option<Listed>, StageError> {
     let Work::Source(source) = stage.work() else {
         return Ok(None);
     };
-    let ctx = Ctx {
-        blobs: &StoreBlobs(store),
-        cancel,
-        progress,
-        checkpoints: &NoState,
-        memos: &NoState,
-        scratch: &store.scratch(),
-        threads: 1,
+    let scratch: PathBuf = store.scratch();
+    let blobs = StoreBlobs::new(store);
+    let work = || {
+        let ctx = Ctx {
+            blobs: &blobs,
+            cancel,
+            progress,
+            checkpoints: &NoState,
+            memos: &NoState,
+            scratch: &scratch,
+            threads: pool.current_num_threads(),
+        };
+        catch_unwind(AssertUnwindSafe(|| source.list(&ctx)))
+            .unwrap_or_else(|payload| Err(panicked(payload.as_ref())))
     };
-    let listing = catch_unwind(AssertUnwindSafe(|| source.list(&ctx)))
-        .unwrap_or_else(|payload| Err(panicked(payload.as_ref())))?;
+    let listing = pool.install(work)?;
     let unsorted = listing
         .shards
         .windows(2)
         .find(|pair| pair[0].shard >= pair[1].shard);
-    match unsorted {
-        Some(pair) => Err(contract_violation(format!(
-            "shard {} is listed twice or out of order",
-            pair[1].shard
-        ))),
-        None => Ok(Some(listing)),
+    if let Some(pair) = unsorted {
+        let shard = pair[1].shard;
+        return Err(contract_violation(format!(
+            "shard {shard} is listed twice or out of order"
+        )));
     }
+    let Ok(inputs) = inputs(&listing, |bytes| Ok::<_, Infallible>(Digest::of(bytes)));
+    Ok(Some(Listed { listing, inputs }))
+}
+
+/// Returns the inputs that stand for a listing; `put` stores their bytes, or only computes digests.
+fn inputs<E>(listing: &Listing, mut put: impl FnMut(&[u8]) -> Result<Digest, E>) -> Result<Inputs, E> {
+    let leaves = listing.shards.iter().map(|shard| LeafRef {
+        shard: shard.shard,
+        leaf: shard.fingerprint,
+        rows: 0,
+    });
+    let shards = Root {
+        leaves: leaves.collect(),
+    };
+    let mut inputs = BTreeMap::from([(LISTING.to_owned(), shards.write(&mut put)?)]);
+    if !listing.companions.is_empty() {
+        inputs.insert(COMPANIONS.to_owned(), put(&companions(listing))?);
+    }
+    Ok(Inputs(inputs))
+}
+
+/// Returns the bytes of the output [`COMPANIONS`]: digests by name, as JSON.
+pub(crate) fn companions(listing: &Listing) -> Vec<u8> {
+    // Names and digests always serialise.
+    canonical_json(&serde_json::to_value(&listing.companions).unwrap_or_default())
+}
+
+impl Listed {
+    /// Stores what the inputs name, so that a later run can tell which shards changed.
+    pub(crate) fn store(&self, ctx: &Ctx<'_>) -> Result<(), StageError> {
+        inputs(&self.listing, |bytes| ctx.put(bytes)).map(drop)
+    }
+
+    /// Returns the shards that differ from those of an earlier action; none if its listing is lost.
+    pub(crate) fn changes_since(&self, store: &Store, earlier: &Action) -> Option<Vec<Change>> {
+        let root = earlier.inputs.get(LISTING)?;
+        let read = Root::read(root, |digest| store.get(digest).map_err(|_| Lost));
+        let old = fingerprints(read.ok()?.leaves.iter().map(|leaf| (leaf.shard, leaf.leaf)));
+        let shards = self.listing.shards.iter();
+        let new = fingerprints(shards.map(|shard| (shard.shard, shard.fingerprint)));
+        Some(changes_between(&old, &new))
+    }
+}
+
+/// The listing of an earlier run cannot be read.
+struct Lost;
+
+impl From<ManifestError> for Lost {
+    fn from(_: ManifestError) -> Self {
+        Self
+    }
+}
+
+fn fingerprints(shards: impl Iterator<Item = (u32, Digest)>) -> BTreeMap<String, String> {
+    shards
+        .map(|(shard, fingerprint)| (format!("listing.{shard:05}"), fingerprint.to_string()))
+        .collect()
 }
 
 /// Checkpoints and memos of a listing: none is kept.
 struct NoState;
 
 impl Checkpoints for NoState {
-    fn load(&self) -> Option<Vec<u8>> {
+    fn load(&self, _part: &str) -> Option<Vec<u8>> {
         None
     }
 
-    fn save(&self, _state: &[u8]) {}
+    fn save(&self, _part: &str, _state: &[u8]) {}
 }
 
 impl Memos for NoState {

@@ -2,14 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use marf_cache::{
-    Digest, Output, Record, Store, StoreError,
-    manifest::{Leaf, Root},
-};
-use marf_stage::{Outputs, PHOTOS};
+use marf_cache::{Digest, Record, Store, StoreError};
+use marf_stage::Outputs;
 
 use crate::{
-    key::{Change, Key, differences},
+    key::{Change, Key, action_of, differences},
+    listing::{LISTING, Listed},
     record::{NodeState, RunRecord},
 };
 
@@ -23,29 +21,20 @@ pub(crate) enum Lookup {
     Miss,
 }
 
-/// Looks a key up. A set of items must also have its leaves in the store.
+/// Looks a key up. What its outputs name is not looked for: a lost leaf or photo is made again by the run that reads it.
 pub(crate) fn look_up(store: &Store, key: &Digest) -> Result<Lookup, StoreError> {
     let Some(record) = store.record(key)? else {
         return Ok(Lookup::Miss);
     };
-    for (name, output) in &record.outputs {
-        let is_present =
-            store.contains(&output.digest) && (name != PHOTOS || has_leaves(store, &output.digest)?);
-        if !is_present {
-            return Ok(Lookup::MissingOutput(name.clone()));
-        }
+    let is_missing = |output: &marf_cache::Output| !store.contains(&output.digest);
+    let missing = record.outputs.iter().find(|(_, output)| is_missing(output));
+    match missing.map(|(name, _)| name.clone()) {
+        Some(name) => Ok(Lookup::MissingOutput(name)),
+        // `hit` protects the result from a collection that runs at this moment.
+        None => Ok(store
+            .hit(key)?
+            .map_or(Lookup::Miss, |record| Lookup::Hit(Box::new(record)))),
     }
-    Ok(Lookup::Hit(Box::new(record)))
-}
-
-fn has_leaves(store: &Store, root: &Digest) -> Result<bool, StoreError> {
-    let bytes = match store.get(root) {
-        Err(error) if error.lost().is_some() => return Ok(false),
-        other => other?,
-    };
-    // A stage may name something else `photos`; that has no leaves.
-    let leaves = Root::decode(&bytes).unwrap_or_default().leaves;
-    Ok(leaves.iter().all(|leaf| store.contains(&leaf.leaf)))
 }
 
 /// Returns the digests of a record's outputs.
@@ -56,20 +45,14 @@ pub(crate) fn outputs_of(record: &Record) -> Outputs {
         .collect()
 }
 
-/// Returns the figures that a stored result shows.
-pub(crate) fn counts_of(store: &Store, record: &Record) -> BTreeMap<String, u64> {
-    let mut counts = BTreeMap::new();
-    let root = record
-        .outputs
-        .get(PHOTOS)
-        .and_then(|output| store.get(&output.digest).ok());
-    if let Some(root) = root.and_then(|bytes| Root::decode(&bytes).ok()) {
-        counts.insert("photos".to_owned(), root.rows());
-    }
-    if !record.children.is_empty() {
-        counts.insert("children".to_owned(), record.children.len() as u64);
-    }
+/// Returns the figures of a stored result that hold for it whoever made it: not what was measured or fetched then.
+pub(crate) fn lasting_counts(record: &Record) -> BTreeMap<String, u64> {
+    const LASTING: [&str; 4] = ["children", "photos", "rejected", "shards"];
+    let counts = record.metadata.counts.iter();
     counts
+        .filter(|(name, _)| LASTING.contains(&name.as_str()))
+        .map(|(name, count)| (name.clone(), *count))
+        .collect()
 }
 
 /// Why a node must run.
@@ -83,7 +66,7 @@ pub(crate) fn why_missed(
     store: &Store,
     last: Option<&RunRecord>,
     node: &str,
-    key: &Key,
+    (key, listed): (&Key, Option<&Listed>),
     lookup: &Lookup,
 ) -> Result<RunReason, StoreError> {
     if let Lookup::MissingOutput(output) = lookup {
@@ -95,7 +78,17 @@ pub(crate) fn why_missed(
     let Some(record) = store.record(old)? else {
         return Ok(because("its record is gone".to_owned()));
     };
-    let changes = differences(&record.manifest, &key.manifest);
+    let Some(earlier) = action_of(store, &record)? else {
+        return Ok(because("its record is damaged".to_owned()));
+    };
+    let mut changes = differences(&earlier, &key.action);
+    // The shards that changed say more than that the listing did.
+    let of_listing = format!("inputs.{LISTING}");
+    if let Some(at) = changes.iter().position(|change| change.path == of_listing)
+        && let Some(shards) = listed.and_then(|listed| listed.changes_since(store, &earlier))
+    {
+        changes.splice(at..=at, shards);
+    }
     let reason = changes
         .first()
         .map_or_else(|| "its record is gone".to_owned(), ToString::to_string);
@@ -119,25 +112,4 @@ pub(crate) fn because(reason: String) -> RunReason {
         reason,
         changes: Vec::new(),
     }
-}
-
-/// Tells whether all outputs are in the store, with every blob that a set of items names.
-pub(crate) fn is_complete(store: &Store, outputs: &BTreeMap<String, Output>) -> bool {
-    outputs.iter().all(|(name, output)| {
-        store.contains(&output.digest)
-            && (name != PHOTOS || set_is_complete(store, &output.digest).unwrap_or(false))
-    })
-}
-
-/// Tells the same of a set; none if a part of it cannot be read.
-fn set_is_complete(store: &Store, root: &Digest) -> Option<bool> {
-    let root = Root::decode(&store.get(root).ok()?).ok()?;
-    for leaf in root.leaves {
-        let leaf = Leaf::decode(&store.get(&leaf.leaf).ok()?).ok()?;
-        let mut blobs = leaf.rows.iter().flat_map(|row| row.blobs.values());
-        if !blobs.all(|blob| store.contains(blob)) {
-            return Some(false);
-        }
-    }
-    Some(true)
 }

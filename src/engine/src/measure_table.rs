@@ -1,10 +1,12 @@
-//! Tables of measures: all measures of the rows of one shard, of all runs.
+//! Tables of measures: all measures of one kind of the rows of one shard, of all runs.
 //!
 //! Each value is a pure function of its row, so earlier runs decide only what is measured again.
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use marf_cache::{Digest, manifest::Row};
+use marf_cache::{Digest, canonical_json, manifest::Row};
+use marf_stage::Table;
+use serde_json::json;
 
 const MAGIC: &[u8; 12] = b"marf-memo-1\n";
 
@@ -18,6 +20,12 @@ pub(crate) struct MeasureTable(pub(crate) BTreeMap<Digest, Arc<[u8]>>);
 pub(crate) fn row_digest(row: &Row) -> Digest {
     // Strings, digests and sorted maps always serialise.
     Digest::of(&serde_json::to_vec(row).unwrap_or_default())
+}
+
+/// Returns the key under which the table of one shard is kept.
+pub(crate) fn table_key(table: Table, shard: u32) -> Digest {
+    let of = json!({"measure": table.name, "version": table.version, "shard": shard});
+    Digest::of(&canonical_json(&of))
 }
 
 impl MeasureTable {

@@ -1,16 +1,20 @@
 //! The plan: what a run would do with each node, and why. It lists sources and stores nothing.
 
+use std::num::NonZero;
+
 use marf_cache::{Digest, Store};
 use marf_stage::{Cancel, Inputs, Outputs};
 use serde::Serialize;
 
 use crate::{
-    earlier::{KeyRequest, key_of},
+    earlier::KeyRequest,
     graph::{Graph, Node},
     key::{Change, Key},
     listing::{NoProgress, list},
     lookup::{Lookup, RunReason, because, look_up, outputs_of, why_missed},
     record::{EngineError, RunRecord},
+    run,
+    work::{Extent, extent},
 };
 
 /// What a run would do with a node.
@@ -28,6 +32,12 @@ pub struct PlannedNode {
     pub key: Option<Digest>,
     /// All differences from its last key.
     pub changes: Vec<Change>,
+    /// What it would look at, as far as that is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub extent: Option<Extent>,
+    /// Seconds that it took when it last ran.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub last_seconds: Option<f64>,
 }
 
 /// Whether a node would run.
@@ -42,19 +52,128 @@ pub enum PlanState {
     WillRun,
 }
 
-/// Returns what a run would do, in topological order. `last` is the last run of this pipeline.
+/// Returns what a run would do, in topological order. `last` is the last run of this pipeline, `threads` how many a listing
+/// may use (none for as many as there are cores).
 ///
 /// # Errors
 /// A store that cannot be read.
-pub fn plan(graph: &Graph, store: &Store, last: Option<&RunRecord>) -> Result<Vec<PlannedNode>, EngineError> {
-    let mut known: Vec<Option<Outputs>> = Vec::new();
-    let mut planned = Vec::new();
+pub fn plan(
+    graph: &Graph,
+    store: &Store,
+    last: Option<&RunRecord>,
+    threads: Option<NonZero<usize>>,
+) -> Result<Vec<PlannedNode>, EngineError> {
+    let planner = Planner {
+        graph,
+        store,
+        last,
+        pool: run::pool(run::threads(threads))?,
+    };
+    let mut known: Vec<Known> = Vec::new();
     for index in 0..graph.nodes.len() {
-        let (node, outputs) = plan_node(graph, store, last, index, &known)?;
-        known.push(outputs);
-        planned.push(node);
+        let node = planner.node(index, &known)?;
+        known.push(node);
     }
-    Ok(planned)
+    Ok(known.into_iter().map(|known| known.node).collect())
+}
+
+/// A planned node, and its outputs if they are in the store.
+struct Known {
+    node: PlannedNode,
+    outputs: Option<Outputs>,
+}
+
+/// What planning needs.
+struct Planner<'a> {
+    graph: &'a Graph,
+    store: &'a Store,
+    last: Option<&'a RunRecord>,
+    pool: rayon::ThreadPool,
+}
+
+impl Planner<'_> {
+    fn node(&self, index: usize, known: &[Known]) -> Result<Known, EngineError> {
+        let node = &self.graph.nodes[index];
+        let mut inputs = match inputs_of(node, known) {
+            Ok(inputs) => inputs,
+            Err(upstream) => return Ok(self.behind(node, &known[upstream].node)),
+        };
+        let cancel = Cancel::default();
+        let listed = match list(node.bound.as_ref(), self.store, &cancel, &NoProgress, &self.pool) {
+            Ok(listed) => listed,
+            Err(error) => {
+                let why = because(format!("it cannot list what is there: {error}"));
+                return Ok(self.will_run(node, why, None, None));
+            }
+        };
+        inputs
+            .0
+            .extend(listed.iter().flat_map(|listed| listed.inputs.0.clone()));
+        let request = KeyRequest {
+            table: &self.graph.table,
+            name: &node.name,
+            def: &node.def,
+            stage: node.bound.as_ref(),
+        };
+        let (key, inputs) = match request.key(self.store, self.last, inputs) {
+            Ok(keyed) => keyed,
+            Err(error) => return Ok(self.will_run(node, because(error.to_string()), None, None)),
+        };
+        let lookup = look_up(self.store, &key.digest)?;
+        let Lookup::Hit(record) = lookup else {
+            let of = (&key, listed.as_ref());
+            let mut why = why_missed(self.store, self.last, &node.name, of, &lookup)?;
+            if let Some(listed) = &listed {
+                why.reason = listed.listing.noted(&why.reason);
+            }
+            let extent = extent(self.store, node.bound.as_ref(), &key, &inputs, listed.as_ref())?;
+            return Ok(self.will_run(node, why, Some(&key), extent));
+        };
+        let is_last = self
+            .last
+            .is_some_and(|run| run.latest.get(&node.name) == Some(&key.digest));
+        let (state, reason) = match is_last {
+            true => (PlanState::Fresh, "nothing changed"),
+            false => (PlanState::Cached, "its result is in the store"),
+        };
+        Ok(Known {
+            node: PlannedNode {
+                state,
+                ..self
+                    .will_run(node, because(reason.to_owned()), Some(&key), None)
+                    .node
+            },
+            outputs: Some(outputs_of(&record)),
+        })
+    }
+
+    /// Returns the plan of a node behind one that will run: it looks at what that one looks at, or at less.
+    fn behind(&self, node: &Node, upstream: &PlannedNode) -> Known {
+        let why = because(format!("upstream {} will run", upstream.node));
+        self.will_run(node, why, None, upstream.extent)
+    }
+
+    fn will_run(&self, node: &Node, why: RunReason, key: Option<&Key>, extent: Option<Extent>) -> Known {
+        Known {
+            node: PlannedNode {
+                node: node.name.clone(),
+                stage: node.def.name.to_owned(),
+                state: PlanState::WillRun,
+                reason: why.reason,
+                key: key.map(|key| key.digest),
+                changes: why.changes,
+                extent,
+                last_seconds: self.last_seconds(&node.name),
+            },
+            outputs: None,
+        }
+    }
+
+    /// Returns how long the node took when it last ran.
+    fn last_seconds(&self, node: &str) -> Option<f64> {
+        let key = self.last?.latest.get(node)?;
+        Some(self.store.record(key).ok()??.metadata.seconds)
+    }
 }
 
 /// Returns what a run would do with one node.
@@ -65,9 +184,10 @@ pub fn why(
     graph: &Graph,
     store: &Store,
     last: Option<&RunRecord>,
+    threads: Option<NonZero<usize>>,
     node: &str,
 ) -> Result<PlannedNode, EngineError> {
-    let planned = plan(graph, store, last)?.into_iter();
+    let planned = plan(graph, store, last, threads)?.into_iter();
     let mut found = planned.filter(|planned| planned.node == node);
     found.next().ok_or_else(|| EngineError::UnknownNode {
         node: node.to_owned(),
@@ -75,64 +195,14 @@ pub fn why(
     })
 }
 
-/// Plans one node; returns its outputs too if they are in the store.
-fn plan_node(
-    graph: &Graph,
-    store: &Store,
-    last: Option<&RunRecord>,
-    index: usize,
-    known: &[Option<Outputs>],
-) -> Result<(PlannedNode, Option<Outputs>), EngineError> {
-    let node = &graph.nodes[index];
-    let planned = |state, why: RunReason, key: Option<&Key>| PlannedNode {
-        node: node.name.clone(),
-        stage: node.def.name.to_owned(),
-        state,
-        reason: why.reason,
-        key: key.map(|key| key.digest),
-        changes: why.changes,
-    };
-    let inputs = match inputs_of(node, known) {
-        Ok(inputs) => inputs,
-        Err(upstream) => {
-            let reason = format!("upstream {} will run", graph.nodes[upstream].name);
-            return Ok((planned(PlanState::WillRun, because(reason), None), None));
-        }
-    };
-    let listing = match list(node.bound.as_ref(), store, &Cancel::default(), &NoProgress) {
-        Ok(listing) => listing,
-        Err(error) => {
-            let reason = format!("it cannot list what is there: {error}");
-            return Ok((planned(PlanState::WillRun, because(reason), None), None));
-        }
-    };
-    let request = KeyRequest {
-        name: &node.name,
-        def: &node.def,
-        stage: node.bound.as_ref(),
-        listing: listing.as_ref(),
-    };
-    let (key, _) = key_of(store, last, &request, inputs)?;
-    let lookup = look_up(store, &key.digest)?;
-    let Lookup::Hit(record) = lookup else {
-        let mut why = why_missed(store, last, &node.name, &key, &lookup)?;
-        why.reason = listing.map_or(why.reason.clone(), |listing| listing.noted(&why.reason));
-        return Ok((planned(PlanState::WillRun, why, Some(&key)), None));
-    };
-    let is_last = last.is_some_and(|run| run.latest.get(&node.name) == Some(&key.digest));
-    let (state, reason) = match is_last {
-        true => (PlanState::Fresh, "nothing changed"),
-        false => (PlanState::Cached, "its result is in the store"),
-    };
-    let planned = planned(state, because(reason.to_owned()), Some(&key));
-    Ok((planned, Some(outputs_of(&record))))
-}
-
 /// Returns the inputs of a node, or an upstream node whose outputs are not known.
-fn inputs_of(node: &Node, known: &[Option<Outputs>]) -> Result<Inputs, usize> {
+fn inputs_of(node: &Node, known: &[Known]) -> Result<Inputs, usize> {
     let mut inputs = Inputs::default();
     for connection in &node.connections {
-        let outputs = known[connection.upstream].as_ref().ok_or(connection.upstream)?;
+        let outputs = known[connection.upstream]
+            .outputs
+            .as_ref()
+            .ok_or(connection.upstream)?;
         let output = outputs.get(connection.output);
         inputs
             .0

@@ -13,6 +13,12 @@ pub struct RunRecord {
     /// Number of the run in its store, from 1; not in the file, as it is the file's name.
     #[serde(skip)]
     pub number: u64,
+    /// [`RUN_FORMAT`]; 1 for runs of 0.1.0, whose keys are of another form.
+    #[serde(default = "first_format")]
+    pub format: u32,
+    /// Name of the run, unique in its store: it is in all events.
+    #[serde(default)]
+    pub id: String,
     /// Name of the pipeline.
     pub pipeline: String,
     /// The command as typed.
@@ -33,6 +39,13 @@ pub struct RunRecord {
     pub nodes: Vec<NodeRun>,
     /// The last key under which each node finished, in this run or an earlier one of this pipeline.
     pub latest: BTreeMap<String, Digest>,
+}
+
+/// Version of the form of run records. A newer one is refused.
+pub const RUN_FORMAT: u32 = 2;
+
+fn first_format() -> u32 {
+    1
 }
 
 /// How a run ended.
@@ -102,6 +115,14 @@ pub enum EngineError {
         /// The names of all nodes.
         known: Vec<String>,
     },
+    /// The threads of a run cannot be started.
+    #[error("{threads} threads cannot be started: {message}")]
+    Threads {
+        /// Their number.
+        threads: usize,
+        /// The error of the operating system.
+        message: String,
+    },
     /// A run record that cannot be read.
     #[error("run {number} cannot be read: {message}")]
     BadRun {
@@ -130,14 +151,25 @@ impl NodeState {
 }
 
 impl RunRecord {
-    /// Stores the record under the next free number.
-    pub(crate) fn store(self, store: &Store) -> Result<Self, EngineError> {
+    /// Stores the record under the next free number. A store that cannot be written is enough for a run in which nothing
+    /// ran: it is warned of, and the run has no number.
+    pub(crate) fn store(self, store: &Store, warn: impl Fn(String)) -> Result<Self, EngineError> {
         let json = serde_json::to_vec_pretty(&self).map_err(|error| EngineError::BadRun {
             number: 0,
             message: error.to_string(),
         })?;
-        let number = store.put_run(&json)?;
-        Ok(Self { number, ..self })
+        match store.put_run(&json) {
+            Ok(number) => Ok(Self { number, ..self }),
+            Err(error) if error.is_read_only() && !self.has_run() => {
+                warn(format!("this run is not recorded: {error}"));
+                Ok(self)
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    fn has_run(&self) -> bool {
+        self.nodes.iter().any(|node| node.state == NodeState::Finished)
     }
 
     /// Returns what the run did with a node.
@@ -146,35 +178,49 @@ impl RunRecord {
     }
 }
 
-/// Reads all runs, oldest first.
+/// Reads all runs, oldest first. A run that cannot be read is left out and warned of.
 ///
 /// # Errors
-/// Names a run that cannot be read.
-pub fn runs(store: &Store) -> Result<Vec<RunRecord>, EngineError> {
+/// A folder that cannot be read.
+pub fn runs(store: &Store, warn: impl Fn(String)) -> Result<Vec<RunRecord>, EngineError> {
     let numbers = store.run_numbers()?.into_iter();
-    numbers.map(|number| read(store, number)).collect()
+    Ok(numbers.filter_map(|number| read(store, number, &warn)).collect())
 }
 
-/// Reads the last run of a pipeline.
+/// Reads the last run of a pipeline. A newer run that cannot be read is left out and warned of.
 ///
 /// # Errors
-/// Names a run that cannot be read.
-pub fn last_run(store: &Store, pipeline: &str) -> Result<Option<RunRecord>, EngineError> {
-    for number in store.run_numbers()?.into_iter().rev() {
-        let run = read(store, number)?;
-        if run.pipeline == pipeline {
-            return Ok(Some(run));
+/// A folder that cannot be read.
+pub fn last_run(
+    store: &Store,
+    pipeline: &str,
+    warn: impl Fn(String),
+) -> Result<Option<RunRecord>, EngineError> {
+    let numbers = store.run_numbers()?.into_iter().rev();
+    let mut runs = numbers.filter_map(|number| read(store, number, &warn));
+    Ok(runs.find(|run| run.pipeline == pipeline))
+}
+
+/// Reads one run; none if it cannot be read.
+fn read(store: &Store, number: u64, warn: &impl Fn(String)) -> Option<RunRecord> {
+    match try_read(store, number) {
+        Ok(run) => Some(run),
+        Err(error) => {
+            warn(format!("{error}; it is passed over"));
+            None
         }
     }
-    Ok(None)
 }
 
-/// Reads one run.
-fn read(store: &Store, number: u64) -> Result<RunRecord, EngineError> {
-    let run: Result<RunRecord, _> = serde_json::from_slice(&store.run(number)?);
-    let run = run.map_err(|error| EngineError::BadRun {
-        number,
-        message: error.to_string(),
-    })?;
+fn try_read(store: &Store, number: u64) -> Result<RunRecord, EngineError> {
+    let bad = |message: String| EngineError::BadRun { number, message };
+    let bytes = store.run(number).map_err(|error| bad(error.to_string()))?;
+    let run: RunRecord = serde_json::from_slice(&bytes).map_err(|error| bad(error.to_string()))?;
+    if run.format > RUN_FORMAT {
+        let (found, known) = (run.format, RUN_FORMAT);
+        return Err(bad(format!(
+            "it has form {found}, this program reads up to {known}"
+        )));
+    }
     Ok(RunRecord { number, ..run })
 }

@@ -1,6 +1,7 @@
 //! What a stage uses while it runs: blobs, checkpoints and memos of the store, and a lease on its key.
 
 use std::{
+    collections::BTreeSet,
     fs::{self, File, TryLockError},
     io::Write,
     path::{Path, PathBuf},
@@ -10,6 +11,7 @@ use std::{
 
 use marf_cache::{Digest, Store};
 use marf_stage::{BlobError, Blobs, Cancel, Checkpoints, Memos, StageError};
+use parking_lot::Mutex;
 
 use crate::{
     errors::blob_error,
@@ -19,83 +21,124 @@ use crate::{
 /// Pause between two attempts to take a lease.
 const LEASE_RETRY_INTERVAL: Duration = Duration::from_millis(20);
 
-/// The blobs of the store, for stages.
-pub(crate) struct StoreBlobs<'a>(pub(crate) &'a Store);
+/// The blobs of the store, for stages. It remembers every digest that was stored through it, for the closure of a record.
+pub(crate) struct StoreBlobs<'a> {
+    store: &'a Store,
+    stored: Mutex<BTreeSet<Digest>>,
+}
 
-impl Blobs for StoreBlobs<'_> {
-    fn get(&self, digest: &Digest) -> Result<Arc<[u8]>, BlobError> {
-        self.0.get(digest).map_err(blob_error)
+impl<'a> StoreBlobs<'a> {
+    pub(crate) fn new(store: &'a Store) -> Self {
+        Self {
+            store,
+            stored: Mutex::default(),
+        }
     }
 
-    fn put(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
-        self.0.put(bytes).map_err(blob_error)
+    /// Adds blobs that are needed though they were stored before.
+    pub(crate) fn note(&self, needed: impl Iterator<Item = Digest>) {
+        self.stored.lock().extend(needed);
+    }
+
+    /// Returns the digests stored so far, sorted, and forgets them.
+    pub(crate) fn take_stored(&self) -> Vec<Digest> {
+        std::mem::take(&mut *self.stored.lock()).into_iter().collect()
     }
 }
 
-/// The checkpoint of one key: a file that is replaced atomically.
+impl Blobs for StoreBlobs<'_> {
+    fn get(&self, digest: &Digest) -> Result<Arc<[u8]>, BlobError> {
+        self.store.get(digest).map_err(blob_error)
+    }
+
+    fn put(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
+        let digest = self.store.put(bytes).map_err(blob_error)?;
+        self.stored.lock().insert(digest);
+        Ok(digest)
+    }
+
+    fn put_file(&self, path: &Path, max_bytes: u64) -> Result<(Digest, Arc<[u8]>), BlobError> {
+        let (digest, bytes) = self.store.put_file(path, max_bytes).map_err(blob_error)?;
+        self.stored.lock().insert(digest);
+        Ok((digest, bytes))
+    }
+
+    fn contains(&self, digest: &Digest) -> bool {
+        self.store.contains(digest)
+    }
+}
+
+/// The checkpoints of one key: a folder with a file for each part, each replaced atomically.
 pub(crate) struct FileCheckpoints<'a> {
     dir: PathBuf,
-    path: PathBuf,
     node: String,
     listener: &'a dyn Listener,
 }
 
 impl<'a> FileCheckpoints<'a> {
     pub(crate) fn new(store: &Store, key: &Digest, node: &str, listener: &'a dyn Listener) -> Self {
-        let dir = store.dir().join("checkpoints");
         Self {
-            path: dir.join(key.to_string()),
-            dir,
+            dir: store.dir().join("checkpoints").join(key.to_string()),
             node: node.to_owned(),
             listener,
         }
     }
 
-    /// Removes the checkpoint.
+    /// Removes all parts.
     pub(crate) fn remove(&self) {
-        let _ = fs::remove_file(&self.path);
+        let _ = fs::remove_dir_all(&self.dir);
+    }
+
+    fn path(&self, part: &str) -> PathBuf {
+        self.dir.join(part)
     }
 
     /// Writes the digest of the state, then the state.
-    fn write(&self, state: &[u8]) -> std::io::Result<()> {
+    fn write(&self, part: &str, state: &[u8]) -> std::io::Result<()> {
         fs::create_dir_all(&self.dir)?;
         let mut file = tempfile::Builder::new().suffix(".tmp").tempfile_in(&self.dir)?;
         file.write_all(Digest::of(state).as_bytes())?;
         file.write_all(state)?;
         file.as_file().sync_data()?;
-        file.persist(&self.path)?;
+        file.persist(self.path(part))?;
         Ok(())
     }
 }
 
 impl Checkpoints for FileCheckpoints<'_> {
-    fn load(&self) -> Option<Vec<u8>> {
-        let bytes = fs::read(&self.path).ok()?;
+    fn load(&self, part: &str) -> Option<Vec<u8>> {
+        let bytes = fs::read(self.path(part)).ok()?;
         let (checksum, state) = bytes.split_at_checked(32)?;
         (Digest::of(state).as_bytes() == checksum).then(|| state.to_vec())
     }
 
-    fn save(&self, state: &[u8]) {
-        if let Err(error) = self.write(state) {
+    fn save(&self, part: &str, state: &[u8]) {
+        if let Err(error) = self.write(part, state) {
             self.listener.on_event(&Event::Warning {
                 node: Some(self.node.clone()),
-                message: format!("cannot keep the checkpoint `{}`: {error}", self.path.display()),
+                message: format!(
+                    "cannot keep the checkpoint `{}`: {error}",
+                    self.path(part).display()
+                ),
             });
         }
     }
 }
 
-/// Tables of partial results: blobs of the store under keys that the stage makes.
+/// Tables of partial results: blobs of the store under keys that the stage makes, kept as long as the key of the node that
+/// made them.
 pub(crate) struct StoreMemos<'a> {
     store: &'a Store,
+    maker: Digest,
     node: String,
     listener: &'a dyn Listener,
 }
 
 impl<'a> StoreMemos<'a> {
-    pub(crate) fn new(store: &'a Store, node: &str, listener: &'a dyn Listener) -> Self {
+    pub(crate) fn new(store: &'a Store, maker: Digest, node: &str, listener: &'a dyn Listener) -> Self {
         Self {
             store,
+            maker,
             node: node.to_owned(),
             listener,
         }
@@ -112,7 +155,7 @@ impl Memos for StoreMemos<'_> {
     /// Stores a table; it becomes durable with the next commit, at the latest when the run ends.
     fn save(&self, key: &Digest, table: &[u8]) {
         match self.store.put(table) {
-            Ok(blob) => self.store.put_memo(*key, blob),
+            Ok(blob) => self.store.put_memo(*key, blob, self.maker),
             Err(error) => self.listener.on_event(&Event::Warning {
                 node: Some(self.node.clone()),
                 message: format!("cannot keep a table of partial results: {error}"),
@@ -181,18 +224,20 @@ mod tests {
         let store = Store::open(dir.path()).unwrap();
         let key = Digest::of(b"key");
         let checkpoints = FileCheckpoints::new(&store, &key, "train", &Silent);
-        assert_eq!(checkpoints.load(), None);
+        assert_eq!(checkpoints.load("training"), None);
         for state in [b"step 1".as_slice(), b"step 2, longer", b""] {
-            checkpoints.save(state);
-            assert_eq!(checkpoints.load().as_deref(), Some(state));
+            checkpoints.save("training", state);
+            assert_eq!(checkpoints.load("training").as_deref(), Some(state));
         }
-        checkpoints.save(b"step 3");
-        let mut bytes = fs::read(&checkpoints.path).unwrap();
+        checkpoints.save("training", b"step 3");
+        assert_eq!(checkpoints.load("trial-1"), None);
+        let path = checkpoints.path("training");
+        let mut bytes = fs::read(&path).unwrap();
         bytes[33] ^= 1;
-        fs::write(&checkpoints.path, bytes).unwrap();
-        assert_eq!(checkpoints.load(), None, "a damaged checkpoint is none");
+        fs::write(&path, bytes).unwrap();
+        assert_eq!(checkpoints.load("training"), None, "a damaged checkpoint is none");
         checkpoints.remove();
-        assert!(!checkpoints.path.exists());
+        assert!(!checkpoints.dir.exists());
     }
 
     #[test]
@@ -203,7 +248,7 @@ mod tests {
         let table = vec![7_u8; 70_000];
         {
             let store = Store::open(dir.path()).unwrap();
-            let memos = StoreMemos::new(&store, "calibrate", &Silent);
+            let memos = StoreMemos::new(&store, Digest::of(b"maker"), "calibrate", &Silent);
             assert_eq!(memos.load(&key), None);
             memos.save(&key, b"old");
             memos.save(&key, &table);
@@ -212,7 +257,7 @@ mod tests {
             store.commit().unwrap();
         }
         let store = Store::open(dir.path()).unwrap();
-        let memos = StoreMemos::new(&store, "calibrate", &Silent);
+        let memos = StoreMemos::new(&store, Digest::of(b"maker"), "calibrate", &Silent);
         assert_eq!(memos.load(&key).as_deref(), Some(table.as_slice()));
         let hex = Digest::of(&table).to_string();
         fs::write(dir.path().join("cas").join(&hex[..2]).join(&hex[2..]), b"damaged").unwrap();

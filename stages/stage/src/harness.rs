@@ -1,6 +1,7 @@
 //! Runs a stage without an engine: a store in memory, for tests of stages.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -87,7 +88,8 @@ impl Harness {
         let root = Root {
             leaves: leaves.collect(),
         };
-        self.put(&root.encode())
+        let Ok(digest) = root.write(|bytes| Ok::<_, Infallible>(self.put(bytes)));
+        digest
     }
 }
 

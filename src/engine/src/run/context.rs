@@ -12,6 +12,8 @@ pub(super) struct RunContext<'a> {
     pub(super) store: &'a Store,
     pub(super) listener: &'a dyn Listener,
     pub(super) cancel: &'a Cancel,
+    /// The threads of the run, for listings.
+    pub(super) pool: &'a rayon::ThreadPool,
     /// The program with version and commit, for records.
     pub(super) program: &'a str,
     /// The last run of the same pipeline.

@@ -16,11 +16,14 @@ use crate::{
     event::{Event, NodeProgress},
     lookup::{Lookup, look_up},
     stage_io::{FileCheckpoints, Lease, StoreBlobs, StoreMemos},
-    work::{BlobCheck, Counts, Produced, StageRun, execute, reduce, with_lengths},
+    work::{
+        BlobCheck, PartedOutputs, Produced, StageRun, execute, put_action, put_needs, put_parts, reduce,
+        with_lengths,
+    },
 };
 
 /// Stack of a worker thread: decoders and solvers recurse.
-const STACK_BYTES: usize = 8 << 20;
+pub(super) const STACK_BYTES: usize = 8 << 20;
 
 /// One half of a node's work, on a thread of its own.
 pub(super) struct Job<'a> {
@@ -48,7 +51,7 @@ pub(super) enum JobOutput {
     /// A result that is in the store by now.
     Reused(Box<Record>),
     /// A result of its own.
-    Finished(Box<Record>, Counts),
+    Finished(Box<Record>),
     /// Child nodes that must run first.
     Expanded(Vec<NodeSpec>),
 }
@@ -74,24 +77,23 @@ impl From<StageError> for JobError {
 impl Job<'_> {
     /// Does the work; the result is in the store by then.
     pub(super) fn execute(self) -> Result<JobOutput, JobError> {
-        if matches!(self.step, Step::Reduce(..)) {
-            return self.run();
-        }
         // Children take leases of their own; their parent holds none while it waits for them.
-        let _lease = match self.bound.work() {
-            Work::Expand(_) => None,
+        let _lease = match (self.bound.work(), &self.step) {
+            (Work::Expand(_), Step::Start) => None,
             _ => Some(self.lease()?),
         };
-        if self.check == BlobCheck::Names
+        if self.check == BlobCheck::Outputs
             && let Lookup::Hit(record) = look_up(self.context.store, &self.prepared.key.digest)?
         {
             return Ok(JobOutput::Reused(record));
         }
-        self.context.listener.on_event(&Event::WillRun {
-            node: self.node.clone(),
-            reason: self.prepared.reason.clone(),
-            device: self.device(),
-        });
+        if matches!(self.step, Step::Start) {
+            self.context.listener.on_event(&Event::WillRun {
+                node: self.node.clone(),
+                reason: self.prepared.reason.clone(),
+                device: self.device(),
+            });
+        }
         self.run()
     }
 
@@ -115,13 +117,14 @@ impl Job<'_> {
         let key = self.prepared.key.digest;
         let checkpoints = FileCheckpoints::new(self.context.store, &key, &self.node, self.context.listener);
         let metadata = self.metadata();
-        let produced = self.produce(&checkpoints, &metadata);
+        let blobs = StoreBlobs::new(self.context.store);
+        let produced = self.produce(&blobs, &checkpoints, &metadata);
         match produced.map_err(|error| self.attribute(error))? {
             Produced::Children(specs) => Ok(JobOutput::Expanded(specs)),
-            Produced::Outputs(outputs, counts) => {
-                let record = self.store_record(outputs, metadata)?;
+            Produced::Outputs(outputs) => {
+                let record = self.store_record(outputs, blobs, metadata)?;
                 checkpoints.remove();
-                Ok(JobOutput::Finished(record, counts))
+                Ok(JobOutput::Finished(record))
             }
         }
     }
@@ -138,14 +141,19 @@ impl Job<'_> {
     }
 
     /// Runs the stage on the threads of the job.
-    fn produce(&self, checkpoints: &dyn Checkpoints, metadata: &RunMetadata) -> Result<Produced, StageError> {
-        let blobs = StoreBlobs(self.context.store);
-        let memos = StoreMemos::new(self.context.store, &self.node, self.context.listener);
+    fn produce(
+        &self,
+        blobs: &StoreBlobs<'_>,
+        checkpoints: &dyn Checkpoints,
+        metadata: &RunMetadata,
+    ) -> Result<Produced, StageError> {
+        let key = &self.prepared.key;
+        let memos = StoreMemos::new(self.context.store, key.digest, &self.node, self.context.listener);
         let progress = NodeProgress::new(&self.node, self.context.listener);
         let stage: &dyn Stage = self.bound.as_ref();
         let scratch = self.context.store.scratch();
         let ctx = Ctx {
-            blobs: &blobs,
+            blobs,
             cancel: self.context.cancel,
             progress: &progress,
             checkpoints,
@@ -158,46 +166,56 @@ impl Job<'_> {
             ctx,
             def: &self.def,
             stage,
+            key,
             inputs: &self.prepared.inputs,
-            listing: self.prepared.listing.as_ref(),
+            listed: self.prepared.listed.as_ref(),
             check: self.check,
             metadata,
         };
         let work = || match &self.step {
             Step::Start => execute(&run),
-            Step::Reduce(children, _) => {
-                reduce(&run, children).map(|(outputs, counts)| Produced::Outputs(outputs, counts))
-            }
+            Step::Reduce(children, _) => reduce(&run, children).map(Produced::Outputs),
         };
         on_threads(self.threads, work)
     }
 
     /// Checks and stores the outputs, and returns the record that the store keeps for the key.
-    fn store_record(&self, outputs: Outputs, metadata: RunMetadata) -> Result<Box<Record>, JobError> {
-        self.check_names(&outputs)?;
+    fn store_record(
+        &self,
+        parted: PartedOutputs,
+        blobs: StoreBlobs<'_>,
+        metadata: RunMetadata,
+    ) -> Result<Box<Record>, JobError> {
+        self.check_names(&parted.outputs)?;
         let store = self.context.store;
-        let outputs: BTreeMap<String, Output> = with_lengths(store, outputs)?;
-        let children = match &self.step {
-            Step::Start => BTreeMap::new(),
-            Step::Reduce(_, keys) => keys.clone(),
+        let parts = match parted.parts.is_empty() {
+            true => None,
+            false => Some(put_parts(store, &parted.parts)?),
         };
+        put_action(store, &self.prepared.key)?;
         let record = Record {
             key: self.prepared.key.digest,
             stage: self.def.name.to_owned(),
-            version: self.def.version,
-            manifest: self.prepared.key.manifest.clone(),
-            outputs,
-            children,
+            needs: put_needs(store, blobs.take_stored(), &parted.outputs)?,
+            outputs: with_lengths(store, parted.outputs)?,
+            parts,
+            children: match &self.step {
+                Step::Start => BTreeMap::new(),
+                Step::Reduce(_, keys) => keys.clone(),
+            },
             metadata: RunMetadata {
                 seconds: self.began.elapsed().as_secs_f64(),
                 peak_mb: peak_mb(),
+                counts: parted.counts,
                 ..metadata
             },
         };
         store.put_record(record.clone());
         store.commit()?;
         self.report_conflicts();
-        let kept = store.hit(&record.key)?.unwrap_or(record);
+        let counts = record.metadata.counts.clone();
+        let mut kept = store.hit(&record.key)?.unwrap_or(record);
+        kept.metadata.counts = counts;
         Ok(Box::new(kept))
     }
 
@@ -253,6 +271,7 @@ impl Job<'_> {
             started_unix_s: unix_seconds(),
             device: self.device(),
             program: self.context.program.to_owned(),
+            counts: BTreeMap::new(),
         }
     }
 }

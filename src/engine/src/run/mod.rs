@@ -15,11 +15,16 @@ use std::{num::NonZero, thread, time::Instant};
 use marf_cache::Store;
 use marf_stage::Cancel;
 
-use self::{context::RunContext, job::unix_seconds, scheduler::Scheduler, state::RunState};
+use self::{
+    context::RunContext,
+    job::{STACK_BYTES, unix_seconds},
+    scheduler::Scheduler,
+    state::RunState,
+};
 use crate::{
-    event::Listener,
+    event::{Event, Listener},
     graph::Graph,
-    record::{EngineError, RunRecord, last_run},
+    record::{EngineError, RUN_FORMAT, RunRecord, last_run},
 };
 
 /// How to run.
@@ -33,6 +38,8 @@ pub struct Options {
     pub from: Vec<String>,
     /// Name of the pipeline: a run is compared with the last run of the same name.
     pub pipeline: String,
+    /// Name of this run, unique in its store: it is in all events.
+    pub id: String,
     /// The command as typed, for the record.
     pub command: String,
     /// The program with version and commit, for the record.
@@ -54,15 +61,17 @@ pub fn run(
     cancel: &Cancel,
 ) -> Result<RunRecord, EngineError> {
     let (began, started_unix_s) = (Instant::now(), unix_seconds());
-    let last = last_run(store, &options.pipeline)?;
+    let warn = |message: String| listener.on_event(&Event::Warning { node: None, message });
+    let last = last_run(store, &options.pipeline, warn)?;
     let roles = select::roles(graph, &options.to, &options.from)?;
-    let cores = || thread::available_parallelism().map_or(1, NonZero::get);
-    let threads = options.threads.map_or_else(cores, NonZero::get);
+    let threads = threads(options.threads);
+    let pool = pool(threads)?;
     let context = RunContext {
         graph,
         store,
         listener,
         cancel,
+        pool: &pool,
         program: &options.program,
         last: last.as_ref(),
     };
@@ -73,6 +82,8 @@ pub fn run(
     latest.extend(good.filter_map(|node| Some((node.name.clone(), node.key?))));
     let record = RunRecord {
         number: 0,
+        format: RUN_FORMAT,
+        id: options.id.clone(),
         pipeline: options.pipeline.clone(),
         command: options.command.clone(),
         program: options.program.clone(),
@@ -84,5 +95,25 @@ pub fn run(
         nodes,
         latest,
     };
-    record.store(store)
+    let stored = record.store(store, warn);
+    store.take_warnings().into_iter().for_each(warn);
+    stored
+}
+
+/// Returns the number of threads of a run; none for as many as there are cores.
+pub(crate) fn threads(wanted: Option<NonZero<usize>>) -> usize {
+    let cores = || thread::available_parallelism().map_or(1, NonZero::get);
+    wanted.map_or_else(cores, NonZero::get)
+}
+
+/// Returns a pool of that many threads.
+pub(crate) fn pool(threads: usize) -> Result<rayon::ThreadPool, EngineError> {
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .stack_size(STACK_BYTES)
+        .build()
+        .map_err(|error| EngineError::Threads {
+            threads,
+            message: error.to_string(),
+        })
 }

@@ -1,16 +1,17 @@
 //! Preparation: gives waiting nodes their inputs and keys, and looks the keys up in the store.
 
 use marf_cache::StoreError;
-use marf_stage::{Inputs, Listing};
+use marf_stage::Inputs;
 
 use super::{
     state::RunState,
     task::{InputSource, Phase, Prepared, Reuse, Role},
 };
 use crate::{
-    earlier::{KeyRequest, key_of},
+    earlier::KeyRequest,
     event::NodeProgress,
-    listing::list,
+    key::Key,
+    listing::{Listed, list},
     lookup::{Lookup, look_up, why_missed},
 };
 
@@ -46,32 +47,45 @@ fn prepare(state: &mut RunState<'_>, index: usize) -> Result<(), StoreError> {
     };
     let task = &state.tasks[index];
     let progress = NodeProgress::new(&task.name, context.listener);
-    let listing = match list(task.bound.as_ref(), context.store, context.cancel, &progress) {
-        Ok(listing) => listing,
+    let listed = list(
+        task.bound.as_ref(),
+        context.store,
+        context.cancel,
+        &progress,
+        context.pool,
+    );
+    let outcome = listed.and_then(|listed| {
+        let mut inputs = inputs;
+        inputs
+            .0
+            .extend(listed.iter().flat_map(|listed| listed.inputs.0.clone()));
+        let request = KeyRequest {
+            table: &context.graph.table,
+            name: &task.name,
+            def: &task.def,
+            stage: task.bound.as_ref(),
+        };
+        let (key, inputs) = request.key(context.store, context.last, inputs)?;
+        Ok((key, inputs, listed))
+    });
+    match outcome {
+        Ok((key, inputs, listed)) => look_up_node(state, index, key, inputs, listed),
         Err(error) => {
             state.fail(index, error);
-            return Ok(());
+            Ok(())
         }
-    };
-    look_up_node(state, index, inputs, listing)
+    }
 }
 
-/// Makes the key of a node and looks it up; a node with a stored result is reused, another one becomes ready.
+/// Looks the key of a node up; a node with a stored result is reused, another one becomes ready.
 fn look_up_node(
     state: &mut RunState<'_>,
     index: usize,
+    key: Key,
     inputs: Inputs,
-    listing: Option<Listing>,
+    listed: Option<Listed>,
 ) -> Result<(), StoreError> {
     let context = state.context;
-    let task = &state.tasks[index];
-    let request = KeyRequest {
-        name: &task.name,
-        def: &task.def,
-        stage: task.bound.as_ref(),
-        listing: listing.as_ref(),
-    };
-    let (key, inputs) = key_of(context.store, context.last, &request, inputs)?;
     state.tasks[index].outcome.key = Some(key.digest);
     let task = &state.tasks[index];
     let lookup = match task.reuse {
@@ -87,18 +101,22 @@ fn look_up_node(
         return Ok(());
     }
     let reason = match task.reuse {
-        Reuse::Allowed => why_missed(context.store, context.last, &task.name, &key, &lookup)?.reason,
+        Reuse::Allowed => {
+            let of = (&key, listed.as_ref());
+            why_missed(context.store, context.last, &task.name, of, &lookup)?.reason
+        }
         Reuse::Forbidden => "a blob was missing or damaged".to_owned(),
     };
-    let reason = listing
-        .as_ref()
-        .map_or(reason.clone(), |listing| listing.noted(&reason));
+    let reason = match &listed {
+        Some(listed) => listed.listing.noted(&reason),
+        None => reason,
+    };
     let task = &mut state.tasks[index];
     task.outcome.reason.clone_from(&reason);
     task.prepared = Some(Prepared {
         key,
         inputs,
-        listing,
+        listed,
         reason,
     });
     task.phase = Phase::Ready;

@@ -1,30 +1,34 @@
-//! Recovery from a lost blob: the nodes that made it run again, then the node that needs it is tried once more.
+//! Recovery from a lost blob: the node that stored it runs again, for as little as possible, then the node that needs it
+//! is tried once more.
 
 use std::collections::BTreeSet;
 
-use marf_cache::Digest;
+use marf_cache::{Digest, Record, Store, manifest::Root};
 use marf_stage::StageError;
 
 use super::{
     state::RunState,
     task::{Phase, Reuse, Role},
 };
-use crate::{event::Event, lookup::is_complete};
+use crate::{event::Event, work::needs_of};
 
-/// Attempts at a node in all.
-const MAX_TRIES: u32 = 2;
+/// How often the same blob may be lost to one node: the second time its producer has just stored it.
+const MAX_LOSSES: u32 = 2;
 
 /// Returns the missing or damaged blob, if that is why a node failed and it may be tried again.
-pub(super) fn lost_blob(state: &RunState<'_>, index: usize, error: &StageError) -> Option<Digest> {
+pub(super) fn lost_blob(state: &mut RunState<'_>, index: usize, error: &StageError) -> Option<Digest> {
     let StageError::Blob(blob) = error else {
         return None;
     };
-    blob.lost.filter(|_| state.tasks[index].tries < MAX_TRIES)
+    let lost = blob.lost?;
+    let losses = state.tasks[index].lost.entry(lost).or_default();
+    *losses += 1;
+    (*losses < MAX_LOSSES).then_some(lost)
 }
 
-/// Makes the producers of a lost blob run again, and the node after them.
+/// Makes the producer of a lost blob run again, and the node after it.
 pub(super) fn recover(state: &mut RunState<'_>, index: usize, lost: &Digest) {
-    let producers = producers(state, index);
+    let producers = producers(state, index, lost);
     let names: Vec<String> = producers
         .iter()
         .map(|&producer| format!("`{}`", state.tasks[producer].name))
@@ -62,25 +66,53 @@ fn start_over(state: &mut RunState<'_>, index: usize, after: BTreeSet<usize>) {
     task.waits_for.extend(after);
 }
 
-/// Returns the upstream nodes with missing blobs, in topological order. If none is known to miss any, returns
-/// those directly upstream: a result may name blobs in a form that only its stage reads.
-fn producers(state: &RunState<'_>, index: usize) -> BTreeSet<usize> {
+/// Returns the first node, in topological order, that stored a blob among those upstream; none if the node itself or one of
+/// its children did. If nobody is known to have stored it, returns the nodes directly upstream.
+fn producers(state: &RunState<'_>, index: usize, lost: &Digest) -> BTreeSet<usize> {
     let (graph, store) = (state.context.graph, state.context.store);
+    let has_stored = |task: usize| {
+        let key = state.tasks[task].outcome.key;
+        let record = key.and_then(|key| store.record(&key).ok().flatten());
+        record.is_some_and(|record| stored(store, &record, lost))
+    };
     let root = root_of(state, index);
     let mut upstream = graph.with_ancestors(&BTreeSet::from([root]));
     upstream.remove(&root);
-    let is_incomplete = |&producer: &usize| {
-        let task = &state.tasks[producer];
-        !task.phase.is_settled() || !is_complete(store, &task.outcome.outputs)
-    };
-    let incomplete: BTreeSet<usize> = upstream.iter().copied().filter(is_incomplete).collect();
-    let mut children = state.tasks[index].children.iter();
-    let child_is_incomplete = children.any(|&child| !is_complete(store, &state.tasks[child].outcome.outputs));
-    if !incomplete.is_empty() || child_is_incomplete {
-        return incomplete;
+    if let Some(&producer) = upstream.iter().find(|&&task| has_stored(task)) {
+        return BTreeSet::from([producer]);
+    }
+    let mut own = state.tasks[index].children.iter().chain([&index, &root]);
+    if own.any(|&task| has_stored(task)) {
+        return BTreeSet::new();
     }
     let connections = graph.nodes[root].connections.iter();
     connections.map(|connection| connection.upstream).collect()
+}
+
+/// Tells whether a result, or a part of it, stored a blob.
+fn stored(store: &Store, record: &Record, lost: &Digest) -> bool {
+    let own = |record: &Record| {
+        let is_output = record.outputs.values().any(|output| output.digest == *lost);
+        is_output
+            || record.needs == Some(*lost)
+            || needs_of(store, record).is_some_and(|needs| needs.binary_search(lost).is_ok())
+    };
+    let part = |key: &Digest| store.record(key).ok().flatten().is_some_and(|part| own(&part));
+    own(record) || parts_of(store, record).iter().any(part)
+}
+
+/// Returns the keys of the parts of a result, as far as their list can be read.
+fn parts_of(store: &Store, record: &Record) -> Vec<Digest> {
+    /// A list that cannot be read.
+    struct Lost;
+    impl From<marf_cache::manifest::ManifestError> for Lost {
+        fn from(_: marf_cache::manifest::ManifestError) -> Self {
+            Self
+        }
+    }
+    let read = |root: &Digest| Root::read(root, |digest| store.get(digest).map_err(|_| Lost)).ok();
+    let parts = record.parts.as_ref().and_then(read).unwrap_or_default();
+    parts.leaves.into_iter().map(|part| part.leaf).collect()
 }
 
 /// Returns the node of the graph that a node is, or descends from.

@@ -9,7 +9,7 @@ use super::{
     task::{Phase, Task},
 };
 use crate::{
-    lookup::counts_of,
+    lookup::lasting_counts,
     record::{NodeRun, NodeState, Outcome},
 };
 
@@ -74,7 +74,7 @@ fn add_stored(
             state: NodeState::Reused,
             reason: format!("{parent} was reused"),
             seconds: record.metadata.seconds,
-            counts: counts_of(store, &record),
+            counts: lasting_counts(&record),
             outputs: record.outputs.clone(),
         });
         add_stored(store, &name, &record.children, runs)?;

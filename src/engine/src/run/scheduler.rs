@@ -10,7 +10,7 @@ use std::{
 };
 
 use marf_cache::StoreError;
-use marf_stage::{Outputs, Threads};
+use marf_stage::{Outputs, Stage, Threads, Work};
 
 use super::{
     job::{Job, JobError, JobOutput, Step},
@@ -102,7 +102,7 @@ impl<'a> Scheduler<'a> {
         };
         let ready = tasks.iter().filter(is_ready).count();
         let index = tasks.iter().position(|task| is_ready(&task))?;
-        let permits = match tasks[index].bound.threads() {
+        let permits = match threads_of(tasks[index].bound.as_ref()) {
             Threads::One => 1,
             Threads::All => (self.free_permits / ready).max(1),
         };
@@ -120,7 +120,6 @@ impl<'a> Scheduler<'a> {
         let task = &mut self.state.tasks[index];
         if matches!(step, Step::Start) {
             task.began = None;
-            task.tries += 1;
         }
         task.phase = Phase::Running;
         Some(Job {
@@ -131,8 +130,8 @@ impl<'a> Scheduler<'a> {
             prepared: task.prepared.clone()?,
             step,
             check: match task.reuse {
-                Reuse::Allowed => BlobCheck::Names,
-                Reuse::Forbidden => BlobCheck::Blobs,
+                Reuse::Allowed => BlobCheck::Outputs,
+                Reuse::Forbidden => BlobCheck::Needs,
             },
             threads: permits,
             began: *task.began.get_or_insert_with(Instant::now),
@@ -156,7 +155,7 @@ impl<'a> Scheduler<'a> {
         let (state, index) = (&mut self.state, report.index);
         match report.result {
             Ok(JobOutput::Reused(record)) => state.reuse(index, *record),
-            Ok(JobOutput::Finished(record, counts)) => state.finish(index, *record, counts),
+            Ok(JobOutput::Finished(record)) => state.finish(index, *record),
             Ok(JobOutput::Expanded(specs)) => state.expand(index, specs),
             Err(JobError::Store(error)) => {
                 state.tasks[index].phase = Phase::Stopped;
@@ -168,6 +167,14 @@ impl<'a> Scheduler<'a> {
             },
         }
         Ok(())
+    }
+}
+
+/// Returns how many threads a node can use: those that work item by item take all.
+fn threads_of(stage: &dyn Stage) -> Threads {
+    match stage.work() {
+        Work::Map(_) | Work::Fold(_) | Work::Source(_) => Threads::All,
+        Work::Set(_) | Work::Expand(_) => stage.threads(),
     }
 }
 

@@ -9,7 +9,7 @@ use super::{
     context::RunContext,
     task::{InputSource, Phase, Role, Task},
 };
-use crate::{errors::contract_violation, event::Event, lookup::counts_of, work::Counts};
+use crate::{errors::contract_violation, event::Event, lookup::lasting_counts};
 
 /// The nodes of a run. Those of the graph come first, in its order; children follow in the order of expansion.
 pub(super) struct RunState<'a> {
@@ -37,7 +37,7 @@ impl<'a> RunState<'a> {
             true => "nothing changed",
             false => "its result is in the store",
         };
-        let counts = counts_of(self.context.store, &record);
+        let counts = lasting_counts(&record);
         let task = &mut self.tasks[index];
         task.phase = Phase::Reused;
         task.outcome.reason = reason.to_owned();
@@ -55,12 +55,12 @@ impl<'a> RunState<'a> {
     }
 
     /// Gives a node the result of its job.
-    pub(super) fn finish(&mut self, index: usize, record: Record, counts: Counts) {
+    pub(super) fn finish(&mut self, index: usize, record: Record) {
         let task = &mut self.tasks[index];
         task.phase = Phase::Finished;
         task.outcome.seconds = record.metadata.seconds;
         task.outcome.outputs = record.outputs;
-        task.outcome.counts = counts;
+        task.outcome.counts = record.metadata.counts;
         self.context.listener.on_event(&Event::Finished {
             node: task.name.clone(),
             seconds: task.outcome.seconds,

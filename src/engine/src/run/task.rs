@@ -7,12 +7,13 @@ use std::{
 };
 
 use marf_cache::{Digest, Output};
-use marf_stage::{Inputs, Listing, Outputs, Stage, StageDef};
+use marf_stage::{Inputs, Outputs, Stage, StageDef};
 
 use crate::{
     check::{Connection, Edge},
     graph::Node,
     key::Key,
+    listing::Listed,
     work::Counts,
 };
 
@@ -31,7 +32,8 @@ pub(super) struct Task {
     /// Nodes that must settle first.
     pub(super) waits_for: BTreeSet<usize>,
     pub(super) reuse: Reuse,
-    pub(super) tries: u32,
+    /// Blobs that were lost when it ran, with how often.
+    pub(super) lost: BTreeMap<Digest, u32>,
     pub(super) prepared: Option<Prepared>,
     pub(super) began: Option<Instant>,
     pub(super) outcome: NodeOutcome,
@@ -97,7 +99,7 @@ pub(super) enum Phase {
 pub(super) struct Prepared {
     pub(super) key: Key,
     pub(super) inputs: Inputs,
-    pub(super) listing: Option<Listing>,
+    pub(super) listed: Option<Listed>,
     pub(super) reason: String,
 }
 
@@ -152,7 +154,7 @@ impl Task {
             phase: Phase::Waiting,
             waits_for: BTreeSet::new(),
             reuse: Reuse::Allowed,
-            tries: 0,
+            lost: BTreeMap::new(),
             prepared: None,
             began: None,
             outcome: NodeOutcome::default(),

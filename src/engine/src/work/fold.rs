@@ -1,150 +1,147 @@
-//! Folds: a state is passed from shard to shard. Each step has its record, so a new shard continues from the last
-//! state.
+//! Folds: a state grows from shard to shard. Each step has its record with what it added, so a new shard continues from
+//! what the earlier ones added.
 
 use std::collections::BTreeMap;
 
-use marf_cache::{
-    ContentHash, Digest,
-    manifest::{LeafRef, Root},
-};
-use marf_stage::{Fold, Outputs, PHOTOS, StageError, VERDICTS};
+use marf_cache::Digest;
+use marf_stage::{Ctx, Fold, FoldState, PHOTOS, StageError};
 
 use super::{
-    map,
-    measure::{Measures, measure},
-    stage_run::{Counts, StageRun},
+    map::{leaf_inputs, store_decided},
+    measure::{MeasuredShard, measure, windows},
+    stage_run::{Counts, Part, PartKind, PartedOutputs, StageRun},
 };
-use crate::items::{
-    ShardRows, by_shard, kept, read_root, read_shard, read_verdicts, write_shard, write_verdicts,
+use crate::{
+    errors::contract_violation,
+    items::{ShardLeaves, by_shard, read_set, rows_of},
+    key::Key,
+    stage_io::StoreBlobs,
 };
 
-const STATE: &str = "state";
+/// Name of the input of a step that stands for all that earlier steps added.
+const BEFORE: &str = "before";
 
-/// What a step depends on besides stage and parameters; part of its key.
-#[derive(ContentHash)]
-#[content_hash(name = "Step")]
-struct StepContent {
-    shard: u32,
-    state: Option<Digest>,
-    leaves: Vec<Digest>,
+/// The chain before the first step.
+pub(super) fn start() -> Digest {
+    Digest::of(&[])
 }
 
-/// The outputs of a step.
-struct StepOutputs {
-    state: Digest,
-    root: Digest,
-    verdicts: Digest,
+/// Returns the chain after a step, from the chain before it and what the step added.
+pub(super) fn after(before: &Digest, added: &Digest) -> Digest {
+    Digest::of(&[*before.as_bytes(), *added.as_bytes()].concat())
+}
+
+/// Returns the inputs of the step that folds a shard into the state after a chain of steps.
+pub(super) fn step_inputs(shard: &ShardLeaves, before: Digest) -> BTreeMap<String, Digest> {
+    let before = (BEFORE.to_owned(), before);
+    leaf_inputs(shard).into_iter().chain([before]).collect()
 }
 
 /// Runs a fold over all shards, from the first whose step has no record.
-pub(super) fn execute(run: &StageRun<'_>, fold: &dyn Fold) -> Result<(Outputs, Counts), StageError> {
-    let shards = by_shard(&read_root(&run.ctx, run.inputs.required(PHOTOS)?)?);
-    let mut new = NewShards::default();
-    let mut state = None;
-    let mut leaves = Vec::new();
-    let mut verdicts = Vec::new();
-    for (index, (shard, refs)) in shards.iter().enumerate() {
-        run.ctx.check()?;
-        let step = StepContent {
-            shard: *shard,
-            state,
-            leaves: refs.iter().map(|leaf| leaf.leaf).collect(),
-        };
-        let params = (fold.measure_params(), run.stage.params());
-        let key = run.part_key("fold", &params, &step);
-        let outputs = match run.part_hit(&key)? {
-            Some(record) => StepOutputs {
-                state: record.outputs[STATE].digest,
-                root: record.outputs[PHOTOS].digest,
-                verdicts: record.outputs[VERDICTS].digest,
-            },
-            None => {
-                new.measure_from(run, fold, &shards, index)?;
-                let outputs = new.step(run, fold, index, state)?;
-                run.put_part(key, outputs.by_name())?;
-                outputs
-            }
-        };
-        state = Some(outputs.state);
-        leaves.extend(read_root(&run.ctx, &outputs.root)?.leaves);
-        verdicts.extend(read_verdicts(&run.ctx, &outputs.verdicts)?);
+pub(super) fn execute(run: &StageRun<'_>, fold: &dyn Fold) -> Result<PartedOutputs, StageError> {
+    let shards = by_shard(&read_set(&run.ctx, run.inputs.required(PHOTOS)?)?);
+    let mut steps = Steps {
+        run,
+        keys: Vec::new(),
+        parts: Vec::new(),
+        before: start(),
+    };
+    let first = steps.reuse(&shards)?;
+    let mut state = fold.begin();
+    if first < shards.len() {
+        steps.replay(state.as_mut())?;
     }
-    map::outputs(run, Root { leaves }, verdicts, new.measured())
-}
-
-impl StepOutputs {
-    /// Returns the outputs by name, for the record of the step.
-    fn by_name(&self) -> Outputs {
-        BTreeMap::from([
-            (STATE.to_owned(), self.state),
-            (PHOTOS.to_owned(), self.root),
-            (VERDICTS.to_owned(), self.verdicts),
-        ])
-    }
-}
-
-/// The shards from the first new one on, measured together so that all threads have work.
-#[derive(Default)]
-struct NewShards {
-    first: usize,
-    shards: Vec<ShardRows>,
-    measures: Option<Measures>,
-}
-
-impl NewShards {
-    /// Reads and measures the shards from `first` on, once.
-    fn measure_from(
-        &mut self,
-        run: &StageRun<'_>,
-        fold: &dyn Fold,
-        shards: &[(u32, Vec<LeafRef>)],
-        first: usize,
-    ) -> Result<(), StageError> {
-        if self.measures.is_some() {
-            return Ok(());
+    let total: u64 = shards[first..].iter().map(|shard| rows_of(&shard.1)).sum();
+    let (mut done, mut measured) = (0, 0);
+    for window in windows(&shards[first..], |shard| rows_of(&shard.1)) {
+        let leaves: Vec<&ShardLeaves> = window.iter().collect();
+        let read = measure(run, fold, &leaves, (done, total))?;
+        measured += read.measured;
+        done += read.rows();
+        for (leaves, shard) in window.iter().zip(read.shards) {
+            run.ctx.check()?;
+            steps.fold(fold, state.as_mut(), leaves, shard)?;
         }
-        let new: Result<Vec<ShardRows>, _> = shards[first..]
-            .iter()
-            .map(|(shard, leaves)| read_shard(&run.ctx, *shard, leaves))
-            .collect();
-        self.first = first;
-        self.shards = new?;
-        self.measures = Some(measure(run, fold, &self.shards)?);
+    }
+    let counts = Counts::from([
+        ("measured".to_owned(), measured),
+        ("decided".to_owned(), (shards.len() - first) as u64),
+    ]);
+    let keys = shards.iter().zip(&steps.keys).map(|(shard, key)| (shard.0, *key));
+    run.join(keys.collect(), steps.parts.into_iter().collect(), counts)
+}
+
+/// The steps so far.
+struct Steps<'a> {
+    run: &'a StageRun<'a>,
+    keys: Vec<Digest>,
+    parts: Vec<Part>,
+    /// Digest of the chain of all that was added.
+    before: Digest,
+}
+
+impl Steps<'_> {
+    fn key(&self, shard: &ShardLeaves) -> Key {
+        self.run
+            .part_key(PartKind::Fold, shard.0, step_inputs(shard, self.before))
+    }
+
+    /// Takes the steps that have a record, up to the first without; returns their number.
+    fn reuse(&mut self, shards: &[ShardLeaves]) -> Result<usize, StageError> {
+        for (index, shard) in shards.iter().enumerate() {
+            self.run.ctx.check()?;
+            let key = self.key(shard);
+            match self.run.part_hit(&key.digest)? {
+                Some(part) => self.push(key.digest, part)?,
+                None => return Ok(index),
+            }
+        }
+        Ok(shards.len())
+    }
+
+    /// Brings a state to where the reused steps left it.
+    fn replay(&self, state: &mut dyn FoldState) -> Result<(), StageError> {
+        for added in self.parts.iter().filter_map(|part| part.added) {
+            self.run.ctx.check()?;
+            state.replay(&self.run.ctx, &self.run.ctx.get(&added)?)?;
+        }
         Ok(())
     }
 
     /// Folds one shard into the state and stores what comes out.
-    fn step(
-        &self,
-        run: &StageRun<'_>,
+    fn fold(
+        &mut self,
         fold: &dyn Fold,
-        index: usize,
-        state: Option<Digest>,
-    ) -> Result<StepOutputs, StageError> {
-        let at = index - self.first;
-        let items = self
-            .measures
-            .as_ref()
-            .map(|measures| measures.items(&self.shards, at));
-        let before = state.map(|state| run.ctx.get(&state)).transpose()?;
-        let (after, verdicts) = fold.fold(before.as_deref(), &items.unwrap_or_default())?;
-        let part = &self.shards[at];
-        let rows = kept(part.rows.clone(), &verdicts)?;
-        let leaves = write_shard(
-            &run.ctx,
-            ShardRows {
-                shard: part.shard,
-                rows,
-            },
-        )?;
-        Ok(StepOutputs {
-            state: run.ctx.put(&after)?,
-            root: run.ctx.put(&Root { leaves }.encode())?,
-            verdicts: write_verdicts(&run.ctx, verdicts)?,
-        })
+        state: &mut dyn FoldState,
+        leaves: &ShardLeaves,
+        shard: MeasuredShard,
+    ) -> Result<(), StageError> {
+        let key = self.key(leaves);
+        let blobs = StoreBlobs::new(self.run.store);
+        let ctx: Ctx<'_> = self.run.with_blobs(&blobs);
+        let (added, verdicts) = {
+            let items = shard.items();
+            let (added, verdicts) = state.fold(&ctx, &items)?;
+            // The blobs of measures are needed by this step and by those that come back to it.
+            let measured = items.iter().flat_map(|item| fold.blobs(item.measure));
+            blobs.note(measured.chain(state.blobs(&added)));
+            (added, verdicts)
+        };
+        let part = Part {
+            added: Some(ctx.put(&added)?),
+            ..store_decided(&ctx, shard.rows, verdicts)?
+        };
+        self.run.put_part(&key, &part, &blobs)?;
+        self.push(key.digest, part)
     }
 
-    fn measured(&self) -> u64 {
-        self.measures.as_ref().map_or(0, |measures| measures.measured)
+    fn push(&mut self, key: Digest, part: Part) -> Result<(), StageError> {
+        let added = part
+            .added
+            .ok_or_else(|| contract_violation("a step of a fold lacks what it added".to_owned()))?;
+        self.before = after(&self.before, &added);
+        self.keys.push(key);
+        self.parts.push(part);
+        Ok(())
     }
 }

@@ -1,4 +1,4 @@
-//! Measures of rows, kept in one table a shard.
+//! Measures of rows, kept in one table a kind and shard.
 
 use std::{
     collections::BTreeMap,
@@ -6,176 +6,347 @@ use std::{
     time::{Duration, Instant},
 };
 
-use marf_cache::{Digest, manifest::Row};
-use marf_stage::{Measure, Measured, StageError};
+use marf_cache::{Digest, Store, manifest::Row};
+use marf_stage::{Measure, Measured, StageError, Table};
 use parking_lot::Mutex;
 use rayon::prelude::*;
 
 use super::stage_run::StageRun;
 use crate::{
     errors::{contract_violation, store_error},
-    items::ShardRows,
-    measure_table::{MeasureTable, row_digest},
+    items::{ShardLeaves, ShardRows, read_shard},
+    measure_table::{MeasureTable, row_digest, table_key},
+    stage_io::StoreBlobs,
 };
 
 /// New measures are stored at this interval, so a kill loses no more than this.
-const FLUSH_INTERVAL: Duration = Duration::from_secs(2);
+const FLUSH_INTERVAL: Duration = Duration::from_secs(5);
+/// Rows that are in memory at once: enough that all threads have work while a window ends.
+const WINDOW_ROWS: u64 = 2_000;
 
-/// The measures of all rows of some shards, in their order.
-pub(super) struct Measures {
-    values: Vec<Vec<Arc<[u8]>>>,
+/// Splits shards into runs of about [`WINDOW_ROWS`] rows, at least one shard each.
+pub(super) fn windows<T>(shards: &[T], rows: impl Fn(&T) -> u64) -> Vec<&[T]> {
+    let mut windows = Vec::new();
+    let (mut first, mut held) = (0, 0);
+    for (index, shard) in shards.iter().enumerate() {
+        held += rows(shard);
+        if held >= WINDOW_ROWS {
+            windows.push(&shards[first..=index]);
+            (first, held) = (index + 1, 0);
+        }
+    }
+    windows.extend((first < shards.len()).then(|| &shards[first..]));
+    windows
+}
+
+/// The rows of one shard, each with its measure.
+pub(super) struct MeasuredShard {
+    pub(super) rows: ShardRows,
+    values: Vec<Arc<[u8]>>,
+}
+
+/// Some shards with their measures, in the order asked for.
+pub(super) struct MeasuredShards {
+    pub(super) shards: Vec<MeasuredShard>,
     /// Number of rows that no earlier run had measured.
     pub(super) measured: u64,
 }
 
-/// The tables of the shards, with what is new in them.
-struct Tables<'a> {
-    run: &'a StageRun<'a>,
-    by_shard: BTreeMap<u32, Table>,
-    done: u64,
-    flushed: Instant,
+impl MeasuredShard {
+    /// Returns the rows with their measures.
+    pub(super) fn items(&self) -> Vec<Measured<'_>> {
+        let items = self.rows.rows.iter().zip(&self.values);
+        items
+            .map(|(row, measure)| Measured {
+                shard: self.rows.shard,
+                row,
+                measure,
+            })
+            .collect()
+    }
 }
 
-/// The table of one shard.
-struct Table {
-    key: Digest,
+impl MeasuredShards {
+    /// Returns the number of rows.
+    pub(super) fn rows(&self) -> u64 {
+        self.shards.iter().map(|shard| shard.values.len() as u64).sum()
+    }
+}
+
+/// Reads the rows of some shards and measures those that are not in the table of the stage yet. `done` of `total` rows
+/// were ready before, for the progress.
+pub(super) fn measure(
+    run: &StageRun<'_>,
+    stage: &dyn Measure,
+    shards: &[&ShardLeaves],
+    (done, total): (u64, u64),
+) -> Result<MeasuredShards, StageError> {
+    let rows: Vec<ShardRows> = shards
+        .par_iter()
+        .map(|shard| read_shard(&run.ctx, shard))
+        .collect::<Result<_, _>>()?;
+    let Some(own) = stage.table() else {
+        let nothing: Arc<[u8]> = Arc::from([]);
+        let unmeasured = |rows: ShardRows| MeasuredShard {
+            values: vec![Arc::clone(&nothing); rows.rows.len()],
+            rows,
+        };
+        return Ok(MeasuredShards {
+            shards: rows.into_iter().map(unmeasured).collect(),
+            measured: 0,
+        });
+    };
+    let mut read: Vec<ShardTables> = rows
+        .into_par_iter()
+        .map(|rows| ShardTables::load(run, stage, own, rows))
+        .collect::<Result<_, _>>()?;
+    let missing: Vec<(usize, usize, Vec<Table>)> = (0..)
+        .zip(&read)
+        .flat_map(|(at, shard)| {
+            let missing = shard.missing.iter();
+            missing.map(move |&row| (at, row, shard.wanted(row, own)))
+        })
+        .collect();
+    let known = read
+        .iter()
+        .map(|shard| (shard.rows.rows.len() - shard.missing.len()) as u64);
+    let done = done + known.sum::<u64>();
+    run.ctx.progress.at(done, total, "");
+    let (views, tables): (Vec<_>, Vec<_>) = read.iter_mut().map(ShardTables::split).unzip();
+    let new = Mutex::new(New {
+        run,
+        tables,
+        done,
+        total,
+        flushed: Instant::now(),
+    });
+    // What a measure stores is named by it, and not by the record of this node.
+    let blobs = StoreBlobs::new(run.store);
+    let ctx = run.with_blobs(&blobs);
+    let outcome = missing.par_iter().try_for_each(|(at, row, wanted)| {
+        ctx.check()?;
+        let (rows, digests) = &views[*at];
+        let values = stage.measure(&ctx, &rows[*row], wanted)?;
+        if values.len() != wanted.len() {
+            let (got, asked) = (values.len(), wanted.len());
+            return Err(contract_violation(format!(
+                "{got} measures came for {asked} tables"
+            )));
+        }
+        new.lock().add(*at, digests[*row], wanted, values)
+    });
+    // New measures are stored also after a failure or a cancellation.
+    new.into_inner().flush()?;
+    outcome?;
+    let measured = missing.len() as u64;
+    let shards: Result<Vec<_>, _> = read.into_iter().map(|shard| shard.finish(own)).collect();
+    Ok(MeasuredShards {
+        shards: shards?,
+        measured,
+    })
+}
+
+/// The rows of one shard with its tables of measures.
+struct ShardTables {
+    rows: ShardRows,
+    digests: Vec<Digest>,
+    tables: Tables,
+    /// Indices of the rows that the stage's own table lacks.
+    missing: Vec<usize>,
+}
+
+/// Tables of one shard by their kind.
+type Tables = BTreeMap<Table, KeptTable>;
+
+/// A table and whether it has values that are not stored.
+#[derive(Default)]
+pub(super) struct KeptTable {
     measures: MeasureTable,
     is_new: bool,
 }
 
-/// Measures the rows that are in no table yet, and returns the measures of all.
-pub(super) fn measure(
-    run: &StageRun<'_>,
-    stage: &dyn Measure,
-    shards: &[ShardRows],
-) -> Result<Measures, StageError> {
-    let mut tables = Tables::load(run, stage, shards)?;
-    let digests: Vec<Vec<Digest>> = shards
-        .par_iter()
-        .map(|part| part.rows.iter().map(row_digest).collect())
-        .collect();
-    let pairs = shards.iter().zip(&digests);
-    let rows = pairs.flat_map(|(part, digests)| {
-        part.rows
-            .iter()
-            .zip(digests)
-            .map(move |(row, digest)| (part.shard, row, *digest))
-    });
-    let missing: Vec<(u32, &Row, Digest)> = rows
-        .filter(|(shard, _, digest)| !tables.knows(*shard, digest))
-        .collect();
-    let total = missing.len() as u64;
-    tables.flushed = Instant::now();
-    let shared = Mutex::new(tables);
-    let outcome = missing.par_iter().try_for_each(|(shard, row, digest)| {
-        run.ctx.check()?;
-        let measure = stage.measure(&run.ctx, row)?;
-        let mut tables = shared.lock();
-        tables.add(*shard, *digest, measure, total)
-    });
-    let mut tables = shared.into_inner();
-    // New measures are stored also after a failure or a cancellation.
-    tables.flush()?;
-    outcome?;
-    tables.collect(shards, &digests, total)
-}
-
-impl<'a> Tables<'a> {
-    /// Reads the tables of all shards.
-    fn load(run: &'a StageRun<'a>, stage: &dyn Measure, shards: &[ShardRows]) -> Result<Self, StageError> {
-        let mut by_shard = BTreeMap::new();
-        for part in shards {
-            let key = run.table_key(stage, part.shard);
-            let blob = run.store.memo(&key).map_err(store_error)?;
-            // A missing or damaged table is an empty one.
-            let bytes = blob.and_then(|blob| run.store.get(&blob).ok());
-            let measures = bytes
-                .and_then(|bytes| MeasureTable::decode(&bytes))
-                .unwrap_or_default();
-            let is_new = false;
-            by_shard.insert(
-                part.shard,
-                Table {
-                    key,
-                    measures,
-                    is_new,
-                },
-            );
+impl ShardTables {
+    /// Reads the stage's own table; the others only where a row must be measured.
+    fn load(
+        run: &StageRun<'_>,
+        stage: &dyn Measure,
+        own: Table,
+        rows: ShardRows,
+    ) -> Result<Self, StageError> {
+        let digests: Vec<Digest> = rows.rows.iter().map(row_digest).collect();
+        let table = load(run.store, own, rows.shard)?;
+        let is_whole = |measure: &[u8]| stage.blobs(measure).iter().all(|blob| run.store.contains(blob));
+        let is_missing = |digest: &Digest| {
+            !table
+                .measures
+                .0
+                .get(digest)
+                .is_some_and(|measure| is_whole(measure))
+        };
+        let missing: Vec<usize> = (0..)
+            .zip(&digests)
+            .filter(|(_, digest)| is_missing(digest))
+            .map(|(at, _)| at)
+            .collect();
+        let mut tables = Tables::from([(own, table)]);
+        if !missing.is_empty() {
+            for other in stage.together().into_iter().filter(|other| *other != own) {
+                tables.insert(other, load(run.store, other, rows.shard)?);
+            }
         }
         Ok(Self {
-            run,
-            by_shard,
-            done: 0,
-            flushed: Instant::now(),
+            rows,
+            digests,
+            tables,
+            missing,
         })
     }
 
-    fn get(&self, shard: u32, digest: &Digest) -> Option<&Arc<[u8]>> {
-        self.by_shard.get(&shard)?.measures.0.get(digest)
+    /// Returns the tables that a missing row is measured for: the stage's own, and those that lack it too.
+    fn wanted(&self, row: usize, own: Table) -> Vec<Table> {
+        let lacks = |table: &KeptTable| !table.measures.0.contains_key(&self.digests[row]);
+        let wanted = self
+            .tables
+            .iter()
+            .filter(|(kind, table)| **kind == own || lacks(table));
+        wanted.map(|(kind, _)| *kind).collect()
     }
 
-    fn knows(&self, shard: u32, digest: &Digest) -> bool {
-        self.get(shard, digest).is_some()
+    fn split(&mut self) -> ((&[Row], &[Digest]), (u32, &mut Tables)) {
+        let rows = (self.rows.rows.as_slice(), self.digests.as_slice());
+        (rows, (self.rows.shard, &mut self.tables))
     }
 
-    /// Adds the measure of a row; stores the tables if that is due.
-    fn add(&mut self, shard: u32, digest: Digest, measure: Vec<u8>, total: u64) -> Result<(), StageError> {
-        if let Some(table) = self.by_shard.get_mut(&shard) {
-            table.measures.0.insert(digest, Arc::from(measure));
-            table.is_new = true;
+    /// Returns the rows with their measures.
+    fn finish(self, own: Table) -> Result<MeasuredShard, StageError> {
+        let table = self.tables.get(&own);
+        let value = |digest: &Digest| table.and_then(|table| table.measures.0.get(digest).cloned());
+        let values: Option<Vec<_>> = self.digests.iter().map(value).collect();
+        Ok(MeasuredShard {
+            rows: self.rows,
+            values: values.ok_or_else(|| contract_violation("a measure got lost".to_owned()))?,
+        })
+    }
+}
+
+/// Reads the table of a shard; a missing or damaged one is empty.
+fn load(store: &Store, table: Table, shard: u32) -> Result<KeptTable, StageError> {
+    let blob = store.memo(&table_key(table, shard)).map_err(store_error)?;
+    let bytes = blob.and_then(|blob| store.get(&blob).ok());
+    let measures = bytes
+        .and_then(|bytes| MeasureTable::decode(&bytes))
+        .unwrap_or_default();
+    Ok(KeptTable {
+        measures,
+        is_new: false,
+    })
+}
+
+/// The tables of some shards, with what is new in them.
+struct New<'a> {
+    run: &'a StageRun<'a>,
+    tables: Vec<(u32, &'a mut Tables)>,
+    done: u64,
+    total: u64,
+    flushed: Instant,
+}
+
+impl New<'_> {
+    /// Adds the measures of a row; stores the tables if that is due.
+    fn add(
+        &mut self,
+        at: usize,
+        digest: Digest,
+        wanted: &[Table],
+        values: Vec<Vec<u8>>,
+    ) -> Result<(), StageError> {
+        for (kind, value) in wanted.iter().zip(values) {
+            if let Some(table) = self.tables[at].1.get_mut(kind) {
+                table.measures.0.insert(digest, Arc::from(value));
+                table.is_new = true;
+            }
         }
         self.done += 1;
-        self.run.ctx.progress.at(self.done, total, "");
+        self.run.ctx.progress.at(self.done, self.total, "");
         match self.flushed.elapsed() >= FLUSH_INTERVAL {
             true => self.flush(),
             false => Ok(()),
         }
     }
 
-    /// Stores the tables that have new measures, durably.
+    /// Stores the tables that have new measures.
     fn flush(&mut self) -> Result<(), StageError> {
         self.flushed = Instant::now();
-        let mut any = false;
-        for table in self.by_shard.values_mut().filter(|table| table.is_new) {
-            let blob = self.run.ctx.put(&table.measures.encode())?;
-            self.run.store.put_memo(table.key, blob);
-            table.is_new = false;
-            any = true;
+        for (shard, tables) in &mut self.tables {
+            for (kind, table) in tables.iter_mut().filter(|(_, table)| table.is_new) {
+                save(self.run, *kind, *shard, &table.measures)?;
+                table.is_new = false;
+            }
         }
-        match any {
-            true => self.run.store.commit().map_err(store_error),
-            false => Ok(()),
-        }
-    }
-
-    /// Returns the measures of all rows.
-    fn collect(
-        self,
-        shards: &[ShardRows],
-        digests: &[Vec<Digest>],
-        measured: u64,
-    ) -> Result<Measures, StageError> {
-        let of_part = |(part, digests): (&ShardRows, &Vec<Digest>)| {
-            let values = digests.iter().map(|digest| self.get(part.shard, digest).cloned());
-            values.collect::<Option<Vec<_>>>()
-        };
-        let values: Option<Vec<Vec<_>>> = shards.iter().zip(digests).map(of_part).collect();
-        let values = values.ok_or_else(|| contract_violation("a measure got lost".to_owned()))?;
-        Ok(Measures { values, measured })
+        Ok(())
     }
 }
 
-impl Measures {
-    /// Returns the rows of one shard with their measures.
-    pub(super) fn items<'a>(&'a self, shards: &'a [ShardRows], index: usize) -> Vec<Measured<'a>> {
-        let part = &shards[index];
-        let items = part.rows.iter().zip(&self.values[index]);
-        items
-            .map(|(row, measure)| Measured {
-                shard: part.shard,
-                row,
-                measure,
-            })
-            .collect()
+/// Stores the table of a shard; it is kept as long as the node that made it.
+fn save(run: &StageRun<'_>, table: Table, shard: u32, measures: &MeasureTable) -> Result<(), StageError> {
+    let blob = run.store.put(&measures.encode()).map_err(store_error)?;
+    run.store.put_memo(table_key(table, shard), blob, run.key.digest);
+    Ok(())
+}
+
+/// Adds measures that a source made of its rows to the tables of their shard.
+pub(super) fn keep_fetched(
+    run: &StageRun<'_>,
+    shard: u32,
+    rows: &[Row],
+    measures: Vec<marf_stage::FetchedMeasure>,
+) -> Result<(), StageError> {
+    let digests: BTreeMap<&str, Digest> = rows
+        .iter()
+        .map(|row| (row.id.as_str(), row_digest(row)))
+        .collect();
+    let mut tables = Tables::new();
+    for fetched in measures {
+        let Some(digest) = digests.get(fetched.id.as_str()) else {
+            return Err(contract_violation(format!(
+                "a measure is of `{}`, which is no row",
+                fetched.id
+            )));
+        };
+        if !tables.contains_key(&fetched.table) {
+            tables.insert(fetched.table, load(run.store, fetched.table, shard)?);
+        }
+        if let Some(table) = tables.get_mut(&fetched.table) {
+            table.measures.0.insert(*digest, Arc::from(fetched.measure));
+        }
+    }
+    for (kind, table) in &tables {
+        save(run, *kind, shard, &table.measures)?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn windows_hold_all_shards_once_in_order() {
+        for sizes in [
+            vec![],
+            vec![0, 0],
+            vec![5000],
+            vec![1; 10],
+            vec![1999, 1, 1, 3000, 7],
+        ] {
+            let windows = windows(&sizes, |rows| *rows);
+            assert_eq!(windows.concat(), sizes);
+            let full = windows.iter().rev().skip(1);
+            assert!(
+                full.clone()
+                    .all(|window| window.iter().sum::<u64>() >= WINDOW_ROWS),
+                "{windows:?}"
+            );
+        }
     }
 }

@@ -1,6 +1,7 @@
 //! The kinds of work: what a node does when its key is not in the store.
 
 mod expand;
+mod extent;
 mod fold;
 mod map;
 mod measure;
@@ -10,24 +11,38 @@ mod stage_run;
 use marf_stage::{NodeSpec, Outputs, StageError, Work};
 
 pub(crate) use expand::reduce;
-pub(crate) use stage_run::{BlobCheck, Counts, StageRun, with_lengths};
+pub use extent::Extent;
+pub(crate) use extent::extent;
+pub(crate) use stage_run::{
+    BlobCheck, Counts, PartedOutputs, StageRun, needs_of, put_action, put_needs, put_parts, with_lengths,
+};
 
 /// What a stage gave.
 pub(crate) enum Produced {
-    /// Outputs, and figures of the work.
-    Outputs(Outputs, Counts),
+    /// Its outputs.
+    Outputs(PartedOutputs),
     /// Child nodes that must run first.
     Children(Vec<NodeSpec>),
 }
 
 /// Runs a stage.
 pub(crate) fn execute(run: &StageRun<'_>) -> Result<Produced, StageError> {
-    let outputs = |(outputs, counts)| Produced::Outputs(outputs, counts);
     match run.stage.work() {
-        Work::Source(source) => source::execute(run, source).map(outputs),
-        Work::Map(map) => map::execute(run, map).map(outputs),
-        Work::Fold(fold) => fold::execute(run, fold).map(outputs),
-        Work::Set(set) => Ok(outputs((set.run(&run.ctx, run.inputs)?, Counts::new()))),
+        Work::Source(source) => source::execute(run, source).map(Produced::Outputs),
+        Work::Map(map) => map::execute(run, map).map(Produced::Outputs),
+        Work::Fold(fold) => fold::execute(run, fold).map(Produced::Outputs),
+        Work::Set(set) => Ok(Produced::Outputs(set.run(&run.ctx, run.inputs)?.into())),
         Work::Expand(expand) => Ok(Produced::Children(expand.expand(&run.ctx, run.inputs)?)),
+    }
+}
+
+/// Outputs of a node without parts and figures.
+impl From<Outputs> for PartedOutputs {
+    fn from(outputs: Outputs) -> Self {
+        Self {
+            outputs,
+            counts: Counts::new(),
+            parts: Vec::new(),
+        }
     }
 }

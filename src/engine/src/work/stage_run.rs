@@ -2,24 +2,34 @@
 
 use std::collections::BTreeMap;
 
-use marf_cache::{ContentHash, Digest, Output, Record, RunMetadata, Store};
-use marf_stage::{Ctx, Inputs, Listing, Measure, Outputs, Stage, StageDef, StageError};
+use marf_cache::{
+    ACTION_FORMAT, Action, Digest, Output, Record, RunMetadata, Store, digest_list,
+    manifest::{LeafRef, Root},
+    read_digest_list,
+};
+use marf_stage::{Ctx, Inputs, Outputs, PHOTOS, Stage, StageDef, StageError, VERDICTS};
 
 use crate::{
     errors::{contract_violation, store_error},
-    key::{Key, PartContent},
+    items::{read_refs, rows_of, write_refs, write_set},
+    key::Key,
+    listing::Listed,
+    stage_io::StoreBlobs,
 };
 
 /// Figures of the work of a node, by name.
 pub(crate) type Counts = BTreeMap<String, u64>;
 
+/// Name of the output of a step of a fold that holds what it added to the state.
+pub(super) const ADDED: &str = "added";
+
 /// How thoroughly stored parts are checked before they are reused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum BlobCheck {
-    /// Their leaves are in the store.
-    Names,
-    /// Every blob that a row names is in the store.
-    Blobs,
+    /// Their outputs are in the store.
+    Outputs,
+    /// Every blob that they need is in the store.
+    Needs,
 }
 
 /// One run of a stage: its context, its inputs, and the store for its parts.
@@ -29,57 +39,200 @@ pub(crate) struct StageRun<'a> {
     pub(crate) ctx: Ctx<'a>,
     pub(crate) def: &'a StageDef,
     pub(crate) stage: &'a dyn Stage,
+    /// The key of the node.
+    pub(crate) key: &'a Key,
     pub(crate) inputs: &'a Inputs,
-    pub(crate) listing: Option<&'a Listing>,
+    pub(crate) listed: Option<&'a Listed>,
     pub(crate) check: BlobCheck,
     pub(crate) metadata: &'a RunMetadata,
 }
 
+/// The kinds of parts of a node.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum PartKind {
+    /// A shard of a source.
+    Fetch,
+    /// The decision on a shard.
+    Decide,
+    /// A step of a fold.
+    Fold,
+}
+
+/// Returns the key of the part of a node that is about one shard.
+pub(super) fn part_key(node: &Action, part: PartKind, shard: u32, inputs: BTreeMap<String, Digest>) -> Key {
+    let name = match part {
+        PartKind::Fetch => "fetch",
+        PartKind::Decide => "decide",
+        PartKind::Fold => "fold",
+    };
+    Key::of(Action {
+        action: ACTION_FORMAT,
+        stage: node.stage.clone(),
+        version: node.version,
+        part: Some(name.to_owned()),
+        shard: Some(shard),
+        params: node.params.clone(),
+        inputs,
+        backend: None,
+        children: BTreeMap::new(),
+    })
+}
+
+/// What a part of a node gave for one shard.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Part {
+    /// Leaves of the rows that are kept.
+    pub(super) photos: Vec<LeafRef>,
+    /// Leaves of the verdicts.
+    pub(super) verdicts: Vec<LeafRef>,
+    /// What a fold added to its state.
+    pub(super) added: Option<Digest>,
+}
+
+/// What a node of many parts gave.
+pub(crate) struct PartedOutputs {
+    pub(crate) outputs: Outputs,
+    pub(crate) counts: Counts,
+    /// Keys of the parts, in the order of the shards.
+    pub(crate) parts: Vec<(u32, Digest)>,
+}
+
 impl StageRun<'_> {
-    /// Returns the key of a part of this node's work.
-    pub(super) fn part_key(&self, what: &'static str, params: &dyn ContentHash, of: &dyn ContentHash) -> Key {
-        let content = PartContent {
-            what,
-            stage: self.def.name,
-            version: self.def.version,
-            params,
-            of,
+    /// Returns the key of the part of this node's work that is about one shard.
+    pub(super) fn part_key(&self, part: PartKind, shard: u32, inputs: BTreeMap<String, Digest>) -> Key {
+        part_key(&self.key.action, part, shard, inputs)
+    }
+
+    /// Returns the stored result of a part, if it is whole.
+    pub(super) fn part_hit(&self, key: &Digest) -> Result<Option<Part>, StageError> {
+        let Some(record) = self.store.hit(key).map_err(store_error)? else {
+            return Ok(None);
         };
-        content.key()
-    }
-
-    /// Returns the key of the table of measures of one shard, which several stages may share.
-    pub(super) fn table_key(&self, measure: &dyn Measure, shard: u32) -> Digest {
-        let (stage, version) = measure.shared().unwrap_or((self.def.name, self.def.version));
-        let content = PartContent {
-            what: "measure",
-            stage,
-            version,
-            params: measure.measure_params(),
-            of: &shard,
+        if self.check == BlobCheck::Needs && !has_needs(self.store, &record) {
+            return Ok(None);
+        }
+        let refs = |name: &str| match record.outputs.get(name) {
+            Some(output) => read_refs(&self.ctx, &output.digest),
+            None => Err(contract_violation(format!("a part lacks its output `{name}`"))),
         };
-        content.key().digest
+        let read = || {
+            Ok(Part {
+                photos: refs(PHOTOS)?,
+                verdicts: refs(VERDICTS)?,
+                added: record.outputs.get(ADDED).map(|output| output.digest),
+            })
+        };
+        match read() {
+            // A part that was damaged is made again.
+            Err(StageError::Blob(error)) if error.lost.is_some() => Ok(None),
+            part => part.map(Some),
+        }
     }
 
-    /// Returns the stored record of a part.
-    pub(super) fn part_hit(&self, key: &Key) -> Result<Option<Record>, StageError> {
-        self.store.hit(&key.digest).map_err(store_error)
+    /// Returns a context whose blobs remember what is stored for one part.
+    pub(super) fn with_blobs<'b>(&'b self, blobs: &'b StoreBlobs<'b>) -> Ctx<'b> {
+        Ctx { blobs, ..self.ctx }
     }
 
-    /// Stores the record of a part with the next commit.
-    pub(super) fn put_part(&self, key: Key, outputs: Outputs) -> Result<(), StageError> {
-        let outputs = with_lengths(self.store, outputs)?;
+    /// Stores the record of a part with the next commit. `blobs` is what the part was made with.
+    pub(super) fn put_part(&self, key: &Key, part: &Part, blobs: &StoreBlobs<'_>) -> Result<(), StageError> {
+        let ctx = self.with_blobs(blobs);
+        let mut outputs = Outputs::from([
+            (PHOTOS.to_owned(), write_refs(&ctx, &part.photos)?),
+            (VERDICTS.to_owned(), write_refs(&ctx, &part.verdicts)?),
+        ]);
+        outputs.extend(part.added.map(|added| (ADDED.to_owned(), added)));
+        put_action(self.store, key)?;
         self.store.put_record(Record {
             key: key.digest,
             stage: self.def.name.to_owned(),
-            version: self.def.version,
-            manifest: key.manifest,
-            outputs,
+            needs: put_needs(self.store, blobs.take_stored(), &outputs)?,
+            outputs: with_lengths(self.store, outputs)?,
+            parts: None,
             children: BTreeMap::new(),
             metadata: self.metadata.clone(),
         });
         Ok(())
     }
+
+    /// Stores the outputs of a node from those of its shards, and adds their figures to `counts`.
+    pub(super) fn join(
+        &self,
+        parts: Vec<(u32, Digest)>,
+        whole: Part,
+        mut counts: Counts,
+    ) -> Result<PartedOutputs, StageError> {
+        let kept = rows_of(&whole.photos);
+        let rejected = rows_of(&whole.verdicts).saturating_sub(kept);
+        counts.extend([("photos".to_owned(), kept), ("rejected".to_owned(), rejected)]);
+        let outputs = Outputs::from([
+            (PHOTOS.to_owned(), write_set(&self.ctx, whole.photos)?),
+            (VERDICTS.to_owned(), write_set(&self.ctx, whole.verdicts)?),
+        ]);
+        Ok(PartedOutputs {
+            outputs,
+            counts,
+            parts,
+        })
+    }
+}
+
+/// Joins parts in their order.
+impl FromIterator<Part> for Part {
+    fn from_iter<I: IntoIterator<Item = Part>>(parts: I) -> Self {
+        let mut whole = Self::default();
+        for part in parts {
+            whole.photos.extend(part.photos);
+            whole.verdicts.extend(part.verdicts);
+        }
+        whole
+    }
+}
+
+/// Stores the bytes of an action, so that its key can be computed again from them.
+pub(crate) fn put_action(store: &Store, key: &Key) -> Result<(), StageError> {
+    let digest = store.put(&key.action.encode()).map_err(store_error)?;
+    debug_assert_eq!(digest, key.digest);
+    Ok(())
+}
+
+/// Stores the keys of the parts of a node, by shard, as a set.
+pub(crate) fn put_parts(store: &Store, parts: &[(u32, Digest)]) -> Result<Digest, StageError> {
+    let leaves = parts.iter().map(|(shard, key)| LeafRef {
+        shard: *shard,
+        leaf: *key,
+        rows: 0,
+    });
+    let parts = Root {
+        leaves: leaves.collect(),
+    };
+    parts.write(|bytes| store.put(bytes)).map_err(store_error)
+}
+
+/// Stores the list of the blobs that a record needs beside its outputs; none if there are none.
+pub(crate) fn put_needs(
+    store: &Store,
+    mut stored: Vec<Digest>,
+    outputs: &Outputs,
+) -> Result<Option<Digest>, StageError> {
+    stored.retain(|digest| !outputs.values().any(|output| output == digest));
+    match stored.is_empty() {
+        true => Ok(None),
+        false => store.put(&digest_list(&stored)).map(Some).map_err(store_error),
+    }
+}
+
+/// Returns the blobs that a record needs beside its outputs; none if their list is lost.
+pub(crate) fn needs_of(store: &Store, record: &Record) -> Option<Vec<Digest>> {
+    match &record.needs {
+        None => Some(Vec::new()),
+        Some(list) => read_digest_list(&store.get(list).ok()?),
+    }
+}
+
+/// Tells whether everything that a record needs is in the store.
+fn has_needs(store: &Store, record: &Record) -> bool {
+    needs_of(store, record).is_some_and(|needs| needs.iter().all(|digest| store.contains(digest)))
 }
 
 /// Adds their lengths to outputs; each must be in the store.
