@@ -232,11 +232,11 @@ mod tests {
             ),
             (|action| action.version = 2, "stage version 1 -> 2"),
             (
-                |action| drop(action.inputs.insert("photos".to_owned(), Digest::of(b"b"))),
+                |action| action.inputs.extend([("photos".to_owned(), Digest::of(b"b"))]),
                 "input photos changed",
             ),
             (
-                |action| drop(action.inputs.insert(LISTING.to_owned(), Digest::of(b"b"))),
+                |action| action.inputs.extend([(LISTING.to_owned(), Digest::of(b"b"))]),
                 "what the archive lists is new",
             ),
             (

@@ -82,7 +82,7 @@ fn an_archive_that_cannot_be_listed_fails_with_its_hint() {
     let (_dir, store) = fresh_store();
     let (number, _fixture) = new_fixture();
     let graph = TestPipeline::new(number).graph();
-    let planned = plan(&graph, &store, None).unwrap();
+    let planned = plan(&graph, &store, None, None).unwrap();
     assert_eq!(
         planned[0].reason,
         "it cannot list what is there: the archive is empty"
@@ -297,6 +297,134 @@ fn a_damaged_photo_is_fetched_again() {
     assert_eq!(fixture.take_fetched(), vec![2], "only the shard that holds it");
 }
 
+/// Damages the stored bytes of an object, wherever they are.
+fn damage_object(store: &Store, digest: &Digest) {
+    let bytes = store.get(digest).unwrap();
+    let len = (bytes.len() as u32).to_le_bytes();
+    let entry = [digest.as_bytes(), len.as_slice(), &bytes].concat();
+    for pack in packs_with(store, &entry) {
+        damage(&pack, &entry);
+    }
+}
+
+#[test]
+fn two_damaged_photos_of_one_shard_heal_in_one_run() {
+    let (_dir, store) = fresh_store();
+    let (number, fixture) = new_fixture();
+    (1..=2).for_each(|shard| fixture.put_shard(shard));
+    run_on(&TestPipeline::new(number).graph(), &store);
+    for photo in ["image 8", "image 12"] {
+        damage_object(&store, &Digest::of(photo.as_bytes()));
+    }
+    let pipeline = TestPipeline {
+        times: 2,
+        ..TestPipeline::new(number)
+    };
+    let (record, log) = run_on(&pipeline.graph(), &store);
+    assert_eq!(record.outcome, Outcome::Done, "{:?}", node_events(&log));
+    assert_eq!(text(&store, &record, "sum", "sum"), "sum 84");
+}
+
+/// The leaf of a step of a fold that nobody has read since.
+#[test]
+fn a_damaged_leaf_of_a_fold_is_made_again_by_that_step_alone() {
+    let (_dir, store) = fresh_store();
+    let (number, fixture) = new_fixture();
+    (1..=3).for_each(|shard| fixture.put_shard(shard));
+    let (first, _) = run_on(&TestPipeline::new(number).graph(), &store);
+    fixture.clear_log();
+    let root = first.node("distinct").unwrap().outputs["photos"].digest;
+    damage_object(&store, &set_of(&store, &root).leaves[1].leaf);
+    let pipeline = TestPipeline {
+        times: 2,
+        ..TestPipeline::new(number)
+    };
+    let (record, log) = run_on(&pipeline.graph(), &store);
+    assert_eq!(record.outcome, Outcome::Done, "{:?}", node_events(&log));
+    assert!(ran(&log).contains(&"distinct".to_owned()));
+    assert_eq!(
+        record.node("distinct").unwrap().outputs,
+        first.node("distinct").unwrap().outputs
+    );
+    assert_eq!((fixture.take_measured(), fixture.take_fetched()), (0, vec![]));
+}
+
+/// Every object that a finished run has stored: damaged one at a time, a run that needs it gives the result of an empty
+/// store.
+#[test]
+fn whatever_object_is_damaged_the_run_that_reads_it_heals() {
+    let (number, fixture) = new_fixture();
+    (1..=2).for_each(|shard| fixture.put_shard(shard));
+    let before = TestPipeline::new(number);
+    let after = TestPipeline {
+        times: 3,
+        b: 4,
+        most: 13,
+        ..before.clone()
+    };
+    let (_dir, empty) = fresh_store();
+    let (expected, _) = run_on(&after.graph(), &empty);
+    let (_dir, store) = fresh_store();
+    run_on(&before.graph(), &store);
+    let objects = all_objects(&store);
+    assert!(objects.len() > 50, "{}", objects.len());
+    for digest in objects {
+        let (_dir, store) = fresh_store();
+        run_on(&before.graph(), &store);
+        damage_object(&store, &digest);
+        let (record, log) = run_on(&after.graph(), &store);
+        assert_eq!(record.outcome, Outcome::Done, "{digest}: {:?}", node_events(&log));
+        for node in &expected.nodes {
+            let outputs = &record.node(&node.name).unwrap().outputs;
+            assert_eq!(outputs, &node.outputs, "{digest} of {}", node.name);
+        }
+    }
+}
+
+/// Returns the digests of everything that the records of a store name.
+fn all_objects(store: &Store) -> Vec<Digest> {
+    let mut objects = std::collections::BTreeSet::new();
+    for record in store.records().unwrap() {
+        objects.insert(record.key);
+        objects.extend(record.outputs.values().map(|output| output.digest));
+        if let Some(needs) = record.needs {
+            objects.insert(needs);
+            objects.extend(marf_cache::read_digest_list(&store.get(&needs).unwrap()).unwrap());
+        }
+        objects.extend(record.parts);
+    }
+    objects.into_iter().collect()
+}
+
+#[test]
+fn an_unreadable_run_costs_a_warning() {
+    let (_dir, store) = fresh_store();
+    let (number, fixture) = new_fixture();
+    fixture.put_shard(1);
+    let graph = TestPipeline::new(number).graph();
+    run_on(&graph, &store);
+    run_on(&graph, &store);
+    let newest = run_files(&store).pop().unwrap();
+    std::fs::remove_file(&newest).unwrap();
+    std::fs::write(&newest, b"{").unwrap();
+    let (record, log) = run_on(&graph, &store);
+    assert_eq!(ran(&log), Vec::<String>::new());
+    assert_eq!(record.number, 3);
+    let told = warnings(&log);
+    assert!(
+        told.len() == 1 && told[0].starts_with("run 2 cannot be read"),
+        "{told:?}"
+    );
+}
+
+/// The files of all runs, sorted.
+fn run_files(store: &Store) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(store.dir().join("runs")).unwrap();
+    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    paths.sort();
+    paths
+}
+
 #[test]
 fn a_lost_output_is_a_miss_with_its_reason() {
     let (dir, store) = fresh_store();
@@ -312,8 +440,8 @@ fn a_lost_output_is_a_miss_with_its_reason() {
     }
     drop(store);
     let store = Store::open(dir.path().join(".marf")).unwrap();
-    let last = last_run(&store, "test").unwrap();
-    let planned = plan(&graph, &store, last.as_ref()).unwrap();
+    let last = last_run(&store, "test", no_warning).unwrap();
+    let planned = plan(&graph, &store, last.as_ref(), None).unwrap();
     let many = planned.iter().find(|node| node.node == "many").unwrap();
     assert_eq!(many.state, PlanState::WillRun);
     assert_eq!(many.reason, "its stored output `mean` is missing");

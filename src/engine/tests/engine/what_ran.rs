@@ -11,7 +11,8 @@ use std::{
 use crate::common::*;
 use proptest::prelude::*;
 
-use marf_engine::{NodeState, Outcome, PlanState, last_run, plan, runs, why};
+use marf_cache::{Action, Digest};
+use marf_engine::{Graph, NodeState, Outcome, PlanState, PlannedNode, last_run, plan, runs, why};
 
 /// A store with the pipeline's first run in it.
 fn after_first_run() -> (
@@ -63,7 +64,7 @@ fn nothing_runs_when_nothing_changed() {
     );
     assert_eq!(before.1, 37);
     let graph = pipeline.graph();
-    let planned = plan(&graph, &store, Some(&first)).unwrap();
+    let planned = plan(&graph, &store, Some(&first), None).unwrap();
     assert!(
         planned.iter().all(|node| node.state == PlanState::Fresh),
         "{planned:?}"
@@ -99,10 +100,10 @@ fn a_new_threshold_measures_nothing_and_an_equal_result_stops_there() {
     fixture.take_measured();
     pipeline.most = 13; // no number is 13: the same photos stay
     let graph = pipeline.graph();
-    let planned = why(&graph, &store, Some(&first), "at_most").unwrap();
+    let planned = why(&graph, &store, Some(&first), None, "at_most").unwrap();
     assert_eq!(planned.state, PlanState::WillRun);
     assert_eq!(planned.reason, "params.most: 12 -> 13");
-    let downstream = why(&graph, &store, Some(&first), "sum").unwrap();
+    let downstream = why(&graph, &store, Some(&first), None, "sum").unwrap();
     assert_eq!(downstream.reason, "upstream distinct will run");
     let (record, log) = run_on(&graph, &store);
     assert_eq!(ran(&log), vec!["at_most"]);
@@ -123,8 +124,8 @@ fn going_back_to_an_old_parameter_runs_nothing() {
     pipeline.most = 4;
     run_on(&pipeline.graph(), &store);
     pipeline.most = 12;
-    let last = last_run(&store, "test").unwrap();
-    let planned = plan(&pipeline.graph(), &store, last.as_ref()).unwrap();
+    let last = last_run(&store, "test", no_warning).unwrap();
+    let planned = plan(&pipeline.graph(), &store, last.as_ref(), None).unwrap();
     let states: Vec<PlanState> = planned.iter().map(|node| node.state).collect();
     assert_eq!(states[0], PlanState::Fresh);
     assert!(
@@ -143,7 +144,7 @@ fn of_a_new_shard_only_that_shard_is_fetched_measured_and_folded() {
     let (record, log) = run_on(&pipeline.graph(), &store);
     assert_eq!(
         reason_of(&log, "archive").unwrap(),
-        "shard 3 is new; 3 shards there"
+        "shard 00003 is new; 3 shards there"
     );
     assert_eq!(fixture.take_fetched(), vec![3]);
     assert_eq!(
@@ -157,6 +158,79 @@ fn of_a_new_shard_only_that_shard_is_fetched_measured_and_folded() {
         "the fold goes on from its last state"
     );
     assert_eq!(record.node("archive").unwrap().counts["fetched"], 1);
+    for node in ["at_most", "distinct"] {
+        assert_eq!(record.node(node).unwrap().counts["decided"], 1, "{node}");
+    }
+}
+
+#[test]
+fn the_plan_says_how_many_photos_of_how_many_shards_a_node_will_look_at() {
+    let (_dir, store, mut pipeline, fixture, first) = after_first_run();
+    fixture.put_shard(3);
+    let extents = |pipeline: &TestPipeline| -> Vec<_> {
+        let planned = plan(&pipeline.graph(), &store, Some(&first), None).unwrap();
+        let of = |node: &PlannedNode| node.extent.map(|extent| (extent.shards, extent.photos));
+        planned.iter().map(of).collect()
+    };
+    assert_eq!(
+        extents(&pipeline),
+        vec![Some((1, None)); 5],
+        "one shard is not fetched yet, and goes through"
+    );
+    fixture.archive.lock().remove(&3);
+    pipeline.most = 4;
+    assert_eq!(
+        extents(&pipeline),
+        vec![
+            None,
+            Some((2, Some(20))),
+            Some((2, Some(20))),
+            Some((2, Some(20))),
+            Some((2, Some(20)))
+        ]
+    );
+}
+
+/// A trial of an older stage would be served for a newer one if the versions of children were in no key of their parent.
+#[test]
+fn a_newer_stage_of_the_children_runs_them_and_their_parent() {
+    let (_dir, store, pipeline, _fixture, first) = after_first_run();
+    let mut table = TABLE.to_vec();
+    let draw = table.iter_mut().find(|def| def.name == "draw").unwrap();
+    draw.version = 2;
+    let newer = Graph::new(pipeline.nodes(), &table).unwrap();
+    let planned = why(&newer, &store, Some(&first), None, "many").unwrap();
+    assert_eq!(planned.reason, "version of stage draw 1 -> 2");
+    let (_, log) = run_on(&newer, &store);
+    assert_eq!(
+        ran(&log),
+        vec!["many", "many/member-00", "many/member-01", "many/member-02"]
+    );
+}
+
+#[test]
+fn a_key_is_the_digest_of_a_stored_action_and_a_part_has_its_own() {
+    let (_dir, store, _pipeline, _fixture, first) = after_first_run();
+    for node in &first.nodes {
+        let key = node.key.unwrap();
+        let bytes = store.get(&key).unwrap();
+        assert_eq!(Digest::of(&bytes), key);
+        let action = Action::decode(&bytes).unwrap();
+        assert_eq!(action.stage, node.stage);
+        let record = store.record(&key).unwrap().unwrap();
+        if let Some(parts) = record.parts {
+            let parts = set_of(&store, &parts).leaves;
+            assert_eq!(parts.len(), 2, "{}", node.name);
+            for part in parts {
+                let action = Action::decode(&store.get(&part.leaf).unwrap()).unwrap();
+                assert_eq!(
+                    (action.shard, action.stage),
+                    (Some(part.shard), node.stage.clone())
+                );
+                assert!(store.hit(&part.leaf).unwrap().is_some());
+            }
+        }
+    }
 }
 
 #[test]
@@ -182,7 +256,7 @@ fn one_changed_photo_is_measured_alone() {
     fixture.clear_log();
     fixture.put(2, "s2-9", 11);
     let (_, log) = run_on(&pipeline.graph(), &store);
-    assert_eq!(reason_of(&log, "archive").unwrap(), "shard 2 changed");
+    assert_eq!(reason_of(&log, "archive").unwrap(), "shard 00002 changed");
     assert_eq!((fixture.take_fetched(), fixture.take_measured()), (vec![2], 2));
     assert_eq!(fixture.take_folded(), vec![2]);
 }
@@ -205,18 +279,19 @@ fn from_three_members_to_five_two_run() {
 }
 
 #[test]
-fn a_raised_version_runs_the_node_and_measures_all_again() {
+fn a_raised_version_runs_the_node_and_decides_all_again() {
     let (_dir, store, mut pipeline, fixture, _) = after_first_run();
     fixture.take_measured();
     pipeline.version = 2;
-    let (_, log) = run_on(&pipeline.graph(), &store);
+    let (record, log) = run_on(&pipeline.graph(), &store);
     assert_eq!(
         ran(&log),
         vec!["at_most"],
         "its result is the same, so nothing below it ran"
     );
     assert_eq!(reason_of(&log, "at_most").unwrap(), "stage version 1 -> 2");
-    assert_eq!(fixture.take_measured(), 20);
+    assert_eq!(record.node("at_most").unwrap().counts["decided"], 2);
+    assert_eq!(fixture.take_measured(), 0, "the measure has a version of its own");
 }
 
 #[test]
@@ -252,11 +327,11 @@ fn runs_are_kept_in_order_and_carry_the_latest_keys() {
     );
     assert_eq!(second.nodes.len(), 2);
     assert_eq!(second.latest, first.latest, "a short run forgets nothing");
-    let all = runs(&store).unwrap();
+    let all = runs(&store, no_warning).unwrap();
     assert_eq!(all.iter().map(|run| run.number).collect::<Vec<_>>(), vec![1, 2]);
     assert_eq!(all[1], second);
-    assert_eq!(last_run(&store, "test").unwrap(), Some(second));
-    assert_eq!(last_run(&store, "another").unwrap(), None);
+    assert_eq!(last_run(&store, "test", no_warning).unwrap(), Some(second));
+    assert_eq!(last_run(&store, "another", no_warning).unwrap(), None);
 }
 
 #[test]
@@ -292,7 +367,7 @@ fn the_plan_says_never_ran_and_writes_nothing() {
     let (_dir, store) = fresh_store();
     let (number, fixture) = new_fixture();
     fixture.put_shard(1);
-    let planned = plan(&TestPipeline::new(number).graph(), &store, None).unwrap();
+    let planned = plan(&TestPipeline::new(number).graph(), &store, None, None).unwrap();
     assert_eq!(planned[0].reason, "never ran");
     assert_eq!(planned[1].reason, "upstream archive will run");
     assert!(planned.iter().all(|node| node.state == PlanState::WillRun));
@@ -353,7 +428,7 @@ fn a_shard_of_more_rows_than_a_leaf_holds_is_one_shard_still() {
     let (record, _) = run_on(&pipeline.graph(), &store);
     let leaves = |node: &str| {
         let root = record.node(node).unwrap().outputs["photos"].digest;
-        let root = marf_cache::manifest::Root::decode(&store.get(&root).unwrap()).unwrap();
+        let root = set_of(&store, &root);
         root.leaves
             .iter()
             .map(|leaf| (leaf.shard, leaf.rows))

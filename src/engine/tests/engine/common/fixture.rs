@@ -8,10 +8,9 @@ use std::{
     },
 };
 
-use marf_cache::{ContentHash, Visitor};
 use parking_lot::Mutex;
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 type AtMeasure = Box<dyn Fn(usize) + Send>;
 type AtSum = Arc<dyn Fn() + Send + Sync>;
@@ -92,13 +91,6 @@ impl Fixture {
 }
 
 /// Number of the fixture that a stage uses; in no key.
-#[derive(Debug, Clone, Copy, Default, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(transparent)]
 pub struct FixtureId(pub u64);
-
-impl ContentHash for FixtureId {
-    fn walk(&self, visitor: &mut dyn Visitor) {
-        visitor.open("FixtureId", 0);
-        visitor.close();
-    }
-}

@@ -5,7 +5,10 @@ mod fixture;
 mod pipeline;
 mod stages;
 
-use marf_cache::Store;
+use marf_cache::{
+    Digest, Store,
+    manifest::{ManifestError, Root},
+};
 use marf_engine::{Cancel, Graph, Options, RunRecord};
 
 pub use events::{EventLog, node_events, ran, reason_of, warnings};
@@ -44,4 +47,14 @@ pub fn fresh_store() -> (tempfile::TempDir, Store) {
 pub fn text(store: &Store, record: &RunRecord, node: &str, output: &str) -> String {
     let output = record.node(node).unwrap().outputs[output];
     String::from_utf8(store.get(&output.digest).unwrap().to_vec()).unwrap()
+}
+
+/// Reads a set.
+pub fn set_of(store: &Store, root: &Digest) -> Root {
+    Root::read(root, |digest| Ok::<_, ManifestError>(store.get(digest).unwrap())).unwrap()
+}
+
+/// Fails on a warning.
+pub fn no_warning(message: String) {
+    panic!("{message}");
 }

@@ -1,27 +1,30 @@
 //! Small stages: an archive, a filter, a fold, a sum, a draw, an expansion, and one that fails.
 
-use std::{collections::BTreeMap, sync::atomic::Ordering, time::Duration};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::atomic::Ordering,
+    time::Duration,
+};
 
-use marf_cache::{ContentHash, Digest, digest_of, manifest::Row};
+use marf_cache::{
+    Digest, digest_of,
+    manifest::{ManifestError, Root, Row},
+};
 use marf_stage::*;
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::fixture::{FixtureId, fixture};
-
-/// Parameters of a measure that has none.
-#[derive(ContentHash)]
-struct Nothing {}
 
 macro_rules! stage {
     ($stage:ident, $params:ident { $($field:ident : $ty:ty),* }, $name:literal, $version:literal,
      [$($port:expr),*], [$($output:expr),*], $work:ident, $threads:expr) => {
-        #[derive(Debug, Clone, Deserialize, JsonSchema, ContentHash)]
+        #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
         #[serde(deny_unknown_fields)]
         pub struct $params { pub fixture: FixtureId, $(pub $field: $ty),* }
         pub struct $stage(pub $params);
         impl Stage for $stage {
-            fn params(&self) -> &dyn ContentHash { &self.0 }
+            fn params(&self) -> serde_json::Value { key_params(&self.0, &["fixture"]) }
             fn work(&self) -> Work<'_> { Work::$work(self) }
             fn threads(&self) -> Threads { $threads }
         }
@@ -187,16 +190,23 @@ fn read(measure: &[u8]) -> u64 {
 }
 
 impl Measure for AtMost {
-    fn measure_params(&self) -> &dyn ContentHash {
-        &Nothing {}
+    fn table(&self) -> Option<Table> {
+        Some(Table {
+            name: "at_most",
+            version: 1,
+        })
     }
 
-    fn measure(&self, ctx: &Ctx<'_>, row: &Row) -> Result<Vec<u8>, StageError> {
-        measure_number(self.0.fixture.0, ctx, row)
+    fn measure(&self, ctx: &Ctx<'_>, row: &Row, _wanted: &[Table]) -> Result<Vec<Vec<u8>>, StageError> {
+        Ok(vec![measure_number(self.0.fixture.0, ctx, row)?])
     }
 }
 
 impl Map for AtMost {
+    fn scope(&self) -> Scope {
+        Scope::Item
+    }
+
     fn decide(&self, items: &[Measured<'_>]) -> Result<Vec<Verdict>, StageError> {
         let score = |item: &Measured<'_>| read(item.measure);
         let judge = |item: &Measured<'_>| {
@@ -211,35 +221,69 @@ impl Map for AtMost {
 }
 
 impl Measure for Distinct {
-    fn measure_params(&self) -> &dyn ContentHash {
-        &Nothing {}
+    fn table(&self) -> Option<Table> {
+        Some(Table {
+            name: "distinct",
+            version: 1,
+        })
     }
 
-    fn measure(&self, ctx: &Ctx<'_>, row: &Row) -> Result<Vec<u8>, StageError> {
-        measure_number(self.0.fixture.0, ctx, row)
+    fn measure(&self, ctx: &Ctx<'_>, row: &Row, _wanted: &[Table]) -> Result<Vec<Vec<u8>>, StageError> {
+        Ok(vec![measure_number(self.0.fixture.0, ctx, row)?])
     }
 }
 
 impl Fold for Distinct {
+    fn begin(&self) -> Box<dyn FoldState + '_> {
+        Box::new(Seen {
+            stage: self,
+            seen: BTreeSet::new(),
+        })
+    }
+}
+
+/// The numbers seen so far.
+struct Seen<'a> {
+    stage: &'a Distinct,
+    seen: BTreeSet<u64>,
+}
+
+impl FoldState for Seen<'_> {
+    fn replay(&mut self, _ctx: &Ctx<'_>, added: &[u8]) -> Result<(), StageError> {
+        let added: Vec<u64> = serde_json::from_slice(added).unwrap();
+        self.seen.extend(added);
+        Ok(())
+    }
+
     fn fold(
-        &self,
-        state: Option<&[u8]>,
+        &mut self,
+        _ctx: &Ctx<'_>,
         items: &[Measured<'_>],
     ) -> Result<(Vec<u8>, Vec<Verdict>), StageError> {
-        let fixture = fixture(self.0.fixture.0);
+        let fixture = fixture(self.stage.0.fixture.0);
         fixture.folded.lock().extend(items.first().map(|item| item.shard));
-        let mut seen: std::collections::BTreeSet<u64> = state
-            .map(|state| serde_json::from_slice(state).unwrap())
-            .unwrap_or_default();
-        let judge = |item: &Measured<'_>| {
-            verdict(
-                &item.row.id,
-                Keeps(seen.insert(read(item.measure) / self.0.by)),
-                None,
-            )
-        };
-        let verdicts = items.iter().map(judge).collect();
-        Ok((serde_json::to_vec(&seen).unwrap(), verdicts))
+        let mut added = Vec::new();
+        let mut verdicts = Vec::new();
+        for item in items {
+            let number = read(item.measure) / self.stage.0.by;
+            let is_new = self.seen.insert(number);
+            added.extend(is_new.then_some(number));
+            verdicts.push(verdict(&item.row.id, Keeps(is_new), None));
+        }
+        Ok((serde_json::to_vec(&added).unwrap(), verdicts))
+    }
+}
+
+/// Why a set cannot be read.
+#[derive(Debug)]
+enum Fault {
+    Stage(StageError),
+    Manifest(#[allow(dead_code, reason = "printed on a panic")] ManifestError),
+}
+
+impl From<ManifestError> for Fault {
+    fn from(error: ManifestError) -> Self {
+        Self::Manifest(error)
     }
 }
 
@@ -253,7 +297,13 @@ impl Set for Sum {
             at_sum();
         }
         ctx.check()?;
-        let root = marf_cache::manifest::Root::decode(&ctx.get(inputs.required(PHOTOS)?)?).unwrap();
+        let root = Root::read(inputs.required(PHOTOS)?, |digest| {
+            ctx.get(digest).map_err(Fault::Stage)
+        });
+        let root = match root {
+            Err(Fault::Stage(error)) => return Err(error),
+            other => other.unwrap(),
+        };
         let mut sum = 0;
         for leaf in &root.leaves {
             for row in marf_cache::manifest::Leaf::decode(&ctx.get(&leaf.leaf)?)
@@ -284,6 +334,13 @@ impl Set for Draw {
 }
 
 impl Expand for Many {
+    fn children(&self) -> Vec<ChildStage> {
+        vec![ChildStage {
+            stage: "draw",
+            params: serde_json::json!({ "fixture": self.0.fixture.0, "seed": 0 }),
+        }]
+    }
+
     fn expand(&self, _ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
         let spec = |seed: u64| NodeSpec {
             name: format!("member-{seed:02}"),
@@ -327,7 +384,7 @@ impl Set for Broken {
 /// Appends its input to its earlier output, if it may read that.
 pub struct Append(AppendParams);
 
-#[derive(Debug, Clone, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AppendParams {
     pub fixture: FixtureId,
@@ -335,8 +392,8 @@ pub struct AppendParams {
 }
 
 impl Stage for Append {
-    fn params(&self) -> &dyn ContentHash {
-        &self.0
+    fn params(&self) -> serde_json::Value {
+        key_params(&self.0, &["fixture"])
     }
 
     fn work(&self) -> Work<'_> {
