@@ -7,5 +7,6 @@ pub mod cli;
 pub mod config;
 mod nearest;
 pub mod progress;
+mod sets;
 pub mod show;
 pub mod terminal;

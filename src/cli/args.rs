@@ -67,6 +67,9 @@ pub struct Global {
     /// Like --locked, and open no connection
     #[arg(long, global = true)]
     pub offline: bool,
+    /// Read the bytes of all files of folders, also of those whose size and times have not changed
+    #[arg(long, global = true)]
+    pub rehash: bool,
     /// Print JSON to stdout
     #[arg(long, global = true)]
     pub json: bool,
@@ -83,6 +86,7 @@ impl Global {
         GlobalOptions {
             device: self.device.clone(),
             access,
+            rehash: self.rehash,
         }
     }
 }
@@ -98,6 +102,9 @@ pub enum Verb {
     Why {
         /// The node
         node: String,
+        /// Name every photo that was added, edited or removed
+        #[arg(long)]
+        files: bool,
     },
     /// Show the nodes of the last run
     Status,
@@ -113,8 +120,12 @@ pub enum Verb {
         #[arg(long, value_enum, default_value_t = Mission::Demo)]
         mission: Mission,
     },
-    /// Print the JSON schema of pipeline.toml, for editors
-    Schema,
+    /// Print the JSON schema of pipeline.toml, for editors, or of the lines of `run --json`
+    Schema {
+        /// Of what
+        #[arg(value_enum, default_value_t = SchemaOf::Pipeline)]
+        of: SchemaOf,
+    },
     /// Write report.html of the last run
     Report {
         /// Where to
@@ -154,6 +165,15 @@ pub enum Verb {
     },
 }
 
+/// What `schema` prints.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum SchemaOf {
+    /// pipeline.toml
+    Pipeline,
+    /// A line of `run --json`
+    Events,
+}
+
 /// Which nodes.
 #[derive(Debug, Clone, Default, Args)]
 pub struct Selection {
@@ -174,6 +194,9 @@ pub struct RunArgs {
     /// Where pictures, models and the report go
     #[arg(long, value_name = "DIR", default_value = "out")]
     pub out: PathBuf,
+    /// Write what ran when, for Perfetto or chrome://tracing
+    #[arg(long, value_name = "FILE")]
+    pub trace: Option<PathBuf>,
 }
 
 /// Arguments of `filter`.

@@ -1,5 +1,6 @@
 //! Writes the outputs of a run to `OUT/<node>/<file>`.
 
+use std::collections::BTreeSet;
 use std::path::{Component, Path};
 
 use marf_cache::Digest;
@@ -8,11 +9,13 @@ use marf_schema::{output, train, tune};
 use marf_stage::{Document, VERDICTS};
 
 use super::error::CliError;
+use super::export_table::ExportTable;
 use super::files;
 use super::session::Session;
+use crate::sets;
 
 /// Outputs without a file name of their own, and the name they get.
-const NAMED: [(&str, &str); 10] = [
+const NAMED: [(&str, &str); 9] = [
     (output::SCENE, "scene.json"),
     (output::TRANSFORMS, "transforms.json"),
     (train::Metrics::OUTPUT, "metrics.json"),
@@ -21,29 +24,104 @@ const NAMED: [(&str, &str); 10] = [
     (tune::BestParams::OUTPUT, "params.json"),
     (tune::Trials::OUTPUT, "trials.json"),
     (tune::Scatter::OUTPUT, "scatter.json"),
-    (VERDICTS, "verdicts.jsonl"),
     (output::VIDEO, "video.gif"),
 ];
 
-/// Writes what is new or different; a file that already holds the same bytes is left alone.
+/// Whether all outputs could be written.
+pub enum Exported {
+    /// All are in their files.
+    All,
+    /// The store has lost one; the sentence says which.
+    Lost(String),
+}
+
+/// Writes what is new or different. A file that was written before and not touched since is neither read nor written.
+///
+/// Verdicts become one file a sol, so that a new sol writes its own.
 ///
 /// # Errors
-/// A place that cannot be written, or an output that the store has lost.
-pub fn outputs(session: &Session, record: &RunRecord, out: &Path) -> Result<(), CliError> {
+/// A place that cannot be written, or a store that cannot be read.
+pub fn outputs(session: &Session, record: &RunRecord, out: &Path) -> Result<Exported, CliError> {
+    let mut table = ExportTable::load(&session.store, out);
+    let written = write_all(session, record, &mut table);
+    table.save();
+    match written {
+        Err(Fault::Lost(what)) => Ok(Exported::Lost(what)),
+        Err(Fault::Cli(error)) => Err(error),
+        Ok(()) => Ok(Exported::All),
+    }
+}
+
+/// Why an output was not written.
+enum Fault {
+    Lost(String),
+    Cli(CliError),
+}
+
+impl From<CliError> for Fault {
+    fn from(error: CliError) -> Self {
+        Self::Cli(error)
+    }
+}
+
+impl From<marf_cache::manifest::ManifestError> for Fault {
+    fn from(error: marf_cache::manifest::ManifestError) -> Self {
+        Self::Cli(error.into())
+    }
+}
+
+fn write_all(session: &Session, record: &RunRecord, table: &mut ExportTable) -> Result<(), Fault> {
     for node in record.nodes.iter().filter(|node| node.parent.is_none()) {
         for (name, output) in &node.outputs {
-            if let Some(file) = file_name(name) {
-                one(session, &output.digest, &out.join(&node.name).join(file))?;
+            let folder = Path::new(&node.name);
+            let get = |digest: &Digest| {
+                session.store.get(digest).map_err(|error| match error.lost() {
+                    Some(_) => Fault::Lost(format!("output `{name}` of `{}`: {error}", node.name)),
+                    None => Fault::Cli(error.into()),
+                })
+            };
+            if name == VERDICTS {
+                write_verdicts(table, &folder.join(VERDICTS), &output.digest, get)?;
+            } else if let Some(file) = file_name(name) {
+                table.write(&folder.join(file), &output.digest, || get(&output.digest))?;
             }
         }
     }
     Ok(())
 }
 
+/// Writes the verdicts of a node, one file a sol, and removes those of sols that are no longer there.
+fn write_verdicts(
+    table: &mut ExportTable,
+    folder: &Path,
+    root: &Digest,
+    mut get: impl FnMut(&Digest) -> Result<std::sync::Arc<[u8]>, Fault>,
+) -> Result<(), Fault> {
+    if table.has_folder(folder, root) {
+        return Ok(());
+    }
+    let mut files = BTreeSet::new();
+    let (mut shard, mut part) = (None, 0);
+    for leaf in sets::leaves(root, &mut get)? {
+        part = if shard == Some(leaf.shard) { part + 1 } else { 0 };
+        shard = Some(leaf.shard);
+        let name = match part {
+            0 => format!("sol-{:05}.jsonl", leaf.shard),
+            part => format!("sol-{:05}-{part}.jsonl", leaf.shard),
+        };
+        let file = folder.join(name);
+        table.write(&file, &leaf.leaf, || get(&leaf.leaf))?;
+        files.insert(file);
+    }
+    table.keep_only(folder, &files)?;
+    table.note_folder(folder, root);
+    Ok(())
+}
+
 /// Writes one output to a file, unless it is there already.
 ///
 /// # Errors
-/// As [`outputs`].
+/// A place that cannot be written, or an output that the store has lost.
 pub fn one(session: &Session, digest: &Digest, path: &Path) -> Result<(), CliError> {
     if std::fs::read(path).is_ok_and(|bytes| Digest::of(&bytes) == *digest) {
         return Ok(());

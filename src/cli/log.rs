@@ -5,13 +5,13 @@ use marf_engine::NodeState;
 use super::args::Global;
 use super::error::CliError;
 use super::output::print_json;
-use super::session::existing_store;
+use super::session::{existing_store, warn};
 use crate::progress::duration;
 use crate::terminal::print_line;
 
 /// `marf log`: the runs so far, the newest first.
 pub fn log(global: &Global, last: usize) -> Result<(), CliError> {
-    let runs = marf_engine::runs(&existing_store(global)?)?;
+    let runs = marf_engine::runs(&existing_store(global)?, warn)?;
     let shown: Vec<_> = runs.iter().rev().take(last).collect();
     if global.json {
         return print_json(&shown);

@@ -7,6 +7,7 @@ mod cache;
 mod calibrate;
 mod error;
 mod export;
+mod export_table;
 mod files;
 mod filter;
 mod fit;
@@ -28,7 +29,7 @@ use clap::{CommandFactory, Parser};
 use marf_engine::Cancel;
 
 use crate::terminal::{eprint_line, print_line};
-use args::{BenchVerb, CacheVerb, Cli, Verb};
+use args::{BenchVerb, CacheVerb, Cli, SchemaOf, Verb};
 use error::CliError;
 use output::print_json;
 
@@ -59,11 +60,14 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
     match &cli.verb {
         Verb::Run(args) => run::run(global, args, cancel),
         Verb::Plan(args) => plan::plan(global, args),
-        Verb::Why { node } => plan::why(global, node),
+        Verb::Why { node, files } => plan::why(global, node, *files),
         Verb::Status => status::status(global),
         Verb::Log { last } => log::log(global, *last),
         Verb::Init { mission } => init::init(global, *mission),
-        Verb::Schema => print_json(&crate::config::schema()),
+        Verb::Schema { of } => match of {
+            SchemaOf::Pipeline => print_json(&crate::config::schema()),
+            SchemaOf::Events => print_json(&crate::progress::event_schema()),
+        },
         Verb::Report { out } => report::report(global, out),
         Verb::Cache {
             verb: CacheVerb::Stat,

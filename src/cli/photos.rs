@@ -1,7 +1,6 @@
 use std::path::Path;
 
 use marf_cache::Digest;
-use marf_cache::manifest::{Leaf, Root};
 use marf_engine::{Cancel, RunRecord};
 use marf_scene::{CameraPrior, PhotoFacts};
 use marf_stage::PHOTOS;
@@ -13,6 +12,7 @@ use super::filter;
 use super::output::print_json;
 use super::run::{execute, options};
 use super::session::Session;
+use crate::sets;
 use crate::terminal::print_line;
 
 /// One photo, as the table shows it.
@@ -61,18 +61,16 @@ fn lines(session: &Session, record: &RunRecord, node: &str) -> Result<Vec<Line>,
             nodes.join(", ")
         ))
     })?;
-    let broken = |error: &dyn std::fmt::Display| CliError::failed(format!("photos of `{node}`: {error}"));
-    let root = Root::decode(&session.store.get(&output.digest)?).map_err(|error| broken(&error))?;
+    let rows = sets::rows(&output.digest, |digest| Ok::<_, CliError>(session.store.get(digest)?))?;
     let mut lines = Vec::new();
-    for leaf in &root.leaves {
-        let leaf = Leaf::decode(&session.store.get(&leaf.leaf)?).map_err(|error| broken(&error))?;
-        for row in leaf.rows {
-            lines.push(Line {
-                facts: PhotoFacts::from_json(&row.facts).map_err(|error| broken(&error))?,
-                image: row.blobs.get("image").copied(),
-                product: row.id,
-            });
-        }
+    for row in rows {
+        let facts = PhotoFacts::from_json(&row.facts)
+            .map_err(|error| CliError::failed(format!("photos of `{node}`: {error}")))?;
+        lines.push(Line {
+            facts,
+            image: row.blobs.get("image").copied(),
+            product: row.id,
+        });
     }
     Ok(lines)
 }

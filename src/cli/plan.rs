@@ -1,10 +1,11 @@
-use marf_engine::{PlanState, PlannedNode};
+use marf_engine::{Extent, PlanState, PlannedNode};
 use serde::Serialize;
 
 use super::args::{Global, Selection};
 use super::error::CliError;
 use super::output::print_json;
 use super::session::Session;
+use crate::progress::duration;
 use crate::terminal::print_line;
 
 /// A node, as `--json` prints it.
@@ -13,6 +14,10 @@ struct Row<'a> {
     node: &'a str,
     reason: &'a str,
     state: PlanState,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    extent: Option<Extent>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    last_seconds: Option<f64>,
 }
 
 impl<'a> Row<'a> {
@@ -21,6 +26,8 @@ impl<'a> Row<'a> {
             node: &planned.node,
             reason: &planned.reason,
             state: planned.state,
+            extent: planned.extent,
+            last_seconds: planned.last_seconds,
         }
     }
 }
@@ -29,7 +36,7 @@ impl<'a> Row<'a> {
 pub fn plan(global: &Global, selection: &Selection) -> Result<(), CliError> {
     let session = Session::open(global)?;
     let last = session.last()?;
-    let mut nodes = marf_engine::plan(&session.graph, &session.store, last.as_ref())?;
+    let mut nodes = marf_engine::plan(&session.graph, &session.store, last.as_ref(), global.threads)?;
     let chosen = session
         .graph
         .select(selection.to.as_slice(), selection.from.as_slice())?;
@@ -39,7 +46,7 @@ pub fn plan(global: &Global, selection: &Selection) -> Result<(), CliError> {
         return print_json(&rows);
     }
     for node in &nodes {
-        print_line(format!("{:<16} {:<9} {}", node.node, word(node.state), node.reason).trim_end());
+        print_line(&line(node));
     }
     let runs = nodes
         .iter()
@@ -49,11 +56,45 @@ pub fn plan(global: &Global, selection: &Selection) -> Result<(), CliError> {
     Ok(())
 }
 
-/// `marf why NODE`: everything that differs from what made its last result.
-pub fn why(global: &Global, node: &str) -> Result<(), CliError> {
+/// Returns the line of a node: state, reason, what it will look at, how long it took last.
+fn line(node: &PlannedNode) -> String {
+    let mut line = format!("{:<16} {:<9} {}", node.node, word(node.state), node.reason);
+    if node.state == PlanState::WillRun {
+        let looks = node.extent.map(|extent| looks_at(&extent));
+        let took = node.last_seconds.map(|seconds| format!("{} last time", duration(seconds)));
+        for part in looks.into_iter().chain(took) {
+            line.push_str(&format!("; {part}"));
+        }
+    }
+    line.trim_end().to_owned()
+}
+
+/// Returns `30 photos of 1 sol`, or `1 sol` where the photos are not fetched yet.
+fn looks_at(extent: &Extent) -> String {
+    let sols = counted(extent.shards, "sol");
+    match extent.photos {
+        Some(photos) => format!("{} of {sols}", counted(photos, "photo")),
+        None => sols,
+    }
+}
+
+fn counted(number: u64, what: &str) -> String {
+    match number {
+        1 => format!("1 {what}"),
+        _ => format!("{number} {what}s"),
+    }
+}
+
+/// `marf why NODE`: everything that differs from what made its last result; with `files` every photo too.
+pub fn why(global: &Global, node: &str, files: bool) -> Result<(), CliError> {
     let session = Session::open(global)?;
     let last = session.last()?;
-    let planned = marf_engine::why(&session.graph, &session.store, last.as_ref(), node)?;
+    let (graph, store) = (&session.graph, &session.store);
+    let mut planned = marf_engine::why(graph, store, last.as_ref(), global.threads, node)?;
+    if files {
+        let photos = marf_engine::photo_changes(graph, store, last.as_ref(), global.threads, node)?;
+        planned.changes.extend(photos);
+    }
     if global.json {
         return print_json(&planned);
     }

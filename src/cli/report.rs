@@ -44,6 +44,8 @@ pub fn refresh(session: &Session, record: &RunRecord, out: &Path) -> Result<(), 
 /// A place that cannot be written.
 pub fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<(), CliError> {
     let read = |digest: &Digest| -> Option<Arc<[u8]>> { session.store.get(digest).ok() };
+    // Pictures of the page are kept as long as the last result it shows.
+    let maker = record.nodes.iter().rev().find_map(|node| node.key).unwrap_or_else(|| Digest::of(&[]));
     let input = ReportInput {
         pipeline: record.pipeline.clone(),
         command: record.command.clone(),
@@ -51,15 +53,15 @@ pub fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<(), Cl
         program: record.program.clone(),
         nodes: nodes(session, record),
         read: &read,
-        memos: &StoreMemos(&session.store),
+        memos: &StoreMemos(&session.store, maker),
     };
     let page = show::write(&input);
     session.store.commit()?;
     files::write(out, format!("{page}\n{}\n", marker(record)).as_bytes())
 }
 
-/// Memos in the store; a lost one costs only time.
-struct StoreMemos<'a>(&'a Store);
+/// Memos in the store, and the key they are kept for; a lost one costs only time.
+struct StoreMemos<'a>(&'a Store, Digest);
 
 impl Memos for StoreMemos<'_> {
     fn load(&self, key: &Digest) -> Option<Arc<[u8]>> {
@@ -69,7 +71,7 @@ impl Memos for StoreMemos<'_> {
 
     fn save(&self, key: &Digest, table: &[u8]) {
         if let Ok(blob) = self.0.put(table) {
-            self.0.put_memo(*key, blob);
+            self.0.put_memo(*key, blob, self.1);
         }
     }
 }

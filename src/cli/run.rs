@@ -1,3 +1,7 @@
+use std::path::Path;
+use std::time::SystemTime;
+
+use marf_cache::Digest;
 use marf_engine::{Cancel, Event, Listener, NodeRun, NodeState, Options, Outcome, RunRecord};
 use marf_schema::scores::Scores;
 use marf_schema::{bootstrap, evaluate, train};
@@ -6,9 +10,10 @@ use parking_lot::Mutex;
 
 use super::args::{Global, RunArgs};
 use super::error::{CliError, Diagnostic};
-use super::session::Session;
-use super::{export, manual_lists, report, verdicts};
-use crate::progress::{Progress, duration};
+use super::export::Exported;
+use super::session::{Session, warn};
+use super::{export, files, manual_lists, report, verdicts};
+use crate::progress::{JsonLines, Progress, Trace, duration};
 use crate::terminal::{eprint_line, print_line};
 
 /// `marf run`: runs what changed, writes pictures, models and the report.
@@ -20,12 +25,11 @@ pub fn run(global: &Global, args: &RunArgs, cancel: &Cancel) -> Result<(), CliEr
         from: selection.from.iter().cloned().collect(),
         ..options(global, &session.name)
     };
-    let (record, ended) = execute(&session, &options, global, cancel)?;
+    let (record, ended) = run_and_export(&session, &options, global, args, cancel)?;
     if !global.json {
         print_line(&table(&record, &session));
     }
     if record.outcome != Outcome::Cancelled {
-        export::outputs(&session, &record, &args.out)?;
         report::refresh(&session, &record, &args.out.join("report.html"))?;
         if !global.json {
             eprint_line(&format!("report: {}", args.out.join("report.html").display()));
@@ -34,16 +38,50 @@ pub fn run(global: &Global, args: &RunArgs, cancel: &Cancel) -> Result<(), CliEr
     ended
 }
 
+/// How often the outputs of one run may be found damaged when they are written out.
+const MAX_REPAIRS: usize = 8;
+
+/// Runs a session's graph and writes its outputs. What turns out to be damaged is made again by another run.
+fn run_and_export(
+    session: &Session,
+    options: &Options,
+    global: &Global,
+    args: &RunArgs,
+    cancel: &Cancel,
+) -> Result<(RunRecord, Result<(), CliError>), CliError> {
+    for _ in 0..MAX_REPAIRS {
+        let (record, ended) = execute_traced(session, options, global, args.trace.as_deref(), cancel)?;
+        if record.outcome == Outcome::Cancelled {
+            return Ok((record, ended));
+        }
+        match export::outputs(session, &record, &args.out)? {
+            Exported::All => return Ok((record, ended)),
+            Exported::Lost(what) => warn(format!("{what}; it is made again")),
+        }
+    }
+    Err(CliError::failed(format!(
+        "outputs were damaged {MAX_REPAIRS} times while they were written"
+    )))
+}
+
 /// Returns the run options that the global arguments give.
 pub fn options(global: &Global, pipeline: &str) -> Options {
     let words: Vec<String> = std::env::args().skip(1).collect();
     Options {
         threads: global.threads,
         pipeline: pipeline.to_owned(),
+        id: run_id(),
         command: format!("marf {}", words.join(" ")),
         program: concat!("marf ", env!("CARGO_PKG_VERSION")).to_owned(),
         ..Options::default()
     }
+}
+
+/// Returns 16 hexadecimal digits that no other run has: from the clock and the process id. They are in no result.
+fn run_id() -> String {
+    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    let seed = format!("{} {}", since.as_nanos(), std::process::id());
+    Digest::of(seed.as_bytes()).to_string()[..16].to_owned()
 }
 
 /// Runs a session's graph and prints its progress. Returns the record, and beside it the error the verb ends with: the
@@ -57,26 +95,38 @@ pub fn execute(
     global: &Global,
     cancel: &Cancel,
 ) -> Result<(RunRecord, Result<(), CliError>), CliError> {
-    let progress = if global.json {
-        Progress::Json
-    } else {
-        Progress::for_stderr()
+    execute_traced(session, options, global, None, cancel)
+}
+
+/// As [`execute`]; writes a trace of the run to a file, if one is named.
+fn execute_traced(
+    session: &Session,
+    options: &Options,
+    global: &Global,
+    trace: Option<&Path>,
+    cancel: &Cancel,
+) -> Result<(RunRecord, Result<(), CliError>), CliError> {
+    let progress = match global.json {
+        true => Progress::Json(JsonLines::new(options.id.clone())),
+        false => Progress::for_stderr(),
     };
     let listener = RunListener {
         progress,
+        trace: trace.is_some().then(Trace::default),
         failure: Mutex::default(),
     };
+    let stop = cancel.clone();
+    session.store.set_interrupt(move || stop.is_set());
     if !global.json {
-        let device = if session.devices.is_empty() {
-            "cpu".to_owned()
-        } else {
-            session.devices.join("; ")
-        };
-        eprint_line(&format!("device  {device}"));
+        eprint_line(&format!("device  {}", devices(session)));
     }
     let record = marf_engine::run(&session.graph, &session.store, options, &listener, cancel)?;
-    for line in manual_lists::without_effect(&session.nodes, &verdicts::all(session, &record)) {
-        eprint_line(&format!("warning: {line}"));
+    if let (Some(file), Some(trace)) = (trace, &listener.trace) {
+        files::write(file, trace.json().to_string().as_bytes())?;
+    }
+    if manual_lists::any(&session.nodes) {
+        let verdicts = verdicts::all(session, &record);
+        manual_lists::without_effect(&session.nodes, &verdicts).into_iter().for_each(warn);
     }
     let failure = listener.failure.into_inner();
     let ended = match record.outcome {
@@ -89,15 +139,28 @@ pub fn execute(
     Ok((record, ended))
 }
 
+/// Returns what the nodes of a session run on: the GPUs, or `cpu`.
+fn devices(session: &Session) -> String {
+    let backends: Vec<String> = session.graph.backends().into_iter().collect();
+    match backends.is_empty() {
+        true => "cpu".to_owned(),
+        false => backends.join("; "),
+    }
+}
+
 /// Prints events and keeps the first failure: later ones often follow from it.
 struct RunListener {
     progress: Progress,
+    trace: Option<Trace>,
     failure: Mutex<Option<Diagnostic>>,
 }
 
 impl Listener for RunListener {
     fn on_event(&self, event: &Event) {
         self.progress.on_event(event);
+        if let Some(trace) = &self.trace {
+            trace.on_event(event);
+        }
         if let Event::Failed {
             node,
             message,

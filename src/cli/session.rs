@@ -1,16 +1,17 @@
 //! A pipeline, its graph and its store: what most verbs begin with.
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use marf_cache::manifest::ManifestError;
 use marf_cache::{Digest, Store, StoreError};
 use marf_engine::{Edge, EngineError, Graph, GraphError, NodeDecl, NodeRun, RunRecord};
-use marf_stage::Document;
+use marf_stage::{Document, Verdict};
 
 use super::args::Global;
 use super::error::{CliError, Diagnostic};
 use crate::config::{self, Pipeline};
+use crate::terminal::eprint_line;
 
 /// A pipeline ready to plan and run.
 pub struct Session {
@@ -22,8 +23,6 @@ pub struct Session {
     pub store: Store,
     /// Nodes as the report shows them: name, one line about the stage, parameters.
     pub nodes: Vec<NodeInfo>,
-    /// What its nodes run on: the GPUs, or `cpu`.
-    pub devices: Vec<String>,
 }
 
 /// What a report shows of a node beside its run.
@@ -70,11 +69,6 @@ impl Session {
             params: node.params.clone(),
         };
         let nodes = pipeline.nodes.iter().map(info).collect();
-        let devices: BTreeSet<String> = pipeline
-            .nodes
-            .iter()
-            .filter_map(|node| node.stage.backend_id())
-            .collect();
         let decls = pipeline.nodes.into_iter().map(|node| NodeDecl {
             name: node.name,
             stage: node.def,
@@ -91,7 +85,6 @@ impl Session {
             graph,
             store: open_store(store)?,
             nodes,
-            devices: devices.into_iter().collect(),
         })
     }
 
@@ -113,13 +106,26 @@ impl Session {
         Ok(self.store.get(&digest(node, name)?)?)
     }
 
+    /// Reads the verdicts of a node, by shard and id.
+    ///
+    /// # Errors
+    /// Verdicts that the store has lost, or bytes that are none.
+    pub fn verdicts(&self, root: &Digest) -> Result<Vec<Verdict>, CliError> {
+        crate::sets::verdicts(root, |digest| Ok(self.store.get(digest)?))
+    }
+
     /// Returns the last run of this pipeline.
     ///
     /// # Errors
     /// A store that cannot be read.
     pub fn last(&self) -> Result<Option<RunRecord>, CliError> {
-        Ok(marf_engine::last_run(&self.store, &self.name)?)
+        Ok(marf_engine::last_run(&self.store, &self.name, warn)?)
     }
+}
+
+/// Prints a warning.
+pub fn warn(message: String) {
+    eprint_line(&format!("warning: {message}"));
 }
 
 /// Returns the node of this name.
@@ -187,12 +193,18 @@ impl From<StoreError> for CliError {
     }
 }
 
+impl From<ManifestError> for CliError {
+    fn from(error: ManifestError) -> Self {
+        Self::failed(error.to_string())
+    }
+}
+
 impl From<EngineError> for CliError {
     fn from(error: EngineError) -> Self {
         match error {
             EngineError::Store(error) => error.into(),
             EngineError::UnknownNode { .. } => Self::usage(error.to_string()),
-            EngineError::BadRun { .. } => Self::failed(error.to_string()),
+            EngineError::BadRun { .. } | EngineError::Threads { .. } => Self::failed(error.to_string()),
         }
     }
 }

@@ -2,14 +2,14 @@ use super::args::Global;
 use super::error::CliError;
 use super::output::print_json;
 use super::run::state_word;
-use super::session::existing_store;
+use super::session::{existing_store, warn};
 use crate::progress::duration;
 use crate::terminal::print_line;
 
 /// `marf status`: the nodes of the last run.
 pub fn status(global: &Global) -> Result<(), CliError> {
     let store = existing_store(global)?;
-    let runs = marf_engine::runs(&store)?;
+    let runs = marf_engine::runs(&store, warn)?;
     let Some(run) = runs.last() else {
         return Err(CliError::failed(format!("no run in {}", store.dir().display())));
     };

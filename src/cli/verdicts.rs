@@ -21,7 +21,7 @@ pub fn by_node(session: &Session, record: &RunRecord) -> Result<BTreeMap<String,
         .iter()
         .filter_map(|node| Some((node.name.clone(), node.outputs.get(VERDICTS)?)));
     outputs
-        .map(|(name, output)| Ok((name, parse(&session.store.get(&output.digest)?)?)))
+        .map(|(name, output)| Ok((name, session.verdicts(&output.digest)?)))
         .collect()
 }
 
@@ -50,16 +50,6 @@ pub fn merged(by_node: &BTreeMap<String, Vec<Verdict>>, chain: &[&str]) -> Vec<V
         .collect();
     verdicts.sort_by(|a, b| a.file.cmp(&b.file));
     verdicts
-}
-
-/// Reads verdicts, one JSON object a line.
-fn parse(bytes: &[u8]) -> Result<Vec<Verdict>, CliError> {
-    let lines = bytes.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
-    lines
-        .map(|line| {
-            serde_json::from_slice(line).map_err(|error| CliError::failed(format!("verdicts: {error}")))
-        })
-        .collect()
 }
 
 /// Returns the verdicts as CSV: file, verdict, score, threshold, twin, reason.

@@ -8,6 +8,8 @@ pub struct GlobalOptions {
     pub device: Option<Device>,
     /// What may be asked of the network.
     pub access: Access,
+    /// Whether the bytes of files in folders are read though nothing tells of a change.
+    pub rehash: bool,
 }
 
 /// Without options: every node chooses its device, and archives on servers may be asked.
@@ -16,6 +18,7 @@ impl Default for GlobalOptions {
         Self {
             device: None,
             access: Access::Online,
+            rehash: false,
         }
     }
 }

@@ -1,22 +1,25 @@
 //! Prints the events of a run: bars on a terminal, plain lines elsewhere, JSON lines with `--json`.
 
 mod bars;
+mod json;
 mod lines;
 mod text;
+mod trace;
 
 use std::io::IsTerminal as _;
 
-use crate::terminal::print_line;
 use marf_engine::{Event, Listener};
 
 pub use bars::Bars;
+pub use json::{JsonLines, event_schema};
 pub use lines::Lines;
 pub use text::duration;
+pub use trace::Trace;
 
 /// How the events of a run are printed.
 pub enum Progress {
     /// One JSON object a line on stdout.
-    Json,
+    Json(JsonLines),
     /// Bars and lines on stderr.
     Bars(Box<Bars>),
     /// Plain lines on stderr.
@@ -37,11 +40,7 @@ impl Progress {
 impl Listener for Progress {
     fn on_event(&self, event: &Event) {
         match self {
-            Self::Json => {
-                if let Ok(line) = serde_json::to_string(event) {
-                    print_line(&line);
-                }
-            }
+            Self::Json(lines) => lines.on_event(event),
             Self::Bars(bars) => bars.on_event(event),
             Self::Lines(lines) => lines.on_event(event),
         }

@@ -1,6 +1,7 @@
 //! A made-up run for tests: a store in memory and nodes with one output of every kind.
 
 use std::collections::BTreeMap;
+use std::convert::Infallible;
 use std::sync::Arc;
 
 use marf_cache::Digest;
@@ -47,12 +48,14 @@ impl Store {
     pub(super) fn put_photos(&mut self, rows: Vec<Row>) -> Digest {
         let count = rows.len() as u32;
         let leaf = self.put(&Leaf::new(rows).unwrap().encode());
-        let leaves = vec![LeafRef {
-            shard: 1,
-            leaf,
-            rows: count,
-        }];
-        self.put(&Root { leaves }.encode())
+        self.put_leaf(leaf, count)
+    }
+
+    /// Stores a set of one leaf.
+    fn put_leaf(&mut self, leaf: Digest, rows: u32) -> Digest {
+        let leaves = vec![LeafRef { shard: 1, leaf, rows }];
+        let Ok(root) = Root { leaves }.write(|bytes| Ok::<_, Infallible>(self.put(bytes)));
+        root
     }
 
     pub(super) fn put_verdicts(&mut self, verdicts: &[Verdict]) -> Digest {
@@ -60,7 +63,8 @@ impl Store {
             .iter()
             .map(|verdict| serde_json::to_string(verdict).unwrap())
             .collect();
-        self.put(lines.join("\n").as_bytes())
+        let leaf = self.put(lines.join("\n").as_bytes());
+        self.put_leaf(leaf, verdicts.len() as u32)
     }
 
     /// Writes the report of these nodes.

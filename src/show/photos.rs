@@ -2,12 +2,13 @@ use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::Digest;
-use marf_cache::manifest::{Leaf, Root, Row};
+use marf_cache::manifest::{Leaf, LeafRef, ManifestError, Row};
 use marf_scene::PhotoFacts;
 use marf_stage::{PHOTOS, VERDICTS, Verdict};
 
 use super::input::{NodeView, ReportInput};
 use super::read::{Missing, not_stored, read, unreadable};
+use crate::sets;
 
 /// A photo as the manifests know it.
 #[derive(Debug, Clone, PartialEq)]
@@ -60,13 +61,11 @@ impl PhotoIndex {
         &mut self,
         input: &ReportInput<'_>,
         node: &NodeView,
-        leaves: &mut BTreeMap<Digest, Vec<String>>,
+        known: &mut BTreeMap<Digest, Vec<String>>,
     ) -> Result<Vec<String>, Missing> {
-        let bytes = read(input, node, PHOTOS)?;
-        let root = Root::decode(&bytes).map_err(|error| unreadable(node, PHOTOS, &error))?;
         let mut ids = Vec::new();
-        for part in &root.leaves {
-            let of_leaf = match leaves.entry(part.leaf) {
+        for part in leaves(input, node, PHOTOS)? {
+            let of_leaf = match known.entry(part.leaf) {
                 Entry::Occupied(known) => known.into_mut(),
                 Entry::Vacant(place) => place.insert(self.read_leaf(input, node, &part.leaf)?),
             };
@@ -122,13 +121,35 @@ pub(super) fn last_photo_nodes<'a>(input: &'a ReportInput<'_>) -> Vec<&'a NodeVi
         .collect()
 }
 
-/// Reads the verdicts of a node, one a line.
+/// Reads the verdicts of a node, sol by sol.
 pub(super) fn verdicts(input: &ReportInput<'_>, node: &NodeView) -> Result<Vec<Verdict>, Missing> {
-    let bytes = read(input, node, VERDICTS)?;
-    let lines = bytes
-        .split(|byte| *byte == b'\n')
-        .filter(|line| !line.trim_ascii().is_empty());
-    lines
-        .map(|line| serde_json::from_slice(line).map_err(|error| unreadable(node, VERDICTS, &error)))
-        .collect()
+    let mut verdicts = Vec::new();
+    for leaf in leaves(input, node, VERDICTS)? {
+        let what = format!("A part of {VERDICTS} of {}", node.name);
+        let bytes = (input.read)(&leaf.leaf).ok_or_else(|| Missing(not_stored(&what, &leaf.leaf)))?;
+        verdicts.extend(sets::parse(&bytes).map_err(|error| unreadable(node, VERDICTS, &error))?);
+    }
+    Ok(verdicts)
+}
+
+/// Reads the leaves of an output that is a set.
+fn leaves(input: &ReportInput<'_>, node: &NodeView, output: &str) -> Result<Vec<LeafRef>, Missing> {
+    /// Why a set cannot be read.
+    enum Fault {
+        Lost(Digest),
+        Malformed(ManifestError),
+    }
+    impl From<ManifestError> for Fault {
+        fn from(error: ManifestError) -> Self {
+            Self::Malformed(error)
+        }
+    }
+    // The root itself has its own words where it is missing.
+    read(input, node, output)?;
+    let root = node.outputs.get(output).copied().unwrap_or_else(|| Digest::of(&[]));
+    let get = |digest: &Digest| (input.read)(digest).ok_or(Fault::Lost(*digest));
+    sets::leaves(&root, get).map_err(|fault| match fault {
+        Fault::Lost(digest) => Missing(not_stored(&format!("A part of {output} of {}", node.name), &digest)),
+        Fault::Malformed(error) => unreadable(node, output, &error),
+    })
 }

@@ -8,13 +8,14 @@ use std::{
 use marf_cache::Output;
 use marf_stage::Progress;
 use parking_lot::Mutex;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 /// Shortest time between two progress events of a node, except the last one.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Something that happened to a node. A child of an expanded node is named `parent/child`.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum Event {
     /// It begins to run.
@@ -50,7 +51,8 @@ pub enum Event {
         node: String,
         /// Wall time.
         seconds: f64,
-        /// Output blobs by name.
+        /// Output blobs by name: digest and bytes.
+        #[schemars(with = "BTreeMap<String, OutputShape>")]
         outputs: BTreeMap<String, Output>,
         /// Figures: `photos` kept, `rejected`, `measured`, `fetched`, `children`.
         counts: BTreeMap<String, u64>,
@@ -80,6 +82,16 @@ pub enum Event {
         /// One sentence.
         message: String,
     },
+}
+
+/// An output, for the schema alone.
+#[derive(JsonSchema)]
+#[allow(dead_code, reason = "only its schema is used")]
+struct OutputShape {
+    /// blake3, 64 hexadecimal digits.
+    digest: String,
+    /// Length.
+    bytes: u64,
 }
 
 /// Receives events, from several threads.

@@ -1,0 +1,82 @@
+use std::time::SystemTime;
+
+use marf_engine::{Event, Listener};
+use schemars::{JsonSchema, Schema, generate::SchemaSettings};
+use serde::Serialize;
+
+use crate::terminal::print_line;
+
+/// One JSON object a line on stdout: the event, its time, and the run it is of.
+pub struct JsonLines {
+    run: String,
+}
+
+/// A line of the output of `--json`.
+#[derive(Debug, Serialize, JsonSchema)]
+struct Line<'a> {
+    /// When it happened, as RFC 3339 in UTC with milliseconds.
+    time: String,
+    /// Name of the run, as in its record.
+    run: &'a str,
+    /// What happened.
+    #[serde(flatten)]
+    event: &'a Event,
+}
+
+impl JsonLines {
+    /// Returns the printer of a run's events.
+    pub fn new(run: String) -> Self {
+        Self { run }
+    }
+}
+
+impl Listener for JsonLines {
+    fn on_event(&self, event: &Event) {
+        let line = Line {
+            time: humantime::format_rfc3339_millis(SystemTime::now()).to_string(),
+            run: &self.run,
+            event,
+        };
+        if let Ok(line) = serde_json::to_string(&line) {
+            print_line(&line);
+        }
+    }
+}
+
+/// Returns the JSON schema of the lines.
+pub fn event_schema() -> Schema {
+    let generator = SchemaSettings::draft2020_12().into_generator();
+    let mut schema = generator.into_root_schema_for::<Line<'static>>();
+    schema.insert("title".to_owned(), "An event of a run, one a line".into());
+    schema
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_has_time_run_and_the_event_side_by_side() {
+        let event = Event::Skipped {
+            node: "blur".to_owned(),
+            reason: "size failed".to_owned(),
+        };
+        let line = Line {
+            time: "2026-11-22T08:00:00.000Z".to_owned(),
+            run: "0a",
+            event: &event,
+        };
+        assert_eq!(
+            serde_json::to_string(&line).unwrap(),
+            r#"{"time":"2026-11-22T08:00:00.000Z","run":"0a","event":"skipped","node":"blur","reason":"size failed"}"#
+        );
+    }
+
+    #[test]
+    fn the_schema_names_every_kind_of_event() {
+        let schema = serde_json::to_string(&event_schema()).unwrap();
+        for kind in ["will_run", "reused", "progress", "finished", "failed", "skipped", "warning"] {
+            assert!(schema.contains(&format!("\"{kind}\"")), "{kind}");
+        }
+    }
+}
