@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-/// Name of the file that pins what archives on servers gave; it lies beside pipeline.toml.
+/// Name of the folder that pins what archives on servers gave; it lies beside pipeline.toml. In 0.1.0 it was a file.
 pub const LOCK_FILE: &str = "marf.lock";
 
 /// What an archive may ask of the network.
@@ -21,10 +21,12 @@ pub struct ArchiveContext {
     pub name: String,
     /// Folder from which relative paths of the table are meant: that of pipeline.toml.
     pub folder: PathBuf,
-    /// The lock file; `None` where there is none.
+    /// Path of the lock ([`LOCK_FILE`]); `None` where there is none.
     pub lock: Option<PathBuf>,
     /// What may be asked of the network.
     pub access: Access,
+    /// Whether files on disk are read again though nothing says that they changed.
+    pub rehash: bool,
 }
 
 /// The context of an archive outside a pipeline: it has no lock file and may open no connection.
@@ -35,6 +37,7 @@ impl Default for ArchiveContext {
             folder: PathBuf::new(),
             lock: None,
             access: Access::Offline,
+            rehash: false,
         }
     }
 }

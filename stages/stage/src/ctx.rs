@@ -78,6 +78,11 @@ pub trait Blobs: Sync {
     fn put_file(&self, path: &Path, max_bytes: u64) -> Result<(Digest, Arc<[u8]>), BlobError>;
     /// Tells whether a blob is in the store; its bytes are not read.
     fn contains(&self, digest: &Digest) -> bool;
+    /// Makes all that was stored so far survive the end of the process and of the power.
+    ///
+    /// # Errors
+    /// A store that cannot be written.
+    fn commit(&self) -> Result<(), BlobError>;
 }
 
 /// A blob that could not be read or written.

@@ -18,6 +18,7 @@ use crate::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Memos, Progress};
 pub struct Harness {
     blobs: Mutex<BTreeMap<Digest, Arc<[u8]>>>,
     reads: Mutex<BTreeMap<Digest, u64>>,
+    commits: Mutex<u64>,
     checkpoints: Mutex<BTreeMap<String, Vec<u8>>>,
     memos: Mutex<BTreeMap<Digest, Arc<[u8]>>>,
     /// Whether stages under test should stop.
@@ -55,6 +56,11 @@ impl Harness {
     /// Returns how often stages have read a blob.
     pub fn reads(&self, digest: &Digest) -> u64 {
         self.reads.lock().get(digest).copied().unwrap_or(0)
+    }
+
+    /// Returns how often stages have asked for what they stored to be made durable.
+    pub fn commits(&self) -> u64 {
+        *self.commits.lock()
     }
 
     /// Removes a blob, as a damaged store may.
@@ -120,6 +126,11 @@ impl Blobs for Harness {
 
     fn contains(&self, digest: &Digest) -> bool {
         self.blobs.lock().contains_key(digest)
+    }
+
+    fn commit(&self) -> Result<(), BlobError> {
+        *self.commits.lock() += 1;
+        Ok(())
     }
 }
 

@@ -106,7 +106,8 @@ impl Inputs {
 pub struct Shard {
     /// The sol; 0 where there is none.
     pub shard: u32,
-    /// Digest of everything that [`Source::fetch`] would read for it.
+    /// Digest of everything that [`Source::fetch`] would read for it, as far as it is known: see
+    /// [`Fetched::fingerprint`].
     pub fingerprint: Digest,
 }
 
@@ -120,6 +121,9 @@ pub struct Listing {
     /// How much there is to fetch, for people (`90 files to fetch`); not part of the key.
     #[content_hash(skip)]
     pub note: Option<String>,
+    /// What people should know of the listing (a pin that cannot be read), one sentence each; not part of the key.
+    #[content_hash(skip)]
+    pub warnings: Vec<String>,
 }
 
 impl Listing {
@@ -141,6 +145,11 @@ pub struct Fetched {
     pub verdicts: Vec<Verdict>,
     /// Measures that were made of items while they were in memory, so that no stage reads the items again for them.
     pub measures: Vec<FetchedMeasure>,
+    /// Digest of everything that was read, where the listing could not know it: of a shard on a server the bytes are known
+    /// only when they have come. The result is kept under it, and the next listing gives it as [`Shard::fingerprint`].
+    pub fingerprint: Option<Digest>,
+    /// What people should know of the work, one sentence each.
+    pub warnings: Vec<String>,
 }
 
 /// A measure that a source made of an item.
@@ -156,7 +165,7 @@ pub struct FetchedMeasure {
 
 /// Reads items from an archive.
 pub trait Source: Send + Sync {
-    /// Lists the shards; cheap, runs at every plan.
+    /// Lists the shards; cheap, runs at every plan. It may load memos and saves none.
     ///
     /// # Errors
     /// A missing or unreadable archive.
