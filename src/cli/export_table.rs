@@ -41,7 +41,9 @@ impl ExportTable {
         let whole = std::path::absolute(out).unwrap_or_else(|_| out.to_owned());
         let name = Digest::of(whole.as_os_str().as_encoded_bytes());
         let path = store.scratch().join("exports").join(format!("{name}.json"));
-        let entries = std::fs::read(&path).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
+        let entries = std::fs::read(&path)
+            .ok()
+            .and_then(|bytes| serde_json::from_slice(&bytes).ok());
         Self {
             out: out.to_owned(),
             path,
@@ -146,7 +148,9 @@ mod tests {
             read += 1;
             Ok::<_, CliError>(Arc::from(text.as_bytes()))
         };
-        table.write(Path::new(file), &Digest::of(text.as_bytes()), bytes).unwrap();
+        table
+            .write(Path::new(file), &Digest::of(text.as_bytes()), bytes)
+            .unwrap();
         read
     }
 
@@ -177,7 +181,9 @@ mod tests {
         write(&mut table, "v/2", "two");
         table.note_folder(folder, &root);
         assert!(table.has_folder(folder, &root) && !table.has_folder(folder, &Digest::of(b"other")));
-        table.keep_only(folder, &BTreeSet::from([PathBuf::from("v/2")])).unwrap();
+        table
+            .keep_only(folder, &BTreeSet::from([PathBuf::from("v/2")]))
+            .unwrap();
         assert!(!dir.path().join("v/1").exists() && dir.path().join("v/2").exists());
         assert!(!table.has_folder(folder, &root));
     }

@@ -36,9 +36,9 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
 /// A file that cannot be removed.
 pub fn remove(path: &Path) -> Result<(), CliError> {
     match std::fs::remove_file(path) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(CliError::Failed(
-            Diagnostic::new(format!("cannot remove {}: {error}", path.display())),
-        )),
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(CliError::Failed(Diagnostic::new(
+            format!("cannot remove {}: {error}", path.display()),
+        ))),
         _ => Ok(()),
     }
 }

@@ -13,7 +13,9 @@ const NO_PHOTO: [&str; 2] = ["decode", "skipped"];
 
 /// Tells whether any filter has a name in a list.
 pub fn any(nodes: &[NodeInfo]) -> bool {
-    nodes.iter().any(|node| manual_entries(&node.params).next().is_some())
+    nodes
+        .iter()
+        .any(|node| manual_entries(&node.params).next().is_some())
 }
 
 /// Returns one line for each name in a list of the filters that is unknown, or whose file gave no photo.

@@ -61,7 +61,9 @@ fn lines(session: &Session, record: &RunRecord, node: &str) -> Result<Vec<Line>,
             nodes.join(", ")
         ))
     })?;
-    let rows = sets::rows(&output.digest, |digest| Ok::<_, CliError>(session.store.get(digest)?))?;
+    let rows = sets::rows(&output.digest, |digest| {
+        Ok::<_, CliError>(session.store.get(digest)?)
+    })?;
     let mut lines = Vec::new();
     for row in rows {
         let facts = PhotoFacts::from_json(&row.facts)

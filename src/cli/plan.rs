@@ -61,7 +61,9 @@ fn line(node: &PlannedNode) -> String {
     let mut line = format!("{:<16} {:<9} {}", node.node, word(node.state), node.reason);
     if node.state == PlanState::WillRun {
         let looks = node.extent.map(|extent| looks_at(&extent));
-        let took = node.last_seconds.map(|seconds| format!("{} last time", duration(seconds)));
+        let took = node
+            .last_seconds
+            .map(|seconds| format!("{} last time", duration(seconds)));
         for part in looks.into_iter().chain(took) {
             line.push_str(&format!("; {part}"));
         }

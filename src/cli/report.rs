@@ -45,7 +45,12 @@ pub fn refresh(session: &Session, record: &RunRecord, out: &Path) -> Result<(), 
 pub fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<(), CliError> {
     let read = |digest: &Digest| -> Option<Arc<[u8]>> { session.store.get(digest).ok() };
     // Pictures of the page are kept as long as the last result it shows.
-    let maker = record.nodes.iter().rev().find_map(|node| node.key).unwrap_or_else(|| Digest::of(&[]));
+    let maker = record
+        .nodes
+        .iter()
+        .rev()
+        .find_map(|node| node.key)
+        .unwrap_or_else(|| Digest::of(&[]));
     let input = ReportInput {
         pipeline: record.pipeline.clone(),
         command: record.command.clone(),

@@ -79,7 +79,9 @@ pub fn options(global: &Global, pipeline: &str) -> Options {
 
 /// Returns 16 hexadecimal digits that no other run has: from the clock and the process id. They are in no result.
 fn run_id() -> String {
-    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    let since = SystemTime::now()
+        .duration_since(SystemTime::UNIX_EPOCH)
+        .unwrap_or_default();
     let seed = format!("{} {}", since.as_nanos(), std::process::id());
     Digest::of(seed.as_bytes()).to_string()[..16].to_owned()
 }
@@ -126,7 +128,9 @@ fn execute_traced(
     }
     if manual_lists::any(&session.nodes) {
         let verdicts = verdicts::all(session, &record);
-        manual_lists::without_effect(&session.nodes, &verdicts).into_iter().for_each(warn);
+        manual_lists::without_effect(&session.nodes, &verdicts)
+            .into_iter()
+            .for_each(warn);
     }
     let failure = listener.failure.into_inner();
     let ended = match record.outcome {

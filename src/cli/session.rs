@@ -204,7 +204,9 @@ impl From<EngineError> for CliError {
         match error {
             EngineError::Store(error) => error.into(),
             EngineError::UnknownNode { .. } => Self::usage(error.to_string()),
-            EngineError::BadRun { .. } | EngineError::Threads { .. } => Self::failed(error.to_string()),
+            EngineError::BadRun { .. } | EngineError::BadSet(_) | EngineError::Threads { .. } => {
+                Self::failed(error.to_string())
+            }
         }
     }
 }

@@ -75,7 +75,9 @@ mod tests {
     #[test]
     fn the_schema_names_every_kind_of_event() {
         let schema = serde_json::to_string(&event_schema()).unwrap();
-        for kind in ["will_run", "reused", "progress", "finished", "failed", "skipped", "warning"] {
+        for kind in [
+            "will_run", "reused", "progress", "finished", "failed", "skipped", "warning",
+        ] {
             assert!(schema.contains(&format!("\"{kind}\"")), "{kind}");
         }
     }

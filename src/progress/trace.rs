@@ -98,7 +98,9 @@ impl Listener for Trace {
         match event {
             Event::WillRun { node, reason, device } => state.begin(node, now, reason, device),
             Event::Finished { node, counts, .. } => state.end(node, now, "finished", json!(counts)),
-            Event::Failed { node, message, .. } => state.end(node, now, "failed", json!({"message": message})),
+            Event::Failed { node, message, .. } => {
+                state.end(node, now, "failed", json!({"message": message}))
+            }
             Event::Skipped { node, reason } => {
                 state.end(node, now, "stopped", json!({}));
                 state.mark(&format!("skipped {node}"), now, json!({"reason": reason}));
@@ -109,7 +111,9 @@ impl Listener for Trace {
             Event::Warning { node, message } => {
                 state.mark("warning", now, json!({"node": node, "message": message}));
             }
-            Event::Progress { node, done, total, .. } => {
+            Event::Progress {
+                node, done, total, ..
+            } => {
                 let args = json!({"done": done, "total": total});
                 state.events.push(json!({
                     "ph": "C", "pid": 1, "name": format!("progress of {node}"), "ts": now, "args": args,
@@ -152,10 +156,17 @@ mod tests {
         let lane = |node: &str| {
             let events = json["traceEvents"].as_array().unwrap();
             let of = events.iter().find(|event| event["name"] == node).unwrap();
-            (of["tid"].as_u64().unwrap(), of["args"]["outcome"].as_str().unwrap().to_owned())
+            (
+                of["tid"].as_u64().unwrap(),
+                of["args"]["outcome"].as_str().unwrap().to_owned(),
+            )
         };
         assert_eq!(lane("a"), (1, "finished".to_owned()));
         assert_eq!(lane("c"), (1, "finished".to_owned()));
-        assert_eq!(lane("b"), (2, "stopped".to_owned()), "what has not ended is drawn too");
+        assert_eq!(
+            lane("b"),
+            (2, "stopped".to_owned()),
+            "what has not ended is drawn too"
+        );
     }
 }

@@ -146,10 +146,17 @@ fn leaves(input: &ReportInput<'_>, node: &NodeView, output: &str) -> Result<Vec<
     }
     // The root itself has its own words where it is missing.
     read(input, node, output)?;
-    let root = node.outputs.get(output).copied().unwrap_or_else(|| Digest::of(&[]));
+    let root = node
+        .outputs
+        .get(output)
+        .copied()
+        .unwrap_or_else(|| Digest::of(&[]));
     let get = |digest: &Digest| (input.read)(digest).ok_or(Fault::Lost(*digest));
     sets::leaves(&root, get).map_err(|fault| match fault {
-        Fault::Lost(digest) => Missing(not_stored(&format!("A part of {output} of {}", node.name), &digest)),
+        Fault::Lost(digest) => Missing(not_stored(
+            &format!("A part of {output} of {}", node.name),
+            &digest,
+        )),
         Fault::Malformed(error) => unreadable(node, output, &error),
     })
 }

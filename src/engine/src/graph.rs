@@ -119,7 +119,10 @@ impl Graph {
 
     /// Returns the backends of the nodes that do not run on the CPU. Asks for a GPU only if a node wants one.
     pub fn backends(&self) -> BTreeSet<String> {
-        self.nodes.iter().filter_map(|node| node.bound.backend_id()).collect()
+        self.nodes
+            .iter()
+            .filter_map(|node| node.bound.backend_id())
+            .collect()
     }
 
     /// Returns the digest of the pipeline as declared: names, stages, versions, parameters, edges.

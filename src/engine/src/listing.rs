@@ -19,7 +19,7 @@ use marf_stage::{
 use crate::{
     errors::{contract_violation, panicked},
     key::{Change, changes_between},
-    stage_io::StoreBlobs,
+    stage_io::{StoreBlobs, load_memo},
 };
 
 /// Name of the input of a source that holds the fingerprints of its shards.
@@ -50,8 +50,8 @@ pub(crate) fn list(
             blobs: &blobs,
             cancel,
             progress,
-            checkpoints: &NoState,
-            memos: &NoState,
+            checkpoints: &ReadOnly(store),
+            memos: &ReadOnly(store),
             scratch: &scratch,
             threads: pool.current_num_threads(),
         };
@@ -69,8 +69,7 @@ pub(crate) fn list(
             "shard {shard} is listed twice or out of order"
         )));
     }
-    let Ok(inputs) = inputs(&listing, |bytes| Ok::<_, Infallible>(Digest::of(bytes)));
-    Ok(Some(Listed { listing, inputs }))
+    Ok(Some(Listed::new(listing)))
 }
 
 /// Returns the inputs that stand for a listing; `put` stores their bytes, or only computes digests.
@@ -97,6 +96,12 @@ pub(crate) fn companions(listing: &Listing) -> Vec<u8> {
 }
 
 impl Listed {
+    /// Returns a listing with the inputs that stand for it; stores nothing.
+    pub(crate) fn new(listing: Listing) -> Self {
+        let Ok(inputs) = inputs(&listing, |bytes| Ok::<_, Infallible>(Digest::of(bytes)));
+        Self { listing, inputs }
+    }
+
     /// Stores what the inputs name, so that a later run can tell which shards changed.
     pub(crate) fn store(&self, ctx: &Ctx<'_>) -> Result<(), StageError> {
         inputs(&self.listing, |bytes| ctx.put(bytes)).map(drop)
@@ -128,10 +133,10 @@ fn fingerprints(shards: impl Iterator<Item = (u32, Digest)>) -> BTreeMap<String,
         .collect()
 }
 
-/// Checkpoints and memos of a listing: none is kept.
-struct NoState;
+/// Checkpoints and memos of a listing: memos are read, nothing is kept.
+struct ReadOnly<'a>(&'a Store);
 
-impl Checkpoints for NoState {
+impl Checkpoints for ReadOnly<'_> {
     fn load(&self, _part: &str) -> Option<Vec<u8>> {
         None
     }
@@ -139,9 +144,9 @@ impl Checkpoints for NoState {
     fn save(&self, _part: &str, _state: &[u8]) {}
 }
 
-impl Memos for NoState {
-    fn load(&self, _key: &Digest) -> Option<Arc<[u8]>> {
-        None
+impl Memos for ReadOnly<'_> {
+    fn load(&self, key: &Digest) -> Option<Arc<[u8]>> {
+        load_memo(self.0, key)
     }
 
     fn save(&self, _key: &Digest, _table: &[u8]) {}

@@ -63,6 +63,17 @@ pub fn plan(
     last: Option<&RunRecord>,
     threads: Option<NonZero<usize>>,
 ) -> Result<Vec<PlannedNode>, EngineError> {
+    let known = plan_all(graph, store, last, threads)?.into_iter();
+    Ok(known.map(|known| known.node).collect())
+}
+
+/// As [`plan`], with the inputs and outputs of each node as far as they are known.
+pub(crate) fn plan_all(
+    graph: &Graph,
+    store: &Store,
+    last: Option<&RunRecord>,
+    threads: Option<NonZero<usize>>,
+) -> Result<Vec<Known>, EngineError> {
     let planner = Planner {
         graph,
         store,
@@ -74,13 +85,14 @@ pub fn plan(
         let node = planner.node(index, &known)?;
         known.push(node);
     }
-    Ok(known.into_iter().map(|known| known.node).collect())
+    Ok(known)
 }
 
-/// A planned node, and its outputs if they are in the store.
-struct Known {
-    node: PlannedNode,
-    outputs: Option<Outputs>,
+/// A planned node, its inputs as far as they are known, and its outputs if they are in the store.
+pub(crate) struct Known {
+    pub(crate) node: PlannedNode,
+    pub(crate) inputs: Option<Inputs>,
+    pub(crate) outputs: Option<Outputs>,
 }
 
 /// What planning needs.
@@ -127,7 +139,10 @@ impl Planner<'_> {
                 why.reason = listed.listing.noted(&why.reason);
             }
             let extent = extent(self.store, node.bound.as_ref(), &key, &inputs, listed.as_ref())?;
-            return Ok(self.will_run(node, why, Some(&key), extent));
+            return Ok(Known {
+                inputs: Some(inputs),
+                ..self.will_run(node, why, Some(&key), extent)
+            });
         };
         let is_last = self
             .last
@@ -143,6 +158,7 @@ impl Planner<'_> {
                     .will_run(node, because(reason.to_owned()), Some(&key), None)
                     .node
             },
+            inputs: Some(inputs),
             outputs: Some(outputs_of(&record)),
         })
     }
@@ -165,6 +181,7 @@ impl Planner<'_> {
                 extent,
                 last_seconds: self.last_seconds(&node.name),
             },
+            inputs: None,
             outputs: None,
         }
     }
@@ -189,10 +206,7 @@ pub fn why(
 ) -> Result<PlannedNode, EngineError> {
     let planned = plan(graph, store, last, threads)?.into_iter();
     let mut found = planned.filter(|planned| planned.node == node);
-    found.next().ok_or_else(|| EngineError::UnknownNode {
-        node: node.to_owned(),
-        known: graph.names().into_iter().map(str::to_owned).collect(),
-    })
+    found.next().ok_or_else(|| EngineError::unknown(graph, node))
 }
 
 /// Returns the inputs of a node, or an upstream node whose outputs are not known.

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use marf_cache::{Digest, Output, Store, StoreError};
 use serde::{Deserialize, Serialize};
 
-use crate::check::Edge;
+use crate::{check::Edge, graph::Graph};
 
 /// A run and its results.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -123,6 +123,9 @@ pub enum EngineError {
         /// The error of the operating system.
         message: String,
     },
+    /// A set of photos that cannot be read.
+    #[error("a set of photos cannot be read: {0}")]
+    BadSet(String),
     /// A run record that cannot be read.
     #[error("run {number} cannot be read: {message}")]
     BadRun {
@@ -134,6 +137,14 @@ pub enum EngineError {
 }
 
 impl EngineError {
+    /// Returns the error of a name that is not in a graph.
+    pub(crate) fn unknown(graph: &Graph, node: &str) -> Self {
+        Self::UnknownNode {
+            node: node.to_owned(),
+            known: graph.names().into_iter().map(str::to_owned).collect(),
+        }
+    }
+
     /// Returns what the user can do about it, if anything.
     pub fn hint(&self) -> Option<String> {
         match self {

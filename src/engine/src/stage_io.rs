@@ -66,6 +66,10 @@ impl Blobs for StoreBlobs<'_> {
     fn contains(&self, digest: &Digest) -> bool {
         self.store.contains(digest)
     }
+
+    fn commit(&self) -> Result<(), BlobError> {
+        self.store.commit().map_err(blob_error)
+    }
 }
 
 /// The checkpoints of one key: a folder with a file for each part, each replaced atomically.
@@ -146,10 +150,8 @@ impl<'a> StoreMemos<'a> {
 }
 
 impl Memos for StoreMemos<'_> {
-    /// Returns a table; none if it is missing, damaged or unreadable.
     fn load(&self, key: &Digest) -> Option<Arc<[u8]>> {
-        let blob = self.store.memo(key).ok()??;
-        self.store.get(&blob).ok()
+        load_memo(self.store, key)
     }
 
     /// Stores a table; it becomes durable with the next commit, at the latest when the run ends.
@@ -162,6 +164,12 @@ impl Memos for StoreMemos<'_> {
             }),
         }
     }
+}
+
+/// Returns a table of partial results; none if it is missing, damaged or unreadable.
+pub(crate) fn load_memo(store: &Store, key: &Digest) -> Option<Arc<[u8]>> {
+    let blob = store.memo(key).ok()??;
+    store.get(&blob).ok()
 }
 
 /// The exclusive right to run a key. A second process waits for it, and then finds the first one's result.

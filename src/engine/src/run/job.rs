@@ -14,6 +14,8 @@ use super::{context::RunContext, task::Prepared};
 use crate::{
     errors::{contract_violation, panicked},
     event::{Event, NodeProgress},
+    key::{Key, node_key},
+    listing::Listed,
     lookup::{Lookup, look_up},
     stage_io::{FileCheckpoints, Lease, StoreBlobs, StoreMemos},
     work::{
@@ -121,8 +123,9 @@ impl Job<'_> {
         let produced = self.produce(&blobs, &checkpoints, &metadata);
         match produced.map_err(|error| self.attribute(error))? {
             Produced::Children(specs) => Ok(JobOutput::Expanded(specs)),
-            Produced::Outputs(outputs) => {
-                let record = self.store_record(outputs, blobs, metadata)?;
+            Produced::Outputs(outputs, listed) => {
+                let key = self.final_key(listed)?;
+                let record = self.store_record(&key, outputs, blobs, metadata)?;
                 checkpoints.remove();
                 Ok(JobOutput::Finished(record))
             }
@@ -171,17 +174,31 @@ impl Job<'_> {
             listed: self.prepared.listed.as_ref(),
             check: self.check,
             metadata,
+            warn: &|message| self.warn(message.to_owned()),
         };
         let work = || match &self.step {
             Step::Start => execute(&run),
-            Step::Reduce(children, _) => reduce(&run, children).map(Produced::Outputs),
+            Step::Reduce(children, _) => {
+                reduce(&run, children).map(|outputs| Produced::Outputs(outputs, None))
+            }
         };
         on_threads(self.threads, work)
+    }
+
+    /// Returns the key of the result: of a source that of the listing it has found true.
+    fn final_key(&self, listed: Option<Listed>) -> Result<Key, StageError> {
+        let Some(listed) = listed else {
+            return Ok(self.prepared.key.clone());
+        };
+        let mut inputs = self.prepared.inputs.clone();
+        inputs.0.extend(listed.inputs.0);
+        node_key(&self.context.graph.table, &self.def, self.bound.as_ref(), &inputs)
     }
 
     /// Checks and stores the outputs, and returns the record that the store keeps for the key.
     fn store_record(
         &self,
+        key: &Key,
         parted: PartedOutputs,
         blobs: StoreBlobs<'_>,
         metadata: RunMetadata,
@@ -192,9 +209,9 @@ impl Job<'_> {
             true => None,
             false => Some(put_parts(store, &parted.parts)?),
         };
-        put_action(store, &self.prepared.key)?;
+        put_action(store, key)?;
         let record = Record {
-            key: self.prepared.key.digest,
+            key: key.digest,
             stage: self.def.name.to_owned(),
             needs: put_needs(store, blobs.take_stored(), &parted.outputs)?,
             outputs: with_lengths(store, parted.outputs)?,

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::{
     earlier::KeyRequest,
-    event::NodeProgress,
+    event::{Event, NodeProgress},
     key::Key,
     listing::{Listed, list},
     lookup::{Lookup, look_up, why_missed},
@@ -56,6 +56,11 @@ fn prepare(state: &mut RunState<'_>, index: usize) -> Result<(), StoreError> {
     );
     let outcome = listed.and_then(|listed| {
         let mut inputs = inputs;
+        let warnings = listed.iter().flat_map(|listed| &listed.listing.warnings);
+        for message in warnings.cloned() {
+            let node = Some(task.name.clone());
+            context.listener.on_event(&Event::Warning { node, message });
+        }
         inputs
             .0
             .extend(listed.iter().flat_map(|listed| listed.inputs.0.clone()));

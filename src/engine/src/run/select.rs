@@ -47,11 +47,6 @@ pub(super) fn roles(graph: &Graph, to: &[String], from: &[String]) -> Result<Vec
 
 /// Returns the indices of the named nodes.
 fn indices(graph: &Graph, names: &[String]) -> Result<BTreeSet<usize>, EngineError> {
-    let find = |name: &String| {
-        graph.index(name).ok_or_else(|| EngineError::UnknownNode {
-            node: name.clone(),
-            known: graph.names().into_iter().map(str::to_owned).collect(),
-        })
-    };
+    let find = |name: &String| graph.index(name).ok_or_else(|| EngineError::unknown(graph, name));
     names.iter().map(find).collect()
 }

@@ -58,6 +58,7 @@ impl<'a> RunState<'a> {
     pub(super) fn finish(&mut self, index: usize, record: Record) {
         let task = &mut self.tasks[index];
         task.phase = Phase::Finished;
+        task.outcome.key = Some(record.key);
         task.outcome.seconds = record.metadata.seconds;
         task.outcome.outputs = record.outputs;
         task.outcome.counts = record.metadata.counts;

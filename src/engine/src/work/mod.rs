@@ -8,6 +8,7 @@ mod measure;
 mod source;
 mod stage_run;
 
+use crate::listing::Listed;
 use marf_stage::{NodeSpec, Outputs, StageError, Work};
 
 pub(crate) use expand::reduce;
@@ -19,8 +20,8 @@ pub(crate) use stage_run::{
 
 /// What a stage gave.
 pub(crate) enum Produced {
-    /// Its outputs.
-    Outputs(PartedOutputs),
+    /// Its outputs, and of a source the listing that they are of.
+    Outputs(PartedOutputs, Option<Listed>),
     /// Child nodes that must run first.
     Children(Vec<NodeSpec>),
 }
@@ -28,12 +29,18 @@ pub(crate) enum Produced {
 /// Runs a stage.
 pub(crate) fn execute(run: &StageRun<'_>) -> Result<Produced, StageError> {
     match run.stage.work() {
-        Work::Source(source) => source::execute(run, source).map(Produced::Outputs),
-        Work::Map(map) => map::execute(run, map).map(Produced::Outputs),
-        Work::Fold(fold) => fold::execute(run, fold).map(Produced::Outputs),
-        Work::Set(set) => Ok(Produced::Outputs(set.run(&run.ctx, run.inputs)?.into())),
+        Work::Source(source) => {
+            source::execute(run, source).map(|(outputs, listed)| Produced::Outputs(outputs, listed))
+        }
+        Work::Map(map) => map::execute(run, map).map(alone),
+        Work::Fold(fold) => fold::execute(run, fold).map(alone),
+        Work::Set(set) => Ok(alone(set.run(&run.ctx, run.inputs)?.into())),
         Work::Expand(expand) => Ok(Produced::Children(expand.expand(&run.ctx, run.inputs)?)),
     }
+}
+
+fn alone(outputs: PartedOutputs) -> Produced {
+    Produced::Outputs(outputs, None)
 }
 
 /// Outputs of a node without parts and figures.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use marf_cache::{Digest, manifest::LeafRef};
-use marf_stage::{COMPANIONS, PHOTOS, Shard, Source, StageError};
+use marf_stage::{COMPANIONS, Shard, Source, StageError};
 
 use super::{
     measure::keep_fetched,
@@ -13,7 +13,7 @@ use crate::{
     errors::contract_violation,
     items::{ShardRows, write_shard, write_verdicts},
     key::Key,
-    listing::companions,
+    listing::{Listed, companions},
     stage_io::StoreBlobs,
 };
 
@@ -21,33 +21,37 @@ use crate::{
 const FINGERPRINT: &str = "fingerprint";
 
 /// Fetches the shards that have no record, and joins all shards to one set.
-pub(super) fn execute(run: &StageRun<'_>, source: &dyn Source) -> Result<PartedOutputs, StageError> {
+///
+/// Returns the listing too, as it would be made now: of some shards a fetch alone tells what they hold.
+pub(super) fn execute(
+    run: &StageRun<'_>,
+    source: &dyn Source,
+) -> Result<(PartedOutputs, Option<Listed>), StageError> {
     let Some(listed) = run.listed else {
         return Err(contract_violation("a source runs without its listing".to_owned()));
     };
-    listed.store(&run.ctx)?;
-    let shards = &listed.listing.shards;
+    let mut listing = listed.listing.clone();
+    let total = listing.shards.len() as u64;
     let mut fetched = 0;
     let mut keys = Vec::new();
     let mut parts = Vec::new();
-    for (done, shard) in (1..).zip(shards) {
+    for (done, shard) in (1..).zip(&mut listing.shards) {
         run.ctx.check()?;
         let key = run.part_key(PartKind::Fetch, shard.shard, fetch_inputs(shard));
-        let part = match run.part_hit(&key.digest)? {
-            Some(part) if has_leaves(run, &part.photos) => part,
+        let (key, part) = match run.part_hit(&key.digest)? {
+            Some(part) if has_leaves(run, &part.photos) => (key, part),
             _ => {
                 fetched += 1;
-                fetch(run, source, shard, &key)?
+                fetch(run, source, shard)?
             }
         };
         keys.push((shard.shard, key.digest));
         parts.push(part);
-        run.ctx.progress.at(done, shards.len() as u64, "");
+        run.ctx.progress.at(done, total, "");
     }
-    let counts = Counts::from([
-        ("fetched".to_owned(), fetched),
-        ("shards".to_owned(), shards.len() as u64),
-    ]);
+    let counts = Counts::from([("fetched".to_owned(), fetched), ("shards".to_owned(), total)]);
+    let listed = Listed::new(listing);
+    listed.store(&run.ctx)?;
     let mut joined = run.join(keys, parts.into_iter().collect(), counts)?;
     if run.def.outputs.contains(&COMPANIONS) {
         let companions = run.ctx.put(&companions(&listed.listing))?;
@@ -56,8 +60,7 @@ pub(super) fn execute(run: &StageRun<'_>, source: &dyn Source) -> Result<PartedO
     joined
         .outputs
         .retain(|name, _| run.def.outputs.contains(&name.as_str()));
-    debug_assert!(joined.outputs.contains_key(PHOTOS));
-    Ok(joined)
+    Ok((joined, Some(listed)))
 }
 
 /// Returns the inputs of the part that fetches a shard.
@@ -69,11 +72,13 @@ fn has_leaves(run: &StageRun<'_>, leaves: &[LeafRef]) -> bool {
     leaves.iter().all(|leaf| run.store.contains(&leaf.leaf))
 }
 
-/// Fetches one shard and stores what came.
-fn fetch(run: &StageRun<'_>, source: &dyn Source, shard: &Shard, key: &Key) -> Result<Part, StageError> {
+/// Fetches one shard and stores what came, under what it turned out to hold.
+fn fetch(run: &StageRun<'_>, source: &dyn Source, shard: &mut Shard) -> Result<(Key, Part), StageError> {
     let blobs = StoreBlobs::new(run.store);
     let ctx = run.with_blobs(&blobs);
     let fetched = source.fetch(&ctx, shard.shard)?;
+    fetched.warnings.iter().for_each(|warning| (run.warn)(warning));
+    shard.fingerprint = fetched.fingerprint.unwrap_or(shard.fingerprint);
     keep_fetched(run, shard.shard, &fetched.rows, fetched.measures)?;
     let rows = ShardRows {
         shard: shard.shard,
@@ -84,6 +89,7 @@ fn fetch(run: &StageRun<'_>, source: &dyn Source, shard: &Shard, key: &Key) -> R
         verdicts: write_verdicts(&ctx, shard.shard, fetched.verdicts)?,
         added: None,
     };
-    run.put_part(key, &part, &blobs)?;
-    Ok(part)
+    let key = run.part_key(PartKind::Fetch, shard.shard, fetch_inputs(shard));
+    run.put_part(&key, &part, &blobs)?;
+    Ok((key, part))
 }

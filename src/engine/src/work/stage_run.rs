@@ -45,6 +45,8 @@ pub(crate) struct StageRun<'a> {
     pub(crate) listed: Option<&'a Listed>,
     pub(crate) check: BlobCheck,
     pub(crate) metadata: &'a RunMetadata,
+    /// Tells people of something.
+    pub(crate) warn: &'a (dyn Fn(&str) + Sync),
 }
 
 /// The kinds of parts of a node.

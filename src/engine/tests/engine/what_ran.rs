@@ -191,6 +191,33 @@ fn the_plan_says_how_many_photos_of_how_many_shards_a_node_will_look_at() {
     );
 }
 
+#[test]
+fn every_photo_that_was_added_edited_or_removed_is_named() {
+    let (_dir, store, pipeline, fixture, first) = after_first_run();
+    fixture.put(2, "s2-9", 11);
+    fixture.put(3, "new", 1);
+    fixture.archive.lock().get_mut(&1).unwrap().remove("s1-0");
+    let graph = pipeline.graph();
+    let to_archive = marf_engine::Options {
+        to: vec!["archive".to_owned()],
+        ..options(2)
+    };
+    run_with(&graph, &store, &to_archive, &marf_engine::Cancel::default());
+    for node in ["at_most", "sum"] {
+        let changes = marf_engine::photo_changes(&graph, &store, Some(&first), None, node).unwrap();
+        let words: Vec<String> = changes.iter().map(ToString::to_string).collect();
+        assert_eq!(
+            words,
+            [
+                "photo 00001/s1-0 is gone",
+                "photo 00002/s2-9 changed",
+                "photo 00003/new is new"
+            ],
+            "{node}: what it reads is not known, so the nearest node upstream answers"
+        );
+    }
+}
+
 /// A trial of an older stage would be served for a newer one if the versions of children were in no key of their parent.
 #[test]
 fn a_newer_stage_of_the_children_runs_them_and_their_parent() {
