@@ -274,6 +274,80 @@ impl Fit {
 pub enum BenchVerb {
     /// Train on a folder's photos for so many seconds and score the test views: one JSON line a budget
     Train(BenchArgs),
+    /// Make a synthetic archive and run folder, filters and store on it: cold, without a change, with new sols; one JSON
+    /// line a phase
+    Engine(EngineArgs),
+    /// Run engine, store and two filters on rows without photos: what a million items cost when nothing changes; one JSON
+    /// line a phase
+    Items(ItemsArgs),
+}
+
+/// Arguments of `bench engine`.
+#[derive(Debug, Clone, Args)]
+pub struct EngineArgs {
+    /// Photos
+    #[arg(long, default_value_t = 10_000)]
+    pub photos: u64,
+    /// Sols they are spread over
+    #[arg(long, default_value_t = 1_000)]
+    pub sols: u32,
+    /// Sols that are added later
+    #[arg(long, value_name = "SOLS", default_value_t = 10)]
+    pub new_sols: u32,
+    /// Width of a photo in pixels, a multiple of 16; 160 makes files of about 12 KB
+    #[arg(long, value_name = "PX", default_value_t = 160, value_parser = clap::value_parser!(u32).range(64..=4096))]
+    pub width: u32,
+    /// Share of photos that are too small, empty, or copies
+    #[arg(long, value_name = "SHARE", default_value_t = 0.1)]
+    pub flawed: f64,
+    /// How often all is done, each time in a folder of its own
+    #[arg(long, default_value_t = 3)]
+    pub rounds: u32,
+    /// Folder for photos and stores
+    #[arg(long, value_name = "DIR", default_value = "bench-engine")]
+    pub dir: PathBuf,
+    /// Leave photos and stores there
+    #[arg(long)]
+    pub keep: bool,
+}
+
+/// Arguments of `bench items`.
+#[derive(Debug, Clone, Args)]
+pub struct ItemsArgs {
+    /// Rows
+    #[arg(long, default_value_t = 1_000_000)]
+    pub items: u64,
+    /// Sols they are spread over
+    #[arg(long, default_value_t = 1_000, value_parser = clap::value_parser!(u32).range(1..))]
+    pub sols: u32,
+    /// How often the run without a change is repeated
+    #[arg(long, default_value_t = 3)]
+    pub rounds: u32,
+    /// Folder of the store
+    #[arg(long, value_name = "DIR", default_value = "bench-items")]
+    pub dir: PathBuf,
+    /// Run one phase in this program, and print its nodes
+    #[arg(long, value_enum, hide = true)]
+    pub phase: Option<ItemsPhase>,
+}
+
+/// Phases of `bench items`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ItemsPhase {
+    /// All sols
+    All,
+    /// One sol more
+    OneMore,
+}
+
+impl ItemsPhase {
+    /// Returns the word of the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::All => "all",
+            Self::OneMore => "one-more",
+        }
+    }
 }
 
 /// Arguments of `bench train`; `--set train.field.KEY=VALUE` and `--set train.seed=N` count too.

@@ -76,9 +76,11 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
         Verb::Photos { dir, node } => photos::photos(global, dir.as_deref(), node, cancel),
         Verb::Calibrate(args) => calibrate::calibrate(global, args, cancel),
         Verb::Fit(args) => fit::fit(global, args, cancel),
-        Verb::Bench {
-            verb: BenchVerb::Train(args),
-        } => bench::train(global, args, cancel),
+        Verb::Bench { verb } => match verb {
+            BenchVerb::Train(args) => bench::train(global, args, cancel),
+            BenchVerb::Engine(args) => bench::engine(global, args, cancel),
+            BenchVerb::Items(args) => bench::items(global, args, cancel),
+        },
         Verb::Completions { shell } => {
             let mut bytes = Vec::new();
             clap_complete::generate(*shell, &mut Cli::command(), "marf", &mut bytes);

@@ -17,6 +17,7 @@ const KIND: &str = "kind";
 pub(super) struct Archives<'a> {
     tables: &'a [Entry],
     access: Access,
+    rehash: bool,
     folder: &'a Path,
 }
 
@@ -63,6 +64,7 @@ impl<'a> Archives<'a> {
             folder: self.folder.to_owned(),
             lock: Some(self.folder.join(LOCK_FILE)),
             access: self.access,
+            rehash: self.rehash,
         }
     }
 }

@@ -17,12 +17,12 @@ use marf_schema::train::TrainParams;
 use marf_stage::Params;
 use serde::{Deserialize, Serialize, Serializer};
 
-use super::args::{BenchArgs, Clock, Global};
-use super::error::CliError;
-use super::filter::folder;
-use super::run::{execute, options};
-use super::session::{Session, node_named};
-use super::{budget, files};
+use super::super::args::{BenchArgs, Clock, Global};
+use super::super::error::CliError;
+use super::super::filter::folder;
+use super::super::run::{execute, options};
+use super::super::session::{Session, node_named};
+use super::super::{budget, files};
 use crate::terminal::{eprint_line, print_line};
 
 /// Ticks a second in /proc/self/stat, on every Linux.

@@ -1,0 +1,238 @@
+//! `marf bench engine`: a synthetic archive through the shipped paths: folder, filters, store, outputs.
+
+use std::path::{Path, PathBuf};
+
+use image::codecs::jpeg::JpegEncoder;
+use image::{ExtendedColorType, ImageEncoder as _};
+use marf_engine::Cancel;
+use marf_scene::{Image, Srgb};
+use rayon::prelude::*;
+use serde::Serialize;
+use serde_json::Value;
+
+use super::super::args::{EngineArgs, Global};
+use super::super::error::{CliError, Diagnostic};
+use super::super::files;
+use super::child::{Cost, bytes_below, run};
+use crate::terminal::{eprint_line, print_line};
+
+/// Columns and rows of squares of one colour in a photo.
+const SQUARES: (u32, u32) = (16, 12);
+/// Quality of the JPEGs.
+const QUALITY: u8 = 90;
+/// The pipeline: five nodes, thresholds that the small photos pass.
+const PIPELINE: &str = r#"name = "bench"
+[archive.photos]
+kind = "folder"
+path = "photos"
+[node.extract]
+archive = "photos"
+[node.size]
+input = "extract"
+min_bytes = 1_500
+[node.shape]
+input = "size"
+min_width = 100
+min_height = 80
+[node.duplicate]
+input = "shape"
+[node.blur]
+input = "duplicate"
+"#;
+
+/// One phase of the bench.
+#[derive(Debug, Serialize)]
+struct Phase {
+    phase: &'static str,
+    /// Which repetition, from 1.
+    round: u32,
+    photos: u64,
+    sols: u64,
+    #[serde(flatten)]
+    cost: Cost,
+    /// Bytes of the store afterwards.
+    store_bytes: u64,
+    /// Bytes of the photos.
+    photo_bytes: u64,
+    /// Sols decided, by node.
+    decided: serde_json::Map<String, Value>,
+}
+
+/// Runs `marf bench engine`: makes photos, runs the pipeline on them cold, without a change and with new sols; prints one
+/// JSON line a phase.
+///
+/// # Errors
+/// A folder that cannot be written, a run that fails, the wish to stop.
+pub fn engine(global: &Global, args: &EngineArgs, cancel: &Cancel) -> Result<(), CliError> {
+    if args.sols == 0 || args.photos < u64::from(args.sols) {
+        return Err(CliError::usage(format!(
+            "{} photos cannot fill {} sols; give each sol one at least",
+            args.photos, args.sols
+        )));
+    }
+    for round in 1..=args.rounds {
+        let dir = args.dir.join(format!("round-{round}"));
+        if dir.exists() {
+            return Err(CliError::usage(format!(
+                "{} is there already; remove it or name another folder with --dir",
+                dir.display()
+            )));
+        }
+        eprint_line(&format!("round {round} of {}: making {} photos", args.rounds, args.photos));
+        one_round(global, args, round, &dir, cancel)?;
+        if !args.keep {
+            remove(&dir)?;
+        }
+    }
+    Ok(())
+}
+
+fn one_round(
+    global: &Global,
+    args: &EngineArgs,
+    round: u32,
+    dir: &Path,
+    cancel: &Cancel,
+) -> Result<(), CliError> {
+    files::write(&dir.join("pipeline.toml"), PIPELINE.as_bytes())?;
+    let photos = Photos {
+        dir: dir.join("photos"),
+        a_sol: args.photos / u64::from(args.sols),
+        width: args.width,
+        flawed: args.flawed,
+    };
+    photos.make(0..args.sols, cancel)?;
+    let mut bench = Bench {
+        global,
+        dir,
+        round,
+        photos: u64::from(args.sols) * photos.a_sol,
+        sols: u64::from(args.sols),
+    };
+    bench.phase("cold", cancel)?;
+    bench.phase("no change", cancel)?;
+    let new = args.new_sols;
+    photos.make(args.sols..args.sols + new, cancel)?;
+    bench.sols += u64::from(new);
+    bench.photos += u64::from(new) * photos.a_sol;
+    bench.phase("new sols", cancel)?;
+    bench.phase("no change after", cancel)
+}
+
+/// The state of a round.
+struct Bench<'a> {
+    global: &'a Global,
+    dir: &'a Path,
+    round: u32,
+    photos: u64,
+    sols: u64,
+}
+
+impl Bench<'_> {
+    /// Runs the pipeline once as a program of its own and prints what it cost.
+    fn phase(&mut self, phase: &'static str, cancel: &Cancel) -> Result<(), CliError> {
+        if cancel.is_set() {
+            return Err(CliError::Interrupted);
+        }
+        let threads = self.global.threads.map(|threads| threads.to_string());
+        let mut arguments = vec!["--json", "run"];
+        if let Some(threads) = &threads {
+            arguments.extend(["--threads", threads]);
+        }
+        let (cost, lines) = run(self.dir, &arguments)?;
+        let finished = lines.iter().filter(|line| line["event"] == "finished");
+        let decided = finished.filter_map(|line| {
+            let decided = line["counts"].get("decided").or_else(|| line["counts"].get("fetched"))?;
+            Some((line["node"].as_str()?.to_owned(), decided.clone()))
+        });
+        let phase = Phase {
+            phase,
+            round: self.round,
+            photos: self.photos,
+            sols: self.sols,
+            cost,
+            store_bytes: bytes_below(&self.dir.join(".marf")),
+            photo_bytes: bytes_below(&self.dir.join("photos")),
+            decided: decided.collect(),
+        };
+        print_line(&serde_json::to_string(&phase).map_err(|error| CliError::failed(error.to_string()))?);
+        Ok(())
+    }
+}
+
+/// Makes photos of squares in random colours, the same for the same numbers.
+struct Photos {
+    dir: PathBuf,
+    a_sol: u64,
+    width: u32,
+    flawed: f64,
+}
+
+impl Photos {
+    /// Writes the photos of some sols.
+    fn make(&self, sols: std::ops::Range<u32>, cancel: &Cancel) -> Result<(), CliError> {
+        std::fs::create_dir_all(&self.dir).map_err(|error| unwritable(&self.dir, &error))?;
+        sols.into_par_iter().try_for_each(|sol| {
+            if cancel.is_set() {
+                return Err(CliError::Interrupted);
+            }
+            (0..self.a_sol).try_for_each(|at| self.write(sol, at))
+        })
+    }
+
+    /// Writes one photo. Of the flawed ones a third each is small, empty, and a darker copy of the one before it.
+    fn write(&self, sol: u32, at: u64) -> Result<(), CliError> {
+        let number = u64::from(sol) * self.a_sol + at;
+        let share = (random(number, 7) % 10_000) as f64 / 10_000.0;
+        let is_flawed = share < self.flawed && at > 0;
+        let (small, empty, copy) = match (is_flawed, number % 3) {
+            (true, 0) => (true, false, false),
+            (true, 1) => (false, true, false),
+            (true, _) => (false, false, true),
+            (false, _) => (false, false, false),
+        };
+        let (seed, shade) = if copy { (number - 1, 3) } else { (number, 4) };
+        let width = if small { 64 } else { self.width };
+        let height = width * SQUARES.1 / SQUARES.0;
+        let image: Image<Srgb> = Image::from_fn(width, height, |x, y| {
+            let square = u64::from(y * SQUARES.1 / height * SQUARES.0 + x * SQUARES.0 / width);
+            let channel = |channel: u64| match empty {
+                true => 120,
+                false => (random(seed, 1000 + square * 3 + channel) % 255 * shade / 4) as u8,
+            };
+            [channel(0), channel(1), channel(2)]
+        });
+        let name = format!(
+            "NLF_{sol:04}_{:010}_{:03}ECM_N0000000NCAM00000_00_0LLJ.jpg",
+            600_000_000 + number * 13,
+            number % 1000,
+            sol = sol + 1
+        );
+        let path = self.dir.join(name);
+        let mut bytes = Vec::new();
+        JpegEncoder::new_with_quality(&mut bytes, QUALITY)
+            .write_image(image.pixels.as_flattened(), width, height, ExtendedColorType::Rgb8)
+            .map_err(|error| CliError::failed(format!("{}: {error}", path.display())))?;
+        std::fs::write(&path, bytes).map_err(|error| unwritable(&path, &error))
+    }
+}
+
+/// Returns a random number of a pair (SplitMix64, Steele et al. 2014).
+fn random(a: u64, b: u64) -> u64 {
+    let mut z = a.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(b.wrapping_mul(0xd1b5_4a32_d192_ed03));
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+fn unwritable(path: &Path, error: &std::io::Error) -> CliError {
+    CliError::Failed(Diagnostic {
+        message: format!("cannot write {}", path.display()),
+        cause: Some(error.to_string()),
+        hint: Some("choose another place with --dir".to_owned()),
+    })
+}
+
+fn remove(dir: &Path) -> Result<(), CliError> {
+    std::fs::remove_dir_all(dir).map_err(|error| unwritable(dir, &error))
+}

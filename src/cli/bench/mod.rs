@@ -1,0 +1,10 @@
+//! `marf bench`: figures about this program, measured on the machine at hand.
+
+mod child;
+mod engine;
+mod items;
+mod train;
+
+pub use engine::engine;
+pub use items::items;
+pub use train::train;
