@@ -280,6 +280,70 @@ pub enum BenchVerb {
     /// Run engine, store and two filters on rows without photos: what a million items cost when nothing changes; one JSON
     /// line a phase
     Items(ItemsArgs),
+    /// Kill, stop, damage and starve runs of a small pipeline, and compare every digest; one JSON line a fault
+    Faults(FaultsArgs),
+}
+
+/// Arguments of `bench faults`.
+#[derive(Debug, Clone, Args)]
+pub struct FaultsArgs {
+    /// Only these faults [default: all]
+    #[arg(long, value_enum, value_delimiter = ',')]
+    pub fault: Vec<Fault>,
+    /// How often each is done
+    #[arg(long, default_value_t = 200)]
+    pub rounds: u32,
+    /// Seed of the random moments and places
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+    /// Folder for the stores; it is removed afterwards unless a round ended badly
+    #[arg(long, value_name = "DIR", default_value = "bench-faults")]
+    pub dir: PathBuf,
+}
+
+/// Faults of `bench faults`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Fault {
+    /// SIGKILL at random moments
+    Kill,
+    /// Ctrl-C at random moments
+    Interrupt,
+    /// A bit flipped, a cut, an emptying in every file of a store
+    Damage,
+    /// Writes that fail
+    Full,
+    /// Eight programs on one store
+    Eight,
+    /// Garbage collections beside eight programs
+    Collect,
+    /// File times far off
+    Clock,
+}
+
+impl Fault {
+    /// All of them.
+    pub const ALL: [Self; 7] = [
+        Self::Kill,
+        Self::Interrupt,
+        Self::Damage,
+        Self::Full,
+        Self::Eight,
+        Self::Collect,
+        Self::Clock,
+    ];
+
+    /// Returns the word of the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Kill => "kill",
+            Self::Interrupt => "interrupt",
+            Self::Damage => "damage",
+            Self::Full => "full",
+            Self::Eight => "eight",
+            Self::Collect => "collect",
+            Self::Clock => "clock",
+        }
+    }
 }
 
 /// Arguments of `bench engine`.

@@ -80,6 +80,7 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
             BenchVerb::Train(args) => bench::train(global, args, cancel),
             BenchVerb::Engine(args) => bench::engine(global, args, cancel),
             BenchVerb::Items(args) => bench::items(global, args, cancel),
+            BenchVerb::Faults(args) => bench::faults(args, cancel),
         },
         Verb::Completions { shell } => {
             let mut bytes = Vec::new();

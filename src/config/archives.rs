@@ -7,6 +7,7 @@ use marf_stages::ArchiveDef;
 use serde_json::{Map, Value as Json, json};
 
 use super::error::ConfigError;
+use super::options::GlobalOptions;
 use super::syntax::{Entry, Located};
 use crate::nearest::did_you_mean;
 
@@ -27,7 +28,7 @@ impl<'a> Archives<'a> {
     ///
     /// # Errors
     /// The first thing that is wrong, with its place.
-    pub fn new(tables: &'a [Entry], access: Access, folder: &'a Path) -> Result<Self, ConfigError> {
+    pub fn new(tables: &'a [Entry], options: &GlobalOptions, folder: &'a Path) -> Result<Self, ConfigError> {
         for table in tables {
             let def = kind_of(table)?;
             let mut schema = (def.schema)().to_value();
@@ -40,7 +41,8 @@ impl<'a> Archives<'a> {
         }
         Ok(Self {
             tables,
-            access,
+            access: options.access,
+            rehash: options.rehash,
             folder,
         })
     }

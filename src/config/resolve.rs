@@ -59,7 +59,7 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
         Some(entry) => text(entry)?.to_owned(),
     };
     let context = PipelineContext {
-        archives: Archives::new(tables(root, ARCHIVE)?, options.access, base)?,
+        archives: Archives::new(tables(root, ARCHIVE)?, options, base)?,
         device: options.device.as_ref(),
         manual_lists: manual_lists::lists(root)?,
     };

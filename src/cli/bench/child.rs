@@ -100,3 +100,11 @@ pub fn bytes_below(dir: &Path) -> u64 {
     let sizes = files.filter_map(|file| file.metadata().ok()).filter(|meta| meta.is_file());
     sizes.map(|meta| meta.len()).sum()
 }
+
+/// Returns a random number of a pair (SplitMix64, Steele et al. 2014).
+pub fn random(a: u64, b: u64) -> u64 {
+    let mut z = a.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(b.wrapping_mul(0xd1b5_4a32_d192_ed03));
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}

@@ -13,7 +13,7 @@ use serde_json::Value;
 use super::super::args::{EngineArgs, Global};
 use super::super::error::{CliError, Diagnostic};
 use super::super::files;
-use super::child::{Cost, bytes_below, run};
+use super::child::{Cost, bytes_below, random, run};
 use crate::terminal::{eprint_line, print_line};
 
 /// Columns and rows of squares of one colour in a photo.
@@ -215,14 +215,6 @@ impl Photos {
             .map_err(|error| CliError::failed(format!("{}: {error}", path.display())))?;
         std::fs::write(&path, bytes).map_err(|error| unwritable(&path, &error))
     }
-}
-
-/// Returns a random number of a pair (SplitMix64, Steele et al. 2014).
-fn random(a: u64, b: u64) -> u64 {
-    let mut z = a.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(b.wrapping_mul(0xd1b5_4a32_d192_ed03));
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
 }
 
 fn unwritable(path: &Path, error: &std::io::Error) -> CliError {

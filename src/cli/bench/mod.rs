@@ -2,9 +2,11 @@
 
 mod child;
 mod engine;
+mod faults;
 mod items;
 mod train;
 
 pub use engine::engine;
+pub use faults::faults;
 pub use items::items;
 pub use train::train;
