@@ -29,7 +29,7 @@ use clap::{CommandFactory, Parser};
 use marf_engine::Cancel;
 
 use crate::terminal::{eprint_line, print_line};
-use args::{BenchVerb, CacheVerb, Cli, SchemaOf, Verb};
+use args::{BenchVerb, Cli, SchemaOf, Verb};
 use error::CliError;
 use output::print_json;
 
@@ -69,9 +69,7 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
             SchemaOf::Events => print_json(&crate::progress::event_schema()),
         },
         Verb::Report { out } => report::report(global, out),
-        Verb::Cache {
-            verb: CacheVerb::Stat,
-        } => cache::stat(global),
+        Verb::Cache { verb } => cache::cache(global, verb, cancel),
         Verb::Filter(args) => filter::filter(global, args, cancel),
         Verb::Photos { dir, node } => photos::photos(global, dir.as_deref(), node, cancel),
         Verb::Calibrate(args) => calibrate::calibrate(global, args, cancel),

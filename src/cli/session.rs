@@ -171,7 +171,7 @@ pub fn existing_store(global: &Global) -> Result<Store, CliError> {
 }
 
 /// `--store`, or `.marf` beside the pipeline.
-fn store_dir(global: &Global, file: &Path) -> PathBuf {
+pub fn store_dir(global: &Global, file: &Path) -> PathBuf {
     let beside = || {
         file.parent()
             .map(Path::to_path_buf)
@@ -183,13 +183,7 @@ fn store_dir(global: &Global, file: &Path) -> PathBuf {
 
 impl From<StoreError> for CliError {
     fn from(error: StoreError) -> Self {
-        let diagnostic = Diagnostic::new(error.to_string());
-        match error {
-            StoreError::Locked { .. } => {
-                Self::Locked(diagnostic.hint("wait for the other run, or give this one its own --store"))
-            }
-            _ => Self::Failed(diagnostic),
-        }
+        super::cache::open_error(error)
     }
 }
 
