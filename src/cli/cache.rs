@@ -280,7 +280,6 @@ pub fn open_error(error: StoreError) -> CliError {
         StoreError::Locked { .. } => {
             CliError::Locked(diagnostic.hint("wait for the other run, or give this one its own --store"))
         }
-        StoreError::Older { .. } | StoreError::Newer { .. } => CliError::Usage(diagnostic),
         _ => CliError::Failed(diagnostic),
     }
 }

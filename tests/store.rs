@@ -1,0 +1,173 @@
+//! The store as its users meet it: damage, collections, checks, old stores, faults.
+
+mod common;
+
+use std::path::{Path, PathBuf};
+
+use common::marf;
+
+/// Filters and cameras of the built-in Mars, in a second.
+const PIPELINE: &str = r#"name = "store"
+[archive.demo]
+kind = "demo"
+sols = "1"
+[node.extract]
+archive = "demo"
+[node.size]
+input = "extract"
+[node.blur]
+input = "size"
+[node.calibrate]
+input = "blur"
+method = "labels"
+"#;
+
+fn pipeline() -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("pipeline.toml"), PIPELINE).unwrap();
+    dir
+}
+
+/// Returns the digest of an output of a node in the last run.
+fn output(dir: &Path, node: &str, output: &str) -> String {
+    let status = marf(dir, &["status", "--json"]).exits(0);
+    let run: serde_json::Value = serde_json::from_str(&status.stdout).unwrap();
+    let nodes = run["nodes"].as_array().unwrap();
+    let found = nodes.iter().find(|one| one["name"] == node).unwrap();
+    found["outputs"][output]["digest"].as_str().unwrap().to_owned()
+}
+
+/// Flips a bit in the bytes of a blob, wherever they are stored.
+fn damage(dir: &Path, digest: &str) {
+    let loose = dir.join(".marf/cas").join(&digest[..2]).join(&digest[2..]);
+    let raw: Vec<u8> = (0..64)
+        .step_by(2)
+        .map(|at| u8::from_str_radix(&digest[at..at + 2], 16).unwrap())
+        .collect();
+    let packs = std::fs::read_dir(dir.join(".marf/packs")).unwrap();
+    let packs = packs.map(|entry| entry.unwrap().path());
+    let mut files: Vec<(PathBuf, usize)> = packs
+        .filter(|path| path.extension().is_some_and(|extension| extension == "pack"))
+        .filter_map(|path| {
+            let bytes = std::fs::read(&path).unwrap();
+            let at = bytes.windows(32).position(|window| window == raw.as_slice())?;
+            Some((path, at + 32 + 4)) // behind the digest and the length
+        })
+        .collect();
+    files.extend(loose.is_file().then_some((loose, 0)));
+    assert!(!files.is_empty(), "{digest} is nowhere");
+    for (path, at) in files {
+        let mut bytes = std::fs::read(&path).unwrap();
+        bytes[at] ^= 1;
+        std::fs::remove_file(&path).unwrap();
+        std::fs::write(&path, bytes).unwrap();
+    }
+}
+
+#[test]
+fn a_damaged_output_of_a_last_node_is_made_again_by_the_run_that_writes_it_out() {
+    let dir = pipeline();
+    marf(dir.path(), &["run"]).exits(0);
+    let scene = output(dir.path(), "calibrate", "scene");
+    damage(dir.path(), &scene);
+    std::fs::remove_dir_all(dir.path().join("out")).unwrap();
+    let ran = marf(dir.path(), &["run"]).exits(0);
+    assert!(ran.stderr.contains("it is made again"), "{}", ran.stderr);
+    assert!(dir.path().join("out/calibrate/scene.json").is_file());
+    assert_eq!(output(dir.path(), "calibrate", "scene"), scene);
+}
+
+#[test]
+fn files_of_outputs_that_nobody_touched_stay_and_those_that_somebody_did_come_back() {
+    let dir = pipeline();
+    marf(dir.path(), &["run"]).exits(0);
+    let verdicts = dir.path().join("out/blur/verdicts/sol-00001.jsonl");
+    let before = std::fs::read(&verdicts).unwrap();
+    std::fs::remove_file(&verdicts).unwrap();
+    std::fs::write(dir.path().join("out/calibrate/scene.json"), "mine").unwrap();
+    marf(dir.path(), &["run"]).exits(0);
+    assert_eq!(std::fs::read(&verdicts).unwrap(), before);
+    assert_ne!(std::fs::read(dir.path().join("out/calibrate/scene.json")).unwrap(), b"mine");
+}
+
+#[test]
+fn an_unreadable_run_stops_no_verb() {
+    let dir = pipeline();
+    marf(dir.path(), &["run"]).exits(0);
+    let runs = std::fs::read_dir(dir.path().join(".marf/runs")).unwrap();
+    for run in runs {
+        let path = run.unwrap().path();
+        std::fs::remove_file(&path).unwrap();
+        std::fs::write(&path, b"{").unwrap();
+    }
+    let planned = marf(dir.path(), &["plan"]).exits(0);
+    assert!(planned.stderr.contains("warning: run 1 "), "{}", planned.stderr);
+    for verb in ["log", "run", "status"] {
+        marf(dir.path(), &[verb]).exits(0);
+    }
+}
+
+#[test]
+fn what_no_kept_run_needs_is_collected_and_the_rest_is_whole() {
+    let dir = pipeline();
+    marf(dir.path(), &["run", "--set", "blur.min_share=0.9"]).exits(0);
+    marf(dir.path(), &["run"]).exits(0);
+    let gc = ["cache", "gc", "--keep-last", "1", "--grace", "0s"];
+    let told = marf(dir.path(), &[&gc[..], &["--dry-run"]].concat()).exits(0);
+    assert!(told.stdout.starts_with("would remove 1 runs"), "{}", told.stdout);
+    marf(dir.path(), &["cache", "pin", "paper", "1"]).exits(0);
+    let told = marf(dir.path(), &[&gc[..], &["--dry-run"]].concat()).exits(0);
+    assert!(told.stdout.starts_with("would remove 0 runs, 0 records"), "{}", told.stdout);
+    marf(dir.path(), &["cache", "unpin", "paper"]).exits(0);
+    marf(dir.path(), &gc).exits(0);
+    marf(dir.path(), &["cache", "fsck", "--read-data"]).exits(0);
+    let ran = marf(dir.path(), &["run", "--json"]).exits(0);
+    assert_eq!(ran.nodes("finished"), Vec::<String>::new());
+    let again = marf(dir.path(), &["run", "--json", "--set", "blur.min_share=0.9"]).exits(0);
+    assert!(again.nodes("finished").contains(&"blur".to_owned()), "it was collected");
+}
+
+#[test]
+fn damage_is_found_by_a_check_named_and_repaired() {
+    let dir = pipeline();
+    marf(dir.path(), &["run"]).exits(0);
+    let scene = output(dir.path(), "calibrate", "scene");
+    damage(dir.path(), &scene);
+    let found = marf(dir.path(), &["cache", "fsck", "--read-data"]).exits(1);
+    assert!(found.stdout.contains(&scene[..8]), "{}", found.stdout);
+    assert!(found.stderr.contains("--repair"), "{}", found.stderr);
+    marf(dir.path(), &["cache", "fsck", "--read-data", "--repair"]).exits(0);
+    marf(dir.path(), &["cache", "fsck"]).exits(1);
+    let ran = marf(dir.path(), &["run", "--json"]).exits(0);
+    assert_eq!(ran.nodes("finished"), ["calibrate"]);
+    marf(dir.path(), &["cache", "fsck", "--read-data"]).exits(0);
+}
+
+#[test]
+fn bad_words_for_cache_verbs_are_refused_with_what_to_write() {
+    let dir = pipeline();
+    let none = marf(dir.path(), &["cache", "stat"]).exits(1);
+    assert!(none.stderr.contains("there is no store"), "{}", none.stderr);
+    marf(dir.path(), &["run", "--to", "extract"]).exits(0);
+    for (args, words) in [
+        (&["cache", "gc", "--max-size", "big"][..], "such as 20GB"),
+        (&["cache", "gc", "--grace", "soon"], "such as 24h"),
+        (&["cache", "pin", "../x"], "letters, digits"),
+    ] {
+        let refused = marf(dir.path(), args).exits(2);
+        assert!(refused.stderr.contains(words), "{}", refused.stderr);
+    }
+    let refused = marf(dir.path(), &["cache", "pin", "x", "77"]).exits(1);
+    assert!(refused.stderr.contains("there is no run 77"), "{}", refused.stderr);
+    let refused = marf(dir.path(), &["cache", "unpin", "x"]).exits(1);
+    assert!(refused.stderr.contains("there is no pin `x`"), "{}", refused.stderr);
+}
+
+/// The programme of faults, a few rounds of each; `marf bench faults` has many.
+#[test]
+fn kills_stops_damage_and_full_disks_change_no_digest() {
+    let dir = tempfile::tempdir().unwrap();
+    let rounds = std::env::var("MARF_FAULT_ROUNDS").unwrap_or_else(|_| "4".to_owned());
+    let ran = marf(dir.path(), &["bench", "faults", "--rounds", &rounds, "--dir", "lab"]).exits(0);
+    assert_eq!(ran.events().len(), 7, "{}", ran.stdout);
+}
