@@ -1,7 +1,7 @@
 use std::path::Path;
 use std::sync::{
     Arc,
-    atomic::{AtomicBool, Ordering},
+    atomic::{AtomicU64, Ordering},
 };
 
 use marf_cache::Digest;
@@ -122,17 +122,57 @@ pub trait Memos: Sync {
 }
 
 /// A request to stop, shared between threads.
-#[derive(Debug, Clone, Default)]
-pub struct Cancel(Arc<AtomicBool>);
+#[derive(Debug, Clone)]
+pub struct Cancel(Arc<AtomicU64>);
+
+/// The request is not made, however often it is asked for.
+const NOT_REQUESTED: u64 = u64::MAX;
+
+impl Default for Cancel {
+    fn default() -> Self {
+        Self(Arc::new(AtomicU64::new(NOT_REQUESTED)))
+    }
+}
 
 impl Cancel {
+    /// Returns a request that makes itself after it was asked for so many times, for tests that stop a stage anywhere.
+    pub fn after(checks: u64) -> Self {
+        Self(Arc::new(AtomicU64::new(checks)))
+    }
+
     /// Requests a stop.
     pub fn set(&self) {
-        self.0.store(true, Ordering::Relaxed);
+        self.0.store(0, Ordering::Relaxed);
     }
 
     /// Returns whether a stop was requested.
     pub fn is_set(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
+        let left = self.0.load(Ordering::Relaxed);
+        if left == NOT_REQUESTED {
+            return false;
+        }
+        let one_less = |left: u64| left.checked_sub(1);
+        left == 0
+            || self
+                .0
+                .fetch_update(Ordering::Relaxed, Ordering::Relaxed, one_less)
+                .is_err()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_request_is_made_by_hand_or_after_a_number_of_checks_and_stays() {
+        let (never, after) = (Cancel::default(), Cancel::after(2));
+        assert!(!never.is_set());
+        assert_eq!(
+            [after.is_set(), after.is_set(), after.is_set(), after.is_set()],
+            [false, false, true, true]
+        );
+        never.clone().set();
+        assert!(never.is_set());
     }
 }
