@@ -1,4 +1,3 @@
-use marf_cache::ContentHash;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -8,7 +7,7 @@ use crate::FieldError;
 pub const MOST_HALVINGS: u32 = 6;
 
 /// What a ray gathers behind the last sample.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Background {
     /// A learnt colour by direction (16 spherical harmonics a channel): sky and horizon.
@@ -18,7 +17,7 @@ pub enum Background {
 }
 
 /// Which cells of the occupancy grid rays visit at first.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Occupied {
     /// All that some camera sees.
@@ -28,7 +27,7 @@ pub enum Occupied {
 }
 
 /// Whether every photo gets its own exposure.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Gain {
     /// One log gain a photo and channel, zero in the mean over all photos after every step.
@@ -40,7 +39,7 @@ pub enum Gain {
 }
 
 /// Whether the colour of a place depends on the direction it is seen from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ViewDependence {
     /// The colour network sees 16 spherical harmonics of the direction: gloss.
@@ -50,7 +49,7 @@ pub enum ViewDependence {
 }
 
 /// Hyper-parameters of the field and its training.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
     /// Levels of the hash grid, 1 to 16; absent: as many as keep the growth from level to level at 2 or less.

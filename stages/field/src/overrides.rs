@@ -1,6 +1,5 @@
 use std::collections::BTreeMap;
 
-use marf_cache::{ContentHash, Visitor};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -71,55 +70,9 @@ impl JsonSchema for Overrides {
     }
 }
 
-impl ContentHash for Overrides {
-    fn walk(&self, visitor: &mut dyn Visitor) {
-        walk_table(self.0.iter(), self.0.len(), visitor);
-    }
-}
-
-fn walk_table<'a>(
-    entries: impl Iterator<Item = (&'a String, &'a Value)>,
-    count: usize,
-    visitor: &mut dyn Visitor,
-) {
-    visitor.open("table", count);
-    for (key, value) in entries {
-        visitor.field(key);
-        walk_value(value, visitor);
-    }
-    visitor.close();
-}
-
-/// Walks JSON by content: a whole number is the same however it was written.
-fn walk_value(value: &Value, visitor: &mut dyn Visitor) {
-    match value {
-        Value::Null => visitor.text("null"),
-        Value::Bool(value) => visitor.truth(*value),
-        Value::String(value) => visitor.text(value),
-        Value::Number(number) => match (number.as_u64(), number.as_i64()) {
-            (Some(value), _) => visitor.unsigned(value),
-            (None, Some(value)) => visitor.signed(value),
-            // Without arbitrary precision every other number is an f64.
-            (None, None) => visitor.float(number.as_f64().unwrap_or(f64::NAN)),
-        },
-        Value::Array(values) => {
-            visitor.sequence(values.len() as u64);
-            values.iter().for_each(|value| walk_value(value, visitor));
-            visitor.close();
-        }
-        Value::Object(table) => {
-            // Sorted, whichever order the map keeps.
-            let sorted: BTreeMap<&String, &Value> = table.iter().collect();
-            let count = sorted.len();
-            walk_table(sorted.into_iter(), count, visitor);
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use marf_cache::digest_of;
     use serde_json::json;
 
     fn table(value: Value) -> Overrides {
@@ -155,24 +108,5 @@ mod tests {
     fn what_lies_above_wins() {
         let both = table(json!({"levels": 4, "cone": 0.1})).with(&table(json!({"levels": 16})));
         assert_eq!(both, table(json!({"levels": 16, "cone": 0.1})));
-    }
-
-    #[test]
-    fn every_key_and_value_is_content() {
-        let digests: Vec<_> = [
-            json!({}),
-            json!({"levels": 4}),
-            json!({"levels": 16}),
-            json!({"features": 4}),
-            json!({"levels": 4.5}),
-            json!({"levels": "4"}),
-            json!({"levels": [4]}),
-        ]
-        .into_iter()
-        .map(|keys| digest_of(&table(keys)))
-        .collect();
-        for (index, digest) in digests.iter().enumerate() {
-            assert!(!digests[..index].contains(digest), "{index}");
-        }
     }
 }

@@ -1,4 +1,3 @@
-use marf_cache::ContentHash;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -9,7 +8,7 @@ use crate::Config;
 pub const EXPECTED_STEPS_PER_S: f64 = 60.0;
 
 /// How much time a training may take for its quality; points on the measured front of both.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Quality {
     /// To see whether cameras and photos are right.

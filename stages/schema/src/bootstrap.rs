@@ -1,6 +1,5 @@
 //! `bootstrap`: B retrainings to uncertainty maps and a fly-through.
 
-use marf_cache::ContentHash;
 use marf_field::{Device, Overrides, Quality};
 use marf_stage::{Document, ParamError, Params};
 use schemars::JsonSchema;
@@ -9,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::{check_field, train::Fit};
 
 /// What differs between members.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Mode {
     /// The seed: first weights and order of rays, as in the paper.
@@ -20,7 +19,7 @@ pub enum Mode {
 }
 
 /// Where maps are made.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Viewpoints {
     /// At the photos held out, where the truth is known.
@@ -33,7 +32,7 @@ pub enum Viewpoints {
 }
 
 /// What the fly-through shows beside the mean colour.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Shown {
     /// Sample standard deviation of gray.
@@ -44,7 +43,7 @@ pub enum Shown {
 }
 
 /// Parameters of `bootstrap`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct BootstrapParams {
     /// Retrainings, at least 2. Five rank pixels well; intervals want ten.
@@ -77,7 +76,6 @@ pub struct BootstrapParams {
     pub show: Shown,
     /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
     /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
-    #[content_hash(skip)]
     pub device: Device,
 }
 

@@ -1,11 +1,10 @@
 use std::{fmt, str::FromStr};
 
-use marf_cache::ContentHash;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 
 /// A time to train for, written as `60s`, `5m`, `1.5h` or `800ms`; whole milliseconds, above zero.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ContentHash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Budget {
     milliseconds: u64,

@@ -1,12 +1,11 @@
 //! `calibrate`: photos and priors to a calibrated scene.
 
-use marf_cache::ContentHash;
 use marf_stage::{Document, ParamError, Params};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// How cameras are found, and what is done with the photos.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CalibrateParams {
     /// Where cameras come from: `sfm` (the photos themselves, labels as priors), `labels` (the archive's labels
@@ -54,7 +53,7 @@ pub struct CalibrateParams {
 }
 
 /// Where cameras come from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
     /// Structure from motion: the photos themselves, labels as priors.
@@ -68,7 +67,7 @@ pub enum Method {
 }
 
 /// Where the search for features begins.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum FirstOctaveParam {
     /// At the working size.
@@ -78,7 +77,7 @@ pub enum FirstOctaveParam {
 }
 
 /// Which photos are compared.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Pairs {
     /// All of up to 60 photos; of more, neighbours by name, those that look alike and those whose labels say so.
@@ -90,7 +89,7 @@ pub enum Pairs {
 }
 
 /// Which lens terms the cameras get.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum LensParam {
     /// The smallest model the photos support.
@@ -106,7 +105,7 @@ pub enum LensParam {
 }
 
 /// What becomes of the principal point.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum PrincipalPoint {
     /// Moves where the photos support it.
@@ -118,7 +117,7 @@ pub enum PrincipalPoint {
 }
 
 /// Which photos share a camera.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Intrinsics {
     /// Photos of one instrument, size and focal length.

@@ -1,6 +1,5 @@
 //! `evaluate`: renders of a trained field compared with photos.
 
-use marf_cache::ContentHash;
 use marf_field::Device;
 use marf_scene::Frame;
 use marf_stage::{Document, ParamError, Params};
@@ -10,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::{check_scale, scores::Scores};
 
 /// Photos that are compared with their renders.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Which {
     /// Those held out of training.
@@ -23,7 +22,7 @@ pub enum Which {
 }
 
 /// Parameters of `evaluate`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct EvaluateParams {
     /// Photos that are compared.
@@ -33,7 +32,6 @@ pub struct EvaluateParams {
     pub scale: Option<u32>,
     /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
     /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
-    #[content_hash(skip)]
     pub device: Device,
 }
 

@@ -1,13 +1,12 @@
 use std::{fmt, str::FromStr};
 
-use marf_cache::ContentHash;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 
 /// Memory that a training may take, written as `2GB` or `800MB`; whole megabytes of 10^6 bytes.
 ///
 /// A number of its own and not a share of the machine's: what is kept of the photos follows from it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ContentHash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Memory {
     megabytes: u64,

@@ -1,6 +1,5 @@
 //! `pace`: how many steps a time budget buys on this machine.
 
-use marf_cache::ContentHash;
 use marf_field::{Device, Overrides, Quality};
 use marf_stage::{Document, ParamError, Params};
 use schemars::JsonSchema;
@@ -12,7 +11,7 @@ use crate::{
 };
 
 /// Parameters of `pace`: those of `train` that decide how long a step takes.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PaceParams {
     /// Time to train for (`60s`, `5m`).
@@ -38,7 +37,6 @@ pub struct PaceParams {
     /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
     /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
     #[serde(default)]
-    #[content_hash(skip)]
     pub device: Device,
 }
 

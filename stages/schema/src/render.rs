@@ -1,6 +1,5 @@
 //! `render`: pictures of a trained field along a path.
 
-use marf_cache::ContentHash;
 use marf_field::Device;
 use marf_scene::{Camera, Pose};
 use marf_stage::{Document, ParamError, Params};
@@ -8,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Where the camera goes.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PathKind {
     /// A smooth path through training cameras that lie far apart.
@@ -23,7 +22,7 @@ pub enum PathKind {
 }
 
 /// Parameters of `render`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RenderParams {
     /// Where the camera goes.
@@ -38,7 +37,6 @@ pub struct RenderParams {
     pub depth: bool,
     /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
     /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
-    #[content_hash(skip)]
     pub device: Device,
 }
 

@@ -1,6 +1,5 @@
 //! `train`: a scene to a trained field, measured on held-out photos.
 
-use marf_cache::ContentHash;
 use marf_field::{Config, Device, Facts, Overrides, Quality};
 use marf_stage::{Document, ParamError, Params};
 use schemars::JsonSchema;
@@ -14,7 +13,7 @@ pub use crate::{
 };
 
 /// Which photos are kept away from training, to measure on.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Holdout {
     /// Those that `calibrate` holds out.
@@ -25,7 +24,7 @@ pub enum Holdout {
 }
 
 /// What decides how large the field is.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Fit {
     /// The scene and the steps.
@@ -36,7 +35,7 @@ pub enum Fit {
 }
 
 /// Short trainings that tell which parts of the field pay.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrialsParams {
     /// Steps of one trial, 0 for none; absent: none at quality `draft`, else all together a fifth of the training.
@@ -56,7 +55,7 @@ impl Default for TrialsParams {
 }
 
 /// Parameters of `train`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainParams {
     /// Steps, size of the photos and size of the field together.
@@ -90,7 +89,6 @@ pub struct TrainParams {
     pub field: Overrides,
     /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
     /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
-    #[content_hash(skip)]
     pub device: Device,
 }
 
@@ -210,7 +208,7 @@ pub struct CurvePoint {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use marf_cache::digest_of;
+    use marf_stage::key_params;
     use serde_json::json;
 
     fn params(value: serde_json::Value) -> TrainParams {
@@ -246,7 +244,7 @@ mod tests {
             params(json!({"seed": u64::from(u32::MAX)})),
         );
         assert_eq!(high.seed, u64::MAX);
-        assert_ne!(digest_of(&high), digest_of(&low));
+        assert_ne!(key_params(&high, &[]), key_params(&low, &[]));
         let text = serde_json::to_string(&high).unwrap();
         assert_eq!(serde_json::from_str::<TrainParams>(&text).unwrap(), high);
     }

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use marf_cache::{ContentHash, Visitor};
 use marf_field::{Device, Overrides, Quality};
 use marf_stage::{Document, ParamError, Params};
 use schemars::JsonSchema;
@@ -10,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 /// Parameters of `tune`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TuneParams {
     /// Parameter sets that are tried, the defaults among them.
@@ -31,7 +30,6 @@ pub struct TuneParams {
     pub space: Space,
     /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
     /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
-    #[content_hash(skip)]
     pub device: Device,
 }
 
@@ -143,29 +141,6 @@ impl Range {
             }
             Self::Int([low, high]) => (low > high).then(|| format!("`int = [{low}, {high}]` must not fall")),
             Self::Choice(values) => values.is_empty().then(|| "`choice` is empty".to_owned()),
-        }
-    }
-}
-
-impl ContentHash for Range {
-    fn walk(&self, visitor: &mut dyn Visitor) {
-        match self {
-            Self::Log(ends) => {
-                visitor.variant("log", 0);
-                ends.walk(visitor);
-            }
-            Self::Int(ends) => {
-                visitor.variant("int", 1);
-                ends.walk(visitor);
-            }
-            Self::Choice(values) => {
-                visitor.variant("choice", 2);
-                let tables = values.iter().map(|value| {
-                    let entry = ("value".to_owned(), value.clone());
-                    Overrides(BTreeMap::from([entry]))
-                });
-                tables.collect::<Vec<_>>().walk(visitor);
-            }
         }
     }
 }
