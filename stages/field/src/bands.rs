@@ -1,3 +1,5 @@
+use std::ops::Range;
+
 use marf_scene::{Camera, Pose};
 
 use crate::{Field, FieldError, Render};
@@ -5,26 +7,25 @@ use crate::{Field, FieldError, Render};
 /// Pixels of one band: a fraction of a second of work, the same on every machine.
 const BAND_PX: u32 = 1 << 16;
 
-/// Renders a photo in bands of rows and asks `keep_going` before each, so that a large one can be stopped.
+/// Renders a photo in bands of rows, so that a large one can be stopped and continued.
 ///
-/// The picture is [`Field::render`]'s, to the bit.
+/// `band` receives the rows of each band, from the top, and a function that renders them; it returns that render, or
+/// the same one from elsewhere. The picture is [`Field::render`]'s, to the bit.
 ///
 /// # Errors
-/// Whatever `keep_going` answers, and what `failed` makes of a GPU that fails.
+/// Whatever `band` returns.
 pub fn render_in_bands<E>(
     field: &Field,
     camera: &Camera,
     cam_from_world: &Pose,
-    mut keep_going: impl FnMut() -> Result<(), E>,
-    failed: impl Fn(FieldError) -> E,
+    mut band: impl FnMut(Range<u32>, &dyn Fn() -> Result<Render, FieldError>) -> Result<Render, E>,
 ) -> Result<Render, E> {
     let rows = (BAND_PX / camera.width.max(1)).max(1).next_multiple_of(8);
     let mut whole = Render::empty(camera.width, camera.height);
     for top in (0..camera.height).step_by(rows as usize) {
-        keep_going()?;
-        let band = field
-            .rows(camera, cam_from_world, top..camera.height.min(top + rows))
-            .map_err(&failed)?;
+        let rows = top..camera.height.min(top + rows);
+        let render = || field.rows(camera, cam_from_world, rows.clone());
+        let band = band(rows.clone(), &render)?;
         let first = top as usize * camera.width as usize;
         let pixels = first..first + band.rgb.len();
         whole.rgb[pixels.clone()].copy_from_slice(&band.rgb);

@@ -9,6 +9,7 @@ use marf_stage::{
 
 use crate::{
     TrainError,
+    checkpoint::identity,
     io::{read_field, read_scene},
     photos::PhotoReader,
     scoring::score_views,
@@ -65,7 +66,8 @@ impl Set for Evaluate {
         }
         let mut outputs = Outputs::new();
         let photos = PhotoReader::new(ctx, &scene, scale);
-        let scores = score_views(ctx, &field, &photos, &frames, &mut outputs)?;
+        let of = identity(self, inputs, "");
+        let scores = score_views(ctx, of, &field, &photos, &frames, &mut outputs)?;
         outputs.put(ctx, &Metrics { scores, scale })?;
         Ok(outputs)
     }

@@ -6,6 +6,7 @@
 //! budget buys on this machine. Held-out photos never reach a training step.
 
 mod bootstrap;
+mod checkpoint;
 mod child;
 mod error;
 mod evaluate;
@@ -20,6 +21,7 @@ mod settings;
 mod split;
 mod train;
 mod tune;
+mod view;
 mod views;
 
 pub use bootstrap::Bootstrap;

@@ -1,6 +1,7 @@
-use marf_field::{Render as Rendered, render_in_bands};
+use marf_cache::{Digest, digest_of};
+use marf_field::{Field, Render as Rendered};
 use marf_scene::{
-    Image, Scene, Srgb,
+    Image, Photo, Scene, Srgb,
     path::{self, Viewpoint},
     picture::{ColorScale, Palette, draw_map, round_upper_limit},
 };
@@ -14,10 +15,11 @@ use marf_stage::{
 
 use crate::{
     TrainError,
-    error::field_failed,
+    checkpoint::{Journal, identity},
     io::{put_png, put_video, read_field, read_scene},
     split::named_frames,
     stage_on_device,
+    view::{floats, render_view},
 };
 
 /// Rays with less opacity have no depth.
@@ -52,27 +54,76 @@ impl Set for Render {
         let path = viewpoints(&scene, &self.params)?;
         let mut outputs = Outputs::new();
         outputs.put(ctx, &Poses(places(&path)))?;
+        let of = identity(self, inputs, "");
+        let mut journal = Journal::new(ctx, "pictures", of);
         let (mut pictures, mut depths) = (Vec::new(), Vec::new());
         for (index, place) in path.iter().enumerate() {
             let note = format!("picture {}", place.name);
             ctx.progress.at(index as u64, path.len() as u64, &note);
-            let (camera, pose) = (&place.camera, &place.cam_from_world);
-            let render = render_in_bands(&field, camera, pose, || ctx.check(), field_failed)?;
-            let picture = render.to_image();
-            put_png(
-                ctx,
-                &mut outputs,
-                format!("{FRAMES}{:04}.png", index + 1),
-                &picture,
+            let rendered = journal.piece(
+                |bytes| PathPicture::unpack(ctx, bytes),
+                || {
+                    let of = digest_of(&(of, index as u64));
+                    let picture = PathPicture::new(ctx, of, &field, place, self.params.depth)?;
+                    let bytes = picture.pack();
+                    Ok((picture, bytes))
+                },
             )?;
+            outputs.insert(format!("{FRAMES}{:04}.png", index + 1), rendered.png);
+            pictures.push(rendered.image);
             if self.params.depth {
-                depths.push(depth_of(&render));
+                depths.push(rendered.depth);
             }
-            pictures.push(picture);
         }
+        journal.end();
         put_depths(ctx, &scene, &path, &depths, &mut outputs)?;
         put_video(ctx, &mut outputs, &same_size(&pictures), self.params.fps)?;
         Ok(outputs)
+    }
+}
+
+/// A rendered picture of the path.
+struct PathPicture {
+    image: Image<Srgb>,
+    png: Digest,
+    /// Depth along every ray, -1 where the ray met too little; empty where it is not asked for.
+    depth: Vec<f32>,
+}
+
+impl PathPicture {
+    /// Renders the picture and stores it as PNG.
+    fn new(
+        ctx: &Ctx<'_>,
+        of: Digest,
+        field: &Field,
+        place: &Viewpoint,
+        with_depth: bool,
+    ) -> Result<Self, StageError> {
+        let render = render_view(ctx, of, field, &place.camera, &place.cam_from_world)?;
+        let image = render.to_image();
+        Ok(Self {
+            png: put_png(ctx, &mut Outputs::new(), place.name.clone(), &image)?,
+            image,
+            depth: if with_depth { depth_of(&render) } else { Vec::new() },
+        })
+    }
+
+    /// Digest of the PNG, depths as f32 LE.
+    fn pack(&self) -> Vec<u8> {
+        let depth = self.depth.iter().flat_map(|depth| depth.to_le_bytes());
+        self.png.as_bytes().iter().copied().chain(depth).collect()
+    }
+
+    /// Reads what [`PathPicture::pack`] wrote; none if its PNG is not stored any more.
+    fn unpack(ctx: &Ctx<'_>, bytes: &[u8]) -> Option<Self> {
+        let (png, depth) = bytes.split_first_chunk::<32>()?;
+        let png = Digest::from_bytes(*png);
+        let image = Photo::decode(&ctx.get(&png).ok()?).ok()?.image;
+        Some(Self {
+            image,
+            png,
+            depth: floats(depth)?,
+        })
     }
 }
 
@@ -156,6 +207,7 @@ fn put_depths(
         palette: Palette::Viridis,
     };
     for (index, (depth, place)) in depths.iter().zip(path).enumerate() {
+        ctx.check()?;
         let map = draw_map(depth, place.camera.width, place.camera.height, &scale);
         put_png(ctx, outputs, format!("{DEPTH}{:04}.png", index + 1), &map)?;
     }

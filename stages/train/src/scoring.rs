@@ -1,41 +1,90 @@
-use marf_field::{Field, render_in_bands};
+use std::collections::BTreeMap;
+
+use marf_cache::{Digest, digest_of};
+use marf_field::Field;
 use marf_scene::{Image, Srgb, metrics};
 use marf_schema::{
     output::{HELDOUT, PHOTO},
     scores::{PhotoScores, Scores},
 };
 use marf_stage::{Ctx, Outputs, StageError};
+use serde::{Deserialize, Serialize};
 
 use crate::{
     TrainError,
+    checkpoint::Journal,
     error::field_failed,
     io::put_png,
     photos::{PhotoReader, ScaledPhoto},
     split::NamedFrame,
+    view::render_view,
 };
+
+/// A photo that was compared, as a journal keeps it.
+#[derive(Serialize, Deserialize)]
+struct Judged {
+    scores: PhotoScores,
+    /// Render and photo, by the names of the outputs.
+    pictures: BTreeMap<String, Digest>,
+}
 
 /// Renders the view of every photo, compares it with the photo and stores both pictures; one photo at a time is in
 /// memory.
+///
+/// Photos that an unfinished run has compared are not rendered again; `of` stands for the node and its field.
 pub(crate) fn score_views(
     ctx: &Ctx<'_>,
+    of: Digest,
     field: &Field,
     photos: &PhotoReader<'_>,
     frames: &[NamedFrame<'_>],
     outputs: &mut Outputs,
 ) -> Result<Scores, StageError> {
+    let mut journal = Journal::new(ctx, "judging", of);
     let mut views = Vec::with_capacity(frames.len());
-    for named in frames {
-        let photo = &photos.read(named.frame)?;
-        let render = render(ctx, field, named, photo)?;
-        views.push(compare(named, &render, &photo.image)?);
-        let name = &named.name;
-        put_png(ctx, outputs, format!("{HELDOUT}{name}.png"), &render)?;
-        put_png(ctx, outputs, format!("{PHOTO}{name}.png"), &photo.image)?;
+    for (index, named) in frames.iter().enumerate() {
+        let note = format!("judging {}", named.name);
+        ctx.progress.at(index as u64, frames.len() as u64, &note);
+        let judged = journal.piece(
+            |bytes| known(ctx, bytes),
+            || {
+                let judged = judge(ctx, digest_of(&(of, &named.name)), field, photos, named)?;
+                let bytes = serde_json::to_vec(&judged);
+                Ok((judged, bytes.map_err(|error| StageError::new(error.to_string()))?))
+            },
+        )?;
+        outputs.extend(judged.pictures);
+        views.push(judged.scores);
     }
     Ok(means(views))
 }
 
-/// Returns the mean PSNR over photos, dB; nothing is stored.
+/// Reads a photo that was compared, if its pictures are still stored.
+fn known(ctx: &Ctx<'_>, bytes: &[u8]) -> Option<Judged> {
+    let judged: Judged = serde_json::from_slice(bytes).ok()?;
+    let stored = judged.pictures.values().all(|digest| ctx.blobs.contains(digest));
+    stored.then_some(judged)
+}
+
+/// Compares one photo with the render of its view.
+fn judge(
+    ctx: &Ctx<'_>,
+    of: Digest,
+    field: &Field,
+    photos: &PhotoReader<'_>,
+    named: &NamedFrame<'_>,
+) -> Result<Judged, StageError> {
+    let photo = &photos.read(named.frame)?;
+    let pose = &named.frame.cam_from_world;
+    let render = render_view(ctx, of, field, &photo.camera, pose)?.to_image();
+    let scores = compare(named, &render, &photo.image)?;
+    let (name, mut pictures) = (&named.name, BTreeMap::new());
+    put_png(ctx, &mut pictures, format!("{HELDOUT}{name}.png"), &render)?;
+    put_png(ctx, &mut pictures, format!("{PHOTO}{name}.png"), &photo.image)?;
+    Ok(Judged { scores, pictures })
+}
+
+/// Returns the mean PSNR over small photos, dB; nothing is stored.
 pub(crate) fn mean_psnr(
     ctx: &Ctx<'_>,
     field: &Field,
@@ -43,22 +92,12 @@ pub(crate) fn mean_psnr(
 ) -> Result<f64, StageError> {
     let mut sum = 0.0;
     for (named, photo) in probes {
-        let render = render(ctx, field, named, photo)?;
-        sum += compare(named, &render, &photo.image)?.psnr;
+        ctx.check()?;
+        let render = field.render(&photo.camera, &named.frame.cam_from_world);
+        let picture = render.map_err(field_failed)?.to_image();
+        sum += compare(named, &picture, &photo.image)?.psnr;
     }
     Ok(sum / probes.len().max(1) as f64)
-}
-
-/// Renders the view of a photo.
-fn render(
-    ctx: &Ctx<'_>,
-    field: &Field,
-    named: &NamedFrame<'_>,
-    photo: &ScaledPhoto,
-) -> Result<Image<Srgb>, StageError> {
-    let pose = &named.frame.cam_from_world;
-    let render = render_in_bands(field, &photo.camera, pose, || ctx.check(), field_failed)?;
-    Ok(render.to_image())
 }
 
 /// Returns the scores of a render against its photo.

@@ -7,12 +7,10 @@
 
 mod common;
 
-use std::sync::atomic::{AtomicU64, Ordering};
-
 use common::{inputs, json, put_scene, run, scene, small, stage};
 use marf_cache::Digest;
 use marf_scene::Photo;
-use marf_stage::{Cancel, Checkpoints, Ctx, Define, Outputs, Progress, StageError, Work, harness::Harness};
+use marf_stage::{Define, Outputs, StageError, Work, harness::Harness};
 use marf_train::{Evaluate, Pace, Render, Train};
 use serde_json::{Value, json};
 
@@ -60,76 +58,10 @@ fn training_learns_the_floor_and_tells_what_it_did() {
 
 #[test]
 fn one_seed_gives_one_field_and_another_seed_another() {
-    let harness = Harness::default();
-    let weights = |seed: u64| trained(&harness, json!({ "seed": seed }))["weights"];
+    let weights = |seed: u64| trained(&Harness::default(), json!({ "seed": seed }))["weights"];
     assert_eq!(weights(0), weights(0));
     assert_ne!(weights(0), weights(1));
     assert_ne!(weights(0), weights(1 << 32), "the upper half of the seed counts");
-}
-
-/// Stops after some steps, with a checkpoint kept at the last one.
-struct Killed<'a> {
-    harness: &'a Harness,
-    steps_left: AtomicU64,
-    cancel: &'a Cancel,
-}
-
-impl Progress for Killed<'_> {
-    fn at(&self, _done: u64, _total: u64, _note: &str) {
-        if self.steps_left.fetch_sub(1, Ordering::Relaxed) == 1 {
-            self.cancel.set();
-        }
-    }
-}
-
-impl Checkpoints for Killed<'_> {
-    fn load(&self) -> Option<Vec<u8>> {
-        Checkpoints::load(self.harness)
-    }
-    fn save(&self, state: &[u8]) {
-        Checkpoints::save(self.harness, state);
-    }
-}
-
-#[test]
-fn a_training_that_was_stopped_goes_on_to_the_same_bytes() {
-    let whole = Harness::default();
-    let expected = trained(&whole, json!({"steps": 64}));
-
-    let harness = Harness::default();
-    let scene = inputs(&[("scene", put_scene(&harness, &scene(&harness, 12)))]);
-    let train: Train = stage(table(&json!({"steps": 64})));
-    let cancel = Cancel::default();
-    let killed = Killed {
-        harness: &harness,
-        steps_left: AtomicU64::new(1),
-        cancel: &cancel,
-    };
-    let ctx = Ctx {
-        blobs: &harness,
-        cancel: &cancel,
-        progress: &killed,
-        checkpoints: &killed,
-        memos: &harness,
-        scratch: &harness.scratch,
-        threads: 1,
-    };
-    let stopped = run(&train, &ctx, &scene);
-    assert!(matches!(stopped, Err(StageError::Cancelled)), "{stopped:?}");
-    assert!(
-        Checkpoints::load(&harness).is_some(),
-        "a stop keeps what was done"
-    );
-    let resumed = run(&train, &harness.ctx(), &scene).unwrap();
-    assert_eq!(resumed, expected);
-}
-
-#[test]
-fn a_damaged_checkpoint_costs_only_time() {
-    let expected = trained(&Harness::default(), json!({}));
-    let harness = Harness::default();
-    Checkpoints::save(&harness, b"\x05\0\0\0\0\0\0\0{}xyz");
-    assert_eq!(trained(&harness, json!({})), expected);
 }
 
 #[test]
@@ -225,7 +157,10 @@ fn parts_are_tried_on_training_photos_and_the_decisions_stand_in_metrics_and_hea
     }
     let header = marf_field::Field::decode(&harness.get(&outputs["weights"]).unwrap()).unwrap();
     assert_eq!(json!(header.facts().trials), metrics["field"]["trials"]);
-    let again = trained(&harness, json!({"field": field, "trials": {"steps": 12}}));
+    let again = trained(
+        &Harness::default(),
+        json!({"field": field, "trials": {"steps": 12}}),
+    );
     assert_eq!(again, outputs, "trials are deterministic");
     // Whatever the held-out photos show, the decisions stay.
     let mut other = scene(&harness, 12);

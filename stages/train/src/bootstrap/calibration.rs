@@ -143,13 +143,13 @@ fn conformal_score(photos: &[PixelErrors<'_>], outside: f64) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::maps::{maps, tests::example};
+    use super::super::maps::tests::{example, maps_of};
     use super::*;
 
     const TRUTH: [f32; 4] = [0.50, 0.30, 0.72, 0.60];
 
     fn example_error() -> (Vec<f32>, Vec<f32>) {
-        let maps = maps(&example());
+        let maps = maps_of(&example());
         let error = maps
             .gray
             .iter()

@@ -1,4 +1,7 @@
 use marf_field::Render;
+use marf_stage::{Ctx, StageError};
+
+use crate::view::floats;
 
 /// Spread of the members at one viewpoint, all `[height * width]`, rows from the top.
 ///
@@ -57,7 +60,10 @@ pub(crate) fn moments(values: &mut [f64]) -> Moments {
 /// Returns the spread of the members' renders of one viewpoint, which have one size.
 ///
 /// Extremes: one member has spread 0 everywhere, which says nothing; the stage refuses B = 1.
-pub(crate) fn maps(renders: &[Render]) -> Maps {
+///
+/// # Errors
+/// A request to stop.
+pub(crate) fn maps(ctx: &Ctx<'_>, renders: &[Render]) -> Result<Maps, StageError> {
     let (width, height) = renders
         .first()
         .map_or((0, 0), |render| (render.width, render.height));
@@ -65,6 +71,9 @@ pub(crate) fn maps(renders: &[Render]) -> Maps {
     let mut maps = Maps::with_capacity(width, height, count);
     let mut values = vec![0.0; renders.len()];
     for pixel in 0..count {
+        if pixel % width as usize == 0 {
+            ctx.check()?;
+        }
         let mut of = |value: &dyn Fn(&Render) -> f64| {
             for (slot, render) in values.iter_mut().zip(renders) {
                 *slot = value(render);
@@ -77,7 +86,7 @@ pub(crate) fn maps(renders: &[Render]) -> Maps {
         let depth = of(&|render| f64::from(render.depth[pixel]));
         maps.push(&channels, &gray, opacity, &depth);
     }
-    maps
+    Ok(maps)
 }
 
 /// Returns (R + G + B) / 3.
@@ -86,6 +95,52 @@ pub(crate) fn gray(rgb: &[f32; 3]) -> f64 {
 }
 
 impl Maps {
+    /// Number of values a pixel.
+    const VALUES: usize = 12;
+
+    /// All values as f32 LE, map by map in the order of the fields.
+    pub fn pack(&self) -> Vec<u8> {
+        let maps = [
+            self.mean.as_flattened(),
+            &self.gray,
+            &self.std,
+            &self.std_paper,
+            self.rgb_std.as_flattened(),
+            &self.opacity_term,
+            &self.total,
+            &self.depth_std,
+        ];
+        let values = maps.into_iter().flatten();
+        values.flat_map(|value| value.to_le_bytes()).collect()
+    }
+
+    /// Reads what [`Maps::pack`] wrote of a viewpoint of that width and height; none if it is anything else.
+    pub fn unpack(bytes: &[u8], (width, height): (u32, u32)) -> Option<Self> {
+        let values = floats(bytes)?;
+        let count = width as usize * height as usize;
+        if values.len() != Self::VALUES * count {
+            return None;
+        }
+        let mut rest = values.as_slice();
+        let mut take = |numbers: usize| {
+            let (taken, after) = rest.split_at(numbers * count);
+            rest = after;
+            taken
+        };
+        Some(Self {
+            width,
+            height,
+            mean: take(3).as_chunks::<3>().0.to_vec(),
+            gray: take(1).to_vec(),
+            std: take(1).to_vec(),
+            std_paper: take(1).to_vec(),
+            rgb_std: take(3).as_chunks::<3>().0.to_vec(),
+            opacity_term: take(1).to_vec(),
+            total: take(1).to_vec(),
+            depth_std: take(1).to_vec(),
+        })
+    }
+
     fn with_capacity(width: u32, height: u32, count: usize) -> Self {
         Self {
             width,
@@ -144,6 +199,20 @@ pub(crate) mod tests {
         (0..4).map(render).collect()
     }
 
+    pub(crate) fn maps_of(renders: &[Render]) -> Maps {
+        maps(&marf_stage::harness::Harness::default().ctx(), renders).unwrap()
+    }
+
+    #[test]
+    fn maps_come_back_to_the_bit_and_those_of_another_size_do_not() {
+        let maps = maps_of(&example());
+        let bytes = maps.pack();
+        assert_eq!(Maps::unpack(&bytes, (4, 1)), Some(maps));
+        for (bytes, size) in [(&bytes[..], (5, 1)), (&bytes[1..], (4, 1)), (&bytes[..0], (4, 1))] {
+            assert_eq!(Maps::unpack(bytes, size), None, "{size:?}");
+        }
+    }
+
     /// Asserts six decimals, as the example is printed; f32 renders leave 1e-7.
     pub(crate) fn close(found: impl Into<f64>, expected: f64, what: &str) {
         let found = found.into();
@@ -152,7 +221,7 @@ pub(crate) mod tests {
 
     #[test]
     fn the_worked_example_comes_out_digit_for_digit() {
-        let maps = maps(&example());
+        let maps = maps_of(&example());
         let rows: [(&str, &[f32], [f64; 4]); 5] = [
             ("mean", &maps.gray, [0.50, 0.20, 0.80, 0.41]),
             (
@@ -187,7 +256,7 @@ pub(crate) mod tests {
         for render in &mut renders {
             render.rgb[0][2] = 0.7;
         }
-        let maps = maps(&renders);
+        let maps = maps_of(&renders);
         close(maps.depth_std[0], (5.0_f64 / 3.0).sqrt(), "depth 2 3 4 5");
         assert_eq!(maps.depth_std[3], -1.0);
         assert_eq!(maps.rgb_std[0][2], 0.0);
@@ -198,16 +267,16 @@ pub(crate) mod tests {
     fn the_order_of_the_members_does_not_matter_to_the_last_bit() {
         let mut renders = example();
         renders[1].rgb[2] = [0.1, 0.7, 0.3];
-        let before = maps(&renders);
+        let before = maps_of(&renders);
         renders.rotate_left(1);
         renders.swap(0, 2);
-        assert_eq!(maps(&renders), before);
+        assert_eq!(maps_of(&renders), before);
     }
 
     #[test]
     fn equal_members_have_no_spread() {
         let renders = vec![example().remove(0); 3];
-        let maps = maps(&renders);
+        let maps = maps_of(&renders);
         for (map, pixel) in [&maps.std, &maps.std_paper, &maps.depth_std].iter().zip(0..) {
             assert!(map[..3].iter().all(|std| *std < 1e-7), "{pixel}: {map:?}");
         }

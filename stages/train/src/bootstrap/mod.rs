@@ -10,17 +10,19 @@ mod reduce;
 mod report;
 mod sparsification;
 
+use marf_cache::Digest;
 use marf_schema::{
     bootstrap::{BootstrapParams, Metrics, Mode},
-    output::{FLYTHROUGH, MAPS, SCENE, VIDEO},
+    output::{FLYTHROUGH, MAPS, SCENE, VIDEO, WEIGHTS},
     train::{TrainParams, TrialsParams},
     tune::BestParams,
 };
 use marf_stage::{
-    Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, ParamError, Params, Port, StageError,
+    ChildStage, Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, ParamError, Params, Port,
+    StageError,
 };
 
-use crate::stage_on_device;
+use crate::{checkpoint::identity, child::child_stage, stage_on_device};
 use reduce::reduce;
 
 /// Trains B fields that differ in seed or photos, and maps where they disagree.
@@ -49,22 +51,32 @@ impl Define for Bootstrap {
 stage_on_device!(Bootstrap, Expand);
 
 impl Expand for Bootstrap {
+    fn children(&self) -> Vec<ChildStage> {
+        vec![child_stage(&member(&self.params, 0))]
+    }
+
     fn expand(&self, _ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
         (0..self.params.b)
-            .map(|index| member(&self.params, index, inputs))
+            .map(|index| {
+                let train = member(&self.params, index);
+                NodeSpec::of(format!("member-{index:02}"), &train, inputs)
+            })
             .collect()
     }
 
     fn reduce(&self, ctx: &Ctx<'_>, inputs: &Inputs, children: &[Outputs]) -> Result<Outputs, StageError> {
-        reduce(ctx, &self.params, inputs, children)
+        let weights = children.iter().filter_map(|outputs| outputs.get(WEIGHTS));
+        let weights: Vec<String> = weights.map(Digest::to_string).collect();
+        let of = identity(self, inputs, &weights.join(" "));
+        reduce(ctx, of, &self.params, inputs, children)
     }
 }
 
 /// Returns the training of member `index`: its seed, and in mode `photos` its draw of photos, is `seed + index`,
 /// wrapping.
-fn member(params: &BootstrapParams, index: u32, inputs: &Inputs) -> Result<NodeSpec, StageError> {
+fn member(params: &BootstrapParams, index: u32) -> TrainParams {
     let seed = params.seed.wrapping_add(u64::from(index));
-    let train = TrainParams {
+    TrainParams {
         quality: params.quality,
         steps: params.steps,
         seed,
@@ -78,14 +90,12 @@ fn member(params: &BootstrapParams, index: u32, inputs: &Inputs) -> Result<NodeS
         field: params.field.clone(),
         device: params.device.clone(),
         ..TrainParams::default()
-    };
-    NodeSpec::of(format!("member-{index:02}"), &train, inputs)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use marf_cache::digest_of;
     use marf_stage::harness::Harness;
     use serde_json::json;
 
@@ -135,7 +145,7 @@ mod tests {
             let written: TrainParams = serde_json::from_value(written).unwrap();
             let node = asked(table).swap_remove(1);
             let bound: TrainParams = serde_json::from_value(node.params).unwrap();
-            assert_eq!((digest_of(&bound), &bound), (digest_of(&written), &written));
+            assert_eq!(bound, written);
         }
     }
 }

@@ -1,5 +1,5 @@
-use marf_cache::Digest;
-use marf_field::{Device, Field, Render, render_in_bands};
+use marf_cache::{Digest, digest_of};
+use marf_field::{Device, Field, Render};
 use marf_scene::{
     Camera, Image, Photo, Scene, Srgb,
     metrics::psnr,
@@ -20,9 +20,11 @@ use super::{
 };
 use crate::{
     TrainError,
+    checkpoint::Journal,
     child::Child,
     error::field_failed,
     io::{put_png, put_video, read_scene},
+    view::{self, render_view},
 };
 
 /// A viewpoint of maps, and its photo where one was held out.
@@ -34,7 +36,10 @@ struct MapView {
 /// Renders the fields of all members and reports progress.
 struct MemberRenderer<'a> {
     ctx: &'a Ctx<'a>,
+    /// What is reduced.
+    of: Digest,
     fields: Vec<Field>,
+    /// Viewpoints that are done.
     done: u64,
     total: u64,
 }
@@ -42,6 +47,7 @@ struct MemberRenderer<'a> {
 /// Renders every member at every viewpoint and along the fly-through, and writes maps and figures.
 pub(crate) fn reduce(
     ctx: &Ctx<'_>,
+    of: Digest,
     params: &BootstrapParams,
     inputs: &Inputs,
     children: &[Outputs],
@@ -59,9 +65,10 @@ pub(crate) fn reduce(
     let map_views = map_views(ctx, params, &scene, scale, &children)?;
     let flythrough = path::flythrough(&scene, params.frames, params.width);
     let fields = fields(ctx, &children, &params.device)?;
-    let total = ((map_views.len() + flythrough.len()) * fields.len()) as u64;
+    let total = (map_views.len() + flythrough.len()) as u64;
     let mut renderer = MemberRenderer {
         ctx,
+        of,
         fields,
         done: 0,
         total,
@@ -69,8 +76,18 @@ pub(crate) fn reduce(
 
     let mut outputs = Outputs::new();
     let mut views = Vec::with_capacity(map_views.len());
+    let mut journal = Journal::new(ctx, "maps", of);
     for view in &map_views {
-        let maps = maps(&renderer.render(&view.place)?);
+        let size = (view.place.camera.width, view.place.camera.height);
+        let maps = journal.piece(
+            |bytes| Maps::unpack(bytes, size),
+            || {
+                let maps = maps(ctx, &renderer.render(&view.place)?)?;
+                let bytes = maps.pack();
+                Ok((maps, bytes))
+            },
+        )?;
+        renderer.passed(&view.place);
         let name = view.place.name.clone();
         if let Some((digest, _)) = &view.photo {
             outputs.insert(format!("{MAPS}{name}-photo.png"), *digest);
@@ -81,11 +98,10 @@ pub(crate) fn reduce(
             maps,
         });
     }
+    journal.end();
     let scales = Scales::of(&views, scene.metres_per_unit);
-    for view in &views {
-        put_view(ctx, view, &scales, scene.metres_per_unit, &mut outputs)?;
-    }
-    outputs.put(ctx, &report(params.b, params.mode, members, &views))?;
+    put_views(ctx, of, &views, &scales, scene.metres_per_unit, &mut outputs)?;
+    outputs.put(ctx, &report(ctx, params.b, params.mode, members, &views)?)?;
     drop(views);
     render_flythrough(params, &flythrough, &scales, &mut renderer, &mut outputs)?;
     Ok(outputs)
@@ -94,21 +110,28 @@ pub(crate) fn reduce(
 impl MemberRenderer<'_> {
     /// Returns the render of every member at one viewpoint.
     fn render(&mut self, place: &Viewpoint) -> Result<Vec<Render>, StageError> {
-        let mut renders = Vec::with_capacity(self.fields.len());
-        for field in &self.fields {
-            let note = format!("render {}", place.name);
-            self.ctx.progress.at(self.done, self.total, &note);
-            let (camera, pose) = (&place.camera, &place.cam_from_world);
-            renders.push(render_in_bands(
-                field,
-                camera,
-                pose,
-                || self.ctx.check(),
-                field_failed,
-            )?);
-            self.done += 1;
-        }
-        Ok(renders)
+        let of = digest_of(&(self.of, self.done));
+        let mut journal = Journal::new(self.ctx, "members", of);
+        let (camera, pose) = (&place.camera, &place.cam_from_world);
+        let members = (0_u64..).zip(&self.fields).map(|(member, field)| {
+            journal.piece(
+                |bytes| view::unpack(bytes, camera.width, camera.height),
+                || {
+                    let of = digest_of(&(of, member));
+                    let render = render_view(self.ctx, of, field, camera, pose)?;
+                    let bytes = view::pack(&render);
+                    Ok((render, bytes))
+                },
+            )
+        });
+        members.collect()
+    }
+
+    /// Reports that a viewpoint is done.
+    fn passed(&mut self, place: &Viewpoint) {
+        self.done += 1;
+        let note = format!("render {}", place.name);
+        self.ctx.progress.at(self.done, self.total, &note);
     }
 }
 
@@ -120,15 +143,61 @@ fn render_flythrough(
     renderer: &mut MemberRenderer<'_>,
     outputs: &mut Outputs,
 ) -> Result<(), StageError> {
+    let ctx = renderer.ctx;
+    let mut journal = Journal::new(ctx, "flythrough", renderer.of);
     let mut pictures = Vec::with_capacity(flythrough.len());
     for place in flythrough {
-        let maps = maps(&renderer.render(place)?);
-        let picture = flythrough_picture(&maps, scales, params.show);
-        let name = format!("{FLYTHROUGH}{}.png", place.name);
-        put_png(renderer.ctx, outputs, name, &picture)?;
+        let (digest, picture) = journal.piece(
+            |bytes| known_picture(ctx, bytes),
+            || {
+                let maps = maps(ctx, &renderer.render(place)?)?;
+                let picture = flythrough_picture(&maps, scales, params.show);
+                let digest = put_png(ctx, &mut Outputs::new(), place.name.clone(), &picture)?;
+                Ok(((digest, picture), digest.as_bytes().to_vec()))
+            },
+        )?;
+        renderer.passed(place);
+        outputs.insert(format!("{FLYTHROUGH}{}.png", place.name), digest);
         pictures.push(picture);
     }
-    put_video(renderer.ctx, outputs, &pictures, params.fps)
+    put_video(ctx, outputs, &pictures, params.fps)
+}
+
+/// Returns a picture by the bytes of its digest, if it is still stored.
+fn known_picture(ctx: &Ctx<'_>, bytes: &[u8]) -> Option<(Digest, Image<Srgb>)> {
+    let digest = Digest::from_bytes(bytes.try_into().ok()?);
+    let picture = Photo::decode(&ctx.get(&digest).ok()?).ok()?.image;
+    Some((digest, picture))
+}
+
+/// Draws and stores the maps of every viewpoint.
+fn put_views(
+    ctx: &Ctx<'_>,
+    of: Digest,
+    views: &[ViewMaps],
+    scales: &Scales,
+    metres_per_unit: Option<f64>,
+    outputs: &mut Outputs,
+) -> Result<(), StageError> {
+    let mut journal = Journal::new(ctx, "drawings", of);
+    for view in views {
+        let of_view = journal.piece(
+            |bytes| {
+                let stored: Outputs = serde_json::from_slice(bytes).ok()?;
+                let whole = stored.values().all(|digest| ctx.blobs.contains(digest));
+                whole.then_some(stored)
+            },
+            || {
+                let mut stored = Outputs::new();
+                put_view(ctx, view, scales, metres_per_unit, &mut stored)?;
+                let bytes = serde_json::to_vec(&stored);
+                Ok((stored, bytes.map_err(|error| StageError::new(error.to_string()))?))
+            },
+        )?;
+        outputs.extend(of_view);
+    }
+    journal.end();
+    Ok(())
 }
 
 /// Returns what the report says of every member.

@@ -1,4 +1,5 @@
 use marf_schema::bootstrap::{Coverage, HeldOut, Member, Metrics, Mode, PhotoReport, ViewReport};
+use marf_stage::{Ctx, StageError};
 
 use super::{
     calibration::{PixelErrors, calibrate, coverage, mean, nll},
@@ -31,14 +32,28 @@ const NOMINAL: Coverage = Coverage {
 };
 
 /// Returns the metrics of a bootstrap.
-pub(crate) fn report(b: u32, mode: Mode, members: Vec<Member>, views: &[ViewMaps]) -> Metrics {
+///
+/// # Errors
+/// A request to stop.
+pub(crate) fn report(
+    ctx: &Ctx<'_>,
+    b: u32,
+    mode: Mode,
+    members: Vec<Member>,
+    views: &[ViewMaps],
+) -> Result<Metrics, StageError> {
     let all = |map: fn(&Maps) -> &[f32]| mean(views.iter().flat_map(|view| map(&view.maps)).copied());
     let channel = |channel: usize| {
         let pixels = views.iter().flat_map(|view| &view.maps.rgb_std);
         mean(pixels.map(|rgb| rgb[channel]))
     };
     let (depth_std, unseen_share) = depth(views.iter().flat_map(|view| &view.maps.depth_std));
-    Metrics {
+    let reports = views.iter().map(|view| {
+        ctx.check()?;
+        Ok(view_report(view))
+    });
+    let reports = reports.collect::<Result<Vec<ViewReport>, StageError>>()?;
+    Ok(Metrics {
         b,
         mode,
         std: all(|maps| &maps.std),
@@ -48,10 +63,10 @@ pub(crate) fn report(b: u32, mode: Mode, members: Vec<Member>, views: &[ViewMaps
         total_sd: all(|maps| &maps.total),
         depth_std,
         unseen_share,
-        heldout: held_out(views, &members),
+        heldout: held_out(views, &reports, &members),
         members,
-        views: views.iter().map(view_report).collect(),
-    }
+        views: reports,
+    })
 }
 
 /// Returns the figures of one viewpoint.
@@ -87,8 +102,8 @@ fn photo_report(maps: &Maps, truth: &GroundTruth) -> PhotoReport {
 }
 
 /// Returns the figures over all held-out photos; `None` where there are none.
-fn held_out(views: &[ViewMaps], members: &[Member]) -> Option<HeldOut> {
-    let photos: Vec<PhotoReport> = views.iter().filter_map(|view| view_report(view).photo).collect();
+fn held_out(views: &[ViewMaps], reports: &[ViewReport], members: &[Member]) -> Option<HeldOut> {
+    let photos: Vec<&PhotoReport> = reports.iter().filter_map(|view| view.photo.as_ref()).collect();
     let errors: Vec<PixelErrors<'_>> = views
         .iter()
         .filter_map(|view| {
@@ -102,7 +117,7 @@ fn held_out(views: &[ViewMaps], members: &[Member]) -> Option<HeldOut> {
     if photos.is_empty() {
         return None;
     }
-    let mean_of = |value: fn(&PhotoReport) -> f64| mean(photos.iter().map(value));
+    let mean_of = |value: fn(&PhotoReport) -> f64| mean(photos.iter().map(|photo| value(photo)));
     let mut ranks: Vec<f64> = photos.iter().map(|photo| photo.spearman).collect();
     ranks.sort_unstable_by(f64::total_cmp);
     Some(HeldOut {
@@ -137,7 +152,7 @@ fn depth<'a>(map: impl Iterator<Item = &'a f32> + Clone) -> (Option<f64>, f64) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::maps::{maps, tests::example};
+    use super::super::maps::tests::{example, maps_of};
     use super::*;
 
     fn member(seed: u64) -> Member {
@@ -149,14 +164,19 @@ mod tests {
         }
     }
 
+    fn report_of(mode: Mode, members: Vec<Member>, views: &[ViewMaps]) -> Metrics {
+        let harness = marf_stage::harness::Harness::default();
+        report(&harness.ctx(), 4, mode, members, views).unwrap()
+    }
+
     #[test]
     fn a_report_without_photos_has_spreads_and_nothing_more() {
         let view = ViewMaps {
             name: "0001".into(),
-            maps: maps(&example()),
+            maps: maps_of(&example()),
             truth: None,
         };
-        let report = report(4, Mode::Seeds, vec![member(0), member(1)], &[view]);
+        let report = report_of(Mode::Seeds, vec![member(0), member(1)], &[view]);
         assert_eq!(report.heldout, None);
         assert!(
             (report.std_paper - 0.027_311).abs() < 6e-7,
@@ -176,12 +196,12 @@ mod tests {
             };
             ViewMaps {
                 name: format!("{index}"),
-                maps: maps(&example()),
+                maps: maps_of(&example()),
                 truth: Some(truth),
             }
         };
         let views: Vec<ViewMaps> = (0..4).map(view).collect();
-        let found = report(4, Mode::Seeds, vec![member(0), member(2)], &views)
+        let found = report_of(Mode::Seeds, vec![member(0), member(2)], &views)
             .heldout
             .unwrap();
         assert!((found.mean.spearman - 0.4).abs() < 1e-12);
@@ -194,7 +214,7 @@ mod tests {
         );
         let calibration = found.calibration.unwrap();
         assert!((calibration.t - 4.9562).abs() < 1e-4, "{calibration:?}");
-        let three = report(4, Mode::Seeds, vec![], &views[..3]).heldout.unwrap();
+        let three = report_of(Mode::Seeds, vec![], &views[..3]).heldout.unwrap();
         assert_eq!(three.calibration, None);
     }
 }

@@ -1,7 +1,9 @@
 mod training_loop;
 mod trials;
 
-use marf_cache::ContentHash;
+use marf_cache::Digest;
+use marf_field::{Config, Device, Field, Overrides};
+use marf_scene::Scene;
 use marf_schema::{
     output::{HELDOUT, PHOTO, SCENE, WEIGHTS},
     pace::{PaceParams, Steps},
@@ -9,22 +11,22 @@ use marf_schema::{
     tune::BestParams,
 };
 use marf_stage::{
-    Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, ParamError, Params, Port, Set, Stage,
-    StageError, Threads, TypedOutputs, Work,
+    ChildStage, Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, ParamError, Params, Port, Set,
+    Stage, StageError, Threads, TypedOutputs, Work,
 };
 
 use crate::{
-    child::Child,
+    checkpoint::{self, identity},
+    child::{Child, child_stage},
     io::read_scene,
-    memory::plan_memory,
+    memory::{MemoryPlan, plan_memory},
     photos::PhotoReader,
     scoring::score_views,
     settings::{field_config, field_keys, scale_to},
     split::{Split, draws, split},
     views::{new_trainer, training_views},
 };
-use training_loop::{TrainedField, curve_photos, train_to};
-use trials::TrialRequest;
+use training_loop::{Run, TrainedField, TrainingLog, curve_photos, pack, train_to, unpack};
 
 /// Trains a field on a scene and measures it on the photos held out.
 ///
@@ -78,11 +80,16 @@ impl Stage for Train {
 impl Set for Train {
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
         let steps = self.params.steps.unwrap_or(self.params.quality.steps());
-        train(ctx, inputs, &self.params, steps)
+        train(ctx, self, inputs, steps)
     }
 }
 
 impl Expand for Train {
+    fn children(&self) -> Vec<ChildStage> {
+        let pace = PaceParams::of(&self.params);
+        pace.iter().map(child_stage).collect()
+    }
+
     fn expand(&self, _ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
         let Some(pace) = PaceParams::of(&self.params) else {
             return Ok(Vec::new());
@@ -97,12 +104,36 @@ impl Expand for Train {
         let name = PaceParams::STAGE.to_owned();
         let Steps(steps) = Child { name, outputs }.read(ctx)?;
         let steps = trials::steps_after_trials(&self.params, steps);
-        train(ctx, inputs, &self.params, steps)
+        train(ctx, self, inputs, steps)
     }
 }
 
+/// What is known of a training before its first step.
+struct Plan<'a> {
+    scene: &'a Scene,
+    split: &'a Split<'a>,
+    /// How often each training photo is used.
+    times: &'a [usize],
+    scale: u32,
+    memory: MemoryPlan,
+    keys: &'a Overrides,
+    /// The field before trials change it.
+    config: Config,
+    steps: u64,
+    /// What its checkpoints are of.
+    of: Digest,
+}
+
+/// A field that is trained, with what the metrics tell of its training.
+struct Trained {
+    field: Field,
+    config: Config,
+    log: TrainingLog,
+}
+
 /// Trains for `steps`, measures the field on the photos held out and stores everything.
-fn train(ctx: &Ctx<'_>, inputs: &Inputs, params: &TrainParams, steps: u64) -> Result<Outputs, StageError> {
+fn train(ctx: &Ctx<'_>, stage: &Train, inputs: &Inputs, steps: u64) -> Result<Outputs, StageError> {
+    let params = &stage.params;
     let scene = read_scene(ctx, inputs)?;
     let keys = field_keys(ctx, inputs, &params.field)?;
     let side_px = params.quality.longest_side_px();
@@ -110,32 +141,32 @@ fn train(ctx: &Ctx<'_>, inputs: &Inputs, params: &TrainParams, steps: u64) -> Re
     let split = split(&scene, params.holdout)?;
     let config = field_config(&keys, params.quality, params.fit, steps)?;
     let times = times(&split, params.resample);
-    let plan = plan_memory(params.memory, &split, &times, scale, &config)?;
-    let request = TrialRequest {
+    let plan = Plan {
+        memory: plan_memory(params.memory, &split, &times, scale, &config)?,
         scene: &scene,
         split: &split,
+        times: &times,
         scale,
         keys: &keys,
-        params,
+        config,
         steps,
+        of: identity(stage, inputs, &steps.to_string()),
     };
-    let (config, trials) = trials::decide(ctx, &request, config)?;
     let photos = PhotoReader::new(ctx, &scene, scale);
-    let curve_photos = curve_photos(&photos, &split.held_out, plan.at_once)?;
-    let views = training_views(&photos, &split.training, &times, plan, params.seed)?;
-    let trainer = new_trainer(views, &scene, &config, params.seed, &params.device)?;
-    let TrainedField { field, log } = train_to(ctx, trainer, steps, &curve_photos)?;
-    let field = field.with_trials(trials);
+    let Trained { field, config, log } = match Trained::load(ctx, &plan.of, &params.device) {
+        Some(trained) => trained,
+        None => Trained::new(ctx, params, &plan, &photos)?,
+    };
     let mut outputs = Outputs::from([(SCENE.to_owned(), *inputs.required(SCENE)?)]);
     outputs.put_bytes(ctx, WEIGHTS, &field.encode())?;
     let metrics = Metrics {
-        scores: score_views(ctx, &field, &photos, &split.held_out, &mut outputs)?,
+        scores: score_views(ctx, plan.of, &field, &photos, &split.held_out, &mut outputs)?,
         steps,
         rays: log.rays,
         samples: log.samples,
         loss: log.curve.0.last().map_or(0.0, |point| point.loss),
         scale,
-        thinned: (plan.run > 1).then_some(plan.run),
+        thinned: (plan.memory.run > 1).then_some(plan.memory.run),
         seed: params.seed,
         holdout: params.holdout,
         train_photos: times.iter().filter(|times| **times > 0).count() as u64,
@@ -149,6 +180,53 @@ fn train(ctx: &Ctx<'_>, inputs: &Inputs, params: &TrainParams, steps: u64) -> Re
     outputs.put(ctx, &metrics)?;
     outputs.put(ctx, &log.curve)?;
     Ok(outputs)
+}
+
+impl Trained {
+    /// Part of the checkpoint that holds the field between its training and the last photo judged.
+    const PART: &'static str = "trained";
+
+    /// Decides the parts of the field by trials, and trains it.
+    fn new(
+        ctx: &Ctx<'_>,
+        params: &TrainParams,
+        plan: &Plan<'_>,
+        photos: &PhotoReader<'_>,
+    ) -> Result<Self, StageError> {
+        let (config, trials) = trials::decide(ctx, params, plan)?;
+        let curve_photos = curve_photos(photos, &plan.split.held_out, plan.memory.at_once)?;
+        let training = &plan.split.training;
+        let views = training_views(photos, training, plan.times, plan.memory, params.seed)?;
+        let trainer = new_trainer(views, plan.scene, &config, params.seed, &params.device)?;
+        let run = Run {
+            steps: plan.steps,
+            part: "training",
+            of: plan.of,
+            note: "",
+            curve_photos: &curve_photos,
+        };
+        let TrainedField { field, log } = train_to(ctx, &run, trainer)?;
+        let trained = Self {
+            field: field.with_trials(trials),
+            config,
+            log,
+        };
+        let facts = (&trained.config, &trained.log);
+        checkpoint::save(ctx, Self::PART, &plan.of, &pack(&facts, &trained.field.encode()));
+        Ok(trained)
+    }
+
+    /// Returns the field that an unfinished run has trained.
+    fn load(ctx: &Ctx<'_>, of: &Digest, device: &Device) -> Option<Self> {
+        let state = checkpoint::load(ctx, Self::PART, of)?;
+        let ((config, log), field) = unpack(&state)?;
+        let field = Field::decode(field).and_then(|field| field.on(device));
+        Some(Self {
+            field: field.ok()?,
+            config,
+            log,
+        })
+    }
 }
 
 /// Returns how often each training photo is used.

@@ -1,20 +1,20 @@
 use std::ops::Range;
 use std::time::{Duration, Instant};
 
+use marf_cache::Digest;
 use marf_field::{Field, Trainer};
 use marf_schema::train::{Curve, CurvePoint};
 use marf_stage::{Ctx, StageError};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use crate::{
     TrainError,
+    checkpoint::{self, SAVE_EVERY},
     photos::{PhotoReader, ScaledPhoto},
     scoring::mean_psnr,
     split::NamedFrame,
 };
 
-/// Wall clock between two checkpoints: what a killed run loses at most.
-const CHECKPOINT_EVERY: Duration = Duration::from_secs(10);
 /// Wall clock between two reports of progress.
 const REPORT_EVERY: Duration = Duration::from_millis(200);
 /// Photos that the curve is measured on, and their longest side in pixels: nine points cost a tenth of a draft.
@@ -27,52 +27,83 @@ pub(crate) struct TrainedField {
     pub log: TrainingLog,
 }
 
+/// A training: how far it goes, where its state is kept, and what it is called.
+pub(crate) struct Run<'a> {
+    pub steps: u64,
+    /// Name of the checkpoint, and what it is of.
+    pub part: &'a str,
+    pub of: Digest,
+    /// Begins the notes of its progress.
+    pub note: &'a str,
+    /// Photos that the curve is measured on; without any there is no curve.
+    pub curve_photos: &'a [(NamedFrame<'a>, ScaledPhoto)],
+}
+
 /// Counts beside the weights; part of a checkpoint, so that a resumed training reports the same.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct TrainingLog {
-    /// Steps this training goes to: `budget` may mean others on another machine, and the curve's places follow.
-    steps: u64,
     pub curve: Curve,
+    /// Steps after which it was last known whether a point of the curve falls there.
+    measured: u64,
     pub rays: u64,
     pub samples: u64,
     loss_sum: f64,
     loss_steps: u64,
 }
 
-/// Trains to `steps` from the last checkpoint, if there is one; the curve is measured on `curve_photos`.
+/// Trains to the last step from the last checkpoint, if there is one.
 pub(crate) fn train_to(
     ctx: &Ctx<'_>,
+    run: &Run<'_>,
     mut trainer: Trainer,
-    steps: u64,
-    curve_photos: &[(NamedFrame<'_>, ScaledPhoto)],
 ) -> Result<TrainedField, StageError> {
-    let mut log = resume(ctx, &mut trainer, steps);
+    let steps = run.steps;
+    let mut log = resume(ctx, run, &mut trainer);
     let mut saved_at = Instant::now();
     let mut reported: Option<Instant> = None;
-    while trainer.steps() < steps {
-        if let Err(stopped) = ctx.check() {
-            save(ctx, &log, &mut trainer)?;
+    loop {
+        let measured = ctx
+            .check()
+            .and_then(|()| measure(ctx, run, &mut trainer, &mut log));
+        if let Err(stopped) = measured {
+            save(ctx, run, &log, &mut trainer)?;
             return Err(stopped);
         }
-        let before = trainer.steps();
-        let step = trainer.advance(steps - before).map_err(TrainError::from)?;
-        log.add(&step);
-        if is_curve_point(before..trainer.steps(), steps) {
-            let field = trainer.field().map_err(TrainError::from)?;
-            let psnr = mean_psnr(ctx, &field, curve_photos)?;
-            log.point(trainer.steps(), psnr);
+        if trainer.steps() >= steps {
+            break;
         }
+        log.measured = trainer.steps();
+        let step = trainer.advance(steps - log.measured).map_err(TrainError::from)?;
+        log.add(&step);
         if reported.is_none_or(|at| at.elapsed() >= REPORT_EVERY) {
-            ctx.progress.at(trainer.steps(), steps, &log.note(step.loss));
+            let note = format!("{}{}", run.note, log.note(step.loss));
+            ctx.progress.at(trainer.steps(), steps, &note);
             reported = Some(Instant::now());
         }
-        if saved_at.elapsed() >= CHECKPOINT_EVERY {
-            save(ctx, &log, &mut trainer)?;
+        if saved_at.elapsed() >= SAVE_EVERY {
+            save(ctx, run, &log, &mut trainer)?;
             saved_at = Instant::now();
         }
     }
     let field = trainer.field().map_err(TrainError::from)?;
     Ok(TrainedField { field, log })
+}
+
+/// Adds a point to the curve if one falls among the steps taken last.
+fn measure(
+    ctx: &Ctx<'_>,
+    run: &Run<'_>,
+    trainer: &mut Trainer,
+    log: &mut TrainingLog,
+) -> Result<(), StageError> {
+    let taken = log.measured..trainer.steps();
+    if run.curve_photos.is_empty() || !is_curve_point(taken.clone(), run.steps) {
+        return Ok(());
+    }
+    let field = trainer.field().map_err(TrainError::from)?;
+    log.point(taken.end, mean_psnr(ctx, &field, run.curve_photos)?);
+    log.measured = taken.end;
+    Ok(())
 }
 
 /// Reads all held-out photos, so that one that cannot be read stops a training before it begins, and returns up to
@@ -130,37 +161,36 @@ impl TrainingLog {
 }
 
 /// Restores the last checkpoint and returns its counts; without one, or with one of another training, those of step 0.
-fn resume(ctx: &Ctx<'_>, trainer: &mut Trainer, steps: u64) -> TrainingLog {
-    let fresh = TrainingLog {
-        steps,
-        ..TrainingLog::default()
+fn resume(ctx: &Ctx<'_>, run: &Run<'_>, trainer: &mut Trainer) -> TrainingLog {
+    let Some(state) = checkpoint::load(ctx, run.part, &run.of) else {
+        return TrainingLog::default();
     };
-    let Some(state) = ctx.checkpoints.load() else {
-        return fresh;
-    };
-    let fits = |(log, weights): &(TrainingLog, &[u8])| log.steps == steps && trainer.restore(weights).is_ok();
-    unpack(&state).filter(fits).map_or(fresh, |(log, _)| log)
+    let fits = |(_, weights): &(TrainingLog, &[u8])| trainer.restore(weights).is_ok();
+    unpack(&state)
+        .filter(fits)
+        .map(|(log, _)| log)
+        .unwrap_or_default()
 }
 
 /// Saves a checkpoint.
-fn save(ctx: &Ctx<'_>, log: &TrainingLog, trainer: &mut Trainer) -> Result<(), TrainError> {
-    ctx.checkpoints.save(&pack(log, &trainer.save()?));
+fn save(ctx: &Ctx<'_>, run: &Run<'_>, log: &TrainingLog, trainer: &mut Trainer) -> Result<(), TrainError> {
+    checkpoint::save(ctx, run.part, &run.of, &pack(log, &trainer.save()?));
     Ok(())
 }
 
-/// Length of the log as u64 LE, the log as JSON, the trainer's own state.
-fn pack(log: &TrainingLog, trainer: &[u8]) -> Vec<u8> {
-    // Numbers and lists always serialise.
-    let log = serde_json::to_vec(log).unwrap_or_default();
-    let length = (log.len() as u64).to_le_bytes();
-    [length.as_slice(), &log, trainer].concat()
+/// Length of the facts as u64 LE, the facts as JSON, the bytes.
+pub(crate) fn pack<T: Serialize>(facts: &T, bytes: &[u8]) -> Vec<u8> {
+    // Numbers, texts and lists always serialise.
+    let facts = serde_json::to_vec(facts).unwrap_or_default();
+    let length = (facts.len() as u64).to_le_bytes();
+    [length.as_slice(), &facts, bytes].concat()
 }
 
 /// Reads what [`pack`] wrote; none if it is anything else.
-fn unpack(state: &[u8]) -> Option<(TrainingLog, &[u8])> {
+pub(crate) fn unpack<T: DeserializeOwned>(state: &[u8]) -> Option<(T, &[u8])> {
     let (length, rest) = state.split_first_chunk::<8>()?;
-    let (log, trainer) = rest.split_at_checked(u64::from_le_bytes(*length) as usize)?;
-    Some((serde_json::from_slice(log).ok()?, trainer))
+    let (facts, bytes) = rest.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)?;
+    Some((serde_json::from_slice(facts).ok()?, bytes))
 }
 
 #[cfg(test)]
@@ -202,8 +232,8 @@ mod tests {
         });
         let packed = pack(&log, b"weights");
         assert_eq!(unpack(&packed), Some((log, b"weights".as_slice())));
-        assert_eq!(unpack(&packed[..20]), None);
-        assert_eq!(unpack(&[255; 8]), None);
-        assert_eq!(unpack(&[]), None);
+        for damaged in [&packed[..20], &[255; 8], &[]] {
+            assert_eq!(unpack::<TrainingLog>(damaged), None, "{} bytes", damaged.len());
+        }
     }
 }

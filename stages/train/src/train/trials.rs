@@ -1,13 +1,17 @@
 //! Short trainings that decide which parts of the field are used, by PSNR on training photos held back.
 
-use marf_field::{Background, Config, Field, Gain, Overrides, Quality, Trial, View, ViewDependence};
-use marf_scene::Scene;
+use marf_cache::digest_of;
+use marf_field::{Background, Config, Gain, Quality, Trial, View, ViewDependence};
 use marf_schema::train::{Fit, TrainParams};
 use marf_stage::{Ctx, StageError};
 
+use super::{
+    Plan,
+    training_loop::{Run, train_to},
+};
 use crate::{
-    TrainError,
-    memory::plan_memory,
+    checkpoint::Journal,
+    memory::{MemoryPlan, plan_memory},
     photos::{PhotoReader, ScaledPhoto},
     scoring::mean_psnr,
     split::{NamedFrame, Split, hold_out_every_eighth},
@@ -90,38 +94,28 @@ const PARTS: [Part; 4] = [
     },
 ];
 
-/// The training that trials decide for.
-pub(crate) struct TrialRequest<'a> {
-    pub scene: &'a Scene,
-    pub split: &'a Split<'a>,
-    pub scale: u32,
-    /// Keys of the field that are set.
-    pub keys: &'a Overrides,
-    pub params: &'a TrainParams,
-    /// Steps of the training itself.
-    pub steps: u64,
-}
-
-/// Returns `config` with the parts that gain more than `least_gain_db`, and the reports of all trials.
+/// Returns the plan's configuration with the parts that gain more than `least_gain_db`, and the reports of all trials.
 ///
 /// A part whose key is set is left as it is. There are no trials at quality `draft`, with `fit = "fixed"`, or where
 /// steps or photos are too few.
-pub(crate) fn decide(
+pub(super) fn decide(
     ctx: &Ctx<'_>,
-    request: &TrialRequest<'_>,
-    config: Config,
+    params: &TrainParams,
+    plan: &Plan<'_>,
 ) -> Result<(Config, Vec<Trial>), StageError> {
-    let is_set = |part: &Part| part.keys.iter().find(|key| request.keys.0.contains_key(**key));
+    let config = plan.config.clone();
+    let is_set = |part: &Part| part.keys.iter().find(|key| plan.keys.0.contains_key(**key));
     let open = PARTS.iter().filter(|part| is_set(part).is_none()).count() as u64;
-    let steps = steps_each(request.params, request.steps, open);
+    let steps = steps_each(params, plan.steps, open);
     let setup = match steps {
         0 => None,
-        _ => TrialSetup::new(ctx, request, &config, steps)?,
+        _ => TrialSetup::new(params, plan, steps)?,
     };
-    let Some(setup) = setup else {
+    let Some(mut setup) = setup else {
         return Ok((config, Vec::new()));
     };
-    let base = setup.run(ctx, &config, "as it is")?;
+    let mut journal = Journal::new(ctx, "trials", plan.of);
+    let base = setup.outcome(ctx, &mut journal, &config, "as it is")?;
     let (mut decided, mut trials) = (config.clone(), Vec::new());
     for part in &PARTS {
         if let Some(key) = is_set(part) {
@@ -130,13 +124,13 @@ pub(crate) fn decide(
         }
         let (with, without) = ((part.with)(&config), (part.without)(&config));
         let other = if config == with { &without } else { &with };
-        let other = setup.run(ctx, other, part.name)?;
+        let other = setup.outcome(ctx, &mut journal, other, part.name)?;
         let pair = if config == with {
             [base, other]
         } else {
             [other, base]
         };
-        let (trial, pays) = compared(part, pair, &setup, request.params.trials.least_gain_db);
+        let (trial, pays) = compared(part, pair, &setup, params.trials.least_gain_db);
         decided = if pays {
             (part.with)(&decided)
         } else {
@@ -144,11 +138,12 @@ pub(crate) fn decide(
         };
         trials.push(trial);
     }
+    journal.end();
     Ok((decided, trials))
 }
 
 /// Returns the steps left for the training where trials come out of the same budget.
-pub(crate) fn steps_after_trials(params: &TrainParams, steps: u64) -> u64 {
+pub(super) fn steps_after_trials(params: &TrainParams, steps: u64) -> u64 {
     match params.trials.steps {
         None if run_by_default(params) => (steps - steps / (PART + 1)).max(1),
         _ => steps,
@@ -206,7 +201,7 @@ fn compared(
     };
     let decision = format!(
         "{word}: {gain_db:+.2} dB on {} validation photos after {} steps, {relation} {least_db} dB",
-        setup.held_out.len(),
+        setup.split.held_out.len(),
         setup.steps
     );
     let trial = Trial {
@@ -220,71 +215,124 @@ fn compared(
     (trial, pays)
 }
 
-/// Photos that trials train on and are measured on.
+impl Outcome {
+    /// Bits of the PSNR and number of parameters, u64 LE.
+    fn pack(self) -> Vec<u8> {
+        [self.psnr.to_bits(), self.parameters]
+            .map(u64::to_le_bytes)
+            .concat()
+    }
+
+    /// Reads what [`Outcome::pack`] wrote.
+    fn unpack(bytes: &[u8]) -> Option<Self> {
+        let ([psnr, parameters], []) = bytes.as_chunks::<8>() else {
+            return None;
+        };
+        Some(Self {
+            psnr: f64::from_bits(u64::from_le_bytes(*psnr)),
+            parameters: u64::from_le_bytes(*parameters),
+        })
+    }
+}
+
+/// What all trials of a training share.
 struct TrialSetup<'a> {
-    request: &'a TrialRequest<'a>,
+    params: &'a TrainParams,
+    plan: &'a Plan<'a>,
+    split: Split<'a>,
+    scale: u32,
+    memory: MemoryPlan,
+    steps: u64,
+    /// Read for the first trial that is run.
+    photos: Option<TrialPhotos<'a>>,
+}
+
+/// Photos that trials train on and are measured on.
+struct TrialPhotos<'a> {
     views: Vec<View>,
     held_out: Vec<(NamedFrame<'a>, ScaledPhoto)>,
-    steps: u64,
 }
 
 impl<'a> TrialSetup<'a> {
     /// Holds back every 8th training photo; `None` where that leaves none to train on.
-    fn new(
-        ctx: &Ctx<'_>,
-        request: &'a TrialRequest<'a>,
-        config: &Config,
-        steps: u64,
-    ) -> Result<Option<Self>, StageError> {
-        let split = hold_out_every_eighth(request.split.training.clone());
+    fn new(params: &'a TrainParams, plan: &'a Plan<'a>, steps: u64) -> Result<Option<Self>, StageError> {
+        let split = hold_out_every_eighth(plan.split.training.clone());
         if split.training.is_empty() {
             return Ok(None);
         }
-        let (scale, times) = (scale(request), vec![1; split.training.len()]);
-        let plan = plan_memory(request.params.memory, &split, &times, scale, config)?;
-        let photos = PhotoReader::new(ctx, request.scene, scale);
-        let shrunk = |_, photo: ScaledPhoto| photo.shrunk_to(SCORED_SIDE_PX);
-        let scored = photos.map(&split.held_out, plan.at_once, shrunk)?;
+        let (scale, times) = (scale(plan), vec![1; split.training.len()]);
         Ok(Some(Self {
-            request,
-            views: training_views(&photos, &split.training, &times, plan, request.params.seed)?,
-            held_out: split.held_out.into_iter().zip(scored).collect(),
+            memory: plan_memory(params.memory, &split, &times, scale, &plan.config)?,
+            params,
+            plan,
+            split,
+            scale,
             steps,
+            photos: None,
         }))
     }
 
+    /// Reads the photos.
+    fn read(&self, ctx: &Ctx<'_>) -> Result<TrialPhotos<'a>, StageError> {
+        let (split, times) = (&self.split, vec![1; self.split.training.len()]);
+        let photos = PhotoReader::new(ctx, self.plan.scene, self.scale);
+        let shrunk = |_, photo: ScaledPhoto| photo.shrunk_to(SCORED_SIDE_PX);
+        let scored = photos.map(&split.held_out, self.memory.at_once, shrunk)?;
+        Ok(TrialPhotos {
+            views: training_views(&photos, &split.training, &times, self.memory, self.params.seed)?,
+            held_out: split.held_out.iter().cloned().zip(scored).collect(),
+        })
+    }
+
+    /// Returns the outcome of a configuration: that of an unfinished run if there is one.
+    fn outcome(
+        &mut self,
+        ctx: &Ctx<'_>,
+        journal: &mut Journal<'_>,
+        config: &Config,
+        name: &str,
+    ) -> Result<Outcome, StageError> {
+        journal.piece(Outcome::unpack, || {
+            let outcome = self.run(ctx, config, name)?;
+            Ok((outcome, outcome.pack()))
+        })
+    }
+
     /// Trains with `config` and measures it.
-    fn run(&self, ctx: &Ctx<'_>, config: &Config, note: &str) -> Result<Outcome, StageError> {
+    fn run(&mut self, ctx: &Ctx<'_>, config: &Config, name: &str) -> Result<Outcome, StageError> {
+        let photos = match self.photos.take() {
+            Some(photos) => photos,
+            None => self.read(ctx)?,
+        };
+        let photos = &*self.photos.insert(photos);
         let config = Config {
             steps: Some(self.steps),
             ..config.clone()
         };
-        let (params, scene) = (self.request.params, self.request.scene);
-        let views = self.views.clone();
-        let mut trainer = new_trainer(views, scene, &config, params.seed, &params.device)?;
-        while trainer.steps() < self.steps {
-            ctx.check()?;
-            trainer
-                .advance(self.steps - trainer.steps())
-                .map_err(TrainError::from)?;
-            ctx.progress
-                .at(trainer.steps(), self.steps, &format!("trying {note}"));
-        }
-        let field: Field = trainer.field().map_err(TrainError::from)?;
+        let (params, views) = (self.params, photos.views.clone());
+        let trainer = new_trainer(views, self.plan.scene, &config, params.seed, &params.device)?;
+        let run = Run {
+            steps: self.steps,
+            part: "trial",
+            of: digest_of(&(self.plan.of, name)),
+            note: &format!("trying {name}: "),
+            curve_photos: &[],
+        };
+        let field = train_to(ctx, &run, trainer)?.field;
         Ok(Outcome {
-            psnr: mean_psnr(ctx, &field, &self.held_out)?,
+            psnr: mean_psnr(ctx, &field, &photos.held_out)?,
             parameters: field.facts().parameters,
         })
     }
 }
 
 /// Returns the factor by which trials shrink photos.
-fn scale(request: &TrialRequest<'_>) -> u32 {
-    let cameras = request.split.training.iter().map(|named| &named.frame.camera);
+fn scale(plan: &Plan<'_>) -> u32 {
+    let cameras = plan.split.training.iter().map(|named| &named.frame.camera);
     let shortest = cameras.map(|camera| camera.width.min(camera.height)).min();
-    let halved = request.scale.saturating_mul(2);
+    let halved = plan.scale.saturating_mul(2);
     if shortest.unwrap_or(0) / halved < LEAST_SIDE_PX {
-        return request.scale;
+        return plan.scale;
     }
     halved
 }

@@ -6,7 +6,6 @@
 mod reduce;
 mod sampling;
 
-use marf_cache::ContentHash;
 use marf_field::Overrides;
 use marf_schema::{
     output::SCENE,
@@ -14,11 +13,11 @@ use marf_schema::{
     tune::{BestParams, Scatter, Trials, TuneParams},
 };
 use marf_stage::{
-    Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, ParamError, Params, Port, Stage, StageError,
-    Work,
+    ChildStage, Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, ParamError, Params, Port, Stage,
+    StageError, Work,
 };
 
-use crate::{io::read_scene, settings::scale_to};
+use crate::{child::child_stage, io::read_scene, settings::scale_to};
 use reduce::reduce;
 use sampling::sample_params;
 
@@ -55,6 +54,14 @@ impl Stage for Tune {
 }
 
 impl Expand for Tune {
+    fn children(&self) -> Vec<ChildStage> {
+        vec![child_stage(&trial(
+            &self.params,
+            self.params.seed,
+            Overrides::default(),
+        ))]
+    }
+
     fn expand(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
         let side_px = self.params.quality.longest_side_px() / 2;
         let scale = match self.params.scale {
@@ -68,16 +75,12 @@ impl Expand for Tune {
         let mut nodes = Vec::with_capacity(params.trials as usize + 1);
         for trial in 0..params.trials {
             let set = sample_params(&params.space, params.seed, trial);
-            nodes.push(node(
-                params,
-                &format!("trial-{trial:02}"),
-                params.seed,
-                set,
-                inputs,
-            )?);
+            let train = self::trial(params, params.seed, set);
+            nodes.push(NodeSpec::of(format!("trial-{trial:02}"), &train, inputs)?);
         }
         let again = params.seed.wrapping_add(1);
-        nodes.push(node(params, "scatter-00", again, Overrides::default(), inputs)?);
+        let train = trial(params, again, Overrides::default());
+        nodes.push(NodeSpec::of("scatter-00", &train, inputs)?);
         Ok(nodes)
     }
 
@@ -87,14 +90,8 @@ impl Expand for Tune {
 }
 
 /// Returns the training of one parameter set, judged on validation photos.
-fn node(
-    params: &TuneParams,
-    name: &str,
-    seed: u64,
-    set: Overrides,
-    inputs: &Inputs,
-) -> Result<NodeSpec, StageError> {
-    let train = TrainParams {
+fn trial(params: &TuneParams, seed: u64, set: Overrides) -> TrainParams {
+    TrainParams {
         quality: params.quality,
         steps: Some(params.steps.unwrap_or((params.quality.steps() / 4).max(1))),
         seed,
@@ -107,14 +104,12 @@ fn node(
         field: set,
         device: params.device.clone(),
         ..TrainParams::default()
-    };
-    NodeSpec::of(name, &train, inputs)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use marf_cache::digest_of;
     use marf_scene::{Camera, Frame, Pose, Scene};
     use marf_stage::harness::Harness;
     use serde_json::json;
@@ -191,7 +186,7 @@ mod tests {
             let written: TrainParams = serde_json::from_value(written).unwrap();
             let node = asked(table).swap_remove(0);
             let bound: TrainParams = serde_json::from_value(node.params).unwrap();
-            assert_eq!((digest_of(&bound), &bound), (digest_of(&written), &written));
+            assert_eq!(bound, written);
         }
     }
 }

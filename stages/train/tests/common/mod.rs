@@ -98,7 +98,7 @@ pub fn stage<S: Define>(params: Value) -> S {
 pub fn run(stage: &dyn Stage, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
     match stage.work() {
         Work::Set(set) => set.run(ctx, inputs),
-        _ => panic!("not a set stage"),
+        _ => panic!("not a set stage: reduce it"),
     }
 }
 
