@@ -7,14 +7,18 @@
 
 pub mod align;
 pub mod bundle;
+mod bytes;
 mod estimators;
 pub mod features;
 pub mod mapper;
 pub mod matching;
 pub mod metric;
 mod simd;
+mod supervisor;
 pub mod two_view;
 pub mod view_graph;
+
+pub use supervisor::Supervisor;
 
 #[cfg(test)]
 mod tests;

@@ -1,5 +1,6 @@
 //! Levenberg-Marquardt: damped Gauss-Newton steps; the damping follows how well the last gain was predicted.
 
+use super::checkpoint::Checkpoint;
 use super::normal_equations::NormalEquations;
 use super::objective::Objective;
 use super::options::{BundleOptions, BundleReport, Solver};
@@ -8,6 +9,7 @@ use super::schur::{SchurComplement, predicted_gain};
 use super::state::{Normalization, State, Step};
 use super::validate::{self, BundleError};
 use super::{conjugate_gradients, dense};
+use crate::Supervisor;
 
 /// Damping of the first step, as a share of the diagonal.
 const FIRST_DAMPING: f64 = 1e-4;
@@ -29,7 +31,8 @@ const ROUNDING: f64 = 1e-12;
 ///
 /// Levenberg-Marquardt with Marquardt's scaling and Nielsen's damping (1999), points eliminated (SchurComplement complement),
 /// robust losses by reweighting. Rotations are updated from the left, about the camera centre. The cost never rises and
-/// no number becomes non-finite; what did not move keeps its bits. `stop` is polled before each step.
+/// no number becomes non-finite; what did not move keeps its bits. The supervisor is asked to stop before each step and
+/// within long ones; what it has saved of this very problem is gone on with.
 ///
 /// # Extremes
 /// - An observation behind the camera, beyond the fold of the distortion or with an error above 1e9 px costs as much as
@@ -44,18 +47,25 @@ const ROUNDING: f64 = 1e-12;
 pub fn adjust(
     problem: &mut Problem,
     options: &BundleOptions,
-    stop: &dyn Fn() -> bool,
+    supervisor: &dyn Supervisor,
 ) -> Result<BundleReport, BundleError> {
     validate::check_options(options)?;
     validate::check(problem)?;
+    let checkpoint = Checkpoint::new(supervisor, problem, options);
+    if let Some(finished) = checkpoint.finished(problem) {
+        return Ok(finished);
+    }
     let normalization = Normalization::of(problem);
     let start = State::new(problem, &normalization);
     let objective = Objective::new(problem, &normalization, options.loss, options.prior_loss);
-    let (state, mut report) = descend(&objective, &start, options, stop);
+    let (state, mut report) = descend(&objective, &start, options, &checkpoint);
     if report.final_cost < report.initial_cost {
         state.write(&start, &normalization, problem);
     } else {
         report.final_cost = report.initial_cost;
+    }
+    if !supervisor.stop() {
+        checkpoint.save_finished(problem, &report);
     }
     Ok(report)
 }
@@ -70,13 +80,14 @@ struct Workspace {
 }
 
 /// How the next step is computed.
-struct StepControl {
-    solver: Solver,
-    damping: f64,
+#[derive(Debug, Clone, Copy)]
+pub(super) struct StepControl {
+    pub solver: Solver,
+    pub damping: f64,
     /// Factor by which the damping rises next.
-    rise: f64,
+    pub rise: f64,
     /// Relative residual at which conjugate gradients end.
-    forcing: f64,
+    pub forcing: f64,
 }
 
 impl StepControl {
@@ -115,7 +126,7 @@ fn descend(
     objective: &Objective,
     start: &State,
     options: &BundleOptions,
-    stop: &dyn Fn() -> bool,
+    checkpoint: &Checkpoint<'_>,
 ) -> (State, BundleReport) {
     let mut control = StepControl::new(objective, options);
     let mut workspace = Workspace::new(objective);
@@ -124,13 +135,16 @@ fn descend(
     let exact = 0.5 * EXACT_PX * EXACT_PX * report.residuals as f64;
     let mut linearised = Linearised::No;
     report.converged = report.final_cost <= exact;
+    checkpoint.resume(&mut state, &mut control, &mut report);
+    let stop = || checkpoint.supervisor.stop();
     while !report.converged && report.iterations < options.max_iterations && !stop() {
+        checkpoint.save_unfinished(&state, &control, &report);
         report.iterations += 1;
         if linearised == Linearised::No {
             workspace.equations.linearise(objective, &state);
             linearised = Linearised::Yes;
         }
-        if !workspace.solve(objective, &mut control) {
+        if !workspace.solve(objective, &mut control, &stop) {
             break;
         }
         trial.set_stepped(
@@ -197,10 +211,13 @@ impl Workspace {
     }
 
     /// Computes the step; tells whether one was found within the trials of the damping.
-    fn solve(&mut self, objective: &Objective, control: &mut StepControl) -> bool {
+    fn solve(&mut self, objective: &Objective, control: &mut StepControl, stop: &dyn Fn() -> bool) -> bool {
         for _ in 0..=MOST_FAILURES {
+            if stop() {
+                return false;
+            }
             self.schur.eliminate(objective, &self.equations, control.damping);
-            if self.solve_reduced(objective, control) {
+            if self.solve_reduced(objective, control, stop) {
                 self.schur.substitute(objective, &mut self.step);
                 if self.step.is_finite() {
                     return true;
@@ -212,15 +229,25 @@ impl Workspace {
     }
 
     /// Solves the reduced system; tells whether there is a solution.
-    fn solve_reduced(&mut self, objective: &Objective, control: &StepControl) -> bool {
+    fn solve_reduced(
+        &mut self,
+        objective: &Objective,
+        control: &StepControl,
+        stop: &dyn Fn() -> bool,
+    ) -> bool {
         let (equations, schur, solution) = (&self.equations, &self.schur, &mut self.step.reduced);
         let damping = control.damping;
         if control.solver == Solver::ConjugateGradients {
-            let (forcing, workspace) = (control.forcing, &mut self.conjugate_gradients);
-            return conjugate_gradients::solve(
-                objective, equations, schur, damping, forcing, workspace, solution,
-            );
+            let damped = conjugate_gradients::Damped {
+                objective,
+                equations,
+                schur,
+                damping,
+            };
+            let workspace = &mut self.conjugate_gradients;
+            return conjugate_gradients::solve(&damped, control.forcing, workspace, solution, stop);
         }
-        dense::solve(objective, equations, schur, damping, &mut self.matrix, solution)
+        dense::assemble(objective, equations, schur, damping, &mut self.matrix);
+        dense::solve(&mut self.matrix, &schur.right, solution, stop)
     }
 }

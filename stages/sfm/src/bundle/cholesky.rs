@@ -14,14 +14,14 @@ const TILE: usize = 4;
 /// Column k of four rows.
 type Strip = [f64; TILE];
 
-/// Replaces A by its factor L (A = L Lᵀ); tells whether all pivots stayed above `floor` times their diagonal.
-/// On failure A is left undefined.
-pub(super) fn factor(a: &mut [f64], n: usize, floor: f64) -> bool {
+/// Replaces A by its factor L (A = L Lᵀ); tells whether all pivots stayed above `floor` times their diagonal and `stop`,
+/// which is polled every 48 columns, stayed false. On failure A is left undefined.
+pub(super) fn factor(a: &mut [f64], n: usize, floor: f64, stop: &dyn Fn() -> bool) -> bool {
     let least: Vec<f64> = (0..n).map(|row| floor * a[row * n + row]).collect();
     let mut packed = Vec::new();
     for start in (0..n).step_by(PANEL) {
         let end = (start + PANEL).min(n);
-        if !factor_corner(a, n, start..end, &least) {
+        if stop() || !factor_corner(a, n, start..end, &least) {
             return false;
         }
         let (upper, below) = a.split_at_mut(end * n);
@@ -171,7 +171,7 @@ mod tests {
     fn a_hand_worked_matrix() {
         // [4 2; 2 10] = [2 0; 1 3] [2 1; 0 3]
         let mut a = vec![4.0, f64::NAN, 2.0, 10.0];
-        assert!(factor(&mut a, 2, 0.0));
+        assert!(factor(&mut a, 2, 0.0, &|| false));
         assert_eq!((a[0], a[2], a[3]), (2.0, 1.0, 3.0));
         let mut b = vec![8.0, 22.0];
         solve(&a, 2, &mut b);
@@ -185,7 +185,7 @@ mod tests {
             let x: Vec<f64> = (0..n).map(|i| i as f64 - 3.0).collect();
             let mut b: Vec<f64> = (0..n).map(|row| dot(&a[row * n..][..n], &x)).collect();
             let mut l = a.clone();
-            assert!(factor(&mut l, n, 0.0), "{n}");
+            assert!(factor(&mut l, n, 0.0, &|| false), "{n}");
             solve(&l, n, &mut b);
             let worst = x.iter().zip(&b).map(|(x, b)| (x - b).abs()).fold(0.0, f64::max);
             assert!(worst < 1e-11 * n as f64, "{n}: {worst}");
@@ -197,9 +197,9 @@ mod tests {
         for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             let mut a = matrix(60);
             a[55 * 60 + 55] = bad;
-            assert!(!factor(&mut a, 60, 0.0), "{bad}");
+            assert!(!factor(&mut a, 60, 0.0, &|| false), "{bad}");
         }
         // Of rank 1.
-        assert!(!factor(&mut [1.0, 1.0, 1.0, 1.0], 2, 1e-12));
+        assert!(!factor(&mut [1.0, 1.0, 1.0, 1.0], 2, 1e-12, &|| false));
     }
 }

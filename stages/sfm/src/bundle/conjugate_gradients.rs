@@ -32,17 +32,29 @@ struct Block {
     factor: Vec<f64>,
 }
 
-/// Sets `solution` to that of the damped reduced system, with a residual below `forcing` times the right side.
-/// Tells whether the matrix was positive definite along all directions tried.
+/// The damped reduced system.
+pub(super) struct Damped<'a> {
+    pub objective: &'a Objective<'a>,
+    pub equations: &'a NormalEquations,
+    pub schur: &'a SchurComplement,
+    pub damping: f64,
+}
+
+/// Sets `solution` to that of the system, with a residual below `forcing` times the right side. Tells whether the matrix
+/// was positive definite along all directions tried and `stop`, which is polled before each product, stayed false.
 pub(super) fn solve(
-    objective: &Objective,
-    equations: &NormalEquations,
-    schur: &SchurComplement,
-    damping: f64,
+    system: &Damped<'_>,
     forcing: f64,
     workspace: &mut Workspace,
     solution: &mut [f64],
+    stop: &dyn Fn() -> bool,
 ) -> bool {
+    let &Damped {
+        objective,
+        equations,
+        schur,
+        damping,
+    } = system;
     let Some(blocks) = blocks(objective, equations, schur, damping) else {
         return false;
     };
@@ -56,6 +68,9 @@ pub(super) fn solve(
         // In the norm of the preconditioner: the same for any unit of any unknown.
         if power <= enough {
             break;
+        }
+        if stop() {
+            return false;
         }
         multiply(objective, equations, schur, damping, workspace);
         let curvature = dot(&workspace.direction, &workspace.product);
@@ -243,6 +258,6 @@ impl Block {
         for row in 0..size {
             factor[row * size + row] += damping_term(undamped[row][row], damping);
         }
-        cholesky::factor(&mut factor, size, 0.0).then_some(Self { at, size, factor })
+        cholesky::factor(&mut factor, size, 0.0, &|| false).then_some(Self { at, size, factor })
     }
 }

@@ -11,6 +11,7 @@ use super::problem::{PoseFreedom, Prior, Problem};
 use super::schur::SchurComplement;
 use super::state::{Normalization, State};
 use super::{cholesky, dense, validate};
+use crate::Supervisor;
 
 /// Largest number of unknowns: the dense matrix then takes 1.2 GB.
 const MOST_UNKNOWNS: usize = 12_000;
@@ -24,8 +25,12 @@ const PIVOT_FLOOR: f64 = 1e-11;
 /// their own sigmas. `sigma_px`: standard deviation of one residual coordinate. Zero for a fixed pose, and in a
 /// fixed coordinate. Points with less than two views, or seen from one position, do not contribute.
 /// `None` where a free pose or lens is not determined (gauge not fixed), the problem is not valid, `sigma_px` is not
-/// positive, or there are more than 12,000 unknowns.
-pub fn pose_covariances(problem: &Problem, sigma_px: f64) -> Option<Vec<Matrix6<f64>>> {
+/// positive, or there are more than 12,000 unknowns; also where the supervisor asked to stop.
+pub fn pose_covariances(
+    problem: &Problem,
+    sigma_px: f64,
+    supervisor: &dyn Supervisor,
+) -> Option<Vec<Matrix6<f64>>> {
     let usable = sigma_px > 0.0 && sigma_px.is_finite() && validate::check(problem).is_ok();
     if !usable {
         return None;
@@ -40,11 +45,13 @@ pub fn pose_covariances(problem: &Problem, sigma_px: f64) -> Option<Vec<Matrix6<
         .priors
         .iter_mut()
         .for_each(|prior| shrink(prior, sigma_px));
-    let factor = factored(&objective, &State::new(problem, &normalization))?;
-    let slots: Vec<Matrix6<f64>> = (0..objective.index.slots)
+    let stop = || supervisor.stop();
+    let factor = factored(&objective, &State::new(problem, &normalization), &stop)?;
+    let slots: Option<Vec<Matrix6<f64>>> = (0..objective.index.slots)
         .into_par_iter()
-        .map(|slot| block(&objective, &factor, slot) * (sigma_px * sigma_px))
+        .map(|slot| (!stop()).then(|| block(&objective, &factor, slot) * (sigma_px * sigma_px)))
         .collect();
+    let slots = slots?;
     let unit = [
         1.0,
         1.0,
@@ -108,7 +115,7 @@ struct Factor {
 }
 
 /// Returns the factor of the undamped reduced matrix; `None` if it is singular.
-fn factored(objective: &Objective, state: &State) -> Option<Factor> {
+fn factored(objective: &Objective, state: &State, stop: &dyn Fn() -> bool) -> Option<Factor> {
     let mut equations = NormalEquations::new(objective);
     equations.linearise_determined(objective, state);
     if !all_parameters_observed(objective, &equations) {
@@ -125,7 +132,7 @@ fn factored(objective: &Objective, state: &State) -> Option<Factor> {
             l[row * n + column] *= scale[row] * scale[column];
         }
     }
-    cholesky::factor(&mut l, n, PIVOT_FLOOR).then_some(Factor { l, scale })
+    cholesky::factor(&mut l, n, PIVOT_FLOOR, stop).then_some(Factor { l, scale })
 }
 
 /// Returns one 6 x 6 block of the inverse: (L⁻¹ E)ᵀ (L⁻¹ E), E the block's columns of the unit matrix.

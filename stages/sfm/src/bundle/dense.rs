@@ -11,22 +11,18 @@ use super::schur::{FreeBlock, SchurComplement, damped};
 /// A pivot below this fraction of its diagonal is only rounding.
 const PIVOT_FLOOR: f64 = 1e-15;
 
-/// Sets `solution` to the solution of the damped reduced system; tells whether there is one.
-/// `matrix` is a buffer for n² numbers.
+/// Sets `solution` to that of the assembled system; tells whether there is one. The matrix is left factored.
 pub(super) fn solve(
-    objective: &Objective,
-    equations: &NormalEquations,
-    schur: &SchurComplement,
-    damping: f64,
-    matrix: &mut Vec<f64>,
+    matrix: &mut [f64],
+    right: &[f64],
     solution: &mut [f64],
+    stop: &dyn Fn() -> bool,
 ) -> bool {
     let n = solution.len();
-    assemble(objective, equations, schur, damping, matrix);
-    if !cholesky::factor(matrix, n, PIVOT_FLOOR) {
+    if !cholesky::factor(matrix, n, PIVOT_FLOOR, stop) {
         return false;
     }
-    solution.copy_from_slice(&schur.right);
+    solution.copy_from_slice(right);
     cholesky::solve(matrix, n, solution);
     true
 }

@@ -14,6 +14,15 @@ pub enum Loss {
 }
 
 impl Loss {
+    /// Returns its kind as a number, and its width.
+    pub(super) fn kind_and_width(self) -> (u64, f64) {
+        match self {
+            Self::Squared => (0, 0.0),
+            Self::Huber(width) => (1, width),
+            Self::Cauchy(width) => (2, width),
+        }
+    }
+
     /// Returns ρ(s).
     pub(super) fn cost(self, squared: f64) -> f64 {
         match self {

@@ -5,6 +5,7 @@
 //! reduced system, `adjust` iterates (Levenberg-Marquardt).
 
 mod adjust;
+mod checkpoint;
 mod cholesky;
 mod cholesky3;
 mod conjugate_gradients;

@@ -49,40 +49,65 @@ const FEW: usize = 500;
 /// # Extremes
 /// No features if a side is under 16 px, a pixel is not in [0, 1] (NaN included), or the mask has another size.
 pub fn extract(gray: &Gray, mask: &Mask, options: &FeatureOptions) -> Features {
-    extract_on(InstructionSet::best(), gray, mask, options)
+    extract_until(gray, mask, options, &|| false).unwrap_or_default()
 }
 
-/// [`extract`] on a given instruction set.
+/// As [`extract`]; `None` if `stop`, which is polled at each octave and layer, returns true.
+pub fn extract_until(
+    gray: &Gray,
+    mask: &Mask,
+    options: &FeatureOptions,
+    stop: &dyn Fn() -> bool,
+) -> Option<Features> {
+    extract_on(InstructionSet::best(), gray, mask, options, stop)
+}
+
+/// [`extract_until`] on a given instruction set.
 pub(super) fn extract_on(
     set: InstructionSet,
     gray: &Gray,
     mask: &Mask,
     options: &FeatureOptions,
-) -> Features {
+    stop: &dyn Fn() -> bool,
+) -> Option<Features> {
     let fits = (gray.width, gray.height) == (mask.width, mask.height) && gray.pixels.len() == mask.open.len();
     if !gray.is_valid() || !fits {
-        return Features::default();
+        return Some(Features::default());
     }
-    let features = extract_above(set, gray, mask, options, options.contrast);
+    let photo = Photo {
+        gray,
+        mask,
+        options,
+        stop,
+    };
+    let features = extract_above(set, &photo, options.contrast)?;
     // A cap may leave one less than it allows.
     let few = FEW.min(options.max_features.saturating_sub(1) as usize);
     if features.keypoints.len() >= few {
-        return features;
+        return Some(features);
     }
-    extract_above(set, gray, mask, options, options.contrast / 3.0)
+    extract_above(set, &photo, options.contrast / 3.0)
+}
+
+/// A photo that is searched, with how and how long.
+struct Photo<'a> {
+    gray: &'a Gray,
+    mask: &'a Mask,
+    options: &'a FeatureOptions,
+    stop: &'a dyn Fn() -> bool,
 }
 
 /// Rank of the keypoint, keypoint, descriptor.
 type Ranked = (u32, Keypoint, Descriptor);
 
 /// Returns the features with at least the given contrast.
-fn extract_above(
-    set: InstructionSet,
-    gray: &Gray,
-    mask: &Mask,
-    options: &FeatureOptions,
-    contrast: f32,
-) -> Features {
+fn extract_above(set: InstructionSet, photo: &Photo<'_>, contrast: f32) -> Option<Features> {
+    let &Photo {
+        gray,
+        mask,
+        options,
+        stop,
+    } = photo;
     let thresholds = Thresholds {
         contrast,
         edge_ratio: options.edge_ratio,
@@ -91,7 +116,13 @@ fn extract_above(
     let mut scale_space = ScaleSpace::new(set, gray, options.first_octave);
     let (mut octaves, mut points) = (Vec::new(), Vec::new());
     while scale_space.is_large() {
+        if stop() {
+            return None;
+        }
         scale_space.fill(set);
+        if stop() {
+            return None;
+        }
         let grid = scale_space.grid;
         let found = extrema::find(set, &scale_space, &thresholds).into_iter();
         let open = found
@@ -113,6 +144,9 @@ fn extract_above(
         let Some((grid, inner)) = octaves.get(points[0].octave) else {
             continue;
         };
+        if stop() {
+            return None;
+        }
         gradient.take(set, &inner[points[0].extremum.cell[0]], grid.width);
         features.extend(simd::run(
             set,
@@ -123,7 +157,7 @@ fn extract_above(
             },
         ));
     }
-    keep_first(features, options.max_features as usize)
+    Some(keep_first(features, options.max_features as usize))
 }
 
 /// Computes orientations and descriptors of the keypoints of one layer.

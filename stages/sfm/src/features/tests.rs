@@ -162,11 +162,14 @@ fn features_are_equal_to_the_bit_on_every_set() {
             first_octave,
             ..FeatureOptions::default()
         };
-        let plain = extract_on(InstructionSet::all()[0], &gray, &open(&gray), &options);
+        let plain = extract_on(InstructionSet::all()[0], &gray, &open(&gray), &options, &|| false).unwrap();
         assert!(plain.keypoints.len() > 50, "{}", plain.keypoints.len());
         for set in InstructionSet::all() {
             assert!(
-                extract_on(set, &gray, &open(&gray), &options).encode() == plain.encode(),
+                extract_on(set, &gray, &open(&gray), &options, &|| false)
+                    .unwrap()
+                    .encode()
+                    == plain.encode(),
                 "{set:?}"
             );
         }

@@ -115,7 +115,13 @@ pub struct PoseUncertainty {
 ///
 /// The covariance of the reduced system times the variance of one coordinate: the mean reprojection error is sigma
 /// sqrt(pi / 2).
-pub fn pose_uncertainties(input: &MapperInput<'_>, model: &Model) -> Option<Vec<PoseUncertainty>> {
+///
+/// # Errors
+/// [`MapError::Stopped`].
+pub fn pose_uncertainties(
+    input: &MapperInput<'_>,
+    model: &Model,
+) -> Result<Option<Vec<PoseUncertainty>>, MapError> {
     let mut built = build(input, model, &input.tracks.all());
     built.problem.camera_freedom = freedoms(input, model);
     built.problem.priors = focal_priors(input, model);
@@ -126,7 +132,10 @@ pub fn pose_uncertainties(input: &MapperInput<'_>, model: &Model) -> Option<Vec<
         .collect();
     let mean_px = errors.iter().sum::<f64>() / errors.len().max(1) as f64;
     let sigma_px = mean_px / std::f64::consts::FRAC_PI_2.sqrt();
-    let covariances = pose_covariances(&built.problem, sigma_px)?;
+    let covariances = pose_covariances(&built.problem, sigma_px, input.supervisor);
+    if input.supervisor.stop() {
+        return Err(MapError::Stopped);
+    }
     let of = |covariance: &Matrix6<f64>| {
         let root = |first: usize| {
             (first..first + 3)
@@ -139,7 +148,7 @@ pub fn pose_uncertainties(input: &MapperInput<'_>, model: &Model) -> Option<Vec<
             distance: root(3),
         }
     };
-    Some(covariances.iter().map(of).collect())
+    Ok(covariances.map(|covariances| covariances.iter().map(of).collect()))
 }
 
 /// Removes photos with too few observations.
@@ -190,8 +199,8 @@ fn adjust_scope(
         tolerance: effort.tolerance,
         solver: Solver::Auto,
     };
-    let report = adjust(&mut built.problem, &options, input.stop)?;
-    if (input.stop)() {
+    let report = adjust(&mut built.problem, &options, input.supervisor)?;
+    if input.supervisor.stop() {
         return Err(MapError::Stopped);
     }
     write_back(model, &built);

@@ -2,6 +2,7 @@
 
 use super::options::MapOptions;
 use super::tracks::Tracks;
+use crate::Supervisor;
 use crate::bundle::BundleError;
 use crate::view_graph::{Link, SharedCamera, View};
 
@@ -31,8 +32,8 @@ pub struct MapperInput<'a> {
     pub tracks: Tracks,
     /// Options.
     pub options: MapOptions,
-    /// Polled regularly; if it returns true, mapping ends with [`MapError::Stopped`].
-    pub stop: &'a (dyn Fn() -> bool + Sync),
+    /// Polled regularly; if it stops, mapping ends with [`MapError::Stopped`]. What it saves is gone on with.
+    pub supervisor: &'a dyn Supervisor,
     /// Receives the number of photos registered so far.
     pub registered: &'a (dyn Fn(usize) + Sync),
 }

@@ -8,6 +8,7 @@ use super::input::MapperInput;
 use super::tracks::Observation;
 use crate::align::Similarity;
 use crate::bundle::LensModel;
+use crate::bytes::{Reader, Writer};
 use crate::estimators::{Ray, ray_angle_rad, triangulate_robust};
 
 /// Registered photos in one coordinate frame, with the points they observe.
@@ -29,6 +30,17 @@ pub struct Model {
     pub anchor: usize,
 }
 
+/// Tracks between two questions whether to stop.
+const TRACKS_AT_ONCE: usize = 1024;
+
+/// Distortion models by their numbers in a saved state.
+const LENSES: [LensModel; 4] = [
+    LensModel::Pinhole,
+    LensModel::SimpleRadial,
+    LensModel::Radial,
+    LensModel::OpenCv,
+];
+
 /// State of one track: its point, and which of its observations are used.
 type TrackState = (Option<Vector3<f64>>, Vec<bool>);
 
@@ -44,6 +56,35 @@ impl Model {
             active: vec![false; input.tracks.observations.len()],
             anchor,
         }
+    }
+
+    /// Writes the model.
+    pub(super) fn write(&self, writer: &mut Writer) {
+        writer.list(&self.cameras, Writer::camera);
+        let lens = LENSES.iter().position(|lens| *lens == self.lens);
+        writer.count(lens.unwrap_or_default() as u64);
+        writer.flags(&[self.principal_point]);
+        writer.list(&self.poses, |writer, pose| {
+            writer.option(pose.as_ref(), Writer::pose)
+        });
+        writer.list(&self.points, |writer, point| {
+            writer.option(point.as_ref(), Writer::point);
+        });
+        writer.flags(&self.active);
+        writer.count(self.anchor as u64);
+    }
+
+    /// Reads what [`Model::write`] wrote of a model of this input.
+    pub(super) fn read(input: &MapperInput<'_>, reader: &mut Reader<'_>) -> Option<Self> {
+        Some(Self {
+            cameras: reader.list(input.cameras.len(), Reader::camera)?,
+            lens: *LENSES.get(reader.index()?)?,
+            principal_point: reader.flags(1)? == [true],
+            poses: reader.list(input.views.len(), |reader| reader.option(Reader::pose))?,
+            points: reader.list(input.tracks.len(), |reader| reader.option(Reader::point))?,
+            active: reader.flags(input.tracks.observations.len())?,
+            anchor: reader.index().filter(|anchor| *anchor < input.views.len())?,
+        })
     }
 
     /// Sets the distortion model to the smallest that holds the coefficients of all cameras.
@@ -134,7 +175,15 @@ impl Model {
         step: impl Fn(&Self, usize) -> TrackState + Sync,
         input: &MapperInput<'_>,
     ) {
-        let states: Vec<TrackState> = tracks.par_iter().map(|&track| step(self, track)).collect();
+        let states: Vec<TrackState> = tracks
+            .par_chunks(TRACKS_AT_ONCE)
+            // A model that is stopped in the middle is thrown away.
+            .filter(|_| !input.supervisor.stop())
+            .flat_map_iter(|tracks| tracks.iter().map(|&track| step(self, track)))
+            .collect();
+        if states.len() < tracks.len() {
+            return;
+        }
         for (track, (point, active)) in tracks.into_iter().zip(states) {
             self.points[track] = point;
             self.active[input.tracks.range(track)].copy_from_slice(&active);

@@ -6,8 +6,10 @@ use super::global_adjustment::{COARSE, adjust_local, refine};
 use super::initial_pair;
 use super::input::{MIN_PHOTOS, MapError, MapperInput};
 use super::model::Model;
+use crate::bytes::{Reader, Writer};
 use crate::estimators::{PointObservation, Resection, resect};
 use crate::two_view::FocalKnown;
+use crate::view_graph::Link;
 
 /// Observations of triangulated points that a photo needs to be tried.
 const MIN_VISIBLE: usize = 20;
@@ -29,33 +31,104 @@ const STARTS: usize = 3;
 /// Factors tried on a guessed focal length whose camera has no photo in the model yet.
 const FOCAL_FACTORS: [f64; 5] = [1.0, 0.7, 1.4, 0.5, 2.0];
 
-/// Returns the largest model found from photos not taken; `None` if no pair can start one.
-pub(super) fn largest_model(input: &MapperInput<'_>, taken: &[bool]) -> Result<Option<Model>, MapError> {
-    let mut best: Option<Model> = None;
-    let mut tried_starts = 0;
-    for link in initial_pair::candidates(input, taken) {
-        if best
-            .as_ref()
-            .is_some_and(|best| link.photos.iter().any(|&photo| best.poses[photo].is_some()))
-        {
-            continue;
+/// The search for the largest model of photos not taken, between two steps.
+#[derive(Default)]
+pub(super) struct Search {
+    /// Candidates that were looked at.
+    looked_at: usize,
+    tried_starts: usize,
+    best: Option<Model>,
+    /// A model that grows, and the photo it started from.
+    growing: Option<(Growing, usize)>,
+}
+
+/// What a step of a search came to.
+pub(super) enum Searched {
+    /// There is more to do.
+    Unfinished,
+    /// The largest model, if any pair could start one.
+    Finished(Option<Model>),
+}
+
+impl Search {
+    /// Takes one step: looks at one of the `candidates`, or adds to the model that grows.
+    pub(super) fn step(
+        &mut self,
+        input: &MapperInput<'_>,
+        taken: &[bool],
+        candidates: &[&Link],
+    ) -> Result<Searched, MapError> {
+        if let Some((growing, start)) = &mut self.growing {
+            if growing.step(input, taken)? == Growth::Unfinished {
+                return Ok(Searched::Unfinished);
+            }
+            let reachable = reachable(input, *start, taken);
+            if let Some((grown, _)) = self.growing.take() {
+                return Ok(self.compare(input, grown.model, taken, reachable));
+            }
         }
-        let Some(model) = initial_pair::initial_model(input, link)? else {
-            continue;
+        let Some(link) = candidates.get(self.looked_at) else {
+            return Ok(self.finish(input));
         };
-        let model = register_all(input, model, taken)?;
-        let size = |model: &Model| model.photos().filter(|&photo| !taken[photo]).count();
-        if best.as_ref().is_none_or(|best| size(&model) > size(best)) {
-            best = Some(model);
+        self.looked_at += 1;
+        let known = |best: &Model| link.photos.iter().any(|&photo| best.poses[photo].is_some());
+        if !self.best.as_ref().is_some_and(known)
+            && let Some(model) = initial_pair::initial_model(input, link)?
+        {
+            self.growing = Some((Growing::new(model), link.photos[0]));
         }
-        tried_starts += 1;
-        let reachable = reachable(input, link.photos[0], taken);
-        let enough = best.as_ref().is_some_and(|best| 2 * size(best) >= reachable);
-        if enough || tried_starts >= STARTS {
-            break;
-        }
+        Ok(Searched::Unfinished)
     }
-    Ok(best.filter(|model| model.photos().count() >= MIN_PHOTOS.min(input.views.len())))
+
+    /// Keeps a model if it is larger than the best, and decides whether others are tried.
+    fn compare(
+        &mut self,
+        input: &MapperInput<'_>,
+        model: Model,
+        taken: &[bool],
+        reachable: usize,
+    ) -> Searched {
+        let size = |model: &Model| model.photos().filter(|&photo| !taken[photo]).count();
+        if self.best.as_ref().is_none_or(|best| size(&model) > size(best)) {
+            self.best = Some(model);
+        }
+        self.tried_starts += 1;
+        let enough = self.best.as_ref().is_some_and(|best| 2 * size(best) >= reachable);
+        if enough || self.tried_starts >= STARTS {
+            return self.finish(input);
+        }
+        Searched::Unfinished
+    }
+
+    fn finish(&mut self, input: &MapperInput<'_>) -> Searched {
+        let large = |model: &Model| model.photos().count() >= MIN_PHOTOS.min(input.views.len());
+        Searched::Finished(self.best.take().filter(large))
+    }
+
+    pub(super) fn write(&self, writer: &mut Writer) {
+        writer.count(self.looked_at as u64);
+        writer.count(self.tried_starts as u64);
+        writer.option(self.best.as_ref(), |writer, best| best.write(writer));
+        writer.option(self.growing.as_ref(), |writer, (growing, start)| {
+            growing.write(writer);
+            writer.count(*start as u64);
+        });
+    }
+
+    pub(super) fn read(input: &MapperInput<'_>, reader: &mut Reader<'_>) -> Option<Self> {
+        Some(Self {
+            looked_at: reader.index()?,
+            tried_starts: reader.index()?,
+            best: reader.option(|reader| Model::read(input, reader))?,
+            growing: reader.option(|reader| {
+                let growing = Growing::read(input, reader)?;
+                Some((
+                    growing,
+                    reader.index().filter(|start| *start < input.views.len())?,
+                ))
+            })?,
+        })
+    }
 }
 
 /// Returns the number of photos not taken that are connected to a photo.
@@ -92,38 +165,86 @@ impl Attempts {
     }
 }
 
-/// Returns the model after registering photos one by one until none fits; then all is adjusted and each is tried again.
-pub(super) fn register_all(
-    input: &MapperInput<'_>,
-    mut model: Model,
-    taken: &[bool],
-) -> Result<Model, MapError> {
-    let mut attempts = Attempts::default();
-    let mut adjusted = model.photos().count();
-    let mut stable = 0;
-    loop {
-        if (input.stop)() {
+/// A model to which photos are added one by one until none fits; then all is adjusted and each is tried again.
+pub(super) struct Growing {
+    pub model: Model,
+    attempts: Attempts,
+    /// Photos of the model when all of it was adjusted last.
+    adjusted: usize,
+    /// Photos of the model when none fitted last.
+    stable: usize,
+}
+
+/// What a step of a growing model came to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Growth {
+    Unfinished,
+    Finished,
+}
+
+impl Growing {
+    pub(super) fn new(model: Model) -> Self {
+        Self {
+            attempts: Attempts::default(),
+            adjusted: model.photos().count(),
+            stable: 0,
+            model,
+        }
+    }
+
+    /// Tries the next photo; without one, adjusts all.
+    pub(super) fn step(&mut self, input: &MapperInput<'_>, taken: &[bool]) -> Result<Growth, MapError> {
+        if input.supervisor.stop() {
             return Err(MapError::Stopped);
         }
+        let model = &mut self.model;
         let placed = model.photos().count();
-        let Some((photo, visible)) = next_photo(input, &model, taken, &attempts) else {
-            if placed == stable {
-                return Ok(model);
+        let Some((photo, visible)) = next_photo(input, model, taken, &self.attempts) else {
+            if placed == self.stable {
+                return Ok(Growth::Finished);
             }
-            refine(input, &mut model, &[], COARSE)?;
-            adjusted = model.photos().count();
-            (stable, attempts) = (placed, Attempts::default());
-            continue;
+            refine(input, model, &[], COARSE)?;
+            self.adjusted = model.photos().count();
+            (self.stable, self.attempts) = (placed, Attempts::default());
+            return Ok(Growth::Unfinished);
         };
-        if !register(input, &mut model, photo)? {
-            attempts.note(photo, visible);
-            continue;
+        if !register(input, model, photo)? {
+            self.attempts.note(photo, visible);
+            return Ok(Growth::Unfinished);
         }
         (input.registered)(placed + 1);
-        if (placed + 1) as f64 >= GROWTH * adjusted as f64 {
-            refine(input, &mut model, &[], COARSE)?;
-            adjusted = model.photos().count().max(placed);
+        if (placed + 1) as f64 >= GROWTH * self.adjusted as f64 {
+            refine(input, model, &[], COARSE)?;
+            self.adjusted = model.photos().count().max(placed);
         }
+        Ok(Growth::Unfinished)
+    }
+
+    pub(super) fn write(&self, writer: &mut Writer) {
+        self.model.write(writer);
+        let attempts: Vec<_> = self.attempts.0.iter().collect();
+        writer.list(&attempts, |writer, (photo, (tries, visible))| {
+            writer.count(**photo as u64);
+            writer.count(u64::from(*tries));
+            writer.count(*visible as u64);
+        });
+        writer.count(self.adjusted as u64);
+        writer.count(self.stable as u64);
+    }
+
+    pub(super) fn read(input: &MapperInput<'_>, reader: &mut Reader<'_>) -> Option<Self> {
+        let model = Model::read(input, reader)?;
+        let attempts = reader.any_list(|reader| {
+            let photo = reader.index()?;
+            let tries = u32::try_from(reader.count()?).ok()?;
+            Some((photo, (tries, reader.index()?)))
+        })?;
+        Some(Self {
+            model,
+            attempts: Attempts(attempts.into_iter().collect()),
+            adjusted: reader.index()?,
+            stable: reader.index()?,
+        })
     }
 }
 

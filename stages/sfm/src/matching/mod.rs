@@ -7,7 +7,7 @@ mod nearest;
 mod pairs;
 
 pub use match_pair::{MatchOptions, match_pair};
-pub use pairs::{exhaustive, retrieve, sequential};
+pub use pairs::{Samples, exhaustive, most_similar, sequential};
 
 #[cfg(test)]
 mod tests;

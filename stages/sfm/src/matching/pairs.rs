@@ -29,25 +29,43 @@ pub fn exhaustive(count: usize) -> Vec<(usize, usize)> {
         .collect()
 }
 
-/// Returns for each photo the `per_photo` others whose largest-scale features match best, as sorted pairs i < j.
+/// The 256 features of the largest scales of each photo.
+pub struct Samples {
+    descriptors: Vec<Vec<Descriptor>>,
+    packed: Vec<Packed>,
+}
+
+impl Samples {
+    /// Takes the samples of all photos.
+    pub fn new(all: &[&Features]) -> Self {
+        let descriptors: Vec<Vec<Descriptor>> = all.par_iter().map(|features| largest(features)).collect();
+        Self {
+            packed: descriptors.par_iter().map(|sample| Packed::new(sample)).collect(),
+            descriptors,
+        }
+    }
+
+    /// Returns the number of matches of two photos.
+    pub fn matches(&self, first: usize, second: usize) -> usize {
+        let (set, options) = (InstructionSet::best(), MatchOptions::default());
+        mutual(set, &self.descriptors[first], &self.packed[second], &options).len()
+    }
+}
+
+/// Returns for each of `count` photos the `per_photo` others with which it has most matches, as sorted pairs i < j.
 ///
-/// All pairs are matched with 256 features of each photo; a pair with fewer than `min_matches` matches is no candidate.
-/// More matches come first, ties by the lower index. A pair is returned if either photo chose it.
-pub fn retrieve(all: &[&Features], per_photo: usize, min_matches: usize) -> Vec<(usize, usize)> {
-    let set = InstructionSet::best();
-    let samples: Vec<Vec<Descriptor>> = all.par_iter().map(|features| largest(features)).collect();
-    let packed: Vec<Packed> = samples.par_iter().map(|sample| Packed::new(sample)).collect();
-    let options = MatchOptions::default();
-    let pairs = exhaustive(all.len());
-    let matches: Vec<usize> = pairs
-        .par_iter()
-        .map(|&(first, second)| mutual(set, &samples[first], &packed[second], &options).len())
-        .collect();
-    let mut candidates = vec![Vec::new(); all.len()];
-    for (&(first, second), matches) in pairs
+/// `matches`: two photos and their number of matches; with fewer than `min_matches` they are no candidates. More matches
+/// come first, ties by the lower index. A pair is returned if either photo chose it.
+pub fn most_similar(
+    count: usize,
+    matches: &[([usize; 2], usize)],
+    per_photo: usize,
+    min_matches: usize,
+) -> Vec<(usize, usize)> {
+    let mut candidates = vec![Vec::new(); count];
+    for &([first, second], matches) in matches
         .iter()
-        .zip(matches)
-        .filter(|&(_, matches)| matches >= min_matches.max(1))
+        .filter(|(_, matches)| *matches >= min_matches.max(1))
     {
         candidates[first].push((matches, second));
         candidates[second].push((matches, first));

@@ -144,6 +144,15 @@ fn sequential_pairs_are_the_next_ones_and_the_powers_of_two() {
     assert_eq!(exhaustive(98).len(), 4753);
 }
 
+fn retrieve(all: &[&Features], per_photo: usize, min_matches: usize) -> Vec<(usize, usize)> {
+    let samples = Samples::new(all);
+    let matches: Vec<_> = exhaustive(all.len())
+        .into_iter()
+        .map(|(first, second)| ([first, second], samples.matches(first, second)))
+        .collect();
+    most_similar(all.len(), &matches, per_photo, min_matches)
+}
+
 #[test]
 fn photos_that_share_descriptors_are_found() {
     // Photo i shares 20 descriptors with photo i + 1 and none with the others.

@@ -1,5 +1,6 @@
 //! Mapping of synthetic photos with known ground truth, at the extremes: a correct result or none.
 
+mod stopped;
 mod synthetic;
 
 use marf_scene::{Camera, Pose};

@@ -4,10 +4,11 @@ use marf_numeric::{Rng, mix};
 use marf_scene::{Camera, Pose};
 use nalgebra::{Vector2, Vector3};
 
+use crate::Supervisor;
 use crate::align::{Tolerance, align, pose_difference};
 use crate::mapper::{MapOptions, MapperInput, Model, Tracks, map};
 use crate::two_view::{FocalKnown, VerifyOptions, ViewPoints, verify};
-use crate::view_graph::{ComparedPair, SharedCamera, View, link_pairs, max_error_px, refine_focal_lengths};
+use crate::view_graph::{ComparedPair, SharedCamera, View, link_pair, max_error_px, refine_focal_lengths};
 
 /// Synthetic photos and the errors added to them.
 pub(super) struct Synthetic {
@@ -168,6 +169,15 @@ impl Synthetic {
 
     /// Calls `work` with the input of the mapper.
     pub(super) fn with_input<R>(&self, work: impl FnOnce(&MapperInput<'_>) -> R) -> R {
+        self.supervised(&|| false, work)
+    }
+
+    /// As [`Synthetic::with_input`], with a supervisor.
+    pub(super) fn supervised<R>(
+        &self,
+        supervisor: &dyn Supervisor,
+        work: impl FnOnce(&MapperInput<'_>) -> R,
+    ) -> R {
         let (views, features) = self.observe();
         let compared = self.compare(&views, &features);
         let mut shared = vec![self.start.clone(); 1 + self.apart.len()];
@@ -176,14 +186,15 @@ impl Synthetic {
             let indices = pair.verified.inliers.iter().flatten();
             indices.fold(0, |seed, &index| mix(seed ^ u64::from(index)))
         };
-        let links = link_pairs(&views, &shared, &compared, 15, seed);
+        let link = |pair: &ComparedPair| link_pair(&views, &shared, pair, 15, seed(pair));
+        let links: Vec<_> = compared.iter().filter_map(link).collect();
         let input = MapperInput {
             views: &views,
             cameras: &shared,
             links: &links,
             tracks: Tracks::build(&views, &links),
             options: MapOptions::automatic(&shared, 0),
-            stop: &|| false,
+            supervisor,
             registered: &|_| (),
         };
         work(&input)

@@ -7,5 +7,5 @@ mod view;
 
 pub use components::components;
 pub use focal::refine_focal_lengths;
-pub use links::link_pairs;
+pub use links::link_pair;
 pub use view::{ComparedPair, Link, SharedCamera, View, focal_known, max_error_px};

@@ -18,7 +18,7 @@ fn scene() -> Problem {
 fn covariances_agree_with_many_noisy_solves() {
     let exact = scene();
     let sigma_px = 0.7;
-    let predicted_gain = pose_covariances(&exact, sigma_px).unwrap();
+    let predicted_gain = pose_covariances(&exact, sigma_px, &|| false).unwrap();
     let mut rng = Rng::new(77);
     let mut found = vec![Matrix6::zeros(); 6];
     for _ in 0..SOLVES {
@@ -55,7 +55,7 @@ fn covariances_agree_with_many_noisy_solves() {
 fn a_free_gauge_has_no_covariance_and_a_prior_gives_it_one() {
     let mut problem = scene();
     problem.pose_freedom.fill(PoseFreedom::Free);
-    assert_eq!(pose_covariances(&problem, 1.0), None);
+    assert_eq!(pose_covariances(&problem, 1.0, &|| false), None);
     problem.priors = (0..6)
         .map(|pose| Prior::Centre {
             pose,
@@ -63,7 +63,7 @@ fn a_free_gauge_has_no_covariance_and_a_prior_gives_it_one() {
             sigma: 0.02,
         })
         .collect();
-    let covariances = pose_covariances(&problem, 1e-2).unwrap();
+    let covariances = pose_covariances(&problem, 1e-2, &|| false).unwrap();
     // With pixels this good the shape is certain, its place is that of the mean of six centres.
     let trace = covariances[0].fixed_view::<3, 3>(3, 3).trace().sqrt();
     assert!((0.5..3.0).contains(&(trace / (0.02 / 6.0_f64.sqrt()))), "{trace}");
@@ -72,11 +72,11 @@ fn a_free_gauge_has_no_covariance_and_a_prior_gives_it_one() {
 #[test]
 fn covariance_scales_with_the_world_and_the_square_of_the_noise() {
     let exact = scene();
-    let one = pose_covariances(&exact, 1.0).unwrap();
+    let one = pose_covariances(&exact, 1.0, &|| false).unwrap();
     let mut large = exact.clone();
     large.poses.iter_mut().for_each(|pose| pose.translation *= 1e6);
     large.points.iter_mut().for_each(|point| *point *= 1e6);
-    let two = pose_covariances(&large, 2.0).unwrap();
+    let two = pose_covariances(&large, 2.0, &|| false).unwrap();
     for pose in 2..6 {
         assert!((two[pose][(0, 0)] / one[pose][(0, 0)] / 4.0 - 1.0).abs() < 1e-6);
         assert!((two[pose][(4, 4)] / one[pose][(4, 4)] / 4e12 - 1.0).abs() < 1e-6);
@@ -96,5 +96,5 @@ fn a_photo_whose_points_nobody_else_sees_has_no_covariance() {
         problem.points.push(problem.points[seen.point as usize]);
         problem.observations.push(Observation { point, ..seen });
     }
-    assert_eq!(pose_covariances(&problem, 1.0), None);
+    assert_eq!(pose_covariances(&problem, 1.0, &|| false), None);
 }

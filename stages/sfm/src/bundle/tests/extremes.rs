@@ -270,16 +270,16 @@ fn one_two_and_sixteen_threads_give_the_same_bytes() {
 #[test]
 fn it_stops_when_asked_and_keeps_the_best_so_far() {
     let mut problem = noisy();
-    let asked = std::cell::Cell::new(0);
-    let stop = || {
-        asked.set(asked.get() + 1);
-        asked.get() > 2
-    };
+    let whole = run(&mut problem.clone(), &EXACT);
+    let asked = std::sync::atomic::AtomicU32::new(0);
+    // A step asks before it begins, before the system is solved and twice while it is: 74 unknowns in panels of 48.
+    let stop = || asked.fetch_add(1, std::sync::atomic::Ordering::Relaxed) >= 9;
     let report = adjust(&mut problem, &EXACT, &stop).unwrap();
     assert!(
-        report.iterations == 2 && !report.converged && report.final_cost < report.initial_cost,
+        report.iterations == 3 && !report.converged && report.final_cost < report.initial_cost,
         "{report:?}"
     );
+    assert!(whole.iterations > 3, "{whole:?}");
 }
 
 #[test]

@@ -5,6 +5,7 @@ mod extremes;
 mod jacobians;
 mod noise;
 mod priors;
+mod stopped;
 
 use marf_numeric::Rng;
 use marf_scene::Pose;
