@@ -24,7 +24,7 @@ pub use ply::read_ply;
 pub use transforms::{Transforms, read_transforms};
 
 use crate::calibration::{Calibration, HeldOut, PhotoStatistics, PlacedPhoto, mean_up};
-use crate::photos::{InputPhoto, as_png, decode, reduction, store};
+use crate::photos::{InputPhoto, as_png, decode, reduced, reduction};
 use choose::{Source, choose};
 use marf_schema::calibrate::CalibrateParams;
 use marf_schema::calibrate::Missing;
@@ -252,16 +252,9 @@ fn sized(
     if factor == 1 {
         return Ok((item.image, item.facts.file.clone(), camera));
     }
-    let image = decode(ctx, item)?.image;
-    if (image.width, image.height) != (camera.width, camera.height) {
-        return Err(StageError::new(format!(
-            "photo `{}` has {} x {} pixels upright, its facts say {} x {}",
-            item.id, image.width, image.height, camera.width, camera.height
-        )));
-    }
-    let image = image.box_reduced(factor);
+    let size_px = [camera.width, camera.height];
     Ok((
-        store(ctx, item, &image)?,
+        reduced(ctx, &item.id, &item.image, size_px, factor)?,
         as_png(&item.facts.file),
         camera.box_reduced(factor),
     ))

@@ -2,15 +2,16 @@
 
 use std::collections::BTreeMap;
 
-use marf_cache::Digest;
+use marf_cache::{Digest, digest_of};
 use marf_scene::{Cahvor, Camera, CameraPrior, Image, Pinhole, Pose, Srgb};
 use marf_schema::calibrate::CalibrateParams;
 use marf_stage::{Ctx, StageError};
 use nalgebra::Vector3;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::calibration::{Calibration, PhotoStatistics, PlacedPhoto};
-use crate::photos::{InputPhoto, as_png, decode, reduction, store};
+use crate::photos::{InputPhoto, as_png, decode, kept, reduction, store};
 use crate::resample::resample;
 
 /// A photo whose label can be used.
@@ -21,7 +22,8 @@ pub(crate) struct Candidate<'a> {
     pub site_from_frame: Pose,
 }
 
-/// Image and camera of a photo.
+/// Image and camera of a photo, as a memo keeps them.
+#[derive(Debug, Clone, Serialize, Deserialize)]
 struct PinholePhoto {
     image: Digest,
     file: String,
@@ -190,13 +192,54 @@ fn make_all(
     let done = std::sync::atomic::AtomicU64::new(0);
     let all = candidates.par_iter().map(|candidate| {
         ctx.check()?;
-        let made = make(ctx, &items[candidate.item], candidate, params);
+        let made = known_or_made(ctx, &items[candidate.item], candidate, params);
         let so_far = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
         ctx.progress
             .at(so_far, candidates.len() as u64, "photos resampled");
         made
     });
     all.collect()
+}
+
+/// Returns the digest of all that the image of a photo for the pinhole of its label depends on, and what is ignored of it.
+pub(crate) fn photo_key(
+    item: &InputPhoto,
+    candidate: Option<&Candidate<'_>>,
+    mask: Option<Digest>,
+) -> Digest {
+    let model = candidate.map(|candidate| {
+        (
+            candidate.model,
+            candidate.site_from_frame,
+            item.facts.width,
+            item.facts.height,
+        )
+    });
+    let text = serde_json::to_vec(&(item.image, model, mask, &item.facts.file)).unwrap_or_default();
+    Digest::of(&text)
+}
+
+/// Returns what [`make`] returns of a photo; what an earlier run has made is taken from the memo.
+fn known_or_made(
+    ctx: &Ctx<'_>,
+    item: &InputPhoto,
+    candidate: &Candidate<'_>,
+    params: &CalibrateParams,
+) -> Result<Result<PinholePhoto, String>, StageError> {
+    let depends_on = photo_key(item, Some(candidate), None);
+    let key = digest_of(&("calibrate label photo 1", depends_on, params.longest_side_px));
+    let known = ctx.memos.load(&key).and_then(|bytes| {
+        let known: Result<PinholePhoto, String> = serde_json::from_slice(&bytes).ok()?;
+        let image = known.as_ref().ok().map(|known| known.image);
+        image.is_none_or(|image| kept(ctx, &image)).then_some(known)
+    });
+    if let Some(known) = known {
+        return Ok(known);
+    }
+    let made = make(ctx, item, candidate, params)?;
+    let bytes = serde_json::to_vec(&made).map_err(|error| StageError::new(error.to_string()))?;
+    ctx.memos.save(&key, &bytes);
+    Ok(made)
 }
 
 /// Returns image and camera of a photo at the size that the field is trained on.
@@ -248,9 +291,10 @@ pub(crate) fn ideal(
     };
     let (image, pixels) = match undistortion {
         Undistortion::None => (photo, Pixels::Own),
-        Undistortion::Resample(model) => match resample(&photo, &model, &pinhole) {
+        Undistortion::Resample(model) => match resample(&photo, &model, &pinhole, ctx.cancel) {
             Ok(image) => (image, Pixels::Resampled),
-            Err(error) => return Ok(Err(error.to_string())),
+            Err(Some(error)) => return Ok(Err(error.to_string())),
+            Err(None) => return Err(StageError::Cancelled),
         },
     };
     Ok(Ok(IdealPhoto {

@@ -1,8 +1,8 @@
 //! The photos of the input set: reading, decoding, storing.
 
 use marf_cache::{
-    Digest,
-    manifest::{Leaf, Root, Row},
+    Digest, digest_of,
+    manifest::{Leaf, ManifestError, Root, Row},
 };
 use marf_scene::{Photo, PhotoFacts, encode_png};
 use marf_stage::{Ctx, Inputs, PHOTOS, StageError};
@@ -15,13 +15,35 @@ pub(crate) struct InputPhoto {
     pub facts: PhotoFacts,
 }
 
+/// Why the set of photos cannot be read.
+enum SetError {
+    Stage(StageError),
+    Manifest(ManifestError),
+}
+
+impl From<ManifestError> for SetError {
+    fn from(error: ManifestError) -> Self {
+        Self::Manifest(error)
+    }
+}
+
+impl From<SetError> for StageError {
+    fn from(error: SetError) -> Self {
+        match error {
+            SetError::Stage(error) => error,
+            SetError::Manifest(error) => Self::new(format!("the set of photos: {error}")),
+        }
+    }
+}
+
 /// Returns the photos of the input set, in order of shard and id.
 pub(crate) fn load(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<InputPhoto>, StageError> {
-    let broken = |error: &dyn std::fmt::Display| StageError::new(format!("the set of photos: {error}"));
-    let root = Root::decode(&ctx.get(inputs.required(PHOTOS)?)?).map_err(|error| broken(&error))?;
+    let root = Root::read(inputs.required(PHOTOS)?, |digest| {
+        ctx.get(digest).map_err(SetError::Stage)
+    })?;
     let mut items = Vec::new();
     for leaf in &root.leaves {
-        let leaf = Leaf::decode(&ctx.get(&leaf.leaf)?).map_err(|error| broken(&error))?;
+        let leaf = Leaf::decode(&ctx.get(&leaf.leaf)?).map_err(SetError::Manifest)?;
         for row in leaf.rows {
             items.push(item(row)?);
         }
@@ -72,6 +94,46 @@ pub(crate) fn store(
     let bytes =
         encode_png(image).map_err(|error| StageError::new(format!("photo `{}`: {error}", item.id)))?;
     ctx.put(&bytes)
+}
+
+/// Returns the digest of a photo reduced by an integer factor, as PNG; one that was reduced before is taken from the memo.
+///
+/// # Errors
+/// A photo that cannot be decoded, or is not of that width and height.
+pub(crate) fn reduced(
+    ctx: &Ctx<'_>,
+    id: &str,
+    image: &Digest,
+    size_px: [u32; 2],
+    factor: u32,
+) -> Result<Digest, StageError> {
+    ctx.check()?;
+    let key = digest_of(&("calibrate reduced photo 1", *image, (size_px, factor)));
+    let known = ctx.memos.load(&key).and_then(|bytes| {
+        let digest = Digest::from_bytes((*bytes).try_into().ok()?);
+        kept(ctx, &digest).then_some(digest)
+    });
+    if let Some(known) = known {
+        return Ok(known);
+    }
+    let broken = |error: &dyn std::fmt::Display| StageError::new(format!("photo `{id}`: {error}"));
+    let photo = Photo::decode_validated(&ctx.get(image)?).map_err(|error| broken(&error))?;
+    let (width, height) = (photo.image.width, photo.image.height);
+    if [width, height] != size_px {
+        return Err(StageError::new(format!(
+            "photo `{id}` has {width} x {height} pixels upright, its facts say {} x {}",
+            size_px[0], size_px[1]
+        )));
+    }
+    let png = encode_png(&photo.image.box_reduced(factor)).map_err(|error| broken(&error))?;
+    let digest = ctx.put(&png)?;
+    ctx.memos.save(&key, digest.as_bytes());
+    Ok(digest)
+}
+
+/// Tells whether an image that an earlier run has made is still stored, and stores it as this run's own.
+pub(crate) fn kept(ctx: &Ctx<'_>, image: &Digest) -> bool {
+    ctx.get(image).and_then(|bytes| ctx.put(&bytes)).is_ok()
 }
 
 /// Returns the file's name with the extension `.png`.

@@ -1,6 +1,7 @@
 //! One resampling of a photo to the ideal pinhole of its camera model.
 
 use marf_scene::{Cahvor, CahvorError, Image, Pinhole, Srgb};
+use marf_stage::Cancel;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 
@@ -15,17 +16,21 @@ use rayon::prelude::*;
 /// 1e-13 px changes a rounded value once in about 1e12.
 ///
 /// # Errors
-/// A pixel of the pinhole for which the model has none.
+/// A pixel of the pinhole for which the model has none; `None` if `cancel`, which is asked at each row, is set.
 pub(crate) fn resample(
     photo: &Image<Srgb>,
     model: &Cahvor,
     pinhole: &Pinhole,
-) -> Result<Image<Srgb>, CahvorError> {
+    cancel: &Cancel,
+) -> Result<Image<Srgb>, Option<CahvorError>> {
     let camera = &pinhole.camera;
     let frame_from_cam = pinhole.cam_from_frame.rotation.transpose();
-    let rows: Result<Vec<Vec<[u8; 3]>>, CahvorError> = (0..camera.height)
+    let rows: Result<Vec<Vec<[u8; 3]>>, Option<CahvorError>> = (0..camera.height)
         .into_par_iter()
-        .map(|row| resample_row(photo, model, pinhole, &frame_from_cam, row))
+        .map(|row| match cancel.is_set() {
+            true => Err(None),
+            false => Ok(resample_row(photo, model, pinhole, &frame_from_cam, row)?),
+        })
         .collect();
     Ok(Image {
         width: camera.width,

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use marf_cache::ContentHash;
 use marf_scene::{Frame, Scene, Unplaced};
 use marf_schema::calibrate::{CalibrateParams, Method, Metrics, PhotoMetrics, Totals};
 use marf_schema::output::{POINTS, SCENE, SPARSE, TRANSFORMS};

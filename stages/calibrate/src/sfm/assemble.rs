@@ -2,8 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use marf_cache::Digest;
-use marf_scene::{Camera, Photo, Point, Pose};
+use marf_scene::{Camera, Point, Pose};
 use marf_schema::calibrate::CalibrateParams;
 use marf_sfm::align::Similarity;
 use marf_sfm::bundle::LensModel;
@@ -17,10 +16,11 @@ use rayon::prelude::*;
 use super::earlier::Earlier;
 use super::reasons::{Cause, cause};
 use super::reconstruction::Reconstruction;
+use super::run::failed;
 use crate::calibration::{Calibration, PhotoStatistics, PlacedPhoto, mean_up};
 use crate::export::{Observation, TrackPoint};
 use crate::labels::median;
-use crate::photos::{as_png, reduction};
+use crate::photos::{as_png, reduced, reduction};
 
 /// Returns the calibration of the largest model and of those in the same metric frame.
 pub(super) fn assemble(
@@ -123,7 +123,8 @@ fn frames(
     params: &CalibrateParams,
 ) -> Result<Vec<PlacedPhoto>, StageError> {
     let photos: Vec<usize> = model.photos().collect();
-    let uncertainties = pose_uncertainties(reconstruction.input, model).unwrap_or_default();
+    let uncertainties = pose_uncertainties(reconstruction.input, model).map_err(failed)?;
+    let uncertainties = uncertainties.unwrap_or_default();
     let frames = photos.into_par_iter().enumerate().map(|(rank, photo)| {
         let rejected = rejected.iter().find(|one| one.photo == photo);
         let mut placed = frame(ctx, reconstruction, model, photo, rejected, params)?;
@@ -150,7 +151,10 @@ fn frame(
         .unwrap_or(&reconstruction.items[photo].facts.file);
     let (image, file) = match factor {
         1 => (row.image, file.clone()),
-        _ => (reduced(ctx, &row.image, file, factor)?, as_png(file)),
+        _ => {
+            let size_px = [row.width, row.height];
+            (reduced(ctx, file, &row.image, size_px, factor)?, as_png(file))
+        }
     };
     let errors: Vec<f64> = model
         .active_in(reconstruction.input, photo)
@@ -199,14 +203,6 @@ fn note(label: Option<&str>, rejected: Option<&RejectedLabel>) -> Option<String>
         )
     });
     rejected.or_else(|| label.map(str::to_owned))
-}
-
-/// Stores the photo reduced by an integer factor.
-fn reduced(ctx: &Ctx<'_>, image: &Digest, file: &str, factor: u32) -> Result<Digest, StageError> {
-    let complain = |error: &dyn std::fmt::Display| StageError::new(format!("photo `{file}`: {error}"));
-    let photo = Photo::decode_validated(&ctx.get(image)?).map_err(|error| complain(&error))?;
-    let bytes = marf_scene::encode_png(&photo.image.box_reduced(factor)).map_err(|error| complain(&error))?;
-    ctx.put(&bytes)
 }
 
 /// Returns the camera of the model for the full-size photo.

@@ -1,20 +1,19 @@
 //! Which pairs of photos to compare, and their verified matches, computed or from the memo.
 
 use std::collections::BTreeSet;
-use std::sync::atomic::{AtomicU64, Ordering};
 
-use marf_cache::{ContentHash, Digest, digest_of};
+use marf_cache::{Digest, digest_of};
 use marf_scene::{Camera, Pose};
 use marf_schema::calibrate::{CalibrateParams, Pairs};
 use marf_sfm::features::Features;
-use marf_sfm::matching::{MatchOptions, exhaustive, match_pair, retrieve, sequential};
+use marf_sfm::matching::{MatchOptions, Samples, exhaustive, match_pair, most_similar, sequential};
 use marf_sfm::two_view::{FocalKnown, VerifiedKind, VerifiedPair, VerifyOptions, ViewPoints, verify};
 use marf_sfm::view_graph::{ComparedPair, SharedCamera, View, focal_known, max_error_px};
 use marf_stage::{Ctx, StageError};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 
-use super::memo_table::MemoTable;
+use super::pair_memos::{OfPairs, of_pairs};
 use super::photo_features::PhotoFeatures;
 
 /// Raised when matching or verification may change.
@@ -32,14 +31,19 @@ const BY_LABEL: usize = 20;
 const RANGES_M: [f64; 4] = [1.5, 4.0, 10.0, 30.0];
 
 /// Returns the pairs to compare, each once, sorted.
+///
+/// # Errors
+/// A request to stop.
 pub(super) fn choose(
+    ctx: &Ctx<'_>,
     features: &[PhotoFeatures],
     sequence: &[usize],
     params: &CalibrateParams,
-) -> Vec<[usize; 2]> {
+) -> Result<Vec<[usize; 2]>, StageError> {
     let count = features.len();
+    let all: Vec<[usize; 2]> = exhaustive(count).into_iter().map(|(a, b)| [a, b]).collect();
     if params.pairs == Pairs::Exhaustive || (params.pairs == Pairs::Auto && count <= EXHAUSTIVE_PHOTOS) {
-        return exhaustive(count).into_iter().map(|(a, b)| [a, b]).collect();
+        return Ok(all);
     }
     let ordered = |a: usize, b: usize| [a.min(b), a.max(b)];
     let mut pairs: BTreeSet<[usize; 2]> = sequential(count, OVERLAP)
@@ -47,27 +51,30 @@ pub(super) fn choose(
         .map(|(a, b)| ordered(sequence[a], sequence[b]))
         .collect();
     if params.pairs == Pairs::Auto {
-        let all: Vec<&Features> = features.iter().map(|one| &one.features).collect();
-        pairs.extend(
-            retrieve(&all, RETRIEVED, MIN_RETRIEVAL_MATCHES)
-                .into_iter()
-                .map(|(a, b)| ordered(a, b)),
-        );
-        pairs.extend(by_label(features));
+        let found: Vec<&Features> = features.iter().map(|one| &one.features).collect();
+        let similarity = Similarity {
+            features,
+            samples: Samples::new(&found),
+        };
+        let matches = of_pairs(ctx, &names(features), &all, &similarity)?;
+        let similar = most_similar(count, &matches, RETRIEVED, MIN_RETRIEVAL_MATCHES);
+        pairs.extend(similar.into_iter().map(|(a, b)| ordered(a, b)));
+        pairs.extend(by_label(ctx, features)?);
     }
-    pairs.into_iter().collect()
+    Ok(pairs.into_iter().collect())
 }
 
 /// Returns for each labelled photo the pairs with those that by their labels overlap most with it.
-fn by_label(features: &[PhotoFeatures]) -> Vec<[usize; 2]> {
+fn by_label(ctx: &Ctx<'_>, features: &[PhotoFeatures]) -> Result<Vec<[usize; 2]>, StageError> {
     let labels: Vec<(usize, &(Camera, Pose))> = features
         .iter()
         .enumerate()
         .filter_map(|(index, one)| Some((index, one.row.label.as_ref()?)))
         .collect();
-    let chosen: Vec<Vec<[usize; 2]>> = labels
+    let chosen: Result<Vec<Vec<[usize; 2]>>, StageError> = labels
         .par_iter()
         .map(|&(index, label)| {
+            ctx.check()?;
             let others = labels.iter().filter(|(other, _)| *other != index);
             let mut seen: Vec<(usize, usize)> = others
                 .map(|&(other, against)| (overlap(label, against), other))
@@ -75,12 +82,13 @@ fn by_label(features: &[PhotoFeatures]) -> Vec<[usize; 2]> {
                 .collect();
             seen.sort_by_key(|&(hits, other)| (std::cmp::Reverse(hits), other));
             seen.truncate(BY_LABEL);
-            seen.into_iter()
+            let pairs = seen.into_iter();
+            Ok(pairs
                 .map(|(_, other)| [index.min(other), index.max(other)])
-                .collect()
+                .collect())
         })
         .collect();
-    chosen.concat()
+    Ok(chosen?.concat())
 }
 
 /// Returns how many of a grid of points in the view of the first photo lie in the second.
@@ -108,16 +116,48 @@ fn overlap((camera, cam_from_site): &(Camera, Pose), (other, other_from_site): &
     .sum()
 }
 
-/// Key of the memo of pairs; its name and fields are part of the key.
-#[derive(ContentHash)]
-struct MemoKey {
-    what: &'static str,
-    version: u32,
-    min_matches: u32,
-    seed: u64,
+/// Similarity of photos: the number of matches of their samples.
+struct Similarity<'a> {
+    features: &'a [PhotoFeatures],
+    samples: Samples,
 }
 
-/// Returns the verified matches of the pairs; results of an earlier run are taken from the memo.
+impl OfPairs for Similarity<'_> {
+    type Found = ([usize; 2], usize);
+    const NOTE: &'static str = "photos compared roughly";
+
+    fn table(&self) -> Digest {
+        digest_of(&("calibrate similar photos", VERSION))
+    }
+
+    fn key(&self, photos: [usize; 2]) -> Digest {
+        let mut found = photos.map(|photo| self.features[photo].row.found);
+        found.sort_unstable();
+        digest_of(&found)
+    }
+
+    fn compute(&self, [a, b]: [usize; 2], _key: &Digest) -> Self::Found {
+        ([a, b], self.samples.matches(a, b))
+    }
+
+    fn pack(&self, (_, matches): &Self::Found) -> Vec<u8> {
+        (*matches as u32).to_le_bytes().to_vec()
+    }
+
+    fn unpack(&self, photos: [usize; 2], row: &[u8]) -> Option<Self::Found> {
+        Some((photos, u32::from_le_bytes(row.try_into().ok()?) as usize))
+    }
+}
+
+/// Matching and verification of pairs.
+struct Comparison<'a> {
+    features: &'a [PhotoFeatures],
+    views: &'a [View],
+    cameras: &'a [SharedCamera],
+    params: &'a CalibrateParams,
+}
+
+/// Returns the verified matches of the pairs; results of an earlier run are taken from the memos.
 pub(super) fn compare(
     ctx: &Ctx<'_>,
     features: &[PhotoFeatures],
@@ -126,88 +166,88 @@ pub(super) fn compare(
     pairs: &[[usize; 2]],
     params: &CalibrateParams,
 ) -> Result<Vec<ComparedPair>, StageError> {
-    let key = digest_of(&MemoKey {
-        what: "calibrate pairs",
-        version: VERSION,
-        min_matches: params.min_matches,
-        seed: params.seed,
-    });
-    let mut table = MemoTable::load(ctx, &key);
-    let done = AtomicU64::new(0);
-    let compared: Vec<Option<(Digest, ComparedPair)>> = pairs
-        .par_iter()
-        .map(|&photos| {
-            if ctx.cancel.is_set() {
-                return None;
-            }
-            let name = row_key(photos, features, views, cameras, params.seed);
-            let kept = table.get(&name).and_then(|row| unpack(photos, row));
-            let one = kept.unwrap_or_else(|| compared(photos, &name, features, views, cameras, params));
-            let so_far = done.fetch_add(1, Ordering::Relaxed) + 1;
-            ctx.progress.at(so_far, pairs.len() as u64, "pairs compared");
-            Some((name, one))
-        })
-        .collect();
-    for (name, one) in compared.iter().flatten() {
-        table.insert(name, pack(one));
-    }
-    table.save(ctx, &key);
-    ctx.check()?;
-    Ok(compared.into_iter().flatten().map(|(_, one)| one).collect())
+    let work = Comparison {
+        features,
+        views,
+        cameras,
+        params,
+    };
+    of_pairs(ctx, &names(features), pairs, &work)
 }
 
-/// Returns the digest of all that a row depends on beside the memo's key.
-fn row_key(
-    [a, b]: [usize; 2],
+/// Returns what stands for each photo in the tables of pairs.
+pub(super) fn names(features: &[PhotoFeatures]) -> Vec<Digest> {
+    features.iter().map(|one| one.row.found).collect()
+}
+
+/// Returns the digest of features and cameras of a pair.
+pub(super) fn photos_key(
+    photos: [usize; 2],
     features: &[PhotoFeatures],
     views: &[View],
     cameras: &[SharedCamera],
-    seed: u64,
 ) -> Digest {
     let camera = |photo: usize| {
         let shared = &cameras[views[photo].camera];
         (shared.camera, shared.focal == FocalKnown::Known)
     };
-    let parts = (
-        features[a].row.found,
-        features[b].row.found,
-        camera(a),
-        camera(b),
-        seed,
-    );
+    let parts = (photos.map(|photo| features[photo].row.found), photos.map(camera));
     Digest::of(&serde_json::to_vec(&parts).unwrap_or_default())
 }
 
-/// Matches and verifies one pair.
-fn compared(
-    photos: [usize; 2],
-    name: &Digest,
-    features: &[PhotoFeatures],
-    views: &[View],
-    cameras: &[SharedCamera],
-    params: &CalibrateParams,
-) -> ComparedPair {
-    let [a, b] = photos;
-    let matches = match_pair(
-        &features[a].features,
-        &features[b].features,
-        &MatchOptions::default(),
-    );
-    let points = |photo: usize| ViewPoints {
-        camera: &cameras[views[photo].camera].camera,
-        pixels: &views[photo].pixels,
-    };
-    let focal = focal_known(views, cameras, photos);
-    let options = VerifyOptions {
-        max_error_px: max_error_px(&cameras[views[a].camera].camera),
-        min_inliers: params.min_matches,
-        ..VerifyOptions::default()
-    };
-    let verified = verify(&points(a), &points(b), &matches, focal, &options, seed_of(name));
-    ComparedPair {
-        photos,
-        matches: matches.len() as u32,
-        verified,
+impl OfPairs for Comparison<'_> {
+    type Found = ComparedPair;
+    const NOTE: &'static str = "pairs compared";
+
+    fn table(&self) -> Digest {
+        let (min_matches, seed) = (self.params.min_matches, self.params.seed);
+        digest_of(&("calibrate pairs", VERSION, (min_matches, seed)))
+    }
+
+    fn key(&self, photos: [usize; 2]) -> Digest {
+        // The seed of the random samples is taken from this digest, in the form that results were first computed with.
+        let [a, b] = photos;
+        let camera = |photo: usize| {
+            let shared = &self.cameras[self.views[photo].camera];
+            (shared.camera, shared.focal == FocalKnown::Known)
+        };
+        let found = |photo: usize| self.features[photo].row.found;
+        let parts = (found(a), found(b), camera(a), camera(b), self.params.seed);
+        Digest::of(&serde_json::to_vec(&parts).unwrap_or_default())
+    }
+
+    fn compute(&self, photos: [usize; 2], key: &Digest) -> ComparedPair {
+        let [a, b] = photos;
+        let (views, cameras) = (self.views, self.cameras);
+        let matches = match_pair(
+            &self.features[a].features,
+            &self.features[b].features,
+            &MatchOptions::default(),
+        );
+        let points = |photo: usize| ViewPoints {
+            camera: &cameras[views[photo].camera].camera,
+            pixels: &views[photo].pixels,
+        };
+        let focal = focal_known(views, cameras, photos);
+        let options = VerifyOptions {
+            max_error_px: max_error_px(&cameras[views[a].camera].camera),
+            min_inliers: self.params.min_matches,
+            ..VerifyOptions::default()
+        };
+        let verified = verify(&points(a), &points(b), &matches, focal, &options, seed_of(key));
+        ComparedPair {
+            photos,
+            matches: matches.len() as u32,
+            verified,
+        }
+    }
+
+    fn pack(&self, found: &ComparedPair) -> Vec<u8> {
+        pack(found)
+    }
+
+    fn unpack(&self, photos: [usize; 2], row: &[u8]) -> Option<ComparedPair> {
+        unpack(photos, row)
     }
 }
 
@@ -236,14 +276,28 @@ fn pack(one: &ComparedPair) -> Vec<u8> {
         .fundamental
         .unwrap_or_else(|| Matrix3::from_element(f64::NAN));
     bytes.extend(fundamental.iter().flat_map(|value| value.to_le_bytes()));
-    bytes.extend(
-        verified
-            .inliers
-            .iter()
-            .flatten()
-            .flat_map(|index| index.to_le_bytes()),
-    );
+    bytes.extend(pack_inliers(&verified.inliers));
     bytes
+}
+
+/// Returns inliers as bytes.
+pub(super) fn pack_inliers(inliers: &[[u32; 2]]) -> Vec<u8> {
+    let indices = inliers.iter().flatten();
+    indices.flat_map(|index| index.to_le_bytes()).collect()
+}
+
+/// Reads what [`pack_inliers`] wrote.
+pub(super) fn unpack_inliers(bytes: &[u8]) -> Option<Vec<[u32; 2]>> {
+    let (pairs, []) = bytes.as_chunks::<8>() else {
+        return None;
+    };
+    let pair = |&[a0, a1, a2, a3, b0, b1, b2, b3]: &[u8; 8]| {
+        [
+            u32::from_le_bytes([a0, a1, a2, a3]),
+            u32::from_le_bytes([b0, b1, b2, b3]),
+        ]
+    };
+    Some(pairs.iter().map(pair).collect())
 }
 
 /// Reads what [`pack`] wrote.
@@ -257,18 +311,8 @@ fn unpack(photos: [usize; 2], row: &[u8]) -> Option<ComparedPair> {
     let (numbers, []) = fundamental.as_chunks::<8>() else {
         return None;
     };
-    let (inliers, []) = rest.as_chunks::<8>() else {
-        return None;
-    };
     let counts: Vec<u32> = words.iter().map(|word| u32::from_le_bytes(*word)).collect();
     let fundamental = Matrix3::from_iterator(numbers.iter().map(|number| f64::from_le_bytes(*number)));
-    let pair = |bytes: &[u8; 8]| {
-        let [a0, a1, a2, a3, b0, b1, b2, b3] = *bytes;
-        [
-            u32::from_le_bytes([a0, a1, a2, a3]),
-            u32::from_le_bytes([b0, b1, b2, b3]),
-        ]
-    };
     let kinds = [
         VerifiedKind::General,
         VerifiedKind::Planar,
@@ -280,7 +324,7 @@ fn unpack(photos: [usize; 2], row: &[u8]) -> Option<ComparedPair> {
         photos,
         matches: counts[0],
         verified: VerifiedPair {
-            inliers: inliers.iter().map(pair).collect(),
+            inliers: unpack_inliers(rest)?,
             fundamental: fundamental
                 .iter()
                 .all(|value| value.is_finite())

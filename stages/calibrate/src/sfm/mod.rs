@@ -8,10 +8,12 @@ mod cameras;
 mod capture_order;
 mod compare;
 mod earlier;
-mod memo_table;
+mod links;
+mod pair_memos;
 mod photo_features;
 mod reasons;
 mod reconstruction;
 mod run;
+mod supervisor;
 
 pub(crate) use run::run;

@@ -2,19 +2,18 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use marf_cache::{ContentHash, Digest, digest_of};
+use marf_cache::{Digest, digest_of};
 use marf_scene::{Camera, Image, Pose, Srgb};
 use marf_schema::calibrate::{CalibrateParams, FirstOctaveParam};
-use marf_sfm::features::{FeatureOptions, Features, FirstOctave, Gray, Mask, extract};
+use marf_sfm::features::{FeatureOptions, Features, FirstOctave, Gray, Mask, extract_until};
 use marf_stage::{Ctx, Inputs, StageError};
 use nalgebra::Vector2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::memo_table::MemoTable;
-use crate::labels::{Candidate, Pixels, ideal};
+use crate::labels::{Candidate, Pixels, ideal, photo_key};
 use crate::masks::mask_file;
-use crate::photos::{InputPhoto, as_png, decode, store};
+use crate::photos::{InputPhoto, as_png, decode, kept, store};
 
 /// Raised when features, working images or label cameras may change.
 const VERSION: u32 = 1;
@@ -56,16 +55,6 @@ pub(super) struct FeatureRow {
     pub found: Digest,
 }
 
-/// Key of the memo of features; its name and fields are part of the key.
-#[derive(ContentHash)]
-struct MemoKey {
-    what: &'static str,
-    version: u32,
-    max_features: u32,
-    feature_side_px: u32,
-    first_octave: FirstOctaveParam,
-}
-
 /// Returns the features of each photo, resampled if the lens of its label is no pinhole; results of an earlier run are
 /// taken from the memo.
 pub(super) fn photo_features(
@@ -75,53 +64,53 @@ pub(super) fn photo_features(
     candidates: &[Option<Candidate<'_>>],
     params: &CalibrateParams,
 ) -> Result<Vec<PhotoFeatures>, StageError> {
-    let key = digest_of(&MemoKey {
-        what: "calibrate features",
-        version: VERSION,
-        max_features: params.max_features,
-        feature_side_px: params.feature_side_px,
-        first_octave: params.first_octave,
-    });
-    let mut table = MemoTable::load(ctx, &key);
     let done = AtomicU64::new(0);
-    let found: Vec<Result<(Digest, PhotoFeatures), StageError>> = (0..items.len())
-        .into_par_iter()
-        .map(|item| {
-            ctx.check()?;
-            let mask = mask_file(ctx, inputs, &items[item])?;
-            let candidate = candidates[item].as_ref();
-            let name = row_key(&items[item], candidate, mask.as_ref());
-            let kept = table.get(&name).and_then(|row| recall(ctx, row));
-            let features = match kept {
-                Some(kept) => kept,
-                None => computed(ctx, &items[item], candidate, mask.as_ref(), params)?,
-            };
-            let so_far = done.fetch_add(1, Ordering::Relaxed) + 1;
-            ctx.progress
-                .at(so_far, items.len() as u64, "photos searched for features");
-            Ok((name, features))
-        })
-        .collect();
-    for (name, one) in found.iter().flatten() {
-        table.insert(name, serde_json::to_vec(&one.row).unwrap_or_default());
-    }
-    table.save(ctx, &key);
-    found.into_iter().map(|one| one.map(|(_, one)| one)).collect()
+    let found = (0..items.len()).into_par_iter().map(|item| {
+        ctx.check()?;
+        let mask = mask_file(ctx, inputs, &items[item])?;
+        let found = known_or_computed(
+            ctx,
+            &items[item],
+            candidates[item].as_ref(),
+            mask.as_ref(),
+            params,
+        )?;
+        let so_far = done.fetch_add(1, Ordering::Relaxed) + 1;
+        ctx.progress
+            .at(so_far, items.len() as u64, "photos searched for features");
+        Ok(found)
+    });
+    found.collect()
 }
 
-/// Returns the digest of all that a row depends on beside the memo's key.
+/// Returns the features of a photo; those that an earlier run has found are taken from the memo.
+fn known_or_computed(
+    ctx: &Ctx<'_>,
+    item: &InputPhoto,
+    candidate: Option<&Candidate<'_>>,
+    mask: Option<&Image<Srgb>>,
+    params: &CalibrateParams,
+) -> Result<PhotoFeatures, StageError> {
+    let doubled = params.first_octave == FirstOctaveParam::Doubled;
+    let options = (params.max_features, params.feature_side_px, doubled);
+    let key = digest_of(&(
+        ("calibrate features", VERSION),
+        options,
+        row_key(item, candidate, mask),
+    ));
+    if let Some(known) = ctx.memos.load(&key).and_then(|row| recall(ctx, &row)) {
+        return Ok(known);
+    }
+    let found = computed(ctx, item, candidate, mask, params)?;
+    let row = serde_json::to_vec(&found.row).map_err(|error| StageError::new(error.to_string()))?;
+    ctx.memos.save(&key, &row);
+    Ok(found)
+}
+
+/// Returns the digest of all of a photo that its features depend on.
 fn row_key(item: &InputPhoto, candidate: Option<&Candidate<'_>>, mask: Option<&Image<Srgb>>) -> Digest {
-    let model = candidate.map(|candidate| {
-        (
-            candidate.model,
-            candidate.site_from_frame,
-            item.facts.width,
-            item.facts.height,
-        )
-    });
     let mask = mask.map(|mask| Digest::of(mask.pixels.as_flattened()));
-    let text = serde_json::to_vec(&(item.image, model, mask, &item.facts.file)).unwrap_or_default();
-    Digest::of(&text)
+    photo_key(item, candidate, mask)
 }
 
 /// Returns the features of a row, if they are still stored.
@@ -129,9 +118,12 @@ fn recall(ctx: &Ctx<'_>, row: &[u8]) -> Option<PhotoFeatures> {
     let row: FeatureRow = serde_json::from_slice(row).ok()?;
     if row.file.is_some() {
         // The resampled image must still be there: the frame will name it.
-        ctx.get(&row.image).ok()?;
+        kept(ctx, &row.image).then_some(())?;
     }
-    let (features, colors) = unpack(&ctx.get(&row.found).ok()?)?;
+    let found = ctx.get(&row.found).ok()?;
+    let (features, colors) = unpack(&found)?;
+    // What this run uses is part of its record, so that the memo lives as long as the last run that needs it.
+    ctx.put(&found).ok()?;
     Some(PhotoFeatures {
         row,
         features,
@@ -171,11 +163,13 @@ fn computed(
         .max(photo.height)
         .div_ceil(params.feature_side_px)
         .max(1);
-    let features = extract(
+    let features = extract_until(
         &Gray::of(&photo, factor),
         &Mask::of(&photo, factor, mask),
         &options(params),
+        &|| ctx.cancel.is_set(),
     );
+    let features = features.ok_or(StageError::Cancelled)?;
     let points = features.keypoints.iter();
     let colors: Vec<[u8; 3]> = points
         .map(|point| color(&photo, factor, point.x_px, point.y_px))

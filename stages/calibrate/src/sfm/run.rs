@@ -1,18 +1,19 @@
 //! The steps from photos to a calibration.
 
-use marf_cache::Digest;
 use marf_schema::calibrate::{CalibrateParams, LensParam, PrincipalPoint};
 use marf_sfm::bundle::LensModel;
 use marf_sfm::mapper::{
     LensChoice, MapError, MapOptions, MapperInput, Model, PrincipalPointChoice, Tracks, extend, map,
 };
 use marf_sfm::metric::{LabelPose, RejectedLabel, align_to_labels};
-use marf_sfm::view_graph::{ComparedPair, SharedCamera, link_pairs, refine_focal_lengths};
+use marf_sfm::view_graph::{SharedCamera, refine_focal_lengths};
 use marf_stage::{Ctx, Inputs, StageError};
 
 use super::capture_order::capture_order;
+use super::links::links;
 use super::photo_features::{PhotoFeatures, photo_features};
 use super::reconstruction::Reconstruction;
+use super::supervisor::NodeSupervisor;
 use super::{assemble, cameras, compare, earlier};
 use crate::calibration::Calibration;
 use crate::labels;
@@ -28,20 +29,19 @@ pub(crate) fn run(
     let candidates = labels::of_one_site(items, params.site);
     let features = photo_features(ctx, inputs, items, &candidates, params)?;
     let (mut shared, views) = cameras::group(items, &features, params);
-    let pairs = compare::choose(&features, &capture_order(items), params);
+    let pairs = compare::choose(ctx, &features, &capture_order(items), params)?;
     let compared = compare::compare(ctx, &features, &views, &shared, &pairs, params)?;
     refine_focal_lengths(&mut shared, &views, &compared);
-    let seed = |pair: &ComparedPair| seed_of_inliers(pair) ^ params.seed;
-    let links = link_pairs(&views, &shared, &compared, params.min_matches as usize, seed);
-    ctx.check()?;
+    let links = links(ctx, &features, &views, &shared, &compared, params)?;
     let total = features.len() as u64;
+    let supervisor = NodeSupervisor::new(ctx);
     let input = MapperInput {
         views: &views,
         cameras: &shared,
         links: &links,
         tracks: Tracks::build(&views, &links),
         options: options(params, &shared),
-        stop: &|| ctx.cancel.is_set(),
+        supervisor: &supervisor,
         registered: &|count| ctx.progress.at(count as u64, total, "photos placed"),
     };
     let earlier = earlier::load(ctx, inputs, items, &input)?;
@@ -67,7 +67,7 @@ pub(crate) fn run(
     assemble::assemble(ctx, &reconstruction, earlier.as_ref(), params)
 }
 
-fn failed(error: MapError) -> StageError {
+pub(super) fn failed(error: MapError) -> StageError {
     match error {
         MapError::Stopped => StageError::Cancelled,
         other => StageError::new(other.to_string()),
@@ -104,13 +104,6 @@ fn options(params: &CalibrateParams, cameras: &[SharedCamera]) -> MapOptions {
         },
         ..automatic
     }
-}
-
-/// Returns a seed that depends on the verified matches of a pair alone.
-fn seed_of_inliers(pair: &ComparedPair) -> u64 {
-    let indices = pair.verified.inliers.iter().flatten();
-    let bytes: Vec<u8> = indices.flat_map(|index| index.to_le_bytes()).collect();
-    compare::seed_of(&Digest::of(&bytes))
 }
 
 /// Returns the pose of each photo from its label, if it has one of the chosen site.
