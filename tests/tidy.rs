@@ -115,11 +115,12 @@ const CRATES: [Crate; 18] = [
 ];
 
 /// Packages that only these crates may use.
-const RESTRICTED: [(&str, &[&str]); 7] = [
+const RESTRICTED: [(&str, &[&str]); 8] = [
     ("kamadak-exif", &["marf-pds"]),
     ("petgraph", &["marf-engine"]),
-    ("redb", &["marf-cache"]),
+    ("reflink-copy", &["marf-cache"]),
     ("reqwest", &["marf-extract"]),
+    ("rusqlite", &["marf-cache"]),
     ("rustls", &["marf-extract"]),
     ("tokio", &["marf-extract", "marf"]),
     ("wgpu", &["marf-field"]),

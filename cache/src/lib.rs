@@ -18,7 +18,9 @@ pub use digest::{Digest, ParseDigestError};
 pub use json::canonical_json;
 pub use marf_cache_derive::ContentHash;
 pub use store::{
-    Conflict, Output, Record, RunMetadata, Store, StoreError, StoreStat, digest_list, read_digest_list,
+    Closure, Conflict, Fault, FsckOptions, FsckReport, GcPlan, GcReport, MigratedNode, Migration, Missing,
+    Output, Record, Role, Roots, RunMetadata, StageStat, Store, StoreError, StoreStat, digest_list,
+    read_digest_list,
 };
 
 #[doc(hidden)]

@@ -29,21 +29,53 @@ pub enum StoreError {
         /// The error of the operating system.
         source: io::Error,
     },
-    /// Another program has held the index for longer than a commit may take.
-    #[error("the index `{}` has been in use by another program for {waited_ms} ms", path.display())]
+    /// Another program holds a lock of the store.
+    #[error("`{}` has been in use by another program for {waited_ms} ms", path.display())]
     Locked {
-        /// The index file.
+        /// The file that is locked.
         path: PathBuf,
         /// The time waited.
         waited_ms: u64,
     },
-    /// The index cannot be used.
-    #[error("the index `{}` cannot be used: {message}", path.display())]
-    Index {
-        /// The index file.
+    /// The root of a run cannot be read; the file has just been quarantined.
+    #[error("run {number} was damaged; it is in quarantine as `{}`", path.display())]
+    DamagedRun {
+        /// Number of the run.
+        number: u64,
+        /// The file in quarantine.
         path: PathBuf,
-        /// The error of the database.
-        message: String,
+    },
+    /// There is no run of this number.
+    #[error("there is no run {number} in the store")]
+    NoRun {
+        /// The number asked for.
+        number: u64,
+    },
+    /// The file is longer than the caller takes.
+    #[error("`{}` has {bytes} bytes; at most {max_bytes} are read", path.display())]
+    TooLarge {
+        /// The file.
+        path: PathBuf,
+        /// Its length.
+        bytes: u64,
+        /// The most bytes taken.
+        max_bytes: u64,
+    },
+    /// A later program wrote the store.
+    #[error("the store `{}` is of format {found}; this program reads format {known}", path.display())]
+    Newer {
+        /// The folder of the store.
+        path: PathBuf,
+        /// Its format.
+        found: u32,
+        /// The format of this program.
+        known: u32,
+    },
+    /// marf 0.1.0 wrote the store.
+    #[error("the store `{}` was written by marf 0.1.0", path.display())]
+    Older {
+        /// The folder of the store.
+        path: PathBuf,
     },
 }
 
@@ -82,10 +114,11 @@ impl StoreError {
                 Some("choose a store that can be written with `--store`".to_owned())
             }
             Self::Locked { .. } => Some("wait for the other program, or stop it".to_owned()),
-            Self::Index { path, .. } => Some(format!(
-                "move `{}` away and run again: blobs stay, records are made anew",
-                path.display()
-            )),
+            Self::Newer { .. } => Some("use the program that wrote it, or another folder with `--store`".to_owned()),
+            Self::Older { .. } => Some(
+                "run `marf cache migrate`: what was fetched and computed stays, and it tells what is made again"
+                    .to_owned(),
+            ),
             _ => None,
         }
     }

@@ -1,86 +1,17 @@
-//! File operations after which a crash leaves the old file or the new one, never a part of it.
+//! The file operations of the store: one layer, so that tests can fail any of them or lose what was not synced.
 
 use std::{
     fs::{self, File, OpenOptions},
-    io::{self, Write},
+    io::{self, Read, Seek, SeekFrom, Write},
     path::{Path, PathBuf},
+    sync::Arc,
+    time::SystemTime,
 };
 
 use super::error::StoreError;
 
 /// Most threads that sync at once: the file system's journal then combines their syncs.
 const SYNC_THREADS: usize = 8;
-
-/// Creates a folder and its parents.
-pub(super) fn create_dir(path: &Path) -> Result<(), StoreError> {
-    fs::create_dir_all(path).map_err(StoreError::io("create folder", path))
-}
-
-/// Writes a new read-only file; on an error nothing is left of it.
-pub(super) fn write_new(path: &Path, chunks: &[&[u8]]) -> Result<(), StoreError> {
-    let write = || -> io::Result<()> {
-        let mut options = OpenOptions::new();
-        options.write(true).create_new(true);
-        #[cfg(unix)]
-        std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o444);
-        let mut file = options.open(path)?;
-        chunks.iter().try_for_each(|chunk| file.write_all(chunk))
-    };
-    write().map_err(|error| {
-        let _ = fs::remove_file(path);
-        StoreError::io("write", path)(error)
-    })
-}
-
-/// Flushes files (their bytes) and folders (their entries) to the disk.
-pub(super) fn sync(paths: &[PathBuf]) -> Result<(), StoreError> {
-    let share = paths.len().div_ceil(SYNC_THREADS).max(1);
-    if paths.len() == 1 {
-        return sync_one(&paths[0]);
-    }
-    std::thread::scope(|scope| {
-        let threads: Vec<_> = paths
-            .chunks(share)
-            .map(|part| scope.spawn(|| part.iter().try_for_each(|path| sync_one(path))))
-            .collect();
-        threads
-            .into_iter()
-            .try_for_each(|thread| thread.join().unwrap_or(Ok(())))
-    })
-}
-
-fn sync_one(path: &Path) -> Result<(), StoreError> {
-    let sync = || -> io::Result<()> {
-        let file = File::open(path)?;
-        if cfg!(unix) && file.metadata()?.is_dir() {
-            return file.sync_all();
-        }
-        file.sync_data()
-    };
-    sync().map_err(StoreError::io("sync", path))
-}
-
-/// Moves a finished temporary file to its final name. A file that has the name already stays, and the temporary
-/// file is removed.
-pub(super) fn publish(from: &Path, to: &Path) -> Result<Published, StoreError> {
-    let outcome = link(from, to)?;
-    let _ = fs::remove_file(from);
-    Ok(outcome)
-}
-
-/// Gives a finished temporary file a second, final name, unless another file has that name.
-///
-/// On a file system without hard links the file is renamed.
-pub(super) fn link(from: &Path, to: &Path) -> Result<Published, StoreError> {
-    match fs::hard_link(from, to) {
-        Ok(()) => Ok(Published::New),
-        Err(_) if to.exists() => Ok(Published::Present),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Err(StoreError::io("name", to)(error)),
-        Err(_) => fs::rename(from, to)
-            .map(|()| Published::New)
-            .map_err(StoreError::io("name", to)),
-    }
-}
 
 /// Whether a final name was free.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -91,17 +22,324 @@ pub(super) enum Published {
     Present,
 }
 
-/// Returns the names of a folder's entries, sorted; an absent folder has none.
-pub(super) fn names(dir: &Path) -> Result<Vec<String>, StoreError> {
-    let entries = match fs::read_dir(dir) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
-        other => other.map_err(StoreError::io("list", dir))?,
-    };
-    let mut names = Vec::new();
-    for entry in entries {
-        let entry = entry.map_err(StoreError::io("list", dir))?;
-        names.extend(entry.file_name().into_string().ok());
+/// Length and time of the last change of a file.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Meta {
+    pub(super) bytes: u64,
+    pub(super) modified: SystemTime,
+}
+
+/// What the store asks of the operating system.
+pub(super) trait Operations: Send + Sync {
+    /// Creates a folder and its parents.
+    fn create_dir(&self, path: &Path) -> io::Result<()>;
+    /// Writes a new read-only file.
+    fn write_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
+    /// Appends to a file; creates it if it is absent.
+    fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
+    /// Makes a copy of a file that shares its blocks; an error where the file system cannot.
+    fn reflink(&self, from: &Path, to: &Path) -> io::Result<()>;
+    /// Takes away the permission to write a file.
+    fn seal(&self, path: &Path) -> io::Result<()>;
+    /// Flushes the bytes of a file to the disk.
+    fn sync_file(&self, path: &Path) -> io::Result<()>;
+    /// Flushes the entries of a folder to the disk.
+    fn sync_dir(&self, path: &Path) -> io::Result<()>;
+    /// Gives a file a second name, unless another file has that name.
+    fn link(&self, from: &Path, to: &Path) -> io::Result<Published>;
+    /// Moves a file; one that has the name is replaced.
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
+    /// Removes a file.
+    fn remove_file(&self, path: &Path) -> io::Result<()>;
+    /// Removes a folder with all below it.
+    fn remove_dir_all(&self, path: &Path) -> io::Result<()>;
+    /// Reads a whole file.
+    fn read(&self, path: &Path) -> io::Result<Vec<u8>>;
+    /// Reads bytes of a file from an offset on; fewer at its end.
+    fn read_at(&self, path: &Path, offset: u64, len: usize) -> io::Result<Vec<u8>>;
+    /// Returns the names of a folder's entries.
+    fn names(&self, dir: &Path) -> io::Result<Vec<String>>;
+    /// Returns length and time of a file or folder.
+    fn meta(&self, path: &Path) -> io::Result<Meta>;
+    /// Sets the time of the last change of a file.
+    fn set_modified(&self, path: &Path, time: SystemTime) -> io::Result<()>;
+}
+
+/// The operating system.
+pub(super) struct Disk;
+
+impl Operations for Disk {
+    fn create_dir(&self, path: &Path) -> io::Result<()> {
+        fs::create_dir_all(path)
     }
-    names.sort_unstable();
-    Ok(names)
+
+    fn write_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        let mut options = OpenOptions::new();
+        options.write(true).create_new(true);
+        #[cfg(unix)]
+        std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o444);
+        options.open(path)?.write_all(bytes)
+    }
+
+    fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        let mut file = OpenOptions::new().append(true).create(true).open(path)?;
+        file.write_all(bytes)
+    }
+
+    fn reflink(&self, from: &Path, to: &Path) -> io::Result<()> {
+        reflink_copy::reflink(from, to)
+    }
+
+    fn seal(&self, path: &Path) -> io::Result<()> {
+        let mut permissions = fs::metadata(path)?.permissions();
+        permissions.set_readonly(true);
+        fs::set_permissions(path, permissions)
+    }
+
+    fn sync_file(&self, path: &Path) -> io::Result<()> {
+        File::open(path)?.sync_data()
+    }
+
+    fn sync_dir(&self, path: &Path) -> io::Result<()> {
+        match cfg!(unix) {
+            true => File::open(path)?.sync_all(),
+            false => Ok(()),
+        }
+    }
+
+    fn link(&self, from: &Path, to: &Path) -> io::Result<Published> {
+        match fs::hard_link(from, to) {
+            Ok(()) => Ok(Published::New),
+            Err(_) if to.exists() => Ok(Published::Present),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Err(error),
+            // A file system without hard links.
+            Err(_) => fs::rename(from, to).map(|()| Published::New),
+        }
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        fs::rename(from, to)
+    }
+
+    fn remove_file(&self, path: &Path) -> io::Result<()> {
+        fs::remove_file(path)
+    }
+
+    fn remove_dir_all(&self, path: &Path) -> io::Result<()> {
+        fs::remove_dir_all(path)
+    }
+
+    fn read(&self, path: &Path) -> io::Result<Vec<u8>> {
+        fs::read(path)
+    }
+
+    fn read_at(&self, path: &Path, offset: u64, len: usize) -> io::Result<Vec<u8>> {
+        let mut file = File::open(path)?;
+        // Some file systems refuse to seek far behind the end.
+        if offset >= file.metadata()?.len() {
+            return Ok(Vec::new());
+        }
+        file.seek(SeekFrom::Start(offset))?;
+        let mut bytes = Vec::new();
+        file.take(len as u64).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    }
+
+    fn names(&self, dir: &Path) -> io::Result<Vec<String>> {
+        let mut names = Vec::new();
+        for entry in fs::read_dir(dir)? {
+            names.extend(entry?.file_name().into_string().ok());
+        }
+        Ok(names)
+    }
+
+    fn meta(&self, path: &Path) -> io::Result<Meta> {
+        let meta = fs::metadata(path)?;
+        Ok(Meta {
+            bytes: meta.len(),
+            modified: meta.modified().unwrap_or(SystemTime::UNIX_EPOCH),
+        })
+    }
+
+    fn set_modified(&self, path: &Path, time: SystemTime) -> io::Result<()> {
+        File::open(path)?.set_modified(time)
+    }
+}
+
+/// The layer, with errors that name operation and file.
+#[derive(Clone)]
+pub(super) struct Files(Arc<dyn Operations>);
+
+impl Files {
+    /// Returns the files of the operating system.
+    pub(super) fn of_disk() -> Self {
+        Self(Arc::new(Disk))
+    }
+
+    #[cfg(test)]
+    pub(super) fn of(operations: Arc<dyn Operations>) -> Self {
+        Self(operations)
+    }
+
+    /// Creates a folder and its parents.
+    pub(super) fn create_dir(&self, path: &Path) -> Result<(), StoreError> {
+        self.0
+            .create_dir(path)
+            .map_err(StoreError::io("create folder", path))
+    }
+
+    /// Writes a new read-only file; on an error nothing is left of it.
+    pub(super) fn write_new(&self, path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
+        self.0.write_new(path, bytes).map_err(|error| {
+            let _ = self.0.remove_file(path);
+            StoreError::io("write", path)(error)
+        })
+    }
+
+    /// Appends to a file; creates it if it is absent.
+    pub(super) fn append(&self, path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
+        self.0.append(path, bytes).map_err(StoreError::io("write", path))
+    }
+
+    /// Tells whether a copy that shares the blocks of a file could be made.
+    pub(super) fn try_reflink(&self, from: &Path, to: &Path) -> bool {
+        let linked = self.0.reflink(from, to).is_ok();
+        if !linked {
+            let _ = self.0.remove_file(to);
+        }
+        linked
+    }
+
+    /// Takes away the permission to write a file.
+    pub(super) fn seal(&self, path: &Path) -> Result<(), StoreError> {
+        self.0.seal(path).map_err(StoreError::io("seal", path))
+    }
+
+    /// Flushes the bytes of files to the disk.
+    pub(super) fn sync_files(&self, paths: &[PathBuf]) -> Result<(), StoreError> {
+        self.sync(paths, |path| self.0.sync_file(path))
+    }
+
+    /// Flushes the entries of folders to the disk.
+    pub(super) fn sync_dirs(&self, paths: &[PathBuf]) -> Result<(), StoreError> {
+        self.sync(paths, |path| self.0.sync_dir(path))
+    }
+
+    fn sync(
+        &self,
+        paths: &[PathBuf],
+        sync: impl Fn(&Path) -> io::Result<()> + Sync,
+    ) -> Result<(), StoreError> {
+        let sync = |path: &PathBuf| sync(path).map_err(StoreError::io("sync", path));
+        if paths.len() < 2 {
+            return paths.iter().try_for_each(sync);
+        }
+        let share = paths.len().div_ceil(SYNC_THREADS);
+        std::thread::scope(|scope| {
+            let threads: Vec<_> = paths
+                .chunks(share)
+                .map(|part| scope.spawn(move || part.iter().try_for_each(sync)))
+                .collect();
+            threads
+                .into_iter()
+                .try_for_each(|thread| thread.join().unwrap_or(Ok(())))
+        })
+    }
+
+    /// Moves a finished temporary file to its final name. A file that has the name already stays, and the temporary
+    /// file is removed.
+    pub(super) fn publish(&self, from: &Path, to: &Path) -> Result<Published, StoreError> {
+        let outcome = self.0.link(from, to).map_err(StoreError::io("name", to))?;
+        let _ = self.0.remove_file(from);
+        Ok(outcome)
+    }
+
+    /// Moves a file; one that has the name is replaced.
+    pub(super) fn rename(&self, from: &Path, to: &Path) -> Result<(), StoreError> {
+        self.0.rename(from, to).map_err(StoreError::io("move", from))
+    }
+
+    /// Removes a file; one that is absent is no error.
+    pub(super) fn remove_file(&self, path: &Path) -> Result<(), StoreError> {
+        match self.0.remove_file(path) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+            other => other.map_err(StoreError::io("remove", path)),
+        }
+    }
+
+    /// Removes a folder with all below it; one that is absent is no error.
+    pub(super) fn remove_dir_all(&self, path: &Path) -> Result<(), StoreError> {
+        match self.0.remove_dir_all(path) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+            other => other.map_err(StoreError::io("remove", path)),
+        }
+    }
+
+    /// Reads a whole file; none if it is absent.
+    pub(super) fn read(&self, path: &Path) -> Result<Option<Vec<u8>>, StoreError> {
+        found(self.0.read(path), path)
+    }
+
+    /// Reads bytes of a file from an offset on, fewer at its end; none if the file is absent.
+    pub(super) fn read_at(
+        &self,
+        path: &Path,
+        offset: u64,
+        len: usize,
+    ) -> Result<Option<Vec<u8>>, StoreError> {
+        found(self.0.read_at(path, offset, len), path)
+    }
+
+    /// Returns the names of a folder's entries, sorted; an absent folder has none.
+    pub(super) fn names(&self, dir: &Path) -> Result<Vec<String>, StoreError> {
+        let names = match self.0.names(dir) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+            other => other.map_err(StoreError::io("list", dir))?,
+        };
+        let mut names = names;
+        names.sort_unstable();
+        Ok(names)
+    }
+
+    /// Tells whether there is a file or folder of this name.
+    pub(super) fn exists(&self, path: &Path) -> Result<bool, StoreError> {
+        Ok(found(self.0.meta(path), path)?.is_some())
+    }
+
+    /// Returns length and time of a file; none if it is absent or cannot be asked.
+    pub(super) fn meta(&self, path: &Path) -> Option<Meta> {
+        self.0.meta(path).ok()
+    }
+
+    /// Sets the time of the last change of a file, where the file system can.
+    pub(super) fn set_modified(&self, path: &Path, time: SystemTime) {
+        let _ = self.0.set_modified(path, time);
+    }
+
+    /// Moves a file to `bad/` of a store under a name that is free there; returns its path there.
+    pub(super) fn quarantine(&self, root: &Path, file: &Path, name: &str) -> Result<PathBuf, StoreError> {
+        let to = self.free_place(root, name)?;
+        self.rename(file, &to)?;
+        Ok(to)
+    }
+
+    /// Returns a free path in `bad/` of a store.
+    pub(super) fn free_place(&self, root: &Path, name: &str) -> Result<PathBuf, StoreError> {
+        let folder = root.join("bad");
+        self.create_dir(&folder)?;
+        let plain = folder.join(name);
+        let numbered = (1_u32..).map(|number| folder.join(format!("{name}.{number}")));
+        let free = std::iter::once(plain.clone())
+            .chain(numbered)
+            .find(|path| !path.exists());
+        Ok(free.unwrap_or(plain))
+    }
+}
+
+fn found<T>(read: io::Result<T>, path: &Path) -> Result<Option<T>, StoreError> {
+    match read {
+        Ok(value) => Ok(Some(value)),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(StoreError::io("read", path)(error)),
+    }
 }

@@ -1,52 +1,110 @@
 //! The store: blobs (byte strings by their digest), records (results by key), memos and runs.
 //!
 //! ```text
-//! .marf/cas/xx/<62 hex>      blobs from 64 KiB, one file each
-//! .marf/packs/<id>.pack .idx smaller blobs, many in one file that never changes
-//! .marf/index.redb           records (key -> result) and memos (key -> blob, may be replaced)
-//! .marf/runs/NNNNNN.json     one root a run
-//! .marf/tmp/<id>/            temporary files of one open store
-//! .marf/bad/                 quarantine: damaged blobs
-//! .marf/scratch/             files of unfinished work of stages; may be removed at any time
+//! .marf/format                   version of the form of the store
+//! .marf/cas/xx/<62 hex>          blobs from 64 KiB, one read-only file each
+//! .marf/packs/<id>.pack          smaller blobs, records and memos, many in one file that never changes
+//! .marf/index.sqlite             where each object is in the packs
+//! .marf/runs/NNNNNN-<hex>.json   one root a run, with its digest in its name
+//! .marf/leases/<id>              what a running process uses
+//! .marf/locks/                   empty files that processes lock
+//! .marf/tmp/<id>/                temporary files of one open store
+//! .marf/bad/                     quarantine: damaged files
+//! .marf/scratch/                 files of unfinished work of stages; may be removed at any time
 //! ```
-//! Order of writes: bytes to the disk, then their names, then the folders, then records, last run roots. So
-//! nothing names an object that may be missing, and a crash leaves only objects that nothing names. Writes are
-//! collected in a write batch, so that they share the waits for the disk: a batch is committed when it is a
-//! second old, at 64 MiB, and when [`Store::commit`] is called.
+//!
+//! # What is truth
+//! Loose files and packs, and nothing else: they never change, and each object in them proves itself, a blob by its
+//! digest, a record or memo by a checksum over key and content. The index is made from the packs at any time. Whatever
+//! it says is checked against what the pack holds at that place before it is used.
+//!
+//! # Order of writes
+//! A batch collects writes, so that they share the waits for the disk; it is committed when it is a second old, at
+//! 64 MiB, and by [`Store::commit`]. A commit writes, each step durable before the next: the lease; the large blobs under
+//! temporary names, then their names and folders; one pack with everything small, then its name and folder; the rows of
+//! the index in one transaction. Run roots come after all they name. So nothing names an object that may be missing.
+//!
+//! # What happens in a crash
+//! - Before a name: a file in `tmp/`, which the next open store removes.
+//! - Between large blobs and pack: blobs that nothing names.
+//! - Between pack and index: whoever looks next registers the pack.
+//! - In a transaction of the index: SQLite rolls it back; after a loss of power the index may lack the last
+//!   transactions, and the packs are registered again.
+//! - In a merge, a repair or a collection: the objects of a pack are in two packs; the index knows one of them, and
+//!   the next collection removes the other.
+//!
+//! # What happens to damage
+//! It is found when the object is read. A loose file is moved to `bad/`; a pack is moved there after its whole objects
+//! were written to a new one; an index is moved there and made from the packs. The object is then missing, its record a
+//! miss, and its producer runs again. None of this is an error of the store.
+//!
+//! # Several processes
+//! Readers take no lock. A look-up that is a promise to use what was found ([`Store::hit`], [`Store::memo`], a
+//! [`Store::put`] of stored bytes) is written to the lease first (see [`Store::gc`]). Commits wait for each other in the
+//! index alone, for seconds at most: rows that cannot be written then are kept in memory and registered later.
 
+mod closure;
+mod commit;
 mod error;
 mod files;
+mod format;
+mod fsck;
+mod gc;
 mod index;
-mod object_store;
+mod lease;
+mod locks;
+mod mark;
+mod merge;
+mod migrate;
+mod notices;
+mod objects;
 mod pack;
 mod record;
 mod runs;
 mod staging;
+mod stat;
 #[cfg(test)]
 mod tests;
 mod write_batch;
 
 use std::{
-    fs,
     path::{Path, PathBuf},
-    sync::Arc,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
 };
 
 use parking_lot::{Mutex, MutexGuard};
 
 use self::{
-    index::Index,
-    object_store::ObjectStore,
-    staging::StagingDir,
-    write_batch::{LargeBlob, WriteBatch},
+    files::Files,
+    lease::Use,
+    locks::{Lock, Locks, Share},
+    notices::Notices,
+    objects::Objects,
+    pack::Kind,
+    write_batch::{LargeBlob, Memo, WriteBatch},
 };
 use crate::Digest;
 
+pub use closure::{Closure, Missing, Role};
 pub use error::StoreError;
+pub use fsck::{Fault, FsckOptions, FsckReport};
+pub use gc::{GcPlan, GcReport, Roots};
+pub use migrate::{MigratedNode, Migration};
 pub use record::{Conflict, Output, Record, RunMetadata, StoreStat, digest_list, read_digest_list};
+pub use stat::StageStat;
 
 /// Blobs from this length on are files of their own.
 const LARGE_BYTES: usize = 64 << 10;
+
+/// Whether a store can be written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Access {
+    ReadWrite,
+    ReadOnly,
+}
 
 /// A store that several threads and processes share.
 ///
@@ -54,12 +112,12 @@ const LARGE_BYTES: usize = 64 << 10;
 /// discards what is not committed.
 pub struct Store {
     dir: PathBuf,
-    objects: ObjectStore,
-    index: Index,
-    staging: Mutex<Option<Arc<StagingDir>>>,
+    objects: Objects,
     pending: Mutex<Pending>,
     commit_lock: Mutex<()>,
     conflicts: Mutex<Vec<Conflict>>,
+    /// Set when the file system turned out to have no copies that share blocks.
+    has_no_reflinks: AtomicBool,
 }
 
 /// What is not committed yet.
@@ -82,49 +140,61 @@ impl Store {
     /// Opens the store in this folder (`.marf` itself), creates it if it is absent, and removes the temporary
     /// files of dead processes.
     ///
+    /// A store without permission to write is opened and read without any write.
+    ///
     /// # Errors
-    /// A folder that cannot be made or read.
+    /// A folder that cannot be made or read, and a store of another form ([`StoreError::Older`],
+    /// [`StoreError::Newer`]).
     pub fn open(dir: impl Into<PathBuf>) -> Result<Self, StoreError> {
-        let dir = dir.into();
-        for part in ["cas", "packs", "runs", "tmp"] {
-            let path = dir.join(part);
-            if !path.is_dir() {
-                files::create_dir(&path)?;
-            }
+        Self::open_on(dir.into(), Files::of_disk())
+    }
+
+    fn open_on(dir: PathBuf, files: Files) -> Result<Self, StoreError> {
+        let found = format::find(&files, &dir)?;
+        format::check(&dir, found)?;
+        let notices = Arc::new(Notices::default());
+        let access = access_of(&dir);
+        if access == Access::ReadWrite {
+            prepare(&dir, &files, found, &notices)?;
         }
-        staging::sweep(&dir.join("tmp"));
-        let objects = ObjectStore::new(&dir);
-        objects.refresh()?;
         Ok(Self {
-            objects,
-            index: Index::new(&dir),
-            staging: Mutex::default(),
+            objects: Objects::open(&dir, access, files, notices)?,
+            dir,
             pending: Mutex::default(),
             commit_lock: Mutex::default(),
             conflicts: Mutex::default(),
-            dir,
+            has_no_reflinks: AtomicBool::new(false),
         })
     }
 
-    /// Returns the folder of the store.
+    /// Returns its folder.
     pub fn dir(&self) -> &Path {
         &self.dir
     }
 
-    /// Returns the folder for files of unfinished work, which may be absent; nothing in it is needed.
+    /// Returns the folder for files of unfinished work, which may be absent.
     pub fn scratch(&self) -> PathBuf {
         self.dir.join("scratch")
     }
 
-    /// Returns the folder of temporary files. The first write creates it, so that a reader writes nothing.
-    fn staging(&self) -> Result<Arc<StagingDir>, StoreError> {
-        let mut staging = self.staging.lock();
-        if let Some(staging) = staging.as_ref() {
-            return Ok(Arc::clone(staging));
-        }
-        let created = Arc::new(StagingDir::create(&self.dir.join("tmp"))?);
-        *staging = Some(Arc::clone(&created));
-        Ok(created)
+    /// Tells whether the store was opened without permission to write.
+    pub fn is_read_only(&self) -> bool {
+        self.objects.access == Access::ReadOnly
+    }
+
+    /// Sets what tells, while the store waits for another program, whether the wait should end.
+    pub fn set_interrupt(&self, interrupt: impl Fn() -> bool + Send + Sync + 'static) {
+        self.objects.notices.set_interrupt(Arc::new(interrupt));
+    }
+
+    /// Returns what the user should know and is no error, since the last call: repairs, an index that is locked.
+    pub fn take_warnings(&self) -> Vec<String> {
+        self.objects.notices.take()
+    }
+
+    /// Returns the conflicts found since the last call: different results for one key.
+    pub fn take_conflicts(&self) -> Vec<Conflict> {
+        std::mem::take(&mut *self.conflicts.lock())
     }
 
     /// Stores a blob and returns its digest; the same bytes are stored once.
@@ -133,58 +203,129 @@ impl Store {
     /// A store that cannot be written; nothing of the blob becomes visible.
     pub fn put(&self, bytes: &[u8]) -> Result<Digest, StoreError> {
         let digest = Digest::of(bytes);
-        let is_pending = self.pending.lock().find(|batch| batch.size_of(&digest)).is_some();
-        if is_pending || self.objects.knows(&digest) {
+        if self.is_stored(&digest)? {
             return Ok(digest);
         }
         match bytes.len() {
             0..LARGE_BYTES => self.pending.lock().open.add_small(digest, bytes),
-            _ => self.put_large(digest, bytes)?,
+            _ => {
+                let path = self.objects.staging()?.next_path();
+                self.objects.files.write_new(&path, bytes)?;
+                self.add_large(digest, path, bytes.len() as u64)?;
+            }
         }
         self.commit_if_due()?;
         Ok(digest)
     }
 
-    fn put_large(&self, digest: Digest, bytes: &[u8]) -> Result<(), StoreError> {
-        let staging = self.staging()?;
-        let path = staging.path(&staging.next_name());
-        files::write_new(&path, &[bytes])?;
-        let large = LargeBlob {
-            path,
-            bytes: bytes.len() as u64,
+    /// Stores a file of at most `max_bytes` bytes, as a copy that shares its blocks where the file system can; returns
+    /// digest and bytes of what was copied, whatever happens to the file meanwhile.
+    ///
+    /// # Errors
+    /// A file that cannot be read or is longer ([`StoreError::TooLarge`]), and a store that cannot be written.
+    pub fn put_file(&self, path: &Path, max_bytes: u64) -> Result<(Digest, Arc<[u8]>), StoreError> {
+        let files = &self.objects.files;
+        let absent = || StoreError::io("read", path)(std::io::ErrorKind::NotFound.into());
+        let bytes = files.meta(path).ok_or_else(absent)?.bytes;
+        let fits = |bytes: u64| match bytes > max_bytes {
+            true => Err(StoreError::TooLarge {
+                path: path.to_owned(),
+                bytes,
+                max_bytes,
+            }),
+            false => Ok(()),
         };
+        fits(bytes)?;
+        if bytes >= LARGE_BYTES as u64
+            && let Some(copy) = self.reflink(path)?
+        {
+            return self.put_copy(copy, fits);
+        }
+        // One byte more than allowed, so that a file that grew is noticed and never read whole.
+        let most = usize::try_from(max_bytes.saturating_add(1)).unwrap_or(usize::MAX);
+        let read = files.read_at(path, 0, most)?.ok_or_else(absent)?;
+        fits(read.len() as u64)?;
+        let read: Arc<[u8]> = Arc::from(read);
+        Ok((self.put(&read)?, read))
+    }
+
+    fn reflink(&self, path: &Path) -> Result<Option<PathBuf>, StoreError> {
+        if self.has_no_reflinks.load(Ordering::Relaxed) {
+            return Ok(None);
+        }
+        let copy = self.objects.staging()?.next_path();
+        if self.objects.files.try_reflink(path, &copy) {
+            return Ok(Some(copy));
+        }
+        self.has_no_reflinks.store(true, Ordering::Relaxed);
+        Ok(None)
+    }
+
+    /// Stores a temporary file.
+    fn put_copy(
+        &self,
+        copy: PathBuf,
+        fits: impl FnOnce(u64) -> Result<(), StoreError>,
+    ) -> Result<(Digest, Arc<[u8]>), StoreError> {
+        let files = &self.objects.files;
+        let bytes: Arc<[u8]> = Arc::from(files.read(&copy)?.unwrap_or_default());
+        let digest = Digest::of(&bytes);
+        let checked = fits(bytes.len() as u64).and_then(|()| self.is_stored(&digest));
+        match checked {
+            Ok(false) if bytes.len() >= LARGE_BYTES => {
+                files.seal(&copy)?;
+                self.add_large(digest, copy, bytes.len() as u64)?;
+                self.commit_if_due()?;
+            }
+            other => {
+                files.remove_file(&copy)?;
+                other?;
+                // The file was cut since its length was asked.
+                self.put(&bytes)?;
+            }
+        }
+        Ok((digest, bytes))
+    }
+
+    /// Tells whether a blob is stored or about to be; one that is stored is protected from collections.
+    fn is_stored(&self, digest: &Digest) -> Result<bool, StoreError> {
+        if self.pending.lock().find(|batch| batch.size_of(digest)).is_some() {
+            return Ok(true);
+        }
+        if !self.objects.knows(digest) {
+            return Ok(false);
+        }
+        self.protect(Use::Blob(*digest), || Ok(self.objects.knows(digest)))
+    }
+
+    fn protect<T>(&self, used: Use, check: impl FnOnce() -> Result<T, StoreError>) -> Result<T, StoreError> {
+        let objects = &self.objects;
+        objects
+            .lease
+            .protect(&[used], &objects.locks, &objects.notices, check)
+    }
+
+    fn add_large(&self, digest: Digest, path: PathBuf, bytes: u64) -> Result<(), StoreError> {
         let mut pending = self.pending.lock();
         match pending.find(|batch| batch.size_of(&digest)) {
-            None => pending.open.add_large(digest, large),
+            None => pending.open.add_large(digest, LargeBlob { path, bytes }),
             // Another thread put the same bytes meanwhile.
-            Some(_) => drop(fs::remove_file(&large.path)),
+            Some(_) => self.objects.files.remove_file(&path)?,
         }
         Ok(())
     }
-
-    pub fn put_file(&self, path: &Path, max_bytes: u64) -> Result<(Digest, Arc<[u8]>), StoreError> {
-        let bytes = fs::read(path).map_err(StoreError::io("read", path))?;
-        if bytes.len() as u64 > max_bytes {
-            return Err(StoreError::io("read", path)(std::io::Error::other("too large")));
-        }
-        Ok((self.put(&bytes)?, Arc::from(bytes)))
-    }
-
-    pub fn take_warnings(&self) -> Vec<String> {
-        Vec::new()
-    }
-
-    pub fn set_interrupt(&self, _interrupt: impl Fn() -> bool + Send + Sync + 'static) {}
 
     fn commit_if_due(&self) -> Result<(), StoreError> {
         if !self.pending.lock().open.is_due() {
             return Ok(());
         }
         // While another thread commits, these writes stay in the open batch.
-        match self.commit_lock.try_lock() {
-            None => Ok(()),
-            Some(guard) => self.commit_open(&guard),
-        }
+        let written = match self.commit_lock.try_lock() {
+            None => return Ok(()),
+            Some(guard) => self.commit_open(&guard)?,
+        };
+        self.merge_after(written);
+        Ok(())
     }
 
     /// Reads a blob and verifies its digest.
@@ -201,8 +342,8 @@ impl Store {
         if let Some(bytes) = small {
             return Ok(bytes);
         }
-        // A temporary file that cannot be read has just got its final name.
-        let read = large.and_then(|large| fs::read(large.path).ok());
+        // A temporary file that is gone has just got its final name.
+        let read = large.and_then(|large| self.objects.files.read(&large.path).ok().flatten());
         match read {
             Some(bytes) if Digest::of(&bytes) == *digest => Ok(Arc::from(bytes)),
             _ => self.objects.get(digest),
@@ -211,7 +352,8 @@ impl Store {
 
     /// Tells whether a blob is in the store, whichever process committed it. Its bytes are not read.
     pub fn contains(&self, digest: &Digest) -> bool {
-        self.size_of(digest).is_some()
+        let pending = self.pending.lock().find(|batch| batch.size_of(digest));
+        pending.is_some() || self.objects.contains(digest)
     }
 
     /// Returns a blob's length in bytes.
@@ -220,31 +362,28 @@ impl Store {
         pending.or_else(|| self.objects.size_of(digest))
     }
 
-    /// Returns the record of a key as it was written.
+    /// Returns the record of a key as it was written; none if there is none or it was damaged, which is a warning.
     ///
     /// # Errors
-    /// An index that is locked or cannot be used.
+    /// An index that another program keeps locked, or a pack that cannot be read.
     pub fn record(&self, key: &Digest) -> Result<Option<Record>, StoreError> {
         let pending = self.pending.lock().find(|batch| batch.records.get(key).cloned());
         match pending {
             Some(record) => Ok(Some(record)),
-            None => self.index.record(key),
+            None => commit::record_of(&self.objects, key),
         }
     }
 
-    /// Returns the record of a key if all its outputs are in the store.
+    /// Returns the record of a key if its outputs, its list of needs and its set of parts are in the store. Until this
+    /// store is dropped no collection removes them or what they name.
     ///
     /// # Errors
     /// As [`Store::record`].
     pub fn hit(&self, key: &Digest) -> Result<Option<Record>, StoreError> {
-        Ok(self.record(key)?.filter(|record| self.has_outputs(record)))
-    }
-
-    fn has_outputs(&self, record: &Record) -> bool {
-        record
-            .outputs
-            .values()
-            .all(|output| self.contains(&output.digest))
+        self.protect(Use::Key(*key), || {
+            let is_complete = |record: &Record| record.objects().all(|digest| self.contains(&digest));
+            Ok(self.record(key)?.filter(is_complete))
+        })
     }
 
     /// Adds a record to the open batch. A committed record of the same key whose outputs are in the store is kept
@@ -253,67 +392,75 @@ impl Store {
         self.pending.lock().open.add_record(record);
     }
 
-    /// Returns the blob last stored under a memo key.
+    /// Returns the blob last stored under a memo key if it is in the store, which it then stays until this store is
+    /// dropped.
     ///
     /// # Errors
     /// As [`Store::record`].
     pub fn memo(&self, key: &Digest) -> Result<Option<Digest>, StoreError> {
-        let pending = self.pending.lock().find(|batch| batch.memos.get(key).copied());
-        match pending {
-            Some(blob) => Ok(Some(blob)),
-            None => self.index.memo(key),
-        }
+        self.protect(Use::Key(*key), || {
+            let pending = self.pending.lock().find(|batch| batch.memos.get(key).copied());
+            let memo = match pending {
+                Some(memo) => Some(memo),
+                None => commit::memo_of(&self.objects, key)?,
+            };
+            Ok(memo.map(|memo| memo.blob).filter(|blob| self.contains(blob)))
+        })
     }
 
-    /// Adds a memo to the open batch; it replaces an earlier one of the same key.
-    pub fn put_memo(&self, key: Digest, blob: Digest, _maker: Digest) {
-        self.pending.lock().open.add_memo(key, blob);
+    /// Adds a memo to the open batch; it replaces an earlier one of the same key. It lives as long as what the action
+    /// of key `maker` made.
+    pub fn put_memo(&self, key: Digest, blob: Digest, maker: Digest) {
+        self.pending.lock().open.add_memo(key, Memo { blob, maker });
     }
 
     /// Makes everything put so far durable.
     ///
     /// # Errors
-    /// The first failed write; everything stays pending and readable, and the next call tries again.
+    /// The first failed write; everything stays pending and readable, and the next call tries again. An index that is
+    /// locked is no error: see [`Store::take_warnings`].
     pub fn commit(&self) -> Result<(), StoreError> {
-        let guard = self.commit_lock.lock();
-        self.commit_open(&guard)
+        let written = {
+            let guard = self.commit_lock.lock();
+            self.commit_open(&guard)?
+        };
+        self.merge_after(written);
+        Ok(())
     }
 
-    /// Commits the open batch; the guard proves that no other thread commits.
-    fn commit_open(&self, _guard: &MutexGuard<'_, ()>) -> Result<(), StoreError> {
+    /// Commits the open batch and returns whether there was anything; the guard proves that no other thread commits.
+    fn commit_open(&self, _guard: &MutexGuard<'_, ()>) -> Result<bool, StoreError> {
         let batch = {
             let mut pending = self.pending.lock();
             if pending.open.is_empty() {
-                return Ok(());
+                return Ok(false);
             }
             let batch = Arc::new(std::mem::take(&mut pending.open));
             pending.committing = Some(Arc::clone(&batch));
             batch
         };
-        let written = self.write(&batch);
+        let written = commit::write(&self.objects, &batch);
         let mut pending = self.pending.lock();
         pending.committing = None;
-        if written.is_err() {
-            pending.open.restore(&batch);
+        match written {
+            Ok(conflicts) => self.conflicts.lock().extend(conflicts),
+            Err(error) => {
+                pending.open.restore(&batch);
+                return Err(error);
+            }
         }
-        written
+        Ok(true)
     }
 
-    /// Writes the blobs of a batch, then its records and memos.
-    fn write(&self, batch: &WriteBatch) -> Result<(), StoreError> {
-        self.objects.write(batch, || self.staging())?;
-        if batch.records.is_empty() && batch.memos.is_empty() {
-            return Ok(());
+    fn merge_after(&self, written: bool) {
+        if !written {
+            return;
         }
-        let has_outputs = |record: &Record| self.has_outputs(record);
-        let conflicts = self.index.commit(&batch.records, &batch.memos, has_outputs)?;
-        self.conflicts.lock().extend(conflicts);
-        Ok(())
-    }
-
-    /// Returns the conflicts found since the last call: results that came second for their key and differ.
-    pub fn take_conflicts(&self) -> Vec<Conflict> {
-        std::mem::take(&mut *self.conflicts.lock())
+        if let Err(error) = merge::merge(&self.objects) {
+            self.objects
+                .notices
+                .warn(format!("packs could not be merged: {error}"));
+        }
     }
 
     /// Returns all committed records, sorted by key.
@@ -321,7 +468,9 @@ impl Store {
     /// # Errors
     /// As [`Store::record`].
     pub fn records(&self) -> Result<Vec<Record>, StoreError> {
-        self.index.records()
+        let keys = self.objects.index.ids(Kind::Record)?;
+        let records = keys.iter().map(|key| commit::record_of(&self.objects, key));
+        records.filter_map(Result::transpose).collect()
     }
 
     /// Commits everything put so far, then stores a run's root under the next free number and returns the number.
@@ -330,11 +479,14 @@ impl Store {
     /// A store that cannot be written.
     pub fn put_run(&self, bytes: &[u8]) -> Result<u64, StoreError> {
         self.commit()?;
-        let staging = self.staging()?;
-        let file = staging.path(&staging.next_name());
-        files::write_new(&file, &[bytes])?;
-        files::sync(std::slice::from_ref(&file))?;
-        runs::publish(&self.runs_dir(), &file)
+        let objects = &self.objects;
+        let file = objects.staging()?.next_path();
+        objects.files.write_new(&file, bytes)?;
+        objects.files.sync_files(std::slice::from_ref(&file))?;
+        let _guard = objects
+            .locks
+            .take(Lock::Runs, Share::Exclusive, &objects.notices)?;
+        runs::publish(&objects.files, &self.runs_dir(), &file, bytes)
     }
 
     /// Returns the numbers of all runs, oldest first.
@@ -342,39 +494,116 @@ impl Store {
     /// # Errors
     /// A folder that cannot be read.
     pub fn run_numbers(&self) -> Result<Vec<u64>, StoreError> {
-        runs::numbers(&self.runs_dir())
+        let runs = runs::list(&self.objects.files, &self.runs_dir())?;
+        let mut numbers: Vec<u64> = runs.into_iter().map(|run| run.number).collect();
+        numbers.dedup();
+        Ok(numbers)
     }
 
-    /// Reads a run's root.
+    /// Reads and verifies a run's root. A damaged one is an error of this number only.
     ///
     /// # Errors
-    /// A number without a run, or a file that cannot be read.
+    /// [`StoreError::NoRun`], or [`StoreError::DamagedRun`] once: a damaged root is quarantined.
     pub fn run(&self, number: u64) -> Result<Vec<u8>, StoreError> {
-        runs::read(&self.runs_dir(), number)
+        let mut error = StoreError::NoRun { number };
+        for run in self.runs_of(number)? {
+            match runs::read(&self.objects.files, &self.runs_dir(), &run)? {
+                Ok(bytes) => return Ok(bytes),
+                Err(path) => error = self.damaged_run(number, path)?,
+            }
+        }
+        Err(error)
+    }
+
+    fn damaged_run(&self, number: u64, path: PathBuf) -> Result<StoreError, StoreError> {
+        let name = path
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
+        let path = match self.objects.access {
+            Access::ReadWrite => self.objects.files.quarantine(&self.dir, &path, &name)?,
+            Access::ReadOnly => path,
+        };
+        Ok(StoreError::DamagedRun { number, path })
+    }
+
+    fn runs_of(&self, number: u64) -> Result<Vec<runs::RunFile>, StoreError> {
+        let mut runs = runs::list(&self.objects.files, &self.runs_dir())?;
+        runs.retain(|run| run.number == number);
+        Ok(runs)
+    }
+
+    /// Removes a run's root, if there is one.
+    ///
+    /// # Errors
+    /// A file that cannot be removed.
+    pub fn remove_run(&self, number: u64) -> Result<(), StoreError> {
+        let files = self.runs_of(number)?;
+        let mut files = files.iter().map(|run| run.path(&self.runs_dir()));
+        files.try_for_each(|path| self.objects.files.remove_file(&path))
     }
 
     fn runs_dir(&self) -> PathBuf {
         self.dir.join("runs")
     }
+}
 
-    /// Counts what is committed.
-    ///
-    /// # Errors
-    /// A folder or an index that cannot be read.
-    pub fn stat(&self) -> Result<StoreStat, StoreError> {
-        let count = self.objects.count()?;
-        let (records, memos) = self.index.count()?;
-        Ok(StoreStat {
-            loose_blobs: count.loose,
-            loose_bytes: count.loose_bytes,
-            packs: count.packs,
-            packed_blobs: count.packed,
-            packed_bytes: count.packed_bytes,
-            records,
-            memos,
-            runs: self.run_numbers()?.len() as u64,
-            index_bytes: self.index.bytes(),
-            quarantined: count.quarantined,
-        })
+/// Tells whether the store in a folder can be written. An absent folder can be, as far as is known.
+fn access_of(dir: &Path) -> Access {
+    let Ok(meta) = std::fs::metadata(dir) else {
+        return Access::ReadWrite;
+    };
+    if meta.permissions().readonly() {
+        return Access::ReadOnly;
+    }
+    match Locks::of(dir).try_take(Lock::Index, Share::Shared) {
+        Err(StoreError::Io { source, .. })
+            if matches!(
+                source.kind(),
+                std::io::ErrorKind::PermissionDenied | std::io::ErrorKind::ReadOnlyFilesystem
+            ) =>
+        {
+            Access::ReadOnly
+        }
+        _ => Access::ReadWrite,
+    }
+}
+
+/// Creates what a store lacks and removes what dead processes left.
+fn prepare(dir: &Path, files: &Files, found: format::Found, notices: &Notices) -> Result<(), StoreError> {
+    for part in ["cas", "packs", "runs", "tmp"] {
+        let path = dir.join(part);
+        if !path.is_dir() {
+            files.create_dir(&path)?;
+        }
+    }
+    if found != format::Found::Current {
+        write_format(dir, files, notices)?;
+    }
+    staging::sweep(files, &dir.join("tmp"));
+    lease::sweep(dir, files);
+    Ok(())
+}
+
+fn write_format(dir: &Path, files: &Files, notices: &Notices) -> Result<(), StoreError> {
+    let path = dir.join("format");
+    if path.exists() {
+        let to = files.quarantine(dir, &path, "format")?;
+        notices.warn(format!(
+            "the file `format` of the store was damaged and moved to `{}`",
+            to.display()
+        ));
+    }
+    let staging = staging::StagingDir::create(files, &dir.join("tmp"))?;
+    let fresh = staging.next_path();
+    files.write_new(&fresh, format::text().as_bytes())?;
+    files.sync_files(std::slice::from_ref(&fresh))?;
+    files.publish(&fresh, &path)?;
+    files.sync_dirs(&[dir.to_owned()])?;
+    // The folder of the store may be new too.
+    match dir.parent().filter(|parent| parent.is_dir()) {
+        Some(parent) => files.sync_dirs(&[parent.to_owned()]),
+        None => Ok(()),
     }
 }

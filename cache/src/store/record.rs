@@ -1,4 +1,4 @@
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
@@ -53,20 +53,9 @@ pub struct RunMetadata {
     pub counts: BTreeMap<String, u64>,
 }
 
-/// Returns the bytes of a list of digests: sorted, each once, 32 bytes each.
-pub fn digest_list(digests: &[Digest]) -> Vec<u8> {
-    let sorted: std::collections::BTreeSet<&Digest> = digests.iter().collect();
-    sorted.into_iter().flat_map(|digest| *digest.as_bytes()).collect()
-}
-
-/// Reads what [`digest_list`] wrote; none if the bytes are no such list.
-pub fn read_digest_list(bytes: &[u8]) -> Option<Vec<Digest>> {
-    let (chunks, rest) = bytes.as_chunks::<32>();
-    let digests: Vec<Digest> = chunks.iter().map(|bytes| Digest::from_bytes(*bytes)).collect();
-    (rest.is_empty() && digests.is_sorted_by(|a, b| a < b)).then_some(digests)
-}
-
-/// Two results for one key: the first is kept.
+/// Two different results for one key.
+///
+/// The first is kept, unless its outputs were lost: then the second replaces it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Conflict {
     /// The key both have.
@@ -75,8 +64,10 @@ pub struct Conflict {
     pub stage: String,
     /// The result that stays.
     pub kept: BTreeMap<String, Output>,
-    /// The result that came second and differs.
+    /// The result that differs from it and is not used.
     pub refused: BTreeMap<String, Output>,
+    /// True if the result that stays came second, because outputs of the first were lost.
+    pub replaced: bool,
 }
 
 /// Sizes of a store.
@@ -98,48 +89,67 @@ pub struct StoreStat {
     pub memos: u64,
     /// Runs.
     pub runs: u64,
-    /// Bytes of the index file.
+    /// Bytes of the index file and its log.
     pub index_bytes: u64,
-    /// Damaged blobs in quarantine, under `bad/`.
+    /// Damaged files and objects in quarantine, under `bad/`.
     #[serde(rename = "set_aside")]
     pub quarantined: u64,
 }
 
 impl Record {
-    /// Returns the bytes stored in the index: the digest of the JSON, then the JSON.
+    /// Returns the JSON kept in a pack.
     pub(super) fn encode(&self) -> Vec<u8> {
         // Strings, numbers and sorted maps always serialise.
-        let json = serde_json::to_vec(self).unwrap_or_default();
-        let mut bytes = Digest::of(&json).as_bytes().to_vec();
-        bytes.extend_from_slice(&json);
-        bytes
+        serde_json::to_vec(self).unwrap_or_default()
     }
 
-    /// Reads what [`Record::encode`] wrote; none if the bytes are damaged.
-    pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
-        let (checksum, json) = bytes.split_at_checked(32)?;
-        if Digest::of(json).as_bytes() != checksum {
-            return None;
-        }
+    /// Reads what [`Record::encode`] wrote.
+    pub(super) fn decode(json: &[u8]) -> Option<Self> {
         serde_json::from_slice(json).ok()
     }
+
+    /// Returns the blobs that a record is of no use without: outputs, list of needs, set of parts.
+    pub(super) fn objects(&self) -> impl Iterator<Item = Digest> {
+        let outputs = self.outputs.values().map(|output| output.digest);
+        outputs.chain(self.needs).chain(self.parts)
+    }
+}
+
+/// Returns digests as bytes, 32 each, sorted, each once: the form of [`Record::needs`].
+pub fn digest_list(digests: &[Digest]) -> Vec<u8> {
+    let sorted: BTreeSet<&Digest> = digests.iter().collect();
+    sorted.into_iter().flat_map(|digest| *digest.as_bytes()).collect()
+}
+
+/// Reads what [`digest_list`] wrote; none if the bytes are not sorted digests.
+pub fn read_digest_list(bytes: &[u8]) -> Option<Vec<Digest>> {
+    let (digests, rest) = bytes.as_chunks::<32>();
+    let digests: Vec<Digest> = digests.iter().copied().map(Digest::from_bytes).collect();
+    (rest.is_empty() && digests.is_sorted_by(|a, b| a < b)).then_some(digests)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// Stores of 0.1.0 hold records of exactly these bytes.
     #[test]
-    fn the_bytes_of_a_record_do_not_change() {
-        let digest = Digest::of(b"output");
-        let json = format!(
-            r#"{{"key":"{key}","stage":"blur","version":1,"manifest":"stage = \"blur\"\n","outputs":{{"photos":{{"digest":"{digest}","bytes":6}}}},"circumstances":{{"seconds":0.5,"peak_mb":3,"started_unix_s":7,"device":"cpu","program":"marf 0.1.0"}}}}"#,
-            key = Digest::of(b"key"),
-        );
-        let bytes = [Digest::of(json.as_bytes()).as_bytes(), json.as_bytes()].concat();
-        let record = Record::decode(&bytes).unwrap();
-        assert_eq!(record.metadata.program, "marf 0.1.0");
-        assert_eq!(record.encode(), bytes);
+    fn a_list_of_digests_is_sorted_and_holds_each_once() {
+        let mut digests: Vec<Digest> = (0..9_u8).map(|value| Digest::of(&[value])).collect();
+        digests.push(digests[3]);
+        let bytes = digest_list(&digests);
+        assert_eq!(bytes.len(), 9 * 32);
+        digests.pop();
+        digests.sort_unstable();
+        assert_eq!(read_digest_list(&bytes), Some(digests));
+        assert_eq!(read_digest_list(&[]), Some(Vec::new()));
+    }
+
+    #[test]
+    fn bytes_that_are_no_sorted_list_are_refused() {
+        let bytes = digest_list(&[Digest::of(b"a"), Digest::of(b"b")]);
+        assert_eq!(read_digest_list(&bytes[1..]), None);
+        let (first, second) = bytes.split_at(32);
+        assert_eq!(read_digest_list(&[second, first].concat()), None);
+        assert_eq!(read_digest_list(&[first, first].concat()), None);
     }
 }

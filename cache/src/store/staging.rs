@@ -1,13 +1,13 @@
 //! Temporary files: one folder for each open store, with a lock that its process holds until it ends.
 
 use std::{
-    fs::{self, File},
+    fs::File,
     path::{Path, PathBuf},
     sync::atomic::{AtomicU64, Ordering},
     time::SystemTime,
 };
 
-use super::{error::StoreError, files};
+use super::{error::StoreError, files::Files};
 use crate::Digest;
 
 /// Lock file that keeps the creation of a folder and the removal of abandoned ones apart.
@@ -19,6 +19,7 @@ static OPENED: AtomicU64 = AtomicU64::new(0);
 
 /// The folder of temporary files of one open store; removed on drop.
 pub(super) struct StagingDir {
+    files: Files,
     dir: PathBuf,
     name: String,
     /// The lock is held as long as this is open.
@@ -28,17 +29,18 @@ pub(super) struct StagingDir {
 
 impl StagingDir {
     /// Creates a folder below `tmp`.
-    pub(super) fn create(tmp: &Path) -> Result<Self, StoreError> {
-        files::create_dir(tmp)?;
+    pub(super) fn create(files: &Files, tmp: &Path) -> Result<Self, StoreError> {
+        files.create_dir(tmp)?;
         let _global = global_lock(tmp, File::lock)?;
         let name = unique_name();
         let dir = tmp.join(&name);
-        files::create_dir(&dir)?;
+        files.create_dir(&dir)?;
         let path = dir.join(OWNER_LOCK);
         let owner_lock = File::create(&path).map_err(StoreError::io("create", &path))?;
         // On a file system without locks `sweep` removes nothing either.
         let _ = owner_lock.lock();
         Ok(Self {
+            files: files.clone(),
             dir,
             name,
             _owner_lock: owner_lock,
@@ -59,23 +61,28 @@ impl StagingDir {
     pub(super) fn path(&self, name: &str) -> PathBuf {
         self.dir.join(name)
     }
+
+    /// Returns the path of a new temporary file.
+    pub(super) fn next_path(&self) -> PathBuf {
+        self.path(&self.next_name())
+    }
 }
 
 impl Drop for StagingDir {
     fn drop(&mut self) {
-        let _ = fs::remove_dir_all(&self.dir);
+        let _ = self.files.remove_dir_all(&self.dir);
     }
 }
 
 /// Removes the folders of dead processes; does nothing while another process holds the global lock.
-pub(super) fn sweep(tmp: &Path) {
+pub(super) fn sweep(files: &Files, tmp: &Path) {
     let Ok(_global) = global_lock(tmp, |file| file.try_lock().map_err(Into::into)) else {
         return;
     };
-    for name in files::names(tmp).unwrap_or_default() {
+    for name in files.names(tmp).unwrap_or_default() {
         let dir = tmp.join(&name);
         if dir.is_dir() && is_abandoned(&dir) {
-            let _ = fs::remove_dir_all(dir);
+            let _ = files.remove_dir_all(&dir);
         }
     }
 }
@@ -99,8 +106,8 @@ fn global_lock(tmp: &Path, take: impl FnOnce(&File) -> std::io::Result<()>) -> R
 }
 
 /// Returns 16 hexadecimal digits from the clock and the process id. They are in no result, only in names of
-/// temporary files and packs.
-fn unique_name() -> String {
+/// temporary files, packs and leases.
+pub(super) fn unique_name() -> String {
     let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
     let nanos = since.map_or(0, |since| since.as_nanos());
     let opened = OPENED.fetch_add(1, Ordering::Relaxed);

@@ -15,15 +15,26 @@ const MAX_AGE: Duration = Duration::from_secs(1);
 /// ... or holds this many bytes.
 const MAX_BYTES: u64 = 64 << 20;
 
+/// Bytes of a memo in a pack: blob and maker.
+const MEMO_BYTES: usize = 64;
+
 /// Blobs, records and memos that are committed together.
 #[derive(Clone, Default)]
 pub(super) struct WriteBatch {
     pub(super) small: BTreeMap<Digest, Arc<[u8]>>,
     pub(super) large: BTreeMap<Digest, LargeBlob>,
     pub(super) records: BTreeMap<Digest, Record>,
-    pub(super) memos: BTreeMap<Digest, Digest>,
+    pub(super) memos: BTreeMap<Digest, Memo>,
     bytes: u64,
     first_write: Option<Instant>,
+}
+
+/// A blob under a key of a stage's own making.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Memo {
+    pub(super) blob: Digest,
+    /// Key of the action that made it; it lives as long as that.
+    pub(super) maker: Digest,
 }
 
 /// A blob in a temporary file.
@@ -31,6 +42,26 @@ pub(super) struct WriteBatch {
 pub(super) struct LargeBlob {
     pub(super) path: PathBuf,
     pub(super) bytes: u64,
+}
+
+impl Memo {
+    /// Returns the bytes kept in a pack.
+    pub(super) fn encode(&self) -> [u8; MEMO_BYTES] {
+        let mut bytes = [0; MEMO_BYTES];
+        let (blob, maker) = bytes.split_at_mut(MEMO_BYTES / 2);
+        blob.copy_from_slice(self.blob.as_bytes());
+        maker.copy_from_slice(self.maker.as_bytes());
+        bytes
+    }
+
+    /// Reads what [`Memo::encode`] wrote.
+    pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
+        let (blob, maker) = bytes.split_at_checked(MEMO_BYTES / 2)?;
+        Some(Self {
+            blob: Digest::from_bytes(blob.try_into().ok()?),
+            maker: Digest::from_bytes(maker.try_into().ok()?),
+        })
+    }
 }
 
 impl WriteBatch {
@@ -53,9 +84,9 @@ impl WriteBatch {
     }
 
     /// Adds a memo; the last of two memos of one key is kept.
-    pub(super) fn add_memo(&mut self, key: Digest, blob: Digest) {
+    pub(super) fn add_memo(&mut self, key: Digest, memo: Memo) {
         self.note_write(0);
-        self.memos.insert(key, blob);
+        self.memos.insert(key, memo);
     }
 
     fn note_write(&mut self, bytes: u64) {
@@ -88,5 +119,10 @@ impl WriteBatch {
             self.records.entry(key).or_insert(record);
         }
         self.bytes += newer.bytes;
+    }
+
+    /// Returns the digests of its blobs.
+    pub(super) fn blobs(&self) -> impl Iterator<Item = Digest> {
+        self.small.keys().chain(self.large.keys()).copied()
     }
 }

@@ -1,0 +1,113 @@
+//! What a result consists of and was made from.
+
+use super::{
+    Store, StoreError,
+    mark::{Census, Marker},
+    pack::Kind,
+};
+use crate::Digest;
+
+/// As what an object is named.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Role {
+    /// The record of a key that was asked for.
+    Record,
+    /// The action of a key.
+    Action,
+    /// What an action reads; a digest that stands for something outside the store is none of its objects.
+    Input,
+    /// An output of a record.
+    Output,
+    /// The list of what a record needs.
+    Needs,
+    /// A blob in this list.
+    Need,
+    /// The set of the parts of a record.
+    Parts,
+    /// The record of a part.
+    Part,
+    /// The record of a child.
+    Child,
+    /// The root of a set, or a blob that was asked for.
+    Root,
+    /// A block of a set.
+    Block,
+    /// A leaf of a set.
+    Leaf,
+    /// A blob that a row of a leaf names.
+    Row,
+}
+
+/// An object that is named and not in the store.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Missing {
+    /// The blob, or the key of the record.
+    pub digest: Digest,
+    /// As what it is named.
+    pub role: Role,
+    /// The key or the set that names it.
+    pub of: Digest,
+}
+
+/// All objects that some keys and blobs consist of and were made from.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Closure {
+    /// Keys whose records are in the store, sorted.
+    pub keys: Vec<Digest>,
+    /// Blobs, sorted; the actions of the keys among them.
+    pub blobs: Vec<Digest>,
+    /// Bytes of all of them.
+    pub bytes: u64,
+    /// What is named and not in the store, sorted by digest.
+    pub missing: Vec<Missing>,
+}
+
+impl Store {
+    /// Returns what keys and blobs consist of and were made from: of a key its record, its action with all inputs, its
+    /// outputs, needs, parts and children; of a set its blocks, leaves and the blobs of its rows.
+    ///
+    /// Commits first. At 1,000,000 objects it takes less than 100 MB.
+    ///
+    /// # Errors
+    /// A store that cannot be read. What is missing is no error.
+    pub fn closure(&self, keys: &[Digest], blobs: &[Digest]) -> Result<Closure, StoreError> {
+        self.commit()?;
+        let objects = &self.objects;
+        let census = Census::take(objects)?;
+        let mut marker = Marker::new(objects, &census);
+        keys.iter().try_for_each(|key| marker.key(key))?;
+        blobs.iter().try_for_each(|blob| marker.root_blob(blob))?;
+        let mut closure = Closure {
+            bytes: marker.bytes(),
+            ..Closure::default()
+        };
+        objects.index.for_each(|row| {
+            if marker.is_marked(row.kind, &row.id) == Some(true) {
+                closure.push(row.kind, row.id);
+            }
+        })?;
+        objects.for_each_loose(|digest, _| {
+            if marker.is_marked(Kind::Blob, &digest) == Some(true) {
+                closure.push(Kind::Blob, digest);
+            }
+        })?;
+        marker.extra().for_each(|(kind, id)| closure.push(kind, id));
+        closure.missing = marker.into_missing();
+        closure.missing.sort_unstable();
+        for list in [&mut closure.keys, &mut closure.blobs] {
+            list.sort_unstable();
+            list.dedup();
+        }
+        Ok(closure)
+    }
+}
+
+impl Closure {
+    fn push(&mut self, kind: Kind, id: Digest) {
+        match kind {
+            Kind::Blob => self.blobs.push(id),
+            Kind::Record => self.keys.push(id),
+            Kind::Memo => {}
+        }
+    }
+}

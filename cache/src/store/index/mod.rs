@@ -1,0 +1,562 @@
+//! The index: where each blob, record and memo is in the packs, in one SQLite file shared by several processes.
+//!
+//! It holds nothing that the packs do not hold. Packs that it lacks are adopted, rows of packs that are gone are
+//! dropped, and a file that is damaged is moved to `bad/` and made again. What cannot be written to the file now, because
+//! another program keeps it locked or the disk is full, is in the same tables in memory until it can.
+
+mod connection;
+mod tables;
+
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, SystemTime},
+};
+
+use parking_lot::Mutex;
+use rusqlite::{Connection, TransactionBehavior};
+
+use self::connection::{FileId, Handle, Trouble};
+use super::{
+    Access,
+    error::StoreError,
+    files::Files,
+    locks::{Lock, Locks, Share},
+    notices::Notices,
+    pack::{self, Entry, Kind},
+};
+use crate::Digest;
+
+pub(super) use tables::{Compacted, Location, ObjectRow};
+
+/// Longest wait of a reader; readers wait only for a program that has taken the whole file for itself.
+const READ_PATIENCE: Duration = Duration::from_secs(60);
+/// Longest wait of a commit before its rows stay in memory.
+const WRITE_PATIENCE: Duration = Duration::from_secs(5);
+/// Times of folders change in steps of up to 10 ms.
+const CLOCK_STEP: Duration = Duration::from_millis(50);
+/// Attempts to read an index that others repair at the same time.
+const ATTEMPTS: usize = 4;
+
+/// Locations of objects.
+pub(super) struct Index {
+    root: PathBuf,
+    path: PathBuf,
+    files: Files,
+    locks: Arc<Locks>,
+    notices: Arc<Notices>,
+    access: Access,
+    write_patience: Mutex<Duration>,
+    reader: Mutex<Option<Handle>>,
+    writer: Mutex<Option<Handle>>,
+    memory: Mutex<Option<Connection>>,
+    /// Time of the folder of packs when all were registered.
+    seen: Mutex<Option<SystemTime>>,
+    /// Set when the file can neither be used nor replaced; all is then in memory.
+    is_disabled: AtomicBool,
+}
+
+impl Index {
+    /// Returns the index in the folder of a store, with all packs registered.
+    pub(super) fn open(
+        root: &Path,
+        access: Access,
+        files: Files,
+        locks: Arc<Locks>,
+        notices: Arc<Notices>,
+    ) -> Result<Self, StoreError> {
+        let index = Self {
+            root: root.to_owned(),
+            path: root.join("index.sqlite"),
+            files,
+            locks,
+            notices,
+            access,
+            write_patience: Mutex::new(WRITE_PATIENCE),
+            reader: Mutex::default(),
+            writer: Mutex::default(),
+            memory: Mutex::default(),
+            seen: Mutex::default(),
+            is_disabled: AtomicBool::new(false),
+        };
+        index.refresh(index.patience())?;
+        Ok(index)
+    }
+
+    /// Sets how long a commit waits before its rows stay in memory.
+    #[cfg(test)]
+    pub(super) fn set_patience(&self, patience: Duration) {
+        *self.write_patience.lock() = patience;
+    }
+
+    fn patience(&self) -> Duration {
+        *self.write_patience.lock()
+    }
+
+    /// Returns the length of the file and its log.
+    pub(super) fn bytes(&self) -> u64 {
+        let of = |path: &Path| self.files.meta(path).map_or(0, |meta| meta.bytes);
+        of(&self.path) + of(&self.beside("-wal"))
+    }
+
+    fn beside(&self, suffix: &str) -> PathBuf {
+        let mut name = self.path.clone().into_os_string();
+        name.push(suffix);
+        name.into()
+    }
+
+    fn packs_dir(&self) -> PathBuf {
+        self.root.join("packs")
+    }
+
+    /// Returns the names of all pack files.
+    pub(super) fn listed(&self) -> Result<BTreeSet<String>, StoreError> {
+        let mut names = self.files.names(&self.packs_dir())?;
+        names.retain(|name| name.ends_with(".pack"));
+        Ok(names.into_iter().collect())
+    }
+
+    /// Returns where an object is, also if another process has just stored it.
+    pub(super) fn locate(&self, kind: Kind, id: &Digest) -> Result<Option<Location>, StoreError> {
+        if let Some(location) = self.locate_known(kind, id)? {
+            return Ok(Some(location));
+        }
+        if !self.has_new_packs() || !self.refresh(Duration::ZERO)? {
+            return Ok(None);
+        }
+        self.locate_known(kind, id)
+    }
+
+    /// Returns where an object is, without a look for packs that were added without their rows.
+    pub(super) fn locate_known(&self, kind: Kind, id: &Digest) -> Result<Option<Location>, StoreError> {
+        let on_disk = self.read(|connection| tables::locate(connection, kind, id))?;
+        if let Some(location) = on_disk.flatten() {
+            return Ok(Some(location));
+        }
+        Ok(self
+            .in_memory(|connection| tables::locate(connection, kind, id))
+            .flatten())
+    }
+
+    /// Runs a query on the file; none if there is no file to use.
+    fn read<T>(&self, query: impl Fn(&Connection) -> rusqlite::Result<T>) -> Result<Option<T>, StoreError> {
+        for _ in 0..ATTEMPTS {
+            if self.is_disabled.load(Ordering::Relaxed) {
+                return Ok(None);
+            }
+            let mut broken = None;
+            let answer = self.notices.retry(READ_PATIENCE, || {
+                match self.on(&self.reader, |connection| query(connection)) {
+                    Ok(value) => Ok(Some(Some(value))),
+                    Err(Trouble::Busy) => Ok(None),
+                    Err(trouble) => {
+                        broken = Some(trouble);
+                        Ok::<_, StoreError>(Some(None))
+                    }
+                }
+            })?;
+            match (answer, broken) {
+                (Ok(Some(value)), _) => return Ok(Some(value)),
+                (Ok(None), Some(Trouble::Broken(message))) => self.replace(&message)?,
+                (Ok(None), Some(Trouble::Unusable(message))) => self.disable(&message)?,
+                (Ok(None), _) => {}
+                (Err(waited), _) => return Err(self.locked(waited)),
+            }
+        }
+        self.disable("it is damaged again and again")?;
+        Ok(None)
+    }
+
+    fn locked(&self, waited: Duration) -> StoreError {
+        StoreError::Locked {
+            path: self.path.clone(),
+            waited_ms: waited.as_millis() as u64,
+        }
+    }
+
+    /// Runs a query on the tables in memory; none if there are none.
+    fn in_memory<T>(&self, query: impl FnOnce(&Connection) -> rusqlite::Result<T>) -> Option<T> {
+        query(self.memory.lock().as_ref()?).ok()
+    }
+
+    /// Runs a query on a connection to the file that has the name now.
+    fn on<T>(
+        &self,
+        slot: &Mutex<Option<Handle>>,
+        query: impl FnOnce(&mut Connection) -> rusqlite::Result<T>,
+    ) -> Result<T, Trouble> {
+        let mut slot = slot.lock();
+        let current = FileId::of(&self.path);
+        slot.take_if(|handle| Some(handle.file) != current);
+        let handle = match slot.as_mut() {
+            Some(handle) => handle,
+            None => slot.insert(self.connect()?),
+        };
+        Ok(query(&mut handle.connection)?)
+    }
+
+    /// Opens the file; creates it where it is absent and the store can be written.
+    fn connect(&self) -> Result<Handle, Trouble> {
+        if self.access == Access::ReadOnly {
+            return match self.path.exists() {
+                true => Handle::open_immutable(&self.path),
+                false => Err(Trouble::Unusable("it is absent".to_owned())),
+            };
+        }
+        let bytes = || self.files.meta(&self.path).map(|meta| meta.bytes);
+        if bytes().is_some_and(|bytes| bytes > 0) {
+            let _guard = self.guard(Share::Shared)?;
+            return Handle::open(&self.path);
+        }
+        let _guard = self.guard(Share::Exclusive)?;
+        match bytes() {
+            Some(0) => Err(Trouble::Broken("it is empty".to_owned())),
+            Some(_) => Handle::open(&self.path),
+            None => self.create(),
+        }
+    }
+
+    fn guard(&self, share: Share) -> Result<super::locks::Guard, Trouble> {
+        let guard = self.locks.take(Lock::Index, share, &self.notices);
+        guard.map_err(|error| match error {
+            StoreError::Locked { .. } => Trouble::Busy,
+            other => Trouble::Unusable(other.to_string()),
+        })
+    }
+
+    /// Creates the file with all packs; the caller has the lock of the index.
+    fn create(&self) -> Result<Handle, Trouble> {
+        for suffix in ["-wal", "-shm", "-journal"] {
+            let removed = self.files.remove_file(&self.beside(suffix));
+            removed.map_err(|error| Trouble::Unusable(error.to_string()))?;
+        }
+        let mut handle = Handle::create(&self.path)?;
+        let synced = self.register(&mut handle.connection);
+        if synced.is_err() {
+            drop(handle);
+            // Other processes must not take half an index for a whole one.
+            let _ = self.files.remove_file(&self.path);
+            synced?;
+            return Err(Trouble::Busy);
+        }
+        Ok(handle)
+    }
+
+    /// Registers all packs that are on the disk and drops those that are not.
+    fn register(&self, connection: &mut Connection) -> Result<(), Trouble> {
+        let unusable = |error: StoreError| Trouble::Unusable(error.to_string());
+        let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
+        let mut registered = tables::packs(&transaction)?;
+        let listed = self.listed().map_err(unusable)?;
+        if registered.difference(&listed).next().is_some() {
+            // Objects of a pack that is gone may be in another one too.
+            tables::forget(&transaction, &registered)?;
+            registered.clear();
+        }
+        for file in listed.difference(&registered) {
+            if let Some(entries) = self.entries(file).map_err(unusable)? {
+                tables::adopt(&transaction, file, &entries)?;
+            }
+        }
+        Ok(transaction.commit()?)
+    }
+
+    /// Returns the entries of a pack; none of a file that is gone or no pack, which is moved to `bad/`.
+    fn entries(&self, file: &str) -> Result<Option<Vec<Entry>>, StoreError> {
+        let path = self.packs_dir().join(file);
+        let Some(contents) = pack::contents(&self.files, &path)? else {
+            return Ok(None);
+        };
+        if contents.has_table || !contents.entries.is_empty() {
+            return Ok(Some(contents.entries));
+        }
+        if self.access == Access::ReadWrite {
+            let to = self.files.quarantine(&self.root, &path, file)?;
+            self.notices
+                .warn(format!("a file that is no pack was moved to `{}`", to.display()));
+        }
+        Ok(None)
+    }
+
+    fn has_new_packs(&self) -> bool {
+        let modified = self.files.meta(&self.packs_dir()).map(|meta| meta.modified);
+        modified.is_none() || *self.seen.lock() != modified
+    }
+
+    /// Registers the packs that are not yet registered, in the file or else in memory; returns whether there were any.
+    pub(super) fn refresh(&self, patience: Duration) -> Result<bool, StoreError> {
+        let modified = self.files.meta(&self.packs_dir()).map(|meta| meta.modified);
+        let on_disk = self.read(tables::packs)?;
+        let listed = self.listed()?;
+        let in_memory = self.in_memory(tables::packs).unwrap_or_default();
+        let is_settled = modified
+            .and_then(|time| time.elapsed().ok())
+            .is_some_and(|age| age > CLOCK_STEP);
+        *self.seen.lock() = modified.filter(|_| is_settled);
+        if on_disk.as_ref() == Some(&listed) {
+            self.memory.lock().take();
+            return Ok(false);
+        }
+        let all = on_disk.is_some() && self.access == Access::ReadWrite;
+        if all && self.write(patience, |connection| self.register(connection))? {
+            self.memory.lock().take();
+            return Ok(true);
+        }
+        let registered: BTreeSet<String> = on_disk.unwrap_or_default().union(&in_memory).cloned().collect();
+        let mut added = false;
+        for file in listed.difference(&registered) {
+            if let Some(entries) = self.entries(file)? {
+                self.remember(file, &entries);
+                added = true;
+            }
+        }
+        Ok(added)
+    }
+
+    /// Registers a pack in memory.
+    fn remember(&self, file: &str, entries: &[Entry]) {
+        let mut memory = self.memory.lock();
+        if memory.is_none() {
+            *memory = Connection::open_in_memory()
+                .and_then(|connection| tables::create(&connection).map(|()| connection))
+                .ok();
+        }
+        if let Some(connection) = memory.as_ref() {
+            let _ = tables::adopt(connection, file, entries);
+        }
+    }
+
+    /// Runs a change of the file; returns whether it was made. It was not where another program keeps the file locked
+    /// for longer than patience lasts, or the file cannot be written.
+    fn write(
+        &self,
+        patience: Duration,
+        change: impl Fn(&mut Connection) -> Result<(), Trouble>,
+    ) -> Result<bool, StoreError> {
+        for _ in 0..ATTEMPTS {
+            if self.is_disabled.load(Ordering::Relaxed) {
+                return Ok(false);
+            }
+            let mut trouble = None;
+            let made = self.notices.retry(patience, || {
+                let attempt = self.on(&self.writer, |connection| Ok(change(connection)));
+                match attempt.and_then(|made| made) {
+                    Ok(()) => Ok(Some(true)),
+                    Err(Trouble::Busy) => Ok(None),
+                    Err(other) => {
+                        trouble = Some(other);
+                        Ok::<_, StoreError>(Some(false))
+                    }
+                }
+            })?;
+            match (made, trouble) {
+                (Ok(true), _) => return Ok(true),
+                (_, Some(Trouble::Broken(message))) => self.replace(&message)?,
+                (_, Some(Trouble::Unusable(message))) => {
+                    self.notices.warn_once("index", || {
+                        format!(
+                            "the index `{}` cannot be written ({message}); it is brought up to date later",
+                            self.path.display()
+                        )
+                    });
+                    return Ok(false);
+                }
+                _ => return Ok(false),
+            }
+        }
+        Ok(false)
+    }
+
+    /// Registers a new pack. Where the file is locked the rows stay in memory, and whoever can next adds them to the
+    /// file.
+    pub(super) fn add(&self, file: &str, entries: &[Entry]) -> Result<(), StoreError> {
+        let is_behind = self.memory.lock().is_some();
+        let added = self.write(self.patience(), |connection| {
+            if is_behind {
+                return self.register(connection);
+            }
+            let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
+            tables::adopt(&transaction, file, entries)?;
+            Ok(transaction.commit()?)
+        })?;
+        if added {
+            if is_behind {
+                self.memory.lock().take();
+            }
+            return Ok(());
+        }
+        self.remember(file, entries);
+        if !self.is_disabled.load(Ordering::Relaxed) {
+            self.notices.warn_once("locked index", || {
+                format!(
+                    "another program keeps the index `{}` locked; results are stored, and the index is brought up to \
+                     date later",
+                    self.path.display()
+                )
+            });
+        }
+        Ok(())
+    }
+
+    /// Tells that packs were joined into another; returns whether the index has it. If not, the new pack is useless.
+    pub(super) fn join(&self, into: &str, moved: &[(String, u64)]) -> Result<bool, StoreError> {
+        self.change(|connection| tables::join(connection, into, moved))
+    }
+
+    /// Tells that the objects of a pack that are registered there lie in another pack now; the first is forgotten.
+    pub(super) fn rewrite(&self, from: &str, into: &str, entries: &[Entry]) -> Result<bool, StoreError> {
+        self.change(|connection| tables::rewrite(connection, from, into, entries))
+    }
+
+    /// Tells where the objects of some packs lie now, and drops these packs; returns whether the index took it.
+    pub(super) fn compact(&self, packs: &[Compacted]) -> Result<bool, StoreError> {
+        self.change(|connection| tables::compact(connection, packs))
+    }
+
+    /// Drops packs with all their rows.
+    pub(super) fn forget(&self, files: &BTreeSet<String>) -> Result<bool, StoreError> {
+        self.change(|connection| tables::forget(connection, files))
+    }
+
+    /// Drops the rows of objects.
+    pub(super) fn remove(&self, objects: &[(Kind, Digest)]) -> Result<bool, StoreError> {
+        self.change(|connection| {
+            let mut objects = objects.iter();
+            objects.try_for_each(|(kind, id)| tables::remove(connection, *kind, id))
+        })
+    }
+
+    /// Makes a change in one transaction; returns whether it was made.
+    fn change(&self, change: impl Fn(&Connection) -> rusqlite::Result<()>) -> Result<bool, StoreError> {
+        // Rows in memory would name packs that are about to change.
+        if self.memory.lock().is_some() {
+            return Ok(false);
+        }
+        self.write(self.patience(), |connection| {
+            let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
+            match change(&transaction) {
+                Err(rusqlite::Error::QueryReturnedNoRows) => {
+                    Err(Trouble::Unusable("packs changed at the same time".to_owned()))
+                }
+                other => {
+                    other?;
+                    Ok(transaction.commit()?)
+                }
+            }
+        })
+    }
+
+    /// Returns what is wrong with the form of the file, which says nothing of its rows; none if it is as it should be.
+    pub(super) fn fault(&self) -> Option<String> {
+        if self.access == Access::ReadOnly {
+            return None;
+        }
+        let verdict = self.on(&self.reader, |connection| {
+            connection.query_row("PRAGMA integrity_check(1)", [], |row| row.get::<_, String>(0))
+        });
+        match verdict {
+            Ok(verdict) => (verdict != "ok").then_some(verdict),
+            Err(Trouble::Broken(message)) => Some(message),
+            Err(Trouble::Busy | Trouble::Unusable(_)) => None,
+        }
+    }
+
+    /// Makes the file anew from the packs, and moves what was there to `bad/`.
+    pub(super) fn rebuild(&self, why: &str) -> Result<(), StoreError> {
+        self.replace(why)
+    }
+
+    fn replace(&self, why: &str) -> Result<(), StoreError> {
+        if self.access == Access::ReadOnly {
+            return self.disable(why);
+        }
+        let used = FileId::of(&self.path);
+        // Closed before the file moves: the last connection to a file removes its log.
+        let broken = [self.reader.lock().take(), self.writer.lock().take()];
+        let guard = self.locks.take(Lock::Index, Share::Exclusive, &self.notices)?;
+        drop(broken);
+        if FileId::of(&self.path) != used {
+            return Ok(());
+        }
+        self.notices.warn(format!(
+            "the index `{}` was damaged ({why}); it is made anew from the packs",
+            self.path.display()
+        ));
+        let moved = self.move_away();
+        let made = moved.map_err(|error| Trouble::Unusable(error.to_string()));
+        let made = made.and_then(|()| self.create());
+        drop(guard);
+        match made {
+            Ok(handle) => {
+                *self.reader.lock() = Some(handle);
+                self.memory.lock().take();
+                Ok(())
+            }
+            Err(Trouble::Busy) => Ok(()),
+            Err(Trouble::Broken(message) | Trouble::Unusable(message)) => self.disable(&message),
+        }
+    }
+
+    fn move_away(&self) -> Result<(), StoreError> {
+        if self.path.exists() {
+            self.files.quarantine(&self.root, &self.path, "index.sqlite")?;
+        }
+        for suffix in ["-wal", "-shm"] {
+            let path = self.beside(suffix);
+            if path.exists() {
+                self.files
+                    .quarantine(&self.root, &path, &format!("index.sqlite{suffix}"))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Gives the file up: all packs are registered in memory.
+    fn disable(&self, why: &str) -> Result<(), StoreError> {
+        if self.is_disabled.swap(true, Ordering::Relaxed) {
+            return Ok(());
+        }
+        if self.access == Access::ReadWrite {
+            self.notices.warn(format!(
+                "the index `{}` cannot be used ({why}); the packs are read instead",
+                self.path.display()
+            ));
+        }
+        for file in self.listed()? {
+            if let Some(entries) = self.entries(&file)? {
+                self.remember(&file, &entries);
+            }
+        }
+        Ok(())
+    }
+
+    /// Calls `each` with all objects, sorted by id; those in memory come last.
+    pub(super) fn for_each(&self, mut each: impl FnMut(ObjectRow)) -> Result<(), StoreError> {
+        let each = std::cell::RefCell::new(&mut each);
+        self.read(|connection| tables::for_each(connection, &mut |row| each.borrow_mut()(row)))?;
+        self.in_memory(|connection| tables::for_each(connection, &mut |row| each.borrow_mut()(row)));
+        Ok(())
+    }
+
+    /// Returns the ids of all objects of a kind, sorted.
+    pub(super) fn ids(&self, kind: Kind) -> Result<Vec<Digest>, StoreError> {
+        let mut ids = self
+            .read(|connection| tables::ids(connection, kind))?
+            .unwrap_or_default();
+        if let Some(others) = self.in_memory(|connection| tables::ids(connection, kind)) {
+            ids.extend(others);
+            ids.sort_unstable();
+            ids.dedup();
+        }
+        Ok(ids)
+    }
+
+    /// Returns the pack file and the base of each segment of the file.
+    pub(super) fn segments(&self) -> Result<Vec<(i64, String, u64)>, StoreError> {
+        Ok(self.read(tables::segments)?.unwrap_or_default())
+    }
+}

@@ -1,0 +1,493 @@
+//! What is reachable: marks on the objects of a store, made by following what each object names.
+//!
+//! A store of a million objects is marked in some 30 bytes an object: 16 of its id, 8 of kind and length, one bit.
+
+use std::collections::HashSet;
+
+use super::{
+    closure::{Missing, Role},
+    commit,
+    error::StoreError,
+    objects::Objects,
+    pack::Kind,
+    read_digest_list,
+    record::Record,
+};
+use crate::{
+    Action, Digest,
+    manifest::{Leaf, LeafRef, Root},
+};
+
+/// Bytes of an id that are compared: two of a million ids agree in 16 bytes with a probability of 10^-27.
+const PREFIX: usize = 16;
+const KIND_SHIFT: u32 = 56;
+/// First bytes of a set: its root names blocks.
+const ROOT_START: &[u8] = b"{\"block\":";
+/// First bytes of a leaf of rows.
+const LEAF_START: &[u8] = b"{\"id\":";
+
+/// An object that was in the store when it was listed.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Item {
+    id: [u8; PREFIX],
+    /// Kind in the top byte, length below.
+    kind_and_bytes: u64,
+}
+
+/// All objects of a store at one moment.
+pub(super) struct Census(Vec<Item>);
+
+fn prefix(id: &Digest) -> [u8; PREFIX] {
+    let mut bytes = [0; PREFIX];
+    bytes.copy_from_slice(id.as_bytes().split_at(PREFIX).0);
+    bytes
+}
+
+impl Item {
+    fn of(kind: Kind, id: &Digest, bytes: u64) -> Self {
+        Self {
+            id: prefix(id),
+            kind_and_bytes: u64::from(kind.code()) << KIND_SHIFT | bytes,
+        }
+    }
+
+    fn kind_code(self) -> u8 {
+        (self.kind_and_bytes >> KIND_SHIFT) as u8
+    }
+
+    fn bytes(self) -> u64 {
+        self.kind_and_bytes & ((1 << KIND_SHIFT) - 1)
+    }
+}
+
+impl Census {
+    /// Lists all objects.
+    pub(super) fn take(objects: &Objects) -> Result<Self, StoreError> {
+        let mut items = Vec::new();
+        objects
+            .index
+            .for_each(|row| items.push(Item::of(row.kind, &row.id, u64::from(row.len))))?;
+        objects.for_each_loose(|digest, bytes| items.push(Item::of(Kind::Blob, &digest, bytes)))?;
+        items.sort_unstable();
+        items.dedup_by_key(|item| (item.id, item.kind_code()));
+        Ok(Self(items))
+    }
+
+    /// Returns the number of an object.
+    pub(super) fn find(&self, kind: Kind, id: &Digest) -> Option<usize> {
+        let wanted = (prefix(id), kind.code());
+        self.0
+            .binary_search_by_key(&wanted, |item| (item.id, item.kind_code()))
+            .ok()
+    }
+
+    fn bytes(&self, number: usize) -> u64 {
+        self.0.get(number).map_or(0, |item| item.bytes())
+    }
+}
+
+/// How a set is reached: what its leaves are, and whether they must be in the store.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+enum Walk {
+    /// Leaves are blobs that an output consists of.
+    Output,
+    /// Leaves are blobs, or digests of what is not stored (fingerprints of a listing).
+    Input,
+    /// Leaves are keys of parts.
+    Parts,
+}
+
+enum Task {
+    Key { key: Digest, of: Digest, role: Role },
+    Set { root: Digest, of: Digest, walk: Walk },
+}
+
+/// A step that can be taken back.
+enum Step {
+    Mark(usize),
+    Extra(Kind, Digest),
+    Walked(Digest, Walk),
+}
+
+/// A memo by who made it; numbers of the census.
+struct MemoRow {
+    maker: [u8; PREFIX],
+    memo: u32,
+    blob: u32,
+}
+
+/// Marks on a census.
+pub(super) struct Marker<'a> {
+    objects: &'a Objects,
+    census: &'a Census,
+    marks: Vec<u64>,
+    /// Marked objects that came after the census.
+    extra: HashSet<(Kind, Digest)>,
+    walked: HashSet<(Digest, Walk)>,
+    memos: Vec<MemoRow>,
+    tasks: Vec<Task>,
+    steps: Option<Vec<Step>>,
+    missing: Vec<Missing>,
+    listed: HashSet<(Digest, Role)>,
+    bytes: u64,
+}
+
+impl<'a> Marker<'a> {
+    /// Returns a census without marks.
+    pub(super) fn new(objects: &'a Objects, census: &'a Census) -> Self {
+        Self {
+            objects,
+            census,
+            marks: vec![0; census.0.len().div_ceil(64)],
+            extra: HashSet::new(),
+            walked: HashSet::new(),
+            memos: Vec::new(),
+            tasks: Vec::new(),
+            steps: None,
+            missing: Vec::new(),
+            listed: HashSet::new(),
+            bytes: 0,
+        }
+    }
+
+    /// Reads all memos, so that those of a record are marked with it.
+    pub(super) fn with_memos(mut self) -> Result<Self, StoreError> {
+        for key in self.objects.index.ids(Kind::Memo)? {
+            let Some(memo) = commit::memo_of(self.objects, &key)? else {
+                continue;
+            };
+            let found = (
+                self.census.find(Kind::Memo, &key),
+                self.census.find(Kind::Blob, &memo.blob),
+            );
+            // A memo whose blob was lost is of no use.
+            let (Some(number), Some(blob)) = found else {
+                continue;
+            };
+            self.memos.push(MemoRow {
+                maker: prefix(&memo.maker),
+                memo: number as u32,
+                blob: blob as u32,
+            });
+        }
+        self.memos.sort_unstable_by_key(|row| row.maker);
+        Ok(self)
+    }
+
+    /// Returns the bytes of all marked objects of the census.
+    pub(super) fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Returns what is named and not in the store.
+    pub(super) fn into_missing(self) -> Vec<Missing> {
+        self.missing
+    }
+
+    /// Tells whether an object is marked; none if it came after the census.
+    pub(super) fn is_marked(&self, kind: Kind, id: &Digest) -> Option<bool> {
+        self.census.find(kind, id).map(|number| self.has_mark(number))
+    }
+
+    /// Returns the marked objects that came after the census.
+    pub(super) fn extra(&self) -> impl Iterator<Item = (Kind, Digest)> {
+        self.extra.iter().copied()
+    }
+
+    fn has_mark(&self, number: usize) -> bool {
+        let word = self.marks.get(number / 64).copied().unwrap_or(0);
+        word >> (number % 64) & 1 == 1
+    }
+
+    /// Sets the mark of an object of the census; returns whether it had none.
+    fn set_mark(&mut self, number: usize) -> bool {
+        if self.has_mark(number) {
+            return false;
+        }
+        if let Some(word) = self.marks.get_mut(number / 64) {
+            *word |= 1 << (number % 64);
+        }
+        self.bytes += self.census.bytes(number);
+        self.note(Step::Mark(number));
+        true
+    }
+
+    fn note(&mut self, step: Step) {
+        if let Some(steps) = &mut self.steps {
+            steps.push(step);
+        }
+    }
+
+    /// Marks from here on can be taken back.
+    pub(super) fn begin(&mut self) {
+        self.steps = Some(Vec::new());
+    }
+
+    /// Takes back all marks since [`Marker::begin`].
+    pub(super) fn take_back(&mut self) {
+        for step in self.steps.take().unwrap_or_default() {
+            match step {
+                Step::Mark(number) => {
+                    if let Some(word) = self.marks.get_mut(number / 64) {
+                        *word &= !(1 << (number % 64));
+                    }
+                    self.bytes -= self.census.bytes(number);
+                }
+                Step::Extra(kind, id) => drop(self.extra.remove(&(kind, id))),
+                Step::Walked(root, walk) => drop(self.walked.remove(&(root, walk))),
+            }
+        }
+    }
+
+    /// Marks an object. Returns whether it is new; none if it is not in the store.
+    fn visit(&mut self, kind: Kind, id: &Digest) -> Result<Option<bool>, StoreError> {
+        if let Some(number) = self.census.find(kind, id) {
+            return Ok(Some(self.set_mark(number)));
+        }
+        if self.extra.contains(&(kind, *id)) {
+            return Ok(Some(false));
+        }
+        let is_there = match kind {
+            Kind::Blob => self.objects.contains(id),
+            _ => self.objects.index.locate(kind, id)?.is_some(),
+        };
+        if !is_there {
+            return Ok(None);
+        }
+        self.extra.insert((kind, *id));
+        self.note(Step::Extra(kind, *id));
+        Ok(Some(true))
+    }
+
+    /// Marks a blob, and lists it where it is missing. Returns whether it is new.
+    fn blob(&mut self, digest: &Digest, role: Role, of: &Digest) -> Result<bool, StoreError> {
+        let visited = self.visit(Kind::Blob, digest)?;
+        if visited.is_none() {
+            self.miss(digest, role, of);
+        }
+        Ok(visited == Some(true))
+    }
+
+    fn miss(&mut self, digest: &Digest, role: Role, of: &Digest) {
+        if self.listed.insert((*digest, role)) {
+            self.missing.push(Missing {
+                digest: *digest,
+                role,
+                of: *of,
+            });
+        }
+    }
+
+    /// Reads a blob; one that is damaged or has vanished is listed as missing.
+    fn read(
+        &mut self,
+        digest: &Digest,
+        role: Role,
+        of: &Digest,
+    ) -> Result<Option<std::sync::Arc<[u8]>>, StoreError> {
+        match self.objects.get(digest) {
+            Ok(bytes) => Ok(Some(bytes)),
+            Err(error) if error.lost().is_some() => {
+                self.miss(digest, role, of);
+                Ok(None)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Marks all that is reachable from a key and lists a record that is missing.
+    pub(super) fn key(&mut self, key: &Digest) -> Result<(), StoreError> {
+        self.tasks.push(Task::Key {
+            key: *key,
+            of: *key,
+            role: Role::Record,
+        });
+        self.run()
+    }
+
+    /// Marks all that is reachable from a key that a process has looked up: a record, a memo, or neither yet.
+    pub(super) fn used_key(&mut self, key: &Digest) -> Result<(), StoreError> {
+        if self.visit(Kind::Memo, key)?.is_some()
+            && let Some(memo) = commit::memo_of(self.objects, key)?
+        {
+            self.visit(Kind::Blob, &memo.blob)?;
+        }
+        self.visit(Kind::Blob, key)?;
+        match commit::record_of(self.objects, key)? {
+            Some(_) => self.key(key),
+            None => Ok(()),
+        }
+    }
+
+    /// Marks a blob and, if it is a set, all it consists of.
+    pub(super) fn root_blob(&mut self, digest: &Digest) -> Result<(), StoreError> {
+        self.blob(digest, Role::Root, digest)?;
+        self.tasks.push(Task::Set {
+            root: *digest,
+            of: *digest,
+            walk: Walk::Output,
+        });
+        self.run()
+    }
+
+    /// Marks a blob that a process uses and, if it is a set, what of it is stored.
+    pub(super) fn used_blob(&mut self, digest: &Digest) -> Result<(), StoreError> {
+        if self.visit(Kind::Blob, digest)?.is_none() {
+            return Ok(());
+        }
+        self.tasks.push(Task::Set {
+            root: *digest,
+            of: *digest,
+            walk: Walk::Input,
+        });
+        self.run()
+    }
+
+    fn run(&mut self) -> Result<(), StoreError> {
+        while let Some(task) = self.tasks.pop() {
+            match task {
+                Task::Key { key, of, role } => self.follow_key(&key, &of, role)?,
+                Task::Set { root, of, walk } => self.follow_set(&root, &of, walk)?,
+            }
+        }
+        Ok(())
+    }
+
+    fn follow_key(&mut self, key: &Digest, of: &Digest, role: Role) -> Result<(), StoreError> {
+        let visited = self.visit(Kind::Record, key)?;
+        if visited == Some(false) {
+            return Ok(());
+        }
+        let record = match visited {
+            Some(_) => commit::record_of(self.objects, key)?,
+            None => None,
+        };
+        let Some(record) = record else {
+            self.miss(key, role, of);
+            return Ok(());
+        };
+        self.mark_memos(key);
+        self.follow_action(key)?;
+        self.follow_record(&record)
+    }
+
+    fn mark_memos(&mut self, maker: &Digest) {
+        let maker = prefix(maker);
+        let first = self.memos.partition_point(|row| row.maker < maker);
+        let rows = self.memos.get(first..).unwrap_or_default().iter();
+        let numbers: Vec<u32> = rows
+            .take_while(|row| row.maker == maker)
+            .flat_map(|row| [row.memo, row.blob])
+            .collect();
+        for number in numbers {
+            self.set_mark(number as usize);
+        }
+    }
+
+    fn follow_action(&mut self, key: &Digest) -> Result<(), StoreError> {
+        if !self.blob(key, Role::Action, key)? {
+            return Ok(());
+        }
+        let bytes = self.read(key, Role::Action, key)?;
+        let action = bytes.and_then(|bytes| Action::decode(&bytes).ok());
+        for input in action.iter().flat_map(|action| action.inputs.values()) {
+            self.blob(input, Role::Input, key)?;
+            self.tasks.push(Task::Set {
+                root: *input,
+                of: *key,
+                walk: Walk::Input,
+            });
+        }
+        Ok(())
+    }
+
+    fn follow_record(&mut self, record: &Record) -> Result<(), StoreError> {
+        let key = &record.key;
+        for output in record.outputs.values() {
+            self.blob(&output.digest, Role::Output, key)?;
+            self.tasks.push(Task::Set {
+                root: output.digest,
+                of: *key,
+                walk: Walk::Output,
+            });
+        }
+        if let Some(list) = record.needs {
+            self.blob(&list, Role::Needs, key)?;
+            let bytes = self.read(&list, Role::Needs, key)?;
+            let needs = bytes.and_then(|bytes| read_digest_list(&bytes));
+            for digest in needs.unwrap_or_default() {
+                self.blob(&digest, Role::Need, key)?;
+            }
+        }
+        if let Some(parts) = record.parts {
+            self.blob(&parts, Role::Parts, key)?;
+            self.tasks.push(Task::Set {
+                root: parts,
+                of: *key,
+                walk: Walk::Parts,
+            });
+        }
+        self.tasks.extend(record.children.values().map(|child| Task::Key {
+            key: *child,
+            of: *key,
+            role: Role::Child,
+        }));
+        Ok(())
+    }
+
+    /// Marks what a set consists of; does nothing for a blob that is none.
+    fn follow_set(&mut self, root: &Digest, of: &Digest, walk: Walk) -> Result<(), StoreError> {
+        let start = self.objects.peek(root, ROOT_START.len())?;
+        if start.as_deref() != Some(ROOT_START) || !self.walked.insert((*root, walk)) {
+            return Ok(());
+        }
+        self.note(Step::Walked(*root, walk));
+        let Some(bytes) = self.read(root, Role::Root, of)? else {
+            return Ok(());
+        };
+        // Bytes that begin as a set and are none name nothing.
+        for block in Root::blocks(&bytes).unwrap_or_default() {
+            self.blob(&block, Role::Block, root)?;
+            let Some(bytes) = self.read(&block, Role::Block, root)? else {
+                continue;
+            };
+            for leaf in Root::leaves_of_block(&bytes).unwrap_or_default() {
+                self.follow_leaf(&leaf, root, of, walk)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn follow_leaf(
+        &mut self,
+        leaf: &LeafRef,
+        root: &Digest,
+        of: &Digest,
+        walk: Walk,
+    ) -> Result<(), StoreError> {
+        let digest = &leaf.leaf;
+        let is_new = match walk {
+            Walk::Parts => {
+                self.tasks.push(Task::Key {
+                    key: *digest,
+                    of: *of,
+                    role: Role::Part,
+                });
+                return Ok(());
+            }
+            Walk::Output => self.blob(digest, Role::Leaf, root)?,
+            Walk::Input => self.visit(Kind::Blob, digest)? == Some(true),
+        };
+        if !is_new || self.objects.peek(digest, LEAF_START.len())?.as_deref() != Some(LEAF_START) {
+            return Ok(());
+        }
+        let bytes = self.read(digest, Role::Leaf, root)?;
+        let rows = bytes.and_then(|bytes| Leaf::decode(&bytes).ok());
+        for row in rows.iter().flat_map(|leaf| &leaf.rows) {
+            for blob in row.blobs.values() {
+                self.blob(blob, Role::Row, digest)?;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,71 @@
+//! What an open store tells its caller beside results, and what its caller tells it while it waits.
+
+use std::{
+    collections::BTreeSet,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use parking_lot::Mutex;
+
+/// Pause between two attempts to take a lock.
+const RETRY_INTERVAL: Duration = Duration::from_millis(2);
+
+type Interrupt = Arc<dyn Fn() -> bool + Send + Sync>;
+
+/// Warnings for the caller, and the caller's wish to stop.
+#[derive(Default)]
+pub(super) struct Notices {
+    warnings: Mutex<Vec<String>>,
+    told: Mutex<BTreeSet<&'static str>>,
+    interrupt: Mutex<Option<Interrupt>>,
+}
+
+impl Notices {
+    /// Adds a warning.
+    pub(super) fn warn(&self, text: String) {
+        self.warnings.lock().push(text);
+    }
+
+    /// Adds a warning of this kind, unless one was added before.
+    pub(super) fn warn_once(&self, kind: &'static str, text: impl FnOnce() -> String) {
+        if self.told.lock().insert(kind) {
+            self.warn(text());
+        }
+    }
+
+    /// Returns the warnings since the last call.
+    pub(super) fn take(&self) -> Vec<String> {
+        std::mem::take(&mut *self.warnings.lock())
+    }
+
+    /// Sets what tells whether waits should end.
+    pub(super) fn set_interrupt(&self, interrupt: Interrupt) {
+        *self.interrupt.lock() = Some(interrupt);
+    }
+
+    /// Tells whether waits should end.
+    pub(super) fn is_interrupted(&self) -> bool {
+        let interrupt = self.interrupt.lock().clone();
+        interrupt.is_some_and(|interrupt| interrupt())
+    }
+
+    /// Tries until an attempt returns a value, patience ends or the caller interrupts; returns the value, or the time
+    /// waited in vain.
+    pub(super) fn retry<T, E>(
+        &self,
+        patience: Duration,
+        mut attempt: impl FnMut() -> Result<Option<T>, E>,
+    ) -> Result<Result<T, Duration>, E> {
+        let began = Instant::now();
+        loop {
+            if let Some(value) = attempt()? {
+                return Ok(Ok(value));
+            }
+            if began.elapsed() >= patience || self.is_interrupted() {
+                return Ok(Err(began.elapsed()));
+            }
+            std::thread::sleep(RETRY_INTERVAL);
+        }
+    }
+}
