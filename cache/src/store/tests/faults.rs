@@ -41,7 +41,7 @@ fn whichever_call_fails_no_result_is_lost_or_false_and_the_session_can_be_repeat
         let dir = tempfile::tempdir().unwrap();
         let faulty = Faulty::new(at, Mishap::Fail(kind), &dir.path().join("removed"));
         let done = run_with(dir.path(), &faulty);
-        let store = again(&dir);
+        let store = again_unsynced(&dir);
         session::check(&store, &done, &context);
         session::repeat(&store, &context);
     }
@@ -63,7 +63,7 @@ fn wherever_it_crashes_unsynced_writes_take_no_committed_result_along() {
             (2, Ok(bytes)) => fs::write(&index, &bytes[..bytes.len() / 2]).unwrap(),
             _ => {}
         }
-        let store = again(&dir);
+        let store = again_unsynced(&dir);
         session::check(&store, &done, &context);
         session::repeat(&store, &context);
     }

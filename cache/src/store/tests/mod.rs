@@ -23,6 +23,12 @@ fn again(dir: &tempfile::TempDir) -> Store {
     Store::open(dir.path().join(".marf")).unwrap()
 }
 
+/// As [`again`], without waits for the disk, which are most of the time of a test of many rounds.
+fn again_unsynced(dir: &tempfile::TempDir) -> Store {
+    let layer = layer::Faulty::new(usize::MAX, layer::Mishap::Crash, &dir.path().join("kept"));
+    Store::open_on(dir.path().join(".marf"), Files::of(layer)).unwrap()
+}
+
 /// An action of a stage with these inputs.
 fn action(stage: &str, name: &str, inputs: &[Digest]) -> Action {
     let inputs = inputs.iter().enumerate();
