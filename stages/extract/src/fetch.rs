@@ -33,6 +33,7 @@ pub(crate) fn fetch(ctx: &Ctx<'_>, files: &[ArchiveFile], shard: u32) -> Result<
     let mut fetched = Fetched {
         rows: Vec::new(),
         verdicts: left_out,
+        ..Fetched::default()
     };
     for (row, verdicts) in outcomes? {
         fetched.rows.extend(row);
@@ -59,7 +60,7 @@ fn one_product(
             verdicts.push(left(&file.name, "skipped", reason));
             continue;
         }
-        let bytes = file.read(ctx)?;
+        let bytes = file.keep(ctx)?;
         match decode(product, file, &bytes) {
             Ok(decoded) => {
                 verdicts.push(Verdict {
@@ -139,7 +140,7 @@ fn make_row(
     shard: u32,
 ) -> Result<Row, StageError> {
     let mut blobs = BTreeMap::new();
-    let stored = ctx.put(bytes)?;
+    let stored = file.digest;
     match &decoded.made {
         Some(made) => {
             blobs.insert("image".to_owned(), ctx.put(made)?);

@@ -1,24 +1,57 @@
 //! Files that are replaced whole: a reader sees the old bytes or the new ones.
 
+use std::collections::BTreeSet;
 use std::ffi::OsString;
-use std::fs::{self, File};
-use std::io::{self, Write};
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use marf_cache::Digest;
+
+/// End of the names of files that are not finished. They begin with a dot.
+const UNFINISHED: &str = ".new";
 
 /// Replaces a file; after a power cut it may be empty.
 pub(crate) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let fresh = beside(path, ".new");
-    fs::write(&fresh, bytes)?;
-    fs::rename(fresh, path)
+    NewFile::write(path, bytes)?.finish()
 }
 
-/// Replaces a file; after a power cut it holds the old bytes or the new ones.
-pub(crate) fn replace_durably(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let fresh = beside(path, ".new");
-    let mut file = File::create(&fresh)?;
-    file.write_all(bytes)?;
-    file.sync_all()?;
-    fs::rename(fresh, path)
+/// Files that are replaced together: after a power cut each holds its old bytes or its new ones.
+#[derive(Default)]
+pub(crate) struct Batch(Vec<NewFile>);
+
+impl Batch {
+    /// Writes the new bytes of a file beside it.
+    pub fn add(&mut self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        self.0.push(NewFile::write(path, bytes)?);
+        Ok(())
+    }
+
+    /// Puts the new bytes in place of the old ones, when all are on the disk.
+    pub fn finish(self) -> io::Result<()> {
+        for new in &self.0 {
+            // Opened for writing: some systems flush nothing through a handle that only reads.
+            OpenOptions::new().append(true).open(&new.path)?.sync_all()?;
+        }
+        let folders: BTreeSet<PathBuf> = self
+            .0
+            .iter()
+            .filter_map(|new| Some(new.target.parent()?.to_owned()))
+            .collect();
+        for new in self.0 {
+            new.finish()?;
+        }
+        folders.iter().try_for_each(|folder| sync_folder(folder))
+    }
+}
+
+/// Makes the names in a folder survive a power cut, where the system can.
+pub(crate) fn sync_folder(folder: &Path) -> io::Result<()> {
+    match cfg!(unix) {
+        true => File::open(folder)?.sync_all(),
+        false => Ok(()),
+    }
 }
 
 /// Returns the path with a suffix added to its name.
@@ -26,4 +59,137 @@ pub(crate) fn beside(path: &Path, suffix: &str) -> PathBuf {
     let mut name = OsString::from(path);
     name.push(suffix);
     PathBuf::from(name)
+}
+
+/// Removes what writers that died left unfinished in a folder. No writer may be at work there.
+pub(crate) fn remove_unfinished(folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
+        if name.is_some_and(|name| name.starts_with('.') && name.ends_with(UNFINISHED)) {
+            fs::remove_file(path)?;
+        }
+    }
+    Ok(())
+}
+
+/// Reads a file that [`write_checked`] wrote; `None` where it is absent or damaged.
+pub(crate) fn read_checked(path: &Path) -> Option<Vec<u8>> {
+    let mut bytes = fs::read(path).ok()?;
+    let length = bytes.len().checked_sub(32)?;
+    let whole = Digest::of(&bytes[..length]).as_bytes() == &bytes[length..];
+    bytes.truncate(length);
+    whole.then_some(bytes)
+}
+
+/// Writes a file that costs only time where it is lost, with the digest of its bytes at the end; a folder that cannot be
+/// written is left as it is.
+pub(crate) fn write_checked(path: &Path, mut bytes: Vec<u8>) {
+    let digest = Digest::of(&bytes);
+    bytes.extend_from_slice(digest.as_bytes());
+    let folder = path.parent().map_or(Ok(()), fs::create_dir_all);
+    drop(folder.and_then(|()| replace(path, &bytes)));
+}
+
+/// A file under a name of its own, which takes the place of another when it is finished and is removed if not.
+struct NewFile {
+    path: PathBuf,
+    target: PathBuf,
+    finished: bool,
+}
+
+impl NewFile {
+    fn write(target: &Path, bytes: &[u8]) -> io::Result<Self> {
+        let (path, mut file) = unfinished(target)?;
+        let new = Self {
+            path,
+            target: target.to_owned(),
+            finished: false,
+        };
+        file.write_all(bytes)?;
+        Ok(new)
+    }
+
+    fn finish(mut self) -> io::Result<()> {
+        fs::rename(&self.path, &self.target)?;
+        self.finished = true;
+        Ok(())
+    }
+}
+
+impl Drop for NewFile {
+    fn drop(&mut self) {
+        if !self.finished {
+            drop(fs::remove_file(&self.path));
+        }
+    }
+}
+
+/// Creates an empty file that is to take the place of another.
+fn unfinished(target: &Path) -> io::Result<(PathBuf, File)> {
+    loop {
+        let path = unfinished_path(target);
+        match OpenOptions::new().write(true).create_new(true).open(&path) {
+            // Of a process of this number on another machine, or one that died.
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+            outcome => return Ok((path, outcome?)),
+        }
+    }
+}
+
+/// Returns a path beside another that this process has not used yet.
+pub(crate) fn unfinished_path(target: &Path) -> PathBuf {
+    static NUMBER: AtomicU64 = AtomicU64::new(0);
+    let name = target.file_name().unwrap_or_default().to_string_lossy();
+    let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+    target.with_file_name(format!(".{name}.{}-{number}{UNFINISHED}", std::process::id()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_is_replaced_and_nothing_else_is_left() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.toml");
+        replace(&path, b"one").unwrap();
+        let mut batch = Batch::default();
+        batch.add(&path, b"two").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"one", "not before all are written");
+        batch.finish().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"two");
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+        assert!(replace(&dir.path().join("absent/a"), b"x").is_err());
+    }
+
+    #[test]
+    fn what_a_dead_writer_left_is_removed_and_nothing_else() {
+        let dir = tempfile::tempdir().unwrap();
+        for name in [".a.toml.1-0.new", "a.new", ".hidden"] {
+            fs::write(dir.path().join(name), "x").unwrap();
+        }
+        remove_unfinished(dir.path()).unwrap();
+        assert!(!dir.path().join(".a.toml.1-0.new").exists());
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
+    }
+
+    #[test]
+    fn a_checked_file_is_read_whole_or_not_at_all() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("new/table");
+        for bytes in [b"".to_vec(), b"bytes".to_vec()] {
+            write_checked(&path, bytes.clone());
+            assert_eq!(read_checked(&path), Some(bytes));
+        }
+        let whole = fs::read(&path).unwrap();
+        for index in 0..whole.len() {
+            let mut flipped = whole.clone();
+            flipped[index] ^= 1;
+            fs::write(&path, &flipped).unwrap();
+            assert_eq!(read_checked(&path), None, "byte {index}");
+            fs::write(&path, &whole[..index]).unwrap();
+            assert_eq!(read_checked(&path), None, "{index} bytes");
+        }
+    }
 }

@@ -21,8 +21,8 @@ mod params;
 mod products;
 mod remote;
 mod sols;
+mod stat;
 
-use marf_cache::ContentHash;
 use marf_stage::{
     ArchiveContext, Ctx, Define, Fetched, Listing, ParamError, Port, Source, Stage, StageError, Threads, Work,
 };
@@ -66,7 +66,13 @@ impl Source for Extract {
     }
 
     fn fetch(&self, ctx: &Ctx<'_>, shard: u32) -> Result<Fetched, StageError> {
-        fetch::fetch(ctx, &self.archive.files(ctx, shard)?, shard)
+        let shard_files = self.archive.files(ctx, shard)?;
+        let fetched = fetch::fetch(ctx, &shard_files.files, shard)?;
+        Ok(Fetched {
+            fingerprint: shard_files.fingerprint,
+            warnings: shard_files.warnings,
+            ..fetched
+        })
     }
 }
 

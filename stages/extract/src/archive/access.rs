@@ -40,6 +40,7 @@ pub(super) mod sealed {
         fn context(context: ArchiveContext) -> Result<LocalContext, ParamError> {
             Ok(LocalContext {
                 folder: context.folder,
+                rehash: context.rehash,
             })
         }
     }
@@ -67,12 +68,18 @@ pub(super) mod sealed {
 /// What a local archive knows of its surroundings.
 pub(crate) struct LocalContext {
     folder: PathBuf,
+    rehash: bool,
 }
 
 impl LocalContext {
     /// Returns a path of the archive's table; a relative one is meant from the folder of pipeline.toml.
     pub fn path(&self, path: &Path) -> PathBuf {
         self.folder.join(path)
+    }
+
+    /// Tells whether files are read again though nothing says that they changed.
+    pub fn rehash(&self) -> bool {
+        self.rehash
     }
 }
 
@@ -89,7 +96,7 @@ impl RemoteContext {
         &self.name
     }
 
-    /// Returns the path of the lock file.
+    /// Returns the path of the lock.
     pub fn lock(&self) -> &Path {
         &self.lock
     }
@@ -138,6 +145,7 @@ mod tests {
             folder: PathBuf::from("there"),
             lock: Some(PathBuf::from("there/marf.lock")),
             access,
+            rehash: false,
         }
     }
 
@@ -154,8 +162,9 @@ mod tests {
 
     /// The fields are matched in full: a local context that held a permit, or a way to one, would not compile.
     #[test]
-    fn a_local_archive_gets_a_folder_and_nothing_else() {
-        let LocalContext { folder } = Local::context(context(Access::Online)).unwrap();
+    fn a_local_archive_gets_a_folder_and_no_way_to_the_network() {
+        let LocalContext { folder, rehash } = Local::context(context(Access::Online)).unwrap();
+        assert!(!rehash);
         assert_eq!(folder, Path::new("there"));
     }
 

@@ -19,8 +19,19 @@ pub(crate) const MAX_FILE_BYTES: u64 = 128 << 20;
 pub(crate) trait ArchiveFiles: Send + Sync {
     /// Lists shards with fingerprints over all their files, and stores companions.
     fn list(&self, ctx: &Ctx<'_>) -> Result<Listing, StageError>;
-    /// Returns the files of one listed shard.
-    fn files(&self, ctx: &Ctx<'_>, shard: u32) -> Result<Vec<ArchiveFile>, StageError>;
+    /// Returns the files of one listed shard; those on servers are downloaded.
+    fn files(&self, ctx: &Ctx<'_>, shard: u32) -> Result<ShardFiles, StageError>;
+}
+
+/// The files of a shard.
+#[derive(Debug, Default)]
+pub(crate) struct ShardFiles {
+    /// The files.
+    pub files: Vec<ArchiveFile>,
+    /// The fingerprint that the bytes have, where the listing could not know them.
+    pub fingerprint: Option<Digest>,
+    /// What people should know, one sentence each.
+    pub warnings: Vec<String>,
 }
 
 /// A file of an archive.
@@ -32,8 +43,6 @@ pub(crate) struct ArchiveFile {
     pub kind: Kind,
     /// Digest of its bytes; of the reason where it cannot be read.
     pub digest: Digest,
-    /// Sol, where the name or the file's own label has it.
-    pub sol: Option<u32>,
     bytes: Bytes,
 }
 
@@ -81,46 +90,36 @@ impl ArchiveFile {
         let kind = kind(&name, &bytes);
         Self {
             digest: Digest::of(&bytes),
-            sol: own_sol(&name, &kind, &bytes),
             bytes: Bytes::Memory(bytes.into()),
             name,
             kind,
         }
     }
 
-    /// Returns a file on disk; reads it once, for kind, digest and sol.
-    pub fn on_disk(name: String, path: PathBuf) -> Self {
-        match read_path(&path) {
-            Ok(bytes) => {
-                let kind = kind(&name, &bytes);
-                Self {
-                    digest: Digest::of(&bytes),
-                    sol: own_sol(&name, &kind, &bytes),
-                    bytes: Bytes::Path(path),
-                    name,
-                    kind,
-                }
-            }
-            Err(error) => Self::unreadable(name, error.to_string()),
+    /// Returns a file on disk whose kind, digest and sol are known.
+    pub fn on_disk(name: String, path: PathBuf, known: Known) -> Self {
+        Self {
+            name,
+            kind: known.kind,
+            digest: known.digest,
+            bytes: Bytes::Path(path),
         }
     }
 
     /// Returns a file whose bytes are in the store; its kind is by its name alone.
-    pub fn stored(name: String, digest: Digest, sol: u32) -> Self {
+    pub fn stored(name: String, digest: Digest) -> Self {
         Self {
             kind: kind(&name, &[]),
             digest,
-            sol: Some(sol),
             bytes: Bytes::Stored,
             name,
         }
     }
 
     /// Returns a file that an archive lists and that is not taken.
-    pub fn left_out(name: String, reason: String, sol: u32) -> Self {
+    pub fn left_out(name: String, reason: String) -> Self {
         Self {
             digest: Digest::of(reason.as_bytes()),
-            sol: Some(sol),
             bytes: Bytes::Memory(Arc::default()),
             kind: Kind::Other(reason),
             name,
@@ -131,10 +130,33 @@ impl ArchiveFile {
     pub fn unreadable(name: String, reason: String) -> Self {
         Self {
             digest: Digest::of(reason.as_bytes()),
-            sol: ProductName::read(stem(&name)).and_then(|product| product.sol),
             bytes: Bytes::Memory(Arc::default()),
             kind: Kind::Unreadable(reason),
             name,
+        }
+    }
+
+    /// Stores the bytes under [`ArchiveFile::digest`] and returns them; a file on disk is copied by the file system where that
+    /// is possible.
+    ///
+    /// # Errors
+    /// The store, or a file that has changed since it was listed.
+    pub fn keep(&self, ctx: &Ctx<'_>) -> Result<Arc<[u8]>, StageError> {
+        match &self.bytes {
+            Bytes::Memory(bytes) => {
+                ctx.put(bytes)?;
+                Ok(Arc::clone(bytes))
+            }
+            Bytes::Stored => ctx.get(&self.digest),
+            Bytes::Path(path) => match ctx.blobs.put_file(path, MAX_FILE_BYTES) {
+                Ok((digest, bytes)) if digest == self.digest => Ok(bytes),
+                Ok(_) => Err(self.changed(OTHER_BYTES)),
+                // What cannot be read is the file's fault, all else the store's.
+                Err(error) => Err(match read_path(path) {
+                    Err(unreadable) => self.changed(&unreadable.to_string()),
+                    Ok(_) => error.into(),
+                }),
+            },
         }
     }
 
@@ -143,21 +165,52 @@ impl ArchiveFile {
     /// # Errors
     /// A file that has changed since: its shard's fingerprint would name other bytes.
     pub fn read(&self, ctx: &Ctx<'_>) -> Result<Vec<u8>, StageError> {
-        let changed = |cause: &str| {
-            StageError::new(format!("`{}` changed while it was read", self.name))
-                .cause(cause)
-                .hint("run again when nothing writes into the archive")
-        };
         let bytes = match &self.bytes {
             Bytes::Memory(bytes) => bytes.to_vec(),
             Bytes::Stored => return Ok(ctx.get(&self.digest)?.to_vec()),
-            Bytes::Path(path) => read_path(path).map_err(|error| changed(&error.to_string()))?,
+            Bytes::Path(path) => read_path(path).map_err(|error| self.changed(&error.to_string()))?,
         };
         if Digest::of(&bytes) == self.digest {
             Ok(bytes)
         } else {
-            Err(changed("its bytes differ from those that were listed"))
+            Err(self.changed(OTHER_BYTES))
         }
+    }
+
+    fn changed(&self, cause: &str) -> StageError {
+        StageError::new(format!("`{}` changed while it was read", self.name))
+            .cause(cause)
+            .hint("run again when nothing writes into the archive")
+    }
+}
+
+/// Why a file is not the listed one.
+const OTHER_BYTES: &str = "its bytes differ from those that were listed";
+
+/// What is known of a file from its name and its bytes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Known {
+    /// Its kind.
+    pub kind: Kind,
+    /// Digest of its bytes.
+    pub digest: Digest,
+    /// Sol, where the name or the file's own label has it.
+    pub sol: Option<u32>,
+}
+
+impl Known {
+    /// Reads a file on disk.
+    ///
+    /// # Errors
+    /// Why it cannot be read.
+    pub fn read(name: &str, path: &std::path::Path) -> Result<Self, ReadError> {
+        let bytes = read_path(path)?;
+        let kind = kind(name, &bytes);
+        Ok(Self {
+            digest: Digest::of(&bytes),
+            sol: own_sol(name, &kind, &bytes),
+            kind,
+        })
     }
 }
 
@@ -205,7 +258,8 @@ fn read_path(path: &std::path::Path) -> Result<Vec<u8>, ReadError> {
     Ok(bytes)
 }
 
-fn kind(name: &str, bytes: &[u8]) -> Kind {
+/// Returns the kind of a file by its first bytes, else by its name.
+pub(crate) fn kind(name: &str, bytes: &[u8]) -> Kind {
     let magic: [&[u8]; 4] = [b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"GIF8", b"RIFF"];
     if magic.iter().any(|magic| bytes.starts_with(magic)) {
         return Kind::Photo;

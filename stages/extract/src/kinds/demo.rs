@@ -9,7 +9,7 @@ use serde::Deserialize;
 
 use crate::archive::access::{Local, LocalContext};
 use crate::archive::kind::ArchiveKind;
-use crate::archive::{ArchiveFile, ArchiveFiles};
+use crate::archive::{ArchiveFile, ArchiveFiles, ShardFiles};
 use crate::sols::Sols;
 
 /// The keys of `kind = "demo"`.
@@ -88,16 +88,19 @@ impl ArchiveFiles for Demo {
         })
     }
 
-    fn files(&self, ctx: &Ctx<'_>, shard: u32) -> Result<Vec<ArchiveFile>, StageError> {
+    fn files(&self, ctx: &Ctx<'_>, shard: u32) -> Result<ShardFiles, StageError> {
         let progress = |done: u64, total: u64| ctx.progress.at(done, total, &format!("sol {shard}"));
         let files = self
             .demo
             .files(shard, &progress, &|| ctx.cancel.is_set())
             .map_err(refused)?;
-        Ok(files
+        let files = files
             .into_iter()
-            .map(|file| ArchiveFile::in_memory(file.name, file.bytes))
-            .collect())
+            .map(|file| ArchiveFile::in_memory(file.name, file.bytes));
+        Ok(ShardFiles {
+            files: files.collect(),
+            ..ShardFiles::default()
+        })
     }
 }
 

@@ -82,7 +82,7 @@ impl Origin {
     }
 
     /// Returns host and port, by which requests are limited.
-    pub(super) fn authority(&self) -> String {
+    pub(crate) fn authority(&self) -> String {
         format!("{}:{}", self.host, self.port)
     }
 

@@ -3,13 +3,15 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, OnceLock};
 
-use marf_cache::Digest;
-use marf_stage::{Access, Ctx, LOCK_FILE, ParamError, StageError};
+use marf_cache::{Digest, digest_of};
+use marf_stage::{Access, Ctx, LOCK_FILE, Listing, ParamError, Shard, StageError};
 use parking_lot::{Mutex, MutexGuard};
 
-use super::catalog::{CatalogSource, SolFiles};
-use super::lock::{self, Pins, SolPins};
+use super::catalog::{CatalogSource, Question, SolFiles, SolListing};
+use super::lock::{self, Change, Lock, OpenLock, SolPins};
 use super::network::Network;
+use super::pages::Pages;
+use super::summary::{Listed, Summaries};
 use crate::archive::access::RemoteContext;
 use crate::net::{Client, ClientSettings};
 use crate::sols::Sols;
@@ -17,8 +19,7 @@ use crate::sols::Sols;
 /// An archive on a server.
 pub(crate) struct RemoteArchive {
     context: RemoteContext,
-    /// What the pipeline asks for beside the sols, in words; kept in marf.lock.
-    asked: String,
+    lock: Lock,
     sols: Sols,
     settings: ClientSettings,
     source: Box<dyn CatalogSource>,
@@ -38,11 +39,27 @@ pub(crate) struct Request<'a> {
     pub allowed: &'a [String],
 }
 
-/// What was last listed, and what is pinned.
+/// What was last listed.
 #[derive(Default)]
-pub(super) struct State {
-    pub sols: Option<Arc<BTreeMap<u32, SolFiles>>>,
-    pub pins: Option<Pins>,
+struct State {
+    survey: Option<Arc<Survey>>,
+    pages: Option<Pages>,
+}
+
+/// The sols asked for, and where the pins lie.
+struct Survey {
+    sols: BTreeMap<u32, SolListing>,
+    lock: OpenLock,
+}
+
+/// A sol that is to be brought.
+pub(super) struct SolWork {
+    /// What it has.
+    pub files: SolFiles,
+    /// What is pinned of it.
+    pub pins: SolPins,
+    /// What of that marf.lock has: nothing, where it is lost and the store remembers.
+    pub written: SolPins,
 }
 
 impl RemoteArchive {
@@ -56,8 +73,12 @@ impl RemoteArchive {
         source: Box<dyn CatalogSource>,
     ) -> Result<Self, ParamError> {
         Ok(Self {
+            lock: Lock {
+                path: context.lock().to_owned(),
+                archive: context.name().to_owned(),
+                asked: request.asked,
+            },
             context,
-            asked: request.asked,
             sols: request.sols,
             settings: request.network.settings(request.allowed)?,
             source,
@@ -76,6 +97,16 @@ impl RemoteArchive {
         self.context.access()
     }
 
+    /// Returns the place of the pins.
+    pub(super) fn lock(&self) -> &Lock {
+        &self.lock
+    }
+
+    /// Returns in words which products of a sol are taken.
+    pub(super) fn selection(&self) -> String {
+        self.source.selection()
+    }
+
     /// Returns the client, made at the first call.
     ///
     /// # Errors
@@ -88,118 +119,267 @@ impl RemoteArchive {
         Ok(self.client.get_or_init(|| client))
     }
 
-    pub(super) fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock()
-    }
-
-    /// Replaces what marf.lock pins of this archive.
-    pub(super) fn write_lock(&self, pins: &Pins) -> Result<(), StageError> {
-        lock::write(self.context.lock(), self.name(), pins)
-    }
-
-    /// Returns the files of the sols asked for: as the server lists them now, or as they are locked.
+    /// Lists the sols asked for: as the server has them now, or as they are locked.
     ///
     /// # Errors
     /// A server that cannot be asked, a lock that cannot be read, no file of the sols asked for.
-    pub(super) fn survey(&self, ctx: &Ctx<'_>) -> Result<Arc<BTreeMap<u32, SolFiles>>, StageError> {
-        let pins = self.pins()?;
-        let sols = match self.access() {
-            Access::Online => {
-                let catalog = self.source.catalog(ctx, self.client()?, &self.sols)?;
-                if catalog.sols.is_empty() {
-                    return Err(self.nothing(&catalog.present, "the archive has"));
-                }
-                let none = SolPins::default();
-                let with_history = |(sol, files): (u32, SolFiles)| {
-                    let files = files.with_history(pins.sols.get(&sol).unwrap_or(&none));
-                    (sol, files)
-                };
-                catalog.sols.into_iter().map(with_history).collect()
-            }
-            Access::Locked => self.with_records(ctx, self.locked(&pins)?, &pins)?,
-            Access::Offline => self.locked(&pins)?,
+    pub(super) fn listing(&self, ctx: &Ctx<'_>) -> Result<Listing, StageError> {
+        Ok(self.survey(ctx)?.0)
+    }
+
+    fn survey(&self, ctx: &Ctx<'_>) -> Result<(Listing, Arc<Survey>), StageError> {
+        let (listing, survey) = match self.access() {
+            Access::Online => self.list_online(ctx)?,
+            Access::Locked | Access::Offline => self.list_locked(ctx)?,
         };
-        let sols = Arc::new(sols);
-        let mut state = self.state();
-        state.pins = Some(pins);
-        state.sols = Some(Arc::clone(&sols));
-        Ok(sols)
+        let survey = Arc::new(survey);
+        self.state.lock().survey = Some(Arc::clone(&survey));
+        Ok((listing, survey))
     }
 
-    /// Returns the pins of what is asked for now. Online, pins of another camera or level are dropped.
-    fn pins(&self) -> Result<Pins, StageError> {
-        let pins = lock::read(self.context.lock(), self.name())?;
-        if pins.asked == self.asked {
-            return Ok(pins);
-        }
-        if self.access() == Access::Online || pins.sols.is_empty() {
-            return Ok(Pins {
-                asked: self.asked.clone(),
-                ..Pins::default()
-            });
-        }
-        let message = format!("`{}` pins other products of archive `{}`", LOCK_FILE, self.name());
-        Err(StageError::new(message)
-            .cause(format!(
-                "it was written for `{}`, the pipeline asks for `{}`",
-                pins.asked, self.asked
-            ))
-            .hint("run once without --locked and --offline"))
+    fn summaries<'a>(&self, ctx: &Ctx<'_>, lock: &'a OpenLock) -> Summaries<'a> {
+        let path = self.lock.path.to_string_lossy();
+        let name = format!(
+            "{path}\n{}\n{}\n{}",
+            self.name(),
+            self.lock.asked,
+            self.selection()
+        );
+        Summaries::open(ctx.scratch, &name, lock)
     }
 
-    /// Returns what marf.lock names of the sols asked for.
-    fn locked(&self, pins: &Pins) -> Result<BTreeMap<u32, SolFiles>, StageError> {
-        let present: BTreeSet<u32> = pins.sols.keys().copied().collect();
+    /// Lists what marf.lock names of the sols asked for.
+    fn list_locked(&self, ctx: &Ctx<'_>) -> Result<(Listing, Survey), StageError> {
+        let lock = self.lock.open()?;
+        if let Some(other) = &lock.other {
+            return Err(self.of_other(other));
+        }
+        let present = lock.sols();
         let chosen = self.sols.choose(&present);
         if chosen.is_empty() {
-            return Err(self.nothing(&present, &format!("`{}` has", self.context.lock().display())));
+            return Err(self.nothing(&present, &format!("`{}` has", self.lock.path.display())));
         }
-        let sols = pins.sols.iter().filter(|(sol, _)| chosen.contains(sol));
-        Ok(sols.map(|(sol, pins)| (*sol, SolFiles::of_pins(pins))).collect())
+        let summaries = self.summaries(ctx, &lock);
+        let mut listing = Listing::default();
+        for sol in &chosen {
+            ctx.check()?;
+            let fingerprint = match summaries.of(*sol) {
+                Ok(found) => found.map(|found| found.fingerprint),
+                Err(error) => Some(damaged(&mut listing, *sol, &error)),
+            };
+            listing.shards.extend(fingerprint.map(|fingerprint| Shard {
+                shard: *sol,
+                fingerprint,
+            }));
+        }
+        summaries.save();
+        let sols = chosen.into_iter().map(|sol| (sol, SolListing::Pinned)).collect();
+        Ok((listing, Survey { sols, lock }))
+    }
+
+    /// Asks the server, and compares what it has with what is pinned.
+    fn list_online(&self, ctx: &Ctx<'_>) -> Result<(Listing, Survey), StageError> {
+        let lock = self.lock.open()?;
+        let summaries = self.summaries(ctx, &lock);
+        let selection = self.selection();
+        let complete = |sol: u32| summaries.of(sol).ok().flatten().and_then(|found| found.complete);
+        let is_pinned = |sol: u32| complete(sol).as_ref() == Some(&selection);
+        let mut state = self.state.lock();
+        let pages = self.pages(ctx, &mut state);
+        let question = Question {
+            ctx,
+            client: self.client()?,
+            sols: &self.sols,
+            is_pinned: &is_pinned,
+        };
+        let catalog = self.source.catalog(question, pages);
+        pages.save();
+        let catalog = catalog?;
+        let mut online = Online {
+            archive: self,
+            ctx,
+            pages,
+            lock: &lock,
+            summaries: &summaries,
+            listing: Listing::default(),
+            unpinned: 0,
+            restored: Vec::new(),
+        };
+        for (sol, listing) in &catalog.sols {
+            ctx.check()?;
+            online.add(*sol, listing)?;
+        }
+        let (mut listing, unpinned, restored) = (online.listing, online.unpinned, online.restored);
+        if listing.shards.is_empty() {
+            return Err(self.nothing(&catalog.present, "the archive has"));
+        }
+        listing.note = (unpinned > 0).then(|| format!("{unpinned} files to fetch"));
+        summaries.save();
+        if !restored.is_empty() {
+            listing.warnings.extend(self.restore(ctx, restored)?);
+        }
+        let survey = Survey {
+            sols: catalog.sols,
+            lock,
+        };
+        Ok((listing, survey))
+    }
+
+    /// Writes pins again that were lost from marf.lock, and returns what is to be told. Where they cannot be written, they
+    /// are at the next run.
+    fn restore(&self, ctx: &Ctx<'_>, restored: Vec<Change>) -> Result<Vec<String>, StageError> {
+        match self.lock.write(ctx, restored) {
+            Ok(written) => Ok(written.notice.into_iter().collect()),
+            Err(StageError::Cancelled) => Err(StageError::Cancelled),
+            Err(error) => Ok(vec![format!(
+                "pins that the store has are not written: {}",
+                told(&error)
+            )]),
+        }
+    }
+
+    fn pages<'a>(&self, ctx: &Ctx<'_>, state: &'a mut MutexGuard<'_, State>) -> &'a mut Pages {
+        let name = format!("{}\n{}", self.lock.asked, self.source.name());
+        state.pages.get_or_insert_with(|| Pages::open(ctx.scratch, &name))
+    }
+
+    /// Returns what a listed sol has, and its pins.
+    ///
+    /// # Errors
+    /// Pins that cannot be read, a server that cannot be asked, a sol that is not there.
+    pub(super) fn sol(&self, ctx: &Ctx<'_>, sol: u32) -> Result<SolWork, StageError> {
+        if let Some(work) = self.listed_sol(ctx, sol)? {
+            return Ok(work);
+        }
+        // The pages that list it are lost: they are asked for again.
+        let lost = || {
+            StageError::new(format!(
+                "what lists sol {sol} cannot be kept in `{}`",
+                ctx.scratch.display()
+            ))
+        };
+        self.listed_sol(ctx, sol)?.ok_or_else(lost)
+    }
+
+    fn listed_sol(&self, ctx: &Ctx<'_>, sol: u32) -> Result<Option<SolWork>, StageError> {
+        let known = self.state.lock().survey.clone();
+        let survey = match known {
+            Some(survey) => survey,
+            None => self.survey(ctx)?.1,
+        };
+        let listing = survey.sols.get(&sol).ok_or_else(|| {
+            StageError::new(format!("archive `{}` has no sol {sol} any more", self.name()))
+                .hint("run again: it is listed anew")
+        })?;
+        let written = survey.lock.pins(sol)?;
+        let pins = written
+            .clone()
+            .or_else(|| self.remembered(ctx, sol))
+            .unwrap_or_default();
+        let files = match listing {
+            SolListing::Pinned => Some(SolFiles::of_pins(&pins)),
+            SolListing::Pages(paths) => {
+                let mut state = self.state.lock();
+                let pages = self.pages(ctx, &mut state);
+                let files = self.source.files(pages, sol, paths)?;
+                if files.is_none() {
+                    pages.forget(paths);
+                    state.survey = None;
+                }
+                files.map(|files| files.with_history(&pins))
+            }
+        };
+        let Some(mut files) = files else {
+            return Ok(None);
+        };
+        if self.access() == Access::Locked {
+            self.find_records(ctx, sol, &mut files, &pins)?;
+        }
+        Ok(Some(SolWork {
+            files,
+            pins,
+            written: written.unwrap_or_default(),
+        }))
+    }
+
+    /// Returns the pins of a sol that an earlier run kept in the store, for a lock that is lost.
+    pub(super) fn remembered(&self, ctx: &Ctx<'_>, sol: u32) -> Option<SolPins> {
+        if self.access() != Access::Online {
+            return None;
+        }
+        let bytes = ctx.memos.load(&self.memo_key(sol))?;
+        lock::read_sol(std::str::from_utf8(&bytes).ok()?, sol).ok()
+    }
+
+    /// Keeps the pins of a sol in the store, where a run whose lock is lost finds them.
+    pub(super) fn remember(&self, ctx: &Ctx<'_>, sol: u32, pins: &SolPins) {
+        let (key, text) = (self.memo_key(sol), lock::write_sol(self.name(), sol, pins));
+        if ctx.memos.load(&key).as_deref() != Some(text.as_bytes()) {
+            ctx.memos.save(&key, text.as_bytes());
+        }
+    }
+
+    fn memo_key(&self, sol: u32) -> Digest {
+        digest_of(&(LOCK_FILE, (self.name(), self.lock.asked.as_str(), sol)))
     }
 
     /// Asks the server again for records that are locked and not in the store: they come with the listing only.
-    fn with_records(
+    fn find_records(
         &self,
         ctx: &Ctx<'_>,
-        mut sols: BTreeMap<u32, SolFiles>,
-        pins: &Pins,
-    ) -> Result<BTreeMap<u32, SolFiles>, StageError> {
-        for (sol, files) in &mut sols {
-            let Some(pins) = pins.sols.get(sol) else {
-                continue;
-            };
-            let lost = pins
-                .files
-                .iter()
-                .filter(|(_, pin)| pin.url == lock::WITH_LISTING && ctx.get(&pin.blake3).is_err());
-            let lost: Vec<(&String, &lock::Pin)> = lost.collect();
-            let Some((first, _)) = lost.first() else {
-                continue;
-            };
-            let catalog = self
-                .source
-                .catalog(ctx, self.client()?, &Sols::Ranges(vec![(*sol, *sol)]))?;
-            let changed = |name: &str| {
-                StageError::new(format!(
-                    "record `{name}` of sol {sol} is not what `{}` pins",
-                    LOCK_FILE
-                ))
-                .cause("the feed gives it with other content now, or no longer")
-                .hint("run without --locked to take what the feed gives now")
-            };
-            let now = catalog.sols.get(sol).ok_or_else(|| changed(first))?;
-            for (name, pin) in lost {
-                let bytes = now.files.get(name).and_then(|file| file.bytes.clone());
-                let bytes = bytes
-                    .filter(|bytes| Digest::of(bytes) == pin.blake3)
-                    .ok_or_else(|| changed(name))?;
-                if let Some(file) = files.files.get_mut(name) {
-                    file.bytes = Some(bytes);
-                }
+        sol: u32,
+        files: &mut SolFiles,
+        pins: &SolPins,
+    ) -> Result<(), StageError> {
+        let with_listing = pins.files.iter().filter(|(_, pin)| pin.url == lock::WITH_LISTING);
+        let lost: Vec<_> = with_listing
+            .filter(|(_, pin)| ctx.get(&pin.blake3).is_err())
+            .collect();
+        let Some((first, _)) = lost.first() else {
+            return Ok(());
+        };
+        let changed = |name: &str| {
+            StageError::new(format!(
+                "record `{name}` of sol {sol} is not what `{LOCK_FILE}` pins"
+            ))
+            .cause("the feed gives it with other content now, or no longer")
+            .hint("run without --locked to take what the feed gives now")
+        };
+        let mut state = self.state.lock();
+        let pages = self.pages(ctx, &mut state);
+        let question = Question {
+            ctx,
+            client: self.client()?,
+            sols: &Sols::Ranges(vec![(sol, sol)]),
+            is_pinned: &|_| false,
+        };
+        let catalog = self.source.catalog(question, pages)?;
+        pages.save();
+        let now = match catalog.sols.get(&sol) {
+            Some(SolListing::Pages(paths)) => self.source.files(pages, sol, paths)?,
+            _ => None,
+        };
+        let now = now.ok_or_else(|| changed(first))?;
+        for (name, pin) in lost {
+            let bytes = now.files.get(name).and_then(|file| file.bytes.clone());
+            let bytes = bytes
+                .filter(|bytes| Digest::of(bytes) == pin.blake3)
+                .ok_or_else(|| changed(name))?;
+            if let Some(file) = files.files.get_mut(name) {
+                file.bytes = Some(bytes);
             }
         }
-        Ok(sols)
+        Ok(())
+    }
+
+    fn of_other(&self, other: &str) -> StageError {
+        let message = format!("`{LOCK_FILE}` pins other products of archive `{}`", self.name());
+        StageError::new(message)
+            .cause(format!(
+                "it was written for `{other}`, the pipeline asks for `{}`",
+                self.lock.asked
+            ))
+            .hint("run once without --locked and --offline")
     }
 
     /// Returns the error that no product of the sols asked for is there; `who` is what lists the present ones.
@@ -214,5 +394,110 @@ impl RemoteArchive {
         ))
         .cause(there)
         .hint("change `sols` of the archive")
+    }
+}
+
+/// Compares what a server has with what is pinned, sol by sol.
+struct Online<'a> {
+    archive: &'a RemoteArchive,
+    ctx: &'a Ctx<'a>,
+    pages: &'a Pages,
+    lock: &'a OpenLock,
+    summaries: &'a Summaries<'a>,
+    listing: Listing,
+    unpinned: usize,
+    /// Pins that the lock lacks and the store has.
+    restored: Vec<Change>,
+}
+
+impl Online<'_> {
+    /// Adds a sol, if the server has anything of it.
+    fn add(&mut self, sol: u32, listing: &SolListing) -> Result<(), StageError> {
+        let summary = match self.summaries.of(sol) {
+            Ok(summary) => summary,
+            Err(error) => {
+                let fingerprint = damaged(&mut self.listing, sol, &error);
+                self.push(sol, fingerprint, 0);
+                return Ok(());
+            }
+        };
+        let paths = match (listing, &summary) {
+            (SolListing::Pinned, Some(summary)) => {
+                self.push(sol, summary.fingerprint, 0);
+                return Ok(());
+            }
+            (SolListing::Pinned, None) => return Ok(()),
+            (SolListing::Pages(paths), _) => paths,
+        };
+        let digest = listing.digest(self.pages);
+        let known = summary.as_ref().and_then(|summary| summary.listed);
+        if let Some(known) = known.filter(|known| known.listing == digest) {
+            self.push(sol, known.fingerprint, known.unpinned);
+            return Ok(());
+        }
+        if summary.is_none() && self.summaries.is_empty(sol, &digest) {
+            return Ok(());
+        }
+        let Some(files) = self.archive.source.files(self.pages, sol, paths)? else {
+            // Its pages are damaged: they are asked for again when it is brought.
+            self.push(sol, digest_of(&("lost", digest)), 0);
+            return Ok(());
+        };
+        if files.is_empty() {
+            if summary.is_none() {
+                self.summaries.set_empty(sol, digest);
+            }
+            return Ok(());
+        }
+        let pins = match summary {
+            Some(_) => self.lock.pins(sol)?,
+            None => self.remembered(sol),
+        };
+        let pins = pins.unwrap_or_default();
+        let files = files.with_history(&pins);
+        let listed = Listed {
+            listing: digest,
+            fingerprint: files.fingerprint(&pins),
+            unpinned: files.unpinned(&pins),
+        };
+        self.summaries.set_listed(sol, listed);
+        self.push(sol, listed.fingerprint, listed.unpinned);
+        Ok(())
+    }
+
+    fn remembered(&mut self, sol: u32) -> Option<SolPins> {
+        let pins = self.archive.remembered(self.ctx, sol)?;
+        self.restored.push(Change {
+            sol,
+            base: SolPins::default(),
+            pins: pins.clone(),
+        });
+        Some(pins)
+    }
+
+    fn push(&mut self, sol: u32, fingerprint: Digest, unpinned: usize) {
+        self.unpinned += unpinned;
+        self.listing.shards.push(Shard {
+            shard: sol,
+            fingerprint,
+        });
+    }
+}
+
+/// Tells of pins that cannot be read, and returns a fingerprint that no result has: the sol fails when it is brought.
+fn damaged(listing: &mut Listing, sol: u32, error: &StageError) -> Digest {
+    listing.warnings.push(told(error));
+    digest_of(&("damaged", sol))
+}
+
+/// Returns an error in one line, with its cause.
+fn told(error: &StageError) -> String {
+    match error {
+        StageError::Failed {
+            message,
+            cause: Some(cause),
+            ..
+        } => format!("{message}: {cause}"),
+        other => other.to_string(),
     }
 }

@@ -6,6 +6,7 @@ use marf_cache::{ContentHash, Digest, digest_of};
 use marf_stage::{Ctx, StageError};
 
 use super::lock::{Pin, SolPins};
+use super::pages::Pages;
 use crate::net::{Client, Url};
 use crate::sols::Sols;
 
@@ -34,32 +35,79 @@ pub(crate) struct RemoteFile {
 /// What a server has, by sol.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Catalog {
-    /// Files of the sols asked for.
-    pub sols: BTreeMap<u32, SolFiles>,
+    /// The sols asked for.
+    pub sols: BTreeMap<u32, SolListing>,
     /// All sols that are there, as far as known.
     pub present: BTreeSet<u32>,
 }
 
+/// Where it is listed what a sol has.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum SolListing {
+    /// Pages that name its products.
+    Pages(Vec<String>),
+    /// It is too old to change, and everything it had is pinned: nobody was asked.
+    Pinned,
+}
+
+/// What is asked of a catalog.
+#[derive(Clone, Copy)]
+pub(crate) struct Question<'a> {
+    /// The context of the stage.
+    pub ctx: &'a Ctx<'a>,
+    /// The client.
+    pub client: &'a Client,
+    /// The sols.
+    pub sols: &'a Sols,
+    /// Tells whether everything that a sol had is pinned.
+    pub is_pinned: &'a dyn Fn(u32) -> bool,
+}
+
 /// A server that can be asked what it has.
 pub(crate) trait CatalogSource: Send + Sync {
-    /// Asks the server; what cannot have changed is taken from the cache in the scratch folder.
+    /// Returns in words which of the products of a sol are taken; a sol that is pinned for other words is listed again.
+    fn selection(&self) -> String;
+
+    /// Returns what tells the pages of this source from those of others in the scratch folder.
+    fn name(&self) -> String;
+
+    /// Asks the server which sols there are; what cannot have changed is taken from `pages`, what came is put there.
     ///
     /// # Errors
     /// A server that cannot be asked or understood, the wish to stop.
-    fn catalog(&self, ctx: &Ctx<'_>, client: &Client, sols: &Sols) -> Result<Catalog, StageError>;
+    fn catalog(&self, question: Question<'_>, pages: &mut Pages) -> Result<Catalog, StageError>;
+
+    /// Returns the files of a sol from the pages that list it; `None` where one of them is lost.
+    ///
+    /// # Errors
+    /// An address that is none.
+    fn files(&self, pages: &Pages, sol: u32, listing: &[String]) -> Result<Option<SolFiles>, StageError>;
 }
 
-/// What of a file decides whether its sol is fetched again. The names of the struct and of its fields are content of
-/// fingerprints.
+/// What of a file decides whether its sol is brought again: its bytes, as far as they are known. Names of the struct and of
+/// its fields are content of fingerprints.
 #[derive(ContentHash)]
-struct Seen {
-    name: String,
-    /// Digest of bytes that come with the listing.
-    bytes: Option<Digest>,
+struct Seen<'a> {
+    name: &'a str,
+    /// Digest of the bytes that are used: those that come with the listing, else those that are pinned.
+    blake3: Option<Digest>,
     /// Other bytes that were given under this name.
     others: Vec<Digest>,
     /// The listing says that it changed since it was fetched.
-    changed: Option<String>,
+    changed: Option<&'a str>,
+    /// The server answered this status in place of the file.
+    gone: Option<u64>,
+}
+
+impl SolListing {
+    /// Returns the digest of what is listed; the digest of nothing where that is unknown.
+    pub fn digest(&self, pages: &Pages) -> Digest {
+        let Self::Pages(paths) = self else {
+            return Digest::of(b"pinned");
+        };
+        let state = |path: &String| (path.clone(), pages.state(path).and_then(|state| state.content));
+        digest_of(&paths.iter().map(state).collect::<Vec<_>>())
+    }
 }
 
 impl SolFiles {
@@ -91,7 +139,7 @@ impl SolFiles {
         self
     }
 
-    /// Returns what the lock file names of a sol.
+    /// Returns what the lock names of a sol.
     pub fn of_pins(pins: &SolPins) -> Self {
         let file = |pin: &Pin| RemoteFile {
             urls: Url::parse(&pin.url).into_iter().collect(),
@@ -106,47 +154,59 @@ impl SolFiles {
         }
     }
 
-    /// Returns the digest of everything that decides whether the sol is fetched again: names, never addresses.
+    /// Returns the number of wanted files that are not pinned.
+    pub fn unpinned(&self, pins: &SolPins) -> usize {
+        self.files
+            .keys()
+            .filter(|name| !pins.files.contains_key(*name))
+            .count()
+    }
+
+    /// Returns the digest of everything that decides whether the sol is brought again: names and, where they are known, the
+    /// bytes that are used; never addresses. Once everything is pinned and the listing says nothing new, it is the digest
+    /// that the pins alone give.
     pub fn fingerprint(&self, pins: &SolPins) -> Digest {
-        let seen = self.files.iter().map(|(name, file)| {
+        let listed = self.files.iter().map(|(name, file)| {
             let pin = pins.files.get(name);
-            let record = file.bytes.as_ref().map(|bytes| Digest::of(bytes));
-            let is_record = record.is_some() || name.ends_with(".json");
             Seen {
-                name: name.clone(),
-                bytes: record.or_else(|| pin.filter(|_| is_record).map(|pin| pin.blake3)),
+                name,
+                blake3: file
+                    .bytes
+                    .as_ref()
+                    .map(|bytes| Digest::of(bytes))
+                    .or_else(|| pin.map(|pin| pin.blake3)),
                 others: pin
                     .map(|pin| pin.others.iter().copied().collect())
                     .unwrap_or_default(),
                 changed: pin.and_then(|pin| changed(pin.listed.as_deref(), file.listed.as_deref())),
+                gone: pins
+                    .gone
+                    .get(name)
+                    .filter(|_| pin.is_none())
+                    .map(|status| u64::from(*status)),
             }
         });
         let gone = pins
             .gone
-            .keys()
-            .filter(|name| !self.files.contains_key(*name))
-            .cloned();
-        let mut names: Vec<Seen> = seen.chain(gone.map(Seen::named)).collect();
-        names.sort_by(|a, b| a.name.cmp(&b.name));
-        digest_of(&(names, self.left_out.clone()))
-    }
-}
-
-impl Seen {
-    fn named(name: String) -> Self {
-        Self {
+            .iter()
+            .filter(|(name, _)| !self.files.contains_key(*name));
+        let gone = gone.map(|(name, status)| Seen {
             name,
-            bytes: None,
+            blake3: None,
             others: Vec::new(),
             changed: None,
-        }
+            gone: Some(u64::from(*status)),
+        });
+        let mut seen: Vec<Seen<'_>> = listed.chain(gone).collect();
+        seen.sort_by_key(|seen| seen.name);
+        digest_of(&(seen, &self.left_out))
     }
 }
 
 /// Returns the listing's date, if it is another than that of what was fetched.
-pub(super) fn changed(fetched: Option<&str>, listed: Option<&str>) -> Option<String> {
+pub(super) fn changed<'a>(fetched: Option<&str>, listed: Option<&'a str>) -> Option<&'a str> {
     match (fetched, listed) {
-        (Some(fetched), Some(listed)) if fetched != listed => Some(listed.to_owned()),
+        (Some(fetched), Some(listed)) if fetched != listed => Some(listed),
         _ => None,
     }
 }

@@ -2,9 +2,8 @@
 
 use marf_pds::listing::{self, Entry};
 use marf_stage::{Ctx, StageError};
-use serde::{Deserialize, Serialize};
 
-use super::cache;
+use super::pages::{PageState, Pages};
 use crate::net::{Answer, Client, Download, Url, Validators};
 
 /// Largest page that is read.
@@ -18,6 +17,8 @@ pub(crate) struct Crawl<'a> {
     pub client: &'a Client,
     /// Addresses of the archive, in order of preference.
     pub bases: &'a [String],
+    /// What was listed before.
+    pub pages: &'a mut Pages,
 }
 
 /// A folder to be listed.
@@ -27,111 +28,142 @@ pub(crate) struct Folder {
     pub path: String,
     /// It is too old to change: once it was listed as such, it is not asked for again.
     pub settled: bool,
+    /// What another page says of its version, if that tells of every change in it: a folder that was listed in this
+    /// version is not asked for again.
+    pub version: Option<String>,
 }
 
-/// A folder as it was last listed.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-struct Page {
-    url: String,
-    validators: Validators,
-    /// It was too old to change when it was listed.
-    #[serde(default)]
-    settled: bool,
-    /// None: it is not there.
-    entries: Option<Vec<Entry>>,
+/// What a page does that cannot be listed.
+#[derive(Clone, Copy)]
+enum Failing {
+    /// It stops the listing.
+    Stops,
+    /// It is not known any more.
+    Forgets,
+}
+
+impl Folder {
+    /// Returns a folder that is asked for at each run.
+    pub fn young(path: impl Into<String>) -> Self {
+        Self {
+            path: path.into(),
+            settled: false,
+            version: None,
+        }
+    }
+
+    /// Tells whether the last listing still holds.
+    fn holds(&self, page: &PageState) -> bool {
+        (self.settled && page.settled) || (self.version.is_some() && self.version == page.version)
+    }
 }
 
 impl Crawl<'_> {
-    /// Lists folders; `None` stands for one that is not there.
+    /// Lists folders whose last listing may not hold any more; afterwards [`Pages`] has them all, also those that are not
+    /// there.
     ///
     /// # Errors
     /// A server that cannot be asked, a page that is no listing, the wish to stop.
-    pub fn folders(&self, folders: &[Folder]) -> Result<Vec<Option<Vec<Entry>>>, StageError> {
-        let mut pages: Vec<Option<Page>> = folders.iter().map(|folder| self.cached(&folder.path)).collect();
-        let asked: Vec<usize> = (0..folders.len())
-            .filter(|index| {
-                !(folders[*index].settled && pages[*index].as_ref().is_some_and(|page| page.settled))
-            })
-            .collect();
-        let want = |index: &usize| {
-            Ok(Download {
-                urls: urls(self.bases, &format!("{}/", folders[*index].path))?,
-                cap_bytes: MAX_PAGE_BYTES,
-                known: pages[*index].as_ref().map(|page| page.validators.clone()),
-                part: None,
-            })
-        };
-        let wants = asked
-            .iter()
-            .map(want)
-            .collect::<Result<Vec<Download>, StageError>>()?;
-        let total = wants.len() as u64;
-        let mut done = 0;
-        self.client.get_all(self.ctx, &wants, &mut |number, answer| {
-            let index = asked[number];
-            let answer = answer?;
-            let page = read(answer, &folders[index].path)?.or_else(|| pages[index].take());
-            if let Some(mut page) = page {
-                page.settled = folders[index].settled;
-                self.cache(&folders[index].path, &page);
-                pages[index] = Some(page);
-            }
-            done += 1;
-            self.ctx.progress.at(done, total, "folders listed");
-            Ok(())
-        })?;
-        Ok(pages
-            .into_iter()
-            .map(|page| page.and_then(|page| page.entries))
-            .collect())
+    pub fn folders(&mut self, folders: &[Folder]) -> Result<(), StageError> {
+        self.ask(folders, Failing::Stops)
     }
 
-    /// Lists one folder.
+    /// As [`Crawl::folders`], for pages that the listing can do without: one that cannot be listed is not known afterwards.
+    ///
+    /// # Errors
+    /// The wish to stop.
+    pub fn hints(&mut self, folders: &[Folder]) -> Result<(), StageError> {
+        self.ask(folders, Failing::Forgets)
+    }
+
+    fn ask(&mut self, folders: &[Folder], failing: Failing) -> Result<(), StageError> {
+        let asked: Vec<&Folder> = folders
+            .iter()
+            .filter(|folder| {
+                !self
+                    .pages
+                    .state(&folder.path)
+                    .is_some_and(|page| folder.holds(page))
+            })
+            .collect();
+        let wants = asked
+            .iter()
+            .map(|folder| self.want(&format!("{}/", folder.path), &folder.path, MAX_PAGE_BYTES))
+            .collect::<Result<Vec<Download>, StageError>>()?;
+        let (total, mut done) = (wants.len() as u64, 0);
+        let (client, ctx) = (self.client, self.ctx);
+        client.get_all(ctx, &wants, &mut |index, answer| {
+            let folder = asked[index];
+            let outcome = answer
+                .map_err(StageError::from)
+                .and_then(|answer| self.take(folder, answer));
+            match (outcome, failing) {
+                (Ok(()), _) => {}
+                (Err(error), Failing::Stops) => return Err(error),
+                (Err(_), Failing::Forgets) => self.pages.forget(std::slice::from_ref(&folder.path)),
+            }
+            done += 1;
+            ctx.progress.at(done, total, "folders listed");
+            Ok(())
+        })
+    }
+
+    /// Lists one folder, whatever is known of it; `None` stands for one that is not there.
     ///
     /// # Errors
     /// As [`Crawl::folders`].
-    pub fn folder(&self, path: &str) -> Result<Option<Vec<Entry>>, StageError> {
-        let folder = Folder {
-            path: path.to_owned(),
-            settled: false,
-        };
-        Ok(self.folders(&[folder])?.pop().flatten())
+    pub fn folder(&mut self, path: &str) -> Result<Option<Vec<Entry>>, StageError> {
+        self.folders(&[Folder::young(path)])?;
+        Ok(self.entries(path))
     }
 
-    fn cached(&self, path: &str) -> Option<Page> {
-        cache::read(self.ctx.scratch, &cache::key("folder", path))
+    /// Returns what a folder had when it was last listed; `None` stands for one that is not there.
+    pub fn entries(&self, path: &str) -> Option<Vec<Entry>> {
+        self.pages.content(path)
     }
 
-    fn cache(&self, path: &str, page: &Page) {
-        cache::write(self.ctx.scratch, &cache::key("folder", path), page);
+    /// Returns the question for a file or a folder page that is kept under `path`.
+    ///
+    /// # Errors
+    /// A base that is no address.
+    pub fn want(&self, address: &str, path: &str, cap_bytes: u64) -> Result<Download, StageError> {
+        Ok(Download {
+            urls: urls(self.bases, address)?,
+            cap_bytes,
+            known: self.pages.state(path).map(|page| page.validators.clone()),
+            part: None,
+        })
     }
-}
 
-/// Reads the answer to a question for a folder; `None`: nothing changed.
-fn read(answer: Answer, path: &str) -> Result<Option<Page>, StageError> {
-    match answer {
-        Answer::Unchanged => Ok(None),
-        Answer::Absent { url, .. } => Ok(Some(Page {
-            url,
-            ..Page::default()
-        })),
-        Answer::Whole {
-            bytes,
-            url,
+    fn take(&mut self, folder: &Folder, answer: Answer) -> Result<(), StageError> {
+        let path = &folder.path;
+        let state = |validators| PageState {
             validators,
-        } => {
-            let entries = listing::read(&bytes).map_err(|error| {
-                StageError::new(format!("`{url}` is no listing of folder `{path}`"))
-                    .cause(error.to_string())
-                    .hint("a firewall or another server may have answered: open the address in a browser, or set `base`")
-            })?;
-            Ok(Some(Page {
+            settled: folder.settled,
+            version: folder.version.clone(),
+            content: None,
+        };
+        match answer {
+            Answer::Unchanged => self.pages.change(path, |page| {
+                (page.settled, page.version) = (folder.settled, folder.version.clone());
+            }),
+            Answer::Absent { .. } => self
+                .pages
+                .put::<Vec<Entry>>(path, state(Validators::default()), None),
+            Answer::Whole {
+                bytes,
                 url,
                 validators,
-                settled: false,
-                entries: Some(entries),
-            }))
+            } => {
+                let entries = listing::read(&bytes).map_err(|error| {
+                    StageError::new(format!("`{url}` is no listing of folder `{path}`"))
+                        .cause(error.to_string())
+                        .hint("a firewall or another server may have answered: open the address in a browser, or set `base`")
+                })?;
+                self.pages.put(path, state(validators), Some(&entries));
+            }
         }
+        Ok(())
     }
 }
 

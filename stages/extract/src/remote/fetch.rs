@@ -6,24 +6,29 @@ use std::time::{Duration, Instant, SystemTime};
 use marf_cache::Digest;
 use marf_stage::{Access, Ctx, LOCK_FILE, StageError};
 
-use super::archive::RemoteArchive;
+use super::archive::{RemoteArchive, SolWork};
 use super::catalog::{RemoteFile, SolFiles, changed};
-use super::lock::{self, Pin, SolPins};
-use crate::archive::ArchiveFile;
+use super::lock::{self, Change, Pin, SolPins};
+use crate::archive::{ArchiveFile, ShardFiles};
 use crate::net::{self, Answer, Download, Meter, NetErrorKind, Validators};
 
-/// How often what was fetched is written into the lock.
+/// How often what was fetched is made durable: the blobs first, then the pins.
 const SAVE_EVERY: Duration = Duration::from_secs(10);
+/// How often what another process pinned of the same sol meanwhile is brought too.
+const MERGES: usize = 3;
 
 /// The download of one sol.
 struct Sol<'a> {
     archive: &'a RemoteArchive,
     ctx: &'a Ctx<'a>,
     sol: u32,
+    /// The pins as marf.lock has them.
+    written: SolPins,
     pins: SolPins,
-    /// Downloads that are pinned and not yet in the lock file: their parts are kept until they are.
+    /// Downloads that are pinned and not yet durable: their parts are kept until they are.
     unsaved: Vec<PathBuf>,
     saved: Instant,
+    warnings: Vec<String>,
 }
 
 /// A file that could not be fetched.
@@ -40,43 +45,47 @@ pub(super) fn sol(
     archive: &RemoteArchive,
     ctx: &Ctx<'_>,
     sol: u32,
-    listed: &SolFiles,
-) -> Result<Vec<ArchiveFile>, StageError> {
-    let pins = archive
-        .state()
-        .pins
-        .as_ref()
-        .and_then(|pins| pins.sols.get(&sol).cloned())
-        .unwrap_or_default();
+    work: SolWork,
+) -> Result<ShardFiles, StageError> {
+    let mut listed = work.files;
     let mut work = Sol {
         archive,
         ctx,
         sol,
-        pins,
+        written: work.written,
+        pins: work.pins,
         unsaved: Vec::new(),
         saved: Instant::now(),
+        warnings: Vec::new(),
     };
-    let fetched = work.fetch(listed);
-    // What was fetched is kept, also where the rest failed.
-    let saved = work.save();
-    let failures = fetched?;
-    saved?;
-    if let Some(first) = failures.first() {
-        let message = format!(
-            "{} of {} files of sol {sol} could not be fetched",
-            failures.len(),
-            listed.files.len()
-        );
-        return Err(StageError::new(message)
-            .cause(format!("`{}`: {}", first.name, first.cause))
-            .hint("run again: what is here stays, and half a download goes on"));
+    work.settle(&listed)?;
+    for _ in 0..MERGES {
+        let fetched = work.fetch(&listed);
+        work.pins.complete = match &fetched {
+            Ok(failures) if failures.is_empty() => work.complete(),
+            _ => None,
+        };
+        // What was fetched is kept, also where the rest failed.
+        let merged = work.save();
+        work.refuse(fetched?, &listed)?;
+        if !merged? {
+            break;
+        }
+        // What another process pinned meanwhile is of this sol too, under the addresses that gave it.
+        for (name, file) in SolFiles::of_pins(&work.pins).files {
+            listed.files.entry(name).or_insert(file);
+        }
     }
-    Ok(work.files(listed))
+    archive.remember(ctx, sol, &work.pins);
+    Ok(ShardFiles {
+        files: work.files(),
+        fingerprint: Some(SolFiles::of_pins(&work.pins).fingerprint(&work.pins)),
+        warnings: work.warnings,
+    })
 }
 
 impl Sol<'_> {
     fn fetch(&mut self, listed: &SolFiles) -> Result<Vec<Failure>, StageError> {
-        self.settle(listed)?;
         let mut wanted: Vec<(&String, &RemoteFile)> = Vec::new();
         for (name, file) in &listed.files {
             self.ctx.check()?;
@@ -87,6 +96,7 @@ impl Sol<'_> {
         if wanted.is_empty() {
             return Ok(Vec::new());
         }
+        self.pins.complete = None;
         if self.archive.access() == Access::Offline {
             let message = format!("{} files of sol {} are not in the store", wanted.len(), self.sol);
             return Err(StageError::new(message)
@@ -94,6 +104,29 @@ impl Sol<'_> {
                 .hint("run once without --offline"));
         }
         self.download(&wanted)
+    }
+
+    fn refuse(&self, failures: Vec<Failure>, listed: &SolFiles) -> Result<(), StageError> {
+        let Some(first) = failures.first() else {
+            return Ok(());
+        };
+        let message = format!(
+            "{} of {} files of sol {} could not be fetched",
+            failures.len(),
+            listed.files.len(),
+            self.sol
+        );
+        Err(StageError::new(message)
+            .cause(format!("`{}`: {}", first.name, first.cause))
+            .hint("run again: what is here stays, and half a download goes on"))
+    }
+
+    /// Returns what the sol is complete for: under a lock what it was.
+    fn complete(&self) -> Option<String> {
+        match self.archive.access() {
+            Access::Online => Some(self.archive.selection()),
+            Access::Locked | Access::Offline => self.written.complete.clone(),
+        }
     }
 
     /// Takes what came with the listing, and drops pins of files that are listed no more.
@@ -171,7 +204,7 @@ impl Sol<'_> {
             );
             self.ctx.progress.at(done, wanted.len() as u64, &note);
             if self.saved.elapsed() >= SAVE_EVERY {
-                self.save()
+                self.save().map(drop)
             } else {
                 Ok(())
             }
@@ -268,27 +301,39 @@ impl Sol<'_> {
         )))
     }
 
-    /// Writes the lock, then deletes the parts of the downloads that it pins.
-    fn save(&mut self) -> Result<(), StageError> {
-        let mut state = self.archive.state();
-        let pins = state.pins.get_or_insert_default();
-        if pins.sols.get(&self.sol) != Some(&self.pins) {
-            pins.sols.insert(self.sol, self.pins.clone());
-            if self.archive.access() == Access::Online {
-                self.archive.write_lock(pins)?;
+    /// Makes what came durable, writes its pins, then deletes the parts of the downloads. Tells whether another process had
+    /// pinned other things meanwhile, which are now among the pins.
+    fn save(&mut self) -> Result<bool, StageError> {
+        let online = self.archive.access() == Access::Online;
+        let changed = online && self.pins != self.written;
+        if changed || !self.unsaved.is_empty() {
+            self.ctx.blobs.commit()?;
+        }
+        let mut merged = false;
+        if changed {
+            let change = Change {
+                sol: self.sol,
+                base: self.written.clone(),
+                pins: self.pins.clone(),
+            };
+            let written = self.archive.lock().write(self.ctx, vec![change])?;
+            self.warnings.extend(written.notice);
+            if let Some(pins) = written.pins.into_iter().next() {
+                merged = pins != self.pins;
+                (self.written, self.pins) = (pins.clone(), pins);
             }
         }
         self.saved = Instant::now();
         self.unsaved.drain(..).for_each(|part| net::forget(&part));
-        Ok(())
+        Ok(merged)
     }
 
-    fn files(&self, listed: &SolFiles) -> Vec<ArchiveFile> {
+    fn files(&self) -> Vec<ArchiveFile> {
         let here = self
             .pins
             .files
             .iter()
-            .map(|(name, pin)| ArchiveFile::stored(name.clone(), pin.blake3, self.sol));
+            .map(|(name, pin)| ArchiveFile::stored(name.clone(), pin.blake3));
         let changed = self.pins.files.iter().flat_map(|(name, pin)| {
             pin.others.iter().map(move |other| {
                 let reason = match pin.url.as_str() {
@@ -298,17 +343,18 @@ impl Sol<'_> {
                          fetched first are used"
                     ),
                 };
-                ArchiveFile::left_out(format!("{name} (other bytes)"), reason, self.sol)
+                ArchiveFile::left_out(format!("{name} (other bytes)"), reason)
             })
         });
         let gone = self.pins.gone.iter().map(|(name, status)| {
             let reason = format!("listed, but the server answered {status}");
-            ArchiveFile::left_out(name.clone(), reason, self.sol)
+            ArchiveFile::left_out(name.clone(), reason)
         });
-        let left_out = listed
+        let left_out = self
+            .pins
             .left_out
             .iter()
-            .map(|(name, why)| ArchiveFile::left_out(name.clone(), why.clone(), self.sol));
+            .map(|(name, why)| ArchiveFile::left_out(name.clone(), why.clone()));
         here.chain(changed).chain(gone).chain(left_out).collect()
     }
 }

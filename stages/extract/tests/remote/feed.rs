@@ -75,7 +75,7 @@ fn the_saved_records_of_the_real_feed_are_replayed_and_only_new_ones_fetched() {
 
     // On another machine: records come with the listing only, and are held against the lock.
     let other = Place::new();
-    std::fs::write(other.dir.path().join("marf.lock"), place.lock()).unwrap();
+    other.take_lock(&place.lock());
     let locked = other
         .bring(&access(&other.feed(&server, "50..=900"), Access::Locked))
         .unwrap();
@@ -97,7 +97,7 @@ fn the_saved_records_of_the_real_feed_are_replayed_and_only_new_ones_fetched() {
     );
     assert_ne!(revised.rows[&id], all.rows[&id]);
     let late = Place::new();
-    std::fs::write(late.dir.path().join("marf.lock"), other.lock()).unwrap();
+    late.take_lock(&other.lock());
     let error = late
         .bring(&access(&late.feed(&server, "50..=900"), Access::Locked))
         .err()
@@ -140,7 +140,7 @@ fn records_of_a_feed_that_cannot_be_used_are_verdicts() {
     assert!(brought.reason("NOPICTURE").contains("names no picture"));
     assert!(brought.reason("ELSEWHERE").contains("evil.example"));
     assert!(brought.reason("FILE").contains("picture_hosts"));
-    assert_eq!(place.outside_scratch(), ["marf.lock"]);
+    place.holds_only_lock();
 }
 
 #[test]

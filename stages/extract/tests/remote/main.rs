@@ -17,7 +17,7 @@ mod pds;
 mod server;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, LazyLock, Mutex};
 
 use common::{real, source, stage_in};
@@ -107,6 +107,7 @@ impl Place {
             folder: self.dir.path().to_owned(),
             lock: Some(self.dir.path().join("marf.lock")),
             access: Access::Online,
+            rehash: false,
         };
         Archive { table, context }
     }
@@ -119,10 +120,13 @@ impl Place {
     fn bring(&self, archive: &Archive) -> Result<Brought, StageError> {
         let stage = archive.stage();
         let source = source(stage.as_ref());
-        let listing = source.list(&self.harness.ctx())?;
+        let mut listing = source.list(&self.harness.ctx())?;
         let mut brought = Brought::default();
-        for shard in &listing.shards {
+        for shard in &mut listing.shards {
             let fetched = source.fetch(&self.harness.ctx(), shard.shard)?;
+            // What came is known now, and a result is kept under it.
+            shard.fingerprint = fetched.fingerprint.unwrap_or(shard.fingerprint);
+            brought.warnings.extend(fetched.warnings);
             let mut rows = fetched.rows;
             rows.sort_by(|a, b| a.id.cmp(&b.id));
             for row in rows {
@@ -142,30 +146,61 @@ impl Place {
         Ok(brought)
     }
 
-    fn lock(&self) -> String {
-        std::fs::read_to_string(self.dir.path().join("marf.lock")).unwrap_or_default()
-    }
-
-    /// All files below the folder, but those of the scratch.
-    fn outside_scratch(&self) -> Vec<String> {
-        fn walk(folder: &Path, found: &mut Vec<String>) {
-            for entry in std::fs::read_dir(folder).unwrap().map(Result::unwrap) {
-                match entry.path().is_dir() {
-                    true => walk(&entry.path(), found),
-                    false => found.push(entry.file_name().to_string_lossy().into_owned()),
+    /// The files of marf.lock by their paths in it.
+    fn lock(&self) -> BTreeMap<String, String> {
+        let root = self.dir.path().join("marf.lock");
+        let mut files = BTreeMap::new();
+        for folder in subfolders(&root).into_iter().chain([root.clone()]) {
+            for path in std::fs::read_dir(folder)
+                .into_iter()
+                .flatten()
+                .map(|entry| entry.unwrap().path())
+            {
+                if path.is_file() {
+                    let name = path.strip_prefix(&root).unwrap().to_string_lossy().into_owned();
+                    files.insert(name, std::fs::read_to_string(path).unwrap());
                 }
             }
         }
-        let mut found = Vec::new();
-        for entry in std::fs::read_dir(self.dir.path()).unwrap().map(Result::unwrap) {
-            match entry.file_name() == "scratch" {
-                true => {}
-                false if entry.path().is_dir() => walk(&entry.path(), &mut found),
-                false => found.push(entry.file_name().to_string_lossy().into_owned()),
-            }
-        }
-        found
+        files
     }
+
+    /// Takes the lock of another place.
+    fn take_lock(&self, files: &BTreeMap<String, String>) {
+        for (name, text) in files {
+            let path = self.dir.path().join("marf.lock").join(name);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, text).unwrap();
+        }
+    }
+
+    fn lock_says(&self, part: &str) -> bool {
+        self.lock().values().any(|text| text.contains(part))
+    }
+
+    /// Asserts that nothing lies in the folder but the scratch and the files of marf.lock.
+    fn holds_only_lock(&self) {
+        for entry in std::fs::read_dir(self.dir.path()).unwrap() {
+            let name = entry.unwrap().file_name();
+            assert!(name == "scratch" || name == "marf.lock", "{name:?}");
+        }
+        for path in self.lock().keys() {
+            let name = path.rsplit('/').next().unwrap();
+            let known = ["README", "archive.toml"].contains(&name);
+            assert!(
+                known || (name.starts_with("sol-") && name.ends_with(".toml")),
+                "{path}"
+            );
+        }
+    }
+}
+
+fn subfolders(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten();
+    entries
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.is_dir())
+        .collect()
 }
 
 /// An `[archive.*]` table and what it is told of its pipeline.
@@ -188,6 +223,7 @@ struct Brought {
     rows: BTreeMap<String, String>,
     facts: BTreeMap<String, Value>,
     verdicts: Vec<Verdict>,
+    warnings: Vec<String>,
 }
 
 impl Brought {

@@ -1,15 +1,18 @@
 //! The raw-image feeds of Mars 2020 and MSL: one camera of one mission.
 //!
-//! The record of a photo is its label. Pages of records are asked for by runs of sols and cached by sol.
+//! The record of a photo is its label. Records are asked for by runs of sols and kept by sol. The answer to the first
+//! question, for the latest sol, tells how many photos there are: while it is the same, nothing else is asked. A record
+//! that is revised is noticed with the next photo that the feed adds.
 
 mod records;
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use marf_cache::Digest;
 use marf_pds::values;
 use marf_stage::{Ctx, ParamError, StageError};
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use serde_json::Value;
 
 use self::records::{field, id_of, sol_of, text};
@@ -18,10 +21,11 @@ use crate::archive::ArchiveFiles;
 use crate::archive::access::{Remote, RemoteContext};
 use crate::archive::kind::ArchiveKind;
 use crate::net::{Answer, Client, Download, Origin, Url};
-use crate::remote::catalog::{Catalog, CatalogSource, RemoteFile, SolFiles};
+use crate::remote::catalog::{Catalog, CatalogSource, Question, RemoteFile, SolFiles, SolListing};
 use crate::remote::crawl::urls;
 use crate::remote::network::{Network, bases, origins};
-use crate::remote::{RemoteArchive, Request, cache};
+use crate::remote::pages::{PageState, Pages};
+use crate::remote::{RemoteArchive, Request};
 use crate::sols::Sols;
 
 /// The raw-image feeds of both missions: lists of photos, hours after their downlink.
@@ -77,13 +81,6 @@ enum Form {
     Mars2020(&'static str),
     /// `items[]`, flat.
     Msl,
-}
-
-/// Records of one sol, as cached.
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
-struct CachedSol {
-    settled: bool,
-    records: BTreeMap<String, Value>,
 }
 
 impl ArchiveKind for Feed {
@@ -145,8 +142,8 @@ impl Feed {
         })
     }
 
-    /// Returns the feed's latest sol, which is that of any camera.
-    fn newest(&self, pages: &Pages<'_>) -> Result<Option<u32>, StageError> {
+    /// Asks for the latest sol: the one question of a run with nothing new.
+    fn newest(&self, pages: &FeedPages<'_>) -> Result<Newest, StageError> {
         let path = match self.form {
             Form::Mars2020(category) => {
                 format!("rss/api/?feed=raw_images&category={category}&feedtype=json&ver=1.2&latest=true")
@@ -154,10 +151,13 @@ impl Feed {
             Form::Msl => "api/v1/raw_image_items/msl/latest/".to_owned(),
         };
         let json = pages.one(&path)?;
-        Ok(json
-            .get("latest_sol")
-            .and_then(text)
-            .and_then(|sol| values::sol(&sol)))
+        let sol = json.get("latest_sol").and_then(text);
+        // Keys are sorted: the same answer is the same text.
+        let version = || Digest::of(json.to_string().as_bytes()).to_string();
+        Ok(Newest {
+            sol: sol.and_then(|sol| values::sol(&sol)),
+            version: json.get("total").and_then(text).map(|_| version()),
+        })
     }
 
     fn page_path(&self, first: u32, last: u32, page: usize) -> String {
@@ -177,7 +177,7 @@ impl Feed {
     /// Asks for all records of a run of sols, page by page.
     fn records(
         &self,
-        pages: &Pages<'_>,
+        pages: &FeedPages<'_>,
         first: u32,
         last: u32,
     ) -> Result<BTreeMap<u32, Records>, StageError> {
@@ -308,55 +308,99 @@ impl Feed {
         Ok(Picture { url, extension })
     }
 
-    fn cache_key(&self, sol: u32) -> marf_cache::Digest {
-        cache::key(
-            "feed",
-            &format!("{:?} {} {sol}", self.form, self.instruments.join(" ")),
-        )
+    /// Returns the name of the page that holds the records of a sol.
+    fn page(&self, sol: u32) -> String {
+        format!("{:?} {} {sol}", self.form, self.instruments.join(" "))
+    }
+
+    /// Returns the greatest sol of which a photo was taken with this camera.
+    fn latest(&self, pages: &Pages, sols: BTreeMap<u32, SolListing>) -> BTreeMap<u32, SolListing> {
+        let taken = |(sol, listing): &(u32, SolListing)| match listing {
+            SolListing::Pinned => true,
+            SolListing::Pages(_) => {
+                let records: Option<Records> = pages.content(&self.page(*sol));
+                records.is_some_and(|records| !self.sol_files(&records).files.is_empty())
+            }
+        };
+        sols.into_iter().rev().find(taken).into_iter().collect()
     }
 }
 
 impl CatalogSource for Feed {
-    fn catalog(&self, ctx: &Ctx<'_>, client: &Client, sols: &Sols) -> Result<Catalog, StageError> {
-        let pages = Pages {
-            ctx,
-            client,
+    fn selection(&self) -> String {
+        let hosts: Vec<String> = self.allowed.iter().map(Origin::authority).collect();
+        format!("{} from {}", self.instruments.join(" "), hosts.join(" "))
+    }
+
+    fn name(&self) -> String {
+        self.bases.join(" ")
+    }
+
+    fn catalog(&self, question: Question<'_>, pages: &mut Pages) -> Result<Catalog, StageError> {
+        let feed = FeedPages {
+            ctx: question.ctx,
+            client: question.client,
             bases: &self.bases,
         };
-        let newest = self.newest(&pages)?;
-        let wanted = wanted(sols, newest)?;
+        let Newest { sol: newest, version } = self.newest(&feed)?;
         let settled = |sol: u32| newest.is_some_and(|newest| newest.saturating_sub(sol) >= self.relist_sols);
-        let mut known: BTreeMap<u32, CachedSol> = BTreeMap::new();
-        let mut asked = BTreeSet::new();
-        for sol in wanted {
-            match cache::read::<CachedSol>(ctx.scratch, &self.cache_key(sol)) {
-                Some(cached) if cached.settled => drop(known.insert(sol, cached)),
-                _ => drop(asked.insert(sol)),
+        let (mut sols, mut asked) = (BTreeMap::new(), BTreeSet::new());
+        for sol in wanted(question.sols, newest)? {
+            if settled(sol) && (question.is_pinned)(sol) {
+                sols.insert(sol, SolListing::Pinned);
+                continue;
             }
+            let page = self.page(sol);
+            let holds = |page: &PageState| {
+                (settled(sol) && page.settled) || (version.is_some() && page.version == version)
+            };
+            if !pages.state(&page).is_some_and(holds) {
+                asked.insert(sol);
+            }
+            sols.insert(sol, SolListing::Pages(vec![page]));
         }
         for (first, last) in runs(&asked) {
-            let mut found = self.records(&pages, first, last)?;
+            let mut found = self.records(&feed, first, last)?;
             for sol in (first..=last).filter(|sol| asked.contains(sol)) {
-                let cached = CachedSol {
+                let state = PageState {
                     settled: settled(sol),
-                    records: found.remove(&sol).unwrap_or_default(),
+                    version: version.clone(),
+                    ..PageState::default()
                 };
-                cache::write(ctx.scratch, &self.cache_key(sol), &cached);
-                known.insert(sol, cached);
+                pages.put(
+                    &self.page(sol),
+                    state,
+                    Some(&found.remove(&sol).unwrap_or_default()),
+                );
             }
         }
-        let files: BTreeMap<u32, SolFiles> = known
-            .into_iter()
-            .map(|(sol, cached)| (sol, self.sol_files(&cached.records)))
-            .filter(|(_, files)| !files.is_empty())
-            .collect();
-        let present = files.keys().copied().chain(newest).collect();
-        let sols = match sols {
-            Sols::Latest => latest(files),
-            _ => files,
-        };
-        Ok(Catalog { sols, present })
+        Ok(Catalog {
+            sols: match question.sols {
+                Sols::Latest => self.latest(pages, sols),
+                _ => sols,
+            },
+            present: newest.into_iter().collect(),
+        })
     }
+
+    fn files(&self, pages: &Pages, _sol: u32, listing: &[String]) -> Result<Option<SolFiles>, StageError> {
+        let mut records = Records::new();
+        for page in listing {
+            let Some(of_page) = pages.content::<Records>(page) else {
+                return Ok(None);
+            };
+            records.extend(of_page);
+        }
+        Ok(Some(self.sol_files(&records)))
+    }
+}
+
+/// The latest sol of a feed.
+struct Newest {
+    /// The sol, which is that of any camera.
+    sol: Option<u32>,
+    /// The version of the whole feed, where it tells how many photos it has: while it is the same, none was added.
+    version: Option<String>,
 }
 
 type Records = BTreeMap<String, Value>;
@@ -367,13 +411,13 @@ struct Picture {
 }
 
 /// Reads the pages of a feed.
-struct Pages<'a> {
+struct FeedPages<'a> {
     ctx: &'a Ctx<'a>,
     client: &'a Client,
     bases: &'a [String],
 }
 
-impl Pages<'_> {
+impl FeedPages<'_> {
     /// Downloads one page.
     fn one(&self, path: &str) -> Result<Value, StageError> {
         let want = Download {
@@ -399,12 +443,6 @@ impl Pages<'_> {
             ),
         }
     }
-}
-
-/// Returns the latest sol on which this camera took a photo.
-fn latest(mut sols: BTreeMap<u32, SolFiles>) -> BTreeMap<u32, SolFiles> {
-    sols.retain(|_, files| !files.files.is_empty());
-    sols.pop_last().into_iter().collect()
 }
 
 /// Returns the sols to ask for; for the latest a run of them, since the feed's latest sol is that of any camera.

@@ -14,7 +14,7 @@ mod params;
 mod products;
 mod tables;
 
-use marf_stage::{Ctx, ParamError, StageError};
+use marf_stage::{ParamError, StageError};
 
 use self::layout::CameraLayout;
 use self::params::{Discover, PdsParams};
@@ -22,12 +22,11 @@ use self::products::Products;
 use crate::archive::ArchiveFiles;
 use crate::archive::access::{Remote, RemoteContext};
 use crate::archive::kind::ArchiveKind;
-use crate::net::Client;
-use crate::remote::catalog::{Catalog, CatalogSource};
+use crate::remote::catalog::{Catalog, CatalogSource, Question, SolFiles};
 use crate::remote::crawl::Crawl;
 use crate::remote::network::bases;
+use crate::remote::pages::Pages;
 use crate::remote::{RemoteArchive, Request};
-use crate::sols::Sols;
 
 /// Mirrors of the imaging node, in order of preference: `mars2020/BUNDLE/…` and `msl/…` lie below them. The second is
 /// the older address of the same trees, and may redirect to the first.
@@ -40,7 +39,7 @@ const MIRRORS: [&str; 2] = [
 pub(crate) struct Pds {
     products: Products,
     discover: Discover,
-    /// Sols younger than the newest by less are listed again.
+    /// Sols younger than the newest by less may be listed again.
     relist_sols: u32,
 }
 
@@ -76,17 +75,41 @@ impl ArchiveKind for Pds {
 }
 
 impl CatalogSource for Pds {
-    fn catalog(&self, ctx: &Ctx<'_>, client: &Client, sols: &Sols) -> Result<Catalog, StageError> {
-        let crawl = Crawl {
-            ctx,
-            client,
+    fn selection(&self) -> String {
+        self.products.layout.types.join(" ")
+    }
+
+    fn name(&self) -> String {
+        format!("{:?} {}", self.discover, self.products.bases.join(" "))
+    }
+
+    fn catalog(&self, question: Question<'_>, pages: &mut Pages) -> Result<Catalog, StageError> {
+        let mut crawl = Crawl {
+            ctx: question.ctx,
+            client: question.client,
             bases: &self.products.bases,
+            pages,
         };
         match self.discover {
-            Discover::Listing => listing::by_listing(&self.products, &crawl, sols, self.relist_sols),
-            Discover::Inventory => tables::by_inventory(&self.products, &crawl, sols),
-            Discover::Index => tables::by_index(&self.products, &crawl, sols),
+            Discover::Listing => listing::by_listing(&self.products, &mut crawl, question, self.relist_sols),
+            Discover::Inventory => tables::by_inventory(&self.products, &mut crawl, question),
+            Discover::Index => tables::by_index(&self.products, &mut crawl, question, self.relist_sols),
         }
+    }
+
+    fn files(&self, pages: &Pages, sol: u32, listing: &[String]) -> Result<Option<SolFiles>, StageError> {
+        let mut found = Vec::new();
+        for path in listing {
+            let files = match self.discover {
+                Discover::Listing => listing::files_of(&self.products, pages, path),
+                Discover::Inventory | Discover::Index => tables::files_of(pages, path),
+            };
+            let Some(files) = files else {
+                return Ok(None);
+            };
+            found.extend(files);
+        }
+        self.products.taken(sol, found).map(Some)
     }
 }
 

@@ -1,16 +1,16 @@
 //! Which of the products that are found are taken: of each exposure the preferred type, of each product the newest
 //! version, each with its label.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use marf_pds::{ProductName, join_key};
 use marf_stage::StageError;
+use serde::{Deserialize, Serialize};
 
 use super::layout::CameraLayout;
 use crate::archive::{extension, stem};
-use crate::remote::catalog::{Catalog, RemoteFile, SolFiles};
+use crate::remote::catalog::{RemoteFile, SolFiles};
 use crate::remote::crawl::urls;
-use crate::sols::Sols;
 
 /// Largest files by extension; products of these cameras have at most 20 MB.
 const MAX_IMG_BYTES: u64 = 64 << 20;
@@ -26,7 +26,7 @@ pub(super) struct Products {
 }
 
 /// A file that a listing or a table names.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct FoundFile {
     /// Its folder, below the base.
     pub folder: String,
@@ -37,41 +37,11 @@ pub(super) struct FoundFile {
 }
 
 impl Products {
-    /// Returns the catalog of the sols asked for.
+    /// Returns what is taken of the files of a sol.
     ///
     /// # Errors
     /// A base that is no address.
-    pub fn chosen(
-        &self,
-        mut found: BTreeMap<u32, Vec<FoundFile>>,
-        sols: &Sols,
-    ) -> Result<Catalog, StageError> {
-        let present: BTreeSet<u32> = found.keys().copied().collect();
-        let chosen = sols.choose(&present);
-        found.retain(|sol, _| chosen.contains(sol));
-        self.catalog(found, present)
-    }
-
-    /// Returns the catalog of the files of these sols; `present` are all sols that are there.
-    ///
-    /// # Errors
-    /// A base that is no address.
-    pub fn catalog(
-        &self,
-        found: BTreeMap<u32, Vec<FoundFile>>,
-        present: BTreeSet<u32>,
-    ) -> Result<Catalog, StageError> {
-        let mut sols = BTreeMap::new();
-        for (sol, files) in found {
-            let files = self.sol_files(sol, files)?;
-            if !files.is_empty() {
-                sols.insert(sol, files);
-            }
-        }
-        Ok(Catalog { sols, present })
-    }
-
-    fn sol_files(&self, sol: u32, found: Vec<FoundFile>) -> Result<SolFiles, StageError> {
+    pub fn taken(&self, sol: u32, found: Vec<FoundFile>) -> Result<SolFiles, StageError> {
         let mut taken = SolFiles::default();
         let mut photos: Vec<(ProductName, usize, FoundFile)> = Vec::new();
         let mut labels: BTreeMap<String, Vec<FoundFile>> = BTreeMap::new();

@@ -1,6 +1,9 @@
 //! Products found in tables instead of folder pages: the inventory of a collection, the indices of volumes.
+//!
+//! A table is asked for on condition that it changed. What it names is kept by sol, so that a run with nothing new reads
+//! none of it. The indices take one question for the list of volumes and one for each volume that is not closed.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use marf_pds::index_table::{Index, IndexError};
 use marf_pds::{ProductName, inventory};
@@ -8,11 +11,10 @@ use marf_stage::StageError;
 
 use super::layout::Tree;
 use super::products::{FoundFile, Products};
-use crate::net::{Answer, Download, Validators};
-use crate::remote::cache;
-use crate::remote::catalog::Catalog;
-use crate::remote::crawl::{Crawl, urls};
-use crate::sols::Sols;
+use crate::net::{Answer, Validators};
+use crate::remote::catalog::{Catalog, Question, SolListing};
+use crate::remote::crawl::Crawl;
+use crate::remote::pages::{PageState, Pages};
 
 /// Largest inventory or index that is read.
 const MAX_TABLE_BYTES: u64 = 128 << 20;
@@ -20,35 +22,44 @@ const MAX_TABLE_BYTES: u64 = 128 << 20;
 const INVENTORY: &str = "collection_data_inventory.csv";
 /// Label and table of a volume's index of decompressed products.
 const INDEX: [&str; 2] = ["RDRINDEX.LBL", "RDRINDEX.TAB"];
+/// Between the path of a table and a sol, in the name of what the table names of that sol.
+const OF_SOL: char = '#';
+
+type BySol = BTreeMap<u32, Vec<FoundFile>>;
 
 /// Finds products in the inventory of the collection: names without folders, dates and versions. The version is taken
 /// to be that of the identifier; a product whose file has another is listed as gone.
 pub(super) fn by_inventory(
     products: &Products,
-    crawl: &Crawl<'_>,
-    sols: &Sols,
+    crawl: &mut Crawl<'_>,
+    question: Question<'_>,
 ) -> Result<Catalog, StageError> {
     let collection = products.layout.collection.as_deref().unwrap_or_default();
     let path = format!("{collection}/{INVENTORY}");
-    let table = table(crawl, &path)?;
-    let members = inventory::read(&table).map_err(|error| unreadable(&path, &error.to_string()))?;
-    let mut found: BTreeMap<u32, Vec<FoundFile>> = BTreeMap::new();
-    for member in members.iter().filter(|member| member.primary) {
-        let Some(stem) = inventory::file_stems(member).into_iter().next() else {
-            continue;
-        };
-        let Some(sol) = ProductName::read(&stem).and_then(|name| name.sol) else {
-            continue;
-        };
-        for tree in products.layout.layouts.iter().flatten() {
-            found.entry(sol).or_default().extend(files_of(tree, sol, &stem));
+    for (_, table, validators) in changed(crawl, std::slice::from_ref(&path))? {
+        let members = inventory::read(&table).map_err(|error| unreadable(&path, &error.to_string()))?;
+        let mut found = BySol::new();
+        for member in members.iter().filter(|member| member.primary) {
+            let Some(stem) = inventory::file_stems(member).into_iter().next() else {
+                continue;
+            };
+            let Some(sol) = ProductName::read(&stem).and_then(|name| name.sol) else {
+                continue;
+            };
+            for tree in products.layout.layouts.iter().flatten() {
+                found
+                    .entry(sol)
+                    .or_default()
+                    .extend(files_named(tree, sol, &stem));
+            }
         }
+        keep(crawl.pages, &path, validators, &found);
     }
-    products.chosen(found, sols)
+    Ok(catalog(crawl.pages, &[path], question))
 }
 
 /// Returns the files of a product in a tree, as they are named.
-fn files_of(tree: &Tree, sol: u32, stem: &str) -> Vec<FoundFile> {
+fn files_named(tree: &Tree, sol: u32, stem: &str) -> Vec<FoundFile> {
     let digits = tree.sol.1;
     let folder = tree.products(&tree.root, &format!("{}{sol:0digits$}", tree.sol.0));
     let file = |extension: &&str| FoundFile {
@@ -62,32 +73,62 @@ fn files_of(tree: &Tree, sol: u32, stem: &str) -> Vec<FoundFile> {
     tree.takes.iter().map(file).collect()
 }
 
-/// Finds products in the indices of all volumes.
-pub(super) fn by_index(products: &Products, crawl: &Crawl<'_>, sols: &Sols) -> Result<Catalog, StageError> {
-    let mut found: BTreeMap<u32, Vec<FoundFile>> = BTreeMap::new();
+/// Finds products in the indices of all volumes. A volume whose sols are all older than the newest by `relist_sols` is
+/// closed: its index is not asked for again.
+pub(super) fn by_index(
+    products: &Products,
+    crawl: &mut Crawl<'_>,
+    question: Question<'_>,
+    relist_sols: u32,
+) -> Result<Catalog, StageError> {
+    let mut volumes = Vec::new();
     for tree in products.layout.layouts.iter().flatten() {
-        let volumes = crawl.folder(&tree.root)?.unwrap_or_default();
-        for volume in volumes
+        let entries = crawl.folder(&tree.root)?.unwrap_or_default();
+        let here = entries
             .iter()
-            .filter(|entry| entry.folder && tree.is_volume(&entry.name))
-        {
-            let root = format!("{}/{}", tree.root, volume.name);
-            for (sol, mut files) in index_of(crawl, &root)? {
-                found.entry(sol).or_default().append(&mut files);
-            }
+            .filter(|entry| entry.folder && tree.is_volume(&entry.name));
+        volumes.extend(here.map(|volume| format!("{}/{}", tree.root, volume.name)));
+    }
+    let tables: Vec<String> = volumes
+        .iter()
+        .map(|volume| format!("{volume}/INDEX/{}", INDEX[1]))
+        .collect();
+    let open: Vec<String> = tables
+        .iter()
+        .filter(|path| {
+            !(is_whole(crawl.pages, path) && crawl.pages.state(path).is_some_and(|page| page.settled))
+        })
+        .cloned()
+        .collect();
+    for (path, table, validators) in changed(crawl, &open)? {
+        let found = index_of(crawl, &path, &table)?;
+        keep(crawl.pages, &path, validators, &found);
+    }
+    let newest = tables
+        .iter()
+        .filter_map(|path| last_sol(crawl.pages, path))
+        .max()
+        .unwrap_or(0);
+    for path in &tables {
+        if last_sol(crawl.pages, path).is_some_and(|last| newest.saturating_sub(last) >= relist_sols) {
+            crawl.pages.change(path, |page| page.settled = true);
         }
     }
-    products.chosen(found, sols)
+    Ok(catalog(crawl.pages, &tables, question))
 }
 
 /// Returns the products of one volume, by sol: label and pixels of each.
-fn index_of(crawl: &Crawl<'_>, volume: &str) -> Result<BTreeMap<u32, Vec<FoundFile>>, StageError> {
-    let paths = INDEX.map(|name| format!("{volume}/INDEX/{name}"));
-    let bad = |error: IndexError| unreadable(&paths[1], &error.to_string());
-    let index = Index::of(&table(crawl, &paths[0])?).map_err(bad)?;
-    let table = table(crawl, &paths[1])?;
-    let mut found: BTreeMap<u32, Vec<FoundFile>> = BTreeMap::new();
-    for row in index.rows(table.as_slice()) {
+fn index_of(crawl: &mut Crawl<'_>, path: &str, table: &[u8]) -> Result<BySol, StageError> {
+    let bad = |error: IndexError| unreadable(path, &error.to_string());
+    let volume = path.rsplit_once("/INDEX/").map_or("", |(volume, _)| volume);
+    let label = format!("{volume}/INDEX/{}", INDEX[0]);
+    let label = changed(crawl, &[label])?
+        .pop()
+        .map(|(_, label, _)| label)
+        .unwrap_or_default();
+    let index = Index::of(&label).map_err(bad)?;
+    let mut found = BySol::new();
+    for row in index.rows(table) {
         let location = row.map_err(bad)?.location();
         let (Some(sol), Some(path), Some(file)) = (location.sol, location.path, location.file) else {
             continue;
@@ -105,36 +146,100 @@ fn index_of(crawl: &Crawl<'_>, volume: &str) -> Result<BTreeMap<u32, Vec<FoundFi
     Ok(found)
 }
 
-/// Downloads a table; one that did not change since is taken from the cache.
-fn table(crawl: &Crawl<'_>, path: &str) -> Result<Vec<u8>, StageError> {
-    let key = cache::key("table", path);
-    let cached: Option<(Validators, String)> = cache::read(crawl.ctx.scratch, &key);
-    let want = Download {
-        urls: urls(crawl.bases, path)?,
-        cap_bytes: MAX_TABLE_BYTES,
-        known: cached.as_ref().map(|cached| cached.0.clone()),
-        part: None,
-    };
-    let mut got = None;
-    crawl.client.get_all(crawl.ctx, &[want], &mut |_, answer| {
-        got = Some(answer?);
+/// Downloads tables; those that did not change since they were kept are left out.
+fn changed(
+    crawl: &mut Crawl<'_>,
+    paths: &[String],
+) -> Result<Vec<(String, Vec<u8>, Validators)>, StageError> {
+    for path in paths {
+        if !is_whole(crawl.pages, path) {
+            crawl.pages.forget(std::slice::from_ref(path));
+        }
+    }
+    let wants = paths
+        .iter()
+        .map(|path| crawl.want(path, path, MAX_TABLE_BYTES))
+        .collect::<Result<Vec<_>, StageError>>()?;
+    let mut tables = Vec::new();
+    crawl.client.get_all(crawl.ctx, &wants, &mut |index, answer| {
+        match answer? {
+            Answer::Whole {
+                bytes, validators, ..
+            } => tables.push((paths[index].clone(), bytes, validators)),
+            Answer::Unchanged => {}
+            Answer::Absent { .. } => {
+                return Err(StageError::new(format!("the archive has no `{}`", paths[index]))
+                    .cause(format!("asked at {}", crawl.bases.join(", ")))
+                    .hint("find products by `discover = \"listing\"`, or set `base` of the archive"));
+            }
+        }
         Ok(())
     })?;
-    match got {
-        Some(Answer::Whole {
-            bytes, validators, ..
-        }) => {
-            // A table is ASCII; one that is no text is not cached, so that the next run sees the same bytes.
-            if let Ok(text) = std::str::from_utf8(&bytes) {
-                cache::write(crawl.ctx.scratch, &key, &(validators, text));
-            }
-            Ok(bytes)
-        }
-        Some(Answer::Unchanged) => Ok(cached.map(|cached| cached.1.into_bytes()).unwrap_or_default()),
-        _ => Err(StageError::new(format!("the archive has no `{path}`"))
-            .cause(format!("asked at {}", crawl.bases.join(", ")))
-            .hint("find products by `discover = \"listing\"`, or set `base` of the archive")),
+    tables.sort_by(|a, b| a.0.cmp(&b.0));
+    Ok(tables)
+}
+
+/// Keeps what a table names, sol by sol, then the table as known.
+fn keep(pages: &mut Pages, path: &str, validators: Validators, found: &BySol) {
+    let start = format!("{path}{OF_SOL}");
+    let before: Vec<String> = pages.below(&start).map(|(path, _)| path.to_owned()).collect();
+    let now: BTreeSet<String> = found.keys().map(|sol| of_sol(path, *sol)).collect();
+    let vanished: Vec<String> = before.into_iter().filter(|path| !now.contains(path)).collect();
+    pages.forget(&vanished);
+    for (sol, files) in found {
+        pages.put(&of_sol(path, *sol), PageState::default(), Some(files));
     }
+    let state = PageState {
+        validators,
+        ..PageState::default()
+    };
+    pages.put::<BySol>(path, state, None);
+}
+
+fn of_sol(path: &str, sol: u32) -> String {
+    format!("{path}{OF_SOL}{sol:010}")
+}
+
+/// Returns the sols that a table names, as they were kept.
+fn sols_of<'a>(pages: &'a Pages, start: &'a str) -> impl Iterator<Item = u32> + 'a {
+    pages
+        .below(start)
+        .filter_map(|(path, _)| path.rsplit_once(OF_SOL)?.1.parse().ok())
+}
+
+fn last_sol(pages: &Pages, path: &str) -> Option<u32> {
+    sols_of(pages, &format!("{path}{OF_SOL}")).max()
+}
+
+/// Tells whether all that a table named is still kept.
+fn is_whole(pages: &Pages, path: &str) -> bool {
+    let start = format!("{path}{OF_SOL}");
+    pages.state(path).is_some() && pages.below(&start).all(|(path, _)| pages.state(path).is_some())
+}
+
+/// Returns the catalog of the sols that tables name.
+fn catalog(pages: &Pages, tables: &[String], question: Question<'_>) -> Catalog {
+    let mut listings: BTreeMap<u32, Vec<String>> = BTreeMap::new();
+    for path in tables {
+        for sol in sols_of(pages, &format!("{path}{OF_SOL}")) {
+            listings.entry(sol).or_default().push(of_sol(path, sol));
+        }
+    }
+    let present: BTreeSet<u32> = listings.keys().copied().collect();
+    let chosen = question.sols.choose(&present);
+    listings.retain(|sol, _| chosen.contains(sol));
+    Catalog {
+        sols: listings
+            .into_iter()
+            .map(|(sol, paths)| (sol, SolListing::Pages(paths)))
+            .collect(),
+        present,
+    }
+}
+
+/// Returns the files that a table names of a sol; `None`: they are lost.
+pub(super) fn files_of(pages: &Pages, path: &str) -> Option<Vec<FoundFile>> {
+    pages.content(path)
 }
 
 fn unreadable(path: &str, cause: &str) -> StageError {

@@ -1,0 +1,201 @@
+//! An archive in a folder: photos with or without labels, feed records and companions, in any layout.
+//!
+//! ```text
+//! walk.rs     every file, by name, with its state
+//! table.rs    what is known of files from earlier runs
+//! survey.rs   both together, sorted into sols
+//! ```
+
+mod survey;
+mod table;
+#[cfg(test)]
+mod tests;
+mod walk;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use marf_stage::{Ctx, Listing, ParamError, Shard, StageError};
+use parking_lot::Mutex;
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+use self::survey::{Reading, Survey};
+use self::walk::MAX_DEPTH;
+use crate::archive::access::{Local, LocalContext};
+use crate::archive::kind::ArchiveKind;
+use crate::archive::{ArchiveFiles, ShardFiles};
+use crate::sols::Sols;
+
+/// The keys of `kind = "folder"`.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct FolderParams {
+    /// The folder; a relative one is meant from pipeline.toml.
+    path: PathBuf,
+    /// Which sols: `1..=5`, `3`, `1,4,7..=9` or `latest`; all, and photos of no known sol, if left out.
+    #[serde(default)]
+    #[schemars(with = "Sols")]
+    sols: Option<Sols>,
+    /// Whether folders in the folder are read too.
+    #[serde(default = "yes")]
+    recursive: bool,
+}
+
+fn yes() -> bool {
+    true
+}
+
+/// A folder, and which of its files are photos of the archive.
+pub(crate) struct Folder {
+    root: PathBuf,
+    sols: Sols,
+    depth: usize,
+    reading: Reading,
+    /// The last survey, so that fetching a shard reads what was listed. Files are checked by digest when read.
+    last: Mutex<Option<Arc<Survey>>>,
+}
+
+impl ArchiveKind for Folder {
+    type Params = FolderParams;
+    type Location = Local;
+    const KIND: &'static str = "folder";
+    const ABOUT: &'static str = "a folder of photos, with or without labels beside them";
+
+    fn open(params: FolderParams, context: LocalContext) -> Result<Box<dyn ArchiveFiles>, ParamError> {
+        Ok(Box::new(Self {
+            root: context.path(&params.path),
+            sols: params.sols.unwrap_or(Sols::All),
+            depth: if params.recursive { MAX_DEPTH } else { 1 },
+            reading: if context.rehash() {
+                Reading::All
+            } else {
+                Reading::Changed
+            },
+            last: Mutex::new(None),
+        }))
+    }
+}
+
+impl Folder {
+    /// Returns the files of the folder, of the sols asked for.
+    fn survey(&self, ctx: &Ctx<'_>) -> Result<Arc<Survey>, StageError> {
+        self.check_root()?;
+        let mut survey = Survey::of(ctx, &self.root, self.depth, self.reading)?;
+        if !survey
+            .shards
+            .values()
+            .flatten()
+            .any(|index| survey.is_photo(*index))
+        {
+            return Err(self.empty(survey.shards.values().map(Vec::len).sum()));
+        }
+        self.choose(&mut survey)?;
+        let survey = Arc::new(survey);
+        *self.last.lock() = Some(Arc::clone(&survey));
+        Ok(survey)
+    }
+
+    fn check_root(&self) -> Result<(), StageError> {
+        let fail = |what: &str, hint: &str| {
+            Err(StageError::new(format!("`{}` {what}", self.root.display())).hint(hint.to_owned()))
+        };
+        match std::fs::metadata(&self.root) {
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => fail(
+                "does not exist",
+                "set `path` of the archive to the folder that holds the photos",
+            ),
+            Err(error) => fail(
+                &format!("cannot be read: {}", error.kind()),
+                "check the folder's permissions",
+            ),
+            Ok(meta) if !meta.is_dir() => fail(
+                "is a file, not a folder",
+                "set `path` of the archive to its folder",
+            ),
+            Ok(_) => match std::fs::read_dir(&self.root) {
+                Ok(_) => Ok(()),
+                Err(error) => fail(
+                    &format!("cannot be read: {}", error.kind()),
+                    "check the folder's permissions",
+                ),
+            },
+        }
+    }
+
+    fn empty(&self, files: usize) -> StageError {
+        let path = self.root.display();
+        let message = match files {
+            0 => format!("`{path}` is empty"),
+            _ => format!("`{path}` holds {files} files and no photo"),
+        };
+        StageError::new(message).hint("a photo is a JPEG, PNG, WebP, GIF or .IMG; hidden files are not read")
+    }
+
+    /// Leaves the shards of the sols asked for.
+    fn choose(&self, survey: &mut Survey) -> Result<(), StageError> {
+        if self.sols == Sols::All {
+            return Ok(());
+        }
+        // A shard of labels alone is of no photo; "latest" means photos.
+        let with_photo = survey
+            .shards
+            .iter()
+            .filter(|(_, files)| files.iter().any(|index| survey.is_photo(*index)));
+        let present: BTreeSet<u32> = with_photo.map(|(sol, _)| *sol).collect();
+        let wanted = self.sols.choose(&present);
+        if wanted.is_empty() {
+            let (first, last) = (present.first().unwrap_or(&0), present.last().unwrap_or(&0));
+            return Err(StageError::new(format!(
+                "`{}` has no photo of the sols asked for; its photos are of {} sols from {first} to {last}",
+                self.root.display(),
+                present.len()
+            ))
+            .hint("change `sols` of the archive, or leave it out for all"));
+        }
+        survey.shards.retain(|sol, _| wanted.contains(sol));
+        Ok(())
+    }
+}
+
+impl ArchiveFiles for Folder {
+    fn list(&self, ctx: &Ctx<'_>) -> Result<Listing, StageError> {
+        let survey = self.survey(ctx)?;
+        let mut companions = BTreeMap::new();
+        for index in &survey.companions {
+            let file = survey.file(&self.root, *index);
+            if !ctx.blobs.contains(&file.digest) {
+                file.keep(ctx)?;
+            }
+            companions.insert(file.name, file.digest);
+        }
+        let shards = survey.shards.iter().map(|(shard, files)| Shard {
+            shard: *shard,
+            fingerprint: survey.fingerprint(files),
+        });
+        Ok(Listing {
+            shards: shards.collect(),
+            companions,
+            ..Listing::default()
+        })
+    }
+
+    fn files(&self, ctx: &Ctx<'_>, shard: u32) -> Result<ShardFiles, StageError> {
+        let last = self.last.lock().clone();
+        let survey = match last {
+            Some(survey) => survey,
+            None => self.survey(ctx)?,
+        };
+        let files = survey.shards.get(&shard).ok_or_else(|| {
+            StageError::new(format!("`{}` has no files of sol {shard}", self.root.display()))
+        })?;
+        Ok(ShardFiles {
+            files: files
+                .iter()
+                .map(|index| survey.file(&self.root, *index))
+                .collect(),
+            ..ShardFiles::default()
+        })
+    }
+}

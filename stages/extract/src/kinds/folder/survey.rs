@@ -1,0 +1,219 @@
+//! The files of a folder: known from the table or read, and sorted into sols.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use marf_cache::{Digest, digest_of};
+use marf_pds::{ProductName, join_key};
+use marf_stage::{Ctx, StageError};
+use rayon::prelude::*;
+
+use super::table::{self, Entry, EntryKind, Reader};
+use super::walk::{Names, Walk, walk};
+use crate::archive::{ArchiveFile, Known, MAX_FILE_BYTES, ReadError, extension, folder, stem};
+use crate::stat::{FileState, now_ns};
+
+/// Cameras and points of other programs, kept for `calibrate`.
+const COMPANIONS: [&str; 9] = [
+    "transforms.json",
+    "cameras.bin",
+    "cameras.txt",
+    "images.bin",
+    "images.txt",
+    "points3D.bin",
+    "points3D.txt",
+    "points.ply",
+    "sparse_pc.ply",
+];
+/// Folder of pictures that hide parts of photos; they are companions, not photos.
+const MASKS: &str = "masks";
+/// Folders in which companions are looked for.
+const COMPANION_FOLDERS: [&str; 3] = ["", "sparse", "sparse/0"];
+
+/// Whether files are read though nothing says that they changed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Reading {
+    /// Only those that are new or may have changed.
+    Changed,
+    /// All.
+    All,
+}
+
+/// The files of a folder. One takes some 60 bytes and its name.
+pub(super) struct Survey {
+    names: Names,
+    entries: Vec<Entry>,
+    /// Why files cannot be read.
+    reasons: Vec<String>,
+    /// Files by sol, in the order of their names.
+    pub shards: BTreeMap<u32, Vec<u32>>,
+    /// Files of other programs, in the order of their names.
+    pub companions: Vec<u32>,
+}
+
+impl Survey {
+    /// Finds every file, reads those that are new or may have changed, and sorts them into shards and companions.
+    ///
+    /// # Errors
+    /// The wish to stop.
+    pub fn of(ctx: &Ctx<'_>, root: &Path, depth: usize, reading: Reading) -> Result<Self, StageError> {
+        let began_ns = now_ns();
+        let Walk { names, files } = walk(ctx, root, depth)?;
+        let table = table::path(ctx.scratch, root, depth);
+        let mut known = match (&table, reading) {
+            (Some(table), Reading::Changed) => Reader::open(table),
+            _ => Reader::default(),
+        };
+        let entry = |(index, file): (usize, &Result<FileState, String>)| {
+            known.find(names.get(index), file.as_ref().ok()?)
+        };
+        let mut entries: Vec<Option<Entry>> = files.iter().enumerate().map(entry).collect();
+        let (known, hits) = (known.count(), entries.iter().flatten().count());
+        let reasons = read_rest(ctx, root, &names, &files, &mut entries)?;
+        let entries: Vec<Entry> = entries.into_iter().flatten().collect();
+        let kept = files
+            .iter()
+            .zip(&entries)
+            .filter(|(state, entry)| table::is_kept(state, entry, began_ns));
+        if let Some(table) = table
+            && (known, hits) != (hits, kept.count())
+        {
+            table::write(&table, &names, &files, &entries, began_ns);
+        }
+        let mut survey = Self {
+            names,
+            entries,
+            reasons,
+            shards: BTreeMap::new(),
+            companions: Vec::new(),
+        };
+        survey.sort();
+        Ok(survey)
+    }
+
+    /// Tells whether a file may be a photo.
+    pub fn is_photo(&self, index: u32) -> bool {
+        self.entry(index).is_some_and(Entry::is_photo)
+    }
+
+    /// Returns a file by its number.
+    pub fn file(&self, root: &Path, index: u32) -> ArchiveFile {
+        let name = self.names.get(index as usize);
+        let known: Option<Known> = self.entry(index).and_then(|entry| entry.known(name));
+        match known {
+            Some(known) => ArchiveFile::on_disk(name.to_owned(), root.join(name), known),
+            None => ArchiveFile::unreadable(name.to_owned(), self.reason(index)),
+        }
+    }
+
+    /// Returns the digest over names and digests of files.
+    pub fn fingerprint(&self, files: &[u32]) -> Digest {
+        let content: Vec<(&str, Digest)> = files
+            .iter()
+            .filter_map(|index| Some((self.names.get(*index as usize), self.entry(*index)?.digest)))
+            .collect();
+        digest_of(&content)
+    }
+
+    fn entry(&self, index: u32) -> Option<&Entry> {
+        self.entries.get(index as usize)
+    }
+
+    fn reason(&self, index: u32) -> String {
+        match self.entry(index).map(|entry| entry.kind) {
+            Some(EntryKind::Unreadable(reason)) => {
+                self.reasons.get(reason as usize).cloned().unwrap_or_default()
+            }
+            _ => String::new(),
+        }
+    }
+
+    /// Sorts files into sols: a file whose name tells no sol goes with the label or photo of its product.
+    fn sort(&mut self) {
+        let all = 0..self.entries.len() as u32;
+        let (companions, files): (Vec<u32>, Vec<u32>) = all.partition(|index| self.is_companion(*index));
+        let sol = |index: &u32| self.entry(*index).and_then(|entry| entry.sol);
+        let lacking = files.iter().filter(|index| sol(index).is_none());
+        let wanted: BTreeSet<String> = lacking.map(|index| self.product_key(*index)).collect();
+        let mut sols: BTreeMap<String, u32> = BTreeMap::new();
+        if !wanted.is_empty() {
+            for (index, sol) in files.iter().filter_map(|index| Some((index, sol(index)?))) {
+                let key = self.product_key(*index);
+                if wanted.contains(&key) {
+                    sols.entry(key).or_insert(sol);
+                }
+            }
+        }
+        let mut shards: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+        for index in &files {
+            let sol = sol(index).or_else(|| sols.get(&self.product_key(*index)).copied());
+            shards.entry(sol.unwrap_or(0)).or_default().push(*index);
+        }
+        (self.shards, self.companions) = (shards, companions);
+    }
+
+    fn is_companion(&self, index: u32) -> bool {
+        let path = self.names.get(index as usize);
+        let name = path.rsplit('/').next().unwrap_or_default();
+        let entry = self.entry(index);
+        let readable = entry.is_some_and(|entry| !matches!(entry.kind, EntryKind::Unreadable(_)));
+        let cameras = COMPANIONS.contains(&name) && COMPANION_FOLDERS.contains(&folder(path));
+        let mask = entry.is_some_and(|entry| entry.kind == EntryKind::Photo)
+            && folder(path).split('/').any(|part| part == MASKS);
+        readable && (cameras || mask)
+    }
+
+    fn product_key(&self, index: u32) -> String {
+        // `x.img.xml` and the like label `x.img`.
+        let inner = stem(self.names.get(index as usize));
+        let doubled = ["img", "png", "jpg"].contains(&extension(inner).as_str());
+        join_key(if doubled { stem(inner) } else { inner })
+    }
+}
+
+/// Reads the files that have no entry; returns the reasons of those that cannot be read.
+fn read_rest(
+    ctx: &Ctx<'_>,
+    root: &Path,
+    names: &Names,
+    files: &[Result<FileState, String>],
+    entries: &mut [Option<Entry>],
+) -> Result<Vec<String>, StageError> {
+    let rest: Vec<usize> = (0..entries.len())
+        .filter(|index| entries[*index].is_none())
+        .collect();
+    let read = |index: &usize| -> Result<Result<Entry, String>, StageError> {
+        ctx.check()?;
+        Ok(match &files[*index] {
+            Ok(state) => read_one(root, names.get(*index), state),
+            Err(reason) => Err(reason.clone()),
+        })
+    };
+    let outcomes: Vec<Result<Entry, String>> = match ctx.threads {
+        0 | 1 => rest.iter().map(read).collect::<Result<_, _>>()?,
+        _ => rest.par_iter().map(read).collect::<Result<_, _>>()?,
+    };
+    let mut reasons = Vec::new();
+    for (index, outcome) in rest.into_iter().zip(outcomes) {
+        let entry = outcome.unwrap_or_else(|reason| {
+            let sol = ProductName::read(stem(names.get(index))).and_then(|product| product.sol);
+            let entry = Entry {
+                kind: EntryKind::Unreadable(reasons.len() as u32),
+                digest: Digest::of(reason.as_bytes()),
+                sol,
+            };
+            reasons.push(reason);
+            entry
+        });
+        entries[index] = Some(entry);
+    }
+    Ok(reasons)
+}
+
+fn read_one(root: &Path, name: &str, state: &FileState) -> Result<Entry, String> {
+    if state.size > MAX_FILE_BYTES {
+        return Err(ReadError::TooLarge.to_string());
+    }
+    let known = Known::read(name, &root.join(name)).map_err(|error| error.to_string())?;
+    Entry::of(&known).ok_or_else(|| "cannot be read".to_owned())
+}

@@ -1,0 +1,150 @@
+//! Every file of a folder, by name.
+
+use std::path::{Path, PathBuf};
+
+use marf_stage::{Ctx, StageError};
+use rayon::prelude::*;
+use walkdir::{DirEntry, WalkDir};
+
+use crate::stat::FileState;
+
+/// Deepest folder that is entered.
+pub(super) const MAX_DEPTH: usize = 32;
+/// Number of files after which the wish to stop is looked at.
+const CHECK_EVERY: usize = 1_024;
+
+/// The files of a folder, sorted by name. Names lie in one text, since a folder may hold millions.
+#[derive(Debug, Default)]
+pub(super) struct Names {
+    text: String,
+    spans: Vec<Span>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Span {
+    start: u64,
+    bytes: u32,
+}
+
+/// A folder that was walked.
+#[derive(Debug, Default)]
+pub(super) struct Walk {
+    /// Names below the folder, with `/`, sorted.
+    pub names: Names,
+    /// Of each file its state, or why it is not read.
+    pub files: Vec<Result<FileState, String>>,
+}
+
+impl Names {
+    /// Returns the number of files.
+    pub fn len(&self) -> usize {
+        self.spans.len()
+    }
+
+    /// Returns the name of a file; empty beyond the last.
+    pub fn get(&self, index: usize) -> &str {
+        self.spans.get(index).map_or("", |span| self.at(span))
+    }
+
+    fn at(&self, span: &Span) -> &str {
+        let start = span.start as usize;
+        self.text
+            .get(start..start + span.bytes as usize)
+            .unwrap_or_default()
+    }
+
+    fn push(&mut self, name: &str) {
+        self.spans.push(Span {
+            start: self.text.len() as u64,
+            bytes: name.len() as u32,
+        });
+        self.text.push_str(name);
+    }
+}
+
+/// Walks a folder: hidden files and folders are left out, links are followed but not in circles.
+///
+/// # Errors
+/// The wish to stop.
+pub(super) fn walk(ctx: &Ctx<'_>, root: &Path, depth: usize) -> Result<Walk, StageError> {
+    let visible =
+        |entry: &DirEntry| entry.depth() == 0 || !entry.file_name().as_encoded_bytes().starts_with(b".");
+    let entries = WalkDir::new(root).follow_links(true).max_depth(depth);
+    let mut names = Names::default();
+    let mut problems: Vec<Option<String>> = Vec::new();
+    for entry in entries.into_iter().filter_entry(visible) {
+        if names.len() % CHECK_EVERY == 0 {
+            ctx.check()?;
+        }
+        let found = entry_of(root, entry);
+        problems.extend(found.into_iter().map(|(name, problem)| {
+            names.push(&name);
+            problem
+        }));
+    }
+    let mut order: Vec<usize> = (0..names.len()).collect();
+    order.sort_unstable_by(|a, b| {
+        names
+            .get(*a)
+            .cmp(names.get(*b))
+            .then_with(|| problems[*a].cmp(&problems[*b]))
+    });
+    order.dedup_by(|a, b| names.get(*a) == names.get(*b)); // only names that are no UTF-8 can collide
+    let state = |index: &usize| -> Result<Result<FileState, String>, StageError> {
+        if index % CHECK_EVERY == 0 {
+            ctx.check()?;
+        }
+        Ok(match &problems[*index] {
+            Some(problem) => Err(problem.clone()),
+            None => state_of(&root.join(names.get(*index))),
+        })
+    };
+    let files = match ctx.threads {
+        0 | 1 => order.iter().map(state).collect::<Result<_, _>>()?,
+        _ => order.par_iter().map(state).collect::<Result<_, _>>()?,
+    };
+    names.spans = order.iter().map(|index| names.spans[*index]).collect();
+    Ok(Walk { names, files })
+}
+
+fn state_of(path: &Path) -> Result<FileState, String> {
+    let meta = std::fs::metadata(path).map_err(|error| format!("cannot be read: {}", error.kind()))?;
+    match meta.is_file() {
+        true => Ok(FileState::of(&meta)),
+        false => Err(NO_FILE.to_owned()),
+    }
+}
+
+const NO_FILE: &str = "not a plain file";
+
+/// Returns the name of what was found, unless it is a folder, and why it is not read.
+fn entry_of(root: &Path, entry: walkdir::Result<DirEntry>) -> Option<(String, Option<String>)> {
+    match entry {
+        Ok(entry) if entry.file_type().is_dir() => None,
+        Ok(entry) => {
+            let (name, whole) = relative(root, entry.path());
+            let problem = match (entry.file_type().is_file(), whole) {
+                (false, _) => Some(NO_FILE.to_owned()),
+                (_, false) => Some("its name is not UTF-8".to_owned()),
+                _ => None,
+            };
+            Some((name, problem))
+        }
+        Err(error) => {
+            let (name, _) = relative(root, error.path()?);
+            let reason = match (error.loop_ancestor(), error.io_error()) {
+                (Some(_), _) => "a link that leads back to a folder above it".to_owned(),
+                (_, Some(io)) => format!("cannot be read: {}", io.kind()),
+                _ => "cannot be read".to_owned(),
+            };
+            Some((name, Some(reason)))
+        }
+    }
+}
+
+/// Returns the name below the folder with `/`, and whether it is UTF-8.
+fn relative(root: &Path, path: &Path) -> (String, bool) {
+    let below: PathBuf = path.strip_prefix(root).unwrap_or(path).to_owned();
+    let parts: Vec<_> = below.iter().map(|part| part.to_string_lossy()).collect();
+    (parts.join("/"), below.to_str().is_some())
+}

@@ -1,0 +1,83 @@
+//! marf.lock: what each archive on servers gave, to the byte. A folder beside pipeline.toml:
+//!
+//! ```text
+//! marf.lock/README                     what it is; who writes holds a lock on this file
+//! marf.lock/jezero/archive.toml        what the pipeline asked the archive for
+//! marf.lock/jezero/sol-00042.toml      the products of one sol, one a line
+//! ```
+//! Users keep it under version control. A sol writes its own file and nothing else, by an atomic replacement; what another
+//! process wrote of the same sol meanwhile is merged product by product. Two pipelines of one folder that ask an archive of
+//! one name for different things have a folder each. In 0.1.0 `marf.lock` was one file: it is read, and replaced by the
+//! folder when something is first written.
+//!
+//! ```text
+//! folder.rs   finding, reading and writing the files
+//! text.rs     a sol as text
+//! old.rs      the file of 0.1.0
+//! merge.rs    two changes of one sol
+//! ```
+
+mod folder;
+mod merge;
+mod old;
+mod text;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use marf_cache::Digest;
+
+pub(crate) use self::folder::{Change, Lock, OpenLock};
+pub(crate) use self::text::{read as read_sol, write as write_sol};
+use crate::net::Validators;
+
+/// In the place of an address: the bytes came with the page that listed them (the record of a feed).
+pub(crate) const WITH_LISTING: &str = "with the listing";
+
+/// The pins of one sol.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct SolPins {
+    /// Files that were fetched, by name.
+    pub files: BTreeMap<String, Pin>,
+    /// Files that were not wanted, by name, and why.
+    pub left_out: BTreeMap<String, String>,
+    /// Files that were listed and could not be fetched, by name: the last status.
+    pub gone: BTreeMap<String, u16>,
+    /// What was asked for when everything that was listed had come; none while something is missing.
+    pub complete: Option<String>,
+}
+
+/// A file as it was fetched.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Pin {
+    /// Length, bytes.
+    pub bytes: u64,
+    /// Digest of the bytes.
+    pub blake3: Digest,
+    /// The address that gave it.
+    pub url: String,
+    /// The time, as `YYYY-MM-DDTHH:MM:SSZ`.
+    pub fetched: String,
+    /// What the server says of this state of the file.
+    pub validators: Validators,
+    /// When the listing said it was last changed.
+    pub listed: Option<String>,
+    /// Other bytes that the archive gave under the same name later: kept, not used.
+    pub others: BTreeSet<Digest>,
+}
+
+/// A place in a text that cannot be read.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct BadLine {
+    /// The line, from 1 on.
+    pub line: usize,
+    /// What is wrong with it.
+    pub cause: String,
+}
+
+/// Returns the line of a byte of a text, from 1 on.
+fn line_of(text: &str, byte: usize) -> usize {
+    text.bytes().take(byte).filter(|byte| *byte == b'\n').count() + 1
+}
+
+#[cfg(test)]
+mod tests;

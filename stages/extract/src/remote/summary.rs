@@ -1,0 +1,152 @@
+//! What is known of the pins of each sol, kept in the scratch folder: while the state of its file in marf.lock is the same,
+//! the file is not read. Losing it costs time and never a result.
+
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use marf_cache::Digest;
+use marf_stage::StageError;
+use serde::{Deserialize, Serialize};
+
+use super::catalog::SolFiles;
+use super::lock::{OpenLock, SolPins};
+use crate::files::{read_checked, write_checked};
+use crate::stat::{FileState, now_ns};
+
+/// Raised when a summary, or a fingerprint in it, has another form.
+const FORM: u32 = 1;
+
+/// What is known of the pins of a sol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Summary {
+    /// State of its file when it was read; none where it was not read from a file of its own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    state: Option<FileState>,
+    /// What was asked for when everything had come.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub complete: Option<String>,
+    /// The fingerprint that the pins alone give.
+    pub fingerprint: Digest,
+    /// What the pins and a listing give.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub listed: Option<Listed>,
+}
+
+/// What the pins of a sol and its listing give.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(super) struct Listed {
+    /// Digest of the listing.
+    pub listing: Digest,
+    /// The fingerprint.
+    pub fingerprint: Digest,
+    /// Number of files that are wanted and not pinned.
+    pub unpinned: usize,
+}
+
+#[derive(Default, PartialEq, Serialize, Deserialize)]
+struct Table {
+    sols: BTreeMap<u32, Summary>,
+    /// Sols that have neither pins nor products, with the digest of the listing that says so.
+    empty: BTreeMap<u32, Digest>,
+}
+
+/// Summaries of an archive, made when they are asked for.
+pub(super) struct Summaries<'a> {
+    lock: &'a OpenLock,
+    path: PathBuf,
+    before: Table,
+    now: RefCell<Table>,
+    /// When the first file was read.
+    began_ns: i64,
+}
+
+impl<'a> Summaries<'a> {
+    /// Opens the summaries of an archive, which `name` tells apart from others.
+    pub fn open(scratch: &Path, name: &str, lock: &'a OpenLock) -> Self {
+        let key = Digest::of(format!("summaries {FORM}\n{name}").as_bytes());
+        let path = scratch.join("pins").join(key.to_string());
+        let before = read_checked(&path).and_then(|bytes| serde_json::from_slice(&bytes).ok());
+        Self {
+            lock,
+            path,
+            before: before.unwrap_or_default(),
+            now: RefCell::default(),
+            began_ns: now_ns(),
+        }
+    }
+
+    /// Returns the summary of a sol, if it has pins; its file is read only where it changed.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn of(&self, sol: u32) -> Result<Option<Summary>, StageError> {
+        if let Some(summary) = self.now.borrow().sols.get(&sol) {
+            return Ok(Some(summary.clone()));
+        }
+        let state = self.lock.state(sol);
+        let known = self
+            .before
+            .sols
+            .get(&sol)
+            .filter(|known| state.is_some() && known.state == state);
+        let summary = match known {
+            Some(known) => Some(known.clone()),
+            None => self.lock.pins(sol)?.map(|pins| Summary {
+                state,
+                ..summary(&pins)
+            }),
+        };
+        let kept = summary.clone().map(|summary| (sol, summary));
+        self.now.borrow_mut().sols.extend(kept);
+        Ok(summary)
+    }
+
+    /// Tells whether a listing is known to have nothing of a sol that has no pins.
+    pub fn is_empty(&self, sol: u32, listing: &Digest) -> bool {
+        let empty = self.before.empty.get(&sol) == Some(listing);
+        if empty {
+            self.set_empty(sol, *listing);
+        }
+        empty
+    }
+
+    /// Keeps that a listing has nothing of a sol that has no pins.
+    pub fn set_empty(&self, sol: u32, listing: Digest) {
+        self.now.borrow_mut().empty.insert(sol, listing);
+    }
+
+    /// Keeps what the pins of a sol give with its listing.
+    pub fn set_listed(&self, sol: u32, listed: Listed) {
+        if let Some(summary) = self.now.borrow_mut().sols.get_mut(&sol) {
+            summary.listed = Some(listed);
+        }
+    }
+
+    /// Writes what is known for the next run: of files that had rested when they were read.
+    pub fn save(self) {
+        let mut table = self.now.into_inner();
+        table
+            .sols
+            .retain(|_, summary| summary.state.is_some_and(|state| state.rested(self.began_ns)));
+        // What is known of sols that this pipeline does not ask for now stays.
+        for (sol, summary) in &self.before.sols {
+            table.sols.entry(*sol).or_insert_with(|| summary.clone());
+        }
+        if table != self.before
+            && let Ok(bytes) = serde_json::to_vec(&table)
+        {
+            write_checked(&self.path, bytes);
+        }
+    }
+}
+
+/// Returns the summary of pins that were just read.
+fn summary(pins: &SolPins) -> Summary {
+    Summary {
+        state: None,
+        complete: pins.complete.clone(),
+        fingerprint: SolFiles::of_pins(pins).fingerprint(pins),
+        listed: None,
+    }
+}
