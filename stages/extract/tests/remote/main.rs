@@ -11,8 +11,10 @@
 mod common;
 mod curiosity;
 mod feed;
+mod lock;
 mod offline;
 mod pds;
+mod questions;
 #[path = "../common/server.rs"]
 mod server;
 

@@ -57,7 +57,20 @@ impl Survey {
     /// # Errors
     /// The wish to stop.
     pub fn of(ctx: &Ctx<'_>, root: &Path, depth: usize, reading: Reading) -> Result<Self, StageError> {
-        let began_ns = now_ns();
+        Self::begun_at(now_ns(), ctx, root, depth, reading)
+    }
+
+    /// As [`Survey::of`], begun at a time. Files that were written shortly before are read again by the next survey.
+    ///
+    /// # Errors
+    /// The wish to stop.
+    pub fn begun_at(
+        began_ns: i64,
+        ctx: &Ctx<'_>,
+        root: &Path,
+        depth: usize,
+        reading: Reading,
+    ) -> Result<Self, StageError> {
         let Walk { names, files } = walk(ctx, root, depth)?;
         let table = table::path(ctx.scratch, root, depth);
         let mut known = match (&table, reading) {
