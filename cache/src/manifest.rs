@@ -176,14 +176,6 @@ impl Root {
         Ok(blocks.into_iter().map(|block| block.digest).collect())
     }
 
-    /// Returns the lines of a block.
-    ///
-    /// # Errors
-    /// Bytes that are no block.
-    pub fn leaves_of_block(block: &[u8]) -> Result<Vec<LeafRef>, ManifestError> {
-        decode_lines(block)
-    }
-
     /// Returns the number of rows from the bytes of a root alone.
     ///
     /// # Errors

@@ -451,7 +451,7 @@ impl<'a> Marker<'a> {
             let Some(bytes) = self.read(&block, Role::Block, root)? else {
                 continue;
             };
-            for leaf in Root::leaves_of_block(&bytes).unwrap_or_default() {
+            for leaf in Root::decode_leaves(&bytes).unwrap_or_default() {
                 self.follow_leaf(&leaf, root, of, walk)?;
             }
         }
