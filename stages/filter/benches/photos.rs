@@ -10,9 +10,9 @@
 use std::{collections::BTreeMap, fs, hint::black_box, time::Instant};
 
 use marf_cache::manifest::Row;
-use marf_filter::STAGES;
+use marf_filter::{measure_photo, tables};
 use marf_scene::{Image, Photo};
-use marf_stage::{Measure, Work, harness::Harness};
+use marf_stage::harness::Harness;
 use pictures::{dynamic, jpeg, noise};
 
 #[path = "../tests/common/pictures.rs"]

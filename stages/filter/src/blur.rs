@@ -1,14 +1,14 @@
 //! The filter `blur`.
 
-use marf_cache::ContentHash;
-use marf_stage::ParamError;
+use marf_stage::{ParamError, Scope};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
+use crate::bytes::take;
 use crate::decision::Decision;
 use crate::decoded::DecodedPhoto;
-use crate::filter::{Filter, MeasuredPhoto, check_range};
+use crate::filter::{Filter, MeasuredPhoto, Stored, check_range};
 #[cfg(test)]
 use crate::guard::Guard;
 use crate::octave::Octave;
@@ -18,7 +18,7 @@ use crate::statistics::{SortedValues, group_by_instrument};
 pub struct Blur;
 
 /// The rule of [`Blur`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BlurRule {
     /// Ratio of detail before and after one more blur: a blurred photo loses little.
@@ -28,7 +28,7 @@ pub enum BlurRule {
 }
 
 /// Parameters of [`Blur`].
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct BlurParams {
     /// `reblur` (default) or `laplacian` (the paper).
@@ -72,26 +72,57 @@ impl Default for BlurParams {
 }
 
 /// Sharpness of one photo.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Sharpness {
     /// Variance of the 4-neighbour Laplacian, squared 8-bit steps.
     laplacian: f64,
-    /// Full, half and quarter size, as far as both sides have 3 pixels.
-    octaves: Vec<Octave>,
+    /// Full, half and quarter size; the first `sizes` are measured.
+    octaves: [Octave; OCTAVES],
+    /// How many sizes have 3 pixels on both sides.
+    sizes: usize,
 }
 
 /// Number of sizes, each half of the one before. A motion of 15 pixels leaves only the noise of JPEG at full size
 /// (ratio 8 to 14), but shows at half size (4 to 8).
 const OCTAVES: usize = 3;
 
+impl Sharpness {
+    /// Returns the sizes that were measured, the largest first.
+    fn octaves(&self) -> &[Octave] {
+        &self.octaves[..self.sizes]
+    }
+}
+
+/// The variance (8 bytes), then each octave.
+impl Stored<'_> for Sharpness {
+    fn encode(&self) -> Vec<u8> {
+        let mut bytes = self.laplacian.to_le_bytes().to_vec();
+        self.octaves().iter().for_each(|octave| octave.put(&mut bytes));
+        bytes
+    }
+
+    fn decode(mut bytes: &[u8]) -> Option<Self> {
+        let mut sharpness = Self {
+            laplacian: f64::from_le_bytes(take(&mut bytes)?),
+            octaves: Default::default(),
+            sizes: 0,
+        };
+        while !bytes.is_empty() {
+            *sharpness.octaves.get_mut(sharpness.sizes)? = Octave::take(&mut bytes)?;
+            sharpness.sizes += 1;
+        }
+        Some(sharpness)
+    }
+}
+
 impl Filter for Blur {
     const NAME: &'static str = "blur";
     const ABOUT: &'static str = "rejects photos that are blurred or mere noise";
-    const MEASURE_VERSION: u32 = 2;
+    const MEASURE_VERSION: u32 = 3;
     const DECISION_VERSION: u32 = 0;
     type Params = BlurParams;
-    type Measure = Sharpness;
-    const MEASURE: Option<fn(&DecodedPhoto) -> Sharpness> = Some(sharpness);
+    type Measure<'a> = Sharpness;
+    const MEASURE: Option<fn(&DecodedPhoto<'_>) -> Sharpness> = Some(sharpness);
 
     #[cfg(test)]
     const GUARD: Guard = Guard {
@@ -113,7 +144,14 @@ impl Filter for Blur {
         check_range("tau", params.tau, 0.0, 1e6)
     }
 
-    fn decide(params: &BlurParams, photos: &[MeasuredPhoto<Sharpness>]) -> Vec<Decision> {
+    fn scope(params: &BlurParams) -> Scope {
+        match params.rule {
+            BlurRule::Reblur => Scope::Set,
+            BlurRule::Laplacian => Scope::Item,
+        }
+    }
+
+    fn decide(params: &BlurParams, photos: &[MeasuredPhoto<'_, Sharpness>]) -> Vec<Decision> {
         if params.rule == BlurRule::Laplacian {
             return photos
                 .iter()
@@ -132,23 +170,26 @@ impl Filter for Blur {
 }
 
 /// Measures the sharpness of a photo.
-fn sharpness(decoded: &DecodedPhoto) -> Sharpness {
-    let mut octaves = Vec::new();
-    let luma = &decoded.luma;
+fn sharpness(decoded: &DecodedPhoto<'_>) -> Sharpness {
+    let mut sharpness = Sharpness {
+        laplacian: decoded.laplacian().variance,
+        octaves: Default::default(),
+        sizes: 0,
+    };
+    let luma = decoded.luma();
     if luma.width > 2 && luma.height > 2 {
-        octaves.push(Octave::of_luma(luma));
+        sharpness.octaves[0] = Octave::of_luma(luma);
+        sharpness.sizes = 1;
         let mut next = luma.halved();
         while let Some(plane) =
-            next.filter(|plane| octaves.len() < OCTAVES && plane.width > 2 && plane.height > 2)
+            next.filter(|plane| sharpness.sizes < OCTAVES && plane.width > 2 && plane.height > 2)
         {
-            octaves.push(Octave::of_plane(&plane));
+            sharpness.octaves[sharpness.sizes] = Octave::of_plane(&plane);
+            sharpness.sizes += 1;
             next = plane.halved();
         }
     }
-    Sharpness {
-        laplacian: decoded.laplacian.variance,
-        octaves,
-    }
+    sharpness
 }
 
 /// The reblur ratios of the photos of one instrument; medians leave out the photo that is decided on.
@@ -165,7 +206,7 @@ impl TypicalRatios {
         let octaves = |halvings: usize| {
             photos
                 .clone()
-                .filter_map(move |photo| photo.octaves.get(halvings))
+                .filter_map(move |photo| photo.octaves().get(halvings))
         };
         let lowest =
             |halvings| SortedValues::new(octaves(halvings).map(|octave| octave.lowest().0).collect());
@@ -201,14 +242,14 @@ impl TypicalRatios {
 
 /// Decides by the rule [`BlurRule::Reblur`].
 fn decide_reblur(params: &BlurParams, photo: &Sharpness, set: &TypicalRatios) -> Decision {
-    let Some(fine) = photo.octaves.first() else {
+    let Some(fine) = photo.octaves().first() else {
         return Decision::reject(
             0.0,
             params.min_ratio,
             "fewer than 3 pixels a side: nothing can be sharp",
         );
     };
-    let worst = photo.octaves.iter().enumerate().map(|(halvings, octave)| {
+    let worst = photo.octaves().iter().enumerate().map(|(halvings, octave)| {
         let (ratio, axis) = octave.lowest();
         (ratio, set.min_ratio(params, halvings, ratio), halvings, axis)
     });

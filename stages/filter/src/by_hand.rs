@@ -2,7 +2,6 @@
 
 use std::collections::BTreeSet;
 
-use marf_cache::ContentHash;
 use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -14,7 +13,7 @@ use crate::decision::Decision;
 /// Each entry is a product id, or the name of a file as its archive has it. The lists are parameters, hence part
 /// of the key of every filter they are given to; no measure depends on them. A photo kept by hand still counts where a
 /// filter compares photos with each other, and of a group of duplicates it is the one that is kept.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ByHand {
     /// Kept, whatever the score.

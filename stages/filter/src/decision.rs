@@ -1,8 +1,9 @@
 //! What a filter says of one photo.
 
 use marf_cache::manifest::Row;
-use marf_scene::PhotoFacts;
 use marf_stage::Verdict;
+
+use crate::filter::Facts;
 
 /// Whether a filter keeps a photo, and why.
 #[derive(Debug, Clone, PartialEq)]
@@ -51,7 +52,7 @@ impl Decision {
     }
 
     /// Returns the decision as the verdict of filter `name` on the photo of `row`.
-    pub(crate) fn verdict(self, name: &str, row: &Row, facts: &PhotoFacts) -> Verdict {
+    pub(crate) fn verdict(self, name: &str, row: &Row, facts: &Facts<'_>) -> Verdict {
         Verdict {
             id: row.id.clone(),
             file: file_of(row, facts),
@@ -65,11 +66,9 @@ impl Decision {
 }
 
 /// Returns the file a photo came from, or its id where no file is known.
-fn file_of(row: &Row, facts: &PhotoFacts) -> String {
-    if facts.file.is_empty() {
-        &row.id
-    } else {
-        &facts.file
+fn file_of(row: &Row, facts: &Facts<'_>) -> String {
+    match facts.file {
+        "" => row.id.clone(),
+        file => file.to_owned(),
     }
-    .clone()
 }

@@ -1,5 +1,7 @@
 //! A decoded photo with what several filters measure on.
 
+use std::cell::OnceCell;
+
 use marf_scene::Photo;
 
 use crate::luma::{Laplacian, Luma};
@@ -7,26 +9,32 @@ use crate::luma::{Laplacian, Luma};
 /// Fewest pixels of a sample, unless the photo has fewer.
 const SAMPLE: usize = 1 << 18;
 
-/// A decoded photo, and what several filters compute from it.
-pub struct DecodedPhoto {
+/// A decoded photo, and what several filters compute from it, each when it is first asked for.
+pub struct DecodedPhoto<'a> {
     /// The photo, of at least one pixel.
-    pub photo: Photo,
-    /// Its brightness.
-    pub luma: Luma,
-    /// Its second differences.
-    pub(crate) laplacian: Laplacian,
+    pub photo: &'a Photo,
+    luma: OnceCell<Luma>,
+    laplacian: OnceCell<Laplacian>,
 }
 
-impl DecodedPhoto {
-    /// Takes a photo of at least one pixel and computes what several filters need.
-    pub(crate) fn of(photo: Photo) -> Self {
-        let luma = Luma::of(&photo.image);
-        let laplacian = luma.laplacian();
+impl<'a> DecodedPhoto<'a> {
+    /// Takes a photo of at least one pixel.
+    pub(crate) fn of(photo: &'a Photo) -> Self {
         Self {
             photo,
-            luma,
-            laplacian,
+            luma: OnceCell::new(),
+            laplacian: OnceCell::new(),
         }
+    }
+
+    /// Returns its brightness.
+    pub fn luma(&self) -> &Luma {
+        self.luma.get_or_init(|| Luma::of(&self.photo.image))
+    }
+
+    /// Returns its second differences.
+    pub(crate) fn laplacian(&self) -> &Laplacian {
+        self.laplacian.get_or_init(|| self.luma().laplacian())
     }
 
     /// Returns a sample of pixels: each k-th pixel of each k-th row, 2^18 pixels and more of a larger photo.
@@ -62,15 +70,17 @@ mod tests {
             (1, 1, 1, 3)
         );
         assert_eq!((step(1440 * 1920), step(400_000_000)), (3, 39));
-        let decoded = |width, height| {
-            DecodedPhoto::of(Photo {
-                image: Image::from_fn(width, height, |x, y| [x as u8, y as u8, 7]),
-                bands: 3,
-                notes: Vec::new(),
-            })
+        let photo = |width, height| Photo {
+            image: Image::from_fn(width, height, |x, y| [x as u8, y as u8, 7]),
+            bands: 3,
+            notes: Vec::new(),
         };
-        let small = decoded(31, 7);
-        assert!(small.sample().eq(small.photo.image.pixels.iter().copied()));
-        assert_eq!(decoded(1600, 1500).sample().count(), 534 * 500);
+        let small = photo(31, 7);
+        assert!(
+            DecodedPhoto::of(&small)
+                .sample()
+                .eq(small.image.pixels.iter().copied())
+        );
+        assert_eq!(DecodedPhoto::of(&photo(1600, 1500)).sample().count(), 534 * 500);
     }
 }

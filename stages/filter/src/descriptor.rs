@@ -1,9 +1,11 @@
 //! The descriptor of a view: a small summary of a photo that is compared to find duplicates.
 
+use marf_cache::Digest;
 use marf_scene::{Image, Srgb};
 
+use crate::bytes::take;
 use crate::decoded::DecodedPhoto;
-use crate::hash::{self, Hash, SIDE};
+use crate::hash::{self, SIDE};
 use crate::luma::luma;
 
 /// Cells a side of the small images that are compared: at 64 video neighbours of the rover set correlate up to
@@ -14,89 +16,112 @@ const GRADIENT_STEPS: f64 = 96.0;
 /// Added to the mean brightness a gradient is divided by, in 8-bit steps, so that noise in black stays small.
 const DARK: f64 = 4.0;
 
-/// A summary of a photo from which two photos of the same view are recognised.
+/// A summary of a photo from which two photos of the same view are recognised; the images that are compared are a blob of
+/// their own, so that only those of candidates are read.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct ViewDescriptor {
-    /// Width of the upright photo, pixels.
-    pub(crate) width: u32,
-    /// Height of the upright photo, pixels.
-    pub(crate) height: u32,
+    /// Size of the upright photo.
+    pub(crate) size: PixelSize,
     /// Laplacian energy inside the blocks of JPEG times the squared number of pixels: scaled copies are compared in
     /// units of the scene, and block edges do not count as detail.
     pub(crate) sharpness: f64,
     /// How far colours differ inside the photo, in [0, 1]; near 0 it is gray or seen through one narrow band.
     pub(crate) colour: f64,
-    /// Perceptual hashes: of the brightness, then of each band.
-    pub(crate) hashes: Vec<Hash>,
-    /// Gradient magnitudes by band, `CELLS * CELLS` each; one band where the file has one.
-    pub(crate) gradients: Vec<Vec<u8>>,
+    /// Perceptual hashes, each once: of the brightness, then of each band.
+    pub(crate) hashes: Vec<u64>,
+    /// Digest of the gradient magnitudes by band, `CELLS * CELLS` bytes each; one band where the file has one.
+    pub(crate) planes: Digest,
+}
+
+/// Width and height of a photo, pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct PixelSize {
+    pub(crate) width: u32,
+    pub(crate) height: u32,
 }
 
 impl ViewDescriptor {
-    /// Computes the descriptor of a photo.
-    pub(crate) fn of(decoded: &DecodedPhoto) -> Self {
+    /// Computes the descriptor of a photo, and the bytes that [`ViewDescriptor::planes`] names.
+    pub(crate) fn of(decoded: &DecodedPhoto<'_>) -> (Self, Vec<u8>) {
         let image = &decoded.photo.image;
         let bands = if decoded.photo.bands == 1 { 1 } else { 3 };
         let means = Grid::of(image);
         let area = f64::from(image.width) * f64::from(image.height);
         let brightness = means.hash(|cell| luma(cell.map(eight_bits)));
-        let by_band = (0..bands).filter_map(|band| means.hash(|cell| eight_bits(cell[band])));
-        let hashes = brightness.into_iter().chain(by_band).collect();
-        Self {
-            width: image.width,
-            height: image.height,
-            sharpness: decoded.laplacian.detail * area * area,
+        let by_band = (0..bands).map(|band| means.hash(|cell| eight_bits(cell[band])));
+        let mut hashes = vec![brightness];
+        for hash in by_band {
+            if !hashes.contains(&hash) {
+                hashes.push(hash);
+            }
+        }
+        let planes: Vec<u8> = (0..bands).flat_map(|band| means.gradient(band)).collect();
+        let descriptor = Self {
+            size: PixelSize {
+                width: image.width,
+                height: image.height,
+            },
+            sharpness: decoded.laplacian().detail * area * area,
             colour: means.colour(),
             hashes,
-            gradients: (0..bands).map(|band| means.gradient(band)).collect(),
-        }
+            planes: Digest::of(&planes),
+        };
+        (descriptor, planes)
     }
 
     /// Returns the descriptor as bytes, all numbers little-endian.
     pub(crate) fn encode(&self) -> Vec<u8> {
-        let mut bytes = Vec::with_capacity(48 + self.gradients.len() * (CELLS * CELLS + 8));
-        bytes.extend(self.width.to_le_bytes());
-        bytes.extend(self.height.to_le_bytes());
+        let mut bytes = Vec::with_capacity(57 + 8 * self.hashes.len());
+        self.size.put(&mut bytes);
         bytes.extend(self.sharpness.to_le_bytes());
         bytes.extend(self.colour.to_le_bytes());
-        bytes.push(self.gradients.len() as u8);
-        self.hashes.iter().for_each(|hash| bytes.extend(hash.as_bytes()));
-        self.gradients.iter().for_each(|plane| bytes.extend(plane));
+        put_hashes(&mut bytes, &self.hashes);
+        bytes.extend(self.planes.as_bytes());
         bytes
     }
 
-    /// Reads what [`ViewDescriptor::encode`] wrote and removes it from the front of `bytes`; `None` if it is not that.
-    pub(crate) fn decode(bytes: &mut &[u8]) -> Option<Self> {
-        let width = u32::from_le_bytes(take(bytes)?);
-        let height = u32::from_le_bytes(take(bytes)?);
-        let sharpness = f64::from_le_bytes(take(bytes)?);
-        let colour = f64::from_le_bytes(take(bytes)?);
-        let [bands] = take(bytes)?;
-        let hashes = (0..=bands)
-            .map(|_| hash::of_bits(u64::from_le_bytes(take(bytes)?)))
-            .collect::<Option<_>>()?;
-        let mut plane = || {
-            let (plane, rest) = bytes.split_at_checked(CELLS * CELLS)?;
-            *bytes = rest;
-            Some(plane.to_vec())
+    /// Reads what [`ViewDescriptor::encode`] wrote; `None` if it is not that.
+    pub(crate) fn decode(mut bytes: &[u8]) -> Option<Self> {
+        let descriptor = Self {
+            size: PixelSize::take(&mut bytes)?,
+            sharpness: f64::from_le_bytes(take(&mut bytes)?),
+            colour: f64::from_le_bytes(take(&mut bytes)?),
+            hashes: take_hashes(&mut bytes)?,
+            planes: Digest::from_bytes(take(&mut bytes)?),
         };
-        let gradients = (0..bands).map(|_| plane()).collect::<Option<_>>()?;
+        bytes.is_empty().then_some(descriptor)
+    }
+}
+
+impl PixelSize {
+    /// Appends both sides, little-endian.
+    pub(crate) fn put(self, bytes: &mut Vec<u8>) {
+        bytes.extend(self.width.to_le_bytes());
+        bytes.extend(self.height.to_le_bytes());
+    }
+
+    /// Removes what [`PixelSize::put`] wrote from the front.
+    pub(crate) fn take(bytes: &mut &[u8]) -> Option<Self> {
         Some(Self {
-            width,
-            height,
-            sharpness,
-            colour,
-            hashes,
-            gradients,
+            width: u32::from_le_bytes(take(bytes)?),
+            height: u32::from_le_bytes(take(bytes)?),
         })
     }
 }
 
-/// Removes `N` bytes from the front; `None` if there are fewer.
-pub(crate) fn take<const N: usize>(bytes: &mut &[u8]) -> Option<[u8; N]> {
-    let (front, rest) = bytes.split_first_chunk::<N>()?;
-    *bytes = rest;
-    Some(*front)
+/// Appends hashes, at most 255, behind their number.
+pub(crate) fn put_hashes(bytes: &mut Vec<u8>, hashes: &[u64]) {
+    bytes.push(hashes.len() as u8);
+    hashes.iter().for_each(|hash| bytes.extend(hash.to_le_bytes()));
+}
+
+/// Removes what [`put_hashes`] wrote from the front; `None` if it is cut short or empty.
+pub(crate) fn take_hashes(bytes: &mut &[u8]) -> Option<Vec<u64>> {
+    let [count] = take(bytes)?;
+    let hashes: Option<Vec<u64>> = (0..count)
+        .map(|_| Some(u64::from_le_bytes(take(bytes)?)))
+        .collect();
+    hashes.filter(|hashes| !hashes.is_empty())
 }
 
 /// The means of an image over `CELLS * CELLS` cells, whatever its shape.
@@ -137,7 +162,7 @@ impl Grid {
     }
 
     /// Returns the perceptual hash of `value` on the means of 2 x 2 cells.
-    fn hash(&self, value: impl Fn([u32; 3]) -> u8) -> Option<Hash> {
+    fn hash(&self, value: impl Fn([u32; 3]) -> u8) -> u64 {
         let mut values = [0; SIDE * SIDE];
         for (at, out) in values.iter_mut().enumerate() {
             let (x, y) = (2 * (at % SIDE), 2 * (at / SIDE));
@@ -145,7 +170,7 @@ impl Grid {
             let mean = |band: usize| (near.iter().map(|cell| cell[band]).sum::<u32>() + 2) / 4;
             *out = i64::from(value([mean(0), mean(1), mean(2)]));
         }
-        hash::of_bits(hash::dct(&values))
+        hash::dct(&values)
     }
 
     /// Returns the cell at an offset from (x, y); beyond the edge, the edge.
@@ -208,12 +233,13 @@ mod tests {
 
     use super::*;
 
-    fn decoded(image: Image<Srgb>) -> DecodedPhoto {
-        DecodedPhoto::of(Photo {
+    fn descriptor(image: Image<Srgb>) -> ViewDescriptor {
+        let photo = Photo {
             image,
             bands: 3,
             notes: Vec::new(),
-        })
+        };
+        ViewDescriptor::of(&DecodedPhoto::of(&photo)).0
     }
 
     fn hills() -> Image<Srgb> {
@@ -226,19 +252,27 @@ mod tests {
 
     #[test]
     fn a_descriptor_survives_its_bytes() {
-        let descriptor = ViewDescriptor::of(&decoded(hills()));
-        let bytes = [descriptor.encode(), vec![7]].concat();
-        let mut rest = bytes.as_slice();
-        assert_eq!(ViewDescriptor::decode(&mut rest), Some(descriptor));
-        assert_eq!(rest, [7]);
-        for cut in [0, 3, 24, 40, bytes.len() - 2] {
-            assert_eq!(ViewDescriptor::decode(&mut &bytes[..cut]), None, "cut at {cut}");
+        let descriptor = descriptor(hills());
+        let bytes = descriptor.encode();
+        assert_eq!(ViewDescriptor::decode(&bytes), Some(descriptor));
+        for cut in [0, 3, 24, 40, bytes.len() - 1] {
+            assert_eq!(ViewDescriptor::decode(&bytes[..cut]), None, "cut at {cut}");
         }
+        assert_eq!(ViewDescriptor::decode(&[bytes, vec![7]].concat()), None);
+    }
+
+    /// The bands of a gray photo are its brightness: one hash is kept of the four.
+    #[test]
+    fn equal_hashes_are_kept_once() {
+        let hills = hills();
+        let gray = descriptor(Image::from_fn(200, 150, |x, y| [hills.at(x, y)[0]; 3]));
+        assert_eq!(gray.hashes.len(), 1);
+        assert_eq!(take_hashes(&mut &[0_u8][..]), None, "no hash at all");
     }
 
     #[test]
     fn gray_and_one_tint_have_no_colour_and_a_coloured_photo_has() {
-        let colour = |image: Image<Srgb>| ViewDescriptor::of(&decoded(image)).colour;
+        let colour = |image: Image<Srgb>| descriptor(image).colour;
         let tinted = |[red, green, blue]: [f64; 3]| {
             let hills = hills();
             Image::from_fn(200, 150, |x, y| {
@@ -273,11 +307,11 @@ mod tests {
 
     #[test]
     fn the_hash_does_not_ask_how_bright_a_photo_is_and_differs_for_its_mirror() {
-        let hash = |image: Image<Srgb>| ViewDescriptor::of(&decoded(image)).hashes[0].clone();
+        let hash = |image: Image<Srgb>| descriptor(image).hashes[0];
         let hills = hills();
         let dim = Image::from_fn(200, 150, |x, y| hills.at(x, y).map(|value| value / 2));
         let mirror = Image::from_fn(200, 150, |x, y| hills.at(199 - x, y));
-        let distance = |other: Image<Srgb>| hash(hills.clone()).dist(&hash(other));
+        let distance = |other: Image<Srgb>| (hash(hills.clone()) ^ hash(other)).count_ones();
         let (dimmed, mirrored) = (distance(dim), distance(mirror));
         assert!(dimmed <= 4, "half the light: {dimmed} bits");
         assert!(mirrored >= 20, "mirrored: {mirrored} bits");

@@ -1,24 +1,29 @@
 //! The filter `duplicate`.
 
 use std::cmp::Ordering;
+use std::sync::Arc;
 
-use marf_cache::{ContentHash, manifest::Row};
-use marf_scene::PhotoFacts;
-use marf_stage::{Ctx, Define, Fold, Measure, Measured, ParamError, Port, Stage, StageError, Verdict, Work};
+use marf_cache::{Digest, manifest::Row};
+use marf_stage::{
+    Ctx, Define, Fold, FoldState, Measure, Measured, ParamError, Port, Stage, StageError, Table, Verdict,
+    Work,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
+use crate::candidates::{Candidates, PhotoKeys};
 use crate::decision::Decision;
-use crate::descriptor::{ViewDescriptor, take};
-use crate::filter::{check_range, facts_of, undecodable};
+use crate::descriptor::ViewDescriptor;
+use crate::filter::{Facts, check_range, undecodable};
 #[cfg(test)]
 use crate::guard::Guard;
-use crate::relation::{Relation, processing_rank, relation_between};
-use crate::similarity::{brightness_hash_distance, correlation, hash_distance, same_aspect};
+use crate::index::Search;
+use crate::kept::{Added, KeptPhoto, Reader, SolPhotos};
+use crate::relation::{Relation, Relative, processing_rank, relation_between};
+use crate::similarity::{Planes, correlation, hash_distance, same_aspect};
 use crate::stage::{OUTPUTS, PORTS};
-use crate::survey::{self, Section, Surveyed, damaged, survey, unreadable};
-use crate::{SECTION_VERSIONS, SECTIONS};
+use crate::survey::{Section, Surveyed, measure_row, measured, tables, unreadable};
 
 /// Rejects photos that show the same view as a better one, whatever their size, light and colour filter.
 ///
@@ -30,7 +35,7 @@ pub struct Duplicate {
 }
 
 /// The rule of [`Duplicate`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DuplicateRule {
     /// Perceptual hash for candidates, correlation of gradients as proof: stereo partners and video neighbours
@@ -41,7 +46,7 @@ pub enum DuplicateRule {
 }
 
 /// Parameters of [`Duplicate`].
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DuplicateParams {
     /// `confirmed` (default) or `phash` (the paper).
@@ -107,9 +112,12 @@ impl Stage for Duplicate {
 
 impl Surveyed for Duplicate {
     const SECTION: Option<Section> = Some(Section {
-        name: Self::NAME,
-        version: Self::MEASURE_VERSION,
-        measure: |photo| Ok(ViewDescriptor::of(photo).encode()),
+        table: Self::TABLE,
+        measure: |ctx, photo| {
+            let (descriptor, planes) = ViewDescriptor::of(photo);
+            ctx.put(&planes)?;
+            Ok(descriptor.encode())
+        },
     });
     #[cfg(test)]
     const GUARD: Guard = Guard {
@@ -119,86 +127,314 @@ impl Surveyed for Duplicate {
 }
 
 impl Measure for Duplicate {
-    fn measure_params(&self) -> &dyn ContentHash {
-        &SECTION_VERSIONS
+    fn table(&self) -> Option<Table> {
+        Some(Self::TABLE)
     }
 
-    fn shared(&self) -> Option<(&'static str, u32)> {
-        Some(survey::TABLE)
+    fn together(&self) -> Vec<Table> {
+        tables()
     }
 
-    /// Returns the survey of the photo; the part of this filter is a [`ViewDescriptor`] of some 12 KB.
-    fn measure(&self, ctx: &Ctx<'_>, row: &Row) -> Result<Vec<u8>, StageError> {
-        survey(SECTIONS, ctx, row)
+    fn measure(&self, ctx: &Ctx<'_>, row: &Row, wanted: &[Table]) -> Result<Vec<Vec<u8>>, StageError> {
+        measure_row(ctx, row, wanted)
+    }
+
+    /// Returns the gradient planes that a [`ViewDescriptor`] names.
+    fn blobs(&self, measure: &[u8]) -> Vec<Digest> {
+        let descriptor = measure.get(1..).and_then(ViewDescriptor::decode);
+        descriptor
+            .map(|descriptor| descriptor.planes)
+            .into_iter()
+            .collect()
     }
 }
 
 impl Fold for Duplicate {
-    /// Decides on the photos of one sol; the state holds the descriptor of every photo kept so far, by sol and id.
-    fn fold(
-        &self,
-        state: Option<&[u8]>,
-        items: &[Measured<'_>],
-    ) -> Result<(Vec<u8>, Vec<Verdict>), StageError> {
-        let mut kept = state.map_or_else(|| Ok(Vec::new()), read_state)?;
-        let earlier = kept.len();
-        let read = items.iter().map(read_photo).collect::<Result<Vec<_>, _>>()?;
-        let mut best_first: Vec<(usize, &ComparedPhoto)> = read
+    fn begin(&self) -> Box<dyn FoldState + '_> {
+        Box::new(KeptPhotos {
+            duplicate: self,
+            candidates: Candidates::new(self.search()),
+            sols: Vec::new(),
+            reader: Reader::new(),
+        })
+    }
+}
+
+/// The photos kept so far: of each what it is found by; what it is compared by is read when it is a candidate.
+struct KeptPhotos<'a> {
+    duplicate: &'a Duplicate,
+    candidates: Candidates,
+    /// The position of the first photo of each sol that kept any, and the blob with its photos.
+    sols: Vec<(u32, Digest)>,
+    reader: Reader,
+}
+
+impl FoldState for KeptPhotos<'_> {
+    fn replay(&mut self, _: &Ctx<'_>, added: &[u8]) -> Result<(), StageError> {
+        if let Some(added) = Added::read(added)? {
+            self.sols.push((self.candidates.len(), added.photos));
+            added
+                .keys
+                .iter()
+                .for_each(|(keys, _)| self.candidates.insert(keys));
+        }
+        Ok(())
+    }
+
+    /// Decides on the photos of one sol, the best first; each is compared with those kept of earlier sols and of its own.
+    fn fold(&mut self, ctx: &Ctx<'_>, items: &[Measured<'_>]) -> Result<(Vec<u8>, Vec<Verdict>), StageError> {
+        let duplicate = self.duplicate;
+        let read = |item| duplicate.read_photo(item);
+        let read = items.iter().map(read).collect::<Result<Vec<_>, _>>()?;
+        let mut best_first: Vec<(usize, &ComparedPhoto<'_>)> = read
             .iter()
             .enumerate()
             .filter_map(|(at, item)| item.as_ref().ok().map(|photo| (at, photo)))
             .collect();
-        let kept_by_hand = |photo: &ComparedPhoto| self.params.by_hand.keeps(&photo.id, &photo.facts.file);
-        best_first.sort_by(|a, b| {
-            kept_by_hand(b.1)
-                .cmp(&kept_by_hand(a.1))
-                .then_with(|| a.1.compare_quality(b.1))
-        });
+        best_first.sort_by(|a, b| a.1.compare_quality(b.1));
         let mut verdicts: Vec<Option<Verdict>> =
             read.iter().map(|item| item.as_ref().err().cloned()).collect();
+        let mut own = OwnSol {
+            candidates: Candidates::new(duplicate.search()),
+            photos: Vec::new(),
+        };
         for (at, photo) in best_first {
-            let decision = self.decide(photo, &kept);
-            let decision = self
+            ctx.check()?;
+            let decision = self.decide(ctx, photo, &own)?;
+            let decision = duplicate
                 .params
                 .by_hand
-                .overrule(&photo.id, &photo.facts.file, decision);
+                .overrule(photo.id(), photo.facts.file, decision);
             if decision.keep {
-                kept.push(photo.clone());
+                own.candidates.insert(&photo.keys);
+                own.photos.push(photo);
             }
-            verdicts[at] = Some(decision.verdict(Self::NAME, items[at].row, &photo.facts));
+            verdicts[at] = Some(decision.verdict(Duplicate::NAME, items[at].row, &photo.facts));
         }
-        kept[earlier..].sort_by(|a, b| a.id.cmp(&b.id));
+        own.photos.sort_by_key(|photo| photo.id());
+        let kept: Vec<_> = own
+            .photos
+            .iter()
+            .map(|photo| (photo.kept(), photo.keys.clone()))
+            .collect();
+        let added = Added::write(ctx, &kept)?;
+        self.replay(ctx, &added)?;
         // Every photo either has the verdict of the decoder or has been decided on, so `flatten` drops none.
-        Ok((write_state(&kept), verdicts.into_iter().flatten().collect()))
+        Ok((added, verdicts.into_iter().flatten().collect()))
+    }
+
+    fn blobs(&self, added: &[u8]) -> Vec<Digest> {
+        let Ok(Some(added)) = Added::read(added) else {
+            return Vec::new();
+        };
+        let planes = added.keys.iter().map(|(_, planes)| *planes);
+        std::iter::once(added.photos).chain(planes).collect()
     }
 }
 
-/// A photo with what it is compared by.
-#[derive(Debug, Clone)]
-struct ComparedPhoto {
-    id: String,
-    facts: PhotoFacts,
-    descriptor: ViewDescriptor,
+/// The photos kept of the sol that is decided on, in the order in which they were kept.
+struct OwnSol<'a> {
+    candidates: Candidates,
+    photos: Vec<&'a ComparedPhoto<'a>>,
+}
+
+impl KeptPhotos<'_> {
+    /// Decides on a photo by comparing it with those kept that may show its view; the reason names the most similar one, of
+    /// equals the first.
+    fn decide(
+        &mut self,
+        ctx: &Ctx<'_>,
+        photo: &ComparedPhoto<'_>,
+        own: &OwnSol<'_>,
+    ) -> Result<Decision, StageError> {
+        match self.duplicate.params.rule {
+            DuplicateRule::Confirmed => self.decide_confirmed(ctx, photo, own),
+            DuplicateRule::Phash => self.decide_phash(ctx, photo, own),
+        }
+    }
+
+    /// Decides by the rule [`DuplicateRule::Confirmed`].
+    fn decide_confirmed(
+        &mut self,
+        ctx: &Ctx<'_>,
+        photo: &ComparedPhoto<'_>,
+        own: &OwnSol<'_>,
+    ) -> Result<Decision, StageError> {
+        let mut nearest = Nearest {
+            duplicate: self.duplicate,
+            photo,
+            planes: None,
+            found: None,
+        };
+        for position in self.candidates.find(&photo.keys) {
+            let (sol, at) = self.earlier(ctx, position)?;
+            nearest.compare(ctx, &mut self.reader, &sol.photo(at)?, None)?;
+        }
+        for position in own.candidates.find(&photo.keys) {
+            if let Some(other) = own.photos.get(position as usize) {
+                nearest.compare(ctx, &mut self.reader, &other.kept(), Some(other.row))?;
+            }
+        }
+        let found = nearest.found.map(|(_, decision)| decision);
+        Ok(found.unwrap_or_else(|| Decision::pass("")))
+    }
+
+    /// Decides by the rule [`DuplicateRule::Phash`].
+    fn decide_phash(
+        &mut self,
+        ctx: &Ctx<'_>,
+        photo: &ComparedPhoto<'_>,
+        own: &OwnSol<'_>,
+    ) -> Result<Decision, StageError> {
+        let (duplicate, size) = (self.duplicate, photo.keys.size);
+        let mut nearest: Option<(u32, String)> = None;
+        let candidates = std::mem::replace(&mut self.candidates, Candidates::new(Search::Nearest));
+        let searched = candidates.find_nearest(&photo.keys, |bits, position| {
+            let (sol, at) = self.earlier(ctx, position)?;
+            let other = sol.photo(at)?;
+            if same_aspect(size, other.size) {
+                nearest = Some((bits, other.id.to_owned()));
+            }
+            Ok::<_, StageError>(nearest.is_some())
+        });
+        self.candidates = candidates;
+        searched?;
+        own.candidates.find_nearest(&photo.keys, |bits, position| {
+            let other = own.photos.get(position as usize);
+            let nearer = nearest.as_ref().is_none_or(|(least, _)| bits < *least);
+            let same = other.filter(|other| nearer && same_aspect(size, other.keys.size));
+            if let Some(other) = same {
+                nearest = Some((bits, other.id().to_owned()));
+            }
+            Ok::<_, StageError>(same.is_some() || !nearer)
+        })?;
+        let decision = nearest.map(|(bits, id)| duplicate.compare_hashes(bits, &id));
+        Ok(decision.unwrap_or_else(|| Decision::pass("")))
+    }
+
+    /// Returns the sol of a position among the photos of earlier sols, and the place in it.
+    fn earlier(&mut self, ctx: &Ctx<'_>, position: u32) -> Result<(Arc<SolPhotos>, usize), StageError> {
+        let after = self.sols.partition_point(|(first, _)| *first <= position);
+        let lost = || StageError::new(format!("no sol has kept photo {position}"));
+        let (first, digest) = self.sols[..after].last().ok_or_else(lost)?;
+        Ok((self.reader.sol(ctx, digest)?, (position - first) as usize))
+    }
+}
+
+/// The comparison of a photo with its candidates.
+struct Nearest<'a> {
+    duplicate: &'a Duplicate,
+    photo: &'a ComparedPhoto<'a>,
+    /// The planes of the photo, once a candidate needs them.
+    planes: Option<Arc<Planes>>,
+    /// By how much the score of the most similar one so far exceeds its threshold, and the decision.
+    found: Option<(f64, Decision)>,
+}
+
+impl Nearest<'_> {
+    /// Compares with one candidate by hashes and gradients; those whose hashes are too far apart do not count, unless they
+    /// are related.
+    fn compare(
+        &mut self,
+        ctx: &Ctx<'_>,
+        reader: &mut Reader,
+        other: &KeptPhoto<'_>,
+        row: Option<&Row>,
+    ) -> Result<(), StageError> {
+        if !same_aspect(self.photo.keys.size, other.size) {
+            return Ok(());
+        }
+        let params = &self.duplicate.params;
+        let bits = hash_distance(&self.photo.keys.hashes, &other.hashes);
+        let relative = Relative {
+            row,
+            ..other.relative()
+        };
+        let relation = relation_between(&self.photo.relative(), &relative);
+        if bits > params.candidate_bits && relation == Relation::Unknown {
+            return Ok(());
+        }
+        let limit = self.duplicate.min_correlation(relation);
+        if self
+            .found
+            .as_ref()
+            .is_some_and(|(most, _)| MAX_CORRELATION - limit <= *most)
+        {
+            return Ok(());
+        }
+        let own = match &self.planes {
+            Some(planes) => planes,
+            None => self.planes.insert(reader.planes(ctx, &self.photo.planes)?),
+        };
+        let score = correlation(own, &*reader.planes(ctx, &other.planes)?);
+        let excess = score - limit;
+        if self.found.as_ref().is_some_and(|(most, _)| excess <= *most) {
+            return Ok(());
+        }
+        let reason = || {
+            let (twin, words) = (other.id, relation.reason_suffix());
+            format!(
+                "like `{twin}`: gradients correlate {score:.3}, at least {limit}, hashes {bits} bits apart{words}"
+            )
+        };
+        self.found = Some((excess, compared(score >= limit, score, limit, reason, other.id)));
+        Ok(())
+    }
+}
+
+/// No correlation is larger: 1, and the rounding of two roots, a product and a quotient.
+const MAX_CORRELATION: f64 = 1.0 + 4.0 * f64::EPSILON;
+
+/// A photo of the sol that is decided on.
+#[derive(Debug)]
+struct ComparedPhoto<'a> {
+    row: &'a Row,
+    facts: Facts<'a>,
+    keys: PhotoKeys,
+    /// Digest of the gradient planes.
+    planes: Digest,
+    sharpness: f64,
+    colour: f64,
+    kept_by_hand: bool,
+    processing_rank: u8,
 }
 
 /// A photo whose [`ViewDescriptor::colour`] is below this has one tint: narrow-band JPEG copies have 0.0025 to 0.0095,
 /// the palest photo of the Navcam feed 0.021, rover and fox 0.087 and more.
 const MIN_COLOUR: f64 = 0.014;
 
-impl ComparedPhoto {
+impl<'a> ComparedPhoto<'a> {
+    fn id(&self) -> &'a str {
+        &self.row.id
+    }
+
+    fn relative(&self) -> Relative<'a> {
+        Relative::of(self.row, &self.facts)
+    }
+
+    /// Returns what photos of this sol and of later ones compare it by.
+    fn kept(&self) -> KeptPhoto<'a> {
+        KeptPhoto {
+            id: self.id(),
+            instrument: self.facts.instrument,
+            filter: self.facts.filter,
+            sol: self.facts.sol,
+            size: self.keys.size,
+            hashes: self.keys.hashes.clone(),
+            planes: self.planes,
+        }
+    }
+
     /// Orders the better photo first; ids are unique, so no two photos are equal.
     fn compare_quality(&self, other: &Self) -> Ordering {
-        let area = |photo: &Self| u64::from(photo.descriptor.width) * u64::from(photo.descriptor.height);
-        other
-            .is_broad()
-            .cmp(&self.is_broad())
-            .then_with(|| {
-                (other.descriptor.colour >= MIN_COLOUR).cmp(&(self.descriptor.colour >= MIN_COLOUR))
-            })
-            .then_with(|| processing_rank(&self.id).cmp(&processing_rank(&other.id)))
-            .then_with(|| other.descriptor.sharpness.total_cmp(&self.descriptor.sharpness))
+        let area = |photo: &Self| u64::from(photo.keys.size.width) * u64::from(photo.keys.size.height);
+        (other.kept_by_hand.cmp(&self.kept_by_hand))
+            .then_with(|| other.is_broad().cmp(&self.is_broad()))
+            .then_with(|| (other.colour >= MIN_COLOUR).cmp(&(self.colour >= MIN_COLOUR)))
+            .then_with(|| self.processing_rank.cmp(&other.processing_rank))
+            .then_with(|| other.sharpness.total_cmp(&self.sharpness))
             .then_with(|| area(other).cmp(&area(self)))
-            .then_with(|| self.id.cmp(&other.id))
+            .then_with(|| self.id().cmp(other.id()))
     }
 
     /// Returns whether the archive names no colour filter, or a broad-band one: `0` of the science cameras, `F` (full
@@ -206,57 +442,52 @@ impl ComparedPhoto {
     fn is_broad(&self) -> bool {
         self.facts
             .filter
-            .as_deref()
             .is_none_or(|filter| matches!(filter, "0" | "UNK" | "" | "F" | "E" | "M"))
     }
 }
 
 impl Duplicate {
     /// As [`Filter::MEASURE_VERSION`](crate::Filter::MEASURE_VERSION).
-    const MEASURE_VERSION: u32 = 2;
+    const MEASURE_VERSION: u32 = 3;
     /// As [`Filter::DECISION_VERSION`](crate::Filter::DECISION_VERSION).
     const DECISION_VERSION: u32 = 0;
 
-    /// Decides on a photo by comparing it with all kept ones; the reason names the most similar one, of equals the first.
-    fn decide(&self, photo: &ComparedPhoto, kept: &[ComparedPhoto]) -> Decision {
-        let mut nearest: Option<(f64, Decision)> = None;
-        for other in kept
-            .iter()
-            .filter(|other| same_aspect(&photo.descriptor, &other.descriptor))
-        {
-            let compared = match self.params.rule {
-                DuplicateRule::Confirmed => self.compare_gradients(photo, other),
-                DuplicateRule::Phash => Some(self.compare_hashes(photo, other)),
-            };
-            if let Some((excess, decision)) = compared
-                && nearest.as_ref().is_none_or(|(most, _)| excess > *most)
-            {
-                nearest = Some((excess, decision));
-            }
+    /// Where its measures are kept.
+    const TABLE: Table = Table {
+        name: Self::NAME,
+        version: Self::MEASURE_VERSION,
+    };
+
+    /// Returns what the rule asks of the hashes.
+    fn search(&self) -> Search {
+        match self.params.rule {
+            DuplicateRule::Confirmed => Search::Within(self.params.candidate_bits),
+            DuplicateRule::Phash => Search::Nearest,
         }
-        nearest.map_or_else(|| Decision::pass(""), |(_, decision)| decision)
     }
 
-    /// Compares by hashes and gradients: returns by how much the score exceeds the threshold, and the decision; `None`
-    /// where the hashes are too far apart.
-    fn compare_gradients(&self, photo: &ComparedPhoto, other: &ComparedPhoto) -> Option<(f64, Decision)> {
-        let bits = hash_distance(&photo.descriptor, &other.descriptor);
-        let relation = relation_between((&photo.id, &photo.facts), (&other.id, &other.facts));
-        if bits > self.params.candidate_bits && relation == Relation::Unknown {
-            return None;
-        }
-        let limit = self.min_correlation(relation);
-        let score = correlation(&photo.descriptor, &other.descriptor);
-        let reason = || {
-            let (twin, words) = (&other.id, relation.reason_suffix());
-            format!(
-                "like `{twin}`: gradients correlate {score:.3}, at least {limit}, hashes {bits} bits apart{words}"
-            )
+    /// Reads a photo with its descriptor; the inner error is the verdict of a photo that could not be decoded.
+    fn read_photo<'a>(&self, item: &Measured<'a>) -> Result<Result<ComparedPhoto<'a>, Verdict>, StageError> {
+        let facts = Facts::of(item.row)?;
+        let descriptor = match measured(item.measure, item.row)? {
+            Ok(descriptor) => ViewDescriptor::decode(descriptor),
+            Err(reason) => return Ok(Err(undecodable(item.row, &facts, reason))),
         };
-        Some((
-            score - limit,
-            compared(score >= limit, score, limit, reason, other),
-        ))
+        let descriptor = descriptor.ok_or_else(|| unreadable(item.row, "it is no descriptor"))?;
+        Ok(Ok(ComparedPhoto {
+            row: item.row,
+            keys: PhotoKeys {
+                size: descriptor.size,
+                hashes: descriptor.hashes,
+                relation: Relative::of(item.row, &facts).keys(),
+            },
+            planes: descriptor.planes,
+            sharpness: descriptor.sharpness,
+            colour: descriptor.colour,
+            kept_by_hand: self.params.by_hand.keeps(&item.row.id, facts.file),
+            processing_rank: processing_rank(&item.row.id),
+            facts,
+        }))
     }
 
     /// Returns the smallest correlation of two duplicates that are related like this.
@@ -271,113 +502,25 @@ impl Duplicate {
         limit.min(usual)
     }
 
-    /// Compares by the hashes of the brightness alone, as [`Duplicate::compare_gradients`] does.
-    fn compare_hashes(&self, photo: &ComparedPhoto, other: &ComparedPhoto) -> (f64, Decision) {
-        let (bits, limit) = (
-            brightness_hash_distance(&photo.descriptor, &other.descriptor),
-            self.params.max_bits,
-        );
+    /// Decides by the distance of the hashes of brightness alone.
+    fn compare_hashes(&self, bits: u32, other: &str) -> Decision {
+        let limit = self.params.max_bits;
         let (score, threshold) = (f64::from(bits), f64::from(limit));
-        let reason = || format!("like `{}`: hashes {bits} bits apart, less than {limit}", other.id);
-        (
-            threshold - score,
-            compared(bits < limit, score, threshold, reason, other),
-        )
+        let reason = || format!("like `{other}`: hashes {bits} bits apart, less than {limit}");
+        compared(bits < limit, score, threshold, reason, other)
     }
 }
 
 /// Returns the decision on a photo that was compared with `other`.
-fn compared(
-    alike: bool,
-    score: f64,
-    limit: f64,
-    reason: impl Fn() -> String,
-    other: &ComparedPhoto,
-) -> Decision {
+fn compared(alike: bool, score: f64, limit: f64, reason: impl Fn() -> String, other: &str) -> Decision {
     if !alike {
         return Decision {
-            reason: format!("nearest is `{}`", other.id),
+            reason: format!("nearest is `{other}`"),
             ..Decision::keep(score, limit)
         };
     }
     Decision {
-        twin: Some(other.id.clone()),
+        twin: Some(other.to_owned()),
         ..Decision::reject(score, limit, reason())
     }
-}
-
-/// Reads a photo with its descriptor; the inner error is the verdict of a photo that could not be decoded.
-fn read_photo(item: &Measured<'_>) -> Result<Result<ComparedPhoto, Verdict>, StageError> {
-    let facts = facts_of(item.row)?;
-    match survey::part(item.measure, Duplicate::NAME, item.row)? {
-        Ok(mut descriptor) => {
-            let descriptor = ViewDescriptor::decode(&mut descriptor)
-                .ok_or_else(|| unreadable(item.row, "it is no descriptor"))?;
-            let id = item.row.id.clone();
-            Ok(Ok(ComparedPhoto {
-                id,
-                facts,
-                descriptor,
-            }))
-        }
-        Err(reason) => Ok(Err(undecodable(item.row, &facts, reason))),
-    }
-}
-
-/// Writes, for each photo, a length and a JSON header (u32 LE first), then its descriptor.
-fn write_state(kept: &[ComparedPhoto]) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    for photo in kept {
-        let head = StateHeader {
-            id: photo.id.clone(),
-            instrument: photo.facts.instrument.clone(),
-            filter: photo.facts.filter.clone(),
-            sol: photo.facts.sol,
-        };
-        // Strings and numbers always serialise; an empty header would be refused on reading.
-        let head = serde_json::to_vec(&head).unwrap_or_default();
-        bytes.extend((head.len() as u32).to_le_bytes());
-        bytes.extend(head);
-        bytes.extend(photo.descriptor.encode());
-    }
-    bytes
-}
-
-/// The facts of a kept photo that later sols need beside its descriptor.
-#[derive(Serialize, Deserialize)]
-struct StateHeader {
-    id: String,
-    instrument: Option<String>,
-    filter: Option<String>,
-    sol: Option<u32>,
-}
-
-/// Reads what [`write_state`] wrote.
-fn read_state(mut bytes: &[u8]) -> Result<Vec<ComparedPhoto>, StageError> {
-    let mut kept = Vec::new();
-    while !bytes.is_empty() {
-        let photo = read_kept(&mut bytes);
-        kept.push(photo.ok_or_else(|| damaged(format!("state cannot be read after {} photos", kept.len())))?);
-    }
-    Ok(kept)
-}
-
-/// Reads one photo and removes it from the front of `bytes`; `None` if it is not that.
-fn read_kept(bytes: &mut &[u8]) -> Option<ComparedPhoto> {
-    let length = u32::from_le_bytes(take(bytes)?) as usize;
-    let (head, rest) = bytes.split_at_checked(length)?;
-    *bytes = rest;
-    let head: StateHeader = serde_json::from_slice(head).ok()?;
-    let facts = PhotoFacts {
-        instrument: head.instrument,
-        filter: head.filter,
-        sol: head.sol,
-        ..PhotoFacts::default()
-    };
-    let descriptor = ViewDescriptor::decode(bytes)?;
-    Some(ComparedPhoto {
-        id: head.id,
-        facts,
-        descriptor,
-    })
 }

@@ -1,14 +1,14 @@
 //! The filter `grayscale`.
 
-use marf_cache::ContentHash;
-use marf_stage::ParamError;
+use marf_stage::{ParamError, Scope};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
+use crate::bytes::{put_number, take_number};
 use crate::decision::Decision;
 use crate::decoded::DecodedPhoto;
-use crate::filter::{Filter, MeasuredPhoto, check_range};
+use crate::filter::{Filter, MeasuredPhoto, Stored, check_range};
 #[cfg(test)]
 use crate::guard::Guard;
 
@@ -16,7 +16,7 @@ use crate::guard::Guard;
 pub struct Grayscale;
 
 /// Which photos [`Grayscale`] keeps.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Keep {
     /// Photos with colour.
@@ -26,7 +26,7 @@ pub enum Keep {
 }
 
 /// Parameters of [`Grayscale`].
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GrayscaleParams {
     /// `color` keeps photos with colour, `all` keeps every photo (monochrome missions).
@@ -52,7 +52,7 @@ impl Default for GrayscaleParams {
 }
 
 /// Histogram of the spread of the pixels of a photo: the difference of their largest and smallest channel.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ChannelSpread {
     /// Bands stored in the file.
     bands: u8,
@@ -60,14 +60,37 @@ pub struct ChannelSpread {
     pixels: Vec<u32>,
 }
 
+/// One byte for the bands, then the counts.
+impl Stored<'_> for ChannelSpread {
+    fn encode(&self) -> Vec<u8> {
+        let mut bytes = vec![self.bands];
+        self.pixels
+            .iter()
+            .for_each(|count| put_number(&mut bytes, u64::from(*count)));
+        bytes
+    }
+
+    fn decode(bytes: &[u8]) -> Option<Self> {
+        let (bands, mut rest) = bytes.split_first()?;
+        let mut pixels = Vec::new();
+        while !rest.is_empty() {
+            pixels.push(u32::try_from(take_number(&mut rest)?).ok()?);
+        }
+        (pixels.len() <= 256).then_some(Self {
+            bands: *bands,
+            pixels,
+        })
+    }
+}
+
 impl Filter for Grayscale {
     const NAME: &'static str = "grayscale";
     const ABOUT: &'static str = "rejects photos without colour";
-    const MEASURE_VERSION: u32 = 2;
+    const MEASURE_VERSION: u32 = 3;
     const DECISION_VERSION: u32 = 0;
     type Params = GrayscaleParams;
-    type Measure = ChannelSpread;
-    const MEASURE: Option<fn(&DecodedPhoto) -> ChannelSpread> = Some(|decoded| ChannelSpread {
+    type Measure<'a> = ChannelSpread;
+    const MEASURE: Option<fn(&DecodedPhoto<'_>) -> ChannelSpread> = Some(|decoded| ChannelSpread {
         bands: decoded.photo.bands,
         pixels: spread(decoded.sample()),
     });
@@ -86,7 +109,11 @@ impl Filter for Grayscale {
         check_range("min_share", params.min_share, 0.0, 1.0)
     }
 
-    fn decide(params: &GrayscaleParams, photos: &[MeasuredPhoto<ChannelSpread>]) -> Vec<Decision> {
+    fn scope(_: &GrayscaleParams) -> Scope {
+        Scope::Item
+    }
+
+    fn decide(params: &GrayscaleParams, photos: &[MeasuredPhoto<'_, ChannelSpread>]) -> Vec<Decision> {
         photos
             .iter()
             .map(|photo| decide(params, &photo.measure))

@@ -5,7 +5,7 @@ use marf_stage::{Define, Stage};
 use serde_json::json;
 
 use crate::common::{Photos, bind, defaults, mixed};
-use crate::survey::{Surveyed, part};
+use crate::survey::{Surveyed, measured};
 
 /// Digests of a filter's answers on the photos of [`mixed`], each behind the version it belongs to.
 ///
@@ -40,7 +40,7 @@ impl Guarded {
             name: S::NAME,
             version: S::VERSION,
             measure_version: match S::SECTION {
-                Some(section) => Some(section.version),
+                Some(section) => Some(section.table.version),
                 None => None,
             },
             guard: S::GUARD,
@@ -61,10 +61,10 @@ fn photos() -> Photos {
 fn measures_change_only_with_their_version() {
     let photos = photos();
     let found = |row: &Guarded| {
-        let surveys = photos.measures(&*bind(row.name, defaults()));
+        let measures = photos.measures(&*bind(row.name, defaults()));
         let line = row.measure_version.map(|version| {
-            let parts = surveys.iter().zip(&photos.rows).map(|(survey, photo)| {
-                let part = part(survey, row.name, photo).unwrap();
+            let parts = measures.iter().zip(&photos.rows).map(|(measure, photo)| {
+                let part = measured(measure, photo).unwrap();
                 part.map_or_else(String::into_bytes, <[u8]>::to_vec)
             });
             format!(

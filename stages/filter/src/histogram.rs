@@ -1,7 +1,6 @@
 //! The filter `histogram`.
 
-use marf_cache::ContentHash;
-use marf_stage::ParamError;
+use marf_stage::{ParamError, Scope};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -11,15 +10,15 @@ use crate::decoded::DecodedPhoto;
 use crate::filter::{Filter, MeasuredPhoto, check_range};
 #[cfg(test)]
 use crate::guard::Guard;
-use crate::luma::{Luma, luma};
-use crate::statistics::{SortedValues, group_by_instrument};
+use crate::statistics::{MiddleValues, SortedValues, group_by_instrument};
+use crate::tones::{CHANNELS, Counts, ToneHistograms, tones};
 
 /// Rejects photos whose brightness or colours differ too much from those of the other photos, and photos with lost
 /// areas.
 pub struct Histogram;
 
 /// The rule of [`Histogram`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum HistogramRule {
     /// Distance to the median histograms of brightness and of two colour differences, compared with the distances of
@@ -31,7 +30,7 @@ pub enum HistogramRule {
 }
 
 /// Parameters of [`Histogram`].
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct HistogramParams {
     /// `robust` (default) or `paper`.
@@ -78,40 +77,14 @@ impl Default for HistogramParams {
     }
 }
 
-/// Histograms of brightness and colour differences of a photo, and counts of its lost areas.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ToneHistograms {
-    /// Pixels of a sample by brightness, 256 bins of 1 step.
-    luma: Vec<u32>,
-    /// Pixels by red - green + 256, 128 bins of 4 steps.
-    red_green: Vec<u32>,
-    /// Pixels by blue - green + 256, 128 bins of 4 steps.
-    blue_green: Vec<u32>,
-    /// Whole 8 x 8 blocks, counted from the top left corner.
-    blocks: u32,
-    /// Blocks of one single brightness.
-    flat_blocks: u32,
-    /// Pixels of the sample that are burnt out or black.
-    clipped: u32,
-}
-
-/// Pixels a side of a block.
-const BLOCK: usize = 8;
-/// A channel at this value or above is burnt out.
-const BURNT: u8 = 254;
-/// A pixel is black if no channel is above this.
-const BLACK: u8 = 4;
-/// Name of each histogram, and width of its bins in 8-bit steps.
-const CHANNELS: [(&str, f64); 3] = [("brightness", 1.0), ("red - green", 4.0), ("blue - green", 4.0)];
-
 impl Filter for Histogram {
     const NAME: &'static str = "histogram";
     const ABOUT: &'static str = "rejects photos whose brightness or colours do not belong to the set";
-    const MEASURE_VERSION: u32 = 2;
+    const MEASURE_VERSION: u32 = 3;
     const DECISION_VERSION: u32 = 0;
     type Params = HistogramParams;
-    type Measure = ToneHistograms;
-    const MEASURE: Option<fn(&DecodedPhoto) -> ToneHistograms> = Some(tones);
+    type Measure<'a> = ToneHistograms<'a>;
+    const MEASURE: Option<fn(&DecodedPhoto<'_>) -> ToneHistograms<'static>> = Some(tones);
 
     #[cfg(test)]
     const GUARD: Guard = Guard {
@@ -133,10 +106,19 @@ impl Filter for Histogram {
         check_range("sigmas", params.sigmas, 0.0, 1e6)
     }
 
-    fn decide(params: &HistogramParams, photos: &[MeasuredPhoto<ToneHistograms>]) -> Vec<Decision> {
+    fn scope(_: &HistogramParams) -> Scope {
+        Scope::Set
+    }
+
+    /// Decides on a set: of 1,000,000 photos the measures take some 0.6 GB, which are read once, and the decision 0.2 GB
+    /// beside its answer.
+    fn decide<'a>(
+        params: &HistogramParams,
+        photos: &[MeasuredPhoto<'a, ToneHistograms<'a>>],
+    ) -> Vec<Decision> {
         let mut decisions = vec![Decision::pass(""); photos.len()];
         for group in group_by_instrument(photos) {
-            let tones: Vec<&ToneHistograms> = group.iter().map(|index| &photos[*index].measure).collect();
+            let tones: Vec<&ToneHistograms<'_>> = group.iter().map(|index| &photos[*index].measure).collect();
             let decided = match params.rule {
                 HistogramRule::Robust => robust(params, &tones),
                 HistogramRule::Paper => paper(params, &tones),
@@ -149,74 +131,9 @@ impl Filter for Histogram {
     }
 }
 
-/// Measures the histograms of a photo.
-fn tones(decoded: &DecodedPhoto) -> ToneHistograms {
-    let mut tones = ToneHistograms {
-        luma: vec![0; 256],
-        red_green: vec![0; 128],
-        blue_green: vec![0; 128],
-        blocks: ((decoded.luma.width / BLOCK) * (decoded.luma.height / BLOCK)) as u32,
-        flat_blocks: flat_blocks(&decoded.luma),
-        clipped: 0,
-    };
-    for pixel in decoded.sample() {
-        let [red, green, blue] = pixel;
-        let difference = |channel: u8| (256 + usize::from(channel) - usize::from(green)) / 4;
-        let most = red.max(green).max(blue);
-        tones.clipped += u32::from(!(BLACK + 1..BURNT).contains(&most));
-        tones.luma[usize::from(luma(pixel))] += 1;
-        tones.red_green[difference(red)] += 1;
-        tones.blue_green[difference(blue)] += 1;
-    }
-    tones
-}
-
-/// Counts the blocks of one single brightness.
-fn flat_blocks(luma: &Luma) -> u32 {
-    let mut flat = 0;
-    for rows in luma.values.chunks_exact((BLOCK * luma.width).max(1)) {
-        for left in (0..(luma.width / BLOCK) * BLOCK).step_by(BLOCK) {
-            let first = rows[left];
-            let mut lines = rows.chunks_exact(luma.width).map(|row| &row[left..left + BLOCK]);
-            flat += u32::from(lines.all(|line| line.iter().all(|value| *value == first)));
-        }
-    }
-    flat
-}
-
-impl ToneHistograms {
-    /// Returns the share of blocks of one single brightness, in [0, 1].
-    fn flat_share(&self) -> f64 {
-        f64::from(self.flat_blocks) / f64::from(self.blocks.max(1))
-    }
-
-    /// Returns the share of pixels that are burnt out or black, in [0, 1].
-    fn clipped_share(&self) -> f64 {
-        let all: u64 = self.luma.iter().map(|count| u64::from(*count)).sum();
-        f64::from(self.clipped) / all.max(1) as f64
-    }
-
-    /// Returns a histogram by its index in [`CHANNELS`].
-    fn channel(&self, channel: usize) -> &[u32] {
-        [&self.luma, &self.red_green, &self.blue_green][channel]
-    }
-
-    /// Returns the cumulative histogram of a channel: the share of pixels in each bin or below, in [0, 1].
-    fn cumulative(&self, channel: usize) -> Vec<f64> {
-        let bins = self.channel(channel);
-        let all: u64 = bins.iter().map(|count| u64::from(*count)).sum();
-        let mut below = 0_u64;
-        let shares = bins.iter().map(|count| {
-            below += u64::from(*count);
-            below as f64 / all.max(1) as f64
-        });
-        shares.collect()
-    }
-}
-
 /// A kind of lost area: the share of the photo, its limit, and what a reason says of it.
 type LostArea = (
-    fn(&ToneHistograms) -> f64,
+    fn(&ToneHistograms<'_>) -> f64,
     fn(&HistogramParams) -> f64,
     &'static str,
 );
@@ -224,12 +141,12 @@ type LostArea = (
 /// The kinds of lost areas.
 const LOST_AREAS: [LostArea; 2] = [
     (
-        ToneHistograms::flat_share,
+        |tones| tones.flat_share(),
         |params| params.max_flat,
         "in blocks of one single brightness",
     ),
     (
-        ToneHistograms::clipped_share,
+        |tones| tones.clipped_share(),
         |params| params.max_clipped,
         "burnt out or black",
     ),
@@ -237,7 +154,7 @@ const LOST_AREAS: [LostArea; 2] = [
 
 /// Decides on the photos of one instrument by the rule [`HistogramRule::Robust`]: for each photo, the decision whose
 /// score is largest against its threshold.
-fn robust(params: &HistogramParams, tones: &[&ToneHistograms]) -> Vec<Decision> {
+fn robust(params: &HistogramParams, tones: &[&ToneHistograms<'_>]) -> Vec<Decision> {
     let set = tones.len() >= params.min_set as usize;
     let mut decisions: Vec<Option<Decision>> = vec![None; tones.len()];
     for (share, limit, what) in LOST_AREAS {
@@ -256,15 +173,17 @@ fn robust(params: &HistogramParams, tones: &[&ToneHistograms]) -> Vec<Decision> 
         }
     }
     let floors = [params.min_light, params.min_distance, params.min_distance];
-    for (channel, (name, step)) in CHANNELS.iter().enumerate().filter(|_| set) {
-        let distances = distances(tones, channel, *step);
+    // One pass over the counts: the bins of a channel follow those of the channel before it.
+    let mut counts: Vec<Counts<'_>> = tones.iter().map(|tones| tones.counts()).collect();
+    for ((name, bins, step), floor) in CHANNELS.into_iter().zip(floors).filter(|_| set) {
+        let distances = distances(tones, &mut counts, bins, step);
         let ranked = SortedValues::new(distances.clone());
         for (decision, distance) in decisions.iter_mut().zip(distances) {
             let (median, quartile) = (
                 ranked.quantile_without(distance, 1, 2),
                 ranked.quantile_without(distance, 3, 4),
             );
-            let limit = (median + params.spreads * (quartile - median)).max(floors[channel]);
+            let limit = (median + params.spreads * (quartile - median)).max(floor);
             *decision = Some(worse(
                 decision.take(),
                 decide_distance(name, distance, median, limit),
@@ -308,15 +227,31 @@ fn worse(earlier: Option<Decision>, later: Decision) -> Decision {
     }
 }
 
+/// Bins that are read at a time: as many counts of each photo as a line of the processor's cache holds.
+const BINS_AT_ONCE: usize = 16;
+
 /// Returns each photo's earth mover's distance to the median histogram of the others, in 8-bit steps: the mean over all
-/// pixels of how far they would have to move.
-fn distances(tones: &[&ToneHistograms], channel: usize, step: f64) -> Vec<f64> {
-    let shares: Vec<Vec<f64>> = tones.iter().map(|tones| tones.cumulative(channel)).collect();
+/// pixels of how far they would have to move. Reads the next `bins` of every photo, each of `step` 8-bit steps.
+fn distances(tones: &[&ToneHistograms<'_>], counts: &mut [Counts<'_>], bins: usize, step: f64) -> Vec<f64> {
     let mut distances = vec![0.0; tones.len()];
-    for bin in 0..tones.first().map_or(0, |tones| tones.channel(channel).len()) {
-        let ranked = SortedValues::new(shares.iter().map(|shares| shares[bin]).collect());
-        for (distance, shares) in distances.iter_mut().zip(&shares) {
-            *distance += step * (shares[bin] - ranked.quantile_without(shares[bin], 1, 2)).abs();
+    let mut below = vec![0_u64; tones.len()];
+    let mut read = vec![[0_u32; BINS_AT_ONCE]; tones.len()];
+    let (mut shares, mut order) = (vec![0.0; tones.len()], vec![0.0; tones.len()]);
+    for first in (0..bins).step_by(BINS_AT_ONCE) {
+        for (read, counts) in read.iter_mut().zip(&mut *counts) {
+            read.iter_mut()
+                .for_each(|count| *count = counts.next().unwrap_or(0));
+        }
+        for bin in 0..BINS_AT_ONCE.min(bins - first) {
+            for (at, below) in below.iter_mut().enumerate() {
+                *below += u64::from(read[at][bin]);
+                shares[at] = *below as f64 / tones[at].pixels().max(1) as f64;
+            }
+            order.copy_from_slice(&shares);
+            let middle = MiddleValues::of(&mut order);
+            for (distance, share) in distances.iter_mut().zip(&shares) {
+                *distance += step * (share - middle.median_without(*share)).abs();
+            }
         }
     }
     distances
@@ -326,40 +261,39 @@ fn distances(tones: &[&ToneHistograms], channel: usize, step: f64) -> Vec<f64> {
 const SHARE: u64 = 1 << 24;
 
 /// Decides on the photos of one instrument by the rule [`HistogramRule::Paper`].
-fn paper(params: &HistogramParams, tones: &[&ToneHistograms]) -> Vec<Decision> {
+fn paper(params: &HistogramParams, tones: &[&ToneHistograms<'_>]) -> Vec<Decision> {
     if tones.len() < 3 {
         return vec![Decision::pass("fewer than 3 photos have no mean to be far from"); tones.len()];
     }
-    let shares: Vec<Vec<u64>> = tones.iter().map(|tones| normalised(&tones.luma)).collect();
-    let sum = |bin: usize| shares.iter().map(|shares| shares[bin]).sum::<u64>();
-    let squares = |bin: usize| {
-        shares
-            .iter()
-            .map(|shares| u128::from(shares[bin]).pow(2))
-            .sum::<u128>()
-    };
-    let totals: Vec<(u64, u128)> = (0..256).map(|bin| (sum(bin), squares(bin))).collect();
+    let mut totals = [(0_u64, 0_u128); 256];
+    for share in tones {
+        for ((sum, squares), share) in totals.iter_mut().zip(normalised(share)) {
+            *sum += share;
+            *squares += u128::from(share).pow(2);
+        }
+    }
     let others = (tones.len() - 1) as f64;
-    let far = |shares: &[u64]| {
-        let bins = shares.iter().zip(&totals).filter(|(share, (sum, squares))| {
-            let mean = (sum - **share) as f64 / others;
-            let variance = (squares - u128::from(**share).pow(2)) as f64 / others - mean * mean;
-            (**share as f64 - mean).abs() > params.sigmas * variance.max(0.0).sqrt()
+    let far = |tones: &ToneHistograms<'_>| {
+        let bins = normalised(tones).zip(&totals).filter(|(share, (sum, squares))| {
+            let mean = (sum - share) as f64 / others;
+            let variance = (squares - u128::from(*share).pow(2)) as f64 / others - mean * mean;
+            (*share as f64 - mean).abs() > params.sigmas * variance.max(0.0).sqrt()
         });
         bins.count() as f64 / 256.0
     };
-    shares
+    tones
         .iter()
-        .map(|shares| decide_bins(far(shares), params.max_bins))
+        .map(|tones| decide_bins(far(tones), params.max_bins))
         .collect()
 }
 
-/// Returns the bins as shares of all pixels, in units of 1 / [`SHARE`].
-fn normalised(bins: &[u32]) -> Vec<u64> {
-    let all: u64 = bins.iter().map(|count| u64::from(*count)).sum();
-    bins.iter()
-        .map(|count| u64::from(*count) * SHARE / all.max(1))
-        .collect()
+/// Returns the bins of brightness as shares of all pixels, in units of 1 / [`SHARE`].
+fn normalised(tones: &ToneHistograms<'_>) -> impl Iterator<Item = u64> {
+    let all = tones.pixels().max(1);
+    tones
+        .counts()
+        .take(256)
+        .map(move |count| u64::from(count) * SHARE / all)
 }
 
 /// Decides by the share of bins out of place.

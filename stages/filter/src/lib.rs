@@ -2,12 +2,14 @@
 //!
 //! A filter is a file of this folder that implements [`Filter`], declared by `mod`, and one row of the `filters!` table
 //! below. Its section in pipeline.toml, its help text, its keys and its place in `marf filter` come from there. All
-//! filters measure a photo together, from one decode, and the engine keeps the measures; decisions by thresholds are
-//! cheap and always made again. Invariant: no verdict depends on the order of the photos, and no threshold changes a
-//! measure.
+//! filters measure a photo together, from one decode, and the engine keeps the measures, each filter's in a table of its
+//! own; decisions by thresholds are cheap and always made again. Invariant: no verdict depends on the order of the photos,
+//! and no threshold changes a measure.
 
 mod blur;
 mod by_hand;
+mod bytes;
+mod candidates;
 mod decision;
 mod decoded;
 mod descriptor;
@@ -18,6 +20,8 @@ mod grayscale;
 mod guard;
 mod hash;
 mod histogram;
+mod index;
+mod kept;
 mod luma;
 mod octave;
 mod relation;
@@ -27,6 +31,7 @@ mod size;
 mod stage;
 mod statistics;
 mod survey;
+mod tones;
 
 #[cfg(test)]
 extern crate self as marf_filter;
@@ -36,17 +41,15 @@ extern crate self as marf_filter;
 mod common;
 
 use marf_stage::{StageDef, define};
-use survey::{Section, SectionVersions, Surveyed};
+use survey::{Section, Surveyed};
 
 pub use by_hand::ByHand;
 pub use decision::Decision;
 pub use decoded::DecodedPhoto;
-pub use filter::{Filter, MeasuredPhoto};
+pub use filter::{Facts, Filter, MeasuredPhoto, Stored};
 pub use luma::Luma;
 pub use stage::FilterStage;
-
-/// The filter, version and measure of every section of a survey, as part of the key of the kept surveys.
-const SECTION_VERSIONS: SectionVersions = SectionVersions(SECTIONS);
+pub use survey::{measure_photo, tables};
 
 /// Verdict of a photo whose bytes cannot be decoded here.
 pub const DECODE: &str = "decode";

@@ -1,7 +1,6 @@
 //! How much a picture loses when it is blurred once more.
 
-use serde::{Deserialize, Serialize};
-
+use crate::bytes::{put_number, take_number};
 use crate::luma::{Luma, Plane};
 
 /// Rows of one band.
@@ -14,7 +13,7 @@ const MIN_BANDS: usize = 8;
 const REACH: usize = 4;
 
 /// Sums of squared second differences of a picture before and after one more blur, in squared steps of 1/256.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Octave {
     /// Number of pixels measured.
     pixels: u64,
@@ -35,6 +34,27 @@ impl Octave {
     /// Measures a picture at reduced size.
     pub(crate) fn of_plane(plane: &Plane) -> Self {
         Self::of(plane.width, plane.height, |y, out| out.extend(plane.row(y)))
+    }
+
+    /// Appends the five numbers.
+    pub(crate) fn put(&self, bytes: &mut Vec<u8>) {
+        let numbers = [
+            self.pixels,
+            self.before[0],
+            self.before[1],
+            self.after[0],
+            self.after[1],
+        ];
+        numbers.into_iter().for_each(|number| put_number(bytes, number));
+    }
+
+    /// Removes what [`Octave::put`] wrote from the front; `None` if it is cut short.
+    pub(crate) fn take(bytes: &mut &[u8]) -> Option<Self> {
+        Some(Self {
+            pixels: take_number(bytes)?,
+            before: [take_number(bytes)?, take_number(bytes)?],
+            after: [take_number(bytes)?, take_number(bytes)?],
+        })
     }
 
     /// Measures bands of a picture; `read` appends a row to a vector.

@@ -1,7 +1,10 @@
 //! How two photos are related by their product names and labels, before any pixel is compared.
 
+use marf_cache::{Digest, manifest::Row};
 use marf_pds::Mars2020Name;
 use marf_scene::{CameraPrior, PhotoFacts};
+
+use crate::filter::Facts;
 
 /// Most seconds between two photos of one pointing through different filters: a wheel of eight positions takes
 /// about two minutes.
@@ -34,16 +37,84 @@ impl Relation {
     }
 }
 
-/// Returns how two photos, each given by product id and facts, are related.
-pub(crate) fn relation_between(a: (&str, &PhotoFacts), b: (&str, &PhotoFacts)) -> Relation {
-    let names = Mars2020Name::read(a.0).zip(Mars2020Name::read(b.0));
+/// What relates a photo to others.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Relative<'a> {
+    /// Product id.
+    pub(crate) id: &'a str,
+    /// Instrument and eye as the archive names them.
+    pub(crate) instrument: Option<&'a str>,
+    /// Colour filter as the archive names it.
+    pub(crate) filter: Option<&'a str>,
+    /// Sol.
+    pub(crate) sol: Option<u32>,
+    /// Its row, whose facts may hold the camera of its label; none of a photo of an earlier sol.
+    pub(crate) row: Option<&'a Row>,
+}
+
+impl<'a> Relative<'a> {
+    /// Returns what relates the photo of a row.
+    pub(crate) fn of(row: &'a Row, facts: &Facts<'a>) -> Self {
+        Self {
+            id: &row.id,
+            instrument: facts.instrument,
+            filter: facts.filter,
+            sol: facts.sol,
+            row: Some(row),
+        }
+    }
+
+    /// Returns the facts with the label's camera.
+    fn labelled(&self) -> Option<PhotoFacts> {
+        let facts = PhotoFacts::from_json(&self.row?.facts).ok()?;
+        facts.prior.is_some().then_some(facts)
+    }
+
+    /// Returns the keys by which photos related to this one are found.
+    pub(crate) fn keys(&self) -> RelationKeys {
+        let exposure = Mars2020Name::read(self.id).map(|_| {
+            let fields = [&self.id[..23], &self.id[27..48]].concat();
+            key_of("exposure", &[&fields.to_ascii_lowercase()])
+        });
+        let camera = self.instrument.zip(self.filter).map(|(instrument, filter)| {
+            let sol = self.sol.map_or_else(String::new, |sol| sol.to_string());
+            let camera = key_of("camera", &[instrument, &sol]);
+            (camera, key_of("filter", &[filter]))
+        });
+        RelationKeys { exposure, camera }
+    }
+}
+
+/// Keys by which related photos are found; equal keys may also belong to photos that are not related.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct RelationKeys {
+    /// Equal for versions of one exposure; of photos with a name of Mars 2020.
+    pub(crate) exposure: Option<u32>,
+    /// Equal for photos of one camera on one sol, and a key of the filter: the photo is related to those with another one.
+    pub(crate) camera: Option<(u32, u32)>,
+}
+
+/// Returns the key of some texts, the same on every machine.
+fn key_of(kind: &str, texts: &[&str]) -> u32 {
+    let joined = [&[kind], texts].concat().join("\0");
+    let digest = Digest::of(joined.as_bytes());
+    let [a, b, c, d, ..] = *digest.as_bytes();
+    u32::from_le_bytes([a, b, c, d])
+}
+
+/// Returns how two photos are related.
+pub(crate) fn relation_between(a: &Relative<'_>, b: &Relative<'_>) -> Relation {
+    let names = Mars2020Name::read(a.id).zip(Mars2020Name::read(b.id));
     if names.is_some_and(|(a, b)| a.is_other_product_of_exposure(b)) {
         return Relation::SameExposure;
     }
-    if !differ_in_filter(a.1, b.1) {
+    if !differ_in_filter(a, b) {
         return Relation::Unknown;
     }
-    let by_label = same_pointing(a.1, b.1);
+    let by_label = a
+        .labelled()
+        .zip(b.labelled())
+        .and_then(|(a, b)| same_pointing(&a, &b));
     let by_name = names
         .map(|(a, b)| a.is_same_planned_pointing(b) && a.clock_s().abs_diff(b.clock_s()) <= MAX_INTERVAL_S);
     // A label holds the measured pointing, a name only the planned one.
@@ -67,7 +138,7 @@ pub(crate) fn processing_rank(id: &str) -> u8 {
 }
 
 /// Returns whether one camera took both photos on one sol through different filters, by the archive's facts.
-fn differ_in_filter(a: &PhotoFacts, b: &PhotoFacts) -> bool {
+fn differ_in_filter(a: &Relative<'_>, b: &Relative<'_>) -> bool {
     let same = a.instrument.is_some() && a.instrument == b.instrument && a.sol == b.sol;
     same && a.filter.is_some() && b.filter.is_some() && a.filter != b.filter
 }
@@ -111,6 +182,37 @@ mod tests {
             height: 1200,
             ..PhotoFacts::default()
         }
+    }
+
+    fn row(id: &str, facts: &PhotoFacts) -> Row {
+        Row {
+            id: id.to_owned(),
+            blobs: Default::default(),
+            facts: facts.to_json(),
+        }
+    }
+
+    /// Returns how two photos are related; whatever is related is found by its keys.
+    fn relation_between(a: (&str, &PhotoFacts), b: (&str, &PhotoFacts)) -> Relation {
+        let rows = (row(a.0, a.1), row(b.0, b.1));
+        let (a, b) = (
+            Relative::of(&rows.0, &Facts::of(&rows.0).unwrap()),
+            Relative::of(&rows.1, &Facts::of(&rows.1).unwrap()),
+        );
+        let relation = super::relation_between(&a, &b);
+        let (keys, others) = (a.keys(), b.keys());
+        let same_exposure = keys.exposure.is_some() && keys.exposure == others.exposure;
+        let same_camera = keys
+            .camera
+            .zip(others.camera)
+            .is_some_and(|(a, b)| a.0 == b.0 && a.1 != b.1);
+        assert!(
+            relation == Relation::Unknown || same_exposure || same_camera,
+            "{} {}: {relation:?}",
+            a.id,
+            b.id
+        );
+        relation
     }
 
     fn related(a: &str, b: &str) -> Relation {

@@ -2,16 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use marf_cache::ContentHash;
-use marf_scene::PhotoFacts;
-use marf_stage::ParamError;
+use marf_stage::{ParamError, Scope};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
 use crate::decision::Decision;
 use crate::decoded::DecodedPhoto;
-use crate::filter::{Filter, MeasuredPhoto, check_range};
+use crate::filter::{Facts, Filter, MeasuredPhoto, check_range};
 #[cfg(test)]
 use crate::guard::Guard;
 
@@ -19,7 +17,7 @@ use crate::guard::Guard;
 pub struct Shape;
 
 /// Parameters of [`Shape`].
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ShapeParams {
     /// Fewest pixels a row. The paper asks for 1,000.
@@ -57,9 +55,9 @@ impl Filter for Shape {
     const MEASURE_VERSION: u32 = 0;
     const DECISION_VERSION: u32 = 2;
     type Params = ShapeParams;
-    type Measure = ();
+    type Measure<'a> = ();
     /// The size is a fact of the photo.
-    const MEASURE: Option<fn(&DecodedPhoto)> = None;
+    const MEASURE: Option<fn(&DecodedPhoto<'_>)> = None;
 
     #[cfg(test)]
     const GUARD: Guard = Guard {
@@ -76,10 +74,19 @@ impl Filter for Shape {
         check_range("common_share", params.common_share, 0.0, 1.0)
     }
 
-    fn decide(params: &ShapeParams, photos: &[MeasuredPhoto<()>]) -> Vec<Decision> {
+    /// Without `min_share` no photo is compared with others.
+    fn scope(params: &ShapeParams) -> Scope {
+        if params.min_share == 0.0 {
+            Scope::Item
+        } else {
+            Scope::Set
+        }
+    }
+
+    fn decide(params: &ShapeParams, photos: &[MeasuredPhoto<'_, ()>]) -> Vec<Decision> {
         let counts = count_sizes(photos);
         let decide_one =
-            |photo: &MeasuredPhoto<()>| decide(params, &photo.facts, counts.get(&photo.facts.instrument));
+            |photo: &MeasuredPhoto<'_, ()>| decide(params, &photo.facts, counts.get(&photo.facts.instrument));
         photos.iter().map(decide_one).collect()
     }
 }
@@ -89,11 +96,13 @@ impl Filter for Shape {
 struct SizeCounts {
     sizes: BTreeMap<(u32, u32), usize>,
     photos: usize,
+    /// Lower median of the short sides, pixels.
+    median_short: u32,
 }
 
 impl SizeCounts {
-    /// Returns the lower median of the short sides.
-    fn median_short(&self) -> u32 {
+    /// Returns the lower median of the short sides; 0 of no photos.
+    fn find_median_short(&self) -> u32 {
         let mut below = 0;
         for ((short, _), count) in &self.sizes {
             below += count;
@@ -112,23 +121,26 @@ impl SizeCounts {
 }
 
 /// Counts the sizes of the photos of each instrument, without thumbnails: an archive may hold one for every photo.
-fn count_sizes(photos: &[MeasuredPhoto<()>]) -> BTreeMap<Option<String>, SizeCounts> {
+fn count_sizes<'a>(photos: &[MeasuredPhoto<'a, ()>]) -> BTreeMap<Option<&'a str>, SizeCounts> {
     let mut counts = BTreeMap::<_, SizeCounts>::new();
     for photo in photos.iter().filter(|photo| !photo.facts.thumbnail) {
-        let sizes = counts.entry(photo.facts.instrument.clone()).or_default();
+        let sizes = counts.entry(photo.facts.instrument).or_default();
         *sizes.sizes.entry(sides(&photo.facts)).or_default() += 1;
         sizes.photos += 1;
+    }
+    for sizes in counts.values_mut() {
+        sizes.median_short = sizes.find_median_short();
     }
     counts
 }
 
 /// Returns the short and the long side.
-fn sides(facts: &PhotoFacts) -> (u32, u32) {
+fn sides(facts: &Facts<'_>) -> (u32, u32) {
     (facts.width.min(facts.height), facts.width.max(facts.height))
 }
 
 /// Decides on one photo.
-fn decide(params: &ShapeParams, facts: &PhotoFacts, counts: Option<&SizeCounts>) -> Decision {
+fn decide(params: &ShapeParams, facts: &Facts<'_>, counts: Option<&SizeCounts>) -> Decision {
     let (width, height) = (f64::from(facts.width), f64::from(facts.height));
     let size = format!("{} x {} pixels", facts.width, facts.height);
     if facts.thumbnail {
@@ -151,7 +163,7 @@ fn decide(params: &ShapeParams, facts: &PhotoFacts, counts: Option<&SizeCounts>)
         );
     }
     let set = counts.filter(|counts| counts.photos >= params.min_set as usize);
-    let (short, usual) = (sides(facts).0, set.map_or(0, SizeCounts::median_short));
+    let (short, usual) = (sides(facts).0, set.map_or(0, |counts| counts.median_short));
     let least = params.min_share * f64::from(usual);
     let common = counts.is_some_and(|counts| counts.is_common(sides(facts), params.common_share));
     if f64::from(short) < least && !common {

@@ -1,34 +1,27 @@
 //! How similar two photos are by their descriptors.
 
-use crate::descriptor::{CELLS, ViewDescriptor};
+use std::array;
 
-/// Largest shift in cells between two descriptors: 1 of 64 covers the shift that cropping and resampling make.
-const MAX_SHIFT: usize = 1;
+use crate::descriptor::{CELLS, PixelSize};
+
+/// Shifts along an axis: -1, 0 and 1 cells. 1 of 64 covers the shift that cropping and resampling make.
+const SHIFTS: usize = 3;
+/// Cells a side of a plane with a margin of zeros around it.
+const PADDED: usize = CELLS + 2;
 /// Largest relative difference between the aspect ratios of two photos of one view.
 const ASPECT_TOLERANCE: f64 = 0.05;
 
-/// Returns the smallest Hamming distance between the hashes of two descriptors, over pairs of bands, in bits.
+/// Returns the smallest Hamming distance between the hashes of two photos, over pairs of bands, in bits.
 ///
 /// A narrow-band copy has the hash of its own band, not of the brightness: a blue one lies 4 to 16 bits from
 /// the brightness and 0 to 2 from the blue band of its original.
-pub(crate) fn hash_distance(a: &ViewDescriptor, b: &ViewDescriptor) -> u32 {
-    let pairs = a
-        .hashes
-        .iter()
-        .flat_map(|x| b.hashes.iter().map(move |y| x.dist(y)));
+pub(crate) fn hash_distance(a: &[u64], b: &[u64]) -> u32 {
+    let pairs = a.iter().flat_map(|x| b.iter().map(move |y| (x ^ y).count_ones()));
     pairs.min().unwrap_or(u64::BITS)
 }
 
-/// Returns the Hamming distance between the hashes of brightness, in bits.
-pub(crate) fn brightness_hash_distance(a: &ViewDescriptor, b: &ViewDescriptor) -> u32 {
-    match (a.hashes.first(), b.hashes.first()) {
-        (Some(a), Some(b)) => a.dist(b),
-        _ => u64::BITS,
-    }
-}
-
 /// Returns whether two photos have the same aspect ratio, whatever their size.
-pub(crate) fn same_aspect(a: &ViewDescriptor, b: &ViewDescriptor) -> bool {
+pub(crate) fn same_aspect(a: PixelSize, b: PixelSize) -> bool {
     let (first, second) = (
         f64::from(a.width) * f64::from(b.height),
         f64::from(b.width) * f64::from(a.height),
@@ -36,90 +29,138 @@ pub(crate) fn same_aspect(a: &ViewDescriptor, b: &ViewDescriptor) -> bool {
     (first - second).abs() <= ASPECT_TOLERANCE * first.max(second)
 }
 
+/// Returns the class of an aspect ratio, at most 1 from that of every ratio that is the same by [`same_aspect`]: those
+/// differ by 0.0513 in their logarithm, and classes are 0.08 wide.
+pub(crate) fn aspect_class(size: PixelSize) -> u8 {
+    let ratio = f64::from(size.width.max(1)) / f64::from(size.height.max(1));
+    // Sides have at most 32 bits: from -277.3 to 277.3; sides of up to 20,000 pixels keep to 4 to 252.
+    (ratio.ln() / 0.08 + 128.0).clamp(0.0, 255.0) as u8
+}
+
+/// The gradient images of a photo, with the sums that correlations need.
+pub(crate) struct Planes(Vec<Plane>);
+
+/// One band.
+struct Plane {
+    /// `[PADDED * PADDED]` values in [0, 255], row-major, zero at the margin.
+    cells: Vec<i16>,
+    /// Sum of the values, variance times the squared count, and its root, of each part that a shift leaves: all but the
+    /// first, no, or all but the last column and row.
+    parts: [[Part; SHIFTS]; SHIFTS],
+}
+
+/// Sums over a part of a plane.
+#[derive(Clone, Copy, Default)]
+struct Part {
+    sum: i64,
+    spread: i64,
+    root: f64,
+}
+
+impl Planes {
+    /// Reads planes of `CELLS * CELLS` bytes; `None` if the bytes are no whole number of them, or none.
+    pub(crate) fn read(bytes: &[u8]) -> Option<Self> {
+        let whole = !bytes.is_empty() && bytes.len().is_multiple_of(CELLS * CELLS);
+        whole.then(|| Self(bytes.chunks_exact(CELLS * CELLS).map(Plane::of).collect()))
+    }
+
+    /// Returns the memory they take, in bytes.
+    pub(crate) fn size_bytes(&self) -> usize {
+        self.0.len() * (2 * PADDED * PADDED + size_of::<Plane>())
+    }
+}
+
+/// Returns the columns (or rows) of the first image that overlap with those of the second one, when it is shifted by
+/// `shift` - 1.
+fn overlap(shift: usize) -> std::ops::Range<usize> {
+    shift.saturating_sub(1)..CELLS - 1_usize.saturating_sub(shift)
+}
+
+impl Plane {
+    fn of(values: &[u8]) -> Self {
+        let mut cells = vec![0; PADDED * PADDED];
+        let rows = cells.chunks_exact_mut(PADDED).skip(1);
+        for (row, values) in rows.zip(values.chunks_exact(CELLS)) {
+            row[1..=CELLS]
+                .iter_mut()
+                .zip(values)
+                .for_each(|(cell, value)| *cell = i16::from(*value));
+        }
+        let part = |right: usize, down: usize| {
+            let (mut sum, mut squares) = (0_i64, 0_i64);
+            for row in overlap(down) {
+                for value in &values[row * CELLS..][overlap(right)] {
+                    sum += i64::from(*value);
+                    squares += i64::from(*value) * i64::from(*value);
+                }
+            }
+            let spread = (overlap(right).len() * overlap(down).len()) as i64 * squares - sum * sum;
+            Part {
+                sum,
+                spread,
+                root: (spread as f64).sqrt(),
+            }
+        };
+        Self {
+            cells,
+            parts: array::from_fn(|down| array::from_fn(|right| part(right, down))),
+        }
+    }
+
+    /// Returns the 64 cells from (`left`, `top`) of the padded plane on.
+    fn row(&self, left: usize, top: usize) -> Option<&[i16; CELLS]> {
+        self.cells[PADDED * top + left..].first_chunk()
+    }
+
+    /// Returns the sum of the products with another plane, shifted by (`right`, `down`) - 1 cells, where they overlap; the
+    /// margin adds zeros.
+    fn products(&self, other: &Self, right: usize, down: usize) -> i64 {
+        let rows =
+            (0..CELLS).filter_map(|row| self.row(1, row + 1).zip(other.row(2 - right, row + 2 - down)));
+        // 64 products of at most 255^2 a row, 64 rows: below 2^29.
+        let dot = |(a, b): (&[i16; CELLS], &[i16; CELLS])| {
+            let products = a.iter().zip(b).map(|(a, b)| i32::from(*a) * i32::from(*b));
+            products.sum::<i32>()
+        };
+        i64::from(rows.map(dot).sum::<i32>())
+    }
+
+    /// Returns the correlation of the plane, shifted by (`right`, `down`) - 1 cells, with another, where they overlap: in exact
+    /// integers up to the last division.
+    ///
+    /// Extremes: 1 for two flat images, 0 for a flat and another one.
+    fn shifted_correlation(&self, other: &Self, right: usize, down: usize) -> f64 {
+        let (a, b) = (self.parts[down][right], other.parts[2 - down][2 - right]);
+        match (a.spread, b.spread) {
+            (0, 0) => 1.0,
+            (0, _) | (_, 0) => 0.0,
+            _ => {
+                let count = (overlap(right).len() * overlap(down).len()) as i64;
+                let joint = count * self.products(other, right, down) - a.sum * b.sum;
+                joint as f64 / (a.root * b.root)
+            }
+        }
+    }
+
+    /// Returns the largest correlation over all shifts.
+    fn best_shift(&self, other: &Self) -> f64 {
+        let mut best = -1.0_f64;
+        for down in 0..SHIFTS {
+            for right in 0..SHIFTS {
+                best = best.max(self.shifted_correlation(other, right, down));
+            }
+        }
+        best
+    }
+}
+
 /// Returns the largest normalised correlation of gradient images over pairs of bands and small shifts, in [-1, 1].
 ///
 /// Taking the best pair of bands raises two different views by 0.01 at most, and a blue copy from 0.90 to 0.999 (rover
 /// set).
-pub(crate) fn correlation(a: &ViewDescriptor, b: &ViewDescriptor) -> f64 {
-    let pairs = a
-        .gradients
-        .iter()
-        .flat_map(|x| b.gradients.iter().map(move |y| (x, y)));
-    pairs.map(|(x, y)| best_shift(x, y)).fold(-1.0, f64::max)
-}
-
-/// Returns the largest correlation of two bands over all shifts up to [`MAX_SHIFT`] cells.
-fn best_shift(a: &[u8], b: &[u8]) -> f64 {
-    let mut best = -1.0_f64;
-    for down in 0..=2 * MAX_SHIFT {
-        for right in 0..=2 * MAX_SHIFT {
-            best = best.max(shifted_correlation(a, b, right, down));
-        }
-    }
-    best
-}
-
-/// Returns the correlation of `a`, shifted by (right, down) - MAX_SHIFT cells, with `b`, where they overlap.
-fn shifted_correlation(a: &[u8], b: &[u8], right: usize, down: usize) -> f64 {
-    let columns = CELLS - MAX_SHIFT.abs_diff(right);
-    let (a_left, b_left) = (right.saturating_sub(MAX_SHIFT), MAX_SHIFT.saturating_sub(right));
-    let (a_top, b_top) = (down.saturating_sub(MAX_SHIFT), MAX_SHIFT.saturating_sub(down));
-    let mut sums = Sums::default();
-    for row in 0..CELLS - MAX_SHIFT.abs_diff(down) {
-        let from = |top: usize, left: usize| (row + top) * CELLS + left;
-        let (a_from, b_from) = (from(a_top, a_left), from(b_top, b_left));
-        sums.add(&a[a_from..a_from + columns], &b[b_from..b_from + columns]);
-    }
-    sums.correlation()
-}
-
-/// Sums over pairs of values from which their correlation follows.
-#[derive(Default)]
-struct Sums {
-    count: i64,
-    a: i64,
-    b: i64,
-    ab: i64,
-    aa: i64,
-    bb: i64,
-}
-
-impl Sums {
-    /// Adds the pairs of two rows.
-    fn add(&mut self, a: &[u8], b: &[u8]) {
-        let mut row = [0_u32; 5];
-        for (a, b) in a.iter().zip(b) {
-            let (a, b) = (u32::from(*a), u32::from(*b));
-            row[0] += a;
-            row[1] += b;
-            row[2] += a * b;
-            row[3] += a * a;
-            row[4] += b * b;
-        }
-        let [a_sum, b_sum, ab, aa, bb] = row.map(i64::from);
-        self.count += a.len() as i64;
-        self.a += a_sum;
-        self.b += b_sum;
-        self.ab += ab;
-        self.aa += aa;
-        self.bb += bb;
-    }
-
-    /// Returns the normalised correlation, in exact integers up to the last division.
-    ///
-    /// Extremes: 1 for two flat images, 0 for a flat and another one.
-    fn correlation(&self) -> f64 {
-        let joint = self.count * self.ab - self.a * self.b;
-        let (a, b) = (
-            self.count * self.aa - self.a * self.a,
-            self.count * self.bb - self.b * self.b,
-        );
-        match (a, b) {
-            (0, 0) => 1.0,
-            (0, _) | (_, 0) => 0.0,
-            _ => joint as f64 / ((a as f64).sqrt() * (b as f64).sqrt()),
-        }
-    }
+pub(crate) fn correlation(a: &Planes, b: &Planes) -> f64 {
+    let pairs = a.0.iter().flat_map(|x| b.0.iter().map(move |y| (x, y)));
+    pairs.map(|(x, y)| x.best_shift(y)).fold(-1.0, f64::max)
 }
 
 #[cfg(test)]
@@ -132,24 +173,53 @@ mod tests {
             .collect()
     }
 
+    fn best_shift(a: &[u8], b: &[u8]) -> f64 {
+        Plane::of(a).best_shift(&Plane::of(b))
+    }
+
     #[test]
     fn a_plane_correlates_with_itself_and_against_its_negative() {
         let a = plane(|x, y| (7 * x + 13 * y * y) % 250);
         let negative: Vec<u8> = a.iter().map(|value| 255 - value).collect();
-        assert_eq!(shifted_correlation(&a, &a, MAX_SHIFT, MAX_SHIFT), 1.0);
-        assert_eq!(shifted_correlation(&a, &negative, MAX_SHIFT, MAX_SHIFT), -1.0);
+        let unshifted = |b: &[u8]| Plane::of(&a).shifted_correlation(&Plane::of(b), 1, 1);
+        assert_eq!((unshifted(&a), unshifted(&negative)), (1.0, -1.0));
     }
 
     /// By hand: a = 0 0 1 1 and b = 0 1 0 1 repeated have no correlation, a and 0 0 0 1 have 1 / sqrt 3.
     #[test]
     fn small_correlations_are_as_worked_by_hand() {
-        let sums = |b: [u8; 4]| {
-            let mut sums = Sums::default();
-            sums.add(&[0, 0, 1, 1], &b);
-            sums.correlation()
-        };
-        assert_eq!(sums([0, 1, 0, 1]), 0.0);
-        assert!((sums([0, 0, 0, 1]) - 1.0 / 3.0_f64.sqrt()).abs() < 1e-15);
+        let repeated = |values: [usize; 4]| Plane::of(&plane(|x, _| values[x % 4]));
+        let with = |b| repeated([0, 0, 1, 1]).shifted_correlation(&repeated(b), 1, 1);
+        assert_eq!(with([0, 1, 0, 1]), 0.0);
+        assert!((with([0, 0, 0, 1]) - 1.0 / 3.0_f64.sqrt()).abs() < 1e-15);
+    }
+
+    /// The sums with a margin of zeros are those of the overlap, value by value.
+    #[test]
+    fn a_shifted_correlation_is_that_of_the_overlap() {
+        let a = plane(|x, y| (x * x * 31 + y * 17 + x * y) % 256);
+        let b = plane(|x, y| (x * 13 + y * y * 7 + 5 * x * y) % 256);
+        for (right, down) in (0..9).map(|at| (at % 3, at / 3)) {
+            let (mut sums, mut count) = ([0_i64; 5], 0);
+            for (y, x) in (0..64_i64).flat_map(|y| (0..64_i64).map(move |x| (y, x))) {
+                let (from_x, from_y) = (x + 1 - right as i64, y + 1 - down as i64);
+                if (0..64).contains(&from_x) && (0..64).contains(&from_y) {
+                    let at = |values: &[u8], x: i64, y: i64| i64::from(values[(64 * y + x) as usize]);
+                    let (a, b) = (at(&a, x, y), at(&b, from_x, from_y));
+                    [a, b, a * b, a * a, b * b]
+                        .into_iter()
+                        .zip(&mut sums)
+                        .for_each(|(add, sum)| *sum += add);
+                    count += 1;
+                }
+            }
+            let [sum_a, sum_b, ab, aa, bb] = sums;
+            let spreads = (count * aa - sum_a * sum_a, count * bb - sum_b * sum_b);
+            let expected =
+                (count * ab - sum_a * sum_b) as f64 / ((spreads.0 as f64).sqrt() * (spreads.1 as f64).sqrt());
+            let found = Plane::of(&a).shifted_correlation(&Plane::of(&b), right, down);
+            assert_eq!(found, expected, "({right}, {down})");
+        }
     }
 
     #[test]
@@ -167,5 +237,31 @@ mod tests {
         let (flat, other) = (plane(|_, _| 3), plane(|x, _| x));
         assert_eq!(best_shift(&flat, &flat), 1.0);
         assert_eq!(best_shift(&flat, &other), 0.0);
+    }
+
+    #[test]
+    fn planes_that_are_not_whole_are_refused() {
+        for bytes in [0, 1, 4095, 4097] {
+            assert!(Planes::read(&vec![0; bytes]).is_none(), "{bytes}");
+        }
+        assert!(Planes::read(&[0; 3 * 4096]).is_some());
+    }
+
+    #[test]
+    fn equal_aspects_are_in_the_same_class_or_the_next() {
+        let size = |width, height| PixelSize { width, height };
+        for height in (1..20_000).step_by(97) {
+            for width in [1, 2, 19, 20, 21, 640, 1999, 19_999, 20_000] {
+                for percent in [95.0, 97.5, 100.0, 104.9, 105.3] {
+                    let (a, b) = (
+                        size(width, height),
+                        size((f64::from(width) * percent / 100.0) as u32 + 1, height),
+                    );
+                    if same_aspect(a, b) {
+                        assert!(aspect_class(a).abs_diff(aspect_class(b)) <= 1, "{a:?} {b:?}");
+                    }
+                }
+            }
+        }
     }
 }

@@ -1,7 +1,6 @@
 //! The filter `size`.
 
-use marf_cache::ContentHash;
-use marf_stage::ParamError;
+use marf_stage::{ParamError, Scope};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -16,7 +15,7 @@ use crate::guard::Guard;
 pub struct Size;
 
 /// Parameters of [`Size`].
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema, ContentHash)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SizeParams {
     /// Fewest bytes of the image as stored in the archive. The paper asks for 100,000, of photos of 2 megapixels.
@@ -44,9 +43,9 @@ impl Filter for Size {
     const MEASURE_VERSION: u32 = 0;
     const DECISION_VERSION: u32 = 2;
     type Params = SizeParams;
-    type Measure = ();
+    type Measure<'a> = ();
     /// The size is a fact of the photo.
-    const MEASURE: Option<fn(&DecodedPhoto)> = None;
+    const MEASURE: Option<fn(&DecodedPhoto<'_>)> = None;
 
     #[cfg(test)]
     const GUARD: Guard = Guard {
@@ -62,13 +61,17 @@ impl Filter for Size {
         check_range("min_bits_per_pixel", params.min_bits_per_pixel, 0.0, 48.0)
     }
 
-    fn decide(params: &SizeParams, photos: &[MeasuredPhoto<()>]) -> Vec<Decision> {
+    fn scope(_: &SizeParams) -> Scope {
+        Scope::Item
+    }
+
+    fn decide(params: &SizeParams, photos: &[MeasuredPhoto<'_, ()>]) -> Vec<Decision> {
         photos.iter().map(|photo| decide(params, photo)).collect()
     }
 }
 
 /// Decides on one photo.
-fn decide(params: &SizeParams, photo: &MeasuredPhoto<()>) -> Decision {
+fn decide(params: &SizeParams, photo: &MeasuredPhoto<'_, ()>) -> Decision {
     let (bytes, least) = (photo.facts.size_bytes, params.min_bytes);
     if bytes < least {
         return Decision::reject(

@@ -1,13 +1,13 @@
 //! A filter as a stage of a pipeline.
 
-use marf_cache::{ContentHash, manifest::Row};
+use marf_cache::manifest::Row;
 use marf_stage::{
-    Ctx, Define, Map, Measure, Measured, PHOTOS, ParamError, Port, Stage, StageError, VERDICTS, Verdict, Work,
+    Ctx, Define, Map, Measure, Measured, PHOTOS, ParamError, Port, Scope, Stage, StageError, Table, VERDICTS,
+    Verdict, Work,
 };
 
-use crate::filter::{Filter, MeasuredPhoto, facts_of, undecodable};
-use crate::survey::{self, Section, Surveyed, survey, unreadable};
-use crate::{SECTION_VERSIONS, SECTIONS};
+use crate::filter::{Facts, Filter, MeasuredPhoto, Stored, undecodable};
+use crate::survey::{Section, Surveyed, measure_row, measured, tables, unreadable};
 
 /// Inputs of every filter: one set of photos.
 pub(crate) const PORTS: &[Port] = &[Port::required("input", PHOTOS)];
@@ -48,12 +48,11 @@ impl<F: Filter> Surveyed for FilterStage<F> {
     const SECTION: Option<Section> = match F::MEASURE {
         None => None,
         Some(_) => Some(Section {
-            name: F::NAME,
-            version: F::MEASURE_VERSION,
-            measure: |photo| match F::MEASURE {
-                Some(measure) => serde_json::to_vec(&measure(photo)),
-                None => Ok(Vec::new()),
+            table: Table {
+                name: F::NAME,
+                version: F::MEASURE_VERSION,
             },
+            measure: |_, photo| Ok(F::MEASURE.map_or_else(Vec::new, |measure| measure(photo).encode())),
         }),
     };
     #[cfg(test)]
@@ -61,76 +60,66 @@ impl<F: Filter> Surveyed for FilterStage<F> {
 }
 
 impl<F: Filter> Measure for FilterStage<F> {
-    /// Returns the versions of the measures; no parameter of a filter changes a measure.
-    fn measure_params(&self) -> &dyn ContentHash {
-        if F::MEASURE.is_some() {
-            &SECTION_VERSIONS
-        } else {
-            &NO_PARAMS
-        }
+    fn table(&self) -> Option<Table> {
+        Self::SECTION.map(|section| section.table)
     }
 
-    fn shared(&self) -> Option<(&'static str, u32)> {
-        F::MEASURE.map(|_| survey::TABLE)
+    /// Returns the tables of all filters that measure pixels: one decode fills all.
+    fn together(&self) -> Vec<Table> {
+        self.table().map_or_else(Vec::new, |_| tables())
     }
 
-    /// Returns the survey of the photo; no bytes where the facts are enough.
-    fn measure(&self, ctx: &Ctx<'_>, row: &Row) -> Result<Vec<u8>, StageError> {
-        match F::MEASURE {
-            Some(_) => survey(SECTIONS, ctx, row),
-            None => Ok(Vec::new()),
-        }
+    fn measure(&self, ctx: &Ctx<'_>, row: &Row, wanted: &[Table]) -> Result<Vec<Vec<u8>>, StageError> {
+        measure_row(ctx, row, wanted)
     }
 }
 
 impl<F: Filter> Map for FilterStage<F> {
+    fn scope(&self) -> Scope {
+        F::scope(&self.params)
+    }
+
     fn decide(&self, items: &[Measured<'_>]) -> Result<Vec<Verdict>, StageError> {
-        let mut measured = Vec::with_capacity(items.len());
-        let mut undecodables = Vec::with_capacity(items.len());
-        for item in items {
-            let facts = facts_of(item.row)?;
+        let mut photos = Vec::with_capacity(items.len());
+        let mut refused = Vec::new();
+        for (at, item) in items.iter().enumerate() {
+            let facts = Facts::of(item.row)?;
             match read_measure::<F>(item)? {
-                Ok(measure) => {
-                    undecodables.push(None);
-                    measured.push(MeasuredPhoto {
-                        id: item.row.id.clone(),
-                        facts,
-                        measure,
-                    });
-                }
-                Err(reason) => undecodables.push(Some(undecodable(item.row, &facts, reason))),
+                Ok(measure) => photos.push(MeasuredPhoto {
+                    id: item.row.id.as_str(),
+                    facts,
+                    measure,
+                }),
+                Err(reason) => refused.push((at, undecodable(item.row, &facts, reason))),
             }
         }
-        let decisions = F::decide(&self.params, &measured);
         let by_hand = F::by_hand(&self.params);
-        let mut decided = measured.iter().zip(decisions);
-        let verdicts = items.iter().zip(undecodables).map(|(item, undecodable)| {
+        let mut decisions = photos.iter().zip(F::decide(&self.params, &photos));
+        let mut refused = refused.into_iter().peekable();
+        let mut verdicts = Vec::with_capacity(items.len());
+        for (at, item) in items.iter().enumerate() {
+            if let Some((_, verdict)) = refused.next_if(|(of, _)| *of == at) {
+                verdicts.push(verdict);
+                continue;
+            }
             let missing = || StageError::new(format!("filter `{}` gave too few decisions", F::NAME));
-            undecodable.map_or_else(
-                || {
-                    let (photo, decision) = decided.next().ok_or_else(missing)?;
-                    let decision = by_hand.overrule(&photo.id, &photo.facts.file, decision);
-                    Ok(decision.verdict(F::NAME, item.row, &photo.facts))
-                },
-                Ok,
-            )
-        });
-        verdicts.collect()
+            let (photo, decision) = decisions.next().ok_or_else(missing)?;
+            let decision = by_hand.overrule(photo.id, photo.facts.file, decision);
+            verdicts.push(decision.verdict(F::NAME, item.row, &photo.facts));
+        }
+        Ok(verdicts)
     }
 }
 
-/// Parameters of the measure of a filter that needs the facts alone: none.
-const NO_PARAMS: [u8; 0] = [];
-
-/// Reads the measure of one filter from a survey; the inner error says why the photo could not be decoded.
-fn read_measure<F: Filter>(item: &Measured<'_>) -> Result<Result<F::Measure, String>, StageError> {
+/// Reads the measure of one filter; the inner error says why the photo could not be decoded.
+fn read_measure<'a, F: Filter>(item: &Measured<'a>) -> Result<Result<F::Measure<'a>, String>, StageError> {
     let part = match F::MEASURE {
-        // Without a measure the bytes are empty, and the unit type is JSON's `null`.
-        None if item.measure.is_empty() => Ok(&b"null"[..]),
-        None => return Err(unreadable(item.row, "it should be empty")),
-        Some(_) => survey::part(item.measure, F::NAME, item.row)?,
+        None => Ok(item.measure),
+        Some(_) => measured(item.measure, item.row)?,
     };
-    let parse = |part| serde_json::from_slice(part).map_err(|error| unreadable(item.row, error));
-    part.map(parse)
-        .map_or_else(|reason| Ok(Err(reason)), |measure| measure.map(Ok))
+    let decode = |part| {
+        F::Measure::decode(part)
+            .ok_or_else(|| unreadable(item.row, format!("it is not of filter `{}`", F::NAME)))
+    };
+    part.map_or_else(|reason| Ok(Err(reason)), |part| decode(part).map(Ok))
 }

@@ -1,22 +1,23 @@
-//! The survey of a photo: the measures of all filters, from one decode.
+//! The survey of a photo: the measures of the filters that lack theirs, from one decode.
 
-use marf_cache::{ContentHash, Visitor, manifest::Row};
+use marf_cache::manifest::Row;
 use marf_scene::Photo;
-use marf_stage::{Ctx, StageError};
+use marf_stage::{Ctx, StageError, Table};
 
+use crate::SECTIONS;
 use crate::decoded::DecodedPhoto;
 
-/// Name and version of the table that keeps the surveys, for all filters together.
-pub(crate) const TABLE: (&str, u32) = ("filters", 1);
+/// First byte of the measure of a photo that cannot be decoded; the reason follows.
+const REFUSED: u8 = 0;
+/// First byte of the measure of a decoded photo; what the filter measured follows.
+const MEASURED: u8 = 1;
 
 /// The part of a survey that belongs to one filter.
 pub(crate) struct Section {
-    /// Name of the filter.
-    pub(crate) name: &'static str,
-    /// Version of the measure.
-    pub(crate) version: u32,
+    /// Where the measures are kept: the name of the filter and the version of its measure.
+    pub(crate) table: Table,
     /// Measures a photo; only the filter itself reads the bytes.
-    pub(crate) measure: fn(&DecodedPhoto) -> Result<Vec<u8>, serde_json::Error>,
+    pub(crate) measure: fn(&Ctx<'_>, &DecodedPhoto<'_>) -> Result<Vec<u8>, StageError>,
 }
 
 /// A stage of the table of filters.
@@ -28,83 +29,71 @@ pub(crate) trait Surveyed {
     const GUARD: crate::guard::Guard;
 }
 
-/// What a survey depends on beside the photo: the name and the measure's version of every section.
-pub(crate) struct SectionVersions(pub(crate) &'static [Option<Section>]);
-
-impl ContentHash for SectionVersions {
-    fn walk(&self, visitor: &mut dyn Visitor) {
-        let sections = || self.0.iter().flatten();
-        visitor.open("survey", sections().count());
-        for section in sections() {
-            visitor.field(section.name);
-            visitor.unsigned(u64::from(section.version));
-        }
-        visitor.close();
-    }
+/// Returns the tables of all filters that measure pixels.
+pub fn tables() -> Vec<Table> {
+    SECTIONS.iter().flatten().map(|section| section.table).collect()
 }
 
-/// Decodes the photo of a row once and asks every filter for its measure.
-///
-/// Returns a byte 1 and, for each section, its name and bytes (each behind its length, u32 LE); or a byte 0 and why
-/// the photo cannot be decoded.
+/// Measures a decoded photo for each of the wanted tables, in their order: what [`marf_stage::Measure::measure`] of a filter
+/// returns for a row whose blob `image` decodes to this photo. Computes nothing that is not wanted.
 ///
 /// # Errors
-/// A row without image, or a blob that cannot be read.
-pub(crate) fn survey(sections: &[Option<Section>], ctx: &Ctx<'_>, row: &Row) -> Result<Vec<u8>, StageError> {
+/// A table of no filter, or a store that cannot be written.
+pub fn measure_photo(ctx: &Ctx<'_>, photo: &Photo, wanted: &[Table]) -> Result<Vec<Vec<u8>>, StageError> {
+    if photo.image.pixels.is_empty() {
+        return Ok(refused("the image has no pixels", wanted));
+    }
+    let decoded = DecodedPhoto::of(photo);
+    let measure = |table: &Table| {
+        let mut bytes = vec![MEASURED];
+        bytes.extend((section_of(table)?.measure)(ctx, &decoded)?);
+        Ok(bytes)
+    };
+    wanted.iter().map(measure).collect()
+}
+
+/// Decodes the photo of a row once and measures it for each of the wanted tables.
+///
+/// # Errors
+/// A row without image, a blob that cannot be read or written, or a table of no filter.
+pub(crate) fn measure_row(ctx: &Ctx<'_>, row: &Row, wanted: &[Table]) -> Result<Vec<Vec<u8>>, StageError> {
+    if wanted.is_empty() {
+        return Ok(Vec::new());
+    }
     let digest = row.blobs.get("image");
     let digest = digest.ok_or_else(|| StageError::new(format!("photo `{}` has no blob `image`", row.id)))?;
-    let refused = |reason: String| Ok([&[0][..], reason.as_bytes()].concat());
-    let photo = match Photo::decode_validated(&ctx.get(digest)?) {
-        Ok(photo) if photo.image.pixels.is_empty() => return refused("the image has no pixels".to_owned()),
-        Ok(photo) => photo,
-        Err(error) => return refused(error.to_string()),
-    };
-    let decoded = DecodedPhoto::of(photo);
-    let mut bytes = vec![1];
-    for section in sections.iter().flatten() {
-        let measure = (section.measure)(&decoded).map_err(|error| {
-            let what = format!("measure `{}` of `{}` cannot be written", section.name, row.id);
-            StageError::new(what).cause(error.to_string())
-        })?;
-        put(&mut bytes, section.name.as_bytes());
-        put(&mut bytes, &measure);
+    match Photo::decode_validated(&ctx.get(digest)?) {
+        Ok(photo) => measure_photo(ctx, &photo, wanted),
+        Err(error) => Ok(refused(&error.to_string(), wanted)),
     }
-    Ok(bytes)
 }
 
-/// Appends a part behind its length.
-fn put(bytes: &mut Vec<u8>, part: &[u8]) {
-    bytes.extend((part.len() as u32).to_le_bytes());
-    bytes.extend(part);
+/// Returns the section that fills a table.
+fn section_of(table: &Table) -> Result<&'static Section, StageError> {
+    let mut sections = SECTIONS.iter().flatten();
+    sections.find(|section| section.table == *table).ok_or_else(|| {
+        StageError::new(format!(
+            "no filter fills version {} of table `{}`",
+            table.version, table.name
+        ))
+    })
 }
 
-/// Returns the part of a survey that belongs to a filter, or why the photo could not be decoded.
+/// Returns the measures of a photo that cannot be decoded.
+fn refused(reason: &str, wanted: &[Table]) -> Vec<Vec<u8>> {
+    vec![[&[REFUSED], reason.as_bytes()].concat(); wanted.len()]
+}
+
+/// Returns what a filter measured of a photo, or why the photo could not be decoded.
 ///
 /// # Errors
-/// Bytes that are no survey, or one without this filter.
-pub(crate) fn part<'a>(
-    survey: &'a [u8],
-    name: &str,
-    row: &Row,
-) -> Result<Result<&'a [u8], String>, StageError> {
-    let found = match survey.split_first() {
-        Some((0, reason)) => return Ok(Err(String::from_utf8_lossy(reason).into_owned())),
-        Some((1, mut rest)) => std::iter::from_fn(|| Some((take(&mut rest)?, take(&mut rest)?)))
-            .find(|(of, _)| *of == name.as_bytes())
-            .map(|(_, part)| part),
-        _ => None,
-    };
-    found
-        .map(Ok)
-        .ok_or_else(|| unreadable(row, "it has no such part"))
-}
-
-/// Removes a part, and its length before it, from the front of `bytes`; `None` if they are too short.
-fn take<'a>(bytes: &mut &'a [u8]) -> Option<&'a [u8]> {
-    let (length, rest) = bytes.split_first_chunk::<4>()?;
-    let (part, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
-    *bytes = rest;
-    Some(part)
+/// Bytes that are no measure.
+pub(crate) fn measured<'a>(measure: &'a [u8], row: &Row) -> Result<Result<&'a [u8], String>, StageError> {
+    match measure.split_first() {
+        Some((&REFUSED, reason)) => Ok(Err(String::from_utf8_lossy(reason).into_owned())),
+        Some((&MEASURED, part)) => Ok(Ok(part)),
+        _ => Err(unreadable(row, "its first byte is neither 0 nor 1")),
+    }
 }
 
 /// Returns the error of a kept measure that is not what was written.
@@ -119,12 +108,10 @@ pub(crate) fn damaged(message: String) -> StageError {
 
 #[cfg(test)]
 mod tests {
-    use marf_cache::{Digest, digest_of};
-    use marf_stage::{ParamError, define};
+    use marf_stage::harness::Harness;
 
     use super::*;
-    use crate::guard::Guard;
-    use crate::{ByHand, Decision, Filter, FilterStage, MeasuredPhoto};
+    use crate::common::{ground, png};
 
     fn row() -> Row {
         Row {
@@ -134,68 +121,58 @@ mod tests {
         }
     }
 
-    /// A filter without a rule, with a version of its measure and one of its decision.
-    struct Versioned<const MEASURE: u32, const DECISION: u32>;
-
-    impl<const MEASURE: u32, const DECISION: u32> Filter for Versioned<MEASURE, DECISION> {
-        const NAME: &'static str = "versioned";
-        const ABOUT: &'static str = "keeps every photo";
-        const MEASURE_VERSION: u32 = MEASURE;
-        const DECISION_VERSION: u32 = DECISION;
-        const GUARD: Guard = Guard::NONE;
-        type Params = ByHand;
-        type Measure = u32;
-        const MEASURE: Option<fn(&DecodedPhoto) -> u32> = Some(|_| 0);
-
-        fn check(_: &ByHand) -> Result<(), ParamError> {
-            Ok(())
-        }
-
-        fn by_hand(params: &ByHand) -> &ByHand {
-            params
-        }
-
-        fn decide(_: &ByHand, photos: &[MeasuredPhoto<u32>]) -> Vec<Decision> {
-            vec![Decision::pass(""); photos.len()]
-        }
-    }
-
-    /// Returns the version in the key of a node of the filter, and the digest in the key of its kept measures.
-    fn keys<F: Filter>() -> (u32, Digest) {
-        let sections = vec![<FilterStage<F> as Surveyed>::SECTION].leak();
-        (
-            define::<FilterStage<F>>().version,
-            digest_of(&SectionVersions(sections)),
-        )
-    }
-
     #[test]
-    fn a_new_decision_keeps_the_measures_and_a_new_measure_renews_both() {
-        let (node, measures) = keys::<Versioned<1, 1>>();
-        let (decided_anew, kept) = keys::<Versioned<1, 2>>();
-        assert!(decided_anew != node && kept == measures);
-        let (measured_anew, renewed) = keys::<Versioned<2, 1>>();
-        assert!(measured_anew != node && renewed != measures);
-    }
-
-    #[test]
-    fn each_filter_finds_its_own_part_and_a_damaged_survey_is_an_error() {
-        let mut bytes = vec![1];
-        for (name, measure) in [("blur", &b"sharp"[..]), ("histogram", b"")] {
-            put(&mut bytes, name.as_bytes());
-            put(&mut bytes, measure);
-        }
-        assert_eq!(part(&bytes, "blur", &row()).unwrap(), Ok(&b"sharp"[..]));
-        assert_eq!(part(&bytes, "histogram", &row()).unwrap(), Ok(&b""[..]));
-        assert_eq!(part(b"\0cut", "blur", &row()).unwrap(), Err("cut".to_owned()));
-        for (damaged, name) in [
-            (&bytes[..], "shape"),
-            (&bytes[..7], "blur"),
-            (b"", "blur"),
-            (b"{}", "blur"),
-        ] {
-            let error = part(damaged, name, &row()).unwrap_err().to_string();
+    fn a_measure_or_the_reason_comes_back_and_damage_is_an_error() {
+        assert_eq!(measured(b"\x01sharp", &row()).unwrap(), Ok(&b"sharp"[..]));
+        assert_eq!(measured(b"\x01", &row()).unwrap(), Ok(&b""[..]));
+        assert_eq!(measured(b"\0cut", &row()).unwrap(), Err("cut".to_owned()));
+        for damaged in [&b""[..], b"{}", b"\x07"] {
+            let error = measured(damaged, &row()).unwrap_err().to_string();
             assert!(error.contains("`a`"), "{error}");
+        }
+    }
+
+    /// A survey in one go is what each table gets alone, in the order asked for.
+    #[test]
+    fn tables_are_filled_together_or_one_by_one() {
+        let harness = Harness::default();
+        let photo = Photo::decode(&png(&ground(3))).unwrap();
+        let mut wanted = tables();
+        wanted.reverse();
+        let together = measure_photo(&harness.ctx(), &photo, &wanted).unwrap();
+        for (table, measure) in wanted.iter().zip(together) {
+            let alone = measure_photo(&harness.ctx(), &photo, &[*table]).unwrap();
+            assert_eq!(alone, [measure], "{}", table.name);
+        }
+        assert!(measure_photo(&harness.ctx(), &photo, &[]).unwrap().is_empty());
+    }
+
+    /// A corrected measure asks for its table alone: nothing is read of a row that lacks none, and an older version of a
+    /// table is filled by nobody.
+    #[test]
+    fn a_table_of_another_version_is_refused_by_name() {
+        let harness = Harness::default();
+        let mut old = tables()[0];
+        old.version += 1;
+        let photo = Photo::decode(&png(&ground(3))).unwrap();
+        let error = measure_photo(&harness.ctx(), &photo, &[old])
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains(old.name), "{error}");
+        assert!(measure_row(&harness.ctx(), &row(), &[]).unwrap().is_empty());
+    }
+
+    #[test]
+    fn a_picture_without_pixels_has_the_reason_as_its_measure() {
+        let harness = Harness::default();
+        let photo = Photo {
+            image: marf_scene::Image::from_fn(0, 4, |_, _| [0; 3]),
+            bands: 3,
+            notes: Vec::new(),
+        };
+        for measure in measure_photo(&harness.ctx(), &photo, &tables()).unwrap() {
+            let reason = measured(&measure, &row()).unwrap().unwrap_err();
+            assert_eq!(reason, "the image has no pixels");
         }
     }
 }

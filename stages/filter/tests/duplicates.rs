@@ -4,15 +4,16 @@
 mod common;
 
 use common::{
-    Photos, bind, by_id, defaults, dynamic, ground, item, jpeg, measure_of, narrow, png, recoloured,
-    with_orientation,
+    Photos, bind, by_id, defaults, dynamic, ground, item, jpeg, measure_of, narrow, pixel_filters, png,
+    recoloured, with_orientation,
 };
 use image::imageops::{self, FilterType};
 use marf_scene::{Image, Srgb};
-use marf_stage::Work;
+use marf_stage::{StageError, Work};
 use serde_json::json;
 
-/// Judges sols one after the other; returns the verdicts and the states between.
+/// Judges sols one after the other; returns the verdicts and what each sol added. The photos are all in the store of the
+/// first.
 fn fold(
     sols: &[&Photos],
 ) -> (
@@ -23,18 +24,41 @@ fn fold(
     let Work::Fold(duplicate) = stage.work() else {
         panic!("duplicate is a fold");
     };
-    let (mut verdicts, mut states) = (Vec::new(), Vec::<Vec<u8>>::new());
+    let harness = &sols[0].harness;
+    let (mut state, mut verdicts, mut states) = (duplicate.begin(), Vec::new(), Vec::<Vec<u8>>::new());
     for (sol, photos) in (1..).zip(sols) {
         let measures = photos.measures(&*stage);
+        for digest in measures
+            .iter()
+            .flat_map(|measure| measure_of(&*stage).blobs(measure))
+        {
+            harness.put(&photos.harness.get(&digest).unwrap());
+        }
         let items: Vec<_> = photos
             .rows
             .iter()
             .zip(&measures)
             .map(|(row, measure)| item(sol, row, measure))
             .collect();
-        let (state, judged) = duplicate.fold(states.last().map(Vec::as_slice), &items).unwrap();
+        let (added, judged) = state.fold(&harness.ctx(), &items).unwrap();
+        let mut resumed = duplicate.begin();
+        for added in &states {
+            resumed.replay(&harness.ctx(), added).unwrap();
+        }
+        let again = resumed.fold(&harness.ctx(), &items).unwrap();
+        assert_eq!(
+            (&added, &judged),
+            (&again.0, &again.1),
+            "a state that was replayed is the same"
+        );
+        for digest in state.blobs(&added) {
+            assert!(
+                harness.get(&digest).is_some(),
+                "what was added names a blob that is not stored"
+            );
+        }
         verdicts.push(by_id(judged));
-        states.push(state);
+        states.push(added);
     }
     (verdicts, states)
 }
@@ -158,10 +182,7 @@ fn a_photo_of_a_later_sol_gives_way_to_one_of_an_earlier_sol() {
     assert!(verdicts[1]["new"].keeps());
     assert_eq!(verdicts[2]["b"].twin.as_deref(), Some("z"));
     assert_eq!(verdicts[2]["c"].twin.as_deref(), Some("new"));
-    assert_eq!(
-        states[1], states[2],
-        "a sol that keeps nothing leaves the state as it is"
-    );
+    assert!(states[2].is_empty(), "a sol that keeps nothing adds nothing");
 }
 
 #[test]
@@ -173,10 +194,12 @@ fn a_state_cut_short_is_refused() {
     let Work::Fold(duplicate) = stage.work() else {
         panic!("duplicate is a fold");
     };
-    let error = duplicate
-        .fold(Some(&states[0][..states[0].len() - 1]), &[])
-        .unwrap_err();
-    assert_eq!(error.to_string(), "state cannot be read after 0 photos");
+    let cut = &states[0][..states[0].len() - 1];
+    let error = duplicate.begin().replay(&photos.harness.ctx(), cut).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "photos kept of a sol cannot be read after 0 photos"
+    );
 }
 
 #[test]
@@ -201,15 +224,73 @@ fn the_papers_rule_asks_the_hash_alone() {
     );
 }
 
+/// The images that are compared are a blob of their own, which the measure names.
 #[test]
-fn a_survey_stays_below_16_kilobytes() {
+fn a_measure_stays_below_a_kilobyte() {
     let mut photos = Photos::default();
     photos.add("a", &png(&ground(60)));
+    for name in pixel_filters() {
+        let stage = bind(name, defaults());
+        let bytes = &photos.measures(&*stage)[0];
+        assert!(bytes.len() < 1000, "{name}: {} bytes", bytes.len());
+        let blobs = measure_of(&*stage).blobs(bytes);
+        assert_eq!(blobs.len(), usize::from(name == "duplicate"), "{name}");
+        assert!(blobs.iter().all(|digest| photos.harness.get(digest).is_some()));
+        assert!(measure_of(&*stage).blobs(b"\0cut").is_empty());
+    }
+}
+
+/// Planes that were lost are told by their digest, so that the photo is measured again.
+#[test]
+fn lost_planes_are_named() {
+    let mut photos = Photos::default();
+    photos
+        .add("a", &png(&ground(61)))
+        .add("b", &jpeg(&dynamic(&ground(61)), 80));
     let stage = bind("duplicate", defaults());
-    let bytes = measure_of(&*stage)
-        .measure(&photos.harness.ctx(), &photos.rows[0])
-        .unwrap();
-    assert!(bytes.len() < 16_000, "{} bytes", bytes.len());
+    let measures = photos.measures(&*stage);
+    let lost = measure_of(&*stage).blobs(&measures[1])[0];
+    photos.harness.forget(&lost);
+    let items: Vec<_> = photos
+        .rows
+        .iter()
+        .zip(&measures)
+        .map(|(row, measure)| item(0, row, measure))
+        .collect();
+    let error = photos.try_decide(&*stage, &items).unwrap_err();
+    let StageError::Blob(error) = error else {
+        panic!("{error}");
+    };
+    assert_eq!(error.lost, Some(lost));
+}
+
+/// Of different places no planes are read, since no hash is near.
+#[test]
+fn only_the_planes_of_candidates_are_read() {
+    let mut photos = Photos::default();
+    for seed in 200..206 {
+        photos.add(&format!("place-{seed}"), &png(&ground(seed)));
+    }
+    photos.add("copy", &jpeg(&dynamic(&ground(203)), 70));
+    let stage = bind("duplicate", json!({"candidate_bits": 6}));
+    let measures = photos.measures(&*stage);
+    let items: Vec<_> = photos
+        .rows
+        .iter()
+        .zip(&measures)
+        .map(|(row, measure)| item(0, row, measure))
+        .collect();
+    let verdicts = by_id(photos.decide(&*stage, &items));
+    assert_eq!(verdicts.values().filter(|verdict| !verdict.keeps()).count(), 1);
+    for (row, measure) in photos.rows.iter().zip(&measures) {
+        let reads = photos.harness.reads(&measure_of(&*stage).blobs(measure)[0]);
+        assert_eq!(
+            reads,
+            u64::from(["place-203", "copy"].contains(&row.id.as_str())),
+            "{}",
+            row.id
+        );
+    }
 }
 
 /// Names of one exposure and of one pointing through filters, as Mastcam-Z has them.

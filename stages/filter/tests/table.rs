@@ -4,13 +4,13 @@
 mod common;
 
 use common::{
-    Photos, bind, by_id, decide, defaults, dynamic, encoded, ground, item, jpeg, measure_of, mixed,
-    pixel_filters, png, try_decide, with_orientation,
+    Photos, bind, by_id, defaults, dynamic, encoded, ground, item, jpeg, measure_of, mixed, pixel_filters,
+    png, with_orientation,
 };
 use image::{DynamicImage, ImageFormat};
-use marf_cache::digest_of;
-use marf_filter::STAGES;
+use marf_filter::{STAGES, tables};
 use marf_scene::{Image, Srgb};
+use marf_stage::{Scope, Work};
 use proptest::prelude::*;
 use serde_json::json;
 
@@ -111,34 +111,94 @@ fn bytes_that_are_no_photo_are_a_verdict_with_the_reason() {
 #[test]
 fn a_set_of_no_photos_has_no_verdicts() {
     for stage in STAGES {
-        assert_eq!(decide(&*bind(stage.name, defaults()), &[]), [], "{}", stage.name);
+        let decided = Photos::default().decide(&*bind(stage.name, defaults()), &[]);
+        assert_eq!(decided, [], "{}", stage.name);
     }
 }
 
-/// One decode serves all filters: their measures are the same bytes under the same key.
+/// One decode serves all filters: any of them fills the tables of all, and each table is the filter's own.
 #[test]
-fn filters_that_measure_pixels_share_one_survey() {
-    let photos = mixed();
-    let names = pixel_filters();
-    let first_stage = bind(names[0], defaults());
-    let first = measure_of(&*first_stage);
-    for name in &names[1..] {
+fn a_filter_that_measures_pixels_fills_the_tables_of_all_from_one_decode() {
+    let photos = odd_photos();
+    let image = |row: &marf_cache::manifest::Row| row.blobs["image"];
+    let alone: Vec<Vec<Vec<u8>>> = pixel_filters()
+        .iter()
+        .map(|name| photos.measures(&*bind(name, defaults())))
+        .collect();
+    for name in pixel_filters() {
         let stage = bind(name, defaults());
-        let other = measure_of(&*stage);
-        assert_eq!(first.shared(), other.shared());
-        assert_eq!(
-            digest_of(first.measure_params()),
-            digest_of(other.measure_params())
-        );
-        assert_eq!(photos.measures(&*first_stage), photos.measures(&*stage));
+        let measure = measure_of(&*stage);
+        assert_eq!(measure.table().unwrap().name, name);
+        assert_eq!(measure.together(), tables());
+        for (at, row) in photos.rows.iter().enumerate() {
+            let before = photos.harness.reads(&image(row));
+            let together = measure.measure(&photos.harness.ctx(), row, &tables()).unwrap();
+            assert_eq!(
+                photos.harness.reads(&image(row)),
+                before + 1,
+                "{name} of {}",
+                row.id
+            );
+            let expected: Vec<_> = alone.iter().map(|measures| measures[at].clone()).collect();
+            assert_eq!(together, expected, "{name} of {}", row.id);
+        }
     }
     for name in ["size", "shape"] {
         let stage = bind(name, defaults());
-        assert_eq!(measure_of(&*stage).shared(), None);
+        assert_eq!(measure_of(&*stage).table(), None);
         assert!(
-            photos.measures(&*stage).iter().all(Vec::is_empty),
+            measure_of(&*stage).together().is_empty(),
             "{name} needs the facts alone"
         );
+    }
+}
+
+#[test]
+fn a_decision_looks_at_the_set_only_where_its_rule_does() {
+    for (name, params, scope) in [
+        ("size", defaults(), Scope::Item),
+        ("shape", defaults(), Scope::Set),
+        ("shape", json!({"min_share": 0.0}), Scope::Item),
+        ("grayscale", defaults(), Scope::Item),
+        ("histogram", defaults(), Scope::Set),
+        ("histogram", json!({"rule": "paper"}), Scope::Set),
+        ("blur", defaults(), Scope::Set),
+        ("blur", json!({"rule": "laplacian"}), Scope::Item),
+    ] {
+        let stage = bind(name, params.clone());
+        let Work::Map(map) = stage.work() else {
+            panic!("{name} is a map");
+        };
+        assert_eq!(map.scope(), scope, "{name} {params}");
+    }
+}
+
+/// What makes a scope of one item right: each photo alone has the verdict that it has among the others.
+#[test]
+fn a_decision_on_one_photo_is_that_among_others_where_the_scope_is_the_photo() {
+    let photos = mixed();
+    for (name, params) in [
+        ("size", defaults()),
+        (
+            "shape",
+            json!({"min_share": 0.0, "common_share": 0.5, "min_set": 2}),
+        ),
+        ("grayscale", defaults()),
+        ("blur", json!({"rule": "laplacian"})),
+    ] {
+        let stage = bind(name, params);
+        let measures = photos.measures(&*stage);
+        let items: Vec<_> = photos
+            .rows
+            .iter()
+            .zip(&measures)
+            .map(|(row, measure)| item(0, row, measure))
+            .collect();
+        let alone: Vec<_> = items
+            .iter()
+            .flat_map(|item| photos.decide(&*stage, &[*item]))
+            .collect();
+        assert_eq!(alone, photos.decide(&*stage, &items), "{name}");
     }
 }
 
@@ -150,7 +210,7 @@ fn measures_are_the_same_from_any_thread() {
     let alone = photos.measures(&*stage);
     let together: Vec<Vec<Vec<u8>>> = std::thread::scope(|scope| {
         let threads: Vec<_> = (0..4)
-            .map(|_| scope.spawn(|| photos.measures(&*bind("duplicate", defaults()))))
+            .map(|_| scope.spawn(|| photos.measures(&*bind("blur", defaults()))))
             .collect();
         threads.into_iter().map(|thread| thread.join().unwrap()).collect()
     });
@@ -187,7 +247,7 @@ fn a_row_without_image_stops_the_filters_that_measure_pixels() {
     for stage in pixel_filters() {
         let stage = bind(stage, defaults());
         let error = measure_of(&*stage)
-            .measure(&photos.harness.ctx(), &photos.rows[0])
+            .measure(&photos.harness.ctx(), &photos.rows[0], &tables())
             .unwrap_err();
         assert_eq!(error.to_string(), "photo `bare` has no blob `image`");
     }
@@ -199,9 +259,9 @@ fn a_measure_that_was_damaged_is_an_error_that_names_the_photo() {
     photos.add("place", &png(&ground(0)));
     for stage in STAGES {
         let bound = bind(stage.name, defaults());
-        for damaged in [&b"{"[..], b"\x01short", b"\x07"] {
+        for damaged in [&b"{"[..], b"\x01\xff", b"\x07"] {
             let items = [item(0, &photos.rows[0], damaged)];
-            let error = try_decide(&*bound, &items).unwrap_err();
+            let error = photos.try_decide(&*bound, &items).unwrap_err();
             assert!(error.to_string().contains("`place`"), "{}: {error}", stage.name);
         }
     }
@@ -219,9 +279,8 @@ fn thresholds_are_in_the_params_but_not_in_what_a_measure_depends_on() {
     ];
     for (name, params) in changed {
         let (usual, other) = (bind(name, defaults()), bind(name, params));
-        assert_ne!(digest_of(usual.params()), digest_of(other.params()), "{name}");
-        let depends = |stage: &dyn marf_stage::Stage| digest_of(measure_of(stage).measure_params());
-        assert_eq!(depends(&*usual), depends(&*other), "{name}");
+        assert_ne!(usual.params(), other.params(), "{name}");
+        assert_eq!(measure_of(&*usual).table(), measure_of(&*other).table(), "{name}");
     }
 }
 
@@ -259,7 +318,7 @@ proptest! {
                 let bound = bind(stage.name, defaults());
                 let ask = |order: &[usize]| {
                     let items: Vec<_> = order.iter().map(|at| item(0, &photos.rows[*at], &measures[*at])).collect();
-                    by_id(decide(&*bound, &items))
+                    by_id(photos.decide(&*bound, &items))
                 };
                 let sorted: Vec<usize> = (0..photos.rows.len()).collect();
                 prop_assert_eq!(ask(&sorted), ask(&order), "{}", stage.name);

@@ -55,13 +55,14 @@ impl Photos {
         self
     }
 
-    /// Returns the measures of all photos.
+    /// Returns the measures of all photos for the table of a filter; empty ones without a table.
     pub fn measures(&self, stage: &dyn Stage) -> Vec<Vec<u8>> {
         let measure = measure_of(stage);
-        self.rows
-            .iter()
-            .map(|row| measure.measure(&self.harness.ctx(), row).unwrap())
-            .collect()
+        let Some(table) = measure.table() else {
+            return vec![Vec::new(); self.rows.len()];
+        };
+        let measured = |row| measure.measure(&self.harness.ctx(), row, &[table]).unwrap();
+        self.rows.iter().flat_map(measured).collect()
     }
 
     /// Runs one filter over all photos as one sol, and returns the verdicts by photo.
@@ -71,7 +72,23 @@ impl Photos {
         let items: Vec<_> = (0..self.rows.len())
             .map(|at| item(0, &self.rows[at], &measures[at]))
             .collect();
-        by_id(decide(&*stage, &items))
+        by_id(self.decide(&*stage, &items))
+    }
+}
+
+impl Photos {
+    /// Returns the verdicts of a filter on one sol, or its error.
+    pub fn try_decide(&self, stage: &dyn Stage, items: &[Measured<'_>]) -> Result<Vec<Verdict>, StageError> {
+        match stage.work() {
+            Work::Map(map) => map.decide(items),
+            Work::Fold(fold) => Ok(fold.begin().fold(&self.harness.ctx(), items)?.1),
+            _ => panic!("a filter is a map or a fold"),
+        }
+    }
+
+    /// Returns the verdicts of a filter on one sol.
+    pub fn decide(&self, stage: &dyn Stage, items: &[Measured<'_>]) -> Vec<Verdict> {
+        self.try_decide(stage, items).unwrap()
     }
 }
 
@@ -97,7 +114,7 @@ pub fn stage(name: &str) -> &'static StageDef {
 pub fn pixel_filters() -> Vec<&'static str> {
     let names = STAGES.iter().map(|stage| stage.name);
     names
-        .filter(|name| measure_of(&*bind(name, defaults())).shared().is_some())
+        .filter(|name| measure_of(&*bind(name, defaults())).table().is_some())
         .collect()
 }
 
@@ -113,20 +130,6 @@ pub fn measure_of(stage: &dyn Stage) -> &dyn Measure {
         Work::Fold(fold) => fold,
         _ => panic!("a filter is a map or a fold"),
     }
-}
-
-/// Returns the verdicts of a filter on one sol, or its error.
-pub fn try_decide(stage: &dyn Stage, items: &[Measured<'_>]) -> Result<Vec<Verdict>, StageError> {
-    match stage.work() {
-        Work::Map(map) => map.decide(items),
-        Work::Fold(fold) => Ok(fold.fold(None, items)?.1),
-        _ => panic!("a filter is a map or a fold"),
-    }
-}
-
-/// Returns the verdicts of a filter on one sol.
-pub fn decide(stage: &dyn Stage, items: &[Measured<'_>]) -> Vec<Verdict> {
-    try_decide(stage, items).unwrap()
 }
 
 /// Returns six places, each once, and flawed photos and copies.

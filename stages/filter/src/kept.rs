@@ -1,0 +1,371 @@
+//! The photos that `duplicate` has kept of earlier sols, as each sol added them.
+//!
+//! What a sol adds is kept in two parts. [`Added`] holds what its photos are found by, and is read whole by every later run;
+//! a blob that it names holds what a photo is compared by, and is read when one of its photos is a candidate.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use marf_cache::Digest;
+use marf_stage::{Ctx, StageError};
+
+use crate::bytes::{put_number, put_part, put_text, take, take_number, take_part, take_text};
+use crate::candidates::PhotoKeys;
+use crate::descriptor::{PixelSize, put_hashes, take_hashes};
+use crate::relation::{RelationKeys, Relative};
+use crate::similarity::Planes;
+use crate::survey::damaged;
+
+/// What a kept photo is compared by.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct KeptPhoto<'a> {
+    pub(crate) id: &'a str,
+    pub(crate) instrument: Option<&'a str>,
+    pub(crate) filter: Option<&'a str>,
+    pub(crate) sol: Option<u32>,
+    pub(crate) size: PixelSize,
+    /// Perceptual hashes, that of the brightness first.
+    pub(crate) hashes: Vec<u64>,
+    /// Digest of the gradient planes.
+    pub(crate) planes: Digest,
+}
+
+impl<'a> KeptPhoto<'a> {
+    /// Returns what relates it to photos of later sols.
+    pub(crate) fn relative(&self) -> Relative<'a> {
+        Relative {
+            id: self.id,
+            instrument: self.instrument,
+            filter: self.filter,
+            sol: self.sol,
+            row: None,
+        }
+    }
+
+    fn put(&self, bytes: &mut Vec<u8>) {
+        put_part(bytes, self.id.as_bytes());
+        put_text(bytes, self.instrument);
+        put_text(bytes, self.filter);
+        put_number(bytes, self.sol.map_or(0, |sol| u64::from(sol) + 1));
+        self.size.put(bytes);
+        put_hashes(bytes, &self.hashes);
+        bytes.extend(self.planes.as_bytes());
+    }
+
+    fn take(bytes: &mut &'a [u8]) -> Option<Self> {
+        Some(Self {
+            id: std::str::from_utf8(take_part(bytes)?).ok()?,
+            instrument: take_text(bytes)?,
+            filter: take_text(bytes)?,
+            sol: match take_number(bytes)? {
+                0 => None,
+                sol => Some(u32::try_from(sol - 1).ok()?),
+            },
+            size: PixelSize::take(bytes)?,
+            hashes: take_hashes(bytes)?,
+            planes: Digest::from_bytes(take(bytes)?),
+        })
+    }
+}
+
+/// What the photos that a sol added are found by: 45 bytes a photo of one hash, 57 with a name of Mars 2020.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Added {
+    /// Names the blob with what each photo is compared by.
+    pub(crate) photos: Digest,
+    /// Of each photo, in the same order, its keys and the digest of its planes.
+    pub(crate) keys: Vec<(PhotoKeys, Digest)>,
+}
+
+impl Added {
+    /// Stores what photos are compared by, and returns what is added; no bytes for no photos.
+    ///
+    /// # Errors
+    /// A store that cannot be written.
+    pub(crate) fn write(ctx: &Ctx<'_>, photos: &[(KeptPhoto<'_>, PhotoKeys)]) -> Result<Vec<u8>, StageError> {
+        if photos.is_empty() {
+            return Ok(Vec::new());
+        }
+        let mut compared = Vec::new();
+        for (photo, _) in photos {
+            let mut bytes = Vec::new();
+            photo.put(&mut bytes);
+            put_part(&mut compared, &bytes);
+        }
+        let mut bytes = ctx.put(&compared)?.as_bytes().to_vec();
+        for (photo, keys) in photos {
+            put_keys(&mut bytes, keys);
+            bytes.extend(photo.planes.as_bytes());
+        }
+        Ok(bytes)
+    }
+
+    /// Reads what [`Added::write`] returned; nothing if no photos were added.
+    ///
+    /// # Errors
+    /// Bytes that are not that.
+    pub(crate) fn read(mut bytes: &[u8]) -> Result<Option<Self>, StageError> {
+        let Some(photos) = take(&mut bytes) else {
+            return if bytes.is_empty() {
+                Ok(None)
+            } else {
+                Err(unreadable(0))
+            };
+        };
+        let mut keys = Vec::new();
+        while !bytes.is_empty() {
+            let read = take_keys(&mut bytes).zip(take(&mut bytes).map(Digest::from_bytes));
+            keys.push(read.ok_or_else(|| unreadable(keys.len()))?);
+        }
+        Ok(Some(Self {
+            photos: Digest::from_bytes(photos),
+            keys,
+        }))
+    }
+}
+
+fn unreadable(after: usize) -> StageError {
+    damaged(format!(
+        "photos kept of a sol cannot be read after {after} photos"
+    ))
+}
+
+fn put_keys(bytes: &mut Vec<u8>, keys: &PhotoKeys) {
+    let RelationKeys { exposure, camera } = keys.relation;
+    bytes.push(u8::from(exposure.is_some()) | u8::from(camera.is_some()) << 1);
+    let numbers = [exposure, camera.map(|pair| pair.0), camera.map(|pair| pair.1)];
+    numbers
+        .into_iter()
+        .flatten()
+        .for_each(|key| bytes.extend(key.to_le_bytes()));
+    put_number(bytes, u64::from(keys.size.width));
+    put_number(bytes, u64::from(keys.size.height));
+    put_hashes(bytes, &keys.hashes);
+}
+
+fn take_keys(bytes: &mut &[u8]) -> Option<PhotoKeys> {
+    let [flags] = take(bytes)?;
+    if flags > 3 {
+        return None;
+    }
+    let mut key = |flag: u8| match flags & flag {
+        0 => Some(None),
+        _ => Some(Some(u32::from_le_bytes(take(bytes)?))),
+    };
+    let (exposure, camera, filter) = (key(1)?, key(2)?, key(2)?);
+    let mut side = || u32::try_from(take_number(bytes)?).ok();
+    Some(PhotoKeys {
+        relation: RelationKeys {
+            exposure,
+            camera: camera.zip(filter),
+        },
+        size: PixelSize {
+            width: side()?,
+            height: side()?,
+        },
+        hashes: take_hashes(bytes)?,
+    })
+}
+
+/// The photos of one sol as they are compared.
+pub(crate) struct SolPhotos {
+    bytes: Arc<[u8]>,
+    /// Where each photo begins.
+    starts: Vec<u32>,
+}
+
+impl SolPhotos {
+    fn read(bytes: Arc<[u8]>) -> Option<Self> {
+        let mut starts = Vec::new();
+        let mut rest = &*bytes;
+        while !rest.is_empty() {
+            take_part(&mut rest).map(|part| starts.push((bytes.len() - rest.len() - part.len()) as u32))?;
+        }
+        Some(Self { bytes, starts })
+    }
+
+    /// Returns the photo at a place in the sol.
+    pub(crate) fn photo(&self, at: usize) -> Result<KeptPhoto<'_>, StageError> {
+        let start = self.starts.get(at).map(|start| *start as usize);
+        let photo = start.and_then(|start| KeptPhoto::take(&mut &self.bytes[start..]));
+        photo.ok_or_else(|| unreadable(at))
+    }
+}
+
+/// Most bytes of photos of earlier sols that are held: those of a hundred sols of 1,000 photos.
+const SOLS_BYTES: usize = 16 << 20;
+/// Most bytes of planes that are held: those of 500 photos of three bands.
+const PLANES_BYTES: usize = 16 << 20;
+
+/// Reads what photos are compared by, and holds what was used last.
+pub(crate) struct Reader {
+    sols: Recent<Digest, SolPhotos>,
+    planes: Recent<Digest, Planes>,
+}
+
+impl Reader {
+    pub(crate) fn new() -> Self {
+        Self {
+            sols: Recent::new(SOLS_BYTES),
+            planes: Recent::new(PLANES_BYTES),
+        }
+    }
+
+    /// Reads the photos of one sol.
+    ///
+    /// # Errors
+    /// A blob that is lost or damaged.
+    pub(crate) fn sol(&mut self, ctx: &Ctx<'_>, digest: &Digest) -> Result<Arc<SolPhotos>, StageError> {
+        self.sols.get(*digest, || {
+            let bytes = ctx.get(digest)?;
+            let size = bytes.len();
+            let sol = SolPhotos::read(bytes).ok_or_else(|| unreadable(0))?;
+            let size = size + 4 * sol.starts.len();
+            Ok((sol, size))
+        })
+    }
+
+    /// Reads the gradient planes of a photo.
+    ///
+    /// # Errors
+    /// A blob that is lost or damaged.
+    pub(crate) fn planes(&mut self, ctx: &Ctx<'_>, digest: &Digest) -> Result<Arc<Planes>, StageError> {
+        self.planes.get(*digest, || {
+            let bytes = ctx.get(digest)?;
+            let planes = Planes::read(&bytes);
+            let planes = planes
+                .ok_or_else(|| damaged(format!("gradient planes {} cannot be read", digest.short())))?;
+            let size = planes.size_bytes();
+            Ok((planes, size))
+        })
+    }
+}
+
+/// Values by key, of which the ones used last are held.
+struct Recent<K, V> {
+    values: BTreeMap<K, (u64, Arc<V>, usize)>,
+    by_use: BTreeMap<u64, K>,
+    uses: u64,
+    bytes: usize,
+    most_bytes: usize,
+}
+
+impl<K: Ord + Copy, V> Recent<K, V> {
+    fn new(most_bytes: usize) -> Self {
+        Self {
+            values: BTreeMap::new(),
+            by_use: BTreeMap::new(),
+            uses: 0,
+            bytes: 0,
+            most_bytes,
+        }
+    }
+
+    /// Returns the value of a key, made with its size in bytes where it is not held.
+    fn get(
+        &mut self,
+        key: K,
+        make: impl FnOnce() -> Result<(V, usize), StageError>,
+    ) -> Result<Arc<V>, StageError> {
+        self.uses += 1;
+        if let Some((used, value, _)) = self.values.get_mut(&key) {
+            self.by_use.remove(used);
+            self.by_use.insert(self.uses, key);
+            *used = self.uses;
+            return Ok(Arc::clone(value));
+        }
+        let (value, size) = make()?;
+        let value = Arc::new(value);
+        self.bytes += size;
+        self.values.insert(key, (self.uses, Arc::clone(&value), size));
+        self.by_use.insert(self.uses, key);
+        while self.bytes > self.most_bytes && self.values.len() > 1 {
+            let Some((_, oldest)) = self.by_use.pop_first() else {
+                break;
+            };
+            self.bytes -= self.values.remove(&oldest).map_or(0, |(_, _, size)| size);
+        }
+        Ok(value)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use marf_stage::harness::Harness;
+
+    use super::*;
+
+    fn kept(id: &str) -> (KeptPhoto<'_>, PhotoKeys) {
+        let size = PixelSize {
+            width: 1648,
+            height: 1200,
+        };
+        let hashes = vec![7, u64::MAX];
+        let photo = KeptPhoto {
+            id,
+            instrument: Some("ZL"),
+            filter: None,
+            sol: Some(0),
+            size,
+            hashes: hashes.clone(),
+            planes: Digest::of(id.as_bytes()),
+        };
+        let relation = RelationKeys {
+            exposure: (id == "b").then_some(9),
+            camera: (id != "b").then_some((1, u32::MAX)),
+        };
+        let keys = PhotoKeys {
+            size,
+            hashes,
+            relation,
+        };
+        (photo, keys)
+    }
+
+    #[test]
+    fn what_a_sol_added_comes_back_and_damage_is_an_error() {
+        let harness = Harness::default();
+        let photos = [kept("a"), kept("b")];
+        let bytes = Added::write(&harness.ctx(), &photos).unwrap();
+        let added = Added::read(&bytes).unwrap().unwrap();
+        let sol = Reader::new().sol(&harness.ctx(), &added.photos).unwrap();
+        for (at, (photo, keys)) in photos.iter().enumerate() {
+            assert_eq!(&sol.photo(at).unwrap(), photo);
+            assert_eq!(&added.keys[at], &(keys.clone(), photo.planes));
+        }
+        assert!(sol.photo(2).is_err());
+        for (cut, after) in [(bytes.len() - 1, 1), (60, 0), (31, 0)] {
+            let error = Added::read(&bytes[..cut]).unwrap_err();
+            assert_eq!(
+                error.to_string(),
+                format!("photos kept of a sol cannot be read after {after} photos")
+            );
+        }
+    }
+
+    #[test]
+    fn no_photos_add_no_bytes() {
+        let harness = Harness::default();
+        assert!(Added::write(&harness.ctx(), &[]).unwrap().is_empty());
+        assert_eq!(Added::read(&[]).unwrap(), None);
+    }
+
+    #[test]
+    fn the_values_used_last_are_held() {
+        let mut recent = Recent::new(30);
+        let mut made = Vec::new();
+        for key in [1, 2, 3, 1, 4, 1, 2] {
+            let value = recent.get(key, || {
+                made.push(key);
+                Ok((key, 10))
+            });
+            assert_eq!(*value.unwrap(), key);
+        }
+        assert_eq!(
+            made,
+            [1, 2, 3, 4, 2],
+            "4 displaces 2, which was used before 3 and 1"
+        );
+        assert_eq!(recent.bytes, 30);
+    }
+}
