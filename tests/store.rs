@@ -87,7 +87,10 @@ fn files_of_outputs_that_nobody_touched_stay_and_those_that_somebody_did_come_ba
     std::fs::write(dir.path().join("out/calibrate/scene.json"), "mine").unwrap();
     marf(dir.path(), &["run"]).exits(0);
     assert_eq!(std::fs::read(&verdicts).unwrap(), before);
-    assert_ne!(std::fs::read(dir.path().join("out/calibrate/scene.json")).unwrap(), b"mine");
+    assert_ne!(
+        std::fs::read(dir.path().join("out/calibrate/scene.json")).unwrap(),
+        b"mine"
+    );
 }
 
 #[test]
@@ -117,14 +120,21 @@ fn what_no_kept_run_needs_is_collected_and_the_rest_is_whole() {
     assert!(told.stdout.starts_with("would remove 1 runs"), "{}", told.stdout);
     marf(dir.path(), &["cache", "pin", "paper", "1"]).exits(0);
     let told = marf(dir.path(), &[&gc[..], &["--dry-run"]].concat()).exits(0);
-    assert!(told.stdout.starts_with("would remove 0 runs, 0 records"), "{}", told.stdout);
+    assert!(
+        told.stdout.starts_with("would remove 0 runs, 0 records"),
+        "{}",
+        told.stdout
+    );
     marf(dir.path(), &["cache", "unpin", "paper"]).exits(0);
     marf(dir.path(), &gc).exits(0);
     marf(dir.path(), &["cache", "fsck", "--read-data"]).exits(0);
     let ran = marf(dir.path(), &["run", "--json"]).exits(0);
     assert_eq!(ran.nodes("finished"), Vec::<String>::new());
     let again = marf(dir.path(), &["run", "--json", "--set", "blur.min_share=0.9"]).exits(0);
-    assert!(again.nodes("finished").contains(&"blur".to_owned()), "it was collected");
+    assert!(
+        again.nodes("finished").contains(&"blur".to_owned()),
+        "it was collected"
+    );
 }
 
 #[test]
@@ -158,9 +168,17 @@ fn bad_words_for_cache_verbs_are_refused_with_what_to_write() {
         assert!(refused.stderr.contains(words), "{}", refused.stderr);
     }
     let refused = marf(dir.path(), &["cache", "pin", "x", "77"]).exits(1);
-    assert!(refused.stderr.contains("there is no run 77"), "{}", refused.stderr);
+    assert!(
+        refused.stderr.contains("there is no run 77"),
+        "{}",
+        refused.stderr
+    );
     let refused = marf(dir.path(), &["cache", "unpin", "x"]).exits(1);
-    assert!(refused.stderr.contains("there is no pin `x`"), "{}", refused.stderr);
+    assert!(
+        refused.stderr.contains("there is no pin `x`"),
+        "{}",
+        refused.stderr
+    );
 }
 
 /// The programme of faults, a few rounds of each; `marf bench faults` has many.
@@ -168,6 +186,10 @@ fn bad_words_for_cache_verbs_are_refused_with_what_to_write() {
 fn kills_stops_damage_and_full_disks_change_no_digest() {
     let dir = tempfile::tempdir().unwrap();
     let rounds = std::env::var("MARF_FAULT_ROUNDS").unwrap_or_else(|_| "4".to_owned());
-    let ran = marf(dir.path(), &["bench", "faults", "--rounds", &rounds, "--dir", "lab"]).exits(0);
+    let ran = marf(
+        dir.path(),
+        &["bench", "faults", "--rounds", &rounds, "--dir", "lab"],
+    )
+    .exits(0);
     assert_eq!(ran.events().len(), 7, "{}", ran.stdout);
 }

@@ -54,9 +54,15 @@ fn stat(global: &Global, store: &Store) -> Result<(), CliError> {
     for (key, value) in json.as_object().into_iter().flatten() {
         print_line(&format!("{:<16} {value}", key.replace('_', " ")));
     }
-    print_line(&format!("\n{:<16} {:>10} {:>10} {:>14}", "stage", "results", "outputs", "bytes"));
+    print_line(&format!(
+        "\n{:<16} {:>10} {:>10} {:>14}",
+        "stage", "results", "outputs", "bytes"
+    ));
     for (stage, of) in stages {
-        print_line(&format!("{stage:<16} {:>10} {:>10} {:>14}", of.records, of.outputs, of.bytes));
+        print_line(&format!(
+            "{stage:<16} {:>10} {:>10} {:>14}",
+            of.records, of.outputs, of.bytes
+        ));
     }
     Ok(())
 }
@@ -71,8 +77,11 @@ fn gc(global: &Global, store: &Store, args: &GcArgs) -> Result<(), CliError> {
     let pinned: BTreeSet<u64> = pins.values().copied().collect();
     let mut kept = marf_engine::kept_runs(store, args.keep_last, &pinned, warn)?;
     let folder = global.file.parent().unwrap_or(Path::new(""));
-    let locked = marf_stages::locked_products(&folder.join(LOCK_FILE)).map_err(|error| {
-        CliError::Failed(Diagnostic::new(error.to_string()).hint("mend the lock first: a collection must know what it pins"))
+    let locked = marf_stages::pinned_products(&folder.join(LOCK_FILE)).map_err(|error| {
+        CliError::Failed(
+            Diagnostic::new(error.to_string())
+                .hint("mend the lock first: a collection must know what it pins"),
+        )
     })?;
     kept.always.blobs.extend(locked);
     let plan = GcPlan {
@@ -148,7 +157,10 @@ fn fsck(global: &Global, store: &Store, args: &FsckArgs) -> Result<(), CliError>
         print_json(&report)?;
     } else {
         for fault in &report.faults {
-            let object = fault.object.map(|object| format!(" {}", object.short())).unwrap_or_default();
+            let object = fault
+                .object
+                .map(|object| format!(" {}", object.short()))
+                .unwrap_or_default();
             print_line(&format!("{}{object}: {}", fault.file.display(), fault.what));
             for (stage, key) in &fault.breaks {
                 print_line(&format!("  breaks a result of {stage} ({})", key.short()));
@@ -171,8 +183,9 @@ fn fsck(global: &Global, store: &Store, args: &FsckArgs) -> Result<(), CliError>
             Ok(())
         }
         (false, false) => Err(CliError::Failed(
-            Diagnostic::new(format!("the store has {} faults", report.faults.len()))
-                .hint("`marf cache fsck --repair` sets the damaged files aside; a run makes their results again"),
+            Diagnostic::new(format!("the store has {} faults", report.faults.len())).hint(
+                "`marf cache fsck --repair` sets the damaged files aside; a run makes their results again",
+            ),
         )),
     }
 }
@@ -187,7 +200,9 @@ fn pin(store: &Store, name: &str, run: Option<u64>) -> Result<(), CliError> {
                 Diagnostic::new(format!("there is no run {number}")).hint("`marf log` lists them"),
             ));
         }
-        None => *numbers.last().ok_or_else(|| CliError::failed("there is no run yet".to_owned()))?,
+        None => *numbers
+            .last()
+            .ok_or_else(|| CliError::failed("there is no run yet".to_owned()))?,
     };
     files::write(&pin_path(store, name)?, format!("{number}\n").as_bytes())?;
     print_line(&format!("pinned run {number} as `{name}`"));
@@ -224,17 +239,23 @@ fn pins(store: &Store) -> Result<BTreeMap<String, u64>, CliError> {
     let mut pins = BTreeMap::new();
     let entries = match std::fs::read_dir(&dir) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(pins),
-        entries => entries.map_err(|error| CliError::failed(format!("cannot read {}: {error}", dir.display())))?,
+        entries => {
+            entries.map_err(|error| CliError::failed(format!("cannot read {}: {error}", dir.display())))?
+        }
     };
     for entry in entries.filter_map(Result::ok) {
         let name = entry.file_name().to_string_lossy().into_owned();
         if name.starts_with('.') {
             continue;
         }
-        let number = std::fs::read_to_string(entry.path()).ok().and_then(|text| text.trim().parse().ok());
+        let number = std::fs::read_to_string(entry.path())
+            .ok()
+            .and_then(|text| text.trim().parse().ok());
         let number = number.ok_or_else(|| {
             let message = format!("the pin {} names no run", entry.path().display());
-            CliError::Failed(Diagnostic::new(message).hint(format!("write it again with `marf cache pin {name} RUN`")))
+            CliError::Failed(
+                Diagnostic::new(message).hint(format!("write it again with `marf cache pin {name} RUN`")),
+            )
         })?;
         pins.insert(name, number);
     }
@@ -262,7 +283,11 @@ fn migrate(global: &Global, dry_run: bool) -> Result<(), CliError> {
     if !migration.nodes.is_empty() {
         print_line("keys are computed in another way, so the next run makes these results again:");
         for node in &migration.nodes {
-            print_line(&format!("  {:<22} {:>12} last time", node.name, duration(node.seconds)));
+            print_line(&format!(
+                "  {:<22} {:>12} last time",
+                node.name,
+                duration(node.seconds)
+            ));
         }
     }
     Ok(())
@@ -290,7 +315,12 @@ mod tests {
 
     #[test]
     fn sizes_have_units_and_nonsense_is_refused() {
-        for (text, bytes) in [("0", 0), ("1500", 1500), ("2GB", 2_000_000_000), ("1.5 mb", 1_500_000)] {
+        for (text, bytes) in [
+            ("0", 0),
+            ("1500", 1500),
+            ("2GB", 2_000_000_000),
+            ("1.5 mb", 1_500_000),
+        ] {
             assert_eq!(bytes_of(text).unwrap(), bytes, "{text}");
         }
         for bad in ["", "GB", "-1", "nan", "2XB", "inf"] {

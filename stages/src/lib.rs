@@ -2,7 +2,7 @@
 
 use std::sync::LazyLock;
 
-pub use marf_extract::ArchiveDef;
+pub use marf_extract::{ArchiveDef, UnreadableLock, pinned_products};
 use marf_stage::{StageDef, define};
 
 /// Every stage, in the order in which a pipeline usually has them.

@@ -55,7 +55,10 @@ pub fn run(dir: &Path, arguments: &[&str]) -> Result<(Cost, Vec<Value>), CliErro
     });
     let mut lines = Vec::new();
     let mut peak_mb = 0;
-    for line in stdout.into_iter().flat_map(|stdout| BufReader::new(stdout).lines()) {
+    for line in stdout
+        .into_iter()
+        .flat_map(|stdout| BufReader::new(stdout).lines())
+    {
         lines.extend(serde_json::from_str(&line.map_err(io)?).ok());
         peak_mb = peak_mb.max(peak_of(child.id()));
     }
@@ -97,13 +100,17 @@ fn peak_of(pid: u32) -> u64 {
 /// Returns the bytes of all files below a folder.
 pub fn bytes_below(dir: &Path) -> u64 {
     let files = walkdir::WalkDir::new(dir).into_iter().filter_map(Result::ok);
-    let sizes = files.filter_map(|file| file.metadata().ok()).filter(|meta| meta.is_file());
+    let sizes = files
+        .filter_map(|file| file.metadata().ok())
+        .filter(|meta| meta.is_file());
     sizes.map(|meta| meta.len()).sum()
 }
 
 /// Returns a random number of a pair (SplitMix64, Steele et al. 2014).
 pub fn random(a: u64, b: u64) -> u64 {
-    let mut z = a.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(b.wrapping_mul(0xd1b5_4a32_d192_ed03));
+    let mut z = a
+        .wrapping_mul(0x9e37_79b9_7f4a_7c15)
+        .wrapping_add(b.wrapping_mul(0xd1b5_4a32_d192_ed03));
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     z ^ (z >> 31)

@@ -78,7 +78,10 @@ pub fn engine(global: &Global, args: &EngineArgs, cancel: &Cancel) -> Result<(),
                 dir.display()
             )));
         }
-        eprint_line(&format!("round {round} of {}: making {} photos", args.rounds, args.photos));
+        eprint_line(&format!(
+            "round {round} of {}: making {} photos",
+            args.rounds, args.photos
+        ));
         one_round(global, args, round, &dir, cancel)?;
         if !args.keep {
             remove(&dir)?;
@@ -142,7 +145,9 @@ impl Bench<'_> {
         let (cost, lines) = run(self.dir, &arguments)?;
         let finished = lines.iter().filter(|line| line["event"] == "finished");
         let decided = finished.filter_map(|line| {
-            let decided = line["counts"].get("decided").or_else(|| line["counts"].get("fetched"))?;
+            let decided = line["counts"]
+                .get("decided")
+                .or_else(|| line["counts"].get("fetched"))?;
             Some((line["node"].as_str()?.to_owned(), decided.clone()))
         });
         let phase = Phase {
@@ -211,7 +216,12 @@ impl Photos {
         let path = self.dir.join(name);
         let mut bytes = Vec::new();
         JpegEncoder::new_with_quality(&mut bytes, QUALITY)
-            .write_image(image.pixels.as_flattened(), width, height, ExtendedColorType::Rgb8)
+            .write_image(
+                image.pixels.as_flattened(),
+                width,
+                height,
+                ExtendedColorType::Rgb8,
+            )
             .map_err(|error| CliError::failed(format!("{}: {error}", path.display())))?;
         std::fs::write(&path, bytes).map_err(|error| unwritable(&path, &error))
     }

@@ -182,15 +182,23 @@ impl Lab {
     /// Returns the command of a run on a store.
     fn run_command(&self, store: &Path, more: &[&str]) -> Command {
         let mut command = Command::new(&self.program);
-        command.current_dir(&self.dir).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+        command
+            .current_dir(&self.dir)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null());
         let name = store.file_name().unwrap_or_default().to_string_lossy();
-        command.args(["run", "--device", "cpu", "--out"]).arg(format!("{name}-out"));
+        command
+            .args(["run", "--device", "cpu", "--out"])
+            .arg(format!("{name}-out"));
         command.arg("--store").arg(store).args(more);
         command
     }
 
     fn start(&self, store: &Path, more: &[&str]) -> Result<Child, CliError> {
-        self.run_command(store, more).spawn().map_err(|error| CliError::failed(error.to_string()))
+        self.run_command(store, more)
+            .spawn()
+            .map_err(|error| CliError::failed(error.to_string()))
     }
 
     /// Runs to the end; the inner error says how it ended otherwise.
@@ -205,10 +213,17 @@ impl Lab {
     }
 
     /// Runs to the end and compares every digest.
-    fn finish_equal(&self, store: &Path, more: &[&str], expected: &Outputs) -> Result<Result<(), String>, CliError> {
+    fn finish_equal(
+        &self,
+        store: &Path,
+        more: &[&str],
+        expected: &Outputs,
+    ) -> Result<Result<(), String>, CliError> {
         Ok(match self.finish(store, more)? {
             Err(error) => Err(error),
-            Ok(()) => self.outputs(store).and_then(|outputs| differences(expected, &outputs)),
+            Ok(()) => self
+                .outputs(store)
+                .and_then(|outputs| differences(expected, &outputs)),
         })
     }
 
@@ -295,7 +310,9 @@ impl Lab {
             tally.rounds -= 1; // the last run of a store is no kill
             let _ = std::fs::remove_dir_all(&store);
         }
-        Ok(format!("SIGKILL at random moments, {stores} stores, each verified after each kill and run to the end"))
+        Ok(format!(
+            "SIGKILL at random moments, {stores} stores, each verified after each kill and run to the end"
+        ))
     }
 
     /// Asks runs to stop at random moments.
@@ -328,7 +345,10 @@ impl Lab {
         }
         let outcome = self.finish_equal(&store, &[], &expected.outputs)?;
         tally.add(outcome);
-        Ok(format!("SIGINT at random moments; the longest stop took {:.2} s", longest.as_secs_f64()))
+        Ok(format!(
+            "SIGINT at random moments; the longest stop took {:.2} s",
+            longest.as_secs_f64()
+        ))
     }
 
     /// Flips a bit of a file of the store, cuts it or empties it, then runs what reads most of it.
@@ -354,7 +374,10 @@ impl Lab {
             let outcome = self.finish_equal(&store, &CHANGE, &expected.changed)?;
             tally.add(outcome.map_err(|error| format!("{what} {}: {error}", file.display())));
         }
-        let kinds: Vec<String> = kinds.iter().map(|(what, count)| format!("{count} {what}")).collect();
+        let kinds: Vec<String> = kinds
+            .iter()
+            .map(|(what, count)| format!("{count} {what}"))
+            .collect();
         Ok(format!("{}, {} files in the store", kinds.join(", "), all.len()))
     }
 
@@ -373,15 +396,26 @@ impl Lab {
             let run = self.run_command(&store, &[]);
             let mut limited = Command::new("sh");
             // The signal of the limit is ignored, so that the write fails as on a full disk.
-            limited.args(["-c", "trap '' XFSZ; ulimit -f \"$1\"; shift; exec \"$@\"", "sh", &blocks.to_string()]);
-            limited.arg(run.get_program()).args(run.get_args()).current_dir(&self.dir);
+            limited.args([
+                "-c",
+                "trap '' XFSZ; ulimit -f \"$1\"; shift; exec \"$@\"",
+                "sh",
+                &blocks.to_string(),
+            ]);
+            limited
+                .arg(run.get_program())
+                .args(run.get_args())
+                .current_dir(&self.dir);
             let output = limited.stdin(Stdio::null()).output();
             let output = output.map_err(|error| CliError::failed(error.to_string()))?;
             let words = String::from_utf8_lossy(&output.stderr);
             let ended = match output.status.code() {
                 Some(0) => Ok(()),
                 Some(1) if words.contains("error:") => Ok(()),
-                code => Err(format!("files of {blocks} blocks: exit code {code:?}: {}", last_lines(&output.stderr))),
+                code => Err(format!(
+                    "files of {blocks} blocks: exit code {code:?}: {}",
+                    last_lines(&output.stderr)
+                )),
             };
             let outcome = match ended {
                 Ok(()) => self.finish_equal(&store, &[], &expected.outputs)?,
@@ -406,7 +440,8 @@ impl Lab {
                 break;
             }
             let _ = std::fs::remove_dir_all(&store);
-            let runs: Result<Vec<Child>, CliError> = (0..8).map(|_| self.start(&store, &["--threads", "1"])).collect();
+            let runs: Result<Vec<Child>, CliError> =
+                (0..8).map(|_| self.start(&store, &["--threads", "1"])).collect();
             for run in runs? {
                 let outcome = wait(run)?;
                 tally.add(outcome);
@@ -441,7 +476,10 @@ impl Lab {
                 tally.add(outcome);
                 let mut left = Vec::new();
                 for mut run in runs {
-                    match run.try_wait().map_err(|error| CliError::failed(error.to_string()))? {
+                    match run
+                        .try_wait()
+                        .map_err(|error| CliError::failed(error.to_string()))?
+                    {
                         None => left.push(run),
                         Some(status) if status.success() => {}
                         Some(status) => tally.add(Err(format!("a run beside a collection: {status}"))),
@@ -452,7 +490,9 @@ impl Lab {
             let outcome = self.finish_equal(&store, &[], &expected.outputs)?;
             tally.add(outcome.and(self.check(&store)?));
         }
-        Ok(format!("eight runs of two pipelines, {collections} collections beside them"))
+        Ok(format!(
+            "eight runs of two pipelines, {collections} collections beside them"
+        ))
     }
 
     fn garbage(&self, store: &Path) -> Result<Result<(), String>, CliError> {
@@ -494,7 +534,8 @@ impl Lab {
             .arg(store)
             .output()
             .map_err(|error| error.to_string())?;
-        let run: serde_json::Value = serde_json::from_slice(&output.stdout).map_err(|error| error.to_string())?;
+        let run: serde_json::Value =
+            serde_json::from_slice(&output.stdout).map_err(|error| error.to_string())?;
         let nodes = run["nodes"].as_array().into_iter().flatten();
         match nodes.filter(|node| node["state"] != "reused").count() {
             0 => Ok(()),
@@ -505,7 +546,10 @@ impl Lab {
 
 /// Compares outputs; names the first that differs.
 fn differences(expected: &Outputs, found: &Outputs) -> Result<(), String> {
-    match expected.iter().find(|(name, digest)| found.get(*name) != Some(digest)) {
+    match expected
+        .iter()
+        .find(|(name, digest)| found.get(*name) != Some(digest))
+    {
         Some((name, _)) => Err(format!("output {name} differs")),
         None if found.len() != expected.len() => Err("there are other outputs".to_owned()),
         None => Ok(()),
@@ -516,7 +560,11 @@ fn differences(expected: &Outputs, found: &Outputs) -> Result<(), String> {
 fn ended_within(run: &mut Child, after: Duration) -> Result<bool, CliError> {
     let began = Instant::now();
     loop {
-        if run.try_wait().map_err(|error| CliError::failed(error.to_string()))?.is_some() {
+        if run
+            .try_wait()
+            .map_err(|error| CliError::failed(error.to_string()))?
+            .is_some()
+        {
             return Ok(true);
         }
         if began.elapsed() >= after {
@@ -536,7 +584,10 @@ fn wait(mut run: Child) -> Result<Result<(), String>, CliError> {
 
 /// Sends Ctrl-C.
 fn interrupt(run: &Child) {
-    let _ = Command::new("sh").args(["-c", &format!("kill -INT {}", run.id())]).stderr(Stdio::null()).status();
+    let _ = Command::new("sh")
+        .args(["-c", &format!("kill -INT {}", run.id())])
+        .stderr(Stdio::null())
+        .status();
 }
 
 fn last_lines(stderr: &[u8]) -> String {
@@ -547,15 +598,26 @@ fn last_lines(stderr: &[u8]) -> String {
 
 /// Returns the files below a folder, sorted, by relative path.
 fn files_of(dir: &Path) -> Vec<PathBuf> {
-    let entries = walkdir::WalkDir::new(dir).sort_by_file_name().into_iter().filter_map(Result::ok);
+    let entries = walkdir::WalkDir::new(dir)
+        .sort_by_file_name()
+        .into_iter()
+        .filter_map(Result::ok);
     let files = entries.filter(|entry| entry.file_type().is_file());
-    files.filter_map(|file| Some(file.path().strip_prefix(dir).ok()?.to_owned())).collect()
+    files
+        .filter_map(|file| Some(file.path().strip_prefix(dir).ok()?.to_owned()))
+        .collect()
 }
 
 fn copy(from: &Path, to: &Path) -> Result<(), CliError> {
     let failed = |path: &Path| {
         let message = format!("cannot copy {}", path.display());
-        move |error: std::io::Error| CliError::Failed(Diagnostic { message, cause: Some(error.to_string()), hint: None })
+        move |error: std::io::Error| {
+            CliError::Failed(Diagnostic {
+                message,
+                cause: Some(error.to_string()),
+                hint: None,
+            })
+        }
     };
     for folder in ["cas", "packs", "runs", "tmp"] {
         std::fs::create_dir_all(to.join(folder)).map_err(failed(to))?;

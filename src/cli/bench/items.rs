@@ -125,7 +125,9 @@ pub fn items(global: &Global, args: &ItemsArgs, cancel: &Cancel) -> Result<(), C
             let dir = dir.display().to_string();
             let (items, sols) = (args.items.to_string(), args.sols.to_string());
             let phase = phase.name();
-            let arguments = ["bench", "items", "--items", &items, "--sols", &sols, "--dir", &dir, "--phase", phase];
+            let arguments = [
+                "bench", "items", "--items", &items, "--sols", &sols, "--dir", &dir, "--phase", phase,
+            ];
             let (cost, lines) = run(Path::new("."), &arguments)?;
             let line = json!({
                 "phase": name, "round": round, "items": args.items, "sols": args.sols, "cost": cost,
@@ -153,7 +155,8 @@ fn one_run(global: &Global, args: &ItemsArgs, phase: ItemsPhase, cancel: &Cancel
     };
     let record = marf_engine::run(&graph, &store, &options, &Silent, cancel)?;
     for node in &record.nodes {
-        let line = json!({"node": node.name, "state": node.state, "counts": node.counts, "seconds": node.seconds});
+        let line =
+            json!({"node": node.name, "state": node.state, "counts": node.counts, "seconds": node.seconds});
         print_line(&line.to_string());
     }
     match record.outcome {

@@ -30,6 +30,7 @@ use marf_stage::{
 pub use archive::kind::ArchiveDef;
 pub use kinds::ARCHIVES;
 pub use params::{ArchiveTable, ExtractParams};
+pub use remote::{UnreadableLock, pinned_products};
 
 /// Brings photos in from an archive.
 ///

@@ -17,6 +17,7 @@
 //! merge.rs    two changes of one sol
 //! ```
 
+mod all;
 mod folder;
 mod merge;
 mod old;
@@ -26,6 +27,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::Digest;
 
+pub use self::all::{UnreadableLock, pinned_products};
 pub(crate) use self::folder::{Change, Lock, OpenLock};
 pub(crate) use self::text::{read as read_sol, write as write_sol};
 use crate::net::Validators;
