@@ -1,10 +1,6 @@
 //! What a result consists of and was made from.
 
-use super::{
-    Store, StoreError,
-    mark::{Census, Marker},
-    pack::Kind,
-};
+use super::{Store, StoreError, census::Census, mark::Marker, pack::Kind};
 use crate::Digest;
 
 /// As what an object is named.

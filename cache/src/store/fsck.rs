@@ -350,7 +350,7 @@ impl Check<'_> {
             .iter()
             .any(|fault| fault.file == std::path::Path::new("format"))
         {
-            super::write_format(&store.dir, &objects.files, &objects.notices)?;
+            super::open::write_format(&store.dir, &objects.files, &objects.notices)?;
         }
         self.report.is_repaired = objects.access == Access::ReadWrite;
         Ok(())

@@ -15,12 +15,13 @@ use serde::Serialize;
 
 use super::{
     Store, StoreError,
+    census::Census,
     closure::Missing,
     commit,
     index::Compacted,
     lease,
     locks::{Lock, Share},
-    mark::{Census, Marker},
+    mark::Marker,
     objects::{Checked, Objects},
     pack::{self, Kind},
     staging,

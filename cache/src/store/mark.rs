@@ -1,10 +1,9 @@
 //! What is reachable: marks on the objects of a store, made by following what each object names.
-//!
-//! A store of a million objects is marked in some 30 bytes an object: 16 of its id, 8 of kind and length, one bit.
 
 use std::collections::HashSet;
 
 use super::{
+    census::{Census, PREFIX, prefix},
     closure::{Missing, Role},
     commit,
     error::StoreError,
@@ -18,73 +17,10 @@ use crate::{
     manifest::{Leaf, LeafRef, Root},
 };
 
-/// Bytes of an id that are compared: two of a million ids agree in 16 bytes with a probability of 10^-27.
-const PREFIX: usize = 16;
-const KIND_SHIFT: u32 = 56;
 /// First bytes of a set: its root names blocks.
 const ROOT_START: &[u8] = b"{\"block\":";
 /// First bytes of a leaf of rows.
 const LEAF_START: &[u8] = b"{\"id\":";
-
-/// An object that was in the store when it was listed.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct Item {
-    id: [u8; PREFIX],
-    /// Kind in the top byte, length below.
-    kind_and_bytes: u64,
-}
-
-/// All objects of a store at one moment.
-pub(super) struct Census(Vec<Item>);
-
-fn prefix(id: &Digest) -> [u8; PREFIX] {
-    let mut bytes = [0; PREFIX];
-    bytes.copy_from_slice(id.as_bytes().split_at(PREFIX).0);
-    bytes
-}
-
-impl Item {
-    fn of(kind: Kind, id: &Digest, bytes: u64) -> Self {
-        Self {
-            id: prefix(id),
-            kind_and_bytes: u64::from(kind.code()) << KIND_SHIFT | bytes,
-        }
-    }
-
-    fn kind_code(self) -> u8 {
-        (self.kind_and_bytes >> KIND_SHIFT) as u8
-    }
-
-    fn bytes(self) -> u64 {
-        self.kind_and_bytes & ((1 << KIND_SHIFT) - 1)
-    }
-}
-
-impl Census {
-    /// Lists all objects.
-    pub(super) fn take(objects: &Objects) -> Result<Self, StoreError> {
-        let mut items = Vec::new();
-        objects
-            .index
-            .for_each(|row| items.push(Item::of(row.kind, &row.id, u64::from(row.len))))?;
-        objects.for_each_loose(|digest, bytes| items.push(Item::of(Kind::Blob, &digest, bytes)))?;
-        items.sort_unstable();
-        items.dedup_by_key(|item| (item.id, item.kind_code()));
-        Ok(Self(items))
-    }
-
-    /// Returns the number of an object.
-    pub(super) fn find(&self, kind: Kind, id: &Digest) -> Option<usize> {
-        let wanted = (prefix(id), kind.code());
-        self.0
-            .binary_search_by_key(&wanted, |item| (item.id, item.kind_code()))
-            .ok()
-    }
-
-    fn bytes(&self, number: usize) -> u64 {
-        self.0.get(number).map_or(0, |item| item.bytes())
-    }
-}
 
 /// How a set is reached: what its leaves are, and whether they must be in the store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -138,7 +74,7 @@ impl<'a> Marker<'a> {
         Self {
             objects,
             census,
-            marks: vec![0; census.0.len().div_ceil(64)],
+            marks: vec![0; census.len().div_ceil(64)],
             extra: HashSet::new(),
             walked: HashSet::new(),
             memos: Vec::new(),

@@ -2,7 +2,7 @@
 //!
 //! Packs are in tiers by their bytes, each eight times the one below. A tier that has eight packs is joined into one
 //! pack, which belongs to the next tier: an object is written at most once a tier, and there are at most seven packs a
-//! tier at rest, beside those of 256 MiB and more, which stay as they are.
+//! tier at rest, beside those of 32 MiB and more, which stay as they are.
 //!
 //! The new pack is durable before the index knows it, and the index knows it before the old packs are removed. A
 //! reader that finds a pack gone asks the index again.
@@ -20,7 +20,7 @@ const WIDTH: usize = 8;
 /// Bytes of the largest pack of the lowest tier.
 const SMALLEST: u64 = 64 << 10;
 /// Packs from this length on are not joined.
-const LARGEST: u64 = 256 << 20;
+const LARGEST: u64 = 32 << 20;
 
 /// Returns the tier of a pack; none if it stays as it is.
 fn tier(bytes: u64) -> Option<u32> {
@@ -126,6 +126,6 @@ mod tests {
         assert_eq!([0, 1, SMALLEST].map(tier), [Some(0); 3]);
         assert_eq!([SMALLEST + 1, SMALLEST * 8].map(tier), [Some(1); 2]);
         assert_eq!(tier(SMALLEST * 8 + 1), Some(2));
-        assert_eq!([LARGEST - 1, LARGEST, u64::MAX].map(tier), [Some(4), None, None]);
+        assert_eq!([LARGEST - 1, LARGEST, u64::MAX].map(tier), [Some(3), None, None]);
     }
 }

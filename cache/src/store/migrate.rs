@@ -59,7 +59,7 @@ pub(super) fn migrate_on(files: &Files, dir: &Path) -> Result<Migration, StoreEr
         files.quarantine(dir, &index, "index.redb")?;
     }
     let notices = Notices::default();
-    super::write_format(dir, files, &notices)?;
+    super::open::write_format(dir, files, &notices)?;
     Ok(migration)
 }
 

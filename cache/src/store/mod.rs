@@ -43,6 +43,7 @@
 //! [`Store::put`] of stored bytes) is written to the lease first (see [`Store::gc`]). Commits wait for each other in the
 //! index alone, for seconds at most: rows that cannot be written then are kept in memory and registered later.
 
+mod census;
 mod closure;
 mod commit;
 mod error;
@@ -58,7 +59,9 @@ mod merge;
 mod migrate;
 mod notices;
 mod objects;
+mod open;
 mod pack;
+mod put;
 mod record;
 mod runs;
 mod staging;
@@ -69,10 +72,7 @@ mod write_batch;
 
 use std::{
     path::{Path, PathBuf},
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
+    sync::{Arc, atomic::AtomicBool},
 };
 
 use parking_lot::{Mutex, MutexGuard};
@@ -80,11 +80,10 @@ use parking_lot::{Mutex, MutexGuard};
 use self::{
     files::Files,
     lease::Use,
-    locks::{Lock, Locks, Share},
     notices::Notices,
     objects::Objects,
     pack::Kind,
-    write_batch::{LargeBlob, Memo, WriteBatch},
+    write_batch::{Memo, WriteBatch},
 };
 use crate::Digest;
 
@@ -153,9 +152,9 @@ impl Store {
         let found = format::find(&files, &dir)?;
         format::check(&dir, found)?;
         let notices = Arc::new(Notices::default());
-        let access = access_of(&dir);
+        let access = open::access_of(&dir);
         if access == Access::ReadWrite {
-            prepare(&dir, &files, found, &notices)?;
+            open::prepare(&dir, &files, found, &notices)?;
         }
         Ok(Self {
             objects: Objects::open(&dir, access, files, notices)?,
@@ -195,124 +194,6 @@ impl Store {
     /// Returns the conflicts found since the last call: different results for one key.
     pub fn take_conflicts(&self) -> Vec<Conflict> {
         std::mem::take(&mut *self.conflicts.lock())
-    }
-
-    /// Stores a blob and returns its digest; the same bytes are stored once.
-    ///
-    /// # Errors
-    /// A store that cannot be written; nothing of the blob becomes visible.
-    pub fn put(&self, bytes: &[u8]) -> Result<Digest, StoreError> {
-        let digest = Digest::of(bytes);
-        if self.is_stored(&digest)? {
-            return Ok(digest);
-        }
-        match bytes.len() {
-            0..LARGE_BYTES => self.pending.lock().open.add_small(digest, bytes),
-            _ => {
-                let path = self.objects.staging()?.next_path();
-                self.objects.files.write_new(&path, bytes)?;
-                self.add_large(digest, path, bytes.len() as u64)?;
-            }
-        }
-        self.commit_if_due()?;
-        Ok(digest)
-    }
-
-    /// Stores a file of at most `max_bytes` bytes, as a copy that shares its blocks where the file system can; returns
-    /// digest and bytes of what was copied, whatever happens to the file meanwhile.
-    ///
-    /// # Errors
-    /// A file that cannot be read or is longer ([`StoreError::TooLarge`]), and a store that cannot be written.
-    pub fn put_file(&self, path: &Path, max_bytes: u64) -> Result<(Digest, Arc<[u8]>), StoreError> {
-        let files = &self.objects.files;
-        let absent = || StoreError::io("read", path)(std::io::ErrorKind::NotFound.into());
-        let bytes = files.meta(path).ok_or_else(absent)?.bytes;
-        let fits = |bytes: u64| match bytes > max_bytes {
-            true => Err(StoreError::TooLarge {
-                path: path.to_owned(),
-                bytes,
-                max_bytes,
-            }),
-            false => Ok(()),
-        };
-        fits(bytes)?;
-        if bytes >= LARGE_BYTES as u64
-            && let Some(copy) = self.reflink(path)?
-        {
-            return self.put_copy(copy, fits);
-        }
-        // One byte more than allowed, so that a file that grew is noticed and never read whole.
-        let most = usize::try_from(max_bytes.saturating_add(1)).unwrap_or(usize::MAX);
-        let read = files.read_at(path, 0, most)?.ok_or_else(absent)?;
-        fits(read.len() as u64)?;
-        let read: Arc<[u8]> = Arc::from(read);
-        Ok((self.put(&read)?, read))
-    }
-
-    fn reflink(&self, path: &Path) -> Result<Option<PathBuf>, StoreError> {
-        if self.has_no_reflinks.load(Ordering::Relaxed) {
-            return Ok(None);
-        }
-        let copy = self.objects.staging()?.next_path();
-        if self.objects.files.try_reflink(path, &copy) {
-            return Ok(Some(copy));
-        }
-        self.has_no_reflinks.store(true, Ordering::Relaxed);
-        Ok(None)
-    }
-
-    /// Stores a temporary file.
-    fn put_copy(
-        &self,
-        copy: PathBuf,
-        fits: impl FnOnce(u64) -> Result<(), StoreError>,
-    ) -> Result<(Digest, Arc<[u8]>), StoreError> {
-        let files = &self.objects.files;
-        let bytes: Arc<[u8]> = Arc::from(files.read(&copy)?.unwrap_or_default());
-        let digest = Digest::of(&bytes);
-        let checked = fits(bytes.len() as u64).and_then(|()| self.is_stored(&digest));
-        match checked {
-            Ok(false) if bytes.len() >= LARGE_BYTES => {
-                files.seal(&copy)?;
-                self.add_large(digest, copy, bytes.len() as u64)?;
-                self.commit_if_due()?;
-            }
-            other => {
-                files.remove_file(&copy)?;
-                other?;
-                // The file was cut since its length was asked.
-                self.put(&bytes)?;
-            }
-        }
-        Ok((digest, bytes))
-    }
-
-    /// Tells whether a blob is stored or about to be; one that is stored is protected from collections.
-    fn is_stored(&self, digest: &Digest) -> Result<bool, StoreError> {
-        if self.pending.lock().find(|batch| batch.size_of(digest)).is_some() {
-            return Ok(true);
-        }
-        if !self.objects.knows(digest) {
-            return Ok(false);
-        }
-        self.protect(Use::Blob(*digest), || Ok(self.objects.knows(digest)))
-    }
-
-    fn protect<T>(&self, used: Use, check: impl FnOnce() -> Result<T, StoreError>) -> Result<T, StoreError> {
-        let objects = &self.objects;
-        objects
-            .lease
-            .protect(&[used], &objects.locks, &objects.notices, check)
-    }
-
-    fn add_large(&self, digest: Digest, path: PathBuf, bytes: u64) -> Result<(), StoreError> {
-        let mut pending = self.pending.lock();
-        match pending.find(|batch| batch.size_of(&digest)) {
-            None => pending.open.add_large(digest, LargeBlob { path, bytes }),
-            // Another thread put the same bytes meanwhile.
-            Some(_) => self.objects.files.remove_file(&path)?,
-        }
-        Ok(())
     }
 
     fn commit_if_due(&self) -> Result<(), StoreError> {
@@ -471,139 +352,5 @@ impl Store {
         let keys = self.objects.index.ids(Kind::Record)?;
         let records = keys.iter().map(|key| commit::record_of(&self.objects, key));
         records.filter_map(Result::transpose).collect()
-    }
-
-    /// Commits everything put so far, then stores a run's root under the next free number and returns the number.
-    ///
-    /// # Errors
-    /// A store that cannot be written.
-    pub fn put_run(&self, bytes: &[u8]) -> Result<u64, StoreError> {
-        self.commit()?;
-        let objects = &self.objects;
-        let file = objects.staging()?.next_path();
-        objects.files.write_new(&file, bytes)?;
-        objects.files.sync_files(std::slice::from_ref(&file))?;
-        let _guard = objects
-            .locks
-            .take(Lock::Runs, Share::Exclusive, &objects.notices)?;
-        runs::publish(&objects.files, &self.runs_dir(), &file, bytes)
-    }
-
-    /// Returns the numbers of all runs, oldest first.
-    ///
-    /// # Errors
-    /// A folder that cannot be read.
-    pub fn run_numbers(&self) -> Result<Vec<u64>, StoreError> {
-        let runs = runs::list(&self.objects.files, &self.runs_dir())?;
-        let mut numbers: Vec<u64> = runs.into_iter().map(|run| run.number).collect();
-        numbers.dedup();
-        Ok(numbers)
-    }
-
-    /// Reads and verifies a run's root. A damaged one is an error of this number only.
-    ///
-    /// # Errors
-    /// [`StoreError::NoRun`], or [`StoreError::DamagedRun`] once: a damaged root is quarantined.
-    pub fn run(&self, number: u64) -> Result<Vec<u8>, StoreError> {
-        let mut error = StoreError::NoRun { number };
-        for run in self.runs_of(number)? {
-            match runs::read(&self.objects.files, &self.runs_dir(), &run)? {
-                Ok(bytes) => return Ok(bytes),
-                Err(path) => error = self.damaged_run(number, path)?,
-            }
-        }
-        Err(error)
-    }
-
-    fn damaged_run(&self, number: u64, path: PathBuf) -> Result<StoreError, StoreError> {
-        let name = path
-            .file_name()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned();
-        let path = match self.objects.access {
-            Access::ReadWrite => self.objects.files.quarantine(&self.dir, &path, &name)?,
-            Access::ReadOnly => path,
-        };
-        Ok(StoreError::DamagedRun { number, path })
-    }
-
-    fn runs_of(&self, number: u64) -> Result<Vec<runs::RunFile>, StoreError> {
-        let mut runs = runs::list(&self.objects.files, &self.runs_dir())?;
-        runs.retain(|run| run.number == number);
-        Ok(runs)
-    }
-
-    /// Removes a run's root, if there is one.
-    ///
-    /// # Errors
-    /// A file that cannot be removed.
-    pub fn remove_run(&self, number: u64) -> Result<(), StoreError> {
-        let files = self.runs_of(number)?;
-        let mut files = files.iter().map(|run| run.path(&self.runs_dir()));
-        files.try_for_each(|path| self.objects.files.remove_file(&path))
-    }
-
-    fn runs_dir(&self) -> PathBuf {
-        self.dir.join("runs")
-    }
-}
-
-/// Tells whether the store in a folder can be written. An absent folder can be, as far as is known.
-fn access_of(dir: &Path) -> Access {
-    let Ok(meta) = std::fs::metadata(dir) else {
-        return Access::ReadWrite;
-    };
-    if meta.permissions().readonly() {
-        return Access::ReadOnly;
-    }
-    match Locks::of(dir).try_take(Lock::Index, Share::Shared) {
-        Err(StoreError::Io { source, .. })
-            if matches!(
-                source.kind(),
-                std::io::ErrorKind::PermissionDenied | std::io::ErrorKind::ReadOnlyFilesystem
-            ) =>
-        {
-            Access::ReadOnly
-        }
-        _ => Access::ReadWrite,
-    }
-}
-
-/// Creates what a store lacks and removes what dead processes left.
-fn prepare(dir: &Path, files: &Files, found: format::Found, notices: &Notices) -> Result<(), StoreError> {
-    for part in ["cas", "packs", "runs", "tmp"] {
-        let path = dir.join(part);
-        if !path.is_dir() {
-            files.create_dir(&path)?;
-        }
-    }
-    if found != format::Found::Current {
-        write_format(dir, files, notices)?;
-    }
-    staging::sweep(files, &dir.join("tmp"));
-    lease::sweep(dir, files);
-    Ok(())
-}
-
-fn write_format(dir: &Path, files: &Files, notices: &Notices) -> Result<(), StoreError> {
-    let path = dir.join("format");
-    if path.exists() {
-        let to = files.quarantine(dir, &path, "format")?;
-        notices.warn(format!(
-            "the file `format` of the store was damaged and moved to `{}`",
-            to.display()
-        ));
-    }
-    let staging = staging::StagingDir::create(files, &dir.join("tmp"))?;
-    let fresh = staging.next_path();
-    files.write_new(&fresh, format::text().as_bytes())?;
-    files.sync_files(std::slice::from_ref(&fresh))?;
-    files.publish(&fresh, &path)?;
-    files.sync_dirs(&[dir.to_owned()])?;
-    // The folder of the store may be new too.
-    match dir.parent().filter(|parent| parent.is_dir()) {
-        Some(parent) => files.sync_dirs(&[parent.to_owned()]),
-        None => Ok(()),
     }
 }

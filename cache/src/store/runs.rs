@@ -2,7 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{error::StoreError, files::Files};
+use super::{
+    Access, Store,
+    error::StoreError,
+    files::Files,
+    locks::{Lock, Share},
+};
 use crate::Digest;
 
 /// The file of a run's root.
@@ -69,4 +74,81 @@ pub(super) fn read(files: &Files, dir: &Path, run: &RunFile) -> Result<Result<Ve
         true => Ok(bytes),
         false => Err(path),
     })
+}
+
+impl Store {
+    /// Commits everything put so far, then stores a run's root under the next free number and returns the number.
+    ///
+    /// # Errors
+    /// A store that cannot be written.
+    pub fn put_run(&self, bytes: &[u8]) -> Result<u64, StoreError> {
+        self.commit()?;
+        let objects = &self.objects;
+        let file = objects.staging()?.next_path();
+        objects.files.write_new(&file, bytes)?;
+        objects.files.sync_files(std::slice::from_ref(&file))?;
+        let _guard = objects
+            .locks
+            .take(Lock::Runs, Share::Exclusive, &objects.notices)?;
+        publish(&objects.files, &self.runs_dir(), &file, bytes)
+    }
+
+    /// Returns the numbers of all runs, oldest first.
+    ///
+    /// # Errors
+    /// A folder that cannot be read.
+    pub fn run_numbers(&self) -> Result<Vec<u64>, StoreError> {
+        let runs = list(&self.objects.files, &self.runs_dir())?;
+        let mut numbers: Vec<u64> = runs.into_iter().map(|run| run.number).collect();
+        numbers.dedup();
+        Ok(numbers)
+    }
+
+    /// Reads and verifies a run's root. A damaged one is an error of this number only.
+    ///
+    /// # Errors
+    /// [`StoreError::NoRun`], or [`StoreError::DamagedRun`] once: a damaged root is quarantined.
+    pub fn run(&self, number: u64) -> Result<Vec<u8>, StoreError> {
+        let mut error = StoreError::NoRun { number };
+        for run in self.runs_of(number)? {
+            match read(&self.objects.files, &self.runs_dir(), &run)? {
+                Ok(bytes) => return Ok(bytes),
+                Err(path) => error = self.damaged_run(number, path)?,
+            }
+        }
+        Err(error)
+    }
+
+    fn damaged_run(&self, number: u64, path: PathBuf) -> Result<StoreError, StoreError> {
+        let name = path
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
+        let path = match self.objects.access {
+            Access::ReadWrite => self.objects.files.quarantine(&self.dir, &path, &name)?,
+            Access::ReadOnly => path,
+        };
+        Ok(StoreError::DamagedRun { number, path })
+    }
+
+    fn runs_of(&self, number: u64) -> Result<Vec<RunFile>, StoreError> {
+        let mut runs = list(&self.objects.files, &self.runs_dir())?;
+        runs.retain(|run| run.number == number);
+        Ok(runs)
+    }
+
+    /// Removes a run's root, if there is one.
+    ///
+    /// # Errors
+    /// A file that cannot be removed.
+    pub fn remove_run(&self, number: u64) -> Result<(), StoreError> {
+        let files = self.runs_of(number)?;
+        let mut files = files.iter().map(|run| run.path(&self.runs_dir()));
+        files.try_for_each(|path| self.objects.files.remove_file(&path))
+    }
+
+    pub(super) fn runs_dir(&self) -> PathBuf {
+        self.dir.join("runs")
+    }
 }

@@ -1,6 +1,11 @@
 //! A file layer that fails a call, or crashes at one and loses what was not synced.
 
-use std::{collections::BTreeMap, io, sync::atomic::AtomicUsize, time::SystemTime};
+use std::{
+    collections::BTreeMap,
+    io,
+    sync::atomic::{AtomicUsize, Ordering},
+    time::SystemTime,
+};
 
 use super::{
     super::files::{Disk, Meta, Operations, Published},

@@ -4,6 +4,7 @@ mod gc;
 mod index;
 mod layer;
 mod migration;
+mod pack;
 mod processes;
 mod session;
 mod storing;

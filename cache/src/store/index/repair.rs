@@ -1,0 +1,95 @@
+//! An index that is damaged: made anew from the packs, or given up.
+
+use std::sync::atomic::Ordering;
+
+use super::{
+    super::{
+        Access,
+        error::StoreError,
+        locks::{Lock, Share},
+    },
+    Index,
+    connection::{FileId, Trouble},
+};
+
+impl Index {
+    /// Returns what is wrong with the form of the file, which says nothing of its rows; none if it is as it should be.
+    pub(in super::super) fn fault(&self) -> Option<String> {
+        if self.access == Access::ReadOnly {
+            return None;
+        }
+        let verdict = self.on(&self.reader, |connection| {
+            connection.query_row("PRAGMA integrity_check(1)", [], |row| row.get::<_, String>(0))
+        });
+        match verdict {
+            Ok(verdict) => (verdict != "ok").then_some(verdict),
+            Err(Trouble::Broken(message)) => Some(message),
+            Err(Trouble::Busy | Trouble::Unusable(_)) => None,
+        }
+    }
+
+    /// Makes the file anew from the packs, and moves what was there to `bad/`.
+    pub(in super::super) fn rebuild(&self, why: &str) -> Result<(), StoreError> {
+        if self.access == Access::ReadOnly {
+            return self.disable(why);
+        }
+        let used = FileId::of(&self.path);
+        // Closed before the file moves: the last connection to a file removes its log.
+        let broken = [self.reader.lock().take(), self.writer.lock().take()];
+        let guard = self.locks.take(Lock::Index, Share::Exclusive, &self.notices)?;
+        drop(broken);
+        if FileId::of(&self.path) != used {
+            return Ok(());
+        }
+        self.notices.warn(format!(
+            "the index `{}` was damaged ({why}); it is made anew from the packs",
+            self.path.display()
+        ));
+        let moved = self.move_away();
+        let made = moved.map_err(|error| Trouble::Unusable(error.to_string()));
+        let made = made.and_then(|()| self.create());
+        drop(guard);
+        match made {
+            Ok(handle) => {
+                *self.reader.lock() = Some(handle);
+                self.memory.lock().take();
+                Ok(())
+            }
+            Err(Trouble::Busy) => Ok(()),
+            Err(Trouble::Broken(message) | Trouble::Unusable(message)) => self.disable(&message),
+        }
+    }
+
+    fn move_away(&self) -> Result<(), StoreError> {
+        if self.path.exists() {
+            self.files.quarantine(&self.root, &self.path, "index.sqlite")?;
+        }
+        for suffix in ["-wal", "-shm"] {
+            let path = self.beside(suffix);
+            if path.exists() {
+                self.files
+                    .quarantine(&self.root, &path, &format!("index.sqlite{suffix}"))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Gives the file up: all packs are registered in memory.
+    pub(super) fn disable(&self, why: &str) -> Result<(), StoreError> {
+        if self.is_disabled.swap(true, Ordering::Relaxed) {
+            return Ok(());
+        }
+        if self.access == Access::ReadWrite {
+            self.notices.warn(format!(
+                "the index `{}` cannot be used ({why}); the packs are read instead",
+                self.path.display()
+            ));
+        }
+        for file in self.listed()? {
+            if let Some(entries) = self.entries(&file)? {
+                self.remember(&file, &entries);
+            }
+        }
+        Ok(())
+    }
+}
