@@ -28,7 +28,7 @@ fn calls_of_a_session() -> usize {
 
 /// Every n, or every few of them; `MARF_FAULT_ROUNDS` asks for more.
 fn chosen(calls: usize) -> impl Iterator<Item = usize> {
-    let rounds = super::rounds(400);
+    let rounds = super::rounds(120);
     (0..calls).step_by(calls.div_ceil(rounds).max(1))
 }
 
