@@ -11,7 +11,7 @@ use marf_calibrate::Calibrate;
 use marf_demo::{Demo, DemoFile, DemoOptions};
 use marf_pds::{ProductName, join_key, pds4};
 use marf_scene::{Camera, Image, Photo, PhotoFacts, Pose, Srgb, encode_png};
-use marf_stage::Define;
+use marf_stage::{Define, StageError};
 use nalgebra::{Vector2, Vector3};
 use serde_json::json;
 
@@ -191,6 +191,39 @@ fn new_photos_join_the_earlier_scene_and_its_world_stays() {
         "{errors:?}"
     );
     assert_eq!(output.scene.metres_per_unit, Some(1.0));
+}
+
+/// The first photos of the demo, reduced for the scene.
+fn few() -> Input {
+    let mut input = demo().0;
+    input.split_off(8);
+    input
+}
+
+/// Each photo is read once for its features and once to be reduced, in all runs together.
+#[test]
+fn a_calibration_goes_on_to_the_same_bytes_wherever_it_was_stopped() {
+    let params = json!({"method": "sfm", "longest_side_px": 200});
+    let expected = few().run_until(&params, u64::MAX - 1).unwrap();
+    let (mut stops, input) = (0, few());
+    // A photo that is resampled asks at each of its rows.
+    let mut checks = 500;
+    let found = loop {
+        match input.run_until(&params, checks) {
+            Ok(found) => break found,
+            Err(StageError::Cancelled) => stops += 1,
+            Err(error) => panic!("{error}"),
+        }
+        checks += checks / 4;
+    };
+    assert_eq!(found, expected);
+    assert!(stops > 2, "{stops}");
+    let reads: Vec<u64> = (input.photos().iter())
+        .map(|photo| input.harness.reads(photo))
+        .collect();
+    // Photos that were being searched when the run was stopped are read again.
+    let most = 2 * reads.len() as u64 + stops * rayon::current_num_threads() as u64;
+    assert!(reads.iter().sum::<u64>() <= most, "{stops} {reads:?}");
 }
 
 /// Views of one photo by a camera that only turns: a panorama.

@@ -5,7 +5,7 @@ mod common;
 
 use marf_calibrate::Calibrate;
 use marf_scene::{Cahvor, CameraPrior, EntrancePupil, Image, PhotoFacts, Pose, Srgb, encode_png};
-use marf_stage::{Define, StageDef, define};
+use marf_stage::{Define, StageDef, StageError, define};
 use nalgebra::Vector3;
 use serde_json::json;
 
@@ -74,6 +74,33 @@ fn mixed() -> Input {
     };
     input.photo("f", &picture(6), noted);
     input
+}
+
+#[test]
+fn resampled_photos_are_the_same_wherever_the_run_was_stopped_and_are_not_resampled_again() {
+    let params = json!({"method": "labels"});
+    let expected = mixed().run_until(&params, u64::MAX - 1).unwrap();
+    for checks in 0..200 {
+        let input = mixed();
+        let stopped = input.run_until(&params, checks);
+        if let Ok(outputs) = stopped {
+            // Two photos of some 45 rows, each with a question.
+            assert!(checks >= 80 && outputs == expected, "{checks}");
+            break;
+        }
+        assert!(matches!(stopped, Err(StageError::Cancelled)), "{checks}");
+        assert_eq!(
+            input.run_until(&params, u64::MAX - 1).unwrap(),
+            expected,
+            "{checks}"
+        );
+    }
+    let input = mixed();
+    let (first, again) = (
+        input.run_until(&params, u64::MAX - 1),
+        input.run_until(&params, 10),
+    );
+    assert_eq!((first.unwrap(), again.unwrap()), (expected.clone(), expected));
 }
 
 #[test]

@@ -28,6 +28,11 @@ impl<F: Fn() -> bool + Sync> Supervisor for F {
     }
 }
 
+/// Wall clock after which the state of something unfinished is saved.
+pub(crate) const SAVE_UNFINISHED: Duration = Duration::from_secs(10);
+/// Wall clock after which something finished is saved: it is as large, but saved once.
+pub(crate) const SAVE_FINISHED: Duration = Duration::from_secs(1);
+
 #[cfg(test)]
 pub(crate) mod testing {
     use std::collections::BTreeMap;
@@ -82,8 +87,3 @@ pub(crate) mod testing {
         }
     }
 }
-
-/// Wall clock after which the state of something unfinished is saved.
-pub(crate) const SAVE_UNFINISHED: Duration = Duration::from_secs(10);
-/// Wall clock after which something finished is saved: it is as large, but saved once.
-pub(crate) const SAVE_FINISHED: Duration = Duration::from_secs(1);

@@ -10,8 +10,8 @@ mod common;
 use common::{inputs, json, put_scene, run, scene, small, stage};
 use marf_cache::Digest;
 use marf_scene::Photo;
-use marf_stage::{Define, Outputs, StageError, Work, harness::Harness};
-use marf_train::{Evaluate, Pace, Render, Train};
+use marf_stage::{Define, Expand, Outputs, StageError, Work, harness::Harness};
+use marf_train::{Bootstrap, Evaluate, Pace, Render, Train, Tune};
 use serde_json::{Value, json};
 
 const STEPS: u64 = 32;
@@ -272,6 +272,31 @@ fn a_budget_asks_for_one_pace_and_trains_the_steps_it_found() {
     let budgeted = expand.reduce(&harness.ctx(), &scene, &[few]).unwrap();
     let plain: Train = stage(json!({"steps": 20, "field": small(), "seed": 3}));
     assert_eq!(budgeted, run(&plain, &Harness::ctx(&harness), &scene).unwrap());
+}
+
+/// Versions and backends of these are in the key of the node that asks for them.
+#[test]
+fn children_are_named_with_the_device_they_will_have() {
+    let device = json!("gpu:a100");
+    let tune: Tune = stage(json!({"trials": 2, "scale": 1, "device": device}));
+    let bootstrap: Bootstrap = stage(json!({"b": 2, "device": device}));
+    let paced: Train = stage(json!({"budget": "5s", "device": device}));
+    let plain: Train = stage(json!({"steps": 5, "device": device}));
+    let nodes: [(&dyn Expand, &str); 3] = [(&tune, "train"), (&bootstrap, "train"), (&paced, "pace")];
+    let harness = Harness::default();
+    for (node, child) in nodes {
+        let children = node.children();
+        let named: Vec<(&str, &Value)> = children
+            .iter()
+            .map(|child| (child.stage, &child.params["device"]))
+            .collect();
+        assert_eq!(named, [(child, &device)]);
+        let asked = node.expand(&harness.ctx(), &inputs(&[])).unwrap();
+        for asked in asked {
+            assert_eq!((asked.stage.as_str(), &asked.params["device"]), (child, &device));
+        }
+    }
+    assert_eq!(plain.children(), []);
 }
 
 fn train_work(train: &Train) -> Work<'_> {

@@ -14,7 +14,8 @@ use marf_schema::{
     output::{POINTS, SCENE, TRANSFORMS},
 };
 use marf_stage::{
-    COMPANIONS, Document, Inputs, PHOTOS, Stage, StageDef, StageError, Work, define, harness::Harness,
+    COMPANIONS, Cancel, Ctx, Document, Inputs, Outputs, PHOTOS, Stage, StageDef, StageError, Work, define,
+    harness::Harness,
 };
 
 /// Photos, companions and a store.
@@ -133,7 +134,43 @@ impl Input {
         self.run_stage(stage.as_ref(), earlier)
     }
 
+    /// Returns the outputs of a run that is asked to stop after so many questions.
+    pub fn run_until(&self, params: &serde_json::Value, checks: u64) -> Result<Outputs, StageError> {
+        const STAGE: StageDef = define::<Calibrate>();
+        let stage = (STAGE.bind)(params.clone()).map_err(|error| StageError::new(error.to_string()))?;
+        let cancel = Cancel::after(checks);
+        let ctx = Ctx {
+            cancel: &cancel,
+            ..self.harness.ctx()
+        };
+        self.outputs(stage.as_ref(), &ctx, None)
+    }
+
+    /// Returns the digest of each photo.
+    pub fn photos(&self) -> Vec<Digest> {
+        self.rows.iter().map(|(_, row)| row.blobs["image"]).collect()
+    }
+
     fn run_stage(&self, stage: &dyn Stage, earlier: Option<Digest>) -> Result<Output, StageError> {
+        let outputs = self.outputs(stage, &self.harness.ctx(), earlier)?;
+        let get = |name: &str| self.harness.get(&outputs[name]).unwrap();
+        Ok(Output {
+            scene: Scene::decode(&get(SCENE)).unwrap(),
+            scene_digest: outputs[SCENE],
+            metrics: serde_json::from_slice(&get(Metrics::OUTPUT)).unwrap(),
+            transforms: String::from_utf8(get(TRANSFORMS).to_vec()).unwrap(),
+            model: ["cameras", "images", "points3D"]
+                .map(|name| get(&format!("sparse/0/{name}.bin")).to_vec()),
+            points: get(POINTS).to_vec(),
+        })
+    }
+
+    fn outputs(
+        &self,
+        stage: &dyn Stage,
+        ctx: &Ctx<'_>,
+        earlier: Option<Digest>,
+    ) -> Result<Outputs, StageError> {
         let companions = self.harness.put(&serde_json::to_vec(&self.companions).unwrap());
         let mut inputs = Inputs(BTreeMap::from([
             (PHOTOS.to_owned(), self.harness.put_set(&self.rows)),
@@ -145,17 +182,7 @@ impl Input {
         let Work::Set(set) = stage.work() else {
             panic!("calibrate needs all its inputs at once");
         };
-        let outputs = set.run(&self.harness.ctx(), &inputs)?;
-        let get = |name: &str| self.harness.get(&outputs[name]).unwrap();
-        Ok(Output {
-            scene: Scene::decode(&get(SCENE)).unwrap(),
-            scene_digest: outputs[SCENE],
-            metrics: serde_json::from_slice(&get(Metrics::OUTPUT)).unwrap(),
-            transforms: String::from_utf8(get(TRANSFORMS).to_vec()).unwrap(),
-            model: ["cameras", "images", "points3D"]
-                .map(|name| get(&format!("sparse/0/{name}.bin")).to_vec()),
-            points: get(POINTS).to_vec(),
-        })
+        set.run(ctx, &inputs)
     }
 
     /// The message, cause and hint of a run that must fail.

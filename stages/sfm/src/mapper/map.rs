@@ -41,7 +41,7 @@ struct Mapping<'a> {
 
 enum Phase {
     /// Further models are searched for.
-    Growing(Search),
+    Growing(Box<Search>),
     /// The lens of this model is chosen next.
     Lens(usize),
 }
@@ -57,7 +57,7 @@ impl<'a> Mapping<'a> {
         let taken = vec![false; input.views.len()];
         Self {
             models: Vec::new(),
-            phase: Phase::Growing(Search::default()),
+            phase: Phase::Growing(Box::default()),
             candidates: initial_pair::candidates(input, &taken),
             taken,
         }
@@ -96,7 +96,7 @@ impl<'a> Mapping<'a> {
         self.models.push(model);
         self.models = merge_last(input, std::mem::take(&mut self.models))?;
         self.candidates = initial_pair::candidates(input, &self.taken);
-        Ok(Phase::Growing(Search::default()))
+        Ok(Phase::Growing(Box::default()))
     }
 
     fn encode(&self, of: u64) -> Vec<u8> {
@@ -123,7 +123,7 @@ impl<'a> Mapping<'a> {
         let models = reader.any_list(|reader| Model::read(input, reader))?;
         let taken = reader.flags(input.views.len())?;
         let phase = match reader.count()? {
-            0 => Phase::Growing(Search::read(input, &mut reader)?),
+            0 => Phase::Growing(Box::new(Search::read(input, &mut reader)?)),
             1 => Phase::Lens(reader.index()?),
             _ => return None,
         };
