@@ -1,6 +1,10 @@
 //! A listing uses the threads it was given.
 #![cfg(target_os = "linux")]
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test that cannot go on should stop; helpers of tests are not seen as tests"
+)]
 
 mod common;
 

@@ -8,10 +8,11 @@ use marf_stage::{Access, Ctx, LOCK_FILE, Listing, ParamError, Shard, StageError}
 use parking_lot::{Mutex, MutexGuard};
 
 use super::catalog::{CatalogSource, Question, SolFiles, SolListing};
-use super::lock::{self, Change, Lock, OpenLock, SolPins};
+use super::lock::{self, Lock, OpenLock, SolPins};
 use super::network::Network;
+use super::online::{Online, damaged};
 use super::pages::Pages;
-use super::summary::{Listed, Summaries};
+use super::summary::Summaries;
 use crate::archive::access::RemoteContext;
 use crate::net::{Client, ClientSettings};
 use crate::sols::Sols;
@@ -100,6 +101,11 @@ impl RemoteArchive {
     /// Returns the place of the pins.
     pub(super) fn lock(&self) -> &Lock {
         &self.lock
+    }
+
+    /// Returns the server.
+    pub(super) fn source(&self) -> &dyn CatalogSource {
+        self.source.as_ref()
     }
 
     /// Returns in words which products of a sol are taken.
@@ -209,33 +215,18 @@ impl RemoteArchive {
             ctx.check()?;
             online.add(*sol, listing)?;
         }
-        let (mut listing, unpinned, restored) = (online.listing, online.unpinned, online.restored);
+        online.restore()?;
+        let (mut listing, unpinned) = (online.listing, online.unpinned);
         if listing.shards.is_empty() {
             return Err(self.nothing(&catalog.present, "the archive has"));
         }
         listing.note = (unpinned > 0).then(|| format!("{unpinned} files to fetch"));
         summaries.save();
-        if !restored.is_empty() {
-            listing.warnings.extend(self.restore(ctx, restored)?);
-        }
         let survey = Survey {
             sols: catalog.sols,
             lock,
         };
         Ok((listing, survey))
-    }
-
-    /// Writes pins again that were lost from marf.lock, and returns what is to be told. Where they cannot be written, they
-    /// are at the next run.
-    fn restore(&self, ctx: &Ctx<'_>, restored: Vec<Change>) -> Result<Vec<String>, StageError> {
-        match self.lock.write(ctx, restored) {
-            Ok(written) => Ok(written.notice.into_iter().collect()),
-            Err(StageError::Cancelled) => Err(StageError::Cancelled),
-            Err(error) => Ok(vec![format!(
-                "pins that the store has are not written: {}",
-                told(&error)
-            )]),
-        }
     }
 
     fn pages<'a>(&self, ctx: &Ctx<'_>, state: &'a mut MutexGuard<'_, State>) -> &'a mut Pages {
@@ -394,110 +385,5 @@ impl RemoteArchive {
         ))
         .cause(there)
         .hint("change `sols` of the archive")
-    }
-}
-
-/// Compares what a server has with what is pinned, sol by sol.
-struct Online<'a> {
-    archive: &'a RemoteArchive,
-    ctx: &'a Ctx<'a>,
-    pages: &'a Pages,
-    lock: &'a OpenLock,
-    summaries: &'a Summaries<'a>,
-    listing: Listing,
-    unpinned: usize,
-    /// Pins that the lock lacks and the store has.
-    restored: Vec<Change>,
-}
-
-impl Online<'_> {
-    /// Adds a sol, if the server has anything of it.
-    fn add(&mut self, sol: u32, listing: &SolListing) -> Result<(), StageError> {
-        let summary = match self.summaries.of(sol) {
-            Ok(summary) => summary,
-            Err(error) => {
-                let fingerprint = damaged(&mut self.listing, sol, &error);
-                self.push(sol, fingerprint, 0);
-                return Ok(());
-            }
-        };
-        let paths = match (listing, &summary) {
-            (SolListing::Pinned, Some(summary)) => {
-                self.push(sol, summary.fingerprint, 0);
-                return Ok(());
-            }
-            (SolListing::Pinned, None) => return Ok(()),
-            (SolListing::Pages(paths), _) => paths,
-        };
-        let digest = listing.digest(self.pages);
-        let known = summary.as_ref().and_then(|summary| summary.listed);
-        if let Some(known) = known.filter(|known| known.listing == digest) {
-            self.push(sol, known.fingerprint, known.unpinned);
-            return Ok(());
-        }
-        if summary.is_none() && self.summaries.is_empty(sol, &digest) {
-            return Ok(());
-        }
-        let Some(files) = self.archive.source.files(self.pages, sol, paths)? else {
-            // Its pages are damaged: they are asked for again when it is brought.
-            self.push(sol, digest_of(&("lost", digest)), 0);
-            return Ok(());
-        };
-        if files.is_empty() {
-            if summary.is_none() {
-                self.summaries.set_empty(sol, digest);
-            }
-            return Ok(());
-        }
-        let pins = match summary {
-            Some(_) => self.lock.pins(sol)?,
-            None => self.remembered(sol),
-        };
-        let pins = pins.unwrap_or_default();
-        let files = files.with_history(&pins);
-        let listed = Listed {
-            listing: digest,
-            fingerprint: files.fingerprint(&pins),
-            unpinned: files.unpinned(&pins),
-        };
-        self.summaries.set_listed(sol, listed);
-        self.push(sol, listed.fingerprint, listed.unpinned);
-        Ok(())
-    }
-
-    fn remembered(&mut self, sol: u32) -> Option<SolPins> {
-        let pins = self.archive.remembered(self.ctx, sol)?;
-        self.restored.push(Change {
-            sol,
-            base: SolPins::default(),
-            pins: pins.clone(),
-        });
-        Some(pins)
-    }
-
-    fn push(&mut self, sol: u32, fingerprint: Digest, unpinned: usize) {
-        self.unpinned += unpinned;
-        self.listing.shards.push(Shard {
-            shard: sol,
-            fingerprint,
-        });
-    }
-}
-
-/// Tells of pins that cannot be read, and returns a fingerprint that no result has: the sol fails when it is brought.
-fn damaged(listing: &mut Listing, sol: u32, error: &StageError) -> Digest {
-    listing.warnings.push(told(error));
-    digest_of(&("damaged", sol))
-}
-
-/// Returns an error in one line, with its cause.
-fn told(error: &StageError) -> String {
-    match error {
-        StageError::Failed {
-            message,
-            cause: Some(cause),
-            ..
-        } => format!("{message}: {cause}"),
-        other => other.to_string(),
     }
 }

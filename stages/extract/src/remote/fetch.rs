@@ -286,6 +286,7 @@ impl Sol<'_> {
         if self.ctx.get(&old.blake3).is_ok() && self.archive.access() == Access::Online {
             return Ok(Ok(()));
         }
+        let file = self.archive.lock().file(self.sol)?;
         Err(StageError::new(format!(
             "`{name}` of sol {} is not what `{}` pins",
             self.sol, LOCK_FILE
@@ -297,7 +298,7 @@ impl Sol<'_> {
         .hint(format!(
             "the archive changed a product without a new version; to accept it, delete its line from `{}` \
                            and run without --locked",
-            LOCK_FILE
+            file.display()
         )))
     }
 

@@ -18,6 +18,7 @@ pub(crate) mod crawl;
 mod fetch;
 mod lock;
 pub(crate) mod network;
+mod online;
 pub(crate) mod pages;
 mod summary;
 

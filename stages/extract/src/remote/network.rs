@@ -27,7 +27,8 @@ pub(crate) struct Network {
     /// Longest silence of a server, s.
     #[schemars(range(min = 1, max = 3_600))]
     pub stall_s: u64,
-    /// Sols younger than the newest by less than this are listed again at each run: products arrive late.
+    /// Sols younger than the newest by less than this are looked at again: products arrive late. Older ones are not, once
+    /// they are wholly pinned.
     pub relist_sols: u32,
     /// Address for those who look after the server; goes into the User-Agent.
     pub contact: Option<String>,

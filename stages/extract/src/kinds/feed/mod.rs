@@ -4,25 +4,26 @@
 //! question, for the latest sol, tells how many photos there are: while it is the same, nothing else is asked. A record
 //! that is revised is noticed with the next photo that the feed adds.
 
+mod question;
 mod records;
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::Digest;
 use marf_pds::values;
-use marf_stage::{Ctx, ParamError, StageError};
+use marf_stage::{ParamError, StageError};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::Value;
 
+use self::question::FeedPages;
 use self::records::{field, id_of, sol_of, text};
 use super::mission::{Instrument, Mission};
 use crate::archive::ArchiveFiles;
 use crate::archive::access::{Remote, RemoteContext};
 use crate::archive::kind::ArchiveKind;
-use crate::net::{Answer, Client, Download, Origin, Url};
+use crate::net::{Origin, Url};
 use crate::remote::catalog::{Catalog, CatalogSource, Question, RemoteFile, SolFiles, SolListing};
-use crate::remote::crawl::urls;
 use crate::remote::network::{Network, bases, origins};
 use crate::remote::pages::{PageState, Pages};
 use crate::remote::{RemoteArchive, Request};
@@ -39,7 +40,6 @@ const PER_PAGE: usize = 100;
 const RUN_SOLS: u32 = 20;
 /// Most pages of one question: a hundred thousand pictures in a run of sols.
 const MAX_PAGES: usize = 1_000;
-const MAX_PAGE_BYTES: u64 = 32 << 20;
 const MAX_PICTURE_BYTES: u64 = 64 << 20;
 
 /// The keys of `kind = "feed"`.
@@ -408,41 +408,6 @@ type Records = BTreeMap<String, Value>;
 struct Picture {
     url: Url,
     extension: String,
-}
-
-/// Reads the pages of a feed.
-struct FeedPages<'a> {
-    ctx: &'a Ctx<'a>,
-    client: &'a Client,
-    bases: &'a [String],
-}
-
-impl FeedPages<'_> {
-    /// Downloads one page.
-    fn one(&self, path: &str) -> Result<Value, StageError> {
-        let want = Download {
-            urls: urls(self.bases, path)?,
-            cap_bytes: MAX_PAGE_BYTES,
-            known: None,
-            part: None,
-        };
-        let mut got = None;
-        self.client.get_all(self.ctx, &[want], &mut |_, answer| {
-            got = Some(answer?);
-            Ok(())
-        })?;
-        match got {
-            Some(Answer::Whole { bytes, url, .. }) => serde_json::from_slice(&bytes).map_err(|error| {
-                StageError::new(format!("`{url}` answered no JSON"))
-                    .cause(error.to_string())
-                    .hint("a firewall may have answered: open the address in a browser, or set `base`")
-            }),
-            _ => Err(
-                StageError::new(format!("the feed is not at {}", self.bases.join(", ")))
-                    .hint("it may have moved: set `base` of the archive"),
-            ),
-        }
-    }
 }
 
 /// Returns the sols to ask for; for the latest a run of them, since the feed's latest sol is that of any camera.

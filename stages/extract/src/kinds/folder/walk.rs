@@ -1,6 +1,6 @@
 //! Every file of a folder, by name.
 
-use std::path::{Path, PathBuf};
+use std::path::{MAIN_SEPARATOR, Path};
 
 use marf_stage::{Ctx, StageError};
 use rayon::prelude::*;
@@ -73,7 +73,7 @@ pub(super) fn walk(ctx: &Ctx<'_>, root: &Path, depth: usize) -> Result<Walk, Sta
     let mut names = Names::default();
     let mut problems: Vec<Option<String>> = Vec::new();
     for entry in entries.into_iter().filter_entry(visible) {
-        if names.len() % CHECK_EVERY == 0 {
+        if names.len().is_multiple_of(CHECK_EVERY) {
             ctx.check()?;
         }
         let found = entry_of(root, entry);
@@ -91,7 +91,7 @@ pub(super) fn walk(ctx: &Ctx<'_>, root: &Path, depth: usize) -> Result<Walk, Sta
     });
     order.dedup_by(|a, b| names.get(*a) == names.get(*b)); // only names that are no UTF-8 can collide
     let state = |index: &usize| -> Result<Result<FileState, String>, StageError> {
-        if index % CHECK_EVERY == 0 {
+        if index.is_multiple_of(CHECK_EVERY) {
             ctx.check()?;
         }
         Ok(match &problems[*index] {
@@ -144,7 +144,12 @@ fn entry_of(root: &Path, entry: walkdir::Result<DirEntry>) -> Option<(String, Op
 
 /// Returns the name below the folder with `/`, and whether it is UTF-8.
 fn relative(root: &Path, path: &Path) -> (String, bool) {
-    let below: PathBuf = path.strip_prefix(root).unwrap_or(path).to_owned();
-    let parts: Vec<_> = below.iter().map(|part| part.to_string_lossy()).collect();
-    (parts.join("/"), below.to_str().is_some())
+    let below = path.strip_prefix(root).unwrap_or(path);
+    match below.to_str() {
+        Some(name) if MAIN_SEPARATOR == '/' => (name.to_owned(), true),
+        whole => {
+            let parts: Vec<_> = below.iter().map(|part| part.to_string_lossy()).collect();
+            (parts.join("/"), whole.is_some())
+        }
+    }
 }

@@ -226,7 +226,8 @@ fn is_closed(pages: &Pages, root: &Root<'_>) -> bool {
 fn close_volumes(pages: &mut Pages, roots: &[Root<'_>], folders: &[SolFolder], relist_sols: u32) {
     let newest = folders.iter().map(|folder| folder.sol).max().unwrap_or(0);
     for root in roots.iter().filter(|root| root.tree.volumes.is_some()) {
-        let below = |folder: &&SolFolder| folder.path.starts_with(&format!("{}/", root.path));
+        let start = format!("{}/", root.path);
+        let below = |folder: &&SolFolder| folder.path.starts_with(&start);
         let last = folders.iter().filter(below).map(|folder| folder.sol).max();
         if last.is_some_and(|last| newest.saturating_sub(last) >= relist_sols) {
             pages.change(&root.path, |page| page.settled = true);

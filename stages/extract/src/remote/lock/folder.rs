@@ -27,8 +27,9 @@ const README_TEXT: &str = "\
 This folder pins what each archive on a server gave, to the byte: a folder an archive, a file a sol, a line a product.
 `marf run` writes it, `marf run --locked` takes exactly what it names. Keep it under version control.
 
-To fetch the products of a sol anew, delete its file here. A folder NAME@… is of another pipeline that calls its archive
-NAME too and asks it for something else; delete it when no pipeline does so any more.
+To fetch a product anew, delete its line. A file that is lost is written again from the store, where an earlier run kept
+it. A folder NAME@... is of another pipeline that calls its archive NAME too and asks it for something else; delete it when
+no pipeline does so any more.
 ";
 
 /// Where the pins of one archive lie.
@@ -146,6 +147,14 @@ impl Lock {
             pins: written,
             notice,
         })
+    }
+
+    /// Returns the file of a sol.
+    ///
+    /// # Errors
+    /// An `archive.toml` that cannot be read.
+    pub fn file(&self, sol: u32) -> Result<PathBuf, StageError> {
+        Ok(sol_path(&self.folder()?.0, sol))
     }
 
     /// Returns the folder of the archive, and what it was written for where that is something else and there is no other.

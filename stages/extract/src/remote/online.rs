@@ -1,0 +1,144 @@
+//! What a server has, compared with what is pinned, sol by sol.
+
+use marf_cache::{Digest, digest_of};
+use marf_stage::{Ctx, Listing, Shard, StageError};
+
+use super::archive::RemoteArchive;
+use super::catalog::SolListing;
+use super::lock::{Change, OpenLock, SolPins};
+use super::pages::Pages;
+use super::summary::{Listed, Summaries};
+
+/// Sols whose lost pins are written together, so that not all are in memory at once.
+const RESTORED_AT_ONCE: usize = 32;
+
+/// Compares what a server has with what is pinned, sol by sol.
+pub(super) struct Online<'a> {
+    pub archive: &'a RemoteArchive,
+    pub ctx: &'a Ctx<'a>,
+    pub pages: &'a Pages,
+    pub lock: &'a OpenLock,
+    pub summaries: &'a Summaries<'a>,
+    pub listing: Listing,
+    pub unpinned: usize,
+    /// Pins that the lock lacks and the store has.
+    pub restored: Vec<Change>,
+}
+
+impl Online<'_> {
+    /// Adds a sol, if the server has anything of it.
+    pub fn add(&mut self, sol: u32, listing: &SolListing) -> Result<(), StageError> {
+        let summary = match self.summaries.of(sol) {
+            Ok(summary) => summary,
+            Err(error) => {
+                let fingerprint = damaged(&mut self.listing, sol, &error);
+                self.push(sol, fingerprint, 0);
+                return Ok(());
+            }
+        };
+        let paths = match (listing, &summary) {
+            (SolListing::Pinned, Some(summary)) => {
+                self.push(sol, summary.fingerprint, 0);
+                return Ok(());
+            }
+            (SolListing::Pinned, None) => return Ok(()),
+            (SolListing::Pages(paths), _) => paths,
+        };
+        let digest = listing.digest(self.pages);
+        let known = summary.as_ref().and_then(|summary| summary.listed);
+        if let Some(known) = known.filter(|known| known.listing == digest) {
+            self.push(sol, known.fingerprint, known.unpinned);
+            return Ok(());
+        }
+        if summary.is_none() && self.summaries.is_empty(sol, &digest) {
+            return Ok(());
+        }
+        let Some(files) = self.archive.source().files(self.pages, sol, paths)? else {
+            // Its pages are damaged: they are asked for again when it is brought.
+            self.push(sol, digest_of(&("lost", digest)), 0);
+            return Ok(());
+        };
+        if files.is_empty() {
+            if summary.is_none() {
+                self.summaries.set_empty(sol, digest);
+            }
+            return Ok(());
+        }
+        let pins = match summary {
+            Some(_) => self.lock.pins(sol)?,
+            None => self.remembered(sol)?,
+        };
+        let pins = pins.unwrap_or_default();
+        let files = files.with_history(&pins);
+        let listed = Listed {
+            listing: digest,
+            fingerprint: files.fingerprint(&pins),
+            unpinned: files.unpinned(&pins),
+        };
+        self.summaries.set_listed(sol, listed);
+        self.push(sol, listed.fingerprint, listed.unpinned);
+        Ok(())
+    }
+
+    /// Returns the pins of a sol that the lock lacks and the store has; they are written again.
+    fn remembered(&mut self, sol: u32) -> Result<Option<SolPins>, StageError> {
+        let Some(pins) = self.archive.remembered(self.ctx, sol) else {
+            return Ok(None);
+        };
+        self.restored.push(Change {
+            sol,
+            base: SolPins::default(),
+            pins: pins.clone(),
+        });
+        if self.restored.len() >= RESTORED_AT_ONCE {
+            self.restore()?;
+        }
+        Ok(Some(pins))
+    }
+
+    /// Writes the pins that were lost. Where they cannot be written, they are at the next run.
+    ///
+    /// # Errors
+    /// The wish to stop.
+    pub fn restore(&mut self) -> Result<(), StageError> {
+        let restored = std::mem::take(&mut self.restored);
+        if restored.is_empty() {
+            return Ok(());
+        }
+        match self.archive.lock().write(self.ctx, restored) {
+            Ok(written) => self.listing.warnings.extend(written.notice),
+            Err(StageError::Cancelled) => return Err(StageError::Cancelled),
+            Err(error) => {
+                let warning = format!("pins that the store has are not written: {}", told(&error));
+                self.listing.warnings.push(warning);
+            }
+        }
+        Ok(())
+    }
+
+    fn push(&mut self, sol: u32, fingerprint: Digest, unpinned: usize) {
+        self.unpinned += unpinned;
+        self.listing.shards.push(Shard {
+            shard: sol,
+            fingerprint,
+        });
+    }
+}
+
+/// Tells of pins that cannot be read, and returns a fingerprint that no result has: the sol fails when it is brought.
+pub(super) fn damaged(listing: &mut Listing, sol: u32, error: &StageError) -> Digest {
+    listing.warnings.push(told(error));
+    digest_of(&("damaged", sol))
+}
+
+/// Returns an error in one line, with its cause.
+fn told(error: &StageError) -> String {
+    match error {
+        StageError::Failed {
+            message,
+            cause: Some(cause),
+            ..
+        } => format!("{message}: {cause}"),
+        other => other.to_string(),
+    }
+}
