@@ -1,5 +1,6 @@
 //! Every file of a folder, by name.
 
+use std::collections::BTreeMap;
 use std::path::{MAIN_SEPARATOR, Path};
 
 use marf_stage::{Ctx, StageError};
@@ -71,30 +72,26 @@ pub(super) fn walk(ctx: &Ctx<'_>, root: &Path, depth: usize) -> Result<Walk, Sta
         |entry: &DirEntry| entry.depth() == 0 || !entry.file_name().as_encoded_bytes().starts_with(b".");
     let entries = WalkDir::new(root).follow_links(true).max_depth(depth);
     let mut names = Names::default();
-    let mut problems: Vec<Option<String>> = Vec::new();
+    // Few have one.
+    let mut problems: BTreeMap<usize, String> = BTreeMap::new();
     for entry in entries.into_iter().filter_entry(visible) {
         if names.len().is_multiple_of(CHECK_EVERY) {
             ctx.check()?;
         }
-        let found = entry_of(root, entry);
-        problems.extend(found.into_iter().map(|(name, problem)| {
+        if let Some((name, problem)) = entry_of(root, entry) {
+            problems.extend(problem.map(|problem| (names.len(), problem)));
             names.push(&name);
-            problem
-        }));
+        }
     }
     let mut order: Vec<usize> = (0..names.len()).collect();
-    order.sort_unstable_by(|a, b| {
-        names
-            .get(*a)
-            .cmp(names.get(*b))
-            .then_with(|| problems[*a].cmp(&problems[*b]))
-    });
+    let key = |index: usize| (names.get(index), problems.get(&index));
+    order.sort_unstable_by(|a, b| key(*a).cmp(&key(*b)));
     order.dedup_by(|a, b| names.get(*a) == names.get(*b)); // only names that are no UTF-8 can collide
     let state = |index: &usize| -> Result<Result<FileState, String>, StageError> {
         if index.is_multiple_of(CHECK_EVERY) {
             ctx.check()?;
         }
-        Ok(match &problems[*index] {
+        Ok(match problems.get(index) {
             Some(problem) => Err(problem.clone()),
             None => state_of(&root.join(names.get(*index))),
         })
