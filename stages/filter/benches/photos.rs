@@ -1,4 +1,4 @@
-//! Photos per CPU second: decoding alone, and decoding with the measures of all filters, on one thread.
+//! CPU time a photo, on one thread: decoding, the measure of each filter, and all of it from one decode.
 //!
 //! usage: cargo bench -p marf-filter --bench photos [-- FOLDER...]; default: photos of 1440 x 1920 made here.
 #![allow(
@@ -7,12 +7,11 @@
     reason = "a bench that a person runs"
 )]
 
-use std::{collections::BTreeMap, fs, hint::black_box, time::Instant};
+use std::{fs, hint::black_box, time::Instant};
 
-use marf_cache::manifest::Row;
 use marf_filter::{measure_photo, tables};
 use marf_scene::{Image, Photo};
-use marf_stage::harness::Harness;
+use marf_stage::{Table, harness::Harness};
 use pictures::{dynamic, jpeg, noise};
 
 #[path = "../tests/common/pictures.rs"]
@@ -71,49 +70,31 @@ impl Clock {
 
 fn report(name: &str, photos: &[Vec<u8>]) {
     let harness = Harness::default();
-    let rows: Vec<Row> = photos
-        .iter()
-        .enumerate()
-        .map(|(index, bytes)| Row {
-            id: index.to_string(),
-            blobs: BTreeMap::from([("image".to_owned(), harness.put(bytes))]),
-            facts: serde_json::Value::Null,
-        })
-        .collect();
-    let blur = STAGES.iter().find(|stage| stage.name == "blur").unwrap();
-    let bound = (blur.bind)(serde_json::json!({})).unwrap();
-    let Work::Map(survey) = bound.work() else {
-        unreachable!("blur is a map")
+    let decoded: Vec<Photo> = photos.iter().map(|bytes| Photo::decode(bytes).unwrap()).collect();
+    let measure = |photo: &Photo, wanted: &[Table]| {
+        drop(black_box(measure_photo(&harness.ctx(), photo, wanted).unwrap()));
     };
-    let survey: &dyn Measure = survey;
-    let mut times = [Vec::new(), Vec::new()];
-    for _ in 0..ROUNDS {
-        let start = Clock::now();
-        photos
-            .iter()
-            .for_each(|bytes| drop(black_box(Photo::decode_validated(bytes))));
-        times[0].push(start.seconds() / photos.len() as f64);
-        let start = Clock::now();
-        rows.iter()
-            .for_each(|row| drop(black_box(survey.measure(&harness.ctx(), row))));
-        times[1].push(start.seconds() / photos.len() as f64);
+    println!("{name}: {} photos, {ROUNDS} rounds, one thread; ms a photo, min / median / max", photos.len());
+    let time = |what: &str, work: &dyn Fn(usize)| {
+        let mut times: Vec<f64> = (0..ROUNDS)
+            .map(|_| {
+                let start = Clock::now();
+                (0..photos.len()).for_each(work);
+                start.seconds() * 1e3 / photos.len() as f64
+            })
+            .collect();
+        times.sort_by(f64::total_cmp);
+        println!("  {what}: {:.2} / {:.2} / {:.2}", times[0], times[ROUNDS / 2], times[ROUNDS - 1]);
+    };
+    time("decoding with the check of extract", &|at| drop(black_box(Photo::decode(&photos[at]))));
+    time("decoding of what was checked", &|at| drop(black_box(Photo::decode_validated(&photos[at]))));
+    for table in tables() {
+        time(&format!("{} alone", table.name), &|at| measure(&decoded[at], &[table]));
     }
-    times.iter_mut().for_each(|times| times.sort_by(f64::total_cmp));
-    println!("{name}: {} photos, {ROUNDS} rounds, one thread", photos.len());
-    for (what, times) in ["decoding", "decoding and all measures"].iter().zip(&times) {
-        let rate = |seconds: f64| 1.0 / seconds;
-        println!(
-            "  {what}: {:.1} / {:.1} / {:.1} photos/s (min / median / max)",
-            rate(times[ROUNDS - 1]),
-            rate(times[ROUNDS / 2]),
-            rate(times[0])
-        );
-    }
-    let share = times[0][ROUNDS / 2] / times[1][ROUNDS / 2];
-    println!(
-        "  all of it runs at {:.0} % of the speed of decoding",
-        100.0 * share
-    );
+    time("all measures", &|at| measure(&decoded[at], &tables()));
+    time("check and all measures from one decode", &|at| {
+        measure(&Photo::decode(&photos[at]).unwrap(), &tables());
+    });
 }
 
 /// Returns a photo of 1440 x 1920 with detail of several sizes, as JPEG of quality 92.

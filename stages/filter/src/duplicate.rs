@@ -19,7 +19,7 @@ use crate::filter::{Facts, check_range, undecodable};
 #[cfg(test)]
 use crate::guard::Guard;
 use crate::index::Search;
-use crate::kept::{Added, KeptPhoto, Reader, SolPhotos};
+use crate::kept::{Added, GroupPhotos, KeptPhoto, Reader};
 use crate::relation::{Relation, Relative, processing_rank, relation_between};
 use crate::similarity::{Planes, correlation, hash_distance, same_aspect};
 use crate::stage::{OUTPUTS, PORTS};
@@ -154,7 +154,7 @@ impl Fold for Duplicate {
         Box::new(KeptPhotos {
             duplicate: self,
             candidates: Candidates::new(self.search()),
-            sols: Vec::new(),
+            groups: Vec::new(),
             reader: Reader::new(),
         })
     }
@@ -164,19 +164,16 @@ impl Fold for Duplicate {
 struct KeptPhotos<'a> {
     duplicate: &'a Duplicate,
     candidates: Candidates,
-    /// The position of the first photo of each sol that kept any, and the blob with its photos.
-    sols: Vec<(u32, Digest)>,
+    /// The position of the first photo of each group, and the blob with its photos.
+    groups: Vec<(u32, Digest)>,
     reader: Reader,
 }
 
 impl FoldState for KeptPhotos<'_> {
     fn replay(&mut self, _: &Ctx<'_>, added: &[u8]) -> Result<(), StageError> {
-        if let Some(added) = Added::read(added)? {
-            self.sols.push((self.candidates.len(), added.photos));
-            added
-                .keys
-                .iter()
-                .for_each(|(keys, _)| self.candidates.insert(keys));
+        for group in Added::read(added)? {
+            self.groups.push((self.candidates.len(), group.photos));
+            group.keys.iter().for_each(|(keys, _)| self.candidates.insert(keys));
         }
         Ok(())
     }
@@ -224,11 +221,10 @@ impl FoldState for KeptPhotos<'_> {
     }
 
     fn blobs(&self, added: &[u8]) -> Vec<Digest> {
-        let Ok(Some(added)) = Added::read(added) else {
-            return Vec::new();
-        };
-        let planes = added.keys.iter().map(|(_, planes)| *planes);
-        std::iter::once(added.photos).chain(planes).collect()
+        // Bytes that cannot be read are refused by `replay`.
+        let groups = Added::read(added).unwrap_or_default();
+        let named = |group: Added| std::iter::once(group.photos).chain(group.keys.into_iter().map(|keys| keys.1));
+        groups.into_iter().flat_map(named).collect()
     }
 }
 
@@ -267,8 +263,8 @@ impl KeptPhotos<'_> {
             found: None,
         };
         for position in self.candidates.find(&photo.keys) {
-            let (sol, at) = self.earlier(ctx, position)?;
-            nearest.compare(ctx, &mut self.reader, &sol.photo(at)?, None)?;
+            let (group, at) = self.earlier(ctx, position)?;
+            nearest.compare(ctx, &mut self.reader, &group.photo(at)?, None)?;
         }
         for position in own.candidates.find(&photo.keys) {
             if let Some(other) = own.photos.get(position as usize) {
@@ -290,8 +286,8 @@ impl KeptPhotos<'_> {
         let mut nearest: Option<(u32, String)> = None;
         let candidates = std::mem::replace(&mut self.candidates, Candidates::new(Search::Nearest));
         let searched = candidates.find_nearest(&photo.keys, |bits, position| {
-            let (sol, at) = self.earlier(ctx, position)?;
-            let other = sol.photo(at)?;
+            let (group, at) = self.earlier(ctx, position)?;
+            let other = group.photo(at)?;
             if same_aspect(size, other.size) {
                 nearest = Some((bits, other.id.to_owned()));
             }
@@ -312,12 +308,12 @@ impl KeptPhotos<'_> {
         Ok(decision.unwrap_or_else(|| Decision::pass("")))
     }
 
-    /// Returns the sol of a position among the photos of earlier sols, and the place in it.
-    fn earlier(&mut self, ctx: &Ctx<'_>, position: u32) -> Result<(Arc<SolPhotos>, usize), StageError> {
-        let after = self.sols.partition_point(|(first, _)| *first <= position);
-        let lost = || StageError::new(format!("no sol has kept photo {position}"));
-        let (first, digest) = self.sols[..after].last().ok_or_else(lost)?;
-        Ok((self.reader.sol(ctx, digest)?, (position - first) as usize))
+    /// Returns the group of a position among the photos of earlier sols, and the place in it.
+    fn earlier(&mut self, ctx: &Ctx<'_>, position: u32) -> Result<(Arc<GroupPhotos>, usize), StageError> {
+        let after = self.groups.partition_point(|(first, _)| *first <= position);
+        let lost = || StageError::new(format!("no group holds photo {position}"));
+        let (first, digest) = self.groups[..after].last().ok_or_else(lost)?;
+        Ok((self.reader.group(ctx, digest)?, (position - first) as usize))
     }
 }
 

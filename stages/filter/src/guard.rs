@@ -18,14 +18,6 @@ pub struct Guard {
     pub decisions: &'static str,
 }
 
-impl Guard {
-    /// The guard of a filter that is in no table.
-    pub(crate) const NONE: Self = Self {
-        measures: "",
-        decisions: "",
-    };
-}
-
 /// A row of the table with its guard.
 pub(crate) struct Guarded {
     name: &'static str,

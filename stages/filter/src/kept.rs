@@ -1,7 +1,7 @@
 //! The photos that `duplicate` has kept of earlier sols, as each sol added them.
 //!
 //! What a sol adds is kept in two parts. [`Added`] holds what its photos are found by, and is read whole by every later run;
-//! a blob that it names holds what a photo is compared by, and is read when one of its photos is a candidate.
+//! blobs that it names hold what photos are compared by, and are read when one of theirs is a candidate.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -68,7 +68,10 @@ impl<'a> KeptPhoto<'a> {
     }
 }
 
-/// What the photos that a sol added are found by: 45 bytes a photo of one hash, 57 with a name of Mars 2020.
+/// Photos of one blob: some 8 KB are read for a candidate.
+const GROUP: usize = 64;
+
+/// What a group of photos that a sol added are found by: 45 bytes a photo of one hash, 57 with a name of Mars 2020.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Added {
     /// Names the blob with what each photo is compared by.
@@ -83,50 +86,50 @@ impl Added {
     /// # Errors
     /// A store that cannot be written.
     pub(crate) fn write(ctx: &Ctx<'_>, photos: &[(KeptPhoto<'_>, PhotoKeys)]) -> Result<Vec<u8>, StageError> {
-        if photos.is_empty() {
-            return Ok(Vec::new());
-        }
-        let mut compared = Vec::new();
-        for (photo, _) in photos {
-            let mut bytes = Vec::new();
-            photo.put(&mut bytes);
-            put_part(&mut compared, &bytes);
-        }
-        let mut bytes = ctx.put(&compared)?.as_bytes().to_vec();
-        for (photo, keys) in photos {
-            put_keys(&mut bytes, keys);
-            bytes.extend(photo.planes.as_bytes());
+        let mut bytes = Vec::new();
+        for group in photos.chunks(GROUP) {
+            let mut compared = Vec::new();
+            for (photo, _) in group {
+                let mut bytes = Vec::new();
+                photo.put(&mut bytes);
+                put_part(&mut compared, &bytes);
+            }
+            bytes.extend(ctx.put(&compared)?.as_bytes());
+            bytes.push(group.len() as u8);
+            for (photo, keys) in group {
+                put_keys(&mut bytes, keys);
+                bytes.extend(photo.planes.as_bytes());
+            }
         }
         Ok(bytes)
     }
 
-    /// Reads what [`Added::write`] returned; nothing if no photos were added.
+    /// Reads what [`Added::write`] returned, group by group.
     ///
     /// # Errors
     /// Bytes that are not that.
-    pub(crate) fn read(mut bytes: &[u8]) -> Result<Option<Self>, StageError> {
-        let Some(photos) = take(&mut bytes) else {
-            return if bytes.is_empty() {
-                Ok(None)
-            } else {
-                Err(unreadable(0))
-            };
-        };
-        let mut keys = Vec::new();
+    pub(crate) fn read(mut bytes: &[u8]) -> Result<Vec<Self>, StageError> {
+        let mut groups = Vec::new();
         while !bytes.is_empty() {
-            let read = take_keys(&mut bytes).zip(take(&mut bytes).map(Digest::from_bytes));
-            keys.push(read.ok_or_else(|| unreadable(keys.len()))?);
+            groups.push(Self::take(&mut bytes).ok_or_else(|| unreadable(GROUP * groups.len()))?);
         }
-        Ok(Some(Self {
-            photos: Digest::from_bytes(photos),
-            keys,
-        }))
+        Ok(groups)
+    }
+
+    fn take(bytes: &mut &[u8]) -> Option<Self> {
+        let photos = Digest::from_bytes(take(bytes)?);
+        let [count] = take(bytes)?;
+        let keys = (0..count).map(|_| take_keys(bytes).zip(take(bytes).map(Digest::from_bytes)));
+        Some(Self {
+            photos,
+            keys: keys.collect::<Option<_>>()?,
+        })
     }
 }
 
 fn unreadable(after: usize) -> StageError {
     damaged(format!(
-        "photos kept of a sol cannot be read after {after} photos"
+        "photos kept of a sol cannot be read after the first {after}"
     ))
 }
 
@@ -167,14 +170,14 @@ fn take_keys(bytes: &mut &[u8]) -> Option<PhotoKeys> {
     })
 }
 
-/// The photos of one sol as they are compared.
-pub(crate) struct SolPhotos {
+/// The photos of one group as they are compared.
+pub(crate) struct GroupPhotos {
     bytes: Arc<[u8]>,
     /// Where each photo begins.
     starts: Vec<u32>,
 }
 
-impl SolPhotos {
+impl GroupPhotos {
     fn read(bytes: Arc<[u8]>) -> Option<Self> {
         let mut starts = Vec::new();
         let mut rest = &*bytes;
@@ -184,7 +187,7 @@ impl SolPhotos {
         Some(Self { bytes, starts })
     }
 
-    /// Returns the photo at a place in the sol.
+    /// Returns the photo at a place in the group.
     pub(crate) fn photo(&self, at: usize) -> Result<KeptPhoto<'_>, StageError> {
         let start = self.starts.get(at).map(|start| *start as usize);
         let photo = start.and_then(|start| KeptPhoto::take(&mut &self.bytes[start..]));
@@ -192,36 +195,36 @@ impl SolPhotos {
     }
 }
 
-/// Most bytes of photos of earlier sols that are held: those of a hundred sols of 1,000 photos.
-const SOLS_BYTES: usize = 16 << 20;
+/// Most bytes of photos of earlier sols that are held: 60,000 photos.
+const GROUPS_BYTES: usize = 8 << 20;
 /// Most bytes of planes that are held: those of 500 photos of three bands.
 const PLANES_BYTES: usize = 16 << 20;
 
 /// Reads what photos are compared by, and holds what was used last.
 pub(crate) struct Reader {
-    sols: Recent<Digest, SolPhotos>,
+    groups: Recent<Digest, GroupPhotos>,
     planes: Recent<Digest, Planes>,
 }
 
 impl Reader {
     pub(crate) fn new() -> Self {
         Self {
-            sols: Recent::new(SOLS_BYTES),
+            groups: Recent::new(GROUPS_BYTES),
             planes: Recent::new(PLANES_BYTES),
         }
     }
 
-    /// Reads the photos of one sol.
+    /// Reads the photos of one group.
     ///
     /// # Errors
     /// A blob that is lost or damaged.
-    pub(crate) fn sol(&mut self, ctx: &Ctx<'_>, digest: &Digest) -> Result<Arc<SolPhotos>, StageError> {
-        self.sols.get(*digest, || {
+    pub(crate) fn group(&mut self, ctx: &Ctx<'_>, digest: &Digest) -> Result<Arc<GroupPhotos>, StageError> {
+        self.groups.get(*digest, || {
             let bytes = ctx.get(digest)?;
             let size = bytes.len();
-            let sol = SolPhotos::read(bytes).ok_or_else(|| unreadable(0))?;
-            let size = size + 4 * sol.starts.len();
-            Ok((sol, size))
+            let group = GroupPhotos::read(bytes).ok_or_else(|| unreadable(0))?;
+            let size = size + 4 * group.starts.len();
+            Ok((group, size))
         })
     }
 
@@ -325,20 +328,23 @@ mod tests {
     #[test]
     fn what_a_sol_added_comes_back_and_damage_is_an_error() {
         let harness = Harness::default();
-        let photos = [kept("a"), kept("b")];
+        let names: Vec<String> = (0..GROUP).map(|at| format!("{at:03}")).chain(["b".to_owned()]).collect();
+        let photos: Vec<_> = names.iter().map(|name| kept(name)).collect();
         let bytes = Added::write(&harness.ctx(), &photos).unwrap();
-        let added = Added::read(&bytes).unwrap().unwrap();
-        let sol = Reader::new().sol(&harness.ctx(), &added.photos).unwrap();
+        let groups = Added::read(&bytes).unwrap();
+        assert_eq!(groups.iter().map(|group| group.keys.len()).collect::<Vec<_>>(), [GROUP, 1]);
         for (at, (photo, keys)) in photos.iter().enumerate() {
-            assert_eq!(&sol.photo(at).unwrap(), photo);
-            assert_eq!(&added.keys[at], &(keys.clone(), photo.planes));
+            let added = &groups[at / GROUP];
+            let group = Reader::new().group(&harness.ctx(), &added.photos).unwrap();
+            assert_eq!(&group.photo(at % GROUP).unwrap(), photo);
+            assert_eq!(&added.keys[at % GROUP], &(keys.clone(), photo.planes));
+            assert!(group.photo(GROUP).is_err());
         }
-        assert!(sol.photo(2).is_err());
-        for (cut, after) in [(bytes.len() - 1, 1), (60, 0), (31, 0)] {
+        for (cut, after) in [(bytes.len() - 1, 64), (60, 0), (31, 0)] {
             let error = Added::read(&bytes[..cut]).unwrap_err();
             assert_eq!(
                 error.to_string(),
-                format!("photos kept of a sol cannot be read after {after} photos")
+                format!("photos kept of a sol cannot be read after the first {after}")
             );
         }
     }
@@ -347,7 +353,7 @@ mod tests {
     fn no_photos_add_no_bytes() {
         let harness = Harness::default();
         assert!(Added::write(&harness.ctx(), &[]).unwrap().is_empty());
-        assert_eq!(Added::read(&[]).unwrap(), None);
+        assert!(Added::read(&[]).unwrap().is_empty());
     }
 
     #[test]

@@ -198,7 +198,7 @@ fn a_state_cut_short_is_refused() {
     let error = duplicate.begin().replay(&photos.harness.ctx(), cut).unwrap_err();
     assert_eq!(
         error.to_string(),
-        "photos kept of a sol cannot be read after 0 photos"
+        "photos kept of a sol cannot be read after the first 0"
     );
 }
 
