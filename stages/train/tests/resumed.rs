@@ -147,7 +147,7 @@ fn trials() -> Value {
 
 #[test]
 fn a_training_with_trials_and_judging_goes_on_to_the_same_bytes_wherever_it_was_stopped() {
-    same_when_stopped(11, 40, 28, &|harness| training(harness, trials()));
+    same_when_stopped(17, 40, 28, &|harness| training(harness, trials()));
 }
 
 #[test]
@@ -199,7 +199,7 @@ fn a_budget_is_trained_on_from_where_it_was_stopped() {
         let paced = Outputs::from([("steps".to_owned(), harness.put(b"20"))]);
         Box::new(move |ctx| train.reduce(ctx, &inputs, std::slice::from_ref(&paced)))
     };
-    same_when_stopped(7, 20, 10, &fresh);
+    same_when_stopped(13, 20, 10, &fresh);
 }
 
 /// What `evaluate` and `render` read of a training.
@@ -255,7 +255,7 @@ fn a_large_picture_goes_on_from_its_last_band() {
 
 #[test]
 fn a_bootstrap_goes_on_to_the_same_bytes_wherever_it_was_stopped() {
-    same_when_stopped(23, 60, 20, &|harness| {
+    same_when_stopped(37, 60, 20, &|harness| {
         let scene = put_scene(harness, &scene(harness, 12));
         let inputs = inputs(&[("scene", scene)]);
         let member = |seed: u64| -> Outputs {
