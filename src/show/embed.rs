@@ -4,10 +4,8 @@ use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 
 use base64::{Engine, engine::general_purpose::STANDARD};
-use image::codecs::jpeg::JpegEncoder;
-use image::{ExtendedColorType, ImageEncoder, RgbImage, imageops};
 use marf_cache::Digest;
-use marf_scene::{Image, Photo, Srgb, encode_png};
+use marf_scene::{Image, Photo, Srgb, encode_jpeg, encode_png};
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
@@ -131,36 +129,7 @@ pub(super) fn decode(input: &ReportInput<'_>, digest: &Digest) -> Result<Image<S
 
 /// Shrinks to what is shown, never enlarges.
 pub(super) fn shrunk(image: &Image<Srgb>, most_px: u32) -> Result<Image<Srgb>, String> {
-    let longest = image.width.max(image.height);
-    if image.width == 0 || image.height == 0 {
-        return Err("The picture has no pixels.".to_owned());
-    }
-    if longest <= most_px {
-        return Ok(image.clone());
-    }
-    let side = |side: u32| {
-        (u64::from(side) * u64::from(most_px))
-            .div_ceil(u64::from(longest))
-            .max(1) as u32
-    };
-    // A whole factor first: it is exact, and what is left to resample is small.
-    let factor = (longest / most_px).clamp(1, image.width.min(image.height));
-    let reduced = image.box_reduced(factor);
-    if reduced.width.max(reduced.height) <= most_px {
-        return Ok(reduced);
-    }
-    let whole = RgbImage::from_raw(
-        reduced.width,
-        reduced.height,
-        reduced.pixels.as_flattened().to_vec(),
-    )
-    .ok_or_else(|| "The picture's size and pixels disagree.".to_owned())?;
-    let small = imageops::thumbnail(&whole, side(image.width), side(image.height));
-    Ok(Image {
-        width: small.width(),
-        height: small.height(),
-        pixels: small.pixels().map(|rgb| rgb.0).collect(),
-    })
+    marf_scene::shrunk(image, most_px).ok_or_else(|| "The picture has no pixels.".to_owned())
 }
 
 /// The place of a picture that cannot be shown.
@@ -175,7 +144,10 @@ fn embed(image: &Image<Srgb>, form: Form) -> Result<Embedded, String> {
         Form::Map => (480, 92),
     };
     let small = shrunk(image, most_px)?;
-    let jpeg = || encode_jpeg(&small, quality).map(|bytes| data_uri("image/jpeg", &bytes));
+    let jpeg = || {
+        let bytes = encode_jpeg(&small, quality).map_err(|error| error.to_string())?;
+        Ok::<_, String>(data_uri("image/jpeg", &bytes))
+    };
     let uri = match form {
         Form::Thumb | Form::Photo => jpeg()?,
         Form::Map => match encode_png(&small) {
@@ -186,15 +158,6 @@ fn embed(image: &Image<Srgb>, form: Form) -> Result<Embedded, String> {
     };
     let (width, height) = (small.width, small.height);
     Ok(Embedded { uri, width, height })
-}
-
-fn encode_jpeg(image: &Image<Srgb>, quality: u8) -> Result<Vec<u8>, String> {
-    let mut bytes = Vec::new();
-    let pixels = image.pixels.as_flattened();
-    JpegEncoder::new_with_quality(&mut bytes, quality)
-        .write_image(pixels, image.width, image.height, ExtendedColorType::Rgb8)
-        .map_err(|error| error.to_string())?;
-    Ok(bytes)
 }
 
 fn data_uri(media: &str, bytes: &[u8]) -> String {
@@ -211,19 +174,6 @@ fn media_type(bytes: &[u8]) -> Option<&'static str> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_picture_shrinks_to_its_longest_side_and_never_grows() {
-        for ((width, height), shown) in [
-            ((1440, 1920), (120, 160)),
-            ((100, 50), (100, 50)),
-            ((5000, 2), (160, 1)),
-            ((160, 160), (160, 160)),
-        ] {
-            let small = shrunk(&Image::from_fn(width, height, |_, _| [9, 8, 7]), 160).unwrap();
-            assert_eq!((small.width, small.height), shown, "{width} x {height}");
-        }
-    }
 
     #[test]
     fn a_picture_without_pixels_is_said_in_words() {

@@ -1,4 +1,4 @@
-//! From the files of a shard to rows and verdicts.
+//! From the files of a shard to rows, verdicts and measures.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -6,25 +6,35 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use marf_cache::manifest::Row;
 use marf_pds::exif::{self, Lens};
 use marf_pds::{Label, ProductName, raw};
-use marf_scene::{Photo, PhotoFacts};
-use marf_stage::{Ctx, Fetched, StageError, Verdict};
+use marf_scene::{Image, Photo, PhotoFacts, Srgb, thumbnail};
+use marf_stage::{Ctx, Fetched, FetchedMeasure, StageError, Verdict};
 use rayon::prelude::*;
 
 use crate::archive::{ArchiveFile, Kind};
 use crate::products::{Product, Sorted, left, sort};
+use crate::survey::Wanted;
 
-/// Decodes the files of one shard and stores them: a row for each photo, a verdict for each file.
+/// Smallest image, in bytes, of which a thumbnail is made: a smaller one is shown as it is.
+const MIN_THUMBNAIL_BYTES: usize = 64 << 10;
+
+/// Decodes the files of one shard and stores them: a row for each photo, with the measures that are wanted of it, and a
+/// verdict for each file.
 ///
 /// # Errors
 /// The store, the wish to stop, or a file that changed; a bad file is a verdict.
-pub(crate) fn fetch(ctx: &Ctx<'_>, files: &[ArchiveFile], shard: u32) -> Result<Fetched, StageError> {
+pub(crate) fn fetch(
+    ctx: &Ctx<'_>,
+    files: &[ArchiveFile],
+    shard: u32,
+    wanted: &Wanted,
+) -> Result<Fetched, StageError> {
     let Sorted { products, left_out } = sort(ctx, files)?;
     let (done, total) = (AtomicU64::new(0), products.len() as u64);
     let outcomes: Result<Vec<_>, StageError> = products
         .par_iter()
         .map(|product| {
             ctx.check()?;
-            let outcome = one_product(ctx, product, shard)?;
+            let outcome = one_product(ctx, product, shard, wanted)?;
             ctx.progress
                 .at(done.fetch_add(1, Ordering::Relaxed) + 1, total, "");
             Ok(outcome)
@@ -35,49 +45,76 @@ pub(crate) fn fetch(ctx: &Ctx<'_>, files: &[ArchiveFile], shard: u32) -> Result<
         verdicts: left_out,
         ..Fetched::default()
     };
-    for (row, verdicts) in outcomes? {
-        fetched.rows.extend(row);
-        fetched.verdicts.extend(verdicts);
+    for outcome in outcomes? {
+        fetched.rows.extend(outcome.row);
+        fetched.verdicts.extend(outcome.verdicts);
+        fetched.measures.extend(outcome.measures);
     }
     fetched.verdicts.sort_by(|a, b| a.file.cmp(&b.file));
     Ok(fetched)
 }
 
+/// What came of a product.
+#[derive(Default)]
+struct Outcome {
+    row: Option<Row>,
+    verdicts: Vec<Verdict>,
+    measures: Vec<FetchedMeasure>,
+}
+
 /// Takes the first file of a product that can be decoded; the others get a verdict each.
-fn one_product(
-    ctx: &Ctx<'_>,
-    product: &Product,
-    shard: u32,
-) -> Result<(Option<Row>, Vec<Verdict>), StageError> {
-    let mut verdicts = Vec::new();
-    let mut row: Option<Row> = None;
+fn one_product(ctx: &Ctx<'_>, product: &Product, shard: u32, wanted: &Wanted) -> Result<Outcome, StageError> {
+    let mut outcome = Outcome::default();
     for file in &product.files {
-        if let Some(row) = &row {
+        if let Some(row) = &outcome.row {
             let reason = format!(
                 "another file of product {}, of which a better one is taken",
                 row.id
             );
-            verdicts.push(left(&file.name, "skipped", reason));
+            outcome.verdicts.push(left(&file.name, "skipped", reason));
             continue;
         }
         let bytes = file.keep(ctx)?;
         match decode(product, file, &bytes) {
             Ok(decoded) => {
-                verdicts.push(Verdict {
+                outcome.verdicts.push(Verdict {
                     id: product.id.clone(),
                     ..left(&file.name, Verdict::KEEP, String::new())
                 });
-                row = Some(make_row(ctx, product, file, &bytes, decoded, shard)?);
+                outcome.measures = measures(ctx, product, &decoded.photo, wanted)?;
+                outcome.row = Some(make_row(ctx, product, file, &bytes, decoded, shard)?);
             }
-            Err(reason) => verdicts.push(left(&file.name, "decode", reason)),
+            Err(reason) => outcome.verdicts.push(left(&file.name, "decode", reason)),
         }
     }
-    Ok((row, verdicts))
+    Ok(outcome)
+}
+
+/// Measures a photo for each table that is wanted.
+fn measures(
+    ctx: &Ctx<'_>,
+    product: &Product,
+    photo: &Photo,
+    wanted: &Wanted,
+) -> Result<Vec<FetchedMeasure>, StageError> {
+    let measured = (wanted.measure)(ctx, photo, &wanted.tables)?;
+    let named = wanted
+        .tables
+        .iter()
+        .zip(measured)
+        .map(|(table, measure)| FetchedMeasure {
+            id: product.id.clone(),
+            table: *table,
+            measure,
+        });
+    Ok(named.collect())
 }
 
 /// A decoded photo, and what its own file says of it.
 struct Decoded {
-    size: (u32, u32),
+    /// The photo as later stages decode it.
+    photo: Photo,
+    /// Bands of the file: those of the photo, unless it was made of the file.
     bands: u8,
     notes: Vec<String>,
     lens: Lens,
@@ -95,11 +132,11 @@ fn decode(product: &Product, file: &ArchiveFile, bytes: &[u8]) -> Result<Decoded
     if file.kind == Kind::Raw {
         let developed = raw::develop(name, bytes, beside)?;
         return Ok(Decoded {
-            size: (developed.image.width, developed.image.height),
+            made: Some(raw::png(&developed.image)?),
+            photo: as_stored(developed.image),
             bands: developed.bands,
             notes: developed.notes,
             lens: Lens::default(),
-            made: Some(raw::png(&developed.image)?),
             attached: developed.attached,
         });
     }
@@ -116,19 +153,32 @@ fn decode(product: &Product, file: &ArchiveFile, bytes: &[u8]) -> Result<Decoded
         .map(|photo| raw::png(&photo.image))
         .transpose()?;
     let photo = developed.unwrap_or(photo);
+    let (bands, notes) = (photo.bands, photo.notes.clone());
     // A mosaic is half as large when developed, and no archive writes EXIF into one.
     let lens = match made {
         None => exif::read(bytes, photo.image.width.max(photo.image.height)),
         Some(_) => Lens::default(),
     };
     Ok(Decoded {
-        size: (photo.image.width, photo.image.height),
-        bands: photo.bands,
-        notes: photo.notes,
+        photo: match made {
+            None => photo,
+            Some(_) => as_stored(photo.image),
+        },
+        bands,
+        notes,
         lens,
         made,
         attached: None,
     })
+}
+
+/// Returns a picture that was made of a file as later stages decode it: from a PNG of three bands.
+fn as_stored(image: Image<Srgb>) -> Photo {
+    Photo {
+        image,
+        bands: 3,
+        notes: Vec::new(),
+    }
 }
 
 fn make_row(
@@ -150,6 +200,13 @@ fn make_row(
             blobs.insert("image".to_owned(), stored);
         }
     }
+    if decoded.made.as_ref().map_or(bytes.len(), Vec::len) >= MIN_THUMBNAIL_BYTES {
+        let small = thumbnail(&decoded.photo.image).map_err(|error| {
+            let what = format!("no thumbnail of `{}` can be made", file.name);
+            StageError::new(what).cause(error.to_string())
+        })?;
+        blobs.insert("thumbnail".to_owned(), ctx.put(&small)?);
+    }
     if let Some(label) = &product.label {
         blobs.insert("label".to_owned(), label.digest);
     }
@@ -167,6 +224,7 @@ fn facts(
     decoded: Decoded,
     shard: u32,
 ) -> PhotoFacts {
+    let size = (decoded.photo.image.width, decoded.photo.image.height);
     let mut notes = decoded.notes;
     notes.extend(decoded.lens.notes);
     let name = product.name.as_ref();
@@ -179,7 +237,7 @@ fn facts(
         .into_iter()
         .flatten()
         .find(|label| label.prior.is_some());
-    let prior = with_camera.and_then(|label| label.fit_camera(name, decoded.size, &mut notes));
+    let prior = with_camera.and_then(|label| label.fit_camera(name, size, &mut notes));
     if let Some(label) = with_camera.or(attached).or(detached) {
         notes.extend(label.notes.iter().cloned());
     }
@@ -194,8 +252,8 @@ fn facts(
     PhotoFacts {
         file: file.name.clone(),
         size_bytes: size_bytes as u64,
-        width: decoded.size.0,
-        height: decoded.size.1,
+        width: size.0,
+        height: size.1,
         bands: decoded.bands,
         sol,
         instrument: name

@@ -9,7 +9,8 @@
 //! archive/  what a kind declares and what it may reach; files by shard
 //! remote/   what archives on servers share: catalogs, marf.lock, downloads
 //! net/      the HTTP client
-//! fetch.rs  from the files of a shard to rows and verdicts
+//! fetch.rs  from the files of a shard to rows, verdicts and measures
+//! survey.rs what is measured of photos while they are decoded
 //! ```
 
 mod archive;
@@ -22,6 +23,9 @@ mod products;
 mod remote;
 mod sols;
 mod stat;
+mod survey;
+
+use std::marker::PhantomData;
 
 use marf_stage::{
     ArchiveContext, Ctx, Define, Fetched, Listing, ParamError, Port, Source, Stage, StageError, Threads, Work,
@@ -31,14 +35,19 @@ pub use archive::kind::ArchiveDef;
 pub use kinds::ARCHIVES;
 pub use params::{ArchiveTable, ExtractParams};
 pub use remote::{UnreadableLock, pinned_products};
+pub use survey::{MeasurePhoto, NoSurvey, Survey};
 
 /// Brings photos in from an archive.
 ///
 /// Outputs `photos` (rows of [`marf_scene::PhotoFacts`]; blob `image` is what every later stage decodes, `raw` the
-/// original bytes where they differ, `label` the label's), `verdicts` and `companions`.
-pub struct Extract {
+/// original bytes where they differ, `label` the label's, `thumbnail` a small JPEG of an image of 64 KiB and more),
+/// `verdicts` and `companions`. What [`ArchiveContext::measures`] asks for is measured by the survey `S` from the decode
+/// that checks the photo; it changes no row.
+pub struct Extract<S = NoSurvey> {
     archive: Box<dyn archive::ArchiveFiles>,
     reading: Reading,
+    wanted: survey::Wanted,
+    survey: PhantomData<fn() -> S>,
 }
 
 /// The parameters that enter the key. The archive's do not: what they choose is in the fingerprints of its shards.
@@ -47,7 +56,7 @@ struct Reading {
     white_radiance: f64,
 }
 
-impl Stage for Extract {
+impl<S: Survey> Stage for Extract<S> {
     fn params(&self) -> serde_json::Value {
         marf_stage::key_params(&self.reading, &[])
     }
@@ -61,14 +70,14 @@ impl Stage for Extract {
     }
 }
 
-impl Source for Extract {
+impl<S: Survey> Source for Extract<S> {
     fn list(&self, ctx: &Ctx<'_>) -> Result<Listing, StageError> {
         self.archive.list(ctx)
     }
 
     fn fetch(&self, ctx: &Ctx<'_>, shard: u32) -> Result<Fetched, StageError> {
         let shard_files = self.archive.files(ctx, shard)?;
-        let fetched = fetch::fetch(ctx, &shard_files.files, shard)?;
+        let fetched = fetch::fetch(ctx, &shard_files.files, shard, &self.wanted)?;
         Ok(Fetched {
             fingerprint: shard_files.fingerprint,
             warnings: shard_files.warnings,
@@ -77,11 +86,11 @@ impl Source for Extract {
     }
 }
 
-impl Define for Extract {
+impl<S: Survey> Define for Extract<S> {
     type Params = ExtractParams;
     const NAME: &'static str = "extract";
     const ABOUT: &'static str = "archives to photos with what their labels say of camera and place";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PORTS: &'static [Port] = &[];
     const OUTPUTS: &'static [&'static str] =
         &[marf_stage::PHOTOS, marf_stage::VERDICTS, marf_stage::COMPANIONS];
@@ -95,11 +104,14 @@ impl Define for Extract {
             let path = format!("archive.{}", error.path);
             ParamError::new(path.trim_end_matches('.'), error.message)
         };
+        let wanted = survey::Wanted::of::<S>(&context.measures);
         Ok(Self {
             archive: params.archive.open(context).map_err(of_archive)?,
             reading: Reading {
                 white_radiance: marf_pds::WHITE_RADIANCE,
             },
+            wanted,
+            survey: PhantomData,
         })
     }
 }

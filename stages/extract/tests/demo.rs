@@ -16,7 +16,7 @@ fn extracted(demo: &Demo) -> (BTreeMap<String, PhotoFacts>, Vec<Verdict>) {
     }
     let archive = serde_json::json!({"kind": "folder", "path": dir.path()});
     let params = serde_json::from_value(serde_json::json!({ "archive": archive })).unwrap();
-    let source = Extract::new(params).unwrap();
+    let source = <Extract>::new(params).unwrap();
     let harness = Harness::default();
     let listing = source.list(&harness.ctx()).unwrap();
     assert_eq!(listing.shards.len(), 1, "all is of one sol");

@@ -10,7 +10,10 @@
     clippy::unwrap_used,
     reason = "a bench that a person runs"
 )]
-#![allow(dead_code, reason = "the index is taken as it is, and not all of it is measured")]
+#![allow(
+    dead_code,
+    reason = "the index is taken as it is, and not all of it is measured"
+)]
 
 use std::collections::BTreeMap;
 use std::hint::black_box;
@@ -32,10 +35,21 @@ const SOL: usize = 1000;
 const RADIUS: u32 = 14;
 
 fn main() {
-    let words: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect();
+    let words: Vec<String> = std::env::args()
+        .skip(1)
+        .filter(|word| !word.starts_with("--"))
+        .collect();
     let numbers: Vec<usize> = words.iter().filter_map(|word| word.parse().ok()).collect();
-    let counts = if numbers.is_empty() { vec![10_000, 100_000, 1_000_000] } else { numbers };
-    let wants = |what: &str| words.iter().all(|word| word.parse::<usize>().is_ok() || word == what);
+    let counts = if numbers.is_empty() {
+        vec![10_000, 100_000, 1_000_000]
+    } else {
+        numbers
+    };
+    let wants = |what: &str| {
+        words
+            .iter()
+            .all(|word| word.parse::<usize>().is_ok() || word == what)
+    };
     if wants("index") {
         counts.iter().for_each(|count| compare_indexes(*count));
     }
@@ -71,7 +85,9 @@ fn hash_of(photo: usize, photos: usize) -> u64 {
     if cluster == photo as u64 {
         return centre;
     }
-    (0..3).fold(centre, |hash, at| hash ^ (1 << (mixed(3 * photo as u64 + at) >> 58)))
+    (0..3).fold(centre, |hash, at| {
+        hash ^ (1 << (mixed(3 * photo as u64 + at) >> 58))
+    })
 }
 
 /// Seconds of CPU of this thread, where the system tells them; else of the clock.
@@ -137,7 +153,11 @@ impl BkTree {
             if distance <= RADIUS {
                 found.push(at);
             }
-            open.extend(below.range(distance.saturating_sub(RADIUS)..=distance + RADIUS).map(|(_, next)| *next));
+            open.extend(
+                below
+                    .range(distance.saturating_sub(RADIUS)..=distance + RADIUS)
+                    .map(|(_, next)| *next),
+            );
         }
     }
 }
@@ -147,7 +167,9 @@ fn compare_indexes(photos: usize) {
     let before = resident_mb();
     let clock = Clock::now();
     let mut index = HashIndex::new(Search::Within(RADIUS));
-    (0..).zip(&hashes).for_each(|(position, hash)| index.insert(*hash, position));
+    (0..)
+        .zip(&hashes)
+        .for_each(|(position, hash)| index.insert(*hash, position));
     let inserting = clock.seconds();
     let bytes = (resident_mb() - before) * 1024.0 * 1024.0 / photos as f64;
     let mut tree = BkTree::default();
@@ -166,14 +188,25 @@ fn compare_indexes(photos: usize) {
         (clock.seconds() * 1e6 / queries as f64, total)
     };
     let by_index = asked(&|hash, found| index.find_within(hash, found));
+    let many: Vec<(u32, u64)> = (0..SOL as u32)
+        .map(|query| (query, hash_of(query as usize * (photos / SOL), photos)))
+        .collect();
+    let clock = Clock::now();
+    index.find_within_many(&many, |number, position| black_box(number ^ position) != u32::MAX);
+    let together = clock.seconds() * 1e6 / SOL as f64;
     let by_tree = asked(&|hash, found| tree.find_within(hash, found));
     let by_all = asked(&|hash, found| {
-        let near = (0..).zip(&hashes).filter(|(_, other)| (hash ^ **other).count_ones() <= RADIUS);
+        let near = (0..)
+            .zip(&hashes)
+            .filter(|(_, other)| (hash ^ **other).count_ones() <= RADIUS);
         found.extend(near.map(|(position, _)| position));
     });
-    assert!(by_index.1 == by_all.1 && by_tree.1 == by_all.1, "{by_index:?} {by_tree:?} {by_all:?}");
+    assert!(
+        by_index.1 == by_all.1 && by_tree.1 == by_all.1,
+        "{by_index:?} {by_tree:?} {by_all:?}"
+    );
     println!(
-        "{photos} hashes, within {RADIUS} bits, us a query: index {:.1}, BK-tree {:.1}, all {:.1}; {} found; index: {:.2} us an \
+        "{photos} hashes, within {RADIUS} bits, us a query: index {:.1}, of 1,000 at once {together:.1}, BK-tree {:.1}, all {:.1}; {} found; index: {:.2} us an \
          insertion, {bytes:.0} bytes a hash",
         by_index.0,
         by_tree.0,
@@ -211,7 +244,9 @@ impl Blobs for Store {
         let (photo, cluster) = (number(0), number(8));
         let cells = (0..4096_u64).step_by(8).flat_map(|at| {
             let noise = mixed(photo.wrapping_mul(4096) + at) & 0x0303_0303_0303_0303;
-            (mixed(cluster.wrapping_mul(4096) + at) & 0x7f7f_7f7f_7f7f_7f7f).wrapping_add(noise).to_le_bytes()
+            (mixed(cluster.wrapping_mul(4096) + at) & 0x7f7f_7f7f_7f7f_7f7f)
+                .wrapping_add(noise)
+                .to_le_bytes()
         });
         Ok(cells.collect())
     }

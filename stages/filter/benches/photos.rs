@@ -74,7 +74,10 @@ fn report(name: &str, photos: &[Vec<u8>]) {
     let measure = |photo: &Photo, wanted: &[Table]| {
         drop(black_box(measure_photo(&harness.ctx(), photo, wanted).unwrap()));
     };
-    println!("{name}: {} photos, {ROUNDS} rounds, one thread; ms a photo, min / median / max", photos.len());
+    println!(
+        "{name}: {} photos, {ROUNDS} rounds, one thread; ms a photo, min / median / max",
+        photos.len()
+    );
     let time = |what: &str, work: &dyn Fn(usize)| {
         let mut times: Vec<f64> = (0..ROUNDS)
             .map(|_| {
@@ -84,12 +87,23 @@ fn report(name: &str, photos: &[Vec<u8>]) {
             })
             .collect();
         times.sort_by(f64::total_cmp);
-        println!("  {what}: {:.2} / {:.2} / {:.2}", times[0], times[ROUNDS / 2], times[ROUNDS - 1]);
+        println!(
+            "  {what}: {:.2} / {:.2} / {:.2}",
+            times[0],
+            times[ROUNDS / 2],
+            times[ROUNDS - 1]
+        );
     };
-    time("decoding with the check of extract", &|at| drop(black_box(Photo::decode(&photos[at]))));
-    time("decoding of what was checked", &|at| drop(black_box(Photo::decode_validated(&photos[at]))));
+    time("decoding with the check of extract", &|at| {
+        drop(black_box(Photo::decode(&photos[at])))
+    });
+    time("decoding of what was checked", &|at| {
+        drop(black_box(Photo::decode_validated(&photos[at])))
+    });
     for table in tables() {
-        time(&format!("{} alone", table.name), &|at| measure(&decoded[at], &[table]));
+        time(&format!("{} alone", table.name), &|at| {
+            measure(&decoded[at], &[table])
+        });
     }
     time("all measures", &|at| measure(&decoded[at], &tables()));
     time("check and all measures from one decode", &|at| {

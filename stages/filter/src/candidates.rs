@@ -7,6 +7,9 @@ use crate::index::{HashIndex, Search};
 use crate::relation::RelationKeys;
 use crate::similarity::aspect_class;
 
+/// Most candidates of many photos that are held at once, 4 bytes each.
+const MOST_CANDIDATES: usize = 4 << 20;
+
 /// What a photo is found by.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct PhotoKeys {
@@ -78,6 +81,33 @@ impl Candidates {
         keys.hashes
             .iter()
             .for_each(|hash| self.hashes.find_within(*hash, &mut found));
+        self.with_related(keys, found)
+    }
+
+    /// Returns what [`Candidates::find`] returns for each of many photos; `None` if there are more than
+    /// [`MOST_CANDIDATES`] for all of them together, which are better found one by one.
+    pub(crate) fn find_many(&self, photos: &[&PhotoKeys]) -> Option<Vec<Vec<u32>>> {
+        let hashes = (0..)
+            .zip(photos)
+            .flat_map(|(number, keys)| keys.hashes.iter().map(move |hash| (number, *hash)));
+        let hashes: Vec<(u32, u64)> = hashes.collect();
+        let (mut found, mut left) = (vec![Vec::new(); photos.len()], MOST_CANDIDATES);
+        self.hashes.find_within_many(&hashes, |number, position| {
+            left -= 1;
+            if let Some(found) = found.get_mut(number as usize) {
+                found.push(position);
+            }
+            left > 0
+        });
+        let all = photos
+            .iter()
+            .zip(found)
+            .map(|(keys, found)| self.with_related(keys, found));
+        (left > 0).then(|| all.collect())
+    }
+
+    /// Adds the photos that may be related, and sorts; those of another shape are left out.
+    fn with_related(&self, keys: &PhotoKeys, mut found: Vec<u32>) -> Vec<u32> {
         if let Some(exposure) = keys.relation.exposure {
             self.related.find(exposure, &mut found);
         }
@@ -185,6 +215,11 @@ mod tests {
         assert_eq!(photos.find(&keys(0xff << 40, None, Some((5, 1)))), [2]);
         assert_eq!(photos.find(&keys(0xff << 40, None, Some((5, 3)))), [1, 2]);
         assert!(photos.find(&keys(0xff << 40, Some(3), Some((6, 2)))).is_empty());
+        let asked = [keys(1, Some(1), None), keys(0xff << 40, None, Some((5, 3)))];
+        assert_eq!(
+            photos.find_many(&asked.each_ref()).unwrap(),
+            [vec![0, 1, 3], vec![1, 2]]
+        );
     }
 
     proptest! {

@@ -135,15 +135,22 @@ impl Grid {
         let (width, height) = (image.width as usize, image.height as usize);
         let columns: Vec<_> = (0..CELLS).map(|cell| bounds(cell, CELLS, width)).collect();
         let mut cells = Vec::with_capacity(CELLS * CELLS);
-        let mut sums = vec![0_u32; 3 * width];
+        let (mut sums, mut few) = (vec![0_u32; 3 * width], vec![0_u16; 3 * width]);
         for row in 0..CELLS {
             let (top, bottom) = bounds(row, CELLS, height);
             sums.fill(0);
-            for pixels in image.pixels[top * width..bottom * width].chunks_exact(width) {
-                let channels = pixels.as_flattened();
+            // The sums of 257 rows fit in 16 bits.
+            for rows in image.pixels[top * width..bottom * width].chunks(257 * width) {
+                few.fill(0);
+                for pixels in rows.chunks_exact(width) {
+                    let channels = pixels.as_flattened();
+                    few.iter_mut()
+                        .zip(channels)
+                        .for_each(|(sum, value)| *sum += u16::from(*value));
+                }
                 sums.iter_mut()
-                    .zip(channels)
-                    .for_each(|(sum, value)| *sum += u32::from(*value));
+                    .zip(&few)
+                    .for_each(|(sum, few)| *sum += u32::from(*few));
             }
             for &(left, right) in &columns {
                 let area = ((bottom - top) * (right - left)) as u64;

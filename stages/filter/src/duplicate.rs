@@ -121,8 +121,8 @@ impl Surveyed for Duplicate {
     });
     #[cfg(test)]
     const GUARD: Guard = Guard {
-        measures: "2 3d93d57f69c7",
-        decisions: "2 8a7685578a5e",
+        measures: "3 9b0277c7e112",
+        decisions: "3 8a7685578a5e",
     };
 }
 
@@ -173,7 +173,10 @@ impl FoldState for KeptPhotos<'_> {
     fn replay(&mut self, _: &Ctx<'_>, added: &[u8]) -> Result<(), StageError> {
         for group in Added::read(added)? {
             self.groups.push((self.candidates.len(), group.photos));
-            group.keys.iter().for_each(|(keys, _)| self.candidates.insert(keys));
+            group
+                .keys
+                .iter()
+                .for_each(|(keys, _)| self.candidates.insert(keys));
         }
         Ok(())
     }
@@ -195,9 +198,14 @@ impl FoldState for KeptPhotos<'_> {
             candidates: Candidates::new(duplicate.search()),
             photos: Vec::new(),
         };
-        for (at, photo) in best_first {
+        let mut earlier = Vec::new();
+        for (number, (at, photo)) in best_first.iter().copied().enumerate() {
             ctx.check()?;
-            let decision = self.decide(ctx, photo, &own)?;
+            if number % BATCH == 0 {
+                earlier = self.find_earlier(&best_first[number..(number + BATCH).min(best_first.len())]);
+            }
+            let candidates = earlier.get_mut(number % BATCH).map(std::mem::take);
+            let decision = self.decide(ctx, photo, candidates, &own)?;
             let decision = duplicate
                 .params
                 .by_hand
@@ -223,10 +231,14 @@ impl FoldState for KeptPhotos<'_> {
     fn blobs(&self, added: &[u8]) -> Vec<Digest> {
         // Bytes that cannot be read are refused by `replay`.
         let groups = Added::read(added).unwrap_or_default();
-        let named = |group: Added| std::iter::once(group.photos).chain(group.keys.into_iter().map(|keys| keys.1));
+        let named =
+            |group: Added| std::iter::once(group.photos).chain(group.keys.into_iter().map(|keys| keys.1));
         groups.into_iter().flat_map(named).collect()
     }
 }
+
+/// Photos whose candidates of earlier sols are looked for together.
+const BATCH: usize = 1024;
 
 /// The photos kept of the sol that is decided on, in the order in which they were kept.
 struct OwnSol<'a> {
@@ -235,16 +247,29 @@ struct OwnSol<'a> {
 }
 
 impl KeptPhotos<'_> {
+    /// Returns the candidates of earlier sols of each of some photos; nothing where they are to be found one by one.
+    fn find_earlier(&self, photos: &[(usize, &ComparedPhoto<'_>)]) -> Vec<Vec<u32>> {
+        if self.duplicate.params.rule == DuplicateRule::Phash {
+            return Vec::new();
+        }
+        let keys: Vec<&PhotoKeys> = photos.iter().map(|(_, photo)| &photo.keys).collect();
+        self.candidates.find_many(&keys).unwrap_or_default()
+    }
+
     /// Decides on a photo by comparing it with those kept that may show its view; the reason names the most similar one, of
-    /// equals the first.
+    /// equals the first. `earlier` are its candidates of earlier sols, where they are known.
     fn decide(
         &mut self,
         ctx: &Ctx<'_>,
         photo: &ComparedPhoto<'_>,
+        earlier: Option<Vec<u32>>,
         own: &OwnSol<'_>,
     ) -> Result<Decision, StageError> {
         match self.duplicate.params.rule {
-            DuplicateRule::Confirmed => self.decide_confirmed(ctx, photo, own),
+            DuplicateRule::Confirmed => {
+                let earlier = earlier.unwrap_or_else(|| self.candidates.find(&photo.keys));
+                self.decide_confirmed(ctx, photo, &earlier, own)
+            }
             DuplicateRule::Phash => self.decide_phash(ctx, photo, own),
         }
     }
@@ -254,6 +279,7 @@ impl KeptPhotos<'_> {
         &mut self,
         ctx: &Ctx<'_>,
         photo: &ComparedPhoto<'_>,
+        earlier: &[u32],
         own: &OwnSol<'_>,
     ) -> Result<Decision, StageError> {
         let mut nearest = Nearest {
@@ -262,8 +288,8 @@ impl KeptPhotos<'_> {
             planes: None,
             found: None,
         };
-        for position in self.candidates.find(&photo.keys) {
-            let (group, at) = self.earlier(ctx, position)?;
+        for position in earlier {
+            let (group, at) = self.earlier(ctx, *position)?;
             nearest.compare(ctx, &mut self.reader, &group.photo(at)?, None)?;
         }
         for position in own.candidates.find(&photo.keys) {

@@ -76,7 +76,7 @@ impl Stored<'_> for ChannelSpread {
         while !rest.is_empty() {
             pixels.push(u32::try_from(take_number(&mut rest)?).ok()?);
         }
-        (pixels.len() <= 256).then_some(Self {
+        (pixels.len() <= 256 && matches!(bands, 1 | 3)).then_some(Self {
             bands: *bands,
             pixels,
         })
@@ -97,8 +97,8 @@ impl Filter for Grayscale {
 
     #[cfg(test)]
     const GUARD: Guard = Guard {
-        measures: "2 e48583dac47d",
-        decisions: "2 4e119ff2c0a0",
+        measures: "3 506c7beb9c1e",
+        decisions: "3 4e119ff2c0a0",
     };
 
     fn by_hand(params: &GrayscaleParams) -> &ByHand {
@@ -123,11 +123,13 @@ impl Filter for Grayscale {
 
 /// Counts pixels by their spread.
 fn spread(pixels: impl Iterator<Item = [u8; 3]>) -> Vec<u32> {
-    let mut counts = vec![0_u32; 256];
-    for [red, green, blue] in pixels {
+    // Neighbours often have the same spread, and a count must be written before it can be read again: hence two of each.
+    let mut pairs = vec![[0_u32; 2]; 256];
+    for (at, [red, green, blue]) in pixels.enumerate() {
         let spread = red.max(green).max(blue) - red.min(green).min(blue);
-        counts[usize::from(spread)] += 1;
+        pairs[usize::from(spread)][at % 2] += 1;
     }
+    let mut counts: Vec<u32> = pairs.into_iter().map(|pair| pair[0] + pair[1]).collect();
     let used = counts
         .iter()
         .rposition(|count| *count > 0)

@@ -88,8 +88,8 @@ impl Filter for Histogram {
 
     #[cfg(test)]
     const GUARD: Guard = Guard {
-        measures: "2 b666ddc40224",
-        decisions: "2 e7fceec64855",
+        measures: "3 655e1a5aa1ed",
+        decisions: "3 e7fceec64855",
     };
 
     fn by_hand(params: &HistogramParams) -> &ByHand {

@@ -328,11 +328,17 @@ mod tests {
     #[test]
     fn what_a_sol_added_comes_back_and_damage_is_an_error() {
         let harness = Harness::default();
-        let names: Vec<String> = (0..GROUP).map(|at| format!("{at:03}")).chain(["b".to_owned()]).collect();
+        let names: Vec<String> = (0..GROUP)
+            .map(|at| format!("{at:03}"))
+            .chain(["b".to_owned()])
+            .collect();
         let photos: Vec<_> = names.iter().map(|name| kept(name)).collect();
         let bytes = Added::write(&harness.ctx(), &photos).unwrap();
         let groups = Added::read(&bytes).unwrap();
-        assert_eq!(groups.iter().map(|group| group.keys.len()).collect::<Vec<_>>(), [GROUP, 1]);
+        assert_eq!(
+            groups.iter().map(|group| group.keys.len()).collect::<Vec<_>>(),
+            [GROUP, 1]
+        );
         for (at, (photo, keys)) in photos.iter().enumerate() {
             let added = &groups[at / GROUP];
             let group = Reader::new().group(&harness.ctx(), &added.photos).unwrap();

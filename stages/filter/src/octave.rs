@@ -26,14 +26,12 @@ pub(crate) struct Octave {
 impl Octave {
     /// Measures a picture at full size.
     pub(crate) fn of_luma(luma: &Luma) -> Self {
-        Self::of(luma.width, luma.height, |y, out| {
-            out.extend(luma.row(y).iter().map(|value| u16::from(*value) << 8));
-        })
+        Self::of(luma.width, luma.height, &luma.values)
     }
 
     /// Measures a picture at reduced size.
     pub(crate) fn of_plane(plane: &Plane) -> Self {
-        Self::of(plane.width, plane.height, |y, out| out.extend(plane.row(y)))
+        Self::of(plane.width, plane.height, &plane.values)
     }
 
     /// Appends the five numbers.
@@ -57,19 +55,17 @@ impl Octave {
         })
     }
 
-    /// Measures bands of a picture; `read` appends a row to a vector.
-    fn of(width: usize, height: usize, read: impl Fn(usize, &mut Vec<u16>)) -> Self {
+    /// Measures bands of a picture of `[height * width]` values.
+    fn of<S: Sample>(width: usize, height: usize, values: &[S]) -> Self {
         let mut octave = Self::default();
         for (top, bottom) in bands(width, height) {
             let first = top.saturating_sub(REACH + 1);
             let last = (bottom + REACH + 1).min(height);
-            let mut rows = Vec::with_capacity((last - first) * width);
-            (first..last).for_each(|y| read(y, &mut rows));
             octave.add(&Band {
                 width,
                 height,
                 first,
-                rows,
+                rows: &values[first * width..last * width],
                 top,
                 bottom,
             });
@@ -78,14 +74,17 @@ impl Octave {
     }
 
     /// Adds the sums of one band.
-    fn add(&mut self, band: &Band) {
+    fn add<S: Sample>(&mut self, band: &Band<'_, S>) {
         self.pixels += ((band.bottom - band.top) * band.width) as u64;
         let first = band.top.saturating_sub(1);
         let last = (band.bottom + 1).min(band.height);
         let blurred = band.blurred(first, last);
         let sharp = &band.rows[(first - band.first) * band.width..(last - band.first) * band.width];
-        for (sums, rows) in [(&mut self.before, sharp), (&mut self.after, &blurred)] {
-            let found = second_differences(band.width, rows);
+        let found = [
+            second_differences(band.width, sharp),
+            second_differences(band.width, &blurred),
+        ];
+        for (sums, found) in [&mut self.before, &mut self.after].into_iter().zip(found) {
             (0..2).for_each(|axis| sums[axis] = sums[axis].saturating_add(found[axis]));
         }
     }
@@ -126,30 +125,90 @@ fn bands(width: usize, height: usize) -> Vec<(usize, usize)> {
         .collect()
 }
 
+/// A value of a picture: 8 bits at full size, steps of 1/256 at reduced size. Both give the same numbers; those of 8 bits take
+/// half the time.
+trait Sample: Copy + Default {
+    /// Appends the means of nine slices of equal length, weighted by the binomial of order 8, in steps of 1/256.
+    fn blur(taps: [&[Self]; 2 * REACH + 1], out: &mut Vec<u16>);
+
+    /// Returns the sum of the squared second differences of the first `count` values of three slices, element by element, in
+    /// squared steps of 1/256.
+    fn sum_of_squares(rows: [&[Self]; 3], count: usize) -> u64;
+}
+
+impl Sample for u8 {
+    fn blur(taps: [&[Self]; 2 * REACH + 1], out: &mut Vec<u16>) {
+        let count = taps[0].len();
+        let taps = taps.map(|tap| &tap[..count]);
+        out.extend((0..count).map(|at| {
+            let [a, b, c, d, e, f, g, h, i] = taps.map(|tap| u16::from(tap[at]));
+            // The weights add up to 256, so that the sum is the mean in steps of 1/256: at most 65,280.
+            70 * e + 56 * (d + f) + 28 * (c + g) + 8 * (b + h) + (a + i)
+        }));
+    }
+
+    fn sum_of_squares(rows: [&[Self]; 3], count: usize) -> u64 {
+        let [before, here, after] = rows.map(|row| &row[..count]);
+        let mut sum = 0;
+        // 4096 squares of at most 510² stay below 2^31.
+        for first in (0..count).step_by(4096) {
+            let squares = (first..count.min(first + 4096)).map(|at| {
+                let difference = i16::from(before[at]) + i16::from(after[at]) - 2 * i16::from(here[at]);
+                i32::from(difference) * i32::from(difference)
+            });
+            sum += squares.sum::<i32>() as u64;
+        }
+        sum << 16
+    }
+}
+
+impl Sample for u16 {
+    fn blur(taps: [&[Self]; 2 * REACH + 1], out: &mut Vec<u16>) {
+        let count = taps[0].len();
+        let taps = taps.map(|tap| &tap[..count]);
+        out.extend((0..count).map(|at| {
+            let [a, b, c, d, e, f, g, h, i] = taps.map(|tap| u32::from(tap[at]));
+            let sum = 70 * e + 56 * (d + f) + 28 * (c + g) + 8 * (b + h) + (a + i);
+            ((sum + 128) >> 8) as u16
+        }));
+    }
+
+    fn sum_of_squares(rows: [&[Self]; 3], count: usize) -> u64 {
+        let [before, here, after] = rows.map(|row| &row[..count]);
+        let squares = (0..count).map(|at| {
+            let difference = i32::from(before[at]) + i32::from(after[at]) - 2 * i32::from(here[at]);
+            let difference = u64::from(difference.unsigned_abs());
+            difference * difference
+        });
+        squares.sum()
+    }
+}
+
 /// The rows of a band and those around it that its blur needs.
-struct Band {
+struct Band<'a, S> {
     width: usize,
     height: usize,
     /// Number of the first of `rows` in the picture.
     first: usize,
-    rows: Vec<u16>,
+    rows: &'a [S],
     top: usize,
     bottom: usize,
 }
 
-impl Band {
+impl<S: Sample> Band<'_, S> {
     /// Blurs rows `[from, to)` by the binomial of order 8 (1 8 28 56 70 56 28 8 1) along both axes: a Gaussian
     /// of sigma 1.41 in integers, the same on every machine. Edges of the picture repeat.
     fn blurred(&self, from: usize, to: usize) -> Vec<u16> {
         let mut along = Vec::with_capacity(self.rows.len());
-        let mut padded = vec![0; self.width + 2 * REACH];
-        let mut sums = Vec::with_capacity(self.width);
+        let mut padded = vec![S::default(); self.width + 2 * REACH];
         for row in self.rows.chunks_exact(self.width) {
             padded[..REACH].fill(row[0]);
             padded[REACH..REACH + self.width].copy_from_slice(row);
             padded[REACH + self.width..].fill(row[self.width - 1]);
-            let taps = std::array::from_fn(|tap| &padded[tap..tap + self.width]);
-            binomial(taps, &mut sums, &mut along);
+            S::blur(
+                std::array::from_fn(|tap| &padded[tap..tap + self.width]),
+                &mut along,
+            );
         }
         let mut blurred = Vec::with_capacity((to - from) * self.width);
         for y in from..to {
@@ -157,51 +216,28 @@ impl Band {
                 let near = (y + tap).saturating_sub(REACH).min(self.height - 1) - self.first;
                 &along[near * self.width..(near + 1) * self.width]
             });
-            binomial(taps, &mut sums, &mut blurred);
+            u16::blur(taps, &mut blurred);
         }
         blurred
     }
-}
-
-/// Appends the weighted means of nine slices of equal length, weight by weight, so that the loops are vectorised.
-fn binomial(taps: [&[u16]; 2 * REACH + 1], sums: &mut Vec<u32>, out: &mut Vec<u16>) {
-    sums.clear();
-    sums.extend(taps[REACH].iter().map(|here| 70 * u32::from(*here) + 128));
-    for (near, far, weight) in [(3, 5, 56), (2, 6, 28), (1, 7, 8), (0, 8, 1)] {
-        for ((sum, near), far) in sums.iter_mut().zip(taps[near]).zip(taps[far]) {
-            *sum += weight * (u32::from(*near) + u32::from(*far));
-        }
-    }
-    out.extend(sums.iter().map(|sum| (sum >> 8) as u16));
 }
 
 /// Returns the sums of squared second differences over all inner pixels, along rows and along columns; 0 where a side is
 /// below 3.
 ///
 /// At most 2^18 to 2^19 pixels of (4 * 65280)² fit in 56 bits; a picture of one very large band saturates.
-fn second_differences(width: usize, rows: &[u16]) -> [u64; 2] {
+fn second_differences<S: Sample>(width: usize, rows: &[S]) -> [u64; 2] {
     let mut sums = [0_u64; 2];
     let inner = width.saturating_sub(2);
-    let rows: Vec<&[u16]> = rows.chunks_exact(width.max(1)).collect();
+    let rows: Vec<&[S]> = rows.chunks_exact(width.max(1)).collect();
     for near in rows.windows(3) {
         let here = &near[1][..inner + width.min(2)];
-        let across = sum_of_squares([here, &here[width.min(1)..], &here[width.min(2)..]], inner);
-        let along = sum_of_squares([near[0], near[1], near[2]].map(|row| &row[width.min(1)..]), inner);
+        let across = S::sum_of_squares([here, &here[width.min(1)..], &here[width.min(2)..]], inner);
+        let along = S::sum_of_squares([near[0], near[1], near[2]].map(|row| &row[width.min(1)..]), inner);
         sums[0] = sums[0].saturating_add(across);
         sums[1] = sums[1].saturating_add(along);
     }
     sums
-}
-
-/// Returns the sum of the squared second differences of three rows, element by element.
-fn sum_of_squares(rows: [&[u16]; 3], count: usize) -> u64 {
-    let [before, here, after] = rows.map(|row| &row[..count]);
-    let near = before.iter().zip(here).zip(after);
-    let differences = near.map(|((before, here), after)| {
-        let difference = i32::from(*before) + i32::from(*after) - 2 * i32::from(*here);
-        u64::from(difference.unsigned_abs())
-    });
-    differences.map(|difference| difference * difference).sum()
 }
 
 #[cfg(test)]
@@ -228,7 +264,7 @@ mod tests {
             width: 17,
             height: 17,
             first: 0,
-            rows: point.values.iter().map(|value| u16::from(*value) << 8).collect(),
+            rows: &point.values,
             top: 0,
             bottom: 17,
         };
@@ -265,6 +301,26 @@ mod tests {
         }
         assert_eq!(bands(320, 240), [(0, 240)]);
         assert_eq!(bands(0, 0), [(0, 0)]);
+    }
+
+    /// What is measured of 8 bits is what is measured of the same picture in steps of 1/256.
+    #[test]
+    fn both_depths_give_the_same_numbers() {
+        for (width, height) in [(1, 1), (3, 3), (2, 40), (61, 47), (700, 600)] {
+            let luma = luma(width, height, |x, y| {
+                ((x * x / 3 + y * y * 7 + x * y * 31) % 256) as u8
+            });
+            let plane = Plane {
+                width: luma.width,
+                height: luma.height,
+                values: luma.values.iter().map(|value| u16::from(*value) << 8).collect(),
+            };
+            assert_eq!(
+                Octave::of_luma(&luma),
+                Octave::of_plane(&plane),
+                "{width} x {height}"
+            );
+        }
     }
 
     /// A band in the middle is blurred with the rows around it, not against its own edge.

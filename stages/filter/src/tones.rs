@@ -123,18 +123,20 @@ impl<'a> Stored<'a> for ToneHistograms<'a> {
 
 /// Measures the tones of a photo.
 pub(crate) fn tones(decoded: &DecodedPhoto<'_>) -> ToneHistograms<'static> {
-    let mut bins = [0_u32; BINS];
+    // Neighbours are often in the same bin, and a count must be written before it can be read again: hence two of each.
+    let mut pairs = [[0_u32; 2]; BINS];
     let (mut clipped, mut pixels) = (0, 0);
-    for pixel in decoded.sample() {
+    for (at, pixel) in decoded.sample().enumerate() {
         let [red, green, blue] = pixel;
         let difference = |channel: u8| (256 + usize::from(channel) - usize::from(green)) / 4;
         let most = red.max(green).max(blue);
         clipped += u32::from(!(BLACK + 1..BURNT).contains(&most));
-        bins[usize::from(luma(pixel))] += 1;
-        bins[256 + difference(red)] += 1;
-        bins[384 + difference(blue)] += 1;
+        pairs[usize::from(luma(pixel))][at % 2] += 1;
+        pairs[256 + difference(red)][at % 2] += 1;
+        pairs[384 + difference(blue)][at % 2] += 1;
         pixels += 1;
     }
+    let bins = pairs.map(|pair| pair[0] + pair[1]);
     let luma = decoded.luma();
     ToneHistograms {
         blocks: ((luma.width / BLOCK) * (luma.height / BLOCK)) as u32,

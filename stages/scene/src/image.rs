@@ -63,17 +63,31 @@ impl Image<Srgb> {
         if factor <= 1 {
             return self.clone();
         }
+        let (width, height, side) = (self.width / factor, self.height / factor, factor as usize);
         let area = factor * factor;
-        Self::from_fn(self.width / factor, self.height / factor, |column, row| {
-            let mut sum = [0_u32; 3];
-            for y in row * factor..(row + 1) * factor {
-                for x in column * factor..(column + 1) * factor {
-                    for (sum, channel) in sum.iter_mut().zip(self.at(x, y)) {
-                        *sum += u32::from(channel);
-                    }
+        let mut pixels = Vec::with_capacity(width as usize * height as usize);
+        let mut sums = vec![[0_u32; 3]; width as usize];
+        let rows = self.pixels.chunks_exact(self.width.max(1) as usize);
+        for (row, line) in rows.take(height as usize * side).enumerate() {
+            for (sum, pixels) in sums.iter_mut().zip(line.chunks_exact(side)) {
+                for pixel in pixels {
+                    sum.iter_mut()
+                        .zip(pixel)
+                        .for_each(|(sum, channel)| *sum += u32::from(*channel));
                 }
             }
-            sum.map(|sum| ((sum + area / 2) / area) as u8)
-        })
+            if (row + 1) % side == 0 {
+                pixels.extend(
+                    sums.iter()
+                        .map(|sum| sum.map(|sum| ((sum + area / 2) / area) as u8)),
+                );
+                sums.fill([0; 3]);
+            }
+        }
+        Self {
+            width,
+            height,
+            pixels,
+        }
     }
 }

@@ -14,6 +14,7 @@ mod photo;
 pub mod picture;
 mod pose;
 mod scene;
+mod thumbnail;
 
 pub use cahvor::{Cahvor, CahvorError, EntrancePupil, Intrinsics, Pinhole, Ray};
 pub use camera::Camera;
@@ -23,3 +24,4 @@ pub use names::picture_names;
 pub use photo::{DecodeError, Photo, encode_png};
 pub use pose::Pose;
 pub use scene::{Frame, Point, Scene, SceneError, Unplaced};
+pub use thumbnail::{encode_jpeg, shrunk, thumbnail};

@@ -80,10 +80,14 @@ impl Photo {
             let start = bytes.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
             return Err(DecodeError::Format { start });
         };
-        let (decoded, mut notes) = match format {
-            ImageFormat::Jpeg => decode_jpeg(bytes)?,
-            _ => decode_limited(bytes, format)?,
-        };
+        match format {
+            ImageFormat::Jpeg => decode_jpeg(bytes),
+            _ => Ok(Self::of_upright(decode_limited(bytes, format)?)),
+        }
+    }
+
+    /// Returns the photo of a picture that is upright, with the notes of its decoding so far.
+    fn of_upright((decoded, mut notes): (DynamicImage, Vec<String>)) -> Self {
         if decoded.color().has_alpha() {
             notes.push("alpha blended over black".to_owned());
         }
@@ -91,14 +95,29 @@ impl Photo {
             notes.push("16 bits reduced to 8".to_owned());
         }
         let bands = if decoded.color().has_color() { 3 } else { 1 };
-        Ok(Self {
+        Self {
             image: opaque(decoded),
             bands,
             notes,
+        }
+    }
+
+    /// Returns the photo of the pixels of a decoder; `None` if they are too few or too many.
+    fn of_pixels(width: u32, height: u32, pixels: Vec<u8>) -> Option<Self> {
+        let pixels = bytemuck::allocation::try_cast_vec(pixels);
+        let pixels: Vec<[u8; 3]> = pixels.unwrap_or_else(|(_, bytes)| bytes.as_chunks().0.to_vec());
+        (pixels.len() as u64 == u64::from(width) * u64::from(height)).then_some(Self {
+            image: Image {
+                width,
+                height,
+                pixels,
+            },
+            bands: 3,
+            notes: Vec::new(),
         })
     }
 
-    /// Decodes bytes that [`Photo::decode`] has accepted before, to the same pixels in half the time: it does not check
+    /// Decodes bytes that [`Photo::decode`] has accepted before, to the same pixels in less time: it does not check
     /// the scan for damage again.
     ///
     /// # Errors
@@ -150,7 +169,7 @@ fn format_name(format: ImageFormat) -> Option<&'static str> {
 }
 
 /// Returns the error of a decoder, in one line.
-fn damaged(format: &'static str, error: &dyn std::fmt::Display) -> DecodeError {
+pub(crate) fn damaged(format: &'static str, error: &dyn std::fmt::Display) -> DecodeError {
     // Messages of decoders have line breaks.
     let message = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
     DecodeError::Damaged { format, message }
@@ -158,7 +177,7 @@ fn damaged(format: &'static str, error: &dyn std::fmt::Display) -> DecodeError {
 
 /// Decodes a JPEG strictly and requires its end marker: a file cut in half, or with a damaged scan, must not become
 /// training data. (The `image` crate decodes with the same library, but leniently.)
-fn decode_jpeg(bytes: &[u8]) -> Result<(DynamicImage, Vec<String>), DecodeError> {
+fn decode_jpeg(bytes: &[u8]) -> Result<Photo, DecodeError> {
     let fail = |error: DecodeErrors| damaged("JPEG", &format!("{error:?}"));
     let options = DecoderOptions::default()
         .set_strict_mode(true)
@@ -182,14 +201,18 @@ fn decode_jpeg(bytes: &[u8]) -> Result<(DynamicImage, Vec<String>), DecodeError>
     decoder.set_options(options.jpeg_set_out_colorspace(kept));
     scan::check(bytes).map_err(|error| damaged("JPEG", &error))?;
     let pixels = decoder.decode().map_err(fail)?;
-    let decoded = if grey {
-        GrayImage::from_raw(width, height, pixels).map(DynamicImage::from)
-    } else {
-        RgbImage::from_raw(width, height, pixels).map(DynamicImage::from)
-    };
-    let decoded = decoded.ok_or_else(|| damaged("JPEG", &"fewer pixels than its header says"))?;
     let orientation = decoder.exif().and_then(|exif| Orientation::from_exif_chunk(exif));
-    Ok(upright(decoded, orientation.unwrap_or(Orientation::NoTransforms)))
+    let orientation = orientation.unwrap_or(Orientation::NoTransforms);
+    let photo = if grey {
+        let decoded = GrayImage::from_raw(width, height, pixels).map(DynamicImage::from);
+        decoded.map(|decoded| Photo::of_upright(upright(decoded, orientation)))
+    } else if orientation == Orientation::NoTransforms {
+        Photo::of_pixels(width, height, pixels)
+    } else {
+        let decoded = RgbImage::from_raw(width, height, pixels).map(DynamicImage::from);
+        decoded.map(|decoded| Photo::of_upright(upright(decoded, orientation)))
+    };
+    photo.ok_or_else(|| damaged("JPEG", &"fewer pixels than its header says"))
 }
 
 /// Applies an EXIF orientation; returns the picture, and a note if it was turned.
@@ -212,8 +235,7 @@ fn has_end(bytes: &[u8]) -> bool {
 
 /// Decodes an upright JPEG of three channels straight into its pixels; `None` for anything else, errors included.
 ///
-/// The same decoder as in [`decode_jpeg`], but without two copies of the pixels, which take half as long as decoding,
-/// and without counting the units of the scan. Where it returns `None`, [`Photo::decode`] finds the error.
+/// The same decoder as in [`decode_jpeg`], but without counting the units of the scan. Where it returns `None`, [`Photo::decode`] finds the error.
 fn plain_jpeg(bytes: &[u8]) -> Option<Photo> {
     let options = DecoderOptions::default()
         .set_strict_mode(false)
@@ -231,18 +253,7 @@ fn plain_jpeg(bytes: &[u8]) -> Option<Photo> {
     if !colour || turned || (3 * width * height) as u64 > MAX_DECODE_BYTES {
         return None;
     }
-    let pixels = bytemuck::allocation::try_cast_vec(decoder.decode().ok()?);
-    let pixels: Vec<[u8; 3]> = pixels.unwrap_or_else(|(_, bytes)| bytes.as_chunks().0.to_vec());
-    let image = Image {
-        width: width as u32,
-        height: height as u32,
-        pixels,
-    };
-    (image.pixels.len() == width * height).then_some(Photo {
-        image,
-        bands: 3,
-        notes: Vec::new(),
-    })
+    Photo::of_pixels(width as u32, height as u32, decoder.decode().ok()?)
 }
 
 /// Decodes a photo other than a JPEG with the `image` crate, within the limits of size and memory.

@@ -1,5 +1,7 @@
 use std::path::PathBuf;
 
+use crate::Table;
+
 /// Name of the folder that pins what archives on servers gave; it lies beside pipeline.toml. In 0.1.0 it was a file.
 pub const LOCK_FILE: &str = "marf.lock";
 
@@ -27,6 +29,8 @@ pub struct ArchiveContext {
     pub access: Access,
     /// Whether files on disk are read again though nothing says that they changed.
     pub rehash: bool,
+    /// Tables of measures that stages of the pipeline read, to be filled of every photo that is fetched. They change no row.
+    pub measures: Vec<Table>,
 }
 
 /// The context of an archive outside a pipeline: it has no lock file and may open no connection.
@@ -38,6 +42,7 @@ impl Default for ArchiveContext {
             lock: None,
             access: Access::Offline,
             rehash: false,
+            measures: Vec::new(),
         }
     }
 }

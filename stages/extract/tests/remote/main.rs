@@ -110,6 +110,7 @@ impl Place {
             lock: Some(self.dir.path().join("marf.lock")),
             access: Access::Online,
             rehash: false,
+            measures: Vec::new(),
         };
         Archive { table, context }
     }

@@ -182,27 +182,57 @@ impl Scan<'_> {
     }
 }
 
+/// Bits of the codes that are looked up at once; longer ones are rare.
+const SHORT: u32 = 10;
+
 /// A Huffman table with codes of up to 16 bits.
 struct Huffman {
-    /// By the next 16 bits: length in the upper, symbol in the lower byte; 0 is no code.
-    by_bits: Vec<u16>,
+    /// Steps by the next [`SHORT`] bits; none for longer codes.
+    short: Vec<Step>,
+    /// Steps by the next 16 bits.
+    long: Vec<Step>,
+}
+
+/// What a code stands for.
+#[derive(Clone, Copy, Default)]
+struct Step {
+    /// Bits of the code and of the number behind it, whose length is the lower half of the symbol; 0 is no code.
+    bits: u8,
+    /// The symbol: in its upper half, the coefficients that are zero before the number.
+    symbol: u8,
 }
 
 impl Huffman {
     /// Builds the table from the number of codes of each length and their symbols; `None` if there are too many codes.
     fn new(counts: &[u8; 16], symbols: &[u8]) -> Option<Self> {
-        let mut by_bits = vec![0; 1 << 16];
+        let (mut short, mut long) = (vec![Step::default(); 1 << SHORT], vec![Step::default(); 1 << 16]);
         let (mut next, mut symbols) = (0_usize, symbols.iter());
-        for (length, count) in (1_u16..).zip(counts) {
+        for (length, count) in (1_u8..).zip(counts) {
             for _ in 0..*count {
                 let span = 1_usize << (16 - length);
-                by_bits
-                    .get_mut(next..next + span)?
-                    .fill(length << 8 | u16::from(*symbols.next()?));
+                let symbol = *symbols.next()?;
+                let step = Step {
+                    bits: length + (symbol & 15),
+                    symbol,
+                };
+                long.get_mut(next..next + span)?.fill(step);
+                if u32::from(length) <= SHORT {
+                    let drop = 16 - SHORT;
+                    short[next >> drop..(next + span) >> drop].fill(step);
+                }
                 next += span;
             }
         }
-        Some(Self { by_bits })
+        Some(Self { short, long })
+    }
+
+    /// Returns the step of the code that left-aligned bits begin with.
+    fn step(&self, held: u64) -> Step {
+        let step = self.short[(held >> (u64::BITS - SHORT)) as usize];
+        if step.bits > 0 {
+            return step;
+        }
+        self.long[(held >> 48) as usize]
     }
 }
 
@@ -218,6 +248,15 @@ struct Bits<'a> {
 impl Bits<'_> {
     /// Reads bytes until more than 48 bits are held, or up to the next marker.
     fn fill(&mut self) {
+        // Four bytes at once, where none of them can begin a marker.
+        if let Some(four) = self.bytes.get(self.at..).and_then(|rest| rest.first_chunk::<4>())
+            && self.count <= 32
+            && !four.contains(&0xff)
+        {
+            self.held |= u64::from(u32::from_be_bytes(*four)) << (32 - self.count);
+            self.at += 4;
+            self.count += 32;
+        }
         while self.count <= 48 {
             let byte = match (self.bytes.get(self.at), self.bytes.get(self.at + 1)) {
                 (Some(0xff), Some(0x00)) => {
@@ -235,21 +274,16 @@ impl Bits<'_> {
         }
     }
 
-    /// Removes bits; `None` if fewer are held.
-    fn skip(&mut self, bits: u32) -> Option<()> {
-        self.count = self.count.checked_sub(bits)?;
-        self.held <<= bits;
-        Some(())
-    }
-
-    /// Reads a code and skips the number behind it, whose length is the lower half of the symbol.
+    /// Reads a code and skips the number behind it; returns the symbol.
     fn coefficient(&mut self, table: &Huffman) -> Option<u8> {
-        self.fill();
-        let entry = table.by_bits[(self.held >> 48) as usize];
-        let symbol = entry as u8;
-        self.skip(u32::from(entry >> 8)).filter(|()| entry >> 8 > 0)?;
-        self.skip(u32::from(symbol & 15))?;
-        Some(symbol)
+        // A code of 16 bits and a number of 15.
+        if self.count < 31 {
+            self.fill();
+        }
+        let step = table.step(self.held);
+        self.count = self.count.checked_sub(u32::from(step.bits))?;
+        self.held <<= step.bits;
+        (step.bits > 0).then_some(step.symbol)
     }
 
     /// Reads one block; `None` if it is incomplete or damaged.
@@ -269,6 +303,7 @@ impl Bits<'_> {
 
     /// Drops the rest of the last byte and skips the restart marker, if there is one.
     fn restart(&mut self) {
+        self.fill();
         (self.held, self.count) = (0, 0);
         if let (Some(0xff), Some(0xd0..=0xd7)) = (self.bytes.get(self.at), self.bytes.get(self.at + 1)) {
             self.at += 2;
