@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use marf_stage::{Access, ArchiveContext, LOCK_FILE, ParamError};
+use marf_stage::{Access, ArchiveContext, LOCK_FILE, ParamError, Table};
 use marf_stages::ArchiveDef;
 use serde_json::{Map, Value as Json, json};
 
@@ -19,6 +19,8 @@ pub(super) struct Archives<'a> {
     tables: &'a [Entry],
     access: Access,
     rehash: bool,
+    /// Tables of measures that nodes of the pipeline read.
+    pub(super) measures: Vec<Table>,
     folder: &'a Path,
 }
 
@@ -43,6 +45,7 @@ impl<'a> Archives<'a> {
             tables,
             access: options.access,
             rehash: options.rehash,
+            measures: Vec::new(),
             folder,
         })
     }
@@ -67,6 +70,7 @@ impl<'a> Archives<'a> {
             lock: Some(self.folder.join(LOCK_FILE)),
             access: self.access,
             rehash: self.rehash,
+            measures: self.measures.clone(),
         }
     }
 }

@@ -1,11 +1,11 @@
 //! The checked pipeline: every name resolved, every parameter in range.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use marf_engine::NodeShape;
 use marf_field::Device;
-use marf_stage::{ParamError, Stage, StageDef};
+use marf_stage::{ParamError, Stage, StageDef, Table, Work};
 use serde_json::Value as Json;
 
 use super::archives::{self, Archives};
@@ -58,17 +58,20 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
         None => "marf".to_owned(),
         Some(entry) => text(entry)?.to_owned(),
     };
-    let context = PipelineContext {
+    let mut context = PipelineContext {
         archives: Archives::new(tables(root, ARCHIVE)?, options, base)?,
         device: options.device.as_ref(),
         manual_lists: manual_lists::lists(root)?,
     };
     let tables = tables(root, "node")?;
     let names: Vec<&str> = tables.iter().map(|entry| entry.key.as_str()).collect();
-    let nodes = tables
-        .iter()
-        .map(|entry| node(entry, &names, &context))
-        .collect::<Result<Vec<_>, _>>()?;
+    let nodes = |context: &PipelineContext<'_>| {
+        let nodes = tables.iter().map(|entry| node(entry, &names, context));
+        nodes.collect::<Result<Vec<_>, _>>()
+    };
+    // What the nodes read decides what is measured of a photo while an archive is read.
+    context.archives.measures = measures(&nodes(&context)?);
+    let nodes = nodes(&context)?;
     if nodes.is_empty() {
         let hint = Some("write one with `marf init`".to_owned());
         return Err(ConfigError::at(root.at.clone(), "the pipeline has no node".to_owned()).hint(hint));
@@ -89,6 +92,17 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
     }
     check_graph(&nodes, tables)?;
     Ok(Pipeline { name, nodes })
+}
+
+/// Returns the tables of measures that some nodes read, each once.
+fn measures(nodes: &[Node]) -> Vec<Table> {
+    let tables = nodes.iter().flat_map(|node| match node.stage.work() {
+        Work::Map(map) => map.table(),
+        Work::Fold(fold) => fold.table(),
+        _ => None,
+    });
+    let tables: BTreeSet<Table> = tables.collect();
+    tables.into_iter().collect()
 }
 
 /// Returns the entries of `[key.*]`, each of which must be a table.

@@ -15,7 +15,7 @@ use crate::sets;
 pub(super) struct PhotoEntry {
     /// Name of the file in its archive.
     pub(super) file: String,
-    /// Digest of the image, if the row names one.
+    /// Digest of its thumbnail, or else of the image itself, if the row names one.
     pub(super) image: Option<Digest>,
 }
 
@@ -101,7 +101,12 @@ fn entry(row: &Row) -> PhotoEntry {
     };
     PhotoEntry {
         file,
-        image: row.blobs.get("image").copied(),
+        // A small photo is its own thumbnail.
+        image: row
+            .blobs
+            .get("thumbnail")
+            .or_else(|| row.blobs.get("image"))
+            .copied(),
     }
 }
 

@@ -37,7 +37,9 @@ fn fetched(harness: &Harness, archive: &Value, measures: Vec<Table>) -> Vec<Fetc
     };
     let listing = source.list(&harness.ctx()).unwrap();
     let shards = listing.shards.iter();
-    shards.map(|shard| source.fetch(&harness.ctx(), shard.shard).unwrap()).collect()
+    shards
+        .map(|shard| source.fetch(&harness.ctx(), shard.shard).unwrap())
+        .collect()
 }
 
 /// Compares the measures that come with photos with those made of the stored photos; returns the number of photos, and that of
@@ -54,8 +56,17 @@ fn compared(archive: &Value) -> (usize, usize) {
         for row in &fetched.rows {
             let own = map.measure(&harness.ctx(), row, &tables()).unwrap();
             for (table, measure) in tables().iter().zip(own) {
-                let mut given = fetched.measures.iter().filter(|given| given.id == row.id && given.table == *table);
-                assert_eq!(given.next().unwrap().measure, measure, "{} of `{}`", table.name, row.id);
+                let mut given = fetched
+                    .measures
+                    .iter()
+                    .filter(|given| given.id == row.id && given.table == *table);
+                assert_eq!(
+                    given.next().unwrap().measure,
+                    measure,
+                    "{} of `{}`",
+                    table.name,
+                    row.id
+                );
                 assert!(given.next().is_none(), "`{}` has two measures", row.id);
             }
             let turned = row.facts["notes"].to_string().contains("turned upright");
@@ -75,10 +86,20 @@ fn photos_of_the_demo_have_the_measures_of_their_stored_form() {
 /// Products of raw pixels, mosaics, grey photos, photos turned by EXIF, odd formats and plain JPEGs.
 #[test]
 fn real_photos_have_the_measures_of_their_stored_form() {
-    let root = std::env::var_os("MARF_SHARED_DATA")
-        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data")), PathBuf::from);
+    let root = std::env::var_os("MARF_SHARED_DATA").map_or_else(
+        || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data")),
+        PathBuf::from,
+    );
     let mut changed = 0;
-    for name in ["m2020_navcam_feed", "m2020_sol0709_img", "mer_img", "msl_img", "bad-inputs", "dedup_mixed", "fox"] {
+    for name in [
+        "m2020_navcam_feed",
+        "m2020_sol0709_img",
+        "mer_img",
+        "msl_img",
+        "bad-inputs",
+        "dedup_mixed",
+        "fox",
+    ] {
         let path = root.join(name);
         if !path.is_dir() {
             println!("skipped: {name} needs ../shared/data");

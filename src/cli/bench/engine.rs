@@ -2,10 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use image::codecs::jpeg::JpegEncoder;
-use image::{ExtendedColorType, ImageEncoder as _};
 use marf_engine::Cancel;
-use marf_scene::{Image, Srgb};
 use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::Value;
@@ -14,12 +11,9 @@ use super::super::args::{EngineArgs, Global};
 use super::super::error::{CliError, Diagnostic};
 use super::super::files;
 use super::child::{Cost, bytes_below, random, run};
+use super::pictures::{Shade, picture};
 use crate::terminal::{eprint_line, print_line};
 
-/// Columns and rows of squares of one colour in a photo.
-const SQUARES: (u32, u32) = (16, 12);
-/// Quality of the JPEGs.
-const QUALITY: u8 = 90;
 /// The pipeline: five nodes, thresholds that the small photos pass.
 const PIPELINE: &str = r#"name = "bench"
 [archive.photos]
@@ -190,23 +184,17 @@ impl Photos {
         let number = u64::from(sol) * self.a_sol + at;
         let share = (random(number, 7) % 10_000) as f64 / 10_000.0;
         let is_flawed = share < self.flawed && at > 0;
-        let (small, empty, copy) = match (is_flawed, number % 3) {
-            (true, 0) => (true, false, false),
-            (true, 1) => (false, true, false),
-            (true, _) => (false, false, true),
-            (false, _) => (false, false, false),
+        let (seed, shade) = match (is_flawed, number % 3) {
+            (true, 1) => (number, Shade::Empty),
+            (true, 2) => (number - 1, Shade::Dark),
+            _ => (number, Shade::Full),
         };
-        let (seed, shade) = if copy { (number - 1, 3) } else { (number, 4) };
-        let width = if small { 64 } else { self.width };
-        let height = width * SQUARES.1 / SQUARES.0;
-        let image: Image<Srgb> = Image::from_fn(width, height, |x, y| {
-            let square = u64::from(y * SQUARES.1 / height * SQUARES.0 + x * SQUARES.0 / width);
-            let channel = |channel: u64| match empty {
-                true => 120,
-                false => (random(seed, 1000 + square * 3 + channel) % 255 * shade / 4) as u8,
-            };
-            [channel(0), channel(1), channel(2)]
-        });
+        let width = if is_flawed && number % 3 == 0 {
+            64
+        } else {
+            self.width
+        };
+        let bytes = picture(seed, (width, width * 3 / 4), shade)?;
         let name = format!(
             "NLF_{sol:04}_{:010}_{:03}ECM_N0000000NCAM00000_00_0LLJ.jpg",
             600_000_000 + number * 13,
@@ -214,15 +202,6 @@ impl Photos {
             sol = sol + 1
         );
         let path = self.dir.join(name);
-        let mut bytes = Vec::new();
-        JpegEncoder::new_with_quality(&mut bytes, QUALITY)
-            .write_image(
-                image.pixels.as_flattened(),
-                width,
-                height,
-                ExtendedColorType::Rgb8,
-            )
-            .map_err(|error| CliError::failed(format!("{}: {error}", path.display())))?;
         std::fs::write(&path, bytes).map_err(|error| unwritable(&path, &error))
     }
 }

@@ -13,19 +13,23 @@ use super::super::args::{Fault, FaultsArgs};
 use super::super::error::{CliError, Diagnostic};
 use super::super::files;
 use super::child::random;
+use super::pictures::{Shade, picture};
 use crate::terminal::{eprint_line, print_line};
 
-/// Photos, filters, cameras, a training and two retrainings, in a few seconds.
+/// Photos, filters, cameras, a training and two retrainings, in a second.
 const PIPELINE: &str = r#"name = "faults"
-[archive.demo]
-kind = "demo"
-sols = "1..=2"
+[archive.photos]
+kind = "folder"
+path = "photos"
 [node.extract]
-archive = "demo"
+archive = "photos"
 [node.size]
 input = "extract"
+min_bytes = 100
 [node.shape]
 input = "size"
+min_width = 32
+min_height = 24
 [node.duplicate]
 input = "shape"
 [node.grayscale]
@@ -35,19 +39,21 @@ input = "grayscale"
 [node.blur]
 input = "histogram"
 [node.calibrate]
-input = "blur"
-method = "labels"
+input = "extract"
+cameras = "extract"
+method = "import"
 [node.train]
 input = "calibrate"
-steps = 60
-scale = 8
-trials = { steps = 0 }
+steps = 150
 [node.bootstrap]
 input = "calibrate"
-steps = 40
-scale = 8
+steps = 60
 b = 2
 "#;
+/// Photos of the pipeline: a ring of cameras around nothing in particular.
+const RING: u32 = 12;
+/// Size of a photo, pixels.
+const SIZE: (u32, u32) = (160, 120);
 /// As the pipeline, but with another threshold early on: a run with it reads most of what a run before has stored.
 const CHANGE: [&str; 2] = ["--set", "size.min_bytes=1"];
 /// A stopped run must have ended after this time.
@@ -163,6 +169,11 @@ impl Lab {
             )));
         }
         files::write(&dir.join("pipeline.toml"), PIPELINE.as_bytes())?;
+        files::write(&dir.join("photos/transforms.json"), ring().to_string().as_bytes())?;
+        for at in 0..RING {
+            let path = dir.join("photos").join(photo_name(at));
+            files::write(&path, &picture(u64::from(at), SIZE, Shade::Full)?)?;
+        }
         let program = std::env::current_exe().map_err(|error| CliError::failed(error.to_string()))?;
         Ok(Self { dir, program, seed })
     }
@@ -542,6 +553,31 @@ impl Lab {
             ran => Err(format!("{ran} nodes ran again")),
         }
     }
+}
+
+fn photo_name(at: u32) -> String {
+    format!("images/{at:02}.jpg")
+}
+
+/// Returns the cameras of the photos, in nerfstudio's form: on a circle, looking at its middle.
+fn ring() -> serde_json::Value {
+    let frame = |at: u32| {
+        let angle = f64::from(at) / f64::from(RING) * std::f64::consts::TAU;
+        let (sin, cos) = angle.sin_cos();
+        // Columns: right, up, back, position.
+        serde_json::json!({
+            "file_path": photo_name(at),
+            "transform_matrix": [
+                [-sin, 0.0, cos, 3.0 * cos], [cos, 0.0, sin, 3.0 * sin], [0.0, 1.0, 0.0, 0.5], [0.0, 0.0, 0.0, 1.0],
+            ],
+        })
+    };
+    let (width, height) = SIZE;
+    serde_json::json!({
+        "camera_model": "OPENCV", "w": width, "h": height, "fl_x": 150.0, "fl_y": 150.0,
+        "cx": f64::from(width) / 2.0, "cy": f64::from(height) / 2.0,
+        "frames": (0..RING).map(frame).collect::<Vec<_>>(),
+    })
 }
 
 /// Compares outputs; names the first that differs.

@@ -4,6 +4,7 @@ mod child;
 mod engine;
 mod faults;
 mod items;
+mod pictures;
 mod train;
 
 pub use engine::engine;

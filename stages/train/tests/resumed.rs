@@ -52,6 +52,10 @@ impl Blobs for Counted<'_> {
     fn contains(&self, digest: &Digest) -> bool {
         self.harness.contains(digest)
     }
+
+    fn commit(&self) -> Result<(), BlobError> {
+        self.harness.commit()
+    }
 }
 
 /// What a node does with a context.

@@ -38,6 +38,7 @@ fn action(stage: &str, name: &str, inputs: &[Digest]) -> Action {
         stage: stage.into(),
         version: 1,
         part: None,
+        shard: None,
         params: serde_json::json!({ "name": name }),
         inputs: inputs.map(|(at, digest)| (at.to_string(), *digest)).collect(),
         backend: None,

@@ -146,6 +146,7 @@ mod tests {
             lock: Some(PathBuf::from("there/marf.lock")),
             access,
             rehash: false,
+            measures: Vec::new(),
         }
     }
 
