@@ -181,6 +181,48 @@ fn bad_words_for_cache_verbs_are_refused_with_what_to_write() {
     );
 }
 
+/// Copies a folder.
+fn copy(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap() {
+        let path = entry.unwrap().path();
+        let target = to.join(path.file_name().unwrap());
+        match path.is_dir() {
+            true => copy(&path, &target),
+            false => drop(std::fs::copy(&path, &target).unwrap()),
+        }
+    }
+}
+
+#[test]
+fn a_store_of_0_1_0_is_refused_with_the_way_out_and_taken_over_by_one_command() {
+    let dir = pipeline();
+    let old = Path::new(env!("CARGO_MANIFEST_DIR")).join("cache/tests/fixtures/store-0.1.0");
+    copy(&old, &dir.path().join(".marf"));
+    let refused = marf(dir.path(), &["run"]).exits(1);
+    assert!(
+        refused.stderr.contains("marf cache migrate"),
+        "{}",
+        refused.stderr
+    );
+    let told = marf(dir.path(), &["cache", "migrate", "--dry-run"]).exits(0);
+    assert!(
+        told.stdout.contains("nothing is fetched again"),
+        "{}",
+        told.stdout
+    );
+    assert!(
+        told.stdout.contains("makes these results again"),
+        "{}",
+        told.stdout
+    );
+    marf(dir.path(), &["run"]).exits(1);
+    marf(dir.path(), &["cache", "migrate"]).exits(0);
+    marf(dir.path(), &["run"]).exits(0);
+    marf(dir.path(), &["cache", "fsck", "--read-data"]).exits(0);
+    marf(dir.path(), &["log"]).exits(0);
+}
+
 /// The programme of faults, a few rounds of each; `marf bench faults` has many.
 #[test]
 fn kills_stops_damage_and_full_disks_change_no_digest() {

@@ -49,7 +49,7 @@ const CRATES: [Crate; 18] = [
     row(
         "stages/schema",
         "marf-schema",
-        &["marf-cache", "marf-stage", "marf-scene", "marf-field"],
+        &["marf-stage", "marf-scene", "marf-field"],
     ),
     row("stages/sfm", "marf-sfm", &["marf-numeric", "marf-scene"]),
     row(

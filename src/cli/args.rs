@@ -370,6 +370,9 @@ pub struct EngineArgs {
     /// Folder for photos and stores
     #[arg(long, value_name = "DIR", default_value = "bench-engine")]
     pub dir: PathBuf,
+    /// Let the sols arrive one by one, with a run after each: one JSON line a sol
+    #[arg(long)]
+    pub daily: bool,
     /// Leave photos and stores there
     #[arg(long)]
     pub keep: bool,

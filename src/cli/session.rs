@@ -43,7 +43,8 @@ impl Session {
     /// A bad pipeline, or a store that cannot be opened.
     pub fn open(global: &Global) -> Result<Self, CliError> {
         let loaded = config::load(&global.file, &global.sets, &global.options())?;
-        Self::of(loaded.pipeline, &store_dir(global, &global.file))
+        let unnamed = || unnamed(&global.file);
+        Self::of(loaded.pipeline, unnamed, &store_dir(global, &global.file))
     }
 
     /// Loads the text of a pipeline that a verb has built for one folder.
@@ -59,10 +60,14 @@ impl Session {
                     hint: error.hint,
                 })
             })?;
-        Self::of(pipeline, &store_dir(global, Path::new("")))
+        Self::of(
+            pipeline,
+            || "built-in".to_owned(),
+            &store_dir(global, Path::new("")),
+        )
     }
 
-    fn of(pipeline: Pipeline, store: &Path) -> Result<Self, CliError> {
+    fn of(pipeline: Pipeline, unnamed: impl FnOnce() -> String, store: &Path) -> Result<Self, CliError> {
         let info = |node: &config::Node| NodeInfo {
             name: node.name.clone(),
             about: node.def.about,
@@ -81,7 +86,7 @@ impl Session {
         });
         let graph = Graph::new(decls.collect(), marf_stages::stages())?;
         Ok(Self {
-            name: pipeline.name,
+            name: pipeline.name.unwrap_or_else(unnamed),
             graph,
             store: open_store(store)?,
             nodes,
@@ -121,6 +126,15 @@ impl Session {
     pub fn last(&self) -> Result<Option<RunRecord>, CliError> {
         Ok(marf_engine::last_run(&self.store, &self.name, warn)?)
     }
+}
+
+/// Returns the name of a pipeline that has none: that of its file, with eight digits that tell it from files of the same name
+/// in other folders. Two pipelines that share a store are then never compared with each other.
+fn unnamed(file: &Path) -> String {
+    let whole = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
+    let digits = &Digest::of(whole.as_os_str().as_encoded_bytes()).to_string()[..8];
+    let stem = file.file_stem().unwrap_or_default().to_string_lossy();
+    format!("{stem}-{digits}")
 }
 
 /// Prints a warning.

@@ -17,8 +17,8 @@ use crate::nearest::did_you_mean;
 
 /// A checked pipeline.
 pub struct Pipeline {
-    /// Name of the pipeline.
-    pub name: String,
+    /// Name of the pipeline; runs of one name are compared with each other.
+    pub name: Option<String>,
     /// Nodes in the order of the file.
     pub nodes: Vec<Node>,
 }
@@ -55,8 +55,8 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
         }
     }
     let name = match root.entry("name") {
-        None => "marf".to_owned(),
-        Some(entry) => text(entry)?.to_owned(),
+        None => None,
+        Some(entry) => Some(text(entry)?.to_owned()),
     };
     let mut context = PipelineContext {
         archives: Archives::new(tables(root, ARCHIVE)?, options, base)?,

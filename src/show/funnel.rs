@@ -8,7 +8,6 @@ use maud::{Markup, html};
 use super::format::{count, cut, px};
 use super::input::NodeView;
 use super::page::Page;
-use super::photos::verdicts;
 use super::read::Missing;
 
 const BAR_LEFT: f64 = 150.0;
@@ -68,7 +67,7 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
         .with_output(VERDICTS)
         .map(|node| Step {
             node,
-            counts: verdicts(page.input, node).map(|verdicts| Counts::new(&verdicts)),
+            counts: page.verdicts(node).map(Counts::new).map_err(Clone::clone),
         })
         .collect();
     if steps.is_empty() {
@@ -124,9 +123,9 @@ fn bar(node: &NodeView, counts: &Counts, top: f64, px_each: f64) -> Markup {
 
 /// Files that gave no photo at all: they have no picture, only a reason.
 fn undecodable(page: &Page<'_>) -> Markup {
-    let files: Vec<Verdict> = page
+    let files: Vec<&Verdict> = page
         .with_output(VERDICTS)
-        .filter_map(|node| verdicts(page.input, node).ok())
+        .filter_map(|node| page.verdicts(node).ok())
         .flatten()
         .filter(|verdict| !verdict.keeps() && page.photos.get(&verdict.id).is_none())
         .collect();

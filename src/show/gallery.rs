@@ -6,7 +6,7 @@ use maud::{Markup, html};
 use super::format::{count, number};
 use super::input::NodeView;
 use super::page::Page;
-use super::photos::{last_photo_nodes, verdicts};
+use super::photos::last_photo_nodes;
 use super::review::{Closest, against, closest};
 use super::thumbs::{name_of, thumb};
 
@@ -26,7 +26,7 @@ pub(super) fn rejected(page: &Page<'_>) -> Markup {
 }
 
 fn rejected_by(page: &Page<'_>, node: &NodeView) -> Option<Markup> {
-    let all = match verdicts(page.input, node) {
+    let all = match page.verdicts(node) {
         Ok(all) => all,
         Err(missing) => return Some(html! { h3 { (node.name) } (missing) }),
     };

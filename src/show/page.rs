@@ -1,11 +1,12 @@
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use marf_stage::Document;
+use marf_stage::{Document, VERDICTS, Verdict};
 use maud::{Markup, html};
 
 use super::embed::Pictures;
 use super::input::{NodeView, ReportInput, State};
-use super::photos::PhotoIndex;
+use super::photos::{PhotoIndex, verdicts};
 use super::read::{Missing, read, unreadable};
 
 /// What all sections share: the input, the photos by id, and the pictures embedded so far.
@@ -13,14 +14,31 @@ pub(super) struct Page<'a> {
     pub(super) input: &'a ReportInput<'a>,
     pub(super) photos: PhotoIndex,
     pub(super) pictures: Pictures,
+    /// By the name of the node, each read once.
+    verdicts: BTreeMap<&'a str, Result<Vec<Verdict>, Missing>>,
 }
 
 impl<'a> Page<'a> {
     pub(super) fn new(input: &'a ReportInput<'a>) -> Self {
+        let judged = input
+            .nodes
+            .iter()
+            .filter(|node| node.outputs.contains_key(VERDICTS));
         Self {
+            verdicts: judged
+                .map(|node| (node.name.as_str(), verdicts(input, node)))
+                .collect(),
             input,
             photos: PhotoIndex::new(input),
             pictures: Pictures::default(),
+        }
+    }
+
+    /// Returns the verdicts of a node, sol by sol; none of a node without.
+    pub(super) fn verdicts(&self, node: &NodeView) -> Result<&[Verdict], &Missing> {
+        match self.verdicts.get(node.name.as_str()) {
+            Some(verdicts) => verdicts.as_deref(),
+            None => Ok(&[]),
         }
     }
 

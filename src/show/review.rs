@@ -7,7 +7,6 @@ use maud::{Markup, html};
 
 use super::format::{count, number};
 use super::page::Page;
-use super::photos::verdicts;
 use super::thumbs::{name_of, thumb};
 
 /// Thresholds that are tried, as multiples of those in force.
@@ -70,14 +69,14 @@ pub(super) type Closest<'a> = BTreeMap<String, (&'a str, Verdict, f64)>;
 pub(super) fn closest<'a>(page: &Page<'a>) -> Closest<'a> {
     let mut closest = Closest::new();
     for node in page.with_output(VERDICTS) {
-        for verdict in verdicts(page.input, node).unwrap_or_default() {
-            let Some(call) = Call::of(&verdict) else { continue };
+        for verdict in page.verdicts(node).unwrap_or_default() {
+            let Some(call) = Call::of(verdict) else { continue };
             let margin = call.margin();
             let nearer = closest
                 .get(&verdict.id)
                 .is_none_or(|(_, _, known)| margin.abs() < known.abs());
             if nearer {
-                closest.insert(verdict.id.clone(), (&node.name, verdict, margin));
+                closest.insert(verdict.id.clone(), (&node.name, verdict.clone(), margin));
             }
         }
     }
@@ -86,9 +85,9 @@ pub(super) fn closest<'a>(page: &Page<'a>) -> Closest<'a> {
 
 /// Draws the table of other thresholds, and the closest calls of each filter.
 pub(super) fn body(page: &Page<'_>) -> Markup {
-    let judged: Vec<(&str, Vec<Verdict>)> = page
+    let judged: Vec<(&str, &[Verdict])> = page
         .with_output(VERDICTS)
-        .filter_map(|node| Some((node.name.as_str(), verdicts(page.input, node).ok()?)))
+        .filter_map(|node| Some((node.name.as_str(), page.verdicts(node).ok()?)))
         .filter(|(_, verdicts)| verdicts.iter().any(|verdict| Call::of(verdict).is_some()))
         .collect();
     if judged.is_empty() {
@@ -124,10 +123,10 @@ fn row(name: &str, calls: &[Call]) -> Markup {
 /// Verdicts that a person has given.
 fn overruled(page: &Page<'_>) -> Markup {
     let all = page.with_output(VERDICTS).flat_map(|node| {
-        let verdicts = verdicts(page.input, node).unwrap_or_default();
-        verdicts.into_iter().map(|verdict| (node.name.clone(), verdict))
+        let verdicts = page.verdicts(node).unwrap_or_default();
+        verdicts.iter().map(|verdict| (node.name.as_str(), verdict))
     });
-    let overruled: Vec<(String, Verdict)> = all
+    let overruled: Vec<(&str, &Verdict)> = all
         .filter(|(_, verdict)| {
             verdict.reason.starts_with("kept by hand, against")
                 || verdict.reason.starts_with("rejected by hand")

@@ -98,14 +98,25 @@ fn one_round(
         width: args.width,
         flawed: args.flawed,
     };
-    photos.make(0..args.sols, cancel)?;
     let mut bench = Bench {
         global,
         dir,
         round,
-        photos: u64::from(args.sols) * photos.a_sol,
-        sols: u64::from(args.sols),
+        photos: 0,
+        sols: 0,
     };
+    if args.daily {
+        for sol in 0..args.sols {
+            photos.make(sol..sol + 1, cancel)?;
+            bench.sols += 1;
+            bench.photos += photos.a_sol;
+            bench.phase("one more sol", cancel)?;
+        }
+        return Ok(());
+    }
+    photos.make(0..args.sols, cancel)?;
+    bench.sols = u64::from(args.sols);
+    bench.photos = bench.sols * photos.a_sol;
     bench.phase("cold", cancel)?;
     bench.phase("no change", cancel)?;
     let new = args.new_sols;

@@ -195,6 +195,8 @@ fn two_programs_on_one_store_share_the_work_and_agree() {
         );
     }
     assert_eq!(fixture.take_ran(), 1 + 8, "each key is worked on once");
+    let reduced = fixture.reduced.load(std::sync::atomic::Ordering::Relaxed);
+    assert_eq!(reduced, 1, "and reduced once");
     assert_ne!(records[0].number, records[1].number);
 }
 

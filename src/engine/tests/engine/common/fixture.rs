@@ -25,6 +25,8 @@ pub struct Fixture {
     pub measured: Mutex<Vec<String>>,
     pub folded: Mutex<Vec<u32>>,
     pub ran: AtomicU64,
+    /// Number of reductions of children.
+    pub reduced: AtomicU64,
     /// Called at every measure with the number of earlier ones.
     pub at_measure: Mutex<Option<AtMeasure>>,
     /// Called when a sum begins.

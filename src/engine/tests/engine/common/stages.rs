@@ -353,6 +353,7 @@ impl Expand for Many {
     }
 
     fn reduce(&self, ctx: &Ctx<'_>, _inputs: &Inputs, children: &[Outputs]) -> Result<Outputs, StageError> {
+        fixture(self.0.fixture.0).reduced.fetch_add(1, Ordering::Relaxed);
         let mut all = Vec::new();
         for child in children {
             all.extend_from_slice(&ctx.get(&child["draw"])?);
