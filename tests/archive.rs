@@ -110,7 +110,7 @@ fn only_what_is_new_is_fetched_and_the_lock_replays_it_elsewhere() {
     assert!(server.requests().is_empty());
 
     let other = pipeline(&server);
-    std::fs::copy(dir.path().join("marf.lock"), other.path().join("marf.lock")).unwrap();
+    common::copy(&dir.path().join("marf.lock"), &other.path().join("marf.lock"));
     let refused = run(other.path(), &["--offline"]).exits(1);
     assert!(refused.stdout.contains("not in the store"), "{}", refused.stdout);
     let locked = run(other.path(), &["--locked"]).exits(0);
@@ -291,7 +291,7 @@ fn the_real_feed_replayed_to_sol_400_and_then_whole_fetches_and_measures_only_th
         let events = ran.events();
         let finished = events
             .iter()
-            .find(|json| json["event"] == "finished" && json["node"] == "size");
+            .find(|json| json["event"] == "finished" && json["node"] == "extract");
         finished.unwrap()["counts"]["measured"].as_u64().unwrap()
     };
     let pictures = || {

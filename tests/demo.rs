@@ -116,7 +116,7 @@ fn only_what_changed_runs_again() {
     );
     let new = count(&sol, "extract", "photos") - count(&first, "extract", "photos");
     assert_eq!(
-        count(&sol, "size", "measured"),
+        count(&sol, "extract", "measured"),
         new,
         "only the new photos are measured"
     );

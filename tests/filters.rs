@@ -78,8 +78,8 @@ fn every_file_has_a_verdict_whatever_the_threads_and_a_new_threshold_decodes_not
     );
     assert_eq!(
         first.matches(" 8 measured").count(),
-        3,
-        "size, shape and one survey for all others: {first}"
+        1,
+        "one decode, by extract, measures for all filters: {first}"
     );
     let (again, _) = run("two.csv", &["--threads", "4", "--store", "b"]);
     assert_eq!(lines, again);

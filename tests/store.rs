@@ -4,7 +4,7 @@ mod common;
 
 use std::path::{Path, PathBuf};
 
-use common::marf;
+use common::{copy, marf};
 
 /// Filters and cameras of the built-in Mars, in a second.
 const PIPELINE: &str = r#"name = "store"
@@ -179,19 +179,6 @@ fn bad_words_for_cache_verbs_are_refused_with_what_to_write() {
         "{}",
         refused.stderr
     );
-}
-
-/// Copies a folder.
-fn copy(from: &Path, to: &Path) {
-    std::fs::create_dir_all(to).unwrap();
-    for entry in std::fs::read_dir(from).unwrap() {
-        let path = entry.unwrap().path();
-        let target = to.join(path.file_name().unwrap());
-        match path.is_dir() {
-            true => copy(&path, &target),
-            false => drop(std::fs::copy(&path, &target).unwrap()),
-        }
-    }
 }
 
 #[test]

@@ -128,8 +128,9 @@ fn bands(width: usize, height: usize) -> Vec<(usize, usize)> {
 /// A value of a picture: 8 bits at full size, steps of 1/256 at reduced size. Both give the same numbers; those of 8 bits take
 /// half the time.
 trait Sample: Copy + Default {
-    /// Appends the means of nine slices of equal length, weighted by the binomial of order 8, in steps of 1/256.
-    fn blur(taps: [&[Self]; 2 * REACH + 1], out: &mut Vec<u16>);
+    /// Writes the means of nine slices, each at least as long as `out`, weighted by the binomial of order 8, in steps of
+    /// 1/256.
+    fn blur(taps: [&[Self]; 2 * REACH + 1], out: &mut [u16]);
 
     /// Returns the sum of the squared second differences of the first `count` values of three slices, element by element, in
     /// squared steps of 1/256.
@@ -137,14 +138,15 @@ trait Sample: Copy + Default {
 }
 
 impl Sample for u8 {
-    fn blur(taps: [&[Self]; 2 * REACH + 1], out: &mut Vec<u16>) {
-        let count = taps[0].len();
-        let taps = taps.map(|tap| &tap[..count]);
-        out.extend((0..count).map(|at| {
-            let [a, b, c, d, e, f, g, h, i] = taps.map(|tap| u16::from(tap[at]));
+    // A function of its own, so that the compiler knows that `out` is none of the slices, and vectorises the loop.
+    #[inline(never)]
+    fn blur(taps: [&[Self]; 2 * REACH + 1], out: &mut [u16]) {
+        let [a, b, c, d, e, f, g, h, i] = taps.map(|tap| &tap[..out.len()]);
+        for (at, out) in out.iter_mut().enumerate() {
+            let pair = |near: &[u8], far: &[u8]| u16::from(near[at]) + u16::from(far[at]);
             // The weights add up to 256, so that the sum is the mean in steps of 1/256: at most 65,280.
-            70 * e + 56 * (d + f) + 28 * (c + g) + 8 * (b + h) + (a + i)
-        }));
+            *out = 70 * u16::from(e[at]) + 56 * pair(d, f) + 28 * pair(c, g) + 8 * pair(b, h) + pair(a, i);
+        }
     }
 
     fn sum_of_squares(rows: [&[Self]; 3], count: usize) -> u64 {
@@ -163,14 +165,14 @@ impl Sample for u8 {
 }
 
 impl Sample for u16 {
-    fn blur(taps: [&[Self]; 2 * REACH + 1], out: &mut Vec<u16>) {
-        let count = taps[0].len();
-        let taps = taps.map(|tap| &tap[..count]);
-        out.extend((0..count).map(|at| {
-            let [a, b, c, d, e, f, g, h, i] = taps.map(|tap| u32::from(tap[at]));
-            let sum = 70 * e + 56 * (d + f) + 28 * (c + g) + 8 * (b + h) + (a + i);
-            ((sum + 128) >> 8) as u16
-        }));
+    #[inline(never)]
+    fn blur(taps: [&[Self]; 2 * REACH + 1], out: &mut [u16]) {
+        let [a, b, c, d, e, f, g, h, i] = taps.map(|tap| &tap[..out.len()]);
+        for (at, out) in out.iter_mut().enumerate() {
+            let pair = |near: &[u16], far: &[u16]| u32::from(near[at]) + u32::from(far[at]);
+            let sum = 70 * u32::from(e[at]) + 56 * pair(d, f) + 28 * pair(c, g) + 8 * pair(b, h) + pair(a, i);
+            *out = ((sum + 128) >> 8) as u16;
+        }
     }
 
     fn sum_of_squares(rows: [&[Self]; 3], count: usize) -> u64 {
@@ -199,24 +201,22 @@ impl<S: Sample> Band<'_, S> {
     /// Blurs rows `[from, to)` by the binomial of order 8 (1 8 28 56 70 56 28 8 1) along both axes: a Gaussian
     /// of sigma 1.41 in integers, the same on every machine. Edges of the picture repeat.
     fn blurred(&self, from: usize, to: usize) -> Vec<u16> {
-        let mut along = Vec::with_capacity(self.rows.len());
+        let mut along = vec![0; self.rows.len()];
         let mut padded = vec![S::default(); self.width + 2 * REACH];
-        for row in self.rows.chunks_exact(self.width) {
+        let rows = self.rows.chunks_exact(self.width.max(1));
+        for (row, along) in rows.zip(along.chunks_exact_mut(self.width.max(1))) {
             padded[..REACH].fill(row[0]);
             padded[REACH..REACH + self.width].copy_from_slice(row);
             padded[REACH + self.width..].fill(row[self.width - 1]);
-            S::blur(
-                std::array::from_fn(|tap| &padded[tap..tap + self.width]),
-                &mut along,
-            );
+            S::blur(std::array::from_fn(|tap| &padded[tap..]), along);
         }
-        let mut blurred = Vec::with_capacity((to - from) * self.width);
-        for y in from..to {
+        let mut blurred = vec![0; (to - from) * self.width];
+        for (y, out) in (from..to).zip(blurred.chunks_exact_mut(self.width.max(1))) {
             let taps = std::array::from_fn(|tap| {
                 let near = (y + tap).saturating_sub(REACH).min(self.height - 1) - self.first;
-                &along[near * self.width..(near + 1) * self.width]
+                &along[near * self.width..]
             });
-            u16::blur(taps, &mut blurred);
+            u16::blur(taps, out);
         }
         blurred
     }

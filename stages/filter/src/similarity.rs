@@ -76,6 +76,23 @@ fn overlap(shift: usize) -> std::ops::Range<usize> {
     shift.saturating_sub(1)..CELLS - 1_usize.saturating_sub(shift)
 }
 
+/// Returns the sum and the sum of squares of a row, for each shift, where rows overlap.
+fn row_sums(values: &[u8]) -> [[i64; 2]; SHIFTS] {
+    let values = values.iter().map(|value| i64::from(*value));
+    let whole = values.clone().fold([0, 0], |[sum, squares], value| {
+        [sum + value, squares + value * value]
+    });
+    let without = |value: Option<i64>| {
+        let value = value.unwrap_or(0);
+        [whole[0] - value, whole[1] - value * value]
+    };
+    [
+        without(values.clone().next_back()),
+        whole,
+        without(values.clone().next()),
+    ]
+}
+
 impl Plane {
     fn of(values: &[u8]) -> Self {
         let mut cells = vec![0; PADDED * PADDED];
@@ -86,14 +103,21 @@ impl Plane {
                 .zip(values)
                 .for_each(|(cell, value)| *cell = i16::from(*value));
         }
-        let part = |right: usize, down: usize| {
-            let (mut sum, mut squares) = (0_i64, 0_i64);
-            for row in overlap(down) {
-                for value in &values[row * CELLS..][overlap(right)] {
-                    sum += i64::from(*value);
-                    squares += i64::from(*value) * i64::from(*value);
+        let mut sums = [[[0_i64; 2]; SHIFTS]; SHIFTS];
+        for (row, values) in values.chunks_exact(CELLS).enumerate() {
+            let of_row = row_sums(values);
+            for (_, sums) in sums
+                .iter_mut()
+                .enumerate()
+                .filter(|(down, _)| overlap(*down).contains(&row))
+            {
+                for (sums, of_row) in sums.as_flattened_mut().iter_mut().zip(of_row.as_flattened()) {
+                    *sums += of_row;
                 }
             }
+        }
+        let part = |right: usize, down: usize| {
+            let [sum, squares] = sums[down][right];
             let spread = (overlap(right).len() * overlap(down).len()) as i64 * squares - sum * sum;
             Part {
                 sum,

@@ -1,7 +1,7 @@
 //! Measures of rows, kept in one table a kind and shard.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -294,18 +294,19 @@ fn save(run: &StageRun<'_>, table: Table, shard: u32, measures: &MeasureTable) -
     Ok(())
 }
 
-/// Adds measures that a source made of its rows to the tables of their shard.
+/// Adds measures that a source made of its rows to the tables of their shard. Returns the number of rows measured.
 pub(super) fn keep_fetched(
     run: &StageRun<'_>,
     shard: u32,
     rows: &[Row],
     measures: Vec<marf_stage::FetchedMeasure>,
-) -> Result<(), StageError> {
+) -> Result<u64, StageError> {
     let digests: BTreeMap<&str, Digest> = rows
         .iter()
         .map(|row| (row.id.as_str(), row_digest(row)))
         .collect();
     let mut tables = Tables::new();
+    let mut measured = BTreeSet::new();
     for fetched in measures {
         let Some(digest) = digests.get(fetched.id.as_str()) else {
             return Err(contract_violation(format!(
@@ -318,12 +319,13 @@ pub(super) fn keep_fetched(
         }
         if let Some(table) = tables.get_mut(&fetched.table) {
             table.measures.0.insert(*digest, Arc::from(fetched.measure));
+            measured.insert(*digest);
         }
     }
     for (kind, table) in &tables {
         save(run, *kind, shard, &table.measures)?;
     }
-    Ok(())
+    Ok(measured.len() as u64)
 }
 
 #[cfg(test)]

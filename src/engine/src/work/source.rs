@@ -32,7 +32,7 @@ pub(super) fn execute(
     };
     let mut listing = listed.listing.clone();
     let total = listing.shards.len() as u64;
-    let mut fetched = 0;
+    let (mut fetched, mut measured) = (0, 0);
     let mut keys = Vec::new();
     let mut parts = Vec::new();
     for (done, shard) in (1..).zip(&mut listing.shards) {
@@ -42,14 +42,17 @@ pub(super) fn execute(
             Some(part) if has_leaves(run, &part.photos) => (key, part),
             _ => {
                 fetched += 1;
-                fetch(run, source, shard)?
+                let (key, part, new) = fetch(run, source, shard)?;
+                measured += new;
+                (key, part)
             }
         };
         keys.push((shard.shard, key.digest));
         parts.push(part);
         run.ctx.progress.at(done, total, "");
     }
-    let counts = Counts::from([("fetched".to_owned(), fetched), ("shards".to_owned(), total)]);
+    let counts = Counts::from([("fetched".to_owned(), fetched),
+        ("measured".to_owned(), measured), ("shards".to_owned(), total)]);
     let listed = Listed::new(listing);
     listed.store(&run.ctx)?;
     let mut joined = run.join(keys, parts.into_iter().collect(), counts)?;
@@ -72,14 +75,14 @@ fn has_leaves(run: &StageRun<'_>, leaves: &[LeafRef]) -> bool {
     leaves.iter().all(|leaf| run.store.contains(&leaf.leaf))
 }
 
-/// Fetches one shard and stores what came, under what it turned out to hold.
-fn fetch(run: &StageRun<'_>, source: &dyn Source, shard: &mut Shard) -> Result<(Key, Part), StageError> {
+/// Fetches one shard and stores what came, under what it turned out to hold. Returns the number of rows measured too.
+fn fetch(run: &StageRun<'_>, source: &dyn Source, shard: &mut Shard) -> Result<(Key, Part, u64), StageError> {
     let blobs = StoreBlobs::new(run.store);
     let ctx = run.with_blobs(&blobs);
     let fetched = source.fetch(&ctx, shard.shard)?;
     fetched.warnings.iter().for_each(|warning| (run.warn)(warning));
     shard.fingerprint = fetched.fingerprint.unwrap_or(shard.fingerprint);
-    keep_fetched(run, shard.shard, &fetched.rows, fetched.measures)?;
+    let measured = keep_fetched(run, shard.shard, &fetched.rows, fetched.measures)?;
     let rows = ShardRows {
         shard: shard.shard,
         rows: fetched.rows,
@@ -91,5 +94,5 @@ fn fetch(run: &StageRun<'_>, source: &dyn Source, shard: &mut Shard) -> Result<(
     };
     let key = run.part_key(PartKind::Fetch, shard.shard, fetch_inputs(shard));
     run.put_part(&key, &part, &blobs)?;
-    Ok((key, part))
+    Ok((key, part, measured))
 }

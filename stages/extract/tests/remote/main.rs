@@ -109,8 +109,7 @@ impl Place {
             folder: self.dir.path().to_owned(),
             lock: Some(self.dir.path().join("marf.lock")),
             access: Access::Online,
-            rehash: false,
-            measures: Vec::new(),
+            ..ArchiveContext::default()
         };
         Archive { table, context }
     }

@@ -184,6 +184,8 @@ impl Scan<'_> {
 
 /// Bits of the codes that are looked up at once; longer ones are rare.
 const SHORT: u32 = 10;
+/// Bits that are looked up at once for several coefficients.
+const RUN: u32 = 12;
 
 /// A Huffman table with codes of up to 16 bits.
 struct Huffman {
@@ -191,6 +193,19 @@ struct Huffman {
     short: Vec<Step>,
     /// Steps by the next 16 bits.
     long: Vec<Step>,
+    /// Runs of coefficients by the next [`RUN`] bits.
+    runs: Vec<Run>,
+}
+
+/// The coefficients (AC) that some bits hold whole, with the numbers behind their codes.
+#[derive(Clone, Copy, Default)]
+struct Run {
+    /// Bits of them all; 0 if not even the first is whole.
+    bits: u8,
+    /// Places in the block that they take.
+    places: u8,
+    /// Whether the last one ends the block.
+    ends: bool,
 }
 
 /// What a code stands for.
@@ -223,7 +238,8 @@ impl Huffman {
                 next += span;
             }
         }
-        Some(Self { short, long })
+        let runs = (0..1 << RUN).map(|bits| Run::of(bits, &long)).collect();
+        Some(Self { short, long, runs })
     }
 
     /// Returns the step of the code that left-aligned bits begin with.
@@ -233,6 +249,30 @@ impl Huffman {
             return step;
         }
         self.long[(held >> 48) as usize]
+    }
+}
+
+impl Run {
+    /// Reads the coefficients that begin and end in [`RUN`] bits.
+    fn of(bits: usize, long: &[Step]) -> Self {
+        let mut run = Self::default();
+        while u32::from(run.bits) < RUN && !run.ends {
+            let step = long[(bits << (16 - RUN) << run.bits) & 0xffff];
+            let whole = step.bits > 0 && u32::from(run.bits + step.bits) <= RUN;
+            let places = match step.symbol {
+                0x00 => 0,
+                0xf0 => 16,
+                symbol if symbol & 15 == 0 => break,
+                symbol => 1 + (symbol >> 4),
+            };
+            if !whole {
+                break;
+            }
+            run.bits += step.bits;
+            run.places += places;
+            run.ends = step.symbol == 0;
+        }
+        run
     }
 }
 
@@ -291,6 +331,21 @@ impl Bits<'_> {
         self.coefficient(dc)?;
         let mut place = 1;
         while place < 64 {
+            if self.count < 31 {
+                self.fill();
+            }
+            // As long as the block goes on behind a run, all of it belongs to the block.
+            let run = ac.runs[(self.held >> (u64::BITS - RUN)) as usize];
+            let bits = u32::from(run.bits);
+            if bits > 0 && bits <= self.count && place + usize::from(run.places) < 64 {
+                self.count -= bits;
+                self.held <<= bits;
+                place += usize::from(run.places);
+                if run.ends {
+                    return Some(());
+                }
+                continue;
+            }
             match self.coefficient(ac)? {
                 0x00 => break,
                 0xf0 => place += 16,
