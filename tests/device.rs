@@ -76,7 +76,10 @@ fn the_adapter_stands_in_the_log_and_in_the_key_and_two_stores_get_the_same_byte
     let started = started.iter().find(|event| event["event"] == "will_run").unwrap();
     assert_eq!(field(started, "node"), "train", "only the training runs anew");
     assert!(field(started, "device").contains("wgpu"), "{started}");
-    assert!(field(started, "reason").contains("backend: absent ->"), "{started}");
+    assert!(
+        field(started, "reason").contains("backend: absent ->"),
+        "{started}"
+    );
     assert_ne!(weights(&cpu), weights(&gpu));
     let again = on(&device, "two");
     assert_eq!(weights(&again), weights(&gpu), "two stores");

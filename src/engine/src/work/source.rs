@@ -51,8 +51,11 @@ pub(super) fn execute(
         parts.push(part);
         run.ctx.progress.at(done, total, "");
     }
-    let counts = Counts::from([("fetched".to_owned(), fetched),
-        ("measured".to_owned(), measured), ("shards".to_owned(), total)]);
+    let counts = Counts::from([
+        ("fetched".to_owned(), fetched),
+        ("measured".to_owned(), measured),
+        ("shards".to_owned(), total),
+    ]);
     let listed = Listed::new(listing);
     listed.store(&run.ctx)?;
     let mut joined = run.join(keys, parts.into_iter().collect(), counts)?;
