@@ -30,6 +30,8 @@ use crate::Digest;
 
 /// A pack is written anew when more than one byte of this many is dead.
 const DEAD_SHARE: u64 = 4;
+/// Longest wait for the index, which writers hold for milliseconds.
+const PATIENCE: Duration = Duration::from_secs(60);
 /// Bytes that are written before the packs they come from are removed.
 const GROUP_BYTES: u64 = 256 << 20;
 
@@ -106,7 +108,7 @@ impl Store {
         let objects = &self.objects;
         objects.staging()?;
         let _guard = objects.locks.take(Lock::Gc, Share::Exclusive, &objects.notices)?;
-        objects.index.refresh(Duration::ZERO)?;
+        objects.index.refresh(PATIENCE)?;
         let mut report = self.collect(plan)?;
         if !plan.dry_run {
             staging::sweep(&objects.files, &self.dir.join("tmp"));

@@ -44,11 +44,15 @@ cameras = "extract"
 method = "import"
 [node.train]
 input = "calibrate"
-steps = 150
+steps = 40
+scale = 4
 [node.bootstrap]
 input = "calibrate"
-steps = 60
+steps = 20
+scale = 4
 b = 2
+frames = 2
+width = 32
 "#;
 /// Photos of the pipeline: a ring of cameras around nothing in particular.
 const RING: u32 = 12;
