@@ -49,7 +49,11 @@ impl RunFile {
 /// Gives a finished temporary file of these bytes the next free number, durably, and returns the number. The caller has
 /// the lock of the runs.
 pub(super) fn publish(files: &Files, dir: &Path, file: &Path, bytes: &[u8]) -> Result<u64, StoreError> {
-    let number = list(files, dir)?.last().map_or(0, |run| run.number) + 1;
+    // The number of a damaged run is not given again: pins and people name it.
+    let quarantined = files.names(&dir.with_file_name("bad"))?;
+    let quarantined = quarantined.iter().filter_map(|name| RunFile::parse(name));
+    let taken = list(files, dir)?.into_iter().chain(quarantined);
+    let number = taken.map(|run| run.number).max().unwrap_or(0) + 1;
     let name = format!("{number:06}-{}.json", Digest::of(bytes));
     files.publish(file, &dir.join(name))?;
     files.sync_dirs(&[dir.to_owned()])?;

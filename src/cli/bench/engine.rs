@@ -200,7 +200,7 @@ impl Photos {
             (true, 2) => (number - 1, Shade::Dark),
             _ => (number, Shade::Full),
         };
-        let width = if is_flawed && number % 3 == 0 {
+        let width = if is_flawed && number.is_multiple_of(3) {
             64
         } else {
             self.width

@@ -77,7 +77,7 @@ impl Source for SyntheticItems {
             facts: PhotoFacts {
                 file: format!("{}.jpg", id(at)),
                 size_bytes: 20_000 + at * 7_919 % 80_000,
-                width: if at % 10 == 0 { 160 } else { 1280 },
+                width: if at.is_multiple_of(10) { 160 } else { 1280 },
                 height: 960,
                 bands: 3,
                 sol: Some(shard),

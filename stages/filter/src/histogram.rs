@@ -242,9 +242,10 @@ fn distances(tones: &[&ToneHistograms<'_>], counts: &mut [Counts<'_>], bins: usi
             read.iter_mut()
                 .for_each(|count| *count = counts.next().unwrap_or(0));
         }
-        for bin in 0..BINS_AT_ONCE.min(bins - first) {
-            for (at, below) in below.iter_mut().enumerate() {
-                *below += u64::from(read[at][bin]);
+        let held = BINS_AT_ONCE.min(bins - first);
+        for bin in 0..held {
+            for (at, (below, read)) in below.iter_mut().zip(&read).enumerate() {
+                *below += u64::from(read[bin]);
                 shares[at] = *below as f64 / tones[at].pixels().max(1) as f64;
             }
             order.copy_from_slice(&shares);

@@ -1,7 +1,7 @@
 //! Measures of rows, kept in one table a kind and shard.
 
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::{BTreeMap, BTreeSet, btree_map::Entry},
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -155,6 +155,10 @@ struct ShardTables {
     missing: Vec<usize>,
 }
 
+/// Rows, each with its digest.
+type RowsWithDigests<'a> = (&'a [Row], &'a [Digest]);
+/// The tables of a shard that take new measures.
+type NewTables<'a> = (u32, &'a mut Tables);
 /// Tables of one shard by their kind.
 type Tables = BTreeMap<Table, KeptTable>;
 
@@ -212,7 +216,8 @@ impl ShardTables {
         wanted.map(|(kind, _)| *kind).collect()
     }
 
-    fn split(&mut self) -> ((&[Row], &[Digest]), (u32, &mut Tables)) {
+    /// Returns what is read while rows are measured, and what is written.
+    fn split(&mut self) -> (RowsWithDigests<'_>, NewTables<'_>) {
         let rows = (self.rows.rows.as_slice(), self.digests.as_slice());
         (rows, (self.rows.shard, &mut self.tables))
     }
@@ -245,7 +250,7 @@ fn load(store: &Store, table: Table, shard: u32) -> Result<KeptTable, StageError
 /// The tables of some shards, with what is new in them.
 struct New<'a> {
     run: &'a StageRun<'a>,
-    tables: Vec<(u32, &'a mut Tables)>,
+    tables: Vec<NewTables<'a>>,
     done: u64,
     total: u64,
     flushed: Instant,
@@ -314,13 +319,12 @@ pub(super) fn keep_fetched(
                 fetched.id
             )));
         };
-        if !tables.contains_key(&fetched.table) {
-            tables.insert(fetched.table, load(run.store, fetched.table, shard)?);
-        }
-        if let Some(table) = tables.get_mut(&fetched.table) {
-            table.measures.0.insert(*digest, Arc::from(fetched.measure));
-            measured.insert(*digest);
-        }
+        let table = match tables.entry(fetched.table) {
+            Entry::Occupied(known) => known.into_mut(),
+            Entry::Vacant(place) => place.insert(load(run.store, fetched.table, shard)?),
+        };
+        table.measures.0.insert(*digest, Arc::from(fetched.measure));
+        measured.insert(*digest);
     }
     for (kind, table) in &tables {
         save(run, *kind, shard, &table.measures)?;

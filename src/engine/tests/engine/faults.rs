@@ -245,11 +245,8 @@ fn a_damaged_output_is_made_again_and_the_stream_says_so() {
     );
     assert_eq!(record.outcome, Outcome::Done, "{:?}", node_events(&log));
     let told = warnings(&log);
-    assert_eq!(told.len(), 1, "{told:?}");
-    assert!(
-        told[0].ends_with("is missing or damaged; `sum` will run again"),
-        "{told:?}"
-    );
+    let again = "is missing or damaged; `sum` will run again";
+    assert!(told.iter().any(|warning| warning.ends_with(again)), "{told:?}");
     assert_eq!(ran(&log), vec!["many", "many/member-03", "sum"]);
     assert_eq!(
         record.node("sum").unwrap().outputs,
@@ -437,7 +434,6 @@ fn a_lost_output_is_a_miss_with_its_reason() {
     drop(store);
     let store = Store::open(dir.path().join(".marf")).unwrap();
     for pack in packs_with(&store, b"sum 20 0\nsum 20") {
-        std::fs::remove_file(pack.with_extension("idx")).unwrap();
         std::fs::remove_file(pack).unwrap();
     }
     drop(store);
