@@ -593,7 +593,7 @@ mod tests {
 
         #[test]
         fn the_nearest_is_the_nearest_and_of_equals_the_first(hashes in hashes(), hash in any::<u64>(), skip in 1_u32..4) {
-            let accept = |position: u32| position % skip == 0;
+            let accept = |position: u32| position.is_multiple_of(skip);
             let mut growing = HashIndex::new(Search::Nearest);
             for (position, hash) in (0..).zip(&hashes) {
                 growing.insert(*hash, position);
@@ -633,7 +633,7 @@ mod tests {
         let mut hashes: Vec<u64> = Vec::new();
         while hashes.len() < FEW + 2_000 {
             let near = (0..6).fold(centre, |hash, _| hash ^ (1 << (draw() >> 58)));
-            hashes.push(if hashes.len() % 16 == 0 { near } else { draw() });
+            hashes.push(if hashes.len().is_multiple_of(16) { near } else { draw() });
         }
         for radius in [0, 14, 64] {
             let mut index = HashIndex::new(Search::Within(radius));
