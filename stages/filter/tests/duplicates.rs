@@ -402,3 +402,76 @@ fn the_one_kept_by_hand_stays_and_the_better_one_goes() {
     let verdicts = photos.judge("duplicate", by_hand(&["poor", "sharp.file"]));
     assert!(verdicts.values().all(marf_stage::Verdict::keeps), "{verdicts:?}");
 }
+
+/// 9,000 photos of three sols, of which every tenth repeats an earlier place: enough that hashes are looked up in tables and
+/// for many photos at once. What is found is what comparing each photo with all kept ones finds.
+#[test]
+fn among_many_photos_the_same_are_found_as_by_comparing_all() {
+    const SOLS: usize = 3;
+    const PHOTOS: usize = 9000;
+    let mixed = |seed: usize| {
+        let z = (seed as u64 ^ 0x9e37_79b9_7f4a_7c15).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        (z ^ (z >> 29)).wrapping_mul(0x94d0_49bb_1331_11eb) ^ (z >> 32)
+    };
+    // A photo of the same place has the same planes, and a hash some bits away: often too many.
+    let place = |at: usize| {
+        if at % 10 == 9 {
+            (mixed(at) as usize % at) / 10 * 10
+        } else {
+            at
+        }
+    };
+    let hash = |at: usize| {
+        let flips = if place(at) == at { 0 } else { mixed(7 * at) % 20 };
+        (0..flips).fold(mixed(place(at)), |hash, flip| {
+            hash ^ (1 << ((flip * 3 + mixed(at)) % 64))
+        })
+    };
+    let mut photos = Photos::default();
+    let mut measures = Vec::new();
+    for at in 0..PHOTOS {
+        photos.rows.push(marf_cache::manifest::Row {
+            id: format!("{at:05}"),
+            blobs: Default::default(),
+            facts: json!({"file": "", "width": 640, "height": 480}),
+        });
+        let planes: Vec<u8> = (0..4096)
+            .map(|cell| mixed(4096 * place(at) + cell) as u8)
+            .collect();
+        // As a measure is kept: its first byte, size, sharpness, colour, hashes behind their number, digest of the planes.
+        let mut measure = vec![1];
+        measure.extend([640_u32, 480].map(u32::to_le_bytes).as_flattened());
+        measure.extend([(PHOTOS - at) as f64, 0.1].map(f64::to_le_bytes).as_flattened());
+        measure.push(1);
+        measure.extend(hash(at).to_le_bytes());
+        measure.extend(photos.harness.put(&planes).as_bytes());
+        measures.push(measure);
+    }
+    let stage = bind("duplicate", defaults());
+    let Work::Fold(duplicate) = stage.work() else {
+        panic!("duplicate is a fold");
+    };
+    let (mut state, mut kept) = (duplicate.begin(), Vec::<usize>::new());
+    let mut found_gone = 0;
+    for sol in 0..SOLS {
+        let of_sol = sol * PHOTOS / SOLS..(sol + 1) * PHOTOS / SOLS;
+        let items: Vec<_> = of_sol
+            .clone()
+            .map(|at| item(sol as u32, &photos.rows[at], &measures[at]))
+            .collect();
+        let (_, verdicts) = state.fold(&photos.harness.ctx(), &items).unwrap();
+        for (at, verdict) in of_sol.zip(verdicts) {
+            // The photos are sharpest first, hence in the order of their ids.
+            let near = |other: &&usize| (hash(at) ^ hash(**other)).count_ones() <= 14;
+            let twin = kept.iter().filter(near).find(|other| place(**other) == place(at));
+            let expected = twin.map(|twin| format!("{twin:05}"));
+            assert_eq!(verdict.twin, expected, "{verdict:?}");
+            match expected {
+                None => kept.push(at),
+                Some(_) => found_gone += 1,
+            }
+        }
+    }
+    assert!((300..800).contains(&found_gone), "{found_gone}");
+    assert!(kept.len() > 8000, "{}", kept.len());
+}
