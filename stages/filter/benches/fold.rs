@@ -12,6 +12,7 @@
 )]
 #![allow(
     dead_code,
+    unused_imports,
     reason = "the index is taken as it is, and not all of it is measured"
 )]
 
@@ -26,7 +27,7 @@ use marf_cache::{Digest, manifest::Row};
 use marf_filter::STAGES;
 use marf_stage::{BlobError, Blobs, Ctx, FoldState, Measured, Work, harness::Harness};
 
-#[path = "../src/index.rs"]
+#[path = "../src/index/mod.rs"]
 mod index;
 
 /// Photos of a sol.

@@ -1,29 +1,25 @@
 //! The filter `duplicate`.
 
-use std::cmp::Ordering;
-use std::sync::Arc;
+mod fold;
+mod nearest;
+mod photo;
 
 use marf_cache::{Digest, manifest::Row};
-use marf_stage::{
-    Ctx, Define, Fold, FoldState, Measure, Measured, ParamError, Port, Stage, StageError, Table, Verdict,
-    Work,
-};
+use marf_stage::{Ctx, Define, Fold, FoldState, Measure, ParamError, Port, Stage, StageError, Table, Work};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
-use crate::candidates::{Candidates, PhotoKeys};
 use crate::decision::Decision;
 use crate::descriptor::ViewDescriptor;
-use crate::filter::{Facts, check_range, undecodable};
+use crate::filter::check_range;
 #[cfg(test)]
 use crate::guard::Guard;
 use crate::index::Search;
-use crate::kept::{Added, GroupPhotos, KeptPhoto, Reader};
-use crate::relation::{Relation, Relative, processing_rank, relation_between};
-use crate::similarity::{Planes, correlation, hash_distance, same_aspect};
+use crate::relation::Relation;
 use crate::stage::{OUTPUTS, PORTS};
-use crate::survey::{Section, Surveyed, measure_row, measured, tables, unreadable};
+use crate::survey::{Section, Surveyed, measure_row, tables};
+use fold::KeptPhotos;
 
 /// Rejects photos that show the same view as a better one, whatever their size, light and colour filter.
 ///
@@ -151,320 +147,7 @@ impl Measure for Duplicate {
 
 impl Fold for Duplicate {
     fn begin(&self) -> Box<dyn FoldState + '_> {
-        Box::new(KeptPhotos {
-            duplicate: self,
-            candidates: Candidates::new(self.search()),
-            groups: Vec::new(),
-            reader: Reader::new(),
-        })
-    }
-}
-
-/// The photos kept so far: of each what it is found by; what it is compared by is read when it is a candidate.
-struct KeptPhotos<'a> {
-    duplicate: &'a Duplicate,
-    candidates: Candidates,
-    /// The position of the first photo of each group, and the blob with its photos.
-    groups: Vec<(u32, Digest)>,
-    reader: Reader,
-}
-
-impl FoldState for KeptPhotos<'_> {
-    fn replay(&mut self, _: &Ctx<'_>, added: &[u8]) -> Result<(), StageError> {
-        for group in Added::read(added)? {
-            self.groups.push((self.candidates.len(), group.photos));
-            group
-                .keys
-                .iter()
-                .for_each(|(keys, _)| self.candidates.insert(keys));
-        }
-        Ok(())
-    }
-
-    /// Decides on the photos of one sol, the best first; each is compared with those kept of earlier sols and of its own.
-    fn fold(&mut self, ctx: &Ctx<'_>, items: &[Measured<'_>]) -> Result<(Vec<u8>, Vec<Verdict>), StageError> {
-        let duplicate = self.duplicate;
-        let read = |item| duplicate.read_photo(item);
-        let read = items.iter().map(read).collect::<Result<Vec<_>, _>>()?;
-        let mut best_first: Vec<(usize, &ComparedPhoto<'_>)> = read
-            .iter()
-            .enumerate()
-            .filter_map(|(at, item)| item.as_ref().ok().map(|photo| (at, photo)))
-            .collect();
-        best_first.sort_by(|a, b| a.1.compare_quality(b.1));
-        let mut verdicts: Vec<Option<Verdict>> =
-            read.iter().map(|item| item.as_ref().err().cloned()).collect();
-        let mut own = OwnSol {
-            candidates: Candidates::new(duplicate.search()),
-            photos: Vec::new(),
-        };
-        let mut earlier = Vec::new();
-        for (number, (at, photo)) in best_first.iter().copied().enumerate() {
-            ctx.check()?;
-            if number % BATCH == 0 {
-                earlier = self.find_earlier(&best_first[number..(number + BATCH).min(best_first.len())]);
-            }
-            let candidates = earlier.get_mut(number % BATCH).map(std::mem::take);
-            let decision = self.decide(ctx, photo, candidates, &own)?;
-            let decision = duplicate
-                .params
-                .by_hand
-                .overrule(photo.id(), photo.facts.file, decision);
-            if decision.keep {
-                own.candidates.insert(&photo.keys);
-                own.photos.push(photo);
-            }
-            verdicts[at] = Some(decision.verdict(Duplicate::NAME, items[at].row, &photo.facts));
-        }
-        own.photos.sort_by_key(|photo| photo.id());
-        let kept: Vec<_> = own
-            .photos
-            .iter()
-            .map(|photo| (photo.kept(), photo.keys.clone()))
-            .collect();
-        let added = Added::write(ctx, &kept)?;
-        self.replay(ctx, &added)?;
-        // Every photo either has the verdict of the decoder or has been decided on, so `flatten` drops none.
-        Ok((added, verdicts.into_iter().flatten().collect()))
-    }
-
-    fn blobs(&self, added: &[u8]) -> Vec<Digest> {
-        // Bytes that cannot be read are refused by `replay`.
-        let groups = Added::read(added).unwrap_or_default();
-        let named =
-            |group: Added| std::iter::once(group.photos).chain(group.keys.into_iter().map(|keys| keys.1));
-        groups.into_iter().flat_map(named).collect()
-    }
-}
-
-/// Photos whose candidates of earlier sols are looked for together.
-const BATCH: usize = 1024;
-
-/// The photos kept of the sol that is decided on, in the order in which they were kept.
-struct OwnSol<'a> {
-    candidates: Candidates,
-    photos: Vec<&'a ComparedPhoto<'a>>,
-}
-
-impl KeptPhotos<'_> {
-    /// Returns the candidates of earlier sols of each of some photos; nothing where they are to be found one by one.
-    fn find_earlier(&self, photos: &[(usize, &ComparedPhoto<'_>)]) -> Vec<Vec<u32>> {
-        if self.duplicate.params.rule == DuplicateRule::Phash {
-            return Vec::new();
-        }
-        let keys: Vec<&PhotoKeys> = photos.iter().map(|(_, photo)| &photo.keys).collect();
-        self.candidates.find_many(&keys).unwrap_or_default()
-    }
-
-    /// Decides on a photo by comparing it with those kept that may show its view; the reason names the most similar one, of
-    /// equals the first. `earlier` are its candidates of earlier sols, where they are known.
-    fn decide(
-        &mut self,
-        ctx: &Ctx<'_>,
-        photo: &ComparedPhoto<'_>,
-        earlier: Option<Vec<u32>>,
-        own: &OwnSol<'_>,
-    ) -> Result<Decision, StageError> {
-        match self.duplicate.params.rule {
-            DuplicateRule::Confirmed => {
-                let earlier = earlier.unwrap_or_else(|| self.candidates.find(&photo.keys));
-                self.decide_confirmed(ctx, photo, &earlier, own)
-            }
-            DuplicateRule::Phash => self.decide_phash(ctx, photo, own),
-        }
-    }
-
-    /// Decides by the rule [`DuplicateRule::Confirmed`].
-    fn decide_confirmed(
-        &mut self,
-        ctx: &Ctx<'_>,
-        photo: &ComparedPhoto<'_>,
-        earlier: &[u32],
-        own: &OwnSol<'_>,
-    ) -> Result<Decision, StageError> {
-        let mut nearest = Nearest {
-            duplicate: self.duplicate,
-            photo,
-            planes: None,
-            found: None,
-        };
-        for position in earlier {
-            let (group, at) = self.earlier(ctx, *position)?;
-            nearest.compare(ctx, &mut self.reader, &group.photo(at)?, None)?;
-        }
-        for position in own.candidates.find(&photo.keys) {
-            if let Some(other) = own.photos.get(position as usize) {
-                nearest.compare(ctx, &mut self.reader, &other.kept(), Some(other.row))?;
-            }
-        }
-        let found = nearest.found.map(|(_, decision)| decision);
-        Ok(found.unwrap_or_else(|| Decision::pass("")))
-    }
-
-    /// Decides by the rule [`DuplicateRule::Phash`].
-    fn decide_phash(
-        &mut self,
-        ctx: &Ctx<'_>,
-        photo: &ComparedPhoto<'_>,
-        own: &OwnSol<'_>,
-    ) -> Result<Decision, StageError> {
-        let (duplicate, size) = (self.duplicate, photo.keys.size);
-        let mut nearest: Option<(u32, String)> = None;
-        let candidates = std::mem::replace(&mut self.candidates, Candidates::new(Search::Nearest));
-        let searched = candidates.find_nearest(&photo.keys, |bits, position| {
-            let (group, at) = self.earlier(ctx, position)?;
-            let other = group.photo(at)?;
-            if same_aspect(size, other.size) {
-                nearest = Some((bits, other.id.to_owned()));
-            }
-            Ok::<_, StageError>(nearest.is_some())
-        });
-        self.candidates = candidates;
-        searched?;
-        own.candidates.find_nearest(&photo.keys, |bits, position| {
-            let other = own.photos.get(position as usize);
-            let nearer = nearest.as_ref().is_none_or(|(least, _)| bits < *least);
-            let same = other.filter(|other| nearer && same_aspect(size, other.keys.size));
-            if let Some(other) = same {
-                nearest = Some((bits, other.id().to_owned()));
-            }
-            Ok::<_, StageError>(same.is_some() || !nearer)
-        })?;
-        let decision = nearest.map(|(bits, id)| duplicate.compare_hashes(bits, &id));
-        Ok(decision.unwrap_or_else(|| Decision::pass("")))
-    }
-
-    /// Returns the group of a position among the photos of earlier sols, and the place in it.
-    fn earlier(&mut self, ctx: &Ctx<'_>, position: u32) -> Result<(Arc<GroupPhotos>, usize), StageError> {
-        let after = self.groups.partition_point(|(first, _)| *first <= position);
-        let lost = || StageError::new(format!("no group holds photo {position}"));
-        let (first, digest) = self.groups[..after].last().ok_or_else(lost)?;
-        Ok((self.reader.group(ctx, digest)?, (position - first) as usize))
-    }
-}
-
-/// The comparison of a photo with its candidates.
-struct Nearest<'a> {
-    duplicate: &'a Duplicate,
-    photo: &'a ComparedPhoto<'a>,
-    /// The planes of the photo, once a candidate needs them.
-    planes: Option<Arc<Planes>>,
-    /// By how much the score of the most similar one so far exceeds its threshold, and the decision.
-    found: Option<(f64, Decision)>,
-}
-
-impl Nearest<'_> {
-    /// Compares with one candidate by hashes and gradients; those whose hashes are too far apart do not count, unless they
-    /// are related.
-    fn compare(
-        &mut self,
-        ctx: &Ctx<'_>,
-        reader: &mut Reader,
-        other: &KeptPhoto<'_>,
-        row: Option<&Row>,
-    ) -> Result<(), StageError> {
-        if !same_aspect(self.photo.keys.size, other.size) {
-            return Ok(());
-        }
-        let params = &self.duplicate.params;
-        let bits = hash_distance(&self.photo.keys.hashes, &other.hashes);
-        let relative = Relative {
-            row,
-            ..other.relative()
-        };
-        let relation = relation_between(&self.photo.relative(), &relative);
-        if bits > params.candidate_bits && relation == Relation::Unknown {
-            return Ok(());
-        }
-        let limit = self.duplicate.min_correlation(relation);
-        if self
-            .found
-            .as_ref()
-            .is_some_and(|(most, _)| MAX_CORRELATION - limit <= *most)
-        {
-            return Ok(());
-        }
-        let own = match &self.planes {
-            Some(planes) => planes,
-            None => self.planes.insert(reader.planes(ctx, &self.photo.planes)?),
-        };
-        let score = correlation(own, &*reader.planes(ctx, &other.planes)?);
-        let excess = score - limit;
-        if self.found.as_ref().is_some_and(|(most, _)| excess <= *most) {
-            return Ok(());
-        }
-        let reason = || {
-            let (twin, words) = (other.id, relation.reason_suffix());
-            format!(
-                "like `{twin}`: gradients correlate {score:.3}, at least {limit}, hashes {bits} bits apart{words}"
-            )
-        };
-        self.found = Some((excess, compared(score >= limit, score, limit, reason, other.id)));
-        Ok(())
-    }
-}
-
-/// No correlation is larger: 1, and the rounding of two roots, a product and a quotient.
-const MAX_CORRELATION: f64 = 1.0 + 4.0 * f64::EPSILON;
-
-/// A photo of the sol that is decided on.
-#[derive(Debug)]
-struct ComparedPhoto<'a> {
-    row: &'a Row,
-    facts: Facts<'a>,
-    keys: PhotoKeys,
-    /// Digest of the gradient planes.
-    planes: Digest,
-    sharpness: f64,
-    colour: f64,
-    kept_by_hand: bool,
-    processing_rank: u8,
-}
-
-/// A photo whose [`ViewDescriptor::colour`] is below this has one tint: narrow-band JPEG copies have 0.0025 to 0.0095,
-/// the palest photo of the Navcam feed 0.021, rover and fox 0.087 and more.
-const MIN_COLOUR: f64 = 0.014;
-
-impl<'a> ComparedPhoto<'a> {
-    fn id(&self) -> &'a str {
-        &self.row.id
-    }
-
-    fn relative(&self) -> Relative<'a> {
-        Relative::of(self.row, &self.facts)
-    }
-
-    /// Returns what photos of this sol and of later ones compare it by.
-    fn kept(&self) -> KeptPhoto<'a> {
-        KeptPhoto {
-            id: self.id(),
-            instrument: self.facts.instrument,
-            filter: self.facts.filter,
-            sol: self.facts.sol,
-            size: self.keys.size,
-            hashes: self.keys.hashes.clone(),
-            planes: self.planes,
-        }
-    }
-
-    /// Orders the better photo first; ids are unique, so no two photos are equal.
-    fn compare_quality(&self, other: &Self) -> Ordering {
-        let area = |photo: &Self| u64::from(photo.keys.size.width) * u64::from(photo.keys.size.height);
-        (other.kept_by_hand.cmp(&self.kept_by_hand))
-            .then_with(|| other.is_broad().cmp(&self.is_broad()))
-            .then_with(|| (other.colour >= MIN_COLOUR).cmp(&(self.colour >= MIN_COLOUR)))
-            .then_with(|| self.processing_rank.cmp(&other.processing_rank))
-            .then_with(|| other.sharpness.total_cmp(&self.sharpness))
-            .then_with(|| area(other).cmp(&area(self)))
-            .then_with(|| self.id().cmp(other.id()))
-    }
-
-    /// Returns whether the archive names no colour filter, or a broad-band one: `0` of the science cameras, `F` (full
-    /// colour), `E` (its mosaic) and `M` (panchromatic) of the engineering cameras of Mars 2020.
-    fn is_broad(&self) -> bool {
-        self.facts
-            .filter
-            .is_none_or(|filter| matches!(filter, "0" | "UNK" | "" | "F" | "E" | "M"))
+        Box::new(KeptPhotos::new(self))
     }
 }
 
@@ -486,30 +169,6 @@ impl Duplicate {
             DuplicateRule::Confirmed => Search::Within(self.params.candidate_bits),
             DuplicateRule::Phash => Search::Nearest,
         }
-    }
-
-    /// Reads a photo with its descriptor; the inner error is the verdict of a photo that could not be decoded.
-    fn read_photo<'a>(&self, item: &Measured<'a>) -> Result<Result<ComparedPhoto<'a>, Verdict>, StageError> {
-        let facts = Facts::of(item.row)?;
-        let descriptor = match measured(item.measure, item.row)? {
-            Ok(descriptor) => ViewDescriptor::decode(descriptor),
-            Err(reason) => return Ok(Err(undecodable(item.row, &facts, reason))),
-        };
-        let descriptor = descriptor.ok_or_else(|| unreadable(item.row, "it is no descriptor"))?;
-        Ok(Ok(ComparedPhoto {
-            row: item.row,
-            keys: PhotoKeys {
-                size: descriptor.size,
-                hashes: descriptor.hashes,
-                relation: Relative::of(item.row, &facts).keys(),
-            },
-            planes: descriptor.planes,
-            sharpness: descriptor.sharpness,
-            colour: descriptor.colour,
-            kept_by_hand: self.params.by_hand.keeps(&item.row.id, facts.file),
-            processing_rank: processing_rank(&item.row.id),
-            facts,
-        }))
     }
 
     /// Returns the smallest correlation of two duplicates that are related like this.

@@ -403,12 +403,12 @@ fn the_one_kept_by_hand_stays_and_the_better_one_goes() {
     assert!(verdicts.values().all(marf_stage::Verdict::keeps), "{verdicts:?}");
 }
 
-/// 9,000 photos of three sols, of which every tenth repeats an earlier place: enough that hashes are looked up in tables and
+/// 15,000 photos of three sols, of which every tenth repeats an earlier place: enough that hashes are looked up in tables and
 /// for many photos at once. What is found is what comparing each photo with all kept ones finds.
 #[test]
 fn among_many_photos_the_same_are_found_as_by_comparing_all() {
     const SOLS: usize = 3;
-    const PHOTOS: usize = 9000;
+    const PHOTOS: usize = 15_000;
     let mixed = |seed: usize| {
         let z = (seed as u64 ^ 0x9e37_79b9_7f4a_7c15).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         (z ^ (z >> 29)).wrapping_mul(0x94d0_49bb_1331_11eb) ^ (z >> 32)
@@ -472,6 +472,6 @@ fn among_many_photos_the_same_are_found_as_by_comparing_all() {
             }
         }
     }
-    assert!((300..800).contains(&found_gone), "{found_gone}");
-    assert!(kept.len() > 8000, "{}", kept.len());
+    assert!((500..1400).contains(&found_gone), "{found_gone}");
+    assert!(kept.len() > 13_000, "{}", kept.len());
 }
