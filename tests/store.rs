@@ -1,4 +1,5 @@
 //! The store as its users meet it: damage, collections, checks, old stores, faults.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 mod common;
 
