@@ -1,5 +1,9 @@
 //! What is made of photos while they are decoded: measures that are wanted, and thumbnails.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test that cannot go on should stop; helpers of tests are not seen as tests"
+)]
 
 mod common;
 
