@@ -22,11 +22,19 @@ help_of! {
     help_report: "report", "--help";
     help_cache: "cache", "--help";
     help_cache_stat: "cache", "stat", "--help";
+    help_cache_gc: "cache", "gc", "--help";
+    help_cache_fsck: "cache", "fsck", "--help";
+    help_cache_pin: "cache", "pin", "--help";
+    help_cache_unpin: "cache", "unpin", "--help";
+    help_cache_migrate: "cache", "migrate", "--help";
     help_filter: "filter", "--help";
     help_photos: "photos", "--help";
     help_calibrate: "calibrate", "--help";
     help_fit: "fit", "--help";
     help_bench: "bench", "--help";
     help_bench_train: "bench", "train", "--help";
+    help_bench_engine: "bench", "engine", "--help";
+    help_bench_items: "bench", "items", "--help";
+    help_bench_faults: "bench", "faults", "--help";
     help_completions: "completions", "--help";
 }

@@ -167,7 +167,8 @@ impl fmt::Display for Change {
             };
         }
         if let Some(shard) = self.path.strip_prefix("listing.") {
-            return write!(f, "shard {shard} {became}");
+            // Paths have leading zeros, so that they sort by number.
+            return write!(f, "shard {} {became}", shard.trim_start_matches('0'));
         }
         if let Some(photo) = self.path.strip_prefix("photos.") {
             return write!(f, "photo {photo} {became}");

@@ -144,7 +144,7 @@ fn of_a_new_shard_only_that_shard_is_fetched_measured_and_folded() {
     let (record, log) = run_on(&pipeline.graph(), &store);
     assert_eq!(
         reason_of(&log, "archive").unwrap(),
-        "shard 00003 is new; 3 shards there"
+        "shard 3 is new; 3 shards there"
     );
     assert_eq!(fixture.take_fetched(), vec![3]);
     assert_eq!(
@@ -283,7 +283,7 @@ fn one_changed_photo_is_measured_alone() {
     fixture.clear_log();
     fixture.put(2, "s2-9", 11);
     let (_, log) = run_on(&pipeline.graph(), &store);
-    assert_eq!(reason_of(&log, "archive").unwrap(), "shard 00002 changed");
+    assert_eq!(reason_of(&log, "archive").unwrap(), "shard 2 changed");
     assert_eq!((fixture.take_fetched(), fixture.take_measured()), (vec![2], 2));
     assert_eq!(fixture.take_folded(), vec![2]);
 }
