@@ -1,4 +1,4 @@
-use marf_engine::{Extent, PlanState, PlannedNode};
+use marf_engine::{Extent, Needs, PlanState, PlannedNode};
 use serde::Serialize;
 
 use super::args::{Global, Selection};
@@ -16,8 +16,7 @@ struct Row<'a> {
     state: PlanState,
     #[serde(skip_serializing_if = "Option::is_none")]
     extent: Option<Extent>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    last_seconds: Option<f64>,
+    needs: Needs,
 }
 
 impl<'a> Row<'a> {
@@ -27,7 +26,7 @@ impl<'a> Row<'a> {
             reason: &planned.reason,
             state: planned.state,
             extent: planned.extent,
-            last_seconds: planned.last_seconds,
+            needs: planned.needs,
         }
     }
 }
@@ -62,7 +61,8 @@ fn line(node: &PlannedNode) -> String {
     if node.state == PlanState::WillRun {
         let looks = node.extent.map(|extent| looks_at(&extent));
         let took = node
-            .last_seconds
+            .needs
+            .seconds
             .map(|seconds| format!("{} last time", duration(seconds)));
         for part in looks.into_iter().chain(took) {
             line.push_str(&format!("; {part}"));

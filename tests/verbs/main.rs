@@ -83,11 +83,12 @@ macro_rules! assert_transcript {
 use assert_transcript;
 
 /// What varies between machines and runs, and what stands in its place.
-const PLACEHOLDERS: [(&str, &str); 7] = [
+const PLACEHOLDERS: [(&str, &str); 8] = [
     (r"\b[0-9a-f]{64}\b", "[digest]"),
     (r"\b[0-9a-f]{12}\b", "[short digest]"),
     (r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", "[date]"),
-    (r#""last_seconds": [0-9.e-]+"#, "\"last_seconds\": [seconds]"),
+    (r#""seconds": [0-9.e-]+"#, "\"seconds\": [seconds]"),
+    (r#""memory_mb": [0-9]+"#, "\"memory_mb\": [MB]"),
     (r"pipeline-[0-9a-f]{8}", "pipeline-[digits]"),
     (r" *\b(\d+ h \d\d min|\d+ min \d\d s|\d+\.\d s)\b", " [time]"),
     (r"marf \d+\.\d+\.\d+", "marf [version]"),

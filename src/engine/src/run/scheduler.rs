@@ -10,7 +10,7 @@ use std::{
 };
 
 use marf_cache::StoreError;
-use marf_stage::{Outputs, Stage, Threads, Work};
+use marf_stage::{Outputs, Threads};
 
 use super::{
     job::{Job, JobError, JobOutput, Step},
@@ -19,7 +19,7 @@ use super::{
     state::RunState,
     task::{Phase, Reuse, Task},
 };
-use crate::{errors::contract_violation, work::BlobCheck};
+use crate::{errors::contract_violation, needs::Needs, work::BlobCheck};
 
 /// Starts jobs on threads of their own, and applies what they report to the state of the run.
 pub(super) struct Scheduler<'a> {
@@ -102,7 +102,7 @@ impl<'a> Scheduler<'a> {
         };
         let ready = tasks.iter().filter(is_ready).count();
         let index = tasks.iter().position(|task| is_ready(&task))?;
-        let permits = match threads_of(tasks[index].bound.as_ref()) {
+        let permits = match Needs::of(tasks[index].bound.as_ref(), None).cores {
             Threads::One => 1,
             Threads::All => (self.free_permits / ready).max(1),
         };
@@ -167,14 +167,6 @@ impl<'a> Scheduler<'a> {
             },
         }
         Ok(())
-    }
-}
-
-/// Returns how many threads a node can use: those that work item by item take all.
-fn threads_of(stage: &dyn Stage) -> Threads {
-    match stage.work() {
-        Work::Map(_) | Work::Fold(_) | Work::Source(_) => Threads::All,
-        Work::Set(_) | Work::Expand(_) => stage.threads(),
     }
 }
 

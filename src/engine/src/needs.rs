@@ -1,0 +1,37 @@
+//! What a node needs of a machine. It travels beside the action and is part of no key.
+
+use marf_cache::RunMetadata;
+use marf_stage::{Stage, Threads, Work};
+use serde::Serialize;
+
+/// Cores, GPU, memory and time of a node: what its stage can use, and what it took when it last ran.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Needs {
+    /// How many cores it can use; fewer give the same result.
+    pub cores: Threads,
+    /// Whether it computes on a GPU.
+    pub gpu: bool,
+    /// Largest memory of the whole program up to its end when it last ran, in MB: it needs no more than this. Absent if it
+    /// never ran, or where the system does not tell.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub memory_mb: Option<u64>,
+    /// Seconds that it took when it last ran.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub seconds: Option<f64>,
+}
+
+impl Needs {
+    /// Returns the needs of a stage with its parameters. `last` tells of the node's last run.
+    pub(crate) fn of(stage: &dyn Stage, last: Option<&RunMetadata>) -> Self {
+        Self {
+            cores: match stage.work() {
+                // These work item by item.
+                Work::Map(_) | Work::Fold(_) | Work::Source(_) => Threads::All,
+                Work::Set(_) | Work::Expand(_) => stage.threads(),
+            },
+            gpu: stage.backend_id().is_some(),
+            memory_mb: last.map(|last| last.peak_mb).filter(|peak| *peak > 0),
+            seconds: last.map(|last| last.seconds),
+        }
+    }
+}
