@@ -5,7 +5,7 @@ mod common;
 
 use std::path::{Path, PathBuf};
 
-use common::{copy, marf};
+use common::{copy, marf, photos};
 
 /// Filters and cameras of the built-in Mars, in a second.
 const PIPELINE: &str = r#"name = "store"
@@ -221,4 +221,56 @@ fn kills_damage_and_false_clocks_change_no_digest() {
     ];
     let ran = marf(dir.path(), &words).exits(0);
     assert_eq!(ran.events().len(), 3, "{}", ran.stdout);
+}
+
+/// Reads the folder of `common::photos`; the photos are too small for the other nodes.
+fn folder_pipeline(dir: &Path, keep: &str) {
+    let text = format!(
+        "name = \"kept\"\n[archive.photos]\nkind = \"folder\"\npath = \"photos\"\nkeep = \"{keep}\"\n\
+         [node.extract]\narchive = \"photos\"\n[node.blur]\ninput = \"extract\"\n"
+    );
+    std::fs::write(dir.join("pipeline.toml"), text).unwrap();
+}
+
+fn stat(dir: &Path) -> serde_json::Value {
+    let stat = marf(dir, &["cache", "stat", "--json"]).exits(0);
+    serde_json::from_str(&stat.stdout).unwrap()
+}
+
+#[test]
+fn photos_may_stay_outside_the_store_with_equal_results_and_an_edited_one_is_read_again() {
+    let (copied, referenced) = (photos(), photos());
+    folder_pipeline(copied.path(), "copy");
+    folder_pipeline(referenced.path(), "reference");
+    let run = |dir: &Path| marf(dir, &["run"]).exits(0);
+    let set = |dir: &Path| output(dir, "blur", "photos");
+    run(copied.path());
+    run(referenced.path());
+    assert_eq!(set(copied.path()), set(referenced.path()));
+    assert_eq!(stat(copied.path())["references"], 0);
+    // Four photos, and the cameras beside them.
+    assert_eq!(stat(referenced.path())["references"], 5);
+    marf(referenced.path(), &["cache", "fsck", "--read-data"]).exits(0);
+    // An edit is a fault of the store, until the run that reads the folder takes it for what it is: another photo.
+    let folder = |dir: &Path| dir.join("photos/images");
+    let edited = image::RgbImage::from_pixel(32, 24, image::Rgb([9, 90, 200]));
+    for dir in [copied.path(), referenced.path()] {
+        std::fs::remove_file(folder(dir).join("1.png")).unwrap();
+        edited.save(folder(dir).join("1.png")).unwrap();
+    }
+    let fsck = marf(referenced.path(), &["cache", "fsck", "--read-data"]).exits(1);
+    assert!(
+        fsck.stdout.contains("do not have their digest"),
+        "{}",
+        fsck.stdout
+    );
+    run(copied.path());
+    run(referenced.path());
+    assert_eq!(set(copied.path()), set(referenced.path()));
+    // A photo that is gone is no photo, and no error.
+    for dir in [copied.path(), referenced.path()] {
+        std::fs::remove_file(folder(dir).join("2.png")).unwrap();
+        run(dir);
+    }
+    assert_eq!(set(copied.path()), set(referenced.path()));
 }

@@ -48,7 +48,7 @@ impl Census {
         objects
             .index
             .for_each(|row| items.push(Item::of(row.kind, &row.id, u64::from(row.len))))?;
-        objects.for_each_loose(|digest, bytes| items.push(Item::of(Kind::Blob, &digest, bytes)))?;
+        objects.for_each_loose(|digest, meta| items.push(Item::of(Kind::Blob, &digest, meta.bytes)))?;
         items.sort_unstable();
         items.dedup_by_key(|item| (item.id, item.kind_code()));
         Ok(Self(items))

@@ -22,11 +22,21 @@ pub(super) enum Published {
     Present,
 }
 
-/// Length and time of the last change of a file.
+/// Length, time of the last change, and place of the bytes of a file; of a link the length of its target, and its own time.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Meta {
     pub(super) bytes: u64,
     pub(super) modified: SystemTime,
+    pub(super) place: Place,
+}
+
+/// Where the bytes of a file are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Place {
+    /// In the file.
+    Here,
+    /// In another file, which it links to.
+    Outside,
 }
 
 /// What the store asks of the operating system.
@@ -39,6 +49,10 @@ pub(super) trait Operations: Send + Sync {
     fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
     /// Makes a copy of a file that shares its blocks; an error where the file system cannot.
     fn reflink(&self, from: &Path, to: &Path) -> io::Result<()>;
+    /// Makes a symbolic link to a file.
+    fn reference(&self, target: &Path, link: &Path) -> io::Result<()>;
+    /// Returns the file that a symbolic link points to.
+    fn target(&self, link: &Path) -> io::Result<PathBuf>;
     /// Takes away the permission to write a file.
     fn seal(&self, path: &Path) -> io::Result<()>;
     /// Flushes the bytes of a file to the disk.
@@ -90,6 +104,18 @@ impl Operations for Disk {
         reflink_copy::reflink(from, to)
     }
 
+    fn reference(&self, target: &Path, link: &Path) -> io::Result<()> {
+        let target = fs::canonicalize(target)?;
+        #[cfg(unix)]
+        return std::os::unix::fs::symlink(target, link);
+        #[cfg(windows)]
+        return std::os::windows::fs::symlink_file(target, link);
+    }
+
+    fn target(&self, link: &Path) -> io::Result<PathBuf> {
+        fs::read_link(link)
+    }
+
     fn seal(&self, path: &Path) -> io::Result<()> {
         let mut permissions = fs::metadata(path)?.permissions();
         permissions.set_readonly(true);
@@ -97,7 +123,11 @@ impl Operations for Disk {
     }
 
     fn sync_file(&self, path: &Path) -> io::Result<()> {
-        File::open(path)?.sync_data()
+        // Of a link only its name is ours.
+        match path.is_symlink() {
+            true => Ok(()),
+            false => File::open(path)?.sync_data(),
+        }
     }
 
     fn sync_dir(&self, path: &Path) -> io::Result<()> {
@@ -154,10 +184,19 @@ impl Operations for Disk {
     }
 
     fn meta(&self, path: &Path) -> io::Result<Meta> {
-        let meta = fs::metadata(path)?;
-        Ok(Meta {
-            bytes: meta.len(),
-            modified: meta.modified().unwrap_or(SystemTime::UNIX_EPOCH),
+        let own = fs::symlink_metadata(path)?;
+        let modified = own.modified().unwrap_or(SystemTime::UNIX_EPOCH);
+        Ok(match own.is_symlink() {
+            false => Meta {
+                bytes: own.len(),
+                modified,
+                place: Place::Here,
+            },
+            true => Meta {
+                bytes: fs::metadata(path)?.len(),
+                modified,
+                place: Place::Outside,
+            },
         })
     }
 
@@ -208,6 +247,18 @@ impl Files {
             let _ = self.0.remove_file(to);
         }
         linked
+    }
+
+    /// Makes a symbolic link to a file.
+    pub(super) fn reference(&self, target: &Path, link: &Path) -> Result<(), StoreError> {
+        self.0
+            .reference(target, link)
+            .map_err(StoreError::io("link to", target))
+    }
+
+    /// Returns the file that a link points to; none if it is no link.
+    pub(super) fn target(&self, link: &Path) -> Option<PathBuf> {
+        self.0.target(link).ok()
     }
 
     /// Takes away the permission to write a file.

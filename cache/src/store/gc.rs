@@ -18,6 +18,7 @@ use super::{
     census::Census,
     closure::Missing,
     commit,
+    files::Place,
     index::Compacted,
     lease,
     locks::{Lock, Share},
@@ -268,11 +269,14 @@ fn find_dead(
     report: &mut GcReport,
 ) -> Result<Dead, StoreError> {
     let mut dead = Dead::default();
-    objects.for_each_loose(|digest, bytes| {
+    objects.for_each_loose(|digest, meta| {
         let is_dead = marker.is_marked(Kind::Blob, &digest) == Some(false);
         if is_dead && !is_young(objects, &objects.loose_path(&digest), grace) {
             report.loose_blobs += 1;
-            report.loose_bytes += bytes;
+            report.loose_bytes += match meta.place {
+                Place::Here => meta.bytes,
+                Place::Outside => 0,
+            };
             dead.loose.push(digest);
         }
     })?;

@@ -11,7 +11,7 @@ use parking_lot::Mutex;
 use super::{
     Access,
     error::StoreError,
-    files::Files,
+    files::{Files, Meta},
     index::{Index, Location},
     lease::Lease,
     locks::{Lock, Locks, Share},
@@ -359,8 +359,8 @@ impl Objects {
         self.files.sync_dirs(&[self.root.join("packs")])
     }
 
-    /// Returns all loose blobs with their lengths, folder by folder.
-    pub(super) fn for_each_loose(&self, mut each: impl FnMut(Digest, u64)) -> Result<(), StoreError> {
+    /// Returns all loose blobs with length and place of their bytes, folder by folder.
+    pub(super) fn for_each_loose(&self, mut each: impl FnMut(Digest, Meta)) -> Result<(), StoreError> {
         let cas = self.root.join("cas");
         for folder in self.files.names(&cas)? {
             let dir = cas.join(&folder);
@@ -369,7 +369,7 @@ impl Objects {
                     continue;
                 };
                 if let Some(meta) = self.files.meta(&dir.join(&name)) {
-                    each(digest, meta.bytes);
+                    each(digest, meta);
                 }
             }
         }

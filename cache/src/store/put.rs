@@ -8,6 +8,30 @@ use std::{
 use super::{LARGE_BYTES, Store, StoreError, lease::Use, write_batch::LargeBlob};
 use crate::Digest;
 
+/// A file that is to be stored, and the most bytes it may have.
+#[derive(Clone, Copy)]
+struct Limit<'a> {
+    path: &'a Path,
+    max_bytes: u64,
+}
+
+impl Limit<'_> {
+    fn absent(self) -> StoreError {
+        StoreError::io("read", self.path)(std::io::ErrorKind::NotFound.into())
+    }
+
+    fn check(self, bytes: u64) -> Result<(), StoreError> {
+        match bytes > self.max_bytes {
+            true => Err(StoreError::TooLarge {
+                path: self.path.to_owned(),
+                bytes,
+                max_bytes: self.max_bytes,
+            }),
+            false => Ok(()),
+        }
+    }
+}
+
 impl Store {
     /// Stores a blob and returns its digest; the same bytes are stored once.
     ///
@@ -36,29 +60,47 @@ impl Store {
     /// # Errors
     /// A file that cannot be read or is longer ([`StoreError::TooLarge`]), and a store that cannot be written.
     pub fn put_file(&self, path: &Path, max_bytes: u64) -> Result<(Digest, Arc<[u8]>), StoreError> {
-        let files = &self.objects.files;
-        let absent = || StoreError::io("read", path)(std::io::ErrorKind::NotFound.into());
-        let bytes = files.meta(path).ok_or_else(absent)?.bytes;
-        let fits = |bytes: u64| match bytes > max_bytes {
-            true => Err(StoreError::TooLarge {
-                path: path.to_owned(),
-                bytes,
-                max_bytes,
-            }),
-            false => Ok(()),
-        };
-        fits(bytes)?;
+        let limit = Limit { path, max_bytes };
+        let bytes = self.objects.files.meta(path).ok_or_else(|| limit.absent())?.bytes;
+        limit.check(bytes)?;
         if bytes >= LARGE_BYTES as u64
             && let Some(copy) = self.reflink(path)?
         {
-            return self.put_copy(copy, fits);
+            return self.put_copy(copy, limit);
         }
-        // One byte more than allowed, so that a file that grew is noticed and never read whole.
-        let most = usize::try_from(max_bytes.saturating_add(1)).unwrap_or(usize::MAX);
-        let read = files.read_at(path, 0, most)?.ok_or_else(absent)?;
-        fits(read.len() as u64)?;
-        let read: Arc<[u8]> = Arc::from(read);
+        let read = self.read_within(limit)?;
         Ok((self.put(&read)?, read))
+    }
+
+    /// Stores a link to a file of at most `max_bytes` bytes; returns digest and bytes that it has now. The bytes stay outside
+    /// the store: once the file is changed or gone, the blob is damaged or lost as any other ([`Store::reference`]).
+    ///
+    /// # Errors
+    /// As of [`Store::put_file`], and a file system without symbolic links.
+    pub fn put_reference(&self, path: &Path, max_bytes: u64) -> Result<(Digest, Arc<[u8]>), StoreError> {
+        let read = self.read_within(Limit { path, max_bytes })?;
+        let digest = Digest::of(&read);
+        if !self.is_stored(&digest)? {
+            let link = self.objects.staging()?.next_path();
+            self.objects.files.reference(path, &link)?;
+            self.add_large(digest, link, read.len() as u64)?;
+            self.commit_if_due()?;
+        }
+        Ok((digest, read))
+    }
+
+    /// Returns the path of the file outside the store that holds the bytes of a blob, if they are outside.
+    pub fn reference(&self, digest: &Digest) -> Option<PathBuf> {
+        self.objects.files.target(&self.objects.loose_path(digest))
+    }
+
+    fn read_within(&self, limit: Limit<'_>) -> Result<Arc<[u8]>, StoreError> {
+        // One byte more than allowed, so that a file that grew is noticed and never read whole.
+        let most = usize::try_from(limit.max_bytes.saturating_add(1)).unwrap_or(usize::MAX);
+        let read = self.objects.files.read_at(limit.path, 0, most)?;
+        let read = read.ok_or_else(|| limit.absent())?;
+        limit.check(read.len() as u64)?;
+        Ok(Arc::from(read))
     }
 
     fn reflink(&self, path: &Path) -> Result<Option<PathBuf>, StoreError> {
@@ -74,15 +116,13 @@ impl Store {
     }
 
     /// Stores a temporary file.
-    fn put_copy(
-        &self,
-        copy: PathBuf,
-        fits: impl FnOnce(u64) -> Result<(), StoreError>,
-    ) -> Result<(Digest, Arc<[u8]>), StoreError> {
+    fn put_copy(&self, copy: PathBuf, limit: Limit<'_>) -> Result<(Digest, Arc<[u8]>), StoreError> {
         let files = &self.objects.files;
         let bytes: Arc<[u8]> = Arc::from(files.read(&copy)?.unwrap_or_default());
         let digest = Digest::of(&bytes);
-        let checked = fits(bytes.len() as u64).and_then(|()| self.is_stored(&digest));
+        let checked = limit
+            .check(bytes.len() as u64)
+            .and_then(|()| self.is_stored(&digest));
         match checked {
             Ok(false) if bytes.len() >= LARGE_BYTES => {
                 files.seal(&copy)?;

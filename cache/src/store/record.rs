@@ -77,6 +77,10 @@ pub struct StoreStat {
     pub loose_blobs: u64,
     /// Their bytes.
     pub loose_bytes: u64,
+    /// Blobs that are links to files outside the store.
+    pub references: u64,
+    /// The bytes of these files.
+    pub referenced_bytes: u64,
     /// Pack files.
     pub packs: u64,
     /// Blobs in packs.

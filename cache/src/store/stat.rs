@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashSet};
 
 use serde::Serialize;
 
-use super::{Store, StoreError, StoreStat, pack::Kind};
+use super::{Store, StoreError, StoreStat, files::Place, pack::Kind};
 
 /// What the records of a stage hold.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
@@ -31,9 +31,15 @@ impl Store {
             quarantined: objects.files.names(&self.dir.join("bad"))?.len() as u64,
             ..StoreStat::default()
         };
-        objects.for_each_loose(|_, bytes| {
-            stat.loose_blobs += 1;
-            stat.loose_bytes += bytes;
+        objects.for_each_loose(|_, meta| match meta.place {
+            Place::Here => {
+                stat.loose_blobs += 1;
+                stat.loose_bytes += meta.bytes;
+            }
+            Place::Outside => {
+                stat.references += 1;
+                stat.referenced_bytes += meta.bytes;
+            }
         })?;
         objects.index.for_each(|row| match row.kind {
             Kind::Blob => {

@@ -10,7 +10,7 @@ use std::{
 };
 
 use marf_cache::{Digest, Store};
-use marf_stage::{BlobError, Blobs, Cancel, Checkpoints, Memos, StageError};
+use marf_stage::{BlobError, Blobs, Cancel, Checkpoints, Keep, Memos, StageError};
 use parking_lot::Mutex;
 
 use crate::{
@@ -57,8 +57,12 @@ impl Blobs for StoreBlobs<'_> {
         Ok(digest)
     }
 
-    fn put_file(&self, path: &Path, max_bytes: u64) -> Result<(Digest, Arc<[u8]>), BlobError> {
-        let (digest, bytes) = self.store.put_file(path, max_bytes).map_err(blob_error)?;
+    fn put_file(&self, path: &Path, max_bytes: u64, keep: Keep) -> Result<(Digest, Arc<[u8]>), BlobError> {
+        let stored = match keep {
+            Keep::Copy => self.store.put_file(path, max_bytes),
+            Keep::Reference => self.store.put_reference(path, max_bytes),
+        };
+        let (digest, bytes) = stored.map_err(blob_error)?;
         self.stored.lock().insert(digest);
         Ok((digest, bytes))
     }

@@ -28,7 +28,8 @@ mod survey;
 use std::marker::PhantomData;
 
 use marf_stage::{
-    ArchiveContext, Ctx, Define, Fetched, Listing, ParamError, Port, Source, Stage, StageError, Threads, Work,
+    ArchiveContext, Ctx, Define, Fetched, Files, Listing, ParamError, Port, Source, Stage, StageError,
+    Threads, Work,
 };
 
 pub use archive::kind::ArchiveDef;
@@ -75,7 +76,14 @@ impl<S: Survey> Source for Extract<S> {
         self.archive.list(ctx)
     }
 
+    fn files(&self, ctx: &Ctx<'_>, shard: u32) -> Result<Option<Files>, StageError> {
+        self.archive.digests(ctx, shard)
+    }
+
     fn fetch(&self, ctx: &Ctx<'_>, shard: u32) -> Result<Fetched, StageError> {
+        if let Some(files) = self.archive.digests(ctx, shard)? {
+            ctx.put(&files.encode())?;
+        }
         let shard_files = self.archive.files(ctx, shard)?;
         let fetched = fetch::fetch(ctx, &shard_files.files, shard, &self.wanted)?;
         Ok(Fetched {

@@ -5,6 +5,8 @@ use std::sync::{
 };
 
 use marf_cache::Digest;
+use schemars::JsonSchema;
+use serde::Deserialize;
 
 use crate::StageError;
 
@@ -70,12 +72,11 @@ pub trait Blobs: Sync {
     /// # Errors
     /// A store that cannot be written.
     fn put(&self, bytes: &[u8]) -> Result<Digest, BlobError>;
-    /// Copies a file into the store, sharing its blocks where the file system can, and returns the bytes that were stored
-    /// with their digest.
+    /// Stores a file and returns the bytes that were stored, with their digest.
     ///
     /// # Errors
     /// A file that cannot be read, is larger than `max_bytes`, or a store that cannot be written.
-    fn put_file(&self, path: &Path, max_bytes: u64) -> Result<(Digest, Arc<[u8]>), BlobError>;
+    fn put_file(&self, path: &Path, max_bytes: u64, keep: Keep) -> Result<(Digest, Arc<[u8]>), BlobError>;
     /// Tells whether a blob is in the store; its bytes are not read.
     fn contains(&self, digest: &Digest) -> bool;
     /// Makes all that was stored so far survive the end of the process and of the power.
@@ -83,6 +84,17 @@ pub trait Blobs: Sync {
     /// # Errors
     /// A store that cannot be written.
     fn commit(&self) -> Result<(), BlobError>;
+}
+
+/// How a file comes into the store.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Keep {
+    /// As a copy, which shares the file's blocks where the file system can.
+    #[default]
+    Copy,
+    /// As a link to the file: its bytes stay where they are, and a file that is changed or removed is lost to the store.
+    Reference,
 }
 
 /// A blob that could not be read or written.

@@ -11,7 +11,7 @@ use marf_cache::{
 };
 use parking_lot::Mutex;
 
-use crate::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Memos, Progress};
+use crate::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Keep, Memos, Progress};
 
 /// A store in memory; progress is ignored.
 #[derive(Default)]
@@ -112,7 +112,7 @@ impl Blobs for Harness {
         Ok(Self::put(self, bytes))
     }
 
-    fn put_file(&self, path: &Path, max_bytes: u64) -> Result<(Digest, Arc<[u8]>), BlobError> {
+    fn put_file(&self, path: &Path, max_bytes: u64, _keep: Keep) -> Result<(Digest, Arc<[u8]>), BlobError> {
         let refused = |why: String| BlobError {
             message: format!("cannot read `{}`: {why}", path.display()),
             lost: None,

@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex};
 use common::{inputs, put_scene, run, scene, scene_of, small, stage};
 use marf_cache::Digest;
 use marf_stage::{
-    BlobError, Blobs, Cancel, Checkpoints, Ctx, Expand, Inputs, Outputs, StageError, harness::Harness,
+    BlobError, Blobs, Cancel, Checkpoints, Ctx, Expand, Inputs, Keep, Outputs, StageError, harness::Harness,
 };
 use marf_train::{Bootstrap, Evaluate, Render, Train};
 use serde_json::{Value, json};
@@ -45,8 +45,8 @@ impl Blobs for Counted<'_> {
         Ok(digest)
     }
 
-    fn put_file(&self, path: &Path, max_bytes: u64) -> Result<(Digest, Arc<[u8]>), BlobError> {
-        self.harness.put_file(path, max_bytes)
+    fn put_file(&self, path: &Path, max_bytes: u64, keep: Keep) -> Result<(Digest, Arc<[u8]>), BlobError> {
+        self.harness.put_file(path, max_bytes, keep)
     }
 
     fn contains(&self, digest: &Digest) -> bool {

@@ -166,6 +166,18 @@ impl Operations for Faulty {
         Ok(())
     }
 
+    fn reference(&self, target: &Path, link: &Path) -> io::Result<()> {
+        self.call()?;
+        Disk.reference(target, link)?;
+        self.changed(Change::Created(link.to_owned()));
+        Ok(())
+    }
+
+    fn target(&self, link: &Path) -> io::Result<PathBuf> {
+        self.call()?;
+        Disk.target(link)
+    }
+
     fn seal(&self, path: &Path) -> io::Result<()> {
         self.call()?;
         Disk.seal(path)

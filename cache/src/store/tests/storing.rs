@@ -165,6 +165,46 @@ fn a_file_is_stored_as_its_bytes_were_and_not_linked() {
 }
 
 #[test]
+fn a_reference_is_read_where_it_lies_and_is_damaged_when_it_is_edited() {
+    let (dir, store) = fresh();
+    let path = dir.path().join("photo");
+    for bytes in [b"small".to_vec(), large(3)] {
+        fs::write(&path, &bytes).unwrap();
+        let (digest, read) = store.put_reference(&path, 1 << 20).unwrap();
+        store.commit().unwrap();
+        assert_eq!((digest, &*read), (Digest::of(&bytes), bytes.as_slice()));
+        assert_eq!(store.reference(&digest), Some(fs::canonicalize(&path).unwrap()));
+        assert_eq!(&*again(&dir).get(&digest).unwrap(), bytes.as_slice());
+        let stat = store.stat().unwrap();
+        let outside = (stat.references, stat.referenced_bytes);
+        assert_eq!((outside, stat.loose_blobs), ((1, bytes.len() as u64), 0));
+        // The bytes outside are nobody's but the user's: they are neither sealed nor moved.
+        fs::write(&path, b"edited in place").unwrap();
+        let error = store.get(&digest).unwrap_err();
+        assert!(matches!(error, StoreError::Damaged { .. }), "{error}");
+        assert!(matches!(store.get(&digest), Err(StoreError::Missing { .. })));
+        assert_eq!(fs::read(&path).unwrap(), b"edited in place");
+        assert_eq!(store.reference(&digest), None);
+    }
+}
+
+#[test]
+fn a_reference_to_a_file_that_is_gone_is_lost_and_can_be_stored_again() {
+    let (dir, store) = fresh();
+    let path = dir.path().join("photo");
+    fs::write(&path, large(3)).unwrap();
+    let (digest, _) = store.put_reference(&path, 1 << 20).unwrap();
+    store.commit().unwrap();
+    fs::remove_file(&path).unwrap();
+    assert!(!store.contains(&digest));
+    assert!(matches!(store.get(&digest), Err(StoreError::Missing { .. })));
+    assert_eq!(store.put(&large(3)).unwrap(), digest);
+    store.commit().unwrap();
+    assert_eq!(&*again(&dir).get(&digest).unwrap(), large(3).as_slice());
+    assert!(store.put_reference(&path, 1 << 20).is_err());
+}
+
+#[test]
 fn a_file_above_the_limit_is_refused_with_both_numbers() {
     let (dir, store) = fresh();
     let path = dir.path().join("photo");
@@ -274,6 +314,8 @@ fn the_count_of_a_store_is_exact() {
     let stat = store.stat().unwrap();
     assert!(stat.index_bytes > 0);
     let expected = StoreStat {
+        references: 0,
+        referenced_bytes: 0,
         loose_blobs: 1,
         loose_bytes: 200_000,
         packs: 1,

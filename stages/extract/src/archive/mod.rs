@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use marf_cache::Digest;
 use marf_pds::{Label, ProductName, feed, pds4, raw};
-use marf_stage::{Ctx, Listing, StageError};
+use marf_stage::{Ctx, Files, Keep, Listing, StageError};
 
 /// Largest file that is read: products have at most 64 MB.
 pub(crate) const MAX_FILE_BYTES: u64 = 128 << 20;
@@ -19,6 +19,10 @@ pub(crate) const MAX_FILE_BYTES: u64 = 128 << 20;
 pub(crate) trait ArchiveFiles: Send + Sync {
     /// Lists shards with fingerprints over all their files, and stores companions.
     fn list(&self, ctx: &Ctx<'_>) -> Result<Listing, StageError>;
+    /// Returns the names and digests of the files of one listed shard, where they are known without a download.
+    fn digests(&self, _ctx: &Ctx<'_>, _shard: u32) -> Result<Option<Files>, StageError> {
+        Ok(None)
+    }
     /// Returns the files of one listed shard; those on servers are downloaded.
     fn files(&self, ctx: &Ctx<'_>, shard: u32) -> Result<ShardFiles, StageError>;
 }
@@ -49,7 +53,7 @@ pub(crate) struct ArchiveFile {
 #[derive(Debug, Clone)]
 enum Bytes {
     Memory(Arc<[u8]>),
-    Path(PathBuf),
+    Path(PathBuf, Keep),
     /// In the store, under the file's digest.
     Stored,
 }
@@ -96,13 +100,13 @@ impl ArchiveFile {
         }
     }
 
-    /// Returns a file on disk whose kind, digest and sol are known.
-    pub fn on_disk(name: String, path: PathBuf, known: Known) -> Self {
+    /// Returns a file on disk whose kind, digest and sol are known, and how the store keeps its bytes.
+    pub fn on_disk(name: String, path: PathBuf, known: Known, keep: Keep) -> Self {
         Self {
             name,
             kind: known.kind,
             digest: known.digest,
-            bytes: Bytes::Path(path),
+            bytes: Bytes::Path(path, keep),
         }
     }
 
@@ -136,8 +140,7 @@ impl ArchiveFile {
         }
     }
 
-    /// Stores the bytes under [`ArchiveFile::digest`] and returns them; a file on disk is copied by the file system where that
-    /// is possible.
+    /// Stores the bytes under [`ArchiveFile::digest`] and returns them.
     ///
     /// # Errors
     /// The store, or a file that has changed since it was listed.
@@ -148,7 +151,7 @@ impl ArchiveFile {
                 Ok(Arc::clone(bytes))
             }
             Bytes::Stored => ctx.get(&self.digest),
-            Bytes::Path(path) => match ctx.blobs.put_file(path, MAX_FILE_BYTES) {
+            Bytes::Path(path, keep) => match ctx.blobs.put_file(path, MAX_FILE_BYTES, *keep) {
                 Ok((digest, bytes)) if digest == self.digest => Ok(bytes),
                 Ok(_) => Err(self.changed(OTHER_BYTES)),
                 // What cannot be read is the file's fault, all else the store's.
@@ -168,7 +171,7 @@ impl ArchiveFile {
         let bytes = match &self.bytes {
             Bytes::Memory(bytes) => bytes.to_vec(),
             Bytes::Stored => return Ok(ctx.get(&self.digest)?.to_vec()),
-            Bytes::Path(path) => read_path(path).map_err(|error| self.changed(&error.to_string()))?,
+            Bytes::Path(path, _) => read_path(path).map_err(|error| self.changed(&error.to_string()))?,
         };
         if Digest::of(&bytes) == self.digest {
             Ok(bytes)

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use marf_cache::Digest;
-use marf_stage::{BlobError, Blobs, Ctx};
+use marf_stage::{BlobError, Blobs, Ctx, Keep};
 
 use super::*;
 
@@ -245,8 +245,8 @@ impl Blobs for Forgetful<'_> {
         Blobs::put(self.0, bytes)
     }
 
-    fn put_file(&self, path: &Path, max_bytes: u64) -> Result<(Digest, Arc<[u8]>), BlobError> {
-        self.0.put_file(path, max_bytes)
+    fn put_file(&self, path: &Path, max_bytes: u64, keep: Keep) -> Result<(Digest, Arc<[u8]>), BlobError> {
+        self.0.put_file(path, max_bytes, keep)
     }
 
     fn contains(&self, digest: &Digest) -> bool {

@@ -16,7 +16,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use marf_stage::{Ctx, Listing, ParamError, Shard, StageError};
+use marf_cache::Digest;
+use marf_stage::{Ctx, Files, Keep, Listing, ParamError, Shard, StageError};
 use parking_lot::Mutex;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -41,6 +42,10 @@ pub(crate) struct FolderParams {
     /// Whether folders in the folder are read too.
     #[serde(default = "yes")]
     recursive: bool,
+    /// `"copy"` stores the bytes of the photos; `"reference"` stores links to them: nothing is copied, and a photo that is
+    /// later edited or removed is lost to audits and replays. Takes effect when a photo is read.
+    #[serde(default)]
+    keep: Keep,
 }
 
 fn yes() -> bool {
@@ -53,6 +58,7 @@ pub(crate) struct Folder {
     sols: Sols,
     depth: usize,
     reading: Reading,
+    keep: Keep,
     /// The last survey, so that fetching a shard reads what was listed. Files are checked by digest when read.
     last: Mutex<Option<Arc<Survey>>>,
 }
@@ -67,6 +73,7 @@ impl ArchiveKind for Folder {
         Ok(Box::new(Self {
             root: context.path(&params.path),
             sols: params.sols.unwrap_or(Sols::All),
+            keep: params.keep,
             depth: if params.recursive { MAX_DEPTH } else { 1 },
             reading: if context.rehash() {
                 Reading::All
@@ -95,6 +102,19 @@ impl Folder {
         let survey = Arc::new(survey);
         *self.last.lock() = Some(Arc::clone(&survey));
         Ok(survey)
+    }
+
+    /// Returns the last survey; the first if there is none.
+    fn listed(&self, ctx: &Ctx<'_>) -> Result<Arc<Survey>, StageError> {
+        let last = self.last.lock().clone();
+        last.map_or_else(|| self.survey(ctx), Ok)
+    }
+
+    fn files_of<'a>(&self, survey: &'a Survey, shard: u32) -> Result<&'a [u32], StageError> {
+        let files = survey.shards.get(&shard);
+        files
+            .map(Vec::as_slice)
+            .ok_or_else(|| StageError::new(format!("`{}` has no files of sol {shard}", self.root.display())))
     }
 
     fn check_root(&self) -> Result<(), StageError> {
@@ -164,7 +184,7 @@ impl ArchiveFiles for Folder {
         let survey = self.survey(ctx)?;
         let mut companions = BTreeMap::new();
         for index in &survey.companions {
-            let file = survey.file(&self.root, *index);
+            let file = survey.file(&self.root, *index, self.keep);
             if !ctx.blobs.contains(&file.digest) {
                 file.keep(ctx)?;
             }
@@ -172,7 +192,7 @@ impl ArchiveFiles for Folder {
         }
         let shards = survey.shards.iter().map(|(shard, files)| Shard {
             shard: *shard,
-            fingerprint: survey.fingerprint(files),
+            fingerprint: Digest::of(&survey.digests(files).encode()),
         });
         Ok(Listing {
             shards: shards.collect(),
@@ -181,19 +201,17 @@ impl ArchiveFiles for Folder {
         })
     }
 
+    fn digests(&self, ctx: &Ctx<'_>, shard: u32) -> Result<Option<Files>, StageError> {
+        let survey = self.listed(ctx)?;
+        Ok(Some(survey.digests(self.files_of(&survey, shard)?)))
+    }
+
     fn files(&self, ctx: &Ctx<'_>, shard: u32) -> Result<ShardFiles, StageError> {
-        let last = self.last.lock().clone();
-        let survey = match last {
-            Some(survey) => survey,
-            None => self.survey(ctx)?,
-        };
-        let files = survey.shards.get(&shard).ok_or_else(|| {
-            StageError::new(format!("`{}` has no files of sol {shard}", self.root.display()))
-        })?;
+        let survey = self.listed(ctx)?;
+        let files = self.files_of(&survey, shard)?.iter();
         Ok(ShardFiles {
             files: files
-                .iter()
-                .map(|index| survey.file(&self.root, *index))
+                .map(|index| survey.file(&self.root, *index, self.keep))
                 .collect(),
             ..ShardFiles::default()
         })

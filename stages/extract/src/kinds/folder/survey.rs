@@ -3,9 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use marf_cache::{Digest, digest_of};
+use marf_cache::Digest;
 use marf_pds::{ProductName, join_key};
-use marf_stage::{Ctx, StageError};
+use marf_stage::{Ctx, Files, Keep, StageError};
 use rayon::prelude::*;
 
 use super::table::{self, Entry, EntryKind, Reader};
@@ -109,23 +109,25 @@ impl Survey {
         self.entry(index).is_some_and(Entry::is_photo)
     }
 
-    /// Returns a file by its number.
-    pub fn file(&self, root: &Path, index: u32) -> ArchiveFile {
+    /// Returns a file by its number, to be kept in this way.
+    pub fn file(&self, root: &Path, index: u32, keep: Keep) -> ArchiveFile {
         let name = self.names.get(index as usize);
         let known: Option<Known> = self.entry(index).and_then(|entry| entry.known(name));
         match known {
-            Some(known) => ArchiveFile::on_disk(name.to_owned(), root.join(name), known),
+            Some(known) => ArchiveFile::on_disk(name.to_owned(), root.join(name), known, keep),
             None => ArchiveFile::unreadable(name.to_owned(), self.reason(index)),
         }
     }
 
-    /// Returns the digest over names and digests of files.
-    pub fn fingerprint(&self, files: &[u32]) -> Digest {
-        let content: Vec<(&str, Digest)> = files
-            .iter()
-            .filter_map(|index| Some((self.names.get(*index as usize), self.entry(*index)?.digest)))
-            .collect();
-        digest_of(&content)
+    /// Returns names and digests of files.
+    pub fn digests(&self, files: &[u32]) -> Files {
+        let named = |index: &u32| {
+            Some((
+                self.names.get(*index as usize).to_owned(),
+                self.entry(*index)?.digest,
+            ))
+        };
+        Files(files.iter().filter_map(named).collect())
     }
 
     fn entry(&self, index: u32) -> Option<&Entry> {
