@@ -1,3 +1,4 @@
+use super::common::{marf, photos};
 use super::{SMALL, after_a_run, assert_transcript, with_pipeline};
 
 #[test]
@@ -17,4 +18,20 @@ fn why_after_a_run() {
             &["why", "blur"],
         ]
     );
+}
+
+/// A folder is listed file by file, so what differs in it is told before anything is read.
+#[test]
+fn why_files_of_a_changed_folder() {
+    let dir = photos();
+    let pipeline = "name = \"folder\"\n[archive.photos]\nkind = \"folder\"\npath = \"photos\"\n\
+                    [node.extract]\narchive = \"photos\"\n[node.blur]\ninput = \"extract\"\n";
+    std::fs::write(dir.path().join("pipeline.toml"), pipeline).unwrap();
+    marf(dir.path(), &["run"]).exits(0);
+    let images = dir.path().join("photos/images");
+    std::fs::remove_file(images.join("0.png")).unwrap();
+    std::fs::copy(images.join("1.png"), images.join("4.png")).unwrap();
+    image::RgbImage::new(32, 24).save(images.join("2.png")).unwrap();
+    let why: &[&str] = &["why", "blur", "--files"];
+    assert_transcript!(dir.path(), &[&["why", "extract", "--files"], why]);
 }

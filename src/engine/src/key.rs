@@ -103,6 +103,25 @@ pub struct Change {
     pub new: Option<String>,
 }
 
+const SHARDS: &str = "listing.";
+const FILES: &str = "files.";
+const PHOTOS_OF: &str = "photos.";
+
+/// Returns the path of a shard of a listing; with leading zeros, so that paths sort by number.
+pub(crate) fn shard_path(shard: u32) -> String {
+    format!("{SHARDS}{shard:05}")
+}
+
+/// Returns the path of a file of a shard.
+pub(crate) fn file_path(shard: u32, name: &str) -> String {
+    format!("{FILES}{shard:05}/{name}")
+}
+
+/// Returns the path of a photo of a shard.
+pub(crate) fn photo_path(shard: u32, id: &str) -> String {
+    format!("{PHOTOS_OF}{shard:05}/{id}")
+}
+
 /// Returns the differences between two actions, sorted by path. The node's own earlier output comes last, as it changes
 /// whenever anything else does.
 pub(crate) fn differences(old: &Action, new: &Action) -> Vec<Change> {
@@ -166,12 +185,13 @@ impl fmt::Display for Change {
                 _ => write!(f, "input {input} {became}"),
             };
         }
-        if let Some(shard) = self.path.strip_prefix("listing.") {
-            // Paths have leading zeros, so that they sort by number.
-            return write!(f, "shard {} {became}", shard.trim_start_matches('0'));
+        if let Some(shard) = self.shard() {
+            return write!(f, "shard {shard} {became}");
         }
-        if let Some(photo) = self.path.strip_prefix("photos.") {
-            return write!(f, "photo {photo} {became}");
+        for (prefix, what) in [(FILES, "file"), (PHOTOS_OF, "photo")] {
+            if let Some(name) = self.path.strip_prefix(prefix) {
+                return write!(f, "{what} {name} {became}");
+            }
         }
         if let Some((stage, "version")) = self
             .path
@@ -190,6 +210,11 @@ impl fmt::Display for Change {
 }
 
 impl Change {
+    /// Returns the shard of a listing that differs, if that is the difference.
+    pub(crate) fn shard(&self) -> Option<u32> {
+        self.path.strip_prefix(SHARDS)?.parse().ok()
+    }
+
     /// Writes `path old -> new`.
     fn write_values(&self, f: &mut fmt::Formatter<'_>, path: &str) -> fmt::Result {
         let value = |value: &Option<String>| value.clone().unwrap_or_else(|| "absent".to_owned());

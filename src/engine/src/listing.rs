@@ -13,12 +13,12 @@ use marf_cache::{
     manifest::{LeafRef, ManifestError, Root},
 };
 use marf_stage::{
-    COMPANIONS, Cancel, Checkpoints, Ctx, Inputs, Listing, Memos, Progress, Stage, StageError, Work,
+    COMPANIONS, Cancel, Checkpoints, Ctx, Files, Inputs, Listing, Memos, Progress, Stage, StageError, Work,
 };
 
 use crate::{
     errors::{contract_violation, panicked},
-    key::{Change, changes_between},
+    key::{Change, changes_between, file_path, shard_path},
     stage_io::{StoreBlobs, load_memo},
 };
 
@@ -43,22 +43,7 @@ pub(crate) fn list(
     let Work::Source(source) = stage.work() else {
         return Ok(None);
     };
-    let scratch: PathBuf = store.scratch();
-    let blobs = StoreBlobs::new(store);
-    let work = || {
-        let ctx = Ctx {
-            blobs: &blobs,
-            cancel,
-            progress,
-            checkpoints: &ReadOnly(store),
-            memos: &ReadOnly(store),
-            scratch: &scratch,
-            threads: pool.current_num_threads(),
-        };
-        catch_unwind(AssertUnwindSafe(|| source.list(&ctx)))
-            .unwrap_or_else(|payload| Err(panicked(payload.as_ref())))
-    };
-    let listing = pool.install(work)?;
+    let listing = asked(store, cancel, progress, pool, |ctx| source.list(ctx))?;
     let unsorted = listing
         .shards
         .windows(2)
@@ -70,6 +55,63 @@ pub(crate) fn list(
         )));
     }
     Ok(Some(Listed::new(listing)))
+}
+
+/// Asks a source, on the threads of `pool`; it may read the store.
+fn asked<T: Send>(
+    store: &Store,
+    cancel: &Cancel,
+    progress: &dyn Progress,
+    pool: &rayon::ThreadPool,
+    question: impl Fn(&Ctx<'_>) -> Result<T, StageError> + Sync,
+) -> Result<T, StageError> {
+    let scratch: PathBuf = store.scratch();
+    let blobs = StoreBlobs::new(store);
+    pool.install(|| {
+        let ctx = Ctx {
+            blobs: &blobs,
+            cancel,
+            progress,
+            checkpoints: &ReadOnly(store),
+            memos: &ReadOnly(store),
+            scratch: &scratch,
+            threads: pool.current_num_threads(),
+        };
+        catch_unwind(AssertUnwindSafe(|| question(&ctx)))
+            .unwrap_or_else(|payload| Err(panicked(payload.as_ref())))
+    })
+}
+
+/// Returns every file that differs between a listing and that of an earlier action, as far as both are known.
+pub(crate) fn file_changes(
+    stage: &dyn Stage,
+    store: &Store,
+    pool: &rayon::ThreadPool,
+    (listed, earlier): (&Listed, &Action),
+) -> Result<Vec<Change>, StageError> {
+    let Work::Source(source) = stage.work() else {
+        return Ok(Vec::new());
+    };
+    let (mut old, mut new) = (BTreeMap::new(), BTreeMap::new());
+    for change in listed.changes_since(store, earlier).unwrap_or_default() {
+        let Some(shard) = change.shard() else { continue };
+        let cancel = Cancel::default();
+        let now = asked(store, &cancel, &NoProgress, pool, |ctx| match change.new {
+            Some(_) => source.files(ctx, shard),
+            None => Ok(Some(Files::default())),
+        })?;
+        let digest = change.old.as_ref().and_then(|digest| digest.parse().ok());
+        let before = match digest {
+            Some(digest) => store.get(&digest).ok().and_then(|bytes| Files::decode(&bytes)),
+            None => Some(Files::default()),
+        };
+        if let (Some(before), Some(now)) = (before, now) {
+            let named = |(name, digest): (String, Digest)| (file_path(shard, &name), digest.to_string());
+            old.extend(before.0.into_iter().map(named));
+            new.extend(now.0.into_iter().map(named));
+        }
+    }
+    Ok(changes_between(&old, &new))
 }
 
 /// Returns the inputs that stand for a listing; `put` stores their bytes, or only computes digests.
@@ -129,7 +171,7 @@ impl From<ManifestError> for Lost {
 
 fn fingerprints(shards: impl Iterator<Item = (u32, Digest)>) -> BTreeMap<String, String> {
     shards
-        .map(|(shard, fingerprint)| (format!("listing.{shard:05}"), fingerprint.to_string()))
+        .map(|(shard, fingerprint)| (shard_path(shard), fingerprint.to_string()))
         .collect()
 }
 

@@ -3,21 +3,24 @@
 use std::{collections::BTreeMap, num::NonZero, sync::Arc};
 
 use marf_cache::{
-    Digest, Store, StoreError,
+    Action, Digest, Record, Store, StoreError,
     manifest::{Leaf, LeafRef, ManifestError, Root},
 };
 use marf_stage::PHOTOS;
 
 use crate::{
     graph::Graph,
-    key::{Change, action_of, changes_between},
+    key::{Change, action_of, changes_between, photo_path},
+    listing::file_changes,
     measure_table::row_digest,
     plan::{Known, plan_all},
     record::{EngineError, RunRecord},
+    run,
 };
 
 /// Returns every photo that was added, edited or removed since the last result of a node, by shard and id. Of a source these
-/// are the photos it gives, of other nodes those it reads.
+/// are the photos it gives, of other nodes those it reads. Where these are not known yet, the answer is of the nearest node
+/// upstream; of a source that will run, the files that differ, unless they are known only once they have come.
 ///
 /// # Errors
 /// A store that cannot be read, a name that is not in the graph.
@@ -31,11 +34,22 @@ pub fn photo_changes(
     let index = graph
         .index(node)
         .ok_or_else(|| EngineError::unknown(graph, node))?;
-    let Some((node, now)) = set_now(graph, &plan_all(graph, store, last, threads)?, index) else {
+    let known = plan_all(graph, store, last, threads)?;
+    let index = nearest_known(graph, &known, index);
+    let Some(record) = last_record(store, last, &graph.nodes[index].name)? else {
         return Ok(Vec::new());
     };
-    let Some(before) = last_set(store, last, node)? else {
-        return Ok(Vec::new());
+    let action = action_of(store, &record)?;
+    let (Some(now), Some(before)) = (set_now(&known[index]), last_set(&record, action.as_ref())) else {
+        return match (&known[index].listed, &action) {
+            (Some(listed), Some(earlier)) => {
+                let pool = run::pool(run::threads(threads))?;
+                let stage = graph.nodes[index].bound.as_ref();
+                file_changes(stage, store, &pool, (listed, earlier))
+                    .map_err(|error| EngineError::BadSet(error.to_string()))
+            }
+            _ => Ok(Vec::new()),
+        };
     };
     let (before, now) = (read_set(store, &before)?, read_set(store, &now)?);
     let shared: Vec<Digest> = before
@@ -47,28 +61,32 @@ pub fn photo_changes(
     Ok(changes_between(&photos(&before)?, &photos(&now)?))
 }
 
-/// Returns the set that a node would read now, or of a source the one it gives. Where what it reads is not known yet, the
-/// answer is of the nearest node upstream; its name comes first.
-fn set_now<'a>(graph: &'a Graph, known: &[Known], mut index: usize) -> Option<(&'a str, Digest)> {
-    loop {
-        let node = &graph.nodes[index];
-        if let Some(inputs) = &known[index].inputs {
-            let outputs = || known[index].outputs.as_ref()?.get(PHOTOS);
-            let set = inputs.optional(PHOTOS).or_else(outputs)?;
-            return Some((&node.name, *set));
-        }
-        index = node.connections.first()?.upstream;
+/// Returns the nearest node from `index` on upstream of which it is known what it reads.
+fn nearest_known(graph: &Graph, known: &[Known], mut index: usize) -> usize {
+    while known[index].inputs.is_none()
+        && let Some(connection) = graph.nodes[index].connections.first()
+    {
+        index = connection.upstream;
     }
+    index
+}
+
+/// Returns the set that a node would read now, or of a source the one it gives.
+fn set_now(known: &Known) -> Option<Digest> {
+    let read = known.inputs.as_ref()?.optional(PHOTOS);
+    read.or_else(|| known.outputs.as_ref()?.get(PHOTOS)).copied()
+}
+
+fn last_record(store: &Store, last: Option<&RunRecord>, node: &str) -> Result<Option<Record>, StoreError> {
+    let key = last.and_then(|run| run.latest.get(node));
+    Ok(key.map(|key| store.record(key)).transpose()?.flatten())
 }
 
 /// Returns the set of photos of the last result of a node: the one it read, of a source the one it gave.
-fn last_set(store: &Store, last: Option<&RunRecord>, node: &str) -> Result<Option<Digest>, StoreError> {
-    let key = last.and_then(|run| run.latest.get(node));
-    let Some(record) = key.map(|key| store.record(key)).transpose()?.flatten() else {
-        return Ok(None);
-    };
-    let input = action_of(store, &record)?.and_then(|action| action.inputs.get(PHOTOS).copied());
-    Ok(input.or_else(|| record.outputs.get(PHOTOS).map(|output| output.digest)))
+fn last_set(record: &Record, action: Option<&Action>) -> Option<Digest> {
+    let read = action.and_then(|action| action.inputs.get(PHOTOS));
+    let given = || record.outputs.get(PHOTOS).map(|output| &output.digest);
+    read.or_else(given).copied()
 }
 
 /// Why a set cannot be read.
@@ -105,8 +123,7 @@ fn photos(store: &Store, leaves: &[LeafRef], shared: &[Digest]) -> Result<BTreeM
     let mut photos = BTreeMap::new();
     for leaf in leaves.iter().filter(|leaf| !shared.contains(&leaf.leaf)) {
         for row in Leaf::decode(&get(store, &leaf.leaf)?)?.rows {
-            let path = format!("photos.{:05}/{}", leaf.shard, row.id);
-            photos.insert(path, row_digest(&row).to_string());
+            photos.insert(photo_path(leaf.shard, &row.id), row_digest(&row).to_string());
         }
     }
     Ok(photos)

@@ -2,7 +2,7 @@
 
 use std::num::NonZero;
 
-use marf_cache::{Digest, Store};
+use marf_cache::{Digest, RunMetadata, Store};
 use marf_stage::{Cancel, Inputs, Outputs};
 use serde::Serialize;
 
@@ -10,8 +10,9 @@ use crate::{
     earlier::KeyRequest,
     graph::{Graph, Node},
     key::{Change, Key},
-    listing::{NoProgress, list},
+    listing::{Listed, NoProgress, list},
     lookup::{Lookup, RunReason, because, look_up, outputs_of, why_missed},
+    needs::Needs,
     record::{EngineError, RunRecord},
     run,
     work::{Extent, extent},
@@ -35,9 +36,8 @@ pub struct PlannedNode {
     /// What it would look at, as far as that is known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub extent: Option<Extent>,
-    /// Seconds that it took when it last ran.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub last_seconds: Option<f64>,
+    /// What it needs of a machine.
+    pub needs: Needs,
 }
 
 /// Whether a node would run.
@@ -88,10 +88,11 @@ pub(crate) fn plan_all(
     Ok(known)
 }
 
-/// A planned node, its inputs as far as they are known, and its outputs if they are in the store.
+/// A planned node, its inputs as far as they are known, of a source what it lists, and its outputs if they are in the store.
 pub(crate) struct Known {
     pub(crate) node: PlannedNode,
     pub(crate) inputs: Option<Inputs>,
+    pub(crate) listed: Option<Listed>,
     pub(crate) outputs: Option<Outputs>,
 }
 
@@ -141,6 +142,7 @@ impl Planner<'_> {
             let extent = extent(self.store, node.bound.as_ref(), &key, &inputs, listed.as_ref())?;
             return Ok(Known {
                 inputs: Some(inputs),
+                listed,
                 ..self.will_run(node, why, Some(&key), extent)
             });
         };
@@ -159,6 +161,7 @@ impl Planner<'_> {
                     .node
             },
             inputs: Some(inputs),
+            listed,
             outputs: Some(outputs_of(&record)),
         })
     }
@@ -179,17 +182,18 @@ impl Planner<'_> {
                 key: key.map(|key| key.digest),
                 changes: why.changes,
                 extent,
-                last_seconds: self.last_seconds(&node.name),
+                needs: Needs::of(node.bound.as_ref(), self.last_metadata(&node.name).as_ref()),
             },
             inputs: None,
+            listed: None,
             outputs: None,
         }
     }
 
-    /// Returns how long the node took when it last ran.
-    fn last_seconds(&self, node: &str) -> Option<f64> {
+    /// Returns how the node's last run went.
+    fn last_metadata(&self, node: &str) -> Option<RunMetadata> {
         let key = self.last?.latest.get(node)?;
-        Some(self.store.record(key).ok()??.metadata.seconds)
+        Some(self.store.record(key).ok()??.metadata)
     }
 }
 

@@ -13,11 +13,11 @@ pub mod harness;
 
 use std::collections::BTreeMap;
 
-use marf_cache::{ContentHash, Digest, manifest::Row};
+use marf_cache::{ContentHash, Digest, canonical_json, manifest::Row};
 use serde::{Deserialize, Serialize};
 
 pub use archive::{Access, ArchiveContext, LOCK_FILE};
-pub use ctx::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Memos, Progress};
+pub use ctx::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Keep, Memos, Progress};
 pub use define::{Define, ParamError, Port, StageDef, define, from_json, key_params, schema_of};
 pub use document::{Document, Params, TypedOutputs};
 pub use error::StageError;
@@ -69,7 +69,8 @@ pub enum Work<'a> {
 }
 
 /// How many threads a run can use; fewer never change the result.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Threads {
     /// One; other nodes run at the same time.
     One,
@@ -109,6 +110,23 @@ pub struct Shard {
     /// Digest of everything that [`Source::fetch`] would read for it, as far as it is known: see
     /// [`Fetched::fingerprint`].
     pub fingerprint: Digest,
+}
+
+/// The files of a shard: digests of their bytes by name.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Files(pub BTreeMap<String, Digest>);
+
+impl Files {
+    /// Returns the one form as bytes: canonical JSON.
+    pub fn encode(&self) -> Vec<u8> {
+        // Names and digests always serialise.
+        canonical_json(&serde_json::to_value(self).unwrap_or_default())
+    }
+
+    /// Reads what [`Files::encode`] wrote; none if the bytes are not that.
+    pub fn decode(bytes: &[u8]) -> Option<Self> {
+        serde_json::from_slice(bytes).ok()
+    }
 }
 
 /// What an archive offers now.
@@ -170,6 +188,16 @@ pub trait Source: Send + Sync {
     /// # Errors
     /// A missing or unreadable archive.
     fn list(&self, ctx: &Ctx<'_>) -> Result<Listing, StageError>;
+
+    /// Returns the files that [`Source::fetch`] would read of a listed shard; none where they are known only once they have
+    /// come. Then [`Shard::fingerprint`] is the digest of [`Files::encode`], which `fetch` stores: so it can be told which
+    /// files differ from those of an earlier run.
+    ///
+    /// # Errors
+    /// A shard that is not there, an unreadable archive.
+    fn files(&self, _ctx: &Ctx<'_>, _shard: u32) -> Result<Option<Files>, StageError> {
+        Ok(None)
+    }
 
     /// Reads one shard; runs when its fingerprint is new.
     ///
