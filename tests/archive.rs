@@ -6,23 +6,13 @@
 )]
 
 mod common;
-#[path = "../stages/extract/tests/common/server.rs"]
-mod server;
 
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use common::{Ran, marf};
-use server::{Reply, Server};
-
-const BROWSE: &str = "/img/data/mars2020/mars2020_navcam_ops_raw/browse/sol";
-const DATA: &str = "/img/data/mars2020/mars2020_navcam_ops_raw/data/sol";
-const BELOW: &str = "ids/edr/ncam";
-
-fn name(sol: u32, number: u32) -> String {
-    format!("NLF_{sol:04}_06{sol:04}{number:04}_000EBY_N003{number:04}NCAM00500_00_0LLJ01")
-}
+use marf_loopback::{Reply, Server};
 
 fn picture(sol: u32, number: u32) -> Vec<u8> {
     let noise = |x: u32, y: u32| (x * 7 + y * 13 + x * y * (sol + number)) as u8;
@@ -37,23 +27,17 @@ fn picture(sol: u32, number: u32) -> Vec<u8> {
 fn mount(server: &Server, sols: impl IntoIterator<Item = u32>) {
     for sol in sols {
         for number in 0..4 {
-            let name = name(sol, number);
-            server.file(
-                &format!("{BROWSE}/{sol:05}/{BELOW}/{name}.png"),
-                picture(sol, number),
-            );
+            server.navcam(sol, number, picture(sol, number));
         }
-        server.folder(&format!("{DATA}/{sol:05}/{BELOW}/"));
     }
 }
 
 fn pipeline(server: &Server) -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
+    let archive = server.navcam_section("jezero", "1..=9");
     let text = format!(
-        "name = \"archive\"\n[archive.jezero]\nkind = \"pds\"\nmission = \"perseverance\"\ninstrument = \"navcam\"\n\
-         sols = \"1..=9\"\nbase = [\"{}\"]\nnetwork = {{ delay_ms = 0, retry_ms = 1 }}\n\
-         [node.extract]\narchive = \"jezero\"\n[node.size]\ninput = \"extract\"\nmin_bytes = 100\n",
-        server.url("/img/data")
+        "name = \"archive\"\n{archive}[node.extract]\narchive = \"jezero\"\n[node.size]\ninput = \"extract\"\n\
+         min_bytes = 100\n"
     );
     std::fs::write(dir.path().join("pipeline.toml"), text).unwrap();
     dir
@@ -76,7 +60,7 @@ fn count(ran: &Ran, what: &str) -> u64 {
 
 #[test]
 fn only_what_is_new_is_fetched_and_the_lock_replays_it_elsewhere() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, 1..=2);
     let dir = pipeline(&server);
     let plan = marf(dir.path(), &["plan"]).exits(0).stdout;
@@ -135,9 +119,8 @@ fn digest(folder: &Path) -> String {
 
 #[test]
 fn a_run_killed_in_mid_download_goes_on_from_there() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, [1]);
-    let slow = format!("{BROWSE}/00001/{BELOW}/{}.png", name(1, 3));
     // Half a download is vouched for at each MiB.
     let mut state = 1_u32;
     let noise = image::RgbImage::from_fn(1_024, 1_024, |_, _| {
@@ -146,7 +129,7 @@ fn a_run_killed_in_mid_download_goes_on_from_there() {
     });
     let mut bytes = std::io::Cursor::new(Vec::new());
     noise.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
-    server.file(&slow, bytes.into_inner());
+    let slow = server.navcam(1, 3, bytes.into_inner());
     let drip = Reply::Drip {
         bytes: 100_000,
         every: Duration::from_millis(50),
@@ -201,7 +184,7 @@ fn a_run_killed_in_mid_download_goes_on_from_there() {
 
 #[test]
 fn an_archive_that_cannot_be_is_a_usage_error() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let dir = pipeline(&server);
     for (set, part) in [
         (
@@ -277,7 +260,7 @@ fn the_real_feed_replayed_to_sol_400_and_then_whole_fetches_and_measures_only_th
     let Some(folder) = common::shared("m2020_navcam_feed") else {
         return;
     };
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let early = play(&server, &folder, 400);
     let dir = tempfile::tempdir().unwrap();
     let text = format!(

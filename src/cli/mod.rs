@@ -29,7 +29,7 @@ use clap::{CommandFactory, Parser};
 use marf_engine::Cancel;
 
 use crate::terminal::{eprint_line, print_line};
-use args::{BenchVerb, Cli, SchemaOf, Verb};
+use args::{Cli, SchemaOf, Verb};
 use error::CliError;
 use output::print_json;
 
@@ -74,12 +74,7 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
         Verb::Photos { dir, node } => photos::photos(global, dir.as_deref(), node, cancel),
         Verb::Calibrate(args) => calibrate::calibrate(global, args, cancel),
         Verb::Fit(args) => fit::fit(global, args, cancel),
-        Verb::Bench { verb } => match verb {
-            BenchVerb::Train(args) => bench::train(global, args, cancel),
-            BenchVerb::Engine(args) => bench::engine(global, args, cancel),
-            BenchVerb::Items(args) => bench::items(global, args, cancel),
-            BenchVerb::Faults(args) => bench::faults(args, cancel),
-        },
+        Verb::Bench { verb } => bench::bench(global, verb, cancel),
         Verb::Completions { shell } => {
             let mut bytes = Vec::new();
             clap_complete::generate(*shell, &mut Cli::command(), "marf", &mut bytes);

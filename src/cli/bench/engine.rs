@@ -7,32 +7,17 @@ use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::super::args::{EngineArgs, Global};
+use super::super::args::Global;
 use super::super::error::{CliError, Diagnostic};
 use super::super::files;
+use super::FIVE_NODES;
+use super::args::EngineArgs;
 use super::child::{Cost, bytes_below, random, run};
 use super::pictures::{Shade, picture};
 use crate::terminal::{eprint_line, print_line};
 
-/// The pipeline: five nodes, thresholds that the small photos pass.
-const PIPELINE: &str = r#"name = "bench"
-[archive.photos]
-kind = "folder"
-path = "photos"
-[node.extract]
-archive = "photos"
-[node.size]
-input = "extract"
-min_bytes = 1_500
-[node.shape]
-input = "size"
-min_width = 100
-min_height = 80
-[node.duplicate]
-input = "shape"
-[node.blur]
-input = "duplicate"
-"#;
+/// The archive of the pipeline.
+const ARCHIVE: &str = "name = \"bench\"\n[archive.photos]\nkind = \"folder\"\npath = \"photos\"\n";
 
 /// One phase of the bench.
 #[derive(Debug, Serialize)]
@@ -91,7 +76,8 @@ fn one_round(
     dir: &Path,
     cancel: &Cancel,
 ) -> Result<(), CliError> {
-    files::write(&dir.join("pipeline.toml"), PIPELINE.as_bytes())?;
+    let pipeline = [ARCHIVE, FIVE_NODES].concat();
+    files::write(&dir.join("pipeline.toml"), pipeline.as_bytes())?;
     let photos = Photos {
         dir: dir.join("photos"),
         a_sol: args.photos / u64::from(args.sols),

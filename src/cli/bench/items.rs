@@ -15,8 +15,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::super::args::{Global, ItemsArgs, ItemsPhase};
+use super::super::args::Global;
 use super::super::error::{CliError, Diagnostic};
+use super::args::{ItemsArgs, ItemsPhase};
 use super::child::{bytes_below, run};
 use crate::terminal::print_line;
 

@@ -17,12 +17,13 @@ use marf_schema::train::TrainParams;
 use marf_stage::Params;
 use serde::{Deserialize, Serialize, Serializer};
 
-use super::super::args::{BenchArgs, Clock, Global};
+use super::super::args::Global;
 use super::super::error::CliError;
 use super::super::filter::folder;
 use super::super::run::{execute, options};
 use super::super::session::{Session, node_named};
 use super::super::{budget, files};
+use super::args::{Clock, TrainArgs};
 use crate::terminal::{eprint_line, print_line};
 
 /// Ticks a second in /proc/self/stat, on every Linux.
@@ -77,7 +78,7 @@ impl Serialize for Budget {
     }
 }
 
-fn budgets(args: &BenchArgs) -> Result<Vec<Budget>, CliError> {
+fn budgets(args: &TrainArgs) -> Result<Vec<Budget>, CliError> {
     let seconds = args
         .seconds
         .iter()
@@ -125,7 +126,7 @@ struct TestView {
 }
 
 /// `marf bench train DIR`: a training a budget, of the size that the budget fills.
-pub fn train(global: &Global, args: &BenchArgs, cancel: &Cancel) -> Result<(), CliError> {
+pub fn train(global: &Global, args: &TrainArgs, cancel: &Cancel) -> Result<(), CliError> {
     let budgets = budgets(args)?;
     // Events of the import would stand between the lines.
     let quiet = Global {

@@ -1,8 +1,5 @@
 //! The client against an archive that misbehaves.
 
-#[path = "../../tests/common/server.rs"]
-mod server;
-
 mod faults;
 mod parts;
 mod politeness;
@@ -16,7 +13,7 @@ use marf_stage::harness::Harness;
 
 use super::*;
 use crate::archive::access::NetworkPermit;
-use server::Server;
+use marf_loopback::Server;
 
 fn permit() -> NetworkPermit {
     NetworkPermit::for_tests()

@@ -4,7 +4,7 @@ use super::*;
 
 #[test]
 fn the_flat_feed_of_curiosity_is_read() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     server.file("/p/a.jpg", image_bytes(5));
     let url = server.url("/p/a.jpg");
     let record = |id: &str, mission: Value, thumbnail: bool| {
@@ -39,7 +39,7 @@ fn the_flat_feed_of_curiosity_is_read() {
 
 #[test]
 fn volumes_of_curiosity_are_crawled_and_their_indices_read() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let names = [
         "0412ML0121141200805116C00_DRCL",
         "0412ML0121141200805116C00_DRCX",
@@ -125,7 +125,7 @@ fn the_navcam_of_curiosity_is_found_in_its_bundle_or_in_its_volumes() {
         "/img/data/msl/msl_navcam_raw/DATA",
         "/img/data/msl/MSLNAV_1XXX/DATA",
     ] {
-        let server = Server::start();
+        let server = Server::start().unwrap();
         server.file(&format!("{root}/SOL02123/{name}.IMG"), img());
         server.file(
             &format!("{root}/SOL02123/{}.IMG", name.replace("_F0", "_T0")),

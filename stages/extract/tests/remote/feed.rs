@@ -31,7 +31,7 @@ fn the_saved_records_of_the_real_feed_are_replayed_and_only_new_ones_fetched() {
     let Some(folder) = real("m2020_navcam_feed") else {
         return;
     };
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let mut records = saved(&server, &folder);
     let total = records.len();
     play(&server, records.clone());
@@ -107,7 +107,7 @@ fn the_saved_records_of_the_real_feed_are_replayed_and_only_new_ones_fetched() {
 
 #[test]
 fn records_of_a_feed_that_cannot_be_used_are_verdicts() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let good = server.url("/p/good.png");
     server.file("/p/good.png", image_bytes(3));
     let record = |id: &str, url: &str| {
@@ -145,7 +145,7 @@ fn records_of_a_feed_that_cannot_be_used_are_verdicts() {
 
 #[test]
 fn a_feed_is_read_page_by_page_also_where_it_ignores_what_it_is_asked() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     server.file("/p/a.png", image_bytes(3));
     let records: Vec<Value> = (0..250)
         .map(|number| {
@@ -164,7 +164,7 @@ fn a_feed_is_read_page_by_page_also_where_it_ignores_what_it_is_asked() {
     );
 
     // Every page is the first one, and no total is told.
-    let stubborn = Server::start();
+    let stubborn = Server::start().unwrap();
     stubborn.file("/p/a.png", image_bytes(3));
     let picture = stubborn.url("/p/a.png");
     stubborn.feed("/rss/api/", move |_, query| {
@@ -185,7 +185,7 @@ fn a_feed_is_read_page_by_page_also_where_it_ignores_what_it_is_asked() {
 
 #[test]
 fn the_latest_sol_is_the_latest_with_a_photo_of_this_camera() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     server.file("/p/a.png", image_bytes(3));
     let record = |sol: u32, instrument: &str| {
         json!({"imageid": format!("{instrument}_{sol}"), "sol": sol, "camera": {"instrument": instrument},

@@ -23,7 +23,7 @@ fn with_another_digest(text: &str) -> String {
 
 #[test]
 fn a_pin_that_was_changed_is_refused_by_name_though_the_store_has_the_product() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, 1..=2);
     let place = Place::new();
     let archive = place.archive(&server, "1..=2");
@@ -53,7 +53,7 @@ fn a_pin_that_was_changed_is_refused_by_name_though_the_store_has_the_product() 
 
 #[test]
 fn what_was_left_out_and_what_was_gone_are_part_of_the_fingerprint() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, 1..=1);
     let place = Place::new();
     let locked = access(&place.archive(&server, "1"), Access::Locked);
@@ -76,7 +76,7 @@ fn what_was_left_out_and_what_was_gone_are_part_of_the_fingerprint() {
 
 #[test]
 fn a_lost_lock_is_written_again_as_it_was_and_no_product_is_asked_for() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, [1, 2, 40]);
     let place = Place::new();
     let archive = place.archive(&server, "1..=40");
@@ -112,7 +112,7 @@ fn a_lost_lock_is_written_again_as_it_was_and_no_product_is_asked_for() {
 
 #[test]
 fn without_its_lock_a_locked_run_names_what_is_missing() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, 1..=1);
     let place = Place::new();
     let archive = place.archive(&server, "1");
@@ -126,7 +126,7 @@ fn without_its_lock_a_locked_run_names_what_is_missing() {
 
 #[test]
 fn a_file_that_cannot_be_read_fails_its_sol_alone() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, 1..=2);
     let place = Place::new();
     let archive = place.archive(&server, "1..=2");
@@ -158,7 +158,7 @@ fn a_file_that_cannot_be_read_fails_its_sol_alone() {
 
 #[test]
 fn pipelines_that_run_at_once_in_one_folder_keep_each_others_pins() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, 1..=2);
     let record = json!({"imageid": "GOOD", "sol": 5, "camera": {"instrument": "NAVCAM_LEFT"}, "sample_type": "Full",
         "image_files": {"full_res": server.url("/p/good.png")}});
@@ -205,7 +205,7 @@ fn as_first_release(lock: &BTreeMap<String, String>) -> String {
 
 #[test]
 fn the_lock_of_the_first_release_pins_the_same_and_becomes_a_folder_once() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, 1..=2);
     let place = Place::new();
     let archive = place.archive(&server, "1..=2");
@@ -265,7 +265,7 @@ impl Blobs for Forgetful<'_> {
 /// dies, nothing that came is asked for again.
 #[test]
 fn what_was_downloaded_before_a_death_is_not_downloaded_again() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, 1..=1);
     let place = Place::new();
     let archive = place.archive(&server, "1");

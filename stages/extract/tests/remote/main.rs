@@ -15,8 +15,6 @@ mod lock;
 mod offline;
 mod pds;
 mod questions;
-#[path = "../common/server.rs"]
-mod server;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -24,10 +22,10 @@ use std::sync::{Arc, LazyLock, Mutex};
 
 use common::{real, source, stage_in};
 use marf_demo::{Demo, DemoFile, DemoOptions};
+use marf_loopback::{Reply, Server};
 use marf_stage::harness::Harness;
 use marf_stage::{Access, ArchiveContext, Listing, Stage, StageError, Verdict};
 use serde_json::{Value, json};
-use server::{Reply, Server};
 
 const BROWSE: &str = "/img/data/mars2020/mars2020_mastcamz_ops_raw/browse/sol";
 const DATA: &str = "/img/data/mars2020/mars2020_mastcamz_ops_raw/data/sol";

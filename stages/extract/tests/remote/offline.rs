@@ -24,7 +24,7 @@ fn an_archive_on_a_server_opens_no_connection_offline() {
         archive("jezero", "pds perseverance mastcamz edr browse"),
         archive("raws", "feed perseverance navcam")
     );
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let base = json!([address]);
     for archive in [place.archive(&server, "1"), place.feed(&server, "1")] {
         let archive = with(archive, "/base", base.clone());

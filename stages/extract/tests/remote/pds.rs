@@ -10,7 +10,7 @@ fn one_photo(server: &Server) -> String {
 
 #[test]
 fn pixels_and_labels_of_the_sols_asked_for_are_joined_by_product() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let names = mount(&server, 1..=3);
     let place = Place::new();
     let brought = place.bring(&place.archive(&server, "1..=2")).unwrap();
@@ -51,7 +51,7 @@ fn pixels_and_labels_of_the_sols_asked_for_are_joined_by_product() {
 
 #[test]
 fn the_second_time_nothing_is_fetched_and_the_fingerprints_stay() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, [1, 2, 40]);
     let place = Place::new();
     let archive = place.archive(&server, "1..=40");
@@ -79,7 +79,7 @@ fn the_second_time_nothing_is_fetched_and_the_fingerprints_stay() {
 
 #[test]
 fn a_new_sol_brings_only_its_own_products() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, 1..=2);
     let place = Place::new();
     let before = place.bring(&place.archive(&server, "1..=9")).unwrap();
@@ -94,7 +94,7 @@ fn a_new_sol_brings_only_its_own_products() {
 
 #[test]
 fn another_mirror_gives_the_same_fingerprints_and_is_asked_when_the_first_fails() {
-    let (good, bad) = (Server::start(), Server::start());
+    let (good, bad) = (Server::start().unwrap(), Server::start().unwrap());
     mount(&good, 1..=1);
     let place = Place::new();
     let direct = place.bring(&place.archive(&good, "1")).unwrap();
@@ -111,7 +111,7 @@ fn another_mirror_gives_the_same_fingerprints_and_is_asked_when_the_first_fails(
 
 #[test]
 fn locked_takes_what_the_lock_names_and_offline_opens_no_connection() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, 1..=2);
     let place = Place::new();
     let archive = place.archive(&server, "1..=9");
@@ -145,7 +145,7 @@ fn locked_takes_what_the_lock_names_and_offline_opens_no_connection() {
 
 #[test]
 fn locked_names_the_product_whose_bytes_are_others() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let name = one_photo(&server);
     let place = Place::new();
     place.bring(&place.archive(&server, "1")).unwrap();
@@ -167,7 +167,7 @@ fn locked_names_the_product_whose_bytes_are_others() {
 
 #[test]
 fn other_bytes_under_a_known_name_are_an_alarm_and_both_are_kept() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let name = one_photo(&server);
     let place = Place::new();
     let archive = place.archive(&server, "1");
@@ -202,7 +202,7 @@ fn other_bytes_under_a_known_name_are_an_alarm_and_both_are_kept() {
 
 #[test]
 fn a_newer_version_replaces_the_old_and_says_so() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let name = one_photo(&server);
     let place = Place::new();
     let archive = place.archive(&server, "1");
@@ -222,7 +222,7 @@ fn a_newer_version_replaces_the_old_and_says_so() {
 
 #[test]
 fn a_fifth_of_all_requests_spoilt_gives_the_same_bytes() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, 1..=2);
     let quiet = Place::new();
     let expected = quiet.bring(&quiet.archive(&server, "1..=2")).unwrap();
@@ -247,7 +247,7 @@ fn a_fifth_of_all_requests_spoilt_gives_the_same_bytes() {
 
 #[test]
 fn what_is_listed_and_gone_is_a_verdict_and_what_fails_for_now_stops_with_the_rest_kept() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let names: Vec<String> = mount(&server, 1..=1)
         .into_iter()
         .filter(|name| &name[27..28] == "N")
@@ -284,7 +284,7 @@ fn a_hostile_listing_gives_no_name_and_no_request_outside_its_folder() {
     let Some(folder) = real("bad-inputs/own") else {
         return;
     };
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, 1..=1);
     let page = std::fs::read(folder.join("index_hostile.html")).unwrap();
     let reply = Reply::Status(200, vec![("Content-Type".into(), "text/html".into())], page);
@@ -303,7 +303,7 @@ fn a_hostile_listing_gives_no_name_and_no_request_outside_its_folder() {
 
 #[test]
 fn a_firewall_in_place_of_a_listing_is_an_error_with_the_way_out() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, 1..=1);
     server.script(&format!("{BROWSE}/"), vec![Reply::firewall().always()]);
     let place = Place::new();
@@ -329,7 +329,7 @@ fn a_firewall_in_place_of_a_listing_is_an_error_with_the_way_out() {
 
 #[test]
 fn an_inventory_stands_in_for_folder_pages() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let names = mount(&server, 1..=2);
     let lids: String = names
         .iter()
@@ -369,7 +369,7 @@ fn an_inventory_stands_in_for_folder_pages() {
 
 #[test]
 fn a_lock_of_another_camera_is_no_answer() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, 1..=1);
     let place = Place::new();
     let archive = place.archive(&server, "1");
@@ -396,7 +396,7 @@ fn a_lock_of_another_camera_is_no_answer() {
 /// Fingerprints are part of keys: where one of these changes, everything of every archive is brought again.
 #[test]
 fn fingerprints_of_remote_archives_stay_what_they_are() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let name = "ZL0_0012_0668000000_100EBY_N0030000ZCAM00001_0340LMJ01";
     let old = "ZL0_0012_0668000000_100ECM_N0030000ZCAM00001_0340LMJ01";
     for stem in [name, old] {

@@ -18,7 +18,7 @@ fn asked(server: &Server) -> Vec<String> {
 
 #[test]
 fn a_run_with_nothing_new_asks_one_question_a_tree_where_inventories_are_shown() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, [1, 2, 40]);
     release(&server, "Tue, 01 Mar 2022 10:20:00 GMT");
     let place = Place::new();
@@ -47,7 +47,7 @@ fn a_run_with_nothing_new_asks_one_question_a_tree_where_inventories_are_shown()
 
 #[test]
 fn a_release_under_way_is_looked_at_again() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, [1]);
     let now = httpdate::fmt_http_date(std::time::SystemTime::now());
     release(&server, &now);
@@ -62,7 +62,7 @@ fn a_release_under_way_is_looked_at_again() {
 
 #[test]
 fn an_old_sol_that_is_wholly_pinned_is_asked_for_by_nobody() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     mount(&server, [1, 2, 40]);
     let place = Place::new();
     let archive = place.archive(&server, "1..=40");
@@ -87,7 +87,7 @@ fn an_old_sol_that_is_wholly_pinned_is_asked_for_by_nobody() {
 
 #[test]
 fn an_old_sol_that_did_not_come_whole_is_listed_again() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let names: Vec<String> = mount(&server, [1, 40]).into_iter().collect();
     let name = names
         .iter()
@@ -105,7 +105,7 @@ fn an_old_sol_that_did_not_come_whole_is_listed_again() {
 
 #[test]
 fn a_feed_that_tells_how_much_it_has_is_asked_once() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     server.file("/p/a.png", image_bytes(3));
     let picture = server.url("/p/a.png");
     let total = Arc::new(Mutex::new(3_usize));
@@ -142,7 +142,7 @@ fn curiosity(place: &Place, server: &Server, instrument: &str) -> Archive {
 
 #[test]
 fn a_bundle_with_products_in_the_folders_of_sols_is_asked_once() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let name = |number: u32| format!("NLB_58600418{number}EDR_F0721234NCAM00295M1");
     for (number, sol) in [(1, 2_123), (2, 2_124)] {
         server.file(
@@ -169,7 +169,7 @@ fn a_bundle_with_products_in_the_folders_of_sols_is_asked_once() {
 /// One question shows new volumes, one new sols of the newest volume: the first page does not show what is below a volume.
 #[test]
 fn volumes_are_asked_for_until_they_are_closed() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let file = |volume: u32, sol: u32| {
         let name = format!("{sol:04}ML0121141200805116C00_DRCL.IMG");
         server.file(

@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
-use super::server::{Reply, Server};
 use super::*;
+use marf_loopback::{Reply, Server};
 
 #[test]
 fn what_may_pass_is_tried_again() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let client = client(&server);
     let body = noise(1, 5_000);
     server.file("/a", body.clone());
@@ -42,7 +42,7 @@ fn what_may_pass_is_tried_again() {
 
 #[test]
 fn five_tries_are_all() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     server.script("/a", vec![Reply::status(503).always()]);
     let error = kind(one(&client(&server), &download(&server, "/a")));
     assert_eq!(
@@ -58,7 +58,7 @@ fn five_tries_are_all() {
 
 #[test]
 fn a_refusal_is_final_for_its_mirror_alone() {
-    let (first, second) = (Server::start(), Server::start());
+    let (first, second) = (Server::start().unwrap(), Server::start().unwrap());
     let client = Client::new(permit(), quick(&[&first, &second])).unwrap();
     second.file("/a", *b"here");
     let mut both = download(&first, "/a");
@@ -79,7 +79,7 @@ fn a_refusal_is_final_for_its_mirror_alone() {
 
 #[test]
 fn absent_is_what_no_mirror_has() {
-    let (first, second) = (Server::start(), Server::start());
+    let (first, second) = (Server::start().unwrap(), Server::start().unwrap());
     let client = Client::new(permit(), quick(&[&first, &second])).unwrap();
     let mut both = download(&first, "/a");
     both.urls.push(Url::parse(&second.url("/a")).unwrap());
@@ -106,7 +106,7 @@ fn absent_is_what_no_mirror_has() {
 
 #[test]
 fn bodies_end_at_their_cap() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let client = client(&server);
     let mut small = download(&server, "/a");
     small.cap_bytes = 50_000;
@@ -135,7 +135,7 @@ fn bodies_end_at_their_cap() {
 
 #[test]
 fn drips_and_silence_are_given_up() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let client = Client::new(
         permit(),
         ClientSettings {
@@ -171,7 +171,7 @@ fn drips_and_silence_are_given_up() {
 /// HTTP takes as many bytes as announced; what is sent beyond is no body, and no answer to the next request either.
 #[test]
 fn bytes_beyond_the_announced_are_never_an_answer() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let client = client(&server);
     server.file("/a", noise(1, 1_000));
     server.file("/b", noise(2, 1_000));
@@ -185,7 +185,7 @@ fn bytes_beyond_the_announced_are_never_an_answer() {
 
 #[test]
 fn an_encoded_body_is_refused() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     server.script(
         "/a",
         vec![Reply::Status(
@@ -202,7 +202,7 @@ fn an_encoded_body_is_refused() {
 /// Whether a page is what was wanted is for the caller to see.
 #[test]
 fn a_firewall_page_that_calls_itself_a_success_is_a_body() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     server.script("/a.IMG", vec![Reply::firewall()]);
     let page = bytes(one(&client(&server), &download(&server, "/a.IMG")));
     assert!(String::from_utf8(page).unwrap().contains("Request Rejected"));
@@ -210,7 +210,7 @@ fn a_firewall_page_that_calls_itself_a_success_is_a_body() {
 
 #[test]
 fn a_burst_of_403_stops_the_host() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let client = Client::new(
         permit(),
         ClientSettings {
@@ -238,7 +238,7 @@ fn a_burst_of_403_stops_the_host() {
 
 #[test]
 fn a_dead_host_is_left_alone() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let client = Client::new(
         permit(),
         ClientSettings {
@@ -265,7 +265,7 @@ fn a_dead_host_is_left_alone() {
 
 #[test]
 fn retry_after_is_waited_up_to_ten_minutes() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let client = client(&server);
     server.file("/a", *b"a");
     server.script("/a", vec![Reply::with(429, "Retry-After", "1")]);
@@ -278,7 +278,7 @@ fn retry_after_is_waited_up_to_ten_minutes() {
         client.traffic()
     );
     for value in ["3600", "Fri, 31 Dec 9999 23:59:59 GMT"] {
-        let server = Server::start();
+        let server = Server::start().unwrap();
         let client = Client::new(permit(), quick(&[&server])).unwrap();
         server.script("/a", vec![Reply::with(503, "Retry-After", value)]);
         let error = kind(one(&client, &download(&server, "/a")));
@@ -295,7 +295,7 @@ fn retry_after_is_waited_up_to_ten_minutes() {
 #[test]
 fn a_fifth_of_faults_changes_no_byte() {
     const FILES: u8 = 200;
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let paths: Vec<String> = (0..FILES).map(|index| format!("/f{index}")).collect();
     for (index, path) in (0..FILES).zip(&paths) {
         server.file(path, noise(index, 1_000 + 31 * usize::from(index)));

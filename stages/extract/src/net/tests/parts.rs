@@ -5,8 +5,8 @@ use std::fs;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use super::server::{Reply, Server};
 use super::*;
+use marf_loopback::{Reply, Server};
 
 /// A folder for parts, and a folder around it in which nothing else may appear.
 struct Folder(tempfile::TempDir);
@@ -75,7 +75,7 @@ fn cut(server: &Server, folder: &Folder, after: usize) -> Download {
 
 #[test]
 fn a_cut_download_goes_on_by_range() {
-    let (server, folder) = (Server::start(), Folder::new());
+    let (server, folder) = (Server::start().unwrap(), Folder::new());
     let body = noise(3, 300_000);
     server.file("/a", body.clone());
     let download = cut(&server, &folder, 200_000);
@@ -95,7 +95,7 @@ fn a_cut_download_goes_on_by_range() {
 
 #[test]
 fn tries_within_a_call_go_on_too_even_without_a_part() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let body = noise(3, 300_000);
     server.file("/a", body.clone());
     server.script(
@@ -122,7 +122,7 @@ fn tries_within_a_call_go_on_too_even_without_a_part() {
 
 #[test]
 fn a_changed_file_begins_from_zero() {
-    let (server, folder) = (Server::start(), Folder::new());
+    let (server, folder) = (Server::start().unwrap(), Folder::new());
     server.file("/a", noise(3, 300_000));
     let download = cut(&server, &folder, 200_000);
     server.file("/a", noise(4, 310_000));
@@ -142,7 +142,7 @@ fn a_rest_that_does_not_fit_begins_from_zero() {
     ];
     for fault in faults {
         let name = format!("{fault:?}");
-        let (server, folder) = (Server::start(), Folder::new());
+        let (server, folder) = (Server::start().unwrap(), Folder::new());
         let body = noise(3, 300_000);
         server.file("/a", body.clone());
         let download = cut(&server, &folder, 200_000);
@@ -164,7 +164,7 @@ fn without_a_strong_validator_nothing_is_continued() {
         (Some("W/\"weak\""), None),
         (Some("bare"), Some("yesterday")),
     ] {
-        let (server, folder) = (Server::start(), Folder::new());
+        let (server, folder) = (Server::start().unwrap(), Folder::new());
         server.file_with("/a", noise(1, 9_000), etag, modified);
         server.script("/a", vec![Reply::Cut { after: 4_000 }]);
         let download = kept(&server, "/a", &folder.part("a.part"));
@@ -181,7 +181,7 @@ fn without_a_strong_validator_nothing_is_continued() {
 
 #[test]
 fn a_finished_part_needs_no_request() {
-    let (server, folder) = (Server::start(), Folder::new());
+    let (server, folder) = (Server::start().unwrap(), Folder::new());
     server.file("/a", noise(1, 9_000));
     let download = kept(&server, "/a", &folder.part("a.part"));
     let first = one(&hasty(&server), &download).unwrap();
@@ -225,7 +225,7 @@ fn a_part_that_does_not_verify_is_fetched_again() {
         }),
     ];
     for (name, damage) in damages {
-        let (server, folder) = (Server::start(), Folder::new());
+        let (server, folder) = (Server::start().unwrap(), Folder::new());
         server.file("/a", noise(1, 9_000));
         let download = cut(&server, &folder, 6_000);
         damage(&folder.part("a.part"), &folder.part("a.part.json"));
@@ -237,7 +237,7 @@ fn a_part_that_does_not_verify_is_fetched_again() {
 /// As after a kill: bytes the sidecar does not vouch for are cut off.
 #[test]
 fn bytes_beyond_the_sidecar_are_fetched_again() {
-    let (server, folder) = (Server::start(), Folder::new());
+    let (server, folder) = (Server::start().unwrap(), Folder::new());
     server.file("/a", noise(1, 9_000));
     let download = cut(&server, &folder, 6_000);
     let mut longer = fs::read(folder.part("a.part")).unwrap();
@@ -250,7 +250,7 @@ fn bytes_beyond_the_sidecar_are_fetched_again() {
 
 #[test]
 fn a_part_never_mixes_hosts() {
-    let (first, second, folder) = (Server::start(), Server::start(), Folder::new());
+    let (first, second, folder) = (Server::start().unwrap(), Server::start().unwrap(), Folder::new());
     // Equal validators: only the address tells the two apart.
     first.file_with("/a", noise(1, 9_000), Some("\"same\""), None);
     second.file_with("/a", noise(2, 9_000), Some("\"same\""), None);
@@ -284,7 +284,7 @@ fn a_part_never_mixes_hosts() {
 
 #[test]
 fn a_part_of_another_address_is_not_taken() {
-    let (server, folder) = (Server::start(), Folder::new());
+    let (server, folder) = (Server::start().unwrap(), Folder::new());
     server.file("/a", noise(1, 9_000));
     server.file("/b", noise(2, 9_000));
     bytes(one(&hasty(&server), &kept(&server, "/a", &folder.part("a.part"))));
@@ -294,7 +294,7 @@ fn a_part_of_another_address_is_not_taken() {
 
 #[test]
 fn a_part_that_another_process_holds_is_left_to_it() {
-    let (server, folder) = (Server::start(), Folder::new());
+    let (server, folder) = (Server::start().unwrap(), Folder::new());
     server.file("/a", noise(1, 9_000));
     let held = fs::File::create(folder.part("a.part")).unwrap();
     held.lock().unwrap();
@@ -305,7 +305,7 @@ fn a_part_that_another_process_holds_is_left_to_it() {
 
 #[test]
 fn what_brings_nothing_leaves_nothing() {
-    let (server, folder) = (Server::start(), Folder::new());
+    let (server, folder) = (Server::start().unwrap(), Folder::new());
     let download = kept(&server, "/a", &folder.part("a.part"));
     assert!(matches!(
         one(&hasty(&server), &download),
@@ -335,7 +335,7 @@ fn what_brings_nothing_leaves_nothing() {
 
 #[test]
 fn a_part_that_cannot_be_written_is_named() {
-    let (server, folder) = (Server::start(), Folder::new());
+    let (server, folder) = (Server::start().unwrap(), Folder::new());
     server.file("/a", *b"a");
     fs::write(folder.part("file"), b"").unwrap();
     let part = folder.part("file").join("a.part");
@@ -351,7 +351,7 @@ fn a_part_that_cannot_be_written_is_named() {
 
 #[test]
 fn a_stopped_download_goes_on_at_the_next_call() {
-    let (server, folder) = (Server::start(), Folder::new());
+    let (server, folder) = (Server::start().unwrap(), Folder::new());
     server.file("/small", *b"small");
     server.file("/a", noise(5, 900_000));
     let every = Duration::from_millis(10);
@@ -384,7 +384,7 @@ fn a_stopped_download_goes_on_at_the_next_call() {
 
 #[test]
 fn a_wish_to_stop_ends_every_kind_of_wait() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     server.script("/silent", vec![Reply::Silent.always()]);
     server.script("/later", vec![Reply::with(503, "Retry-After", "500").always()]);
     for path in ["/silent", "/later"] {

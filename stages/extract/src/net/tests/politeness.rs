@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use super::server::{MODIFIED, Reply, Server};
 use super::*;
+use marf_loopback::{MODIFIED, Reply, Server};
 
 #[test]
 fn two_at_a_time_and_a_pause_between_starts() {
@@ -11,7 +11,7 @@ fn two_at_a_time_and_a_pause_between_starts() {
     /// A request is seen when the server's thread wakes, not when it was sent.
     const JITTER: Duration = Duration::from_millis(60);
     const REQUESTS: u32 = 10;
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let paths: Vec<String> = (0..REQUESTS).map(|index| format!("/f{index}")).collect();
     let every = Duration::from_millis(25);
     for path in &paths {
@@ -40,7 +40,11 @@ fn two_at_a_time_and_a_pause_between_starts() {
 
 #[test]
 fn a_host_that_many_redirect_to_is_asked_two_at_a_time_too() {
-    let (one, two, three) = (Server::start(), Server::start(), Server::start());
+    let (one, two, three) = (
+        Server::start().unwrap(),
+        Server::start().unwrap(),
+        Server::start().unwrap(),
+    );
     let client = Client::new(permit(), quick(&[&one, &two, &three])).unwrap();
     let every = Duration::from_millis(20);
     let mut downloads = Vec::new();
@@ -60,7 +64,7 @@ fn a_host_that_many_redirect_to_is_asked_two_at_a_time_too() {
 
 #[test]
 fn a_request_says_who_asks_and_nothing_else() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     server.file("/a", *b"a");
     bytes(one(&client(&server), &download(&server, "/a")));
     let request = &server.requests()[0];
@@ -76,7 +80,7 @@ fn a_request_says_who_asks_and_nothing_else() {
 
 #[test]
 fn what_is_known_is_not_brought_again() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let client = client(&server);
     server.file("/a", *b"one");
     let Ok(Answer::Whole { validators, .. }) = one(&client, &download(&server, "/a")) else {
@@ -117,7 +121,7 @@ fn what_is_known_is_not_brought_again() {
 
 #[test]
 fn only_named_origins_are_asked() {
-    let (server, other) = (Server::start(), Server::start());
+    let (server, other) = (Server::start().unwrap(), Server::start().unwrap());
     let client = client(&server);
     for url in [
         other.url("/a"),
@@ -149,7 +153,7 @@ fn only_named_origins_are_asked() {
 /// A host that answers a TLS greeting in the clear gets no request.
 #[test]
 fn https_is_never_spoken_in_the_clear() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     server.file("/a", *b"a");
     let origin = server.origin().replace("http:", "https:");
     let settings = ClientSettings {
@@ -173,7 +177,7 @@ fn https_is_never_spoken_in_the_clear() {
 
 #[test]
 fn no_wants_are_no_work_and_done_can_stop() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let client = client(&server);
     assert!(all(&client, &[]).is_empty());
     server.file("/a", *b"a");
@@ -192,7 +196,7 @@ fn no_wants_are_no_work_and_done_can_stop() {
 
 #[test]
 fn listings_and_feeds_of_the_test_archive_are_as_an_archive_s() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     let client = client(&server);
     let long = "ZL0_0012_0668000000_100EBY_N0030000ZCAM00001_0340LMJ01.png";
     server.file(&format!("/data/sol/00012/{long}"), noise(0, 3_200));

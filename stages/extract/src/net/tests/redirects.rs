@@ -1,7 +1,7 @@
 //! Where hosts send us.
 
-use super::server::{Reply, Server};
 use super::*;
+use marf_loopback::{Reply, Server};
 
 fn sent_to(server: &Server, location: &str) -> NetError {
     server.clear();
@@ -11,7 +11,7 @@ fn sent_to(server: &Server, location: &str) -> NetError {
 
 #[test]
 fn a_redirect_inside_the_list_is_followed_and_told() {
-    let (first, second) = (Server::start(), Server::start());
+    let (first, second) = (Server::start().unwrap(), Server::start().unwrap());
     let client = Client::new(permit(), quick(&[&first, &second])).unwrap();
     second.file("/moved/a", *b"moved");
     for status in [301, 302, 303, 307, 308] {
@@ -30,7 +30,7 @@ fn a_redirect_inside_the_list_is_followed_and_told() {
 
 #[test]
 fn hostile_redirects_are_refused_without_a_request() {
-    let (server, other) = (Server::start(), Server::start());
+    let (server, other) = (Server::start().unwrap(), Server::start().unwrap());
     other.file("/a", *b"secret");
     let foreign = [
         other.url("/a"),
@@ -63,7 +63,7 @@ fn hostile_redirects_are_refused_without_a_request() {
 
 #[test]
 fn five_hops_are_followed_and_no_sixth() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     for hop in 0..6 {
         server.script(
             &format!("/{hop}"),
@@ -89,7 +89,7 @@ fn five_hops_are_followed_and_no_sixth() {
 
 #[test]
 fn a_redirect_without_a_target_is_an_error() {
-    let server = Server::start();
+    let server = Server::start().unwrap();
     server.script("/a", vec![Reply::status(302)]);
     let error = kind(one(&client(&server), &download(&server, "/a")));
     assert_eq!(*error.kind, NetErrorKind::NoLocation(302));

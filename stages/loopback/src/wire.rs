@@ -71,7 +71,7 @@ impl Shared {
 
     /// Records the request and takes its reply: of its script, or a random fault, or none.
     fn reply_to(&self, request: &Request) -> Reply {
-        let mut state = self.state.lock().unwrap();
+        let mut state = self.state.lock();
         state.requests.push(request.clone());
         let asked = state.asked.entry(request.path().to_owned()).or_default();
         *asked += 1;
@@ -154,10 +154,10 @@ impl Shared {
             }
             _ => {
                 let all = [&answer.head(Some(announced))[..], &answer.body].concat();
-                let (last, most) = all.split_last().unwrap();
+                let (most, last) = all.split_at(all.len().saturating_sub(1));
                 out.write_all(most)?;
                 busy.end();
-                out.write_all(&[*last])?;
+                out.write_all(last)?;
                 return Ok(true);
             }
         }

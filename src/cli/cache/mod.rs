@@ -1,5 +1,7 @@
 //! `marf cache`: what the store holds, whether it is whole, and what of it is no longer needed.
 
+mod args;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
@@ -9,13 +11,16 @@ use marf_stage::LOCK_FILE;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::args::{CacheVerb, FsckArgs, GcArgs, Global};
+use super::args::Global;
 use super::error::{CliError, Diagnostic};
 use super::files;
 use super::output::print_json;
 use super::session::{existing_store, store_dir, warn};
 use crate::progress::duration;
 use crate::terminal::{eprint_line, print_line};
+use args::{FsckArgs, GcArgs};
+
+pub use args::CacheVerb;
 
 /// Folder of the store with a file for each pinned run: its name is that of the pin, its text the number of the run.
 const PINS: &str = "pins";

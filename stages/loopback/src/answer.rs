@@ -46,7 +46,7 @@ impl Shared {
         }
         let path = request.path();
         let (content, feed, page, slash) = {
-            let state = self.state.lock().unwrap();
+            let state = self.state.lock();
             (
                 state.files.get(path).cloned(),
                 state.feeds.get(path).cloned(),
@@ -171,12 +171,17 @@ fn listing(state: &State, folder: &str) -> Option<String> {
 
 /// `Tue, 01 Mar 2022 10:20:00 GMT` as a listing writes it: `2022-03-01 10:20`.
 fn listed(modified: &str) -> String {
-    let parts: Vec<&str> = modified.split_whitespace().collect();
     let months = [
         "Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec",
     ];
-    let month = months.iter().position(|month| *month == parts[2]).unwrap() + 1;
-    format!("{}-{month:02}-{} {}", parts[3], parts[1], &parts[4][..5])
+    let mut words = modified.split_whitespace().skip(1);
+    let mut word = || words.next().unwrap_or_default();
+    let (day, month, year, time) = (word(), word(), word(), word());
+    let month = months
+        .iter()
+        .position(|name| *name == month)
+        .map_or(0, |at| at + 1);
+    format!("{year}-{month:02}-{day} {}", time.get(..5).unwrap_or_default())
 }
 
 /// As Apache rounds: `512`, `3.1K`, `64M`.

@@ -1,32 +1,35 @@
-//! An archive on a loopback port, for tests: as an Apache serves it, or misbehaving as told.
+//! An archive on a loopback port, for tests and `marf bench faults`: as an Apache serves it, or misbehaving as told.
 //!
-//! ```ignore
-//! let server = Server::start();
+//! ```
+//! # use marf_loopback::{Reply, Server};
+//! # fn main() -> std::io::Result<()> {
+//! let server = Server::start()?;
+//! # let bytes = [1, 2, 3];
 //! server.file("/data/sol/00012/a.IMG", bytes);        // and `/data/sol/00012/` is its listing
-//! server.feed("/api", |_path, query| Some(json_of(query)));
+//! server.feed("/api", |_path, query| Some(query.as_bytes().to_vec()));
 //! server.script("/data/sol/00012/a.IMG", vec![Reply::status(503), Reply::Cut { after: 100 }]);
 //! server.faults(7, 0.2);                              // a fifth of all other requests
 //! // … ask …
-//! assert!(server.most_at_once() <= 2 && server.requests()[0].header("range").is_none());
+//! assert!(server.most_at_once() <= 2 && server.requests().is_empty());
+//! # Ok(())
+//! # }
 //! ```
 //! Files answer `If-None-Match`, `If-Modified-Since` (equal text), `Range` and `If-Range`. A script belongs to a whole
 //! target, or to a path with any query; its replies are used up one a request, then the normal answer comes. Random
 //! faults depend on seed, path and how often the path was asked, never on the order of requests.
-//!
-//! Depends on std alone, so that any package's tests can include it by `#[path]`.
-#![allow(dead_code, reason = "each test uses its part")]
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-#[path = "server/answer.rs"]
 mod answer;
-#[path = "server/wire.rs"]
+mod mars;
 mod wire;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::io;
 use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
+
+use parking_lot::Mutex;
 
 /// `Last-Modified` of every file that is given none.
 pub const MODIFIED: &str = "Tue, 01 Mar 2022 10:20:00 GMT";
@@ -39,17 +42,34 @@ pub enum Reply {
     /// A status with headers and a body.
     Status(u16, Vec<(String, String)>, Vec<u8>),
     /// The normal answer, then a reset after so many bytes of the body.
-    Reset { after: usize },
+    Reset {
+        /// Bytes of the body.
+        after: usize,
+    },
     /// The normal head, then an orderly end after so many bytes of the body.
-    Cut { after: usize },
+    Cut {
+        /// Bytes of the body.
+        after: usize,
+    },
     /// The normal answer with a `Content-Length` that is so many bytes larger (or smaller).
-    Announce { more: i64 },
+    Announce {
+        /// Bytes; negative for too short a length.
+        more: i64,
+    },
     /// The headers of the normal answer, status 200, and a body without length and without end.
     Endless,
     /// The normal answer, so many bytes at a time with a pause between.
-    Drip { bytes: usize, every: Duration },
+    Drip {
+        /// Bytes of a piece.
+        bytes: usize,
+        /// Pause between two pieces.
+        every: Duration,
+    },
     /// The normal answer up to so many bytes of the body, then silence.
-    Stall { after: usize },
+    Stall {
+        /// Bytes of the body.
+        after: usize,
+    },
     /// Silence before any byte.
     Silent,
     /// A 302 to there.
@@ -94,20 +114,24 @@ impl Reply {
 /// One request as it came.
 #[derive(Debug, Clone)]
 pub struct Request {
+    /// `GET`.
     pub method: String,
     /// Path and query.
     pub target: String,
     /// Names in lower case.
     pub headers: Vec<(String, String)>,
+    /// When its head was complete.
     pub at: Instant,
 }
 
 impl Request {
+    /// Returns the value of a header by its name in lower case.
     pub fn header(&self, name: &str) -> Option<&str> {
         let header = self.headers.iter().find(|header| header.0 == name);
         header.map(|header| header.1.as_str())
     }
 
+    /// Returns the target without its query.
     pub fn path(&self) -> &str {
         self.target.split('?').next().unwrap_or_default()
     }
@@ -150,11 +174,14 @@ pub struct Server(Arc<Shared>);
 
 impl Server {
     /// Starts an empty archive on a free port.
-    pub fn start() -> Self {
-        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    ///
+    /// # Errors
+    /// A system without a free port.
+    pub fn start() -> io::Result<Self> {
+        let listener = TcpListener::bind("127.0.0.1:0")?;
         let shared = Arc::new(Shared {
             state: Mutex::default(),
-            address: listener.local_addr().unwrap(),
+            address: listener.local_addr()?,
             stop: AtomicBool::new(false),
             at_once: AtomicUsize::new(0),
             most_at_once: AtomicUsize::new(0),
@@ -171,7 +198,7 @@ impl Server {
                 std::thread::spawn(move || while shared.serve(&stream).unwrap_or(false) {});
             }
         });
-        Self(shared)
+        Ok(Self(shared))
     }
 
     /// `http://127.0.0.1:PORT`.
@@ -179,6 +206,7 @@ impl Server {
         format!("http://{}", self.0.address)
     }
 
+    /// Returns the address of a path.
     pub fn url(&self, path: &str) -> String {
         format!("{}{path}", self.origin())
     }
@@ -260,7 +288,7 @@ impl Server {
     }
 
     fn state<T>(&self, change: impl FnOnce(&mut State) -> T) -> T {
-        change(&mut self.0.state.lock().unwrap())
+        change(&mut self.0.state.lock())
     }
 }
 

@@ -1,0 +1,105 @@
+//! Collections of garbage, with no grace and one run to keep, beside eight runs of two pipelines.
+
+use std::process::Child;
+
+use super::args::Fault;
+use super::case::{Case, is_success};
+use super::eight::{PROGRAMS, THREADS};
+use super::lab::{Lab, Variant};
+use super::{Injector, Outcome, RoundError};
+use crate::cli::error::CliError;
+
+/// Exit code of a collection that another one kept from its work.
+const BUSY: i32 = 11;
+
+/// Collects beside runs that come and go.
+pub struct Collect<'a> {
+    case: Case<'a>,
+    runs: Vec<Child>,
+    /// How often eight runs were started.
+    starts: u32,
+}
+
+impl<'a> Collect<'a> {
+    /// Makes the store.
+    ///
+    /// # Errors
+    /// A folder that cannot be written.
+    pub fn new(lab: &'a Lab) -> Result<Self, CliError> {
+        let case = lab.case(&Fault::Collect.word())?;
+        std::fs::create_dir_all(case.store()).map_err(|error| CliError::failed(error.to_string()))?;
+        Ok(Self {
+            case,
+            runs: Vec::new(),
+            starts: 0,
+        })
+    }
+
+    /// Forgets the runs that have ended.
+    fn reap(&mut self) -> Outcome {
+        let mut outcome = Ok(());
+        let mut left = Vec::new();
+        for mut run in self.runs.drain(..) {
+            match run.try_wait()? {
+                None => left.push(run),
+                Some(status) if status.success() => {}
+                Some(status) => {
+                    outcome = Err(RoundError::Bad(format!("a run beside a collection: {status}")));
+                }
+            }
+        }
+        self.runs = left;
+        outcome
+    }
+
+    fn judge_store(&self) -> Outcome {
+        self.case.ends_equal(Variant::Plain)?;
+        self.case.is_whole()
+    }
+}
+
+impl Injector for Collect<'_> {
+    fn prepare(&mut self, _round: u32) -> Outcome {
+        if !self.runs.is_empty() {
+            return Ok(());
+        }
+        self.starts += 1;
+        for at in 0..PROGRAMS {
+            let variant = [Variant::Plain, Variant::Changed][at % 2];
+            self.runs.push(self.case.start(variant, &THREADS)?);
+        }
+        Ok(())
+    }
+
+    fn inject(&mut self, _round: u32) -> Outcome {
+        let mut collection = self
+            .case
+            .command(&["cache", "gc", "--keep-last", "1", "--grace", "0s"]);
+        let output = collection.output()?;
+        match output.status.code() {
+            Some(BUSY) => Ok(()),
+            _ => is_success("gc", &output),
+        }
+    }
+
+    fn judge(&mut self, _round: u32) -> Outcome {
+        self.reap()?;
+        match self.runs.is_empty() {
+            true => self.judge_store(),
+            false => Ok(()),
+        }
+    }
+
+    fn finish(&mut self) -> Outcome {
+        for run in &mut self.runs {
+            run.wait()?;
+        }
+        self.reap()?;
+        self.judge_store()
+    }
+
+    fn detail(&self) -> String {
+        let starts = self.starts;
+        format!("collections beside {PROGRAMS} runs of two pipelines, which were started {starts} times")
+    }
+}

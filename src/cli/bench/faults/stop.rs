@@ -1,0 +1,130 @@
+//! Runs that are stopped at random moments, by SIGKILL or by Ctrl-C.
+
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use super::args::Fault;
+use super::case::Case;
+use super::lab::{Lab, Variant};
+use super::{Injector, Outcome, RoundError};
+use crate::cli::error::CliError;
+
+/// A run that was asked to stop must have ended after this time.
+const LIMIT: Duration = Duration::from_secs(2);
+
+/// What stops a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Signal {
+    /// SIGKILL.
+    Kill,
+    /// Ctrl-C.
+    Interrupt,
+}
+
+/// Stops runs of one store until one comes to its end, then of the next.
+pub struct Stop<'a> {
+    lab: &'a Lab,
+    fault: Fault,
+    signal: Signal,
+    case: Case<'a>,
+    /// Stores whose run came to its end.
+    finished: u32,
+    longest: Duration,
+}
+
+impl<'a> Stop<'a> {
+    /// Makes the first store.
+    ///
+    /// # Errors
+    /// A folder that cannot be written.
+    pub fn new(lab: &'a Lab, fault: Fault, signal: Signal) -> Result<Self, CliError> {
+        Ok(Self {
+            lab,
+            fault,
+            signal,
+            case: lab.case(&fault.word())?,
+            finished: 0,
+            longest: Duration::ZERO,
+        })
+    }
+
+    /// Compares the digests of a store whose run came to its end, and makes the next.
+    fn next_store(&mut self) -> Outcome {
+        self.finished += 1;
+        self.case.ends_equal(Variant::Plain)?;
+        self.case.is_whole()?;
+        self.case = self.lab.case(&self.fault.word())?;
+        Ok(())
+    }
+
+    fn interrupt(&mut self, mut run: Child) -> Outcome {
+        let asked = Instant::now();
+        let kill = ["-c", &format!("kill -INT {}", run.id())];
+        Command::new("sh").args(kill).stderr(Stdio::null()).status()?;
+        let status = run.wait()?;
+        let took = asked.elapsed();
+        self.longest = self.longest.max(took);
+        // Exit code 0 is that of a run that had just ended.
+        match (took <= LIMIT, status.code()) {
+            (true, Some(0 | 130)) => Ok(()),
+            (_, code) => Err(RoundError::Bad(format!("it took {took:?}, exit code {code:?}"))),
+        }
+    }
+}
+
+impl Injector for Stop<'_> {
+    fn inject(&mut self, round: u32) -> Outcome {
+        // What is left to do grows less from stop to stop.
+        let span = self.lab.wall.as_micros() as u64;
+        let after = Duration::from_micros(self.lab.random(self.fault, round) % span.max(1));
+        let mut run = self.case.start(Variant::Plain, &[])?;
+        while ended_within(&mut run, after)? {
+            self.next_store()?;
+            run = self.case.start(Variant::Plain, &[])?;
+        }
+        match self.signal {
+            Signal::Interrupt => self.interrupt(run),
+            Signal::Kill => {
+                run.kill()?;
+                run.wait()?;
+                Ok(())
+            }
+        }
+    }
+
+    fn judge(&mut self, _round: u32) -> Outcome {
+        self.case.is_whole()
+    }
+
+    fn finish(&mut self) -> Outcome {
+        self.next_store()
+    }
+
+    fn detail(&self) -> String {
+        let stores = format!(
+            "{} stores, each verified after each stop and run to its end",
+            self.finished
+        );
+        match self.signal {
+            Signal::Kill => format!("SIGKILL at random moments, {stores}"),
+            Signal::Interrupt => {
+                let longest_s = self.longest.as_secs_f64();
+                format!("SIGINT at random moments, {stores}; the longest stop took {longest_s:.2} s")
+            }
+        }
+    }
+}
+
+/// Waits for a run until a time has gone; tells whether it has ended.
+fn ended_within(run: &mut Child, after: Duration) -> Result<bool, RoundError> {
+    let began = Instant::now();
+    loop {
+        if run.try_wait()?.is_some() {
+            return Ok(true);
+        }
+        if began.elapsed() >= after {
+            return Ok(false);
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
