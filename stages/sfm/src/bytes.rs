@@ -17,6 +17,11 @@ impl Writer {
         writer
     }
 
+    /// Makes space for so many bytes more.
+    pub fn reserve(&mut self, bytes: usize) {
+        self.0.reserve_exact(bytes);
+    }
+
     pub fn count(&mut self, value: u64) {
         self.0.extend(value.to_le_bytes());
     }

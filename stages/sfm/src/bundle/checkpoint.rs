@@ -132,6 +132,24 @@ impl<'a> Checkpoint<'a> {
 
 /// Returns a fingerprint of all that the result depends on.
 fn fingerprint(problem: &Problem, options: &BundleOptions) -> u64 {
+    problem_fingerprint(problem, |writer| {
+        for loss in [options.loss, options.prior_loss] {
+            let (kind, width) = loss.kind_and_width();
+            writer.count(kind);
+            writer.number(width);
+        }
+        writer.count(u64::from(options.max_iterations));
+        writer.number(options.tolerance);
+        writer.count(match options.solver {
+            Solver::Auto => 0,
+            Solver::Dense => 1,
+            Solver::ConjugateGradients => 2,
+        });
+    })
+}
+
+/// Returns a fingerprint of a problem and of what is asked of it.
+pub(super) fn problem_fingerprint(problem: &Problem, asked: impl FnOnce(&mut Writer)) -> u64 {
     let mut found = Fingerprint::new();
     let mut writer = Writer::new(FINISHED, 0);
     writer.list(&problem.cameras, Writer::camera);
@@ -143,18 +161,7 @@ fn fingerprint(problem: &Problem, options: &BundleOptions) -> u64 {
     });
     writer.list(&problem.points, Writer::point);
     writer.list(&problem.priors, prior);
-    for loss in [options.loss, options.prior_loss] {
-        let (kind, width) = loss.kind_and_width();
-        writer.count(kind);
-        writer.number(width);
-    }
-    writer.count(u64::from(options.max_iterations));
-    writer.number(options.tolerance);
-    writer.count(match options.solver {
-        Solver::Auto => 0,
-        Solver::Dense => 1,
-        Solver::ConjugateGradients => 2,
-    });
+    asked(&mut writer);
     found.add_state(writer);
     for observation in &problem.observations {
         found.add(u64::from(observation.point) << 32 | u64::from(observation.pose));

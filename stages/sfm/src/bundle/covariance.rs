@@ -3,6 +3,7 @@
 use nalgebra::Matrix6;
 use rayon::prelude::*;
 
+use super::covariance_checkpoint::{Checkpoint, ScaledMatrix};
 use super::index::{NONE, POSE_PARAMS};
 use super::loss::Loss;
 use super::normal_equations::NormalEquations;
@@ -13,8 +14,11 @@ use super::state::{Normalization, State};
 use super::{cholesky, dense, validate};
 use crate::Supervisor;
 
-/// Largest number of unknowns: the dense matrix then takes 1.2 GB.
+/// Largest number of unknowns: the dense matrix then takes 1.2 GB, and its checkpoint 0.6 GB.
 const MOST_UNKNOWNS: usize = 12_000;
+
+/// Blocks of the inverse between two checkpoints: with 12,000 unknowns they take 3 s on two cores.
+const BLOCKS_AT_ONCE: usize = 64;
 
 /// A pivot below this, with the diagonal scaled to 1, is a direction in which the scene is not determined.
 const PIVOT_FLOOR: f64 = 1e-11;
@@ -25,7 +29,8 @@ const PIVOT_FLOOR: f64 = 1e-11;
 /// their own sigmas. `sigma_px`: standard deviation of one residual coordinate. Zero for a fixed pose, and in a
 /// fixed coordinate. Points with less than two views, or seen from one position, do not contribute.
 /// `None` where a free pose or lens is not determined (gauge not fixed), the problem is not valid, `sigma_px` is not
-/// positive, or there are more than 12,000 unknowns; also where the supervisor asked to stop.
+/// positive, or there are more than 12,000 unknowns; also where the supervisor asked to stop: what was computed until then
+/// is gone on with, to the same bits.
 pub fn pose_covariances(
     problem: &Problem,
     sigma_px: f64,
@@ -45,13 +50,9 @@ pub fn pose_covariances(
         .priors
         .iter_mut()
         .for_each(|prior| shrink(prior, sigma_px));
-    let stop = || supervisor.stop();
-    let factor = factored(&objective, &State::new(problem, &normalization), &stop)?;
-    let slots: Option<Vec<Matrix6<f64>>> = (0..objective.index.slots)
-        .into_par_iter()
-        .map(|slot| (!stop()).then(|| block(&objective, &factor, slot) * (sigma_px * sigma_px)))
-        .collect();
-    let slots = slots?;
+    let checkpoint = Checkpoint::new(supervisor, problem, sigma_px);
+    let state = State::new(problem, &normalization);
+    let slots = blocks(&objective, &state, &checkpoint, supervisor)?;
     let unit = [
         1.0,
         1.0,
@@ -61,7 +62,10 @@ pub fn pose_covariances(
         normalization.scale,
     ];
     let of_pose = |&slot: &u32| match slots.get(slot as usize) {
-        Some(inside) => Matrix6::from_fn(|row, column| inside[(row, column)] * unit[row] * unit[column]),
+        Some(inside) => {
+            let inside = inside * (sigma_px * sigma_px);
+            Matrix6::from_fn(|row, column| inside[(row, column)] * unit[row] * unit[column])
+        }
         None => Matrix6::zeros(),
     };
     let covariances: Vec<_> = objective.index.slot_of_pose.iter().map(of_pose).collect();
@@ -108,14 +112,64 @@ fn shrink(prior: &mut Prior, factor: f64) {
     }
 }
 
-/// The Cholesky factor of the undamped reduced matrix scaled to a unit diagonal, and the scales.
-struct Factor {
-    l: Vec<f64>,
-    scale: Vec<f64>,
+/// Returns the blocks of the inverse on its diagonal, slot by slot; `None` if the matrix is singular or the supervisor asked
+/// to stop.
+fn blocks(
+    objective: &Objective,
+    state: &State,
+    checkpoint: &Checkpoint<'_>,
+    supervisor: &dyn Supervisor,
+) -> Option<Vec<Matrix6<f64>>> {
+    let count = objective.index.slots;
+    let mut blocks = checkpoint.blocks();
+    if blocks.len() >= count {
+        return (blocks.len() == count).then_some(blocks);
+    }
+    let factor = factored(objective, state, checkpoint, supervisor)?;
+    while blocks.len() < count {
+        let next = blocks.len()..count.min(blocks.len() + BLOCKS_AT_ONCE);
+        let found: Option<Vec<Matrix6<f64>>> = next
+            .into_par_iter()
+            .map(|slot| (!supervisor.stop()).then(|| block(objective, &factor, slot)))
+            .collect();
+        blocks.extend(found?);
+        checkpoint.save_blocks(&blocks, count);
+    }
+    Some(blocks)
 }
 
-/// Returns the factor of the undamped reduced matrix; `None` if it is singular.
-fn factored(objective: &Objective, state: &State, stop: &dyn Fn() -> bool) -> Option<Factor> {
+/// Returns the Cholesky factor of the undamped reduced matrix; `None` if it is singular or the supervisor asked to stop.
+fn factored(
+    objective: &Objective,
+    state: &State,
+    checkpoint: &Checkpoint<'_>,
+    supervisor: &dyn Supervisor,
+) -> Option<ScaledMatrix> {
+    let n = objective.index.unknowns();
+    let mut matrix = match checkpoint.matrix(n) {
+        Some(matrix) => matrix,
+        None => assembled(objective, state)?,
+    };
+    let ScaledMatrix {
+        l,
+        scale,
+        least,
+        factored,
+    } = &mut matrix;
+    let mut go_on = |l: &[f64], columns: usize| {
+        checkpoint.save_matrix(l, scale, least, columns);
+        !supervisor.stop()
+    };
+    if !cholesky::factor_from(*factored, l, n, least, &mut go_on) {
+        return None;
+    }
+    checkpoint.save_matrix(l, scale, least, n);
+    *factored = n;
+    Some(matrix)
+}
+
+/// Returns the undamped reduced matrix scaled to a unit diagonal; `None` where a free parameter is not observed.
+fn assembled(objective: &Objective, state: &State) -> Option<ScaledMatrix> {
     let mut equations = NormalEquations::new(objective);
     equations.linearise_determined(objective, state);
     if !all_parameters_observed(objective, &equations) {
@@ -132,11 +186,17 @@ fn factored(objective: &Objective, state: &State, stop: &dyn Fn() -> bool) -> Op
             l[row * n + column] *= scale[row] * scale[column];
         }
     }
-    cholesky::factor(&mut l, n, PIVOT_FLOOR, stop).then_some(Factor { l, scale })
+    let least = cholesky::least_pivots(&l, n, PIVOT_FLOOR);
+    Some(ScaledMatrix {
+        l,
+        scale,
+        least,
+        factored: 0,
+    })
 }
 
 /// Returns one 6 x 6 block of the inverse: (L⁻¹ E)ᵀ (L⁻¹ E), E the block's columns of the unit matrix.
-fn block(objective: &Objective, factor: &Factor, slot: usize) -> Matrix6<f64> {
+fn block(objective: &Objective, factor: &ScaledMatrix, slot: usize) -> Matrix6<f64> {
     let (n, at) = (objective.index.unknowns(), objective.index.pose_at(slot));
     let columns: Vec<Vec<f64>> = (0..POSE_PARAMS)
         .map(|term| {

@@ -10,6 +10,7 @@ mod cholesky;
 mod cholesky3;
 mod conjugate_gradients;
 mod covariance;
+mod covariance_checkpoint;
 mod dense;
 mod index;
 mod loss;

@@ -2,6 +2,7 @@ use nalgebra::{Matrix6, Vector6};
 
 use super::super::synthetic::add_noise;
 use super::*;
+use crate::supervisor::testing::Stopping;
 
 const SOLVES: usize = 200;
 
@@ -97,4 +98,78 @@ fn a_photo_whose_points_nobody_else_sees_has_no_covariance() {
         problem.observations.push(Observation { point, ..seen });
     }
     assert_eq!(pose_covariances(&problem, 1.0, &|| false), None);
+}
+
+/// 240 unknowns: five panels of 48.
+fn five_panels() -> Problem {
+    ring(&RingSize {
+        poses: 42,
+        points: 200,
+        longest_track: 6,
+        seed: 8,
+    })
+}
+
+#[test]
+fn the_bits_are_the_same_wherever_it_was_stopped() {
+    let problem = five_panels();
+    let expected = pose_covariances(&problem, 0.7, &|| false).unwrap();
+    let mut stops = 0;
+    for questions in 0.. {
+        let supervisor = Stopping::default();
+        if pose_covariances(&problem, 0.7, supervisor.after(questions)).is_some() {
+            break;
+        }
+        let resumed = pose_covariances(&problem, 0.7, supervisor.after(u64::MAX));
+        assert!(
+            resumed.as_ref() == Some(&expected),
+            "stopped after {questions} questions"
+        );
+        stops += 1;
+    }
+    assert_eq!(stops, 5 + 40, "one question a panel and one a block");
+}
+
+/// Stopped after every second panel, it needs no more than half as many pieces as there are panels.
+#[test]
+fn no_panel_that_was_saved_is_factored_again() {
+    let problem = five_panels();
+    let expected = pose_covariances(&problem, 0.7, &|| false);
+    let supervisor = Stopping::default();
+    assert_eq!(pose_covariances(&problem, 0.7, supervisor.after(3)), None);
+    assert_eq!(
+        pose_covariances(&problem, 0.7, supervisor.after(2 + 40)),
+        expected
+    );
+    // All that is left is to read the blocks.
+    assert_eq!(pose_covariances(&problem, 0.7, supervisor.after(0)), expected);
+}
+
+#[test]
+fn damaged_and_foreign_checkpoints_cost_only_time() {
+    let problem = five_panels();
+    let expected = pose_covariances(&problem, 0.7, &|| false);
+    let damages: [fn(&mut Vec<u8>); 4] = [
+        |bytes| bytes.clear(),
+        |bytes| bytes.truncate(bytes.len() - 1),
+        |bytes| bytes[7] ^= 1,
+        |bytes| bytes.push(0),
+    ];
+    for damage in damages {
+        for questions in [3, u64::MAX] {
+            let supervisor = Stopping::default();
+            let _ = pose_covariances(&problem, 0.7, supervisor.after(questions));
+            supervisor.damage(damage);
+            let found = pose_covariances(&problem, 0.7, supervisor.after(u64::MAX));
+            assert!(found == expected, "{questions}");
+        }
+    }
+    let supervisor = Stopping::default();
+    let _ = pose_covariances(&problem, 0.7, supervisor.after(u64::MAX));
+    let mut other = five_panels();
+    other.observations[3].pixel.x += 1e-3;
+    let wanted = pose_covariances(&other, 0.7, &|| false);
+    assert!(pose_covariances(&other, 0.7, supervisor.after(u64::MAX)) == wanted);
+    let wanted = pose_covariances(&problem, 0.8, &|| false);
+    assert!(pose_covariances(&problem, 0.8, supervisor.after(u64::MAX)) == wanted);
 }
