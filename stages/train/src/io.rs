@@ -23,12 +23,16 @@ pub(crate) fn read_field(ctx: &Ctx<'_>, inputs: &Inputs, device: &Device) -> Res
 }
 
 /// Stores a picture as PNG, lists it under `name` and returns its digest.
+///
+/// # Errors
+/// A cancellation before it begins (5 million pixels take half a second), a picture that cannot be encoded or stored.
 pub(crate) fn put_png(
     ctx: &Ctx<'_>,
     outputs: &mut Outputs,
     name: String,
     image: &Image<Srgb>,
 ) -> Result<Digest, StageError> {
+    ctx.check()?;
     let png = encode_png(image).map_err(|error| picture_failed(&name, &error))?;
     let digest = ctx.put(&png)?;
     outputs.insert(name, digest);
@@ -36,14 +40,18 @@ pub(crate) fn put_png(
 }
 
 /// Stores pictures of one size as the output `video`.
+///
+/// # Errors
+/// A cancellation before any picture, pictures that cannot be encoded or stored.
 pub(crate) fn put_video(
     ctx: &Ctx<'_>,
     outputs: &mut Outputs,
     pictures: &[Image<Srgb>],
     fps: u32,
 ) -> Result<(), StageError> {
-    let gif = encode_gif(pictures, fps).map_err(|error| picture_failed(VIDEO, &error))?;
-    outputs.put_bytes(ctx, VIDEO, &gif)
+    let gif = encode_gif(pictures, fps, &|| ctx.cancel.is_set());
+    let gif = gif.map_err(|error| picture_failed(VIDEO, &error))?;
+    outputs.put_bytes(ctx, VIDEO, &gif.ok_or(StageError::Cancelled)?)
 }
 
 fn picture_failed(name: &str, cause: &dyn std::fmt::Display) -> TrainError {

@@ -10,13 +10,18 @@ use crate::{DecodeError, Image, Srgb};
 /// Effort of the colour reduction, 1 (best) to 30; 10 is the encoder's own default.
 const SPEED: i32 = 10;
 
-/// Encodes pictures of one size as an endless animation; equal pictures give equal bytes.
+/// Encodes pictures of one size as an endless animation; equal pictures give equal bytes. Returns `None` where `stop` said
+/// so before one of them: a picture of 1920 x 1080 takes some tenths of a second.
 ///
 /// `frames_per_second` is rounded to whole hundredths of a second a frame, as the format stores them.
 ///
 /// # Errors
 /// No picture, or pictures the encoder refuses.
-pub fn encode_gif(pictures: &[Image<Srgb>], frames_per_second: u32) -> Result<Vec<u8>, DecodeError> {
+pub fn encode_gif(
+    pictures: &[Image<Srgb>],
+    frames_per_second: u32,
+    stop: &dyn Fn() -> bool,
+) -> Result<Option<Vec<u8>>, DecodeError> {
     if pictures.is_empty() {
         return Err(damaged(&"an animation needs at least one picture"));
     }
@@ -27,11 +32,14 @@ pub fn encode_gif(pictures: &[Image<Srgb>], frames_per_second: u32) -> Result<Ve
         .map_err(|error| damaged(&error))?;
     let delay = Delay::from_numer_denom_ms(1000, frames_per_second.max(1));
     for picture in pictures {
+        if stop() {
+            return Ok(None);
+        }
         let frame = Frame::from_parts(with_alpha(picture), 0, 0, delay);
         encoder.encode_frame(frame).map_err(|error| damaged(&error))?;
     }
     drop(encoder); // writes the trailer
-    Ok(bytes)
+    Ok(Some(bytes))
 }
 
 /// Returns an opaque picture with an alpha channel.
@@ -52,6 +60,8 @@ fn damaged(error: &dyn std::fmt::Display) -> DecodeError {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::Cell;
+
     use super::*;
     use image::AnimationDecoder;
 
@@ -62,8 +72,8 @@ mod tests {
     #[test]
     fn an_animation_decodes_to_its_pictures_and_always_has_the_same_bytes() {
         let pictures = [gradient(0), gradient(9), gradient(18)];
-        let bytes = encode_gif(&pictures, 12).unwrap();
-        assert_eq!(bytes, encode_gif(&pictures, 12).unwrap());
+        let bytes = encode_gif(&pictures, 12, &|| false).unwrap().unwrap();
+        assert_eq!(encode_gif(&pictures, 12, &|| false).unwrap().unwrap(), bytes);
         let decoder = image::codecs::gif::GifDecoder::new(std::io::Cursor::new(&bytes)).unwrap();
         let frames = decoder.into_frames().collect_frames().unwrap();
         assert_eq!(frames.len(), 3);
@@ -82,10 +92,25 @@ mod tests {
     #[test]
     fn an_empty_animation_is_refused() {
         assert!(
-            encode_gif(&[], 12)
+            encode_gif(&[], 12, &|| false)
                 .unwrap_err()
                 .to_string()
                 .contains("at least one picture")
         );
+    }
+
+    #[test]
+    fn an_animation_can_be_stopped_before_every_picture() {
+        let pictures = [gradient(0), gradient(9), gradient(18)];
+        for before in 0..=pictures.len() {
+            let asked = Cell::new(0);
+            let stop = || asked.replace(asked.get() + 1) == before;
+            let encoded = encode_gif(&pictures, 12, &stop).unwrap();
+            assert_eq!(
+                encoded.is_none(),
+                before < pictures.len(),
+                "before picture {before}"
+            );
+        }
     }
 }
