@@ -19,7 +19,7 @@ pub use json::canonical_json;
 pub use marf_cache_derive::ContentHash;
 pub use store::{
     Closure, Conflict, Fault, FsckOptions, FsckReport, GcPlan, GcReport, MigratedNode, Migration, Missing,
-    Output, Record, Role, Roots, RunMetadata, StageStat, Store, StoreError, StoreStat, digest_list,
+    Output, Record, Role, Roots, RunMetadata, SetError, StageStat, Store, StoreError, StoreStat, digest_list,
     read_digest_list,
 };
 

@@ -64,6 +64,7 @@ mod pack;
 mod put;
 mod record;
 mod runs;
+mod sets;
 mod staging;
 mod stat;
 #[cfg(test)]
@@ -93,6 +94,7 @@ pub use fsck::{Fault, FsckOptions, FsckReport};
 pub use gc::{GcPlan, GcReport, Roots};
 pub use migrate::{MigratedNode, Migration};
 pub use record::{Conflict, Output, Record, RunMetadata, StoreStat, digest_list, read_digest_list};
+pub use sets::SetError;
 pub use stat::StageStat;
 
 /// Blobs from this length on are files of their own.

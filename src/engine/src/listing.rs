@@ -10,7 +10,7 @@ use std::{
 
 use marf_cache::{
     Action, Digest, Store, canonical_json,
-    manifest::{LeafRef, ManifestError, Root},
+    manifest::{LeafRef, Root},
 };
 use marf_stage::{
     COMPANIONS, Cancel, Checkpoints, Ctx, Files, Inputs, Listing, Memos, Progress, Stage, StageError, Work,
@@ -152,20 +152,11 @@ impl Listed {
     /// Returns the shards that differ from those of an earlier action; none if its listing is lost.
     pub(crate) fn changes_since(&self, store: &Store, earlier: &Action) -> Option<Vec<Change>> {
         let root = earlier.inputs.get(LISTING)?;
-        let read = Root::read(root, |digest| store.get(digest).map_err(|_| Lost));
-        let old = fingerprints(read.ok()?.leaves.iter().map(|leaf| (leaf.shard, leaf.leaf)));
+        let listed = store.set(root).ok()?;
+        let old = fingerprints(listed.leaves.iter().map(|leaf| (leaf.shard, leaf.leaf)));
         let shards = self.listing.shards.iter();
         let new = fingerprints(shards.map(|shard| (shard.shard, shard.fingerprint)));
         Some(changes_between(&old, &new))
-    }
-}
-
-/// The listing of an earlier run cannot be read.
-struct Lost;
-
-impl From<ManifestError> for Lost {
-    fn from(_: ManifestError) -> Self {
-        Self
     }
 }
 

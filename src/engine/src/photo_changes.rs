@@ -1,11 +1,8 @@
 //! Which photos differ between the set that made the last result of a node and the set it would read now.
 
-use std::{collections::BTreeMap, num::NonZero, sync::Arc};
+use std::{collections::BTreeMap, num::NonZero};
 
-use marf_cache::{
-    Action, Digest, Record, Store, StoreError,
-    manifest::{Leaf, LeafRef, ManifestError, Root},
-};
+use marf_cache::{Action, Digest, Record, SetError, Store, StoreError, manifest::LeafRef};
 use marf_stage::PHOTOS;
 
 use crate::{
@@ -51,7 +48,7 @@ pub fn photo_changes(
             _ => Ok(Vec::new()),
         };
     };
-    let (before, now) = (read_set(store, &before)?, read_set(store, &now)?);
+    let (before, now) = (store.set(&before)?.leaves, store.set(&now)?.leaves);
     let shared: Vec<Digest> = before
         .iter()
         .filter(|leaf| now.contains(leaf))
@@ -89,40 +86,15 @@ fn last_set(record: &Record, action: Option<&Action>) -> Option<Digest> {
     read.or_else(given).copied()
 }
 
-/// Why a set cannot be read.
-enum Fault {
-    Store(StoreError),
-    Manifest(ManifestError),
-}
-
-impl From<ManifestError> for Fault {
-    fn from(error: ManifestError) -> Self {
-        Self::Manifest(error)
-    }
-}
-
-impl From<Fault> for EngineError {
-    fn from(fault: Fault) -> Self {
-        match fault {
-            Fault::Store(error) => Self::Store(error),
-            Fault::Manifest(error) => Self::BadSet(error.to_string()),
-        }
-    }
-}
-
-fn get(store: &Store, digest: &Digest) -> Result<Arc<[u8]>, Fault> {
-    store.get(digest).map_err(Fault::Store)
-}
-
-fn read_set(store: &Store, root: &Digest) -> Result<Vec<LeafRef>, Fault> {
-    Ok(Root::read(root, |digest| get(store, digest))?.leaves)
-}
-
 /// Returns the digest of each row by `photos.<shard>/<id>`, without the rows of leaves that both sets have.
-fn photos(store: &Store, leaves: &[LeafRef], shared: &[Digest]) -> Result<BTreeMap<String, String>, Fault> {
+fn photos(
+    store: &Store,
+    leaves: &[LeafRef],
+    shared: &[Digest],
+) -> Result<BTreeMap<String, String>, SetError> {
     let mut photos = BTreeMap::new();
     for leaf in leaves.iter().filter(|leaf| !shared.contains(&leaf.leaf)) {
-        for row in Leaf::decode(&get(store, &leaf.leaf)?)?.rows {
+        for row in store.leaf(&leaf.leaf)?.rows {
             photos.insert(photo_path(leaf.shard, &row.id), row_digest(&row).to_string());
         }
     }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use marf_cache::{Digest, Output, Store, StoreError};
+use marf_cache::{Digest, Output, SetError, Store, StoreError};
 use serde::{Deserialize, Serialize};
 
 use crate::{check::Edge, graph::Graph};
@@ -134,6 +134,15 @@ pub enum EngineError {
         /// The error of the reader.
         message: String,
     },
+}
+
+impl From<SetError> for EngineError {
+    fn from(error: SetError) -> Self {
+        match error {
+            SetError::Store(error) => Self::Store(error),
+            SetError::Manifest(error) => Self::BadSet(error.to_string()),
+        }
+    }
 }
 
 impl EngineError {

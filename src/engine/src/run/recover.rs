@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 
-use marf_cache::{Digest, Record, Store, manifest::Root};
+use marf_cache::{Digest, Record, Store};
 use marf_stage::StageError;
 
 use super::{
@@ -103,15 +103,8 @@ fn stored(store: &Store, record: &Record, lost: &Digest) -> bool {
 
 /// Returns the keys of the parts of a result, as far as their list can be read.
 fn parts_of(store: &Store, record: &Record) -> Vec<Digest> {
-    /// A list that cannot be read.
-    struct Lost;
-    impl From<marf_cache::manifest::ManifestError> for Lost {
-        fn from(_: marf_cache::manifest::ManifestError) -> Self {
-            Self
-        }
-    }
-    let read = |root: &Digest| Root::read(root, |digest| store.get(digest).map_err(|_| Lost)).ok();
-    let parts = record.parts.as_ref().and_then(read).unwrap_or_default();
+    let parts = record.parts.as_ref().and_then(|parts| store.set(parts).ok());
+    let parts = parts.unwrap_or_default();
     parts.leaves.into_iter().map(|part| part.leaf).collect()
 }
 

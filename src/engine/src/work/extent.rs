@@ -1,9 +1,6 @@
 //! How much a node would look at if it ran now, from the keys of its parts.
 
-use marf_cache::{
-    Digest, Store, StoreError,
-    manifest::{ManifestError, Root},
-};
+use marf_cache::{Store, StoreError};
 use marf_stage::{Inputs, PHOTOS, Scope, Stage, Work};
 use serde::Serialize;
 
@@ -40,9 +37,10 @@ pub(crate) fn extent(
     if let Some(listed) = listed {
         return of_source(store, key, listed).map(Some);
     }
-    let Some(shards) = inputs.optional(PHOTOS).and_then(|root| read(store, root)) else {
+    let Some(set) = inputs.optional(PHOTOS).and_then(|root| store.set(root).ok()) else {
         return Ok(None);
     };
+    let shards = by_shard(&set);
     let missing: Vec<&ShardLeaves> = match stage.work() {
         Work::Map(map) if map.scope() == Scope::Item => missing_decisions(store, key, &shards)?,
         Work::Fold(_) => missing_steps(store, key, &shards)?,
@@ -64,19 +62,6 @@ fn of_source(store: &Store, key: &Key, listed: &Listed) -> Result<Extent, StoreE
         shards: missing,
         photos: None,
     })
-}
-
-/// Reads a set; none if it cannot be read.
-fn read(store: &Store, root: &Digest) -> Option<Vec<ShardLeaves>> {
-    /// A set that cannot be read.
-    struct Lost;
-    impl From<ManifestError> for Lost {
-        fn from(_: ManifestError) -> Self {
-            Self
-        }
-    }
-    let set = Root::read(root, |digest| store.get(digest).map_err(|_| Lost)).ok()?;
-    Some(by_shard(&set))
 }
 
 fn missing_decisions<'a>(
