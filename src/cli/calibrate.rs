@@ -20,7 +20,7 @@ const MOST_REASONS: usize = 3;
 
 /// `marf calibrate DIR`: writes transforms.json, and beside it metrics.json, COLMAP's model and the points.
 pub fn calibrate(global: &Global, args: &CalibrateArgs, cancel: &Cancel) -> Result<(), CliError> {
-    let session = Session::implicit(&pipeline(args), global).map_err(for_this_verb)?;
+    let session = Session::implicit(&pipeline(args), global, cancel).map_err(for_this_verb)?;
     let (record, ended) = execute(&session, &options(global, &session.name), global, cancel)?;
     ended.map_err(for_this_verb)?;
     let node = node_named(&record, CalibrateParams::STAGE)?;

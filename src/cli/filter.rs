@@ -22,7 +22,7 @@ fn chain() -> Vec<&'static str> {
 /// Runs `marf filter DIR`: every filter with its defaults on the photos of a folder.
 pub fn filter(global: &Global, args: &FilterArgs, cancel: &Cancel) -> Result<(), CliError> {
     let chain = chain();
-    let session = Session::implicit(&pipeline(&chain, args), global)?;
+    let session = Session::implicit(&pipeline(&chain, args), global, cancel)?;
     let (record, ended) = execute(&session, &options(global, &session.name), global, cancel)?;
     let by_node = verdicts::by_node(&session, &record)?;
     let merged = verdicts::merged(&by_node, &chain);

@@ -42,7 +42,7 @@ pub fn fit(global: &Global, args: &FitArgs, cancel: &Cancel) -> Result<(), CliEr
         .collect::<Result<Vec<_>, _>>()?;
     let mut all = BTreeMap::new();
     for seconds in budgets {
-        let session = Session::implicit(&pipeline(args, seconds), global)?;
+        let session = Session::implicit(&pipeline(args, seconds), global, cancel)?;
         let (record, ended) = execute(&session, &options(global, &session.name), global, cancel)?;
         ended?;
         let fitted = write(&session, &record, &args.out.join(format!("{seconds}s")))?;

@@ -1,6 +1,6 @@
 use std::time::{Duration, SystemTime};
 
-use marf_engine::NodeState;
+use marf_engine::{Cancel, NodeState};
 
 use super::args::Global;
 use super::error::CliError;
@@ -10,8 +10,8 @@ use crate::progress::duration;
 use crate::terminal::print_line;
 
 /// `marf log`: the runs so far, the newest first.
-pub fn log(global: &Global, last: usize) -> Result<(), CliError> {
-    let runs = marf_engine::runs(&existing_store(global)?, warn)?;
+pub fn log(global: &Global, last: usize, cancel: &Cancel) -> Result<(), CliError> {
+    let runs = marf_engine::runs(&existing_store(global, cancel)?, warn)?;
     let shown: Vec<_> = runs.iter().rev().take(last).collect();
     if global.json {
         return print_json(&shown);

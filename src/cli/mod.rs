@@ -47,6 +47,9 @@ pub fn main(cancel: &Cancel) -> ExitCode {
     match dispatch(&cli, cancel) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
+            // A wait for another program ends with Ctrl-C, and nothing else went wrong.
+            let is_stopped = cancel.is_set() && matches!(error, CliError::Locked(_));
+            let error = if is_stopped { CliError::Interrupted } else { error };
             eprint_line(&error.render());
             error.code()
         }
@@ -59,16 +62,16 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
         .map_err(|error| CliError::usage(format!("-C {}: {error}", global.directory.display())))?;
     match &cli.verb {
         Verb::Run(args) => run::run(global, args, cancel),
-        Verb::Plan(args) => plan::plan(global, args),
-        Verb::Why { node, files } => plan::why(global, node, *files),
-        Verb::Status => status::status(global),
-        Verb::Log { last } => log::log(global, *last),
+        Verb::Plan(args) => plan::plan(global, args, cancel),
+        Verb::Why { node, files } => plan::why(global, node, *files, cancel),
+        Verb::Status => status::status(global, cancel),
+        Verb::Log { last } => log::log(global, *last, cancel),
         Verb::Init { mission } => init::init(global, *mission),
         Verb::Schema { of } => match of {
             SchemaOf::Pipeline => print_json(&crate::config::schema()),
             SchemaOf::Events => print_json(&crate::progress::event_schema()),
         },
-        Verb::Report { out } => report::report(global, out),
+        Verb::Report { out } => report::report(global, out, cancel),
         Verb::Cache { verb } => cache::cache(global, verb, cancel),
         Verb::Filter(args) => filter::filter(global, args, cancel),
         Verb::Photos { dir, node } => photos::photos(global, dir.as_deref(), node, cancel),

@@ -28,13 +28,17 @@ struct Line {
 pub fn photos(global: &Global, dir: Option<&Path>, node: &str, cancel: &Cancel) -> Result<(), CliError> {
     let (session, record) = match dir {
         Some(dir) => {
-            let session = Session::implicit(&format!("name = \"photos\"\n{}", filter::folder(dir)), global)?;
+            let session = Session::implicit(
+                &format!("name = \"photos\"\n{}", filter::folder(dir)),
+                global,
+                cancel,
+            )?;
             let (record, ended) = execute(&session, &options(global, &session.name), global, cancel)?;
             ended?;
             (session, record)
         }
         None => {
-            let session = Session::open(global)?;
+            let session = Session::open(global, cancel)?;
             let last = session.last()?;
             let record = last.ok_or_else(|| CliError::failed("no run of this pipeline yet".to_owned()))?;
             (session, record)

@@ -1,4 +1,4 @@
-use marf_engine::{Extent, Needs, PlanState, PlannedNode};
+use marf_engine::{Cancel, Extent, Needs, PlanState, PlannedNode};
 use serde::Serialize;
 
 use super::args::{Global, Selection};
@@ -32,8 +32,8 @@ impl<'a> Row<'a> {
 }
 
 /// `marf plan`: the state of every node and the first thing that changed.
-pub fn plan(global: &Global, selection: &Selection) -> Result<(), CliError> {
-    let session = Session::open(global)?;
+pub fn plan(global: &Global, selection: &Selection, cancel: &Cancel) -> Result<(), CliError> {
+    let session = Session::open(global, cancel)?;
     let last = session.last()?;
     let mut nodes = marf_engine::plan(&session.graph, &session.store, last.as_ref(), global.threads)?;
     let chosen = session
@@ -88,8 +88,8 @@ fn counted(number: u64, what: &str) -> String {
 }
 
 /// `marf why NODE`: everything that differs from what made its last result; with `files` every photo too.
-pub fn why(global: &Global, node: &str, files: bool) -> Result<(), CliError> {
-    let session = Session::open(global)?;
+pub fn why(global: &Global, node: &str, files: bool, cancel: &Cancel) -> Result<(), CliError> {
+    let session = Session::open(global, cancel)?;
     let last = session.last()?;
     let (graph, store) = (&session.graph, &session.store);
     let mut planned = marf_engine::why(graph, store, last.as_ref(), global.threads, node)?;

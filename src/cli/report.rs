@@ -2,7 +2,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use marf_cache::{Digest, Store};
-use marf_engine::{NodeState, RunRecord};
+use marf_engine::{Cancel, NodeState, RunRecord};
 use marf_stage::Memos;
 
 use super::args::Global;
@@ -14,8 +14,8 @@ use crate::show::{self, ChildView, NodeView, ReportInput, State};
 use crate::terminal::eprint_line;
 
 /// `marf report`: writes the report of the last run.
-pub fn report(global: &Global, out: &Path) -> Result<(), CliError> {
-    let session = Session::open(global)?;
+pub fn report(global: &Global, out: &Path, cancel: &Cancel) -> Result<(), CliError> {
+    let session = Session::open(global, cancel)?;
     let record = session
         .last()?
         .ok_or_else(|| CliError::failed(format!("`{}` has not run yet", session.name)))?;

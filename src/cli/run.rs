@@ -18,7 +18,7 @@ use crate::terminal::{eprint_line, print_line};
 
 /// `marf run`: runs what changed, writes pictures, models and the report.
 pub fn run(global: &Global, args: &RunArgs, cancel: &Cancel) -> Result<(), CliError> {
-    let session = Session::open(global)?;
+    let session = Session::open(global, cancel)?;
     let selection = &args.selection;
     let options = Options {
         to: selection.to.iter().cloned().collect(),
@@ -117,8 +117,6 @@ fn execute_traced(
         trace: trace.is_some().then(Trace::default),
         failure: Mutex::default(),
     };
-    let stop = cancel.clone();
-    session.store.set_interrupt(move || stop.is_set());
     if !global.json {
         eprint_line(&format!("device  {}", devices(session)));
     }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use marf_cache::manifest::ManifestError;
 use marf_cache::{Digest, Store, StoreError};
-use marf_engine::{Edge, EngineError, Graph, GraphError, NodeDecl, NodeRun, RunRecord};
+use marf_engine::{Cancel, Edge, EngineError, Graph, GraphError, NodeDecl, NodeRun, RunRecord};
 use marf_stage::{Document, Verdict};
 
 use super::args::Global;
@@ -41,17 +41,18 @@ impl Session {
     ///
     /// # Errors
     /// A bad pipeline, or a store that cannot be opened.
-    pub fn open(global: &Global) -> Result<Self, CliError> {
+    pub fn open(global: &Global, cancel: &Cancel) -> Result<Self, CliError> {
         let loaded = config::load(&global.file, &global.sets, &global.options())?;
         let unnamed = || unnamed(&global.file);
-        Self::of(loaded.pipeline, unnamed, &store_dir(global, &global.file))
+        let store = open_store(&store_dir(global, &global.file), cancel)?;
+        Self::of(loaded.pipeline, unnamed, store)
     }
 
     /// Loads the text of a pipeline that a verb has built for one folder.
     ///
     /// # Errors
     /// As [`Session::open`].
-    pub fn implicit(text: &str, global: &Global) -> Result<Self, CliError> {
+    pub fn implicit(text: &str, global: &Global, cancel: &Cancel) -> Result<Self, CliError> {
         let pipeline =
             config::check(text, &global.sets, &global.options(), Path::new("")).map_err(|error| {
                 CliError::Usage(Diagnostic {
@@ -60,14 +61,11 @@ impl Session {
                     hint: error.hint,
                 })
             })?;
-        Self::of(
-            pipeline,
-            || "built-in".to_owned(),
-            &store_dir(global, Path::new("")),
-        )
+        let store = open_store(&store_dir(global, Path::new("")), cancel)?;
+        Self::of(pipeline, || "built-in".to_owned(), store)
     }
 
-    fn of(pipeline: Pipeline, unnamed: impl FnOnce() -> String, store: &Path) -> Result<Self, CliError> {
+    fn of(pipeline: Pipeline, unnamed: impl FnOnce() -> String, store: Store) -> Result<Self, CliError> {
         let info = |node: &config::Node| NodeInfo {
             name: node.name.clone(),
             about: node.def.about,
@@ -88,7 +86,7 @@ impl Session {
         Ok(Self {
             name: pipeline.name.unwrap_or_else(unnamed),
             graph,
-            store: open_store(store)?,
+            store,
             nodes,
         })
     }
@@ -161,19 +159,20 @@ pub fn digest(node: &NodeRun, name: &str) -> Result<Digest, CliError> {
     Ok(output.digest)
 }
 
-/// Opens a store, making it if need be.
+/// Opens a store, making it if need be; its waits for other programs end with the wish to stop.
 ///
 /// # Errors
 /// A place that cannot be written, or a store that another process holds.
-pub fn open_store(dir: &Path) -> Result<Store, CliError> {
-    Ok(Store::open(dir)?)
+fn open_store(dir: &Path, cancel: &Cancel) -> Result<Store, CliError> {
+    let stop = cancel.clone();
+    Ok(Store::open_interruptible(dir, move || stop.is_set())?)
 }
 
 /// Opens a store that must be there already: reading verbs make none.
 ///
 /// # Errors
 /// Names the place where no store is.
-pub fn existing_store(global: &Global) -> Result<Store, CliError> {
+pub fn existing_store(global: &Global, cancel: &Cancel) -> Result<Store, CliError> {
     let dir = store_dir(global, &global.file);
     if !dir.is_dir() {
         let diagnostic = Diagnostic::new(format!("there is no store at {}", dir.display()));
@@ -181,7 +180,7 @@ pub fn existing_store(global: &Global) -> Result<Store, CliError> {
             diagnostic.hint("`marf run` makes one; name another with --store"),
         ));
     }
-    open_store(&dir)
+    open_store(&dir, cancel)
 }
 
 /// `--store`, or `.marf` beside the pipeline.

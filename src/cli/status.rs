@@ -1,3 +1,5 @@
+use marf_engine::Cancel;
+
 use super::args::Global;
 use super::error::CliError;
 use super::output::print_json;
@@ -7,8 +9,8 @@ use crate::progress::duration;
 use crate::terminal::print_line;
 
 /// `marf status`: the nodes of the last run.
-pub fn status(global: &Global) -> Result<(), CliError> {
-    let store = existing_store(global)?;
+pub fn status(global: &Global, cancel: &Cancel) -> Result<(), CliError> {
+    let store = existing_store(global, cancel)?;
     let runs = marf_engine::runs(&store, warn)?;
     let Some(run) = runs.last() else {
         return Err(CliError::failed(format!("no run in {}", store.dir().display())));

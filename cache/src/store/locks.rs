@@ -10,7 +10,7 @@ use std::{
 use super::{error::StoreError, notices::Notices};
 
 /// Longest wait for a lock whose holders take seconds at most.
-const PATIENCE: Duration = Duration::from_secs(600);
+pub(super) const PATIENCE: Duration = Duration::from_secs(600);
 
 /// What a lock protects.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

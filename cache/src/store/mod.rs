@@ -147,13 +147,25 @@ impl Store {
     /// A folder that cannot be made or read, and a store of another form ([`StoreError::Older`],
     /// [`StoreError::Newer`]).
     pub fn open(dir: impl Into<PathBuf>) -> Result<Self, StoreError> {
-        Self::open_on(dir.into(), Files::of_disk())
+        Self::open_on(dir.into(), Files::of_disk(), Notices::default())
     }
 
-    fn open_on(dir: PathBuf, files: Files) -> Result<Self, StoreError> {
+    /// As [`Store::open`]; whenever the store waits for another program, now or later, `interrupt` tells whether the wait
+    /// should end.
+    ///
+    /// # Errors
+    /// As [`Store::open`], and [`StoreError::Locked`] where the wait was ended.
+    pub fn open_interruptible(
+        dir: impl Into<PathBuf>,
+        interrupt: impl Fn() -> bool + Send + Sync + 'static,
+    ) -> Result<Self, StoreError> {
+        Self::open_on(dir.into(), Files::of_disk(), Notices::to(interrupt))
+    }
+
+    fn open_on(dir: PathBuf, files: Files, notices: Notices) -> Result<Self, StoreError> {
         let found = format::find(&files, &dir)?;
         format::check(&dir, found)?;
-        let notices = Arc::new(Notices::default());
+        let notices = Arc::new(notices);
         let access = open::access_of(&dir);
         if access == Access::ReadWrite {
             open::prepare(&dir, &files, found, &notices)?;
@@ -181,11 +193,6 @@ impl Store {
     /// Tells whether the store was opened without permission to write.
     pub fn is_read_only(&self) -> bool {
         self.objects.access == Access::ReadOnly
-    }
-
-    /// Sets what tells, while the store waits for another program, whether the wait should end.
-    pub fn set_interrupt(&self, interrupt: impl Fn() -> bool + Send + Sync + 'static) {
-        self.objects.notices.set_interrupt(Arc::new(interrupt));
     }
 
     /// Returns what the user should know and is no error, since the last call: repairs, an index that is locked.

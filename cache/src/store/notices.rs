@@ -2,7 +2,6 @@
 
 use std::{
     collections::BTreeSet,
-    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -11,17 +10,25 @@ use parking_lot::Mutex;
 /// Pause between two attempts to take a lock.
 const RETRY_INTERVAL: Duration = Duration::from_millis(2);
 
-type Interrupt = Arc<dyn Fn() -> bool + Send + Sync>;
+type Interrupt = Box<dyn Fn() -> bool + Send + Sync>;
 
 /// Warnings for the caller, and the caller's wish to stop.
 #[derive(Default)]
 pub(super) struct Notices {
     warnings: Mutex<Vec<String>>,
     told: Mutex<BTreeSet<&'static str>>,
-    interrupt: Mutex<Option<Interrupt>>,
+    interrupt: Option<Interrupt>,
 }
 
 impl Notices {
+    /// Returns notices to a caller that tells whether waits should end.
+    pub(super) fn to(interrupt: impl Fn() -> bool + Send + Sync + 'static) -> Self {
+        Self {
+            interrupt: Some(Box::new(interrupt)),
+            ..Self::default()
+        }
+    }
+
     /// Adds a warning.
     pub(super) fn warn(&self, text: String) {
         self.warnings.lock().push(text);
@@ -39,15 +46,9 @@ impl Notices {
         std::mem::take(&mut *self.warnings.lock())
     }
 
-    /// Sets what tells whether waits should end.
-    pub(super) fn set_interrupt(&self, interrupt: Interrupt) {
-        *self.interrupt.lock() = Some(interrupt);
-    }
-
     /// Tells whether waits should end.
     pub(super) fn is_interrupted(&self) -> bool {
-        let interrupt = self.interrupt.lock().clone();
-        interrupt.is_some_and(|interrupt| interrupt())
+        self.interrupt.as_ref().is_some_and(|interrupt| interrupt())
     }
 
     /// Tries until an attempt returns a value, patience ends or the caller interrupts; returns the value, or the time

@@ -101,7 +101,7 @@ impl Objects {
             let denied = std::io::Error::from(std::io::ErrorKind::PermissionDenied);
             return Err(StoreError::io("write to", &self.root)(denied));
         }
-        let created = Arc::new(StagingDir::create(&self.files, &tmp)?);
+        let created = Arc::new(StagingDir::create(&self.files, &tmp, &self.notices)?);
         *staging = Some(Arc::clone(&created));
         Ok(created)
     }

@@ -63,7 +63,7 @@ pub(super) fn write_format(dir: &Path, files: &Files, notices: &Notices) -> Resu
             to.display()
         ));
     }
-    let staging = staging::StagingDir::create(files, &dir.join("tmp"))?;
+    let staging = staging::StagingDir::create(files, &dir.join("tmp"), notices)?;
     let fresh = staging.next_path();
     files.write_new(&fresh, format::text().as_bytes())?;
     files.sync_files(std::slice::from_ref(&fresh))?;

@@ -1,13 +1,13 @@
 //! Temporary files: one folder for each open store, with a lock that its process holds until it ends.
 
 use std::{
-    fs::File,
+    fs::{File, TryLockError},
     path::{Path, PathBuf},
     sync::atomic::{AtomicU64, Ordering},
     time::SystemTime,
 };
 
-use super::{error::StoreError, files::Files};
+use super::{error::StoreError, files::Files, locks::PATIENCE, notices::Notices};
 use crate::Digest;
 
 /// Lock file that keeps the creation of a folder and the removal of abandoned ones apart.
@@ -29,9 +29,14 @@ pub(super) struct StagingDir {
 
 impl StagingDir {
     /// Creates a folder below `tmp`.
-    pub(super) fn create(files: &Files, tmp: &Path) -> Result<Self, StoreError> {
+    pub(super) fn create(files: &Files, tmp: &Path, notices: &Notices) -> Result<Self, StoreError> {
         files.create_dir(tmp)?;
-        let _global = global_lock(tmp, File::lock)?;
+        let _global = notices
+            .retry(PATIENCE, || global_lock(tmp))?
+            .map_err(|waited| StoreError::Locked {
+                path: tmp.join(GLOBAL_LOCK),
+                waited_ms: waited.as_millis() as u64,
+            })?;
         let name = unique_name();
         let dir = tmp.join(&name);
         files.create_dir(&dir)?;
@@ -76,7 +81,7 @@ impl Drop for StagingDir {
 
 /// Removes the folders of dead processes; does nothing while another process holds the global lock.
 pub(super) fn sweep(files: &Files, tmp: &Path) {
-    let Ok(_global) = global_lock(tmp, |file| file.try_lock().map_err(Into::into)) else {
+    let Ok(Some(_global)) = global_lock(tmp) else {
         return;
     };
     for name in files.names(tmp).unwrap_or_default() {
@@ -96,12 +101,15 @@ fn is_abandoned(dir: &Path) -> bool {
     }
 }
 
-fn global_lock(tmp: &Path, take: impl FnOnce(&File) -> std::io::Result<()>) -> Result<File, StoreError> {
+/// Takes the global lock; none if another process holds it.
+fn global_lock(tmp: &Path) -> Result<Option<File>, StoreError> {
     let path = tmp.join(GLOBAL_LOCK);
     let file = File::create(&path).map_err(StoreError::io("create", &path))?;
-    match take(&file) {
-        Err(error) if error.kind() == std::io::ErrorKind::Unsupported => Ok(file),
-        other => other.map(|()| file).map_err(StoreError::io("lock", &path)),
+    match file.try_lock() {
+        Ok(()) => Ok(Some(file)),
+        Err(TryLockError::WouldBlock) => Ok(None),
+        Err(TryLockError::Error(error)) if error.kind() == std::io::ErrorKind::Unsupported => Ok(Some(file)),
+        Err(TryLockError::Error(error)) => Err(StoreError::io("lock", &path)(error)),
     }
 }
 

@@ -133,7 +133,7 @@ pub fn train(global: &Global, args: &TrainArgs, cancel: &Cancel) -> Result<(), C
         json: false,
         ..global.clone()
     };
-    let session = Session::implicit(&pipeline(&args.dir), &quiet)?;
+    let session = Session::implicit(&pipeline(&args.dir), &quiet, cancel)?;
     let keys = keys(&session)?;
     let config = keys
         .field

@@ -33,9 +33,7 @@ pub fn cache(global: &Global, verb: &CacheVerb, cancel: &Cancel) -> Result<(), C
     if let CacheVerb::Migrate { dry_run } = verb {
         return migrate(global, *dry_run);
     }
-    let store = existing_store(global)?;
-    let stop = cancel.clone();
-    store.set_interrupt(move || stop.is_set());
+    let store = existing_store(global, cancel)?;
     let done = match verb {
         CacheVerb::Stat => stat(global, &store),
         CacheVerb::Gc(args) => gc(global, &store, args),

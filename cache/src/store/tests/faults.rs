@@ -12,7 +12,7 @@ use super::{
 fn run_with(root: &Path, faulty: &Arc<Faulty>) -> Vec<u8> {
     let mut done = Vec::new();
     let files = Files::of(Arc::clone(faulty) as Arc<dyn files::Operations>);
-    if let Ok(store) = Store::open_on(root.join(".marf"), files) {
+    if let Ok(store) = Store::open_on(root.join(".marf"), files, Notices::default()) {
         store.objects.index.set_patience(Duration::ZERO);
         let _ = session::run(&store, &mut done);
     }

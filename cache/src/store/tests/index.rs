@@ -43,11 +43,12 @@ fn a_locked_index_delays_the_rows_of_a_result_and_never_drops_it() {
 
 #[test]
 fn a_wait_for_the_index_ends_when_the_caller_wants_it() {
-    let (_dir, store) = fresh();
+    let (dir, first) = fresh();
+    drop(first);
+    let store = Store::open_interruptible(dir.path().join(".marf"), || true).unwrap();
     let holder = Connection::open(index(&store)).unwrap();
     holder.execute_batch("BEGIN IMMEDIATE").unwrap();
     store.objects.index.set_patience(Duration::from_secs(3600));
-    store.set_interrupt(|| true);
     let record = record("k", &store, b"out");
     store.put_record(record.clone());
     store.commit().unwrap();

@@ -27,7 +27,7 @@ fn again(dir: &tempfile::TempDir) -> Store {
 /// As [`again`], without waits for the disk, which are most of the time of a test of many rounds.
 fn again_unsynced(dir: &tempfile::TempDir) -> Store {
     let layer = layer::Faulty::new(usize::MAX, layer::Mishap::Crash, &dir.path().join("kept"));
-    Store::open_on(dir.path().join(".marf"), Files::of(layer)).unwrap()
+    Store::open_on(dir.path().join(".marf"), Files::of(layer), Notices::default()).unwrap()
 }
 
 /// An action of a stage with these inputs.
