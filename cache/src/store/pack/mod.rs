@@ -11,10 +11,14 @@
 //!
 //! Packs of 0.1.0 (`marf-pack-1\n`) hold blobs only, without kinds, and their table in a file `.idx` beside them.
 
+mod read;
+
 use std::path::Path;
 
 use super::{error::StoreError, files::Files};
 use crate::Digest;
+
+pub(super) use read::{Window, contents, has_head};
 
 const MAGIC: &[u8; 12] = b"marf-pack-2\n";
 const END: &[u8; 12] = b"marf-pend-2\n";
@@ -127,7 +131,7 @@ pub(super) fn open<'a>(kind: Kind, id: &Digest, payload: &'a [u8]) -> Option<&'a
 fn generation_of(kind: Kind, payload: &[u8]) -> u32 {
     match kind {
         Kind::Blob => 0,
-        _ => u32_at(payload, DIGEST).unwrap_or(0),
+        _ => read::u32_at(payload, DIGEST).unwrap_or(0),
     }
 }
 
@@ -203,210 +207,6 @@ impl<'a> Writer<'a> {
         self.files.seal(self.path)?;
         Ok(self.entries)
     }
-}
-
-fn array_at<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
-    bytes.get(at..at.checked_add(N)?)?.try_into().ok()
-}
-
-fn digest_at(bytes: &[u8], at: usize) -> Option<Digest> {
-    array_at(bytes, at).map(Digest::from_bytes)
-}
-
-fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
-    array_at(bytes, at).map(u32::from_le_bytes)
-}
-
-fn u64_at(bytes: &[u8], at: usize) -> Option<u64> {
-    array_at(bytes, at).map(u64::from_le_bytes)
-}
-
-/// Returns the entries of a pack, from its table or, without a valid one, by a scan that verifies each; none if the
-/// file is absent. A file that is no pack has no entries.
-pub(super) fn contents(files: &Files, path: &Path) -> Result<Option<Contents>, StoreError> {
-    let Some(magic) = files.read_at(path, 0, MAGIC.len())? else {
-        return Ok(None);
-    };
-    let form = match magic == OLD_MAGIC {
-        true => Form::Old,
-        false => Form::Current,
-    };
-    let table = match form {
-        Form::Old => old_table(files, path)?,
-        Form::Current => table(files, path)?,
-    };
-    if let Some(entries) = table {
-        return Ok(Some(Contents {
-            form,
-            entries,
-            has_table: true,
-        }));
-    }
-    let mut window = Window::new(files, path);
-    let mut entries = Vec::new();
-    let mut at = BODY;
-    while let Some((entry, payload)) = window.entry_at(form, at)? {
-        if open(entry.kind, &entry.id, payload).is_some() {
-            entries.push(entry);
-        }
-        at = entry.offset + u64::from(entry.len);
-    }
-    Ok(Some(Contents {
-        form,
-        entries,
-        has_table: false,
-    }))
-}
-
-fn table(files: &Files, path: &Path) -> Result<Option<Vec<Entry>>, StoreError> {
-    let bytes = files.meta(path).map_or(0, |meta| meta.bytes);
-    let Some(tail_at) = bytes.checked_sub(TAIL as u64) else {
-        return Ok(None);
-    };
-    let tail = files.read_at(path, tail_at, TAIL)?.unwrap_or_default();
-    let Some(offset) = u64_at(&tail, 0).filter(|offset| tail.ends_with(END) && *offset <= tail_at) else {
-        return Ok(None);
-    };
-    let rows = files
-        .read_at(path, offset, (tail_at - offset) as usize + 8)?
-        .unwrap_or_default();
-    if tail.get(8..8 + DIGEST) != Some(Digest::of(&rows).as_bytes()) {
-        return Ok(None);
-    }
-    let rows = rows.chunks_exact(ROW).map(|row| {
-        Some(Entry {
-            kind: Kind::of(*row.first()?)?,
-            id: digest_at(row, 1)?,
-            offset: u64_at(row, 33)?,
-            len: u32_at(row, 41)?,
-            generation: u32_at(row, 45)?,
-        })
-    });
-    Ok(rows.collect())
-}
-
-fn old_table(files: &Files, path: &Path) -> Result<Option<Vec<Entry>>, StoreError> {
-    let bytes = files.read(&path.with_extension("idx"))?.unwrap_or_default();
-    Ok(decode_old_table(&bytes))
-}
-
-fn decode_old_table(bytes: &[u8]) -> Option<Vec<Entry>> {
-    let (body, checksum) = bytes.split_at_checked(bytes.len().checked_sub(DIGEST)?)?;
-    if Digest::of(body).as_bytes() != checksum {
-        return None;
-    }
-    let rows = body.strip_prefix(OLD_INDEX.as_slice())?.chunks_exact(OLD_ROW);
-    rows.map(|row| {
-        Some(Entry {
-            kind: Kind::Blob,
-            id: digest_at(row, 0)?,
-            offset: u64_at(row, DIGEST)?,
-            len: u32_at(row, DIGEST + 8)?,
-            generation: 0,
-        })
-    })
-    .collect()
-}
-
-/// A part of a pack in memory, so that entries are read in order without a call for each.
-pub(super) struct Window<'a> {
-    files: &'a Files,
-    path: &'a Path,
-    start: u64,
-    bytes: Vec<u8>,
-}
-
-impl<'a> Window<'a> {
-    pub(super) fn new(files: &'a Files, path: &'a Path) -> Self {
-        Self {
-            files,
-            path,
-            start: 0,
-            bytes: Vec::new(),
-        }
-    }
-
-    /// Returns bytes of the pack; fewer at its end.
-    pub(super) fn bytes(&mut self, at: u64, len: usize) -> Result<&[u8], StoreError> {
-        let end = self.start + self.bytes.len() as u64;
-        if at < self.start || at + len as u64 > end {
-            let read = self.files.read_at(self.path, at, len.max(CHUNK))?;
-            self.bytes = read.unwrap_or_default();
-            self.start = at;
-        }
-        let from = ((at - self.start) as usize).min(self.bytes.len());
-        let to = (from + len).min(self.bytes.len());
-        Ok(self.bytes.get(from..to).unwrap_or_default())
-    }
-
-    /// Returns the entry whose head is at this offset; none at the end of the body or where the head is damaged.
-    fn entry_at(&mut self, form: Form, at: u64) -> Result<Option<(Entry, &[u8])>, StoreError> {
-        let head_len = match form {
-            Form::Current => HEAD,
-            Form::Old => OLD_HEAD,
-        };
-        let head = self.bytes(at, head_len)?;
-        let start = head_len - OLD_HEAD;
-        let kind = match form {
-            Form::Current => head.first().copied().and_then(Kind::of),
-            Form::Old => Some(Kind::Blob),
-        };
-        let (Some(kind), Some(id), Some(len)) = (kind, digest_at(head, start), u32_at(head, start + DIGEST))
-        else {
-            return Ok(None);
-        };
-        let offset = at + head_len as u64;
-        // A damaged length must not make the reader ask for gigabytes.
-        let room = self
-            .files
-            .meta(self.path)
-            .map_or(0, |meta| meta.bytes.saturating_sub(offset));
-        if u64::from(len) > room {
-            return Ok(None);
-        }
-        let payload = self.bytes(offset, len as usize)?;
-        let entry = Entry {
-            kind,
-            id,
-            offset,
-            len,
-            generation: generation_of(kind, payload),
-        };
-        Ok(Some((entry, payload)))
-    }
-
-    /// Returns the payload of an entry.
-    pub(super) fn payload(&mut self, entry: &Entry) -> Result<&[u8], StoreError> {
-        self.bytes(entry.offset, entry.len as usize)
-    }
-
-    /// Tells whether the head before a payload says the same as its entry.
-    pub(super) fn has_head(&mut self, form: Form, entry: &Entry) -> Result<bool, StoreError> {
-        let expected = head_of(form, entry);
-        let Some(at) = entry.offset.checked_sub(expected.len() as u64) else {
-            return Ok(false);
-        };
-        Ok(self.bytes(at, expected.len())? == expected)
-    }
-}
-
-fn head_of(form: Form, entry: &Entry) -> Vec<u8> {
-    let mut head = match form {
-        Form::Current => vec![entry.kind.code()],
-        Form::Old => Vec::new(),
-    };
-    head.extend_from_slice(entry.id.as_bytes());
-    head.extend_from_slice(&entry.len.to_le_bytes());
-    head
-}
-
-/// Tells whether the head before a payload in a pack says the same as its entry.
-pub(super) fn has_head(files: &Files, path: &Path, form: Form, entry: &Entry) -> Result<bool, StoreError> {
-    let expected = head_of(form, entry);
-    let Some(at) = entry.offset.checked_sub(expected.len() as u64) else {
-        return Ok(false);
-    };
-    Ok(files.read_at(path, at, expected.len())? == Some(expected))
 }
 
 /// A pack whose body is the bodies of other packs, one behind the other.

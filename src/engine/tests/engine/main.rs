@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that is set up wrong should stop")]
 
 mod common;
+mod damage;
 mod devices;
 mod earlier;
 mod faults;

@@ -1,0 +1,69 @@
+//! What merges, repairs and collections change in the index.
+
+use std::collections::BTreeSet;
+
+use rusqlite::{Connection, TransactionBehavior};
+
+use super::{Compacted, Index, connection::Trouble, tables};
+use crate::{
+    Digest,
+    store::{
+        error::StoreError,
+        pack::{Entry, Kind},
+    },
+};
+
+impl Index {
+    /// Tells that packs were joined into another; returns whether the index has it. If not, the new pack is useless.
+    pub(in crate::store) fn join(&self, into: &str, moved: &[(String, u64)]) -> Result<bool, StoreError> {
+        self.change(|connection| tables::join(connection, into, moved))
+    }
+
+    /// Tells that the objects of a pack that are registered there lie in another pack now; the first is forgotten.
+    pub(in crate::store) fn rewrite(
+        &self,
+        from: &str,
+        into: &str,
+        entries: &[Entry],
+    ) -> Result<bool, StoreError> {
+        self.change(|connection| tables::rewrite(connection, from, into, entries))
+    }
+
+    /// Tells where the objects of some packs lie now, and drops these packs; returns whether the index took it.
+    pub(in crate::store) fn compact(&self, packs: &[Compacted]) -> Result<bool, StoreError> {
+        self.change(|connection| tables::compact(connection, packs))
+    }
+
+    /// Drops packs with all their rows.
+    pub(in crate::store) fn forget(&self, files: &BTreeSet<String>) -> Result<bool, StoreError> {
+        self.change(|connection| tables::forget(connection, files))
+    }
+
+    /// Drops the rows of objects.
+    pub(in crate::store) fn remove(&self, objects: &[(Kind, Digest)]) -> Result<bool, StoreError> {
+        self.change(|connection| {
+            let mut objects = objects.iter();
+            objects.try_for_each(|(kind, id)| tables::remove(connection, *kind, id))
+        })
+    }
+
+    /// Makes a change in one transaction; returns whether it was made.
+    fn change(&self, change: impl Fn(&Connection) -> rusqlite::Result<()>) -> Result<bool, StoreError> {
+        // Rows in memory would name packs that are about to change.
+        if self.memory.lock().is_some() {
+            return Ok(false);
+        }
+        self.write(self.patience(), |connection| {
+            let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
+            match change(&transaction) {
+                Err(rusqlite::Error::QueryReturnedNoRows) => {
+                    Err(Trouble::Unusable("packs changed at the same time".to_owned()))
+                }
+                other => {
+                    other?;
+                    Ok(transaction.commit()?)
+                }
+            }
+        })
+    }
+}
