@@ -1,11 +1,12 @@
 //! What a filter is: a measure of one photo, and a decision by thresholds.
 
 use marf_cache::manifest::Row;
-use marf_stage::{ParamError, Scope, StageError, Verdict};
+use marf_stage::{ParamError, StageError, Verdict};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize, de::DeserializeOwned, de::IgnoredAny};
 
 use crate::by_hand::ByHand;
+use crate::comparison::AnyPass;
 use crate::decision::Decision;
 use crate::decoded::DecodedPhoto;
 
@@ -26,6 +27,8 @@ pub trait Filter: Send + Sync + Sized + 'static {
     type Params: Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static;
     /// What is measured of a photo.
     type Measure<'a>: Stored<'a>;
+    /// What decisions compare the photos of an instrument with; `()` where they look at the photo alone.
+    type Context: for<'a> Stored<'a>;
 
     /// Checks the thresholds.
     ///
@@ -36,8 +39,11 @@ pub trait Filter: Send + Sync + Sized + 'static {
     /// Returns the photos on which a person has decided.
     fn by_hand(params: &Self::Params) -> &ByHand;
 
-    /// Returns whether a decision looks at its photo alone, or at all photos of the set.
-    fn scope(params: &Self::Params) -> Scope;
+    /// Returns the passes over all photos that find [`Filter::Context`], in order; none where a decision looks at its photo
+    /// alone.
+    fn passes(_params: &Self::Params) -> &'static [&'static dyn AnyPass<Self>] {
+        &[]
+    }
 
     /// Measures one photo, as a pure function of its pixels; facts may change while the bytes stay, so they are read
     /// in `decide`. `None` where the facts are enough; `Measure` is then `()`.
@@ -49,22 +55,24 @@ pub trait Filter: Send + Sync + Sized + 'static {
     #[cfg(test)]
     const GUARD: crate::guard::Guard;
 
-    /// Returns one decision for each photo, in the same order; no decision depends on the order.
-    ///
-    /// The photos are those of one shard where the scope is [`Scope::Item`], else those of the set.
-    fn decide<'a>(params: &Self::Params, photos: &[MeasuredPhoto<'a, Self::Measure<'a>>]) -> Vec<Decision>;
+    /// Returns the decision on a photo. `context` is what its instrument is compared with; `None` where it is not.
+    fn decide<'a>(
+        params: &Self::Params,
+        context: Option<&Self::Context>,
+        photo: &MeasuredPhoto<'a, Self::Measure<'a>>,
+    ) -> Decision;
 }
 
-/// A measure as a table keeps it; it may borrow the kept bytes.
+/// A value that is kept as bytes; it may borrow them.
 pub trait Stored<'a>: Sized {
-    /// Returns the measure as bytes, the same on every machine.
+    /// Returns the value as bytes, the same on every machine.
     fn encode(&self) -> Vec<u8>;
 
     /// Reads what [`Stored::encode`] returned; `None` if the bytes are not that.
     fn decode(bytes: &'a [u8]) -> Option<Self>;
 }
 
-/// No measure: no bytes.
+/// Nothing: no bytes.
 impl Stored<'_> for () {
     fn encode(&self) -> Vec<u8> {
         Vec::new()

@@ -1,6 +1,6 @@
 //! The filter `grayscale`.
 
-use marf_stage::{ParamError, Scope};
+use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -90,6 +90,7 @@ impl Filter for Grayscale {
     const DECISION_VERSION: u32 = 0;
     type Params = GrayscaleParams;
     type Measure<'a> = ChannelSpread;
+    type Context = ();
     const MEASURE: Option<fn(&DecodedPhoto<'_>) -> ChannelSpread> = Some(|decoded| ChannelSpread {
         bands: decoded.photo.bands,
         pixels: spread(decoded.sample()),
@@ -109,15 +110,31 @@ impl Filter for Grayscale {
         check_range("min_share", params.min_share, 0.0, 1.0)
     }
 
-    fn scope(_: &GrayscaleParams) -> Scope {
-        Scope::Item
-    }
-
-    fn decide(params: &GrayscaleParams, photos: &[MeasuredPhoto<'_, ChannelSpread>]) -> Vec<Decision> {
-        photos
-            .iter()
-            .map(|photo| decide(params, &photo.measure))
-            .collect()
+    fn decide(
+        params: &GrayscaleParams,
+        _: Option<&()>,
+        photo: &MeasuredPhoto<'_, ChannelSpread>,
+    ) -> Decision {
+        let (share, least) = (photo.measure.share_above(params.min_spread), params.min_share);
+        if params.keep == Keep::All {
+            return Decision {
+                score: Some(share),
+                ..Decision::pass("")
+            };
+        }
+        if photo.measure.bands == 1 {
+            return Decision::reject(share, least, "one band");
+        }
+        if share < least {
+            let reason = format!(
+                "{:.2} % of pixels with channels more than {} apart, at least {:.2} %",
+                100.0 * share,
+                params.min_spread,
+                100.0 * least
+            );
+            return Decision::reject(share, least, reason);
+        }
+        Decision::keep(share, least)
     }
 }
 
@@ -145,28 +162,4 @@ impl ChannelSpread {
         let above = self.pixels.iter().skip(usize::from(limit) + 1);
         above.map(|count| u64::from(*count)).sum::<u64>() as f64 / all.max(1) as f64
     }
-}
-
-/// Decides on one photo.
-fn decide(params: &GrayscaleParams, measure: &ChannelSpread) -> Decision {
-    let (share, least) = (measure.share_above(params.min_spread), params.min_share);
-    if params.keep == Keep::All {
-        return Decision {
-            score: Some(share),
-            ..Decision::pass("")
-        };
-    }
-    if measure.bands == 1 {
-        return Decision::reject(share, least, "one band");
-    }
-    if share < least {
-        let reason = format!(
-            "{:.2} % of pixels with channels more than {} apart, at least {:.2} %",
-            100.0 * share,
-            params.min_spread,
-            100.0 * least
-        );
-        return Decision::reject(share, least, reason);
-    }
-    Decision::keep(share, least)
 }

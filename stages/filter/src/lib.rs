@@ -10,6 +10,7 @@ mod blur;
 mod by_hand;
 mod bytes;
 mod candidates;
+mod comparison;
 mod decision;
 mod decoded;
 mod descriptor;
@@ -44,6 +45,7 @@ use marf_stage::{StageDef, define};
 use survey::{Section, Surveyed};
 
 pub use by_hand::ByHand;
+pub use comparison::{AnyPass, Contexts, Pass};
 pub use decision::Decision;
 pub use decoded::DecodedPhoto;
 pub use filter::{Facts, Filter, MeasuredPhoto, Stored};

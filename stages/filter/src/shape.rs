@@ -1,15 +1,17 @@
 //! The filter `shape`.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use marf_stage::{ParamError, Scope};
+use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand::ByHand;
+use crate::bytes::{put_number, take_number};
+use crate::comparison::{AnyPass, Pass};
 use crate::decision::Decision;
 use crate::decoded::DecodedPhoto;
-use crate::filter::{Facts, Filter, MeasuredPhoto, check_range};
+use crate::filter::{Facts, Filter, MeasuredPhoto, Stored, check_range};
 #[cfg(test)]
 use crate::guard::Guard;
 
@@ -56,6 +58,7 @@ impl Filter for Shape {
     const DECISION_VERSION: u32 = 2;
     type Params = ShapeParams;
     type Measure<'a> = ();
+    type Context = UsualSizes;
     /// The size is a fact of the photo.
     const MEASURE: Option<fn(&DecodedPhoto<'_>)> = None;
 
@@ -75,72 +78,132 @@ impl Filter for Shape {
     }
 
     /// Without `min_share` no photo is compared with others.
-    fn scope(params: &ShapeParams) -> Scope {
+    fn passes(params: &ShapeParams) -> &'static [&'static dyn AnyPass<Self>] {
         if params.min_share == 0.0 {
-            Scope::Item
-        } else {
-            Scope::Set
+            return &[];
         }
+        &[&SizesPass]
     }
 
-    fn decide(params: &ShapeParams, photos: &[MeasuredPhoto<'_, ()>]) -> Vec<Decision> {
-        let counts = count_sizes(photos);
-        let decide_one =
-            |photo: &MeasuredPhoto<'_, ()>| decide(params, &photo.facts, counts.get(&photo.facts.instrument));
-        photos.iter().map(decide_one).collect()
+    fn decide(params: &ShapeParams, usual: Option<&UsualSizes>, photo: &MeasuredPhoto<'_, ()>) -> Decision {
+        decide(params, &photo.facts, usual)
     }
 }
 
-/// The number of photos of one instrument by size (short side, long side), pixels.
-#[derive(Default)]
-struct SizeCounts {
-    sizes: BTreeMap<(u32, u32), usize>,
-    photos: usize,
+/// Sizes (short side, long side), pixels.
+type Sides = (u32, u32);
+
+/// What the photos of one instrument are compared with.
+pub struct UsualSizes {
     /// Lower median of the short sides, pixels.
     median_short: u32,
+    /// The formats of the instrument with a short side that is too short for any other photo.
+    short_formats: BTreeSet<Sides>,
 }
 
-impl SizeCounts {
-    /// Returns the lower median of the short sides; 0 of no photos.
-    fn find_median_short(&self) -> u32 {
-        let mut below = 0;
-        for ((short, _), count) in &self.sizes {
-            below += count;
-            if 2 * below >= self.photos {
-                return *short;
-            }
+/// The median, then the sides of each format.
+impl Stored<'_> for UsualSizes {
+    fn encode(&self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        put_number(&mut bytes, u64::from(self.median_short));
+        for (short, long) in &self.short_formats {
+            let sides = [u64::from(*short), u64::from(*long)];
+            sides.into_iter().for_each(|side| put_number(&mut bytes, side));
         }
-        0
+        bytes
     }
 
-    /// Returns whether at least this share of the photos, and at least two, have a size.
-    fn is_common(&self, sides: (u32, u32), share: f64) -> bool {
-        let count = self.sizes.get(&sides).copied().unwrap_or(0);
-        count >= 2 && count as f64 >= share * self.photos as f64
+    fn decode(mut bytes: &[u8]) -> Option<Self> {
+        let median_short = take_side(&mut bytes)?;
+        let mut short_formats = BTreeSet::new();
+        while !bytes.is_empty() {
+            short_formats.insert((take_side(&mut bytes)?, take_side(&mut bytes)?));
+        }
+        Some(Self {
+            median_short,
+            short_formats,
+        })
     }
 }
 
-/// Counts the sizes of the photos of each instrument, without thumbnails: an archive may hold one for every photo.
-fn count_sizes<'a>(photos: &[MeasuredPhoto<'a, ()>]) -> BTreeMap<Option<&'a str>, SizeCounts> {
-    let mut counts = BTreeMap::<_, SizeCounts>::new();
-    for photo in photos.iter().filter(|photo| !photo.facts.thumbnail) {
-        let sizes = counts.entry(photo.facts.instrument).or_default();
-        *sizes.sizes.entry(sides(&photo.facts)).or_default() += 1;
-        sizes.photos += 1;
+fn take_side(bytes: &mut &[u8]) -> Option<u32> {
+    take_number(bytes).and_then(|side| u32::try_from(side).ok())
+}
+
+/// The number of photos by size, without thumbnails: an archive may hold one for every photo.
+struct SizesPass;
+
+impl Pass<Shape> for SizesPass {
+    const NAME: &'static str = "sizes";
+    type Total = BTreeMap<Sides, u64>;
+
+    /// Each size and its number.
+    fn summarise(_: Option<&UsualSizes>, photos: &[&MeasuredPhoto<'_, ()>]) -> Vec<u8> {
+        let mut sizes = BTreeMap::<Sides, u64>::new();
+        for photo in photos.iter().filter(|photo| !photo.facts.thumbnail) {
+            *sizes.entry(sides(&photo.facts)).or_default() += 1;
+        }
+        let mut bytes = Vec::new();
+        for ((short, long), count) in sizes {
+            let numbers = [u64::from(short), u64::from(long), count];
+            numbers
+                .into_iter()
+                .for_each(|number| put_number(&mut bytes, number));
+        }
+        bytes
     }
-    for sizes in counts.values_mut() {
-        sizes.median_short = sizes.find_median_short();
+
+    fn add(total: &mut Self::Total, mut summary: &[u8]) -> Option<()> {
+        while !summary.is_empty() {
+            let sides = (take_side(&mut summary)?, take_side(&mut summary)?);
+            let count = total.entry(sides).or_default();
+            *count = count.checked_add(take_number(&mut summary)?)?;
+        }
+        Some(())
     }
-    counts
+
+    fn conclude(params: &ShapeParams, _: Option<UsualSizes>, sizes: Self::Total) -> Option<UsualSizes> {
+        let photos: u64 = sizes.values().sum();
+        if photos == 0 || photos < u64::from(params.min_set) {
+            return None;
+        }
+        let median_short = median_short(&sizes, photos);
+        let least = least_short(params, median_short);
+        let is_common = |count: u64| count >= 2 && count as f64 >= params.common_share * photos as f64;
+        let formats = sizes
+            .into_iter()
+            .filter(|((short, _), count)| f64::from(*short) < least && is_common(*count));
+        Some(UsualSizes {
+            median_short,
+            short_formats: formats.map(|(sides, _)| sides).collect(),
+        })
+    }
+}
+
+/// Returns the lower median of the short sides; 0 of no photos.
+fn median_short(sizes: &BTreeMap<Sides, u64>, photos: u64) -> u32 {
+    let mut below = 0;
+    for ((short, _), count) in sizes {
+        below += count;
+        if 2 * below >= photos {
+            return *short;
+        }
+    }
+    0
+}
+
+/// Returns the least short side of a photo that has none of the formats.
+fn least_short(params: &ShapeParams, median_short: u32) -> f64 {
+    params.min_share * f64::from(median_short)
 }
 
 /// Returns the short and the long side.
-fn sides(facts: &Facts<'_>) -> (u32, u32) {
+fn sides(facts: &Facts<'_>) -> Sides {
     (facts.width.min(facts.height), facts.width.max(facts.height))
 }
 
 /// Decides on one photo.
-fn decide(params: &ShapeParams, facts: &Facts<'_>, counts: Option<&SizeCounts>) -> Decision {
+fn decide(params: &ShapeParams, facts: &Facts<'_>, usual: Option<&UsualSizes>) -> Decision {
     let (width, height) = (f64::from(facts.width), f64::from(facts.height));
     let size = format!("{} x {} pixels", facts.width, facts.height);
     if facts.thumbnail {
@@ -162,13 +225,13 @@ fn decide(params: &ShapeParams, facts: &Facts<'_>, counts: Option<&SizeCounts>) 
             format!("{size}, height at least {least}"),
         );
     }
-    let set = counts.filter(|counts| counts.photos >= params.min_set as usize);
-    let (short, usual) = (sides(facts).0, set.map_or(0, |counts| counts.median_short));
-    let least = params.min_share * f64::from(usual);
-    let common = counts.is_some_and(|counts| counts.is_common(sides(facts), params.common_share));
-    if f64::from(short) < least && !common {
+    let sides = sides(facts);
+    let (short, usual_short) = (sides.0, usual.map_or(0, |usual| usual.median_short));
+    let least = least_short(params, usual_short);
+    let is_format = usual.is_some_and(|usual| usual.short_formats.contains(&sides));
+    if f64::from(short) < least && !is_format {
         let reason =
-            format!("{size}, an odd one out: short side {short}, usual {usual}, at least {least:.0}");
+            format!("{size}, an odd one out: short side {short}, usual {usual_short}, at least {least:.0}");
         return Decision::reject(f64::from(short), least, reason);
     }
     Decision::keep(f64::from(short), least)

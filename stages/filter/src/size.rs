@@ -1,6 +1,6 @@
 //! The filter `size`.
 
-use marf_stage::{ParamError, Scope};
+use marf_stage::ParamError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -44,6 +44,7 @@ impl Filter for Size {
     const DECISION_VERSION: u32 = 2;
     type Params = SizeParams;
     type Measure<'a> = ();
+    type Context = ();
     /// The size is a fact of the photo.
     const MEASURE: Option<fn(&DecodedPhoto<'_>)> = None;
 
@@ -61,33 +62,24 @@ impl Filter for Size {
         check_range("min_bits_per_pixel", params.min_bits_per_pixel, 0.0, 48.0)
     }
 
-    fn scope(_: &SizeParams) -> Scope {
-        Scope::Item
+    fn decide(params: &SizeParams, _: Option<&()>, photo: &MeasuredPhoto<'_, ()>) -> Decision {
+        let (bytes, least) = (photo.facts.size_bytes, params.min_bytes);
+        if bytes < least {
+            return Decision::reject(
+                bytes as f64,
+                least as f64,
+                format!("{bytes} bytes, at least {least}"),
+            );
+        }
+        let pixels = u64::from(photo.facts.width) * u64::from(photo.facts.height);
+        let bits = (8 * bytes) as f64 / pixels.max(1) as f64;
+        if bits < params.min_bits_per_pixel {
+            let reason = format!(
+                "{bits:.3} bits a pixel ({bytes} bytes), at least {}",
+                params.min_bits_per_pixel
+            );
+            return Decision::reject(bits, params.min_bits_per_pixel, reason);
+        }
+        Decision::keep(bytes as f64, least as f64)
     }
-
-    fn decide(params: &SizeParams, photos: &[MeasuredPhoto<'_, ()>]) -> Vec<Decision> {
-        photos.iter().map(|photo| decide(params, photo)).collect()
-    }
-}
-
-/// Decides on one photo.
-fn decide(params: &SizeParams, photo: &MeasuredPhoto<'_, ()>) -> Decision {
-    let (bytes, least) = (photo.facts.size_bytes, params.min_bytes);
-    if bytes < least {
-        return Decision::reject(
-            bytes as f64,
-            least as f64,
-            format!("{bytes} bytes, at least {least}"),
-        );
-    }
-    let pixels = u64::from(photo.facts.width) * u64::from(photo.facts.height);
-    let bits = (8 * bytes) as f64 / pixels.max(1) as f64;
-    if bits < params.min_bits_per_pixel {
-        let reason = format!(
-            "{bits:.3} bits a pixel ({bytes} bytes), at least {}",
-            params.min_bits_per_pixel
-        );
-        return Decision::reject(bits, params.min_bits_per_pixel, reason);
-    }
-    Decision::keep(bytes as f64, least as f64)
 }

@@ -1,11 +1,14 @@
 //! A filter as a stage of a pipeline.
 
+use std::sync::Arc;
+
 use marf_cache::manifest::Row;
 use marf_stage::{
-    Ctx, Define, Map, Measure, Measured, PHOTOS, ParamError, Port, Scope, Stage, StageError, Table, VERDICTS,
-    Verdict, Work,
+    Comparison, Ctx, Define, Map, Measure, Measured, PHOTOS, ParamError, Port, Stage, StageError, Table,
+    VERDICTS, Verdict, Work,
 };
 
+use crate::comparison::Contexts;
 use crate::filter::{Facts, Filter, MeasuredPhoto, Stored, undecodable};
 use crate::survey::{Section, Surveyed, measure_row, measured, tables, unreadable};
 
@@ -75,40 +78,71 @@ impl<F: Filter> Measure for FilterStage<F> {
 }
 
 impl<F: Filter> Map for FilterStage<F> {
-    fn scope(&self) -> Scope {
-        F::scope(&self.params)
+    fn comparison(&self) -> Option<&dyn Comparison> {
+        let compares = !F::passes(&self.params).is_empty();
+        compares.then_some(self as &dyn Comparison)
     }
 
-    fn decide(&self, items: &[Measured<'_>]) -> Result<Vec<Verdict>, StageError> {
-        let mut photos = Vec::with_capacity(items.len());
-        let mut refused = Vec::new();
-        for (at, item) in items.iter().enumerate() {
-            let facts = Facts::of(item.row)?;
-            match read_measure::<F>(item)? {
-                Ok(measure) => photos.push(MeasuredPhoto {
-                    id: item.row.id.as_str(),
-                    facts,
-                    measure,
-                }),
-                Err(reason) => refused.push((at, undecodable(item.row, &facts, reason))),
-            }
-        }
+    fn decide(&self, context: &[u8], items: &[Measured<'_>]) -> Result<Vec<Verdict>, StageError> {
+        let contexts = Contexts::<F>::decode(context)?;
         let by_hand = F::by_hand(&self.params);
-        let mut decisions = photos.iter().zip(F::decide(&self.params, &photos));
-        let mut refused = refused.into_iter().peekable();
-        let mut verdicts = Vec::with_capacity(items.len());
-        for (at, item) in items.iter().enumerate() {
-            if let Some((_, verdict)) = refused.next_if(|(of, _)| *of == at) {
-                verdicts.push(verdict);
-                continue;
+        let decide = |item: &Measured<'_>| match read::<F>(item)? {
+            Err(refused) => Ok(refused),
+            Ok(photo) => {
+                let context = contexts.of(photo.facts.instrument);
+                let decision = F::decide(&self.params, context, &photo);
+                let decision = by_hand.overrule(photo.id, photo.facts.file, decision);
+                Ok(decision.verdict(F::NAME, item.row, &photo.facts))
             }
-            let missing = || StageError::new(format!("filter `{}` gave too few decisions", F::NAME));
-            let (photo, decision) = decisions.next().ok_or_else(missing)?;
-            let decision = by_hand.overrule(photo.id, photo.facts.file, decision);
-            verdicts.push(decision.verdict(F::NAME, item.row, &photo.facts));
-        }
-        Ok(verdicts)
+        };
+        items.iter().map(decide).collect()
     }
+}
+
+impl<F: Filter> Comparison for FilterStage<F> {
+    fn passes(&self) -> Vec<&'static str> {
+        F::passes(&self.params).iter().map(|pass| pass.name()).collect()
+    }
+
+    fn summarise(&self, pass: usize, context: &[u8], items: &[Measured<'_>]) -> Result<Vec<u8>, StageError> {
+        let before = before::<F>(pass, context)?;
+        let mut photos = Vec::with_capacity(items.len());
+        for item in items {
+            photos.extend(read::<F>(item)?.ok());
+        }
+        Ok(F::passes(&self.params)[pass].summarise(before.as_ref(), &photos))
+    }
+
+    fn context(
+        &self,
+        pass: usize,
+        context: &[u8],
+        summaries: &mut dyn Iterator<Item = Result<Arc<[u8]>, StageError>>,
+    ) -> Result<Vec<u8>, StageError> {
+        let before = before::<F>(pass, context)?;
+        let found = F::passes(&self.params)[pass].conclude(&self.params, before, summaries)?;
+        Ok(found.encode())
+    }
+}
+
+/// Reads the contexts before a pass; none before the first.
+fn before<F: Filter>(pass: usize, context: &[u8]) -> Result<Option<Contexts<F>>, StageError> {
+    (pass > 0).then(|| Contexts::decode(context)).transpose()
+}
+
+/// Reads a photo with its facts and its measure; the inner error is the verdict on one that could not be decoded.
+fn read<'a, F: Filter>(
+    item: &Measured<'a>,
+) -> Result<Result<MeasuredPhoto<'a, F::Measure<'a>>, Verdict>, StageError> {
+    let facts = Facts::of(item.row)?;
+    Ok(match read_measure::<F>(item)? {
+        Ok(measure) => Ok(MeasuredPhoto {
+            id: item.row.id.as_str(),
+            facts,
+            measure,
+        }),
+        Err(reason) => Err(undecodable(item.row, &facts, reason)),
+    })
 }
 
 /// Reads the measure of one filter; the inner error says why the photo could not be decoded.

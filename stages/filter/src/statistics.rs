@@ -1,89 +1,221 @@
-//! Statistics over the photos of one instrument.
+//! Distributions of values as counts in bins, which merge exactly in any order, and their quantiles.
 
 use std::collections::BTreeMap;
 
-use crate::filter::MeasuredPhoto;
+use crate::bytes::{put_number, take, take_number};
 
-/// Returns the indices of the photos of each instrument: photos of different cameras are not compared.
-pub(crate) fn group_by_instrument<M>(photos: &[MeasuredPhoto<'_, M>]) -> Vec<Vec<usize>> {
-    let mut groups = BTreeMap::<_, Vec<usize>>::new();
-    for (index, photo) in photos.iter().enumerate() {
-        groups.entry(photo.facts.instrument).or_default().push(index);
-    }
-    groups.into_values().collect()
+/// Bins of equal width in the logarithm, nearly: those of numbers of equal exponent and equal first bits of the mantissa. A
+/// bin is found without a logarithm, whose last bit would differ from machine to machine.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct LogBins {
+    /// Bits of the mantissa, at most 20: of `n` bits a bin is between 2^-(n+1) and 2^-n of its values wide.
+    pub(crate) bits: u32,
 }
 
-/// Values in ascending order, for quantiles that leave one of them out.
-pub(crate) struct SortedValues(Vec<f64>);
-
-impl SortedValues {
-    /// Sorts the values; none may be NaN.
-    pub(crate) fn new(mut values: Vec<f64>) -> Self {
-        values.sort_by(f64::total_cmp);
-        Self(values)
+impl LogBins {
+    /// Returns the bin of a value; one below 0 counts as 0, one that is infinite as the largest. `None` of what is no number.
+    pub(crate) fn of(self, value: f64) -> Option<u32> {
+        let bits = value.clamp(0.0, f64::MAX).to_bits() & !(1 << 63);
+        (!value.is_nan()).then_some((bits >> (f64::MANTISSA_DIGITS - 1 - self.bits)) as u32)
     }
 
-    /// Returns the quantile `numerator / denominator` of all values but one equal to `left_out`, linear between
-    /// neighbours; 0 if none is left.
-    pub(crate) fn quantile_without(&self, left_out: f64, numerator: usize, denominator: usize) -> f64 {
-        let gap = self.0.partition_point(|value| *value < left_out);
-        let last = match self.0.len() {
-            0 | 1 => return 0.0,
-            len => len - 2,
-        };
-        let at = |index: usize| self.0[if index < gap { index } else { index + 1 }];
-        let (whole, part) = (last * numerator / denominator, last * numerator % denominator);
-        if part == 0 {
-            return at(whole);
+    /// Returns the value in the middle of a bin; 0 of the first.
+    pub(crate) fn middle(self, bin: u32) -> f64 {
+        let dropped = f64::MANTISSA_DIGITS - 1 - self.bits;
+        match bin {
+            0 => 0.0,
+            bin => f64::from_bits((u64::from(bin) << dropped) | 1 << (dropped - 1)),
         }
-        at(whole) + (at(whole + 1) - at(whole)) * (part as f64 / denominator as f64)
     }
 }
 
-/// The values around the median, for medians that leave one value out; found in linear time.
-pub(crate) struct MiddleValues {
-    /// The values from the median of all but one on, as far as there are.
-    middle: [f64; 3],
-    count: usize,
+/// Appends the bins of values: how many differ, then each as its distance from the one before, twice and with 1 added where
+/// the number of values in it follows, which is 1 otherwise.
+pub(crate) fn put_bins(bytes: &mut Vec<u8>, mut bins: Vec<u32>) {
+    bins.sort_unstable();
+    let runs = bins.chunk_by(|a, b| a == b);
+    put_number(bytes, runs.clone().count() as u64);
+    let mut before = 0;
+    for run in runs {
+        put_number(bytes, 2 * u64::from(run[0] - before) + u64::from(run.len() > 1));
+        if run.len() > 1 {
+            put_number(bytes, run.len() as u64);
+        }
+        before = run[0];
+    }
 }
 
-impl MiddleValues {
-    /// Finds them; none may be NaN. Puts the values in another order.
-    pub(crate) fn of(values: &mut [f64]) -> Self {
-        let count = values.len();
-        let mut middle = [0.0; 3];
-        if count >= 2 {
-            let (_, first, above) = values.select_nth_unstable_by((count - 2) / 2, f64::total_cmp);
-            middle[0] = *first;
-            // The two smallest of the values above.
-            let (mut second, mut third) = (f64::INFINITY, f64::INFINITY);
-            for value in above {
-                third = third.min(second.max(*value));
-                second = second.min(*value);
-            }
-            (middle[1], middle[2]) = (second, third);
-        }
-        Self { middle, count }
+/// Removes what [`put_bins`] wrote from the front and passes on each bin and the number of values in it, ascending; `None` if it
+/// is cut short or something else.
+pub(crate) fn take_bins(bytes: &mut &[u8], mut found: impl FnMut(u32, u64) -> Option<()>) -> Option<()> {
+    let mut bin = 0;
+    for _ in 0..take_number(bytes)? {
+        let step = take_number(bytes)?;
+        bin = u32::try_from(step / 2)
+            .ok()
+            .and_then(|step| step.checked_add(bin))?;
+        let count = if step % 2 == 1 { take_number(bytes)? } else { 1 };
+        found(bin, count)?;
+    }
+    Some(())
+}
+
+/// The number of values in each bin that has any.
+#[derive(Debug, Default)]
+pub(crate) struct BinCounts(BTreeMap<u32, u64>);
+
+impl BinCounts {
+    /// Adds what [`put_bins`] wrote, and removes it from the front; `None` as of [`take_bins`].
+    pub(crate) fn take(&mut self, bytes: &mut &[u8]) -> Option<()> {
+        take_bins(bytes, |bin, count| {
+            let total = self.0.entry(bin).or_default();
+            *total = total.checked_add(count)?;
+            Some(())
+        })
     }
 
-    /// Returns the median of all values but one equal to `left_out`; 0 if none is left. Equal to
-    /// [`SortedValues::quantile_without`] of 1 / 2.
-    pub(crate) fn median_without(&self, left_out: f64) -> f64 {
-        if self.count < 2 {
-            return 0.0;
+    /// Returns a quantile as [`quantile_without`] does.
+    pub(crate) fn quantile_without(&self, quantile: Quantile, scale: LogBins) -> Steps {
+        let bins = self.0.iter().map(|(bin, count)| (*bin, *count));
+        quantile_without(bins, quantile, |bin| scale.middle(bin))
+    }
+}
+
+/// A quantile as a fraction, at most 1.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Quantile {
+    numerator: u64,
+    denominator: u64,
+}
+
+impl Quantile {
+    /// Half of the values are smaller.
+    pub(crate) const MEDIAN: Self = Self {
+        numerator: 1,
+        denominator: 2,
+    };
+    /// Three quarters of the values are smaller.
+    pub(crate) const UPPER_QUARTILE: Self = Self {
+        numerator: 3,
+        denominator: 4,
+    };
+}
+
+/// Returns a quantile of all values but one, for each bin that this one may be in: linear between neighbours, 0 if no value is
+/// left. `bins` ascend, each with the number of its values; `value` is that of a bin.
+pub(crate) fn quantile_without(
+    bins: impl Iterator<Item = (u32, u64)> + Clone,
+    quantile: Quantile,
+    value: impl Fn(u32) -> f64,
+) -> Steps {
+    let Quantile {
+        numerator,
+        denominator,
+    } = quantile;
+    let count: u64 = bins.clone().map(|(_, count)| count).sum();
+    let Some(last) = count.checked_sub(2) else {
+        return Steps::constant(0.0);
+    };
+    let (rank, part) = (last * numerator / denominator, last * numerator % denominator);
+    // The value left out decides which two of three neighbours the quantile is between.
+    let [low, middle, high] = at_ranks(bins, [rank, rank + 1, (rank + 2).min(count - 1)]);
+    let between = |low: u32, high: u32| {
+        let (low, high) = (value(low), value(high));
+        low + (high - low) * (part as f64 / denominator as f64)
+    };
+    let without_lower = between(middle, high);
+    let without_low_to_middle = (low + 1, between(low, high));
+    let without_higher = (middle + 1, between(low, middle));
+    Steps::of(without_lower, without_low_to_middle, without_higher)
+}
+
+/// Returns the bins of the values at three ascending ranks, counted from 0; each is below the number of values.
+fn at_ranks(bins: impl Iterator<Item = (u32, u64)>, ranks: [u64; 3]) -> [u32; 3] {
+    let (mut found, mut next, mut below) = ([0; 3], 0, 0);
+    for (bin, count) in bins {
+        below += count;
+        while next < ranks.len() && ranks[next] < below {
+            found[next] = bin;
+            next += 1;
         }
-        // The value left out is no later than index i exactly if the value there is not smaller.
-        let at = |index: usize| {
-            self.middle[if self.middle[index] < left_out {
-                index
-            } else {
-                index + 1
-            }]
-        };
-        if (self.count - 2).is_multiple_of(2) {
-            return at(0);
+    }
+    found
+}
+
+/// A number that depends on a bin: constant but for two steps at the most.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Steps {
+    /// The values below the first step, from it on, from the second step on.
+    values: [f64; 3],
+    /// The bins of the steps; [`Steps::NEVER`] of those there are not, which change no value.
+    from: [u32; 2],
+}
+
+impl Steps {
+    /// A bin that no value is in.
+    const NEVER: u32 = u32::MAX;
+
+    /// Returns the number that is the same for all bins.
+    pub(crate) fn constant(value: f64) -> Self {
+        Self {
+            values: [value; 3],
+            from: [Self::NEVER; 2],
         }
-        at(0) + (at(1) - at(0)) * 0.5
+    }
+
+    /// Returns the number that is `first`, from a bin on that of `second`, and from a bin no lower on that of `third`.
+    fn of(first: f64, second: (u32, f64), third: (u32, f64)) -> Self {
+        let mut steps = Self::constant(first);
+        if second.0 < third.0 {
+            steps.push(second);
+        }
+        steps.push(third);
+        steps
+    }
+
+    /// Adds a step above all others. One that changes nothing is left out, so that equal numbers have equal parts.
+    fn push(&mut self, (from, value): (u32, f64)) {
+        if value.to_bits() != self.values[2].to_bits() {
+            let at = usize::from(self.from[0] != Self::NEVER);
+            self.from[at] = from;
+            self.values[at + 1..].fill(value);
+        }
+    }
+
+    /// Returns the number of a bin; that of the highest for `None`.
+    pub(crate) fn at(&self, bin: Option<u32>) -> f64 {
+        let bin = bin.unwrap_or(Self::NEVER - 1);
+        self.values[self.from.iter().filter(|from| bin >= **from).count()]
+    }
+
+    /// Returns a function of the number.
+    pub(crate) fn map(&self, function: impl Fn(f64) -> f64) -> Self {
+        let [first, second, third] = self.values.map(function);
+        Self::of(first, (self.from[0], second), (self.from[1], third))
+    }
+
+    /// Appends the number of steps, the first value, and each step.
+    pub(crate) fn put(&self, bytes: &mut Vec<u8>) {
+        let steps = self.from.iter().zip(&self.values[1..]);
+        let steps = steps.filter(|(from, _)| **from != Self::NEVER);
+        put_number(bytes, steps.clone().count() as u64);
+        bytes.extend(self.values[0].to_le_bytes());
+        for (from, value) in steps {
+            put_number(bytes, u64::from(*from));
+            bytes.extend(value.to_le_bytes());
+        }
+    }
+
+    /// Removes what [`Steps::put`] wrote from the front; `None` if it is cut short or something else.
+    pub(crate) fn take(bytes: &mut &[u8]) -> Option<Self> {
+        let count = take_number(bytes)?;
+        let mut steps = Self::constant(f64::from_le_bytes(take(bytes)?));
+        for at in 0..usize::try_from(count).ok()? {
+            *steps.from.get_mut(at)? = u32::try_from(take_number(bytes)?).ok()?;
+            let value = f64::from_le_bytes(take(bytes)?);
+            steps.values[at + 1..].fill(value);
+        }
+        Some(steps)
     }
 }
 
@@ -93,31 +225,154 @@ mod tests {
 
     use super::*;
 
+    const SCALE: LogBins = LogBins { bits: 6 };
+
+    /// The quantile of all values but one, by sorting.
+    fn expected(values: &[f64], left_out: usize, numerator: usize, denominator: usize) -> f64 {
+        let mut others = values.to_vec();
+        others.remove(left_out);
+        others.sort_by(f64::total_cmp);
+        let Some(last) = others.len().checked_sub(1) else {
+            return 0.0;
+        };
+        let (whole, part) = (last * numerator / denominator, last * numerator % denominator);
+        if part == 0 {
+            return others[whole];
+        }
+        others[whole] + (others[whole + 1] - others[whole]) * (part as f64 / denominator as f64)
+    }
+
+    fn counts(parts: &[Vec<u32>]) -> BinCounts {
+        let mut counts = BinCounts::default();
+        for bins in parts {
+            let mut bytes = Vec::new();
+            put_bins(&mut bytes, bins.clone());
+            let mut rest = bytes.as_slice();
+            counts.take(&mut rest).unwrap();
+            assert!(rest.is_empty());
+        }
+        counts
+    }
+
     proptest! {
         #[test]
-        fn medians_are_those_of_the_sorted_values(steps in proptest::collection::vec(0_u8..6, 0..12), other in 0_u8..6) {
-            let values: Vec<f64> = steps.iter().map(|step| f64::from(*step) / 3.0).collect();
-            let (sorted, middle) = (SortedValues::new(values.clone()), MiddleValues::of(&mut values.clone()));
-            for left_out in values.iter().copied().chain([f64::from(other) / 3.0]) {
-                if values.contains(&left_out) {
-                    prop_assert_eq!(sorted.quantile_without(left_out, 1, 2), middle.median_without(left_out));
+        fn quantiles_of_bins_are_those_of_the_sorted_middles_whatever_the_parts(
+            parts in prop::collection::vec(prop::collection::vec(0_u32..7, 0..6), 0..4),
+        ) {
+            let (counts, bins) = (counts(&parts), parts.concat());
+            let values: Vec<f64> = bins.iter().map(|bin| SCALE.middle(1000 + bin)).collect();
+            let shifted: Vec<Vec<u32>> = vec![bins.iter().map(|bin| 1000 + bin).collect()];
+            for (quantile, numerator, denominator) in [(Quantile::MEDIAN, 1, 2), (Quantile::UPPER_QUARTILE, 3, 4)] {
+                let steps = quantile_without(
+                    counts.0.iter().map(|(bin, count)| (*bin, *count)), quantile, |bin| SCALE.middle(1000 + bin));
+                let moved = super::tests::counts(&shifted).quantile_without(quantile, SCALE);
+                for (at, bin) in bins.iter().enumerate() {
+                    let found = steps.at(Some(*bin));
+                    prop_assert_eq!(found, expected(&values, at, numerator, denominator), "{} of {:?}", bin, bins);
+                    prop_assert_eq!(found, moved.at(Some(1000 + bin)));
                 }
             }
         }
+
+        #[test]
+        fn bins_are_narrow_ascend_and_hold_their_middle(value in 1e-300_f64..1e300, other in 1e-300_f64..1e300) {
+            let bin = SCALE.of(value).unwrap();
+            let middle = SCALE.middle(bin);
+            prop_assert_eq!(SCALE.of(middle), Some(bin));
+            prop_assert!((value / middle - 1.0).abs() <= 1.0 / 128.0, "{value} in {middle}");
+            prop_assert_eq!(value < other && SCALE.of(value) > SCALE.of(other), false);
+        }
+
+        #[test]
+        fn steps_survive_their_bytes_and_are_equal_where_all_values_are(
+            pieces in (0_u8..3, 0_u32..9, 0_u8..3, 0_u32..9, 0_u8..3),
+        ) {
+            let (first, from, second, later, third) = pieces;
+            let steps = Steps::of(
+                f64::from(first), (from, f64::from(second)), (from + later, f64::from(third)));
+            for bin in 0..20 {
+                let expected = if bin < from { first } else if bin < from + later { second } else { third };
+                prop_assert_eq!(steps.at(Some(bin)), f64::from(expected));
+            }
+            prop_assert_eq!(steps.at(None), f64::from(third));
+            let mut bytes = Vec::new();
+            steps.put(&mut bytes);
+            let mut rest = bytes.as_slice();
+            prop_assert_eq!(Steps::take(&mut rest), Some(steps));
+            prop_assert!(rest.is_empty());
+            prop_assert_eq!(Steps::take(&mut &bytes[..bytes.len() - 1]), None);
+            let same = steps.map(|_| 5.0);
+            prop_assert_eq!(same, Steps::constant(5.0));
+        }
+    }
+
+    /// By hand, from the bits: 1 has exponent 1023 and no mantissa, 1.5 its first bit, 3.99 all bits of the exponent 1024.
+    #[test]
+    fn bins_are_those_of_the_first_bits() {
+        assert_eq!(SCALE.of(1.0), Some(1023 << 6));
+        assert_eq!(SCALE.of(1.5), Some((1023 << 6) + 32));
+        assert_eq!(SCALE.of(3.99), Some((1024 << 6) + 63));
+        assert_eq!(SCALE.middle(1023 << 6), 1.0 + 1.0 / 128.0);
     }
 
     #[test]
-    fn a_value_left_out_does_not_move_the_median() {
-        let ranked = SortedValues::new(vec![5.0, 1.0, 2.0, 100.0, 3.0]);
-        assert_eq!(ranked.quantile_without(100.0, 1, 2), 2.5);
-        assert_eq!(ranked.quantile_without(1.0, 1, 2), 4.0);
-        assert_eq!(ranked.quantile_without(3.0, 3, 4), 28.75);
+    fn values_at_the_extremes_have_a_bin_of_a_finite_middle_and_what_is_no_number_has_none() {
+        for zero in [0.0, -0.0, -3.0, f64::NEG_INFINITY, f64::from_bits(1)] {
+            assert_eq!(SCALE.of(zero), Some(0), "{zero}");
+        }
+        assert_eq!(SCALE.middle(0), 0.0);
+        for large in [f64::MAX, f64::INFINITY] {
+            let bin = SCALE.of(large).unwrap();
+            assert!(
+                SCALE.middle(bin).is_finite() && SCALE.middle(bin) > 1e308,
+                "{bin}"
+            );
+        }
+        assert_eq!(SCALE.of(f64::NAN), None);
+        assert_eq!(SCALE.of(-f64::NAN), None);
+    }
+
+    /// The values 1, 2, 3, 5 and 100: without 100 the median is 2.5, without 1 it is 4, and without 3 the upper quartile is
+    /// 28.75.
+    #[test]
+    fn the_value_left_out_does_not_move_the_median() {
+        let bins = [(1, 1), (2, 1), (3, 1), (5, 1), (100, 1)].into_iter();
+        let median = quantile_without(bins.clone(), Quantile::MEDIAN, f64::from);
+        assert_eq!((median.at(Some(100)), median.at(Some(1))), (2.5, 4.0));
+        let quartile = quantile_without(bins, Quantile::UPPER_QUARTILE, f64::from);
+        assert_eq!(quartile.at(Some(3)), 28.75);
     }
 
     #[test]
-    fn one_value_has_no_others() {
-        assert_eq!(SortedValues::new(vec![7.0]).quantile_without(7.0, 1, 2), 0.0);
-        assert_eq!(SortedValues::new(vec![]).quantile_without(7.0, 1, 2), 0.0);
-        assert_eq!(SortedValues::new(vec![7.0, 8.0]).quantile_without(7.0, 1, 2), 8.0);
+    fn one_value_has_no_others_and_a_million_equal_ones_have_no_steps() {
+        let of = |bins: &[(u32, u64)]| quantile_without(bins.iter().copied(), Quantile::MEDIAN, f64::from);
+        assert_eq!(of(&[]), Steps::constant(0.0));
+        assert_eq!(of(&[(7, 1)]), Steps::constant(0.0));
+        assert_eq!(
+            (
+                of(&[(7, 1), (8, 1)]).at(Some(7)),
+                of(&[(7, 1), (8, 1)]).at(Some(8))
+            ),
+            (8.0, 7.0)
+        );
+        assert_eq!(of(&[(7, 1_000_000)]), Steps::constant(7.0));
+        assert_eq!(of(&[(7, u64::from(u32::MAX) * 4)]), Steps::constant(7.0));
+    }
+
+    #[test]
+    fn bins_cut_short_or_beyond_all_numbers_are_refused() {
+        let mut bytes = Vec::new();
+        put_bins(&mut bytes, vec![300, 7, 300, 300]);
+        assert_eq!(bytes, [2, 14, 0xcb, 4, 3]);
+        for cut in 0..bytes.len() {
+            assert_eq!(
+                take_bins(&mut &bytes[..cut], |_, _| Some(())),
+                None,
+                "cut at {cut}"
+            );
+        }
+        let mut beyond = vec![1];
+        put_number(&mut beyond, 2 * u64::from(u32::MAX) + 2);
+        assert_eq!(take_bins(&mut beyond.as_slice(), |_, _| Some(())), None);
     }
 }

@@ -21,7 +21,7 @@ pub(crate) const CHANNELS: [(&str, usize, f64); 3] = [
     ("blue - green", 128, 4.0),
 ];
 /// Bins of all histograms.
-const BINS: usize = 512;
+pub(crate) const BINS: usize = 512;
 
 /// Histograms of brightness and colour differences of a photo, and counts of its lost areas. The counts stay as they are
 /// kept, some 0.6 KB a photo, since a decision on a set holds those of all its photos.

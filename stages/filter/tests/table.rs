@@ -10,7 +10,7 @@ use common::{
 use image::{DynamicImage, ImageFormat};
 use marf_filter::{STAGES, tables};
 use marf_scene::{Image, Srgb};
-use marf_stage::{Scope, Work};
+use marf_stage::Work;
 use proptest::prelude::*;
 use serde_json::json;
 
@@ -154,28 +154,29 @@ fn a_filter_that_measures_pixels_fills_the_tables_of_all_from_one_decode() {
 }
 
 #[test]
-fn a_decision_looks_at_the_set_only_where_its_rule_does() {
-    for (name, params, scope) in [
-        ("size", defaults(), Scope::Item),
-        ("shape", defaults(), Scope::Set),
-        ("shape", json!({"min_share": 0.0}), Scope::Item),
-        ("grayscale", defaults(), Scope::Item),
-        ("histogram", defaults(), Scope::Set),
-        ("histogram", json!({"rule": "paper"}), Scope::Set),
-        ("blur", defaults(), Scope::Set),
-        ("blur", json!({"rule": "laplacian"}), Scope::Item),
+fn a_decision_looks_at_other_photos_only_where_its_rule_does() {
+    for (name, params, passes) in [
+        ("size", defaults(), &[][..]),
+        ("shape", defaults(), &["sizes"]),
+        ("shape", json!({"min_share": 0.0}), &[]),
+        ("grayscale", defaults(), &[]),
+        ("histogram", defaults(), &["shares", "distances"]),
+        ("histogram", json!({"rule": "paper"}), &["sums"]),
+        ("blur", defaults(), &["ratios"]),
+        ("blur", json!({"rule": "laplacian"}), &[]),
     ] {
         let stage = bind(name, params.clone());
         let Work::Map(map) = stage.work() else {
             panic!("{name} is a map");
         };
-        assert_eq!(map.scope(), scope, "{name} {params}");
+        let found = map.comparison().map(|comparison| comparison.passes());
+        assert_eq!(found.unwrap_or_default(), passes, "{name} {params}");
     }
 }
 
-/// What makes a scope of one item right: each photo alone has the verdict that it has among the others.
+/// What makes a decision without a comparison right: each photo alone has the verdict that it has among the others.
 #[test]
-fn a_decision_on_one_photo_is_that_among_others_where_the_scope_is_the_photo() {
+fn a_decision_on_one_photo_is_that_among_others_where_photos_are_not_compared() {
     let photos = mixed();
     for (name, params) in [
         ("size", defaults()),

@@ -11,7 +11,25 @@ use marf_cache::{
 };
 use parking_lot::Mutex;
 
-use crate::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Keep, Memos, Progress};
+use crate::{
+    BlobError, Blobs, Cancel, Checkpoints, Ctx, Keep, Map, Measured, Memos, Progress, StageError, Verdict,
+};
+
+/// Returns the verdicts on the items of each shard, in the same order, after all passes of the comparison.
+///
+/// # Errors
+/// The first of the stage.
+pub fn decide(map: &dyn Map, shards: &[Vec<Measured<'_>>]) -> Result<Vec<Vec<Verdict>>, StageError> {
+    let mut context = Vec::new();
+    if let Some(comparison) = map.comparison() {
+        for pass in 0..comparison.passes().len() {
+            let summarise = |items: &Vec<Measured<'_>>| comparison.summarise(pass, &context, items);
+            let mut summaries = shards.iter().map(|items| summarise(items).map(Arc::from));
+            context = comparison.context(pass, &context, &mut summaries)?;
+        }
+    }
+    shards.iter().map(|items| map.decide(&context, items)).collect()
+}
 
 /// A store in memory; progress is ignored.
 #[derive(Default)]

@@ -11,7 +11,7 @@ mod document;
 mod error;
 pub mod harness;
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, sync::Arc};
 
 use marf_cache::{ContentHash, Digest, canonical_json, manifest::Row};
 use serde::{Deserialize, Serialize};
@@ -252,27 +252,54 @@ pub struct Measured<'a> {
     pub measure: &'a [u8],
 }
 
-/// How far the verdict on an item looks.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Scope {
-    /// At the item alone: a new shard changes no verdict on another.
-    Item,
-    /// At all items of the set.
-    Set,
-}
-
 /// Accepts or rejects each item by its measure.
 pub trait Map: Measure {
-    /// Returns how far a verdict looks.
-    fn scope(&self) -> Scope;
+    /// Returns how items are compared with each other; `None` where a verdict looks at its item alone: a new shard then
+    /// changes no verdict on another.
+    fn comparison(&self) -> Option<&dyn Comparison> {
+        None
+    }
 
-    /// Returns one verdict for each item, in the same order. Cheap: runs whenever a threshold changes.
+    /// Returns one verdict for each item of a shard, in the same order. Cheap: runs whenever a threshold changes.
     ///
-    /// The items are those of one shard where the scope is [`Scope::Item`], else those of the set.
+    /// `context` is that of the last pass of [`Map::comparison`]; empty without a comparison.
     ///
     /// # Errors
-    /// A measure that cannot be read.
-    fn decide(&self, items: &[Measured<'_>]) -> Result<Vec<Verdict>, StageError>;
+    /// A measure or a context that cannot be read.
+    fn decide(&self, context: &[u8], items: &[Measured<'_>]) -> Result<Vec<Verdict>, StageError>;
+}
+
+/// Compares the items of a set with each other without holding them all: in each pass every shard is summarised, and the
+/// summaries become a context, which the next pass and in the end the decision look at.
+///
+/// A new shard is summarised alone. If the context comes out equal, it is also decided alone; else all shards are decided
+/// again, from kept measures.
+pub trait Comparison: Send + Sync {
+    /// Returns the names of the passes, in order, one at the least. A name stands for what a summary is: no parameter changes
+    /// a summary of the same name, context and shard.
+    fn passes(&self) -> Vec<&'static str>;
+
+    /// Returns what the items of a shard add in a pass, whatever their order: bytes whose number follows from this shard
+    /// alone. `context` is that of the pass before; empty in the first.
+    ///
+    /// # Errors
+    /// A measure or a context that cannot be read.
+    fn summarise(&self, pass: usize, context: &[u8], items: &[Measured<'_>]) -> Result<Vec<u8>, StageError>;
+
+    /// Returns the context after a pass from the summaries of all shards, whatever their order and however items are
+    /// spread over them. `context` is that of the pass before; empty in the first.
+    ///
+    /// Equal contexts have equal bytes, and they hold nothing that changes no later pass and no verdict: what is not in them
+    /// is what makes no shard be decided again.
+    ///
+    /// # Errors
+    /// The first error of `summaries`, and a summary or a context that cannot be read.
+    fn context(
+        &self,
+        pass: usize,
+        context: &[u8],
+        summaries: &mut dyn Iterator<Item = Result<Arc<[u8]>, StageError>>,
+    ) -> Result<Vec<u8>, StageError>;
 }
 
 /// Accepts or rejects items shard by shard, each with what earlier shards added to a state.

@@ -1,16 +1,17 @@
 //! How much a node would look at if it ran now, from the keys of its parts.
 
-use marf_cache::{Store, StoreError};
-use marf_stage::{Inputs, PHOTOS, Scope, Stage, Work};
+use marf_cache::{Record, Store, StoreError};
+use marf_stage::{Inputs, Map, PHOTOS, Stage, Work};
 use serde::Serialize;
 
 use super::{
+    compare::{Context, part_inputs, summary_of},
     fold,
-    map::leaf_inputs,
     source::fetch_inputs,
     stage_run::{ADDED, PartKind, part_key},
 };
 use crate::{
+    errors::store_error,
     items::{ShardLeaves, by_shard, rows_of},
     key::Key,
     listing::Listed,
@@ -42,7 +43,7 @@ pub(crate) fn extent(
     };
     let shards = by_shard(&set);
     let missing: Vec<&ShardLeaves> = match stage.work() {
-        Work::Map(map) if map.scope() == Scope::Item => missing_decisions(store, key, &shards)?,
+        Work::Map(map) => missing_parts(store, map, key, &shards)?,
         Work::Fold(_) => missing_steps(store, key, &shards)?,
         _ => shards.iter().collect(),
     };
@@ -64,17 +65,61 @@ fn of_source(store: &Store, key: &Key, listed: &Listed) -> Result<Extent, StoreE
     })
 }
 
-fn missing_decisions<'a>(
+/// Returns the shards of a map without a summary, where there are such; else those without a decision. Whether new summaries
+/// change the decisions on other shards is known only when they are made.
+fn missing_parts<'a>(
     store: &Store,
+    map: &dyn Map,
     key: &Key,
     shards: &'a [ShardLeaves],
 ) -> Result<Vec<&'a ShardLeaves>, StoreError> {
-    let mut missing = Vec::new();
-    for shard in shards {
-        let part = part_key(&key.action, PartKind::Decide, shard.0, leaf_inputs(shard));
-        missing.extend(store.hit(&part.digest)?.is_none().then_some(shard));
+    let mut context = Context::default();
+    if let Some(comparison) = map.comparison() {
+        for (index, name) in comparison.passes().into_iter().enumerate() {
+            let found = find(store, key, PartKind::Summarise(name), shards, &context)?;
+            let summaries: Vec<_> = found
+                .iter()
+                .map(|record| record.as_ref().and_then(summary_of))
+                .collect();
+            let missing = lacking(shards, &summaries);
+            if !missing.is_empty() {
+                return Ok(missing);
+            }
+            let summaries = summaries.iter().flatten();
+            let mut summaries = summaries.map(|summary| store.get(summary).map_err(store_error));
+            match comparison.context(index, &context.bytes, &mut summaries) {
+                Ok(bytes) => context = Context::of(bytes),
+                // The run makes again what cannot be read, and then all may be decided again.
+                Err(_) => return Ok(shards.iter().collect()),
+            }
+        }
     }
-    Ok(missing)
+    let decisions = find(store, key, PartKind::Decide, shards, &context)?;
+    Ok(lacking(shards, &decisions))
+}
+
+/// Returns the record of the part of each shard that looks at a context.
+fn find(
+    store: &Store,
+    key: &Key,
+    part: PartKind,
+    shards: &[ShardLeaves],
+    context: &Context,
+) -> Result<Vec<Option<Record>>, StoreError> {
+    let find = |shard: &ShardLeaves| {
+        let part = part_key(&key.action, part, shard.0, part_inputs(shard, context));
+        store.hit(&part.digest)
+    };
+    shards.iter().map(find).collect()
+}
+
+/// Returns the shards of which nothing was found.
+fn lacking<'a, T>(shards: &'a [ShardLeaves], found: &[Option<T>]) -> Vec<&'a ShardLeaves> {
+    let pairs = shards.iter().zip(found);
+    pairs
+        .filter(|(_, found)| found.is_none())
+        .map(|(shard, _)| shard)
+        .collect()
 }
 
 /// Returns the shards from the first step without a record on.

@@ -1,10 +1,12 @@
 //! The kinds of work: what a node does when its key is not in the store.
 
+mod compare;
 mod expand;
 mod extent;
 mod fold;
 mod map;
 mod measure;
+mod shards;
 mod source;
 mod stage_run;
 

@@ -8,6 +8,7 @@ use marf_cache::{
     read_digest_list,
 };
 use marf_stage::{Ctx, Inputs, Outputs, PHOTOS, Stage, StageDef, StageError, VERDICTS};
+use serde_json::json;
 
 use crate::{
     errors::{contract_violation, store_error},
@@ -54,18 +55,21 @@ pub(crate) struct StageRun<'a> {
 pub(super) enum PartKind {
     /// A shard of a source.
     Fetch,
+    /// The summary of a shard for a pass of this name.
+    Summarise(&'static str),
     /// The decision on a shard.
     Decide,
     /// A step of a fold.
     Fold,
 }
 
-/// Returns the key of the part of a node that is about one shard.
+/// Returns the key of the part of a node that is about one shard. No parameter is in that of a summary.
 pub(super) fn part_key(node: &Action, part: PartKind, shard: u32, inputs: BTreeMap<String, Digest>) -> Key {
-    let name = match part {
-        PartKind::Fetch => "fetch",
-        PartKind::Decide => "decide",
-        PartKind::Fold => "fold",
+    let (name, params) = match part {
+        PartKind::Fetch => ("fetch", node.params.clone()),
+        PartKind::Summarise(pass) => ("summarise", json!({ "pass": pass })),
+        PartKind::Decide => ("decide", node.params.clone()),
+        PartKind::Fold => ("fold", node.params.clone()),
     };
     Key::of(Action {
         action: ACTION_FORMAT,
@@ -73,7 +77,7 @@ pub(super) fn part_key(node: &Action, part: PartKind, shard: u32, inputs: BTreeM
         version: node.version,
         part: Some(name.to_owned()),
         shard: Some(shard),
-        params: node.params.clone(),
+        params,
         inputs,
         backend: None,
         children: BTreeMap::new(),
@@ -105,14 +109,18 @@ impl StageRun<'_> {
         part_key(&self.key.action, part, shard, inputs)
     }
 
+    /// Returns the record of a part, if all is there that this run asks for.
+    pub(super) fn part_record(&self, key: &Digest) -> Result<Option<Record>, StageError> {
+        let record = self.store.hit(key).map_err(store_error)?;
+        let is_whole = |record: &Record| self.check == BlobCheck::Outputs || has_needs(self.store, record);
+        Ok(record.filter(is_whole))
+    }
+
     /// Returns the stored result of a part, if it is whole.
     pub(super) fn part_hit(&self, key: &Digest) -> Result<Option<Part>, StageError> {
-        let Some(record) = self.store.hit(key).map_err(store_error)? else {
+        let Some(record) = self.part_record(key)? else {
             return Ok(None);
         };
-        if self.check == BlobCheck::Needs && !has_needs(self.store, &record) {
-            return Ok(None);
-        }
         let refs = |name: &str| match record.outputs.get(name) {
             Some(output) => read_refs(&self.ctx, &output.digest),
             None => Err(contract_violation(format!("a part lacks its output `{name}`"))),
@@ -144,11 +152,21 @@ impl StageRun<'_> {
             (VERDICTS.to_owned(), write_refs(&ctx, &part.verdicts)?),
         ]);
         outputs.extend(part.added.map(|added| (ADDED.to_owned(), added)));
+        self.put_outputs(key, outputs, blobs.take_stored())
+    }
+
+    /// Stores the record of a part with the next commit; `stored` is what it needs, its outputs among it.
+    pub(super) fn put_outputs(
+        &self,
+        key: &Key,
+        outputs: Outputs,
+        stored: Vec<Digest>,
+    ) -> Result<(), StageError> {
         put_action(self.store, key)?;
         self.store.put_record(Record {
             key: key.digest,
             stage: self.def.name.to_owned(),
-            needs: put_needs(self.store, blobs.take_stored(), &outputs)?,
+            needs: put_needs(self.store, stored, &outputs)?,
             outputs: with_lengths(self.store, outputs)?,
             parts: None,
             children: BTreeMap::new(),

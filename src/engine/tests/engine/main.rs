@@ -1,8 +1,9 @@
-//! The engine run on small stages: what runs, failures, devices, and the checks of graphs.
+//! The engine run on small stages: what runs, comparisons, failures, devices, and the checks of graphs.
 
 #![allow(clippy::unwrap_used, reason = "a test that is set up wrong should stop")]
 
 mod common;
+mod compare;
 mod damage;
 mod devices;
 mod earlier;

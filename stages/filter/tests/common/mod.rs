@@ -11,7 +11,10 @@ use image::ImageFormat;
 use marf_cache::manifest::Row;
 use marf_filter::STAGES;
 use marf_scene::{Image, Photo, PhotoFacts};
-use marf_stage::{Measure, Measured, Stage, StageDef, StageError, Verdict, Work, harness::Harness};
+use marf_stage::{
+    Measure, Measured, Stage, StageDef, StageError, Verdict, Work,
+    harness::{Harness, decide},
+};
 use serde_json::{Value, json};
 
 pub use pictures::*;
@@ -80,7 +83,7 @@ impl Photos {
     /// Returns the verdicts of a filter on one sol, or its error.
     pub fn try_decide(&self, stage: &dyn Stage, items: &[Measured<'_>]) -> Result<Vec<Verdict>, StageError> {
         match stage.work() {
-            Work::Map(map) => map.decide(items),
+            Work::Map(map) => Ok(decide(map, &[items.to_vec()])?.concat()),
             Work::Fold(fold) => Ok(fold.begin().fold(&self.harness.ctx(), items)?.1),
             _ => panic!("a filter is a map or a fold"),
         }

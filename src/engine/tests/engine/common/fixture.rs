@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 type AtMeasure = Box<dyn Fn(usize) + Send>;
 type AtSum = Arc<dyn Fn() + Send + Sync>;
+type AtContext = Arc<dyn Fn(usize) + Send + Sync>;
 
 /// The archive of one test (shard -> name -> number), and a log of what its stages did.
 ///
@@ -31,6 +32,8 @@ pub struct Fixture {
     pub at_measure: Mutex<Option<AtMeasure>>,
     /// Called when a sum begins.
     pub at_sum: Mutex<Option<AtSum>>,
+    /// Called when the context of a pass is made.
+    pub at_context: Mutex<Option<AtContext>>,
     /// Threads that each sum was given.
     pub sum_threads: Mutex<Vec<usize>>,
 }

@@ -1,5 +1,7 @@
 //! Small stages, a pipeline of them, and an event log, for tests of the engine.
 
+mod crowd;
+mod damage;
 mod events;
 mod fixture;
 mod pipeline;
@@ -11,6 +13,7 @@ use marf_cache::{
 };
 use marf_engine::{Cancel, Graph, Options, RunRecord};
 
+pub use damage::{damage, damage_each_object, damage_object, packs_with};
 pub use events::{EventLog, node_events, ran, reason_of, warnings};
 pub use fixture::{Fixture, new_fixture};
 pub use pipeline::{TABLE, TestPipeline, node};

@@ -3,13 +3,17 @@
 use marf_engine::{Edge, Graph, NodeDecl};
 use marf_stage::{StageDef, define};
 
-use super::stages::{Append, Archive, AtMost, Broken, Distinct, Draw, Many, Sum};
+use super::{
+    crowd::Crowd,
+    stages::{Append, Archive, AtMost, Broken, Distinct, Draw, Many, Sum},
+};
 
 /// The stages of the tests.
 pub const TABLE: &[StageDef] = &[
     define::<Append>(),
     define::<Archive>(),
     define::<AtMost>(),
+    define::<Crowd>(),
     define::<Distinct>(),
     define::<Sum>(),
     define::<Draw>(),

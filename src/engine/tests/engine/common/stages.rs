@@ -151,9 +151,9 @@ impl Source for Archive {
 }
 
 /// Whether a photo stays.
-struct Keeps(bool);
+pub struct Keeps(pub bool);
 
-fn verdict(id: &str, keeps: Keeps, score: Option<f64>) -> Verdict {
+pub fn verdict(id: &str, keeps: Keeps, score: Option<f64>) -> Verdict {
     Verdict {
         id: id.to_owned(),
         file: format!("{id}.png"),
@@ -173,7 +173,7 @@ fn number_of(ctx: &Ctx<'_>, row: &Row) -> Result<u64, StageError> {
     Ok(text.strip_prefix("image ").unwrap().parse().unwrap())
 }
 
-fn measure_number(number: u64, ctx: &Ctx<'_>, row: &Row) -> Result<Vec<u8>, StageError> {
+pub fn measure_number(number: u64, ctx: &Ctx<'_>, row: &Row) -> Result<Vec<u8>, StageError> {
     let fixture = fixture(number);
     let before = {
         let mut measured = fixture.measured.lock();
@@ -186,7 +186,7 @@ fn measure_number(number: u64, ctx: &Ctx<'_>, row: &Row) -> Result<Vec<u8>, Stag
     Ok(number_of(ctx, row)?.to_le_bytes().to_vec())
 }
 
-fn read(measure: &[u8]) -> u64 {
+pub fn read(measure: &[u8]) -> u64 {
     u64::from_le_bytes(measure.try_into().unwrap())
 }
 
@@ -204,11 +204,7 @@ impl Measure for AtMost {
 }
 
 impl Map for AtMost {
-    fn scope(&self) -> Scope {
-        Scope::Item
-    }
-
-    fn decide(&self, items: &[Measured<'_>]) -> Result<Vec<Verdict>, StageError> {
+    fn decide(&self, _context: &[u8], items: &[Measured<'_>]) -> Result<Vec<Verdict>, StageError> {
         let score = |item: &Measured<'_>| read(item.measure);
         let judge = |item: &Measured<'_>| {
             verdict(

@@ -1,0 +1,162 @@
+//! Comparisons: what the rows of a set are compared with, from summaries of its shards. Each summary has its record, so a
+//! new shard is summarised alone.
+
+use std::{
+    collections::BTreeMap,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+};
+
+use marf_cache::{Digest, Record};
+use marf_stage::{Comparison, Map, Outputs, StageError};
+
+use super::{
+    map::leaf_inputs,
+    measure::{MeasuredShard, measure},
+    shards::shard_parts,
+    stage_run::{PartKind, StageRun},
+};
+use crate::{
+    errors::{contract_violation, store_error},
+    items::{ShardLeaves, rows_of},
+    key::Key,
+};
+
+/// Name of the input of a part that is the context it looks at.
+const CONTEXT: &str = "context";
+/// Name of the output of a part that is the summary of a shard.
+const SUMMARY: &str = "summary";
+
+/// What came of all passes so far; empty before the first.
+#[derive(Debug, Default)]
+pub(super) struct Context {
+    pub(super) bytes: Vec<u8>,
+    digest: Option<Digest>,
+}
+
+impl Context {
+    /// Returns the context of these bytes.
+    pub(super) fn of(bytes: Vec<u8>) -> Self {
+        Self {
+            digest: Some(Digest::of(&bytes)),
+            bytes,
+        }
+    }
+}
+
+/// What the decisions of a map look at beside their rows.
+#[derive(Debug, Default)]
+pub(super) struct Compared {
+    pub(super) context: Context,
+    /// Keys of the summaries by shard, pass after pass.
+    pub(super) keys: Vec<(u32, Digest)>,
+    /// Number of summaries that no earlier run had made.
+    pub(super) summarised: u64,
+    /// Number of rows that no earlier run had measured.
+    pub(super) measured: u64,
+}
+
+/// Returns the inputs of the part that looks at a shard and a context: its summary, or its decision.
+pub(super) fn part_inputs(shard: &ShardLeaves, context: &Context) -> BTreeMap<String, Digest> {
+    let context = context.digest.map(|digest| (CONTEXT.to_owned(), digest));
+    leaf_inputs(shard).into_iter().chain(context).collect()
+}
+
+/// Returns the summary that a record holds.
+pub(super) fn summary_of(record: &Record) -> Option<Digest> {
+    record.outputs.get(SUMMARY).map(|output| output.digest)
+}
+
+/// Runs all passes of a comparison.
+pub(super) fn compare(
+    run: &StageRun<'_>,
+    map: &dyn Map,
+    comparison: &dyn Comparison,
+    shards: &[ShardLeaves],
+) -> Result<Compared, StageError> {
+    let mut compared = Compared::default();
+    for (index, name) in comparison.passes().into_iter().enumerate() {
+        let pass = Pass {
+            run,
+            map,
+            comparison,
+            index,
+            before: &compared.context,
+            made: AtomicU64::new(0),
+            measured: AtomicU64::new(0),
+        };
+        let found = shard_parts(
+            run,
+            map,
+            shards,
+            |shard| {
+                run.part_key(
+                    PartKind::Summarise(name),
+                    shard.0,
+                    part_inputs(shard, pass.before),
+                )
+            },
+            |key| Ok(run.part_record(key)?.as_ref().and_then(summary_of)),
+            |key, shard| pass.summarise(key, &shard),
+        )?;
+        let mut summaries = shards
+            .iter()
+            .zip(&found.keys)
+            .zip(&found.parts)
+            .map(|((shard, key), summary)| pass.read(shard, key, summary));
+        let context = Context::of(comparison.context(index, &pass.before.bytes, &mut summaries)?);
+        run.ctx.put(&context.bytes)?;
+        let keys = shards.iter().zip(&found.keys);
+        compared
+            .keys
+            .extend(keys.map(|(shard, key)| (shard.0, key.digest)));
+        compared.summarised += pass.made.into_inner();
+        compared.measured += found.measured + pass.measured.into_inner();
+        compared.context = context;
+    }
+    Ok(compared)
+}
+
+/// One pass over all shards.
+struct Pass<'a> {
+    run: &'a StageRun<'a>,
+    map: &'a dyn Map,
+    comparison: &'a dyn Comparison,
+    index: usize,
+    before: &'a Context,
+    /// Number of summaries made.
+    made: AtomicU64,
+    /// Number of rows measured for summaries that were lost.
+    measured: AtomicU64,
+}
+
+impl Pass<'_> {
+    /// Summarises a shard and stores its summary as a part.
+    fn summarise(&self, key: &Key, shard: &MeasuredShard) -> Result<Digest, StageError> {
+        let summary = self
+            .comparison
+            .summarise(self.index, &self.before.bytes, &shard.items())?;
+        let summary = self.run.store.put(&summary).map_err(store_error)?;
+        let outputs = Outputs::from([(SUMMARY.to_owned(), summary)]);
+        self.run.put_outputs(key, outputs, Vec::new())?;
+        self.made.fetch_add(1, Ordering::Relaxed);
+        Ok(summary)
+    }
+
+    /// Reads the summary of a shard; one that is lost is made again.
+    fn read(&self, shard: &ShardLeaves, key: &Key, summary: &Digest) -> Result<Arc<[u8]>, StageError> {
+        self.run.ctx.check()?;
+        match self.run.ctx.get(summary) {
+            Err(StageError::Blob(error)) if error.lost.is_some() => {
+                let mut read = measure(self.run, self.map, &[shard], (0, rows_of(&shard.1)))?;
+                self.measured.fetch_add(read.measured, Ordering::Relaxed);
+                let shard = read.shards.pop();
+                let shard = shard.ok_or_else(|| contract_violation("a shard was not read".to_owned()))?;
+                self.run.ctx.get(&self.summarise(key, &shard)?)
+            }
+            summary => summary,
+        }
+    }
+}
