@@ -28,7 +28,7 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 19] = [
+const CRATES: [Crate; 20] = [
     row("shaders", "marf-shaders", &[]),
     row("cache/derive", "marf-cache-derive", &[]),
     row("cache", "marf-cache", &["marf-cache-derive"]),
@@ -104,6 +104,11 @@ const CRATES: [Crate; 19] = [
     ),
     row("src/engine", "marf-engine", &["marf-cache", "marf-stage"]),
     row(
+        "src/provenance",
+        "marf-provenance",
+        &["marf-cache", "marf-stage", "marf-engine"],
+    ),
+    row(
         "",
         "marf",
         &[
@@ -120,11 +125,12 @@ const CRATES: [Crate; 19] = [
 ];
 
 /// Packages that only these crates may use.
-const RESTRICTED: [(&str, &[&str]); 8] = [
+const RESTRICTED: [(&str, &[&str]); 9] = [
     ("kamadak-exif", &["marf-pds"]),
     ("petgraph", &["marf-engine"]),
     ("reflink-copy", &["marf-cache"]),
     ("reqwest", &["marf-extract"]),
+    ("ring", &["marf-cache"]),
     ("rusqlite", &["marf-cache"]),
     ("rustls", &["marf-extract"]),
     ("tokio", &["marf-extract", "marf"]),

@@ -1,4 +1,4 @@
-//! Digests: names of byte strings and keys of actions.
+//! Digests: names of byte strings and keys of actions, and the digest by which others know a byte string.
 
 use std::{fmt, str::FromStr};
 
@@ -7,6 +7,10 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
 /// A blake3 digest of 32 bytes: of a blob, or of the content of a key.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Digest([u8; 32]);
+
+/// A SHA-256 digest of 32 bytes: how archives, bags and signatures name a byte string. Nothing in the store is found by it.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Sha256([u8; 32]);
 
 /// The text is not 64 hexadecimal digits.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -35,39 +39,61 @@ impl Digest {
     }
 }
 
-impl fmt::Display for Digest {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+impl Sha256 {
+    /// Returns the digest of a byte string.
+    pub fn of(bytes: &[u8]) -> Self {
+        let digest = ring::digest::digest(&ring::digest::SHA256, bytes);
+        let mut whole = [0; 32];
+        whole.copy_from_slice(digest.as_ref());
+        Self(whole)
     }
 }
 
-impl fmt::Debug for Digest {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Digest({})", self.short())
-    }
+/// Writes and reads a digest as 64 hexadecimal digits.
+macro_rules! as_text {
+    ($type:ident) => {
+        impl fmt::Display for $type {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+            }
+        }
+
+        impl fmt::Debug for $type {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                write!(
+                    f,
+                    concat!(stringify!($type), "({})"),
+                    &self.to_string()[..12]
+                )
+            }
+        }
+
+        impl FromStr for $type {
+            type Err = ParseDigestError;
+
+            fn from_str(text: &str) -> Result<Self, Self::Err> {
+                let bytes = blake3::Hash::from_hex(text).map_err(|_| ParseDigestError(text.to_owned()))?;
+                Ok(Self(*bytes.as_bytes()))
+            }
+        }
+
+        impl Serialize for $type {
+            fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                serializer.collect_str(self)
+            }
+        }
+
+        impl<'de> Deserialize<'de> for $type {
+            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                let text = String::deserialize(deserializer)?;
+                text.parse().map_err(D::Error::custom)
+            }
+        }
+    };
 }
 
-impl FromStr for Digest {
-    type Err = ParseDigestError;
-
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let hash = blake3::Hash::from_hex(text).map_err(|_| ParseDigestError(text.to_owned()))?;
-        Ok(Self(*hash.as_bytes()))
-    }
-}
-
-impl Serialize for Digest {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(self)
-    }
-}
-
-impl<'de> Deserialize<'de> for Digest {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let text = String::deserialize(deserializer)?;
-        text.parse().map_err(D::Error::custom)
-    }
-}
+as_text!(Digest);
+as_text!(Sha256);
 
 #[cfg(test)]
 mod tests {
@@ -78,6 +104,14 @@ mod tests {
         let digest = Digest::of(b"mars");
         assert_eq!(digest.to_string().parse::<Digest>(), Ok(digest));
         assert_eq!(digest.to_string().len(), 64);
+    }
+
+    /// The value of FIPS 180-4, appendix B.1.
+    #[test]
+    fn sha256_is_that_of_the_standard() {
+        let abc = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(Sha256::of(b"abc").to_string(), abc);
+        assert_eq!(abc.parse(), Ok(Sha256::of(b"abc")));
     }
 
     #[test]

@@ -14,13 +14,13 @@ mod store;
 
 pub use action::{ACTION_FORMAT, Action, ActionError, ChildVersion};
 pub use content_hash::{ContentHash, Visitor, digest_of, manifest_text};
-pub use digest::{Digest, ParseDigestError};
+pub use digest::{Digest, ParseDigestError, Sha256};
 pub use json::canonical_json;
 pub use marf_cache_derive::ContentHash;
 pub use store::{
-    Closure, Conflict, Fault, FsckOptions, FsckReport, GcPlan, GcReport, MigratedNode, Migration, Missing,
-    Output, Record, Role, Roots, RunMetadata, SetError, StageStat, Store, StoreError, StoreStat, digest_list,
-    read_digest_list,
+    Closure, Conflict, Fault, FsckOptions, FsckReport, GcPlan, GcReport, LostDocument, MigratedNode,
+    Migration, Missing, Output, Record, Role, Roots, RunMetadata, SetError, StageStat, Store, StoreError,
+    StoreStat, digest_list, read_digest_list,
 };
 
 #[doc(hidden)]

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Component, Path};
 
 use marf_cache::Digest;
-use marf_engine::RunRecord;
+use marf_engine::{RunRecord, document};
 use marf_schema::{output, train, tune};
 use marf_stage::{Document, VERDICTS};
 
@@ -71,6 +71,10 @@ impl From<marf_cache::manifest::ManifestError> for Fault {
 }
 
 fn write_all(session: &Session, record: &RunRecord, table: &mut ExportTable) -> Result<(), Fault> {
+    if let Some(report) = record.documents.get(document::REPORT) {
+        let get = || session.store.get(&report.digest).map_err(CliError::from);
+        table.write(Path::new(document::REPORT), &report.digest, get)?;
+    }
     for node in record.nodes.iter().filter(|node| node.parent.is_none()) {
         for (name, output) in &node.outputs {
             let folder = Path::new(&node.name);

@@ -3,12 +3,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::UNIX_EPOCH;
 
 use marf_cache::{Digest, Store};
 use serde::{Deserialize, Serialize};
 
 use super::error::CliError;
+use super::file_state::{FileState, state_of};
 use super::files;
 
 /// The files written below one folder, and the state in which they were left. It lies in the scratch folder of the store:
@@ -25,14 +25,6 @@ pub struct ExportTable {
 struct Entry {
     digest: Digest,
     state: FileState,
-}
-
-/// Size and times of a file. A file that was edited differs in one of them.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-struct FileState {
-    bytes: u64,
-    modified_ns: u128,
-    inode: u64,
 }
 
 impl ExportTable {
@@ -121,21 +113,6 @@ impl ExportTable {
             let _ = files::write(&self.path, &json);
         }
     }
-}
-
-/// Returns size and times of a file or folder; none if there is none.
-fn state_of(path: &Path) -> Option<FileState> {
-    let meta = std::fs::metadata(path).ok()?;
-    let modified = meta.modified().ok()?.duration_since(UNIX_EPOCH).ok()?;
-    #[cfg(unix)]
-    let inode = std::os::unix::fs::MetadataExt::ino(&meta);
-    #[cfg(not(unix))]
-    let inode = 0;
-    Some(FileState {
-        bytes: meta.len(),
-        modified_ns: modified.as_nanos(),
-        inode,
-    })
 }
 
 #[cfg(test)]

@@ -1,15 +1,16 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use marf_engine::Cancel;
+use marf_engine::{Cancel, RunRecord, document};
 use marf_stage::Verdict;
 
 use super::args::{FilterArgs, Global};
+use super::documents::{self, Documents};
 use super::error::CliError;
 use super::output::print_json;
-use super::run::{execute, options};
+use super::run::{Execution, execute_as, options};
 use super::session::Session;
-use super::{files, report, verdicts};
+use super::{export, report, verdicts};
 use crate::show::{FACTORS, calls, percent};
 use crate::terminal::{eprint_line, print_line};
 
@@ -23,12 +24,21 @@ fn chain() -> Vec<&'static str> {
 pub fn filter(global: &Global, args: &FilterArgs, cancel: &Cancel) -> Result<(), CliError> {
     let chain = chain();
     let session = Session::implicit(&pipeline(&chain, args), global, cancel)?;
-    let (record, ended) = execute(&session, &options(global, &session.name), global, cancel)?;
+    let execution = Execution {
+        trace: None,
+        documents: &|record| documents(&session, record, &chain),
+    };
+    let options = options(global, &session.name);
+    let (record, ended) = execute_as(&session, &options, global, cancel, &execution)?;
     let by_node = verdicts::by_node(&session, &record)?;
     let merged = verdicts::merged(&by_node, &chain);
-    if !merged.is_empty() {
-        files::write(&args.out, &verdicts::csv(&merged)?)?;
-        report::write(&session, &record, &page(&args.out))?;
+    for (name, path) in [
+        (document::VERDICTS, args.out.clone()),
+        (document::REPORT, page(&args.out)),
+    ] {
+        if let Some(document) = record.documents.get(name) {
+            export::one(&session, &document.digest, &path)?;
+        }
     }
     ended?;
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
@@ -48,6 +58,18 @@ pub fn filter(global: &Global, args: &FilterArgs, cancel: &Cancel) -> Result<(),
         page(&args.out).display()
     ));
     Ok(())
+}
+
+/// Stores the table of the verdicts and the page that shows them; nothing where there is no verdict.
+fn documents(session: &Session, record: &RunRecord, chain: &[&str]) -> Result<Documents, CliError> {
+    let merged = verdicts::merged(&verdicts::by_node(session, record)?, chain);
+    if merged.is_empty() {
+        return Ok(Documents::new());
+    }
+    let mut documents = report::document(session, record)?;
+    let (name, csv) = documents::put(session, document::VERDICTS, &verdicts::csv(&merged)?)?;
+    documents.insert(name, csv);
+    Ok(documents)
 }
 
 /// Returns the path of the page of the verdicts, beside the CSV.

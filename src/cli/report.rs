@@ -2,47 +2,50 @@ use std::path::Path;
 use std::sync::Arc;
 
 use marf_cache::{Digest, Store};
-use marf_engine::{Cancel, NodeState, RunRecord};
+use marf_engine::{Cancel, NodeState, RunRecord, document};
 use marf_stage::Memos;
 
 use super::args::Global;
+use super::documents::{self, Documents};
 use super::error::CliError;
-use super::files;
 use super::log::utc;
 use super::session::Session;
+use super::{export, files};
 use crate::show::{self, ChildView, NodeView, ReportInput, State};
 use crate::terminal::eprint_line;
 
-/// `marf report`: writes the report of the last run.
+/// `marf report`: writes the report of the last run: the one that the run kept, or for a run without one a new one.
 pub fn report(global: &Global, out: &Path, cancel: &Cancel) -> Result<(), CliError> {
     let session = Session::open(global, cancel)?;
     let record = session
         .last()?
         .ok_or_else(|| CliError::failed(format!("`{}` has not run yet", session.name)))?;
-    write(&session, &record, out)?;
+    let kept = record.documents.get(document::REPORT);
+    match kept.filter(|kept| session.store.contains(&kept.digest)) {
+        Some(kept) => export::one(&session, &kept.digest, out)?,
+        None => files::write(out, page(&session, &record)?.as_bytes())?,
+    }
     eprint_line(&format!("wrote {}", out.display()));
     Ok(())
 }
 
-/// Writes the report after a run, unless nothing ran and the report that is there is of the same keys.
+/// Stores the report of a run; that of the last run stays where nothing ran.
 ///
 /// # Errors
-/// A place that cannot be written.
-pub fn refresh(session: &Session, record: &RunRecord, out: &Path) -> Result<(), CliError> {
-    let nothing_ran = record.nodes.iter().all(|node| node.state == NodeState::Reused);
-    let current = std::fs::read_to_string(out).is_ok_and(|text| text.contains(&marker(record)));
-    if nothing_ran && current {
-        Ok(())
-    } else {
-        write(session, record, out)
-    }
+/// A store that cannot be read or written.
+pub fn document(session: &Session, record: &RunRecord) -> Result<Documents, CliError> {
+    let report = match documents::unchanged(session, record, document::REPORT)? {
+        Some(kept) => (document::REPORT.to_owned(), kept),
+        None => documents::put(session, document::REPORT, page(session, record)?.as_bytes())?,
+    };
+    Ok(Documents::from([report]))
 }
 
-/// Writes the report of a run.
+/// Returns the report of a run.
 ///
 /// # Errors
-/// A place that cannot be written.
-pub fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<(), CliError> {
+/// A store that cannot be written.
+fn page(session: &Session, record: &RunRecord) -> Result<String, CliError> {
     let read = |digest: &Digest| -> Option<Arc<[u8]>> { session.store.get(digest).ok() };
     // Pictures of the page are kept as long as the last result it shows.
     let maker = record
@@ -62,7 +65,7 @@ pub fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<(), Cl
     };
     let page = show::write(&input);
     session.store.commit()?;
-    files::write(out, format!("{page}\n{}\n", marker(record)).as_bytes())
+    Ok(page)
 }
 
 /// Memos in the store, and the key they are kept for; a lost one costs only time.
@@ -79,16 +82,6 @@ impl Memos for StoreMemos<'_> {
             self.0.put_memo(*key, blob, self.1);
         }
     }
-}
-
-/// Returns a comment with a digest of the keys of all nodes: equal keys give equal reports.
-fn marker(record: &RunRecord) -> String {
-    let keys: Vec<String> = record
-        .nodes
-        .iter()
-        .map(|node| node.key.map(|key| key.to_string()).unwrap_or_default())
-        .collect();
-    format!("<!-- keys {} -->", Digest::of(keys.join(" ").as_bytes()))
 }
 
 fn nodes(session: &Session, record: &RunRecord) -> Vec<NodeView> {

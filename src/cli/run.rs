@@ -2,17 +2,18 @@ use std::path::Path;
 use std::time::SystemTime;
 
 use marf_cache::Digest;
-use marf_engine::{Cancel, Event, Listener, NodeRun, NodeState, Options, Outcome, RunRecord};
+use marf_engine::{Cancel, Event, Listener, NodeRun, NodeState, Options, Outcome, RunRecord, document};
 use marf_schema::scores::Scores;
 use marf_schema::{bootstrap, evaluate, train};
 use marf_stage::Document;
 use parking_lot::Mutex;
 
 use super::args::{Global, RunArgs};
+use super::documents::{self, Documents};
 use super::error::{CliError, Diagnostic};
 use super::export::Exported;
 use super::session::{Session, warn};
-use super::{export, files, manual_lists, report, verdicts};
+use super::{export, files, manual_lists, program, report, verdicts};
 use crate::progress::{JsonLines, Progress, Trace, duration};
 use crate::terminal::{eprint_line, print_line};
 
@@ -29,11 +30,8 @@ pub fn run(global: &Global, args: &RunArgs, cancel: &Cancel) -> Result<(), CliEr
     if !global.json {
         print_line(&table(&record, &session));
     }
-    if record.outcome != Outcome::Cancelled {
-        report::refresh(&session, &record, &args.out.join("report.html"))?;
-        if !global.json {
-            eprint_line(&format!("report: {}", args.out.join("report.html").display()));
-        }
+    if record.outcome != Outcome::Cancelled && !global.json {
+        eprint_line(&format!("report: {}", args.out.join(document::REPORT).display()));
     }
     ended
 }
@@ -50,7 +48,11 @@ fn run_and_export(
     cancel: &Cancel,
 ) -> Result<(RunRecord, Result<(), CliError>), CliError> {
     for _ in 0..MAX_REPAIRS {
-        let (record, ended) = execute_traced(session, options, global, args.trace.as_deref(), cancel)?;
+        let execution = Execution {
+            trace: args.trace.as_deref(),
+            documents: &|record| report::document(session, record),
+        };
+        let (record, ended) = execute_as(session, options, global, cancel, &execution)?;
         if record.outcome == Outcome::Cancelled {
             return Ok((record, ended));
         }
@@ -72,7 +74,7 @@ pub fn options(global: &Global, pipeline: &str) -> Options {
         pipeline: pipeline.to_owned(),
         id: run_id(),
         command: format!("marf {}", words.join(" ")),
-        program: concat!("marf ", env!("CARGO_PKG_VERSION")).to_owned(),
+        program: program::PROGRAM.to_owned(),
         ..Options::default()
     }
 }
@@ -97,16 +99,31 @@ pub fn execute(
     global: &Global,
     cancel: &Cancel,
 ) -> Result<(RunRecord, Result<(), CliError>), CliError> {
-    execute_traced(session, options, global, None, cancel)
+    let execution = Execution {
+        trace: None,
+        documents: &|_| Ok(Documents::new()),
+    };
+    execute_as(session, options, global, cancel, &execution)
 }
 
-/// As [`execute`]; writes a trace of the run to a file, if one is named.
-fn execute_traced(
+/// What a verb wants of a run beside its results.
+pub struct Execution<'a> {
+    /// Where to write a trace of the run.
+    pub trace: Option<&'a Path>,
+    /// Makes documents of the run beside its pipeline; a run that was stopped has none.
+    pub documents: &'a dyn Fn(&RunRecord) -> Result<Documents, CliError>,
+}
+
+/// As [`execute`], with what else the verb wants of the run.
+///
+/// # Errors
+/// As [`execute`]; a document that cannot be made.
+pub fn execute_as(
     session: &Session,
     options: &Options,
     global: &Global,
-    trace: Option<&Path>,
     cancel: &Cancel,
+    execution: &Execution<'_>,
 ) -> Result<(RunRecord, Result<(), CliError>), CliError> {
     let progress = match global.json {
         true => Progress::Json(JsonLines::new(options.id.clone())),
@@ -114,14 +131,24 @@ fn execute_traced(
     };
     let listener = RunListener {
         progress,
-        trace: trace.is_some().then(Trace::default),
+        trace: execution.trace.is_some().then(Trace::default),
         failure: Mutex::default(),
     };
     if !global.json {
         eprint_line(&format!("device  {}", devices(session)));
     }
-    let record = marf_engine::run(&session.graph, &session.store, options, &listener, cancel)?;
-    if let (Some(file), Some(trace)) = (trace, &listener.trace) {
+    let options = Options {
+        build: program::build(&session.store),
+        ..options.clone()
+    };
+    let (graph, store) = (&session.graph, &session.store);
+    let mut record = marf_engine::run_nodes(graph, store, &options, &listener, cancel)?;
+    record.documents = documents::pipeline(session, &record)?;
+    if record.outcome != Outcome::Cancelled {
+        record.documents.extend((execution.documents)(&record)?);
+    }
+    let record = record.store(store, warn)?;
+    if let (Some(file), Some(trace)) = (execution.trace, &listener.trace) {
         files::write(file, trace.json().to_string().as_bytes())?;
     }
     if manual_lists::any(&session.nodes) {

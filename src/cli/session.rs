@@ -23,6 +23,10 @@ pub struct Session {
     pub store: Store,
     /// Nodes as the report shows them: name, one line about the stage, parameters.
     pub nodes: Vec<NodeInfo>,
+    /// The pipeline as written.
+    pub written: String,
+    /// The pipeline with all overrides applied, as JSON.
+    pub tree: serde_json::Value,
 }
 
 /// What a report shows of a node beside its run.
@@ -45,7 +49,7 @@ impl Session {
         let loaded = config::load(&global.file, &global.sets, &global.options())?;
         let unnamed = || unnamed(&global.file);
         let store = open_store(&store_dir(global, &global.file), cancel)?;
-        Self::of(loaded.pipeline, unnamed, store)
+        Self::of(loaded.pipeline, loaded.text, unnamed, store)
     }
 
     /// Loads the text of a pipeline that a verb has built for one folder.
@@ -62,10 +66,15 @@ impl Session {
                 })
             })?;
         let store = open_store(&store_dir(global, Path::new("")), cancel)?;
-        Self::of(pipeline, || "built-in".to_owned(), store)
+        Self::of(pipeline, text.to_owned(), || "built-in".to_owned(), store)
     }
 
-    fn of(pipeline: Pipeline, unnamed: impl FnOnce() -> String, store: Store) -> Result<Self, CliError> {
+    fn of(
+        pipeline: Pipeline,
+        written: String,
+        unnamed: impl FnOnce() -> String,
+        store: Store,
+    ) -> Result<Self, CliError> {
         let info = |node: &config::Node| NodeInfo {
             name: node.name.clone(),
             about: node.def.about,
@@ -88,6 +97,8 @@ impl Session {
             graph,
             store,
             nodes,
+            written,
+            tree: pipeline.tree,
         })
     }
 

@@ -21,6 +21,8 @@ pub struct Pipeline {
     pub name: Option<String>,
     /// Nodes in the order of the file.
     pub nodes: Vec<Node>,
+    /// The text with all overrides applied, as JSON.
+    pub tree: Json,
 }
 
 /// A checked node.
@@ -91,7 +93,11 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
         return Err(ConfigError::at(at, message));
     }
     check_graph(&nodes, tables)?;
-    Ok(Pipeline { name, nodes })
+    Ok(Pipeline {
+        name,
+        nodes,
+        tree: root.json(),
+    })
 }
 
 /// Returns the tables of measures that some nodes read, each once.

@@ -38,6 +38,17 @@ pub struct Fault {
     pub breaks: Vec<(String, Digest)>,
 }
 
+/// A document of a run that is not in the store.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct LostDocument {
+    /// Number of the run.
+    pub run: u64,
+    /// Name of the document.
+    pub name: String,
+    /// Its digest.
+    pub digest: Digest,
+}
+
 /// What a check found.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct FsckReport {
@@ -53,6 +64,8 @@ pub struct FsckReport {
     pub verified_bytes: u64,
     /// All faults.
     pub faults: Vec<Fault>,
+    /// Documents of runs that are not in the store. Nobody can make them again, so they are no faults.
+    pub lost_documents: Vec<LostDocument>,
     /// Whether the faults were repaired.
     pub is_repaired: bool,
 }
@@ -305,11 +318,24 @@ impl Check<'_> {
         let files = &self.store.objects.files;
         for run in runs::list(files, &dir)? {
             self.report.runs += 1;
-            if let Err(path) = runs::read(files, &dir, &run)? {
-                self.fault(self.below(&path), None, "the run root is damaged");
+            match runs::read(files, &dir, &run)? {
+                Err(path) => self.fault(self.below(&path), None, "the run root is damaged"),
+                Ok(root) => self.documents(run.number, &root),
             }
         }
         Ok(())
+    }
+
+    /// Looks for the documents that a run root names.
+    fn documents(&mut self, run: u64, root: &[u8]) {
+        for (name, document) in runs::documents(root) {
+            let digest = document.digest;
+            if !self.store.objects.contains(&digest) {
+                self.report
+                    .lost_documents
+                    .push(LostDocument { run, name, digest });
+            }
+        }
     }
 
     fn repair(&mut self) -> Result<(), StoreError> {

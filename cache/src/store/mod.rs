@@ -90,7 +90,7 @@ use crate::Digest;
 
 pub use closure::{Closure, Missing, Role};
 pub use error::StoreError;
-pub use fsck::{Fault, FsckOptions, FsckReport};
+pub use fsck::{Fault, FsckOptions, FsckReport, LostDocument};
 pub use gc::{GcPlan, GcReport, Roots};
 pub use migrate::{MigratedNode, Migration};
 pub use record::{Conflict, Output, Record, RunMetadata, StoreStat, digest_list, read_digest_list};

@@ -22,6 +22,10 @@ pub struct Record {
     /// Keys of the child nodes, by their names below this one.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub children: BTreeMap<String, Digest>,
+    /// A blob that tells which files a source read and where they came from, one JSON object a line. It holds addresses
+    /// and times, so no key depends on it, and it is never compared; it is in `needs` too.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub origins: Option<Digest>,
     /// How the run went; never compared.
     pub metadata: RunMetadata,
 }

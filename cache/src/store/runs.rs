@@ -1,12 +1,18 @@
 //! Run roots: numbered files, one a run, written after everything they name. Their names hold their digests.
 
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
+
+use serde::Deserialize;
 
 use super::{
     Access, Store,
     error::StoreError,
     files::Files,
     locks::{Lock, Share},
+    record::Output,
 };
 use crate::Digest;
 
@@ -78,6 +84,17 @@ pub(super) fn read(files: &Files, dir: &Path, run: &RunFile) -> Result<Result<Ve
         true => Ok(bytes),
         false => Err(path),
     })
+}
+
+/// Returns the objects that a run root names by name beside its keys; none in roots of an earlier form.
+pub(super) fn documents(root: &[u8]) -> BTreeMap<String, Output> {
+    #[derive(Default, Deserialize)]
+    struct Named {
+        #[serde(default)]
+        documents: BTreeMap<String, Output>,
+    }
+    let named: Named = serde_json::from_slice(root).unwrap_or_default();
+    named.documents
 }
 
 impl Store {

@@ -169,6 +169,12 @@ fn fsck(global: &Global, store: &Store, args: &FsckArgs) -> Result<(), CliError>
                 print_line(&format!("  breaks a result of {stage} ({})", key.short()));
             }
         }
+        for lost in &report.lost_documents {
+            let (run, name, digest) = (lost.run, &lost.name, lost.digest.short());
+            print_line(&format!(
+                "run {run}: its {name} ({digest}) is not in the store any more"
+            ));
+        }
         print_line(&format!(
             "{} blobs, {} records, {} memos, {} runs; {} read; {} faults",
             report.blobs,

@@ -5,7 +5,7 @@ use marf_stage::{EARLIER, Inputs, Stage, StageDef, StageError};
 
 use crate::{
     errors::store_error,
-    key::{Key, StageTable, action_of, node_key},
+    key::{Key, StageTable, action_at, node_key},
     record::RunRecord,
 };
 
@@ -76,7 +76,7 @@ impl KeyRequest<'_> {
         let Some(record) = record.filter(|record| record.stage == self.def.name) else {
             return Ok(None);
         };
-        let earlier = action_of(store, &record)?.and_then(|action| action.inputs.get(EARLIER).copied());
+        let earlier = action_at(store, &record.key)?.and_then(|action| action.inputs.get(EARLIER).copied());
         Ok(Some((record, earlier)))
     }
 }

@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, fmt};
 
-use marf_cache::{ACTION_FORMAT, Action, ChildVersion, Digest, Record, Store, StoreError};
+use marf_cache::{ACTION_FORMAT, Action, ChildVersion, Digest, Store, StoreError};
 use marf_stage::{EARLIER, Inputs, Stage, StageDef, StageError, Work};
 use serde::Serialize;
 use serde_json::Value;
@@ -81,12 +81,12 @@ fn add_children(
     Ok(())
 }
 
-/// Returns the action of a stored record.
+/// Returns the action of a key.
 ///
 /// # Errors
 /// A store that cannot be read; a lost or foreign action is none.
-pub(crate) fn action_of(store: &Store, record: &Record) -> Result<Option<Action>, StoreError> {
-    match store.get(&record.key) {
+pub fn action_at(store: &Store, key: &Digest) -> Result<Option<Action>, StoreError> {
+    match store.get(key) {
         Err(error) if error.lost().is_some() => Ok(None),
         other => Ok(Action::decode(&other?).ok()),
     }
@@ -124,7 +124,7 @@ pub(crate) fn photo_path(shard: u32, id: &str) -> String {
 
 /// Returns the differences between two actions, sorted by path. The node's own earlier output comes last, as it changes
 /// whenever anything else does.
-pub(crate) fn differences(old: &Action, new: &Action) -> Vec<Change> {
+pub fn differences(old: &Action, new: &Action) -> Vec<Change> {
     let mut changes = changes_between(&leaves(old), &leaves(new));
     changes.sort_by_key(|change| change.path.strip_prefix("inputs.") == Some(EARLIER));
     changes

@@ -25,12 +25,16 @@ mod work;
 pub use check::{Edge, GraphError, NodeShape, check};
 pub use event::{Event, Listener, Silent};
 pub use graph::{Graph, NodeDecl, NodeView};
-pub use key::Change;
+pub use key::{Change, action_at, differences};
+pub use listing::LISTING;
 pub use marf_stage::Cancel;
 pub use needs::Needs;
 pub use photo_changes::photo_changes;
 pub use plan::{PlanState, PlannedNode, plan, why};
-pub use record::{EngineError, NodeRun, NodeState, Outcome, RUN_FORMAT, RunRecord, last_run, runs};
+pub use record::{
+    Build, EngineError, NodeInput, NodeRun, NodeState, Outcome, OutputName, RUN_FORMAT, RunRecord, document,
+    last_run, run_of, runs,
+};
 pub use roots::{KeptRuns, kept_runs};
-pub use run::{Options, run};
+pub use run::{Options, run, run_nodes, trace_inputs};
 pub use work::Extent;

@@ -23,7 +23,7 @@ use crate::{
 };
 
 /// Name of the input of a source that holds the fingerprints of its shards.
-pub(crate) const LISTING: &str = "listing";
+pub const LISTING: &str = "listing";
 
 /// A listing, and the inputs that stand for it in the key of its source.
 #[derive(Clone)]

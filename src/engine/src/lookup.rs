@@ -6,7 +6,7 @@ use marf_cache::{Digest, Record, Store, StoreError};
 use marf_stage::Outputs;
 
 use crate::{
-    key::{Change, Key, action_of, differences},
+    key::{Change, Key, action_at, differences},
     listing::{LISTING, Listed},
     record::{NodeState, RunRecord},
 };
@@ -78,7 +78,7 @@ pub(crate) fn why_missed(
     let Some(record) = store.record(old)? else {
         return Ok(because("its record is gone".to_owned()));
     };
-    let Some(earlier) = action_of(store, &record)? else {
+    let Some(earlier) = action_at(store, &record.key)? else {
         return Ok(because("its record is damaged".to_owned()));
     };
     let mut changes = differences(&earlier, &key.action);

@@ -7,7 +7,7 @@ use marf_stage::PHOTOS;
 
 use crate::{
     graph::Graph,
-    key::{Change, action_of, changes_between, photo_path},
+    key::{Change, action_at, changes_between, photo_path},
     listing::file_changes,
     measure_table::row_digest,
     plan::{Known, plan_all},
@@ -36,7 +36,7 @@ pub fn photo_changes(
     let Some(record) = last_record(store, last, &graph.nodes[index].name)? else {
         return Ok(Vec::new());
     };
-    let action = action_of(store, &record)?;
+    let action = action_at(store, &record.key)?;
     let (Some(now), Some(before)) = (set_now(&known[index]), last_set(&record, action.as_ref())) else {
         return match (&known[index].listed, &action) {
             (Some(listed), Some(earlier)) => {

@@ -10,10 +10,13 @@ use crate::{check::Edge, graph::Graph};
 /// A run and its results.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunRecord {
-    /// Number of the run in its store, from 1; not in the file, as it is the file's name.
+    /// Number of the run in its store, from 1; not in the file, as it is the file's name. 0 if the run is not stored.
     #[serde(skip)]
     pub number: u64,
-    /// [`RUN_FORMAT`]; 1 for runs of 0.1.0, whose keys are of another form.
+    /// Digest of the run root's bytes, which is in the file's name; absent if the run is not stored.
+    #[serde(skip)]
+    pub root: Option<Digest>,
+    /// [`RUN_FORMAT`]; 1 for runs of 0.1.0, whose keys are of another form; before 3 without documents, inputs and build.
     #[serde(default = "first_format")]
     pub format: u32,
     /// Name of the run, unique in its store: it is in all events.
@@ -23,8 +26,11 @@ pub struct RunRecord {
     pub pipeline: String,
     /// The command as typed.
     pub command: String,
-    /// The program with version and commit.
+    /// The program with its version.
     pub program: String,
+    /// The program's file; absent in older records, and where it cannot be read.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub build: Option<Build>,
     /// Start, in seconds since 1970.
     pub started_unix_s: u64,
     /// Wall time.
@@ -37,12 +43,43 @@ pub struct RunRecord {
     pub threads: usize,
     /// Nodes in topological order, the children of an expanded node after it.
     pub nodes: Vec<NodeRun>,
+    /// Objects that belong to the run as a whole, by name ([`document`]).
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub documents: BTreeMap<String, Output>,
     /// The last key under which each node finished, in this run or an earlier one of this pipeline.
     pub latest: BTreeMap<String, Digest>,
 }
 
 /// Version of the form of run records. A newer one is refused.
-pub const RUN_FORMAT: u32 = 2;
+pub const RUN_FORMAT: u32 = 3;
+
+/// Names of the documents of a run ([`RunRecord::documents`]).
+pub mod document {
+    /// The pipeline as written.
+    pub const WRITTEN: &str = "pipeline.toml";
+    /// The pipeline as it ran, with all overrides and the device of each node, as JSON.
+    pub const RESOLVED: &str = "pipeline.json";
+    /// The report.
+    pub const REPORT: &str = "report.html";
+    /// The verdicts on all photos as a table.
+    pub const VERDICTS: &str = "verdicts.csv";
+}
+
+/// A program's file: which program ran, to the byte. It names no folder and no host.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Build {
+    /// Commit of the sources; `+changes` behind it if files differed from it. Absent if it was not built in a repository.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub commit: Option<String>,
+    /// Digest of the file.
+    pub blake3: Digest,
+    /// Its length.
+    pub bytes: u64,
+    /// Operating system (`linux`).
+    pub os: String,
+    /// Processor (`x86_64`).
+    pub arch: String,
+}
 
 fn first_format() -> u32 {
     1
@@ -71,6 +108,9 @@ pub struct NodeRun {
     pub parent: Option<String>,
     /// The upstream nodes of its inputs.
     pub edges: Vec<Edge>,
+    /// What it read, by the name of the input; empty if it did not come so far, and in older records.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub inputs: BTreeMap<String, NodeInput>,
     /// Its key, as far as its inputs were known.
     pub key: Option<Digest>,
     /// What happened.
@@ -79,10 +119,32 @@ pub struct NodeRun {
     pub reason: String,
     /// Wall time; of a reused node that of the run that made the result.
     pub seconds: f64,
+    /// When the work began that made the result, in seconds since 1970; absent if there is none, and in older records.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub started_unix_s: Option<u64>,
     /// Output blobs by name.
     pub outputs: BTreeMap<String, Output>,
     /// Figures, as in [`crate::Event::Finished`].
     pub counts: BTreeMap<String, u64>,
+}
+
+/// What a node read.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct NodeInput {
+    /// Digest of the content.
+    pub digest: Digest,
+    /// The output that it is; absent if no node of the run made it (what an archive listed, an own earlier output).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub made_by: Option<OutputName>,
+}
+
+/// An output of a node.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct OutputName {
+    /// Name of the node.
+    pub node: String,
+    /// Name of the output.
+    pub output: String,
 }
 
 /// What happened to a node.
@@ -173,13 +235,20 @@ impl NodeState {
 impl RunRecord {
     /// Stores the record under the next free number. A store that cannot be written is enough for a run in which nothing
     /// ran: it is warned of, and the run has no number.
-    pub(crate) fn store(self, store: &Store, warn: impl Fn(String)) -> Result<Self, EngineError> {
+    ///
+    /// # Errors
+    /// A store that cannot be written.
+    pub fn store(self, store: &Store, warn: impl Fn(String)) -> Result<Self, EngineError> {
         let json = serde_json::to_vec_pretty(&self).map_err(|error| EngineError::BadRun {
             number: 0,
             message: error.to_string(),
         })?;
         match store.put_run(&json) {
-            Ok(number) => Ok(Self { number, ..self }),
+            Ok(number) => Ok(Self {
+                number,
+                root: Some(Digest::of(&json)),
+                ..self
+            }),
             Err(error) if error.is_read_only() && !self.has_run() => {
                 warn(format!("this run is not recorded: {error}"));
                 Ok(self)
@@ -221,18 +290,11 @@ pub fn last_run(
     Ok(runs.find(|run| run.pipeline == pipeline))
 }
 
-/// Reads one run; none if it cannot be read.
-fn read(store: &Store, number: u64, warn: &impl Fn(String)) -> Option<RunRecord> {
-    match try_read(store, number) {
-        Ok(run) => Some(run),
-        Err(error) => {
-            warn(format!("{error}; it is passed over"));
-            None
-        }
-    }
-}
-
-fn try_read(store: &Store, number: u64) -> Result<RunRecord, EngineError> {
+/// Reads a run by its number.
+///
+/// # Errors
+/// [`EngineError::BadRun`]: a run that is not there, damaged, or of a newer form.
+pub fn run_of(store: &Store, number: u64) -> Result<RunRecord, EngineError> {
     let bad = |message: String| EngineError::BadRun { number, message };
     let bytes = store.run(number).map_err(|error| bad(error.to_string()))?;
     let run: RunRecord = serde_json::from_slice(&bytes).map_err(|error| bad(error.to_string()))?;
@@ -242,5 +304,19 @@ fn try_read(store: &Store, number: u64) -> Result<RunRecord, EngineError> {
             "it has form {found}, this program reads up to {known}"
         )));
     }
-    Ok(RunRecord { number, ..run })
+    Ok(RunRecord {
+        number,
+        root: Some(Digest::of(&bytes)),
+        ..run
+    })
+}
+/// Reads one run; none if it cannot be read.
+fn read(store: &Store, number: u64, warn: &impl Fn(String)) -> Option<RunRecord> {
+    match run_of(store, number) {
+        Ok(run) => Some(run),
+        Err(error) => {
+            warn(format!("{error}; it is passed over"));
+            None
+        }
+    }
 }

@@ -39,10 +39,11 @@ pub fn kept_runs(
         // A short run (`--to`) carries the latest results of all nodes.
         if *of_pipeline == 1 || pinned.contains(&run.number) {
             kept.always.keys.extend(keys(&run));
+            kept.always.blobs.extend(documents(&run));
         } else if *of_pipeline <= keep_last {
             let roots = Roots {
                 keys: keys(&run).collect(),
-                blobs: Vec::new(),
+                blobs: documents(&run).collect(),
             };
             kept.runs.push((run.number, roots));
         } else {
@@ -55,4 +56,8 @@ pub fn kept_runs(
 fn keys(run: &RunRecord) -> impl Iterator<Item = Digest> + '_ {
     let nodes = run.nodes.iter().filter_map(|node| node.key);
     nodes.chain(run.latest.values().copied())
+}
+
+fn documents(run: &RunRecord) -> impl Iterator<Item = Digest> + '_ {
+    run.documents.values().map(|document| document.digest)
 }

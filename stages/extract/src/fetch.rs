@@ -10,15 +10,15 @@ use marf_scene::{Image, Photo, PhotoFacts, Srgb, thumbnail};
 use marf_stage::{Ctx, Fetched, FetchedMeasure, StageError, Verdict};
 use rayon::prelude::*;
 
-use crate::archive::{ArchiveFile, Kind};
+use crate::archive::{ArchiveFile, Kind, ReadFile};
 use crate::products::{Product, Sorted, left, sort};
 use crate::survey::Wanted;
 
 /// Smallest image, in bytes, of which a thumbnail is made: a smaller one is shown as it is.
 const MIN_THUMBNAIL_BYTES: usize = 64 << 10;
 
-/// Decodes the files of one shard and stores them: a row for each photo, with the measures that are wanted of it, and a
-/// verdict for each file.
+/// Decodes the files of one shard and stores them: a row for each photo, with the measures that are wanted of it, a verdict
+/// for each file, and where each came from.
 ///
 /// # Errors
 /// The store, the wish to stop, or a file that changed; a bad file is a verdict.
@@ -28,7 +28,11 @@ pub(crate) fn fetch(
     shard: u32,
     wanted: &Wanted,
 ) -> Result<Fetched, StageError> {
-    let Sorted { products, left_out } = sort(ctx, files)?;
+    let Sorted {
+        products,
+        left_out,
+        mut read,
+    } = sort(ctx, files)?;
     let (done, total) = (AtomicU64::new(0), products.len() as u64);
     let outcomes: Result<Vec<_>, StageError> = products
         .par_iter()
@@ -49,7 +53,13 @@ pub(crate) fn fetch(
         fetched.rows.extend(outcome.row);
         fetched.verdicts.extend(outcome.verdicts);
         fetched.measures.extend(outcome.measures);
+        read.extend(outcome.read);
     }
+    let read: BTreeMap<&str, &ReadFile> = read.iter().map(|file| (file.name.as_str(), file)).collect();
+    let origins = files
+        .iter()
+        .map(|file| file.origin(read.get(file.name.as_str()).copied()));
+    fetched.origins = origins.collect();
     fetched.verdicts.sort_by(|a, b| a.file.cmp(&b.file));
     Ok(fetched)
 }
@@ -60,6 +70,7 @@ struct Outcome {
     row: Option<Row>,
     verdicts: Vec<Verdict>,
     measures: Vec<FetchedMeasure>,
+    read: Vec<ReadFile>,
 }
 
 /// Takes the first file of a product that can be decoded; the others get a verdict each.
@@ -75,6 +86,7 @@ fn one_product(ctx: &Ctx<'_>, product: &Product, shard: u32, wanted: &Wanted) ->
             continue;
         }
         let bytes = file.keep(ctx)?;
+        outcome.read.push(ReadFile::new(file, &bytes));
         match decode(product, file, &bytes) {
             Ok(decoded) => {
                 outcome.verdicts.push(Verdict {

@@ -8,7 +8,7 @@ use marf_pds::{Label, ProductName, join_key};
 use marf_stage::{Ctx, StageError, Verdict};
 use rayon::prelude::*;
 
-use crate::archive::{ArchiveFile, Kind, extension, folder, read_label, stem};
+use crate::archive::{ArchiveFile, Kind, ReadFile, extension, folder, read_label, stem};
 
 /// A product: the files that may be its photo, best first, and its label.
 pub(crate) struct Product {
@@ -39,6 +39,8 @@ pub(crate) struct Sorted {
     pub products: Vec<Product>,
     /// A verdict for each file that is of no product.
     pub left_out: Vec<Verdict>,
+    /// The labels, which were read.
+    pub read: Vec<ReadFile>,
 }
 
 /// Reads the labels and joins files of one product by name, across folders.
@@ -55,7 +57,8 @@ pub(crate) fn sort(ctx: &Ctx<'_>, files: &[ArchiveFile]) -> Result<Sorted, Stage
             Place::LeftOut(verdict, reason) => left_out.push(left(&file.name, verdict, reason)),
         }
     }
-    let mut labels = labels(ctx, files, &mut left_out)?;
+    let mut read = Vec::new();
+    let mut labels = labels(ctx, files, &mut left_out, &mut read)?;
     let products = photos
         .into_values()
         .map(|files| product(files, &mut labels, &mut left_out))
@@ -71,7 +74,11 @@ pub(crate) fn sort(ctx: &Ctx<'_>, files: &[ArchiveFile]) -> Result<Sorted, Stage
             "a label without its photo".to_owned(),
         ));
     }
-    Ok(Sorted { products, left_out })
+    Ok(Sorted {
+        products,
+        left_out,
+        read,
+    })
 }
 
 /// Returns the verdict of a file that gives no photo.
@@ -119,12 +126,19 @@ enum Used {
 /// Labels by the key of their product.
 type Labels = BTreeMap<String, Vec<(Used, Detached)>>;
 
-fn labels(ctx: &Ctx<'_>, files: &[ArchiveFile], left_out: &mut Vec<Verdict>) -> Result<Labels, StageError> {
+fn labels(
+    ctx: &Ctx<'_>,
+    files: &[ArchiveFile],
+    left_out: &mut Vec<Verdict>,
+    read: &mut Vec<ReadFile>,
+) -> Result<Labels, StageError> {
     let is_label = |file: &&ArchiveFile| matches!(file.kind, Kind::Pds4 | Kind::Feed | Kind::Odl);
     let files: Vec<&ArchiveFile> = files.iter().filter(is_label).collect();
-    let read: Result<Vec<_>, StageError> = files.into_par_iter().map(|file| one_label(ctx, file)).collect();
+    let outcomes: Result<Vec<_>, StageError> =
+        files.into_par_iter().map(|file| one_label(ctx, file)).collect();
     let mut labels = Labels::new();
-    for outcome in read? {
+    for (file, outcome) in outcomes? {
+        read.push(file);
         match outcome {
             Ok(label) => labels
                 .entry(label_key(&label))
@@ -136,17 +150,20 @@ fn labels(ctx: &Ctx<'_>, files: &[ArchiveFile], left_out: &mut Vec<Verdict>) -> 
     Ok(labels)
 }
 
-fn one_label(ctx: &Ctx<'_>, file: &ArchiveFile) -> Result<Result<Detached, Verdict>, StageError> {
+/// Reads and stores a label; one that cannot be understood is stored too, so that its verdict can be checked.
+fn one_label(ctx: &Ctx<'_>, file: &ArchiveFile) -> Result<(ReadFile, Result<Detached, Verdict>), StageError> {
     ctx.check()?;
     let bytes = file.read(ctx)?;
-    Ok(match read_label(&file.kind, &bytes) {
+    let digest = ctx.put(&bytes)?;
+    let label = match read_label(&file.kind, &bytes) {
         Ok(label) => Ok(Detached {
             name: file.name.clone(),
-            digest: ctx.put(&bytes)?,
+            digest,
             label,
         }),
         Err(reason) => Err(left(&file.name, "skipped", reason)),
-    })
+    };
+    Ok((ReadFile::new(file, &bytes), label))
 }
 
 /// A label is of the product that its file is named like.

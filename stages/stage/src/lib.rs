@@ -10,6 +10,7 @@ mod define;
 mod document;
 mod error;
 pub mod harness;
+mod origin;
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -21,6 +22,7 @@ pub use ctx::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Keep, Memos, Progress}
 pub use define::{Define, ParamError, Port, StageDef, define, from_json, key_params, schema_of};
 pub use document::{Document, Params, TypedOutputs};
 pub use error::StageError;
+pub use origin::{Origin, OriginKind};
 
 /// Name of the output that holds a set of items as a Merkle root ([`marf_cache::manifest::Root`]).
 pub const PHOTOS: &str = "photos";
@@ -166,6 +168,8 @@ pub struct Fetched {
     /// Digest of everything that was read, where the listing could not know it: of a shard on a server the bytes are known
     /// only when they have come. The result is kept under it, and the next listing gives it as [`Shard::fingerprint`].
     pub fingerprint: Option<Digest>,
+    /// The files that were met and where they came from, in the order in which they were read; kept beside the result.
+    pub origins: Vec<Origin>,
     /// What people should know of the work, one sentence each.
     pub warnings: Vec<String>,
 }

@@ -61,6 +61,7 @@ fn record_of(action: &Action, output: Digest, bytes: u64) -> Record {
         needs: None,
         parts: None,
         children: BTreeMap::new(),
+        origins: None,
         metadata: RunMetadata::default(),
     }
 }

@@ -220,6 +220,7 @@ impl Job<'_> {
                 Step::Start => BTreeMap::new(),
                 Step::Reduce(_, keys) => keys.clone(),
             },
+            origins: None,
             metadata: RunMetadata {
                 seconds: self.began.elapsed().as_secs_f64(),
                 peak_mb: peak_mb(),

@@ -10,11 +10,12 @@ mod select;
 mod state;
 mod task;
 
-use std::{num::NonZero, thread, time::Instant};
+use std::{collections::BTreeMap, num::NonZero, thread, time::Instant};
 
 use marf_cache::Store;
 use marf_stage::Cancel;
 
+pub use self::report::trace_inputs;
 use self::{
     context::RunContext,
     job::{STACK_BYTES, unix_seconds},
@@ -24,7 +25,7 @@ use self::{
 use crate::{
     event::{Event, Listener},
     graph::Graph,
-    record::{EngineError, RUN_FORMAT, RunRecord, last_run},
+    record::{Build, EngineError, RUN_FORMAT, RunRecord, last_run},
 };
 
 /// How to run.
@@ -42,18 +43,35 @@ pub struct Options {
     pub id: String,
     /// The command as typed, for the record.
     pub command: String,
-    /// The program with version and commit, for the record.
+    /// The program with its version, for the record.
     pub program: String,
+    /// The program's file, for the record.
+    pub build: Option<Build>,
+}
+
+/// Runs a graph as [`run_nodes`] and stores the record.
+///
+/// # Errors
+/// As [`run_nodes`].
+pub fn run(
+    graph: &Graph,
+    store: &Store,
+    options: &Options,
+    listener: &dyn Listener,
+    cancel: &Cancel,
+) -> Result<RunRecord, EngineError> {
+    let warn = |message: String| listener.on_event(&Event::Warning { node: None, message });
+    run_nodes(graph, store, options, listener, cancel)?.store(store, warn)
 }
 
 /// Runs a graph: every node whose key is not in the store, in parallel as far as threads allow.
 ///
-/// Returns the record, which is in the store by then, also of a run in which nodes failed or which was stopped.
-/// A failed node stops only the nodes that depend on it; what was computed stays.
+/// Returns the record, also of a run in which nodes failed or which was stopped. It is not stored yet, so that documents can
+/// be added to it ([`RunRecord::store`]). A failed node stops only the nodes that depend on it; what was computed stays.
 ///
 /// # Errors
 /// A name in `to` or `from` that is not in the graph; a store that cannot be used.
-pub fn run(
+pub fn run_nodes(
     graph: &Graph,
     store: &Store,
     options: &Options,
@@ -80,24 +98,25 @@ pub fn run(
     let mut latest = last.as_ref().map(|run| run.latest.clone()).unwrap_or_default();
     let good = nodes.iter().filter(|node| node.state.is_good());
     latest.extend(good.filter_map(|node| Some((node.name.clone(), node.key?))));
-    let record = RunRecord {
+    store.take_warnings().into_iter().for_each(warn);
+    Ok(RunRecord {
         number: 0,
+        root: None,
         format: RUN_FORMAT,
         id: options.id.clone(),
         pipeline: options.pipeline.clone(),
         command: options.command.clone(),
         program: options.program.clone(),
+        build: options.build.clone(),
         started_unix_s,
         seconds: began.elapsed().as_secs_f64(),
         outcome: report::outcome(&state),
         digest: graph.digest(),
         threads,
         nodes,
+        documents: BTreeMap::new(),
         latest,
-    };
-    let stored = record.store(store, warn);
-    store.take_warnings().into_iter().for_each(warn);
-    stored
+    })
 }
 
 /// Returns the number of threads of a run; none for as many as there are cores.

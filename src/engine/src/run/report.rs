@@ -9,8 +9,9 @@ use super::{
     task::{Phase, Task},
 };
 use crate::{
+    key::action_at,
     lookup::lasting_counts,
-    record::{NodeRun, NodeState, Outcome},
+    record::{EngineError, NodeInput, NodeRun, NodeState, Outcome, OutputName, RunRecord},
 };
 
 /// Returns how the run ended.
@@ -31,7 +32,69 @@ pub(super) fn node_runs(state: &RunState<'_>) -> Result<Vec<NodeRun>, StoreError
     for index in 0..state.context.graph.nodes.len() {
         add_run(state, index, &mut runs)?;
     }
+    add_inputs(state.context.store, &mut runs)?;
     Ok(runs)
+}
+
+/// Adds inputs and who made them to the nodes of a run of an earlier form, whose root does not hold them.
+///
+/// # Errors
+/// A store that cannot be read; a node whose action is lost has no inputs.
+pub fn trace_inputs(store: &Store, run: &mut RunRecord) -> Result<(), EngineError> {
+    match run.format < FORMAT_WITH_INPUTS {
+        true => Ok(add_inputs(store, &mut run.nodes)?),
+        false => Ok(()),
+    }
+}
+
+/// Run roots hold inputs from this form on.
+const FORMAT_WITH_INPUTS: u32 = 3;
+
+/// Adds to each node what its action names as inputs, each with the output that it is.
+fn add_inputs(store: &Store, runs: &mut [NodeRun]) -> Result<(), StoreError> {
+    for index in 0..runs.len() {
+        let (before, rest) = runs.split_at_mut(index);
+        let Some((node, _)) = rest.split_first_mut() else {
+            break;
+        };
+        let action = node.key.map(|key| action_at(store, &key)).transpose()?.flatten();
+        for (name, digest) in action.into_iter().flat_map(|action| action.inputs) {
+            let made_by = maker(before, node, &name, &digest);
+            node.inputs.insert(name, NodeInput { digest, made_by });
+        }
+    }
+    Ok(())
+}
+
+/// Returns the output that an input of a node is: of a node that it is connected to, else what its parent read, else the
+/// first of this content.
+fn maker(before: &[NodeRun], node: &NodeRun, name: &str, digest: &Digest) -> Option<OutputName> {
+    let of = |maker: &NodeRun, output: &str| OutputName {
+        node: maker.name.clone(),
+        output: output.to_owned(),
+    };
+    let is_content = |maker: &&NodeRun| {
+        maker
+            .outputs
+            .get(name)
+            .is_some_and(|output| output.digest == *digest)
+    };
+    let is_upstream = |maker: &&NodeRun| node.edges.iter().any(|edge| edge.upstream == maker.name);
+    if let Some(upstream) = before.iter().filter(is_upstream).find(is_content) {
+        return Some(of(upstream, name));
+    }
+    let parent = before
+        .iter()
+        .find(|maker| node.parent.as_ref() == Some(&maker.name));
+    let inherited = parent.and_then(|parent| parent.inputs.values().find(|input| input.digest == *digest));
+    if let Some(input) = inherited {
+        return input.made_by.clone();
+    }
+    before.iter().find_map(|maker| {
+        let mut outputs = maker.outputs.iter();
+        let (output, _) = outputs.find(|(_, output)| output.digest == *digest)?;
+        Some(of(maker, output))
+    })
 }
 
 /// Appends a node and its children.
@@ -70,10 +133,12 @@ fn add_stored(
             stage: record.stage.clone(),
             parent: Some(parent.to_owned()),
             edges: Vec::new(),
+            inputs: BTreeMap::new(),
             key: Some(*key),
             state: NodeState::Reused,
             reason: format!("{parent} was reused"),
             seconds: record.metadata.seconds,
+            started_unix_s: Some(record.metadata.started_unix_s),
             counts: lasting_counts(&record),
             outputs: record.outputs.clone(),
         });
@@ -96,10 +161,12 @@ fn node_run(task: &Task, parent: Option<String>) -> NodeRun {
         stage: task.def.name.to_owned(),
         parent,
         edges: task.edges.clone(),
+        inputs: BTreeMap::new(),
         key: task.outcome.key,
         state,
         reason: task.outcome.reason.clone(),
         seconds: task.outcome.seconds,
+        started_unix_s: task.outcome.started_unix_s,
         outputs: task.outcome.outputs.clone(),
         counts: task.outcome.counts.clone(),
     }

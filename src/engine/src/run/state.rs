@@ -42,6 +42,7 @@ impl<'a> RunState<'a> {
         task.phase = Phase::Reused;
         task.outcome.reason = reason.to_owned();
         task.outcome.seconds = record.metadata.seconds;
+        task.outcome.started_unix_s = Some(record.metadata.started_unix_s);
         task.outcome.counts = counts;
         task.outcome.outputs = record.outputs;
         task.outcome.stored_children = record.children;
@@ -60,6 +61,7 @@ impl<'a> RunState<'a> {
         task.phase = Phase::Finished;
         task.outcome.key = Some(record.key);
         task.outcome.seconds = record.metadata.seconds;
+        task.outcome.started_unix_s = Some(record.metadata.started_unix_s);
         task.outcome.outputs = record.outputs;
         task.outcome.counts = record.metadata.counts;
         self.context.listener.on_event(&Event::Finished {

@@ -109,6 +109,7 @@ pub(super) struct NodeOutcome {
     pub(super) key: Option<Digest>,
     pub(super) reason: String,
     pub(super) seconds: f64,
+    pub(super) started_unix_s: Option<u64>,
     pub(super) outputs: BTreeMap<String, Output>,
     pub(super) counts: Counts,
     /// Keys of the children of a reused node.

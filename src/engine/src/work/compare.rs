@@ -140,7 +140,7 @@ impl Pass<'_> {
             .summarise(self.index, &self.before.bytes, &shard.items())?;
         let summary = self.run.store.put(&summary).map_err(store_error)?;
         let outputs = Outputs::from([(SUMMARY.to_owned(), summary)]);
-        self.run.put_outputs(key, outputs, Vec::new())?;
+        self.run.put_outputs(key, outputs, Vec::new(), None)?;
         self.made.fetch_add(1, Ordering::Relaxed);
         Ok(summary)
     }

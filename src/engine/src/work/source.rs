@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use marf_cache::{Digest, manifest::LeafRef};
-use marf_stage::{COMPANIONS, Shard, Source, StageError};
+use marf_stage::{COMPANIONS, Origin, Shard, Source, StageError};
 
 use super::{
     measure::keep_fetched,
@@ -95,7 +95,11 @@ fn fetch(run: &StageRun<'_>, source: &dyn Source, shard: &mut Shard) -> Result<(
         verdicts: write_verdicts(&ctx, shard.shard, fetched.verdicts)?,
         added: None,
     };
+    let origins = match fetched.origins.is_empty() {
+        true => None,
+        false => Some(ctx.put(&Origin::encode(&fetched.origins))?),
+    };
     let key = run.part_key(PartKind::Fetch, shard.shard, fetch_inputs(shard));
-    run.put_part(&key, &part, &blobs)?;
+    run.put_source_part(&key, &part, &blobs, origins)?;
     Ok((key, part, measured))
 }

@@ -146,21 +146,34 @@ impl StageRun<'_> {
 
     /// Stores the record of a part with the next commit. `blobs` is what the part was made with.
     pub(super) fn put_part(&self, key: &Key, part: &Part, blobs: &StoreBlobs<'_>) -> Result<(), StageError> {
+        self.put_source_part(key, part, blobs, None)
+    }
+
+    /// As [`StageRun::put_part`], for a part that was read from an archive: `origins` tells where the files came from.
+    pub(super) fn put_source_part(
+        &self,
+        key: &Key,
+        part: &Part,
+        blobs: &StoreBlobs<'_>,
+        origins: Option<Digest>,
+    ) -> Result<(), StageError> {
         let ctx = self.with_blobs(blobs);
         let mut outputs = Outputs::from([
             (PHOTOS.to_owned(), write_refs(&ctx, &part.photos)?),
             (VERDICTS.to_owned(), write_refs(&ctx, &part.verdicts)?),
         ]);
         outputs.extend(part.added.map(|added| (ADDED.to_owned(), added)));
-        self.put_outputs(key, outputs, blobs.take_stored())
+        self.put_outputs(key, outputs, blobs.take_stored(), origins)
     }
 
-    /// Stores the record of a part with the next commit; `stored` is what it needs, its outputs among it.
+    /// Stores the record of a part with the next commit; `stored` is what it needs, its outputs among it, `origins` tells
+    /// where files came from that it read.
     pub(super) fn put_outputs(
         &self,
         key: &Key,
         outputs: Outputs,
         stored: Vec<Digest>,
+        origins: Option<Digest>,
     ) -> Result<(), StageError> {
         put_action(self.store, key)?;
         self.store.put_record(Record {
@@ -170,6 +183,7 @@ impl StageRun<'_> {
             outputs: with_lengths(self.store, outputs)?,
             parts: None,
             children: BTreeMap::new(),
+            origins,
             metadata: self.metadata.clone(),
         });
         Ok(())

@@ -8,9 +8,9 @@ use std::io::Read;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use marf_cache::Digest;
+use marf_cache::{Digest, Sha256};
 use marf_pds::{Label, ProductName, feed, pds4, raw};
-use marf_stage::{Ctx, Files, Keep, Listing, StageError};
+use marf_stage::{Ctx, Files, Keep, Listing, Origin, OriginKind, StageError};
 
 /// Largest file that is read: products have at most 64 MB.
 pub(crate) const MAX_FILE_BYTES: u64 = 128 << 20;
@@ -48,6 +48,37 @@ pub(crate) struct ArchiveFile {
     /// Digest of its bytes; of the reason where it cannot be read.
     pub digest: Digest,
     bytes: Bytes,
+    /// Where it came from; none for a file of this machine.
+    fetched: Option<FetchedFrom>,
+}
+
+/// Where a file came from.
+#[derive(Debug, Clone)]
+pub(crate) struct FetchedFrom {
+    /// The address that gave it; none where it came with the listing.
+    pub url: Option<String>,
+    /// The time, as `YYYY-MM-DDTHH:MM:SSZ`.
+    pub time: String,
+}
+
+/// A file whose bytes were read, and are in the store.
+#[derive(Debug, Clone)]
+pub(crate) struct ReadFile {
+    /// Its name in the archive.
+    pub name: String,
+    bytes: u64,
+    sha256: Sha256,
+}
+
+impl ReadFile {
+    /// Notes that a file was read.
+    pub fn new(file: &ArchiveFile, bytes: &[u8]) -> Self {
+        Self {
+            name: file.name.clone(),
+            bytes: bytes.len() as u64,
+            sha256: Sha256::of(bytes),
+        }
+    }
 }
 
 #[derive(Debug, Clone)]
@@ -95,6 +126,7 @@ impl ArchiveFile {
         Self {
             digest: Digest::of(&bytes),
             bytes: Bytes::Memory(bytes.into()),
+            fetched: None,
             name,
             kind,
         }
@@ -107,15 +139,17 @@ impl ArchiveFile {
             kind: known.kind,
             digest: known.digest,
             bytes: Bytes::Path(path, keep),
+            fetched: None,
         }
     }
 
     /// Returns a file whose bytes are in the store; its kind is by its name alone.
-    pub fn stored(name: String, digest: Digest) -> Self {
+    pub fn stored(name: String, digest: Digest, fetched: FetchedFrom) -> Self {
         Self {
             kind: kind(&name, &[]),
             digest,
             bytes: Bytes::Stored,
+            fetched: Some(fetched),
             name,
         }
     }
@@ -125,6 +159,7 @@ impl ArchiveFile {
         Self {
             digest: Digest::of(reason.as_bytes()),
             bytes: Bytes::Memory(Arc::default()),
+            fetched: None,
             kind: Kind::Other(reason),
             name,
         }
@@ -135,6 +170,7 @@ impl ArchiveFile {
         Self {
             digest: Digest::of(reason.as_bytes()),
             bytes: Bytes::Memory(Arc::default()),
+            fetched: None,
             kind: Kind::Unreadable(reason),
             name,
         }
@@ -177,6 +213,30 @@ impl ArchiveFile {
             Ok(bytes)
         } else {
             Err(self.changed(OTHER_BYTES))
+        }
+    }
+
+    /// Returns what is told of the file beside the result; `read` is what it was read as, if it was.
+    pub fn origin(&self, read: Option<&ReadFile>) -> Origin {
+        let (kind, reason) = match &self.kind {
+            Kind::Photo => (OriginKind::Photo, None),
+            Kind::Raw => (OriginKind::Raw, None),
+            Kind::Pds4 => (OriginKind::Pds4, None),
+            Kind::Feed => (OriginKind::Feed, None),
+            Kind::Odl => (OriginKind::Odl, None),
+            Kind::Other(reason) => (OriginKind::Other, Some(reason.clone())),
+            Kind::Unreadable(reason) => (OriginKind::Unreadable, Some(reason.clone())),
+        };
+        let from = self.fetched.as_ref();
+        Origin {
+            file: self.name.clone(),
+            kind,
+            blake3: self.digest,
+            bytes: read.map(|read| read.bytes),
+            sha256: read.map(|read| read.sha256),
+            url: from.and_then(|from| from.url.clone()),
+            fetched: from.map(|from| from.time.clone()),
+            reason,
         }
     }
 

@@ -3,13 +3,13 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant, SystemTime};
 
-use marf_cache::Digest;
+use marf_cache::{Digest, Sha256};
 use marf_stage::{Access, Ctx, LOCK_FILE, StageError};
 
 use super::archive::{RemoteArchive, SolWork};
 use super::catalog::{RemoteFile, SolFiles, changed};
 use super::lock::{self, Change, Pin, SolPins};
-use crate::archive::{ArchiveFile, ShardFiles};
+use crate::archive::{ArchiveFile, FetchedFrom, ShardFiles};
 use crate::net::{self, Answer, Download, Meter, NetErrorKind, Validators};
 
 /// How often what was fetched is made durable: the blobs first, then the pins.
@@ -150,6 +150,7 @@ impl Sol<'_> {
             let pin = Pin {
                 bytes: bytes.len() as u64,
                 blake3,
+                sha256: Some(Sha256::of(bytes)),
                 url: lock::WITH_LISTING.to_owned(),
                 fetched: now(),
                 validators: Validators::default(),
@@ -256,6 +257,7 @@ impl Sol<'_> {
                 let fresh = Pin {
                     bytes: bytes.len() as u64,
                     blake3,
+                    sha256: Some(Sha256::of(&bytes)),
                     url,
                     fetched: now(),
                     validators,
@@ -330,11 +332,13 @@ impl Sol<'_> {
     }
 
     fn files(&self) -> Vec<ArchiveFile> {
-        let here = self
-            .pins
-            .files
-            .iter()
-            .map(|(name, pin)| ArchiveFile::stored(name.clone(), pin.blake3));
+        let here = self.pins.files.iter().map(|(name, pin)| {
+            let from = FetchedFrom {
+                url: (pin.url != lock::WITH_LISTING).then(|| pin.url.clone()),
+                time: pin.fetched.clone(),
+            };
+            ArchiveFile::stored(name.clone(), pin.blake3, from)
+        });
         let changed = self.pins.files.iter().flat_map(|(name, pin)| {
             pin.others.iter().map(move |other| {
                 let reason = match pin.url.as_str() {

@@ -99,6 +99,7 @@ mod tests {
         Pin {
             bytes: 7,
             blake3,
+            sha256: None,
             url: "https://host/a".to_owned(),
             fetched: "2026-11-22T08:00:00Z".to_owned(),
             validators: Validators::default(),

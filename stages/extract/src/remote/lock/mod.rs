@@ -25,7 +25,7 @@ mod text;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use marf_cache::Digest;
+use marf_cache::{Digest, Sha256};
 
 pub use self::all::{UnreadableLock, pinned_products};
 pub(crate) use self::folder::{Change, Lock, OpenLock};
@@ -55,6 +55,8 @@ pub(crate) struct Pin {
     pub bytes: u64,
     /// Digest of the bytes.
     pub blake3: Digest,
+    /// The digest by which others know the bytes; none in pins of an earlier version.
+    pub sha256: Option<Sha256>,
     /// The address that gave it.
     pub url: String,
     /// The time, as `YYYY-MM-DDTHH:MM:SSZ`.

@@ -11,6 +11,7 @@ fn pin(byte: u8) -> Pin {
     Pin {
         bytes: 7,
         blake3: Digest::of(&[byte]),
+        sha256: Some(Sha256::of(&[byte])),
         url: "https://a.example/x \"y\".png".to_owned(),
         fetched: "2026-11-21T21:55:22Z".to_owned(),
         validators: Validators {

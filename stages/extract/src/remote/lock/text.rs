@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 
-use marf_cache::Digest;
+use marf_cache::{Digest, Sha256};
 use serde::{Deserialize, Serialize};
 use toml::Spanned;
 
@@ -25,6 +25,8 @@ pub(super) struct Line {
     bytes: Option<u64>,
     #[serde(default)]
     blake3: Option<String>,
+    #[serde(default)]
+    sha256: Option<Sha256>,
     #[serde(default)]
     url: Option<String>,
     #[serde(default)]
@@ -205,6 +207,7 @@ impl Line {
         Some(Pin {
             bytes: self.bytes?,
             blake3: self.blake3?.parse().ok()?,
+            sha256: self.sha256,
             url: self.url?,
             fetched: self.fetched?,
             validators: Validators {
@@ -222,9 +225,9 @@ impl Pin {
         let mut fields = vec![
             ("bytes", self.bytes.to_string()),
             ("blake3", quoted(&self.blake3.to_string())),
-            ("url", quoted(&self.url)),
-            ("fetched", quoted(&self.fetched)),
         ];
+        fields.extend(self.sha256.map(|sha256| ("sha256", quoted(&sha256.to_string()))));
+        fields.extend([("url", quoted(&self.url)), ("fetched", quoted(&self.fetched))]);
         let optional = [
             ("etag", &self.validators.etag),
             ("modified", &self.validators.modified),

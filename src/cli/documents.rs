@@ -1,0 +1,80 @@
+//! Objects that belong to a run as a whole: the pipeline as written and as it ran, the report, the table of verdicts.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use marf_cache::{Output, canonical_json};
+use marf_engine::{NodeState, RunRecord, action_at, document};
+use serde_json::Value;
+
+use super::error::CliError;
+use super::session::Session;
+
+/// Documents by name, as a run root holds them.
+pub type Documents = BTreeMap<String, Output>;
+
+/// Key of stages that can run on several devices.
+const DEVICE: &str = "device";
+
+/// Stores a document.
+///
+/// # Errors
+/// A store that cannot be written.
+pub fn put(session: &Session, name: &str, bytes: &[u8]) -> Result<(String, Output), CliError> {
+    let output = Output {
+        digest: session.store.put(bytes)?,
+        bytes: bytes.len() as u64,
+    };
+    Ok((name.to_owned(), output))
+}
+
+/// Stores the pipeline as written and as it ran.
+///
+/// # Errors
+/// A store that cannot be read or written.
+pub fn pipeline(session: &Session, record: &RunRecord) -> Result<Documents, CliError> {
+    let resolved = canonical_json(&resolved(session, record)?);
+    Ok(Documents::from([
+        put(session, document::WRITTEN, session.written.as_bytes())?,
+        put(session, document::RESOLVED, &resolved)?,
+    ]))
+}
+
+/// Returns the pipeline with all overrides, and with `device = "cpu"` for each node that ran on the CPU, whoever chose it.
+fn resolved(session: &Session, record: &RunRecord) -> Result<Value, CliError> {
+    let mut tree = session.tree.clone();
+    for node in record.nodes.iter().filter(|node| node.parent.is_none()) {
+        let action = node.key.map(|key| action_at(&session.store, &key)).transpose()?;
+        let Some(action) = action.flatten() else { continue };
+        let is_on_cpu =
+            action.backend.is_none() && action.children.values().all(|child| child.backend.is_none());
+        let has_device = marf_stages::stages()
+            .iter()
+            .filter(|def| def.name == node.stage)
+            .any(|def| (def.schema)().to_value()["properties"].get(DEVICE).is_some());
+        let table = tree["node"][&node.name].as_object_mut();
+        if let Some(table) = table.filter(|_| is_on_cpu && has_device) {
+            table.insert(DEVICE.to_owned(), "cpu".into());
+        }
+    }
+    Ok(tree)
+}
+
+/// Returns the document that the last run of the pipeline has under a name, if this run did nothing and ended as that one:
+/// the same keys, so the same page.
+///
+/// # Errors
+/// A store that cannot be read.
+pub fn unchanged(session: &Session, record: &RunRecord, name: &str) -> Result<Option<Output>, CliError> {
+    if record.nodes.iter().any(|node| node.state != NodeState::Reused) {
+        return Ok(None);
+    }
+    let keys = |run: &RunRecord| -> BTreeSet<_> {
+        run.nodes
+            .iter()
+            .map(|node| (node.name.clone(), node.key))
+            .collect()
+    };
+    let last = session.last()?.filter(|last| keys(last) == keys(record));
+    let document = last.and_then(|last| last.documents.get(name).copied());
+    Ok(document.filter(|document| session.store.contains(&document.digest)))
+}

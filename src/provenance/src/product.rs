@@ -1,0 +1,113 @@
+//! What a source read: its products, and where their files came from.
+
+use std::collections::BTreeMap;
+
+use marf_cache::{
+    Digest, Record, Store,
+    manifest::{Leaf, LeafRef, Root},
+};
+use marf_stage::{Origin, PHOTOS};
+
+use crate::{LineageError, lineage::NodeLineage};
+
+/// The part of a source that read one sol.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SourcePart {
+    /// The sol; 0 where there is none.
+    pub shard: u32,
+    /// Key of the part's record.
+    pub key: Digest,
+}
+
+/// A photo with its label, as it was read from an archive.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Product {
+    /// The product id, or the name of the file.
+    pub id: String,
+    /// The sol that it was listed under; 0 where there is none.
+    pub shard: u32,
+    /// Digests of its blobs by role: `image`, and where there are `raw`, `label`, `thumbnail`.
+    pub blobs: BTreeMap<String, Digest>,
+    /// What later stages know of it, as JSON (`marf_scene::PhotoFacts`).
+    pub facts: serde_json::Value,
+    /// The files that its blobs are, by role; a blob that was made of another has none. Empty for what an earlier version
+    /// read, which did not note them.
+    pub origins: BTreeMap<String, Origin>,
+}
+
+/// Returns the parts of a source, by sol.
+///
+/// # Errors
+/// A record that is lost, or a store that cannot be read.
+pub fn parts(store: &Store, source: &NodeLineage) -> Result<Vec<SourcePart>, LineageError> {
+    let record = source.record.as_ref().ok_or_else(|| LineageError::NoRecord {
+        of: format!("`{}`", source.run.name),
+        key: source.run.key.unwrap_or_else(|| Digest::of(&[])),
+    })?;
+    let Some(parts) = record.parts else {
+        return Ok(Vec::new());
+    };
+    let root = Root::read(&parts, |digest| Ok::<_, LineageError>(store.get(digest)?))?;
+    let part = |leaf: LeafRef| SourcePart {
+        shard: leaf.shard,
+        key: leaf.leaf,
+    };
+    Ok(root.leaves.into_iter().map(part).collect())
+}
+
+/// Returns the files that a part of a source met; none for what an earlier version read.
+///
+/// # Errors
+/// A record or list that is lost, or a store that cannot be read.
+pub fn origins(store: &Store, part: &SourcePart) -> Result<Vec<Origin>, LineageError> {
+    match record_of(store, part)?.origins {
+        None => Ok(Vec::new()),
+        Some(list) => Origin::decode(&store.get(&list)?).map_err(|error| LineageError::Malformed {
+            what: format!("the list of files of sol {}", part.shard),
+            message: error.to_string(),
+        }),
+    }
+}
+
+/// Returns the products that a part of a source gave, sorted by id.
+///
+/// # Errors
+/// A record or leaf that is lost, or a store that cannot be read.
+pub fn products(store: &Store, part: &SourcePart) -> Result<Vec<Product>, LineageError> {
+    let record = record_of(store, part)?;
+    let by_digest: BTreeMap<Digest, Origin> = origins(store, part)?
+        .into_iter()
+        .filter(|origin| origin.bytes.is_some())
+        .map(|origin| (origin.blake3, origin))
+        .collect();
+    let mut products = Vec::new();
+    for leaf in leaves(store, &record)? {
+        for row in Leaf::decode(&store.get(&leaf.leaf)?)?.rows {
+            let of =
+                |(role, digest): (&String, &Digest)| Some((role.clone(), by_digest.get(digest)?.clone()));
+            products.push(Product {
+                shard: part.shard,
+                origins: row.blobs.iter().filter_map(of).collect(),
+                id: row.id,
+                blobs: row.blobs,
+                facts: row.facts,
+            });
+        }
+    }
+    Ok(products)
+}
+
+/// Returns the leaves of the photos of a part.
+fn leaves(store: &Store, record: &Record) -> Result<Vec<LeafRef>, LineageError> {
+    match record.outputs.get(PHOTOS) {
+        None => Ok(Vec::new()),
+        Some(photos) => Ok(Root::decode_leaves(&store.get(&photos.digest)?)?),
+    }
+}
+
+fn record_of(store: &Store, part: &SourcePart) -> Result<Record, LineageError> {
+    store.record(&part.key)?.ok_or_else(|| LineageError::NoRecord {
+        of: format!("sol {}", part.shard),
+        key: part.key,
+    })
+}
