@@ -47,6 +47,11 @@ impl Sha256 {
         whole.copy_from_slice(digest.as_ref());
         Self(whole)
     }
+
+    /// Returns the 32 bytes.
+    pub const fn as_bytes(&self) -> &[u8; 32] {
+        &self.0
+    }
 }
 
 /// Writes and reads a digest as 64 hexadecimal digits.

@@ -134,6 +134,14 @@ pub enum Verb {
         #[arg(long, value_name = "FILE", default_value = "report.html")]
         out: PathBuf,
     },
+    /// Hand a run to people without the store
+    Export {
+        /// In which form
+        #[command(subcommand)]
+        verb: super::share::ExportVerb,
+    },
+    /// Check a crate or a signed statement, without a store
+    Verify(super::share::VerifyArgs),
     /// Inspect the store
     Cache {
         /// What to do with it

@@ -10,6 +10,10 @@ pub enum CliError {
     Failed(Diagnostic),
     /// A bad command line or pipeline.toml: exit code 2.
     Usage(Diagnostic),
+    /// Something is not as it was made: exit code 4.
+    Altered(Diagnostic),
+    /// Something was made by a newer version: exit code 8.
+    Newer(Diagnostic),
     /// Another process holds the store: exit code 11.
     Locked(Diagnostic),
     /// Ctrl-C: exit code 130.
@@ -72,11 +76,13 @@ impl CliError {
         Self::Usage(Diagnostic::new(message))
     }
 
-    /// Returns the exit code: 1, 2, 11 or 130.
+    /// Returns the exit code: 1, 2, 4, 8, 11 or 130.
     pub fn code(&self) -> ExitCode {
         match self {
             Self::Failed(_) => ExitCode::from(1),
             Self::Usage(_) => ExitCode::from(2),
+            Self::Altered(_) => ExitCode::from(4),
+            Self::Newer(_) => ExitCode::from(8),
             Self::Locked(_) => ExitCode::from(11),
             Self::Interrupted => ExitCode::from(130),
         }
@@ -85,9 +91,11 @@ impl CliError {
     /// Returns the message alone.
     pub fn message(&self) -> &str {
         match self {
-            Self::Failed(diagnostic) | Self::Usage(diagnostic) | Self::Locked(diagnostic) => {
-                &diagnostic.message
-            }
+            Self::Failed(diagnostic)
+            | Self::Usage(diagnostic)
+            | Self::Altered(diagnostic)
+            | Self::Newer(diagnostic)
+            | Self::Locked(diagnostic) => &diagnostic.message,
             Self::Interrupted => "stopped",
         }
     }
@@ -95,9 +103,11 @@ impl CliError {
     /// Returns what to print to stderr.
     pub fn render(&self) -> String {
         match self {
-            Self::Failed(diagnostic) | Self::Usage(diagnostic) | Self::Locked(diagnostic) => {
-                diagnostic.render()
-            }
+            Self::Failed(diagnostic)
+            | Self::Usage(diagnostic)
+            | Self::Altered(diagnostic)
+            | Self::Newer(diagnostic)
+            | Self::Locked(diagnostic) => diagnostic.render(),
             Self::Interrupted => "stopped; what was computed is kept, run again to go on".to_owned(),
         }
     }

@@ -135,7 +135,7 @@ pub fn one(session: &Session, digest: &Digest, path: &Path) -> Result<(), CliErr
 
 /// Returns the file an output becomes; `None` for manifests, which only the store can resolve.
 /// A name that would lead out of its folder has none.
-fn file_name(output: &str) -> Option<&str> {
+pub fn file_name(output: &str) -> Option<&str> {
     if let Some((_, file)) = NAMED.iter().find(|(name, _)| *name == output) {
         return Some(file);
     }

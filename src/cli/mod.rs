@@ -23,6 +23,7 @@ mod program;
 mod report;
 mod run;
 mod session;
+mod share;
 mod status;
 mod verdicts;
 
@@ -75,6 +76,8 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
             SchemaOf::Events => print_json(&crate::progress::event_schema()),
         },
         Verb::Report { out } => report::report(global, out, cancel),
+        Verb::Export { verb } => share::export(global, verb, cancel),
+        Verb::Verify(args) => share::verify_path(global, args),
         Verb::Cache { verb } => cache::cache(global, verb, cancel),
         Verb::Filter(args) => filter::filter(global, args, cancel),
         Verb::Photos { dir, node } => photos::photos(global, dir.as_deref(), node, cancel),

@@ -1,0 +1,121 @@
+//! Verbs that hand a run to people without the store, and check what was handed over.
+
+mod attest;
+mod export_crate;
+mod run;
+mod verify;
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, Subcommand};
+use marf_engine::Cancel;
+use marf_export::ExportError;
+use marf_export::key::{KeyError, SigningKey};
+
+use super::args::Global;
+use super::error::{CliError, Diagnostic};
+
+pub use verify::{VerifyArgs, verify_path};
+
+/// Verbs of `export`.
+#[derive(Debug, Clone, Subcommand)]
+pub enum ExportVerb {
+    /// Write a run as a folder that strangers can check: an RO-Crate in a BagIt bag
+    Crate(CrateArgs),
+    /// Sign who made a result, by what and from what: an in-toto statement with SLSA provenance, in a DSSE envelope
+    Attest(AttestArgs),
+}
+
+/// Arguments of `export crate`.
+#[derive(Debug, Clone, Args)]
+pub struct CrateArgs {
+    /// Folder to write; it must not be there yet
+    pub dir: PathBuf,
+    /// Number of the run [default: the last one]
+    #[arg(long, value_name = "NUMBER")]
+    pub run: Option<u64>,
+    /// Only the bytes of these photos (product ids), and every decision on each
+    #[arg(long, value_name = "ID", value_delimiter = ',')]
+    pub items: Vec<String>,
+    /// Name photos and results by their digests, and leave their bytes out
+    #[arg(long)]
+    pub without_data: bool,
+    /// Licence of the crate: an SPDX id (`CC-BY-4.0`) or a URL
+    #[arg(long, value_name = "LICENCE")]
+    pub license: Option<String>,
+    /// Sign the crate with this Ed25519 key (PEM, PKCS#8)
+    #[arg(long, value_name = "FILE")]
+    pub key: Option<PathBuf>,
+}
+
+/// Arguments of `export attest`.
+#[derive(Debug, Clone, Args)]
+pub struct AttestArgs {
+    /// A node, or a file with the bytes of a result [default: all results of the run]
+    #[arg(value_name = "NODE|FILE")]
+    pub of: Option<String>,
+    /// Sign with this Ed25519 key (PEM, PKCS#8)
+    #[arg(long, value_name = "FILE")]
+    pub key: PathBuf,
+    /// Number of the run [default: the last one]
+    #[arg(long, value_name = "NUMBER")]
+    pub run: Option<u64>,
+    /// Where to [default: stdout]
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+}
+
+/// `marf export`.
+pub fn export(global: &Global, verb: &ExportVerb, cancel: &Cancel) -> Result<(), CliError> {
+    match verb {
+        ExportVerb::Crate(args) => export_crate::export(global, args, cancel),
+        ExportVerb::Attest(args) => attest::attest(global, args, cancel),
+    }
+}
+
+fn signing_key(path: &Path) -> Result<SigningKey, CliError> {
+    SigningKey::from_pem(&key_text(path)?).map_err(|error| bad_key(path, &error))
+}
+
+/// Returns the error of something that is not as it was made.
+fn altered(diagnostic: Diagnostic) -> CliError {
+    CliError::Altered(diagnostic)
+}
+
+fn key_text(path: &Path) -> Result<String, CliError> {
+    std::fs::read_to_string(path)
+        .map_err(|error| CliError::usage(format!("the key {} cannot be read: {error}", path.display())))
+}
+
+fn bad_key(path: &Path, error: &KeyError) -> CliError {
+    let diagnostic = Diagnostic::new(format!("the key {} cannot be used", path.display()));
+    CliError::Usage(
+        Diagnostic {
+            cause: Some(error.to_string()),
+            ..diagnostic
+        }
+        .hint(error.hint()),
+    )
+}
+
+impl From<ExportError> for CliError {
+    fn from(error: ExportError) -> Self {
+        let diagnostic = Diagnostic {
+            message: error.to_string(),
+            cause: None,
+            hint: error.hint().map(str::to_owned),
+        };
+        match error {
+            ExportError::UnknownItem { .. }
+            | ExportError::UnknownNode { .. }
+            | ExportError::Exists { .. } => Self::Usage(diagnostic),
+            _ => Self::Failed(diagnostic),
+        }
+    }
+}
+
+impl From<marf_provenance::LineageError> for CliError {
+    fn from(error: marf_provenance::LineageError) -> Self {
+        Self::failed(error.to_string())
+    }
+}

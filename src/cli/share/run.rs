@@ -1,0 +1,56 @@
+//! The run that is handed out, read from the store.
+
+use std::sync::Arc;
+
+use marf_cache::{Digest, Store};
+use marf_export::Run;
+use marf_provenance::lineage::{Lineage, NodeLineage};
+use marf_provenance::product;
+
+use super::super::error::{CliError, Diagnostic};
+use super::super::export::file_name;
+
+/// Reads a run by number, or the last one, with the names of its files and how its results were made.
+///
+/// # Errors
+/// A run that is not there or did not end well, or a store that cannot be read.
+pub fn load(store: &Store, number: Option<u64>) -> Result<Run, CliError> {
+    let number = match number {
+        Some(number) => number,
+        None => store.run_numbers()?.last().copied().ok_or_else(no_run)?,
+    };
+    let mut run = Run::of(store.run(number)?)?;
+    let lineage = Lineage::open(store, number)?;
+    for node in &mut run.nodes {
+        for (name, output) in &mut node.outputs {
+            output.file = file_name(name).map(str::to_owned);
+        }
+        if let Some(known) = lineage.node(&node.name) {
+            node.origins = origins(store, known)?;
+            let made = known.record.as_ref().map(|record| &record.metadata);
+            node.made_by = made.map(|made| format!("{} on {}", made.program, made.device));
+        }
+    }
+    Ok(run)
+}
+
+/// Returns the lists of the files that a source read of its archive, sol by sol; none for other nodes.
+fn origins(store: &Store, node: &NodeLineage) -> Result<Vec<Digest>, CliError> {
+    if !node.is_source() {
+        return Ok(Vec::new());
+    }
+    let mut origins = Vec::new();
+    for part in product::parts(store, node)? {
+        origins.extend(store.record(&part.key)?.and_then(|record| record.origins));
+    }
+    Ok(origins)
+}
+
+fn no_run() -> CliError {
+    CliError::Failed(Diagnostic::new("there is no run yet").hint("`marf run` makes one"))
+}
+
+/// Returns a reader of objects for exports.
+pub fn reader(store: &Store) -> impl Fn(&Digest) -> Result<Arc<[u8]>, String> + '_ {
+    |digest| store.get(digest).map_err(|error| error.to_string())
+}

@@ -1,0 +1,312 @@
+//! Reading a bag: every file against the manifests, strictly.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use marf_cache::Sha256;
+
+use super::{
+    DECLARATION, DECLARATION_TEXT, FileDigest, INFO, MANIFEST, PAYLOAD, TAG_MANIFEST, decode_path, is_safe,
+};
+
+/// A bag as it is found.
+#[derive(Debug)]
+pub struct Bag {
+    folder: PathBuf,
+    /// Length and digests of the files of the payload that are listed and there, by their paths in it.
+    pub payload: BTreeMap<String, FileDigest>,
+    /// All that is wrong with it.
+    pub faults: Vec<BagFault>,
+}
+
+/// What a manifest lists.
+type Listed = BTreeMap<String, Sha256>;
+
+/// Something wrong with a bag; `file` is a path in it.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, thiserror::Error)]
+pub enum BagFault {
+    /// A file that must be there is not, or cannot be read.
+    #[error("`{file}` is missing or cannot be read: {cause}")]
+    Unreadable {
+        /// The file.
+        file: String,
+        /// The error of the operating system.
+        cause: String,
+    },
+    /// A file with other bytes than listed.
+    #[error("`{file}` was altered: SHA-256 {found}, listed as {listed}")]
+    Altered {
+        /// The file.
+        file: String,
+        /// Its digest.
+        found: Sha256,
+        /// The digest that the manifest lists.
+        listed: Sha256,
+    },
+    /// A file that no manifest lists.
+    #[error("`{file}` is in no manifest")]
+    Unlisted {
+        /// The file.
+        file: String,
+    },
+    /// A file that the manifest of the payload lists and that is not in the payload.
+    #[error("`manifest-sha256.txt` lists `{file}`, which is not in the payload")]
+    NotPayload {
+        /// The file.
+        file: String,
+    },
+    /// A line of a manifest that is none, or names a file twice or out of the bag.
+    #[error("line {line} of `{file}` is no digest and path of a file in the bag")]
+    BadLine {
+        /// The manifest.
+        file: String,
+        /// Its line, from 1.
+        line: usize,
+    },
+    /// `bagit.txt` says something else than version 1.0 in UTF-8.
+    #[error("`bagit.txt` does not declare a bag of version 1.0")]
+    Declaration,
+    /// `bag-info.txt` counts other files or bytes.
+    #[error("`bag-info.txt` counts {listed} bytes and files, there are {found}")]
+    Oxum {
+        /// What is there: bytes, a point, files.
+        found: String,
+        /// What it says.
+        listed: String,
+    },
+}
+
+impl Bag {
+    /// Reads every file of a bag once and compares it with the manifests.
+    pub fn read(folder: &Path) -> Self {
+        let mut bag = Self {
+            folder: folder.to_owned(),
+            payload: BTreeMap::new(),
+            faults: Vec::new(),
+        };
+        let tags = bag.manifest(TAG_MANIFEST);
+        let payload = bag.manifest(MANIFEST);
+        bag.check_tags(&tags);
+        bag.check_payload(&payload);
+        bag.check_unlisted(|file| tags.contains_key(file) || payload.contains_key(file));
+        bag.check_oxum();
+        bag.faults.sort();
+        bag
+    }
+
+    /// Returns the bytes of a file of the payload.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn get(&self, path: &str) -> std::io::Result<Vec<u8>> {
+        fs::read(self.folder.join(PAYLOAD).join(path))
+    }
+
+    /// Returns the bytes of a file beside the payload; none if it is not there.
+    pub fn tag(&self, name: &str) -> Option<Vec<u8>> {
+        fs::read(self.folder.join(name)).ok()
+    }
+
+    fn check_tags(&mut self, tags: &Listed) {
+        for (file, listed) in tags {
+            self.compare(file, listed);
+        }
+        match self.read_or_fault(DECLARATION) {
+            Some(bytes) if bytes != DECLARATION_TEXT.as_bytes() => self.faults.push(BagFault::Declaration),
+            _ => {}
+        }
+    }
+
+    fn check_payload(&mut self, payload: &Listed) {
+        for (file, listed) in payload {
+            let Some(path) = file.strip_prefix(PAYLOAD).and_then(|path| path.strip_prefix('/')) else {
+                self.faults.push(BagFault::NotPayload { file: file.clone() });
+                continue;
+            };
+            if let Some(digest) = self.compare(file, listed) {
+                self.payload.insert(path.to_owned(), digest);
+            }
+        }
+    }
+
+    /// Reads a file and compares it; its digests if it could be read, altered or not.
+    fn compare(&mut self, file: &str, listed: &Sha256) -> Option<FileDigest> {
+        let digest = FileDigest::of(&self.read_or_fault(file)?);
+        if digest.sha256 != *listed {
+            self.faults.push(BagFault::Altered {
+                file: file.to_owned(),
+                found: digest.sha256,
+                listed: *listed,
+            });
+        }
+        Some(digest)
+    }
+
+    fn read_or_fault(&mut self, file: &str) -> Option<Vec<u8>> {
+        match fs::read(self.folder.join(file)) {
+            Ok(bytes) => Some(bytes),
+            Err(error) => {
+                self.faults.push(BagFault::Unreadable {
+                    file: file.to_owned(),
+                    cause: error.to_string(),
+                });
+                None
+            }
+        }
+    }
+
+    /// Returns the digests that a manifest lists, by file.
+    fn manifest(&mut self, name: &str) -> Listed {
+        let bytes = self.read_or_fault(name).unwrap_or_default();
+        let mut listed = Listed::new();
+        let text = String::from_utf8_lossy(&bytes);
+        for (line, text) in (1..).zip(text.lines()) {
+            let fresh = manifest_line(text).filter(|(file, _)| !listed.contains_key(file));
+            match fresh {
+                Some((file, digest)) => drop(listed.insert(file, digest)),
+                None => self.faults.push(BagFault::BadLine {
+                    file: name.to_owned(),
+                    line,
+                }),
+            }
+        }
+        listed
+    }
+
+    /// Finds files that no manifest lists.
+    fn check_unlisted(&mut self, is_listed: impl Fn(&str) -> bool) {
+        for entry in walkdir::WalkDir::new(&self.folder).sort_by_file_name() {
+            match entry {
+                Ok(entry) if entry.file_type().is_dir() => {}
+                Ok(entry) => {
+                    let below = entry.path().strip_prefix(&self.folder).unwrap_or(entry.path());
+                    let file = below.to_string_lossy().replace('\\', "/");
+                    if file != TAG_MANIFEST && !is_listed(&file) {
+                        self.faults.push(BagFault::Unlisted { file });
+                    }
+                }
+                Err(error) => self.faults.push(BagFault::Unreadable {
+                    file: String::new(),
+                    cause: error.to_string(),
+                }),
+            }
+        }
+    }
+
+    fn check_oxum(&mut self) {
+        let info = self.tag(INFO).unwrap_or_default();
+        let text = String::from_utf8_lossy(&info);
+        let listed = text.lines().find_map(|line| line.strip_prefix("Payload-Oxum: "));
+        let bytes: u64 = self.payload.values().map(|digest| digest.bytes).sum();
+        let found = format!("{bytes}.{}", self.payload.len());
+        if listed != Some(found.as_str()) {
+            self.faults.push(BagFault::Oxum {
+                found,
+                listed: listed.unwrap_or("nothing").to_owned(),
+            });
+        }
+    }
+}
+
+/// Reads a line of a manifest: a digest in small letters, two spaces, the path of a file in the bag.
+fn manifest_line(line: &str) -> Option<(String, Sha256)> {
+    let (text, path) = line.split_once("  ")?;
+    let digest: Sha256 = text.parse().ok()?;
+    let path = decode_path(path);
+    (is_safe(&path) && digest.to_string() == text).then_some((path, digest))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bag::BagWriter;
+
+    /// A bag of two files in a new folder.
+    fn bag() -> (tempfile::TempDir, PathBuf) {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("bag");
+        let mut bag = BagWriter::create(&folder).unwrap();
+        bag.add("a.txt", b"one").unwrap();
+        bag.add("sub/100% b\n.txt", b"two").unwrap();
+        bag.seal().unwrap();
+        bag.finish(&[("Source-Organization", "test".to_owned())]).unwrap();
+        (dir, folder)
+    }
+
+    #[test]
+    fn a_bag_is_read_as_it_was_written() {
+        let (_dir, folder) = bag();
+        let read = Bag::read(&folder);
+        assert_eq!(read.faults, []);
+        let paths: Vec<&str> = read.payload.keys().map(String::as_str).collect();
+        assert_eq!(paths, ["a.txt", "sub/100% b\n.txt"]);
+        assert_eq!(read.payload["a.txt"], FileDigest::of(b"one"));
+        assert_eq!(read.get("a.txt").unwrap(), b"one");
+        let info = fs::read_to_string(folder.join(INFO)).unwrap();
+        assert_eq!(info, "Source-Organization: test\nPayload-Oxum: 6.2\n");
+    }
+
+    /// One bit of every byte of every file, manifests included.
+    #[test]
+    fn a_bit_that_is_flipped_anywhere_is_a_fault() {
+        let (_dir, folder) = bag();
+        let files = walkdir::WalkDir::new(&folder).into_iter().map(Result::unwrap);
+        let files: Vec<PathBuf> = files
+            .filter(|entry| entry.file_type().is_file())
+            .map(|entry| entry.into_path())
+            .collect();
+        assert_eq!(files.len(), 6);
+        for file in files {
+            let whole = fs::read(&file).unwrap();
+            for place in 0..whole.len() {
+                let mut bytes = whole.clone();
+                bytes[place] ^= 1 << (place % 8);
+                fs::write(&file, &bytes).unwrap();
+                let faults = Bag::read(&folder).faults;
+                assert!(!faults.is_empty(), "{} byte {place}", file.display());
+            }
+            fs::write(&file, &whole).unwrap();
+        }
+        assert_eq!(Bag::read(&folder).faults, []);
+    }
+
+    #[test]
+    fn files_that_came_or_went_are_named() {
+        let (_dir, folder) = bag();
+        fs::write(folder.join("data/new.txt"), b"x").unwrap();
+        fs::write(folder.join("note.txt"), b"x").unwrap();
+        fs::remove_file(folder.join("data/a.txt")).unwrap();
+        let faults: Vec<String> = Bag::read(&folder)
+            .faults
+            .iter()
+            .map(ToString::to_string)
+            .collect();
+        let text = faults.join("\n");
+        for expected in [
+            "`data/a.txt` is missing",
+            "`data/new.txt` is in no manifest",
+            "`note.txt` is in no manifest",
+            "counts 6.2 bytes and files, there are 3.1",
+        ] {
+            assert!(text.contains(expected), "{text}");
+        }
+        assert_eq!(faults.len(), 4, "{text}");
+    }
+
+    #[test]
+    fn a_manifest_cannot_lead_out_of_the_bag() {
+        let (dir, folder) = bag();
+        fs::write(dir.path().join("secret"), b"one").unwrap();
+        let line = format!("{}  data/../../secret\n", Sha256::of(b"one"));
+        fs::write(folder.join(MANIFEST), line).unwrap();
+        let faults = Bag::read(&folder).faults;
+        assert!(
+            faults.contains(&BagFault::BadLine {
+                file: MANIFEST.to_owned(),
+                line: 1
+            }),
+            "{faults:?}"
+        );
+    }
+}

@@ -1,0 +1,208 @@
+//! A run as a folder: a BagIt bag whose payload is an RO-Crate.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use marf_cache::{Digest, Sha256};
+
+use crate::bag::{BagWriter, FileDigest, MANIFEST};
+use crate::contents::{Content, Contents, File, OBJECTS, Photos, Purpose, ReadObject, object};
+use crate::dsse::Envelope;
+use crate::error::ExportError;
+use crate::graph::{Described, GraphInput, METADATA, PREVIEW, graph};
+use crate::key::SigningKey;
+use crate::preview::preview;
+use crate::run::Run;
+use crate::statement::{Subject, statement_on_run};
+
+/// Name of the signed statement on a crate, beside the payload.
+pub const ATTESTATION: &str = "attestation.dsse.json";
+
+/// Whether the bytes of photos and results go along.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Data {
+    /// They do.
+    Included,
+    /// They are named by their digests.
+    Named,
+}
+
+/// What a crate is to hold.
+pub struct CrateOptions<'a> {
+    /// Whether data go along.
+    pub data: Data,
+    /// Of which photos.
+    pub photos: Photos,
+    /// Licence of the crate: an SPDX id or a URL.
+    pub license: Option<&'a str>,
+    /// Signs the crate.
+    pub key: Option<&'a SigningKey>,
+}
+
+/// What was written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Written {
+    /// Files of the payload.
+    pub files: u64,
+    /// Their bytes.
+    pub bytes: u64,
+    /// Files that are named and not included.
+    pub named: u64,
+    /// Digest of the manifest of the payload: it stands for every byte of it.
+    pub manifest: Sha256,
+}
+
+/// Writes a run as a crate in a new folder. The same run and options give the same bytes.
+///
+/// # Errors
+/// An object that cannot be read, a photo that the run does not have, or a place that cannot be written; then nothing
+/// is left there.
+pub fn write_crate(
+    run: &Run,
+    read: &ReadObject<'_>,
+    options: &CrateOptions<'_>,
+    folder: &Path,
+) -> Result<Written, ExportError> {
+    if folder.exists() {
+        return Err(ExportError::Exists {
+            path: folder.to_owned(),
+        });
+    }
+    let contents = Contents::of(run, read, &options.photos)?;
+    let partial = beside(folder);
+    let written = write_bag(run, read, options, &contents, &partial).and_then(|written| {
+        fs::rename(&partial, folder)
+            .map(|()| written)
+            .map_err(failed(folder))
+    });
+    if written.is_err() {
+        let _ = fs::remove_dir_all(&partial); // it may not exist; the first error is returned
+    }
+    written
+}
+
+/// Returns a name beside a folder under which it is written first.
+fn beside(folder: &Path) -> PathBuf {
+    let name = folder.file_name().unwrap_or_default().to_string_lossy();
+    folder.with_file_name(format!(".{name}.{}.part", std::process::id()))
+}
+
+fn failed(path: &Path) -> impl Fn(io::Error) -> ExportError {
+    move |cause| ExportError::Write {
+        path: path.to_owned(),
+        cause,
+    }
+}
+
+fn write_bag(
+    run: &Run,
+    read: &ReadObject<'_>,
+    options: &CrateOptions<'_>,
+    contents: &Contents,
+    folder: &Path,
+) -> Result<Written, ExportError> {
+    let failed = failed(folder);
+    if let Some(parent) = folder.parent().filter(|parent| !parent.as_os_str().is_empty()) {
+        fs::create_dir_all(parent).map_err(&failed)?;
+    }
+    let mut bag = BagWriter::create(folder).map_err(&failed)?;
+    let mut described = Vec::new();
+    for file in contents.files.values() {
+        described.push(add_file(&mut bag, file, read, options.data, &failed)?);
+    }
+    for (digest, purpose) in &contents.objects {
+        if *purpose == Purpose::Record || options.data == Data::Included {
+            let bytes = object(read, digest, || "an object of a set".to_owned())?;
+            bag.add(&format!("{OBJECTS}{digest}"), &bytes).map_err(&failed)?;
+        }
+    }
+    let graph = graph(&GraphInput {
+        run,
+        contents,
+        files: &described,
+        license: options.license,
+    });
+    // Strings and sorted maps always serialise.
+    let mut metadata = serde_json::to_vec_pretty(&graph).unwrap_or_default();
+    metadata.push(b'\n');
+    bag.add(METADATA, &metadata).map_err(&failed)?;
+    bag.add(PREVIEW, preview(&graph).as_bytes()).map_err(&failed)?;
+    let manifest = bag.seal().map_err(&failed)?;
+    if let Some(key) = options.key {
+        let subjects = [
+            Subject::new(MANIFEST, manifest),
+            Subject::new(crate::contents::RUN_ROOT, FileDigest::of(&run.root)),
+        ];
+        let envelope = Envelope::sign(&statement_on_run(run, &subjects, read)?, key);
+        bag.tag(ATTESTATION, &envelope.encode()).map_err(&failed)?;
+    }
+    let is_named = |described: &&Described<'_>| described.id != described.file.path;
+    let (files, bytes) = bag.payload_size();
+    bag.finish(&info(run)).map_err(&failed)?;
+    Ok(Written {
+        files,
+        bytes,
+        named: described.iter().filter(is_named).count() as u64,
+        manifest: manifest.sha256,
+    })
+}
+
+fn info(run: &Run) -> [(&'static str, String); 3] {
+    let one_line = |text: &str| text.replace(['\r', '\n'], " ");
+    [
+        ("Bag-Software-Agent", one_line(&run.program)),
+        ("External-Identifier", format!("blake3:{}", Digest::of(&run.root))),
+        (
+            "External-Description",
+            one_line(&format!("marf run {} of {}", run.id, run.pipeline)),
+        ),
+    ]
+}
+
+/// Adds a file to the bag, or finds its digests only.
+fn add_file<'a>(
+    bag: &mut BagWriter,
+    file: &'a File,
+    read: &ReadObject<'_>,
+    data: Data,
+    failed: impl Fn(io::Error) -> ExportError,
+) -> Result<Described<'a>, ExportError> {
+    let stored;
+    let bytes: &[u8] = match &file.content {
+        Content::Bytes(bytes) => bytes,
+        Content::Object(digest) => {
+            stored = object(read, digest, || file.name.clone())?;
+            &stored
+        }
+    };
+    if file.purpose == Purpose::Data && data == Data::Named {
+        let digest = FileDigest::of(bytes);
+        let id = name_of(&digest.sha256);
+        return Ok(Described { file, digest, id });
+    }
+    let digest = bag.add(&file.path, bytes).map_err(failed)?;
+    let id = file.path.clone();
+    Ok(Described { file, digest, id })
+}
+
+/// Returns the URI of bytes that are named by their SHA-256 (RFC 6920).
+pub(crate) fn name_of(digest: &Sha256) -> String {
+    use base64::{Engine as _, engine::general_purpose::URL_SAFE_NO_PAD};
+    format!("ni:///sha-256;{}", URL_SAFE_NO_PAD.encode(digest.as_bytes()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The example of RFC 6920, section 8.1.
+    #[test]
+    fn bytes_are_named_as_the_standard_names_them() {
+        let digest = Sha256::of(b"Hello World!");
+        assert_eq!(
+            name_of(&digest),
+            "ni:///sha-256;f4OxZX_x_FO5LcGBSKHWXfwtSx-j1ncoSt3SABJtkGk"
+        );
+    }
+}

@@ -1,0 +1,91 @@
+//! Why a run cannot be handed out.
+
+use std::path::PathBuf;
+
+use marf_cache::{ActionError, Digest, manifest::ManifestError};
+
+/// Why a crate or a statement cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum ExportError {
+    /// The bytes of a run root are none.
+    #[error("the root of the run cannot be read: {0}")]
+    BadRoot(String),
+    /// The run did not end well.
+    #[error("run `{id}` did not end with a result for every node ({outcome})")]
+    Unfinished {
+        /// Name of the run.
+        id: String,
+        /// How it ended.
+        outcome: String,
+    },
+    /// An object that the store does not give.
+    #[error("{what} (object {}) cannot be read: {cause}", digest.short())]
+    Object {
+        /// The object.
+        digest: Digest,
+        /// What it is, for people.
+        what: String,
+        /// The error of the store.
+        cause: String,
+    },
+    /// A set that is none.
+    #[error("{what} cannot be read: {cause}")]
+    BadSet {
+        /// What it is, for people.
+        what: String,
+        /// The error of the reader.
+        cause: ManifestError,
+    },
+    /// The bytes under a key are no action.
+    #[error("the action of `{node}` cannot be read: {cause}")]
+    BadAction {
+        /// The node.
+        node: String,
+        /// The error of the reader.
+        cause: ActionError,
+    },
+    /// A photo that the run did not look at.
+    #[error("the run has no photo `{id}`")]
+    UnknownItem {
+        /// The name that was asked for.
+        id: String,
+    },
+    /// A node that the run does not have.
+    #[error("the run has no node `{node}`")]
+    UnknownNode {
+        /// The name that was asked for.
+        node: String,
+    },
+    /// Something is where the crate shall go.
+    #[error("{} is there already", path.display())]
+    Exists {
+        /// The place.
+        path: PathBuf,
+    },
+    /// A file that cannot be written.
+    #[error("cannot write {}: {cause}", path.display())]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// The error of the operating system.
+        cause: std::io::Error,
+    },
+}
+
+impl ExportError {
+    /// Returns what the user can do about it, if anything.
+    pub fn hint(&self) -> Option<&'static str> {
+        match self {
+            Self::Unfinished { .. } => {
+                Some("`marf run` finishes it; `marf log` lists the runs that are done")
+            }
+            Self::Object { .. } | Self::BadSet { .. } | Self::BadAction { .. } => {
+                Some("`marf run` makes lost results again; then export the new run")
+            }
+            Self::UnknownItem { .. } => Some("`marf photos` lists the names of all photos"),
+            Self::UnknownNode { .. } => Some("`marf status` lists the nodes"),
+            Self::Exists { .. } => Some("remove it, or name another folder"),
+            Self::BadRoot(_) | Self::Write { .. } => None,
+        }
+    }
+}

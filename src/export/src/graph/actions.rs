@@ -1,0 +1,209 @@
+//! What ran: the run, each node, and each decision on a chosen photo.
+
+use serde_json::Value;
+
+use super::Context;
+use super::entity::{Entity, end_of, id_of, iso_time};
+use super::fixed::PROGRAM;
+use super::tools::{Role, slot_id, tool_id};
+use crate::contents::ItemVerdict;
+use crate::run::Node;
+
+pub(super) fn entities(context: &Context<'_>) -> Vec<Value> {
+    let run = context.run();
+    let mut entities = vec![run_action(context), organize(context)];
+    for node in &run.nodes {
+        entities.push(node_action(context, node));
+        entities.push(control(&action_id(&node.name), &node.name));
+        entities.extend(values(context, node));
+    }
+    for item in &context.input.contents.items {
+        entities.push(item_action(context, item));
+        entities.push(control(&item_id(item), &item.node));
+    }
+    entities
+}
+
+/// Returns the id of the action of a node.
+pub(crate) fn action_id(node: &str) -> String {
+    id_of("action", node)
+}
+
+/// Returns the id of the decision of a node on a photo.
+pub(super) fn item_id(item: &ItemVerdict) -> String {
+    format!("{}/photo/{}", action_id(&item.node), file_stem(&item.path))
+}
+
+/// Returns the path of a verdict's file without folder `items/` and ending: unique, and plain by construction.
+fn file_stem(path: &str) -> &str {
+    let stem = path.strip_prefix("items/").unwrap_or(path);
+    stem.strip_suffix(".json").unwrap_or(stem)
+}
+
+fn run_action(context: &Context<'_>) -> Value {
+    let run = context.run();
+    let inputs = run.nodes.iter().flat_map(|node| foreign_inputs(context, node));
+    let terminal = |node: &&Node| context.terminal.contains(node.name.as_str());
+    let results = run.nodes.iter().filter(terminal);
+    let results = results.flat_map(|node| node.outputs.values());
+    let results = results.filter_map(|output| context.ids.get(&output.digest).copied());
+    Entity::new("#run", "CreateAction")
+        .with("name", format!("run {}", run.id))
+        .with("description", run.command.as_str())
+        .with_ids("instrument", [context.pipeline()])
+        .with_ids("object", once(inputs))
+        .with_ids("result", once(results))
+        .with("startTime", iso_time(run.started_unix_s))
+        .with("endTime", iso_time(end_of(run.started_unix_s, run.seconds)))
+        .into_value()
+}
+
+/// Returns the ids of what a node read and no node of the run made.
+fn foreign_inputs<'a>(context: &Context<'a>, node: &'a Node) -> Vec<&'a str> {
+    let made = |digest: &marf_cache::Digest| {
+        let mut outputs = context.run().nodes.iter().flat_map(|node| node.outputs.values());
+        outputs.any(|output| output.digest == *digest)
+    };
+    let inputs = context
+        .action(node)
+        .into_iter()
+        .flat_map(|action| action.inputs.values());
+    let inputs = inputs.chain(&node.origins).filter(|digest| !made(digest));
+    inputs
+        .filter_map(|digest| context.ids.get(digest).copied())
+        .collect()
+}
+
+fn organize(context: &Context<'_>) -> Value {
+    let run = context.run();
+    let nodes = run.nodes.iter().map(|node| control_id(&action_id(&node.name)));
+    let items = context.input.contents.items.iter();
+    let items = items.map(|item| control_id(&item_id(item)));
+    Entity::new("#marf/run", "OrganizeAction")
+        .with("name", format!("marf runs {}", run.id))
+        .with_ids("instrument", [PROGRAM])
+        .with_ids("object", nodes.chain(items))
+        .with_ids("result", ["#run"])
+        .with("startTime", iso_time(run.started_unix_s))
+        .with("endTime", iso_time(end_of(run.started_unix_s, run.seconds)))
+        .into_value()
+}
+
+fn control_id(action: &str) -> String {
+    format!("#control{}", action.trim_start_matches("#action"))
+}
+
+fn control(action: &str, node: &str) -> Value {
+    Entity::new(control_id(action), "ControlAction")
+        .with("name", format!("step {node}"))
+        .with_ids("instrument", [id_of("step", node)])
+        .with_ids("object", [action])
+        .into_value()
+}
+
+fn node_action(context: &Context<'_>, node: &Node) -> Value {
+    let action = context.action(node);
+    let inputs = action.into_iter().flat_map(|action| action.inputs.values());
+    let inputs = inputs.chain(&node.origins);
+    let inputs = inputs.filter_map(|digest| context.ids.get(digest).map(|id| (*id).to_owned()));
+    let results = node.outputs.values();
+    let results = results.filter_map(|output| context.ids.get(&output.digest).copied());
+    let action_file = context.ids.get(&node.key).copied();
+    let entity = Entity::new(action_id(&node.name), "CreateAction")
+        .with("name", node.name.as_str())
+        .with("identifier", format!("blake3:{}", node.key))
+        .with_ids("subjectOf", action_file)
+        .with_ids("instrument", action.map(tool_id))
+        .with_ids("object", inputs.chain(value_ids(context, node)))
+        .with_ids("result", once(results));
+    with_times(entity, context, node).into_value()
+}
+
+/// Adds when, where and by which program the result was made, as far as it is known.
+fn with_times(entity: Entity, context: &Context<'_>, node: &Node) -> Entity {
+    let Some(started) = node.started_unix_s else {
+        return entity;
+    };
+    let ended = end_of(started, node.seconds);
+    let when = match ended < context.run().started_unix_s {
+        true => "an earlier run, whose result was used again",
+        false => "this run",
+    };
+    let by = node.made_by.as_deref().unwrap_or("a program that left no name");
+    entity
+        .with("description", format!("made by {by} in {when}"))
+        .with("startTime", iso_time(started))
+        .with("endTime", iso_time(ended))
+}
+
+/// Returns the parameters of a node with the ids of their values.
+fn parameters<'a>(
+    context: &Context<'a>,
+    node: &'a Node,
+) -> impl Iterator<Item = (String, &'a str, &'a Value)> {
+    let of = id_of("value", &node.name);
+    let action = context.action(node);
+    let params = action.and_then(|action| action.params.as_object());
+    params
+        .into_iter()
+        .flatten()
+        .map(move |(name, value)| (slot_id(&of, Role::Parameter, name), name.as_str(), value))
+}
+
+fn value_ids<'a>(context: &Context<'a>, node: &'a Node) -> impl Iterator<Item = String> + use<'a> {
+    parameters(context, node)
+        .map(|(id, ..)| id)
+        .collect::<Vec<_>>()
+        .into_iter()
+}
+
+fn values(context: &Context<'_>, node: &Node) -> Vec<Value> {
+    let tool = context.action(node).map(tool_id).unwrap_or_default();
+    let value = |(id, name, value): (String, &str, &Value)| {
+        Entity::new(id, "PropertyValue")
+            .with("name", name)
+            .with("value", value_text(value))
+            .with_ids("exampleOfWork", [slot_id(&tool, Role::Parameter, name)])
+            .into_value()
+    };
+    parameters(context, node).map(value).collect()
+}
+
+/// Returns a parameter's value as text: a text as it is, anything else as canonical JSON.
+pub(crate) fn value_text(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        other => String::from_utf8_lossy(&marf_cache::canonical_json(other)).into_owned(),
+    }
+}
+
+fn item_action(context: &Context<'_>, item: &ItemVerdict) -> Value {
+    let node = context.run().nodes.iter().find(|node| node.name == item.node);
+    let verdict = context.by_path.get(item.path.as_str()).copied();
+    let blobs = item
+        .blobs
+        .values()
+        .filter_map(|digest| context.ids.get(digest).copied());
+    let blobs: Vec<&str> = blobs.collect();
+    let values = node.into_iter().flat_map(|node| value_ids(context, node));
+    let tool = node.and_then(|node| context.action(node)).map(tool_id);
+    let origins = node.into_iter().flat_map(|node| foreign_inputs(context, node));
+    let entity = Entity::new(item_id(item), "CreateAction")
+        .with("name", format!("{} of {}", item.node, item.id))
+        .with_ids("instrument", tool);
+    match item.is_source {
+        true => entity
+            .with_ids("object", origins.map(str::to_owned).chain(values))
+            .with_ids("result", blobs.into_iter().chain(verdict)),
+        false => entity
+            .with_ids("object", blobs.into_iter().map(str::to_owned).chain(values))
+            .with_ids("result", verdict),
+    }
+    .into_value()
+}
+
+/// Returns each id once, in the order of the first.
+fn once<'a>(ids: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
+    let mut seen = std::collections::BTreeSet::new();
+    ids.filter(|id| seen.insert(*id)).collect()
+}

@@ -1,0 +1,117 @@
+//! Entities: JSON objects with `@id` and `@type`.
+
+use serde_json::{Map, Value, json};
+
+use crate::contents::is_plain;
+
+/// An entity that is being made.
+pub(super) struct Entity(Map<String, Value>);
+
+impl Entity {
+    /// Begins an entity of one type.
+    pub(super) fn new(id: impl Into<String>, kind: &str) -> Self {
+        let mut fields = Map::new();
+        fields.insert("@id".to_owned(), Value::from(id.into()));
+        fields.insert("@type".to_owned(), Value::from(kind));
+        Self(fields)
+    }
+
+    /// Adds a field, or replaces it.
+    pub(super) fn with(mut self, name: &str, value: impl Into<Value>) -> Self {
+        self.0.insert(name.to_owned(), value.into());
+        self
+    }
+
+    /// Adds references: none leave the field out, one is no list.
+    pub(super) fn with_ids<S: Into<String>>(self, name: &str, ids: impl IntoIterator<Item = S>) -> Self {
+        let mut ids: Vec<Value> = ids.into_iter().map(|id| reference(id)).collect();
+        match ids.len() {
+            0 => self,
+            1 => self.with(name, ids.remove(0)),
+            _ => self.with(name, ids),
+        }
+    }
+
+    pub(super) fn into_value(self) -> Value {
+        Value::Object(self.0)
+    }
+}
+
+fn reference(id: impl Into<String>) -> Value {
+    json!({"@id": id.into()})
+}
+
+/// Returns the id of an entity about something with this name: `#kind/name`, with a digest for a name that is no URI.
+pub(super) fn id_of(kind: &str, name: &str) -> String {
+    match is_plain(name) {
+        true => format!("#{kind}/{name}"),
+        false => format!("#{kind}/blake3-{}", marf_cache::Digest::of(name.as_bytes())),
+    }
+}
+
+/// Returns the ids that a field refers to.
+pub(crate) fn ids(value: &Value) -> Vec<&str> {
+    match value {
+        Value::Array(values) => values.iter().flat_map(ids).collect(),
+        Value::Object(fields) => fields.get("@id").and_then(Value::as_str).into_iter().collect(),
+        _ => Vec::new(),
+    }
+}
+
+/// Returns all references of an entity: the field and the id it refers to.
+pub(crate) fn references(entity: &Value) -> Vec<(&str, &str)> {
+    let fields = entity.as_object().into_iter().flatten();
+    let of_field = |(name, value)| ids(value).into_iter().map(move |id| (String::as_str(name), id));
+    fields.flat_map(of_field).collect()
+}
+
+/// Returns a point in time as ISO 8601 in UTC; times past the year 9999 as its end.
+pub(crate) fn iso_time(unix_s: u64) -> String {
+    /// 9999-12-31T23:59:59Z, the last time that has four digits for its year.
+    const LAST_UNIX_S: u64 = 253_402_300_799;
+    let since = std::time::Duration::from_secs(unix_s.min(LAST_UNIX_S));
+    humantime::format_rfc3339_seconds(std::time::UNIX_EPOCH + since).to_string()
+}
+
+/// Returns the end of what began at a time and took so many seconds, in whole seconds since 1970.
+pub(crate) fn end_of(started_unix_s: u64, seconds: f64) -> u64 {
+    started_unix_s.saturating_add(seconds.max(0.0) as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_reference_is_no_list_and_none_is_no_field() {
+        let entity = Entity::new("#a", "X")
+            .with_ids("none", Vec::<String>::new())
+            .with_ids("one", ["#b"])
+            .with_ids("two", ["#b", "#c"])
+            .into_value();
+        assert_eq!(
+            entity,
+            json!({"@id": "#a", "@type": "X", "one": {"@id": "#b"}, "two": [{"@id": "#b"}, {"@id": "#c"}]})
+        );
+        assert_eq!(references(&entity), [("one", "#b"), ("two", "#b"), ("two", "#c")]);
+    }
+
+    #[test]
+    fn a_name_that_is_no_uri_is_replaced_by_its_digest() {
+        assert_eq!(id_of("action", "tune/trial-00"), "#action/tune/trial-00");
+        for odd in ["a b", "ä", "../x", "a\"b", ""] {
+            let id = id_of("action", odd);
+            assert!(id.starts_with("#action/blake3-"), "{id}");
+        }
+    }
+
+    #[test]
+    fn times_are_utc_to_the_second() {
+        assert_eq!(iso_time(0), "1970-01-01T00:00:00Z");
+        assert_eq!(iso_time(951_782_400), "2000-02-29T00:00:00Z");
+        assert_eq!(iso_time(u64::MAX), "9999-12-31T23:59:59Z");
+        assert_eq!(end_of(10, 2.9), 12);
+        assert_eq!(end_of(10, f64::NAN), 10);
+        assert_eq!(end_of(u64::MAX, 1e300), u64::MAX);
+    }
+}

@@ -1,0 +1,31 @@
+//! Runs as files that strangers can check.
+//!
+//! ```text
+//! run.rs        a run as it is handed out: plain data, whoever read it
+//! contents/     which objects of the store go along
+//! graph/        what ran on what, as JSON-LD (RO-Crate 1.1, Provenance Run Crate 0.5), and as a page for people
+//! bag/          BagIt bags: every file with its SHA-256
+//! crates.rs     all of that in one folder
+//! statement.rs  in-toto statements with SLSA provenance; dsse.rs signs them, key.rs reads keys
+//! verify/       the check of a crate that needs no store
+//! ```
+//!
+//! Invariant: the same run gives the same bytes. Nothing here reads a clock or an environment.
+
+pub mod bag;
+mod contents;
+mod crates;
+pub mod dsse;
+mod error;
+mod graph;
+pub mod key;
+mod preview;
+mod run;
+mod statement;
+pub mod verify;
+
+pub use contents::{Photos, ReadObject};
+pub use crates::{CrateOptions, Data, Written, write_crate};
+pub use error::ExportError;
+pub use run::{Node, NodeOutput, Run};
+pub use statement::{Subject, statement_on_node, statement_on_run, subjects_in, subjects_of};

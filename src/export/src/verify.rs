@@ -1,0 +1,90 @@
+//! The check of a crate that needs no store, and no trust in who made it.
+//!
+//! ```text
+//! bag      every file is listed and has the listed digest          (bag/read.rs)
+//! graph    it is of a form we know; every reference leads somewhere; files have the digests it gives (entities.rs)
+//! actions  bytes of actions give their keys; tools, inputs, parameters and results are those of the graph (actions.rs)
+//! lineage  what is read was made by an action or read from an archive; photos lead to files of the archive (lineage.rs)
+//! signature (signature.rs)
+//! ```
+
+mod actions;
+mod entities;
+mod lineage;
+mod open;
+mod signature;
+mod trace;
+
+use std::path::Path;
+
+use marf_cache::{Digest, Sha256};
+use serde::Serialize;
+
+use crate::key::PublicKey;
+
+pub use open::{OpenCrate, OpenError};
+pub use trace::{Product, Role, Step, Trace};
+
+/// What a check found.
+#[derive(Debug, Serialize)]
+pub struct Report {
+    /// Name of the run.
+    pub run: String,
+    /// Digest of the run root.
+    pub root: Digest,
+    /// Digest of the manifest of the payload.
+    pub manifest_sha256: Option<Sha256>,
+    /// Files of the payload.
+    pub files: u64,
+    /// Files that are named by their digest and not included.
+    pub named: u64,
+    /// Actions whose bytes gave their keys.
+    pub actions: u64,
+    /// Photos that were followed to the files of the archive.
+    pub photos: u64,
+    /// Whether it is signed by the key that was given.
+    pub signature: Signature,
+    /// All that is wrong, one sentence each; none in a crate that holds.
+    pub faults: Vec<String>,
+}
+
+/// What is known of the signature.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Signature {
+    /// There is none.
+    None,
+    /// There is one, and no key was given to check it.
+    NotChecked,
+    /// It is of the given key, over this payload.
+    Good,
+    /// A fault says what is wrong with it.
+    Bad,
+}
+
+/// Checks a crate: all of it, and the signature against a key if one is given.
+///
+/// # Errors
+/// A folder that is no crate of ours, or one of a newer form. Anything else that is wrong is a fault of the report.
+pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Report, OpenError> {
+    let opened = OpenCrate::open(folder)?;
+    let mut faults: Vec<String> = opened.bag.faults.iter().map(ToString::to_string).collect();
+    faults.extend(entities::check(&opened));
+    let actions = actions::check(&opened, &mut faults);
+    let photos = lineage::check(&opened, &mut faults);
+    let signature = signature::check(&opened, key, &mut faults);
+    Ok(Report {
+        run: opened.run.id.clone(),
+        root: Digest::of(&opened.run.root),
+        manifest_sha256: opened
+            .bag
+            .tag(crate::bag::MANIFEST)
+            .map(|bytes| Sha256::of(&bytes)),
+        files: opened.bag.payload.len() as u64,
+        named: opened.named() as u64,
+        actions,
+        photos,
+        signature,
+        faults,
+    })
+}

@@ -1,0 +1,125 @@
+//! Actions: their bytes against their keys, the graph and the run root.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use marf_cache::{Action, Digest};
+use marf_engine::LISTING;
+use serde_json::Value;
+
+use super::open::{OpenCrate, text};
+use crate::graph::{action_id, ids, tool_id};
+use crate::run::Node;
+
+/// Checks the action of every node; returns how many gave their keys.
+pub(super) fn check(opened: &OpenCrate, faults: &mut Vec<String>) -> u64 {
+    let by_id: BTreeMap<&str, &Value> = opened
+        .entities
+        .iter()
+        .map(|entity| (text(entity, "@id"), entity))
+        .collect();
+    let digests = opened.described();
+    let digests: BTreeMap<&str, Digest> = digests.into_iter().map(|(id, file)| (id, file.blake3)).collect();
+    let context = Context { by_id, digests };
+    let mut good = 0;
+    for node in &opened.run.nodes {
+        match action(opened, node) {
+            Ok(action) => {
+                good += 1;
+                context.check_node(node, &action, faults);
+            }
+            Err(cause) => faults.push(format!("the action of `{}`: {cause}", node.name)),
+        }
+    }
+    let nodes: BTreeSet<String> = opened
+        .run
+        .nodes
+        .iter()
+        .map(|node| action_id(&node.name))
+        .collect();
+    for entity in opened.of_type("CreateAction") {
+        context.check_photo_action(entity, &nodes, faults);
+    }
+    good
+}
+
+/// Reads the action of a node; its bytes have the digest that is the key.
+pub(super) fn action(opened: &OpenCrate, node: &Node) -> Result<Action, String> {
+    let bytes = opened.object(&node.key)?;
+    Action::decode(&bytes).map_err(|error| error.to_string())
+}
+
+struct Context<'a> {
+    by_id: BTreeMap<&'a str, &'a Value>,
+    digests: BTreeMap<&'a str, Digest>,
+}
+
+impl Context<'_> {
+    fn check_node(&self, node: &Node, action: &Action, faults: &mut Vec<String>) {
+        let id = action_id(&node.name);
+        let Some(entity) = self.by_id.get(id.as_str()) else {
+            faults.push(format!("the graph has no action of `{}`", node.name));
+            return;
+        };
+        let mut expect = |holds: bool, what: &str| {
+            if !holds {
+                faults.push(format!("{what} of `{id}` in the graph is not that of the run"));
+            }
+        };
+        expect(
+            text(entity, "identifier") == format!("blake3:{}", node.key),
+            "the key",
+        );
+        expect(ids(&entity["instrument"]) == [tool_id(action)], "the instrument");
+        let objects = ids(&entity["object"]);
+        let read = self.digests_of(&objects);
+        let inputs: BTreeSet<Digest> = action.inputs.values().copied().collect();
+        // A source also tells which files it read.
+        let is_told = match action.inputs.contains_key(LISTING) {
+            true => inputs.is_subset(&read),
+            false => inputs == read,
+        };
+        expect(is_told, "what is read");
+        let made: BTreeSet<Digest> = node.outputs.values().map(|output| output.digest).collect();
+        expect(self.digests_of(&ids(&entity["result"])) == made, "what is made");
+        expect(
+            self.values_of(&objects) == params(action),
+            "the set of parameters",
+        );
+    }
+
+    /// Checks that an action that is of no node alone has an instrument, something read and something made.
+    fn check_photo_action(&self, entity: &Value, nodes: &BTreeSet<String>, faults: &mut Vec<String>) {
+        let id = text(entity, "@id");
+        if nodes.contains(id) {
+            return;
+        }
+        for field in ["instrument", "object", "result"] {
+            if ids(&entity[field]).is_empty() {
+                faults.push(format!("`{id}` has no `{field}`"));
+            }
+        }
+    }
+
+    fn digests_of(&self, ids: &[&str]) -> BTreeSet<Digest> {
+        ids.iter()
+            .filter_map(|id| self.digests.get(id).copied())
+            .collect()
+    }
+
+    /// Returns the values of parameters among these entities, by name.
+    fn values_of(&self, ids: &[&str]) -> BTreeMap<String, String> {
+        let entities = ids.iter().filter_map(|id| self.by_id.get(id));
+        let values = entities.filter(|entity| super::open::is(entity, "PropertyValue"));
+        values
+            .map(|value| (text(value, "name").to_owned(), text(value, "value").to_owned()))
+            .collect()
+    }
+}
+
+/// Returns the parameters of an action as the graph writes them.
+fn params(action: &Action) -> BTreeMap<String, String> {
+    let params = action.params.as_object().into_iter().flatten();
+    params
+        .map(|(name, value)| (name.clone(), crate::graph::value_text(value)))
+        .collect()
+}

@@ -1,0 +1,171 @@
+//! A crate as it is found: bag, graph and run root.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use marf_cache::Digest;
+use serde_json::Value;
+
+use crate::bag::{Bag, FileDigest};
+use crate::contents::RUN_ROOT;
+use crate::error::ExportError;
+use crate::graph::{CRATE_FORMAT, CRATE_PROFILE, METADATA, ids};
+use crate::run::Run;
+
+/// An opened crate. What is in it is not trusted.
+pub struct OpenCrate {
+    /// The bag, with its faults.
+    pub bag: Bag,
+    /// The entities of the graph, in its order.
+    pub entities: Vec<Value>,
+    /// The run that the root tells.
+    pub run: Run,
+    /// Paths of the payload by the digest of their bytes.
+    paths: BTreeMap<Digest, String>,
+}
+
+/// A folder that cannot be checked.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// There is no crate.
+    #[error("{} is no crate: {cause}", path.display())]
+    NoCrate {
+        /// The folder.
+        path: PathBuf,
+        /// What is missing.
+        cause: String,
+    },
+    /// An RO-Crate that another program made.
+    #[error("{} is an RO-Crate that marf did not make", path.display())]
+    Foreign {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A crate of a newer form.
+    #[error("{} is a crate of version {found}; this program reads up to {CRATE_FORMAT}", path.display())]
+    Newer {
+        /// The folder.
+        path: PathBuf,
+        /// Its version, as it says.
+        found: String,
+    },
+    /// The run root cannot be read.
+    #[error("the run root of {}: {cause}", path.display())]
+    BadRun {
+        /// The folder.
+        path: PathBuf,
+        /// What is wrong with it.
+        cause: ExportError,
+    },
+}
+
+impl OpenCrate {
+    /// Reads a crate. Every file is read once and compared with the bag's manifests.
+    ///
+    /// # Errors
+    /// A folder without a graph or a run root that can be read, or a crate of a newer form.
+    pub fn open(folder: &Path) -> Result<Self, OpenError> {
+        let path = || folder.to_owned();
+        let no_crate = |cause: String| OpenError::NoCrate { path: path(), cause };
+        let metadata = folder.join(crate::bag::PAYLOAD).join(METADATA);
+        let bytes =
+            std::fs::read(&metadata).map_err(|error| no_crate(format!("{}: {error}", metadata.display())))?;
+        let graph: Value = serde_json::from_slice(&bytes)
+            .map_err(|error| no_crate(format!("`{METADATA}` is damaged: {error}")))?;
+        let entities = graph["@graph"].as_array().cloned().unwrap_or_default();
+        check_version(folder, &entities)?;
+        let bag = Bag::read(folder);
+        let root = bag
+            .get(RUN_ROOT)
+            .map_err(|error| no_crate(format!("`{RUN_ROOT}`: {error}")))?;
+        let run = Run::of(root).map_err(|cause| OpenError::BadRun { path: path(), cause })?;
+        let paths = bag
+            .payload
+            .iter()
+            .map(|(path, digest)| (digest.blake3, path.clone()))
+            .collect();
+        Ok(Self {
+            bag,
+            entities,
+            run,
+            paths,
+        })
+    }
+
+    /// Returns the bytes of an object that the payload holds; the error is a sentence.
+    ///
+    /// # Errors
+    /// An object that is not there or cannot be read.
+    pub fn object(&self, digest: &Digest) -> Result<Arc<[u8]>, String> {
+        let path = self.paths.get(digest).ok_or("it is not in the crate")?;
+        let bytes = self.bag.get(path).map_err(|error| error.to_string())?;
+        // The file may have changed since the bag was read.
+        match Digest::of(&bytes) == *digest {
+            true => Ok(bytes.into()),
+            false => Err("it changed while it was read".to_owned()),
+        }
+    }
+
+    /// Tells whether the payload holds the bytes of this digest.
+    pub fn holds(&self, digest: &Digest) -> bool {
+        self.paths.contains_key(digest)
+    }
+
+    /// Returns the entities of a type.
+    pub fn of_type<'a>(&'a self, kind: &'a str) -> impl Iterator<Item = &'a Value> {
+        self.entities.iter().filter(move |entity| is(entity, kind))
+    }
+
+    /// Returns the digests that the graph gives of each file, by the file's id.
+    pub fn described(&self) -> BTreeMap<&str, FileDigest> {
+        let files = self.of_type("File");
+        files
+            .filter_map(|file| Some((text(file, "@id"), digests(file)?)))
+            .collect()
+    }
+
+    /// Returns the number of files that are named and not included.
+    pub fn named(&self) -> usize {
+        let files = self.of_type("File");
+        files.filter(|file| text(file, "@id").contains(':')).count()
+    }
+}
+
+/// Refuses what is no crate of ours, or of a newer form.
+fn check_version(folder: &Path, entities: &[Value]) -> Result<(), OpenError> {
+    let root = entities.iter().find(|entity| text(entity, "@id") == "./");
+    let profiles = root.map(|root| ids(&root["conformsTo"])).unwrap_or_default();
+    let version = profiles.iter().find_map(|id| id.strip_prefix(CRATE_PROFILE));
+    let path = folder.to_owned();
+    match version.map(|version| (version, version.parse::<u32>())) {
+        Some((_, Ok(known))) if known <= CRATE_FORMAT => Ok(()),
+        Some((found, _)) => Err(OpenError::Newer {
+            path,
+            found: found.to_owned(),
+        }),
+        None => Err(OpenError::Foreign { path }),
+    }
+}
+
+/// Returns a text field of an entity; empty if it has none.
+pub(super) fn text<'a>(entity: &'a Value, field: &str) -> &'a str {
+    entity[field].as_str().unwrap_or_default()
+}
+
+/// Tells whether an entity is of a type.
+pub(super) fn is(entity: &Value, kind: &str) -> bool {
+    match &entity["@type"] {
+        Value::Array(kinds) => kinds.iter().any(|found| found == kind),
+        found => found == kind,
+    }
+}
+
+/// Returns length and digests that the graph gives of a file.
+fn digests(file: &Value) -> Option<FileDigest> {
+    Some(FileDigest {
+        bytes: text(file, "contentSize").parse().ok()?,
+        sha256: text(file, "sha256").parse().ok()?,
+        blake3: text(file, "blake3").parse().ok()?,
+    })
+}

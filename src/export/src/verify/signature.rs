@@ -1,0 +1,51 @@
+//! The signature of a crate.
+
+use super::Signature;
+use super::open::OpenCrate;
+use crate::bag::MANIFEST;
+use crate::contents::RUN_ROOT;
+use crate::crates::ATTESTATION;
+use crate::dsse::Envelope;
+use crate::key::PublicKey;
+use crate::statement::subjects_in;
+use marf_cache::Sha256;
+
+/// Checks the statement beside the payload against a key, and what it says against the crate.
+pub(super) fn check(opened: &OpenCrate, key: Option<&PublicKey>, faults: &mut Vec<String>) -> Signature {
+    let (bytes, key) = match (opened.bag.tag(ATTESTATION), key) {
+        (None, None) => return Signature::None,
+        (None, Some(_)) => {
+            faults.push("it is not signed".to_owned());
+            return Signature::None;
+        }
+        (Some(_), None) => return Signature::NotChecked,
+        (Some(bytes), Some(key)) => (bytes, key),
+    };
+    let statement = Envelope::decode(&bytes).and_then(|envelope| envelope.verify(key));
+    let wrong = match statement {
+        Err(error) => Some(format!("`{ATTESTATION}`: {error}")),
+        Ok(statement) => wrong_subjects(opened, &statement),
+    };
+    match wrong {
+        None => Signature::Good,
+        Some(wrong) => {
+            faults.push(wrong);
+            Signature::Bad
+        }
+    }
+}
+
+/// Returns what is wrong with the subjects of a signed statement: they must be the manifest and the run root.
+fn wrong_subjects(opened: &OpenCrate, statement: &[u8]) -> Option<String> {
+    let Some(subjects) = subjects_in(statement) else {
+        return Some(format!("`{ATTESTATION}` is signed, but holds no statement"));
+    };
+    let manifest = opened.bag.tag(MANIFEST).unwrap_or_default();
+    let expected = [
+        (MANIFEST, Sha256::of(&manifest)),
+        (RUN_ROOT, Sha256::of(&opened.run.root)),
+    ];
+    let expected = expected.map(|(name, digest)| (name.to_owned(), digest));
+    let missing = expected.iter().find(|subject| !subjects.contains(subject));
+    missing.map(|(name, _)| format!("`{ATTESTATION}` is signed, but not about this `{name}`"))
+}
