@@ -10,29 +10,11 @@ mod common;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use common::{Ran, marf};
-
-/// The default pipeline at a quarter of its pixels and a handful of steps.
-const SMALL: [&str; 14] = [
-    "archive.demo.width=320",
-    "size.min_bytes=3000",
-    "shape.min_width=160",
-    "shape.min_height=120",
-    "tune.scale=4",
-    "train.scale=4",
-    "bootstrap.scale=4",
-    "tune.trials=2",
-    "tune.steps=3",
-    "train.steps=12",
-    "bootstrap.b=3",
-    "bootstrap.steps=3",
-    "bootstrap.frames=2",
-    "bootstrap.width=80",
-];
+use common::{Ran, SMALL_DEMO, marf};
 
 fn run(folder: &Path, more: &[&str]) -> Ran {
     let mut args = vec!["run", "--json"];
-    args.extend(SMALL.iter().flat_map(|set| ["--set", set]));
+    args.extend(SMALL_DEMO.iter().flat_map(|set| ["--set", set]));
     args.extend(more);
     marf(folder, &args).exits(0)
 }

@@ -20,6 +20,10 @@ help_of! {
     help_init: "init", "--help";
     help_schema: "schema", "--help";
     help_report: "report", "--help";
+    help_export: "export", "--help";
+    help_export_crate: "export", "crate", "--help";
+    help_export_attest: "export", "attest", "--help";
+    help_verify: "verify", "--help";
     help_cache: "cache", "--help";
     help_cache_stat: "cache", "stat", "--help";
     help_cache_gc: "cache", "gc", "--help";

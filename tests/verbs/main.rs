@@ -11,6 +11,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 mod errors;
+mod export;
 mod help;
 mod log;
 mod plan;

@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
-use marf_cache::{Digest, Store};
+use marf_cache::{Digest, Store, read_digest_list};
 use marf_export::Run;
 use marf_provenance::lineage::{Lineage, NodeLineage};
 use marf_provenance::product;
+use marf_stage::PHOTOS;
 
 use super::super::error::{CliError, Diagnostic};
 use super::super::export::file_name;
@@ -28,6 +29,7 @@ pub fn load(store: &Store, number: Option<u64>) -> Result<Run, CliError> {
         if let Some(known) = lineage.node(&node.name) {
             node.origins = origins(store, known)?;
             let made = known.record.as_ref().map(|record| &record.metadata);
+            node.needs = needs(store, known)?;
             node.made_by = made.map(|made| format!("{} on {}", made.program, made.device));
         }
     }
@@ -44,6 +46,17 @@ fn origins(store: &Store, node: &NodeLineage) -> Result<Vec<Digest>, CliError> {
         origins.extend(store.record(&part.key)?.and_then(|record| record.origins));
     }
     Ok(origins)
+}
+
+/// Returns what a node that makes no set of photos stored beside its outputs; the rows of a set name their objects.
+fn needs(store: &Store, node: &NodeLineage) -> Result<Vec<Digest>, CliError> {
+    let record = node.record.as_ref();
+    let list = record.filter(|record| !record.outputs.contains_key(PHOTOS));
+    let Some(list) = list.and_then(|record| record.needs) else {
+        return Ok(Vec::new());
+    };
+    let unreadable = || CliError::failed(format!("the list of what `{}` needs is damaged", node.run.name));
+    read_digest_list(&store.get(&list)?).ok_or_else(unreadable)
 }
 
 fn no_run() -> CliError {

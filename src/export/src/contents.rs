@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use marf_cache::{Action, Digest};
-use marf_engine::document;
+use marf_engine::{LISTING, document};
 use marf_stage::{COMPANIONS, PHOTOS, VERDICTS};
 
 use crate::error::ExportError;
@@ -107,7 +107,11 @@ impl Contents {
             contents.add_inputs(node, read)?;
         }
         let chosen = match photos {
-            Photos::All => None,
+            Photos::All => {
+                let needs = run.nodes.iter().flat_map(|node| &node.needs);
+                needs.for_each(|digest| contents.add_object(*digest, Purpose::Data));
+                None
+            }
             Photos::Chosen(ids) => Some(ids.iter().map(String::as_str).collect::<BTreeSet<_>>()),
         };
         items::add_photos(&mut contents, run, read, chosen.as_ref())?;
@@ -208,8 +212,9 @@ impl Contents {
             for block in marf_cache::manifest::Root::blocks(&bytes).unwrap_or_default() {
                 self.add_object(block, Purpose::Record);
             }
+            let ending = if name == LISTING { ".jsonl" } else { "" };
             self.add(
-                format!("inputs/{}/{name}", node.name),
+                format!("inputs/{}/{name}{ending}", node.name),
                 title,
                 digest,
                 Purpose::Record,

@@ -45,6 +45,8 @@ pub struct Node {
     pub outputs: BTreeMap<String, NodeOutput>,
     /// Lists of the files that it read of an archive and where they came from; empty if it read none.
     pub origins: Vec<Digest>,
+    /// Objects that its outputs name and that are no outputs (photos made of others).
+    pub needs: Vec<Digest>,
     /// When the work began that made the result, in this run or an earlier one, in seconds since 1970; none in older roots.
     pub started_unix_s: Option<u64>,
     /// Wall time of that work.
@@ -95,6 +97,7 @@ impl Run {
                 key: key.ok_or_else(|| unfinished(format!("`{}` has none", node.name)))?,
                 outputs: outputs.collect(),
                 origins: Vec::new(),
+                needs: Vec::new(),
                 started_unix_s: node.started_unix_s,
                 seconds: node.seconds,
                 made_by: None,

@@ -103,9 +103,7 @@ fn control(action: &str, node: &str) -> Value {
 
 fn node_action(context: &Context<'_>, node: &Node) -> Value {
     let action = context.action(node);
-    let inputs = action.into_iter().flat_map(|action| action.inputs.values());
-    let inputs = inputs.chain(&node.origins);
-    let inputs = inputs.filter_map(|digest| context.ids.get(digest).map(|id| (*id).to_owned()));
+    let inputs = inputs(context, node).map(str::to_owned);
     let results = node.outputs.values();
     let results = results.filter_map(|output| context.ids.get(&output.digest).copied());
     let action_file = context.ids.get(&node.key).copied();
@@ -180,26 +178,38 @@ pub(crate) fn value_text(value: &Value) -> String {
 fn item_action(context: &Context<'_>, item: &ItemVerdict) -> Value {
     let node = context.run().nodes.iter().find(|node| node.name == item.node);
     let verdict = context.by_path.get(item.path.as_str()).copied();
-    let blobs = item
-        .blobs
-        .values()
-        .filter_map(|digest| context.ids.get(digest).copied());
-    let blobs: Vec<&str> = blobs.collect();
+    let blobs = item.blobs.values();
+    let blobs: Vec<&str> = blobs
+        .filter_map(|digest| context.ids.get(digest).copied())
+        .collect();
+    let (read, made) = match item.is_source {
+        true => (Vec::new(), blobs),
+        false => (blobs, Vec::new()),
+    };
+    // Decisions may compare a photo with its whole set, which is among the inputs of the node.
+    let inputs = node.into_iter().flat_map(|node| inputs(context, node));
+    let objects = read.into_iter().chain(inputs).map(str::to_owned);
     let values = node.into_iter().flat_map(|node| value_ids(context, node));
     let tool = node.and_then(|node| context.action(node)).map(tool_id);
-    let origins = node.into_iter().flat_map(|node| foreign_inputs(context, node));
-    let entity = Entity::new(item_id(item), "CreateAction")
+    Entity::new(item_id(item), "CreateAction")
         .with("name", format!("{} of {}", item.node, item.id))
-        .with_ids("instrument", tool);
-    match item.is_source {
-        true => entity
-            .with_ids("object", origins.map(str::to_owned).chain(values))
-            .with_ids("result", blobs.into_iter().chain(verdict)),
-        false => entity
-            .with_ids("object", blobs.into_iter().map(str::to_owned).chain(values))
-            .with_ids("result", verdict),
-    }
-    .into_value()
+        .with_ids("instrument", tool)
+        .with_ids("object", objects.chain(values))
+        .with_ids("result", made.into_iter().chain(verdict))
+        .into_value()
+}
+
+/// Returns the ids of what a node read.
+fn inputs<'a>(context: &Context<'a>, node: &'a Node) -> impl Iterator<Item = &'a str> + use<'a> {
+    let inputs = context
+        .action(node)
+        .into_iter()
+        .flat_map(|action| action.inputs.values());
+    let inputs = inputs.chain(&node.origins);
+    let ids: Vec<&str> = inputs
+        .filter_map(|digest| context.ids.get(digest).copied())
+        .collect();
+    ids.into_iter()
 }
 
 /// Returns each id once, in the order of the first.

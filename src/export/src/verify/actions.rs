@@ -19,7 +19,11 @@ pub(super) fn check(opened: &OpenCrate, faults: &mut Vec<String>) -> u64 {
         .collect();
     let digests = opened.described();
     let digests: BTreeMap<&str, Digest> = digests.into_iter().map(|(id, file)| (id, file.blake3)).collect();
-    let context = Context { by_id, digests };
+    let context = Context {
+        by_id,
+        digests,
+        known: known(opened),
+    };
     let mut good = 0;
     for node in &opened.run.nodes {
         match action(opened, node) {
@@ -51,6 +55,25 @@ pub(super) fn action(opened: &OpenCrate, node: &Node) -> Result<Action, String> 
 struct Context<'a> {
     by_id: BTreeMap<&'a str, &'a Value>,
     digests: BTreeMap<&'a str, Digest>,
+    /// What nodes read and made, and the objects of photos.
+    known: BTreeSet<Digest>,
+}
+
+/// Returns what nodes read and made, and the objects of photos.
+fn known(opened: &OpenCrate) -> BTreeSet<Digest> {
+    let mut known = BTreeSet::new();
+    for node in &opened.run.nodes {
+        known.extend(node.outputs.values().map(|output| output.digest));
+        // An action that cannot be read is told by itself.
+        known.extend(
+            action(opened, node)
+                .into_iter()
+                .flat_map(|action| action.inputs.into_values()),
+        );
+        let rows = super::lineage::rows_of(opened, node);
+        known.extend(rows.into_iter().flat_map(|row| row.blobs.into_values()));
+    }
+    known
 }
 
 impl Context<'_> {
@@ -87,7 +110,8 @@ impl Context<'_> {
         );
     }
 
-    /// Checks that an action that is of no node alone has an instrument, something read and something made.
+    /// Checks that an action that is of no node alone has an instrument, something read and something made, all of it of
+    /// the run.
     fn check_photo_action(&self, entity: &Value, nodes: &BTreeSet<String>, faults: &mut Vec<String>) {
         let id = text(entity, "@id");
         if nodes.contains(id) {
@@ -96,6 +120,14 @@ impl Context<'_> {
         for field in ["instrument", "object", "result"] {
             if ids(&entity[field]).is_empty() {
                 faults.push(format!("`{id}` has no `{field}`"));
+            }
+        }
+        for file in ["object", "result"].iter().flat_map(|field| ids(&entity[*field])) {
+            // What a source read and verdicts on photos are checked with the lineage.
+            let is_checked = file.starts_with("inputs/") || file.starts_with("items/");
+            let digest = self.digests.get(file);
+            if !is_checked && digest.is_some_and(|digest| !self.known.contains(digest)) {
+                faults.push(format!("`{id}` tells of `{file}`, which no node read or made"));
             }
         }
     }

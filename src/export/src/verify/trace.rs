@@ -1,6 +1,7 @@
 //! Where bytes came from, told by a crate alone.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
 
 use marf_cache::manifest::Row;
 use marf_cache::{Action, Digest};
@@ -74,6 +75,38 @@ pub struct Product {
     pub blobs: BTreeMap<String, Digest>,
     /// The files of the archive that they are; none in runs of an older form.
     pub files: Vec<Origin>,
+}
+
+impl fmt::Display for Trace {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for role in &self.is {
+            match role {
+                Role::Output { node, output } => writeln!(f, "`{output}` of `{node}`")?,
+                Role::Photo { id, role } => writeln!(f, "{role} of photo `{id}`")?,
+            }
+        }
+        writeln!(
+            f,
+            "run {} of {}: {} ({})",
+            self.run, self.pipeline, self.command, self.program
+        )?;
+        for step in self.steps.iter().rev() {
+            let (stage, version) = (&step.action.stage, step.action.version);
+            writeln!(f, "  {} ({stage} {version}), key {}", step.node, step.key)?;
+            for (input, maker) in &step.reads {
+                let maker = maker.as_deref().unwrap_or("outside");
+                writeln!(f, "    {input} from {maker}")?;
+            }
+        }
+        for product in &self.products {
+            writeln!(f, "  photo {}", product.id)?;
+            for file in &product.files {
+                let from = file.url.as_deref().unwrap_or(&file.file);
+                writeln!(f, "    {from}, blake3 {}", file.blake3)?;
+            }
+        }
+        Ok(())
+    }
 }
 
 impl OpenCrate {

@@ -111,7 +111,7 @@ fn one_bit_under_a_new_manifest_is_found() {
 #[test]
 fn a_graph_that_was_edited_is_found() {
     type Edit = fn(&mut Vec<serde_json::Value>);
-    let cases: [(Edit, &str); 9] = [
+    let cases: [(Edit, &str); 10] = [
         (
             |graph| {
                 drop(
@@ -150,6 +150,14 @@ fn a_graph_that_was_edited_is_found() {
         (
             |graph| entity(graph, "outputs/fit/weights.bin")["sha256"] = "0".repeat(64).into(),
             "`outputs/fit/weights.bin` has another length or digest than the graph gives",
+        ),
+        (
+            |graph| {
+                let action = entity(graph, "#control/fit").clone();
+                entity(graph, "#run")["result"] =
+                    serde_json::json!([{"@id": "pipeline.toml"}, {"@id": action["@id"]}]);
+            },
+            "`#run` tells of `pipeline.toml`, which no node read or made",
         ),
         (
             |graph| {

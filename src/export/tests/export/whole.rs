@@ -176,6 +176,17 @@ fn a_crate_tells_where_its_bytes_came_from() {
         Some("https://archive.example/a.png")
     );
 
+    let text = trace.to_string();
+    for line in [
+        "`weights.bin` of `fit`",
+        "run 6e10105061dd45eb of small: marf run (marf 0.1.0)",
+        "    photos from size",
+        "    listing from outside",
+        "  photo a",
+    ] {
+        assert!(text.lines().any(|found| found == line), "{line}: {text}");
+    }
+
     let photo = opened.trace(&Digest::of(image("b").as_bytes())).unwrap().unwrap();
     assert_eq!(photo.products.len(), 1);
     assert_eq!(photo.steps.len(), 1, "only its source");
