@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use rusqlite::{Connection, ErrorCode, OpenFlags};
+use rusqlite::{Connection, ErrorCode, OpenFlags, config::DbConfig};
 
 use super::tables;
 
@@ -97,6 +97,8 @@ impl Handle {
 }
 
 fn check(connection: Connection, path: &Path) -> Result<Handle, Trouble> {
+    // Else SQLite plans each look-up again for its digest, which takes longer than the look-up.
+    connection.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_QPSG, true)?;
     let version = tables::version(&connection)?;
     if version != tables::VERSION {
         return Err(Trouble::Broken(format!("its tables are of version {version}")));
