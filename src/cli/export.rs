@@ -104,7 +104,7 @@ fn write_verdicts(
     if table.has_folder(folder, root) {
         return Ok(());
     }
-    let mut files = BTreeSet::new();
+    let mut names = BTreeSet::new();
     let (mut shard, mut part) = (None, 0);
     for leaf in sets::leaves(root, &mut get)? {
         part = if shard == Some(leaf.shard) { part + 1 } else { 0 };
@@ -113,11 +113,10 @@ fn write_verdicts(
             0 => format!("sol-{:05}.jsonl", leaf.shard),
             part => format!("sol-{:05}-{part}.jsonl", leaf.shard),
         };
-        let file = folder.join(name);
-        table.write(&file, &leaf.leaf, || get(&leaf.leaf))?;
-        files.insert(file);
+        table.write(&folder.join(&name), &leaf.leaf, || get(&leaf.leaf))?;
+        names.insert(name);
     }
-    table.keep_only(folder, &files)?;
+    table.keep_only(folder, &names)?;
     table.note_folder(folder, root);
     Ok(())
 }

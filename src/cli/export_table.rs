@@ -15,8 +15,17 @@ use super::files;
 /// without it files are compared by their bytes.
 pub struct ExportTable {
     out: PathBuf,
-    path: PathBuf,
-    entries: BTreeMap<PathBuf, Entry>,
+    /// Where the tables are kept.
+    dir: PathBuf,
+    /// By folder, as far as they were asked for: the thousands of files of a set of verdicts are not looked at while the set
+    /// is the same.
+    tables: BTreeMap<PathBuf, FolderTable>,
+}
+
+/// What was written to the files and folders of one folder, by name.
+#[derive(Debug, Default)]
+struct FolderTable {
+    entries: BTreeMap<String, Entry>,
     is_changed: bool,
 }
 
@@ -28,19 +37,13 @@ struct Entry {
 }
 
 impl ExportTable {
-    /// Reads what was written below `out`; nothing is known of a folder that is new or whose table is damaged.
+    /// Returns what was written below `out`; nothing is known of a folder that is new or whose table is damaged.
     pub fn load(store: &Store, out: &Path) -> Self {
         let whole = std::path::absolute(out).unwrap_or_else(|_| out.to_owned());
-        let name = Digest::of(whole.as_os_str().as_encoded_bytes());
-        let path = store.scratch().join("exports").join(format!("{name}.json"));
-        let entries = std::fs::read(&path)
-            .ok()
-            .and_then(|bytes| serde_json::from_slice(&bytes).ok());
         Self {
             out: out.to_owned(),
-            path,
-            entries: entries.unwrap_or_default(),
-            is_changed: false,
+            dir: store.scratch().join("exports").join(name_of(&whole)),
+            tables: BTreeMap::new(),
         }
     }
 
@@ -67,7 +70,7 @@ impl ExportTable {
     }
 
     /// Tells whether a folder was written from this set, and no file of it was added or removed since.
-    pub fn has_folder(&self, folder: &Path, root: &Digest) -> bool {
+    pub fn has_folder(&mut self, folder: &Path, root: &Digest) -> bool {
         self.has(folder, root)
     }
 
@@ -76,43 +79,91 @@ impl ExportTable {
         self.note(folder, root);
     }
 
-    /// Removes the files of a folder that were written for it and are not among `files`.
+    /// Removes the files of a folder that were written for it and are not among `names`.
     ///
     /// # Errors
     /// A file that cannot be removed.
-    pub fn keep_only(&mut self, folder: &Path, files: &BTreeSet<PathBuf>) -> Result<(), CliError> {
-        let is_old = |file: &&PathBuf| file.parent() == Some(folder) && !files.contains(*file);
-        let old: Vec<PathBuf> = self.entries.keys().filter(is_old).cloned().collect();
-        for file in old {
-            files::remove(&self.out.join(&file))?;
-            self.entries.remove(&file);
-            self.is_changed = true;
+    pub fn keep_only(&mut self, folder: &Path, names: &BTreeSet<String>) -> Result<(), CliError> {
+        let path = self.out.join(folder);
+        let table = self.table(folder);
+        let old: Vec<String> = table
+            .entries
+            .keys()
+            .filter(|name| !names.contains(*name))
+            .cloned()
+            .collect();
+        for name in old {
+            files::remove(&path.join(&name))?;
+            table.entries.remove(&name);
+            table.is_changed = true;
         }
         Ok(())
     }
 
-    fn has(&self, file: &Path, digest: &Digest) -> bool {
-        let known = self.entries.get(file).filter(|entry| entry.digest == *digest);
-        known.is_some_and(|entry| state_of(&self.out.join(file)) == Some(entry.state))
+    /// Returns the table of a folder; it is read when it is first asked for.
+    fn table(&mut self, folder: &Path) -> &mut FolderTable {
+        let read = || FolderTable::read(&table_path(&self.dir, folder));
+        self.tables.entry(folder.to_owned()).or_insert_with(read)
+    }
+
+    fn has(&mut self, file: &Path, digest: &Digest) -> bool {
+        let Some((folder, name)) = split(file) else {
+            return false;
+        };
+        let known = self
+            .table(folder)
+            .entries
+            .get(name)
+            .filter(|entry| entry.digest == *digest);
+        let state = known.map(|entry| entry.state);
+        state.is_some() && state == state_of(&self.out.join(file))
     }
 
     fn note(&mut self, file: &Path, digest: &Digest) {
-        if let Some(state) = state_of(&self.out.join(file)) {
+        if let Some((folder, name)) = split(file)
+            && let Some(state) = state_of(&self.out.join(file))
+        {
             let digest = *digest;
-            self.entries.insert(file.to_owned(), Entry { digest, state });
-            self.is_changed = true;
+            let table = self.table(folder);
+            table.entries.insert(name.to_owned(), Entry { digest, state });
+            table.is_changed = true;
         }
     }
 
-    /// Keeps the table; one that cannot be kept costs only time.
+    /// Keeps the tables; one that cannot be kept costs only time.
     pub fn save(&self) {
-        if !self.is_changed {
-            return;
-        }
-        if let Ok(json) = serde_json::to_vec(&self.entries) {
-            let _ = files::write(&self.path, &json);
+        for (folder, table) in self.tables.iter().filter(|(_, table)| table.is_changed) {
+            if let Ok(json) = serde_json::to_vec(&table.entries) {
+                let _ = files::write(&table_path(&self.dir, folder), &json);
+            }
         }
     }
+}
+
+impl FolderTable {
+    /// Reads a table; one that is missing or damaged is empty.
+    fn read(path: &Path) -> Self {
+        let json = std::fs::read(path).ok();
+        let entries = json.and_then(|json| serde_json::from_slice(&json).ok());
+        Self {
+            entries: entries.unwrap_or_default(),
+            is_changed: false,
+        }
+    }
+}
+
+fn table_path(dir: &Path, folder: &Path) -> PathBuf {
+    dir.join(format!("{}.json", name_of(folder)))
+}
+
+/// Returns a file name that stands for a path.
+fn name_of(path: &Path) -> String {
+    Digest::of(path.as_os_str().as_encoded_bytes()).to_string()
+}
+
+/// Returns the folder and the name of a file; none of a name that is not UTF-8.
+fn split(file: &Path) -> Option<(&Path, &str)> {
+    Some((file.parent()?, file.file_name()?.to_str()?))
 }
 
 #[cfg(test)]
@@ -159,7 +210,7 @@ mod tests {
         table.note_folder(folder, &root);
         assert!(table.has_folder(folder, &root) && !table.has_folder(folder, &Digest::of(b"other")));
         table
-            .keep_only(folder, &BTreeSet::from([PathBuf::from("v/2")]))
+            .keep_only(folder, &BTreeSet::from(["2".to_owned()]))
             .unwrap();
         assert!(!dir.path().join("v/1").exists() && dir.path().join("v/2").exists());
         assert!(!table.has_folder(folder, &root));
