@@ -54,7 +54,7 @@ pub enum Event {
         /// Output blobs by name: digest and bytes.
         #[schemars(with = "BTreeMap<String, OutputShape>")]
         outputs: BTreeMap<String, Output>,
-        /// Figures: `photos` kept, `rejected`, `measured`, `fetched`, `children`.
+        /// Figures: `photos` kept, `rejected`, `measured`; sols `fetched`, `summarised` (once a pass), `decided`; `children`.
         counts: BTreeMap<String, u64>,
     },
     /// It failed.

@@ -93,8 +93,8 @@ pub struct MeasuredPhoto<'a, M> {
     pub measure: M,
 }
 
-/// What filters read of the facts of a photo ([`marf_scene::PhotoFacts`]), borrowed from its row: 130 bytes where the whole
-/// takes 700 and more, since a decision on a set holds those of all its photos.
+/// What filters read of the facts of a photo ([`marf_scene::PhotoFacts`]), borrowed from its row: no text is copied for a
+/// decision.
 #[derive(Debug, Clone, Copy, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Facts<'a> {

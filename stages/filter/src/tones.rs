@@ -24,7 +24,7 @@ pub(crate) const CHANNELS: [(&str, usize, f64); 3] = [
 pub(crate) const BINS: usize = 512;
 
 /// Histograms of brightness and colour differences of a photo, and counts of its lost areas. The counts stay as they are
-/// kept, some 0.6 KB a photo, since a decision on a set holds those of all its photos.
+/// kept, some 0.6 KB a photo.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ToneHistograms<'a> {
     /// Whole 8 x 8 blocks, counted from the top left corner.

@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{Photos, defaults, dynamic, encoded, ground, jpeg, noise, png, recoloured, smeared};
+use common::{Photos, bind, defaults, dynamic, encoded, ground, item, jpeg, noise, png, recoloured, smeared};
 use image::ImageFormat;
 use marf_scene::{Image, Srgb};
 use serde_json::json;
@@ -222,6 +222,70 @@ fn blur_rejects_smear_along_either_axis_and_noise() {
         for verdict in verdicts.values() {
             assert_eq!(verdict.keeps(), verdict.id != name, "{verdict:?}");
         }
+    }
+}
+
+/// A measure as `blur` keeps it: the variance, then five numbers of one size: pixels, sums before and after the blur.
+fn kept_sharpness(numbers: [u8; 5]) -> Vec<u8> {
+    [&[1], &1.0_f64.to_le_bytes()[..], &numbers].concat()
+}
+
+/// By hand: ratios of 2, 3, 4, 5 and 8; without the 8 the median is 3.5, of which 0.55 is 1.9. With five photos known the
+/// limit is that, with a sixth asked for it is `min_ratio`.
+#[test]
+fn blur_compares_from_min_set_photos_on_and_leaves_the_photo_itself_out() {
+    let mut photos = Photos::default();
+    let ratios = [2, 3, 4, 5, 8];
+    for ratio in ratios {
+        photos.add(&format!("ratio-{ratio}"), b"never opened");
+    }
+    let measures = ratios.map(|ratio| kept_sharpness([1, ratio * 2 - 1, ratio * 2 - 1, 1, 1]));
+    let thresholds = |min_set: u32| {
+        let stage = bind("blur", json!({"min_set": min_set, "floor_ratio": 0.1}));
+        let items: Vec<_> = photos
+            .rows
+            .iter()
+            .zip(&measures)
+            .map(|(row, measure)| item(0, row, measure))
+            .collect();
+        let verdicts = photos.decide(&*stage, &items);
+        verdicts
+            .into_iter()
+            .map(|verdict| verdict.threshold.unwrap())
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(thresholds(6), [9.0; 5]);
+    let expected = [4.5, 4.5, 4.0, 3.5, 3.5].map(|median| 0.55 * median);
+    for (found, expected) in thresholds(5).into_iter().zip(expected) {
+        assert!(
+            (found / expected - 1.0).abs() < 0.008,
+            "{found} for {expected}: half a bin off at the most"
+        );
+    }
+}
+
+/// No picture measures so: no pixels, and a ratio that is no number or infinite.
+#[test]
+fn a_ratio_that_is_no_number_or_infinite_moves_no_limit_of_others_beyond_numbers() {
+    let mut photos = Photos::default();
+    let mut measures = Vec::new();
+    for at in 0..9 {
+        photos.add(&format!("photo-{at}"), b"never opened");
+        measures.push(match at {
+            0 => kept_sharpness([0; 5]),
+            1 => kept_sharpness([0, 9, 9, 0, 0]),
+            _ => kept_sharpness([1, 9 + at, 9 + at, 0, 0]),
+        });
+    }
+    let items: Vec<_> = photos
+        .rows
+        .iter()
+        .zip(&measures)
+        .map(|(row, measure)| item(0, row, measure))
+        .collect();
+    for verdict in photos.decide(&*bind("blur", defaults()), &items) {
+        assert!(verdict.threshold.unwrap().is_finite(), "{verdict:?}");
+        assert!(verdict.keeps() || verdict.id == "photo-1", "{verdict:?}");
     }
 }
 

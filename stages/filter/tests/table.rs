@@ -8,6 +8,7 @@ use common::{
     png, with_orientation,
 };
 use image::{DynamicImage, ImageFormat};
+use marf_cache::manifest::Row;
 use marf_filter::{STAGES, tables};
 use marf_scene::{Image, Srgb};
 use marf_stage::Work;
@@ -120,7 +121,7 @@ fn a_set_of_no_photos_has_no_verdicts() {
 #[test]
 fn a_filter_that_measures_pixels_fills_the_tables_of_all_from_one_decode() {
     let photos = odd_photos();
-    let image = |row: &marf_cache::manifest::Row| row.blobs["image"];
+    let image = |row: &Row| row.blobs["image"];
     let alone: Vec<Vec<Vec<u8>>> = pixel_filters()
         .iter()
         .map(|name| photos.measures(&*bind(name, defaults())))
