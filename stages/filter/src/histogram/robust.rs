@@ -25,14 +25,17 @@ pub struct UsualTones {
     /// Median of the cumulative share of each bin of all channels.
     medians: Vec<Steps>,
     /// Median and upper quartile of the distances of each channel; found in the second pass.
-    distances: Option<[[Steps; 2]; CHANNELS.len()]>,
+    distances: Option<Box<[[Steps; 2]; CHANNELS.len()]>>,
 }
 
 /// The steps, one behind the other; those of distances are absent after the first pass.
 impl Stored<'_> for UsualTones {
     fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
-        let distances = self.distances.iter().flatten().flatten();
+        let distances = self
+            .distances
+            .iter()
+            .flat_map(|distances| distances.as_flattened());
         let all = self.lost.iter().chain(&self.medians).chain(distances);
         all.for_each(|steps| steps.put(&mut bytes));
         bytes
@@ -49,7 +52,7 @@ impl Stored<'_> for UsualTones {
         };
         if !bytes.is_empty() {
             let mut pair = || Some([Steps::take(bytes)?, Steps::take(bytes)?]);
-            usual.distances = Some([pair()?, pair()?, pair()?]);
+            usual.distances = Some(Box::new([pair()?, pair()?, pair()?]));
         }
         bytes.is_empty().then_some(usual)
     }
@@ -205,7 +208,7 @@ impl Pass<Histogram> for DistancesPass {
                 .map(|quantile| counts.quantile_without(quantile, FINE))
         };
         Some(UsualHistogram::Robust(UsualTones {
-            distances: Some(total.map(quantiles)),
+            distances: Some(Box::new(total.map(quantiles))),
             ..usual
         }))
     }
@@ -274,7 +277,7 @@ fn decide_distances(
     usual: &UsualTones,
     tones: &ToneHistograms<'_>,
 ) -> Option<[Decision; CHANNELS.len()]> {
-    let quantiles = usual.distances?;
+    let quantiles = usual.distances.as_ref()?;
     let found = distances(tones, &usual.medians);
     let floors = [params.min_light, params.min_distance, params.min_distance];
     Some(std::array::from_fn(|channel| {
