@@ -1,4 +1,4 @@
-//! The store as its users meet it: damage, collections, checks, old stores, faults.
+//! The store as its users meet it: damage, collections, checks, old stores.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 mod common;
@@ -8,20 +8,11 @@ use std::path::{Path, PathBuf};
 use common::{copy, marf, photos};
 
 /// Filters and cameras of the built-in Mars, in a second.
-const PIPELINE: &str = r#"name = "store"
-[archive.demo]
-kind = "demo"
-sols = "1"
-[node.extract]
-archive = "demo"
-[node.size]
-input = "extract"
-[node.blur]
-input = "size"
-[node.calibrate]
-input = "blur"
-method = "labels"
-"#;
+const PIPELINE: &str = concat!(
+    "name = \"store\"\n[archive.photos]\nkind = \"demo\"\nsols = \"1\"\n",
+    include_str!("../src/cli/bench/five_nodes.toml"),
+    "[node.calibrate]\ninput = \"blur\"\nmethod = \"labels\"\n",
+);
 
 fn pipeline() -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
@@ -76,6 +67,34 @@ fn a_damaged_output_of_a_last_node_is_made_again_by_the_run_that_writes_it_out()
     assert!(ran.stderr.contains("it is made again"), "{}", ran.stderr);
     assert!(dir.path().join("out/calibrate/scene.json").is_file());
     assert_eq!(output(dir.path(), "calibrate", "scene"), scene);
+}
+
+/// The leaf of a set is behind an output, and no other node reads these verdicts.
+#[test]
+fn a_lost_leaf_of_verdicts_is_made_again_by_the_run_that_writes_them_out() {
+    let dir = pipeline();
+    marf(dir.path(), &["run"]).exits(0);
+    let file = dir.path().join("out/blur/verdicts/sol-00001.jsonl");
+    let verdicts = std::fs::read(&file).unwrap();
+    let leaf = marf_cache::Digest::of(&verdicts).to_string();
+    assert_ne!(
+        leaf,
+        output(dir.path(), "blur", "verdicts"),
+        "an object behind the output"
+    );
+    damage(dir.path(), &leaf);
+    std::fs::remove_dir_all(dir.path().join("out")).unwrap();
+    let ran = marf(dir.path(), &["run"]).exits(0);
+    assert_eq!(
+        ran.stderr.matches("it is made again").count(),
+        1,
+        "{}",
+        ran.stderr
+    );
+    assert_eq!(std::fs::read(&file).unwrap(), verdicts);
+    let again = marf(dir.path(), &["run", "--json"]).exits(0);
+    assert_eq!(again.nodes("finished"), Vec::<String>::new());
+    marf(dir.path(), &["cache", "fsck", "--read-data"]).exits(0);
 }
 
 #[test]
@@ -209,18 +228,6 @@ fn a_store_of_0_1_0_is_refused_with_the_way_out_and_taken_over_by_one_command() 
     marf(dir.path(), &["run"]).exits(0);
     marf(dir.path(), &["cache", "fsck", "--read-data"]).exits(0);
     marf(dir.path(), &["log"]).exits(0);
-}
-
-/// The programme of faults, few rounds of some; `marf bench faults` has all and many.
-#[test]
-fn kills_damage_and_false_clocks_change_no_digest() {
-    let dir = tempfile::tempdir().unwrap();
-    let faults = "kill,damage,clock";
-    let words = [
-        "bench", "faults", "--rounds", "2", "--fault", faults, "--dir", "lab",
-    ];
-    let ran = marf(dir.path(), &words).exits(0);
-    assert_eq!(ran.events().len(), 3, "{}", ran.stdout);
 }
 
 /// Reads the folder of `common::photos`; the photos are too small for the other nodes.

@@ -31,8 +31,16 @@ const NAMED: [(&str, &str); 9] = [
 pub enum Exported {
     /// All are in their files.
     All,
-    /// The store has lost one; the sentence says which.
-    Lost(String),
+    /// The store has lost one of a node.
+    Lost(LostOutput),
+}
+
+/// An output that the store has lost, or an object behind it.
+pub struct LostOutput {
+    /// The node.
+    pub node: String,
+    /// Which output and which object, in a sentence.
+    pub what: String,
 }
 
 /// Writes what is new or different. A file that was written before and not touched since is neither read nor written.
@@ -40,13 +48,13 @@ pub enum Exported {
 /// Verdicts become one file a sol, so that a new sol writes its own.
 ///
 /// # Errors
-/// A place that cannot be written, or a store that cannot be read.
+/// A place that cannot be written, a store that cannot be read, the wish to stop before any file.
 pub fn outputs(session: &Session, record: &RunRecord, out: &Path) -> Result<Exported, CliError> {
     let mut table = ExportTable::load(&session.store, out);
     let written = write_all(session, record, &mut table);
     table.save();
     match written {
-        Err(Fault::Lost(what)) => Ok(Exported::Lost(what)),
+        Err(Fault::Lost(lost)) => Ok(Exported::Lost(lost)),
         Err(Fault::Cli(error)) => Err(error),
         Ok(()) => Ok(Exported::All),
     }
@@ -54,7 +62,7 @@ pub fn outputs(session: &Session, record: &RunRecord, out: &Path) -> Result<Expo
 
 /// Why an output was not written.
 enum Fault {
-    Lost(String),
+    Lost(LostOutput),
     Cli(CliError),
 }
 
@@ -79,8 +87,12 @@ fn write_all(session: &Session, record: &RunRecord, table: &mut ExportTable) -> 
         for (name, output) in &node.outputs {
             let folder = Path::new(&node.name);
             let get = |digest: &Digest| {
+                session.check()?;
                 session.store.get(digest).map_err(|error| match error.lost() {
-                    Some(_) => Fault::Lost(format!("output `{name}` of `{}`: {error}", node.name)),
+                    Some(_) => Fault::Lost(LostOutput {
+                        node: node.name.clone(),
+                        what: format!("output `{name}` of `{}`: {error}", node.name),
+                    }),
                     None => Fault::Cli(error.into()),
                 })
             };

@@ -47,18 +47,22 @@ fn run_and_export(
     args: &RunArgs,
     cancel: &Cancel,
 ) -> Result<(RunRecord, Result<(), CliError>), CliError> {
+    let mut options = options.clone();
     for _ in 0..MAX_REPAIRS {
         let execution = Execution {
             trace: args.trace.as_deref(),
             documents: &|record| report::document(session, record),
         };
-        let (record, ended) = execute_as(session, options, global, cancel, &execution)?;
+        let (record, ended) = execute_as(session, &options, global, cancel, &execution)?;
         if record.outcome == Outcome::Cancelled {
             return Ok((record, ended));
         }
         match export::outputs(session, &record, &args.out)? {
             Exported::All => return Ok((record, ended)),
-            Exported::Lost(what) => warn(format!("{what}; it is made again")),
+            Exported::Lost(lost) => {
+                warn(format!("{}; it is made again", lost.what));
+                options.lost = vec![lost.node];
+            }
         }
     }
     Err(CliError::failed(format!(

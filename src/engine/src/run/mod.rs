@@ -37,6 +37,9 @@ pub struct Options {
     pub to: Vec<String>,
     /// Run only these nodes and what depends on them; empty for all.
     pub from: Vec<String>,
+    /// Nodes that have lost an object behind their outputs (a leaf of a set): they run although their results are recorded,
+    /// and make only the parts that are not whole.
+    pub lost: Vec<String>,
     /// Name of the pipeline: a run is compared with the last run of the same name.
     pub pipeline: String,
     /// Name of this run, unique in its store: it is in all events.
@@ -70,7 +73,7 @@ pub fn run(
 /// be added to it ([`RunRecord::store`]). A failed node stops only the nodes that depend on it; what was computed stays.
 ///
 /// # Errors
-/// A name in `to` or `from` that is not in the graph; a store that cannot be used.
+/// A name in `to`, `from` or `lost` that is not in the graph; a store that cannot be used.
 pub fn run_nodes(
     graph: &Graph,
     store: &Store,
@@ -82,6 +85,7 @@ pub fn run_nodes(
     let warn = |message: String| listener.on_event(&Event::Warning { node: None, message });
     let last = last_run(store, &options.pipeline, warn)?;
     let roles = select::roles(graph, &options.to, &options.from)?;
+    let lost = select::indices(graph, &options.lost)?;
     let threads = threads(options.threads);
     let pool = pool(threads)?;
     let context = RunContext {
@@ -93,7 +97,7 @@ pub fn run_nodes(
         program: &options.program,
         last: last.as_ref(),
     };
-    let state = Scheduler::new(RunState::new(context, roles), threads).run()?;
+    let state = Scheduler::new(RunState::new(context, roles, &lost), threads).run()?;
     let nodes = report::node_runs(&state)?;
     let mut latest = last.as_ref().map(|run| run.latest.clone()).unwrap_or_default();
     let good = nodes.iter().filter(|node| node.state.is_good());

@@ -46,7 +46,7 @@ pub(super) fn roles(graph: &Graph, to: &[String], from: &[String]) -> Result<Vec
 }
 
 /// Returns the indices of the named nodes.
-fn indices(graph: &Graph, names: &[String]) -> Result<BTreeSet<usize>, EngineError> {
+pub(super) fn indices(graph: &Graph, names: &[String]) -> Result<BTreeSet<usize>, EngineError> {
     let find = |name: &String| graph.index(name).ok_or_else(|| EngineError::unknown(graph, name));
     names.iter().map(find).collect()
 }

@@ -7,7 +7,7 @@ use marf_stage::{NodeSpec, StageError};
 
 use super::{
     context::RunContext,
-    task::{InputSource, Phase, Role, Task},
+    task::{InputSource, Phase, Reuse, Role, Task},
 };
 use crate::{errors::contract_violation, event::Event, lookup::lasting_counts};
 
@@ -18,13 +18,15 @@ pub(super) struct RunState<'a> {
 }
 
 impl<'a> RunState<'a> {
-    /// Returns the state before anything has run; one role for each node of the graph.
-    pub(super) fn new(context: RunContext<'a>, roles: Vec<Role>) -> Self {
+    /// Returns the state before anything has run; one role for each node of the graph. Nodes of `lost` do not use their
+    /// stored results.
+    pub(super) fn new(context: RunContext<'a>, roles: Vec<Role>, lost: &BTreeSet<usize>) -> Self {
         let nodes = context.graph.nodes.iter().zip(roles);
-        Self {
-            context,
-            tasks: nodes.map(|(node, role)| Task::of_node(node, role)).collect(),
+        let mut tasks: Vec<Task> = nodes.map(|(node, role)| Task::of_node(node, role)).collect();
+        for &index in lost {
+            tasks[index].reuse = Reuse::Forbidden;
         }
+        Self { context, tasks }
     }
 
     /// Gives a node the result that the store has for its key.
