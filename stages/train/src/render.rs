@@ -207,6 +207,7 @@ fn put_depths(
         palette: Palette::Viridis,
     };
     for (index, (depth, place)) in depths.iter().zip(path).enumerate() {
+        ctx.check()?;
         let map = draw_map(depth, place.camera.width, place.camera.height, &scale);
         put_png(ctx, outputs, format!("{DEPTH}{:04}.png", index + 1), &map)?;
     }

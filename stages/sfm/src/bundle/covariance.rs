@@ -148,7 +148,7 @@ fn factored(
     let n = objective.index.unknowns();
     let mut matrix = match checkpoint.matrix(n) {
         Some(matrix) => matrix,
-        None => assembled(objective, state)?,
+        None => assembled(objective, state, supervisor)?,
     };
     let ScaledMatrix {
         l,
@@ -168,15 +168,19 @@ fn factored(
     Some(matrix)
 }
 
-/// Returns the undamped reduced matrix scaled to a unit diagonal; `None` where a free parameter is not observed.
-fn assembled(objective: &Objective, state: &State) -> Option<ScaledMatrix> {
+/// Returns the undamped reduced matrix scaled to a unit diagonal; `None` where a free parameter is not observed or the
+/// supervisor asked to stop.
+fn assembled(objective: &Objective, state: &State, supervisor: &dyn Supervisor) -> Option<ScaledMatrix> {
     let mut equations = NormalEquations::new(objective);
     equations.linearise_determined(objective, state);
-    if !all_parameters_observed(objective, &equations) {
+    if supervisor.stop() || !all_parameters_observed(objective, &equations) {
         return None;
     }
     let mut schur = SchurComplement::new(objective);
     schur.eliminate(objective, &equations, 0.0);
+    if supervisor.stop() {
+        return None;
+    }
     let mut l = Vec::new();
     dense::assemble(objective, &equations, &schur, 0.0, &mut l);
     let n = objective.index.unknowns();
