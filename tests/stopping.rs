@@ -5,38 +5,38 @@
 mod common;
 
 use std::fs::File;
-use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::marf;
+use common::{marf, photos};
 
 /// A program that was asked to stop must have ended after this time.
 const LIMIT: Duration = Duration::from_secs(2);
 
-const PIPELINE: &str = "name = \"waits\"\n[archive.demo]\nkind = \"demo\"\nsols = \"1\"\n[node.extract]\narchive = \"demo\"\n\
-                        [node.size]\ninput = \"extract\"\n";
+const PIPELINE: &str = "name = \"waits\"\n[archive.photos]\nkind = \"folder\"\npath = \"photos\"\n[node.extract]\n\
+                        archive = \"photos\"\n[node.size]\ninput = \"extract\"\n";
 
-/// Waits until a program has opened a file.
-fn await_open(program: &mut Child, file: &Path) {
-    let open = |program: &Child| {
-        let files = std::fs::read_dir(format!("/proc/{}/fd", program.id()));
-        let mut links = files.into_iter().flatten().flatten();
-        links.any(|link| std::fs::read_link(link.path()).is_ok_and(|target| target == file))
+/// Waits until a thread of a program sleeps again and again, as it does between two attempts to take a lock.
+fn await_wait(program: &mut Child, lock: &str) {
+    let sleeps = |program: &Child| {
+        let threads = std::fs::read_dir(format!("/proc/{}/task", program.id()));
+        let mut threads = threads.into_iter().flatten().flatten();
+        threads.any(|thread| {
+            let place = std::fs::read_to_string(thread.path().join("wchan"));
+            place.is_ok_and(|place| place.contains("nanosleep"))
+        })
     };
-    while !open(program) {
+    let mut in_a_row = 0;
+    while in_a_row < 5 {
+        in_a_row = if sleeps(program) { in_a_row + 1 } else { 0 };
         let ended = program.try_wait().unwrap();
-        assert!(
-            ended.is_none(),
-            "it did not wait for {}: {ended:?}",
-            file.display()
-        );
+        assert!(ended.is_none(), "it did not wait for {lock}: {ended:?}");
     }
 }
 
 #[test]
 fn ctrl_c_ends_every_wait_for_another_program() {
-    let dir = tempfile::tempdir().unwrap();
+    let dir = photos();
     let folder = dir.path().canonicalize().unwrap();
     std::fs::write(folder.join("pipeline.toml"), PIPELINE).unwrap();
     marf(&folder, &["run"]).exits(0);
@@ -63,7 +63,7 @@ fn ctrl_c_ends_every_wait_for_another_program() {
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();
-        await_open(&mut program, &path);
+        await_wait(&mut program, lock);
         let asked = Instant::now();
         let kill = format!("kill -INT {}", program.id());
         assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());

@@ -44,9 +44,13 @@ pub fn document(session: &Session, record: &RunRecord) -> Result<Documents, CliE
 /// Returns the report of a run.
 ///
 /// # Errors
-/// A store that cannot be written.
+/// A store that cannot be written, the wish to stop.
 fn page(session: &Session, record: &RunRecord) -> Result<String, CliError> {
-    let read = |digest: &Digest| -> Option<Arc<[u8]>> { session.store.get(digest).ok() };
+    // Who wants to stop reads nothing any more, and what was read until then becomes no report.
+    let read = |digest: &Digest| -> Option<Arc<[u8]>> {
+        session.check().ok()?;
+        session.store.get(digest).ok()
+    };
     // Pictures of the page are kept as long as the last result it shows.
     let maker = record
         .nodes
@@ -64,6 +68,7 @@ fn page(session: &Session, record: &RunRecord) -> Result<String, CliError> {
         memos: &StoreMemos(&session.store, maker),
     };
     let page = show::write(&input);
+    session.check()?;
     session.store.commit()?;
     Ok(page)
 }

@@ -148,10 +148,16 @@ pub fn execute_as(
     let (graph, store) = (&session.graph, &session.store);
     let mut record = marf_engine::run_nodes(graph, store, &options, &listener, cancel)?;
     record.documents = documents::pipeline(session, &record)?;
-    if record.outcome != Outcome::Cancelled {
-        record.documents.extend((execution.documents)(&record)?);
-    }
+    let documents = match record.outcome {
+        Outcome::Cancelled => Ok(Documents::new()),
+        _ => (execution.documents)(&record),
+    };
+    // Whatever became of its documents, the run is recorded.
+    record
+        .documents
+        .extend(documents.iter().flatten().map(|(name, of)| (name.clone(), *of)));
     let record = record.store(store, warn)?;
+    documents?;
     if let (Some(file), Some(trace)) = (execution.trace, &listener.trace) {
         files::write(file, trace.json().to_string().as_bytes())?;
     }

@@ -27,6 +27,8 @@ pub struct Session {
     pub written: String,
     /// The pipeline with all overrides applied, as JSON.
     pub tree: serde_json::Value,
+    /// Whether the user wants to stop.
+    cancel: Cancel,
 }
 
 /// What a report shows of a node beside its run.
@@ -49,7 +51,7 @@ impl Session {
         let loaded = config::load(&global.file, &global.sets, &global.options())?;
         let unnamed = || unnamed(&global.file);
         let store = open_store(&store_dir(global, &global.file), cancel)?;
-        Self::of(loaded.pipeline, loaded.text, unnamed, store)
+        Self::of((loaded.pipeline, loaded.text), unnamed, store, cancel)
     }
 
     /// Loads the text of a pipeline that a verb has built for one folder.
@@ -66,14 +68,19 @@ impl Session {
                 })
             })?;
         let store = open_store(&store_dir(global, Path::new("")), cancel)?;
-        Self::of(pipeline, text.to_owned(), || "built-in".to_owned(), store)
+        Self::of(
+            (pipeline, text.to_owned()),
+            || "built-in".to_owned(),
+            store,
+            cancel,
+        )
     }
 
     fn of(
-        pipeline: Pipeline,
-        written: String,
+        (pipeline, written): (Pipeline, String),
         unnamed: impl FnOnce() -> String,
         store: Store,
+        cancel: &Cancel,
     ) -> Result<Self, CliError> {
         let info = |node: &config::Node| NodeInfo {
             name: node.name.clone(),
@@ -99,7 +106,19 @@ impl Session {
             nodes,
             written,
             tree: pipeline.tree,
+            cancel: cancel.clone(),
         })
+    }
+
+    /// Returns an error if the user wants to stop.
+    ///
+    /// # Errors
+    /// [`CliError::Interrupted`].
+    pub fn check(&self) -> Result<(), CliError> {
+        match self.cancel.is_set() {
+            true => Err(CliError::Interrupted),
+            false => Ok(()),
+        }
     }
 
     /// Reads a document that a node has written.

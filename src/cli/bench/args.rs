@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
 
+#[cfg(unix)]
 use super::faults::FaultsArgs;
 
 /// Verbs of `bench`.
@@ -18,6 +19,7 @@ pub enum BenchVerb {
     /// line a phase
     Items(ItemsArgs),
     /// Kill, stop, damage and starve runs of a small pipeline, and compare every digest; one JSON line a fault
+    #[cfg(unix)]
     Faults(FaultsArgs),
 }
 

@@ -3,6 +3,7 @@
 mod args;
 mod child;
 mod engine;
+#[cfg(unix)]
 mod faults;
 mod items;
 mod pictures;
@@ -27,6 +28,7 @@ pub fn bench(global: &Global, verb: &BenchVerb, cancel: &Cancel) -> Result<(), C
         BenchVerb::Train(args) => train::train(global, args, cancel),
         BenchVerb::Engine(args) => engine::engine(global, args, cancel),
         BenchVerb::Items(args) => items::items(global, args, cancel),
+        #[cfg(unix)]
         BenchVerb::Faults(args) => faults::faults(args, cancel),
     }
 }

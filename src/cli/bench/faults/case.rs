@@ -6,9 +6,9 @@ use std::process::{Child, Command, Output, Stdio};
 
 use serde_json::Value;
 
-use super::super::super::error::CliError;
 use super::lab::{Lab, Outputs, Variant};
 use super::{Outcome, RoundError};
+use crate::cli::error::CliError;
 
 /// A pipeline in a folder of its own.
 pub struct Case<'a> {

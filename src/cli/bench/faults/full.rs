@@ -2,13 +2,13 @@
 
 use std::process::Command;
 
-use super::super::super::error::CliError;
 use super::super::child::bytes_below;
 use super::args::Fault;
 use super::case::{Case, ends_in_one_error, is_success};
 use super::lab::{Lab, Variant};
 use super::namespace::Namespace;
 use super::{Injector, Outcome, RoundError};
+use crate::cli::error::CliError;
 
 /// Size of the disk.
 const DISK_BYTES: u64 = 16 << 20;

@@ -6,13 +6,13 @@ use std::time::{Duration, Instant};
 
 use marf_cache::Digest;
 
-use super::super::super::error::CliError;
-use super::super::super::files;
 use super::super::child::random;
 use super::args::Fault;
 use super::case::Case;
 use super::source::Source;
 use super::{Outcome, RoundError};
+use crate::cli::error::CliError;
+use crate::cli::files;
 
 /// The outputs of all nodes: name of node and output to digest.
 pub type Outputs = BTreeMap<String, String>;

@@ -22,7 +22,7 @@ use clap::ValueEnum as _;
 use marf_engine::Cancel;
 use serde::Serialize;
 
-use super::super::error::CliError;
+use crate::cli::error::CliError;
 use crate::terminal::{eprint_line, print_line};
 use args::Fault;
 use lab::Lab;

@@ -4,7 +4,7 @@ use std::ffi::{OsStr, OsString};
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::process::{Child, Command, Stdio};
 
-use super::super::super::error::{CliError, Diagnostic};
+use crate::cli::error::{CliError, Diagnostic};
 
 /// A user and mount namespace; it ends with this.
 pub struct Namespace {

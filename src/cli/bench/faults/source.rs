@@ -9,11 +9,11 @@ use marf_cache::Digest;
 use marf_loopback::{Reply, Server};
 use marf_scene::{Image, Srgb, encode_png};
 
-use super::super::super::error::CliError;
-use super::super::super::files;
 use super::super::FIVE_NODES;
 use super::super::child::random;
 use super::super::pictures::{Shade, picture};
+use crate::cli::error::CliError;
+use crate::cli::files;
 
 /// The rest of the filters, cameras, a training and two retrainings, in a second.
 const BEHIND: &str = r#"[node.grayscale]

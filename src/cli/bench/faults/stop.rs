@@ -1,5 +1,6 @@
 //! Runs that are stopped at random moments, by SIGKILL or by Ctrl-C.
 
+use std::os::unix::process::ExitStatusExt as _;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -11,6 +12,9 @@ use crate::cli::error::CliError;
 
 /// A run that was asked to stop must have ended after this time.
 const LIMIT: Duration = Duration::from_secs(2);
+
+/// Number of the signal of Ctrl-C.
+const SIGINT: i32 = 2;
 
 /// What stops a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -64,10 +68,11 @@ impl<'a> Stop<'a> {
         let status = run.wait()?;
         let took = asked.elapsed();
         self.longest = self.longest.max(took);
-        // Exit code 0 is that of a run that had just ended.
-        match (took <= LIMIT, status.code()) {
-            (true, Some(0 | 130)) => Ok(()),
-            (_, code) => Err(RoundError::Bad(format!("it took {took:?}, exit code {code:?}"))),
+        // Exit code 0 is that of a run that had just ended; one that had just begun ends by the signal itself.
+        let is_stopped = matches!(status.code(), Some(0 | 130)) || status.signal() == Some(SIGINT);
+        match is_stopped && took <= LIMIT {
+            true => Ok(()),
+            false => Err(RoundError::Bad(format!("it took {took:?}: {status}"))),
         }
     }
 }
