@@ -3,12 +3,12 @@ use std::sync::Arc;
 
 use marf_cache::{Digest, Store};
 use marf_engine::{Cancel, NodeState, RunRecord, document};
+use marf_export::iso_time;
 use marf_stage::Memos;
 
 use super::args::Global;
 use super::documents::{self, Documents};
 use super::error::CliError;
-use super::log::utc;
 use super::session::Session;
 use super::{export, files};
 use crate::show::{self, ChildView, NodeView, ReportInput, State};
@@ -61,7 +61,7 @@ fn page(session: &Session, record: &RunRecord) -> Result<String, CliError> {
     let input = ReportInput {
         pipeline: record.pipeline.clone(),
         command: record.command.clone(),
-        started: utc(record.started_unix_s),
+        started: iso_time(record.started_unix_s),
         program: record.program.clone(),
         nodes: nodes(session, record),
         read: &read,

@@ -54,7 +54,8 @@ def bag(folder):
 
 def statement(path, key):
     from cryptography.hazmat.primitives.serialization import load_pem_public_key
-    from google.protobuf.json_format import Parse
+    from google.protobuf.json_format import MessageToDict, Parse, ParseDict
+    from in_toto_attestation.predicates.provenance.v1 import provenance_pb2
     from in_toto_attestation.v1 import statement_pb2
     from in_toto_attestation.v1.statement import Statement
     from securesystemslib.dsse import Envelope
@@ -66,6 +67,7 @@ def statement(path, key):
         read = statement_pb2.Statement()
         Parse(envelope.payload, read)
         Statement.copy_from_pb(read).validate()
+        ParseDict(MessageToDict(read.predicate), provenance_pb2.Provenance())
         return []
     except Exception as error:  # whatever a validator throws is its answer
         return [f"{type(error).__name__}: {error}"]

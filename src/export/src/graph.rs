@@ -25,7 +25,7 @@ use crate::contents::{Contents, File};
 use crate::run::{Node, Run};
 
 pub(crate) use actions::{action_id, value_text};
-pub(crate) use entity::{end_of, ids, iso_time, references};
+pub(crate) use entity::{ids, references};
 use tools::Tools;
 pub(crate) use tools::tool_id;
 

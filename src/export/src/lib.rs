@@ -22,6 +22,7 @@ pub mod key;
 mod preview;
 mod run;
 mod statement;
+mod time;
 pub mod verify;
 
 pub use contents::{Photos, ReadObject};
@@ -29,3 +30,4 @@ pub use crates::{CrateOptions, Data, Written, write_crate};
 pub use error::ExportError;
 pub use run::{Node, NodeOutput, Run};
 pub use statement::{Subject, statement_on_node, statement_on_run, subjects_in, subjects_of};
+pub use time::iso_time;

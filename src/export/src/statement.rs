@@ -8,8 +8,8 @@ use serde_json::{Value, json};
 use crate::bag::FileDigest;
 use crate::contents::{ReadObject, action_of, object};
 use crate::error::ExportError;
-use crate::graph::{end_of, iso_time};
 use crate::run::{Node, Run};
+use crate::time::{end_of, iso_time};
 
 /// Type of a statement.
 const STATEMENT_TYPE: &str = "https://in-toto.io/Statement/v1";
@@ -172,7 +172,9 @@ pub fn subjects_in(statement: &[u8]) -> Option<Vec<(String, Sha256)>> {
 fn builder(run: &Run) -> Value {
     let mut builder = json!({ "id": BUILDER, "version": { "marf": run.program } });
     if let Some(build) = &run.build {
-        builder["version"]["commit"] = build.commit.clone().into();
+        if let Some(commit) = &build.commit {
+            builder["version"]["commit"] = commit.as_str().into();
+        }
         builder["builderDependencies"] = json!([{
             "name": format!("marf for {} on {}", build.os, build.arch),
             "digest": { "blake3": build.blake3 },

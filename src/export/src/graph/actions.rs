@@ -3,11 +3,12 @@
 use serde_json::Value;
 
 use super::Context;
-use super::entity::{Entity, end_of, id_of, iso_time};
+use super::entity::{Entity, id_of};
 use super::fixed::PROGRAM;
 use super::tools::{Role, slot_id, tool_id};
 use crate::contents::ItemVerdict;
 use crate::run::Node;
+use crate::time::{end_of, iso_time};
 
 pub(super) fn entities(context: &Context<'_>) -> Vec<Value> {
     let run = context.run();

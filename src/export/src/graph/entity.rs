@@ -65,19 +65,6 @@ pub(crate) fn references(entity: &Value) -> Vec<(&str, &str)> {
     fields.flat_map(of_field).collect()
 }
 
-/// Returns a point in time as ISO 8601 in UTC; times past the year 9999 as its end.
-pub(crate) fn iso_time(unix_s: u64) -> String {
-    /// 9999-12-31T23:59:59Z, the last time that has four digits for its year.
-    const LAST_UNIX_S: u64 = 253_402_300_799;
-    let since = std::time::Duration::from_secs(unix_s.min(LAST_UNIX_S));
-    humantime::format_rfc3339_seconds(std::time::UNIX_EPOCH + since).to_string()
-}
-
-/// Returns the end of what began at a time and took so many seconds, in whole seconds since 1970.
-pub(crate) fn end_of(started_unix_s: u64, seconds: f64) -> u64 {
-    started_unix_s.saturating_add(seconds.max(0.0) as u64)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -103,15 +90,5 @@ mod tests {
             let id = id_of("action", odd);
             assert!(id.starts_with("#action/blake3-"), "{id}");
         }
-    }
-
-    #[test]
-    fn times_are_utc_to_the_second() {
-        assert_eq!(iso_time(0), "1970-01-01T00:00:00Z");
-        assert_eq!(iso_time(951_782_400), "2000-02-29T00:00:00Z");
-        assert_eq!(iso_time(u64::MAX), "9999-12-31T23:59:59Z");
-        assert_eq!(end_of(10, 2.9), 12);
-        assert_eq!(end_of(10, f64::NAN), 10);
-        assert_eq!(end_of(u64::MAX, 1e300), u64::MAX);
     }
 }

@@ -3,9 +3,10 @@
 use marf_cache::Digest;
 use serde_json::{Value, json};
 
-use super::entity::{Entity, end_of, iso_time};
+use super::entity::Entity;
 use super::{CRATE_FORMAT, CRATE_PROFILE, Context, METADATA, PREVIEW};
 use crate::contents::OBJECTS;
+use crate::time::{end_of, iso_time};
 
 const RO_CRATE: &str = "https://w3id.org/ro/crate/1.1";
 const WORKFLOW_RO_CRATE: &str = "https://w3id.org/workflowhub/workflow-ro-crate/1.0";
