@@ -7,8 +7,10 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use marf_field::Device;
 use marf_stage::Access;
 
+use super::audit::AuditArgs;
 use super::bench::BenchVerb;
 use super::cache::CacheVerb;
+use super::replay::ReplayArgs;
 use crate::config::GlobalOptions;
 
 /// Raw Mars rover and helicopter photos to radiance fields, with proof of how.
@@ -89,6 +91,7 @@ impl Global {
             device: self.device.clone(),
             access,
             rehash: self.rehash,
+            ..GlobalOptions::default()
         }
     }
 }
@@ -142,6 +145,10 @@ pub enum Verb {
     },
     /// Check a crate or a signed statement, without a store
     Verify(super::share::VerifyArgs),
+    /// Tell who made a file, from which bytes, or what a product went into
+    Audit(AuditArgs),
+    /// Make a run again in an empty store, from the bytes that it read, and compare all digests
+    Replay(ReplayArgs),
     /// Inspect the store
     Cache {
         /// What to do with it

@@ -1,6 +1,6 @@
 use std::path::{Path, PathBuf};
 
-use marf_engine::{Cancel, NodeRun};
+use marf_engine::{Cancel, NodeRun, RunRecord};
 use marf_scene::Scene;
 use marf_schema::calibrate::{CalibrateParams, Metrics};
 use marf_schema::output;
@@ -24,7 +24,7 @@ pub fn calibrate(global: &Global, args: &CalibrateArgs, cancel: &Cancel) -> Resu
     let (record, ended) = execute(&session, &options(global, &session.name), global, cancel)?;
     ended.map_err(for_this_verb)?;
     let node = node_named(&record, CalibrateParams::STAGE)?;
-    let written = write(&session, node, &args.out)?;
+    let written = write(&session, &record, node, &args.out)?;
     let metrics: Metrics = session.document(node)?;
     if global.json {
         return print_json(&serde_json::to_value(metrics).unwrap_or_default());
@@ -44,14 +44,19 @@ fn pipeline(args: &CalibrateArgs) -> String {
 }
 
 /// Writes what other programs read, and returns where.
-fn write(session: &Session, node: &NodeRun, out: &Path) -> Result<Vec<PathBuf>, CliError> {
+fn write(
+    session: &Session,
+    record: &RunRecord,
+    node: &NodeRun,
+    out: &Path,
+) -> Result<Vec<PathBuf>, CliError> {
     let mut written = vec![out.to_path_buf(), out.with_file_name("metrics.json")];
-    export::one(session, &digest(node, output::TRANSFORMS)?, &written[0])?;
-    export::one(session, &digest(node, Metrics::OUTPUT)?, &written[1])?;
+    export::one(session, record, &digest(node, output::TRANSFORMS)?, &written[0])?;
+    export::one(session, record, &digest(node, Metrics::OUTPUT)?, &written[1])?;
     for (name, found) in &node.outputs {
         if name.starts_with(output::SPARSE) || name == output::POINTS {
             let path = out.with_file_name("").join(name);
-            export::one(session, &found.digest, &path)?;
+            export::one(session, record, &found.digest, &path)?;
             written.push(path);
         }
     }

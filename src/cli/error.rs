@@ -1,5 +1,7 @@
 use std::process::ExitCode;
 
+use serde::Serialize;
+
 use crate::config::LoadError;
 use crate::terminal::escape_control;
 
@@ -10,14 +12,45 @@ pub enum CliError {
     Failed(Diagnostic),
     /// A bad command line or pipeline.toml: exit code 2.
     Usage(Diagnostic),
-    /// Something is not as it was made: exit code 4.
-    Altered(Diagnostic),
     /// Something was made by a newer version: exit code 8.
     Newer(Diagnostic),
     /// Another process holds the store: exit code 11.
     Locked(Diagnostic),
+    /// The verb has answered, and the answer has an exit code of its own.
+    Answered(Answer, Diagnostic),
     /// Ctrl-C: exit code 130.
     Interrupted,
+}
+
+/// An answer about a file or a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Answer {
+    /// Made by a run, and as it was made: exit code 0.
+    Whole,
+    /// Not made by a run of the store: exit code 3.
+    NotOurs,
+    /// Altered, or made from something that was: exit code 4.
+    Altered,
+    /// Something of the lineage is not in the store any more: exit code 5.
+    Incomplete,
+    /// An archive has changed a product since: exit code 6.
+    Changed,
+    /// A replay gave something else: exit code 7.
+    Differs,
+}
+
+impl Answer {
+    fn code(self) -> u8 {
+        match self {
+            Self::Whole => 0,
+            Self::NotOurs => 3,
+            Self::Altered => 4,
+            Self::Incomplete => 5,
+            Self::Changed => 6,
+            Self::Differs => 7,
+        }
+    }
 }
 
 /// The text of an error: message, cause, hint.
@@ -76,14 +109,14 @@ impl CliError {
         Self::Usage(Diagnostic::new(message))
     }
 
-    /// Returns the exit code: 1, 2, 4, 8, 11 or 130.
+    /// Returns the exit code: 1, 2, 8, 11, 130, or that of an answer.
     pub fn code(&self) -> ExitCode {
         match self {
             Self::Failed(_) => ExitCode::from(1),
             Self::Usage(_) => ExitCode::from(2),
-            Self::Altered(_) => ExitCode::from(4),
             Self::Newer(_) => ExitCode::from(8),
             Self::Locked(_) => ExitCode::from(11),
+            Self::Answered(answer, _) => ExitCode::from(answer.code()),
             Self::Interrupted => ExitCode::from(130),
         }
     }
@@ -93,9 +126,9 @@ impl CliError {
         match self {
             Self::Failed(diagnostic)
             | Self::Usage(diagnostic)
-            | Self::Altered(diagnostic)
             | Self::Newer(diagnostic)
-            | Self::Locked(diagnostic) => &diagnostic.message,
+            | Self::Locked(diagnostic)
+            | Self::Answered(_, diagnostic) => &diagnostic.message,
             Self::Interrupted => "stopped",
         }
     }
@@ -105,9 +138,9 @@ impl CliError {
         match self {
             Self::Failed(diagnostic)
             | Self::Usage(diagnostic)
-            | Self::Altered(diagnostic)
             | Self::Newer(diagnostic)
-            | Self::Locked(diagnostic) => diagnostic.render(),
+            | Self::Locked(diagnostic)
+            | Self::Answered(_, diagnostic) => diagnostic.render(),
             Self::Interrupted => "stopped; what was computed is kept, run again to go on".to_owned(),
         }
     }

@@ -8,6 +8,7 @@ use marf_engine::{RunRecord, document};
 use marf_schema::{output, train, tune};
 use marf_stage::{Document, VERDICTS};
 
+use super::copies;
 use super::error::CliError;
 use super::export_table::ExportTable;
 use super::files;
@@ -50,7 +51,7 @@ pub struct LostOutput {
 /// # Errors
 /// A place that cannot be written, a store that cannot be read, the wish to stop before any file.
 pub fn outputs(session: &Session, record: &RunRecord, out: &Path) -> Result<Exported, CliError> {
-    let mut table = ExportTable::load(&session.store, out);
+    let mut table = ExportTable::load(&session.store, out, record.root);
     let written = write_all(session, record, &mut table);
     table.save();
     match written {
@@ -133,15 +134,16 @@ fn write_verdicts(
     Ok(())
 }
 
-/// Writes one output to a file, unless it is there already.
+/// Writes one object of a run to a file, unless it is there already.
 ///
 /// # Errors
-/// A place that cannot be written, or an output that the store has lost.
-pub fn one(session: &Session, digest: &Digest, path: &Path) -> Result<(), CliError> {
-    if std::fs::read(path).is_ok_and(|bytes| Digest::of(&bytes) == *digest) {
+/// A place that cannot be written, or an object that the store has lost.
+pub fn one(session: &Session, record: &RunRecord, digest: &Digest, path: &Path) -> Result<(), CliError> {
+    if copies::is_copy(path, digest) {
         return Ok(());
     }
-    files::write(path, &session.store.get(digest)?)
+    let bytes = session.store.get(digest)?;
+    files::write(path, &copies::copy(path, digest, &bytes, record.root))
 }
 
 /// Returns the file an output becomes; `None` for manifests, which only the store can resolve.

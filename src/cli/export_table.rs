@@ -7,6 +7,7 @@ use std::sync::Arc;
 use marf_cache::{Digest, Store};
 use serde::{Deserialize, Serialize};
 
+use super::copies;
 use super::error::CliError;
 use super::file_state::{FileState, state_of};
 use super::files;
@@ -15,6 +16,8 @@ use super::files;
 /// without it files are compared by their bytes.
 pub struct ExportTable {
     out: PathBuf,
+    /// Root of the run that the files are of.
+    run: Option<Digest>,
     /// Where the tables are kept.
     dir: PathBuf,
     /// By folder, as far as they were asked for: the thousands of files of a set of verdicts are not looked at while the set
@@ -37,11 +40,13 @@ struct Entry {
 }
 
 impl ExportTable {
-    /// Returns what was written below `out`; nothing is known of a folder that is new or whose table is damaged.
-    pub fn load(store: &Store, out: &Path) -> Self {
+    /// Returns what was written below `out`; nothing is known of a folder that is new or whose table is damaged. New files are
+    /// marked as those of the run with the root `run`, where their formats have a place for it.
+    pub fn load(store: &Store, out: &Path, run: Option<Digest>) -> Self {
         let whole = std::path::absolute(out).unwrap_or_else(|_| out.to_owned());
         Self {
             out: out.to_owned(),
+            run,
             dir: store.scratch().join("exports").join(name_of(&whole)),
             tables: BTreeMap::new(),
         }
@@ -61,9 +66,8 @@ impl ExportTable {
             return Ok(());
         }
         let path = self.out.join(file);
-        let is_same = || std::fs::read(&path).is_ok_and(|there| Digest::of(&there) == *digest);
-        if !is_same() {
-            files::write(&path, &bytes()?)?;
+        if !copies::is_copy(&path, digest) {
+            files::write(&path, &copies::copy(&path, digest, &bytes()?, self.run))?;
         }
         self.note(file, digest);
         Ok(())
@@ -187,10 +191,10 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let store = Store::open(dir.path().join("store")).unwrap();
         let out = dir.path().join("out");
-        let mut table = ExportTable::load(&store, &out);
+        let mut table = ExportTable::load(&store, &out, None);
         assert_eq!(write(&mut table, "a/x.json", "one"), 1);
         table.save();
-        let mut table = ExportTable::load(&store, &out);
+        let mut table = ExportTable::load(&store, &out, None);
         assert_eq!(write(&mut table, "a/x.json", "one"), 0);
         std::fs::write(out.join("a/x.json"), "edited").unwrap();
         assert_eq!(write(&mut table, "a/x.json", "one"), 1);
@@ -203,7 +207,7 @@ mod tests {
     fn a_folder_of_a_set_is_known_until_a_file_goes_and_loses_the_files_of_sols_that_are_gone() {
         let dir = tempfile::tempdir().unwrap();
         let store = Store::open(dir.path().join("store")).unwrap();
-        let mut table = ExportTable::load(&store, dir.path());
+        let mut table = ExportTable::load(&store, dir.path(), None);
         let (folder, root) = (Path::new("v"), Digest::of(b"root"));
         write(&mut table, "v/1", "one");
         write(&mut table, "v/2", "two");

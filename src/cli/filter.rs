@@ -37,7 +37,7 @@ pub fn filter(global: &Global, args: &FilterArgs, cancel: &Cancel) -> Result<(),
         (document::REPORT, page(&args.out)),
     ] {
         if let Some(document) = record.documents.get(name) {
-            export::one(&session, &document.digest, &path)?;
+            export::one(&session, &record, &document.digest, &path)?;
         }
     }
     ended?;

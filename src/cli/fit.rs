@@ -86,7 +86,7 @@ fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<Fitted, Cl
     let node = node_named(record, TrainParams::STAGE)?;
     for (name, output) in &node.outputs {
         if let Some(file) = name.strip_prefix(output::HELDOUT) {
-            export::one(session, &output.digest, &out.join(file))?;
+            export::one(session, record, &output.digest, &out.join(file))?;
         }
     }
     let metrics: Metrics = session.document(node)?;

@@ -1,10 +1,12 @@
 //! The verbs, one file each.
 
 mod args;
+mod audit;
 mod bench;
 mod budget;
 mod cache;
 mod calibrate;
+mod copies;
 mod documents;
 mod error;
 mod export;
@@ -20,6 +22,7 @@ mod output;
 mod photos;
 mod plan;
 mod program;
+mod replay;
 mod report;
 mod run;
 mod session;
@@ -78,6 +81,8 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
         Verb::Report { out } => report::report(global, out, cancel),
         Verb::Export { verb } => share::export(global, verb, cancel),
         Verb::Verify(args) => share::verify_path(global, args),
+        Verb::Audit(args) => audit::audit(global, args, cancel),
+        Verb::Replay(args) => replay::replay(global, args, cancel),
         Verb::Cache { verb } => cache::cache(global, verb, cancel),
         Verb::Filter(args) => filter::filter(global, args, cancel),
         Verb::Photos { dir, node } => photos::photos(global, dir.as_deref(), node, cancel),

@@ -22,7 +22,7 @@ pub fn report(global: &Global, out: &Path, cancel: &Cancel) -> Result<(), CliErr
         .ok_or_else(|| CliError::failed(format!("`{}` has not run yet", session.name)))?;
     let kept = record.documents.get(document::REPORT);
     match kept.filter(|kept| session.store.contains(&kept.digest)) {
-        Some(kept) => export::one(&session, &kept.digest, out)?,
+        Some(kept) => export::one(&session, &record, &kept.digest, out)?,
         None => files::write(out, page(&session, &record)?.as_bytes())?,
     }
     eprint_line(&format!("wrote {}", out.display()));

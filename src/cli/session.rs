@@ -6,6 +6,7 @@ use std::sync::Arc;
 use marf_cache::manifest::ManifestError;
 use marf_cache::{Digest, Store, StoreError};
 use marf_engine::{Cancel, Edge, EngineError, Graph, GraphError, NodeDecl, NodeRun, RunRecord};
+use marf_provenance::LineageError;
 use marf_stage::{Document, Verdict};
 
 use super::args::Global;
@@ -88,17 +89,7 @@ impl Session {
             params: node.params.clone(),
         };
         let nodes = pipeline.nodes.iter().map(info).collect();
-        let decls = pipeline.nodes.into_iter().map(|node| NodeDecl {
-            name: node.name,
-            stage: node.def,
-            bound: node.stage,
-            edges: node
-                .edges
-                .into_iter()
-                .map(|(key, upstream)| Edge { key, upstream })
-                .collect(),
-        });
-        let graph = Graph::new(decls.collect(), marf_stages::stages())?;
+        let graph = graph_of(pipeline.nodes)?;
         Ok(Self {
             name: pipeline.name.unwrap_or_else(unnamed),
             graph,
@@ -156,6 +147,24 @@ impl Session {
     }
 }
 
+/// Returns the graph of the nodes of a pipeline.
+///
+/// # Errors
+/// Nodes that form no graph.
+pub fn graph_of(nodes: Vec<config::Node>) -> Result<Graph, CliError> {
+    let decls = nodes.into_iter().map(|node| NodeDecl {
+        name: node.name,
+        stage: node.def,
+        bound: node.stage,
+        edges: node
+            .edges
+            .into_iter()
+            .map(|(key, upstream)| Edge { key, upstream })
+            .collect(),
+    });
+    Ok(Graph::new(decls.collect(), marf_stages::stages())?)
+}
+
 /// Returns the name of a pipeline that has none: that of its file, with eight digits that tell it from files of the same name
 /// in other folders. Two pipelines that share a store are then never compared with each other.
 fn unnamed(file: &Path) -> String {
@@ -193,7 +202,7 @@ pub fn digest(node: &NodeRun, name: &str) -> Result<Digest, CliError> {
 ///
 /// # Errors
 /// A place that cannot be written, or a store that another process holds.
-fn open_store(dir: &Path, cancel: &Cancel) -> Result<Store, CliError> {
+pub fn open_store(dir: &Path, cancel: &Cancel) -> Result<Store, CliError> {
     let stop = cancel.clone();
     Ok(Store::open_interruptible(dir, move || stop.is_set())?)
 }
@@ -244,6 +253,16 @@ impl From<EngineError> for CliError {
             EngineError::BadRun { .. } | EngineError::BadSet(_) | EngineError::Threads { .. } => {
                 Self::failed(error.to_string())
             }
+        }
+    }
+}
+
+impl From<LineageError> for CliError {
+    fn from(error: LineageError) -> Self {
+        match error {
+            LineageError::Store(error) => error.into(),
+            LineageError::Run(error) => error.into(),
+            error => Self::failed(error.to_string()),
         }
     }
 }

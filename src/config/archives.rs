@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use marf_stage::{Access, ArchiveContext, LOCK_FILE, ParamError, Table};
+use marf_stage::{ArchiveContext, LOCK_FILE, ParamError, Table};
 use marf_stages::ArchiveDef;
 use serde_json::{Map, Value as Json, json};
 
@@ -17,8 +17,7 @@ const KIND: &str = "kind";
 /// The `[archive.*]` tables of a pipeline.
 pub(super) struct Archives<'a> {
     tables: &'a [Entry],
-    access: Access,
-    rehash: bool,
+    options: &'a GlobalOptions,
     /// Tables of measures that nodes of the pipeline read.
     pub(super) measures: Vec<Table>,
     folder: &'a Path,
@@ -30,7 +29,11 @@ impl<'a> Archives<'a> {
     ///
     /// # Errors
     /// The first thing that is wrong, with its place.
-    pub fn new(tables: &'a [Entry], options: &GlobalOptions, folder: &'a Path) -> Result<Self, ConfigError> {
+    pub fn new(
+        tables: &'a [Entry],
+        options: &'a GlobalOptions,
+        folder: &'a Path,
+    ) -> Result<Self, ConfigError> {
         for table in tables {
             let def = kind_of(table)?;
             let mut schema = (def.schema)().to_value();
@@ -43,8 +46,7 @@ impl<'a> Archives<'a> {
         }
         Ok(Self {
             tables,
-            access: options.access,
-            rehash: options.rehash,
+            options,
             measures: Vec::new(),
             folder,
         })
@@ -62,15 +64,16 @@ impl<'a> Archives<'a> {
         })
     }
 
-    /// Returns the context of an archive beside its table.
-    pub fn context(&self, table: &Entry) -> ArchiveContext {
+    /// Returns the context of an archive beside its table, for the node that reads it.
+    pub fn context(&self, table: &Entry, node: &str) -> ArchiveContext {
         ArchiveContext {
             name: table.key.clone(),
             folder: self.folder.to_owned(),
             lock: Some(self.folder.join(LOCK_FILE)),
-            access: self.access,
-            rehash: self.rehash,
+            access: self.options.access,
+            rehash: self.options.rehash,
             measures: self.measures.clone(),
+            recorded: self.options.recorded.get(node).cloned(),
         }
     }
 }

@@ -72,3 +72,15 @@ pub fn check(
     }
     resolve::check(&root, options, &PathBuf::from(base))
 }
+
+/// Checks a pipeline that was kept as JSON ([`Pipeline::tree`]).
+///
+/// # Errors
+/// The first thing that is wrong; its place is that of no text.
+pub fn check_tree(
+    tree: &serde_json::Value,
+    options: &GlobalOptions,
+    base: &Path,
+) -> Result<Pipeline, ConfigError> {
+    resolve::check(&syntax::of_json(tree)?, options, &PathBuf::from(base))
+}

@@ -1,5 +1,7 @@
+use std::collections::BTreeMap;
+
 use marf_field::Device;
-use marf_stage::Access;
+use marf_stage::{Access, RecordedArchive};
 
 /// Options of the command line that hold for all nodes and archives.
 #[derive(Debug, Clone)]
@@ -10,6 +12,8 @@ pub struct GlobalOptions {
     pub access: Access,
     /// Whether the bytes of files in folders are read though nothing tells of a change.
     pub rehash: bool,
+    /// What an earlier run met of an archive, by the node that reads it: it is read in place of the archive.
+    pub recorded: BTreeMap<String, RecordedArchive>,
 }
 
 /// Without options: every node chooses its device, and archives on servers may be asked.
@@ -19,6 +23,7 @@ impl Default for GlobalOptions {
             device: None,
             access: Access::Online,
             rehash: false,
+            recorded: BTreeMap::new(),
         }
     }
 }

@@ -184,7 +184,7 @@ fn node(entry: &Entry, names: &[&str], context: &PipelineContext<'_>) -> Result<
     }
     let params = Json::Object(params);
     let stage = match archive {
-        Some(table) => (def.bind_archive)(params.clone(), context.archives.context(table)),
+        Some(table) => (def.bind_archive)(params.clone(), context.archives.context(table, &entry.key)),
         None => (def.bind)(params.clone()),
     }
     .map_err(|error| param_error(entry, archive, &error))?;

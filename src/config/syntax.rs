@@ -102,6 +102,46 @@ fn located(span: Range<usize>, value: &DeValue<'_>) -> Result<Located, ConfigErr
     Ok(Located { at, value })
 }
 
+/// Returns a tree of the values of JSON; the places are those of a text that is not there.
+///
+/// # Errors
+/// `null`, which no pipeline holds.
+pub fn of_json(json: &Json) -> Result<Located, ConfigError> {
+    let at = || Origin::Text(0..0);
+    let value = match json {
+        Json::Null => {
+            return Err(ConfigError::at(
+                at(),
+                "`null` is no value of a pipeline".to_owned(),
+            ));
+        }
+        Json::Bool(truth) => Value::Truth(*truth),
+        Json::String(text) => Value::Text(text.clone()),
+        Json::Number(number) => {
+            let whole = number
+                .as_i64()
+                .map(i128::from)
+                .or(number.as_u64().map(i128::from));
+            whole.map_or_else(
+                || Value::Float(number.as_f64().unwrap_or(f64::NAN)),
+                Value::Integer,
+            )
+        }
+        Json::Array(items) => Value::Array(items.iter().map(of_json).collect::<Result<_, _>>()?),
+        Json::Object(table) => {
+            let entry = |(key, value): (&String, &Json)| {
+                Ok(Entry {
+                    key: key.clone(),
+                    at: at(),
+                    value: of_json(value)?,
+                })
+            };
+            Value::Table(table.iter().map(entry).collect::<Result<_, ConfigError>>()?)
+        }
+    };
+    Ok(Located { at: at(), value })
+}
+
 /// Applies one `--set path.to.key=value`; the value is TOML, or a plain string where it is no TOML.
 ///
 /// # Errors
@@ -235,6 +275,14 @@ mod tests {
             serde_json::json!({"min": 0.5, "rule": "laplacian", "list": [1, 2]})
         );
         assert_eq!(json["archive"]["demo"]["sols"], "1..=3");
+    }
+
+    #[test]
+    fn a_tree_survives_json() {
+        let text = "name = \"a\"\n[node.b]\nx = [1, 2.5, -3]\ny = {z = true}\nseed = 18446744073709551615\n";
+        let tree = parse(text).unwrap();
+        assert_eq!(of_json(&tree.json()).unwrap().json(), tree.json());
+        assert!(of_json(&serde_json::json!({"a": [null]})).is_err());
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::sync::LazyLock;
 
-pub use marf_extract::{ArchiveDef, UnreadableLock, pinned_products};
+pub use marf_extract::{ArchiveDef, UnreadableLock, pinned_products, pins_by_name};
 use marf_extract::{MeasurePhoto, Survey};
 use marf_stage::{StageDef, Table, define};
 

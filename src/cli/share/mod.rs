@@ -13,7 +13,7 @@ use marf_export::ExportError;
 use marf_export::key::{KeyError, SigningKey};
 
 use super::args::Global;
-use super::error::{CliError, Diagnostic};
+use super::error::{Answer, CliError, Diagnostic};
 
 pub use verify::{VerifyArgs, verify_path};
 
@@ -79,7 +79,7 @@ fn signing_key(path: &Path) -> Result<SigningKey, CliError> {
 
 /// Returns the error of something that is not as it was made.
 fn altered(diagnostic: Diagnostic) -> CliError {
-    CliError::Altered(diagnostic)
+    CliError::Answered(Answer::Altered, diagnostic)
 }
 
 fn key_text(path: &Path) -> Result<String, CliError> {
@@ -111,11 +111,5 @@ impl From<ExportError> for CliError {
             | ExportError::Exists { .. } => Self::Usage(diagnostic),
             _ => Self::Failed(diagnostic),
         }
-    }
-}
-
-impl From<marf_provenance::LineageError> for CliError {
-    fn from(error: marf_provenance::LineageError) -> Self {
-        Self::failed(error.to_string())
     }
 }

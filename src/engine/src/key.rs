@@ -125,9 +125,15 @@ pub(crate) fn photo_path(shard: u32, id: &str) -> String {
 /// Returns the differences between two actions, sorted by path. The node's own earlier output comes last, as it changes
 /// whenever anything else does.
 pub fn differences(old: &Action, new: &Action) -> Vec<Change> {
-    let mut changes = changes_between(&leaves(old), &leaves(new));
+    let json = |action: &Action| serde_json::to_value(action).unwrap_or_default();
+    let mut changes = changes(&json(old), &json(new));
     changes.sort_by_key(|change| change.path.strip_prefix("inputs.") == Some(EARLIER));
     changes
+}
+
+/// Returns the values that differ between two JSON documents, sorted by their dotted paths.
+pub fn changes(old: &Value, new: &Value) -> Vec<Change> {
+    changes_between(&leaves(old), &leaves(new))
 }
 
 /// Returns the differences between two tables, sorted by name.
@@ -143,11 +149,10 @@ pub(crate) fn changes_between(old: &BTreeMap<String, String>, new: &BTreeMap<Str
         .collect()
 }
 
-/// Returns the values of an action by their dotted paths.
-fn leaves(action: &Action) -> BTreeMap<String, String> {
+/// Returns the values of a document by their dotted paths.
+fn leaves(json: &Value) -> BTreeMap<String, String> {
     let mut leaves = BTreeMap::new();
-    let json = serde_json::to_value(action).unwrap_or_default();
-    add_leaves(String::new(), &json, &mut leaves);
+    add_leaves(String::new(), json, &mut leaves);
     leaves
 }
 

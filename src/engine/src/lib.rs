@@ -25,7 +25,7 @@ mod work;
 pub use check::{Edge, GraphError, NodeShape, check};
 pub use event::{Event, Listener, Silent};
 pub use graph::{Graph, NodeDecl, NodeView};
-pub use key::{Change, action_at, differences};
+pub use key::{Change, action_at, changes, differences};
 pub use listing::LISTING;
 pub use marf_stage::Cancel;
 pub use needs::Needs;

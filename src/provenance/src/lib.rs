@@ -3,12 +3,26 @@
 //! ```text
 //! lineage.rs   a run: nodes with actions and records, inputs with the outputs that they are
 //! product.rs   what a source read: products, and where their files came from
+//! find.rs      a content: as what, and by which nodes of which runs
+//! nearest.rs   a file that nobody made: which object it resembles most
+//! stamp.rs     marks in exported copies
+//! taint.rs     a product: what it went into
+//! replay.rs    what a run needs to be made again, and how what came compares with it
+//! difference.rs where and by how much two contents differ
+//! verify.rs    every byte of a lineage against its digest
 //! ```
-//! This crate reads; it runs nothing and writes nothing. Invariant: what it says of a run is in the run's root or in objects
+//! This crate runs nothing, and writes nothing but copies of objects into the store of a replay. Invariant: what it says of a run is in the run's root or in objects
 //! that the root leads to.
 
+pub mod difference;
+pub mod find;
 pub mod lineage;
+pub mod nearest;
 pub mod product;
+pub mod replay;
+pub mod stamp;
+pub mod taint;
+pub mod verify;
 
 use marf_cache::{Digest, StoreError, manifest::ManifestError};
 use marf_engine::EngineError;
@@ -48,6 +62,17 @@ impl LineageError {
             Self::NoRecord { .. } => true,
             Self::Run(_) | Self::Malformed { .. } => false,
         }
+    }
+}
+
+/// Returns what was read; none if the store has lost an object that it needs.
+///
+/// # Errors
+/// Every other error.
+pub fn unless_lost<T>(read: Result<T, LineageError>) -> Result<Option<T>, LineageError> {
+    match read {
+        Err(error) if error.is_lost() => Ok(None),
+        read => read.map(Some),
     }
 }
 

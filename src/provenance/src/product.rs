@@ -44,15 +44,30 @@ pub fn parts(store: &Store, source: &NodeLineage) -> Result<Vec<SourcePart>, Lin
         of: format!("`{}`", source.run.name),
         key: source.run.key.unwrap_or_else(|| Digest::of(&[])),
     })?;
+    parts_of(store, record)
+}
+
+/// Returns the parts of a record, by sol; of a node that is no source they are its own work on each sol.
+///
+/// # Errors
+/// A list of parts that is lost, or a store that cannot be read.
+pub fn parts_of(store: &Store, record: &Record) -> Result<Vec<SourcePart>, LineageError> {
     let Some(parts) = record.parts else {
         return Ok(Vec::new());
     };
-    let root = Root::read(&parts, |digest| Ok::<_, LineageError>(store.get(digest)?))?;
     let part = |leaf: LeafRef| SourcePart {
         shard: leaf.shard,
         key: leaf.leaf,
     };
-    Ok(root.leaves.into_iter().map(part).collect())
+    Ok(set(store, &parts)?.leaves.into_iter().map(part).collect())
+}
+
+/// Reads a set.
+///
+/// # Errors
+/// A block that is lost, or a store that cannot be read.
+pub fn set(store: &Store, root: &Digest) -> Result<Root, LineageError> {
+    Root::read(root, |digest| Ok(store.get(digest)?))
 }
 
 /// Returns the files that a part of a source met; none for what an earlier version read.

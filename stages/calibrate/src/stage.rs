@@ -59,6 +59,11 @@ impl Stage for Calibrate {
         Threads::All
     }
 
+    fn varies(&self) -> Option<&'static str> {
+        (self.0.method == Method::Colmap)
+            .then_some("COLMAP gives other numbers on another machine, and from run to run")
+    }
+
     fn earlier(&self) -> Option<&'static str> {
         self.0.extend.then_some(SCENE)
     }

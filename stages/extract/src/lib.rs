@@ -9,6 +9,7 @@
 //! archive/  what a kind declares and what it may reach; files by shard
 //! remote/   what archives on servers share: catalogs, marf.lock, downloads
 //! net/      the HTTP client
+//! recorded.rs  an archive as an earlier run met it
 //! fetch.rs  from the files of a shard to rows, verdicts and measures
 //! survey.rs what is measured of photos while they are decoded
 //! ```
@@ -20,6 +21,7 @@ mod kinds;
 mod net;
 mod params;
 mod products;
+mod recorded;
 mod remote;
 mod sols;
 mod stat;
@@ -35,7 +37,7 @@ use marf_stage::{
 pub use archive::kind::ArchiveDef;
 pub use kinds::ARCHIVES;
 pub use params::{ArchiveTable, ExtractParams};
-pub use remote::{UnreadableLock, pinned_products};
+pub use remote::{UnreadableLock, pinned_products, pins_by_name};
 pub use survey::{MeasurePhoto, NoSurvey, Survey};
 
 /// Brings photos in from an archive.
@@ -113,8 +115,12 @@ impl<S: Survey> Define for Extract<S> {
             ParamError::new(path.trim_end_matches('.'), error.message)
         };
         let wanted = survey::Wanted::of::<S>(&context.measures);
+        let archive: Box<dyn archive::ArchiveFiles> = match context.recorded {
+            Some(recorded) => Box::new(recorded::Recorded(recorded)),
+            None => params.archive.open(context).map_err(of_archive)?,
+        };
         Ok(Self {
-            archive: params.archive.open(context).map_err(of_archive)?,
+            archive,
             reading: Reading {
                 white_radiance: marf_pds::WHITE_RADIANCE,
             },

@@ -1,6 +1,9 @@
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use crate::Table;
+use marf_cache::Digest;
+
+use crate::{Shard, Table};
 
 /// Name of the folder that pins what archives on servers gave; it lies beside pipeline.toml. In 0.1.0 it was a file.
 pub const LOCK_FILE: &str = "marf.lock";
@@ -14,6 +17,15 @@ pub enum Access {
     Locked,
     /// As `Locked`, and open no connection.
     Offline,
+}
+
+/// An archive as an earlier run met it: its files are read from the store, wherever they lay then.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RecordedArchive {
+    /// The shards, sorted, each with the digest of the list of its files ([`crate::Origin`]).
+    pub shards: Vec<(Shard, Digest)>,
+    /// Companion files by name.
+    pub companions: BTreeMap<String, Digest>,
 }
 
 /// What an archive is told beside the keys of its `[archive.*]` table; no part of it is in a key.
@@ -31,6 +43,8 @@ pub struct ArchiveContext {
     pub rehash: bool,
     /// Tables of measures that stages of the pipeline read, to be filled of every photo that is fetched. They change no row.
     pub measures: Vec<Table>,
+    /// What an earlier run met, to be read again in place of the archive itself, which is then not looked at.
+    pub recorded: Option<RecordedArchive>,
 }
 
 /// The context of an archive outside a pipeline: it has no lock file and may open no connection.
@@ -43,6 +57,7 @@ impl Default for ArchiveContext {
             access: Access::Offline,
             rehash: false,
             measures: Vec::new(),
+            recorded: None,
         }
     }
 }

@@ -17,7 +17,7 @@ use std::{collections::BTreeMap, sync::Arc};
 use marf_cache::{ContentHash, Digest, canonical_json, manifest::Row};
 use serde::{Deserialize, Serialize};
 
-pub use archive::{Access, ArchiveContext, LOCK_FILE};
+pub use archive::{Access, ArchiveContext, LOCK_FILE, RecordedArchive};
 pub use ctx::{BlobError, Blobs, Cancel, Checkpoints, Ctx, Keep, Memos, Progress};
 pub use define::{Define, ParamError, Port, StageDef, define, from_json, key_params, schema_of};
 pub use document::{Document, Params, TypedOutputs};
@@ -47,6 +47,11 @@ pub trait Stage: Send + Sync {
     /// Returns the backend that computes the result where results differ from backend to backend: adapter, driver and
     /// interface of a GPU. `None` is the CPU, whose results are equal to the bit everywhere. It is part of the key.
     fn backend_id(&self) -> Option<String> {
+        None
+    }
+    /// Returns why two runs of one key may give different results, for a stage that is no pure function (it measures time, or
+    /// runs another program); none for all others.
+    fn varies(&self) -> Option<&'static str> {
         None
     }
     /// Returns the name of the output of the stage's own last finished run that it reads as the input [`EARLIER`]. That

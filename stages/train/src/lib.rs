@@ -33,9 +33,9 @@ pub use train::Train;
 pub use tune::Tune;
 
 /// Implements [`marf_stage::Stage`] for a stage with `params.device` that uses all threads; `$work` is its variant of
-/// [`marf_stage::Work`].
+/// [`marf_stage::Work`], `$why` says why it is no pure function, if it is none.
 macro_rules! stage_on_device {
-    ($stage:ty, $work:ident) => {
+    ($stage:ty, $work:ident $(, $why:literal)?) => {
         impl marf_stage::Stage for $stage {
             fn params(&self) -> serde_json::Value {
                 marf_stage::key_params(&self.params, &["device"])
@@ -52,6 +52,12 @@ macro_rules! stage_on_device {
             fn backend_id(&self) -> Option<String> {
                 self.params.device.backend_id()
             }
+
+            $(
+                fn varies(&self) -> Option<&'static str> {
+                    Some($why)
+                }
+            )?
         }
     };
 }

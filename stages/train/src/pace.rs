@@ -50,7 +50,7 @@ impl Define for Pace {
     }
 }
 
-stage_on_device!(Pace, Set);
+stage_on_device!(Pace, Set, "it measures how fast this machine trains");
 
 impl Set for Pace {
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use marf_cache::{
-    Digest, Sha256, Store, digest_of,
+    Sha256, Store, digest_of,
     manifest::{Leaf, LeafRef, ManifestError, Root, Row},
 };
 use marf_engine::{Cancel, Edge, Graph, NodeDecl, Options, RunRecord, Silent};

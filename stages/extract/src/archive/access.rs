@@ -145,8 +145,7 @@ mod tests {
             folder: PathBuf::from("there"),
             lock: Some(PathBuf::from("there/marf.lock")),
             access,
-            rehash: false,
-            measures: Vec::new(),
+            ..ArchiveContext::default()
         }
     }
 

@@ -154,6 +154,30 @@ impl ArchiveFile {
         }
     }
 
+    /// Returns a file as an earlier run met it; its bytes are in the store if it was read then.
+    pub fn recorded(origin: Origin) -> Self {
+        let reason = || origin.reason.clone().unwrap_or_default();
+        let kind = match origin.kind {
+            OriginKind::Photo => Kind::Photo,
+            OriginKind::Raw => Kind::Raw,
+            OriginKind::Pds4 => Kind::Pds4,
+            OriginKind::Feed => Kind::Feed,
+            OriginKind::Odl => Kind::Odl,
+            OriginKind::Other => Kind::Other(reason()),
+            OriginKind::Unreadable => Kind::Unreadable(reason()),
+        };
+        Self {
+            kind,
+            digest: origin.blake3,
+            bytes: Bytes::Stored,
+            fetched: origin.fetched.map(|time| FetchedFrom {
+                url: origin.url,
+                time,
+            }),
+            name: origin.file,
+        }
+    }
+
     /// Returns a file that an archive lists and that is not taken.
     pub fn left_out(name: String, reason: String) -> Self {
         Self {
@@ -186,7 +210,12 @@ impl ArchiveFile {
                 ctx.put(bytes)?;
                 Ok(Arc::clone(bytes))
             }
-            Bytes::Stored => ctx.get(&self.digest),
+            Bytes::Stored => {
+                let bytes = ctx.get(&self.digest)?;
+                // So that the result needs it, also where no row names it.
+                ctx.put(&bytes)?;
+                Ok(bytes)
+            }
             Bytes::Path(path, keep) => match ctx.blobs.put_file(path, MAX_FILE_BYTES, *keep) {
                 Ok((digest, bytes)) if digest == self.digest => Ok(bytes),
                 Ok(_) => Err(self.changed(OTHER_BYTES)),

@@ -1,5 +1,6 @@
 //! All products that a marf.lock pins, of all archives: what a collection must keep.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -22,31 +23,42 @@ pub struct UnreadableLock {
 /// # Errors
 /// The first file, with its line, that cannot be read.
 pub fn pinned_products(lock: &Path) -> Result<Vec<Digest>, UnreadableLock> {
-    let mut digests = Vec::new();
+    Ok(pins_by_name(lock)?.into_values().flatten().collect())
+}
+
+/// Returns what archives gave under each name, by sol and name: first the bytes that are pinned, then others that were given
+/// later. Archives of one lock that have a name of one sol in common are joined.
+///
+/// # Errors
+/// As [`pinned_products`].
+pub fn pins_by_name(lock: &Path) -> Result<BTreeMap<(u32, String), Vec<Digest>>, UnreadableLock> {
+    let mut given = BTreeMap::new();
     if lock.is_file() {
         let archives = old::read(&read(lock)?).map_err(|bad| unreadable(lock, Some(bad.line), bad.cause))?;
-        for archive in archives.values() {
-            archive.sols.values().for_each(|pins| add(pins, &mut digests));
+        for (sol, pins) in archives.into_values().flat_map(|archive| archive.sols) {
+            add(sol, pins, &mut given);
         }
-        return Ok(digests);
+        return Ok(given);
     }
     for folder in entries(lock)?.into_iter().filter(|path| path.is_dir()) {
         for file in entries(&folder)? {
             let Some(sol) = sol_of(&file) else { continue };
             let pins = text::read(&read(&file)?, sol);
             add(
-                &pins.map_err(|bad| unreadable(&file, Some(bad.line), bad.cause))?,
-                &mut digests,
+                sol,
+                pins.map_err(|bad| unreadable(&file, Some(bad.line), bad.cause))?,
+                &mut given,
             );
         }
     }
-    Ok(digests)
+    Ok(given)
 }
 
-fn add(pins: &SolPins, digests: &mut Vec<Digest>) {
-    for pin in pins.files.values() {
-        digests.push(pin.blake3);
-        digests.extend(&pin.others);
+fn add(sol: u32, pins: SolPins, given: &mut BTreeMap<(u32, String), Vec<Digest>>) {
+    for (name, pin) in pins.files {
+        let all = given.entry((sol, name)).or_default();
+        all.push(pin.blake3);
+        all.extend(pin.others);
     }
 }
 
@@ -89,7 +101,7 @@ fn unreadable(path: &Path, line: Option<usize>, cause: String) -> UnreadableLock
 
 #[cfg(test)]
 mod tests {
-    use std::collections::{BTreeMap, BTreeSet};
+    use std::collections::BTreeSet;
 
     use super::super::{Pin, write_sol};
     use super::*;

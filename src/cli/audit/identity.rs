@@ -1,0 +1,170 @@
+//! Which object a file is a copy of, by its content alone.
+
+use std::collections::BTreeMap;
+
+use marf_cache::{Digest, Store};
+use marf_engine::RunRecord;
+use marf_provenance::{
+    find::{Maker, find},
+    nearest::{LEAST_SHARE, Outline},
+    product::set,
+    stamp::Stamp,
+    unless_lost,
+};
+use marf_stage::VERDICTS;
+use serde::Serialize;
+
+use crate::cli::error::CliError;
+
+/// What a file is.
+#[derive(Debug, Serialize)]
+#[serde(untagged)]
+pub enum Identity {
+    /// A copy of an object that runs of this store made, each of its makers named.
+    Whole {
+        /// Digest of the object.
+        object: Digest,
+        makers: Vec<Maker>,
+    },
+    /// A copy of an object that was changed afterwards.
+    Altered {
+        /// Digest of the file's bytes, without the mark if there is one.
+        content: Digest,
+        /// The object it was, or resembles most.
+        closest: Digest,
+        makers: Vec<Maker>,
+        /// Share of the bytes that both have, in [0, 1]; absent if the object is not in the store.
+        share: Option<f64>,
+        /// What shows it.
+        because: &'static str,
+    },
+    /// A whole copy, by its mark, of an object that this store does not have: of another store, or collected.
+    Elsewhere {
+        /// Digest of the object.
+        object: Digest,
+        /// Root of the run that it was exported from.
+        run: Digest,
+    },
+    /// Nothing that runs of this store made.
+    NotOurs {
+        /// Digest of the file's bytes.
+        content: Digest,
+    },
+}
+
+impl Identity {
+    /// Returns who made it, or made what it was.
+    pub fn makers(&self) -> &[Maker] {
+        match self {
+            Self::Whole { makers, .. } | Self::Altered { makers, .. } => makers,
+            Self::Elsewhere { .. } | Self::NotOurs { .. } => &[],
+        }
+    }
+}
+
+/// Tells what a file is; `runs` are oldest first.
+///
+/// # Errors
+/// A store that cannot be read.
+pub fn identify(store: &Store, runs: &[RunRecord], file: &[u8]) -> Result<Identity, CliError> {
+    let Some((bytes, stamp)) = Stamp::off(file) else {
+        return unmarked(store, runs, file);
+    };
+    let content = Digest::of(&bytes);
+    if content == stamp.object {
+        let makers = find(store, runs, &content)?;
+        return Ok(match makers.is_empty() {
+            false => Identity::Whole {
+                object: content,
+                makers,
+            },
+            true => Identity::Elsewhere {
+                object: content,
+                run: stamp.run,
+            },
+        });
+    }
+    let of_content = find(store, runs, &content)?;
+    let (closest, makers, because) = match of_content.is_empty() {
+        false => (
+            content,
+            of_content,
+            "its mark names another object than its bytes are",
+        ),
+        true => (
+            stamp.object,
+            find(store, runs, &stamp.object)?,
+            "its bytes are not those that its mark names",
+        ),
+    };
+    let object = unless_lost(store.get(&closest).map_err(Into::into))?;
+    Ok(Identity::Altered {
+        content,
+        closest,
+        makers,
+        share: object.map(|object| Outline::of(&bytes).share_with(&object)),
+        because,
+    })
+}
+
+/// Tells what a file without a mark is.
+fn unmarked(store: &Store, runs: &[RunRecord], file: &[u8]) -> Result<Identity, CliError> {
+    let content = Digest::of(file);
+    let makers = find(store, runs, &content)?;
+    if !makers.is_empty() {
+        return Ok(Identity::Whole {
+            object: content,
+            makers,
+        });
+    }
+    let outline = Outline::of(file);
+    let mut best: Option<(f64, Digest)> = None;
+    for (digest, bytes) in exported(store, runs)? {
+        if !outline.may_resemble(bytes) {
+            continue;
+        }
+        let Some(object) = unless_lost(store.get(&digest).map_err(Into::into))? else {
+            continue;
+        };
+        let share = outline.share_with(&object);
+        if share >= LEAST_SHARE && best.is_none_or(|(most, _)| share > most) {
+            best = Some((share, digest));
+        }
+    }
+    Ok(match best {
+        None => Identity::NotOurs { content },
+        Some((share, closest)) => Identity::Altered {
+            content,
+            closest,
+            makers: find(store, runs, &closest)?,
+            share: Some(share),
+            because: "no object has its bytes, and this one resembles it most",
+        },
+    })
+}
+
+/// Returns all objects that runs write to files, with their lengths: documents, outputs, verdicts by sol.
+fn exported(store: &Store, runs: &[RunRecord]) -> Result<BTreeMap<Digest, u64>, CliError> {
+    let mut objects = BTreeMap::new();
+    for run in runs {
+        let outputs = run.nodes.iter().flat_map(|node| node.outputs.values());
+        objects.extend(
+            outputs
+                .chain(run.documents.values())
+                .map(|output| (output.digest, output.bytes)),
+        );
+    }
+    // Verdicts of many sols change little from run to run; those of the last run are compared.
+    for verdicts in runs
+        .last()
+        .iter()
+        .flat_map(|run| &run.nodes)
+        .filter_map(|node| node.outputs.get(VERDICTS))
+    {
+        let leaves = unless_lost(set(store, &verdicts.digest))?.map(|set| set.leaves);
+        for leaf in leaves.into_iter().flatten() {
+            objects.extend(store.size_of(&leaf.leaf).map(|bytes| (leaf.leaf, bytes)));
+        }
+    }
+    Ok(objects)
+}

@@ -1,0 +1,148 @@
+//! `marf audit`: who made a file, from which bytes; and what a product went into.
+
+mod changed;
+mod from;
+pub mod identity;
+mod lineage;
+mod tree;
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use marf_engine::Cancel;
+use marf_provenance::{lineage::Lineage, verify::Verified};
+use serde::Serialize;
+
+use self::{
+    changed::Changed,
+    identity::{Identity, identify},
+    lineage::{Origin, origin_of},
+};
+use super::args::Global;
+use super::error::{Answer, CliError, Diagnostic};
+use super::output::print_json;
+use super::session::{existing_store, warn};
+use crate::terminal::{escape_control, print_line};
+
+/// Arguments of `audit`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct AuditArgs {
+    /// A file that marf may have made, wherever it lies now
+    #[arg(required_unless_present = "from", conflicts_with = "from")]
+    pub file: Option<PathBuf>,
+    /// Read everything that it was made from, and compare it with its digests
+    #[arg(long)]
+    pub verify: bool,
+    /// List all products of archives, not the first few
+    #[arg(long)]
+    pub products: bool,
+    /// Tell what a product (id, name of its file, or blake3) went into
+    #[arg(long, value_name = "PRODUCT")]
+    pub from: Option<String>,
+}
+
+const AFTER_HELP: &str = "\
+Exit codes of the answer: 0 made by marf and whole, 3 not made by marf, 4 altered, 5 something of its lineage is not in \
+the store any more, 6 an archive has changed a product since.";
+
+/// What `--json` prints.
+#[derive(Debug, Serialize)]
+struct Report<'a> {
+    file: &'a Path,
+    answer: Answer,
+    #[serde(flatten)]
+    identity: &'a Identity,
+    lineage: &'a [Origin],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    verified: Option<&'a Verified>,
+    #[serde(skip_serializing_if = "<[Changed]>::is_empty")]
+    changed: &'a [Changed],
+}
+
+/// `marf audit`: who made a file, from which bytes.
+pub fn audit(global: &Global, args: &AuditArgs, cancel: &Cancel) -> Result<(), CliError> {
+    match (&args.file, &args.from) {
+        (Some(file), _) => audit_file(global, args, file, cancel),
+        (None, Some(product)) => from::from(global, product, cancel),
+        (None, None) => Err(CliError::usage(
+            "name a file, or a product with --from".to_owned(),
+        )),
+    }
+}
+
+fn audit_file(global: &Global, args: &AuditArgs, file: &Path, cancel: &Cancel) -> Result<(), CliError> {
+    let bytes = std::fs::read(file)
+        .map_err(|error| CliError::failed(format!("cannot read {}: {error}", file.display())))?;
+    let store = existing_store(global, cancel)?;
+    let runs = marf_engine::runs(&store, warn)?;
+    let identity = identify(&store, &runs, &bytes)?;
+    let (mut lineages, mut verified, mut changed) = (Vec::new(), None::<Verified>, Vec::new());
+    for maker in identity.makers() {
+        let number = maker.made_in.or(maker.runs.first().copied());
+        let Some(run) = runs.iter().find(|run| Some(run.number) == number) else {
+            continue;
+        };
+        let whole = Lineage::of(&store, run.clone())?;
+        let nodes = match maker.place.node() {
+            Some(node) => whole.upstream(node),
+            None => whole.nodes.iter().collect(),
+        };
+        lineages.push(origin_of(&whole, maker, &nodes, args.products)?);
+        if args.verify {
+            let found = marf_provenance::verify::verify(&whole, &nodes)?;
+            verified = Some(verified.map_or(found.clone(), |before| before.and(found)));
+            changed.extend(changed::since(global, &whole, &nodes)?);
+        }
+    }
+    let answer = answer(&identity, &lineages, verified.as_ref(), &changed);
+    let report = Report {
+        file,
+        answer,
+        identity: &identity,
+        lineage: &lineages,
+        verified: verified.as_ref(),
+        changed: &changed,
+    };
+    match global.json {
+        true => print_json(&report)?,
+        false => print_line(escape_control(&tree::text(&report)).trim_end()),
+    }
+    told(answer, file)
+}
+
+/// Returns the answer: the first of altered, incomplete, changed that holds.
+fn answer(
+    identity: &Identity,
+    lineages: &[Origin],
+    verified: Option<&Verified>,
+    changed: &[Changed],
+) -> Answer {
+    let has_faults = verified.is_some_and(|verified| !verified.faults.is_empty());
+    let has_lost = verified.is_some_and(|verified| !verified.missing.is_empty());
+    match identity {
+        Identity::NotOurs { .. } => Answer::NotOurs,
+        Identity::Altered { .. } => Answer::Altered,
+        Identity::Whole { .. } if has_faults => Answer::Altered,
+        Identity::Elsewhere { .. } => Answer::Incomplete,
+        Identity::Whole { .. } if has_lost || lineages.iter().any(Origin::is_incomplete) => {
+            Answer::Incomplete
+        }
+        Identity::Whole { .. } if !changed.is_empty() => Answer::Changed,
+        Identity::Whole { .. } => Answer::Whole,
+    }
+}
+
+/// Ends the verb with the code of the answer.
+fn told(answer: Answer, file: &Path) -> Result<(), CliError> {
+    let file = file.display();
+    let said = |message: String| Err(CliError::Answered(answer, Diagnostic::new(message)));
+    match answer {
+        Answer::Whole => Ok(()),
+        Answer::NotOurs => said(format!("{file} was not made by a run of this store")),
+        Answer::Altered => said(format!("{file}, or something that it was made from, was altered")),
+        Answer::Incomplete => said(format!("not all of what {file} was made from is in the store")),
+        Answer::Changed => said(format!("an archive has changed a product of {file} since")),
+        Answer::Differs => said(format!("{file} differs")),
+    }
+}

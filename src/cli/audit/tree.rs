@@ -1,0 +1,306 @@
+//! The answer of `marf audit` as text.
+
+use std::collections::BTreeSet;
+use std::fmt::Write as _;
+
+use marf_provenance::find::{Maker, Place};
+
+use super::Report;
+use super::changed::Changed;
+use super::identity::Identity;
+use super::lineage::{Origin, ProductLine, Products, Step};
+use crate::progress::duration;
+use marf_export::iso_time;
+
+/// Writes into a string cannot fail.
+macro_rules! line {
+    ($text:expr, $($rest:tt)*) => { let _ = writeln!($text, $($rest)*); };
+}
+
+/// Returns the answer as text: what the file is, who made it, the tree, what was verified.
+pub(super) fn text(report: &Report<'_>) -> String {
+    let mut text = String::new();
+    line!(text, "{}: {}", report.file.display(), verdict(report.identity));
+    for origin in report.lineage {
+        line!(text, "");
+        add_origin(&mut text, origin);
+    }
+    if let Some(verified) = report.verified {
+        line!(text, "");
+        line!(
+            text,
+            "verified {} objects, {:.1} MB, {} files of archives by SHA-256: {} faults, {} not in the store",
+            verified.objects,
+            verified.bytes as f64 / 1e6,
+            verified.products,
+            verified.faults.len(),
+            verified.missing.len()
+        );
+        for fault in &verified.faults {
+            let object = fault.object.map(|object| object.short()).unwrap_or_default();
+            line!(text, "  {} {object}: {}", fault.of, fault.what);
+        }
+        for lost in &verified.missing {
+            line!(
+                text,
+                "  {} of {} ({}) is not in the store",
+                lost.role,
+                lost.of,
+                lost.digest.short()
+            );
+        }
+    }
+    report
+        .changed
+        .iter()
+        .for_each(|changed| add_changed(&mut text, changed));
+    text
+}
+
+fn verdict(identity: &Identity) -> String {
+    match identity {
+        Identity::Whole { object, makers } => {
+            let several = match makers.len() {
+                1 => String::new(),
+                count => format!("; {count} makers, all are named"),
+            };
+            format!("made by marf and whole, blake3 {object}{several}")
+        }
+        Identity::Altered {
+            content,
+            closest,
+            share,
+            because,
+            ..
+        } => {
+            let share =
+                share.map(|share| format!(", {:.1} % of the bytes are the same", floor_percent(share)));
+            format!(
+                "altered: {because}\n  it has blake3 {content}, the closest object {closest}{}",
+                share.unwrap_or_default()
+            )
+        }
+        Identity::Elsewhere { object, run } => format!(
+            "a whole copy, by its mark, of an object that this store does not have (of another store, or collected)\n  \
+             object {object}\n  run root {run}"
+        ),
+        Identity::NotOurs { content } => format!("not made by a run of this store, blake3 {content}"),
+    }
+}
+
+/// Returns a share in percent, rounded down, so that a file that differs never shows as the same.
+fn floor_percent(share: f64) -> f64 {
+    (share * 1000.0).floor() / 10.0
+}
+
+/// Returns as what a run knows a content.
+pub(super) fn place(place: &Place) -> String {
+    match place {
+        Place::Root => "the run root".to_owned(),
+        Place::Document(name) => format!("the document `{name}` of the run"),
+        Place::Output(output) => format!("output `{}` of node `{}`", output.output, output.node),
+        Place::Action(node) => format!("the action of node `{node}`"),
+        Place::Sol { node, output, sol } => format!("sol {sol} of output `{output}` of node `{node}`"),
+        Place::Product { node, sol, id, role } => {
+            format!("the {role} of product {id} of sol {sol}, read by node `{node}`")
+        }
+        Place::File { node, sol, file } => format!("the file {file} of sol {sol}, met by node `{node}`"),
+        Place::Stored(node) => format!("stored by node `{node}` beside its outputs"),
+    }
+}
+
+fn add_origin(text: &mut String, origin: &Origin) {
+    line!(text, "{}", place(&origin.maker.place));
+    let by = match origin.maker.made_in {
+        Some(_) => "made in",
+        None => "the run that made it is gone; the oldest that has it is",
+    };
+    line!(
+        text,
+        "  {by} run {} of {}: {}",
+        origin.run,
+        iso_time(origin.started_unix_s),
+        origin.command
+    );
+    if let Some(build) = &origin.build {
+        let commit = build.commit.as_deref().unwrap_or("unknown");
+        let (os, arch, file) = (&build.os, &build.arch, build.blake3.short());
+        line!(
+            text,
+            "  by {}, commit {commit}, {os} {arch}, program file {file}",
+            origin.program
+        );
+    } else {
+        line!(text, "  by {}", origin.program);
+    }
+    if let Some(root) = origin.root {
+        line!(text, "  run root {root}{}", others(&origin.maker, origin.run));
+    }
+    let mut tree = Tree {
+        origin,
+        shown: BTreeSet::new(),
+    };
+    match origin.maker.place.node() {
+        Some(node) => tree.add(text, node, "", ""),
+        None => {
+            let ends: Vec<&Step> = origin.nodes.iter().filter(|step| tree.is_end(step)).collect();
+            ends.iter().for_each(|step| tree.add(text, &step.node, "", ""));
+        }
+    }
+}
+
+fn others(maker: &Maker, run: u64) -> String {
+    let others: Vec<String> = maker
+        .runs
+        .iter()
+        .filter(|number| **number != run)
+        .map(ToString::to_string)
+        .collect();
+    match others.is_empty() {
+        true => String::new(),
+        false => format!("; also in runs {}", others.join(", ")),
+    }
+}
+
+/// The nodes of a lineage as a tree; a node that several others read is told once.
+struct Tree<'a> {
+    origin: &'a Origin,
+    shown: BTreeSet<&'a str>,
+}
+
+impl<'a> Tree<'a> {
+    /// Tells whether no other node reads anything of a node.
+    fn is_end(&self, step: &Step) -> bool {
+        let reads = |other: &Step| {
+            let mut makers = other.inputs.values().filter_map(|input| input.made_by.as_ref());
+            makers.any(|made_by| made_by.node == step.node)
+        };
+        step.parent.is_none() && !self.origin.nodes.iter().any(reads)
+    }
+
+    fn add(&mut self, text: &mut String, name: &str, edge: &str, indent: &str) {
+        let origin = self.origin;
+        let Some(step) = origin.nodes.iter().find(|step| step.node == name) else {
+            line!(text, "{indent}{edge}{name}");
+            return;
+        };
+        if !self.shown.insert(&step.node) {
+            line!(text, "{indent}{edge}{name} (above)");
+            return;
+        }
+        line!(text, "{indent}{edge}{}", about(step));
+        let below = match edge.is_empty() {
+            true => indent.to_owned(),
+            false => format!("{indent}  "),
+        };
+        for lost in &step.lost {
+            line!(text, "{below}  {lost} is not in the store any more");
+        }
+        let children = origin
+            .nodes
+            .iter()
+            .filter(|child| child.parent.as_deref() == Some(name));
+        let children: Vec<&str> = children.map(|child| child.node.as_str()).collect();
+        for child in children {
+            self.add(text, child, "child: ", &format!("{below}  "));
+        }
+        for (input, found) in &step.inputs {
+            let count = found
+                .photos
+                .map(|photos| format!(" ({photos})"))
+                .unwrap_or_default();
+            let edge = format!("{input}{count} <- ");
+            match &found.made_by {
+                Some(made_by) => self.add(text, &made_by.node, &edge, &format!("{below}  ")),
+                None => {
+                    line!(text, "{below}  {edge}{}", found.digest.short());
+                }
+            }
+        }
+        for source in origin.sources.iter().filter(|source| source.node == name) {
+            add_products(text, source, &format!("{below}  "));
+        }
+    }
+}
+
+fn about(step: &Step) -> String {
+    let version = step
+        .version
+        .map(|version| format!(" v{version}"))
+        .unwrap_or_default();
+    let device = step.device.as_deref().unwrap_or("device unknown");
+    let key = step.key.map(|key| key.short()).unwrap_or_default();
+    let seed = step
+        .params
+        .get("seed")
+        .map(|seed| format!(", seed {seed}"))
+        .unwrap_or_default();
+    format!(
+        "{} ({}{version}, {device}, {}{seed}; key {key})",
+        step.node,
+        step.stage,
+        duration(step.seconds)
+    )
+}
+
+fn add_products(text: &mut String, source: &Products, indent: &str) {
+    line!(text, "{indent}{} photos of {} sols:", source.photos, source.sols);
+    for product in &source.listed {
+        line!(text, "{indent}  {} of sol {}", product.id, product.sol);
+        for (role, digest) in &product.blobs {
+            line!(
+                text,
+                "{indent}    {role} blake3 {digest}{}",
+                file_of(product, role)
+            );
+        }
+    }
+    let rest = source.photos.saturating_sub(source.listed.len() as u64);
+    if rest > 0 {
+        line!(text, "{indent}  and {rest} more, which --products lists");
+    }
+    for sol in &source.lost_sols {
+        line!(
+            text,
+            "{indent}  the products of sol {sol} are not in the store any more"
+        );
+    }
+}
+
+/// Returns where a blob of a product came from, on lines of their own meaning; nothing where it was made here.
+fn file_of(product: &ProductLine, role: &str) -> String {
+    let Some(file) = product.files.get(role) else {
+        return String::new();
+    };
+    let sha256 = file
+        .sha256
+        .map(|sha256| format!(", sha256 {sha256}"))
+        .unwrap_or_default();
+    let bytes = file
+        .bytes
+        .map(|bytes| format!(", {bytes} bytes"))
+        .unwrap_or_default();
+    let from = match (&file.url, &file.fetched) {
+        (Some(url), Some(time)) => format!(", from {url} at {time}"),
+        (None, Some(time)) => format!(", with the listing at {time}"),
+        _ => String::new(),
+    };
+    format!("{sha256}{bytes}, file {}{from}", file.file)
+}
+
+fn add_changed(text: &mut String, changed: &Changed) {
+    let now = match changed.now.is_empty() {
+        true => "has it no longer".to_owned(),
+        false => {
+            let now: Vec<String> = changed.now.iter().map(|digest| digest.short()).collect();
+            format!("has given {} since", now.join(", "))
+        }
+    };
+    line!(
+        text,
+        "{} of sol {}: used was {}, the archive {now}",
+        changed.file,
+        changed.sol,
+        changed.used.short()
+    );
+}

@@ -1,0 +1,194 @@
+//! The graph of a replay, and what its store must have before it runs.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use marf_cache::Store;
+use marf_engine::{Graph, RunRecord, document};
+use marf_field::Device;
+use marf_provenance::lineage::{Lineage, NodeLineage};
+use marf_provenance::replay::{copy_archive, copy_record, copy_result, recorded};
+use marf_stage::EARLIER;
+use serde_json::Value;
+
+use crate::cli::error::CliError;
+use crate::cli::session::graph_of;
+use crate::config::{GlobalOptions, check_tree};
+
+/// How a run is made again.
+pub struct Plan {
+    /// The pipeline as it ran, reading what was recorded of archives.
+    pub graph: Graph,
+    /// The nodes to run, with all that they need.
+    pub to: Vec<String>,
+    /// Nodes that are not made again, with the reason.
+    pub declared: BTreeMap<String, String>,
+}
+
+/// Prepares a replay of some nodes of a run in an empty store.
+///
+/// # Errors
+/// What is needed and not in the store any more, a pipeline that this program does not read.
+pub fn plan(lineage: &Lineage<'_>, nodes: &[&NodeLineage], scratch: &Store) -> Result<Plan, CliError> {
+    let tree = resolved(lineage)?;
+    let mut options = GlobalOptions::default();
+    for source in nodes
+        .iter()
+        .filter(|node| node.is_source() && node.run.state.is_good())
+    {
+        let archive = recorded(lineage.store(), source)?;
+        copy_archive(&archive, lineage.store(), scratch)?;
+        options.recorded.insert(source.run.name.clone(), archive);
+    }
+    let mut declared = on_other_devices(nodes);
+    let tree = on_the_cpu(tree, &declared);
+    take_over(lineage, nodes, scratch, &mut declared)?;
+    continue_from(lineage, nodes, scratch)?;
+    let pipeline = check_tree(&tree, &options, Path::new("")).map_err(|error| {
+        CliError::failed(format!(
+            "the pipeline of run {}: {}",
+            lineage.run.number, error.message
+        ))
+    })?;
+    let is_made = |node: &&&NodeLineage| {
+        !node.is_child() && node.run.state.is_good() && !declared.contains_key(&node.run.name)
+    };
+    Ok(Plan {
+        graph: graph_of(pipeline.nodes)?,
+        to: nodes
+            .iter()
+            .filter(is_made)
+            .map(|node| node.run.name.clone())
+            .collect(),
+        declared,
+    })
+}
+
+fn resolved(lineage: &Lineage<'_>) -> Result<Value, CliError> {
+    let number = lineage.run.number;
+    let resolved = lineage.run.documents.get(document::RESOLVED).ok_or_else(|| {
+        CliError::failed(format!(
+            "run {number} is of an earlier version, whose root does not hold the pipeline"
+        ))
+    })?;
+    let bytes = lineage.store().get(&resolved.digest)?;
+    serde_json::from_slice(&bytes)
+        .map_err(|error| CliError::failed(format!("the pipeline of run {number}: {error}")))
+}
+
+/// Returns the nodes that ran on a GPU that is not here, and those that need them, with the reason.
+fn on_other_devices(nodes: &[&NodeLineage]) -> BTreeMap<String, String> {
+    let mut declared: BTreeMap<String, String> = BTreeMap::new();
+    let mut here: Option<Option<String>> = None;
+    for node in nodes {
+        let action = node.action.iter();
+        let backends = action.flat_map(|action| {
+            let children = action
+                .children
+                .values()
+                .filter_map(|child| child.backend.as_ref());
+            action.backend.iter().chain(children)
+        });
+        let foreign = backends.into_iter().find(|backend| {
+            let here = here.get_or_insert_with(|| Device::default().backend_id());
+            here.as_ref() != Some(backend)
+        });
+        let needed = node
+            .run
+            .inputs
+            .values()
+            .filter_map(|input| input.made_by.as_ref());
+        let needed = needed.map(|made_by| &made_by.node).chain(&node.run.parent);
+        let needs = needed
+            .into_iter()
+            .find(|name| declared.contains_key(*name))
+            .cloned();
+        let reason = match (foreign, needs) {
+            (Some(backend), _) => format!("it ran on {backend}, which is not here"),
+            (None, Some(needs)) => format!("it needs `{needs}`, which is not made here"),
+            (None, None) => continue,
+        };
+        declared.insert(node.run.name.clone(), reason);
+    }
+    declared
+}
+
+/// Returns the pipeline with nodes that are not made here on the CPU, so that none of them looks for its GPU.
+fn on_the_cpu(mut tree: Value, declared: &BTreeMap<String, String>) -> Value {
+    for node in declared.keys() {
+        if let Some(table) = tree["node"].get_mut(node).and_then(Value::as_object_mut) {
+            table.insert("device".to_owned(), "cpu".into());
+        }
+    }
+    tree
+}
+
+/// Takes over the results of nodes that are declared to vary: what follows from them is then made from the same.
+fn take_over(
+    lineage: &Lineage<'_>,
+    nodes: &[&NodeLineage],
+    scratch: &Store,
+    declared: &mut BTreeMap<String, String>,
+) -> Result<(), CliError> {
+    for node in nodes.iter().filter(|node| node.run.state.is_good()) {
+        let (Some(why), Some(key)) = (varies(node), node.run.key) else {
+            continue;
+        };
+        if declared.contains_key(&node.run.name) {
+            continue;
+        }
+        copy_result(&key, lineage.store(), scratch)?;
+        declared.insert(node.run.name.clone(), why.to_owned());
+    }
+    Ok(())
+}
+
+/// Returns why the results of a node may differ from run to run, if its stage says so.
+fn varies(node: &NodeLineage) -> Option<&'static str> {
+    let def = marf_stages::stages()
+        .iter()
+        .find(|def| def.name == node.run.stage)?;
+    // A source cannot be bound without its archive, and is none of these.
+    let stage = (def.bind)(node.action.as_ref()?.params.clone()).ok()?;
+    stage.varies()
+}
+
+/// Lets nodes that went on from their own earlier output do so again: the store knows of their results and has only what they
+/// went on from.
+fn continue_from(lineage: &Lineage<'_>, nodes: &[&NodeLineage], scratch: &Store) -> Result<(), CliError> {
+    let store = lineage.store();
+    let mut latest = BTreeMap::new();
+    let mut earlier = BTreeSet::new();
+    for node in nodes {
+        let (Some(input), Some(key)) = (node.run.inputs.get(EARLIER), node.run.key) else {
+            continue;
+        };
+        copy_record(&key, store, scratch)?;
+        latest.insert(node.run.name.clone(), key);
+        earlier.insert(input.digest);
+    }
+    if latest.is_empty() {
+        return Ok(());
+    }
+    let before: Vec<_> = marf_engine::runs(store, |_| {})?
+        .into_iter()
+        .flat_map(|run| run.nodes)
+        .filter(|node| {
+            node.outputs
+                .values()
+                .any(|output| earlier.contains(&output.digest))
+        })
+        .filter_map(|node| node.key)
+        .collect();
+    for blob in store.closure(&before, &[])?.blobs {
+        scratch.put(&store.get(&blob)?)?;
+    }
+    let known = RunRecord {
+        nodes: Vec::new(),
+        documents: BTreeMap::new(),
+        latest,
+        ..lineage.run.clone()
+    };
+    known.store(scratch, |_| {})?;
+    Ok(())
+}

@@ -1,0 +1,225 @@
+//! What a run needs to be made again, and how what came compares with it.
+
+use std::collections::BTreeMap;
+
+use marf_cache::{Digest, Record, Store, digest_list, read_digest_list};
+use marf_engine::{LISTING, NodeRun, RunRecord};
+use marf_stage::{COMPANIONS, Origin, RecordedArchive, Shard};
+use serde::Serialize;
+
+use crate::{
+    LineageError,
+    difference::{Difference, difference},
+    lineage::{Lineage, NodeLineage},
+    product::{SourcePart, parts, set},
+    unless_lost,
+};
+
+/// Returns what a source met, to be read again in place of its archive.
+///
+/// # Errors
+/// Something of it that is lost, or was not noted by an earlier version.
+pub fn recorded(store: &Store, source: &NodeLineage) -> Result<RecordedArchive, LineageError> {
+    let listing = source.run.inputs.get(LISTING).map(|input| input.digest);
+    let listed = listing
+        .map(|listing| set(store, &listing))
+        .transpose()?
+        .unwrap_or_default();
+    let lists: BTreeMap<u32, Digest> = parts(store, source)?
+        .iter()
+        .map(|part| Ok((part.shard, list_of(store, part)?)))
+        .collect::<Result<_, LineageError>>()?;
+    let mut shards = Vec::new();
+    for leaf in listed.leaves {
+        let shard = Shard {
+            shard: leaf.shard,
+            fingerprint: leaf.leaf,
+        };
+        let list = lists.get(&leaf.shard).ok_or_else(|| not_noted(leaf.shard))?;
+        shards.push((shard, *list));
+    }
+    let companions = match source.run.inputs.get(COMPANIONS) {
+        None => BTreeMap::new(),
+        Some(input) => {
+            serde_json::from_slice(&store.get(&input.digest)?).map_err(|error| LineageError::Malformed {
+                what: "the list of companions".to_owned(),
+                message: error.to_string(),
+            })?
+        }
+    };
+    Ok(RecordedArchive { shards, companions })
+}
+
+fn list_of(store: &Store, part: &SourcePart) -> Result<Digest, LineageError> {
+    let record = store.record(&part.key)?.ok_or_else(|| LineageError::NoRecord {
+        of: format!("sol {}", part.shard),
+        key: part.key,
+    })?;
+    record.origins.ok_or_else(|| not_noted(part.shard))
+}
+
+fn not_noted(sol: u32) -> LineageError {
+    LineageError::Malformed {
+        what: format!("the list of files of sol {sol}"),
+        message: "an earlier version of the program read it and did not note its files".to_owned(),
+    }
+}
+
+/// Copies what a source met into another store: the lists of files, the files that were read, the companions.
+///
+/// # Errors
+/// A file that is lost, a store that cannot be read or written.
+pub fn copy_archive(archive: &RecordedArchive, from: &Store, to: &Store) -> Result<(), LineageError> {
+    for (shard, list) in &archive.shards {
+        let bytes = from.get(list)?;
+        let origins = Origin::decode(&bytes).map_err(|error| LineageError::Malformed {
+            what: format!("the list of files of sol {}", shard.shard),
+            message: error.to_string(),
+        })?;
+        to.put(&bytes)?;
+        for origin in origins.iter().filter(|origin| origin.bytes.is_some()) {
+            to.put(&from.get(&origin.blake3)?)?;
+        }
+    }
+    for companion in archive.companions.values() {
+        to.put(&from.get(companion)?)?;
+    }
+    Ok(to.commit()?)
+}
+
+/// Copies the result of a node into another store, so that it is taken over there: action, record, outputs, needs.
+///
+/// # Errors
+/// A part of it that is lost, a store that cannot be read or written.
+pub fn copy_result(key: &Digest, from: &Store, to: &Store) -> Result<(), LineageError> {
+    let record = copy_record(key, from, to)?;
+    for output in record.outputs.values() {
+        to.put(&from.get(&output.digest)?)?;
+    }
+    if let Some(list) = record.needs {
+        let needs = read_digest_list(&from.get(&list)?).unwrap_or_default();
+        for need in &needs {
+            to.put(&from.get(need)?)?;
+        }
+        to.put(&digest_list(&needs))?;
+    }
+    Ok(to.commit()?)
+}
+
+/// Copies the record of a key and its action, and not what it gave: the other store then knows of it and must make it.
+///
+/// # Errors
+/// A record or action that is lost, a store that cannot be read or written.
+pub fn copy_record(key: &Digest, from: &Store, to: &Store) -> Result<Record, LineageError> {
+    let record = from.record(key)?.ok_or_else(|| LineageError::NoRecord {
+        of: "a result".to_owned(),
+        key: *key,
+    })?;
+    to.put(&from.get(key)?)?;
+    to.put_record(record.clone());
+    to.commit()?;
+    Ok(record)
+}
+
+/// How a node came out of a replay.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Replayed {
+    /// Its name.
+    pub node: String,
+    /// Outputs whose digests are equal.
+    pub equal: u64,
+    /// Outputs that are not.
+    pub differs: Vec<DifferingOutput>,
+    /// Why it was not made again, or gave nothing; absent for a node that was.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub not_made: Option<String>,
+    /// Whether that is so by declaration: the stage says that its results may differ.
+    pub is_declared: bool,
+}
+
+/// An output that came out otherwise.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct DifferingOutput {
+    /// Its name.
+    pub output: String,
+    /// What the run has; none if it had no such output.
+    pub was: Option<Digest>,
+    /// What the replay gave; none if it gave no such output.
+    pub is: Option<Digest>,
+    /// Where and how much, where both can be read.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub difference: Option<Difference>,
+}
+
+impl Replayed {
+    /// Tells whether the node came out as the run has it, or was taken over by declaration.
+    pub fn is_equal(&self) -> bool {
+        self.differs.is_empty() && (self.not_made.is_none() || self.is_declared)
+    }
+}
+
+/// Compares nodes of a run with those of its replay; `declared` holds why nodes were not made again, by name.
+///
+/// # Errors
+/// A store that cannot be read.
+pub fn compare(
+    lineage: &Lineage<'_>,
+    nodes: &[&NodeLineage],
+    (replay, store): (&RunRecord, &Store),
+    declared: &BTreeMap<String, String>,
+) -> Result<Vec<Replayed>, LineageError> {
+    let mut compared = Vec::new();
+    for node in nodes.iter().filter(|node| node.run.state.is_good()) {
+        let name = &node.run.name;
+        let mut replayed = Replayed {
+            node: name.clone(),
+            equal: 0,
+            differs: Vec::new(),
+            not_made: declared.get(name).cloned(),
+            is_declared: declared.contains_key(name),
+        };
+        match replay.node(name).filter(|made| made.state.is_good()) {
+            _ if replayed.is_declared => {}
+            None => replayed.not_made = Some(reason(replay, name)),
+            Some(made) => outputs((lineage.store(), &node.run), (store, made), &mut replayed)?,
+        }
+        compared.push(replayed);
+    }
+    Ok(compared)
+}
+
+fn reason(replay: &RunRecord, node: &str) -> String {
+    let made = replay.node(node);
+    made.map_or_else(
+        || "the replay has no such node".to_owned(),
+        |made| made.reason.clone(),
+    )
+}
+
+fn outputs(
+    (was_in, was): (&Store, &NodeRun),
+    (is_in, is): (&Store, &NodeRun),
+    replayed: &mut Replayed,
+) -> Result<(), LineageError> {
+    let names: std::collections::BTreeSet<&String> = was.outputs.keys().chain(is.outputs.keys()).collect();
+    for name in names {
+        let digest = |node: &NodeRun| node.outputs.get(name).map(|output| output.digest);
+        let (was, is) = (digest(was), digest(is));
+        if was == is {
+            replayed.equal += 1;
+            continue;
+        }
+        let read = |store: &Store, digest: Option<Digest>| match digest {
+            None => Ok(None),
+            Some(digest) => unless_lost(store.get(&digest).map_err(LineageError::from)),
+        };
+        let both = read(was_in, was)?.zip(read(is_in, is)?);
+        replayed.differs.push(DifferingOutput {
+            output: name.clone(),
+            was,
+            is,
+            difference: both.and_then(|(was, is)| difference(&was, &is)),
+        });
+    }
+    Ok(())
+}

@@ -1,0 +1,136 @@
+//! What a product went into: the nodes of each run that read it, or read something that was made from it.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use marf_cache::{Digest, Store, manifest::Leaf};
+use marf_engine::OutputName;
+use marf_stage::PHOTOS;
+use serde::Serialize;
+
+use crate::{
+    LineageError,
+    lineage::Lineage,
+    product::{Product, parts, products, set},
+};
+
+/// A run that a product went into.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Tainted {
+    /// Number of the run.
+    pub run: u64,
+    /// The command as typed.
+    pub command: String,
+    /// Its nodes that read the product, or something made from it, in topological order.
+    pub nodes: Vec<TaintedNode>,
+    /// The nodes that read sets of photos and give sets without it: who rejected it.
+    pub rejected_by: Vec<String>,
+}
+
+/// A node that a product went into.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct TaintedNode {
+    /// Its name.
+    pub node: String,
+    /// Its stage.
+    pub stage: String,
+    /// Inputs that hold the product or were made from it.
+    pub through: Vec<String>,
+    /// Outputs that hold it or were made from it.
+    pub outputs: BTreeMap<String, Digest>,
+}
+
+/// Returns a product of a run by its id, the name of a file of it, or the digest of one of its blobs.
+///
+/// # Errors
+/// A store that cannot be read, or has lost the list of products.
+pub fn product_of(lineage: &Lineage<'_>, wanted: &str) -> Result<Option<Product>, LineageError> {
+    let store = lineage.store();
+    let digest: Option<Digest> = wanted.parse().ok();
+    let is_wanted = |product: &Product| {
+        let of_file = product.origins.values().any(|origin| origin.file == wanted);
+        let of_blob = digest.is_some_and(|digest| product.blobs.values().any(|blob| *blob == digest));
+        product.id == wanted || of_file || of_blob
+    };
+    for source in lineage.sources() {
+        for part in parts(store, source)? {
+            if let Some(product) = products(store, &part)?.into_iter().find(is_wanted) {
+                return Ok(Some(product));
+            }
+        }
+    }
+    Ok(None)
+}
+
+/// Returns what a product went into in one run; none if no source of the run read it.
+///
+/// A set of photos holds the product or not; anything else is tainted if one of the inputs of its maker is. A filter that
+/// rejects a product has looked at it, and what it says of others may depend on it: it is among the nodes, what follows from
+/// its photos is not.
+///
+/// # Errors
+/// A store that cannot be read, or has lost a set.
+pub fn tainted(lineage: &Lineage<'_>, product: &Product) -> Result<Option<Tainted>, LineageError> {
+    let store = lineage.store();
+    let mut tainted: BTreeSet<OutputName> = BTreeSet::new();
+    let mut answer = Tainted {
+        run: lineage.run.number,
+        command: lineage.run.command.clone(),
+        nodes: Vec::new(),
+        rejected_by: Vec::new(),
+    };
+    for node in lineage.nodes.iter().filter(|node| node.run.state.is_good()) {
+        let of_tainted = node.run.inputs.iter().filter(|(_, input)| {
+            input
+                .made_by
+                .as_ref()
+                .is_some_and(|made_by| tainted.contains(made_by))
+        });
+        let mut through: Vec<String> = of_tainted.map(|(name, _)| name.clone()).collect();
+        let photos = node.run.outputs.get(PHOTOS).map(|output| output.digest);
+        let holds = photos.map(|photos| holds(store, &photos, product)).transpose()?;
+        if node.is_source() && holds == Some(true) {
+            through.push("archive".to_owned());
+        }
+        if through.is_empty() {
+            continue;
+        }
+        if holds == Some(false) {
+            answer.rejected_by.push(node.run.name.clone());
+        }
+        let outputs = node
+            .run
+            .outputs
+            .iter()
+            .filter(|(name, _)| *name != PHOTOS || holds == Some(true));
+        let outputs: BTreeMap<String, Digest> = outputs
+            .map(|(name, output)| (name.clone(), output.digest))
+            .collect();
+        tainted.extend(outputs.keys().map(|output| OutputName {
+            node: node.run.name.clone(),
+            output: output.clone(),
+        }));
+        answer.nodes.push(TaintedNode {
+            node: node.run.name.clone(),
+            stage: node.run.stage.clone(),
+            through,
+            outputs,
+        });
+    }
+    Ok((!answer.nodes.is_empty()).then_some(answer))
+}
+
+/// Tells whether a set holds a product. Only the leaves of its sol are read.
+fn holds(store: &Store, root: &Digest, product: &Product) -> Result<bool, LineageError> {
+    for leaf in set(store, root)?
+        .leaves
+        .into_iter()
+        .filter(|leaf| leaf.shard == product.shard)
+    {
+        let rows = Leaf::decode(&store.get(&leaf.leaf)?)?.rows;
+        let same = |row: &marf_cache::manifest::Row| row.id == product.id && row.blobs == product.blobs;
+        if rows.iter().any(same) {
+            return Ok(true);
+        }
+    }
+    Ok(false)
+}

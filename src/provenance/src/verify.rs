@@ -1,0 +1,198 @@
+//! Every byte of a lineage against its digest, and every statement of its run root against the objects.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use marf_cache::{Digest, FsckOptions, Missing, Role, Sha256, Store};
+use serde::Serialize;
+
+use crate::{
+    LineageError,
+    lineage::{Lineage, NodeLineage},
+    product::{origins, parts},
+    unless_lost,
+};
+
+/// What a verification found.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct Verified {
+    /// Objects of the lineage that are in the store: records and blobs.
+    pub objects: u64,
+    /// Their bytes, all of which were read.
+    pub bytes: u64,
+    /// Products of archives whose SHA-256 was compared too.
+    pub products: u64,
+    /// What is not as its digest or the run root says.
+    pub faults: Vec<Fault>,
+    /// What is named and not in the store: collected or lost.
+    pub missing: Vec<Lost>,
+}
+
+/// Something that is not as it should be.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Fault {
+    /// The object, or the key of a record; none for a fault of the run root.
+    pub object: Option<Digest>,
+    /// Whose it is, or the file of the store.
+    pub of: String,
+    /// What is wrong.
+    pub what: String,
+}
+
+/// An object that is named and not in the store.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Lost {
+    /// The blob, or the key of the record.
+    pub digest: Digest,
+    /// As what it is named (`output`, `record`).
+    pub role: &'static str,
+    /// The node whose it is, as far as that is known, else the key or set that names it.
+    pub of: String,
+}
+
+/// Reads everything that some nodes of a run consist of and were made from, and the run's documents.
+///
+/// All files of the store are read and compared with their digests, so that damage is told from what was collected; nothing
+/// is changed or set aside.
+///
+/// # Errors
+/// A store that cannot be read. Faults are no errors.
+pub fn verify(lineage: &Lineage<'_>, nodes: &[&NodeLineage]) -> Result<Verified, LineageError> {
+    let store = lineage.store();
+    let check = store.fsck(FsckOptions {
+        read_data: true,
+        repair: false,
+    })?;
+    let damaged: BTreeMap<Digest, (String, &str)> = check
+        .faults
+        .iter()
+        .filter_map(|fault| Some((fault.object?, (fault.file.display().to_string(), fault.what))))
+        .collect();
+    let keys: Vec<Digest> = nodes.iter().filter_map(|node| node.run.key).collect();
+    let (_, documents) = lineage.roots();
+    let closure = store.closure(&keys, &documents)?;
+    let mut verified = Verified {
+        objects: (closure.keys.len() + closure.blobs.len()) as u64,
+        bytes: closure.bytes,
+        ..Verified::default()
+    };
+    let is_named = |object: &Digest| {
+        let missing = closure.missing.iter().any(|missing| missing.digest == *object);
+        missing || closure.keys.binary_search(object).is_ok() || closure.blobs.binary_search(object).is_ok()
+    };
+    for (object, (file, what)) in damaged.iter().filter(|(object, _)| is_named(object)) {
+        verified.fault(Some(*object), file, *what);
+    }
+    // The index and the tables of packs are made anew from what they are of; a damaged run root is of another run.
+    let lost = closure
+        .missing
+        .iter()
+        .filter(|missing| !damaged.contains_key(&missing.digest));
+    verified.missing = lost.map(|missing| named(nodes, missing)).collect();
+    for node in nodes {
+        statements(node, &mut verified);
+    }
+    for source in nodes.iter().filter(|node| node.is_source()) {
+        files(store, source, &mut verified)?;
+    }
+    Ok(verified)
+}
+
+impl Verified {
+    /// Returns what two verifications found together.
+    #[must_use]
+    pub fn and(mut self, other: Self) -> Self {
+        self.objects += other.objects;
+        self.bytes += other.bytes;
+        self.products += other.products;
+        self.faults.extend(other.faults);
+        self.missing.extend(other.missing);
+        self
+    }
+
+    fn fault(&mut self, object: Option<Digest>, of: &str, what: impl Into<String>) {
+        self.faults.push(Fault {
+            object,
+            of: of.to_owned(),
+            what: what.into(),
+        });
+    }
+}
+
+fn named(nodes: &[&NodeLineage], missing: &Missing) -> Lost {
+    let node = nodes.iter().find(|node| node.run.key == Some(missing.of));
+    Lost {
+        digest: missing.digest,
+        role: role(missing.role),
+        of: node.map_or_else(|| missing.of.short(), |node| node.run.name.clone()),
+    }
+}
+
+fn role(role: Role) -> &'static str {
+    match role {
+        Role::Record => "record",
+        Role::Action => "action",
+        Role::Input => "input",
+        Role::Output => "output",
+        Role::Needs => "list of needs",
+        Role::Need => "stored beside the outputs",
+        Role::Parts => "list of parts",
+        Role::Part => "record of a part",
+        Role::Child => "record of a child",
+        Role::Root => "document or set",
+        Role::Block => "block of a set",
+        Role::Leaf => "sol of a set",
+        Role::Row => "product",
+    }
+}
+
+/// Compares what the run root says of a node with its action and its record.
+fn statements(node: &NodeLineage, verified: &mut Verified) {
+    let (name, key) = (node.run.name.as_str(), node.run.key);
+    if let Some(action) = &node.action {
+        if Some(action.key()) != key {
+            verified.fault(key, name, "the bytes of its action do not give its key");
+        }
+        let inputs: BTreeMap<_, _> = node
+            .run
+            .inputs
+            .iter()
+            .map(|(name, input)| (name.clone(), input.digest))
+            .collect();
+        if inputs != action.inputs {
+            verified.fault(key, name, "the run root names other inputs than its action");
+        }
+    }
+    if let Some(record) = &node.record {
+        if node.run.state.is_good() && record.outputs != node.run.outputs {
+            verified.fault(key, name, "the run root names other outputs than its record");
+        }
+        if Some(record.key) != key || record.stage != node.run.stage {
+            verified.fault(key, name, "the record is of another result");
+        }
+    }
+}
+
+/// Compares the files that a source read with the digests that others know them by.
+fn files(store: &Store, source: &NodeLineage, verified: &mut Verified) -> Result<(), LineageError> {
+    let mut seen = BTreeSet::new();
+    for part in unless_lost(parts(store, source))?.into_iter().flatten() {
+        for file in unless_lost(origins(store, &part))?.into_iter().flatten() {
+            let Some(sha256) = file.sha256.filter(|_| seen.insert(file.blake3)) else {
+                continue;
+            };
+            // A lost file is among what is missing.
+            let Some(bytes) = unless_lost(store.get(&file.blake3).map_err(LineageError::from))? else {
+                continue;
+            };
+            verified.products += 1;
+            if Sha256::of(&bytes) != sha256 || Some(bytes.len() as u64) != file.bytes {
+                verified.fault(
+                    Some(file.blake3),
+                    &file.file,
+                    "its SHA-256 is not the one noted when it was read",
+                );
+            }
+        }
+    }
+    Ok(())
+}
