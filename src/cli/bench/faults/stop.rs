@@ -5,7 +5,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use super::args::Fault;
-use super::case::Case;
+use super::case::{Case, files_of};
 use super::lab::{Lab, Variant};
 use super::{Injector, Outcome, RoundError};
 use crate::cli::error::CliError;
@@ -33,6 +33,8 @@ pub struct Stop<'a> {
     case: Case<'a>,
     /// Stores whose run came to its end.
     finished: u32,
+    /// Stops that left downloads behind, half or whole, that no result held yet.
+    in_download: u32,
     longest: Duration,
 }
 
@@ -48,6 +50,7 @@ impl<'a> Stop<'a> {
             signal,
             case: lab.case(&fault.word())?,
             finished: 0,
+            in_download: 0,
             longest: Duration::ZERO,
         })
     }
@@ -98,6 +101,8 @@ impl Injector for Stop<'_> {
     }
 
     fn judge(&mut self, _round: u32) -> Outcome {
+        let downloads = self.case.store().join("scratch/downloads");
+        self.in_download += u32::from(!files_of(&downloads).is_empty());
         self.case.is_whole()
     }
 
@@ -110,13 +115,15 @@ impl Injector for Stop<'_> {
             "{} stores, each verified after each stop and run to its end",
             self.finished
         );
-        match self.signal {
-            Signal::Kill => format!("SIGKILL at random moments, {stores}"),
-            Signal::Interrupt => {
-                let longest_s = self.longest.as_secs_f64();
-                format!("SIGINT at random moments, {stores}; the longest stop took {longest_s:.2} s")
-            }
-        }
+        let how = match self.signal {
+            Signal::Kill => "SIGKILL".to_owned(),
+            Signal::Interrupt => format!("SIGINT (longest stop {:.2} s)", self.longest.as_secs_f64()),
+        };
+        let downloads = match self.fault.needs_server() {
+            true => format!(", {} in mid-download", self.in_download),
+            false => String::new(),
+        };
+        format!("{how} at random moments{downloads}; {stores}")
     }
 }
 
