@@ -10,6 +10,7 @@ use marf_stage::Access;
 use super::audit::AuditArgs;
 use super::bench::BenchVerb;
 use super::cache::CacheVerb;
+use super::diff::DiffArgs;
 use super::replay::ReplayArgs;
 use crate::config::GlobalOptions;
 
@@ -149,6 +150,8 @@ pub enum Verb {
     Audit(AuditArgs),
     /// Make a run again in an empty store, from the bytes that it read, and compare all digests
     Replay(ReplayArgs),
+    /// Tell what changed between two runs: parameters, products, metrics, pictures
+    Diff(DiffArgs),
     /// Inspect the store
     Cache {
         /// What to do with it

@@ -7,6 +7,7 @@ mod budget;
 mod cache;
 mod calibrate;
 mod copies;
+mod diff;
 mod documents;
 mod error;
 mod export;
@@ -82,6 +83,7 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
         Verb::Export { verb } => share::export(global, verb, cancel),
         Verb::Verify(args) => share::verify_path(global, args),
         Verb::Audit(args) => audit::audit(global, args, cancel),
+        Verb::Diff(args) => diff::diff(global, args, cancel),
         Verb::Replay(args) => replay::replay(global, args, cancel),
         Verb::Cache { verb } => cache::cache(global, verb, cancel),
         Verb::Filter(args) => filter::filter(global, args, cancel),

@@ -147,17 +147,17 @@ pub fn execute_as(
     };
     let (graph, store) = (&session.graph, &session.store);
     let mut record = marf_engine::run_nodes(graph, store, &options, &listener, cancel)?;
-    record.documents = documents::pipeline(session, &record)?;
-    let documents = match record.outcome {
-        Outcome::Cancelled => Ok(Documents::new()),
-        _ => (execution.documents)(&record),
-    };
-    // Whatever became of its documents, the run is recorded.
-    record
-        .documents
-        .extend(documents.iter().flatten().map(|(name, of)| (name.clone(), *of)));
+    // Whatever becomes of its documents, the run is recorded.
+    let (documents, made) = documents_of(session, &record, execution);
+    record.documents = documents;
     let record = record.store(store, warn)?;
-    documents?;
+    match made {
+        // A run in which nothing ran needs nothing of a store that it cannot write.
+        Err(error) if store.is_read_only() => {
+            warn(format!("the run keeps no documents: {}", error.message()));
+        }
+        made => made?,
+    }
     if let (Some(file), Some(trace)) = (execution.trace, &listener.trace) {
         files::write(file, trace.json().to_string().as_bytes())?;
     }
@@ -176,6 +176,24 @@ pub fn execute_as(
         )),
     };
     Ok((record, ended))
+}
+
+/// Returns the documents of a run, as many as could be made, and beside them why not all.
+fn documents_of(
+    session: &Session,
+    record: &RunRecord,
+    execution: &Execution<'_>,
+) -> (Documents, Result<(), CliError>) {
+    let mut documents = Documents::new();
+    let mut make = || {
+        documents.extend(documents::pipeline(session, record)?);
+        if record.outcome != Outcome::Cancelled {
+            documents.extend((execution.documents)(record)?);
+        }
+        Ok(())
+    };
+    let made = make();
+    (documents, made)
 }
 
 /// Returns what the nodes of a session run on: the GPUs, or `cpu`.

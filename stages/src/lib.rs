@@ -2,7 +2,7 @@
 
 use std::sync::LazyLock;
 
-pub use marf_extract::{ArchiveDef, UnreadableLock, pinned_products, pins_by_name};
+pub use marf_extract::{ArchiveDef, PinnedProduct, UnreadableLock, pinned_products};
 use marf_extract::{MeasurePhoto, Survey};
 use marf_stage::{StageDef, Table, define};
 

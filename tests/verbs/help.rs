@@ -24,6 +24,9 @@ help_of! {
     help_export_crate: "export", "crate", "--help";
     help_export_attest: "export", "attest", "--help";
     help_verify: "verify", "--help";
+    help_audit: "audit", "--help";
+    help_replay: "replay", "--help";
+    help_diff: "diff", "--help";
     help_cache: "cache", "--help";
     help_cache_stat: "cache", "stat", "--help";
     help_cache_gc: "cache", "gc", "--help";

@@ -9,13 +9,14 @@ use marf_provenance::lineage::{Lineage, NodeLineage};
 use marf_provenance::product::{origins, parts};
 use marf_provenance::unless_lost;
 use marf_stage::{LOCK_FILE, Origin};
+use marf_stages::PinnedProduct;
 use serde::Serialize;
 use serde_json::Value;
 
 use crate::cli::args::Global;
 use crate::cli::error::CliError;
 
-/// A file that an archive changed after it was read.
+/// A file that an archive, or marf.lock, has otherwise than it was when it was read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Changed {
     /// Its name in the archive.
@@ -24,11 +25,11 @@ pub struct Changed {
     pub sol: u32,
     /// The bytes that were used.
     pub used: Digest,
-    /// What the archive gave under the same name since; empty if it has it no longer.
-    pub now: Vec<Digest>,
+    /// What is otherwise now, one sentence each.
+    pub now: Vec<String>,
 }
 
-/// Compares what the sources of a run read with what is there now: of servers with what marf.lock notes of later answers (no
+/// Compares what the sources of a run read with what is there now: of servers with marf.lock, which notes later answers (no
 /// server is asked), of folders with the files.
 ///
 /// # Errors
@@ -39,8 +40,12 @@ pub fn since(
     nodes: &[&NodeLineage],
 ) -> Result<Vec<Changed>, CliError> {
     let base = global.file.parent().unwrap_or(Path::new(""));
-    let pins = marf_stages::pins_by_name(&base.join(LOCK_FILE))
-        .map_err(|error| CliError::failed(error.to_string()))?;
+    let pins = marf_stages::pinned_products(&base.join(LOCK_FILE));
+    let pins = pins.map_err(|error| CliError::failed(error.to_string()))?;
+    let mut by_name: BTreeMap<(u32, &str), Vec<&PinnedProduct>> = BTreeMap::new();
+    for pin in &pins {
+        by_name.entry((pin.sol, &pin.name)).or_default().push(pin);
+    }
     let mut changed = Vec::new();
     for source in nodes.iter().filter(|node| node.is_source()) {
         let folder = folder_of(lineage, &source.run.name).map(|path| base.join(path));
@@ -50,40 +55,74 @@ pub fn since(
                 .flatten()
             {
                 let now = match (&file.fetched, &folder) {
-                    (Some(_), _) => of_lock(&pins, part.shard, &file),
+                    (Some(_), _) => of_lock(by_name.get(&(part.shard, file.file.as_str())), &file),
                     (None, Some(folder)) if file.bytes.is_some() => of_folder(folder, &file),
-                    _ => None,
+                    _ => Vec::new(),
                 };
-                changed.extend(now.map(|now| Changed {
-                    file: file.file,
-                    sol: part.shard,
-                    used: file.blake3,
-                    now,
-                }));
+                if !now.is_empty() {
+                    changed.push(Changed {
+                        file: file.file,
+                        sol: part.shard,
+                        used: file.blake3,
+                        now,
+                    });
+                }
             }
         }
     }
     Ok(changed)
 }
 
-/// Returns what marf.lock knows of other bytes under the name of a file; none if there are none.
-fn of_lock(pins: &BTreeMap<(u32, String), Vec<Digest>>, sol: u32, file: &Origin) -> Option<Vec<Digest>> {
-    let given = pins.get(&(sol, file.file.clone()))?;
-    let others: Vec<Digest> = given
-        .iter()
-        .copied()
-        .filter(|digest| *digest != file.blake3)
+/// Returns what the pins of a name say otherwise than what was noted when the file was read; nothing if there is no pin, or if
+/// one of several archives has it as it was.
+fn of_lock(pins: Option<&Vec<&PinnedProduct>>, file: &Origin) -> Vec<String> {
+    let told: Vec<Vec<String>> = pins
+        .into_iter()
+        .flatten()
+        .map(|pin| differences(pin, file))
         .collect();
-    (!others.is_empty()).then_some(others)
+    match told.iter().any(Vec::is_empty) {
+        true => Vec::new(),
+        false => told.into_iter().next().unwrap_or_default(),
+    }
 }
 
-fn of_folder(folder: &Path, file: &Origin) -> Option<Vec<Digest>> {
-    match std::fs::read(folder.join(&file.file)) {
-        Ok(bytes) => {
-            let now = Digest::of(&bytes);
-            (now != file.blake3).then(|| vec![now])
+fn differences(pin: &PinnedProduct, file: &Origin) -> Vec<String> {
+    let mut now = Vec::new();
+    let mut compare = |what: &str, was: Option<String>, is: Option<String>| {
+        if let (Some(was), Some(is)) = (was, is)
+            && was != is
+        {
+            now.push(format!("{LOCK_FILE} has {what} {is}, it was {was}"));
         }
-        Err(_) => Some(Vec::new()),
+    };
+    compare(
+        "blake3",
+        Some(file.blake3.to_string()),
+        Some(pin.blake3.to_string()),
+    );
+    let text = |number: u64| number.to_string();
+    compare("bytes", file.bytes.map(text), Some(text(pin.bytes)));
+    compare(
+        "sha256",
+        file.sha256.map(|sha256| sha256.to_string()),
+        pin.sha256.map(|sha256| sha256.to_string()),
+    );
+    compare("url", file.url.clone(), pin.url.clone());
+    compare("fetched", file.fetched.clone(), Some(pin.fetched.clone()));
+    now.extend(
+        pin.others
+            .iter()
+            .map(|other| format!("the archive has given other bytes since, blake3 {other}")),
+    );
+    now
+}
+
+fn of_folder(folder: &Path, file: &Origin) -> Vec<String> {
+    match std::fs::read(folder.join(&file.file)).map(|bytes| Digest::of(&bytes)) {
+        Ok(now) if now == file.blake3 => Vec::new(),
+        Ok(now) => vec![format!("the folder has other bytes now, blake3 {now}")],
+        Err(error) => vec![format!("the folder has it no longer: {error}")],
     }
 }
 

@@ -117,6 +117,19 @@ fn unmarked(store: &Store, runs: &[RunRecord], file: &[u8]) -> Result<Identity, 
             makers,
         });
     }
+    if let Some(bytes) = Stamp::off_altered(file) {
+        let closest = Digest::of(&bytes);
+        let makers = find(store, runs, &closest)?;
+        if !makers.is_empty() {
+            return Ok(Identity::Altered {
+                content,
+                closest,
+                makers,
+                share: Some(1.0),
+                because: "its mark was changed, the rest is whole",
+            });
+        }
+    }
     let outline = Outline::of(file);
     let mut best: Option<(f64, Digest)> = None;
     for (digest, bytes) in exported(store, runs)? {

@@ -10,7 +10,10 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use marf_engine::Cancel;
-use marf_provenance::{lineage::Lineage, verify::Verified};
+use marf_provenance::{
+    lineage::Lineage,
+    verify::{self, Verified},
+};
 use serde::Serialize;
 
 use self::{
@@ -29,8 +32,12 @@ use crate::terminal::{escape_control, print_line};
 #[command(after_help = AFTER_HELP)]
 pub struct AuditArgs {
     /// A file that marf may have made, wherever it lies now
-    #[arg(required_unless_present = "from", conflicts_with = "from")]
-    pub file: Option<PathBuf>,
+    #[arg(
+        value_name = "FILE",
+        required_unless_present = "from",
+        conflicts_with = "from"
+    )]
+    pub path: Option<PathBuf>,
     /// Read everything that it was made from, and compare it with its digests
     #[arg(long)]
     pub verify: bool,
@@ -62,7 +69,7 @@ struct Report<'a> {
 
 /// `marf audit`: who made a file, from which bytes.
 pub fn audit(global: &Global, args: &AuditArgs, cancel: &Cancel) -> Result<(), CliError> {
-    match (&args.file, &args.from) {
+    match (&args.path, &args.from) {
         (Some(file), _) => audit_file(global, args, file, cancel),
         (None, Some(product)) => from::from(global, product, cancel),
         (None, None) => Err(CliError::usage(
@@ -75,9 +82,11 @@ fn audit_file(global: &Global, args: &AuditArgs, file: &Path, cancel: &Cancel) -
     let bytes = std::fs::read(file)
         .map_err(|error| CliError::failed(format!("cannot read {}: {error}", file.display())))?;
     let store = existing_store(global, cancel)?;
+    let check = args.verify.then(|| verify::check(&store)).transpose()?;
     let runs = marf_engine::runs(&store, warn)?;
     let identity = identify(&store, &runs, &bytes)?;
-    let (mut lineages, mut verified, mut changed) = (Vec::new(), None::<Verified>, Vec::new());
+    let (mut lineages, mut changed) = (Vec::new(), Vec::new());
+    let mut verified = check.as_ref().map(Verified::of_files);
     for maker in identity.makers() {
         let number = maker.made_in.or(maker.runs.first().copied());
         let Some(run) = runs.iter().find(|run| Some(run.number) == number) else {
@@ -89,9 +98,9 @@ fn audit_file(global: &Global, args: &AuditArgs, file: &Path, cancel: &Cancel) -
             None => whole.nodes.iter().collect(),
         };
         lineages.push(origin_of(&whole, maker, &nodes, args.products)?);
-        if args.verify {
-            let found = marf_provenance::verify::verify(&whole, &nodes)?;
-            verified = Some(verified.map_or(found.clone(), |before| before.and(found)));
+        if let Some(check) = &check {
+            let found = verify::verify(&whole, &nodes, check)?;
+            verified = verified.map(|before| before.and(found));
             changed.extend(changed::since(global, &whole, &nodes)?);
         }
     }
@@ -121,9 +130,9 @@ fn answer(
     let has_faults = verified.is_some_and(|verified| !verified.faults.is_empty());
     let has_lost = verified.is_some_and(|verified| !verified.missing.is_empty());
     match identity {
+        _ if has_faults => Answer::Altered,
         Identity::NotOurs { .. } => Answer::NotOurs,
         Identity::Altered { .. } => Answer::Altered,
-        Identity::Whole { .. } if has_faults => Answer::Altered,
         Identity::Elsewhere { .. } => Answer::Incomplete,
         Identity::Whole { .. } if has_lost || lineages.iter().any(Origin::is_incomplete) => {
             Answer::Incomplete

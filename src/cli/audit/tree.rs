@@ -289,18 +289,14 @@ fn file_of(product: &ProductLine, role: &str) -> String {
 }
 
 fn add_changed(text: &mut String, changed: &Changed) {
-    let now = match changed.now.is_empty() {
-        true => "has it no longer".to_owned(),
-        false => {
-            let now: Vec<String> = changed.now.iter().map(|digest| digest.short()).collect();
-            format!("has given {} since", now.join(", "))
-        }
-    };
     line!(
         text,
-        "{} of sol {}: used was {}, the archive {now}",
+        "{} of sol {}, used was blake3 {}:",
         changed.file,
         changed.sol,
-        changed.used.short()
+        changed.used
     );
+    for now in &changed.now {
+        line!(text, "  {now}");
+    }
 }

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use marf_cache::{FsckOptions, GcPlan, GcReport, Store, StoreError};
 use marf_engine::Cancel;
 use marf_stage::LOCK_FILE;
+use marf_stages::PinnedProduct;
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -86,7 +87,9 @@ fn gc(global: &Global, store: &Store, args: &GcArgs) -> Result<(), CliError> {
                 .hint("mend the lock first: a collection must know what it pins"),
         )
     })?;
-    kept.always.blobs.extend(locked);
+    kept.always
+        .blobs
+        .extend(locked.iter().flat_map(PinnedProduct::digests));
     let plan = GcPlan {
         always: kept.always,
         runs: kept.runs.iter().map(|(_, roots)| roots.clone()).collect(),

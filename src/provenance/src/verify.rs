@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use marf_cache::{Digest, FsckOptions, Missing, Role, Sha256, Store};
+use marf_cache::{Digest, FsckOptions, FsckReport, Missing, Role, Sha256, Store};
 use serde::Serialize;
 
 use crate::{
@@ -49,19 +49,29 @@ pub struct Lost {
     pub of: String,
 }
 
-/// Reads everything that some nodes of a run consist of and were made from, and the run's documents.
+/// Reads every file of a store and compares it with its digests. Nothing is changed or set aside, so this comes before all
+/// other reading: what that finds damaged is set aside, and then only missing.
 ///
-/// All files of the store are read and compared with their digests, so that damage is told from what was collected; nothing
-/// is changed or set aside.
+/// # Errors
+/// A store that cannot be read.
+pub fn check(store: &Store) -> Result<FsckReport, LineageError> {
+    Ok(store.fsck(FsckOptions {
+        read_data: true,
+        repair: false,
+    })?)
+}
+
+/// Compares everything that some nodes of a run consist of and were made from, and the run's documents, with their digests
+/// and with what the run root says of them; `check` is what [`check`] found.
 ///
 /// # Errors
 /// A store that cannot be read. Faults are no errors.
-pub fn verify(lineage: &Lineage<'_>, nodes: &[&NodeLineage]) -> Result<Verified, LineageError> {
+pub fn verify(
+    lineage: &Lineage<'_>,
+    nodes: &[&NodeLineage],
+    check: &FsckReport,
+) -> Result<Verified, LineageError> {
     let store = lineage.store();
-    let check = store.fsck(FsckOptions {
-        read_data: true,
-        repair: false,
-    })?;
     let damaged: BTreeMap<Digest, (String, &str)> = check
         .faults
         .iter()
@@ -82,22 +92,40 @@ pub fn verify(lineage: &Lineage<'_>, nodes: &[&NodeLineage]) -> Result<Verified,
     for (object, (file, what)) in damaged.iter().filter(|(object, _)| is_named(object)) {
         verified.fault(Some(*object), file, *what);
     }
-    // The index and the tables of packs are made anew from what they are of; a damaged run root is of another run.
-    let lost = closure
+    // Inputs of parts stand for what archives hold; those of nodes are looked for below.
+    let is_lost = |missing: &&Missing| missing.role != Role::Input && !damaged.contains_key(&missing.digest);
+    verified.missing = closure
         .missing
         .iter()
-        .filter(|missing| !damaged.contains_key(&missing.digest));
-    verified.missing = lost.map(|missing| named(nodes, missing)).collect();
+        .filter(is_lost)
+        .map(|missing| named(nodes, missing))
+        .collect();
     for node in nodes {
         statements(node, &mut verified);
+        let inputs = node.run.inputs.values().map(|input| input.digest);
+        let lost = inputs.filter(|input| !store.contains(input) && !damaged.contains_key(input));
+        verified.missing.extend(lost.map(|digest| Lost {
+            digest,
+            role: role(Role::Input),
+            of: node.run.name.clone(),
+        }));
     }
     for source in nodes.iter().filter(|node| node.is_source()) {
-        files(store, source, &mut verified)?;
+        files(store, source, &damaged, &mut verified)?;
     }
     Ok(verified)
 }
 
 impl Verified {
+    /// Returns the faults of whole files of the store: run roots, tables of packs, the index, the format.
+    pub fn of_files(check: &FsckReport) -> Self {
+        let mut verified = Self::default();
+        for fault in check.faults.iter().filter(|fault| fault.object.is_none()) {
+            verified.fault(None, &fault.file.display().to_string(), fault.what);
+        }
+        verified
+    }
+
     /// Returns what two verifications found together.
     #[must_use]
     pub fn and(mut self, other: Self) -> Self {
@@ -173,11 +201,17 @@ fn statements(node: &NodeLineage, verified: &mut Verified) {
 }
 
 /// Compares the files that a source read with the digests that others know them by.
-fn files(store: &Store, source: &NodeLineage, verified: &mut Verified) -> Result<(), LineageError> {
+fn files(
+    store: &Store,
+    source: &NodeLineage,
+    damaged: &BTreeMap<Digest, (String, &str)>,
+    verified: &mut Verified,
+) -> Result<(), LineageError> {
     let mut seen = BTreeSet::new();
     for part in unless_lost(parts(store, source))?.into_iter().flatten() {
         for file in unless_lost(origins(store, &part))?.into_iter().flatten() {
-            let Some(sha256) = file.sha256.filter(|_| seen.insert(file.blake3)) else {
+            let is_read = !damaged.contains_key(&file.blake3) && seen.insert(file.blake3);
+            let Some(sha256) = file.sha256.filter(|_| is_read) else {
                 continue;
             };
             // A lost file is among what is missing.

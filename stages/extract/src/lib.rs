@@ -37,7 +37,7 @@ use marf_stage::{
 pub use archive::kind::ArchiveDef;
 pub use kinds::ARCHIVES;
 pub use params::{ArchiveTable, ExtractParams};
-pub use remote::{UnreadableLock, pinned_products, pins_by_name};
+pub use remote::{PinnedProduct, UnreadableLock, pinned_products};
 pub use survey::{MeasurePhoto, NoSurvey, Survey};
 
 /// Brings photos in from an archive.

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use marf_cache::Digest;
+use marf_stages::{PinnedProduct, pinned_products};
 
 use super::super::child::random;
 use super::args::Fault;
@@ -131,9 +132,8 @@ impl Lab {
 
     /// Checks that a lock pins nothing but whole products.
     pub fn compare_pins(&self, lock: &Path) -> Outcome {
-        let pinned =
-            marf_stages::pinned_products(lock).map_err(|error| RoundError::Bad(error.to_string()))?;
-        let pinned: BTreeSet<Digest> = pinned.into_iter().collect();
+        let pinned = pinned_products(lock).map_err(|error| RoundError::Bad(error.to_string()))?;
+        let pinned: BTreeSet<Digest> = pinned.iter().flat_map(PinnedProduct::digests).collect();
         match pinned.difference(&self.source.products).next() {
             Some(digest) => Err(RoundError::Bad(format!("a pin of {digest}, which nobody serves"))),
             None => Ok(()),

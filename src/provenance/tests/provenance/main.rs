@@ -6,4 +6,8 @@
 )]
 
 mod common;
+mod diff;
+mod find;
 mod lineage;
+mod taint;
+mod verify;

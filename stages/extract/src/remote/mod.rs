@@ -25,7 +25,7 @@ mod summary;
 use marf_stage::{Ctx, Listing, StageError};
 
 pub(crate) use self::archive::{RemoteArchive, Request};
-pub use self::lock::{UnreadableLock, pinned_products, pins_by_name};
+pub use self::lock::{PinnedProduct, UnreadableLock, pinned_products};
 use crate::archive::{ArchiveFiles, ShardFiles};
 
 impl ArchiveFiles for RemoteArchive {

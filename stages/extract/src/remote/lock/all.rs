@@ -1,13 +1,12 @@
 //! All products that a marf.lock pins, of all archives: what a collection must keep.
 
-use std::collections::BTreeMap;
 use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use marf_cache::Digest;
+use marf_cache::{Digest, Sha256};
 
-use super::{SolPins, old, text};
+use super::{Pin, SolPins, WITH_LISTING, old, text};
 
 /// A lock that cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -18,27 +17,46 @@ pub struct UnreadableLock {
     cause: String,
 }
 
-/// Returns the digests of all products that the lock at a path pins, in either form; none if there is no lock.
+/// A product as a lock pins it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PinnedProduct {
+    /// The sol that it was listed under.
+    pub sol: u32,
+    /// Name of the file.
+    pub name: String,
+    /// Length, bytes.
+    pub bytes: u64,
+    /// Digest of the bytes.
+    pub blake3: Digest,
+    /// The digest by which others know them; none in pins of an earlier version.
+    pub sha256: Option<Sha256>,
+    /// The address that gave it; none where it came with the listing.
+    pub url: Option<String>,
+    /// The time, as `YYYY-MM-DDTHH:MM:SSZ`.
+    pub fetched: String,
+    /// Other bytes that the archive gave under the same name later.
+    pub others: Vec<Digest>,
+}
+
+impl PinnedProduct {
+    /// Returns the digests of all bytes that it ever had.
+    pub fn digests(&self) -> impl Iterator<Item = Digest> {
+        self.others.iter().copied().chain([self.blake3])
+    }
+}
+
+/// Returns all products that the lock at a path pins, in either form; none if there is no lock.
 ///
 /// # Errors
 /// The first file, with its line, that cannot be read.
-pub fn pinned_products(lock: &Path) -> Result<Vec<Digest>, UnreadableLock> {
-    Ok(pins_by_name(lock)?.into_values().flatten().collect())
-}
-
-/// Returns what archives gave under each name, by sol and name: first the bytes that are pinned, then others that were given
-/// later. Archives of one lock that have a name of one sol in common are joined.
-///
-/// # Errors
-/// As [`pinned_products`].
-pub fn pins_by_name(lock: &Path) -> Result<BTreeMap<(u32, String), Vec<Digest>>, UnreadableLock> {
-    let mut given = BTreeMap::new();
+pub fn pinned_products(lock: &Path) -> Result<Vec<PinnedProduct>, UnreadableLock> {
+    let mut products = Vec::new();
     if lock.is_file() {
         let archives = old::read(&read(lock)?).map_err(|bad| unreadable(lock, Some(bad.line), bad.cause))?;
         for (sol, pins) in archives.into_values().flat_map(|archive| archive.sols) {
-            add(sol, pins, &mut given);
+            add(sol, pins, &mut products);
         }
-        return Ok(given);
+        return Ok(products);
     }
     for folder in entries(lock)?.into_iter().filter(|path| path.is_dir()) {
         for file in entries(&folder)? {
@@ -47,19 +65,25 @@ pub fn pins_by_name(lock: &Path) -> Result<BTreeMap<(u32, String), Vec<Digest>>,
             add(
                 sol,
                 pins.map_err(|bad| unreadable(&file, Some(bad.line), bad.cause))?,
-                &mut given,
+                &mut products,
             );
         }
     }
-    Ok(given)
+    Ok(products)
 }
 
-fn add(sol: u32, pins: SolPins, given: &mut BTreeMap<(u32, String), Vec<Digest>>) {
-    for (name, pin) in pins.files {
-        let all = given.entry((sol, name)).or_default();
-        all.push(pin.blake3);
-        all.extend(pin.others);
-    }
+fn add(sol: u32, pins: SolPins, products: &mut Vec<PinnedProduct>) {
+    let product = |(name, pin): (String, Pin)| PinnedProduct {
+        sol,
+        name,
+        bytes: pin.bytes,
+        blake3: pin.blake3,
+        sha256: pin.sha256,
+        url: (pin.url != WITH_LISTING).then_some(pin.url),
+        fetched: pin.fetched,
+        others: pin.others.into_iter().collect(),
+    };
+    products.extend(pins.files.into_iter().map(product));
 }
 
 /// Returns the sol that a file is of, by its name.
@@ -101,9 +125,9 @@ fn unreadable(path: &Path, line: Option<usize>, cause: String) -> UnreadableLock
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeSet;
+    use std::collections::{BTreeMap, BTreeSet};
 
-    use super::super::{Pin, write_sol};
+    use super::super::write_sol;
     use super::*;
     use crate::net::Validators;
 
@@ -121,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn every_pinned_digest_is_found_and_a_damaged_file_is_named() {
+    fn every_pinned_product_is_found_and_a_damaged_file_is_named() {
         let dir = tempfile::tempdir().unwrap();
         let lock = dir.path().join("marf.lock");
         assert_eq!(pinned_products(&lock).unwrap(), []);
@@ -135,7 +159,15 @@ mod tests {
         fs::write(lock.join("navcam/archive.toml"), "asked = \"\"").unwrap();
         let file = lock.join("navcam/sol-00042.toml");
         fs::write(&file, write_sol("navcam", 42, &pins)).unwrap();
-        assert_eq!(pinned_products(&lock).unwrap(), [one, two]);
+        let found = pinned_products(&lock).unwrap();
+        assert_eq!(
+            (found[0].blake3, found[0].others.as_slice()),
+            (one, [two].as_slice())
+        );
+        assert_eq!(
+            (found.len(), found[0].sol, found[0].name.as_str()),
+            (1, 42, "a.jpg")
+        );
         fs::write(&file, "<<<<<<< ours\n").unwrap();
         let error = pinned_products(&lock).unwrap_err().to_string();
         assert!(error.contains("sol-00042.toml:1"), "{error}");

@@ -27,7 +27,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::{Digest, Sha256};
 
-pub use self::all::{UnreadableLock, pinned_products, pins_by_name};
+pub use self::all::{PinnedProduct, UnreadableLock, pinned_products};
 pub(crate) use self::folder::{Change, Lock, OpenLock};
 pub(crate) use self::text::{read as read_sol, write as write_sol};
 use crate::net::Validators;

@@ -1,0 +1,186 @@
+//! What changed between two runs, node by node.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use marf_cache::{
+    Digest, Store,
+    manifest::{Leaf, LeafRef},
+};
+use marf_engine::{Change, differences};
+use marf_stage::PHOTOS;
+use serde::Serialize;
+
+use crate::{
+    LineageError,
+    difference::values,
+    lineage::{Lineage, NodeLineage},
+    product::set,
+    unless_lost,
+};
+
+/// What changed of a node.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct NodeDiff {
+    /// Its name.
+    pub node: String,
+    /// Whether both runs have it.
+    pub presence: Presence,
+    /// What of its action differs: parameters, versions, inputs, backend.
+    pub changes: Vec<Change>,
+    /// Products that its set of photos has and had not, had and has not, and has with other bytes or facts.
+    pub products: ProductsDiff,
+    /// Outputs whose bytes differ, with the old and the new digest.
+    pub outputs: BTreeMap<String, (Option<Digest>, Option<Digest>)>,
+    /// Values that differ in outputs that are JSON documents, by output.
+    pub values: BTreeMap<String, Vec<Change>>,
+}
+
+/// In which of two runs a node has a result.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Presence {
+    /// In both.
+    Both,
+    /// In the first alone.
+    First,
+    /// In the second alone.
+    Second,
+}
+
+/// How two sets of photos differ; ids, sorted.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct ProductsDiff {
+    /// In the second set alone.
+    pub added: Vec<String>,
+    /// In the first set alone.
+    pub removed: Vec<String>,
+    /// In both, with other bytes or facts.
+    pub edited: Vec<String>,
+}
+
+/// Returns the nodes that differ between two runs of a store, in the order of the second run; those that only the first has
+/// come last.
+///
+/// # Errors
+/// A store that cannot be read. What the store has lost of a set or a document is not compared.
+pub fn diff(first: &Lineage<'_>, second: &Lineage<'_>) -> Result<Vec<NodeDiff>, LineageError> {
+    let good = |lineage: &Lineage<'_>| -> Vec<NodeLineage> {
+        lineage
+            .nodes
+            .iter()
+            .filter(|node| node.run.state.is_good())
+            .cloned()
+            .collect()
+    };
+    let (before, after) = (good(first), good(second));
+    let named = |nodes: &[NodeLineage], name: &str| nodes.iter().find(|node| node.run.name == name).cloned();
+    let mut found = Vec::new();
+    for node in &after {
+        found.push(of_node(
+            second.store(),
+            named(&before, &node.run.name).as_ref(),
+            Some(node),
+        )?);
+    }
+    for node in before
+        .iter()
+        .filter(|node| named(&after, &node.run.name).is_none())
+    {
+        found.push(of_node(second.store(), Some(node), None)?);
+    }
+    found.retain(|node| {
+        node.presence != Presence::Both || !node.changes.is_empty() || !node.outputs.is_empty()
+    });
+    Ok(found)
+}
+
+fn of_node(
+    store: &Store,
+    before: Option<&NodeLineage>,
+    after: Option<&NodeLineage>,
+) -> Result<NodeDiff, LineageError> {
+    let name = after
+        .or(before)
+        .map(|node| node.run.name.clone())
+        .unwrap_or_default();
+    let outputs = |node: Option<&NodeLineage>| -> BTreeMap<String, Digest> {
+        let outputs = node.into_iter().flat_map(|node| &node.run.outputs);
+        outputs
+            .map(|(name, output)| (name.clone(), output.digest))
+            .collect()
+    };
+    let (was, is) = (outputs(before), outputs(after));
+    let mut diff = NodeDiff {
+        node: name,
+        presence: match (before, after) {
+            (Some(_), None) => Presence::First,
+            (None, Some(_)) => Presence::Second,
+            _ => Presence::Both,
+        },
+        changes: Vec::new(),
+        products: ProductsDiff::default(),
+        outputs: BTreeMap::new(),
+        values: BTreeMap::new(),
+    };
+    let actions = |node: Option<&NodeLineage>| node.and_then(|node| node.action.clone());
+    if let (Some(old), Some(new)) = (actions(before), actions(after)) {
+        diff.changes = differences(&old, &new);
+    }
+    let names: BTreeSet<&String> = was.keys().chain(is.keys()).collect();
+    for name in names {
+        let (was, is) = (was.get(name).copied(), is.get(name).copied());
+        if was == is {
+            continue;
+        }
+        diff.outputs.insert(name.clone(), (was, is));
+        let Some((was, is)) = was.zip(is) else { continue };
+        if name == PHOTOS {
+            diff.products = unless_lost(of_sets(store, &was, &is))?.unwrap_or_default();
+            continue;
+        }
+        let both = || Ok(values(&store.get(&was)?, &store.get(&is)?));
+        if let Some(values) = unless_lost(both())?.filter(|values| !values.is_empty()) {
+            diff.values.insert(name.clone(), values);
+        }
+    }
+    Ok(diff)
+}
+
+/// Compares two sets of photos; leaves that both have are not read.
+fn of_sets(store: &Store, was: &Digest, is: &Digest) -> Result<ProductsDiff, LineageError> {
+    let (was, is) = (set(store, was)?.leaves, set(store, is)?.leaves);
+    let shared: BTreeSet<Digest> = was.iter().map(|leaf| leaf.leaf).collect();
+    let shared: BTreeSet<Digest> = is
+        .iter()
+        .map(|leaf| leaf.leaf)
+        .filter(|leaf| shared.contains(leaf))
+        .collect();
+    let (was, is) = (rows(store, &was, &shared)?, rows(store, &is, &shared)?);
+    let only = |of: &BTreeMap<String, Digest>, other: &BTreeMap<String, Digest>| -> Vec<String> {
+        of.keys().filter(|id| !other.contains_key(*id)).cloned().collect()
+    };
+    let edited = is
+        .iter()
+        .filter(|(id, row)| was.get(*id).is_some_and(|old| old != *row));
+    Ok(ProductsDiff {
+        added: only(&is, &was),
+        removed: only(&was, &is),
+        edited: edited.map(|(id, _)| id.clone()).collect(),
+    })
+}
+
+/// Returns the rows of leaves by id, each as the digest of its bytes.
+fn rows(
+    store: &Store,
+    leaves: &[LeafRef],
+    without: &BTreeSet<Digest>,
+) -> Result<BTreeMap<String, Digest>, LineageError> {
+    let mut rows = BTreeMap::new();
+    for leaf in leaves.iter().filter(|leaf| !without.contains(&leaf.leaf)) {
+        for row in Leaf::decode(&store.get(&leaf.leaf)?)?.rows {
+            let id = row.id.clone();
+            rows.insert(id, Digest::of(&Leaf { rows: vec![row] }.encode()));
+        }
+    }
+    Ok(rows)
+}

@@ -1,0 +1,399 @@
+//! Who made a file, from which bytes: `marf audit`, `marf replay`, and keys that a stranger computes again.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test that cannot go on should stop; a skipped test says so"
+)]
+
+mod common;
+
+use std::path::Path;
+use std::process::Command;
+
+use common::{copy, marf};
+use serde_json::Value;
+
+/// The built-in Mars with cameras of labels and a short training, in seconds.
+const PIPELINE: &str = r#"name = "audit"
+[archive.demo]
+kind = "demo"
+sols = "1"
+width = 320
+[node.extract]
+archive = "demo"
+[node.blur]
+input = "extract"
+[node.calibrate]
+input = "blur"
+method = "labels"
+[node.train]
+input = "calibrate"
+steps = 2
+scale = 8
+device = "cpu"
+"#;
+
+fn ran() -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("pipeline.toml"), PIPELINE).unwrap();
+    marf(dir.path(), &["run"]).exits(0);
+    dir
+}
+
+fn audit(dir: &Path, file: &str, more: &[&str], code: i32) -> Value {
+    let mut args = vec!["audit", file, "--json"];
+    args.extend(more);
+    let told = marf(dir, &args).exits(code);
+    serde_json::from_str(&told.stdout).unwrap()
+}
+
+/// Every file below a folder, relative to it.
+fn files(folder: &Path, below: &Path, found: &mut Vec<String>) {
+    for entry in std::fs::read_dir(below).unwrap() {
+        let path = entry.unwrap().path();
+        match path.is_dir() {
+            true => files(folder, &path, found),
+            false => found.push(path.strip_prefix(folder).unwrap().to_str().unwrap().to_owned()),
+        }
+    }
+}
+
+#[test]
+fn every_file_that_a_run_wrote_is_known_wherever_it_lies_and_altered_ones_are_told() {
+    let dir = ran();
+    let mut written = Vec::new();
+    files(&dir.path().join("out"), &dir.path().join("out"), &mut written);
+    assert!(
+        written.len() > 20 && written.contains(&"report.html".to_owned()),
+        "{written:?}"
+    );
+    let mut marked = std::collections::BTreeSet::new();
+    for file in &written {
+        let bytes = std::fs::read(dir.path().join("out").join(file)).unwrap();
+        std::fs::write(dir.path().join("mailed"), &bytes).unwrap();
+        let told = audit(dir.path(), "mailed", &[], 0);
+        assert_eq!(told["answer"], "whole", "{file}: {told}");
+        let extension = Path::new(file).extension().unwrap().to_str().unwrap();
+        if marf_provenance::stamp::Stamp::off(&bytes).is_some() {
+            marked.insert(extension.to_owned());
+        }
+        let mut altered = bytes;
+        let middle = altered.len() / 2;
+        altered[middle] ^= 1;
+        std::fs::write(dir.path().join("mailed"), &altered).unwrap();
+        let told = audit(dir.path(), "mailed", &[], 4);
+        let object = audit(dir.path(), &format!("out/{file}"), &[], 0)["object"].clone();
+        assert_eq!(told["closest"], object, "{file}");
+    }
+    let marked: Vec<&str> = marked.iter().map(String::as_str).collect();
+    assert_eq!(marked, ["html", "json", "ply", "png"]);
+}
+
+#[test]
+fn the_lineage_leads_to_the_bytes_and_verifies() {
+    let dir = ran();
+    let told = audit(
+        dir.path(),
+        "out/train/metrics.json",
+        &["--verify", "--products"],
+        0,
+    );
+    let lineage = &told["lineage"][0];
+    assert_eq!(lineage["maker"]["place"]["output"]["node"], "train");
+    assert!(
+        lineage["command"].as_str().unwrap().starts_with("marf run"),
+        "{lineage}"
+    );
+    let nodes: Vec<&str> = lineage["nodes"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|node| node["node"].as_str().unwrap())
+        .collect();
+    assert_eq!(nodes, ["extract", "blur", "calibrate", "train"]);
+    let products = lineage["sources"][0]["listed"].as_array().unwrap();
+    assert_eq!(lineage["sources"][0]["photos"], products.len());
+    for product in products {
+        let image = &product["files"]["image"];
+        assert_eq!(image["blake3"], product["blobs"]["image"], "{product}");
+        assert!(image["sha256"].as_str().unwrap().len() == 64 && product["files"]["label"].is_object());
+    }
+    assert_eq!(told["verified"]["faults"], serde_json::json!([]));
+    assert_eq!(told["verified"]["missing"], serde_json::json!([]));
+    let words = marf(dir.path(), &["audit", "out/train/metrics.json"])
+        .exits(0)
+        .stdout;
+    for part in [
+        "made in run 1",
+        "scene <- calibrate",
+        "photos (",
+        "which --products lists",
+        "sha256",
+    ] {
+        assert!(words.contains(part), "{part}: {words}");
+    }
+}
+
+#[test]
+fn a_foreign_file_and_a_copy_of_another_store_have_answers_of_their_own() {
+    let dir = ran();
+    std::fs::write(dir.path().join("mine.txt"), "nothing of yours").unwrap();
+    assert_eq!(audit(dir.path(), "mine.txt", &[], 3)["answer"], "not_ours");
+    std::fs::write(dir.path().join("empty"), "").unwrap();
+    audit(dir.path(), "empty", &[], 3);
+    marf(dir.path(), &["audit", "absent"]).exits(1);
+    marf(dir.path(), &["audit"]).exits(2);
+    let other = tempfile::tempdir().unwrap();
+    std::fs::write(
+        other.path().join("pipeline.toml"),
+        PIPELINE.replace("steps = 2", "steps = 1"),
+    )
+    .unwrap();
+    marf(other.path(), &["run"]).exits(0);
+    let foreign = other.path().join("out/train/metrics.json");
+    let told = audit(dir.path(), foreign.to_str().unwrap(), &[], 5);
+    assert_eq!(told["answer"], "incomplete", "{told}");
+}
+
+#[test]
+fn a_product_leads_to_everything_that_was_made_from_it() {
+    let dir = ran();
+    let told = audit(dir.path(), "out/train/metrics.json", &["--products"], 0);
+    let id = told["lineage"][0]["sources"][0]["listed"][0]["id"]
+        .as_str()
+        .unwrap()
+        .to_owned();
+    let from = marf(dir.path(), &["audit", "--from", &id, "--json"]).exits(0);
+    let from: Value = serde_json::from_str(&from.stdout).unwrap();
+    let nodes: Vec<&str> = from["runs"][0]["nodes"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|node| node["node"].as_str().unwrap())
+        .collect();
+    assert!(nodes.starts_with(&["extract", "blur"]), "{nodes:?}");
+    marf(dir.path(), &["audit", "--from", "NO_SUCH_PRODUCT"]).exits(3);
+}
+
+#[test]
+fn a_replay_from_the_pinned_bytes_gives_the_same_digests_on_any_number_of_threads() {
+    let dir = ran();
+    for threads in ["1", "2"] {
+        let told = marf(dir.path(), &["replay", "--threads", threads, "--json"]).exits(0);
+        let told: Value = serde_json::from_str(&told.stdout).unwrap();
+        let nodes = told["nodes"].as_array().unwrap();
+        assert_eq!(nodes.len(), 4, "{told}");
+        for node in nodes {
+            assert!(
+                node["equal"].as_u64().unwrap() > 0 && node["not_made"].is_null(),
+                "{node}"
+            );
+            assert_eq!(node["differs"], serde_json::json!([]), "{node}");
+        }
+    }
+    let told = marf(dir.path(), &["replay", "out/calibrate/points.ply"]);
+    let code = if dir.path().join("out/calibrate/points.ply").exists() {
+        0
+    } else {
+        2
+    };
+    assert_eq!(told.code, code, "{}", told.stderr);
+    let one = marf(dir.path(), &["replay", "blur"]).exits(0).stdout;
+    assert!(
+        one.contains("2 nodes are equal") || one.contains("of 2 nodes are equal"),
+        "{one}"
+    );
+    marf(dir.path(), &["replay", "nothing"]).exits(2);
+    marf(dir.path(), &["replay", "99"]).exits(1);
+}
+
+/// A budget buys other steps on each machine; the steps that it bought then are taken over, and the training is equal.
+#[test]
+fn a_training_with_a_budget_is_replayed_by_the_steps_that_it_ran() {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(
+        dir.path().join("pipeline.toml"),
+        PIPELINE.replace("steps = 2", "budget = \"1s\""),
+    )
+    .unwrap();
+    marf(dir.path(), &["run"]).exits(0);
+    let told = marf(dir.path(), &["replay", "train"]).exits(0).stdout;
+    assert!(
+        told.contains("train/pace") && told.contains("taken over: it measures"),
+        "{told}"
+    );
+    assert!(told.contains("0 nodes differ, 1 are declared to vary"), "{told}");
+}
+
+/// Needs Python with the package blake3.
+#[test]
+fn a_script_without_our_code_computes_every_key_again() {
+    let python = std::env::var("MARF_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let has_blake3 = Command::new(&python).args(["-c", "import blake3"]).output();
+    if !has_blake3.is_ok_and(|output| output.status.success()) {
+        println!("skipped: needs Python with the package blake3 (MARF_TEST_PYTHON names another)");
+        return;
+    }
+    let dir = ran();
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/recompute_keys.py");
+    let lines = std::fs::read_to_string(script).unwrap().lines().count();
+    assert!(lines <= 40, "{lines} lines");
+    let told = || {
+        Command::new(&python)
+            .arg(script)
+            .arg(dir.path().join(".marf"))
+            .output()
+            .unwrap()
+    };
+    let output = told();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let records: Value =
+        serde_json::from_str(&marf(dir.path(), &["cache", "stat", "--json"]).exits(0).stdout).unwrap();
+    let text = String::from_utf8(output.stdout).unwrap();
+    let expected = format!("{} keys, each the blake3 of its action", records["records"]);
+    assert!(text.trim_end().ends_with(&expected), "{expected}: {text}");
+}
+
+#[test]
+fn what_was_collected_is_named_and_a_changed_archive_is_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = common::photos();
+    copy(&photos.path().join("photos"), &dir.path().join("photos"));
+    let text = "name = \"folder\"\n[archive.mine]\nkind = \"folder\"\npath = \"photos\"\n[node.extract]\narchive = \"mine\"\n\
+                [node.blur]\ninput = \"extract\"\n";
+    std::fs::write(dir.path().join("pipeline.toml"), text).unwrap();
+    marf(dir.path(), &["run"]).exits(0);
+    audit(dir.path(), "out/report.html", &["--verify"], 0);
+    let photo = dir.path().join("photos/images/2.png");
+    let bytes = std::fs::read(&photo).unwrap();
+    std::fs::write(&photo, &bytes[..bytes.len() - 1]).unwrap();
+    let told = audit(dir.path(), "out/report.html", &["--verify"], 6);
+    assert_eq!(told["changed"][0]["file"], "images/2.png");
+    // The photos of the run are in the store, so that it can be made again all the same.
+    marf(dir.path(), &["replay", "1"]).exits(0);
+    // Another run takes the place of the first, which is given up.
+    marf(dir.path(), &["run", "--set", "blur.min_share=0.7"]).exits(0);
+    std::fs::copy(dir.path().join("out/report.html"), dir.path().join("kept.html")).unwrap();
+    std::fs::remove_file(dir.path().join(".marf/runs").join(oldest_run(dir.path()))).unwrap();
+    let record = format!(
+        "{}",
+        audit(dir.path(), "kept.html", &["--verify"], 0)["lineage"][0]["run"]
+    );
+    assert_eq!(record, "2");
+}
+
+fn oldest_run(dir: &Path) -> String {
+    let mut names: Vec<String> = std::fs::read_dir(dir.join(".marf/runs"))
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    names.swap_remove(0)
+}
+
+/// An entry of a pack: its kind, its id and where its payload lies.
+struct Entry {
+    kind: u8,
+    id: String,
+    payload: std::ops::Range<usize>,
+}
+
+/// Returns the entries of a pack, as ARCHITECTURE.md describes it, and the offset of its table.
+fn entries(pack: &[u8]) -> (Vec<Entry>, usize) {
+    let number = |at: usize, bytes: usize| -> usize {
+        pack[at..at + bytes]
+            .iter()
+            .rev()
+            .fold(0, |number, byte| number << 8 | usize::from(*byte))
+    };
+    let (mut at, table, mut found) = (12, number(pack.len() - 52, 8), Vec::new());
+    while at < table {
+        let payload = at + 37..at + 37 + number(at + 33, 4);
+        found.push(Entry {
+            kind: pack[at],
+            id: pack[at + 1..at + 33]
+                .iter()
+                .map(|byte| format!("{byte:02x}"))
+                .collect(),
+            payload: payload.clone(),
+        });
+        at = payload.end;
+    }
+    (found, table)
+}
+
+/// Each kind of file of a store with one bit flipped: who finds it, and by which exit code.
+#[test]
+fn one_bit_in_every_kind_of_file_is_found() {
+    let dir = ran();
+    let status: Value =
+        serde_json::from_str(&marf(dir.path(), &["status", "--json"]).exits(0).stdout).unwrap();
+    let node = |name: &str| {
+        let nodes = status["nodes"].as_array().unwrap();
+        nodes.iter().find(|node| node["name"] == name).unwrap().clone()
+    };
+    let key = node("train")["key"].as_str().unwrap().to_owned();
+    let scene = node("calibrate")["outputs"]["scene"]["digest"]
+        .as_str()
+        .unwrap()
+        .to_owned();
+    let report = status["documents"]["report.html"]["digest"]
+        .as_str()
+        .unwrap()
+        .to_owned();
+    let store = dir.path().join(".marf");
+    let mut names = Vec::new();
+    files(&store, &store, &mut names);
+    let packs: Vec<&String> = names.iter().filter(|name| name.ends_with(".pack")).collect();
+    // The file, the place of the bit, what it is.
+    let mut flips: Vec<(String, usize, &str)> = Vec::new();
+    let mut memos = 0;
+    for pack in packs {
+        let bytes = std::fs::read(store.join(pack)).unwrap();
+        let (found, table) = entries(&bytes);
+        for entry in found {
+            let middle = (entry.payload.start + entry.payload.end) / 2;
+            let what = match entry.kind {
+                0 if entry.id == key => "an action",
+                0 if entry.id == scene => "an output",
+                1 if entry.id == key => "a record",
+                2 => {
+                    memos += 1;
+                    if memos > 1 { continue } else { "a memo" }
+                }
+                _ => continue,
+            };
+            flips.push((pack.clone(), middle, what));
+        }
+        flips.push((pack.clone(), table + 1, "the table of a pack"));
+        flips.push((pack.clone(), bytes.len() - 1, "the end of a pack"));
+    }
+    let loose = format!("cas/{}/{}", &report[..2], &report[2..]);
+    flips.push((loose, 1000, "a document"));
+    let of = |start: &str| names.iter().find(|name| name.starts_with(start)).unwrap().clone();
+    flips.push((of("runs/"), 40, "a run root"));
+    flips.push(("format".to_owned(), 1, "the format"));
+    for what in ["an action", "a record", "a memo", "a document"] {
+        assert!(flips.iter().any(|(.., kind)| *kind == what), "no {what} to alter");
+    }
+    for (file, at, what) in flips {
+        let altered = tempfile::tempdir().unwrap();
+        copy(dir.path(), altered.path());
+        let path = altered.path().join(".marf").join(&file);
+        let mut bytes = std::fs::read(&path).unwrap();
+        bytes[at] ^= 4;
+        std::fs::remove_file(&path).unwrap();
+        std::fs::write(&path, bytes).unwrap();
+        let fsck = marf(altered.path(), &["cache", "fsck", "--read-data"]);
+        assert_eq!(fsck.code, 1, "{what}: fsck: {} {}", fsck.stdout, fsck.stderr);
+        if what != "the format" {
+            let told = marf(altered.path(), &["audit", "out/train/metrics.json", "--verify"]);
+            let code = if what == "a memo" { 0 } else { 4 };
+            assert_eq!(told.code, code, "{what}: audit: {} {}", told.stdout, told.stderr);
+        }
+    }
+}
