@@ -397,3 +397,31 @@ fn one_bit_in_every_kind_of_file_is_found() {
         }
     }
 }
+
+/// A file that was mailed away has no store: the crate of its run answers, from the bytes of the file or of its copy in `out/`.
+#[test]
+fn a_crate_tells_who_made_a_file_where_there_is_no_store() {
+    let dir = ran();
+    marf(dir.path(), &["export", "crate", "crate"]).exits(0);
+    let away = tempfile::tempdir().unwrap();
+    copy(&dir.path().join("crate"), &away.path().join("crate"));
+    let metrics = "metrics.json";
+    std::fs::copy(
+        dir.path().join("out/train").join(metrics),
+        away.path().join(metrics),
+    )
+    .unwrap();
+    std::fs::write(away.path().join("other.txt"), "not ours").unwrap();
+    let ask = |file: &str, code: i32| marf(away.path(), &["audit", file, "--crate", "crate"]).exits(code);
+    let told = ask(metrics, 0);
+    for words in ["`metrics` of `train`", "extract", "photos from "] {
+        assert!(told.stdout.contains(words), "{words}: {}", told.stdout);
+    }
+    ask("other.txt", 3);
+    let text = std::fs::read_to_string(away.path().join(metrics)).unwrap();
+    std::fs::write(away.path().join(metrics), text.replacen('1', "2", 1)).unwrap();
+    assert!([3, 4].contains(&marf(away.path(), &["audit", metrics, "--crate", "crate"]).code));
+    let graph = away.path().join("crate/data/ro-crate-metadata.json");
+    std::fs::write(&graph, std::fs::read_to_string(&graph).unwrap() + " ").unwrap();
+    ask("other.txt", 4);
+}

@@ -35,6 +35,14 @@ pub fn is_copy(path: &Path, object: &Digest) -> bool {
     }
 }
 
+/// Returns the bytes of the object that a file is a copy of: the file without its mark.
+pub fn object_of(file: Vec<u8>) -> Vec<u8> {
+    match Stamp::off(&file) {
+        Some((object, _)) => object,
+        None => file,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -3,6 +3,7 @@
 mod changed;
 mod from;
 pub mod identity;
+mod in_crate;
 mod lineage;
 mod tree;
 
@@ -44,6 +45,9 @@ pub struct AuditArgs {
     /// List all products of archives, not the first few
     #[arg(long)]
     pub products: bool,
+    /// Ask a crate of `export crate` instead of a store
+    #[arg(long = "crate", value_name = "CRATE", conflicts_with_all = ["from", "verify"])]
+    pub in_crate: Option<PathBuf>,
     /// Tell what a product (id, name of its file, or blake3) went into
     #[arg(long, value_name = "PRODUCT")]
     pub from: Option<String>,
@@ -69,10 +73,11 @@ struct Report<'a> {
 
 /// `marf audit`: who made a file, from which bytes.
 pub fn audit(global: &Global, args: &AuditArgs, cancel: &Cancel) -> Result<(), CliError> {
-    match (&args.path, &args.from) {
-        (Some(file), _) => audit_file(global, args, file, cancel),
-        (None, Some(product)) => from::from(global, product, cancel),
-        (None, None) => Err(CliError::usage(
+    match (&args.path, &args.in_crate, &args.from) {
+        (Some(file), Some(folder), _) => in_crate::in_crate(global, file, folder),
+        (Some(file), None, _) => audit_file(global, args, file, cancel),
+        (None, _, Some(product)) => from::from(global, product, cancel),
+        (None, _, None) => Err(CliError::usage(
             "name a file, or a product with --from".to_owned(),
         )),
     }

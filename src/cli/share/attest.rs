@@ -8,6 +8,7 @@ use marf_export::dsse::Envelope;
 use marf_export::{Node, Run, statement_on_node, statement_on_run, subjects_of};
 
 use super::super::args::Global;
+use super::super::copies::object_of;
 use super::super::error::{CliError, Diagnostic};
 use super::super::files;
 use super::super::session::existing_store;
@@ -50,7 +51,7 @@ fn on_result(handed: &Run, store: &Store, of: &str) -> Result<Vec<u8>, CliError>
         let message = format!("`{of}` is no node of the run, and no file that can be read: {error}");
         CliError::Usage(Diagnostic::new(message).hint("`marf status` lists the nodes"))
     })?;
-    let digest = Digest::of(&bytes);
+    let digest = Digest::of(&object_of(bytes));
     let made_it = |node: &&Node| node.outputs.values().any(|output| output.digest == digest);
     let node = handed.nodes.iter().find(made_it).ok_or_else(|| {
         let message = format!("{of} holds no result of run {}", handed.id);

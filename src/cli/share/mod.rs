@@ -15,7 +15,7 @@ use marf_export::key::{KeyError, SigningKey};
 use super::args::Global;
 use super::error::{Answer, CliError, Diagnostic};
 
-pub use verify::{VerifyArgs, verify_path};
+pub use verify::{VerifyArgs, open_crate, verify_crate, verify_path};
 
 /// Verbs of `export`.
 #[derive(Debug, Clone, Subcommand)]

@@ -6,9 +6,10 @@ use clap::Args;
 use marf_export::dsse::Envelope;
 use marf_export::key::PublicKey;
 use marf_export::subjects_in;
-use marf_export::verify::{OpenError, Report, Signature, verify};
+use marf_export::verify::{OpenCrate, OpenError, Report, Signature, verify};
 
 use super::super::args::Global;
+use super::super::copies::object_of;
 use super::super::error::{CliError, Diagnostic};
 use super::super::output::print_json;
 use super::{altered, bad_key, key_text};
@@ -52,10 +53,30 @@ pub fn verify_path(global: &Global, args: &VerifyArgs) -> Result<(), CliError> {
         true => print_json(&report)?,
         false => print_report(&report),
     }
+    without_faults(&args.path, &report)
+}
+
+/// Checks a crate, and prints nothing.
+///
+/// # Errors
+/// A folder that is no crate; a crate that does not hold.
+pub fn verify_crate(folder: &Path) -> Result<(), CliError> {
+    without_faults(folder, &verify(folder, None).map_err(open_error)?)
+}
+
+/// Opens a crate.
+///
+/// # Errors
+/// A folder that is no crate, or one of a newer form.
+pub fn open_crate(folder: &Path) -> Result<OpenCrate, CliError> {
+    OpenCrate::open(folder).map_err(open_error)
+}
+
+fn without_faults(folder: &Path, report: &Report) -> Result<(), CliError> {
     match report.faults.len() {
         0 => Ok(()),
         faults => Err(altered(
-            Diagnostic::new(format!("{} does not hold; faults: {faults}", args.path.display()))
+            Diagnostic::new(format!("{} does not hold; faults: {faults}", folder.display()))
                 .hint("ask whoever made it for another copy; trust nothing in this one"),
         )),
     }
@@ -110,7 +131,7 @@ fn verify_statement(args: &VerifyArgs, key: &PublicKey) -> Result<(), CliError> 
     for file in &args.subject {
         let found = std::fs::read(file)
             .map_err(|error| CliError::usage(format!("{} cannot be read: {error}", file.display())))?;
-        let found = marf_cache::Sha256::of(&found);
+        let found = marf_cache::Sha256::of(&object_of(found));
         let subject = subjects.iter().find(|(_, digest)| *digest == found);
         let (name, _) = subject.ok_or_else(|| refuse(format!("it is not about {}", file.display())))?;
         print_line(&format!("{} is {name}", file.display()));

@@ -31,6 +31,12 @@ pub struct Stop<'a> {
     fault: Fault,
     signal: Signal,
     case: Case<'a>,
+    /// Time that a run of a new store takes, as last seen: the machine may do other work too.
+    span: Duration,
+    /// Random moments so far.
+    moments: u32,
+    /// Whether no run of the store was stopped yet.
+    is_new: bool,
     /// Stores whose run came to its end.
     finished: u32,
     /// Stops that left downloads behind, half or whole, that no result held yet.
@@ -49,6 +55,9 @@ impl<'a> Stop<'a> {
             fault,
             signal,
             case: lab.case(&fault.word())?,
+            span: lab.wall,
+            moments: 0,
+            is_new: true,
             finished: 0,
             in_download: 0,
             longest: Duration::ZERO,
@@ -61,7 +70,27 @@ impl<'a> Stop<'a> {
         self.case.ends_equal(Variant::Plain)?;
         self.case.is_whole()?;
         self.case = self.lab.case(&self.fault.word())?;
+        self.is_new = true;
         Ok(())
+    }
+
+    /// Returns a run that has not ended at a random moment; stores whose run ended before it are judged.
+    fn run_in_the_middle(&mut self) -> Result<Child, RoundError> {
+        loop {
+            self.moments += 1;
+            let random = self.lab.random(self.fault, self.moments);
+            let after = Duration::from_micros(random % (self.span.as_micros() as u64).max(1));
+            let began = Instant::now();
+            let mut run = self.case.start(Variant::Plain, &[])?;
+            if !ended_within(&mut run, after)? {
+                self.is_new = false;
+                return Ok(run);
+            }
+            if self.is_new {
+                self.span = began.elapsed();
+            }
+            self.next_store()?;
+        }
     }
 
     fn interrupt(&mut self, mut run: Child) -> Outcome {
@@ -81,22 +110,11 @@ impl<'a> Stop<'a> {
 }
 
 impl Injector for Stop<'_> {
-    fn inject(&mut self, round: u32) -> Outcome {
-        // What is left to do grows less from stop to stop.
-        let span = self.lab.wall.as_micros() as u64;
-        let after = Duration::from_micros(self.lab.random(self.fault, round) % span.max(1));
-        let mut run = self.case.start(Variant::Plain, &[])?;
-        while ended_within(&mut run, after)? {
-            self.next_store()?;
-            run = self.case.start(Variant::Plain, &[])?;
-        }
+    fn inject(&mut self, _round: u32) -> Outcome {
+        let run = self.run_in_the_middle()?;
         match self.signal {
             Signal::Interrupt => self.interrupt(run),
-            Signal::Kill => {
-                run.kill()?;
-                run.wait()?;
-                Ok(())
-            }
+            Signal::Kill => kill(run),
         }
     }
 
@@ -125,6 +143,12 @@ impl Injector for Stop<'_> {
         };
         format!("{how} at random moments{downloads}; {stores}")
     }
+}
+
+fn kill(mut run: Child) -> Outcome {
+    run.kill()?;
+    run.wait()?;
+    Ok(())
 }
 
 /// Waits for a run until a time has gone; tells whether it has ended.
