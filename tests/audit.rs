@@ -81,7 +81,9 @@ fn every_file_that_a_run_wrote_is_known_wherever_it_lies_and_altered_ones_are_to
         let middle = altered.len() / 2;
         altered[middle] ^= 1;
         std::fs::write(dir.path().join("mailed"), &altered).unwrap();
-        let told = audit(dir.path(), "mailed", &[], 4);
+        let told = marf(dir.path(), &["audit", "mailed", "--json"]);
+        assert_eq!(told.code, 4, "{file}: {}", told.stdout);
+        let told: Value = serde_json::from_str(&told.stdout).unwrap();
         let object = audit(dir.path(), &format!("out/{file}"), &[], 0)["object"].clone();
         assert_eq!(told["closest"], object, "{file}");
     }
@@ -389,7 +391,9 @@ fn one_bit_in_every_kind_of_file_is_found() {
         std::fs::remove_file(&path).unwrap();
         std::fs::write(&path, bytes).unwrap();
         let fsck = marf(altered.path(), &["cache", "fsck", "--read-data"]);
-        assert_eq!(fsck.code, 1, "{what}: fsck: {} {}", fsck.stdout, fsck.stderr);
+        // The format is told and mended by whoever opens the store.
+        let is_found = fsck.code == 1 || fsck.stderr.contains("the file `format` of the store was damaged");
+        assert!(is_found, "{what}: fsck: {} {}", fsck.stdout, fsck.stderr);
         if what != "the format" {
             let told = marf(altered.path(), &["audit", "out/train/metrics.json", "--verify"]);
             let code = if what == "a memo" { 0 } else { 4 };
