@@ -49,7 +49,10 @@ impl Index {
 
     /// Makes a change in one transaction; returns whether it was made.
     fn change(&self, change: impl Fn(&Connection) -> rusqlite::Result<()>) -> Result<bool, StoreError> {
-        // Rows in memory would name packs that are about to change.
+        // Rows in memory would name packs that are about to change: they go into the file first.
+        if self.memory.lock().is_some() {
+            self.refresh(self.patience())?;
+        }
         if self.memory.lock().is_some() {
             return Ok(false);
         }

@@ -11,6 +11,7 @@ mod tables;
 
 use std::{
     collections::BTreeSet,
+    io::ErrorKind,
     path::{Path, PathBuf},
     sync::{
         Arc,
@@ -277,9 +278,14 @@ impl Index {
             return Ok(Some(contents.entries));
         }
         if self.access == Access::ReadWrite {
-            let to = self.files.quarantine(&self.root, &path, file)?;
-            self.notices
-                .warn(format!("a file that is no pack was moved to `{}`", to.display()));
+            match self.files.quarantine(&self.root, &path, file) {
+                Ok(to) => self
+                    .notices
+                    .warn(format!("a file that is no pack was moved to `{}`", to.display())),
+                // Another process has merged or collected it while it was read.
+                Err(StoreError::Io { source, .. }) if source.kind() == ErrorKind::NotFound => {}
+                Err(error) => return Err(error),
+            }
         }
         Ok(None)
     }

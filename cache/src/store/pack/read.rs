@@ -57,11 +57,13 @@ pub(in crate::store) fn contents(files: &Files, path: &Path) -> Result<Option<Co
         }
         at = entry.offset + u64::from(entry.len);
     }
-    Ok(Some(Contents {
+    // A pack that was removed while it was read is gone, not damaged: another program has merged it. No pack gets its name.
+    let contents = Contents {
         form,
         entries,
         has_table: false,
-    }))
+    };
+    Ok(files.exists(path)?.then_some(contents))
 }
 
 fn table(files: &Files, path: &Path) -> Result<Option<Vec<Entry>>, StoreError> {

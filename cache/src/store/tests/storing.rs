@@ -270,6 +270,29 @@ fn many_small_packs_are_merged_and_keep_every_object() {
     assert!(digests.iter().all(|digest| store.get(digest).is_ok()));
 }
 
+/// Another program merges it: its file goes between two reads.
+#[test]
+fn a_pack_that_is_removed_while_it_is_read_is_gone_and_never_damaged() {
+    let (dir, store) = fresh();
+    store.put(b"small").unwrap();
+    store.commit().unwrap();
+    let bytes = fs::read(&packs(&store)[0]).unwrap();
+    for round in 0..500 {
+        let path = dir.path().join(format!("{round}.pack"));
+        fs::write(&path, &bytes).unwrap();
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                while let Some(contents) = crate::store::pack::contents(&store.objects.files, &path).unwrap()
+                {
+                    assert!(contents.has_table, "round {round}");
+                }
+            });
+            std::thread::yield_now();
+            fs::remove_file(&path).unwrap();
+        });
+    }
+}
+
 #[test]
 fn runs_are_numbered_in_order_also_by_two_stores() {
     let (dir, store) = fresh();
