@@ -258,7 +258,7 @@ impl Blobs for Store {
         Ok(digest)
     }
 
-    fn put_file(&self, path: &Path, _: u64) -> Result<(Digest, Arc<[u8]>), BlobError> {
+    fn put_file(&self, path: &Path, _: u64, _: marf_stage::Keep) -> Result<(Digest, Arc<[u8]>), BlobError> {
         unreachable!("no stage of this bench stores `{}`", path.display())
     }
 

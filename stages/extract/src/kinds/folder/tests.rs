@@ -3,8 +3,8 @@ use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use marf_cache::Digest;
-use marf_stage::Ctx;
 use marf_stage::harness::Harness;
+use marf_stage::{Ctx, Keep};
 
 use super::survey::{Reading, Survey};
 use super::table::{self, Entry, EntryKind, Reader};
@@ -37,7 +37,7 @@ fn rested(ctx: &Ctx<'_>, root: &Path, reading: Reading) -> Survey {
 fn digests(survey: &Survey, root: &Path) -> Vec<(String, Digest)> {
     let files = survey.shards.values().flatten();
     files
-        .map(|index| survey.file(root, *index))
+        .map(|index| survey.file(root, *index, Keep::Copy))
         .map(|file| (file.name, file.digest))
         .collect()
 }
@@ -235,7 +235,7 @@ fn what_cannot_be_read_has_its_reason() {
         .shards
         .values()
         .flatten()
-        .filter_map(|index| match survey.file(&root, *index) {
+        .filter_map(|index| match survey.file(&root, *index, Keep::Copy) {
             file if matches!(file.kind, crate::archive::Kind::Unreadable(_)) => {
                 Some(format!("{} {:?}", file.name, file.kind))
             }
