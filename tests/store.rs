@@ -32,18 +32,13 @@ fn output(dir: &Path, node: &str, output: &str) -> String {
 /// Flips a bit in the bytes of a blob, wherever they are stored.
 fn damage(dir: &Path, digest: &str) {
     let loose = dir.join(".marf/cas").join(&digest[..2]).join(&digest[2..]);
-    let raw: Vec<u8> = (0..64)
-        .step_by(2)
-        .map(|at| u8::from_str_radix(&digest[at..at + 2], 16).unwrap())
-        .collect();
     let packs = std::fs::read_dir(dir.join(".marf/packs")).unwrap();
     let packs = packs.map(|entry| entry.unwrap().path());
     let mut files: Vec<(PathBuf, usize)> = packs
         .filter(|path| path.extension().is_some_and(|extension| extension == "pack"))
         .filter_map(|path| {
-            let bytes = std::fs::read(&path).unwrap();
-            let at = bytes.windows(32).position(|window| window == raw.as_slice())?;
-            Some((path, at + 32 + 4)) // behind the digest and the length
+            let at = place_in_pack(&std::fs::read(&path).unwrap(), digest)?;
+            Some((path, at))
         })
         .collect();
     files.extend(loose.is_file().then_some((loose, 0)));
@@ -54,6 +49,20 @@ fn damage(dir: &Path, digest: &str) {
         std::fs::remove_file(&path).unwrap();
         std::fs::write(&path, bytes).unwrap();
     }
+}
+
+/// Where the bytes of a blob begin in a pack: behind its digest and its length. Lists name digests too, without the bytes.
+fn place_in_pack(pack: &[u8], digest: &str) -> Option<usize> {
+    let wanted: marf_cache::Digest = digest.parse().unwrap();
+    let named = pack.windows(32).enumerate();
+    let named = named.filter(|(_, window)| *window == wanted.as_bytes());
+    named.map(|(at, _)| at + 36).find(|&at| {
+        let bytes = pack
+            .get(at - 4..at)
+            .and_then(|len| Some(u32::from_le_bytes(len.try_into().ok()?)));
+        let blob = bytes.and_then(|len| pack.get(at..at + len as usize));
+        blob.is_some_and(|blob| marf_cache::Digest::of(blob) == wanted)
+    })
 }
 
 #[test]
