@@ -314,10 +314,18 @@ fn old_file() -> String {
 
 /// The pins of sol 1 of the old file: that it was complete is not known.
 fn old_pins() -> SolPins {
+    let pins = pins();
+    let files = pins.files.into_iter().map(|(name, pin)| (name, old_pin(pin)));
     SolPins {
         complete: None,
-        ..pins()
+        files: files.collect(),
+        ..pins
     }
+}
+
+/// A pin as 0.1.0 wrote it: without SHA-256.
+fn old_pin(pin: Pin) -> Pin {
+    Pin { sha256: None, ..pin }
 }
 
 #[test]
@@ -347,7 +355,7 @@ fn the_file_of_the_first_release_is_read_and_replaced_at_the_first_write() {
     assert_eq!(names(dir.path()), [LOCK_FILE]);
     assert_eq!(a.open().unwrap().sols(), BTreeSet::from([1, 2, 12]));
     assert_eq!(read(&a, 1).unwrap(), Some(old_pins()));
-    assert_eq!(read(&b, 3).unwrap().unwrap().files["Z.png"], pin(9));
+    assert_eq!(read(&b, 3).unwrap().unwrap().files["Z.png"], old_pin(pin(9)));
     assert_eq!(write(&a, 2, &pins(), &pins()).unwrap().notice, None, "told once");
 }
 
