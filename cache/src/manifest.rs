@@ -57,11 +57,15 @@ pub struct LeafRef {
 
 /// A line of a root: the leaves of the shards from `block * SHARDS_A_BLOCK` on.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-struct BlockRef {
-    block: u32,
-    digest: Digest,
-    leaves: u32,
-    rows: u64,
+pub struct BlockRef {
+    /// Number of the block.
+    pub block: u32,
+    /// Digest of the list of its leaves.
+    pub digest: Digest,
+    /// Number of leaves.
+    pub leaves: u32,
+    /// Number of rows in all leaves.
+    pub rows: u64,
 }
 
 /// A manifest that cannot be read.
@@ -146,9 +150,8 @@ impl Root {
         root: &Digest,
         mut get: impl FnMut(&Digest) -> Result<Arc<[u8]>, E>,
     ) -> Result<Self, E> {
-        let blocks: Vec<BlockRef> = decode_lines(&get(root)?)?;
         let mut leaves = Vec::new();
-        for block in blocks {
+        for block in Self::blocks(&get(root)?)? {
             leaves.extend(decode_lines::<LeafRef>(&get(&block.digest)?)?);
         }
         Ok(Self { leaves })
@@ -167,13 +170,12 @@ impl Root {
         decode_lines(bytes)
     }
 
-    /// Returns the digests of the blocks that the bytes of a root name.
+    /// Returns the blocks that the bytes of a root name, sorted by number.
     ///
     /// # Errors
     /// Bytes that are no root.
-    pub fn blocks(root: &[u8]) -> Result<Vec<Digest>, ManifestError> {
-        let blocks: Vec<BlockRef> = decode_lines(root)?;
-        Ok(blocks.into_iter().map(|block| block.digest).collect())
+    pub fn blocks(root: &[u8]) -> Result<Vec<BlockRef>, ManifestError> {
+        decode_lines(root)
     }
 
     /// Returns the number of rows from the bytes of a root alone.
@@ -181,8 +183,7 @@ impl Root {
     /// # Errors
     /// Bytes that are no root.
     pub fn count(root: &[u8]) -> Result<u64, ManifestError> {
-        let blocks: Vec<BlockRef> = decode_lines(root)?;
-        Ok(blocks.iter().map(|block| block.rows).sum())
+        Ok(Self::blocks(root)?.iter().map(|block| block.rows).sum())
     }
 
     /// Returns the number of rows in all leaves.

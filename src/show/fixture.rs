@@ -69,7 +69,12 @@ impl Store {
 
     /// Writes the report of these nodes.
     pub(super) fn report(&self, nodes: &[NodeView]) -> String {
-        write(&ReportInput {
+        self.with_input(nodes, write)
+    }
+
+    /// Does something with the input of a report of these nodes.
+    pub(super) fn with_input<T>(&self, nodes: &[NodeView], make: impl FnOnce(&ReportInput<'_>) -> T) -> T {
+        make(&ReportInput {
             pipeline: "made up".to_owned(),
             command: "marf run".to_owned(),
             started: "2026-01-02T03:04:05Z".to_owned(),

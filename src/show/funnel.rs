@@ -1,14 +1,12 @@
 //! How many photos went into each filter, and how many came out.
 
-use std::collections::BTreeMap;
-
-use marf_stage::{VERDICTS, Verdict};
 use maud::{Markup, html};
 
 use super::format::{count, cut, px};
+use super::gallery::not_shown;
 use super::input::NodeView;
 use super::page::Page;
-use super::read::Missing;
+use super::verdicts::{Judged, Summary};
 
 const BAR_LEFT: f64 = 150.0;
 const BAR_WIDTH: f64 = 440.0;
@@ -16,89 +14,52 @@ const BAR_HEIGHT: f64 = 20.0;
 const PITCH: f64 = 30.0;
 const WIDTH: f64 = 1040.0;
 
-/// What one node did to the set.
-struct Step<'a> {
-    node: &'a NodeView,
-    counts: Result<Counts, Missing>,
-}
-
-struct Counts {
-    seen: usize,
-    kept: usize,
-    /// Kind of the verdict and how often it fell.
-    rejected: BTreeMap<String, usize>,
-}
-
-impl Counts {
-    fn new(verdicts: &[Verdict]) -> Self {
-        let mut rejected = BTreeMap::new();
-        for verdict in verdicts.iter().filter(|verdict| !verdict.keeps()) {
-            *rejected.entry(verdict.verdict.clone()).or_insert(0) += 1;
-        }
-        Self {
-            seen: verdicts.len(),
-            kept: verdicts.iter().filter(|verdict| verdict.keeps()).count(),
-            rejected,
-        }
-    }
-
-    fn sentence(&self) -> String {
-        let kinds: Vec<String> = self
-            .rejected
-            .iter()
-            .map(|(kind, number)| format!("{number} {}", cut(kind, 24)))
-            .collect();
-        let rejected = self.seen - self.kept;
-        match rejected {
-            0 => format!("{} in, all kept", self.seen),
-            _ => format!(
-                "{} in, {} kept, {rejected} rejected ({})",
-                self.seen,
-                self.kept,
-                kinds.join(", ")
-            ),
-        }
-    }
-}
-
 /// Draws the funnel and lists the files that could not be read.
 pub(super) fn body(page: &Page<'_>) -> Markup {
-    let steps: Vec<Step<'_>> = page
-        .with_output(VERDICTS)
-        .map(|node| Step {
-            node,
-            counts: page.verdicts(node).map(Counts::new).map_err(Clone::clone),
-        })
-        .collect();
-    if steps.is_empty() {
+    let (mut shown, mut missing) = (Vec::new(), Vec::new());
+    for (node, sum) in page.judged() {
+        match sum {
+            Ok(sum) => shown.push((node, sum)),
+            Err(why) => missing.push(why),
+        }
+    }
+    if shown.is_empty() && missing.is_empty() {
         return page.absent("verdicts on photos");
     }
     html! {
-        (drawing(&steps))
-        @for step in &steps { @if let Err(missing) = &step.counts { (missing) } }
-        @for missing in page.photos.missing() { (missing) }
-        (undecodable(page))
+        (drawing(&shown))
+        @for missing in missing.into_iter().chain(page.photos.missing()) { (missing) }
+        @for (node, sum) in &shown { @if node.upstream.is_empty() { (no_photos(sum)) } }
     }
 }
 
-fn drawing(steps: &[Step<'_>]) -> Markup {
-    let shown: Vec<(&NodeView, &Counts)> = steps
+/// `7 in, 6 kept, 1 rejected (1 decode)`.
+fn sentence(sum: &Summary) -> String {
+    let kinds: Vec<String> = sum
+        .rejected
         .iter()
-        .filter_map(|step| Some((step.node, step.counts.as_ref().ok()?)))
+        .map(|(kind, number)| format!("{number} {}", cut(kind, 24)))
         .collect();
-    let most = shown
-        .iter()
-        .map(|(_, counts)| counts.seen)
-        .max()
-        .unwrap_or(0)
-        .max(1);
+    match sum.seen - sum.kept {
+        0 => format!("{} in, all kept", sum.seen),
+        rejected => format!(
+            "{} in, {} kept, {rejected} rejected ({})",
+            sum.seen,
+            sum.kept,
+            kinds.join(", ")
+        ),
+    }
+}
+
+fn drawing(shown: &[(&NodeView, &Summary)]) -> Markup {
+    let most = shown.iter().map(|(_, sum)| sum.seen).max().unwrap_or(0).max(1);
     let height = shown.len() as f64 * PITCH;
     html! {
         div.scroll {
             svg.funnel viewBox={ "0 0 " (px(WIDTH)) " " (px(height)) } width=(px(WIDTH)) height=(px(height))
                 role="img" aria-label="Photos into and out of each filter" {
-                @for (index, (node, counts)) in shown.iter().enumerate() {
-                    (bar(node, counts, index as f64 * PITCH, BAR_WIDTH / most as f64))
+                @for (index, (node, sum)) in shown.iter().enumerate() {
+                    (bar(node, sum, index as f64 * PITCH, BAR_WIDTH / most as f64))
                 }
             }
         }
@@ -106,42 +67,38 @@ fn drawing(steps: &[Step<'_>]) -> Markup {
     }
 }
 
-fn bar(node: &NodeView, counts: &Counts, top: f64, px_each: f64) -> Markup {
-    let kept = counts.kept as f64 * px_each;
-    let seen = counts.seen as f64 * px_each;
+fn bar(node: &NodeView, sum: &Summary, top: f64, px_each: f64) -> Markup {
+    let kept = sum.kept as f64 * px_each;
+    let seen = sum.seen as f64 * px_each;
     let base = top + 15.0;
     html! {
         g {
-            title { (node.name) ": " (counts.sentence()) }
+            title { (node.name) ": " (sentence(sum)) }
             text.name x=(px(BAR_LEFT - 10.0)) y=(px(base)) text-anchor="end" { (cut(&node.name, 18)) }
             rect.rejected x=(px(BAR_LEFT + kept)) y=(px(top)) width=(px(seen - kept)) height=(px(BAR_HEIGHT)) {}
             rect.kept x=(px(BAR_LEFT)) y=(px(top)) width=(px(kept)) height=(px(BAR_HEIGHT)) {}
-            text x=(px(BAR_LEFT + seen + 10.0)) y=(px(base)) { (counts.sentence()) }
+            text x=(px(BAR_LEFT + seen + 10.0)) y=(px(base)) { (sentence(sum)) }
         }
     }
 }
 
 /// Files that gave no photo at all: they have no picture, only a reason.
-fn undecodable(page: &Page<'_>) -> Markup {
-    let files: Vec<&Verdict> = page
-        .with_output(VERDICTS)
-        .filter_map(|node| page.verdicts(node).ok())
-        .flatten()
-        .filter(|verdict| !verdict.keeps() && page.photos.get(&verdict.id).is_none())
-        .collect();
+fn no_photos(sum: &Summary) -> Markup {
+    let rejected = sum.seen - sum.kept;
     html! {
-        @if !files.is_empty() {
-            h3 { (count(files.len(), "file")) " that gave no photo" }
+        @if rejected > 0 {
+            h3 { (count(rejected, "file")) " that gave no photo" }
             div.scroll {
                 table {
                     thead { tr { th { "File" } th { "Verdict" } th { "Why" } } }
                     tbody {
-                        @for file in &files {
-                            tr { td.file { (file.file) } td { (file.verdict) } td { (file.reason) } }
+                        @for Judged { verdict, .. } in &sum.first_rejected {
+                            tr { td.file { (verdict.file) } td { (verdict.verdict) } td { (verdict.reason) } }
                         }
                     }
                 }
             }
+            (not_shown(rejected, sum.first_rejected.len()))
         }
     }
 }

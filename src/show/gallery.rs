@@ -1,23 +1,24 @@
 //! Thumbnails of what the filters rejected, with their reasons, and of what stayed.
 
-use marf_stage::{VERDICTS, Verdict};
+use marf_stage::Verdict;
 use maud::{Markup, html};
 
 use super::format::{count, number};
 use super::input::NodeView;
 use super::page::Page;
-use super::photos::last_photo_nodes;
-use super::review::{Closest, against, closest};
+use super::photos::Kept;
+use super::read::Missing;
+use super::review::against;
 use super::thumbs::{name_of, thumb};
-
-/// Most thumbnails of one gallery.
-const MOST_THUMBS: usize = 60;
+use super::verdicts::Summary;
 
 /// One gallery for each node that rejected photos.
 pub(super) fn rejected(page: &Page<'_>) -> Markup {
     let galleries: Vec<Markup> = page
-        .with_output(VERDICTS)
-        .filter_map(|node| rejected_by(page, node))
+        .judged()
+        // What a source rejects has become no photo.
+        .filter(|(node, _)| !node.upstream.is_empty())
+        .filter_map(|(node, sum)| rejected_by(page, node, sum))
         .collect();
     html! {
         @if galleries.is_empty() { p { "No filter rejected a photo." } }
@@ -25,20 +26,18 @@ pub(super) fn rejected(page: &Page<'_>) -> Markup {
     }
 }
 
-fn rejected_by(page: &Page<'_>, node: &NodeView) -> Option<Markup> {
-    let all = match page.verdicts(node) {
-        Ok(all) => all,
+fn rejected_by(page: &Page<'_>, node: &NodeView, sum: Result<&Summary, &Missing>) -> Option<Markup> {
+    let sum = match sum {
+        Ok(sum) => sum,
         Err(missing) => return Some(html! { h3 { (node.name) } (missing) }),
     };
-    let known = |verdict: &&Verdict| !verdict.keeps() && page.photos.get(&verdict.id).is_some();
-    let rejected: Vec<&Verdict> = all.iter().filter(known).collect();
-    if rejected.is_empty() {
-        return None;
-    }
-    Some(html! {
-        h3 { (node.name) ": " (count(rejected.len(), "photo")) " of " (all.len()) }
-        div.gallery { @for verdict in rejected.iter().take(MOST_THUMBS) { (reject(page, verdict)) } }
-        (not_shown(rejected.len()))
+    let rejected = sum.seen - sum.kept;
+    (rejected > 0).then(|| {
+        html! {
+            h3 { (node.name) ": " (count(rejected, "photo")) " of " (sum.seen) }
+            div.gallery { @for judged in &sum.first_rejected { (reject(page, &judged.verdict)) } }
+            (not_shown(rejected, sum.first_rejected.len()))
+        }
     })
 }
 
@@ -81,49 +80,40 @@ fn score(verdict: &Verdict) -> Option<String> {
 
 /// What was left at the end of the filters.
 pub(super) fn kept(page: &Page<'_>) -> Markup {
-    let last = last_photo_nodes(page.input);
-    if last.is_empty() {
+    if page.kept.is_empty() {
         return page.absent("photos");
     }
-    let closest = closest(page);
-    html! { @for node in last { (kept_by(page, node, &closest)) } }
+    html! { @for (node, kept) in &page.kept { (kept_by(page, node, kept)) } }
 }
 
-fn kept_by(page: &Page<'_>, node: &NodeView, closest: &Closest<'_>) -> Markup {
-    let ids = match page.photos.ids_of(&node.name) {
-        Some(Ok(ids)) => ids,
-        Some(Err(missing)) => return html! { (missing) },
-        None => return page.absent("photos"),
+fn kept_by(page: &Page<'_>, node: &NodeView, kept: &Result<Kept, Missing>) -> Markup {
+    let kept = match kept {
+        Ok(kept) => kept,
+        Err(missing) => return html! { (missing) },
     };
     html! {
-        p { (count(ids.len(), "photo")) " after " (node.name) "." }
+        p { (count(kept.count, "photo")) " after " (node.name) "." }
         div.gallery.small {
-            @for id in spread(ids) {
+            @for (_, id) in &kept.shown {
                 figure {
                     (thumb(page, id, "kept photo"))
                     figcaption {
                         span.file { (name_of(page, id)) }
-                        @if let Some((filter, verdict, margin)) = closest.get(id) {
+                        @if let Some((filter, verdict, margin)) = page.closest.get(id) {
                             span.quiet { "closest: " (filter) " " (against(verdict, *margin)) }
                         }
                     }
                 }
             }
         }
-        (not_shown(ids.len()))
+        (not_shown(kept.count, kept.shown.len()))
     }
 }
 
-/// At most [`MOST_THUMBS`], evenly from the whole list, so that every sol has its chance.
-fn spread(ids: &[String]) -> impl Iterator<Item = &String> {
-    let shown = ids.len().min(MOST_THUMBS);
-    (0..shown).map(move |index| &ids[index * ids.len() / shown])
-}
-
-fn not_shown(number: usize) -> Markup {
-    html! {
-        @if number > MOST_THUMBS { p.quiet { (count(number - MOST_THUMBS, "photo")) " not shown." } }
-    }
+/// Tells how many of some photos are not among those that are shown.
+pub(super) fn not_shown(number: usize, shown: usize) -> Markup {
+    let rest = number.saturating_sub(shown);
+    html! { @if rest > 0 { p.quiet { (count(rest, "photo")) " not shown." } } }
 }
 
 #[cfg(test)]
@@ -159,15 +149,5 @@ mod tests {
         );
         assert_eq!(said(Some(2.0), None).as_deref(), Some("score 2"));
         assert_eq!(said(None, Some(2.0)), None);
-    }
-
-    #[test]
-    fn a_long_list_is_shown_from_its_whole_length() {
-        for length in [0, 1, 59, 60, 61, 1000] {
-            let ids: Vec<String> = (0..length).map(|index| index.to_string()).collect();
-            let shown: Vec<&String> = spread(&ids).collect();
-            assert_eq!(shown.len(), length.min(MOST_THUMBS), "{length}");
-            assert!(shown.windows(2).all(|pair| pair[0] != pair[1]), "{length}");
-        }
     }
 }

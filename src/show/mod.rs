@@ -22,10 +22,12 @@ mod pictures;
 mod quality;
 mod read;
 mod review;
+mod sets;
 mod sizes;
 mod thumbs;
 mod tune;
 mod vector;
+mod verdicts;
 
 #[cfg(test)]
 mod fixture;

@@ -1,45 +1,67 @@
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use marf_stage::{Document, VERDICTS, Verdict};
+use marf_stage::{Document, PHOTOS, VERDICTS};
 use maud::{Markup, html};
 
 use super::embed::Pictures;
 use super::input::{NodeView, ReportInput, State};
-use super::photos::{PhotoIndex, verdicts};
+use super::photos::{Kept, PhotoIndex, Spot, last_photo_nodes};
 use super::read::{Missing, read, unreadable};
+use super::sets::Set;
+use super::verdicts::{ClosestCall, Summary, closest_calls};
 
-/// What all sections share: the input, the photos by id, and the pictures embedded so far.
+/// What all sections share: the input, the verdicts summed up, the photos that are shown, and the pictures embedded so far.
 pub(super) struct Page<'a> {
     pub(super) input: &'a ReportInput<'a>,
     pub(super) photos: PhotoIndex,
     pub(super) pictures: Pictures,
-    /// By the name of the node, each read once.
-    verdicts: BTreeMap<&'a str, Result<Vec<Verdict>, Missing>>,
+    /// What stayed, by the nodes that no other node filters further.
+    pub(super) kept: Vec<(&'a NodeView, Result<Kept, Missing>)>,
+    /// The closest call on each photo of `kept`.
+    pub(super) closest: BTreeMap<String, ClosestCall<'a>>,
+    judged: Vec<(&'a NodeView, Result<Summary, Missing>)>,
 }
 
 impl<'a> Page<'a> {
     pub(super) fn new(input: &'a ReportInput<'a>) -> Self {
-        let judged = input
-            .nodes
+        let open = |output| {
+            let nodes = input.nodes.iter();
+            nodes.filter_map(move |node| Some((node, Set::open(input, node, output)?)))
+        };
+        let verdicts: Vec<_> = open(VERDICTS).collect();
+        let sum = |set: &Result<Set<'_>, Missing>| Summary::of(input, set.as_ref().map_err(Clone::clone)?);
+        let judged: Vec<_> = verdicts.iter().map(|(node, set)| (*node, sum(set))).collect();
+        let last = last_photo_nodes(input);
+        let kept: Vec<_> = open(PHOTOS)
+            .filter(|(node, _)| last.contains(&node.name.as_str()))
+            .map(|(node, set)| (node, set.and_then(|set| Kept::new(input, &set))))
+            .collect();
+        let kept_spots: BTreeSet<Spot> = kept
             .iter()
-            .filter(|node| node.outputs.contains_key(VERDICTS));
+            .filter_map(|(_, kept)| kept.as_ref().ok())
+            .flat_map(|kept| kept.shown.iter().cloned())
+            .collect();
+        let summaries = judged.iter().filter_map(|(_, sum)| sum.as_ref().ok());
+        let spots = summaries
+            .flat_map(Summary::spots)
+            .chain(kept_spots.iter().cloned());
         Self {
-            verdicts: judged
-                .map(|node| (node.name.as_str(), verdicts(input, node)))
-                .collect(),
-            input,
-            photos: PhotoIndex::new(input),
+            photos: PhotoIndex::new(open(PHOTOS).map(|(_, set)| set), spots),
             pictures: Pictures::default(),
+            closest: closest_calls(
+                verdicts.iter().filter_map(|(_, set)| set.as_ref().ok()),
+                &kept_spots,
+            ),
+            kept,
+            judged,
+            input,
         }
     }
 
-    /// Returns the verdicts of a node, sol by sol; none of a node without.
-    pub(super) fn verdicts(&self, node: &NodeView) -> Result<&[Verdict], &Missing> {
-        match self.verdicts.get(node.name.as_str()) {
-            Some(verdicts) => verdicts.as_deref(),
-            None => Ok(&[]),
-        }
+    /// Returns the nodes that gave verdicts, with these summed up.
+    pub(super) fn judged(&self) -> impl Iterator<Item = (&'a NodeView, Result<&Summary, &Missing>)> {
+        self.judged.iter().map(|(node, sum)| (*node, sum.as_ref()))
     }
 
     /// Nodes that have an output of this name.

@@ -1,14 +1,21 @@
-use std::collections::btree_map::Entry;
+//! The photos that the page shows; a million others are not read.
+
 use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::Digest;
-use marf_cache::manifest::{Leaf, LeafRef, ManifestError, Row};
+use marf_cache::manifest::{BlockRef, LeafRef, Row};
 use marf_scene::PhotoFacts;
-use marf_stage::{PHOTOS, VERDICTS, Verdict};
+use marf_stage::PHOTOS;
+use serde::{Serialize, de::DeserializeOwned};
 
-use super::input::{NodeView, ReportInput};
-use super::read::{Missing, not_stored, read, unreadable};
-use crate::sets;
+use super::input::ReportInput;
+use super::read::Missing;
+use super::sets::Set;
+
+/// Most photos of one node that are shown.
+const MOST_KEPT: usize = 30;
+/// Version of the memos: to be raised when other photos would be drawn from the same set.
+const VERSION: u32 = 1;
 
 /// A photo as the manifests know it.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,25 +26,46 @@ pub(super) struct PhotoEntry {
     pub(super) image: Option<Digest>,
 }
 
-/// All photos of the run by id, and the ids each node passed on.
+/// Where a photo is looked for: its sol, and its id.
+pub(super) type Spot = (u32, String);
+
+/// Photos by id, and what of the sets could not be read.
 #[derive(Debug, Default)]
 pub(super) struct PhotoIndex {
     entries: BTreeMap<String, PhotoEntry>,
-    ids_by_node: BTreeMap<String, Result<Vec<String>, Missing>>,
+    missing: Vec<Missing>,
 }
 
 impl PhotoIndex {
-    /// Reads every `photos` output, each leaf once.
-    pub(super) fn new(input: &ReportInput<'_>) -> Self {
+    /// Finds photos in the sets of a run. One that is not in its sol (the twin of a duplicate may be of any) is looked
+    /// for in all sols of the sources.
+    pub(super) fn new<'a>(
+        sets: impl Iterator<Item = Result<Set<'a>, Missing>>,
+        wanted: impl Iterator<Item = Spot>,
+    ) -> Self {
         let mut index = Self::default();
-        let mut leaves: BTreeMap<Digest, Vec<String>> = BTreeMap::new();
-        for node in input
-            .nodes
-            .iter()
-            .filter(|node| node.outputs.contains_key(PHOTOS))
-        {
-            let ids = index.read_node(input, node, &mut leaves);
-            index.ids_by_node.insert(node.name.clone(), ids);
+        let sets: Vec<_> = sets
+            .filter_map(|set| set.map_err(|missing| index.miss(missing)).ok())
+            .collect();
+        let mut by_shard: BTreeMap<u32, BTreeSet<String>> = BTreeMap::new();
+        for (shard, id) in wanted {
+            by_shard.entry(shard).or_default().insert(id);
+        }
+        let mut elsewhere = BTreeSet::new();
+        for (shard, mut ids) in by_shard {
+            for set in &sets {
+                index.look(set, set.leaves_of(shard), &mut ids);
+            }
+            elsewhere.append(&mut ids);
+        }
+        elsewhere.retain(|id| !index.entries.contains_key(id));
+        for set in sets.iter().filter(|set| set.is_of_source()) {
+            for block in &set.blocks {
+                if elsewhere.is_empty() {
+                    return index;
+                }
+                index.look(set, set.leaves(block), &mut elsewhere);
+            }
         }
         index
     }
@@ -47,47 +75,36 @@ impl PhotoIndex {
         self.entries.get(id)
     }
 
-    /// Ids of the photos a node passed on, in the order of the manifest.
-    pub(super) fn ids_of(&self, node: &str) -> Option<&Result<Vec<String>, Missing>> {
-        self.ids_by_node.get(node)
-    }
-
-    /// Manifests that could not be read, and why.
+    /// Parts of manifests that could not be read, and why.
     pub(super) fn missing(&self) -> impl Iterator<Item = &Missing> {
-        self.ids_by_node.values().filter_map(|ids| ids.as_ref().err())
+        self.missing.iter()
     }
 
-    fn read_node(
-        &mut self,
-        input: &ReportInput<'_>,
-        node: &NodeView,
-        known: &mut BTreeMap<Digest, Vec<String>>,
-    ) -> Result<Vec<String>, Missing> {
-        let mut ids = Vec::new();
-        for part in leaves(input, node, PHOTOS)? {
-            let of_leaf = match known.entry(part.leaf) {
-                Entry::Occupied(known) => known.into_mut(),
-                Entry::Vacant(place) => place.insert(self.read_leaf(input, node, &part.leaf)?),
-            };
-            ids.extend(of_leaf.iter().cloned());
+    /// Keeps the photos of some leaves that are looked for, and takes their ids from `ids`.
+    fn look(&mut self, set: &Set<'_>, leaves: Result<Vec<LeafRef>, Missing>, ids: &mut BTreeSet<String>) {
+        let leaves = leaves.unwrap_or_else(|missing| {
+            self.miss(missing);
+            Vec::new()
+        });
+        for leaf in leaves {
+            if ids.is_empty() {
+                return;
+            }
+            match set.photos(&leaf) {
+                Ok(rows) => {
+                    for row in rows.iter().filter(|row| ids.remove(&row.id)) {
+                        self.entries.insert(row.id.clone(), entry(row));
+                    }
+                }
+                Err(missing) => self.miss(missing),
+            }
         }
-        Ok(ids)
     }
 
-    fn read_leaf(
-        &mut self,
-        input: &ReportInput<'_>,
-        node: &NodeView,
-        digest: &Digest,
-    ) -> Result<Vec<String>, Missing> {
-        let what = format!("A part of {PHOTOS} of {}", node.name);
-        let bytes = (input.read)(digest).ok_or_else(|| Missing(not_stored(&what, digest)))?;
-        let leaf = Leaf::decode(&bytes).map_err(|error| unreadable(node, PHOTOS, &error))?;
-        let ids = leaf.rows.iter().map(|row| row.id.clone()).collect();
-        for row in leaf.rows {
-            self.entries.entry(row.id.clone()).or_insert_with(|| entry(&row));
+    fn miss(&mut self, missing: Missing) {
+        if !self.missing.contains(&missing) {
+            self.missing.push(missing);
         }
-        Ok(ids)
     }
 }
 
@@ -110,58 +127,120 @@ fn entry(row: &Row) -> PhotoEntry {
     }
 }
 
-/// Nodes whose photos no other node filters further.
-pub(super) fn last_photo_nodes<'a>(input: &'a ReportInput<'_>) -> Vec<&'a NodeView> {
-    let with_photos = || {
-        input
-            .nodes
-            .iter()
-            .filter(|node| node.outputs.contains_key(PHOTOS))
-    };
-    let consumed: BTreeSet<&str> = with_photos()
+/// Names of the nodes whose photos no other node filters further.
+pub(super) fn last_photo_nodes<'a>(input: &'a ReportInput<'_>) -> Vec<&'a str> {
+    let nodes = input.nodes.iter();
+    let with_photos: Vec<_> = nodes.filter(|node| node.outputs.contains_key(PHOTOS)).collect();
+    let consumed: BTreeSet<&str> = with_photos
+        .iter()
         .flat_map(|node| node.upstream.iter().map(|(_, upstream)| upstream.as_str()))
         .collect();
-    with_photos()
-        .filter(|node| !consumed.contains(node.name.as_str()))
-        .collect()
+    let names = with_photos.iter().map(|node| node.name.as_str());
+    names.filter(|name| !consumed.contains(name)).collect()
 }
 
-/// Reads the verdicts of a node, sol by sol.
-pub(super) fn verdicts(input: &ReportInput<'_>, node: &NodeView) -> Result<Vec<Verdict>, Missing> {
-    let mut verdicts = Vec::new();
-    for leaf in leaves(input, node, VERDICTS)? {
-        let what = format!("A part of {VERDICTS} of {}", node.name);
-        let bytes = (input.read)(&leaf.leaf).ok_or_else(|| Missing(not_stored(&what, &leaf.leaf)))?;
-        verdicts.extend(sets::parse(&bytes).map_err(|error| unreadable(node, VERDICTS, &error))?);
-    }
-    Ok(verdicts)
+/// What stayed at the end of the filters.
+pub(super) struct Kept {
+    /// Number of photos.
+    pub(super) count: usize,
+    /// At most [`MOST_KEPT`] of them, in the order of the set.
+    pub(super) shown: Vec<Spot>,
 }
 
-/// Reads the leaves of an output that is a set.
-fn leaves(input: &ReportInput<'_>, node: &NodeView, output: &str) -> Result<Vec<LeafRef>, Missing> {
-    /// Why a set cannot be read.
-    enum Fault {
-        Lost(Digest),
-        Malformed(ManifestError),
-    }
-    impl From<ManifestError> for Fault {
-        fn from(error: ManifestError) -> Self {
-            Self::Malformed(error)
+/// A photo in the order of the digests of ids: the first few are a sample in which every photo has the same chance, and
+/// which a new sol changes little.
+type Drawn = (Digest, Spot);
+
+impl Kept {
+    /// Draws from a set, by what earlier reports have drawn from its blocks.
+    pub(super) fn new(input: &ReportInput<'_>, set: &Set<'_>) -> Result<Self, Missing> {
+        let mut drawn = Vec::new();
+        for block in &set.blocks {
+            let key = Digest::of(format!("sample {VERSION} {}", block.digest).as_bytes());
+            drawn.extend(remembered(input, &key, || sample(set, block))?);
+            drawn.sort();
+            drawn.truncate(MOST_KEPT);
         }
+        let mut shown: Vec<Spot> = drawn.into_iter().map(|(_, spot): Drawn| spot).collect();
+        shown.sort();
+        Ok(Self {
+            count: set.rows() as usize,
+            shown,
+        })
     }
-    // The root itself has its own words where it is missing.
-    read(input, node, output)?;
-    let root = node
-        .outputs
-        .get(output)
-        .copied()
-        .unwrap_or_else(|| Digest::of(&[]));
-    let get = |digest: &Digest| (input.read)(digest).ok_or(Fault::Lost(*digest));
-    sets::leaves(&root, get).map_err(|fault| match fault {
-        Fault::Lost(digest) => Missing(not_stored(
-            &format!("A part of {output} of {}", node.name),
-            &digest,
-        )),
-        Fault::Malformed(error) => unreadable(node, output, &error),
-    })
+}
+
+fn sample(set: &Set<'_>, block: &BlockRef) -> Result<Vec<Drawn>, Missing> {
+    let mut drawn: Vec<Drawn> = Vec::new();
+    for leaf in set.leaves(block)? {
+        let rows = set.photos(&leaf)?.into_iter();
+        drawn.extend(rows.map(|row| (Digest::of(row.id.as_bytes()), (leaf.shard, row.id))));
+        drawn.sort();
+        drawn.truncate(MOST_KEPT);
+    }
+    Ok(drawn)
+}
+
+/// Returns what an earlier report made of the same objects, or makes it.
+pub(super) fn remembered<T: Serialize + DeserializeOwned>(
+    input: &ReportInput<'_>,
+    key: &Digest,
+    make: impl FnOnce() -> Result<T, Missing>,
+) -> Result<T, Missing> {
+    let known = input.memos.load(key);
+    if let Some(known) = known.and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
+        return Ok(known);
+    }
+    let made = make()?;
+    // Strings and finite numbers always serialise; a table that is empty is made anew.
+    input
+        .memos
+        .save(key, &serde_json::to_vec(&made).unwrap_or_default());
+    Ok(made)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use marf_cache::manifest::{Leaf, LeafRef, Root};
+    use marf_stage::PHOTOS;
+
+    use super::*;
+    use crate::show::fixture::{self, giving, node};
+
+    /// Draws from a set of sols with ten photos each.
+    fn drawn(sols: u32) -> BTreeSet<Spot> {
+        let mut store = fixture::Store::default();
+        let mut leaf = |shard: u32| {
+            let ids = (0..10).map(|at| format!("{shard:04}-{at}.jpg"));
+            let rows: Vec<Row> = ids.map(|id| fixture::row(&mut store, &id, 9)).collect();
+            let rows_here = rows.len() as u32;
+            LeafRef {
+                shard,
+                leaf: store.put(&Leaf::new(rows).unwrap().encode()),
+                rows: rows_here,
+            }
+        };
+        let leaves = (0..sols).map(&mut leaf).collect();
+        let Ok(root) = Root { leaves }.write(|bytes| Ok::<_, std::convert::Infallible>(store.put(bytes)));
+        let nodes = [giving(node("extract", &[]), [(PHOTOS, root)])];
+        store.with_input(&nodes, |input| {
+            let set = Set::open(input, &input.nodes[0], PHOTOS).unwrap().ok().unwrap();
+            let kept = Kept::new(input, &set).ok().unwrap();
+            assert_eq!(kept.count, 10 * sols as usize);
+            kept.shown.into_iter().collect()
+        })
+    }
+
+    #[test]
+    fn few_photos_are_all_shown_and_a_new_sol_changes_few_of_many() {
+        assert_eq!(drawn(0).len(), 0);
+        assert_eq!(drawn(2).len(), 20);
+        let (before, after) = (drawn(100), drawn(101));
+        assert_eq!((before.len(), after.len()), (MOST_KEPT, MOST_KEPT));
+        assert!(before.difference(&after).count() <= 3);
+        // Across both blocks.
+        assert!(before.iter().any(|(shard, _)| *shard < 64) && before.iter().any(|(shard, _)| *shard >= 64));
+    }
 }

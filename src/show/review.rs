@@ -1,20 +1,15 @@
 //! How firm the verdicts are: what another threshold would change, and which photos are the closest calls.
 
-use std::collections::BTreeMap;
-
-use marf_stage::{VERDICTS, Verdict};
+use marf_stage::Verdict;
 use maud::{Markup, html};
 
 use super::format::{count, number};
 use super::page::Page;
 use super::thumbs::{name_of, thumb};
+use super::verdicts::{Judged, Summary};
 
 /// Thresholds that are tried, as multiples of those in force.
 pub const FACTORS: [f64; 6] = [0.8, 0.9, 0.95, 1.05, 1.1, 1.2];
-/// Closest calls shown for each filter.
-const CLOSEST: usize = 6;
-/// What is further from its threshold than this share of it is no close call.
-const NEAR: f64 = 0.5;
 
 /// A verdict that rests on a score and a threshold.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -62,35 +57,13 @@ pub fn calls(verdicts: &[Verdict]) -> Vec<Call> {
     verdicts.iter().filter_map(Call::of).collect()
 }
 
-/// For each photo the verdict that was closest to falling the other way, and the node that gave it.
-pub(super) type Closest<'a> = BTreeMap<String, (&'a str, Verdict, f64)>;
-
-/// Returns the closest call of every photo of the run.
-pub(super) fn closest<'a>(page: &Page<'a>) -> Closest<'a> {
-    let mut closest = Closest::new();
-    for node in page.with_output(VERDICTS) {
-        for verdict in page.verdicts(node).unwrap_or_default() {
-            let Some(call) = Call::of(verdict) else { continue };
-            let margin = call.margin();
-            let nearer = closest
-                .get(&verdict.id)
-                .is_none_or(|(_, _, known)| margin.abs() < known.abs());
-            if nearer {
-                closest.insert(verdict.id.clone(), (&node.name, verdict.clone(), margin));
-            }
-        }
-    }
-    closest
-}
-
 /// Draws the table of other thresholds, and the closest calls of each filter.
 pub(super) fn body(page: &Page<'_>) -> Markup {
-    let judged: Vec<(&str, &[Verdict])> = page
-        .with_output(VERDICTS)
-        .filter_map(|node| Some((node.name.as_str(), page.verdicts(node).ok()?)))
-        .filter(|(_, verdicts)| verdicts.iter().any(|verdict| Call::of(verdict).is_some()))
+    let judged: Vec<(&str, &Summary)> = page
+        .judged()
+        .filter_map(|(node, sum)| Some((node.name.as_str(), sum.ok()?)))
         .collect();
-    if judged.is_empty() {
+    if judged.iter().all(|(_, sum)| sum.calls == 0) {
         return page.absent("verdicts with a score and a threshold");
     }
     html! {
@@ -101,67 +74,56 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
                 th { "Filter" } th.number { "Judged by score" } th.number { "Rejected" }
                 @for factor in FACTORS { th.number { (percent(factor - 1.0)) } }
             } }
-            tbody { @for (name, verdicts) in &judged { (row(name, &calls(verdicts))) } }
+            tbody { @for (name, sum) in &judged { @if sum.calls > 0 { (row(name, sum)) } } }
         } }
-        (overruled(page))
-        @for (name, verdicts) in &judged { (closest_of(page, name, verdicts)) }
+        (overruled(&judged))
+        @for (name, sum) in &judged { (closest_of(page, name, sum)) }
     }
 }
 
-fn row(name: &str, calls: &[Call]) -> Markup {
-    let flips = |factor: f64| calls.iter().filter(|call| call.flips_at(factor)).count();
+fn row(name: &str, sum: &Summary) -> Markup {
     html! {
         tr {
             td { (name) }
-            td.number { (calls.len()) }
-            td.number { (calls.iter().filter(|call| !call.keeps).count()) }
-            @for factor in FACTORS { td.number { (flips(factor)) } }
+            td.number { (sum.calls) }
+            td.number { (sum.calls_rejected) }
+            @for flips in sum.flips { td.number { (flips) } }
         }
     }
 }
 
 /// Verdicts that a person has given.
-fn overruled(page: &Page<'_>) -> Markup {
-    let all = page.with_output(VERDICTS).flat_map(|node| {
-        let verdicts = page.verdicts(node).unwrap_or_default();
-        verdicts.iter().map(|verdict| (node.name.as_str(), verdict))
-    });
-    let overruled: Vec<(&str, &Verdict)> = all
-        .filter(|(_, verdict)| {
-            verdict.reason.starts_with("kept by hand, against")
-                || verdict.reason.starts_with("rejected by hand")
-        })
-        .collect();
+fn overruled(judged: &[(&str, &Summary)]) -> Markup {
     html! {
-        @if !overruled.is_empty() {
+        @if judged.iter().any(|(_, sum)| !sum.by_hand.is_empty()) {
             h3 { "Overruled by hand" }
             div.scroll { table {
                 thead { tr { th { "File" } th { "Filter" } th { "What" } } }
-                tbody { @for (node, verdict) in &overruled {
+                tbody { @for (node, sum) in judged { @for Judged { verdict, .. } in &sum.by_hand {
                     tr { td.file { (verdict.file) } td { (node) } td { (verdict.reason) } }
-                } }
+                } } }
             } }
         }
     }
 }
 
-fn closest_of(page: &Page<'_>, name: &str, verdicts: &[Verdict]) -> Markup {
-    let mut near: Vec<(f64, &Verdict)> = verdicts
+fn closest_of(page: &Page<'_>, name: &str, sum: &Summary) -> Markup {
+    // What an archive's reader rejects has become no photo.
+    let calls = sum
+        .closest
         .iter()
-        .filter_map(|verdict| Some((Call::of(verdict)?.margin(), verdict)))
-        .filter(|(margin, verdict)| margin.abs() <= NEAR && page.photos.get(&verdict.id).is_some())
-        .collect();
-    near.sort_by(|a, b| a.0.abs().total_cmp(&b.0.abs()).then_with(|| a.1.id.cmp(&b.1.id)));
+        .filter(|judged| page.photos.get(&judged.verdict.id).is_some())
+        .filter_map(|judged| Some((&judged.verdict, Call::of(&judged.verdict)?.margin())));
     html! {
-        @if !near.is_empty() {
-            h3 { (name) ": closest calls, " (count(near.len(), "verdict")) " of " (verdicts.len()) " within half of their threshold" }
+        @if sum.near > 0 {
+            h3 { (name) ": closest calls, " (count(sum.near, "verdict")) " of " (sum.seen) " within half of their threshold" }
             div.gallery.small {
-                @for (margin, verdict) in near.iter().take(CLOSEST) {
+                @for (verdict, margin) in calls {
                     figure {
                         (thumb(page, &verdict.id, "closest call"))
                         figcaption {
                             span.file { (name_of(page, &verdict.id)) }
-                            span { (if verdict.keeps() { "kept" } else { "rejected" }) ", " (against(verdict, *margin)) }
+                            span { (if verdict.keeps() { "kept" } else { "rejected" }) ", " (against(verdict, margin)) }
                             @if verdict.keeps() && !verdict.reason.is_empty() { span.quiet { (verdict.reason) } }
                         }
                     }

@@ -234,10 +234,10 @@ fn a_long_list_of_rejected_photos_is_cut_and_counted() {
         (PHOTOS, store.put_photos(rows)),
         (VERDICTS, store.put_verdicts(&verdicts)),
     ];
-    let html = store.report(&[giving(node("blur", &[]), outputs)]);
+    let html = store.report(&[node("extract", &[]), giving(node("blur", &["extract"]), outputs)]);
     assert!(html.contains("blur: 75 photos of 75"), "{html}");
     assert_eq!(
-        html.matches("15 photos not shown.").count(),
+        html.matches("45 photos not shown.").count(),
         2,
         "rejected and kept"
     );

@@ -383,8 +383,8 @@ impl<'a> Marker<'a> {
         };
         // Bytes that begin as a set and are none name nothing.
         for block in Root::blocks(&bytes).unwrap_or_default() {
-            self.blob(&block, Role::Block, root)?;
-            let Some(bytes) = self.read(&block, Role::Block, root)? else {
+            self.blob(&block.digest, Role::Block, root)?;
+            let Some(bytes) = self.read(&block.digest, Role::Block, root)? else {
                 continue;
             };
             for leaf in Root::decode_leaves(&bytes).unwrap_or_default() {

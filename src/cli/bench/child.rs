@@ -3,7 +3,7 @@
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::Path;
 use std::process::{Command, Stdio};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use serde::Serialize;
 use serde_json::Value;
@@ -12,6 +12,9 @@ use super::super::error::{CliError, Diagnostic};
 
 /// Ticks a second in /proc/self/stat, on every Linux.
 const TICKS_PER_S: f64 = 100.0;
+
+/// Time between two looks at the memory of a program.
+const BETWEEN_LOOKS: Duration = Duration::from_millis(1);
 
 /// What a program cost.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
@@ -53,15 +56,17 @@ pub fn run(dir: &Path, arguments: &[&str]) -> Result<(Cost, Vec<Value>), CliErro
         let read = stderr.map(|mut stderr| stderr.read_to_string(&mut text));
         read.transpose().map(|_| text)
     });
+    let pid = child.id();
+    let peak = std::thread::spawn(move || peak_until_end(pid));
     let mut lines = Vec::new();
-    let mut peak_mb = 0;
     for line in stdout
         .into_iter()
         .flat_map(|stdout| BufReader::new(stdout).lines())
     {
         lines.extend(serde_json::from_str(&line.map_err(io)?).ok());
-        peak_mb = peak_mb.max(peak_of(child.id()));
     }
+    // Before the child is waited for, so that its number is still its own.
+    let peak_mb = peak.join().unwrap_or_default();
     let status = child.wait().map_err(io)?;
     let cost = Cost {
         wall_s: began.elapsed().as_secs_f64(),
@@ -89,12 +94,22 @@ fn children_cpu_s() -> f64 {
     ticks / TICKS_PER_S
 }
 
-/// Returns the largest memory of a running program so far, in MB; 0 where the system does not tell.
-fn peak_of(pid: u32) -> u64 {
-    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-    let kb = line.and_then(|line| line.trim().trim_end_matches("kB").trim().parse::<u64>().ok());
-    kb.unwrap_or(0) / 1024
+/// Returns the largest memory of a program up to its last look before it ends, in MB; 0 where the system does not tell.
+fn peak_until_end(pid: u32) -> u64 {
+    let mut last_kb = 0;
+    while let Some(kb) = peak_kb(pid) {
+        last_kb = kb;
+        std::thread::sleep(BETWEEN_LOOKS);
+    }
+    last_kb / 1024
+}
+
+/// Returns the largest memory of a running program so far; nothing once it ended (a program that is not yet waited for
+/// has no memory).
+fn peak_kb(pid: u32) -> Option<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    line.trim().trim_end_matches("kB").trim().parse().ok()
 }
 
 /// Returns the bytes of all files below a folder.

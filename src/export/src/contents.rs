@@ -210,7 +210,7 @@ impl Contents {
             let bytes = object(read, &digest, || title.clone())?;
             // What an archive lists is a set whose leaves are fingerprints; any other input is no set.
             for block in marf_cache::manifest::Root::blocks(&bytes).unwrap_or_default() {
-                self.add_object(block, Purpose::Record);
+                self.add_object(block.digest, Purpose::Record);
             }
             let ending = if name == LISTING { ".jsonl" } else { "" };
             self.add(

@@ -29,6 +29,7 @@ pub fn members(root: &Digest, read: &ReadObject<'_>, what: &str) -> Result<Membe
     };
     let bytes = object(read, root, || what.to_owned())?;
     let blocks = Root::blocks(&bytes).map_err(bad)?;
+    let blocks: Vec<Digest> = blocks.into_iter().map(|block| block.digest).collect();
     let mut leaves = Vec::new();
     for block in &blocks {
         let bytes = object(read, block, || format!("a block of {what}"))?;

@@ -123,7 +123,7 @@ fn leaves(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<LeafRef>, StageError> {
     let root = ctx.get(inputs.required(PHOTOS)?)?;
     let mut leaves = Vec::new();
     for block in Root::blocks(&root).map_err(fail)? {
-        leaves.extend(Root::decode_leaves(&ctx.get(&block)?).map_err(fail)?);
+        leaves.extend(Root::decode_leaves(&ctx.get(&block.digest)?).map_err(fail)?);
     }
     Ok(leaves)
 }
