@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::{Output, canonical_json};
-use marf_engine::{NodeState, RunRecord, action_at, document};
+use marf_engine::{NodeRun, NodeState, RunRecord, action_at, document};
 use serde_json::Value;
 
 use super::error::CliError;
@@ -47,16 +47,23 @@ fn resolved(session: &Session, record: &RunRecord) -> Result<Value, CliError> {
         let Some(action) = action.flatten() else { continue };
         let is_on_cpu =
             action.backend.is_none() && action.children.values().all(|child| child.backend.is_none());
-        let has_device = marf_stages::stages()
-            .iter()
-            .filter(|def| def.name == node.stage)
-            .any(|def| (def.schema)().to_value()["properties"].get(DEVICE).is_some());
-        let table = tree["node"][&node.name].as_object_mut();
-        if let Some(table) = table.filter(|_| is_on_cpu && has_device) {
-            table.insert(DEVICE.to_owned(), "cpu".into());
+        if is_on_cpu {
+            put_on_cpu(&mut tree, node);
         }
     }
     Ok(tree)
+}
+
+/// Sets `device = "cpu"` in the table of a node of a pipeline, if its stage can run on several devices.
+pub fn put_on_cpu(tree: &mut Value, node: &NodeRun) {
+    let has_device = marf_stages::stages()
+        .iter()
+        .filter(|def| def.name == node.stage)
+        .any(|def| (def.schema)().to_value()["properties"].get(DEVICE).is_some());
+    let table = tree["node"].get_mut(&node.name).and_then(Value::as_object_mut);
+    if let Some(table) = table.filter(|_| has_device) {
+        table.insert(DEVICE.to_owned(), "cpu".into());
+    }
 }
 
 /// Returns the document that the last run of the pipeline has under a name, if this run did nothing and ended as that one:

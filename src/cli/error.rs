@@ -38,6 +38,8 @@ pub enum Answer {
     Changed,
     /// A replay gave something else: exit code 7.
     Differs,
+    /// A replay could not make everything again here, and what it made is equal: exit code 9.
+    NotMade,
 }
 
 impl Answer {
@@ -49,6 +51,7 @@ impl Answer {
             Self::Incomplete => 5,
             Self::Changed => 6,
             Self::Differs => 7,
+            Self::NotMade => 9,
         }
     }
 }

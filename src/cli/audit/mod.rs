@@ -152,11 +152,11 @@ fn told(answer: Answer, file: &Path) -> Result<(), CliError> {
     let file = file.display();
     let said = |message: String| Err(CliError::Answered(answer, Diagnostic::new(message)));
     match answer {
-        Answer::Whole => Ok(()),
+        // The last two are answers of a replay.
+        Answer::Whole | Answer::Differs | Answer::NotMade => Ok(()),
         Answer::NotOurs => said(format!("{file} was not made by a run of this store")),
         Answer::Altered => said(format!("{file}, or something that it was made from, was altered")),
         Answer::Incomplete => said(format!("not all of what {file} was made from is in the store")),
         Answer::Changed => said(format!("an archive has changed a product of {file} since")),
-        Answer::Differs => said(format!("{file} differs")),
     }
 }

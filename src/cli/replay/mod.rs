@@ -9,7 +9,7 @@ use clap::Args;
 use marf_cache::Store;
 use marf_engine::{Cancel, Options, Outcome};
 use marf_provenance::lineage::Lineage;
-use marf_provenance::replay::{Replayed, compare};
+use marf_provenance::replay::{NotMade, Replayed, compare};
 use serde::Serialize;
 
 use self::plan::{Plan, plan};
@@ -38,7 +38,8 @@ const AFTER_HELP: &str = "\
 Nothing is asked of any server, and nothing of the first run is used but its root, the files that it read from archives, and \
 the results of stages that are declared to vary (the steps that a time budget bought, COLMAP's cameras).
 Exit codes of the answer: 0 every digest is equal, 3 the file was not made by marf, 5 something that is needed is not in the \
-store any more, 7 something came out otherwise.";
+store any more, 7 something came out otherwise, 9 nothing did, but not everything could be made again here (it ran on another \
+GPU, or failed).";
 
 /// What `--json` prints.
 #[derive(Debug, Serialize)]
@@ -67,7 +68,7 @@ pub fn replay(global: &Global, args: &ReplayArgs, cancel: &Cancel) -> Result<(),
         (None, None) => PathBuf::new(),
     };
     let scratch = empty_store(&dir, cancel)?;
-    let Plan { graph, to, declared } = plan(&lineage, &nodes, &scratch).map_err(incomplete)?;
+    let Plan { graph, to, not_made } = plan(&lineage, &nodes, &scratch).map_err(incomplete)?;
     let options = Options {
         threads: global.threads,
         to,
@@ -80,7 +81,7 @@ pub fn replay(global: &Global, args: &ReplayArgs, cancel: &Cancel) -> Result<(),
     if record.outcome == Outcome::Cancelled {
         return Err(CliError::Interrupted);
     }
-    let replayed = compare(&lineage, &nodes, (&record, &scratch), &declared)?;
+    let replayed = compare(&lineage, &nodes, (&record, &scratch), &not_made)?;
     let report = Report {
         run: lineage.run.number,
         threads: record.threads,
@@ -118,8 +119,8 @@ fn text(report: &Report<'_>) -> String {
     let mut lines = Vec::new();
     for node in report.nodes {
         let word = match (&node.not_made, node.differs.len()) {
-            (Some(why), _) if node.is_declared => format!("taken over: {why}"),
-            (Some(why), _) => format!("not made: {why}"),
+            (Some(NotMade::TakenOver(why)), _) => format!("taken over: {why}"),
+            (Some(NotMade::NotMade(why)), _) => format!("not made: {why}"),
             (None, 0) => format!("equal, {} outputs", node.equal),
             (None, count) => format!("differs, {count} of {} outputs", node.equal + count as u64),
         };
@@ -133,17 +134,26 @@ fn text(report: &Report<'_>) -> String {
     let count = |wanted: fn(&Replayed) -> bool| report.nodes.iter().filter(|node| wanted(node)).count();
     let outputs: u64 = report.nodes.iter().map(|node| node.equal).sum();
     lines.push(format!(
-        "run {} on {} threads: {outputs} outputs of {} nodes are equal, {} nodes differ, {} are declared to vary",
+        "run {} on {} threads: {outputs} outputs of {} nodes are equal, {} nodes differ, {} are declared to vary, {} were not made",
         report.run,
         report.threads,
-        count(|node| node.not_made.is_none() && node.differs.is_empty()),
-        count(|node| !node.is_equal()),
-        count(|node| node.is_declared),
+        count(Replayed::is_equal),
+        count(differs),
+        count(|node| matches!(node.not_made, Some(NotMade::TakenOver(_)))),
+        count(is_missing),
     ));
-    if let Some(first) = report.nodes.iter().find(|node| !node.is_equal()) {
+    if let Some(first) = report.nodes.iter().find(|node| differs(node)) {
         lines.push(format!("the first that differs is `{}`", first.node));
     }
     lines.join("\n")
+}
+
+fn differs(node: &Replayed) -> bool {
+    !node.differs.is_empty()
+}
+
+fn is_missing(node: &Replayed) -> bool {
+    matches!(node.not_made, Some(NotMade::NotMade(_)))
 }
 
 /// Most values of a document that are named.
@@ -171,15 +181,64 @@ fn difference(output: &marf_provenance::replay::DifferingOutput) -> String {
     text
 }
 
+/// Ends the verb with the code of the answer: a difference is one whatever could not be made.
 fn told(report: &Report<'_>) -> Result<(), CliError> {
-    match report.nodes.iter().find(|node| !node.is_equal()) {
-        None => Ok(()),
-        Some(first) => Err(CliError::Answered(
+    let first = |wanted: fn(&Replayed) -> bool| report.nodes.iter().find(|node| wanted(node));
+    let (answer, said) = match (first(differs), first(is_missing)) {
+        (Some(node), _) => (
             Answer::Differs,
-            Diagnostic::new(format!(
-                "run {} did not come out as it was, first at `{}`",
-                report.run, first.node
-            )),
-        )),
+            format!("did not come out as it was, first at `{}`", node.node),
+        ),
+        (None, Some(node)) => (
+            Answer::NotMade,
+            format!("could not all be made again here, first `{}`", node.node),
+        ),
+        (None, None) => return Ok(()),
+    };
+    let diagnostic = Diagnostic::new(format!("run {} {said}", report.run));
+    Err(CliError::Answered(answer, diagnostic))
+}
+
+#[cfg(test)]
+mod tests {
+    use marf_provenance::replay::DifferingOutput;
+
+    use super::*;
+
+    fn node(differs: &[&str], not_made: Option<NotMade>) -> Replayed {
+        let output = |name: &&str| DifferingOutput {
+            output: (*name).to_owned(),
+            was: None,
+            is: None,
+            difference: None,
+        };
+        Replayed {
+            node: "n".to_owned(),
+            equal: 1,
+            differs: differs.iter().map(output).collect(),
+            not_made,
+        }
+    }
+
+    #[test]
+    fn a_difference_counts_before_what_could_not_be_made_and_that_before_what_is_equal() {
+        let made = || node(&[], None);
+        let taken_over = || node(&[], Some(NotMade::TakenOver("it varies".to_owned())));
+        let missing = || node(&[], Some(NotMade::NotMade("out of memory".to_owned())));
+        let differing = || node(&["field"], None);
+        for (nodes, code) in [
+            (vec![], 0),
+            (vec![made(), taken_over()], 0),
+            (vec![made(), missing(), taken_over()], 9),
+            (vec![missing(), differing(), made()], 7),
+        ] {
+            let told = told(&Report {
+                run: 1,
+                threads: 1,
+                nodes: &nodes,
+            });
+            let found = told.map_or_else(|error| error.code(), |()| std::process::ExitCode::SUCCESS);
+            assert_eq!(found, std::process::ExitCode::from(code), "{nodes:?}");
+        }
     }
 }

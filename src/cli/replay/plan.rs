@@ -7,10 +7,11 @@ use marf_cache::Store;
 use marf_engine::{Graph, RunRecord, document};
 use marf_field::Device;
 use marf_provenance::lineage::{Lineage, NodeLineage};
-use marf_provenance::replay::{copy_archive, copy_record, copy_result, recorded};
+use marf_provenance::replay::{NotMade, copy_archive, copy_record, copy_result, recorded};
 use marf_stage::EARLIER;
 use serde_json::Value;
 
+use crate::cli::documents::put_on_cpu;
 use crate::cli::error::CliError;
 use crate::cli::session::graph_of;
 use crate::config::{GlobalOptions, check_tree};
@@ -22,7 +23,7 @@ pub struct Plan {
     /// The nodes to run, with all that they need.
     pub to: Vec<String>,
     /// Nodes that are not made again, with the reason.
-    pub declared: BTreeMap<String, String>,
+    pub not_made: BTreeMap<String, NotMade>,
 }
 
 /// Prepares a replay of some nodes of a run in an empty store.
@@ -30,7 +31,7 @@ pub struct Plan {
 /// # Errors
 /// What is needed and not in the store any more, a pipeline that this program does not read.
 pub fn plan(lineage: &Lineage<'_>, nodes: &[&NodeLineage], scratch: &Store) -> Result<Plan, CliError> {
-    let tree = resolved(lineage)?;
+    let mut tree = resolved(lineage)?;
     let mut options = GlobalOptions::default();
     for source in nodes
         .iter()
@@ -40,9 +41,16 @@ pub fn plan(lineage: &Lineage<'_>, nodes: &[&NodeLineage], scratch: &Store) -> R
         copy_archive(&archive, lineage.store(), scratch)?;
         options.recorded.insert(source.run.name.clone(), archive);
     }
-    let mut declared = on_other_devices(nodes);
-    let tree = on_the_cpu(tree, &declared);
-    take_over(lineage, nodes, scratch, &mut declared)?;
+    let mut not_made = on_other_devices(nodes);
+    // What is not made looks for no GPU.
+    let wanted: BTreeSet<&str> = nodes.iter().map(|node| node.run.name.as_str()).collect();
+    for node in &lineage.nodes {
+        let name = node.run.name.as_str();
+        if !wanted.contains(name) || not_made.contains_key(name) {
+            put_on_cpu(&mut tree, &node.run);
+        }
+    }
+    take_over(lineage, nodes, scratch, &mut not_made)?;
     continue_from(lineage, nodes, scratch)?;
     let pipeline = check_tree(&tree, &options, Path::new("")).map_err(|error| {
         CliError::failed(format!(
@@ -51,7 +59,7 @@ pub fn plan(lineage: &Lineage<'_>, nodes: &[&NodeLineage], scratch: &Store) -> R
         ))
     })?;
     let is_made = |node: &&&NodeLineage| {
-        !node.is_child() && node.run.state.is_good() && !declared.contains_key(&node.run.name)
+        !node.is_child() && node.run.state.is_good() && !not_made.contains_key(&node.run.name)
     };
     Ok(Plan {
         graph: graph_of(pipeline.nodes)?,
@@ -60,7 +68,7 @@ pub fn plan(lineage: &Lineage<'_>, nodes: &[&NodeLineage], scratch: &Store) -> R
             .filter(is_made)
             .map(|node| node.run.name.clone())
             .collect(),
-        declared,
+        not_made,
     })
 }
 
@@ -77,8 +85,8 @@ fn resolved(lineage: &Lineage<'_>) -> Result<Value, CliError> {
 }
 
 /// Returns the nodes that ran on a GPU that is not here, and those that need them, with the reason.
-fn on_other_devices(nodes: &[&NodeLineage]) -> BTreeMap<String, String> {
-    let mut declared: BTreeMap<String, String> = BTreeMap::new();
+fn on_other_devices(nodes: &[&NodeLineage]) -> BTreeMap<String, NotMade> {
+    let mut not_made = BTreeMap::new();
     let mut here: Option<Option<String>> = None;
     for node in nodes {
         let action = node.action.iter();
@@ -101,26 +109,16 @@ fn on_other_devices(nodes: &[&NodeLineage]) -> BTreeMap<String, String> {
         let needed = needed.map(|made_by| &made_by.node).chain(&node.run.parent);
         let needs = needed
             .into_iter()
-            .find(|name| declared.contains_key(*name))
+            .find(|name| not_made.contains_key(*name))
             .cloned();
         let reason = match (foreign, needs) {
             (Some(backend), _) => format!("it ran on {backend}, which is not here"),
             (None, Some(needs)) => format!("it needs `{needs}`, which is not made here"),
             (None, None) => continue,
         };
-        declared.insert(node.run.name.clone(), reason);
+        not_made.insert(node.run.name.clone(), NotMade::NotMade(reason));
     }
-    declared
-}
-
-/// Returns the pipeline with nodes that are not made here on the CPU, so that none of them looks for its GPU.
-fn on_the_cpu(mut tree: Value, declared: &BTreeMap<String, String>) -> Value {
-    for node in declared.keys() {
-        if let Some(table) = tree["node"].get_mut(node).and_then(Value::as_object_mut) {
-            table.insert("device".to_owned(), "cpu".into());
-        }
-    }
-    tree
+    not_made
 }
 
 /// Takes over the results of nodes that are declared to vary: what follows from them is then made from the same.
@@ -128,17 +126,17 @@ fn take_over(
     lineage: &Lineage<'_>,
     nodes: &[&NodeLineage],
     scratch: &Store,
-    declared: &mut BTreeMap<String, String>,
+    not_made: &mut BTreeMap<String, NotMade>,
 ) -> Result<(), CliError> {
     for node in nodes.iter().filter(|node| node.run.state.is_good()) {
         let (Some(why), Some(key)) = (varies(node), node.run.key) else {
             continue;
         };
-        if declared.contains_key(&node.run.name) {
+        if not_made.contains_key(&node.run.name) {
             continue;
         }
         copy_result(&key, lineage.store(), scratch)?;
-        declared.insert(node.run.name.clone(), why.to_owned());
+        not_made.insert(node.run.name.clone(), NotMade::TakenOver(why.to_owned()));
     }
     Ok(())
 }

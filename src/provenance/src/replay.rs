@@ -130,11 +130,19 @@ pub struct Replayed {
     pub equal: u64,
     /// Outputs that are not.
     pub differs: Vec<DifferingOutput>,
-    /// Why it was not made again, or gave nothing; absent for a node that was.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub not_made: Option<String>,
-    /// Whether that is so by declaration: the stage says that its results may differ.
-    pub is_declared: bool,
+    /// Why there is nothing to compare; absent for a node that was made again.
+    #[serde(flatten)]
+    pub not_made: Option<NotMade>,
+}
+
+/// Why a replay did not make a node again.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NotMade {
+    /// Its stage says that its results may differ, and why; the recorded result was taken over.
+    TakenOver(String),
+    /// It cannot be made here, or failed; why.
+    NotMade(String),
 }
 
 /// An output that came out otherwise.
@@ -152,13 +160,13 @@ pub struct DifferingOutput {
 }
 
 impl Replayed {
-    /// Tells whether the node came out as the run has it, or was taken over by declaration.
+    /// Tells whether the node was made again, to the same digests.
     pub fn is_equal(&self) -> bool {
-        self.differs.is_empty() && (self.not_made.is_none() || self.is_declared)
+        self.not_made.is_none() && self.differs.is_empty()
     }
 }
 
-/// Compares nodes of a run with those of its replay; `declared` holds why nodes were not made again, by name.
+/// Compares nodes of a run with those of its replay; `not_made` holds, by name, the nodes that it was not asked to make.
 ///
 /// # Errors
 /// A store that cannot be read.
@@ -166,7 +174,7 @@ pub fn compare(
     lineage: &Lineage<'_>,
     nodes: &[&NodeLineage],
     (replay, store): (&RunRecord, &Store),
-    declared: &BTreeMap<String, String>,
+    not_made: &BTreeMap<String, NotMade>,
 ) -> Result<Vec<Replayed>, LineageError> {
     let mut compared = Vec::new();
     for node in nodes.iter().filter(|node| node.run.state.is_good()) {
@@ -175,12 +183,11 @@ pub fn compare(
             node: name.clone(),
             equal: 0,
             differs: Vec::new(),
-            not_made: declared.get(name).cloned(),
-            is_declared: declared.contains_key(name),
+            not_made: not_made.get(name).cloned(),
         };
         match replay.node(name).filter(|made| made.state.is_good()) {
-            _ if replayed.is_declared => {}
-            None => replayed.not_made = Some(reason(replay, name)),
+            _ if replayed.not_made.is_some() => {}
+            None => replayed.not_made = Some(NotMade::NotMade(reason(replay, name))),
             Some(made) => outputs((lineage.store(), &node.run), (store, made), &mut replayed)?,
         }
         compared.push(replayed);

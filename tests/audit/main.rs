@@ -5,12 +5,16 @@
     reason = "a test that cannot go on should stop; a skipped test says so"
 )]
 
+mod altered;
+#[path = "../common/mod.rs"]
 mod common;
+mod replay;
 
 use std::path::Path;
 use std::process::Command;
 
 use common::{copy, marf};
+use marf_provenance::stamp::Stamp;
 use serde_json::Value;
 
 /// The built-in Mars with cameras of labels and a short training, in seconds.
@@ -74,7 +78,7 @@ fn every_file_that_a_run_wrote_is_known_wherever_it_lies_and_altered_ones_are_to
         let told = audit(dir.path(), "mailed", &[], 0);
         assert_eq!(told["answer"], "whole", "{file}: {told}");
         let extension = Path::new(file).extension().unwrap().to_str().unwrap();
-        if marf_provenance::stamp::Stamp::off(&bytes).is_some() {
+        if Stamp::off(&bytes).is_some() {
             marked.insert(extension.to_owned());
         }
         let mut altered = bytes;
@@ -177,56 +181,6 @@ fn a_product_leads_to_everything_that_was_made_from_it() {
     marf(dir.path(), &["audit", "--from", "NO_SUCH_PRODUCT"]).exits(3);
 }
 
-#[test]
-fn a_replay_from_the_pinned_bytes_gives_the_same_digests_on_any_number_of_threads() {
-    let dir = ran();
-    for threads in ["1", "2"] {
-        let told = marf(dir.path(), &["replay", "--threads", threads, "--json"]).exits(0);
-        let told: Value = serde_json::from_str(&told.stdout).unwrap();
-        let nodes = told["nodes"].as_array().unwrap();
-        assert_eq!(nodes.len(), 4, "{told}");
-        for node in nodes {
-            assert!(
-                node["equal"].as_u64().unwrap() > 0 && node["not_made"].is_null(),
-                "{node}"
-            );
-            assert_eq!(node["differs"], serde_json::json!([]), "{node}");
-        }
-    }
-    let told = marf(dir.path(), &["replay", "out/calibrate/points.ply"]);
-    let code = if dir.path().join("out/calibrate/points.ply").exists() {
-        0
-    } else {
-        2
-    };
-    assert_eq!(told.code, code, "{}", told.stderr);
-    let one = marf(dir.path(), &["replay", "blur"]).exits(0).stdout;
-    assert!(
-        one.contains("2 nodes are equal") || one.contains("of 2 nodes are equal"),
-        "{one}"
-    );
-    marf(dir.path(), &["replay", "nothing"]).exits(2);
-    marf(dir.path(), &["replay", "99"]).exits(1);
-}
-
-/// A budget buys other steps on each machine; the steps that it bought then are taken over, and the training is equal.
-#[test]
-fn a_training_with_a_budget_is_replayed_by_the_steps_that_it_ran() {
-    let dir = tempfile::tempdir().unwrap();
-    std::fs::write(
-        dir.path().join("pipeline.toml"),
-        PIPELINE.replace("steps = 2", "budget = \"1s\""),
-    )
-    .unwrap();
-    marf(dir.path(), &["run"]).exits(0);
-    let told = marf(dir.path(), &["replay", "train"]).exits(0).stdout;
-    assert!(
-        told.contains("train/pace") && told.contains("taken over: it measures"),
-        "{told}"
-    );
-    assert!(told.contains("0 nodes differ, 1 are declared to vary"), "{told}");
-}
-
 /// Needs Python with the package blake3.
 #[test]
 fn a_script_without_our_code_computes_every_key_again() {
@@ -295,111 +249,6 @@ fn oldest_run(dir: &Path) -> String {
         .collect();
     names.sort();
     names.swap_remove(0)
-}
-
-/// An entry of a pack: its kind, its id and where its payload lies.
-struct Entry {
-    kind: u8,
-    id: String,
-    payload: std::ops::Range<usize>,
-}
-
-/// Returns the entries of a pack, as ARCHITECTURE.md describes it, and the offset of its table.
-fn entries(pack: &[u8]) -> (Vec<Entry>, usize) {
-    let number = |at: usize, bytes: usize| -> usize {
-        pack[at..at + bytes]
-            .iter()
-            .rev()
-            .fold(0, |number, byte| number << 8 | usize::from(*byte))
-    };
-    let (mut at, table, mut found) = (12, number(pack.len() - 52, 8), Vec::new());
-    while at < table {
-        let payload = at + 37..at + 37 + number(at + 33, 4);
-        found.push(Entry {
-            kind: pack[at],
-            id: pack[at + 1..at + 33]
-                .iter()
-                .map(|byte| format!("{byte:02x}"))
-                .collect(),
-            payload: payload.clone(),
-        });
-        at = payload.end;
-    }
-    (found, table)
-}
-
-/// Each kind of file of a store with one bit flipped: who finds it, and by which exit code.
-#[test]
-fn one_bit_in_every_kind_of_file_is_found() {
-    let dir = ran();
-    let status: Value =
-        serde_json::from_str(&marf(dir.path(), &["status", "--json"]).exits(0).stdout).unwrap();
-    let node = |name: &str| {
-        let nodes = status["nodes"].as_array().unwrap();
-        nodes.iter().find(|node| node["name"] == name).unwrap().clone()
-    };
-    let key = node("train")["key"].as_str().unwrap().to_owned();
-    let scene = node("calibrate")["outputs"]["scene"]["digest"]
-        .as_str()
-        .unwrap()
-        .to_owned();
-    let report = status["documents"]["report.html"]["digest"]
-        .as_str()
-        .unwrap()
-        .to_owned();
-    let store = dir.path().join(".marf");
-    let mut names = Vec::new();
-    files(&store, &store, &mut names);
-    let packs: Vec<&String> = names.iter().filter(|name| name.ends_with(".pack")).collect();
-    // The file, the place of the bit, what it is.
-    let mut flips: Vec<(String, usize, &str)> = Vec::new();
-    let mut memos = 0;
-    for pack in packs {
-        let bytes = std::fs::read(store.join(pack)).unwrap();
-        let (found, table) = entries(&bytes);
-        for entry in found {
-            let middle = (entry.payload.start + entry.payload.end) / 2;
-            let what = match entry.kind {
-                0 if entry.id == key => "an action",
-                0 if entry.id == scene => "an output",
-                1 if entry.id == key => "a record",
-                2 => {
-                    memos += 1;
-                    if memos > 1 { continue } else { "a memo" }
-                }
-                _ => continue,
-            };
-            flips.push((pack.clone(), middle, what));
-        }
-        flips.push((pack.clone(), table + 1, "the table of a pack"));
-        flips.push((pack.clone(), bytes.len() - 1, "the end of a pack"));
-    }
-    let loose = format!("cas/{}/{}", &report[..2], &report[2..]);
-    flips.push((loose, 1000, "a document"));
-    let of = |start: &str| names.iter().find(|name| name.starts_with(start)).unwrap().clone();
-    flips.push((of("runs/"), 40, "a run root"));
-    flips.push(("format".to_owned(), 1, "the format"));
-    for what in ["an action", "a record", "a memo", "a document"] {
-        assert!(flips.iter().any(|(.., kind)| *kind == what), "no {what} to alter");
-    }
-    for (file, at, what) in flips {
-        let altered = tempfile::tempdir().unwrap();
-        copy(dir.path(), altered.path());
-        let path = altered.path().join(".marf").join(&file);
-        let mut bytes = std::fs::read(&path).unwrap();
-        bytes[at] ^= 4;
-        std::fs::remove_file(&path).unwrap();
-        std::fs::write(&path, bytes).unwrap();
-        let fsck = marf(altered.path(), &["cache", "fsck", "--read-data"]);
-        // The format is told and mended by whoever opens the store.
-        let is_found = fsck.code == 1 || fsck.stderr.contains("the file `format` of the store was damaged");
-        assert!(is_found, "{what}: fsck: {} {}", fsck.stdout, fsck.stderr);
-        if what != "the format" {
-            let told = marf(altered.path(), &["audit", "out/train/metrics.json", "--verify"]);
-            let code = if what == "a memo" { 0 } else { 4 };
-            assert_eq!(told.code, code, "{what}: audit: {} {}", told.stdout, told.stderr);
-        }
-    }
 }
 
 /// A file that was mailed away has no store: the crate of its run answers, from the bytes of the file or of its copy in `out/`.

@@ -1,0 +1,111 @@
+//! Which command finds a file that was altered in one bit.
+
+use serde_json::Value;
+
+use super::common::{copy, marf};
+use super::{files, ran};
+
+/// An entry of a pack: its kind, its id and where its payload lies.
+struct Entry {
+    kind: u8,
+    id: String,
+    payload: std::ops::Range<usize>,
+}
+
+/// Returns the entries of a pack, as ARCHITECTURE.md describes it, and the offset of its table.
+fn entries(pack: &[u8]) -> (Vec<Entry>, usize) {
+    let number = |at: usize, bytes: usize| -> usize {
+        pack[at..at + bytes]
+            .iter()
+            .rev()
+            .fold(0, |number, byte| number << 8 | usize::from(*byte))
+    };
+    let (mut at, table, mut found) = (12, number(pack.len() - 52, 8), Vec::new());
+    while at < table {
+        let payload = at + 37..at + 37 + number(at + 33, 4);
+        found.push(Entry {
+            kind: pack[at],
+            id: pack[at + 1..at + 33]
+                .iter()
+                .map(|byte| format!("{byte:02x}"))
+                .collect(),
+            payload: payload.clone(),
+        });
+        at = payload.end;
+    }
+    (found, table)
+}
+
+/// Each kind of file of a store with one bit flipped: who finds it, and by which exit code.
+#[test]
+fn one_bit_in_every_kind_of_file_is_found() {
+    let dir = ran();
+    let status: Value =
+        serde_json::from_str(&marf(dir.path(), &["status", "--json"]).exits(0).stdout).unwrap();
+    let node = |name: &str| {
+        let nodes = status["nodes"].as_array().unwrap();
+        nodes.iter().find(|node| node["name"] == name).unwrap().clone()
+    };
+    let key = node("train")["key"].as_str().unwrap().to_owned();
+    let scene = node("calibrate")["outputs"]["scene"]["digest"]
+        .as_str()
+        .unwrap()
+        .to_owned();
+    let report = status["documents"]["report.html"]["digest"]
+        .as_str()
+        .unwrap()
+        .to_owned();
+    let store = dir.path().join(".marf");
+    let mut names = Vec::new();
+    files(&store, &store, &mut names);
+    let packs: Vec<&String> = names.iter().filter(|name| name.ends_with(".pack")).collect();
+    // The file, the place of the bit, what it is.
+    let mut flips: Vec<(String, usize, &str)> = Vec::new();
+    let mut memos = 0;
+    for pack in packs {
+        let bytes = std::fs::read(store.join(pack)).unwrap();
+        let (found, table) = entries(&bytes);
+        for entry in found {
+            let middle = (entry.payload.start + entry.payload.end) / 2;
+            let what = match entry.kind {
+                0 if entry.id == key => "an action",
+                0 if entry.id == scene => "an output",
+                1 if entry.id == key => "a record",
+                2 => {
+                    memos += 1;
+                    if memos > 1 { continue } else { "a memo" }
+                }
+                _ => continue,
+            };
+            flips.push((pack.clone(), middle, what));
+        }
+        flips.push((pack.clone(), table + 1, "the table of a pack"));
+        flips.push((pack.clone(), bytes.len() - 1, "the end of a pack"));
+    }
+    let loose = format!("cas/{}/{}", &report[..2], &report[2..]);
+    flips.push((loose, 1000, "a document"));
+    let of = |start: &str| names.iter().find(|name| name.starts_with(start)).unwrap().clone();
+    flips.push((of("runs/"), 40, "a run root"));
+    flips.push(("format".to_owned(), 1, "the format"));
+    for what in ["an action", "a record", "a memo", "a document"] {
+        assert!(flips.iter().any(|(.., kind)| *kind == what), "no {what} to alter");
+    }
+    for (file, at, what) in flips {
+        let altered = tempfile::tempdir().unwrap();
+        copy(dir.path(), altered.path());
+        let path = altered.path().join(".marf").join(&file);
+        let mut bytes = std::fs::read(&path).unwrap();
+        bytes[at] ^= 4;
+        std::fs::remove_file(&path).unwrap();
+        std::fs::write(&path, bytes).unwrap();
+        let fsck = marf(altered.path(), &["cache", "fsck", "--read-data"]);
+        // The format is told and mended by whoever opens the store.
+        let is_found = fsck.code == 1 || fsck.stderr.contains("the file `format` of the store was damaged");
+        assert!(is_found, "{what}: fsck: {} {}", fsck.stdout, fsck.stderr);
+        if what != "the format" {
+            let told = marf(altered.path(), &["audit", "out/train/metrics.json", "--verify"]);
+            let code = if what == "a memo" { 0 } else { 4 };
+            assert_eq!(told.code, code, "{what}: audit: {} {}", told.stdout, told.stderr);
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! `marf replay`: equal, taken over, not made here.
+
+use std::path::Path;
+
+use marf_cache::{Action, Record, Store};
+use marf_engine::action_at;
+use serde_json::Value;
+
+use super::common::marf;
+use super::{PIPELINE, ran};
+
+#[test]
+fn a_replay_from_the_pinned_bytes_gives_the_same_digests_on_any_number_of_threads() {
+    let dir = ran();
+    for threads in ["1", "2"] {
+        let told = marf(dir.path(), &["replay", "--threads", threads, "--json"]).exits(0);
+        let told: Value = serde_json::from_str(&told.stdout).unwrap();
+        let nodes = told["nodes"].as_array().unwrap();
+        assert_eq!(nodes.len(), 4, "{told}");
+        for node in nodes {
+            assert!(
+                node["equal"].as_u64().unwrap() > 0 && node["not_made"].is_null(),
+                "{node}"
+            );
+            assert_eq!(node["differs"], serde_json::json!([]), "{node}");
+        }
+    }
+    let told = marf(dir.path(), &["replay", "out/calibrate/points.ply"]);
+    let code = if dir.path().join("out/calibrate/points.ply").exists() {
+        0
+    } else {
+        2
+    };
+    assert_eq!(told.code, code, "{}", told.stderr);
+    let one = marf(dir.path(), &["replay", "blur"]).exits(0).stdout;
+    assert!(
+        one.contains("2 nodes are equal") || one.contains("of 2 nodes are equal"),
+        "{one}"
+    );
+    marf(dir.path(), &["replay", "nothing"]).exits(2);
+    marf(dir.path(), &["replay", "99"]).exits(1);
+}
+
+/// A budget buys other steps on each machine; the steps that it bought then are taken over, and the training is equal.
+#[test]
+fn a_training_with_a_budget_is_replayed_by_the_steps_that_it_ran() {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(
+        dir.path().join("pipeline.toml"),
+        PIPELINE.replace("steps = 2", "budget = \"1s\""),
+    )
+    .unwrap();
+    marf(dir.path(), &["run"]).exits(0);
+    let told = marf(dir.path(), &["replay", "train"]).exits(0).stdout;
+    assert!(
+        told.contains("train/pace") && told.contains("taken over: it measures"),
+        "{told}"
+    );
+    assert!(told.contains("0 nodes differ, 1 are declared to vary"), "{told}");
+}
+
+/// Writes a run into a store that differs from the last one in what a node ran on: a GPU that no machine has.
+fn claim_a_gpu(folder: &Path, name: &str) {
+    let store = Store::open(folder.join(".marf")).unwrap();
+    let mut run = marf_engine::runs(&store, |_| {}).unwrap().pop().unwrap();
+    let node = run.nodes.iter_mut().find(|node| node.name == name).unwrap();
+    let was = node.key.unwrap();
+    let action = Action {
+        backend: Some("GPU of nobody".to_owned()),
+        ..action_at(&store, &was).unwrap().unwrap()
+    };
+    let key = store.put(&action.encode()).unwrap();
+    let record = store.record(&was).unwrap().unwrap();
+    store.put_record(Record { key, ..record });
+    node.key = Some(key);
+    run.store(&store, |_| {}).unwrap();
+}
+
+/// What ran on a GPU that is not here is neither equal nor different.
+#[test]
+fn a_node_that_cannot_be_made_here_has_an_answer_of_its_own() {
+    let dir = ran();
+    claim_a_gpu(dir.path(), "calibrate");
+    let told = marf(dir.path(), &["replay", "--json"]).exits(9);
+    assert!(
+        told.stderr
+            .contains("run 2 could not all be made again here, first `calibrate`"),
+        "{}",
+        told.stderr
+    );
+    let told: Value = serde_json::from_str(&told.stdout).unwrap();
+    let nodes = told["nodes"].as_array().unwrap();
+    let words: Vec<&str> = nodes
+        .iter()
+        .map(|node| node["not_made"].as_str().unwrap_or("made"))
+        .collect();
+    let needs = "it needs `calibrate`, which is not made here";
+    let foreign = "it ran on GPU of nobody, which is not here";
+    assert_eq!(words, ["made", "made", foreign, needs]);
+    // What leads to it can be made, and what is asked for decides.
+    marf(dir.path(), &["replay", "blur"]).exits(0);
+    let told = marf(dir.path(), &["replay", "train"]).exits(9).stdout;
+    assert!(
+        told.contains("of 2 nodes are equal, 0 nodes differ") && told.contains("2 were not made"),
+        "{told}"
+    );
+}
