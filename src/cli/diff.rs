@@ -1,9 +1,12 @@
 //! `marf diff`: what changed between two runs, node by node.
 
+use std::fmt;
+
 use clap::Args;
 use marf_cache::{Digest, Store};
 use marf_engine::Cancel;
-use marf_provenance::diff::{NodeDiff, Presence, ProductsDiff, diff as nodes};
+use marf_provenance::LineageError;
+use marf_provenance::diff::{NodeDiff, Presence, diff as nodes};
 use marf_provenance::lineage::Lineage;
 use marf_scene::Photo;
 use serde::Serialize;
@@ -27,11 +30,12 @@ pub struct DiffArgs {
 #[derive(Debug, Serialize)]
 struct Report {
     runs: (u64, u64),
-    nodes: Vec<Node>,
+    nodes: Vec<NodeChanges>,
 }
 
+/// What changed of a node between two runs.
 #[derive(Debug, Serialize)]
-struct Node {
+pub struct NodeChanges {
     #[serde(flatten)]
     diff: NodeDiff,
     /// Pictures of the same size that both runs have.
@@ -56,38 +60,53 @@ pub fn diff(global: &Global, args: &DiffArgs, cancel: &Cancel) -> Result<(), Cli
         Lineage::open(&store, args.first)?,
         Lineage::open(&store, args.second)?,
     );
-    let with_pictures = |diff: NodeDiff| Node {
-        pictures: pictures(&store, &diff),
-        diff,
-    };
     let report = Report {
         runs: (args.first, args.second),
-        nodes: nodes(&first, &second)?.into_iter().map(with_pictures).collect(),
+        nodes: compare(&first, &second, usize::MAX)?,
     };
     if global.json {
         return print_json(&report);
     }
+    let names = [args.first, args.second].map(|number| format!("run {number}"));
     for node in &report.nodes {
-        print_line(&escape_control(&text(node)));
+        let lines = node.lines().into_iter().map(|line| format!("\n  {line}"));
+        let text = node.heading([&names[0], &names[1]]) + &lines.collect::<String>();
+        print_line(&escape_control(&text));
     }
-    let all = second.nodes.len();
     print_line(&format!(
-        "{} of {all} nodes differ between runs {} and {}",
+        "{} of {} nodes differ between {} and {}; --json lists everything",
         report.nodes.len(),
-        args.first,
-        args.second
+        second.nodes.len(),
+        names[0],
+        names[1]
     ));
     Ok(())
 }
 
+/// Returns the nodes that differ between two runs of a store, in the order of the second; `most_pictures` is how many pictures
+/// of a node are decoded and compared.
+///
+/// # Errors
+/// A store that cannot be read.
+pub fn compare(
+    first: &Lineage<'_>,
+    second: &Lineage<'_>,
+    most_pictures: usize,
+) -> Result<Vec<NodeChanges>, LineageError> {
+    let with_pictures = |diff: NodeDiff| NodeChanges {
+        pictures: pictures(second.store(), &diff).take(most_pictures).collect(),
+        diff,
+    };
+    Ok(nodes(first, second)?.into_iter().map(with_pictures).collect())
+}
+
 /// Compares the pictures of a node that both runs have in the same size.
-fn pictures(store: &Store, diff: &NodeDiff) -> Vec<Picture> {
+fn pictures(store: &Store, diff: &NodeDiff) -> impl Iterator<Item = Picture> {
     let read = |digest: &Digest| Photo::decode(&store.get(digest).ok()?).ok();
-    let compared = diff
-        .outputs
+    diff.outputs
         .iter()
         .filter(|(name, _)| name.ends_with(".png"))
-        .filter_map(|(name, of)| {
+        .filter_map(move |(name, of)| {
             let (was, is) = (read(&of.0?)?.image, read(&of.1?)?.image);
             if (was.width, was.height) != (is.width, is.height) {
                 return None;
@@ -104,51 +123,65 @@ fn pictures(store: &Store, diff: &NodeDiff) -> Vec<Picture> {
                 share: differing as f64 / steps.len().max(1) as f64,
                 most: steps.into_iter().max().unwrap_or_default(),
             })
-        });
-    compared.collect()
+        })
 }
 
-/// Most values, products or pictures that have a line of their own.
-const MOST: usize = 8;
+/// Most values, products or pictures of a node that have a line of their own.
+pub const MOST: usize = 8;
 
-fn text(node: &Node) -> String {
-    let diff = &node.diff;
-    let presence = match diff.presence {
-        Presence::Both => "",
-        Presence::First => " is in the first run alone",
-        Presence::Second => " is in the second run alone",
-    };
-    let mut lines = vec![format!("{}{presence}", diff.node)];
-    let mut add = |all: Vec<String>| {
-        let more = all.len().saturating_sub(MOST);
-        lines.extend(all.into_iter().take(MOST).map(|line| format!("  {line}")));
-        if more > 0 {
-            lines.push(format!("  and {more} more, which --json lists"));
-        }
-    };
-    add(diff.changes.iter().map(ToString::to_string).collect());
-    add(products(&diff.products));
-    for (output, values) in &diff.values {
-        add(values.iter().map(|value| format!("{output}: {value}")).collect());
+impl NodeChanges {
+    /// Returns the node and how much of it differs; `runs` are the names of the two runs.
+    pub fn heading(&self, runs: [&str; 2]) -> String {
+        let diff = &self.diff;
+        let products = &diff.products;
+        let counts = [
+            (products.added.len(), "products in"),
+            (products.removed.len(), "products out"),
+            (products.edited.len(), "products edited"),
+            (diff.outputs.len(), "outputs differ"),
+        ];
+        let counts = counts.iter().filter(|(count, _)| *count > 0);
+        let counts: Vec<String> = counts.map(|(count, what)| format!("{count} {what}")).collect();
+        let what = match diff.presence {
+            Presence::First => format!("in {} alone", runs[0]),
+            Presence::Second => format!("in {} alone", runs[1]),
+            Presence::Both if counts.is_empty() => "the outputs are equal".to_owned(),
+            Presence::Both => counts.join(", "),
+        };
+        format!("{}: {what}", diff.node)
     }
-    let picture = |picture: &Picture| {
-        let (share, most) = (100.0 * picture.share, picture.most);
-        format!(
-            "{}: {share:.1} % of the pixels differ, by at most {most} of 255",
-            picture.output
-        )
-    };
-    add(node.pictures.iter().map(picture).collect());
-    lines.join("\n")
+
+    /// Returns parameters, products, values and pictures that differ, a line each, the first [`MOST`] of each kind.
+    pub fn lines(&self) -> Vec<String> {
+        let mut lines = Vec::new();
+        let mut add = |all: Vec<String>| {
+            let more = all.len().saturating_sub(MOST);
+            lines.extend(all.into_iter().take(MOST));
+            lines.extend((more > 0).then(|| format!("and {more} more")));
+        };
+        add(self.diff.changes.iter().map(ToString::to_string).collect());
+        let products = &self.diff.products;
+        for (word, ids) in [
+            ("in", &products.added),
+            ("out", &products.removed),
+            ("edited", &products.edited),
+        ] {
+            add(ids.iter().map(|id| format!("product {word}: {id}")).collect());
+        }
+        for (output, values) in &self.diff.values {
+            add(values.iter().map(|value| format!("{output}: {value}")).collect());
+        }
+        add(self.pictures.iter().map(ToString::to_string).collect());
+        lines
+    }
 }
 
-fn products(products: &ProductsDiff) -> Vec<String> {
-    let lines =
-        |word: &str, ids: &[String]| -> Vec<String> { ids.iter().map(|id| format!("{word} {id}")).collect() };
-    [
-        lines("product in:", &products.added),
-        lines("product out:", &products.removed),
-        lines("product edited:", &products.edited),
-    ]
-    .concat()
+impl fmt::Display for Picture {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (output, share, most) = (&self.output, 100.0 * self.share, self.most);
+        write!(
+            f,
+            "{output}: {share:.1} % of the pixels differ, by at most {most} of 255"
+        )
+    }
 }

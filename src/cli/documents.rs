@@ -1,6 +1,6 @@
 //! Objects that belong to a run as a whole: the pipeline as written and as it ran, the report, the table of verdicts.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use marf_cache::{Output, canonical_json};
 use marf_engine::{NodeRun, NodeState, RunRecord, action_at, document};
@@ -75,13 +75,7 @@ pub fn unchanged(session: &Session, record: &RunRecord, name: &str) -> Result<Op
     if record.nodes.iter().any(|node| node.state != NodeState::Reused) {
         return Ok(None);
     }
-    let keys = |run: &RunRecord| -> BTreeSet<_> {
-        run.nodes
-            .iter()
-            .map(|node| (node.name.clone(), node.key))
-            .collect()
-    };
-    let last = session.last()?.filter(|last| keys(last) == keys(record));
+    let last = session.last()?.filter(|last| last.has_keys_of(record));
     let document = last.and_then(|last| last.documents.get(name).copied());
     Ok(document.filter(|document| session.store.contains(&document.digest)))
 }

@@ -4,14 +4,15 @@ use std::sync::Arc;
 use marf_cache::{Digest, Store};
 use marf_engine::{Cancel, NodeState, RunRecord, document};
 use marf_export::iso_time;
+use marf_provenance::lineage::Lineage;
 use marf_stage::Memos;
 
 use super::args::Global;
 use super::documents::{self, Documents};
 use super::error::CliError;
 use super::session::Session;
-use super::{export, files};
-use crate::show::{self, ChildView, NodeView, ReportInput, State};
+use super::{diff, export, files};
+use crate::show::{self, ChangedNode, Changes, ChildView, NodeView, ReportInput, State};
 use crate::terminal::eprint_line;
 
 /// `marf report`: writes the report of the last run: the one that the run kept, or for a run without one a new one.
@@ -44,7 +45,7 @@ pub fn document(session: &Session, record: &RunRecord) -> Result<Documents, CliE
 /// Returns the report of a run.
 ///
 /// # Errors
-/// A store that cannot be written, the wish to stop.
+/// A store that cannot be read or written, the wish to stop.
 fn page(session: &Session, record: &RunRecord) -> Result<String, CliError> {
     // Who wants to stop reads nothing any more, and what was read until then becomes no report.
     let read = |digest: &Digest| -> Option<Arc<[u8]>> {
@@ -64,6 +65,7 @@ fn page(session: &Session, record: &RunRecord) -> Result<String, CliError> {
         started: iso_time(record.started_unix_s),
         program: record.program.clone(),
         nodes: nodes(session, record),
+        changes: changes(session, record)?,
         read: &read,
         memos: &StoreMemos(&session.store, maker),
     };
@@ -71,6 +73,34 @@ fn page(session: &Session, record: &RunRecord) -> Result<String, CliError> {
     session.check()?;
     session.store.commit()?;
     Ok(page)
+}
+
+/// Returns what changed since the last run of the pipeline with other results, so that a run that does nothing has what the one
+/// before it has; children of nodes are left out.
+///
+/// # Errors
+/// A store that cannot be read, the wish to stop.
+fn changes(session: &Session, record: &RunRecord) -> Result<Option<Changes>, CliError> {
+    session.check()?;
+    let Some(before) = session.before(record)? else {
+        return Ok(None);
+    };
+    let since = before.number;
+    let parents = |run: RunRecord| -> Result<_, CliError> {
+        let mut lineage = Lineage::of(&session.store, run)?;
+        lineage.nodes.retain(|node| !node.is_child());
+        Ok(lineage)
+    };
+    let nodes = diff::compare(&parents(before)?, &parents(record.clone())?, diff::MOST)?;
+    let runs = [&*format!("run {since}"), "this run"];
+    let changed = |node: &diff::NodeChanges| ChangedNode {
+        heading: node.heading(runs),
+        lines: node.lines(),
+    };
+    Ok(Some(Changes {
+        since,
+        nodes: nodes.iter().map(changed).collect(),
+    }))
 }
 
 /// Memos in the store, and the key they are kept for; a lost one costs only time.

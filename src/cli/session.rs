@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use marf_cache::manifest::ManifestError;
 use marf_cache::{Digest, Store, StoreError};
-use marf_engine::{Cancel, Edge, EngineError, Graph, GraphError, NodeDecl, NodeRun, RunRecord};
+use marf_engine::{Cancel, Edge, EngineError, Graph, GraphError, NodeDecl, NodeRun, Outcome, RunRecord};
 use marf_provenance::LineageError;
 use marf_stage::{Document, Verdict};
 
@@ -144,6 +144,22 @@ impl Session {
     /// A store that cannot be read.
     pub fn last(&self) -> Result<Option<RunRecord>, CliError> {
         Ok(marf_engine::last_run(&self.store, &self.name, warn)?)
+    }
+
+    /// Returns the last run of this pipeline that came before a run, which need not be stored yet, was done and has other keys.
+    ///
+    /// # Errors
+    /// A store that cannot be read.
+    pub fn before(&self, record: &RunRecord) -> Result<Option<RunRecord>, CliError> {
+        let is_earlier = |run: &RunRecord| record.number == 0 || run.number < record.number;
+        let wanted =
+            |run: &RunRecord| is_earlier(run) && run.outcome == Outcome::Done && !run.has_keys_of(record);
+        Ok(marf_engine::last_run_where(
+            &self.store,
+            &self.name,
+            warn,
+            wanted,
+        )?)
     }
 }
 

@@ -14,7 +14,7 @@ use marf_stage::{Document, PHOTOS, VERDICTS, Verdict};
 use serde_json::json;
 
 use super::fixture_documents::{calibration, spread, training, trial};
-use super::input::{ChildView, NodeView, ReportInput, State};
+use super::input::{ChangedNode, Changes, ChildView, NodeView, ReportInput, State};
 use super::write;
 
 /// A file name that would run a script if it reached the page as it is.
@@ -80,6 +80,19 @@ impl Store {
             started: "2026-01-02T03:04:05Z".to_owned(),
             program: "marf 0.1.0".to_owned(),
             nodes: nodes.to_vec(),
+            changes: Some(Changes {
+                since: 3,
+                nodes: vec![
+                    ChangedNode {
+                        heading: "blur: 1 products out, 2 outputs differ".to_owned(),
+                        lines: vec![format!("product out: {HOSTILE}")],
+                    },
+                    ChangedNode {
+                        heading: "shape: the outputs are equal".to_owned(),
+                        lines: Vec::new(),
+                    },
+                ],
+            }),
             read: &|digest| self.blobs.get(digest).cloned(),
             memos: &marf_stage::harness::Harness::default(),
         })

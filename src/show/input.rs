@@ -18,10 +18,30 @@ pub struct ReportInput<'a> {
     pub program: String,
     /// The nodes, in any order; producers before consumers reads best.
     pub nodes: Vec<NodeView>,
+    /// What changed since the last run that had other results; absent if there was none.
+    pub changes: Option<Changes>,
     /// The store.
     pub read: &'a ReadBlob<'a>,
     /// Where pictures as they are embedded are kept from report to report.
     pub memos: &'a dyn marf_stage::Memos,
+}
+
+/// What changed since an earlier run.
+#[derive(Debug, Clone)]
+pub struct Changes {
+    /// Number of that run.
+    pub since: u64,
+    /// The nodes that differ.
+    pub nodes: Vec<ChangedNode>,
+}
+
+/// A node that differs from that of an earlier run.
+#[derive(Debug, Clone)]
+pub struct ChangedNode {
+    /// Its name and how much differs.
+    pub heading: String,
+    /// Parameters, products, values and pictures that differ.
+    pub lines: Vec<String>,
 }
 
 /// A node of the pipeline as the run left it.

@@ -6,6 +6,7 @@
 
 mod axis;
 mod cameras;
+mod changes;
 mod curves;
 mod embed;
 mod format;
@@ -42,7 +43,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use page::Page;
 
-pub use input::{ChildView, NodeView, ReadBlob, ReportInput, State};
+pub use input::{ChangedNode, Changes, ChildView, NodeView, ReadBlob, ReportInput, State};
 pub use review::{Call, FACTORS, calls, percent};
 
 /// Writes the report as one HTML file. Equal input gives equal bytes; nothing in it can make it panic.
@@ -88,6 +89,7 @@ fn sections(page: &Page<'_>) -> Vec<Section> {
     let mut sections = vec![
         section("graph", "Pipeline", graph::body(page)),
         section("nodes", "Nodes", nodes::body(page)),
+        section("changes", "What changed", changes::body(page)),
         section("funnel", "Filters", funnel::body(page)),
         section("rejected", "Rejected photos", gallery::rejected(page)),
         section("kept", "Kept photos", gallery::kept(page)),

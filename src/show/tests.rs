@@ -5,9 +5,10 @@ use marf_schema::train;
 use marf_stage::{Document, PHOTOS, VERDICTS};
 
 const VOID: [&str; 4] = ["meta", "img", "br", "hr"];
-const TITLES: [&str; 12] = [
+const TITLES: [&str; 13] = [
     "Pipeline",
     "Nodes",
+    "What changed",
     "Filters",
     "Rejected photos",
     "Kept photos",
@@ -61,6 +62,8 @@ fn known_figures_have_their_unit() {
     let html = store.report(&nodes);
     for text in [
         "8 nodes: 6 ran, 1 reused, 1 skipped, 6.0 s",
+        "Differs from run 3 in 2 nodes.",
+        "<p class=\"quiet\">shape: the outputs are equal</p>",
         "7 in, 6 kept, 1 rejected (1 decode)",
         "score 12.5, threshold 20, 7.5 below",
         "4 cameras, 1 held out; 1 sparse point; 1 unit is 2 m",

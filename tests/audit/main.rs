@@ -6,6 +6,7 @@
 )]
 
 mod altered;
+mod changes;
 #[path = "../common/mod.rs"]
 mod common;
 mod replay;

@@ -33,7 +33,7 @@ pub use photo_changes::photo_changes;
 pub use plan::{PlanState, PlannedNode, plan, why};
 pub use record::{
     Build, EngineError, NodeInput, NodeRun, NodeState, Outcome, OutputName, RUN_FORMAT, RunRecord, document,
-    last_run, run_of, runs,
+    last_run, last_run_where, run_of, runs,
 };
 pub use roots::{KeptRuns, kept_runs};
 pub use run::{Options, run, run_nodes, trace_inputs};

@@ -261,6 +261,17 @@ impl RunRecord {
         self.nodes.iter().any(|node| node.state == NodeState::Finished)
     }
 
+    /// Tells whether two runs have the same nodes with the same keys, so that there is nothing between them.
+    pub fn has_keys_of(&self, other: &Self) -> bool {
+        let keys = |run: &Self| -> BTreeMap<String, Option<Digest>> {
+            run.nodes
+                .iter()
+                .map(|node| (node.name.clone(), node.key))
+                .collect()
+        };
+        keys(self) == keys(other)
+    }
+
     /// Returns what the run did with a node.
     pub fn node(&self, name: &str) -> Option<&NodeRun> {
         self.nodes.iter().find(|node| node.name == name)
@@ -276,7 +287,7 @@ pub fn runs(store: &Store, warn: impl Fn(String)) -> Result<Vec<RunRecord>, Engi
     Ok(numbers.filter_map(|number| read(store, number, &warn)).collect())
 }
 
-/// Reads the last run of a pipeline. A newer run that cannot be read is left out and warned of.
+/// Reads the last run of a pipeline, as [`last_run_where`].
 ///
 /// # Errors
 /// A folder that cannot be read.
@@ -285,9 +296,22 @@ pub fn last_run(
     pipeline: &str,
     warn: impl Fn(String),
 ) -> Result<Option<RunRecord>, EngineError> {
+    last_run_where(store, pipeline, warn, |_| true)
+}
+
+/// Reads the last run of a pipeline that is `wanted`. A newer run that cannot be read is left out and warned of.
+///
+/// # Errors
+/// A folder that cannot be read.
+pub fn last_run_where(
+    store: &Store,
+    pipeline: &str,
+    warn: impl Fn(String),
+    wanted: impl Fn(&RunRecord) -> bool,
+) -> Result<Option<RunRecord>, EngineError> {
     let numbers = store.run_numbers()?.into_iter().rev();
     let mut runs = numbers.filter_map(|number| read(store, number, &warn));
-    Ok(runs.find(|run| run.pipeline == pipeline))
+    Ok(runs.find(|run| run.pipeline == pipeline && wanted(run)))
 }
 
 /// Reads a run by its number.
