@@ -1,5 +1,6 @@
 //! Which command finds a file that was altered in one bit.
 
+use marf_loopback::Server;
 use serde_json::Value;
 
 use super::common::{copy, marf};
@@ -108,4 +109,85 @@ fn one_bit_in_every_kind_of_file_is_found() {
             assert_eq!(told.code, code, "{what}: audit: {} {}", told.stdout, told.stderr);
         }
     }
+}
+
+/// A photo from a server, with its label, pinned in marf.lock; the server is gone.
+fn fetched() -> tempfile::TempDir {
+    let server = Server::start().unwrap();
+    let mut photo = std::io::Cursor::new(Vec::new());
+    let picture = image::RgbImage::from_fn(64, 48, |x, y| image::Rgb([x as u8, y as u8, (x * y) as u8]));
+    picture.write_to(&mut photo, image::ImageFormat::Png).unwrap();
+    server.navcam(1, 0, photo.into_inner());
+    let dir = tempfile::tempdir().unwrap();
+    let archive = server.navcam_section("jezero", "1");
+    let text = format!("name = \"lock\"\n{archive}[node.extract]\narchive = \"jezero\"\n");
+    std::fs::write(dir.path().join("pipeline.toml"), text).unwrap();
+    marf(dir.path(), &["run"]).exits(0);
+    dir
+}
+
+/// Each field of a line of marf.lock with one bit flipped: `audit --verify` names it.
+#[test]
+fn one_bit_in_a_line_of_the_lock_is_found_and_the_field_named() {
+    let dir = fetched();
+    let lock = dir.path().join("marf.lock/jezero/sol-00001.toml");
+    let whole = std::fs::read_to_string(&lock).unwrap();
+    let audit = || marf(dir.path(), &["audit", "out/report.html", "--verify"]);
+    audit().exits(0);
+    let line = whole.find("{ name = ").unwrap();
+    // The last digit or letter of a value; a bit that leaves it one of its kind.
+    for (field, bit, words) in [
+        ("name", 2, "marf.lock has no product of this name"),
+        ("bytes", 1, "marf.lock has bytes "),
+        ("blake3", 1, "marf.lock has blake3 "),
+        ("sha256", 1, "marf.lock has sha256 "),
+        ("url", 2, "marf.lock has url "),
+        ("fetched", 4, "marf.lock has fetched "),
+    ] {
+        let start = line + whole[line..].find(&format!("{field} = ")).unwrap() + field.len() + 3;
+        let end = start + whole[start..].find([',', '}']).unwrap();
+        let is_digit = |byte: &&u8| byte.is_ascii_digit() && (**byte ^ bit).is_ascii_digit();
+        let value = &whole.as_bytes()[start..end];
+        let at = end - 1 - value.iter().rev().position(|byte| is_digit(&byte)).unwrap();
+        let mut bytes = whole.clone().into_bytes();
+        bytes[at] ^= bit;
+        std::fs::write(&lock, &bytes).unwrap();
+        let told = audit().exits(6).stdout;
+        assert!(told.contains(words), "{field}: {told}");
+    }
+    let mut bytes = whole.into_bytes();
+    bytes[line] ^= 1;
+    std::fs::write(&lock, &bytes).unwrap();
+    let told = audit().exits(1).stderr;
+    assert!(told.contains("sol-00001.toml:"), "{told}");
+}
+
+/// Places of the index at which a bit is flipped.
+const PLACES: usize = 12;
+
+/// The index is made from the packs: fsck finds a flipped bit and makes the index anew, or nothing depends on the bit.
+#[test]
+fn one_bit_in_the_index_is_found_and_repaired_or_changes_nothing() {
+    let dir = ran();
+    let path = dir.path().join(".marf/index.sqlite");
+    let whole = std::fs::read(&path).unwrap();
+    let mut found = 0;
+    for place in 0..PLACES {
+        let at = place * whole.len() / PLACES + 7;
+        let mut bytes = whole.clone();
+        bytes[at] ^= 4;
+        std::fs::remove_file(&path).unwrap();
+        std::fs::write(&path, bytes).unwrap();
+        let fsck = marf(dir.path(), &["cache", "fsck", "--repair"]).exits(0).stderr;
+        let is_found = fsck.contains("repaired: ") || fsck.contains("it is made anew from the packs");
+        found += usize::from(is_found);
+        let told = marf(dir.path(), &["audit", "out/train/metrics.json", "--verify"]);
+        assert_eq!(
+            told.code, 0,
+            "byte {at}, found: {is_found}: {} {}",
+            told.stdout, told.stderr
+        );
+    }
+    // The rest is free space in pages.
+    assert!(found > PLACES / 4, "{found} of {PLACES}");
 }

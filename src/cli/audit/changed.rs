@@ -42,9 +42,10 @@ pub fn since(
     let base = global.file.parent().unwrap_or(Path::new(""));
     let pins = marf_stages::pinned_products(&base.join(LOCK_FILE));
     let pins = pins.map_err(|error| CliError::failed(error.to_string()))?;
-    let mut by_name: BTreeMap<(u32, &str), Vec<&PinnedProduct>> = BTreeMap::new();
+    let mut by_sol: BTreeMap<u32, Pins<'_>> = BTreeMap::new();
     for pin in &pins {
-        by_name.entry((pin.sol, &pin.name)).or_default().push(pin);
+        let sol = by_sol.entry(pin.sol).or_default();
+        sol.entry(&pin.name).or_default().push(pin);
     }
     let mut changed = Vec::new();
     for source in nodes.iter().filter(|node| node.is_source()) {
@@ -55,7 +56,7 @@ pub fn since(
                 .flatten()
             {
                 let now = match (&file.fetched, &folder) {
-                    (Some(_), _) => of_lock(by_name.get(&(part.shard, file.file.as_str())), &file),
+                    (Some(_), _) => of_lock(by_sol.get(&part.shard), &file),
                     (None, Some(folder)) if file.bytes.is_some() => of_folder(folder, &file),
                     _ => Vec::new(),
                 };
@@ -73,14 +74,17 @@ pub fn since(
     Ok(changed)
 }
 
-/// Returns what the pins of a name say otherwise than what was noted when the file was read; nothing if there is no pin, or if
-/// one of several archives has it as it was.
-fn of_lock(pins: Option<&Vec<&PinnedProduct>>, file: &Origin) -> Vec<String> {
-    let told: Vec<Vec<String>> = pins
-        .into_iter()
-        .flatten()
-        .map(|pin| differences(pin, file))
-        .collect();
+/// The pins of a sol by name; several archives may have the same.
+type Pins<'a> = BTreeMap<&'a str, Vec<&'a PinnedProduct>>;
+
+/// Returns what the pins of a sol say otherwise than what was noted when the file was read; nothing if the sol has no pins, or if
+/// one of several archives has the file as it was.
+fn of_lock(sol: Option<&Pins<'_>>, file: &Origin) -> Vec<String> {
+    let Some(pins) = sol else { return Vec::new() };
+    let Some(pins) = pins.get(file.file.as_str()) else {
+        return vec![format!("{LOCK_FILE} has no product of this name")];
+    };
+    let told: Vec<Vec<String>> = pins.iter().map(|pin| differences(pin, file)).collect();
     match told.iter().any(Vec::is_empty) {
         true => Vec::new(),
         false => told.into_iter().next().unwrap_or_default(),
