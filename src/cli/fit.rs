@@ -1,7 +1,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use marf_engine::{Cancel, RunRecord};
+use marf_cache::Digest;
+use marf_engine::{Cancel, Outcome, RunRecord, document};
 use marf_schema::output;
 use marf_schema::scores::PhotoScores;
 use marf_schema::train::{Metrics, TrainParams};
@@ -9,17 +10,27 @@ use marf_stage::Params;
 use serde::Serialize;
 
 use super::args::{FitArgs, Global};
+use super::documents::{self, Documents};
 use super::error::CliError;
 use super::filter::folder;
 use super::output::print_json;
-use super::run::{execute, options};
+use super::run::{Execution, execute_as, options};
 use super::session::{Session, node_named};
-use super::{budget, export, files};
+use super::{budget, export};
 use crate::terminal::print_line;
 
-/// What metrics.json holds of one budget.
-#[derive(Debug, Serialize)]
+/// What metrics.json holds of one budget; nothing in it comes from a clock.
+#[derive(Debug, Clone, Serialize)]
 struct Fitted {
+    /// Key of the training, by which other runs have it too.
+    key: Digest,
+    #[serde(flatten)]
+    metrics: Metrics,
+}
+
+/// What `--json` prints of one budget.
+#[derive(Debug, Serialize)]
+struct Timed {
     psnr: f64,
     psnr_paper: Option<f64>,
     ssim: Option<f64>,
@@ -40,29 +51,32 @@ pub fn fit(global: &Global, args: &FitArgs, cancel: &Cancel) -> Result<(), CliEr
         .iter()
         .map(|text| budget::whole_seconds(text))
         .collect::<Result<Vec<_>, _>>()?;
-    let mut all = BTreeMap::new();
+    let (mut fitted, mut timed) = (BTreeMap::new(), BTreeMap::new());
     for seconds in budgets {
+        let name = format!("{seconds}s");
         let session = Session::implicit(&pipeline(args, seconds), global, cancel)?;
-        let (record, ended) = execute(&session, &options(global, &session.name), global, cancel)?;
+        let execution = Execution {
+            trace: None,
+            documents: &|record| document(&session, record, &name, &fitted),
+        };
+        let options = options(global, &session.name);
+        let (record, ended) = execute_as(&session, &options, global, cancel, &execution)?;
         ended?;
-        let fitted = write(&session, &record, &args.out.join(format!("{seconds}s")))?;
-        all.insert(format!("{seconds}s"), fitted);
+        write(&session, &record, &args.out, &name)?;
+        timed.insert(name.clone(), timed_of(&session, &record)?);
+        fitted.insert(name, fitted_of(&session, &record)?);
     }
-    // Through a value: keys in the order of the alphabet, as metrics.json has always had them.
-    let json = serde_json::to_value(&all).map_err(|error| CliError::failed(error.to_string()))?;
-    let text = serde_json::to_vec_pretty(&json).map_err(|error| CliError::failed(error.to_string()))?;
-    files::write(&args.out.join("metrics.json"), &text)?;
     if global.json {
-        return print_json(&json);
+        return print_json(&timed);
     }
-    for (name, fitted) in &all {
+    for (name, timed) in &timed {
         print_line(&format!(
             "{name:>6}  PSNR {:.2} dB  SSIM {:.3}  {} steps, {:.2} M samples/s, {:.1} s",
-            fitted.psnr,
-            fitted.ssim.unwrap_or(f64::NAN),
-            fitted.steps,
-            fitted.samples_per_s / 1e6,
-            fitted.seconds,
+            timed.psnr,
+            timed.ssim.unwrap_or(f64::NAN),
+            timed.steps,
+            timed.samples_per_s / 1e6,
+            timed.seconds,
         ));
     }
     Ok(())
@@ -81,14 +95,52 @@ fn pipeline(args: &FitArgs, seconds: u32) -> String {
     )
 }
 
-/// Writes the held-out renders and returns the metrics with the clock beside them.
-fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<Fitted, CliError> {
+/// Stores the metrics of this budget and of those before it; nothing of a run that has none.
+fn document(
+    session: &Session,
+    record: &RunRecord,
+    budget: &str,
+    before: &BTreeMap<String, Fitted>,
+) -> Result<Documents, CliError> {
+    if record.outcome != Outcome::Done {
+        return Ok(Documents::new());
+    }
+    let mut all = before.clone();
+    all.insert(budget.to_owned(), fitted_of(session, record)?);
+    let json = serde_json::to_vec_pretty(&all).map_err(|error| CliError::failed(error.to_string()))?;
+    Ok(Documents::from([documents::put(
+        session,
+        document::METRICS,
+        &json,
+    )?]))
+}
+
+/// Writes metrics.json and, into the folder of the budget, the held-out renders.
+fn write(session: &Session, record: &RunRecord, out: &Path, budget: &str) -> Result<(), CliError> {
+    if let Some(metrics) = record.documents.get(document::METRICS) {
+        export::one(session, record, &metrics.digest, &out.join(document::METRICS))?;
+    }
     let node = node_named(record, TrainParams::STAGE)?;
     for (name, output) in &node.outputs {
         if let Some(file) = name.strip_prefix(output::HELDOUT) {
-            export::one(session, record, &output.digest, &out.join(file))?;
+            export::one(session, record, &output.digest, &out.join(budget).join(file))?;
         }
     }
+    Ok(())
+}
+
+fn fitted_of(session: &Session, record: &RunRecord) -> Result<Fitted, CliError> {
+    let node = node_named(record, TrainParams::STAGE)?;
+    let key = node
+        .key
+        .ok_or_else(|| CliError::failed("the training has no key"))?;
+    let metrics = session.document(node)?;
+    Ok(Fitted { key, metrics })
+}
+
+/// Returns the scores of a training with what it took on this machine.
+fn timed_of(session: &Session, record: &RunRecord) -> Result<Timed, CliError> {
+    let node = node_named(record, TrainParams::STAGE)?;
     let metrics: Metrics = session.document(node)?;
     let made = node.key.and_then(|key| session.store.record(&key).ok().flatten());
     let peak_mb = made.map_or(0, |record| record.metadata.peak_mb);
@@ -99,7 +151,7 @@ fn write(session: &Session, record: &RunRecord, out: &Path) -> Result<Fitted, Cl
         .filter(|child| child.parent.as_deref() == Some(node.name.as_str()));
     let seconds = node.seconds - pace.map(|child| child.seconds).sum::<f64>();
     let rate = |count: u64| count as f64 / seconds.max(1e-9);
-    Ok(Fitted {
+    Ok(Timed {
         psnr: metrics.scores.psnr,
         psnr_paper: metrics.scores.psnr_paper,
         ssim: metrics.scores.ssim,

@@ -279,3 +279,36 @@ fn a_crate_tells_who_made_a_file_where_there_is_no_store() {
     std::fs::write(&graph, std::fs::read_to_string(&graph).unwrap() + " ").unwrap();
     ask("other.txt", 4);
 }
+
+/// metrics.json of `marf fit` is a document of the run of the last budget, and holds no clock.
+#[test]
+fn the_metrics_of_fit_are_known_and_come_from_no_clock() {
+    let dir = common::photos();
+    let mut fit = vec!["fit", "photos", "--budget", "1s,2s", "--device", "cpu"];
+    for set in [
+        "train.field.log2_table=10",
+        "train.field.density_width=16",
+        "train.field.color_width=16",
+        "train.field.batch_samples=1024",
+        "train.field.cone=0.2",
+        "train.field.occupancy_resolution=16",
+    ] {
+        fit.extend(["--set", set]);
+    }
+    let told = marf(dir.path(), &[&fit[..], &["--json"]].concat()).exits(0);
+    assert!(told.stdout.contains("\"samples_per_s\""), "{}", told.stdout);
+    let path = dir.path().join("fit/metrics.json");
+    let object = || String::from_utf8(Stamp::off(&std::fs::read(&path).unwrap()).unwrap().0).unwrap();
+    let first = object();
+    let metrics: Value = serde_json::from_str(&first).unwrap();
+    let budgets: Vec<&str> = metrics.as_object().unwrap().keys().map(String::as_str).collect();
+    assert_eq!(budgets, ["1s", "2s"]);
+    assert!(metrics["2s"]["psnr"].is_f64() && metrics["2s"]["key"] != metrics["1s"]["key"]);
+    assert!(!first.contains("seconds") && !first.contains("per_s"), "{first}");
+    let told = audit(dir.path(), "fit/metrics.json", &["--verify"], 0);
+    let place = &told["lineage"][0]["maker"]["place"];
+    assert_eq!(place["document"], "metrics.json", "{told}");
+    // Again, where nothing is trained.
+    marf(dir.path(), &fit).exits(0);
+    assert_eq!(object(), first);
+}

@@ -63,6 +63,8 @@ pub mod document {
     pub const REPORT: &str = "report.html";
     /// The verdicts on all photos as a table.
     pub const VERDICTS: &str = "verdicts.csv";
+    /// The metrics of the trainings of `marf fit`, by budget.
+    pub const METRICS: &str = "metrics.json";
 }
 
 /// A program's file: which program ran, to the byte. It names no folder and no host.

@@ -91,9 +91,9 @@ impl Contents {
         contents.add_bytes(RUN_ROOT, "run root", run.root.clone());
         for (name, digest) in &run.documents {
             // The report shows photos and results.
-            let purpose = match name == document::REPORT {
-                true => Purpose::Data,
-                false => Purpose::Record,
+            let purpose = match name.as_str() {
+                document::REPORT | document::METRICS => Purpose::Data,
+                _ => Purpose::Record,
             };
             contents.add(name.clone(), name.clone(), *digest, purpose);
         }
