@@ -7,6 +7,5 @@ pub mod cli;
 pub mod config;
 mod nearest;
 pub mod progress;
-mod sets;
 pub mod show;
 pub mod terminal;

@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Component, Path};
 
 use marf_cache::Digest;
+use marf_engine::sets;
 use marf_engine::{RunRecord, document};
 use marf_schema::{output, train, tune};
 use marf_stage::{Document, VERDICTS};
@@ -13,7 +14,6 @@ use super::error::CliError;
 use super::export_table::ExportTable;
 use super::files;
 use super::session::Session;
-use crate::sets;
 
 /// Outputs without a file name of their own, and the name they get.
 const NAMED: [(&str, &str); 9] = [

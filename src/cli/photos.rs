@@ -1,6 +1,7 @@
 use std::path::Path;
 
 use marf_cache::Digest;
+use marf_engine::sets;
 use marf_engine::{Cancel, RunRecord};
 use marf_scene::{CameraPrior, PhotoFacts};
 use marf_stage::PHOTOS;
@@ -12,7 +13,6 @@ use super::filter;
 use super::output::print_json;
 use super::run::{execute, options};
 use super::session::Session;
-use crate::sets;
 use crate::terminal::print_line;
 
 /// One photo, as the table shows it.

@@ -135,7 +135,7 @@ impl Session {
     /// # Errors
     /// Verdicts that the store has lost, or bytes that are none.
     pub fn verdicts(&self, root: &Digest) -> Result<Vec<Verdict>, CliError> {
-        crate::sets::verdicts(root, |digest| Ok(self.store.get(digest)?))
+        marf_engine::sets::verdicts(root, |digest| Ok(self.store.get(digest)?))
     }
 
     /// Returns the last run of this pipeline.

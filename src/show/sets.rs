@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use marf_cache::Digest;
 use marf_cache::manifest::{BlockRef, Leaf, LeafRef, ManifestError, Root, Row, SHARDS_A_BLOCK};
+use marf_engine::sets;
 use marf_stage::{PHOTOS, VERDICTS, Verdict};
 
 use super::input::{NodeView, ReportInput};
 use super::read::{Missing, not_stored, read, unreadable};
-use crate::sets;
 
 /// An output of a node that is a set.
 pub(super) struct Set<'a> {

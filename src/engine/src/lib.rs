@@ -19,6 +19,7 @@ mod plan;
 mod record;
 mod roots;
 mod run;
+pub mod sets;
 mod stage_io;
 mod work;
 

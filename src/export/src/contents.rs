@@ -6,7 +6,7 @@ mod sets;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use marf_cache::{Action, Digest};
+use marf_cache::{Action, Digest, manifest::Root};
 use marf_engine::{LISTING, document};
 use marf_stage::{COMPANIONS, PHOTOS, VERDICTS};
 
@@ -14,7 +14,7 @@ use crate::error::ExportError;
 use crate::run::{Node, Run};
 
 pub use items::ItemVerdict;
-pub use sets::{members, rows, verdicts};
+pub use sets::{leaves, rows, verdicts};
 
 /// Reads an object of the store and verifies it; the error is a sentence for people.
 pub type ReadObject<'a> = dyn Fn(&Digest) -> Result<Arc<[u8]>, String> + 'a;
@@ -209,9 +209,7 @@ impl Contents {
             let title = format!("input `{name}` of `{}`", node.name);
             let bytes = object(read, &digest, || title.clone())?;
             // What an archive lists is a set whose leaves are fingerprints; any other input is no set.
-            for block in marf_cache::manifest::Root::blocks(&bytes).unwrap_or_default() {
-                self.add_object(block.digest, Purpose::Record);
-            }
+            self.add_blocks(&bytes);
             let ending = if name == LISTING { ".jsonl" } else { "" };
             self.add(
                 format!("inputs/{}/{name}{ending}", node.name),
@@ -228,11 +226,18 @@ impl Contents {
         Ok(())
     }
 
+    /// Adds the blocks that the bytes of a root name; bytes that are no root name none.
+    fn add_blocks(&mut self, root: &[u8]) {
+        for block in Root::blocks(root).unwrap_or_default() {
+            self.add_object(block.digest, Purpose::Record);
+        }
+    }
+
     fn add_set(&mut self, root: &Digest, read: &ReadObject<'_>, title: &str) -> Result<(), ExportError> {
-        let members = members(root, read, title)?;
-        let leaves = members.leaves.iter().map(|leaf| leaf.leaf);
-        for digest in members.blocks.iter().copied().chain(leaves) {
-            self.add_object(digest, Purpose::Record);
+        let leaves = leaves(root, read, title)?;
+        self.add_blocks(&object(read, root, || title.to_owned())?);
+        for leaf in leaves {
+            self.add_object(leaf.leaf, Purpose::Record);
         }
         Ok(())
     }

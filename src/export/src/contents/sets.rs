@@ -1,75 +1,67 @@
-//! Sets of photos and verdicts.
+//! Sets of photos and verdicts, whose readers' errors get a name.
+
+use std::sync::Arc;
 
 use marf_cache::{
     Digest,
-    manifest::{Leaf, LeafRef, ManifestError, Root, Row},
+    manifest::{LeafRef, ManifestError, Row},
 };
+use marf_engine::sets;
 use marf_stage::Verdict;
 
-use super::{ReadObject, object};
+use super::ReadObject;
 use crate::error::ExportError;
 
-/// The objects that a set consists of.
-#[derive(Debug, Default)]
-pub struct Members {
-    /// Its blocks.
-    pub blocks: Vec<Digest>,
-    /// Its leaves, in order.
-    pub leaves: Vec<LeafRef>,
+/// Why a set cannot be read.
+enum Fault {
+    Object(Digest, String),
+    Malformed(ManifestError),
 }
 
-/// Returns the objects that a set consists of; `what` names it in errors.
+impl From<ManifestError> for Fault {
+    fn from(error: ManifestError) -> Self {
+        Self::Malformed(error)
+    }
+}
+
+/// Returns the leaves of a set, in order; `what` names it in errors.
 ///
 /// # Errors
 /// An object that cannot be read, or is no set.
-pub fn members(root: &Digest, read: &ReadObject<'_>, what: &str) -> Result<Members, ExportError> {
-    let bad = |cause: ManifestError| ExportError::BadSet {
-        what: what.to_owned(),
-        cause,
-    };
-    let bytes = object(read, root, || what.to_owned())?;
-    let blocks = Root::blocks(&bytes).map_err(bad)?;
-    let blocks: Vec<Digest> = blocks.into_iter().map(|block| block.digest).collect();
-    let mut leaves = Vec::new();
-    for block in &blocks {
-        let bytes = object(read, block, || format!("a block of {what}"))?;
-        leaves.extend(Root::decode_leaves(&bytes).map_err(bad)?);
-    }
-    Ok(Members { blocks, leaves })
+pub fn leaves(root: &Digest, read: &ReadObject<'_>, what: &str) -> Result<Vec<LeafRef>, ExportError> {
+    named(what, sets::leaves(root, getter(read)))
 }
 
 /// Returns the rows of a set, shard by shard, sorted by id in each.
 ///
 /// # Errors
-/// As [`members`].
+/// As [`leaves`].
 pub fn rows(root: &Digest, read: &ReadObject<'_>, what: &str) -> Result<Vec<Row>, ExportError> {
-    let mut rows = Vec::new();
-    for leaf in members(root, read, what)?.leaves {
-        let bytes = object(read, &leaf.leaf, || format!("a leaf of {what}"))?;
-        let leaf = Leaf::decode(&bytes).map_err(|cause| ExportError::BadSet {
-            what: what.to_owned(),
-            cause,
-        })?;
-        rows.extend(leaf.rows);
-    }
-    Ok(rows)
+    named(what, sets::rows(root, getter(read)))
 }
 
 /// Returns the verdicts of a set of verdicts, in its order.
 ///
 /// # Errors
-/// As [`members`].
+/// As [`leaves`].
 pub fn verdicts(root: &Digest, read: &ReadObject<'_>, what: &str) -> Result<Vec<Verdict>, ExportError> {
-    let mut verdicts = Vec::new();
-    for leaf in members(root, read, what)?.leaves {
-        let bytes = object(read, &leaf.leaf, || format!("a leaf of {what}"))?;
-        for line in bytes.split(|byte| *byte == b'\n').filter(|line| !line.is_empty()) {
-            let verdict = serde_json::from_slice(line).map_err(|error| ExportError::BadSet {
-                what: what.to_owned(),
-                cause: error.into(),
-            })?;
-            verdicts.push(verdict);
-        }
-    }
-    Ok(verdicts)
+    named(what, sets::verdicts(root, getter(read)))
+}
+
+fn getter(read: &ReadObject<'_>) -> impl FnMut(&Digest) -> Result<Arc<[u8]>, Fault> {
+    |digest| read(digest).map_err(|cause| Fault::Object(*digest, cause))
+}
+
+fn named<T>(what: &str, read: Result<T, Fault>) -> Result<T, ExportError> {
+    read.map_err(|fault| match fault {
+        Fault::Object(digest, cause) => ExportError::Object {
+            digest,
+            what: format!("a part of {what}"),
+            cause,
+        },
+        Fault::Malformed(cause) => ExportError::BadSet {
+            what: what.to_owned(),
+            cause,
+        },
+    })
 }

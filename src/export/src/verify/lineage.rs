@@ -9,7 +9,7 @@ use marf_stage::{COMPANIONS, EARLIER, Origin, PHOTOS, VERDICTS};
 
 use super::actions::action;
 use super::open::{OpenCrate, text};
-use crate::contents::{members, rows};
+use crate::contents::{leaves, rows};
 use crate::graph::{action_id, ids};
 use crate::run::Node;
 
@@ -109,8 +109,7 @@ fn check_verdicts(opened: &OpenCrate, faults: &mut Vec<String>) {
         };
         let read = |digest: &Digest| opened.object(digest);
         let what = format!("`{VERDICTS}` of `{}`", node.name);
-        let leaves = members(&output.digest, &read, &what).map(|members| members.leaves);
-        match leaves {
+        match leaves(&output.digest, &read, &what) {
             Err(error) => faults.push(error.to_string()),
             Ok(leaves) => {
                 for leaf in leaves {
