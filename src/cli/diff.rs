@@ -4,9 +4,10 @@ use std::fmt;
 
 use clap::Args;
 use marf_cache::{Digest, Store};
-use marf_engine::Cancel;
+use marf_engine::{Cancel, Change};
 use marf_provenance::LineageError;
 use marf_provenance::diff::{NodeDiff, Presence, diff as nodes};
+use marf_provenance::difference::value_text;
 use marf_provenance::lineage::Lineage;
 use marf_scene::Photo;
 use serde::Serialize;
@@ -169,7 +170,11 @@ impl NodeChanges {
             add(ids.iter().map(|id| format!("product {word}: {id}")).collect());
         }
         for (output, values) in &self.diff.values {
-            add(values.iter().map(|value| format!("{output}: {value}")).collect());
+            // Means and totals stand above what they are of.
+            let mut values: Vec<&Change> = values.iter().collect();
+            values.sort_by_key(|value| value.path.matches('.').count());
+            let line = |value: &&Change| format!("{output}: {}", value_text(value));
+            add(values.iter().map(line).collect());
         }
         add(self.pictures.iter().map(ToString::to_string).collect());
         lines

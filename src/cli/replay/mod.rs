@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use clap::Args;
 use marf_cache::Store;
 use marf_engine::{Cancel, Options, Outcome};
+use marf_provenance::difference::value_text;
 use marf_provenance::lineage::Lineage;
 use marf_provenance::replay::{NotMade, Replayed, compare};
 use serde::Serialize;
@@ -175,7 +176,7 @@ fn difference(output: &marf_provenance::replay::DifferingOutput) -> String {
             found.first_byte, found.differing_bytes
         ));
         for value in found.values.iter().take(MOST_VALUES) {
-            text.push_str(&format!("; {value}"));
+            text.push_str(&format!("; {}", value_text(value)));
         }
     }
     text

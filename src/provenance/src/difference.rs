@@ -44,6 +44,13 @@ pub fn values(one: &[u8], two: &[u8]) -> Vec<Change> {
     }
 }
 
+/// Returns a value that differs as words: path, old and new value. Paths of documents mean nothing but themselves, unlike those of
+/// actions, which [`Change`] has sentences for.
+pub fn value_text(value: &Change) -> String {
+    let told = |value: &Option<String>| value.clone().unwrap_or_else(|| "absent".to_owned());
+    format!("{}: {} -> {}", value.path, told(&value.old), told(&value.new))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -65,11 +72,14 @@ mod tests {
     fn documents_differ_in_values() {
         let found = difference(
             br#"{"psnr": 20.5, "views": [1, 2]}"#,
-            br#"{"psnr": 21, "views": [1, 3]}"#,
+            br#"{"psnr": 21, "views": [1, 3], "files": {"b": 1}}"#,
         )
         .unwrap();
-        let words: Vec<String> = found.values.iter().map(ToString::to_string).collect();
-        assert_eq!(words, ["psnr: 20.5 -> 21", "views.1: 2 -> 3"]);
+        let words: Vec<String> = found.values.iter().map(value_text).collect();
+        assert_eq!(
+            words,
+            ["files.b: absent -> 1", "psnr: 20.5 -> 21", "views.1: 2 -> 3"]
+        );
         assert_eq!(difference(b"[1", b"[2").unwrap().values, []);
     }
 }
