@@ -222,19 +222,34 @@ impl Check<'_> {
             .into_iter()
             .map(|(id, file, base)| (id, (files.binary_search(&file).ok(), base)))
             .collect();
-        let mut wrong = Vec::new();
+        let (mut wrong, mut unplaced) = (Vec::new(), Vec::new());
         let places = &self.places;
         self.store.objects.index.for_each(|row| {
-            // Rows of a pack that came or went since the packs were listed are not judged.
-            let Some((Some(number), base)) = segments.get(&row.segment) else {
+            let Some((number, base)) = segments.get(&row.segment) else {
+                unplaced.push((row.segment, row.id));
                 return;
             };
+            // Rows of a pack that came or went since the packs were listed are not judged.
+            let Some(number) = number else { return };
             let offset = base.saturating_add(row.offset);
             let place = (row.id, row.kind, *number as u32, offset, row.len);
             if places.binary_search(&place).is_err() {
                 wrong.push(row.id);
             }
         })?;
+        // A segment that was added since the segments were read is known now.
+        let known: BTreeSet<i64> = self
+            .store
+            .objects
+            .index
+            .segments()?
+            .into_iter()
+            .map(|(id, ..)| id)
+            .collect();
+        let unplaced = unplaced
+            .into_iter()
+            .filter(|(segment, _)| !known.contains(segment));
+        wrong.extend(unplaced.map(|(_, id)| id));
         for id in wrong {
             self.is_index_wrong = true;
             self.fault(

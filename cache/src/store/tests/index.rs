@@ -226,3 +226,30 @@ fn a_read_only_store_is_read_without_a_write_and_refuses_a_commit() {
     assert!(before == after, "a file of the store changed");
     chmod(0o755);
 }
+
+/// A row whose segment is in no table leads nowhere, although a pack has the object.
+#[test]
+fn a_row_without_its_segment_is_found_and_the_index_made_anew() {
+    let (dir, store) = fresh();
+    let blob = store.put(b"one").unwrap();
+    store.commit().unwrap();
+    let connection = Connection::open(index(&store)).unwrap();
+    connection
+        .execute("UPDATE object SET segment = segment + 64", [])
+        .unwrap();
+    drop((connection, store));
+    let store = again(&dir);
+    assert!(!store.contains(&blob));
+    let repair = FsckOptions {
+        repair: true,
+        ..FsckOptions::default()
+    };
+    let report = store.fsck(repair).unwrap();
+    let told: Vec<_> = report
+        .faults
+        .iter()
+        .map(|fault| (fault.object, fault.what))
+        .collect();
+    assert_eq!(told, [(Some(blob), "the index names a place without the object")]);
+    assert_eq!(&*store.get(&blob).unwrap(), b"one");
+}
