@@ -25,6 +25,7 @@ for pack in pathlib.Path(sys.argv[1], "packs").glob("*.pack"):
 for loose in pathlib.Path(sys.argv[1], "cas").glob("*/*"):
     blobs[loose.parent.name + loose.name] = loose.read_bytes()
 
+assert records, f"no record of a store in {sys.argv[1]}"
 for key, record in sorted(records.items()):
     action = blobs[key]
     assert blake3.blake3(action).hexdigest() == key == record["key"], key
