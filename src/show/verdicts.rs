@@ -159,7 +159,7 @@ pub(super) fn closest_calls<'s, 'a: 's>(
     let shards: BTreeSet<u32> = spots.iter().map(|(shard, _)| *shard).collect();
     let mut closest: BTreeMap<String, ClosestCall<'a>> = BTreeMap::new();
     for (set, shard) in sets.flat_map(|set| shards.iter().map(move |shard| (set, *shard))) {
-        // What cannot be read is told where the node's verdicts are summed up.
+        // What cannot be read is told where it is summed up; behind a kept sum the caption alone is missing.
         let leaves = set.leaves_of(shard).unwrap_or_default();
         let verdicts = leaves
             .iter()
