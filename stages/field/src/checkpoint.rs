@@ -1,10 +1,14 @@
 //! A trainer's state as bytes and back, exact to the bit.
 
+use safetensors::tensor::Dtype;
 use serde::{Deserialize, Serialize};
 
 use crate::cpu::adam::Moments;
+use crate::frame::Frame;
+use crate::occupancy::{Occupancy, Refill};
 use crate::state::State;
 use crate::tensors::{Reader, Writer};
+use crate::weights::Weights;
 use crate::{Config, FieldError, Sizes, Trainer};
 
 #[derive(Serialize, Deserialize)]
@@ -15,6 +19,7 @@ struct Header {
     seed: String,
     views: usize,
     pixels: String,
+    frame: Frame,
     sizes: Sizes,
     steps: u64,
     halvings: u32,
@@ -65,23 +70,46 @@ impl Trainer {
         let bits = u64::from_str_radix(&header.samples_per_ray, 16);
         let bits = bits.map_err(|error| reader.malformed(format!("samples per ray: {error}")))?;
         let samples_per_ray = f64::from_bits(bits);
-        if header.halvings > self.training.sizes.halvings.value {
+        if header.halvings > header.sizes.halvings.value {
             return Err(reader.malformed(format!("steps halved {} times", header.halvings)));
         }
         if !samples_per_ray.is_finite() || samples_per_ray < 1.0 {
             return Err(reader.malformed(format!("{samples_per_ray} samples per ray")));
         }
-        let mut restored = self.training.state.clone();
+        let is_moved = header.frame != self.training.frame;
+        let mut restored = match is_moved {
+            true => self.moved(&reader, &header)?,
+            false => self.training.state.clone(),
+        };
         restored.steps = header.steps;
         restored.halvings = header.halvings;
         restored.samples_per_ray = samples_per_ray;
         read_state(&reader, &mut restored)?;
-        self.training.march = self
-            .training
-            .sizes
-            .steps(&self.training.config, restored.halvings);
-        self.training.state = restored;
+        if is_moved {
+            let placed = self.training.placed(&header.sizes, restored.occupancy.clone());
+            self.training
+                .place(header.frame.clone(), header.sizes.clone(), placed);
+            self.session = self.backend.clone().begin(&mut self.training)?;
+        }
+        self.training.place(header.frame, header.sizes, restored);
         self.session.upload(&self.training)
+    }
+
+    /// Returns a state of the sizes that a box fitted to the field has asked for.
+    fn moved(&self, reader: &Reader, header: &Header) -> Result<State, FieldError> {
+        let (training, sizes) = (&self.training, &header.sizes);
+        header.frame.check(&training.views)?;
+        sizes.check(&training.config)?;
+        check_tables(reader, "weights.", &training.config, sizes)?;
+        let occupancy = Occupancy {
+            refill: Refill::WhereItShows,
+            ..training.state.occupancy.clone()
+        };
+        let mut state = training.placed(sizes, occupancy);
+        if !training.state.scales.is_empty() {
+            state.scales = vec![0.0; state.weights.tables.len()];
+        }
+        Ok(state)
     }
 
     fn header(&self) -> Header {
@@ -89,7 +117,8 @@ impl Trainer {
             config: self.training.config.clone(),
             seed: self.training.seed.to_string(),
             views: self.training.views.len(),
-            pixels: format!("{:016x}", self.training.fingerprint()),
+            pixels: format!("{:016x}", self.training.fingerprint),
+            frame: self.training.frame.clone(),
             sizes: self.training.sizes.clone(),
             steps: self.training.state.steps,
             halvings: self.training.state.halvings,
@@ -106,11 +135,24 @@ impl Trainer {
             () if own.seed != header.seed => differs("seed"),
             () if own.views != header.views => differs("number of views"),
             () if own.pixels != header.pixels => differs("photos, cameras or box"),
-            () if own.sizes != header.sizes => differs("size"),
+            () if !self.training.may_hold(&header.frame, header.steps) => differs("box"),
+            () if own.frame == header.frame && own.sizes != header.sizes => differs("size"),
             () if own.gpu != header.gpu => differs("device"),
             () => Ok(()),
         }
     }
+}
+
+/// Checks the tables of a file by name and length before memory is taken.
+///
+/// # Errors
+/// [`FieldError::Malformed`] names the tensor.
+pub fn check_tables(reader: &Reader, prefix: &str, config: &Config, sizes: &Sizes) -> Result<(), FieldError> {
+    for (index, shape) in Weights::shapes(config, sizes).iter().enumerate() {
+        let len = shape.entries as usize * config.features as usize;
+        reader.expect(&format!("{prefix}table.{index}"), Dtype::F32, len)?;
+    }
+    Ok(())
 }
 
 fn write_moments<'a>(writer: &mut Writer<'a>, name: &str, moments: &'a Moments) {

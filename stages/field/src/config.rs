@@ -22,7 +22,7 @@ pub enum Background {
 pub enum Occupied {
     /// All that some camera sees.
     Seen,
-    /// Those near sparse points; others once a step in them has an optical depth of 0.01. Without points: all seen.
+    /// Those near sparse points; others once a step in them has an optical depth of 0.04. Without points: all seen.
     NearPoints,
 }
 
@@ -74,8 +74,9 @@ pub struct Config {
     pub batch_samples: u32,
     /// Adam's step size at the start, in (0, 1].
     pub learning_rate: f64,
-    /// Steps after which the step size has fallen to 1 / 2 of the start (it falls as 1 / sqrt(1 + 3 s / this)).
-    pub half_rate_steps: u32,
+    /// Adam's step size at the end of the training, as a share of that at the start, in [1e-4, 1]: it falls by equal factors
+    /// from step to step. `benches/field.md`.
+    pub final_rate: f64,
     /// Share of itself that the running average of the weights keeps in a step, 0 to 0.9999; fields are made of it.
     pub average: f64,
     /// Cells a side of the occupancy grid over the whole contracted box, 16 to 256, a multiple of 4.
@@ -87,15 +88,20 @@ pub struct Config {
     pub cone: f64,
     /// Shortest step at first, as a share of the box's half side, in [1e-4, 0.5].
     pub min_step: f64,
-    /// Times that both are halved in training, 0 to 6: after 640 and 8,192 steps and so on, earlier where rays have
-    /// few samples. Absent: until a step is two pixels long. Measured at 60 s: `benches/field.md`.
+    /// Times that both are halved in training, 0 to 6: in equal parts of nine tenths of it, earlier where rays have few
+    /// samples. Absent: until a step is at most a pixel long. `benches/field.md`.
     pub halvings: Option<u32>,
+    /// Steps after which the box is fitted to where the field has found matter, and the field starts anew in it; taken
+    /// down to a multiple of 16; 0: never. Absent: an eighth of `steps`, 64 to 512, where they are 256 or more. Not where 32
+    /// sparse points or more tell the box.
+    pub refit_steps: Option<u32>,
     /// Distance of the first sample, as a share of the box's half side, in [1e-4, 10]; absent: from the sparse points.
     pub near: Option<f64>,
     /// Distance of the last sample, as a share of the box's half side, above `near`, at most 1e6; absent: from the
     /// sparse points.
     pub far: Option<f64>,
-    /// Steps the training is meant to take: a table is not larger than they fill. Absent: not known.
+    /// Steps the training is meant to take: a table is not larger than they fill, and the step size and the length of
+    /// steps along rays end with it. Absent: not known; what changes with the steps then does as in 4,000.
     pub steps: Option<u64>,
     /// Weight of the distortion loss (mip-NeRF 360, arXiv 2111.12077, eq. 15), 0 or more.
     pub distortion: f64,
@@ -129,13 +135,14 @@ impl Default for Config {
             color_layers: 1,
             batch_samples: 1 << 15,
             learning_rate: 2e-2,
-            half_rate_steps: 10_000,
+            final_rate: 0.05,
             average: 0.95,
             occupancy_resolution: 128,
             occupied: Occupied::Seen,
             cone: 0.04,
             min_step: 0.03,
             halvings: None,
+            refit_steps: None,
             near: None,
             far: None,
             steps: None,
@@ -251,10 +258,10 @@ impl Config {
                 "above 0, at most 1",
             ),
             (
-                "half_rate_steps",
-                f64::from(self.half_rate_steps),
-                self.half_rate_steps > 0,
-                "1 or more",
+                "final_rate",
+                self.final_rate,
+                (1e-4..=1.0).contains(&self.final_rate),
+                "0.0001 to 1",
             ),
             (
                 "average",

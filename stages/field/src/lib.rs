@@ -45,6 +45,7 @@ mod size;
 #[cfg(test)]
 mod size_tests;
 mod state;
+mod surface;
 mod tensors;
 #[cfg(test)]
 mod test_scene;

@@ -1,8 +1,8 @@
 //! A trained field as data, and as bytes.
 
-use safetensors::tensor::Dtype;
 use serde::{Deserialize, Serialize};
 
+use crate::checkpoint::check_tables;
 use crate::cpu::march::{Bits, Steps};
 use crate::frame::Frame;
 use crate::tensors::{Reader, Writer};
@@ -38,7 +38,7 @@ struct Header {
 }
 
 /// Raised when the meaning of the file changes.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 
 impl Model {
     /// Returns a model; the steps along rays follow from config and facts.
@@ -97,10 +97,7 @@ impl Model {
         sizes
             .check(&header.config)
             .map_err(|error| reader.malformed(error.to_string()))?;
-        for (index, shape) in Weights::shapes(&header.config, sizes).iter().enumerate() {
-            let len = shape.entries as usize * header.config.features as usize;
-            reader.expect(&format!("table.{index}"), Dtype::F32, len)?;
-        }
+        check_tables(&reader, "", &header.config, sizes)?;
         let mut weights = Weights::zeros(&header.config, sizes);
         for (name, values) in weights.tensors_mut() {
             reader.floats(&name, values)?;

@@ -9,7 +9,7 @@ use crate::rng::{Purpose, Rng};
 
 /// A cell counts as occupied if a step of the shortest length in it has at least this optical depth, or the
 /// mean of all cells if that is less (instant-ngp).
-pub const OCCUPIED: f32 = 0.01;
+pub const OCCUPIED: f32 = 0.04;
 /// What is left of a density when its cell is looked at again.
 pub const DECAY: f32 = 0.8;
 /// Density of a cell that has not been looked at: it stays occupied until it is. exp(10) is the most otherwise.
@@ -88,6 +88,55 @@ impl Occupancy {
         Self {
             refill: Refill::WhereItShows,
             ..all
+        }
+    }
+
+    /// Returns a grid over another box whose seen cells have the densities of those they lie in here.
+    ///
+    /// `from`: the box of this grid, `to`: that of the new one. A cell is as dense as the densest that its centre or a
+    /// corner lies in; one in which nothing was found fills where it shows.
+    pub fn moved(&self, from: &Frame, to: &Frame, views: &[View]) -> Self {
+        let side = self.bits.side;
+        let seen = seen_cells(side, to, views);
+        let densest = |cell: u32| {
+            let corner = [cell % side, cell / side % side, cell / side / side];
+            let places = (0..9_u32).map(|place| {
+                let at = |axis: u32| match place {
+                    8 => 0.5,
+                    _ => f64::from(place >> axis & 1),
+                };
+                [0, 1, 2].map(|axis: usize| (f64::from(corner[axis]) + at(axis as u32)) / f64::from(side))
+            });
+            places
+                .map(|at| self.density_at(from.inward(&to.outward(expand(at)))))
+                .fold(0.0, f32::max)
+        };
+        let cells = seen.par_iter().enumerate();
+        let density: Vec<f32> = cells
+            .map(|(cell, seen)| if *seen { densest(cell as u32) } else { -1.0 })
+            .collect();
+        let mut bits = Bits::new(side);
+        for (cell, _) in density.iter().enumerate().filter(|(_, density)| **density > 0.0) {
+            bits.set(cell);
+        }
+        Self {
+            density,
+            bits,
+            refill: Refill::WhereItShows,
+        }
+    }
+
+    /// Returns the density of the occupied cell around a point given in half sides, 0 where it is empty.
+    fn density_at(&self, point: [f64; 3]) -> f32 {
+        let side = self.bits.side;
+        let corner = contract(point.map(|x| x as f32))
+            .0
+            .map(|x| ((x * side as f32) as u32).min(side - 1));
+        let cell = (corner[2] * side + corner[1]) * side + corner[0];
+        if self.bits.holds(cell) {
+            self.density[cell as usize]
+        } else {
+            0.0
         }
     }
 
@@ -333,6 +382,42 @@ mod tests {
     }
 
     #[test]
+    fn a_grid_moved_into_a_smaller_box_keeps_what_is_occupied_and_finer() {
+        let from = frame();
+        let to = Frame {
+            half_side: 0.25,
+            ..frame()
+        };
+        let mut one = Occupancy::near(32, &from, &views(), &[[0.9, 0.0, -0.9]]);
+        // The cell from 0 to 1/8 on x and y and from 1/2 to 5/8 on z.
+        let cell = (20 * 32 + 16) * 32 + 16;
+        one.bits.set(cell);
+        one.density[cell] = 7.0;
+        let moved = one.moved(&from, &to, &views());
+        assert_eq!(moved.refill, Refill::WhereItShows);
+        let found: Vec<usize> = (0..32_usize.pow(3))
+            .filter(|cell| moved.bits.holds(*cell as u32))
+            .collect();
+        // In quarters the cell goes from 0 to 1/2 and, contracted, from 2 - 1/2 to 2 - 2/5: 4 cells a side and 2 deep, and
+        // those around that touch it.
+        assert!((32..=6 * 6 * 4).contains(&found.len()), "{}", found.len());
+        for cell in found {
+            let at = [cell % 32, cell / 32 % 32, cell / 1024].map(|corner| (corner as f64 + 0.5) / 32.0);
+            let world = to.outward(expand(at));
+            assert!(
+                (-0.07..0.2).contains(&world.x)
+                    && (-0.07..0.2).contains(&world.y)
+                    && (0.4..0.8).contains(&world.z),
+                "{world:?}"
+            );
+            assert_eq!(moved.density[cell], 7.0);
+        }
+        // All seen and none looked at: all stay so.
+        let full = Occupancy::full(32, &from, &views()).moved(&from, &to, &views());
+        assert_eq!(full.bits, Occupancy::full(32, &to, &views()).bits);
+    }
+
+    #[test]
     fn an_empty_cell_fills_where_its_density_shows_and_not_at_the_mean() {
         let mut occupancy = near(&[[0.05, 0.05, 0.55]]);
         let empty = |occupancy: &Occupancy, from: usize| {
@@ -346,15 +431,16 @@ mod tests {
             cell: cell as u32,
             at: [0.5; 3],
         };
-        // 0.01 in a step of 0.05: a density of 0.2 shows; the mean of all is far below 0.1.
-        occupancy.update(&[probe(thin), probe(dense)], &[0.1, 0.3], 0.05);
+        // Half and one and a half times what shows in a step of 0.05; the mean of all is far below either.
+        let shows = OCCUPIED / 0.05;
+        occupancy.update(&[probe(thin), probe(dense)], &[0.5 * shows, 1.5 * shows], 0.05);
         assert!(!occupancy.bits.holds(thin as u32) && occupancy.bits.holds(dense as u32));
         let mut full = Occupancy::full(32, &frame(), &views());
         full.density
             .iter_mut()
             .filter(|density| **density > 0.0)
             .for_each(|density| *density = 0.0);
-        full.update(&[probe(thin)], &[0.1], 0.05);
+        full.update(&[probe(thin)], &[0.5 * shows], 0.05);
         assert!(full.bits.holds(thin as u32));
     }
 }

@@ -1,7 +1,9 @@
 //! What changes with the steps of a training: step size, averaging, rays of a batch, length of the steps along rays.
 
 use crate::depth::SHARE;
+use crate::frame::ENOUGH_POINTS;
 use crate::training::Training;
+use crate::{Config, Quality};
 
 /// Steps between two updates of the occupancy.
 pub const UPDATE_EVERY: u64 = 16;
@@ -11,9 +13,9 @@ pub const EPSILON: f32 = 1e-12;
 pub const DECAY: f32 = 1e-6;
 /// Step size of the background, in learning rates: its 16 coefficients a channel have no layer to multiply them.
 pub const BACKGROUND_RATE: f32 = 10.0;
-/// Optimiser steps after which the steps along rays are halved: long ones find a surface sooner, short ones place it
-/// better. Multiples of [`UPDATE_EVERY`].
-const HALVED_AT: [u64; 3] = [640, 8_192, 65_536];
+/// Share of the training after which the steps along rays are halved for the last time, the other times in equal parts
+/// before: long steps find a surface sooner, short ones place it better.
+const LAST_HALVED: f64 = 0.9;
 /// With fewer samples a ray than this the steps are halved at once; checked every [`FEW_AT`] steps.
 const FEW_SAMPLES: f64 = 8.0;
 const FEW_AT: u64 = 128;
@@ -22,11 +24,45 @@ const CHUNK_SAMPLES: f64 = 768.0;
 /// Steps between two updates of the averaged weights: every step costs a pass over all tables.
 const AVERAGED_EVERY: u64 = 4;
 
+/// Steps after which the box is fitted to the field, at least and at most, and this share of the training between.
+const REFIT_AT: [u64; 2] = [64, 512];
+const REFIT_SHARE: u64 = 8;
+
+/// Returns the step after which the box is fitted to the field, a multiple of [`UPDATE_EVERY`].
+///
+/// `None` where enough sparse points have told it, and where the training is less than four times as long or its length
+/// is not known: what was learnt until then is lost.
+pub fn refit_step(config: &Config, points: &[[f64; 3]]) -> Option<u64> {
+    let [least, most] = REFIT_AT;
+    let at = match (config.refit_steps, config.steps) {
+        (Some(at), _) => u64::from(at),
+        (None, Some(steps)) if steps >= 4 * least => (steps / REFIT_SHARE).clamp(least, most),
+        (None, _) => 0,
+    };
+    let at = at / UPDATE_EVERY * UPDATE_EVERY;
+    (at > 0 && points.len() < ENOUGH_POINTS).then_some(at)
+}
+
+/// Returns the steps that the schedule is laid out for.
+fn horizon(config: &Config) -> u64 {
+    config.steps.unwrap_or(Quality::Standard.steps())
+}
+
+/// Returns the share of the training that is done after so many steps, in [0, 1]; 1 beyond its end.
+fn done(config: &Config, steps: u64) -> f64 {
+    (steps as f64 / horizon(config).max(1) as f64).min(1.0)
+}
+
 impl Training {
-    /// Returns the step size after so many steps.
+    /// Returns the step size after so many steps: from `learning_rate` down by equal factors to `final_rate` of it at the
+    /// end of the training, where it stays.
     pub fn rate_at(&self, steps: u64) -> f32 {
-        let slowed = 1.0 + 3.0 * steps as f64 / f64::from(self.config.half_rate_steps);
-        (self.config.learning_rate / slowed.sqrt()) as f32
+        let Config {
+            learning_rate,
+            final_rate,
+            ..
+        } = self.config;
+        (learning_rate * libm::pow(final_rate, done(&self.config, steps))) as f32
     }
 
     /// Returns the share of themselves that the averaged weights keep after so many steps, less in the first ones.
@@ -50,10 +86,11 @@ impl Training {
 
     /// Halves the steps along rays once there is a surface to find more exactly.
     pub fn halve_steps(&mut self) {
-        let due = HALVED_AT.iter().filter(|at| self.state.steps >= **at).count() as u32;
+        let most = self.sizes.halvings.value;
+        let due = (done(&self.config, self.state.steps) / LAST_HALVED * f64::from(most)) as u32;
         let few = self.state.samples_per_ray < FEW_SAMPLES && self.state.steps.is_multiple_of(FEW_AT);
         let wanted = due.max(self.state.halvings + u32::from(few));
-        let wanted = wanted.min(self.sizes.halvings.value);
+        let wanted = wanted.min(most);
         if wanted > self.state.halvings {
             self.state.samples_per_ray *= f64::from(1_u32 << (wanted - self.state.halvings));
             self.state.halvings = wanted;
@@ -70,5 +107,121 @@ impl Training {
     /// Returns the rays of a chunk.
     pub fn chunk_rays(&self) -> usize {
         (CHUNK_SAMPLES / self.state.samples_per_ray).clamp(4.0, 64.0) as usize
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_scene::{ball, small};
+
+    fn of(steps: Option<u64>) -> Training {
+        let config = Config {
+            steps,
+            halvings: Some(3),
+            ..small()
+        };
+        Training::new(ball(2, 8), &[], &config, 0).unwrap()
+    }
+
+    #[test]
+    fn the_rate_falls_by_equal_factors_to_its_last_share_whatever_the_length() {
+        for steps in [1, 2, 3, 400, 100_000, u64::MAX] {
+            let training = of(Some(steps));
+            let Config {
+                learning_rate,
+                final_rate,
+                ..
+            } = training.config;
+            let rates = [0, steps / 2, steps, u64::MAX].map(|step| f64::from(training.rate_at(step)));
+            assert!(
+                (rates[0] / learning_rate - 1.0).abs() < 1e-6,
+                "{steps}: {rates:?}"
+            );
+            for last in &rates[2..] {
+                assert!(
+                    (last / learning_rate / final_rate - 1.0).abs() < 1e-6,
+                    "{steps}: {rates:?}"
+                );
+            }
+            if steps.is_multiple_of(2) {
+                let middle = learning_rate * final_rate.sqrt();
+                assert!((rates[1] / middle - 1.0).abs() < 1e-6, "{steps}: {rates:?}");
+            }
+        }
+        // Unknown: as 4,000 steps.
+        assert_eq!(of(None).rate_at(1234), of(Some(4_000)).rate_at(1234));
+    }
+
+    #[test]
+    fn steps_along_rays_are_halved_in_equal_parts_of_nine_tenths_of_the_training() {
+        for (steps, expected) in [
+            (1, [1, 1, 1]),
+            (1_000, [300, 600, 900]),
+            (100_000, [30_000, 60_000, 90_000]),
+        ] {
+            let mut training = of(Some(steps));
+            training.state.samples_per_ray = 100.0;
+            for (done, at) in expected.into_iter().enumerate() {
+                let before = training.march.count;
+                training.state.steps = at - 1;
+                training.halve_steps();
+                let early = training.state.halvings;
+                training.state.steps = at;
+                training.halve_steps();
+                if steps > 1 {
+                    assert_eq!(
+                        [early, training.state.halvings],
+                        [done as u32, done as u32 + 1],
+                        "{steps}, {at}"
+                    );
+                    assert!(training.march.count > before, "{steps}, {at}");
+                }
+            }
+            assert_eq!(training.state.halvings, 3, "{steps}");
+            assert_eq!(training.state.samples_per_ray, 800.0, "{steps}");
+        }
+    }
+
+    #[test]
+    fn rays_with_few_samples_have_their_steps_halved_at_once() {
+        let mut training = of(Some(100_000));
+        training.state.samples_per_ray = 3.0;
+        for (steps, halvings) in [(16, 0), (128, 1), (144, 1), (256, 2), (384, 2)] {
+            training.state.steps = steps;
+            training.halve_steps();
+            assert_eq!(training.state.halvings, halvings, "{steps}");
+        }
+    }
+
+    #[test]
+    fn the_box_is_fitted_after_an_eighth_of_a_training_that_is_long_enough() {
+        let at = |steps, refit_steps, points: usize| {
+            let config = Config {
+                steps,
+                refit_steps,
+                ..small()
+            };
+            refit_step(&config, &vec![[0.0; 3]; points])
+        };
+        for (steps, expected) in [
+            (1, None),
+            (2, None),
+            (3, None),
+            (255, None),
+            (256, Some(64)),
+            (400, Some(64)),
+            (1_000, Some(112)),
+            (100_000, Some(512)),
+            (u64::MAX, Some(512)),
+        ] {
+            assert_eq!(at(Some(steps), None, 0), expected, "{steps}");
+        }
+        assert_eq!(at(Some(4_000), None, 31), Some(496));
+        assert_eq!(at(Some(4_000), None, 32), None);
+        assert_eq!(at(None, None, 0), None);
+        assert_eq!(at(Some(10), Some(100), 0), Some(96));
+        assert_eq!(at(Some(4_000), Some(0), 0), None);
+        assert_eq!(at(Some(4_000), Some(15), 0), None);
     }
 }

@@ -58,8 +58,8 @@ const POINTS_A_CELL: usize = 4;
 const ENOUGH_CELLS: usize = 8;
 /// Finest cells an entry may be shared by: the other levels tell them apart (instant-ngp, section 3).
 const CELLS_AN_ENTRY: u64 = 4;
-/// A step need not be shorter than so many pixels are wide at its distance.
-const PIXELS_A_STEP: f64 = 2.0;
+/// The last steps are at most so many pixels long at their distance.
+const PIXELS_A_STEP: f64 = 1.0;
 /// Smallest and largest table that is derived.
 const TABLES: [u32; 2] = [12, 22];
 
@@ -333,7 +333,7 @@ fn counted(points: &[[f64; 3]], frame: &Frame, finest: u32) -> Option<Chosen<u64
     Some(Chosen::new(value, reason))
 }
 
-/// Steps end at the width of two pixels.
+/// Returns how often steps must be halved to end at the width of a pixel or less.
 fn halvings(config: &Config, views: &[View]) -> Chosen<u32> {
     if let Some(halvings) = config.halvings {
         return Chosen::said(halvings, "halvings");
@@ -341,10 +341,12 @@ fn halvings(config: &Config, views: &[View]) -> Chosen<u32> {
     let mut focals: Vec<f64> = views.iter().map(|view| view.camera.fx_px).collect();
     let focal_px = percentile(&mut focals, 0.5);
     let pixels = config.cone * focal_px;
-    let fits = |halvings: &u32| pixels * 0.5_f64.powi(*halvings as i32) >= PIXELS_A_STEP;
-    let halvings = (1..=MOST_HALVINGS).take_while(fits).last().unwrap_or(0);
+    let length = |halvings: u32| pixels * 0.5_f64.powi(halvings as i32);
+    let enough = (0..MOST_HALVINGS).find(|halvings| length(*halvings) <= PIXELS_A_STEP);
+    let halvings = enough.unwrap_or(MOST_HALVINGS);
     let reason = format!(
-        "a step of `cone` is {pixels:.1} pixels long (focal length {focal_px:.0} px); it ends at {PIXELS_A_STEP} or more"
+        "a step of `cone` is {pixels:.1} pixels long (focal length {focal_px:.0} px); it ends at {:.2}, the first at most {PIXELS_A_STEP} or the {MOST_HALVINGS}th",
+        length(halvings)
     );
     Chosen::new(halvings, reason)
 }

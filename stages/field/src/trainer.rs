@@ -3,6 +3,7 @@ use std::sync::Arc;
 use crate::backend::{Backend, Session, Step};
 use crate::cpu_backend::Cpu;
 use crate::model::Model;
+use crate::surface::surface_points;
 use crate::training::Training;
 use crate::{Config, Device, Field, FieldError, View};
 
@@ -54,6 +55,9 @@ impl Trainer {
 
     /// Takes one optimiser step on the CPU; on a GPU up to the next multiple of 16, at most `most`, at least one.
     ///
+    /// Where no sparse points have told the box, it is fitted once to what the field has found: the field then starts anew
+    /// in it.
+    ///
     /// On a GPU all steps of one call have as many rays: a training that is cut elsewhere than at multiples of 16
     /// learns other bytes than one that is not.
     ///
@@ -61,7 +65,20 @@ impl Trainer {
     /// [`FieldError::NotFinite`]; the trainer then still holds the state before the step that is named.
     /// [`FieldError::Gpu`] where the device failed.
     pub fn advance(&mut self, most: u64) -> Result<Step, FieldError> {
-        self.session.advance(&mut self.training, most)
+        let step = self.session.advance(&mut self.training, most)?;
+        if self.training.refit_step == Some(self.training.state.steps) {
+            self.refit()?;
+        }
+        Ok(step)
+    }
+
+    /// Fits the box to where the field has found matter.
+    fn refit(&mut self) -> Result<(), FieldError> {
+        let points = surface_points(&self.field()?, &self.training.views)?;
+        if self.training.refit(&points) {
+            self.session = self.backend.clone().begin(&mut self.training)?;
+        }
+        Ok(())
     }
 
     /// Brings the state back from where the training runs.

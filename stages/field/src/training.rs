@@ -5,13 +5,17 @@ use marf_scene::Pose;
 use crate::cpu::adam::Bias;
 use crate::cpu::march::Steps;
 use crate::depth::{Observation, observations};
-use crate::frame::Frame;
+use crate::frame::{ENOUGH_POINTS, Frame};
 use crate::occupancy::Occupancy;
 use crate::rng::Fingerprint;
+use crate::schedule::refit_step;
 use crate::state::State;
 use crate::views::{View, check_points, check_views, pixel_offsets};
 use crate::weights::Weights;
 use crate::{Background, Config, Facts, FieldError, LevelFacts, Occupied, Sizes, background, size};
+
+/// A box is left as it is unless one that fits the matter has at most this share of its half side: the field starts anew.
+const SMALLER: f64 = 0.75;
 
 /// A training: photos, settings, what was derived from them, and the state.
 pub struct Training {
@@ -31,6 +35,10 @@ pub struct Training {
     pub sizes: Sizes,
     /// Steps along rays, as often halved as the state says.
     pub march: Steps,
+    /// Step after which the box is fitted to the field; `None` where sparse points have decided it.
+    pub refit_step: Option<u64>,
+    /// Digest of photos, cameras, poses, points that pull, and the box at first: checkpoints of another training have another.
+    pub fingerprint: u64,
     /// What the views see of the sparse points; empty where they do not pull.
     pub observations: Vec<Observation>,
     /// Corrections of the moments by step count.
@@ -75,6 +83,8 @@ impl Training {
             Vec::new()
         };
         Ok(Self {
+            refit_step: refit_step(config, points),
+            fingerprint: fingerprint(&views, &frame, &observations),
             config: config.clone(),
             seed,
             world_from_cams: views.iter().map(|view| view.cam_from_world.inverse()).collect(),
@@ -89,30 +99,59 @@ impl Training {
         })
     }
 
-    /// Returns a digest of photos, cameras, poses and box: checkpoints of another training have another.
-    pub fn fingerprint(&self) -> u64 {
-        let mut sum = Fingerprint::default();
-        for view in &self.views {
-            let camera = &view.camera;
-            sum.add([camera.width.into(), camera.height.into()]);
-            let lens = [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px];
-            let distortion = [camera.k1, camera.k2, camera.p1, camera.p2];
-            sum.add(lens.iter().chain(&distortion).map(|number| number.to_bits()));
-            let pose: [[f64; 4]; 3] = view.cam_from_world.into();
-            sum.add(pose.as_flattened().iter().map(|number| number.to_bits()));
-            sum.add(view.image.words());
+    /// Fits box, sizes and occupancy to points of the world at which the field has found matter; its tables and
+    /// networks start anew. Returns whether it did: a box stays that would not be a quarter smaller.
+    pub fn refit(&mut self, points: &[[f64; 3]]) -> bool {
+        if points.len() < ENOUGH_POINTS {
+            return false;
         }
-        sum.add(
-            self.frame
-                .origin
-                .iter()
-                .chain([&self.frame.half_side])
-                .map(|number| number.to_bits()),
+        let steps = self.state.steps;
+        let mut frame = Frame::derive(&self.views, points);
+        frame.reason = format!(
+            "after {steps} steps the field has found matter, whose places count as sparse points: {}",
+            frame.reason
         );
-        for observation in &self.observations {
-            sum.add([observation.pixel, observation.t.to_bits().into()]);
+        if frame.half_side > SMALLER * self.frame.half_side || frame.check(&self.views).is_err() {
+            return false;
         }
-        sum.0
+        let sizes = size::derive(&self.views, points, &self.config, &frame);
+        let occupancy = self.state.occupancy.moved(&self.frame, &frame, &self.views);
+        let mut placed = self.placed(&sizes, occupancy);
+        placed.weights.randomise(self.seed);
+        placed
+            .weights
+            .background
+            .clone_from(&self.state.weights.background);
+        placed.average = placed.weights.clone();
+        self.place(frame, sizes, placed);
+        true
+    }
+
+    /// Returns the state for a field of other sizes, its tables and networks zero; steps and exposures go on.
+    pub fn placed(&self, sizes: &Sizes, occupancy: Occupancy) -> State {
+        let (config, state) = (&self.config, &self.state);
+        let weights = Weights::zeros(config, sizes);
+        State {
+            steps: state.steps,
+            halvings: state.halvings.min(sizes.halvings.value),
+            gains: state.gains.clone(),
+            gain_moments: state.gain_moments.clone(),
+            ..State::new(config, &self.views, weights, occupancy, state.samples_per_ray)
+        }
+    }
+
+    /// Puts the training into a box; no session that was begun before knows of it.
+    pub fn place(&mut self, frame: Frame, sizes: Sizes, state: State) {
+        self.march = sizes.steps(&self.config, state.halvings);
+        (self.frame, self.sizes, self.state) = (frame, sizes, state);
+    }
+
+    /// Returns whether the training can be in this box after so many steps: the box at first, or a smaller one once it was
+    /// fitted.
+    pub fn may_hold(&self, frame: &Frame, steps: u64) -> bool {
+        let is_fitted = self.refit_step.is_some_and(|at| at <= steps);
+        *frame == self.frame
+            || (is_fitted && frame.half_side <= SMALLER * self.frame.half_side && frame.half_side > 0.0)
     }
 
     /// Returns what the field was sized by.
@@ -141,4 +180,25 @@ impl Training {
             steps: self.state.steps,
         }
     }
+}
+
+/// Returns a digest of photos, cameras, poses, points that pull, and the box.
+fn fingerprint(views: &[View], frame: &Frame, observations: &[Observation]) -> u64 {
+    let mut sum = Fingerprint::default();
+    for view in views {
+        let camera = &view.camera;
+        sum.add([camera.width.into(), camera.height.into()]);
+        let lens = [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px];
+        let distortion = [camera.k1, camera.k2, camera.p1, camera.p2];
+        sum.add(lens.iter().chain(&distortion).map(|number| number.to_bits()));
+        let pose: [[f64; 4]; 3] = view.cam_from_world.into();
+        sum.add(pose.as_flattened().iter().map(|number| number.to_bits()));
+        sum.add(view.image.words());
+    }
+    let numbers = frame.origin.iter().chain([&frame.half_side]);
+    sum.add(numbers.map(|number| number.to_bits()));
+    for observation in observations {
+        sum.add([observation.pixel, observation.t.to_bits().into()]);
+    }
+    sum.0
 }

@@ -169,6 +169,59 @@ fn a_resumed_training_gives_the_bytes_of_an_uninterrupted_one() {
 }
 
 #[test]
+fn a_box_is_fitted_to_the_matter_that_was_found() {
+    let config = Config {
+        refit_steps: Some(135),
+        batch_samples: 4096,
+        ..small()
+    };
+    let mut trainer = trained(ball(12, 24), &config, 1, 127);
+    let before = trainer.training.frame.clone();
+    let resume = |from: &mut Trainer| {
+        let mut resumed = Trainer::new(ball(12, 24), &[], &config, 1).unwrap();
+        resumed.restore(&from.save().unwrap()).unwrap();
+        resumed
+    };
+    let mut resumed = resume(&mut trainer);
+    for trainer in [&mut trainer, &mut resumed] {
+        trainer.advance(1).unwrap();
+    }
+    let after = trainer.training.frame.clone();
+    // Cameras are 3 from a ball of radius 1.
+    assert!(before.half_side > 2.5, "{before:?}");
+    assert!((0.6..1.2).contains(&after.half_side), "{after:?}");
+    assert!(after.origin.iter().all(|x| x.abs() < 0.3), "{after:?}");
+    assert!(after.reason.starts_with("after 128 steps"), "{after:?}");
+    // From before and from behind, a resumed training goes on with the same bytes.
+    let mut behind = resume(&mut trainer);
+    for trainer in [&mut trainer, &mut resumed, &mut behind] {
+        for _ in 0..72 {
+            trainer.advance(1).unwrap();
+        }
+    }
+    let bytes = trainer.save().unwrap();
+    assert!(resumed.save().unwrap() == bytes && behind.save().unwrap() == bytes);
+    assert_eq!(trainer.training.frame, after);
+    let score = psnr(&trainer.field().unwrap(), &ball_view(0.4, 0.3, 24));
+    assert!(score > 20.0, "{score} dB");
+}
+
+#[test]
+fn a_box_stays_where_nothing_was_found_or_where_points_have_told_it() {
+    let config = Config {
+        refit_steps: Some(16),
+        ..small()
+    };
+    let mut views = ball(4, 16);
+    views.iter_mut().for_each(|view| view.image.pixels.fill([90; 3]));
+    let trainer = trained(views.clone(), &config, 1, 17);
+    assert_eq!(trainer.training.frame, crate::frame::Frame::derive(&views, &[]));
+    let points: Vec<[f64; 3]> = (0..40).map(|index| [0.01 * f64::from(index), 0.1, 0.0]).collect();
+    let told = Training::new(views, &points, &config, 1).unwrap();
+    assert_eq!(told.refit_step, None);
+}
+
+#[test]
 fn a_checkpoint_of_another_training_or_a_damaged_one_is_refused() {
     let state = trained(ball(4, 16), &small(), 7, 3).save().unwrap();
     let other = |seed, views, config: &Config| {
