@@ -77,9 +77,10 @@ impl Trainer {
             return Err(reader.malformed(format!("{samples_per_ray} samples per ray")));
         }
         let is_moved = header.frame != self.training.frame;
-        let mut restored = match is_moved {
-            true => self.moved(&reader, &header)?,
-            false => self.training.state.clone(),
+        let mut restored = if is_moved {
+            self.moved(&reader, &header)?
+        } else {
+            self.training.state.clone()
         };
         restored.steps = header.steps;
         restored.halvings = header.halvings;

@@ -86,7 +86,8 @@ pub struct Config {
     pub occupied: Occupied,
     /// Length of a step along the ray at first, as a share of the distance from the camera, in [1/1024, 1/4].
     pub cone: f64,
-    /// Shortest step at first, as a share of the box's half side, in [1e-4, 0.5].
+    /// Shortest step at first, as a share of the box's half side, in [1e-4, 0.5]; shorter where matter is so near that
+    /// `cone` makes shorter ones there.
     pub min_step: f64,
     /// Times that both are halved in training, 0 to 6: in equal parts of nine tenths of it, earlier where rays have few
     /// samples. Absent: until a step is at most a pixel long. `benches/field.md`.

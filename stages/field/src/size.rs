@@ -100,9 +100,14 @@ impl Sizes {
     }
 
     /// Returns where rays are looked at after so many halvings of the steps.
+    ///
+    /// The shortest step is `min_step`, or that of `cone` at the nearest matter if that is less: close-ups get steps of as
+    /// many pixels as all else.
     pub(crate) fn steps(&self, config: &Config, halvings: u32) -> Steps {
         let share = 0.5_f64.powi(halvings.min(MOST_HALVINGS) as i32);
-        let (shortest, cone) = (config.min_step * share, config.cone * share);
+        let nearest = self.near.value / NEARER;
+        let shortest = config.min_step.min(config.cone * nearest) * share;
+        let cone = config.cone * share;
         Steps::new(self.near.value, self.far.value, shortest, cone)
     }
 

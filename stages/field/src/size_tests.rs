@@ -81,6 +81,33 @@ fn a_plane_is_sized_by_hand() {
 }
 
 #[test]
+fn the_last_steps_at_matter_near_and_far_are_at_most_a_pixel_long() {
+    for (side, height) in [(64, 10.0), (512, 10.0), (512, 0.5), (1920, 0.1)] {
+        let mut views = above(side);
+        let (eye, target) = (Vector3::new(0.5, 0.5, height), Vector3::new(0.5, 0.5, 0.0));
+        views[1].cam_from_world = Pose::looking_at(eye, target, Vector3::y());
+        let points = plane(256);
+        let frame = Frame::derive(&views, &points);
+        let sizes = sizes(&views, &points);
+        let steps = sizes.steps(&Config::default(), sizes.halvings.value);
+        // From the near percentile of what is seen on, twice `near`, to the far one, an eighth of `far`.
+        let seen = 2.0 * sizes.near.value..=sizes.far.value / 8.0;
+        let pairs = steps.begin.iter().zip(&steps.length).take(steps.count);
+        let longest = pairs
+            .map(|(begin, length)| (f64::from(*begin), f64::from(*length)))
+            .filter(|(begin, _)| seen.contains(begin))
+            .map(|(begin, length)| length / begin * f64::from(side));
+        let longest = longest.fold(0.0, f64::max);
+        assert!(
+            (0.5..=1.0 + 1e-5).contains(&longest) || side == 1920,
+            "{side}, {height}: {longest} px, {frame:?}"
+        );
+        // 1,920 px would need 7 halvings.
+        assert!(longest <= 1.3, "{side}, {height}: {longest} px");
+    }
+}
+
+#[test]
 fn photos_of_twice_the_resolution_have_twice_the_cells_a_side_and_four_times_the_surface() {
     let points = plane(128);
     for side in [128, 256, 512] {

@@ -185,3 +185,33 @@ fn a_nan_stops_the_step_by_name_and_leaves_the_state_before_it() {
         assert_eq!(trainer.steps(), 20);
     }
 }
+
+#[test]
+fn a_box_is_fitted_as_on_the_cpu_and_a_resumed_training_goes_on_in_it() {
+    let Some(gpu) = gpu("a_box_is_fitted_as_on_the_cpu_and_a_resumed_training_goes_on_in_it") else {
+        return;
+    };
+    let config = Config {
+        refit_steps: Some(128),
+        ..config()
+    };
+    let made = || on_gpu(&gpu, ball(12, 24), &[], (&config, 1));
+    let (mut there, mut resumed) = (made(), made());
+    let mut here = Trainer::new(ball(12, 24), &[], &config, 1).unwrap();
+    let at_first = here.training.frame.half_side;
+    for trainer in [&mut there, &mut here] {
+        advance(trainer, 128);
+    }
+    let [on_gpu, on_cpu] = [&there, &here].map(|trainer| trainer.training.frame.half_side);
+    assert!(on_cpu < 0.5 * at_first, "{on_cpu} of {at_first}");
+    // Weights drift apart by rounding; the box is an 80th percentile of some thousand depths.
+    assert!(
+        (on_gpu / on_cpu - 1.0).abs() < 0.1,
+        "{on_gpu} on the GPU, {on_cpu} on the CPU"
+    );
+    resumed.restore(&there.save().unwrap()).unwrap();
+    for trainer in [&mut there, &mut resumed] {
+        advance(trainer, 160);
+    }
+    assert!(there.save().unwrap() == resumed.save().unwrap());
+}

@@ -42,7 +42,7 @@ impl Define for Train {
     type Params = TrainParams;
     const NAME: &'static str = TrainParams::STAGE;
     const ABOUT: &'static str = "Trains a radiance field and measures it on held-out photos";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),
