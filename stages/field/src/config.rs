@@ -75,7 +75,7 @@ pub struct Config {
     /// Adam's step size at the start, in (0, 1].
     pub learning_rate: f64,
     /// Adam's step size at the end of the training, as a share of that at the start, in [1e-4, 1]: it falls by equal factors
-    /// from step to step. `benches/field.md`.
+    /// in the second half, from step 512 at the earliest. `benches/field.md`.
     pub final_rate: f64,
     /// Share of itself that the running average of the weights keeps in a step, 0 to 0.9999; fields are made of it.
     pub average: f64,
