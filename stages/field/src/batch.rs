@@ -3,13 +3,15 @@
 use parking_lot::Mutex;
 use rayon::prelude::*;
 
-use crate::cpu::composite::{Gathered, RAW_LIMIT, Ray, Runaways, colour, colour_slope, runs_away};
+use crate::cpu::composite::{Densities, Gathered, RAW_LIMIT, Ray, Runaways, colour, colour_slope};
 use crate::cpu::encode::Points;
 use crate::cpu::march::{Bits, March, Samples, Steps};
 use crate::cpu::simd::{Block, InstructionSet, Isa, Kernel, LANES, Run, Stripe, flat};
 use crate::draw::Target;
 use crate::exposure::Exposure;
-use crate::shade::{Shade, Span, lookup};
+use crate::occupancy::Probe;
+use crate::shade::{Shade, Span, ToPlanes, lookup, planes_mut};
+use crate::watch::{Part, Watch, timed};
 use crate::weights::Weights;
 use crate::{Background, Config, sh};
 
@@ -28,6 +30,8 @@ pub struct Shared<'a> {
     pub bits: &'a Bits,
     /// Rays of the whole batch: gradients are those of the mean.
     pub rays: usize,
+    /// Where the time goes, if someone asks.
+    pub watch: Option<&'a Watch>,
 }
 
 /// Rays that are trained together. Its memory is kept from step to step.
@@ -35,7 +39,7 @@ pub struct Shared<'a> {
 pub struct Chunk {
     /// Samples on the rays, padded to a multiple of 16; after training those that were trained.
     pub samples: Samples,
-    /// Encoded features of the samples; after training their gradients.
+    /// Encoded features of the samples, `[levels, n, F]`; after training their gradients.
     pub features: Vec<Block>,
     spans: Vec<Span>,
     harmonics: Vec<[f32; sh::COUNT]>,
@@ -60,14 +64,16 @@ pub struct Found {
     pub visited: u64,
     /// Samples that were trained.
     pub samples: u64,
+    /// Samples whose colour was computed.
+    pub colours: u64,
     /// First tensor with a number that ran away.
     pub bad: Option<&'static str>,
 }
 
 impl Found {
     /// Returns the first gradient, but those of the features, with a number that runs away.
-    pub fn runaway_gradient(&self) -> Option<&'static str> {
-        let wild = |values: &[f32]| values.iter().any(|value| runs_away(*value));
+    fn runaway_gradient(&self, level: InstructionSet) -> Option<&'static str> {
+        let wild = |values: &[f32]| level.run(Runaways(values)) > 0;
         let mut layers = self.density.iter().chain(&self.color);
         match () {
             () if layers.any(|layer| wild(flat(layer))) => Some("gradient of the networks"),
@@ -93,11 +99,40 @@ pub struct Scratch {
     shade: Shade,
     kept: Vec<u32>,
     before: Vec<f32>,
+    joined: Joined,
+    /// Colour of every sample: that of its row.
+    rgb: Vec<[f32; 4]>,
     d_tau: Vec<f32>,
     d_rgb: Vec<[f32; 4]>,
+    /// Gradients of the rows of the colour network, then of its input.
+    d_color: Vec<Block>,
     slope: Vec<Block>,
     spare: Vec<Block>,
 }
+
+/// Samples on a ray are joined until they weigh this much. rover4, 4 photos, after 600 steps: 19.20 dB with a colour for
+/// every sample, 19.21 at 1/128, 19.07 at 1/64, where two fifths of the colours are left.
+const FAINT: f32 = 1.0 / 128.0;
+
+/// Samples that share a colour: they are joined until they weigh [`FAINT`], the first time a random part of it, and take
+/// the colour of the last. What is left at the end of the ray takes that of the background.
+#[derive(Default)]
+struct Joined {
+    /// Row of every sample in the colour network; [`BEHIND`] for the background.
+    row: Vec<u32>,
+    /// Sample of every row.
+    sample: Vec<u32>,
+    /// Rows of every ray.
+    spans: Vec<Span>,
+}
+
+/// In place of a row: the background.
+const BEHIND: u32 = u32::MAX;
+
+/// Points of a chunk, and of as many chunks as are looked up together: their features then take no more memory than those
+/// of a batch.
+const CHUNK_PROBES: usize = 1024;
+const PROBES: usize = 32 * CHUNK_PROBES;
 
 /// Trains on a batch, `rays` rays a chunk; fills `chunks`.
 ///
@@ -105,8 +140,8 @@ pub struct Scratch {
 pub fn train(shared: &Shared, targets: &[Target], rays: usize, chunks: &mut Vec<Chunk>, spares: &Spares) {
     chunks.resize_with(targets.len().div_ceil(rays), Chunk::default);
     let pairs = chunks.par_iter_mut().zip(targets.par_chunks(rays));
-    pairs.for_each(|(chunk, targets)| chunk.march(shared, targets));
-    encode(shared, chunks);
+    pairs.for_each(|(chunk, targets)| timed(shared.watch, Part::March, || chunk.march(shared, targets)));
+    encode(shared.level, shared.weights, chunks, shared.watch);
     let pairs = chunks.par_iter_mut().zip(targets.par_chunks(rays));
     pairs.with_max_len(1).for_each(|(chunk, targets)| {
         let mut scratch = spares.lock().pop().unwrap_or_default();
@@ -116,15 +151,13 @@ pub fn train(shared: &Shared, targets: &[Target], rays: usize, chunks: &mut Vec<
 }
 
 /// Looks up the features of all chunks: one task a level and chunk, level by level.
-fn encode(shared: &Shared, chunks: &mut [Chunk]) {
-    let weights = shared.weights;
+fn encode(level: InstructionSet, weights: &Weights, chunks: &mut [Chunk], watch: Option<&Watch>) {
     let levels = weights.shapes.iter().zip(&weights.tables);
     let mut tasks: Vec<Vec<(Points, Stripe)>> = levels.clone().map(|_| Vec::new()).collect();
     for chunk in chunks {
         let points = chunk.samples.points();
-        let stripes = Stripe::cut(&mut chunk.features, weights.row_blocks(), weights.features);
-        for (tasks, stripe) in tasks.iter_mut().zip(stripes) {
-            tasks.push((points, stripe));
+        for (tasks, plane) in tasks.iter_mut().zip(planes_mut(&mut chunk.features, weights)) {
+            tasks.push((points, Stripe::plane(plane, weights.features)));
         }
     }
     let tasks = levels.zip(tasks).flat_map(|((shape, table), tasks)| {
@@ -136,11 +169,60 @@ fn encode(shared: &Shared, chunks: &mut [Chunk]) {
         .into_par_iter()
         .with_min_len(4)
         .for_each(|(shape, table, points, stripe)| {
-            lookup(shared.level, weights.features, shape, table, points, stripe);
+            timed(watch, Part::Lookup, || {
+                lookup(level, weights.features, shape, table, points, stripe);
+            });
         });
 }
 
+/// Returns the densities at probes of the occupancy; NaN where one is not finite. `chunks`: memory.
+pub fn densities(
+    level: InstructionSet,
+    weights: &Weights,
+    probes: &[Probe],
+    chunks: &mut Vec<Chunk>,
+    spares: &Spares,
+) -> Vec<f32> {
+    let mut found = vec![0.0; probes.len()];
+    for (probes, found) in probes.chunks(PROBES).zip(found.chunks_mut(PROBES)) {
+        chunks.resize_with(probes.len().div_ceil(CHUNK_PROBES), Chunk::default);
+        let pairs = chunks.par_iter_mut().zip(probes.par_chunks(CHUNK_PROBES));
+        pairs.for_each(|(chunk, probes)| chunk.place(weights, probes));
+        encode(level, weights, chunks, None);
+        let pairs = chunks.par_iter().zip(found.par_chunks_mut(CHUNK_PROBES));
+        pairs.for_each(|(chunk, found)| {
+            let mut scratch = spares.lock().pop().unwrap_or_default();
+            scratch.shade.infer(level, weights, &chunk.features);
+            let raw = &scratch.shade.raw;
+            level.run(Densities { raw, found });
+            spares.lock().push(scratch);
+        });
+    }
+    found
+}
+
 impl Chunk {
+    /// Takes points to look at.
+    fn place(&mut self, weights: &Weights, probes: &[Probe]) {
+        let samples = &mut self.samples;
+        samples.resize(0);
+        for (axis, numbers) in [&mut samples.x, &mut samples.y, &mut samples.z]
+            .into_iter()
+            .enumerate()
+        {
+            numbers.extend(probes.iter().map(|probe| probe.at[axis]));
+        }
+        self.pad(weights);
+    }
+
+    /// Fills the last vector, and makes room for the features.
+    fn pad(&mut self, weights: &Weights) {
+        let padded = self.samples.len().next_multiple_of(LANES);
+        self.samples.resize(padded);
+        self.features
+            .resize(padded * weights.row_blocks(), Block::default());
+    }
+
     /// Collects the samples of every ray.
     fn march(&mut self, shared: &Shared, targets: &[Target]) {
         self.samples.resize(0);
@@ -167,10 +249,7 @@ impl Chunk {
             self.harmonics.push(harmonics);
         }
         self.found.visited = self.samples.len() as u64;
-        let padded = self.samples.len().next_multiple_of(LANES);
-        self.samples.resize(padded);
-        let rows = padded * shared.weights.row_blocks();
-        self.features.resize(rows, Block::default());
+        self.pad(shared.weights);
     }
 }
 
@@ -178,38 +257,56 @@ impl Scratch {
     /// Trains on the rays of a chunk whose features have been looked up.
     fn train(&mut self, shared: &Shared, targets: &[Target], chunk: &mut Chunk) {
         std::mem::swap(&mut self.shade.samples, &mut chunk.samples);
-        std::mem::swap(&mut self.shade.features, &mut chunk.features);
         chunk.found.bad = self.learn(shared, targets, chunk).err();
         std::mem::swap(&mut self.shade.samples, &mut chunk.samples);
-        std::mem::swap(&mut self.slope, &mut chunk.features);
     }
 
     /// # Errors
     /// The first tensor with a number that runs away.
     fn learn(&mut self, shared: &Shared, targets: &[Target], chunk: &mut Chunk) -> Result<(), &'static str> {
-        self.shade.infer(shared.level, shared.weights);
+        let (weights, watch) = (shared.weights, shared.watch);
+        timed(watch, Part::Density, || {
+            self.shade.infer(shared.level, weights, &chunk.features);
+        });
         if shared.level.run(Runaways(&self.shade.raw)) > 0 {
             return Err("raw density");
         }
-        self.before.resize(targets.len(), 0.0);
-        self.shade.opacities(shared.level, &chunk.spans, &self.before);
-        self.shade.drop_hidden(&mut chunk.spans, &mut self.kept);
-        self.shade
-            .colours(shared.level, shared.weights, &chunk.spans, &chunk.harmonics);
+        timed(watch, Part::Opacity, || self.opacities(shared, targets, chunk));
+        timed(watch, Part::Colour, || {
+            self.shade
+                .colours(shared.level, weights, &self.joined.spans, &chunk.harmonics);
+        });
         let logits = self.shade.color.last().map_or(&[][..], Vec::as_slice);
         if shared.level.run(Runaways(flat(logits))) > 0 {
             return Err("colour logits");
         }
-        chunk.found.samples = self.kept.len() as u64;
-        self.losses(shared, targets, chunk);
+        timed(watch, Part::Losses, || self.losses(shared, targets, chunk));
         if !chunk.found.loss.is_finite() {
             return Err("loss");
         }
-        self.backward(shared, &mut chunk.found);
-        if shared.level.run(Runaways(flat(&self.slope))) > 0 {
-            return Err("gradient of the features");
-        }
-        Ok(())
+        timed(watch, Part::ColourBackward, || {
+            self.colour_backward(shared, &mut chunk.found);
+        });
+        timed(watch, Part::DensityBackward, || {
+            self.density_backward(shared, chunk)
+        })?;
+        chunk.found.runaway_gradient(shared.level).map_or(Ok(()), Err)
+    }
+
+    /// Turns densities into opacities and decides which samples are trained, and which of these get a colour.
+    fn opacities(&mut self, shared: &Shared, targets: &[Target], chunk: &mut Chunk) {
+        self.before.resize(targets.len(), 0.0);
+        self.shade.opacities(shared.level, &chunk.spans, &self.before);
+        self.shade.drop_hidden(&mut chunk.spans, &mut self.kept);
+        shared.level.run(Join {
+            shade: &self.shade,
+            targets,
+            spans: &chunk.spans,
+            joined: &mut self.joined,
+        });
+        self.shade.keep_latent(&self.joined.sample);
+        chunk.found.samples = self.kept.len() as u64;
+        chunk.found.colours = self.joined.sample.len() as u64;
     }
 
     /// Compares every ray with its pixel and sends the difference back to densities, colours, background, gain.
@@ -219,6 +316,9 @@ impl Scratch {
         self.d_tau.resize(n, 0.0);
         self.d_rgb.clear();
         self.d_rgb.resize(n, [0.0; 4]);
+        self.rgb.resize(n, [0.0; 4]);
+        self.d_color.clear();
+        self.d_color.resize(self.shade.rgb.len(), Block::default());
         let found = &mut chunk.found;
         found.loss = 0.0;
         found.exposures.clear();
@@ -230,44 +330,52 @@ impl Scratch {
             spans: &chunk.spans,
             harmonics: &chunk.harmonics,
             shade: &self.shade,
+            rows: &self.joined.row,
+            rgb: &mut self.rgb,
             d_tau: &mut self.d_tau,
             d_rgb: &mut self.d_rgb,
+            d_color: &mut self.d_color,
             found,
         });
     }
 
-    /// Carries the gradients through both networks to the features.
-    fn backward(&mut self, shared: &Shared, found: &mut Found) {
-        let (shade, weights) = (&mut self.shade, shared.weights);
-        let n = shade.raw.len();
-        let logits = shade.color.last().map_or(&[][..], Vec::as_slice);
-        self.slope.clear();
-        self.slope.resize(n, Block::default());
-        for (index, slope) in self.slope.iter_mut().enumerate() {
-            for channel in 0..3 {
-                let (logit, value) = (logits[index].0[channel], shade.rgb[index][channel]);
-                slope.0[channel] = self.d_rgb[index][channel] * colour_slope(logit, value);
-            }
-        }
+    /// Carries the gradients of colours through their network, into `d_color`.
+    fn colour_backward(&mut self, shared: &Shared, found: &mut Found) {
+        let (shade, weights) = (&self.shade, shared.weights);
+        shared.level.run(LogitSlopes {
+            logits: shade.color.last().map_or(&[][..], Vec::as_slice),
+            rgb: &shade.rgb,
+            slopes: &mut self.d_color,
+        });
         weights.color.shape_gradients(&mut found.color);
-        let (slope, spare) = (&mut self.slope, &mut self.spare);
         weights.color.backward(
             shared.level,
             &shade.latent,
             &shade.color,
-            slope,
-            spare,
+            &mut self.d_color,
+            &mut self.spare,
             &mut found.color,
         );
+    }
+
+    /// Carries the gradients of raw densities and latents to the features.
+    ///
+    /// # Errors
+    /// Those of the features, with a number that runs away.
+    fn density_backward(&mut self, shared: &Shared, chunk: &mut Chunk) -> Result<(), &'static str> {
+        let (shade, weights, found) = (&self.shade, shared.weights, &mut chunk.found);
+        let (slope, spare) = (&mut self.slope, &mut self.spare);
+        slope.clear();
+        slope.resize(shade.raw.len(), Block::default());
         let blocks = weights.color_blocks();
-        for index in 0..n {
-            let mut row = slope[blocks * index];
-            if shade.raw[index] < RAW_LIMIT {
-                row.0[0] = self.d_tau[index].mul_add(shade.tau[index], row.0[0]);
-            }
-            slope[index] = row;
+        for (latent, sample) in self.d_color.chunks_exact(blocks).zip(&self.joined.sample) {
+            slope[*sample as usize] = latent[0];
         }
-        slope.truncate(n);
+        shared.level.run(RawSlopes {
+            shade,
+            d_tau: &self.d_tau,
+            slopes: slope,
+        });
         weights.density.shape_gradients(&mut found.density);
         weights.density.backward(
             shared.level,
@@ -277,6 +385,92 @@ impl Scratch {
             spare,
             &mut found.density,
         );
+        if shared.level.run(Runaways(flat(slope))) > 0 {
+            return Err("gradient of the features");
+        }
+        chunk.features.resize(slope.len(), Block::default());
+        shared.level.run(ToPlanes {
+            rows: slope,
+            planes: &mut chunk.features,
+            features: weights.features,
+            levels: weights.shapes.len(),
+        });
+        Ok(())
+    }
+}
+
+/// Decides which samples share a colour.
+struct Join<'a> {
+    shade: &'a Shade,
+    targets: &'a [Target],
+    spans: &'a [Span],
+    joined: &'a mut Joined,
+}
+
+impl Kernel for Join<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _isa: I) {
+        let Joined { row, sample, spans } = self.joined;
+        row.clear();
+        row.resize(self.shade.raw.len(), BEHIND);
+        sample.clear();
+        spans.clear();
+        for (target, span) in self.targets.iter().zip(self.spans) {
+            let (first, mut open, mut faint) = (sample.len(), span.first, target.jitter * FAINT);
+            for index in span.first..span.end {
+                faint += self.shade.transmittance[index] * self.shade.alpha[index];
+                if faint >= FAINT {
+                    row[open..=index].fill(sample.len() as u32);
+                    sample.push(index as u32);
+                    (open, faint) = (index + 1, 0.0);
+                }
+            }
+            let end = sample.len();
+            spans.push(Span { first, end });
+        }
+    }
+}
+
+/// Turns gradients of colours, in the first three columns, into those of their logits.
+struct LogitSlopes<'a> {
+    logits: &'a [Block],
+    rgb: &'a [[f32; 4]],
+    slopes: &'a mut [Block],
+}
+
+impl Kernel for LogitSlopes<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _isa: I) {
+        for ((slope, logit), rgb) in self.slopes.iter_mut().zip(self.logits).zip(self.rgb) {
+            for channel in 0..3 {
+                slope.0[channel] *= colour_slope(logit.0[channel], rgb[channel]);
+            }
+        }
+    }
+}
+
+/// Adds the gradients of optical depths to those of the raw densities, in the first column.
+struct RawSlopes<'a> {
+    shade: &'a Shade,
+    d_tau: &'a [f32],
+    slopes: &'a mut [Block],
+}
+
+impl Kernel for RawSlopes<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _isa: I) {
+        let samples = self.shade.raw.iter().zip(&self.shade.tau).zip(self.d_tau);
+        for (slope, ((raw, tau), d_tau)) in self.slopes.iter_mut().zip(samples) {
+            if *raw < RAW_LIMIT {
+                slope.0[0] = d_tau.mul_add(*tau, slope.0[0]);
+            }
+        }
     }
 }
 
@@ -287,8 +481,11 @@ struct Losses<'a> {
     spans: &'a [Span],
     harmonics: &'a [[f32; sh::COUNT]],
     shade: &'a Shade,
+    rows: &'a [u32],
+    rgb: &'a mut [[f32; 4]],
     d_tau: &'a mut [f32],
     d_rgb: &'a mut [[f32; 4]],
+    d_color: &'a mut [Block],
     found: &'a mut Found,
 }
 
@@ -308,15 +505,24 @@ impl Losses<'_> {
     #[inline(always)]
     fn ray(&mut self, target: &Target, Span { first, end }: Span, harmonics: &[f32; sh::COUNT]) {
         let (shared, shade) = (self.shared, self.shade);
+        let logits = shared.weights.logits_behind(harmonics);
+        let behind = shared.weights.behind(shared.config.background, harmonics);
+        let rows = &self.rows[first..end];
+        for (rgb, row) in self.rgb[first..end].iter_mut().zip(rows) {
+            let [red, green, blue] = behind;
+            *rgb = shade
+                .rgb
+                .get(*row as usize)
+                .copied()
+                .unwrap_or([red, green, blue, 0.0]);
+        }
         let ray = Ray {
             alpha: &shade.alpha[first..end],
             transmittance: &shade.transmittance[first..end],
-            rgb: &shade.rgb[first..end],
+            rgb: &self.rgb[first..end],
             place: &shade.samples.place[first..end],
         };
         let Gathered { rgb, left } = ray.gather();
-        let logits = shared.weights.logits_behind(harmonics);
-        let behind = shared.weights.behind(shared.config.background, harmonics);
         let scale = 2.0 / (3 * shared.rays) as f32;
         let plain = [0, 1, 2].map(|channel| left.mul_add(behind[channel], rgb[channel]));
         let compared = target.exposure.compare(plain, target.rgb, scale);
@@ -336,9 +542,17 @@ impl Losses<'_> {
         if let Some(pull) = target.pull {
             pull.spread(&ray, cell, d_tau);
         }
+        let mut d_behind = slope.map(|slope| left * slope);
+        for (row, d_rgb) in rows.iter().zip(&self.d_rgb[first..end]) {
+            let to = match self.d_color.get_mut(*row as usize) {
+                Some(row) => row.0.iter_mut(),
+                None => d_behind.iter_mut(),
+            };
+            to.zip(&d_rgb[..3]).for_each(|(sum, slope)| *sum += slope);
+        }
         self.found.exposures.push((target.view, compared.exposure));
         if shared.config.background == Background::Direction {
-            self.behind(slope.map(|slope| left * slope), logits, harmonics);
+            self.behind(d_behind, logits, harmonics);
         }
     }
 

@@ -2,24 +2,24 @@
 
 use std::ops::Range;
 use std::sync::Arc;
+use std::time::Instant;
 
 use marf_scene::{Camera, Pose};
-use rayon::prelude::*;
 
-use crate::FieldError;
 use crate::backend::{Backend, Renderer, Session, Step};
 use crate::batch::{self, Chunk, Shared, Spares};
-use crate::cpu::composite::{RAW_SHIFT, runs_away};
-use crate::cpu::math::exp;
+use crate::cpu::composite::runs_away;
 use crate::cpu::simd::InstructionSet;
 use crate::learn::learn;
 use crate::model::Model;
+use crate::occupancy::due_every;
 use crate::picture::Render;
 use crate::render::render_rows;
 use crate::schedule::UPDATE_EVERY;
-use crate::shade::Shade;
 use crate::state::State;
 use crate::training::Training;
+use crate::watch::{PARTS, Part, Watch, timed};
+use crate::{Config, Facts, FieldError, View};
 
 /// Trains and renders on the CPU.
 #[derive(Clone, Copy, Debug)]
@@ -70,7 +70,11 @@ struct CpuSession {
     gradients: Vec<Vec<f32>>,
     /// Memory of the last batch.
     chunks: Vec<Chunk>,
+    /// Memory of the last cells that were looked at.
+    probed: Vec<Chunk>,
     spares: Spares,
+    /// Where the time goes, if someone asks.
+    watch: Option<Watch>,
 }
 
 impl Session for CpuSession {
@@ -97,7 +101,9 @@ impl CpuSession {
             level,
             gradients: tables.iter().map(|table| vec![0.0; table.len()]).collect(),
             chunks: Vec::new(),
+            probed: Vec::new(),
             spares: Spares::default(),
+            watch: None,
         }
     }
 
@@ -106,7 +112,8 @@ impl CpuSession {
     /// # Errors
     /// [`FieldError::NotFinite`]; the training then still holds the state before the step.
     fn step(&mut self, training: &mut Training) -> Result<Step, FieldError> {
-        let targets = training.targets();
+        let watch = self.watch.as_ref();
+        let targets = timed(watch, Part::Draw, || training.targets());
         let shared = Shared {
             level: self.level,
             config: &training.config,
@@ -114,11 +121,12 @@ impl CpuSession {
             steps: &training.march,
             bits: &training.state.occupancy.bits,
             rays: targets.len(),
+            watch,
         };
         let rays = training.chunk_rays();
         batch::train(&shared, &targets, rays, &mut self.chunks, &self.spares);
         check(training, &self.chunks)?;
-        learn(self.level, training, &mut self.gradients, &self.chunks);
+        learn(self.level, training, &mut self.gradients, &self.chunks, watch);
         let rays = targets.len() as u64;
         let found = || self.chunks.iter().map(|chunk| &chunk.found);
         let loss: f64 = found().map(|found| found.loss).sum();
@@ -127,7 +135,11 @@ impl CpuSession {
         training.state.steps += 1;
         training.state.learn_cost(rays, visited, samples);
         if training.state.steps.is_multiple_of(UPDATE_EVERY) {
-            update_occupancy(self.level, training);
+            let watch = self.watch.take();
+            timed(watch.as_ref(), Part::Occupancy, || {
+                update_occupancy(self, training)
+            });
+            self.watch = watch;
             training.halve_steps();
         }
         Ok(Step {
@@ -136,6 +148,84 @@ impl CpuSession {
             rays,
             samples,
         })
+    }
+}
+
+/// A training on the CPU whose steps are timed part by part: for `cargo bench` alone.
+pub struct WatchedTraining {
+    training: Training,
+    session: CpuSession,
+}
+
+/// What was done in the steps that were timed.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Counts {
+    /// Rays.
+    pub rays: u64,
+    /// Samples that rays visited.
+    pub visited: u64,
+    /// Samples that were trained.
+    pub samples: u64,
+    /// Samples whose colour was computed.
+    pub colours: u64,
+}
+
+/// Steps that were timed.
+#[derive(Clone, Debug)]
+pub struct Watched {
+    /// What was done.
+    pub counts: Counts,
+    /// Seconds of every part, summed over threads; those of serial parts once. In the order of [`PARTS`].
+    pub parts_s: [f64; PARTS.len()],
+    /// Seconds of the steps.
+    pub wall_s: f64,
+}
+
+impl WatchedTraining {
+    /// Returns a training at step 0 on an instruction set.
+    ///
+    /// # Errors
+    /// As [`crate::Trainer::new`].
+    pub fn new(
+        views: Vec<View>,
+        config: &Config,
+        seed: u64,
+        level: InstructionSet,
+    ) -> Result<Self, FieldError> {
+        let mut training = Training::new(views, &[], config, seed)?;
+        let mut session = CpuSession::new(level, &mut training);
+        session.watch = Some(Watch::default());
+        Ok(Self { training, session })
+    }
+
+    /// Takes one step and tells where the time went.
+    ///
+    /// # Errors
+    /// As [`crate::Trainer::advance`].
+    pub fn step(&mut self) -> Result<Watched, FieldError> {
+        let begin = Instant::now();
+        let step = self.session.step(&mut self.training)?;
+        let wall_s = begin.elapsed().as_secs_f64();
+        let found = || self.session.chunks.iter().map(|chunk| &chunk.found);
+        Ok(Watched {
+            counts: Counts {
+                rays: step.rays,
+                visited: found().map(|found| found.visited).sum(),
+                samples: step.samples,
+                colours: found().map(|found| found.colours).sum(),
+            },
+            parts_s: self
+                .session
+                .watch
+                .as_ref()
+                .map_or_else(Default::default, Watch::take),
+            wall_s,
+        })
+    }
+
+    /// Returns the facts of the field: its levels, the share of cells that are occupied.
+    pub fn facts(&self) -> Facts {
+        self.training.facts()
     }
 }
 
@@ -157,8 +247,7 @@ fn check(training: &Training, chunks: &[Chunk]) -> Result<(), FieldError> {
         }
     }
     for (chunk, found) in chunks.iter().map(|chunk| &chunk.found).enumerate() {
-        let tensor = found.bad.or_else(|| found.runaway_gradient());
-        if let Some(tensor) = tensor {
+        if let Some(tensor) = found.bad {
             return Err(bad(tensor, format!("chunk {chunk}")));
         }
     }
@@ -166,35 +255,13 @@ fn check(training: &Training, chunks: &[Chunk]) -> Result<(), FieldError> {
 }
 
 /// Computes the density of some cells anew and decides which are occupied.
-fn update_occupancy(level: InstructionSet, training: &mut Training) {
+fn update_occupancy(session: &mut CpuSession, training: &mut Training) {
     let round = training.state.steps / UPDATE_EVERY;
-    let (occupied, empty) = if round <= 16 { (4, 4) } else { (4, 16) };
-    let probes = training
-        .state
-        .occupancy
-        .probes(training.seed, round, occupied, empty);
-    let weights = &training.state.weights;
-    let chunks = probes.par_chunks(2048).map_init(Shade::default, |shade, probes| {
-        shade.samples.resize(0);
-        shade.samples.x.extend(probes.iter().map(|probe| probe.at[0]));
-        shade.samples.y.extend(probes.iter().map(|probe| probe.at[1]));
-        shade.samples.z.extend(probes.iter().map(|probe| probe.at[2]));
-        shade.densities(level, weights);
-        let density = |raw: &f32| {
-            if raw.is_finite() {
-                exp(raw + RAW_SHIFT)
-            } else {
-                f32::NAN
-            }
-        };
-        shade.raw[..probes.len()]
-            .iter()
-            .map(density)
-            .collect::<Vec<f32>>()
-    });
-    let found = chunks.collect::<Vec<_>>().concat();
-    training
-        .state
-        .occupancy
-        .update(&probes, &found, training.config.min_step as f32);
+    let [occupied, empty] = due_every(round);
+    let occupancy = &training.state.occupancy;
+    let probes = occupancy.probes(training.seed, round, occupied, empty);
+    let (weights, spares) = (&training.state.weights, &session.spares);
+    let found = batch::densities(session.level, weights, &probes, &mut session.probed, spares);
+    let step = training.config.min_step as f32;
+    training.state.occupancy.update(&probes, &found, step);
 }

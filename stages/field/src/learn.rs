@@ -6,22 +6,31 @@ use crate::Gain;
 use crate::batch::Chunk;
 use crate::cpu::adam::{Adam, Bias, Moments};
 use crate::cpu::encode::{Scatter, Shape};
-use crate::cpu::simd::{InstructionSet, Run, flat};
+use crate::cpu::simd::{InstructionSet, LANES, Run, flat};
 use crate::exposure::{LIMITS, RATE, ROW, centre};
 use crate::schedule::{BACKGROUND_RATE, DECAY, EPSILON};
 use crate::state::State;
 use crate::training::Training;
+use crate::watch::{Part, Watch, timed};
 use crate::weights::NET_ROW;
 
 /// Takes the gradients of all chunks into the weights; `gradients`: memory for those of the tables, all zero.
-pub fn learn(level: InstructionSet, training: &mut Training, gradients: &mut [Vec<f32>], chunks: &[Chunk]) {
+pub fn learn(
+    level: InstructionSet,
+    training: &mut Training,
+    gradients: &mut [Vec<f32>],
+    chunks: &[Chunk],
+    watch: Option<&Watch>,
+) {
     let steps = training.state.steps;
     let pace = Pace {
         rate: training.rate_at(steps),
         keep: training.kept_at(steps),
     };
-    learn_tables(level, training, gradients, chunks, pace);
-    learn_networks(level, training, chunks, pace);
+    learn_tables(level, training, gradients, chunks, pace, watch);
+    timed(watch, Part::Networks, || {
+        learn_networks(level, training, chunks, pace);
+    });
     if training.config.gain != Gain::Off {
         learn_exposures(level, training, chunks, pace.rate);
     }
@@ -43,6 +52,7 @@ fn learn_tables(
     gradients: &mut [Vec<f32>],
     chunks: &[Chunk],
     Pace { rate, keep }: Pace,
+    watch: Option<&Watch>,
 ) {
     let bias = &training.bias;
     let State {
@@ -52,7 +62,6 @@ fn learn_tables(
         ..
     } = &mut training.state;
     let features = weights.features;
-    let width = weights.row_blocks();
     let shapes = weights.shapes.par_iter();
     let tables = weights.tables.par_iter_mut().zip(&mut average.tables);
     let tasks = shapes
@@ -62,15 +71,16 @@ fn learn_tables(
         .enumerate()
         .with_max_len(1);
     tasks.for_each(|(index, (((shape, (table, average)), gradient), moments))| {
-        for chunk in chunks {
-            let columns = [features, index * features, width];
-            scatter(level, *shape, gradient, chunk, columns);
-        }
-        match features {
+        timed(watch, Part::Scatter, || {
+            for chunk in chunks {
+                scatter(level, *shape, gradient, chunk, features, index);
+            }
+        });
+        timed(watch, Part::Adam, || match features {
             2 => adam::<2>(level, table, gradient, moments, [rate, 0.0], bias),
             _ => adam::<4>(level, table, gradient, moments, [rate, 0.0], bias),
-        }
-        blend(average, table, keep);
+        });
+        timed(watch, Part::Average, || blend(average, table, keep));
     });
 }
 
@@ -144,24 +154,26 @@ fn add(row: &mut [f32], slopes: [f32; 3]) {
     }
 }
 
-/// Adds the gradients of a chunk's features to those of one level.
-///
-/// `[features, first, width]`: features an entry, the level's first in the row, blocks a row.
+/// Adds the gradients of a chunk's features, `features` an entry, to those of the table `index`.
 fn scatter(
     level: InstructionSet,
     shape: Shape,
     gradient: &mut [f32],
     chunk: &Chunk,
-    [features, first, width]: [usize; 3],
+    features: usize,
+    index: usize,
 ) {
-    let (points, rows) = (chunk.samples.points(), chunk.features.as_slice());
+    let (points, first) = (chunk.samples.points(), 0);
+    let plane = chunk.samples.len() * features / LANES;
+    let rows = &chunk.features[index * plane..][..plane];
+    let stride = features;
     match features {
         2 => level.run(Scatter::<2> {
             shape,
             gradient,
             points,
             rows,
-            width,
+            stride,
             first,
         }),
         _ => level.run(Scatter::<4> {
@@ -169,7 +181,7 @@ fn scatter(
             gradient,
             points,
             rows,
-            width,
+            stride,
             first,
         }),
     }

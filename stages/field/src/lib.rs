@@ -54,6 +54,7 @@ mod training;
 #[cfg(test)]
 mod training_tests;
 mod views;
+mod watch;
 mod weights;
 
 pub use backend::Step;
@@ -78,6 +79,8 @@ pub use views::View;
 #[doc(hidden)]
 pub mod bench {
     pub use crate::cpu::{adam, composite, encode, gemm, march, math, net, simd};
+    pub use crate::cpu_backend::{Counts, Watched, WatchedTraining};
     #[cfg(feature = "gpu")]
     pub use crate::gpu::{Ceilings, Gpu, KernelTime, Load, Timed, TimedTraining, ceilings};
+    pub use crate::watch::{PARTS, Part};
 }

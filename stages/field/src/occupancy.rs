@@ -19,6 +19,8 @@ pub const SPREAD: u64 = 7;
 /// Cells around a sparse point that start occupied, to each side: in the inner box, and outside, where a cell is
 /// larger than what it holds but points are few and far.
 const NEAR: [i64; 2] = [2, 4];
+/// Words of 64 cells that one task takes.
+const WORDS: usize = 256;
 /// Cells of a brick a side: seen or not is first decided brick by brick.
 const BRICK: u32 = 4;
 
@@ -49,6 +51,21 @@ pub struct Probe {
     pub cell: u32,
     /// The point, in the unit box.
     pub at: [f32; 3],
+}
+
+/// One in so many occupied cells is looked at in an update.
+pub const OCCUPIED_EVERY: u64 = 4;
+
+/// Returns one in how many of the occupied cells, and of the empty ones, is due at an update: all once in the first four.
+///
+/// Empty cells as often as occupied ones up to update 16 cost a fifth of these steps.
+pub fn due_every(round: u64) -> [u64; 2] {
+    let empty = if round <= OCCUPIED_EVERY {
+        OCCUPIED_EVERY
+    } else {
+        16
+    };
+    [OCCUPIED_EVERY, empty]
 }
 
 impl Occupancy {
@@ -167,24 +184,32 @@ impl Occupancy {
         seen as f64 / self.density.len() as f64
     }
 
-    /// Chooses the cells of update number `round`: of occupied cells one in `occupied`, of empty ones one in `empty`.
+    /// Chooses the cells of update number `round`: of occupied cells one in `occupied`, of empty ones one in `empty`, both
+    /// divisors of 64.
     pub fn probes(&self, seed: u64, round: u64, occupied: u64, empty: u64) -> Vec<Probe> {
-        let side = self.bits.side;
-        let cells = (0..self.density.len() as u32).into_par_iter();
-        let chosen = cells.filter_map(|cell| {
-            if self.density[cell as usize] < 0.0 {
-                return None;
-            }
-            let every = if self.bits.holds(cell) { occupied } else { empty };
-            if !(u64::from(cell) * SPREAD + round).is_multiple_of(every) {
-                return None;
-            }
-            let mut rng = Rng::new(seed, Purpose::Occupancy, round, u64::from(cell));
-            let corner = [cell % side, cell / side % side, cell / side / side];
-            let at = corner.map(|corner| (corner as f32 + rng.unit()) / side as f32);
-            Some(Probe { cell, at })
+        // 64 is a multiple of both, so that the cells that are due have the same places in every word.
+        let due = |every: u64| {
+            let bits = (0..64).filter(|bit| (bit * SPREAD + round).is_multiple_of(every));
+            bits.fold(0_u64, |word, bit| word | 1 << bit)
+        };
+        let (occupied, empty) = (due(occupied), due(empty));
+        let words = self.bits.words.par_iter().enumerate();
+        let probes = words.with_min_len(WORDS).flat_map_iter(|(word, bits)| {
+            let due = bits & occupied | !bits & empty;
+            let cells = set_bits(due).map(move |bit| word as u32 * 64 + bit);
+            let seen = cells.filter(|cell| self.density[*cell as usize] >= 0.0);
+            seen.map(|cell| self.probe(seed, round, cell))
         });
-        chosen.collect()
+        probes.collect()
+    }
+
+    /// Draws the point at which a cell is looked at.
+    fn probe(&self, seed: u64, round: u64, cell: u32) -> Probe {
+        let side = self.bits.side;
+        let mut rng = Rng::new(seed, Purpose::Occupancy, round, u64::from(cell));
+        let corner = [cell % side, cell / side % side, cell / side / side];
+        let at = corner.map(|corner| (corner as f32 + rng.unit()) / side as f32);
+        Probe { cell, at }
     }
 
     /// Takes over the densities found at the probes and decides all bits anew.
@@ -196,33 +221,52 @@ impl Occupancy {
             let before = if *density < UNKNOWN { *density * DECAY } else { 0.0 };
             *density = before.max(*found);
         }
-        let seen = self
-            .density
-            .iter()
-            .filter(|density| (0.0..UNKNOWN).contains(*density));
-        let (sum, count) = seen.fold((0.0_f64, 0_u64), |(sum, count), density| {
-            (sum + f64::from(*density), count + 1)
-        });
-        let mean = (sum / count.max(1) as f64) as f32;
         let shows = OCCUPIED / step;
-        let least = shows.min(mean);
+        let least = shows.min(self.mean_density());
         let refill = match self.refill {
             Refill::AtMean => least,
             Refill::WhereItShows => shows,
         };
-        let words = self
-            .density
-            .chunks(64)
-            .zip(&self.bits.words)
-            .map(|(cells, before)| {
-                let bits = cells.iter().enumerate();
-                bits.fold(0_u64, |word, (bit, density)| {
-                    let least = if before >> bit & 1 == 1 { least } else { refill };
-                    word | u64::from(*density >= least && *density >= 0.0) << bit
-                })
+        let words = self.bits.words.par_iter_mut().zip(self.density.par_chunks(64));
+        words.with_min_len(WORDS).for_each(|(word, cells)| {
+            let before = *word;
+            let bits = cells.iter().enumerate();
+            *word = bits.fold(0_u64, |word, (bit, density)| {
+                let least = if before >> bit & 1 == 1 { least } else { refill };
+                word | u64::from((*density >= least) & (*density >= 0.0)) << bit
             });
-        self.bits.words = words.collect();
+        });
     }
+
+    /// Returns the mean density of the cells that have been looked at, 0 where none has; summed in lanes of fixed parts, in
+    /// this order for any number of threads.
+    fn mean_density(&self) -> f32 {
+        let parts = self.density.par_chunks(64 * WORDS).map(|part| {
+            let (mut sums, mut counts) = ([0.0_f64; 8], [0_u32; 8]);
+            for cells in part.as_chunks::<8>().0 {
+                for (lane, density) in cells.iter().enumerate() {
+                    let known = (*density >= 0.0) & (*density < UNKNOWN);
+                    sums[lane] += if known { f64::from(*density) } else { 0.0 };
+                    counts[lane] += u32::from(known);
+                }
+            }
+            (sums.iter().sum::<f64>(), counts.iter().sum::<u32>())
+        });
+        let parts = parts.collect::<Vec<_>>().into_iter();
+        let (sum, count) = parts.fold((0.0, 0_u64), |(sum, count), part| {
+            (sum + part.0, count + u64::from(part.1))
+        });
+        (sum / count.max(1) as f64) as f32
+    }
+}
+
+/// Returns the places of the bits that are set, from the lowest.
+fn set_bits(mut word: u64) -> impl Iterator<Item = u32> {
+    std::iter::from_fn(move || {
+        let bit = word.trailing_zeros();
+        word &= word.wrapping_sub(1);
+        (bit < 64).then_some(bit)
+    })
 }
 
 /// Returns for every cell whether some camera looks at it; a margin makes the answer yes where in doubt.

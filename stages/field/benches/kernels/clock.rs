@@ -31,6 +31,11 @@ impl Threads {
         Self(pool.expect("threads"))
     }
 
+    /// Runs work on these threads.
+    pub fn run<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
+        self.0.install(work)
+    }
+
     /// Lets every thread time its own work, given its number, all at once; returns the runs a second of all.
     ///
     /// No thread waits for another: on a machine with other work a wait would be what is timed.

@@ -6,7 +6,9 @@
 #![allow(clippy::print_stdout, clippy::expect_used, missing_docs)]
 
 mod ceilings;
+#[expect(dead_code, reason = "shared with the bench of whole steps")]
 mod clock;
+#[expect(dead_code, reason = "shared with the bench of whole steps")]
 mod work;
 
 use clock::Threads;

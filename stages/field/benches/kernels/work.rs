@@ -10,6 +10,8 @@ use marf_field::bench::march::{Bits, March, Samples, Steps};
 use marf_field::bench::net::Net;
 use marf_field::bench::simd::{Block, InstructionSet, LANES, Run, Stripe, flat_mut};
 
+use marf_field::{Config, Facts};
+
 use crate::ceilings;
 use crate::clock::{Threads, best, once};
 
@@ -89,7 +91,7 @@ impl fmt::Display for Limits {
 }
 
 impl Field {
-    fn new(
+    pub fn new(
         name: &'static str,
         levels: u32,
         features: usize,
@@ -119,6 +121,33 @@ impl Field {
 
     pub fn default() -> Self {
         Self::new("default", 8, 4, 15, 32, 1)
+    }
+
+    /// Returns the shape of a field that was trained.
+    pub fn of(facts: &Facts, config: &Config) -> Self {
+        let levels = facts.levels.iter();
+        let mut color = vec![32];
+        color.extend((0..config.color_layers).map(|_| config.color_width as usize));
+        color.push(16);
+        Self {
+            name: "trained",
+            features: config.features as usize,
+            shapes: levels
+                .map(|level| Shape::new(level.resolution, facts.sizes.log2_table.value))
+                .collect(),
+            density: vec![
+                facts.levels.len() * config.features as usize,
+                config.density_width as usize,
+                16,
+            ],
+            color,
+        }
+    }
+
+    /// Returns how many numbers the tables hold.
+    pub fn numbers(&self) -> f64 {
+        let entries = self.shapes.iter().map(|shape| f64::from(shape.entries));
+        entries.sum::<f64>() * self.features as f64
     }
 
     pub fn limits(&self, threads: &Threads) -> Limits {
@@ -195,13 +224,13 @@ fn encode(field: &Field, level: InstructionSet, threads: &Threads, limits: &Limi
     let (count, width, features) = (samples(level), field.width(), field.features);
     let (axes, tables) = (points(count), field.tables());
     let rate = threads.rate(|_| {
-        let mut rows = blocks(count * width, 1);
+        let (mut rows, plane) = (blocks(count * width, 1), count * features / LANES);
         let levels = field.shapes.iter().zip(&tables).enumerate();
         levels
             .map(|(index, (shape, table))| {
                 best(|| {
                     let (shape, points) = (*shape, whole(&axes));
-                    let to = Stripe::cut(&mut rows, width, features).remove(index);
+                    let to = Stripe::plane(&mut rows[index * plane..][..plane], features);
                     match features {
                         2 => level.run(Lookup::<2> {
                             shape,
@@ -230,21 +259,22 @@ fn encode(field: &Field, level: InstructionSet, threads: &Threads, limits: &Limi
 fn scatter(field: &Field, level: InstructionSet, threads: &Threads, limits: &Limits, _peak: f64) -> [f64; 2] {
     let (count, width, features) = (samples(level), field.width(), field.features);
     let axes = points(count);
-    let rows = &blocks(count * width, 1)[..];
+    let (rows, plane) = (&blocks(count * width, 1)[..], count * features / LANES);
     let rate = threads.rate(|_| {
         let mut tables = field.tables();
         let levels = field.shapes.iter().zip(&mut tables).enumerate();
         levels
             .map(|(index, (shape, gradient))| {
                 best(|| {
-                    let (shape, points, first) = (*shape, whole(&axes), index * features);
+                    let (shape, points, first, stride) = (*shape, whole(&axes), 0, features);
+                    let rows = &rows[index * plane..][..plane];
                     match features {
                         2 => level.run(Scatter::<2> {
                             shape,
                             gradient,
                             points,
                             rows,
-                            width,
+                            stride,
                             first,
                         }),
                         _ => level.run(Scatter::<4> {
@@ -252,7 +282,7 @@ fn scatter(field: &Field, level: InstructionSet, threads: &Threads, limits: &Lim
                             gradient,
                             points,
                             rows,
-                            width,
+                            stride,
                             first,
                         }),
                     }

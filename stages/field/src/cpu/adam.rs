@@ -83,37 +83,88 @@ impl<const F: usize> Kernel for Adam<'_, F> {
 
     #[inline(always)]
     fn run<I: Isa>(self, _isa: I) {
-        let weights = self.weights.as_chunks_mut::<F>().0.iter_mut();
-        let gradient = self.gradient.as_chunks_mut::<F>().0.iter_mut();
-        let first = self.moments.first.as_chunks_mut::<F>().0.iter_mut();
-        let second = self.moments.second.as_chunks_mut::<F>().0.iter_mut();
-        let rows = weights
-            .zip(gradient)
-            .zip(first)
-            .zip(second)
-            .zip(&mut self.moments.count);
-        for ((((w, g), m), v), count) in rows {
-            let mut touched = 0_u32;
-            for f in 0..F {
-                touched |= g[f].to_bits() << 1; // both zeros
+        let weights = self.weights.as_chunks_mut::<F>().0.chunks_mut(PIECE);
+        let gradient = self.gradient.as_chunks_mut::<F>().0.chunks_mut(PIECE);
+        let first = self.moments.first.as_chunks_mut::<F>().0.chunks_mut(PIECE);
+        let second = self.moments.second.as_chunks_mut::<F>().0.chunks_mut(PIECE);
+        let count = self.moments.count.chunks_mut(PIECE);
+        let step = Step {
+            rate: self.rate,
+            epsilon: self.epsilon,
+            decay: self.decay,
+            bias: self.bias,
+        };
+        let pieces = weights.zip(gradient).zip(first).zip(second).zip(count);
+        let mut is_sparse = false;
+        for ((((w, g), m), v), count) in pieces {
+            let (mut touched, mut found) = ([0_u8; PIECE], 0);
+            if is_sparse {
+                for (row, slopes) in g.iter().enumerate() {
+                    touched[found % PIECE] = row as u8;
+                    found += usize::from(is_touched(slopes));
+                }
+                for row in &touched[..found] {
+                    let row = usize::from(*row);
+                    step.take(
+                        &mut w[row],
+                        &mut g[row],
+                        [&mut m[row], &mut v[row]],
+                        &mut count[row],
+                    );
+                }
+            } else {
+                let rows = w.iter_mut().zip(g.iter_mut()).zip(m).zip(v).zip(count);
+                for ((((w, g), m), v), count) in rows.filter(|((((_, g), _), _), _)| is_touched(g)) {
+                    step.take(w, g, [m, v], count);
+                    found += 1;
+                }
             }
-            if touched == 0 {
-                continue;
-            }
-            let [c1, c2] = self.bias.0[(*count as usize).min(DEBIASED - 1)];
-            *count = count.saturating_add(1);
-            // Rows are copied in and out so that the compiler may compute them as one vector.
-            let (weight, slope, mut mean, mut square) = (*w, *g, *m, *v);
-            let mut moved = [0.0; F];
-            for f in 0..F {
-                let slope = self.decay.mul_add(weight[f], slope[f]);
-                mean[f] = BETA1.mul_add(mean[f], (1.0 - BETA1) * slope);
-                square[f] = BETA2.mul_add(square[f], (1.0 - BETA2) * (slope * slope));
-                let root = (square[f] * c2).sqrt() + self.epsilon;
-                moved[f] = weight[f] - self.rate * (mean[f] * c1) / root;
-            }
-            (*w, *m, *v, *g) = (moved, mean, square, [0.0; F]);
+            is_sparse = found < PIECE * 7 / 8;
         }
+    }
+}
+
+/// Rows that are moved together. Where more than an eighth of them have no gradient, they are listed before any is moved:
+/// a branch a row would be guessed wrong, and the next rows be waited for one by one (T = 2^18: 13.4 ms a step, 8.8 so).
+const PIECE: usize = 256;
+
+/// Returns whether a row has a gradient: none is a zero of either sign.
+#[inline(always)]
+fn is_touched<const F: usize>(slopes: &[f32; F]) -> bool {
+    slopes.iter().fold(0, |bits, slope| bits | slope.to_bits() << 1) != 0
+}
+
+/// What a step is for all rows.
+struct Step<'a> {
+    rate: f32,
+    epsilon: f32,
+    decay: f32,
+    bias: &'a Bias,
+}
+
+impl Step<'_> {
+    /// Moves one row; its gradient is zero afterwards.
+    #[inline(always)]
+    fn take<const F: usize>(
+        &self,
+        w: &mut [f32; F],
+        g: &mut [f32; F],
+        [m, v]: [&mut [f32; F]; 2],
+        count: &mut u32,
+    ) {
+        let [c1, c2] = self.bias.0[(*count as usize).min(DEBIASED - 1)];
+        *count = count.saturating_add(1);
+        // Rows are copied in and out so that the compiler may compute them as one vector.
+        let (weight, slope, mut mean, mut square) = (*w, *g, *m, *v);
+        let mut moved = [0.0; F];
+        for f in 0..F {
+            let slope = self.decay.mul_add(weight[f], slope[f]);
+            mean[f] = BETA1.mul_add(mean[f], (1.0 - BETA1) * slope);
+            square[f] = BETA2.mul_add(square[f], (1.0 - BETA2) * (slope * slope));
+            let root = (square[f] * c2).sqrt() + self.epsilon;
+            moved[f] = weight[f] - self.rate * (mean[f] * c1) / root;
+        }
+        (*w, *m, *v, *g) = (moved, mean, square, [0.0; F]);
     }
 }
 

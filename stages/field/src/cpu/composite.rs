@@ -41,6 +41,26 @@ impl Kernel for Depths<'_> {
     }
 }
 
+/// Densities of raw outputs, not cut; NaN where one is not finite.
+pub struct Densities<'a> {
+    /// Raw outputs of the density network, as many as `found` or more.
+    pub raw: &'a [f32],
+    /// Receives the densities.
+    pub found: &'a mut [f32],
+}
+
+impl Kernel for Densities<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _isa: I) {
+        for (found, raw) in self.found.iter_mut().zip(self.raw) {
+            let density = exp(*raw + RAW_SHIFT);
+            *found = if raw.is_finite() { density } else { f32::NAN };
+        }
+    }
+}
+
 /// Replaces numbers by e to the minus of them.
 pub struct ExpNeg<'a>(pub &'a mut [f32]);
 

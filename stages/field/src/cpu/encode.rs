@@ -235,10 +235,10 @@ pub struct Scatter<'a, const F: usize> {
     pub gradient: &'a mut [f32],
     /// The points.
     pub points: Points<'a>,
-    /// `[n, width]` gradients of the features.
+    /// `[n, stride]` gradients of the features.
     pub rows: &'a [Block],
-    /// Blocks a row.
-    pub width: usize,
+    /// Numbers from a row to the next.
+    pub stride: usize,
     /// First feature of this level in the row.
     pub first: usize,
 }
@@ -260,7 +260,7 @@ impl<const F: usize> Scatter<'_, F> {
     #[inline(always)]
     fn pass<I: Isa, const AHEAD: usize>(self, isa: I) {
         let mut table = TableMut(self.gradient.as_chunks_mut::<F>().0);
-        let row = self.width * LANES;
+        let row = self.stride;
         let rows = flat(self.rows);
         let ([x, y, z], mut ring) = (self.points.blocks(), [Corners::ZERO; RING]);
         for block in 0..x.len() + AHEAD {

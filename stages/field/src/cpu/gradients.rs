@@ -261,7 +261,7 @@ fn scatter_is_the_transpose_of_lookup() {
         let (mut rows, mut d) = (vec![Block::default(); 32], vec![Block::default(); 32]);
         flat_mut(&mut d).copy_from_slice(&random(32 * LANES, 9));
         let mut gradient = vec![0.0; table.len()];
-        let (width, first) = (1, 8);
+        let (width, stride, first) = (1, LANES, 8);
         level.run(Lookup::<4> {
             shape,
             table: &table,
@@ -273,7 +273,7 @@ fn scatter_is_the_transpose_of_lookup() {
             gradient: &mut gradient,
             points,
             rows: &d,
-            width,
+            stride,
             first,
         });
         let dot = |a: &[f32], b: &[f32]| {

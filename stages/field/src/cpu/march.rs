@@ -133,34 +133,23 @@ impl Samples {
         Points { x, y, z }
     }
 
-    /// Makes every array `len` long; new samples lie at the origin and have no length.
-    pub fn resize(&mut self, len: usize) {
-        for array in [
+    /// Returns the arrays, in the order of the fields.
+    #[inline(always)]
+    pub fn arrays(&mut self) -> [&mut Vec<f32>; 6] {
+        [
             &mut self.x,
             &mut self.y,
             &mut self.z,
             &mut self.t,
             &mut self.delta,
             &mut self.place,
-        ] {
-            array.resize(len, 0.0);
-        }
+        ]
     }
 
-    /// Keeps the samples `kept`, in this order.
-    pub fn gather(&mut self, kept: &[u32]) {
-        for array in [
-            &mut self.x,
-            &mut self.y,
-            &mut self.z,
-            &mut self.t,
-            &mut self.delta,
-            &mut self.place,
-        ] {
-            for (to, from) in kept.iter().enumerate() {
-                array[to] = array[*from as usize];
-            }
-            array.truncate(kept.len());
+    /// Makes every array `len` long; new samples lie at the origin and have no length.
+    pub fn resize(&mut self, len: usize) {
+        for array in self.arrays() {
+            array.resize(len, 0.0);
         }
     }
 }
@@ -253,16 +242,8 @@ impl Samples {
     #[inline(always)]
     fn append<I: Isa>(&mut self, isa: I, numbers: [&Block; 6], lanes: u32) {
         let len = self.x.len() + lanes.count_ones() as usize;
-        let arrays = [
-            &mut self.x,
-            &mut self.y,
-            &mut self.z,
-            &mut self.t,
-            &mut self.delta,
-            &mut self.place,
-        ];
         let mut packed = Block::ZERO;
-        for (array, numbers) in arrays.into_iter().zip(numbers) {
+        for (array, numbers) in self.arrays().into_iter().zip(numbers) {
             isa.store(isa.pack(isa.load(numbers), lanes as u16), &mut packed);
             // A whole block is written and cut: a copy of fixed length is one instruction.
             array.extend_from_slice(&packed.0);

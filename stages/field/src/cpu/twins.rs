@@ -141,13 +141,13 @@ fn lookup_and_scatter_are_the_same_on_every_set() {
         });
         same_on_all("scatter", |level| {
             let mut gradient = vec![0.0; shape.entries as usize * 4];
-            let (rows, width) = (blocks(64, 8), 1);
+            let (rows, stride) = (blocks(64, 8), LANES);
             level.run(Scatter::<4> {
                 shape,
                 gradient: &mut gradient,
                 points,
                 rows: &rows,
-                width,
+                stride,
                 first: 4,
             });
             level.run(Scatter::<2> {
@@ -155,7 +155,7 @@ fn lookup_and_scatter_are_the_same_on_every_set() {
                 gradient: &mut gradient,
                 points,
                 rows: &rows,
-                width,
+                stride,
                 first: 10,
             });
             gradient
@@ -272,7 +272,7 @@ fn a_scatter_in_a_large_table_is_the_transpose_of_its_lookup() {
     let mut found = Vec::new();
     for level in InstructionSet::all() {
         let (mut rows, mut gradient) = (vec![Block::default(); 160], vec![0.0; table.len()]);
-        let (width, first) = (1, 4);
+        let (width, stride, first) = (1, LANES, 4);
         level.run(Lookup::<4> {
             shape,
             table: &table,
@@ -284,7 +284,7 @@ fn a_scatter_in_a_large_table_is_the_transpose_of_its_lookup() {
             gradient: &mut gradient,
             points,
             rows: &slopes,
-            width,
+            stride,
             first,
         });
         let dot = |a: &[f32], b: &[f32]| -> f64 {

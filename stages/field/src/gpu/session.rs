@@ -20,6 +20,7 @@ use super::weights::DeviceWeights;
 use crate::FieldError;
 use crate::GpuError;
 use crate::backend::{Session, Step};
+use crate::occupancy::{OCCUPIED_EVERY, due_every};
 use crate::schedule::{EPSILON, UPDATE_EVERY};
 use crate::state::State;
 use crate::training::Training;
@@ -261,10 +262,11 @@ impl GpuSession {
         round: u64,
         mut times: Option<&mut Vec<Timing>>,
     ) -> Result<(), GpuError> {
+        let [occupied, empty] = due_every(round).map(|every| every as u32);
         let due = Due {
             round,
-            occupied: OCCUPIED_EVERY,
-            empty: if round <= 16 { OCCUPIED_EVERY } else { 16 },
+            occupied,
+            empty,
         };
         self.update.begin(&self.gpu, training.seed, due);
         for pass in 0..self.update.passes() {
@@ -371,9 +373,6 @@ pub struct Watch {
     /// Samples that rays visited.
     pub visited: u64,
 }
-
-/// Of occupied cells one in so many is looked at in an update.
-const OCCUPIED_EVERY: u32 = 4;
 
 fn fault(training: &Training, total: &Total) -> FieldError {
     let tensor = match total.faults.trailing_zeros() {

@@ -68,6 +68,17 @@ impl<'a> Stripe<'a> {
         stripes.collect()
     }
 
+    /// Returns a whole matrix of rows of `columns` numbers, one behind the other.
+    pub fn plane(rows: &'a mut [Block], columns: usize) -> Self {
+        Self {
+            first: rows.as_mut_ptr().cast::<f32>(),
+            rows: rows.len() * LANES / columns.max(1),
+            stride: columns,
+            columns,
+            matrix: PhantomData,
+        }
+    }
+
     /// Writes 16 rows from row `first` on, each as soon as it is known: kept for later, rows would be gathered
     /// number by number across lanes, at a third of the speed.
     ///

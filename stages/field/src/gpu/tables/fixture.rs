@@ -163,13 +163,14 @@ fn scatter(
     rows: &[Block],
     [width, first]: [usize; 2],
 ) {
+    let stride = width * LANES;
     match features {
         2 => InstructionSet::best().run(Scatter::<2> {
             shape,
             gradient,
             points,
             rows,
-            width,
+            stride,
             first,
         }),
         _ => InstructionSet::best().run(Scatter::<4> {
@@ -177,7 +178,7 @@ fn scatter(
             gradient,
             points,
             rows,
-            width,
+            stride,
             first,
         }),
     }
