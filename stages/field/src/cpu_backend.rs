@@ -8,13 +8,14 @@ use marf_scene::{Camera, Pose};
 
 use crate::backend::{Backend, Renderer, Session, Step};
 use crate::batch::{self, Chunk, Shared, Spares};
+use crate::cpu::clearance::Clearance;
 use crate::cpu::composite::runs_away;
 use crate::cpu::simd::InstructionSet;
 use crate::learn::learn;
 use crate::model::Model;
 use crate::occupancy::due_every;
 use crate::picture::Render;
-use crate::render::render_rows;
+use crate::render::{Accuracy, Viewpoint};
 use crate::schedule::UPDATE_EVERY;
 use crate::state::State;
 use crate::training::Training;
@@ -46,12 +47,22 @@ impl Backend for Cpu {
         Ok(Box::new(CpuSession::new(self.level, training)))
     }
 
-    fn renderer(self: Arc<Self>, _: &Model) -> Result<Arc<dyn Renderer>, FieldError> {
-        Ok(self)
+    fn renderer(self: Arc<Self>, model: &Model) -> Result<Arc<dyn Renderer>, FieldError> {
+        Ok(Arc::new(CpuRenderer {
+            level: self.level,
+            clearance: Clearance::new(&model.bits),
+        }))
     }
 }
 
-impl Renderer for Cpu {
+/// What the CPU renders a model with.
+#[derive(Debug)]
+struct CpuRenderer {
+    level: InstructionSet,
+    clearance: Clearance,
+}
+
+impl Renderer for CpuRenderer {
     fn rows(
         &self,
         model: &Model,
@@ -59,7 +70,15 @@ impl Renderer for Cpu {
         cam_from_world: &Pose,
         rows: Range<u32>,
     ) -> Result<Render, FieldError> {
-        Ok(render_rows(self.level, model, camera, cam_from_world, rows))
+        let view = Viewpoint {
+            level: self.level,
+            model,
+            clearance: &self.clearance,
+            camera,
+            world_from_cam: cam_from_world.inverse(),
+            accuracy: Accuracy::PICTURE,
+        };
+        Ok(view.rows(rows))
     }
 }
 

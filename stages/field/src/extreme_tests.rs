@@ -353,13 +353,9 @@ fn ten_million_pixels_are_trained_on_and_ten_million_rays_rendered() {
             .chain(&all.opacity)
             .all(|value| *value >= 0.0 && value.is_finite())
     );
-    let last = crate::render::render_rows(
-        InstructionSet::best(),
-        &field.model,
-        &view.camera,
-        &view.cam_from_world,
-        2493..2500,
-    );
+    let last = field
+        .rows(&view.camera, &view.cam_from_world, 2493..2500)
+        .unwrap();
     assert!(
         all.rgb[2493 * 4000..] == last.rgb,
         "the last rows are those of the last rows alone"

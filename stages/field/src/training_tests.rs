@@ -92,13 +92,7 @@ fn a_pixel_is_the_same_in_any_rows_any_bands_and_with_any_threads() {
     for height in [1, 5, 8, 30] {
         for top in (0..37).step_by(height) {
             let rows = top as u32..37.min((top + height) as u32);
-            let band = crate::render::render_rows(
-                InstructionSet::best(),
-                &field.model,
-                &camera,
-                &view.cam_from_world,
-                rows,
-            );
+            let band = field.rows(&camera, &view.cam_from_world, rows).unwrap();
             let same = band.rgb == whole.rgb[top * 43..][..band.rgb.len()]
                 && band.depth == whole.depth[top * 43..][..band.rgb.len()];
             assert!(same, "{height} rows from {top}");

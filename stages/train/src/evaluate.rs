@@ -27,7 +27,7 @@ impl Define for Evaluate {
     type Params = EvaluateParams;
     const NAME: &'static str = EvaluateParams::STAGE;
     const ABOUT: &'static str = "Compares renders of a trained field with photos";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PORTS: &'static [Port] = &[
         Port::required("input", WEIGHTS),
         Port::required("input", SCENE),

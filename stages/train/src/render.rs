@@ -35,7 +35,7 @@ impl Define for Render {
     type Params = RenderParams;
     const NAME: &'static str = RenderParams::STAGE;
     const ABOUT: &'static str = "Renders a trained field along a path: pictures and an animation";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PORTS: &'static [Port] = &[Port::required("input", WEIGHTS), Port::required("input", SCENE)];
     const OUTPUTS: &'static [&'static str] = &[VIDEO, Poses::OUTPUT, FRAMES, DEPTH];
 

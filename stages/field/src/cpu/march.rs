@@ -199,18 +199,20 @@ impl March<'_> {
     #[inline(always)]
     fn block<I: Isa>(&mut self, isa: I, first: usize, begin: &[f32; LANES], length: &[f32; LANES]) {
         let ([mut x, mut y, mut z], [mut t, mut delta]) = ([Block::ZERO; 3], [Block::ZERO; 2]);
-        let mut place = Block::ZERO;
         for lane in 0..LANES {
             t.0[lane] = self.jitter.mul_add(length[lane], begin[lane]);
             let p = [0, 1, 2].map(|axis: usize| self.direction[axis].mul_add(t.0[lane], self.origin[axis]));
             let (u, shrink) = contract(p);
             delta.0[lane] = length[lane] * shrink;
             (x.0[lane], y.0[lane], z.0[lane]) = (u[0], u[1], u[2]);
-            place.0[lane] = ((first + lane) as f32 + self.jitter) / self.steps.count as f32;
         }
         let within = self.steps.count.saturating_sub(first).min(LANES);
         let hits = self.bits.hits(isa, [&x, &y, &z]) & ((1_u32 << within) - 1);
         if hits > 0 {
+            let mut place = Block::ZERO;
+            for lane in 0..LANES {
+                place.0[lane] = ((first + lane) as f32 + self.jitter) / self.steps.count as f32;
+            }
             self.samples.append(isa, [&x, &y, &z, &t, &delta, &place], hits);
         }
     }

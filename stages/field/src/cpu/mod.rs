@@ -4,6 +4,7 @@
 #![allow(clippy::needless_range_loop)]
 
 pub mod adam;
+pub mod clearance;
 pub mod composite;
 pub mod encode;
 pub mod gemm;

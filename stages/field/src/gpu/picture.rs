@@ -8,10 +8,11 @@ use super::light::Columns;
 use super::nets::{Batch, limits, one_each};
 use super::record::{Work, dispatch};
 use crate::GpuError;
-use crate::render::DEEP;
 
 /// Rows of a ray's state: optical depth, colour, distance, what is left.
 pub const STATE: usize = 6;
+/// Optical depth that ends a ray: e^-9.3 is below [`crate::cpu::composite::OPAQUE`].
+pub const DEEP: f32 = 9.3;
 /// Rows of a picture: colour, opacity, depth.
 pub const PICTURE: usize = 5;
 

@@ -4,12 +4,11 @@ use marf_shaders::counts;
 
 use super::light::Light;
 use super::light_tests::{Arrays, CAPACITY, NO_RAY, RAYS, SLOTS, directions, harmonics, spans, visited};
-use super::picture::{PICTURE, Picture, STATE};
+use super::picture::{DEEP, PICTURE, Picture, STATE};
 use super::rig::{Rig, TOLERANCE, UNTOUCHED, agree, columns};
 use super::testing::numbers;
 use crate::cpu::composite::{OPAQUE, colour};
 use crate::cpu::simd::InstructionSet;
-use crate::render::DEEP;
 use crate::shade::{Shade, Span};
 
 /// The row of a ray's state that tells what is left.

@@ -35,7 +35,7 @@ impl Define for Bootstrap {
     type Params = BootstrapParams;
     const NAME: &'static str = BootstrapParams::STAGE;
     const ABOUT: &'static str = "Retrains B times and maps where the fields disagree";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),

@@ -33,7 +33,7 @@ impl Define for Tune {
     type Params = TuneParams;
     const NAME: &'static str = TuneParams::STAGE;
     const ABOUT: &'static str = "Tries parameters of the field at random and keeps the best";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PORTS: &'static [Port] = &[Port::required("input", SCENE)];
     const OUTPUTS: &'static [&'static str] = &[BestParams::OUTPUT, Trials::OUTPUT, Scatter::OUTPUT];
 
