@@ -116,6 +116,9 @@ pub struct TrainArgs {
     /// What counts as time
     #[arg(long, value_enum, default_value_t = Clock::Wall)]
     pub clock: Clock,
+    /// Tell where the error is: photos trained on beside those held out, after an affine fit, by scale, by distance
+    #[arg(long)]
+    pub explain: bool,
 }
 
 /// Clocks of `bench`.

@@ -3,9 +3,11 @@
 mod args;
 mod child;
 mod engine;
+mod explain;
 #[cfg(unix)]
 mod faults;
 mod items;
+mod photos;
 mod pictures;
 mod train;
 

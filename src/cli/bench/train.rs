@@ -10,7 +10,7 @@ use std::{fmt, fs};
 
 use marf_engine::{Cancel, Options};
 use marf_field::{Config, Device, EXPECTED_STEPS_PER_S, Field, Overrides, Quality, Trainer, View};
-use marf_scene::{Frame, Image, Photo, Scene, Srgb, encode_png, metrics, picture_names};
+use marf_scene::{Image, Scene, Srgb, encode_png, metrics};
 use marf_schema::calibrate::CalibrateParams;
 use marf_schema::output;
 use marf_schema::train::TrainParams;
@@ -24,6 +24,8 @@ use super::super::run::{execute, options};
 use super::super::session::{Session, node_named};
 use super::super::{budget, files};
 use super::args::{Clock, TrainArgs};
+use super::explain::{self, Found};
+use super::photos::{Photos, TestView, photos};
 use crate::terminal::{eprint_line, print_line};
 
 /// Ticks a second in /proc/self/stat, on every Linux.
@@ -116,14 +118,20 @@ struct Line {
     render_s: f64,
     /// Rays a second of this.
     render_rays_per_s: f64,
+    /// Where the error is, if that was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    explained: Option<Explained>,
 }
 
-/// A held-out view: name of its picture, its frame, its photo.
-struct TestView {
-    name: String,
-    frame: Frame,
-    photo: Image<Srgb>,
+/// Where the error is on photos of both kinds.
+#[derive(Debug, Serialize)]
+struct Explained {
+    trained: Found,
+    held_out: Found,
 }
+
+/// Most photos trained on that are explained, spread over all.
+const EXPLAINED: usize = 24;
 
 /// `marf bench train DIR`: a training a budget, of the size that the budget fills.
 pub fn train(global: &Global, args: &TrainArgs, cancel: &Cancel) -> Result<(), CliError> {
@@ -140,7 +148,12 @@ pub fn train(global: &Global, args: &TrainArgs, cancel: &Cancel) -> Result<(), C
         .over(&keys.quality.config())
         .map_err(|error| CliError::usage(format!("train.field.{}: {}", error.key, error.message)))?;
     let scene = import(&session, &quiet, cancel)?;
-    let (views, tests) = photos(&session, &scene, keys.scale.unwrap_or(1))?;
+    let most = if args.explain { EXPLAINED } else { 0 };
+    let Photos {
+        views,
+        tests,
+        explained,
+    } = photos(&session, &scene, keys.scale.unwrap_or(1), most)?;
     let threads = global.threads.map_or(0, std::num::NonZero::get);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     let pool = pool.map_err(|error| CliError::failed(format!("threads cannot be started: {error}")))?;
@@ -150,6 +163,7 @@ pub fn train(global: &Global, args: &TrainArgs, cancel: &Cancel) -> Result<(), C
         out: &args.out,
         cancel,
         device: &keys.device,
+        explained: args.explain.then_some(&explained),
     };
     let points: Vec<[f64; 3]> = scene.points.iter().map(|point| point.position).collect();
     let lines = pool.install(|| bench.run(&views, &tests, &points, (&config, keys.seed), &budgets))?;
@@ -187,37 +201,6 @@ fn import(session: &Session, global: &Global, cancel: &Cancel) -> Result<Scene, 
     Scene::decode(&bytes).map_err(|error| CliError::failed(error.to_string()))
 }
 
-/// Decodes all photos, those to train on and those held out.
-fn photos(session: &Session, scene: &Scene, scale: u32) -> Result<(Vec<View>, Vec<TestView>), CliError> {
-    let (mut views, mut tests) = (Vec::new(), Vec::new());
-    for (frame, name) in scene.frames.iter().zip(picture_names(scene)) {
-        let photo = Photo::decode(&session.store.get(&frame.image)?);
-        let photo = photo.map_err(|error| CliError::failed(format!("photo `{}`: {error}", frame.id)))?;
-        let photo = photo.image.box_reduced(scale);
-        let camera = frame.camera.box_reduced(scale);
-        if frame.held_out {
-            let frame = Frame {
-                camera,
-                ..frame.clone()
-            };
-            tests.push(TestView { name, frame, photo });
-        } else {
-            views.push(View {
-                id: frame.id.clone(),
-                camera,
-                cam_from_world: frame.cam_from_world,
-                image: photo.into(),
-            });
-        }
-    }
-    if tests.is_empty() {
-        return Err(CliError::failed(
-            "no photo is held out: `test_filenames` names none",
-        ));
-    }
-    Ok((views, tests))
-}
-
 /// Settings of a benchmark.
 struct Bench<'a> {
     clock: Clock,
@@ -225,6 +208,8 @@ struct Bench<'a> {
     out: &'a Path,
     cancel: &'a Cancel,
     device: &'a Device,
+    /// Photos trained on whose error is explained, if that was asked for.
+    explained: Option<&'a Vec<TestView>>,
 }
 
 /// Time and work so far.
@@ -253,7 +238,8 @@ impl Bench<'_> {
                 ..config.clone()
             };
             let (mut trainer, effort) = self.trained(views.to_vec(), points, (&config, seed), *budget)?;
-            let line = self.evaluate(&mut trainer, tests, &effort, *budget)?;
+            let mut line = self.evaluate(&mut trainer, tests, &effort, *budget)?;
+            line.explained = self.explain(&mut trainer, views, tests)?;
             let text = serde_json::to_string(&line);
             print_line(&text.map_err(|error| CliError::failed(error.to_string()))?);
             lines.push(line);
@@ -337,7 +323,29 @@ impl Bench<'_> {
             ssim: mean(&ssim),
             render_s: rendering.wall_s / tests.len() as f64,
             render_rays_per_s: rendering.rays as f64 / rendering.wall_s,
+            explained: None,
         })
+    }
+
+    /// Finds out where the error is, if that was asked for.
+    fn explain(
+        &self,
+        trainer: &mut Trainer,
+        views: &[View],
+        tests: &[TestView],
+    ) -> Result<Option<Explained>, CliError> {
+        let Some(photos) = self.explained else {
+            return Ok(None);
+        };
+        let failed = |error: marf_field::FieldError| CliError::failed(error.to_string());
+        let field = trainer.field().map_err(failed)?;
+        let cameras: Vec<_> = views.iter().map(|view| view.cam_from_world).collect();
+        let explained = Explained {
+            trained: explain::explain(&field, photos, &[]).map_err(failed)?,
+            held_out: explain::explain(&field, tests, &cameras).map_err(failed)?,
+        };
+        eprint_line(&explain::table(&explained.trained, &explained.held_out));
+        Ok(Some(explained))
     }
 }
 
@@ -425,6 +433,7 @@ mod tests {
             ssim: None,
             render_s: 0.4,
             render_rays_per_s: 4e5,
+            explained: None,
         };
         let table = table(&[line]);
         let row: Vec<&str> = table.lines().nth(1).unwrap().split_whitespace().collect();
