@@ -399,9 +399,9 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 3, "8b72cb1fe9e9"),
-            ("evaluate", 3, "5d7b3b0589ec"),
-            ("render", 3, "0b129d90a70d")
+            ("train", 4, "878df3d11e02"),
+            ("evaluate", 4, "ea657449f585"),
+            ("render", 4, "7cc392748122")
         ]
     );
 }
