@@ -446,8 +446,8 @@ impl Kernel for LogitSlopes<'_> {
     #[inline(always)]
     fn run<I: Isa>(self, _isa: I) {
         for ((slope, logit), rgb) in self.slopes.iter_mut().zip(self.logits).zip(self.rgb) {
-            for channel in 0..3 {
-                slope.0[channel] *= colour_slope(logit.0[channel], rgb[channel]);
+            for ((slope, logit), value) in slope.0.iter_mut().zip(logit.0).zip(&rgb[..3]) {
+                *slope *= colour_slope(logit, *value);
             }
         }
     }

@@ -71,7 +71,9 @@ fn table(config: &Config, steps: usize, level: InstructionSet, threads: &Threads
     let (facts, blocks) = threads.run(|| {
         let mut training = WatchedTraining::new(scene::views(), config, 0, level).expect("a training");
         let mut block = || mean((0..PERIOD).map(|_| training.step().expect("a step")).collect());
-        (0..steps / PERIOD).for_each(|_| drop(block()));
+        for _ in 0..steps / PERIOD {
+            block();
+        }
         let blocks: Vec<Watched> = (0..steps / PERIOD).map(|_| block()).collect();
         (training.facts(), blocks)
     });

@@ -102,6 +102,7 @@ fn on_the_cpu(training: &Training, targets: &[Target]) -> Chunk {
         steps: &training.march,
         bits: &training.state.occupancy.bits,
         rays: targets.len(),
+        watch: None,
     };
     let mut chunks = Vec::new();
     train(&shared, targets, targets.len(), &mut chunks, &Spares::default());

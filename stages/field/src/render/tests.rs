@@ -47,10 +47,8 @@ fn walk(steps: &Steps, bits: &Bits, ray: &RayStart) -> Samples {
 /// The colour and opacity of one ray.
 fn slow(model: &Model, ray: &RayStart) -> ([f32; 3], f32) {
     let level = InstructionSet::best();
-    let mut shade = Shade {
-        samples: walk(&model.steps, &model.bits, ray),
-        ..Shade::default()
-    };
+    let mut shade = Shade::default();
+    shade.samples = walk(&model.steps, &model.bits, ray);
     let spans = [Span {
         first: 0,
         end: shade.samples.len(),
