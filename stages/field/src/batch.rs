@@ -64,8 +64,6 @@ pub struct Found {
     pub visited: u64,
     /// Samples that were trained.
     pub samples: u64,
-    /// Samples whose colour was computed.
-    pub colours: u64,
     /// First tensor with a number that ran away.
     pub bad: Option<&'static str>,
 }
@@ -99,35 +97,13 @@ pub struct Scratch {
     shade: Shade,
     kept: Vec<u32>,
     before: Vec<f32>,
-    joined: Joined,
-    /// Colour of every sample: that of its row.
-    rgb: Vec<[f32; 4]>,
     d_tau: Vec<f32>,
     d_rgb: Vec<[f32; 4]>,
-    /// Gradients of the rows of the colour network, then of its input.
+    /// Gradients of the outputs of the colour network, then of its input.
     d_color: Vec<Block>,
     slope: Vec<Block>,
     spare: Vec<Block>,
 }
-
-/// Samples on a ray are joined until they weigh this much. rover4, 4 photos, after 600 steps: 19.20 dB with a colour for
-/// every sample, 19.21 at 1/128, 19.07 at 1/64, where two fifths of the colours are left.
-const FAINT: f32 = 1.0 / 128.0;
-
-/// Samples that share a colour: they are joined until they weigh [`FAINT`], the first time a random part of it, and take
-/// the colour of the last. What is left at the end of the ray takes that of the background.
-#[derive(Default)]
-struct Joined {
-    /// Row of every sample in the colour network; [`BEHIND`] for the background.
-    row: Vec<u32>,
-    /// Sample of every row.
-    sample: Vec<u32>,
-    /// Rows of every ray.
-    spans: Vec<Span>,
-}
-
-/// In place of a row: the background.
-const BEHIND: u32 = u32::MAX;
 
 /// Points of a chunk, and of as many chunks as are looked up together: their features then take no more memory than those
 /// of a batch.
@@ -274,7 +250,7 @@ impl Scratch {
         timed(watch, Part::Opacity, || self.opacities(shared, targets, chunk));
         timed(watch, Part::Colour, || {
             self.shade
-                .colours(shared.level, weights, &self.joined.spans, &chunk.harmonics);
+                .colours(shared.level, weights, &chunk.spans, &chunk.harmonics);
         });
         let logits = self.shade.color.last().map_or(&[][..], Vec::as_slice);
         if shared.level.run(Runaways(flat(logits))) > 0 {
@@ -293,20 +269,12 @@ impl Scratch {
         chunk.found.runaway_gradient(shared.level).map_or(Ok(()), Err)
     }
 
-    /// Turns densities into opacities and decides which samples are trained, and which of these get a colour.
+    /// Turns densities into opacities and decides which samples are trained.
     fn opacities(&mut self, shared: &Shared, targets: &[Target], chunk: &mut Chunk) {
         self.before.resize(targets.len(), 0.0);
         self.shade.opacities(shared.level, &chunk.spans, &self.before);
         self.shade.drop_hidden(&mut chunk.spans, &mut self.kept);
-        shared.level.run(Join {
-            shade: &self.shade,
-            targets,
-            spans: &chunk.spans,
-            joined: &mut self.joined,
-        });
-        self.shade.keep_latent(&self.joined.sample);
         chunk.found.samples = self.kept.len() as u64;
-        chunk.found.colours = self.joined.sample.len() as u64;
     }
 
     /// Compares every ray with its pixel and sends the difference back to densities, colours, background, gain.
@@ -316,9 +284,6 @@ impl Scratch {
         self.d_tau.resize(n, 0.0);
         self.d_rgb.clear();
         self.d_rgb.resize(n, [0.0; 4]);
-        self.rgb.resize(n, [0.0; 4]);
-        self.d_color.clear();
-        self.d_color.resize(self.shade.rgb.len(), Block::default());
         let found = &mut chunk.found;
         found.loss = 0.0;
         found.exposures.clear();
@@ -330,11 +295,8 @@ impl Scratch {
             spans: &chunk.spans,
             harmonics: &chunk.harmonics,
             shade: &self.shade,
-            rows: &self.joined.row,
-            rgb: &mut self.rgb,
             d_tau: &mut self.d_tau,
             d_rgb: &mut self.d_rgb,
-            d_color: &mut self.d_color,
             found,
         });
     }
@@ -342,9 +304,12 @@ impl Scratch {
     /// Carries the gradients of colours through their network, into `d_color`.
     fn colour_backward(&mut self, shared: &Shared, found: &mut Found) {
         let (shade, weights) = (&self.shade, shared.weights);
+        self.d_color.clear();
+        self.d_color.resize(shade.rgb.len(), Block::default());
         shared.level.run(LogitSlopes {
             logits: shade.color.last().map_or(&[][..], Vec::as_slice),
             rgb: &shade.rgb,
+            d_rgb: &self.d_rgb,
             slopes: &mut self.d_color,
         });
         weights.color.shape_gradients(&mut found.color);
@@ -368,8 +333,8 @@ impl Scratch {
         slope.clear();
         slope.resize(shade.raw.len(), Block::default());
         let blocks = weights.color_blocks();
-        for (latent, sample) in self.d_color.chunks_exact(blocks).zip(&self.joined.sample) {
-            slope[*sample as usize] = latent[0];
+        for (slope, latent) in slope.iter_mut().zip(self.d_color.chunks_exact(blocks)) {
+            *slope = latent[0];
         }
         shared.level.run(RawSlopes {
             shade,
@@ -399,44 +364,11 @@ impl Scratch {
     }
 }
 
-/// Decides which samples share a colour.
-struct Join<'a> {
-    shade: &'a Shade,
-    targets: &'a [Target],
-    spans: &'a [Span],
-    joined: &'a mut Joined,
-}
-
-impl Kernel for Join<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _isa: I) {
-        let Joined { row, sample, spans } = self.joined;
-        row.clear();
-        row.resize(self.shade.raw.len(), BEHIND);
-        sample.clear();
-        spans.clear();
-        for (target, span) in self.targets.iter().zip(self.spans) {
-            let (first, mut open, mut faint) = (sample.len(), span.first, target.jitter * FAINT);
-            for index in span.first..span.end {
-                faint += self.shade.transmittance[index] * self.shade.alpha[index];
-                if faint >= FAINT {
-                    row[open..=index].fill(sample.len() as u32);
-                    sample.push(index as u32);
-                    (open, faint) = (index + 1, 0.0);
-                }
-            }
-            let end = sample.len();
-            spans.push(Span { first, end });
-        }
-    }
-}
-
-/// Turns gradients of colours, in the first three columns, into those of their logits.
+/// Turns gradients of colours into those of their logits, in the first three columns.
 struct LogitSlopes<'a> {
     logits: &'a [Block],
     rgb: &'a [[f32; 4]],
+    d_rgb: &'a [[f32; 4]],
     slopes: &'a mut [Block],
 }
 
@@ -445,9 +377,10 @@ impl Kernel for LogitSlopes<'_> {
 
     #[inline(always)]
     fn run<I: Isa>(self, _isa: I) {
-        for ((slope, logit), rgb) in self.slopes.iter_mut().zip(self.logits).zip(self.rgb) {
-            for ((slope, logit), value) in slope.0.iter_mut().zip(logit.0).zip(&rgb[..3]) {
-                *slope *= colour_slope(logit, *value);
+        let colours = self.logits.iter().zip(self.rgb).zip(self.d_rgb);
+        for (slope, ((logit, rgb), d_rgb)) in self.slopes.iter_mut().zip(colours) {
+            for (channel, slope) in slope.0[..3].iter_mut().enumerate() {
+                *slope = d_rgb[channel] * colour_slope(logit.0[channel], rgb[channel]);
             }
         }
     }
@@ -481,11 +414,8 @@ struct Losses<'a> {
     spans: &'a [Span],
     harmonics: &'a [[f32; sh::COUNT]],
     shade: &'a Shade,
-    rows: &'a [u32],
-    rgb: &'a mut [[f32; 4]],
     d_tau: &'a mut [f32],
     d_rgb: &'a mut [[f32; 4]],
-    d_color: &'a mut [Block],
     found: &'a mut Found,
 }
 
@@ -507,19 +437,10 @@ impl Losses<'_> {
         let (shared, shade) = (self.shared, self.shade);
         let logits = shared.weights.logits_behind(harmonics);
         let behind = shared.weights.behind(shared.config.background, harmonics);
-        let rows = &self.rows[first..end];
-        for (rgb, row) in self.rgb[first..end].iter_mut().zip(rows) {
-            let [red, green, blue] = behind;
-            *rgb = shade
-                .rgb
-                .get(*row as usize)
-                .copied()
-                .unwrap_or([red, green, blue, 0.0]);
-        }
         let ray = Ray {
             alpha: &shade.alpha[first..end],
             transmittance: &shade.transmittance[first..end],
-            rgb: &self.rgb[first..end],
+            rgb: &shade.rgb[first..end],
             place: &shade.samples.place[first..end],
         };
         let Gathered { rgb, left } = ray.gather();
@@ -542,17 +463,9 @@ impl Losses<'_> {
         if let Some(pull) = target.pull {
             pull.spread(&ray, cell, d_tau);
         }
-        let mut d_behind = slope.map(|slope| left * slope);
-        for (row, d_rgb) in rows.iter().zip(&self.d_rgb[first..end]) {
-            let to = match self.d_color.get_mut(*row as usize) {
-                Some(row) => row.0.iter_mut(),
-                None => d_behind.iter_mut(),
-            };
-            to.zip(&d_rgb[..3]).for_each(|(sum, slope)| *sum += slope);
-        }
         self.found.exposures.push((target.view, compared.exposure));
         if shared.config.background == Background::Direction {
-            self.behind(d_behind, logits, harmonics);
+            self.behind(slope.map(|slope| left * slope), logits, harmonics);
         }
     }
 

@@ -185,8 +185,6 @@ pub struct Counts {
     pub visited: u64,
     /// Samples that were trained.
     pub samples: u64,
-    /// Samples whose colour was computed.
-    pub colours: u64,
 }
 
 /// Steps that were timed.
@@ -231,7 +229,6 @@ impl WatchedTraining {
                 rays: step.rays,
                 visited: found().map(|found| found.visited).sum(),
                 samples: step.samples,
-                colours: found().map(|found| found.colours).sum(),
             },
             parts_s: self
                 .session

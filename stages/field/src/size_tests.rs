@@ -300,8 +300,13 @@ fn without_view_dependence_there_are_fewer_weights_and_a_dull_ball_is_learnt_as_
             batch_samples: 4096,
             ..small()
         };
-        let field = trained(ball(24, 16), &config, 4, 600).field().unwrap();
-        (psnr(&field, &ball_view(0.4, 0.3, 16)), field.facts().parameters)
+        // A seed alone moves the figure by half a decibel.
+        let fields = [4, 5, 6].map(|seed| trained(ball(24, 16), &config, seed, 600).field().unwrap());
+        let sum: f64 = fields
+            .iter()
+            .map(|field| psnr(field, &ball_view(0.4, 0.3, 16)))
+            .sum();
+        (sum / fields.len() as f64, fields[0].facts().parameters)
     });
     let [(with, more), (without, fewer)] = found;
     // 16 harmonics into 16 neurons.

@@ -399,9 +399,9 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 4, "878df3d11e02"),
-            ("evaluate", 4, "ea657449f585"),
-            ("render", 4, "7cc392748122")
+            ("train", 4, "9b0b560f8b51"),
+            ("evaluate", 4, "7e326646799e"),
+            ("render", 4, "0fe3a9341232")
         ]
     );
 }

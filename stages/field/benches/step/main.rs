@@ -87,7 +87,6 @@ fn table(config: &Config, steps: usize, level: InstructionSet, threads: &Threads
         count(|counts| counts.rays),
         count(|counts| counts.visited),
         count(|counts| counts.samples),
-        count(|counts| counts.colours),
     ];
     let alone = alone(&Field::of(&facts, config), level, threads, counts);
     println!("| part | ms a step | its kernel alone | of the part |\n|---|---|---|---|");
@@ -110,9 +109,9 @@ fn table(config: &Config, steps: usize, level: InstructionSet, threads: &Threads
         1e3 * kernels_s,
         100.0 * kernels_s / whole_s
     );
-    let [rays, visited, samples, colours] = counts;
+    let [rays, visited, samples] = counts;
     println!(
-        "\n{rays:.0} rays, {visited:.0} samples visited, {samples:.0} trained ({:.1} a ray), {colours:.0} colours; {:.1} % of \
+        "\n{rays:.0} rays, {visited:.0} samples visited, {samples:.0} trained ({:.1} a ray); {:.1} % of \
          the cells occupied; {:.2} M samples/s",
         samples / rays,
         100.0 * facts.occupied_share,
@@ -131,20 +130,19 @@ fn mean(steps: Vec<Watched>) -> Watched {
             rays: sum(|counts| counts.rays),
             visited: sum(|counts| counts.visited),
             samples: sum(|counts| counts.samples),
-            colours: sum(|counts| counts.colours),
         },
         parts_s: std::array::from_fn(|part| steps.iter().map(|step| step.parts_s[part]).sum::<f64>() / count),
         wall_s: steps.iter().map(|step| step.wall_s).sum::<f64>() / count,
     }
 }
 
-/// Returns what the kernel of a part needs alone for so many rays, samples visited, samples trained, colours, in seconds;
+/// Returns what the kernel of a part needs alone for so many rays, samples visited, samples trained, in seconds;
 /// none where a part has no kernel of its own.
 fn alone(
     field: &Field,
     level: InstructionSet,
     threads: &Threads,
-    [rays, visited, samples, colours]: [f64; 4],
+    [rays, visited, samples]: [f64; 3],
 ) -> [Option<f64>; PARTS.len()] {
     let limits = field.limits(threads);
     let rates = work::KERNELS.map(|(name, run)| (name, 1e6 * run(field, level, threads, &limits, 1.0)[0]));
@@ -161,9 +159,9 @@ fn alone(
             Part::March => seconds("march (rays)", rays),
             Part::Lookup => seconds("encode", visited),
             Part::Density => seconds("density forward", visited),
-            Part::Colour => seconds("colour forward", colours),
+            Part::Colour => seconds("colour forward", samples),
             Part::Losses => seconds("composite forward and backward", samples),
-            Part::ColourBackward => backward("colour", colours),
+            Part::ColourBackward => backward("colour", samples),
             Part::DensityBackward => backward("density", samples),
             Part::Scatter => seconds("scatter", samples),
             Part::Adam => seconds("adam (numbers)", numbers),

@@ -149,7 +149,18 @@ fn a_batch_has_the_gradients_of_the_cpu() {
         CHAIN,
     );
     let width = training.state.weights.row_blocks() * 16;
-    let rows = columns(&flat(&there.features)[..here.kept * width], width, CAPACITY, 0.0);
+    // The CPU has them level by level, `[levels, n, F]`, the device a column a number.
+    let planes = flat(&there.features);
+    let (samples, features) = (planes.len() / width, training.state.weights.features);
+    let number = |sample: usize, column: usize| {
+        let (level, feature) = (column / features, column % features);
+        planes[(level * samples + sample) * features + feature]
+    };
+    let rows: Vec<f32> = (0..here.kept)
+        .flat_map(|sample| (0..width).map(move |column| (sample, column)))
+        .map(|(sample, column)| number(sample, column))
+        .collect();
+    let rows = columns(&rows, width, CAPACITY, 0.0);
     let pairs = here.features.chunks(CAPACITY).zip(rows.chunks(CAPACITY));
     let (found, wanted): (Vec<_>, Vec<_>) = pairs
         .map(|(found, wanted)| (&found[..here.kept], &wanted[..here.kept]))
