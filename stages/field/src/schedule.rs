@@ -18,6 +18,8 @@ pub const BACKGROUND_RATE: f32 = 10.0;
 const LAST_HALVED: f64 = 0.9;
 /// Steps for which the rate stays at least: a training of 400 steps lost .6 dB where it fell from the start.
 const RATE_HELD: u64 = 512;
+/// Fewest steps for each halving: before, there is no surface that shorter steps would find more exactly.
+const STEPS_A_HALVING: u64 = 640;
 /// With fewer samples a ray than this the steps are halved at once; checked every [`FEW_AT`] steps.
 const FEW_SAMPLES: f64 = 8.0;
 const FEW_AT: u64 = 128;
@@ -88,6 +90,7 @@ impl Training {
     pub fn halve_steps(&mut self) {
         let most = self.sizes.halvings.value;
         let due = (done(&self.config, self.state.steps) / LAST_HALVED * f64::from(most)) as u32;
+        let due = due.min((self.state.steps / STEPS_A_HALVING) as u32);
         let few = self.state.samples_per_ray < FEW_SAMPLES && self.state.steps.is_multiple_of(FEW_AT);
         let wanted = due.max(self.state.halvings + u32::from(few));
         let wanted = wanted.min(most);
