@@ -143,11 +143,7 @@ mod tests {
 
     #[test]
     fn steps_along_rays_are_halved_in_equal_parts_of_nine_tenths_of_the_training() {
-        for (steps, expected) in [
-            (1, [1, 1, 1]),
-            (1_000, [300, 600, 900]),
-            (100_000, [30_000, 60_000, 90_000]),
-        ] {
+        for (steps, expected) in [(3_000, [900, 1_800, 2_700]), (100_000, [30_000, 60_000, 90_000])] {
             let mut training = of(Some(steps));
             training.state.samples_per_ray = 100.0;
             for (done, at) in expected.into_iter().enumerate() {
@@ -157,17 +153,29 @@ mod tests {
                 let early = training.state.halvings;
                 training.state.steps = at;
                 training.halve_steps();
-                if steps > 1 {
-                    assert_eq!(
-                        [early, training.state.halvings],
-                        [done as u32, done as u32 + 1],
-                        "{steps}, {at}"
-                    );
-                    assert!(training.march.count > before, "{steps}, {at}");
-                }
+                let halvings = [early, training.state.halvings];
+                assert_eq!(halvings, [done as u32, done as u32 + 1], "{steps}, {at}");
+                assert!(training.march.count > before, "{steps}, {at}");
             }
-            assert_eq!(training.state.halvings, 3, "{steps}");
             assert_eq!(training.state.samples_per_ray, 800.0, "{steps}");
+        }
+    }
+
+    #[test]
+    fn short_trainings_halve_their_steps_only_after_enough_of_them() {
+        for (steps, at, halvings) in [
+            (1, 1, 0),
+            (400, 400, 0),
+            (1_000, 639, 0),
+            (1_000, 640, 1),
+            (1_000, 1_000, 1),
+            (1_500, 1_280, 2),
+        ] {
+            let mut training = of(Some(steps));
+            training.state.samples_per_ray = 100.0;
+            training.state.steps = at;
+            training.halve_steps();
+            assert_eq!(training.state.halvings, halvings, "{steps}, {at}");
         }
     }
 
