@@ -3,17 +3,18 @@
 use parking_lot::Mutex;
 use rayon::prelude::*;
 
-use crate::cpu::composite::{Densities, Gathered, RAW_LIMIT, Ray, Runaways, colour, colour_slope};
+use crate::cpu::composite::{Densities, Runaways};
 use crate::cpu::encode::Points;
 use crate::cpu::march::{Bits, March, Samples, Steps};
-use crate::cpu::simd::{Block, InstructionSet, Isa, Kernel, LANES, Run, Stripe, flat};
+use crate::cpu::simd::{Block, InstructionSet, LANES, Run, Stripe, flat};
 use crate::draw::Target;
 use crate::exposure::Exposure;
+use crate::losses::{LogitSlopes, Losses, RawSlopes};
 use crate::occupancy::Probe;
 use crate::shade::{Shade, Span, ToPlanes, lookup, planes_mut};
 use crate::watch::{Part, Watch, timed};
 use crate::weights::Weights;
-use crate::{Background, Config, sh};
+use crate::{Config, sh};
 
 /// What all chunks of a step share.
 #[derive(Clone, Copy)]
@@ -361,123 +362,5 @@ impl Scratch {
             levels: weights.shapes.len(),
         });
         Ok(())
-    }
-}
-
-/// Turns gradients of colours into those of their logits, in the first three columns.
-struct LogitSlopes<'a> {
-    logits: &'a [Block],
-    rgb: &'a [[f32; 4]],
-    d_rgb: &'a [[f32; 4]],
-    slopes: &'a mut [Block],
-}
-
-impl Kernel for LogitSlopes<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _isa: I) {
-        let colours = self.logits.iter().zip(self.rgb).zip(self.d_rgb);
-        for (slope, ((logit, rgb), d_rgb)) in self.slopes.iter_mut().zip(colours) {
-            for (channel, slope) in slope.0[..3].iter_mut().enumerate() {
-                *slope = d_rgb[channel] * colour_slope(logit.0[channel], rgb[channel]);
-            }
-        }
-    }
-}
-
-/// Adds the gradients of optical depths to those of the raw densities, in the first column.
-struct RawSlopes<'a> {
-    shade: &'a Shade,
-    d_tau: &'a [f32],
-    slopes: &'a mut [Block],
-}
-
-impl Kernel for RawSlopes<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _isa: I) {
-        let samples = self.shade.raw.iter().zip(&self.shade.tau).zip(self.d_tau);
-        for (slope, ((raw, tau), d_tau)) in self.slopes.iter_mut().zip(samples) {
-            if *raw < RAW_LIMIT {
-                slope.0[0] = d_tau.mul_add(*tau, slope.0[0]);
-            }
-        }
-    }
-}
-
-/// The loss of every ray and its gradients.
-struct Losses<'a> {
-    shared: &'a Shared<'a>,
-    targets: &'a [Target],
-    spans: &'a [Span],
-    harmonics: &'a [[f32; sh::COUNT]],
-    shade: &'a Shade,
-    d_tau: &'a mut [f32],
-    d_rgb: &'a mut [[f32; 4]],
-    found: &'a mut Found,
-}
-
-impl Kernel for Losses<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(mut self, _isa: I) {
-        let rays = self.targets.iter().zip(self.spans).zip(self.harmonics);
-        for ((target, span), harmonics) in rays.filter(|((target, _), _)| target.start.is_some()) {
-            self.ray(target, *span, harmonics);
-        }
-    }
-}
-
-impl Losses<'_> {
-    #[inline(always)]
-    fn ray(&mut self, target: &Target, Span { first, end }: Span, harmonics: &[f32; sh::COUNT]) {
-        let (shared, shade) = (self.shared, self.shade);
-        let logits = shared.weights.logits_behind(harmonics);
-        let behind = shared.weights.behind(shared.config.background, harmonics);
-        let ray = Ray {
-            alpha: &shade.alpha[first..end],
-            transmittance: &shade.transmittance[first..end],
-            rgb: &shade.rgb[first..end],
-            place: &shade.samples.place[first..end],
-        };
-        let Gathered { rgb, left } = ray.gather();
-        let scale = 2.0 / (3 * shared.rays) as f32;
-        let plain = [0, 1, 2].map(|channel| left.mul_add(behind[channel], rgb[channel]));
-        let compared = target.exposure.compare(plain, target.rgb, scale);
-        let slope = compared.colour;
-        for square in compared.squares {
-            self.found.loss += f64::from(square);
-        }
-        let strength = shared.config.distortion as f32 / shared.rays as f32;
-        let cell = 1.0 / shared.steps.count as f32;
-        let (d_tau, d_rgb) = (&mut self.d_tau[first..end], &mut self.d_rgb[first..end]);
-        ray.spread(slope, behind, [strength, cell], d_tau, d_rgb);
-        // The slope of an opacity in its optical depth is what it lets pass.
-        let emptiness = shared.config.emptiness as f32 / shared.rays as f32;
-        for (slope, alpha) in d_tau.iter_mut().zip(ray.alpha) {
-            *slope = emptiness.mul_add(1.0 - alpha, *slope);
-        }
-        if let Some(pull) = target.pull {
-            pull.spread(&ray, cell, d_tau);
-        }
-        self.found.exposures.push((target.view, compared.exposure));
-        if shared.config.background == Background::Direction {
-            self.behind(slope.map(|slope| left * slope), logits, harmonics);
-        }
-    }
-
-    /// Sends the gradient of the background's colour to its coefficients.
-    #[inline(always)]
-    fn behind(&mut self, slope: [f32; 3], logits: [f32; 3], harmonics: &[f32; sh::COUNT]) {
-        for channel in 0..3 {
-            let d_logit = slope[channel] * colour_slope(logits[channel], colour(logits[channel]));
-            let row = &mut self.found.background[channel * sh::COUNT..][..sh::COUNT];
-            for (gradient, harmonic) in row.iter_mut().zip(harmonics) {
-                *gradient = d_logit.mul_add(*harmonic, *gradient);
-            }
-        }
     }
 }

@@ -27,6 +27,7 @@ mod frame;
 mod gpu;
 mod gpu_error;
 mod learn;
+mod losses;
 mod model;
 mod occupancy;
 mod open;
@@ -39,6 +40,7 @@ mod rng;
 #[cfg(test)]
 mod rover_tests;
 mod schedule;
+mod seen;
 mod sh;
 mod shade;
 mod size;
