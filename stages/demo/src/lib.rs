@@ -4,6 +4,7 @@
 //! flawed ones. Invariant: the same options give the same bytes on every machine and for any number of threads. Only
 //! + - * / and sqrt are used, and every pixel is a function of its position alone.
 
+mod descent;
 mod flaws;
 mod ground;
 mod label;

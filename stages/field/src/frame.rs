@@ -93,21 +93,6 @@ impl Frame {
     pub fn outward(&self, point: [f64; 3]) -> Vector3<f64> {
         Vector3::from_fn(|axis, _| point[axis].mul_add(self.half_side, self.origin[axis]))
     }
-
-    /// Returns the cells a side of the finest level and why: one cell covers one pixel at the typical depth.
-    pub fn finest(&self, views: &[View]) -> (u32, String) {
-        let mut focals: Vec<f64> = views.iter().map(|view| view.camera.fx_px).collect();
-        let focal_px = median(&mut focals);
-        let footprint = self.depth / focal_px;
-        let cells = (4.0 * self.half_side / footprint)
-            .ceil()
-            .clamp(16.0, f64::from(MOST_FINEST));
-        let reason = format!(
-            "a pixel covers {footprint:.4} at the distance {:.4} (focal length {focal_px:.0} px); the contracted box is 4 half sides of {:.4} wide",
-            self.depth, self.half_side
-        );
-        (cells as u32, reason)
-    }
 }
 
 /// Returns the median (the upper one of two), 0 for none.
@@ -293,8 +278,5 @@ mod tests {
             (frame.origin[0] - 5.0).abs() < 0.11 && (frame.half_side - 4.0).abs() < 0.2,
             "{frame:?}"
         );
-        // A pixel at depth 30 and focal length 40 covers 0.75 of 16.
-        let (finest, reason) = frame.finest(&ring(6, 30.0, Vector3::new(5.0, 2.0, 2.0)));
-        assert!((16..30).contains(&finest), "{finest} {reason}");
     }
 }

@@ -44,6 +44,8 @@ pub struct Sizes {
 const NEAR: f64 = 0.1;
 /// A point counts as near if this share of what is seen is nearer, as far if this share is farther: outliers.
 const OUTLIERS: f64 = 0.01;
+/// The finest cells are as wide as the pixels of so many of the points seen are, at most: close-ups need them.
+const SHARP: f64 = 0.1;
 /// Surface without sparse points on it may come this much nearer than they do.
 const NEARER: f64 = 0.5;
 /// ... and go on this much farther: a ridge without texture has no points.
@@ -69,7 +71,7 @@ const TABLES: [u32; 2] = [12, 22];
 /// `frame`: the box of both. Every number is finite, `near` is below `far`, whatever the points are.
 pub fn derive(views: &[View], points: &[[f64; 3]], config: &Config, frame: &Frame) -> Sizes {
     let depths = Depths::seen(views, points, frame);
-    let finest = finest(config, frame, views);
+    let finest = finest(config, &depths, frame, views);
     let surface = if depths.is_ok() { points } else { &[] };
     let surface_cells = surface_cells(views, surface, frame, finest.value);
     Sizes {
@@ -158,6 +160,8 @@ struct Depths {
     farthest: f64,
     /// No ray may end nearer than this, or it would not cross the box.
     most: f64,
+    /// Width of a pixel at the points, half sides of the contracted box: of [`SHARP`] of all it is less, and of half.
+    footprints: [f64; 2],
 }
 
 impl Depths {
@@ -172,19 +176,24 @@ impl Depths {
         }
         let stride = points.len().div_ceil(MOST_POINTS);
         let some: Vec<_> = points.iter().step_by(stride).map(|p| Vector3::from(*p)).collect();
-        let depths = views.par_iter().map(|view| {
-            let seen = some.iter().filter_map(|point| view.distance_of(point));
-            seen.collect::<Vec<f64>>()
+        let shrinks: Vec<f64> = some.iter().map(|point| shrink(frame.inward(point))).collect();
+        let seen = views.par_iter().map(|view| {
+            let seen = some.iter().zip(&shrinks).filter_map(|(point, shrink)| {
+                let depth = view.distance_of(point)? / frame.half_side;
+                Some((depth, depth / view.camera.fx_px * shrink))
+            });
+            seen.collect::<Vec<_>>()
         });
-        let mut depths = depths.collect::<Vec<_>>().concat();
+        let (mut depths, mut footprints): (Vec<f64>, Vec<f64>) =
+            seen.collect::<Vec<_>>().into_iter().flatten().unzip();
         if depths.is_empty() {
             return Err(format!(
                 "no camera sees any of {} sparse points",
                 grouped(points.len() as u64)
             ));
         }
-        let mut at = |share| percentile(&mut depths, share) / frame.half_side;
-        let (nearest, farthest) = (at(OUTLIERS), at(1.0 - OUTLIERS));
+        let [nearest, farthest] = [OUTLIERS, 1.0 - OUTLIERS].map(|share| percentile(&mut depths, share));
+        let footprints = [SHARP, 0.5].map(|share| percentile(&mut footprints, share));
         let away = views.iter().map(|view| {
             let centre = frame.inward(&view.cam_from_world.centre());
             centre.iter().fold(0.0_f64, |most, x| most.max(x.abs()))
@@ -194,8 +203,15 @@ impl Depths {
             nearest,
             farthest,
             most,
+            footprints,
         })
     }
+}
+
+/// Returns by how much a length across the line to the middle of the box shrinks where space is contracted.
+fn shrink(inward: [f64; 3]) -> f64 {
+    let m = inward.iter().fold(1.0_f64, |most, x| most.max(x.abs()));
+    (2.0 - 1.0 / m) / m
 }
 
 fn near(config: &Config, depths: &Result<Depths, String>) -> Chosen<f64> {
@@ -240,11 +256,34 @@ fn far(config: &Config, depths: &Result<Depths, String>) -> Chosen<f64> {
     Chosen::new(2.0 * near, format!("twice `near`, which is {near}"))
 }
 
-fn finest(config: &Config, frame: &Frame, views: &[View]) -> Chosen<u32> {
+/// Returns the cells a side that are as wide as a pixel: of the contracted box, which is 4 half sides wide.
+fn finest(config: &Config, depths: &Result<Depths, String>, frame: &Frame, views: &[View]) -> Chosen<u32> {
     if let Some(finest) = config.finest_resolution {
         return Chosen::said(finest, "finest_resolution");
     }
-    let (cells, reason) = frame.finest(views);
+    let (footprint, reason) = match depths {
+        Ok(Depths {
+            footprints: [near, middle],
+            ..
+        }) => (
+            *near,
+            format!(
+                "{:.0} % of the sparse points that cameras see have pixels wider than {near:.6} half sides of the contracted box, half of them wider than {middle:.6}",
+                100.0 * (1.0 - SHARP)
+            ),
+        ),
+        Err(why) => {
+            let mut focals: Vec<f64> = views.iter().map(|view| view.camera.fx_px).collect();
+            let focal_px = percentile(&mut focals, 0.5);
+            let depth = frame.depth / frame.half_side;
+            let reason = format!(
+                "{why}: a pixel is {:.6} half sides wide at the distance {depth:.4} (focal length {focal_px:.0} px)",
+                depth / focal_px
+            );
+            (depth / focal_px, reason)
+        }
+    };
+    let cells = (4.0 / footprint).ceil().clamp(16.0, f64::from(MOST_FINEST)) as u32;
     Chosen::new(cells.max(config.base_resolution), reason)
 }
 

@@ -59,8 +59,13 @@ fn a_plane_is_sized_by_hand() {
         "{far}: {}",
         sizes.far.reason
     );
-    let cells = 4.0 * frame.half_side * 512.0 / frame.depth;
-    assert_eq!(sizes.finest.value, cells.ceil() as u32, "{}", sizes.finest.reason);
+    // A tenth of what is seen lies within 2.3 of the foot of its camera: 10 to 10.3 away.
+    let cells = [10.3, 10.0].map(|depth| (4.0 * frame.half_side * 512.0 / depth) as u32);
+    assert!(
+        (cells[0]..=cells[1]).contains(&sizes.finest.value),
+        "{cells:?}: {}",
+        sizes.finest.reason
+    );
     // 16 to about 700 cells: 4 levels would grow by 3.5, 8 grow by 1.7.
     assert_eq!(sizes.levels.value, 8, "{}", sizes.levels.reason);
     assert!(
@@ -105,6 +110,32 @@ fn the_last_steps_at_matter_near_and_far_are_at_most_a_pixel_long() {
         // 1,920 px would need 7 halvings.
         assert!(longest <= 1.3, "{side}, {height}: {longest} px");
     }
+}
+
+#[test]
+fn close_ups_decide_the_finest_cells_and_a_single_one_does_not() {
+    let (points, far) = (plane(256), above(512));
+    let low = |views: &mut [View]| {
+        for view in views {
+            let at = view.cam_from_world.centre();
+            let (eye, foot) = (Vector3::new(at.x, at.y, 1.0), Vector3::new(at.x, at.y, 0.0));
+            view.cam_from_world = Pose::looking_at(eye, foot, Vector3::y());
+        }
+    };
+    let finest = |views: &[View]| f64::from(sizes(views, &points).finest.value);
+    let mut both = [far.clone(), far.clone()].concat();
+    // Cameras at a tenth of the height see 1 / 64 of the plane each, of which the others see all.
+    low(&mut both[..3]);
+    assert!(
+        (finest(&both) / finest(&far) - 1.0).abs() < 0.05,
+        "{}",
+        finest(&both)
+    );
+    // As many points in the pictures near the ground as in those from above: cells a tenth as wide.
+    let mut near: Vec<View> = far.iter().cycle().take(60).cloned().collect();
+    low(&mut near[..57]);
+    let ratio = finest(&near) / finest(&far);
+    assert!((8.0..=11.0).contains(&ratio), "{ratio}");
 }
 
 #[test]
