@@ -54,6 +54,8 @@ mod test_scene;
 mod trainer;
 mod training;
 #[cfg(test)]
+mod training_properties;
+#[cfg(test)]
 mod training_tests;
 mod views;
 mod watch;
