@@ -426,13 +426,13 @@ fn log2_table(config: &Config, cells: u64) -> Chosen<u32> {
     Chosen::new(wanted, format!("the scene decides: {scene}; {budget}"))
 }
 
-/// Returns the binary logarithm of the table that so many samples fill: 2^15 at 2^25 samples, 4 times as large at 8
+/// Returns the binary logarithm of the table that so many samples fill: 2^15 at 2^23.5 samples, 4 times as large at 8
 /// times as many.
 ///
 /// A larger one has learnt less by then, a smaller one cannot hold more: `benches/size.md`.
 fn log2_filled(samples: u64) -> u32 {
     let twice = u128::from(samples.max(1)).pow(2).ilog2();
-    (twice.saturating_sub(5) + 1) / 3
+    twice.saturating_sub(2) / 3
 }
 
 /// Writes a count in groups of three digits.

@@ -259,10 +259,10 @@ fn the_smaller_of_what_the_scene_wants_and_the_budget_fills_is_taken() {
         };
         sizes_of(&above(512), &plane(256), &config).log2_table
     };
-    // 2^22 samples are 8 times fewer than 2^25, which fill 2^15.
+    // 2^22 samples: 4 times fewer entries than the 2^16 of 8 times as many.
     let short = table(128);
     assert!(
-        short.value == 13 && short.reason.starts_with("the budget decides: 128 steps"),
+        short.value == 14 && short.reason.starts_with("the budget decides: 128 steps"),
         "{short:?}"
     );
     let long = table(1 << 20);
