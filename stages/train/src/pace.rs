@@ -66,7 +66,7 @@ impl Set for Pace {
         let plan = plan_memory(params.memory, &split, &times, scale, &config)?;
         let photos = PhotoReader::new(ctx, &scene, scale);
         let views = training_views(&photos, &split.training, &times, plan, 0)?;
-        let mut trainer = new_trainer(views, &scene, &config, 0, &params.device)?;
+        let mut trainer = new_trainer(views, &scene, &config, 0, None, &params.device)?;
         let budget_s = params.budget.seconds();
         let rate = steps_per_second(ctx, &mut trainer, (budget_s / 4.0).min(LONGEST_S))?;
         let mut outputs = Outputs::new();

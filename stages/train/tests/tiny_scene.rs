@@ -399,7 +399,7 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 4, "9b0b560f8b51"),
+            ("train", 5, "e38602411e4f"),
             ("evaluate", 4, "7e326646799e"),
             ("render", 4, "0fe3a9341232")
         ]
