@@ -19,7 +19,7 @@ pub enum Holdout {
     /// Those that `calibrate` holds out.
     #[default]
     Test,
-    /// Every 8th of the others, and those that `calibrate` holds out are not looked at: for choosing parameters.
+    /// One in eight of the others, by place, and those that `calibrate` holds out are not looked at: for choosing parameters.
     Validation,
 }
 
@@ -83,7 +83,7 @@ pub struct TrainParams {
     pub resample: Option<u64>,
     /// What decides how large the field is.
     pub fit: Fit,
-    /// Short trainings on every 8th training photo held back: width, view dependence, exposure and sky by their gain.
+    /// Short trainings that hold back one training photo in eight, by place: width, view dependence, exposure and sky by their gain.
     pub trials: TrialsParams,
     /// Keys of the field; they win over those of the input `params`.
     pub field: Overrides,

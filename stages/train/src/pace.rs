@@ -37,7 +37,7 @@ impl Define for Pace {
     type Params = PaceParams;
     const NAME: &'static str = PaceParams::STAGE;
     const ABOUT: &'static str = "Measures how many training steps a time budget buys on this machine";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),

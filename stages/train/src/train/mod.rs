@@ -4,7 +4,7 @@ mod trials;
 
 use marf_cache::Digest;
 use marf_field::{Config, Device, Field};
-use marf_scene::Scene;
+use marf_scene::{PosedPhoto, Scene, TrainedPhotos};
 use marf_schema::{
     output::{HELDOUT, PHOTO, SCENE, WEIGHTS},
     pace::{PaceParams, Steps},
@@ -46,7 +46,7 @@ impl Define for Train {
     type Params = TrainParams;
     const NAME: &'static str = TrainParams::STAGE;
     const ABOUT: &'static str = "Trains a radiance field and measures it on held-out photos";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),
@@ -166,8 +166,10 @@ fn train(ctx: &Ctx<'_>, stage: &Train, inputs: &Inputs, steps: u64) -> Result<Ou
     outputs.put_bytes(ctx, WEIGHTS, &field.encode())?;
     let setup = settings.setup(plan.memory.run, &config, field.derived());
     outputs.put(ctx, &setup)?;
+    let trained = TrainedPhotos::new(&scene, trained_on(&split, &times));
+    let held_out = &split.held_out;
     let metrics = Metrics {
-        scores: score_views(ctx, plan.of, &field, &photos, &split.held_out, &mut outputs)?,
+        scores: score_views(ctx, plan.of, &field, &photos, &trained, held_out, &mut outputs)?,
         steps,
         rays: log.rays,
         samples: log.samples,
@@ -241,6 +243,12 @@ impl Trained {
 fn times(split: &Split<'_>, resample: Option<u64>) -> Vec<usize> {
     let count = split.training.len();
     resample.map_or_else(|| vec![1; count], |seed| draws(count, seed))
+}
+
+/// Returns the training photos that are used.
+fn trained_on<'a>(split: &Split<'a>, times: &[usize]) -> Vec<PosedPhoto<'a>> {
+    let used = split.training.iter().zip(times).filter(|(_, times)| **times > 0);
+    used.map(|(named, _)| named.frame.into()).collect()
 }
 
 /// Returns the ids of the training photos, each as often as it is used.

@@ -14,7 +14,7 @@ use crate::{
     memory::{MemoryPlan, plan_memory},
     photos::{PhotoReader, ScaledPhoto},
     scoring::mean_psnr,
-    split::{NamedFrame, Split, hold_out_every_eighth},
+    split::{NamedFrame, Split, hold_out_by_place},
     views::{new_trainer, training_views},
 };
 
@@ -261,10 +261,10 @@ struct TrialPhotos<'a> {
 }
 
 impl<'a> TrialSetup<'a> {
-    /// Holds back every 8th training photo; `None` where that leaves none to train on.
+    /// Holds back one training photo in eight, by place; `None` where that leaves none to train on, or none to judge.
     fn new(params: &'a TrainParams, plan: &'a Plan<'a>, steps: u64) -> Result<Option<Self>, StageError> {
-        let split = hold_out_every_eighth(plan.split.training.clone());
-        if split.training.is_empty() {
+        let split = hold_out_by_place(plan.split.training.clone(), &plan.scene.points);
+        if split.training.is_empty() || split.held_out.is_empty() {
             return Ok(None);
         }
         let (scale, times) = (scale(plan), vec![1; split.training.len()]);
