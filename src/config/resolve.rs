@@ -172,6 +172,7 @@ fn node(entry: &Entry, names: &[&str], context: &PipelineContext<'_>) -> Result<
         let message = format!("`node.{name}` needs `{key} = \"…\"`, the node that gives it `{output}`");
         return Err(ConfigError::at(entry.at.clone(), message));
     }
+    check_decided(entry, &def)?;
     if let Some(device) = context.device
         && keys.contains(&DEVICE)
     {
@@ -195,6 +196,20 @@ fn node(entry: &Entry, names: &[&str], context: &PipelineContext<'_>) -> Result<
         edges,
         params,
     })
+}
+
+/// Refuses a key beside an input that decides what the key would.
+fn check_decided(entry: &Entry, def: &StageDef) -> Result<(), ConfigError> {
+    let table = &entry.value;
+    for port in def.ports.iter().filter(|port| table.entry(port.key).is_some()) {
+        if let Some(field) = port.decides.iter().find_map(|key| table.entry(key)) {
+            let (node, key, port) = (&entry.key, &field.key, port.key);
+            let message = format!("node.{node}.{key}: `{port}` decides it too, and both cannot");
+            let hint = format!("remove `{key}`, or `{port}`");
+            return Err(ConfigError::at(field.at.clone(), message).hint(Some(hint)));
+        }
+    }
+    Ok(())
 }
 
 fn stage_of(entry: &Entry) -> Result<StageDef, ConfigError> {

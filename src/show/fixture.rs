@@ -257,7 +257,9 @@ fn train(store: &mut Store, scene: Digest) -> NodeView {
             psnr: 24.0,
             psnr_paper: None,
             ssim: Some(0.8),
+            nearest: None,
         }],
+        apart: None,
     });
     let point = |step: u64, loss: f64, psnr: f64| train::CurvePoint {
         step,

@@ -12,7 +12,7 @@ use super::embed::{Form, decode, words};
 use super::format::count;
 use super::input::NodeView;
 use super::page::{Page, has_document};
-use super::quality::of_photo;
+use super::quality::{by_distance, of_photo};
 use super::read::Missing;
 
 /// Where nodes keep the single pictures of a film.
@@ -63,6 +63,7 @@ fn views(page: &Page<'_>, node: &NodeView) -> Markup {
     html! {
         h3 { (node.name) ": " (count(names.len(), "view")) }
         @if let Err(missing) = &scores { (missing) }
+        @if let Ok(scores) = &scores { (by_distance(scores)) }
         @for name in names.iter().take(MOST_VIEWS) { (triple(page, node, name, view(name))) }
         @if names.len() > MOST_VIEWS { p.quiet { (count(names.len() - MOST_VIEWS, "better view")) " not shown." } }
     }

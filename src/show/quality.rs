@@ -1,5 +1,6 @@
 //! Figures of merit with their units.
 
+use marf_scene::Nearest;
 use marf_schema::scores::{PhotoScores, Scores};
 use marf_schema::{bootstrap, calibrate, evaluate, train};
 use maud::{Markup, html};
@@ -50,12 +51,66 @@ pub(super) fn of_calibration(metrics: &calibrate::Metrics) -> Vec<Figure> {
 /// Returns the figures of one photo.
 pub(super) fn of_photo(scores: &PhotoScores) -> Vec<Figure> {
     let paper = "PSNR by peak of the picture";
-    of_scores(scores.psnr, scores.psnr_paper, scores.ssim, paper)
+    let figures = of_scores(scores.psnr, scores.psnr_paper, scores.ssim, paper);
+    let nearest = scores.nearest.iter().flat_map(|nearest| {
+        let place = ("nearest photo trained on", place_of(nearest));
+        let share = ("in no photo trained on", percent(nearest.uncovered_share));
+        [Some(place), nearest.extrapolates.then_some(share)]
+    });
+    figures.into_iter().chain(nearest.flatten()).collect()
+}
+
+/// Returns how far away the nearest photo is: in metres where the scene has a scale, and by direction.
+fn place_of(nearest: &Nearest) -> String {
+    let distance = match nearest.distance_m {
+        Some(metres) => format!("{} m", number(metres)),
+        None => format!("{} units", number(nearest.distance)),
+    };
+    format!("{distance}, {:.0}°", nearest.angle_deg)
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.0} %", share * 100.0)
+}
+
+/// Shows the photos of a node by their distance to the nearest photo trained on, nearest first; empty where none is known.
+pub(super) fn by_distance(scores: &Scores) -> Markup {
+    let views = scores.views.iter();
+    let mut rows: Vec<(&PhotoScores, &Nearest)> = views
+        .filter_map(|view| Some((view, view.nearest.as_ref()?)))
+        .collect();
+    rows.sort_by(|(_, a), (_, b)| a.distance.total_cmp(&b.distance));
+    html! {
+        @if !rows.is_empty() {
+            details {
+                summary { "PSNR by distance to the nearest photo trained on" }
+                table {
+                    thead { tr {
+                        th { "photo" } th { "nearest" } th { "PSNR, dB" } th { "in no photo trained on" } th {}
+                    } }
+                    tbody { @for (view, nearest) in rows { tr {
+                        th scope="row" { (view.name) }
+                        td.number { (place_of(nearest)) }
+                        td.number { (decibels(view.psnr)) }
+                        td.number { (percent(nearest.uncovered_share)) }
+                        td { @if nearest.extrapolates { "extrapolation" } }
+                    } } }
+                }
+            }
+        }
+    }
 }
 
 fn means(scores: &Scores) -> Vec<Figure> {
     let paper = "PSNR, peak of the picture";
-    of_scores(scores.psnr, scores.psnr_paper, scores.ssim, paper)
+    let mut figures = of_scores(scores.psnr, scores.psnr_paper, scores.ssim, paper);
+    if let Some(apart) = &scores.apart {
+        let in_db = |value: f64| format!("{} dB", decibels(value));
+        let others = apart.psnr_others.map(in_db);
+        figures.extend(others.map(|psnr| ("PSNR without extrapolation", psnr)));
+        figures.push(("photos that extrapolate", number(apart.extrapolated as f64)));
+    }
+    figures
 }
 
 fn of_scores(psnr: f64, psnr_paper: Option<f64>, ssim: Option<f64>, paper: &'static str) -> Vec<Figure> {

@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use marf_cache::Digest;
 use marf_cache::manifest::Row;
 use marf_field::Overrides;
-use marf_scene::{Camera, Frame, Photo, PhotoFacts, Point, Pose, Scene, Unplaced, encode_png};
-use marf_schema::scores::{PhotoScores, Scores};
+use marf_scene::{Camera, Frame, Nearest, Photo, PhotoFacts, Point, Pose, Scene, Unplaced, encode_png};
+use marf_schema::scores::{Apart, PhotoScores, Scores};
 use marf_schema::{output, train, tune};
 use marf_stage::{PHOTOS, VERDICTS, Verdict};
 use serde_json::{Value, json};
@@ -157,6 +157,14 @@ fn scores(index: usize, id: &str) -> PhotoScores {
         psnr: 24.0 + index as f64 * 0.37,
         psnr_paper: Some(23.1 + index as f64 * 0.3),
         ssim: Some(0.78),
+        nearest: Some(Nearest {
+            id: "0001".to_owned(),
+            distance: 0.2 + index as f64 * 0.1,
+            distance_m: Some(0.4 + index as f64 * 0.2),
+            angle_deg: 8.0,
+            uncovered_share: 0.2 * index as f64,
+            extrapolates: index > 2,
+        }),
     }
 }
 
@@ -187,6 +195,11 @@ fn train(store: &mut Store, rows: &[Row], scene: Digest) -> NodeView {
         psnr: 25.1,
         psnr_paper: Some(24.2),
         ssim: Some(0.78),
+        apart: Some(Apart {
+            extrapolated: 3,
+            psnr_extrapolated: 25.5,
+            psnr_others: Some(24.4),
+        }),
         views: views.map(|(index, row)| scores(index, &row.id)).collect(),
     });
     let point = |step: u64| {

@@ -9,19 +9,17 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 /// The default pipeline at a quarter of its pixels and a handful of steps.
-pub const SMALL_DEMO: [&str; 14] = [
+pub const SMALL_DEMO: [&str; 12] = [
     "archive.demo.width=320",
     "size.min_bytes=3000",
     "shape.min_width=160",
     "shape.min_height=120",
     "tune.scale=4",
     "train.scale=4",
-    "bootstrap.scale=4",
     "tune.trials=2",
     "tune.steps=3",
     "train.steps=12",
     "bootstrap.b=3",
-    "bootstrap.steps=3",
     "bootstrap.frames=2",
     "bootstrap.width=80",
 ];

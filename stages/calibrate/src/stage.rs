@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use marf_scene::{Frame, Scene, Unplaced};
-use marf_schema::calibrate::{CalibrateParams, Method, Metrics, PhotoMetrics, Totals};
+use marf_scene::{Frame, PosedPhoto, Scene, Unplaced, hold_out_places};
+use marf_schema::calibrate::{CalibrateParams, Hold, Method, Metrics, PhotoMetrics, Totals};
 use marf_schema::output::{POINTS, SCENE, SPARSE, TRANSFORMS};
 use marf_stage::{
     COMPANIONS, Ctx, Define, Document, Inputs, Outputs, PHOTOS, ParamError, Params, Port, Set, Stage,
@@ -33,7 +33,7 @@ impl Define for Calibrate {
     const NAME: &'static str = <CalibrateParams as Params>::STAGE;
     const ABOUT: &'static str =
         "Photos to a calibrated scene: from what they show, from labels, or from imported cameras";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PORTS: &'static [Port] = &[
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),
@@ -79,7 +79,7 @@ impl Set for Calibrate {
             Method::Colmap => colmap::run(ctx, inputs, &items, &self.0)?,
         };
         check_enough(&found, items.len(), self.0.min_registered)?;
-        hold_out(&mut found.placed, self.0.hold_every);
+        hold_out(&mut found, &self.0, &items);
         check_training(&found.placed)?;
         let metrics = metrics(&found, &items);
         let tracks = std::mem::take(&mut found.tracks);
@@ -129,16 +129,38 @@ fn check_enough(found: &Calibration, total: usize, min_registered: u32) -> Resul
     })
 }
 
-/// Sorts photos by file name and holds out every `every`-th, unless the import has decided.
-fn hold_out(placed: &mut [PlacedPhoto], every: u32) {
-    placed.sort_by(|a, b| (&a.file, a.item).cmp(&(&b.file, b.item)));
-    if placed.iter().any(|one| one.held_out.is_some()) {
+/// Sorts photos by file name and holds some out, unless the import has decided.
+fn hold_out(found: &mut Calibration, params: &CalibrateParams, items: &[InputPhoto]) {
+    found
+        .placed
+        .sort_by(|a, b| (&a.file, a.item).cmp(&(&b.file, b.item)));
+    if found.placed.iter().any(|one| one.held_out.is_some()) {
         return;
     }
-    for (index, one) in placed.iter_mut().enumerate() {
-        let held_out = every > 0 && index % every as usize == 0;
+    let held_out = match params.hold {
+        Hold::Place => by_place(found, params.hold_every, items),
+        Hold::Every => every(found.placed.len(), params.hold_every as usize),
+    };
+    for (one, held_out) in found.placed.iter_mut().zip(held_out) {
         one.held_out = Some(if held_out { HeldOut::Yes } else { HeldOut::No });
     }
+}
+
+fn by_place(found: &Calibration, every: u32, items: &[InputPhoto]) -> Vec<bool> {
+    let photos = found.placed.iter().map(|one| PosedPhoto {
+        id: &items[one.item].id,
+        camera: &one.camera,
+        cam_from_world: &one.cam_from_world,
+    });
+    let photos: Vec<PosedPhoto<'_>> = photos.collect();
+    hold_out_places(&photos, &found.points, every)
+}
+
+/// Tells which of so many photos are held out where one in `every` is, the first among them.
+fn every(photos: usize, every: usize) -> Vec<bool> {
+    (0..photos)
+        .map(|index| every > 0 && index.is_multiple_of(every))
+        .collect()
 }
 
 /// Refuses a scene without photos for training.

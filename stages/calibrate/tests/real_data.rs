@@ -22,7 +22,7 @@ fn the_rover_has_92_cameras_for_98_photos() {
     let Some(input) = import("rover", "transforms.json", "images") else {
         return;
     };
-    let output = input.run(&json!({"method": "import"})).unwrap();
+    let output = input.run(&json!({"method": "import", "hold": "every"})).unwrap();
     let totals = &output.metrics.totals;
     assert_eq!(
         (totals.photos, totals.registered, totals.unplaced, totals.missing),
@@ -123,7 +123,9 @@ fn the_lego_set_names_photos_without_extension() {
     let Some(input) = import("lego", "transforms_train.json", "train") else {
         return;
     };
-    let output = input.run(&json!({"method": "import", "hold_every": 10})).unwrap();
+    let output = input
+        .run(&json!({"method": "import", "hold": "every", "hold_every": 10}))
+        .unwrap();
     let totals = &output.metrics.totals;
     assert_eq!(
         (totals.registered, totals.unplaced, totals.held_out),

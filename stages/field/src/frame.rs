@@ -61,7 +61,7 @@ impl Frame {
         let place = |view: &View| self.inward(&view.cam_from_world.centre());
         let fits = |view: &&View| {
             let near = place(view).iter().all(|x| x.abs() <= MOST_AWAY);
-            near && self.half_side.is_finite()
+            near && self.half_side.is_finite() && self.half_side > 0.0
         };
         match views.iter().find(|view| !fits(view)) {
             Some(view) => Err(FieldError::OutOfBox {

@@ -137,6 +137,7 @@ impl Sizes {
         let keys = Config {
             levels: Some(self.levels.value),
             log2_table: Some(self.log2_table.value),
+            halvings: Some(self.halvings.value),
             ..config.clone()
         };
         keys.check()

@@ -5,7 +5,7 @@ use crate::cpu_backend::Cpu;
 use crate::model::Model;
 use crate::surface::surface_points;
 use crate::training::Training;
-use crate::{Config, Device, Field, FieldError, View};
+use crate::{Config, Derived, Device, Field, FieldError, View};
 
 /// Trains a field on a set of views.
 pub struct Trainer {
@@ -29,6 +29,22 @@ impl Trainer {
         seed: u64,
     ) -> Result<Self, FieldError> {
         let training = Training::new(views, points, config, seed)?;
+        Self::with_backend(training, Arc::new(Cpu::best()))
+    }
+
+    /// As [`Trainer::new`], in the box and with the sizes that another training of the scene derived; the box then stays as it
+    /// is.
+    ///
+    /// # Errors
+    /// As [`Trainer::new`], and a box or a size that cannot be used.
+    pub fn with_derived(
+        views: Vec<View>,
+        points: &[[f64; 3]],
+        config: &Config,
+        seed: u64,
+        derived: &Derived,
+    ) -> Result<Self, FieldError> {
+        let training = Training::with_derived(views, points, config, seed, derived)?;
         Self::with_backend(training, Arc::new(Cpu::best()))
     }
 

@@ -12,7 +12,7 @@ use crate::schedule::refit_step;
 use crate::state::State;
 use crate::views::{View, check_points, check_views, pixel_offsets};
 use crate::weights::Weights;
-use crate::{Background, Config, Facts, FieldError, LevelFacts, Occupied, Sizes, background, size};
+use crate::{Background, Config, Derived, Facts, FieldError, LevelFacts, Occupied, Sizes, background, size};
 
 /// A box is left as it is unless one that fits the matter has at most this share of its half side: the field starts anew.
 const SMALLER: f64 = 0.75;
@@ -35,7 +35,7 @@ pub struct Training {
     pub sizes: Sizes,
     /// Steps along rays, as often halved as the state says.
     pub march: Steps,
-    /// Step after which the box is fitted to the field; `None` where sparse points have decided it.
+    /// Step after which the box is fitted to the field; `None` where sparse points, or another training, have decided it.
     pub refit_step: Option<u64>,
     /// Digest of photos, cameras, poses, points that pull, and the box at first: checkpoints of another training have another.
     pub fingerprint: u64,
@@ -58,12 +58,48 @@ impl Training {
         config: &Config,
         seed: u64,
     ) -> Result<Self, FieldError> {
-        config.check()?;
-        check_views(&views)?;
-        check_points(points)?;
+        check(&views, points, config)?;
         let frame = Frame::derive(&views, points);
         frame.check(&views)?;
         let sizes = size::derive(&views, points, config, &frame);
+        Ok(Self {
+            refit_step: refit_step(config, points),
+            ..Self::within(views, points, config, seed, frame, sizes)
+        })
+    }
+
+    /// As [`Training::new`], in the box and with the sizes of another training; the box then stays as it is.
+    ///
+    /// # Errors
+    /// As [`Training::new`], and a box or a size that cannot be used.
+    pub fn with_derived(
+        views: Vec<View>,
+        points: &[[f64; 3]],
+        config: &Config,
+        seed: u64,
+        derived: &Derived,
+    ) -> Result<Self, FieldError> {
+        check(&views, points, config)?;
+        let frame = derived.frame(config, &views)?;
+        Ok(Self::within(
+            views,
+            points,
+            config,
+            seed,
+            frame,
+            derived.sizes.clone(),
+        ))
+    }
+
+    /// Returns a training at step 0 whose box is not fitted to the field.
+    fn within(
+        views: Vec<View>,
+        points: &[[f64; 3]],
+        config: &Config,
+        seed: u64,
+        frame: Frame,
+        sizes: Sizes,
+    ) -> Self {
         let mut weights = Weights::zeros(config, &sizes);
         weights.randomise(seed);
         if config.background == Background::Direction {
@@ -82,8 +118,8 @@ impl Training {
         } else {
             Vec::new()
         };
-        Ok(Self {
-            refit_step: refit_step(config, points),
+        Self {
+            refit_step: None,
             fingerprint: fingerprint(&views, &frame, &observations),
             config: config.clone(),
             seed,
@@ -96,7 +132,7 @@ impl Training {
             observations,
             bias: Bias::default(),
             state,
-        })
+        }
     }
 
     /// Fits box, sizes and occupancy to points of the world at which the field has found matter; its tables and
@@ -180,6 +216,13 @@ impl Training {
             steps: self.state.steps,
         }
     }
+}
+
+/// Checks everything that a training starts from but its box.
+fn check(views: &[View], points: &[[f64; 3]], config: &Config) -> Result<(), FieldError> {
+    config.check()?;
+    check_views(views)?;
+    check_points(points)
 }
 
 /// Returns a digest of photos, cameras, poses, points that pull, and the box.

@@ -12,8 +12,11 @@ pub struct CalibrateParams {
     /// as they are), `import` (transforms.json or a COLMAP model beside the photos) or `colmap` (an installed
     /// COLMAP is run on the photos).
     pub method: Method,
-    /// Every so many photos, sorted by file name and starting with the first, one is kept from training and
-    /// measured; 0 keeps none. An import with train and test file names decides by itself.
+    /// Which photos are kept from training and measured: `place` (whole places, spread over the scene: stereo pairs,
+    /// versions and neighbours together) or `every` (one in so many by file name, starting with the first, as in
+    /// papers). An import with train and test file names decides by itself.
+    pub hold: Hold,
+    /// About one in so many photos is kept from training; 0 keeps none.
     pub hold_every: u32,
     /// Longest side of the photos the field is trained on, in pixels: larger ones are reduced by a whole
     /// factor. Without it photos keep their size.
@@ -64,6 +67,16 @@ pub enum Method {
     Import,
     /// An installed COLMAP; its answer is not the same to the byte on every machine.
     Colmap,
+}
+
+/// Which photos are kept from training.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Hold {
+    /// Whole places: groups of photos near in position and direction.
+    Place,
+    /// One in so many, by file name.
+    Every,
 }
 
 /// Where the search for features begins.
@@ -134,6 +147,7 @@ impl Default for CalibrateParams {
     fn default() -> Self {
         Self {
             method: Method::Sfm,
+            hold: Hold::Place,
             hold_every: 8,
             longest_side_px: None,
             min_registered: 2,

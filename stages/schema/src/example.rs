@@ -39,11 +39,13 @@ pub fn scores() -> Scores {
         psnr: 20.0,
         psnr_paper: Some(19.0),
         ssim: Some(0.75),
+        nearest: None,
     };
     Scores {
         psnr: photo.psnr,
         psnr_paper: photo.psnr_paper,
         ssim: photo.ssim,
+        apart: None,
         views: vec![photo],
     }
 }

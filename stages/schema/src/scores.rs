@@ -1,5 +1,6 @@
 //! How well a field reproduces photos; part of the metrics of `train` and `evaluate`.
 
+use marf_scene::Nearest;
 use serde::{Deserialize, Serialize};
 
 /// How well one photo is reproduced.
@@ -17,6 +18,20 @@ pub struct PhotoScores {
     pub psnr_paper: Option<f64>,
     /// Structural similarity, at most 1; none for a photo smaller than its window of 11 pixels.
     pub ssim: Option<f64>,
+    /// How far it lies from the photos trained on; none for one of these.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub nearest: Option<Nearest>,
+}
+
+/// Means over photos that look where no photo trained on does, and over the others.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Apart {
+    /// Photos that do ([`Nearest::extrapolates`]).
+    pub extrapolated: u64,
+    /// Mean of their PSNR, dB.
+    pub psnr_extrapolated: f64,
+    /// Mean PSNR of the others, dB; none where all extrapolate.
+    pub psnr_others: Option<f64>,
 }
 
 /// Means over photos, and each photo's own.
@@ -28,6 +43,9 @@ pub struct Scores {
     pub psnr_paper: Option<f64>,
     /// Mean of [`PhotoScores::ssim`] over the photos that have one.
     pub ssim: Option<f64>,
+    /// PSNR of photos that look where no photo trained on does, told apart; none where no photo does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub apart: Option<Apart>,
     /// Every photo.
     pub views: Vec<PhotoScores>,
 }

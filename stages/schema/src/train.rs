@@ -1,6 +1,6 @@
 //! `train`: a scene to a trained field, measured on held-out photos.
 
-use marf_field::{Config, Device, Facts, Overrides, Quality};
+use marf_field::{Config, Derived, Device, Facts, Overrides, Quality};
 use marf_stage::{Document, ParamError, Params};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -19,7 +19,7 @@ pub enum Holdout {
     /// Those that `calibrate` holds out.
     #[default]
     Test,
-    /// Every 8th of the others, and those that `calibrate` holds out are not looked at: for choosing parameters.
+    /// One in eight of the others, by place, and those that `calibrate` holds out are not looked at: for choosing parameters.
     Validation,
 }
 
@@ -83,7 +83,7 @@ pub struct TrainParams {
     pub resample: Option<u64>,
     /// What decides how large the field is.
     pub fit: Fit,
-    /// Short trainings on every 8th training photo held back: width, view dependence, exposure and sky by their gain.
+    /// Short trainings that hold back one training photo in eight, by place: width, view dependence, exposure and sky by their gain.
     pub trials: TrialsParams,
     /// Keys of the field; they win over those of the input `params`.
     pub field: Overrides,
@@ -178,6 +178,35 @@ pub struct Metrics {
 impl Document for Metrics {
     const STAGE: &'static str = TrainParams::STAGE;
     const OUTPUT: &'static str = "metrics";
+}
+
+/// Output `setup` of `train`: all that a training depends on beside its scene, its seed and the draw of its photos, with
+/// everything that was derived or decided on the way.
+///
+/// A training that reads it through its port `of` is the same training with another seed or draw.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Setup {
+    /// Optimiser steps.
+    pub steps: u64,
+    /// Factor by which photos are shrunk.
+    pub scale: u32,
+    /// One pixel of so many of each training photo is kept.
+    pub kept_every: u32,
+    /// Memory that the training may take.
+    pub memory: Memory,
+    /// Which photos are held out.
+    pub holdout: Holdout,
+    /// What decided how large the field is.
+    pub fit: Fit,
+    /// The configuration as it is used, with what trials decided.
+    pub config: Config,
+    /// Box and sizes.
+    pub derived: Derived,
+}
+
+impl Document for Setup {
+    const STAGE: &'static str = TrainParams::STAGE;
+    const OUTPUT: &'static str = "setup";
 }
 
 /// Output `curve` of `train`: points in the order of steps.

@@ -12,6 +12,8 @@ pub struct Port {
     pub output: &'static str,
     /// Whether the stage cannot run without it.
     pub required: bool,
+    /// Keys of the node, parameters or ports, that this input decides: they may not be set beside it.
+    pub decides: &'static [&'static str],
 }
 
 impl Port {
@@ -21,6 +23,7 @@ impl Port {
             key,
             output,
             required: true,
+            decides: &[],
         }
     }
 
@@ -30,6 +33,16 @@ impl Port {
             key,
             output,
             required: false,
+            decides: &[],
+        }
+    }
+
+    /// Returns the input as one that decides what these keys of the node would.
+    #[must_use]
+    pub const fn deciding(self, keys: &'static [&'static str]) -> Self {
+        Self {
+            decides: keys,
+            ..self
         }
     }
 }

@@ -11,6 +11,9 @@ pub enum TrainError {
     /// The chosen hyper-parameters cannot be read.
     #[error("the input `params` is not what `tune` writes: {0}")]
     Params(String),
+    /// The setup of another training cannot be read.
+    #[error("the input `setup` is not what `train` writes: {0}")]
+    Setup(String),
     /// No photo to learn from.
     #[error("no photo to train on: {placed} photos have a camera, {held_out} of them are held out")]
     NoTraining {

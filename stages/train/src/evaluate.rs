@@ -1,3 +1,4 @@
+use marf_scene::{PosedPhoto, Scene, TrainedPhotos};
 use marf_schema::{
     evaluate::{EvaluateParams, Metrics, Which},
     output::{HELDOUT, PHOTO, SCENE, WEIGHTS},
@@ -13,7 +14,7 @@ use crate::{
     io::{read_field, read_scene},
     photos::PhotoReader,
     scoring::score_views,
-    split::{NamedFrame, named_frames},
+    split::{NamedFrame, named_frames, split},
     stage_on_device,
 };
 
@@ -27,7 +28,7 @@ impl Define for Evaluate {
     type Params = EvaluateParams;
     const NAME: &'static str = EvaluateParams::STAGE;
     const ABOUT: &'static str = "Compares renders of a trained field with photos";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PORTS: &'static [Port] = &[
         Port::required("input", WEIGHTS),
         Port::required("input", SCENE),
@@ -67,8 +68,17 @@ impl Set for Evaluate {
         let mut outputs = Outputs::new();
         let photos = PhotoReader::new(ctx, &scene, scale);
         let of = identity(self, inputs, "");
-        let scores = score_views(ctx, of, &field, &photos, &frames, &mut outputs)?;
+        let nearest = TrainedPhotos::new(&scene, trained_on(&scene, &trained)?);
+        let scores = score_views(ctx, of, &field, &photos, &nearest, &frames, &mut outputs)?;
         outputs.put(ctx, &Metrics { scores, scale })?;
         Ok(outputs)
     }
+}
+
+/// Returns the photos that a training has used.
+fn trained_on<'a>(scene: &'a Scene, trained: &train::Metrics) -> Result<Vec<PosedPhoto<'a>>, TrainError> {
+    let drawn = trained.drawn.as_ref();
+    let frames = split(scene, trained.holdout)?.training.into_iter();
+    let used = frames.filter(|named| drawn.is_none_or(|drawn| drawn.contains(&named.frame.id)));
+    Ok(used.map(|named| named.frame.into()).collect())
 }

@@ -37,7 +37,7 @@ impl Define for Pace {
     type Params = PaceParams;
     const NAME: &'static str = PaceParams::STAGE;
     const ABOUT: &'static str = "Measures how many training steps a time budget buys on this machine";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),
@@ -66,7 +66,7 @@ impl Set for Pace {
         let plan = plan_memory(params.memory, &split, &times, scale, &config)?;
         let photos = PhotoReader::new(ctx, &scene, scale);
         let views = training_views(&photos, &split.training, &times, plan, 0)?;
-        let mut trainer = new_trainer(views, &scene, &config, 0, &params.device)?;
+        let mut trainer = new_trainer(views, &scene, &config, 0, None, &params.device)?;
         let budget_s = params.budget.seconds();
         let rate = steps_per_second(ctx, &mut trainer, (budget_s / 4.0).min(LONGEST_S))?;
         let mut outputs = Outputs::new();

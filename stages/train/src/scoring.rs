@@ -2,10 +2,10 @@ use std::collections::BTreeMap;
 
 use marf_cache::{Digest, digest_of};
 use marf_field::Field;
-use marf_scene::{Image, Srgb, metrics};
+use marf_scene::{Image, Srgb, TrainedPhotos, metrics};
 use marf_schema::{
     output::{HELDOUT, PHOTO},
-    scores::{PhotoScores, Scores},
+    scores::{Apart, PhotoScores, Scores},
 };
 use marf_stage::{Ctx, Outputs, StageError};
 use serde::{Deserialize, Serialize};
@@ -31,12 +31,15 @@ struct Judged {
 /// Renders the view of every photo, compares it with the photo and stores both pictures; one photo at a time is in
 /// memory.
 ///
+/// `trained` are the photos that the field was trained on.
+///
 /// Photos that an unfinished run has compared are not rendered again; `of` stands for the node and its field.
 pub(crate) fn score_views(
     ctx: &Ctx<'_>,
     of: Digest,
     field: &Field,
     photos: &PhotoReader<'_>,
+    trained: &TrainedPhotos<'_>,
     frames: &[NamedFrame<'_>],
     outputs: &mut Outputs,
 ) -> Result<Scores, StageError> {
@@ -48,7 +51,8 @@ pub(crate) fn score_views(
         let judged = journal.piece(
             |bytes| known(ctx, bytes),
             || {
-                let judged = judge(ctx, digest_of(&(of, &named.name)), field, photos, named)?;
+                let mut judged = judge(ctx, digest_of(&(of, &named.name)), field, photos, named)?;
+                judged.scores.nearest = trained.nearest(named.frame.into());
                 let bytes = serde_json::to_vec(&judged);
                 Ok((judged, bytes.map_err(|error| StageError::new(error.to_string()))?))
             },
@@ -118,6 +122,7 @@ fn compare(
         // The sizes agree, or the line above had stopped: what is left is a black or a tiny photo.
         psnr_paper: metrics::psnr_paper(render, photo).ok(),
         ssim: metrics::ssim(render, photo).ok(),
+        nearest: None,
     })
 }
 
@@ -131,6 +136,52 @@ fn means(views: Vec<PhotoScores>) -> Scores {
         psnr: mean(|view| Some(view.psnr)).unwrap_or_default(),
         psnr_paper: mean(|view| view.psnr_paper),
         ssim: mean(|view| view.ssim),
+        apart: apart(&views),
         views,
+    }
+}
+
+/// Returns the means of photos that extrapolate and of those that do not; none where no photo extrapolates.
+fn apart(views: &[PhotoScores]) -> Option<Apart> {
+    let extrapolates =
+        |view: &&PhotoScores| view.nearest.as_ref().is_some_and(|nearest| nearest.extrapolates);
+    let (far, others): (Vec<&PhotoScores>, Vec<&PhotoScores>) = views.iter().partition(extrapolates);
+    let mean = |views: &[&PhotoScores]| {
+        let sum: f64 = views.iter().map(|view| view.psnr).sum();
+        (!views.is_empty()).then(|| sum / views.len() as f64)
+    };
+    Some(Apart {
+        extrapolated: far.len() as u64,
+        psnr_extrapolated: mean(&far)?,
+        psnr_others: mean(&others),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use marf_scene::Nearest;
+    use marf_schema::example;
+
+    #[test]
+    fn photos_that_extrapolate_have_a_mean_of_their_own() {
+        let view = |psnr: f64, extrapolates: bool| PhotoScores {
+            psnr,
+            nearest: Some(Nearest {
+                id: "0".to_owned(),
+                distance: 1.0,
+                distance_m: None,
+                angle_deg: 0.0,
+                uncovered_share: 0.0,
+                extrapolates,
+            }),
+            ..example::scores().views.remove(0)
+        };
+        assert_eq!(means(vec![view(20.0, false)]).apart, None);
+        let apart = means(vec![view(20.0, false), view(10.0, true), view(12.0, true)]).apart;
+        let apart = apart.unwrap();
+        assert_eq!((apart.extrapolated, apart.psnr_extrapolated), (2, 11.0));
+        assert_eq!(apart.psnr_others, Some(20.0));
+        assert_eq!(means(vec![view(9.0, true)]).apart.unwrap().psnr_others, None);
     }
 }

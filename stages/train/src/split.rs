@@ -1,10 +1,10 @@
-use marf_scene::{Frame, Scene, picture_names};
+use marf_scene::{Frame, Point, PosedPhoto, Scene, hold_out_places, picture_names};
 use marf_schema::train::Holdout;
 
 use crate::{TrainError, random::random_u64};
 
-/// One of so many training photos is held out for [`Holdout::Validation`].
-const VALIDATION_EVERY: usize = 8;
+/// About one of so many training photos is held out for [`Holdout::Validation`].
+const VALIDATION_EVERY: u32 = 8;
 
 /// A frame with the name of its pictures.
 #[derive(Debug, Clone)]
@@ -40,7 +40,7 @@ pub(crate) fn split(scene: &Scene, holdout: Holdout) -> Result<Split<'_>, TrainE
             training: others,
             held_out: test,
         },
-        Holdout::Validation => hold_out_every_eighth(others),
+        Holdout::Validation => hold_out_by_place(others, &scene.points),
     };
     let placed = scene.frames.len();
     if split.training.is_empty() {
@@ -53,12 +53,13 @@ pub(crate) fn split(scene: &Scene, holdout: Holdout) -> Result<Split<'_>, TrainE
     Ok(split)
 }
 
-/// Holds out every eighth frame, beginning with the first.
-pub(crate) fn hold_out_every_eighth(frames: Vec<NamedFrame<'_>>) -> Split<'_> {
-    let numbered = frames.into_iter().enumerate();
-    let (held_out, training): (Vec<_>, Vec<_>) =
-        numbered.partition(|(index, _)| index % VALIDATION_EVERY == 0);
-    let frames = |pairs: Vec<(usize, _)>| pairs.into_iter().map(|(_, named)| named).collect();
+/// Holds out whole places, about one frame in eight, as `calibrate` does; `points` are the sparse points of the scene.
+pub(crate) fn hold_out_by_place<'a>(frames: Vec<NamedFrame<'a>>, points: &[Point]) -> Split<'a> {
+    let photos: Vec<PosedPhoto<'_>> = frames.iter().map(|named| named.frame.into()).collect();
+    let is_held_out = hold_out_places(&photos, points, VALIDATION_EVERY);
+    let pairs = frames.into_iter().zip(is_held_out);
+    let (held_out, training): (Vec<_>, Vec<_>) = pairs.partition(|(_, is_held_out)| *is_held_out);
+    let frames = |pairs: Vec<(NamedFrame<'a>, bool)>| pairs.into_iter().map(|(named, _)| named).collect();
     Split {
         training: frames(training),
         held_out: frames(held_out),
@@ -105,7 +106,8 @@ mod tests {
         let test = split(&scene, Holdout::Test).unwrap();
         assert_eq!((test.training.len(), test.held_out.len()), (16, 4));
         let validation = split(&scene, Holdout::Validation).unwrap();
-        assert_eq!((validation.training.len(), validation.held_out.len()), (14, 2));
+        // All 16 others stand in one place, which is split in groups of four.
+        assert_eq!((validation.training.len(), validation.held_out.len()), (12, 4));
         let all = validation.training.iter().chain(&validation.held_out);
         assert!(all.into_iter().all(|named| !named.frame.held_out));
     }
@@ -120,7 +122,7 @@ mod tests {
         assert!(text(&scene(0, |_| false), Holdout::Test).starts_with("no photo to train on: 0 photos"));
         assert!(text(&scene(3, |_| true), Holdout::Test).contains("3 of them are held out"));
         assert!(text(&scene(3, |_| false), Holdout::Test).starts_with("no photo is held out of 3"));
-        assert!(text(&scene(1, |_| false), Holdout::Validation).starts_with("no photo to train on"));
+        assert!(text(&scene(1, |_| false), Holdout::Validation).starts_with("no photo is held out of 1"));
     }
 
     #[test]

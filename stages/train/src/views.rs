@@ -1,6 +1,6 @@
 //! Views that a field is trained on, and the trainer itself.
 
-use marf_field::{Config, Device, Pixels, Trainer, View};
+use marf_field::{Config, Derived, Device, Pixels, Trainer, View};
 use marf_scene::Scene;
 use marf_stage::StageError;
 
@@ -44,14 +44,19 @@ pub(crate) fn training_views(
     Ok(views)
 }
 
-/// Returns a trainer at step 0.
+/// Returns a trainer at step 0, in the box and with the sizes of another training where they are given.
 pub(crate) fn new_trainer(
     views: Vec<View>,
     scene: &Scene,
     config: &Config,
     seed: u64,
+    derived: Option<&Derived>,
     device: &Device,
 ) -> Result<Trainer, TrainError> {
     let points: Vec<[f64; 3]> = scene.points.iter().map(|point| point.position).collect();
-    Ok(Trainer::new(views, &points, config, seed)?.on(device)?)
+    let trainer = match derived {
+        Some(derived) => Trainer::with_derived(views, &points, config, seed, derived),
+        None => Trainer::new(views, &points, config, seed),
+    };
+    Ok(trainer?.on(device)?)
 }

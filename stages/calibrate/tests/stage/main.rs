@@ -109,7 +109,7 @@ fn resampled_photos_are_the_same_wherever_the_run_was_stopped_and_are_not_resamp
 #[test]
 fn labels_place_one_site_in_metres_and_say_why_of_the_others() {
     let output = mixed()
-        .run(&json!({"method": "labels", "hold_every": 2}))
+        .run(&json!({"method": "labels", "hold": "every", "hold_every": 2}))
         .unwrap();
     let ids: Vec<&str> = output
         .scene
@@ -283,7 +283,7 @@ fn a_parameter_out_of_range_is_named() {
     assert!(complain(json!({"method": "labels", "extend": true})).contains("only method = \"sfm\""));
     assert!(complain(json!({"longest_side_px": 15})).contains("15 px are no photo"));
     assert!(complain(json!({"metod": "labels"})).contains("unknown field `metod`"));
-    let alone = complain(json!({"method": "labels", "min_registered": 1, "site": 4}));
+    let alone = complain(json!({"method": "labels", "min_registered": 1, "site": 4, "hold": "every"}));
     assert!(
         alone.contains("all 1 placed photos are kept from training"),
         "{alone}"
@@ -370,7 +370,7 @@ fn the_version_is_raised_when_the_answer_changes() {
     assert_eq!(
         found,
         (
-            4,
+            5,
             "4cd9888f9ed8 563ab5fcc1aa".to_owned(),
             "623dffaa62ab d8f0f8b2add1".to_owned()
         )

@@ -14,7 +14,7 @@ use marf_cache::Digest;
 use marf_schema::{
     bootstrap::{BootstrapParams, Metrics, Mode},
     output::{FLYTHROUGH, MAPS, SCENE, VIDEO, WEIGHTS},
-    train::{TrainParams, TrialsParams},
+    train::{Setup, TrainParams, TrialsParams},
     tune::BestParams,
 };
 use marf_stage::{
@@ -26,6 +26,9 @@ use crate::{checkpoint::identity, child::child_stage, stage_on_device};
 use reduce::reduce;
 
 /// Trains B fields that differ in seed or photos, and maps where they disagree.
+///
+/// With `of`, a `train` node, members are that training with other seeds or photos: its steps, image scale, box, sizes and
+/// configuration, whatever it found them by. Without it they are trainings of their own, by `quality` and its fellows.
 #[derive(Debug)]
 pub struct Bootstrap {
     params: BootstrapParams,
@@ -35,10 +38,11 @@ impl Define for Bootstrap {
     type Params = BootstrapParams;
     const NAME: &'static str = BootstrapParams::STAGE;
     const ABOUT: &'static str = "Retrains B times and maps where the fields disagree";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),
+        Port::optional("of", Setup::OUTPUT).deciding(&["params", "quality", "steps", "scale", "field"]),
     ];
     const OUTPUTS: &'static [&'static str] = &[Metrics::OUTPUT, VIDEO, MAPS, FLYTHROUGH];
 
@@ -73,7 +77,7 @@ impl Expand for Bootstrap {
 }
 
 /// Returns the training of member `index`: its seed, and in mode `photos` its draw of photos, is `seed + index`,
-/// wrapping.
+/// wrapping. With the input `setup` that decides all but seed and draw.
 fn member(params: &BootstrapParams, index: u32) -> TrainParams {
     let seed = params.seed.wrapping_add(u64::from(index));
     TrainParams {

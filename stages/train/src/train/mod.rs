@@ -1,13 +1,14 @@
+mod setup;
 mod training_loop;
 mod trials;
 
 use marf_cache::Digest;
-use marf_field::{Config, Device, Field, Overrides};
-use marf_scene::Scene;
+use marf_field::{Config, Device, Field};
+use marf_scene::{PosedPhoto, Scene, TrainedPhotos};
 use marf_schema::{
     output::{HELDOUT, PHOTO, SCENE, WEIGHTS},
     pace::{PaceParams, Steps},
-    train::{Curve, Metrics, TrainParams},
+    train::{Curve, Metrics, Setup, TrainParams},
     tune::BestParams,
 };
 use marf_stage::{
@@ -19,13 +20,13 @@ use crate::{
     checkpoint::{self, identity},
     child::{Child, child_stage},
     io::read_scene,
-    memory::{MemoryPlan, plan_memory},
+    memory::MemoryPlan,
     photos::PhotoReader,
     scoring::score_views,
-    settings::{field_config, field_keys, scale_to},
     split::{Split, draws, split},
     views::{new_trainer, training_views},
 };
+use setup::Settings;
 use training_loop::{Run, TrainedField, TrainingLog, curve_photos, pack, train_to, unpack};
 
 /// Trains a field on a scene and measures it on the photos held out.
@@ -33,6 +34,9 @@ use training_loop::{Run, TrainedField, TrainingLog, curve_photos, pack, train_to
 /// With `budget` it asks for one node `pace`, which finds the steps, and trains when that has run. The key of `train`
 /// then holds the budget, and `pace` finds other steps on another machine; `steps`, as the metrics print them, gives
 /// the same field anywhere.
+///
+/// With `of`, the setup of another training of the scene, it is that training again: only seed and draw of photos are its
+/// own, nothing is derived from the photos drawn and nothing is tried.
 #[derive(Debug)]
 pub struct Train {
     params: TrainParams,
@@ -42,13 +46,23 @@ impl Define for Train {
     type Params = TrainParams;
     const NAME: &'static str = TrainParams::STAGE;
     const ABOUT: &'static str = "Trains a radiance field and measures it on held-out photos";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 6;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),
+        Port::optional("of", Setup::OUTPUT).deciding(&[
+            "params", "quality", "steps", "budget", "scale", "memory", "holdout", "fit", "trials", "field",
+        ]),
     ];
-    const OUTPUTS: &'static [&'static str] =
-        &[WEIGHTS, Metrics::OUTPUT, Curve::OUTPUT, SCENE, HELDOUT, PHOTO];
+    const OUTPUTS: &'static [&'static str] = &[
+        WEIGHTS,
+        Metrics::OUTPUT,
+        Setup::OUTPUT,
+        Curve::OUTPUT,
+        SCENE,
+        HELDOUT,
+        PHOTO,
+    ];
 
     fn new(params: TrainParams) -> Result<Self, ParamError> {
         params.check()?;
@@ -114,12 +128,8 @@ struct Plan<'a> {
     split: &'a Split<'a>,
     /// How often each training photo is used.
     times: &'a [usize],
-    scale: u32,
     memory: MemoryPlan,
-    keys: &'a Overrides,
-    /// The field before trials change it.
-    config: Config,
-    steps: u64,
+    settings: &'a Settings,
     /// What its checkpoints are of.
     of: Digest,
 }
@@ -135,21 +145,16 @@ struct Trained {
 fn train(ctx: &Ctx<'_>, stage: &Train, inputs: &Inputs, steps: u64) -> Result<Outputs, StageError> {
     let params = &stage.params;
     let scene = read_scene(ctx, inputs)?;
-    let keys = field_keys(ctx, inputs, &params.field)?;
-    let side_px = params.quality.longest_side_px();
-    let scale = params.scale.unwrap_or_else(|| scale_to(side_px, &scene));
-    let split = split(&scene, params.holdout)?;
-    let config = field_config(&keys, params.quality, params.fit, steps)?;
+    let settings = Settings::resolve(ctx, params, inputs, &scene, steps)?;
+    let (steps, scale) = (settings.steps, settings.scale);
+    let split = split(&scene, settings.holdout)?;
     let times = times(&split, params.resample);
     let plan = Plan {
-        memory: plan_memory(params.memory, &split, &times, scale, &config)?,
+        memory: settings.plan_memory(&split, &times)?,
         scene: &scene,
         split: &split,
         times: &times,
-        scale,
-        keys: &keys,
-        config,
-        steps,
+        settings: &settings,
         of: identity(stage, inputs, &steps.to_string()),
     };
     let photos = PhotoReader::new(ctx, &scene, scale);
@@ -159,8 +164,12 @@ fn train(ctx: &Ctx<'_>, stage: &Train, inputs: &Inputs, steps: u64) -> Result<Ou
     };
     let mut outputs = Outputs::from([(SCENE.to_owned(), *inputs.required(SCENE)?)]);
     outputs.put_bytes(ctx, WEIGHTS, &field.encode())?;
+    let setup = settings.setup(plan.memory.run, &config, field.derived());
+    outputs.put(ctx, &setup)?;
+    let trained = TrainedPhotos::new(&scene, trained_on(&split, &times));
+    let held_out = &split.held_out;
     let metrics = Metrics {
-        scores: score_views(ctx, plan.of, &field, &photos, &split.held_out, &mut outputs)?,
+        scores: score_views(ctx, plan.of, &field, &photos, &trained, held_out, &mut outputs)?,
         steps,
         rays: log.rays,
         samples: log.samples,
@@ -168,11 +177,11 @@ fn train(ctx: &Ctx<'_>, stage: &Train, inputs: &Inputs, steps: u64) -> Result<Ou
         scale,
         thinned: (plan.memory.run > 1).then_some(plan.memory.run),
         seed: params.seed,
-        holdout: params.holdout,
+        holdout: settings.holdout,
         train_photos: times.iter().filter(|times| **times > 0).count() as u64,
         held_out_photos: split.held_out.len() as u64,
         drawn: params.resample.map(|_| drawn(&split, &times)),
-        fit: params.fit,
+        fit: settings.fit,
         gpu: params.device.backend_id(),
         config,
         field: field.facts().clone(),
@@ -197,9 +206,10 @@ impl Trained {
         let curve_photos = curve_photos(photos, &plan.split.held_out, plan.memory.at_once)?;
         let training = &plan.split.training;
         let views = training_views(photos, training, plan.times, plan.memory, params.seed)?;
-        let trainer = new_trainer(views, plan.scene, &config, params.seed, &params.device)?;
+        let derived = plan.settings.given.as_ref().map(|given| &given.derived);
+        let trainer = new_trainer(views, plan.scene, &config, params.seed, derived, &params.device)?;
         let run = Run {
-            steps: plan.steps,
+            steps: plan.settings.steps,
             part: "training",
             of: plan.of,
             note: "",
@@ -233,6 +243,12 @@ impl Trained {
 fn times(split: &Split<'_>, resample: Option<u64>) -> Vec<usize> {
     let count = split.training.len();
     resample.map_or_else(|| vec![1; count], |seed| draws(count, seed))
+}
+
+/// Returns the training photos that are used.
+fn trained_on<'a>(split: &Split<'a>, times: &[usize]) -> Vec<PosedPhoto<'a>> {
+    let used = split.training.iter().zip(times).filter(|(_, times)| **times > 0);
+    used.map(|(named, _)| named.frame.into()).collect()
 }
 
 /// Returns the ids of the training photos, each as often as it is used.

@@ -14,7 +14,7 @@ use crate::{
     memory::{MemoryPlan, plan_memory},
     photos::{PhotoReader, ScaledPhoto},
     scoring::mean_psnr,
-    split::{NamedFrame, Split, hold_out_every_eighth},
+    split::{NamedFrame, Split, hold_out_by_place},
     views::{new_trainer, training_views},
 };
 
@@ -96,17 +96,24 @@ const PARTS: [Part; 4] = [
 
 /// Returns the plan's configuration with the parts that gain more than `least_gain_db`, and the reports of all trials.
 ///
-/// A part whose key is set is left as it is. There are no trials at quality `draft`, with `fit = "fixed"`, or where
-/// steps or photos are too few.
+/// A part whose key is set is left as it is. There are no trials at quality `draft`, with `fit = "fixed"`, where another
+/// training has decided, or where steps or photos are too few.
 pub(super) fn decide(
     ctx: &Ctx<'_>,
     params: &TrainParams,
     plan: &Plan<'_>,
 ) -> Result<(Config, Vec<Trial>), StageError> {
-    let config = plan.config.clone();
-    let is_set = |part: &Part| part.keys.iter().find(|key| plan.keys.0.contains_key(**key));
+    let config = plan.settings.config.clone();
+    let is_set = |part: &Part| {
+        part.keys
+            .iter()
+            .find(|key| plan.settings.keys.0.contains_key(**key))
+    };
     let open = PARTS.iter().filter(|part| is_set(part).is_none()).count() as u64;
-    let steps = steps_each(params, plan.steps, open);
+    let steps = match &plan.settings.given {
+        Some(_) => 0,
+        None => steps_each(params, plan.settings.steps, open),
+    };
     let setup = match steps {
         0 => None,
         _ => TrialSetup::new(params, plan, steps)?,
@@ -254,15 +261,15 @@ struct TrialPhotos<'a> {
 }
 
 impl<'a> TrialSetup<'a> {
-    /// Holds back every 8th training photo; `None` where that leaves none to train on.
+    /// Holds back one training photo in eight, by place; `None` where that leaves none to train on, or none to judge.
     fn new(params: &'a TrainParams, plan: &'a Plan<'a>, steps: u64) -> Result<Option<Self>, StageError> {
-        let split = hold_out_every_eighth(plan.split.training.clone());
-        if split.training.is_empty() {
+        let split = hold_out_by_place(plan.split.training.clone(), &plan.scene.points);
+        if split.training.is_empty() || split.held_out.is_empty() {
             return Ok(None);
         }
         let (scale, times) = (scale(plan), vec![1; split.training.len()]);
         Ok(Some(Self {
-            memory: plan_memory(params.memory, &split, &times, scale, &plan.config)?,
+            memory: plan_memory(params.memory, &split, &times, scale, &plan.settings.config)?,
             params,
             plan,
             split,
@@ -310,7 +317,7 @@ impl<'a> TrialSetup<'a> {
             ..config.clone()
         };
         let (params, views) = (self.params, photos.views.clone());
-        let trainer = new_trainer(views, self.plan.scene, &config, params.seed, &params.device)?;
+        let trainer = new_trainer(views, self.plan.scene, &config, params.seed, None, &params.device)?;
         let run = Run {
             steps: self.steps,
             part: "trial",
@@ -330,9 +337,9 @@ impl<'a> TrialSetup<'a> {
 fn scale(plan: &Plan<'_>) -> u32 {
     let cameras = plan.split.training.iter().map(|named| &named.frame.camera);
     let shortest = cameras.map(|camera| camera.width.min(camera.height)).min();
-    let halved = plan.scale.saturating_mul(2);
+    let halved = plan.settings.scale.saturating_mul(2);
     if shortest.unwrap_or(0) / halved < LEAST_SIDE_PX {
-        return plan.scale;
+        return plan.settings.scale;
     }
     halved
 }

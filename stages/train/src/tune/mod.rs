@@ -23,7 +23,7 @@ use sampling::sample_params;
 
 /// Trains with drawn parameter sets and keeps the best.
 ///
-/// Trials are measured on every 8th training photo; those that `calibrate` holds out are never read.
+/// Trials are measured on one training photo in eight, by place; those that `calibrate` holds out are never read.
 #[derive(Debug)]
 pub struct Tune {
     params: TuneParams,
@@ -33,7 +33,7 @@ impl Define for Tune {
     type Params = TuneParams;
     const NAME: &'static str = TuneParams::STAGE;
     const ABOUT: &'static str = "Tries parameters of the field at random and keeps the best";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PORTS: &'static [Port] = &[Port::required("input", SCENE)];
     const OUTPUTS: &'static [&'static str] = &[BestParams::OUTPUT, Trials::OUTPUT, Scatter::OUTPUT];
 

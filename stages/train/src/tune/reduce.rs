@@ -151,7 +151,7 @@ mod tests {
         let all = Digest::of(&serde_json::to_vec(&outputs).unwrap());
         assert_eq!(
             (Tune::VERSION, all.short().as_str()),
-            (2, "8288c9ee041d"),
+            (3, "8288c9ee041d"),
             "{outputs:?}"
         );
     }

@@ -1,0 +1,99 @@
+use serde::{Deserialize, Serialize};
+
+use crate::frame::Frame;
+use crate::{Config, Field, FieldError, Sizes, View};
+
+/// What a training derived from its scene: the box, and the sizes of the field in it.
+///
+/// Another training of the same scene that is begun with it ([`Trainer::with_derived`](crate::Trainer::with_derived)) has the
+/// same box and sizes, whichever photos it learns from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Derived {
+    /// Centre of the box, world units.
+    pub origin: [f64; 3],
+    /// Half side of the inner box, world units.
+    pub half_side: f64,
+    /// Typical distance from a camera to what it sees, world units.
+    pub depth: f64,
+    /// Why this box.
+    pub box_reason: String,
+    /// Near, far, finest level, levels, table and halvings, each with its reason.
+    pub sizes: Sizes,
+}
+
+impl Derived {
+    /// Returns the box after checking that a training on these views can use it.
+    ///
+    /// # Errors
+    /// [`FieldError::OutOfBox`] where the box is no box, or a camera has no place in it; a size out of its range.
+    pub(crate) fn frame(&self, config: &Config, views: &[View]) -> Result<Frame, FieldError> {
+        let frame = Frame {
+            origin: self.origin,
+            half_side: self.half_side,
+            depth: self.depth,
+            reason: self.box_reason.clone(),
+        };
+        frame.check(views)?;
+        self.sizes.check(config)?;
+        Ok(frame)
+    }
+}
+
+impl Field {
+    /// Returns the box and the sizes at the end of the training.
+    pub fn derived(&self) -> Derived {
+        let frame = &self.model.frame;
+        Derived {
+            origin: frame.origin,
+            half_side: frame.half_side,
+            depth: frame.depth,
+            box_reason: frame.reason.clone(),
+            sizes: self.model.facts.sizes.clone(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Trainer;
+    use crate::test_scene::{ball, small};
+
+    fn derived() -> Derived {
+        let mut trainer = Trainer::new(ball(6, 12), &[], &small(), 0).unwrap();
+        trainer.field().unwrap().derived()
+    }
+
+    #[test]
+    fn a_training_of_fewer_photos_has_the_box_and_sizes_it_is_given() {
+        let derived = derived();
+        let fewer = || ball(6, 12).split_off(3);
+        let mut own = Trainer::new(fewer(), &[], &small(), 0).unwrap();
+        assert_ne!(own.field().unwrap().derived(), derived);
+        let mut given = Trainer::with_derived(fewer(), &[], &small(), 7, &derived).unwrap();
+        given.advance(1).unwrap();
+        assert_eq!(given.field().unwrap().derived(), derived);
+        assert_eq!(given.training.refit_step, None);
+    }
+
+    #[test]
+    fn a_box_or_a_size_that_cannot_be_used_is_refused() {
+        let refused = |change: fn(&mut Derived)| {
+            let mut derived = derived();
+            change(&mut derived);
+            Trainer::with_derived(ball(6, 12), &[], &small(), 0, &derived).is_err()
+        };
+        assert!(!refused(|_| ()));
+        for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            let mut derived = derived();
+            derived.half_side = bad;
+            let trainer = Trainer::with_derived(ball(6, 12), &[], &small(), 0, &derived);
+            assert!(trainer.is_err(), "half side {bad}");
+        }
+        assert!(refused(|derived| derived.origin[1] = f64::NAN));
+        assert!(refused(|derived| derived.sizes.near.value = 0.0));
+        assert!(refused(|derived| derived.sizes.log2_table.value = 40));
+        assert!(refused(|derived| derived.sizes.halvings.value = 7));
+    }
+}

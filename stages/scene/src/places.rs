@@ -1,0 +1,225 @@
+//! Which photos were taken from nearly one place in nearly one direction, and which of such places are held out.
+
+use nalgebra::{SVector, Vector3};
+
+use crate::reach::{Posed, reach};
+use crate::{Camera, Frame, Point, Pose};
+
+/// Photos are near if they were taken from within this share of the distance to what they show: parallax of 9 degrees. A
+/// stereo pair with 0.42 m between its eyes is near from 2.8 m on.
+const NEAR_SHARE: f64 = 0.15;
+/// ... in directions whose unit vectors are at most this far apart: 15 degrees, 2 sin 7.5°.
+const NEAR_CHORD: f64 = 0.261_052_384_440_103_1;
+/// A place has at most this share of the photos to be held out, so that several are, ...
+const PLACES: usize = 3;
+/// ... but may have two versions of a stereo pair.
+const VERSIONS: usize = 4;
+/// Nearest photos that one is compared with.
+const NEIGHBOURS: usize = 8;
+
+/// A photo: its id, which settles ties, its camera and its pose.
+#[derive(Debug, Clone, Copy)]
+pub struct PosedPhoto<'a> {
+    /// Id, unique in the set.
+    pub id: &'a str,
+    /// Its camera.
+    pub camera: &'a Camera,
+    /// Its pose.
+    pub cam_from_world: &'a Pose,
+}
+
+impl<'a> From<&'a Frame> for PosedPhoto<'a> {
+    fn from(frame: &'a Frame) -> Self {
+        Self {
+            id: &frame.id,
+            camera: &frame.camera,
+            cam_from_world: &frame.cam_from_world,
+        }
+    }
+}
+
+impl<'a> PosedPhoto<'a> {
+    pub(crate) fn posed(&self) -> Posed<'a> {
+        (self.camera, self.cam_from_world)
+    }
+}
+
+/// Position and optical axis, such that two photos are near where their distance is at most 1.
+type Place = SVector<f64, 6>;
+
+/// Tells for each photo whether it is held out: whole places, about one photo in `every`, spread over the scene.
+///
+/// A place is a group of photos whose positions lie within 0.15 of the typical distance to what the photos show (`points`: the
+/// sparse points; without them it follows from the cameras) and whose directions lie within 15 degrees, both together:
+/// stereo pairs, versions of an exposure, neighbours on a path. It has at most a third of the photos to be held out, or
+/// four, or half of all. The answer depends on ids and poses, not on the order of the photos. 0 holds none out; of two
+/// photos and more at least one is held out and one is not. O(n²) time, O(n) memory.
+pub fn hold_out_places(photos: &[PosedPhoto<'_>], points: &[Point], every: u32) -> Vec<bool> {
+    let mut held_out = vec![false; photos.len()];
+    if every == 0 {
+        return held_out;
+    }
+    let groups = places(photos, points, every);
+    for photo in chosen(&groups, photos.len(), every) {
+        held_out[photo] = true;
+    }
+    held_out
+}
+
+/// A group of photos.
+#[derive(Debug, Clone)]
+struct Group {
+    /// Indices of its photos.
+    photos: Vec<usize>,
+    low: Place,
+    high: Place,
+}
+
+impl Group {
+    fn of(photo: usize, place: Place) -> Self {
+        Self {
+            photos: vec![photo],
+            low: place,
+            high: place,
+        }
+    }
+
+    fn with(&self, other: &Self) -> Self {
+        Self {
+            photos: [self.photos.as_slice(), &other.photos].concat(),
+            low: self.low.inf(&other.low),
+            high: self.high.sup(&other.high),
+        }
+    }
+
+    /// Returns the diagonal of its bounds: no two of its photos are farther apart.
+    fn extent(&self) -> f64 {
+        (self.high - self.low).norm()
+    }
+
+    fn middle(&self) -> Place {
+        (self.low + self.high) / 2.0
+    }
+}
+
+/// Returns the groups of photos, in the order of the smallest id in each; every photo is in one.
+fn places(photos: &[PosedPhoto<'_>], points: &[Point], every: u32) -> Vec<Group> {
+    let mut order: Vec<usize> = (0..photos.len()).collect();
+    order.sort_by_key(|photo| photos[*photo].id);
+    let cameras: Vec<Posed<'_>> = order.iter().map(|photo| photos[*photo].posed()).collect();
+    let reach = reach(&cameras, points);
+    let places: Vec<Place> = cameras.iter().map(|(_, pose)| place(pose, reach)).collect();
+    let third = photos.len() / (PLACES * every as usize);
+    let most = third.max(VERSIONS).min(photos.len() / 2).max(1);
+    let groups = merged(&places, most);
+    let named = groups.into_iter().map(|group| Group {
+        photos: group.photos.iter().map(|index| order[*index]).collect(),
+        ..group
+    });
+    named.collect()
+}
+
+fn place(cam_from_world: &Pose, reach: f64) -> Place {
+    let at = cam_from_world.centre() / (NEAR_SHARE * reach);
+    let along: Vector3<f64> = cam_from_world.rotation.row(2).transpose() / NEAR_CHORD;
+    Place::from_column_slice(&[at.x, at.y, at.z, along.x, along.y, along.z])
+}
+
+/// Merges photos with their neighbours, the nearest first, as long as a group stays near and has at most `most` photos.
+fn merged(places: &[Place], most: usize) -> Vec<Group> {
+    let mut group_of: Vec<usize> = (0..places.len()).collect();
+    let singles = places.iter().enumerate();
+    let mut groups: Vec<Group> = singles.map(|(photo, place)| Group::of(photo, *place)).collect();
+    for (one, other) in near_pairs(places) {
+        let (one, other) = (group_of[one], group_of[other]);
+        let (one, other) = (one.min(other), one.max(other));
+        if one == other || groups[one].photos.len() + groups[other].photos.len() > most {
+            continue;
+        }
+        let both = groups[one].with(&groups[other]);
+        if both.extent() <= 1.0 {
+            both.photos.iter().for_each(|photo| group_of[*photo] = one);
+            groups[one] = both;
+            groups[other].photos.clear();
+        }
+    }
+    groups.retain(|group| !group.photos.is_empty());
+    groups
+}
+
+/// Returns the pairs of photos that are near, each photo with its nearest ones, nearest first; ties in the order of photos.
+fn near_pairs(places: &[Place]) -> Vec<(usize, usize)> {
+    let mut pairs = Vec::new();
+    for (one, place) in places.iter().enumerate() {
+        let mut nearest: Vec<(f64, usize, usize)> = Vec::with_capacity(NEIGHBOURS + 1);
+        for (other, at) in places.iter().enumerate().filter(|(other, _)| *other != one) {
+            let apart = (at - place).norm_squared();
+            let last = nearest.get(NEIGHBOURS - 1).map_or(1.0, |last| last.0);
+            if apart <= last {
+                // Of photos in one place each is paired with those beside it in the order.
+                let found = (apart, one.abs_diff(other), other);
+                let before =
+                    |known: &(f64, usize, usize)| (known.0, known.1, known.2) < (found.0, found.1, found.2);
+                nearest.insert(nearest.partition_point(before), found);
+                nearest.truncate(NEIGHBOURS);
+            }
+        }
+        let found = nearest.into_iter();
+        pairs.extend(found.map(|(apart, _, other)| (apart, one.min(other), one.max(other))));
+    }
+    pairs.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    pairs.dedup();
+    pairs.into_iter().map(|(_, one, other)| (one, other)).collect()
+}
+
+/// Returns the photos of the groups that are held out.
+///
+/// Groups are walked through in an order in which neighbours follow each other. Each adds its share to what is owed, and
+/// one that is taken pays with its photos.
+fn chosen(groups: &[Group], photos: usize, every: u32) -> Vec<usize> {
+    let mut walk: Vec<&Group> = groups.iter().collect();
+    walk_through(&mut walk);
+    let share = 1.0 / f64::from(every);
+    let half_a_group = photos as f64 / groups.len().max(1) as f64 / 2.0;
+    let mut owed = 0.0;
+    let is_taken = |group: &&&Group| {
+        let size = group.photos.len() as f64;
+        owed += size * share;
+        let is_due = owed >= half_a_group;
+        owed -= if is_due { size } else { 0.0 };
+        is_due
+    };
+    let mut taken: Vec<&Group> = walk.iter().filter(is_taken).copied().collect();
+    if taken.is_empty() && walk.len() > 1 {
+        let wanted = photos as f64 * share;
+        let off = |group: &&&Group| (group.photos.len() as f64 - wanted).abs();
+        let best = walk.iter().min_by(|a, b| off(a).total_cmp(&off(b)));
+        taken.extend(best);
+    }
+    taken
+        .iter()
+        .flat_map(|group| group.photos.iter().copied())
+        .collect()
+}
+
+/// Sorts groups so that neighbours follow each other: halves along the widest axis, then each half likewise.
+fn walk_through(groups: &mut [&Group]) {
+    if groups.len() < 3 {
+        return;
+    }
+    let low = groups
+        .iter()
+        .fold(Place::repeat(f64::MAX), |low, group| low.inf(&group.middle()));
+    let high = groups
+        .iter()
+        .fold(Place::repeat(f64::MIN), |high, group| high.sup(&group.middle()));
+    let axis = (high - low).imax();
+    // A stable sort: ties keep the order of ids.
+    groups.sort_by(|a, b| a.middle()[axis].total_cmp(&b.middle()[axis]));
+    let (left, right) = groups.split_at_mut(groups.len() / 2);
+    walk_through(left);
+    walk_through(right);
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,180 @@
+use super::*;
+
+/// Deterministic numbers in [0, 1): the fractional parts of multiples of the golden ratio.
+fn spread(index: usize, factor: f64) -> f64 {
+    (index as f64 * 0.618_033_988_749_895 * factor).fract()
+}
+
+struct Set {
+    camera: Camera,
+    photos: Vec<(String, Pose)>,
+}
+
+impl Set {
+    fn new(photos: impl Iterator<Item = (Vector3<f64>, Vector3<f64>)>) -> Self {
+        let pose = |(eye, target)| Pose::looking_at(eye, target, Vector3::z());
+        let named = photos.enumerate();
+        Self {
+            camera: Camera::pinhole(64, 48, 60.0),
+            photos: named
+                .map(|(index, at)| (format!("{index:05}"), pose(at)))
+                .collect(),
+        }
+    }
+
+    /// Stereo pairs, 0.02 apart, on a circle of radius 3 around what they look at.
+    fn pairs(count: usize) -> Self {
+        Self::new((0..2 * count).map(|index| {
+            let turn = (index / 2) as f64 / count as f64 * std::f64::consts::TAU;
+            let aside = Vector3::new(-turn.sin(), turn.cos(), 0.0) * (0.01 - 0.02 * (index % 2) as f64);
+            let eye = Vector3::new(3.0 * turn.cos(), 3.0 * turn.sin(), -1.0);
+            (eye + aside, aside)
+        }))
+    }
+
+    fn scattered(count: usize) -> Self {
+        Self::new((0..count).map(|index| {
+            let eye = Vector3::new(spread(index, 1.0), spread(index, 7.3), spread(index, 31.9)) * 20.0;
+            let ahead = Vector3::new(spread(index, 3.1) - 0.5, spread(index, 5.7) - 0.5, 0.2);
+            (eye, eye + ahead)
+        }))
+    }
+
+    fn of(&self, order: impl Iterator<Item = usize>) -> Vec<PosedPhoto<'_>> {
+        let photo = |index: usize| PosedPhoto {
+            id: &self.photos[index].0,
+            camera: &self.camera,
+            cam_from_world: &self.photos[index].1,
+        };
+        order.map(photo).collect()
+    }
+
+    fn photos(&self) -> Vec<PosedPhoto<'_>> {
+        self.of(0..self.photos.len())
+    }
+
+    fn held_out(&self, every: u32) -> Vec<bool> {
+        hold_out_places(&self.photos(), &[], every)
+    }
+}
+
+fn count(held_out: &[bool]) -> usize {
+    held_out.iter().filter(|held_out| **held_out).count()
+}
+
+#[test]
+fn stereo_pairs_stay_together_and_an_eighth_is_held_out_all_around() {
+    let held_out = Set::pairs(40).held_out(8);
+    assert!((8..=12).contains(&count(&held_out)), "{held_out:?}");
+    for pair in held_out.chunks(2) {
+        assert_eq!(pair[0], pair[1], "{held_out:?}");
+    }
+    for quarter in held_out.chunks(20) {
+        assert!(count(quarter) > 0, "{held_out:?}");
+    }
+}
+
+#[test]
+fn no_group_is_split_and_every_photo_is_in_one() {
+    for set in [Set::pairs(3), Set::pairs(50), Set::scattered(200)] {
+        for every in [2, 3, 8, 50] {
+            let photos = set.photos();
+            let groups = places(&photos, &[], every);
+            let held_out = set.held_out(every);
+            let mut all: Vec<usize> = groups.iter().flat_map(|group| group.photos.clone()).collect();
+            all.sort_unstable();
+            assert_eq!(all, (0..photos.len()).collect::<Vec<_>>());
+            for group in &groups {
+                let of_group: Vec<bool> = group.photos.iter().map(|photo| held_out[*photo]).collect();
+                assert!(
+                    of_group.iter().all(|one| *one == of_group[0]),
+                    "{every}: {of_group:?}"
+                );
+                assert!(group.extent() <= 1.0, "{every}: {}", group.extent());
+            }
+        }
+    }
+}
+
+#[test]
+fn about_one_photo_in_so_many_is_held_out() {
+    for set in [Set::pairs(60), Set::scattered(120), Set::scattered(2000)] {
+        for every in [2, 5, 8, 20] {
+            let (held_out, wanted) = (
+                count(&set.held_out(every)),
+                set.photos.len() as f64 / f64::from(every),
+            );
+            assert!(
+                (held_out as f64 - wanted).abs() <= 4.0 + wanted / 3.0,
+                "{held_out} of {wanted}"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_order_of_the_photos_does_not_matter() {
+    for set in [Set::pairs(33), Set::scattered(101)] {
+        let size = set.photos.len();
+        let straight = set.held_out(8);
+        // 7 has no factor in common with 66 and 101.
+        for step in [size - 1, 7] {
+            let order: Vec<usize> = (0..size).map(|index| (index * step + 5) % size).collect();
+            let turned = hold_out_places(&set.of(order.iter().copied()), &[], 8);
+            for (index, photo) in order.iter().enumerate() {
+                assert_eq!(turned[index], straight[*photo], "step {step}, photo {photo}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_extremes_hold_one_out_and_train_on_one() {
+    let same = |count: usize| Set::new((0..count).map(|_| (Vector3::zeros(), Vector3::x())));
+    assert_eq!(same(0).held_out(8), [] as [bool; 0]);
+    assert_eq!(same(1).held_out(8), [false]);
+    for size in 2..40 {
+        for every in [2, 3, 8, u32::MAX] {
+            for set in [same(size), Set::scattered(size)] {
+                let held_out = count(&set.held_out(every));
+                assert!(
+                    held_out > 0 && held_out < size,
+                    "{held_out} of {size}, every {every}"
+                );
+            }
+        }
+    }
+    assert_eq!(count(&same(30).held_out(0)), 0);
+    let many = same(400).held_out(8);
+    assert!((40..=66).contains(&count(&many)), "{}", count(&many));
+}
+
+#[test]
+fn ten_thousand_cameras_are_split() {
+    let held_out = count(&Set::scattered(10_000).held_out(8));
+    assert!((1_200..=1_300).contains(&held_out), "{held_out}");
+}
+
+/// Points nearer than the cameras' own spread tell that photos a step apart show different things.
+#[test]
+fn sparse_points_decide_what_is_near() {
+    let walk = Set::new((0..64).map(|index| {
+        let eye = Vector3::new(f64::from(index) * 0.05, 0.0, 0.0);
+        (eye, eye + Vector3::y())
+    }));
+    let points = |away: f64| -> Vec<Point> {
+        let point = |index: u32| Point {
+            position: [f64::from(index) * 0.05, away, 0.0],
+            color: None,
+            views: 2,
+        };
+        (0..64).map(point).collect()
+    };
+    let groups = |away: f64| places(&walk.photos(), &points(away), 2).len();
+    assert!(
+        groups(0.2) == 64 && groups(20.0) < 16,
+        "{} {}",
+        groups(0.2),
+        groups(20.0)
+    );
+}
