@@ -3,7 +3,7 @@
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::places::PosedPhoto;
+use crate::places::{PosedPhoto, place};
 use crate::reach::{Posed, reach, shows};
 use crate::{Camera, Point, Scene};
 
@@ -20,7 +20,7 @@ const EXTRAPOLATES: f64 = 0.5;
 /// What lies nearest to a photo among those trained on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Nearest {
-    /// Id of the photo whose camera is nearest.
+    /// Id of the photo nearest by position and direction together, as places are told apart (`hold = "place"`).
     pub id: String,
     /// Distance of the two cameras, world units.
     pub distance: f64,
@@ -65,10 +65,10 @@ impl<'a> TrainedPhotos<'a> {
         if self.photos.iter().any(|other| other.id == photo.id) {
             return None;
         }
-        let centre = photo.cam_from_world.centre();
-        let apart = |other: &&PosedPhoto<'_>| (other.cam_from_world.centre() - centre).norm();
+        let own = place(photo.cam_from_world, self.reach);
+        let apart = |other: &&PosedPhoto<'_>| (place(other.cam_from_world, self.reach) - own).norm_squared();
         let nearest = self.photos.iter().min_by(|a, b| apart(a).total_cmp(&apart(b)))?;
-        let distance = apart(&nearest);
+        let distance = (nearest.cam_from_world.centre() - photo.cam_from_world.centre()).norm();
         let [own, other] = [photo, *nearest].map(|photo| photo.cam_from_world.rotation.row(2).transpose());
         let uncovered_share = self.uncovered_share(photo);
         Some(Nearest {
@@ -190,6 +190,20 @@ mod tests {
             assert!((nearest.angle_deg - 7.2).abs() < 1e-6, "{nearest:?}");
             assert!(!nearest.extrapolates, "{nearest:?}");
         }
+    }
+
+    #[test]
+    fn a_photo_beside_it_that_looks_elsewhere_is_not_the_nearest() {
+        let scene = scene(64);
+        let (own, aside) = (frame("own", 0.0), frame("aside", 0.04));
+        let mut away = frame("away", 0.01);
+        away.cam_from_world = Pose::looking_at(
+            away.cam_from_world.centre(),
+            Vector3::new(9.0, 9.0, 0.0),
+            -Vector3::z(),
+        );
+        let trained = TrainedPhotos::new(&scene, vec![(&away).into(), (&aside).into()]);
+        assert_eq!(trained.nearest((&own).into()).unwrap().id, "aside");
     }
 
     #[test]

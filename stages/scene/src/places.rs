@@ -12,7 +12,7 @@ const NEAR_SHARE: f64 = 0.15;
 const NEAR_CHORD: f64 = 0.261_052_384_440_103_1;
 /// A place has at most this share of the photos to be held out, so that several are, ...
 const PLACES: usize = 3;
-/// ... but may have two versions of a stereo pair.
+/// ... but may have two versions of a stereo pair; of few photos no more than are to be held out, and a pair.
 const VERSIONS: usize = 4;
 /// Nearest photos that one is compared with.
 const NEIGHBOURS: usize = 8;
@@ -45,15 +45,15 @@ impl<'a> PosedPhoto<'a> {
 }
 
 /// Position and optical axis, such that two photos are near where their distance is at most 1.
-type Place = SVector<f64, 6>;
+pub(crate) type Place = SVector<f64, 6>;
 
 /// Tells for each photo whether it is held out: whole places, about one photo in `every`, spread over the scene.
 ///
 /// A place is a group of photos whose positions lie within 0.15 of the typical distance to what the photos show (`points`: the
 /// sparse points; without them it follows from the cameras) and whose directions lie within 15 degrees, both together:
 /// stereo pairs, versions of an exposure, neighbours on a path. It has at most a third of the photos to be held out, or
-/// four, or half of all. The answer depends on ids and poses, not on the order of the photos. 0 holds none out; of two
-/// photos and more at least one is held out and one is not. O(n²) time, O(n) memory.
+/// those to be held out where they are two to four, or half of all. The answer depends on ids and poses, not on the order
+/// of the photos. 0 holds none out; of two photos and more at least one is held out and one is not. O(n²) time, O(n) memory.
 pub fn hold_out_places(photos: &[PosedPhoto<'_>], points: &[Point], every: u32) -> Vec<bool> {
     let mut held_out = vec![false; photos.len()];
     if every == 0 {
@@ -110,7 +110,8 @@ fn places(photos: &[PosedPhoto<'_>], points: &[Point], every: u32) -> Vec<Group>
     let reach = reach(&cameras, points);
     let places: Vec<Place> = cameras.iter().map(|(_, pose)| place(pose, reach)).collect();
     let third = photos.len() / (PLACES * every as usize);
-    let most = third.max(VERSIONS).min(photos.len() / 2).max(1);
+    let wanted = photos.len().div_ceil(every as usize).clamp(2, VERSIONS);
+    let most = third.max(wanted).min(photos.len() / 2).max(1);
     let groups = merged(&places, most);
     let named = groups.into_iter().map(|group| Group {
         photos: group.photos.iter().map(|index| order[*index]).collect(),
@@ -119,7 +120,8 @@ fn places(photos: &[PosedPhoto<'_>], points: &[Point], every: u32) -> Vec<Group>
     named.collect()
 }
 
-fn place(cam_from_world: &Pose, reach: f64) -> Place {
+/// Returns where a photo was taken and in which direction; `reach`: the typical distance to what photos show.
+pub(crate) fn place(cam_from_world: &Pose, reach: f64) -> Place {
     let at = cam_from_world.centre() / (NEAR_SHARE * reach);
     let along: Vector3<f64> = cam_from_world.rotation.row(2).transpose() / NEAR_CHORD;
     Place::from_column_slice(&[at.x, at.y, at.z, along.x, along.y, along.z])
