@@ -54,7 +54,13 @@ const CRATES: [Crate; 22] = [
     row(
         "stages/schema",
         "marf-schema",
-        &["marf-stage", "marf-scene", "marf-field"],
+        &[
+            "marf-cache",
+            "marf-stage",
+            "marf-scene",
+            "marf-video",
+            "marf-field",
+        ],
     ),
     row("stages/sfm", "marf-sfm", &["marf-numeric", "marf-scene"]),
     Crate {
@@ -91,6 +97,7 @@ const CRATES: [Crate; 22] = [
             "marf-cache",
             "marf-stage",
             "marf-scene",
+            "marf-video",
             "marf-field",
             "marf-schema",
         ],
@@ -117,22 +124,25 @@ const CRATES: [Crate; 22] = [
         "marf-provenance",
         &["marf-cache", "marf-stage", "marf-engine"],
     ),
-    row(
-        "",
-        "marf",
-        &[
-            "marf-cache",
-            "marf-stage",
-            "marf-scene",
-            "marf-field",
-            "marf-loopback",
-            "marf-schema",
-            "marf-stages",
-            "marf-engine",
-            "marf-export",
-            "marf-provenance",
-        ],
-    ),
+    Crate {
+        tests_use: &["marf-video"],
+        ..row(
+            "",
+            "marf",
+            &[
+                "marf-cache",
+                "marf-stage",
+                "marf-scene",
+                "marf-field",
+                "marf-loopback",
+                "marf-schema",
+                "marf-stages",
+                "marf-engine",
+                "marf-export",
+                "marf-provenance",
+            ],
+        )
+    },
 ];
 
 /// Packages that only these crates may use.

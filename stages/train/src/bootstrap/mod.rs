@@ -13,9 +13,10 @@ mod sparsification;
 use marf_cache::Digest;
 use marf_schema::{
     bootstrap::{BootstrapParams, Metrics, Mode},
-    output::{FLYTHROUGH, MAPS, SCENE, VIDEO, WEIGHTS},
+    output::{FLYTHROUGH, MAPS, SCENE, WEIGHTS},
     train::{TrainParams, TrialsParams},
     tune::BestParams,
+    video::Film,
 };
 use marf_stage::{
     ChildStage, Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, ParamError, Params, Port,
@@ -35,12 +36,12 @@ impl Define for Bootstrap {
     type Params = BootstrapParams;
     const NAME: &'static str = BootstrapParams::STAGE;
     const ABOUT: &'static str = "Retrains B times and maps where the fields disagree";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),
     ];
-    const OUTPUTS: &'static [&'static str] = &[Metrics::OUTPUT, VIDEO, MAPS, FLYTHROUGH];
+    const OUTPUTS: &'static [&'static str] = &[Metrics::OUTPUT, Film::OUTPUT, MAPS, FLYTHROUGH];
 
     fn new(params: BootstrapParams) -> Result<Self, ParamError> {
         params.check()?;
