@@ -65,7 +65,8 @@ fn only_what_changed_runs_again() {
     for file in [
         "train/weights.safetensors",
         "calibrate/transforms.json",
-        "bootstrap/video.gif",
+        "video/video.mp4",
+        "uncertainty/video.mp4",
     ] {
         assert!(dir.path().join("out").join(file).exists(), "{file}");
     }
@@ -88,7 +89,23 @@ fn only_what_changed_runs_again() {
     let more = run(dir.path(), &["--set", "bootstrap.b=5"]);
     let mut ran = more.nodes("finished");
     ran.sort(); // members run side by side: either may end first
-    assert_eq!(ran, ["bootstrap", "bootstrap/member-03", "bootstrap/member-04"]);
+    let changed = [
+        "bootstrap",
+        "bootstrap/member-03",
+        "bootstrap/member-04",
+        "uncertainty",
+    ];
+    assert_eq!(ran, changed);
+
+    let coarser = run(
+        dir.path(),
+        &["--set", "bootstrap.b=5", "--set", "video.quantizer=40"],
+    );
+    assert_eq!(
+        coarser.nodes("finished"),
+        ["video"],
+        "another quality renders nothing"
+    );
 
     let sol = run(dir.path(), &["--set", "archive.demo.sols=1..=3", "--to", "blur"]);
     assert_eq!(

@@ -7,7 +7,7 @@ use marf_cache::Digest;
 use marf_provenance::stamp::Stamp;
 
 /// Formats in which a mark disturbs no reader that we know.
-const MARKED: [&str; 5] = ["gif", "html", "json", "ply", "png"];
+const MARKED: [&str; 4] = ["html", "json", "ply", "png"];
 /// Files whose readers refuse what they do not know.
 const STRICT: [&str; 1] = ["scene.json"];
 

@@ -25,7 +25,7 @@ const NAMED: [(&str, &str); 9] = [
     (tune::BestParams::OUTPUT, "params.json"),
     (tune::Trials::OUTPUT, "trials.json"),
     (tune::Scatter::OUTPUT, "scatter.json"),
-    (output::VIDEO, "video.gif"),
+    (output::VIDEO, "video.mp4"),
 ];
 
 /// Whether all outputs could be written.

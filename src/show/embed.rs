@@ -65,13 +65,15 @@ impl Pictures {
         self.shown(embed(image, form), alt)
     }
 
-    /// Shows a film (GIF or MP4) as it is stored.
+    /// Shows a film (MP4) as it is stored.
     ///
     /// # Errors
     /// The sentence that stands in its place.
     pub(super) fn film(&self, input: &ReportInput<'_>, digest: &Digest, alt: &str) -> Result<Markup, String> {
         let bytes = (input.read)(digest).ok_or_else(|| not_stored("The film", digest))?;
-        let media = media_type(&bytes).ok_or("The film is neither GIF nor MP4 and is not shown.")?;
+        if bytes.get(4..8) != Some(b"ftyp".as_slice()) {
+            return Err("The film is no MP4 and is not shown.".to_owned());
+        }
         let used = self.film_bytes.get() + bytes.len() / 3 * 4;
         if used > FILM_BYTES {
             let (size, digest) = (megabytes(bytes.len()), digest.short());
@@ -80,11 +82,8 @@ impl Pictures {
             ));
         }
         self.film_bytes.set(used);
-        let uri = data_uri(media, &bytes);
-        Ok(html! {
-            @if media == "video/mp4" { video src=(uri) controls loop muted aria-label=(alt) {} }
-            @else { img.film src=(uri) alt=(alt); }
-        })
+        let uri = data_uri("video/mp4", &bytes);
+        Ok(html! { video src=(uri) controls loop muted playsinline aria-label=(alt) {} })
     }
 
     fn shown(&self, made: Result<Embedded, String>, alt: &str) -> Markup {
@@ -162,13 +161,6 @@ fn embed(image: &Image<Srgb>, form: Form) -> Result<Embedded, String> {
 
 fn data_uri(media: &str, bytes: &[u8]) -> String {
     format!("data:{media};base64,{}", STANDARD.encode(bytes))
-}
-
-fn media_type(bytes: &[u8]) -> Option<&'static str> {
-    if bytes.starts_with(b"GIF8") {
-        return Some("image/gif");
-    }
-    (bytes.get(4..8) == Some(b"ftyp".as_slice())).then_some("video/mp4")
 }
 
 #[cfg(test)]

@@ -228,11 +228,12 @@ fn field_nodes(store: &mut Store) -> Vec<NodeView> {
         store.document(&best),
     ];
     let tune = giving(tune, outputs);
-    let video = store.put(b"GIF89a-made-up");
+    let video = store.put(b"\0\0\0\x18ftypisom-made-up");
     let render = giving(
         node("render", &["train"]),
-        [(output::VIDEO, video), ("frames/0001.png", video)],
+        [("film", video), ("frames/0001.png", video)],
     );
+    let film = giving(node("video", &["render"]), [(output::VIDEO, video)]);
     let mut last = node("skipped<i>", &["render"]);
     (last.state, last.reason, last.seconds) = (State::Skipped, format!("{HOSTILE} failed"), None);
     vec![
@@ -241,6 +242,7 @@ fn field_nodes(store: &mut Store) -> Vec<NodeView> {
         train(store, scene),
         bootstrap(store),
         render,
+        film,
         last,
     ]
 }

@@ -147,40 +147,66 @@ fn difference(a: &Image<Srgb>, b: &Image<Srgb>) -> Result<Image<Srgb>, String> {
 
 /// Films; single frames where a node has no film, or none that can be shown.
 pub(super) fn flights(page: &Page<'_>) -> Markup {
-    let flies = |node: &&NodeView| {
-        node.outputs.contains_key(output::VIDEO)
-            || node.outputs.keys().any(|name| name.starts_with(output::FRAMES))
-    };
-    let nodes: Vec<&NodeView> = page.input.nodes.iter().filter(flies).collect();
+    let nodes = &page.input.nodes;
+    let is_film = |node: &NodeView| node.outputs.contains_key(output::VIDEO);
+    let filmed: BTreeSet<&str> = nodes
+        .iter()
+        .filter(|node| is_film(node))
+        .flat_map(|node| node.upstream.iter().map(|(_, name)| name.as_str()))
+        .collect();
+    let flies =
+        |node: &&NodeView| is_film(node) || (has_frames(node) && !filmed.contains(node.name.as_str()));
+    let nodes: Vec<&NodeView> = nodes.iter().filter(flies).collect();
     if nodes.is_empty() {
         return page.absent("a fly-through");
     }
     html! { @for node in nodes { (flight(page, node)) } }
 }
 
+/// Tells whether a node made the single pictures of a film.
+fn has_frames(node: &NodeView) -> bool {
+    node.outputs.keys().any(|name| frame_name(name).is_some())
+}
+
+/// Returns the name of a single picture of a film.
+fn frame_name(output: &str) -> Option<&str> {
+    FRAMES.iter().find_map(|prefix| picture_name(output, prefix))
+}
+
 fn flight(page: &Page<'_>, node: &NodeView) -> Markup {
+    let frames = frames_of(page, node);
     let alt = format!("fly-through by {}", node.name);
     let film = node
         .outputs
         .get(output::VIDEO)
         .map(|digest| page.pictures.film(page.input, digest, &alt));
-    let doubt = node.outputs.keys().any(|name| name.starts_with(output::MAPS));
+    let doubt = frames.outputs.keys().any(|name| name.starts_with(output::MAPS));
     html! {
-        h3 { (node.name) @if doubt { ": mean on the left, uncertainty on the right" } }
+        h3 {
+            (node.name)
+            @if frames.name != node.name { " of " (frames.name) }
+            @if doubt { ": mean colour, uncertainty and depth of the members" }
+        }
         @match film {
             Some(Ok(film)) => (film),
-            Some(Err(why)) => { p.missing { (why) } (single_frames(page, node)) }
-            None => (single_frames(page, node)),
+            Some(Err(why)) => { p.missing { (why) } (single_frames(page, frames)) }
+            None => (single_frames(page, frames)),
         }
     }
 }
 
+/// Returns the node that made the pictures of a film: the one that `video` reads, or the node itself.
+fn frames_of<'p>(page: &Page<'p>, node: &'p NodeView) -> &'p NodeView {
+    let upstream = node.upstream.iter().map(|(_, name)| name);
+    let mut nodes = upstream.filter_map(|name| page.input.nodes.iter().find(|node| node.name == *name));
+    nodes.find(|node| has_frames(node)).unwrap_or(node)
+}
+
 fn single_frames(page: &Page<'_>, node: &NodeView) -> Markup {
-    let name_of = |output| FRAMES.iter().find_map(|prefix| picture_name(output, prefix));
     let found = node
         .outputs
         .iter()
-        .filter_map(|(output, digest)| Some((name_of(output)?, digest)));
+        .filter_map(|(output, digest)| Some((frame_name(output)?, digest)));
     let frames: Vec<(&str, &Digest)> = found.collect();
     let shown = frames.len().min(MOST_FRAMES);
     html! {

@@ -292,20 +292,18 @@ fn tune(store: &mut Store) -> NodeView {
 }
 
 fn film(store: &mut Store, rows: &[Row]) -> Digest {
-    let mut bytes = Vec::new();
-    let mut encoder = image::codecs::gif::GifEncoder::new_with_speed(&mut bytes, 30);
-    for row in rows.iter().take(8) {
-        let photo = Photo::decode(&store.blobs[&row.blobs["image"]])
-            .unwrap()
-            .image
-            .box_reduced(6);
-        let pixels: Vec<u8> = photo.pixels.as_flattened().to_vec();
-        encoder
-            .encode(&pixels, photo.width, photo.height, image::ExtendedColorType::Rgb8)
-            .unwrap();
-    }
-    drop(encoder);
-    store.put(&bytes)
+    let settings = marf_video::Settings {
+        frames_per_second: 4,
+        quantizer: 26,
+    };
+    let mut encoder = marf_video::Encoder::new(settings).unwrap();
+    let photos = rows.iter().take(8).map(|row| {
+        let photo = Photo::decode(&store.blobs[&row.blobs["image"]]).unwrap();
+        photo.image.box_reduced(6)
+    });
+    photos.for_each(|photo| encoder.push(&photo).unwrap());
+    let film = encoder.finish().unwrap();
+    store.put(&film)
 }
 
 fn run_of_the_rover() -> (Store, Vec<NodeView>) {

@@ -29,6 +29,7 @@ static STAGES: LazyLock<Vec<StageDef>> = LazyLock::new(|| {
         define::<marf_train::Evaluate>(),
         define::<marf_train::Render>(),
         define::<marf_train::Bootstrap>(),
+        define::<marf_train::Video>(),
     ]);
     stages
 });

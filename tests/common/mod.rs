@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 /// The default pipeline at a quarter of its pixels and a handful of steps.
-pub const SMALL_DEMO: [&str; 12] = [
+pub const SMALL_DEMO: [&str; 14] = [
     "archive.demo.width=320",
     "size.min_bytes=3000",
     "shape.min_width=160",
@@ -22,6 +22,8 @@ pub const SMALL_DEMO: [&str; 12] = [
     "bootstrap.b=3",
     "bootstrap.frames=2",
     "bootstrap.width=80",
+    "render.frames=2",
+    "render.width=80",
 ];
 
 /// What a run of the binary left.

@@ -5,7 +5,7 @@ use crate::Config;
 
 /// Steps that two cores take in a second, to choose the table that a time fills before the time is measured: its
 /// size changes the rate by less than the rate differs between machines.
-pub const EXPECTED_STEPS_PER_S: f64 = 60.0;
+pub const EXPECTED_STEPS_PER_S: f64 = 90.0;
 
 /// How much time a training may take for its quality; points on the measured front of both.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

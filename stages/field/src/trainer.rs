@@ -105,6 +105,12 @@ impl Trainer {
         self.session.download(&mut self.training.state)
     }
 
+    /// Lays the step size and the length of steps along rays out for a training that ends after so many steps; sizes and
+    /// what was learnt stay as they are.
+    pub fn set_last_step(&mut self, steps: u64) {
+        self.training.config.steps = Some(steps);
+    }
+
     /// Returns the optimiser steps taken.
     pub fn steps(&self) -> u64 {
         self.training.state.steps

@@ -1,4 +1,4 @@
-//! `bootstrap`: B retrainings to uncertainty maps and a fly-through.
+//! `bootstrap`: B retrainings to uncertainty maps and the pictures of a fly-through.
 
 use marf_field::{Device, Overrides, Quality};
 use marf_stage::{Document, ParamError, Params};
@@ -31,7 +31,7 @@ pub enum Viewpoints {
     Orbit,
 }
 
-/// What the fly-through shows beside the mean colour.
+/// What the fly-through shows between the mean colour and the depth.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Shown {
@@ -66,13 +66,11 @@ pub struct BootstrapParams {
     pub viewpoints: Viewpoints,
     /// Number of viewpoints, where they are not photos.
     pub map_frames: u32,
-    /// Pictures of the fly-through, at least 1.
+    /// Pictures of the fly-through, at least 1; each takes `b` renders. `video` makes a film of them.
     pub frames: u32,
-    /// Width of a picture of the fly-through, pixels.
+    /// Width of each of the three panels of the fly-through (mean colour, uncertainty, depth), pixels, at most 1280.
     pub width: u32,
-    /// Pictures a second of the animation.
-    pub fps: u32,
-    /// What the fly-through shows beside the mean colour.
+    /// What the fly-through shows between the mean colour and the depth.
     pub show: Shown,
     /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
     /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
@@ -91,9 +89,8 @@ impl Default for BootstrapParams {
             field: Overrides::default(),
             viewpoints: Viewpoints::Heldout,
             map_frames: 6,
-            frames: 30,
-            width: 240,
-            fps: 10,
+            frames: 96,
+            width: 480,
             show: Shown::Std,
             device: Device::default(),
         }
@@ -102,8 +99,8 @@ impl Default for BootstrapParams {
 
 /// Most members; beyond it a number is a slip.
 const MAX_MEMBERS: u32 = 1000;
-/// Largest picture and longest animation.
-const MAX_WIDTH_PX: u32 = 4096;
+/// Widest panel of three in a picture that can be encoded, and longest fly-through.
+const MAX_WIDTH_PX: u32 = marf_video::MAX_LONG_PX / 3;
 const MAX_FRAMES: u32 = 10_000;
 
 impl Params for BootstrapParams {
@@ -139,10 +136,8 @@ impl BootstrapParams {
         at_most("frames", self.frames, MAX_FRAMES)?;
         at_most("map_frames", self.map_frames, MAX_FRAMES)?;
         at_most("width", self.width, MAX_WIDTH_PX)?;
-        at_most("fps", self.fps, 100)?;
         above_zero("frames", u64::from(self.frames))?;
         above_zero("width", u64::from(self.width))?;
-        above_zero("fps", u64::from(self.fps))?;
         above_zero("map_frames", u64::from(self.map_frames))?;
         above_zero("steps", self.steps.unwrap_or(1))?;
         above_zero("scale", u64::from(self.scale.unwrap_or(1)))?;
@@ -297,7 +292,7 @@ mod tests {
             (json!({"b": 1001}), "b"),
             (json!({"frames": 0}), "frames"),
             (json!({"width": 0}), "width"),
-            (json!({"fps": 0}), "fps"),
+            (json!({"width": 1281}), "width"),
             (json!({"steps": 0}), "steps"),
             (json!({"scale": 0}), "scale"),
             (json!({"field": {"levls": 8}}), "field.levls"),

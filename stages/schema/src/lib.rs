@@ -1,4 +1,4 @@
-//! Parameters and outputs of `calibrate`, `tune`, `train`, `pace`, `evaluate`, `render` and `bootstrap`.
+//! Parameters and outputs of `calibrate`, `tune`, `train`, `pace`, `evaluate`, `render`, `bootstrap` and `video`.
 //!
 //! One module a stage: its parameters ([`Params`](marf_stage::Params)) with the checks that need no input, and each
 //! JSON output ([`Document`](marf_stage::Document)). Stages, commands and the report read and write these types, so
@@ -21,6 +21,7 @@ pub mod render;
 pub mod scores;
 pub mod train;
 pub mod tune;
+pub mod video;
 
 use marf_field::{Overrides, Quality};
 use marf_stage::ParamError;

@@ -14,7 +14,7 @@ pub const WEIGHTS: &str = "weights";
 pub const HELDOUT: &str = "heldout/";
 /// The photos of those views at the size they were compared at: `photo/<name>.png`.
 pub const PHOTO: &str = "photo/";
-/// An animation (GIF), of `render` and `bootstrap`.
+/// A film (MP4), of `video`.
 pub const VIDEO: &str = "video";
 /// Pictures along the path of `render`: `frames/0001.png`.
 pub const FRAMES: &str = "frames/";

@@ -1,4 +1,4 @@
-//! `render`: pictures of a trained field along a path.
+//! `render`: pictures of a trained field along a path, which `video` makes a film of.
 
 use marf_field::Device;
 use marf_scene::{Camera, Pose};
@@ -31,8 +31,6 @@ pub struct RenderParams {
     pub frames: u32,
     /// Width of a picture, pixels; the height follows from the photos.
     pub width: u32,
-    /// Pictures a second of the animation.
-    pub fps: u32,
     /// Whether pictures of the depth are made too.
     pub depth: bool,
     /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
@@ -44,16 +42,15 @@ impl Default for RenderParams {
     fn default() -> Self {
         Self {
             path: PathKind::Flythrough,
-            frames: 48,
-            width: 320,
-            fps: 12,
+            frames: 96,
+            width: 640,
             depth: false,
             device: Device::default(),
         }
     }
 }
 
-/// Largest picture and longest animation; beyond it a number is a slip.
+/// Largest picture and longest path; beyond it a number is a slip.
 const MAX_WIDTH_PX: u32 = 4096;
 const MAX_FRAMES: u32 = 10_000;
 impl Params for RenderParams {
@@ -72,8 +69,7 @@ impl RenderParams {
             _ => Ok(()),
         };
         within("frames", self.frames, MAX_FRAMES)?;
-        within("width", self.width, MAX_WIDTH_PX)?;
-        within("fps", self.fps, 100)
+        within("width", self.width, MAX_WIDTH_PX)
     }
 }
 

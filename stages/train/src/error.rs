@@ -113,6 +113,9 @@ pub enum TrainError {
         /// What the encoder said.
         cause: String,
     },
+    /// Pictures that cannot become a video.
+    #[error(transparent)]
+    Video(#[from] marf_video::VideoError),
     /// Nowhere to make maps at.
     #[error("the scene has no viewpoint `{viewpoints}`")]
     NoViewpoint {
@@ -145,6 +148,7 @@ impl TrainError {
                 ));
             }
             Self::Field(FieldError::NotFinite { .. }) => "lower `field.learning_rate`",
+            Self::Video(marf_video::VideoError::TooLarge { .. }) => "lower `width`",
             Self::NoPath { .. } => "take another `path`",
             Self::NoViewpoint { .. } => "take other `viewpoints`",
             _ => return None,

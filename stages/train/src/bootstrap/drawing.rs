@@ -1,6 +1,6 @@
 use marf_scene::{
     Image, Srgb,
-    picture::{ColorScale, Palette, draw_map, round_upper_limit, side_by_side},
+    picture::{ColorScale, Palette, draw_map, draw_titled, round_upper_limit, side_by_side},
 };
 use marf_schema::{bootstrap::Shown, output::MAPS};
 use marf_stage::{Ctx, Outputs, StageError, TypedOutputs};
@@ -17,6 +17,7 @@ pub(crate) struct Scales {
     std: ColorScale,
     opacity: ColorScale,
     total: ColorScale,
+    depth: ColorScale,
     depth_std: ColorScale,
     error: ColorScale,
 }
@@ -57,21 +58,29 @@ impl Scales {
                 "sRGB, white = 1",
                 top(&|view| view.maps.total.clone()),
             ),
+            depth: ColorScale {
+                palette: Palette::Viridis,
+                ..scale(
+                    "mean depth",
+                    unit,
+                    top(&|view| in_metres(&view.maps.depth, metres_per_unit)),
+                )
+            },
             depth_std: scale(
                 "std of depth, B-1",
                 unit,
-                top(&|view| in_metres(&view.maps, metres_per_unit)),
+                top(&|view| in_metres(&view.maps.depth_std, metres_per_unit)),
             ),
             error: scale("error of the mean", "sRGB, white = 1", top(&error)),
         }
     }
 }
 
-/// Returns the depth spread in metres where the scene knows them, -1 where unseen.
-fn in_metres(maps: &Maps, metres_per_unit: Option<f64>) -> Vec<f32> {
+/// Returns lengths in metres where the scene knows them, -1 where unseen.
+fn in_metres(lengths: &[f32], metres_per_unit: Option<f64>) -> Vec<f32> {
     let metres = metres_per_unit.unwrap_or(1.0) as f32;
-    let convert = |std: &f32| if *std < 0.0 { -1.0 } else { std * metres };
-    maps.depth_std.iter().map(convert).collect()
+    let convert = |length: &f32| if *length < 0.0 { -1.0 } else { length * metres };
+    lengths.iter().map(convert).collect()
 }
 
 /// Writes every map of a viewpoint as a picture with its scale, and the raw values as arrays.
@@ -94,7 +103,7 @@ pub(crate) fn put_view(
     put("total", &draw(&maps.total, &scales.total))?;
     put(
         "depth-std",
-        &draw(&in_metres(maps, metres_per_unit), &scales.depth_std),
+        &draw(&in_metres(&maps.depth_std, metres_per_unit), &scales.depth_std),
     )?;
     if let Some(truth) = &view.truth {
         put("error", &draw(&truth.error, &scales.error))?;
@@ -116,13 +125,27 @@ pub(crate) fn put_view(
     outputs.put_bytes(ctx, format!("{MAPS}{name}-rgb-std.npy"), &array)
 }
 
-/// Returns a picture of the fly-through: mean colour, and beside it the spread.
-pub(crate) fn flythrough_picture(maps: &Maps, scales: &Scales, shown: Shown) -> Image<Srgb> {
-    let map = match shown {
-        Shown::Std => draw_map(&maps.std, maps.width, maps.height, &scales.std),
-        Shown::Total => draw_map(&maps.total, maps.width, maps.height, &scales.total),
+/// Returns a picture of the fly-through: mean colour, spread and mean depth side by side, each as wide as the maps.
+pub(crate) fn flythrough_picture(
+    maps: &Maps,
+    scales: &Scales,
+    metres_per_unit: Option<f64>,
+    shown: Shown,
+) -> Image<Srgb> {
+    let draw = |values: &[f32], scale: &ColorScale| draw_map(values, maps.width, maps.height, scale);
+    let spread = match shown {
+        Shown::Std => draw(&maps.std, &scales.std),
+        Shown::Total => draw(&maps.total, &scales.total),
     };
-    side_by_side(&[&mean_picture(maps), &map])
+    let depth = draw(&in_metres(&maps.depth, metres_per_unit), &scales.depth);
+    side_by_side(&[&draw_titled(&mean_picture(maps), "mean colour"), &spread, &depth])
+}
+
+/// Returns the size of [`flythrough_picture`] for maps of a size, pixels; the least, where texts are wider than maps.
+pub(crate) fn flythrough_size(width: u32, height: u32) -> (u32, u32) {
+    let blank = Image::from_fn(width, height, |_, _| [0; 3]);
+    let panel = draw_titled(&blank, "");
+    (3 * panel.width, panel.height)
 }
 
 /// Returns the mean colour, rounded to 8 bits.

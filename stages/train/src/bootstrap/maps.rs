@@ -27,7 +27,9 @@ pub(crate) struct Maps {
     pub opacity_term: Vec<f32>,
     /// √(divisor-B variance + opacity term).
     pub total: Vec<f32>,
-    /// Sample standard deviation of the depth, world units; -1 where q <= 0.5: unseen.
+    /// Mean depth along the ray, world units; -1 where q <= 0.5: unseen.
+    pub depth: Vec<f32>,
+    /// Sample standard deviation of the depth, world units; -1 where it is unseen.
     pub depth_std: Vec<f32>,
 }
 
@@ -96,7 +98,7 @@ pub(crate) fn gray(rgb: &[f32; 3]) -> f64 {
 
 impl Maps {
     /// Number of values a pixel.
-    const VALUES: usize = 12;
+    const VALUES: usize = 13;
 
     /// All values as f32 LE, map by map in the order of the fields.
     pub fn pack(&self) -> Vec<u8> {
@@ -108,6 +110,7 @@ impl Maps {
             self.rgb_std.as_flattened(),
             &self.opacity_term,
             &self.total,
+            &self.depth,
             &self.depth_std,
         ];
         let values = maps.into_iter().flatten();
@@ -137,6 +140,7 @@ impl Maps {
             rgb_std: take(3).as_chunks::<3>().0.to_vec(),
             opacity_term: take(1).to_vec(),
             total: take(1).to_vec(),
+            depth: take(1).to_vec(),
             depth_std: take(1).to_vec(),
         })
     }
@@ -152,6 +156,7 @@ impl Maps {
             rgb_std: Vec::with_capacity(count),
             opacity_term: Vec::with_capacity(count),
             total: Vec::with_capacity(count),
+            depth: Vec::with_capacity(count),
             depth_std: Vec::with_capacity(count),
         }
     }
@@ -166,8 +171,9 @@ impl Maps {
         self.rgb_std.push(channels.map(|channel| channel.sample as f32));
         self.opacity_term.push(unseen as f32);
         self.total.push(total as f32);
-        let seen = opacity > MIN_OPACITY;
-        self.depth_std.push(if seen { depth.sample as f32 } else { -1.0 });
+        let seen = |value: f64| if opacity > MIN_OPACITY { value as f32 } else { -1.0 };
+        self.depth.push(seen(depth.mean));
+        self.depth_std.push(seen(depth.sample));
     }
 }
 
@@ -257,8 +263,9 @@ pub(crate) mod tests {
             render.rgb[0][2] = 0.7;
         }
         let maps = maps_of(&renders);
+        close(maps.depth[0], 3.5, "depth 2 3 4 5");
         close(maps.depth_std[0], (5.0_f64 / 3.0).sqrt(), "depth 2 3 4 5");
-        assert_eq!(maps.depth_std[3], -1.0);
+        assert_eq!((maps.depth[3], maps.depth_std[3]), (-1.0, -1.0));
         assert_eq!(maps.rgb_std[0][2], 0.0);
         close(maps.rgb_std[0][0], 0.016330, "red");
     }

@@ -13,9 +13,10 @@ mod sparsification;
 use marf_cache::Digest;
 use marf_schema::{
     bootstrap::{BootstrapParams, Metrics, Mode},
-    output::{FLYTHROUGH, MAPS, SCENE, VIDEO, WEIGHTS},
+    output::{FLYTHROUGH, MAPS, SCENE, WEIGHTS},
     train::{Setup, TrainParams, TrialsParams},
     tune::BestParams,
+    video::Film,
 };
 use marf_stage::{
     ChildStage, Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, ParamError, Params, Port,
@@ -44,7 +45,7 @@ impl Define for Bootstrap {
         Port::optional("params", BestParams::OUTPUT),
         Port::optional("of", Setup::OUTPUT).deciding(&["params", "quality", "steps", "scale", "field"]),
     ];
-    const OUTPUTS: &'static [&'static str] = &[Metrics::OUTPUT, VIDEO, MAPS, FLYTHROUGH];
+    const OUTPUTS: &'static [&'static str] = &[Metrics::OUTPUT, Film::OUTPUT, MAPS, FLYTHROUGH];
 
     fn new(params: BootstrapParams) -> Result<Self, ParamError> {
         params.check()?;

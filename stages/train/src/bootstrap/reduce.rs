@@ -10,11 +10,12 @@ use marf_schema::{
     bootstrap::{BootstrapParams, Member, Viewpoints},
     output::{FLYTHROUGH, MAPS, PHOTO, WEIGHTS},
     train,
+    video::Film,
 };
 use marf_stage::{Ctx, Inputs, Outputs, StageError, TypedOutputs};
 
 use super::{
-    drawing::{Scales, flythrough_picture, mean_picture, put_view},
+    drawing::{Scales, flythrough_picture, flythrough_size, mean_picture, put_view},
     maps::{Maps, gray, maps},
     report::{GroundTruth, ViewMaps, report},
 };
@@ -23,7 +24,7 @@ use crate::{
     checkpoint::Journal,
     child::Child,
     error::field_failed,
-    io::{put_png, put_video, read_scene},
+    io::{put_png, read_scene},
     view::{self, render_view},
 };
 
@@ -64,6 +65,7 @@ pub(crate) fn reduce(
     let scale = members.first().map_or(1, |member| member.scale);
     let map_views = map_views(ctx, params, &scene, scale, &children)?;
     let flythrough = path::flythrough(&scene, params.frames, params.width);
+    check_film(&flythrough)?;
     let fields = fields(ctx, &children, &params.device)?;
     let total = (map_views.len() + flythrough.len()) as u64;
     let mut renderer = MemberRenderer {
@@ -103,8 +105,18 @@ pub(crate) fn reduce(
     put_views(ctx, of, &views, &scales, scene.metres_per_unit, &mut outputs)?;
     outputs.put(ctx, &report(ctx, params.b, params.mode, members, &views)?)?;
     drop(views);
-    render_flythrough(params, &flythrough, &scales, &mut renderer, &mut outputs)?;
+    let draw = |maps: &Maps| flythrough_picture(maps, &scales, scene.metres_per_unit, params.show);
+    render_flythrough(&flythrough, &draw, &mut renderer, &mut outputs)?;
     Ok(outputs)
+}
+
+/// Refuses a fly-through that no video can hold, before its first picture is rendered.
+fn check_film(flythrough: &[Viewpoint]) -> Result<(), TrainError> {
+    if let Some(first) = flythrough.first() {
+        let (width, height) = flythrough_size(first.camera.width, first.camera.height);
+        marf_video::check_size(width, height)?;
+    }
+    Ok(())
 }
 
 impl MemberRenderer<'_> {
@@ -135,39 +147,36 @@ impl MemberRenderer<'_> {
     }
 }
 
-/// Writes the pictures of the fly-through and their animation.
+/// Writes the pictures of the fly-through and their order.
 fn render_flythrough(
-    params: &BootstrapParams,
     flythrough: &[Viewpoint],
-    scales: &Scales,
+    draw: &dyn Fn(&Maps) -> Image<Srgb>,
     renderer: &mut MemberRenderer<'_>,
     outputs: &mut Outputs,
 ) -> Result<(), StageError> {
     let ctx = renderer.ctx;
     let mut journal = Journal::new(ctx, "flythrough", renderer.of);
-    let mut pictures = Vec::with_capacity(flythrough.len());
+    let mut film = Film::default();
     for place in flythrough {
-        let (digest, picture) = journal.piece(
+        let digest = journal.piece(
             |bytes| known_picture(ctx, bytes),
             || {
-                let maps = maps(ctx, &renderer.render(place)?)?;
-                let picture = flythrough_picture(&maps, scales, params.show);
+                let picture = draw(&maps(ctx, &renderer.render(place)?)?);
                 let digest = put_png(ctx, &mut Outputs::new(), place.name.clone(), &picture)?;
-                Ok(((digest, picture), digest.as_bytes().to_vec()))
+                Ok((digest, digest.as_bytes().to_vec()))
             },
         )?;
         renderer.passed(place);
         outputs.insert(format!("{FLYTHROUGH}{}.png", place.name), digest);
-        pictures.push(picture);
+        film.0.push(digest);
     }
-    put_video(ctx, outputs, &pictures, params.fps)
+    outputs.put(ctx, &film)
 }
 
-/// Returns a picture by the bytes of its digest, if it is still stored.
-fn known_picture(ctx: &Ctx<'_>, bytes: &[u8]) -> Option<(Digest, Image<Srgb>)> {
+/// Returns the digest of a picture from its bytes, if the picture is still stored.
+fn known_picture(ctx: &Ctx<'_>, bytes: &[u8]) -> Option<Digest> {
     let digest = Digest::from_bytes(bytes.try_into().ok()?);
-    let picture = Photo::decode(&ctx.get(&digest).ok()?).ok()?.image;
-    Some((digest, picture))
+    ctx.blobs.contains(&digest).then_some(digest)
 }
 
 /// Draws and stores the maps of every viewpoint.

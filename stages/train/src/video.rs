@@ -1,0 +1,86 @@
+use marf_scene::{Image, Photo, Srgb};
+use marf_schema::{
+    output::VIDEO,
+    video::{Film, VideoParams},
+};
+use marf_stage::{
+    Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, Stage, StageError, Threads,
+    TypedOutputs, Work, key_params,
+};
+use marf_video::Encoder;
+
+use crate::TrainError;
+
+/// Encodes the pictures of a path. They are objects of the store, so another codec or quality renders nothing.
+#[derive(Debug)]
+pub struct Video {
+    params: VideoParams,
+}
+
+impl Define for Video {
+    type Params = VideoParams;
+    const NAME: &'static str = VideoParams::STAGE;
+    const ABOUT: &'static str = "Makes a film (MP4) of the pictures of `render` or `bootstrap`";
+    const VERSION: u32 = 1;
+    const PORTS: &'static [Port] = &[Port::required("input", Film::OUTPUT)];
+    const OUTPUTS: &'static [&'static str] = &[VIDEO];
+
+    fn new(params: VideoParams) -> Result<Self, ParamError> {
+        params.check()?;
+        Ok(Self { params })
+    }
+}
+
+impl Stage for Video {
+    fn params(&self) -> serde_json::Value {
+        key_params(&self.params, &[])
+    }
+
+    fn work(&self) -> Work<'_> {
+        Work::Set(self)
+    }
+
+    fn threads(&self) -> Threads {
+        Threads::One
+    }
+}
+
+impl Set for Video {
+    fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
+        let Film(pictures) = inputs.read(ctx)?;
+        let mut encoder = Encoder::new(self.params.settings()).map_err(TrainError::from)?;
+        let mut size = None;
+        for (index, digest) in pictures.iter().enumerate() {
+            ctx.check()?;
+            let note = format!("picture {} of {}", index + 1, pictures.len());
+            ctx.progress.at(index as u64, pictures.len() as u64, &note);
+            let picture = Photo::decode(&ctx.get(digest)?)
+                .map_err(|error| unreadable(index, &error))?
+                .image;
+            let (width, height) = *size.get_or_insert((picture.width, picture.height));
+            let fitted = fitted(picture, width, height);
+            encoder.push(&fitted).map_err(TrainError::from)?;
+        }
+        let mut outputs = Outputs::new();
+        outputs.put_bytes(ctx, VIDEO, &encoder.finish().map_err(TrainError::from)?)?;
+        Ok(outputs)
+    }
+}
+
+/// Returns a picture in a size, cut or filled with black: photos of one scene may differ in shape.
+fn fitted(picture: Image<Srgb>, width: u32, height: u32) -> Image<Srgb> {
+    if (picture.width, picture.height) == (width, height) {
+        return picture;
+    }
+    Image::from_fn(width, height, |column, row| {
+        let inside = column < picture.width && row < picture.height;
+        if inside { picture.at(column, row) } else { [0; 3] }
+    })
+}
+
+fn unreadable(index: usize, cause: &dyn std::fmt::Display) -> TrainError {
+    TrainError::Picture {
+        name: (index + 1).to_string(),
+        cause: cause.to_string(),
+    }
+}

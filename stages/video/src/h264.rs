@@ -1,0 +1,111 @@
+//! OpenH264 at a constant quantiser.
+
+use openh264::{
+    OpenH264API, Timestamp,
+    encoder::{
+        BitRate, Encoder, EncoderConfig, FrameRate, IntraFramePeriod, QpRange, RateControlMode, UsageType,
+        VuiConfig,
+    },
+    formats::YUVSource,
+};
+
+use crate::{Settings, nal::Units, yuv::Yuv};
+
+/// Pictures from one from which decoding can begin to the next: two seconds at 24 a second, so that a player can jump.
+const KEY_EVERY: u32 = 48;
+/// Chooses the level that the stream claims and nothing else: 3.1 and up, at most 14 Mb/s (table A-1), which every player of
+/// the last fifteen years takes.
+const LEVEL_BITS_PER_SECOND: u32 = 12_000_000;
+/// OpenH264 takes no higher rate; only the level follows from it.
+const MAX_LEVEL_RATE: u32 = 60;
+
+/// An encoder of one video.
+pub(crate) struct H264 {
+    encoder: Encoder,
+    rate: u32,
+}
+
+impl std::fmt::Debug for H264 {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter
+            .debug_struct("H264")
+            .field("rate", &self.rate)
+            .finish_non_exhaustive()
+    }
+}
+
+impl H264 {
+    /// Opens an encoder for checked settings.
+    ///
+    /// # Errors
+    /// What OpenH264 says.
+    pub fn new(settings: &Settings) -> Result<Self, openh264::Error> {
+        let encoder = Encoder::with_api_config(OpenH264API::from_source(), config(settings))?;
+        let rate = settings.frames_per_second;
+        Ok(Self { encoder, rate })
+    }
+
+    /// Encodes the picture of an index, from 0.
+    ///
+    /// # Errors
+    /// What OpenH264 says.
+    pub fn encode(&mut self, picture: &Yuv, index: u64) -> Result<Units, openh264::Error> {
+        let at = Timestamp::from_millis(index * 1000 / u64::from(self.rate));
+        let stream = self.encoder.encode_at(&Planes(picture), at)?;
+        let mut units = Units::default();
+        for layer in (0..stream.num_layers()).filter_map(|index| stream.layer(index)) {
+            (0..layer.nal_count())
+                .filter_map(|unit| layer.nal_unit(unit))
+                .for_each(|unit| units.add(unit));
+        }
+        Ok(units)
+    }
+}
+
+/// Returns the configuration: everything that adapts to content or to a rate is off.
+///
+/// Of the modes of rate control only `Bufferbased` takes a quantiser for all blocks and no bit rate to hold: its quantiser
+/// is clipped to the range, which has one value.
+fn config(settings: &Settings) -> EncoderConfig {
+    let quantizer = settings.quantizer as u8;
+    EncoderConfig::new()
+        .num_threads(1)
+        .skip_frames(false)
+        .rate_control_mode(RateControlMode::Bufferbased)
+        .qp(QpRange::new(quantizer, quantizer))
+        .bitrate(BitRate::from_bps(LEVEL_BITS_PER_SECOND))
+        .max_frame_rate(FrameRate::from_hz(
+            settings.frames_per_second.min(MAX_LEVEL_RATE) as f32
+        ))
+        .usage_type(UsageType::CameraVideoRealTime)
+        .intra_frame_period(IntraFramePeriod::from_num_frames(KEY_EVERY))
+        .scene_change_detect(false)
+        .adaptive_quantization(false)
+        .background_detection(false)
+        .vui(VuiConfig::bt709())
+}
+
+/// A picture as OpenH264 reads it.
+struct Planes<'a>(&'a Yuv);
+
+impl YUVSource for Planes<'_> {
+    fn dimensions(&self) -> (usize, usize) {
+        (self.0.width, self.0.height)
+    }
+
+    fn strides(&self) -> (usize, usize, usize) {
+        (self.0.width, self.0.width / 2, self.0.width / 2)
+    }
+
+    fn y(&self) -> &[u8] {
+        &self.0.y
+    }
+
+    fn u(&self) -> &[u8] {
+        &self.0.cb
+    }
+
+    fn v(&self) -> &[u8] {
+        &self.0.cr
+    }
+}
