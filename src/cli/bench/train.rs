@@ -28,8 +28,8 @@ use super::explain::{self, Found};
 use super::photos::{Photos, TestView, photos};
 use crate::terminal::{eprint_line, print_line};
 
-/// Times that the end of a training by the clock is planned again from its rate so far, in equal parts of it.
-const PLANS: f64 = 16.0;
+/// The end of a training by the clock is planned again, from its rate so far, after each such part of it.
+const PLANNED_EVERY: f64 = 1.0 / 16.0;
 /// Ticks a second in /proc/self/stat, on every Linux.
 const TICKS_PER_S: f64 = 100.0;
 
@@ -266,16 +266,16 @@ impl Bench<'_> {
             Budget::Seconds(seconds) => self.seconds(effort) < f64::from(seconds),
             Budget::Steps(steps) => trainer.steps() < steps,
         };
-        let mut planned = 0;
+        let mut planned = PLANNED_EVERY;
         while is_open(&trainer, &effort) {
             if self.cancel.is_set() {
                 return Err(CliError::Interrupted);
             }
             if let Budget::Seconds(seconds) = budget {
                 let share = self.seconds(&effort) / f64::from(seconds);
-                if share * PLANS > f64::from(planned + 1) {
-                    planned += 1;
+                if share >= planned {
                     trainer.set_last_step((trainer.steps() as f64 / share) as u64);
+                    planned += PLANNED_EVERY;
                 }
             }
             let most = match budget {

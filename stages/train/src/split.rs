@@ -106,8 +106,8 @@ mod tests {
         let test = split(&scene, Holdout::Test).unwrap();
         assert_eq!((test.training.len(), test.held_out.len()), (16, 4));
         let validation = split(&scene, Holdout::Validation).unwrap();
-        // All 16 others stand in one place, which is split in groups of four.
-        assert_eq!((validation.training.len(), validation.held_out.len()), (12, 4));
+        // All 16 others stand in one place, which is split in groups of as many as are to be held out.
+        assert_eq!((validation.training.len(), validation.held_out.len()), (14, 2));
         let all = validation.training.iter().chain(&validation.held_out);
         assert!(all.into_iter().all(|named| !named.frame.held_out));
     }
