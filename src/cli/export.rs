@@ -16,12 +16,13 @@ use super::files;
 use super::session::Session;
 
 /// Outputs without a file name of their own, and the name they get.
-const NAMED: [(&str, &str); 9] = [
+const NAMED: [(&str, &str); 10] = [
     (output::SCENE, "scene.json"),
     (output::TRANSFORMS, "transforms.json"),
     (train::Metrics::OUTPUT, "metrics.json"),
     (output::WEIGHTS, "weights.safetensors"),
     (train::Curve::OUTPUT, "curve.json"),
+    (train::Setup::OUTPUT, "setup.json"),
     (tune::BestParams::OUTPUT, "params.json"),
     (tune::Trials::OUTPUT, "trials.json"),
     (tune::Scatter::OUTPUT, "scatter.json"),
