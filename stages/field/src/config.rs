@@ -89,8 +89,8 @@ pub struct Config {
     /// Shortest step at first, as a share of the box's half side, in [1e-4, 0.5]; shorter where matter is so near that
     /// `cone` makes shorter ones there.
     pub min_step: f64,
-    /// Times that both are halved in training, 0 to 6: in equal parts of nine tenths of it, earlier where rays have few
-    /// samples. Absent: until a step is at most a pixel long. `benches/field.md`.
+    /// Times that both are halved in training, 0 to 6: in equal parts of nine tenths of it and after 640 steps each at the
+    /// earliest, at once where rays have few samples. Absent: until a step is at most a pixel long. `benches/field.md`.
     pub halvings: Option<u32>,
     /// Steps after which the box is fitted to where the field has found matter, and the field starts anew in it; taken
     /// down to a multiple of 16; 0: never. Absent: an eighth of `steps`, 64 to 512, where they are 256 or more. Not where 32
