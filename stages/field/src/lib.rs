@@ -15,6 +15,7 @@ mod cpu_backend;
 mod depth;
 mod derived;
 mod device;
+mod distances;
 mod draw;
 mod error;
 mod exposure;

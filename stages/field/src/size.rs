@@ -1,13 +1,13 @@
 //! How large a field need be: near, far, levels and table, each beside the number that decided it.
 
 use nalgebra::Vector3;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::config::MOST_HALVINGS;
 use crate::cpu::march::{Steps, contract};
 use crate::cpu::math::root;
-use crate::frame::{ENOUGH_POINTS, FAR, Frame, MOST_FINEST, percentile};
+use crate::distances::{Depths, SHARP};
+use crate::frame::{FAR, Frame, MOST_FINEST, percentile};
 use crate::{Config, FieldError, View};
 
 /// A number and what decided it.
@@ -42,16 +42,10 @@ pub struct Sizes {
 
 /// Distance of the first sample where nothing is known, half sides.
 const NEAR: f64 = 0.1;
-/// A point counts as near if this share of what is seen is nearer, as far if this share is farther: outliers.
-const OUTLIERS: f64 = 0.01;
-/// The finest cells are as wide as the pixels of so many of the points seen are, at most: close-ups need them.
-const SHARP: f64 = 0.1;
 /// Surface without sparse points on it may come this much nearer than they do.
 const NEARER: f64 = 0.5;
 /// ... and go on this much farther: a ridge without texture has no points.
 const FARTHER: f64 = 8.0;
-/// Points that depths are taken of; percentiles of more are the same.
-const MOST_POINTS: usize = 4096;
 /// A level may have this many times the cells a side of the one below; the trilinear corners fill the octave.
 const MOST_GROWTH: f64 = 2.0;
 /// Sparse points a cell, at least, where cells are counted: fewer, and cells of the surface are missed.
@@ -153,66 +147,6 @@ impl<T> Chosen<T> {
     fn said(value: T, key: &str) -> Self {
         Self::new(value, format!("`{key}` says so"))
     }
-}
-
-/// Distances from cameras to the sparse points they see, half sides.
-struct Depths {
-    nearest: f64,
-    farthest: f64,
-    /// No ray may end nearer than this, or it would not cross the box.
-    most: f64,
-    /// Width of a pixel at the points, half sides of the contracted box: of [`SHARP`] of all it is less, and of half.
-    footprints: [f64; 2],
-}
-
-impl Depths {
-    /// Computes it from every camera; `Err` is the reason where nothing is known.
-    fn seen(views: &[View], points: &[[f64; 3]], frame: &Frame) -> Result<Self, String> {
-        if points.len() < ENOUGH_POINTS {
-            let few = points.len();
-            return Err(match few {
-                0 => "no sparse points".to_owned(),
-                few => format!("{few} sparse points are too few, {ENOUGH_POINTS} tell something"),
-            });
-        }
-        let stride = points.len().div_ceil(MOST_POINTS);
-        let some: Vec<_> = points.iter().step_by(stride).map(|p| Vector3::from(*p)).collect();
-        let shrinks: Vec<f64> = some.iter().map(|point| shrink(frame.inward(point))).collect();
-        let seen = views.par_iter().map(|view| {
-            let seen = some.iter().zip(&shrinks).filter_map(|(point, shrink)| {
-                let depth = view.distance_of(point)? / frame.half_side;
-                Some((depth, depth / view.camera.fx_px * shrink))
-            });
-            seen.collect::<Vec<_>>()
-        });
-        let (mut depths, mut footprints): (Vec<f64>, Vec<f64>) =
-            seen.collect::<Vec<_>>().into_iter().flatten().unzip();
-        if depths.is_empty() {
-            return Err(format!(
-                "no camera sees any of {} sparse points",
-                grouped(points.len() as u64)
-            ));
-        }
-        let [nearest, farthest] = [OUTLIERS, 1.0 - OUTLIERS].map(|share| percentile(&mut depths, share));
-        let footprints = [SHARP, 0.5].map(|share| percentile(&mut footprints, share));
-        let away = views.iter().map(|view| {
-            let centre = frame.inward(&view.cam_from_world.centre());
-            centre.iter().fold(0.0_f64, |most, x| most.max(x.abs()))
-        });
-        let most = FAR + away.fold(0.0, f64::max);
-        Ok(Self {
-            nearest,
-            farthest,
-            most,
-            footprints,
-        })
-    }
-}
-
-/// Returns by how much a length across the line to the middle of the box shrinks where space is contracted.
-fn shrink(inward: [f64; 3]) -> f64 {
-    let m = inward.iter().fold(1.0_f64, |most, x| most.max(x.abs()));
-    (2.0 - 1.0 / m) / m
 }
 
 fn near(config: &Config, depths: &Result<Depths, String>) -> Chosen<f64> {
@@ -437,7 +371,7 @@ fn log2_filled(samples: u64) -> u32 {
 }
 
 /// Writes a count in groups of three digits.
-fn grouped(count: u64) -> String {
+pub fn grouped(count: u64) -> String {
     let digits = count.to_string();
     let mut text = String::new();
     for (index, digit) in digits.chars().enumerate() {
