@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use marf_cache::Digest;
-use marf_schema::bootstrap::{Metrics, ViewReport};
+use marf_schema::bootstrap::{Calibration, HeldOut, Metrics, ViewReport};
 use marf_schema::output;
 use maud::{Markup, html};
 
@@ -18,14 +18,17 @@ use super::quality::{figures, of_bootstrap};
 const MOST_VIEWS: usize = 8;
 
 /// Kinds of maps in the order in which they are shown: ending, heading.
-const KINDS: [(&str, &str); 8] = [
+const KINDS: [(&str, &str); 11] = [
     ("photo", "photo"),
     ("mean", "mean of the members"),
     ("error", "|mean - photo|"),
     ("std", "standard deviation"),
     ("total", "total deviation"),
-    ("opacity", "opacity term"),
+    ("interval", "90 % interval, gray levels"),
+    ("unseen", "what no photo saw"),
+    ("coverage", "photos that saw it"),
     ("depth-std", "depth, standard deviation"),
+    ("depth-interval", "depth, 90 % interval"),
     ("rgb-std", "standard deviation, each channel"),
 ];
 
@@ -66,7 +69,36 @@ fn reliability(metrics: &Metrics) -> Markup {
         table.facts {
             @for (name, value) in spread(metrics) { tr { th scope="row" { (name) } td.number { (number(value)) } } }
         }
+        @if let Some(held_out) = &metrics.heldout { (intervals(held_out)) }
         details { summary { "all metrics" } (json::fields(&alone)) }
+    }
+}
+
+/// Says what the 90 % intervals are and how far they hold at places they were not fitted on.
+fn intervals(held_out: &HeldOut) -> Markup {
+    let percent = |share: f64| format!("{:.0} %", share * 100.0);
+    let told = |calibration: &Calibration, unit: &str, floor: String| {
+        html! {
+            p {
+                "90 % interval of " (unit) ": " (number(calibration.factor90)) " times the spread, which is at least " (floor)
+                ". At a place that it was not fitted on it covers " (percent(calibration.coverage90)) " of the errors ("
+                (percent(calibration.coverage90_range[0])) " to " (percent(calibration.coverage90_range[1])) " in "
+                (count(calibration.places as usize, "place")) "); shares inside differ from those stated by "
+                (percent(calibration.ece)) " in the mean. " (percent(calibration.unseen_share))
+                " of the pixels have none: no photo saw what they show."
+                @if !calibration.note.is_empty() { " Note: " (calibration.note) "." }
+            }
+        }
+    };
+    html! {
+        @match &held_out.calibration {
+            Some(gray) => (told(gray, "gray levels", format!("{} of 255", number(gray.floor * 255.0)))),
+            None => p { "No interval: it takes photos of two places that are held out." },
+        }
+        @match &held_out.depth_calibration {
+            Some(depth) => (told(depth, "the depth", format!("{} % of it", number(depth.floor * 100.0)))),
+            None => p { "No interval of the depth: it takes 100 sparse points in photos of two places that are held out." },
+        }
     }
 }
 
@@ -75,8 +107,8 @@ fn spread(metrics: &Metrics) -> Vec<(&'static str, f64)> {
     let mut found = vec![
         ("mean standard deviation", metrics.std),
         ("mean total deviation", metrics.total_sd),
-        ("mean opacity term", metrics.opacity_term),
-        ("share of unseen pixels", metrics.unseen_share),
+        ("share of pixels that no photo saw", metrics.unseen_share),
+        ("share of sky that photos saw", metrics.sky_share),
     ];
     let Some(held_out) = &metrics.heldout else {
         return found;
@@ -92,11 +124,6 @@ fn spread(metrics: &Metrics) -> Vec<(&'static str, f64)> {
         ("errors within 1 deviation (68 % if normal)", coverage.sd1),
         ("errors within 2 deviations (95 % if normal)", coverage.sd2),
     ]);
-    if let Some(calibration) = &held_out.calibration {
-        found.push(("calibration error after scaling", calibration.ece));
-        let coverage = calibration.coverage90;
-        found.extend(coverage.map(|share| ("cover of the 90 % interval", share)));
-    }
     found
 }
 
@@ -182,9 +209,9 @@ mod tests {
 
     #[test]
     fn a_map_is_split_at_its_longest_ending() {
-        assert_eq!(split("rock-3-depth-std"), Some(("rock-3", 6, "depth-std")));
+        assert_eq!(split("rock-3-depth-std"), Some(("rock-3", 8, "depth-std")));
         assert_eq!(split("rock-3-std"), Some(("rock-3", 3, "std")));
-        assert_eq!(split("a-b-new"), Some(("a-b", 8, "new")));
+        assert_eq!(split("a-b-new"), Some(("a-b", 11, "new")));
         assert_eq!(split("plain"), None);
     }
 }

@@ -5,6 +5,7 @@
 
 mod cahvor;
 mod camera;
+mod coverage;
 mod facts;
 mod image;
 pub mod metrics;
@@ -21,12 +22,13 @@ mod thumbnail;
 
 pub use cahvor::{Cahvor, CahvorError, EntrancePupil, Intrinsics, Pinhole, Ray};
 pub use camera::Camera;
+pub use coverage::{Coverage, Observer, SurfaceSeen, typical_distance};
 pub use facts::{CameraPrior, PhotoFacts};
 pub use image::{ColorSpace, Image, Linear, Srgb};
 pub use names::picture_names;
 pub use nearest::{Nearest, TrainedPhotos};
 pub use photo::{DecodeError, Photo, encode_png};
-pub use places::{PosedPhoto, hold_out_places};
+pub use places::{PosedPhoto, hold_out_places, places_of};
 pub use pose::Pose;
 pub use scene::{Frame, Point, Scene, SceneError, Unplaced};
 pub use thumbnail::{encode_jpeg, shrunk, thumbnail};

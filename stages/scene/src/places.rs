@@ -59,11 +59,28 @@ pub fn hold_out_places(photos: &[PosedPhoto<'_>], points: &[Point], every: u32) 
     if every == 0 {
         return held_out;
     }
-    let groups = places(photos, points, every);
+    let groups = places(photos, points, most_in_a_place(photos.len(), every));
     for photo in chosen(&groups, photos.len(), every) {
         held_out[photo] = true;
     }
     held_out
+}
+
+/// Returns the number of the place of each photo, in the order of the smallest id in each; places as in [`hold_out_places`], of any
+/// number of photos.
+pub fn places_of(photos: &[PosedPhoto<'_>], points: &[Point]) -> Vec<usize> {
+    let mut place_of = vec![0; photos.len()];
+    for (number, group) in places(photos, points, photos.len()).iter().enumerate() {
+        group.photos.iter().for_each(|photo| place_of[*photo] = number);
+    }
+    place_of
+}
+
+/// Returns how many of `photos` a place may have of which one in `every` is to be held out.
+fn most_in_a_place(photos: usize, every: u32) -> usize {
+    let third = photos / (PLACES * every as usize);
+    let wanted = photos.div_ceil(every as usize).clamp(2, VERSIONS);
+    third.max(wanted).min(photos / 2).max(1)
 }
 
 /// A group of photos.
@@ -102,16 +119,13 @@ impl Group {
     }
 }
 
-/// Returns the groups of photos, in the order of the smallest id in each; every photo is in one.
-fn places(photos: &[PosedPhoto<'_>], points: &[Point], every: u32) -> Vec<Group> {
+/// Returns groups of at most `most` photos, in the order of the smallest id in each; every photo is in one.
+fn places(photos: &[PosedPhoto<'_>], points: &[Point], most: usize) -> Vec<Group> {
     let mut order: Vec<usize> = (0..photos.len()).collect();
     order.sort_by_key(|photo| photos[*photo].id);
     let cameras: Vec<Posed<'_>> = order.iter().map(|photo| photos[*photo].posed()).collect();
     let reach = reach(&cameras, points);
     let places: Vec<Place> = cameras.iter().map(|(_, pose)| place(pose, reach)).collect();
-    let third = photos.len() / (PLACES * every as usize);
-    let wanted = photos.len().div_ceil(every as usize).clamp(2, VERSIONS);
-    let most = third.max(wanted).min(photos.len() / 2).max(1);
     let groups = merged(&places, most);
     let named = groups.into_iter().map(|group| Group {
         photos: group.photos.iter().map(|index| order[*index]).collect(),

@@ -25,10 +25,50 @@ pub enum Viewpoints {
     /// At the photos held out, where the truth is known.
     #[default]
     Heldout,
+    /// At the photos trained on: at all of them, as in the paper.
+    Train,
     /// Along the fly-through.
     Flythrough,
     /// Around the point the cameras look at.
     Orbit,
+}
+
+/// One kind of viewpoints or several: `"heldout"`, `["heldout", "orbit"]`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(from = "OneOrMore", into = "OneOrMore")]
+#[schemars(with = "OneOrMore")]
+pub struct ViewpointList(pub Vec<Viewpoints>);
+
+/// As it is written.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+enum OneOrMore {
+    One(Viewpoints),
+    More(Vec<Viewpoints>),
+}
+
+impl From<OneOrMore> for ViewpointList {
+    fn from(written: OneOrMore) -> Self {
+        Self(match written {
+            OneOrMore::One(one) => vec![one],
+            OneOrMore::More(list) => list,
+        })
+    }
+}
+
+impl From<ViewpointList> for OneOrMore {
+    fn from(ViewpointList(list): ViewpointList) -> Self {
+        match list.as_slice() {
+            [one] => Self::One(*one),
+            _ => Self::More(list),
+        }
+    }
+}
+
+impl Default for ViewpointList {
+    fn default() -> Self {
+        Self(vec![Viewpoints::default()])
+    }
 }
 
 /// What the fly-through shows between the mean colour and the depth.
@@ -38,7 +78,7 @@ pub enum Shown {
     /// Sample standard deviation of gray.
     #[default]
     Std,
-    /// With the opacity term: what no photo saw stands out, and so does a learnt sky.
+    /// With the term of what no photo saw, which stands out.
     Total,
 }
 
@@ -62,9 +102,9 @@ pub struct BootstrapParams {
     pub scale: Option<u32>,
     /// Keys of the field; they win over those of the input `params`.
     pub field: Overrides,
-    /// Where maps are made.
-    pub viewpoints: Viewpoints,
-    /// Number of viewpoints, where they are not photos.
+    /// Where maps are made: `heldout`, `train`, `flythrough`, `orbit`, or a list of these.
+    pub viewpoints: ViewpointList,
+    /// Number of viewpoints along a path, where they are not photos.
     pub map_frames: u32,
     /// Pictures of the fly-through, at least 1; each takes `b` renders. `video` makes a film of them.
     pub frames: u32,
@@ -87,7 +127,7 @@ impl Default for BootstrapParams {
             steps: None,
             scale: None,
             field: Overrides::default(),
-            viewpoints: Viewpoints::Heldout,
+            viewpoints: ViewpointList::default(),
             map_frames: 6,
             frames: 96,
             width: 480,
@@ -136,6 +176,18 @@ impl BootstrapParams {
         at_most("frames", self.frames, MAX_FRAMES)?;
         at_most("map_frames", self.map_frames, MAX_FRAMES)?;
         at_most("width", self.width, MAX_WIDTH_PX)?;
+        let ViewpointList(viewpoints) = &self.viewpoints;
+        for (index, kind) in viewpoints.iter().enumerate() {
+            if viewpoints[..index].contains(kind) {
+                return Err(ParamError::new("viewpoints", "a kind stands twice in the list"));
+            }
+        }
+        if viewpoints.is_empty() {
+            return Err(ParamError::new(
+                "viewpoints",
+                "no kind of viewpoint; at least one",
+            ));
+        }
         above_zero("frames", u64::from(self.frames))?;
         above_zero("width", u64::from(self.width))?;
         above_zero("map_frames", u64::from(self.map_frames))?;
@@ -158,14 +210,16 @@ pub struct Metrics {
     pub std_paper: f64,
     /// Mean sample standard deviation of each channel.
     pub std_rgb: [f64; 3],
-    /// Mean opacity term.
-    pub opacity_term: f64,
-    /// Mean total standard deviation.
+    /// Mean term of what no photo saw: (1 - c)², c the share of a pixel that photos have seen.
+    pub unseen_term: f64,
+    /// Mean total standard deviation: √(divisor-B variance + that term).
     pub total_sd: f64,
-    /// Mean sample standard deviation of the depth where it is seen, world units.
+    /// Mean sample standard deviation of the depth where there is one, world units.
     pub depth_std: Option<f64>,
-    /// Share of pixels where the mean opacity is at most 0.5.
+    /// Share of pixels of which photos saw less than half.
     pub unseen_share: f64,
+    /// Share of pixels that show sky which photos saw.
+    pub sky_share: f64,
     /// The members, in order.
     pub members: Vec<Member>,
     /// What the photos held out say; none where the viewpoints are not photos.
@@ -201,14 +255,19 @@ pub struct ViewReport {
     pub std: f64,
     /// The same with divisor B.
     pub std_paper: f64,
-    /// Mean opacity term.
-    pub opacity_term: f64,
+    /// Mean term of what no photo saw.
+    pub unseen_term: f64,
     /// Mean total standard deviation.
     pub total_sd: f64,
-    /// Mean standard deviation of the depth where it is seen, world units.
+    /// Mean standard deviation of the depth where there is one, world units.
     pub depth_std: Option<f64>,
-    /// Share of pixels unseen.
+    /// Share of pixels of which photos saw less than half.
     pub unseen_share: f64,
+    /// Share of pixels that show sky which photos saw.
+    pub sky_share: f64,
+    /// Number of the place of a photo: photos of one place stand near each other and look the same way.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub place: Option<u64>,
     /// How well the spread ranks the errors; only where there is a photo.
     #[serde(flatten, skip_serializing_if = "Option::is_none")]
     pub photo: Option<PhotoReport>,
@@ -247,8 +306,11 @@ pub struct HeldOut {
     pub coverage_nominal: Coverage,
     /// Mean negative log-likelihood of the errors, nats, to six decimals.
     pub nll: f64,
-    /// Fitted on half of the photos and tested on the other; none with fewer than four.
+    /// The 90 % interval of gray, in sRGB of [0, 1]; none with fewer than two places held out.
     pub calibration: Option<Calibration>,
+    /// The 90 % interval of the depth, as shares of the depth, from the sparse points that the photos show; none with fewer than two
+    /// places or 100 points.
+    pub depth_calibration: Option<Calibration>,
 }
 
 /// Shares of pixels whose error is at most 1, 2 and 3 standard deviations.
@@ -262,19 +324,32 @@ pub struct Coverage {
     pub sd3: f64,
 }
 
-/// How far intervals hold on photos they were not fitted on.
+/// Intervals fitted on the photos held out, and how far they hold at places they were not fitted on: each place is left out in turn.
+///
+/// The spread of a pixel is √(v + floor²), v the mean variance of the members over 5 x 5 pixels around it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Calibration {
-    /// Factor on the spread, fitted on half of the photos: t² = mean e² / s².
+    /// Least spread: noise, and what no field resolves.
+    pub floor: f64,
+    /// 68.3 % of the errors are at most so many spreads.
     pub t: f64,
-    /// Mean |share inside - nominal| over 19 nominal shares, on the other half, after scaling by t.
+    /// 90 % of the errors are at most so many spreads: half of the width of the interval that maps show.
+    pub factor90: f64,
+    /// Mean |share inside - nominal| over 19 nominal shares of a normal distribution of `t` spreads, at the place left out; mean over
+    /// places.
     pub ece: f64,
-    /// Share of the other half inside the distribution-free 90 % interval.
-    pub coverage90: Option<f64>,
-    /// Photos fitted on.
-    pub fit_photos: u64,
-    /// Photos tested on.
-    pub test_photos: u64,
+    /// Least and largest of a place.
+    pub ece_range: [f64; 2],
+    /// Share of the errors at the place left out that its 90 % interval covers; mean over places.
+    pub coverage90: f64,
+    /// Least and largest of a place.
+    pub coverage90_range: [f64; 2],
+    /// Places.
+    pub places: u64,
+    /// Photos.
+    pub views: u64,
+    /// Share of pixels without an interval, since no photo trained on saw them.
+    pub unseen_share: f64,
     /// What to keep in mind.
     pub note: String,
 }
@@ -295,11 +370,23 @@ mod tests {
             (json!({"width": 1281}), "width"),
             (json!({"steps": 0}), "steps"),
             (json!({"scale": 0}), "scale"),
+            (json!({"viewpoints": []}), "viewpoints"),
+            (json!({"viewpoints": ["orbit", "orbit"]}), "viewpoints"),
             (json!({"field": {"levls": 8}}), "field.levls"),
         ] {
             let params: BootstrapParams = serde_json::from_value(table).unwrap();
             let error = params.check().unwrap_err();
             assert_eq!(error.path, key, "{error:?}");
         }
+    }
+
+    #[test]
+    fn one_kind_of_viewpoints_is_written_as_one() {
+        for written in [json!("orbit"), json!(["heldout", "train"])] {
+            let params: BootstrapParams = serde_json::from_value(json!({"viewpoints": written})).unwrap();
+            assert_eq!(serde_json::to_value(&params.viewpoints).unwrap(), written);
+        }
+        let one: BootstrapParams = serde_json::from_value(json!({"viewpoints": ["orbit"]})).unwrap();
+        assert_eq!(serde_json::to_value(&one.viewpoints).unwrap(), json!("orbit"));
     }
 }

@@ -7,7 +7,7 @@
 
 use marf_cache::Digest;
 use marf_field::{Overrides, Trainer, View};
-use marf_scene::{Camera, Frame, Image, Photo, Pose, Scene, Srgb, encode_png};
+use marf_scene::{Camera, Frame, Image, Photo, Point, Pose, Scene, Srgb, encode_png};
 use marf_schema::{
     bootstrap::{BootstrapParams, Metrics},
     example,
@@ -21,8 +21,31 @@ use serde_json::json;
 const WIDTH: u32 = 32;
 const HEIGHT: u32 = 24;
 
-/// Stripes of a wall in the plane y = 0; the cameras stand at y = -3.
-fn photo(cam_from_world: &Pose) -> Image<Srgb> {
+/// Colour of the wall y = 0 at (x, z), or of the sky in a direction.
+type Seen = fn(hit: Vector3<f64>, ray: Vector3<f64>) -> [u8; 3];
+
+/// Stripes of a wall; the cameras stand at y = -3.
+fn stripes(hit: Vector3<f64>, _ray: Vector3<f64>) -> [u8; 3] {
+    if (hit.x * 2.0).floor() as i64 % 2 == 0 {
+        [210, 150, 90]
+    } else {
+        [70, 40, 30]
+    }
+}
+
+/// Stripes with a black shadow from x = -0.5 to 0.5; above 0.6, where -z is up, a sky that grows dark upwards.
+fn shadow_and_sky(hit: Vector3<f64>, ray: Vector3<f64>) -> [u8; 3] {
+    if hit.z < -0.6 {
+        let up = (-ray.z / ray.norm()).clamp(0.0, 1.0);
+        [120, 140, 230 - (150.0 * up) as u8]
+    } else if hit.x.abs() < 0.5 {
+        [3, 3, 3]
+    } else {
+        stripes(hit, ray)
+    }
+}
+
+fn photo(cam_from_world: &Pose, seen: Seen) -> Image<Srgb> {
     let camera = Camera::pinhole(WIDTH, HEIGHT, 30.0);
     let world_from_cam = cam_from_world.inverse();
     Image::from_fn(WIDTH, HEIGHT, |column, row| {
@@ -30,37 +53,40 @@ fn photo(cam_from_world: &Pose) -> Image<Srgb> {
         let ray = world_from_cam.direction(&camera.unproject(&pixel).unwrap());
         let eye = cam_from_world.centre();
         let hit = eye - ray * (eye.y / ray.y);
-        if (hit.x * 2.0).floor() as i64 % 2 == 0 {
-            [210, 150, 90]
-        } else {
-            [70, 40, 30]
-        }
+        seen(hit, ray)
     })
 }
 
-fn scene(harness: &Harness) -> Scene {
-    let frame = |index: u32| {
+fn frame(harness: &Harness, id: &str, eye: Vector3<f64>, target: Vector3<f64>, seen: Seen) -> Frame {
+    let cam_from_world = Pose::looking_at(eye, target, Vector3::z());
+    Frame {
+        id: id.to_owned(),
+        file: format!("{id}.png"),
+        image: harness.put(&encode_png(&photo(&cam_from_world, seen)).unwrap()),
+        camera: Camera::pinhole(WIDTH, HEIGHT, 30.0),
+        cam_from_world,
+        held_out: true,
+        error_px: None,
+    }
+}
+
+fn scene(harness: &Harness, seen: Seen) -> Scene {
+    let along = |index: u32| {
         let eye = Vector3::new(f64::from(index) * 0.4 - 1.8, -3.0, f64::from(index % 3) * 0.3);
-        let cam_from_world = Pose::looking_at(eye, Vector3::zeros(), Vector3::z());
         Frame {
-            id: format!("{index:02}"),
-            file: format!("{index:02}.png"),
-            image: harness.put(&encode_png(&photo(&cam_from_world)).unwrap()),
-            camera: Camera::pinhole(WIDTH, HEIGHT, 30.0),
-            cam_from_world,
             held_out: index % 2 == 1,
-            error_px: None,
+            ..frame(harness, &format!("{index:02}"), eye, Vector3::zeros(), seen)
         }
     };
     Scene {
-        frames: (0..10).map(frame).collect(),
+        frames: (0..10).map(along).collect(),
         up: Some([0.0, 0.0, -1.0]),
         ..Scene::default()
     }
 }
 
 /// What `train` leaves behind, from the field alone.
-fn member(harness: &Harness, scene: &Scene, seed: u64) -> Outputs {
+fn member(harness: &Harness, scene: &Scene, seed: u64, steps: u64, background: &str) -> Outputs {
     let decode = |frame: &Frame| Photo::decode(&harness.get(&frame.image).unwrap()).unwrap().image;
     let (held_out, training): (Vec<_>, Vec<_>) = scene.frames.iter().partition(|frame| frame.held_out);
     let view = |frame: &&Frame| View {
@@ -70,14 +96,15 @@ fn member(harness: &Harness, scene: &Scene, seed: u64) -> Outputs {
         image: decode(frame).into(),
     };
     let keys = json!({"levels": 4, "log2_table": 11, "finest_resolution": 64, "density_width": 16, "color_width": 16,
-        "batch_samples": 2048, "occupancy_resolution": 32, "background": "black"});
+        "batch_samples": 2048, "occupancy_resolution": 32, "background": background});
     let config = serde_json::from_value::<Overrides>(keys)
         .unwrap()
         .over(&Default::default())
         .unwrap();
     let views = training.iter().map(view).collect();
-    let mut trainer = Trainer::new(views, &[], &config, seed).unwrap();
-    for _ in 0..80 {
+    let points: Vec<[f64; 3]> = scene.points.iter().map(|point| point.position).collect();
+    let mut trainer = Trainer::new(views, &points, &config, seed).unwrap();
+    for _ in 0..steps {
         trainer.advance(1).unwrap();
     }
     let mut metrics = example::train_metrics();
@@ -99,8 +126,10 @@ struct Fixture {
 
 fn fixture(count: u64) -> Fixture {
     let harness = Harness::default();
-    let scene = scene(&harness);
-    let members = (0..count).map(|seed| member(&harness, &scene, seed)).collect();
+    let scene = scene(&harness, stripes);
+    let members = (0..count)
+        .map(|seed| member(&harness, &scene, seed, 80, "black"))
+        .collect();
     let digest = harness.put(&scene.encode().unwrap());
     let inputs = Inputs([("scene".to_owned(), digest)].into());
     Fixture {
@@ -132,25 +161,51 @@ fn photos_give_maps_figures_and_a_fly_through() {
         "{held_out:?}"
     );
     assert!((0.0..=1.0).contains(&held_out.coverage.sd2), "{held_out:?}");
-    assert_eq!(held_out.calibration.unwrap().fit_photos, 3);
+    let calibration = held_out.calibration.unwrap();
+    assert_eq!(calibration.views, 5);
+    assert!((0.0..=1.0).contains(&calibration.coverage90), "{calibration:?}");
+    assert_eq!(held_out.depth_calibration, None, "the scene has no sparse points");
     assert!(
         report.std > report.std_paper && report.std_paper > 0.0,
         "{}",
         report.std
     );
-    for kind in ["mean", "photo", "std", "opacity", "total", "depth-std", "error"] {
+    for kind in [
+        "mean",
+        "photo",
+        "std",
+        "unseen",
+        "total",
+        "coverage",
+        "interval",
+        "depth-std",
+        "error",
+    ] {
         assert!(
             outputs.contains_key(&format!("maps/03-{kind}.png")),
             "{kind}: {:?}",
             outputs.keys()
         );
     }
-    for kind in ["std", "total", "depth-std", "rgb-std"] {
+    for kind in [
+        "std",
+        "total",
+        "interval",
+        "depth",
+        "depth-std",
+        "error",
+        "rgb-std",
+        "coverage",
+    ] {
         let array = fixture
             .harness
             .get(&outputs[&format!("maps/03-{kind}.npy")])
             .unwrap();
-        let channels = if kind == "rgb-std" { 3 } else { 1 };
+        let channels = if matches!(kind, "rgb-std" | "coverage") {
+            3
+        } else {
+            1
+        };
         assert_eq!(
             array.len(),
             128 + 4 * channels * (WIDTH * HEIGHT) as usize,
@@ -196,13 +251,103 @@ fn the_order_of_the_members_changes_only_their_own_rows() {
     }
 }
 
+impl Fixture {
+    /// Reads an array of maps, `channels` values a pixel.
+    fn array(&self, outputs: &Outputs, name: &str, channels: usize) -> Vec<Vec<f32>> {
+        let bytes = self.harness.get(&outputs[&format!("maps/{name}.npy")]).unwrap();
+        let values: Vec<f32> = bytes[128..]
+            .as_chunks::<4>()
+            .0
+            .iter()
+            .map(|value| f32::from_le_bytes(*value))
+            .collect();
+        values.chunks(channels).map(<[f32]>::to_vec).collect()
+    }
+}
+
+fn median(mut values: Vec<f32>) -> f32 {
+    values.sort_by(f32::total_cmp);
+    values[values.len() / 2]
+}
+
+/// A wall with a black shadow below a learnt sky, and a view of a part of it that no photo trained on shows: what is black and what
+/// is sky was seen, and the hole was not.
+#[test]
+fn shadow_and_sky_are_told_apart_from_a_hole() {
+    let harness = Harness::default();
+    let mut scene = scene(&harness, shadow_and_sky);
+    let aside = frame(
+        &harness,
+        "aside",
+        Vector3::new(2.0, -3.0, 0.0),
+        Vector3::new(9.0, 0.0, 0.4),
+        shadow_and_sky,
+    );
+    scene.frames.push(aside);
+    let on_wall = |index: u32| Point {
+        position: [
+            f64::from(index % 12) * 0.4 - 2.2,
+            0.0,
+            f64::from(index / 12) * 0.3 - 0.6,
+        ],
+        color: None,
+        views: 3,
+    };
+    scene.points = (0..72).map(on_wall).collect();
+    let members = (0..3)
+        .map(|seed| member(&harness, &scene, seed, 250, "direction"))
+        .collect();
+    let inputs = Inputs([("scene".to_owned(), harness.put(&scene.encode().unwrap()))].into());
+    let fixture = Fixture {
+        harness,
+        inputs,
+        members,
+    };
+    let (report, outputs) = fixture.reduce(json!({"b": 3, "frames": 1, "width": 24}));
+    keep(&fixture.harness, &outputs);
+
+    let total = |view: &str| -> Vec<f32> { fixture.array(&outputs, &format!("{view}-total"), 1).concat() };
+    let all: Vec<f32> = ["01", "03", "05", "07", "09"]
+        .into_iter()
+        .flat_map(total)
+        .collect();
+    let hole = median(total("aside"));
+    assert!(
+        hole >= 3.0 * median(all.clone()),
+        "hole {hole}, scene {}",
+        median(all)
+    );
+    let aside = report.views.iter().find(|view| view.name == "aside").unwrap();
+    assert!(aside.unseen_share > 0.7, "{aside:?}");
+
+    // View 05 looks at the shadow from 0.2 beside its middle; its first rows are sky.
+    let (middle, rows) = (total("05"), WIDTH as usize);
+    let shadow = middle[12 * rows + 14..][..3].to_vec();
+    let sky = middle[..2 * rows].to_vec();
+    assert!(
+        median(shadow.clone()) < hole / 3.0,
+        "shadow {shadow:?}, hole {hole}"
+    );
+    assert!(median(sky.clone()) < hole / 3.0, "sky {sky:?}, hole {hole}");
+    let seen = report.views.iter().find(|view| view.name == "05").unwrap();
+    assert!(seen.unseen_share < 0.15 && seen.sky_share > 0.1, "{seen:?}");
+    let coverage = fixture.array(&outputs, "05-coverage", 3);
+    let below = &coverage[14 * rows + 4];
+    assert!(
+        below[0] >= 3.0 && below[1] > 2.5 && below[1] < 4.5,
+        "photos, distance, angle: {below:?}"
+    );
+}
+
 #[test]
 fn a_path_has_maps_without_photos() {
     let fixture = fixture(2);
     let (report, outputs) =
         fixture.reduce(json!({"b": 2, "frames": 1, "width": 20, "viewpoints": "orbit", "map_frames": 2}));
     assert_eq!((report.heldout, report.views.len()), (None, 2));
-    assert!(outputs.contains_key("maps/0002-std.png") && !outputs.contains_key("maps/0002-photo.png"));
+    assert!(
+        outputs.contains_key("maps/orbit-0002-std.png") && !outputs.contains_key("maps/orbit-0002-photo.png")
+    );
     assert!(outputs.contains_key("film") && outputs.contains_key("flythrough/0001.png"));
 }
 
@@ -233,7 +378,7 @@ fn a_member_without_weights_is_named() {
 #[test]
 fn a_fly_through_that_no_video_can_hold_is_refused_before_it_is_rendered() {
     let mut fixture = fixture(2);
-    let mut scene = scene(&fixture.harness);
+    let mut scene = scene(&fixture.harness, stripes);
     for frame in &mut scene.frames {
         frame.camera = Camera::pinhole(16, 40, 30.0);
     }
@@ -254,5 +399,5 @@ fn a_fly_through_that_no_video_can_hold_is_refused_before_it_is_rendered() {
 fn the_answer_belongs_to_the_version() {
     let (_, outputs) = fixture(2).reduce(json!({"b": 2, "frames": 2, "width": 24, "device": "cpu"}));
     let all = Digest::of(&serde_json::to_vec(&outputs).unwrap());
-    assert_eq!((Bootstrap::VERSION, all.short().as_str()), (5, "5efba425f57e"));
+    assert_eq!((Bootstrap::VERSION, all.short().as_str()), (6, "17a5cbe55a14"));
 }

@@ -79,7 +79,7 @@ fn no_group_is_split_and_every_photo_is_in_one() {
     for set in [Set::pairs(3), Set::pairs(50), Set::scattered(200)] {
         for every in [2, 3, 8, 50] {
             let photos = set.photos();
-            let groups = places(&photos, &[], every);
+            let groups = places(&photos, &[], most_in_a_place(photos.len(), every));
             let held_out = set.held_out(every);
             let mut all: Vec<usize> = groups.iter().flat_map(|group| group.photos.clone()).collect();
             all.sort_unstable();
@@ -170,11 +170,28 @@ fn sparse_points_decide_what_is_near() {
         };
         (0..64).map(point).collect()
     };
-    let groups = |away: f64| places(&walk.photos(), &points(away), 2).len();
+    let groups = |away: f64| {
+        places(
+            &walk.photos(),
+            &points(away),
+            most_in_a_place(walk.photos().len(), 2),
+        )
+        .len()
+    };
     assert!(
         groups(0.2) == 64 && groups(20.0) < 16,
         "{} {}",
         groups(0.2),
         groups(20.0)
     );
+}
+
+#[test]
+fn photos_of_one_place_have_its_number_and_others_another() {
+    let set = Set::pairs(6);
+    let places = places_of(&set.photos(), &[]);
+    let twins: Vec<usize> = places.chunks(2).map(|pair| pair[0]).collect();
+    assert!(places.chunks(2).all(|pair| pair[0] == pair[1]), "{places:?}");
+    assert_eq!(twins, [0, 1, 2, 3, 4, 5]);
+    assert!(places_of(&[], &[]).is_empty());
 }

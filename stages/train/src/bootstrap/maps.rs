@@ -22,19 +22,48 @@ pub(crate) struct Maps {
     pub std_paper: Vec<f32>,
     /// Sample standard deviation of each channel.
     pub rgb_std: Vec<[f32; 3]>,
-    /// (1 - q)², q the mean opacity: 1 where no member met anything (arXiv 2209.08718). A learnt sky is not
-    /// matter: there the term is 1 though photos saw it.
-    pub opacity_term: Vec<f32>,
-    /// √(divisor-B variance + opacity term).
+    /// (1 - c)², c the share of the pixel that photos have seen ([`Sight::seen`]): 1 where no photo looked.
+    pub unseen: Vec<f32>,
+    /// √(divisor-B variance + `unseen`).
     pub total: Vec<f32>,
-    /// Mean depth along the ray, world units; -1 where q <= 0.5: unseen.
+    /// Mean depth along the ray, world units; -1 where the mean opacity is at most 0.5: sky, or nothing.
     pub depth: Vec<f32>,
-    /// Sample standard deviation of the depth, world units; -1 where it is unseen.
+    /// Sample standard deviation of the depth, world units; -1 where there is no depth.
     pub depth_std: Vec<f32>,
+    /// Photos that show what the pixel shows: the surface at its depth, or the sky.
+    pub photos: Vec<f32>,
+    /// Distance of the nearest of them to the surface, world units; -1 without any, and in the sky.
+    pub photo_distance: Vec<f32>,
+    /// Least angle between the surface's normal and the direction to one of them, degrees; -1 where it is unknown.
+    pub incidence_deg: Vec<f32>,
 }
 
-/// Mean opacity up to which a pixel counts as unseen.
-const MIN_OPACITY: f64 = 0.5;
+/// What photos saw of what one pixel shows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Sight {
+    /// How well the surface at the mean depth was seen, in [0, 1].
+    pub surface: f64,
+    /// How well the sky behind it was seen, in [0, 1].
+    pub sky: f64,
+    /// As [`Maps::photos`].
+    pub photos: f32,
+    /// As [`Maps::photo_distance`].
+    pub photo_distance: f32,
+    /// As [`Maps::incidence_deg`].
+    pub incidence_deg: f32,
+}
+
+impl Sight {
+    /// Returns the share of a pixel of mean opacity `q` that was seen: q surface + (1 - q) sky.
+    ///
+    /// Where every surface was seen and no sky it is q, and `1 - q` squared is the opacity term of arXiv 2209.08718.
+    fn seen(&self, opacity: f64) -> f64 {
+        opacity * self.surface + (1.0 - opacity) * self.sky
+    }
+}
+
+/// Mean opacity up to which a pixel has no depth.
+pub(crate) const MIN_OPACITY: f32 = 0.5;
 
 /// Mean and both standard deviations of a few numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -59,34 +88,59 @@ pub(crate) fn moments(values: &mut [f64]) -> Moments {
     }
 }
 
-/// Returns the spread of the members' renders of one viewpoint, which have one size.
+/// Mean depths and opacities of the members, `[height * width]`.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Surfaces {
+    /// World units along the ray; whatever the opacity is.
+    pub depth: Vec<f64>,
+    /// In [0, 1].
+    pub opacity: Vec<f32>,
+}
+
+/// Returns the spread of the members' renders of one viewpoint, which have one size; `sights`: what photos saw of each pixel.
 ///
 /// Extremes: one member has spread 0 everywhere, which says nothing; the stage refuses B = 1.
 ///
 /// # Errors
 /// A request to stop.
-pub(crate) fn maps(ctx: &Ctx<'_>, renders: &[Render]) -> Result<Maps, StageError> {
+pub(crate) fn maps(
+    ctx: &Ctx<'_>,
+    renders: &[Render],
+    sights: &dyn Fn(&Surfaces) -> Vec<Sight>,
+) -> Result<Maps, StageError> {
     let (width, height) = renders
         .first()
         .map_or((0, 0), |render| (render.width, render.height));
     let count = width as usize * height as usize;
-    let mut maps = Maps::with_capacity(width, height, count);
     let mut values = vec![0.0; renders.len()];
+    let mut of = |value: &dyn Fn(&Render) -> f64| {
+        for (slot, render) in values.iter_mut().zip(renders) {
+            *slot = value(render);
+        }
+        moments(&mut values)
+    };
+    let mut surfaces = Surfaces {
+        depth: Vec::with_capacity(count),
+        opacity: Vec::with_capacity(count),
+    };
     for pixel in 0..count {
+        surfaces
+            .depth
+            .push(of(&|render| f64::from(render.depth[pixel])).mean);
+        let opacity = of(&|render| f64::from(render.opacity[pixel])).mean;
+        surfaces.opacity.push(opacity as f32);
+    }
+    ctx.check()?;
+    let sights = sights(&surfaces);
+    let mut maps = Maps::with_capacity(width, height, count);
+    for (pixel, sight) in sights.iter().enumerate() {
         if pixel % width as usize == 0 {
             ctx.check()?;
         }
-        let mut of = |value: &dyn Fn(&Render) -> f64| {
-            for (slot, render) in values.iter_mut().zip(renders) {
-                *slot = value(render);
-            }
-            moments(&mut values)
-        };
         let channels = [0, 1, 2].map(|channel| of(&|render| f64::from(render.rgb[pixel][channel])));
         let gray = of(&|render| gray(&render.rgb[pixel]));
-        let opacity = of(&|render| f64::from(render.opacity[pixel])).mean;
         let depth = of(&|render| f64::from(render.depth[pixel]));
-        maps.push(&channels, &gray, opacity, &depth);
+        maps.push(&channels, &gray, surfaces.opacity[pixel], &depth, sight);
     }
     Ok(maps)
 }
@@ -98,7 +152,14 @@ pub(crate) fn gray(rgb: &[f32; 3]) -> f64 {
 
 impl Maps {
     /// Number of values a pixel.
-    const VALUES: usize = 13;
+    const VALUES: usize = 16;
+    /// Of [`Maps::unseen`]: more than half of the pixel was seen.
+    const HALF_SEEN: f32 = 0.25;
+
+    /// Tells whether photos saw most of what a pixel shows.
+    pub fn is_seen(&self, pixel: usize) -> bool {
+        self.unseen[pixel] < Self::HALF_SEEN
+    }
 
     /// All values as f32 LE, map by map in the order of the fields.
     pub fn pack(&self) -> Vec<u8> {
@@ -108,10 +169,13 @@ impl Maps {
             &self.std,
             &self.std_paper,
             self.rgb_std.as_flattened(),
-            &self.opacity_term,
+            &self.unseen,
             &self.total,
             &self.depth,
             &self.depth_std,
+            &self.photos,
+            &self.photo_distance,
+            &self.incidence_deg,
         ];
         let values = maps.into_iter().flatten();
         values.flat_map(|value| value.to_le_bytes()).collect()
@@ -138,10 +202,13 @@ impl Maps {
             std: take(1).to_vec(),
             std_paper: take(1).to_vec(),
             rgb_std: take(3).as_chunks::<3>().0.to_vec(),
-            opacity_term: take(1).to_vec(),
+            unseen: take(1).to_vec(),
             total: take(1).to_vec(),
             depth: take(1).to_vec(),
             depth_std: take(1).to_vec(),
+            photos: take(1).to_vec(),
+            photo_distance: take(1).to_vec(),
+            incidence_deg: take(1).to_vec(),
         })
     }
 
@@ -154,26 +221,40 @@ impl Maps {
             std: Vec::with_capacity(count),
             std_paper: Vec::with_capacity(count),
             rgb_std: Vec::with_capacity(count),
-            opacity_term: Vec::with_capacity(count),
+            unseen: Vec::with_capacity(count),
             total: Vec::with_capacity(count),
             depth: Vec::with_capacity(count),
             depth_std: Vec::with_capacity(count),
+            photos: Vec::with_capacity(count),
+            photo_distance: Vec::with_capacity(count),
+            incidence_deg: Vec::with_capacity(count),
         }
     }
 
-    fn push(&mut self, channels: &[Moments; 3], gray: &Moments, opacity: f64, depth: &Moments) {
-        let unseen = (1.0 - opacity) * (1.0 - opacity);
+    fn push(
+        &mut self,
+        channels: &[Moments; 3],
+        gray: &Moments,
+        opacity: f32,
+        depth: &Moments,
+        sight: &Sight,
+    ) {
+        let unseen = 1.0 - sight.seen(f64::from(opacity));
+        let unseen = unseen * unseen;
         let total = (gray.population * gray.population + unseen).sqrt();
         self.mean.push(channels.map(|channel| channel.mean as f32));
         self.gray.push(gray.mean as f32);
         self.std.push(gray.sample as f32);
         self.std_paper.push(gray.population as f32);
         self.rgb_std.push(channels.map(|channel| channel.sample as f32));
-        self.opacity_term.push(unseen as f32);
+        self.unseen.push(unseen as f32);
         self.total.push(total as f32);
-        let seen = |value: f64| if opacity > MIN_OPACITY { value as f32 } else { -1.0 };
-        self.depth.push(seen(depth.mean));
-        self.depth_std.push(seen(depth.sample));
+        let of_matter = |value: f64| if opacity > MIN_OPACITY { value as f32 } else { -1.0 };
+        self.depth.push(of_matter(depth.mean));
+        self.depth_std.push(of_matter(depth.sample));
+        self.photos.push(sight.photos);
+        self.photo_distance.push(sight.photo_distance);
+        self.incidence_deg.push(sight.incidence_deg);
     }
 }
 
@@ -205,8 +286,48 @@ pub(crate) mod tests {
         (0..4).map(render).collect()
     }
 
+    /// Photos saw all matter and no sky.
+    fn matter_seen(surfaces: &Surfaces) -> Vec<Sight> {
+        let sight = Sight {
+            surface: 1.0,
+            sky: 0.0,
+            photos: 3.0,
+            photo_distance: 2.0,
+            incidence_deg: 30.0,
+        };
+        vec![sight; surfaces.depth.len()]
+    }
+
     pub(crate) fn maps_of(renders: &[Render]) -> Maps {
-        maps(&marf_stage::harness::Harness::default().ctx(), renders).unwrap()
+        maps(
+            &marf_stage::harness::Harness::default().ctx(),
+            renders,
+            &matter_seen,
+        )
+        .unwrap()
+    }
+
+    #[test]
+    fn a_sky_that_photos_saw_is_certain_and_a_surface_that_none_saw_is_not() {
+        let sight = |surface: f64, sky: f64| Sight {
+            surface,
+            sky,
+            ..matter_seen(&Surfaces {
+                depth: vec![0.0],
+                opacity: vec![0.0],
+            })[0]
+        };
+        let rows = [sight(1.0, 0.0), sight(0.0, 1.0), sight(0.0, 0.0), sight(1.0, 1.0)];
+        let harness = marf_stage::harness::Harness::default();
+        let maps = maps(&harness.ctx(), &example(), &|_| rows.to_vec()).unwrap();
+        for (pixel, expected) in [0.0, 0.995 * 0.995, 1.0, 0.0].into_iter().enumerate() {
+            close(maps.unseen[pixel], expected, &format!("p{}", pixel + 1));
+        }
+        assert_eq!(
+            [0, 1, 2, 3].map(|pixel| maps.is_seen(pixel)),
+            [true, false, false, true]
+        );
+        close(maps.total[3], 0.017321, "the spread alone");
     }
 
     #[test]
@@ -240,11 +361,7 @@ pub(crate) mod tests {
                 &maps.std,
                 [0.016330, 0.048990, 0.040825, 0.020000],
             ),
-            (
-                "opacity term",
-                &maps.opacity_term,
-                [0.0, 0.000025, 0.000625, 0.7225],
-            ),
+            ("opacity term", &maps.unseen, [0.0, 0.000025, 0.000625, 0.7225]),
             ("total", &maps.total, [0.014142, 0.042720, 0.043301, 0.850176]),
         ];
         for (what, found, expected) in rows {

@@ -2,13 +2,17 @@
 //!
 //! Members are sorted pixel by pixel before they are summed, so no map depends on their order.
 
-mod calibration;
 mod drawing;
+mod intervals;
 mod maps;
+mod normality;
 mod npy;
 mod reduce;
 mod report;
+mod seen;
 mod sparsification;
+mod study;
+mod viewpoints;
 
 use marf_cache::Digest;
 use marf_schema::{
@@ -39,7 +43,7 @@ impl Define for Bootstrap {
     type Params = BootstrapParams;
     const NAME: &'static str = BootstrapParams::STAGE;
     const ABOUT: &'static str = "Retrains B times and maps where the fields disagree";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),

@@ -1,28 +1,10 @@
 use marf_schema::bootstrap::{Coverage, HeldOut, Member, Metrics, Mode, PhotoReport, ViewReport};
-use marf_stage::{Ctx, StageError};
 
 use super::{
-    calibration::{PixelErrors, calibrate, coverage, mean, nll},
-    maps::Maps,
-    sparsification::{Norm, Sparsification, hundredths, sparsify, spearman},
+    intervals::{DEPTH_FLOORS, Errors, GRAY_FLOORS, calibrate},
+    normality::mean,
+    study::{HeldOutStudy, ViewStudy},
 };
-
-/// A viewpoint's maps with the error against its photo, if there is one.
-#[derive(Debug)]
-pub(crate) struct ViewMaps {
-    pub name: String,
-    pub maps: Maps,
-    pub truth: Option<GroundTruth>,
-}
-
-/// The error of the mean render against a photo that was held out.
-#[derive(Debug)]
-pub(crate) struct GroundTruth {
-    /// |mean gray - gray of the photo|, a value a pixel.
-    pub error: Vec<f32>,
-    /// PSNR of the mean render, dB.
-    pub psnr: f64,
-}
 
 /// Shares of a normal distribution within 1, 2 and 3 standard deviations.
 const NOMINAL: Coverage = Coverage {
@@ -31,93 +13,61 @@ const NOMINAL: Coverage = Coverage {
     sd3: 0.997_300,
 };
 
-/// Returns the metrics of a bootstrap.
-///
-/// # Errors
-/// A request to stop.
-pub(crate) fn report(
-    ctx: &Ctx<'_>,
-    b: u32,
-    mode: Mode,
-    members: Vec<Member>,
-    views: &[ViewMaps],
-) -> Result<Metrics, StageError> {
-    let all = |map: fn(&Maps) -> &[f32]| mean(views.iter().flat_map(|view| map(&view.maps)).copied());
-    let channel = |channel: usize| {
-        let pixels = views.iter().flat_map(|view| &view.maps.rgb_std);
-        mean(pixels.map(|rgb| rgb[channel]))
-    };
-    let (depth_std, unseen_share) = depth(views.iter().flat_map(|view| &view.maps.depth_std));
-    let reports = views.iter().map(|view| {
-        ctx.check()?;
-        Ok(view_report(view))
-    });
-    let reports = reports.collect::<Result<Vec<ViewReport>, StageError>>()?;
-    Ok(Metrics {
+/// Returns the metrics of a bootstrap: means over all pixels of all viewpoints.
+pub(crate) fn report(b: u32, mode: Mode, members: Vec<Member>, views: &[ViewStudy]) -> Metrics {
+    let pixels: Vec<f64> = views.iter().map(|view| view.pixels).collect();
+    let all = |value: &dyn Fn(&ViewStudy) -> f64| weighted(views.iter().map(value), &pixels);
+    let depth_pixels: Vec<f64> = views.iter().map(|view| view.depth_pixels).collect();
+    let depth_std = weighted(
+        views.iter().map(|view| view.report.depth_std.unwrap_or(0.0)),
+        &depth_pixels,
+    );
+    Metrics {
         b,
         mode,
-        std: all(|maps| &maps.std),
-        std_paper: all(|maps| &maps.std_paper),
-        std_rgb: [0, 1, 2].map(channel),
-        opacity_term: all(|maps| &maps.opacity_term),
-        total_sd: all(|maps| &maps.total),
-        depth_std,
-        unseen_share,
-        heldout: held_out(views, &reports, &members),
+        std: all(&|view| view.report.std),
+        std_paper: all(&|view| view.report.std_paper),
+        std_rgb: [0, 1, 2].map(|channel| all(&|view| view.rgb_std[channel])),
+        unseen_term: all(&|view| view.report.unseen_term),
+        total_sd: all(&|view| view.report.total_sd),
+        depth_std: (depth_pixels.iter().sum::<f64>() > 0.0).then_some(depth_std),
+        unseen_share: all(&|view| view.report.unseen_share),
+        sky_share: all(&|view| view.report.sky_share),
+        heldout: held_out(views, &members),
         members,
-        views: reports,
-    })
-}
-
-/// Returns the figures of one viewpoint.
-fn view_report(view: &ViewMaps) -> ViewReport {
-    let maps = &view.maps;
-    let (depth_std, unseen_share) = depth(maps.depth_std.iter());
-    ViewReport {
-        name: view.name.clone(),
-        std: mean(maps.std.iter().copied()),
-        std_paper: mean(maps.std_paper.iter().copied()),
-        opacity_term: mean(maps.opacity_term.iter().copied()),
-        total_sd: mean(maps.total.iter().copied()),
-        depth_std,
-        unseen_share,
-        photo: view.truth.as_ref().map(|truth| photo_report(maps, truth)),
+        views: views
+            .iter()
+            .map(|view| view.report.clone())
+            .collect::<Vec<ViewReport>>(),
     }
 }
 
-/// Returns how well the spread ranks the errors against a photo.
-fn photo_report(maps: &Maps, truth: &GroundTruth) -> PhotoReport {
-    let removed = hundredths();
-    let by = |map: &[f32], norm| -> Sparsification { sparsify(map, &truth.error, &removed, norm) };
-    let (mae, rmse) = (by(&maps.std, Norm::Mae), by(&maps.std, Norm::Rmse));
-    PhotoReport {
-        psnr: truth.psnr,
-        ause_mae: mae.ause,
-        ause_mae_random: mae.ause_random,
-        ause_rmse: rmse.ause,
-        ause_rmse_random: rmse.ause_random,
-        ause_mae_total: by(&maps.total, Norm::Mae).ause,
-        spearman: spearman(&maps.std, &truth.error),
-    }
+/// Returns the mean of values with weights, 0 where all weights are.
+fn weighted(values: impl Iterator<Item = f64>, weights: &[f64]) -> f64 {
+    let sum: f64 = values.zip(weights).map(|(value, weight)| value * weight).sum();
+    sum / weights.iter().sum::<f64>().max(1.0)
 }
 
 /// Returns the figures over all held-out photos; `None` where there are none.
-fn held_out(views: &[ViewMaps], reports: &[ViewReport], members: &[Member]) -> Option<HeldOut> {
-    let photos: Vec<&PhotoReport> = reports.iter().filter_map(|view| view.photo.as_ref()).collect();
-    let errors: Vec<PixelErrors<'_>> = views
+fn held_out(views: &[ViewStudy], members: &[Member]) -> Option<HeldOut> {
+    let photos: Vec<&PhotoReport> = views
         .iter()
-        .filter_map(|view| {
-            let error = &view.truth.as_ref()?.error;
-            Some(PixelErrors {
-                std: &view.maps.std,
-                error,
-            })
-        })
+        .filter_map(|view| view.report.photo.as_ref())
+        .collect();
+    let studies: Vec<(&HeldOutStudy, f64)> = views
+        .iter()
+        .filter_map(|view| Some((view.held_out.as_ref()?, view.pixels)))
         .collect();
     if photos.is_empty() {
         return None;
     }
     let mean_of = |value: fn(&PhotoReport) -> f64| mean(photos.iter().map(|photo| value(photo)));
+    let pixels: Vec<f64> = studies.iter().map(|(_, pixels)| *pixels).collect();
+    let over_pixels =
+        |value: fn(&HeldOutStudy) -> f64| weighted(studies.iter().map(|(study, _)| value(study)), &pixels);
+    let errors = |of: fn(&HeldOutStudy) -> &Errors| -> Vec<Errors> {
+        studies.iter().map(|(study, _)| of(study).clone()).collect()
+    };
     let mut ranks: Vec<f64> = photos.iter().map(|photo| photo.spearman).collect();
     ranks.sort_unstable_by(f64::total_cmp);
     Some(HeldOut {
@@ -132,28 +82,23 @@ fn held_out(views: &[ViewMaps], reports: &[ViewReport], members: &[Member]) -> O
         },
         psnr_members_mean: mean(members.iter().map(|member| member.psnr)),
         coverage: Coverage {
-            sd1: coverage(&errors, 1.0),
-            sd2: coverage(&errors, 2.0),
-            sd3: coverage(&errors, 3.0),
+            sd1: over_pixels(|study| study.coverage.sd1),
+            sd2: over_pixels(|study| study.coverage.sd2),
+            sd3: over_pixels(|study| study.coverage.sd3),
         },
         coverage_nominal: NOMINAL,
-        nll: (nll(&errors, 1.0) * 1e6).round() / 1e6,
-        calibration: calibrate(&errors),
+        nll: (over_pixels(|study| study.nll) * 1e6).round() / 1e6,
+        calibration: calibrate(&errors(|study| &study.gray), &GRAY_FLOORS),
+        depth_calibration: calibrate(&errors(|study| &study.depth), &DEPTH_FLOORS),
     })
-}
-
-/// Returns the mean over the pixels that have a depth, and the share of those that have none.
-fn depth<'a>(map: impl Iterator<Item = &'a f32> + Clone) -> (Option<f64>, f64) {
-    let count = map.clone().count();
-    let seen: Vec<f32> = map.copied().filter(|std| *std >= 0.0).collect();
-    let unseen = (count - seen.len()) as f64 / count.max(1) as f64;
-    ((!seen.is_empty()).then(|| mean(seen.iter().copied())), unseen)
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::maps::tests::{example, maps_of};
+    use super::super::study::{Truth, study};
     use super::*;
+    use marf_scene::{Camera, Image, Pose, path::Viewpoint};
 
     fn member(seed: u64) -> Member {
         Member {
@@ -164,19 +109,18 @@ mod tests {
         }
     }
 
-    fn report_of(mode: Mode, members: Vec<Member>, views: &[ViewMaps]) -> Metrics {
-        let harness = marf_stage::harness::Harness::default();
-        report(&harness.ctx(), 4, mode, members, views).unwrap()
+    fn place() -> Viewpoint {
+        Viewpoint {
+            name: "0001".into(),
+            camera: Camera::pinhole(4, 1, 4.0),
+            cam_from_world: Pose::identity(),
+        }
     }
 
     #[test]
     fn a_report_without_photos_has_spreads_and_nothing_more() {
-        let view = ViewMaps {
-            name: "0001".into(),
-            maps: maps_of(&example()),
-            truth: None,
-        };
-        let report = report_of(Mode::Seeds, vec![member(0), member(1)], &[view]);
+        let view = study(&place(), &maps_of(&example()), None, &[]).unwrap();
+        let report = report(4, Mode::Seeds, vec![member(0), member(1)], &[view]);
         assert_eq!(report.heldout, None);
         assert!(
             (report.std_paper - 0.027_311).abs() < 6e-7,
@@ -184,37 +128,49 @@ mod tests {
             report.std_paper
         );
         assert_eq!(report.unseen_share, 0.25);
-        assert!((report.std / report.std_paper - (4.0_f64 / 3.0).sqrt()).abs() < 1e-6);
+        let sum: f64 = report.std_rgb.iter().sum();
+        assert!((sum / 3.0 - report.std).abs() < 1e-6, "gray colours");
     }
 
     #[test]
-    fn photos_give_order_coverage_and_calibration() {
-        let view = |index: usize| {
-            let truth = GroundTruth {
-                error: vec![0.0, 0.10, 0.08, 0.19],
-                psnr: 21.5,
-            };
-            ViewMaps {
-                name: format!("{index}"),
-                maps: maps_of(&example()),
-                truth: Some(truth),
-            }
+    fn larger_views_weigh_more_and_those_without_depth_nothing() {
+        let mut views: Vec<ViewStudy> = (0..2)
+            .map(|_| study(&place(), &maps_of(&example()), None, &[]).unwrap())
+            .collect();
+        (views[1].pixels, views[1].report.std) = (12.0, 1.0);
+        (views[1].depth_pixels, views[1].report.depth_std) = (0.0, None);
+        let one = views[0].report.clone();
+        let report = report(4, Mode::Seeds, vec![], &views);
+        assert!((report.std - (one.std + 3.0) / 4.0).abs() < 1e-12);
+        assert_eq!(report.depth_std, one.depth_std);
+    }
+
+    #[test]
+    fn photos_give_order_and_coverage() {
+        let photo = Image {
+            width: 4,
+            height: 1,
+            pixels: vec![[128; 3], [77; 3], [184; 3], [153; 3]],
         };
-        let views: Vec<ViewMaps> = (0..4).map(view).collect();
-        let found = report_of(Mode::Seeds, vec![member(0), member(2)], &views)
+        let view = |number: usize| {
+            let truth = Truth {
+                photo: &photo,
+                place: number,
+            };
+            study(&place(), &maps_of(&example()), Some(&truth), &[]).unwrap()
+        };
+        let views: Vec<ViewStudy> = (0..4).map(view).collect();
+        let found = report(4, Mode::Seeds, vec![member(0), member(2)], &views)
             .heldout
             .unwrap();
         assert!((found.mean.spearman - 0.4).abs() < 1e-12);
         let Coverage { sd1, sd2, sd3 } = found.coverage;
         assert_eq!([sd1, sd2, sd3], [0.25, 0.5, 0.75]);
         assert_eq!(found.psnr_members_mean, 21.0);
-        assert!(
-            found.mean.ause_mae_total < found.mean.ause_mae,
-            "the opacity term puts p4 last"
+        assert_eq!(
+            (found.calibration, found.depth_calibration),
+            (None, None),
+            "twelve errors"
         );
-        let calibration = found.calibration.unwrap();
-        assert!((calibration.t - 4.9562).abs() < 1e-4, "{calibration:?}");
-        let three = report_of(Mode::Seeds, vec![], &views[..3]).heldout.unwrap();
-        assert_eq!(three.calibration, None);
     }
 }

@@ -1,0 +1,265 @@
+//! What photos saw of a scene: which of them show a point, which show the sky in a direction, which space they looked through.
+
+use nalgebra::Vector3;
+
+use crate::places::{PosedPhoto, place};
+use crate::{Camera, Pose};
+
+/// A photo shows what lies at most this share of the distance behind the surface that it shows: depths of fields are as exact.
+const BEHIND: f64 = 0.05;
+/// Places along a ray at which is asked whether a photo looked through them.
+const PLACES: u32 = 12;
+/// The nearest of these places, as a share of the distance to the surface or, of rays into the sky, of the typical distance.
+const FROM: f64 = 0.25;
+/// Factor from one place on a ray into the sky to the next: the last is at 22 typical distances.
+const GROWTH: f64 = 1.5;
+
+/// A photo, and how far it saw.
+#[derive(Debug, Clone)]
+pub struct Observer {
+    camera: Camera,
+    cam_from_world: Pose,
+    centre: Vector3<f64>,
+    /// Distance to the farthest surface around a pixel, `[height * width]`, world units; infinite where that is the sky.
+    distance: Vec<f32>,
+}
+
+impl Observer {
+    /// Takes a photo's camera, at any working size, with the distance along the ray of each of its pixels: `[height * width]`, world
+    /// units, infinite where the ray meets nothing.
+    ///
+    /// # Panics
+    /// If there is not a distance for every pixel: a slip of the program.
+    pub fn new(camera: Camera, cam_from_world: Pose, distance: &[f32]) -> Self {
+        let (width, height) = (camera.width as usize, camera.height as usize);
+        assert_eq!(distance.len(), width * height, "a distance for every pixel");
+        let farthest = |pixel: usize| {
+            let (column, row) = (pixel % width, pixel / width);
+            let rows = row.saturating_sub(1)..(row + 2).min(height);
+            let columns = column.saturating_sub(1)..(column + 2).min(width);
+            let around = rows.flat_map(|row| distance[row * width..][columns.clone()].iter());
+            around.copied().fold(0.0, f32::max)
+        };
+        Self {
+            centre: cam_from_world.centre(),
+            distance: (0..distance.len()).map(farthest).collect(),
+            camera,
+            cam_from_world,
+        }
+    }
+
+    /// Returns how far the photo saw in a direction of the camera's frame; none outside of the photo.
+    fn saw(&self, direction: &Vector3<f64>) -> Option<f64> {
+        let pixel = self.camera.project(direction)?;
+        let (column, row) = (pixel.x.floor(), pixel.y.floor());
+        let (width, height) = (f64::from(self.camera.width), f64::from(self.camera.height));
+        let inside = column >= 0.0 && row >= 0.0 && column < width && row < height;
+        inside.then(|| f64::from(self.distance[row as usize * self.camera.width as usize + column as usize]))
+    }
+
+    /// Tells whether the photo shows a point, or what is behind it.
+    fn shows(&self, point: &Vector3<f64>) -> bool {
+        let saw = self.saw(&self.cam_from_world.point(point));
+        saw.is_some_and(|saw| (point - self.centre).norm() <= saw * (1.0 + BEHIND))
+    }
+
+    fn shows_sky(&self, direction: &Vector3<f64>) -> bool {
+        let saw = self.saw(&self.cam_from_world.direction(direction));
+        saw == Some(f64::INFINITY)
+    }
+}
+
+/// Photos as they are asked from one viewpoint, the nearest first.
+#[derive(Debug)]
+pub struct Coverage<'a> {
+    observers: Vec<&'a Observer>,
+    eye: Vector3<f64>,
+    reach: f64,
+}
+
+/// The surface that a ray meets, as photos saw it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SurfaceSeen {
+    /// Photos that show it.
+    pub photos: u32,
+    /// Distance of the nearest of them, world units; infinite without any.
+    pub distance: f64,
+    /// Least angle between its normal and the direction to a photo, degrees: 0 from straight above; 180 without any.
+    pub incidence_deg: f64,
+}
+
+impl<'a> Coverage<'a> {
+    /// Sorts the photos for the viewpoint of a camera; `reach`: the typical distance to what photos show, world units, above 0.
+    pub fn from_viewpoint(observers: &'a [Observer], cam_from_world: &Pose, reach: f64) -> Self {
+        let own = place(cam_from_world, reach);
+        let apart = |observer: &Observer| (place(&observer.cam_from_world, reach) - own).norm_squared();
+        let mut sorted: Vec<(f64, &Observer)> = observers
+            .iter()
+            .map(|observer| (apart(observer), observer))
+            .collect();
+        sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+        Self {
+            observers: sorted.into_iter().map(|(_, observer)| observer).collect(),
+            eye: cam_from_world.centre(),
+            reach,
+        }
+    }
+
+    /// Returns what photos saw of the surface at a distance (world units, above 0) along a ray (a unit vector of the world) with a
+    /// normal (any length; none: unknown, and the angle is 180 degrees).
+    pub fn surface(&self, ray: &Vector3<f64>, distance: f64, normal: Option<&Vector3<f64>>) -> SurfaceSeen {
+        let point = self.eye + ray * distance;
+        let mut seen = SurfaceSeen {
+            photos: 0,
+            distance: f64::INFINITY,
+            incidence_deg: 180.0,
+        };
+        for observer in self.observers.iter().filter(|observer| observer.shows(&point)) {
+            let back = observer.centre - point;
+            seen.photos += 1;
+            seen.distance = seen.distance.min(back.norm());
+            if let Some(normal) = normal {
+                seen.incidence_deg = seen.incidence_deg.min(normal.angle(&back).to_degrees());
+            }
+        }
+        seen
+    }
+
+    /// Returns how many photos show the sky in a direction (a unit vector of the world).
+    pub fn sky(&self, ray: &Vector3<f64>) -> u32 {
+        self.observers
+            .iter()
+            .filter(|observer| observer.shows_sky(ray))
+            .count() as u32
+    }
+
+    /// Returns the share of the way along a ray that at least one photo looked through, in [0, 1]: from a quarter of `distance` on to the
+    /// surface there, or, of a ray into the sky (infinite), from a quarter of the typical distance to 22 of it.
+    ///
+    /// Before that nothing is asked: a camera stands in space that no other sees.
+    pub fn looked_through(&self, ray: &Vector3<f64>, distance: f64) -> f64 {
+        let step = |index: u32| FROM + (1.0 - FROM) * f64::from(index) / f64::from(PLACES);
+        let far = |index: u32| FROM * GROWTH.powi(index as i32);
+        let seen = (0..PLACES).filter(|index| {
+            let along = if distance.is_finite() {
+                step(*index) * distance
+            } else {
+                far(*index) * self.reach
+            };
+            let point = self.eye + ray * along;
+            self.observers.iter().any(|observer| observer.shows(&point))
+        });
+        seen.count() as f64 / f64::from(PLACES)
+    }
+}
+
+/// Returns the typical distance from the photos to what they show, as places are told apart by it, world units.
+pub fn typical_distance(photos: &[PosedPhoto<'_>], points: &[crate::Point]) -> f64 {
+    let cameras: Vec<_> = photos.iter().map(PosedPhoto::posed).collect();
+    crate::reach::reach(&cameras, points)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIDE: u32 = 41;
+
+    /// A camera at `x` on a line, 10 units before a wall in the plane z = 10, which is 4 high: above is sky.
+    fn observer(x: f64) -> Observer {
+        observer_before(x, |_| false)
+    }
+
+    /// The same with a box between the wall and the camera, at z = 5, in the columns that `blocked` names.
+    fn observer_before(x: f64, blocked: impl Fn(u32) -> bool) -> Observer {
+        let camera = Camera::pinhole(SIDE, SIDE, f64::from(SIDE));
+        let cam_from_world = Pose {
+            translation: Vector3::new(-x, 0.0, 0.0),
+            ..Pose::identity()
+        };
+        let distance: Vec<f32> = (0..SIDE * SIDE)
+            .map(|pixel| {
+                let at = |place: u32| f64::from(place) + 0.5;
+                let ray = camera
+                    .unproject(&nalgebra::Vector2::new(at(pixel % SIDE), at(pixel / SIDE)))
+                    .unwrap();
+                let z = if blocked(pixel % SIDE) { 5.0 } else { 10.0 };
+                if ray.y * 10.0 < -2.0 {
+                    f32::INFINITY
+                } else {
+                    (ray.norm() * z) as f32
+                }
+            })
+            .collect();
+        Observer::new(camera, cam_from_world, &distance)
+    }
+
+    fn from_origin(observers: &[Observer]) -> Coverage<'_> {
+        Coverage::from_viewpoint(observers, &Pose::identity(), 10.0)
+    }
+
+    #[test]
+    fn photos_that_show_a_point_of_the_wall_are_counted_with_distance_and_angle() {
+        let observers = [observer(-2.0), observer(0.0), observer(100.0)];
+        let coverage = from_origin(&observers);
+        let normal = -Vector3::z();
+        let seen = coverage.surface(&Vector3::z(), 10.0, Some(&normal));
+        assert_eq!((seen.photos, seen.distance, seen.incidence_deg), (2, 10.0, 0.0));
+        let aside = from_origin(&observers[..1]).surface(&Vector3::z(), 10.0, Some(&normal));
+        assert!((aside.distance - 104.0_f64.sqrt()).abs() < 1e-12, "{aside:?}");
+        assert!(
+            (aside.incidence_deg - (0.2_f64).atan().to_degrees()).abs() < 1e-9,
+            "{aside:?}"
+        );
+        assert_eq!(coverage.surface(&Vector3::z(), 10.0, None).incidence_deg, 180.0);
+    }
+
+    #[test]
+    fn what_lies_behind_a_surface_is_not_shown_but_for_the_tolerance() {
+        let observers = [observer(0.0)];
+        let coverage = from_origin(&observers);
+        let photos = |distance: f64| coverage.surface(&Vector3::z(), distance, None).photos;
+        assert_eq!(
+            [photos(1.0), photos(10.4), photos(10.7), photos(20.0)],
+            [1, 1, 0, 0]
+        );
+        assert_eq!(from_origin(&[]).surface(&Vector3::z(), 10.0, None).photos, 0);
+    }
+
+    #[test]
+    fn the_sky_counts_where_a_photo_shows_it() {
+        let observers = [observer(0.0), observer(3.0)];
+        let coverage = from_origin(&observers);
+        let up = Vector3::new(0.0, -0.4, 1.0).normalize();
+        assert_eq!(
+            (coverage.sky(&up), coverage.sky(&Vector3::z()), coverage.sky(&-up)),
+            (2, 0, 0)
+        );
+    }
+
+    #[test]
+    fn a_way_counts_as_far_as_photos_looked_through_it() {
+        let observers = [observer(0.0)];
+        let coverage = from_origin(&observers);
+        assert_eq!(coverage.looked_through(&Vector3::z(), 10.0), 1.0);
+        // Of 12 places from 5 to 18.75 in steps of 1.25, those up to 10.5 are seen.
+        assert_eq!(coverage.looked_through(&Vector3::z(), 20.0), 5.0 / 12.0);
+        assert_eq!(coverage.looked_through(&-Vector3::z(), 10.0), 0.0);
+        let up = Vector3::new(0.0, -0.4, 1.0).normalize();
+        assert_eq!(coverage.looked_through(&up, f64::INFINITY), 1.0);
+        // Behind a box that fills the photo nothing is known from 5.25 on.
+        let blocked = [observer_before(0.0, |_| true)];
+        let hidden = from_origin(&blocked).looked_through(&Vector3::z(), 10.0);
+        assert!((0.3..0.5).contains(&hidden), "{hidden}");
+    }
+
+    #[test]
+    fn edges_take_the_farther_surface() {
+        // The box ends between columns 20 and 21; the ray straight on goes through column 20.
+        let observers = [observer_before(0.0, |column| column <= 20)];
+        let coverage = from_origin(&observers);
+        assert_eq!(coverage.surface(&Vector3::z(), 10.0, None).photos, 1);
+        let left = Vector3::new(-0.1, 0.0, 1.0).normalize();
+        assert_eq!(coverage.surface(&left, 10.0, None).photos, 0);
+    }
+}

@@ -1,0 +1,338 @@
+//! Intervals that hold: the spread of the members widened until errors on held-out photos lie within it as often as stated.
+
+use marf_schema::bootstrap::Calibration;
+
+/// z with P(|Z| <= z) = 0.05, 0.10, .. 0.95 for a standard normal Z; written out because erf differs between
+/// libraries.
+const Z: [f64; 19] = [
+    0.062706777943214,
+    0.125661346855074,
+    0.189118426272792,
+    0.2533471031358,
+    0.318639363964375,
+    0.385320466407568,
+    0.45376219016988,
+    0.524400512708041,
+    0.597760126042478,
+    0.674489750196082,
+    0.755415026360469,
+    0.841621233572914,
+    0.93458929107348,
+    1.036433389493789,
+    1.150349380376008,
+    1.281551565544601,
+    1.439531470938456,
+    1.644853626951472,
+    1.959963984540054,
+];
+/// Share of a normal distribution within one standard deviation.
+const ONE_SD: f64 = 0.682_689_492_137_086;
+/// Share inside the interval that maps show.
+const INSIDE: f64 = 0.9;
+/// Fewer places than this cannot be left out in turn.
+const LEAST_PLACES: usize = 2;
+/// Below so many the share of one new place may be far from the mean of these; the note says so.
+const FEW_PLACES: usize = 8;
+/// Fewer errors tell no share.
+const LEAST_ERRORS: usize = 100;
+/// Most errors of a view that are looked at, evenly spaced: shares of more are the same.
+const MOST_ERRORS: usize = 1 << 14;
+/// Rows and columns on each side of a pixel whose variances are averaged with its own.
+const AROUND: usize = 2;
+
+/// Least spreads of gray that are tried, sRGB in [0, 1]: what members agree on may still differ from a photo, by noise and by what no
+/// field resolves.
+pub(crate) const GRAY_FLOORS: [f64; 5] = [1.0 / 255.0, 2.0 / 255.0, 4.0 / 255.0, 8.0 / 255.0, 16.0 / 255.0];
+/// The same of depths, shares of the depth.
+pub(crate) const DEPTH_FLOORS: [f64; 6] = [0.000_5, 0.001, 0.002, 0.004, 0.008, 0.016];
+
+/// Spreads and absolute errors at one viewpoint.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Errors {
+    /// Number of the place that the photo was taken at.
+    pub place: usize,
+    /// Spread of the members and error beside it, in one unit.
+    pub pairs: Vec<(f32, f32)>,
+    /// Share of the view's pixels that have no interval, since no photo saw them.
+    pub unseen_share: f64,
+}
+
+impl Errors {
+    /// Keeps some of all pairs, evenly spaced.
+    pub fn of(place: usize, all: Vec<(f32, f32)>, unseen_share: f64) -> Self {
+        let stride = all.len().div_ceil(MOST_ERRORS).max(1);
+        Self {
+            place,
+            pairs: all.into_iter().step_by(stride).collect(),
+            unseen_share,
+        }
+    }
+}
+
+/// What makes an interval of a spread.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Fit {
+    floor: f64,
+    t: f64,
+    factor90: f64,
+}
+
+/// Returns √(spread² + floor²).
+pub(crate) fn widened(spread: f32, floor: f64) -> f64 {
+    let spread = f64::from(spread);
+    (spread * spread + floor * floor).sqrt()
+}
+
+/// Returns the calibration that the errors at all viewpoints give, checked by leaving out one place at a time: fitted on the others, its
+/// intervals are compared with the errors of that place.
+///
+/// `None` with fewer than two places or 100 errors.
+pub(crate) fn calibrate(views: &[Errors], floors: &[f64]) -> Option<Calibration> {
+    let mut places: Vec<usize> = views.iter().map(|view| view.place).collect();
+    places.sort_unstable();
+    places.dedup();
+    let errors: usize = views.iter().map(|view| view.pairs.len()).sum();
+    if places.len() < LEAST_PLACES || errors < LEAST_ERRORS {
+        return None;
+    }
+    let fit = fit(&views.iter().collect::<Vec<_>>(), floors)?;
+    let checks = places.iter().filter_map(|place| {
+        let (left_out, others): (Vec<&Errors>, Vec<&Errors>) =
+            views.iter().partition(|view| view.place == *place);
+        check(&left_out, &self::fit(&others, floors)?)
+    });
+    let checks: Vec<(f64, f64)> = checks.collect();
+    let count = checks.len().max(1) as f64;
+    let range = |value: fn(&(f64, f64)) -> f64| {
+        let values = checks.iter().map(value);
+        [
+            values.clone().fold(f64::INFINITY, f64::min),
+            values.fold(f64::NEG_INFINITY, f64::max),
+        ]
+    };
+    let note = if places.len() < FEW_PLACES {
+        format!(
+            "only {} places were held out: a new one may be unlike them",
+            places.len()
+        )
+    } else {
+        String::new()
+    };
+    (!checks.is_empty()).then(|| Calibration {
+        floor: fit.floor,
+        t: fit.t,
+        factor90: fit.factor90,
+        ece: checks.iter().map(|check| check.0).sum::<f64>() / count,
+        ece_range: range(|check| check.0),
+        coverage90: checks.iter().map(|check| check.1).sum::<f64>() / count,
+        coverage90_range: range(|check| check.1),
+        places: places.len() as u64,
+        views: views.len() as u64,
+        unseen_share: views.iter().map(|view| view.unseen_share).sum::<f64>() / views.len() as f64,
+        note,
+    })
+}
+
+/// Returns the floor for which errors are most nearly normal, with the factors for it; none without errors.
+fn fit(views: &[&Errors], floors: &[f64]) -> Option<Fit> {
+    let fits = floors.iter().filter_map(|floor| {
+        let scores = scores(views, *floor);
+        let fit = Fit {
+            floor: *floor,
+            t: score_within(&scores, ONE_SD)?,
+            factor90: score_within(&scores, INSIDE)?,
+        };
+        Some((calibration_error(&scores, fit.t), fit))
+    });
+    let best = fits.min_by(|a, b| a.0.total_cmp(&b.0));
+    best.map(|(_, fit)| fit)
+}
+
+/// Returns calibration error and cover of the 90 % interval at views that were not fitted on; none without errors.
+fn check(views: &[&Errors], fit: &Fit) -> Option<(f64, f64)> {
+    let scores = scores(views, fit.floor);
+    (!scores.is_empty()).then(|| {
+        (
+            calibration_error(&scores, fit.t),
+            share_within(&scores, fit.factor90),
+        )
+    })
+}
+
+/// Returns error over widened spread of every pair, sorted.
+fn scores(views: &[&Errors], floor: f64) -> Vec<f64> {
+    let pairs = views.iter().flat_map(|view| &view.pairs);
+    let mut scores: Vec<f64> = pairs
+        .map(|(spread, error)| f64::from(*error) / widened(*spread, floor))
+        .collect();
+    scores.sort_unstable_by(f64::total_cmp);
+    scores
+}
+
+/// Returns the share of sorted scores that are at most `widths`.
+fn share_within(sorted: &[f64], widths: f64) -> f64 {
+    sorted.partition_point(|score| *score <= widths) as f64 / sorted.len().max(1) as f64
+}
+
+/// Returns the mean |share inside - nominal| over the nominal shares 0.05 to 0.95 of a normal distribution whose standard deviation is
+/// `t` spreads.
+fn calibration_error(sorted: &[f64], t: f64) -> f64 {
+    let nominal = (1..=Z.len()).map(|twentieth| twentieth as f64 / 20.0);
+    let gaps = Z
+        .iter()
+        .zip(nominal)
+        .map(|(z, nominal)| (share_within(sorted, z * t) - nominal).abs());
+    gaps.sum::<f64>() / Z.len() as f64
+}
+
+/// Returns which of `count` sorted scores (1 is the least) bounds a share `inside` of new ones: ⌈(count + 1) inside⌉; none if that is
+/// beyond the last (split conformal prediction: the bound holds whatever the distribution is).
+pub(crate) fn conformal_rank(count: usize, inside: f64) -> Option<usize> {
+    // 1e-9: a product that is whole must not be lifted by its rounding.
+    let rank = ((count + 1) as f64 * inside - 1e-9).ceil().max(1.0) as usize;
+    (rank <= count).then_some(rank)
+}
+
+/// Returns the score that bounds a share of new ones; none where there are too few scores.
+fn score_within(sorted: &[f64], inside: f64) -> Option<f64> {
+    conformal_rank(sorted.len(), inside).map(|rank| sorted[rank - 1])
+}
+
+/// Returns the root of the mean of the squares of the values in 5 x 5 pixels around each; negative ones have no value and stay, and are
+/// not averaged.
+///
+/// The variance of five members scatters by a third from pixel to pixel; that of what they show does not.
+pub(crate) fn locally(values: &[f32], width: u32) -> Vec<f32> {
+    let width = width.max(1) as usize;
+    let height = values.len() / width;
+    let span = |place: usize, end: usize| place.saturating_sub(AROUND)..(place + AROUND + 1).min(end);
+    let mean = |pixel: usize| {
+        let (column, row) = (pixel % width, pixel / width);
+        let (mut sum, mut count) = (0.0, 0_u32);
+        for row in span(row, height) {
+            for value in &values[row * width..][span(column, width)] {
+                if *value >= 0.0 {
+                    sum += f64::from(*value) * f64::from(*value);
+                    count += 1;
+                }
+            }
+        }
+        (sum / f64::from(count.max(1))).sqrt() as f32
+    };
+    let local = |pixel: usize| {
+        if values[pixel] < 0.0 {
+            values[pixel]
+        } else {
+            mean(pixel)
+        }
+    };
+    (0..values.len()).map(local).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Errors at the quantiles of a normal distribution of the standard deviation `sd`, 50 in each twentieth.
+    fn normal(place: usize, spread: f32, sd: f64) -> Errors {
+        let ends: Vec<f64> = [0.0].into_iter().chain(Z).chain([2.8]).collect();
+        let between = |pair: &[f64]| {
+            let (low, high) = (pair[0], pair[1]);
+            (0..50).map(move |part| low + (high - low) * (f64::from(part) + 0.5) / 50.0)
+        };
+        let quantiles = ends.windows(2).flat_map(between);
+        let pairs = quantiles.map(|z| (spread, (z * sd) as f32));
+        Errors::of(place, pairs.collect(), 0.25)
+    }
+
+    #[test]
+    fn a_spread_that_is_half_the_truth_is_doubled_and_then_covers() {
+        let views: Vec<Errors> = (0..3).map(|place| normal(place, 0.05, 0.1)).collect();
+        let found = calibrate(&views, &[1e-6]).unwrap();
+        assert!((found.t - 2.0).abs() < 0.1, "{found:?}");
+        assert!((found.factor90 - 3.3).abs() < 0.3, "{found:?}");
+        assert!(found.ece < 0.03, "{found:?}");
+        assert!((found.coverage90 - 0.9).abs() < 0.03, "{found:?}");
+        assert_eq!((found.places, found.views, found.unseen_share), (3, 3, 0.25));
+        assert!(found.note.contains("only 3 places"), "{found:?}");
+    }
+
+    #[test]
+    fn a_place_unlike_the_others_shows_in_the_range() {
+        let mut views: Vec<Errors> = (0..8).map(|place| normal(place, 0.05, 0.05)).collect();
+        views.push(normal(8, 0.05, 0.2));
+        let found = calibrate(&views, &[1e-6]).unwrap();
+        assert!(
+            found.coverage90_range[0] < 0.5 && found.coverage90_range[1] > 0.88,
+            "{found:?}"
+        );
+        assert!(
+            found.ece_range[0] < found.ece && found.ece < found.ece_range[1],
+            "{found:?}"
+        );
+        assert_eq!(found.note, "");
+    }
+
+    #[test]
+    fn the_floor_that_makes_errors_normal_is_taken() {
+        // The members agree more and more from view to view; the photos have noise of 4 of 255.
+        let views: Vec<Errors> = [0.05_f32, 0.02, 0.004, 0.0]
+            .into_iter()
+            .enumerate()
+            .map(|(place, spread)| normal(place, spread, widened(spread, 4.0 / 255.0)))
+            .collect();
+        let found = calibrate(&views, &GRAY_FLOORS).unwrap();
+        assert_eq!(found.floor, 4.0 / 255.0);
+        assert!((found.t - 1.0).abs() < 0.05 && found.ece < 0.02, "{found:?}");
+    }
+
+    #[test]
+    fn one_place_or_few_errors_tell_nothing() {
+        let twins = [normal(0, 0.1, 0.1), normal(0, 0.1, 0.1)];
+        assert_eq!(calibrate(&twins, &[0.1]), None);
+        let few = |place: usize| Errors::of(place, vec![(0.1, 0.1); 49], 0.0);
+        assert_eq!(calibrate(&[few(0), few(1)], &[0.1]), None);
+        assert_eq!(calibrate(&[], &[0.1]), None);
+    }
+
+    #[test]
+    fn without_any_spread_the_floor_alone_makes_the_interval() {
+        let view = |place: usize| Errors::of(place, vec![(0.0, 0.0); 200], 0.0);
+        let found = calibrate(&[view(0), view(1)], &GRAY_FLOORS).unwrap();
+        assert_eq!((found.t, found.factor90, found.coverage90), (0.0, 0.0, 1.0));
+        assert!(found.ece.is_finite());
+    }
+
+    #[test]
+    fn the_worked_example_of_conformal_scores_comes_out() {
+        let sorted = [0.0, 1.9596, 2.0412, 9.5];
+        assert_eq!(
+            (conformal_rank(4, 0.5), conformal_rank(4, 0.8)),
+            (Some(3), Some(4))
+        );
+        assert_eq!(
+            (score_within(&sorted, 0.5), score_within(&sorted, 0.8)),
+            (Some(2.0412), Some(9.5))
+        );
+        assert_eq!(conformal_rank(4, 0.9), None);
+    }
+
+    #[test]
+    fn variances_are_averaged_around_a_pixel_and_what_has_none_stays_out() {
+        let mut values = vec![3.0_f32; 49];
+        values[24] = 5.0;
+        let local = locally(&values, 7);
+        assert!((f64::from(local[24]) - ((24.0 * 9.0 + 25.0_f64) / 25.0).sqrt()).abs() < 1e-6);
+        assert_eq!((local[0], local[6]), (3.0, 3.0));
+        values[24] = -1.0;
+        let local = locally(&values, 7);
+        assert_eq!((local[24], local[23]), (-1.0, 3.0));
+        assert!(locally(&[], 0).is_empty());
+    }
+
+    #[test]
+    fn of_many_errors_some_are_kept() {
+        let many = Errors::of(0, vec![(0.0, 0.0); 3 * MOST_ERRORS], 0.0);
+        assert_eq!(many.pairs.len(), MOST_ERRORS);
+    }
+}

@@ -1,0 +1,347 @@
+//! One viewpoint: its figures, its errors against a photo and sparse points, and how far its maps reach.
+
+use marf_scene::{Image, Point, Pose, Srgb, metrics::psnr, path::Viewpoint, picture::round_upper_limit};
+use marf_schema::bootstrap::{Coverage, PhotoReport, ViewReport};
+use nalgebra::Vector3;
+
+use super::{
+    drawing::mean_picture,
+    intervals::{Errors, locally},
+    maps::{Maps, gray},
+    normality::{coverage, mean, nll},
+    sparsification::{Norm, Sparsification, hundredths, sparsify, spearman},
+};
+use crate::TrainError;
+
+/// Share of the pixels that a scale reaches; what lies above has the top colour, and the label says so.
+const REACH: f64 = 0.995;
+/// Photos that see a sparse point, at least, for it to be compared with: two may be a wrong match.
+const LEAST_VIEWS: u32 = 3;
+/// Side of the cells in which the nearest sparse point hides those behind it, pixels.
+const CELL_PX: u32 = 16;
+/// A sparse point is hidden if it is farther than this many times the nearest one around it.
+const HIDDEN: f64 = 1.1;
+
+/// What is kept of a viewpoint when its maps are dropped.
+#[derive(Debug)]
+pub(crate) struct ViewStudy {
+    pub report: ViewReport,
+    /// Pixels, and those with a depth: the weights of the means.
+    pub pixels: f64,
+    pub depth_pixels: f64,
+    pub rgb_std: [f64; 3],
+    pub tops: Tops,
+    pub held_out: Option<HeldOutStudy>,
+}
+
+/// What a photo that was held out says.
+#[derive(Debug)]
+pub(crate) struct HeldOutStudy {
+    pub coverage: Coverage,
+    pub nll: f64,
+    /// Of gray, sRGB in [0, 1].
+    pub gray: Errors,
+    /// Of the depth, as shares of it.
+    pub depth: Errors,
+}
+
+/// Values that nearly all of a viewpoint's pixels are below, on the scale of 1, 2, 5, 10, ..; lengths in world units.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct Tops {
+    pub std: f64,
+    /// Of the standard deviation averaged around a pixel.
+    pub local_std: f64,
+    pub total: f64,
+    pub depth: f64,
+    pub depth_std: f64,
+    pub error: f64,
+    pub photos: f64,
+}
+
+/// A photo that was held out, with the number of the place it was taken at.
+pub(crate) struct Truth<'a> {
+    pub photo: &'a Image<Srgb>,
+    pub place: usize,
+}
+
+/// Returns the figures of a viewpoint.
+///
+/// # Errors
+/// A photo of another size than the maps.
+pub(crate) fn study(
+    place: &Viewpoint,
+    maps: &Maps,
+    truth: Option<&Truth<'_>>,
+    points: &[Point],
+) -> Result<ViewStudy, TrainError> {
+    let error = truth.map(|truth| errors(maps, truth.photo)).unwrap_or_default();
+    let held_out = truth.map(|truth| held_out(place, maps, truth.place, &error, points));
+    let report = ViewReport {
+        place: truth.map(|truth| truth.place as u64),
+        photo: truth
+            .map(|truth| photo_report(place, maps, truth.photo, &error))
+            .transpose()?,
+        ..view_report(place, maps)
+    };
+    let top = |values: &[f32]| round_upper_limit(values, REACH);
+    let channel = |channel: usize| mean(maps.rgb_std.iter().map(|rgb| rgb[channel]));
+    Ok(ViewStudy {
+        report,
+        pixels: maps.std.len() as f64,
+        depth_pixels: maps.depth_std.iter().filter(|std| **std >= 0.0).count() as f64,
+        rgb_std: [0, 1, 2].map(channel),
+        tops: Tops {
+            std: top(&maps.std),
+            local_std: top(&locally(&maps.std, maps.width)),
+            total: top(&maps.total),
+            depth: top(&maps.depth),
+            depth_std: top(&maps.depth_std),
+            error: top(&error),
+            photos: top(&maps.photos),
+        },
+        held_out,
+    })
+}
+
+/// Returns |mean gray - gray of the photo| of every pixel.
+pub(crate) fn errors(maps: &Maps, photo: &Image<Srgb>) -> Vec<f32> {
+    let grays = photo
+        .pixels
+        .iter()
+        .map(|rgb| gray(&rgb.map(|channel| f32::from(channel) / 255.0)));
+    let pixels = maps.gray.iter().zip(grays);
+    pixels
+        .map(|(mean, photo)| (f64::from(*mean) - photo).abs() as f32)
+        .collect()
+}
+
+/// Returns the figures of one viewpoint without a photo.
+fn view_report(place: &Viewpoint, maps: &Maps) -> ViewReport {
+    let share =
+        |is: &dyn Fn(usize) -> bool| mean((0..maps.std.len()).map(|pixel| f64::from(u8::from(is(pixel)))));
+    let with_depth = maps.depth_std.iter().copied().filter(|std| *std >= 0.0);
+    let has_depth = with_depth.clone().next().is_some();
+    ViewReport {
+        name: place.name.clone(),
+        std: mean(maps.std.iter().copied()),
+        std_paper: mean(maps.std_paper.iter().copied()),
+        unseen_term: mean(maps.unseen.iter().copied()),
+        total_sd: mean(maps.total.iter().copied()),
+        depth_std: has_depth.then(|| mean(with_depth)),
+        unseen_share: share(&|pixel| !maps.is_seen(pixel)),
+        sky_share: share(&|pixel| maps.is_seen(pixel) && maps.depth[pixel] < 0.0),
+        place: None,
+        photo: None,
+    }
+}
+
+/// Returns how well the spread ranks the errors against a photo.
+fn photo_report(
+    place: &Viewpoint,
+    maps: &Maps,
+    photo: &Image<Srgb>,
+    error: &[f32],
+) -> Result<PhotoReport, TrainError> {
+    let removed = hundredths();
+    let by = |map: &[f32], norm| -> Sparsification { sparsify(map, error, &removed, norm) };
+    let (mae, rmse) = (by(&maps.std, Norm::Mae), by(&maps.std, Norm::Rmse));
+    let psnr = psnr(&mean_picture(maps), photo).map_err(|cause| TrainError::Picture {
+        name: place.name.clone(),
+        cause: cause.to_string(),
+    })?;
+    Ok(PhotoReport {
+        psnr,
+        ause_mae: mae.ause,
+        ause_mae_random: mae.ause_random,
+        ause_rmse: rmse.ause,
+        ause_rmse_random: rmse.ause_random,
+        ause_mae_total: by(&maps.total, Norm::Mae).ause,
+        spearman: spearman(&maps.std, error),
+    })
+}
+
+fn held_out(place: &Viewpoint, maps: &Maps, number: usize, error: &[f32], points: &[Point]) -> HeldOutStudy {
+    let local = locally(&maps.std, maps.width);
+    let seen = (0..error.len()).filter(|pixel| maps.is_seen(*pixel));
+    let gray: Vec<(f32, f32)> = seen.map(|pixel| (local[pixel], error[pixel])).collect();
+    let unseen_share = 1.0 - gray.len() as f64 / error.len().max(1) as f64;
+    let within = |widths: f64| coverage(&maps.std, error, widths);
+    HeldOutStudy {
+        coverage: Coverage {
+            sd1: within(1.0),
+            sd2: within(2.0),
+            sd3: within(3.0),
+        },
+        nll: nll(&maps.std, error, 1.0),
+        gray: Errors::of(number, gray, unseen_share),
+        depth: Errors::of(number, depth_errors(place, maps, points), unseen_share),
+    }
+}
+
+/// Returns spread and error of the depth, as shares of it, where the view shows a sparse point that no other hides.
+fn depth_errors(place: &Viewpoint, maps: &Maps, points: &[Point]) -> Vec<(f32, f32)> {
+    let spread = locally(&maps.depth_std, maps.width);
+    let compared = visible(place, points)
+        .into_iter()
+        .filter_map(|(pixel, distance)| {
+            let depth = f64::from(maps.depth[pixel]);
+            let usable = depth > 0.0 && maps.is_seen(pixel);
+            let share = |length: f64| (length / depth) as f32;
+            usable.then(|| (share(f64::from(spread[pixel])), share((depth - distance).abs())))
+        });
+    compared.collect()
+}
+
+/// Returns pixel and distance of the sparse points that a view shows, without those that are hidden by nearer ones around them.
+fn visible(place: &Viewpoint, points: &[Point]) -> Vec<(usize, f64)> {
+    let (camera, centre) = (&place.camera, place.cam_from_world.centre());
+    let (across, down) = (camera.width.div_ceil(CELL_PX), camera.height.div_ceil(CELL_PX));
+    let mut nearest = vec![f64::INFINITY; (across * down) as usize];
+    let mut shown = Vec::new();
+    for point in points.iter().filter(|point| point.views >= LEAST_VIEWS) {
+        let point = Vector3::from(point.position);
+        let Some((column, row)) = pixel_of(camera, &place.cam_from_world, &point) else {
+            continue;
+        };
+        let distance = (point - centre).norm();
+        let cell = &mut nearest[(row / CELL_PX * across + column / CELL_PX) as usize];
+        *cell = cell.min(distance);
+        shown.push((column, row, distance));
+    }
+    let nearest_around = |column: u32, row: u32| {
+        let span = |place: u32, end: u32| place.saturating_sub(1)..(place + 2).min(end);
+        let rows = span(row / CELL_PX, down);
+        let cells =
+            rows.flat_map(|row| span(column / CELL_PX, across).map(move |column| row * across + column));
+        cells
+            .map(|cell| nearest[cell as usize])
+            .fold(f64::INFINITY, f64::min)
+    };
+    shown.retain(|(column, row, distance)| *distance <= HIDDEN * nearest_around(*column, *row));
+    let pixel = |(column, row, distance): (u32, u32, f64)| ((row * camera.width + column) as usize, distance);
+    shown.into_iter().map(pixel).collect()
+}
+
+fn pixel_of(camera: &marf_scene::Camera, cam_from_world: &Pose, point: &Vector3<f64>) -> Option<(u32, u32)> {
+    let pixel = camera.project(&cam_from_world.point(point))?;
+    let inside = pixel.x >= 0.0
+        && pixel.y >= 0.0
+        && pixel.x < f64::from(camera.width)
+        && pixel.y < f64::from(camera.height);
+    inside.then_some((pixel.x as u32, pixel.y as u32))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::maps::tests::{example, maps_of};
+    use super::*;
+    use marf_scene::Camera;
+
+    fn place(width: u32, height: u32) -> Viewpoint {
+        Viewpoint {
+            name: "0001".to_owned(),
+            camera: Camera::pinhole(width, height, 40.0),
+            cam_from_world: Pose::identity(),
+        }
+    }
+
+    fn point(x: f64, y: f64, z: f64, views: u32) -> Point {
+        Point {
+            position: [x, y, z],
+            color: None,
+            views,
+        }
+    }
+
+    #[test]
+    fn figures_of_the_worked_example_without_a_photo() {
+        let study = study(&place(4, 1), &maps_of(&example()), None, &[]).unwrap();
+        assert!((study.report.std_paper - 0.027_311).abs() < 6e-7, "{study:?}");
+        assert!((study.report.std / study.report.std_paper - (4.0_f64 / 3.0).sqrt()).abs() < 1e-6);
+        assert_eq!((study.report.unseen_share, study.report.sky_share), (0.25, 0.0));
+        assert_eq!((study.pixels, study.depth_pixels), (4.0, 3.0));
+        assert!(study.held_out.is_none() && study.report.photo.is_none());
+    }
+
+    #[test]
+    fn figures_of_the_worked_example_with_its_photo() {
+        let maps = maps_of(&example());
+        let photo = Image {
+            width: 4,
+            height: 1,
+            pixels: vec![[128; 3], [77; 3], [184; 3], [153; 3]],
+        };
+        let truth = Truth {
+            photo: &photo,
+            place: 7,
+        };
+        let study = study(&place(4, 1), &maps, Some(&truth), &[]).unwrap();
+        let report = study.report.photo.unwrap();
+        assert!((report.spearman - 0.4).abs() < 1e-12);
+        assert!(
+            report.ause_mae_total < report.ause_mae,
+            "what no photo saw comes last"
+        );
+        let held_out = study.held_out.unwrap();
+        assert_eq!(
+            [
+                held_out.coverage.sd1,
+                held_out.coverage.sd2,
+                held_out.coverage.sd3
+            ],
+            [0.25, 0.5, 0.75]
+        );
+        assert_eq!(
+            (
+                held_out.gray.place,
+                held_out.gray.pairs.len(),
+                held_out.gray.unseen_share
+            ),
+            (7, 3, 0.25)
+        );
+        let small = Image {
+            width: 1,
+            height: 1,
+            pixels: vec![[0; 3]],
+        };
+        let wrong = super::study(
+            &place(4, 1),
+            &maps,
+            Some(&Truth {
+                photo: &small,
+                place: 0,
+            }),
+            &[],
+        );
+        assert!(wrong.unwrap_err().to_string().contains("0001"));
+    }
+
+    #[test]
+    fn sparse_points_count_where_no_other_hides_them() {
+        let points = [
+            point(0.0, 0.0, 2.0, 3),
+            point(0.02, 0.0, 4.0, 5), // behind it, in the same cell
+            point(0.0, 0.0, 1.0, 2),  // seen by too few photos to hide or to count
+            point(-2.6, 0.0, 2.0, 9), // beyond the left edge
+            point(0.0, 0.0, -2.0, 9), // behind the camera
+            point(3.2, 0.0, 4.0, 3),  // alone in its corner
+        ];
+        let found = visible(&place(96, 40), &points);
+        assert_eq!(found.len(), 2, "{found:?}");
+        assert_eq!(found[0], (20 * 96 + 48, 2.0));
+        assert_eq!(found[1].0, 20 * 96 + 80);
+    }
+
+    #[test]
+    fn depths_are_compared_as_shares() {
+        let maps = maps_of(&example());
+        // Depths 2, 3, 4, 5: 3.5 in the mean, in all pixels with matter.
+        let found = depth_errors(&place(4, 1), &maps, &[point(0.0, 0.0, 4.2, 3)]);
+        assert_eq!(found.len(), 1);
+        assert!((found[0].1 - 0.2).abs() < 1e-6, "{found:?}");
+        assert!(
+            (f64::from(found[0].0) - (5.0_f64 / 3.0).sqrt() / 3.5).abs() < 1e-6,
+            "{found:?}"
+        );
+    }
+}
