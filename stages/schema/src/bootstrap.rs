@@ -3,7 +3,7 @@
 use marf_field::{Device, Overrides, Quality};
 use marf_stage::{Document, ParamError, Params};
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::{check_field, train::Fit};
 
@@ -71,6 +71,76 @@ impl Default for ViewpointList {
     }
 }
 
+/// How many members are trained.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema)]
+#[schemars(with = "MembersWritten")]
+pub enum Members {
+    /// So many.
+    Count(u32),
+    /// Three, then two more at a time until the order of errors is as good as with two fewer.
+    Auto,
+}
+
+/// As they are written: a number, or `"auto"`.
+#[derive(Serialize, JsonSchema)]
+#[serde(untagged)]
+#[expect(dead_code, reason = "its schema alone is used")]
+enum MembersWritten {
+    Count(u32),
+    Auto(Auto),
+}
+
+#[derive(Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+#[expect(dead_code, reason = "its schema alone is used")]
+enum Auto {
+    Auto,
+}
+
+impl Serialize for Members {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Count(count) => serializer.serialize_u32(*count),
+            Self::Auto => serializer.serialize_str(AUTO),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Members {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Written;
+        impl serde::de::Visitor<'_> for Written {
+            type Value = Members;
+
+            fn expecting(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                formatter.write_str("a number of members, or \"auto\"")
+            }
+
+            fn visit_u64<E: serde::de::Error>(self, count: u64) -> Result<Members, E> {
+                let count = u32::try_from(count);
+                count
+                    .map(Members::Count)
+                    .map_err(|_| E::custom("that many members cannot be counted"))
+            }
+
+            fn visit_i64<E: serde::de::Error>(self, count: i64) -> Result<Members, E> {
+                let count = u64::try_from(count).map_err(|_| E::custom("fewer than no members"))?;
+                self.visit_u64(count)
+            }
+
+            fn visit_str<E: serde::de::Error>(self, word: &str) -> Result<Members, E> {
+                match word {
+                    AUTO => Ok(Members::Auto),
+                    _ => Err(E::invalid_value(serde::de::Unexpected::Str(word), &self)),
+                }
+            }
+        }
+        deserializer.deserialize_any(Written)
+    }
+}
+
+const AUTO: &str = "auto";
+
 /// What the fly-through shows between the mean colour and the depth.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -86,8 +156,9 @@ pub enum Shown {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct BootstrapParams {
-    /// Retrainings, at least 2. Five rank pixels well; intervals want ten.
-    pub b: u32,
+    /// Retrainings: at least 2, five rank pixels well and intervals want ten; or `auto`, which takes three and two more at a time, up to
+    /// 21, until AUSE moves by less than 0.01. `auto` wants photos held out.
+    pub b: Members,
     /// What differs between members.
     pub mode: Mode,
     /// Seed of the first member; each further one adds 1. With `of` and its seed the first member is that training again.
@@ -120,7 +191,7 @@ pub struct BootstrapParams {
 impl Default for BootstrapParams {
     fn default() -> Self {
         Self {
-            b: 5,
+            b: Members::Count(5),
             mode: Mode::Seeds,
             seed: 0,
             quality: Quality::default(),
@@ -153,11 +224,8 @@ impl BootstrapParams {
     /// # Errors
     /// Names the key that is out of range.
     pub fn check(&self) -> Result<(), ParamError> {
-        if self.b < 2 {
-            let message = format!(
-                "{} member has no spread: at least 2, 5 for maps, 10 for intervals",
-                self.b
-            );
+        if let Members::Count(count @ 0..2) = self.b {
+            let message = format!("{count} member has no spread: at least 2, 5 for maps, 10 for intervals");
             return Err(ParamError::new("b", message));
         }
         let at_most = |key: &str, value: u32, most: u32| {
@@ -172,7 +240,9 @@ impl BootstrapParams {
             0 => Err(ParamError::new(key, "0 gives nothing; at least 1")),
             _ => Ok(()),
         };
-        at_most("b", self.b, MAX_MEMBERS)?;
+        if let Members::Count(count) = self.b {
+            at_most("b", count, MAX_MEMBERS)?;
+        }
         at_most("frames", self.frames, MAX_FRAMES)?;
         at_most("map_frames", self.map_frames, MAX_FRAMES)?;
         at_most("width", self.width, MAX_WIDTH_PX)?;
@@ -222,6 +292,12 @@ pub struct Metrics {
     pub sky_share: f64,
     /// The members, in order.
     pub members: Vec<Member>,
+    /// How good the order of errors was with fewer of them; only with `b = "auto"`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub rounds: Vec<Round>,
+    /// What photos say of the members that did not draw them; only in mode `photos`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub out_of_bag: Option<OutOfBag>,
     /// What the photos held out say; none where the viewpoints are not photos.
     pub heldout: Option<HeldOut>,
     /// Every viewpoint.
@@ -231,6 +307,26 @@ pub struct Metrics {
 impl Document for Metrics {
     const STAGE: &'static str = BootstrapParams::STAGE;
     const OUTPUT: &'static str = "metrics";
+}
+
+/// The first members of a bootstrap.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Round {
+    /// So many.
+    pub b: u32,
+    /// Mean AUSE by their standard deviation over the photos held out, shrunk to at most 160 pixels.
+    pub ause_mae: f64,
+}
+
+/// Photos trained on, shrunk to at most 160 pixels, compared with the mean of the members that did not draw them, and that did.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct OutOfBag {
+    /// Photos that at least one member did not draw.
+    pub photos: u64,
+    /// Mean PSNR of the means of those that did not, dB.
+    pub psnr: f64,
+    /// Mean PSNR of the means of those that did, of the same photos, dB; none where no photo has both.
+    pub psnr_in_bag: Option<f64>,
 }
 
 /// A member, from its own metrics.
@@ -377,6 +473,24 @@ mod tests {
             let params: BootstrapParams = serde_json::from_value(table).unwrap();
             let error = params.check().unwrap_err();
             assert_eq!(error.path, key, "{error:?}");
+        }
+    }
+
+    #[test]
+    fn members_are_a_number_or_auto() {
+        let members = |written: serde_json::Value| serde_json::from_value::<Members>(written);
+        for (written, expected) in [(json!(7), Members::Count(7)), (json!("auto"), Members::Auto)] {
+            assert_eq!(members(written.clone()).unwrap(), expected);
+            assert_eq!(serde_json::to_value(expected).unwrap(), written);
+        }
+        for (written, word) in [
+            (json!("many"), "a number of members, or \"auto\""),
+            (json!(-1), "fewer than no"),
+            (json!(1_u64 << 40), "cannot be counted"),
+            (json!([]), "a number of members"),
+        ] {
+            let error = members(written).unwrap_err().to_string();
+            assert!(error.contains(word), "{error}");
         }
     }
 

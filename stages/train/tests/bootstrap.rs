@@ -9,8 +9,8 @@ use marf_cache::Digest;
 use marf_field::{Overrides, Trainer, View};
 use marf_scene::{Camera, Frame, Image, Photo, Point, Pose, Scene, Srgb, encode_png};
 use marf_schema::{
-    bootstrap::{BootstrapParams, Metrics},
-    example,
+    bootstrap::{BootstrapParams, Members, Metrics},
+    example, train,
     video::Film,
 };
 use marf_stage::{Define, Document, Expand, Inputs, Outputs, TypedOutputs, harness::Harness};
@@ -339,6 +339,62 @@ fn shadow_and_sky_are_told_apart_from_a_hole() {
     );
 }
 
+fn auto() -> Bootstrap {
+    Bootstrap::new(serde_json::from_value(json!({"b": "auto", "frames": 1, "width": 24})).unwrap()).unwrap()
+}
+
+#[test]
+fn auto_asks_for_two_more_until_they_change_nothing() {
+    let fixture = fixture(1);
+    let ctx = fixture.harness.ctx();
+    let first = auto().expand(&ctx, &fixture.inputs).unwrap();
+    assert_eq!(first.len(), 3);
+    let same = |count: usize| vec![fixture.members[0].clone(); count];
+    let more = auto().further(&ctx, &fixture.inputs, &same(3)).unwrap();
+    let names: Vec<&str> = more.iter().map(|node| node.name.as_str()).collect();
+    assert_eq!(names, ["member-03", "member-04"]);
+    assert_eq!(auto().further(&ctx, &fixture.inputs, &same(5)).unwrap(), vec![]);
+    let outputs = auto().reduce(&ctx, &fixture.inputs, &same(5)).unwrap();
+    let metrics = Metrics::decode(&fixture.harness.get(&outputs["metrics"]).unwrap()).unwrap();
+    assert_eq!(
+        metrics.rounds.iter().map(|round| round.b).collect::<Vec<_>>(),
+        [3, 5]
+    );
+    assert_eq!(metrics.rounds[0].ause_mae, metrics.rounds[1].ause_mae);
+    assert_eq!((metrics.b, metrics.members.len()), (5, 5));
+}
+
+#[test]
+fn auto_wants_photos_held_out_and_a_number_asks_once() {
+    let mut fixture = fixture(1);
+    let ctx = fixture.harness.ctx();
+    let counted = Bootstrap::new(serde_json::from_value(json!({"b": 3})).unwrap()).unwrap();
+    let members = vec![fixture.members[0].clone(); 3];
+    assert_eq!(counted.further(&ctx, &fixture.inputs, &members).unwrap(), vec![]);
+    fixture.members[0].retain(|name, _| !name.starts_with("photo/"));
+    let members = vec![fixture.members[0].clone(); 3];
+    let error = auto().further(&ctx, &fixture.inputs, &members).unwrap_err();
+    assert!(error.to_string().contains("no photo is held out"), "{error}");
+}
+
+#[test]
+fn photos_that_a_member_did_not_draw_test_it() {
+    let mut fixture = fixture(2);
+    let draws: [&[&str]; 2] = [&["00", "02", "04", "06", "06"], &["00", "02", "08", "08", "08"]];
+    for (member, drawn) in fixture.members.iter_mut().zip(draws) {
+        let mut metrics = train::Metrics::decode(&fixture.harness.get(&member["metrics"]).unwrap()).unwrap();
+        metrics.drawn = Some(drawn.iter().map(|id| (*id).to_owned()).collect());
+        member.put(&fixture.harness.ctx(), &metrics).unwrap();
+    }
+    let (report, _) = fixture.reduce(json!({"b": 2, "mode": "photos", "frames": 1, "width": 24}));
+    let found = report.out_of_bag.unwrap();
+    assert_eq!(found.photos, 3, "04, 06 and 08; all others were drawn by both");
+    assert!(
+        found.psnr > 10.0 && found.psnr_in_bag.unwrap() > 10.0,
+        "{found:?}"
+    );
+}
+
 #[test]
 fn a_path_has_maps_without_photos() {
     let fixture = fixture(2);
@@ -356,7 +412,7 @@ fn a_member_without_weights_is_named() {
     let mut fixture = fixture(2);
     fixture.members[1].remove("weights");
     let stage = Bootstrap::new(BootstrapParams {
-        b: 2,
+        b: Members::Count(2),
         ..BootstrapParams::default()
     })
     .unwrap();

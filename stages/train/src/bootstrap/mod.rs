@@ -2,11 +2,13 @@
 //!
 //! Members are sorted pixel by pixel before they are summed, so no map depends on their order.
 
+mod auto;
 mod drawing;
 mod intervals;
 mod maps;
 mod normality;
 mod npy;
+mod out_of_bag;
 mod reduce;
 mod report;
 mod seen;
@@ -14,9 +16,11 @@ mod sparsification;
 mod study;
 mod viewpoints;
 
+use std::ops::Range;
+
 use marf_cache::Digest;
 use marf_schema::{
-    bootstrap::{BootstrapParams, Metrics, Mode},
+    bootstrap::{BootstrapParams, Members, Metrics, Mode},
     output::{FLYTHROUGH, MAPS, SCENE, WEIGHTS},
     train::{Setup, TrainParams, TrialsParams},
     tune::BestParams,
@@ -59,18 +63,36 @@ impl Define for Bootstrap {
 
 stage_on_device!(Bootstrap, Expand);
 
+impl Bootstrap {
+    fn members(&self, members: Range<u32>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
+        let specs = members.map(|index| {
+            let train = member(&self.params, index);
+            NodeSpec::of(format!("member-{index:02}"), &train, inputs)
+        });
+        specs.collect()
+    }
+}
+
 impl Expand for Bootstrap {
     fn children(&self) -> Vec<ChildStage> {
         vec![child_stage(&member(&self.params, 0))]
     }
 
     fn expand(&self, _ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
-        (0..self.params.b)
-            .map(|index| {
-                let train = member(&self.params, index);
-                NodeSpec::of(format!("member-{index:02}"), &train, inputs)
-            })
-            .collect()
+        match self.params.b {
+            Members::Count(count) => self.members(0..count, inputs),
+            Members::Auto => self.members(0..auto::FIRST, inputs),
+        }
+    }
+
+    fn further(&self, ctx: &Ctx<'_>, inputs: &Inputs, done: &[Outputs]) -> Result<Vec<NodeSpec>, StageError> {
+        let count = done.len() as u32;
+        match self.params.b {
+            Members::Auto if !auto::is_enough(ctx, &self.params.device, inputs, done)? => {
+                self.members(count..count + auto::MORE, inputs)
+            }
+            _ => Ok(Vec::new()),
+        }
     }
 
     fn reduce(&self, ctx: &Ctx<'_>, inputs: &Inputs, children: &[Outputs]) -> Result<Outputs, StageError> {

@@ -5,7 +5,7 @@ use marf_scene::{
     path::{self, Viewpoint},
 };
 use marf_schema::{
-    bootstrap::{BootstrapParams, Member},
+    bootstrap::{BootstrapParams, Member, Members, Metrics},
     output::{FLYTHROUGH, MAPS, WEIGHTS},
     train,
     video::Film,
@@ -13,8 +13,10 @@ use marf_schema::{
 use marf_stage::{Ctx, Inputs, Outputs, StageError, TypedOutputs};
 
 use super::{
+    auto::rounds,
     drawing::{Scales, flythrough_picture, flythrough_size, put_view},
     maps::{Maps, maps},
+    out_of_bag::out_of_bag,
     report::report,
     seen::Witnesses,
     study::{Truth, ViewStudy, study},
@@ -26,7 +28,8 @@ use crate::{
     child::Child,
     error::field_failed,
     io::{put_png, read_scene},
-    split::{NamedFrame, split},
+    photos::PhotoReader,
+    split::split,
     view::{self, render_view},
 };
 
@@ -36,6 +39,7 @@ struct Mapper<'a> {
     /// What is reduced.
     of: Digest,
     fields: Vec<Field>,
+    /// What photos saw, by the member with the lowest seed: the delivered field, where it is a member.
     witnesses: Witnesses,
     /// Viewpoints that are done.
     done: u64,
@@ -51,11 +55,11 @@ pub(crate) fn reduce(
     of: Digest,
     params: &BootstrapParams,
     inputs: &Inputs,
-    children: &[Outputs],
+    outputs_of_members: &[Outputs],
 ) -> Result<Outputs, StageError> {
     let scene = read_scene(ctx, inputs)?;
     let children: Vec<Child<'_>> = (0..)
-        .zip(children)
+        .zip(outputs_of_members)
         .map(|(member, outputs): (u32, _)| {
             let name = format!("member {member:02}");
             Child { name, outputs }
@@ -72,18 +76,28 @@ pub(crate) fn reduce(
     let views = map_views(ctx, params, &scene, &training, metrics[0].scale, first)?;
     let flythrough = path::flythrough(&scene, params.frames, params.width);
     check_film(&flythrough)?;
-    let total = (views.len() + flythrough.len()) as u64;
-    let mut mapper = Mapper::new(
+    let fields = fields(ctx, &children, &params.device)?;
+    let first = (0..fields.len()).min_by_key(|member| metrics[*member].seed);
+    let witness = &fields[first.unwrap_or(0)];
+    let mut mapper = Mapper {
+        witnesses: Witnesses::new(ctx, of, witness, &training, &scene)?,
         ctx,
         of,
-        fields(ctx, &children, &params.device)?,
-        &training,
-        &scene,
-        total,
-    )?;
+        fields,
+        done: 0,
+        total: (views.len() + flythrough.len()) as u64,
+    };
 
     let studies = studies(&mut mapper, &views, &scene)?;
-    let report = report(params.b, params.mode, members(&metrics), &studies);
+    let photos = PhotoReader::new(ctx, &scene, metrics[0].scale);
+    let report = Metrics {
+        rounds: match params.b {
+            Members::Auto => rounds(ctx, &params.device, inputs, outputs_of_members)?,
+            Members::Count(_) => Vec::new(),
+        },
+        out_of_bag: out_of_bag(ctx, of, &metrics, &mapper.fields, &photos, &training)?,
+        ..report(params.mode, members(&metrics), &studies)
+    };
     let scales = Scales::of(
         studies.iter().map(|study| &study.tops),
         report.heldout.as_ref(),
@@ -107,27 +121,6 @@ fn check_film(flythrough: &[Viewpoint]) -> Result<(), TrainError> {
 }
 
 impl<'a> Mapper<'a> {
-    fn new(
-        ctx: &'a Ctx<'a>,
-        of: Digest,
-        fields: Vec<Field>,
-        training: &[NamedFrame<'_>],
-        scene: &Scene,
-        total: u64,
-    ) -> Result<Self, StageError> {
-        let first = fields
-            .first()
-            .ok_or_else(|| StageError::new("no member was trained"))?;
-        Ok(Self {
-            ctx,
-            of,
-            witnesses: Witnesses::new(ctx, of, first, training, scene)?,
-            fields,
-            done: 0,
-            total,
-        })
-    }
-
     /// Returns the maps of viewpoint `index` of all.
     fn maps(&self, index: u64, place: &Viewpoint) -> Result<Maps, StageError> {
         let renders = self.render(index, place)?;

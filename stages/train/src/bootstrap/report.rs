@@ -14,7 +14,7 @@ const NOMINAL: Coverage = Coverage {
 };
 
 /// Returns the metrics of a bootstrap: means over all pixels of all viewpoints.
-pub(crate) fn report(b: u32, mode: Mode, members: Vec<Member>, views: &[ViewStudy]) -> Metrics {
+pub(crate) fn report(mode: Mode, members: Vec<Member>, views: &[ViewStudy]) -> Metrics {
     let pixels: Vec<f64> = views.iter().map(|view| view.pixels).collect();
     let all = |value: &dyn Fn(&ViewStudy) -> f64| weighted(views.iter().map(value), &pixels);
     let depth_pixels: Vec<f64> = views.iter().map(|view| view.depth_pixels).collect();
@@ -23,7 +23,7 @@ pub(crate) fn report(b: u32, mode: Mode, members: Vec<Member>, views: &[ViewStud
         &depth_pixels,
     );
     Metrics {
-        b,
+        b: members.len() as u32,
         mode,
         std: all(&|view| view.report.std),
         std_paper: all(&|view| view.report.std_paper),
@@ -34,6 +34,8 @@ pub(crate) fn report(b: u32, mode: Mode, members: Vec<Member>, views: &[ViewStud
         unseen_share: all(&|view| view.report.unseen_share),
         sky_share: all(&|view| view.report.sky_share),
         heldout: held_out(views, &members),
+        rounds: Vec::new(),
+        out_of_bag: None,
         members,
         views: views
             .iter()
@@ -120,7 +122,7 @@ mod tests {
     #[test]
     fn a_report_without_photos_has_spreads_and_nothing_more() {
         let view = study(&place(), &maps_of(&example()), None, &[]).unwrap();
-        let report = report(4, Mode::Seeds, vec![member(0), member(1)], &[view]);
+        let report = report(Mode::Seeds, vec![member(0), member(1)], &[view]);
         assert_eq!(report.heldout, None);
         assert!(
             (report.std_paper - 0.027_311).abs() < 6e-7,
@@ -140,7 +142,7 @@ mod tests {
         (views[1].pixels, views[1].report.std) = (12.0, 1.0);
         (views[1].depth_pixels, views[1].report.depth_std) = (0.0, None);
         let one = views[0].report.clone();
-        let report = report(4, Mode::Seeds, vec![], &views);
+        let report = report(Mode::Seeds, vec![], &views);
         assert!((report.std - (one.std + 3.0) / 4.0).abs() < 1e-12);
         assert_eq!(report.depth_std, one.depth_std);
     }
@@ -160,7 +162,7 @@ mod tests {
             study(&place(), &maps_of(&example()), Some(&truth), &[]).unwrap()
         };
         let views: Vec<ViewStudy> = (0..4).map(view).collect();
-        let found = report(4, Mode::Seeds, vec![member(0), member(2)], &views)
+        let found = report(Mode::Seeds, vec![member(0), member(2)], &views)
             .heldout
             .unwrap();
         assert!((found.mean.spearman - 0.4).abs() < 1e-12);
