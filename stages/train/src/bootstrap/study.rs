@@ -192,12 +192,12 @@ fn depth_errors(place: &Viewpoint, maps: &Maps, points: &[Point]) -> Vec<(f32, f
     compared.collect()
 }
 
-/// Returns pixel and distance of the sparse points that a view shows, without those that are hidden by nearer ones around them.
+/// Returns pixel and distance of sparse points that a view shows: in each cell of 16 pixels the nearest, if no nearer one around it hides
+/// it. One a cell, since points are dense where texture makes depths good, and the interval is for all pixels.
 fn visible(place: &Viewpoint, points: &[Point]) -> Vec<(usize, f64)> {
     let (camera, centre) = (&place.camera, place.cam_from_world.centre());
     let (across, down) = (camera.width.div_ceil(CELL_PX), camera.height.div_ceil(CELL_PX));
-    let mut nearest = vec![f64::INFINITY; (across * down) as usize];
-    let mut shown = Vec::new();
+    let mut nearest: Vec<Option<(f64, usize)>> = vec![None; (across * down) as usize];
     for point in points.iter().filter(|point| point.views >= LEAST_VIEWS) {
         let point = Vector3::from(point.position);
         let Some((column, row)) = pixel_of(camera, &place.cam_from_world, &point) else {
@@ -205,21 +205,22 @@ fn visible(place: &Viewpoint, points: &[Point]) -> Vec<(usize, f64)> {
         };
         let distance = (point - centre).norm();
         let cell = &mut nearest[(row / CELL_PX * across + column / CELL_PX) as usize];
-        *cell = cell.min(distance);
-        shown.push((column, row, distance));
+        if cell.is_none_or(|(least, _)| distance < least) {
+            *cell = Some((distance, (row * camera.width + column) as usize));
+        }
     }
-    let nearest_around = |column: u32, row: u32| {
+    let nearest_around = |cell: u32| {
         let span = |place: u32, end: u32| place.saturating_sub(1)..(place + 2).min(end);
-        let rows = span(row / CELL_PX, down);
-        let cells =
-            rows.flat_map(|row| span(column / CELL_PX, across).map(move |column| row * across + column));
-        cells
-            .map(|cell| nearest[cell as usize])
-            .fold(f64::INFINITY, f64::min)
+        let rows = span(cell / across, down);
+        let cells = rows.flat_map(|row| span(cell % across, across).map(move |column| row * across + column));
+        let distances = cells.filter_map(|cell| nearest[cell as usize].map(|(distance, _)| distance));
+        distances.fold(f64::INFINITY, f64::min)
     };
-    shown.retain(|(column, row, distance)| *distance <= HIDDEN * nearest_around(*column, *row));
-    let pixel = |(column, row, distance): (u32, u32, f64)| ((row * camera.width + column) as usize, distance);
-    shown.into_iter().map(pixel).collect()
+    let shown = (0..across * down).filter_map(|cell| {
+        let (distance, pixel) = nearest[cell as usize]?;
+        (distance <= HIDDEN * nearest_around(cell)).then_some((pixel, distance))
+    });
+    shown.collect()
 }
 
 fn pixel_of(camera: &marf_scene::Camera, cam_from_world: &Pose, point: &Vector3<f64>) -> Option<(u32, u32)> {
