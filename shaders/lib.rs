@@ -272,7 +272,9 @@ pub const RAYS: Shader = Shader {
     name: "rays",
     shared: &[FLAT, RNG, CAMERA, STEP],
     text: include_str!("rays.wgsl"),
-    heads: &["const PURPOSE: u32 = 3u;\nconst NEWTON_STEPS: u32 = 20u;\n"],
+    heads: &[
+        "const PURPOSE: u32 = 3u;\nconst NEWTON_STEPS: u32 = 20u;\nconst HIDDEN: u32 = 255u;\nconst DRAWS: u32 = 8u;\n",
+    ],
 };
 
 /// Sets out the rays of some pixels of one photo.

@@ -1,13 +1,14 @@
 // rays: draws pixel and jitter of every ray of a training step and sets the ray out.
 //
-// Source    uniform over all kept pixels of all photos; of every `share`th ray, while sparse points pull, uniform over
-//           the pixels that see one (DS-NeRF, arXiv 2107.02791, draws them in the same batch).
+// Source    uniform over all kept pixels of all photos, drawn again where a mask hides the pixel; of every `share`th ray, while
+//           sparse points pull, uniform over the pixels that see one (DS-NeRF, arXiv 2107.02791, draws them in the same
+//           batch).
 // Twin      marf_field::draw::Training::target; pixel, colour, view, jitter, origin, pull equal bit for bit, direction
 //           within 2e-6 (shared/camera.wgsl).
 // Threads   one per ray: workgroup 64, folded
-// Reads     step; cameras [views]; pixels [kept] r | g << 8 | b << 16 | place in its run << 24; observations [S]
+// Reads     step; cameras [views]; pixels [kept] r | g << 8 | b << 16 | place in its run, or HIDDEN, << 24; observations [S]
 // Writes    origins, directions, targets [rays wanted] vec4, pulls [rays wanted] vec2, each once; no slot beyond
-// Extremes  no inverse of the distortion: directions.w is 0. A observation beyond the last step pulls with weight 0.
+// Extremes  no inverse of the distortion, or hidden after all draws: directions.w is 0. An observation beyond the last step pulls with weight 0.
 //           observations = 0: no ray goes to one. The view number travels as integer bits: as f32 it is a denormal.
 struct Observed {
     // Number of the pixel among all kept.
@@ -62,7 +63,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         pixel = seen.pixel;
         if seen.pulls == 1u { pull = vec2(seen.place, step.pull); }
     } else {
-        pixel = rng_below(&rng, vec2(step.pixels, 0u)).x;
+        for (var draw = 0u; draw < DRAWS; draw++) {
+            pixel = rng_below(&rng, vec2(step.pixels, 0u)).x;
+            if pixels[pixel] >> 24u != HIDDEN { break; }
+        }
     }
     let jitter = rng_unit(&rng);
     let view = view_of(pixel);
@@ -72,6 +76,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let centre = vec2(f32(place % camera.width), f32(place / camera.width)) + 0.5;
     origins[ray] = vec4(centre_of(camera), jitter);
     directions[ray] = ray_behind(camera, centre);
+    if packed >> 24u == HIDDEN { directions[ray] = vec4(0.0); }
     let rgb = vec3(packed & 255u, (packed >> 8u) & 255u, (packed >> 16u) & 255u);
     targets[ray] = vec4(share_of_255(rgb.x), share_of_255(rgb.y), share_of_255(rgb.z), view);
     pulls[ray] = pull;

@@ -312,6 +312,7 @@ pub(super) fn scene() -> Scene {
         camera: Camera::pinhole(640, 480, 500.0),
         cam_from_world: pose(eye(index)),
         held_out: index == 3,
+        mask: None,
         error_px: Some(0.4),
     };
     Scene {

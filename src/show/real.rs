@@ -117,6 +117,7 @@ fn scene() -> Scene {
             camera,
             cam_from_world: pose(&frame["transform_matrix"]),
             held_out: false,
+            mask: None,
             error_px: Some(0.7),
         })
         .collect();

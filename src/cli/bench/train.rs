@@ -313,9 +313,9 @@ impl Bench<'_> {
             let render = rendering.timed(|| rendered(&field, test)).map_err(failed)?;
             rendering.rays += render.pixels.len() as u64;
             let fail = |error: &dyn std::fmt::Display| CliError::failed(format!("{}: {error}", test.name));
-            psnr.push(metrics::psnr(&render, &test.photo).map_err(|error| fail(&error))?);
-            paper.extend(metrics::psnr_paper(&render, &test.photo));
-            ssim.extend(metrics::ssim(&render, &test.photo));
+            psnr.push(metrics::psnr(&render, &test.photo, &[]).map_err(|error| fail(&error))?);
+            paper.extend(metrics::psnr_paper(&render, &test.photo, &[]));
+            ssim.extend(metrics::ssim(&render, &test.photo, &[]));
             let png = encode_png(&render).map_err(|error| fail(&error))?;
             files::write(&folder.join(format!("{}.png", test.name)), &png)?;
         }

@@ -276,7 +276,26 @@ pub(crate) fn ideal(
     item: &InputPhoto,
     candidate: &Candidate<'_>,
 ) -> Result<Result<IdealPhoto, String>, StageError> {
-    let photo = decode(ctx, item)?.image;
+    undistorted(ctx, decode(ctx, item)?.image, item, candidate)
+}
+
+/// Returns a mask as its photo becomes by [`ideal`]: white is open, all else is hidden, also what lies outside of the photo.
+pub(crate) fn ideal_mask(
+    ctx: &Ctx<'_>,
+    mask: Image<Srgb>,
+    item: &InputPhoto,
+    candidate: &Candidate<'_>,
+) -> Result<Image<Srgb>, StageError> {
+    let found = undistorted(ctx, mask.clone(), item, candidate)?;
+    Ok(found.map_or(mask, |ideal| ideal.image))
+}
+
+fn undistorted(
+    ctx: &Ctx<'_>,
+    photo: Image<Srgb>,
+    item: &InputPhoto,
+    candidate: &Candidate<'_>,
+) -> Result<Result<IdealPhoto, String>, StageError> {
     let (width, height) = (photo.width, photo.height);
     let labelled = (item.facts.width, item.facts.height);
     if labelled != (0, 0) && labelled != (width, height) {

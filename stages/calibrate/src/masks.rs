@@ -3,10 +3,18 @@
 use std::collections::BTreeMap;
 
 use marf_cache::Digest;
-use marf_scene::{Image, Photo, Srgb};
+use marf_scene::{Image, Photo, Srgb, encode_png};
+use marf_schema::calibrate::{CalibrateParams, Method};
 use marf_stage::{COMPANIONS, Ctx, Inputs, StageError};
+use rayon::prelude::*;
 
-use crate::photos::{InputPhoto, without_extension};
+use crate::calibration::PlacedPhoto;
+use crate::labels::{Candidate, ideal_mask, of_one_site};
+use crate::photos::{InputPhoto, reduction, without_extension};
+
+/// What a mask leaves of a photo, and what it hides.
+const OPEN: [u8; 3] = [255; 3];
+const HIDDEN: [u8; 3] = [0; 3];
 
 /// Returns the mask of a photo, in its pixel grid: black is ignored. `None` if there is none, or `cameras` is not
 /// connected.
@@ -46,6 +54,80 @@ pub(crate) fn mask_file(
     };
     let mask = decode(ctx, name, digest)?;
     Ok(Some(mask).filter(|mask| (mask.width, mask.height) == (width, height)))
+}
+
+/// Returns the mask of a photo in the pixel grid that structure from motion and the field see: black is hidden, white is open, and
+/// nothing else. A photo whose label has a lens (`candidate`) is resampled, and its mask with it.
+pub(crate) fn undistorted_mask(
+    ctx: &Ctx<'_>,
+    inputs: &Inputs,
+    item: &InputPhoto,
+    candidate: Option<&Candidate<'_>>,
+) -> Result<Option<Image<Srgb>>, StageError> {
+    let Some(mut mask) = mask_file(ctx, inputs, item)? else {
+        return Ok(None);
+    };
+    let only_white = |mask: &mut Image<Srgb>, is_open: fn([u8; 3]) -> bool| {
+        for pixel in &mut mask.pixels {
+            *pixel = if is_open(*pixel) { OPEN } else { HIDDEN };
+        }
+    };
+    only_white(&mut mask, |pixel| pixel != HIDDEN);
+    if let Some(candidate) = candidate {
+        mask = ideal_mask(ctx, mask, item, candidate)?;
+        only_white(&mut mask, |pixel| pixel == OPEN);
+    }
+    Ok(Some(mask))
+}
+
+/// Returns the masks of placed photos at the size that the field is trained on, by item; none for a photo without one or of which all
+/// is open. A pixel of a photo that was reduced is hidden where any of those it was made from is.
+pub(crate) fn field_masks(
+    ctx: &Ctx<'_>,
+    inputs: &Inputs,
+    items: &[InputPhoto],
+    placed: &[PlacedPhoto],
+    params: &CalibrateParams,
+) -> Result<BTreeMap<usize, Digest>, StageError> {
+    if inputs.optional(COMPANIONS).is_none() {
+        return Ok(BTreeMap::new());
+    }
+    let candidates = match params.method {
+        Method::Labels | Method::Sfm => of_one_site(items, params.site),
+        Method::Import | Method::Colmap => items.iter().map(|_| None).collect(),
+    };
+    let mask = |one: &PlacedPhoto| -> Result<Option<(usize, Digest)>, StageError> {
+        let item = &items[one.item];
+        let Some(mask) = undistorted_mask(ctx, inputs, item, candidates[one.item].as_ref())? else {
+            return Ok(None);
+        };
+        let factor = reduction(mask.width, mask.height, params.longest_side_px);
+        let mask = shrunk(&mask, factor);
+        if (mask.width, mask.height) != (one.camera.width, one.camera.height) {
+            return Err(StageError::new(format!(
+                "the mask of `{}` has {} x {} pixels where the photo has {} x {}",
+                item.id, mask.width, mask.height, one.camera.width, one.camera.height
+            )));
+        }
+        if mask.pixels.iter().all(|pixel| *pixel == OPEN) {
+            return Ok(None);
+        }
+        let png = encode_png(&mask).map_err(|error| StageError::new(error.to_string()))?;
+        Ok(Some((one.item, ctx.put(&png)?)))
+    };
+    let all: Result<Vec<_>, StageError> = placed.par_iter().map(mask).collect();
+    Ok(all?.into_iter().flatten().collect())
+}
+
+/// Returns a mask at 1 / `factor` of its size, hidden where any pixel of a block is.
+fn shrunk(mask: &Image<Srgb>, factor: u32) -> Image<Srgb> {
+    Image::from_fn(mask.width / factor, mask.height / factor, |column, row| {
+        let rows = row * factor..(row + 1) * factor;
+        let mut block =
+            rows.flat_map(|row| (column * factor..(column + 1) * factor).map(move |column| (column, row)));
+        let is_open = block.all(|(column, row)| mask.at(column, row) == OPEN);
+        if is_open { OPEN } else { HIDDEN }
+    })
 }
 
 /// Decodes a mask.

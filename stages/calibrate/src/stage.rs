@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use marf_cache::Digest;
 use marf_scene::{Frame, PosedPhoto, Scene, Unplaced, hold_out_places};
 use marf_schema::calibrate::{CalibrateParams, Hold, Method, Metrics, PhotoMetrics, Totals};
 use marf_schema::output::{POINTS, SCENE, SPARSE, TRANSFORMS};
@@ -12,6 +13,7 @@ use marf_stage::{
 
 use crate::calibration::{Calibration, HeldOut, PlacedPhoto};
 use crate::export::{TrackPoint, Tracks, write_colmap, write_ply, write_transforms};
+use crate::masks::field_masks;
 use crate::photos::{InputPhoto, load};
 use crate::{colmap, import, labels, sfm};
 
@@ -33,7 +35,7 @@ impl Define for Calibrate {
     const NAME: &'static str = <CalibrateParams as Params>::STAGE;
     const ABOUT: &'static str =
         "Photos to a calibrated scene: from what they show, from labels, or from imported cameras";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PORTS: &'static [Port] = &[
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),
@@ -83,7 +85,8 @@ impl Set for Calibrate {
         check_training(&found.placed)?;
         let metrics = metrics(&found, &items);
         let tracks = std::mem::take(&mut found.tracks);
-        let scene = scene(found, &items);
+        let masks = field_masks(ctx, inputs, &items, &found.placed, &self.0)?;
+        let scene = scene(found, &items, &masks);
         let tracks = match tracks.is_empty() {
             true => Tracks::without_observations(&scene.points),
             false => of_frames(tracks, &scene, &items),
@@ -242,11 +245,12 @@ fn unregistered(item: &InputPhoto) -> PhotoMetrics {
 }
 
 /// Returns the scene of a calibration.
-fn scene(found: Calibration, items: &[InputPhoto]) -> Scene {
+fn scene(found: Calibration, items: &[InputPhoto], masks: &BTreeMap<usize, Digest>) -> Scene {
     let frame = |one: PlacedPhoto| Frame {
         id: items[one.item].id.clone(),
         file: one.file,
         image: one.image,
+        mask: masks.get(&one.item).copied(),
         camera: one.camera,
         cam_from_world: one.cam_from_world,
         held_out: one.held_out == Some(HeldOut::Yes),

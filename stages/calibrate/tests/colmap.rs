@@ -73,6 +73,7 @@ fn scene(files: &[&str]) -> Scene {
             ..Pose::identity()
         },
         held_out: false,
+        mask: None,
         error_px: None,
     };
     Scene {

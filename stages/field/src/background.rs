@@ -44,7 +44,11 @@ fn looks(view: &View) -> impl Iterator<Item = ([f32; 3], SVector<f64, 3>)> + '_ 
     let kept = view.image.len();
     let place = move |index: u64| (u128::from(index.wrapping_mul(GOLDEN)) * kept as u128) >> 64;
     (0..PIXELS.min(kept as u64)).filter_map(move |index| {
-        let (pixel, rgb) = view.image.at(place(index) as usize);
+        let kept = place(index) as usize;
+        if view.image.is_hidden(kept) {
+            return None;
+        }
+        let (pixel, rgb) = view.image.at(kept);
         let in_camera = view.camera.unproject(&Vector2::from(pixel))?;
         let direction = world_from_cam.direction(&in_camera).normalize();
         let rgb = SVector::from(rgb.map(f64::from));

@@ -31,6 +31,12 @@ pub enum FieldError {
         /// Pixels found.
         pixels: usize,
     },
+    /// A photo of which a mask leaves nothing.
+    #[error("view `{id}`: its mask hides all of it; leave the photo out, or open a part of the mask")]
+    AllHidden {
+        /// The view.
+        id: String,
+    },
     /// A camera for another size than the photo's.
     #[error(
         "view `{id}`: the camera is for {camera_width} x {camera_height}, the image has {width} x {height}"

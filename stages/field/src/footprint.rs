@@ -61,12 +61,12 @@ fn network_numbers(config: &Config, sizes: &Sizes) -> u64 {
 
 /// Returns the bytes that one photo takes while it is decoded and shrunk, its file counted in.
 pub fn decoding_bytes(width: u32, height: u32) -> u64 {
-    Pixels::bytes(width, height, 1) / 3 * DECODED_PIXEL_BYTES
+    Pixels::bytes(width, height, 1, false) / 3 * DECODED_PIXEL_BYTES
 }
 
 /// Returns the bytes that a view of that size takes while it is rendered and compared with its photo.
 pub fn judging_bytes(width: u32, height: u32) -> u64 {
-    Pixels::bytes(width, height, 1) / 3 * JUDGED_PIXEL_BYTES
+    Pixels::bytes(width, height, 1, false) / 3 * JUDGED_PIXEL_BYTES
 }
 
 #[cfg(test)]

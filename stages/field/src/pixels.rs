@@ -20,28 +20,65 @@ pub struct Pixels {
     run: u32,
     /// 8-bit sRGB of the kept pixels.
     pub(crate) pixels: Vec<[u8; 3]>,
-    /// Place of each kept pixel in its run; empty where all are kept.
+    /// Place of each kept pixel in its run, or [`HIDDEN`]; empty where all are kept and none is hidden.
     offsets: Vec<u8>,
 }
 
-impl Pixels {
-    /// Longest run: a place in it is one byte.
-    pub const LONGEST_RUN: u32 = 256;
+/// In place of the place in its run: a mask hides the pixel, and nothing is learnt from it.
+pub(crate) const HIDDEN: u8 = u8::MAX;
 
-    /// Keeps one pixel of every `run`, at a place drawn from (seed, photo, run).
+impl Pixels {
+    /// Longest run: a place in it is one byte, of which one is taken.
+    pub const LONGEST_RUN: u32 = 255;
+
+    /// Keeps one pixel of every `run`, at a place drawn from (seed, photo, run); of `hidden` pixels (`[height * width]`; none: no
+    /// mask) nothing is learnt.
     ///
-    /// The last run may be shorter; its pixel is then drawn from fewer. `run` is taken into 1 to 256; with 1
-    /// every pixel is kept and nothing is drawn.
-    pub fn thinned(image: Image<Srgb>, run: u32, seed: u64, photo: u64) -> Self {
+    /// The last run may be shorter; its pixel is then drawn from fewer, and so is that of a run of which some are hidden. `run`
+    /// is taken into 1 to 255; with 1 every pixel is kept and nothing is drawn.
+    ///
+    /// # Panics
+    /// If there is not one of `hidden` for every pixel: a slip of the program.
+    pub fn thinned(image: Image<Srgb>, hidden: Option<&[bool]>, run: u32, seed: u64, photo: u64) -> Self {
         let run = run.clamp(1, Self::LONGEST_RUN);
-        if run == 1 {
-            return image.into();
+        if let Some(hidden) = hidden {
+            assert_eq!(
+                hidden.len(),
+                image.pixels.len(),
+                "a mask has the size of its photo"
+            );
         }
+        let Some(hidden) = hidden else {
+            return match run {
+                1 => image.into(),
+                _ => Self::drawn(image, &[], run, seed, photo),
+            };
+        };
+        if run > 1 {
+            return Self::drawn(image, hidden, run, seed, photo);
+        }
+        let offsets = hidden.iter().map(|hidden| if *hidden { HIDDEN } else { 0 });
+        Self {
+            offsets: offsets.collect(),
+            ..image.into()
+        }
+    }
+
+    /// Draws one pixel of every run; `hidden` is empty or has one for every pixel.
+    fn drawn(image: Image<Srgb>, hidden: &[bool], run: u32, seed: u64, photo: u64) -> Self {
         let mut rng = Rng::new(seed, Purpose::Thinning, 0, photo);
-        let runs = image.pixels.chunks(run as usize);
-        let draw = |run: &[[u8; 3]]| {
-            let offset = rng.below(run.len() as u64) as u8;
-            (run[usize::from(offset)], offset)
+        let runs = image.pixels.chunks(run as usize).enumerate();
+        let draw = |(index, pixels): (usize, &[[u8; 3]])| {
+            let first = index * run as usize;
+            let is_open = |place: &usize| !hidden.get(first + place).copied().unwrap_or(false);
+            let open = (0..pixels.len()).filter(is_open);
+            let count = open.clone().count();
+            let drawn = rng.below(count.max(1) as u64) as usize;
+            let mut open = open;
+            match open.nth(drawn) {
+                Some(place) => (pixels[place], place as u8),
+                None => ([0; 3], HIDDEN),
+            }
         };
         let (pixels, offsets) = runs.map(draw).unzip();
         Self {
@@ -53,11 +90,27 @@ impl Pixels {
         }
     }
 
-    /// Returns the bytes that a photo takes of which one pixel in `run` is kept.
-    pub fn bytes(width: u32, height: u32, run: u32) -> u64 {
+    /// Returns whether a mask hides a kept pixel.
+    pub(crate) fn is_hidden(&self, kept: usize) -> bool {
+        self.offsets.get(kept) == Some(&HIDDEN)
+    }
+
+    /// Returns whether a mask hides all of the photo.
+    pub(crate) fn is_all_hidden(&self) -> bool {
+        !self.offsets.is_empty() && self.offsets.iter().all(|offset| *offset == HIDDEN)
+    }
+
+    /// Returns the bytes that a photo takes of which one pixel in `run` is kept, with a mask or without.
+    pub fn bytes(width: u32, height: u32, run: u32, masked: bool) -> u64 {
         let all = u64::from(width) * u64::from(height);
         match run {
-            0 | 1 => 3 * all,
+            0 | 1 => {
+                if masked {
+                    4 * all
+                } else {
+                    3 * all
+                }
+            }
             _ => 4 * all.div_ceil(u64::from(run)),
         }
     }
@@ -79,9 +132,10 @@ impl Pixels {
         !self.pixels.is_empty() && self.pixels.len() == all.div_ceil(self.run as usize)
     }
 
-    /// Returns the centre of a kept pixel in the photo, and its sRGB in [0, 1].
+    /// Returns the centre of a kept pixel in the photo, and its sRGB in [0, 1]; of a hidden one the centre is the first of its run.
     pub(crate) fn at(&self, kept: usize) -> ([f64; 2], [f32; 3]) {
-        let offset = self.offsets.get(kept).map_or(0, |offset| usize::from(*offset));
+        let offset = self.offsets.get(kept).filter(|offset| **offset != HIDDEN);
+        let offset = offset.map_or(0, |offset| usize::from(*offset));
         let place = kept * self.run as usize + offset;
         let width = self.width as usize;
         let centre = [(place % width) as f64 + 0.5, (place / width) as f64 + 0.5];
@@ -91,7 +145,7 @@ impl Pixels {
         )
     }
 
-    /// Returns which of the kept pixels that of a column and row is, if it is kept.
+    /// Returns which of the kept pixels that of a column and row is, if it is kept and not hidden.
     pub(crate) fn kept(&self, column: u64, row: u64) -> Option<u64> {
         let place = row * u64::from(self.width) + column;
         let (kept, offset) = (place / u64::from(self.run), place % u64::from(self.run));
@@ -143,8 +197,8 @@ mod tests {
     #[test]
     fn one_pixel_of_every_run_is_kept_with_its_place() {
         for (width, height) in [(1, 1), (7, 5), (64, 48), (301, 17)] {
-            for run in [1, 2, 8, 64, 255, 256] {
-                let pixels = Pixels::thinned(numbered(width, height), run, 3, 4);
+            for run in [1, 2, 8, 64, 255] {
+                let pixels = Pixels::thinned(numbered(width, height), None, run, 3, 4);
                 let all = (width * height) as usize;
                 assert_eq!(
                     pixels.len(),
@@ -160,7 +214,7 @@ mod tests {
                     assert_eq!(pixels.kept(column, row), Some(kept as u64));
                 }
                 let bytes = 3 * pixels.pixels.len() + pixels.offsets.len();
-                assert_eq!(Pixels::bytes(width, height, run), bytes as u64, "{run}");
+                assert_eq!(Pixels::bytes(width, height, run, false), bytes as u64, "{run}");
             }
         }
     }
@@ -169,7 +223,7 @@ mod tests {
     fn every_place_of_a_run_is_as_likely_as_any_other() {
         let mut times = [0_u32; 8];
         for photo in 0..50 {
-            let pixels = Pixels::thinned(numbered(64, 64), 8, u64::MAX, photo);
+            let pixels = Pixels::thinned(numbered(64, 64), None, 8, u64::MAX, photo);
             pixels
                 .offsets
                 .iter()
@@ -184,7 +238,7 @@ mod tests {
 
     #[test]
     fn all_bits_of_the_seed_and_the_photo_decide_what_is_kept() {
-        let kept = |seed, photo| Pixels::thinned(numbered(64, 16), 16, seed, photo);
+        let kept = |seed, photo| Pixels::thinned(numbered(64, 16), None, 16, seed, photo);
         assert_eq!(kept(1, 2), kept(1, 2));
         for (seed, photo) in [(1, 3), (1 + (1 << 40), 2), (1 << 63 | 1, 2)] {
             assert_ne!(kept(1, 2).offsets, kept(seed, photo).offsets, "{seed} {photo}");
@@ -194,11 +248,11 @@ mod tests {
     #[test]
     fn a_run_out_of_range_is_taken_into_it() {
         assert_eq!(
-            Pixels::thinned(numbered(20, 20), 0, 1, 1),
+            Pixels::thinned(numbered(20, 20), None, 0, 1, 1),
             numbered(20, 20).into()
         );
-        let most = Pixels::thinned(numbered(20, 20), u32::MAX, 1, 1);
-        assert_eq!((most.run, most.len()), (256, 2));
+        let most = Pixels::thinned(numbered(20, 20), None, u32::MAX, 1, 1);
+        assert_eq!((most.run, most.len()), (255, 2));
     }
 
     #[test]
@@ -208,6 +262,44 @@ mod tests {
             ..numbered(2, 3)
         };
         assert!(!Pixels::from(cut).is_whole());
-        assert!(!Pixels::thinned(numbered(0, 0), 4, 0, 0).is_whole());
+        assert!(!Pixels::thinned(numbered(0, 0), None, 4, 0, 0).is_whole());
+    }
+
+    #[test]
+    fn what_a_mask_hides_is_never_drawn_and_its_run_is_drawn_from_the_rest() {
+        let hidden = |place: usize| place % 7 < 3 || (64..128).contains(&place);
+        let mask: Vec<bool> = (0..20 * 16).map(hidden).collect();
+        for run in [1, 2, 8, 32, 255] {
+            let pixels = Pixels::thinned(numbered(20, 16), Some(&mask), run, 3, 4);
+            assert!(pixels.is_whole() && !pixels.is_all_hidden());
+            for kept in 0..pixels.len() {
+                let of_run = kept * run as usize..((kept + 1) * run as usize).min(mask.len());
+                assert_eq!(
+                    pixels.is_hidden(kept),
+                    of_run.clone().all(hidden),
+                    "{kept} by {run}"
+                );
+                if !pixels.is_hidden(kept) {
+                    let place = place(&pixels, kept);
+                    assert!(of_run.contains(&place) && !hidden(place), "{place} by {run}");
+                    let (column, row) = ((place % 20) as u64, (place / 20) as u64);
+                    assert_eq!(pixels.kept(column, row), Some(kept as u64));
+                }
+            }
+            assert_eq!(pixels.kept(1, 0), None, "hidden");
+            let bytes = 3 * pixels.pixels.len() + pixels.offsets.len();
+            assert_eq!(Pixels::bytes(20, 16, run, true), bytes as u64, "{run}");
+        }
+        let all = Pixels::thinned(numbered(20, 16), Some(&[true; 320]), 4, 3, 4);
+        assert!(all.is_whole() && all.is_all_hidden());
+    }
+
+    #[test]
+    fn a_mask_that_hides_nothing_changes_nothing_that_is_drawn() {
+        for run in [1, 8] {
+            let plain = Pixels::thinned(numbered(20, 16), None, run, 3, 4);
+            let masked = Pixels::thinned(numbered(20, 16), Some(&[false; 320]), run, 3, 4);
+            assert!(plain.words().eq(masked.words()), "{run}");
+        }
     }
 }

@@ -9,7 +9,7 @@ use crate::cpu::simd::InstructionSet;
 use crate::cpu_backend::Cpu;
 use crate::test_scene::{ball, ball_view, psnr, small, trained};
 use crate::training::Training;
-use crate::{Background, Config, Field, FieldError, Trainer, View, ViewDependence};
+use crate::{Background, Config, Field, FieldError, Pixels, Trainer, View, ViewDependence};
 
 #[test]
 fn a_patterned_ball_is_learnt_to_25_db_on_a_held_out_view() {
@@ -381,6 +381,46 @@ fn photos_of_different_sizes_train_together() {
     views.push(ball_view(0.7, 0.2, 20));
     let trainer = trained(views, &small(), 4, 30);
     assert_eq!(trainer.steps(), 30);
+}
+
+/// The left third of every photo shows hardware, of this colour.
+fn with_hardware(rgb: [u8; 3]) -> Vec<View> {
+    let masked = |(index, view): (usize, View)| {
+        let width = view.camera.width;
+        let is_hidden = |column: u32| column < width / 3;
+        let mask: Vec<bool> = (0..width * width).map(|place| is_hidden(place % width)).collect();
+        let image = Image::from_fn(width, width, |column, row| {
+            let (_, colour) = view.image.at((row * width + column) as usize);
+            if is_hidden(column) {
+                rgb
+            } else {
+                colour.map(|channel| (channel * 255.0 + 0.5) as u8)
+            }
+        });
+        let image = Pixels::thinned(image, Some(&mask), 1, 0, index as u64);
+        View { image, ..view }
+    };
+    ball(6, 24).into_iter().enumerate().map(masked).collect()
+}
+
+#[test]
+fn nothing_under_a_mask_changes_what_is_learnt() {
+    let config = Config {
+        background: Background::Direction,
+        ..small()
+    };
+    let [mut white, mut green] =
+        [[255; 3], [0, 200, 0]].map(|rgb| trained(with_hardware(rgb), &config, 1, 30));
+    assert_eq!(white.field().unwrap().encode(), green.field().unwrap().encode());
+}
+
+#[test]
+fn a_photo_of_which_a_mask_leaves_nothing_is_named() {
+    let mut views = with_hardware([0; 3]);
+    let hidden = Pixels::thinned(Image::from_fn(24, 24, |_, _| [9; 3]), Some(&[true; 576]), 1, 0, 0);
+    views[2].image = hidden;
+    let error = Trainer::new(views, &[], &small(), 0).err().unwrap();
+    assert!(error.to_string().contains("mask hides all"), "{error}");
 }
 
 #[test]

@@ -51,6 +51,9 @@ pub fn check_views(views: &[View]) -> Result<(), FieldError> {
                 pixels: image.len(),
             });
         }
+        if image.is_all_hidden() {
+            return Err(FieldError::AllHidden { id: view.id.clone() });
+        }
         if !camera.is_valid() || !view.cam_from_world.is_valid() {
             return Err(FieldError::BadCamera { id: view.id.clone() });
         }

@@ -26,7 +26,7 @@ pub struct Observer {
 
 impl Observer {
     /// Takes a photo's camera, at any working size, with the distance along the ray of each of its pixels: `[height * width]`, world
-    /// units, infinite where the ray meets nothing.
+    /// units, infinite where the ray meets nothing, NaN where a mask hides the pixel: there the photo shows nothing.
     ///
     /// # Panics
     /// If there is not a distance for every pixel: a slip of the program.
@@ -34,6 +34,9 @@ impl Observer {
         let (width, height) = (camera.width as usize, camera.height as usize);
         assert_eq!(distance.len(), width * height, "a distance for every pixel");
         let farthest = |pixel: usize| {
+            if distance[pixel].is_nan() {
+                return 0.0;
+            }
             let (column, row) = (pixel % width, pixel / width);
             let rows = row.saturating_sub(1)..(row + 2).min(height);
             let columns = column.saturating_sub(1)..(column + 2).min(width);
@@ -251,6 +254,18 @@ mod tests {
         let blocked = [observer_before(0.0, |_| true)];
         let hidden = from_origin(&blocked).looked_through(&Vector3::z(), 10.0);
         assert!((0.3..0.5).contains(&hidden), "{hidden}");
+    }
+
+    #[test]
+    fn what_a_mask_hides_was_not_seen() {
+        let camera = Camera::pinhole(SIDE, SIDE, f64::from(SIDE));
+        let mut distance = vec![f32::INFINITY; (SIDE * SIDE) as usize];
+        distance[(SIDE / 2 * SIDE + SIDE / 2) as usize] = f32::NAN;
+        let observers = [Observer::new(camera, Pose::identity(), &distance)];
+        let coverage = from_origin(&observers);
+        let aside = Vector3::new(0.1, 0.0, 1.0).normalize();
+        assert_eq!((coverage.sky(&Vector3::z()), coverage.sky(&aside)), (0, 1));
+        assert_eq!(coverage.surface(&Vector3::z(), 1.0, None).photos, 0);
     }
 
     #[test]

@@ -51,6 +51,7 @@ mod tests {
             camera: Camera::pinhole(2, 2, 1.0),
             cam_from_world: Pose::identity(),
             held_out: false,
+            mask: None,
             error_px: None,
         };
         Scene {

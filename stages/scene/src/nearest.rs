@@ -142,6 +142,7 @@ mod tests {
                 -Vector3::z(),
             ),
             held_out: false,
+            mask: None,
             error_px: None,
         }
     }

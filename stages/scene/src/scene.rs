@@ -40,6 +40,9 @@ pub struct Frame {
     pub file: String,
     /// Digest of the image these cameras are for (resampled ones differ from the archive's).
     pub image: Digest,
+    /// Digest of its mask, a picture of the same size: what is not white is hidden, and neither learnt from nor judged.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mask: Option<Digest>,
     /// Its camera.
     pub camera: Camera,
     /// Its pose: x_cam = R x_world + t; x right, y down, z forward.

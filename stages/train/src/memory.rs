@@ -60,7 +60,7 @@ pub(crate) fn plan_memory(
 fn kept_bytes(training: &[NamedFrame<'_>], times: &[usize], scale: u32, run: u32) -> u64 {
     let photos = training.iter().zip(times).map(|(named, times)| {
         let camera = named.frame.camera.box_reduced(scale);
-        *times as u64 * Pixels::bytes(camera.width, camera.height, run)
+        *times as u64 * Pixels::bytes(camera.width, camera.height, run, named.frame.mask.is_some())
     });
     photos.sum()
 }
@@ -93,6 +93,7 @@ mod tests {
             camera: Camera::pinhole(width, height, 800.0),
             cam_from_world: Pose::identity(),
             held_out: index.is_multiple_of(8),
+            mask: None,
             error_px: None,
         };
         Scene {
@@ -148,7 +149,7 @@ mod tests {
         let large = scene(1000, 1600, 1250);
         let MemoryPlan { run, at_once } = planned("2GB", &large, 1).unwrap();
         let decoding = decoding_bytes(1600, 1250) * at_once as u64;
-        let kept = 875 * Pixels::bytes(1600, 1250, run);
+        let kept = 875 * Pixels::bytes(1600, 1250, run, false);
         assert!(
             at_once > 2 && PROGRAM_BYTES + kept + decoding <= 2_000_000_000,
             "{at_once}"

@@ -18,6 +18,8 @@ const KEPT_BYTES: u64 = 420_000_000;
 pub(crate) struct ScaledPhoto {
     pub camera: Camera,
     pub image: Image<Srgb>,
+    /// What its mask hides, `[height * width]`; empty without a mask.
+    pub hidden: Vec<bool>,
 }
 
 impl ScaledPhoto {
@@ -29,6 +31,7 @@ impl ScaledPhoto {
         Self {
             camera: self.camera.box_reduced(factor),
             image: self.image.box_reduced(factor),
+            hidden: shrunk_mask(&self.hidden, self.image.width, factor),
         }
     }
 }
@@ -39,7 +42,7 @@ impl ScaledPhoto {
 /// read it instead of decoding the photo again. Without memos the same pixels come out later.
 #[derive(Clone)]
 pub(crate) struct PhotoReader<'a> {
-    ctx: &'a Ctx<'a>,
+    pub ctx: &'a Ctx<'a>,
     /// Whole factor by which photos are shrunk.
     pub scale: u32,
     /// Photos that have a memo.
@@ -74,7 +77,33 @@ impl<'a> PhotoReader<'a> {
         Ok(ScaledPhoto {
             camera: frame.camera.box_reduced(self.scale),
             image,
+            hidden: self.hidden(frame)?,
         })
+    }
+
+    /// Returns what the mask of a photo hides at the working size; empty without a mask.
+    ///
+    /// # Errors
+    /// As [`PhotoReader::hidden_at`].
+    pub fn hidden(&self, frame: &Frame) -> Result<Vec<bool>, StageError> {
+        self.hidden_at(frame, self.scale)
+    }
+
+    /// Returns what the mask of a photo hides at 1 / `scale` of its size; empty without a mask.
+    ///
+    /// # Errors
+    /// A mask that cannot be decoded or has another size than its photo.
+    pub fn hidden_at(&self, frame: &Frame, scale: u32) -> Result<Vec<bool>, StageError> {
+        let Some(mask) = &frame.mask else {
+            return Ok(Vec::new());
+        };
+        let mask = Photo::decode(&self.ctx.get(mask)?).map_err(|cause| TrainError::Photo {
+            id: format!("{}: mask", frame.id),
+            cause,
+        })?;
+        check_size(frame, [mask.image.width, mask.image.height])?;
+        let hidden: Vec<bool> = mask.image.pixels.iter().map(|pixel| *pixel != [255; 3]).collect();
+        Ok(shrunk_mask(&hidden, mask.image.width, scale))
     }
 
     /// Returns the size of the photo before it was shrunk, and its pixels after.
@@ -126,6 +155,22 @@ impl<'a> PhotoReader<'a> {
         }
         Ok(kept)
     }
+}
+
+/// Returns a mask at 1 / `factor` of its size, hidden where any pixel of a block is; rows and columns that fill no block are left out, as
+/// of photos.
+fn shrunk_mask(hidden: &[bool], width: u32, factor: u32) -> Vec<bool> {
+    if hidden.is_empty() || factor == 1 {
+        return hidden.to_vec();
+    }
+    let (width, factor) = (width as usize, factor as usize);
+    let (columns, rows) = (width / factor, hidden.len() / width / factor);
+    let is_hidden = |column: usize, row: usize| {
+        let mut rows = hidden.chunks(width).skip(row * factor).take(factor);
+        rows.any(|row| row[column * factor..(column + 1) * factor].contains(&true))
+    };
+    let blocks = (0..rows).flat_map(|row| (0..columns).map(move |column| (column, row)));
+    blocks.map(|(column, row)| is_hidden(column, row)).collect()
 }
 
 /// Returns the photos of a scene, from the first, that together have at most `most_bytes` at a working size.
@@ -198,6 +243,7 @@ mod tests {
             camera: Camera::pinhole(10, 6, 8.0),
             cam_from_world: Pose::identity(),
             held_out: false,
+            mask: None,
             error_px: None,
         }
     }
@@ -243,6 +289,37 @@ mod tests {
                 damaged.len()
             );
         }
+    }
+
+    #[test]
+    fn a_mask_shrinks_with_its_photo_and_hides_every_block_that_it_touches() {
+        let harness = Harness::default();
+        let (mut scene, ctx) = (scene(&harness, 1), harness.ctx());
+        let mask = Image::from_fn(10, 6, |column, row| {
+            if (column, row) == (3, 2) {
+                [254; 3]
+            } else {
+                [255; 3]
+            }
+        });
+        scene.frames[0].mask = Some(harness.put(&encode_png(&mask).unwrap()));
+        let read = |scale: u32| {
+            PhotoReader::new(&ctx, &scene, scale)
+                .read(&scene.frames[0])
+                .unwrap()
+        };
+        let places =
+            |hidden: &[bool]| -> Vec<usize> { (0..hidden.len()).filter(|place| hidden[*place]).collect() };
+        assert_eq!(places(&read(1).hidden), [2 * 10 + 3]);
+        assert_eq!((places(&read(2).hidden), read(2).hidden.len()), (vec![5 + 1], 15));
+        assert_eq!((places(&read(4).hidden), read(4).hidden.len()), (vec![0], 2));
+        assert_eq!(read(1).shrunk_to(5).hidden, read(2).hidden);
+        let wrong = Image::from_fn(9, 6, |_, _| [255; 3]);
+        scene.frames[0].mask = Some(harness.put(&encode_png(&wrong).unwrap()));
+        let error = PhotoReader::new(&ctx, &scene, 1)
+            .read(&scene.frames[0])
+            .unwrap_err();
+        assert!(error.to_string().contains("9 x 6"), "{error}");
     }
 
     #[test]

@@ -81,7 +81,7 @@ fn judge(
     let photo = &photos.read(named.frame)?;
     let pose = &named.frame.cam_from_world;
     let render = render_view(ctx, of, field, &photo.camera, pose)?.to_image();
-    let scores = compare(named, &render, &photo.image)?;
+    let scores = compare(named, &render, photo)?;
     let (name, mut pictures) = (&named.name, BTreeMap::new());
     put_png(ctx, &mut pictures, format!("{HELDOUT}{name}.png"), &render)?;
     put_png(ctx, &mut pictures, format!("{PHOTO}{name}.png"), &photo.image)?;
@@ -99,18 +99,19 @@ pub(crate) fn mean_psnr(
         ctx.check()?;
         let render = field.render(&photo.camera, &named.frame.cam_from_world);
         let picture = render.map_err(field_failed)?.to_image();
-        sum += compare(named, &picture, &photo.image)?.psnr;
+        sum += compare(named, &picture, photo)?.psnr;
     }
     Ok(sum / probes.len().max(1) as f64)
 }
 
-/// Returns the scores of a render against its photo.
+/// Returns the scores of a render against its photo, without what its mask hides.
 fn compare(
     named: &NamedFrame<'_>,
     render: &Image<Srgb>,
-    photo: &Image<Srgb>,
+    photo: &ScaledPhoto,
 ) -> Result<PhotoScores, TrainError> {
-    let psnr = metrics::psnr(render, photo).map_err(|cause| TrainError::Metric {
+    let (photo, hidden) = (&photo.image, photo.hidden.as_slice());
+    let psnr = metrics::psnr(render, photo, hidden).map_err(|cause| TrainError::Metric {
         id: named.frame.id.clone(),
         cause,
     })?;
@@ -119,9 +120,9 @@ fn compare(
         file: named.frame.file.clone(),
         name: named.name.clone(),
         psnr,
-        // The sizes agree, or the line above had stopped: what is left is a black or a tiny photo.
-        psnr_paper: metrics::psnr_paper(render, photo).ok(),
-        ssim: metrics::ssim(render, photo).ok(),
+        // The sizes agree, or the line above had stopped: what is left is a black or a tiny photo, or a mask with small holes.
+        psnr_paper: metrics::psnr_paper(render, photo, hidden).ok(),
+        ssim: metrics::ssim(render, photo, hidden).ok(),
         nearest: None,
     })
 }

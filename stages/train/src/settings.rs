@@ -58,6 +58,7 @@ mod tests {
                 camera: marf_scene::Camera::pinhole(width, height, 1.0),
                 cam_from_world: marf_scene::Pose::identity(),
                 held_out: false,
+                mask: None,
                 error_px: None,
             }];
             assert_eq!(scale_to(side_px, &scene), factor, "{width} x {height}");

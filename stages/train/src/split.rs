@@ -92,6 +92,7 @@ mod tests {
             camera: Camera::pinhole(8, 8, 8.0),
             cam_from_world: Pose::identity(),
             held_out: is_held_out(index),
+            mask: None,
             error_px: None,
         };
         Scene {

@@ -22,7 +22,8 @@ pub(crate) fn training_views(
     seed: u64,
 ) -> Result<Vec<View>, StageError> {
     let thinned = |index: usize, photo: ScaledPhoto| {
-        let image = Pixels::thinned(photo.image, plan.run, seed, index as u64);
+        let hidden = (!photo.hidden.is_empty()).then_some(photo.hidden.as_slice());
+        let image = Pixels::thinned(photo.image, hidden, plan.run, seed, index as u64);
         (photo.camera, image)
     };
     let photos = photos.map(training, plan.at_once, thinned)?;

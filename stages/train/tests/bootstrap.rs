@@ -66,6 +66,7 @@ fn frame(harness: &Harness, id: &str, eye: Vector3<f64>, target: Vector3<f64>, s
         camera: Camera::pinhole(WIDTH, HEIGHT, 30.0),
         cam_from_world,
         held_out: true,
+        mask: None,
         error_px: None,
     }
 }

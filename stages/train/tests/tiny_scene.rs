@@ -52,7 +52,7 @@ fn training_learns_the_floor_and_tells_what_it_did() {
     let photo = Photo::decode(&harness.get(&outputs["photo/002.png"]).unwrap())
         .unwrap()
         .image;
-    let again = marf_scene::metrics::psnr(&picture, &photo).unwrap();
+    let again = marf_scene::metrics::psnr(&picture, &photo, &[]).unwrap();
     assert_eq!(json!(again), metrics["views"][0]["psnr"]);
 }
 

@@ -125,6 +125,7 @@ mod tests {
             camera: Camera::pinhole(640, 480, 500.0),
             cam_from_world: Pose::looking_at(eye, Vector3::zeros(), -Vector3::z()),
             held_out: false,
+            mask: None,
             error_px: None,
         };
         Scene {

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::labels::{Candidate, Pixels, ideal, photo_key};
-use crate::masks::mask_file;
+use crate::masks::undistorted_mask;
 use crate::photos::{InputPhoto, as_png, decode, kept, store};
 
 /// Raised when features, working images or label cameras may change.
@@ -67,7 +67,7 @@ pub(super) fn photo_features(
     let done = AtomicU64::new(0);
     let found = (0..items.len()).into_par_iter().map(|item| {
         ctx.check()?;
-        let mask = mask_file(ctx, inputs, &items[item])?;
+        let mask = undistorted_mask(ctx, inputs, &items[item], candidates[item].as_ref())?;
         let found = known_or_computed(
             ctx,
             &items[item],

@@ -202,7 +202,7 @@ fn photos_of_all_kinds_learn_as_on_the_cpu() {
         let view = ball_view(f64::from(index) * 1.5, 0.3, 16);
         let photo = Image::from_fn(16, 16, |x, y| view.image.pixels[(16 * y + x) as usize]);
         View {
-            image: Pixels::thinned(photo, 7, 5, u64::from(index)),
+            image: Pixels::thinned(photo, None, 7, 5, u64::from(index)),
             ..view
         }
     });

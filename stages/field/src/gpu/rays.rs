@@ -10,7 +10,9 @@ use crate::GpuError;
 use crate::View;
 use crate::cpu::march::Steps;
 use crate::depth::{Observation, SHARE, place};
+use crate::draw::DRAWS;
 use crate::frame::Frame;
+use crate::pixels::HIDDEN;
 use crate::rng::Purpose;
 
 /// Rays on the device.
@@ -158,7 +160,7 @@ impl DrawRays {
     /// A driver that does not.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         let head = format!(
-            "{}const PURPOSE: u32 = {}u;\n",
+            "{}const PURPOSE: u32 = {}u;\nconst HIDDEN: u32 = {HIDDEN}u;\nconst DRAWS: u32 = {DRAWS}u;\n",
             newton_head(),
             Purpose::Rays as u32
         );

@@ -101,6 +101,7 @@ mod tests {
                 camera: Camera::pinhole(400, 300, 320.0),
                 cam_from_world: Pose::looking_at(eye, Vector3::x(), Vector3::z()),
                 held_out: index % 8 == 3,
+                mask: None,
                 error_px: None,
             }
         };

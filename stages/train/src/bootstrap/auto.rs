@@ -15,7 +15,12 @@ use super::{
     sparsification::{Norm, hundredths, sparsify},
 };
 use crate::{
-    TrainError, child::Child, error::field_failed, io::read_scene, photos::ScaledPhoto, view::floats,
+    TrainError,
+    child::Child,
+    error::field_failed,
+    io::read_scene,
+    photos::{PhotoReader, ScaledPhoto},
+    view::floats,
 };
 
 /// Members of the first round.
@@ -95,6 +100,7 @@ pub(super) fn rounds(
 struct SmallView {
     camera: Camera,
     cam_from_world: Pose,
+    /// Of the photo; negative where its mask hides it.
     gray: Vec<f64>,
     /// Of the photo as the members wrote it.
     digest: Digest,
@@ -109,20 +115,26 @@ fn small_views(ctx: &Ctx<'_>, scene: &Scene, first: &Child<'_>) -> Result<Vec<Sm
         };
         let photo = Photo::decode(&ctx.get(digest)?).map_err(|error| first.malformed(&output, &error))?;
         let image: Image<Srgb> = photo.image;
+        let scale = frame.camera.width / image.width.max(1);
         let scaled = ScaledPhoto {
-            camera: frame.camera.resized(image.width, image.height),
+            camera: frame.camera.box_reduced(scale),
             image,
+            hidden: PhotoReader::new(ctx, scene, scale).hidden(frame)?,
         };
         let small = scaled.shrunk_to(SIDE_PX);
+        let grays = small.image.pixels.iter().enumerate().map(|(pixel, rgb)| {
+            let is_hidden = small.hidden.get(pixel).copied().unwrap_or(false);
+            if is_hidden {
+                -1.0
+            } else {
+                gray(&rgb.map(|value| f32::from(value) / 255.0))
+            }
+        });
+        let grays: Vec<f64> = grays.collect();
         views.push(SmallView {
             camera: small.camera,
             cam_from_world: frame.cam_from_world,
-            gray: small
-                .image
-                .pixels
-                .iter()
-                .map(|rgb| gray(&rgb.map(|value| f32::from(value) / 255.0)))
-                .collect(),
+            gray: grays,
             digest: *digest,
         });
     }
@@ -171,7 +183,8 @@ fn grays(
 /// Returns AUSE of the members' standard deviation at one view, mean absolute error.
 fn ause(small: &SmallView, view: usize, grays: &[Vec<Vec<f32>>]) -> f64 {
     let mut values = vec![0.0; grays.len()];
-    let pixels = small.gray.iter().enumerate().map(|(pixel, photo)| {
+    let open = small.gray.iter().enumerate().filter(|(_, photo)| **photo >= 0.0);
+    let pixels = open.map(|(pixel, photo)| {
         for (slot, member) in values.iter_mut().zip(grays) {
             *slot = f64::from(member[view][pixel]);
         }

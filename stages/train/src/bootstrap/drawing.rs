@@ -12,7 +12,7 @@ use super::{
     intervals::{locally, widened},
     maps::Maps,
     npy::encode_npy,
-    study::{Tops, errors},
+    study::{Tops, Truth, errors},
 };
 use crate::io::put_png;
 
@@ -133,7 +133,7 @@ pub(crate) fn put_view(
     ctx: &Ctx<'_>,
     name: &str,
     maps: &Maps,
-    photo: Option<&Image<Srgb>>,
+    truth: Option<&Truth<'_>>,
     scales: &Scales,
     outputs: &mut Outputs,
 ) -> Result<(), StageError> {
@@ -156,8 +156,8 @@ pub(crate) fn put_view(
             scale,
         ));
     }
-    if let Some(photo) = photo {
-        drawn.push(("error", errors(maps, photo), &scales.error));
+    if let Some(truth) = truth {
+        drawn.push(("error", errors(maps, truth.photo, truth.hidden), &scales.error));
     }
     put_png(
         ctx,

@@ -112,7 +112,7 @@ fn mean_psnr<'a>(
         height: photo.image.height,
         pixels: sum.into_iter().map(|rgb| rgb.map(round)).collect(),
     };
-    let found = psnr(&mean, &photo.image).map_err(|cause| TrainError::Metric {
+    let found = psnr(&mean, &photo.image, &photo.hidden).map_err(|cause| TrainError::Metric {
         id: named.frame.id.clone(),
         cause,
     })?;

@@ -19,7 +19,7 @@ use super::{
     out_of_bag::out_of_bag,
     report::report,
     seen::Witnesses,
-    study::{Truth, ViewStudy, study},
+    study::{ViewStudy, study},
     viewpoints::{MapView, map_views},
 };
 use crate::{
@@ -73,14 +73,15 @@ pub(crate) fn reduce(
         .map(|child| child.read(ctx))
         .collect::<Result<Vec<train::Metrics>, _>>()?;
     let training = split(&scene, metrics[0].holdout)?.training;
-    let views = map_views(ctx, params, &scene, &training, metrics[0].scale, first)?;
+    let photos = PhotoReader::new(ctx, &scene, metrics[0].scale);
+    let views = map_views(&photos, params, &scene, &training, first)?;
     let flythrough = path::flythrough(&scene, params.frames, params.width);
     check_film(&flythrough)?;
     let fields = fields(ctx, &children, &params.device)?;
     let first = (0..fields.len()).min_by_key(|member| metrics[*member].seed);
     let witness = &fields[first.unwrap_or(0)];
     let mut mapper = Mapper {
-        witnesses: Witnesses::new(ctx, of, witness, &training, &scene)?,
+        witnesses: Witnesses::new(of, witness, &photos, &training, &scene)?,
         ctx,
         of,
         fields,
@@ -89,7 +90,6 @@ pub(crate) fn reduce(
     };
 
     let studies = studies(&mut mapper, &views, &scene)?;
-    let photos = PhotoReader::new(ctx, &scene, metrics[0].scale);
     let report = Metrics {
         rounds: match params.b {
             Members::Auto => rounds(ctx, &params.device, inputs, outputs_of_members)?,
@@ -185,12 +185,8 @@ fn studies(mapper: &mut Mapper<'_>, views: &[MapView], scene: &Scene) -> Result<
     let mut studies = Vec::with_capacity(views.len());
     for (index, view) in (0..).zip(views) {
         let maps = mapper.next_maps(&mut journal, index, &view.place)?;
-        let photo = view.photo.as_ref();
-        let image = photo.map(|photo| photo.read(ctx, &view.place.name)).transpose()?;
-        let truth = image.as_ref().zip(photo).map(|(image, photo)| Truth {
-            photo: image,
-            place: photo.place,
-        });
+        let image = view.image(ctx)?;
+        let truth = view.truth(image.as_ref());
         studies.push(study(&view.place, &maps, truth.as_ref(), &scene.points)?);
         mapper.passed(&view.place);
     }
@@ -217,10 +213,10 @@ fn put_views(
             },
             || {
                 let mut stored = Outputs::new();
-                let photo = view.photo.as_ref();
-                let image = photo.map(|photo| photo.read(ctx, &view.place.name)).transpose()?;
-                put_view(ctx, &view.place.name, &maps, image.as_ref(), scales, &mut stored)?;
-                if let Some(photo) = photo {
+                let image = view.image(ctx)?;
+                let truth = view.truth(image.as_ref());
+                put_view(ctx, &view.place.name, &maps, truth.as_ref(), scales, &mut stored)?;
+                if let Some(photo) = &view.photo {
                     stored.insert(format!("{MAPS}{}-photo.png", view.place.name), photo.digest);
                 }
                 let bytes = serde_json::to_vec(&stored);

@@ -157,6 +157,7 @@ mod tests {
         let view = |number: usize| {
             let truth = Truth {
                 photo: &photo,
+                hidden: &[],
                 place: number,
             };
             study(&place(), &maps_of(&example()), Some(&truth), &[]).unwrap()

@@ -1,12 +1,12 @@
 use marf_cache::{Digest, digest_of};
 use marf_field::Field;
 use marf_scene::{Camera, Coverage, Observer, PosedPhoto, Scene, path::Viewpoint, typical_distance};
-use marf_stage::{Ctx, StageError};
+use marf_stage::StageError;
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
 use super::maps::{MIN_OPACITY, Sight, Surfaces};
-use crate::{checkpoint::Journal, error::field_failed, split::NamedFrame, view::floats};
+use crate::{checkpoint::Journal, error::field_failed, photos::PhotoReader, split::NamedFrame, view::floats};
 
 /// Longest side at which depths of the photos are rendered, pixels: what hides a point is known to one of these.
 const SIDE_PX: u32 = 160;
@@ -25,17 +25,18 @@ pub(crate) struct Witnesses {
 impl Witnesses {
     /// Renders the depths of the photos' views with a field; `of` stands for the node and its field.
     pub fn new(
-        ctx: &Ctx<'_>,
         of: Digest,
         field: &Field,
+        photos: &PhotoReader<'_>,
         frames: &[NamedFrame<'_>],
         scene: &Scene,
     ) -> Result<Self, StageError> {
+        let ctx = photos.ctx;
         let mut journal = Journal::new(ctx, "witnesses", digest_of(&(of, "witnesses")));
         let observers = frames.iter().enumerate().map(|(index, named)| {
             let note = format!("what {} saw", named.name);
             ctx.progress.at(index as u64, frames.len() as u64, &note);
-            let camera = small(&named.frame.camera);
+            let (factor, camera) = small(&named.frame.camera);
             let pose = named.frame.cam_from_world;
             let pixels = camera.width as usize * camera.height as usize;
             let distance = journal.piece(
@@ -55,6 +56,11 @@ impl Witnesses {
                     Ok((distance, bytes))
                 },
             )?;
+            let hidden = photos.hidden_at(named.frame, factor)?;
+            let mut distance = distance;
+            for (distance, _) in distance.iter_mut().zip(hidden).filter(|(_, hidden)| *hidden) {
+                *distance = f32::NAN;
+            }
             Ok(Observer::new(camera, pose, &distance))
         });
         let observers = observers.collect::<Result<_, StageError>>()?;
@@ -95,11 +101,12 @@ const UNSEEN: Sight = Sight {
     incidence_deg: -1.0,
 };
 
-/// Returns the camera at the size at which depths are rendered.
-fn small(camera: &Camera) -> Camera {
+/// Returns the factor by which a photo is shrunk for its depths, and its camera then.
+fn small(camera: &Camera) -> (u32, Camera) {
     let longest = camera.width.max(camera.height);
     let shortest = camera.width.min(camera.height).max(1);
-    camera.box_reduced(longest.div_ceil(SIDE_PX).clamp(1, shortest))
+    let factor = longest.div_ceil(SIDE_PX).clamp(1, shortest);
+    (factor, camera.box_reduced(factor))
 }
 
 /// Returns the unit vector of the world along every pixel of a view; none where the lens has no ray for it.
@@ -125,7 +132,7 @@ fn sight(
     if opacity >= LEAST_SHARE && depth > 0.0 {
         let seen = coverage.surface(ray, depth, normal().as_ref());
         if seen.photos > 0 {
-            sight.surface = coverage.looked_through(ray, depth);
+            sight.surface = known(coverage.looked_through(ray, depth));
             sight.photos = seen.photos as f32;
             sight.photo_distance = seen.distance as f32;
             if seen.incidence_deg < 180.0 {
@@ -133,21 +140,26 @@ fn sight(
             }
         }
     }
-    if opacity <= 1.0 - LEAST_SHARE {
+    if opacity > MIN_OPACITY {
+        // What shines through a surface is as certain as the surface: photos that show it show both.
+        sight.sky = sight.surface;
+    } else {
         let photos = coverage.sky(ray);
         if photos > 0 {
-            sight.sky = coverage.looked_through(ray, f64::INFINITY);
+            sight.sky = known(coverage.looked_through(ray, f64::INFINITY));
+            // Haze before a sky that photos show is theirs too.
+            sight.surface = sight.surface.max(sight.sky);
         }
-        if opacity <= MIN_OPACITY {
-            sight = Sight {
-                photos: photos as f32,
-                photo_distance: -1.0,
-                incidence_deg: -1.0,
-                ..sight
-            };
-        }
+        sight.photos = photos as f32;
+        (sight.photo_distance, sight.incidence_deg) = (-1.0, -1.0);
     }
     sight
+}
+
+/// Returns how certain the space before a point is of which photos looked through a share: wholly from a half on, since a camera stands in
+/// space that others hardly see.
+fn known(looked_through: f64) -> f64 {
+    (2.0 * looked_through).min(1.0)
 }
 
 /// Returns the normal of the surface at a pixel from its four neighbours, towards the eye; none at an edge.
@@ -229,7 +241,7 @@ mod tests {
         assert!((floor.photo_distance - 1.6008).abs() < 1e-3, "{floor:?}");
         assert_eq!(
             (sky.surface, sky.sky, sky.photos, sky.photo_distance),
-            (0.0, 1.0, 1.0, -1.0)
+            (1.0, 1.0, 1.0, -1.0)
         );
         assert_eq!(at(10, 20).incidence_deg, -1.0, "no neighbour below the last row");
     }

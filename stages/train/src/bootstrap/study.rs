@@ -61,6 +61,8 @@ pub(crate) struct Tops {
 /// A photo that was held out, with the number of the place it was taken at.
 pub(crate) struct Truth<'a> {
     pub photo: &'a Image<Srgb>,
+    /// What its mask hides; empty without a mask.
+    pub hidden: &'a [bool],
     pub place: usize,
 }
 
@@ -74,12 +76,14 @@ pub(crate) fn study(
     truth: Option<&Truth<'_>>,
     points: &[Point],
 ) -> Result<ViewStudy, TrainError> {
-    let error = truth.map(|truth| errors(maps, truth.photo)).unwrap_or_default();
+    let error = truth
+        .map(|truth| errors(maps, truth.photo, truth.hidden))
+        .unwrap_or_default();
     let held_out = truth.map(|truth| held_out(place, maps, truth.place, &error, points));
     let report = ViewReport {
         place: truth.map(|truth| truth.place as u64),
         photo: truth
-            .map(|truth| photo_report(place, maps, truth.photo, &error))
+            .map(|truth| photo_report(place, maps, truth, &error))
             .transpose()?,
         ..view_report(place, maps)
     };
@@ -103,16 +107,29 @@ pub(crate) fn study(
     })
 }
 
-/// Returns |mean gray - gray of the photo| of every pixel.
-pub(crate) fn errors(maps: &Maps, photo: &Image<Srgb>) -> Vec<f32> {
-    let grays = photo
-        .pixels
+/// Returns |mean gray - gray of the photo| of every pixel, -1 where its mask hides it.
+pub(crate) fn errors(maps: &Maps, photo: &Image<Srgb>, hidden: &[bool]) -> Vec<f32> {
+    let error = |(pixel, (mean, rgb)): (usize, (&f32, &[u8; 3]))| {
+        let photo = gray(&rgb.map(|channel| f32::from(channel) / 255.0));
+        let is_hidden = hidden.get(pixel).copied().unwrap_or(false);
+        if is_hidden {
+            -1.0
+        } else {
+            (f64::from(*mean) - photo).abs() as f32
+        }
+    };
+    maps.gray
         .iter()
-        .map(|rgb| gray(&rgb.map(|channel| f32::from(channel) / 255.0)));
-    let pixels = maps.gray.iter().zip(grays);
-    pixels
-        .map(|(mean, photo)| (f64::from(*mean) - photo).abs() as f32)
+        .zip(&photo.pixels)
+        .enumerate()
+        .map(error)
         .collect()
+}
+
+/// Returns the values of a map at the pixels that have an error.
+fn compared(map: &[f32], error: &[f32]) -> Vec<f32> {
+    let pixels = map.iter().zip(error).filter(|(_, error)| **error >= 0.0);
+    pixels.map(|(value, _)| *value).collect()
 }
 
 /// Returns the figures of one viewpoint without a photo.
@@ -139,13 +156,15 @@ fn view_report(place: &Viewpoint, maps: &Maps) -> ViewReport {
 fn photo_report(
     place: &Viewpoint,
     maps: &Maps,
-    photo: &Image<Srgb>,
+    truth: &Truth<'_>,
     error: &[f32],
 ) -> Result<PhotoReport, TrainError> {
     let removed = hundredths();
-    let by = |map: &[f32], norm| -> Sparsification { sparsify(map, error, &removed, norm) };
+    let errors = compared(error, error);
+    let by =
+        |map: &[f32], norm| -> Sparsification { sparsify(&compared(map, error), &errors, &removed, norm) };
     let (mae, rmse) = (by(&maps.std, Norm::Mae), by(&maps.std, Norm::Rmse));
-    let psnr = psnr(&mean_picture(maps), photo).map_err(|cause| TrainError::Picture {
+    let psnr = psnr(&mean_picture(maps), truth.photo, truth.hidden).map_err(|cause| TrainError::Picture {
         name: place.name.clone(),
         cause: cause.to_string(),
     })?;
@@ -156,23 +175,24 @@ fn photo_report(
         ause_rmse: rmse.ause,
         ause_rmse_random: rmse.ause_random,
         ause_mae_total: by(&maps.total, Norm::Mae).ause,
-        spearman: spearman(&maps.std, error),
+        spearman: spearman(&compared(&maps.std, error), &errors),
     })
 }
 
 fn held_out(place: &Viewpoint, maps: &Maps, number: usize, error: &[f32], points: &[Point]) -> HeldOutStudy {
     let local = locally(&maps.std, maps.width);
-    let seen = (0..error.len()).filter(|pixel| maps.is_seen(*pixel));
+    let seen = (0..error.len()).filter(|pixel| error[*pixel] >= 0.0 && maps.is_seen(*pixel));
     let gray: Vec<(f32, f32)> = seen.map(|pixel| (local[pixel], error[pixel])).collect();
+    let (std, error) = (compared(&maps.std, error), compared(error, error));
     let unseen_share = 1.0 - gray.len() as f64 / error.len().max(1) as f64;
-    let within = |widths: f64| coverage(&maps.std, error, widths);
+    let within = |widths: f64| coverage(&std, &error, widths);
     HeldOutStudy {
         coverage: Coverage {
             sd1: within(1.0),
             sd2: within(2.0),
             sd3: within(3.0),
         },
-        nll: nll(&maps.std, error, 1.0),
+        nll: nll(&std, &error, 1.0),
         gray: Errors::of(number, gray, unseen_share),
         depth: Errors::of(number, depth_errors(place, maps, points), unseen_share),
     }
@@ -274,6 +294,7 @@ mod tests {
         };
         let truth = Truth {
             photo: &photo,
+            hidden: &[],
             place: 7,
         };
         let study = study(&place(4, 1), &maps, Some(&truth), &[]).unwrap();
@@ -310,11 +331,41 @@ mod tests {
             &maps,
             Some(&Truth {
                 photo: &small,
+                hidden: &[],
                 place: 0,
             }),
             &[],
         );
         assert!(wrong.unwrap_err().to_string().contains("0001"));
+    }
+
+    #[test]
+    fn what_a_mask_hides_is_compared_with_nothing() {
+        let maps = maps_of(&example());
+        let photo = |last: u8| Image {
+            width: 4,
+            height: 1,
+            pixels: vec![[128; 3], [77; 3], [184; 3], [last; 3]],
+        };
+        let of = |photo: &Image<Srgb>, hidden: &[bool]| {
+            study(
+                &place(4, 1),
+                &maps,
+                Some(&Truth {
+                    photo,
+                    hidden,
+                    place: 0,
+                }),
+                &[],
+            )
+            .unwrap()
+        };
+        let hidden = [false, false, false, true];
+        let (one, other) = (of(&photo(0), &hidden), of(&photo(255), &hidden));
+        assert_eq!(one.report, other.report);
+        assert_eq!(one.held_out.unwrap().gray, other.held_out.unwrap().gray);
+        assert_ne!(of(&photo(0), &[]).report, of(&photo(255), &[]).report);
+        assert_eq!(errors(&maps, &photo(0), &hidden)[3], -1.0);
     }
 
     #[test]

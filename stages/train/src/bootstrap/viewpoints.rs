@@ -12,7 +12,8 @@ use marf_schema::{
 };
 use marf_stage::{Ctx, StageError};
 
-use crate::{TrainError, child::Child, split::NamedFrame};
+use super::study::Truth;
+use crate::{TrainError, child::Child, photos::PhotoReader, split::NamedFrame};
 
 /// A viewpoint of maps.
 pub(super) struct MapView {
@@ -24,33 +25,48 @@ pub(super) struct MapView {
 /// A photo that was held out, as the first member wrote it.
 pub(super) struct HeldOutPhoto {
     pub digest: Digest,
+    /// What its mask hides; empty without a mask.
+    hidden: Vec<bool>,
     /// Number of the place it was taken at.
-    pub place: usize,
+    place: usize,
 }
 
-impl HeldOutPhoto {
-    /// Reads the photo.
-    pub fn read(&self, ctx: &Ctx<'_>, name: &str) -> Result<Image<Srgb>, StageError> {
-        let photo = Photo::decode(&ctx.get(&self.digest)?).map_err(|error| TrainError::Picture {
-            name: name.to_owned(),
+impl MapView {
+    /// Reads the photo, if one was held out.
+    pub fn image(&self, ctx: &Ctx<'_>) -> Result<Option<Image<Srgb>>, StageError> {
+        let Some(photo) = &self.photo else {
+            return Ok(None);
+        };
+        let decoded = Photo::decode(&ctx.get(&photo.digest)?).map_err(|error| TrainError::Picture {
+            name: self.place.name.clone(),
             cause: error.to_string(),
         });
-        Ok(photo?.image)
+        Ok(Some(decoded?.image))
+    }
+
+    /// Returns what the maps are compared with: the photo with its mask.
+    pub fn truth<'a>(&'a self, image: Option<&'a Image<Srgb>>) -> Option<Truth<'a>> {
+        let photo = self.photo.as_ref()?;
+        Some(Truth {
+            photo: image?,
+            hidden: &photo.hidden,
+            place: photo.place,
+        })
     }
 }
 
-/// Returns the viewpoints that maps are made at, kind by kind; `scale`: the factor by which the members shrank photos.
+/// Returns the viewpoints that maps are made at, kind by kind; `photos`: at the scale of the members.
 ///
 /// # Errors
 /// A kind that has no viewpoint in this scene.
 pub(super) fn map_views(
-    ctx: &Ctx<'_>,
+    photos: &PhotoReader<'_>,
     params: &BootstrapParams,
     scene: &Scene,
     training: &[NamedFrame<'_>],
-    scale: u32,
     first: &Child<'_>,
 ) -> Result<Vec<MapView>, StageError> {
+    let scale = photos.scale;
     let widths = scene.frames.iter().map(|frame| frame.camera.width);
     let width = (widths.max().unwrap_or(1) / scale).max(1);
     let frames = params.map_frames;
@@ -58,7 +74,7 @@ pub(super) fn map_views(
     let mut views = Vec::new();
     for kind in kinds {
         let (name, of_kind) = match kind {
-            Viewpoints::Heldout => ("heldout", held_out_views(ctx, scene, scale, first)?),
+            Viewpoints::Heldout => ("heldout", held_out_views(photos, scene, first)?),
             Viewpoints::Train => ("train", training_views(training, scale)),
             Viewpoints::Flythrough => (
                 "flythrough",
@@ -100,13 +116,12 @@ fn training_views(training: &[NamedFrame<'_>], scale: u32) -> Vec<MapView> {
 
 /// Returns the views of the photos that the members held out, with the photos as the first member wrote them.
 fn held_out_views(
-    ctx: &Ctx<'_>,
+    photos: &PhotoReader<'_>,
     scene: &Scene,
-    scale: u32,
     first: &Child<'_>,
 ) -> Result<Vec<MapView>, StageError> {
-    let photos: Vec<PosedPhoto<'_>> = scene.frames.iter().map(PosedPhoto::from).collect();
-    let places = places_of(&photos, &scene.points);
+    let posed: Vec<PosedPhoto<'_>> = scene.frames.iter().map(PosedPhoto::from).collect();
+    let places = places_of(&posed, &scene.points);
     let mut views = Vec::new();
     for ((frame, name), place) in scene.frames.iter().zip(picture_names(scene)).zip(places) {
         let output = format!("{PHOTO}{name}.png");
@@ -115,13 +130,15 @@ fn held_out_views(
         };
         let photo = HeldOutPhoto {
             digest: *digest,
+            hidden: photos.hidden(frame)?,
             place,
         };
-        let size = Photo::decode(&ctx.get(digest)?).map_err(|error| first.malformed(&output, &error))?;
+        let size =
+            Photo::decode(&photos.ctx.get(digest)?).map_err(|error| first.malformed(&output, &error))?;
         views.push(MapView {
             place: Viewpoint {
                 name,
-                camera: sized(&frame.camera.box_reduced(scale), &size.image),
+                camera: sized(&frame.camera.box_reduced(photos.scale), &size.image),
                 cam_from_world: frame.cam_from_world,
             },
             photo: Some(photo),

@@ -124,6 +124,7 @@ mod tests {
             camera: Camera::pinhole(640, 480, 500.0),
             cam_from_world: Pose::identity(),
             held_out: false,
+            mask: None,
             error_px: None,
         };
         let scene = Scene {

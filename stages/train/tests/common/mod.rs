@@ -63,6 +63,7 @@ pub fn scene_of(harness: &Harness, count: u32, width: u32, height: u32) -> Scene
             camera,
             cam_from_world,
             held_out: index % 4 == 2,
+            mask: None,
             error_px: None,
         }
     };

@@ -37,6 +37,7 @@ fn scene() -> Scene {
             camera,
             cam_from_world: Pose::looking_at(eye, Vector3::zeros(), -Vector3::z()),
             held_out: false,
+            mask: None,
             error_px: None,
         }
     };
