@@ -71,7 +71,7 @@ pub enum Work<'a> {
     Fold(&'a dyn Fold),
     /// Needs all its inputs at once; one record.
     Set(&'a dyn Set),
-    /// Requests further nodes and reduces their outputs; one record.
+    /// Requests further nodes, in one round or several, and reduces their outputs; one record.
     Expand(&'a dyn Expand),
 }
 
@@ -347,19 +347,37 @@ pub trait Set: Send + Sync {
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError>;
 }
 
-/// Requests further nodes and reduces their outputs.
+/// Requests further nodes, in one round or several, and reduces their outputs.
 pub trait Expand: Send + Sync {
     /// Returns every stage that a child may be of, each with parameters that choose the backend as the child's do. Their
     /// versions and backends are part of the key of this node.
     fn children(&self) -> Vec<ChildStage>;
 
-    /// Returns the nodes to run.
+    /// Returns the nodes to run first.
     ///
     /// # Errors
     /// Inputs that no node can be derived from.
     fn expand(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError>;
 
-    /// Computes the outputs from those of the nodes, which come in the order of the requests.
+    /// Returns the nodes of the next round, which may have outputs of earlier ones as inputs; none if the outputs can be
+    /// computed.
+    ///
+    /// It is called each time all nodes requested so far have run. `done` holds their outputs in the order of the requests,
+    /// round after round. The answer follows from parameters, inputs and `done` alone, so that a run that goes on after a
+    /// stop asks for the same nodes.
+    ///
+    /// # Errors
+    /// Outputs that no node can be derived from.
+    fn further(
+        &self,
+        _ctx: &Ctx<'_>,
+        _inputs: &Inputs,
+        _done: &[Outputs],
+    ) -> Result<Vec<NodeSpec>, StageError> {
+        Ok(Vec::new())
+    }
+
+    /// Computes the outputs from those of the nodes of all rounds, which come in the order of the requests.
     ///
     /// # Errors
     /// What stops the node.
@@ -378,7 +396,7 @@ pub struct ChildStage {
 /// A request to run a stage with parameters on inputs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeSpec {
-    /// Name below the requesting node, unique there (`trial-03`).
+    /// Name below the requesting node, unique there over all rounds (`trial-03`).
     pub name: String,
     /// Name of the stage in the table.
     pub stage: String,

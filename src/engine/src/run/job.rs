@@ -19,7 +19,7 @@ use crate::{
     lookup::{Lookup, look_up},
     stage_io::{FileCheckpoints, Lease, StoreBlobs, StoreMemos},
     work::{
-        BlobCheck, PartedOutputs, Produced, StageRun, execute, put_action, put_needs, put_parts, reduce,
+        BlobCheck, PartedOutputs, Produced, StageRun, after_round, execute, put_action, put_needs, put_parts,
         with_lengths,
     },
 };
@@ -27,7 +27,7 @@ use crate::{
 /// Stack of a worker thread: decoders and solvers recurse.
 pub(super) const STACK_BYTES: usize = 8 << 20;
 
-/// One half of a node's work, on a thread of its own.
+/// A step of a node's work, on a thread of its own.
 pub(super) struct Job<'a> {
     pub(super) context: RunContext<'a>,
     pub(super) node: String,
@@ -40,12 +40,12 @@ pub(super) struct Job<'a> {
     pub(super) began: Instant,
 }
 
-/// Which half of a node's work.
+/// Which step of a node's work.
 pub(super) enum Step {
-    /// The first half; the only one of a node without children.
+    /// The first; the only one of a node without children.
     Start,
-    /// The reduction of the children's outputs; with their keys by name.
-    Reduce(Vec<Outputs>, BTreeMap<String, Digest>),
+    /// A further round of children, or the reduction of their outputs; with outputs and keys by name of those that have run.
+    AfterRound(Vec<Outputs>, BTreeMap<String, Digest>),
 }
 
 /// What a job gave.
@@ -178,9 +178,7 @@ impl Job<'_> {
         };
         let work = || match &self.step {
             Step::Start => execute(&run),
-            Step::Reduce(children, _) => {
-                reduce(&run, children).map(|outputs| Produced::Outputs(outputs, None))
-            }
+            Step::AfterRound(done, _) => after_round(&run, done),
         };
         on_threads(self.threads, work)
     }
@@ -218,7 +216,7 @@ impl Job<'_> {
             parts,
             children: match &self.step {
                 Step::Start => BTreeMap::new(),
-                Step::Reduce(_, keys) => keys.clone(),
+                Step::AfterRound(_, keys) => keys.clone(),
             },
             origins: None,
             metadata: RunMetadata {

@@ -8,7 +8,7 @@ use marf_stage::StageError;
 
 use super::{
     state::RunState,
-    task::{Phase, Reuse, Role},
+    task::{InputSource, Phase, Reuse, Role},
 };
 use crate::{event::Event, work::needs_of};
 
@@ -66,8 +66,9 @@ fn start_over(state: &mut RunState<'_>, index: usize, after: BTreeSet<usize>) {
     task.waits_for.extend(after);
 }
 
-/// Returns the first node, in topological order, that stored a blob among those upstream; none if the node itself or one of
-/// its children did. If nobody is known to have stored it, returns the nodes directly upstream.
+/// Returns the first node, in topological order, that stored a blob among those upstream, else among the other children of its
+/// parent; none if the node itself or one of its children did. If nobody is known to have stored it, returns the nodes
+/// directly upstream.
 fn producers(state: &RunState<'_>, index: usize, lost: &Digest) -> BTreeSet<usize> {
     let (graph, store) = (state.context.graph, state.context.store);
     let has_stored = |task: usize| {
@@ -81,12 +82,31 @@ fn producers(state: &RunState<'_>, index: usize, lost: &Digest) -> BTreeSet<usiz
     if let Some(&producer) = upstream.iter().find(|&&task| has_stored(task)) {
         return BTreeSet::from([producer]);
     }
+    if let Some(sibling) = siblings(state, index, lost).find(|&task| has_stored(task)) {
+        return BTreeSet::from([sibling]);
+    }
     let mut own = state.tasks[index].children.iter().chain([&index, &root]);
     if own.any(|&task| has_stored(task)) {
         return BTreeSet::new();
     }
     let connections = graph.nodes[root].connections.iter();
     connections.map(|connection| connection.upstream).collect()
+}
+
+/// Returns the other children of a node's parent that did not read the blob themselves: a child may read what those of
+/// earlier rounds have stored.
+fn siblings<'s>(state: &'s RunState<'_>, index: usize, lost: &'s Digest) -> impl Iterator<Item = usize> {
+    let children = state.tasks[index]
+        .parent
+        .map(|parent| &state.tasks[parent].children);
+    let children = children.into_iter().flatten().copied();
+    children.filter(move |&task| {
+        let has_read = match &state.tasks[task].inputs {
+            InputSource::Fixed(inputs) => inputs.0.values().any(|input| input == lost),
+            InputSource::Upstream(_) => false,
+        };
+        task != index && !has_read
+    })
 }
 
 /// Tells whether a result, or a part of it, stored a blob.

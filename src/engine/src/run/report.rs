@@ -1,8 +1,8 @@
 //! The results of a run, for its record.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use marf_cache::{Digest, Store, StoreError};
+use marf_cache::{Digest, Record, Store, StoreError};
 
 use super::{
     state::RunState,
@@ -123,10 +123,10 @@ fn add_stored(
     children: &BTreeMap<String, Digest>,
     runs: &mut Vec<NodeRun>,
 ) -> Result<(), StoreError> {
-    for (name, key) in children {
-        let Some(record) = store.record(key)? else {
-            continue;
-        };
+    for StoredChild {
+        name, key, record, ..
+    } in in_order(stored_children(store, children)?)
+    {
         let name = format!("{parent}/{name}");
         runs.push(NodeRun {
             name: name.clone(),
@@ -134,7 +134,7 @@ fn add_stored(
             parent: Some(parent.to_owned()),
             edges: Vec::new(),
             inputs: BTreeMap::new(),
-            key: Some(*key),
+            key: Some(key),
             state: NodeState::Reused,
             reason: format!("{parent} was reused"),
             seconds: record.metadata.seconds,
@@ -145,6 +145,61 @@ fn add_stored(
         add_stored(store, &name, &record.children, runs)?;
     }
     Ok(())
+}
+
+/// A child of a node whose result was in the store.
+struct StoredChild<'a> {
+    name: &'a str,
+    key: Digest,
+    record: Record,
+    /// What it read; empty if its action is lost.
+    inputs: BTreeSet<Digest>,
+}
+
+/// Returns the children whose records the store has, by name.
+fn stored_children<'a>(
+    store: &Store,
+    children: &'a BTreeMap<String, Digest>,
+) -> Result<Vec<StoredChild<'a>>, StoreError> {
+    let mut stored = Vec::new();
+    for (name, key) in children {
+        let Some(record) = store.record(key)? else {
+            continue;
+        };
+        let action = action_at(store, key)?;
+        stored.push(StoredChild {
+            name,
+            key: *key,
+            record,
+            inputs: action.map_or_else(BTreeSet::new, |action| action.inputs.into_values().collect()),
+        });
+    }
+    Ok(stored)
+}
+
+/// Puts children behind those whose outputs they read; else they stay as they are.
+fn in_order(mut left: Vec<StoredChild<'_>>) -> Vec<StoredChild<'_>> {
+    let mut ordered = Vec::with_capacity(left.len());
+    while !left.is_empty() {
+        let made: BTreeSet<Digest> = left.iter().flat_map(StoredChild::made).collect();
+        let waits = |child: &StoredChild<'_>| !child.inputs.is_disjoint(&made);
+        // Equal contents may make a circle; any of them may then come first.
+        let (mut free, waiting): (Vec<_>, Vec<_>) = left.into_iter().partition(|child| !waits(child));
+        left = waiting;
+        if free.is_empty() {
+            free.push(left.remove(0));
+        }
+        ordered.extend(free);
+    }
+    ordered
+}
+
+impl StoredChild<'_> {
+    /// Returns the outputs that are not handed through from an input.
+    fn made(&self) -> impl Iterator<Item = Digest> {
+        let outputs = self.record.outputs.values().map(|output| output.digest);
+        outputs.filter(|digest| !self.inputs.contains(digest))
+    }
 }
 
 /// Converts the final state of a node.

@@ -114,13 +114,13 @@ impl<'a> Scheduler<'a> {
         self.free_permits -= permits;
         self.running += 1;
         let step = match self.state.tasks[index].phase {
-            Phase::Reducible => self.reduction(index),
+            Phase::Reducible => self.after_round(index),
             _ => Step::Start,
         };
-        let task = &mut self.state.tasks[index];
         if matches!(step, Step::Start) {
-            task.began = None;
+            self.state.begin(index);
         }
+        let task = &mut self.state.tasks[index];
         task.phase = Phase::Running;
         Some(Job {
             context: self.state.context,
@@ -138,14 +138,14 @@ impl<'a> Scheduler<'a> {
         })
     }
 
-    /// Returns the second half of an expansion: outputs and keys of the children.
-    fn reduction(&self, index: usize) -> Step {
+    /// Returns the step of an expansion after a round of children: with outputs and keys of all so far.
+    fn after_round(&self, index: usize) -> Step {
         let tasks = &self.state.tasks;
         let children = || tasks[index].children.iter().map(|&child| &tasks[child]);
         let outputs: Vec<Outputs> = children().map(Task::outputs).collect();
         let prefix = tasks[index].name.len() + 1;
         let keys = children().filter_map(|child| Some((child.name[prefix..].to_owned(), child.outcome.key?)));
-        Step::Reduce(outputs, keys.collect())
+        Step::AfterRound(outputs, keys.collect())
     }
 
     /// Frees the permits of a job and applies its result.

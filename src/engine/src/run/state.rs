@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{errors::contract_violation, event::Event, lookup::lasting_counts};
 
-/// The nodes of a run. Those of the graph come first, in its order; children follow in the order of expansion.
+/// The nodes of a run. Those of the graph come first, in its order; children follow in the order of the requests.
 pub(super) struct RunState<'a> {
     pub(super) context: RunContext<'a>,
     pub(super) tasks: Vec<Task>,
@@ -113,10 +113,19 @@ impl<'a> RunState<'a> {
         self.child_settled(index);
     }
 
-    /// Adds the children of a node.
+    /// Prepares a node for its first step: children that an earlier try asked for are none of its own any more.
+    pub(super) fn begin(&mut self, index: usize) {
+        for child in std::mem::take(&mut self.tasks[index].children) {
+            self.tasks[child].phase = Phase::Replaced;
+        }
+        self.tasks[index].began = None;
+    }
+
+    /// Adds a round of children to a node.
     pub(super) fn expand(&mut self, index: usize, specs: Vec<NodeSpec>) {
         let mut children = Vec::new();
-        let mut names = BTreeSet::new();
+        let earlier = self.tasks[index].children.iter();
+        let mut names: BTreeSet<String> = earlier.map(|&child| self.tasks[child].name.clone()).collect();
         for spec in specs {
             match self.child(index, spec) {
                 Ok(child) if names.insert(child.name.clone()) => children.push(child),
@@ -128,7 +137,7 @@ impl<'a> RunState<'a> {
             }
         }
         let first = self.tasks.len();
-        self.tasks[index].children = (first..first + children.len()).collect();
+        self.tasks[index].children.extend(first..first + children.len());
         self.tasks[index].phase = match children.is_empty() {
             true => Phase::Reducible,
             false => Phase::Expanding,

@@ -25,7 +25,7 @@ pub(super) struct Task {
     pub(super) edges: Vec<Edge>,
     pub(super) inputs: InputSource,
     pub(super) parent: Option<usize>,
-    /// In the order of the expansion.
+    /// In the order of the requests, round after round.
     pub(super) children: Vec<usize>,
     pub(super) role: Role,
     pub(super) phase: Phase,
@@ -77,7 +77,7 @@ pub(super) enum Phase {
     Running,
     /// Its children are running.
     Expanding,
-    /// Its children have their outputs.
+    /// Its children so far have their outputs: it asks for further ones or reduces them.
     Reducible,
     /// It has a stored result.
     Reused,

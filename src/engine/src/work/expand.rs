@@ -1,20 +1,27 @@
-//! The second half of an expansion: the reduction of the children's outputs.
+//! What follows when the children of an expansion have run: a further round of them, or the reduction of their outputs.
 
 use marf_stage::{Outputs, StageError, Work};
 
+use super::Produced;
 use super::stage_run::{Counts, PartedOutputs, StageRun};
 use crate::errors::contract_violation;
 
-/// Reduces the outputs of the children, given in the order of the expansion.
-pub(crate) fn reduce(run: &StageRun<'_>, children: &[Outputs]) -> Result<PartedOutputs, StageError> {
+/// Returns the children of the next round, or the outputs if there is none. `done` holds the outputs of the children so far,
+/// in the order of the requests.
+pub(crate) fn after_round(run: &StageRun<'_>, done: &[Outputs]) -> Result<Produced, StageError> {
     let Work::Expand(expand) = run.stage.work() else {
         return Err(contract_violation(
             "a stage that expanded does not reduce".to_owned(),
         ));
     };
-    let outputs = expand.reduce(&run.ctx, run.inputs, children)?;
-    Ok(PartedOutputs {
-        counts: Counts::from([("children".to_owned(), children.len() as u64)]),
+    let further = expand.further(&run.ctx, run.inputs, done)?;
+    if !further.is_empty() {
+        return Ok(Produced::Children(further));
+    }
+    let outputs = expand.reduce(&run.ctx, run.inputs, done)?;
+    let outputs = PartedOutputs {
+        counts: Counts::from([("children".to_owned(), done.len() as u64)]),
         ..outputs.into()
-    })
+    };
+    Ok(Produced::Outputs(outputs, None))
 }

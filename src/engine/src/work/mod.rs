@@ -13,7 +13,7 @@ mod stage_run;
 use crate::listing::Listed;
 use marf_stage::{NodeSpec, Outputs, StageError, Work};
 
-pub(crate) use expand::reduce;
+pub(crate) use expand::after_round;
 pub use extent::Extent;
 pub(crate) use extent::extent;
 pub(crate) use stage_run::{

@@ -9,4 +9,5 @@ mod devices;
 mod earlier;
 mod faults;
 mod graph;
+mod rounds;
 mod what_ran;

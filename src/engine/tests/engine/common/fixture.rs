@@ -13,6 +13,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 type AtMeasure = Box<dyn Fn(usize) + Send>;
+type AtDraw = Arc<dyn Fn(u64) + Send + Sync>;
 type AtSum = Arc<dyn Fn() + Send + Sync>;
 type AtContext = Arc<dyn Fn(usize) + Send + Sync>;
 
@@ -32,6 +33,8 @@ pub struct Fixture {
     pub at_measure: Mutex<Option<AtMeasure>>,
     /// Called when a sum begins.
     pub at_sum: Mutex<Option<AtSum>>,
+    /// Called when a draw begins with the number of sums and draws before it.
+    pub at_draw: Mutex<Option<AtDraw>>,
     /// Called when the context of a pass is made.
     pub at_context: Mutex<Option<AtContext>>,
     /// Threads that each sum was given.

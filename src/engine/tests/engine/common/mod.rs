@@ -5,6 +5,7 @@ mod damage;
 mod events;
 mod fixture;
 mod pipeline;
+mod rounds;
 mod stages;
 
 use marf_cache::{

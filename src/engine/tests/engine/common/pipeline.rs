@@ -5,6 +5,7 @@ use marf_stage::{StageDef, define};
 
 use super::{
     crowd::Crowd,
+    rounds::Knockout,
     stages::{Append, Archive, AtMost, Broken, Distinct, Draw, Many, Sum},
 };
 
@@ -17,6 +18,7 @@ pub const TABLE: &[StageDef] = &[
     define::<Distinct>(),
     define::<Sum>(),
     define::<Draw>(),
+    define::<Knockout>(),
     define::<Many>(),
     define::<Broken>(),
 ];

@@ -319,7 +319,12 @@ impl Set for Sum {
 
 impl Set for Draw {
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
-        fixture(self.0.fixture.0).ran.fetch_add(1, Ordering::Relaxed);
+        let fixture = fixture(self.0.fixture.0);
+        let before = fixture.ran.fetch_add(1, Ordering::Relaxed);
+        let at_draw = fixture.at_draw.lock().clone();
+        if let Some(at_draw) = at_draw {
+            at_draw(before);
+        }
         std::thread::sleep(Duration::from_millis(1)); // so that two of them overlap
         let sum = ctx.get(inputs.required("sum")?)?;
         if self.0.seed == 1313 {
