@@ -218,6 +218,8 @@ fn field_nodes(store: &mut Store) -> Vec<NodeView> {
         psnr: [20.0, 20.2],
         difference_db: 0.2,
         best_minus_default_db: 1.0,
+        chosen: 1,
+        decision: "trial 01 is chosen".to_owned(),
     };
     let best = tune::BestParams {
         field: second.params.clone(),

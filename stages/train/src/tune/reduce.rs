@@ -1,70 +1,88 @@
-use marf_schema::{
-    train::Metrics,
-    tune::{BestParams, Scatter, Trial, Trials, TuneParams},
-};
+use marf_schema::tune::{BestParams, Scatter, Trial, Trials, TuneParams};
 use marf_stage::{Ctx, Outputs, StageError, TypedOutputs};
 
-use super::sampling::sample_params;
-use crate::child::Child;
+use super::{halving::miscounted, judged::Judged, sampling::sample_params};
 
-/// Ranks the trials and writes what the best one had set.
-pub(crate) fn reduce(
+/// Ranks the trials, decides between the best and the defaults, and writes the keys of the one that is chosen.
+///
+/// `judged`: every trial, by number; `again`: the defaults with another seed.
+pub(super) fn reduce(
     ctx: &Ctx<'_>,
     params: &TuneParams,
-    children: &[Outputs],
+    judged: &[Judged],
+    again: &Judged,
 ) -> Result<Outputs, StageError> {
-    let trained = (0_u32..).zip(children).map(|(index, outputs)| {
-        let name = format!("trial {index:02}");
-        Child { name, outputs }.read::<Metrics>(ctx)
-    });
-    let mut trained = trained.collect::<Result<Vec<_>, _>>()?;
-    let (Some(again), true) = (trained.pop(), children.len() == params.trials as usize + 1) else {
-        let message = format!(
-            "{} trials and the scatter were asked for, {} came",
-            params.trials,
-            children.len()
-        );
-        return Err(StageError::new(message));
-    };
-    let trials = ranked(params, &trained);
+    let trials = ranked(params, judged);
     let best = trials.iter().min_by_key(|trial| trial.rank);
-    let (Some(best), Some(default)) = (best, trials.first()) else {
-        return Err(StageError::new("no trial came back"));
+    let (Some(best), Some(default)) = (best, judged.first()) else {
+        return Err(miscounted(params, judged.len()));
     };
-    let scatter = Scatter {
-        psnr: [default.psnr, again.scores.psnr],
-        difference_db: (default.psnr - again.scores.psnr).abs(),
-        best_minus_default_db: best.psnr - default.psnr,
-    };
+    let scatter = decided(params, best, default, again);
+    let chosen = sample_params(&params.space, params.seed, scatter.chosen);
     let mut outputs = Outputs::new();
-    let field = best.params.clone();
+    let field = params.field.with(&chosen);
     outputs.put(ctx, &BestParams { field })?;
     outputs.put(ctx, &Trials(trials))?;
     outputs.put(ctx, &scatter)?;
     Ok(outputs)
 }
 
-/// Returns the trials by number, with their ranks.
-fn ranked(params: &TuneParams, trained: &[Metrics]) -> Vec<Trial> {
-    let mut order: Vec<usize> = (0..trained.len()).collect();
-    order.sort_by(|a, b| {
-        trained[*b]
-            .scores
-            .psnr
-            .total_cmp(&trained[*a].scores.psnr)
-            .then(a.cmp(b))
+/// Decides between the best trial and the defaults, which win unless the gain is beyond what another seed changes.
+fn decided(params: &TuneParams, best: &Trial, default: &Judged, again: &Judged) -> Scatter {
+    let difference_db = (default.psnr - again.psnr).abs();
+    let gain_db = best.psnr - default.psnr;
+    let least_db = difference_db.max(params.least_gain_db);
+    let wins = best.trial != 0 && gain_db > least_db;
+    let limit = match difference_db > params.least_gain_db {
+        true => format!("the {difference_db:.2} dB that another seed changes"),
+        false => format!(
+            "{} dB, and another seed changes {difference_db:.2} dB",
+            params.least_gain_db
+        ),
+    };
+    let measured = format!(
+        "{gain_db:+.2} dB on {} validation photos after {} steps",
+        default.photos, default.steps
+    );
+    let decision = match (best.trial, wins) {
+        (0, _) => "the defaults stay: no trial is better".to_owned(),
+        (trial, true) => {
+            format!("trial {trial:02} is chosen: {measured} over the defaults, more than {limit}")
+        }
+        (trial, false) => {
+            format!("the defaults stay: trial {trial:02} has {measured}, not more than {limit}")
+        }
+    };
+    Scatter {
+        psnr: [default.psnr, again.psnr],
+        difference_db,
+        best_minus_default_db: gain_db,
+        chosen: if wins { best.trial } else { 0 },
+        decision,
+    }
+}
+
+/// Returns the trials by number, with their ranks: those that went further come first, then those with the better PSNR.
+fn ranked(params: &TuneParams, judged: &[Judged]) -> Vec<Trial> {
+    let mut order: Vec<usize> = (0..judged.len()).collect();
+    order.sort_by(|&a, &b| {
+        let (first, second) = (&judged[a], &judged[b]);
+        let further = second.steps.cmp(&first.steps);
+        further.then(second.psnr.total_cmp(&first.psnr)).then(a.cmp(&b))
     });
-    let mut ranks = vec![0; trained.len()];
+    let mut ranks = vec![0; judged.len()];
     for (rank, index) in (1_u32..).zip(order) {
         ranks[index] = rank;
     }
-    let rows = (0_u32..).zip(trained).zip(ranks);
-    rows.map(|((trial, trained), rank)| Trial {
+    let rows = (0_u32..).zip(judged).zip(ranks);
+    rows.map(|((trial, judged), rank)| Trial {
         trial,
         rank,
-        psnr: trained.scores.psnr,
-        psnr_paper: trained.scores.psnr_paper,
-        ssim: trained.scores.ssim,
+        steps: judged.steps,
+        judged_px: judged.judged_px,
+        psnr: judged.psnr,
+        psnr_paper: judged.psnr_paper,
+        ssim: judged.ssim,
         params: sample_params(&params.space, params.seed, trial),
     })
     .collect()
@@ -79,6 +97,7 @@ mod tests {
     use marf_stage::{Define, Expand, Inputs, harness::Harness};
     use serde_json::json;
 
+    /// Reduces a random search whose trials have these PSNRs, the last one being the scatter's.
     fn reduced(psnr: &[f64]) -> (Vec<Trial>, Scatter, serde_json::Value, Outputs) {
         let harness = Harness::default();
         let child = |psnr: &f64| {
@@ -90,11 +109,8 @@ mod tests {
             outputs
         };
         let children: Vec<Outputs> = psnr.iter().map(child).collect();
-        let params = TuneParams {
-            trials: psnr.len() as u32 - 1,
-            ..TuneParams::default()
-        };
-        let stage = Tune::new(params).unwrap();
+        let table = json!({"search": "random", "trials": psnr.len() - 1, "field": {"cone": 0.05}});
+        let stage = Tune::new(serde_json::from_value(table).unwrap()).unwrap();
         let outputs = stage
             .reduce(&harness.ctx(), &Inputs::default(), &children)
             .unwrap();
@@ -108,34 +124,73 @@ mod tests {
     }
 
     #[test]
-    fn the_best_trial_wins_and_the_seed_noise_stands_beside_it() {
+    fn a_gain_beyond_the_scatter_wins_and_its_keys_lie_over_the_base() {
         let (trials, scatter, params, _) = reduced(&[20.0, 19.0, 21.5, 20.25]);
         assert_eq!(
             trials.iter().map(|trial| trial.rank).collect::<Vec<_>>(),
             [2, 3, 1]
         );
-        assert_eq!(params, json!({ "field": trials[2].params }));
         assert_eq!(
-            (scatter.difference_db, scatter.best_minus_default_db),
-            (0.25, 1.5)
+            params["field"],
+            json!(trials[2].params),
+            "the draw sets `cone` too"
+        );
+        assert_eq!(
+            (
+                scatter.chosen,
+                scatter.difference_db,
+                scatter.best_minus_default_db
+            ),
+            (2, 0.25, 1.5)
+        );
+        assert_eq!(
+            scatter.decision,
+            "trial 02 is chosen: +1.50 dB on 1 validation photos after 400 steps over the defaults, more than the 0.25 dB \
+             that another seed changes"
         );
     }
 
     #[test]
+    fn a_gain_within_the_scatter_or_below_the_least_leaves_the_defaults() {
+        for (psnr, limit) in [
+            (
+                [20.0, 20.25, 20.5],
+                "not more than the 0.50 dB that another seed changes",
+            ),
+            (
+                [20.0, 20.5, 20.5],
+                "not more than the 0.50 dB that another seed changes",
+            ),
+            (
+                [20.0, 20.0625, 20.0],
+                "not more than 0.1 dB, and another seed changes 0.00 dB",
+            ),
+        ] {
+            let (trials, scatter, params, _) = reduced(&psnr);
+            assert_eq!((trials[1].rank, scatter.chosen), (1, 0), "{psnr:?}");
+            assert_eq!(params, json!({ "field": {"cone": 0.05} }), "{psnr:?}");
+            let decision = &scatter.decision;
+            assert!(
+                decision.starts_with("the defaults stay: trial 01 has +"),
+                "{decision}"
+            );
+            assert!(decision.ends_with(limit), "{decision}");
+        }
+    }
+
+    #[test]
     fn of_equal_trials_the_defaults_win() {
-        let (trials, _, params, _) = reduced(&[20.0, 20.0, 20.0]);
-        assert_eq!(trials[0].rank, 1);
-        assert_eq!(params, json!({ "field": {} }));
+        let (trials, scatter, params, _) = reduced(&[20.0, 20.0, 20.0]);
+        assert_eq!((trials[0].rank, scatter.chosen), (1, 0));
+        assert_eq!(scatter.decision, "the defaults stay: no trial is better");
+        assert_eq!(params, json!({ "field": {"cone": 0.05} }));
     }
 
     #[test]
     fn a_trial_that_is_missing_is_named() {
         let harness = Harness::default();
-        let stage = Tune::new(TuneParams {
-            trials: 1,
-            ..TuneParams::default()
-        })
-        .unwrap();
+        let stage =
+            Tune::new(serde_json::from_value(json!({"search": "random", "trials": 1})).unwrap()).unwrap();
         let error = stage
             .reduce(&harness.ctx(), &Inputs::default(), &vec![Outputs::new(); 2])
             .unwrap_err();
@@ -151,7 +206,7 @@ mod tests {
         let all = Digest::of(&serde_json::to_vec(&outputs).unwrap());
         assert_eq!(
             (Tune::VERSION, all.short().as_str()),
-            (3, "8288c9ee041d"),
+            (4, "026bf046441f"),
             "{outputs:?}"
         );
     }
