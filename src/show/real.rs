@@ -277,6 +277,7 @@ fn tune(store: &mut Store) -> NodeView {
     let trials = tune::Trials(trials.collect());
     let scatter = tune::Scatter {
         psnr: [23.4, 23.6],
+        best_psnr: None,
         difference_db: 0.2,
         best_minus_default_db: 0.6,
         chosen: 3,

@@ -113,6 +113,7 @@ mod tests {
     fn the_decision_is_a_sentence_and_scores_of_other_sizes_are_told_apart() {
         let scatter = Scatter {
             psnr: [21.0, 20.6],
+            best_psnr: None,
             difference_db: 0.4,
             best_minus_default_db: 0.3,
             chosen: 0,

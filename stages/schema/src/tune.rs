@@ -235,9 +235,12 @@ pub struct Trial {
 pub struct Scatter {
     /// PSNR of the defaults with the seed and with the next one, dB.
     pub psnr: [f64; 2],
-    /// Their distance, dB: gains below it may be chance.
+    /// PSNR of the best trial with the same two seeds, dB; absent where it was not far enough ahead to be looked at again.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub best_psnr: Option<[f64; 2]>,
+    /// What another seed changes, dB, the larger of both: gains below it may be chance.
     pub difference_db: f64,
-    /// What the best trial has above the defaults, dB.
+    /// What the best trial has above the defaults, dB, in the mean over the seeds that both were trained with.
     pub best_minus_default_db: f64,
     /// Number of the trial whose keys are the output `params`; 0: the defaults.
     pub chosen: u32,

@@ -13,7 +13,11 @@ use marf_schema::{
 };
 use marf_stage::{Ctx, Inputs, NodeSpec, Outputs, StageError};
 
-use super::{judged::Judged, sampling::sample_params, scatter, train_of};
+use super::{
+    judged::{Judged, Standing, miscounted},
+    sampling::sample_params,
+    scatter, train_of,
+};
 use crate::child::Child;
 
 /// The trials of one rung.
@@ -37,6 +41,8 @@ struct Climb {
     again: Option<Judged>,
     /// The rung whose nodes have not been requested yet.
     next: Option<Rung>,
+    /// What came behind the last rung.
+    rest: Vec<Outputs>,
 }
 
 /// Returns the steps after which trials are compared: H/eta², H/eta and H, taken up to multiples of 16, each once.
@@ -53,7 +59,7 @@ pub(super) fn rungs(horizon: u64, eta: u32) -> Vec<u64> {
     rungs
 }
 
-/// Returns the nodes of the next rung; none after the last.
+/// Returns the nodes of the next rung, the last one with the defaults and another seed; none after it.
 pub(super) fn next_rung(
     ctx: &Ctx<'_>,
     params: &TuneParams,
@@ -80,23 +86,20 @@ pub(super) fn next_rung(
         });
     }
     if rung.is_last {
-        nodes.push(scatter(params, inputs)?);
+        nodes.push(scatter(params, 0, inputs)?);
     }
     Ok(nodes)
 }
 
-/// Returns how each trial was judged last, by number, and how the defaults with another seed were.
+/// Returns how all trials came out.
 ///
 /// # Errors
 /// Other nodes than were asked for, an output that cannot be read.
-pub(super) fn judged(
-    ctx: &Ctx<'_>,
-    params: &TuneParams,
-    done: &[Outputs],
-) -> Result<(Vec<Judged>, Judged), StageError> {
+pub(super) fn standing(ctx: &Ctx<'_>, params: &TuneParams, done: &[Outputs]) -> Result<Standing, StageError> {
     let climb = Climb::read(ctx, params, done)?;
     let again = climb.again.ok_or_else(|| miscounted(params, done.len()))?;
-    Ok((climb.judged.into_values().collect(), again))
+    let judged = climb.judged.into_values().collect();
+    Standing::new(ctx, params, judged, again, &climb.rest)
 }
 
 impl Climb {
@@ -106,6 +109,7 @@ impl Climb {
             states: BTreeMap::new(),
             again: None,
             next: None,
+            rest: Vec::new(),
         };
         let rungs = rungs(params.horizon(), params.eta);
         let (mut trials, mut rest): (Vec<u32>, _) = ((0..params.trials).collect(), done);
@@ -130,10 +134,8 @@ impl Climb {
             trials = climb.best(&rung, keeps as usize);
             rest = after;
         }
-        match rest.is_empty() {
-            true => Ok(climb),
-            false => Err(miscounted(params, done.len())),
-        }
+        climb.rest = rest.to_vec();
+        Ok(climb)
     }
 
     /// Adds what the nodes of a rung gave.
@@ -169,14 +171,6 @@ impl Climb {
         best.sort_unstable();
         best
     }
-}
-
-/// Returns the error of outputs that do not belong to what was asked for.
-pub(super) fn miscounted(params: &TuneParams, came: usize) -> StageError {
-    StageError::new(format!(
-        "the nodes of {} trials and the scatter were asked for, {came} came",
-        params.trials
-    ))
 }
 
 #[cfg(test)]
@@ -301,12 +295,38 @@ mod tests {
         let worst_default = |trial: u32| if trial == 0 { 5.0 } else { 20.0 - f64::from(trial) };
         let sizes: Vec<usize> = (0..4).map(|_| search.climb(&worst_default).len()).collect();
         // Of 4 the best 2 and the defaults, then the best and the defaults with the scatter.
-        assert_eq!(sizes, [4, 3, 3, 0]);
-        let (judged, again) = judged(&search.harness.ctx(), &search.tune.params, &search.done).unwrap();
+        assert_eq!(sizes, [4, 3, 3, 1]);
+        assert_eq!(search.climb(&worst_default), []);
+        let standing = standing(&search.harness.ctx(), &search.tune.params, &search.done).unwrap();
+        let Standing {
+            judged,
+            again,
+            best_again,
+        } = standing;
+        assert_eq!(best_again.unwrap().psnr, 19.0);
         let steps: Vec<u64> = judged.iter().map(|judged| judged.steps).collect();
         assert_eq!(steps, [400, 400, 144, 48]);
         assert_eq!((judged[0].psnr, judged[1].psnr, again.psnr), (5.0, 19.0, 5.0));
         assert_eq!((judged[2].judged_px, judged[1].judged_px), (Some(128), None));
+    }
+
+    #[test]
+    fn only_a_trial_that_is_ahead_is_looked_at_again_and_with_another_seed() {
+        for (psnr, again) in [(20.0, vec![]), (20.05, vec![]), (21.0, vec!["scatter-01"])] {
+            let mut search = Search::new(json!({"scale": 1, "trials": 2, "seed": 7}));
+            // The second trial leads on its way; its last rung decides.
+            search.climb(&|trial| 10.0 + f64::from(trial));
+            search.climb(&|trial| 10.0 + f64::from(trial));
+            let last = search.climb(&|trial| if trial == 1 { psnr } else { 20.0 });
+            assert_eq!(names(&last), ["trial-00", "trial-01", "scatter-00"]);
+            let nodes = search.climb(&|_| 21.0);
+            assert_eq!(names(&nodes), again, "{psnr}");
+            for node in nodes {
+                assert_eq!(node.params["seed"], 8);
+                assert_eq!(node.params["field"], last[1].params["field"]);
+                assert_eq!(node.inputs, search.inputs, "from step 0");
+            }
+        }
     }
 
     #[test]

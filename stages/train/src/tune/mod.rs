@@ -25,9 +25,9 @@ use crate::{
     io::read_scene,
     settings::scale_to,
 };
-use halving::{miscounted, next_rung};
-use judged::Judged;
-use reduce::reduce;
+use halving::next_rung;
+use judged::{Judged, Standing, miscounted};
+use reduce::{is_ahead, reduce};
 use sampling::sample_params;
 
 /// Trains with drawn parameter sets and keeps the best, unless the defaults are as good as far as the scatter tells.
@@ -81,19 +81,25 @@ impl Expand for Tune {
     }
 
     fn further(&self, ctx: &Ctx<'_>, inputs: &Inputs, done: &[Outputs]) -> Result<Vec<NodeSpec>, StageError> {
-        match self.params.search {
-            Search::Random => Ok(Vec::new()),
-            Search::Halving => next_rung(ctx, &self.with_scale(ctx, inputs)?, inputs, done),
+        let params = &self.with_scale(ctx, inputs)?;
+        match params.search {
+            Search::Random => confirmation(params, inputs, &standing_at_once(ctx, params, done)?),
+            Search::Halving => match next_rung(ctx, params, inputs, done)? {
+                none if none.is_empty() => {
+                    confirmation(params, inputs, &halving::standing(ctx, params, done)?)
+                }
+                nodes => Ok(nodes),
+            },
         }
     }
 
     fn reduce(&self, ctx: &Ctx<'_>, _inputs: &Inputs, children: &[Outputs]) -> Result<Outputs, StageError> {
         let params = &self.params;
-        let (judged, again) = match params.search {
-            Search::Random => judged_at_once(ctx, params, children)?,
-            Search::Halving => halving::judged(ctx, params, children)?,
+        let standing = match params.search {
+            Search::Random => standing_at_once(ctx, params, children)?,
+            Search::Halving => halving::standing(ctx, params, children)?,
         };
-        reduce(ctx, params, &judged, &again)
+        reduce(ctx, params, &standing)
     }
 }
 
@@ -124,32 +130,48 @@ fn all_at_once(params: &TuneParams, inputs: &Inputs) -> Result<Vec<NodeSpec>, St
         let train = train_of(params, params.seed, &set);
         nodes.push(NodeSpec::of(format!("trial-{trial:02}"), &train, inputs)?);
     }
-    nodes.push(scatter(params, inputs)?);
+    nodes.push(scatter(params, 0, inputs)?);
     Ok(nodes)
 }
 
-/// Returns the training of the defaults with another seed.
-fn scatter(params: &TuneParams, inputs: &Inputs) -> Result<NodeSpec, StageError> {
-    let again = train_of(params, params.seed.wrapping_add(1), &Overrides::default());
-    NodeSpec::of("scatter-00", &again, inputs)
+/// Returns the training of a trial with another seed.
+fn scatter(params: &TuneParams, trial: u32, inputs: &Inputs) -> Result<NodeSpec, StageError> {
+    let set = sample_params(&params.space, params.seed, trial);
+    let again = train_of(params, params.seed.wrapping_add(1), &set);
+    NodeSpec::of(format!("scatter-{trial:02}"), &again, inputs)
 }
 
-/// Reads how the trials of a random search and the defaults with another seed were judged.
-fn judged_at_once(
+/// Returns the training of the best trial with another seed, where it is ahead of the defaults and that was not asked for yet:
+/// the best of many is the luckiest, too.
+fn confirmation(
+    params: &TuneParams,
+    inputs: &Inputs,
+    standing: &Standing,
+) -> Result<Vec<NodeSpec>, StageError> {
+    match standing.best_again.is_none() && is_ahead(params, standing) {
+        true => Ok(vec![scatter(params, standing.best(), inputs)?]),
+        false => Ok(Vec::new()),
+    }
+}
+
+/// Reads how the trials of a random search came out.
+fn standing_at_once(
     ctx: &Ctx<'_>,
     params: &TuneParams,
     children: &[Outputs],
-) -> Result<(Vec<Judged>, Judged), StageError> {
+) -> Result<Standing, StageError> {
+    let count = params.trials as usize + 1;
+    let (trained, rest) = children
+        .split_at_checked(count)
+        .ok_or_else(|| miscounted(params, children.len()))?;
     let read = |(index, outputs)| {
         let name = format!("trial {index:02}");
         Ok(Child { name, outputs }.read::<Metrics>(ctx)?.into())
     };
-    let judged: Result<Vec<Judged>, StageError> = (0_u32..).zip(children).map(read).collect();
+    let judged: Result<Vec<Judged>, StageError> = (0_u32..).zip(trained).map(read).collect();
     let mut judged = judged?;
-    match (judged.pop(), children.len() == params.trials as usize + 1) {
-        (Some(again), true) => Ok((judged, again)),
-        _ => Err(miscounted(params, children.len())),
-    }
+    let again = judged.pop().ok_or_else(|| miscounted(params, 0))?;
+    Standing::new(ctx, params, judged, again, rest)
 }
 
 /// Returns the training of one parameter set, judged on validation photos.
