@@ -242,11 +242,10 @@ fn a_factor_and_a_shift_vary_what_is_derived_and_what_is_said() {
     );
     // A quarter of the cells of the surface want a quarter of the table, and the shift makes it a quarter of that.
     assert_eq!(varied.log2_table.value + 4, asked.log2_table.value, "{varied:?}");
+    let reason = &varied.log2_table.reason;
     assert!(
-        varied
-            .log2_table
-            .reason
-            .starts_with("`log2_table_shift` is -2; the scene decides")
+        reason.starts_with("`log2_table_shift` is -2; ") && reason.contains("want 2^"),
+        "{reason}"
     );
 
     let said = |finest_factor: f64, log2_table_shift: i32| {
