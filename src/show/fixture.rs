@@ -216,8 +216,11 @@ fn field_nodes(store: &mut Store) -> Vec<NodeView> {
     second.params = Overrides([("levels".to_owned(), HOSTILE.into())].into());
     let scatter = tune::Scatter {
         psnr: [20.0, 20.2],
+        best_psnr: None,
         difference_db: 0.2,
         best_minus_default_db: 1.0,
+        chosen: 1,
+        decision: "trial 01 is chosen".to_owned(),
     };
     let best = tune::BestParams {
         field: second.params.clone(),

@@ -43,6 +43,8 @@ pub(super) fn trial(number: u32, rank: u32, psnr: f64) -> tune::Trial {
     tune::Trial {
         trial: number,
         rank,
+        steps: 400,
+        judged_px: None,
         psnr,
         psnr_paper: Some(psnr - 1.0),
         ssim: Some(0.7),

@@ -278,8 +278,11 @@ fn tune(store: &mut Store) -> NodeView {
     let trials = tune::Trials(trials.collect());
     let scatter = tune::Scatter {
         psnr: [23.4, 23.6],
+        best_psnr: None,
         difference_db: 0.2,
         best_minus_default_db: 0.6,
+        chosen: 3,
+        decision: "trial 03 is chosen: +0.60 dB on 3 validation photos after 400 steps over the defaults, more than the 0.20 dB that another seed changes".to_owned(),
     };
     let best = tune::BestParams {
         field: trials.0[3].params.clone(),

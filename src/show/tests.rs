@@ -69,7 +69,7 @@ fn known_figures_have_their_unit() {
         "4 cameras, 1 held out; 1 sparse point; 1 unit is 2 m",
         "PSNR 24.00 dB",
         "24.57 dB",
-        "Chosen over the defaults: +1.00 dB",
+        "Trial 01 is chosen.",
         "AUSE of a random order",
         "1 file that gave no photo",
         "kept in its place",

@@ -1,16 +1,16 @@
-//! Trials of the parameters: the best marked, and its gain beside what another seed alone changes.
+//! Trials of the parameters: the chosen one marked, and why it was chosen.
 
 use marf_schema::tune::{BestParams, Scatter, Trial, Trials};
 use maud::{Markup, html};
 use serde_json::Value;
 
-use super::format::{decibels, similarity};
+use super::format::{decibels, number, similarity};
 use super::input::NodeView;
 use super::json;
 use super::page::Page;
 
 /// Columns before the parameters, in the order of [`scores`].
-const SCORES: [&str; 5] = ["trial", "rank", "psnr", "psnr_paper", "ssim"];
+const SCORES: [&str; 6] = ["trial", "rank", "steps", "psnr", "psnr_paper", "ssim"];
 
 /// The table of trials of every node that has one.
 pub(super) fn body(page: &Page<'_>) -> Markup {
@@ -28,10 +28,9 @@ fn of_node(page: &Page<'_>, node: &NodeView) -> Markup {
     };
     html! {
         @match page.document::<Scatter>(node) {
-            Ok(scatter) => p { (gain(&scatter, &trials)) },
+            Ok(scatter) => { p { (decided(&scatter, &trials)) } (table(&trials, scatter.chosen)) },
             Err(missing) => (missing),
         }
-        (table(&trials))
         @match page.document::<BestParams>(node) {
             Ok(params) => details { summary { "chosen parameters" } (json::fields(&params)) },
             Err(missing) => (missing),
@@ -39,14 +38,14 @@ fn of_node(page: &Page<'_>, node: &NodeView) -> Markup {
     }
 }
 
-/// Best first; the order of equal trials is that of the file.
-fn table(trials: &[Trial]) -> Markup {
+/// By rank.
+fn table(trials: &[Trial], chosen: u32) -> Markup {
     let mut sorted: Vec<(&Trial, Value)> = trials
         .iter()
         .map(|trial| (trial, json::value(&trial.params)))
         .collect();
     let params: Vec<Value> = sorted.iter().map(|(_, params)| params.clone()).collect();
-    sorted.sort_by(|(a, _), (b, _)| b.psnr.total_cmp(&a.psnr));
+    sorted.sort_by_key(|(trial, _)| trial.rank);
     let columns = json::columns(&params);
     html! {
         div.scroll {
@@ -58,9 +57,9 @@ fn table(trials: &[Trial]) -> Markup {
                 } }
                 tbody {
                     @for (trial, params) in sorted {
-                        @let best = trial.rank == 1;
-                        tr.best[best] {
-                            td { @if best { strong { "chosen" } } }
+                        @let is_chosen = trial.trial == chosen;
+                        tr.best[is_chosen] {
+                            td { @if is_chosen { strong { "chosen" } } }
                             @for score in scores(trial) { td.number { (score) } }
                             @for column in &columns { (json::cell(&params, column)) }
                         }
@@ -71,30 +70,30 @@ fn table(trials: &[Trial]) -> Markup {
     }
 }
 
-fn scores(trial: &Trial) -> [String; 5] {
+fn scores(trial: &Trial) -> [String; 6] {
     let known = |value: Option<f64>, text: fn(f64) -> String| value.map_or_else(|| "–".to_owned(), text);
     [
         trial.trial.to_string(),
         trial.rank.to_string(),
+        number(trial.steps as f64),
         decibels(trial.psnr),
         known(trial.psnr_paper, decibels),
         known(trial.ssim, similarity),
     ]
 }
 
-/// Says what the best trial gained, and whether that is more than another seed alone changes.
-fn gain(scatter: &Scatter, trials: &[Trial]) -> String {
-    let (noise, gain) = (scatter.difference_db.abs(), scatter.best_minus_default_db);
-    let mut values: Vec<f64> = trials.iter().map(|trial| trial.psnr).collect();
-    values.sort_by(|a, b| b.total_cmp(a));
-    let lead = match values[..] {
-        [first, second, ..] => format!(" The first leads the second by {:.2} dB.", first - second),
-        _ => String::new(),
-    };
-    let judged = if gain > noise { "more" } else { "not more" };
-    format!(
-        "Chosen over the defaults: {gain:+.2} dB. Another seed alone changes PSNR by {noise:.2} dB: the gain is {judged} than that.{lead}"
-    )
+/// Says what was decided, and how scores compare.
+fn decided(scatter: &Scatter, trials: &[Trial]) -> String {
+    let mut letters = scatter.decision.chars();
+    let first = letters.next().map(|letter| letter.to_uppercase().to_string());
+    let sentence = format!("{}{}.", first.unwrap_or_default(), letters.as_str());
+    match trials.iter().find_map(|trial| trial.judged_px) {
+        Some(side_px) => format!(
+            "{sentence} Trials that were stopped on their way were judged by photos of at most {side_px} pixels: their PSNR \
+             compares with that of others at the same step only."
+        ),
+        None => sentence,
+    }
 }
 
 #[cfg(test)]
@@ -103,29 +102,26 @@ mod tests {
     use crate::show::fixture_documents::trial;
 
     #[test]
-    fn the_first_rank_is_marked_and_the_highest_psnr_stands_first() {
-        let shown = table(&[trial(0, 2, 30.0), trial(1, 1, 20.0)]).into_string();
+    fn trials_stand_by_rank_and_the_chosen_one_is_marked() {
+        let shown = table(&[trial(0, 2, 30.0), trial(1, 1, 20.0)], 0).into_string();
         let place = |text: &str| shown.find(text).unwrap_or_else(|| panic!("{text}: {shown}"));
-        assert!(place("30.00") < place("chosen") && place("chosen") < place("20.00"));
+        assert!(place("20.00") < place("chosen") && place("chosen") < place("30.00"));
         assert_eq!(shown.matches("chosen").count(), 1);
     }
 
     #[test]
-    fn a_gain_below_the_scatter_is_called_so() {
-        let trials = [trial(0, 1, 21.0), trial(1, 2, 20.5)];
-        let said = |best_minus_default_db: f64| {
-            let scatter = Scatter {
-                psnr: [21.0, 20.6],
-                difference_db: 0.4,
-                best_minus_default_db,
-            };
-            gain(&scatter, &trials)
+    fn the_decision_is_a_sentence_and_scores_of_other_sizes_are_told_apart() {
+        let scatter = Scatter {
+            psnr: [21.0, 20.6],
+            best_psnr: None,
+            difference_db: 0.4,
+            best_minus_default_db: 0.3,
+            chosen: 0,
+            decision: "the defaults stay: <b>".to_owned(),
         };
-        assert!(
-            said(0.3).contains("not more than that. The first leads the second by 0.50 dB"),
-            "{}",
-            said(0.3)
-        );
-        assert!(said(0.5).contains("is more than that"), "{}", said(0.5));
+        let mut trials = [trial(0, 1, 21.0), trial(1, 2, 20.5)];
+        assert_eq!(decided(&scatter, &trials), "The defaults stay: <b>.");
+        trials[1].judged_px = Some(128);
+        assert!(decided(&scatter, &trials).contains("at most 128 pixels"));
     }
 }

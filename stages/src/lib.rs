@@ -25,6 +25,7 @@ static STAGES: LazyLock<Vec<StageDef>> = LazyLock::new(|| {
         define::<marf_calibrate::Calibrate>(),
         define::<marf_train::Tune>(),
         define::<marf_train::Train>(),
+        define::<marf_train::Partial>(),
         define::<marf_train::Pace>(),
         define::<marf_train::Evaluate>(),
         define::<marf_train::Render>(),

@@ -59,10 +59,18 @@ pub struct Config {
     /// Binary logarithm of the entries of a level, 8 to 24. Levels with fewer corners are stored densely. Absent: from
     /// the surface and from `steps`.
     pub log2_table: Option<u32>,
+    /// Added to the binary logarithm of the table, whether `log2_table` tells it or it is derived, -4 to 4: what a search
+    /// varies. The sum stays in 8 to 24.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub log2_table_shift: i32,
     /// Cells a side of the coarsest level, 4 to 512.
     pub base_resolution: u32,
     /// Cells a side of the finest level; absent: from the footprint of a pixel on the scene.
     pub finest_resolution: Option<u32>,
+    /// Factor on the cells a side of the finest level, whether `finest_resolution` tells them or they are derived, in
+    /// [1/8, 8]: what a search varies. They stay at `base_resolution` or more, and at 8192 or less where a factor raises them.
+    #[serde(skip_serializing_if = "is_one")]
+    pub finest_factor: f64,
     /// Neurons in the hidden layer of the density network: 16, 32, 64 or 128 (mock-up after 60 s: 32 gives 21.16 dB,
     /// 64 gives 21.12).
     pub density_width: u32,
@@ -123,14 +131,25 @@ pub struct Config {
     pub view_dependence: ViewDependence,
 }
 
+// Fields that were trained without these keys keep their bytes.
+fn is_zero(shift: &i32) -> bool {
+    *shift == 0
+}
+
+fn is_one(factor: &f64) -> bool {
+    *factor == 1.0
+}
+
 impl Default for Config {
     fn default() -> Self {
         Self {
             levels: None,
             features: 4,
             log2_table: None,
+            log2_table_shift: 0,
             base_resolution: 16,
             finest_resolution: None,
+            finest_factor: 1.0,
             density_width: 32,
             color_width: 32,
             color_layers: 1,
@@ -202,6 +221,12 @@ impl Config {
                 "8 to 24",
             ),
             (
+                "log2_table_shift",
+                f64::from(self.log2_table_shift),
+                (-4..=4).contains(&self.log2_table_shift),
+                "-4 to 4",
+            ),
+            (
                 "levels * features",
                 self.levels.map_or(0.0, f64::from) * f64::from(self.features),
                 self.levels
@@ -220,6 +245,12 @@ impl Config {
                 self.finest_resolution
                     .is_none_or(|finest| (self.base_resolution..=1 << 20).contains(&finest)),
                 "base_resolution to 1048576",
+            ),
+            (
+                "finest_factor",
+                self.finest_factor,
+                (0.125..=8.0).contains(&self.finest_factor),
+                "1/8 to 8",
             ),
             (
                 "density_width",

@@ -82,8 +82,9 @@ pub fn derive(views: &[View], points: &[[f64; 3]], config: &Config, frame: &Fram
 impl Sizes {
     /// Returns the largest sizes that any scene asks for under these keys.
     pub(crate) fn most(config: &Config) -> Self {
-        let finest = config.finest_resolution.unwrap_or(MOST_FINEST);
         let any = "any scene";
+        let finest = config.finest_resolution.unwrap_or(MOST_FINEST);
+        let finest = scaled(Chosen::new(finest, any), config).value;
         Self {
             near: Chosen::new(NEAR, any),
             far: Chosen::new(FAR, any),
@@ -191,8 +192,30 @@ fn far(config: &Config, depths: &Result<Depths, String>) -> Chosen<f64> {
     Chosen::new(2.0 * near, format!("twice `near`, which is {near}"))
 }
 
-/// Returns the cells a side that are as wide as a pixel: of the contracted box, which is 4 half sides wide.
+/// Returns the cells a side of the finest level, with the factor of a search.
 fn finest(config: &Config, depths: &Result<Depths, String>, frame: &Frame, views: &[View]) -> Chosen<u32> {
+    scaled(finest_asked(config, depths, frame, views), config)
+}
+
+fn scaled(asked: Chosen<u32>, config: &Config) -> Chosen<u32> {
+    let factor = config.finest_factor;
+    if factor == 1.0 {
+        return asked;
+    }
+    let least = f64::from(config.base_resolution);
+    let most = f64::from(asked.value.max(MOST_FINEST).max(config.base_resolution));
+    let cells = (factor * f64::from(asked.value)).round().clamp(least, most);
+    let reason = format!("`finest_factor` is {factor}; {}", asked.reason);
+    Chosen::new(cells as u32, reason)
+}
+
+/// Returns the cells a side that are as wide as a pixel: of the contracted box, which is 4 half sides wide.
+fn finest_asked(
+    config: &Config,
+    depths: &Result<Depths, String>,
+    frame: &Frame,
+    views: &[View],
+) -> Chosen<u32> {
     if let Some(finest) = config.finest_resolution {
         return Chosen::said(finest, "finest_resolution");
     }
@@ -330,8 +353,19 @@ fn halvings(config: &Config, views: &[View]) -> Chosen<u32> {
     Chosen::new(halvings, reason)
 }
 
-/// Returns the table for four cells of the surface an entry, but no more entries than the training has samples to fill.
+/// Returns the table, with the shift of a search.
 fn log2_table(config: &Config, cells: u64) -> Chosen<u32> {
+    let asked = log2_table_asked(config, cells);
+    let shift = config.log2_table_shift;
+    if shift == 0 {
+        return asked;
+    }
+    let log2 = asked.value.saturating_add_signed(shift).clamp(8, 24);
+    Chosen::new(log2, format!("`log2_table_shift` is {shift}; {}", asked.reason))
+}
+
+/// Returns the table for four cells of the surface an entry, but no more entries than the training has samples to fill.
+fn log2_table_asked(config: &Config, cells: u64) -> Chosen<u32> {
     if let Some(log2) = config.log2_table {
         return Chosen::said(log2, "log2_table");
     }

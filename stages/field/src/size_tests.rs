@@ -221,6 +221,79 @@ fn a_key_that_is_set_wins_and_says_so() {
     }
 }
 
+/// A search varies sizes around what the scene asks for.
+#[test]
+fn a_factor_and_a_shift_vary_what_is_derived_and_what_is_said() {
+    let (views, points) = (above(512), plane(64));
+    let with = |config: Config| sizes_of(&views, &points, &config);
+    let asked = with(Config::default());
+    let varied = with(Config {
+        finest_factor: 0.5,
+        log2_table_shift: -2,
+        ..Config::default()
+    });
+    let half = f64::from(asked.finest.value) / 2.0;
+    assert!((f64::from(varied.finest.value) - half).abs() <= 0.5, "{varied:?}");
+    assert!(
+        varied.finest.reason.starts_with("`finest_factor` is 0.5; ")
+            && varied.finest.reason.ends_with(&asked.finest.reason),
+        "{}",
+        varied.finest.reason
+    );
+    // A quarter of the cells of the surface want a quarter of the table, and the shift makes it a quarter of that.
+    assert_eq!(varied.log2_table.value + 4, asked.log2_table.value, "{varied:?}");
+    let reason = &varied.log2_table.reason;
+    assert!(
+        reason.starts_with("`log2_table_shift` is -2; ") && reason.contains("want 2^"),
+        "{reason}"
+    );
+
+    let said = |finest_factor: f64, log2_table_shift: i32| {
+        let sizes = with(Config {
+            finest_resolution: Some(4096),
+            finest_factor,
+            log2_table: Some(22),
+            log2_table_shift,
+            ..Config::default()
+        });
+        (sizes.finest.value, sizes.log2_table.value)
+    };
+    assert_eq!(said(1.0, 0), (4096, 22));
+    assert_eq!(said(2.0, 1), (8192, 23));
+    assert_eq!(said(8.0, 4), (8192, 24), "at the ends they stay");
+    assert_eq!(said(0.125, -4), (512, 18));
+    let least = with(Config {
+        finest_resolution: Some(16),
+        finest_factor: 0.125,
+        log2_table: Some(8),
+        log2_table_shift: -4,
+        ..Config::default()
+    });
+    assert_eq!((least.finest.value, least.log2_table.value), (16, 8));
+}
+
+#[test]
+fn keys_of_a_search_that_are_not_set_leave_no_trace_in_what_is_stored() {
+    let stored = serde_json::to_value(Config::default()).unwrap();
+    assert!(stored.get("log2_table_shift").is_none() && stored.get("finest_factor").is_none());
+    for config in [
+        Config {
+            log2_table_shift: 5,
+            ..Config::default()
+        },
+        Config {
+            finest_factor: 0.1,
+            ..Config::default()
+        },
+        Config {
+            finest_factor: f64::NAN,
+            ..Config::default()
+        },
+    ] {
+        assert!(config.check().is_err(), "{config:?}");
+    }
+}
+
 #[test]
 fn near_gives_way_to_a_far_that_is_set_and_far_to_a_near() {
     let (views, points) = (above(64), plane(64));

@@ -1,4 +1,4 @@
-//! Parameters and outputs of `calibrate`, `tune`, `train`, `pace`, `evaluate`, `render`, `bootstrap` and `video`.
+//! Parameters and outputs of `calibrate`, `tune`, `train`, `partial`, `pace`, `evaluate`, `render`, `bootstrap` and `video`.
 //!
 //! One module a stage: its parameters ([`Params`](marf_stage::Params)) with the checks that need no input, and each
 //! JSON output ([`Document`](marf_stage::Document)). Stages, commands and the report read and write these types, so
@@ -17,6 +17,7 @@ pub mod example;
 mod memory;
 pub mod output;
 pub mod pace;
+pub mod partial;
 pub mod render;
 pub mod scores;
 pub mod train;

@@ -10,6 +10,8 @@ pub const SPARSE: &str = "sparse/";
 pub const POINTS: &str = "points.ply";
 /// A trained field (safetensors), of `train`.
 pub const WEIGHTS: &str = "weights";
+/// The state of a training that was stopped on its way, of `partial`: `train` and `partial` go on from it.
+pub const STATE: &str = "state";
 /// Renders at the views of photos, of `train` and `evaluate`: `heldout/<name>.png`.
 pub const HELDOUT: &str = "heldout/";
 /// The photos of those views at the size they were compared at: `photo/<name>.png`.

@@ -107,6 +107,11 @@ impl Fit {
 }
 
 impl TrainParams {
+    /// Returns the optimiser steps of a training without a budget.
+    pub fn planned_steps(&self) -> u64 {
+        self.steps.unwrap_or(self.quality.steps())
+    }
+
     /// Checks what can be checked without a scene.
     ///
     /// # Errors

@@ -1,4 +1,4 @@
-//! `tune`: random search of the field's hyper-parameters.
+//! `tune`: search of the field's hyper-parameters.
 
 use std::collections::BTreeMap;
 
@@ -8,23 +8,46 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use crate::{check_field, train::Fit};
+
+/// How trials are compared.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Search {
+    /// By successive halving: all are trained for a ninth of the steps, the best third of them goes on to a third, the best
+    /// third of these, with the defaults, to the end.
+    #[default]
+    Halving,
+    /// All are trained to the same step, as in the paper.
+    Random,
+}
+
 /// Parameters of `tune`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TuneParams {
+    /// How they are compared.
+    pub search: Search,
     /// Parameter sets that are tried, the defaults among them.
     pub trials: u32,
+    /// With `halving`, of so many trials one goes on, and rungs lie at this and its square as parts of the steps; 2 to 10.
+    pub eta: u32,
     /// Seed of the draws, and of every trial's weights and rays.
     pub seed: u64,
     /// Size of the photos and of the field that the draws are laid over.
     pub quality: Quality,
-    /// Optimiser steps of a trial; absent: a quarter of those of `quality`.
+    /// Optimiser steps: with `halving` of the training that is tuned, absent: those of `quality`; with `random` of a trial,
+    /// absent: a quarter of those.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps: Option<u64>,
-    /// Whole factor by which photos are shrunk; absent: the least that brings them to half the size of `quality`,
-    /// for most of a trial's time goes into rendering the photos it is judged by.
+    /// Whole factor by which photos are shrunk; absent: the least that brings them to the size of `quality`, with `random`
+    /// to half of it. With `halving` all but the last rung are judged by photos of at most 128 pixels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<u32>,
+    /// Keys of the field that all trials have, the defaults too: draws are laid over them, and the keys chosen hold them.
+    pub field: Overrides,
+    /// Least gain over the defaults for which a trial is chosen, dB; it must also be more than another seed changes.
+    pub least_gain_db: f64,
     /// What may be tried: key = `{ log = [low, high] }`, `{ int = [low, high] }` or `{ choice = [..] }`; a choice that
     /// is a table sets its own keys, and its name here is only a name.
     pub space: Space,
@@ -36,11 +59,15 @@ pub struct TuneParams {
 impl Default for TuneParams {
     fn default() -> Self {
         Self {
-            trials: 6,
+            search: Search::default(),
+            trials: 9,
+            eta: 3,
             seed: 0,
             quality: Quality::default(),
             steps: None,
             scale: None,
+            field: Overrides::default(),
+            least_gain_db: 0.1,
             space: default_space(),
             device: Device::default(),
         }
@@ -55,6 +82,15 @@ impl Params for TuneParams {
 }
 
 impl TuneParams {
+    /// Returns the steps of the longest training.
+    pub fn horizon(&self) -> u64 {
+        let whole = self.quality.steps();
+        self.steps.unwrap_or(match self.search {
+            Search::Halving => whole,
+            Search::Random => (whole / 4).max(1),
+        })
+    }
+
     /// Checks what can be checked without a scene.
     ///
     /// # Errors
@@ -72,6 +108,14 @@ impl TuneParams {
                 return Err(ParamError::new(key, "0 gives nothing; at least 1"));
             }
         }
+        if !(2..=10).contains(&self.eta) {
+            return Err(ParamError::new("eta", format!("{}; from 2 to 10", self.eta)));
+        }
+        if !(0.0..=100.0).contains(&self.least_gain_db) {
+            let message = format!("{} dB; from 0 to 100", self.least_gain_db);
+            return Err(ParamError::new("least_gain_db", message));
+        }
+        check_field(self.quality, Fit::Scene, &self.field)?;
         for (key, range) in &self.space {
             let path = format!("space.{key}");
             if let Some(fault) = range.fault() {
@@ -82,7 +126,7 @@ impl TuneParams {
                     serde_json::Value::Object(table) => Overrides(table.into_iter().collect()),
                     value => Overrides([(key.clone(), value)].into()),
                 };
-                let checked = set.over(&self.quality.config());
+                let checked = self.field.with(&set).over(&self.quality.config());
                 checked.map_err(|error| ParamError::new(path.as_str(), error.message))?;
             }
         }
@@ -105,19 +149,15 @@ pub enum Range {
     Choice(Vec<Value>),
 }
 
-/// Returns what is searched by default: step size, table size, layout of the levels, length of a step along a ray.
+/// Returns what is searched by default: step size, length of a step along a ray, features an entry; and factors on what the
+/// scene asks for: table and finest level, from which the number of levels follows.
 pub fn default_space() -> Space {
-    let layout = |levels: u32, features: u32| {
-        let keys = [("levels", levels), ("features", features)];
-        Value::from_iter(keys.map(|(key, value)| (key, Value::from(value))))
-    };
+    let features = [4, 2].map(Value::from);
     Space::from([
         ("learning_rate".to_owned(), Range::Log([0.005, 0.05])),
-        ("log2_table".to_owned(), Range::Int([14, 17])),
-        (
-            "layout".to_owned(),
-            Range::Choice(vec![layout(8, 4), layout(16, 2)]),
-        ),
+        ("log2_table_shift".to_owned(), Range::Int([-1, 1])),
+        ("finest_factor".to_owned(), Range::Log([0.5, 2.0])),
+        ("features".to_owned(), Range::Choice(features.into())),
         ("cone".to_owned(), Range::Log([0.02, 0.08])),
     ])
 }
@@ -145,7 +185,7 @@ impl Range {
     }
 }
 
-/// Output `params` of `tune`: the keys that the best trial had set.
+/// Output `params` of `tune`: the keys that the chosen trial had set.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct BestParams {
     /// Keys of the field.
@@ -172,11 +212,17 @@ impl Document for Trials {
 pub struct Trial {
     /// Its number; 0 is the defaults.
     pub trial: u32,
-    /// 1 is the best PSNR; of equals the first.
+    /// 1 is the best PSNR of those that went furthest; of equals the first.
     pub rank: u32,
-    /// Mean PSNR on the validation photos, dB.
+    /// Optimiser steps that it was trained for.
+    pub steps: u64,
+    /// Longest side of the photos that it was judged by, where they were shrunk for it, pixels; absent: they had the size of
+    /// the training's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub judged_px: Option<u32>,
+    /// Mean PSNR on the validation photos after these steps, dB.
     pub psnr: f64,
-    /// The paper's definition.
+    /// The paper's definition; absent for a trial that was stopped on its way, as SSIM.
     pub psnr_paper: Option<f64>,
     /// Mean SSIM.
     pub ssim: Option<f64>,
@@ -184,15 +230,22 @@ pub struct Trial {
     pub params: Overrides,
 }
 
-/// Output `scatter`: how much of a difference the seed alone makes.
+/// Output `scatter`: how much of a difference the seed alone makes, and what was decided with it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Scatter {
     /// PSNR of the defaults with the seed and with the next one, dB.
     pub psnr: [f64; 2],
-    /// Their distance, dB: gains below it may be chance.
+    /// PSNR of the best trial with the same two seeds, dB; absent where it was not far enough ahead to be looked at again.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub best_psnr: Option<[f64; 2]>,
+    /// What another seed changes, dB, the larger of both: gains below it may be chance.
     pub difference_db: f64,
-    /// What the best trial has above the defaults, dB.
+    /// What the best trial has above the defaults, dB, in the mean over the seeds that both were trained with.
     pub best_minus_default_db: f64,
+    /// Number of the trial whose keys are the output `params`; 0: the defaults.
+    pub chosen: u32,
+    /// Why, in one sentence.
+    pub decision: String,
 }
 
 impl Document for Scatter {
@@ -226,13 +279,17 @@ mod tests {
             (json!({"trials": 0}), "trials"),
             (json!({"trials": 1001}), "trials"),
             (json!({"steps": 0}), "steps"),
+            (json!({"eta": 1}), "eta"),
+            (json!({"eta": 11}), "eta"),
+            (json!({"least_gain_db": -0.1}), "least_gain_db"),
+            (json!({"field": {"lerning_rate": 0.1}}), "field.lerning_rate"),
             (
                 json!({"space": {"lerning_rate": {"log": [0.1, 0.2]}}}),
                 "space.lerning_rate",
             ),
             (
-                json!({"space": {"log2_table": {"int": [14, 99]}}}),
-                "space.log2_table",
+                json!({"space": {"log2_table_shift": {"int": [-1, 9]}}}),
+                "space.log2_table_shift",
             ),
             (json!({"space": {"cone": {"log": [0.2, 0.1]}}}), "space.cone"),
             (

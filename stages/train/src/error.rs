@@ -14,6 +14,17 @@ pub enum TrainError {
     /// The setup of another training cannot be read.
     #[error("the input `setup` is not what `train` writes: {0}")]
     Setup(String),
+    /// The state of a training that cannot be gone on from.
+    #[error("the input `state` cannot be gone on from: {0}")]
+    State(String),
+    /// A state behind the step at which the training is to stop.
+    #[error("the input `state` is of step {at}, behind `until`, which is {until}")]
+    Behind {
+        /// Step of the state.
+        at: u64,
+        /// Where the training is to stop.
+        until: u64,
+    },
     /// No photo to learn from.
     #[error("no photo to train on: {placed} photos have a camera, {held_out} of them are held out")]
     NoTraining {
@@ -141,6 +152,8 @@ impl TrainError {
             Self::NoHeldOut { .. } => {
                 "hold out some photos in `calibrate`, or set `holdout = \"validation\"`"
             }
+            Self::State(_) => "take steps, seed, photos and field of the training that was stopped",
+            Self::Behind { .. } => "raise `until`",
             Self::Vanished { .. } => "lower `scale`",
             Self::Memory { needed_mb, .. } => {
                 return Some(format!(

@@ -1,7 +1,7 @@
 //! Trained fields: search of parameters, training, evaluation, renders and uncertainty maps.
 //!
-//! Seven stages: `tune`, `train`, `pace` (turns a time budget into steps), `evaluate`, `render`, `bootstrap` and `video`. They
-//! share how photos are read, split, scored and written. Invariant: what a node answers depends on photos, cameras,
+//! Eight stages: `tune`, `train`, `partial` (the first steps of a training), `pace` (turns a time budget into steps), `evaluate`,
+//! `render`, `bootstrap` and `video`. They share how photos are read, split, scored and written. Invariant: what a node answers depends on photos, cameras,
 //! parameters and seed; the clock decides only when a checkpoint is kept and, in `pace` alone, how many steps a
 //! budget buys on this machine. Held-out photos never reach a training step.
 
@@ -30,7 +30,7 @@ pub use error::TrainError;
 pub use evaluate::Evaluate;
 pub use pace::Pace;
 pub use render::Render;
-pub use train::Train;
+pub use train::{Partial, Train};
 pub use tune::Tune;
 pub use video::Video;
 

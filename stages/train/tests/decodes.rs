@@ -44,7 +44,7 @@ fn the_trainings_of_the_default_pipeline_decode_each_photo_once_a_working_size()
     let (ctx, scene) = (harness.ctx(), scene(&harness));
     let inputs = inputs(&[("scene", put_scene(&harness, &scene))]);
 
-    // Six trials and the scatter, at another working size than the rest.
+    // Nine trials of one rung and the scatter, at another working size than the rest.
     let tune: Tune = stage(json!({"scale": 3, "steps": 2}));
     let (_, trials) = expand(&ctx, &tune, &inputs);
     let pace: Pace = stage(json!({"budget": "40ms", "scale": 2, "field": small()}));
@@ -56,7 +56,7 @@ fn the_trainings_of_the_default_pipeline_decode_each_photo_once_a_working_size()
     let bootstrap: Bootstrap = stage(json!({"steps": 2, "scale": 2, "frames": 1, "width": 16}));
     let (_, members) = expand(&ctx, &bootstrap, &inputs);
 
-    assert_eq!(trials + 1 + members, 13);
+    assert_eq!(trials + 1 + members, 16);
     for frame in &scene.frames {
         // Trials never look at the photos that the scene holds out.
         let sizes = if frame.held_out { 1 } else { 2 };

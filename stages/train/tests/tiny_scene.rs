@@ -278,7 +278,8 @@ fn a_budget_asks_for_one_pace_and_trains_the_steps_it_found() {
 #[test]
 fn children_are_named_with_the_device_they_will_have() {
     let device = json!("gpu:a100");
-    let tune: Tune = stage(json!({"trials": 2, "scale": 1, "device": device}));
+    let random = json!({"search": "random", "trials": 2, "scale": 1, "device": device});
+    let tune: Tune = stage(random);
     let bootstrap: Bootstrap = stage(json!({"b": 2, "device": device}));
     let paced: Train = stage(json!({"budget": "5s", "device": device}));
     let plain: Train = stage(json!({"steps": 5, "device": device}));
@@ -297,6 +298,18 @@ fn children_are_named_with_the_device_they_will_have() {
         }
     }
     assert_eq!(plain.children(), []);
+    let halving: Tune = stage(json!({"trials": 2, "scale": 1, "device": device}));
+    let children = halving.children();
+    let named = children.iter().map(|child| child.stage);
+    assert_eq!(named.collect::<Vec<_>>(), ["train", "partial"]);
+    assert_eq!(children[1].params["train"]["device"], device);
+    let scene = inputs(&[("scene", harness.put(b"not read"))]);
+    for asked in halving.expand(&harness.ctx(), &scene).unwrap() {
+        assert_eq!(
+            (asked.stage.as_str(), &asked.params["train"]["device"]),
+            ("partial", &device)
+        );
+    }
 }
 
 fn train_work(train: &Train) -> Work<'_> {

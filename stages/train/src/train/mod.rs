@@ -1,12 +1,15 @@
+mod partial;
 mod setup;
 mod training_loop;
 mod trials;
 
+use std::sync::Arc;
+
 use marf_cache::Digest;
-use marf_field::{Config, Device, Field};
+use marf_field::{Config, Device, Field, Trainer, Trial};
 use marf_scene::{PosedPhoto, Scene, TrainedPhotos};
 use marf_schema::{
-    output::{HELDOUT, PHOTO, SCENE, WEIGHTS},
+    output::{HELDOUT, PHOTO, SCENE, STATE, WEIGHTS},
     pace::{PaceParams, Steps},
     train::{Curve, Metrics, Setup, TrainParams},
     tune::BestParams,
@@ -17,23 +20,27 @@ use marf_stage::{
 };
 
 use crate::{
+    TrainError,
     checkpoint::{self, identity},
     child::{Child, child_stage},
     io::read_scene,
     memory::MemoryPlan,
-    photos::PhotoReader,
+    photos::{PhotoReader, ScaledPhoto},
     scoring::score_views,
-    split::{Split, draws, split},
+    split::{NamedFrame, Split, draws, split},
     views::{new_trainer, training_views},
 };
+pub use partial::Partial;
 use setup::Settings;
-use training_loop::{Run, TrainedField, TrainingLog, curve_photos, pack, train_to, unpack};
+use training_loop::{Run, TrainingLog, curve_photos, pack, train_to, unpack};
 
 /// Trains a field on a scene and measures it on the photos held out.
 ///
 /// With `budget` it asks for one node `pace`, which finds the steps, and trains when that has run. The key of `train`
 /// then holds the budget, and `pace` finds other steps on another machine; `steps`, as the metrics print them, gives
 /// the same field anywhere.
+///
+/// With `from`, the state that `partial` gave of this very training, it goes on from there, to the same field as without.
 ///
 /// With `of`, the setup of another training of the scene, it is that training again: only seed and draw of photos are its
 /// own, nothing is derived from the photos drawn and nothing is tried.
@@ -53,6 +60,7 @@ impl Define for Train {
         Port::optional("of", Setup::OUTPUT).deciding(&[
             "params", "quality", "steps", "budget", "scale", "memory", "holdout", "fit", "trials", "field",
         ]),
+        Port::optional("from", STATE),
     ];
     const OUTPUTS: &'static [&'static str] = &[
         WEIGHTS,
@@ -93,8 +101,7 @@ impl Stage for Train {
 
 impl Set for Train {
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
-        let steps = self.params.steps.unwrap_or(self.params.quality.steps());
-        train(ctx, self, inputs, steps)
+        train(ctx, self, inputs, self.params.planned_steps())
     }
 }
 
@@ -132,6 +139,33 @@ struct Plan<'a> {
     settings: &'a Settings,
     /// What its checkpoints are of.
     of: Digest,
+    /// The state that it goes on from; none for step 0.
+    from: Option<Arc<[u8]>>,
+}
+
+/// Reads all that a training depends on and decides it, and does `work` with that.
+fn planned<S: Define, T>(
+    ctx: &Ctx<'_>,
+    (stage, params): (&S, &TrainParams),
+    inputs: &Inputs,
+    steps: u64,
+    work: impl FnOnce(&Plan<'_>, &PhotoReader<'_>) -> Result<T, StageError>,
+) -> Result<T, StageError> {
+    let scene = read_scene(ctx, inputs)?;
+    let settings = Settings::resolve(ctx, params, inputs, &scene, steps)?;
+    let split = split(&scene, settings.holdout)?;
+    let times = times(&split, params.resample);
+    let from = inputs.optional(STATE).map(|digest| ctx.get(digest));
+    let plan = Plan {
+        memory: settings.plan_memory(&split, &times)?,
+        scene: &scene,
+        split: &split,
+        times: &times,
+        of: identity(stage, inputs, &settings.steps.to_string()),
+        from: from.transpose()?,
+        settings: &settings,
+    };
+    work(&plan, &PhotoReader::new(ctx, &scene, settings.scale))
 }
 
 /// A field that is trained, with what the metrics tell of its training.
@@ -143,44 +177,42 @@ struct Trained {
 
 /// Trains for `steps`, measures the field on the photos held out and stores everything.
 fn train(ctx: &Ctx<'_>, stage: &Train, inputs: &Inputs, steps: u64) -> Result<Outputs, StageError> {
-    let params = &stage.params;
-    let scene = read_scene(ctx, inputs)?;
-    let settings = Settings::resolve(ctx, params, inputs, &scene, steps)?;
-    let (steps, scale) = (settings.steps, settings.scale);
-    let split = split(&scene, settings.holdout)?;
-    let times = times(&split, params.resample);
-    let plan = Plan {
-        memory: settings.plan_memory(&split, &times)?,
-        scene: &scene,
-        split: &split,
-        times: &times,
-        settings: &settings,
-        of: identity(stage, inputs, &steps.to_string()),
-    };
-    let photos = PhotoReader::new(ctx, &scene, scale);
+    planned(ctx, (stage, &stage.params), inputs, steps, |plan, photos| {
+        train_as_planned(ctx, &stage.params, inputs, plan, photos)
+    })
+}
+
+fn train_as_planned(
+    ctx: &Ctx<'_>,
+    params: &TrainParams,
+    inputs: &Inputs,
+    plan: &Plan<'_>,
+    photos: &PhotoReader<'_>,
+) -> Result<Outputs, StageError> {
     let Trained { field, config, log } = match Trained::load(ctx, &plan.of, &params.device) {
         Some(trained) => trained,
-        None => Trained::new(ctx, params, &plan, &photos)?,
+        None => Trained::new(ctx, params, plan, photos)?,
     };
+    let (settings, split, times) = (plan.settings, plan.split, plan.times);
     let mut outputs = Outputs::from([(SCENE.to_owned(), *inputs.required(SCENE)?)]);
     outputs.put_bytes(ctx, WEIGHTS, &field.encode())?;
     let setup = settings.setup(plan.memory.run, &config, field.derived());
     outputs.put(ctx, &setup)?;
-    let trained = TrainedPhotos::new(&scene, trained_on(&split, &times));
+    let trained = TrainedPhotos::new(plan.scene, trained_on(split, times));
     let held_out = &split.held_out;
     let metrics = Metrics {
-        scores: score_views(ctx, plan.of, &field, &photos, &trained, held_out, &mut outputs)?,
-        steps,
+        scores: score_views(ctx, plan.of, &field, photos, &trained, held_out, &mut outputs)?,
+        steps: settings.steps,
         rays: log.rays,
         samples: log.samples,
         loss: log.curve.0.last().map_or(0.0, |point| point.loss),
-        scale,
+        scale: settings.scale,
         thinned: (plan.memory.run > 1).then_some(plan.memory.run),
         seed: params.seed,
         holdout: settings.holdout,
         train_photos: times.iter().filter(|times| **times > 0).count() as u64,
         held_out_photos: split.held_out.len() as u64,
-        drawn: params.resample.map(|_| drawn(&split, &times)),
+        drawn: params.resample.map(|_| drawn(split, times)),
         fit: settings.fit,
         gpu: params.device.backend_id(),
         config,
@@ -191,15 +223,20 @@ fn train(ctx: &Ctx<'_>, stage: &Train, inputs: &Inputs, steps: u64) -> Result<Ou
     Ok(outputs)
 }
 
-impl Trained {
-    /// Part of the checkpoint that holds the field between its training and the last photo judged.
-    const PART: &'static str = "trained";
+/// A training whose parts are decided, before its first step.
+struct Begun<'a> {
+    trainer: Trainer,
+    config: Config,
+    trials: Vec<Trial>,
+    curve_photos: Vec<(NamedFrame<'a>, ScaledPhoto)>,
+}
 
-    /// Decides the parts of the field by trials, and trains it.
+impl<'a> Begun<'a> {
+    /// Decides the parts of the field by trials, and reads the photos.
     fn new(
         ctx: &Ctx<'_>,
         params: &TrainParams,
-        plan: &Plan<'_>,
+        plan: &Plan<'a>,
         photos: &PhotoReader<'_>,
     ) -> Result<Self, StageError> {
         let (config, trials) = trials::decide(ctx, params, plan)?;
@@ -207,15 +244,50 @@ impl Trained {
         let training = &plan.split.training;
         let views = training_views(photos, training, plan.times, plan.memory, params.seed)?;
         let derived = plan.settings.given.as_ref().map(|given| &given.derived);
-        let trainer = new_trainer(views, plan.scene, &config, params.seed, derived, &params.device)?;
-        let run = Run {
-            steps: plan.settings.steps,
+        Ok(Self {
+            trainer: new_trainer(views, plan.scene, &config, params.seed, derived, &params.device)?,
+            config,
+            trials,
+            curve_photos,
+        })
+    }
+}
+
+impl Plan<'_> {
+    /// Returns the run of this training until a step.
+    fn run<'r>(&'r self, until: u64, curve_photos: &'r [(NamedFrame<'r>, ScaledPhoto)]) -> Run<'r> {
+        Run {
+            steps: self.settings.steps,
+            until,
+            from: self.from.as_deref(),
             part: "training",
-            of: plan.of,
+            of: self.of,
             note: "",
-            curve_photos: &curve_photos,
-        };
-        let TrainedField { field, log } = train_to(ctx, &run, trainer)?;
+            curve_photos,
+        }
+    }
+}
+
+impl Trained {
+    /// Part of the checkpoint that holds the field between its training and the last photo judged.
+    const PART: &'static str = "trained";
+
+    /// Trains the field.
+    fn new(
+        ctx: &Ctx<'_>,
+        params: &TrainParams,
+        plan: &Plan<'_>,
+        photos: &PhotoReader<'_>,
+    ) -> Result<Self, StageError> {
+        let steps = plan.settings.steps;
+        let Begun {
+            mut trainer,
+            config,
+            trials,
+            curve_photos,
+        } = Begun::new(ctx, params, plan, photos)?;
+        let log = train_to(ctx, &plan.run(steps, &curve_photos), &mut trainer)?;
+        let field = trainer.field().map_err(TrainError::from)?;
         let trained = Self {
             field: field.with_trials(trials),
             config,

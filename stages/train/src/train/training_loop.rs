@@ -2,7 +2,7 @@ use std::ops::Range;
 use std::time::{Duration, Instant};
 
 use marf_cache::Digest;
-use marf_field::{Field, Trainer};
+use marf_field::Trainer;
 use marf_schema::train::{Curve, CurvePoint};
 use marf_stage::{Ctx, StageError};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
@@ -21,15 +21,14 @@ const REPORT_EVERY: Duration = Duration::from_millis(200);
 const CURVE_PHOTOS: usize = 3;
 const CURVE_SIDE_PX: u32 = 64;
 
-/// A field at the end of its training.
-pub(crate) struct TrainedField {
-    pub field: Field,
-    pub log: TrainingLog,
-}
-
 /// A training: how far it goes, where its state is kept, and what it is called.
 pub(crate) struct Run<'a> {
+    /// Steps of the whole training.
     pub steps: u64,
+    /// Steps after which it stops: `steps` or fewer.
+    pub until: u64,
+    /// The state that it begins with, as [`packed_state`] returns it; none for step 0.
+    pub from: Option<&'a [u8]>,
     /// Name of the checkpoint, and what it is of.
     pub part: &'a str,
     pub of: Digest,
@@ -51,42 +50,41 @@ pub(crate) struct TrainingLog {
     loss_steps: u64,
 }
 
-/// Trains to the last step from the last checkpoint, if there is one.
+/// Trains from the last checkpoint, or the state that the run begins with, until the step after which it stops.
+///
+/// # Errors
+/// A state of another training, or of a later step; a step that fails.
 pub(crate) fn train_to(
     ctx: &Ctx<'_>,
     run: &Run<'_>,
-    mut trainer: Trainer,
-) -> Result<TrainedField, StageError> {
-    let steps = run.steps;
-    let mut log = resume(ctx, run, &mut trainer);
+    trainer: &mut Trainer,
+) -> Result<TrainingLog, StageError> {
+    let until = run.until;
+    let mut log = begin(ctx, run, trainer)?;
     let mut saved_at = Instant::now();
     let mut reported: Option<Instant> = None;
     loop {
-        let measured = ctx
-            .check()
-            .and_then(|()| measure(ctx, run, &mut trainer, &mut log));
+        let measured = ctx.check().and_then(|()| measure(ctx, run, trainer, &mut log));
         if let Err(stopped) = measured {
-            save(ctx, run, &log, &mut trainer)?;
+            save(ctx, run, &log, trainer)?;
             return Err(stopped);
         }
-        if trainer.steps() >= steps {
-            break;
+        if trainer.steps() >= until {
+            return Ok(log);
         }
         log.measured = trainer.steps();
-        let step = trainer.advance(steps - log.measured).map_err(TrainError::from)?;
+        let step = trainer.advance(until - log.measured).map_err(TrainError::from)?;
         log.add(&step);
         if reported.is_none_or(|at| at.elapsed() >= REPORT_EVERY) {
             let note = format!("{}{}", run.note, log.note(step.loss));
-            ctx.progress.at(trainer.steps(), steps, &note);
+            ctx.progress.at(trainer.steps(), until, &note);
             reported = Some(Instant::now());
         }
         if saved_at.elapsed() >= SAVE_EVERY {
-            save(ctx, run, &log, &mut trainer)?;
+            save(ctx, run, &log, trainer)?;
             saved_at = Instant::now();
         }
     }
-    let field = trainer.field().map_err(TrainError::from)?;
-    Ok(TrainedField { field, log })
 }
 
 /// Adds a point to the curve if one falls among the steps taken last.
@@ -160,22 +158,45 @@ impl TrainingLog {
     }
 }
 
-/// Restores the last checkpoint and returns its counts; without one, or with one of another training, those of step 0.
-fn resume(ctx: &Ctx<'_>, run: &Run<'_>, trainer: &mut Trainer) -> TrainingLog {
-    let Some(state) = checkpoint::load(ctx, run.part, &run.of) else {
-        return TrainingLog::default();
+/// Puts the trainer where the last checkpoint was, or else at the state that the run begins with, and returns the log of that
+/// moment.
+fn begin(ctx: &Ctx<'_>, run: &Run<'_>, trainer: &mut Trainer) -> Result<TrainingLog, TrainError> {
+    let saved = checkpoint::load(ctx, run.part, &run.of);
+    if let Some((log, state)) = saved.as_deref().and_then(unpack::<TrainingLog>)
+        && trainer.restore(state).is_ok()
+    {
+        return Ok(log);
+    }
+    let Some(from) = run.from else {
+        return Ok(TrainingLog::default());
     };
-    let fits = |(_, weights): &(TrainingLog, &[u8])| trainer.restore(weights).is_ok();
-    unpack(&state)
-        .filter(fits)
-        .map(|(log, _)| log)
-        .unwrap_or_default()
+    let unreadable = || TrainError::State("it is cut, or no state of a training".to_owned());
+    let (log, state) = unpack::<TrainingLog>(from).ok_or_else(unreadable)?;
+    let restored = trainer.restore(state);
+    restored.map_err(|error| TrainError::State(error.to_string()))?;
+    match trainer.steps() {
+        at if at > run.until => Err(TrainError::Behind { at, until: run.until }),
+        _ => Ok(log),
+    }
 }
 
 /// Saves a checkpoint.
-fn save(ctx: &Ctx<'_>, run: &Run<'_>, log: &TrainingLog, trainer: &mut Trainer) -> Result<(), TrainError> {
-    checkpoint::save(ctx, run.part, &run.of, &pack(log, &trainer.save()?));
+pub(crate) fn save(
+    ctx: &Ctx<'_>,
+    run: &Run<'_>,
+    log: &TrainingLog,
+    trainer: &mut Trainer,
+) -> Result<(), TrainError> {
+    checkpoint::save(ctx, run.part, &run.of, &packed_state(log, trainer)?);
     Ok(())
+}
+
+/// Returns the whole state of a training: its counts and that of its trainer.
+///
+/// # Errors
+/// A GPU that failed.
+pub(crate) fn packed_state(log: &TrainingLog, trainer: &mut Trainer) -> Result<Vec<u8>, TrainError> {
+    Ok(pack(log, &trainer.save()?))
 }
 
 /// Length of the facts as u64 LE, the facts as JSON, the bytes.

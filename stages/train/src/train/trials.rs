@@ -10,6 +10,7 @@ use super::{
     training_loop::{Run, train_to},
 };
 use crate::{
+    TrainError,
     checkpoint::Journal,
     memory::{MemoryPlan, plan_memory},
     photos::{PhotoReader, ScaledPhoto},
@@ -317,15 +318,18 @@ impl<'a> TrialSetup<'a> {
             ..config.clone()
         };
         let (params, views) = (self.params, photos.views.clone());
-        let trainer = new_trainer(views, self.plan.scene, &config, params.seed, None, &params.device)?;
+        let mut trainer = new_trainer(views, self.plan.scene, &config, params.seed, None, &params.device)?;
         let run = Run {
             steps: self.steps,
+            until: self.steps,
+            from: None,
             part: "trial",
             of: digest_of(&(self.plan.of, name)),
             note: &format!("trying {name}: "),
             curve_photos: &[],
         };
-        let field = train_to(ctx, &run, trainer)?.field;
+        train_to(ctx, &run, &mut trainer)?;
+        let field = trainer.field().map_err(TrainError::from)?;
         Ok(Outcome {
             psnr: mean_psnr(ctx, &field, &photos.held_out)?,
             parameters: field.facts().parameters,

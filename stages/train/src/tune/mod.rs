@@ -1,27 +1,36 @@
-//! `tune`: random search of the field's hyper-parameters; every trial is a `train` node.
+//! `tune`: search of the field's hyper-parameters by successive halving, or at random; every training is a node.
 //!
 //! What a trial sets depends on the seed, its number and the key alone, so more trials, or another key, leave the
 //! earlier trials as they were.
 
+mod halving;
+mod judged;
 mod reduce;
 mod sampling;
 
 use marf_field::Overrides;
 use marf_schema::{
     output::SCENE,
-    train::{Holdout, TrainParams, TrialsParams},
-    tune::{BestParams, Scatter, Trials, TuneParams},
+    partial::PartialParams,
+    train::{Holdout, Metrics, TrainParams, TrialsParams},
+    tune::{BestParams, Scatter, Search, Trials, TuneParams},
 };
 use marf_stage::{
     ChildStage, Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, ParamError, Params, Port, Stage,
     StageError, Work,
 };
 
-use crate::{child::child_stage, io::read_scene, settings::scale_to};
-use reduce::reduce;
+use crate::{
+    child::{Child, child_stage},
+    io::read_scene,
+    settings::scale_to,
+};
+use halving::next_rung;
+use judged::{Judged, Standing, miscounted};
+use reduce::{is_ahead, reduce};
 use sampling::sample_params;
 
-/// Trains with drawn parameter sets and keeps the best.
+/// Trains with drawn parameter sets and keeps the best, unless the defaults are as good as far as the scatter tells.
 ///
 /// Trials are measured on one training photo in eight, by place; those that `calibrate` holds out are never read.
 #[derive(Debug)]
@@ -32,8 +41,8 @@ pub struct Tune {
 impl Define for Tune {
     type Params = TuneParams;
     const NAME: &'static str = TuneParams::STAGE;
-    const ABOUT: &'static str = "Tries parameters of the field at random and keeps the best";
-    const VERSION: u32 = 3;
+    const ABOUT: &'static str = "Tries parameters of the field and keeps the best, or the defaults";
+    const VERSION: u32 = 4;
     const PORTS: &'static [Port] = &[Port::required("input", SCENE)];
     const OUTPUTS: &'static [&'static str] = &[BestParams::OUTPUT, Trials::OUTPUT, Scatter::OUTPUT];
 
@@ -55,45 +64,121 @@ impl Stage for Tune {
 
 impl Expand for Tune {
     fn children(&self) -> Vec<ChildStage> {
-        vec![child_stage(&trial(
-            &self.params,
-            self.params.seed,
-            Overrides::default(),
-        ))]
+        let train = train_of(&self.params, self.params.seed, &Overrides::default());
+        let until = train.planned_steps();
+        match self.params.search {
+            Search::Random => vec![child_stage(&train)],
+            Search::Halving => vec![child_stage(&train), child_stage(&PartialParams::of(train, until))],
+        }
     }
 
     fn expand(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
-        let side_px = self.params.quality.longest_side_px() / 2;
+        let params = &self.with_scale(ctx, inputs)?;
+        match params.search {
+            Search::Random => all_at_once(params, inputs),
+            Search::Halving => next_rung(ctx, params, inputs, &[]),
+        }
+    }
+
+    fn further(&self, ctx: &Ctx<'_>, inputs: &Inputs, done: &[Outputs]) -> Result<Vec<NodeSpec>, StageError> {
+        let params = &self.with_scale(ctx, inputs)?;
+        match params.search {
+            Search::Random => confirmation(params, inputs, &standing_at_once(ctx, params, done)?),
+            Search::Halving => match next_rung(ctx, params, inputs, done)? {
+                none if none.is_empty() => {
+                    confirmation(params, inputs, &halving::standing(ctx, params, done)?)
+                }
+                nodes => Ok(nodes),
+            },
+        }
+    }
+
+    fn reduce(&self, ctx: &Ctx<'_>, _inputs: &Inputs, children: &[Outputs]) -> Result<Outputs, StageError> {
+        let params = &self.params;
+        let standing = match params.search {
+            Search::Random => standing_at_once(ctx, params, children)?,
+            Search::Halving => halving::standing(ctx, params, children)?,
+        };
+        reduce(ctx, params, &standing)
+    }
+}
+
+impl Tune {
+    /// Returns the parameters with the factor by which photos are shrunk: the size of `quality`, or half of it where all
+    /// trials are trained to the end.
+    fn with_scale(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<TuneParams, StageError> {
+        let side_px = match self.params.search {
+            Search::Halving => self.params.quality.longest_side_px(),
+            Search::Random => self.params.quality.longest_side_px() / 2,
+        };
         let scale = match self.params.scale {
             Some(scale) => scale,
             None => scale_to(side_px, &read_scene(ctx, inputs)?),
         };
-        let params = &TuneParams {
+        Ok(TuneParams {
             scale: Some(scale),
             ..self.params.clone()
-        };
-        let mut nodes = Vec::with_capacity(params.trials as usize + 1);
-        for trial in 0..params.trials {
-            let set = sample_params(&params.space, params.seed, trial);
-            let train = self::trial(params, params.seed, set);
-            nodes.push(NodeSpec::of(format!("trial-{trial:02}"), &train, inputs)?);
-        }
-        let again = params.seed.wrapping_add(1);
-        let train = trial(params, again, Overrides::default());
-        nodes.push(NodeSpec::of("scatter-00", &train, inputs)?);
-        Ok(nodes)
-    }
-
-    fn reduce(&self, ctx: &Ctx<'_>, _inputs: &Inputs, children: &[Outputs]) -> Result<Outputs, StageError> {
-        reduce(ctx, &self.params, children)
+        })
     }
 }
 
+/// Returns the trainings of a random search.
+fn all_at_once(params: &TuneParams, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
+    let mut nodes = Vec::with_capacity(params.trials as usize + 1);
+    for trial in 0..params.trials {
+        let set = sample_params(&params.space, params.seed, trial);
+        let train = train_of(params, params.seed, &set);
+        nodes.push(NodeSpec::of(format!("trial-{trial:02}"), &train, inputs)?);
+    }
+    nodes.push(scatter(params, 0, inputs)?);
+    Ok(nodes)
+}
+
+/// Returns the training of a trial with another seed.
+fn scatter(params: &TuneParams, trial: u32, inputs: &Inputs) -> Result<NodeSpec, StageError> {
+    let set = sample_params(&params.space, params.seed, trial);
+    let again = train_of(params, params.seed.wrapping_add(1), &set);
+    NodeSpec::of(format!("scatter-{trial:02}"), &again, inputs)
+}
+
+/// Returns the training of the best trial with another seed, where it is ahead of the defaults and that was not asked for yet:
+/// the best of many is the luckiest, too.
+fn confirmation(
+    params: &TuneParams,
+    inputs: &Inputs,
+    standing: &Standing,
+) -> Result<Vec<NodeSpec>, StageError> {
+    match standing.best_again.is_none() && is_ahead(params, standing) {
+        true => Ok(vec![scatter(params, standing.best(), inputs)?]),
+        false => Ok(Vec::new()),
+    }
+}
+
+/// Reads how the trials of a random search came out.
+fn standing_at_once(
+    ctx: &Ctx<'_>,
+    params: &TuneParams,
+    children: &[Outputs],
+) -> Result<Standing, StageError> {
+    let count = params.trials as usize + 1;
+    let (trained, rest) = children
+        .split_at_checked(count)
+        .ok_or_else(|| miscounted(params, children.len()))?;
+    let read = |(index, outputs)| {
+        let name = format!("trial {index:02}");
+        Ok(Child { name, outputs }.read::<Metrics>(ctx)?.into())
+    };
+    let judged: Result<Vec<Judged>, StageError> = (0_u32..).zip(trained).map(read).collect();
+    let mut judged = judged?;
+    let again = judged.pop().ok_or_else(|| miscounted(params, 0))?;
+    Standing::new(ctx, params, judged, again, rest)
+}
+
 /// Returns the training of one parameter set, judged on validation photos.
-fn trial(params: &TuneParams, seed: u64, set: Overrides) -> TrainParams {
+fn train_of(params: &TuneParams, seed: u64, set: &Overrides) -> TrainParams {
     TrainParams {
         quality: params.quality,
-        steps: Some(params.steps.unwrap_or((params.quality.steps() / 4).max(1))),
+        steps: Some(params.horizon()),
         seed,
         scale: params.scale,
         holdout: Holdout::Validation,
@@ -101,7 +186,7 @@ fn trial(params: &TuneParams, seed: u64, set: Overrides) -> TrainParams {
             steps: Some(0),
             ..TrialsParams::default()
         },
-        field: set,
+        field: params.field.with(set),
         device: params.device.clone(),
         ..TrainParams::default()
     }
@@ -136,9 +221,14 @@ mod tests {
         stage.expand(&harness.ctx(), &inputs).unwrap()
     }
 
+    fn random(mut table: serde_json::Value) -> Vec<NodeSpec> {
+        table["search"] = json!("random");
+        asked(table)
+    }
+
     #[test]
     fn more_trials_keep_the_first_ones_and_the_scatter() {
-        let (three, six) = (asked(json!({"trials": 3})), asked(json!({"trials": 6})));
+        let (three, six) = (random(json!({"trials": 3})), random(json!({"trials": 6})));
         assert_eq!(three[..3], six[..3]);
         assert_eq!(three[3], six[6]);
         assert_eq!(
@@ -149,7 +239,7 @@ mod tests {
 
     #[test]
     fn trials_are_judged_on_validation_photos_and_the_scatter_has_another_seed() {
-        let nodes = asked(json!({"trials": 2, "seed": u64::MAX, "scale": 3}));
+        let nodes = random(json!({"trials": 2, "seed": u64::MAX, "scale": 3}));
         for node in &nodes {
             assert_eq!(
                 (node.stage.as_str(), &node.params["holdout"]),
@@ -162,14 +252,33 @@ mod tests {
             .map(|node| node.params["seed"].as_u64().unwrap())
             .collect();
         assert_eq!(seeds, [u64::MAX, u64::MAX, 0]);
-        assert_eq!(asked(json!({}))[0].params["scale"], 3, "640 px to at most 240");
+        assert_eq!(random(json!({}))[0].params["scale"], 3, "640 px to at most 240");
+        assert_eq!(
+            asked(json!({}))[0].params["train"]["scale"],
+            2,
+            "640 px to at most 480"
+        );
         assert_eq!(nodes[0].params["field"], json!({}));
         assert_eq!(nodes[0].params["field"], nodes[2].params["field"]);
     }
 
+    /// A wrong default can be planted, and every draw lies over it.
+    #[test]
+    fn the_base_lies_under_every_trial_and_the_scatter() {
+        let table = json!({"trials": 2, "field": {"learning_rate": 0.2, "average": 0.9}});
+        let nodes = random(table.clone());
+        for (node, rate) in [(0, true), (1, false), (2, true)] {
+            let field = &nodes[node].params["field"];
+            assert_eq!(field["average"], 0.9, "{field}");
+            assert_eq!(field["learning_rate"] == 0.2, rate, "{field}");
+        }
+        let halving = asked(table);
+        assert_eq!(halving[1].params["train"]["field"], nodes[1].params["field"]);
+    }
+
     /// The keys of trials follow from these: other parameters would train all stores anew.
     #[test]
-    fn a_trial_has_the_parameters_it_always_had() {
+    fn a_trial_of_a_random_search_has_the_parameters_it_always_had() {
         let device = json!("gpu:a100");
         for (table, given) in [
             (
@@ -185,7 +294,7 @@ mod tests {
             let keys = given.as_object().unwrap().clone();
             written.as_object_mut().unwrap().extend(keys);
             let written: TrainParams = serde_json::from_value(written).unwrap();
-            let node = asked(table).swap_remove(0);
+            let node = random(table).swap_remove(0);
             let bound: TrainParams = serde_json::from_value(node.params).unwrap();
             assert_eq!(bound, written);
         }

@@ -123,17 +123,17 @@ mod tests {
         let space = default_space();
         let drawn: Vec<Overrides> = (1..=2000).map(|trial| sample_params(&space, 0, trial)).collect();
         let share = |test: &dyn Fn(&Overrides) -> bool| drawn.iter().filter(|set| test(set)).count();
-        for table in 14..=17 {
-            let count = share(&|set| set.0["log2_table"] == json!(table));
-            // 500 expected, standard deviation 19.
-            assert!((420..=580).contains(&count), "{table}: {count}");
+        for shift in -1..=1 {
+            let count = share(&|set| set.0["log2_table_shift"] == json!(shift));
+            // 667 expected, standard deviation 21.
+            assert!((580..=750).contains(&count), "{shift}: {count}");
         }
         let low_half = share(&|set| set.0["learning_rate"].as_f64().unwrap() < 0.015_81);
         assert!(
             (910..=1090).contains(&low_half),
             "{low_half} of 2000 below the geometric mean"
         );
-        let wide = share(&|set| set.0["levels"] == json!(16) && set.0["features"] == json!(2));
-        assert!((910..=1090).contains(&wide), "{wide}");
+        let narrow = share(&|set| set.0["features"] == json!(2));
+        assert!((910..=1090).contains(&narrow), "{narrow}");
     }
 }

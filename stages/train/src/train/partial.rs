@@ -1,0 +1,105 @@
+use marf_schema::{
+    output::{SCENE, STATE},
+    partial::{PartialParams, Reached},
+    tune::BestParams,
+};
+use marf_stage::{
+    Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, Stage, StageError, Threads,
+    TypedOutputs, Work,
+};
+
+use super::{
+    Begun, Plan, planned,
+    training_loop::{packed_state, save, train_to},
+};
+use crate::{TrainError, photos::PhotoReader, scoring::mean_psnr};
+
+/// Trains a field a part of the way and keeps the state, from which `train` or a longer `partial` goes on (`from`).
+///
+/// A training that is stopped and gone on with gives the field of one that is not, bit for bit.
+#[derive(Debug)]
+pub struct Partial {
+    params: PartialParams,
+}
+
+impl Define for Partial {
+    type Params = PartialParams;
+    const NAME: &'static str = PartialParams::STAGE;
+    const ABOUT: &'static str = "Trains a part of the steps of a training, which `train` then goes on from";
+    const VERSION: u32 = 1;
+    const PORTS: &'static [Port] = &[
+        Port::required("input", SCENE),
+        Port::optional("params", BestParams::OUTPUT),
+        Port::optional("from", STATE),
+    ];
+    const OUTPUTS: &'static [&'static str] = &[STATE, Reached::OUTPUT];
+
+    fn new(params: PartialParams) -> Result<Self, ParamError> {
+        params.check()?;
+        Ok(Self { params })
+    }
+}
+
+impl Stage for Partial {
+    /// Without the device of the training, which changes no result.
+    fn params(&self) -> serde_json::Value {
+        let mut params = marf_stage::key_params(&self.params, &["train"]);
+        params["train"] = marf_stage::key_params(&self.params.train, &["device"]);
+        params
+    }
+
+    fn work(&self) -> Work<'_> {
+        Work::Set(self)
+    }
+
+    fn threads(&self) -> Threads {
+        Threads::All
+    }
+
+    fn backend_id(&self) -> Option<String> {
+        self.params.train.device.backend_id()
+    }
+}
+
+impl Set for Partial {
+    fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
+        let train = &self.params.train;
+        let steps = train.planned_steps();
+        planned(ctx, (self, train), inputs, steps, |plan, photos| {
+            self.train(ctx, plan, photos)
+        })
+    }
+}
+
+impl Partial {
+    /// Trains until the step after which it stops, and measures the field as it is then.
+    fn train(&self, ctx: &Ctx<'_>, plan: &Plan<'_>, photos: &PhotoReader<'_>) -> Result<Outputs, StageError> {
+        let PartialParams {
+            until,
+            judged_px,
+            train,
+        } = &self.params;
+        let mut begun = Begun::new(ctx, train, plan, photos)?;
+        let run = plan.run(*until, &begun.curve_photos);
+        let log = train_to(ctx, &run, &mut begun.trainer)?;
+        // Judging is asked whether to stop, too: nothing is trained twice.
+        save(ctx, &run, &log, &mut begun.trainer)?;
+        let field = begun.trainer.field().map_err(TrainError::from)?;
+        let held_out = &plan.split.held_out;
+        let shrunk = photos.map(held_out, plan.memory.at_once, |_, photo| {
+            photo.shrunk_to(*judged_px)
+        })?;
+        let judged: Vec<_> = held_out.iter().cloned().zip(shrunk).collect();
+        let mut outputs = Outputs::new();
+        let reached = Reached {
+            until: *until,
+            steps: plan.settings.steps,
+            psnr: mean_psnr(ctx, &field, &judged)?,
+            held_out_photos: held_out.len() as u64,
+            judged_px: *judged_px,
+        };
+        outputs.put(ctx, &reached)?;
+        outputs.put_bytes(ctx, STATE, &packed_state(&log, &mut begun.trainer)?)?;
+        Ok(outputs)
+    }
+}
