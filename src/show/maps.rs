@@ -8,7 +8,7 @@ use marf_schema::output;
 use maud::{Markup, html};
 
 use super::embed::Form;
-use super::format::{count, number};
+use super::format::{count, decibels, number};
 use super::input::NodeView;
 use super::json;
 use super::page::Page;
@@ -70,7 +70,31 @@ fn reliability(metrics: &Metrics) -> Markup {
             @for (name, value) in spread(metrics) { tr { th scope="row" { (name) } td.number { (number(value)) } } }
         }
         @if let Some(held_out) = &metrics.heldout { (intervals(held_out)) }
+        (members(metrics))
         details { summary { "all metrics" } (json::fields(&alone)) }
+    }
+}
+
+/// Says why there are so many members, and what photos say of those that did not draw them.
+fn members(metrics: &Metrics) -> Markup {
+    let in_bag = |psnr: Option<f64>| psnr.map(|psnr| format!(", {} dB where they did", decibels(psnr)));
+    html! {
+        @if !metrics.rounds.is_empty() {
+            p {
+                "AUSE by members, on small photos: "
+                @for (index, round) in metrics.rounds.iter().enumerate() {
+                    @if index > 0 { ", " }
+                    (round.b) " " (number(round.ause_mae))
+                }
+                "."
+            }
+        }
+        @if let Some(out) = &metrics.out_of_bag {
+            p {
+                (count(out.photos as usize, "photo")) " that some members did not draw: PSNR of these members "
+                (decibels(out.psnr)) " dB" (in_bag(out.psnr_in_bag).unwrap_or_default()) "."
+            }
+        }
     }
 }
 
