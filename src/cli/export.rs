@@ -1,7 +1,7 @@
 //! Writes the outputs of a run to `OUT/<node>/<file>`.
 
-use std::collections::BTreeSet;
-use std::path::{Component, Path};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Component, Path, PathBuf};
 
 use marf_cache::Digest;
 use marf_engine::sets;
@@ -86,8 +86,9 @@ fn write_all(session: &Session, record: &RunRecord, table: &mut ExportTable) -> 
         table.write(Path::new(document::REPORT), &report.digest, get)?;
     }
     for node in record.nodes.iter().filter(|node| node.parent.is_none()) {
+        let folder = Path::new(&node.name);
+        let mut written: BTreeMap<PathBuf, BTreeSet<String>> = BTreeMap::new();
         for (name, output) in &node.outputs {
-            let folder = Path::new(&node.name);
             let get = |digest: &Digest| {
                 session.check()?;
                 session.store.get(digest).map_err(|error| match error.lost() {
@@ -101,11 +102,26 @@ fn write_all(session: &Session, record: &RunRecord, table: &mut ExportTable) -> 
             if name == VERDICTS {
                 write_verdicts(table, &folder.join(VERDICTS), &output.digest, get)?;
             } else if let Some(file) = file_name(name) {
-                table.write(&folder.join(file), &output.digest, || get(&output.digest))?;
+                let file = folder.join(file);
+                table.write(&file, &output.digest, || get(&output.digest))?;
+                note(&mut written, &file);
             }
+        }
+        // Maps and frames that the last run had and this one has not: beside new ones they would be taken for its own.
+        for (below, names) in written.iter().filter(|(below, _)| *below != folder) {
+            table.keep_only(below, names)?;
         }
     }
     Ok(())
+}
+
+fn note(written: &mut BTreeMap<PathBuf, BTreeSet<String>>, file: &Path) {
+    if let (Some(folder), Some(name)) = (file.parent(), file.file_name().and_then(|name| name.to_str())) {
+        written
+            .entry(folder.to_owned())
+            .or_default()
+            .insert(name.to_owned());
+    }
 }
 
 /// Writes the verdicts of a node, one file a sol, and removes those of sols that are no longer there.

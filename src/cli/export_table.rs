@@ -83,21 +83,23 @@ impl ExportTable {
         self.note(folder, root);
     }
 
-    /// Removes the files of a folder that were written for it and are not among `names`.
+    /// Removes the files of a folder that were written for it, that nobody touched since, and that are not among `names`.
     ///
     /// # Errors
     /// A file that cannot be removed.
     pub fn keep_only(&mut self, folder: &Path, names: &BTreeSet<String>) -> Result<(), CliError> {
         let path = self.out.join(folder);
         let table = self.table(folder);
-        let old: Vec<String> = table
+        let old: Vec<(String, FileState)> = table
             .entries
-            .keys()
-            .filter(|name| !names.contains(*name))
-            .cloned()
+            .iter()
+            .filter(|(name, _)| !names.contains(*name))
+            .map(|(name, entry)| (name.clone(), entry.state))
             .collect();
-        for name in old {
-            files::remove(&path.join(&name))?;
+        for (name, state) in old {
+            if state_of(&path.join(&name)) == Some(state) {
+                files::remove(&path.join(&name))?;
+            }
             table.entries.remove(&name);
             table.is_changed = true;
         }
@@ -218,5 +220,17 @@ mod tests {
             .unwrap();
         assert!(!dir.path().join("v/1").exists() && dir.path().join("v/2").exists());
         assert!(!table.has_folder(folder, &root));
+    }
+
+    #[test]
+    fn a_file_that_somebody_edited_stays() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = Store::open(dir.path().join("store")).unwrap();
+        let mut table = ExportTable::load(&store, dir.path(), None);
+        write(&mut table, "maps/old", "one");
+        write(&mut table, "maps/edited", "two");
+        std::fs::write(dir.path().join("maps/edited"), "longer than before").unwrap();
+        table.keep_only(Path::new("maps"), &BTreeSet::new()).unwrap();
+        assert!(!dir.path().join("maps/old").exists() && dir.path().join("maps/edited").exists());
     }
 }
