@@ -3,7 +3,7 @@
 //!
 //! `calibrate` resamples photos to ideal pinholes, so a pixel of a map is looked up in the true photo by its ray.
 
-use std::{error::Error, fs, path::Path};
+use std::{error::Error, fs, io::Write, path::Path};
 
 use marf_demo::{Demo, DemoOptions};
 use marf_scene::Camera;
@@ -29,6 +29,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     names.retain(|name| sol_of(name).is_some());
     names.sort();
     let mut rows = Vec::new();
+    let mut stdout = std::io::stdout().lock();
     for name in &names {
         let sol = sol_of(name).ok_or("no sol")?;
         let depth = array(&folder.join(format!("{name}-depth.npy")))?;
@@ -70,14 +71,19 @@ fn main() -> Result<(), Box<dyn Error>> {
         let pixels = errors.len();
         let cover = f64::from(inside) / pixels.max(1) as f64;
         let median = errors.get(pixels / 2).copied().unwrap_or_default();
-        println!(
+        writeln!(
+            stdout,
             "{}",
             json!({"photo": name, "pixels": pixels, "median_error_share": median, "coverage90": cover})
-        );
+        )?;
         rows.push(cover);
     }
     let mean = rows.iter().sum::<f64>() / rows.len().max(1) as f64;
-    println!("{}", json!({"photos": rows.len(), "mean_coverage90": mean}));
+    writeln!(
+        stdout,
+        "{}",
+        json!({"photos": rows.len(), "mean_coverage90": mean})
+    )?;
     Ok(())
 }
 
