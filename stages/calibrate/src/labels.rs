@@ -279,7 +279,7 @@ pub(crate) fn ideal(
     undistorted(ctx, decode(ctx, item)?.image, item, candidate)
 }
 
-/// Returns a mask as its photo becomes by [`ideal`]: white is open, all else is hidden, also what lies outside of the photo.
+/// Returns a mask as its photo becomes by [`ideal`]; where the photo's edge is repeated, so is the mask's.
 pub(crate) fn ideal_mask(
     ctx: &Ctx<'_>,
     mask: Image<Srgb>,

@@ -168,7 +168,7 @@ fn instrument_names(file: &str, instrument: &str) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use marf_scene::{PhotoFacts, encode_png};
+    use marf_scene::{Cahvor, Camera, CameraPrior, PhotoFacts, Pose, encode_png};
     use marf_stage::harness::Harness;
 
     use super::*;
@@ -199,6 +199,107 @@ mod tests {
         let files: BTreeMap<String, Digest> = files.iter().map(put).collect();
         let list = harness.put(&serde_json::to_vec(&files).unwrap());
         Inputs(BTreeMap::from([(COMPANIONS.to_owned(), list)]))
+    }
+
+    /// A photo of 64 x 48 pixels whose label has a lens that bends straight lines.
+    fn with_lens() -> InputPhoto {
+        let mut item = item("a.png", "ZL");
+        (item.facts.width, item.facts.height) = (64, 48);
+        item.facts.prior = Some(CameraPrior {
+            model: Cahvor {
+                c: [0.0; 3],
+                a: [0.0, 0.0, 1.0],
+                h: [50.0, 0.0, 32.0],
+                v: [0.0, 50.0, 24.0],
+                o: Some([0.0, 0.0, 1.0]),
+                r: Some([0.0, 0.5, 0.0]),
+                e: None,
+            },
+            frame: "SITE_FRAME".to_owned(),
+            site_from_frame: None,
+            motion_counter: vec![1],
+        });
+        item
+    }
+
+    /// A mask that hides the 20 columns at the left.
+    fn left_hidden(harness: &Harness) -> Inputs {
+        let mask = Image::<Srgb>::from_fn(64, 48, |column, _| if column < 20 { HIDDEN } else { [9; 3] });
+        let files = BTreeMap::from([("masks/a.png", harness.put(&encode_png(&mask).unwrap()))]);
+        let list = harness.put(&serde_json::to_vec(&files).unwrap());
+        Inputs(BTreeMap::from([(COMPANIONS.to_owned(), list)]))
+    }
+
+    #[test]
+    fn a_mask_is_bent_as_its_photo_is_and_is_then_black_or_white() {
+        let (harness, items) = (Harness::default(), [with_lens()]);
+        let inputs = left_hidden(&harness);
+        let candidates = of_one_site(&items, None);
+        let mask = |candidate| {
+            let mask = undistorted_mask(&harness.ctx(), &inputs, &items[0], candidate)
+                .unwrap()
+                .unwrap();
+            assert!(mask.pixels.iter().all(|pixel| [OPEN, HIDDEN].contains(pixel)));
+            mask
+        };
+        let hidden_in = |mask: &Image<Srgb>, row: u32| {
+            (0..mask.width)
+                .filter(|column| mask.at(*column, row) == HIDDEN)
+                .count()
+        };
+        let own = mask(None);
+        assert_eq!((hidden_in(&own, 0), hidden_in(&own, 24)), (20, 20));
+        let bent = mask(candidates[0].as_ref());
+        let (edge, middle) = (hidden_in(&bent, 0), hidden_in(&bent, bent.height / 2));
+        assert!(
+            edge != middle && edge > 0 && middle > 0,
+            "a straight edge becomes a curve: {edge} {middle}"
+        );
+    }
+
+    #[test]
+    fn the_mask_of_a_placed_photo_has_its_size_and_an_open_one_is_none() {
+        let (harness, items) = (
+            Harness::default(),
+            [InputPhoto {
+                id: "a".to_owned(),
+                facts: PhotoFacts {
+                    prior: None,
+                    ..with_lens().facts
+                },
+                ..with_lens()
+            }],
+        );
+        let params = CalibrateParams {
+            method: Method::Import,
+            longest_side_px: Some(32),
+            ..CalibrateParams::default()
+        };
+        let placed = |camera: Camera| PlacedPhoto {
+            item: 0,
+            file: String::new(),
+            image: Digest::of(b"image"),
+            camera,
+            cam_from_world: Pose::identity(),
+            held_out: None,
+            statistics: crate::calibration::PhotoStatistics::default(),
+        };
+        let ctx = harness.ctx();
+        let masks =
+            |inputs: &Inputs, camera: Camera| field_masks(&ctx, inputs, &items, &[placed(camera)], &params);
+        let half = Camera::pinhole(32, 24, 25.0);
+        let found = masks(&left_hidden(&harness), half).unwrap();
+        let mask = Photo::decode(&harness.get(&found[&0]).unwrap()).unwrap().image;
+        assert_eq!((mask.width, mask.height), (32, 24));
+        assert_eq!((mask.at(9, 5), mask.at(10, 5)), (HIDDEN, OPEN));
+        let wrong = masks(&left_hidden(&harness), Camera::pinhole(31, 24, 25.0)).unwrap_err();
+        assert!(wrong.to_string().contains("32 x 24"), "{wrong}");
+        let open = Image::<Srgb>::from_fn(64, 48, |_, _| OPEN);
+        let files = BTreeMap::from([("masks/a.png", harness.put(&encode_png(&open).unwrap()))]);
+        let list = harness.put(&serde_json::to_vec(&files).unwrap());
+        let inputs = Inputs(BTreeMap::from([(COMPANIONS.to_owned(), list)]));
+        assert!(masks(&inputs, half).unwrap().is_empty());
+        assert!(masks(&Inputs::default(), half).unwrap().is_empty());
     }
 
     #[test]

@@ -25,7 +25,7 @@ pub(crate) struct MemoryPlan {
 /// training ([`training_bytes`]), the photos kept with one being decoded, one view being compared; and the program.
 ///
 /// # Errors
-/// [`TrainError::Memory`] if not even one pixel in 256 fits, before anything is decoded.
+/// [`TrainError::Memory`] if not even one pixel in 255 fits, before anything is decoded.
 pub(crate) fn plan_memory(
     memory: Memory,
     split: &Split<'_>,
