@@ -3,6 +3,7 @@ use std::path::Path;
 
 use marf_cache::Digest;
 use marf_engine::{Cancel, Outcome, RunRecord, document};
+use marf_schema::folds::{self, FoldsParams};
 use marf_schema::output;
 use marf_schema::scores::PhotoScores;
 use marf_schema::train::{Metrics, TrainParams};
@@ -26,6 +27,9 @@ struct Fitted {
     key: Digest,
     #[serde(flatten)]
     metrics: Metrics,
+    /// A scene of few photos, judged on all of them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    folds: Option<folds::Judged>,
 }
 
 /// What `--json` prints of one budget.
@@ -41,6 +45,9 @@ struct Timed {
     seconds: f64,
     peak_mb: u64,
     views: Vec<PhotoScores>,
+    /// A scene of few photos, judged on all of them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    folds: Option<folds::Judged>,
 }
 
 /// `marf fit DIR`: trains for each budget and renders the held-out views. One budget after the other, so that
@@ -78,6 +85,15 @@ pub fn fit(global: &Global, args: &FitArgs, cancel: &Cancel) -> Result<(), CliEr
             timed.samples_per_s / 1e6,
             timed.seconds,
         ));
+        if let Some(folds) = &timed.folds {
+            print_line(&format!(
+                "        each of the {} photos judged by a field trained without it, {} of {} steps: PSNR {:.2} dB",
+                folds.scores.views.len(),
+                folds.steps,
+                folds.steps_of_whole,
+                folds.scores.psnr,
+            ));
+        }
     }
     Ok(())
 }
@@ -88,7 +104,8 @@ fn pipeline(args: &FitArgs, seconds: u32) -> String {
     });
     format!(
         "name = \"fit\"\n{}[node.calibrate]\ninput = \"extract\"\ncameras = \"extract\"\nmethod = \"import\"\n\
-         [node.train]\ninput = \"calibrate\"\nbudget = \"{seconds}s\"\nseed = {}\nfit = \"{}\"\n{memory}",
+         [node.train]\ninput = \"calibrate\"\nbudget = \"{seconds}s\"\nseed = {}\nfit = \"{}\"\n{memory}\
+         [node.folds]\ninput = \"calibrate\"\nof = \"train\"\n",
         folder(&args.dir),
         args.seed,
         args.fit.name()
@@ -135,7 +152,14 @@ fn fitted_of(session: &Session, record: &RunRecord) -> Result<Fitted, CliError> 
         .key
         .ok_or_else(|| CliError::failed("the training has no key"))?;
     let metrics = session.document(node)?;
-    Ok(Fitted { key, metrics })
+    let folds = folds_of(session, record)?;
+    Ok(Fitted { key, metrics, folds })
+}
+
+/// Returns what folds gave, where the scene is small enough for them.
+fn folds_of(session: &Session, record: &RunRecord) -> Result<Option<folds::Judged>, CliError> {
+    let metrics: folds::Metrics = session.document(node_named(record, FoldsParams::STAGE)?)?;
+    Ok(metrics.judged)
 }
 
 /// Returns the scores of a training with what it took on this machine.
@@ -161,5 +185,6 @@ fn timed_of(session: &Session, record: &RunRecord) -> Result<Timed, CliError> {
         seconds,
         peak_mb,
         views: metrics.scores.views,
+        folds: folds_of(session, record)?,
     })
 }

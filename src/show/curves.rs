@@ -1,7 +1,7 @@
 //! Training: figures of merit and how they grew.
 
 use marf_schema::train::{Curve, CurvePoint};
-use marf_schema::{evaluate, scores::Scores, train};
+use marf_schema::{evaluate, folds, scores::Scores, train};
 use maud::{Markup, html};
 
 use super::axis::{Chart, Scale};
@@ -9,7 +9,7 @@ use super::format::number;
 use super::input::NodeView;
 use super::json;
 use super::page::Page;
-use super::quality::{figures, of_evaluation, of_training};
+use super::quality::{figures, of_evaluation, of_folds, of_training};
 use super::read::Missing;
 use super::sizes;
 
@@ -17,11 +17,13 @@ use super::sizes;
 pub(super) fn body(page: &Page<'_>) -> Markup {
     let trained: Vec<&NodeView> = page.with_document::<Curve>().collect();
     let evaluated: Vec<&NodeView> = page.with_document::<evaluate::Metrics>().collect();
+    let folds: Vec<&NodeView> = page.with_document::<folds::Metrics>().collect();
     if trained.is_empty() && evaluated.is_empty() {
         return page.absent("training curves or metrics");
     }
     html! {
         @for node in trained { h3 { (node.name) } (training(page, node)) (curves(page, node)) }
+        @for node in folds { h3 { (node.name) } (folded(page, node)) }
         @for node in evaluated { h3 { (node.name) } (evaluation(page, node)) }
     }
 }
@@ -36,6 +38,27 @@ fn training(page: &Page<'_>, node: &NodeView) -> Markup {
         }
     };
     page.document(node).map_or_else(sentence, shown)
+}
+
+/// Every photo of a small scene held out once, or why not.
+fn folded(page: &Page<'_>, node: &NodeView) -> Markup {
+    let metrics: folds::Metrics = match page.document(node) {
+        Ok(metrics) => metrics,
+        Err(missing) => return sentence(missing),
+    };
+    match &metrics.judged {
+        Some(judged) => html! {
+            (figures(&of_folds(judged)))
+            p {
+                "A scene of fewer than " (metrics.below) " photos is judged on all of them: each by a field that was trained without                  its place, for " (number(judged.steps as f64)) " steps of the " (number(judged.steps_of_whole as f64))
+                " that the delivered field has."
+            }
+        },
+        None if metrics.photos >= u64::from(metrics.below) => html! {
+            p.quiet { (metrics.photos) " photos: not judged by folds, which is for scenes of fewer than " (metrics.below) "." }
+        },
+        None => html! { p.quiet { "All photos stand in one place: a fold would hold out all or none." } },
+    }
 }
 
 fn evaluation(page: &Page<'_>, node: &NodeView) -> Markup {

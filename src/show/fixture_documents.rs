@@ -56,6 +56,12 @@ pub(super) fn trial(number: u32, rank: u32, psnr: f64) -> tune::Trial {
 pub(super) fn training(scores: Scores) -> train::Metrics {
     train::Metrics {
         scores,
+        on_training: Some(train::OnTraining {
+            photos: 1,
+            psnr: 26.125,
+            psnr_paper: None,
+            ssim: None,
+        }),
         steps: 4000,
         rays: 2_048_000,
         samples: 51_234_567,
@@ -64,6 +70,7 @@ pub(super) fn training(scores: Scores) -> train::Metrics {
         thinned: None,
         seed: 7,
         holdout: train::Holdout::Test,
+        fold: None,
         train_photos: 70,
         held_out_photos: 10,
         drawn: None,

@@ -13,6 +13,7 @@ mod format;
 mod funnel;
 mod gallery;
 mod graph;
+mod hardware;
 mod input;
 mod json;
 mod maps;
@@ -99,7 +100,11 @@ fn sections(page: &Page<'_>) -> Vec<Section> {
         return sections;
     }
     sections.extend([
-        section("cameras", "Cameras", cameras::body(page)),
+        section(
+            "cameras",
+            "Cameras",
+            html! { (hardware::body(page)) (cameras::body(page)) },
+        ),
         section("tune", "Tuning", tune::body(page)),
         section("training", "Training", curves::body(page)),
         section("heldout", "Held-out photos", pictures::held_out(page)),

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use marf_cache::Digest;
 use marf_scene::{Image, Srgb};
 use marf_schema::scores::{PhotoScores, Scores};
-use marf_schema::{evaluate, output, train};
+use marf_schema::{evaluate, folds, output, train};
 use maud::{Markup, html};
 
 use super::embed::{Form, decode, words};
@@ -73,6 +73,10 @@ fn views(page: &Page<'_>, node: &NodeView) -> Markup {
 fn scores(page: &Page<'_>, node: &NodeView) -> Result<Scores, Missing> {
     if has_document::<evaluate::Metrics>(node) {
         return Ok(page.document::<evaluate::Metrics>(node)?.scores);
+    }
+    if has_document::<folds::Metrics>(node) {
+        let judged = page.document::<folds::Metrics>(node)?.judged;
+        return Ok(judged.map_or_else(Scores::default, |judged| judged.scores));
     }
     Ok(page.document::<train::Metrics>(node)?.scores)
 }

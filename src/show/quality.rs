@@ -2,7 +2,7 @@
 
 use marf_scene::Nearest;
 use marf_schema::scores::{PhotoScores, Scores};
-use marf_schema::{bootstrap, calibrate, evaluate, train};
+use marf_schema::{bootstrap, calibrate, evaluate, folds, train};
 use maud::{Markup, html};
 
 use super::format::{decibels, number, similarity};
@@ -25,7 +25,26 @@ pub(super) fn of_training(metrics: &train::Metrics) -> Vec<Figure> {
         ("photos held out", number(metrics.held_out_photos as f64)),
         ("photos reduced by", number(f64::from(metrics.scale))),
     ];
-    means(&metrics.scores).into_iter().chain(counts).collect()
+    let seen = metrics.on_training.iter();
+    let seen = seen.map(|seen| ("PSNR on photos trained on", format!("{} dB", decibels(seen.psnr))));
+    means(&metrics.scores)
+        .into_iter()
+        .chain(seen)
+        .chain(counts)
+        .collect()
+}
+
+/// Returns the figures of folds.
+pub(super) fn of_folds(judged: &folds::Judged) -> Vec<Figure> {
+    let counts = [
+        (
+            "photos, each held out once",
+            number(judged.scores.views.len() as f64),
+        ),
+        ("trainings", number(judged.folds.len() as f64)),
+        ("steps of each", number(judged.steps as f64)),
+    ];
+    means(&judged.scores).into_iter().chain(counts).collect()
 }
 
 /// Returns the figures of an evaluation.

@@ -1,7 +1,7 @@
 use super::fixture::{HOSTILE, full, giving, node, verdict};
 use super::*;
 use marf_cache::Digest;
-use marf_schema::train;
+use marf_schema::{folds, masks, train};
 use marf_stage::{Document, PHOTOS, VERDICTS};
 
 const VOID: [&str; 4] = ["meta", "img", "br", "hr"];
@@ -208,6 +208,76 @@ fn json_of_another_shape_is_no_panic() {
             .collect();
         check_balance(&store.report(&nodes));
     }
+}
+
+#[test]
+fn a_scene_of_few_photos_is_judged_on_all_and_one_of_many_says_that_it_is_not() {
+    let mut store = fixture::Store::default();
+    let scores = marf_schema::example::scores();
+    let mut metrics = folds::Metrics {
+        photos: 9,
+        below: 24,
+        judged: Some(folds::Judged {
+            scores,
+            steps: 1000,
+            steps_of_whole: 4000,
+            folds: Vec::new(),
+        }),
+    };
+    let mut shown = |metrics: &folds::Metrics| {
+        let outputs = [
+            store.document(metrics),
+            ("heldout/0001.png", store.put_picture(90)),
+        ];
+        store.report(&[giving(node("folds", &["train"]), outputs)])
+    };
+    let html = shown(&metrics);
+    check_balance(&html);
+    for text in [
+        "fewer than 24 photos",
+        "for 1,000 steps of the 4,000",
+        "20.00 dB",
+        "folds: 1 view",
+    ] {
+        assert!(html.contains(text), "{text}: {html}");
+    }
+    (metrics.photos, metrics.judged) = (24, None);
+    assert!(shown(&metrics).contains("24 photos: not judged by folds"));
+    metrics.photos = 2;
+    assert!(shown(&metrics).contains("All photos stand in one place"));
+}
+
+#[test]
+fn what_stands_still_is_shown_with_the_way_to_hide_it() {
+    let mut store = fixture::Store::default();
+    let camera = |name: &str, share: f64| masks::CameraReport {
+        name: name.to_owned(),
+        width: 640,
+        height: 480,
+        photos: 12,
+        pairs: 36,
+        moved: 35,
+        share,
+        found: "so <b>".to_owned(),
+    };
+    let metrics = masks::Metrics {
+        cameras: vec![camera("NAV-640x480", 0.2), camera("640x480", 0.0)],
+    };
+    let outputs = [
+        store.document(&metrics),
+        ("overlay/NAV-640x480.png", store.put_picture(90)),
+    ];
+    let html = store.report(&[giving(node("found", &["blur"]), outputs)]);
+    check_balance(&html);
+    for text in [
+        "masks/NAV-640x480.png",
+        "so &lt;b&gt;",
+        "12 photos, moved in 35 of 36 pairs",
+        "in red",
+    ] {
+        assert!(html.contains(text), "{text}: {html}");
+    }
+    assert_eq!(html.matches("in red").count(), 1);
 }
 
 #[test]

@@ -22,11 +22,13 @@ static STAGES: LazyLock<Vec<StageDef>> = LazyLock::new(|| {
     let mut stages = vec![define::<marf_extract::Extract<FilterMeasures>>()];
     stages.extend_from_slice(marf_filter::STAGES);
     stages.extend([
+        define::<marf_calibrate::Masks>(),
         define::<marf_calibrate::Calibrate>(),
         define::<marf_train::Tune>(),
         define::<marf_train::Train>(),
         define::<marf_train::Partial>(),
         define::<marf_train::Pace>(),
+        define::<marf_train::Folds>(),
         define::<marf_train::Evaluate>(),
         define::<marf_train::Render>(),
         define::<marf_train::Bootstrap>(),

@@ -8,6 +8,7 @@
 mod calibration;
 mod colmap;
 mod export;
+mod hardware;
 pub mod import;
 mod labels;
 mod masks;
@@ -17,4 +18,5 @@ mod sfm;
 mod stage;
 
 pub use export::{Observation, TrackPoint, Tracks, write_colmap, write_ply, write_transforms};
+pub use hardware::Masks;
 pub use stage::Calibrate;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use marf_cache::Digest;
-use marf_scene::{Image, Photo, Srgb, encode_png};
+use marf_scene::{Image, Photo, PhotoFacts, Srgb, encode_png};
 use marf_schema::calibrate::{CalibrateParams, Method};
 use marf_stage::{COMPANIONS, Ctx, Inputs, StageError};
 use rayon::prelude::*;
@@ -13,15 +13,16 @@ use crate::labels::{Candidate, ideal_mask, of_one_site};
 use crate::photos::{InputPhoto, reduction, without_extension};
 
 /// What a mask leaves of a photo, and what it hides.
-const OPEN: [u8; 3] = [255; 3];
-const HIDDEN: [u8; 3] = [0; 3];
+pub(crate) const OPEN: [u8; 3] = [255; 3];
+pub(crate) const HIDDEN: [u8; 3] = [0; 3];
 
 /// Returns the mask of a photo, in its pixel grid: black is ignored. `None` if there is none, or `cameras` is not
 /// connected.
 ///
 /// A photo's own mask is `masks/<name>.png`, with or without the extension of its name, in any folder above the
-/// photo; a folder `images` between them may be left out, and so may all. `masks/<instrument>.png` is for all
-/// photos of that instrument that have its size and no mask of their own.
+/// photo; a folder `images` between them may be left out, and so may all. `masks/<instrument>-<width>x<height>.png`, or
+/// `masks/<instrument>.png`, is for all photos of that instrument that have its size and no mask of their own, and
+/// `masks/<width>x<height>.png` for photos of no known instrument.
 ///
 /// # Errors
 /// A mask that cannot be decoded, or of a photo's own that has another size.
@@ -48,8 +49,7 @@ pub(crate) fn mask_file(
         }
         return Ok(Some(mask));
     }
-    let instrument = item.facts.instrument.as_deref().unwrap_or_default();
-    let Some((name, digest)) = find(instrument_names(&item.facts.file, instrument)) else {
+    let Some((name, digest)) = find(camera_names(item)) else {
         return Ok(None);
     };
     let mask = decode(ctx, name, digest)?;
@@ -120,7 +120,7 @@ pub(crate) fn field_masks(
 }
 
 /// Returns a mask at 1 / `factor` of its size, hidden where any pixel of a block is.
-fn shrunk(mask: &Image<Srgb>, factor: u32) -> Image<Srgb> {
+pub(crate) fn shrunk(mask: &Image<Srgb>, factor: u32) -> Image<Srgb> {
     Image::from_fn(mask.width / factor, mask.height / factor, |column, row| {
         let rows = row * factor..(row + 1) * factor;
         let mut block =
@@ -159,11 +159,28 @@ fn own_names(file: &str) -> Vec<String> {
     names
 }
 
-/// Returns the names that a mask of an instrument may have.
-fn instrument_names(file: &str, instrument: &str) -> Vec<String> {
-    above(file)
-        .map(|folder| format!("{folder}masks/{instrument}.png"))
+/// Returns the names that a mask for all photos of a camera may have.
+fn camera_names(item: &InputPhoto) -> Vec<String> {
+    let instrument = item.facts.instrument.as_deref();
+    let names: Vec<String> = [Some(camera_name(&item.facts)), instrument.map(str::to_owned)]
+        .into_iter()
+        .flatten()
+        .collect();
+    let beside = above(&item.facts.file);
+    beside
+        .flat_map(|folder| names.iter().map(move |name| format!("{folder}masks/{name}.png")))
         .collect()
+}
+
+/// Returns the name of the camera of a photo: `<instrument>-<width>x<height>`, or the size alone; other characters than letters,
+/// digits, `-` and `_` become `_`.
+pub(crate) fn camera_name(facts: &PhotoFacts) -> String {
+    let size = format!("{}x{}", facts.width, facts.height);
+    let plain = |letter: char| letter.is_ascii_alphanumeric() || letter == '-';
+    match &facts.instrument {
+        Some(instrument) => format!("{}-{size}", instrument.replace(|letter| !plain(letter), "_")),
+        None => size,
+    }
 }
 
 #[cfg(test)]
@@ -338,6 +355,24 @@ mod tests {
         assert_eq!(find("b.jpg", "ZL"), Some([0; 3]));
         assert_eq!(find("b.jpg", "ZR"), None);
         assert_eq!(find("b.jpg", "MR"), None, "of another size than this photo");
+        let files = [
+            ("masks/4x3.png", 4, GREY),
+            ("masks/ZL-4x3.png", 4, GREY),
+            ("masks/ZL.png", 4, [0; 3]),
+        ];
+        let inputs = beside(&harness, &files);
+        let find = |instrument: Option<&str>| {
+            let mut item = item("b.jpg", "");
+            item.facts.instrument = instrument.map(str::to_owned);
+            let mask = mask_file(&harness.ctx(), &inputs, &item).unwrap();
+            mask.map(|mask| mask.at(0, 0))
+        };
+        assert_eq!(
+            find(Some("ZL")),
+            Some(GREY),
+            "the size goes before the instrument alone"
+        );
+        assert_eq!((find(None), find(Some("ZR"))), (Some(GREY), None));
         let unconnected = mask_file(&harness.ctx(), &Inputs::default(), &item("a.jpg", "ZL")).unwrap();
         assert_eq!(unconnected, None);
     }

@@ -66,6 +66,30 @@ pub fn hold_out_places(photos: &[PosedPhoto<'_>], points: &[Point], every: u32) 
     held_out
 }
 
+/// Returns for each photo the fold in which it is held out: whole places, dealt out such that folds have about as many photos and
+/// each is spread over the scene.
+///
+/// Places as in [`hold_out_places`] with `every` = `folds`. The folds are numbered from 0 without gaps; there are `folds` of them,
+/// or as many as there are places. The answer depends on ids and poses, not on the order of the photos.
+pub fn folds(photos: &[PosedPhoto<'_>], points: &[Point], folds: u32) -> Vec<u32> {
+    let groups = places(photos, points, most_in_a_place(photos.len(), folds.max(1)));
+    let mut walk: Vec<&Group> = groups.iter().collect();
+    walk_through(&mut walk);
+    let mut sizes = vec![0; (folds.max(1) as usize).min(walk.len())];
+    let mut fold_of = vec![0; photos.len()];
+    for group in walk {
+        let Some(fold) = (0..sizes.len()).min_by_key(|fold| sizes[*fold]) else {
+            break;
+        };
+        sizes[fold] += group.photos.len();
+        group
+            .photos
+            .iter()
+            .for_each(|photo| fold_of[*photo] = fold as u32);
+    }
+    fold_of
+}
+
 /// Returns the number of the place of each photo, in the order of the smallest id in each; places as in [`hold_out_places`], of any
 /// number of photos.
 pub fn places_of(photos: &[PosedPhoto<'_>], points: &[Point]) -> Vec<usize> {

@@ -1,7 +1,6 @@
 //! `evaluate`: renders of a trained field compared with photos.
 
 use marf_field::Device;
-use marf_scene::Frame;
 use marf_stage::{Document, ParamError, Params};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -50,11 +49,11 @@ impl EvaluateParams {
 }
 
 impl Which {
-    /// Tells whether a photo is among them.
-    pub fn has(self, frame: &Frame) -> bool {
+    /// Tells whether a photo is among them that is held out, or is not.
+    pub fn has(self, is_held_out: bool) -> bool {
         match self {
-            Self::Heldout => frame.held_out,
-            Self::Train => !frame.held_out,
+            Self::Heldout => is_held_out,
+            Self::Train => !is_held_out,
             Self::All => true,
         }
     }

@@ -12,6 +12,7 @@ use crate::{
 pub fn train_metrics() -> train::Metrics {
     train::Metrics {
         scores: scores(),
+        on_training: None,
         steps: 400,
         rays: 409_600,
         samples: 8_192_000,
@@ -20,6 +21,7 @@ pub fn train_metrics() -> train::Metrics {
         thinned: None,
         seed: 0,
         holdout: Holdout::Test,
+        fold: None,
         train_photos: 1,
         held_out_photos: 1,
         drawn: None,

@@ -1,4 +1,4 @@
-//! Parameters and outputs of `calibrate`, `tune`, `train`, `partial`, `pace`, `evaluate`, `render`, `bootstrap` and `video`.
+//! Parameters and outputs of `masks`, `calibrate`, `tune`, `train`, `partial`, `pace`, `folds`, `evaluate`, `render`, `bootstrap` and `video`.
 //!
 //! One module a stage: its parameters ([`Params`](marf_stage::Params)) with the checks that need no input, and each
 //! JSON output ([`Document`](marf_stage::Document)). Stages, commands and the report read and write these types, so
@@ -14,6 +14,8 @@ mod budget;
 pub mod calibrate;
 pub mod evaluate;
 pub mod example;
+pub mod folds;
+pub mod masks;
 mod memory;
 pub mod output;
 pub mod pace;

@@ -6,6 +6,10 @@ pub const SCENE: &str = "scene";
 pub const TRANSFORMS: &str = "transforms";
 /// The scene of `calibrate` as COLMAP's model: `sparse/0/cameras.bin`.
 pub const SPARSE: &str = "sparse/";
+/// Proposed masks, black where a picture stands still, of `masks`: `masks/<camera>.png`.
+pub const MASKS: &str = "masks/";
+/// A photo with the proposed mask in red, of `masks`: `overlay/<camera>.png`.
+pub const OVERLAY: &str = "overlay/";
 /// The sparse points of `calibrate` as PLY.
 pub const POINTS: &str = "points.ply";
 /// A trained field (safetensors), of `train`.

@@ -49,6 +49,10 @@ impl PartialParams {
             let message = "a training that is stopped on its way needs to know its `steps`";
             return Err(ParamError::new("train.budget", message));
         }
+        if self.train.fold.is_some() {
+            let message = "a fold is trained in one piece";
+            return Err(ParamError::new("train.fold", message));
+        }
         let (until, steps) = (self.until, self.train.planned_steps());
         let message = match until {
             0 => "0 steps train nothing; at least 16".to_owned(),

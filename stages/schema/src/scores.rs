@@ -35,7 +35,7 @@ pub struct Apart {
 }
 
 /// Means over photos, and each photo's own.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Scores {
     /// Mean of [`PhotoScores::psnr`], dB.
     pub psnr: f64,

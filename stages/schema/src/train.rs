@@ -23,6 +23,48 @@ pub enum Holdout {
     Validation,
 }
 
+/// One of several trainings that together hold out every photo once, whole places at a time, those of `calibrate` included.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Fold {
+    /// Which of them, from 0.
+    pub index: u32,
+    /// How many there are; a scene of fewer places has fewer.
+    pub count: u32,
+    /// Share of the steps that are really trained, above 0 and up to 1.
+    pub share: f64,
+}
+
+impl Fold {
+    /// Returns the steps of this training, of a whole one of `steps`: at least 1.
+    pub fn steps_of(&self, steps: u64) -> u64 {
+        ((steps as f64 * self.share).round() as u64).max(1)
+    }
+
+    fn check(&self) -> Result<(), ParamError> {
+        if self.count < 2 {
+            let message = format!("{} folds hold out all or nothing; at least 2", self.count);
+            return Err(ParamError::new("fold.count", message));
+        }
+        if self.index >= self.count {
+            let message = format!("fold {} of {}, counted from 0", self.index, self.count);
+            return Err(ParamError::new("fold.index", message));
+        }
+        check_share("fold.share", self.share)
+    }
+}
+
+/// Checks a share of the steps of a training.
+pub(crate) fn check_share(path: &str, share: f64) -> Result<(), ParamError> {
+    match share > 0.0 && share <= 1.0 {
+        true => Ok(()),
+        false => Err(ParamError::new(
+            path,
+            format!("{share} of the steps; above 0, up to 1"),
+        )),
+    }
+}
+
 /// What decides how large the field is.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -78,6 +120,9 @@ pub struct TrainParams {
     pub memory: Memory,
     /// Photos that are kept away from training.
     pub holdout: Holdout,
+    /// Holds out these photos instead, and trains a share of the steps: what `folds` asks for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fold: Option<Fold>,
     /// Seed with which as many training photos are drawn as there are, with replacement (a bootstrap sample).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resample: Option<u64>,
@@ -130,6 +175,7 @@ impl TrainParams {
                 "`steps` is given too; keep one of the two",
             ));
         }
+        self.fold.map_or(Ok(()), |fold| fold.check())?;
         check_scale(self.scale)?;
         if !(0.0..=100.0).contains(&self.trials.least_gain_db) {
             let message = format!("{} dB; from 0 to 100", self.trials.least_gain_db);
@@ -139,12 +185,28 @@ impl TrainParams {
     }
 }
 
+/// How well a field reproduces photos that it was trained on, which is not how good it is elsewhere: the protocol of the paper.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct OnTraining {
+    /// Photos that were compared: as many as are held out, spread evenly over those trained on.
+    pub photos: u64,
+    /// Mean peak signal-to-noise ratio, peak 1, dB.
+    pub psnr: f64,
+    /// Mean of the paper's definition, peak = largest value of the photo, dB; none where all photos are black.
+    pub psnr_paper: Option<f64>,
+    /// Mean structural similarity; none where all photos are smaller than its window.
+    pub ssim: Option<f64>,
+}
+
 /// Output `metrics` of `train`. Nothing in it comes from a clock.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Metrics {
     /// On the photos held out.
     #[serde(flatten)]
     pub scores: Scores,
+    /// On some of the photos trained on; only where those of the final metric are held out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub on_training: Option<OnTraining>,
     /// Optimiser steps.
     pub steps: u64,
     /// Rays trained.
@@ -162,6 +224,9 @@ pub struct Metrics {
     pub seed: u64,
     /// Which photos were held out.
     pub holdout: Holdout,
+    /// Which fold was held out instead.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fold: Option<Fold>,
     /// Photos trained on, each counted once.
     pub train_photos: u64,
     /// Photos held out.
@@ -201,6 +266,9 @@ pub struct Setup {
     pub memory: Memory,
     /// Which photos are held out.
     pub holdout: Holdout,
+    /// Which fold is held out instead.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fold: Option<Fold>,
     /// What decided how large the field is.
     pub fit: Fit,
     /// The configuration as it is used, with what trials decided.
@@ -256,6 +324,22 @@ mod tests {
             (json!({"steps": 0}), "steps"),
             (json!({"steps": 5, "budget": "60s"}), "budget"),
             (json!({"scale": 0}), "scale"),
+            (
+                json!({"fold": {"index": 0, "count": 1, "share": 1}}),
+                "fold.count",
+            ),
+            (
+                json!({"fold": {"index": 3, "count": 3, "share": 1}}),
+                "fold.index",
+            ),
+            (
+                json!({"fold": {"index": 0, "count": 2, "share": 0}}),
+                "fold.share",
+            ),
+            (
+                json!({"fold": {"index": 0, "count": 2, "share": 1.5}}),
+                "fold.share",
+            ),
             (json!({"trials": {"least_gain_db": -1.0}}), "trials.least_gain_db"),
             (json!({"field": {"levls": 3}}), "field.levls"),
             (json!({"field": {"log2_table": 99}}), "field.log2_table"),
@@ -269,6 +353,20 @@ mod tests {
         params(json!({"budget": "60s", "field": {"log2_table": 16}}))
             .check()
             .unwrap();
+    }
+
+    #[test]
+    fn a_fold_trains_its_share_of_the_steps_and_at_least_one() {
+        let fold = |share| Fold {
+            index: 0,
+            count: 2,
+            share,
+        };
+        assert_eq!(
+            [1.0, 0.25, 1e-9].map(|share| fold(share).steps_of(1000)),
+            [1000, 250, 1]
+        );
+        assert_eq!(fold(0.5).steps_of(0), 1);
     }
 
     #[test]

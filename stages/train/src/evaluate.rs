@@ -13,8 +13,8 @@ use crate::{
     checkpoint::identity,
     io::{read_field, read_scene},
     photos::PhotoReader,
-    scoring::score_views,
-    split::{NamedFrame, named_frames, split},
+    scoring::Judge,
+    split::{NamedFrame, held_out, named_frames, split},
     stage_on_device,
 };
 
@@ -52,7 +52,9 @@ impl Set for Evaluate {
         let field = read_field(ctx, inputs, &self.params.device)?;
         let frames: Vec<NamedFrame<'_>> = named_frames(&scene)
             .into_iter()
-            .filter(|named| self.params.views.has(named.frame))
+            .zip(held_out(&scene, trained.fold))
+            .filter(|(_, is_held_out)| self.params.views.has(*is_held_out))
+            .map(|(named, _)| named)
             .collect();
         if frames.is_empty() {
             let placed = scene.frames.len();
@@ -69,7 +71,7 @@ impl Set for Evaluate {
         let photos = PhotoReader::new(ctx, &scene, scale);
         let of = identity(self, inputs, "");
         let nearest = TrainedPhotos::new(&scene, trained_on(&scene, &trained)?);
-        let scores = score_views(ctx, of, &field, &photos, &nearest, &frames, &mut outputs)?;
+        let scores = Judge::new(ctx, of, &field, &photos).held_out(&frames, &nearest, &mut outputs)?;
         outputs.put(ctx, &Metrics { scores, scale })?;
         Ok(outputs)
     }
@@ -78,7 +80,7 @@ impl Set for Evaluate {
 /// Returns the photos that a training has used.
 fn trained_on<'a>(scene: &'a Scene, trained: &train::Metrics) -> Result<Vec<PosedPhoto<'a>>, TrainError> {
     let drawn = trained.drawn.as_ref();
-    let frames = split(scene, trained.holdout)?.training.into_iter();
+    let frames = split(scene, trained.holdout, trained.fold)?.training.into_iter();
     let used = frames.filter(|named| drawn.is_none_or(|drawn| drawn.contains(&named.frame.id)));
     Ok(used.map(|named| named.frame.into()).collect())
 }

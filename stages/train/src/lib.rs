@@ -1,6 +1,6 @@
 //! Trained fields: search of parameters, training, evaluation, renders and uncertainty maps.
 //!
-//! Eight stages: `tune`, `train`, `partial` (the first steps of a training), `pace` (turns a time budget into steps), `evaluate`,
+//! Nine stages: `tune`, `train`, `partial` (the first steps of a training), `pace` (turns a time budget into steps), `folds` (judges scenes of few photos), `evaluate`,
 //! `render`, `bootstrap` and `video`. They share how photos are read, split, scored and written. Invariant: what a node answers depends on photos, cameras,
 //! parameters and seed; the clock decides only when a checkpoint is kept and, in `pace` alone, how many steps a
 //! budget buys on this machine. Held-out photos never reach a training step.
@@ -10,6 +10,7 @@ mod checkpoint;
 mod child;
 mod error;
 mod evaluate;
+mod folds;
 mod io;
 mod memory;
 mod pace;
@@ -28,6 +29,7 @@ mod views;
 pub use bootstrap::Bootstrap;
 pub use error::TrainError;
 pub use evaluate::Evaluate;
+pub use folds::Folds;
 pub use pace::Pace;
 pub use render::Render;
 pub use train::{Partial, Train};

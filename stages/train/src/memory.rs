@@ -103,7 +103,7 @@ mod tests {
     }
 
     fn planned(memory: &str, scene: &Scene, scale: u32) -> Result<MemoryPlan, TrainError> {
-        let split = split(scene, Holdout::Test).unwrap();
+        let split = split(scene, Holdout::Test, None).unwrap();
         let times = vec![1; split.training.len()];
         let config = Config {
             levels: Some(8),

@@ -61,7 +61,7 @@ impl Set for Pace {
         let config = field_config(&keys, params.quality, params.fit, expected)?;
         let side_px = params.quality.longest_side_px();
         let scale = params.scale.unwrap_or_else(|| scale_to(side_px, &scene));
-        let split = split(&scene, params.holdout)?;
+        let split = split(&scene, params.holdout, None)?;
         let times = vec![1; split.training.len()];
         let plan = plan_memory(params.memory, &split, &times, scale, &config)?;
         let photos = PhotoReader::new(ctx, &scene, scale);

@@ -6,6 +6,7 @@ use marf_scene::{Image, Srgb, TrainedPhotos, metrics};
 use marf_schema::{
     output::{HELDOUT, PHOTO},
     scores::{Apart, PhotoScores, Scores},
+    train::OnTraining,
 };
 use marf_stage::{Ctx, Outputs, StageError};
 use serde::{Deserialize, Serialize};
@@ -28,39 +29,104 @@ struct Judged {
     pictures: BTreeMap<String, Digest>,
 }
 
-/// Renders the view of every photo, compares it with the photo and stores both pictures; one photo at a time is in
-/// memory.
-///
-/// `trained` are the photos that the field was trained on.
-///
-/// Photos that an unfinished run has compared are not rendered again; `of` stands for the node and its field.
-pub(crate) fn score_views(
-    ctx: &Ctx<'_>,
+/// Compares a field with photos, one at a time. Photos that an unfinished run has compared are not rendered again.
+pub(crate) struct Judge<'a> {
+    ctx: &'a Ctx<'a>,
+    /// Stands for the node and its field.
     of: Digest,
-    field: &Field,
-    photos: &PhotoReader<'_>,
-    trained: &TrainedPhotos<'_>,
-    frames: &[NamedFrame<'_>],
-    outputs: &mut Outputs,
-) -> Result<Scores, StageError> {
-    let mut journal = Journal::new(ctx, "judging", of);
-    let mut views = Vec::with_capacity(frames.len());
-    for (index, named) in frames.iter().enumerate() {
-        let note = format!("judging {}", named.name);
-        ctx.progress.at(index as u64, frames.len() as u64, &note);
-        let judged = journal.piece(
-            |bytes| known(ctx, bytes),
-            || {
-                let mut judged = judge(ctx, digest_of(&(of, &named.name)), field, photos, named)?;
+    field: &'a Field,
+    photos: &'a PhotoReader<'a>,
+    journal: Journal<'a>,
+}
+
+impl<'a> Judge<'a> {
+    /// Returns the judge of a field; `of` stands for the node and its field.
+    pub fn new(ctx: &'a Ctx<'a>, of: Digest, field: &'a Field, photos: &'a PhotoReader<'a>) -> Self {
+        Self {
+            ctx,
+            of,
+            field,
+            photos,
+            journal: Journal::new(ctx, "judging", of),
+        }
+    }
+
+    /// Renders the view of every photo, compares it with the photo and stores both pictures; `trained` are the photos that
+    /// the field was trained on.
+    pub fn held_out(
+        &mut self,
+        frames: &[NamedFrame<'_>],
+        trained: &TrainedPhotos<'_>,
+        outputs: &mut Outputs,
+    ) -> Result<Scores, StageError> {
+        let mut views = Vec::with_capacity(frames.len());
+        for (index, named) in frames.iter().enumerate() {
+            self.at(index, frames.len(), named);
+            let judged = self.judged(named, |judge| {
+                let mut judged = judge.stored(named)?;
                 judged.scores.nearest = trained.nearest(named.frame.into());
+                Ok(judged)
+            })?;
+            outputs.extend(judged.pictures);
+            views.push(judged.scores);
+        }
+        Ok(means(views))
+    }
+
+    /// Compares the field with photos that it was trained on; stores no picture.
+    pub fn on_training(&mut self, frames: &[NamedFrame<'_>]) -> Result<OnTraining, StageError> {
+        let mut views = Vec::with_capacity(frames.len());
+        for (index, named) in frames.iter().enumerate() {
+            self.at(index, frames.len(), named);
+            let judged = self.judged(named, |judge| {
+                Ok(Judged {
+                    scores: compare_view(judge.field, named, &judge.photos.read(named.frame)?)?,
+                    pictures: BTreeMap::new(),
+                })
+            })?;
+            views.push(judged.scores);
+        }
+        let Scores {
+            psnr,
+            psnr_paper,
+            ssim,
+            views,
+            ..
+        } = means(views);
+        Ok(OnTraining {
+            photos: views.len() as u64,
+            psnr,
+            psnr_paper,
+            ssim,
+        })
+    }
+
+    fn at(&self, index: usize, count: usize, named: &NamedFrame<'_>) {
+        let note = format!("judging {}", named.name);
+        self.ctx.progress.at(index as u64, count as u64, &note);
+    }
+
+    /// Returns how a photo was judged before, or judges it.
+    fn judged(
+        &mut self,
+        named: &NamedFrame<'_>,
+        judge: impl FnOnce(&Judging<'_>) -> Result<Judged, StageError>,
+    ) -> Result<Judged, StageError> {
+        let judging = Judging {
+            ctx: self.ctx,
+            of: digest_of(&(self.of, &named.name)),
+            field: self.field,
+            photos: self.photos,
+        };
+        self.journal.piece(
+            |bytes| known(judging.ctx, bytes),
+            || {
+                let judged = judge(&judging)?;
                 let bytes = serde_json::to_vec(&judged);
                 Ok((judged, bytes.map_err(|error| StageError::new(error.to_string()))?))
             },
-        )?;
-        outputs.extend(judged.pictures);
-        views.push(judged.scores);
+        )
     }
-    Ok(means(views))
 }
 
 /// Reads a photo that was compared, if its pictures are still stored.
@@ -70,22 +136,31 @@ fn known(ctx: &Ctx<'_>, bytes: &[u8]) -> Option<Judged> {
     stored.then_some(judged)
 }
 
-/// Compares one photo with the render of its view.
-fn judge(
-    ctx: &Ctx<'_>,
+/// What a photo is judged with.
+struct Judging<'a> {
+    ctx: &'a Ctx<'a>,
     of: Digest,
-    field: &Field,
-    photos: &PhotoReader<'_>,
-    named: &NamedFrame<'_>,
-) -> Result<Judged, StageError> {
-    let photo = &photos.read(named.frame)?;
-    let pose = &named.frame.cam_from_world;
-    let render = render_view(ctx, of, field, &photo.camera, pose)?.to_image();
-    let scores = compare(named, &render, photo)?;
-    let (name, mut pictures) = (&named.name, BTreeMap::new());
-    put_png(ctx, &mut pictures, format!("{HELDOUT}{name}.png"), &render)?;
-    put_png(ctx, &mut pictures, format!("{PHOTO}{name}.png"), &photo.image)?;
-    Ok(Judged { scores, pictures })
+    field: &'a Field,
+    photos: &'a PhotoReader<'a>,
+}
+
+impl Judging<'_> {
+    /// Compares one photo with the render of its view, and stores both pictures.
+    fn stored(&self, named: &NamedFrame<'_>) -> Result<Judged, StageError> {
+        let photo = &self.photos.read(named.frame)?;
+        let pose = &named.frame.cam_from_world;
+        let render = render_view(self.ctx, self.of, self.field, &photo.camera, pose)?.to_image();
+        let scores = compare(named, &render, photo)?;
+        let (name, mut pictures) = (&named.name, BTreeMap::new());
+        put_png(self.ctx, &mut pictures, format!("{HELDOUT}{name}.png"), &render)?;
+        put_png(
+            self.ctx,
+            &mut pictures,
+            format!("{PHOTO}{name}.png"),
+            &photo.image,
+        )?;
+        Ok(Judged { scores, pictures })
+    }
 }
 
 /// Returns the mean PSNR over small photos, dB; nothing is stored.
@@ -97,11 +172,20 @@ pub(crate) fn mean_psnr(
     let mut sum = 0.0;
     for (named, photo) in probes {
         ctx.check()?;
-        let render = field.render(&photo.camera, &named.frame.cam_from_world);
-        let picture = render.map_err(field_failed)?.to_image();
-        sum += compare(named, &picture, photo)?.psnr;
+        sum += compare_view(field, named, photo)?.psnr;
     }
     Ok(sum / probes.len().max(1) as f64)
+}
+
+/// Renders the view of a photo and compares both.
+fn compare_view(
+    field: &Field,
+    named: &NamedFrame<'_>,
+    photo: &ScaledPhoto,
+) -> Result<PhotoScores, StageError> {
+    let render = field.render(&photo.camera, &named.frame.cam_from_world);
+    let picture = render.map_err(field_failed)?.to_image();
+    Ok(compare(named, &picture, photo)?)
 }
 
 /// Returns the scores of a render against its photo, without what its mask hides.
@@ -128,7 +212,7 @@ fn compare(
 }
 
 /// Returns the means over photos, with each photo's own scores.
-fn means(views: Vec<PhotoScores>) -> Scores {
+pub(crate) fn means(views: Vec<PhotoScores>) -> Scores {
     let mean = |value: fn(&PhotoScores) -> Option<f64>| {
         let values: Vec<f64> = views.iter().filter_map(value).collect();
         (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)

@@ -1,5 +1,5 @@
-use marf_scene::{Frame, Point, PosedPhoto, Scene, hold_out_places, picture_names};
-use marf_schema::train::Holdout;
+use marf_scene::{Frame, Point, PosedPhoto, Scene, folds, hold_out_places, picture_names};
+use marf_schema::train::{Fold, Holdout};
 
 use crate::{TrainError, random::random_u64};
 
@@ -27,20 +27,18 @@ pub(crate) fn named_frames(scene: &Scene) -> Vec<NamedFrame<'_>> {
     frames.map(|(frame, name)| NamedFrame { frame, name }).collect()
 }
 
-/// Splits the frames of a scene into those to train on and those to measure on.
+/// Splits the frames of a scene into those to train on and those to measure on: a fold of all, if one is given.
 ///
 /// # Errors
 /// Either side empty.
-pub(crate) fn split(scene: &Scene, holdout: Holdout) -> Result<Split<'_>, TrainError> {
-    let (test, others): (Vec<_>, Vec<_>) = named_frames(scene)
-        .into_iter()
-        .partition(|named| named.frame.held_out);
-    let split = match holdout {
-        Holdout::Test => Split {
-            training: others,
-            held_out: test,
-        },
-        Holdout::Validation => hold_out_by_place(others, &scene.points),
+pub(crate) fn split(scene: &Scene, holdout: Holdout, fold: Option<Fold>) -> Result<Split<'_>, TrainError> {
+    let frames = named_frames(scene);
+    let split = match (fold, holdout) {
+        (Some(_), _) | (None, Holdout::Test) => parted(frames, held_out(scene, fold)),
+        (None, Holdout::Validation) => {
+            let others = frames.into_iter().filter(|named| !named.frame.held_out);
+            hold_out_by_place(others.collect(), &scene.points)
+        }
     };
     let placed = scene.frames.len();
     if split.training.is_empty() {
@@ -57,13 +55,38 @@ pub(crate) fn split(scene: &Scene, holdout: Holdout) -> Result<Split<'_>, TrainE
 pub(crate) fn hold_out_by_place<'a>(frames: Vec<NamedFrame<'a>>, points: &[Point]) -> Split<'a> {
     let photos: Vec<PosedPhoto<'_>> = frames.iter().map(|named| named.frame.into()).collect();
     let is_held_out = hold_out_places(&photos, points, VALIDATION_EVERY);
-    let pairs = frames.into_iter().zip(is_held_out);
-    let (held_out, training): (Vec<_>, Vec<_>) = pairs.partition(|(_, is_held_out)| *is_held_out);
-    let frames = |pairs: Vec<(NamedFrame<'a>, bool)>| pairs.into_iter().map(|(named, _)| named).collect();
-    Split {
-        training: frames(training),
-        held_out: frames(held_out),
+    parted(frames, is_held_out)
+}
+
+/// Tells for each frame of a scene whether a fold holds it out, or `calibrate` does.
+pub(crate) fn held_out(scene: &Scene, fold: Option<Fold>) -> Vec<bool> {
+    match fold {
+        Some(fold) => fold_of_each(scene, fold.count)
+            .into_iter()
+            .map(|of| of == fold.index)
+            .collect(),
+        None => scene.frames.iter().map(|frame| frame.held_out).collect(),
     }
+}
+
+/// Returns the fold in which each frame of a scene is held out.
+pub(crate) fn fold_of_each(scene: &Scene, count: u32) -> Vec<u32> {
+    let photos: Vec<PosedPhoto<'_>> = scene.frames.iter().map(PosedPhoto::from).collect();
+    folds(&photos, &scene.points, count)
+}
+
+fn parted<'a>(frames: Vec<NamedFrame<'a>>, is_held_out: impl IntoIterator<Item = bool>) -> Split<'a> {
+    let mut split = Split {
+        training: Vec::new(),
+        held_out: Vec::new(),
+    };
+    for (frame, is_held_out) in frames.into_iter().zip(is_held_out) {
+        match is_held_out {
+            true => split.held_out.push(frame),
+            false => split.training.push(frame),
+        }
+    }
+    split
 }
 
 /// Returns how often each of `count` photos is drawn in `count` draws with replacement.
@@ -104,9 +127,9 @@ mod tests {
     #[test]
     fn validation_never_touches_the_test_photos() {
         let scene = scene(20, |index| index % 5 == 0);
-        let test = split(&scene, Holdout::Test).unwrap();
+        let test = split(&scene, Holdout::Test, None).unwrap();
         assert_eq!((test.training.len(), test.held_out.len()), (16, 4));
-        let validation = split(&scene, Holdout::Validation).unwrap();
+        let validation = split(&scene, Holdout::Validation, None).unwrap();
         // All 16 others stand in one place, which is split in groups of as many as are to be held out.
         assert_eq!((validation.training.len(), validation.held_out.len()), (14, 2));
         let all = validation.training.iter().chain(&validation.held_out);
@@ -114,9 +137,31 @@ mod tests {
     }
 
     #[test]
+    fn folds_hold_out_every_photo_once_those_of_the_final_metric_too() {
+        let scene = scene(20, |index| index % 5 == 0);
+        let mut held_out: Vec<String> = (0..4)
+            .flat_map(|index| {
+                let fold = Fold {
+                    index,
+                    count: 4,
+                    share: 1.0,
+                };
+                let split = split(&scene, Holdout::Test, Some(fold)).unwrap();
+                // All stand in one place, which is split in groups of four: one fold has two of them.
+                assert_eq!(split.training.len() + split.held_out.len(), 20);
+                assert!([4, 8].contains(&split.held_out.len()), "{}", split.held_out.len());
+                split.held_out.into_iter().map(|named| named.name)
+            })
+            .collect();
+        held_out.sort();
+        held_out.dedup();
+        assert_eq!(held_out.len(), 20);
+    }
+
+    #[test]
     fn an_empty_side_is_an_error_that_says_how_many_there_are() {
         let text = |scene: &Scene, holdout| {
-            let error = split(scene, holdout).unwrap_err();
+            let error = split(scene, holdout, None).unwrap_err();
             assert!(error.hint().is_some());
             error.to_string()
         };

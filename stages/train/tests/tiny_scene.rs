@@ -407,7 +407,7 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 6, "5809371870c3"),
+            ("train", 7, "dd25f0538d93"),
             ("evaluate", 5, "64a4fb0b4ada"),
             ("render", 5, "007f8129be59")
         ]

@@ -165,6 +165,11 @@ impl Input {
         })
     }
 
+    /// Runs another stage on the set.
+    pub fn outputs_of(&self, stage: &dyn Stage) -> Outputs {
+        self.outputs(stage, &self.harness.ctx(), None).unwrap()
+    }
+
     fn outputs(
         &self,
         stage: &dyn Stage,

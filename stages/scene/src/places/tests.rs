@@ -195,3 +195,35 @@ fn photos_of_one_place_have_its_number_and_others_another() {
     assert_eq!(twins, [0, 1, 2, 3, 4, 5]);
     assert!(places_of(&[], &[]).is_empty());
 }
+
+#[test]
+fn folds_hold_out_whole_places_each_about_as_many_and_in_any_order() {
+    let set = Set::pairs(12);
+    let fold_of = folds(&set.photos(), &[], 4);
+    for pair in fold_of.chunks(2) {
+        assert_eq!(
+            pair[0], pair[1],
+            "a stereo pair is held out together: {fold_of:?}"
+        );
+    }
+    for fold in 0..4 {
+        assert_eq!(fold_of.iter().filter(|of| **of == fold).count(), 6);
+    }
+    // Neighbours on the circle are not all in one fold.
+    assert!(fold_of.chunks(6).all(|part| part.iter().any(|of| *of != part[0])));
+    let reversed = folds(&set.of((0..24).rev()), &[], 4);
+    assert!(fold_of.iter().rev().eq(&reversed));
+}
+
+#[test]
+fn there_are_as_many_folds_as_places_and_none_is_empty() {
+    let set = Set::scattered(5);
+    for (count, expected) in [(0, 1), (1, 1), (2, 2), (5, 5), (9, 5), (u32::MAX, 5)] {
+        let fold_of = folds(&set.photos(), &[], count);
+        let mut found = fold_of.clone();
+        found.sort_unstable();
+        found.dedup();
+        assert_eq!(found, (0..expected).collect::<Vec<u32>>(), "{count}: {fold_of:?}");
+    }
+    assert!(folds(&[], &[], 4).is_empty());
+}

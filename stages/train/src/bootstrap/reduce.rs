@@ -72,7 +72,7 @@ pub(crate) fn reduce(
         .iter()
         .map(|child| child.read(ctx))
         .collect::<Result<Vec<train::Metrics>, _>>()?;
-    let training = split(&scene, metrics[0].holdout)?.training;
+    let training = split(&scene, metrics[0].holdout, metrics[0].fold)?.training;
     let photos = PhotoReader::new(ctx, &scene, metrics[0].scale);
     let views = map_views(&photos, params, &scene, &training, first)?;
     let flythrough = path::flythrough(&scene, params.frames, params.width);

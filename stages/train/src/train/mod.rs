@@ -11,7 +11,7 @@ use marf_scene::{PosedPhoto, Scene, TrainedPhotos};
 use marf_schema::{
     output::{HELDOUT, PHOTO, SCENE, STATE, WEIGHTS},
     pace::{PaceParams, Steps},
-    train::{Curve, Metrics, Setup, TrainParams},
+    train::{Curve, Holdout, Metrics, Setup, TrainParams},
     tune::BestParams,
 };
 use marf_stage::{
@@ -26,7 +26,7 @@ use crate::{
     io::read_scene,
     memory::MemoryPlan,
     photos::{PhotoReader, ScaledPhoto},
-    scoring::score_views,
+    scoring::Judge,
     split::{NamedFrame, Split, draws, split},
     views::{new_trainer, training_views},
 };
@@ -53,7 +53,7 @@ impl Define for Train {
     type Params = TrainParams;
     const NAME: &'static str = TrainParams::STAGE;
     const ABOUT: &'static str = "Trains a radiance field and measures it on held-out photos";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),
@@ -153,7 +153,7 @@ fn planned<S: Define, T>(
 ) -> Result<T, StageError> {
     let scene = read_scene(ctx, inputs)?;
     let settings = Settings::resolve(ctx, params, inputs, &scene, steps)?;
-    let split = split(&scene, settings.holdout)?;
+    let split = split(&scene, settings.holdout, settings.fold)?;
     let times = times(&split, params.resample);
     let from = inputs.optional(STATE).map(|digest| ctx.get(digest));
     let plan = Plan {
@@ -199,9 +199,13 @@ fn train_as_planned(
     let setup = settings.setup(plan.memory.run, &config, field.derived());
     outputs.put(ctx, &setup)?;
     let trained = TrainedPhotos::new(plan.scene, trained_on(split, times));
-    let held_out = &split.held_out;
+    let mut judge = Judge::new(ctx, plan.of, &field, photos);
     let metrics = Metrics {
-        scores: score_views(ctx, plan.of, &field, photos, &trained, held_out, &mut outputs)?,
+        scores: judge.held_out(&split.held_out, &trained, &mut outputs)?,
+        on_training: match plan.seen() {
+            Some(seen) => Some(judge.on_training(&seen)?),
+            None => None,
+        },
         steps: settings.steps,
         rays: log.rays,
         samples: log.samples,
@@ -210,6 +214,7 @@ fn train_as_planned(
         thinned: (plan.memory.run > 1).then_some(plan.memory.run),
         seed: params.seed,
         holdout: settings.holdout,
+        fold: settings.fold,
         train_photos: times.iter().filter(|times| **times > 0).count() as u64,
         held_out_photos: split.held_out.len() as u64,
         drawn: params.resample.map(|_| drawn(split, times)),
@@ -253,7 +258,17 @@ impl<'a> Begun<'a> {
     }
 }
 
-impl Plan<'_> {
+impl<'a> Plan<'a> {
+    /// Returns some of the photos that are trained on, where the photos of the final metric are held out.
+    fn seen(&self) -> Option<Vec<NamedFrame<'a>>> {
+        if self.settings.holdout != Holdout::Test || self.settings.fold.is_some() {
+            return None;
+        }
+        let used: Vec<&NamedFrame<'a>> = used(self.split, self.times).collect();
+        let seen = spread(used.len(), self.split.held_out.len());
+        Some(seen.map(|index| used[index].clone()).collect())
+    }
+
     /// Returns the run of this training until a step.
     fn run<'r>(&'r self, until: u64, curve_photos: &'r [(NamedFrame<'r>, ScaledPhoto)]) -> Run<'r> {
         Run {
@@ -311,6 +326,12 @@ impl Trained {
     }
 }
 
+/// Returns `wanted` indices below `count`, or all, evenly spaced.
+fn spread(count: usize, wanted: usize) -> impl Iterator<Item = usize> {
+    let wanted = wanted.min(count);
+    (0..wanted).map(move |index| (2 * index + 1) * count / (2 * wanted))
+}
+
 /// Returns how often each training photo is used.
 fn times(split: &Split<'_>, resample: Option<u64>) -> Vec<usize> {
     let count = split.training.len();
@@ -318,9 +339,14 @@ fn times(split: &Split<'_>, resample: Option<u64>) -> Vec<usize> {
 }
 
 /// Returns the training photos that are used.
-fn trained_on<'a>(split: &Split<'a>, times: &[usize]) -> Vec<PosedPhoto<'a>> {
+fn used<'s, 'a>(split: &'s Split<'a>, times: &'s [usize]) -> impl Iterator<Item = &'s NamedFrame<'a>> {
     let used = split.training.iter().zip(times).filter(|(_, times)| **times > 0);
-    used.map(|(named, _)| named.frame.into()).collect()
+    used.map(|(named, _)| named)
+}
+
+/// Returns where the training photos that are used were taken.
+fn trained_on<'a>(split: &Split<'a>, times: &[usize]) -> Vec<PosedPhoto<'a>> {
+    used(split, times).map(|named| named.frame.into()).collect()
 }
 
 /// Returns the ids of the training photos, each as often as it is used.

@@ -2,7 +2,7 @@
 
 use marf_field::{Config, Derived, Overrides};
 use marf_scene::Scene;
-use marf_schema::train::{Fit, Holdout, Memory, Setup, TrainParams};
+use marf_schema::train::{Fit, Fold, Holdout, Memory, Setup, TrainParams};
 use marf_stage::{Ctx, Document, Inputs, StageError};
 
 use crate::{
@@ -18,6 +18,7 @@ pub(super) struct Settings {
     pub scale: u32,
     pub memory: Memory,
     pub holdout: Holdout,
+    pub fold: Option<Fold>,
     pub fit: Fit,
     /// Keys of the field that are set: trials leave them as they are.
     pub keys: Overrides,
@@ -44,10 +45,10 @@ impl Settings {
     ) -> Result<Self, StageError> {
         if let Some(digest) = inputs.optional(Setup::OUTPUT) {
             let setup = Setup::decode(&ctx.get(digest)?);
-            return Ok(Self::of(
-                setup.map_err(|error| TrainError::Setup(error.to_string()))?,
-            ));
+            let setup = setup.map_err(|error| TrainError::Setup(error.to_string()))?;
+            return Ok(Self::of(setup, params.fold));
         }
+        let steps = params.fold.map_or(steps, |fold| fold.steps_of(steps));
         let keys = field_keys(ctx, inputs, &params.field)?;
         let side_px = params.quality.longest_side_px();
         Ok(Self {
@@ -55,6 +56,7 @@ impl Settings {
             scale: params.scale.unwrap_or_else(|| scale_to(side_px, scene)),
             memory: params.memory,
             holdout: params.holdout,
+            fold: params.fold,
             fit: params.fit,
             config: field_config(&keys, params.quality, params.fit, steps)?,
             keys,
@@ -62,15 +64,21 @@ impl Settings {
         })
     }
 
-    fn of(setup: Setup) -> Self {
+    /// Takes over a setup; a fold trains its share of the steps, with step size and length of steps along rays to match.
+    fn of(setup: Setup, fold: Option<Fold>) -> Self {
+        let steps = fold.map_or(setup.steps, |fold| fold.steps_of(setup.steps));
         Self {
-            steps: setup.steps,
+            steps,
             scale: setup.scale,
             memory: setup.memory,
             holdout: setup.holdout,
+            fold: fold.or(setup.fold),
             fit: setup.fit,
             keys: Overrides::default(),
-            config: setup.config,
+            config: Config {
+                steps: Some(steps),
+                ..setup.config
+            },
             given: Some(Given {
                 kept_every: setup.kept_every,
                 derived: setup.derived,
@@ -95,6 +103,7 @@ impl Settings {
             kept_every,
             memory: self.memory,
             holdout: self.holdout,
+            fold: self.fold,
             fit: self.fit,
             config: config.clone(),
             derived,

@@ -1,0 +1,75 @@
+//! `masks`: parts of the picture that stand still while the camera moves, proposed as masks.
+
+use marf_stage::{Document, ParamError, Params};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Parameters of `masks`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct MasksParams {
+    /// Most photos of a camera that are compared, evenly from all.
+    pub photos: u32,
+}
+
+impl Default for MasksParams {
+    fn default() -> Self {
+        Self { photos: 40 }
+    }
+}
+
+impl Params for MasksParams {
+    const STAGE: &'static str = "masks";
+}
+
+impl MasksParams {
+    /// Checks what can be checked without photos.
+    ///
+    /// # Errors
+    /// Names the key that is out of range.
+    pub fn check(&self) -> Result<(), ParamError> {
+        match self.photos {
+            0..4 => {
+                let message = format!(
+                    "{} photos have too few pairs to tell what stands still; at least 4",
+                    self.photos
+                );
+                Err(ParamError::new("photos", message))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Output `metrics` of `masks`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Metrics {
+    /// Every camera, by name.
+    pub cameras: Vec<CameraReport>,
+}
+
+/// What was found in the photos of one camera: those of one instrument and size.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CameraReport {
+    /// Name of its files: `<instrument>-<width>x<height>`, or the size alone.
+    pub name: String,
+    /// Pixels a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Photos of the set.
+    pub photos: u64,
+    /// Pairs of photos that were compared.
+    pub pairs: u32,
+    /// ... between which the camera has moved.
+    pub moved: u32,
+    /// Share of the picture that stands still and is not masked; 0 where nothing was found or nothing can be said.
+    pub share: f64,
+    /// What was found, as a sentence.
+    pub found: String,
+}
+
+impl Document for Metrics {
+    const STAGE: &'static str = MasksParams::STAGE;
+    const OUTPUT: &'static str = "metrics";
+}
