@@ -1,4 +1,4 @@
-//! Line charts as SVG: ticks at round numbers, a grid, one line.
+//! Line charts as SVG: ticks at round numbers, a grid, a line or some with a legend.
 
 use maud::{Markup, html};
 
@@ -20,7 +20,10 @@ pub(super) enum Scale {
     Log,
 }
 
-/// A chart of one line.
+/// A line: its name, empty where it is the only one, and its points by x; those that are not finite are left out.
+pub(super) type Line<'a> = (&'a str, Vec<(f64, f64)>);
+
+/// A chart.
 pub(super) struct Chart<'a> {
     /// What it shows, for screen readers.
     pub(super) title: &'a str,
@@ -30,18 +33,28 @@ pub(super) struct Chart<'a> {
     pub(super) y_label: &'a str,
     /// Scale of y.
     pub(super) scale: Scale,
-    /// Points by x; those that are not finite are left out.
-    pub(super) points: Vec<(f64, f64)>,
+    /// Its lines, at most four, which differ by colour and dashes.
+    pub(super) lines: Vec<Line<'a>>,
 }
 
 impl Chart<'_> {
     /// Draws the chart, or a sentence that there is nothing to draw.
     pub(super) fn drawn(&self) -> Markup {
-        let points: Vec<(f64, f64)> = self
-            .points
+        let drawable = |points: &[(f64, f64)]| -> Vec<(f64, f64)> {
+            points
+                .iter()
+                .copied()
+                .filter(|point| self.can_draw(*point))
+                .collect()
+        };
+        let lines: Vec<Line<'_>> = self
+            .lines
             .iter()
-            .copied()
-            .filter(|point| self.can_draw(*point))
+            .map(|(name, points)| (*name, drawable(points)))
+            .collect();
+        let points: Vec<(f64, f64)> = lines
+            .iter()
+            .flat_map(|(_, points)| points.iter().copied())
             .collect();
         if points.is_empty() {
             return html! { p.missing { (self.title) ": no value is recorded." } };
@@ -53,7 +66,6 @@ impl Chart<'_> {
         };
         let x_of = |x: f64| LEFT + share(x, &x_ticks, Scale::Linear) * (WIDTH - LEFT - RIGHT);
         let y_of = |y: f64| HEIGHT - BOTTOM - share(y, &y_ticks, self.scale) * (HEIGHT - TOP - BOTTOM);
-        let places: Vec<(f64, f64)> = points.iter().map(|(x, y)| (x_of(*x), y_of(*y))).collect();
         html! {
             svg.chart viewBox={ "0 0 " (px(WIDTH)) " " (px(HEIGHT)) } width=(px(WIDTH)) height=(px(HEIGHT))
                 role="img" aria-label=(self.title) {
@@ -62,10 +74,15 @@ impl Chart<'_> {
                 text.label x=(px((LEFT + WIDTH - RIGHT) / 2.0)) y=(px(HEIGHT - 6.0)) text-anchor="middle" { (self.x_label) }
                 text.label transform={ "translate(13 " (px((TOP + HEIGHT - BOTTOM) / 2.0)) ") rotate(-90)" }
                     text-anchor="middle" { (self.y_label) }
-                polyline points=(polyline(&places)) {}
-                @for ((x, y), (at_x, at_y)) in points.iter().zip(&places) {
-                    circle cx=(px(*at_x)) cy=(px(*at_y)) r="3" {
-                        title { (self.x_label) " " (number(*x)) ", " (self.y_label) " " (number(*y)) }
+                @for (index, (name, points)) in lines.iter().enumerate() {
+                    g class={ "line" (index) } {
+                        polyline points=(polyline(points.iter().map(|(x, y)| (x_of(*x), y_of(*y))))) {}
+                        @for (x, y) in points {
+                            circle cx=(px(x_of(*x))) cy=(px(y_of(*y))) r="3" {
+                                title { (name) " " (self.x_label) " " (number(*x)) ", " (self.y_label) " " (number(*y)) }
+                            }
+                        }
+                        @if !name.is_empty() { (legend(index, name)) }
                     }
                 }
             }
@@ -91,11 +108,18 @@ fn x_tick(value: f64, x: f64) -> Markup {
     }
 }
 
-fn polyline(places: &[(f64, f64)]) -> String {
-    let texts: Vec<String> = places
-        .iter()
-        .map(|(x, y)| format!("{},{}", px(*x), px(*y)))
-        .collect();
+/// A piece of the line and its name, at the right above.
+fn legend(index: usize, name: &str) -> Markup {
+    let y = TOP + 12.0 + 18.0 * index as f64;
+    let (end, begin) = (WIDTH - RIGHT - 8.0, WIDTH - RIGHT - 38.0);
+    html! {
+        polyline points=(polyline([(begin, y), (end, y)].into_iter())) {}
+        text.tick x=(px(begin - 6.0)) y=(px(y + 4.0)) text-anchor="end" { (name) }
+    }
+}
+
+fn polyline(places: impl Iterator<Item = (f64, f64)>) -> String {
+    let texts: Vec<String> = places.map(|(x, y)| format!("{},{}", px(x), px(y))).collect();
     texts.join(" ")
 }
 
@@ -234,17 +258,63 @@ mod tests {
     #[test]
     fn a_chart_leaves_out_what_it_cannot_draw() {
         let points = vec![(0.0, f64::NAN), (1.0, 0.0), (2.0, -1.0), (3.0, 0.5)];
-        let chart = |points, scale| Chart {
+        let chart = |points: Vec<(f64, f64)>, scale| Chart {
             title: "loss",
             x_label: "step",
             y_label: "loss",
             scale,
-            points,
+            lines: vec![("", points)],
         };
         let drawn = chart(points, Scale::Log).drawn().into_string();
         assert_eq!(drawn.matches("<circle").count(), 1, "{drawn}");
         assert!(!drawn.contains("NaN"), "{drawn}");
         let empty = chart(vec![(f64::NAN, 1.0)], Scale::Linear).drawn().into_string();
         assert!(empty.contains("no value is recorded"), "{empty}");
+    }
+
+    #[test]
+    fn lines_share_their_axes_and_have_names() {
+        let line = |top: f64| vec![(0.0, 0.0), (1.0, top)];
+        let chart = Chart {
+            title: "shares",
+            x_label: "stated",
+            y_label: "inside",
+            scale: Scale::Linear,
+            lines: vec![("found", line(0.5)), ("<ideal>", line(1.0))],
+        };
+        let drawn = chart.drawn().into_string();
+        assert_eq!(
+            drawn.matches("<polyline").count(),
+            4,
+            "two lines and their legend: {drawn}"
+        );
+        assert!(
+            drawn.contains("&lt;ideal&gt;") && drawn.contains("line1"),
+            "{drawn}"
+        );
+        let highest = |class: &str| {
+            drawn
+                .split(class)
+                .nth(1)
+                .unwrap()
+                .split("points=\"")
+                .nth(1)
+                .unwrap()
+                .split(' ')
+                .nth(1)
+                .unwrap()
+        };
+        let height = |point: &str| {
+            point
+                .split(&[',', '"'][..])
+                .nth(1)
+                .unwrap()
+                .parse::<f64>()
+                .unwrap()
+        };
+        assert!(
+            height(highest("line0")) > height(highest("line1")),
+            "0.5 lies below 1"
+        );
     }
 }

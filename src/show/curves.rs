@@ -94,10 +94,13 @@ fn curves(page: &Page<'_>, node: &NodeView) -> Markup {
         x_label: "step",
         y_label: label,
         scale,
-        points: points
-            .iter()
-            .map(|point| (point.step as f64, value(point)))
-            .collect(),
+        lines: vec![(
+            "",
+            points
+                .iter()
+                .map(|point| (point.step as f64, value(point)))
+                .collect(),
+        )],
     };
     html! {
         div.charts {

@@ -167,6 +167,12 @@ pub(super) fn spread(names: Vec<String>) -> bootstrap::Metrics {
         out_of_bag: None,
         heldout: Some(bootstrap::HeldOut {
             mean: photo.clone(),
+            sparsification: bootstrap::SparsificationCurves {
+                removed: vec![0.0, 0.5, 0.95],
+                by_std: vec![0.02, 0.012, 0.004],
+                by_total: vec![0.02, 0.013, 0.005],
+                best: vec![0.02, 0.006, 0.0],
+            },
             psnr_members_mean: 25.0,
             coverage: coverage(0.55, 0.81, 0.9),
             coverage_nominal: coverage(0.68, 0.95, 0.997),
@@ -185,6 +191,7 @@ fn intervals(floor: f64) -> bootstrap::Calibration {
         factor90: 2.6,
         ece: 0.02,
         ece_range: [0.01, 0.04],
+        inside: (1..20).map(|share| f64::from(share) * 0.049).collect(),
         coverage90: 0.9,
         coverage90_range: [0.86, 0.93],
         places: 5,

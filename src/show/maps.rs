@@ -7,6 +7,7 @@ use marf_schema::bootstrap::{Calibration, HeldOut, Metrics, ViewReport};
 use marf_schema::output;
 use maud::{Markup, html};
 
+use super::axis::{Chart, Scale};
 use super::embed::Form;
 use super::format::{count, decibels, number};
 use super::input::NodeView;
@@ -69,7 +70,7 @@ fn reliability(metrics: &Metrics) -> Markup {
         table.facts {
             @for (name, value) in spread(metrics) { tr { th scope="row" { (name) } td.number { (number(value)) } } }
         }
-        @if let Some(held_out) = &metrics.heldout { (intervals(held_out)) }
+        @if let Some(held_out) = &metrics.heldout { (intervals(held_out)) (curves(held_out)) }
         (members(metrics))
         details { summary { "all metrics" } (json::fields(&alone)) }
     }
@@ -122,6 +123,55 @@ fn intervals(held_out: &HeldOut) -> Markup {
         @match &held_out.depth_calibration {
             Some(depth) => (told(depth, "the depth", format!("{} % of it", number(depth.floor * 100.0)))),
             None => p { "No interval of the depth: it takes 100 sparse points in photos of two places that are held out." },
+        }
+    }
+}
+
+/// What is left of the error without the most uncertain pixels, and how many errors lie inside what the intervals state.
+fn curves(held_out: &HeldOut) -> Markup {
+    let curves = &held_out.sparsification;
+    let line = |values: &[f64]| -> Vec<(f64, f64)> {
+        let levels = values.iter().map(|value| value * 255.0);
+        curves
+            .removed
+            .iter()
+            .map(|share| share * 100.0)
+            .zip(levels)
+            .collect()
+    };
+    let everything = curves.by_std.first().copied().unwrap_or(0.0);
+    let sparsification = Chart {
+        title: "Mean error without the most uncertain pixels",
+        x_label: "most uncertain pixels taken away, %",
+        y_label: "mean error, gray levels",
+        scale: Scale::Linear,
+        lines: vec![
+            ("by standard deviation", line(&curves.by_std)),
+            ("by total deviation", line(&curves.by_total)),
+            ("best order", line(&curves.best)),
+            ("random order", line(&vec![everything; curves.removed.len()])),
+        ],
+    };
+    let inside = |calibration: Option<&Calibration>| -> Vec<(f64, f64)> {
+        let shares = calibration.map_or(&[][..], |calibration| &calibration.inside);
+        let stated = (1..=shares.len()).map(|twentieth| twentieth as f64 * 5.0);
+        stated.zip(shares.iter().map(|share| share * 100.0)).collect()
+    };
+    let reliability = Chart {
+        title: "Errors inside intervals",
+        x_label: "stated share, %",
+        y_label: "errors inside, %",
+        scale: Scale::Linear,
+        lines: vec![
+            ("gray levels", inside(held_out.calibration.as_ref())),
+            ("depth", inside(held_out.depth_calibration.as_ref())),
+            ("as stated", vec![(0.0, 0.0), (100.0, 100.0)]),
+        ],
+    };
+    html! {
+        div.charts {
+            (sparsification.drawn())
+            @if held_out.calibration.is_some() { (reliability.drawn()) }
         }
     }
 }

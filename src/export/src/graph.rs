@@ -67,7 +67,7 @@ struct Context<'a> {
     ids: BTreeMap<Digest, &'a str>,
     by_path: BTreeMap<&'a str, &'a str>,
     tools: Tools,
-    /// Nodes whose outputs no node outside of them reads.
+    /// Nodes whose outputs no other node was given.
     terminal: BTreeSet<&'a str>,
 }
 
@@ -126,17 +126,13 @@ impl<'a> Context<'a> {
     }
 }
 
-/// Returns the nodes without a parent that nothing reads but themselves and their children.
+/// Returns the nodes without a parent that no other such node is given the outputs of. What counts is who was connected to whom, not
+/// who read the same bytes: a training passes its scene on, which other trainings read of `calibrate`.
 fn terminal<'a>(input: &GraphInput<'a>) -> BTreeSet<&'a str> {
     let nodes = || input.run.nodes.iter().filter(|node| node.parent.is_none());
-    let is_read = |node: &&Node| {
-        let outputs: BTreeSet<Digest> = node.outputs.values().map(|output| output.digest).collect();
-        let others = nodes().filter(|other| other.name != node.name);
-        let mut actions = others.filter_map(|other| input.contents.actions.get(&other.key));
-        actions.any(|action| action.inputs.values().any(|digest| outputs.contains(digest)))
-    };
-    nodes()
-        .filter(|node| !is_read(node))
-        .map(|node| node.name.as_str())
-        .collect()
+    let given: BTreeSet<&str> = nodes()
+        .flat_map(|node| node.upstream.iter().map(String::as_str))
+        .collect();
+    let names = nodes().map(|node| node.name.as_str());
+    names.filter(|name| !given.contains(name)).collect()
 }

@@ -39,6 +39,8 @@ pub struct Node {
     pub name: String,
     /// The node whose child it is.
     pub parent: Option<String>,
+    /// The nodes whose outputs it was given.
+    pub upstream: Vec<String>,
     /// Key of the result: the digest of its action.
     pub key: Digest,
     /// What it made, by name.
@@ -94,6 +96,7 @@ impl Run {
             Ok(Node {
                 name: node.name.clone(),
                 parent: node.parent.clone(),
+                upstream: node.edges.iter().map(|edge| edge.upstream.clone()).collect(),
                 key: key.ok_or_else(|| unfinished(format!("`{}` has none", node.name)))?,
                 outputs: outputs.collect(),
                 origins: Vec::new(),

@@ -3,8 +3,11 @@
 //!
 //! `calibrate` resamples photos to ideal pinholes, so a pixel of a map is looked up in the true photo by its ray.
 
+mod maps;
+
 use std::{error::Error, fs, io::Write, path::Path};
 
+use maps::array;
 use marf_demo::{Demo, DemoOptions};
 use marf_scene::Camera;
 use nalgebra::Vector2;
@@ -90,32 +93,4 @@ fn main() -> Result<(), Box<dyn Error>> {
 /// Returns the sol of a product id such as `ZL0_0003_..`.
 fn sol_of(name: &str) -> Option<u32> {
     name.get(4..8)?.parse().ok()
-}
-
-/// An array of f32 in rows.
-struct Array {
-    columns: u32,
-    values: Vec<f32>,
-}
-
-/// Reads an array as `bootstrap` writes it: a header of whole blocks of 64 bytes, then f32 LE.
-fn array(path: &Path) -> Result<Array, Box<dyn Error>> {
-    let bytes = fs::read(path)?;
-    let length = bytes.get(8..10).ok_or("no array")?;
-    let (header, values) = bytes.split_at(10 + usize::from(u16::from_le_bytes([length[0], length[1]])));
-    let header = String::from_utf8_lossy(header);
-    let shape = header
-        .split_once("'shape': (")
-        .and_then(|(_, shape)| shape.split_once(",)"));
-    let (shape, _) = shape.ok_or_else(|| format!("{}: no shape", path.display()))?;
-    let columns = shape.rsplit(", ").next().ok_or("no columns")?.parse()?;
-    let values = values
-        .as_chunks::<4>()
-        .0
-        .iter()
-        .map(|value| f32::from_le_bytes(*value));
-    Ok(Array {
-        columns,
-        values: values.collect(),
-    })
 }

@@ -394,6 +394,8 @@ pub struct HeldOut {
     /// Means of [`PhotoReport`] over photos, `spearman` as the median.
     #[serde(flatten)]
     pub mean: PhotoReport,
+    /// Errors that are left when the most uncertain pixels are taken away.
+    pub sparsification: SparsificationCurves,
     /// Mean of the members' own PSNR, dB: what averaging gains is the difference.
     pub psnr_members_mean: f64,
     /// Share of pixels whose error lies within the spread.
@@ -407,6 +409,19 @@ pub struct HeldOut {
     /// The 90 % interval of the depth, as shares of the depth, from the sparse points that the photos show; none with fewer than two
     /// places or 100 points.
     pub depth_calibration: Option<Calibration>,
+}
+
+/// Mean absolute error of gray, sRGB in [0, 1], of the pixels that are left; mean over photos, one value for each of `removed`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SparsificationCurves {
+    /// Shares of the pixels that are taken away.
+    pub removed: Vec<f64>,
+    /// Those with the largest standard deviation first.
+    pub by_std: Vec<f64>,
+    /// Those with the largest total deviation first.
+    pub by_total: Vec<f64>,
+    /// Those with the largest error first: no order is better.
+    pub best: Vec<f64>,
 }
 
 /// Shares of pixels whose error is at most 1, 2 and 3 standard deviations.
@@ -436,6 +451,8 @@ pub struct Calibration {
     pub ece: f64,
     /// Least and largest of a place.
     pub ece_range: [f64; 2],
+    /// Share of the errors at the place left out that intervals of nominal shares 0.05, 0.10, .. 0.95 hold; mean over places.
+    pub inside: Vec<f64>,
     /// Share of the errors at the place left out that its 90 % interval covers; mean over places.
     pub coverage90: f64,
     /// Least and largest of a place.

@@ -104,6 +104,10 @@ impl World {
             children: BTreeMap::new(),
         };
         let key = self.put(&action.encode());
+        let edges: Vec<Value> = inputs
+            .iter()
+            .filter_map(|(key, digest)| Some(json!({"key": key, "upstream": self.maker(digest)?})))
+            .collect();
         let outputs = outputs.iter().map(|(name, digest)| {
             let bytes = self.objects.get(digest).map_or(0, Vec::len);
             ((*name).to_owned(), json!({"digest": digest, "bytes": bytes}))
@@ -111,9 +115,19 @@ impl World {
         let outputs: serde_json::Map<String, Value> = outputs.collect();
         self.nodes.push(json!({
             "name": name, "stage": action.stage, "parent": name.split_once('/').map(|(parent, _)| parent),
-            "edges": [], "key": key, "state": "finished", "reason": "never ran", "seconds": 2.5,
+            "edges": edges, "key": key, "state": "finished", "reason": "never ran", "seconds": 2.5,
             "started_unix_s": 1_000_000_001_u64, "outputs": outputs, "counts": {},
         }));
+    }
+
+    /// Returns the first node that made an output.
+    fn maker(&self, digest: &Digest) -> Option<String> {
+        let has = |node: &&Value| {
+            let outputs = node["outputs"].as_object().unwrap();
+            outputs.values().any(|output| output["digest"] == json!(digest))
+        };
+        let maker = self.nodes.iter().find(has)?;
+        Some(maker["name"].as_str().unwrap().to_owned())
     }
 
     /// Notes which files a source read.

@@ -45,6 +45,45 @@ fn a_crate_holds_and_the_same_run_gives_the_same_bytes() {
     assert!(names.contains(&photo), "{names:?}");
 }
 
+/// Two trainings of one set that pass it on, as trainings pass on their scene: neither was given what the other made.
+#[test]
+fn nodes_that_pass_on_what_they_read_are_results() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut world = world();
+    let kept = world.set(&KEPT);
+    for (name, weights) in [("train-60", "a minute"), ("train-300", "five")] {
+        let weights = world.put(weights.as_bytes());
+        world.node(
+            name,
+            serde_json::json!({"budget": weights}),
+            &[("photos", kept)],
+            &[("photos", kept), ("weights.bin", weights)],
+        );
+    }
+    let folder = world.write(dir.path(), &options());
+    assert_eq!(check(&folder).faults, Vec::<String>::new());
+    let graph: serde_json::Value =
+        serde_json::from_slice(&files(&folder)["data/ro-crate-metadata.json"]).unwrap();
+    let run = graph["@graph"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|entity| entity["@id"] == "#run")
+        .unwrap();
+    let results: Vec<&str> = run["result"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|id| id["@id"].as_str().unwrap())
+        .collect();
+    for node in ["fit", "train-60", "train-300"] {
+        assert!(
+            results.contains(&format!("outputs/{node}/weights.bin").as_str()),
+            "{node}: {results:?}"
+        );
+    }
+}
+
 #[test]
 fn a_crate_without_data_names_what_it_leaves_out() {
     let dir = tempfile::tempdir().unwrap();

@@ -101,9 +101,9 @@ pub(crate) fn calibrate(views: &[Errors], floors: &[f64]) -> Option<Calibration>
             views.iter().partition(|view| view.place == *place);
         check(&left_out, &self::fit(&others, floors)?)
     });
-    let checks: Vec<(f64, f64)> = checks.collect();
+    let checks: Vec<Check> = checks.collect();
     let count = checks.len().max(1) as f64;
-    let range = |value: fn(&(f64, f64)) -> f64| {
+    let range = |value: fn(&Check) -> f64| {
         let values = checks.iter().map(value);
         [
             values.clone().fold(f64::INFINITY, f64::min),
@@ -122,10 +122,13 @@ pub(crate) fn calibrate(views: &[Errors], floors: &[f64]) -> Option<Calibration>
         floor: fit.floor,
         t: fit.t,
         factor90: fit.factor90,
-        ece: checks.iter().map(|check| check.0).sum::<f64>() / count,
-        ece_range: range(|check| check.0),
-        coverage90: checks.iter().map(|check| check.1).sum::<f64>() / count,
-        coverage90_range: range(|check| check.1),
+        ece: checks.iter().map(Check::ece).sum::<f64>() / count,
+        ece_range: range(Check::ece),
+        inside: (0..Z.len())
+            .map(|at| checks.iter().map(|check| check.inside[at]).sum::<f64>() / count)
+            .collect(),
+        coverage90: checks.iter().map(|check| check.covered).sum::<f64>() / count,
+        coverage90_range: range(|check| check.covered),
         places: places.len() as u64,
         views: views.len() as u64,
         unseen_share: views.iter().map(|view| view.unseen_share).sum::<f64>() / views.len() as f64,
@@ -142,20 +145,32 @@ fn fit(views: &[&Errors], floors: &[f64]) -> Option<Fit> {
             t: score_within(&scores, ONE_SD)?,
             factor90: score_within(&scores, INSIDE)?,
         };
-        Some((calibration_error(&scores, fit.t), fit))
+        Some((calibration_error(&shares_inside(&scores, fit.t)), fit))
     });
     let best = fits.min_by(|a, b| a.0.total_cmp(&b.0));
     best.map(|(_, fit)| fit)
 }
 
-/// Returns calibration error and cover of the 90 % interval at views that were not fitted on; none without errors.
-fn check(views: &[&Errors], fit: &Fit) -> Option<(f64, f64)> {
+/// How intervals hold at views that they were not fitted on.
+struct Check {
+    /// Shares inside the intervals of [`Z`].
+    inside: Vec<f64>,
+    /// Share inside the 90 % interval.
+    covered: f64,
+}
+
+impl Check {
+    fn ece(&self) -> f64 {
+        calibration_error(&self.inside)
+    }
+}
+
+/// Returns how a fit holds at views that it has not seen; none without errors.
+fn check(views: &[&Errors], fit: &Fit) -> Option<Check> {
     let scores = scores(views, fit.floor);
-    (!scores.is_empty()).then(|| {
-        (
-            calibration_error(&scores, fit.t),
-            share_within(&scores, fit.factor90),
-        )
+    (!scores.is_empty()).then(|| Check {
+        inside: shares_inside(&scores, fit.t),
+        covered: share_within(&scores, fit.factor90),
     })
 }
 
@@ -174,14 +189,19 @@ fn share_within(sorted: &[f64], widths: f64) -> f64 {
     sorted.partition_point(|score| *score <= widths) as f64 / sorted.len().max(1) as f64
 }
 
-/// Returns the mean |share inside - nominal| over the nominal shares 0.05 to 0.95 of a normal distribution whose standard deviation is
-/// `t` spreads.
-fn calibration_error(sorted: &[f64], t: f64) -> f64 {
+/// Returns the shares of sorted scores inside the nominal shares 0.05 to 0.95 of a normal distribution whose standard deviation is `t`
+/// spreads.
+fn shares_inside(sorted: &[f64], t: f64) -> Vec<f64> {
+    Z.iter().map(|z| share_within(sorted, z * t)).collect()
+}
+
+/// Returns the mean |share inside - nominal|.
+fn calibration_error(inside: &[f64]) -> f64 {
     let nominal = (1..=Z.len()).map(|twentieth| twentieth as f64 / 20.0);
-    let gaps = Z
+    let gaps = inside
         .iter()
         .zip(nominal)
-        .map(|(z, nominal)| (share_within(sorted, z * t) - nominal).abs());
+        .map(|(inside, nominal)| (inside - nominal).abs());
     gaps.sum::<f64>() / Z.len() as f64
 }
 
@@ -252,6 +272,10 @@ mod tests {
         assert!((found.t - 2.0).abs() < 0.1, "{found:?}");
         assert!((found.factor90 - 3.3).abs() < 0.3, "{found:?}");
         assert!(found.ece < 0.03, "{found:?}");
+        assert!(
+            found.inside.is_sorted() && (found.inside[9] - 0.5).abs() < 0.05,
+            "{found:?}"
+        );
         assert!((found.coverage90 - 0.9).abs() < 0.03, "{found:?}");
         assert_eq!((found.places, found.views, found.unseen_share), (3, 3, 0.25));
         assert!(found.note.contains("only 3 places"), "{found:?}");

@@ -1,4 +1,6 @@
-use marf_schema::bootstrap::{Coverage, HeldOut, Member, Metrics, Mode, PhotoReport, ViewReport};
+use marf_schema::bootstrap::{
+    Coverage, HeldOut, Member, Metrics, Mode, PhotoReport, SparsificationCurves, ViewReport,
+};
 
 use super::{
     intervals::{DEPTH_FLOORS, Errors, GRAY_FLOORS, calibrate},
@@ -82,6 +84,7 @@ fn held_out(views: &[ViewStudy], members: &[Member]) -> Option<HeldOut> {
             ause_mae_total: mean_of(|photo| photo.ause_mae_total),
             spearman: ranks[(ranks.len() - 1) / 2],
         },
+        sparsification: mean_curves(&studies),
         psnr_members_mean: mean(members.iter().map(|member| member.psnr)),
         coverage: Coverage {
             sd1: over_pixels(|study| study.coverage.sd1),
@@ -93,6 +96,23 @@ fn held_out(views: &[ViewStudy], members: &[Member]) -> Option<HeldOut> {
         calibration: calibrate(&errors(|study| &study.gray), &GRAY_FLOORS),
         depth_calibration: calibrate(&errors(|study| &study.depth), &DEPTH_FLOORS),
     })
+}
+
+/// Returns the means of curves over photos.
+fn mean_curves(studies: &[(&HeldOutStudy, f64)]) -> SparsificationCurves {
+    let removed = studies
+        .first()
+        .map_or(Vec::new(), |(study, _)| study.curves.removed.clone());
+    let mean_of = |curve: fn(&SparsificationCurves) -> &Vec<f64>| {
+        let at = |index: usize| mean(studies.iter().map(|(study, _)| curve(&study.curves)[index]));
+        (0..removed.len()).map(at).collect()
+    };
+    SparsificationCurves {
+        by_std: mean_of(|curves| &curves.by_std),
+        by_total: mean_of(|curves| &curves.by_total),
+        best: mean_of(|curves| &curves.best),
+        removed,
+    }
 }
 
 #[cfg(test)]
@@ -170,6 +190,22 @@ mod tests {
         let Coverage { sd1, sd2, sd3 } = found.coverage;
         assert_eq!([sd1, sd2, sd3], [0.25, 0.5, 0.75]);
         assert_eq!(found.psnr_members_mean, 21.0);
+        let curves = &found.sparsification;
+        assert_eq!((curves.removed.len(), curves.removed[19]), (20, 0.95));
+        // All photos are the same: their mean is each of them. Without three of four pixels the least error is left.
+        let close = |found: f64, expected: f64| (found - expected).abs() < 2e-3;
+        assert!(
+            close(curves.best[0], 0.0925) && close(curves.by_std[0], 0.0925),
+            "{curves:?}"
+        );
+        assert!(close(curves.best[15], 0.0), "{curves:?}");
+        assert!(
+            curves
+                .best
+                .iter()
+                .zip(&curves.by_std)
+                .all(|(best, by)| best <= by)
+        );
         assert_eq!(
             (found.calibration, found.depth_calibration),
             (None, None),

@@ -7,9 +7,13 @@ pub(crate) enum Norm {
     Rmse,
 }
 
-/// Areas between the curve of the error that is left and that of the best order, over the larger of their maxima.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// Curves of the error that is left, and areas between that and the one of the best order, over the larger of their maxima.
+#[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Sparsification {
+    /// Error of the pixels that are left after each share is removed.
+    pub curve: Vec<f64>,
+    /// The same in the best order.
+    pub best: Vec<f64>,
     /// Pixels are removed by their uncertainty: 0 is a perfect order.
     pub ause: f64,
     /// Of a random order, whose curve is level at the mean error on average.
@@ -27,17 +31,19 @@ pub(crate) fn hundredths() -> Vec<f64> {
 /// pixels ⌊(1 - r) N + 0.5⌋ are kept, at least one. Ties keep the order of the pixels.
 /// Extremes: without an error anywhere the area is 0.
 pub(crate) fn sparsify(uncertainty: &[f32], error: &[f32], removed: &[f64], norm: Norm) -> Sparsification {
-    let by_uncertainty = curve(uncertainty, error, removed, norm);
-    let oracle = curve(error, error, removed, norm);
-    let random = vec![by_uncertainty.first().copied().unwrap_or(0.0); removed.len()];
+    let curve = left(uncertainty, error, removed, norm);
+    let best = left(error, error, removed, norm);
+    let random = vec![curve.first().copied().unwrap_or(0.0); removed.len()];
     Sparsification {
-        ause: area(&by_uncertainty, &oracle, removed),
-        ause_random: area(&random, &oracle, removed),
+        ause: area(&curve, &best, removed),
+        ause_random: area(&random, &best, removed),
+        curve,
+        best,
     }
 }
 
 /// Returns the mean error of the pixels left after each share is removed.
-fn curve(order_by: &[f32], error: &[f32], removed: &[f64], norm: Norm) -> Vec<f64> {
+fn left(order_by: &[f32], error: &[f32], removed: &[f64], norm: Norm) -> Vec<f64> {
     let mut order: Vec<usize> = (0..error.len()).collect();
     order.sort_by(|a, b| order_by[*a].total_cmp(&order_by[*b]).then(a.cmp(b)));
     let mut sums = vec![0.0];
@@ -121,7 +127,7 @@ mod tests {
 
     #[test]
     fn the_worked_example_of_sparsification_comes_out() {
-        let left = |order_by: &[f32]| curve(order_by, &ERROR, &QUARTERS, Norm::Mae);
+        let left = |order_by: &[f32]| super::left(order_by, &ERROR, &QUARTERS, Norm::Mae);
         for (found, expected) in left(&ERROR).into_iter().zip([0.0925, 0.06, 0.04, 0.0]) {
             close(found, expected, "by the error itself");
         }

@@ -1,7 +1,7 @@
 //! One viewpoint: its figures, its errors against a photo and sparse points, and how far its maps reach.
 
 use marf_scene::{Image, Point, Pose, Srgb, metrics::psnr, path::Viewpoint, picture::round_upper_limit};
-use marf_schema::bootstrap::{Coverage, PhotoReport, ViewReport};
+use marf_schema::bootstrap::{Coverage, PhotoReport, SparsificationCurves, ViewReport};
 use nalgebra::Vector3;
 
 use super::{
@@ -37,6 +37,7 @@ pub(crate) struct ViewStudy {
 /// What a photo that was held out says.
 #[derive(Debug)]
 pub(crate) struct HeldOutStudy {
+    pub curves: SparsificationCurves,
     pub coverage: Coverage,
     pub nll: f64,
     /// Of gray, sRGB in [0, 1].
@@ -79,11 +80,15 @@ pub(crate) fn study(
     let error = truth
         .map(|truth| errors(maps, truth.photo, truth.hidden))
         .unwrap_or_default();
-    let held_out = truth.map(|truth| held_out(place, maps, truth.place, &error, points));
+    let orders = truth.map(|_| Orders::new(maps, &error));
+    let held_out = truth.zip(orders.as_ref());
+    let held_out =
+        held_out.map(|(truth, orders)| self::held_out(place, maps, truth.place, (&error, orders), points));
     let report = ViewReport {
         place: truth.map(|truth| truth.place as u64),
         photo: truth
-            .map(|truth| photo_report(place, maps, truth, &error))
+            .zip(orders.as_ref())
+            .map(|(truth, orders)| photo_report(place, maps, truth, orders))
             .transpose()?,
         ..view_report(place, maps)
     };
@@ -152,34 +157,67 @@ fn view_report(place: &Viewpoint, maps: &Maps) -> ViewReport {
     }
 }
 
+/// How well the spread ranks the errors.
+struct Orders {
+    std: Sparsification,
+    std_rmse: Sparsification,
+    total: Sparsification,
+    spearman: f64,
+}
+
+impl Orders {
+    fn new(maps: &Maps, error: &[f32]) -> Self {
+        let (removed, errors) = (hundredths(), compared(error, error));
+        let by = |map: &[f32], norm| sparsify(&compared(map, error), &errors, &removed, norm);
+        Self {
+            std: by(&maps.std, Norm::Mae),
+            std_rmse: by(&maps.std, Norm::Rmse),
+            total: by(&maps.total, Norm::Mae),
+            spearman: spearman(&compared(&maps.std, error), &errors),
+        }
+    }
+
+    /// Returns the errors that are left, at every twentieth.
+    fn curves(&self) -> SparsificationCurves {
+        let twentieths = |values: &[f64]| values.iter().copied().step_by(5).collect();
+        SparsificationCurves {
+            removed: twentieths(&hundredths()),
+            by_std: twentieths(&self.std.curve),
+            by_total: twentieths(&self.total.curve),
+            best: twentieths(&self.std.best),
+        }
+    }
+}
+
 /// Returns how well the spread ranks the errors against a photo.
 fn photo_report(
     place: &Viewpoint,
     maps: &Maps,
     truth: &Truth<'_>,
-    error: &[f32],
+    orders: &Orders,
 ) -> Result<PhotoReport, TrainError> {
-    let removed = hundredths();
-    let errors = compared(error, error);
-    let by =
-        |map: &[f32], norm| -> Sparsification { sparsify(&compared(map, error), &errors, &removed, norm) };
-    let (mae, rmse) = (by(&maps.std, Norm::Mae), by(&maps.std, Norm::Rmse));
     let psnr = psnr(&mean_picture(maps), truth.photo, truth.hidden).map_err(|cause| TrainError::Picture {
         name: place.name.clone(),
         cause: cause.to_string(),
     })?;
     Ok(PhotoReport {
         psnr,
-        ause_mae: mae.ause,
-        ause_mae_random: mae.ause_random,
-        ause_rmse: rmse.ause,
-        ause_rmse_random: rmse.ause_random,
-        ause_mae_total: by(&maps.total, Norm::Mae).ause,
-        spearman: spearman(&compared(&maps.std, error), &errors),
+        ause_mae: orders.std.ause,
+        ause_mae_random: orders.std.ause_random,
+        ause_rmse: orders.std_rmse.ause,
+        ause_rmse_random: orders.std_rmse.ause_random,
+        ause_mae_total: orders.total.ause,
+        spearman: orders.spearman,
     })
 }
 
-fn held_out(place: &Viewpoint, maps: &Maps, number: usize, error: &[f32], points: &[Point]) -> HeldOutStudy {
+fn held_out(
+    place: &Viewpoint,
+    maps: &Maps,
+    number: usize,
+    (error, orders): (&[f32], &Orders),
+    points: &[Point],
+) -> HeldOutStudy {
     let local = locally(&maps.std, maps.width);
     let seen = (0..error.len()).filter(|pixel| error[*pixel] >= 0.0 && maps.is_seen(*pixel));
     let gray: Vec<(f32, f32)> = seen.map(|pixel| (local[pixel], error[pixel])).collect();
@@ -187,6 +225,7 @@ fn held_out(place: &Viewpoint, maps: &Maps, number: usize, error: &[f32], points
     let unseen_share = 1.0 - gray.len() as f64 / error.len().max(1) as f64;
     let within = |widths: f64| coverage(&std, &error, widths);
     HeldOutStudy {
+        curves: orders.curves(),
         coverage: Coverage {
             sd1: within(1.0),
             sd2: within(2.0),

@@ -1,0 +1,60 @@
+//! Compares the maps of two bootstraps of one scene that share no member, a JSON line a kind of map:
+//! `cargo run --release -p marf-demo --example map_correlation -- out/first/maps out/second/maps`.
+
+mod maps;
+
+use std::{error::Error, fs, io::Write, path::Path};
+
+use maps::array;
+use serde_json::json;
+
+const KINDS: [&str; 3] = ["std", "total", "depth-std"];
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut arguments = std::env::args().skip(1);
+    let mut folder = || arguments.next().ok_or("name two folders of maps");
+    let (first, second) = (folder()?, folder()?);
+    let mut stdout = std::io::stdout().lock();
+    for kind in KINDS {
+        let mut found = Vec::new();
+        for name in names(Path::new(&first), kind)? {
+            let file = format!("{name}-{kind}.npy");
+            let [a, b] = [&first, &second].map(|folder| array(&Path::new(folder).join(&file)));
+            found.push(correlation(&a?.values, &b?.values));
+        }
+        let mean = found.iter().sum::<f64>() / found.len().max(1) as f64;
+        let least = found.iter().copied().fold(f64::INFINITY, f64::min);
+        writeln!(
+            stdout,
+            "{}",
+            json!({"map": kind, "views": found.len(), "mean": mean, "least": least})
+        )?;
+    }
+    Ok(())
+}
+
+/// Returns the views that have a map of this kind; those of every kind have a map `coverage`.
+fn names(folder: &Path, kind: &str) -> Result<Vec<String>, Box<dyn Error>> {
+    let mut names = Vec::new();
+    for entry in fs::read_dir(folder)? {
+        let name = entry?.file_name().to_string_lossy().into_owned();
+        let view = name.strip_suffix("-coverage.npy").map(str::to_owned);
+        names.extend(view.filter(|view| folder.join(format!("{view}-{kind}.npy")).is_file()));
+    }
+    names.sort();
+    Ok(names)
+}
+
+/// Returns the correlation (Pearson) of two maps at the pixels that have a value in both: negative ones have none.
+fn correlation(a: &[f32], b: &[f32]) -> f64 {
+    let pairs = a.iter().zip(b).filter(|(a, b)| **a >= 0.0 && **b >= 0.0);
+    let pairs: Vec<(f64, f64)> = pairs.map(|(a, b)| (f64::from(*a), f64::from(*b))).collect();
+    let count = pairs.len().max(1) as f64;
+    let mean = |value: fn(&(f64, f64)) -> f64| pairs.iter().map(value).sum::<f64>() / count;
+    let (mean_a, mean_b) = (mean(|pair| pair.0), mean(|pair| pair.1));
+    let sums = pairs.iter().fold((0.0, 0.0, 0.0), |(ab, aa, bb), (a, b)| {
+        let (a, b) = (a - mean_a, b - mean_b);
+        (ab + a * b, aa + a * a, bb + b * b)
+    });
+    sums.0 / (sums.1 * sums.2).sqrt()
+}
