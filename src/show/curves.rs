@@ -18,7 +18,7 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
     let trained: Vec<&NodeView> = page.with_document::<Curve>().collect();
     let evaluated: Vec<&NodeView> = page.with_document::<evaluate::Metrics>().collect();
     let folds: Vec<&NodeView> = page.with_document::<folds::Metrics>().collect();
-    if trained.is_empty() && evaluated.is_empty() {
+    if trained.is_empty() && folds.is_empty() && evaluated.is_empty() {
         return page.absent("training curves or metrics");
     }
     html! {

@@ -267,7 +267,7 @@ fn what_stands_still_is_shown_with_the_way_to_hide_it() {
         store.document(&metrics),
         ("overlay/NAV-640x480.png", store.put_picture(90)),
     ];
-    let html = store.report(&[giving(node("found", &["blur"]), outputs)]);
+    let html = store.report(&[giving(node("masks", &["blur"]), outputs)]);
     check_balance(&html);
     for text in [
         "masks/NAV-640x480.png",

@@ -20,7 +20,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         for name in names(Path::new(&first), kind)? {
             let file = format!("{name}-{kind}.npy");
             let [a, b] = [&first, &second].map(|folder| array(&Path::new(folder).join(&file)));
-            found.push(correlation(&a?.values, &b?.values));
+            let (a, b) = (a?, b?);
+            if a.columns != b.columns || a.values.len() != b.values.len() {
+                return Err(format!("{file} has another size in the second folder").into());
+            }
+            found.push(correlation(&a.values, &b.values));
         }
         let mean = found.iter().sum::<f64>() / found.len().max(1) as f64;
         let least = found.iter().copied().fold(f64::INFINITY, f64::min);
