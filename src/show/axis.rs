@@ -10,6 +10,8 @@ const LEFT: f64 = 62.0;
 const RIGHT: f64 = 16.0;
 const TOP: f64 = 14.0;
 const BOTTOM: f64 = 42.0;
+/// Height of a row of the legend.
+const LEGEND_ROW: f64 = 18.0;
 
 /// How values become heights.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,14 +49,14 @@ impl Chart<'_> {
                 .filter(|point| self.can_draw(*point))
                 .collect()
         };
-        let lines: Vec<Line<'_>> = self
-            .lines
-            .iter()
-            .map(|(name, points)| (*name, drawable(points)))
+        let lines = self.lines.iter().map(|(name, points)| (*name, drawable(points)));
+        let lines: Vec<(usize, Line<'_>)> = lines
+            .enumerate()
+            .filter(|(_, (_, points))| !points.is_empty())
             .collect();
         let points: Vec<(f64, f64)> = lines
             .iter()
-            .flat_map(|(_, points)| points.iter().copied())
+            .flat_map(|(_, (_, points))| points.iter().copied())
             .collect();
         if points.is_empty() {
             return html! { p.missing { (self.title) ": no value is recorded." } };
@@ -66,15 +68,19 @@ impl Chart<'_> {
         };
         let x_of = |x: f64| LEFT + share(x, &x_ticks, Scale::Linear) * (WIDTH - LEFT - RIGHT);
         let y_of = |y: f64| HEIGHT - BOTTOM - share(y, &y_ticks, self.scale) * (HEIGHT - TOP - BOTTOM);
+        // The legend stands above the plot.
+        let named = lines.iter().filter(|(_, (name, _))| !name.is_empty()).count();
+        let legend_height = LEGEND_ROW * named as f64;
+        let (above, height) = (px(-legend_height), px(HEIGHT + legend_height));
         html! {
-            svg.chart viewBox={ "0 0 " (px(WIDTH)) " " (px(HEIGHT)) } width=(px(WIDTH)) height=(px(HEIGHT))
+            svg.chart viewBox={ "0 " (above) " " (px(WIDTH)) " " (height) } width=(px(WIDTH)) height=(height)
                 role="img" aria-label=(self.title) {
                 @for tick in &y_ticks { (y_tick(*tick, y_of(*tick))) }
                 @for tick in &x_ticks { (x_tick(*tick, x_of(*tick))) }
                 text.label x=(px((LEFT + WIDTH - RIGHT) / 2.0)) y=(px(HEIGHT - 6.0)) text-anchor="middle" { (self.x_label) }
                 text.label transform={ "translate(13 " (px((TOP + HEIGHT - BOTTOM) / 2.0)) ") rotate(-90)" }
                     text-anchor="middle" { (self.y_label) }
-                @for (index, (name, points)) in lines.iter().enumerate() {
+                @for (row, (index, (name, points))) in lines.iter().enumerate() {
                     g class={ "line" (index) } {
                         polyline points=(polyline(points.iter().map(|(x, y)| (x_of(*x), y_of(*y))))) {}
                         @for (x, y) in points {
@@ -82,7 +88,7 @@ impl Chart<'_> {
                                 title { (name) " " (self.x_label) " " (number(*x)) ", " (self.y_label) " " (number(*y)) }
                             }
                         }
-                        @if !name.is_empty() { (legend(index, name)) }
+                        @if !name.is_empty() { (legend(row, name)) }
                     }
                 }
             }
@@ -108,9 +114,9 @@ fn x_tick(value: f64, x: f64) -> Markup {
     }
 }
 
-/// A piece of the line and its name, at the right above.
-fn legend(index: usize, name: &str) -> Markup {
-    let y = TOP + 12.0 + 18.0 * index as f64;
+/// A piece of the line and its name, above the plot.
+fn legend(row: usize, name: &str) -> Markup {
+    let y = -LEGEND_ROW * (row as f64 + 0.5);
     let (end, begin) = (WIDTH - RIGHT - 8.0, WIDTH - RIGHT - 38.0);
     html! {
         polyline points=(polyline([(begin, y), (end, y)].into_iter())) {}
