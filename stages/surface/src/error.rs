@@ -26,8 +26,8 @@ pub enum SurfaceError {
         /// Photos looked from.
         photos: usize,
     },
-    /// A cell or a band that is no length.
-    #[error("cells of {cell} and a band of {band} are no lengths of a grid")]
+    /// A cell or a band that is no length, or far too short for where the scene lies.
+    #[error("cells of {cell} and a band of {band} make no grid for this scene")]
     Layout {
         /// Distance between samples, world units.
         cell: f64,

@@ -123,3 +123,131 @@ fn quartile(views: &[SurfaceView]) -> Option<f64> {
     let place = (widths.len() as f64 * FINER) as usize;
     (place < widths.len()).then(|| f64::from(*widths.select_nth_unstable_by(place, f32::total_cmp).1))
 }
+
+#[cfg(test)]
+mod tests {
+    use marf_scene::{Camera, Pose, Scene};
+    use nalgebra::{Vector2, Vector3};
+
+    use super::*;
+    use crate::{ExportFrame, glb, ply};
+
+    const WANTED: Wanted = Wanted {
+        cell: Some(0.05),
+        reach: None,
+        least_photos: 2,
+        most_spread: None,
+    };
+
+    /// Height of the floor, between samples of the grid.
+    const FLOOR: f64 = 0.017;
+
+    /// A camera 2 above the floor of the world (z up) that looks straight down; distances may be moved by an error of its own.
+    fn above(x: f64, error: f64) -> (SurfaceView, Observer) {
+        let camera = Camera::pinhole(80, 60, 60.0);
+        let eye = Vector3::new(x, 0.0, FLOOR + 2.0);
+        let pose = Pose::looking_at(eye, Vector3::new(x, 0.0, 0.0), Vector3::y());
+        let pixels = (0..60)
+            .flat_map(|row| (0..80).map(move |column| (f64::from(column) + 0.5, f64::from(row) + 0.5)));
+        let distance: Vec<f32> = pixels
+            .map(|(column, row)| {
+                let ray = camera.unproject(&Vector2::new(column, row)).unwrap();
+                (ray.norm() * (2.0 + error)) as f32
+            })
+            .collect();
+        let view = SurfaceView::new(camera, pose, &distance, vec![[0.2, 0.4, 0.6]; distance.len()]);
+        (view, Observer::new(camera, pose, &distance))
+    }
+
+    fn surface(of: &[(f64, f64)], wanted: Wanted) -> Result<Surface, SurfaceError> {
+        let (views, observers): (Vec<_>, Vec<_>) = of.iter().map(|(x, error)| above(*x, *error)).unzip();
+        extract(&views, &observers, wanted)
+    }
+
+    #[test]
+    fn a_floor_that_two_photos_see_comes_back_with_normals_up_and_ends_where_one_sees_it() {
+        let Surface { mesh, points, .. } = surface(&[(0.0, 0.0), (1.0, 0.0)], WANTED).unwrap();
+        assert!(mesh.triangles.len() > 500 && points.len() > 500);
+        for vertex in mesh.vertices.iter().chain(&points) {
+            assert!((vertex.position.z - FLOOR).abs() < 1e-3, "{}", vertex.position);
+            assert!((vertex.normal - Vector3::z()).norm() < 1e-2, "{}", vertex.normal);
+            // Each photo shows 4/3 to both sides: both show -1/3 to 4/3.
+            assert!((-0.34..=1.34).contains(&vertex.position.x), "{}", vertex.position);
+            assert_eq!(vertex.photos, 2);
+            assert!((vertex.color[2] - 0.6).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn photos_that_differ_more_than_allowed_leave_a_hole_and_tell_by_how_much() {
+        let of = [(0.0, 0.04), (0.0, -0.04)];
+        let narrow = Wanted {
+            most_spread: Some(0.03),
+            ..WANTED
+        };
+        assert_eq!(surface(&of, narrow).unwrap().mesh, Mesh::default());
+        let Surface { mesh, .. } = surface(&of, WANTED).unwrap();
+        assert!(!mesh.triangles.is_empty());
+        for vertex in &mesh.vertices {
+            assert!(
+                (vertex.position.z - FLOOR).abs() < 2e-3,
+                "in the middle: {}",
+                vertex.position
+            );
+            assert!((vertex.spread - 0.04).abs() < 2e-3, "{}", vertex.spread);
+        }
+    }
+
+    #[test]
+    fn nothing_seen_is_refused_and_one_photo_alone_leaves_nothing() {
+        let none = surface(&[], Wanted { cell: None, ..WANTED }).unwrap_err();
+        assert!(none.to_string().contains("no surface"), "{none}");
+        assert_eq!(surface(&[], WANTED).unwrap().mesh, Mesh::default());
+        assert_eq!(surface(&[(0.0, 0.0)], WANTED).unwrap().mesh, Mesh::default());
+    }
+
+    #[test]
+    fn cells_that_are_no_length_or_too_many_are_refused() {
+        for cell in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            let error = surface(
+                &[(0.0, 0.0)],
+                Wanted {
+                    cell: Some(cell),
+                    ..WANTED
+                },
+            )
+            .unwrap_err();
+            assert!(error.to_string().contains("no grid"), "{cell}: {error}");
+        }
+        let error = surface(
+            &[(0.0, 0.0)],
+            Wanted {
+                cell: Some(1e-3),
+                reach: Some(9.0),
+                ..WANTED
+            },
+        )
+        .unwrap_err();
+        assert!(error.to_string().contains("blocks"), "{error}");
+    }
+
+    #[test]
+    fn the_same_bytes_for_one_thread_and_three() {
+        let frame = ExportFrame::of(&Scene::default());
+        let with = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .unwrap();
+            pool.install(|| {
+                let found = surface(&[(0.0, 0.01), (0.4, -0.01), (1.0, 0.0)], WANTED).unwrap();
+                [
+                    ply::mesh(&found.mesh, &frame, &[]),
+                    ply::points(&found.points, &frame, &[]),
+                    glb::mesh(&found.mesh, &frame, "test"),
+                ]
+            })
+        };
+        assert!(with(1) == with(3));
+    }
+}

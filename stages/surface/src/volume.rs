@@ -1,6 +1,6 @@
 //! Signed distances to the surface on a sparse grid, averaged over the views.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -12,6 +12,9 @@ use crate::view::SurfaceView;
 pub const SIDE: usize = 8;
 /// Samples of a block.
 pub const SAMPLES: usize = SIDE * SIDE * SIDE;
+
+/// Blocks from the origin of the world at most: places of samples are whole numbers of 32 bits.
+const FARTHEST: f64 = 1e8;
 
 /// A sample's place on the grid.
 pub type Place = [i32; 3];
@@ -146,36 +149,46 @@ fn sample_place(block: &Place, index: usize) -> Place {
     [0, 1, 2].map(|axis| block[axis] * SIDE as i32 + step[axis] as i32)
 }
 
-/// Returns the blocks within a cell more than the band of any surface that is nearer than `reach` to its camera, sorted.
+/// Returns the blocks within a cell more than the band of any surface that is nearer than `reach` to its camera, sorted: around each pixel
+/// also half of what it covers of the surface, so that there is no gap between pixels that lie far apart on it.
 fn touched(views: &[SurfaceView], layout: Layout, reach: f64) -> Result<Vec<Place>, SurfaceError> {
     let side = layout.cell * SIDE as f64;
-    let around = layout.cell + layout.band;
-    let mut all: Vec<Place> = Vec::new();
+    let mut all: HashSet<Place> = HashSet::new();
     for view in views {
-        let of_point = |point: Vector3<f64>| {
+        let mut last = None;
+        for (point, patch, _) in view.points() {
+            if point.amax() / side > FARTHEST {
+                return Err(SurfaceError::Layout {
+                    cell: layout.cell,
+                    band: layout.band,
+                });
+            }
+            let distance = f64::from(patch.distance);
+            let around =
+                layout.cell + layout.band + 0.5 * distance * view.pixel_angle() / f64::from(patch.cosine);
             let block = |value: f64| (value / side).floor() as i32;
-            let (low, high) = (point.map(|x| block(x - around)), point.map(|x| block(x + around)));
-            (low.x..=high.x).flat_map(move |x| {
-                (low.y..=high.y).flat_map(move |y| (low.z..=high.z).map(move |z| [x, y, z]))
-            })
-        };
-        let near = view
-            .points()
-            .filter(|(_, patch, _)| f64::from(patch.distance) <= reach);
-        let mut of_view: Vec<Place> = near.flat_map(|(point, ..)| of_point(point)).collect();
-        of_view.par_sort_unstable();
-        of_view.dedup();
-        all.extend(of_view);
-        all.par_sort_unstable();
-        all.dedup();
-        if all.len() > layout.most_blocks {
-            return Err(SurfaceError::TooFine {
-                cell: layout.cell,
-                blocks: all.len(),
-                most: layout.most_blocks,
-            });
+            let range = (point.map(|x| block(x - around)), point.map(|x| block(x + around)));
+            // Neighbouring pixels mostly touch the same blocks.
+            if distance > reach || last.replace(range) == Some(range) {
+                continue;
+            }
+            let (low, high) = range;
+            for x in low.x..=high.x {
+                for y in low.y..=high.y {
+                    all.extend((low.z..=high.z).map(|z| [x, y, z]));
+                }
+            }
+            if all.len() > layout.most_blocks {
+                return Err(SurfaceError::TooFine {
+                    cell: layout.cell,
+                    blocks: all.len(),
+                    most: layout.most_blocks,
+                });
+            }
         }
     }
+    let mut all: Vec<Place> = all.into_iter().collect();
+    all.par_sort_unstable();
     Ok(all)
 }
 
