@@ -57,6 +57,9 @@ pub struct Triangles {
 /// An edge of the grid: its lower end and its axis.
 type Key = (Place, u8);
 
+/// A triangle: the edges of the grid on which its corners lie, and where.
+type Corners = [(Key, Vector3<f64>); 3];
+
 /// Returns the surface where the signed distances change from negative (inside) to positive. Cubes with a corner of which nothing is known
 /// (NaN) have none: the surface ends there.
 ///
@@ -66,7 +69,7 @@ type Key = (Place, u8);
 /// [`SurfaceError::NotFinite`] names a sample that is infinite; [`SurfaceError::TooLarge`] with more vertices than u32 can count.
 pub fn march(volume: &Volume) -> Result<Triangles, SurfaceError> {
     let of_blocks = volume.places().par_iter().map(|place| march_block(volume, place));
-    let of_blocks: Vec<Vec<[(Key, Vector3<f64>); 3]>> = of_blocks.collect::<Result<_, _>>()?;
+    let of_blocks: Vec<Vec<Corners>> = of_blocks.collect::<Result<_, _>>()?;
     let mut vertices: Vec<(Key, Vector3<f64>)> = of_blocks.iter().flatten().flatten().copied().collect();
     vertices.par_sort_unstable_by_key(|vertex| vertex.0);
     vertices.dedup_by_key(|vertex| vertex.0);
@@ -80,7 +83,7 @@ pub fn march(volume: &Volume) -> Result<Triangles, SurfaceError> {
             .binary_search_by_key(key, |vertex| vertex.0)
             .unwrap_or_default() as u32
     };
-    let corners: Vec<&[(Key, Vector3<f64>); 3]> = of_blocks.iter().flatten().collect();
+    let corners: Vec<&Corners> = of_blocks.iter().flatten().collect();
     let triangles = corners
         .par_iter()
         .map(|corners| corners.map(|(key, _)| number(&key)));
@@ -90,7 +93,7 @@ pub fn march(volume: &Volume) -> Result<Triangles, SurfaceError> {
     })
 }
 
-fn march_block(volume: &Volume, block: &Place) -> Result<Vec<[(Key, Vector3<f64>); 3]>, SurfaceError> {
+fn march_block(volume: &Volume, block: &Place) -> Result<Vec<Corners>, SurfaceError> {
     let samples = volume.with_border(block);
     let at = |step: [usize; 3]| samples[(step[2] * WIDE + step[1]) * WIDE + step[0]];
     let mut found = Vec::new();

@@ -161,7 +161,7 @@ impl MakeSurface {
         let scale = frame.scale();
         let comments = [
             format!("surface where the mean signed distance of {photos} views of the field is 0 (Curless and Levoy 1996)"),
-            format!("rays end at their mean depth where the field takes more than 0.9 of their light"),
+            "rays end at their mean depth where the field takes more than 0.9 of their light".to_owned(),
             format!("distance between samples: {}", surface.cell * scale),
             format!("least photos: {}; largest spread: {}", self.params.least_photos, surface.most_spread * scale),
             "photos: those that show the vertex; spread: root mean square of the views' distances, -1 of one view".to_owned(),

@@ -38,7 +38,7 @@ pub struct Volume {
     places: Vec<Place>,
     index: HashMap<Place, u32>,
     /// `[blocks][512]`, x fastest; signed distance in cells, positive before the surface; NaN where nothing is known.
-    blocks: Vec<Box<[f32; SAMPLES]>>,
+    blocks: Vec<[f32; SAMPLES]>,
 }
 
 impl Volume {
@@ -72,7 +72,7 @@ impl Volume {
             }
         }
         let of_block = |place: &Place| {
-            let mut samples = Box::new([f32::NAN; SAMPLES]);
+            let mut samples = [f32::NAN; SAMPLES];
             for (index, sample) in samples.iter_mut().enumerate() {
                 *sample = value(position(cell, sample_place(place, index)));
             }
@@ -82,7 +82,7 @@ impl Volume {
         Self::of(cell, places, blocks)
     }
 
-    fn of(cell: f64, places: Vec<Place>, blocks: Vec<Box<[f32; SAMPLES]>>) -> Self {
+    fn of(cell: f64, places: Vec<Place>, blocks: Vec<[f32; SAMPLES]>) -> Self {
         let numbered = places.iter().enumerate();
         Self {
             cell,
@@ -108,7 +108,7 @@ impl Volume {
         let mut samples = vec![f32::NAN; WIDE * WIDE * WIDE];
         for neighbour in 0..8 {
             let step = [neighbour & 1, neighbour >> 1 & 1, neighbour >> 2];
-            let at = [0, 1, 2].map(|axis| place[axis] + step[axis] as i32);
+            let at = [0, 1, 2].map(|axis| place[axis] + step[axis]);
             let Some(block) = self.index.get(&at).map(|index| &self.blocks[*index as usize]) else {
                 continue;
             };
@@ -192,7 +192,7 @@ fn touched(views: &[SurfaceView], layout: Layout, reach: f64) -> Result<Vec<Plac
     Ok(all)
 }
 
-fn block(views: &[SurfaceView], layout: Layout, place: &Place) -> Box<[f32; SAMPLES]> {
+fn block(views: &[SurfaceView], layout: Layout, place: &Place) -> [f32; SAMPLES] {
     let radius = layout.cell * SIDE as f64 * 0.87;
     let middle = position(layout.cell, sample_place(place, 0)) + Vector3::repeat(layout.cell * 3.5);
     let mut sums = [(0.0, 0.0); SAMPLES];
@@ -211,7 +211,7 @@ fn block(views: &[SurfaceView], layout: Layout, place: &Place) -> Box<[f32; SAMP
             *weights += weight;
         }
     }
-    let mut samples = Box::new([f32::NAN; SAMPLES]);
+    let mut samples = [f32::NAN; SAMPLES];
     for (sample, (sum, weights)) in samples.iter_mut().zip(sums) {
         if weights > 0.0 {
             *sample = (sum / weights / layout.cell) as f32;
