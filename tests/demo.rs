@@ -135,3 +135,77 @@ fn one_and_two_threads_give_the_same_digests() {
     assert!(one.len() > 40, "{} outputs", one.len());
     assert_eq!(one, two);
 }
+
+/// A field of few steps has hardly a surface: what is exported is looked at where a ball is its own truth (marf-surface). Here is whether
+/// the verbs run on the results of a run alone, and write what others read.
+#[test]
+fn exports_run_on_the_results_of_a_run() {
+    let dir = demo();
+    run(dir.path(), &["--to", "train"]);
+    let said = marf(
+        dir.path(),
+        &[
+            "export",
+            "mesh",
+            "--out",
+            "e/mesh.glb",
+            "--cell",
+            "0.2",
+            "--most-spread",
+            "5",
+        ],
+    )
+    .exits(0);
+    assert!(
+        said.stdout.contains("triangles") && said.stdout.contains("wrote e/mesh.glb"),
+        "{}",
+        said.stdout
+    );
+    let glb = std::fs::read(dir.path().join("e/mesh.glb")).unwrap();
+    assert_eq!((&glb[..4], glb.len() % 4), (&b"glTF"[..], 0));
+    // The same node of the store: only its copies are written.
+    let ply = [
+        "export",
+        "mesh",
+        "--out",
+        "e/mesh.ply",
+        "--cell",
+        "0.2",
+        "--most-spread",
+        "5",
+        "--json",
+    ];
+    let said = marf(dir.path(), &ply).exits(0);
+    let told: serde_json::Value = serde_json::from_str(said.stdout.trim().lines().last().unwrap_or_default())
+        .or_else(|_| serde_json::from_str(&said.stdout))
+        .unwrap_or_default();
+    assert!(!said.stderr.contains("never ran"), "{}", said.stderr);
+    assert!(
+        std::fs::read(dir.path().join("e/mesh.ply"))
+            .unwrap()
+            .starts_with(b"ply\n"),
+        "{told}"
+    );
+    let made = marf(dir.path(), &["audit", "e/mesh.glb"]).exits(0);
+    assert!(made.stdout.contains("surface-of-train"), "{}", made.stdout);
+
+    marf(dir.path(), &["export", "cameras", "--out", "cameras"]).exits(0);
+    let text = std::fs::read_to_string(dir.path().join("cameras/transforms.json")).unwrap();
+    let transforms: serde_json::Value = serde_json::from_str(&text).unwrap();
+    for frame in transforms["frames"].as_array().unwrap() {
+        let photo = dir
+            .path()
+            .join("cameras")
+            .join(frame["file_path"].as_str().unwrap());
+        let size = image::image_dimensions(&photo).unwrap();
+        let width = frame.get("w").unwrap_or(&transforms["w"]).as_u64().unwrap();
+        assert_eq!(u64::from(size.0), width, "{}", photo.display());
+    }
+
+    let refused = marf(dir.path(), &["export", "mesh", "--out", "mesh.obj"]).exits(2);
+    assert!(refused.stderr.contains(".ply or .glb"), "{}", refused.stderr);
+    let refused = marf(dir.path(), &["export", "points", "blur", "--out", "x.ply"]).exits(2);
+    assert!(refused.stderr.contains("surface-of-blur"), "{}", refused.stderr);
+    let refused = marf(dir.path(), &["export", "points", "nothing", "--out", "x.ply"]).exits(2);
+    assert!(refused.stderr.contains("its nodes are"), "{}", refused.stderr);
+}

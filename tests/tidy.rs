@@ -28,7 +28,7 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 22] = [
+const CRATES: [Crate; 23] = [
     row("shaders", "marf-shaders", &[]),
     row("cache/derive", "marf-cache-derive", &[]),
     row("cache", "marf-cache", &["marf-cache-derive"]),
@@ -103,6 +103,17 @@ const CRATES: [Crate; 22] = [
         ],
     ),
     row(
+        "stages/surface",
+        "marf-surface",
+        &[
+            "marf-cache",
+            "marf-stage",
+            "marf-scene",
+            "marf-field",
+            "marf-schema",
+        ],
+    ),
+    row(
         "stages",
         "marf-stages",
         &[
@@ -111,6 +122,7 @@ const CRATES: [Crate; 22] = [
             "marf-filter",
             "marf-calibrate",
             "marf-train",
+            "marf-surface",
         ],
     ),
     row("src/engine", "marf-engine", &["marf-cache", "marf-stage"]),

@@ -138,7 +138,7 @@ pub enum Verb {
         #[arg(long, value_name = "FILE", default_value = "report.html")]
         out: PathBuf,
     },
-    /// Hand a run to people without the store
+    /// Hand a run, or what it made, to people and programs without the store
     Export {
         /// In which form
         #[command(subcommand)]

@@ -77,6 +77,22 @@ impl Session {
         )
     }
 
+    /// Takes a pipeline that an earlier run had, changed or not, under a name, with the store of that run.
+    ///
+    /// # Errors
+    /// Nodes that form no graph.
+    pub fn again(
+        pipeline: Pipeline,
+        written: String,
+        name: String,
+        store: Store,
+        cancel: &Cancel,
+    ) -> Result<Self, CliError> {
+        let mut session = Self::of((pipeline, written), String::new, store, cancel)?;
+        session.name = name;
+        Ok(session)
+    }
+
     fn of(
         (pipeline, written): (Pipeline, String),
         unnamed: impl FnOnce() -> String,

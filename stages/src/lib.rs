@@ -33,6 +33,7 @@ static STAGES: LazyLock<Vec<StageDef>> = LazyLock::new(|| {
         define::<marf_train::Render>(),
         define::<marf_train::Bootstrap>(),
         define::<marf_train::Video>(),
+        define::<marf_surface::MakeSurface>(),
     ]);
     stages
 });

@@ -13,6 +13,7 @@ use marf_provenance::lineage::Lineage;
 use marf_provenance::replay::{NotMade, Replayed, compare};
 use serde::Serialize;
 
+pub use self::plan::resolved;
 use self::plan::{Plan, plan};
 use self::target::{Target, target};
 use super::args::Global;

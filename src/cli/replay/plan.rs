@@ -72,7 +72,11 @@ pub fn plan(lineage: &Lineage<'_>, nodes: &[&NodeLineage], scratch: &Store) -> R
     })
 }
 
-fn resolved(lineage: &Lineage<'_>) -> Result<Value, CliError> {
+/// Returns the pipeline of a run as it ran.
+///
+/// # Errors
+/// A run of an earlier version, whose root does not hold it, or a store that has lost it.
+pub fn resolved(lineage: &Lineage<'_>) -> Result<Value, CliError> {
     let number = lineage.run.number;
     let resolved = lineage.run.documents.get(document::RESOLVED).ok_or_else(|| {
         CliError::failed(format!(

@@ -1,8 +1,11 @@
-//! Verbs that hand a run to people without the store, and check what was handed over.
+//! Verbs that hand a run, or what it made, to people and programs without the store, and check what was handed over.
 
+mod again;
 mod attest;
+mod cameras;
 mod export_crate;
 mod run;
+mod surface;
 mod verify;
 
 use std::path::{Path, PathBuf};
@@ -14,6 +17,7 @@ use marf_export::key::{KeyError, SigningKey};
 
 use super::args::Global;
 use super::error::{Answer, CliError, Diagnostic};
+use surface::{Kind, SurfaceArgs};
 
 pub use verify::{VerifyArgs, open_crate, verify_crate, verify_path};
 
@@ -24,6 +28,18 @@ pub enum ExportVerb {
     Crate(CrateArgs),
     /// Sign who made a result, by what and from what: an in-toto statement with SLSA provenance, in a DSSE envelope
     Attest(AttestArgs),
+    /// Write cameras and photos as a folder: transforms.json (nerfstudio, instant-ngp), COLMAP's model, points
+    Cameras(cameras::CamerasArgs),
+    /// Write the surface of a trained field as triangles: FILE.ply or FILE.glb (metres, y up)
+    Mesh(SurfaceArgs),
+    /// Write the surface of a trained field as points: FILE.ply
+    Points(SurfaceArgs),
+    /// Write heights as FILE.png of 16 bits with a world file, and beside it how far the views differ
+    Height(SurfaceArgs),
+    /// Write the surface as seen from straight above: FILE.png with a world file
+    Orthophoto(SurfaceArgs),
+    /// Write the depths of a trained field at the views of its photos into a folder: PNG of 16 bits, the scale in their text
+    Depth(SurfaceArgs),
 }
 
 /// Arguments of `export crate`.
@@ -70,6 +86,12 @@ pub fn export(global: &Global, verb: &ExportVerb, cancel: &Cancel) -> Result<(),
     match verb {
         ExportVerb::Crate(args) => export_crate::export(global, args, cancel),
         ExportVerb::Attest(args) => attest::attest(global, args, cancel),
+        ExportVerb::Cameras(args) => cameras::export(global, args, cancel),
+        ExportVerb::Mesh(args) => surface::export(global, Kind::Mesh, args, cancel),
+        ExportVerb::Points(args) => surface::export(global, Kind::Points, args, cancel),
+        ExportVerb::Height(args) => surface::export(global, Kind::Height, args, cancel),
+        ExportVerb::Orthophoto(args) => surface::export(global, Kind::Orthophoto, args, cancel),
+        ExportVerb::Depth(args) => surface::export(global, Kind::Depth, args, cancel),
     }
 }
 

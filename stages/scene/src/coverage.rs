@@ -111,21 +111,11 @@ impl<'a> Coverage<'a> {
     /// Returns what photos saw of the surface at a distance (world units, above 0) along a ray (a unit vector of the world) with a
     /// normal (any length; none: unknown, and the angle is 180 degrees).
     pub fn surface(&self, ray: &Vector3<f64>, distance: f64, normal: Option<&Vector3<f64>>) -> SurfaceSeen {
-        let point = self.eye + ray * distance;
-        let mut seen = SurfaceSeen {
-            photos: 0,
-            distance: f64::INFINITY,
-            incidence_deg: 180.0,
-        };
-        for observer in self.observers.iter().filter(|observer| observer.shows(&point)) {
-            let back = observer.centre - point;
-            seen.photos += 1;
-            seen.distance = seen.distance.min(back.norm());
-            if let Some(normal) = normal {
-                seen.incidence_deg = seen.incidence_deg.min(normal.angle(&back).to_degrees());
-            }
-        }
-        seen
+        seen(
+            self.observers.iter().copied(),
+            &(self.eye + ray * distance),
+            normal,
+        )
     }
 
     /// Returns how many photos show the sky in a direction (a unit vector of the world).
@@ -154,6 +144,32 @@ impl<'a> Coverage<'a> {
         });
         seen.count() as f64 / f64::from(PLACES)
     }
+}
+
+/// Returns what photos saw of a point of the world on a surface with a normal (any length; none: unknown, and the angle is 180 degrees).
+pub fn seen_at(observers: &[Observer], point: &Vector3<f64>, normal: Option<&Vector3<f64>>) -> SurfaceSeen {
+    seen(observers.iter(), point, normal)
+}
+
+fn seen<'o>(
+    observers: impl Iterator<Item = &'o Observer>,
+    point: &Vector3<f64>,
+    normal: Option<&Vector3<f64>>,
+) -> SurfaceSeen {
+    let mut seen = SurfaceSeen {
+        photos: 0,
+        distance: f64::INFINITY,
+        incidence_deg: 180.0,
+    };
+    for observer in observers.filter(|observer| observer.shows(point)) {
+        let back = observer.centre - point;
+        seen.photos += 1;
+        seen.distance = seen.distance.min(back.norm());
+        if let Some(normal) = normal {
+            seen.incidence_deg = seen.incidence_deg.min(normal.angle(&back).to_degrees());
+        }
+    }
+    seen
 }
 
 /// Returns the typical distance from the photos to what they show, as places are told apart by it, world units.

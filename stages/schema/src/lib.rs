@@ -1,4 +1,5 @@
-//! Parameters and outputs of `masks`, `calibrate`, `tune`, `train`, `partial`, `pace`, `folds`, `evaluate`, `render`, `bootstrap` and `video`.
+//! Parameters and outputs of `masks`, `calibrate`, `tune`, `train`, `partial`, `pace`, `folds`, `evaluate`, `render`, `bootstrap`, `video`
+//! and `surface`.
 //!
 //! One module a stage: its parameters ([`Params`](marf_stage::Params)) with the checks that need no input, and each
 //! JSON output ([`Document`](marf_stage::Document)). Stages, commands and the report read and write these types, so
@@ -22,6 +23,7 @@ pub mod pace;
 pub mod partial;
 pub mod render;
 pub mod scores;
+pub mod surface;
 pub mod train;
 pub mod tune;
 pub mod video;

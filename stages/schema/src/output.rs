@@ -30,3 +30,9 @@ pub const DEPTH: &str = "depth/";
 pub const MAPS: &str = "maps/";
 /// Pictures of the fly-through of `bootstrap`: `flythrough/0001.png`.
 pub const FLYTHROUGH: &str = "flythrough/";
+/// The surface of a field as PLY, of `surface`.
+pub const MESH_PLY: &str = "mesh.ply";
+/// The surface of a field as GLB, of `surface`.
+pub const MESH_GLB: &str = "mesh.glb";
+/// Maps of `surface`: `map/height.png`, and `map/height.pgw` beside it.
+pub const SURFACE_MAPS: &str = "map/";

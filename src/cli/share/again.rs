@@ -1,0 +1,105 @@
+//! A further node on the results of a run: nothing is fetched, and what the run made is reused.
+
+use std::path::Path;
+
+use marf_cache::Store;
+use marf_engine::{Cancel, Options, RunRecord};
+use marf_provenance::lineage::Lineage;
+use marf_provenance::replay::recorded;
+use serde_json::{Value, json};
+
+use super::super::args::Global;
+use super::super::error::{CliError, Diagnostic};
+use super::super::replay::resolved;
+use super::super::run::{execute, options};
+use super::super::session::{Session, warn};
+use crate::config::{GlobalOptions, check_tree};
+
+/// What the name of a pipeline is followed by in runs of exports: they are no runs of the pipeline.
+const EXPORTS: &str = " (export)";
+
+/// Returns the last run, or the one of a number, in which a node ended well.
+///
+/// # Errors
+/// No such run: names the nodes of the last one.
+pub fn run_with(store: &Store, number: Option<u64>, node: &str) -> Result<RunRecord, CliError> {
+    let has = |run: &RunRecord| run.node(node).is_some_and(|node| node.state.is_good());
+    if let Some(number) = number {
+        let run = marf_engine::run_of(store, number)?;
+        return if has(&run) {
+            Ok(run)
+        } else {
+            Err(without(&run, node))
+        };
+    }
+    let runs = marf_engine::runs(store, warn)?;
+    let last = runs.iter().rev().find(|run| has(run)).cloned();
+    let none = || match runs.last() {
+        Some(run) => without(run, node),
+        None => CliError::Failed(Diagnostic::new("there is no run yet").hint("`marf run` makes one")),
+    };
+    last.ok_or_else(none)
+}
+
+fn without(run: &RunRecord, node: &str) -> CliError {
+    let good = run
+        .nodes
+        .iter()
+        .filter(|node| node.parent.is_none() && node.state.is_good());
+    let known: Vec<&str> = good.map(|node| node.name.as_str()).collect();
+    CliError::Usage(
+        Diagnostic::new(format!("run {} has no result of a node `{node}`", run.number)).hint(format!(
+            "its nodes are {}; or name another run with --run",
+            known.join(", ")
+        )),
+    )
+}
+
+/// Runs one more node on the results of a run, in its store. Archives are read as they were met then, so that nothing is asked of a
+/// server, and every other node has its result already.
+///
+/// # Errors
+/// A run of which something is lost; whatever keeps the node from running.
+pub fn run_node(
+    store: Store,
+    run: &RunRecord,
+    (name, table): (&str, &Value),
+    global: &Global,
+    cancel: &Cancel,
+) -> Result<(Session, RunRecord), CliError> {
+    let (tree, given) = {
+        let lineage = Lineage::of(&store, run.clone())?;
+        let mut tree = resolved(&lineage)?;
+        tree["node"][name] = table.clone();
+        let mut given = GlobalOptions {
+            device: global.options().device,
+            ..GlobalOptions::default()
+        };
+        for source in lineage
+            .nodes
+            .iter()
+            .filter(|node| node.is_source() && node.run.state.is_good())
+        {
+            given
+                .recorded
+                .insert(source.run.name.clone(), recorded(&store, source)?);
+        }
+        (tree, given)
+    };
+    let pipeline = check_tree(&tree, &given, Path::new("")).map_err(|error| {
+        CliError::Usage(Diagnostic {
+            message: format!("`{name}` on run {}: {}", run.number, error.message),
+            cause: None,
+            hint: error.hint,
+        })
+    })?;
+    let of = format!("{}{EXPORTS}", run.pipeline.trim_end_matches(EXPORTS));
+    let session = Session::again(pipeline, json!(tree).to_string(), of, store, cancel)?;
+    let options = Options {
+        to: vec![name.to_owned()],
+        ..options(global, &session.name)
+    };
+    let (record, ended) = execute(&session, &options, global, cancel)?;
+    ended?;
+    Ok((session, record))
+}

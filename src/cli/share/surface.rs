@@ -1,0 +1,201 @@
+//! `marf export mesh | points | height | orthophoto | depth`: files of a trained field for other programs.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use marf_engine::{Cancel, NodeRun, RunRecord};
+use marf_schema::output::{DEPTH, MESH_GLB, MESH_PLY, POINTS, SURFACE_MAPS};
+use marf_schema::surface::{SurfaceParams, SurfaceReport};
+use marf_stage::Params;
+use serde_json::{Map, Value, json};
+
+use super::super::args::Global;
+use super::super::error::{CliError, Diagnostic};
+use super::super::export::one;
+use super::super::output::print_json;
+use super::super::session::{Session, digest, existing_store, node_named};
+use super::again::{run_node, run_with};
+use crate::terminal::print_line;
+
+/// Arguments of the exports of a surface.
+#[derive(Debug, Clone, Args)]
+pub struct SurfaceArgs {
+    /// A node with a trained field
+    #[arg(value_name = "NODE", default_value = "train")]
+    pub node: String,
+    /// Where to
+    #[arg(long, value_name = "PATH")]
+    pub out: PathBuf,
+    /// Number of the run [default: the last one that has the node]
+    #[arg(long, value_name = "NUMBER")]
+    pub run: Option<u64>,
+    /// Distance between samples, metres (units of the scene where it has no scale) [default: two pixels of what is near]
+    #[arg(long, value_name = "LENGTH")]
+    pub cell: Option<f64>,
+    /// Largest distance from a photo, as `--cell` [default: where a pixel is four cells wide]
+    #[arg(long, value_name = "LENGTH")]
+    pub reach: Option<f64>,
+    /// Photos that must show a point [default: 2]
+    #[arg(long, value_name = "COUNT")]
+    pub least_photos: Option<u32>,
+    /// Largest difference between the views at a point, as `--cell` [default: a cell]
+    #[arg(long, value_name = "LENGTH")]
+    pub most_spread: Option<f64>,
+    /// Width of a pixel of a map, metres [default: that of a cell]
+    #[arg(long, value_name = "METRES")]
+    pub map_cell: Option<f64>,
+}
+
+/// What is exported.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// A mesh, by the ending of the file.
+    Mesh,
+    /// A cloud of points.
+    Points,
+    /// Heights, and how far views differ.
+    Height,
+    /// Colours from above.
+    Orthophoto,
+    /// Depths at the views of all photos.
+    Depth,
+}
+
+/// Makes what is wanted, unless it is made already, and writes it.
+pub fn export(global: &Global, kind: Kind, args: &SurfaceArgs, cancel: &Cancel) -> Result<(), CliError> {
+    check_ending(kind, &args.out)?;
+    let store = existing_store(global, cancel)?;
+    let run = run_with(&store, args.run, &args.node)?;
+    let name = format!("surface-of-{}", args.node);
+    let (session, record) = run_node(store, &run, (&name, &table(kind, args)), global, cancel)?;
+    let node = node_named(&record, &name)?;
+    let report: SurfaceReport = session.document(node)?;
+    if let (Kind::Height | Kind::Orthophoto, Some(why)) = (kind, report.refused.get(SURFACE_MAPS)) {
+        let hint = "cameras from labels (`method = \"sfm\"` or \"labels\" on photos with labels) give metres and an up direction";
+        return Err(CliError::Failed(Diagnostic::new(why.clone()).hint(hint)));
+    }
+    let written = write(&session, &record, node, kind, &args.out)?;
+    if global.json {
+        return print_json(&json!({"files": written, "run": record.number, "surface": report}));
+    }
+    print_line(&text(kind, &report));
+    for path in written {
+        print_line(&format!("wrote {}", path.display()));
+    }
+    Ok(())
+}
+
+/// Refuses an ending that says something else than what is written.
+fn check_ending(kind: Kind, out: &Path) -> Result<(), CliError> {
+    let endings: &[&str] = match kind {
+        Kind::Mesh => &["ply", "glb"],
+        Kind::Points => &["ply"],
+        Kind::Height | Kind::Orthophoto => &["png"],
+        Kind::Depth => return Ok(()),
+    };
+    let ending = out
+        .extension()
+        .and_then(|ending| ending.to_str())
+        .unwrap_or_default();
+    match endings.contains(&ending) {
+        true => Ok(()),
+        false => Err(CliError::usage(format!(
+            "--out {}: the file must end with .{}",
+            out.display(),
+            endings.join(" or .")
+        ))),
+    }
+}
+
+/// Returns the table of the node, as pipeline.toml would have it.
+fn table(kind: Kind, args: &SurfaceArgs) -> Value {
+    let mut table = Map::from_iter([
+        ("uses".to_owned(), json!(SurfaceParams::STAGE)),
+        ("input".to_owned(), json!(args.node)),
+    ]);
+    let lengths = [
+        ("cell", args.cell),
+        ("reach", args.reach),
+        ("most_spread", args.most_spread),
+        ("map_cell", args.map_cell),
+    ];
+    let lengths = lengths
+        .into_iter()
+        .filter_map(|(key, length)| Some((key, json!(length?))));
+    let count = args.least_photos.map(|count| ("least_photos", json!(count)));
+    let depth = (kind == Kind::Depth).then(|| ("depth", json!(true)));
+    table.extend(
+        lengths
+            .chain(count)
+            .chain(depth)
+            .map(|(key, value)| (key.to_owned(), value)),
+    );
+    Value::Object(table)
+}
+
+fn write(
+    session: &Session,
+    record: &RunRecord,
+    node: &NodeRun,
+    kind: Kind,
+    out: &Path,
+) -> Result<Vec<PathBuf>, CliError> {
+    let is_glb = out.extension().is_some_and(|ending| ending == "glb");
+    let map = |name: &str, ending: &str| format!("{SURFACE_MAPS}{name}.{ending}");
+    let files: Vec<(String, PathBuf)> = match kind {
+        Kind::Mesh if is_glb => vec![(MESH_GLB.to_owned(), out.to_owned())],
+        Kind::Mesh => vec![(MESH_PLY.to_owned(), out.to_owned())],
+        Kind::Points => vec![(POINTS.to_owned(), out.to_owned())],
+        Kind::Height => {
+            let stem = out.file_stem().unwrap_or_default().to_string_lossy();
+            let spread = |ending: &str| out.with_file_name(format!("{stem}-spread.{ending}"));
+            vec![
+                (map("height", "png"), out.to_owned()),
+                (map("height", "pgw"), out.with_extension("pgw")),
+                (map("spread", "png"), spread("png")),
+                (map("spread", "pgw"), spread("pgw")),
+            ]
+        }
+        Kind::Orthophoto => vec![
+            (map("orthophoto", "png"), out.to_owned()),
+            (map("orthophoto", "pgw"), out.with_extension("pgw")),
+        ],
+        Kind::Depth => {
+            let names = node
+                .outputs
+                .keys()
+                .filter_map(|name| Some((name, name.strip_prefix(DEPTH)?)));
+            names.map(|(name, file)| (name.clone(), out.join(file))).collect()
+        }
+    };
+    for (name, path) in &files {
+        one(session, record, &digest(node, name)?, path)?;
+    }
+    Ok(files.into_iter().map(|(_, path)| path).collect())
+}
+
+fn text(kind: Kind, report: &SurfaceReport) -> String {
+    let SurfaceReport {
+        photos, cell, unit, ..
+    } = report;
+    match (kind, &report.map) {
+        (Kind::Points, _) => format!(
+            "{} points in cells of {cell:.4} ({unit}), from {photos} photos",
+            report.points
+        ),
+        (Kind::Height | Kind::Orthophoto, Some(map)) => format!(
+            "{} x {} pixels of {:.4} m, {:.0} % with a surface; heights from {:.3} m in steps of {} m",
+            map.columns,
+            map.rows,
+            map.pixel_m,
+            100.0 * map.covered_share,
+            map.lowest_m,
+            map.interval_m
+        ),
+        (Kind::Depth, _) => format!("depths at the views of {photos} photos ({unit})"),
+        _ => format!(
+            "{} triangles, {} vertices, samples {cell:.4} apart ({unit}), from {photos} photos",
+            report.triangles, report.vertices
+        ),
+    }
+}

@@ -1,0 +1,305 @@
+//! Compares a mesh or a cloud of a run of the built-in Mars with the true terrain, a JSON line for each range of distances:
+//! `cargo run --release -p marf-demo --example true_surface -- out/train/scene.json mesh.ply`.
+//!
+//! The terrain is what the true photos show, point by point with its normal; what three photos trained on show of it counts. Distances of
+//! vertices are measured along the normal of the nearest true point. Both are told as the file has them, and after the similarity
+//! that carries the cameras of the scene to the true ones: what is left then is the surface's own error, not that of the labels.
+
+use std::collections::HashMap;
+use std::{error::Error, fs, io::Write};
+
+use marf_demo::{Demo, DemoOptions, RangeMap, TruePhoto};
+use marf_scene::Scene;
+use nalgebra::{Matrix3, Vector2, Vector3};
+use rayon::prelude::*;
+use serde_json::json;
+
+/// Side of the cells in which true points are looked up, and farthest that a vertex is looked for, metres.
+const CELL_M: f64 = 0.1;
+/// Distance between true points that are asked for a vertex, metres.
+const APART_M: f64 = 0.05;
+/// A photo shows a true point that is at this share of the distance it shows, or nearer.
+const SAME: f64 = 0.02;
+/// Photos that must show a point.
+const PHOTOS: u32 = 3;
+/// Bars: distance of vertices to the terrain, and of the terrain to vertices, metres.
+const NEAR_M: f64 = 0.02;
+const COVERED_M: f64 = 0.05;
+/// Distances from the nearest photo that shows a point, metres.
+const RANGES_M: [f64; 5] = [3.0, 5.0, 10.0, 20.0, f64::INFINITY];
+
+/// A point of the true terrain.
+#[derive(Clone, Copy)]
+struct TruePoint {
+    position: Vector3<f64>,
+    normal: Vector3<f64>,
+    photos: u32,
+    /// To the nearest photo that shows it.
+    range_m: f64,
+}
+
+type Grid<T> = HashMap<[i32; 3], Vec<T>>;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut arguments = std::env::args().skip(1);
+    let scene = Scene::decode(&fs::read(arguments.next().ok_or("name a scene")?)?)?;
+    let vertices = vertices(&fs::read(arguments.next().ok_or("name a PLY")?)?)?;
+    let demo = Demo::new(DemoOptions::default())?;
+    let photos = true_photos(&demo, &scene)?;
+    let trained: Vec<&(TruePhoto, RangeMap, bool)> = photos.iter().filter(|photo| !photo.2).collect();
+    let points: Vec<TruePoint> = trained
+        .par_iter()
+        .flat_map_iter(|(photo, map, _)| true_points(photo, map))
+        .collect();
+    let points: Vec<TruePoint> = points
+        .into_par_iter()
+        .map(|point| seen(point, &trained))
+        .collect();
+    let mut stdout = std::io::stdout().lock();
+    let unchanged = (Matrix3::identity(), Vector3::zeros());
+    for (name, moved) in [
+        ("as written", unchanged),
+        ("cameras aligned", alignment(&scene, &photos)),
+    ] {
+        let vertices: Vec<Vector3<f64>> = vertices.iter().map(|at| moved.0 * at + moved.1).collect();
+        for row in rows(&vertices, &points) {
+            let mut row = row;
+            row["frame"] = name.into();
+            writeln!(stdout, "{row}")?;
+        }
+    }
+    Ok(())
+}
+
+/// Returns the true photos of the scene with their ranges, and whether each is held out.
+fn true_photos(demo: &Demo, scene: &Scene) -> Result<Vec<(TruePhoto, RangeMap, bool)>, Box<dyn Error>> {
+    let mut photos = Vec::new();
+    for frame in &scene.frames {
+        let file = frame.file.rsplit('/').next().unwrap_or_default();
+        let sol: u32 = file.get(4..8).ok_or("no sol in the name")?.parse()?;
+        let truth = demo.ground_truth(sol)?.photos;
+        let stem = file.rsplit_once('.').map_or(file, |(stem, _)| stem);
+        let photo = truth.into_iter().find(|photo| photo.file.starts_with(stem));
+        let photo = photo.ok_or_else(|| format!("{file} is no photo of the demo"))?;
+        let map = demo.ranges(sol, &photo.file)?;
+        photos.push((photo, map, frame.held_out));
+    }
+    Ok(photos)
+}
+
+/// Returns the point of every other pixel with its normal, from its neighbours.
+fn true_points(photo: &TruePhoto, map: &RangeMap) -> Vec<TruePoint> {
+    let at = |column: u32, row: u32| -> Option<Vector3<f64>> {
+        let range = f64::from(map.range_m[(row * map.width + column) as usize]);
+        // In labels whole numbers are centres of pixels.
+        let ray = photo
+            .site_model
+            .unproject(&Vector2::new(f64::from(column), f64::from(row)))?;
+        range.is_finite().then(|| ray.origin + ray.direction * range)
+    };
+    let mut points = Vec::new();
+    for row in (1..map.height - 1).step_by(2) {
+        for column in (1..map.width - 1).step_by(2) {
+            let Some(position) = at(column, row) else { continue };
+            let around = (
+                at(column + 1, row),
+                at(column - 1, row),
+                at(column, row + 1),
+                at(column, row - 1),
+            );
+            let (Some(right), Some(left), Some(below), Some(above)) = around else {
+                continue;
+            };
+            let normal = (below - above).cross(&(right - left)).try_normalize(0.0);
+            let Some(normal) = normal else { continue };
+            points.push(TruePoint {
+                position,
+                normal,
+                photos: 0,
+                range_m: f64::INFINITY,
+            });
+        }
+    }
+    points
+}
+
+fn seen(point: TruePoint, photos: &[&(TruePhoto, RangeMap, bool)]) -> TruePoint {
+    let mut seen = point;
+    for (photo, map, _) in photos {
+        let Some(pixel) = photo.site_model.project(&point.position) else {
+            continue;
+        };
+        let (column, row) = (pixel.x.round(), pixel.y.round());
+        let inside =
+            column >= 0.0 && row >= 0.0 && column < f64::from(map.width) && row < f64::from(map.height);
+        if !inside {
+            continue;
+        }
+        let away = (point.position - photo.cam_from_site.centre()).norm();
+        let shown = f64::from(map.range_m[row as usize * map.width as usize + column as usize]);
+        if away <= shown * (1.0 + SAME) {
+            seen.photos += 1;
+            seen.range_m = seen.range_m.min(away);
+        }
+    }
+    seen
+}
+
+fn cell(position: &Vector3<f64>, side: f64) -> [i32; 3] {
+    (position / side).map(|x| x.floor() as i32).into()
+}
+
+fn grid<T: Copy>(items: &[T], place: impl Fn(&T) -> Vector3<f64>) -> Grid<T> {
+    let mut grid: Grid<T> = HashMap::new();
+    for item in items {
+        grid.entry(cell(&place(item), CELL_M)).or_default().push(*item);
+    }
+    grid
+}
+
+/// Returns the item nearest to a position, if one is within a cell.
+fn nearest<T: Copy>(
+    grid: &Grid<T>,
+    position: &Vector3<f64>,
+    place: impl Fn(&T) -> Vector3<f64>,
+) -> Option<(f64, T)> {
+    let [x, y, z] = cell(position, CELL_M);
+    let mut best: Option<(f64, T)> = None;
+    for at in (0..27).map(|n| [x + n % 3 - 1, y + n / 3 % 3 - 1, z + n / 9 - 1]) {
+        for item in grid.get(&at).into_iter().flatten() {
+            let apart = (place(item) - position).norm();
+            if best.is_none_or(|(least, _)| apart < least) {
+                best = Some((apart, *item));
+            }
+        }
+    }
+    best
+}
+
+/// Returns the figures for each range of distances.
+fn rows(vertices: &[Vector3<f64>], points: &[TruePoint]) -> Vec<serde_json::Value> {
+    let terrain = grid(points, |point| point.position);
+    let of_vertex = |vertex: &Vector3<f64>| match nearest(&terrain, vertex, |point| point.position) {
+        // Nothing true within a cell: farther off than any bar, of no known distance.
+        None => (f64::INFINITY, None),
+        Some((_, point)) => ((vertex - point.position).dot(&point.normal).abs(), Some(point)),
+    };
+    let judged: Vec<(f64, Option<TruePoint>)> = vertices.par_iter().map(of_vertex).collect();
+    let found = grid(vertices, |vertex| *vertex);
+    let mut thinned: HashMap<[i32; 3], TruePoint> = HashMap::new();
+    for point in points.iter().filter(|point| point.photos >= PHOTOS) {
+        thinned.entry(cell(&point.position, APART_M)).or_insert(*point);
+    }
+    let thinned: Vec<TruePoint> = thinned.into_values().collect();
+    let covered: Vec<(f64, bool)> = thinned
+        .par_iter()
+        .map(|point| {
+            let nearest = nearest(&found, &point.position, |vertex| *vertex);
+            (
+                point.range_m,
+                nearest.is_some_and(|(apart, _)| apart <= COVERED_M),
+            )
+        })
+        .collect();
+    let off = judged.iter().filter(|(_, point)| point.is_none()).count();
+    RANGES_M
+        .iter()
+        .map(|most| {
+            let seen = judged.iter().filter_map(|(apart, point)| {
+                let point = (*point)?;
+                (point.photos >= PHOTOS && point.range_m <= *most).then_some(*apart)
+            });
+            let mut seen: Vec<f64> = seen.collect();
+            seen.sort_by(f64::total_cmp);
+            let near = seen.iter().filter(|apart| **apart <= NEAR_M).count();
+            let terrain: Vec<bool> = covered
+                .iter()
+                .filter(|(range, _)| range <= most)
+                .map(|(_, covered)| *covered)
+                .collect();
+            let share = |part: usize, whole: usize| part as f64 / whole.max(1) as f64;
+            json!({
+                "within_m": most.is_finite().then_some(*most),
+                "vertices": seen.len(),
+                "near_share": share(near, seen.len()),
+                "median_m": seen.get(seen.len() / 2),
+                "p90_m": seen.get(seen.len() * 9 / 10),
+                "terrain_points": terrain.len(),
+                "covered_share": share(terrain.iter().filter(|covered| **covered).count(), terrain.len()),
+                "vertices_in_file": vertices.len(),
+                "vertices_far_from_any_terrain": off,
+            })
+        })
+        .collect()
+}
+
+/// Returns the similarity (rotation with scale, translation) that carries the camera centres of the scene to the true ones
+/// (Umeyama, Least-squares estimation of transformation parameters between two point patterns, PAMI 1991).
+fn alignment(scene: &Scene, photos: &[(TruePhoto, RangeMap, bool)]) -> (Matrix3<f64>, Vector3<f64>) {
+    let ours: Vec<Vector3<f64>> = scene
+        .frames
+        .iter()
+        .map(|frame| frame.cam_from_world.centre())
+        .collect();
+    let truth: Vec<Vector3<f64>> = photos
+        .iter()
+        .map(|(photo, ..)| photo.cam_from_site.centre())
+        .collect();
+    let mean = |all: &[Vector3<f64>]| all.iter().sum::<Vector3<f64>>() / all.len() as f64;
+    let (from, to) = (mean(&ours), mean(&truth));
+    let pairs = || ours.iter().zip(&truth);
+    let covariance: Matrix3<f64> = pairs().map(|(a, b)| (b - to) * (a - from).transpose()).sum();
+    let spread: f64 = ours.iter().map(|a| (a - from).norm_squared()).sum();
+    let svd = covariance.svd(true, true);
+    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
+        return (Matrix3::identity(), Vector3::zeros());
+    };
+    let sign = (u.determinant() * v_t.determinant()).signum();
+    let signs = Vector3::new(1.0, 1.0, sign);
+    let rotation = u * Matrix3::from_diagonal(&signs) * v_t;
+    let scaled = rotation * (svd.singular_values.dot(&signs) / spread);
+    (scaled, to - scaled * from)
+}
+
+/// Reads the positions of a PLY whose vertices begin with x, y and z as floats.
+fn vertices(bytes: &[u8]) -> Result<Vec<Vector3<f64>>, Box<dyn Error>> {
+    let end = bytes
+        .windows(11)
+        .position(|window| window == b"end_header\n")
+        .ok_or("no PLY")?
+        + 11;
+    let header = String::from_utf8_lossy(&bytes[..end]);
+    let (mut count, mut stride, mut is_vertex) = (0_usize, 0, false);
+    for line in header.lines() {
+        let words: Vec<&str> = line.split(' ').collect();
+        match words[..] {
+            ["element", name, number] => {
+                is_vertex = name == "vertex";
+                if is_vertex {
+                    count = number.parse()?;
+                }
+            }
+            ["property", kind, _] if is_vertex => {
+                stride += match kind {
+                    "uchar" => 1,
+                    "ushort" => 2,
+                    "float" => 4,
+                    other => return Err(format!("property of {other}").into()),
+                };
+            }
+            _ => {}
+        }
+    }
+    let float = |bytes: &[u8]| -> f64 {
+        bytes
+            .try_into()
+            .map_or(f64::NAN, |four| f64::from(f32::from_le_bytes(four)))
+    };
+    let of_vertex =
+        |vertex: &[u8]| Vector3::new(float(&vertex[..4]), float(&vertex[4..8]), float(&vertex[8..12]));
+    Ok(bytes[end..]
+        .chunks_exact(stride)
+        .take(count)
+        .map(of_vertex)
+        .collect())
+}

@@ -1,0 +1,141 @@
+//! `surface`: the surface of a trained field as mesh, points, height map and orthophoto.
+
+use std::collections::BTreeMap;
+
+use marf_field::Device;
+use marf_stage::{Document, ParamError, Params};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Largest picture that a field is looked at with; beyond it a number is a slip.
+const MAX_SIDE_PX: u32 = 4096;
+
+/// Parameters of `surface`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct SurfaceParams {
+    /// Distance between samples of the surface, metres (units of the scene where it has no scale). Without it: twice the width of a
+    /// pixel on the nearer quarter of what the photos show.
+    pub cell: Option<f64>,
+    /// Largest distance from a photo to what is taken from it, metres (or units of the scene). Without it: where a pixel is four cells
+    /// wide.
+    pub reach: Option<f64>,
+    /// Photos that must show a point; of less there is a hole.
+    pub least_photos: u32,
+    /// Largest root mean square of the distances between a point and the surfaces that the views show there, metres (or units of the
+    /// scene); of more there is a hole. Without it: a cell.
+    pub most_spread: Option<f64>,
+    /// Longest side of the pictures with which the field is looked at, pixels.
+    pub side_px: u32,
+    /// Width of a pixel of height map and orthophoto, metres. Without it: a cell.
+    pub map_cell: Option<f64>,
+    /// Whether the depths at the views of all photos are written too, as PNG of 16 bits.
+    pub depth: bool,
+    /// Which processor renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`, or `gpu:NAME` for the adapter
+    /// whose name holds NAME. Only what was opened is in the key.
+    pub device: Device,
+}
+
+impl Default for SurfaceParams {
+    fn default() -> Self {
+        Self {
+            cell: None,
+            reach: None,
+            least_photos: 2,
+            most_spread: None,
+            side_px: 640,
+            map_cell: None,
+            depth: false,
+            device: Device::default(),
+        }
+    }
+}
+
+impl Params for SurfaceParams {
+    const STAGE: &'static str = "surface";
+}
+
+impl SurfaceParams {
+    /// Checks what can be checked without a scene.
+    ///
+    /// # Errors
+    /// Names the key that is out of range.
+    pub fn check(&self) -> Result<(), ParamError> {
+        for (key, length) in [
+            ("cell", self.cell),
+            ("reach", self.reach),
+            ("most_spread", self.most_spread),
+            ("map_cell", self.map_cell),
+        ] {
+            if length.is_some_and(|length| !length.is_finite() || length <= 0.0) {
+                return Err(ParamError::new(key, format!("{length:?} is no length above 0")));
+            }
+        }
+        if self.least_photos == 0 {
+            return Err(ParamError::new(
+                "least_photos",
+                "0 would keep what no photo saw; at least 1",
+            ));
+        }
+        match self.side_px {
+            16..=MAX_SIDE_PX => Ok(()),
+            side => Err(ParamError::new(
+                "side_px",
+                format!("{side} is not within 16 and {MAX_SIDE_PX}"),
+            )),
+        }
+    }
+}
+
+/// Output `surface` of `surface`: what was made, and with which numbers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SurfaceReport {
+    /// Unit of all lengths here and in the files.
+    pub unit: String,
+    /// Photos whose views were looked at.
+    pub photos: u64,
+    /// Distance between samples.
+    pub cell: f64,
+    /// Surfaces within this distance were averaged.
+    pub band: f64,
+    /// Largest distance from a photo.
+    pub reach: f64,
+    /// Largest spread of a vertex.
+    pub most_spread: f64,
+    /// Vertices of the mesh.
+    pub vertices: u64,
+    /// Triangles of the mesh.
+    pub triangles: u64,
+    /// Points of the cloud.
+    pub points: u64,
+    /// The height map; none where it is refused.
+    pub map: Option<MapReport>,
+    /// What the scene cannot give, with the reason, by output.
+    pub refused: BTreeMap<String, String>,
+}
+
+/// What is to be known of height map and orthophoto.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MapReport {
+    /// Columns.
+    pub columns: u32,
+    /// Rows.
+    pub rows: u32,
+    /// Width of a pixel, metres.
+    pub pixel_m: f64,
+    /// Height of the value 1, metres along up from the world's origin.
+    pub lowest_m: f64,
+    /// Metres from one value to the next.
+    pub interval_m: f64,
+    /// Position of the centre of the first pixel: to the right and to the top of the world's origin, metres.
+    pub first_m: [f64; 2],
+    /// The axes to the right, to the top and up, in the world.
+    pub axes: [[f64; 3]; 3],
+    /// Share of the pixels that have a height.
+    pub covered_share: f64,
+}
+
+impl Document for SurfaceReport {
+    const STAGE: &'static str = SurfaceParams::STAGE;
+    const OUTPUT: &'static str = "surface";
+}

@@ -1,0 +1,30 @@
+//! Surfaces of trained fields: meshes, clouds of points, height maps and orthophotos, in the formats of other programs.
+//!
+//! What a field shows at the views of its photos (where its rays end) is averaged into signed distances on a grid, and the surface is where
+//! these change their sign. Everything but the stage is pure: no file, no clock. Invariant: the same bytes for any number of threads; what
+//! no photo saw is a hole; nothing is in metres, and nothing knows up, that the scene does not know.
+
+mod cloud;
+mod cubes;
+mod error;
+mod extract;
+mod frame;
+pub mod glb;
+mod map;
+mod mesh;
+pub mod ply;
+pub mod png16;
+mod stage;
+mod view;
+mod volume;
+
+pub use cloud::cloud;
+pub use cubes::{Triangles, march};
+pub use error::SurfaceError;
+pub use extract::{Surface, Wanted, extract};
+pub use frame::{ExportFrame, MapAxes};
+pub use map::SurfaceMap;
+pub use mesh::{Mesh, Vertex, Witnesses};
+pub use stage::MakeSurface;
+pub use view::{Patch, SurfaceView};
+pub use volume::{Layout, Volume};

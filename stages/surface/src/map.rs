@@ -1,0 +1,366 @@
+//! A mesh from above: height map and orthophoto with world files.
+
+use marf_schema::surface::MapReport;
+use nalgebra::{Vector2, Vector3};
+
+use crate::SurfaceError;
+use crate::frame::{ExportFrame, MapAxes};
+use crate::mesh::Mesh;
+use crate::ply::to_byte;
+use crate::png16::{self, MOST};
+
+/// Most pixels of a map.
+const MOST_PIXELS: f64 = 64e6;
+/// Least distance from one height to the next, metres: finer than any photo.
+const FINEST_M: f64 = 0.001;
+
+/// A surface as seen from straight above.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SurfaceMap {
+    /// Sizes, scales and axes.
+    pub report: MapReport,
+    /// `[rows * columns]`, from the top: height and colour of the highest surface; none where there is no surface.
+    cells: Vec<Option<Cell>>,
+}
+
+/// What is seen in a pixel of a map.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Cell {
+    /// Along up from the world's origin, metres.
+    height_m: f64,
+    color: [f32; 3],
+    photos: f32,
+    /// Metres; negative where only one view shows it.
+    spread_m: f64,
+}
+
+impl SurfaceMap {
+    /// Draws a mesh from above: at the centre of each pixel the highest triangle, linear between its vertices.
+    ///
+    /// `pixel_m`: width of a pixel, metres; pixels lie on a grid through the world's origin, so that maps of one scene fit each other.
+    ///
+    /// # Errors
+    /// [`SurfaceError::Refused`] for a scene without scale or up, a mesh without triangles and a map of more than 64 million pixels.
+    pub fn draw(mesh: &Mesh, frame: &ExportFrame, pixel_m: f64) -> Result<Self, SurfaceError> {
+        let (axes, metres) = frame.metric_map("the height map")?;
+        let refused = |why: String| SurfaceError::Refused {
+            what: "the height map",
+            why,
+        };
+        let flat: Vec<Vector3<f64>> = mesh
+            .vertices
+            .iter()
+            .map(|vertex| on_map(&axes, &vertex.position) * metres)
+            .collect();
+        let far = Vector2::repeat(f64::INFINITY);
+        let (low, high) = flat.iter().fold((far, -far), |(low, high), at| {
+            (low.inf(&at.xy()), high.sup(&at.xy()))
+        });
+        if mesh.triangles.is_empty() {
+            return Err(refused("the mesh is empty".to_owned()));
+        }
+        let first = (low / pixel_m).map(f64::floor);
+        let size = (high / pixel_m).map(f64::floor) - first + Vector2::repeat(1.0);
+        if size.x * size.y > MOST_PIXELS {
+            return Err(refused(format!(
+                "{} x {} pixels of {pixel_m} m are too many; widen `map_cell`",
+                size.x, size.y
+            )));
+        }
+        let (columns, rows) = (size.x as u32, size.y as u32);
+        let mut cells = vec![None; columns as usize * rows as usize];
+        for triangle in &mesh.triangles {
+            let corners = triangle.map(|vertex| flat[vertex as usize]);
+            for (column, row, shares) in pixels_of(&corners, pixel_m, &first, columns, rows) {
+                let cell = blend(mesh, triangle, &corners, shares, metres);
+                let place = &mut cells[row as usize * columns as usize + column as usize];
+                if place.is_none_or(|known: Cell| known.height_m < cell.height_m) {
+                    *place = Some(cell);
+                }
+            }
+        }
+        let heights = || cells.iter().flatten().map(|cell| cell.height_m);
+        let lowest_m = heights().fold(f64::INFINITY, f64::min);
+        let highest_m = heights().fold(f64::NEG_INFINITY, f64::max);
+        let covered = heights().count();
+        if covered == 0 {
+            return Err(refused(format!(
+                "no triangle covers the centre of a pixel of {pixel_m} m"
+            )));
+        }
+        let report = MapReport {
+            columns,
+            rows,
+            pixel_m,
+            lowest_m,
+            interval_m: interval(highest_m - lowest_m),
+            first_m: [
+                (first.x + 0.5) * pixel_m,
+                (first.y + f64::from(rows) - 0.5) * pixel_m,
+            ],
+            axes: [axes.right, axes.top, axes.up].map(Into::into),
+            covered_share: covered as f64 / cells.len() as f64,
+        };
+        Ok(Self { report, cells })
+    }
+
+    /// Returns the heights as PNG of 16 bits: height = lowest + (value - 1) · interval, 0 where there is no surface.
+    ///
+    /// # Errors
+    /// [`SurfaceError::Encode`].
+    pub fn height_png(&self) -> Result<Vec<u8>, SurfaceError> {
+        let MapReport {
+            lowest_m, interval_m, ..
+        } = self.report;
+        let value = |cell: &Option<Cell>| match cell {
+            Some(cell) => 1 + ((cell.height_m - lowest_m) / interval_m).round().clamp(0.0, MOST) as u16,
+            None => 0,
+        };
+        let values: Vec<u16> = self.cells.iter().map(value).collect();
+        let text = [
+            (
+                "marf:height",
+                "metres along up = lowest + (value - 1) * interval; 0: no surface".to_owned(),
+            ),
+            ("marf:height-lowest", lowest_m.to_string()),
+            ("marf:height-interval", interval_m.to_string()),
+            (
+                "marf:resolution",
+                format!("{} metres a pixel", self.report.pixel_m),
+            ),
+            ("marf:axes", self.axes_text()),
+        ];
+        png16::gray(self.report.columns, self.report.rows, &values, &text)
+    }
+
+    /// Returns how far the views differ in each pixel as PNG of 16 bits: millimetres + 1, 0 where less than two views show a surface.
+    ///
+    /// # Errors
+    /// [`SurfaceError::Encode`].
+    pub fn spread_png(&self) -> Result<Vec<u8>, SurfaceError> {
+        let value = |cell: &Option<Cell>| match cell {
+            Some(cell) if cell.spread_m >= 0.0 => 1 + (cell.spread_m * 1000.0).round().min(MOST) as u16,
+            _ => 0,
+        };
+        let values: Vec<u16> = self.cells.iter().map(value).collect();
+        let words = "millimetres + 1: root mean square of the distances between the views' surfaces and this one, along its normal; \
+                     0: not known";
+        let text = [
+            ("marf:spread", words.to_owned()),
+            (
+                "marf:resolution",
+                format!("{} metres a pixel", self.report.pixel_m),
+            ),
+        ];
+        png16::gray(self.report.columns, self.report.rows, &values, &text)
+    }
+
+    /// Returns the colours as PNG, transparent where there is no surface.
+    ///
+    /// # Errors
+    /// [`SurfaceError::Encode`].
+    pub fn photo_png(&self) -> Result<Vec<u8>, SurfaceError> {
+        let pixel = |cell: &Option<Cell>| match cell {
+            Some(cell) => {
+                let [r, g, b] = cell.color.map(to_byte);
+                [r, g, b, 255]
+            }
+            None => [0; 4],
+        };
+        let pixels: Vec<[u8; 4]> = self.cells.iter().map(pixel).collect();
+        let text = [
+            (
+                "marf:resolution",
+                format!("{} metres a pixel", self.report.pixel_m),
+            ),
+            ("marf:axes", self.axes_text()),
+        ];
+        png16::rgba(self.report.columns, self.report.rows, &pixels, &text)
+    }
+
+    /// Returns the world file of all maps: six lines, pixel to metres on the map (ESRI; the fifth and sixth are the centre of the first
+    /// pixel).
+    pub fn world_file(&self) -> String {
+        let MapReport { pixel_m, first_m, .. } = self.report;
+        format!("{pixel_m}\n0\n0\n{}\n{}\n{}\n", -pixel_m, first_m[0], first_m[1])
+    }
+
+    fn axes_text(&self) -> String {
+        let [right, top, up] = self.report.axes;
+        format!("right {right:?}, top {top:?}, up {up:?} in the world; metres from its origin")
+    }
+}
+
+/// Returns the place on the map with the height, world units.
+fn on_map(axes: &MapAxes, position: &Vector3<f64>) -> Vector3<f64> {
+    Vector3::new(
+        axes.right.dot(position),
+        axes.top.dot(position),
+        axes.up.dot(position),
+    )
+}
+
+/// Returns the pixels whose centres a triangle covers, with the shares of its corners there.
+fn pixels_of(
+    corners: &[Vector3<f64>; 3],
+    pixel_m: f64,
+    first: &Vector2<f64>,
+    columns: u32,
+    rows: u32,
+) -> Vec<(u32, u32, [f64; 3])> {
+    let [a, b, c] = corners.map(|corner| corner.xy() / pixel_m - first - Vector2::repeat(0.5));
+    let area = (b - a).perp(&(c - a));
+    if area.abs() < 1e-12 {
+        return Vec::new();
+    }
+    let (low, high) = (a.inf(&b).inf(&c), a.sup(&b).sup(&c));
+    let range = |low: f64, high: f64, most: u32| {
+        low.ceil().max(0.0) as u32..(high.floor() + 1.0).clamp(0.0, f64::from(most)) as u32
+    };
+    let mut found = Vec::new();
+    for up in range(low.y, high.y, rows) {
+        for column in range(low.x, high.x, columns) {
+            let at = Vector2::new(f64::from(column), f64::from(up));
+            let shares = [
+                (c - b).perp(&(at - b)),
+                (a - c).perp(&(at - c)),
+                (b - a).perp(&(at - a)),
+            ]
+            .map(|part| part / area);
+            if shares.iter().all(|share| *share >= -1e-9) {
+                found.push((column, rows - 1 - up, shares));
+            }
+        }
+    }
+    found
+}
+
+fn blend(
+    mesh: &Mesh,
+    triangle: &[u32; 3],
+    corners: &[Vector3<f64>; 3],
+    shares: [f64; 3],
+    metres: f64,
+) -> Cell {
+    let vertices = triangle.map(|vertex| mesh.vertices[vertex as usize]);
+    let mean =
+        |value: &dyn Fn(usize) -> f64| (0..3).map(|corner| shares[corner] * value(corner)).sum::<f64>();
+    let is_known = vertices.iter().all(|vertex| vertex.spread >= 0.0);
+    Cell {
+        height_m: mean(&|corner| corners[corner].z),
+        color: [0, 1, 2].map(|channel| mean(&|corner| f64::from(vertices[corner].color[channel])) as f32),
+        photos: mean(&|corner| f64::from(vertices[corner].photos)) as f32,
+        spread_m: match is_known {
+            true => mean(&|corner| f64::from(vertices[corner].spread)) * metres,
+            false => -1.0,
+        },
+    }
+}
+
+/// Returns the distance between heights: 1 mm, or as many times 1, 2 or 5 of a power of ten as the range asks for.
+fn interval(range_m: f64) -> f64 {
+    let mut steps =
+        (0..12).flat_map(|power| [1.0, 2.0, 5.0].map(|step| step * FINEST_M * 10_f64.powi(power)));
+    steps.find(|step| range_m / step < MOST).unwrap_or(range_m / MOST)
+}
+
+#[cfg(test)]
+mod tests {
+    use marf_scene::Scene;
+
+    use super::*;
+    use crate::mesh::Vertex;
+
+    /// A site frame (z down) in units of 2 m.
+    fn frame() -> ExportFrame {
+        ExportFrame::of(&Scene {
+            up: Some([0.0, 0.0, -1.0]),
+            metres_per_unit: Some(2.0),
+            ..Scene::default()
+        })
+    }
+
+    /// A floor 1 unit below the origin from (0, 0) to (3, 2) (north, east), and a roof above its southern half.
+    fn house() -> Mesh {
+        let vertex = |north: f64, east: f64, down: f64| Vertex {
+            position: Vector3::new(north, east, down),
+            normal: -Vector3::z(),
+            color: if down > 0.5 {
+                [1.0, 0.0, 0.0]
+            } else {
+                [0.0, 0.0, 1.0]
+            },
+            photos: 3,
+            spread: if down > 0.5 { 0.001 } else { -1.0 },
+        };
+        let quad = |north: f64, down: f64| {
+            [
+                vertex(0.0, 0.0, down),
+                vertex(0.0, 2.0, down),
+                vertex(north, 0.0, down),
+                vertex(north, 2.0, down),
+            ]
+        };
+        Mesh {
+            vertices: [quad(3.0, 1.0), quad(1.5, 0.25)].concat(),
+            triangles: vec![[0, 1, 2], [1, 3, 2], [4, 5, 6], [5, 7, 6]],
+        }
+    }
+
+    fn values(png: &[u8]) -> Vec<u16> {
+        image::load_from_memory(png).unwrap().into_luma16().into_raw()
+    }
+
+    #[test]
+    fn north_is_at_the_top_and_the_highest_surface_is_seen() {
+        let map = SurfaceMap::draw(&house(), &frame(), 1.0).unwrap();
+        let report = &map.report;
+        // 4 m to the east, 6 m to the north; the border at 4 m and 6 m belongs to one pixel more.
+        assert_eq!((report.columns, report.rows), (5, 7));
+        assert_eq!((report.lowest_m, report.interval_m), (-2.0, 0.001));
+        let heights = values(&map.height_png().unwrap());
+        let row = |row: usize| &heights[row * 5..row * 5 + 5];
+        assert_eq!(row(0), [0; 5], "beyond the border");
+        assert_eq!(row(1), [1, 1, 1, 1, 0], "the floor in the north");
+        assert_eq!(
+            row(6),
+            [1501, 1501, 1501, 1501, 0],
+            "the roof, 1.5 m higher, in the south"
+        );
+        assert_eq!(map.world_file(), "1\n0\n0\n-1\n0.5\n6.5\n");
+        let spread = values(&map.spread_png().unwrap());
+        assert_eq!((spread[5], spread[30]), (3, 0), "2 mm, and not known");
+        let photo = image::load_from_memory(&map.photo_png().unwrap())
+            .unwrap()
+            .into_rgba8();
+        assert_eq!(
+            (photo.get_pixel(0, 1).0, photo.get_pixel(0, 6).0),
+            ([255, 0, 0, 255], [0, 0, 255, 255])
+        );
+        assert_eq!(photo.get_pixel(0, 0).0, [0; 4]);
+    }
+
+    #[test]
+    fn what_a_scene_cannot_give_is_refused_with_the_reason() {
+        let why = |mesh: &Mesh, frame: &ExportFrame, pixel: f64| {
+            SurfaceMap::draw(mesh, frame, pixel).unwrap_err().to_string()
+        };
+        assert!(why(&house(), &ExportFrame::of(&Scene::default()), 1.0).contains("no scale"));
+        assert!(why(&Mesh::default(), &frame(), 1.0).contains("empty"));
+        assert!(why(&house(), &frame(), 1e-5).contains("map_cell"));
+        assert!(why(&house(), &frame(), 100.0).contains("centre"));
+    }
+
+    #[test]
+    fn intervals_are_round_and_hold_the_range() {
+        for (range, expected) in [
+            (0.0, 0.001),
+            (65.0, 0.001),
+            (66.0, 0.002),
+            (200.0, 0.005),
+            (400.0, 0.01),
+        ] {
+            assert_eq!(interval(range), expected, "{range}");
+        }
+    }
+}

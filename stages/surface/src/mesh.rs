@@ -1,0 +1,231 @@
+//! A mesh or a cloud with what the views say of each vertex.
+
+use marf_scene::{Observer, seen_at};
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+use crate::cubes::Triangles;
+use crate::view::SurfaceView;
+
+/// A point of a surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Vertex {
+    /// Position, world units.
+    pub position: Vector3<f64>,
+    /// Unit normal in the world, outward; zero where it is not known.
+    pub normal: Vector3<f64>,
+    /// sRGB in [0, 1].
+    pub color: [f32; 3],
+    /// Photos that show it.
+    pub photos: u32,
+    /// Root mean square of the distances, along the normal, between it and the surfaces that the views show, world units; negative where
+    /// only one view shows it.
+    pub spread: f32,
+}
+
+/// A surface as triangles.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Mesh {
+    /// The vertices.
+    pub vertices: Vec<Vertex>,
+    /// Indices of vertices, counterclockwise as seen from outside.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// What is asked of each vertex.
+#[derive(Debug, Clone, Copy)]
+pub struct Witnesses<'a> {
+    /// The field at the views of the photos.
+    pub views: &'a [SurfaceView],
+    /// How far each photo saw.
+    pub observers: &'a [Observer],
+    /// Surfaces farther from a vertex are other surfaces, world units.
+    pub band: f64,
+}
+
+impl Witnesses<'_> {
+    /// Returns a point as the views show it. The colour is the mean over the views that show a surface within the band, each by
+    /// cos² θ / r² as in [`crate::Volume::fuse`]; grey without any.
+    pub fn vertex(&self, position: Vector3<f64>, normal: Vector3<f64>) -> Vertex {
+        let (mut color, mut weights, mut squares, mut count) = (Vector3::zeros(), 0.0, 0.0, 0);
+        for view in self.views {
+            let Some((signed, patch, rgb)) = view.at(&position) else {
+                continue;
+            };
+            if signed.abs() > self.band {
+                continue;
+            }
+            let share = f64::from(patch.cosine) / f64::from(patch.distance);
+            let weight = share * share;
+            color += Vector3::from(rgb.map(f64::from)) * weight;
+            squares += weight * signed * signed;
+            weights += weight;
+            count += 1;
+        }
+        let color: [f64; 3] = if weights > 0.0 {
+            (color / weights).into()
+        } else {
+            [0.5; 3]
+        };
+        Vertex {
+            position,
+            normal,
+            color: color.map(|channel| channel as f32),
+            photos: seen_at(self.observers, &position, None).photos,
+            spread: if count > 1 {
+                (squares / weights).sqrt() as f32
+            } else {
+                -1.0
+            },
+        }
+    }
+}
+
+impl Mesh {
+    /// Gives each vertex of a surface its normal (the mean of its triangles' by area), colour, photos and spread.
+    pub fn new(surface: Triangles, witnesses: &Witnesses<'_>) -> Self {
+        let normals = normals(&surface);
+        let vertices = surface.positions.par_iter().zip(&normals);
+        Self {
+            vertices: vertices
+                .map(|(position, normal)| witnesses.vertex(*position, *normal))
+                .collect(),
+            triangles: surface.triangles,
+        }
+    }
+
+    /// Returns the mesh without triangles of which a vertex is not to be kept, and without pieces of fewer triangles than `least`.
+    #[must_use]
+    pub fn retaining(mut self, is_kept: impl Fn(&Vertex) -> bool, least: usize) -> Self {
+        let vertices = &self.vertices;
+        let is_whole = |vertex: &u32| is_kept(&vertices[*vertex as usize]);
+        self.triangles.retain(|triangle| triangle.iter().all(is_whole));
+        let piece = pieces(vertices.len(), &self.triangles);
+        let mut size = vec![0_usize; vertices.len()];
+        for triangle in &self.triangles {
+            size[piece[triangle[0] as usize] as usize] += 1;
+        }
+        self.triangles
+            .retain(|triangle| size[piece[triangle[0] as usize] as usize] >= least);
+        self.compacted()
+    }
+
+    /// Returns the mesh without vertices that no triangle has, in the same order.
+    fn compacted(self) -> Self {
+        let mut is_used = vec![false; self.vertices.len()];
+        for vertex in self.triangles.iter().flatten() {
+            is_used[*vertex as usize] = true;
+        }
+        let mut next = 0;
+        let number = is_used.iter().map(|used| {
+            let own = next;
+            next += u32::from(*used);
+            own
+        });
+        let number: Vec<u32> = number.collect();
+        let kept = self.vertices.iter().zip(&is_used).filter(|(_, used)| **used);
+        Self {
+            vertices: kept.map(|(vertex, _)| *vertex).collect(),
+            triangles: self
+                .triangles
+                .iter()
+                .map(|triangle| triangle.map(|vertex| number[vertex as usize]))
+                .collect(),
+        }
+    }
+}
+
+fn normals(surface: &Triangles) -> Vec<Vector3<f64>> {
+    let mut sums = vec![Vector3::zeros(); surface.positions.len()];
+    for triangle in &surface.triangles {
+        let [a, b, c] = triangle.map(|vertex| surface.positions[vertex as usize]);
+        let doubled = (b - a).cross(&(c - a));
+        for vertex in triangle {
+            sums[*vertex as usize] += doubled;
+        }
+    }
+    sums.iter()
+        .map(|sum| sum.try_normalize(0.0).unwrap_or_default())
+        .collect()
+}
+
+/// Returns for each vertex the lowest vertex of its piece.
+fn pieces(vertices: usize, triangles: &[[u32; 3]]) -> Vec<u32> {
+    let mut parent: Vec<u32> = (0..vertices as u32).collect();
+    for triangle in triangles {
+        let [a, b, c] = triangle.map(|vertex| root(&mut parent, vertex));
+        let lowest = a.min(b).min(c);
+        for vertex in [a, b, c] {
+            parent[vertex as usize] = lowest;
+        }
+    }
+    (0..vertices as u32)
+        .map(|vertex| root(&mut parent, vertex))
+        .collect()
+}
+
+fn root(parent: &mut [u32], mut vertex: u32) -> u32 {
+    while parent[vertex as usize] != vertex {
+        // Halves the way for the next look.
+        let above = parent[parent[vertex as usize] as usize];
+        parent[vertex as usize] = above;
+        vertex = above;
+    }
+    vertex
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NOBODY: Witnesses<'static> = Witnesses {
+        views: &[],
+        observers: &[],
+        band: 1.0,
+    };
+
+    /// Two triangles that share an edge in the plane z = 0, and one apart.
+    fn surface() -> Triangles {
+        let at = |x: f64, y: f64| Vector3::new(x, y, 0.0);
+        Triangles {
+            positions: vec![
+                at(0.0, 0.0),
+                at(1.0, 0.0),
+                at(0.0, 1.0),
+                at(1.0, 1.0),
+                at(5.0, 5.0),
+                at(6.0, 5.0),
+                at(5.0, 6.0),
+            ],
+            triangles: vec![[0, 1, 2], [1, 3, 2], [4, 5, 6]],
+        }
+    }
+
+    #[test]
+    fn normals_point_to_where_triangles_run_counterclockwise() {
+        let mesh = Mesh::new(surface(), &NOBODY);
+        assert!(mesh.vertices.iter().all(|vertex| vertex.normal == Vector3::z()));
+        let seen = mesh.vertices[0];
+        assert_eq!((seen.photos, seen.spread, seen.color), (0, -1.0, [0.5; 3]));
+    }
+
+    #[test]
+    fn small_pieces_go_with_their_vertices() {
+        let mesh = Mesh::new(surface(), &NOBODY);
+        let kept = mesh.clone().retaining(|_| true, 2);
+        assert_eq!(
+            (kept.vertices.len(), &kept.triangles[..]),
+            (4, &mesh.triangles[..2])
+        );
+        assert_eq!(mesh.clone().retaining(|_| true, 1), mesh);
+        assert_eq!(mesh.clone().retaining(|_| true, 3), Mesh::default());
+    }
+
+    #[test]
+    fn what_no_photo_saw_is_a_hole() {
+        assert_eq!(
+            Mesh::new(surface(), &NOBODY).retaining(|vertex| vertex.photos > 0, 1),
+            Mesh::default()
+        );
+    }
+}
