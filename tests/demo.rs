@@ -176,18 +176,20 @@ fn exports_run_on_the_results_of_a_run() {
         "--json",
     ];
     let said = marf(dir.path(), &ply).exits(0);
-    let told: serde_json::Value = serde_json::from_str(said.stdout.trim().lines().last().unwrap_or_default())
-        .or_else(|_| serde_json::from_str(&said.stdout))
-        .unwrap_or_default();
+    let told: serde_json::Value = serde_json::from_str(&said.stdout).unwrap();
+    assert_eq!(told["files"], serde_json::json!(["e/mesh.ply"]));
     assert!(!said.stderr.contains("never ran"), "{}", said.stderr);
-    assert!(
-        std::fs::read(dir.path().join("e/mesh.ply"))
-            .unwrap()
-            .starts_with(b"ply\n"),
-        "{told}"
-    );
+    let ply = std::fs::read(dir.path().join("e/mesh.ply")).unwrap();
+    assert!(ply.starts_with(b"ply\n"));
     let made = marf(dir.path(), &["audit", "e/mesh.glb"]).exits(0);
     assert!(made.stdout.contains("surface-of-train"), "{}", made.stdout);
+
+    let status = marf(dir.path(), &["status"]).exits(0);
+    assert!(
+        !status.stdout.contains("surface"),
+        "an export is no run of the pipeline: {}",
+        status.stdout
+    );
 
     marf(dir.path(), &["export", "cameras", "--out", "cameras"]).exits(0);
     let text = std::fs::read_to_string(dir.path().join("cameras/transforms.json")).unwrap();

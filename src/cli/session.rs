@@ -14,6 +14,19 @@ use super::error::{CliError, Diagnostic};
 use crate::config::{self, Pipeline};
 use crate::terminal::eprint_line;
 
+/// What the name of a pipeline is followed by in runs of exports: they are no runs of the pipeline.
+pub const EXPORTS: &str = " (export)";
+
+/// Tells whether a run made a file for another program from the results of another run.
+pub fn is_export(run: &RunRecord) -> bool {
+    run.pipeline.ends_with(EXPORTS)
+}
+
+/// Returns the last run of a pipeline among runs, oldest first.
+pub fn last_of(runs: &[RunRecord]) -> Option<&RunRecord> {
+    runs.iter().rev().find(|run| !is_export(run))
+}
+
 /// A pipeline ready to plan and run.
 pub struct Session {
     /// Name of the pipeline.

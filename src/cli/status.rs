@@ -4,15 +4,15 @@ use super::args::Global;
 use super::error::CliError;
 use super::output::print_json;
 use super::run::state_word;
-use super::session::{existing_store, warn};
+use super::session::{existing_store, last_of, warn};
 use crate::progress::duration;
 use crate::terminal::print_line;
 
-/// `marf status`: the nodes of the last run.
+/// `marf status`: the nodes of the last run, exports aside.
 pub fn status(global: &Global, cancel: &Cancel) -> Result<(), CliError> {
     let store = existing_store(global, cancel)?;
     let runs = marf_engine::runs(&store, warn)?;
-    let Some(run) = runs.last() else {
+    let Some(run) = last_of(&runs) else {
         return Err(CliError::failed(format!("no run in {}", store.dir().display())));
     };
     if global.json {

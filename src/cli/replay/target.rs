@@ -7,7 +7,7 @@ use marf_engine::{RunRecord, run_of};
 
 use crate::cli::audit::identity::identify;
 use crate::cli::error::{Answer, CliError, Diagnostic};
-use crate::cli::session::warn;
+use crate::cli::session::{last_of, warn};
 
 /// A run, and the node that is wanted of it; none for all.
 pub struct Target {
@@ -27,7 +27,7 @@ pub fn target(store: &Store, what: Option<&str>) -> Result<Target, CliError> {
     }
     let runs = marf_engine::runs(store, warn)?;
     let last = || {
-        runs.last()
+        last_of(&runs)
             .cloned()
             .ok_or_else(|| CliError::failed("there is no run yet".to_owned()))
     };

@@ -12,11 +12,8 @@ use super::super::args::Global;
 use super::super::error::{CliError, Diagnostic};
 use super::super::replay::resolved;
 use super::super::run::{execute, options};
-use super::super::session::{Session, warn};
+use super::super::session::{EXPORTS, Session, last_of, warn};
 use crate::config::{GlobalOptions, check_tree};
-
-/// What the name of a pipeline is followed by in runs of exports: they are no runs of the pipeline.
-const EXPORTS: &str = " (export)";
 
 /// Returns the last run, or the one of a number, in which a node ended well.
 ///
@@ -34,7 +31,7 @@ pub fn run_with(store: &Store, number: Option<u64>, node: &str) -> Result<RunRec
     }
     let runs = marf_engine::runs(store, warn)?;
     let last = runs.iter().rev().find(|run| has(run)).cloned();
-    let none = || match runs.last() {
+    let none = || match last_of(&runs) {
         Some(run) => without(run, node),
         None => CliError::Failed(Diagnostic::new("there is no run yet").hint("`marf run` makes one")),
     };

@@ -10,15 +10,24 @@ use marf_stage::PHOTOS;
 
 use super::super::error::{CliError, Diagnostic};
 use super::super::export::file_name;
+use super::super::session::is_export;
 
-/// Reads a run by number, or the last one, with the names of its files and how its results were made.
+/// Reads a run by number, or the last one that is no export, with the names of its files and how its results were made.
 ///
 /// # Errors
 /// A run that is not there or did not end well, or a store that cannot be read.
 pub fn load(store: &Store, number: Option<u64>) -> Result<Run, CliError> {
     let number = match number {
         Some(number) => number,
-        None => store.run_numbers()?.last().copied().ok_or_else(no_run)?,
+        None => {
+            let is_own = |number: &u64| !marf_engine::run_of(store, *number).is_ok_and(|run| is_export(&run));
+            store
+                .run_numbers()?
+                .into_iter()
+                .rev()
+                .find(is_own)
+                .ok_or_else(no_run)?
+        }
     };
     let mut run = Run::of(store.run(number)?)?;
     let lineage = Lineage::open(store, number)?;
