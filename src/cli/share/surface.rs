@@ -123,7 +123,7 @@ fn table(kind: Kind, args: &SurfaceArgs) -> Value {
         .into_iter()
         .filter_map(|(key, length)| Some((key, json!(length?))));
     let count = args.least_photos.map(|count| ("least_photos", json!(count)));
-    let depth = (kind == Kind::Depth).then(|| ("depth", json!(true)));
+    let depth = (kind == Kind::Depth).then_some(("depth", json!(true)));
     table.extend(
         lengths
             .chain(count)

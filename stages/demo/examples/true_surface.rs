@@ -46,7 +46,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let vertices = vertices(&fs::read(arguments.next().ok_or("name a PLY")?)?)?;
     let demo = Demo::new(DemoOptions::default())?;
     let photos = true_photos(&demo, &scene)?;
-    let trained: Vec<&(TruePhoto, RangeMap, bool)> = photos.iter().filter(|photo| !photo.2).collect();
+    let trained: Vec<&Known> = photos.iter().filter(|photo| !photo.2).collect();
     let points: Vec<TruePoint> = trained
         .par_iter()
         .flat_map_iter(|(photo, map, _)| true_points(photo, map))
@@ -71,8 +71,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Returns the true photos of the scene with their ranges, and whether each is held out.
-fn true_photos(demo: &Demo, scene: &Scene) -> Result<Vec<(TruePhoto, RangeMap, bool)>, Box<dyn Error>> {
+/// A true photo of the scene with its ranges, and whether it is held out.
+type Known = (TruePhoto, RangeMap, bool);
+
+/// Returns the true photos of the scene.
+fn true_photos(demo: &Demo, scene: &Scene) -> Result<Vec<Known>, Box<dyn Error>> {
     let mut photos = Vec::new();
     for frame in &scene.frames {
         let file = frame.file.rsplit('/').next().unwrap_or_default();
@@ -123,7 +126,7 @@ fn true_points(photo: &TruePhoto, map: &RangeMap) -> Vec<TruePoint> {
     points
 }
 
-fn seen(point: TruePoint, photos: &[&(TruePhoto, RangeMap, bool)]) -> TruePoint {
+fn seen(point: TruePoint, photos: &[&Known]) -> TruePoint {
     let mut seen = point;
     for (photo, map, _) in photos {
         let Some(pixel) = photo.site_model.project(&point.position) else {
@@ -235,7 +238,7 @@ fn rows(vertices: &[Vector3<f64>], points: &[TruePoint]) -> Vec<serde_json::Valu
 
 /// Returns the similarity (rotation with scale, translation) that carries the camera centres of the scene to the true ones
 /// (Umeyama, Least-squares estimation of transformation parameters between two point patterns, PAMI 1991).
-fn alignment(scene: &Scene, photos: &[(TruePhoto, RangeMap, bool)]) -> (Matrix3<f64>, Vector3<f64>) {
+fn alignment(scene: &Scene, photos: &[Known]) -> (Matrix3<f64>, Vector3<f64>) {
     let ours: Vec<Vector3<f64>> = scene
         .frames
         .iter()
