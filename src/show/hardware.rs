@@ -37,7 +37,7 @@ fn of_camera(page: &Page<'_>, node: &NodeView, camera: &CameraReport) -> Markup 
             } }
             p {
                 "If this is a part of the rover, hide it: copy " code { (output::MASKS) (camera.name) ".png" } " of the folder "
-                code { (node.name) } " into a folder " code { "masks" } " beside the photos, change it with any editor (black is \
+                code { (node.name) } " into a folder " code { "masks" } " beside the photos (or in a folder of its own, if they come from a server), change it with any editor (black is \
                 hidden), and run again. Nothing is hidden before."
             }
         }

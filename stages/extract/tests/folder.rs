@@ -123,6 +123,19 @@ fn pictures_below_masks_are_companions_and_no_photos() {
     assert_eq!(brought.verdict("masks/readme.txt").verdict, "skipped");
 }
 
+/// Masks for photos that an archive on a server has: no photo is missing from a folder of masks.
+#[test]
+fn a_folder_of_masks_alone_has_companions_and_no_photo() {
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path(), "masks/ZL-640x480.png", &png(2));
+    let brought = bring(folder(dir.path())).unwrap();
+    assert_eq!(brought.ids(), [""; 0]);
+    assert_eq!(
+        brought.listing.companions.keys().collect::<Vec<_>>(),
+        ["masks/ZL-640x480.png"]
+    );
+}
+
 #[test]
 fn points_beside_the_photos_are_companions() {
     let dir = tempfile::tempdir().unwrap();

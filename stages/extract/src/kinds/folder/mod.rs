@@ -90,12 +90,9 @@ impl Folder {
     fn survey(&self, ctx: &Ctx<'_>) -> Result<Arc<Survey>, StageError> {
         self.check_root()?;
         let mut survey = Survey::of(ctx, &self.root, self.depth, self.reading)?;
-        if !survey
-            .shards
-            .values()
-            .flatten()
-            .any(|index| survey.is_photo(*index))
-        {
+        let mut files = survey.shards.values().flatten();
+        // A folder of masks alone is for photos of another archive.
+        if survey.companions.is_empty() && !files.any(|index| survey.is_photo(*index)) {
             return Err(self.empty(survey.shards.values().map(Vec::len).sum()));
         }
         self.choose(&mut survey)?;
