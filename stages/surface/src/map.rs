@@ -29,7 +29,6 @@ struct Cell {
     /// Along up from the world's origin, metres.
     height_m: f64,
     color: [f32; 3],
-    photos: f32,
     /// Metres; negative where only one view shows it.
     spread_m: f64,
 }
@@ -249,7 +248,6 @@ fn blend(
     Cell {
         height_m: mean(&|corner| corners[corner].z),
         color: [0, 1, 2].map(|channel| mean(&|corner| f64::from(vertices[corner].color[channel])) as f32),
-        photos: mean(&|corner| f64::from(vertices[corner].photos)) as f32,
         spread_m: match is_known {
             true => mean(&|corner| f64::from(vertices[corner].spread)) * metres,
             false => -1.0,

@@ -19,7 +19,7 @@ use crate::{
 /// Judges every photo of a small scene by a field that was trained without its place.
 ///
 /// Where few photos are held out, their mean says little. Each fold is a node `train`: the training `of`, of which it has sizes
-/// and configuration, on the photos of all other folds, for a share of its steps, so that the mean is rather too low. Photos
+/// and configuration, on the photos of all other folds, for a share of its steps: shorter and with fewer photos than that training has. Photos
 /// that `calibrate` holds out are trained on as well: it is the scene that is judged here, not the field delivered.
 #[derive(Debug)]
 pub struct Folds {
