@@ -172,6 +172,8 @@ pub enum Verb {
     Calibrate(CalibrateArgs),
     /// Train a field on images/ and transforms.json of a folder, and render the held-out views
     Fit(FitArgs),
+    /// Measure what each knob costs in time and gains in quality
+    Trade(super::trade::TradeArgs),
     /// Benchmark this program
     Bench {
         /// What to measure
@@ -253,10 +255,16 @@ pub struct CalibrateArgs {
 pub struct FitArgs {
     /// A folder with images/, transforms.json (nerfstudio convention) and the points it names
     pub dir: PathBuf,
-    /// Training times, e.g. `10s,60s,5m`
+    /// Training times, e.g. `10s,60s,5m`: trials and steps, without decoding and judging
     #[arg(long, value_name = "TIMES", default_value = "60s", value_delimiter = ',')]
     pub budget: Vec<String>,
-    /// Folder for `<budget>s/<name>.png` and metrics.json
+    /// The whole wait instead, e.g. `5m`: decoding, training, judging and pictures; no folds
+    #[arg(long, value_name = "TIME", conflicts_with = "budget")]
+    pub within: Option<String>,
+    /// Stop at this PSNR on training photos that are held back, dB
+    #[arg(long, value_name = "DB")]
+    pub target: Option<f64>,
+    /// Folder for `<time>s/<name>.png` and metrics.json
     #[arg(long, value_name = "DIR", default_value = "fit")]
     pub out: PathBuf,
     /// Seed of the training

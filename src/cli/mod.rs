@@ -29,6 +29,7 @@ mod run;
 mod session;
 mod share;
 mod status;
+mod trade;
 mod verdicts;
 
 use std::process::ExitCode;
@@ -90,6 +91,7 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
         Verb::Photos { dir, node } => photos::photos(global, dir.as_deref(), node, cancel),
         Verb::Calibrate(args) => calibrate::calibrate(global, args, cancel),
         Verb::Fit(args) => fit::fit(global, args, cancel),
+        Verb::Trade(args) => trade::trade(global, args, cancel),
         Verb::Bench { verb } => bench::bench(global, verb, cancel),
         Verb::Completions { shell } => {
             let mut bytes = Vec::new();

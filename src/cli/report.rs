@@ -10,8 +10,9 @@ use marf_stage::Memos;
 use super::args::Global;
 use super::documents::{self, Documents};
 use super::error::CliError;
-use super::session::Session;
+use super::session::{Session, TRADES, warn};
 use super::{diff, export, files};
+use crate::show::trade::Trade;
 use crate::show::{self, ChangedNode, Changes, ChildView, NodeView, ReportInput, State};
 use crate::terminal::eprint_line;
 
@@ -46,7 +47,7 @@ pub fn document(session: &Session, record: &RunRecord) -> Result<Documents, CliE
 ///
 /// # Errors
 /// A store that cannot be read or written, the wish to stop.
-fn page(session: &Session, record: &RunRecord) -> Result<String, CliError> {
+pub fn page(session: &Session, record: &RunRecord) -> Result<String, CliError> {
     // Who wants to stop reads nothing any more, and what was read until then becomes no report.
     let read = |digest: &Digest| -> Option<Arc<[u8]>> {
         session.check().ok()?;
@@ -66,6 +67,7 @@ fn page(session: &Session, record: &RunRecord) -> Result<String, CliError> {
         program: record.program.clone(),
         nodes: nodes(session, record),
         changes: changes(session, record)?,
+        trade: trade(session, record)?,
         read: &read,
         memos: &StoreMemos(&session.store, maker),
     };
@@ -101,6 +103,21 @@ fn changes(session: &Session, record: &RunRecord) -> Result<Option<Changes>, Cli
         since,
         nodes: nodes.iter().map(changed).collect(),
     }))
+}
+
+/// Returns the last trade that was measured around the pipeline of a run.
+///
+/// # Errors
+/// A store that cannot be read.
+fn trade(session: &Session, record: &RunRecord) -> Result<Option<Trade>, CliError> {
+    let name = format!("{}{TRADES}", record.pipeline.trim_end_matches(TRADES));
+    let has_trade = |run: &RunRecord| run.documents.contains_key(document::TRADE);
+    let run = marf_engine::last_run_where(&session.store, &name, warn, has_trade)?;
+    let kept = run.and_then(|run| run.documents.get(document::TRADE).copied());
+    let bytes = kept.map(|kept| session.store.get(&kept.digest)).transpose()?;
+    let read = |bytes: Arc<[u8]>| serde_json::from_slice(&bytes);
+    let trade = bytes.map(read).transpose();
+    trade.map_err(|error| CliError::failed(format!("{}: {error}", document::TRADE)))
 }
 
 /// Memos in the store, and the key they are kept for; a lost one costs only time.

@@ -17,14 +17,19 @@ use crate::terminal::eprint_line;
 /// What the name of a pipeline is followed by in runs of exports: they are no runs of the pipeline.
 pub const EXPORTS: &str = " (export)";
 
-/// Tells whether a run made a file for another program from the results of another run.
-pub fn is_export(run: &RunRecord) -> bool {
-    run.pipeline.ends_with(EXPORTS)
+/// What the name of a pipeline is followed by in runs of `marf trade`.
+pub const TRADES: &str = " (trade)";
+
+/// Tells whether a run is no run of the pipeline as it is: it made a file for another program, or a point of a trade.
+pub fn is_aside(run: &RunRecord) -> bool {
+    [EXPORTS, TRADES]
+        .iter()
+        .any(|aside| run.pipeline.ends_with(aside))
 }
 
 /// Returns the last run of a pipeline among runs, oldest first.
 pub fn last_of(runs: &[RunRecord]) -> Option<&RunRecord> {
-    runs.iter().rev().find(|run| !is_export(run))
+    runs.iter().rev().find(|run| !is_aside(run))
 }
 
 /// A pipeline ready to plan and run.

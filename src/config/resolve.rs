@@ -40,7 +40,7 @@ pub struct Node {
 }
 
 /// Keys a whole pipeline may have.
-const TOP: [&str; 5] = ["name", "archive", "node", "keep", "reject"];
+const TOP: [&str; 6] = ["name", "archive", "node", "keep", "reject", "trade"];
 
 /// What a node's parameters depend on beside its own table.
 struct PipelineContext<'a> {
@@ -56,6 +56,7 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
             return Err(ConfigError::at(entry.at.clone(), message).hint(did_you_mean(&entry.key, TOP)));
         }
     }
+    check_trade(root)?;
     let name = match root.entry("name") {
         None => None,
         Some(entry) => Some(text(entry)?.to_owned()),
@@ -98,6 +99,28 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
         nodes,
         tree: root.json(),
     })
+}
+
+/// Checks `[trade]`: keys of nodes as `--set` takes them, each with a list of values.
+fn check_trade(root: &Located) -> Result<(), ConfigError> {
+    let Some(table) = root.entry("trade") else {
+        return Ok(());
+    };
+    let refuse = |at: &Origin, message: String| {
+        let hint = "write `\"train.scale\" = [1, 2, 4]` below `[trade]`".to_owned();
+        Err(ConfigError::at(at.clone(), message).hint(Some(hint)))
+    };
+    let Some(knobs) = table.value.entries() else {
+        return refuse(&table.at, "`trade` is not a table".to_owned());
+    };
+    for knob in knobs {
+        let values = knob.value.json();
+        if !values.as_array().is_some_and(|values| !values.is_empty()) || !knob.key.contains('.') {
+            let message = format!("`trade.{}` is no key of a node with a list of values", knob.key);
+            return refuse(&knob.at, message);
+        }
+    }
+    Ok(())
 }
 
 /// Returns the tables of measures that some nodes read, each once.

@@ -32,6 +32,11 @@ pub fn schema() -> Json {
             "name": {"type": "string", "description": "Name of the pipeline."},
             "keep": super::manual_lists::schema("keeps"),
             "reject": super::manual_lists::schema("rejects"),
+            "trade": {
+                "type": "object",
+                "description": "Values that `marf trade` tries, by the key of a node in quotes (`\"train.scale\" = [1, 2, 4]`).",
+                "additionalProperties": {"type": "array", "minItems": 1},
+            },
             "archive": archive,
             "node": {
                 "type": "object",

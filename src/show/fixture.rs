@@ -93,6 +93,7 @@ impl Store {
                     },
                 ],
             }),
+            trade: None,
             read: &|digest| self.blobs.get(digest).cloned(),
             memos: &marf_stage::harness::Harness::default(),
         })

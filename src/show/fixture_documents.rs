@@ -55,6 +55,8 @@ pub(super) fn trial(number: u32, rank: u32, psnr: f64) -> tune::Trial {
 /// Metrics of a training of 4,000 steps.
 pub(super) fn training(scores: Scores) -> train::Metrics {
     train::Metrics {
+        target: None,
+        schedule: None,
         scores,
         on_training: Some(train::OnTraining {
             photos: 1,

@@ -3,6 +3,8 @@ use std::sync::Arc;
 
 use marf_cache::Digest;
 
+use super::trade::Trade;
+
 /// Looks up the bytes of a digest; `None` where the store does not have them.
 pub type ReadBlob<'a> = dyn Fn(&Digest) -> Option<Arc<[u8]>> + 'a;
 
@@ -20,6 +22,8 @@ pub struct ReportInput<'a> {
     pub nodes: Vec<NodeView>,
     /// What changed since the last run that had other results; absent if there was none.
     pub changes: Option<Changes>,
+    /// The last trade of time against quality that was measured around the pipeline.
+    pub trade: Option<Trade>,
     /// The store.
     pub read: &'a ReadBlob<'a>,
     /// Where pictures as they are embedded are kept from report to report.

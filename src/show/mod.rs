@@ -27,6 +27,7 @@ mod review;
 mod sets;
 mod sizes;
 mod thumbs;
+pub mod trade;
 mod tune;
 mod vector;
 mod verdicts;
@@ -107,6 +108,14 @@ fn sections(page: &Page<'_>) -> Vec<Section> {
         ),
         section("tune", "Tuning", tune::body(page)),
         section("training", "Training", curves::body(page)),
+        section(
+            "trade",
+            "Time against quality",
+            page.input
+                .trade
+                .as_ref()
+                .map_or_else(|| page.absent("trade (`marf trade` measures one)"), trade::body),
+        ),
         section("heldout", "Held-out photos", pictures::held_out(page)),
         section("uncertainty", "Uncertainty", maps::body(page)),
         section("flight", "Fly-through", pictures::flights(page)),

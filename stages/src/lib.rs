@@ -27,7 +27,6 @@ static STAGES: LazyLock<Vec<StageDef>> = LazyLock::new(|| {
         define::<marf_train::Tune>(),
         define::<marf_train::Train>(),
         define::<marf_train::Partial>(),
-        define::<marf_train::Pace>(),
         define::<marf_train::Folds>(),
         define::<marf_train::Evaluate>(),
         define::<marf_train::Render>(),

@@ -38,6 +38,7 @@ help_of! {
     help_photos: "photos", "--help";
     help_calibrate: "calibrate", "--help";
     help_fit: "fit", "--help";
+    help_trade: "trade", "--help";
     help_bench: "bench", "--help";
     help_bench_train: "bench", "train", "--help";
     help_bench_engine: "bench", "engine", "--help";

@@ -16,6 +16,7 @@ mod help;
 mod log;
 mod plan;
 mod status;
+mod trade;
 mod why;
 
 use std::path::Path;

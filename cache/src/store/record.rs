@@ -55,6 +55,9 @@ pub struct RunMetadata {
     /// Figures of the work by name (`photos`, `rejected`, `measured`).
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub counts: BTreeMap<String, u64>,
+    /// Seconds of parts of the work by name (`training`), where the stage tells them apart.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub parts_s: BTreeMap<String, f64>,
 }
 
 /// Two different results for one key.

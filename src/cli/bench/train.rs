@@ -274,7 +274,7 @@ impl Bench<'_> {
             if let Budget::Seconds(seconds) = budget {
                 let share = self.seconds(&effort) / f64::from(seconds);
                 if share >= planned {
-                    trainer.set_last_step((trainer.steps() as f64 / share) as u64);
+                    trainer.plan((trainer.steps() as f64 / share) as u64);
                     planned += PLANNED_EVERY;
                 }
             }

@@ -38,7 +38,8 @@ pub struct ReplayArgs {
 
 const AFTER_HELP: &str = "\
 Nothing is asked of any server, and nothing of the first run is used but its root, the files that it read from archives, and \
-the results of stages that are declared to vary (the steps that a time budget bought, COLMAP's cameras).
+the results of stages that are declared to vary (COLMAP's cameras). A training by the clock is repeated by the schedule that \
+it ran.
 Exit codes of the answer: 0 every digest is equal, 3 the file was not made by marf, 5 something that is needed is not in the \
 store any more, 7 something came out otherwise, 9 nothing did, but not everything could be made again here (it ran on another \
 GPU, or failed).";

@@ -8,7 +8,8 @@ use marf_engine::{Graph, RunRecord, document};
 use marf_field::Device;
 use marf_provenance::lineage::{Lineage, NodeLineage};
 use marf_provenance::replay::{NotMade, copy_archive, copy_record, copy_result, recorded};
-use marf_stage::EARLIER;
+use marf_schema::train::{Setup, TrainParams};
+use marf_stage::{Document, EARLIER, Params};
 use serde_json::Value;
 
 use crate::cli::documents::put_on_cpu;
@@ -49,6 +50,9 @@ pub fn plan(lineage: &Lineage<'_>, nodes: &[&NodeLineage], scratch: &Store) -> R
         if !wanted.contains(name) || not_made.contains_key(name) {
             put_on_cpu(&mut tree, &node.run);
         }
+    }
+    for node in nodes {
+        repeat(&mut tree, lineage.store(), node)?;
     }
     take_over(lineage, nodes, scratch, &mut not_made)?;
     continue_from(lineage, nodes, scratch)?;
@@ -125,6 +129,40 @@ fn on_other_devices(nodes: &[&NodeLineage]) -> BTreeMap<String, NotMade> {
     not_made
 }
 
+/// Puts the parameters of a training by the clock in its place that repeat it: the schedule that it ran.
+fn repeat(tree: &mut Value, store: &Store, node: &NodeLineage) -> Result<(), CliError> {
+    let Some(repeating) = repeating(store, node)? else {
+        return Ok(());
+    };
+    let table = tree["node"]
+        .get_mut(&node.run.name)
+        .and_then(Value::as_object_mut);
+    if let (Some(table), Value::Object(repeating)) = (table, repeating) {
+        table.remove("budget");
+        table.extend(repeating);
+    }
+    Ok(())
+}
+
+/// Returns the keys that repeat a training by the clock; none for all other nodes.
+fn repeating(store: &Store, node: &NodeLineage) -> Result<Option<Value>, CliError> {
+    let Some(setup) = node.run.outputs.get(Setup::OUTPUT) else {
+        return Ok(None);
+    };
+    let action = node
+        .action
+        .as_ref()
+        .filter(|_| node.run.stage == TrainParams::STAGE);
+    let params = action.map(|action| serde_json::from_value::<TrainParams>(action.params.clone()));
+    let Some(Ok(params)) = params else {
+        return Ok(None);
+    };
+    let unreadable = |error: serde_json::Error| CliError::failed(format!("`{}`: {error}", node.run.name));
+    let setup = Setup::decode(&store.get(&setup.digest)?).map_err(unreadable)?;
+    let repeating = params.repeating(&setup);
+    Ok(repeating.map(|params| serde_json::json!({"schedule": params.schedule, "trials": params.trials})))
+}
+
 /// Takes over the results of nodes that are declared to vary: what follows from them is then made from the same.
 fn take_over(
     lineage: &Lineage<'_>,
@@ -145,14 +183,14 @@ fn take_over(
     Ok(())
 }
 
-/// Returns why the results of a node may differ from run to run, if its stage says so.
+/// Returns why the results of a node may differ from run to run, if its stage says so and nothing repeats it.
 fn varies(node: &NodeLineage) -> Option<&'static str> {
     let def = marf_stages::stages()
         .iter()
         .find(|def| def.name == node.run.stage)?;
     // A source cannot be bound without its archive, and is none of these.
     let stage = (def.bind)(node.action.as_ref()?.params.clone()).ok()?;
-    stage.varies()
+    stage.varies().filter(|_| node.run.stage != TrainParams::STAGE)
 }
 
 /// Lets nodes that went on from their own earlier output do so again: the store knows of their results and has only what they

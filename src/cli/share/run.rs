@@ -10,7 +10,7 @@ use marf_stage::PHOTOS;
 
 use super::super::error::{CliError, Diagnostic};
 use super::super::export::file_name;
-use super::super::session::is_export;
+use super::super::session::is_aside;
 
 /// Reads a run by number, or the last one that is no export, with the names of its files and how its results were made.
 ///
@@ -20,7 +20,7 @@ pub fn load(store: &Store, number: Option<u64>) -> Result<Run, CliError> {
     let number = match number {
         Some(number) => number,
         None => {
-            let is_own = |number: &u64| !marf_engine::run_of(store, *number).is_ok_and(|run| is_export(&run));
+            let is_own = |number: &u64| !marf_engine::run_of(store, *number).is_ok_and(|run| is_aside(&run));
             store
                 .run_numbers()?
                 .into_iter()

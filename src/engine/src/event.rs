@@ -113,6 +113,7 @@ pub(crate) struct NodeProgress<'a> {
     node: String,
     listener: &'a dyn Listener,
     last: Mutex<Option<Instant>>,
+    parts_s: Mutex<BTreeMap<String, f64>>,
 }
 
 impl<'a> NodeProgress<'a> {
@@ -121,7 +122,13 @@ impl<'a> NodeProgress<'a> {
             node: node.to_owned(),
             listener,
             last: Mutex::new(None),
+            parts_s: Mutex::default(),
         }
+    }
+
+    /// Returns the seconds of parts of the work.
+    pub(crate) fn parts_s(&self) -> BTreeMap<String, f64> {
+        self.parts_s.lock().clone()
     }
 
     fn is_due(&self) -> bool {
@@ -144,6 +151,10 @@ impl Progress for NodeProgress<'_> {
                 note: note.to_owned(),
             });
         }
+    }
+
+    fn took(&self, part: &'static str, seconds: f64) {
+        *self.parts_s.lock().entry(part.to_owned()).or_default() += seconds;
     }
 }
 

@@ -6,6 +6,7 @@ use std::{
     panic::{AssertUnwindSafe, catch_unwind},
     path::PathBuf,
     sync::Arc,
+    time::Instant,
 };
 
 use marf_cache::{
@@ -76,6 +77,7 @@ fn asked<T: Send>(
             memos: &ReadOnly(store),
             scratch: &scratch,
             threads: pool.current_num_threads(),
+            began: Instant::now(),
         };
         catch_unwind(AssertUnwindSafe(|| question(&ctx)))
             .unwrap_or_else(|payload| Err(panicked(payload.as_ref())))

@@ -63,8 +63,10 @@ pub mod document {
     pub const REPORT: &str = "report.html";
     /// The verdicts on all photos as a table.
     pub const VERDICTS: &str = "verdicts.csv";
-    /// The metrics of the trainings of `marf fit`, by budget.
+    /// The metrics of the trainings of `marf fit`, by time.
     pub const METRICS: &str = "metrics.json";
+    /// The figures of `marf trade`.
+    pub const TRADE: &str = "trade.json";
 }
 
 /// A program's file: which program ran, to the byte. It names no folder and no host.

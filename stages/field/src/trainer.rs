@@ -5,7 +5,7 @@ use crate::cpu_backend::Cpu;
 use crate::model::Model;
 use crate::surface::surface_points;
 use crate::training::Training;
-use crate::{Config, Derived, Device, Field, FieldError, View};
+use crate::{Config, Derived, Device, Field, FieldError, Schedule, View};
 
 /// Trains a field on a set of views.
 pub struct Trainer {
@@ -105,10 +105,20 @@ impl Trainer {
         self.session.download(&mut self.training.state)
     }
 
-    /// Lays the step size and the length of steps along rays out for a training that ends after so many steps; sizes and
+    /// Plans the end anew, after so many steps, at least one more: step size and length of steps along rays follow; sizes and
     /// what was learnt stay as they are.
-    pub fn set_last_step(&mut self, steps: u64) {
-        self.training.config.steps = Some(steps);
+    pub fn plan(&mut self, steps: u64) {
+        self.training.schedule.plan(self.training.state.steps, steps);
+    }
+
+    /// Returns after how many steps the training ends, as it was planned so far.
+    pub fn schedule(&self) -> &Schedule {
+        &self.training.schedule
+    }
+
+    /// Takes over the plans of another training: step size and length of steps along rays are then as there.
+    pub fn follow(&mut self, schedule: Schedule) {
+        self.training.schedule = schedule;
     }
 
     /// Returns the optimiser steps taken.

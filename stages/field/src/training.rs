@@ -8,11 +8,13 @@ use crate::depth::{Observation, observations};
 use crate::frame::{ENOUGH_POINTS, Frame};
 use crate::occupancy::Occupancy;
 use crate::rng::Fingerprint;
-use crate::schedule::refit_step;
+use crate::schedule::{Schedule, refit_step};
 use crate::state::State;
 use crate::views::{View, check_points, check_views, pixel_offsets};
 use crate::weights::Weights;
-use crate::{Background, Config, Derived, Facts, FieldError, LevelFacts, Occupied, Sizes, background, size};
+use crate::{
+    Background, Config, Derived, Facts, FieldError, LevelFacts, Occupied, Quality, Sizes, background, size,
+};
 
 /// A box is left as it is unless one that fits the matter has at most this share of its half side: the field starts anew.
 const SMALLER: f64 = 0.75;
@@ -23,6 +25,8 @@ pub struct Training {
     pub config: Config,
     /// Seed of all random numbers.
     pub seed: u64,
+    /// After how many steps it ends: at first the configuration's.
+    pub schedule: Schedule,
     /// The photos.
     pub views: Vec<View>,
     /// Poses of the photos' cameras, the other way round.
@@ -120,6 +124,7 @@ impl Training {
         };
         Self {
             refit_step: None,
+            schedule: Schedule::once(config.steps.unwrap_or(Quality::Standard.steps())),
             fingerprint: fingerprint(&views, &frame, &observations),
             config: config.clone(),
             seed,

@@ -13,7 +13,9 @@ pub fn train_metrics() -> train::Metrics {
     train::Metrics {
         scores: scores(),
         on_training: None,
+        target: None,
         steps: 400,
+        schedule: None,
         rays: 409_600,
         samples: 8_192_000,
         loss: 0.0031,

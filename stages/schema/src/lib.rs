@@ -1,4 +1,4 @@
-//! Parameters and outputs of `masks`, `calibrate`, `tune`, `train`, `partial`, `pace`, `folds`, `evaluate`, `render`, `bootstrap`, `video`
+//! Parameters and outputs of `masks`, `calibrate`, `tune`, `train`, `partial`, `folds`, `evaluate`, `render`, `bootstrap`, `video`
 //! and `surface`.
 //!
 //! One module a stage: its parameters ([`Params`](marf_stage::Params)) with the checks that need no input, and each
@@ -19,11 +19,11 @@ pub mod folds;
 pub mod masks;
 mod memory;
 pub mod output;
-pub mod pace;
 pub mod partial;
 pub mod render;
 pub mod scores;
 pub mod surface;
+mod target;
 pub mod train;
 pub mod tune;
 pub mod video;

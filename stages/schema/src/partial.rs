@@ -18,7 +18,8 @@ pub struct PartialParams {
     /// Longest side of the photos that it is judged by, pixels: they are shrunk by a whole factor beyond `scale`.
     #[serde(default = "judged_px")]
     pub judged_px: u32,
-    /// The whole training: step size, length of steps along rays and box follow its `steps`, not `until`. Without `budget`.
+    /// The whole training: step size, length of steps along rays and box follow its `steps`, not `until`. Without a time or a
+    /// target.
     #[serde(default)]
     pub train: TrainParams,
 }
@@ -45,9 +46,9 @@ impl PartialParams {
     pub fn check(&self) -> Result<(), ParamError> {
         let in_train = |error: ParamError| ParamError::new(format!("train.{}", error.path), error.message);
         self.train.check().map_err(in_train)?;
-        if self.train.budget.is_some() {
-            let message = "a training that is stopped on its way needs to know its `steps`";
-            return Err(ParamError::new("train.budget", message));
+        if self.train.limit().is_some() || self.train.target_psnr.is_some() {
+            let message = "a training that is stopped on its way needs to know its `steps`: no `budget`, `within` or `target_psnr`";
+            return Err(ParamError::new("train", message));
         }
         if self.train.fold.is_some() {
             let message = "a fold is trained in one piece";
@@ -108,7 +109,7 @@ mod tests {
             (json!({"until": 16, "judged_px": 0}), "judged_px", "0 pixels"),
             (
                 json!({"until": 16, "train": {"budget": "9s"}}),
-                "train.budget",
+                "train",
                 "`steps`",
             ),
             (json!({"until": 16, "train": {"scale": 0}}), "train.scale", "0"),

@@ -3,6 +3,7 @@ use std::sync::{
     Arc,
     atomic::{AtomicU64, Ordering},
 };
+use std::time::Instant;
 
 use marf_cache::Digest;
 use schemars::JsonSchema;
@@ -28,6 +29,8 @@ pub struct Ctx<'a> {
     pub scratch: &'a Path,
     /// Threads given to this run; a rayon pool of that size is installed. Never part of a result.
     pub threads: usize,
+    /// When the whole run began that this node is part of.
+    pub began: Instant,
 }
 
 impl Ctx<'_> {
@@ -41,6 +44,14 @@ impl Ctx<'_> {
         } else {
             Ok(())
         }
+    }
+
+    /// Does a part of the work and reports how long it took ([`Progress::took`]).
+    pub fn timed<T>(&self, part: &'static str, work: impl FnOnce() -> T) -> T {
+        let begun = Instant::now();
+        let done = work();
+        self.progress.took(part, begun.elapsed().as_secs_f64());
+        done
     }
 
     /// Reads a blob and verifies its digest.
@@ -111,6 +122,9 @@ pub struct BlobError {
 pub trait Progress: Sync {
     /// Reports `done` of `total` units; `note` is a short current figure (`loss 0.0123`).
     fn at(&self, done: u64, total: u64, note: &str);
+    /// Reports how long a part of the work took (`training`), seconds; several times of one part add up. It is kept beside the
+    /// record, for people.
+    fn took(&self, _part: &'static str, _seconds: f64) {}
 }
 
 /// Keeps the state of an unfinished run under the node's key, in named parts (`training`, `trial-2`). All are removed when

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Instant;
 
 use marf_cache::{
     Digest,
@@ -56,6 +57,7 @@ impl Harness {
             memos: self,
             scratch: &self.scratch,
             threads: 1,
+            began: Instant::now(),
         }
     }
 

@@ -39,6 +39,12 @@ pub enum TrainError {
         /// Photos with a camera.
         placed: usize,
     },
+    /// No photo to watch a target by.
+    #[error("no training photo of {photos} can be held back to watch `target_psnr` by")]
+    NoValidation {
+        /// Training photos.
+        photos: usize,
+    },
     /// A photo that cannot be decoded.
     #[error("photo `{id}`: {cause}")]
     Photo {
@@ -152,6 +158,7 @@ impl TrainError {
             Self::NoHeldOut { .. } => {
                 "hold out some photos in `calibrate`, or set `holdout = \"validation\"`"
             }
+            Self::NoValidation { .. } => "leave `target_psnr` out, or take more photos",
             Self::State(_) => "take steps, seed, photos and field of the training that was stopped",
             Self::Behind { .. } => "raise `until`",
             Self::Vanished { .. } => "lower `scale`",

@@ -1,9 +1,9 @@
 //! Trained fields: search of parameters, training, evaluation, renders and uncertainty maps.
 //!
-//! Nine stages: `tune`, `train`, `partial` (the first steps of a training), `pace` (turns a time budget into steps), `folds` (judges scenes of few photos), `evaluate`,
-//! `render`, `bootstrap` and `video`. They share how photos are read, split, scored and written. Invariant: what a node answers depends on photos, cameras,
-//! parameters and seed; the clock decides only when a checkpoint is kept and, in `pace` alone, how many steps a
-//! budget buys on this machine. Held-out photos never reach a training step.
+//! Eight stages: `tune`, `train`, `partial` (the first steps of a training), `folds` (judges scenes of few photos), `evaluate`, `render`,
+//! `bootstrap` and `video`. They share how photos are read, split, scored and written. Invariant: what a node answers depends on photos, cameras,
+//! parameters and seed; the clock decides only when a checkpoint is kept and, with a budget, the schedule of a training, which the
+//! setup then holds. Held-out photos never reach a training step.
 
 mod bootstrap;
 mod checkpoint;
@@ -13,7 +13,6 @@ mod evaluate;
 mod folds;
 mod io;
 mod memory;
-mod pace;
 mod photos;
 mod random;
 mod render;
@@ -30,16 +29,15 @@ pub use bootstrap::Bootstrap;
 pub use error::TrainError;
 pub use evaluate::Evaluate;
 pub use folds::Folds;
-pub use pace::Pace;
 pub use render::Render;
 pub use train::{Partial, Train};
 pub use tune::Tune;
 pub use video::Video;
 
 /// Implements [`marf_stage::Stage`] for a stage with `params.device` that uses all threads; `$work` is its variant of
-/// [`marf_stage::Work`], `$why` says why it is no pure function, if it is none.
+/// [`marf_stage::Work`].
 macro_rules! stage_on_device {
-    ($stage:ty, $work:ident $(, $why:literal)?) => {
+    ($stage:ty, $work:ident) => {
         impl marf_stage::Stage for $stage {
             fn params(&self) -> serde_json::Value {
                 marf_stage::key_params(&self.params, &["device"])
@@ -56,12 +54,6 @@ macro_rules! stage_on_device {
             fn backend_id(&self) -> Option<String> {
                 self.params.device.backend_id()
             }
-
-            $(
-                fn varies(&self) -> Option<&'static str> {
-                    Some($why)
-                }
-            )?
         }
     };
 }

@@ -89,6 +89,12 @@ fn parted<'a>(frames: Vec<NamedFrame<'a>>, is_held_out: impl IntoIterator<Item =
     split
 }
 
+/// Returns `wanted` indices below `count`, or all, evenly spaced.
+pub(crate) fn spread(count: usize, wanted: usize) -> impl Iterator<Item = usize> {
+    let wanted = wanted.min(count);
+    (0..wanted).map(move |index| (2 * index + 1) * count / (2 * wanted))
+}
+
 /// Returns how often each of `count` photos is drawn in `count` draws with replacement.
 ///
 /// Draw i takes the photo ⌊count · h / 2⁶⁴⌋, h the first 8 bytes of the content hash of (seed, i); the bias is

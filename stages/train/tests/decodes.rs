@@ -11,7 +11,7 @@ use common::{NoMemos, inputs, put_scene, run, small, stage};
 use marf_scene::{Photo, Scene, encode_png};
 use marf_schema::train::TrainParams;
 use marf_stage::{Ctx, Define, Expand, Inputs, Outputs, Params, harness::Harness};
-use marf_train::{Bootstrap, Evaluate, Pace, Train, Tune};
+use marf_train::{Bootstrap, Evaluate, Train, Tune};
 use serde_json::json;
 
 /// Returns a scene of twelve photos, no two with the same bytes: the ball looks alike from several sides.
@@ -47,8 +47,8 @@ fn the_trainings_of_the_default_pipeline_decode_each_photo_once_a_working_size()
     // Nine trials of one rung and the scatter, at another working size than the rest.
     let tune: Tune = stage(json!({"scale": 3, "steps": 2}));
     let (_, trials) = expand(&ctx, &tune, &inputs);
-    let pace: Pace = stage(json!({"budget": "40ms", "scale": 2, "field": small()}));
-    run(&pace, &ctx, &inputs).unwrap();
+    let clocked: Train = stage(json!({"budget": "40ms", "scale": 2, "field": small()}));
+    run(&clocked, &ctx, &inputs).unwrap();
     let train: Train = stage(json!({"steps": 2, "scale": 2, "field": small(), "trials": {"steps": 1}}));
     let trained = run(&train, &ctx, &inputs).unwrap();
     let evaluate: Evaluate = stage(json!({"views": "all"}));

@@ -13,6 +13,7 @@ use std::sync::{Arc, Mutex};
 
 use common::{inputs, put_scene, run, scene, scene_of, small, stage};
 use marf_cache::Digest;
+use marf_schema::train::TrainParams;
 use marf_stage::{
     BlobError, Blobs, Cancel, Checkpoints, Ctx, Expand, Inputs, Keep, Outputs, StageError, harness::Harness,
 };
@@ -199,15 +200,32 @@ fn damaged_checkpoints_cost_only_time() {
     }
 }
 
+/// Where it stops is up to the clock; wherever it was stopped, the schedule that came of it gives the same bytes at once.
 #[test]
 fn a_budget_is_trained_on_from_where_it_was_stopped() {
-    let fresh = |harness: &Harness| -> Node {
-        let inputs = inputs(&[("scene", put_scene(harness, &scene(harness, 8)))]);
-        let train: Train = stage(json!({"budget": "1s", "field": small()}));
-        let paced = Outputs::from([("steps".to_owned(), harness.put(b"20"))]);
-        Box::new(move |ctx| train.reduce(ctx, &inputs, std::slice::from_ref(&paced)))
-    };
-    same_when_stopped(13, 20, 10, &fresh);
+    for checks in [1, 4, 40, 150] {
+        let harness = Harness::default();
+        let inputs = inputs(&[("scene", put_scene(&harness, &scene(&harness, 8)))]);
+        let table = json!({"budget": "600ms", "field": small()});
+        let train: Train = stage(table.clone());
+        let cancel = Cancel::after(checks);
+        let stopped = run(
+            &train,
+            &Ctx {
+                cancel: &cancel,
+                ..harness.ctx()
+            },
+            &inputs,
+        );
+        assert!(matches!(stopped, Err(StageError::Cancelled)), "{checks}");
+        let made = run(&train, &harness.ctx(), &inputs).unwrap();
+        let params: TrainParams = serde_json::from_value(table).unwrap();
+        let setup = serde_json::from_value(common::json(&harness, &made, "setup")).unwrap();
+        let repeating: Train = stage(serde_json::to_value(params.repeating(&setup)).unwrap());
+        let fresh = Harness::default();
+        put_scene(&fresh, &scene(&fresh, 8));
+        assert_eq!(run(&repeating, &fresh.ctx(), &inputs).unwrap(), made, "{checks}");
+    }
 }
 
 /// What `evaluate` and `render` read of a training.

@@ -10,8 +10,9 @@ mod common;
 use common::{inputs, json, put_scene, run, scene, small, stage};
 use marf_cache::Digest;
 use marf_scene::Photo;
-use marf_stage::{Define, Expand, Outputs, StageError, Work, harness::Harness};
-use marf_train::{Bootstrap, Evaluate, Pace, Render, Train, Tune};
+use marf_schema::train::TrainParams;
+use marf_stage::{Define, Expand, Outputs, StageError, harness::Harness};
+use marf_train::{Bootstrap, Evaluate, Render, Train, Tune};
 use serde_json::{Value, json};
 
 const STEPS: u64 = 32;
@@ -249,29 +250,77 @@ fn a_scene_that_cannot_be_trained_is_refused_with_the_number() {
     }
 }
 
+/// The schedule that a budget made, and the steps of its trials, give the same bytes without a clock.
 #[test]
-fn a_budget_asks_for_one_pace_and_trains_the_steps_it_found() {
+fn a_training_by_the_clock_is_repeated_by_its_schedule() {
     let harness = Harness::default();
-    let scene = inputs(&[("scene", put_scene(&harness, &scene(&harness, 8)))]);
-    let train: Train = stage(json!({"budget": "400ms", "field": small(), "seed": 3}));
-    let Work::Expand(expand) = train_work(&train) else {
-        panic!("a budget expands")
-    };
-    let asked = expand.expand(&harness.ctx(), &scene).unwrap();
-    assert_eq!(asked.len(), 1);
-    assert_eq!(
-        (asked[0].stage.as_str(), &asked[0].params["budget"]),
-        ("pace", &json!("400ms"))
-    );
-    let pace: Pace = stage(asked[0].params.clone());
-    let paced = run(&pace, &harness.ctx(), &asked[0].inputs).unwrap();
-    let steps = json(&harness, &paced, "steps").as_u64().unwrap();
-    assert!(steps >= 1);
+    let scene = inputs(&[("scene", put_scene(&harness, &scene(&harness, 16)))]);
+    for more in [
+        json!({"budget": "1s"}),
+        json!({"within": "2s", "seed": 3}),
+        json!({"budget": "1s", "trials": {"steps": 20}}),
+        json!({"budget": "1s", "target_psnr": 12.0}),
+        json!({"budget": "1s", "target_psnr": 70.0}),
+    ] {
+        let mut table = json!({"field": small()});
+        table
+            .as_object_mut()
+            .unwrap()
+            .extend(more.as_object().unwrap().clone());
+        let params: TrainParams = serde_json::from_value(table.clone()).unwrap();
+        let clocked: Train = stage(table);
+        assert!(marf_stage::Stage::varies(&clocked).is_some());
+        let made = run(&clocked, &harness.ctx(), &scene).unwrap();
+        let setup = serde_json::from_value(json(&harness, &made, "setup")).unwrap();
+        let repeating = params.repeating(&setup).unwrap();
+        let plain: Train = stage(serde_json::to_value(repeating).unwrap());
+        assert_eq!(marf_stage::Stage::varies(&plain), None);
+        assert_eq!(made, run(&plain, &harness.ctx(), &scene).unwrap(), "{more}");
+        // The weights tell of the trials, of which a member has none.
+        if more.get("trials").is_some() {
+            continue;
+        }
+        let setup_in = inputs(&[("scene", scene.0["scene"]), ("setup", made["setup"])]);
+        let again = run(
+            &stage::<Train>(json!({"seed": params.seed})),
+            &harness.ctx(),
+            &setup_in,
+        )
+        .unwrap();
+        assert_eq!(again["weights"], made["weights"], "{more}");
+    }
+}
 
-    let few = Outputs::from([("steps".to_owned(), harness.put(b"20"))]);
-    let budgeted = expand.reduce(&harness.ctx(), &scene, &[few]).unwrap();
-    let plain: Train = stage(json!({"steps": 20, "field": small(), "seed": 3}));
-    assert_eq!(budgeted, run(&plain, &Harness::ctx(&harness), &scene).unwrap());
+#[test]
+fn a_target_stops_a_training_or_is_told_to_be_missed() {
+    let harness = Harness::default();
+    let scene = inputs(&[("scene", put_scene(&harness, &scene(&harness, 16)))]);
+    let trained = |psnr: f64| {
+        let train: Train = stage(json!({"steps": 1_200, "field": small(), "target_psnr": psnr}));
+        let outputs = run(&train, &harness.ctx(), &scene).unwrap();
+        json(&harness, &outputs, "metrics")
+    };
+    let (near, far) = (trained(14.0), trained(80.0));
+    let target = &near["target"];
+    let reached = target["reached_at"].as_u64().unwrap();
+    assert!((256..1_200).contains(&reached), "{target}");
+    assert_eq!(
+        (near["steps"].as_u64(), &near["schedule"]),
+        (Some(reached), &json!([[0, 1_200]]))
+    );
+    assert!(target["validation_psnr"].as_f64().unwrap() >= 14.0, "{target}");
+    let target = &far["target"];
+    assert_eq!(
+        (far["steps"].as_u64(), &target["reached_at"]),
+        (Some(1_200), &Value::Null)
+    );
+    assert!(target["forecast"]["psnr"].as_f64().unwrap() < 79.5, "{target}");
+    assert!(target["forecast"]["at"].as_u64().unwrap() < 1_200, "{target}");
+    let photos = |metrics: &Value| metrics["train_photos"].as_u64().unwrap();
+    let whole: Train = stage(json!({"steps": 4, "field": small()}));
+    let whole = json(&harness, &run(&whole, &harness.ctx(), &scene).unwrap(), "metrics");
+    let held_back = target["validation_photos"].as_u64().unwrap();
+    assert_eq!(photos(&far) + held_back, photos(&whole));
 }
 
 /// Versions and backends of these are in the key of the node that asks for them.
@@ -281,9 +330,7 @@ fn children_are_named_with_the_device_they_will_have() {
     let random = json!({"search": "random", "trials": 2, "scale": 1, "device": device});
     let tune: Tune = stage(random);
     let bootstrap: Bootstrap = stage(json!({"b": 2, "device": device}));
-    let paced: Train = stage(json!({"budget": "5s", "device": device}));
-    let plain: Train = stage(json!({"steps": 5, "device": device}));
-    let nodes: [(&dyn Expand, &str); 3] = [(&tune, "train"), (&bootstrap, "train"), (&paced, "pace")];
+    let nodes: [(&dyn Expand, &str); 2] = [(&tune, "train"), (&bootstrap, "train")];
     let harness = Harness::default();
     for (node, child) in nodes {
         let children = node.children();
@@ -297,7 +344,6 @@ fn children_are_named_with_the_device_they_will_have() {
             assert_eq!((asked.stage.as_str(), &asked.params["device"]), (child, &device));
         }
     }
-    assert_eq!(plain.children(), []);
     let halving: Tune = stage(json!({"trials": 2, "scale": 1, "device": device}));
     let children = halving.children();
     let named = children.iter().map(|child| child.stage);
@@ -310,10 +356,6 @@ fn children_are_named_with_the_device_they_will_have() {
             ("partial", &device)
         );
     }
-}
-
-fn train_work(train: &Train) -> Work<'_> {
-    marf_stage::Stage::work(train)
 }
 
 fn downstream(harness: &Harness) -> marf_stage::Inputs {
@@ -407,7 +449,7 @@ fn the_answers_belong_to_the_versions() {
     assert_eq!(
         found,
         [
-            ("train", 7, "dd25f0538d93"),
+            ("train", 8, "c0c700cde012"),
             ("evaluate", 5, "64a4fb0b4ada"),
             ("render", 5, "007f8129be59")
         ]

@@ -1,5 +1,7 @@
 //! What the scheduler and its jobs share.
 
+use std::time::Instant;
+
 use marf_cache::Store;
 use marf_stage::Cancel;
 
@@ -18,4 +20,6 @@ pub(super) struct RunContext<'a> {
     pub(super) program: &'a str,
     /// The last run of the same pipeline.
     pub(super) last: Option<&'a RunRecord>,
+    /// When the run began.
+    pub(super) began: Instant,
 }

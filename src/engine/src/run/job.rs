@@ -120,11 +120,16 @@ impl Job<'_> {
         let checkpoints = FileCheckpoints::new(self.context.store, &key, &self.node, self.context.listener);
         let metadata = self.metadata();
         let blobs = StoreBlobs::new(self.context.store);
-        let produced = self.produce(&blobs, &checkpoints, &metadata);
+        let progress = NodeProgress::new(&self.node, self.context.listener);
+        let produced = self.produce(&blobs, &checkpoints, &metadata, &progress);
         match produced.map_err(|error| self.attribute(error))? {
             Produced::Children(specs) => Ok(JobOutput::Expanded(specs)),
             Produced::Outputs(outputs, listed) => {
                 let key = self.final_key(listed)?;
+                let metadata = RunMetadata {
+                    parts_s: progress.parts_s(),
+                    ..metadata
+                };
                 let record = self.store_record(&key, outputs, blobs, metadata)?;
                 checkpoints.remove();
                 Ok(JobOutput::Finished(record))
@@ -149,20 +154,21 @@ impl Job<'_> {
         blobs: &StoreBlobs<'_>,
         checkpoints: &dyn Checkpoints,
         metadata: &RunMetadata,
+        progress: &NodeProgress<'_>,
     ) -> Result<Produced, StageError> {
         let key = &self.prepared.key;
         let memos = StoreMemos::new(self.context.store, key.digest, &self.node, self.context.listener);
-        let progress = NodeProgress::new(&self.node, self.context.listener);
         let stage: &dyn Stage = self.bound.as_ref();
         let scratch = self.context.store.scratch();
         let ctx = Ctx {
             blobs,
             cancel: self.context.cancel,
-            progress: &progress,
+            progress,
             checkpoints,
             memos: &memos,
             scratch: &scratch,
             threads: self.threads,
+            began: self.context.began,
         };
         let run = StageRun {
             store: self.context.store,
@@ -288,6 +294,7 @@ impl Job<'_> {
             device: self.device(),
             program: self.context.program.to_owned(),
             counts: BTreeMap::new(),
+            parts_s: BTreeMap::new(),
         }
     }
 }

@@ -96,6 +96,7 @@ pub fn run_nodes(
         pool: &pool,
         program: &options.program,
         last: last.as_ref(),
+        began,
     };
     let state = Scheduler::new(RunState::new(context, roles, &lost), threads).run()?;
     let nodes = report::node_runs(&state)?;

@@ -1,44 +1,47 @@
+mod clock;
+mod goal;
 mod partial;
 mod setup;
 mod training_loop;
 mod trials;
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use marf_cache::Digest;
 use marf_field::{Config, Device, Field, Trainer, Trial};
 use marf_scene::{PosedPhoto, Scene, TrainedPhotos};
 use marf_schema::{
     output::{HELDOUT, PHOTO, SCENE, STATE, WEIGHTS},
-    pace::{PaceParams, Steps},
-    train::{Curve, Holdout, Metrics, Setup, TrainParams},
+    train::{Curve, Holdout, Metrics, Setup, Target, TrainParams},
     tune::BestParams,
 };
 use marf_stage::{
-    ChildStage, Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, ParamError, Params, Port, Set,
-    Stage, StageError, Threads, TypedOutputs, Work,
+    Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, Stage, StageError, Threads,
+    TypedOutputs, Work,
 };
+use serde::{Deserialize, Serialize};
 
 use crate::{
     TrainError,
     checkpoint::{self, identity},
-    child::{Child, child_stage},
     io::read_scene,
     memory::MemoryPlan,
     photos::{PhotoReader, ScaledPhoto},
     scoring::Judge,
-    split::{NamedFrame, Split, draws, split},
+    split::{NamedFrame, Split, draws, hold_out_by_place, split, spread},
     views::{new_trainer, training_views},
 };
+use clock::Clock;
+use goal::Goal;
 pub use partial::Partial;
 use setup::Settings;
 use training_loop::{Run, TrainingLog, curve_photos, pack, train_to, unpack};
 
 /// Trains a field on a scene and measures it on the photos held out.
 ///
-/// With `budget` it asks for one node `pace`, which finds the steps, and trains when that has run. The key of `train`
-/// then holds the budget, and `pace` finds other steps on another machine; `steps`, as the metrics print them, gives
-/// the same field anywhere.
+/// With `budget` or `within` it trains by the clock and is no pure function: its first result stands. The key holds the time; the
+/// schedule that was run, as setup and metrics print it, repeats the bytes anywhere (`schedule`).
 ///
 /// With `from`, the state that `partial` gave of this very training, it goes on from there, to the same field as without.
 ///
@@ -53,12 +56,24 @@ impl Define for Train {
     type Params = TrainParams;
     const NAME: &'static str = TrainParams::STAGE;
     const ABOUT: &'static str = "Trains a radiance field and measures it on held-out photos";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),
         Port::optional("of", Setup::OUTPUT).deciding(&[
-            "params", "quality", "steps", "budget", "scale", "memory", "holdout", "fit", "trials", "field",
+            "params",
+            "quality",
+            "steps",
+            "budget",
+            "within",
+            "schedule",
+            "target_psnr",
+            "scale",
+            "memory",
+            "holdout",
+            "fit",
+            "trials",
+            "field",
         ]),
         Port::optional("from", STATE),
     ];
@@ -84,10 +99,7 @@ impl Stage for Train {
     }
 
     fn work(&self) -> Work<'_> {
-        match self.params.budget {
-            Some(_) => Work::Expand(self),
-            None => Work::Set(self),
-        }
+        Work::Set(self)
     }
 
     fn threads(&self) -> Threads {
@@ -97,35 +109,17 @@ impl Stage for Train {
     fn backend_id(&self) -> Option<String> {
         self.params.device.backend_id()
     }
+
+    fn varies(&self) -> Option<&'static str> {
+        self.params.limit().map(|_| "it trains by the clock")
+    }
 }
 
 impl Set for Train {
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
-        train(ctx, self, inputs, self.params.planned_steps())
-    }
-}
-
-impl Expand for Train {
-    fn children(&self) -> Vec<ChildStage> {
-        let pace = PaceParams::of(&self.params);
-        pace.iter().map(child_stage).collect()
-    }
-
-    fn expand(&self, _ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
-        let Some(pace) = PaceParams::of(&self.params) else {
-            return Ok(Vec::new());
-        };
-        Ok(vec![NodeSpec::of(PaceParams::STAGE, &pace, inputs)?])
-    }
-
-    fn reduce(&self, ctx: &Ctx<'_>, inputs: &Inputs, children: &[Outputs]) -> Result<Outputs, StageError> {
-        let outputs = children
-            .first()
-            .ok_or_else(|| StageError::new("`pace` did not run"))?;
-        let name = PaceParams::STAGE.to_owned();
-        let Steps(steps) = Child { name, outputs }.read(ctx)?;
-        let steps = trials::steps_after_trials(&self.params, steps);
-        train(ctx, self, inputs, steps)
+        planned(ctx, (self, &self.params), inputs, |plan, photos| {
+            train(ctx, &self.params, inputs, &plan, photos)
+        })
     }
 }
 
@@ -133,14 +127,18 @@ impl Expand for Train {
 struct Plan<'a> {
     scene: &'a Scene,
     split: &'a Split<'a>,
+    /// Training photos held back to watch a target by.
+    validation: &'a [NamedFrame<'a>],
     /// How often each training photo is used.
     times: &'a [usize],
     memory: MemoryPlan,
-    settings: &'a Settings,
+    settings: Settings,
     /// What its checkpoints are of.
     of: Digest,
     /// The state that it goes on from; none for step 0.
     from: Option<Arc<[u8]>>,
+    /// The time that it may take.
+    clock: Option<Clock>,
 }
 
 /// Reads all that a training depends on and decides it, and does `work` with that.
@@ -148,65 +146,110 @@ fn planned<S: Define, T>(
     ctx: &Ctx<'_>,
     (stage, params): (&S, &TrainParams),
     inputs: &Inputs,
-    steps: u64,
-    work: impl FnOnce(&Plan<'_>, &PhotoReader<'_>) -> Result<T, StageError>,
+    work: impl FnOnce(Plan<'_>, &PhotoReader<'_>) -> Result<T, StageError>,
 ) -> Result<T, StageError> {
     let scene = read_scene(ctx, inputs)?;
-    let settings = Settings::resolve(ctx, params, inputs, &scene, steps)?;
-    let split = split(&scene, settings.holdout, settings.fold)?;
+    let settings = Settings::resolve(ctx, params, inputs, &scene)?;
+    let (split, validation) = parted(&scene, &settings)?;
     let times = times(&split, params.resample);
     let from = inputs.optional(STATE).map(|digest| ctx.get(digest));
-    let plan = Plan {
+    let photos = PhotoReader::new(ctx, &scene, settings.scale);
+    let mut plan = Plan {
         memory: settings.plan_memory(&split, &times)?,
         scene: &scene,
         split: &split,
+        validation: &validation,
         times: &times,
-        of: identity(stage, inputs, &settings.steps.to_string()),
+        of: identity(stage, inputs, &settings.length()),
         from: from.transpose()?,
-        settings: &settings,
+        settings,
+        clock: None,
     };
-    work(&plan, &PhotoReader::new(ctx, &scene, settings.scale))
+    if let Some(limit) = params.limit() {
+        plan.clock = Some(Clock::paced(ctx, (params, limit), &mut plan, &photos)?);
+    }
+    work(plan, &photos)
+}
+
+/// Splits a scene into photos to train on and to judge by, and those held back to watch a target by.
+fn parted<'a>(scene: &'a Scene, settings: &Settings) -> Result<(Split<'a>, Vec<NamedFrame<'a>>), TrainError> {
+    let whole = split(scene, settings.holdout, settings.fold)?;
+    if !settings.watched {
+        return Ok((whole, Vec::new()));
+    }
+    let photos = whole.training.len();
+    let inner = hold_out_by_place(whole.training, &scene.points);
+    if inner.training.is_empty() || inner.held_out.is_empty() {
+        return Err(TrainError::NoValidation { photos });
+    }
+    let split = Split {
+        training: inner.training,
+        held_out: whole.held_out,
+    };
+    Ok((split, inner.held_out))
 }
 
 /// A field that is trained, with what the metrics tell of its training.
 struct Trained {
     field: Field,
+    told: Told,
+}
+
+/// What is told of a training beside its field.
+#[derive(Serialize, Deserialize)]
+struct Told {
     config: Config,
     log: TrainingLog,
+    target: Option<Target>,
+    /// Seconds of trials and steps.
+    seconds: f64,
 }
 
-/// Trains for `steps`, measures the field on the photos held out and stores everything.
-fn train(ctx: &Ctx<'_>, stage: &Train, inputs: &Inputs, steps: u64) -> Result<Outputs, StageError> {
-    planned(ctx, (stage, &stage.params), inputs, steps, |plan, photos| {
-        train_as_planned(ctx, &stage.params, inputs, plan, photos)
-    })
-}
-
-fn train_as_planned(
+/// Trains, measures the field on the photos held out and stores everything.
+fn train(
     ctx: &Ctx<'_>,
     params: &TrainParams,
     inputs: &Inputs,
     plan: &Plan<'_>,
     photos: &PhotoReader<'_>,
 ) -> Result<Outputs, StageError> {
-    let Trained { field, config, log } = match Trained::load(ctx, &plan.of, &params.device) {
+    let Trained { field, told } = match Trained::load(ctx, &plan.of, &params.device) {
         Some(trained) => trained,
         None => Trained::new(ctx, params, plan, photos)?,
     };
-    let (settings, split, times) = (plan.settings, plan.split, plan.times);
+    ctx.progress.took("training", told.seconds);
+    ctx.timed("judging", || {
+        judged(ctx, params, inputs, plan, photos, (&field, told))
+    })
+}
+
+/// Judges a trained field and stores everything.
+fn judged(
+    ctx: &Ctx<'_>,
+    params: &TrainParams,
+    inputs: &Inputs,
+    plan: &Plan<'_>,
+    photos: &PhotoReader<'_>,
+    (field, told): (&Field, Told),
+) -> Result<Outputs, StageError> {
+    let (log, config) = (told.log, told.config);
+    let (settings, split, times) = (&plan.settings, plan.split, plan.times);
+    let ended = settings.ended(field.facts(), log.clocked.as_ref());
     let mut outputs = Outputs::from([(SCENE.to_owned(), *inputs.required(SCENE)?)]);
     outputs.put_bytes(ctx, WEIGHTS, &field.encode())?;
-    let setup = settings.setup(plan.memory.run, &config, field.derived());
+    let setup = settings.setup(plan.memory.run, &ended, &config, field.derived());
     outputs.put(ctx, &setup)?;
     let trained = TrainedPhotos::new(plan.scene, trained_on(split, times));
-    let mut judge = Judge::new(ctx, plan.of, &field, photos);
+    let mut judge = Judge::new(ctx, plan.of, field, photos);
     let metrics = Metrics {
         scores: judge.held_out(&split.held_out, &trained, &mut outputs)?,
         on_training: match plan.seen() {
             Some(seen) => Some(judge.on_training(&seen)?),
             None => None,
         },
-        steps: settings.steps,
+        target: told.target,
+        steps: ended.steps,
+        schedule: ended.schedule,
         rays: log.rays,
         samples: log.samples,
         loss: log.curve.0.last().map_or(0.0, |point| point.loss),
@@ -230,31 +273,36 @@ fn train_as_planned(
 
 /// A training whose parts are decided, before its first step.
 struct Begun<'a> {
-    trainer: Trainer,
     config: Config,
     trials: Vec<Trial>,
     curve_photos: Vec<(NamedFrame<'a>, ScaledPhoto)>,
+    /// Seconds that the trials took.
+    trials_s: f64,
 }
 
 impl<'a> Begun<'a> {
-    /// Decides the parts of the field by trials, and reads the photos.
+    /// Decides the parts of the field by trials, reads the photos and returns the trainer at step 0.
     fn new(
         ctx: &Ctx<'_>,
         params: &TrainParams,
         plan: &Plan<'a>,
         photos: &PhotoReader<'_>,
-    ) -> Result<Self, StageError> {
+    ) -> Result<(Trainer, Self), StageError> {
+        let began = Instant::now();
         let (config, trials) = trials::decide(ctx, params, plan)?;
+        let trials_s = began.elapsed().as_secs_f64();
         let curve_photos = curve_photos(photos, &plan.split.held_out, plan.memory.at_once)?;
         let training = &plan.split.training;
         let views = training_views(photos, training, plan.times, plan.memory, params.seed)?;
         let derived = plan.settings.given.as_ref().map(|given| &given.derived);
-        Ok(Self {
-            trainer: new_trainer(views, plan.scene, &config, params.seed, derived, &params.device)?,
+        let trainer = new_trainer(views, plan.scene, &config, params.seed, derived, &params.device)?;
+        let begun = Self {
             config,
             trials,
             curve_photos,
-        })
+            trials_s,
+        };
+        Ok((trainer, begun))
     }
 }
 
@@ -269,16 +317,15 @@ impl<'a> Plan<'a> {
         Some(seen.map(|index| used[index].clone()).collect())
     }
 
-    /// Returns the run of this training until a step.
-    fn run<'r>(&'r self, until: u64, curve_photos: &'r [(NamedFrame<'r>, ScaledPhoto)]) -> Run<'r> {
+    /// Returns the run of this training.
+    fn run<'r>(&'r self, begun: &'r Begun<'_>) -> Run<'r> {
         Run {
-            steps: self.settings.steps,
-            until,
+            schedule: self.settings.schedule.clone(),
+            until: self.settings.until,
             from: self.from.as_deref(),
-            part: "training",
-            of: self.of,
-            note: "",
-            curve_photos,
+            curve_photos: &begun.curve_photos,
+            clock: self.clock.map(|clock| clock.after(begun.trials_s)),
+            ..Run::once(1, ("training", self.of))
         }
     }
 }
@@ -294,42 +341,49 @@ impl Trained {
         plan: &Plan<'_>,
         photos: &PhotoReader<'_>,
     ) -> Result<Self, StageError> {
-        let steps = plan.settings.steps;
-        let Begun {
-            mut trainer,
-            config,
-            trials,
-            curve_photos,
-        } = Begun::new(ctx, params, plan, photos)?;
-        let log = train_to(ctx, &plan.run(steps, &curve_photos), &mut trainer)?;
-        let field = trainer.field().map_err(TrainError::from)?;
-        let trained = Self {
-            field: field.with_trials(trials),
-            config,
-            log,
+        let (mut trainer, begun) = Begun::new(ctx, params, plan, photos)?;
+        let began = Instant::now();
+        let goal = params
+            .target_psnr
+            .map(|psnr| Goal::new(psnr, photos, plan.memory.at_once, plan.validation));
+        let goal = goal.transpose()?;
+        let run = Run {
+            goal: goal.as_ref(),
+            judging_s: Some(&|field: &Field| plan.judging_s(ctx, photos, field)),
+            ..plan.run(&begun)
         };
-        let facts = (&trained.config, &trained.log);
-        checkpoint::save(ctx, Self::PART, &plan.of, &pack(&facts, &trained.field.encode()));
+        let log = train_to(ctx, &run, &mut trainer)?;
+        let field = trainer.field().map_err(TrainError::from)?;
+        let unclocked_s = begun.trials_s + began.elapsed().as_secs_f64();
+        let watched = log.watched.clone().unwrap_or_default();
+        let trained = Self {
+            told: Told {
+                target: goal.map(|goal| goal.told(ctx, &watched, &field)).transpose()?,
+                seconds: log.clocked.as_ref().map_or(unclocked_s, |clocked| clocked.used_s),
+                config: begun.config,
+                log,
+            },
+            field: field.with_trials(begun.trials),
+        };
+        checkpoint::save(
+            ctx,
+            Self::PART,
+            &plan.of,
+            &pack(&trained.told, &trained.field.encode()),
+        );
         Ok(trained)
     }
 
     /// Returns the field that an unfinished run has trained.
     fn load(ctx: &Ctx<'_>, of: &Digest, device: &Device) -> Option<Self> {
         let state = checkpoint::load(ctx, Self::PART, of)?;
-        let ((config, log), field) = unpack(&state)?;
+        let (told, field) = unpack(&state)?;
         let field = Field::decode(field).and_then(|field| field.on(device));
         Some(Self {
             field: field.ok()?,
-            config,
-            log,
+            told,
         })
     }
-}
-
-/// Returns `wanted` indices below `count`, or all, evenly spaced.
-fn spread(count: usize, wanted: usize) -> impl Iterator<Item = usize> {
-    let wanted = wanted.min(count);
-    (0..wanted).map(move |index| (2 * index + 1) * count / (2 * wanted))
 }
 
 /// Returns how often each training photo is used.

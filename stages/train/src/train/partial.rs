@@ -10,7 +10,7 @@ use marf_stage::{
 
 use super::{
     Begun, Plan, planned,
-    training_loop::{packed_state, save, train_to},
+    training_loop::{Run, packed_state, save, train_to},
 };
 use crate::{TrainError, photos::PhotoReader, scoring::mean_psnr};
 
@@ -64,9 +64,8 @@ impl Stage for Partial {
 impl Set for Partial {
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
         let train = &self.params.train;
-        let steps = train.planned_steps();
-        planned(ctx, (self, train), inputs, steps, |plan, photos| {
-            self.train(ctx, plan, photos)
+        planned(ctx, (self, train), inputs, |plan, photos| {
+            self.train(ctx, &plan, photos)
         })
     }
 }
@@ -79,12 +78,15 @@ impl Partial {
             judged_px,
             train,
         } = &self.params;
-        let mut begun = Begun::new(ctx, train, plan, photos)?;
-        let run = plan.run(*until, &begun.curve_photos);
-        let log = train_to(ctx, &run, &mut begun.trainer)?;
+        let (mut trainer, begun) = Begun::new(ctx, train, plan, photos)?;
+        let run = Run {
+            until: Some(*until),
+            ..plan.run(&begun)
+        };
+        let log = train_to(ctx, &run, &mut trainer)?;
         // Judging is asked whether to stop, too: nothing is trained twice.
-        save(ctx, &run, &log, &mut begun.trainer)?;
-        let field = begun.trainer.field().map_err(TrainError::from)?;
+        save(ctx, &run, &log, &mut trainer)?;
+        let field = trainer.field().map_err(TrainError::from)?;
         let held_out = &plan.split.held_out;
         let shrunk = photos.map(held_out, plan.memory.at_once, |_, photo| {
             photo.shrunk_to(*judged_px)
@@ -93,13 +95,13 @@ impl Partial {
         let mut outputs = Outputs::new();
         let reached = Reached {
             until: *until,
-            steps: plan.settings.steps,
+            steps: plan.settings.schedule.steps(),
             psnr: mean_psnr(ctx, &field, &judged)?,
             held_out_photos: held_out.len() as u64,
             judged_px: *judged_px,
         };
         outputs.put(ctx, &reached)?;
-        outputs.put_bytes(ctx, STATE, &packed_state(&log, &mut begun.trainer)?)?;
+        outputs.put_bytes(ctx, STATE, &packed_state(&log, &mut trainer)?)?;
         Ok(outputs)
     }
 }

@@ -1,10 +1,11 @@
 //! What decides a training before it begins: its own parameters, or the setup of another training.
 
-use marf_field::{Config, Derived, Overrides};
+use marf_field::{Config, Derived, EXPECTED_STEPS_PER_S, Facts, Overrides, Schedule};
 use marf_scene::Scene;
-use marf_schema::train::{Fit, Fold, Holdout, Memory, Setup, TrainParams};
+use marf_schema::train::{Budget, Fit, Fold, Holdout, Memory, Setup, TrainParams};
 use marf_stage::{Ctx, Document, Inputs, StageError};
 
+use super::clock::Clocked;
 use crate::{
     TrainError,
     memory::{MemoryPlan, plan_memory},
@@ -14,7 +15,12 @@ use crate::{
 
 /// Settings of a training, all resolved but the box and the sizes where no other training has derived them.
 pub(super) struct Settings {
-    pub steps: u64,
+    /// After how many steps the training ends.
+    pub schedule: Schedule,
+    /// Whether training photos are held back to watch a target by.
+    pub watched: bool,
+    /// Steps after which it stops before its end, as the training did whose setup this is.
+    pub until: Option<u64>,
     pub scale: u32,
     pub memory: Memory,
     pub holdout: Holdout,
@@ -31,44 +37,57 @@ pub(super) struct Settings {
 /// What a training takes over that it would otherwise derive or find by trials.
 pub(super) struct Given {
     kept_every: u32,
+    trial_steps: u64,
     pub derived: Derived,
 }
 
 impl Settings {
-    /// Returns the setup that the input `of` names, or else what the parameters say for a training of `steps`.
+    /// Returns the setup that the input `of` names, or else what the parameters say; a budget is planned as for a machine of two
+    /// cores, until it is measured.
     pub fn resolve(
         ctx: &Ctx<'_>,
         params: &TrainParams,
         inputs: &Inputs,
         scene: &Scene,
-        steps: u64,
     ) -> Result<Self, StageError> {
         if let Some(digest) = inputs.optional(Setup::OUTPUT) {
             let setup = Setup::decode(&ctx.get(digest)?);
             let setup = setup.map_err(|error| TrainError::Setup(error.to_string()))?;
             return Ok(Self::of(setup, params.fold));
         }
-        let steps = params.fold.map_or(steps, |fold| fold.steps_of(steps));
+        let schedule = scheduled(params);
         let keys = field_keys(ctx, inputs, &params.field)?;
         let side_px = params.quality.longest_side_px();
         Ok(Self {
-            steps,
             scale: params.scale.unwrap_or_else(|| scale_to(side_px, scene)),
             memory: params.memory,
             holdout: params.holdout,
             fold: params.fold,
             fit: params.fit,
-            config: field_config(&keys, params.quality, params.fit, steps)?,
+            config: field_config(&keys, params.quality, params.fit, schedule.first())?,
             keys,
             given: None,
+            schedule,
+            until: None,
+            watched: params.target_psnr.is_some(),
         })
+    }
+
+    /// Plans for so many steps before the first one: sizes follow.
+    pub fn plan_steps(&mut self, steps: u64) {
+        self.schedule = Schedule::once(steps);
+        self.config.steps = Some(self.schedule.first());
     }
 
     /// Takes over a setup; a fold trains its share of the steps, with step size and length of steps along rays to match.
     fn of(setup: Setup, fold: Option<Fold>) -> Self {
-        let steps = fold.map_or(setup.steps, |fold| fold.steps_of(setup.steps));
+        let schedule = match fold {
+            Some(fold) => Schedule::once(fold.steps_of(setup.steps)),
+            None => setup.schedule(),
+        };
         Self {
-            steps,
+            watched: setup.watched && fold.is_none(),
+            until: Some(setup.steps).filter(|steps| *steps < schedule.steps()),
             scale: setup.scale,
             memory: setup.memory,
             holdout: setup.holdout,
@@ -76,13 +95,35 @@ impl Settings {
             fit: setup.fit,
             keys: Overrides::default(),
             config: Config {
-                steps: Some(steps),
+                steps: Some(schedule.first()),
                 ..setup.config
             },
+            schedule,
             given: Some(Given {
                 kept_every: setup.kept_every,
+                trial_steps: setup.trial_steps,
                 derived: setup.derived,
             }),
+        }
+    }
+
+    /// Returns what says after how many steps the training ends, for the identity of its checkpoints.
+    pub fn length(&self) -> String {
+        format!("{:?} {:?}", self.schedule, self.until)
+    }
+
+    /// Returns how long the training of a field was.
+    pub fn ended(&self, facts: &Facts, clocked: Option<&Clocked>) -> Ended {
+        let schedule = clocked.map_or(&self.schedule, |clocked| &clocked.schedule);
+        let tried = facts.trials.iter().map(|trial| trial.steps).max();
+        let is_plain = *schedule == Schedule::once(facts.steps);
+        Ended {
+            steps: facts.steps,
+            schedule: (!is_plain).then(|| schedule.clone()),
+            trial_steps: self
+                .given
+                .as_ref()
+                .map_or(tried.unwrap_or(0), |given| given.trial_steps),
         }
     }
 
@@ -95,10 +136,13 @@ impl Settings {
         })
     }
 
-    /// Returns the setup of the training after its end.
-    pub fn setup(&self, kept_every: u32, config: &Config, derived: Derived) -> Setup {
+    /// Returns the setup of the training after its end, of this schedule.
+    pub fn setup(&self, kept_every: u32, ended: &Ended, config: &Config, derived: Derived) -> Setup {
         Setup {
-            steps: self.steps,
+            steps: ended.steps,
+            schedule: ended.schedule.clone(),
+            trial_steps: ended.trial_steps,
+            watched: self.watched,
             scale: self.scale,
             kept_every,
             memory: self.memory,
@@ -107,6 +151,28 @@ impl Settings {
             fit: self.fit,
             config: config.clone(),
             derived,
+        }
+    }
+}
+
+/// How long a training was.
+pub(super) struct Ended {
+    pub steps: u64,
+    /// None where the end was planned once and came then.
+    pub schedule: Option<Schedule>,
+    /// Steps of each trial.
+    pub trial_steps: u64,
+}
+
+/// Returns the schedule that the parameters say.
+fn scheduled(params: &TrainParams) -> Schedule {
+    let expected = |budget: Budget| (budget.seconds() * EXPECTED_STEPS_PER_S) as u64;
+    match (&params.schedule, params.budget) {
+        (Some(schedule), _) => schedule.clone(),
+        (None, Some(budget)) => Schedule::once(expected(budget)),
+        (None, None) => {
+            let steps = params.planned_steps();
+            Schedule::once(params.fold.map_or(steps, |fold| fold.steps_of(steps)))
         }
     }
 }

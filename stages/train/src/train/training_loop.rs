@@ -2,11 +2,15 @@ use std::ops::Range;
 use std::time::{Duration, Instant};
 
 use marf_cache::Digest;
-use marf_field::Trainer;
+use marf_field::{Field, Schedule, Trainer};
 use marf_schema::train::{Curve, CurvePoint};
 use marf_stage::{Ctx, StageError};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
+use super::{
+    clock::{Clock, Clocked, Ticking},
+    goal::{Goal, Watched},
+};
 use crate::{
     TrainError,
     checkpoint::{self, SAVE_EVERY},
@@ -23,10 +27,10 @@ const CURVE_SIDE_PX: u32 = 64;
 
 /// A training: how far it goes, where its state is kept, and what it is called.
 pub(crate) struct Run<'a> {
-    /// Steps of the whole training.
-    pub steps: u64,
-    /// Steps after which it stops: `steps` or fewer.
-    pub until: u64,
+    /// After how many steps it ends; a clock plans that anew on its way.
+    pub schedule: Schedule,
+    /// Steps after which it stops before; none: it goes to its end.
+    pub until: Option<u64>,
     /// The state that it begins with, as [`packed_state`] returns it; none for step 0.
     pub from: Option<&'a [u8]>,
     /// Name of the checkpoint, and what it is of.
@@ -36,18 +40,48 @@ pub(crate) struct Run<'a> {
     pub note: &'a str,
     /// Photos that the curve is measured on; without any there is no curve.
     pub curve_photos: &'a [(NamedFrame<'a>, ScaledPhoto)],
+    /// The time that it may take.
+    pub clock: Option<Clock>,
+    /// Measures the seconds that judging the field will take.
+    pub judging_s: Option<&'a dyn Fn(&Field) -> Result<f64, StageError>>,
+    /// The quality at which it stops.
+    pub goal: Option<&'a Goal<'a>>,
+}
+
+impl<'a> Run<'a> {
+    /// Returns the run of all steps of a training, without curve, clock and goal.
+    pub fn once(steps: u64, (part, of): (&'a str, Digest)) -> Self {
+        Self {
+            schedule: Schedule::once(steps),
+            until: None,
+            from: None,
+            part,
+            of,
+            note: "",
+            curve_photos: &[],
+            clock: None,
+            judging_s: None,
+            goal: None,
+        }
+    }
 }
 
 /// Counts beside the weights; part of a checkpoint, so that a resumed training reports the same.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct TrainingLog {
     pub curve: Curve,
-    /// Steps after which it was last known whether a point of the curve falls there.
+    /// Steps after which it was last known whether something is due there.
     measured: u64,
     pub rays: u64,
     pub samples: u64,
     loss_sum: f64,
     loss_steps: u64,
+    /// Of a training with a clock.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clocked: Option<Clocked>,
+    /// Of a training with a goal.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub watched: Option<Watched>,
 }
 
 /// Trains from the last checkpoint, or the state that the run begins with, until the step after which it stops.
@@ -59,49 +93,74 @@ pub(crate) fn train_to(
     run: &Run<'_>,
     trainer: &mut Trainer,
 ) -> Result<TrainingLog, StageError> {
-    let until = run.until;
+    trainer.follow(run.schedule.clone());
     let mut log = begin(ctx, run, trainer)?;
+    let mut ticking = log.start(run.clock, trainer);
     let mut saved_at = Instant::now();
     let mut reported: Option<Instant> = None;
     loop {
-        let measured = ctx.check().and_then(|()| measure(ctx, run, trainer, &mut log));
-        if let Err(stopped) = measured {
-            save(ctx, run, &log, trainer)?;
-            return Err(stopped);
-        }
-        if trainer.steps() >= until {
-            return Ok(log);
+        let looked = ctx.check().and_then(|()| look(ctx, run, trainer, &mut log));
+        let until = run.until.unwrap_or(trainer.schedule().steps());
+        log.note_clock(ticking.as_ref(), trainer);
+        match looked {
+            Err(stopped) => {
+                save(ctx, run, &log, trainer)?;
+                return Err(stopped);
+            }
+            Ok(has_target) if has_target || trainer.steps() >= until => return Ok(log),
+            Ok(_) => {}
         }
         log.measured = trainer.steps();
         let step = trainer.advance(until - log.measured).map_err(TrainError::from)?;
         log.add(&step);
+        if let Some(ticking) = &mut ticking {
+            if let Some(judging_s) = run.judging_s.filter(|_| ticking.is_to_judge()) {
+                let field = trainer.field().map_err(TrainError::from)?;
+                ticking.leave(judging_s(&field)?);
+            }
+            ticking.plan(trainer);
+        }
         if reported.is_none_or(|at| at.elapsed() >= REPORT_EVERY) {
-            let note = format!("{}{}", run.note, log.note(step.loss));
-            ctx.progress.at(trainer.steps(), until, &note);
+            let note = format!("{}{}", run.note, log.note(run, step.loss));
+            ctx.progress
+                .at(trainer.steps(), until.max(trainer.steps()), &note);
             reported = Some(Instant::now());
         }
         if saved_at.elapsed() >= SAVE_EVERY {
+            log.note_clock(ticking.as_ref(), trainer);
             save(ctx, run, &log, trainer)?;
             saved_at = Instant::now();
         }
     }
 }
 
-/// Adds a point to the curve if one falls among the steps taken last.
-fn measure(
+/// Measures what is due after the steps taken last, and returns whether the field has the target.
+fn look(
     ctx: &Ctx<'_>,
     run: &Run<'_>,
     trainer: &mut Trainer,
     log: &mut TrainingLog,
-) -> Result<(), StageError> {
+) -> Result<bool, StageError> {
     let taken = log.measured..trainer.steps();
-    if run.curve_photos.is_empty() || !is_curve_point(taken.clone(), run.steps) {
-        return Ok(());
+    let schedule = trainer.schedule().clone();
+    let is_point = !run.curve_photos.is_empty() && is_curve_point(&taken, &schedule);
+    let goal = run.goal.filter(|goal| goal.is_due(&taken));
+    if taken.is_empty() || !(is_point || goal.is_some()) {
+        return Ok(false);
     }
     let field = trainer.field().map_err(TrainError::from)?;
-    log.point(taken.end, mean_psnr(ctx, &field, run.curve_photos)?);
+    let mut has_target = false;
+    if let Some(goal) = goal {
+        let place = (taken.end, schedule.done(taken.end), schedule.end_at(taken.end));
+        let mut watched = log.watched.clone().unwrap_or_default();
+        has_target = goal.look(ctx, &mut watched, &field, place)?;
+        log.watched = Some(watched);
+    }
+    if is_point || has_target {
+        log.point(taken.end, mean_psnr(ctx, &field, run.curve_photos)?);
+    }
     log.measured = taken.end;
-    Ok(())
+    Ok(has_target)
 }
 
 /// Reads all held-out photos, so that one that cannot be read stops a training before it begins, and returns up to
@@ -123,12 +182,10 @@ pub(crate) fn curve_photos<'a>(
 }
 
 /// Tells whether a point of the curve falls among the steps taken: at 1/16 of all steps and at every eighth.
-fn is_curve_point(taken: Range<u64>, steps: u64) -> bool {
-    let crosses = |parts: u64| {
-        let part = |step: u64| u128::from(step) * u128::from(parts) / u128::from(steps);
-        part(taken.end) > part(taken.start)
-    };
-    crosses(8) || (crosses(16) && taken.start < steps / 8)
+fn is_curve_point(taken: &Range<u64>, schedule: &Schedule) -> bool {
+    let (before, after) = (schedule.done(taken.start), schedule.done(taken.end));
+    let crosses = |parts: f64| (after * parts).floor() > (before * parts).floor();
+    crosses(8.0) || (crosses(16.0) && before < 1.0 / 8.0)
 }
 
 impl TrainingLog {
@@ -150,11 +207,27 @@ impl TrainingLog {
         (self.loss_sum, self.loss_steps) = (0.0, 0);
     }
 
-    fn note(&self, loss: f64) -> String {
+    fn note(&self, run: &Run<'_>, loss: f64) -> String {
+        let goal = run.goal.zip(self.watched.as_ref());
+        let goal = goal.map_or_else(String::new, |(goal, watched)| watched.note(goal.psnr));
         match self.curve.0.last() {
-            Some(point) => format!("loss {loss:.4} psnr {:.1}", point.psnr),
-            None => format!("loss {loss:.4}"),
+            Some(point) => format!("{goal}loss {loss:.4} psnr {:.1}", point.psnr),
+            None => format!("{goal}loss {loss:.4}"),
         }
+    }
+
+    /// Starts the clock of a training where this log has it.
+    fn start(&self, clock: Option<Clock>, trainer: &mut Trainer) -> Option<Ticking> {
+        let mut clock = clock?;
+        if let Some(clocked) = &self.clocked {
+            clock.resume(clocked);
+            trainer.follow(clocked.schedule.clone());
+        }
+        Some(clock.start(trainer.steps()))
+    }
+
+    fn note_clock(&mut self, ticking: Option<&Ticking>, trainer: &Trainer) {
+        self.clocked = ticking.map(|ticking| ticking.clocked(trainer.schedule()));
     }
 }
 
@@ -174,8 +247,9 @@ fn begin(ctx: &Ctx<'_>, run: &Run<'_>, trainer: &mut Trainer) -> Result<Training
     let (log, state) = unpack::<TrainingLog>(from).ok_or_else(unreadable)?;
     let restored = trainer.restore(state);
     restored.map_err(|error| TrainError::State(error.to_string()))?;
+    let until = run.until.unwrap_or(run.schedule.steps());
     match trainer.steps() {
-        at if at > run.until => Err(TrainError::Behind { at, until: run.until }),
+        at if at > until => Err(TrainError::Behind { at, until }),
         _ => Ok(log),
     }
 }
@@ -222,14 +296,14 @@ mod tests {
     fn the_curve_has_nine_points_at_fixed_shares_of_the_steps() {
         for steps in [16_u64, 100, 401, 20_000] {
             let points: Vec<u64> = (1..=steps)
-                .filter(|step| is_curve_point(*step - 1..*step, steps))
+                .filter(|step| is_curve_point(&(*step - 1..*step), &Schedule::once(steps)))
                 .collect();
             assert_eq!(points.len(), 9, "{steps}: {points:?}");
             assert_eq!((points[0], points[8]), (steps.div_ceil(16), steps));
         }
         for steps in 1..16 {
             let points: Vec<u64> = (1..=steps)
-                .filter(|step| is_curve_point(*step - 1..*step, steps))
+                .filter(|step| is_curve_point(&(*step - 1..*step), &Schedule::once(steps)))
                 .collect();
             assert_eq!(points.last(), Some(&steps), "{points:?}");
         }

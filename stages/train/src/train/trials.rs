@@ -113,7 +113,7 @@ pub(super) fn decide(
     let open = PARTS.iter().filter(|part| is_set(part).is_none()).count() as u64;
     let steps = match &plan.settings.given {
         Some(_) => 0,
-        None => steps_each(params, plan.settings.steps, open),
+        None => steps_each(params, plan.settings.schedule.steps(), open),
     };
     let setup = match steps {
         0 => None,
@@ -319,14 +319,10 @@ impl<'a> TrialSetup<'a> {
         };
         let (params, views) = (self.params, photos.views.clone());
         let mut trainer = new_trainer(views, self.plan.scene, &config, params.seed, None, &params.device)?;
+        let note = format!("trying {name}: ");
         let run = Run {
-            steps: self.steps,
-            until: self.steps,
-            from: None,
-            part: "trial",
-            of: digest_of(&(self.plan.of, name)),
-            note: &format!("trying {name}: "),
-            curve_photos: &[],
+            note: &note,
+            ..Run::once(self.steps, ("trial", digest_of(&(self.plan.of, name))))
         };
         train_to(ctx, &run, &mut trainer)?;
         let field = trainer.field().map_err(TrainError::from)?;

@@ -1,16 +1,20 @@
 //! `train`: a scene to a trained field, measured on held-out photos.
 
-use marf_field::{Config, Derived, Device, Facts, Overrides, Quality};
-use marf_stage::{Document, ParamError, Params};
+mod metrics;
+
+use marf_field::{Config, Device, Overrides, Quality, Schedule};
+use marf_stage::{ParamError, Params};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{check_field, check_scale, scores::Scores};
+use crate::{check_field, check_scale};
 
 pub use crate::{
     budget::{Budget, ParseBudgetError},
     memory::{Memory, ParseMemoryError},
+    target::{Forecast, Target},
 };
+pub use metrics::{Curve, CurvePoint, Metrics, OnTraining, Setup};
 
 /// Which photos are kept away from training, to measure on.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -105,10 +109,21 @@ pub struct TrainParams {
     /// Optimiser steps, instead of those of `quality`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps: Option<u64>,
-    /// Time to train for (`60s`, `5m`), instead of `steps`: measured once on this machine by a node `pace`.
+    /// Time to train for (`60s`, `5m`), instead of `steps`: trials and optimiser steps, not decoding or judging. The end is
+    /// planned anew as the clock goes, and the metrics hold the schedule that was run.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub budget: Option<Budget>,
-    /// Not in this version.
+    /// Time of the whole wait (`5m`), instead of `steps`: from the start of the run to the end of this training, judging and
+    /// pictures included; what is left of it after all else is the training's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub within: Option<Budget>,
+    /// The schedule of a training with a budget (`[[0, 4000], [250, 3700]]`: before step 250 the end was moved to step 3,700),
+    /// instead of `steps`: it repeats that training to the bit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<Vec<[u64; 2]>>")]
+    pub schedule: Option<Schedule>,
+    /// Mean PSNR at which the training stops, dB, on one training photo in eight, held back by place; at the latest it ends
+    /// as `quality`, `steps` or `budget` says.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub target_psnr: Option<f64>,
     /// Seed of weights and rays.
@@ -137,6 +152,24 @@ pub struct TrainParams {
     pub device: Device,
 }
 
+/// A time that a training must keep to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Limit {
+    /// Trials and optimiser steps.
+    Training(Budget),
+    /// All from the start of the run to the end of the training's node.
+    Wait(Budget),
+}
+
+impl Limit {
+    /// Returns the time in seconds.
+    pub fn seconds(self) -> f64 {
+        match self {
+            Self::Training(budget) | Self::Wait(budget) => budget.seconds(),
+        }
+    }
+}
+
 impl Params for TrainParams {
     const STAGE: &'static str = "train";
 }
@@ -154,7 +187,30 @@ impl Fit {
 impl TrainParams {
     /// Returns the optimiser steps of a training without a budget.
     pub fn planned_steps(&self) -> u64 {
-        self.steps.unwrap_or(self.quality.steps())
+        let scheduled = self.schedule.as_ref().map(Schedule::steps);
+        scheduled.or(self.steps).unwrap_or(self.quality.steps())
+    }
+
+    /// Returns the time that it may take.
+    pub fn limit(&self) -> Option<Limit> {
+        let training = self.budget.map(Limit::Training);
+        training.or(self.within.map(Limit::Wait))
+    }
+
+    /// Returns the parameters that repeat a training with a budget to the bit, on any machine; none where there is no budget,
+    /// as the parameters then do so themselves.
+    pub fn repeating(&self, setup: &Setup) -> Option<Self> {
+        self.limit()?;
+        Some(Self {
+            budget: None,
+            within: None,
+            schedule: Some(setup.schedule()),
+            trials: TrialsParams {
+                steps: Some(setup.trial_steps),
+                ..self.trials.clone()
+            },
+            ..self.clone()
+        })
     }
 
     /// Checks what can be checked without a scene.
@@ -162,19 +218,21 @@ impl TrainParams {
     /// # Errors
     /// Names the key that is out of range.
     pub fn check(&self) -> Result<(), ParamError> {
-        if self.target_psnr.is_some() {
-            let message = "not in this version; set `quality`, `steps` or `budget`";
-            return Err(ParamError::new("target_psnr", message));
-        }
         if self.steps == Some(0) {
             return Err(ParamError::new("steps", "0 steps train nothing; at least 1"));
         }
-        if self.steps.is_some() && self.budget.is_some() {
-            return Err(ParamError::new(
-                "budget",
-                "`steps` is given too; keep one of the two",
-            ));
+        let lengths = [
+            ("steps", self.steps.is_some()),
+            ("budget", self.budget.is_some()),
+            ("within", self.within.is_some()),
+            ("schedule", self.schedule.is_some()),
+        ];
+        let mut given = lengths.iter().filter(|(_, is_given)| *is_given);
+        if let (Some((first, _)), Some((second, _))) = (given.next(), given.next()) {
+            let message = format!("`{first}` is given too; keep one of the two");
+            return Err(ParamError::new(*second, message));
         }
+        self.check_target()?;
         self.fold.map_or(Ok(()), |fold| fold.check())?;
         check_scale(self.scale)?;
         if !(0.0..=100.0).contains(&self.trials.least_gain_db) {
@@ -185,131 +243,36 @@ impl TrainParams {
     }
 }
 
-/// How well a field reproduces photos that it was trained on, which is not how good it is elsewhere: the protocol of the paper.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct OnTraining {
-    /// Photos that were compared: as many as are held out, spread evenly over those trained on.
-    pub photos: u64,
-    /// Mean peak signal-to-noise ratio, peak 1, dB.
-    pub psnr: f64,
-    /// Mean of the paper's definition, peak = largest value of the photo, dB; none where all photos are black.
-    pub psnr_paper: Option<f64>,
-    /// Mean structural similarity; none where all photos are smaller than its window.
-    pub ssim: Option<f64>,
-}
-
-/// Output `metrics` of `train`. Nothing in it comes from a clock.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Metrics {
-    /// On the photos held out.
-    #[serde(flatten)]
-    pub scores: Scores,
-    /// On some of the photos trained on; only where those of the final metric are held out.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub on_training: Option<OnTraining>,
-    /// Optimiser steps.
-    pub steps: u64,
-    /// Rays trained.
-    pub rays: u64,
-    /// Samples trained.
-    pub samples: u64,
-    /// Mean squared error of the batches of the last eighth, sRGB in [0, 1].
-    pub loss: f64,
-    /// Factor by which photos were shrunk.
-    pub scale: u32,
-    /// One pixel of so many of each training photo was kept; absent: all.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub thinned: Option<u32>,
-    /// Seed.
-    pub seed: u64,
-    /// Which photos were held out.
-    pub holdout: Holdout,
-    /// Which fold was held out instead.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub fold: Option<Fold>,
-    /// Photos trained on, each counted once.
-    pub train_photos: u64,
-    /// Photos held out.
-    pub held_out_photos: u64,
-    /// Ids of the photos drawn, as often as they were; only with `resample`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub drawn: Option<Vec<String>>,
-    /// What decided how large the field is.
-    pub fit: Fit,
-    /// The GPU that trained, with driver and interface; absent: the CPU.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub gpu: Option<String>,
-    /// The configuration as it was used.
-    pub config: Config,
-    /// What the field was sized by.
-    pub field: Facts,
-}
-
-impl Document for Metrics {
-    const STAGE: &'static str = TrainParams::STAGE;
-    const OUTPUT: &'static str = "metrics";
-}
-
-/// Output `setup` of `train`: all that a training depends on beside its scene, its seed and the draw of its photos, with
-/// everything that was derived or decided on the way.
-///
-/// A training that reads it through its port `of` is the same training with another seed or draw.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Setup {
-    /// Optimiser steps.
-    pub steps: u64,
-    /// Factor by which photos are shrunk.
-    pub scale: u32,
-    /// One pixel of so many of each training photo is kept.
-    pub kept_every: u32,
-    /// Memory that the training may take.
-    pub memory: Memory,
-    /// Which photos are held out.
-    pub holdout: Holdout,
-    /// Which fold is held out instead.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub fold: Option<Fold>,
-    /// What decided how large the field is.
-    pub fit: Fit,
-    /// The configuration as it is used, with what trials decided.
-    pub config: Config,
-    /// Box and sizes.
-    pub derived: Derived,
-}
-
-impl Document for Setup {
-    const STAGE: &'static str = TrainParams::STAGE;
-    const OUTPUT: &'static str = "setup";
-}
-
-/// Output `curve` of `train`: points in the order of steps.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct Curve(pub Vec<CurvePoint>);
-
-impl Document for Curve {
-    const STAGE: &'static str = TrainParams::STAGE;
-    const OUTPUT: &'static str = "curve";
-}
-
-/// A point of the training curve.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct CurvePoint {
-    /// Optimiser steps so far.
-    pub step: u64,
-    /// Rays trained so far.
-    pub rays: u64,
-    /// Samples trained so far.
-    pub samples: u64,
-    /// Mean squared error of the batches since the last point, sRGB in [0, 1].
-    pub loss: f64,
-    /// Mean PSNR on up to three held-out photos of at most 64 pixels a side, dB.
-    pub psnr: f64,
+impl TrainParams {
+    fn check_target(&self) -> Result<(), ParamError> {
+        let Some(psnr) = self.target_psnr else {
+            return Ok(());
+        };
+        if !(psnr > 0.0 && psnr <= 100.0) {
+            return Err(ParamError::new(
+                "target_psnr",
+                format!("{psnr} dB; above 0, up to 100"),
+            ));
+        }
+        let other = [
+            ("fold", self.fold.is_some()),
+            ("resample", self.resample.is_some()),
+            ("holdout", self.holdout != Holdout::Test),
+        ];
+        match other.iter().find(|(_, is_given)| *is_given) {
+            Some((key, _)) => Err(ParamError::new(
+                "target_psnr",
+                format!("with `{key}` there is no photo to watch a target by; keep one of the two"),
+            )),
+            None => Ok(()),
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use marf_field::Derived;
     use marf_stage::key_params;
     use serde_json::json;
 
@@ -320,9 +283,15 @@ mod tests {
     #[test]
     fn what_cannot_be_trained_is_refused_by_its_key() {
         for (value, path) in [
-            (json!({"target_psnr": 28.0}), "target_psnr"),
+            (json!({"target_psnr": 0.0}), "target_psnr"),
+            (json!({"target_psnr": 101}), "target_psnr"),
+            (json!({"target_psnr": 28, "resample": 1}), "target_psnr"),
+            (json!({"target_psnr": 28, "holdout": "validation"}), "target_psnr"),
             (json!({"steps": 0}), "steps"),
             (json!({"steps": 5, "budget": "60s"}), "budget"),
+            (json!({"steps": 5, "schedule": [[0, 5]]}), "schedule"),
+            (json!({"budget": "5s", "schedule": [[0, 5]]}), "schedule"),
+            (json!({"budget": "5s", "within": "9s"}), "within"),
             (json!({"scale": 0}), "scale"),
             (
                 json!({"fold": {"index": 0, "count": 1, "share": 1}}),
@@ -353,6 +322,48 @@ mod tests {
         params(json!({"budget": "60s", "field": {"log2_table": 16}}))
             .check()
             .unwrap();
+    }
+
+    #[test]
+    fn a_training_with_a_budget_is_repeated_by_its_schedule_and_its_trials() {
+        let schedule: Schedule = serde_json::from_value(json!([[0, 900], [30, 700]])).unwrap();
+        let setup = Setup {
+            steps: 700,
+            schedule: Some(schedule.clone()),
+            trial_steps: 40,
+            watched: false,
+            scale: 1,
+            kept_every: 1,
+            memory: Memory::default(),
+            holdout: Holdout::Test,
+            fold: None,
+            fit: Fit::Scene,
+            config: Config::default(),
+            derived: Derived {
+                origin: [0.0; 3],
+                half_side: 1.0,
+                depth: 1.0,
+                box_reason: String::new(),
+                sizes: crate::example::train_metrics().field.sizes,
+            },
+        };
+        let budgeted = params(json!({"budget": "9s", "quality": "standard", "seed": 5, "target_psnr": 20}));
+        let expected = json!({
+            "schedule": [[0, 900], [30, 700]], "trials": {"steps": 40}, "quality": "standard", "seed": 5, "target_psnr": 20
+        });
+        assert_eq!(budgeted.repeating(&setup), Some(params(expected)));
+        let within = params(json!({"within": "9s"})).repeating(&setup).unwrap();
+        assert_eq!((within.limit(), within.planned_steps()), (None, 700));
+        assert_eq!(params(json!({"steps": 700})).repeating(&setup), None);
+        assert_eq!(params(json!({"schedule": [[0, 9], [3, 12]]})).planned_steps(), 12);
+        assert_eq!(
+            Setup {
+                schedule: None,
+                ..setup
+            }
+            .schedule(),
+            Schedule::once(700)
+        );
     }
 
     #[test]

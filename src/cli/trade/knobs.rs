@@ -1,0 +1,200 @@
+//! What can be turned, and how far.
+
+use marf_cache::digest_of;
+use marf_schema::calibrate::{CalibrateParams, Method};
+use marf_schema::train::{Fit, Metrics, TrainParams};
+use marf_stage::Params;
+use serde_json::{Value, json};
+
+use super::as_toml;
+use super::measured::Base;
+use crate::cli::error::{CliError, Diagnostic};
+use crate::cli::session::Session;
+use crate::show::trade::Point;
+
+/// A key of the pipeline with other values for it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Knob {
+    /// As the command line names it (`train.scale`).
+    pub key: String,
+    /// Values beside the pipeline's own.
+    pub values: Vec<Value>,
+}
+
+impl Knob {
+    /// Returns the setting of a value as the command line takes it.
+    pub fn set(&self, value: &Value) -> String {
+        format!("{}={}", self.key, as_toml(value))
+    }
+}
+
+/// Returns the knobs of `[trade]`, or else those around the values that the pipeline has; `wanted` alone, if any are.
+///
+/// # Errors
+/// A wanted knob that is none of them.
+pub fn knobs(session: &Session, base: &Base, wanted: &[String]) -> Result<Vec<Knob>, CliError> {
+    let knobs = match session.tree.get("trade").and_then(Value::as_object) {
+        Some(table) => table
+            .iter()
+            .map(|(key, values)| Knob {
+                key: key.clone(),
+                values: values.as_array().cloned().unwrap_or_default(),
+            })
+            .collect(),
+        None => around(session, base)?,
+    };
+    if let Some(unknown) = wanted
+        .iter()
+        .find(|key| !knobs.iter().any(|knob| knob.key == **key))
+    {
+        let known: Vec<&str> = knobs.iter().map(|knob| knob.key.as_str()).collect();
+        let hint = format!(
+            "the knobs are {}; `[trade]` in pipeline.toml adds others",
+            known.join(", ")
+        );
+        return Err(CliError::Usage(
+            Diagnostic::new(format!("--knob {unknown}: no such knob")).hint(hint),
+        ));
+    }
+    let is_wanted = |knob: &Knob| wanted.is_empty() || wanted.contains(&knob.key);
+    Ok(knobs.into_iter().filter(is_wanted).collect())
+}
+
+/// Returns points with every knob at a random one of its values or at the pipeline's; the same ones each time.
+pub fn random(knobs: &[Knob], count: u64) -> Vec<Point> {
+    let point = |index: u64| {
+        let set = |knob: &Knob| {
+            let digest = digest_of(&(("trade", index), knob.key.as_str()));
+            let draw = digest.as_bytes()[0] as usize % (knob.values.len() + 1);
+            knob.values.get(draw).map(|value| knob.set(value))
+        };
+        Point {
+            sets: knobs.iter().filter_map(set).collect(),
+            ..Point::default()
+        }
+    };
+    (0..count)
+        .map(point)
+        .filter(|point| !point.sets.is_empty())
+        .collect()
+}
+
+/// Returns knobs around the values that the pipeline has.
+fn around(session: &Session, base: &Base) -> Result<Vec<Knob>, CliError> {
+    let metrics = base.metrics()?;
+    let mut knobs = of_training(&base.train, &metrics);
+    if let Some(name) = &base.calibrate {
+        let info = session.nodes.iter().find(|info| info.name == *name);
+        let params = info.map(|info| info.params.clone()).unwrap_or_default();
+        if let Ok(params) = serde_json::from_value::<CalibrateParams>(params) {
+            knobs.extend(of_calibration(name, &params));
+        }
+    }
+    Ok(knobs)
+}
+
+fn of_training(node: &str, metrics: &Metrics) -> Vec<Knob> {
+    let Metrics {
+        steps,
+        scale,
+        fit,
+        config,
+        field,
+        ..
+    } = metrics;
+    let levels = field.levels.len() as u64;
+    let other_width = if config.color_width > 32 { 32 } else { 64 };
+    let other_view = match serde_json::to_value(config.view_dependence) {
+        Ok(Value::String(word)) if word == "off" => "on",
+        _ => "off",
+    };
+    let other_fit = match fit {
+        Fit::Scene => "fixed",
+        Fit::Fixed => "scene",
+    };
+    let half_and_twice = |value: u32| vec![json!(value / 2), json!(value * 2)];
+    let knob = |key: &str, values: Vec<Value>| Knob {
+        key: format!("{node}.{key}"),
+        values,
+    };
+    vec![
+        knob(
+            "steps",
+            vec![
+                json!(steps / 4),
+                json!(steps / 2),
+                json!(steps * 2),
+                json!(steps * 4),
+            ],
+        ),
+        knob("scale", vec![json!(scale + 1), json!(scale * 2 + 1)]),
+        knob("field.batch_samples", half_and_twice(config.batch_samples)),
+        knob("field.levels", vec![json!(levels / 2), json!(levels * 3 / 4)]),
+        knob("field.log2_table_shift", vec![json!(-2), json!(-1), json!(1)]),
+        knob("field.finest_factor", vec![json!(0.5), json!(2.0)]),
+        knob("field.color_width", vec![json!(other_width)]),
+        knob("field.view_dependence", vec![json!(other_view)]),
+        knob(
+            "field.cone",
+            vec![json!(config.cone / 2.0), json!(config.cone * 2.0)],
+        ),
+        knob(
+            "field.occupancy_resolution",
+            half_and_twice(config.occupancy_resolution),
+        ),
+        knob("fit", vec![json!(other_fit)]),
+    ]
+}
+
+/// Structure from motion alone takes time.
+fn of_calibration(node: &str, params: &CalibrateParams) -> Vec<Knob> {
+    if params.method != Method::Sfm {
+        return Vec::new();
+    }
+    let knob = |key: &str, values: Vec<Value>| Knob {
+        key: format!("{node}.{key}"),
+        values,
+    };
+    let (features, side) = (params.max_features, params.feature_side_px);
+    vec![
+        knob("max_features", vec![json!(features / 2), json!(features * 2)]),
+        knob("feature_side_px", vec![json!(side / 2), json!(side * 3 / 2)]),
+        knob("pairs", vec![json!("sequential")]),
+        knob("lens", vec![json!("pinhole"), json!("opencv")]),
+    ]
+}
+
+/// Returns the name of the first node of a stage.
+pub fn node_of<P: Params>(session: &Session) -> Option<String> {
+    let nodes = session.tree.get("node")?.as_object()?;
+    let is_of = |(name, table): &(&String, &Value)| {
+        let uses = table.get("uses").and_then(Value::as_str);
+        uses.unwrap_or(name) == P::STAGE
+    };
+    nodes.iter().find(is_of).map(|(name, _)| name.clone())
+}
+
+/// Returns the name of the training.
+///
+/// # Errors
+/// A pipeline without one, or with a time to train for.
+pub fn training(session: &Session) -> Result<String, CliError> {
+    let none = || {
+        CliError::Usage(
+            Diagnostic::new("the pipeline has no node `train`, whose quality would be traded".to_owned())
+                .hint("add one, or give a folder with images/ and transforms.json"),
+        )
+    };
+    let name = node_of::<TrainParams>(session).ok_or_else(none)?;
+    let info = session.nodes.iter().find(|info| info.name == name);
+    let timed = ["budget", "within"]
+        .into_iter()
+        .find(|key| info.is_some_and(|info| info.params.get(*key).is_some()));
+    match timed {
+        Some(key) => Err(CliError::Usage(
+            Diagnostic::new(format!("`{name}.{key}` fixes the time, which is to be traded"))
+                .hint("leave it out, or set `steps` in its place"),
+        )),
+        None => Ok(name),
+    }
+}

@@ -1,0 +1,139 @@
+//! Runs a point and takes its figures.
+
+use std::cell::RefCell;
+
+use marf_engine::{Cancel, NodeRun, Options, RunRecord};
+use marf_schema::calibrate::{self, CalibrateParams};
+use marf_schema::output::WEIGHTS;
+use marf_schema::train::Metrics;
+use marf_stage::Document;
+
+use super::knobs::{node_of, training};
+use crate::cli::args::Global;
+use crate::cli::error::CliError;
+use crate::cli::run::{execute, options};
+use crate::cli::session::{Session, node_named};
+use crate::show::trade::{Point, PointRun};
+
+/// What all points share: the pipeline as it is.
+pub struct Base {
+    /// Settings beside those of the command line.
+    pub sets: Vec<String>,
+    /// Name of the training.
+    pub train: String,
+    /// Name of the calibration, if there is one.
+    pub calibrate: Option<String>,
+    /// Metrics of the first training.
+    first: RefCell<Option<Metrics>>,
+}
+
+impl Base {
+    /// Finds the nodes whose time and quality are traded.
+    ///
+    /// # Errors
+    /// A pipeline without a training.
+    pub fn of(session: &Session, sets: Vec<String>) -> Result<Self, CliError> {
+        Ok(Self {
+            sets,
+            train: training(session)?,
+            calibrate: node_of::<CalibrateParams>(session),
+            first: RefCell::default(),
+        })
+    }
+
+    /// Returns the metrics of the pipeline as it is.
+    ///
+    /// # Errors
+    /// None was trained yet.
+    pub fn metrics(&self) -> Result<Metrics, CliError> {
+        let first = self.first.borrow().clone();
+        first.ok_or_else(|| CliError::failed("the pipeline as it is was not trained"))
+    }
+}
+
+/// Trains a point with seeds from 0 on, or finds that it was trained. What cannot be trained is told in the point.
+///
+/// # Errors
+/// A store that cannot be used, and the wish to stop.
+pub fn measured(
+    open: &dyn Fn(&[String]) -> Result<Session, CliError>,
+    base: &Base,
+    point: &mut Point,
+    seeds: u64,
+    global: &Global,
+    cancel: &Cancel,
+) -> Result<(), CliError> {
+    for seed in 0..seeds {
+        let seed_set = format!("{}.seed={seed}", base.train);
+        let sets = [base.sets.as_slice(), point.sets.as_slice(), &[seed_set]].concat();
+        let session = match open(&sets) {
+            Ok(session) => session,
+            Err(CliError::Usage(diagnostic)) => {
+                point.fault = Some(diagnostic.message);
+                return Ok(());
+            }
+            Err(error) => return Err(error),
+        };
+        let options = Options {
+            to: vec![base.train.clone()],
+            ..options(global, &session.name)
+        };
+        forget_peak();
+        let (record, ended) = execute(&session, &options, global, cancel)?;
+        match ended {
+            Ok(()) => point.runs.push(figures(&session, &record, base, seed)?),
+            Err(CliError::Failed(diagnostic)) => {
+                let cause = diagnostic
+                    .cause
+                    .map_or_else(String::new, |cause| format!(": {cause}"));
+                point.fault = Some(format!("{}{cause}", diagnostic.message));
+                return Ok(());
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(())
+}
+
+/// Lets the system measure the largest memory from here on, where it can: else it is that of all points so far.
+fn forget_peak() {
+    let _ = std::fs::write("/proc/self/clear_refs", "5");
+}
+
+fn figures(session: &Session, record: &RunRecord, base: &Base, seed: u64) -> Result<PointRun, CliError> {
+    let train = node_named(record, &base.train)?;
+    let metrics: Metrics = session.document(train)?;
+    base.first.borrow_mut().get_or_insert_with(|| metrics.clone());
+    let calibrated = base
+        .calibrate
+        .as_ref()
+        .map(|name| node_named(record, name))
+        .transpose()?;
+    let placed: Option<calibrate::Metrics> = calibrated
+        .filter(|node| node.outputs.contains_key(calibrate::Metrics::OUTPUT))
+        .map(|node| session.document(node))
+        .transpose()?;
+    let totals = placed.map(|metrics| metrics.totals);
+    let calibrate_s = calibrated.map_or(0.0, |node| node.seconds);
+    let made = made(session, train);
+    Ok(PointRun {
+        seed,
+        psnr: metrics.scores.psnr,
+        ssim: metrics.scores.ssim,
+        seconds: calibrate_s + train.seconds,
+        calibrate_s,
+        train_s: made.parts_s.get("training").copied().unwrap_or(train.seconds),
+        placed: totals.as_ref().map_or(0, |totals| totals.registered as u64),
+        error_px: totals.and_then(|totals| totals.error_px),
+        steps: metrics.steps,
+        parameters: metrics.field.parameters,
+        bytes: train.outputs.get(WEIGHTS).map_or(0, |weights| weights.bytes),
+        peak_mb: made.peak_mb,
+    })
+}
+
+/// Returns what is known of the run that made a node's result.
+fn made(session: &Session, node: &NodeRun) -> marf_cache::RunMetadata {
+    let record = node.key.and_then(|key| session.store.record(&key).ok().flatten());
+    record.map(|record| record.metadata).unwrap_or_default()
+}

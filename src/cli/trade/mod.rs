@@ -1,0 +1,199 @@
+//! `marf trade`: what each knob costs in time and gains in quality, measured on this machine.
+
+mod figures;
+mod knobs;
+mod measured;
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use marf_engine::{Cancel, document};
+use serde_json::Value;
+
+use self::figures::figures;
+use self::knobs::{Knob, knobs};
+use self::measured::{Base, measured};
+use super::args::Global;
+use super::error::CliError;
+use super::filter::folder;
+use super::output::print_json;
+use super::run::{Execution, execute_as, options};
+use super::session::{Session, TRADES};
+use super::{documents, files, program, report};
+use crate::show::trade::{self, Point, Trade};
+use crate::terminal::{eprint_line, print_line};
+
+/// Arguments of `trade`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct TradeArgs {
+    /// A folder with images/ and transforms.json, instead of the pipeline
+    pub dir: Option<PathBuf>,
+    /// Turn only these knobs, e.g. `train.scale`
+    #[arg(long = "knob", value_name = "NODE.KEY")]
+    pub knobs: Vec<String>,
+    /// Seeds, each a training of the pipeline as it is and of every point with one knob turned
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=100))]
+    pub seeds: u64,
+    /// Further points with every knob at a random one of its values
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(0..=10_000))]
+    pub random: u64,
+    /// Optimiser steps of the training as it is, instead of the pipeline's
+    #[arg(long, value_name = "N")]
+    pub steps: Option<u64>,
+    /// Folder for trade.json, trade.csv, front.svg, effects.svg and report.html
+    #[arg(long, value_name = "DIR", default_value = "out/trade")]
+    pub out: PathBuf,
+}
+
+const AFTER_HELP: &str = "\
+Every point is an ordinary training of the pipeline with other values, kept in its store: a trade that is stopped goes on, and \
+more seeds, knobs or random points are added to what is known. `[trade]` in pipeline.toml sets the knobs and their values, \
+`\"train.scale\" = [1, 2, 3]`; without it they stand around the values that the pipeline has. Let nothing else run meanwhile: \
+seconds are those of the clock.";
+
+/// Runs `marf trade`.
+///
+/// # Errors
+/// A pipeline without a training, or one that cannot be trained as it is.
+pub fn trade(global: &Global, args: &TradeArgs, cancel: &Cancel) -> Result<(), CliError> {
+    let open = |sets: &[String]| -> Result<Session, CliError> {
+        let global = Global {
+            sets: [&global.sets, sets].concat(),
+            ..global.clone()
+        };
+        let mut session = match &args.dir {
+            Some(dir) => Session::implicit(&pipeline(dir), &global, cancel)?,
+            None => Session::open(&global, cancel)?,
+        };
+        session.name.push_str(TRADES);
+        Ok(session)
+    };
+    let steps = args.steps.map(|steps| format!("train.steps={steps}"));
+    let steps: Vec<String> = steps.into_iter().collect();
+    let base = Base::of(&open(&steps)?, steps)?;
+    let mut points = vec![Point::default()];
+    let measure = |point: &mut Point, seeds: u64| measured(&open, &base, point, seeds, global, cancel);
+    measure(&mut points[0], args.seeds)?;
+    if let Some(fault) = &points[0].fault {
+        return Err(CliError::failed(format!(
+            "the pipeline cannot be trained as it is: {fault}"
+        )));
+    }
+    let session = open(&base.sets)?;
+    let knobs = knobs(&session, &base, &args.knobs)?;
+    points.extend(one_at_a_time(&knobs));
+    points.extend(knobs::random(&knobs, args.random));
+    let one_seed = points.len() as u64 - args.random;
+    let (count, seconds) = (
+        points.len() - 1,
+        points[0].means().map_or(0.0, |(_, seconds)| seconds),
+    );
+    let trainings = (one_seed - 1) * args.seeds + args.random;
+    eprint_line(&format!(
+        "{count} points, {trainings} trainings: about {:.0} min if all took as long as the first",
+        trainings as f64 * seconds / 60.0
+    ));
+    for (index, point) in points.iter_mut().enumerate().skip(1) {
+        eprint_line(&format!("point {index} of {count}: {}", point.name()));
+        let is_random = index as u64 >= one_seed;
+        measure(point, if is_random { 1 } else { args.seeds })?;
+    }
+    let trade = figures(
+        session.name.trim_end_matches(TRADES),
+        &machine(global),
+        program::PROGRAM,
+        points,
+    );
+    write(&session, &trade, global, args, cancel)?;
+    match global.json {
+        true => print_json(&trade),
+        false => {
+            trade
+                .effects
+                .iter()
+                .for_each(|effect| print_line(&effect.sentence(&trade.points[effect.point])));
+            eprint_line(&format!("report: {}", args.out.join(document::REPORT).display()));
+            Ok(())
+        }
+    }
+}
+
+/// Returns the pipeline of a folder with cameras.
+fn pipeline(dir: &Path) -> String {
+    format!(
+        "name = \"trade\"\n{}[node.calibrate]\ninput = \"extract\"\ncameras = \"extract\"\nmethod = \"import\"\n\
+         [node.train]\ninput = \"calibrate\"\n",
+        folder(dir),
+    )
+}
+
+fn one_at_a_time(knobs: &[Knob]) -> Vec<Point> {
+    let turned = knobs
+        .iter()
+        .flat_map(|knob| knob.values.iter().map(|value| knob.set(value)));
+    turned
+        .map(|set| Point {
+            sets: vec![set],
+            ..Point::default()
+        })
+        .collect()
+}
+
+/// Keeps the trade as a document of a run that finds all its results, and writes it out.
+fn write(
+    session: &Session,
+    trade: &Trade,
+    global: &Global,
+    args: &TradeArgs,
+    cancel: &Cancel,
+) -> Result<(), CliError> {
+    let json = serde_json::to_vec_pretty(trade).map_err(|error| CliError::failed(error.to_string()))?;
+    let execution = Execution {
+        trace: None,
+        documents: &|_| {
+            Ok(documents::Documents::from([documents::put(
+                session,
+                document::TRADE,
+                &json,
+            )?]))
+        },
+    };
+    let options = options(global, &session.name);
+    let (record, ended) = execute_as(session, &options, global, cancel, &execution)?;
+    ended?;
+    files::write(&args.out.join(document::TRADE), &json)?;
+    let table = figures::csv(trade).map_err(|error| CliError::failed(error.to_string()))?;
+    files::write(&args.out.join("trade.csv"), &table)?;
+    for (name, drawing) in [
+        ("front.svg", trade::front(trade)),
+        ("effects.svg", trade::effects(trade)),
+    ] {
+        files::write(&args.out.join(name), drawing.into_string().as_bytes())?;
+    }
+    files::write(
+        &args.out.join(document::REPORT),
+        report::page(session, &record)?.as_bytes(),
+    )
+}
+
+/// Returns processor, cores and system.
+fn machine(global: &Global) -> String {
+    let known = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = known
+        .lines()
+        .find_map(|line| line.strip_prefix("model name")?.split_once(": "));
+    let model = model.map_or(std::env::consts::ARCH, |(_, model)| model.trim());
+    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let cores = global.threads.map_or(cores, std::num::NonZero::get);
+    format!("{model}, {cores} cores, {}", std::env::consts::OS)
+}
+
+/// Returns a value as the command line takes it after `=`.
+fn as_toml(value: &Value) -> String {
+    match toml::Value::try_from(value) {
+        Ok(value) => value.to_string(),
+        // JSON's `null` alone, which no list of values holds.
+        Err(_) => String::new(),
+    }
+}

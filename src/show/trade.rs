@@ -1,0 +1,382 @@
+//! What time buys: the points of a trade, the best for each time, and what each knob is worth.
+
+use maud::{Markup, PreEscaped, html};
+use serde::{Deserialize, Serialize};
+
+use super::format::{number, px, seconds};
+
+/// A measured trade of time against quality around a pipeline as it is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Trade {
+    /// The pipeline.
+    pub pipeline: String,
+    /// Processor, cores used and system that the times were taken on.
+    pub machine: String,
+    /// Program with version and commit.
+    pub program: String,
+    /// Points; the first is the pipeline as it is.
+    pub points: Vec<Point>,
+    /// What one value of one knob changes, in the order of its points.
+    pub effects: Vec<Effect>,
+    /// Indices of the points that no other beats in time and quality at once, the fastest first.
+    pub front: Vec<usize>,
+}
+
+/// A setting of the knobs, and what came of it.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Point {
+    /// The settings as the command line takes them (`train.scale=2`); none: as it is.
+    pub sets: Vec<String>,
+    /// Its runs, one for each seed.
+    pub runs: Vec<PointRun>,
+    /// Why it could not be trained.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fault: Option<String>,
+}
+
+/// One training of a point.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct PointRun {
+    /// Its seed.
+    pub seed: u64,
+    /// Mean PSNR on the photos held out, dB.
+    pub psnr: f64,
+    /// Mean SSIM on them.
+    pub ssim: Option<f64>,
+    /// Seconds of calibration and of the training's node, when they were made.
+    pub seconds: f64,
+    /// Those of them that calibration took.
+    pub calibrate_s: f64,
+    /// Those of trials and steps.
+    pub train_s: f64,
+    /// Photos with a camera.
+    pub placed: u64,
+    /// Root mean square of the reprojection error, pixels.
+    pub error_px: Option<f64>,
+    /// Optimiser steps.
+    pub steps: u64,
+    /// Numbers that the field learns.
+    pub parameters: u64,
+    /// Bytes of the weights.
+    pub bytes: u64,
+    /// Largest memory of the program, MB; 0 where the system does not tell.
+    pub peak_mb: u64,
+}
+
+/// A value with the interval that holds its mean at 95 %, by Student's t over seeds; without one where there is one seed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Interval {
+    /// Mean over seeds.
+    pub mean: f64,
+    /// Half its length.
+    pub half: Option<f64>,
+}
+
+/// What a point with one knob turned changes, compared seed by seed with the pipeline as it is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Effect {
+    /// Its point.
+    pub point: usize,
+    /// PSNR gained, dB.
+    pub gain_db: Interval,
+    /// Seconds as a share of those as it is.
+    pub time: Interval,
+}
+
+impl Point {
+    /// Returns the settings, or that there are none.
+    pub fn name(&self) -> String {
+        match self.sets.is_empty() {
+            true => "as it is".to_owned(),
+            false => self.sets.join(" "),
+        }
+    }
+
+    /// Returns the means of PSNR, dB, and seconds; none without a run.
+    pub fn means(&self) -> Option<(f64, f64)> {
+        let mean =
+            |value: fn(&PointRun) -> f64| self.runs.iter().map(value).sum::<f64>() / self.runs.len() as f64;
+        (!self.runs.is_empty()).then(|| (mean(|run| run.psnr), mean(|run| run.seconds)))
+    }
+}
+
+impl Interval {
+    /// Tells whether the gain may be none: seeds alone change the PSNR by about a tenth of a decibel.
+    fn may_be_none(&self) -> bool {
+        self.mean.abs() <= self.half.unwrap_or(0.2)
+    }
+}
+
+/// Time within which two points count as equally fast.
+const SAME_TIME: f64 = 0.05;
+
+impl Effect {
+    /// Returns a sentence that one can act on.
+    pub fn sentence(&self, point: &Point) -> String {
+        let (gain, time) = (self.gain_db, self.time);
+        let unsure = gain.may_be_none();
+        let percent = |share: f64| format!("{:.0} %", share * 100.0);
+        let quality = match gain.half {
+            Some(half) => format!("{:.2} dB (± {half:.2})", gain.mean.abs()),
+            None => format!("{:.2} dB (one seed)", gain.mean.abs()),
+        };
+        let clock = match time.mean {
+            mean if mean < 1.0 - SAME_TIME => format!("saves {} of the time", percent(1.0 - mean)),
+            mean if mean > 1.0 + SAME_TIME => format!("takes {} more time", percent(mean - 1.0)),
+            _ => "takes as long".to_owned(),
+        };
+        let (slower, faster) = (time.mean > 1.0 + SAME_TIME, time.mean < 1.0 - SAME_TIME);
+        let (what, advice) = match (unsure, gain.mean > 0.0) {
+            (true, _) if faster => (
+                format!("changes the quality by no more than seeds do, {quality}"),
+                "take it",
+            ),
+            (true, _) if slower => (
+                format!("changes the quality by no more than seeds do, {quality}"),
+                "leave it",
+            ),
+            (true, _) => (
+                format!("changes nothing that these seeds can tell, {quality}"),
+                "it does not matter",
+            ),
+            (false, true) if slower => (format!("gains {quality}"), "worth it where there is time"),
+            (false, true) => (format!("gains {quality}"), "take it"),
+            (false, false) if faster => (format!("costs {quality}"), "for when it must be fast"),
+            (false, false) => (format!("costs {quality}"), "leave it"),
+        };
+        format!("{}: {what}, and {clock}; {advice}.", point.name())
+    }
+}
+
+/// Shows a trade: the front, the effects and their sentences.
+pub(super) fn body(trade: &Trade) -> Markup {
+    let seeds = trade.points.first().map_or(0, |base| base.runs.len());
+    html! {
+        p {
+            (trade.points.len()) " settings, " (seeds) " seeds each where one knob is turned, measured on " (trade.machine) ". Seconds are those of \
+             calibration and training with its judging."
+        }
+        div.scroll { (front(trade)) }
+        ul { @for effect in &trade.effects { li { (effect.sentence(&trade.points[effect.point])) } } }
+        div.scroll { (effects(trade)) }
+        details {
+            summary { "all settings" }
+            (table(trade))
+        }
+    }
+}
+
+fn table(trade: &Trade) -> Markup {
+    html! {
+        table {
+            thead { tr {
+                th { "setting" } th.number { "PSNR, dB" } th.number { "time" } th.number { "fastest" } th.number { "slowest" }
+                th.number { "steps" } th.number { "parameters" } th.number { "weights, MB" } th.number { "memory, MB" }
+            } }
+            @for (index, point) in trade.points.iter().enumerate() {
+                tr.best[trade.front.contains(&index)] {
+                    td { (point.name()) }
+                    @match (point.means(), point.runs.first()) {
+                        (Some((psnr, time)), Some(run)) => {
+                            td.number { (format!("{psnr:.2}")) }
+                            td.number { (seconds(time)) }
+                            @let times = || point.runs.iter().map(|run| run.seconds);
+                            td.number { (seconds(times().fold(f64::INFINITY, f64::min))) }
+                            td.number { (seconds(times().fold(0.0, f64::max))) }
+                            td.number { (number(run.steps as f64)) }
+                            td.number { (number(run.parameters as f64)) }
+                            td.number { (format!("{:.1}", run.bytes as f64 / 1e6)) }
+                            td.number { (number(run.peak_mb as f64)) }
+                        }
+                        _ => td colspan="8" { (point.fault.as_deref().unwrap_or("not trained")) }
+                    }
+                }
+            }
+        }
+    }
+}
+
+const WIDTH: f64 = 760.0;
+const HEIGHT: f64 = 420.0;
+const LEFT: f64 = 60.0;
+const RIGHT: f64 = 24.0;
+const TOP: f64 = 16.0;
+const BOTTOM: f64 = 46.0;
+/// Room of a name in the drawing of effects.
+const NAMES: f64 = 290.0;
+const ROW: f64 = 20.0;
+
+/// Where drawings take their colours from when they stand alone.
+const STYLE: &str = "svg.trade{font:12px system-ui,sans-serif;background:#fdfcfa;color:#23201c}\
+    @media(prefers-color-scheme:dark){svg.trade{background:#191715;color:#e9e4dc}}";
+
+/// Draws PSNR against time, which is shown by its logarithm, with the front as a line.
+pub fn front(trade: &Trade) -> Markup {
+    let places: Vec<(usize, f64, f64)> = trade
+        .points
+        .iter()
+        .enumerate()
+        .filter_map(|(index, point)| point.means().map(|(psnr, time)| (index, time, psnr)))
+        .collect();
+    let span = |values: &dyn Fn(&(usize, f64, f64)) -> f64| {
+        let least = places.iter().map(values).fold(f64::INFINITY, f64::min);
+        let most = places.iter().map(values).fold(f64::NEG_INFINITY, f64::max);
+        let margin = 0.06 * (most - least).max(0.1);
+        (least - margin, most + margin)
+    };
+    let (first, last) = span(&|place| place.1.log2());
+    let (low, high) = span(&|place| place.2);
+    let x_of = |time: f64| LEFT + (time.log2() - first) / (last - first) * (WIDTH - LEFT - RIGHT);
+    let y_of = |psnr: f64| TOP + (high - psnr) / (high - low) * (HEIGHT - TOP - BOTTOM);
+    let times = (0..40)
+        .map(|power| 2_f64.powi(power - 10))
+        .filter(|time| (first..last).contains(&time.log2()));
+    let step = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0]
+        .into_iter()
+        .find(|step| (high - low) / step <= 8.0)
+        .unwrap_or(10.0);
+    let psnrs = ((low / step).ceil() as i64..=(high / step).floor() as i64).map(|tick| tick as f64 * step);
+    let line: Vec<String> = trade
+        .front
+        .iter()
+        .filter_map(|index| trade.points[*index].means())
+        .map(|(psnr, time)| format!("{},{}", px(x_of(time)), px(y_of(psnr))))
+        .collect();
+    html! {
+        svg.trade xmlns="http://www.w3.org/2000/svg" viewBox={ "0 0 " (px(WIDTH)) " " (px(HEIGHT)) } width=(px(WIDTH))
+            height=(px(HEIGHT)) role="img" aria-label="PSNR against time" {
+            style { (PreEscaped(STYLE)) }
+            @for time in times {
+                line x1=(px(x_of(time))) x2=(px(x_of(time))) y1=(px(TOP)) y2=(px(HEIGHT - BOTTOM)) stroke="currentColor" stroke-opacity="0.15" {}
+                text x=(px(x_of(time))) y=(px(HEIGHT - BOTTOM + 16.0)) text-anchor="middle" fill="currentColor" { (seconds(time)) }
+            }
+            @for psnr in psnrs {
+                line x1=(px(LEFT)) x2=(px(WIDTH - RIGHT)) y1=(px(y_of(psnr))) y2=(px(y_of(psnr))) stroke="currentColor" stroke-opacity="0.15" {}
+                text x=(px(LEFT - 6.0)) y=(px(y_of(psnr) + 4.0)) text-anchor="end" fill="currentColor" { (number((psnr * 10.0).round() / 10.0)) }
+            }
+            text x=(px((LEFT + WIDTH - RIGHT) / 2.0)) y=(px(HEIGHT - 8.0)) text-anchor="middle" fill="currentColor" { "time, calibration and training" }
+            text transform={ "translate(14 " (px(HEIGHT / 2.0)) ") rotate(-90)" } text-anchor="middle" fill="currentColor" { "PSNR, dB" }
+            polyline points=(line.join(" ")) fill="none" stroke="#33658a" stroke-width="2" {}
+            @for (index, time, psnr) in &places {
+                @let on_front = trade.front.contains(index);
+                @let colour = match (*index, on_front) { (0, _) => "#c7641b", (_, true) => "#33658a", _ => "#a89f92" };
+                circle cx=(px(x_of(*time))) cy=(px(y_of(*psnr))) r=(if *index == 0 { "6" } else { "4" }) fill=(colour) {
+                    title { (trade.points[*index].name()) ": " (format!("{psnr:.2} dB, ")) (seconds(*time)) }
+                }
+                @if on_front || *index == 0 {
+                    @let is_right = x_of(*time) > WIDTH * 0.6;
+                    text x=(px(x_of(*time) + if is_right { -9.0 } else { 9.0 })) y=(px(y_of(*psnr) + if is_right { -7.0 } else { 14.0 }))
+                        text-anchor=(if is_right { "end" } else { "start" }) fill="currentColor" font-size="10" { (trade.points[*index].name()) }
+                }
+            }
+        }
+    }
+}
+
+/// Draws what each setting gains, dB, with its interval, and the share of the time it takes.
+pub fn effects(trade: &Trade) -> Markup {
+    let most = trade
+        .effects
+        .iter()
+        .map(|effect| effect.gain_db.mean.abs() + effect.gain_db.half.unwrap_or(0.0))
+        .fold(0.1, f64::max)
+        .min(
+            trade
+                .effects
+                .iter()
+                .map(|effect| effect.gain_db.mean.abs())
+                .fold(0.1, f64::max)
+                * 1.5,
+        );
+    let height = TOP + ROW * (trade.effects.len() as f64 + 2.0);
+    let plot = WIDTH - NAMES - 90.0;
+    let x_of = |gain: f64| NAMES + (gain / most + 1.0) / 2.0 * plot;
+    let clamped = |gain: f64| px(x_of(gain.clamp(-most, most)));
+    html! {
+        svg.trade xmlns="http://www.w3.org/2000/svg" viewBox={ "0 0 " (px(WIDTH)) " " (px(height)) } width=(px(WIDTH)) height=(px(height))
+            role="img" aria-label="What each setting gains" {
+            style { (PreEscaped(STYLE)) }
+            line x1=(px(x_of(0.0))) x2=(px(x_of(0.0))) y1=(px(TOP)) y2=(px(height - ROW)) stroke="currentColor" stroke-opacity="0.4" {}
+            @for (row, effect) in trade.effects.iter().enumerate() {
+                @let y = TOP + ROW * (row as f64 + 0.5);
+                @let gain = effect.gain_db;
+                @let half = gain.half.unwrap_or(0.0);
+                text x=(px(NAMES - 8.0)) y=(px(y + 4.0)) text-anchor="end" fill="currentColor" { (trade.points[effect.point].name()) }
+                line x1=(clamped(gain.mean - half)) x2=(clamped(gain.mean + half)) y1=(px(y)) y2=(px(y)) stroke="currentColor" stroke-opacity="0.5" {}
+                circle cx=(clamped(gain.mean)) cy=(px(y)) r="4" fill=(if gain.mean < 0.0 { "#c7641b" } else { "#2f6f4f" }) {
+                    title { (format!("{:+.2} dB ± {half:.2}", gain.mean)) }
+                }
+                text x=(px(WIDTH - 6.0)) y=(px(y + 4.0)) text-anchor="end" fill="currentColor" { (format!("{:.2} x time", effect.time.mean)) }
+            }
+            @for gain in [-most, 0.0, most] {
+                text x=(px(x_of(gain))) y=(px(height - 4.0)) text-anchor="middle" fill="currentColor" { (format!("{gain:+.1} dB")) }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn effect(gain: f64, half: f64, time: f64) -> Effect {
+        let interval = |mean, half| Interval {
+            mean,
+            half: Some(half),
+        };
+        Effect {
+            point: 1,
+            gain_db: interval(gain, half),
+            time: interval(time, 0.01),
+        }
+    }
+
+    #[test]
+    fn every_effect_ends_in_advice() {
+        let point = Point {
+            sets: vec!["train.scale=2".to_owned()],
+            runs: Vec::new(),
+            fault: None,
+        };
+        for (effect, sentence) in [
+            (
+                effect(-0.9, 0.1, 0.45),
+                "train.scale=2: costs 0.90 dB (± 0.10), and saves 55 % of the time; for when it must be fast.",
+            ),
+            (
+                effect(0.5, 0.1, 2.0),
+                "train.scale=2: gains 0.50 dB (± 0.10), and takes 100 % more time; worth it where there is time.",
+            ),
+            (
+                effect(0.5, 0.1, 1.02),
+                "train.scale=2: gains 0.50 dB (± 0.10), and takes as long; take it.",
+            ),
+            (
+                effect(-0.5, 0.1, 1.5),
+                "train.scale=2: costs 0.50 dB (± 0.10), and takes 50 % more time; leave it.",
+            ),
+            (
+                effect(0.05, 0.1, 0.5),
+                "train.scale=2: changes the quality by no more than seeds do, 0.05 dB (± 0.10), and saves 50 % of the time; take it.",
+            ),
+            (
+                effect(0.05, 0.1, 1.0),
+                "train.scale=2: changes nothing that these seeds can tell, 0.05 dB (± 0.10), and takes as long; it does not matter.",
+            ),
+        ] {
+            assert_eq!(effect.sentence(&point), sentence);
+        }
+        let once = Effect {
+            gain_db: Interval {
+                mean: -3.0,
+                half: None,
+            },
+            ..effect(0.0, 0.0, 0.5)
+        };
+        assert!(
+            once.sentence(&point).contains("(one seed)"),
+            "{}",
+            once.sentence(&point)
+        );
+    }
+}

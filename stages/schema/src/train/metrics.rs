@@ -1,0 +1,154 @@
+//! What `train` writes beside the weights.
+
+use marf_field::{Config, Derived, Facts, Schedule};
+use marf_stage::{Document, Params};
+use serde::{Deserialize, Serialize};
+
+use super::{Fit, Fold, Holdout, Memory, Target, TrainParams};
+use crate::scores::Scores;
+
+/// How well a field reproduces photos that it was trained on, which is not how good it is elsewhere: the protocol of the paper.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct OnTraining {
+    /// Photos that were compared: as many as are held out, spread evenly over those trained on.
+    pub photos: u64,
+    /// Mean peak signal-to-noise ratio, peak 1, dB.
+    pub psnr: f64,
+    /// Mean of the paper's definition, peak = largest value of the photo, dB; none where all photos are black.
+    pub psnr_paper: Option<f64>,
+    /// Mean structural similarity; none where all photos are smaller than its window.
+    pub ssim: Option<f64>,
+}
+
+/// Output `metrics` of `train`. Nothing in it comes from a clock.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Metrics {
+    /// On the photos held out.
+    #[serde(flatten)]
+    pub scores: Scores,
+    /// On some of the photos trained on; only where those of the final metric are held out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub on_training: Option<OnTraining>,
+    /// How `target_psnr` went.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub target: Option<Target>,
+    /// Optimiser steps.
+    pub steps: u64,
+    /// As the end was planned on the way; absent: it was planned once.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub schedule: Option<Schedule>,
+    /// Rays trained.
+    pub rays: u64,
+    /// Samples trained.
+    pub samples: u64,
+    /// Mean squared error of the batches of the last eighth, sRGB in [0, 1].
+    pub loss: f64,
+    /// Factor by which photos were shrunk.
+    pub scale: u32,
+    /// One pixel of so many of each training photo was kept; absent: all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub thinned: Option<u32>,
+    /// Seed.
+    pub seed: u64,
+    /// Which photos were held out.
+    pub holdout: Holdout,
+    /// Which fold was held out instead.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fold: Option<Fold>,
+    /// Photos trained on, each counted once.
+    pub train_photos: u64,
+    /// Photos held out.
+    pub held_out_photos: u64,
+    /// Ids of the photos drawn, as often as they were; only with `resample`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub drawn: Option<Vec<String>>,
+    /// What decided how large the field is.
+    pub fit: Fit,
+    /// The GPU that trained, with driver and interface; absent: the CPU.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gpu: Option<String>,
+    /// The configuration as it was used.
+    pub config: Config,
+    /// What the field was sized by.
+    pub field: Facts,
+}
+
+impl Document for Metrics {
+    const STAGE: &'static str = TrainParams::STAGE;
+    const OUTPUT: &'static str = "metrics";
+}
+
+/// Output `setup` of `train`: all that a training depends on beside its scene, its seed and the draw of its photos, with
+/// everything that was derived or decided on the way.
+///
+/// A training that reads it through its port `of` is the same training with another seed or draw.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Setup {
+    /// Optimiser steps.
+    pub steps: u64,
+    /// As the end was planned on the way; absent: it was planned once.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub schedule: Option<Schedule>,
+    /// Steps of each trial that decided parts of the field; 0: there were none.
+    #[serde(default)]
+    pub trial_steps: u64,
+    /// Whether one training photo in eight, by place, was held back to watch a target by.
+    #[serde(default)]
+    pub watched: bool,
+    /// Factor by which photos are shrunk.
+    pub scale: u32,
+    /// One pixel of so many of each training photo is kept.
+    pub kept_every: u32,
+    /// Memory that the training may take.
+    pub memory: Memory,
+    /// Which photos are held out.
+    pub holdout: Holdout,
+    /// Which fold is held out instead.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fold: Option<Fold>,
+    /// What decided how large the field is.
+    pub fit: Fit,
+    /// The configuration as it is used, with what trials decided.
+    pub config: Config,
+    /// Box and sizes.
+    pub derived: Derived,
+}
+
+impl Setup {
+    /// Returns after how many steps the training ended, as it was planned.
+    pub fn schedule(&self) -> Schedule {
+        self.schedule
+            .clone()
+            .unwrap_or_else(|| Schedule::once(self.steps))
+    }
+}
+
+impl Document for Setup {
+    const STAGE: &'static str = TrainParams::STAGE;
+    const OUTPUT: &'static str = "setup";
+}
+
+/// Output `curve` of `train`: points in the order of steps.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Curve(pub Vec<CurvePoint>);
+
+impl Document for Curve {
+    const STAGE: &'static str = TrainParams::STAGE;
+    const OUTPUT: &'static str = "curve";
+}
+
+/// A point of the training curve.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct CurvePoint {
+    /// Optimiser steps so far.
+    pub step: u64,
+    /// Rays trained so far.
+    pub rays: u64,
+    /// Samples trained so far.
+    pub samples: u64,
+    /// Mean squared error of the batches since the last point, sRGB in [0, 1].
+    pub loss: f64,
+    /// Mean PSNR on up to three held-out photos of at most 64 pixels a side, dB.
+    pub psnr: f64,
+}

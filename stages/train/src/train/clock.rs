@@ -1,0 +1,348 @@
+//! A training by the clock: how many steps its time is for, planned anew as the time goes.
+
+use std::time::Instant;
+
+use marf_field::{Field, Schedule, Trainer};
+use marf_schema::train::{Limit, TrainParams};
+use marf_stage::{Ctx, StageError};
+use serde::{Deserialize, Serialize};
+
+use super::{Plan, trials};
+use crate::{
+    TrainError, checkpoint,
+    photos::PhotoReader,
+    scoring::mean_psnr,
+    views::{new_trainer, training_views},
+};
+
+/// Part of the time after which the end is planned anew.
+const PLANNED_EVERY: f64 = 1.0 / 32.0;
+/// A plan that would move the end by no more than this share of the steps left is not made.
+const LEAST_CHANGE: f64 = 0.01;
+/// How much the rate since the last plan counts beside those before it.
+const NEWEST: f64 = 0.5;
+/// Part of the time, and most seconds, for which the rate is measured before the sizes are chosen.
+const PILOT_SHARE: f64 = 1.0 / 16.0;
+const PILOT_MOST_S: f64 = 3.0;
+/// Part of a whole wait that the training has at least, whatever comes before and after it.
+const LEAST_SHARE: f64 = 1.0 / 32.0;
+/// Part of the time after which judging is measured again, where it is part of the same wait.
+const JUDGED_AGAIN: f64 = 0.5;
+/// Part of a checkpoint that holds what the pilot found.
+const PART: &str = "pilot";
+
+/// The time of a training: what it may take, and what of it is used.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Clock {
+    budget_s: f64,
+    used_s: f64,
+    /// Seconds that judging will take, as foreseen, where they are part of the same wait and not measured again yet.
+    judging_s: Option<f64>,
+}
+
+/// The clock of a training as a checkpoint keeps it, with the schedule that it made.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Clocked {
+    /// Seconds of the training, all in all and used so far.
+    pub budget_s: f64,
+    pub used_s: f64,
+    /// As [`Clock::judging_s`].
+    judging_s: Option<f64>,
+    /// The schedule so far.
+    pub schedule: Schedule,
+}
+
+/// What a pilot found.
+#[derive(Serialize, Deserialize)]
+struct Pilot {
+    /// Seconds of the training, as far as the pilot could tell what comes before and after it.
+    budget_s: f64,
+    steps: u64,
+    used_s: f64,
+    /// As [`Clock::judging_s`].
+    judging_s: Option<f64>,
+    /// Seconds of the whole node, as foreseen.
+    expected_s: f64,
+}
+
+impl Clock {
+    /// Trains for a moment to find how many steps the time is for, and plans for so many; the field of the pilot is lost.
+    pub fn paced(
+        ctx: &Ctx<'_>,
+        (params, limit): (&TrainParams, Limit),
+        plan: &mut Plan<'_>,
+        photos: &PhotoReader<'_>,
+    ) -> Result<Self, StageError> {
+        let saved = checkpoint::load(ctx, PART, &plan.of);
+        let pilot = match saved.and_then(|saved| serde_json::from_slice(&saved).ok()) {
+            Some(pilot) => pilot,
+            None => {
+                let pilot = Pilot::run(ctx, (params, limit), plan, photos)?;
+                // Numbers always serialise.
+                let saved = serde_json::to_vec(&pilot).unwrap_or_default();
+                checkpoint::save(ctx, PART, &plan.of, &saved);
+                pilot
+            }
+        };
+        let Pilot {
+            budget_s,
+            steps,
+            used_s,
+            judging_s,
+            expected_s,
+        } = pilot;
+        ctx.progress.took("expected", expected_s);
+        let note = format!("about {expected_s:.0} s, {budget_s:.0} s of them training");
+        ctx.progress.at(0, steps, &note);
+        plan.settings
+            .plan_steps(trials::steps_after_trials(params, steps));
+        Ok(Self {
+            budget_s,
+            used_s,
+            judging_s,
+        })
+    }
+
+    /// Returns the clock after so many further seconds.
+    pub fn after(self, seconds: f64) -> Self {
+        Self {
+            used_s: self.used_s + seconds,
+            ..self
+        }
+    }
+
+    /// Goes on where a checkpoint was made.
+    pub fn resume(&mut self, clocked: &Clocked) {
+        *self = Self {
+            budget_s: clocked.budget_s,
+            used_s: clocked.used_s,
+            judging_s: clocked.judging_s,
+        };
+    }
+
+    /// Starts the clock of the steps.
+    pub fn start(self, steps: u64) -> Ticking {
+        Ticking {
+            clock: self,
+            begun: Instant::now(),
+            looked: (steps, self.used_s),
+            rate: None,
+        }
+    }
+}
+
+impl Pilot {
+    fn run(
+        ctx: &Ctx<'_>,
+        (params, limit): (&TrainParams, Limit),
+        plan: &Plan<'_>,
+        photos: &PhotoReader<'_>,
+    ) -> Result<Self, StageError> {
+        let (config, device) = (&plan.settings.config, &params.device);
+        let read = Instant::now();
+        let views = || training_views(photos, &plan.split.training, plan.times, plan.memory, params.seed);
+        let mut trainer = new_trainer(views()?, plan.scene, config, params.seed, None, device)?;
+        let read_s = read.elapsed().as_secs_f64();
+        let half_s = (limit.seconds() * PILOT_SHARE).min(PILOT_MOST_S) / 2.0;
+        let begun = Instant::now();
+        train_for(ctx, &mut trainer, half_s)?;
+        let warm = trainer.steps();
+        let measured_s = train_for(ctx, &mut trainer, half_s)?;
+        let rate = (trainer.steps() - warm) as f64 / measured_s;
+        let used_s = begun.elapsed().as_secs_f64();
+        let field = trainer.field().map_err(TrainError::from)?;
+        drop(trainer);
+        // The training reads its photos anew; they were shrunk by now.
+        let read = Instant::now();
+        drop(views()?);
+        let again_s = read.elapsed().as_secs_f64();
+        let judging_s = plan.judging_s(ctx, photos, &field)?;
+        let budget_s = match limit {
+            Limit::Training(budget) => budget.seconds(),
+            Limit::Wait(wait) => {
+                let left_s = wait.seconds() - ctx.began.elapsed().as_secs_f64() - again_s - judging_s;
+                (used_s + left_s).max(used_s + wait.seconds() * LEAST_SHARE)
+            }
+        };
+        Ok(Self {
+            budget_s,
+            steps: steps_in(budget_s - used_s, rate),
+            used_s,
+            judging_s: matches!(limit, Limit::Wait(_)).then_some(judging_s),
+            expected_s: read_s + again_s + budget_s + judging_s,
+        })
+    }
+}
+
+impl Plan<'_> {
+    /// Returns how many photos the field will be judged by.
+    fn judged(&self) -> usize {
+        self.split.held_out.len() + self.seen().map_or(0, |seen| seen.len())
+    }
+
+    /// Returns the seconds that judging will take, as one photo takes now.
+    pub fn judging_s(
+        &self,
+        ctx: &Ctx<'_>,
+        photos: &PhotoReader<'_>,
+        field: &Field,
+    ) -> Result<f64, StageError> {
+        let first = &self.split.held_out[0];
+        let begun = Instant::now();
+        let photo = photos.read(first.frame)?;
+        mean_psnr(ctx, field, &[(first.clone(), photo)])?;
+        Ok(begun.elapsed().as_secs_f64() * self.judged() as f64)
+    }
+}
+
+/// Trains for a time, at least one step, and returns the seconds that it took.
+fn train_for(ctx: &Ctx<'_>, trainer: &mut Trainer, seconds: f64) -> Result<f64, StageError> {
+    let begun = Instant::now();
+    loop {
+        ctx.check()?;
+        trainer.advance(u64::MAX).map_err(TrainError::from)?;
+        let elapsed_s = begun.elapsed().as_secs_f64();
+        if elapsed_s >= seconds {
+            return Ok(elapsed_s);
+        }
+    }
+}
+
+/// Returns the steps that a time is for, at least one.
+fn steps_in(seconds: f64, steps_per_second: f64) -> u64 {
+    ((seconds * steps_per_second) as u64).max(1)
+}
+
+/// A clock that runs.
+pub(super) struct Ticking {
+    clock: Clock,
+    begun: Instant,
+    /// Steps and seconds when the end was last planned.
+    looked: (u64, f64),
+    /// Steps a second, as far as they were seen.
+    rate: Option<f64>,
+}
+
+impl Ticking {
+    /// Returns the seconds used so far.
+    fn used_s(&self) -> f64 {
+        self.clock.used_s + self.begun.elapsed().as_secs_f64()
+    }
+
+    /// Returns what a checkpoint keeps of it.
+    pub fn clocked(&self, schedule: &Schedule) -> Clocked {
+        Clocked {
+            budget_s: self.clock.budget_s,
+            used_s: self.used_s(),
+            judging_s: self.clock.judging_s,
+            schedule: schedule.clone(),
+        }
+    }
+
+    /// Tells whether judging is to be measured again: a field that has learnt nothing yet is a fog, which takes another time.
+    pub fn is_to_judge(&self) -> bool {
+        self.clock.judging_s.is_some() && self.used_s() > self.clock.budget_s * JUDGED_AGAIN
+    }
+
+    /// Leaves so many seconds for judging.
+    pub fn leave(&mut self, judging_s: f64) {
+        let foreseen_s = self.clock.judging_s.take().unwrap_or(judging_s);
+        self.clock.budget_s += foreseen_s - judging_s;
+    }
+
+    /// Plans the end of a training anew if it is time to and it has not come.
+    pub fn plan(&mut self, trainer: &mut Trainer) {
+        let (steps, end) = (trainer.steps(), trainer.schedule().steps());
+        let planned = (steps < end).then(|| self.end(steps, end, self.used_s()));
+        if let Some(end) = planned.flatten() {
+            trainer.plan(end);
+        }
+    }
+
+    /// Returns the new end of a training that was to end after `end` steps, if it should be moved.
+    fn end(&mut self, steps: u64, end: u64, used_s: f64) -> Option<u64> {
+        let left_s = self.clock.budget_s - used_s;
+        if left_s <= 0.0 {
+            return (steps + 1 < end).then_some(steps + 1);
+        }
+        let (before, since_s) = (self.looked.0, used_s - self.looked.1);
+        if since_s < self.clock.budget_s * PLANNED_EVERY || steps == before {
+            return None;
+        }
+        let newest = (steps - before) as f64 / since_s;
+        let rate = self
+            .rate
+            .map_or(newest, |rate| NEWEST * newest + (1.0 - NEWEST) * rate);
+        self.looked = (steps, used_s);
+        self.rate = Some(rate);
+        let planned = steps + steps_in(left_s, rate);
+        let change = planned.abs_diff(end) as f64;
+        (change > LEAST_CHANGE * (end.saturating_sub(steps)) as f64).then_some(planned)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ticking(budget_s: f64) -> Ticking {
+        Clock {
+            budget_s,
+            used_s: 0.0,
+            judging_s: None,
+        }
+        .start(0)
+    }
+
+    #[test]
+    fn a_time_is_for_whole_steps_and_at_least_one() {
+        assert_eq!(steps_in(60.0, 12.34), 740);
+        assert_eq!(steps_in(0.001, 12.0), 1);
+        assert_eq!([steps_in(60.0, f64::NAN), steps_in(-1.0, 9.0)], [1, 1]);
+    }
+
+    /// Of 64 s, looked at every 2 s: 100 steps a second as planned change nothing; half as many move the end by what is left
+    /// at the mean of both rates, and the time that is over ends it with the next step.
+    #[test]
+    fn the_end_follows_the_rate_and_the_time_that_is_left() {
+        let mut clock = ticking(64.0);
+        assert_eq!(clock.end(100, 6_400, 1.0), None, "too early");
+        assert_eq!(clock.end(200, 6_400, 2.0), None, "as planned");
+        assert_eq!(clock.end(300, 6_400, 4.0), Some(300 + 75 * 60));
+        assert_eq!(clock.end(300, 4_800, 9.0), None, "no step since");
+        assert_eq!(clock.end(4_000, 4_800, 64.0), Some(4_001));
+        assert_eq!(clock.end(4_001, 4_001, 65.0), None);
+        let mut clock = ticking(64.0);
+        assert_eq!(
+            clock.end(201, 6_400, 2.0),
+            None,
+            "less than a hundredth of what is left"
+        );
+    }
+
+    /// Whatever the rate does, a training ends within a tenth of its time; only one that becomes faster at the end ends early.
+    #[test]
+    fn a_training_ends_with_its_time_at_any_rate() {
+        let rates: [fn(f64) -> f64; 4] = [
+            |_| 90.0,
+            |used_s| if used_s < 30.0 { 200.0 } else { 40.0 },
+            |used_s| if used_s < 55.0 { 20.0 } else { 120.0 },
+            |used_s| {
+                if (used_s as u64).is_multiple_of(7) {
+                    5.0
+                } else {
+                    150.0
+                }
+            },
+        ];
+        for (at, rate) in rates.into_iter().enumerate() {
+            let (mut clock, mut end, mut steps, mut used_s) = (ticking(60.0), 100_000, 0, 0.0);
+            while steps < end {
+                used_s += 1.0 / rate(used_s);
+                steps += 1;
+                end = clock.end(steps, end, used_s).unwrap_or(end);
+            }
+            assert!((55.0..=60.5).contains(&used_s), "rate {at}: {used_s} s");
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! A quality at which a training stops, watched on training photos that are held back.
+
+use std::ops::Range;
+
+use marf_field::Field;
+use marf_schema::train::{Forecast, Target};
+use marf_stage::{Ctx, StageError};
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    photos::{PhotoReader, ScaledPhoto},
+    scoring::mean_psnr,
+    split::{NamedFrame, spread},
+};
+
+/// The first look, in steps, and looks for every doubling of the steps: what is trained beyond the target is a sixth at most.
+const FIRST: f64 = 256.0;
+const A_DOUBLING: f64 = 4.0;
+/// Photos of a small look, and their longest side in pixels: its renders cost as much as a point of the curve.
+const FEW: usize = 3;
+const SIDE_PX: u32 = 64;
+/// Photos look better so small than they are: a whole look at all that are held back follows where this much less than the
+/// small one, beyond the difference of the last two, has the target, dB.
+const NEAR_DB: f64 = 0.1;
+/// Share of the training after which its end is foretold, from the looks of the last two doublings.
+const FORETOLD_FROM: f64 = 0.125;
+/// By how much a forecast must miss the target to be told, dB.
+const CLEAR_DB: f64 = 0.5;
+
+/// A target, and the photos that it is watched on.
+pub(super) struct Goal<'a> {
+    pub psnr: f64,
+    photos: &'a PhotoReader<'a>,
+    validation: Vec<NamedFrame<'a>>,
+    few: Vec<(NamedFrame<'a>, ScaledPhoto)>,
+}
+
+/// What was seen of a target; part of a checkpoint.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Watched {
+    /// Steps and PSNR of the small looks.
+    looks: Vec<(u64, f64)>,
+    /// By how much the last whole look was less than the small one, dB; 0 before there was one.
+    whole_less: f64,
+    forecast: Option<Forecast>,
+    reached: Option<(u64, f64)>,
+}
+
+impl<'a> Goal<'a> {
+    /// Reads the photos of small looks.
+    pub fn new(
+        psnr: f64,
+        photos: &'a PhotoReader<'a>,
+        at_once: usize,
+        validation: &[NamedFrame<'a>],
+    ) -> Result<Self, StageError> {
+        let few: Vec<_> = spread(validation.len(), FEW)
+            .map(|index| validation[index].clone())
+            .collect();
+        let shrunk = photos.map(&few, at_once, |_, photo: ScaledPhoto| photo.shrunk_to(SIDE_PX))?;
+        Ok(Self {
+            psnr,
+            photos,
+            validation: validation.to_vec(),
+            few: few.into_iter().zip(shrunk).collect(),
+        })
+    }
+
+    /// Returns whether the field is to be looked at after these steps.
+    pub fn is_due(&self, taken: &Range<u64>) -> bool {
+        look(taken.end) > look(taken.start)
+    }
+
+    /// Looks at the field after `steps`, the share `done` of the training, which is to end after `end`; returns whether it has
+    /// the target.
+    pub fn look(
+        &self,
+        ctx: &Ctx<'_>,
+        watched: &mut Watched,
+        field: &Field,
+        (steps, done, end): (u64, f64, u64),
+    ) -> Result<bool, StageError> {
+        let small = mean_psnr(ctx, field, &self.few)?;
+        watched.looks.push((steps, small));
+        if small - watched.whole_less + NEAR_DB >= self.psnr {
+            let whole = self.whole(ctx, field)?;
+            watched.whole_less = small - whole;
+            if whole >= self.psnr {
+                watched.reached = Some((steps, whole));
+                return Ok(true);
+            }
+        }
+        if done >= FORETOLD_FROM {
+            watched.foretell(steps, end, self.psnr);
+        }
+        Ok(false)
+    }
+
+    /// Returns how it went with the field at the end.
+    pub fn told(&self, ctx: &Ctx<'_>, watched: &Watched, field: &Field) -> Result<Target, StageError> {
+        let validation_psnr = match watched.reached {
+            Some((_, psnr)) => psnr,
+            None => self.whole(ctx, field)?,
+        };
+        Ok(Target {
+            psnr: self.psnr,
+            reached_at: watched.reached.map(|(steps, _)| steps),
+            validation_psnr,
+            validation_photos: self.validation.len() as u64,
+            forecast: watched.forecast,
+        })
+    }
+
+    /// Compares the field with all photos held back, one at a time.
+    fn whole(&self, ctx: &Ctx<'_>, field: &Field) -> Result<f64, StageError> {
+        let mut sum = 0.0;
+        for named in &self.validation {
+            let photo = self.photos.read(named.frame)?;
+            sum += mean_psnr(ctx, field, &[(named.clone(), photo)])?;
+        }
+        Ok(sum / self.validation.len() as f64)
+    }
+}
+
+impl Watched {
+    /// Foretells the end, and keeps the first forecast that misses the target.
+    fn foretell(&mut self, steps: u64, end: u64, target: f64) {
+        let psnr = foretold(&self.looks, end).map(|small| small - self.whole_less);
+        if let Some(psnr) = psnr.filter(|psnr| psnr + CLEAR_DB < target && self.forecast.is_none()) {
+            self.forecast = Some(Forecast { at: steps, psnr });
+        }
+    }
+
+    /// Returns what is said beside the progress.
+    pub fn note(&self, target: f64) -> String {
+        match (&self.forecast, self.looks.last()) {
+            (Some(forecast), _) => {
+                let psnr = forecast.psnr;
+                format!("target {target} dB out of reach, about {psnr:.1} dB at the end; ")
+            }
+            (None, Some((_, psnr))) => format!("target {target} dB, {psnr:.1} dB at a small look; "),
+            (None, None) => String::new(),
+        }
+    }
+}
+
+/// Returns how many looks are due by then.
+fn look(steps: u64) -> u64 {
+    if (steps as f64) < FIRST {
+        return 0;
+    }
+    (libm::log2(steps as f64 / FIRST) * A_DOUBLING) as u64 + 1
+}
+
+/// Returns the PSNR at the end if it went on to grow with the logarithm of the steps as over the last two doublings, which is
+/// as much as a curve that flattens can reach; none before there are as many.
+fn foretold(looks: &[(u64, f64)], end: u64) -> Option<f64> {
+    let (steps, psnr) = *looks.last()?;
+    let (before, psnr_before) = *looks.iter().rev().find(|(at, _)| at.saturating_mul(4) <= steps)?;
+    let doublings = |from: u64, to: u64| libm::log2(to.max(from) as f64 / from as f64);
+    let slope = (psnr - psnr_before) / doublings(before, steps);
+    Some(psnr + slope.max(0.0) * doublings(steps, end))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn looks_are_due_four_times_a_doubling_from_256_steps_on() {
+        let due: Vec<u64> = (1..=1_024)
+            .filter(|steps| look(*steps) > look(steps - 1))
+            .collect();
+        assert_eq!(due, [256, 305, 363, 431, 512, 609, 725, 862, 1_024]);
+        assert_eq!([look(0), look(255)], [0, 0]);
+        assert!(look(u64::MAX) < 1_000);
+    }
+
+    /// 20 dB after 256 steps and 22 dB after 1,024: one dB a doubling, so that 4,096 steps give 24 dB.
+    #[test]
+    fn the_end_is_foretold_by_the_last_two_doublings() {
+        let looks = [(64, 12.0), (256, 20.0), (512, 21.5), (1_024, 22.0)];
+        assert!((foretold(&looks, 4_096).unwrap() - 24.0).abs() < 1e-12);
+        assert_eq!(foretold(&looks, 900), Some(22.0), "the end is behind");
+        assert_eq!(
+            foretold(&[(64, 9.0), (256, 8.0)], 10_000),
+            Some(8.0),
+            "it does not grow"
+        );
+        assert_eq!(foretold(&looks[..1], 4_096), None);
+        assert_eq!(foretold(&[], 1), None);
+        let mut watched = Watched {
+            looks: looks.to_vec(),
+            whole_less: 1.0,
+            ..Watched::default()
+        };
+        watched.foretell(1_024, 4_096, 23.4);
+        assert_eq!(watched.forecast, None, "23 dB are not clearly less");
+        watched.foretell(1_024, 4_096, 23.6);
+        assert_eq!(watched.forecast.map(|forecast| forecast.at), Some(1_024));
+        assert!(
+            watched.note(23.6).contains("about 23.0 dB at the end"),
+            "{}",
+            watched.note(23.6)
+        );
+    }
+}
