@@ -93,7 +93,7 @@ impl Store {
                     },
                 ],
             }),
-            trade: None,
+            trade: Some(super::fixture_documents::trade()),
             read: &|digest| self.blobs.get(digest).cloned(),
             memos: &marf_stage::harness::Harness::default(),
         })

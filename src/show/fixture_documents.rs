@@ -1,5 +1,7 @@
 //! Made-up documents of stages for tests.
 
+use super::fixture::HOSTILE;
+use super::trade;
 use marf_field::{Chosen, Config, Facts, Overrides, Sizes};
 use marf_schema::scores::Scores;
 use marf_schema::{bootstrap, calibrate, train, tune};
@@ -200,5 +202,48 @@ fn intervals(floor: f64) -> bootstrap::Calibration {
         views: 10,
         unseen_share: 0.012,
         note: "only 5 places were held out: a new one may be unlike them".to_owned(),
+    }
+}
+
+/// A trade of three settings, one of which could not be trained.
+pub(super) fn trade() -> trade::Trade {
+    let run = |psnr, seconds| trade::PointRun {
+        seed: 0,
+        psnr,
+        ssim: Some(0.7),
+        seconds,
+        calibrate_s: 1.0,
+        train_s: seconds - 3.0,
+        placed: 9,
+        error_px: None,
+        steps: 400,
+        parameters: 100_000,
+        bytes: 400_000,
+        peak_mb: 300,
+    };
+    let point = |sets: &[&str], runs: &[trade::PointRun], fault: Option<&str>| trade::Point {
+        sets: sets.iter().map(|set| (*set).to_owned()).collect(),
+        runs: runs.to_vec(),
+        fault: fault.map(str::to_owned),
+    };
+    let interval = |mean| trade::Interval {
+        mean,
+        half: Some(0.1),
+    };
+    trade::Trade {
+        pipeline: "made up".to_owned(),
+        machine: "a processor, 2 cores".to_owned(),
+        program: "marf 0.1.0".to_owned(),
+        points: vec![
+            point(&[], &[run(24.0, 20.0)], None),
+            point(&["train.scale=2"], &[run(23.1, 9.0)], None),
+            point(&["train.scale=99"], &[], Some(HOSTILE)),
+        ],
+        effects: vec![trade::Effect {
+            point: 1,
+            gain_db: interval(-0.9),
+            time: interval(0.45),
+        }],
+        front: vec![1, 0],
     }
 }

@@ -108,18 +108,12 @@ fn sections(page: &Page<'_>) -> Vec<Section> {
         ),
         section("tune", "Tuning", tune::body(page)),
         section("training", "Training", curves::body(page)),
-        section(
-            "trade",
-            "Time against quality",
-            page.input
-                .trade
-                .as_ref()
-                .map_or_else(|| page.absent("trade (`marf trade` measures one)"), trade::body),
-        ),
         section("heldout", "Held-out photos", pictures::held_out(page)),
         section("uncertainty", "Uncertainty", maps::body(page)),
         section("flight", "Fly-through", pictures::flights(page)),
     ]);
+    let trade = page.input.trade.as_ref().map(trade::body);
+    sections.extend(trade.map(|body| section("trade", "Time against quality", body)));
     sections
 }
 

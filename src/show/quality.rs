@@ -25,11 +25,22 @@ pub(super) fn of_training(metrics: &train::Metrics) -> Vec<Figure> {
         ("photos held out", number(metrics.held_out_photos as f64)),
         ("photos reduced by", number(f64::from(metrics.scale))),
     ];
+    let target = metrics.target.iter().map(|target| {
+        let how = target.reached_at.map_or_else(
+            || format!("missed: {} dB", decibels(target.validation_psnr)),
+            |steps| format!("reached after {} steps", number(steps as f64)),
+        );
+        (
+            "target on photos held back",
+            format!("{} dB {how}", number(target.psnr)),
+        )
+    });
     let seen = metrics.on_training.iter();
     let seen = seen.map(|seen| ("PSNR on photos trained on", format!("{} dB", decibels(seen.psnr))));
     means(&metrics.scores)
         .into_iter()
         .chain(seen)
+        .chain(target)
         .chain(counts)
         .collect()
 }

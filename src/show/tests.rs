@@ -5,7 +5,7 @@ use marf_schema::{folds, masks, train};
 use marf_stage::{Document, PHOTOS, VERDICTS};
 
 const VOID: [&str; 4] = ["meta", "img", "br", "hr"];
-const TITLES: [&str; 13] = [
+const TITLES: [&str; 14] = [
     "Pipeline",
     "Nodes",
     "What changed",
@@ -19,6 +19,7 @@ const TITLES: [&str; 13] = [
     "Held-out photos",
     "Uncertainty",
     "Fly-through",
+    "Time against quality",
 ];
 
 /// Walks all tags: each that is opened is closed, in order. Returns how many there were.

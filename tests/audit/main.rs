@@ -280,9 +280,9 @@ fn a_crate_tells_who_made_a_file_where_there_is_no_store() {
     ask("other.txt", 4);
 }
 
-/// metrics.json of `marf fit` is a document of the run of the last budget, and holds no clock.
+/// metrics.json of `marf fit` is a document of the run of the last time; the seconds in it are those of when it was made.
 #[test]
-fn the_metrics_of_fit_are_known_and_come_from_no_clock() {
+fn the_metrics_of_fit_are_known_and_stay_where_nothing_is_trained() {
     let dir = common::photos();
     let mut fit = vec!["fit", "photos", "--budget", "1s,2s", "--device", "cpu"];
     for set in [
@@ -304,7 +304,12 @@ fn the_metrics_of_fit_are_known_and_come_from_no_clock() {
     let budgets: Vec<&str> = metrics.as_object().unwrap().keys().map(String::as_str).collect();
     assert_eq!(budgets, ["1s", "2s"]);
     assert!(metrics["2s"]["psnr"].is_f64() && metrics["2s"]["key"] != metrics["1s"]["key"]);
-    assert!(!first.contains("seconds") && !first.contains("per_s"), "{first}");
+    let seconds = |time: &str, key: &str| metrics[time][key].as_f64().unwrap();
+    for time in ["1s", "2s"] {
+        let (training, judging) = (seconds(time, "train_seconds"), seconds(time, "judging_seconds"));
+        assert!(training > 0.0 && judging > 0.0 && seconds(time, "expected_seconds") > 0.0);
+        assert!(training + judging <= seconds(time, "seconds"), "{first}");
+    }
     let told = audit(dir.path(), "fit/metrics.json", &["--verify"], 0);
     let place = &told["lineage"][0]["maker"]["place"];
     assert_eq!(place["document"], "metrics.json", "{told}");

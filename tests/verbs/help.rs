@@ -41,6 +41,7 @@ help_of! {
     help_trade: "trade", "--help";
     help_bench: "bench", "--help";
     help_bench_train: "bench", "train", "--help";
+    help_bench_table1: "bench", "table1", "--help";
     help_bench_engine: "bench", "engine", "--help";
     help_bench_items: "bench", "items", "--help";
     help_bench_faults: "bench", "faults", "--help";

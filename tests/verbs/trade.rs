@@ -37,7 +37,11 @@ fn traded(dir: &Path, more: &[&str]) -> Value {
     let mut args = vec!["trade", "--seeds", "2", "--random", "1", "--json"];
     args.extend(more);
     let told = marf(dir, &args).exits(0).stdout;
-    let last = told.lines().skip_while(|line| *line != "{").collect::<Vec<_>>().join("\n");
+    let last = told
+        .lines()
+        .skip_while(|line| *line != "{")
+        .collect::<Vec<_>>()
+        .join("\n");
     serde_json::from_str(&last).unwrap()
 }
 
@@ -49,28 +53,55 @@ fn a_trade_has_points_effects_and_a_front_and_is_kept() {
     let sets: Vec<String> = points.iter().map(|point| point["sets"].to_string()).collect();
     assert_eq!(
         sets[..4],
-        ["[]", "[\"train.scale=10\"]", "[\"train.scale=9999\"]", "[\"train.steps=4\"]"]
+        [
+            "[]",
+            "[\"train.scale=10\"]",
+            "[\"train.scale=9999\"]",
+            "[\"train.steps=4\"]"
+        ]
     );
-    let runs: Vec<usize> = points.iter().map(|point| point["runs"].as_array().unwrap().len()).collect();
+    let runs: Vec<usize> = points
+        .iter()
+        .map(|point| point["runs"].as_array().unwrap().len())
+        .collect();
     assert_eq!(runs[..4], [2, 2, 0, 2], "{trade}");
-    assert!(points[2]["fault"].as_str().unwrap().contains("`scale` 9999"), "{trade}");
+    assert!(
+        points[2]["fault"].as_str().unwrap().contains("`scale` 9999"),
+        "{trade}"
+    );
     let effects = trade["effects"].as_array().unwrap();
     assert_eq!(effects.len(), 2, "{trade}");
-    assert!(effects.iter().all(|effect| effect["gain_db"]["half"].is_number()), "{trade}");
+    assert!(
+        effects.iter().all(|effect| effect["gain_db"]["half"].is_number()),
+        "{trade}"
+    );
     assert!(!trade["front"].as_array().unwrap().is_empty());
     for run in points.iter().flat_map(|point| point["runs"].as_array().unwrap()) {
-        assert!(run["train_s"].as_f64().unwrap() > 0.0 && run["bytes"].as_u64().unwrap() > 0, "{run}");
+        assert!(
+            run["train_s"].as_f64().unwrap() > 0.0 && run["bytes"].as_u64().unwrap() > 0,
+            "{run}"
+        );
     }
     let out = dir.path().join("out/trade");
     let text = |name: &str| std::fs::read_to_string(out.join(name)).unwrap();
-    assert_eq!(text("trade.csv").lines().count(), 1 + runs.iter().sum::<usize>() + 1);
+    assert_eq!(
+        text("trade.csv").lines().count(),
+        1 + runs.iter().sum::<usize>() + 1
+    );
     assert!(text("front.svg").contains("<svg") && text("effects.svg").contains("train.steps=4"));
     assert!(text("report.html").contains("Time against quality"));
-    assert_eq!(traded(dir.path(), &[]), trade, "nothing is trained or timed again");
+    assert_eq!(
+        traded(dir.path(), &[]),
+        trade,
+        "nothing is trained or timed again"
+    );
     let told = marf(dir.path(), &["run"]).exits(0).stdout;
     assert!(told.contains("train"), "{told}");
     let report = std::fs::read_to_string(dir.path().join("out/report.html")).unwrap();
-    assert!(report.contains("train.scale=10:"), "the report of the pipeline has the trade");
+    assert!(
+        report.contains("train.scale=10:"),
+        "the report of the pipeline has the trade"
+    );
     let status = marf(dir.path(), &["status"]).exits(0).stdout;
     assert!(!status.contains("(trade)"), "{status}");
     let few = traded(dir.path(), &["--knob", "train.steps"]);
@@ -80,10 +111,26 @@ fn a_trade_has_points_effects_and_a_front_and_is_kept() {
 #[test]
 fn what_cannot_be_traded_is_refused_with_the_way_out() {
     for (pipeline, args, words) in [
-        (PIPELINE.to_owned(), vec!["--knob", "train.levels"], "the knobs are train.scale, train.steps"),
-        (PIPELINE.replace("steps = 2", "budget = \"1s\""), vec![], "`train.budget` fixes the time"),
-        (PIPELINE.replace("[10, 9999]", "10"), vec![], "`trade.train.scale` is no key of a node with a list"),
-        (PIPELINE.replace("\"train.scale\" =", "scale ="), vec![], "`trade.scale` is no key of a node"),
+        (
+            PIPELINE.to_owned(),
+            vec!["--knob", "train.levels"],
+            "the knobs are train.scale, train.steps",
+        ),
+        (
+            PIPELINE.replace("steps = 2", "budget = \"1s\""),
+            vec![],
+            "`train.budget` fixes the time",
+        ),
+        (
+            PIPELINE.replace("[10, 9999]", "10"),
+            vec![],
+            "`trade.train.scale` is no key of a node with a list",
+        ),
+        (
+            PIPELINE.replace("\"train.scale\" =", "scale ="),
+            vec![],
+            "`trade.scale` is no key of a node",
+        ),
     ] {
         let dir = written(&pipeline);
         let mut command = vec!["trade"];

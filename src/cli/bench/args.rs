@@ -12,6 +12,8 @@ use super::faults::FaultsArgs;
 pub enum BenchVerb {
     /// Train on a folder's photos for so many seconds and score the test views: one JSON line a budget
     Train(TrainArgs),
+    /// Print Table 1 of the MaRF paper for a folder's photos or a pipeline, beside the paper's
+    Table1(super::table1::Table1Args),
     /// Make a synthetic archive and run folder, filters and store on it: cold, without a change, with new sols; one JSON
     /// line a phase
     Engine(EngineArgs),

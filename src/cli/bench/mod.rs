@@ -9,6 +9,7 @@ mod faults;
 mod items;
 mod photos;
 mod pictures;
+mod table1;
 mod train;
 
 use marf_engine::Cancel;
@@ -30,6 +31,7 @@ pub fn bench(global: &Global, verb: &BenchVerb, cancel: &Cancel) -> Result<(), C
         BenchVerb::Train(args) => train::train(global, args, cancel),
         BenchVerb::Engine(args) => engine::engine(global, args, cancel),
         BenchVerb::Items(args) => items::items(global, args, cancel),
+        BenchVerb::Table1(args) => table1::table1(global, args, cancel),
         #[cfg(unix)]
         BenchVerb::Faults(args) => faults::faults(args, cancel),
     }

@@ -60,7 +60,8 @@ pub fn knobs(session: &Session, base: &Base, wanted: &[String]) -> Result<Vec<Kn
     Ok(knobs.into_iter().filter(is_wanted).collect())
 }
 
-/// Returns points with every knob at a random one of its values or at the pipeline's; the same ones each time.
+/// Returns points with every knob at a random one of its values or at the pipeline's, at least two turned; the same ones each
+/// time. There are fewer, or none, where there is little to turn.
 pub fn random(knobs: &[Knob], count: u64) -> Vec<Point> {
     let point = |index: u64| {
         let set = |knob: &Knob| {
@@ -73,10 +74,8 @@ pub fn random(knobs: &[Knob], count: u64) -> Vec<Point> {
             ..Point::default()
         }
     };
-    (0..count)
-        .map(point)
-        .filter(|point| !point.sets.is_empty())
-        .collect()
+    let points = (0..100 * count).map(point).filter(|point| point.sets.len() > 1);
+    points.take(count as usize).collect()
 }
 
 /// Returns knobs around the values that the pipeline has.

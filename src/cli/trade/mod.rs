@@ -83,21 +83,18 @@ pub fn trade(global: &Global, args: &TradeArgs, cancel: &Cancel) -> Result<(), C
     let session = open(&base.sets)?;
     let knobs = knobs(&session, &base, &args.knobs)?;
     points.extend(one_at_a_time(&knobs));
+    let with_seeds = points.len();
     points.extend(knobs::random(&knobs, args.random));
-    let one_seed = points.len() as u64 - args.random;
-    let (count, seconds) = (
-        points.len() - 1,
-        points[0].means().map_or(0.0, |(_, seconds)| seconds),
-    );
-    let trainings = (one_seed - 1) * args.seeds + args.random;
+    let count = points.len() - 1;
+    let seconds = points[0].means().map_or(0.0, |(_, seconds)| seconds);
+    let trainings = (with_seeds as u64 - 1) * args.seeds + (points.len() - with_seeds) as u64;
     eprint_line(&format!(
         "{count} points, {trainings} trainings: about {:.0} min if all took as long as the first",
         trainings as f64 * seconds / 60.0
     ));
     for (index, point) in points.iter_mut().enumerate().skip(1) {
         eprint_line(&format!("point {index} of {count}: {}", point.name()));
-        let is_random = index as u64 >= one_seed;
-        measure(point, if is_random { 1 } else { args.seeds })?;
+        measure(point, if index < with_seeds { args.seeds } else { 1 })?;
     }
     let trade = figures(
         session.name.trim_end_matches(TRADES),

@@ -194,8 +194,7 @@ impl Training {
     /// Halves the steps along rays once there is a surface to find more exactly.
     pub fn halve_steps(&mut self) {
         let most = self.sizes.halvings.value;
-        let due = (self.schedule.done(self.state.steps) / LAST_HALVED * f64::from(most)) as u32;
-        let due = due.min((self.state.steps / STEPS_A_HALVING) as u32);
+        let due = self.halvings_due(self.state.steps);
         let few = self.state.samples_per_ray < FEW_SAMPLES && self.state.steps.is_multiple_of(FEW_AT);
         let wanted = due.max(self.state.halvings + u32::from(few));
         let wanted = wanted.min(most);
@@ -204,6 +203,13 @@ impl Training {
             self.state.halvings = wanted;
             self.march = self.sizes.steps(&self.config, wanted);
         }
+    }
+
+    /// Returns how often the steps along rays are halved by then, whatever few samples ask for.
+    pub fn halvings_due(&self, steps: u64) -> u32 {
+        let most = self.sizes.halvings.value;
+        let due = (self.schedule.done(steps) / LAST_HALVED * f64::from(most)) as u32;
+        due.min((steps / STEPS_A_HALVING) as u32).min(most)
     }
 
     /// Returns the rays of the next step, a whole number of chunks.

@@ -116,6 +116,13 @@ impl Trainer {
         &self.training.schedule
     }
 
+    /// Returns how often the steps along rays will be halved until the training ends as planned: renders then take longer.
+    pub fn halvings_left(&self) -> u32 {
+        let training = &self.training;
+        let end = training.schedule.steps();
+        training.halvings_due(end).saturating_sub(training.state.halvings)
+    }
+
     /// Takes over the plans of another training: step size and length of steps along rays are then as there.
     pub fn follow(&mut self, schedule: Schedule) {
         self.training.schedule = schedule;

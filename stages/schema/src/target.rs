@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 pub struct Target {
     /// Mean PSNR asked for, dB.
     pub psnr: f64,
-    /// Steps after which the validation photos had it; none: missed, and the training ended as planned.
+    /// Steps after which up to four of the validation photos had it; none: missed, and the training ended as planned.
     pub reached_at: Option<u64>,
-    /// Mean PSNR on the validation photos at the end, dB.
+    /// Mean PSNR on all validation photos at the end, dB.
     pub validation_psnr: f64,
     /// Training photos held back to watch it by, whole places, about one in eight.
     pub validation_photos: u64,

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use marf_field::{Field, Schedule, Trainer};
+use marf_field::{Schedule, Trainer};
 use marf_schema::train::{Limit, TrainParams};
 use marf_stage::{Ctx, StageError};
 use serde::{Deserialize, Serialize};
@@ -26,6 +26,11 @@ const PILOT_SHARE: f64 = 1.0 / 16.0;
 const PILOT_MOST_S: f64 = 3.0;
 /// Part of a whole wait that the training has at least, whatever comes before and after it.
 const LEAST_SHARE: f64 = 1.0 / 32.0;
+/// Samples of a training that take as long as a ray of a render before any halving: 9 and 10 on mock-up and fox.
+const SAMPLES_A_RAY: f64 = 9.5;
+/// By how much longer a render takes where steps along rays are half as long: 0.70 s a photo of 360 x 480 pixels before three
+/// halvings and 2.0 s after them (22 photos of the mock-up, one run).
+const LONGER: f64 = 1.42;
 /// Part of the time after which judging is measured again, where it is part of the same wait.
 const JUDGED_AGAIN: f64 = 0.5;
 /// Part of a checkpoint that holds what the pilot found.
@@ -146,17 +151,15 @@ impl Pilot {
         let half_s = (limit.seconds() * PILOT_SHARE).min(PILOT_MOST_S) / 2.0;
         let begun = Instant::now();
         train_for(ctx, &mut trainer, half_s)?;
-        let warm = trainer.steps();
-        let measured_s = train_for(ctx, &mut trainer, half_s)?;
-        let rate = (trainer.steps() - warm) as f64 / measured_s;
+        let [rate, samples_per_s] = train_for(ctx, &mut trainer, half_s)?;
         let used_s = begun.elapsed().as_secs_f64();
-        let field = trainer.field().map_err(TrainError::from)?;
+        trainer.plan(steps_in(limit.seconds(), rate));
+        let judging_s = plan.judging_samples(&trainer) / samples_per_s;
         drop(trainer);
         // The training reads its photos anew; they were shrunk by now.
         let read = Instant::now();
         drop(views()?);
         let again_s = read.elapsed().as_secs_f64();
-        let judging_s = plan.judging_s(ctx, photos, &field)?;
         let budget_s = match limit {
             Limit::Training(budget) => budget.seconds(),
             Limit::Wait(wait) => {
@@ -180,30 +183,44 @@ impl Plan<'_> {
         self.split.held_out.len() + self.seen().map_or(0, |seen| seen.len())
     }
 
-    /// Returns the seconds that judging will take, as one photo takes now.
+    /// Returns the samples of the training that judging will take as long as: a pilot's field is a fog, whose renders tell
+    /// nothing of those at the end.
+    fn judging_samples(&self, trainer: &Trainer) -> f64 {
+        let camera = self.split.held_out[0]
+            .frame
+            .camera
+            .box_reduced(self.settings.scale);
+        let rays = f64::from(camera.width) * f64::from(camera.height) * self.judged() as f64;
+        rays * SAMPLES_A_RAY * LONGER.powi(trainer.halvings_left() as i32)
+    }
+
+    /// Returns the seconds that judging will take, as one photo takes now and will take with the shorter steps of the end.
     pub fn judging_s(
         &self,
         ctx: &Ctx<'_>,
         photos: &PhotoReader<'_>,
-        field: &Field,
+        trainer: &mut Trainer,
     ) -> Result<f64, StageError> {
         let first = &self.split.held_out[0];
+        let field = &trainer.field().map_err(TrainError::from)?;
         let begun = Instant::now();
         let photo = photos.read(first.frame)?;
         mean_psnr(ctx, field, &[(first.clone(), photo)])?;
-        Ok(begun.elapsed().as_secs_f64() * self.judged() as f64)
+        let slower = LONGER.powi(trainer.halvings_left() as i32);
+        Ok(begun.elapsed().as_secs_f64() * slower * self.judged() as f64)
     }
 }
 
-/// Trains for a time, at least one step, and returns the seconds that it took.
-fn train_for(ctx: &Ctx<'_>, trainer: &mut Trainer, seconds: f64) -> Result<f64, StageError> {
-    let begun = Instant::now();
+/// Trains for a time, at least one step, and returns steps and samples a second.
+fn train_for(ctx: &Ctx<'_>, trainer: &mut Trainer, seconds: f64) -> Result<[f64; 2], StageError> {
+    let (begun, before) = (Instant::now(), trainer.steps());
+    let mut samples = 0;
     loop {
         ctx.check()?;
-        trainer.advance(u64::MAX).map_err(TrainError::from)?;
+        samples += trainer.advance(u64::MAX).map_err(TrainError::from)?.samples;
         let elapsed_s = begun.elapsed().as_secs_f64();
         if elapsed_s >= seconds {
-            return Ok(elapsed_s);
+            return Ok([trainer.steps() - before, samples].map(|count| count as f64 / elapsed_s));
         }
     }
 }

@@ -19,8 +19,10 @@ const A_DOUBLING: f64 = 4.0;
 /// Photos of a small look, and their longest side in pixels: its renders cost as much as a point of the curve.
 const FEW: usize = 3;
 const SIDE_PX: u32 = 64;
-/// Photos look better so small than they are: a whole look at all that are held back follows where this much less than the
-/// small one, beyond the difference of the last two, has the target, dB.
+/// Photos of a whole look, at the size of the training; all are looked at once, at the end.
+const WHOLE: usize = 4;
+/// Photos look better so small than they are: a whole look follows where the small one, less the difference of the last two, has the
+/// target but for this much, dB.
 const NEAR_DB: f64 = 0.1;
 /// Share of the training after which its end is foretold, from the looks of the last two doublings.
 const FORETOLD_FROM: f64 = 0.125;
@@ -43,7 +45,7 @@ pub(super) struct Watched {
     /// By how much the last whole look was less than the small one, dB; 0 before there was one.
     whole_less: f64,
     forecast: Option<Forecast>,
-    reached: Option<(u64, f64)>,
+    reached_at: Option<u64>,
 }
 
 impl<'a> Goal<'a> {
@@ -83,10 +85,11 @@ impl<'a> Goal<'a> {
         let small = mean_psnr(ctx, field, &self.few)?;
         watched.looks.push((steps, small));
         if small - watched.whole_less + NEAR_DB >= self.psnr {
-            let whole = self.whole(ctx, field)?;
+            let some: Vec<_> = spread(self.validation.len(), WHOLE).collect();
+            let whole = self.whole(ctx, field, &some)?;
             watched.whole_less = small - whole;
             if whole >= self.psnr {
-                watched.reached = Some((steps, whole));
+                watched.reached_at = Some(steps);
                 return Ok(true);
             }
         }
@@ -98,27 +101,25 @@ impl<'a> Goal<'a> {
 
     /// Returns how it went with the field at the end.
     pub fn told(&self, ctx: &Ctx<'_>, watched: &Watched, field: &Field) -> Result<Target, StageError> {
-        let validation_psnr = match watched.reached {
-            Some((_, psnr)) => psnr,
-            None => self.whole(ctx, field)?,
-        };
+        let all: Vec<usize> = (0..self.validation.len()).collect();
         Ok(Target {
             psnr: self.psnr,
-            reached_at: watched.reached.map(|(steps, _)| steps),
-            validation_psnr,
+            reached_at: watched.reached_at,
+            validation_psnr: self.whole(ctx, field, &all)?,
             validation_photos: self.validation.len() as u64,
             forecast: watched.forecast,
         })
     }
 
-    /// Compares the field with all photos held back, one at a time.
-    fn whole(&self, ctx: &Ctx<'_>, field: &Field) -> Result<f64, StageError> {
+    /// Compares the field with some of the photos held back, one at a time.
+    fn whole(&self, ctx: &Ctx<'_>, field: &Field, some: &[usize]) -> Result<f64, StageError> {
         let mut sum = 0.0;
-        for named in &self.validation {
+        for index in some {
+            let named = &self.validation[*index];
             let photo = self.photos.read(named.frame)?;
             sum += mean_psnr(ctx, field, &[(named.clone(), photo)])?;
         }
-        Ok(sum / self.validation.len() as f64)
+        Ok(sum / some.len() as f64)
     }
 }
 

@@ -349,7 +349,7 @@ impl Trained {
         let goal = goal.transpose()?;
         let run = Run {
             goal: goal.as_ref(),
-            judging_s: Some(&|field: &Field| plan.judging_s(ctx, photos, field)),
+            judging_s: Some(&|trainer: &mut Trainer| plan.judging_s(ctx, photos, trainer)),
             ..plan.run(&begun)
         };
         let log = train_to(ctx, &run, &mut trainer)?;

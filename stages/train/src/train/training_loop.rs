@@ -2,7 +2,7 @@ use std::ops::Range;
 use std::time::{Duration, Instant};
 
 use marf_cache::Digest;
-use marf_field::{Field, Schedule, Trainer};
+use marf_field::{Schedule, Trainer};
 use marf_schema::train::{Curve, CurvePoint};
 use marf_stage::{Ctx, StageError};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
@@ -25,6 +25,9 @@ const REPORT_EVERY: Duration = Duration::from_millis(200);
 const CURVE_PHOTOS: usize = 3;
 const CURVE_SIDE_PX: u32 = 64;
 
+/// Measures the seconds that judging a field will take when it is trained.
+type JudgingTime<'a> = dyn Fn(&mut Trainer) -> Result<f64, StageError> + 'a;
+
 /// A training: how far it goes, where its state is kept, and what it is called.
 pub(crate) struct Run<'a> {
     /// After how many steps it ends; a clock plans that anew on its way.
@@ -42,8 +45,8 @@ pub(crate) struct Run<'a> {
     pub curve_photos: &'a [(NamedFrame<'a>, ScaledPhoto)],
     /// The time that it may take.
     pub clock: Option<Clock>,
-    /// Measures the seconds that judging the field will take.
-    pub judging_s: Option<&'a dyn Fn(&Field) -> Result<f64, StageError>>,
+    /// Tells what judging takes, where that is part of the same time.
+    pub judging_s: Option<&'a JudgingTime<'a>>,
     /// The quality at which it stops.
     pub goal: Option<&'a Goal<'a>>,
 }
@@ -115,8 +118,7 @@ pub(crate) fn train_to(
         log.add(&step);
         if let Some(ticking) = &mut ticking {
             if let Some(judging_s) = run.judging_s.filter(|_| ticking.is_to_judge()) {
-                let field = trainer.field().map_err(TrainError::from)?;
-                ticking.leave(judging_s(&field)?);
+                ticking.leave(judging_s(trainer)?);
             }
             ticking.plan(trainer);
         }

@@ -1,0 +1,158 @@
+//! Table 1 of the MaRF paper (arXiv 2212.01672): PSNR after training times, on photos trained on as there, and on photos held out.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use marf_engine::{Cancel, Options};
+use marf_schema::train::{Metrics, TrainParams};
+use marf_stage::Params;
+use serde::Serialize;
+
+use crate::cli::args::Global;
+use crate::cli::budget::whole_seconds;
+use crate::cli::error::CliError;
+use crate::cli::filter::folder;
+use crate::cli::output::print_json;
+use crate::cli::run::{execute, options};
+use crate::cli::session::{Session, node_named};
+use crate::terminal::print_line;
+
+/// The paper's rows: seconds, then dB for Curiosity, Perseverance and Ingenuity. Its photos and their number are not given, nor the
+/// machine; the views are those trained on, the peak is each photo's largest value.
+const PAPER: [(u32, [f64; 3]); 5] = [
+    (10, [23.02, 18.09, 22.07]),
+    (60, [26.22, 18.08, 23.00]),
+    (300, [31.01, 17.82, 23.86]),
+    (600, [34.71, 17.71, 24.25]),
+    (900, [36.82, 17.63, 24.24]),
+];
+
+/// Arguments of `bench table1`.
+#[derive(Debug, Clone, Args)]
+pub struct Table1Args {
+    /// A folder with images/ and transforms.json; without one the pipeline is trained, its `train` with these times
+    pub dir: Option<PathBuf>,
+    /// Training times [default: the paper's]
+    #[arg(
+        long,
+        value_name = "TIMES",
+        default_value = "10s,60s,300s,600s,900s",
+        value_delimiter = ','
+    )]
+    pub budget: Vec<String>,
+}
+
+/// A row of the table.
+#[derive(Debug, Clone, Serialize)]
+struct Row {
+    budget_s: u32,
+    train_seconds: f64,
+    steps: u64,
+    /// On photos trained on, the peak each photo's largest value: the paper's protocol.
+    psnr_paper_on_training: Option<f64>,
+    /// The same with peak 1.
+    psnr_on_training: Option<f64>,
+    /// On photos held out, peak 1.
+    psnr_held_out: f64,
+    ssim_held_out: Option<f64>,
+    /// Curiosity, Perseverance and Ingenuity in the paper, where it has this time.
+    paper: Option<[f64; 3]>,
+}
+
+/// Trains for each time and prints the table, a row as soon as it is there.
+///
+/// # Errors
+/// A time that is none, and whatever keeps a training from its end.
+pub fn table1(global: &Global, args: &Table1Args, cancel: &Cancel) -> Result<(), CliError> {
+    let times = args.budget.iter().map(|text| whole_seconds(text));
+    let times = times.collect::<Result<Vec<u32>, _>>()?;
+    let mut rows = Vec::new();
+    for budget_s in times {
+        let row = row(global, args, budget_s, cancel)?;
+        if !global.json {
+            if rows.is_empty() {
+                print_line(HEAD);
+            }
+            print_line(&line(&row));
+        }
+        rows.push(row);
+    }
+    match global.json {
+        true => print_json(&rows),
+        false => {
+            print_line(FOOT);
+            Ok(())
+        }
+    }
+}
+
+fn row(global: &Global, args: &Table1Args, budget_s: u32, cancel: &Cancel) -> Result<Row, CliError> {
+    let name = TrainParams::STAGE;
+    let global = Global {
+        sets: [&global.sets[..], &[format!("{name}.budget={budget_s}s")]].concat(),
+        ..global.clone()
+    };
+    let session = match &args.dir {
+        Some(dir) => Session::implicit(&pipeline(dir), &global, cancel)?,
+        None => Session::open(&global, cancel)?,
+    };
+    let options = Options {
+        to: vec![name.to_owned()],
+        ..options(&global, &session.name)
+    };
+    let (record, ended) = execute(&session, &options, &global, cancel)?;
+    ended?;
+    let node = node_named(&record, name)?;
+    let metrics: Metrics = session.document(node)?;
+    let made = node.key.and_then(|key| session.store.record(&key).ok().flatten());
+    let parts_s = made.map(|record| record.metadata.parts_s).unwrap_or_default();
+    let seen = metrics.on_training.as_ref();
+    Ok(Row {
+        budget_s,
+        train_seconds: parts_s.get("training").copied().unwrap_or_default(),
+        steps: metrics.steps,
+        psnr_paper_on_training: seen.and_then(|seen| seen.psnr_paper),
+        psnr_on_training: seen.map(|seen| seen.psnr),
+        psnr_held_out: metrics.scores.psnr,
+        ssim_held_out: metrics.scores.ssim,
+        paper: PAPER
+            .iter()
+            .find(|(seconds, _)| *seconds == budget_s)
+            .map(|(_, psnr)| *psnr),
+    })
+}
+
+/// Returns the pipeline of a folder with cameras.
+fn pipeline(dir: &std::path::Path) -> String {
+    format!(
+        "name = \"table1\"\n{}[node.calibrate]\ninput = \"extract\"\ncameras = \"extract\"\nmethod = \"import\"\n\
+         [node.train]\ninput = \"calibrate\"\n",
+        folder(dir),
+    )
+}
+
+const HEAD: &str = "\
+           trained on                held out          the paper (on photos trained on)
+    time   paper's dB   PSNR dB      PSNR dB   SSIM    Curiosity  Perseverance  Ingenuity      steps";
+const FOOT: &str = "\
+The paper tells neither its photos nor its machine; its numbers are of views trained on, with each photo's largest value as the peak.";
+
+fn line(row: &Row) -> String {
+    let number = |value: Option<f64>, places: usize| {
+        value.map_or_else(|| "-".to_owned(), |value| format!("{value:.places$}"))
+    };
+    let [curiosity, perseverance, ingenuity] =
+        [0, 1, 2].map(|column| number(row.paper.map(|paper| paper[column]), 2));
+    format!(
+        "{:>7}s {:>12} {:>9} {:>12} {:>6} {:>12} {:>13} {:>10} {:>10}",
+        row.budget_s,
+        number(row.psnr_paper_on_training, 2),
+        number(row.psnr_on_training, 2),
+        number(Some(row.psnr_held_out), 2),
+        number(row.ssim_held_out, 3),
+        curiosity,
+        perseverance,
+        ingenuity,
+        row.steps
+    )
+}
