@@ -30,6 +30,7 @@ mod session;
 mod share;
 mod status;
 mod verdicts;
+mod view;
 
 use std::process::ExitCode;
 
@@ -80,6 +81,7 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
             SchemaOf::Events => print_json(&crate::progress::event_schema()),
         },
         Verb::Report { out } => report::report(global, out, cancel),
+        Verb::View(args) => view::view(global, args, cancel),
         Verb::Export { verb } => share::export(global, verb, cancel),
         Verb::Verify(args) => share::verify_path(global, args),
         Verb::Audit(args) => audit::audit(global, args, cancel),
