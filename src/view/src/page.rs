@@ -128,7 +128,7 @@ fn view(fields: &[&str]) -> Markup {
         div.tools {
             (choice("view-field", "Field", &fields))
             (choice("view-mode", "Show", &[("color", "colour"), ("depth", "depth"), ("uncertainty", "uncertainty")]))
-            (choice("view-size", "Size", &[("320", "320 x 240"), ("640", "640 x 480"), ("960", "960 x 720"), ("1280", "1280 x 960")]))
+            (choice("view-size", "Width", &["320", "640", "960", "1280"].map(|width| (width, width))))
             (choice("view-photo", "Go to photo", &[]))
             label { input #view-frusta type="checkbox" checked; " Photos" }
             button #view-start type="button" { "Start" }

@@ -121,15 +121,11 @@ class View {
   /** Returns camera and pose to be shown: those of a photo, or those that the user has moved to. */
   place() {
     const width = Number(byId("view-size").value);
-    const sized = (camera, height) => {
-      const [sx, sy] = [width / camera.width, height / camera.height];
-      return { ...camera, width, height, fx_px: camera.fx_px * sx, cx_px: camera.cx_px * sx, fy_px: camera.fy_px * sy, cy_px: camera.cy_px * sy };
-    };
-    if (this.fixed) {
-      const { camera, cam_from_world } = this.fixed;
-      return { camera: sized(camera, Math.max(1, Math.round((width * camera.height) / camera.width))), cam_from_world };
-    }
-    return { camera: sized(this.scene.camera, (width * 3) / 4), cam_from_world: this.mover.pose() };
+    const { camera, cam_from_world } = this.fixed ?? { camera: this.scene.camera, cam_from_world: this.mover.pose() };
+    const height = Math.max(1, Math.round((width * camera.height) / camera.width));
+    const [sx, sy] = [width / camera.width, height / camera.height];
+    const sized = { width, height, fx_px: camera.fx_px * sx, cx_px: camera.cx_px * sx, fy_px: camera.fy_px * sy, cy_px: camera.cy_px * sy };
+    return { camera: { ...camera, ...sized }, cam_from_world };
   }
   draw() {
     if (!this.scene) return;
@@ -189,7 +185,7 @@ class View {
     return z > 1e-3 * this.mover.distance ? [camera.fx_px * (x / z) + camera.cx_px, camera.fy_px * (y / z) + camera.cy_px] : null;
   }
   frustum({ camera, cam_from_world }) {
-    const depth = 0.06 * norm(add(this.scene.focus, centreOf(this.scene.start), -1));
+    const depth = 0.04 * norm(add(this.scene.focus, centreOf(this.scene.start), -1));
     const corner = ([x, y]) => inWorld(cam_from_world, [(x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px, 1].map((value) => value * depth));
     const { width, height } = camera;
     return [centreOf(cam_from_world), ...[[0, 0], [width, 0], [width, height], [0, height]].map(corner)].map((point) => this.pixel(point));
