@@ -249,7 +249,7 @@ class View {
     const mean = others.reduce((sum, value) => sum + value, 0) / others.length;
     const spread = Math.sqrt(others.reduce((sum, value) => sum + (value - mean) ** 2, 0) / (others.length - 1));
     const text = this.scene.metres_per_unit ? `${number(whole)} m` : `${number(whole)} units of the scene: no scale`;
-    return `Distance: ${text}${others.length > 1 ? `; the ${others.length} retrainings differ by ${number(spread)} (standard deviation)` : ""}.`;
+    return `Distance: ${text}${others.length > 1 ? `; the ${others.length} retrainings differ by ${number(spread)}${this.scene.metres_per_unit ? " m" : ""} (standard deviation)` : ""}.`;
   }
 
   // ---- input
