@@ -28,11 +28,18 @@ class Live {
     byId("live-curves").replaceChildren();
   }
   idle() {
+    for (const row of this.rows.values()) if (row.state.textContent === "waiting") this.state(row, "skipped");
     this.say(this.rows.size ? "The run has ended." : "Nothing runs in this store.");
+    this.offer();
   }
   newest(number) {
-    if (number === this.run) return;
-    const link = element("a", `Run ${number} is done: show it`);
+    this.last = number;
+    this.offer();
+  }
+  /** Leads to a report that is newer than this page. */
+  offer() {
+    if (!this.last || this.last === this.run) return;
+    const link = element("a", `Run ${this.last} is done: show it`);
     link.href = "./";
     byId("live-state").replaceChildren(link);
   }
