@@ -12,6 +12,7 @@ use marf_schema::bootstrap;
 use marf_schema::output::{SCENE, WEIGHTS};
 use marf_stage::Document;
 use marf_view::{FieldSource, Options, RunContent, Server, Source, ViewError};
+use parking_lot::Mutex;
 
 use super::args::Global;
 use super::error::{CliError, Diagnostic};
@@ -36,9 +37,9 @@ pub struct ViewArgs {
     /// Token that a browser has to bring: 16 letters and digits or more; the address that is printed holds it
     #[arg(long, value_name = "TOKEN")]
     pub token: Option<String>,
-    /// Path below which everything is served, for a proxy that forwards it
-    #[arg(long, value_name = "/PATH", default_value = "")]
-    pub prefix: String,
+    /// Path below which everything is served, for a proxy that forwards it, e.g. `/mars`
+    #[arg(long, value_name = "PATH")]
+    pub prefix: Option<String>,
 }
 
 const AFTER_HELP: &str = "\
@@ -50,12 +51,13 @@ pub fn view(global: &Global, args: &ViewArgs, cancel: &Cancel) -> Result<(), Cli
     let source = StoreSource {
         store: existing_store(global, cancel)?,
         run: args.run,
+        newest: Mutex::default(),
     };
     let options = Options {
         host: args.host.clone(),
         port: args.port,
         token: args.token.clone(),
-        prefix: args.prefix.clone(),
+        prefix: args.prefix.clone().unwrap_or_default(),
         threads: global.threads,
         device: global.device.clone().unwrap_or(Device::Cpu),
     };
@@ -70,6 +72,8 @@ struct StoreSource {
     store: Store,
     /// The run that the user named.
     run: Option<u64>,
+    /// The last run of the store when it was last looked for, and the run to show then.
+    newest: Mutex<(Option<u64>, Option<u64>)>,
 }
 
 impl StoreSource {
@@ -102,7 +106,13 @@ impl StoreSource {
 
 impl Source for StoreSource {
     fn newest(&self) -> Option<u64> {
-        self.record().ok().flatten().map(|run| run.number)
+        // Asked several times a second: the runs are read only where there is another one.
+        let last = self.store.run_numbers().ok()?.into_iter().next_back();
+        let mut newest = self.newest.lock();
+        if newest.0 != last {
+            *newest = (last, self.record().ok().flatten().map(|run| run.number));
+        }
+        newest.1
     }
 
     fn content(&self) -> Result<RunContent, String> {

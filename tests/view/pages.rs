@@ -1,5 +1,6 @@
 //! What is answered to whom.
 
+use std::io::Read as _;
 use std::process::Command;
 use std::time::Instant;
 
@@ -114,6 +115,54 @@ fn a_view_is_sent_in_four_sizes_and_the_same_view_is_the_same_picture() {
         assert_eq!(found.len(), 4);
         assert_ne!(found[3].1, first[3].1, "{mode}");
     }
+}
+
+#[test]
+fn a_newer_view_of_a_page_ends_the_older_one() {
+    let viewer = Viewer::start(small_run(), &[]);
+    let (large, small) = (view_of(&viewer, 1600), view_of(&viewer, 80));
+    let origin = format!("http://{}", viewer.authority);
+    let mut older = http::send(
+        &viewer.authority,
+        "POST",
+        "/frames",
+        &[("Origin", &origin)],
+        large.to_string().as_bytes(),
+    );
+    // Its first picture is there, so that it is under way.
+    let mut begin = [0; 1];
+    older.read_exact(&mut begin).unwrap();
+    assert_eq!(pictures(&viewer.post("/frames", &small).is(200).body).len(), 4);
+    let mut rest = Vec::new();
+    older.read_to_end(&mut rest).unwrap();
+    let end = rest.windows(4).position(|window| window == b"\r\n\r\n").unwrap();
+    let sizes: Vec<u32> = pictures(&rest[end + 4..])
+        .iter()
+        .map(|(numbers, _)| numbers[2])
+        .collect();
+    assert!(
+        !sizes.contains(&1),
+        "the finest picture of a view that nobody wants: {sizes:?}"
+    );
+}
+
+#[test]
+fn a_part_of_an_object_is_that_part() {
+    let viewer = Viewer::start(small_run(), &[]);
+    let text = viewer.get("/").is(200).text();
+    let digest = text
+        .split("src=\"object/")
+        .nth(1)
+        .unwrap()
+        .split('"')
+        .next()
+        .unwrap();
+    let path = format!("/object/{digest}");
+    let whole = viewer.get(&path).is(200).body;
+    let part = http::request(&viewer.authority, "GET", &path, &[("Range", "bytes=2-5")], b"").is(206);
+    assert_eq!(part.body, whole[2..6]);
+    let expected = format!("bytes 2-5/{}", whole.len());
+    assert_eq!(part.header("content-range"), Some(expected.as_str()));
 }
 
 /// What a pixel shows is where the depth of its render ends, and a picture of a photo's pose has that photo's camera.

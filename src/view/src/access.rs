@@ -8,11 +8,6 @@ use marf_cache::Digest;
 /// Shortest token: 16 characters of a random text are beyond guessing.
 const LEAST_TOKEN_CHARS: usize = 16;
 
-/// Returns the length that a token has at least.
-pub fn least_token_chars() -> usize {
-    LEAST_TOKEN_CHARS
-}
-
 /// Options that would leave the page open to others.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum AccessError {
@@ -20,9 +15,7 @@ pub enum AccessError {
     #[error("{0} is no loopback address, so that others can reach the page: it needs a token")]
     NoToken(String),
     /// A token that can be guessed, or that no cookie can hold.
-    #[error(
-        "the token has {0} letters and digits, or others beside them; it needs 16 or more and nothing else"
-    )]
+    #[error("the token has {0} characters; it needs 16 or more, letters and digits alone")]
     BadToken(usize),
 }
 

@@ -10,13 +10,14 @@ mod events;
 mod field;
 mod frames;
 mod page;
+mod range;
 mod renderer;
 mod routes;
 mod server;
 mod source;
 mod stream;
 
-pub use access::{AccessError, least_token_chars};
+pub use access::AccessError;
 pub use error::ViewError;
 pub use server::{Options, Server};
 pub use source::{FieldSource, RunContent, Source};

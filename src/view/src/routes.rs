@@ -5,7 +5,7 @@ use std::sync::Arc;
 use axum::Router;
 use axum::body::{Body, Bytes};
 use axum::extract::{DefaultBodyLimit, Path, Request, State};
-use axum::http::{HeaderName, HeaderValue, Method, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::sse::{KeepAlive, Sse};
 use axum::response::{IntoResponse as _, Response};
@@ -19,6 +19,7 @@ use crate::content::{BYTES, Content, File};
 use crate::events::follow;
 use crate::field::SharedField;
 use crate::frames::{Mode, View, pick};
+use crate::range::part;
 use crate::server::Site;
 use crate::stream::Received;
 
@@ -130,7 +131,7 @@ async fn events(State(site): State<Arc<Site>>) -> Response {
     Sse::new(stream).keep_alive(KeepAlive::default()).into_response()
 }
 
-async fn object(State(site): State<Arc<Site>>, Path(digest): Path<String>) -> Response {
+async fn object(State(site): State<Arc<Site>>, Path(digest): Path<String>, headers: HeaderMap) -> Response {
     let Ok(digest) = digest.parse::<Digest>() else {
         return refusal(
             StatusCode::NOT_FOUND,
@@ -143,7 +144,8 @@ async fn object(State(site): State<Arc<Site>>, Path(digest): Path<String>) -> Re
             .file(site.source.as_ref(), &digest)
             .ok_or_else(none)
     };
-    file(blocking(read).await)
+    let range = headers.get(header::RANGE).and_then(|range| range.to_str().ok());
+    file(blocking(read).await, range)
 }
 
 async fn photo(
@@ -160,7 +162,7 @@ async fn photo(
         let (content, field) = site.field(run, field)?;
         content.photo(site.source.as_ref(), &field, &digest)
     };
-    file(blocking(read).await)
+    file(blocking(read).await, None)
 }
 
 async fn scene(State(site): State<Arc<Site>>, Path((run, field)): Path<(u64, usize)>) -> Response {
@@ -272,14 +274,30 @@ async fn blocking<T: Send + 'static>(
     done.unwrap_or_else(|error| Err(format!("the request failed: {error}")))
 }
 
-fn file(found: Result<File, String>) -> Response {
+/// Answers a file, or the part of it that is asked for.
+fn file(found: Result<File, String>, range: Option<&str>) -> Response {
     let file = match found {
         Ok(file) => file,
         Err(message) => return refusal(StatusCode::NOT_FOUND, &message),
     };
-    let mut response = answer(file.media, Body::from(Bytes::from_owner(file.bytes)));
+    let whole = Bytes::from_owner(file.bytes);
+    let length = whole.len();
+    let mut response = match part(range, length) {
+        None => answer(file.media, Body::from(whole)),
+        Some(part) => {
+            let content = format!("bytes {}-{}/{length}", part.start, part.end - 1);
+            let response = answer(file.media, Body::from(whole.slice(part)));
+            (
+                StatusCode::PARTIAL_CONTENT,
+                [(header::CONTENT_RANGE, content)],
+                response,
+            )
+                .into_response()
+        }
+    };
     // The bytes of a digest never change.
     let headers = response.headers_mut();
+    headers.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
     headers.insert(
         header::CACHE_CONTROL,
         HeaderValue::from_static("private, max-age=31536000, immutable"),
