@@ -25,7 +25,7 @@ use crate::terminal::{eprint_line, print_line};
 #[derive(Debug, Clone, Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct ViewArgs {
-    /// Number of the run [default: the last one with a report, anew at each load]
+    /// Number of the run [default: the last one with a report or a field, anew at each load]
     #[arg(long, value_name = "NUMBER")]
     pub run: Option<u64>,
     /// Port; 0 takes a free one
@@ -77,7 +77,7 @@ struct StoreSource {
 }
 
 impl StoreSource {
-    /// Returns the run to show; none if no run has kept a report.
+    /// Returns the run to show; none if no run has kept a report or a field.
     fn record(&self) -> Result<Option<RunRecord>, String> {
         let read = |number: u64| run_of(&self.store, number).map_err(|error| error.to_string());
         if let Some(number) = self.run {
@@ -86,7 +86,8 @@ impl StoreSource {
         let numbers = self.store.run_numbers().map_err(|error| error.to_string())?;
         // A run that cannot be read is passed over here: `marf log` names it.
         let mut runs = numbers.into_iter().rev().filter_map(|number| read(number).ok());
-        Ok(runs.find(|run| !is_export(run) && self.report(run).is_some()))
+        let has_much = |run: &RunRecord| self.report(run).is_some() || !fields(run).is_empty();
+        Ok(runs.find(|run| !is_export(run) && has_much(run)))
     }
 
     /// Returns the digest of the report that a run has kept.
@@ -117,7 +118,8 @@ impl Source for StoreSource {
 
     fn content(&self) -> Result<RunContent, String> {
         let Some(run) = self.record()? else {
-            let sentence = "No run of this store has ended with a report yet. What runs now is shown here.";
+            let sentence =
+                "No run of this store has ended with a report or a field yet. What runs now is shown here.";
             return Ok(RunContent {
                 number: None,
                 report: show::sentence_page(sentence),
@@ -125,11 +127,10 @@ impl Source for StoreSource {
                 fields: Vec::new(),
             });
         };
-        let kept = self.report(&run);
-        let kept =
-            kept.ok_or_else(|| format!("run {} has kept no report; `marf log` lists the runs", run.number))?;
-        let report = self.store.get(&kept).map_err(|error| error.to_string())?;
-        let report = String::from_utf8(report.to_vec()).map_err(|error| error.to_string())?;
+        let report = match self.report(&run) {
+            Some(kept) => text(&self.store.get(&kept).map_err(|error| error.to_string())?)?,
+            None => show::sentence_page(&without_report(&run)),
+        };
         if self.run.is_none() {
             let later = self.later_without(run.number);
             if !later.is_empty() {
@@ -154,6 +155,15 @@ impl Source for StoreSource {
     fn event_folder(&self) -> PathBuf {
         event_folder(&self.store)
     }
+}
+
+fn text(bytes: &[u8]) -> Result<String, String> {
+    String::from_utf8(bytes.to_vec()).map_err(|error| format!("the report is no text: {error}"))
+}
+
+/// Returns the sentence in place of a report: of `marf fit`, `marf calibrate` and runs that were stopped.
+fn without_report(run: &RunRecord) -> String {
+    format!("Run {} (`{}`) has kept no report.", run.number, run.command)
 }
 
 /// Returns what a run names: outputs of its nodes, and documents.

@@ -18,7 +18,7 @@ fn a_page_is_told_of_a_run_from_its_beginning_to_the_report() {
     let viewer = Viewer::start(dir.path(), &[]);
     let page = viewer.get("/").is(200).text();
     assert!(
-        page.contains("No run of this store has ended with a report yet"),
+        page.contains("No run of this store has ended with a report or a field yet"),
         "{page}"
     );
     let stream = http::send(&viewer.authority, "GET", "/events", &[], b"");

@@ -87,6 +87,9 @@ impl Access {
         if method != Method::GET && method != Method::HEAD && !is_same_origin(headers, authority) {
             return Err(Refusal::Origin);
         }
+        if is_of_foreign_page(headers) {
+            return Err(Refusal::Origin);
+        }
         let given = bearer(headers).or_else(|| self.cookie(headers));
         match self.token.is_none() || given.is_some_and(|token| self.is_token(token)) {
             true => Ok(()),
@@ -154,6 +157,13 @@ fn is_same_origin(headers: &HeaderMap, authority: &str) -> bool {
         .strip_prefix("http://")
         .or_else(|| origin.strip_prefix("https://"));
     stripped.is_some_and(|origin| origin.eq_ignore_ascii_case(authority))
+}
+
+/// Tells whether a foreign page has asked for more than to show this one: browsers say so in these headers, which no page can set.
+fn is_of_foreign_page(headers: &HeaderMap) -> bool {
+    let fetch = |name: &'static str| text(headers, &HeaderName::from_static(name));
+    let is_own = matches!(fetch("sec-fetch-site"), None | Some("same-origin" | "none"));
+    !is_own && fetch("sec-fetch-mode") != Some("navigate")
 }
 
 fn bearer(headers: &HeaderMap) -> Option<&str> {
@@ -231,6 +241,29 @@ mod tests {
                 access.check(&Method::POST, &headers(&pairs)),
                 expected,
                 "{origin:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_foreign_page_may_lead_here_and_nothing_else() {
+        let access = Access::new("localhost", None).unwrap();
+        for (site, mode, expected) in [
+            ("same-origin", "cors", Ok(())),
+            ("none", "navigate", Ok(())),
+            ("cross-site", "navigate", Ok(())),
+            ("cross-site", "no-cors", Err(Refusal::Origin)),
+            ("same-site", "cors", Err(Refusal::Origin)),
+        ] {
+            let pairs = [
+                ("host", "localhost"),
+                ("sec-fetch-site", site),
+                ("sec-fetch-mode", mode),
+            ];
+            assert_eq!(
+                access.check(&Method::GET, &headers(&pairs)),
+                expected,
+                "{site} {mode}"
             );
         }
     }

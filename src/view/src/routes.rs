@@ -15,7 +15,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::access::Refusal;
-use crate::content::{BYTES, Content, File};
+use crate::content::{BYTES, File};
 use crate::events::follow;
 use crate::field::SharedField;
 use crate::frames::{Mode, View, pick};
@@ -127,7 +127,7 @@ async fn page(State(site): State<Arc<Site>>) -> Response {
 }
 
 async fn events(State(site): State<Arc<Site>>) -> Response {
-    let stream = Received(follow(Arc::clone(&site.source)));
+    let stream = Received::new(follow(Arc::clone(&site.source)));
     Sse::new(stream).keep_alive(KeepAlive::default()).into_response()
 }
 
@@ -202,19 +202,7 @@ async fn frames(State(site): State<Arc<Site>>, body: Bytes) -> Response {
         .frames(request.viewer, field, request.view, request.mode);
     // The first picture decides about the status: what cannot be rendered is told as text.
     match frames.recv().await {
-        Some(Ok(first)) => {
-            let (sender, receiver) = tokio::sync::mpsc::channel(1);
-            tokio::spawn(async move {
-                let mut next = Some(Ok(first));
-                while let Some(frame) = next {
-                    if sender.send(frame).await.is_err() {
-                        return;
-                    }
-                    next = frames.recv().await;
-                }
-            });
-            answer(BYTES, Body::from_stream(Received(receiver)))
-        }
+        Some(Ok(first)) => answer(BYTES, Body::from_stream(Received::after(Ok(first), frames))),
         Some(Err(error)) => refusal(StatusCode::UNPROCESSABLE_ENTITY, &error.to_string()),
         None => refusal(StatusCode::CONFLICT, "a newer view is wanted"),
     }
@@ -343,6 +331,3 @@ fn redirect(to: &str) -> Response {
     }
     response
 }
-
-/// What a request is answered with.
-pub type Found = (Arc<Content>, SharedField);

@@ -11,8 +11,9 @@ use parking_lot::Mutex;
 use crate::ViewError;
 use crate::access::Access;
 use crate::content::Content;
+use crate::field::SharedField;
 use crate::renderer::Renderer;
-use crate::routes::{Found, routes};
+use crate::routes::routes;
 use crate::source::Source;
 
 /// How often the wish to stop is looked at.
@@ -81,7 +82,7 @@ impl Site {
     ///
     /// # Errors
     /// One sentence: the page is older than what is shown now; a field that is lost.
-    pub fn field(&self, run: u64, index: usize) -> Result<Found, String> {
+    pub fn field(&self, run: u64, index: usize) -> Result<(Arc<Content>, SharedField), String> {
         let content = self.content();
         if content.number != Some(run) {
             let now = content.number.unwrap_or_default();

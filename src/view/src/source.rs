@@ -8,7 +8,7 @@ use marf_cache::Digest;
 
 /// The store, as far as the page reads it.
 pub trait Source: Send + Sync {
-    /// Returns the number of the run to show now; none if no run has kept a report.
+    /// Returns the number of the run to show now; none if there is none.
     fn newest(&self) -> Option<u64>;
 
     /// Reads the run to show now.
