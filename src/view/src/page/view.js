@@ -145,6 +145,8 @@ class View {
     const { width, height } = view.camera;
     if (this.picture.width !== width || this.picture.height !== height) {
       for (const canvas of [this.picture, this.overlay]) Object.assign(canvas, { width, height });
+      // A picture of upright photos stays within the window.
+      byId("view-stage").style.maxWidth = `${Math.round((720 * width) / height)}px`;
     }
     this.picture.getContext("2d").drawImage(bitmap, 0, 0, width, height);
     this.shown = view;
