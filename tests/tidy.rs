@@ -28,7 +28,7 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 23] = [
+const CRATES: [Crate; 24] = [
     row("shaders", "marf-shaders", &[]),
     row("cache/derive", "marf-cache-derive", &[]),
     row("cache", "marf-cache", &["marf-cache-derive"]),
@@ -136,6 +136,11 @@ const CRATES: [Crate; 23] = [
         "marf-provenance",
         &["marf-cache", "marf-stage", "marf-engine"],
     ),
+    row(
+        "src/view",
+        "marf-view",
+        &["marf-cache", "marf-scene", "marf-field"],
+    ),
     Crate {
         tests_use: &["marf-video"],
         ..row(
@@ -152,13 +157,15 @@ const CRATES: [Crate; 23] = [
                 "marf-engine",
                 "marf-export",
                 "marf-provenance",
+                "marf-view",
             ],
         )
     },
 ];
 
 /// Packages that only these crates may use.
-const RESTRICTED: [(&str, &[&str]); 10] = [
+const RESTRICTED: [(&str, &[&str]); 11] = [
+    ("axum", &["marf-view"]),
     ("kamadak-exif", &["marf-pds"]),
     ("openh264", &["marf-video"]),
     ("petgraph", &["marf-engine"]),
@@ -167,7 +174,7 @@ const RESTRICTED: [(&str, &[&str]); 10] = [
     ("ring", &["marf-cache", "marf-export"]),
     ("rusqlite", &["marf-cache"]),
     ("rustls", &["marf-extract"]),
-    ("tokio", &["marf-extract", "marf"]),
+    ("tokio", &["marf-extract", "marf-view", "marf"]),
     ("wgpu", &["marf-field"]),
 ];
 

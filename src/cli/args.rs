@@ -138,6 +138,8 @@ pub enum Verb {
         #[arg(long, value_name = "FILE", default_value = "report.html")]
         out: PathBuf,
     },
+    /// Show the report live, with what runs now and a 3-D view of the field, on one local port
+    View(super::view::ViewArgs),
     /// Hand a run, or what it made, to people and programs without the store
     Export {
         /// In which form

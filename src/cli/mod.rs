@@ -31,6 +31,7 @@ mod share;
 mod status;
 mod trade;
 mod verdicts;
+mod view;
 
 use std::process::ExitCode;
 
@@ -81,6 +82,7 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
             SchemaOf::Events => print_json(&crate::progress::event_schema()),
         },
         Verb::Report { out } => report::report(global, out, cancel),
+        Verb::View(args) => view::view(global, args, cancel),
         Verb::Export { verb } => share::export(global, verb, cancel),
         Verb::Verify(args) => share::verify_path(global, args),
         Verb::Audit(args) => audit::audit(global, args, cancel),

@@ -14,7 +14,7 @@ use super::error::{CliError, Diagnostic};
 use super::export::Exported;
 use super::session::{Session, warn};
 use super::{export, files, manual_lists, program, report, verdicts};
-use crate::progress::{JsonLines, Progress, Trace, duration};
+use crate::progress::{Began, EventFile, JsonLines, Progress, Trace, duration, event_folder};
 use crate::terminal::{eprint_line, print_line};
 
 /// `marf run`: runs what changed, writes pictures, models and the report.
@@ -136,6 +136,7 @@ pub fn execute_as(
     let listener = RunListener {
         progress,
         trace: execution.trace.is_some().then(Trace::default),
+        event_file: event_file(session, options),
         failure: Mutex::default(),
     };
     if !global.json {
@@ -196,6 +197,24 @@ fn documents_of(
     (documents, made)
 }
 
+/// Begins the file that `marf view` follows. Without one the run goes on: a store that cannot be written has none.
+fn event_file(session: &Session, options: &Options) -> Option<EventFile> {
+    if session.store.is_read_only() {
+        return None;
+    }
+    let began = Began {
+        event: "began",
+        run: &options.id,
+        pipeline: &session.name,
+        command: &options.command,
+        nodes: &session.graph.names(),
+    };
+    let created = EventFile::create(&event_folder(&session.store), &began);
+    created
+        .map_err(|error| warn(format!("`marf view` cannot follow this run: {error}")))
+        .ok()
+}
+
 /// Returns what the nodes of a session run on: the GPUs, or `cpu`.
 fn devices(session: &Session) -> String {
     let backends: Vec<String> = session.graph.backends().into_iter().collect();
@@ -209,6 +228,8 @@ fn devices(session: &Session) -> String {
 struct RunListener {
     progress: Progress,
     trace: Option<Trace>,
+    /// What `marf view` reads while the run goes on.
+    event_file: Option<EventFile>,
     failure: Mutex<Option<Diagnostic>>,
 }
 
@@ -217,6 +238,9 @@ impl Listener for RunListener {
         self.progress.on_event(event);
         if let Some(trace) = &self.trace {
             trace.on_event(event);
+        }
+        if let Some(file) = &self.event_file {
+            file.on_event(event);
         }
         if let Event::Failed {
             node,

@@ -13,7 +13,7 @@ pub struct JsonLines {
 
 /// A line of the output of `--json`.
 #[derive(Debug, Serialize, JsonSchema)]
-struct Line<'a> {
+pub(super) struct Line<'a> {
     /// When it happened, as RFC 3339 in UTC with milliseconds.
     time: String,
     /// Name of the run, as in its record.
@@ -21,6 +21,14 @@ struct Line<'a> {
     /// What happened.
     #[serde(flatten)]
     event: &'a Event,
+}
+
+impl<'a> Line<'a> {
+    /// Returns the line of an event that happens now.
+    pub(super) fn now(run: &'a str, event: &'a Event) -> Self {
+        let time = humantime::format_rfc3339_millis(SystemTime::now()).to_string();
+        Self { time, run, event }
+    }
 }
 
 impl JsonLines {
@@ -32,12 +40,7 @@ impl JsonLines {
 
 impl Listener for JsonLines {
     fn on_event(&self, event: &Event) {
-        let line = Line {
-            time: humantime::format_rfc3339_millis(SystemTime::now()).to_string(),
-            run: &self.run,
-            event,
-        };
-        if let Ok(line) = serde_json::to_string(&line) {
+        if let Ok(line) = serde_json::to_string(&Line::now(&self.run, event)) {
             print_line(&line);
         }
     }

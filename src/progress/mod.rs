@@ -1,6 +1,7 @@
 //! Prints the events of a run: bars on a terminal, plain lines elsewhere, JSON lines with `--json`.
 
 mod bars;
+mod event_file;
 mod json;
 mod lines;
 mod text;
@@ -11,6 +12,7 @@ use std::io::IsTerminal as _;
 use marf_engine::{Event, Listener};
 
 pub use bars::Bars;
+pub use event_file::{Began, EventFile, event_folder};
 pub use json::{JsonLines, event_schema};
 pub use lines::Lines;
 pub use text::duration;

@@ -52,6 +52,25 @@ pub use review::{Call, FACTORS, calls, percent};
 pub fn write(input: &ReportInput<'_>) -> String {
     let page = Page::new(input);
     let sections = sections(&page);
+    let title = format!("{}, marf report", input.pipeline);
+    let body = html! {
+        (header(&page, &sections))
+        main { @for section in &sections { (section.shown()) } }
+        footer { (input.program) ", run started " (input.started) "." }
+    };
+    document(&title, &body)
+}
+
+/// Writes a page of one sentence in the form of a report: for `marf view` while there is none.
+pub fn sentence_page(sentence: &str) -> String {
+    let body = html! {
+        header { h1 { "marf" } p.lead { (sentence) } nav aria-label="Contents" {} }
+        main {}
+    };
+    document("marf", &body)
+}
+
+fn document(title: &str, body: &Markup) -> String {
     html! {
         (DOCTYPE)
         html lang="en" {
@@ -60,14 +79,10 @@ pub fn write(input: &ReportInput<'_>) -> String {
                 meta http-equiv="Content-Security-Policy"
                     content="default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'";
                 meta name="viewport" content="width=device-width";
-                title { (input.pipeline) ", marf report" }
+                title { (title) }
                 style { (PreEscaped(include_str!("style.css"))) }
             }
-            body {
-                (header(&page, &sections))
-                main { @for section in &sections { (section.shown()) } }
-                footer { (input.program) ", run started " (input.started) "." }
-            }
+            body { (body) }
         }
     }
     .into_string()

@@ -20,6 +20,7 @@ help_of! {
     help_init: "init", "--help";
     help_schema: "schema", "--help";
     help_report: "report", "--help";
+    help_view: "view", "--help";
     help_export: "export", "--help";
     help_export_crate: "export", "crate", "--help";
     help_export_attest: "export", "attest", "--help";

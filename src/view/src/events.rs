@@ -1,0 +1,217 @@
+//! What running programs do, read from the files in which they leave their events.
+//!
+//! ```text
+//! FOLDER/<run>.jsonl     a line an event, as `marf run --json` prints them; the first names the pipeline and its nodes
+//! FOLDER/<run>.lock      locked while the program runs
+//! ```
+
+use std::fs::File;
+use std::io::{ErrorKind, Read as _};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, SystemTime};
+
+use axum::response::sse::Event;
+use tokio::sync::mpsc;
+
+use crate::source::Source;
+
+/// How often files are looked at.
+const EVERY: Duration = Duration::from_millis(250);
+/// Most bytes read at once.
+const MOST_BYTES: u64 = 1 << 20;
+
+/// Something to tell the page.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Message {
+    /// No program runs, at the beginning or any more.
+    Idle,
+    /// A line of the file of a running program.
+    Line(String),
+    /// The run that a page opened now would show.
+    Newest(u64),
+}
+
+impl Message {
+    fn event(&self) -> Event {
+        match self {
+            Self::Idle => Event::default().event("idle").data("{}"),
+            Self::Line(line) => Event::default().event("line").data(line),
+            Self::Newest(number) => Event::default().event("newest").data(number.to_string()),
+        }
+    }
+}
+
+/// Sends what happens, from the beginning of the program that runs now, until the receiver is dropped.
+pub fn follow(source: Arc<dyn Source>) -> mpsc::Receiver<Result<Event, std::convert::Infallible>> {
+    let (sender, receiver) = mpsc::channel(64);
+    tokio::spawn(async move {
+        let mut follower = Follower::new(source.event_folder());
+        let mut newest = None;
+        loop {
+            let of = Arc::clone(&source);
+            let polled = tokio::task::spawn_blocking(move || {
+                let messages = follower.poll();
+                (follower, messages, of.newest())
+            });
+            let Ok((back, mut messages, now)) = polled.await else {
+                return;
+            };
+            follower = back;
+            if now != newest {
+                newest = now;
+                messages.extend(now.map(Message::Newest));
+            }
+            for message in &messages {
+                if sender.send(Ok(message.event())).await.is_err() {
+                    return;
+                }
+            }
+            // A page that is gone is noticed even where nothing happens.
+            if sender.is_closed() {
+                return;
+            }
+            tokio::time::sleep(EVERY).await;
+        }
+    });
+    receiver
+}
+
+/// Follows the program that began last.
+struct Follower {
+    folder: PathBuf,
+    open: Option<OpenFile>,
+    is_new: bool,
+}
+
+/// A file that is followed.
+struct OpenFile {
+    file: File,
+    lock: PathBuf,
+    /// The beginning of a line whose end is not written yet.
+    partial: Vec<u8>,
+}
+
+impl Follower {
+    fn new(folder: PathBuf) -> Self {
+        Self {
+            folder,
+            open: None,
+            is_new: true,
+        }
+    }
+
+    /// Returns what happened since the last call.
+    fn poll(&mut self) -> Vec<Message> {
+        if self.open.is_none() {
+            self.open = running(&self.folder);
+        }
+        let Some(open) = &mut self.open else {
+            let was_new = std::mem::take(&mut self.is_new);
+            return Vec::from_iter(was_new.then_some(Message::Idle));
+        };
+        self.is_new = false;
+        // Looked at before the file is read, so that no line of a program that ends now is missed.
+        let has_ended = !is_locked(&open.lock);
+        let (lines, is_whole) = open.lines();
+        let mut messages: Vec<Message> = lines.into_iter().map(Message::Line).collect();
+        if has_ended && is_whole {
+            self.open = None;
+            messages.push(Message::Idle);
+        }
+        messages
+    }
+}
+
+impl OpenFile {
+    /// Returns the lines that were added, and whether all was read.
+    fn lines(&mut self) -> (Vec<String>, bool) {
+        let mut bytes = std::mem::take(&mut self.partial);
+        let read = (&self.file)
+            .take(MOST_BYTES)
+            .read_to_end(&mut bytes)
+            .unwrap_or_default();
+        let whole = bytes
+            .iter()
+            .rposition(|byte| *byte == b'\n')
+            .map_or(0, |end| end + 1);
+        self.partial = bytes.split_off(whole);
+        let lines = bytes.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
+        let text = |line: &[u8]| String::from_utf8_lossy(line).into_owned();
+        (lines.map(text).collect(), (read as u64) < MOST_BYTES)
+    }
+}
+
+/// Opens the file of the program that runs and began last.
+fn running(folder: &Path) -> Option<OpenFile> {
+    let entries = std::fs::read_dir(folder)
+        .ok()?
+        .flatten()
+        .map(|entry| entry.path());
+    let locks = entries.filter(|path| path.extension().is_some_and(|ending| ending == "lock"));
+    let began = |path: &PathBuf| {
+        path.metadata()
+            .and_then(|data| data.modified())
+            .unwrap_or(SystemTime::UNIX_EPOCH)
+    };
+    let lock = locks.filter(|path| is_locked(path)).max_by_key(began)?;
+    let file = File::open(lock.with_extension("jsonl")).ok()?;
+    Some(OpenFile {
+        file,
+        lock,
+        partial: Vec::new(),
+    })
+}
+
+/// Tells whether a program holds this file; the lock that is tried is given back at once.
+fn is_locked(path: &Path) -> bool {
+    match File::open(path).map(|file| file.try_lock_shared()) {
+        Ok(Err(std::fs::TryLockError::WouldBlock)) => true,
+        Ok(_) => false,
+        Err(error) => error.kind() != ErrorKind::NotFound && error.kind() != ErrorKind::PermissionDenied,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write as _;
+
+    use super::*;
+
+    #[test]
+    fn lines_of_a_program_are_told_whole_and_once_until_it_ends() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut follower = Follower::new(dir.path().to_owned());
+        assert_eq!(follower.poll(), [Message::Idle]);
+        assert_eq!(follower.poll(), []);
+        let lock = File::create(dir.path().join("0a.lock")).unwrap();
+        lock.lock().unwrap();
+        let mut file = File::create(dir.path().join("0a.jsonl")).unwrap();
+        write!(file, "{{\"a\":1}}\n{{\"b\"").unwrap();
+        let line = |text: &str| Message::Line(text.to_owned());
+        assert_eq!(follower.poll(), [line("{\"a\":1}")]);
+        assert_eq!(follower.poll(), []);
+        writeln!(file, ":2}}").unwrap();
+        assert_eq!(follower.poll(), [line("{\"b\":2}")]);
+        writeln!(file, "{{\"c\":3}}").unwrap();
+        drop(lock);
+        assert_eq!(follower.poll(), [line("{\"c\":3}"), Message::Idle]);
+        assert_eq!(
+            follower.poll(),
+            [],
+            "the file of a program that was killed is not followed"
+        );
+    }
+
+    #[test]
+    fn a_page_that_comes_later_is_told_all_from_the_beginning() {
+        let dir = tempfile::tempdir().unwrap();
+        let lock = File::create(dir.path().join("0a.lock")).unwrap();
+        lock.lock().unwrap();
+        std::fs::write(dir.path().join("0a.jsonl"), "1\n2\n").unwrap();
+        for _ in 0..2 {
+            let lines = ["1", "2"].map(|text| Message::Line(text.to_owned()));
+            assert_eq!(Follower::new(dir.path().to_owned()).poll(), lines);
+        }
+    }
+}

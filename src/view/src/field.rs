@@ -1,0 +1,218 @@
+//! A trained field with its scene, as the 3-D view shows it.
+
+use std::sync::Arc;
+
+use marf_cache::Digest;
+use marf_field::{Device, Field as Trained, FieldError, Render};
+use marf_scene::path::{focus_point, orbit, typical_camera};
+use marf_scene::picture::round_upper_limit;
+use marf_scene::{Camera, Pose, Scene};
+use nalgebra::Vector3;
+use serde::Serialize;
+
+use crate::source::{FieldSource, Source};
+
+/// Width of the renders that the scales are taken from, pixels.
+const SCALE_PX: u32 = 64;
+/// Rays with less opacity have no depth.
+pub const MIN_OPACITY: f32 = 0.5;
+
+/// A field that can be rendered.
+pub struct Field {
+    node: String,
+    scene: Scene,
+    trained: Trained,
+    members: Vec<Trained>,
+    /// Where the scene knows its scale the ends are in metres.
+    scales: Scales,
+    start: Pose,
+}
+
+/// The upper ends of the colour scales; the lower ones are 0.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Scales {
+    /// Of depth: world units.
+    pub depth: f64,
+    /// Of uncertainty: standard deviation of gray, white = 1.
+    pub uncertainty: f64,
+}
+
+/// What the page knows of a field.
+#[derive(Debug, Serialize)]
+pub struct SceneView<'a> {
+    node: &'a str,
+    /// Metres per unit of the world; none where the scene has no scale.
+    metres_per_unit: Option<f64>,
+    /// Unit vector in the world.
+    up: [f64; 3],
+    /// The point that the photos look at, in the world.
+    focus: [f64; 3],
+    /// Where the view begins.
+    start: Pose,
+    /// The camera of the view, 640 pixels wide.
+    camera: Camera,
+    members: usize,
+    scales: Scales,
+    photos: Vec<PhotoView<'a>>,
+}
+
+/// A photo of the scene.
+#[derive(Debug, Serialize)]
+struct PhotoView<'a> {
+    file: &'a str,
+    image: Digest,
+    camera: Camera,
+    cam_from_world: Pose,
+    held_out: bool,
+}
+
+impl Field {
+    /// Reads a field.
+    ///
+    /// # Errors
+    /// One sentence: what is lost or damaged, or a device that is not there.
+    pub fn read(of: &FieldSource, source: &dyn Source, device: &Device) -> Result<Self, String> {
+        let object = |digest: &Digest| source.object(digest).ok_or_else(|| lost(&of.node, digest));
+        let trained = |digest: &Digest| -> Result<Trained, String> {
+            let field = Trained::decode(&object(digest)?).and_then(|field| field.on(device));
+            field.map_err(|error| format!("the field of `{}`: {error}", of.node))
+        };
+        let scene = Scene::decode(&object(&of.scene)?).map_err(|error| error.to_string())?;
+        let start = orbit(&scene, 1, SCALE_PX)
+            .first()
+            .map(|place| place.cam_from_world);
+        let mut field = Self {
+            node: of.node.clone(),
+            trained: trained(&of.weights)?,
+            members: of.members.iter().map(trained).collect::<Result<_, _>>()?,
+            scales: Scales {
+                depth: 1.0,
+                uncertainty: 1.0,
+            },
+            start: start.ok_or_else(|| format!("the scene of `{}` has no photo", of.node))?,
+            scene,
+        };
+        field.scales = field.measured_scales().map_err(|error| error.to_string())?;
+        Ok(field)
+    }
+
+    /// Returns its scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// Returns the upper ends of the colour scales.
+    pub fn scales(&self) -> Scales {
+        self.scales
+    }
+
+    /// Returns the field itself.
+    pub fn trained(&self) -> &Trained {
+        &self.trained
+    }
+
+    /// Returns the retrainings.
+    pub fn members(&self) -> &[Trained] {
+        &self.members
+    }
+
+    /// Returns what the page knows of it.
+    pub fn view(&self) -> SceneView<'_> {
+        let photos = self.scene.frames.iter().map(|frame| PhotoView {
+            file: &frame.file,
+            image: frame.image,
+            camera: frame.camera,
+            cam_from_world: frame.cam_from_world,
+            held_out: frame.held_out,
+        });
+        SceneView {
+            node: &self.node,
+            metres_per_unit: self.scene.metres_per_unit,
+            up: self.up().into(),
+            focus: focus_point(&self.scene).into(),
+            start: self.start,
+            camera: typical_camera(&self.scene, 640),
+            members: self.members.len(),
+            scales: self.scales,
+            photos: photos.collect(),
+        }
+    }
+
+    /// Returns up in the world: the scene's, or else that of the first view.
+    fn up(&self) -> Vector3<f64> {
+        let known = self.scene.up.map(Vector3::from);
+        known.unwrap_or_else(|| -self.start.rotation.row(1).transpose())
+    }
+
+    /// Takes the scales from the first view, so that colours mean the same from everywhere.
+    fn measured_scales(&self) -> Result<Scales, FieldError> {
+        let camera = typical_camera(&self.scene, SCALE_PX);
+        let render = |field: &Trained| field.render(&camera, &self.start);
+        let depths = depths(&render(&self.trained)?);
+        let members: Vec<Render> = self.members.iter().map(render).collect::<Result<_, _>>()?;
+        Ok(Scales {
+            depth: round_upper_limit(&depths, 0.95),
+            uncertainty: round_upper_limit(&spread(&members), 0.98),
+        })
+    }
+}
+
+/// Returns the depth along every ray, world units; -1 where the ray met too little.
+pub fn depths(render: &Render) -> Vec<f32> {
+    let pixels = render.depth.iter().zip(&render.opacity);
+    pixels
+        .map(|(depth, opacity)| if *opacity > MIN_OPACITY { *depth } else { -1.0 })
+        .collect()
+}
+
+/// Returns the sample standard deviation (B - 1) of gray over renders, white = 1; empty for fewer than two.
+pub fn spread(renders: &[Render]) -> Vec<f32> {
+    let [first, _, ..] = renders else {
+        return Vec::new();
+    };
+    let gray = |render: &Render, pixel: usize| render.rgb[pixel].iter().sum::<f32>() / 3.0;
+    let count = renders.len() as f32;
+    let of_pixel = |pixel: usize| {
+        let mean = renders.iter().map(|render| gray(render, pixel)).sum::<f32>() / count;
+        let squares = renders.iter().map(|render| (gray(render, pixel) - mean).powi(2));
+        (squares.sum::<f32>() / (count - 1.0)).sqrt()
+    };
+    (0..first.rgb.len()).map(of_pixel).collect()
+}
+
+fn lost(node: &str, digest: &Digest) -> String {
+    format!(
+        "object {} of `{node}` is not in the store any more: `marf run` makes it again",
+        digest.short()
+    )
+}
+
+/// A field that several requests share.
+pub type SharedField = Arc<Field>;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_spread_is_the_sample_standard_deviation_of_gray() {
+        let render = |value: f32| Render {
+            rgb: vec![[value; 3]],
+            ..Render::empty(1, 1)
+        };
+        // .50 .52 .48 .50: mean .50, squares .0008, divided by 3.
+        let found = spread(&[0.50, 0.52, 0.48, 0.50].map(render));
+        assert!((found[0] - 0.016_330).abs() < 1e-5, "{found:?}");
+        assert!(spread(&[render(0.5)]).is_empty());
+    }
+
+    #[test]
+    fn what_meets_too_little_has_no_depth() {
+        let render = Render {
+            opacity: vec![0.4, 0.9],
+            depth: vec![3.0, 4.0],
+            ..Render::empty(2, 1)
+        };
+        assert_eq!(depths(&render), [-1.0, 4.0]);
+    }
+}

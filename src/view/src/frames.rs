@@ -1,0 +1,264 @@
+//! Pictures of a field for the 3-D view: coarse first, then finer, until a newer pose is asked for.
+
+use marf_field::{Field as Trained, FieldError, Render};
+use marf_scene::picture::Palette;
+use marf_scene::{Camera, Image, Pose, Srgb, encode_png};
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use crate::field::{Field, MIN_OPACITY, depths, spread};
+
+/// A picture is rendered at these fractions of its size, one after the other.
+pub const DIVISORS: [u32; 4] = [8, 4, 2, 1];
+/// Most pixels of a picture.
+const MOST_PX: u64 = 4 << 20;
+/// Pixels between two looks at whether a picture is still wanted: some hundredths of a second of work.
+const BAND_PX: u32 = 1 << 14;
+/// Rows of a band are a multiple of this, the height of what the renderer traces at once: its pixels are then those of the
+/// whole picture.
+const BAND_ROWS: u32 = 32;
+/// Colour of a pixel without a value.
+const NO_VALUE: [u8; 3] = [96, 96, 104];
+
+/// What a picture shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// Colour.
+    Color,
+    /// Distance along the ray.
+    Depth,
+    /// How far the retrainings differ in gray.
+    Uncertainty,
+}
+
+/// A view that is asked for.
+#[derive(Debug, Clone, Deserialize)]
+pub struct View {
+    /// Its camera.
+    pub camera: Camera,
+    /// Its pose.
+    pub cam_from_world: Pose,
+}
+
+impl View {
+    /// Checks what came from outside.
+    ///
+    /// # Errors
+    /// One sentence.
+    pub fn check(&self) -> Result<(), String> {
+        let pixels = u64::from(self.camera.width) * u64::from(self.camera.height);
+        if !self.camera.is_valid() || !self.cam_from_world.is_valid() {
+            return Err("the camera or its pose is not finite, not positive or not a rotation".to_owned());
+        }
+        if pixels > MOST_PX {
+            return Err(format!("{pixels} pixels are too many: at most {MOST_PX}"));
+        }
+        Ok(())
+    }
+}
+
+/// Why there is no picture.
+#[derive(Debug, thiserror::Error)]
+pub enum FrameError {
+    /// A newer view is wanted.
+    #[error("a newer view is wanted")]
+    Stopped,
+    /// It cannot be rendered.
+    #[error("{0}")]
+    Failed(String),
+}
+
+impl From<FieldError> for FrameError {
+    fn from(error: FieldError) -> Self {
+        Self::Failed(error.to_string())
+    }
+}
+
+/// Renders a view at a fraction of its size and returns it as it is sent: width, height, divisor and length of the PNG as u32
+/// LE, then the PNG.
+///
+/// # Errors
+/// See [`FrameError`].
+pub fn frame(
+    field: &Field,
+    view: &View,
+    mode: Mode,
+    divisor: u32,
+    stopped: &dyn Fn() -> bool,
+) -> Result<Vec<u8>, FrameError> {
+    let (width, height) = (
+        view.camera.width.div_ceil(divisor),
+        view.camera.height.div_ceil(divisor),
+    );
+    let camera = view.camera.resized(width, height);
+    let render = |trained: &Trained| in_bands(trained, &camera, &view.cam_from_world, stopped);
+    let image = match mode {
+        Mode::Color => render(field.trained())?.to_image(),
+        Mode::Depth => {
+            let values = depths(&render(field.trained())?);
+            colored(&values, field.scales().depth, Palette::Viridis, (width, height))
+        }
+        Mode::Uncertainty => {
+            let renders: Vec<Render> = field.members().iter().map(render).collect::<Result<_, _>>()?;
+            let values = spread(&renders);
+            if values.is_empty() {
+                return Err(FrameError::Failed(
+                    "the run has no retrainings, hence no uncertainty".to_owned(),
+                ));
+            }
+            colored(
+                &values,
+                field.scales().uncertainty,
+                Palette::Inferno,
+                (width, height),
+            )
+        }
+    };
+    let png = encode_png(&image).map_err(|error| FrameError::Failed(error.to_string()))?;
+    let numbers = [width, height, divisor, png.len() as u32];
+    let head = numbers.iter().flat_map(|number| number.to_le_bytes());
+    Ok(head.chain(png.iter().copied()).collect())
+}
+
+/// Draws values on a scale from 0 to `high`; negative ones have none.
+fn colored(values: &[f32], high: f64, palette: Palette, (width, height): (u32, u32)) -> Image<Srgb> {
+    let color = |value: &f32| match *value < 0.0 {
+        true => NO_VALUE,
+        false => palette.color(value / high as f32),
+    };
+    Image {
+        width,
+        height,
+        pixels: values.iter().map(color).collect(),
+    }
+}
+
+/// Renders a picture band by band, as long as it is wanted.
+fn in_bands(
+    field: &Trained,
+    camera: &Camera,
+    cam_from_world: &Pose,
+    stopped: &dyn Fn() -> bool,
+) -> Result<Render, FrameError> {
+    let mut whole = Render::empty(camera.width, 0);
+    let rows = (BAND_PX / camera.width.max(1)).max(1).next_multiple_of(BAND_ROWS);
+    for top in (0..camera.height).step_by(rows as usize) {
+        if stopped() {
+            return Err(FrameError::Stopped);
+        }
+        let band = field.render(
+            &window(camera, [0, top], [camera.width, rows.min(camera.height - top)]),
+            cam_from_world,
+        )?;
+        whole.rgb.extend_from_slice(&band.rgb);
+        whole.opacity.extend_from_slice(&band.opacity);
+        whole.depth.extend_from_slice(&band.depth);
+    }
+    whole.height = camera.height;
+    Ok(whole)
+}
+
+/// Returns the camera of a part of a picture: its left and top edge, its width and height, pixels.
+fn window(camera: &Camera, [left, top]: [u32; 2], [width, height]: [u32; 2]) -> Camera {
+    Camera {
+        width,
+        height,
+        cx_px: camera.cx_px - f64::from(left),
+        cy_px: camera.cy_px - f64::from(top),
+        ..*camera
+    }
+}
+
+/// A point that was picked in a picture.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Picked {
+    /// Where the ray of the pixel ends, in the world; none where it meets too little.
+    pub point: Option<[f64; 3]>,
+    /// The same by each of the retrainings.
+    pub members: Vec<Option<[f64; 3]>>,
+}
+
+/// Returns the point of the surface that a pixel of a view shows.
+///
+/// # Errors
+/// A pixel outside the picture; a field that cannot be rendered.
+pub fn pick(field: &Field, view: &View, [column, row]: [u32; 2]) -> Result<Picked, FrameError> {
+    let View {
+        camera,
+        cam_from_world,
+    } = view;
+    if column >= camera.width || row >= camera.height {
+        return Err(FrameError::Failed(format!(
+            "pixel ({column}, {row}) is outside the picture"
+        )));
+    }
+    let pixel = window(camera, [column, row], [1, 1]);
+    let point = |trained: &Trained| -> Result<Option<[f64; 3]>, FieldError> {
+        let render = trained.render(&pixel, cam_from_world)?;
+        let is_met = render
+            .opacity
+            .first()
+            .is_some_and(|opacity| *opacity > MIN_OPACITY);
+        let depth = render.depth.first().filter(|_| is_met);
+        let direction = pixel.unproject(&nalgebra::Vector2::new(0.5, 0.5));
+        Ok(depth
+            .zip(direction)
+            .map(|(depth, direction)| end_of(cam_from_world, &direction, f64::from(*depth)).into()))
+    };
+    Ok(Picked {
+        point: point(field.trained())?,
+        members: field.members().iter().map(point).collect::<Result<_, _>>()?,
+    })
+}
+
+/// Returns the point of the world at a distance along a direction of the camera's frame.
+fn end_of(cam_from_world: &Pose, direction: &Vector3<f64>, distance: f64) -> Vector3<f64> {
+    cam_from_world
+        .inverse()
+        .point(&(direction.normalize() * distance))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_cannot_be_rendered_is_refused_with_the_number() {
+        let view = |camera| View {
+            camera,
+            cam_from_world: Pose::identity(),
+        };
+        assert!(view(Camera::pinhole(640, 480, 500.0)).check().is_ok());
+        let large = view(Camera::pinhole(4096, 4096, 500.0)).check().unwrap_err();
+        assert!(large.contains("16777216"), "{large}");
+        for camera in [
+            Camera::pinhole(0, 480, 500.0),
+            Camera::pinhole(640, 480, f64::NAN),
+        ] {
+            assert!(view(camera).check().is_err());
+        }
+    }
+
+    #[test]
+    fn a_pixel_of_a_window_looks_where_that_of_the_picture_looks() {
+        let camera = Camera {
+            k1: 0.05,
+            ..Camera::pinhole(400, 300, 320.0)
+        };
+        let part = window(&camera, [37, 64], [1, 1]);
+        let ray = |camera: &Camera, x, y| camera.unproject(&nalgebra::Vector2::new(x, y)).unwrap();
+        assert!((ray(&part, 0.5, 0.5) - ray(&camera, 37.5, 64.5)).norm() < 1e-12);
+    }
+
+    #[test]
+    fn a_depth_is_a_distance_along_the_ray() {
+        let pose = Pose::looking_at(
+            Vector3::new(1.0, 0.0, 0.0),
+            Vector3::new(4.0, 4.0, 0.0),
+            Vector3::z(),
+        );
+        let end = end_of(&pose, &Vector3::z(), 5.0);
+        assert!((end - Vector3::new(4.0, 4.0, 0.0)).norm() < 1e-12, "{end}");
+    }
+}

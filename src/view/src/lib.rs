@@ -1,0 +1,23 @@
+//! The live page: the report of a run, the progress of a running one, and a 3-D view of its field, served on one port.
+//!
+//! It knows no pipeline and writes nothing: what is shown comes from a [`Source`]. Invariant: a request reaches objects of the
+//! store by their digest alone, and only those that the shown run names; every answer passes the checks of `access`.
+
+mod access;
+mod content;
+mod error;
+mod events;
+mod field;
+mod frames;
+mod page;
+mod range;
+mod renderer;
+mod routes;
+mod server;
+mod source;
+mod stream;
+
+pub use access::AccessError;
+pub use error::ViewError;
+pub use server::{Options, Server};
+pub use source::{FieldSource, RunContent, Source};

@@ -1,0 +1,395 @@
+// The 3-D view of a trained field. Poses are `cam_from_world`; text from outside goes through textContent.
+
+import { Mover, add, centreOf, clamp, inWorld, norm, transformed } from "./mover.js";
+
+const byId = (id) => document.getElementById(id);
+
+// ---- pictures from the server
+
+/** Yields the pictures of a response: width, height, divisor and length as u32 LE, then a PNG. */
+async function* pictures(response) {
+  const reader = response.body.getReader();
+  let held = new Uint8Array();
+  for (;;) {
+    const head = held.length >= 16 ? new DataView(held.buffer, held.byteOffset, 16) : null;
+    const end = head ? 16 + head.getUint32(12, true) : Infinity;
+    if (held.length >= end) {
+      const bitmap = await createImageBitmap(new Blob([held.slice(16, end)], { type: "image/png" }));
+      yield { bitmap, divisor: head.getUint32(8, true) };
+      held = held.slice(end);
+      continue;
+    }
+    const { done, value } = await reader.read();
+    if (done) return;
+    const joined = new Uint8Array(held.length + value.length);
+    joined.set(held);
+    joined.set(value, held.length);
+    held = joined;
+  }
+}
+
+const post = (address, body, signal) => fetch(address, { method: "POST", body: JSON.stringify(body), signal });
+
+/** Returns what a response says if it is a refusal. */
+async function refused(response) {
+  return response.ok ? null : (await response.text()).trim();
+}
+
+/** Asks for pictures of the newest view; at most one first picture is awaited, and a newer view stops the finer ones. */
+class Pictures {
+  constructor(show, fail) {
+    Object.assign(this, { show, fail, wanted: null, waiting: false, abort: null });
+    this.viewer = crypto.getRandomValues(new Uint32Array(1))[0];
+  }
+  want(view) {
+    this.wanted = { ...view, viewer: this.viewer };
+    if (!this.waiting) this.next();
+  }
+  async next() {
+    const view = this.wanted;
+    if (!view) return;
+    this.wanted = null;
+    this.waiting = true;
+    this.abort?.abort();
+    const { signal } = (this.abort = new AbortController());
+    const { since, ...body } = view;
+    try {
+      const response = await post("frames", body, signal);
+      const why = await refused(response);
+      if (why && response.status !== 409) this.fail(why);
+      if (!why) {
+        for await (const picture of pictures(response)) {
+          if (signal.aborted) break;
+          this.show(view, picture);
+          this.release(signal);
+        }
+      }
+    } catch (error) {
+      if (error.name !== "AbortError") this.fail("The server does not answer any more.");
+    }
+    this.release(signal);
+  }
+  /** Lets the next view go once the first picture of this one is there. */
+  release(signal) {
+    if (this.abort?.signal !== signal) return;
+    this.waiting = false;
+    if (this.wanted) this.next();
+  }
+}
+
+// ---- the 3-D view
+
+class View {
+  constructor(run) {
+    this.run = run;
+    this.picture = byId("view-picture");
+    this.overlay = byId("view-overlay");
+    this.pictures = new Pictures((view, picture) => this.show(view, picture), (why) => this.say(why));
+    this.keys = new Set();
+    this.pointers = new Map();
+    this.marks = [];
+    this.bookmarks = [];
+    byId("view-size").value = matchMedia("(max-width: 700px)").matches ? "320" : "640";
+    this.listen();
+  }
+  say(text) { byId("view-state").textContent = text; }
+  get mode() { return byId("view-mode").value; }
+
+  async open() {
+    const response = await fetch(`scene/${this.run}/${byId("view-field").value}`);
+    const why = await refused(response);
+    if (why) return this.say(why);
+    this.scene = await response.json();
+    this.scale = this.scene.metres_per_unit ?? 1;
+    byId("view-mode").querySelector("[value=uncertainty]").disabled = this.scene.members < 2;
+    const photos = byId("view-photo");
+    photos.replaceChildren(new Option("", ""), ...this.scene.photos.map((photo, index) => new Option(photo.file, index)));
+    this.toStart();
+  }
+  toStart() {
+    const { start, up, focus } = this.scene;
+    const eye = centreOf(start);
+    this.mover = new Mover(up, eye, start[2].slice(0, 3), norm(add(focus, eye, -1)));
+    this.leavePhoto();
+    this.draw();
+  }
+  leavePhoto() {
+    this.fixed = null;
+    byId("view-photo").value = "";
+    byId("view-compare").hidden = true;
+  }
+  /** Returns camera and pose to be shown: those of a photo, or those that the user has moved to. */
+  place() {
+    const width = Number(byId("view-size").value);
+    const { camera, cam_from_world } = this.fixed ?? { camera: this.scene.camera, cam_from_world: this.mover.pose() };
+    const height = Math.max(1, Math.round((width * camera.height) / camera.width));
+    const [sx, sy] = [width / camera.width, height / camera.height];
+    const sized = { width, height, fx_px: camera.fx_px * sx, cx_px: camera.cx_px * sx, fy_px: camera.fy_px * sy, cy_px: camera.cy_px * sy };
+    return { camera: { ...camera, ...sized }, cam_from_world };
+  }
+  draw() {
+    if (!this.scene) return;
+    const request = { run: this.run, field: Number(byId("view-field").value), mode: this.mode, ...this.place() };
+    this.pictures.want({ ...request, since: performance.now() });
+    this.legend();
+  }
+  legend() {
+    const high = this.mode === "depth" ? this.scene.scales.depth * this.scale : this.scene.scales.uncertainty;
+    const unitOf = { depth: this.scene.metres_per_unit ? "m" : "units of the scene (no scale)", uncertainty: "standard deviation of gray, white = 1" };
+    byId("view-legend").hidden = this.mode === "color";
+    byId("view-low").textContent = "0";
+    byId("view-high").textContent = `${Number(high.toPrecision(3))} ${unitOf[this.mode] ?? ""}`;
+    byId("view-scale").className = `scale ${this.mode}`;
+  }
+  show(view, { bitmap, divisor }) {
+    const { width, height } = view.camera;
+    if (this.picture.width !== width || this.picture.height !== height) {
+      for (const canvas of [this.picture, this.overlay]) Object.assign(canvas, { width, height });
+      // A picture of upright photos stays within the window.
+      byId("view-stage").style.maxWidth = `${Math.round((720 * width) / height)}px`;
+    }
+    this.picture.getContext("2d").drawImage(bitmap, 0, 0, width, height);
+    this.shown = view;
+    const after = Math.round(performance.now() - view.since);
+    const data = byId("view-stage").dataset;
+    if (divisor === 8) data.firstMs = after;
+    Object.assign(data, { divisor, pictures: Number(data.pictures ?? 0) + 1 });
+    this.say(`${bitmap.width} x ${bitmap.height} pixels after ${after} ms${divisor > 1 ? ", going on" : ""}.`);
+    if (this.fixed) this.compare(bitmap);
+    this.drawOverlay();
+  }
+
+  // ---- photos
+
+  toPhoto(index) {
+    const photo = this.scene.photos[index];
+    this.fixed = photo;
+    const forward = photo.cam_from_world[2].slice(0, 3);
+    this.mover.look(centreOf(photo.cam_from_world), forward, this.mover.distance);
+    byId("view-photo").value = String(index);
+    const picture = byId("view-photo-picture");
+    picture.src = `photo/${this.run}/${byId("view-field").value}/${photo.image}`;
+    picture.alt = `photo ${photo.file}`;
+    byId("view-photo-name").textContent = `${photo.file}${photo.held_out ? ", held out" : ""}`;
+    byId("view-compare").hidden = false;
+    this.draw();
+  }
+  compare(bitmap) {
+    const render = byId("view-photo-render");
+    const { width, height } = this.shown.camera;
+    Object.assign(render, { width, height });
+    render.getContext("2d").drawImage(bitmap, 0, 0, width, height);
+  }
+  /** Returns the pixel of a point of the world in the shown picture, distortion aside; null behind the camera. */
+  pixel(point) {
+    const { camera, cam_from_world } = this.shown;
+    const [x, y, z] = transformed(cam_from_world, point);
+    return z > 1e-3 * this.mover.distance ? [camera.fx_px * (x / z) + camera.cx_px, camera.fy_px * (y / z) + camera.cy_px] : null;
+  }
+  frustum({ camera, cam_from_world }) {
+    const depth = 0.04 * norm(add(this.scene.focus, centreOf(this.scene.start), -1));
+    const corner = ([x, y]) => inWorld(cam_from_world, [(x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px, 1].map((value) => value * depth));
+    const { width, height } = camera;
+    return [centreOf(cam_from_world), ...[[0, 0], [width, 0], [width, height], [0, height]].map(corner)].map((point) => this.pixel(point));
+  }
+  drawOverlay() {
+    const canvas = this.overlay.getContext("2d");
+    canvas.clearRect(0, 0, this.overlay.width, this.overlay.height);
+    if (byId("view-frusta").checked) this.scene.photos.forEach((photo) => photo !== this.fixed && this.drawFrustum(canvas, photo));
+    canvas.fillStyle = canvas.strokeStyle = "#fff35c";
+    const pixels = this.marks.map((mark) => this.pixel(mark.point)).filter(Boolean);
+    pixels.forEach(([x, y]) => { canvas.beginPath(); canvas.arc(x, y, 5, 0, 7); canvas.fill(); });
+    if (pixels.length === 2) { canvas.lineWidth = 2; canvas.beginPath(); pixels.forEach(([x, y]) => canvas.lineTo(x, y)); canvas.stroke(); }
+  }
+  drawFrustum(canvas, photo) {
+    const [apex, ...corners] = this.frustum(photo);
+    if (!apex || corners.includes(null)) return;
+    canvas.strokeStyle = photo.held_out ? "#f09a55" : "#7db4dd";
+    canvas.lineWidth = 1.3;
+    canvas.beginPath();
+    corners.forEach(([x, y], index) => {
+      const next = corners[(index + 1) % 4];
+      canvas.moveTo(...apex); canvas.lineTo(x, y); canvas.lineTo(...next);
+    });
+    canvas.stroke();
+  }
+  /** Returns the number of the photo whose frustum is nearest to a pixel, within 14 pixels of its middle or apex. */
+  photoAt([x, y]) {
+    const nearest = { index: -1, away: 14 };
+    this.scene.photos.forEach((photo, index) => {
+      const [apex, ...corners] = this.frustum(photo);
+      if (!apex || corners.includes(null) || photo === this.fixed) return;
+      const middle = [0, 1].map((axis) => corners.reduce((sum, corner) => sum + corner[axis], 0) / 4);
+      const away = Math.min(...[apex, middle].map((pixel) => Math.hypot(pixel[0] - x, pixel[1] - y)));
+      if (away < nearest.away) Object.assign(nearest, { index, away });
+    });
+    return nearest.index;
+  }
+
+  // ---- distances
+
+  async mark(pixel) {
+    if (!this.shown) return;
+    const { run, field, camera, cam_from_world } = this.shown;
+    const inside = [clamp(Math.floor(pixel[0]), 0, camera.width - 1), clamp(Math.floor(pixel[1]), 0, camera.height - 1)];
+    const response = await post("pick", { run, field, camera, cam_from_world, pixel: inside });
+    const why = await refused(response);
+    const mark = why ? null : await response.json();
+    if (!mark?.point) return this.tell(why ?? "The field has no surface there.");
+    this.marks = this.marks.length === 2 ? [mark] : [...this.marks, mark];
+    this.tell(this.marks.length === 2 ? this.distance() : "Mark a second point.");
+    this.drawOverlay();
+  }
+  tell(text) { byId("view-distance").textContent = text; }
+  /** Returns the distance of the two marks, and how far the retrainings differ in it. */
+  distance() {
+    const [a, b] = this.marks;
+    const length = (from, to) => norm(add(from, to, -1)) * this.scale;
+    const number = (value) => Number(value.toPrecision(3));
+    const whole = length(a.point, b.point);
+    const others = a.members.map((from, index) => from && b.members[index] && length(from, b.members[index])).filter(Boolean);
+    const mean = others.reduce((sum, value) => sum + value, 0) / others.length;
+    const spread = Math.sqrt(others.reduce((sum, value) => sum + (value - mean) ** 2, 0) / (others.length - 1));
+    const text = this.scene.metres_per_unit ? `${number(whole)} m` : `${number(whole)} units of the scene: no scale`;
+    return `Distance: ${text}${others.length > 1 ? `; the ${others.length} retrainings differ by ${number(spread)}${this.scene.metres_per_unit ? " m" : ""} (standard deviation)` : ""}.`;
+  }
+
+  // ---- input
+
+  moved() { this.leavePhoto(); this.draw(); }
+  /** Returns the pixel of the picture below a pointer. */
+  at(event) {
+    const box = this.overlay.getBoundingClientRect();
+    return [((event.clientX - box.left) * this.overlay.width) / box.width, ((event.clientY - box.top) * this.overlay.height) / box.height];
+  }
+  listen() {
+    const { overlay } = this;
+    overlay.addEventListener("contextmenu", (event) => event.preventDefault());
+    overlay.addEventListener("pointerdown", (event) => {
+      overlay.setPointerCapture(event.pointerId);
+      this.pointers.set(event.pointerId, [event.clientX, event.clientY]);
+      this.travel = this.pointers.size > 1 ? Infinity : 0;
+    });
+    overlay.addEventListener("pointermove", (event) => this.drag(event));
+    overlay.addEventListener("pointerup", (event) => this.release(event));
+    overlay.addEventListener("pointercancel", (event) => this.pointers.delete(event.pointerId));
+    overlay.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      this.mover?.zoom(Math.exp(event.deltaY * 0.001));
+      this.moved();
+    }, { passive: false });
+    overlay.addEventListener("keydown", (event) => this.key(event));
+    overlay.addEventListener("keyup", (event) => this.keys.delete(event.code));
+    overlay.addEventListener("blur", () => this.keys.clear());
+    for (const id of ["view-mode", "view-size"]) byId(id).addEventListener("change", () => this.draw());
+    byId("view-field").addEventListener("change", () => { this.marks = []; this.open(); });
+    byId("view-frusta").addEventListener("change", () => this.shown && this.drawOverlay());
+    byId("view-photo").addEventListener("change", (event) => (event.target.value ? this.toPhoto(Number(event.target.value)) : this.moved()));
+    byId("view-start").addEventListener("click", () => this.scene && this.toStart());
+    byId("view-measure").addEventListener("click", () => this.measure(!this.measuring));
+    byId("view-bookmark").addEventListener("click", () => this.bookmark());
+    byId("view-download").addEventListener("click", () => this.download());
+  }
+  measure(on) {
+    this.measuring = on;
+    this.marks = [];
+    byId("view-measure").setAttribute("aria-pressed", String(on));
+    this.overlay.classList.toggle("measuring", on);
+    this.tell(on ? "Mark a point: click, or M for the middle." : "");
+    if (this.shown) this.drawOverlay();
+  }
+  drag(event) {
+    const last = this.pointers.get(event.pointerId);
+    if (!last || !this.mover) return;
+    const now = [event.clientX, event.clientY];
+    const [dx, dy] = [now[0] - last[0], now[1] - last[1]];
+    const others = [...this.pointers].filter(([id]) => id !== event.pointerId).map(([, place]) => place);
+    this.pointers.set(event.pointerId, now);
+    this.travel += Math.hypot(dx, dy);
+    if (this.travel < 4) return;
+    // A drag over the whole width moves what is in the middle by as much as the picture shows of it.
+    const across = this.mover.distance / this.overlay.clientWidth;
+    if (others.length) {
+      const apart = (place) => Math.hypot(place[0] - others[0][0], place[1] - others[0][1]) || 1;
+      this.mover.zoom(apart(last) / apart(now));
+      this.mover.move([(-dx * across) / 2, (-dy * across) / 2, 0]);
+    } else if (event.shiftKey || event.buttons & 6) this.mover.move([-dx * across, -dy * across, 0]);
+    else this.mover.orbit(dx * 0.006, dy * 0.006 * -1);
+    this.moved();
+  }
+  release(event) {
+    const was = this.pointers.delete(event.pointerId);
+    if (!was || this.travel >= 4 || !this.shown) return;
+    if (this.measuring) return this.mark(this.at(event));
+    const index = byId("view-frusta").checked ? this.photoAt(this.at(event)) : -1;
+    if (index >= 0) this.toPhoto(index);
+  }
+  key(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey || !this.mover) return;
+    if (event.key === "0") return this.toStart();
+    if (event.code === "KeyM") {
+      if (!this.measuring) this.measure(true);
+      return this.mark([this.overlay.width / 2, this.overlay.height / 2]);
+    }
+    if (!(event.code in KEYS)) return;
+    event.preventDefault();
+    const first = this.keys.size === 0;
+    this.keys.add(event.code);
+    if (first) { this.before = performance.now() - 16; this.fly(this.before + 16); }
+  }
+  /** Moves as long as keys are held: half the distance to what is looked at in a second. */
+  fly(now) {
+    if (this.keys.size === 0) return;
+    const seconds = Math.min(0.1, (now - this.before) / 1000);
+    this.before = now;
+    for (const code of this.keys) KEYS[code](this.mover, seconds, 0.5 * this.mover.distance * seconds);
+    this.moved();
+    requestAnimationFrame((time) => this.fly(time));
+  }
+
+  // ---- bookmarks
+
+  bookmark() {
+    if (!this.shown) return;
+    const { camera, cam_from_world } = this.place();
+    this.bookmarks.push({ name: String(this.bookmarks.length + 1).padStart(4, "0"), camera, cam_from_world });
+    byId("view-download").disabled = false;
+    const mark = this.bookmarks.at(-1);
+    const button = document.createElement("button");
+    Object.assign(button, { type: "button", textContent: `View ${mark.name}` });
+    button.addEventListener("click", () => {
+      this.mover.look(centreOf(mark.cam_from_world), mark.cam_from_world[2].slice(0, 3), this.mover.distance);
+      this.moved();
+    });
+    const item = document.createElement("li");
+    item.append(button);
+    byId("view-bookmarks").append(item);
+  }
+  download() {
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(new Blob([JSON.stringify(this.bookmarks, null, 1)], { type: "application/json" }));
+    link.download = "bookmarks.json";
+    link.click();
+    URL.revokeObjectURL(link.href);
+  }
+}
+
+/** What a key does in some seconds, in which the camera flies some world units. */
+const KEYS = {
+  KeyW: (mover, _, way) => mover.move([0, 0, way]),
+  KeyS: (mover, _, way) => mover.move([0, 0, -way]),
+  KeyA: (mover, _, way) => mover.move([-way, 0, 0]),
+  KeyD: (mover, _, way) => mover.move([way, 0, 0]),
+  KeyQ: (mover, _, way) => mover.move([0, way, 0]),
+  KeyE: (mover, _, way) => mover.move([0, -way, 0]),
+  ArrowLeft: (mover, seconds) => mover.turn(-seconds, 0),
+  ArrowRight: (mover, seconds) => mover.turn(seconds, 0),
+  ArrowUp: (mover, seconds) => mover.turn(0, seconds),
+  ArrowDown: (mover, seconds) => mover.turn(0, -seconds),
+  Equal: (mover, seconds) => mover.zoom(1 - seconds),
+  NumpadAdd: (mover, seconds) => mover.zoom(1 - seconds),
+  Minus: (mover, seconds) => mover.zoom(1 + seconds),
+  NumpadSubtract: (mover, seconds) => mover.zoom(1 + seconds),
+};
+
+if (byId("view-stage")) new View(Number(byId("live").dataset.run)).open();

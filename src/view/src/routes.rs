@@ -1,0 +1,333 @@
+//! What is answered to which address.
+
+use std::sync::Arc;
+
+use axum::Router;
+use axum::body::{Body, Bytes};
+use axum::extract::{DefaultBodyLimit, Path, Request, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
+use axum::middleware::{self, Next};
+use axum::response::sse::{KeepAlive, Sse};
+use axum::response::{IntoResponse as _, Response};
+use axum::routing::{get, post};
+use marf_cache::Digest;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use crate::access::Refusal;
+use crate::content::{BYTES, File};
+use crate::events::follow;
+use crate::field::SharedField;
+use crate::frames::{Mode, View, pick};
+use crate::range::part;
+use crate::server::Site;
+use crate::stream::Received;
+
+/// Most bytes of a request: a view has some hundred.
+const MOST_BODY_BYTES: usize = 16 << 10;
+
+/// What a page may do: nothing but read from here; no script or style in it, no frame around it.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; media-src 'self'; \
+    connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+const HTML: &str = "text/html; charset=utf-8";
+const JSON: &str = "application/json";
+const TEXT: &str = "text/plain; charset=utf-8";
+
+/// Returns all routes below a prefix.
+pub fn routes(site: Arc<Site>, prefix: &str) -> Router {
+    let at = |path: &str| format!("{prefix}{path}");
+    let fixed = |media: &'static str, text: &'static str| get(move || async move { answer(media, text) });
+    let script = |text: &'static str| fixed("text/javascript; charset=utf-8", text);
+    let mut routes = Router::new()
+        .route(&at("/"), get(page))
+        .route(&at("/live.js"), script(include_str!("page/live.js")))
+        .route(&at("/mover.js"), script(include_str!("page/mover.js")))
+        .route(&at("/view.js"), script(include_str!("page/view.js")))
+        .route(
+            &at("/view.css"),
+            fixed("text/css; charset=utf-8", include_str!("page/view.css")),
+        )
+        .route(
+            &at("/icon.svg"),
+            fixed("image/svg+xml", include_str!("page/icon.svg")),
+        )
+        .route(&at("/events"), get(events))
+        .route(&at("/object/{digest}"), get(object))
+        .route(&at("/scene/{run}/{field}"), get(scene))
+        .route(&at("/photo/{run}/{field}/{digest}"), get(photo))
+        .route(&at("/frames"), post(frames))
+        .route(&at("/pick"), post(picked));
+    if !prefix.is_empty() {
+        // Relative addresses of the page need the slash.
+        let to = at("/");
+        routes = routes.route(prefix, get(move || std::future::ready(redirect(&to))));
+    }
+    routes
+        .fallback(|| async { refusal(StatusCode::NOT_FOUND, "there is nothing at this address") })
+        .layer(DefaultBodyLimit::max(MOST_BODY_BYTES))
+        .layer(middleware::from_fn_with_state(Arc::clone(&site), guard))
+        .with_state(site)
+}
+
+/// Checks every request, and says in every answer what a page may do with it.
+async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) -> Response {
+    let mut response = match entrance(&site, &request) {
+        Some(response) => response,
+        None => match site.access.check(request.method(), request.headers()) {
+            Ok(()) => next.run(request).await,
+            Err(refused) => {
+                let status = match refused {
+                    Refusal::Token => StatusCode::UNAUTHORIZED,
+                    Refusal::Host | Refusal::Origin => StatusCode::FORBIDDEN,
+                };
+                refusal(status, refused.message())
+            }
+        },
+    };
+    let set = |name: HeaderName, value: &'static str| (name, HeaderValue::from_static(value));
+    response.headers_mut().extend([
+        set(header::CONTENT_SECURITY_POLICY, POLICY),
+        set(header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        set(header::REFERRER_POLICY, "no-referrer"),
+        set(
+            HeaderName::from_static("cross-origin-resource-policy"),
+            "same-origin",
+        ),
+        set(
+            HeaderName::from_static("cross-origin-opener-policy"),
+            "same-origin",
+        ),
+    ]);
+    response
+}
+
+/// Answers the address that `marf view` printed, which holds the token: a cookie takes its place.
+fn entrance(site: &Site, request: &Request) -> Option<Response> {
+    let token = request.uri().query()?.strip_prefix("token=")?;
+    let is_let_in = request.method() == Method::GET
+        && site.access.check_host(request.headers()).is_ok()
+        && site.access.is_token(token);
+    if !is_let_in {
+        return None;
+    }
+    let cookie = format!("{}={token}; HttpOnly; SameSite=Strict", site.access.cookie_name());
+    let mut response = redirect("./");
+    response
+        .headers_mut()
+        .insert(header::SET_COOKIE, cookie.parse().ok()?);
+    Some(response)
+}
+
+async fn page(State(site): State<Arc<Site>>) -> Response {
+    match blocking(move || site.refreshed()).await {
+        Ok(content) => answer(HTML, content.html.clone()),
+        Err(message) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &message),
+    }
+}
+
+async fn events(State(site): State<Arc<Site>>) -> Response {
+    let stream = Received::new(follow(Arc::clone(&site.source)));
+    Sse::new(stream).keep_alive(KeepAlive::default()).into_response()
+}
+
+async fn object(State(site): State<Arc<Site>>, Path(digest): Path<String>, headers: HeaderMap) -> Response {
+    let Ok(digest) = digest.parse::<Digest>() else {
+        return refusal(
+            StatusCode::NOT_FOUND,
+            "an object is named by the 64 hexadecimal digits of its digest",
+        );
+    };
+    let read = move || {
+        let none = || "the shown run names no such object, or the store has lost it".to_owned();
+        site.content()
+            .file(site.source.as_ref(), &digest)
+            .ok_or_else(none)
+    };
+    let range = headers.get(header::RANGE).and_then(|range| range.to_str().ok());
+    file(blocking(read).await, range)
+}
+
+async fn photo(
+    State(site): State<Arc<Site>>,
+    Path((run, field, digest)): Path<(u64, usize, String)>,
+) -> Response {
+    let Ok(digest) = digest.parse::<Digest>() else {
+        return refusal(
+            StatusCode::NOT_FOUND,
+            "a photo is named by the 64 hexadecimal digits of its digest",
+        );
+    };
+    let read = move || {
+        let (content, field) = site.field(run, field)?;
+        content.photo(site.source.as_ref(), &field, &digest)
+    };
+    file(blocking(read).await, None)
+}
+
+async fn scene(State(site): State<Arc<Site>>, Path((run, field)): Path<(u64, usize)>) -> Response {
+    let read = move || {
+        let (_, field) = site.field(run, field)?;
+        serde_json::to_string(&field.view()).map_err(|error| error.to_string())
+    };
+    match blocking(read).await {
+        Ok(json) => answer(JSON, json),
+        Err(message) => refusal(StatusCode::NOT_FOUND, &message),
+    }
+}
+
+/// A view that a page asks for.
+#[derive(Deserialize)]
+struct FramesRequest {
+    run: u64,
+    field: usize,
+    /// A number that the page has drawn for itself.
+    viewer: u64,
+    mode: Mode,
+    #[serde(flatten)]
+    view: View,
+}
+
+async fn frames(State(site): State<Arc<Site>>, body: Bytes) -> Response {
+    let asked = asked(&site, &body, |request: &FramesRequest| {
+        (request.run, request.field, &request.view)
+    })
+    .await;
+    let (request, field) = match asked {
+        Ok(asked) => asked,
+        Err(response) => return *response,
+    };
+    let mut frames = site
+        .renderer
+        .frames(request.viewer, field, request.view, request.mode);
+    // The first picture decides about the status: what cannot be rendered is told as text.
+    match frames.recv().await {
+        Some(Ok(first)) => answer(BYTES, Body::from_stream(Received::after(Ok(first), frames))),
+        Some(Err(error)) => refusal(StatusCode::UNPROCESSABLE_ENTITY, &error.to_string()),
+        None => refusal(StatusCode::CONFLICT, "a newer view is wanted"),
+    }
+}
+
+/// A point of a view that a page asks for.
+#[derive(Deserialize)]
+struct PickRequest {
+    run: u64,
+    field: usize,
+    /// Column and row.
+    pixel: [u32; 2],
+    #[serde(flatten)]
+    view: View,
+}
+
+async fn picked(State(site): State<Arc<Site>>, body: Bytes) -> Response {
+    let asked = asked(&site, &body, |request: &PickRequest| {
+        (request.run, request.field, &request.view)
+    })
+    .await;
+    let (request, field) = match asked {
+        Ok(asked) => asked,
+        Err(response) => return *response,
+    };
+    let work = move || pick(&field, &request.view, request.pixel);
+    match site.renderer.run(work).await {
+        Some(Ok(picked)) => json(&picked),
+        Some(Err(error)) => refusal(StatusCode::UNPROCESSABLE_ENTITY, &error.to_string()),
+        None => refusal(StatusCode::SERVICE_UNAVAILABLE, "the server ends"),
+    }
+}
+
+/// Reads a request for a view, checks it, and returns it with its field.
+async fn asked<R: DeserializeOwned>(
+    site: &Arc<Site>,
+    body: &[u8],
+    of: impl Fn(&R) -> (u64, usize, &View),
+) -> Result<(R, SharedField), Box<Response>> {
+    let refused = |status, message: String| Box::new(refusal(status, &message));
+    let request: R = serde_json::from_slice(body)
+        .map_err(|error| refused(StatusCode::BAD_REQUEST, format!("not a view: {error}")))?;
+    let (run, field, view) = of(&request);
+    view.check()
+        .map_err(|message| refused(StatusCode::BAD_REQUEST, message))?;
+    let site = Arc::clone(site);
+    let found = blocking(move || site.field(run, field)).await;
+    let (_, field) = found.map_err(|message| refused(StatusCode::NOT_FOUND, message))?;
+    Ok((request, field))
+}
+
+/// Runs what reads the store where it holds up nobody.
+async fn blocking<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T, String> + Send + 'static,
+) -> Result<T, String> {
+    let done = tokio::task::spawn_blocking(work).await;
+    done.unwrap_or_else(|error| Err(format!("the request failed: {error}")))
+}
+
+/// Answers a file, or the part of it that is asked for.
+fn file(found: Result<File, String>, range: Option<&str>) -> Response {
+    let file = match found {
+        Ok(file) => file,
+        Err(message) => return refusal(StatusCode::NOT_FOUND, &message),
+    };
+    let whole = Bytes::from_owner(file.bytes);
+    let length = whole.len();
+    let mut response = match part(range, length) {
+        None => answer(file.media, Body::from(whole)),
+        Some(part) => {
+            let content = format!("bytes {}-{}/{length}", part.start, part.end - 1);
+            let response = answer(file.media, Body::from(whole.slice(part)));
+            (
+                StatusCode::PARTIAL_CONTENT,
+                [(header::CONTENT_RANGE, content)],
+                response,
+            )
+                .into_response()
+        }
+    };
+    // The bytes of a digest never change.
+    let headers = response.headers_mut();
+    headers.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
+    headers.insert(
+        header::CACHE_CONTROL,
+        HeaderValue::from_static("private, max-age=31536000, immutable"),
+    );
+    if file.media == BYTES {
+        headers.insert(
+            header::CONTENT_DISPOSITION,
+            HeaderValue::from_static("attachment"),
+        );
+    }
+    response
+}
+
+fn json(value: &impl Serialize) -> Response {
+    match serde_json::to_string(value) {
+        Ok(json) => answer(JSON, json),
+        Err(error) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
+    }
+}
+
+fn answer(media: &'static str, body: impl Into<Body>) -> Response {
+    let headers = [
+        (header::CONTENT_TYPE, HeaderValue::from_static(media)),
+        (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
+    ];
+    (headers, body.into()).into_response()
+}
+
+fn refusal(status: StatusCode, message: &str) -> Response {
+    let message = format!("{}\n", message.trim_end());
+    (
+        status,
+        [(header::CONTENT_TYPE, HeaderValue::from_static(TEXT))],
+        message,
+    )
+        .into_response()
+}
+
+fn redirect(to: &str) -> Response {
+    let mut response = StatusCode::SEE_OTHER.into_response();
+    if let Ok(to) = HeaderValue::from_str(to) {
+        response.headers_mut().insert(header::LOCATION, to);
+    }
+    response
+}

@@ -1,0 +1,204 @@
+//! The server: one port, and the run that is shown on it.
+
+use std::net::{IpAddr, SocketAddr, TcpListener};
+use std::num::NonZero;
+use std::sync::Arc;
+use std::time::Duration;
+
+use marf_field::Device;
+use parking_lot::Mutex;
+
+use crate::ViewError;
+use crate::access::Access;
+use crate::content::Content;
+use crate::field::SharedField;
+use crate::renderer::Renderer;
+use crate::routes::routes;
+use crate::source::Source;
+
+/// How often the wish to stop is looked at.
+const STOP_EVERY: Duration = Duration::from_millis(100);
+/// How long requests may go on after it.
+const LAST_WORK: Duration = Duration::from_millis(500);
+
+/// How the page is served.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// Name or address to listen on.
+    pub host: String,
+    /// Port; 0 takes a free one.
+    pub port: u16,
+    /// What a request has to bring.
+    pub token: Option<String>,
+    /// Path below which everything is, without a slash at its end; empty for none.
+    pub prefix: String,
+    /// Threads that render; none: one a core.
+    pub threads: Option<NonZero<usize>>,
+    /// What renders.
+    pub device: Device,
+}
+
+/// A server that has its port.
+pub struct Server {
+    listener: TcpListener,
+    address: SocketAddr,
+    options: Options,
+    site: Arc<Site>,
+}
+
+/// What all requests share.
+pub struct Site {
+    /// The store.
+    pub source: Arc<dyn Source>,
+    /// Who may ask.
+    pub access: Access,
+    /// Renders pictures.
+    pub renderer: Renderer,
+    content: Mutex<Arc<Content>>,
+    device: Device,
+}
+
+impl Site {
+    /// Returns the run that is shown.
+    pub fn content(&self) -> Arc<Content> {
+        Arc::clone(&self.content.lock())
+    }
+
+    /// Returns the run to show now, which is read if it is another one.
+    ///
+    /// # Errors
+    /// One sentence.
+    pub fn refreshed(&self) -> Result<Arc<Content>, String> {
+        let content = self.content();
+        if self.source.newest() == content.number {
+            return Ok(content);
+        }
+        let content = Arc::new(Content::new(self.source.content()?)?);
+        *self.content.lock() = Arc::clone(&content);
+        Ok(content)
+    }
+
+    /// Returns a field of the run that a page shows.
+    ///
+    /// # Errors
+    /// One sentence: the page is older than what is shown now; a field that is lost.
+    pub fn field(&self, run: u64, index: usize) -> Result<(Arc<Content>, SharedField), String> {
+        let content = self.content();
+        if content.number != Some(run) {
+            let now = content.number.unwrap_or_default();
+            return Err(format!(
+                "this page is of run {run}, and run {now} is shown now: load it again"
+            ));
+        }
+        let field = content.field(index, self.source.as_ref(), &self.device)?;
+        Ok((content, field))
+    }
+}
+
+impl Server {
+    /// Takes the port, and reads the run to show.
+    ///
+    /// # Errors
+    /// A port that is taken; an address that others reach, without a token; a run that cannot be read.
+    pub fn bind(options: Options, source: Arc<dyn Source>) -> Result<Self, ViewError> {
+        check_prefix(&options.prefix)?;
+        let access = Access::new(&options.host, options.token.as_deref())?;
+        let listen = |cause| ViewError::Listen {
+            host: options.host.clone(),
+            port: options.port,
+            cause,
+        };
+        let listener = TcpListener::bind((options.host.as_str(), options.port)).map_err(listen)?;
+        let address = listener.local_addr().map_err(listen)?;
+        listener.set_nonblocking(true).map_err(listen)?;
+        let content = source
+            .content()
+            .and_then(Content::new)
+            .map_err(ViewError::Content)?;
+        let site = Site {
+            source,
+            access,
+            renderer: Renderer::new(options.threads)?,
+            content: Mutex::new(Arc::new(content)),
+            device: options.device.clone(),
+        };
+        Ok(Self {
+            listener,
+            address,
+            options,
+            site: Arc::new(site),
+        })
+    }
+
+    /// Returns the address to open, with the token.
+    pub fn address(&self) -> String {
+        let host = match self.options.host.parse::<IpAddr>() {
+            Ok(IpAddr::V6(address)) => format!("[{address}]"),
+            _ => self.options.host.clone(),
+        };
+        let token = self.options.token.as_ref().map(|token| format!("?token={token}"));
+        let (port, prefix) = (self.address.port(), &self.options.prefix);
+        format!("http://{host}:{port}{prefix}/{}", token.unwrap_or_default())
+    }
+
+    /// Answers requests until `stop` tells so.
+    ///
+    /// # Errors
+    /// A port that is lost, threads that cannot be started.
+    pub fn serve(self, stop: impl Fn() -> bool) -> Result<(), ViewError> {
+        let mut runtime = tokio::runtime::Builder::new_multi_thread();
+        let runtime = runtime
+            .worker_threads(2)
+            .enable_all()
+            .build()
+            .map_err(ViewError::Server)?;
+        let routes = routes(self.site, &self.options.prefix);
+        let served = runtime.block_on(async {
+            let listener = tokio::net::TcpListener::from_std(self.listener)?;
+            let stopped = async {
+                while !stop() {
+                    tokio::time::sleep(STOP_EVERY).await;
+                }
+            };
+            tokio::select! {
+                served = axum::serve(listener, routes).into_future() => served,
+                () = stopped => Ok(()),
+            }
+        });
+        runtime.shutdown_timeout(LAST_WORK);
+        served.map_err(ViewError::Server)
+    }
+}
+
+/// Checks a path below which everything is.
+fn check_prefix(prefix: &str) -> Result<(), ViewError> {
+    let is_plain = |char: char| char.is_ascii_alphanumeric() || "-_./".contains(char);
+    let is_path = prefix.starts_with('/') && !prefix.ends_with('/') && !prefix.contains("//");
+    match prefix.is_empty() || (is_path && prefix.chars().all(is_plain)) {
+        true => Ok(()),
+        false => Err(ViewError::Prefix(prefix.to_owned())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_prefix_is_a_path_without_a_slash_at_its_end() {
+        for prefix in ["", "/mars", "/a/b.c/d-e_f"] {
+            assert!(check_prefix(prefix).is_ok(), "{prefix}");
+        }
+        for prefix in [
+            "mars",
+            "/",
+            "/mars/",
+            "//evil.example",
+            "/{x}",
+            "/a b",
+            "/\"><script>",
+        ] {
+            assert!(check_prefix(prefix).is_err(), "{prefix}");
+        }
+    }
+}

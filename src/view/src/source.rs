@@ -1,0 +1,50 @@
+//! What the program gives the page.
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use marf_cache::Digest;
+
+/// The store, as far as the page reads it.
+pub trait Source: Send + Sync {
+    /// Returns the number of the run to show now; none if there is none.
+    fn newest(&self) -> Option<u64>;
+
+    /// Reads the run to show now.
+    ///
+    /// # Errors
+    /// One sentence.
+    fn content(&self) -> Result<RunContent, String>;
+
+    /// Reads an object; none if the store does not have it.
+    fn object(&self, digest: &Digest) -> Option<Arc<[u8]>>;
+
+    /// Returns the folder in which running programs leave their events.
+    fn event_folder(&self) -> PathBuf;
+}
+
+/// A run as it is shown.
+pub struct RunContent {
+    /// Its number; none if there is no run yet.
+    pub number: Option<u64>,
+    /// Its report, HTML as `report.html` has it.
+    pub report: String,
+    /// The objects that it names.
+    pub objects: BTreeSet<Digest>,
+    /// Its trained fields.
+    pub fields: Vec<FieldSource>,
+}
+
+/// A trained field of a run.
+#[derive(Debug, Clone)]
+pub struct FieldSource {
+    /// Name of the node that trained it.
+    pub node: String,
+    /// The field.
+    pub weights: Digest,
+    /// Its scene.
+    pub scene: Digest,
+    /// Fields of the retrainings whose uncertainty is shown; empty if there are none.
+    pub members: Vec<Digest>,
+}
