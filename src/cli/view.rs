@@ -16,7 +16,7 @@ use parking_lot::Mutex;
 
 use super::args::Global;
 use super::error::{CliError, Diagnostic};
-use super::session::{existing_store, is_export};
+use super::session::{existing_store, is_aside};
 use crate::progress::event_folder;
 use crate::show;
 use crate::terminal::{eprint_line, print_line};
@@ -87,7 +87,7 @@ impl StoreSource {
         // A run that cannot be read is passed over here: `marf log` names it.
         let mut runs = numbers.into_iter().rev().filter_map(|number| read(number).ok());
         let has_much = |run: &RunRecord| self.report(run).is_some() || !fields(run).is_empty();
-        Ok(runs.find(|run| !is_export(run) && has_much(run)))
+        Ok(runs.find(|run| !is_aside(run) && has_much(run)))
     }
 
     /// Returns the digest of the report that a run has kept.
@@ -100,7 +100,7 @@ impl StoreSource {
     fn later_without(&self, shown: u64) -> Vec<u64> {
         let numbers = self.store.run_numbers().unwrap_or_default();
         let runs = numbers.into_iter().filter(|number| *number > shown);
-        let own = |number: &u64| run_of(&self.store, *number).is_ok_and(|run| !is_export(&run));
+        let own = |number: &u64| run_of(&self.store, *number).is_ok_and(|run| !is_aside(&run));
         runs.filter(own).collect()
     }
 }

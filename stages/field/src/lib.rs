@@ -78,7 +78,7 @@ pub use picture::Render;
 pub use pixels::Pixels;
 pub use quality::{EXPECTED_STEPS_PER_S, Quality};
 
-pub use schedule::{Schedule, ScheduleError};
+pub use schedule::{STEPS_A_HALVING, Schedule, ScheduleError};
 pub use size::{Chosen, Sizes};
 pub use trainer::Trainer;
 pub use views::View;

@@ -21,7 +21,7 @@ const LAST_HALVED: f64 = 0.9;
 /// Steps for which the rate stays at least: a training of 400 steps lost .6 dB where it fell from the start.
 const RATE_HELD: u64 = 512;
 /// Fewest steps for each halving: before, there is no surface that shorter steps would find more exactly.
-const STEPS_A_HALVING: u64 = 640;
+pub const STEPS_A_HALVING: u64 = 640;
 /// With fewer samples a ray than this the steps are halved at once; checked every [`FEW_AT`] steps.
 const FEW_SAMPLES: f64 = 8.0;
 const FEW_AT: u64 = 128;

@@ -123,6 +123,11 @@ impl Trainer {
         training.halvings_due(end).saturating_sub(training.state.halvings)
     }
 
+    /// Returns how often the steps along rays are halved at most: once in [`STEPS_A_HALVING`](crate::STEPS_A_HALVING) steps.
+    pub fn most_halvings(&self) -> u32 {
+        self.training.sizes.halvings.value
+    }
+
     /// Takes over the plans of another training: step size and length of steps along rays are then as there.
     pub fn follow(&mut self, schedule: Schedule) {
         self.training.schedule = schedule;

@@ -2,7 +2,8 @@
 
 use std::time::Instant;
 
-use marf_field::{Schedule, Trainer};
+use marf_field::{STEPS_A_HALVING, Schedule, Trainer};
+use marf_scene::Camera;
 use marf_schema::train::{Limit, TrainParams};
 use marf_stage::{Ctx, StageError};
 use serde::{Deserialize, Serialize};
@@ -24,15 +25,17 @@ const NEWEST: f64 = 0.5;
 /// Part of the time, and most seconds, for which the rate is measured before the sizes are chosen.
 const PILOT_SHARE: f64 = 1.0 / 16.0;
 const PILOT_MOST_S: f64 = 3.0;
-/// Part of a whole wait that the training has at least, whatever comes before and after it.
-const LEAST_SHARE: f64 = 1.0 / 32.0;
-/// Samples of a training that take as long as a ray of a render before any halving: 9 and 10 on mock-up and fox.
-const SAMPLES_A_RAY: f64 = 9.5;
-/// By how much longer a render takes where steps along rays are half as long: 0.70 s a photo of 360 x 480 pixels before three
-/// halvings and 2.0 s after them (22 photos of the mock-up, one run).
-const LONGER: f64 = 1.42;
-/// Part of the time after which judging is measured again, where it is part of the same wait.
-const JUDGED_AGAIN: f64 = 0.5;
+/// Samples of a training that take as long as a ray of a render before any halving: 2.4 on the fox, 4.4 on the mock-up.
+const SAMPLES_A_RAY: f64 = 4.0;
+/// By how much longer a render takes where steps along rays are half as long: mock-up, 24 photos of 360 x 480 pixels, 11 s after
+/// one halving and 46 s after four.
+const LONGER: f64 = 1.6;
+/// Steps before which a field is a fog, whose renders tell nothing of those at the end.
+const CLEAR_AT: u64 = 1_280;
+/// Longest side of the photos that judging is measured on, pixels.
+const MEASURED_SIDE_PX: u32 = 96;
+/// Part of the time after which judging is measured again, where it is part of the same time.
+const JUDGED_EVERY: f64 = 1.0 / 12.0;
 /// Part of a checkpoint that holds what the pilot found.
 const PART: &str = "pilot";
 
@@ -41,8 +44,18 @@ const PART: &str = "pilot";
 pub(super) struct Clock {
     budget_s: f64,
     used_s: f64,
-    /// Seconds that judging will take, as foreseen, where they are part of the same wait and not measured again yet.
-    judging_s: Option<f64>,
+    /// Where judging is part of the same time.
+    wait: Option<Wait>,
+}
+
+/// What is known of judging that is part of the same time as the training.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+struct Wait {
+    /// Seconds that it will take, as last foreseen.
+    judging_s: f64,
+    /// Seconds used when that was, and after how many more it is measured again.
+    at_s: f64,
+    every_s: f64,
 }
 
 /// The clock of a training as a checkpoint keeps it, with the schedule that it made.
@@ -51,8 +64,7 @@ pub(super) struct Clocked {
     /// Seconds of the training, all in all and used so far.
     pub budget_s: f64,
     pub used_s: f64,
-    /// As [`Clock::judging_s`].
-    judging_s: Option<f64>,
+    wait: Option<Wait>,
     /// The schedule so far.
     pub schedule: Schedule,
 }
@@ -64,8 +76,7 @@ struct Pilot {
     budget_s: f64,
     steps: u64,
     used_s: f64,
-    /// As [`Clock::judging_s`].
-    judging_s: Option<f64>,
+    wait: Option<Wait>,
     /// Seconds of the whole node, as foreseen.
     expected_s: f64,
 }
@@ -93,7 +104,7 @@ impl Clock {
             budget_s,
             steps,
             used_s,
-            judging_s,
+            wait,
             expected_s,
         } = pilot;
         ctx.progress.took("expected", expected_s);
@@ -104,7 +115,7 @@ impl Clock {
         Ok(Self {
             budget_s,
             used_s,
-            judging_s,
+            wait,
         })
     }
 
@@ -121,7 +132,7 @@ impl Clock {
         *self = Self {
             budget_s: clocked.budget_s,
             used_s: clocked.used_s,
-            judging_s: clocked.judging_s,
+            wait: clocked.wait,
         };
     }
 
@@ -153,25 +164,35 @@ impl Pilot {
         train_for(ctx, &mut trainer, half_s)?;
         let [rate, samples_per_s] = train_for(ctx, &mut trainer, half_s)?;
         let used_s = begun.elapsed().as_secs_f64();
-        trainer.plan(steps_in(limit.seconds(), rate));
-        let judging_s = plan.judging_samples(&trainer) / samples_per_s;
+        let unhalved_s = plan.judged_rays() * SAMPLES_A_RAY / samples_per_s;
+        let most_halvings = trainer.most_halvings();
         drop(trainer);
         // The training reads its photos anew; they were shrunk by now.
         let read = Instant::now();
         drop(views()?);
         let again_s = read.elapsed().as_secs_f64();
-        let budget_s = match limit {
-            Limit::Training(budget) => budget.seconds(),
+        let judging = |halvings: u32| unhalved_s * LONGER.powi(halvings as i32);
+        let halvings = |steps: u64| most_halvings.min((steps / STEPS_A_HALVING) as u32);
+        let (budget_s, judging_s) = match limit {
+            Limit::Training(budget) => {
+                let halvings = halvings(steps_in(budget.seconds() - used_s, rate));
+                (budget.seconds(), judging(halvings))
+            }
             Limit::Wait(wait) => {
-                let left_s = wait.seconds() - ctx.began.elapsed().as_secs_f64() - again_s - judging_s;
-                (used_s + left_s).max(used_s + wait.seconds() * LEAST_SHARE)
+                let left_s = wait.seconds() - ctx.began.elapsed().as_secs_f64() - again_s;
+                let (steps, judging_s) = most_steps((left_s, rate), most_halvings, judging);
+                (used_s + steps as f64 / rate, judging_s)
             }
         };
         Ok(Self {
             budget_s,
             steps: steps_in(budget_s - used_s, rate),
             used_s,
-            judging_s: matches!(limit, Limit::Wait(_)).then_some(judging_s),
+            wait: matches!(limit, Limit::Wait(_)).then_some(Wait {
+                judging_s,
+                at_s: used_s,
+                every_s: limit.seconds() * JUDGED_EVERY,
+            }),
             expected_s: read_s + again_s + budget_s + judging_s,
         })
     }
@@ -183,32 +204,57 @@ impl Plan<'_> {
         self.split.held_out.len() + self.seen().map_or(0, |seen| seen.len())
     }
 
-    /// Returns the samples of the training that judging will take as long as: a pilot's field is a fog, whose renders tell
-    /// nothing of those at the end.
-    fn judging_samples(&self, trainer: &Trainer) -> f64 {
+    /// Returns the rays of all photos that the field will be judged by.
+    fn judged_rays(&self) -> f64 {
         let camera = self.split.held_out[0]
             .frame
             .camera
             .box_reduced(self.settings.scale);
-        let rays = f64::from(camera.width) * f64::from(camera.height) * self.judged() as f64;
-        rays * SAMPLES_A_RAY * LONGER.powi(trainer.halvings_left() as i32)
+        f64::from(camera.width) * f64::from(camera.height) * self.judged() as f64
     }
 
-    /// Returns the seconds that judging will take, as one photo takes now and will take with the shorter steps of the end.
+    /// Returns the seconds that judging will take, as the held-out photos take now when they are small, and will take at their size
+    /// with the shorter steps of the end.
     pub fn judging_s(
         &self,
         ctx: &Ctx<'_>,
         photos: &PhotoReader<'_>,
         trainer: &mut Trainer,
     ) -> Result<f64, StageError> {
-        let first = &self.split.held_out[0];
-        let field = &trainer.field().map_err(TrainError::from)?;
+        let held_out = &self.split.held_out;
+        let both = photos.map(held_out, self.memory.at_once, |_, photo| {
+            (photo.camera, photo.shrunk_to(MEASURED_SIDE_PX))
+        })?;
+        let rays = |camera: &Camera| f64::from(camera.width) * f64::from(camera.height);
+        let whole: f64 = both.iter().map(|(camera, _)| rays(camera)).sum();
+        let small: f64 = both.iter().map(|(_, small)| rays(&small.camera)).sum();
+        let small_photos = both.into_iter().map(|(_, small)| small);
+        let pairs: Vec<_> = held_out.iter().cloned().zip(small_photos).collect();
+        let field = trainer.field().map_err(TrainError::from)?;
         let begun = Instant::now();
-        let photo = photos.read(first.frame)?;
-        mean_psnr(ctx, field, &[(first.clone(), photo)])?;
+        mean_psnr(ctx, &field, &pairs)?;
         let slower = LONGER.powi(trainer.halvings_left() as i32);
-        Ok(begun.elapsed().as_secs_f64() * slower * self.judged() as f64)
+        let judged = self.judged() as f64 / held_out.len() as f64;
+        Ok(begun.elapsed().as_secs_f64() * whole / small * slower * judged)
     }
+}
+
+/// Returns the most steps that, with the judging after them, fit into a time, and the seconds of that judging: every halving of the
+/// steps along rays, after [`STEPS_A_HALVING`] steps each, lets judging take longer.
+fn most_steps((left_s, rate): (f64, f64), most: u32, judging: impl Fn(u32) -> f64) -> (u64, f64) {
+    let of = |halvings: u32| {
+        let steps = steps_in(left_s - judging(halvings), rate);
+        let before_next = STEPS_A_HALVING * (u64::from(halvings) + 1) - 1;
+        let steps = if halvings < most {
+            steps.min(before_next)
+        } else {
+            steps
+        };
+        (steps, judging(halvings))
+    };
+    (1..=most)
+        .map(of)
+        .fold(of(0), |best, next| if next.0 > best.0 { next } else { best })
 }
 
 /// Trains for a time, at least one step, and returns steps and samples a second.
@@ -251,20 +297,24 @@ impl Ticking {
         Clocked {
             budget_s: self.clock.budget_s,
             used_s: self.used_s(),
-            judging_s: self.clock.judging_s,
+            wait: self.clock.wait,
             schedule: schedule.clone(),
         }
     }
 
-    /// Tells whether judging is to be measured again: a field that has learnt nothing yet is a fog, which takes another time.
-    pub fn is_to_judge(&self) -> bool {
-        self.clock.judging_s.is_some() && self.used_s() > self.clock.budget_s * JUDGED_AGAIN
+    /// Tells whether judging is to be measured again: it takes longer with every halving of the steps along rays.
+    pub fn is_to_judge(&self, steps: u64) -> bool {
+        let is_due = |wait: Wait| steps >= CLEAR_AT && self.used_s() - wait.at_s > wait.every_s;
+        self.clock.wait.is_some_and(is_due)
     }
 
     /// Leaves so many seconds for judging.
     pub fn leave(&mut self, judging_s: f64) {
-        let foreseen_s = self.clock.judging_s.take().unwrap_or(judging_s);
-        self.clock.budget_s += foreseen_s - judging_s;
+        let used_s = self.used_s();
+        if let Some(wait) = &mut self.clock.wait {
+            self.clock.budget_s += wait.judging_s - judging_s;
+            (wait.judging_s, wait.at_s) = (judging_s, used_s);
+        }
     }
 
     /// Plans the end of a training anew if it is time to and it has not come.
@@ -306,7 +356,7 @@ mod tests {
         Clock {
             budget_s,
             used_s: 0.0,
-            judging_s: None,
+            wait: None,
         }
         .start(0)
     }
@@ -335,6 +385,18 @@ mod tests {
             None,
             "less than a hundredth of what is left"
         );
+    }
+
+    /// 100 steps a second and 60 s, judging 5 s and twice as long with each halving: 3,840 steps have six halvings of 640 steps,
+    /// which judging forbids; after three it takes 40 s and leaves 2,000 steps, after two 20 s, and the third comes at step 1,920.
+    #[test]
+    fn judging_that_becomes_slower_with_the_steps_leaves_as_many_as_fit() {
+        let judging = |halvings: u32| 5.0 * 2_f64.powi(halvings as i32);
+        assert_eq!(most_steps((60.0, 100.0), 6, judging), (2_000, 40.0));
+        assert_eq!(most_steps((50.0, 100.0), 6, judging), (1_919, 20.0));
+        assert_eq!(most_steps((60.0, 100.0), 0, judging), (5_500, 5.0));
+        assert_eq!(most_steps((60.0, 100.0), 1, |_| 0.0), (6_000, 0.0));
+        assert_eq!(most_steps((1.0, 100.0), 6, judging).0, 1, "no time is left");
     }
 
     /// Whatever the rate does, a training ends within a tenth of its time; only one that becomes faster at the end ends early.

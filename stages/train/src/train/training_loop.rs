@@ -117,7 +117,7 @@ pub(crate) fn train_to(
         let step = trainer.advance(until - log.measured).map_err(TrainError::from)?;
         log.add(&step);
         if let Some(ticking) = &mut ticking {
-            if let Some(judging_s) = run.judging_s.filter(|_| ticking.is_to_judge()) {
+            if let Some(judging_s) = run.judging_s.filter(|_| ticking.is_to_judge(trainer.steps())) {
                 ticking.leave(judging_s(trainer)?);
             }
             ticking.plan(trainer);
