@@ -115,7 +115,7 @@ fn check_trade(root: &Located) -> Result<(), ConfigError> {
     };
     for knob in knobs {
         let values = knob.value.json();
-        if !values.as_array().is_some_and(|values| !values.is_empty()) || !knob.key.contains('.') {
+        if values.as_array().is_none_or(Vec::is_empty) || !knob.key.contains('.') {
             let message = format!("`trade.{}` is no key of a node with a list of values", knob.key);
             return refuse(&knob.at, message);
         }

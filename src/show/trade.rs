@@ -210,6 +210,13 @@ const ROW: f64 = 20.0;
 const STYLE: &str = "svg.trade{font:12px system-ui,sans-serif;background:#fdfcfa;color:#23201c}\
     @media(prefers-color-scheme:dark){svg.trade{background:#191715;color:#e9e4dc}}";
 
+/// Returns a drawing as a file of its own.
+pub fn file(drawing: &Markup) -> String {
+    drawing
+        .0
+        .replacen("<svg ", "<svg xmlns=\"http://www.w3.org/2000/svg\" ", 1)
+}
+
 /// Draws PSNR against time, which is shown by its logarithm, with the front as a line.
 pub fn front(trade: &Trade) -> Markup {
     let places: Vec<(usize, f64, f64)> = trade
@@ -243,7 +250,7 @@ pub fn front(trade: &Trade) -> Markup {
         .map(|(psnr, time)| format!("{},{}", px(x_of(time)), px(y_of(psnr))))
         .collect();
     html! {
-        svg.trade xmlns="http://www.w3.org/2000/svg" viewBox={ "0 0 " (px(WIDTH)) " " (px(HEIGHT)) } width=(px(WIDTH))
+        svg.trade viewBox={ "0 0 " (px(WIDTH)) " " (px(HEIGHT)) } width=(px(WIDTH))
             height=(px(HEIGHT)) role="img" aria-label="PSNR against time" {
             style { (PreEscaped(STYLE)) }
             @for time in times {
@@ -293,7 +300,7 @@ pub fn effects(trade: &Trade) -> Markup {
     let x_of = |gain: f64| NAMES + (gain / most + 1.0) / 2.0 * plot;
     let clamped = |gain: f64| px(x_of(gain.clamp(-most, most)));
     html! {
-        svg.trade xmlns="http://www.w3.org/2000/svg" viewBox={ "0 0 " (px(WIDTH)) " " (px(height)) } width=(px(WIDTH)) height=(px(height))
+        svg.trade viewBox={ "0 0 " (px(WIDTH)) " " (px(height)) } width=(px(WIDTH)) height=(px(height))
             role="img" aria-label="What each setting gains" {
             style { (PreEscaped(STYLE)) }
             line x1=(px(x_of(0.0))) x2=(px(x_of(0.0))) y1=(px(TOP)) y2=(px(height - ROW)) stroke="currentColor" stroke-opacity="0.4" {}

@@ -88,7 +88,7 @@ fn a_trade_has_points_effects_and_a_front_and_is_kept() {
         text("trade.csv").lines().count(),
         1 + runs.iter().sum::<usize>() + 1
     );
-    assert!(text("front.svg").contains("<svg") && text("effects.svg").contains("train.steps=4"));
+    assert!(text("front.svg").starts_with("<svg xmlns=") && text("effects.svg").contains("train.steps=4"));
     assert!(text("report.html").contains("Time against quality"));
     assert_eq!(
         traded(dir.path(), &[]),

@@ -166,7 +166,7 @@ fn write(
         ("front.svg", trade::front(trade)),
         ("effects.svg", trade::effects(trade)),
     ] {
-        files::write(&args.out.join(name), drawing.into_string().as_bytes())?;
+        files::write(&args.out.join(name), trade::file(&drawing).as_bytes())?;
     }
     files::write(
         &args.out.join(document::REPORT),

@@ -148,10 +148,13 @@ impl<'a> PhotoReader<'a> {
         let mut kept = Vec::with_capacity(frames.len());
         for (group, frames) in frames.chunks(at_once).enumerate() {
             let photos = frames.par_iter().enumerate().with_max_len(1);
-            let of_group: Result<Vec<T>, StageError> = photos
+            let of_group: Vec<Result<T, StageError>> = photos
                 .map(|(index, named)| Ok(keep(group * at_once + index, self.read(named.frame)?)))
                 .collect();
-            kept.extend(of_group?);
+            // Of several that cannot be read the first is told, whichever was met first.
+            for photo in of_group {
+                kept.push(photo?);
+            }
         }
         Ok(kept)
     }
