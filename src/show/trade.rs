@@ -63,7 +63,8 @@ pub struct PointRun {
     pub peak_mb: u64,
 }
 
-/// A value with the interval that holds its mean at 95 %, by Student's t over seeds; without one where there is one seed.
+/// A value with the interval that holds its mean at 95 %, by Student's t and the variance between seeds in all points together;
+/// without one where there is one seed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Interval {
     /// Mean over seeds.

@@ -32,34 +32,47 @@ fn effects(points: &[Point]) -> Vec<Effect> {
         });
         pairs.collect()
     };
-    let turned = others
+    let turned: Vec<(usize, &Point)> = others
         .iter()
         .enumerate()
-        .filter(|(_, point)| point.sets.len() == 1);
-    turned
-        .filter_map(|(index, point)| {
-            Some(Effect {
-                point: index + 1,
-                gain_db: interval(&paired(point, &|run, base| run.psnr - base.psnr))?,
-                time: interval(&paired(point, &|run, base| run.seconds / base.seconds))?,
-            })
-        })
-        .collect()
+        .filter(|(_, point)| point.sets.len() == 1 && !point.runs.is_empty())
+        .collect();
+    let each = |value: &dyn Fn(&PointRun, &PointRun) -> f64| {
+        let differences: Vec<Vec<f64>> = turned.iter().map(|(_, point)| paired(point, value)).collect();
+        intervals(&differences)
+    };
+    let gains = each(&|run, base| run.psnr - base.psnr);
+    let times = each(&|run, base| run.seconds / base.seconds);
+    let both = turned.iter().zip(gains.into_iter().zip(times));
+    both.map(|((index, _), (gain_db, time))| Effect {
+        point: index + 1,
+        gain_db,
+        time,
+    })
+    .collect()
 }
 
-/// Returns the mean with its interval at 95 %; none of nothing.
-fn interval(values: &[f64]) -> Option<Interval> {
-    let count = values.len();
-    if count == 0 {
-        return None;
-    }
-    let mean = values.iter().sum::<f64>() / count as f64;
-    let squares: f64 = values.iter().map(|value| (value - mean) * (value - mean)).sum();
-    let half = (count > 1).then(|| {
-        let student = STUDENT.get(count - 2).copied().unwrap_or(1.96);
-        student * (squares / ((count - 1) * count) as f64).sqrt()
-    });
-    Some(Interval { mean, half })
+/// Returns the mean of each group with its interval at 95 %, by the variance of all groups together: a few seeds tell little of that
+/// of one group.
+fn intervals(groups: &[Vec<f64>]) -> Vec<Interval> {
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let squares = |values: &Vec<f64>| {
+        let mean = mean(values);
+        values
+            .iter()
+            .map(|value| (value - mean) * (value - mean))
+            .sum::<f64>()
+    };
+    let freedom: usize = groups.iter().map(|values| values.len().saturating_sub(1)).sum();
+    let variance = groups.iter().map(squares).sum::<f64>() / freedom.max(1) as f64;
+    let student = freedom
+        .checked_sub(1)
+        .map(|index| STUDENT.get(index).copied().unwrap_or(1.96));
+    let interval = |values: &Vec<f64>| Interval {
+        mean: mean(values),
+        half: student.map(|student| student * (variance / values.len() as f64).sqrt()),
+    };
+    groups.iter().map(interval).collect()
 }
 
 /// Returns the points that none is at once as fast and better than, or faster and as good as, the fastest first.
@@ -182,14 +195,18 @@ mod tests {
         );
         assert!((effect.gain_db.half.unwrap() - 4.303 / 3.0_f64.sqrt()).abs() < 1e-12);
         assert_eq!(effect.time.half, Some(0.0));
-        assert_eq!(
-            interval(&[4.0]),
-            Some(Interval {
-                mean: 4.0,
-                half: None
-            })
+        let [alone] = intervals(&[vec![4.0]])[..] else {
+            panic!("one group")
+        };
+        assert_eq!((alone.mean, alone.half), (4.0, None));
+        // Variances 2 and 0 with a degree of freedom each: 1 in both.
+        let pooled = intervals(&[vec![1.0, 3.0], vec![5.0, 5.0]]);
+        let half = 4.303 / 2.0_f64.sqrt();
+        assert!(
+            pooled.iter().all(|of| (of.half.unwrap() - half).abs() < 1e-12),
+            "{pooled:?}"
         );
-        assert_eq!(interval(&[]), None);
+        assert_eq!(intervals(&[]), []);
     }
 
     #[test]

@@ -7,7 +7,7 @@ mod measured;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use marf_engine::{Cancel, document};
+use marf_engine::{Cancel, Options, document};
 use serde_json::Value;
 
 use self::figures::figures;
@@ -102,7 +102,7 @@ pub fn trade(global: &Global, args: &TradeArgs, cancel: &Cancel) -> Result<(), C
         program::PROGRAM,
         points,
     );
-    write(&session, &trade, global, args, cancel)?;
+    write((&session, &base), &trade, global, args, cancel)?;
     match global.json {
         true => print_json(&trade),
         false => {
@@ -139,7 +139,7 @@ fn one_at_a_time(knobs: &[Knob]) -> Vec<Point> {
 
 /// Keeps the trade as a document of a run that finds all its results, and writes it out.
 fn write(
-    session: &Session,
+    (session, base): (&Session, &Base),
     trade: &Trade,
     global: &Global,
     args: &TradeArgs,
@@ -156,7 +156,10 @@ fn write(
             )?]))
         },
     };
-    let options = options(global, &session.name);
+    let options = Options {
+        to: vec![base.train.clone()],
+        ..options(global, &session.name)
+    };
     let (record, ended) = execute_as(session, &options, global, cancel, &execution)?;
     ended?;
     files::write(&args.out.join(document::TRADE), &json)?;
