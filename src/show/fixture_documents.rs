@@ -209,6 +209,7 @@ fn intervals(floor: f64) -> bootstrap::Calibration {
 pub(super) fn trade() -> trade::Trade {
     let run = |psnr, seconds| trade::PointRun {
         seed: 0,
+        scale: 4,
         psnr,
         ssim: Some(0.7),
         seconds,

@@ -39,6 +39,8 @@ pub struct Point {
 pub struct PointRun {
     /// Its seed.
     pub seed: u64,
+    /// Factor by which photos were shrunk, those that judge it too: PSNR at another factor is another figure.
+    pub scale: u32,
     /// Mean PSNR on the photos held out, dB.
     pub psnr: f64,
     /// Mean SSIM on them.
@@ -91,6 +93,12 @@ impl Point {
             true => "as it is".to_owned(),
             false => self.sets.join(" "),
         }
+    }
+
+    /// Tells whether it is judged by photos of the same size as another.
+    pub fn is_comparable(&self, other: &Self) -> bool {
+        let scale = |point: &Self| point.runs.first().map(|run| run.scale);
+        scale(self).is_some() && scale(self) == scale(other)
     }
 
     /// Returns the means of PSNR, dB, and seconds; none without a run.
@@ -155,7 +163,8 @@ pub(super) fn body(trade: &Trade) -> Markup {
     html! {
         p {
             (trade.points.len()) " settings, " (seeds) " seeds each where one knob is turned, measured on " (trade.machine) ". Seconds are those of \
-             calibration and training with its judging."
+             calibration and training with its judging. A setting with another `scale` is judged by photos of another size: its PSNR \
+             stands in the table alone."
         }
         div.scroll { (front(trade)) }
         ul { @for effect in &trade.effects { li { (effect.sentence(&trade.points[effect.point])) } } }
@@ -224,6 +233,7 @@ pub fn front(trade: &Trade) -> Markup {
         .points
         .iter()
         .enumerate()
+        .filter(|(_, point)| point.is_comparable(&trade.points[0]))
         .filter_map(|(index, point)| point.means().map(|(psnr, time)| (index, time, psnr)))
         .collect();
     let span = |values: &dyn Fn(&(usize, f64, f64)) -> f64| {

@@ -35,7 +35,7 @@ fn effects(points: &[Point]) -> Vec<Effect> {
     let turned: Vec<(usize, &Point)> = others
         .iter()
         .enumerate()
-        .filter(|(_, point)| point.sets.len() == 1 && !point.runs.is_empty())
+        .filter(|(_, point)| point.sets.len() == 1 && point.is_comparable(base))
         .collect();
     let each = |value: &dyn Fn(&PointRun, &PointRun) -> f64| {
         let differences: Vec<Vec<f64>> = turned.iter().map(|(_, point)| paired(point, value)).collect();
@@ -80,6 +80,7 @@ fn front(points: &[Point]) -> Vec<usize> {
     let mut means: Vec<(usize, f64, f64)> = points
         .iter()
         .enumerate()
+        .filter(|(_, point)| point.is_comparable(&points[0]))
         .filter_map(|(index, point)| point.means().map(|(psnr, seconds)| (index, psnr, seconds)))
         .collect();
     means.sort_by(|a, b| a.2.total_cmp(&b.2).then(b.1.total_cmp(&a.1)));
@@ -157,6 +158,7 @@ mod tests {
     fn point(set: Option<&str>, runs: &[(f64, f64)]) -> Point {
         let run = |(seed, (psnr, seconds)): (usize, &(f64, f64))| PointRun {
             seed: seed as u64,
+            scale: 4,
             psnr: *psnr,
             ssim: None,
             seconds: *seconds,

@@ -95,7 +95,6 @@ fn around(session: &Session, base: &Base) -> Result<Vec<Knob>, CliError> {
 fn of_training(node: &str, metrics: &Metrics) -> Vec<Knob> {
     let Metrics {
         steps,
-        scale,
         fit,
         config,
         field,
@@ -126,7 +125,6 @@ fn of_training(node: &str, metrics: &Metrics) -> Vec<Knob> {
                 json!(steps * 4),
             ],
         ),
-        knob("scale", vec![json!(scale + 1), json!(scale * 2 + 1)]),
         knob("field.batch_samples", half_and_twice(config.batch_samples)),
         knob("field.levels", vec![json!(levels / 2), json!(levels * 3 / 4)]),
         knob("field.log2_table_shift", vec![json!(-2), json!(-1), json!(1)]),

@@ -118,6 +118,7 @@ fn figures(session: &Session, record: &RunRecord, base: &Base, seed: u64) -> Res
     let made = made(session, train);
     Ok(PointRun {
         seed,
+        scale: metrics.scale,
         psnr: metrics.scores.psnr,
         ssim: metrics.scores.ssim,
         seconds: calibrate_s + train.seconds,
