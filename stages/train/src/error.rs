@@ -39,6 +39,19 @@ pub enum TrainError {
         /// Photos with a camera.
         placed: usize,
     },
+    /// A wait that leaves nothing for the training.
+    #[error(
+        "nothing of `within`, {within_s} s, is left to train in: {left_s:.1} s after what came before, and judging takes about \
+         {judging_s:.1} s"
+    )]
+    NoTime {
+        /// The whole wait, seconds.
+        within_s: f64,
+        /// What is left of it, seconds.
+        left_s: f64,
+        /// What judging takes, seconds.
+        judging_s: f64,
+    },
     /// No photo to watch a target by.
     #[error("no training photo of {photos} can be held back to watch `target_psnr` by")]
     NoValidation {
@@ -158,6 +171,7 @@ impl TrainError {
             Self::NoHeldOut { .. } => {
                 "hold out some photos in `calibrate`, or set `holdout = \"validation\"`"
             }
+            Self::NoTime { .. } => "raise `within`, or the factor `scale` by which photos are shrunk",
             Self::NoValidation { .. } => "leave `target_psnr` out, or take more photos",
             Self::State(_) => "take steps, seed, photos and field of the training that was stopped",
             Self::Behind { .. } => "raise `until`",

@@ -291,6 +291,22 @@ fn a_training_by_the_clock_is_repeated_by_its_schedule() {
     }
 }
 
+/// The end is looked at, too, however short a training is; a wait that is over is told, not trained in.
+#[test]
+fn a_short_training_may_reach_its_target_and_no_time_is_an_error() {
+    let harness = Harness::default();
+    let scene = inputs(&[("scene", put_scene(&harness, &scene(&harness, 16)))]);
+    let train: Train = stage(json!({"steps": 30, "field": small(), "target_psnr": 1.0}));
+    let outputs = run(&train, &harness.ctx(), &scene).unwrap();
+    assert_eq!(json(&harness, &outputs, "metrics")["target"]["reached_at"], 30);
+    let late: Train = stage(json!({"within": "1ms", "field": small()}));
+    let error = run(&late, &harness.ctx(), &scene).unwrap_err().to_string();
+    assert!(
+        error.starts_with("nothing of `within`, 0.001 s, is left"),
+        "{error}"
+    );
+}
+
 #[test]
 fn a_target_stops_a_training_or_is_told_to_be_missed() {
     let harness = Harness::default();

@@ -180,6 +180,14 @@ impl Pilot {
             }
             Limit::Wait(wait) => {
                 let left_s = wait.seconds() - ctx.began.elapsed().as_secs_f64() - again_s;
+                if left_s <= judging(0) {
+                    return Err(TrainError::NoTime {
+                        within_s: wait.seconds(),
+                        left_s,
+                        judging_s: judging(0),
+                    }
+                    .into());
+                }
                 let (steps, judging_s) = most_steps((left_s, rate), most_halvings, judging);
                 (used_s + steps as f64 / rate, judging_s)
             }

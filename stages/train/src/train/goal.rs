@@ -68,9 +68,9 @@ impl<'a> Goal<'a> {
         })
     }
 
-    /// Returns whether the field is to be looked at after these steps.
-    pub fn is_due(&self, taken: &Range<u64>) -> bool {
-        look(taken.end) > look(taken.start)
+    /// Returns whether the field is to be looked at after these steps: at the end, too.
+    pub fn is_due(&self, taken: &Range<u64>, end: u64) -> bool {
+        look(taken.end) > look(taken.start) || taken.end >= end
     }
 
     /// Looks at the field after `steps`, the share `done` of the training, which is to end after `end`; returns whether it has

@@ -146,7 +146,7 @@ fn look(
     let taken = log.measured..trainer.steps();
     let schedule = trainer.schedule().clone();
     let is_point = !run.curve_photos.is_empty() && is_curve_point(&taken, &schedule);
-    let goal = run.goal.filter(|goal| goal.is_due(&taken));
+    let goal = run.goal.filter(|goal| goal.is_due(&taken, schedule.steps()));
     if taken.is_empty() || !(is_point || goal.is_some()) {
         return Ok(false);
     }
