@@ -9,7 +9,7 @@ use marf_stage::{Document, Params};
 use super::args::{CalibrateArgs, Global};
 use super::error::{CliError, Diagnostic};
 use super::export;
-use super::filter::folder;
+use super::folder;
 use super::output::print_json;
 use super::run::{execute, options};
 use super::session::{Session, digest, node_named};
@@ -20,7 +20,8 @@ const MOST_REASONS: usize = 3;
 
 /// `marf calibrate DIR`: writes transforms.json, and beside it metrics.json, COLMAP's model and the points.
 pub fn calibrate(global: &Global, args: &CalibrateArgs, cancel: &Cancel) -> Result<(), CliError> {
-    let session = Session::implicit(&pipeline(args), global, cancel).map_err(for_this_verb)?;
+    let text = folder::calibration("calibrate", &args.dir, args.method.name());
+    let session = Session::implicit(&text, global, cancel).map_err(for_this_verb)?;
     let (record, ended) = execute(&session, &options(global, &session.name), global, cancel)?;
     ended.map_err(for_this_verb)?;
     let node = node_named(&record, CalibrateParams::STAGE)?;
@@ -33,14 +34,6 @@ pub fn calibrate(global: &Global, args: &CalibrateArgs, cancel: &Cancel) -> Resu
     let scene = scene.map_err(|error| CliError::failed(error.to_string()))?;
     print_line(&table(&metrics, &scene, &written));
     Ok(())
-}
-
-fn pipeline(args: &CalibrateArgs) -> String {
-    format!(
-        "name = \"calibrate\"\n{}[node.calibrate]\ninput = \"extract\"\ncameras = \"extract\"\nmethod = \"{}\"\n",
-        folder(&args.dir),
-        args.method.name()
-    )
 }
 
 /// Writes what other programs read, and returns where.

@@ -10,7 +10,7 @@ use super::error::CliError;
 use super::output::print_json;
 use super::run::{Execution, execute_as, options};
 use super::session::Session;
-use super::{export, report, verdicts};
+use super::{export, folder, report, verdicts};
 use crate::show::{FACTORS, calls, percent};
 use crate::terminal::{eprint_line, print_line};
 
@@ -107,7 +107,7 @@ fn changed_by_thresholds(by_node: &BTreeMap<String, Vec<Verdict>>, chain: &[&str
 
 /// Returns the text of the pipeline that runs a chain of nodes on the folder of `args`.
 fn pipeline(chain: &[&str], args: &FilterArgs) -> String {
-    let mut text = format!("name = \"filter\"\n{}", folder(&args.dir));
+    let mut text = folder::photos("filter", &args.dir);
     for pair in chain.windows(2) {
         text.push_str(&format!("[node.{}]\ninput = \"{}\"\n", pair[1], pair[0]));
     }
@@ -118,10 +118,4 @@ fn pipeline(chain: &[&str], args: &FilterArgs) -> String {
         }
     }
     text
-}
-
-/// Returns the text of an archive and its extract node for a folder of photos.
-pub fn folder(dir: &Path) -> String {
-    let path = toml::Value::String(dir.to_string_lossy().into_owned());
-    format!("[archive.folder]\nkind = \"folder\"\npath = {path}\n[node.extract]\narchive = \"folder\"\n")
 }

@@ -13,7 +13,7 @@ use serde::Serialize;
 use super::args::{FitArgs, Global};
 use super::documents::{self, Documents};
 use super::error::CliError;
-use super::filter::folder;
+use super::folder;
 use super::output::print_json;
 use super::run::{Execution, execute_as, options};
 use super::session::{Session, node_named};
@@ -164,10 +164,8 @@ fn pipeline(args: &FitArgs, seconds: u32) -> String {
         .target
         .map_or_else(String::new, |psnr| format!("target_psnr = {psnr:?}\n"));
     format!(
-        "name = \"fit\"\n{}[node.calibrate]\ninput = \"extract\"\ncameras = \"extract\"\nmethod = \"import\"\n\
-         [node.train]\ninput = \"calibrate\"\n{length} = \"{seconds}s\"\nseed = {}\nfit = \"{}\"\n{memory}\
-         {target}{folds}",
-        folder(&args.dir),
+        "{}{length} = \"{seconds}s\"\nseed = {}\nfit = \"{}\"\n{memory}{target}{folds}",
+        folder::training("fit", &args.dir),
         args.seed,
         args.fit.name()
     )

@@ -16,6 +16,7 @@ mod file_state;
 mod files;
 mod filter;
 mod fit;
+mod folder;
 mod init;
 mod log;
 mod manual_lists;

@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::args::Global;
 use super::error::CliError;
-use super::filter;
+use super::folder;
 use super::output::print_json;
 use super::run::{execute, options};
 use super::session::Session;
@@ -28,11 +28,7 @@ struct Line {
 pub fn photos(global: &Global, dir: Option<&Path>, node: &str, cancel: &Cancel) -> Result<(), CliError> {
     let (session, record) = match dir {
         Some(dir) => {
-            let session = Session::implicit(
-                &format!("name = \"photos\"\n{}", filter::folder(dir)),
-                global,
-                cancel,
-            )?;
+            let session = Session::implicit(&folder::photos("photos", dir), global, cancel)?;
             let (record, ended) = execute(&session, &options(global, &session.name), global, cancel)?;
             ended?;
             (session, record)

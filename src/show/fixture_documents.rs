@@ -75,6 +75,7 @@ pub(super) fn training(scores: Scores) -> train::Metrics {
         seed: 7,
         holdout: train::Holdout::Test,
         fold: None,
+        judged_scale: None,
         train_photos: 70,
         held_out_photos: 10,
         drawn: None,
@@ -209,7 +210,7 @@ fn intervals(floor: f64) -> bootstrap::Calibration {
 pub(super) fn trade() -> trade::Trade {
     let run = |psnr, seconds| trade::PointRun {
         seed: 0,
-        scale: 4,
+        judged_scale: 4,
         psnr,
         ssim: Some(0.7),
         seconds,

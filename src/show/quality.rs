@@ -25,6 +25,10 @@ pub(super) fn of_training(metrics: &train::Metrics) -> Vec<Figure> {
         ("photos held out", number(metrics.held_out_photos as f64)),
         ("photos reduced by", number(f64::from(metrics.scale))),
     ];
+    let judged = metrics.scores.views.len() as u64;
+    let some = (judged != metrics.held_out_photos).then(|| ("photos judged", number(judged as f64)));
+    let reduced = metrics.judged_scale;
+    let reduced = reduced.map(|scale| ("judged at reduction by", number(f64::from(scale))));
     let target = metrics.target.iter().map(|target| {
         let how = target.reached_at.map_or_else(
             || format!("missed: {} dB", decibels(target.validation_psnr)),
@@ -42,6 +46,8 @@ pub(super) fn of_training(metrics: &train::Metrics) -> Vec<Figure> {
         .chain(seen)
         .chain(target)
         .chain(counts)
+        .chain(some)
+        .chain(reduced)
         .collect()
 }
 

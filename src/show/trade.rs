@@ -39,8 +39,9 @@ pub struct Point {
 pub struct PointRun {
     /// Its seed.
     pub seed: u64,
-    /// Factor by which photos were shrunk, those that judge it too: PSNR at another factor is another figure.
-    pub scale: u32,
+    /// Factor by which the photos that judge it were shrunk: PSNR at another factor is another figure.
+    #[serde(alias = "scale")]
+    pub judged_scale: u32,
     /// Mean PSNR on the photos held out, dB.
     pub psnr: f64,
     /// Mean SSIM on them.
@@ -97,7 +98,7 @@ impl Point {
 
     /// Tells whether it is judged by photos of the same size as another.
     pub fn is_comparable(&self, other: &Self) -> bool {
-        let scale = |point: &Self| point.runs.first().map(|run| run.scale);
+        let scale = |point: &Self| point.runs.first().map(|run| run.judged_scale);
         scale(self).is_some() && scale(self) == scale(other)
     }
 
@@ -163,8 +164,7 @@ pub(super) fn body(trade: &Trade) -> Markup {
     html! {
         p {
             (trade.points.len()) " settings, " (seeds) " seeds each where one knob is turned, measured on " (trade.machine) ". Seconds are those of \
-             calibration and training with its judging. A setting with another `scale` is judged by photos of another size: its PSNR \
-             stands in the table alone."
+             calibration and training with its judging, by photos of one size."
         }
         div.scroll { (front(trade)) }
         ul { @for effect in &trade.effects { li { (effect.sentence(&trade.points[effect.point])) } } }

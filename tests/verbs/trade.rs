@@ -70,8 +70,12 @@ fn a_trade_has_points_effects_and_a_front_and_is_kept() {
         "{trade}"
     );
     let effects = trade["effects"].as_array().unwrap();
-    // Photos of another scale are other judges.
-    assert_eq!(effects.len(), 1, "{trade}");
+    assert_eq!(effects.len(), 2, "{trade}");
+    let judged = points.iter().flat_map(|point| point["runs"].as_array().unwrap());
+    assert!(
+        judged.into_iter().all(|run| run["judged_scale"] == 8),
+        "photos of one size judge all: {trade}"
+    );
     assert!(
         effects.iter().all(|effect| effect["gain_db"]["half"].is_number()),
         "{trade}"

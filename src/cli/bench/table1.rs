@@ -11,7 +11,7 @@ use serde::Serialize;
 use crate::cli::args::Global;
 use crate::cli::budget::whole_seconds;
 use crate::cli::error::CliError;
-use crate::cli::filter::folder;
+use crate::cli::folder;
 use crate::cli::output::print_json;
 use crate::cli::run::{execute, options};
 use crate::cli::session::{Session, node_named};
@@ -93,7 +93,7 @@ fn row(global: &Global, args: &Table1Args, budget_s: u32, cancel: &Cancel) -> Re
         ..global.clone()
     };
     let session = match &args.dir {
-        Some(dir) => Session::implicit(&pipeline(dir), &global, cancel)?,
+        Some(dir) => Session::implicit(&folder::training("table1", dir), &global, cancel)?,
         None => Session::open(&global, cancel)?,
     };
     let options = Options {
@@ -120,15 +120,6 @@ fn row(global: &Global, args: &Table1Args, budget_s: u32, cancel: &Cancel) -> Re
             .find(|(seconds, _)| *seconds == budget_s)
             .map(|(_, psnr)| *psnr),
     })
-}
-
-/// Returns the pipeline of a folder with cameras.
-fn pipeline(dir: &std::path::Path) -> String {
-    format!(
-        "name = \"table1\"\n{}[node.calibrate]\ninput = \"extract\"\ncameras = \"extract\"\nmethod = \"import\"\n\
-         [node.train]\ninput = \"calibrate\"\n",
-        folder(dir),
-    )
 }
 
 const HEAD: &str = "\

@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize, Serializer};
 
 use super::super::args::Global;
 use super::super::error::CliError;
-use super::super::filter::folder;
+use super::super::folder;
 use super::super::run::{execute, options};
 use super::super::session::{Session, node_named};
 use super::super::{budget, files};
@@ -143,7 +143,7 @@ pub fn train(global: &Global, args: &TrainArgs, cancel: &Cancel) -> Result<(), C
         json: false,
         ..global.clone()
     };
-    let session = Session::implicit(&pipeline(&args.dir), &quiet, cancel)?;
+    let session = Session::implicit(&folder::training("bench", &args.dir), &quiet, cancel)?;
     let keys = keys(&session)?;
     let config = keys
         .field
@@ -171,14 +171,6 @@ pub fn train(global: &Global, args: &TrainArgs, cancel: &Cancel) -> Result<(), C
     let lines = pool.install(|| bench.run(&views, &tests, &points, (&config, keys.seed), &budgets))?;
     eprint_line(&table(&lines));
     Ok(())
-}
-
-fn pipeline(dir: &Path) -> String {
-    format!(
-        "name = \"bench\"\n{}[node.calibrate]\ninput = \"extract\"\ncameras = \"extract\"\nmethod = \"import\"\n\
-         [node.train]\ninput = \"calibrate\"\n",
-        folder(dir)
-    )
 }
 
 fn keys(session: &Session) -> Result<BenchParams, CliError> {

@@ -8,7 +8,7 @@ use marf_engine::{Graph, RunRecord, document};
 use marf_field::Device;
 use marf_provenance::lineage::{Lineage, NodeLineage};
 use marf_provenance::replay::{NotMade, copy_archive, copy_record, copy_result, recorded};
-use marf_schema::train::{Setup, TrainParams};
+use marf_schema::train::{Metrics, Setup, TrainParams};
 use marf_stage::{Document, EARLIER, Params};
 use serde_json::Value;
 
@@ -138,7 +138,7 @@ fn repeat(tree: &mut Value, store: &Store, node: &NodeLineage) -> Result<(), Cli
         .get_mut(&node.run.name)
         .and_then(Value::as_object_mut);
     if let (Some(table), Value::Object(repeating)) = (table, repeating) {
-        table.remove("budget");
+        table.retain(|key, _| !matches!(key.as_str(), "budget" | "within"));
         table.extend(repeating);
     }
     Ok(())
@@ -158,9 +158,18 @@ fn repeating(store: &Store, node: &NodeLineage) -> Result<Option<Value>, CliErro
         return Ok(None);
     };
     let unreadable = |error: serde_json::Error| CliError::failed(format!("`{}`: {error}", node.run.name));
+    let metrics = node.run.outputs.get(Metrics::OUTPUT).unwrap_or(setup);
     let setup = Setup::decode(&store.get(&setup.digest)?).map_err(unreadable)?;
-    let repeating = params.repeating(&setup);
-    Ok(repeating.map(|params| serde_json::json!({"schedule": params.schedule, "trials": params.trials})))
+    let metrics = Metrics::decode(&store.get(&metrics.digest)?).map_err(unreadable)?;
+    let Some(repeating) = params.repeating(&setup, &metrics) else {
+        return Ok(None);
+    };
+    let mut keys = serde_json::to_value(repeating).map_err(unreadable)?;
+    let before = serde_json::to_value(params).map_err(unreadable)?;
+    if let Some(keys) = keys.as_object_mut() {
+        keys.retain(|key, value| before.get(key) != Some(value));
+    }
+    Ok(Some(keys))
 }
 
 /// Takes over the results of nodes that are declared to vary: what follows from them is then made from the same.

@@ -1,6 +1,7 @@
 //! What can be turned, and how far.
 
 use marf_cache::digest_of;
+use marf_field::Device;
 use marf_schema::calibrate::{CalibrateParams, Method};
 use marf_schema::train::{Fit, Metrics, TrainParams};
 use marf_stage::Params;
@@ -98,6 +99,9 @@ fn of_training(node: &str, metrics: &Metrics) -> Vec<Knob> {
         fit,
         config,
         field,
+        scale,
+        train_photos,
+        gpu,
         ..
     } = metrics;
     let levels = field.levels.len() as u64;
@@ -110,12 +114,20 @@ fn of_training(node: &str, metrics: &Metrics) -> Vec<Knob> {
         Fit::Scene => "fixed",
         Fit::Fixed => "scene",
     };
+    let scales = match scale {
+        1 => vec![json!(2)],
+        scale => vec![json!(scale / 2), json!(scale * 2)],
+    };
+    let other_device = match gpu {
+        Some(_) => Some("cpu"),
+        None => Device::Auto.backend_id().map(|_| "gpu"),
+    };
     let half_and_twice = |value: u32| vec![json!(value / 2), json!(value * 2)];
     let knob = |key: &str, values: Vec<Value>| Knob {
         key: format!("{node}.{key}"),
         values,
     };
-    vec![
+    let knobs = [
         knob(
             "steps",
             vec![
@@ -125,6 +137,8 @@ fn of_training(node: &str, metrics: &Metrics) -> Vec<Knob> {
                 json!(steps * 4),
             ],
         ),
+        knob("scale", scales),
+        knob("photos", vec![json!((train_photos / 2).max(1))]),
         knob("field.batch_samples", half_and_twice(config.batch_samples)),
         knob("field.levels", vec![json!(levels / 2), json!(levels * 3 / 4)]),
         knob("field.log2_table_shift", vec![json!(-2), json!(-1), json!(1)]),
@@ -140,7 +154,9 @@ fn of_training(node: &str, metrics: &Metrics) -> Vec<Knob> {
             half_and_twice(config.occupancy_resolution),
         ),
         knob("fit", vec![json!(other_fit)]),
-    ]
+    ];
+    let device = other_device.map(|device| knob("device", vec![json!(device)]));
+    knobs.into_iter().chain(device).collect()
 }
 
 /// Structure from motion alone takes time.

@@ -49,6 +49,20 @@ impl Base {
         let first = self.first.borrow().clone();
         first.ok_or_else(|| CliError::failed("the pipeline as it is was not trained"))
     }
+
+    /// Returns what lets a point with photos of another size be judged by those of the pipeline as it is.
+    fn judged_as_first(&self, point: &Point) -> Vec<String> {
+        let scale = format!("{}.scale=", self.train);
+        let first = self.first.borrow();
+        let first = first
+            .as_ref()
+            .filter(|_| point.sets.iter().any(|set| set.starts_with(&scale)));
+        let judged = first.map(|first| first.judged_scale.unwrap_or(first.scale));
+        judged
+            .map(|judged| format!("{}.judged_scale={judged}", self.train))
+            .into_iter()
+            .collect()
+    }
 }
 
 /// Trains a point with seeds from 0 on, or finds that it was trained. What cannot be trained is told in the point.
@@ -63,9 +77,10 @@ pub fn measured(
     global: &Global,
     cancel: &Cancel,
 ) -> Result<(), CliError> {
+    let judged = base.judged_as_first(point);
     for seed in 0..seeds {
         let seed_set = format!("{}.seed={seed}", base.train);
-        let sets = [base.sets.as_slice(), point.sets.as_slice(), &[seed_set]].concat();
+        let sets = [base.sets.as_slice(), point.sets.as_slice(), &judged, &[seed_set]].concat();
         let session = match open(&sets) {
             Ok(session) => session,
             Err(CliError::Usage(diagnostic)) => {
@@ -118,7 +133,7 @@ fn figures(session: &Session, record: &RunRecord, base: &Base, seed: u64) -> Res
     let made = made(session, train);
     Ok(PointRun {
         seed,
-        scale: metrics.scale,
+        judged_scale: metrics.judged_scale.unwrap_or(metrics.scale),
         psnr: metrics.scores.psnr,
         ssim: metrics.scores.ssim,
         seconds: calibrate_s + train.seconds,

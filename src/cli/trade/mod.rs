@@ -4,7 +4,7 @@ mod figures;
 mod knobs;
 mod measured;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
 use marf_engine::{Cancel, Options, document};
@@ -15,7 +15,7 @@ use self::knobs::{Knob, knobs};
 use self::measured::{Base, measured};
 use super::args::Global;
 use super::error::CliError;
-use super::filter::folder;
+use super::folder;
 use super::output::print_json;
 use super::run::{Execution, execute_as, options};
 use super::session::{Session, TRADES};
@@ -63,7 +63,7 @@ pub fn trade(global: &Global, args: &TradeArgs, cancel: &Cancel) -> Result<(), C
             ..global.clone()
         };
         let mut session = match &args.dir {
-            Some(dir) => Session::implicit(&pipeline(dir), &global, cancel)?,
+            Some(dir) => Session::implicit(&folder::training("trade", dir), &global, cancel)?,
             None => Session::open(&global, cancel)?,
         };
         session.name.push_str(TRADES);
@@ -114,15 +114,6 @@ pub fn trade(global: &Global, args: &TradeArgs, cancel: &Cancel) -> Result<(), C
             Ok(())
         }
     }
-}
-
-/// Returns the pipeline of a folder with cameras.
-fn pipeline(dir: &Path) -> String {
-    format!(
-        "name = \"trade\"\n{}[node.calibrate]\ninput = \"extract\"\ncameras = \"extract\"\nmethod = \"import\"\n\
-         [node.train]\ninput = \"calibrate\"\n",
-        folder(dir),
-    )
 }
 
 fn one_at_a_time(knobs: &[Knob]) -> Vec<Point> {

@@ -106,6 +106,24 @@ fn the_rows_follow_the_version() {
     assert_eq!((version, digest.as_str()), (4, "c9e6d3e79fd5"), "{text}");
 }
 
+/// A set in parts, as the synthetic scenes of NeRF come.
+#[test]
+fn cameras_of_a_set_in_parts_are_companions() {
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path(), "train/r_0.png", &png(1));
+    let parts = [
+        "transforms_test.json",
+        "transforms_train.json",
+        "transforms_val.json",
+    ];
+    for part in parts {
+        write(dir.path(), part, b"{\"frames\": []}");
+    }
+    let brought = bring(folder(dir.path())).unwrap();
+    assert_eq!(brought.ids(), ["train/r_0.png"]);
+    assert_eq!(brought.listing.companions.keys().collect::<Vec<_>>(), parts);
+}
+
 #[test]
 fn pictures_below_masks_are_companions_and_no_photos() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-use std::{fmt, str::FromStr};
+use std::{fmt, str::FromStr, time::Duration};
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
@@ -24,6 +24,11 @@ impl Budget {
     /// Returns the time in seconds.
     pub fn seconds(self) -> f64 {
         self.milliseconds as f64 / 1000.0
+    }
+
+    /// Returns the time.
+    pub fn duration(self) -> Duration {
+        Duration::from_millis(self.milliseconds)
     }
 }
 

@@ -24,6 +24,7 @@ pub fn train_metrics() -> train::Metrics {
         seed: 0,
         holdout: Holdout::Test,
         fold: None,
+        judged_scale: None,
         train_photos: 1,
         held_out_photos: 1,
         drawn: None,

@@ -13,7 +13,7 @@ use crate::{
     checkpoint::identity,
     io::{read_field, read_scene},
     photos::PhotoReader,
-    scoring::Judge,
+    scoring::{Chosen, Judge},
     split::{NamedFrame, held_out, named_frames, split},
     stage_on_device,
 };
@@ -71,7 +71,8 @@ impl Set for Evaluate {
         let photos = PhotoReader::new(ctx, &scene, scale);
         let of = identity(self, inputs, "");
         let nearest = TrainedPhotos::new(&scene, trained_on(&scene, &trained)?);
-        let scores = Judge::new(ctx, of, &field, &photos).held_out(&frames, &nearest, &mut outputs)?;
+        let scores =
+            Judge::new(ctx, of, &field, &photos).held_out(&frames, Chosen::ALL, &nearest, &mut outputs)?;
         outputs.put(ctx, &Metrics { scores, scale })?;
         Ok(outputs)
     }

@@ -21,7 +21,7 @@ pub(crate) struct MemoryPlan {
 
 /// Returns the shortest run of pixels with which a training fits its memory, and how many photos may be decoded at once.
 ///
-/// `times`: how often each training photo is used. Counted are, each at its largest: the photos kept with the
+/// `times`: how often each training photo is used; the factors shrink photos trained on, and those that judge. Counted are, each at its largest: the photos kept with the
 /// training ([`training_bytes`]), the photos kept with one being decoded, one view being compared; and the program.
 ///
 /// # Errors
@@ -30,7 +30,7 @@ pub(crate) fn plan_memory(
     memory: Memory,
     split: &Split<'_>,
     times: &[usize],
-    scale: u32,
+    [scale, judged_scale]: [u32; 2],
     config: &Config,
 ) -> Result<MemoryPlan, TrainError> {
     let drawn = times.iter().sum();
@@ -38,7 +38,7 @@ pub(crate) fn plan_memory(
     let decoding = largest(split.training.iter().chain(&split.held_out), 1, decoding_bytes);
     let scoring = largest(split.held_out.iter(), 1, decoding_bytes).max(largest(
         split.held_out.iter(),
-        scale,
+        judged_scale,
         judging_bytes,
     ));
     let kept = |run: u32| kept_bytes(&split.training, times, scale, run);
@@ -110,7 +110,7 @@ mod tests {
             log2_table: Some(15),
             ..Config::default()
         };
-        plan_memory(memory.parse().unwrap(), &split, &times, scale, &config)
+        plan_memory(memory.parse().unwrap(), &split, &times, [scale; 2], &config)
     }
 
     #[test]

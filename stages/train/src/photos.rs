@@ -58,6 +58,14 @@ impl<'a> PhotoReader<'a> {
         }
     }
 
+    /// Returns a reader of the same scene at another working size.
+    pub fn at(&self, scene: &Scene, scale: u32) -> Self {
+        match scale == self.scale {
+            true => self.clone(),
+            false => Self::new(self.ctx, scene, scale),
+        }
+    }
+
     /// Reads one photo.
     ///
     /// # Errors

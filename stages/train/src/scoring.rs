@@ -1,4 +1,5 @@
 use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
 
 use marf_cache::{Digest, digest_of};
 use marf_field::Field;
@@ -17,9 +18,46 @@ use crate::{
     error::field_failed,
     io::put_png,
     photos::{PhotoReader, ScaledPhoto},
-    split::NamedFrame,
+    split::{NamedFrame, spread_order},
     view::render_view,
 };
+
+/// Which photos of those held out are judged.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Chosen {
+    /// At most so many; none: all.
+    pub most: Option<usize>,
+    /// As many as are judged by then, but [`Chosen::LEAST`] at least.
+    pub until: Option<Instant>,
+}
+
+impl Chosen {
+    /// All of them.
+    pub const ALL: Self = Self {
+        most: None,
+        until: None,
+    };
+    /// Photos that are judged whatever time it takes.
+    pub const LEAST: usize = 4;
+
+    /// Returns their indices among `count`; the first of them, however many, are spread over all.
+    fn order(self, count: usize) -> Vec<usize> {
+        match self {
+            Self::ALL => (0..count).collect(),
+            Self { most, .. } => {
+                let mut order = spread_order(count);
+                order.truncate(most.unwrap_or(count));
+                order
+            }
+        }
+    }
+
+    /// Tells whether so many are enough, where another may take `longest`.
+    fn is_enough(self, judged: usize, longest: Duration) -> bool {
+        let is_over = |until| Instant::now() + longest > until;
+        judged >= Self::LEAST && self.until.is_some_and(is_over)
+    }
+}
 
 /// A photo that was compared, as a journal keeps it.
 #[derive(Serialize, Deserialize)]
@@ -51,26 +89,33 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// Renders the view of every photo, compares it with the photo and stores both pictures; `trained` are the photos that
+    /// Renders the views of the chosen photos, compares each with its photo and stores both pictures; `trained` are the photos that
     /// the field was trained on.
     pub fn held_out(
         &mut self,
         frames: &[NamedFrame<'_>],
+        chosen: Chosen,
         trained: &TrainedPhotos<'_>,
         outputs: &mut Outputs,
     ) -> Result<Scores, StageError> {
-        let mut views = Vec::with_capacity(frames.len());
-        for (index, named) in frames.iter().enumerate() {
-            self.at(index, frames.len(), named);
+        let mut views = BTreeMap::new();
+        let mut longest = Duration::ZERO;
+        for index in chosen.order(frames.len()) {
+            if chosen.is_enough(views.len(), longest) {
+                break;
+            }
+            let (named, began) = (&frames[index], Instant::now());
+            self.at(views.len(), frames.len(), named);
             let judged = self.judged(named, |judge| {
                 let mut judged = judge.stored(named)?;
                 judged.scores.nearest = trained.nearest(named.frame.into());
                 Ok(judged)
             })?;
             outputs.extend(judged.pictures);
-            views.push(judged.scores);
+            views.insert(index, judged.scores);
+            longest = longest.max(began.elapsed());
         }
-        Ok(means(views))
+        Ok(means(views.into_values().collect()))
     }
 
     /// Compares the field with photos that it was trained on; stores no picture.
@@ -247,6 +292,25 @@ mod tests {
     use super::*;
     use marf_scene::Nearest;
     use marf_schema::example;
+
+    #[test]
+    fn a_time_that_is_over_lets_a_few_photos_be_judged_and_a_number_the_first_of_an_order() {
+        let most = Chosen {
+            most: Some(3),
+            ..Chosen::ALL
+        };
+        assert_eq!(most.order(8), [0, 4, 2]);
+        assert_eq!((most.order(2), Chosen::ALL.order(3)), (vec![0, 1], vec![0, 1, 2]));
+        assert!(!most.is_enough(99, Duration::MAX / 4));
+        let hour = Duration::from_secs(3600);
+        let until = Chosen {
+            until: Some(Instant::now() + hour),
+            ..Chosen::ALL
+        };
+        assert!(!until.is_enough(4, hour / 2));
+        assert!(until.is_enough(4, hour));
+        assert!(!until.is_enough(3, hour));
+    }
 
     #[test]
     fn photos_that_extrapolate_have_a_mean_of_their_own() {

@@ -1,3 +1,5 @@
+use std::collections::BTreeSet;
+
 use marf_scene::{Frame, Point, PosedPhoto, Scene, folds, hold_out_places, picture_names};
 use marf_schema::train::{Fold, Holdout};
 
@@ -95,6 +97,28 @@ pub(crate) fn spread(count: usize, wanted: usize) -> impl Iterator<Item = usize>
     (0..wanted).map(move |index| (2 * index + 1) * count / (2 * wanted))
 }
 
+/// Returns the indices below `count` in an order whose beginning, however long, is spread over all: the bits of 0, 1, 2, ... read
+/// backwards (van der Corput's sequence).
+pub(crate) fn spread_order(count: usize) -> Vec<usize> {
+    let bits = count.next_power_of_two().trailing_zeros();
+    let reversed = |index: usize| match bits {
+        0 => 0,
+        bits => index.reverse_bits() >> (usize::BITS - bits),
+    };
+    let indices = (0..1 << bits).map(reversed);
+    indices.filter(|index| *index < count).collect()
+}
+
+/// Returns `wanted` of the frames, or all, evenly spaced.
+pub(crate) fn some_of(frames: Vec<NamedFrame<'_>>, wanted: usize) -> Vec<NamedFrame<'_>> {
+    let kept: BTreeSet<usize> = spread(frames.len(), wanted).collect();
+    let frames = frames.into_iter().enumerate();
+    frames
+        .filter(|(index, _)| kept.contains(index))
+        .map(|(_, frame)| frame)
+        .collect()
+}
+
 /// Returns how often each of `count` photos is drawn in `count` draws with replacement.
 ///
 /// Draw i takes the photo ⌊count · h / 2⁶⁴⌋, h the first 8 bytes of the content hash of (seed, i); the bias is
@@ -128,6 +152,21 @@ mod tests {
             frames: (0..count).map(frame).collect(),
             ..Scene::default()
         }
+    }
+
+    #[test]
+    fn the_beginning_of_the_order_is_spread_over_all_and_each_comes_once() {
+        assert_eq!(spread_order(8), [0, 4, 2, 6, 1, 5, 3, 7]);
+        assert_eq!(spread_order(5), [0, 4, 2, 1, 3]);
+        assert_eq!([spread_order(0), spread_order(1)], [vec![], vec![0]]);
+        let mut all = spread_order(1000);
+        let largest_gap = |mut first: Vec<usize>| {
+            first.sort_unstable();
+            first.windows(2).map(|pair| pair[1] - pair[0]).max()
+        };
+        assert_eq!(largest_gap(all[..32].to_vec()), Some(32));
+        all.sort_unstable();
+        assert_eq!(all, (0..1000).collect::<Vec<_>>());
     }
 
     #[test]

@@ -225,7 +225,8 @@ fn a_budget_is_trained_on_from_where_it_was_stopped() {
         let made = run(&train, &harness.ctx(), &inputs).unwrap();
         let params: TrainParams = serde_json::from_value(table).unwrap();
         let setup = serde_json::from_value(common::json(&harness, &made, "setup")).unwrap();
-        let repeating: Train = stage(serde_json::to_value(params.repeating(&setup)).unwrap());
+        let metrics = serde_json::from_value(common::json(&harness, &made, "metrics")).unwrap();
+        let repeating: Train = stage(serde_json::to_value(params.repeating(&setup, &metrics)).unwrap());
         let fresh = Harness::default();
         put_scene(&fresh, &scene(&fresh, 8));
         assert_eq!(run(&repeating, &fresh.ctx(), &inputs).unwrap(), made, "{checks}");

@@ -10,7 +10,6 @@ mod common;
 use common::{inputs, json, put_scene, run, scene, small, stage};
 use marf_cache::Digest;
 use marf_scene::Photo;
-use marf_schema::train::TrainParams;
 use marf_stage::{Define, Expand, Outputs, StageError, harness::Harness};
 use marf_train::{Bootstrap, Evaluate, Render, Train, Tune};
 use serde_json::{Value, json};
@@ -248,95 +247,6 @@ fn a_scene_that_cannot_be_trained_is_refused_with_the_number() {
         let error = failure(&harness, scene, more).to_string();
         assert!(error.starts_with(start), "{error}");
     }
-}
-
-/// The schedule that a budget made, and the steps of its trials, give the same bytes without a clock.
-#[test]
-fn a_training_by_the_clock_is_repeated_by_its_schedule() {
-    let harness = Harness::default();
-    let scene = inputs(&[("scene", put_scene(&harness, &scene(&harness, 16)))]);
-    for more in [
-        json!({"budget": "1s"}),
-        json!({"within": "2s", "seed": 3}),
-        json!({"budget": "1s", "trials": {"steps": 20}}),
-        json!({"budget": "1s", "target_psnr": 12.0}),
-        json!({"budget": "1s", "target_psnr": 70.0}),
-    ] {
-        let mut table = json!({"field": small()});
-        table
-            .as_object_mut()
-            .unwrap()
-            .extend(more.as_object().unwrap().clone());
-        let params: TrainParams = serde_json::from_value(table.clone()).unwrap();
-        let clocked: Train = stage(table);
-        assert!(marf_stage::Stage::varies(&clocked).is_some());
-        let made = run(&clocked, &harness.ctx(), &scene).unwrap();
-        let setup = serde_json::from_value(json(&harness, &made, "setup")).unwrap();
-        let repeating = params.repeating(&setup).unwrap();
-        let plain: Train = stage(serde_json::to_value(repeating).unwrap());
-        assert_eq!(marf_stage::Stage::varies(&plain), None);
-        assert_eq!(made, run(&plain, &harness.ctx(), &scene).unwrap(), "{more}");
-        // The weights tell of the trials, of which a member has none.
-        if more.get("trials").is_some() {
-            continue;
-        }
-        let setup_in = inputs(&[("scene", scene.0["scene"]), ("setup", made["setup"])]);
-        let again = run(
-            &stage::<Train>(json!({"seed": params.seed})),
-            &harness.ctx(),
-            &setup_in,
-        )
-        .unwrap();
-        assert_eq!(again["weights"], made["weights"], "{more}");
-    }
-}
-
-/// The end is looked at, too, however short a training is; a wait that is over is told, not trained in.
-#[test]
-fn a_short_training_may_reach_its_target_and_no_time_is_an_error() {
-    let harness = Harness::default();
-    let scene = inputs(&[("scene", put_scene(&harness, &scene(&harness, 16)))]);
-    let train: Train = stage(json!({"steps": 30, "field": small(), "target_psnr": 1.0}));
-    let outputs = run(&train, &harness.ctx(), &scene).unwrap();
-    assert_eq!(json(&harness, &outputs, "metrics")["target"]["reached_at"], 30);
-    let late: Train = stage(json!({"within": "1ms", "field": small()}));
-    let error = run(&late, &harness.ctx(), &scene).unwrap_err().to_string();
-    assert!(
-        error.starts_with("nothing of `within`, 0.001 s, is left"),
-        "{error}"
-    );
-}
-
-#[test]
-fn a_target_stops_a_training_or_is_told_to_be_missed() {
-    let harness = Harness::default();
-    let scene = inputs(&[("scene", put_scene(&harness, &scene(&harness, 16)))]);
-    let trained = |psnr: f64| {
-        let train: Train = stage(json!({"steps": 1_200, "field": small(), "target_psnr": psnr}));
-        let outputs = run(&train, &harness.ctx(), &scene).unwrap();
-        json(&harness, &outputs, "metrics")
-    };
-    let (near, far) = (trained(14.0), trained(80.0));
-    let target = &near["target"];
-    let reached = target["reached_at"].as_u64().unwrap();
-    assert!((256..1_200).contains(&reached), "{target}");
-    assert_eq!(
-        (near["steps"].as_u64(), &near["schedule"]),
-        (Some(reached), &json!([[0, 1_200]]))
-    );
-    assert!(target["validation_psnr"].as_f64().unwrap() >= 14.0, "{target}");
-    let target = &far["target"];
-    assert_eq!(
-        (far["steps"].as_u64(), &target["reached_at"]),
-        (Some(1_200), &Value::Null)
-    );
-    assert!(target["forecast"]["psnr"].as_f64().unwrap() < 79.5, "{target}");
-    assert!(target["forecast"]["at"].as_u64().unwrap() < 1_200, "{target}");
-    let photos = |metrics: &Value| metrics["train_photos"].as_u64().unwrap();
-    let whole: Train = stage(json!({"steps": 4, "field": small()}));
-    let whole = json(&harness, &run(&whole, &harness.ctx(), &scene).unwrap(), "metrics");
-    let held_back = target["validation_photos"].as_u64().unwrap();
-    assert_eq!(photos(&far) + held_back, photos(&whole));
 }
 
 /// Versions and backends of these are in the key of the node that asks for them.

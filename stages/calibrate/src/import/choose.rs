@@ -64,7 +64,8 @@ fn none(files: &Files) -> StageError {
         )
     };
     StageError::new(what).hint(
-        "put a transforms.json, or cameras and images of a COLMAP model (.bin or .txt), into the archive's folder",
+        "put a transforms.json, or cameras and images of a COLMAP model (.bin or .txt), into the archive's folder; \
+         `marf calibrate DIR` finds the cameras of photos that have none, as `method = \"sfm\"` does",
     )
 }
 

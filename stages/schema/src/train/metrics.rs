@@ -45,6 +45,9 @@ pub struct Metrics {
     pub loss: f64,
     /// Factor by which photos were shrunk.
     pub scale: u32,
+    /// Factor by which the photos that judge it were shrunk; absent: the same.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub judged_scale: Option<u32>,
     /// One pixel of so many of each training photo was kept; absent: all.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub thinned: Option<u32>,
@@ -59,7 +62,7 @@ pub struct Metrics {
     pub train_photos: u64,
     /// Photos held out.
     pub held_out_photos: u64,
-    /// Ids of the photos drawn, as often as they were; only with `resample`.
+    /// Ids of the photos drawn, as often as they were; only with `resample` or `photos`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub drawn: Option<Vec<String>>,
     /// What decided how large the field is.
@@ -101,6 +104,9 @@ pub struct Setup {
     pub kept_every: u32,
     /// Memory that the training may take.
     pub memory: Memory,
+    /// Most training photos that are used; absent: all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub photos: Option<u64>,
     /// Which photos are held out.
     pub holdout: Holdout,
     /// Which fold is held out instead.

@@ -128,7 +128,8 @@ pub struct TrainParams {
     pub target_psnr: Option<f64>,
     /// Seed of weights and rays.
     pub seed: u64,
-    /// Whole factor by which photos are shrunk; absent: the least that brings them to the size of `quality`.
+    /// Whole factor by which photos are shrunk; absent: the least that brings them to the size of `quality` and, with `budget` or
+    /// `within`, lets the time be enough to see a twelfth of their pixels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<u32>,
     /// Memory that the training may take (`2GB`); where the photos do not fit, one pixel of every few is kept.
@@ -138,6 +139,17 @@ pub struct TrainParams {
     /// Holds out these photos instead, and trains a share of the steps: what `folds` asks for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fold: Option<Fold>,
+    /// At most so many training photos, spread evenly over them; absent: all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub photos: Option<u64>,
+    /// At most so many of the photos held out are judged by, spread evenly, and none of those trained on; absent: all, and as many of
+    /// those trained on. A training with `within` chooses by its time.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub judged_photos: Option<u64>,
+    /// Whole factor by which the photos that it is judged by are shrunk; absent: `scale`, or the least that brings them to the size of
+    /// `quality`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub judged_scale: Option<u32>,
     /// Seed with which as many training photos are drawn as there are, with replacement (a bootstrap sample).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resample: Option<u64>,
@@ -199,12 +211,16 @@ impl TrainParams {
 
     /// Returns the parameters that repeat a training with a budget to the bit, on any machine; none where there is no budget,
     /// as the parameters then do so themselves.
-    pub fn repeating(&self, setup: &Setup) -> Option<Self> {
+    pub fn repeating(&self, setup: &Setup, metrics: &Metrics) -> Option<Self> {
         self.limit()?;
+        let judged_photos = self.within.map(|_| metrics.scores.views.len() as u64);
         Some(Self {
             budget: None,
             within: None,
             schedule: Some(setup.schedule()),
+            scale: Some(setup.scale),
+            judged_photos: self.judged_photos.or(judged_photos),
+            judged_scale: self.judged_scale.or(metrics.judged_scale),
             trials: TrialsParams {
                 steps: Some(setup.trial_steps),
                 ..self.trials.clone()
@@ -235,6 +251,7 @@ impl TrainParams {
         self.check_target()?;
         self.fold.map_or(Ok(()), |fold| fold.check())?;
         check_scale(self.scale)?;
+        self.check_judged()?;
         if !(0.0..=100.0).contains(&self.trials.least_gain_db) {
             let message = format!("{} dB; from 0 to 100", self.trials.least_gain_db);
             return Err(ParamError::new("trials.least_gain_db", message));
@@ -244,6 +261,15 @@ impl TrainParams {
 }
 
 impl TrainParams {
+    fn check_judged(&self) -> Result<(), ParamError> {
+        for (key, photos) in [("photos", self.photos), ("judged_photos", self.judged_photos)] {
+            if photos == Some(0) {
+                return Err(ParamError::new(key, "0 photos tell nothing; at least 1"));
+            }
+        }
+        check_scale(self.judged_scale).map_err(|error| ParamError::new("judged_scale", error.message))
+    }
+
     fn check_target(&self) -> Result<(), ParamError> {
         let Some(psnr) = self.target_psnr else {
             return Ok(());
@@ -293,6 +319,9 @@ mod tests {
             (json!({"budget": "5s", "schedule": [[0, 5]]}), "schedule"),
             (json!({"budget": "5s", "within": "9s"}), "within"),
             (json!({"scale": 0}), "scale"),
+            (json!({"judged_scale": 0}), "judged_scale"),
+            (json!({"photos": 0}), "photos"),
+            (json!({"judged_photos": 0}), "judged_photos"),
             (
                 json!({"fold": {"index": 0, "count": 1, "share": 1}}),
                 "fold.count",
@@ -335,6 +364,7 @@ mod tests {
             scale: 1,
             kept_every: 1,
             memory: Memory::default(),
+            photos: None,
             holdout: Holdout::Test,
             fold: None,
             fit: Fit::Scene,
@@ -349,12 +379,16 @@ mod tests {
         };
         let budgeted = params(json!({"budget": "9s", "quality": "standard", "seed": 5, "target_psnr": 20}));
         let expected = json!({
-            "schedule": [[0, 900], [30, 700]], "trials": {"steps": 40}, "quality": "standard", "seed": 5, "target_psnr": 20
+            "schedule": [[0, 900], [30, 700]], "trials": {"steps": 40}, "quality": "standard", "seed": 5, "target_psnr": 20,
+            "scale": 1
         });
-        assert_eq!(budgeted.repeating(&setup), Some(params(expected)));
-        let within = params(json!({"within": "9s"})).repeating(&setup).unwrap();
+        let metrics = crate::example::train_metrics();
+        assert_eq!(budgeted.repeating(&setup, &metrics), Some(params(expected)));
+        let within = params(json!({"within": "9s"}));
+        let within = within.repeating(&setup, &metrics).unwrap();
         assert_eq!((within.limit(), within.planned_steps()), (None, 700));
-        assert_eq!(params(json!({"steps": 700})).repeating(&setup), None);
+        assert_eq!(within.judged_photos, Some(metrics.scores.views.len() as u64));
+        assert_eq!(params(json!({"steps": 700})).repeating(&setup, &metrics), None);
         assert_eq!(params(json!({"schedule": [[0, 9], [3, 12]]})).planned_steps(), 12);
         assert_eq!(
             Setup {

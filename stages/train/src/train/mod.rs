@@ -28,8 +28,8 @@ use crate::{
     io::read_scene,
     memory::MemoryPlan,
     photos::{PhotoReader, ScaledPhoto},
-    scoring::Judge,
-    split::{NamedFrame, Split, draws, hold_out_by_place, split, spread},
+    scoring::{Chosen, Judge},
+    split::{NamedFrame, Split, draws, hold_out_by_place, some_of, split, spread},
     views::{new_trainer, training_views},
 };
 use clock::Clock;
@@ -69,6 +69,7 @@ impl Define for Train {
             "schedule",
             "target_psnr",
             "scale",
+            "photos",
             "memory",
             "holdout",
             "fit",
@@ -139,6 +140,16 @@ struct Plan<'a> {
     from: Option<Arc<[u8]>>,
     /// The time that it may take.
     clock: Option<Clock>,
+    judging: Judging,
+}
+
+/// By which photos a field is judged.
+#[derive(Debug, Clone, Copy)]
+struct Judging {
+    /// Whole factor by which they are shrunk: as those trained on, unless a time chooses these.
+    scale: u32,
+    /// Which of those held out.
+    chosen: Chosen,
 }
 
 /// Reads all that a training depends on and decides it, and does `work` with that.
@@ -154,8 +165,16 @@ fn planned<S: Define, T>(
     let times = times(&split, params.resample);
     let from = inputs.optional(STATE).map(|digest| ctx.get(digest));
     let photos = PhotoReader::new(ctx, &scene, settings.scale);
+    let judging = Judging {
+        scale: params.judged_scale.unwrap_or(settings.scale),
+        chosen: Chosen {
+            most: params.judged_photos.map(|photos| photos as usize),
+            until: params.within.map(|wait| ctx.began + wait.duration()),
+        },
+    };
     let mut plan = Plan {
-        memory: settings.plan_memory(&split, &times)?,
+        judging,
+        memory: settings.plan_memory(&split, &times, judging.scale)?,
         scene: &scene,
         split: &split,
         validation: &validation,
@@ -168,12 +187,16 @@ fn planned<S: Define, T>(
     if let Some(limit) = params.limit() {
         plan.clock = Some(Clock::paced(ctx, (params, limit), &mut plan, &photos)?);
     }
+    let photos = photos.at(&scene, plan.settings.scale);
     work(plan, &photos)
 }
 
 /// Splits a scene into photos to train on and to judge by, and those held back to watch a target by.
 fn parted<'a>(scene: &'a Scene, settings: &Settings) -> Result<(Split<'a>, Vec<NamedFrame<'a>>), TrainError> {
-    let whole = split(scene, settings.holdout, settings.fold)?;
+    let mut whole = split(scene, settings.holdout, settings.fold)?;
+    if let Some(most) = settings.photos {
+        whole.training = some_of(whole.training, most as usize);
+    }
     if !settings.watched {
         return Ok((whole, Vec::new()));
     }
@@ -234,6 +257,7 @@ fn judged(
 ) -> Result<Outputs, StageError> {
     let (log, config) = (told.log, told.config);
     let (settings, split, times) = (&plan.settings, plan.split, plan.times);
+    let photos = &photos.at(plan.scene, plan.judging.scale);
     let ended = settings.ended(field.facts(), log.clocked.as_ref());
     let mut outputs = Outputs::from([(SCENE.to_owned(), *inputs.required(SCENE)?)]);
     outputs.put_bytes(ctx, WEIGHTS, &field.encode())?;
@@ -242,7 +266,7 @@ fn judged(
     let trained = TrainedPhotos::new(plan.scene, trained_on(split, times));
     let mut judge = Judge::new(ctx, plan.of, field, photos);
     let metrics = Metrics {
-        scores: judge.held_out(&split.held_out, &trained, &mut outputs)?,
+        scores: judge.held_out(&split.held_out, plan.judging.chosen, &trained, &mut outputs)?,
         on_training: match plan.seen() {
             Some(seen) => Some(judge.on_training(&seen)?),
             None => None,
@@ -254,13 +278,14 @@ fn judged(
         samples: log.samples,
         loss: log.curve.0.last().map_or(0.0, |point| point.loss),
         scale: settings.scale,
+        judged_scale: Some(plan.judging.scale).filter(|scale| *scale != settings.scale),
         thinned: (plan.memory.run > 1).then_some(plan.memory.run),
         seed: params.seed,
         holdout: settings.holdout,
         fold: settings.fold,
         train_photos: times.iter().filter(|times| **times > 0).count() as u64,
         held_out_photos: split.held_out.len() as u64,
-        drawn: params.resample.map(|_| drawn(split, times)),
+        drawn: (params.resample.is_some() || settings.photos.is_some()).then(|| drawn(split, times)),
         fit: settings.fit,
         gpu: params.device.backend_id(),
         config,
@@ -309,7 +334,8 @@ impl<'a> Begun<'a> {
 impl<'a> Plan<'a> {
     /// Returns some of the photos that are trained on, where the photos of the final metric are held out.
     fn seen(&self) -> Option<Vec<NamedFrame<'a>>> {
-        if self.settings.holdout != Holdout::Test || self.settings.fold.is_some() {
+        let is_quick = self.judging.chosen != Chosen::ALL;
+        if is_quick || self.settings.holdout != Holdout::Test || self.settings.fold.is_some() {
             return None;
         }
         let used: Vec<&NamedFrame<'a>> = used(self.split, self.times).collect();
@@ -349,7 +375,7 @@ impl Trained {
         let goal = goal.transpose()?;
         let run = Run {
             goal: goal.as_ref(),
-            judging_s: Some(&|trainer: &mut Trainer| plan.judging_s(ctx, photos, trainer)),
+            photo_s: Some(&|trainer: &mut Trainer| plan.photo_s(ctx, photos, trainer)),
             ..plan.run(&begun)
         };
         let log = train_to(ctx, &run, &mut trainer)?;

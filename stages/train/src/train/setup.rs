@@ -23,6 +23,8 @@ pub(super) struct Settings {
     pub until: Option<u64>,
     pub scale: u32,
     pub memory: Memory,
+    /// Most training photos that are used; none: all.
+    pub photos: Option<u64>,
     pub holdout: Holdout,
     pub fold: Option<Fold>,
     pub fit: Fit,
@@ -61,6 +63,7 @@ impl Settings {
         Ok(Self {
             scale: params.scale.unwrap_or_else(|| scale_to(side_px, scene)),
             memory: params.memory,
+            photos: params.photos,
             holdout: params.holdout,
             fold: params.fold,
             fit: params.fit,
@@ -90,6 +93,7 @@ impl Settings {
             until: Some(setup.steps).filter(|steps| *steps < schedule.steps()),
             scale: setup.scale,
             memory: setup.memory,
+            photos: setup.photos,
             holdout: setup.holdout,
             fold: fold.or(setup.fold),
             fit: setup.fit,
@@ -128,8 +132,14 @@ impl Settings {
     }
 
     /// Returns how photos are kept: as in the training whose setup this is, or so that they fit the memory.
-    pub fn plan_memory(&self, split: &Split<'_>, times: &[usize]) -> Result<MemoryPlan, TrainError> {
-        let plan = plan_memory(self.memory, split, times, self.scale, &self.config)?;
+    pub fn plan_memory(
+        &self,
+        split: &Split<'_>,
+        times: &[usize],
+        judged_scale: u32,
+    ) -> Result<MemoryPlan, TrainError> {
+        let scales = [self.scale, judged_scale];
+        let plan = plan_memory(self.memory, split, times, scales, &self.config)?;
         Ok(MemoryPlan {
             run: self.given.as_ref().map_or(plan.run, |given| given.kept_every),
             ..plan
@@ -146,6 +156,7 @@ impl Settings {
             scale: self.scale,
             kept_every,
             memory: self.memory,
+            photos: self.photos,
             holdout: self.holdout,
             fold: self.fold,
             fit: self.fit,

@@ -25,7 +25,7 @@ const REPORT_EVERY: Duration = Duration::from_millis(200);
 const CURVE_PHOTOS: usize = 3;
 const CURVE_SIDE_PX: u32 = 64;
 
-/// Measures the seconds that judging a field will take when it is trained.
+/// Measures the seconds that judging a photo will take when the field is trained.
 type JudgingTime<'a> = dyn Fn(&mut Trainer) -> Result<f64, StageError> + 'a;
 
 /// A training: how far it goes, where its state is kept, and what it is called.
@@ -45,8 +45,8 @@ pub(crate) struct Run<'a> {
     pub curve_photos: &'a [(NamedFrame<'a>, ScaledPhoto)],
     /// The time that it may take.
     pub clock: Option<Clock>,
-    /// Tells what judging takes, where that is part of the same time.
-    pub judging_s: Option<&'a JudgingTime<'a>>,
+    /// Tells what judging a photo takes, where judging is part of the same time.
+    pub photo_s: Option<&'a JudgingTime<'a>>,
     /// The quality at which it stops.
     pub goal: Option<&'a Goal<'a>>,
 }
@@ -63,7 +63,7 @@ impl<'a> Run<'a> {
             note: "",
             curve_photos: &[],
             clock: None,
-            judging_s: None,
+            photo_s: None,
             goal: None,
         }
     }
@@ -117,8 +117,8 @@ pub(crate) fn train_to(
         let step = trainer.advance(until - log.measured).map_err(TrainError::from)?;
         log.add(&step);
         if let Some(ticking) = &mut ticking {
-            if let Some(judging_s) = run.judging_s.filter(|_| ticking.is_to_judge(trainer.steps())) {
-                ticking.leave(judging_s(trainer)?);
+            if let Some(photo_s) = run.photo_s.filter(|_| ticking.is_to_judge(trainer.steps())) {
+                ticking.leave(photo_s(trainer)?);
             }
             ticking.plan(trainer);
         }

@@ -270,7 +270,7 @@ impl<'a> TrialSetup<'a> {
         }
         let (scale, times) = (scale(plan), vec![1; split.training.len()]);
         Ok(Some(Self {
-            memory: plan_memory(params.memory, &split, &times, scale, &plan.settings.config)?,
+            memory: plan_memory(params.memory, &split, &times, [scale; 2], &plan.settings.config)?,
             params,
             plan,
             split,

@@ -14,8 +14,11 @@ use crate::archive::{ArchiveFile, Known, MAX_FILE_BYTES, ReadError, extension, f
 use crate::stat::{FileState, now_ns};
 
 /// Cameras and points of other programs, kept for `calibrate`.
-const COMPANIONS: [&str; 9] = [
+const COMPANIONS: [&str; 12] = [
     "transforms.json",
+    "transforms_train.json",
+    "transforms_val.json",
+    "transforms_test.json",
     "cameras.bin",
     "cameras.txt",
     "images.bin",

@@ -1,0 +1,28 @@
+//! Pipelines of one folder, for verbs that take one.
+
+use std::path::Path;
+
+/// Returns the beginning of a pipeline with the photos of a folder.
+pub fn photos(name: &str, dir: &Path) -> String {
+    let path = toml::Value::String(dir.to_string_lossy().into_owned());
+    format!(
+        "name = \"{name}\"\n[archive.folder]\nkind = \"folder\"\npath = {path}\n[node.extract]\narchive = \"folder\"\n"
+    )
+}
+
+/// Returns a pipeline that finds the cameras of photos.
+pub fn calibration(name: &str, dir: &Path, method: &str) -> String {
+    format!(
+        "{}[node.calibrate]\ninput = \"extract\"\ncameras = \"extract\"\nmethod = \"{}\"\n",
+        photos(name, dir),
+        method
+    )
+}
+
+/// Returns a pipeline that trains a field on photos whose cameras lie beside them; keys of the training may follow.
+pub fn training(name: &str, dir: &Path) -> String {
+    format!(
+        "{}[node.train]\ninput = \"calibrate\"\n",
+        calibration(name, dir, "import")
+    )
+}
