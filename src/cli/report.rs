@@ -65,7 +65,7 @@ pub fn page(session: &Session, record: &RunRecord) -> Result<String, CliError> {
         command: record.command.clone(),
         started: iso_time(record.started_unix_s),
         program: record.program.clone(),
-        nodes: nodes(session, record),
+        nodes: nodes(session, record)?,
         changes: changes(session, record)?,
         trade: trade(session, record)?,
         read: &read,
@@ -136,7 +136,36 @@ impl Memos for StoreMemos<'_> {
     }
 }
 
-fn nodes(session: &Session, record: &RunRecord) -> Vec<NodeView> {
+/// Returns the nodes of a run; those of the pipeline that it has not made have what the last whole run made of them.
+///
+/// # Errors
+/// A store that cannot be read.
+fn nodes(session: &Session, record: &RunRecord) -> Result<Vec<NodeView>, CliError> {
+    let mut views = nodes_of(session, record);
+    if session.is_whole(record) {
+        return Ok(views);
+    }
+    let whole = session.earlier(record, |run| session.is_whole(run))?;
+    for earlier in whole.iter().flat_map(|run| nodes_of(session, run)) {
+        let earlier = NodeView {
+            of_run: whole.as_ref().map(|run| run.number),
+            ..earlier
+        };
+        match views.iter_mut().find(|view| view.name == earlier.name) {
+            Some(view) if view.state.is_good() => {}
+            Some(view) => view.show(earlier),
+            None => views.push(NodeView {
+                state: State::Skipped,
+                reason: "not part of this run".to_owned(),
+                ..earlier
+            }),
+        }
+    }
+    Ok(views)
+}
+
+/// Returns the nodes of a run, without children.
+fn nodes_of(session: &Session, record: &RunRecord) -> Vec<NodeView> {
     let parents = record.nodes.iter().filter(|node| node.parent.is_none());
     let view = |node: &marf_engine::NodeRun| {
         let info = session.nodes.iter().find(|info| info.name == node.name);
@@ -155,6 +184,7 @@ fn nodes(session: &Session, record: &RunRecord) -> Vec<NodeView> {
                 .collect(),
             state: state(node.state),
             reason: node.reason.clone(),
+            of_run: None,
             seconds: (node.state == NodeState::Finished).then_some(node.seconds),
             params: info.map(|info| info.params.clone()).unwrap_or_default(),
             outputs: node

@@ -185,15 +185,34 @@ impl Session {
     /// # Errors
     /// A store that cannot be read.
     pub fn before(&self, record: &RunRecord) -> Result<Option<RunRecord>, CliError> {
+        self.earlier(record, |run| {
+            run.outcome == Outcome::Done && !run.has_keys_of(record)
+        })
+    }
+
+    /// Returns the last wanted run of this pipeline that came before a run, which need not be stored yet.
+    ///
+    /// # Errors
+    /// A store that cannot be read.
+    pub fn earlier(
+        &self,
+        record: &RunRecord,
+        wanted: impl Fn(&RunRecord) -> bool,
+    ) -> Result<Option<RunRecord>, CliError> {
         let is_earlier = |run: &RunRecord| record.number == 0 || run.number < record.number;
-        let wanted =
-            |run: &RunRecord| is_earlier(run) && run.outcome == Outcome::Done && !run.has_keys_of(record);
+        let wanted = |run: &RunRecord| is_earlier(run) && wanted(run);
         Ok(marf_engine::last_run_where(
             &self.store,
             &self.name,
             warn,
             wanted,
         )?)
+    }
+
+    /// Tells whether a run has made every node of this pipeline, or found it made.
+    pub fn is_whole(&self, run: &RunRecord) -> bool {
+        let has = |info: &NodeInfo| run.node(&info.name).is_some_and(|node| node.state.is_good());
+        self.nodes.iter().all(has)
     }
 }
 

@@ -26,8 +26,14 @@ const MARGIN: f64 = 126.0;
 const MOST_POINTS: usize = 3_000;
 /// An axis whose cosine with up is larger counts as up, within 2.6 degrees.
 const LEVEL: f64 = 0.999;
-/// Length of a drawn view, as a share of the longer side of what is shown.
+/// Length of a drawn view, as a share of the longer side of what is shown; that of the one camera of a plan.
 const VIEW_SHARE: f64 = 0.06;
+const PLAN_SHARE: f64 = 0.16;
+/// Width of a plan beside pictures, pixels, and most cameras that it shows, evenly from all.
+const PLAN_WIDTH: f64 = 220.0;
+const MOST_CAMERAS: usize = 500;
+/// Reprojection errors up to which a camera has the first colours, pixels; the last is for all above.
+const ERRORS_PX: [f64; 3] = [0.5, 1.0, 2.0];
 
 /// Every scene of the run once, with the nodes that hold it.
 pub(super) fn body(page: &Page<'_>) -> Markup {
@@ -92,9 +98,72 @@ fn of_scene(scene: &Scene) -> Markup {
                 figure { (drawing(scene, &axes.above(), "Cameras from above")) figcaption { "from above" } }
                 figure { (drawing(scene, &axes.aside(), "Cameras from the side")) figcaption { "from the side" } }
             }
-            p.legend { span.key.train {} "trained on " span.key.held-out {} "held out " span.key.point {} "sparse point" }
+            p.legend {
+                span.key.train {} "trained on " span.key.held-out {} "held out " span.key.point {} "sparse point"
+                @if scene.frames.iter().any(|frame| frame.error_px.is_some()) { (error_legend()) }
+            }
         }
         (unplaced(scene))
+    }
+}
+
+fn error_legend() -> Markup {
+    html! {
+        "; filled by mean reprojection error: "
+        @for (rank, error_px) in ERRORS_PX.iter().enumerate() {
+            span.key.(error_class(rank)) {} "up to " (number(*error_px)) " px "
+        }
+        span.key.(error_class(ERRORS_PX.len())) {} "more"
+    }
+}
+
+fn error_class(rank: usize) -> String {
+    format!("error{rank}")
+}
+
+/// Where single cameras of a scene stand, seen from above.
+pub(super) struct Plan {
+    scene: Scene,
+}
+
+impl Plan {
+    /// Reads the scene of a node, or of one that it reads; none without a scene, or with one that cannot be read: the section on cameras
+    /// says why.
+    pub(super) fn of(page: &Page<'_>, node: &NodeView) -> Option<Self> {
+        let upstream = node.upstream.iter().map(|(_, name)| name);
+        let read = upstream.filter_map(|name| page.input.nodes.iter().find(|node| node.name == *name));
+        let mut holders = [node].into_iter().chain(read);
+        let holder = holders.find(|node| node.outputs.contains_key(output::SCENE))?;
+        let scene = scene(page, holder).ok()?;
+        Some(Self { scene })
+    }
+
+    /// Draws where a photo was taken, and the nearest photo trained on, among all; none without a camera of this id.
+    pub(super) fn whereabouts(&self, id: &str, nearest: Option<&str>) -> Option<Markup> {
+        let find = |id: &str| self.scene.frames.iter().find(|frame| frame.id == id);
+        let (own, nearest) = (find(id)?, nearest.and_then(find));
+        let axes = Axes::new(&self.scene);
+        let view = axes.above();
+        let fit = fitted(&self.scene, &view);
+        let frames = &self.scene.frames;
+        let shown = frames.iter().step_by(frames.len().div_ceil(MOST_CAMERAS).max(1));
+        let dots: String = shown
+            .map(|frame| {
+                let (x, y) = fit.place(centre(frame));
+                format!("M{} {}h0", px(x), px(y))
+            })
+            .collect();
+        Some(html! {
+            svg.cameras.plan viewBox={ "0 0 " (px(WIDTH)) " " (px(fit.height)) } width=(px(PLAN_WIDTH))
+                height=(px(PLAN_WIDTH * fit.height / WIDTH)) role="img" aria-label={ "where " (own.file) " was taken" } {
+                path.others d=(dots) {}
+                @if let Some(nearest) = nearest {
+                    @let (x, y) = fit.place(centre(nearest));
+                    circle.nearest cx=(px(x)) cy=(px(y)) r="13" { title { "nearest photo trained on: " (nearest.file) } }
+                }
+                (frustum(own, &fit, PLAN_SHARE))
+            }
+        })
     }
 }
 
@@ -276,7 +345,7 @@ fn drawing(scene: &Scene, view: &View, title: &str) -> Markup {
         svg.cameras viewBox={ "0 0 " (px(WIDTH)) " " (px(fit.height)) } width=(px(WIDTH)) height=(px(fit.height))
             role="img" aria-label={ (title) ": " (count(scene.frames.len(), "camera")) } {
             g.points { @for point in thinned(&scene.points) { (dot_of(point, &fit)) } }
-            @for frame in train.into_iter().chain(held_out) { (frustum(frame, &fit)) }
+            @for frame in train.into_iter().chain(held_out) { (frustum(frame, &fit, VIEW_SHARE)) }
             (scale_bar(scene, &fit))
             (compass(view, &fit))
         }
@@ -293,9 +362,9 @@ fn dot_of(point: &Point, fit: &Fit<'_>) -> Markup {
     html! { @if inside { circle cx=(px(x)) cy=(px(y)) r="1" {} } }
 }
 
-/// The centre and the two edges of the view, each as long as [`VIEW_SHARE`] of the drawing in space.
-fn frustum(frame: &Frame, fit: &Fit<'_>) -> Markup {
-    let length = VIEW_SHARE * WIDTH / fit.px_each;
+/// The centre and the two edges of the view, each as long as a share of the drawing in space.
+fn frustum(frame: &Frame, fit: &Fit<'_>, share: f64) -> Markup {
+    let length = share * WIDTH / fit.px_each;
     let eye = centre(frame);
     let camera = &frame.camera;
     let edge = |column_px: f64| {
@@ -309,7 +378,11 @@ fn frustum(frame: &Frame, fit: &Fit<'_>) -> Markup {
         .iter()
         .map(|(x, y)| format!("{},{}", px(*x), px(*y)))
         .collect();
-    let class = if frame.held_out { "held-out" } else { "train" };
+    let rank = |error_px: f64| ERRORS_PX.iter().filter(|most| error_px > **most).count();
+    let error = frame
+        .error_px
+        .map_or_else(String::new, |error_px| error_class(rank(error_px)));
+    let class = format!("{} {error}", if frame.held_out { "held-out" } else { "train" });
     html! {
         g.(class) {
             title {
@@ -377,6 +450,33 @@ mod tests {
             metres_per_unit,
             ..Scene::default()
         })
+    }
+
+    /// The camera at (0, -2) looks north: its two edges are higher on the page than its centre.
+    #[test]
+    fn a_plan_shows_one_camera_among_the_others_and_the_nearest() {
+        let plan = Plan {
+            scene: crate::show::fixture::scene(),
+        };
+        let drawn = plan.whereabouts("d.jpg", Some("a.jpg")).unwrap().into_string();
+        assert!(drawn.contains("class=\"held-out error0\"") && drawn.contains("class=\"nearest\""));
+        let dots = drawn.matches("h0").count();
+        assert_eq!(dots, 4);
+        let corners = drawn
+            .split("points=\"")
+            .nth(1)
+            .unwrap()
+            .split('"')
+            .next()
+            .unwrap();
+        let rows: Vec<f64> = corners
+            .split(' ')
+            .map(|corner| corner.split_once(',').unwrap().1.parse().unwrap())
+            .collect();
+        assert!(rows[1] < rows[0] && rows[2] < rows[0], "{corners}");
+        let alone = plan.whereabouts("d.jpg", Some("gone")).unwrap().into_string();
+        assert!(!alone.contains("nearest\""));
+        assert!(plan.whereabouts("gone", None).is_none());
     }
 
     #[test]

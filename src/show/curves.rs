@@ -50,7 +50,8 @@ fn folded(page: &Page<'_>, node: &NodeView) -> Markup {
         Some(judged) => html! {
             (figures(&of_folds(judged)))
             p {
-                "A scene of fewer than " (metrics.below) " photos is judged on all of them: each by a field that was trained without                  its place, for " (number(judged.steps as f64)) " steps of the " (number(judged.steps_of_whole as f64))
+                "A scene of fewer than " (metrics.below) " photos is judged on all of them: each by a field that was trained without \
+                 its place, for " (number(judged.steps as f64)) " steps of the " (number(judged.steps_of_whole as f64))
                 " that the delivered field has."
             }
         },

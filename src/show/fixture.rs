@@ -7,7 +7,7 @@ use std::sync::Arc;
 use marf_cache::Digest;
 use marf_cache::manifest::{Leaf, LeafRef, Root, Row};
 use marf_field::Overrides;
-use marf_scene::{Camera, Frame, Image, PhotoFacts, Point, Pose, Scene, Unplaced, encode_png};
+use marf_scene::{Camera, Frame, Image, Nearest, PhotoFacts, Point, Pose, Scene, Unplaced, encode_png};
 use marf_schema::scores::{PhotoScores, Scores};
 use marf_schema::{output, train, tune};
 use marf_stage::{Document, PHOTOS, VERDICTS, Verdict};
@@ -111,6 +111,7 @@ pub(super) fn node(name: &str, upstream: &[&str]) -> NodeView {
             .map(|from| ("input".to_owned(), (*from).to_owned()))
             .collect(),
         state: State::Ran,
+        of_run: None,
         reason: "no record of this key".to_owned(),
         seconds: Some(1.0),
         params: json!({"seed": 3}),
@@ -257,13 +258,20 @@ fn train(store: &mut Store, scene: Digest) -> NodeView {
         psnr_paper: Some(23.0),
         ssim: Some(0.81),
         views: vec![PhotoScores {
-            id: HOSTILE.to_owned(),
+            id: NAMES[3].to_owned(),
             file: HOSTILE.to_owned(),
             name: "v1".to_owned(),
             psnr: 24.0,
             psnr_paper: None,
             ssim: Some(0.8),
-            nearest: None,
+            nearest: Some(Nearest {
+                id: NAMES[0].to_owned(),
+                distance: 1.5,
+                distance_m: Some(3.0),
+                angle_deg: 90.0,
+                uncovered_share: 0.25,
+                extrapolates: false,
+            }),
         }],
         apart: None,
     });

@@ -61,6 +61,8 @@ pub struct NodeView {
     pub upstream: Vec<(String, String)>,
     /// Its state.
     pub state: State,
+    /// The earlier run that its outputs are of; none: this one.
+    pub of_run: Option<u64>,
     /// Why it ran, was reused or skipped; of a failed node the message.
     pub reason: String,
     /// Wall time of its work, seconds; of a reused node what it took then, if known.
@@ -71,6 +73,17 @@ pub struct NodeView {
     pub outputs: BTreeMap<String, Digest>,
     /// Its child nodes.
     pub children: Vec<ChildView>,
+}
+
+impl NodeView {
+    /// Shows what another run made of this node; how it fared in this run stays.
+    pub fn show(&mut self, other: Self) {
+        *self = Self {
+            state: self.state,
+            reason: std::mem::take(&mut self.reason),
+            ..other
+        };
+    }
 }
 
 /// A child node: a tuning trial, a retraining.
@@ -98,6 +111,11 @@ pub enum State {
 }
 
 impl State {
+    /// Tells whether the node has its outputs.
+    pub const fn is_good(self) -> bool {
+        matches!(self, Self::Ran | Self::Reused)
+    }
+
     /// The state as a word, also its class in the style sheet.
     pub const fn word(self) -> &'static str {
         match self {

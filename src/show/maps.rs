@@ -42,6 +42,29 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
     html! { @for node in nodes { h3 { (node.name) } (of_node(page, node)) } }
 }
 
+/// Returns the map of uncertainty of a view, with its heading, of a node that reads a training or what this reads; none where there
+/// is no such node, or it has not looked there.
+pub(super) fn uncertainty_of<'p>(
+    page: &Page<'p>,
+    training: &NodeView,
+    view: &str,
+) -> Option<(&'static str, &'p Digest)> {
+    let of_training: Vec<&String> = training.upstream.iter().map(|(_, name)| name).collect();
+    let is_of = |node: &&NodeView| {
+        let mut names = node.upstream.iter().map(|(_, name)| name);
+        names.any(|name| *name == training.name || of_training.contains(&name))
+    };
+    let map =
+        |node: &'p NodeView, kind: &str| node.outputs.get(&format!("{}{view}-{kind}.png", output::MAPS));
+    let mut nodes = page.with_outputs_under(output::MAPS).filter(is_of);
+    nodes.find_map(|node| {
+        let kinds = KINDS.iter().filter(|(kind, _)| matches!(*kind, "total" | "std"));
+        kinds
+            .rev()
+            .find_map(|(kind, heading)| Some((*heading, map(node, kind)?)))
+    })
+}
+
 fn of_node(page: &Page<'_>, node: &NodeView) -> Markup {
     let pictures = by_view(node);
     let metrics = page.document::<Metrics>(node);

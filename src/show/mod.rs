@@ -150,6 +150,7 @@ fn header(page: &Page<'_>, sections: &[Section]) -> Markup {
             p.lead { (nodes::sentence(input)) }
             p.quiet { code { (input.command) } ", started " (input.started) ", " (input.program) }
             (nodes::failures(input))
+            (nodes::of_earlier_run(input))
             nav aria-label="Contents" {
                 @for section in sections { a href={ "#" (section.id) } { (section.title) } " " }
             }

@@ -49,6 +49,18 @@ pub(super) fn failures(input: &ReportInput<'_>) -> Markup {
     }
 }
 
+/// Names the nodes whose outputs are of an earlier run; nothing if there are none.
+pub(super) fn of_earlier_run(input: &ReportInput<'_>) -> Markup {
+    let nodes = input.nodes.iter().filter(|node| node.of_run.is_some());
+    let names: Vec<&str> = nodes.clone().map(|node| node.name.as_str()).collect();
+    let run = nodes.filter_map(|node| node.of_run).next();
+    html! {
+        @if let Some(run) = run {
+            p.lead { "Of run " (run) ", the last whole one, as this run has not made them: " (names.join(", ")) "." }
+        }
+    }
+}
+
 /// The table of nodes.
 pub(super) fn body(page: &Page<'_>) -> Markup {
     html! {
@@ -60,7 +72,7 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
                 tbody { @for node in &page.input.nodes { (row(node)) } }
             }
         }
-        p.quiet { "In brackets: what a reused node took when it ran." }
+        p.quiet { "In brackets: what a node took when it ran in an earlier run." }
     }
 }
 
@@ -73,7 +85,10 @@ fn row(node: &NodeView) -> Markup {
                 div.quiet { (node.about) }
                 (params(node))
             }
-            td { span.badge.(node.state.word()) { (node.state.word()) } }
+            td {
+                span.badge.(node.state.word()) { (node.state.word()) }
+                @if let Some(run) = node.of_run { div.quiet { "outputs of run " (run) } }
+            }
             td.number { (time(node)) }
             td.why { (node.reason) (children(node)) }
             td { (outputs(node)) }
@@ -84,7 +99,7 @@ fn row(node: &NodeView) -> Markup {
 /// What a reused node took when it ran stands in brackets.
 fn time(node: &NodeView) -> String {
     match (node.seconds, node.state) {
-        (Some(time), State::Reused) => format!("({})", seconds(time)),
+        (Some(time), State::Reused | State::Skipped) => format!("({})", seconds(time)),
         (Some(time), _) => seconds(time),
         (None, _) => "–".to_owned(),
     }

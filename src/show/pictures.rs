@@ -8,9 +8,11 @@ use marf_schema::scores::{PhotoScores, Scores};
 use marf_schema::{evaluate, folds, output, train};
 use maud::{Markup, html};
 
+use super::cameras::Plan;
 use super::embed::{Form, decode, words};
 use super::format::count;
 use super::input::NodeView;
+use super::maps::uncertainty_of;
 use super::page::{Page, has_document};
 use super::quality::{by_distance, of_photo};
 use super::read::Missing;
@@ -64,7 +66,8 @@ fn views(page: &Page<'_>, node: &NodeView) -> Markup {
         h3 { (node.name) ": " (count(names.len(), "view")) }
         @if let Err(missing) = &scores { (missing) }
         @if let Ok(scores) = &scores { (by_distance(scores)) }
-        @for name in names.iter().take(MOST_VIEWS) { (triple(page, node, name, view(name))) }
+        @let plan = Plan::of(page, node);
+        @for name in names.iter().take(MOST_VIEWS) { (judged(page, node, name, view(name), plan.as_ref())) }
         @if names.len() > MOST_VIEWS { p.quiet { (count(names.len() - MOST_VIEWS, "better view")) " not shown." } }
     }
 }
@@ -85,8 +88,18 @@ fn picture_name<'n>(output: &'n str, prefix: &str) -> Option<&'n str> {
     output.strip_prefix(prefix)?.strip_suffix(".png")
 }
 
-/// Render, photo and error in a row, with the figures of the view.
-fn triple(page: &Page<'_>, node: &NodeView, name: &str, scores: Option<&PhotoScores>) -> Markup {
+/// Photo, render, error, uncertainty and place in a row, with the figures of the view.
+fn judged(
+    page: &Page<'_>,
+    node: &NodeView,
+    name: &str,
+    scores: Option<&PhotoScores>,
+    plan: Option<&Plan>,
+) -> Markup {
+    let place = scores.zip(plan).and_then(|(scores, plan)| {
+        let nearest = scores.nearest.as_ref().map(|nearest| nearest.id.as_str());
+        plan.whereabouts(&scores.id, nearest)
+    });
     let render = node.outputs.get(&format!("{}{name}.png", output::HELDOUT));
     let photo = node.outputs.get(&format!("{}{name}.png", output::PHOTO));
     let stored = |digest: Option<&Digest>, what: &str| match digest {
@@ -98,10 +111,14 @@ fn triple(page: &Page<'_>, node: &NodeView, name: &str, scores: Option<&PhotoSco
     html! {
         div.view {
             h4 { span.file { (name) } @for text in view_figures(scores) { span.quiet { (text) } } }
-            div.row {
-                figure { (stored(render, "render")) figcaption { "render" } }
+            div.row.judged {
                 figure { (stored(photo, "photo")) figcaption { "photo" } }
+                figure { (stored(render, "render")) figcaption { "render" } }
                 figure { (error_picture(page, render, photo, name)) figcaption { "error x " (ERROR_GAIN) } }
+                @if let Some((heading, map)) = uncertainty_of(page, node, name) {
+                    figure { (stored(Some(map), heading)) figcaption { (heading) } }
+                }
+                @if let Some(place) = place { figure { (place) figcaption { "where, from above; ringed: nearest trained on" } } }
             }
         }
     }

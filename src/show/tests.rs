@@ -1,4 +1,6 @@
 use super::fixture::{HOSTILE, full, giving, node, verdict};
+use std::collections::BTreeMap;
+
 use super::*;
 use marf_cache::Digest;
 use marf_schema::{folds, masks, train};
@@ -69,6 +71,11 @@ fn known_figures_have_their_unit() {
         "score 12.5, threshold 20, 7.5 below",
         "4 cameras, 1 held out; 1 sparse point; 1 unit is 2 m",
         "PSNR 24.00 dB",
+        "nearest photo trained on 3 m, 90°",
+        "figcaption>standard deviation<",
+        "where, from above; ringed: nearest trained on",
+        "filled by mean reprojection error",
+        "class=\"held-out error0\"",
         "24.57 dB",
         "Trial 01 is chosen.",
         "AUSE of a random order",
@@ -181,6 +188,31 @@ fn a_run_without_outputs_says_so_in_every_section() {
     );
     assert!(html.matches("No node of this run gave").count() >= 7, "{html}");
     check_balance(&fixture::Store::default().report(&[]));
+}
+
+#[test]
+fn what_an_earlier_run_made_is_shown_with_its_number() {
+    let (store, mut nodes) = full();
+    let train = nodes.iter_mut().find(|node| node.name == "train").unwrap();
+    let made = NodeView {
+        of_run: Some(7),
+        ..train.clone()
+    };
+    (train.state, train.reason, train.outputs) = (State::Failed, "disk full".to_owned(), BTreeMap::new());
+    assert!(!store.report(&nodes).contains("Of run"));
+    let train = nodes.iter_mut().find(|node| node.name == "train").unwrap();
+    train.show(made);
+    assert_eq!((train.state, train.reason.as_str()), (State::Failed, "disk full"));
+    let html = store.report(&nodes);
+    check_balance(&html);
+    for text in [
+        "Of run 7, the last whole one, as this run has not made them: train.",
+        "outputs of run 7",
+        "train failed:",
+        "24.57 dB",
+    ] {
+        assert!(html.contains(text), "{text}");
+    }
 }
 
 #[test]
