@@ -90,6 +90,14 @@ impl StoreSource {
         Ok(runs.find(|run| !is_aside(run) && has_much(run)))
     }
 
+    /// Returns the last run of the same pipeline before a run that has a field.
+    fn trained_before(&self, run: &RunRecord) -> Option<RunRecord> {
+        let numbers = self.store.run_numbers().ok()?.into_iter().rev();
+        let earlier = numbers.filter(|number| *number < run.number);
+        let mut runs = earlier.filter_map(|number| run_of(&self.store, number).ok());
+        runs.find(|before| before.pipeline == run.pipeline && !fields(before).is_empty())
+    }
+
     /// Returns the digest of the report that a run has kept.
     fn report(&self, run: &RunRecord) -> Option<Digest> {
         let digest = run.documents.get(document::REPORT)?.digest;
@@ -140,11 +148,19 @@ impl Source for StoreSource {
                 ));
             }
         }
+        let (mut objects, mut fields) = (objects(&run), fields(&run));
+        if let Some(earlier) = self.trained_before(&run).filter(|_| fields.is_empty()) {
+            objects.extend(self::objects(&earlier));
+            fields = self::fields(&earlier);
+            for field in &mut fields {
+                field.node = format!("{} of run {}", field.node, earlier.number);
+            }
+        }
         Ok(RunContent {
             number: Some(run.number),
             report,
-            objects: objects(&run),
-            fields: fields(&run),
+            objects,
+            fields,
         })
     }
 

@@ -104,7 +104,7 @@ pub fn live_parts(number: Option<u64>, fields: &[&str]) -> Markup {
         }
         section #view {
             h2 { "3-D view" }
-            @if fields.is_empty() { p.missing { "This run has no trained field." } } @else { (view(fields)) }
+            @if fields.is_empty() { p.missing { "No run has a trained field yet." } } @else { (view(fields)) }
         }
     }
 }

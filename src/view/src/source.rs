@@ -32,14 +32,14 @@ pub struct RunContent {
     pub report: String,
     /// The objects that it names.
     pub objects: BTreeSet<Digest>,
-    /// Its trained fields.
+    /// Its trained fields, or those of an earlier run.
     pub fields: Vec<FieldSource>,
 }
 
 /// A trained field of a run.
 #[derive(Debug, Clone)]
 pub struct FieldSource {
-    /// Name of the node that trained it.
+    /// The node that trained it, as it is shown.
     pub node: String,
     /// The field.
     pub weights: Digest,
