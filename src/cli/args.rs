@@ -172,7 +172,7 @@ pub enum Verb {
     },
     /// Find the cameras of a folder's photos
     Calibrate(CalibrateArgs),
-    /// Train a field on images/ and transforms.json of a folder, and render the held-out views
+    /// Train a field on the photos of a folder, with the cameras beside them or by structure from motion, and render the held-out views
     Fit(FitArgs),
     /// Measure what each knob costs in time and gains in quality
     Trade(super::trade::TradeArgs),
@@ -255,7 +255,8 @@ pub struct CalibrateArgs {
 /// Arguments of `fit`.
 #[derive(Debug, Clone, Args)]
 pub struct FitArgs {
-    /// A folder with images/, transforms.json (nerfstudio convention) and the points it names
+    /// A folder with photos; cameras are those of a transforms.json (nerfstudio, instant-ngp, NeRF) or COLMAP's model in it, else
+    /// found by structure from motion
     pub dir: PathBuf,
     /// Training times, e.g. `10s,60s,5m`: trials and steps, without decoding and judging
     #[arg(long, value_name = "TIMES", default_value = "60s", value_delimiter = ',')]
@@ -325,6 +326,8 @@ pub enum Method {
     Import,
     /// An installed COLMAP
     Colmap,
+    /// `import` where a file with cameras lies in the folder, else `sfm`
+    Auto,
 }
 
 impl Method {
@@ -335,6 +338,7 @@ impl Method {
             Self::Labels => "labels",
             Self::Import => "import",
             Self::Colmap => "colmap",
+            Self::Auto => "auto",
         }
     }
 }

@@ -3,6 +3,7 @@ use std::path::Path;
 
 use marf_cache::Digest;
 use marf_engine::{Cancel, NodeRun, Outcome, RunRecord, document};
+use marf_schema::calibrate::{self, CalibrateParams};
 use marf_schema::folds::{self, FoldsParams};
 use marf_schema::output;
 use marf_schema::scores::PhotoScores;
@@ -18,7 +19,7 @@ use super::output::print_json;
 use super::run::{Execution, execute_as, options};
 use super::session::{Session, node_named};
 use super::{budget, export};
-use crate::terminal::print_line;
+use crate::terminal::{eprint_line, print_line};
 
 /// What metrics.json holds of one time.
 #[derive(Debug, Clone, Serialize)]
@@ -86,6 +87,12 @@ pub fn fit(global: &Global, args: &FitArgs, cancel: &Cancel) -> Result<(), CliEr
         let options = options(global, &session.name);
         let (record, ended) = execute_as(&session, &options, global, cancel, &execution)?;
         ended?;
+        let cameras: calibrate::Metrics = session.document(node_named(&record, CalibrateParams::STAGE)?)?;
+        let totals = &cameras.totals;
+        eprint_line(&format!(
+            "cameras: {}, {} of {} photos placed",
+            cameras.method, totals.registered, totals.photos
+        ));
         write(&session, &record, &args.out, &name)?;
         timed.insert(name.clone(), timed_of(&session, &record)?);
         fitted.insert(name, fitted_of(&session, &record)?);

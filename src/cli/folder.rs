@@ -19,10 +19,11 @@ pub fn calibration(name: &str, dir: &Path, method: &str) -> String {
     )
 }
 
-/// Returns a pipeline that trains a field on photos whose cameras lie beside them; keys of the training may follow.
+/// Returns a pipeline that trains a field on photos, with cameras that lie beside them or by structure from motion; keys of the training
+/// may follow.
 pub fn training(name: &str, dir: &Path) -> String {
     format!(
         "{}[node.train]\ninput = \"calibrate\"\n",
-        calibration(name, dir, "import")
+        calibration(name, dir, "auto")
     )
 }

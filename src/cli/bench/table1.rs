@@ -30,7 +30,7 @@ const PAPER: [(u32, [f64; 3]); 5] = [
 /// Arguments of `bench table1`.
 #[derive(Debug, Clone, Args)]
 pub struct Table1Args {
-    /// A folder with images/ and transforms.json; without one the pipeline is trained, its `train` with these times
+    /// A folder with photos, as `marf fit` takes it; without one the pipeline is trained, its `train` with these times
     pub dir: Option<PathBuf>,
     /// Training times [default: the paper's]
     #[arg(

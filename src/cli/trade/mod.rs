@@ -27,7 +27,7 @@ use crate::terminal::{eprint_line, print_line};
 #[derive(Debug, Clone, Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct TradeArgs {
-    /// A folder with images/ and transforms.json, instead of the pipeline
+    /// A folder with photos, as `marf fit` takes it, instead of the pipeline
     pub dir: Option<PathBuf>,
     /// Turn only these knobs, e.g. `train.scale`
     #[arg(long = "knob", value_name = "NODE.KEY")]

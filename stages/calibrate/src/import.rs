@@ -25,7 +25,7 @@ pub use transforms::{Transforms, read_transforms};
 
 use crate::calibration::{Calibration, HeldOut, PhotoStatistics, PlacedPhoto, mean_up};
 use crate::photos::{InputPhoto, as_png, decode, reduced, reduction};
-use choose::{Source, choose};
+use choose::{Source, candidates, choose};
 use marf_schema::calibrate::CalibrateParams;
 use marf_schema::calibrate::Missing;
 use photo_names::PhotoNames;
@@ -67,6 +67,14 @@ pub(crate) fn run(
             source.name()
         ),
     })
+}
+
+/// Tells whether a file beside the photos may hold their cameras.
+pub(crate) fn has_cameras(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<bool, StageError> {
+    match inputs.optional(COMPANIONS) {
+        Some(_) => Ok(!candidates(&companions(ctx, inputs)?).is_empty()),
+        None => Ok(false),
+    }
 }
 
 /// Returns the error of a refused camera file.

@@ -93,7 +93,7 @@ pub(crate) fn field_masks(
         return Ok(BTreeMap::new());
     }
     let candidates = match params.method {
-        Method::Labels | Method::Sfm => of_one_site(items, params.site),
+        Method::Labels | Method::Sfm | Method::Auto => of_one_site(items, params.site),
         Method::Import | Method::Colmap => items.iter().map(|_| None).collect(),
     };
     let mask = |one: &PlacedPhoto| -> Result<Option<(usize, Digest)>, StageError> {

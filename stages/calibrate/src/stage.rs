@@ -74,18 +74,19 @@ impl Stage for Calibrate {
 impl Set for Calibrate {
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
         let items = load(ctx, inputs)?;
-        let mut found = match self.0.method {
-            Method::Labels => labels::run(ctx, &items, &self.0)?,
-            Method::Import => import::run(ctx, inputs, &items, &self.0)?,
-            Method::Sfm => sfm::run(ctx, inputs, &items, &self.0)?,
-            Method::Colmap => colmap::run(ctx, inputs, &items, &self.0)?,
+        let params = &self.resolved(ctx, inputs)?;
+        let mut found = match params.method {
+            Method::Labels => labels::run(ctx, &items, params)?,
+            Method::Import => import::run(ctx, inputs, &items, params)?,
+            Method::Sfm | Method::Auto => sfm::run(ctx, inputs, &items, params)?,
+            Method::Colmap => colmap::run(ctx, inputs, &items, params)?,
         };
-        check_enough(&found, items.len(), self.0.min_registered)?;
-        hold_out(&mut found, &self.0, &items);
+        check_enough(&found, items.len(), params.min_registered)?;
+        hold_out(&mut found, params, &items);
         check_training(&found.placed)?;
         let metrics = metrics(&found, &items);
         let tracks = std::mem::take(&mut found.tracks);
-        let masks = field_masks(ctx, inputs, &items, &found.placed, &self.0)?;
+        let masks = field_masks(ctx, inputs, &items, &found.placed, params)?;
         let scene = scene(found, &items, &masks);
         let tracks = match tracks.is_empty() {
             true => Tracks::without_observations(&scene.points),
@@ -107,6 +108,21 @@ impl Set for Calibrate {
         let model = write_colmap(&scene, &tracks).map(|(name, bytes)| (format!("{SPARSE}0/{name}"), bytes));
         let stored = outputs.into_iter().chain(model);
         stored.map(|(name, bytes)| Ok((name, ctx.put(&bytes)?))).collect()
+    }
+}
+
+impl Calibrate {
+    /// Returns the parameters with the method that `auto` stands for.
+    fn resolved(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<CalibrateParams, StageError> {
+        let method = match self.0.method {
+            Method::Auto if import::has_cameras(ctx, inputs)? => Method::Import,
+            Method::Auto => Method::Sfm,
+            method => method,
+        };
+        Ok(CalibrateParams {
+            method,
+            ..self.0.clone()
+        })
     }
 }
 

@@ -67,6 +67,8 @@ pub enum Method {
     Import,
     /// An installed COLMAP; its answer is not the same to the byte on every machine.
     Colmap,
+    /// `import` where a file with cameras lies beside the photos, else `sfm`.
+    Auto,
 }
 
 /// Which photos are kept from training.

@@ -88,7 +88,7 @@ fn listed<'a>(names: impl ExactSizeIterator<Item = &'a String>) -> String {
 }
 
 /// Files that could be meant: every transforms.json, every first part of a split set, every COLMAP model once.
-fn candidates(files: &Files) -> Vec<String> {
+pub(super) fn candidates(files: &Files) -> Vec<String> {
     let is_json = |name: &&String| matches!(base(name), "transforms.json" | "transforms_train.json");
     let transforms = files.keys().filter(is_json).cloned();
     let folders: BTreeSet<String> = files.keys().map(|name| folder(name)).collect();

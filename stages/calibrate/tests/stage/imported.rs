@@ -98,6 +98,20 @@ fn the_parts_of_a_split_set_read_the_points_they_share_once() {
     assert_eq!(output.scene.points.len(), 1);
 }
 
+/// `auto` imports where there is something to import, and looks at the photos where there is not.
+#[test]
+fn auto_takes_the_cameras_beside_the_photos_or_finds_them() {
+    let with = imported(&["a.png", "b.png"], &transforms(&["a", "b"]));
+    let [auto, import] = ["auto", "import"].map(|method| with.run(&json!({ "method": method })).unwrap());
+    assert_eq!(auto.transforms, import.transforms);
+    assert!(auto.metrics.method.starts_with("import of transforms.json"));
+    let mut without = Input::default();
+    without.plain("a.png", &picture(1));
+    let complaints = ["auto", "sfm"].map(|method| without.complaint(&json!({ "method": method })));
+    assert!(complaints[0].contains("too few features"), "{}", complaints[0]);
+    assert_eq!(complaints[0], complaints[1]);
+}
+
 #[test]
 fn cameras_for_none_of_the_photos_are_an_error() {
     let complaint = imported(&["a.png"], &transforms(&["b.png"])).complaint(&json!({"method": "import"}));
