@@ -140,6 +140,8 @@ pub enum Verb {
     },
     /// Show the report live, with what runs now and a 3-D view of the field, on one local port
     View(super::view::ViewArgs),
+    /// Render a trained field along a path: pictures of colour, depth or uncertainty, and a film
+    Render(super::render::RenderArgs),
     /// Hand a run, or what it made, to people and programs without the store
     Export {
         /// In which form

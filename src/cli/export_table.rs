@@ -88,12 +88,20 @@ impl ExportTable {
     /// # Errors
     /// A file that cannot be removed.
     pub fn keep_only(&mut self, folder: &Path, names: &BTreeSet<String>) -> Result<(), CliError> {
+        self.remove(folder, |name| !names.contains(name))
+    }
+
+    /// Removes the files of a folder that were written for it, that nobody touched since, and whose name is among the `unwanted`.
+    ///
+    /// # Errors
+    /// A file that cannot be removed.
+    pub fn remove(&mut self, folder: &Path, unwanted: impl Fn(&str) -> bool) -> Result<(), CliError> {
         let path = self.out.join(folder);
         let table = self.table(folder);
         let old: Vec<(String, FileState)> = table
             .entries
             .iter()
-            .filter(|(name, _)| !names.contains(*name))
+            .filter(|(name, _)| unwanted(name))
             .map(|(name, entry)| (name.clone(), entry.state))
             .collect();
         for (name, state) in old {

@@ -1,5 +1,6 @@
 //! The verbs, one file each.
 
+mod again;
 mod args;
 mod audit;
 mod bench;
@@ -24,6 +25,7 @@ mod output;
 mod photos;
 mod plan;
 mod program;
+mod render;
 mod replay;
 mod report;
 mod run;
@@ -84,6 +86,7 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
         },
         Verb::Report { out } => report::report(global, out, cancel),
         Verb::View(args) => view::view(global, args, cancel),
+        Verb::Render(args) => render::render(global, args, cancel),
         Verb::Export { verb } => share::export(global, verb, cancel),
         Verb::Verify(args) => share::verify_path(global, args),
         Verb::Audit(args) => audit::audit(global, args, cancel),

@@ -7,6 +7,7 @@ use marf_cache::manifest::ManifestError;
 use marf_cache::{Digest, Store, StoreError};
 use marf_engine::{Cancel, Edge, EngineError, Graph, GraphError, NodeDecl, NodeRun, Outcome, RunRecord};
 use marf_provenance::LineageError;
+use marf_schema::bootstrap;
 use marf_stage::{Document, Verdict};
 
 use super::args::Global;
@@ -255,6 +256,15 @@ pub fn warn(message: String) {
 pub fn node_named<'r>(record: &'r RunRecord, name: &str) -> Result<&'r NodeRun, CliError> {
     let node = record.nodes.iter().find(|node| node.name == name);
     node.ok_or_else(|| CliError::failed(format!("the run has no node `{name}`")))
+}
+
+/// Returns the bootstraps of a run that retrain the field of a node.
+pub fn bootstraps_of<'r>(run: &'r RunRecord, trained: &str) -> impl Iterator<Item = &'r NodeRun> {
+    let retrains = move |node: &&NodeRun| {
+        let reads = node.edges.iter().any(|edge| edge.upstream == trained);
+        reads && node.stage == bootstrap::Metrics::STAGE
+    };
+    run.nodes.iter().filter(retrains)
 }
 
 /// Returns the digest of an output of a node.

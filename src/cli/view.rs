@@ -8,15 +8,13 @@ use clap::Args;
 use marf_cache::{Digest, Store};
 use marf_engine::{Cancel, NodeRun, RunRecord, document, run_of};
 use marf_field::Device;
-use marf_schema::bootstrap;
 use marf_schema::output::{SCENE, WEIGHTS};
-use marf_stage::Document;
 use marf_view::{FieldSource, Options, RunContent, Server, Source, ViewError};
 use parking_lot::Mutex;
 
 use super::args::Global;
 use super::error::{CliError, Diagnostic};
-use super::session::{existing_store, is_aside};
+use super::session::{bootstraps_of, existing_store, is_aside};
 use crate::progress::event_folder;
 use crate::show;
 use crate::terminal::{eprint_line, print_line};
@@ -207,12 +205,7 @@ fn fields(run: &RunRecord) -> Vec<FieldSource> {
 
 /// Returns the fields that the bootstraps of a training have trained.
 fn members(run: &RunRecord, trained: &NodeRun) -> Vec<Digest> {
-    let reads = |node: &NodeRun| node.edges.iter().any(|edge| edge.upstream == trained.name);
-    let is_bootstrap = |node: &&NodeRun| node.stage == bootstrap::Metrics::STAGE && reads(node);
-    let parents: Vec<&str> = run
-        .nodes
-        .iter()
-        .filter(is_bootstrap)
+    let parents: Vec<&str> = bootstraps_of(run, &trained.name)
         .map(|node| node.name.as_str())
         .collect();
     let of_it = |node: &&NodeRun| {

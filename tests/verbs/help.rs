@@ -21,6 +21,7 @@ help_of! {
     help_schema: "schema", "--help";
     help_report: "report", "--help";
     help_view: "view", "--help";
+    help_render: "render", "--help";
     help_export: "export", "--help";
     help_export_crate: "export", "crate", "--help";
     help_export_attest: "export", "attest", "--help";

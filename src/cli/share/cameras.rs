@@ -10,13 +10,13 @@ use marf_scene::Scene;
 use marf_schema::output::{POINTS, SCENE, SPARSE, TRANSFORMS};
 use serde_json::json;
 
+use super::super::again::run_with;
 use super::super::args::Global;
 use super::super::copies::copy;
 use super::super::error::CliError;
 use super::super::files;
 use super::super::output::print_json;
 use super::super::session::{digest, existing_store};
-use super::again::run_with;
 use crate::terminal::print_line;
 
 /// Arguments of `export cameras`.

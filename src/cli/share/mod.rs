@@ -1,6 +1,5 @@
 //! Verbs that hand a run, or what it made, to people and programs without the store, and check what was handed over.
 
-mod again;
 mod attest;
 mod cameras;
 mod export_crate;

@@ -9,12 +9,12 @@ use marf_schema::surface::{SurfaceParams, SurfaceReport};
 use marf_stage::Params;
 use serde_json::{Map, Value, json};
 
+use super::super::again::{run_nodes, run_with};
 use super::super::args::Global;
 use super::super::error::{CliError, Diagnostic};
 use super::super::export::one;
 use super::super::output::print_json;
 use super::super::session::{Session, digest, existing_store, node_named};
-use super::again::{run_node, run_with};
 use crate::terminal::print_line;
 
 /// Arguments of the exports of a surface.
@@ -67,7 +67,7 @@ pub fn export(global: &Global, kind: Kind, args: &SurfaceArgs, cancel: &Cancel) 
     let store = existing_store(global, cancel)?;
     let run = run_with(&store, args.run, &args.node)?;
     let name = format!("surface-of-{}", args.node);
-    let (session, record) = run_node(store, &run, (&name, &table(kind, args)), global, cancel)?;
+    let (session, record) = run_nodes(store, &run, &[(&name, table(kind, args))], global, cancel)?;
     let node = node_named(&record, &name)?;
     let report: SurfaceReport = session.document(node)?;
     if let (Kind::Height | Kind::Orthophoto, Some(why)) = (kind, report.refused.get(SURFACE_MAPS)) {

@@ -116,6 +116,17 @@ impl Camera {
         )
     }
 
+    /// Returns the camera that sees more or fewer rows, as many above as below; what the pixels between show stays.
+    #[must_use]
+    pub fn with_height(&self, height: u32) -> Self {
+        let moved = (f64::from(height) - f64::from(self.height)) / 2.0;
+        Self {
+            height,
+            cy_px: self.cy_px + moved,
+            ..*self
+        }
+    }
+
     /// Returns whether every number is finite, the size is not zero and the focal lengths are positive.
     pub fn is_valid(&self) -> bool {
         let numbers = [
@@ -219,5 +230,14 @@ mod tests {
             .unproject(&Vector2::new(100.0, 200.0))
             .unwrap();
         assert!((ray - small).norm() < 1e-12);
+    }
+
+    #[test]
+    fn a_lower_picture_shows_the_middle_rows() {
+        let low = rover().with_height(1000);
+        let ray = |camera: &Camera, row| camera.unproject(&Vector2::new(400.0, row)).unwrap();
+        // 1920 - 1000 rows are gone, 460 of them above.
+        assert!((ray(&low, 40.0) - ray(&rover(), 500.0)).norm() < 1e-12);
+        assert_eq!(rover().with_height(1920), rover());
     }
 }

@@ -10,8 +10,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use crate::{check_field, train::Fit};
 
 pub use metrics::{
-    Calibration, Coverage, HeldOut, Member, Metrics, OutOfBag, PhotoReport, Round, SparsificationCurves,
-    ViewReport,
+    Calibration, Coverage, HeldOut, Member, MemberFields, Metrics, OutOfBag, PhotoReport, Round,
+    SparsificationCurves, ViewReport,
 };
 
 /// What differs between members.

@@ -24,8 +24,14 @@ pub const PHOTO: &str = "photo/";
 pub const VIDEO: &str = "video";
 /// Pictures along the path of `render`: `frames/0001.png`.
 pub const FRAMES: &str = "frames/";
-/// Depths along the path of `render`: `depth/0001.png`.
+/// Depths as pictures of 16 bits with their scale in the text, of `render` (`depth/0001.png`) and `surface` (`depth/<name>.png`).
 pub const DEPTH: &str = "depth/";
+/// Depths along the path of `render` in colours: `depth-preview/0001.png`.
+pub const DEPTH_PREVIEW: &str = "depth-preview/";
+/// How far retrainings differ along the path of `render`, as [`DEPTH`]: `uncertainty/0001.png`.
+pub const UNCERTAINTY: &str = "uncertainty/";
+/// The same in colours: `uncertainty-preview/0001.png`.
+pub const UNCERTAINTY_PREVIEW: &str = "uncertainty-preview/";
 /// Maps of `bootstrap`: `maps/<viewpoint>-std.png`.
 pub const MAPS: &str = "maps/";
 /// Pictures of the fly-through of `bootstrap`: `flythrough/0001.png`.

@@ -1,5 +1,7 @@
 //! `render`: pictures of a trained field along a path, which `video` makes a film of.
 
+use std::collections::BTreeMap;
+
 use marf_field::Device;
 use marf_scene::{Camera, Pose};
 use marf_stage::{Document, ParamError, Params};
@@ -19,6 +21,40 @@ pub enum PathKind {
     Train,
     /// Around the point the cameras look at.
     Orbit,
+    /// A smooth path through the `keyframes`.
+    Keyframes,
+    /// To each of the `keyframes`: single pictures, which may be of any size.
+    Stills,
+}
+
+impl PathKind {
+    /// Returns the word as pipeline.toml has it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Flythrough => "flythrough",
+            Self::Heldout => "heldout",
+            Self::Train => "train",
+            Self::Orbit => "orbit",
+            Self::Keyframes => "keyframes",
+            Self::Stills => "stills",
+        }
+    }
+
+    fn has_keyframes(self) -> bool {
+        matches!(self, Self::Keyframes | Self::Stills)
+    }
+}
+
+/// What is made at every viewpoint.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Layer {
+    /// The colour of the field.
+    Rgb,
+    /// The distance along every ray: values as pictures of 16 bits, and a preview in colours.
+    Depth,
+    /// How far the retrainings of a bootstrap differ: sample standard deviation of gray, in the same two forms. Needs `members`.
+    Uncertainty,
 }
 
 /// Parameters of `render`.
@@ -27,12 +63,18 @@ pub enum PathKind {
 pub struct RenderParams {
     /// Where the camera goes.
     pub path: PathKind,
-    /// Pictures along the path; for `heldout` and `train` at most so many.
+    /// The cameras of the paths `keyframes` and `stills`, in order: what `marf view` saves as bookmarks.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub keyframes: Vec<Place>,
+    /// Pictures along the path; for `heldout` and `train` at most so many, for `stills` one a keyframe.
     pub frames: u32,
-    /// Width of a picture, pixels; the height follows from the photos.
+    /// Width of a picture, pixels.
     pub width: u32,
-    /// Whether pictures of the depth are made too.
-    pub depth: bool,
+    /// Height of a picture, pixels: more or less is seen above and below. Without it: as the photos, or the keyframes, ask for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub height: Option<u32>,
+    /// What is made at every viewpoint, and stands side by side in the film: `rgb`, `depth`, `uncertainty`.
+    pub outputs: Vec<Layer>,
     /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
     /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
     pub device: Device,
@@ -42,17 +84,23 @@ impl Default for RenderParams {
     fn default() -> Self {
         Self {
             path: PathKind::Flythrough,
+            keyframes: Vec::new(),
             frames: 96,
             width: 640,
-            depth: false,
+            height: None,
+            outputs: vec![Layer::Rgb],
             device: Device::default(),
         }
     }
 }
 
 /// Largest picture and longest path; beyond it a number is a slip.
-const MAX_WIDTH_PX: u32 = 4096;
+const MAX_SIDE_PX: u32 = 4096;
 const MAX_FRAMES: u32 = 10_000;
+/// Cameras whose focal length and height, as shares of the width, differ by no more see alike: rounding to whole pixels moves them by
+/// up to half of this at a width of 100 pixels.
+const SAME_LENS: f64 = 0.01;
+
 impl Params for RenderParams {
     const STAGE: &'static str = "render";
 }
@@ -61,7 +109,7 @@ impl RenderParams {
     /// Checks what can be checked without a scene.
     ///
     /// # Errors
-    /// Names the key that is out of range.
+    /// Names the key that is out of range, and the keyframe.
     pub fn check(&self) -> Result<(), ParamError> {
         let within = |key: &str, value: u32, most: u32| match value {
             0 => Err(ParamError::new(key, "0 makes no picture; at least 1")),
@@ -69,8 +117,67 @@ impl RenderParams {
             _ => Ok(()),
         };
         within("frames", self.frames, MAX_FRAMES)?;
-        within("width", self.width, MAX_WIDTH_PX)
+        within("width", self.width, MAX_SIDE_PX)?;
+        within("height", self.height.unwrap_or(1), MAX_SIDE_PX)?;
+        self.check_outputs()?;
+        self.check_keyframes()
     }
+
+    fn check_outputs(&self) -> Result<(), ParamError> {
+        let refuse = |message: &str| Err(ParamError::new("outputs", message));
+        let mut layers = (0..).zip(&self.outputs);
+        if self.outputs.is_empty() {
+            return refuse("nothing to make; at least one of `rgb`, `depth`, `uncertainty`");
+        }
+        match layers.any(|(index, layer)| self.outputs[..index].contains(layer)) {
+            true => refuse("one of them stands twice in the list"),
+            false => Ok(()),
+        }
+    }
+
+    fn check_keyframes(&self) -> Result<(), ParamError> {
+        let refuse = |message: String| Err(ParamError::new("keyframes", message));
+        let path = self.path.name();
+        let Some(first) = self.keyframes.first() else {
+            return match self.path.has_keyframes() {
+                true => refuse(format!("the path `{path}` needs one at the least")),
+                false => Ok(()),
+            };
+        };
+        if !self.path.has_keyframes() {
+            return refuse(format!(
+                "the path `{path}` has none; take `keyframes` or `stills`"
+            ));
+        }
+        if self.keyframes.len() > MAX_FRAMES as usize {
+            return refuse(format!("{} are more than {MAX_FRAMES}", self.keyframes.len()));
+        }
+        for (number, place) in (1..).zip(&self.keyframes) {
+            let name = &place.name;
+            if !place.camera.is_valid() || !place.cam_from_world.is_valid() {
+                return refuse(format!(
+                    "number {number}, `{name}`: its camera or pose is not finite, not positive or not a rotation"
+                ));
+            }
+            if self.path == PathKind::Keyframes && !has_lens_of(&place.camera, &first.camera) {
+                return refuse(format!(
+                    "number {number}, `{name}`, has another field of view than the first; make stills of them, or give all the same"
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Tells whether a camera shows what another of any size shows.
+fn has_lens_of(camera: &Camera, other: &Camera) -> bool {
+    let shares = |camera: &Camera| {
+        let width = f64::from(camera.width);
+        [camera.fx_px / width, f64::from(camera.height) / width]
+    };
+    let distortion = |camera: &Camera| [camera.k1, camera.k2, camera.p1, camera.p2];
+    let mut pairs = shares(camera).into_iter().zip(shares(other));
+    pairs.all(|(share, other)| (share - other).abs() <= SAME_LENS) && distortion(camera) == distortion(other)
 }
 
 /// Output `poses` of `render`: the cameras along the path, in order.
@@ -84,12 +191,76 @@ impl Document for Poses {
 }
 
 /// A camera along the path.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Place {
     /// Name of the viewpoint.
     pub name: String,
-    /// Size and focal length, pixels.
+    /// Size, focal length and principal point, pixels; distortion.
+    #[schemars(with = "BTreeMap<String, f64>")]
     pub camera: Camera,
-    /// Where it stands and looks.
+    /// Where it stands and looks: the rows of (R | t), world units.
+    #[schemars(with = "[[f64; 4]; 3]")]
     pub cam_from_world: Pose,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::{Value, json};
+
+    fn bookmark(width: u32, focal_px: f64) -> Value {
+        json!({"name": "rock", "camera": Camera::pinhole(width, width / 4 * 3, focal_px), "cam_from_world": Pose::identity()})
+    }
+
+    fn refused(table: Value) -> ParamError {
+        let params: RenderParams = serde_json::from_value(table).unwrap();
+        params.check().unwrap_err()
+    }
+
+    #[test]
+    fn what_makes_no_picture_is_refused_by_its_key() {
+        let one = bookmark(640, 500.0);
+        let mut turned_in = one.clone();
+        turned_in["cam_from_world"][0][0] = json!(2.0);
+        for (table, key, word) in [
+            (json!({"frames": 0}), "frames", "at least 1"),
+            (json!({"width": 4097}), "width", "more than 4096"),
+            (json!({"height": 0}), "height", "at least 1"),
+            (json!({"outputs": []}), "outputs", "nothing"),
+            (json!({"outputs": ["depth", "depth"]}), "outputs", "twice"),
+            (json!({"path": "stills"}), "keyframes", "`stills` needs one"),
+            (
+                json!({"path": "orbit", "keyframes": [one]}),
+                "keyframes",
+                "`orbit` has none",
+            ),
+            (
+                json!({"path": "stills", "keyframes": [one, turned_in]}),
+                "keyframes",
+                "number 2, `rock`",
+            ),
+            (
+                json!({"path": "keyframes", "keyframes": [one, bookmark(640, 300.0)]}),
+                "keyframes",
+                "field of view",
+            ),
+        ] {
+            let error = refused(table);
+            assert_eq!(error.path, key, "{error:?}");
+            assert!(error.message.contains(word), "{error:?}");
+        }
+        assert!(serde_json::from_value::<RenderParams>(json!({"outputs": ["normals"]})).is_err());
+    }
+
+    #[test]
+    fn keyframes_of_one_lens_may_have_other_sizes() {
+        let sizes = [bookmark(640, 500.0), bookmark(320, 250.0), bookmark(960, 750.0)];
+        let params: RenderParams =
+            serde_json::from_value(json!({"path": "keyframes", "keyframes": sizes})).unwrap();
+        assert_eq!(params.check(), Ok(()));
+        let other: RenderParams =
+            serde_json::from_value(json!({"path": "stills", "keyframes": [sizes[0], bookmark(640, 300.0)]}))
+                .unwrap();
+        assert_eq!(other.check(), Ok(()), "stills may differ");
+    }
 }

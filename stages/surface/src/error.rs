@@ -66,14 +66,9 @@ pub enum SurfaceError {
         /// What the scene lacks.
         why: String,
     },
-    /// A file that could not be encoded.
-    #[error("{what} could not be encoded: {cause}")]
-    Encode {
-        /// Which file.
-        what: &'static str,
-        /// What the encoder said.
-        cause: String,
-    },
+    /// A picture that could not be encoded.
+    #[error(transparent)]
+    Png(#[from] marf_scene::picture::png16::PngError),
 }
 
 impl SurfaceError {

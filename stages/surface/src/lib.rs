@@ -13,7 +13,6 @@ pub mod glb;
 mod map;
 mod mesh;
 pub mod ply;
-pub mod png16;
 mod stage;
 mod view;
 mod volume;

@@ -1,5 +1,6 @@
 //! A mesh from above: height map and orthophoto with world files.
 
+use marf_scene::picture::png16::{self, MOST};
 use marf_schema::surface::MapReport;
 use nalgebra::{Vector2, Vector3};
 
@@ -7,7 +8,6 @@ use crate::SurfaceError;
 use crate::frame::{ExportFrame, MapAxes};
 use crate::mesh::Mesh;
 use crate::ply::to_byte;
-use crate::png16::{self, MOST};
 
 /// Most pixels of a map.
 const MOST_PIXELS: f64 = 64e6;
@@ -106,7 +106,7 @@ impl SurfaceMap {
     /// Returns the heights as PNG of 16 bits: height = lowest + (value - 1) · interval, 0 where there is no surface.
     ///
     /// # Errors
-    /// [`SurfaceError::Encode`].
+    /// [`SurfaceError::Png`].
     pub fn height_png(&self) -> Result<Vec<u8>, SurfaceError> {
         let MapReport {
             lowest_m, interval_m, ..
@@ -129,13 +129,18 @@ impl SurfaceMap {
             ),
             ("marf:axes", self.axes_text()),
         ];
-        png16::gray(self.report.columns, self.report.rows, &values, &text)
+        Ok(png16::gray(
+            self.report.columns,
+            self.report.rows,
+            &values,
+            &text,
+        )?)
     }
 
     /// Returns how far the views differ in each pixel as PNG of 16 bits: millimetres + 1, 0 where less than two views show a surface.
     ///
     /// # Errors
-    /// [`SurfaceError::Encode`].
+    /// [`SurfaceError::Png`].
     pub fn spread_png(&self) -> Result<Vec<u8>, SurfaceError> {
         let value = |cell: &Option<Cell>| match cell {
             Some(cell) if cell.spread_m >= 0.0 => 1 + (cell.spread_m * 1000.0).round().min(MOST) as u16,
@@ -151,13 +156,18 @@ impl SurfaceMap {
                 format!("{} metres a pixel", self.report.pixel_m),
             ),
         ];
-        png16::gray(self.report.columns, self.report.rows, &values, &text)
+        Ok(png16::gray(
+            self.report.columns,
+            self.report.rows,
+            &values,
+            &text,
+        )?)
     }
 
     /// Returns the colours as PNG, transparent where there is no surface.
     ///
     /// # Errors
-    /// [`SurfaceError::Encode`].
+    /// [`SurfaceError::Png`].
     pub fn photo_png(&self) -> Result<Vec<u8>, SurfaceError> {
         let pixel = |cell: &Option<Cell>| match cell {
             Some(cell) => {
@@ -174,7 +184,12 @@ impl SurfaceMap {
             ),
             ("marf:axes", self.axes_text()),
         ];
-        png16::rgba(self.report.columns, self.report.rows, &pixels, &text)
+        Ok(png16::rgba(
+            self.report.columns,
+            self.report.rows,
+            &pixels,
+            &text,
+        )?)
     }
 
     /// Returns the world file of all maps: six lines, pixel to metres on the map (ESRI; the fifth and sixth are the centre of the first

@@ -1,6 +1,6 @@
 use marf_cache::Digest;
 use marf_field::{Field, render_in_bands};
-use marf_scene::{Camera, Frame, Observer, Photo, Scene, picture_names};
+use marf_scene::{Camera, Frame, Observer, Photo, Scene, picture::png16, picture_names};
 use marf_schema::output::{DEPTH, MESH_GLB, MESH_PLY, POINTS, SCENE, SURFACE_MAPS, WEIGHTS};
 use marf_schema::surface::{SurfaceParams, SurfaceReport};
 use marf_stage::{
@@ -12,7 +12,7 @@ use crate::extract::{Surface, Wanted, extract};
 use crate::frame::ExportFrame;
 use crate::map::SurfaceMap;
 use crate::view::SurfaceView;
-use crate::{SurfaceError, glb, ply, png16};
+use crate::{SurfaceError, glb, ply};
 
 /// Rays with less opacity end nowhere: haze before a sky has less, ground has more.
 const MIN_OPACITY: f32 = 0.9;
@@ -134,7 +134,8 @@ impl MakeSurface {
             });
             let mut distance: Vec<f32> = distance.collect();
             if self.params.depth {
-                let png = png16::depth(camera.width, camera.height, &distance, scene.metres_per_unit)?;
+                let png = png16::depth(camera.width, camera.height, &distance, scene.metres_per_unit)
+                    .map_err(SurfaceError::from)?;
                 outputs.put_bytes(ctx, format!("{DEPTH}{name}.png"), &png)?;
             }
             hide(ctx, frame, factor, &camera, &mut distance)?;

@@ -158,6 +158,14 @@ pub enum TrainError {
         /// The kind of path.
         path: &'static str,
     },
+    /// No direction to circle around.
+    #[error(
+        "the scene knows no up, and the up directions of its photos cancel each other out: there is no orbit"
+    )]
+    NoUp,
+    /// No retrainings to compare.
+    #[error("`uncertainty` needs the retrainings of a bootstrap, and no `members` is connected")]
+    NoMembers,
 }
 
 impl TrainError {
@@ -182,8 +190,13 @@ impl TrainError {
                 ));
             }
             Self::Field(FieldError::NotFinite { .. }) => "lower `field.learning_rate`",
-            Self::Video(marf_video::VideoError::TooLarge { .. }) => "lower `width`",
-            Self::NoPath { .. } => "take another `path`",
+            Self::Video(marf_video::VideoError::TooLarge { .. }) => {
+                "lower `width`, or take the path `stills`, which no film is made of"
+            }
+            Self::NoPath { .. } | Self::NoUp => "take another `path`",
+            Self::NoMembers => {
+                "write `members = \"bootstrap\"`, the name of a node of the stage `bootstrap` that retrains this field"
+            }
             Self::NoViewpoint { .. } => "take other `viewpoints`",
             _ => return None,
         };

@@ -49,7 +49,7 @@ impl Set for Evaluate {
         let scene = read_scene(ctx, inputs)?;
         let trained: train::Metrics = inputs.read(ctx)?;
         let scale = self.params.scale.unwrap_or(trained.scale);
-        let field = read_field(ctx, inputs, &self.params.device)?;
+        let field = read_field(ctx, inputs.required(WEIGHTS)?, &self.params.device)?;
         let frames: Vec<NamedFrame<'_>> = named_frames(&scene)
             .into_iter()
             .zip(held_out(&scene, trained.fold))

@@ -3,7 +3,7 @@
 use marf_cache::Digest;
 use marf_field::{Device, Field};
 use marf_scene::{Image, Scene, Srgb, encode_png};
-use marf_schema::output::{SCENE, WEIGHTS};
+use marf_schema::output::SCENE;
 use marf_stage::{Ctx, Inputs, Outputs, StageError};
 
 use crate::TrainError;
@@ -14,9 +14,9 @@ pub(crate) fn read_scene(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Scene, StageE
     Ok(Scene::decode(&bytes).map_err(TrainError::from)?)
 }
 
-/// Reads the input `weights` as a field that renders on `device`.
-pub(crate) fn read_field(ctx: &Ctx<'_>, inputs: &Inputs, device: &Device) -> Result<Field, StageError> {
-    let field = Field::decode(&ctx.get(inputs.required(WEIGHTS)?)?);
+/// Reads weights as a field that renders on `device`.
+pub(crate) fn read_field(ctx: &Ctx<'_>, weights: &Digest, device: &Device) -> Result<Field, StageError> {
+    let field = Field::decode(&ctx.get(weights)?);
     Ok(field
         .and_then(|field| field.on(device))
         .map_err(TrainError::from)?)
@@ -35,7 +35,8 @@ pub(crate) fn put_png(
     Ok(digest)
 }
 
-fn picture_failed(name: &str, cause: &dyn std::fmt::Display) -> TrainError {
+/// Returns the error of a picture that cannot be written or read back.
+pub(crate) fn picture_failed(name: &str, cause: &dyn std::fmt::Display) -> TrainError {
     TrainError::Picture {
         name: name.to_owned(),
         cause: cause.to_string(),

@@ -1,13 +1,18 @@
+//! `render`: pictures of a trained field along a path, and their order as a film.
+//!
+//! The path is walked through twice, since a colour scale follows from all pictures: first the field is rendered and the values are kept
+//! as pictures of 16 bits, one viewpoint at a time in memory; then previews and film are drawn from these.
+
+mod layers;
+mod path;
+
 use marf_cache::{Digest, digest_of};
 use marf_field::{Field, Render as Rendered};
-use marf_scene::{
-    Scene,
-    path::{self, Viewpoint},
-    picture::{ColorScale, Palette, draw_map, round_upper_limit},
-};
+use marf_scene::{Scene, path::Viewpoint};
 use marf_schema::{
-    output::{DEPTH, FRAMES, SCENE, WEIGHTS},
-    render::{PathKind, Place, Poses, RenderParams},
+    bootstrap::MemberFields,
+    output::{DEPTH, DEPTH_PREVIEW, FRAMES, SCENE, UNCERTAINTY, UNCERTAINTY_PREVIEW, WEIGHTS},
+    render::{Layer, Poses, RenderParams},
     video::Film,
 };
 use marf_stage::{
@@ -17,14 +22,11 @@ use marf_stage::{
 use crate::{
     TrainError,
     checkpoint::{Journal, identity},
-    io::{put_png, read_field, read_scene},
-    split::named_frames,
+    io::{read_field, read_scene},
     stage_on_device,
-    view::{floats, render_view},
+    view::render_view,
 };
-
-/// Rays with less opacity have no depth.
-const MIN_OPACITY: f32 = 0.5;
+use layers::{Drawing, Drawn, Frame, frame};
 
 /// Renders a trained field along a path.
 #[derive(Debug)]
@@ -36,9 +38,21 @@ impl Define for Render {
     type Params = RenderParams;
     const NAME: &'static str = RenderParams::STAGE;
     const ABOUT: &'static str = "Renders a trained field along a path: the pictures of a film";
-    const VERSION: u32 = 5;
-    const PORTS: &'static [Port] = &[Port::required("input", WEIGHTS), Port::required("input", SCENE)];
-    const OUTPUTS: &'static [&'static str] = &[Film::OUTPUT, Poses::OUTPUT, FRAMES, DEPTH];
+    const VERSION: u32 = 6;
+    const PORTS: &'static [Port] = &[
+        Port::required("input", WEIGHTS),
+        Port::required("input", SCENE),
+        Port::optional("members", MemberFields::OUTPUT),
+    ];
+    const OUTPUTS: &'static [&'static str] = &[
+        Film::OUTPUT,
+        Poses::OUTPUT,
+        FRAMES,
+        DEPTH,
+        DEPTH_PREVIEW,
+        UNCERTAINTY,
+        UNCERTAINTY_PREVIEW,
+    ];
 
     fn new(params: RenderParams) -> Result<Self, ParamError> {
         params.check()?;
@@ -51,149 +65,113 @@ stage_on_device!(Render, Set);
 impl Set for Render {
     fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
         let scene = read_scene(ctx, inputs)?;
-        let field = read_field(ctx, inputs, &self.params.device)?;
-        let path = viewpoints(&scene, &self.params)?;
+        let path = path::viewpoints(&scene, &self.params)?;
+        let fields = Fields::read(ctx, inputs, &self.params)?;
         let mut outputs = Outputs::new();
-        outputs.put(ctx, &Poses(places(&path)))?;
-        let of = identity(self, inputs, "");
-        let mut journal = Journal::new(ctx, "pictures", of);
-        let (mut film, mut depths) = (Film::default(), Vec::new());
-        for (index, place) in path.iter().enumerate() {
-            let note = format!("picture {}", place.name);
+        outputs.put(ctx, &Poses(path::places(&path)))?;
+        let frames = self.frames(ctx, inputs, &scene, &fields, &path)?;
+        let drawing = Drawing::of(&scene, &self.params.outputs, &frames);
+        let mut journal = Journal::new(ctx, "drawings", identity(self, inputs, ""));
+        let mut film = Film::default();
+        for (index, (frame, place)) in frames.iter().zip(&path).enumerate() {
+            let note = format!("drawing {}", place.name);
             ctx.progress.at(index as u64, path.len() as u64, &note);
-            let rendered = journal.piece(
-                |bytes| PathPicture::unpack(ctx, bytes),
+            let drawn = journal.piece(
+                |bytes| Drawn::unpack(ctx, bytes),
                 || {
-                    let of = digest_of(&(of, index as u64));
-                    let picture = PathPicture::new(ctx, of, &field, place, self.params.depth)?;
-                    let bytes = picture.pack();
-                    Ok((picture, bytes))
+                    let drawn = drawing.draw(ctx, frame, place, index + 1)?;
+                    let bytes = drawn.pack()?;
+                    Ok((drawn, bytes))
                 },
             )?;
-            outputs.insert(format!("{FRAMES}{:04}.png", index + 1), rendered.png);
-            film.0.push(rendered.png);
-            if self.params.depth {
-                depths.push(rendered.depth);
-            }
+            outputs.extend(drawn.outputs);
+            film.0.push(drawn.film);
         }
         journal.end();
-        put_depths(ctx, &scene, &path, &depths, &mut outputs)?;
         outputs.put(ctx, &film)?;
         Ok(outputs)
     }
 }
 
-/// A rendered picture of the path.
-struct PathPicture {
-    png: Digest,
-    /// Depth along every ray, -1 where the ray met too little; empty where it is not asked for.
-    depth: Vec<f32>,
-}
-
-impl PathPicture {
-    /// Renders the picture and stores it as PNG.
-    fn new(
+impl Render {
+    /// Renders every viewpoint of the path, or takes what an earlier run that was stopped has kept of it.
+    fn frames(
+        &self,
         ctx: &Ctx<'_>,
-        of: Digest,
-        field: &Field,
-        place: &Viewpoint,
-        with_depth: bool,
-    ) -> Result<Self, StageError> {
-        let render = render_view(ctx, of, field, &place.camera, &place.cam_from_world)?;
-        Ok(Self {
-            png: put_png(ctx, &mut Outputs::new(), place.name.clone(), &render.to_image())?,
-            depth: if with_depth { depth_of(&render) } else { Vec::new() },
-        })
-    }
-
-    /// Digest of the PNG, depths as f32 LE.
-    fn pack(&self) -> Vec<u8> {
-        let depth = self.depth.iter().flat_map(|depth| depth.to_le_bytes());
-        self.png.as_bytes().iter().copied().chain(depth).collect()
-    }
-
-    /// Reads what [`PathPicture::pack`] wrote; none if its PNG is not stored any more.
-    fn unpack(ctx: &Ctx<'_>, bytes: &[u8]) -> Option<Self> {
-        let (png, depth) = bytes.split_first_chunk::<32>()?;
-        let png = Digest::from_bytes(*png);
-        let depth = floats(depth)?;
-        ctx.blobs.contains(&png).then_some(Self { png, depth })
-    }
-}
-
-/// Returns the cameras along the path.
-fn viewpoints(scene: &Scene, params: &RenderParams) -> Result<Vec<Viewpoint>, TrainError> {
-    let photos = |held_out: bool| {
-        let frames = named_frames(scene).into_iter();
-        let chosen = frames.filter(move |named| named.frame.held_out == held_out);
-        let first = chosen.take(params.frames as usize);
-        path::viewpoints_at(first.map(|named| (named.frame, named.name)), params.width)
-    };
-    let (name, path) = match params.path {
-        PathKind::Flythrough => ("flythrough", path::flythrough(scene, params.frames, params.width)),
-        PathKind::Heldout => ("heldout", photos(true)),
-        PathKind::Train => ("train", photos(false)),
-        PathKind::Orbit => ("orbit", path::orbit(scene, params.frames, params.width)),
-    };
-    let Some(first) = path.first() else {
-        return Err(TrainError::NoPath { path: name });
-    };
-    if matches!(params.path, PathKind::Flythrough | PathKind::Orbit) {
-        // These are made for films: what no video can hold is refused before the first picture.
-        marf_video::check_size(first.camera.width, first.camera.height)?;
-    }
-    Ok(path)
-}
-
-/// Returns the cameras as they are written.
-fn places(path: &[Viewpoint]) -> Vec<Place> {
-    path.iter()
-        .map(|viewpoint| Place {
-            name: viewpoint.name.clone(),
-            camera: viewpoint.camera,
-            cam_from_world: viewpoint.cam_from_world,
-        })
-        .collect()
-}
-
-/// Returns the depth along every ray, -1 where the ray met too little.
-fn depth_of(render: &Rendered) -> Vec<f32> {
-    let pixels = render.depth.iter().zip(&render.opacity);
-    pixels
-        .map(|(depth, opacity)| if *opacity > MIN_OPACITY { *depth } else { -1.0 })
-        .collect()
-}
-
-/// Draws all depths on one scale, in metres where the scene knows them.
-fn put_depths(
-    ctx: &Ctx<'_>,
-    scene: &Scene,
-    path: &[Viewpoint],
-    depths: &[Vec<f32>],
-    outputs: &mut Outputs,
-) -> Result<(), StageError> {
-    let metres = scene.metres_per_unit.unwrap_or(1.0) as f32;
-    let in_metres = |depth: &f32| if *depth < 0.0 { -1.0 } else { depth * metres };
-    let depths: Vec<Vec<f32>> = depths
-        .iter()
-        .map(|depth| depth.iter().map(in_metres).collect())
-        .collect();
-    let scale = ColorScale {
-        title: "depth".to_owned(),
-        unit: if scene.metres_per_unit.is_some() {
-            "m"
-        } else {
-            "scene units"
+        inputs: &Inputs,
+        scene: &Scene,
+        fields: &Fields,
+        path: &[Viewpoint],
+    ) -> Result<Vec<Frame>, StageError> {
+        let of = identity(self, inputs, "");
+        let mut journal = Journal::new(ctx, "pictures", of);
+        let mut frames = Vec::with_capacity(path.len());
+        for (index, place) in path.iter().enumerate() {
+            let note = format!("picture {}", place.name);
+            ctx.progress.at(index as u64, path.len() as u64, &note);
+            let frame = journal.piece(
+                |bytes| Frame::unpack(ctx, bytes),
+                || {
+                    let renders = fields.render(ctx, digest_of(&(of, index as u64)), place)?;
+                    let frame = frame(ctx, scene, &self.params.outputs, &renders)?;
+                    let bytes = frame.pack()?;
+                    Ok((frame, bytes))
+                },
+            )?;
+            frames.push(frame);
         }
-        .to_owned(),
-        low: 0.0,
-        high: round_upper_limit(&depths.concat(), 0.99),
-        palette: Palette::Viridis,
-    };
-    for (index, (depth, place)) in depths.iter().zip(path).enumerate() {
-        ctx.check()?;
-        let map = draw_map(depth, place.camera.width, place.camera.height, &scale);
-        put_png(ctx, outputs, format!("{DEPTH}{:04}.png", index + 1), &map)?;
+        journal.end();
+        Ok(frames)
     }
-    Ok(())
+}
+
+/// The fields that a path is rendered with.
+struct Fields {
+    /// The delivered field; none where only retrainings are asked for.
+    own: Option<Field>,
+    /// The retrainings; none where no uncertainty is asked for.
+    members: Vec<Field>,
+}
+
+/// What the fields show at one viewpoint.
+pub(super) struct Renders {
+    own: Option<Rendered>,
+    members: Vec<Rendered>,
+}
+
+impl Fields {
+    /// Reads the fields that the outputs need.
+    fn read(ctx: &Ctx<'_>, inputs: &Inputs, params: &RenderParams) -> Result<Self, StageError> {
+        let needs_own = params.outputs.iter().any(|layer| *layer != Layer::Uncertainty);
+        let own = needs_own.then(|| read_field(ctx, inputs.required(WEIGHTS)?, &params.device));
+        let members = match params.outputs.contains(&Layer::Uncertainty) {
+            false => Vec::new(),
+            true => {
+                inputs
+                    .optional(MemberFields::OUTPUT)
+                    .ok_or(TrainError::NoMembers)?;
+                let MemberFields(members) = inputs.read(ctx)?;
+                let field = |weights: &Digest| read_field(ctx, weights, &params.device);
+                members.iter().map(field).collect::<Result<_, _>>()?
+            }
+        };
+        Ok(Self {
+            own: own.transpose()?,
+            members,
+        })
+    }
+
+    /// Renders a viewpoint; `of` stands for the fields and the viewpoint.
+    fn render(&self, ctx: &Ctx<'_>, of: Digest, place: &Viewpoint) -> Result<Renders, StageError> {
+        let render =
+            |of: Digest, field: &Field| render_view(ctx, of, field, &place.camera, &place.cam_from_world);
+        let own = self.own.as_ref().map(|field| render(of, field));
+        let members = (0_u64..)
+            .zip(&self.members)
+            .map(|(index, field)| render(digest_of(&(of, index)), field));
+        Ok(Renders {
+            own: own.transpose()?,
+            members: members.collect::<Result<_, _>>()?,
+        })
+    }
 }

@@ -265,7 +265,10 @@ fn a_path_goes_on_to_the_same_bytes_wherever_it_was_stopped() {
     };
     // Each picture asks once for itself and once for its band.
     same_when_stopped(3, 5, 2, &path(json!({"frames": 6, "width": 24})));
-    same_when_stopped_once(3, &path(json!({"frames": 3, "width": 24, "depth": true})));
+    same_when_stopped_once(
+        3,
+        &path(json!({"frames": 3, "width": 24, "outputs": ["rgb", "depth"]})),
+    );
 }
 
 /// Counts the bands that are rendered: pictures of 512 x 384 pixels have three.

@@ -316,34 +316,6 @@ fn evaluate_agrees_with_train_and_knows_the_other_photos_too() {
     );
 }
 
-#[test]
-fn render_makes_numbered_pictures_their_order_and_depth() {
-    let harness = Harness::default();
-    let inputs = downstream(&harness);
-    for (path, frames) in [("flythrough", 3), ("orbit", 3), ("heldout", 3), ("train", 3)] {
-        let render: Render = stage(json!({"path": path, "frames": 3, "width": 32, "depth": true}));
-        let outputs = run(&render, &harness.ctx(), &inputs).unwrap();
-        let poses = json(&harness, &outputs, "poses");
-        assert_eq!(poses.as_array().unwrap().len(), frames, "{path}");
-        let film = json(&harness, &outputs, "film");
-        let pictures = [1, 2, 3].map(|index| outputs[&format!("frames/000{index}.png")].to_string());
-        assert_eq!(film, json!(pictures), "{path}");
-        let picture = Photo::decode(&harness.get(&outputs["frames/0003.png"]).unwrap())
-            .unwrap()
-            .image;
-        assert_eq!((picture.width, picture.height), (32, 24), "{path}");
-        assert!(outputs.contains_key("depth/0003.png"), "{path}");
-    }
-}
-
-#[test]
-fn a_picture_of_nothing_is_refused_by_its_key() {
-    for (key, value) in [("frames", 0), ("width", 0), ("width", 5000)] {
-        let params = serde_json::from_value(json!({ key: value })).unwrap();
-        assert_eq!(Render::new(params).unwrap_err().path, key);
-    }
-}
-
 /// If a digest changes and the stage's VERSION does not, raise the version.
 #[test]
 fn the_answers_belong_to_the_versions() {
@@ -351,7 +323,8 @@ fn the_answers_belong_to_the_versions() {
     let inputs = downstream(&harness);
     let digest = |outputs: &Outputs| Digest::of(&serde_json::to_vec(outputs).unwrap()).short();
     let evaluate: Evaluate = stage(json!({"views": "all", "device": "cpu"}));
-    let render: Render = stage(json!({"frames": 2, "width": 24, "depth": true, "device": "cpu"}));
+    let render: Render =
+        stage(json!({"frames": 2, "width": 24, "outputs": ["rgb", "depth"], "device": "cpu"}));
     let found = [
         (
             "train",
@@ -377,7 +350,7 @@ fn the_answers_belong_to_the_versions() {
         [
             ("train", 8, "c0c700cde012"),
             ("evaluate", 5, "64a4fb0b4ada"),
-            ("render", 5, "007f8129be59")
+            ("render", 6, "3299b8c6b813")
         ]
     );
 }

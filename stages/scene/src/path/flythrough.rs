@@ -1,9 +1,9 @@
-//! A fly-through along training cameras.
+//! Smooth paths: a fly-through along training cameras, or through any cameras in their order.
 
 use nalgebra::{Quaternion, Rotation3, SVector, UnitQuaternion, Vector3, Vector4};
 
 use super::{Viewpoint, forward, mean, median, numbered, training, typical_camera};
-use crate::{Pose, Scene};
+use crate::{Camera, Pose, Scene};
 
 /// Most training cameras that the path passes through.
 const MAX_KEYS: usize = 8;
@@ -20,18 +20,46 @@ pub fn flythrough(scene: &Scene, frames: u32, width: u32) -> Vec<Viewpoint> {
     let Some(keys) = keys(&poses) else {
         return Vec::new();
     };
-    let knots = knots(&keys.poses, keys.spread);
-    let last = knots.last().map_or(0.0, |knot| knot.at);
-    let steps = f64::from(frames.saturating_sub(1).max(1));
-    let path = (0..frames).map(|index| pose_at(&knots, last * f64::from(index) / steps));
-    numbered(typical_camera(scene, width), path)
+    numbered(typical_camera(scene, width), along(&keys, frames).into_iter())
+}
+
+/// Returns a smooth open path of `frames` viewpoints of one camera that passes through poses in their order, from the first to the last.
+///
+/// Between them it is as [`flythrough`]. Extremes: poses that follow each other at one place with one direction count once; a single
+/// pose is returned `frames` times, none gives no viewpoint.
+pub fn through(poses: &[Pose], camera: Camera, frames: u32) -> Vec<Viewpoint> {
+    let spread = spread(poses).unwrap_or(0.0);
+    let mut keys = Keys {
+        poses: poses.to_vec(),
+        spread,
+    };
+    keys.poses
+        .dedup_by(|next, last| camera_distance(last, next, spread) <= SAME_PLACE);
+    numbered(camera, along(&keys, frames).into_iter())
 }
 
 /// The cameras that the path passes through, in its order.
 struct Keys {
     poses: Vec<Pose>,
-    /// Median distance of all training cameras from their mean centre.
+    /// Median distance of all cameras from their mean centre.
     spread: f64,
+}
+
+/// Returns poses on the curve through the keys with even speed; none without keys.
+fn along(keys: &Keys, frames: u32) -> Vec<Pose> {
+    let knots = knots(&keys.poses, keys.spread);
+    let Some(last) = knots.last().map(|knot| knot.at) else {
+        return Vec::new();
+    };
+    let steps = f64::from(frames.saturating_sub(1).max(1));
+    let at = |index| last * f64::from(index) / steps;
+    (0..frames).map(|index| pose_at(&knots, at(index))).collect()
+}
+
+/// Returns the median distance of poses from their mean centre; `None` of none.
+fn spread(poses: &[Pose]) -> Option<f64> {
+    let middle = mean(poses.iter().map(Pose::centre));
+    median(poses.iter().map(|pose| (pose.centre() - middle).norm()).collect())
 }
 
 /// A knot of the path's splines.
@@ -57,7 +85,7 @@ fn camera_distance(a: &Pose, b: &Pose, spread: f64) -> f64 {
 /// Chooses cameras far from each other and orders them as a short tour; `None` without cameras.
 fn keys(poses: &[Pose]) -> Option<Keys> {
     let middle = mean(poses.iter().map(Pose::centre));
-    let spread = median(poses.iter().map(|pose| (pose.centre() - middle).norm()).collect())?;
+    let spread = spread(poses)?;
     let first = farthest(poses, |pose| (pose.centre() - middle).norm())?;
     let mut chosen = vec![first];
     while chosen.len() < MAX_KEYS {
@@ -260,5 +288,50 @@ mod tests {
         let places = [0, 3, 1, 4, 2];
         let order = tour(&places, |a, b| (a as f64 - b as f64).abs());
         assert!(order == [0, 1, 2, 3, 4] || order == [4, 3, 2, 1, 0], "{order:?}");
+    }
+
+    #[test]
+    fn a_path_through_cameras_visits_each_in_its_order() {
+        let poses: Vec<Pose> = ring(3).frames.iter().map(|frame| frame.cam_from_world).collect();
+        let camera = Camera::pinhole(40, 30, 32.0);
+        let path = through(&poses, camera, 101);
+        assert_eq!((path.len(), path[0].camera), (101, camera));
+        let nearest = |pose: &Pose| {
+            let off = |place: &Viewpoint| {
+                let apart = (place.cam_from_world.centre() - pose.centre()).norm();
+                apart + (place.cam_from_world.rotation - pose.rotation).norm()
+            };
+            let found = path.iter().enumerate().map(|(index, place)| (off(place), index));
+            found.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap()
+        };
+        let visits: Vec<(f64, usize)> = poses.iter().map(nearest).collect();
+        assert_eq!((visits[0].1, visits[2].1), (0, 100), "{visits:?}");
+        assert!(
+            visits[0].1 < visits[1].1 && visits[1].1 < visits[2].1,
+            "{visits:?}"
+        );
+        // A step is a hundredth of the way, 0.07 of centre and direction.
+        assert!(visits.iter().all(|(off, _)| *off < 0.1), "{visits:?}");
+    }
+
+    #[test]
+    fn a_path_through_a_turning_camera_turns_and_equal_cameras_count_once() {
+        let camera = Camera::pinhole(40, 30, 32.0);
+        let eye = Vector3::new(1.0, 2.0, 3.0);
+        let look = |side: Vector3<f64>| Pose::looking_at(eye, eye + side, Vector3::z());
+        let turn = [look(Vector3::x()), look(Vector3::x()), look(Vector3::y())];
+        let path = through(&turn, camera, 3);
+        for place in &path {
+            assert!(place.cam_from_world.is_valid(), "{place:?}");
+            assert!((place.cam_from_world.centre() - eye).norm() < 1e-12, "{place:?}");
+        }
+        // Half way between x and y.
+        let middle = forward(&path[1].cam_from_world);
+        assert!(
+            (middle - Vector3::new(0.5_f64.sqrt(), 0.5_f64.sqrt(), 0.0)).norm() < 1e-9,
+            "{middle}"
+        );
+        assert_eq!(through(&turn[..1], camera, 4).len(), 4);
+        assert!(through(&[], camera, 4).is_empty() && through(&turn, camera, 0).is_empty());
     }
 }

@@ -1,4 +1,4 @@
-//! Camera paths through a scene: a fly-through, an orbit, or the poses of the photos.
+//! Camera paths through a scene: a fly-through, an orbit, the poses of the photos, or given ones.
 //!
 //! Only + - * / and sqrt, so that a path has the same bits on every machine.
 
@@ -9,8 +9,8 @@ use nalgebra::Vector3;
 
 use crate::{Camera, Frame, Pose, Scene};
 
-pub use flythrough::flythrough;
-pub use orbit::{focus_point, orbit};
+pub use flythrough::{flythrough, through};
+pub use orbit::{focus_point, orbit, up_direction};
 
 /// A camera with its pose, and the name of its picture.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,7 +48,7 @@ pub fn typical_camera(scene: &Scene, width: u32) -> Camera {
 }
 
 /// Returns the camera of the same photo at another width, the aspect ratio kept within rounding.
-fn to_width(camera: &Camera, width: u32) -> Camera {
+pub fn to_width(camera: &Camera, width: u32) -> Camera {
     let height = f64::from(camera.height) * f64::from(width) / f64::from(camera.width);
     camera.resized(width, ((height + 0.5) as u32).max(1))
 }

@@ -11,18 +11,21 @@ const CONVERGING: f64 = 1e-4;
 /// Cameras whose mean direction from the target is shorter than this are all around it.
 const ALL_AROUND: f64 = 0.5;
 
+/// Shortest mean of the cameras' up directions that still is one.
+const LEAST_UP: f64 = 1e-9;
+
 /// Returns `frames` viewpoints that circle the point the training cameras look at.
 ///
 /// Distance and height are the median ones of the cameras. Where these are all around the point the path is a
 /// full circle; else it swings between the outermost cameras, so that it stays where photos were taken.
-/// Up is `scene.up`, or the mean up of the photos. Extremes: no camera gives no viewpoint.
+/// Up is that of [`up_direction`], else z. Extremes: no camera gives no viewpoint.
 pub fn orbit(scene: &Scene, frames: u32, width: u32) -> Vec<Viewpoint> {
     let cameras = training(scene);
     if cameras.is_empty() {
         return Vec::new();
     }
     let target = focus_point(scene);
-    let up = up(scene, &cameras);
+    let up = up_direction(scene).unwrap_or_else(Vector3::z);
     let circle = Circle::around(&target, &up, &cameras);
     let path = (0..frames).map(|index| {
         let eye = circle.eye(f64::from(index) / f64::from(frames));
@@ -83,14 +86,17 @@ fn point_ahead(scene: &Scene, cameras: &[&Frame]) -> Vector3<f64> {
     centre + ahead * if range > 0.0 { range } else { 1.0 }
 }
 
-/// Returns the up direction of the scene, or the mean of the cameras.
-fn up(scene: &Scene, cameras: &[&Frame]) -> Vector3<f64> {
-    let rows = cameras
+/// Returns the up direction of the scene as a unit vector, or the mean of the training cameras where it knows none; `None` where these
+/// cancel each other out.
+pub fn up_direction(scene: &Scene) -> Option<Vector3<f64>> {
+    let rows: Vec<Vector3<f64>> = training(scene)
         .iter()
-        .map(|camera| -camera.cam_from_world.rotation.row(1).transpose());
+        .map(|camera| -camera.cam_from_world.rotation.row(1).transpose())
+        .collect();
     let known = scene.up.map(Vector3::from);
-    let up = known.unwrap_or_else(|| mean(rows));
-    up.try_normalize(1e-9).unwrap_or_else(Vector3::z)
+    known
+        .unwrap_or_else(|| mean(rows.into_iter()))
+        .try_normalize(LEAST_UP)
 }
 
 /// The circle of an orbit.
@@ -244,5 +250,25 @@ mod tests {
     #[test]
     fn an_orbit_without_photos_is_empty() {
         assert!(orbit(&ring(0), 3, 100).is_empty());
+    }
+
+    #[test]
+    fn up_is_that_of_the_scene_or_of_the_photos_unless_they_cancel_out() {
+        let mut scene = ring(2);
+        assert_eq!(up_direction(&scene), Some(-Vector3::z()));
+        scene.up = None;
+        let of_photos = up_direction(&scene).unwrap();
+        assert!(of_photos.z < -0.9, "{of_photos}");
+        let upside_down = |pose: &Pose| {
+            let half_turn = nalgebra::Matrix3::from_diagonal(&Vector3::new(-1.0, -1.0, 1.0));
+            Pose {
+                rotation: half_turn * pose.rotation,
+                translation: half_turn * pose.translation,
+            }
+        };
+        scene.frames[1] = scene.frames[0].clone();
+        scene.frames[1].cam_from_world = upside_down(&scene.frames[0].cam_from_world);
+        assert_eq!(up_direction(&scene), None);
+        assert_eq!(up_direction(&ring(0)), Some(-Vector3::z()));
     }
 }

@@ -131,16 +131,21 @@ pub fn side_by_side(pictures: &[&Image<Srgb>]) -> Image<Srgb> {
 ///
 /// Values below zero do not count. Extremes: at least 1e-6, at most 1e30.
 pub fn round_upper_limit(values: &[f32], share: f64) -> f64 {
-    let mut sorted: Vec<f32> = values.iter().copied().filter(|value| *value >= 0.0).collect();
-    sorted.sort_unstable_by(f32::total_cmp);
-    let last = sorted.len().saturating_sub(1);
-    let place = ((last as f64 * share + 0.5) as usize).min(last);
-    let top = sorted.get(place).copied().map_or(0.0, f64::from);
+    let top = f64::from(quantile(values, share));
     let steps = (-6..=30).flat_map(|power| [1, 2, 5].map(|digit| format!("{digit}e{power}")));
     steps
         .filter_map(|text| text.parse::<f64>().ok())
         .find(|step| *step >= top)
         .unwrap_or(1e30)
+}
+
+/// Returns the value that `share` of the values do not exceed; those below zero do not count, and of none it is 0.
+pub fn quantile(values: &[f32], share: f64) -> f32 {
+    let mut sorted: Vec<f32> = values.iter().copied().filter(|value| *value >= 0.0).collect();
+    sorted.sort_unstable_by(f32::total_cmp);
+    let last = sorted.len().saturating_sub(1);
+    let place = ((last as f64 * share + 0.5) as usize).min(last);
+    sorted.get(place).copied().unwrap_or(0.0)
 }
 
 /// Before the label of the highest colour where a value is above the scale.

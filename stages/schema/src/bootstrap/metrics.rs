@@ -1,9 +1,20 @@
 //! What a bootstrap says of its members, its maps and the photos held out.
 
+use marf_cache::Digest;
 use marf_stage::{Document, Params};
 use serde::{Deserialize, Serialize};
 
 use super::{BootstrapParams, Mode};
+
+/// Output `members` of `bootstrap`: the fields of its members, in order, for `render`.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct MemberFields(pub Vec<Digest>);
+
+impl Document for MemberFields {
+    const STAGE: &'static str = BootstrapParams::STAGE;
+    const OUTPUT: &'static str = "members";
+}
 
 /// Output `metrics` of `bootstrap`. Spreads are of sRGB in [0, 1], means over all pixels of all viewpoints.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

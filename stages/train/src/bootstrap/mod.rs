@@ -5,7 +5,7 @@
 mod auto;
 mod drawing;
 mod intervals;
-mod maps;
+pub(crate) mod maps;
 mod normality;
 mod npy;
 mod out_of_bag;
@@ -20,7 +20,7 @@ use std::ops::Range;
 
 use marf_cache::Digest;
 use marf_schema::{
-    bootstrap::{BootstrapParams, Members, Metrics, Mode},
+    bootstrap::{BootstrapParams, MemberFields, Members, Metrics, Mode},
     output::{FLYTHROUGH, MAPS, SCENE, WEIGHTS},
     train::{Setup, TrainParams, TrialsParams},
     tune::BestParams,
@@ -47,13 +47,19 @@ impl Define for Bootstrap {
     type Params = BootstrapParams;
     const NAME: &'static str = BootstrapParams::STAGE;
     const ABOUT: &'static str = "Retrains B times and maps where the fields disagree";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),
         Port::optional("of", Setup::OUTPUT).deciding(&["params", "quality", "steps", "scale", "field"]),
     ];
-    const OUTPUTS: &'static [&'static str] = &[Metrics::OUTPUT, Film::OUTPUT, MAPS, FLYTHROUGH];
+    const OUTPUTS: &'static [&'static str] = &[
+        Metrics::OUTPUT,
+        MemberFields::OUTPUT,
+        Film::OUTPUT,
+        MAPS,
+        FLYTHROUGH,
+    ];
 
     fn new(params: BootstrapParams) -> Result<Self, ParamError> {
         params.check()?;

@@ -5,7 +5,7 @@ use marf_scene::{
     path::{self, Viewpoint},
 };
 use marf_schema::{
-    bootstrap::{BootstrapParams, Member, Members, Metrics},
+    bootstrap::{BootstrapParams, Member, MemberFields, Members, Metrics},
     output::{FLYTHROUGH, MAPS, WEIGHTS},
     train,
     video::Film,
@@ -106,6 +106,8 @@ pub(crate) fn reduce(
     let mut outputs = Outputs::new();
     put_views(&mapper, &views, &scales, &mut outputs)?;
     outputs.put(ctx, &report)?;
+    let weights = children.iter().map(|child| child.digest(WEIGHTS).copied());
+    outputs.put(ctx, &MemberFields(weights.collect::<Result<_, _>>()?))?;
     let draw = |maps: &Maps| flythrough_picture(maps, &scales, params.show);
     render_flythrough(&flythrough, &draw, &mut mapper, &mut outputs)?;
     Ok(outputs)

@@ -1,0 +1,39 @@
+//! The field in a file, known by its content.
+
+use std::path::Path;
+
+use marf_cache::{Digest, Store};
+use marf_engine::OutputName;
+use marf_provenance::find::{Place, find};
+use marf_schema::output::WEIGHTS;
+
+use crate::cli::copies::object_of;
+use crate::cli::error::{CliError, Diagnostic};
+use crate::cli::session::warn;
+
+/// Returns a run of the store that has the field of a file, and its node; `number`: the run that the user named.
+///
+/// # Errors
+/// A file that cannot be read, or that no node of such a run gave as its field.
+pub fn made_by(store: &Store, file: &Path, number: Option<u64>) -> Result<(Option<u64>, String), CliError> {
+    let bytes = std::fs::read(file)
+        .map_err(|error| CliError::usage(format!("--field {}: cannot be read: {error}", file.display())))?;
+    let runs = marf_engine::runs(store, warn)?;
+    let makers = find(store, &runs, &Digest::of(&object_of(bytes)))?;
+    let of_pipeline = makers.into_iter().find_map(|maker| match maker.place {
+        // What is below another node is a trial or a retraining, which no pipeline names.
+        Place::Output(OutputName { node, output }) if output == WEIGHTS && !node.contains('/') => {
+            let run = number
+                .or(maker.runs.last().copied())
+                .filter(|run| maker.runs.contains(run));
+            run.map(|run| (Some(run), node))
+        }
+        _ => None,
+    });
+    of_pipeline.ok_or_else(|| {
+        let of = number.map_or("a run of this store".to_owned(), |number| format!("run {number}"));
+        let message = format!("--field {}: no node of {of} gave this field", file.display());
+        let hint = "take weights.safetensors of `out/train`, or name the store with --store; `marf audit FILE` tells what a file is";
+        CliError::Usage(Diagnostic::new(message).hint(hint))
+    })
+}

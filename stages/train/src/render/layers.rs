@@ -1,0 +1,325 @@
+//! What is made at every viewpoint: colour, depth, uncertainty, each as values and as a drawing.
+
+use marf_cache::Digest;
+use marf_field::Render as Rendered;
+use marf_scene::{
+    Camera, Image, Photo, Scene, Srgb, encode_png,
+    path::Viewpoint,
+    picture::{
+        ColorScale, Palette, draw_map, draw_titled,
+        png16::{self, Quantity, read_quantity},
+        quantile, round_upper_limit, side_by_side,
+    },
+};
+use marf_schema::{
+    output::{DEPTH, DEPTH_PREVIEW, FRAMES, UNCERTAINTY, UNCERTAINTY_PREVIEW},
+    render::Layer,
+};
+use marf_stage::{Ctx, Outputs, StageError};
+use serde::{Deserialize, Serialize};
+
+use super::Renders;
+use crate::{
+    TrainError,
+    bootstrap::maps::{gray, moments},
+    io::{picture_failed, put_png},
+};
+
+/// Rays with less opacity have no depth.
+const MIN_OPACITY: f32 = 0.5;
+/// A colour scale reaches this share of the values of every picture: a few far ones would leave the others one colour.
+const SCALE_SHARE: f64 = 0.99;
+
+/// What is kept of a rendered viewpoint, layer by layer.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub(super) struct Frame(Vec<Kept>);
+
+/// A layer of a rendered viewpoint.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+struct Kept {
+    /// The picture (PNG): colours of 8 bits, or values of 16.
+    png: Digest,
+    /// The value that [`SCALE_SHARE`] of the pixels do not exceed; 0 of colours.
+    top: f32,
+}
+
+impl Frame {
+    /// Returns the bytes of a journal.
+    pub fn pack(&self) -> Result<Vec<u8>, StageError> {
+        serde_json::to_vec(self).map_err(|error| StageError::new(error.to_string()))
+    }
+
+    /// Reads what [`Frame::pack`] wrote; none if a picture is not stored any more.
+    pub fn unpack(ctx: &Ctx<'_>, bytes: &[u8]) -> Option<Self> {
+        let frame: Self = serde_json::from_slice(bytes).ok()?;
+        let is_whole = frame.0.iter().all(|kept| ctx.blobs.contains(&kept.png));
+        is_whole.then_some(frame)
+    }
+}
+
+/// Stores the layers of a viewpoint as pictures.
+pub(super) fn frame(
+    ctx: &Ctx<'_>,
+    scene: &Scene,
+    layers: &[Layer],
+    renders: &Renders,
+) -> Result<Frame, StageError> {
+    let kept = layers.iter().map(|layer| {
+        let failed = |error: &dyn std::fmt::Display| picture_failed(name(*layer), error);
+        let missing = || StageError::new("a field that is needed was not rendered");
+        let (png, top) = match layer {
+            Layer::Rgb => {
+                let render = renders.own.as_ref().ok_or_else(missing)?;
+                (
+                    encode_png(&render.to_image()).map_err(|error| failed(&error))?,
+                    0.0,
+                )
+            }
+            Layer::Depth => {
+                let render = renders.own.as_ref().ok_or_else(missing)?;
+                let depth = depth_of(render);
+                let metres = scene.metres_per_unit;
+                let png = png16::depth(render.width, render.height, &depth, metres);
+                let top = f64::from(quantile(&depth, SCALE_SHARE)) * metres.unwrap_or(1.0);
+                (png.map_err(|error| failed(&error))?, top as f32)
+            }
+            Layer::Uncertainty => {
+                let first = renders.members.first().ok_or_else(missing)?;
+                let spread = spread(&renders.members);
+                let kind = format!(
+                    "sample standard deviation of gray over {} retrainings",
+                    renders.members.len()
+                );
+                let quantity = Quantity {
+                    name: name(*layer),
+                    unit: SPREAD_UNIT,
+                    kind: &kind,
+                };
+                let png = png16::quantity((first.width, first.height), &spread, 1.0, &quantity);
+                (
+                    png.map_err(|error| failed(&error))?,
+                    quantile(&spread, SCALE_SHARE),
+                )
+            }
+        };
+        let png = ctx.put(&png)?;
+        Ok(Kept { png, top })
+    });
+    Ok(Frame(kept.collect::<Result<_, StageError>>()?))
+}
+
+/// Unit of the uncertainty.
+const SPREAD_UNIT: &str = "sRGB, white = 1";
+
+/// Returns the name of a layer in the texts of pictures.
+fn name(layer: Layer) -> &'static str {
+    match layer {
+        Layer::Rgb => "colour",
+        Layer::Depth => "depth",
+        Layer::Uncertainty => "uncertainty",
+    }
+}
+
+/// Returns the depth along every ray, world units; -1 where the ray met too little.
+fn depth_of(render: &Rendered) -> Vec<f32> {
+    let pixels = render.depth.iter().zip(&render.opacity);
+    pixels
+        .map(|(depth, opacity)| if *opacity > MIN_OPACITY { *depth } else { -1.0 })
+        .collect()
+}
+
+/// Returns the sample standard deviation of gray over the renders of the retrainings, whatever their order; white = 1.
+fn spread(members: &[Rendered]) -> Vec<f32> {
+    let pixels = members.first().map_or(0, |render| render.rgb.len());
+    let mut values = vec![0.0; members.len()];
+    let of_pixel = |pixel: usize| {
+        for (value, member) in values.iter_mut().zip(members) {
+            *value = gray(&member.rgb[pixel]);
+        }
+        moments(&mut values).sample as f32
+    };
+    (0..pixels).map(of_pixel).collect()
+}
+
+/// Returns the size of the pictures of a film, pixels; the least, where texts are wider than pictures.
+pub(super) fn film_size(camera: &Camera, layers: &[Layer]) -> (u32, u32) {
+    if layers == [Layer::Rgb] {
+        return (camera.width, camera.height);
+    }
+    let blank = Image::from_fn(camera.width, camera.height, |_, _| [0; 3]);
+    let panel = draw_titled(&blank, "");
+    (panel.width.saturating_mul(layers.len() as u32), panel.height)
+}
+
+/// Draws what was rendered, all pictures of a layer on one colour scale.
+pub(super) struct Drawing<'a> {
+    layers: &'a [Layer],
+    /// One a layer; that of colours is not used.
+    scales: Vec<ColorScale>,
+}
+
+impl<'a> Drawing<'a> {
+    /// Returns the drawing of all pictures of a path.
+    pub fn of(scene: &Scene, layers: &'a [Layer], frames: &[Frame]) -> Self {
+        let scale = |(index, layer): (usize, &Layer)| {
+            let tops: Vec<f32> = frames.iter().map(|frame| frame.0[index].top).collect();
+            ColorScale {
+                title: match layer {
+                    Layer::Rgb => "colour",
+                    Layer::Depth => "depth",
+                    Layer::Uncertainty => "std of gray, B-1",
+                }
+                .to_owned(),
+                unit: match layer {
+                    Layer::Uncertainty => SPREAD_UNIT,
+                    _ if scene.metres_per_unit.is_some() => "m",
+                    _ => "scene units",
+                }
+                .to_owned(),
+                low: 0.0,
+                high: round_upper_limit(&tops, 1.0),
+                palette: match layer {
+                    Layer::Uncertainty => Palette::Inferno,
+                    _ => Palette::Viridis,
+                },
+            }
+        };
+        Self {
+            layers,
+            scales: layers.iter().enumerate().map(scale).collect(),
+        }
+    }
+
+    /// Draws the previews of a viewpoint and its picture of the film: colour alone, or all layers side by side.
+    pub fn draw(
+        &self,
+        ctx: &Ctx<'_>,
+        frame: &Frame,
+        place: &Viewpoint,
+        number: usize,
+    ) -> Result<Drawn, StageError> {
+        let mut outputs = Outputs::new();
+        let mut panels = Vec::with_capacity(self.layers.len());
+        for ((layer, kept), scale) in self.layers.iter().zip(&frame.0).zip(&self.scales) {
+            let (values, preview) = match layer {
+                Layer::Rgb => (FRAMES, None),
+                Layer::Depth => (DEPTH, Some(DEPTH_PREVIEW)),
+                Layer::Uncertainty => (UNCERTAINTY, Some(UNCERTAINTY_PREVIEW)),
+            };
+            outputs.insert(format!("{values}{number:04}.png"), kept.png);
+            if self.layers == [Layer::Rgb] {
+                let film = kept.png;
+                return Ok(Drawn { outputs, film });
+            }
+            let panel = match preview {
+                Some(_) => map(ctx, *layer, kept, &place.camera, scale)?,
+                None => draw_titled(&colour(ctx, kept)?, &scale.title),
+            };
+            if let Some(preview) = preview {
+                put_png(ctx, &mut outputs, format!("{preview}{number:04}.png"), &panel)?;
+            }
+            panels.push(panel);
+        }
+        let panels: Vec<&Image<Srgb>> = panels.iter().collect();
+        let film = put_png(
+            ctx,
+            &mut Outputs::new(),
+            place.name.clone(),
+            &side_by_side(&panels),
+        )?;
+        Ok(Drawn { outputs, film })
+    }
+}
+
+/// The pictures of a viewpoint.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Drawn {
+    /// Layers and previews, by name.
+    pub outputs: Outputs,
+    /// That of the film.
+    pub film: Digest,
+}
+
+impl Drawn {
+    /// Returns the bytes of a journal.
+    pub fn pack(&self) -> Result<Vec<u8>, StageError> {
+        serde_json::to_vec(self).map_err(|error| StageError::new(error.to_string()))
+    }
+
+    /// Reads what [`Drawn::pack`] wrote; none if a picture is not stored any more.
+    pub fn unpack(ctx: &Ctx<'_>, bytes: &[u8]) -> Option<Self> {
+        let drawn: Self = serde_json::from_slice(bytes).ok()?;
+        let is_stored = |picture: &Digest| ctx.blobs.contains(picture);
+        let is_whole = drawn.outputs.values().all(is_stored) && is_stored(&drawn.film);
+        is_whole.then_some(drawn)
+    }
+}
+
+/// Reads kept colours.
+fn colour(ctx: &Ctx<'_>, kept: &Kept) -> Result<Image<Srgb>, StageError> {
+    let read = Photo::decode(&ctx.get(&kept.png)?);
+    Ok(read.map_err(|error| unreadable(Layer::Rgb, &error))?.image)
+}
+
+/// Draws kept values as colours; where a ray has no depth it is gray.
+fn map(
+    ctx: &Ctx<'_>,
+    layer: Layer,
+    kept: &Kept,
+    camera: &Camera,
+    scale: &ColorScale,
+) -> Result<Image<Srgb>, StageError> {
+    let read = read_quantity(&ctx.get(&kept.png)?, name(layer));
+    let (width, height, mut values) = read
+        .filter(|(width, height, _)| (*width, *height) == (camera.width, camera.height))
+        .ok_or_else(|| unreadable(layer, &"it is not what was written"))?;
+    if layer == Layer::Depth {
+        for value in values.iter_mut().filter(|value| **value == 0.0) {
+            *value = -1.0;
+        }
+    }
+    Ok(draw_map(&values, width, height, scale))
+}
+
+fn unreadable(layer: Layer, cause: &dyn std::fmt::Display) -> TrainError {
+    picture_failed(name(layer), cause)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_meets_too_little_has_no_depth() {
+        let render = Rendered {
+            opacity: vec![0.5, 0.51],
+            depth: vec![3.0, 4.0],
+            ..Rendered::empty(2, 1)
+        };
+        assert_eq!(depth_of(&render), [-1.0, 4.0]);
+    }
+
+    #[test]
+    fn the_spread_is_the_sample_standard_deviation_of_gray_in_any_order() {
+        let render = |value: f32| Rendered {
+            rgb: vec![[value; 3]],
+            ..Rendered::empty(1, 1)
+        };
+        // .50 .52 .48 .50: mean .50, squares .0008, divided by 3.
+        let mut renders = [0.50, 0.52, 0.48, 0.50].map(render);
+        let found = spread(&renders);
+        assert!((found[0] - 0.016_330).abs() < 1e-5, "{found:?}");
+        renders.reverse();
+        assert_eq!(spread(&renders), found);
+        assert!(spread(&[]).is_empty());
+    }
+
+    #[test]
+    fn a_film_of_several_layers_is_as_wide_as_its_panels() {
+        let camera = Camera::pinhole(640, 480, 500.0);
+        assert_eq!(film_size(&camera, &[Layer::Rgb]), (640, 480));
+        let (width, height) = film_size(&camera, &[Layer::Rgb, Layer::Depth, Layer::Uncertainty]);
+        assert!(width == 3 * 640 && height > 480, "{width} x {height}");
+    }
+}

@@ -1,0 +1,205 @@
+//! `marf render` on a small real run: what it writes, what it finds again, what it refuses.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a test that cannot go on should stop"
+)]
+
+mod common;
+
+use std::path::Path;
+use std::sync::LazyLock;
+
+use common::{Ran, SMALL_DEMO, marf};
+use marf_scene::picture::png16::read_quantity;
+use serde_json::{Value, json};
+
+/// A folder in which the small demo has run up to a node, with two retrainings.
+fn small_run(to: &str) -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    marf(dir.path(), &["init"]).exits(0);
+    let mut args = vec!["run", "--to", to];
+    for set in SMALL_DEMO.iter().chain(&["bootstrap.b=2", "train.steps=80"]) {
+        args.extend(["--set", set]);
+    }
+    marf(dir.path(), &args).exits(0);
+    dir
+}
+
+fn bootstrapped() -> &'static Path {
+    static RUN: LazyLock<tempfile::TempDir> = LazyLock::new(|| small_run("bootstrap"));
+    RUN.path()
+}
+
+fn render(folder: &Path, args: &[&str]) -> Ran {
+    let words = ["render", "--json"].iter().chain(args).copied();
+    marf(folder, &words.collect::<Vec<_>>())
+}
+
+/// What a call tells of its files, behind the events of its run.
+fn told(ran: &Ran) -> Value {
+    let values = serde_json::Deserializer::from_str(&ran.stdout).into_iter::<Value>();
+    values.last().unwrap().unwrap()
+}
+
+/// Nodes that ran in a call.
+fn finished(ran: &Ran) -> Vec<String> {
+    let values = serde_json::Deserializer::from_str(&ran.stdout).into_iter::<Value>();
+    let values = values.map(|value| value.unwrap());
+    let ran = values.filter(|value| value["event"] == "finished");
+    ran.map(|value| value["node"].as_str().unwrap().to_owned())
+        .collect()
+}
+
+#[test]
+fn an_orbit_is_rendered_once_with_its_layers_and_known_by_its_content() {
+    let dir = bootstrapped();
+    let all = [
+        "--path",
+        "orbit",
+        "--frames",
+        "2",
+        "--width",
+        "65",
+        "--output",
+        "rgb,depth,uncertainty",
+        "--out",
+        "film",
+    ];
+    let first = render(dir, &all).exits(0);
+    assert_eq!(finished(&first), ["render-of-train", "video-of-train"]);
+    let what = told(&first);
+    assert_eq!(
+        (&what["pictures"], &what["width"]),
+        (&json!(2), &json!(65)),
+        "{what}"
+    );
+    let file = |name: &str| std::fs::read(dir.join("film").join(name)).unwrap();
+    for (folder, quantity) in [("depth", "depth"), ("uncertainty", "uncertainty")] {
+        let (width, height, values) = read_quantity(&file(&format!("{folder}/0002.png")), quantity).unwrap();
+        assert_eq!(
+            (json!(width), json!(height)),
+            (json!(65), what["height"].clone()),
+            "{folder}"
+        );
+        assert!(values.iter().any(|value| *value > 0.0), "{folder} is empty");
+        let preview = image::load_from_memory(&file(&format!("{folder}-preview/0002.png"))).unwrap();
+        assert!(
+            preview.height() > height,
+            "{folder}: a preview has its scale below"
+        );
+    }
+    assert_eq!(
+        image::load_from_memory(&file("rgb/0001.png")).unwrap().width(),
+        65
+    );
+    let film = file("video.mp4");
+    assert_eq!(&film[4..8], b"ftyp");
+    let poses: Value = serde_json::from_slice(&file("poses.json")).unwrap();
+    assert_eq!(poses[1]["name"], "0002");
+
+    let again = render(dir, &all).exits(0);
+    assert_eq!(finished(&again), Vec::<String>::new(), "nothing changed");
+    for name in ["film/rgb/0001.png", "film/depth/0001.png", "film/video.mp4"] {
+        let made = marf(dir, &["audit", name]).exits(0);
+        assert!(made.stdout.contains("-of-train"), "{name}: {}", made.stdout);
+    }
+    let status = marf(dir, &["status"]).exits(0);
+    assert!(
+        !status.stdout.contains("render-of"),
+        "it is no run of the pipeline: {}",
+        status.stdout
+    );
+
+    let other_rate = render(dir, &[&all[..], &["--fps", "12"]].concat()).exits(0);
+    assert_eq!(
+        finished(&other_rate),
+        ["video-of-train"],
+        "another rate renders nothing"
+    );
+}
+
+#[test]
+fn the_poses_of_one_render_are_the_bookmarks_of_the_next() {
+    let dir = bootstrapped();
+    render(
+        dir,
+        &["--path", "train", "--frames", "3", "--width", "40", "--out", "a"],
+    )
+    .exits(0);
+    assert!(dir.join("a/video.mp4").exists());
+    let stills = render(dir, &["--path", "a/poses.json", "--out", "a"]).exits(0);
+    assert_eq!(
+        (&told(&stills)["pictures"], &told(&stills)["width"]),
+        (&json!(3), &json!(40))
+    );
+    assert!(
+        !dir.join("a/video.mp4").exists(),
+        "the film of another path would be taken for that of the stills"
+    );
+    let through = [
+        "--path",
+        "a/poses.json",
+        "--frames",
+        "4",
+        "--height",
+        "20",
+        "--out",
+        "b",
+    ];
+    let film = render(dir, &through).exits(0);
+    assert_eq!(
+        (&told(&film)["pictures"], &told(&film)["height"]),
+        (&json!(4), &json!(20))
+    );
+    assert!(dir.join("b/video.mp4").exists());
+    let of_file = [
+        "--field",
+        "out/train/weights.safetensors",
+        "--path",
+        "a/poses.json",
+        "--out",
+        "c",
+    ];
+    let same = render(dir, &of_file).exits(0);
+    assert_eq!(
+        finished(&same),
+        Vec::<String>::new(),
+        "the field of the file is that of the node"
+    );
+}
+
+#[test]
+fn what_cannot_be_rendered_is_one_error_with_the_way_out() {
+    let dir = bootstrapped();
+    std::fs::write(dir.join("empty.json"), "[]").unwrap();
+    std::fs::write(dir.join("strange.safetensors"), "x").unwrap();
+    let refused = |args: &[&str], word: &str| {
+        let ran = marf(dir, &[&["render", "--out", "refused"], args].concat()).exits(2);
+        assert!(ran.stderr.contains(word), "{args:?}: {}", ran.stderr);
+    };
+    refused(&["--path", "orbti"], "did you mean `orbit`?");
+    refused(&["--path", "empty.json"], "it holds no bookmark");
+    refused(&["--output", "normals"], "`rgb`, `depth`, `uncertainty`");
+    refused(&["--width", "0"], "at least 1");
+    refused(&["--scale", "0"], "take a factor above 0");
+    refused(&["--quantizer", "60"], "12 to 51");
+    refused(&["--field", "strange.safetensors"], "gave this field");
+    refused(&["blur"], "`blur` of run");
+    refused(&["--width", "8", "--scale", "2"], "cannot be used with");
+    let wide = ["render", "--out", "refused", "--width", "4000"];
+    let ran = marf(dir, &wide).exits(1);
+    assert!(ran.stderr.contains("lower `width`"), "{}", ran.stderr);
+    assert!(!dir.join("refused").exists());
+}
+
+#[test]
+fn uncertainty_without_a_bootstrap_names_what_to_add() {
+    let dir = small_run("train");
+    let ran = render(dir.path(), &["--output", "uncertainty", "--out", "x"]).exits(2);
+    assert!(
+        ran.stderr.contains("[node.bootstrap]") && ran.stderr.contains("of = \"train\""),
+        "{}",
+        ran.stderr
+    );
+}
