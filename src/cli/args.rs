@@ -184,6 +184,11 @@ pub enum Verb {
         #[command(subcommand)]
         verb: BenchVerb,
     },
+    /// Write manual pages, one a verb
+    Man {
+        /// Folder to write
+        dir: PathBuf,
+    },
     /// Print completions for a shell
     Completions {
         /// The shell

@@ -20,6 +20,7 @@ mod fit;
 mod folder;
 mod init;
 mod log;
+mod man;
 mod manual_lists;
 mod output;
 mod photos;
@@ -99,6 +100,7 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
         Verb::Fit(args) => fit::fit(global, args, cancel),
         Verb::Trade(args) => trade::trade(global, args, cancel),
         Verb::Bench { verb } => bench::bench(global, verb, cancel),
+        Verb::Man { dir } => man::man(dir),
         Verb::Completions { shell } => {
             let mut bytes = Vec::new();
             clap_complete::generate(*shell, &mut Cli::command(), "marf", &mut bytes);

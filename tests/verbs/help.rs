@@ -47,5 +47,6 @@ help_of! {
     help_bench_engine: "bench", "engine", "--help";
     help_bench_items: "bench", "items", "--help";
     help_bench_faults: "bench", "faults", "--help";
+    help_man: "man", "--help";
     help_completions: "completions", "--help";
 }

@@ -12,6 +12,7 @@
 mod common;
 mod errors;
 mod export;
+mod generated;
 mod help;
 mod log;
 mod plan;
