@@ -5,6 +5,7 @@
 
 pub mod cli;
 pub mod config;
+mod emptied;
 mod nearest;
 pub mod progress;
 pub mod show;

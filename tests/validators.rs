@@ -85,7 +85,8 @@ fn crates(folder: &Path) -> PathBuf {
     let mut run = vec!["run", "--set", "archive.demo.sols=1"];
     run.extend(SMALL_DEMO.iter().flat_map(|set| ["--set", set]));
     marf(folder, &run).exits(0);
-    let photos: Value = serde_json::from_str(&marf(folder, &["photos", "--json"]).exits(0).stdout).unwrap();
+    let told: Value = serde_json::from_str(&marf(folder, &["photos", "--json"]).exits(0).stdout).unwrap();
+    let photos = &told["photos"];
     let photo = photos[0]["product"].as_str().unwrap().to_owned();
     std::fs::write(folder.join("key.pem"), PRIVATE_PEM).unwrap();
     std::fs::write(folder.join("pub.pem"), PUBLIC_PEM).unwrap();

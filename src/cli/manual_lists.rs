@@ -64,6 +64,7 @@ mod tests {
         let node = |name: &str| NodeInfo {
             name: name.to_owned(),
             about: "",
+            relax: None,
             params: serde_json::json!({"by_hand": {"keep": ["rock_1", "dir/rock_2.jpg", "rokc_2"], "reject": ["torn"]}}),
         };
         let verdicts = [

@@ -3,8 +3,8 @@ use std::path::Path;
 use marf_cache::Digest;
 use marf_engine::sets;
 use marf_engine::{Cancel, RunRecord};
-use marf_scene::{CameraPrior, PhotoFacts};
-use marf_stage::PHOTOS;
+use marf_scene::{CameraPrior, Photo, PhotoFacts};
+use marf_stage::{PHOTOS, VERDICTS, Verdict};
 use serde::Serialize;
 
 use super::args::Global;
@@ -20,11 +20,28 @@ use crate::terminal::print_line;
 struct Line {
     product: String,
     image: Option<Digest>,
+    /// Of the file, by its bytes.
+    format: &'static str,
     #[serde(flatten)]
     facts: PhotoFacts,
 }
 
-/// `marf photos [DIR]`: what was read of every photo, from a folder or from the pipeline's last run.
+/// What `--json` prints.
+#[derive(Debug, Serialize)]
+struct Table {
+    photos: Vec<Line>,
+    /// Files that gave no photo.
+    not_read: Vec<NotRead>,
+}
+
+/// A file that gave no photo.
+#[derive(Debug, Serialize)]
+struct NotRead {
+    file: String,
+    reason: String,
+}
+
+/// `marf photos [DIR]`: what was read of every photo, from a folder or from the pipeline's last run, and which files were not.
 pub fn photos(global: &Global, dir: Option<&Path>, node: &str, cancel: &Cancel) -> Result<(), CliError> {
     let (session, record) = match dir {
         Some(dir) => {
@@ -40,16 +57,59 @@ pub fn photos(global: &Global, dir: Option<&Path>, node: &str, cancel: &Cancel) 
             (session, record)
         }
     };
-    let lines = lines(&session, &record, node)?;
+    let table = Table {
+        photos: lines(&session, &record, node)?,
+        not_read: not_read(&session, &record, node)?,
+    };
     if global.json {
-        return print_json(&lines);
+        return print_json(&table);
     }
     print_line(
         "| product | format | pixels | camera of the label | frame | site, drive, pose | sol | notes |",
     );
     print_line("|---|---|---|---|---|---|---|---|");
-    lines.iter().for_each(|line| print_line(&row(line)));
+    table.photos.iter().for_each(|line| print_line(&row(line)));
+    if !table.not_read.is_empty() {
+        print_line("\n| file without a photo | why |\n|---|---|");
+        for NotRead { file, reason } in &table.not_read {
+            print_line(&cells(&[file.clone(), reason.clone()]));
+        }
+    }
     Ok(())
+}
+
+/// Returns the files that a source has met and took no photo from; none of a filter, whose verdicts are on photos.
+fn not_read(session: &Session, record: &RunRecord, node: &str) -> Result<Vec<NotRead>, CliError> {
+    let source = record
+        .nodes
+        .iter()
+        .find(|one| one.name == node && one.edges.is_empty());
+    let Some(verdicts) = source.and_then(|node| node.outputs.get(VERDICTS)) else {
+        return Ok(Vec::new());
+    };
+    let verdicts = session.verdicts(&verdicts.digest)?.into_iter();
+    let left_out = verdicts.filter(|verdict| !verdict.keeps());
+    Ok(left_out
+        .map(|Verdict { file, reason, .. }| NotRead { file, reason })
+        .collect())
+}
+
+/// Returns the format of a photo's file: what its bytes are, whatever it is called. Raw pixels are kept beside the photo made of them.
+///
+/// # Errors
+/// A photo that the store has lost.
+fn format(session: &Session, image: Option<&Digest>, has_raw: bool) -> Result<&'static str, CliError> {
+    match image {
+        Some(_) if has_raw => Ok("IMG"),
+        Some(image) => Ok(Photo::format(&session.store.get(image)?).unwrap_or("-")),
+        None => Ok("-"),
+    }
+}
+
+/// Returns a row of a table.
+fn cells(cells: &[String]) -> String {
+    let cells: Vec<String> = cells.iter().map(|cell| cell.replace('|', "\\|")).collect();
+    format!("| {} |", cells.join(" | "))
 }
 
 fn lines(session: &Session, record: &RunRecord, node: &str) -> Result<Vec<Line>, CliError> {
@@ -68,9 +128,11 @@ fn lines(session: &Session, record: &RunRecord, node: &str) -> Result<Vec<Line>,
     for row in rows {
         let facts = PhotoFacts::from_json(&row.facts)
             .map_err(|error| CliError::failed(format!("photos of `{node}`: {error}")))?;
+        let image = row.blobs.get("image").copied();
         lines.push(Line {
             facts,
-            image: row.blobs.get("image").copied(),
+            format: format(session, image.as_ref(), row.blobs.contains_key("raw"))?,
+            image,
             product: row.id,
         });
     }
@@ -81,14 +143,9 @@ fn row(line: &Line) -> String {
     let facts = &line.facts;
     let prior = facts.prior.as_ref();
     let known = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());
-    let format = Path::new(&facts.file)
-        .extension()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .to_uppercase();
-    let cells = [
+    cells(&[
         line.product.clone(),
-        format,
+        line.format.to_owned(),
         format!("{} x {} x {}", facts.width, facts.height, facts.bands),
         known(
             prior
@@ -99,8 +156,7 @@ fn row(line: &Line) -> String {
         known(prior.and_then(place)),
         known(facts.sol.map(|sol| sol.to_string())),
         facts.notes.join("; "),
-    ];
-    format!("| {} |", cells.map(|cell| cell.replace('|', "\\|")).join(" | "))
+    ])
 }
 
 /// Model, focal length and principal point, pixels.

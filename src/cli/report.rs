@@ -177,6 +177,7 @@ fn nodes_of(session: &Session, record: &RunRecord) -> Vec<NodeView> {
             name: node.name.clone(),
             stage: node.stage.clone(),
             about: info.map(|info| info.about.to_owned()).unwrap_or_default(),
+            relax: info.and_then(|info| info.relax),
             upstream: node
                 .edges
                 .iter()

@@ -12,8 +12,9 @@ use super::args::{Global, RunArgs};
 use super::documents::{self, Documents};
 use super::error::{CliError, Diagnostic};
 use super::export::Exported;
-use super::session::{Session, warn};
+use super::session::{NodeInfo, Session, warn};
 use super::{export, files, manual_lists, program, report, verdicts};
+use crate::emptied;
 use crate::progress::{Began, EventFile, JsonLines, Progress, Trace, duration, event_folder};
 use crate::terminal::{eprint_line, print_line};
 
@@ -168,6 +169,7 @@ pub fn execute_as(
             .into_iter()
             .for_each(warn);
     }
+    emptied_filters(session, &record).into_iter().for_each(warn);
     let failure = listener.failure.into_inner();
     let ended = match record.outcome {
         Outcome::Done => Ok(()),
@@ -177,6 +179,18 @@ pub fn execute_as(
         )),
     };
     Ok((record, ended))
+}
+
+/// Returns one line for each filter that rejected every photo it was given.
+fn emptied_filters(session: &Session, record: &RunRecord) -> Vec<String> {
+    let line = |info: &NodeInfo| {
+        let node = record.node(&info.name).filter(|node| node.state.is_good())?;
+        let count = |what: &str| node.counts.get(what).copied().unwrap_or(0);
+        let (kept, rejected) = (count("photos"), count("rejected"));
+        let relax = info.relax.filter(|_| kept == 0 && rejected > 0)?;
+        Some(emptied::sentence(&info.name, rejected, relax))
+    };
+    session.nodes.iter().filter_map(line).collect()
 }
 
 /// Returns the documents of a run, as many as could be made, and beside them why not all.

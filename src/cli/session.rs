@@ -58,6 +58,8 @@ pub struct NodeInfo {
     pub name: String,
     /// One line about its stage.
     pub about: &'static str,
+    /// Of a filter: what in its table keeps photos that it rejects.
+    pub relax: Option<&'static str>,
     /// Its parameters as given.
     pub params: serde_json::Value,
 }
@@ -121,6 +123,7 @@ impl Session {
         let info = |node: &config::Node| NodeInfo {
             name: node.name.clone(),
             about: node.def.about,
+            relax: node.def.relax,
             params: node.params.clone(),
         };
         let nodes = pipeline.nodes.iter().map(info).collect();

@@ -106,6 +106,7 @@ pub(super) fn node(name: &str, upstream: &[&str]) -> NodeView {
         name: name.to_owned(),
         stage: name.to_owned(),
         about: format!("does {name}"),
+        relax: None,
         upstream: upstream
             .iter()
             .map(|from| ("input".to_owned(), (*from).to_owned()))

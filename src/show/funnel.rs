@@ -7,6 +7,7 @@ use super::gallery::not_shown;
 use super::input::NodeView;
 use super::page::Page;
 use super::verdicts::{Judged, Summary};
+use crate::emptied;
 
 const BAR_LEFT: f64 = 150.0;
 const BAR_WIDTH: f64 = 440.0;
@@ -28,9 +29,16 @@ pub(super) fn body(page: &Page<'_>) -> Markup {
     }
     html! {
         (drawing(&shown))
+        @for (node, sum) in &shown { (emptied(node, sum)) }
         @for missing in missing.into_iter().chain(page.photos.missing()) { (missing) }
         @for (node, sum) in &shown { @if node.upstream.is_empty() { (no_photos(sum)) } }
     }
+}
+
+/// Says what keeps the photos of a filter that rejects all of them.
+fn emptied(node: &NodeView, sum: &Summary) -> Markup {
+    let relax = node.relax.filter(|_| sum.seen > 0 && sum.kept == 0);
+    html! { @if let Some(relax) = relax { p.missing { (emptied::sentence(&node.name, sum.seen as u64, relax)) } } }
 }
 
 /// `7 in, 6 kept, 1 rejected (1 decode)`.
@@ -99,6 +107,33 @@ fn no_photos(sum: &Summary) -> Markup {
                 }
             }
             (not_shown(rejected, sum.first_rejected.len()))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::show::fixture::node;
+
+    #[test]
+    fn a_filter_that_rejects_all_says_what_keeps_them_and_others_say_nothing() {
+        let filter = NodeView {
+            relax: Some("`keep = \"all\"`"),
+            ..node("grayscale", &["size"])
+        };
+        let sum = |kept| Summary {
+            seen: 3,
+            kept,
+            ..Summary::default()
+        };
+        let said = emptied(&filter, &sum(0)).into_string();
+        assert!(
+            said.contains("rejects all 3 photos") && said.contains("keep = &quot;all&quot;"),
+            "{said}"
+        );
+        for silent in [emptied(&filter, &sum(1)), emptied(&node("extract", &[]), &sum(0))] {
+            assert_eq!(silent.into_string(), "");
         }
     }
 }

@@ -57,6 +57,8 @@ pub struct NodeView {
     pub stage: String,
     /// One line about the stage.
     pub about: String,
+    /// Of a filter: what in its table keeps photos that it rejects.
+    pub relax: Option<&'static str>,
     /// (Key of the port, name of the upstream node).
     pub upstream: Vec<(String, String)>,
     /// Its state.

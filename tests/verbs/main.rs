@@ -15,6 +15,7 @@ mod export;
 mod generated;
 mod help;
 mod log;
+mod photos;
 mod plan;
 mod status;
 mod trade;

@@ -204,7 +204,7 @@ fn product(mut files: Vec<ArchiveFile>, labels: &mut Labels, left_out: &mut Vec<
 fn rank(file: &ArchiveFile) -> (Reverse<String>, u8, usize, String) {
     let quality = match (&file.kind, extension(&file.name).as_str()) {
         (Kind::Raw, _) => 0,
-        (_, "png") => 1,
+        (_, "png" | "tif" | "tiff" | "pnm" | "pgm" | "ppm") => 1,
         (_, "webp") => 2,
         (_, "jpg" | "jpeg") => 3,
         _ => 4,

@@ -119,6 +119,7 @@ impl Stored<'_> for Sharpness {
 impl Filter for Blur {
     const NAME: &'static str = "blur";
     const ABOUT: &'static str = "rejects photos that are blurred or mere noise";
+    const RELAX: &'static str = "a lower `floor_ratio` or `min_ratio`";
     const MEASURE_VERSION: u32 = 3;
     const DECISION_VERSION: u32 = 1;
     type Params = BlurParams;

@@ -82,6 +82,7 @@ impl Define for Duplicate {
     const NAME: &'static str = "duplicate";
     const ABOUT: &'static str = "rejects photos that show the same view as a better one";
     const VERSION: u32 = Self::MEASURE_VERSION + Self::DECISION_VERSION;
+    const RELAX: Option<&'static str> = Some("a higher `min_correlation`");
     const PORTS: &'static [Port] = PORTS;
     const OUTPUTS: &'static [&'static str] = OUTPUTS;
 

@@ -16,6 +16,8 @@ pub trait Filter: Send + Sync + Sized + 'static {
     const NAME: &'static str;
     /// One line of help.
     const ABOUT: &'static str;
+    /// What to write in its table so that photos which it rejects are kept, for people.
+    const RELAX: &'static str;
     /// Version of the measure, raised by hand when [`Filter::MEASURE`] may return something else for a photo; this
     /// measure of all photos is then computed again. 0 where there is no measure.
     const MEASURE_VERSION: u32;

@@ -86,6 +86,7 @@ impl Stored<'_> for ChannelSpread {
 impl Filter for Grayscale {
     const NAME: &'static str = "grayscale";
     const ABOUT: &'static str = "rejects photos without colour";
+    const RELAX: &'static str = "`keep = \"all\"`, as for monochrome cameras";
     const MEASURE_VERSION: u32 = 3;
     const DECISION_VERSION: u32 = 0;
     type Params = GrayscaleParams;

@@ -85,6 +85,7 @@ impl Default for HistogramParams {
 impl Filter for Histogram {
     const NAME: &'static str = "histogram";
     const ABOUT: &'static str = "rejects photos whose brightness or colours do not belong to the set";
+    const RELAX: &'static str = "a higher `max_flat` or `max_clipped`";
     const MEASURE_VERSION: u32 = 3;
     const DECISION_VERSION: u32 = 1;
     type Params = HistogramParams;

@@ -54,6 +54,7 @@ impl Default for ShapeParams {
 impl Filter for Shape {
     const NAME: &'static str = "shape";
     const ABOUT: &'static str = "rejects thumbnails and photos that are too small";
+    const RELAX: &'static str = "a lower `min_width` or `min_height`";
     const MEASURE_VERSION: u32 = 0;
     const DECISION_VERSION: u32 = 2;
     type Params = ShapeParams;

@@ -40,6 +40,7 @@ impl Default for SizeParams {
 impl Filter for Size {
     const NAME: &'static str = "size";
     const ABOUT: &'static str = "rejects photos that carry too few bytes";
+    const RELAX: &'static str = "a lower `min_bytes` or `min_bits_per_pixel`";
     const MEASURE_VERSION: u32 = 0;
     const DECISION_VERSION: u32 = 2;
     type Params = SizeParams;

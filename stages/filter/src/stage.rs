@@ -27,6 +27,7 @@ impl<F: Filter> Define for FilterStage<F> {
     const NAME: &'static str = F::NAME;
     const ABOUT: &'static str = F::ABOUT;
     const VERSION: u32 = F::VERSION;
+    const RELAX: Option<&'static str> = Some(F::RELAX);
     const PORTS: &'static [Port] = PORTS;
     const OUTPUTS: &'static [&'static str] = OUTPUTS;
 

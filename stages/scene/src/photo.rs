@@ -4,6 +4,7 @@ use std::io::Cursor;
 
 use image::metadata::Orientation;
 use image::{DynamicImage, GrayImage, ImageDecoder, ImageFormat, ImageReader, Limits, RgbImage};
+use tiff::tags::Tag;
 use zune_core::bytestream::ZCursor;
 use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
@@ -33,8 +34,8 @@ pub struct Photo {
 /// Bytes that cannot be decoded as a photo.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum DecodeError {
-    /// The bytes are no JPEG, PNG, WebP or GIF.
-    #[error("not a JPEG, PNG, WebP or GIF (starts with {start})")]
+    /// The bytes are no picture of a known format.
+    #[error("not a JPEG, PNG, WebP, GIF, TIFF or PNM (starts with {start})")]
     Format {
         /// The first bytes, in hexadecimal.
         start: String,
@@ -61,11 +62,12 @@ pub enum DecodeError {
 }
 
 impl Photo {
-    /// Decodes a JPEG, PNG, WebP or GIF.
+    /// Decodes a JPEG, PNG, WebP, GIF, TIFF or PNM.
     ///
     /// Strict: a JPEG that is cut short or damaged is refused (the `image` crate alone fills the rest with grey). EXIF
     /// rotation is applied, 16 bits are reduced to 8, alpha is blended over black, of an animation the first
-    /// frame is taken; [`Photo::notes`] says so.
+    /// frame is taken and of a TIFF the first page; [`Photo::notes`] says so. A TIFF may have strips or tiles; one whose colours lie in
+    /// planes of their own is refused.
     ///
     /// # Errors
     /// See [`DecodeError`].
@@ -82,6 +84,7 @@ impl Photo {
         };
         match format {
             ImageFormat::Jpeg => decode_jpeg(bytes),
+            ImageFormat::Tiff => decode_tiff(bytes),
             _ => Ok(Self::of_upright(decode_limited(bytes, format)?)),
         }
     }
@@ -91,8 +94,10 @@ impl Photo {
         if decoded.color().has_alpha() {
             notes.push("alpha blended over black".to_owned());
         }
-        if decoded.color().bytes_per_pixel() / decoded.color().channel_count() > 1 {
-            notes.push("16 bits reduced to 8".to_owned());
+        match decoded.color().bytes_per_pixel() / decoded.color().channel_count() {
+            0 | 1 => {}
+            2 => notes.push("16 bits reduced to 8".to_owned()),
+            _ => notes.push("numbers from 0 to 1 reduced to 8 bits".to_owned()),
         }
         let bands = if decoded.color().has_color() { 3 } else { 1 };
         Self {
@@ -127,6 +132,11 @@ impl Photo {
             Some(photo) => Ok(photo),
             None => Self::decode(bytes),
         }
+    }
+
+    /// Returns the name of the format of the bytes, whatever their file is called; `None` of one that is not decoded.
+    pub fn format(bytes: &[u8]) -> Option<&'static str> {
+        image::guess_format(bytes).ok().and_then(format_name)
     }
 
     /// Returns width and height in pixels from the header alone, before EXIF rotation; `None` without a known header.
@@ -164,6 +174,8 @@ fn format_name(format: ImageFormat) -> Option<&'static str> {
         ImageFormat::Png => Some("PNG"),
         ImageFormat::WebP => Some("WebP"),
         ImageFormat::Gif => Some("GIF"),
+        ImageFormat::Tiff => Some("TIFF"),
+        ImageFormat::Pnm => Some("PNM"),
         _ => None,
     }
 }
@@ -276,6 +288,29 @@ fn decode_limited(bytes: &[u8], format: ImageFormat) -> Result<(DynamicImage, Ve
     Ok(upright(decoded, orientation))
 }
 
+/// Decodes the first page of a TIFF.
+///
+/// Planes of their own are refused before they are decoded: `image` 0.25.10 panics on some that have 16 bits.
+fn decode_tiff(bytes: &[u8]) -> Result<Photo, DecodeError> {
+    let fail = |error: tiff::TiffError| damaged("TIFF", &error);
+    let mut decoder = tiff::decoder::Decoder::new(Cursor::new(bytes)).map_err(fail)?;
+    let planes = decoder
+        .find_tag_unsigned::<u16>(Tag::PlanarConfiguration)
+        .map_err(fail)?;
+    if planes.is_some_and(|planes| planes != CHUNKY) {
+        let message = "its colours lie in planes of their own (PlanarConfiguration 2), which are not read: save it with pixels in one plane";
+        return Err(damaged("TIFF", &message));
+    }
+    let (decoded, mut notes) = decode_limited(bytes, ImageFormat::Tiff)?;
+    if decoder.more_images() {
+        notes.push("the first of several pages".to_owned());
+    }
+    Ok(Photo::of_upright((decoded, notes)))
+}
+
+/// PlanarConfiguration of a TIFF whose pixels have their channels side by side.
+const CHUNKY: u16 = 1;
+
 /// Returns the pixels with alpha blended over black; 8-bit colour without alpha is copied once and not converted.
 fn opaque(decoded: DynamicImage) -> Image<Srgb> {
     let (width, height) = (decoded.width(), decoded.height());
@@ -353,7 +388,7 @@ mod tests {
         let error = Photo::decode(b"<html>").unwrap_err();
         assert_eq!(
             error.to_string(),
-            "not a JPEG, PNG, WebP or GIF (starts with 3c68746d6c3e)"
+            "not a JPEG, PNG, WebP, GIF, TIFF or PNM (starts with 3c68746d6c3e)"
         );
         assert_eq!(Photo::decode(b"").unwrap_err().to_string(), "an empty file");
     }
@@ -362,5 +397,202 @@ mod tests {
     fn an_error_is_one_line() {
         let error = Photo::decode(b"\xff\xd8\xff\xe0").unwrap_err().to_string();
         assert!(!error.contains('\n') && !error.ends_with(' '), "{error:?}");
+    }
+
+    /// A little-endian TIFF: short values by tag, then strips or tiles, whose offsets and lengths stand in `offsets` and `lengths`.
+    fn tiff_of(shorts: &[(u16, &[u16])], [offsets, lengths]: [u16; 2], parts: &[Vec<u8>]) -> Vec<u8> {
+        let mut tags: Vec<(u16, u16, Vec<u8>)> = shorts
+            .iter()
+            .map(|(tag, values)| {
+                (
+                    *tag,
+                    3,
+                    values.iter().flat_map(|value| value.to_le_bytes()).collect(),
+                )
+            })
+            .collect();
+        let longs =
+            |of: &dyn Fn(usize) -> u32| (0..parts.len()).flat_map(|part| of(part).to_le_bytes()).collect();
+        tags.push((lengths, 4, longs(&|part| parts[part].len() as u32)));
+        tags.push((offsets, 4, vec![0; 4 * parts.len()]));
+        tags.sort();
+        let mut rest = 8 + 2 + 12 * tags.len() + 4;
+        let mut places = Vec::new();
+        for (_, _, value) in &tags {
+            places.push(rest);
+            rest += if value.len() > 4 { value.len() } else { 0 };
+        }
+        let starts: Vec<usize> = parts
+            .iter()
+            .scan(rest, |at, part| {
+                let start = *at;
+                *at += part.len();
+                Some(start)
+            })
+            .collect();
+        let own = tags.iter_mut().find(|(tag, ..)| *tag == offsets).unwrap();
+        own.2 = longs(&|part| starts[part] as u32);
+        let mut bytes = [
+            b"II*\0".as_slice(),
+            &8_u32.to_le_bytes(),
+            &(tags.len() as u16).to_le_bytes(),
+        ]
+        .concat();
+        for ((tag, kind, value), place) in tags.iter().zip(&places) {
+            let count = value.len() / if *kind == 3 { 2 } else { 4 };
+            let mut inline = value.clone();
+            inline.resize(4, 0);
+            let field = if value.len() > 4 {
+                (*place as u32).to_le_bytes().to_vec()
+            } else {
+                inline
+            };
+            bytes.extend(
+                [
+                    &tag.to_le_bytes()[..],
+                    &kind.to_le_bytes(),
+                    &(count as u32).to_le_bytes(),
+                    &field,
+                ]
+                .concat(),
+            );
+        }
+        bytes.extend([0; 4]);
+        bytes.extend(
+            tags.iter()
+                .filter(|(_, _, value)| value.len() > 4)
+                .flat_map(|(_, _, value)| value.clone()),
+        );
+        bytes.extend(parts.concat());
+        bytes
+    }
+
+    fn written(color: image::ExtendedColorType, pixels: &[u8], format: ImageFormat) -> Vec<u8> {
+        let mut bytes = Cursor::new(Vec::new());
+        image::write_buffer_with_format(&mut bytes, pixels, 40, 30, color, format).unwrap();
+        bytes.into_inner()
+    }
+
+    #[test]
+    fn tiff_and_pnm_are_read_with_8_and_16_bits() {
+        let expected = gradient();
+        let eight = expected.pixels.as_flattened();
+        // 257 times a value of 8 bits is the same light in 16.
+        let sixteen: Vec<u8> = eight
+            .iter()
+            .flat_map(|value| (u16::from(*value) * 257).to_ne_bytes())
+            .collect();
+        for format in [ImageFormat::Tiff, ImageFormat::Pnm] {
+            let photo = Photo::decode(&written(image::ExtendedColorType::Rgb8, eight, format)).unwrap();
+            assert_eq!((photo.image, photo.bands), (expected.clone(), 3), "{format:?}");
+            assert_eq!(photo.notes, [""; 0], "{format:?}");
+            let gray = Photo::decode(&written(image::ExtendedColorType::L8, &eight[..1200], format)).unwrap();
+            assert_eq!(
+                (gray.image.at(1, 0), gray.bands),
+                ([eight[1]; 3], 1),
+                "{format:?}"
+            );
+        }
+        let deep = Photo::decode(&written(
+            image::ExtendedColorType::Rgb16,
+            &sixteen,
+            ImageFormat::Tiff,
+        ))
+        .unwrap();
+        assert_eq!(
+            (deep.image, deep.notes),
+            (expected.clone(), vec!["16 bits reduced to 8".to_owned()])
+        );
+        let head = b"P6\n40 30\n65535\n".to_vec();
+        let big_endian = eight
+            .iter()
+            .flat_map(|value| (u16::from(*value) * 257).to_be_bytes());
+        let deep = Photo::decode(&head.into_iter().chain(big_endian).collect::<Vec<_>>()).unwrap();
+        assert_eq!(deep.image, expected);
+        assert_eq!(Photo::format(b"P5\n1 1\n255\n\0"), Some("PNM"));
+        assert_eq!(Photo::format(b"<html>"), None);
+    }
+
+    /// 10 x 12 gray pixels in a tile of 16 x 16; and 2 x 2 pixels of 16 bits with a plane for each of three colours.
+    #[test]
+    fn a_tiff_of_tiles_is_read_and_one_of_planes_is_refused_in_words() {
+        let tile: Vec<u8> = (0..=255).collect();
+        let tiled = tiff_of(
+            &[
+                (256, &[10]),
+                (257, &[12]),
+                (258, &[8]),
+                (259, &[1]),
+                (262, &[1]),
+                (277, &[1]),
+                (322, &[16]),
+                (323, &[16]),
+            ],
+            [324, 325],
+            &[tile],
+        );
+        let photo = Photo::decode(&tiled).unwrap();
+        assert_eq!((photo.image.width, photo.image.height), (10, 12));
+        assert_eq!((photo.image.at(0, 0), photo.image.at(9, 11)), ([0; 3], [185; 3]));
+        let planes = tiff_of(
+            &[
+                (256, &[2]),
+                (257, &[2]),
+                (258, &[16, 16, 16]),
+                (259, &[1]),
+                (262, &[2]),
+                (277, &[3]),
+                (278, &[2]),
+                (284, &[2]),
+            ],
+            [273, 279],
+            &[vec![1; 8], vec![2; 8], vec![3; 8]],
+        );
+        let error = Photo::decode(&planes).unwrap_err().to_string();
+        assert!(error.contains("planes of their own"), "{error}");
+    }
+
+    #[test]
+    fn a_tiff_that_asks_for_more_than_the_limits_is_refused_before_it_is_decoded() {
+        for side in [20_001, 65_535] {
+            let bomb = tiff_of(
+                &[
+                    (256, &[side]),
+                    (257, &[side]),
+                    (258, &[8]),
+                    (259, &[1]),
+                    (262, &[1]),
+                    (277, &[1]),
+                    (278, &[side]),
+                ],
+                [273, 279],
+                &[vec![0; 16]],
+            );
+            assert!(Photo::decode(&bomb).is_err(), "{side}");
+        }
+        assert!(Photo::decode(b"P5\n65535 65535\n255\n").is_err());
+        assert!(Photo::decode(b"P5\n4 4\n255\n\x01\x02").is_err(), "cut short");
+    }
+
+    /// A file whose bytes were changed is decoded or refused: it never panics, and never takes long.
+    #[test]
+    fn damaged_tiffs_are_decoded_or_refused() {
+        let whole = written(
+            image::ExtendedColorType::Rgb8,
+            gradient().pixels.as_flattened(),
+            ImageFormat::Tiff,
+        );
+        for cut in (0..whole.len()).step_by(7) {
+            let _ = Photo::decode(&whole[..cut]);
+        }
+        // The directory stands at the end: its bytes decide everything.
+        let directory = whole.len().saturating_sub(400);
+        for at in (0..8).chain(directory..whole.len()) {
+            for value in [0, 1, 2, 3, 4, 5, 7, 16, 32, 127, 128, 255] {
+                let mut damaged = whole.clone();
+                damaged[at] = value;
+                let _ = Photo::decode(&damaged);
+            }
+        }
     }
 }

@@ -77,6 +77,8 @@ pub trait Define: Stage + Sized + 'static {
     const ABOUT: &'static str;
     /// Raised by hand when the stage may give another result.
     const VERSION: u32;
+    /// Of a filter: what to write in its table so that photos which it rejects are kept, for people.
+    const RELAX: Option<&'static str> = None;
     /// Inputs.
     const PORTS: &'static [Port];
     /// Names of its outputs. One that ends with `/` stands for any number of outputs below it, or none.
@@ -106,6 +108,8 @@ pub struct StageDef {
     pub about: &'static str,
     /// Raised by hand when the stage may give another result.
     pub version: u32,
+    /// Of a filter: what to write in its table so that photos which it rejects are kept, for people.
+    pub relax: Option<&'static str>,
     /// Inputs.
     pub ports: &'static [Port],
     /// Names of its outputs. One that ends with `/` stands for any number of outputs below it, or none.
@@ -124,6 +128,7 @@ pub const fn define<S: Define>() -> StageDef {
         name: S::NAME,
         about: S::ABOUT,
         version: S::VERSION,
+        relax: S::RELAX,
         ports: S::PORTS,
         outputs: S::OUTPUTS,
         schema: schema_of::<S::Params>,

@@ -92,7 +92,7 @@ enum Bytes {
 /// What a file is, by name and first bytes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Kind {
-    /// JPEG, PNG, WebP or GIF, or a file that says it is a picture.
+    /// JPEG, PNG, WebP, GIF, TIFF or PNM, or a file that says it is a picture.
     Photo,
     /// A picture behind an attached label, or an array that a detached label describes.
     Raw,
@@ -350,16 +350,38 @@ fn read_path(path: &std::path::Path) -> Result<Vec<u8>, ReadError> {
     Ok(bytes)
 }
 
+/// Extensions of undeveloped pixels as cameras write them.
+const CAMERA_RAW: [&str; 9] = ["3fr", "arw", "cr2", "dng", "iiq", "nef", "orf", "pef", "rw2"];
+
+/// Tells whether bytes begin as a PNM: `P5`, white space, and a number or a comment.
+fn is_pnm(bytes: &[u8]) -> bool {
+    matches!(bytes, [b'P', b'1'..=b'6', space, next, ..]
+        if space.is_ascii_whitespace() && (next.is_ascii_digit() || *next == b'#'))
+}
+
 /// Returns the kind of a file by its first bytes, else by its name.
 pub(crate) fn kind(name: &str, bytes: &[u8]) -> Kind {
-    let magic: [&[u8]; 4] = [b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"GIF8", b"RIFF"];
-    if magic.iter().any(|magic| bytes.starts_with(magic)) {
+    let extension = extension(name);
+    if CAMERA_RAW.contains(&extension.as_str()) {
+        // They are TIFFs, whose first page is a thumbnail.
+        return Kind::Other(format!(
+            "undeveloped pixels of a camera (`.{extension}`): save them as TIFF, PNG or JPEG"
+        ));
+    }
+    let magic: [&[u8]; 6] = [
+        b"\xff\xd8\xff",
+        b"\x89PNG\r\n\x1a\n",
+        b"GIF8",
+        b"RIFF",
+        b"II*\0",
+        b"MM\0*",
+    ];
+    if magic.iter().any(|magic| bytes.starts_with(magic)) || is_pnm(bytes) {
         return Kind::Photo;
     }
-    match extension(name).as_str() {
-        "jpg" | "jpeg" | "png" | "webp" | "gif" | "tif" | "tiff" | "bmp" | "jp2" | "heic" | "avif" => {
-            Kind::Photo
-        }
+    match extension.as_str() {
+        "jpg" | "jpeg" | "png" | "webp" | "gif" | "tif" | "tiff" | "pnm" | "pbm" | "pgm" | "ppm" | "pam"
+        | "bmp" | "jp2" | "heic" | "avif" => Kind::Photo,
         "img" | "vic" | "vicar" => Kind::Raw,
         "xml" => Kind::Pds4,
         "json" => Kind::Feed,

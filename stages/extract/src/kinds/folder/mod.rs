@@ -147,7 +147,8 @@ impl Folder {
             0 => format!("`{path}` is empty"),
             _ => format!("`{path}` holds {files} files and no photo"),
         };
-        StageError::new(message).hint("a photo is a JPEG, PNG, WebP, GIF or .IMG; hidden files are not read")
+        StageError::new(message)
+            .hint("a photo is a JPEG, PNG, WebP, GIF, TIFF, PNM or .IMG; hidden files are not read")
     }
 
     /// Leaves the shards of the sols asked for.

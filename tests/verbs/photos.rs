@@ -1,0 +1,72 @@
+//! `marf photos`, and filters that reject every photo.
+
+use crate::common::marf;
+use crate::with_pipeline;
+
+fn gray(seed: u32) -> image::DynamicImage {
+    image::GrayImage::from_fn(64, 48, |x, y| image::Luma([(x * 3 + y * (seed + 2)) as u8])).into()
+}
+
+#[test]
+fn the_table_has_the_format_of_the_bytes_and_every_file_that_is_not_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("photos");
+    std::fs::create_dir(&folder).unwrap();
+    gray(1)
+        .save_with_format(folder.join("a.jpg"), image::ImageFormat::Png)
+        .unwrap();
+    gray(2)
+        .to_luma16()
+        .save_with_format(folder.join("b.tif"), image::ImageFormat::Tiff)
+        .unwrap();
+    gray(3)
+        .save_with_format(folder.join("c.pgm"), image::ImageFormat::Pnm)
+        .unwrap();
+    for (name, bytes) in [
+        ("d.cr2", &b"II*\0"[..]),
+        ("e|f.jpg", b"<html>"),
+        ("notes", b"x"),
+        ("g.xyz", b"?"),
+    ] {
+        std::fs::write(folder.join(name), bytes).unwrap();
+    }
+    let said = marf(dir.path(), &["photos", "photos"]).exits(0);
+    for row in [
+        "| a.jpg | PNG | 64 x 48 x 1 |",
+        "| b.tif | TIFF | 64 x 48 x 1 |",
+        "16 bits reduced to 8",
+        "| c.pgm | PNM | 64 x 48 x 1 |",
+        "| file without a photo | why |",
+        "| d.cr2 | undeveloped pixels of a camera",
+        "| e\\|f.jpg | not a JPEG, PNG, WebP, GIF, TIFF or PNM",
+        "| notes | no photo and no label",
+        "| g.xyz | no photo and no label: `.xyz` |",
+    ] {
+        assert!(said.stdout.contains(row), "{row}\n{}", said.stdout);
+    }
+    let told = marf(dir.path(), &["photos", "photos", "--json"]).exits(0);
+    let values = serde_json::Deserializer::from_str(&told.stdout).into_iter::<serde_json::Value>();
+    let table = values.last().unwrap().unwrap();
+    assert_eq!(table["photos"][1]["format"], "TIFF");
+    assert_eq!(table["not_read"].as_array().unwrap().len(), 4);
+}
+
+#[test]
+fn a_filter_that_rejects_every_photo_says_once_what_keeps_them() {
+    let text = "name = \"gray\"\n[archive.a]\nkind = \"folder\"\npath = \"photos\"\n[node.extract]\narchive = \"a\"\n\
+        [node.grayscale]\ninput = \"extract\"\n";
+    let dir = with_pipeline(text);
+    std::fs::create_dir(dir.path().join("photos")).unwrap();
+    for seed in 0..3 {
+        gray(seed)
+            .save(dir.path().join(format!("photos/{seed}.png")))
+            .unwrap();
+    }
+    let warning = "`grayscale` rejects all 3 photos that it is given; `keep = \"all\"`";
+    let said = marf(dir.path(), &["run"]).exits(0);
+    assert_eq!(said.stderr.matches(warning).count(), 1, "{}", said.stderr);
+    let report = std::fs::read_to_string(dir.path().join("out/report.html")).unwrap();
+    assert!(report.contains("rejects all 3 photos"), "the report says it too");
+    let kept = marf(dir.path(), &["run", "--set", "grayscale.keep=all"]).exits(0);
+    assert!(!kept.stderr.contains("rejects all"), "{}", kept.stderr);
+}
