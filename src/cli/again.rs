@@ -12,7 +12,7 @@ use super::args::Global;
 use super::error::{CliError, Diagnostic};
 use super::replay::resolved;
 use super::run::{execute, options};
-use super::session::{EXPORTS, Session, last_of, warn};
+use super::session::{EXPORTS, Session, TRADES, last_of, warn};
 use crate::config::{GlobalOptions, check_tree};
 
 /// Returns the last run, or the one of a number, in which a node ended well.
@@ -24,7 +24,8 @@ pub fn run_with(store: &Store, number: Option<u64>, node: &str) -> Result<RunRec
     run_where(store, number, has, |run| without(run, node))
 }
 
-/// Returns the last run, or the one of a number, that has something; `without` is the error of a run that has it not.
+/// Returns the last run, or the one of a number, that has something; `without` is the error of a run that has it not. Points of a trade
+/// are only taken by their number: their fields are not what the pipeline asks for.
 ///
 /// # Errors
 /// No such run.
@@ -39,7 +40,8 @@ pub fn run_where(
         return if has(&run) { Ok(run) } else { Err(without(&run)) };
     }
     let runs = marf_engine::runs(store, warn)?;
-    let last = runs.iter().rev().find(|run| has(run)).cloned();
+    let is_asked_for = |run: &&RunRecord| !run.pipeline.ends_with(TRADES) && has(run);
+    let last = runs.iter().rev().find(is_asked_for).cloned();
     let none = || match last_of(&runs) {
         Some(run) => without(run),
         None => CliError::Failed(Diagnostic::new("there is no run yet").hint("`marf run` makes one")),
@@ -47,7 +49,8 @@ pub fn run_where(
     last.ok_or_else(none)
 }
 
-fn without(run: &RunRecord, node: &str) -> CliError {
+/// Returns the error of a run in which a node did not end well, with the names of those that did.
+pub fn without(run: &RunRecord, node: &str) -> CliError {
     let good = run
         .nodes
         .iter()

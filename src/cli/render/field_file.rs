@@ -11,11 +11,11 @@ use crate::cli::copies::object_of;
 use crate::cli::error::{CliError, Diagnostic};
 use crate::cli::session::warn;
 
-/// Returns a run of the store that has the field of a file, and its node; `number`: the run that the user named.
+/// Returns the node that gave the field of a file, and the runs of the store that have it; `number`: the run that the user named.
 ///
 /// # Errors
 /// A file that cannot be read, or that no node of such a run gave as its field.
-pub fn made_by(store: &Store, file: &Path, number: Option<u64>) -> Result<(Option<u64>, String), CliError> {
+pub fn made_by(store: &Store, file: &Path, number: Option<u64>) -> Result<(String, Vec<u64>), CliError> {
     let bytes = std::fs::read(file)
         .map_err(|error| CliError::usage(format!("--field {}: cannot be read: {error}", file.display())))?;
     let runs = marf_engine::runs(store, warn)?;
@@ -23,10 +23,8 @@ pub fn made_by(store: &Store, file: &Path, number: Option<u64>) -> Result<(Optio
     let of_pipeline = makers.into_iter().find_map(|maker| match maker.place {
         // What is below another node is a trial or a retraining, which no pipeline names.
         Place::Output(OutputName { node, output }) if output == WEIGHTS && !node.contains('/') => {
-            let run = number
-                .or(maker.runs.last().copied())
-                .filter(|run| maker.runs.contains(run));
-            run.map(|run| (Some(run), node))
+            let has_named = number.is_none_or(|number| maker.runs.contains(&number));
+            has_named.then_some((node, maker.runs))
         }
         _ => None,
     });

@@ -19,7 +19,7 @@ use marf_schema::video::VideoParams;
 use marf_stage::{Document, Params};
 use serde_json::{Map, Value, json};
 
-use super::again::{Added, run_nodes, run_where, run_with};
+use super::again::{Added, run_nodes, run_where, without};
 use super::args::Global;
 use super::error::{CliError, Diagnostic};
 use super::export_table::ExportTable;
@@ -92,11 +92,11 @@ const FILM: &str = "video.mp4";
 pub fn render(global: &Global, args: &RenderArgs, cancel: &Cancel) -> Result<(), CliError> {
     let path = path::read(&args.path, args.frames)?;
     let store = existing_store(global, cancel)?;
-    let (number, trained) = match &args.field {
+    let (trained, runs) = match &args.field {
         Some(file) => field_file::made_by(&store, file, args.run)?,
-        None => (args.run, args.node.clone()),
+        None => (args.node.clone(), Vec::new()),
     };
-    let run = run_of(&store, number, &trained, args)?;
+    let run = run_of(&store, args, &trained, &runs)?;
     let scene = scene_of(&store, &run, &trained)?;
     let (pictures, film) = (format!("render-of-{trained}"), format!("video-of-{trained}"));
     let mut nodes: Vec<Added<'_>> = vec![(&pictures, table(args, &path, &scene, &run, &trained)?)];
@@ -135,22 +135,18 @@ pub fn render(global: &Global, args: &RenderArgs, cancel: &Cancel) -> Result<(),
     Ok(())
 }
 
-/// Returns the run whose field is rendered, with a bootstrap of it if its uncertainty is asked for.
-fn run_of(
-    store: &Store,
-    number: Option<u64>,
-    trained: &str,
-    args: &RenderArgs,
-) -> Result<RunRecord, CliError> {
-    let run = run_with(store, number, trained)?;
+/// Returns the run whose field is rendered, one of some if there are any, with a bootstrap of it if its uncertainty is asked for.
+fn run_of(store: &Store, args: &RenderArgs, trained: &str, runs: &[u64]) -> Result<RunRecord, CliError> {
+    let has_field = |run: &RunRecord| {
+        let is_trained = run.node(trained).is_some_and(|node| node.state.is_good());
+        is_trained && (runs.is_empty() || runs.contains(&run.number))
+    };
+    let run = run_where(store, args.run, has_field, |run| without(run, trained))?;
     if !args.output.contains(&Layer::Uncertainty) {
         return Ok(run);
     }
-    let has = |run: &RunRecord| {
-        let is_trained = run.node(trained).is_some_and(|node| node.state.is_good());
-        is_trained && bootstrap_of(run, trained).is_some()
-    };
-    run_where(store, number, has, |run| {
+    let has = |run: &RunRecord| has_field(run) && bootstrap_of(run, trained).is_some();
+    run_where(store, args.run, has, |run| {
         let message = format!(
             "run {} has no bootstrap of `{trained}`, and the uncertainty is how far its retrainings differ",
             run.number
