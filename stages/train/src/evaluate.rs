@@ -80,8 +80,7 @@ impl Set for Evaluate {
 
 /// Returns the photos that a training has used.
 fn trained_on<'a>(scene: &'a Scene, trained: &train::Metrics) -> Result<Vec<PosedPhoto<'a>>, TrainError> {
-    let drawn = trained.drawn.as_ref();
     let frames = split(scene, trained.holdout, trained.fold)?.training.into_iter();
-    let used = frames.filter(|named| drawn.is_none_or(|drawn| drawn.contains(&named.frame.id)));
+    let used = frames.filter(|named| trained.has_drawn(&named.frame.id));
     Ok(used.map(|named| named.frame.into()).collect())
 }

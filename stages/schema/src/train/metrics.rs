@@ -76,6 +76,14 @@ pub struct Metrics {
     pub field: Facts,
 }
 
+impl Metrics {
+    /// Tells whether it trained on a photo that was not held out.
+    pub fn has_drawn(&self, id: &str) -> bool {
+        let is_it = |drawn: &Vec<String>| drawn.iter().any(|drawn| drawn == id);
+        self.drawn.as_ref().is_none_or(is_it)
+    }
+}
+
 impl Document for Metrics {
     const STAGE: &'static str = TrainParams::STAGE;
     const OUTPUT: &'static str = "metrics";

@@ -401,6 +401,15 @@ mod tests {
     }
 
     #[test]
+    fn a_training_has_drawn_the_photos_that_it_names_or_all() {
+        let mut metrics = crate::example::train_metrics();
+        metrics.drawn = None;
+        assert!(metrics.has_drawn("a"));
+        metrics.drawn = Some(vec!["a".to_owned(), "a".to_owned()]);
+        assert_eq!(["a", "b"].map(|id| metrics.has_drawn(id)), [true, false]);
+    }
+
+    #[test]
     fn a_fold_trains_its_share_of_the_steps_and_at_least_one() {
         let fold = |share| Fold {
             index: 0,

@@ -43,17 +43,11 @@ pub(super) fn out_of_bag(
             |bytes| serde_json::from_slice::<Compared>(bytes).ok(),
             || {
                 let photo = photos.read(named.frame)?.shrunk_to(SIDE_PX);
-                let is_drawn = |member: &train::Metrics| {
-                    member
-                        .drawn
-                        .as_ref()
-                        .is_some_and(|drawn| drawn.contains(&named.frame.id))
-                };
                 let of_those = |drew: bool| {
                     let chosen = members
                         .iter()
                         .zip(fields)
-                        .filter(|(member, _)| is_drawn(member) == drew);
+                        .filter(|(member, _)| member.has_drawn(&named.frame.id) == drew);
                     mean_psnr(named, &photo, chosen.map(|(_, field)| field))
                 };
                 let compared = Compared {

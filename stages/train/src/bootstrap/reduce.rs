@@ -29,7 +29,7 @@ use crate::{
     error::field_failed,
     io::{put_png, read_scene},
     photos::PhotoReader,
-    split::split,
+    split::{NamedFrame, split},
     view::{self, render_view},
 };
 
@@ -73,15 +73,18 @@ pub(crate) fn reduce(
         .map(|child| child.read(ctx))
         .collect::<Result<Vec<train::Metrics>, _>>()?;
     let training = split(&scene, metrics[0].holdout, metrics[0].fold)?.training;
+    // What no member was trained on is no witness.
+    let is_used = |named: &&NamedFrame<'_>| metrics.iter().any(|member| member.has_drawn(&named.frame.id));
+    let used: Vec<NamedFrame<'_>> = training.iter().filter(is_used).cloned().collect();
     let photos = PhotoReader::new(ctx, &scene, metrics[0].scale);
-    let views = map_views(&photos, params, &scene, &training, first)?;
+    let views = map_views(&photos, params, &scene, &used, first)?;
     let flythrough = path::flythrough(&scene, params.frames, params.width);
     check_film(&flythrough)?;
     let fields = fields(ctx, &children, &params.device)?;
     let first = (0..fields.len()).min_by_key(|member| metrics[*member].seed);
     let witness = &fields[first.unwrap_or(0)];
     let mut mapper = Mapper {
-        witnesses: Witnesses::new(of, witness, &photos, &training, &scene)?,
+        witnesses: Witnesses::new(of, witness, &photos, &used, &scene)?,
         ctx,
         of,
         fields,
