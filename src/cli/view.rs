@@ -147,7 +147,9 @@ impl Source for StoreSource {
             }
         }
         let (mut objects, mut fields) = (objects(&run), fields(&run));
-        if let Some(earlier) = self.trained_before(&run).filter(|_| fields.is_empty()) {
+        if fields.is_empty()
+            && let Some(earlier) = self.trained_before(&run)
+        {
             objects.extend(self::objects(&earlier));
             fields = self::fields(&earlier);
             for field in &mut fields {

@@ -129,12 +129,11 @@ impl SurfaceMap {
             ),
             ("marf:axes", self.axes_text()),
         ];
-        Ok(png16::gray(
-            self.report.columns,
-            self.report.rows,
-            &values,
-            &text,
-        )?)
+        self.gray_png(&values, &text)
+    }
+
+    fn gray_png(&self, values: &[u16], text: &[(&str, String)]) -> Result<Vec<u8>, SurfaceError> {
+        Ok(png16::gray(self.report.columns, self.report.rows, values, text)?)
     }
 
     /// Returns how far the views differ in each pixel as PNG of 16 bits: millimetres + 1, 0 where less than two views show a surface.
@@ -156,12 +155,7 @@ impl SurfaceMap {
                 format!("{} metres a pixel", self.report.pixel_m),
             ),
         ];
-        Ok(png16::gray(
-            self.report.columns,
-            self.report.rows,
-            &values,
-            &text,
-        )?)
+        self.gray_png(&values, &text)
     }
 
     /// Returns the colours as PNG, transparent where there is no surface.
