@@ -152,6 +152,7 @@ const CRATES: [Crate; 24] = [
                 "marf-scene",
                 "marf-field",
                 "marf-loopback",
+                "marf-calibrate",
                 "marf-schema",
                 "marf-stages",
                 "marf-engine",

@@ -214,6 +214,9 @@ pub struct Selection {
     /// Only this node and what follows from it
     #[arg(long, value_name = "NODE")]
     pub from: Option<String>,
+    /// Only this scene, where the photos are split by place
+    #[arg(long, value_name = "NAME")]
+    pub scene: Option<String>,
 }
 
 /// Arguments of `run`.
@@ -312,6 +315,8 @@ impl Fit {
 pub enum Mission {
     /// A built-in Mars, offline
     Demo,
+    /// The built-in Mars at three places, each a scene
+    Mission,
     /// Photos in a folder
     Folder,
     /// Mars 2020 Mastcam-Z and Navcam

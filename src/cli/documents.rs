@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use marf_cache::{Output, canonical_json};
+use marf_cache::{Digest, Output, canonical_json};
 use marf_engine::{NodeRun, NodeState, RunRecord, action_at, document};
 use serde_json::Value;
 
@@ -66,16 +66,26 @@ pub fn put_on_cpu(tree: &mut Value, node: &NodeRun) {
     }
 }
 
-/// Returns the document that the last run of the pipeline has under a name, if this run did nothing and ended as that one:
-/// the same keys, so the same page.
+/// Returns the document that the last run of the pipeline has under a name, if this run did nothing for the nodes that it shows and
+/// they ended as in that one: the same keys, so the same page.
 ///
 /// # Errors
 /// A store that cannot be read.
-pub fn unchanged(session: &Session, record: &RunRecord, name: &str) -> Result<Option<Output>, CliError> {
-    if record.nodes.iter().any(|node| node.state != NodeState::Reused) {
+pub fn unchanged(
+    session: &Session,
+    record: &RunRecord,
+    name: &str,
+    is_shown: impl Fn(&str) -> bool,
+) -> Result<Option<Output>, CliError> {
+    let shown = |run: &RunRecord| -> BTreeMap<String, Option<Digest>> {
+        let nodes = run.nodes.iter().filter(|node| is_shown(&node.name));
+        nodes.map(|node| (node.name.clone(), node.key)).collect()
+    };
+    let mut nodes = record.nodes.iter().filter(|node| is_shown(&node.name));
+    if nodes.any(|node| node.state != NodeState::Reused) {
         return Ok(None);
     }
-    let last = session.last()?.filter(|last| last.has_keys_of(record));
+    let last = session.last()?.filter(|last| shown(last) == shown(record));
     let document = last.and_then(|last| last.documents.get(name).copied());
     Ok(document.filter(|document| session.store.contains(&document.digest)))
 }

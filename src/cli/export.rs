@@ -6,6 +6,7 @@ use std::path::{Component, Path, PathBuf};
 use marf_cache::Digest;
 use marf_engine::sets;
 use marf_engine::{RunRecord, document};
+use marf_schema::scenes::Scenes;
 use marf_schema::{output, train, tune};
 use marf_stage::{Document, VERDICTS};
 
@@ -13,10 +14,12 @@ use super::copies;
 use super::error::CliError;
 use super::export_table::ExportTable;
 use super::files;
+use super::scenes::{self, SCENE_PAGES};
 use super::session::Session;
 
 /// Outputs without a file name of their own, and the name they get.
-const NAMED: [(&str, &str); 10] = [
+const NAMED: [(&str, &str); 11] = [
+    (Scenes::OUTPUT, "scenes.json"),
     (output::SCENE, "scene.json"),
     (output::TRANSFORMS, "transforms.json"),
     (train::Metrics::OUTPUT, "metrics.json"),
@@ -84,6 +87,20 @@ fn write_all(session: &Session, record: &RunRecord, table: &mut ExportTable) -> 
     if let Some(report) = record.documents.get(document::REPORT) {
         let get = || session.store.get(&report.digest).map_err(CliError::from);
         table.write(Path::new(document::REPORT), &report.digest, get)?;
+    }
+    let mut pages = BTreeSet::new();
+    for (name, page) in record.documents.iter().filter(|(name, _)| scenes::is_page(name)) {
+        let get = || session.store.get(&page.digest).map_err(CliError::from);
+        table.write(Path::new(name), &page.digest, get)?;
+        pages.extend(
+            Path::new(name)
+                .file_name()
+                .and_then(|name| name.to_str())
+                .map(str::to_owned),
+        );
+    }
+    if !pages.is_empty() {
+        table.keep_only(Path::new(SCENE_PAGES), &pages)?;
     }
     for node in record.nodes.iter().filter(|node| node.parent.is_none()) {
         let folder = Path::new(&node.name);

@@ -66,7 +66,7 @@ fn documents(session: &Session, record: &RunRecord, chain: &[&str]) -> Result<Do
     if merged.is_empty() {
         return Ok(Documents::new());
     }
-    let mut documents = report::document(session, record)?;
+    let mut documents = report::documents(session, record)?;
     let (name, csv) = documents::put(session, document::VERDICTS, &verdicts::csv(&merged)?)?;
     documents.insert(name, csv);
     Ok(documents)

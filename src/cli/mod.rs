@@ -30,6 +30,7 @@ mod render;
 mod replay;
 mod report;
 mod run;
+mod scenes;
 mod session;
 mod share;
 mod status;

@@ -1,9 +1,12 @@
 use marf_engine::{Cancel, Extent, Needs, PlanState, PlannedNode};
+use marf_schema::scenes::Scenes;
+use marf_stage::Document;
 use serde::Serialize;
 
 use super::args::{Global, Selection};
 use super::error::CliError;
 use super::output::print_json;
+use super::scenes;
 use super::session::Session;
 use crate::progress::duration;
 use crate::terminal::print_line;
@@ -33,12 +36,11 @@ impl<'a> Row<'a> {
 
 /// `marf plan`: the state of every node and the first thing that changed.
 pub fn plan(global: &Global, selection: &Selection, cancel: &Cancel) -> Result<(), CliError> {
-    let session = Session::open(global, cancel)?;
+    let session = known(Session::open(global, cancel)?, global)?;
     let last = session.last()?;
     let mut nodes = marf_engine::plan(&session.graph, &session.store, last.as_ref(), global.threads)?;
-    let chosen = session
-        .graph
-        .select(selection.to.as_slice(), selection.from.as_slice())?;
+    let (to, from) = scenes::selected(&session, selection)?;
+    let chosen = session.graph.select(&to, &from)?;
     nodes.retain(|node| chosen.contains(&node.node));
     if global.json {
         let rows: Vec<Row<'_>> = nodes.iter().map(Row::of).collect();
@@ -53,6 +55,28 @@ pub fn plan(global: &Global, selection: &Selection, cancel: &Cancel) -> Result<(
         .count();
     print_line(&format!("{runs} of {} nodes will run", nodes.len()));
     Ok(())
+}
+
+/// Returns the session with its nodes for each scene, as far as they are known without running anything: those that the photos are
+/// split into now, or else, where that is to run again, those of the last run.
+fn known(session: Session, global: &Global) -> Result<Session, CliError> {
+    let Some(by_scene) = &session.by_scene else {
+        return Ok(session);
+    };
+    let last = session.last()?;
+    let nodes = marf_engine::plan(&session.graph, &session.store, last.as_ref(), global.threads)?;
+    let split = nodes.iter().find(|node| node.node == by_scene.split);
+    let key = split
+        .filter(|node| node.state != PlanState::WillRun)
+        .and_then(|node| node.key);
+    let record = key.map(|key| session.store.record(&key)).transpose()?.flatten();
+    let digest = record.and_then(|record| record.outputs.get(Scenes::OUTPUT).map(|output| output.digest));
+    let Some(digest) = digest else {
+        return session.for_scenes_of(last.as_ref(), global);
+    };
+    let scenes = Scenes::decode(&session.store.get(&digest)?)
+        .map_err(|error| CliError::failed(format!("{}: {error}", Scenes::OUTPUT)))?;
+    session.for_scenes(&scenes, global)
 }
 
 /// Returns the line of a node: state, reason, what it will look at, how long it took last.
@@ -89,7 +113,7 @@ fn counted(number: u64, what: &str) -> String {
 
 /// `marf why NODE`: everything that differs from what made its last result; with `files` every photo too.
 pub fn why(global: &Global, node: &str, files: bool, cancel: &Cancel) -> Result<(), CliError> {
-    let session = Session::open(global, cancel)?;
+    let session = known(Session::open(global, cancel)?, global)?;
     let last = session.last()?;
     let (graph, store) = (&session.graph, &session.store);
     let mut planned = marf_engine::why(graph, store, last.as_ref(), global.threads, node)?;

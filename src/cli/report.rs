@@ -11,9 +11,9 @@ use super::args::Global;
 use super::documents::{self, Documents};
 use super::error::CliError;
 use super::session::{Session, TRADES, warn};
-use super::{diff, export, files};
+use super::{diff, export, files, scenes};
 use crate::show::trade::Trade;
-use crate::show::{self, ChangedNode, Changes, ChildView, NodeView, ReportInput, State};
+use crate::show::{self, ChangedNode, Changes, ChildView, NodeView, ReportInput, SceneView, State};
 use crate::terminal::eprint_line;
 
 /// `marf report`: writes the report of the last run: the one that the run kept, or for a run without one a new one.
@@ -22,6 +22,7 @@ pub fn report(global: &Global, out: &Path, cancel: &Cancel) -> Result<(), CliErr
     let record = session
         .last()?
         .ok_or_else(|| CliError::failed(format!("`{}` has not run yet", session.name)))?;
+    let session = session.for_scenes_of(Some(&record), global)?;
     let kept = record.documents.get(document::REPORT);
     match kept.filter(|kept| session.store.contains(&kept.digest)) {
         Some(kept) => export::one(&session, &record, &kept.digest, out)?,
@@ -31,16 +32,22 @@ pub fn report(global: &Global, out: &Path, cancel: &Cancel) -> Result<(), CliErr
     Ok(())
 }
 
-/// Stores the report of a run; that of the last run stays where nothing ran.
+/// Stores the report of a run, and a page for each of its scenes; those of the last run stay where nothing ran.
 ///
 /// # Errors
 /// A store that cannot be read or written.
-pub fn document(session: &Session, record: &RunRecord) -> Result<Documents, CliError> {
-    let report = match documents::unchanged(session, record, document::REPORT)? {
-        Some(kept) => (document::REPORT.to_owned(), kept),
-        None => documents::put(session, document::REPORT, page(session, record)?.as_bytes())?,
+pub fn documents(session: &Session, record: &RunRecord) -> Result<Documents, CliError> {
+    let mut pages = vec![(document::REPORT.to_owned(), None)];
+    let names = session.scenes.iter();
+    pages.extend(names.map(|scene| (scenes::page_name(scene), Some(scene.as_str()))));
+    let page = |(name, scene): (String, Option<&str>)| {
+        let is_shown = |node: &str| scene.is_none() || scenes::is_of(node, scene);
+        match documents::unchanged(session, record, &name, is_shown)? {
+            Some(kept) => Ok((name, kept)),
+            None => documents::put(session, &name, page_of(session, record, scene)?.as_bytes()),
+        }
     };
-    Ok(Documents::from([report]))
+    pages.into_iter().map(page).collect()
 }
 
 /// Returns the report of a run.
@@ -48,6 +55,11 @@ pub fn document(session: &Session, record: &RunRecord) -> Result<Documents, CliE
 /// # Errors
 /// A store that cannot be read or written, the wish to stop.
 pub fn page(session: &Session, record: &RunRecord) -> Result<String, CliError> {
+    page_of(session, record, None)
+}
+
+/// Returns the report of a run: of one of its scenes, or of what all share with a list of the scenes.
+fn page_of(session: &Session, record: &RunRecord, scene: Option<&str>) -> Result<String, CliError> {
     // Who wants to stop reads nothing any more, and what was read until then becomes no report.
     let read = |digest: &Digest| -> Option<Arc<[u8]>> {
         session.check().ok()?;
@@ -60,14 +72,33 @@ pub fn page(session: &Session, record: &RunRecord) -> Result<String, CliError> {
         .rev()
         .find_map(|node| node.key)
         .unwrap_or_else(|| Digest::of(&[]));
+    let all = nodes(session, record)?;
+    let of = |scene: Option<&str>| -> Vec<NodeView> {
+        let shown = all.iter().filter(|node| scenes::is_of(&node.name, scene));
+        shown.cloned().collect()
+    };
+    let listed = session.scenes.iter().filter(|_| scene.is_none());
     let input = ReportInput {
-        pipeline: record.pipeline.clone(),
+        pipeline: match scene {
+            None => record.pipeline.clone(),
+            Some(scene) => format!("{}, {scene}", record.pipeline),
+        },
         command: record.command.clone(),
         started: iso_time(record.started_unix_s),
         program: record.program.clone(),
-        nodes: nodes(session, record)?,
-        changes: changes(session, record)?,
-        trade: trade(session, record)?,
+        nodes: of(scene),
+        whole: scene.map(|_| format!("../{}", document::REPORT)),
+        scenes: listed
+            .map(|scene| SceneView {
+                name: scene.clone(),
+                page: scenes::page_name(scene),
+                nodes: of(Some(scene.as_str())),
+            })
+            .collect(),
+        changes: changes(session, record, |node| {
+            scene.is_none() || scenes::is_of(node, scene)
+        })?,
+        trade: trade(session, record)?.filter(|_| scene.is_none()),
         read: &read,
         memos: &StoreMemos(&session.store, maker),
     };
@@ -82,7 +113,11 @@ pub fn page(session: &Session, record: &RunRecord) -> Result<String, CliError> {
 ///
 /// # Errors
 /// A store that cannot be read, the wish to stop.
-fn changes(session: &Session, record: &RunRecord) -> Result<Option<Changes>, CliError> {
+fn changes(
+    session: &Session,
+    record: &RunRecord,
+    is_shown: impl Fn(&str) -> bool,
+) -> Result<Option<Changes>, CliError> {
     session.check()?;
     let Some(before) = session.before(record)? else {
         return Ok(None);
@@ -90,7 +125,9 @@ fn changes(session: &Session, record: &RunRecord) -> Result<Option<Changes>, Cli
     let since = before.number;
     let parents = |run: RunRecord| -> Result<_, CliError> {
         let mut lineage = Lineage::of(&session.store, run)?;
-        lineage.nodes.retain(|node| !node.is_child());
+        lineage
+            .nodes
+            .retain(|node| !node.is_child() && is_shown(&node.run.name));
         Ok(lineage)
     };
     let nodes = diff::compare(&parents(before)?, &parents(record.clone())?, diff::MOST)?;

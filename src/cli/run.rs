@@ -3,6 +3,7 @@ use std::time::SystemTime;
 
 use marf_cache::Digest;
 use marf_engine::{Cancel, Event, Listener, NodeRun, NodeState, Options, Outcome, RunRecord, document};
+use marf_schema::scenes::Scenes;
 use marf_schema::scores::Scores;
 use marf_schema::{bootstrap, evaluate, train};
 use marf_stage::Document;
@@ -13,18 +14,19 @@ use super::documents::{self, Documents};
 use super::error::{CliError, Diagnostic};
 use super::export::Exported;
 use super::session::{NodeInfo, Session, warn};
-use super::{export, files, manual_lists, program, report, verdicts};
+use super::{export, files, manual_lists, program, report, scenes, verdicts};
 use crate::emptied;
 use crate::progress::{Began, EventFile, JsonLines, Progress, Trace, duration, event_folder};
 use crate::terminal::{eprint_line, print_line};
 
 /// `marf run`: runs what changed, writes pictures, models and the report.
 pub fn run(global: &Global, args: &RunArgs, cancel: &Cancel) -> Result<(), CliError> {
-    let session = Session::open(global, cancel)?;
     let selection = &args.selection;
+    let session = scenes::found(Session::open(global, cancel)?, selection, global, cancel)?;
+    let (to, from) = scenes::selected(&session, selection)?;
     let options = Options {
-        to: selection.to.iter().cloned().collect(),
-        from: selection.from.iter().cloned().collect(),
+        to,
+        from,
         ..options(global, &session.name)
     };
     let (record, ended) = run_and_export(&session, &options, global, args, cancel)?;
@@ -52,7 +54,7 @@ fn run_and_export(
     for _ in 0..MAX_REPAIRS {
         let execution = Execution {
             trace: args.trace.as_deref(),
-            documents: &|record| report::document(session, record),
+            documents: &|record| report::documents(session, record),
         };
         let (record, ended) = execute_as(session, &options, global, cancel, &execution)?;
         if record.outcome == Outcome::Cancelled {
@@ -275,8 +277,13 @@ impl Listener for RunListener {
 
 /// Returns the nodes of a run as a table: state, time, result.
 fn table(record: &RunRecord, session: &Session) -> String {
-    let mut lines = vec![format!("{:<16} {:<9} {:>12}  result", "node", "state", "time")];
-    for node in record.nodes.iter().filter(|node| node.parent.is_none()) {
+    let shown = || record.nodes.iter().filter(|node| node.parent.is_none());
+    let width = shown().map(|node| node.name.len()).fold(16, usize::max);
+    let mut lines = vec![format!(
+        "{:<width$} {:<9} {:>12}  result",
+        "node", "state", "time"
+    )];
+    for node in shown() {
         let time = if node.state == NodeState::Finished {
             duration(node.seconds)
         } else {
@@ -285,7 +292,7 @@ fn table(record: &RunRecord, session: &Session) -> String {
         let state = state_word(node.state);
         lines.push(
             format!(
-                "{:<16} {state:<9} {time:>12}  {}",
+                "{:<width$} {state:<9} {time:>12}  {}",
                 node.name,
                 result(node, session)
             )
@@ -341,6 +348,17 @@ fn figures(node: &NodeRun, session: &Session) -> Result<Vec<String>, CliError> {
     Ok(match node.stage.as_str() {
         train::Metrics::STAGE => of_scores(session.document::<train::Metrics>(node)?.scores),
         evaluate::Metrics::STAGE => of_scores(session.document::<evaluate::Metrics>(node)?.scores),
+        Scenes::STAGE => {
+            let scenes = session.document::<Scenes>(node)?;
+            let photos: usize = scenes.scenes.iter().map(|scene| scene.photos.len()).sum();
+            let left_out =
+                (!scenes.skipped.is_empty()).then(|| format!("{} groups left out", scenes.skipped.len()));
+            let found = [
+                format!("{} scenes", scenes.scenes.len()),
+                format!("{photos} photos"),
+            ];
+            found.into_iter().chain(left_out).collect()
+        }
         bootstrap::Metrics::STAGE => {
             let metrics = session.document::<bootstrap::Metrics>(node)?;
             vec![format!("mean std {:.3}", metrics.std)]

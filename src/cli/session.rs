@@ -5,13 +5,15 @@ use std::sync::Arc;
 
 use marf_cache::manifest::ManifestError;
 use marf_cache::{Digest, Store, StoreError};
-use marf_engine::{Cancel, Edge, EngineError, Graph, GraphError, NodeDecl, NodeRun, Outcome, RunRecord};
+use marf_engine::{Cancel, EngineError, Graph, GraphError, NodeDecl, NodeRun, Outcome, RunRecord};
 use marf_provenance::LineageError;
 use marf_schema::bootstrap;
+use marf_schema::scenes::Scenes;
 use marf_stage::{Document, Verdict};
 
 use super::args::Global;
 use super::error::{CliError, Diagnostic};
+use crate::config::scenes::ByScene;
 use crate::config::{self, Pipeline};
 use crate::terminal::eprint_line;
 
@@ -21,9 +23,12 @@ pub const EXPORTS: &str = " (export)";
 /// What the name of a pipeline is followed by in runs of `marf trade`.
 pub const TRADES: &str = " (trade)";
 
-/// Tells whether a run is no run of the pipeline as it is: it made a file for another program, or a point of a trade.
+/// What the name of a pipeline is followed by in runs that only tell which scenes there are.
+pub const SCENES: &str = " (scenes)";
+
+/// Tells whether a run is no run of the pipeline as it is: it made a file for another program, a point of a trade, or told the scenes.
 pub fn is_aside(run: &RunRecord) -> bool {
-    [EXPORTS, TRADES]
+    [EXPORTS, TRADES, SCENES]
         .iter()
         .any(|aside| run.pipeline.ends_with(aside))
 }
@@ -47,6 +52,10 @@ pub struct Session {
     pub written: String,
     /// The pipeline with all overrides applied, as JSON.
     pub tree: serde_json::Value,
+    /// The nodes that are to run for each scene; none where nothing is split by place, or they do so already.
+    pub by_scene: Option<ByScene>,
+    /// Names of the scenes that nodes run for.
+    pub scenes: Vec<String>,
     /// Whether the user wants to stop.
     cancel: Cancel,
 }
@@ -127,6 +136,7 @@ impl Session {
             params: node.params.clone(),
         };
         let nodes = pipeline.nodes.iter().map(info).collect();
+        let by_scene = ByScene::of(&pipeline);
         let graph = graph_of(pipeline.nodes)?;
         Ok(Self {
             name: pipeline.name.unwrap_or_else(unnamed),
@@ -135,8 +145,49 @@ impl Session {
             nodes,
             written,
             tree: pipeline.tree,
+            by_scene,
+            scenes: Vec::new(),
             cancel: cancel.clone(),
         })
+    }
+
+    /// Returns the session with its nodes for each of these scenes; as it is where nothing is split by place.
+    ///
+    /// # Errors
+    /// A file that was changed meanwhile.
+    pub fn for_scenes(self, scenes: &Scenes, global: &Global) -> Result<Self, CliError> {
+        let Some(by_scene) = &self.by_scene else {
+            return Ok(self);
+        };
+        let names: Vec<String> = scenes.scenes.iter().map(|scene| scene.name.clone()).collect();
+        let loaded = config::load(&global.file, &global.sets, &global.options())?;
+        let tree = by_scene.expanded(&loaded.pipeline, &names);
+        let base = global.file.parent().unwrap_or(Path::new(""));
+        let pipeline = config::check_tree(&tree, &global.options(), base)
+            .map_err(|error| CliError::usage(format!("the pipeline by scene: {}", error.message)))?;
+        let (store, cancel) = (self.store, self.cancel);
+        Ok(Self {
+            name: self.name,
+            scenes: names,
+            by_scene: self.by_scene,
+            ..Self::of((pipeline, self.written), String::new, store, &cancel)?
+        })
+    }
+
+    /// Returns the session with its nodes for each scene that a run has found, if it has.
+    ///
+    /// # Errors
+    /// As [`Session::for_scenes`]; a store that cannot be read.
+    pub fn for_scenes_of(self, run: Option<&RunRecord>, global: &Global) -> Result<Self, CliError> {
+        let split = self.by_scene.as_ref().map(|by_scene| by_scene.split.as_str());
+        let node = split.and_then(|split| run?.node(split));
+        match node.filter(|node| node.outputs.contains_key(Scenes::OUTPUT)) {
+            None => Ok(self),
+            Some(node) => {
+                let scenes: Scenes = self.document(node)?;
+                self.for_scenes(&scenes, global)
+            }
+        }
     }
 
     /// Returns an error if the user wants to stop.
@@ -229,11 +280,7 @@ pub fn graph_of(nodes: Vec<config::Node>) -> Result<Graph, CliError> {
         name: node.name,
         stage: node.def,
         bound: node.stage,
-        edges: node
-            .edges
-            .into_iter()
-            .map(|(key, upstream)| Edge { key, upstream })
-            .collect(),
+        edges: node.edges,
     });
     Ok(Graph::new(decls.collect(), marf_stages::stages())?)
 }

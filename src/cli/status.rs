@@ -1,10 +1,12 @@
-use marf_engine::Cancel;
+use marf_engine::{Cancel, NodeRun};
 
 use super::args::Global;
 use super::error::CliError;
 use super::output::print_json;
 use super::run::state_word;
+use super::scenes::parent_of;
 use super::session::{existing_store, last_of, warn};
+use crate::config::scenes::scene_of;
 use crate::progress::duration;
 use crate::terminal::print_line;
 
@@ -25,7 +27,10 @@ pub fn status(global: &Global, cancel: &Cancel) -> Result<(), CliError> {
         run.pipeline,
         duration(run.seconds)
     ));
-    for node in &run.nodes {
+    let mut nodes: Vec<&NodeRun> = run.nodes.iter().collect();
+    // What all scenes share comes first, then scene by scene.
+    nodes.sort_by_key(|node| scene_of(parent_of(&node.name)));
+    for node in nodes {
         let key = node.key.map(|key| key.short()).unwrap_or_default();
         let line = format!(
             "{:<22} {:<8} {key:<13} {}",

@@ -1,6 +1,6 @@
 //! `marf view`: the report, the progress of a running program and a 3-D view, served on one port.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -14,6 +14,7 @@ use parking_lot::Mutex;
 
 use super::args::Global;
 use super::error::{CliError, Diagnostic};
+use super::scenes;
 use super::session::{bootstraps_of, existing_store, is_aside};
 use crate::progress::event_folder;
 use crate::show;
@@ -129,6 +130,7 @@ impl Source for StoreSource {
             return Ok(RunContent {
                 number: None,
                 report: show::sentence_page(sentence),
+                pages: BTreeMap::new(),
                 objects: BTreeSet::new(),
                 fields: Vec::new(),
             });
@@ -159,6 +161,7 @@ impl Source for StoreSource {
         Ok(RunContent {
             number: Some(run.number),
             report,
+            pages: scenes::pages(&run),
             objects,
             fields,
         })

@@ -8,6 +8,7 @@ mod error;
 mod manual_lists;
 mod options;
 mod resolve;
+pub mod scenes;
 mod schema;
 mod syntax;
 mod templates;

@@ -1,9 +1,9 @@
 //! The checked pipeline: every name resolved, every parameter in range.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::Path;
 
-use marf_engine::NodeShape;
+use marf_engine::{Edge, NodeShape};
 use marf_field::Device;
 use marf_stage::{ParamError, Stage, StageDef, Table, Work};
 use serde_json::Value as Json;
@@ -33,8 +33,8 @@ pub struct Node {
     pub def: StageDef,
     /// The stage with its parameters.
     pub stage: Box<dyn Stage>,
-    /// Upstream nodes by the key that names them.
-    pub edges: BTreeMap<String, String>,
+    /// Upstream nodes, each with the key that names it.
+    pub edges: Vec<Edge>,
     /// The parameters as JSON, for reports.
     pub params: Json,
 }
@@ -154,6 +154,11 @@ const DEVICE: &str = "device";
 
 fn node(entry: &Entry, names: &[&str], context: &PipelineContext<'_>) -> Result<Node, ConfigError> {
     let table = &entry.value;
+    if entry.key.contains('/') {
+        let message = format!("`node.{}`: names of nodes have no `/`", entry.key);
+        let hint = "in `input = \"NODE/PART\"` it leads to a part of what a node gives".to_owned();
+        return Err(ConfigError::at(entry.at.clone(), message).hint(Some(hint)));
+    }
     let def = stage_of(entry)?;
     let schema = (def.schema)();
     let keys: Vec<&str> = schema
@@ -162,7 +167,7 @@ fn node(entry: &Entry, names: &[&str], context: &PipelineContext<'_>) -> Result<
         .map(|properties| properties.keys().map(String::as_str).collect())
         .unwrap_or_default();
     let ports: Vec<&str> = def.ports.iter().map(|port| port.key).collect();
-    let (mut edges, mut params) = (BTreeMap::new(), serde_json::Map::new());
+    let (mut edges, mut params) = (Vec::new(), serde_json::Map::new());
     let mut archive = None;
     for field in table.entries().unwrap_or_default() {
         let key = field.key.as_str();
@@ -170,7 +175,7 @@ fn node(entry: &Entry, names: &[&str], context: &PipelineContext<'_>) -> Result<
             continue;
         }
         if ports.contains(&key) {
-            edges.insert(key.to_owned(), upstream(field, names)?);
+            edges.push(upstream(field, names)?);
         } else if key == ARCHIVE && keys.contains(&key) {
             let table = context.archives.named(field, text(field)?)?;
             params.insert(key.to_owned(), table.value.json());
@@ -189,12 +194,13 @@ fn node(entry: &Entry, names: &[&str], context: &PipelineContext<'_>) -> Result<
     if let Some(port) = def
         .ports
         .iter()
-        .find(|port| port.required && !edges.contains_key(port.key))
+        .find(|port| port.required && !edges.iter().any(|edge: &Edge| edge.key == port.key))
     {
         let (name, key, output) = (&entry.key, port.key, port.output);
         let message = format!("`node.{name}` needs `{key} = \"…\"`, the node that gives it `{output}`");
         return Err(ConfigError::at(entry.at.clone(), message));
     }
+    edges.sort_by(|a, b| a.key.cmp(&b.key));
     check_decided(entry, &def)?;
     if let Some(device) = context.device
         && keys.contains(&DEVICE)
@@ -262,10 +268,12 @@ fn text(entry: &Entry) -> Result<&str, ConfigError> {
     entry.value.text().ok_or_else(refuse)
 }
 
-fn upstream(field: &Entry, names: &[&str]) -> Result<String, ConfigError> {
+/// Returns the edge to the node that a key names, or to a part of what that node gives (`scenes/NAME`).
+fn upstream(field: &Entry, names: &[&str]) -> Result<Edge, ConfigError> {
     let name = text(field)?;
-    if names.contains(&name) {
-        return Ok(name.to_owned());
+    let edge = Edge::new(&field.key, name);
+    if names.contains(&edge.upstream.as_str()) {
+        return Ok(edge);
     }
     let message = format!("`{} = \"{name}\"` names no node", field.key);
     Err(ConfigError::at(field.value.at.clone(), message).hint(did_you_mean(name, names.iter().copied())))
@@ -297,11 +305,7 @@ fn check_graph(nodes: &[Node], tables: &[Entry]) -> Result<(), ConfigError> {
         .map(|node| NodeShape {
             name: &node.name,
             stage: &node.def,
-            edges: node
-                .edges
-                .iter()
-                .map(|(key, upstream)| (key.as_str(), upstream.as_str()))
-                .collect(),
+            edges: &node.edges,
         })
         .collect();
     marf_engine::check(&shapes).map_err(|error| {

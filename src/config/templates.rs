@@ -9,11 +9,16 @@ pub struct Template {
 }
 
 /// Every template, the default first.
-pub const TEMPLATES: [Template; 5] = [
+pub const TEMPLATES: [Template; 6] = [
     Template {
         name: "demo",
         about: "a built-in Mars, offline, with ground truth",
         text: include_str!("../../pipeline.toml"),
+    },
+    Template {
+        name: "mission",
+        about: "the built-in Mars at three places, each a scene of its own",
+        text: include_str!("../../pipelines/mission.toml"),
     },
     Template {
         name: "folder",

@@ -80,6 +80,8 @@ impl Store {
             started: "2026-01-02T03:04:05Z".to_owned(),
             program: "marf 0.1.0".to_owned(),
             nodes: nodes.to_vec(),
+            whole: None,
+            scenes: Vec::new(),
             changes: Some(Changes {
                 since: 3,
                 nodes: vec![

@@ -20,6 +20,10 @@ pub struct ReportInput<'a> {
     pub program: String,
     /// The nodes, in any order; producers before consumers reads best.
     pub nodes: Vec<NodeView>,
+    /// Of the page of a scene, the page of all scenes, from where this one is; nodes that all share are on that.
+    pub whole: Option<String>,
+    /// The scenes that the photos are split into, each with its nodes, which are not among `nodes`.
+    pub scenes: Vec<SceneView>,
     /// What changed since the last run that had other results; absent if there was none.
     pub changes: Option<Changes>,
     /// The last trade of time against quality that was measured around the pipeline.
@@ -28,6 +32,17 @@ pub struct ReportInput<'a> {
     pub read: &'a ReadBlob<'a>,
     /// Where pictures as they are embedded are kept from report to report.
     pub memos: &'a dyn marf_stage::Memos,
+}
+
+/// A scene of a pipeline whose photos are split by place.
+#[derive(Debug, Clone)]
+pub struct SceneView {
+    /// Its name.
+    pub name: String,
+    /// Its page, from where this one is.
+    pub page: String,
+    /// Its nodes.
+    pub nodes: Vec<NodeView>,
 }
 
 /// What changed since an earlier run.

@@ -24,6 +24,7 @@ mod pictures;
 mod quality;
 mod read;
 mod review;
+mod scenes;
 mod sets;
 mod sizes;
 mod thumbs;
@@ -41,11 +42,13 @@ mod real;
 #[cfg(test)]
 mod tests;
 
+use marf_schema::scenes::{Scenes, ScenesParams};
+use marf_stage::Params;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use page::Page;
 
-pub use input::{ChangedNode, Changes, ChildView, NodeView, ReadBlob, ReportInput, State};
+pub use input::{ChangedNode, Changes, ChildView, NodeView, ReadBlob, ReportInput, SceneView, State};
 pub use review::{Call, FACTORS, calls, percent};
 
 /// Writes the report as one HTML file. Equal input gives equal bytes; nothing in it can make it panic.
@@ -107,11 +110,18 @@ fn sections(page: &Page<'_>) -> Vec<Section> {
         section("graph", "Pipeline", graph::body(page)),
         section("nodes", "Nodes", nodes::body(page)),
         section("changes", "What changed", changes::body(page)),
-        section("funnel", "Filters", funnel::body(page)),
-        section("rejected", "Rejected photos", gallery::rejected(page)),
-        section("kept", "Kept photos", gallery::kept(page)),
-        section("review", "How firm the verdicts are", review::body(page)),
     ];
+    if page.input.whole.is_none() {
+        sections.extend([
+            section("funnel", "Filters", funnel::body(page)),
+            section("rejected", "Rejected photos", gallery::rejected(page)),
+            section("kept", "Kept photos", gallery::kept(page)),
+            section("review", "How firm the verdicts are", review::body(page)),
+        ]);
+    }
+    if page.with_document::<Scenes>().next().is_some() {
+        sections.insert(0, section("scenes", "Scenes", scenes::body(page)));
+    }
     if filters_alone(page.input) {
         return sections;
     }
@@ -132,12 +142,13 @@ fn sections(page: &Page<'_>) -> Vec<Section> {
     sections
 }
 
-/// Tells whether the pipeline only finds and filters photos, so that there is no scene to show.
+/// Tells whether the nodes shown only find, filter and split photos, so that there is no scene to show.
 fn filters_alone(input: &ReportInput<'_>) -> bool {
     let stages = marf_stages::stages();
     let judges = |node: &NodeView| {
         let def = stages.iter().find(|def| def.name == node.stage);
-        def.is_some_and(|def| def.outputs.contains(&marf_stage::VERDICTS))
+        let judges = def.is_some_and(|def| def.outputs.contains(&marf_stage::VERDICTS));
+        judges || node.stage == ScenesParams::STAGE
     };
     !input.nodes.is_empty() && input.nodes.iter().all(judges)
 }
@@ -152,6 +163,7 @@ fn header(page: &Page<'_>, sections: &[Section]) -> Markup {
             (nodes::failures(input))
             (nodes::of_earlier_run(input))
             nav aria-label="Contents" {
+                @if let Some(whole) = &input.whole { a href=(whole) { "All scenes" } " " }
                 @for section in sections { a href={ "#" (section.id) } { (section.title) } " " }
             }
         }

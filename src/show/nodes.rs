@@ -18,7 +18,35 @@ pub(super) fn sentence(input: &ReportInput<'_>) -> String {
     if let Some(total) = worked_seconds(input) {
         parts.push(seconds(total));
     }
-    format!("{}: {}", count(input.nodes.len(), "node"), parts.join(", "))
+    let nodes = format!("{}: {}", count(input.nodes.len(), "node"), parts.join(", "));
+    match scenes(input) {
+        Some(scenes) => format!("{nodes}; {scenes}"),
+        None => nodes,
+    }
+}
+
+/// Says how the scenes fared, those that are split off to pages of their own: `3 scenes: 1 ran, 2 reused`.
+fn scenes(input: &ReportInput<'_>) -> Option<String> {
+    let states: Vec<State> = input
+        .scenes
+        .iter()
+        .filter_map(|scene| state_of(&scene.nodes))
+        .collect();
+    let of = |state: State| states.iter().filter(|one| **one == state).count();
+    let known = [State::Ran, State::Reused, State::Failed, State::Skipped].into_iter();
+    let parts = known.filter(|state| of(*state) > 0);
+    let parts: Vec<String> = parts
+        .map(|state| format!("{} {}", of(state), state.word()))
+        .collect();
+    (!parts.is_empty()).then(|| format!("{}: {}", count(input.scenes.len(), "scene"), parts.join(", ")))
+}
+
+/// Returns how nodes fared together: as the one that fared worst, and `ran` where any ran.
+pub(super) fn state_of(nodes: &[NodeView]) -> Option<State> {
+    let order = [State::Failed, State::Skipped, State::Ran, State::Reused];
+    order
+        .into_iter()
+        .find(|state| nodes.iter().any(|node| node.state == *state))
 }
 
 /// Time of the nodes that worked in this run; what reused ones once took does not count.
@@ -35,9 +63,11 @@ fn worked_seconds(input: &ReportInput<'_>) -> Option<f64> {
 
 /// Names every node that failed, with its message; nothing if none did.
 pub(super) fn failures(input: &ReportInput<'_>) -> Markup {
+    let of_scenes = input.scenes.iter().flat_map(|scene| &scene.nodes);
     let failed: Vec<&NodeView> = input
         .nodes
         .iter()
+        .chain(of_scenes)
         .filter(|node| node.state == State::Failed)
         .collect();
     html! {

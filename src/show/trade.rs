@@ -56,6 +56,12 @@ pub struct PointRun {
     pub placed: u64,
     /// Root mean square of the reprojection error, pixels.
     pub error_px: Option<f64>,
+    /// Median distance of the cameras from known ones, in the unit of these, where some are known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub position_error: Option<f64>,
+    /// Median angle between them, degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub angle_error_deg: Option<f64>,
     /// Optimiser steps.
     pub steps: u64,
     /// Numbers that the field learns.
@@ -177,11 +183,15 @@ pub(super) fn body(trade: &Trade) -> Markup {
 }
 
 fn table(trade: &Trade) -> Markup {
+    let mut runs = trade.points.iter().flat_map(|point| &point.runs);
+    let is_known = runs.any(|run| run.position_error.is_some());
+    let error = |value: Option<f64>| value.map_or_else(|| "–".to_owned(), number);
     html! {
         table {
             thead { tr {
                 th { "setting" } th.number { "PSNR, dB" } th.number { "time" } th.number { "fastest" } th.number { "slowest" }
                 th.number { "steps" } th.number { "parameters" } th.number { "weights, MB" } th.number { "memory, MB" }
+                @if is_known { th.number { "cameras off by" } th.number { "and by, degrees" } }
             } }
             @for (index, point) in trade.points.iter().enumerate() {
                 tr.best[trade.front.contains(&index)] {
@@ -197,8 +207,12 @@ fn table(trade: &Trade) -> Markup {
                             td.number { (number(run.parameters as f64)) }
                             td.number { (format!("{:.1}", run.bytes as f64 / 1e6)) }
                             td.number { (number(run.peak_mb as f64)) }
+                            @if is_known {
+                                td.number { (error(run.position_error)) }
+                                td.number { (error(run.angle_error_deg)) }
+                            }
                         }
-                        _ => td colspan="8" { (point.fault.as_deref().unwrap_or("not trained")) }
+                        _ => td colspan=(if is_known { "10" } else { "8" }) { (point.fault.as_deref().unwrap_or("not trained")) }
                     }
                 }
             }

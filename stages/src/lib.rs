@@ -22,6 +22,7 @@ static STAGES: LazyLock<Vec<StageDef>> = LazyLock::new(|| {
     let mut stages = vec![define::<marf_extract::Extract<FilterMeasures>>()];
     stages.extend_from_slice(marf_filter::STAGES);
     stages.extend([
+        define::<marf_calibrate::SplitByPlace>(),
         define::<marf_calibrate::Masks>(),
         define::<marf_calibrate::Calibrate>(),
         define::<marf_train::Tune>(),

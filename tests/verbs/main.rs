@@ -17,6 +17,7 @@ mod help;
 mod log;
 mod photos;
 mod plan;
+mod scenes;
 mod status;
 mod trade;
 mod why;

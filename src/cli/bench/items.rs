@@ -181,10 +181,7 @@ fn graph(sols: u32, a_sol: u64) -> Result<Graph, CliError> {
         let def = table.iter().find(|def| def.name == name).copied();
         let stage = def.ok_or_else(|| CliError::failed(format!("there is no stage `{name}`")))?;
         let bound = (stage.bind)(params).map_err(|error| CliError::failed(error.to_string()))?;
-        let edge = upstream.map(|upstream| Edge {
-            key: "input".to_owned(),
-            upstream: upstream.to_owned(),
-        });
+        let edge = upstream.map(|upstream| Edge::new("input", upstream));
         decls.push(NodeDecl {
             name: name.to_owned(),
             stage,

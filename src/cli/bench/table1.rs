@@ -14,6 +14,7 @@ use crate::cli::error::CliError;
 use crate::cli::folder;
 use crate::cli::output::print_json;
 use crate::cli::run::{execute, options};
+use crate::cli::scenes;
 use crate::cli::session::{Session, node_named};
 use crate::terminal::print_line;
 
@@ -96,6 +97,7 @@ fn row(global: &Global, args: &Table1Args, budget_s: u32, cancel: &Cancel) -> Re
         Some(dir) => Session::implicit(&folder::training("table1", dir), &global, cancel)?,
         None => Session::open(&global, cancel)?,
     };
+    scenes::one(&session)?;
     let options = Options {
         to: vec![name.to_owned()],
         ..options(&global, &session.name)

@@ -3,12 +3,14 @@
 use std::cell::RefCell;
 
 use marf_engine::{Cancel, NodeRun, Options, RunRecord};
+use marf_scene::Scene;
 use marf_schema::calibrate::{self, CalibrateParams};
-use marf_schema::output::WEIGHTS;
+use marf_schema::output::{SCENE, WEIGHTS};
 use marf_schema::train::Metrics;
 use marf_stage::Document;
 
 use super::knobs::{node_of, training};
+use super::truth::Truth;
 use crate::cli::args::Global;
 use crate::cli::error::CliError;
 use crate::cli::run::{execute, options};
@@ -23,6 +25,8 @@ pub struct Base {
     pub train: String,
     /// Name of the calibration, if there is one.
     pub calibrate: Option<String>,
+    /// Known cameras; none where nothing is known.
+    truth: Truth,
     /// Metrics of the first training.
     first: RefCell<Option<Metrics>>,
 }
@@ -32,11 +36,12 @@ impl Base {
     ///
     /// # Errors
     /// A pipeline without a training.
-    pub fn of(session: &Session, sets: Vec<String>) -> Result<Self, CliError> {
+    pub fn of(session: &Session, sets: Vec<String>, truth: Truth) -> Result<Self, CliError> {
         Ok(Self {
             sets,
             train: training(session)?,
             calibrate: node_of::<CalibrateParams>(session),
+            truth,
             first: RefCell::default(),
         })
     }
@@ -50,13 +55,14 @@ impl Base {
         first.ok_or_else(|| CliError::failed("the pipeline as it is was not trained"))
     }
 
-    /// Returns what lets a point with photos of another size be judged by those of the pipeline as it is.
+    /// Returns what lets a point whose photos may have another size be judged by those of the pipeline as it is.
     fn judged_as_first(&self, point: &Point) -> Vec<String> {
-        let scale = format!("{}.scale=", self.train);
+        let sizes = ["scale", "quality"].map(|key| format!("{}.{key}=", self.train));
         let first = self.first.borrow();
-        let first = first
-            .as_ref()
-            .filter(|_| point.sets.iter().any(|set| set.starts_with(&scale)));
+        let first = first.as_ref().filter(|_| {
+            let mut sets = point.sets.iter();
+            sets.any(|set| sizes.iter().any(|size| set.starts_with(size)))
+        });
         let judged = first.map(|first| first.judged_scale.unwrap_or(first.scale));
         judged
             .map(|judged| format!("{}.judged_scale={judged}", self.train))
@@ -129,6 +135,7 @@ fn figures(session: &Session, record: &RunRecord, base: &Base, seed: u64) -> Res
         .map(|node| session.document(node))
         .transpose()?;
     let totals = placed.map(|metrics| metrics.totals);
+    let pose_error = base.truth.error_of(&scene(session, train)?);
     let calibrate_s = calibrated.map_or(0.0, |node| node.seconds);
     let made = made(session, train);
     Ok(PointRun {
@@ -141,11 +148,19 @@ fn figures(session: &Session, record: &RunRecord, base: &Base, seed: u64) -> Res
         train_s: made.parts_s.get("training").copied().unwrap_or(train.seconds),
         placed: totals.as_ref().map_or(0, |totals| totals.registered as u64),
         error_px: totals.and_then(|totals| totals.error_px),
+        position_error: pose_error.map(|error| error.position),
+        angle_error_deg: pose_error.map(|error| error.angle_deg),
         steps: metrics.steps,
         parameters: metrics.field.parameters,
         bytes: train.outputs.get(WEIGHTS).map_or(0, |weights| weights.bytes),
         peak_mb: made.peak_mb,
     })
+}
+
+/// Returns the scene that a training was given.
+fn scene(session: &Session, train: &NodeRun) -> Result<Scene, CliError> {
+    let bytes = session.output(train, SCENE)?;
+    Scene::decode(&bytes).map_err(|error| CliError::failed(error.to_string()))
 }
 
 /// Returns what is known of the run that made a node's result.

@@ -3,6 +3,7 @@
 mod figures;
 mod knobs;
 mod measured;
+mod truth;
 
 use std::path::PathBuf;
 
@@ -13,13 +14,14 @@ use serde_json::Value;
 use self::figures::figures;
 use self::knobs::{Knob, knobs};
 use self::measured::{Base, measured};
+use self::truth::Truth;
 use super::args::Global;
 use super::error::CliError;
 use super::folder;
 use super::output::print_json;
 use super::run::{Execution, execute_as, options};
 use super::session::{Session, TRADES};
-use super::{documents, files, program, report};
+use super::{documents, files, program, report, scenes};
 use crate::show::trade::{self, Point, Trade};
 use crate::terminal::{eprint_line, print_line};
 
@@ -38,9 +40,15 @@ pub struct TradeArgs {
     /// Further points with every knob at a random one of its values
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(0..=10_000))]
     pub random: u64,
+    /// A further point with these settings, e.g. `train.steps=4000 train.scale=2`
+    #[arg(long = "point", value_name = "SETTINGS")]
+    pub points: Vec<String>,
     /// Optimiser steps of the training as it is, instead of the pipeline's
     #[arg(long, value_name = "N")]
     pub steps: Option<u64>,
+    /// Known cameras of the photos, as transforms.json: what each point's calibration is off by is told
+    #[arg(long, value_name = "FILE")]
+    pub truth: Option<PathBuf>,
     /// Folder for trade.json, trade.csv, front.svg, effects.svg and report.html
     #[arg(long, value_name = "DIR", default_value = "out/trade")]
     pub out: PathBuf,
@@ -71,7 +79,11 @@ pub fn trade(global: &Global, args: &TradeArgs, cancel: &Cancel) -> Result<(), C
     };
     let steps = args.steps.map(|steps| format!("train.steps={steps}"));
     let steps: Vec<String> = steps.into_iter().collect();
-    let base = Base::of(&open(&steps)?, steps)?;
+    let truth = args.truth.as_deref().map(Truth::read).transpose()?;
+    let session = open(&steps)?;
+    scenes::one(&session)?;
+    let base = Base::of(&session, steps, truth.unwrap_or_default())?;
+    drop(session);
     let mut points = vec![Point::default()];
     let measure = |point: &mut Point, seeds: u64| measured(&open, &base, point, seeds, global, cancel);
     measure(&mut points[0], args.seeds)?;
@@ -85,6 +97,10 @@ pub fn trade(global: &Global, args: &TradeArgs, cancel: &Cancel) -> Result<(), C
     points.extend(one_at_a_time(&knobs));
     let with_seeds = points.len();
     points.extend(knobs::random(&knobs, args.random));
+    points.extend(args.points.iter().map(|settings| Point {
+        sets: settings.split_whitespace().map(str::to_owned).collect(),
+        ..Point::default()
+    }));
     let count = points.len() - 1;
     let seconds = points[0].means().map_or(0.0, |(_, seconds)| seconds);
     let trainings = (with_seeds as u64 - 1) * args.seeds + (points.len() - with_seeds) as u64;

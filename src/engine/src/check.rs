@@ -1,5 +1,6 @@
 //! The checks of a graph: names, edges, outputs, cycles.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
 use marf_cache::ContentHash;
@@ -14,6 +15,36 @@ pub struct Edge {
     pub key: String,
     /// The upstream node.
     pub upstream: String,
+    /// The part of its output that is read, of an output of several parts (`photos/a` for the output `photos`); none: all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub part: Option<String>,
+}
+
+impl Edge {
+    /// Returns the edge that a pipeline writes as `key = "upstream"` or `key = "upstream/part"`.
+    pub fn new(key: impl Into<String>, named: &str) -> Self {
+        let (upstream, part) = match named.split_once('/') {
+            Some((upstream, part)) => (upstream, Some(part.to_owned())),
+            None => (named, None),
+        };
+        Self {
+            key: key.into(),
+            upstream: upstream.to_owned(),
+            part,
+        }
+    }
+
+    /// Returns the name under which the upstream node has what is read as an output.
+    pub fn source<'o>(&self, output: &'o str) -> Cow<'o, str> {
+        part_of(output, self.part.as_deref())
+    }
+}
+
+fn part_of<'o>(output: &'o str, part: Option<&str>) -> Cow<'o, str> {
+    match part {
+        None => Cow::Borrowed(output),
+        Some(part) => Cow::Owned(format!("{output}/{part}")),
+    }
 }
 
 /// The part of a node that decides whether it fits into a graph.
@@ -24,15 +55,24 @@ pub struct NodeShape<'a> {
     /// Its stage.
     pub stage: &'a StageDef,
     /// Its keys, each with the upstream node that it names.
-    pub edges: Vec<(&'a str, &'a str)>,
+    pub edges: &'a [Edge],
 }
 
-/// An output of an upstream node that is an input of a node, under the same name.
-#[derive(Debug, Clone, Copy)]
+/// An output of an upstream node, or a part of it, that is an input of a node, under the same name.
+#[derive(Debug, Clone)]
 pub(crate) struct Connection {
     pub(crate) output: &'static str,
+    /// The part of it, if it is not read whole.
+    pub(crate) part: Option<String>,
     /// Index of the upstream node.
     pub(crate) upstream: usize,
+}
+
+impl Connection {
+    /// Returns the name under which the upstream node has it.
+    pub(crate) fn source(&self) -> Cow<'static, str> {
+        part_of(self.output, self.part.as_deref())
+    }
 }
 
 /// The order and the connections of checked nodes.
@@ -95,8 +135,8 @@ pub enum GraphError {
         upstream: String,
         /// The stage of the upstream node.
         stage: &'static str,
-        /// The output.
-        output: &'static str,
+        /// The output; one of several parts ends with `/`.
+        output: String,
         /// The outputs that the upstream node has.
         outputs: &'static [&'static str],
     },
@@ -177,10 +217,10 @@ fn index_by_name<'a>(nodes: &[NodeShape<'a>]) -> Result<BTreeMap<&'a str, usize>
 
 /// Checks that every edge has a known key and a known upstream node, and that every required key has an edge.
 fn check_edges(node: &NodeShape<'_>, names: &BTreeMap<&str, usize>) -> Result<(), GraphError> {
-    for &(key, upstream) in &node.edges {
-        check_edge(node, key, upstream, names)?;
+    for edge in node.edges {
+        check_edge(node, edge, names)?;
     }
-    let is_connected = |port: &Port| node.edges.iter().any(|(key, _)| *key == port.key);
+    let is_connected = |port: &Port| node.edges.iter().any(|edge| edge.key == port.key);
     let mut required = node.stage.ports.iter().filter(|port| port.required);
     match required.find(|port| !is_connected(port)) {
         None => Ok(()),
@@ -194,25 +234,24 @@ fn check_edges(node: &NodeShape<'_>, names: &BTreeMap<&str, usize>) -> Result<()
 
 fn check_edge(
     node: &NodeShape<'_>,
-    key: &str,
-    upstream: &str,
+    Edge { key, upstream, .. }: &Edge,
     names: &BTreeMap<&str, usize>,
 ) -> Result<(), GraphError> {
     let keys: BTreeSet<&str> = node.stage.ports.iter().map(|port| port.key).collect();
-    if !keys.contains(key) {
+    if !keys.contains(key.as_str()) {
         return Err(GraphError::UnknownKey {
             node: node.name.to_owned(),
             key: key.to_owned(),
             known: keys.into_iter().map(str::to_owned).collect(),
         });
     }
-    if node.edges.iter().filter(|(other, _)| *other == key).count() > 1 {
+    if node.edges.iter().filter(|other| other.key == *key).count() > 1 {
         return Err(GraphError::Ambiguous {
             node: node.name.to_owned(),
             input: key.to_owned(),
         });
     }
-    if !names.contains_key(upstream) {
+    if !names.contains_key(upstream.as_str()) {
         return Err(GraphError::UnknownUpstream {
             node: node.name.to_owned(),
             key: key.to_owned(),
@@ -230,11 +269,11 @@ fn connections(
     names: &BTreeMap<&str, usize>,
 ) -> Result<Vec<Connection>, GraphError> {
     let mut connections: Vec<Connection> = Vec::new();
-    for &(key, upstream) in &node.edges {
-        let Some(&index) = names.get(upstream) else {
+    for edge in node.edges {
+        let Some(&index) = names.get(edge.upstream.as_str()) else {
             continue;
         };
-        for port in connected_ports(node, key, &nodes[index])? {
+        for port in connected_ports(node, edge, &nodes[index])? {
             if connections.iter().any(|other| other.output == port.output) {
                 return Err(GraphError::Ambiguous {
                     node: node.name.to_owned(),
@@ -243,6 +282,7 @@ fn connections(
             }
             connections.push(Connection {
                 output: port.output,
+                part: edge.part.clone(),
                 upstream: index,
             });
         }
@@ -253,12 +293,17 @@ fn connections(
 /// Returns the ports of a key whose output the upstream node has: all required ones, and at least one.
 fn connected_ports<'a>(
     node: &NodeShape<'a>,
-    key: &str,
+    edge: &Edge,
     upstream: &NodeShape<'_>,
 ) -> Result<Vec<&'a Port>, GraphError> {
     let outputs = upstream.stage.outputs;
-    let ports = node.stage.ports.iter().filter(|port| port.key == key);
-    let (found, absent): (Vec<&Port>, Vec<&Port>) = ports.partition(|port| outputs.contains(&port.output));
+    let ports = node.stage.ports.iter().filter(|port| port.key == edge.key);
+    let wanted = |port: &Port| match edge.part {
+        None => port.output.to_owned(),
+        Some(_) => format!("{}/", port.output),
+    };
+    let (found, absent): (Vec<&Port>, Vec<&Port>) =
+        ports.partition(|port| outputs.contains(&wanted(port).as_str()));
     let fault = match found.is_empty() {
         true => absent.first(),
         false => absent.iter().find(|port| port.required),
@@ -267,10 +312,10 @@ fn connected_ports<'a>(
         None => Ok(found),
         Some(port) => Err(GraphError::NoSuchOutput {
             node: node.name.to_owned(),
-            key: key.to_owned(),
+            key: edge.key.clone(),
             upstream: upstream.name.to_owned(),
             stage: upstream.stage.name,
-            output: port.output,
+            output: wanted(port),
             outputs,
         }),
     }
@@ -287,7 +332,8 @@ fn topological_order(
     let mut flow = Flow::new();
     let indices: Vec<NodeIndex> = (0..nodes.len()).map(|index| flow.add_node(index)).collect();
     for (node, &index) in nodes.iter().zip(&indices) {
-        for upstream in node.edges.iter().filter_map(|(_, name)| names.get(name)) {
+        let upstream = node.edges.iter().map(|edge| edge.upstream.as_str());
+        for upstream in upstream.filter_map(|name| names.get(name)) {
             flow.update_edge(indices[*upstream], index, ());
         }
     }

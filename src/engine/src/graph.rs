@@ -55,13 +55,10 @@ pub struct NodeView<'a> {
 
 impl NodeDecl {
     fn shape(&self) -> NodeShape<'_> {
-        let edges = self.edges.iter();
         NodeShape {
             name: &self.name,
             stage: &self.stage,
-            edges: edges
-                .map(|edge| (edge.key.as_str(), edge.upstream.as_str()))
-                .collect(),
+            edges: &self.edges,
         }
     }
 }
@@ -88,7 +85,7 @@ impl Graph {
             let Some(decl) = decls[index].take() else { continue };
             let connections = connections[index].iter().map(|connection| Connection {
                 upstream: position[connection.upstream],
-                ..*connection
+                ..connection.clone()
             });
             graph.nodes.push(Node {
                 name: decl.name,

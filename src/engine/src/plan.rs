@@ -221,7 +221,7 @@ fn inputs_of(node: &Node, known: &[Known]) -> Result<Inputs, usize> {
             .outputs
             .as_ref()
             .ok_or(connection.upstream)?;
-        let output = outputs.get(connection.output);
+        let output = outputs.get(connection.source().as_ref());
         inputs
             .0
             .extend(output.map(|digest| (connection.output.to_owned(), *digest)));

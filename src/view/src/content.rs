@@ -1,6 +1,6 @@
 //! A run as it is served: the live page, its files, and its fields, each read when it is first asked for.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
 use marf_cache::Digest;
@@ -9,7 +9,7 @@ use marf_scene::{Photo, encode_jpeg, shrunk};
 use parking_lot::Mutex;
 
 use crate::field::Field;
-use crate::page::{live, live_parts};
+use crate::page::{LivePage, below, live, live_parts};
 use crate::source::{FieldSource, RunContent, Source};
 
 /// Longest side of a photo beside its render, pixels, and its JPEG quality.
@@ -32,6 +32,9 @@ pub struct Content {
     /// The page.
     pub html: String,
     files: HashMap<Digest, File>,
+    /// Pages of scenes by file name, and those that were asked for.
+    pages: BTreeMap<String, Digest>,
+    opened: Mutex<HashMap<String, Arc<LivePage>>>,
     objects: BTreeSet<Digest>,
     fields: Vec<(FieldSource, Mutex<Option<Arc<Field>>>)>,
 }
@@ -51,6 +54,8 @@ impl Content {
             number: run.number,
             html: page.html,
             files: page.files,
+            pages: run.pages,
+            opened: Mutex::default(),
             objects: run.objects,
             fields: run
                 .fields
@@ -65,11 +70,35 @@ impl Content {
         if let Some(file) = self.files.get(digest) {
             return Some(file.clone());
         }
+        let opened = self
+            .opened
+            .lock()
+            .values()
+            .find_map(|page| page.files.get(digest).cloned());
+        if opened.is_some() {
+            return opened;
+        }
         let bytes = self.objects.contains(digest).then(|| source.object(digest))??;
         Some(File {
             media: media(&bytes),
             bytes,
         })
+    }
+
+    /// Returns the page of a scene, which is read at the first call.
+    ///
+    /// # Errors
+    /// One sentence: a name without a page, or a page that is lost.
+    pub fn page(&self, source: &dyn Source, name: &str) -> Result<Arc<LivePage>, String> {
+        if let Some(page) = self.opened.lock().get(name) {
+            return Ok(Arc::clone(page));
+        }
+        let digest = self.pages.get(name).ok_or("the shown run has no such page")?;
+        let bytes = source.object(digest).ok_or("the store has lost this page")?;
+        let page = std::str::from_utf8(&bytes).ok().and_then(below);
+        let page = Arc::new(page.ok_or("this page has another form than this program writes")?);
+        self.opened.lock().insert(name.to_owned(), Arc::clone(&page));
+        Ok(page)
     }
 
     /// Returns a photo of a field's scene as a JPEG that browsers show quickly.

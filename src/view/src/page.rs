@@ -21,6 +21,16 @@ pub struct LivePage {
 ///
 /// Whatever came from outside is escaped in a report: the marks that are sought here stand in no text.
 pub fn live(report: &str, live: &Markup) -> Option<LivePage> {
+    served(report, "", Some(live))
+}
+
+/// As [`live`], of a page in a folder beside the report: nothing on it lives.
+pub fn below(report: &str) -> Option<LivePage> {
+    served(report, "../", None)
+}
+
+/// Returns a page whose addresses begin with `up`, with what lives on it.
+fn served(report: &str, up: &str, live: Option<&Markup>) -> Option<LivePage> {
     let mut files = HashMap::new();
     let (head, rest) = report.split_once("<meta http-equiv=\"Content-Security-Policy\"")?;
     let (_, rest) = rest.split_once('>')?;
@@ -29,38 +39,48 @@ pub fn live(report: &str, live: &Markup) -> Option<LivePage> {
     let (header, main) = rest.split_once("<main>")?;
     let style = add(&mut files, "text/css; charset=utf-8", style.as_bytes().to_vec());
     let links = html! {
-        link rel="icon" href="icon.svg";
-        link rel="stylesheet" href={ "object/" (style) };
-        link rel="stylesheet" href="view.css";
-        script type="module" src="live.js" {}
-        script type="module" src="view.js" {}
+        link rel="icon" href={ (up) "icon.svg" };
+        link rel="stylesheet" href={ (up) "object/" (style) };
+        link rel="stylesheet" href={ (up) "view.css" };
+        @if live.is_some() {
+            script type="module" src="live.js" {}
+            script type="module" src="view.js" {}
+        }
     };
-    let header = header.replacen(
-        NAVIGATION,
-        &format!("{NAVIGATION}{}", navigation().into_string()),
-        1,
-    );
+    let header = match live {
+        Some(_) => header.replacen(
+            NAVIGATION,
+            &format!("{NAVIGATION}{}", navigation().into_string()),
+            1,
+        ),
+        None => header.replacen(UP_ON_DISK, UP, 1),
+    };
+    let live = live.cloned().unwrap_or_default();
     let page = [
         head,
         &links.into_string(),
         between,
         &header,
         "<main>",
-        &live.clone().into_string(),
+        &live.into_string(),
         main,
     ];
-    let html = addressed(&page.concat(), &mut files)?;
+    let html = addressed(&page.concat(), up, &mut files)?;
     Some(LivePage { html, files })
 }
 
 const NAVIGATION: &str = "<nav aria-label=\"Contents\">";
+
+/// The way from the page of a scene to that of all, on disk and here.
+const UP_ON_DISK: &str = "href=\"../report.html\"";
+const UP: &str = "href=\"../\"";
 
 fn navigation() -> Markup {
     html! { a href="#live" { "Live" } " " a href="#view" { "3-D view" } " " }
 }
 
 /// Puts addresses in the place of data URIs.
-fn addressed(page: &str, files: &mut HashMap<Digest, File>) -> Option<String> {
+fn addressed(page: &str, up: &str, files: &mut HashMap<Digest, File>) -> Option<String> {
     const BEGIN: &str = " src=\"data:";
     let mut parts = page.split(BEGIN);
     let mut html = parts.next()?.to_owned();
@@ -74,7 +94,7 @@ fn addressed(page: &str, files: &mut HashMap<Digest, File>) -> Option<String> {
         } else {
             ""
         };
-        html.push_str(&format!("{lazily} src=\"object/{digest}\""));
+        html.push_str(&format!("{lazily} src=\"{up}object/{digest}\""));
         html.push_str(rest);
     }
     Some(html)

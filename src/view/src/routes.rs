@@ -52,6 +52,7 @@ pub fn routes(site: Arc<Site>, prefix: &str) -> Router {
             &at("/icon.svg"),
             fixed("image/svg+xml", include_str!("page/icon.svg")),
         )
+        .route(&at("/pages/{name}"), get(scene_page))
         .route(&at("/events"), get(events))
         .route(&at("/object/{digest}"), get(object))
         .route(&at("/scene/{run}/{field}"), get(scene))
@@ -123,6 +124,13 @@ async fn page(State(site): State<Arc<Site>>) -> Response {
     match blocking(move || site.refreshed()).await {
         Ok(content) => answer(HTML, content.html.clone()),
         Err(message) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &message),
+    }
+}
+
+async fn scene_page(State(site): State<Arc<Site>>, Path(name): Path<String>) -> Response {
+    match blocking(move || site.content().page(site.source.as_ref(), &name)).await {
+        Ok(page) => answer(HTML, page.html.clone()),
+        Err(message) => refusal(StatusCode::NOT_FOUND, &message),
     }
 }
 

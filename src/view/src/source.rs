@@ -1,6 +1,6 @@
 //! What the program gives the page.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -30,6 +30,8 @@ pub struct RunContent {
     pub number: Option<u64>,
     /// Its report, HTML as `report.html` has it.
     pub report: String,
+    /// The pages of its scenes by file name, in the form of the report; the report links to them as `pages/NAME`.
+    pub pages: BTreeMap<String, Digest>,
     /// The objects that it names.
     pub objects: BTreeSet<Digest>,
     /// Its trained fields, or those of an earlier run.

@@ -18,7 +18,7 @@ use crate::resample::resample;
 pub(crate) struct Candidate<'a> {
     item: usize,
     pub model: &'a Cahvor,
-    site: Option<i64>,
+    pub site: Option<i64>,
     pub site_from_frame: Pose,
 }
 
@@ -101,7 +101,7 @@ pub(crate) fn run(
 }
 
 /// Returns the usable label of a photo, or why there is none.
-fn candidate(index: usize, item: &InputPhoto) -> Result<Candidate<'_>, String> {
+pub(crate) fn candidate(index: usize, item: &InputPhoto) -> Result<Candidate<'_>, String> {
     let Some(prior) = &item.facts.prior else {
         return Err(no_prior(item));
     };

@@ -14,9 +14,11 @@ mod labels;
 mod masks;
 mod photos;
 mod resample;
+mod scenes;
 mod sfm;
 mod stage;
 
 pub use export::{Observation, TrackPoint, Tracks, write_colmap, write_ply, write_transforms};
 pub use hardware::Masks;
+pub use scenes::SplitByPlace;
 pub use stage::Calibrate;

@@ -38,28 +38,32 @@ impl From<SetError> for StageError {
 
 /// Returns the photos of the input set, in order of shard and id.
 pub(crate) fn load(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<InputPhoto>, StageError> {
+    let rows = rows(ctx, inputs)?;
+    rows.into_iter().map(|(_, row)| item(row)).collect()
+}
+
+/// Returns the rows of the input set, each with its shard, in order of shard and id.
+pub(crate) fn rows(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<(u32, Row)>, StageError> {
     let root = Root::read(inputs.required(PHOTOS)?, |digest| {
         ctx.get(digest).map_err(SetError::Stage)
     })?;
-    let mut items = Vec::new();
+    let mut rows = Vec::new();
     for leaf in &root.leaves {
-        let leaf = Leaf::decode(&ctx.get(&leaf.leaf)?).map_err(SetError::Manifest)?;
-        for row in leaf.rows {
-            items.push(item(row)?);
-        }
+        let read = Leaf::decode(&ctx.get(&leaf.leaf)?).map_err(SetError::Manifest)?;
+        rows.extend(read.rows.into_iter().map(|row| (leaf.shard, row)));
     }
-    if items.is_empty() {
+    if rows.is_empty() {
         return Err(
             StageError::new("the set of photos is empty: there is nothing to calibrate").hint(
                 "the verdicts of the nodes before it tell why each photo was left out; `marf filter DIR` lists them",
             ),
         );
     }
-    Ok(items)
+    Ok(rows)
 }
 
 /// Returns the photo of a row.
-fn item(row: Row) -> Result<InputPhoto, StageError> {
+pub(crate) fn item(row: Row) -> Result<InputPhoto, StageError> {
     let facts = PhotoFacts::from_json(&row.facts)
         .map_err(|error| StageError::new(format!("photo `{}`: its facts cannot be read: {error}", row.id)))?;
     let image = row

@@ -72,7 +72,7 @@ impl Demo {
             )
         };
         Shot {
-            world: self.world(),
+            world: self.world(1),
             lens,
             width,
             height,
@@ -85,7 +85,7 @@ impl Demo {
         let above = height_m((1.0 - share) * OCTAVES);
         let (sin, cos) = sin_cos(f64::from(index) * TURN_DEG * DEGREE);
         let (x, y) = (OUTCROP.0, OUTCROP.1);
-        let ground = v3(x, y, -self.world().height(x, y));
+        let ground = v3(x, y, -self.world(1).height(x, y));
         let eye = ground + v3(ASIDE * above * cos, ASIDE * above * sin, -above);
         let forward = (ground - eye).unit();
         let right = forward.cross(v3(-sin, cos, 0.0)).unit();
@@ -165,7 +165,7 @@ mod tests {
         let cameras: Value = serde_json::from_slice(&files[9].bytes).unwrap();
         assert_eq!(cameras["test_filenames"], json!(["images/004.png"]));
         let (x, y) = (OUTCROP.0, OUTCROP.1);
-        let place = [x, y, -demo.world().height(x, y)];
+        let place = [x, y, -demo.world(1).height(x, y)];
         for (index, frame) in cameras["frames"].as_array().unwrap().iter().enumerate() {
             let number = |row: usize, column: usize| frame["transform_matrix"][row][column].as_f64().unwrap();
             let along = |column: usize| -> f64 {

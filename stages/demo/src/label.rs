@@ -3,7 +3,7 @@
 use super::{
     lens::{Lens, Quaternion},
     math::V3,
-    plan::{Product, View},
+    plan::{self, Product, View},
     tour::{Capture, Eye, MAST, Stop},
 };
 
@@ -185,7 +185,19 @@ fn camera(facts: &Facts<'_>) -> String {
 }
 
 fn counters(facts: &Facts<'_>) -> [u32; 10] {
-    [1, facts.stop.drive, 0, 0, 0, 0, facts.view.pointing.rsm, 0, 0, 0]
+    let site = plan::site(facts.sol);
+    [
+        site,
+        facts.stop.drive,
+        0,
+        0,
+        0,
+        0,
+        facts.view.pointing.rsm,
+        0,
+        0,
+        0,
+    ]
 }
 
 fn indices(facts: &Facts<'_>, element: &str, count: usize) -> String {

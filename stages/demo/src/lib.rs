@@ -49,7 +49,7 @@ pub use truth::{Flaw, RangeMap, TruePhoto, Truth};
 /// Version of what the demo draws and writes; raised when any byte of it may change.
 pub const DEMO_VERSION: u32 = 1;
 
-/// Sols that exist; 1 and 2 are the usual ones.
+/// Sols that exist; 1 and 2 are the usual ones. Each hundred is of another site: 101 is the first at the second.
 pub const SOLS: RangeInclusive<u32> = plan::SOLS;
 
 /// Options of the demo.
@@ -126,11 +126,15 @@ pub type OnProgress<'a> = &'a (dyn Fn(u64, u64) + Sync);
 /// Returns whether to stop; called from several threads, before each photo.
 pub type IsCancelled<'a> = &'a (dyn Fn() -> bool + Sync);
 
-/// The demo with its options; the landscape is built when first needed, in about half a second.
+/// The demo with its options; the landscape of a site is built when first needed, in about half a second.
 pub struct Demo {
     options: DemoOptions,
-    world: OnceLock<World>,
+    /// By site, the first one first.
+    worlds: [OnceLock<World>; SITES],
 }
+
+/// Sites of all sols.
+const SITES: usize = plan::site(*SOLS.end()) as usize;
 
 impl Demo {
     /// Checks the options and returns the demo.
@@ -147,7 +151,7 @@ impl Demo {
         }
         Ok(Self {
             options,
-            world: OnceLock::new(),
+            worlds: [const { OnceLock::new() }; SITES],
         })
     }
 
@@ -157,7 +161,10 @@ impl Demo {
     /// [`DemoError::Sol`].
     pub fn fingerprint(&self, sol: u32) -> Result<Digest, DemoError> {
         check(sol)?;
-        Ok(digest_of(&(DEMO_VERSION, sol, &self.options)))
+        Ok(match plan::site(sol) {
+            1 => digest_of(&(DEMO_VERSION, sol, &self.options)),
+            site => digest_of(&((DEMO_VERSION, site), sol, &self.options)),
+        })
     }
 
     /// Draws the images of a sol and writes their labels: about 20 good photos and 13 flawed ones, each file
@@ -233,7 +240,7 @@ impl Demo {
             file: file.to_owned(),
             sol,
         })?;
-        let shot = self.shot(&self.taken(&tour, view));
+        let shot = self.shot(plan::site(sol), &self.taken(&tour, view));
         Ok(RangeMap {
             width: shot.width,
             height: shot.height,
@@ -263,13 +270,21 @@ impl Demo {
         Ok(all)
     }
 
-    fn world(&self) -> &World {
-        self.world.get_or_init(|| World::new(self.options.seed))
+    fn world(&self, site: u32) -> &World {
+        let world = &self.worlds[(site - 1) as usize % SITES];
+        world.get_or_init(|| World::new(self.seed(site)))
+    }
+
+    /// Returns the seed of a site's landscape and tour.
+    fn seed(&self, site: u32) -> u64 {
+        self.options.seed ^ (u64::from(site - 1) << 48)
     }
 
     fn tour(&self, sol: u32) -> Result<Tour, DemoError> {
         check(sol)?;
-        let stops = tour::stops(self.world(), self.options.seed, sol);
+        let site = plan::site(sol);
+        let sol_of_site = sol - (site - 1) * plan::SOLS_A_SITE;
+        let stops = tour::stops(self.world(site), self.seed(site), sol_of_site);
         let drives: Vec<u32> = stops.iter().map(|stop| stop.drive).collect();
         Ok(Tour {
             sol,
@@ -281,12 +296,18 @@ impl Demo {
     fn taken(&self, tour: &Tour, view: &View) -> Capture {
         let size_px = (self.options.width_px, self.options.height_px);
         let stop = &tour.stops[view.pointing.stop];
-        tour::take(stop, &view.pointing, view.eye, size_px, self.options.seed)
+        tour::take(
+            stop,
+            &view.pointing,
+            view.eye,
+            size_px,
+            self.seed(plan::site(tour.sol)),
+        )
     }
 
-    fn shot(&self, taken: &Capture) -> Shot<'_> {
+    fn shot(&self, site: u32, taken: &Capture) -> Shot<'_> {
         Shot {
-            world: self.world(),
+            world: self.world(site),
             lens: taken.site,
             width: self.options.width_px,
             height: self.options.height_px,
@@ -316,7 +337,7 @@ impl Demo {
             .iter()
             .any(|product| product.flaw.is_none_or(FlawKind::shows_mars));
         let photo = if shows_mars {
-            self.shot(&taken).photo(encoder)
+            self.shot(plan::site(tour.sol), &taken).photo(encoder)
         } else {
             Image::from_fn(self.options.width_px, self.options.height_px, |_, _| [0; 3])
         };

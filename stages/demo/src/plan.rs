@@ -4,11 +4,18 @@ use super::tour::{self, Eye, Pointing};
 
 /// Sols that exist.
 pub const SOLS: std::ops::RangeInclusive<u32> = 1..=999;
+/// Sols that the rover spends at one site, each with a landscape and a frame of its own.
+pub const SOLS_A_SITE: u32 = 100;
 /// Factor by which thumbnails are reduced.
 pub const THUMBNAIL_FACTOR: u32 = 4;
 /// Spacecraft clock at the first sol, seconds, and seconds per sol.
 const CLOCK_S: u32 = 667_000_000;
 const SOL_S: u32 = 88_775;
+
+/// Returns the site of a sol, from 1 on.
+pub const fn site(sol: u32) -> u32 {
+    1 + sol.saturating_sub(1) / SOLS_A_SITE
+}
 
 /// The flaw of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -171,7 +178,8 @@ fn product(sol: u32, slot: u32, drive: u32, eye: Eye, flaw: Option<FlawKind>) ->
     let ms = slot * 37 % 1000;
     Product {
         id: format!(
-            "Z{side}{filter}_{sol:04}_{clock_s:010}_{ms:03}EBY_{size}001{drive:04}ZCAM{slot:05}_0260LMJ01"
+            "Z{side}{filter}_{sol:04}_{clock_s:010}_{ms:03}EBY_{size}{site:03}{drive:04}ZCAM{slot:05}_0260LMJ01",
+            site = site(sol)
         ),
         extension: flaw.map_or("png", FlawKind::extension),
         flaw,

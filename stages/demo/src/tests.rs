@@ -43,6 +43,34 @@ fn lens(model: &Cahvor) -> Lens {
     }
 }
 
+/// Sol 101 is the first of the second site: another landscape, another site in names and labels, and a frame of its own, in which the
+/// rover stands as near to the outcrop as on sol 1.
+#[test]
+fn each_hundred_sols_are_of_another_site() {
+    let demo = small();
+    let (first, second) = (demo.ground_truth(1).unwrap(), demo.ground_truth(101).unwrap());
+    assert!(
+        first.photos.iter().all(|photo| photo.file.contains("_N001")),
+        "{}",
+        first.photos[0].file
+    );
+    assert!(
+        second.photos.iter().all(|photo| photo.file.contains("_N002")),
+        "{}",
+        second.photos[0].file
+    );
+    assert_ne!(first.photos[0].site_from_rover, second.photos[0].site_from_rover);
+    let places = |truth: &Truth| truth.photos[0].site_from_rover.translation;
+    assert!((places(&first) - places(&second)).norm() < 15.0);
+    let ranges = |sol: u32, truth: &Truth| demo.ranges(sol, &truth.photos[0].file).unwrap().range_m;
+    assert_ne!(ranges(1, &first), ranges(101, &second));
+    assert_ne!(demo.fingerprint(1), demo.fingerprint(101));
+    assert_eq!(
+        (plan::site(1), plan::site(100), plan::site(101), plan::site(999)),
+        (1, 1, 2, 10)
+    );
+}
+
 #[test]
 fn the_same_bytes_with_one_thread_and_with_four() {
     let options = DemoOptions {

@@ -45,7 +45,7 @@ pub struct Pointing {
     pub rsm: u32,
 }
 
-/// Returns the stops of a sol: an arc around the outcrop, which the next sol continues.
+/// Returns the stops of a sol, counted from 1 at each site: an arc around the outcrop, which the next sol continues.
 pub fn stops(world: &World, seed: u64, sol: u32) -> Vec<Stop> {
     (0..STOPS)
         .map(|k| {

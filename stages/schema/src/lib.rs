@@ -1,4 +1,4 @@
-//! Parameters and outputs of `masks`, `calibrate`, `tune`, `train`, `partial`, `folds`, `evaluate`, `render`, `bootstrap`, `video`
+//! Parameters and outputs of `scenes`, `masks`, `calibrate`, `tune`, `train`, `partial`, `folds`, `evaluate`, `render`, `bootstrap`, `video`
 //! and `surface`.
 //!
 //! One module a stage: its parameters ([`Params`](marf_stage::Params)) with the checks that need no input, and each
@@ -21,6 +21,7 @@ mod memory;
 pub mod output;
 pub mod partial;
 pub mod render;
+pub mod scenes;
 pub mod scores;
 pub mod surface;
 mod target;

@@ -1,5 +1,7 @@
 //! Names of outputs that are not JSON documents. One that ends with `/` is a prefix: any number of outputs lie below.
 
+/// The photos of each scene, of `scenes`: `photos/<name>`, each the root of a set.
+pub const PHOTOS_OF: &str = "photos/";
 /// A scene ([`marf_scene::Scene::encode`]), of `calibrate` and passed on by `train`.
 pub const SCENE: &str = "scene";
 /// The scene of `calibrate` as `transforms.json` of nerfstudio.

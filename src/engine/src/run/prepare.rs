@@ -140,7 +140,7 @@ fn inputs(state: &RunState<'_>, index: usize) -> Result<Inputs, usize> {
         if !upstream.phase.is_good() {
             return Err(connection.upstream);
         }
-        let output = upstream.outcome.outputs.get(connection.output);
+        let output = upstream.outcome.outputs.get(connection.source().as_ref());
         inputs
             .0
             .extend(output.map(|output| (connection.output.to_owned(), output.digest)));

@@ -73,15 +73,14 @@ fn maker(before: &[NodeRun], node: &NodeRun, name: &str, digest: &Digest) -> Opt
         node: maker.name.clone(),
         output: output.to_owned(),
     };
-    let is_content = |maker: &&NodeRun| {
-        maker
-            .outputs
-            .get(name)
-            .is_some_and(|output| output.digest == *digest)
-    };
-    let is_upstream = |maker: &&NodeRun| node.edges.iter().any(|edge| edge.upstream == maker.name);
-    if let Some(upstream) = before.iter().filter(is_upstream).find(is_content) {
-        return Some(of(upstream, name));
+    let upstream = node.edges.iter().find_map(|edge| {
+        let maker = before.iter().find(|maker| maker.name == edge.upstream)?;
+        let source = edge.source(name);
+        let output = maker.outputs.get(source.as_ref())?;
+        (output.digest == *digest).then(|| of(maker, &source))
+    });
+    if upstream.is_some() {
+        return upstream;
     }
     let parent = before
         .iter()

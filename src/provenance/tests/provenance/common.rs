@@ -206,10 +206,7 @@ impl Pipeline {
     fn graph(&self) -> Graph {
         let node = |name: &str, params: serde_json::Value, upstream: Option<&str>| {
             let stage = *TABLE.iter().find(|def| def.name == name).unwrap();
-            let edge = |upstream: &str| Edge {
-                key: "input".to_owned(),
-                upstream: upstream.to_owned(),
-            };
+            let edge = |upstream: &str| Edge::new("input", upstream);
             NodeDecl {
                 name: name.to_owned(),
                 stage,

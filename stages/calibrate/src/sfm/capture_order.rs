@@ -3,7 +3,7 @@
 use crate::photos::InputPhoto;
 
 /// Returns the photos in the order they were most likely taken: by sol, then by name with numbers compared as numbers.
-pub(super) fn capture_order(items: &[InputPhoto]) -> Vec<usize> {
+pub(crate) fn capture_order(items: &[InputPhoto]) -> Vec<usize> {
     let name = |photo: &usize| {
         let item = &items[*photo];
         (item.facts.sol, natural(&item.facts.file), item.id.clone())

@@ -9,6 +9,7 @@ mod capture_order;
 mod compare;
 mod earlier;
 mod links;
+mod overlap;
 mod pair_memos;
 mod photo_features;
 mod reasons;
@@ -16,4 +17,6 @@ mod reconstruction;
 mod run;
 mod supervisor;
 
+pub(crate) use capture_order::capture_order;
+pub(crate) use overlap::{Overlap, overlaps};
 pub(crate) use run::run;

@@ -1,6 +1,6 @@
 //! Errors of a calibrated scene against known cameras.
 
-use marf_scene::{Pose, Scene};
+use marf_scene::{Alignment, Pose, Scene};
 use nalgebra::{Matrix3, Vector3};
 
 /// Errors of a scene after the best similarity.
@@ -28,14 +28,13 @@ pub fn errors_of(scene: &Scene, truth: &[(String, Pose)]) -> Errors {
             Some((frame.cam_from_world, known.1))
         })
         .collect();
-    let (scale, rotation, translation) = umeyama(&pairs);
+    let alignment = Alignment::of(&pairs).expect("cameras that lie on no line");
+    let rotation = alignment.rotation;
     let extent = pairs
         .iter()
         .flat_map(|a| pairs.iter().map(move |b| (a.1.centre() - b.1.centre()).norm()))
         .fold(0.0, f64::max);
-    let position = pairs.iter().map(|(found, known)| {
-        (scale * rotation * found.centre() + translation - known.centre()).norm() / extent
-    });
+    let position = pairs.iter().map(|pair| alignment.difference(pair).0 / extent);
     // The remaining rotation in the frame of each camera.
     let left: Vec<Matrix3<f64>> = pairs
         .iter()
@@ -51,29 +50,8 @@ pub fn errors_of(scene: &Scene, truth: &[(String, Pose)]) -> Errors {
                 .collect(),
         ),
         angle_deg: median_and_max(left.iter().map(angle_deg).collect()),
-        scale,
+        scale: alignment.scale,
     }
-}
-
-fn umeyama(pairs: &[(Pose, Pose)]) -> (f64, Matrix3<f64>, Vector3<f64>) {
-    let count = pairs.len() as f64;
-    let from: Vec<Vector3<f64>> = pairs.iter().map(|pair| pair.0.centre()).collect();
-    let to: Vec<Vector3<f64>> = pairs.iter().map(|pair| pair.1.centre()).collect();
-    let (mean_from, mean_to) = (
-        from.iter().sum::<Vector3<f64>>() / count,
-        to.iter().sum::<Vector3<f64>>() / count,
-    );
-    let both = from.iter().zip(&to);
-    let covariance: Matrix3<f64> = both
-        .clone()
-        .map(|(a, b)| (b - mean_to) * (a - mean_from).transpose())
-        .sum();
-    let rotation = nearest(&covariance);
-    let along: f64 = both
-        .map(|(a, b)| (b - mean_to).dot(&(rotation * (a - mean_from))))
-        .sum();
-    let scale = along / from.iter().map(|a| (a - mean_from).norm_squared()).sum::<f64>();
-    (scale, rotation, mean_to - scale * (rotation * mean_from))
 }
 
 fn nearest(matrix: &Matrix3<f64>) -> Matrix3<f64> {

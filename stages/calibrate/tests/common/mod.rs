@@ -167,7 +167,12 @@ impl Input {
 
     /// Runs another stage on the set.
     pub fn outputs_of(&self, stage: &dyn Stage) -> Outputs {
-        self.outputs(stage, &self.harness.ctx(), None).unwrap()
+        self.try_outputs_of(stage).unwrap()
+    }
+
+    /// As [`Input::outputs_of`], where it may fail.
+    pub fn try_outputs_of(&self, stage: &dyn Stage) -> Result<Outputs, StageError> {
+        self.outputs(stage, &self.harness.ctx(), None)
     }
 
     fn outputs(

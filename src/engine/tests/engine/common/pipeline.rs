@@ -35,10 +35,7 @@ pub fn node(name: &str, stage: &str, fixture: u64, params: serde_json::Value, ed
     params["fixture"] = fixture.into();
     let edges = edges.iter().map(|edge| {
         let (key, upstream) = edge.split_once('=').unwrap();
-        Edge {
-            key: key.to_owned(),
-            upstream: upstream.to_owned(),
-        }
+        Edge::new(key, upstream)
     });
     NodeDecl {
         name: name.to_owned(),

@@ -1,0 +1,189 @@
+//! The nodes that a pipeline has once for each scene: those that read what `scenes` has split, and all that follow from them.
+
+use std::collections::BTreeSet;
+
+use marf_schema::scenes::ScenesParams;
+use marf_stage::Params;
+use serde_json::Value;
+
+use super::resolve::Pipeline;
+
+/// What stands between a node and its scene: `train@site1-20`.
+const OF: char = '@';
+
+/// The node of a pipeline that splits photos by place, and those that then run once for each scene.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ByScene {
+    /// The node that splits.
+    pub split: String,
+    /// The nodes that run for each scene.
+    pub nodes: BTreeSet<String>,
+}
+
+/// Returns the name of a node for one scene.
+pub fn node_of(node: &str, scene: &str) -> String {
+    format!("{node}{OF}{scene}")
+}
+
+/// Returns the scene that a node is of, if it is of one.
+pub fn scene_of(node: &str) -> Option<&str> {
+    node.rsplit_once(OF).map(|(_, scene)| scene)
+}
+
+impl ByScene {
+    /// Returns which nodes run for each scene; none where nothing is split by place, or has been already.
+    pub fn of(pipeline: &Pipeline) -> Option<Self> {
+        let mut nodes = pipeline.nodes.iter();
+        let split = nodes
+            .find(|node| node.def.name == ScenesParams::STAGE)?
+            .name
+            .clone();
+        let mut found: BTreeSet<String> = BTreeSet::new();
+        loop {
+            let follows = |name: &str| found.contains(name);
+            let reads = pipeline.nodes.iter().filter(|node| {
+                let mut edges = node.edges.iter();
+                edges.any(|edge| (edge.upstream == split && edge.part.is_none()) || follows(&edge.upstream))
+            });
+            let reads: BTreeSet<String> = reads.map(|node| node.name.clone()).collect();
+            if reads == found {
+                break;
+            }
+            found = reads;
+        }
+        (!found.is_empty()).then_some(Self { split, nodes: found })
+    }
+
+    /// Returns the pipeline with its nodes for each of these scenes: `calibrate` becomes `calibrate@NAME`, which reads the part `NAME` of
+    /// what was split.
+    pub fn expanded(&self, pipeline: &Pipeline, scenes: &[String]) -> Value {
+        let mut tree = pipeline.tree.clone();
+        let Some(tables) = tree.get_mut("node").and_then(Value::as_object_mut) else {
+            return tree;
+        };
+        for node in pipeline
+            .nodes
+            .iter()
+            .filter(|node| self.nodes.contains(&node.name))
+        {
+            let Some(template) = tables.remove(&node.name) else {
+                continue;
+            };
+            for scene in scenes {
+                let mut table = template.clone();
+                table["uses"] = node.def.name.into();
+                for edge in &node.edges {
+                    let upstream = &edge.upstream;
+                    if *upstream == self.split {
+                        table[&edge.key] = format!("{upstream}/{scene}").into();
+                    } else if self.nodes.contains(upstream) {
+                        table[&edge.key] = node_of(upstream, scene).into();
+                    }
+                }
+                tables.insert(node_of(&node.name, scene), table);
+            }
+        }
+        tree
+    }
+
+    /// Returns the nodes that a name stands for: of one that runs for each scene, that of each of these.
+    pub fn named(&self, name: &str, scenes: &[String]) -> Vec<String> {
+        match self.nodes.contains(name) {
+            true => scenes.iter().map(|scene| node_of(name, scene)).collect(),
+            false => vec![name.to_owned()],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{GlobalOptions, check, check_tree};
+    use std::path::Path;
+
+    const MISSION: &str = r#"
+[archive.demo]
+kind = "demo"
+[node.extract]
+archive = "demo"
+[node.scenes]
+input = "extract"
+[node.calibrate]
+input = "scenes"
+cameras = "extract"
+[node.train]
+input = "calibrate"
+steps = 50
+[node.bootstrap]
+input = "calibrate"
+of = "train"
+"#;
+
+    fn pipeline(text: &str) -> Pipeline {
+        let options = GlobalOptions::default();
+        check(text, &[], &options, Path::new("")).unwrap_or_else(|error| panic!("{error:?}"))
+    }
+
+    #[test]
+    fn what_follows_from_the_scenes_runs_for_each_and_nothing_else() {
+        let pipeline = pipeline(MISSION);
+        let by_scene = ByScene::of(&pipeline).unwrap();
+        assert_eq!(by_scene.split, "scenes");
+        assert_eq!(
+            Vec::from_iter(&by_scene.nodes),
+            ["bootstrap", "calibrate", "train"]
+        );
+        let scenes = ["a".to_owned(), "b".to_owned()];
+        let tree = by_scene.expanded(&pipeline, &scenes);
+        let expanded = check_tree(&tree, &GlobalOptions::default(), Path::new("")).unwrap();
+        let mut names: Vec<&str> = expanded.nodes.iter().map(|node| node.name.as_str()).collect();
+        names.sort_unstable();
+        assert_eq!(
+            names,
+            [
+                "bootstrap@a",
+                "bootstrap@b",
+                "calibrate@a",
+                "calibrate@b",
+                "extract",
+                "scenes",
+                "train@a",
+                "train@b"
+            ]
+        );
+        assert_eq!(tree["node"]["calibrate@b"]["input"], "scenes/b");
+        assert_eq!(tree["node"]["calibrate@b"]["cameras"], "extract");
+        assert_eq!(tree["node"]["bootstrap@a"]["of"], "train@a");
+        assert_eq!(tree["node"]["train@a"]["steps"], 50);
+        // What has its scenes is not split again.
+        assert_eq!(ByScene::of(&expanded), None);
+        assert_eq!(by_scene.named("train", &scenes), ["train@a", "train@b"]);
+        assert_eq!(by_scene.named("extract", &scenes), ["extract"]);
+        assert_eq!((scene_of("train@a"), scene_of("train")), (Some("a"), None));
+    }
+
+    #[test]
+    fn a_pipeline_without_places_has_no_node_by_scene() {
+        let whole = MISSION.replace("[node.scenes]\ninput = \"extract\"\n", "");
+        let whole = whole.replace("input = \"scenes\"", "input = \"extract\"");
+        assert_eq!(ByScene::of(&pipeline(&whole)), None);
+        let one = MISSION.replace("input = \"scenes\"", "input = \"scenes/site1-20\"");
+        assert_eq!(
+            ByScene::of(&pipeline(&one)),
+            None,
+            "one scene by its name is no template"
+        );
+    }
+
+    #[test]
+    fn a_part_of_what_has_no_parts_and_a_name_with_a_slash_are_refused() {
+        let refused = |text: &str| {
+            let error = check(text, &[], &GlobalOptions::default(), Path::new(""));
+            error.map(|_| ()).unwrap_err().message
+        };
+        let part = MISSION.replace("input = \"scenes\"", "input = \"extract/a\"");
+        assert!(refused(&part).contains("photos/"), "{}", refused(&part));
+        let slash = MISSION.replace("[node.train]", "[node.\"a/b\"]\nuses = \"train\"");
+        assert!(refused(&slash).contains("no `/`"), "{}", refused(&slash));
+    }
+}
