@@ -142,7 +142,14 @@ fn photos_that_share_nothing_are_not_calibrated_and_the_hint_says_what_to_do() {
 
 #[test]
 fn init_writes_once_and_every_template_is_a_valid_pipeline() {
-    for mission in ["demo", "folder", "perseverance", "curiosity", "ingenuity"] {
+    for mission in [
+        "demo",
+        "mission",
+        "folder",
+        "perseverance",
+        "curiosity",
+        "ingenuity",
+    ] {
         let dir = tempfile::tempdir().unwrap();
         marf(dir.path(), &["init", "--mission", mission]).exits(0);
         marf(dir.path(), &["init", "--mission", mission]).exits(2);

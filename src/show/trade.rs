@@ -1,5 +1,6 @@
 //! What time buys: the points of a trade, the best for each time, and what each knob is worth.
 
+use marf_cache::Digest;
 use maud::{Markup, PreEscaped, html};
 use serde::{Deserialize, Serialize};
 
@@ -39,6 +40,9 @@ pub struct Point {
 pub struct PointRun {
     /// Its seed.
     pub seed: u64,
+    /// Stands for the photos that judge it: others are another figure. A calibration may hold out others. Absent in older trades.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub judged_by: Option<Digest>,
     /// Factor by which the photos that judge it were shrunk: PSNR at another factor is another figure.
     #[serde(alias = "scale")]
     pub judged_scale: u32,
@@ -102,10 +106,32 @@ impl Point {
         }
     }
 
-    /// Tells whether it is judged by photos of the same size as another.
+    /// Tells whether it is judged by the same photos as another, at the same size.
     pub fn is_comparable(&self, other: &Self) -> bool {
-        let scale = |point: &Self| point.runs.first().map(|run| run.judged_scale);
-        scale(self).is_some() && scale(self) == scale(other)
+        let judged = |point: &Self| point.runs.first().map(|run| (run.judged_scale, run.judged_by));
+        judged(self).is_some() && judged(self) == judged(other)
+    }
+
+    /// Returns what can be said of a point that is judged by other photos than the pipeline as it is; none of one that is not.
+    pub fn apart(&self, base: &Self) -> Option<String> {
+        let (run, as_it_is) = (self.runs.first()?, base.runs.first()?);
+        if self.is_comparable(base) {
+            return None;
+        }
+        let (time, before) = (self.means()?.1, base.means()?.1);
+        let cameras = run.position_error.zip(as_it_is.position_error);
+        let cameras = cameras.map_or_else(String::new, |(error, before)| {
+            format!(
+                "cameras are off by {} in place of {}, and ",
+                number(error),
+                number(before)
+            )
+        });
+        Some(format!(
+            "{}: its calibration holds out other photos, so that its PSNR cannot be compared; {cameras}it takes {:.2} of the time.",
+            self.name(),
+            time / before
+        ))
     }
 
     /// Returns the means of PSNR, dB, and seconds; none without a run.
@@ -173,7 +199,10 @@ pub(super) fn body(trade: &Trade) -> Markup {
              calibration and training with its judging, by photos of one size."
         }
         div.scroll { (front(trade)) }
-        ul { @for effect in &trade.effects { li { (effect.sentence(&trade.points[effect.point])) } } }
+        ul {
+            @for effect in &trade.effects { li { (effect.sentence(&trade.points[effect.point])) } }
+            @for sentence in trade.points.iter().filter_map(|point| point.apart(trade.points.first()?)) { li { (sentence) } }
+        }
         div.scroll { (effects(trade)) }
         details {
             summary { "all settings" }
@@ -241,7 +270,10 @@ pub fn file(drawing: &Markup) -> String {
         .replacen("<svg ", "<svg xmlns=\"http://www.w3.org/2000/svg\" ", 1)
 }
 
-/// Draws PSNR against time, which is shown by its logarithm, with the front as a line.
+/// Height of a row of the list below the front.
+const LIST_ROW: f64 = 16.0;
+
+/// Draws PSNR against time, which is shown by its logarithm, with the front as a line and its points listed by number.
 pub fn front(trade: &Trade) -> Markup {
     let places: Vec<(usize, f64, f64)> = trade
         .points
@@ -268,15 +300,19 @@ pub fn front(trade: &Trade) -> Markup {
         .find(|step| (high - low) / step <= 8.0)
         .unwrap_or(10.0);
     let psnrs = ((low / step).ceil() as i64..=(high / step).floor() as i64).map(|tick| tick as f64 * step);
-    let line: Vec<String> = trade
+    let best = trade
         .front
         .iter()
-        .filter_map(|index| trade.points[*index].means())
-        .map(|(psnr, time)| format!("{},{}", px(x_of(time)), px(y_of(psnr))))
+        .filter_map(|index| Some((*index, trade.points[*index].means()?)));
+    let best: Vec<(usize, (f64, f64))> = best.collect();
+    let line: Vec<String> = best
+        .iter()
+        .map(|(_, (psnr, time))| format!("{},{}", px(x_of(*time)), px(y_of(*psnr))))
         .collect();
+    let height = HEIGHT + LIST_ROW * (best.len() as f64 + 0.5);
     html! {
-        svg.trade viewBox={ "0 0 " (px(WIDTH)) " " (px(HEIGHT)) } width=(px(WIDTH))
-            height=(px(HEIGHT)) role="img" aria-label="PSNR against time" {
+        svg.trade viewBox={ "0 0 " (px(WIDTH)) " " (px(height)) } width=(px(WIDTH))
+            height=(px(height)) role="img" aria-label="PSNR against time" {
             style { (PreEscaped(STYLE)) }
             @for time in times {
                 line x1=(px(x_of(time))) x2=(px(x_of(time))) y1=(px(TOP)) y2=(px(HEIGHT - BOTTOM)) stroke="currentColor" stroke-opacity="0.15" {}
@@ -295,11 +331,14 @@ pub fn front(trade: &Trade) -> Markup {
                 circle cx=(px(x_of(*time))) cy=(px(y_of(*psnr))) r=(if *index == 0 { "6" } else { "4" }) fill=(colour) {
                     title { (trade.points[*index].name()) ": " (format!("{psnr:.2} dB, ")) (seconds(*time)) }
                 }
-                @if on_front || *index == 0 {
-                    @let is_right = x_of(*time) > WIDTH * 0.6;
-                    text x=(px(x_of(*time) + if is_right { -9.0 } else { 9.0 })) y=(px(y_of(*psnr) + if is_right { -7.0 } else { 14.0 }))
-                        text-anchor=(if is_right { "end" } else { "start" }) fill="currentColor" font-size="10" { (trade.points[*index].name()) }
-                }
+            }
+            @for (rank, (index, (psnr, time))) in best.iter().enumerate() {
+                text x=(px(x_of(*time) - 5.0)) y=(px(y_of(*psnr) - 7.0)) text-anchor="end" fill="currentColor" font-size="11" { (rank + 1) }
+                @let y = HEIGHT + LIST_ROW * (rank as f64 + 0.5);
+                text x=(px(LEFT)) y=(px(y)) text-anchor="end" fill="currentColor" { (rank + 1) }
+                text x=(px(LEFT + 60.0)) y=(px(y)) text-anchor="end" fill="currentColor" { (seconds(*time)) }
+                text x=(px(LEFT + 125.0)) y=(px(y)) text-anchor="end" fill="currentColor" { (format!("{psnr:.2} dB")) }
+                text x=(px(LEFT + 140.0)) y=(px(y)) fill="currentColor" { (trade.points[*index].name()) }
             }
         }
     }
@@ -361,6 +400,26 @@ mod tests {
             gain_db: interval(gain, half),
             time: interval(time, 0.01),
         }
+    }
+
+    #[test]
+    fn a_point_judged_by_other_photos_is_told_apart() {
+        let mut base = crate::show::fixture_documents::trade().points[0].clone();
+        base.runs[0].judged_by = Some(Digest::of(b"a"));
+        base.runs[0].position_error = Some(0.5);
+        let mut point = base.clone();
+        assert_eq!(point.apart(&base), None);
+        point.sets = vec!["calibrate.pairs=\"sequential\"".to_owned()];
+        point.runs[0].judged_by = Some(Digest::of(b"b"));
+        point.runs[0].position_error = Some(0.25);
+        point.runs[0].seconds = base.runs[0].seconds / 2.0;
+        assert!(!point.is_comparable(&base));
+        assert_eq!(
+            point.apart(&base).unwrap(),
+            "calibrate.pairs=\"sequential\": its calibration holds out other photos, so that its PSNR cannot be compared; cameras are off by \
+             0.25 in place of 0.5, and it takes 0.50 of the time."
+        );
+        assert_eq!(Point::default().apart(&base), None);
     }
 
     #[test]

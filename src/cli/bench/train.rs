@@ -9,7 +9,7 @@ use std::time::Instant;
 use std::{fmt, fs};
 
 use marf_engine::{Cancel, Options};
-use marf_field::{Config, Device, EXPECTED_STEPS_PER_S, Field, Overrides, Quality, Trainer, View};
+use marf_field::{Config, Device, EXPECTED_STEPS_PER_S, Field, Overrides, Trainer, View};
 use marf_scene::{Image, Scene, Srgb, encode_png, metrics};
 use marf_schema::calibrate::CalibrateParams;
 use marf_schema::output;
@@ -37,7 +37,6 @@ const TICKS_PER_S: f64 = 100.0;
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct BenchParams {
-    quality: Quality,
     seed: u64,
     scale: Option<u32>,
     field: Overrides,
@@ -147,7 +146,7 @@ pub fn train(global: &Global, args: &TrainArgs, cancel: &Cancel) -> Result<(), C
     let keys = keys(&session)?;
     let config = keys
         .field
-        .over(&keys.quality.config())
+        .over(&Config::default())
         .map_err(|error| CliError::usage(format!("train.field.{}: {}", error.key, error.message)))?;
     let scene = import(&session, &quiet, cancel)?;
     let most = if args.explain { EXPLAINED } else { 0 };

@@ -162,6 +162,7 @@ mod tests {
     fn point(set: Option<&str>, runs: &[(f64, f64)]) -> Point {
         let run = |(seed, (psnr, seconds)): (usize, &(f64, f64))| PointRun {
             seed: seed as u64,
+            judged_by: None,
             judged_scale: 4,
             psnr: *psnr,
             ssim: None,

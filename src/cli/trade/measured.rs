@@ -2,11 +2,12 @@
 
 use std::cell::RefCell;
 
+use marf_cache::{Digest, digest_of};
 use marf_engine::{Cancel, NodeRun, Options, RunRecord};
 use marf_scene::Scene;
 use marf_schema::calibrate::{self, CalibrateParams};
 use marf_schema::output::{SCENE, WEIGHTS};
-use marf_schema::train::Metrics;
+use marf_schema::train::{BEFORE_STOP, Metrics};
 use marf_stage::Document;
 
 use super::knobs::{node_of, training};
@@ -138,12 +139,14 @@ fn figures(session: &Session, record: &RunRecord, base: &Base, seed: u64) -> Res
     let pose_error = base.truth.error_of(&scene(session, train)?);
     let calibrate_s = calibrated.map_or(0.0, |node| node.seconds);
     let made = made(session, train);
+    let before_s = made.parts_s.get(BEFORE_STOP).copied().unwrap_or_default();
     Ok(PointRun {
         seed,
+        judged_by: Some(judged_by(&metrics)),
         judged_scale: metrics.judged_scale.unwrap_or(metrics.scale),
         psnr: metrics.scores.psnr,
         ssim: metrics.scores.ssim,
-        seconds: calibrate_s + train.seconds,
+        seconds: calibrate_s + before_s + train.seconds,
         calibrate_s,
         train_s: made.parts_s.get("training").copied().unwrap_or(train.seconds),
         placed: totals.as_ref().map_or(0, |totals| totals.registered as u64),
@@ -155,6 +158,12 @@ fn figures(session: &Session, record: &RunRecord, base: &Base, seed: u64) -> Res
         bytes: train.outputs.get(WEIGHTS).map_or(0, |weights| weights.bytes),
         peak_mb: made.peak_mb,
     })
+}
+
+/// Returns what stands for the photos that judge a training.
+fn judged_by(metrics: &Metrics) -> Digest {
+    let ids: Vec<String> = metrics.scores.views.iter().map(|view| view.id.clone()).collect();
+    digest_of(&ids)
 }
 
 /// Returns the scene that a training was given.

@@ -126,6 +126,11 @@ pub fn trade(global: &Global, args: &TradeArgs, cancel: &Cancel) -> Result<(), C
                 .effects
                 .iter()
                 .for_each(|effect| print_line(&effect.sentence(&trade.points[effect.point])));
+            let apart = trade
+                .points
+                .iter()
+                .filter_map(|point| point.apart(trade.points.first()?));
+            apart.for_each(|sentence| print_line(&sentence));
             eprint_line(&format!("report: {}", args.out.join(document::REPORT).display()));
             Ok(())
         }

@@ -29,7 +29,9 @@ impl Truth {
         let told =
             |error: &dyn std::fmt::Display| CliError::usage(format!("--truth {}: {error}", file.display()));
         let bytes = std::fs::read(file).map_err(|error| told(&error))?;
-        let transforms = read_transforms(&file.to_string_lossy(), &bytes).map_err(|error| told(&error))?;
+        // The names in it are relative to its folder, wherever that is.
+        let name = file.file_name().unwrap_or_default().to_string_lossy();
+        let transforms = read_transforms(&name, &bytes).map_err(|error| told(&error))?;
         let views = transforms.views.into_iter();
         Ok(Self(
             views

@@ -8,11 +8,15 @@ use marf_demo::{Demo, DemoOptions};
 use serde_json::json;
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let demo = Demo::new(DemoOptions::default())?;
+    let options = DemoOptions::default();
+    let (width, height) = (options.width_px, options.height_px);
+    let demo = Demo::new(options)?;
     let mut frames = Vec::new();
     for sol in std::env::args().skip(1) {
         for photo in demo.ground_truth(sol.parse()?)?.photos {
-            let (pose, camera) = (photo.cam_from_site, photo.pinhole);
+            // As calibrate resamples it: the pinhole along the lens's optical axis.
+            let pinhole = photo.site_model.linearised(width, height)?;
+            let (pose, camera) = (pinhole.cam_from_frame, pinhole.camera);
             let centre = pose.centre();
             // Camera to world, with x right, y up, z back.
             let row = |axis: usize| {

@@ -270,7 +270,7 @@ impl BootstrapParams {
         above_zero("map_frames", u64::from(self.map_frames))?;
         above_zero("steps", self.steps.unwrap_or(1))?;
         above_zero("scale", u64::from(self.scale.unwrap_or(1)))?;
-        check_field(self.quality, Fit::Scene, &self.field)
+        check_field(Fit::Scene, &self.field)
     }
 }
 

@@ -1,6 +1,6 @@
 //! Outputs with invented numbers, for tests of code that reads outputs.
 
-use marf_field::{Chosen, Config, Facts, Quality, Sizes};
+use marf_field::{Chosen, Config, Facts, Sizes};
 
 use crate::{
     bootstrap::{self, Mode},
@@ -30,8 +30,8 @@ pub fn train_metrics() -> train::Metrics {
         drawn: None,
         fit: Fit::Scene,
         gpu: None,
-        config: Quality::Draft.config(),
-        field: facts(&Quality::Draft.config()),
+        config: Config::default(),
+        field: facts(&Config::default()),
     }
 }
 

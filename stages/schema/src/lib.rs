@@ -29,7 +29,7 @@ pub mod train;
 pub mod tune;
 pub mod video;
 
-use marf_field::{Overrides, Quality};
+use marf_field::Overrides;
 use marf_stage::ParamError;
 
 /// Checks a factor by which photos are shrunk.
@@ -50,8 +50,8 @@ pub(crate) fn check_scale(scale: Option<u32>) -> Result<(), ParamError> {
 ///
 /// # Errors
 /// Names the key that is unknown, of another type or out of its range.
-pub(crate) fn check_field(quality: Quality, fit: train::Fit, field: &Overrides) -> Result<(), ParamError> {
-    let checked = field.over(&fit.config(quality));
+pub(crate) fn check_field(fit: train::Fit, field: &Overrides) -> Result<(), ParamError> {
+    let checked = field.over(&fit.config());
     checked.map(|_| ()).map_err(|error| {
         let path = format!("field.{}", error.key);
         ParamError::new(path.trim_end_matches('.'), error.message)

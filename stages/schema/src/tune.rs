@@ -115,7 +115,7 @@ impl TuneParams {
             let message = format!("{} dB; from 0 to 100", self.least_gain_db);
             return Err(ParamError::new("least_gain_db", message));
         }
-        check_field(self.quality, Fit::Scene, &self.field)?;
+        check_field(Fit::Scene, &self.field)?;
         for (key, range) in &self.space {
             let path = format!("space.{key}");
             if let Some(fault) = range.fault() {
@@ -126,7 +126,7 @@ impl TuneParams {
                     serde_json::Value::Object(table) => Overrides(table.into_iter().collect()),
                     value => Overrides([(key.clone(), value)].into()),
                 };
-                let checked = self.field.with(&set).over(&self.quality.config());
+                let checked = self.field.with(&set).over(&Fit::Scene.config());
                 checked.map_err(|error| ParamError::new(path.as_str(), error.message))?;
             }
         }

@@ -1,4 +1,4 @@
-use marf_field::{Config, Overrides, Quality};
+use marf_field::{Config, Overrides};
 use marf_scene::Scene;
 use marf_schema::{train::Fit, tune::BestParams};
 use marf_stage::{Ctx, Document, Inputs, StageError};
@@ -16,16 +16,11 @@ pub(crate) fn field_keys(ctx: &Ctx<'_>, inputs: &Inputs, field: &Overrides) -> R
     Ok(best.field.with(field))
 }
 
-/// Returns the configuration of a field: `keys` laid over that of `quality` and `fit` for a training of `steps`.
-pub(crate) fn field_config(
-    keys: &Overrides,
-    quality: Quality,
-    fit: Fit,
-    steps: u64,
-) -> Result<Config, StageError> {
+/// Returns the configuration of a field: `keys` laid over that of `fit` for a training of `steps`.
+pub(crate) fn field_config(keys: &Overrides, fit: Fit, steps: u64) -> Result<Config, StageError> {
     let base = Config {
         steps: Some(steps.max(1)),
-        ..fit.config(quality)
+        ..fit.config()
     };
     let config = keys.over(&base);
     Ok(config.map_err(|error| TrainError::Params(error.to_string()))?)
@@ -48,7 +43,7 @@ mod tests {
     #[test]
     fn photos_are_shrunk_by_the_least_factor_that_fits() {
         let mut scene = Scene::default();
-        let side_px = Quality::Draft.longest_side_px();
+        let side_px = marf_field::Quality::Draft.longest_side_px();
         assert_eq!(scale_to(side_px, &scene), 1);
         for (width, height, factor) in [(480, 360, 1), (481, 10, 2), (1440, 1920, 4), (10, 961, 3)] {
             scene.frames = vec![marf_scene::Frame {

@@ -186,11 +186,14 @@ impl Params for TrainParams {
     const STAGE: &'static str = "train";
 }
 
+/// Part of the time of a training that an unfinished run took, about; it is not in the seconds of the node.
+pub const BEFORE_STOP: &str = "before the stop";
+
 impl Fit {
     /// Returns the configuration that keys of the field are laid over.
-    pub fn config(self, quality: Quality) -> Config {
+    pub fn config(self) -> Config {
         match self {
-            Self::Scene => quality.config(),
+            Self::Scene => Config::default(),
             Self::Fixed => Config::fixed(),
         }
     }
@@ -256,7 +259,7 @@ impl TrainParams {
             let message = format!("{} dB; from 0 to 100", self.trials.least_gain_db);
             return Err(ParamError::new("trials.least_gain_db", message));
         }
-        check_field(self.quality, self.fit, &self.field)
+        check_field(self.fit, &self.field)
     }
 }
 

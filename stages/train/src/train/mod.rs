@@ -13,7 +13,7 @@ use marf_field::{Config, Device, Field, Trainer, Trial};
 use marf_scene::{PosedPhoto, Scene, TrainedPhotos};
 use marf_schema::{
     output::{HELDOUT, PHOTO, SCENE, STATE, WEIGHTS},
-    train::{Curve, Holdout, Metrics, Setup, Target, TrainParams},
+    train::{BEFORE_STOP, Curve, Holdout, Metrics, Setup, Target, TrainParams},
     tune::BestParams,
 };
 use marf_stage::{
@@ -56,7 +56,7 @@ impl Define for Train {
     type Params = TrainParams;
     const NAME: &'static str = TrainParams::STAGE;
     const ABOUT: &'static str = "Trains a radiance field and measures it on held-out photos";
-    const VERSION: u32 = 8;
+    const VERSION: u32 = 9;
     const PORTS: &'static [Port] = &[
         Port::required("input", SCENE),
         Port::optional("params", BestParams::OUTPUT),
@@ -237,7 +237,10 @@ fn train(
     photos: &PhotoReader<'_>,
 ) -> Result<Outputs, StageError> {
     let Trained { field, told } = match Trained::load(ctx, &plan.of, &params.device) {
-        Some(trained) => trained,
+        Some(trained) => {
+            ctx.progress.took(BEFORE_STOP, trained.told.seconds);
+            trained
+        }
         None => Trained::new(ctx, params, plan, photos)?,
     };
     ctx.progress.took("training", told.seconds);
@@ -379,8 +382,13 @@ impl Trained {
             ..plan.run(&begun)
         };
         let log = train_to(ctx, &run, &mut trainer)?;
+        let own_s = began.elapsed().as_secs_f64();
+        let before_s = before_stop_s(&log, trainer.steps(), own_s);
+        if before_s > 0.0 {
+            ctx.progress.took(BEFORE_STOP, before_s);
+        }
         let field = trainer.field().map_err(TrainError::from)?;
-        let unclocked_s = begun.trials_s + began.elapsed().as_secs_f64();
+        let unclocked_s = begun.trials_s + before_s + own_s;
         let watched = log.watched.clone().unwrap_or_default();
         let trained = Self {
             told: Told {
@@ -409,6 +417,14 @@ impl Trained {
             field: field.ok()?,
             told,
         })
+    }
+}
+
+/// Returns about how long the steps took that an unfinished run had taken, seconds: as long each as those since. 0 where it had taken all.
+fn before_stop_s(log: &TrainingLog, steps: u64, own_s: f64) -> f64 {
+    match steps.saturating_sub(log.resumed_at) {
+        0 => 0.0,
+        own => own_s * log.resumed_at as f64 / own as f64,
     }
 }
 

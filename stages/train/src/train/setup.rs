@@ -67,7 +67,7 @@ impl Settings {
             holdout: params.holdout,
             fold: params.fold,
             fit: params.fit,
-            config: field_config(&keys, params.quality, params.fit, schedule.first())?,
+            config: field_config(&keys, params.fit, schedule.first())?,
             keys,
             given: None,
             schedule,

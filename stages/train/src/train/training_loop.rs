@@ -85,6 +85,9 @@ pub(crate) struct TrainingLog {
     /// Of a training with a goal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub watched: Option<Watched>,
+    /// Steps that an unfinished run had taken before.
+    #[serde(skip)]
+    pub resumed_at: u64,
 }
 
 /// Trains from the last checkpoint, or the state that the run begins with, until the step after which it stops.
@@ -240,7 +243,10 @@ fn begin(ctx: &Ctx<'_>, run: &Run<'_>, trainer: &mut Trainer) -> Result<Training
     if let Some((log, state)) = saved.as_deref().and_then(unpack::<TrainingLog>)
         && trainer.restore(state).is_ok()
     {
-        return Ok(log);
+        return Ok(TrainingLog {
+            resumed_at: trainer.steps(),
+            ..log
+        });
     }
     let Some(from) = run.from else {
         return Ok(TrainingLog::default());

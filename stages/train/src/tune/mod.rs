@@ -42,7 +42,7 @@ impl Define for Tune {
     type Params = TuneParams;
     const NAME: &'static str = TuneParams::STAGE;
     const ABOUT: &'static str = "Tries parameters of the field and keeps the best, or the defaults";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PORTS: &'static [Port] = &[Port::required("input", SCENE)];
     const OUTPUTS: &'static [&'static str] = &[BestParams::OUTPUT, Trials::OUTPUT, Scatter::OUTPUT];
 
@@ -287,7 +287,7 @@ mod tests {
             ),
             (
                 json!({"trials": 2, "seed": 7, "steps": 40, "quality": "best", "device": device}),
-                json!({"seed": 7, "steps": 40, "quality": "best", "scale": 1, "device": device}),
+                json!({"seed": 7, "steps": 40, "quality": "best", "scale": 2, "device": device}),
             ),
         ] {
             let mut written = json!({"holdout": "validation", "trials": {"steps": 0}});

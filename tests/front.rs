@@ -1,0 +1,82 @@
+//! The kept measurements of time against quality in `benches/front`: the levels of `quality` are points that none beats by more than
+//! seeds do.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+
+use std::path::PathBuf;
+
+use marf_field::Quality;
+use serde_json::Value;
+
+/// The scenes, how far seeds move the PSNR of a point there, dB (the interval that `marf trade --seeds 3` tells), and the settings of each
+/// level as they were measured there: steps and size of photos, which needs no setting where a photo is no larger.
+const MEASURED: [(&str, f64, [&[&str]; 3]); 2] = [
+    (
+        "mock-up",
+        0.21,
+        [
+            &[],
+            &["train.quality=\"standard\"", "train.scale=4"],
+            &["train.scale=2", "train.steps=20000"],
+        ],
+    ),
+    (
+        "lego",
+        0.40,
+        [&[], &["train.quality=\"standard\""], &["train.steps=20000"]],
+    ),
+];
+
+/// A measured point: its settings, sorted, mean PSNR in dB and mean seconds.
+struct Point {
+    sets: Vec<String>,
+    psnr: f64,
+    seconds: f64,
+}
+
+fn points(scene: &str) -> Vec<Point> {
+    let file = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("benches/front/{scene}.json"));
+    let trade: Value = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
+    let point = |point: &Value| {
+        let sets = point["sets"].as_array().unwrap().iter();
+        let mut sets: Vec<String> = sets.map(|set| set.as_str().unwrap().to_owned()).collect();
+        sets.sort();
+        let runs = point["runs"].as_array().unwrap();
+        let mean = |key: &str| {
+            let values = runs.iter().map(|run| run[key].as_f64().unwrap());
+            values.sum::<f64>() / runs.len() as f64
+        };
+        (!runs.is_empty()).then(|| Point {
+            sets,
+            psnr: mean("psnr"),
+            seconds: mean("seconds"),
+        })
+    };
+    let points = trade["points"].as_array().unwrap();
+    points.iter().filter_map(point).collect()
+}
+
+#[test]
+fn no_measured_point_beats_a_level_in_time_and_in_quality() {
+    for (scene, seeds_db, levels) in MEASURED {
+        let points = points(scene);
+        for sets in levels {
+            let level = points.iter().find(|point| point.sets == sets);
+            let level = level.unwrap_or_else(|| panic!("{scene}: {sets:?} was not measured"));
+            let beats = |point: &&Point| point.seconds <= level.seconds && point.psnr > level.psnr + seeds_db;
+            if let Some(better) = points.iter().find(beats) {
+                panic!(
+                    "{scene}: {:?} has {:.2} dB in {:.0} s, {sets:?} {:.2} dB in {:.0} s",
+                    better.sets, better.psnr, better.seconds, level.psnr, level.seconds
+                );
+            }
+        }
+    }
+}
+
+/// A level that is changed must be measured again: `benches/time.md` has the commands.
+#[test]
+fn the_levels_are_those_that_were_measured() {
+    let levels = [Quality::Draft, Quality::Standard, Quality::Best];
+    assert_eq!(levels.map(Quality::steps), [400, 4_000, 20_000]);
+    assert_eq!(levels.map(Quality::longest_side_px), [480, 480, 960]);
+}
