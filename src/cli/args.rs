@@ -316,7 +316,8 @@ pub enum Mission {
     /// A built-in Mars, offline
     Demo,
     /// The built-in Mars at three places, each a scene
-    Mission,
+    #[value(name = "mission")]
+    Places,
     /// Photos in a folder
     Folder,
     /// Mars 2020 Mastcam-Z and Navcam

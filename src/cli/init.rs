@@ -14,7 +14,7 @@ pub fn init(global: &Global, mission: Mission) -> Result<(), CliError> {
     }
     let name = match mission {
         Mission::Demo => "demo",
-        Mission::Mission => "mission",
+        Mission::Places => "mission",
         Mission::Folder => "folder",
         Mission::Perseverance => "perseverance",
         Mission::Curiosity => "curiosity",

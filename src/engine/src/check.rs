@@ -136,7 +136,7 @@ pub enum GraphError {
         /// The stage of the upstream node.
         stage: &'static str,
         /// The output; one of several parts ends with `/`.
-        output: String,
+        output: Box<str>,
         /// The outputs that the upstream node has.
         outputs: &'static [&'static str],
     },
@@ -315,7 +315,7 @@ fn connected_ports<'a>(
             key: edge.key.clone(),
             upstream: upstream.name.to_owned(),
             stage: upstream.stage.name,
-            output: wanted(port),
+            output: wanted(port).into_boxed_str(),
             outputs,
         }),
     }

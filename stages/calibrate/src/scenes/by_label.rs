@@ -19,6 +19,9 @@ pub(super) struct Place {
     pub members: Vec<usize>,
 }
 
+/// Site, and drive if a label tells it.
+pub(super) type Stop = (i64, Option<i64>);
+
 /// Where a label says that a photo was taken.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Labelled {
@@ -43,12 +46,12 @@ pub(super) fn labelled(index: usize, item: &InputPhoto) -> Option<Labelled> {
 
 /// Returns the places of photos `(index, label)`, which come in the order in which they were taken, by site and drive.
 pub(super) fn places(photos: &[(usize, Labelled)], max_photos: usize) -> Vec<Place> {
-    let mut by_stop: BTreeMap<(i64, Option<i64>), Vec<(usize, Vector3<f64>)>> = BTreeMap::new();
+    let mut by_stop: BTreeMap<Stop, Vec<(usize, Vector3<f64>)>> = BTreeMap::new();
     for (index, label) in photos {
         let stop = by_stop.entry((label.site, label.drive)).or_default();
         stop.push((*index, label.centre));
     }
-    let place = |(site, drive): (i64, Option<i64>), photos: &[(usize, Vector3<f64>)]| Place {
+    let place = |(site, drive): Stop, photos: &[(usize, Vector3<f64>)]| Place {
         site,
         drive,
         centre: mean(photos.iter().map(|(_, centre)| centre)),

@@ -195,13 +195,13 @@ fn stops(known: &Known<'_>, scenes: &[Group]) -> Vec<Stop> {
     for scene in scenes {
         scene_of.extend(scene.members.iter().map(|member| (*member, scene.name.as_str())));
     }
-    let mut by_stop: BTreeMap<(i64, Option<i64>), Vec<usize>> = BTreeMap::new();
+    let mut by_stop: BTreeMap<by_label::Stop, Vec<usize>> = BTreeMap::new();
     for (index, label) in known.labels.iter().enumerate() {
         if let Some(label) = label {
             by_stop.entry((label.site, label.drive)).or_default().push(index);
         }
     }
-    let stop = |((site, drive), members): ((i64, Option<i64>), Vec<usize>)| {
+    let stop = |((site, drive), members): (by_label::Stop, Vec<usize>)| {
         let labels = members.iter().filter_map(|member| known.labels[*member].as_ref());
         let centre = mean(labels.map(|label| &label.centre));
         let scenes = members.iter().filter_map(|member| scene_of.get(member));

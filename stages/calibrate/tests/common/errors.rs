@@ -28,7 +28,7 @@ pub fn errors_of(scene: &Scene, truth: &[(String, Pose)]) -> Errors {
             Some((frame.cam_from_world, known.1))
         })
         .collect();
-    let alignment = Alignment::of(&pairs).expect("cameras that lie on no line");
+    let alignment = Alignment::of(&pairs).unwrap();
     let rotation = alignment.rotation;
     let extent = pairs
         .iter()
