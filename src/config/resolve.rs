@@ -5,7 +5,8 @@ use std::path::Path;
 
 use marf_engine::{Edge, NodeShape};
 use marf_field::Device;
-use marf_stage::{ParamError, Stage, StageDef, Table, Work};
+use marf_schema::scenes::ScenesParams;
+use marf_stage::{ParamError, Params, Stage, StageDef, Table, Work};
 use serde_json::Value as Json;
 
 use super::archives::{self, Archives};
@@ -91,6 +92,16 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
                 .unwrap_or(&""),
         );
         let message = "`[keep]` and `[reject]` overrule filters, but no node filters photos".to_owned();
+        return Err(ConfigError::at(at, message));
+    }
+    let mut splits = nodes.iter().filter(|node| node.def.name == ScenesParams::STAGE);
+    if let (Some(first), Some(second)) = (splits.next(), splits.next()) {
+        let at = tables.iter().find(|entry| entry.key == second.name);
+        let at = at.map_or(root.at.clone(), |entry| entry.at.clone());
+        let message = format!(
+            "`{}` and `{}` both split photos by place; one can",
+            first.name, second.name
+        );
         return Err(ConfigError::at(at, message));
     }
     check_graph(&nodes, tables)?;

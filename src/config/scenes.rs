@@ -183,6 +183,12 @@ of = "train"
         };
         let part = MISSION.replace("input = \"scenes\"", "input = \"extract/a\"");
         assert!(refused(&part).contains("photos/"), "{}", refused(&part));
+        let second = format!("{MISSION}[node.other]\nuses = \"scenes\"\ninput = \"extract\"\n");
+        assert!(
+            refused(&second).contains("both split photos"),
+            "{}",
+            refused(&second)
+        );
         let slash = MISSION.replace("[node.train]", "[node.\"a/b\"]\nuses = \"train\"");
         assert!(refused(&slash).contains("no `/`"), "{}", refused(&slash));
     }

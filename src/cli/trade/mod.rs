@@ -92,6 +92,14 @@ pub fn trade(global: &Global, args: &TradeArgs, cancel: &Cancel) -> Result<(), C
             "the pipeline cannot be trained as it is: {fault}"
         )));
     }
+    if let (Some(file), Some(run)) = (&args.truth, points[0].runs.first())
+        && run.position_error.is_none()
+    {
+        return Err(CliError::usage(format!(
+            "--truth {}: fewer than three of its cameras are of photos that were placed, or all of these stand on one line",
+            file.display()
+        )));
+    }
     let session = open(&base.sets)?;
     let knobs = knobs(&session, &base, &args.knobs)?;
     points.extend(one_at_a_time(&knobs));

@@ -383,7 +383,7 @@ impl Trained {
         };
         let log = train_to(ctx, &run, &mut trainer)?;
         let own_s = began.elapsed().as_secs_f64();
-        let before_s = before_stop_s(&log, trainer.steps(), own_s);
+        let before_s = log.before_stop_s(trainer.steps(), own_s);
         if before_s > 0.0 {
             ctx.progress.took(BEFORE_STOP, before_s);
         }
@@ -417,14 +417,6 @@ impl Trained {
             field: field.ok()?,
             told,
         })
-    }
-}
-
-/// Returns about how long the steps took that an unfinished run had taken, seconds: as long each as those since. 0 where it had taken all.
-fn before_stop_s(log: &TrainingLog, steps: u64, own_s: f64) -> f64 {
-    match steps.saturating_sub(log.resumed_at) {
-        0 => 0.0,
-        own => own_s * log.resumed_at as f64 / own as f64,
     }
 }
 

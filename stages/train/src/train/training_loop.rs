@@ -201,6 +201,15 @@ impl TrainingLog {
         self.loss_steps += step.steps;
     }
 
+    /// Returns about how long the steps took that an unfinished run had taken, seconds: as long each as those since, which took `own_s`.
+    /// 0 where none is its own.
+    pub fn before_stop_s(&self, steps: u64, own_s: f64) -> f64 {
+        match steps.saturating_sub(self.resumed_at) {
+            0 => 0.0,
+            own => own_s * self.resumed_at as f64 / own as f64,
+        }
+    }
+
     fn point(&mut self, step: u64, psnr: f64) {
         self.curve.0.push(CurvePoint {
             step,
@@ -315,6 +324,17 @@ mod tests {
                 .collect();
             assert_eq!(points.last(), Some(&steps), "{points:?}");
         }
+    }
+
+    #[test]
+    fn steps_before_a_stop_count_as_long_as_those_since() {
+        let log = |resumed_at: u64| TrainingLog {
+            resumed_at,
+            ..TrainingLog::default()
+        };
+        assert_eq!(log(300).before_stop_s(400, 10.0), 30.0);
+        assert_eq!(log(0).before_stop_s(400, 10.0), 0.0);
+        assert_eq!(log(400).before_stop_s(400, 0.1), 0.0);
     }
 
     #[test]
