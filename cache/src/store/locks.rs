@@ -25,6 +25,8 @@ pub(super) enum Lock {
     Index,
     /// Exclusive for who numbers a run.
     Runs,
+    /// Exclusive for who writes the file `format`.
+    Format,
 }
 
 /// With how many others a lock is held.
@@ -75,6 +77,7 @@ impl Locks {
             Lock::Gc => "gc",
             Lock::Index => "index",
             Lock::Runs => "runs",
+            Lock::Format => "format",
         })
     }
 

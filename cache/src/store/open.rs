@@ -53,8 +53,12 @@ pub(super) fn prepare(
     Ok(())
 }
 
-/// Writes the file `format`; a damaged one is quarantined.
+/// Writes the file `format`; a damaged one is quarantined. One that another program has written meanwhile stays.
 pub(super) fn write_format(dir: &Path, files: &Files, notices: &Notices) -> Result<(), StoreError> {
+    let _alone = Locks::of(dir).take(Lock::Format, Share::Exclusive, notices)?;
+    if format::find(files, dir)? == format::Found::Current {
+        return Ok(());
+    }
     let path = dir.join("format");
     if path.exists() {
         let to = files.quarantine(dir, &path, "format")?;

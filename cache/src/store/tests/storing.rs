@@ -248,6 +248,17 @@ fn eight_writers_on_one_folder_lose_nothing() {
     }
 }
 
+/// Another program created it between this one's look at the folder and its own file `format`.
+#[test]
+fn a_store_that_another_program_has_just_created_keeps_its_form() {
+    let (dir, store) = fresh();
+    let files = Files::of_disk();
+    let notices = Notices::default();
+    open::prepare(store.dir(), &files, format::Found::Nothing, &notices).unwrap();
+    assert!(!store.dir().join("bad").exists());
+    assert_eq!(again(&dir).take_warnings(), [""; 0]);
+}
+
 /// Every commit makes a pack; at rest no tier has eight, and nothing is lost by the merges.
 #[test]
 fn many_small_packs_are_merged_and_keep_every_object() {
