@@ -142,6 +142,8 @@ pub enum Verb {
     View(super::view::ViewArgs),
     /// Render a trained field along a path: pictures of colour, depth or uncertainty, and a film
     Render(super::render::RenderArgs),
+    /// Compare a place at two times: what changed on the ground, as maps with their uncertainty
+    Compare(super::compare::CompareArgs),
     /// Hand a run, or what it made, to people and programs without the store
     Export {
         /// In which form

@@ -7,6 +7,7 @@ mod bench;
 mod budget;
 mod cache;
 mod calibrate;
+mod compare;
 mod copies;
 mod diff;
 mod documents;
@@ -89,6 +90,7 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
         Verb::Report { out } => report::report(global, out, cancel),
         Verb::View(args) => view::view(global, args, cancel),
         Verb::Render(args) => render::render(global, args, cancel),
+        Verb::Compare(args) => compare::compare(global, args, cancel),
         Verb::Export { verb } => share::export(global, verb, cancel),
         Verb::Verify(args) => share::verify_path(global, args),
         Verb::Audit(args) => audit::audit(global, args, cancel),

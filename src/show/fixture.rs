@@ -342,6 +342,7 @@ pub(super) fn scene() -> Scene {
             views: 2,
         }],
         up: Some([0.0, 0.0, 1.0]),
+        site: None,
         metres_per_unit: Some(2.0),
         method: "import <x>".to_owned(),
     }

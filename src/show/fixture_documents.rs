@@ -37,6 +37,12 @@ pub(super) fn calibration(method: &str, registered: usize, error_px: f64) -> cal
         },
         photos: vec![photo],
         missing: Vec::new(),
+        tie: Some(calibrate::Tie {
+            site: 3,
+            photos: registered,
+            median_m: 0.012,
+            largest_m: 0.04,
+        }),
     }
 }
 

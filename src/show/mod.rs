@@ -13,6 +13,7 @@ mod format;
 mod funnel;
 mod gallery;
 mod graph;
+mod ground;
 mod hardware;
 mod input;
 mod json;
@@ -137,6 +138,13 @@ fn sections(page: &Page<'_>) -> Vec<Section> {
         section("uncertainty", "Uncertainty", maps::body(page)),
         section("flight", "Fly-through", pictures::flights(page)),
     ]);
+    if ground::is_compared(page) {
+        sections.push(section(
+            "ground",
+            "What changed on the ground",
+            ground::body(page),
+        ));
+    }
     let trade = page.input.trade.as_ref().map(trade::body);
     sections.extend(trade.map(|body| section("trade", "Time against quality", body)));
     sections

@@ -81,7 +81,16 @@ pub(super) fn of_calibration(metrics: &calibrate::Metrics) -> Vec<Figure> {
     let error = totals.error_px.map(|error| format!("{} px", number(error)));
     let error = error.map(|error| ("reprojection error", error));
     let placed = ("photos placed", number(totals.registered as f64));
-    [placed].into_iter().chain(error).collect()
+    let tie = metrics.tie.map(|tie| {
+        let median = format!(
+            "{} m, {} m at most (site {})",
+            number(tie.median_m),
+            number(tie.largest_m),
+            tie.site
+        );
+        ("cameras from their labels", median)
+    });
+    [placed].into_iter().chain(error).chain(tie).collect()
 }
 
 /// Returns the figures of one photo.

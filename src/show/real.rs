@@ -145,6 +145,7 @@ fn scene() -> Scene {
         }],
         points: (0..2500).map(point).collect(),
         up: Some([0.0, 0.0, 1.0]),
+        site: None,
         metres_per_unit: None,
         method: "import of transforms.json".to_owned(),
     }

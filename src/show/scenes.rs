@@ -71,7 +71,7 @@ fn of_split(page: &Page<'_>, scenes: &Scenes) -> Markup {
             table {
                 thead { tr {
                     th { "Scene" } th { "State" } th.number { "Photos" } th { "Sols" } th.number { "Span, m" }
-                    th.number { "Placed" } th.number { "PSNR, dB" } th { "Why" }
+                    th.number { "Placed" } th.number { "From labels, m" } th.number { "PSNR, dB" } th { "Why" }
                 } }
                 tbody { @for scene in &scenes.scenes { (row(page, scene, view_of(views, &scene.name))) } }
             }
@@ -88,9 +88,12 @@ fn row(page: &Page<'_>, scene: &PhotoGroup, view: Option<&SceneView>) -> Markup 
     let none: &[NodeView] = &[];
     let nodes = view.map_or(none, |view| view.nodes.as_slice());
     let document = |stage: &str| nodes.iter().find(|node| node.stage == stage);
-    let placed = document(<calibrate::Metrics as Document>::STAGE)
-        .and_then(|node| page.document::<calibrate::Metrics>(node).ok())
+    let calibrated = document(<calibrate::Metrics as Document>::STAGE)
+        .and_then(|node| page.document::<calibrate::Metrics>(node).ok());
+    let placed = calibrated
+        .as_ref()
         .map(|metrics| metrics.totals.registered.to_string());
+    let tie = calibrated.as_ref().and_then(|metrics| metrics.tie);
     let psnr = document(<train::Metrics as Document>::STAGE)
         .and_then(|node| page.document::<train::Metrics>(node).ok())
         .map(|metrics| decibels(metrics.scores.psnr));
@@ -103,6 +106,7 @@ fn row(page: &Page<'_>, scene: &PhotoGroup, view: Option<&SceneView>) -> Markup 
             td { (ranges(&scene.sols)) }
             td.number { (scene.span_m.map_or_else(|| "–".to_owned(), number)) }
             td.number { (placed.unwrap_or_else(|| "–".to_owned())) }
+            td.number { (tie.map_or_else(|| "–".to_owned(), |tie| number(tie.median_m))) }
             td.number { (psnr.unwrap_or_else(|| "–".to_owned())) }
             td.file {
                 (scene.reason)

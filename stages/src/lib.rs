@@ -34,6 +34,7 @@ static STAGES: LazyLock<Vec<StageDef>> = LazyLock::new(|| {
         define::<marf_train::Bootstrap>(),
         define::<marf_train::Video>(),
         define::<marf_surface::MakeSurface>(),
+        define::<marf_surface::FindChanges>(),
     ]);
     stages
 });

@@ -22,6 +22,7 @@ help_of! {
     help_report: "report", "--help";
     help_view: "view", "--help";
     help_render: "render", "--help";
+    help_compare: "compare", "--help";
     help_export: "export", "--help";
     help_export_crate: "export", "crate", "--help";
     help_export_attest: "export", "attest", "--help";

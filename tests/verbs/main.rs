@@ -10,6 +10,7 @@
 
 #[path = "../common/mod.rs"]
 mod common;
+mod compare;
 mod errors;
 mod export;
 mod generated;

@@ -1,7 +1,7 @@
 //! The result of a method, before it becomes a scene.
 
 use marf_cache::Digest;
-use marf_scene::{Camera, Point, Pose};
+use marf_scene::{Camera, Point, Pose, SiteFrame};
 use marf_schema::calibrate::Missing;
 use marf_sfm::mapper::PoseUncertainty;
 use nalgebra::Vector3;
@@ -54,6 +54,8 @@ pub(crate) struct Calibration {
     pub tracks: Vec<TrackPoint>,
     pub up: Option<[f64; 3]>,
     pub metres_per_unit: Option<f64>,
+    /// Where the world lies in the site of its labels.
+    pub site: Option<SiteFrame>,
     pub method: String,
     /// Statistics of each photo of the input set, placed or not; empty if the method has none.
     pub statistics: Vec<PhotoStatistics>,

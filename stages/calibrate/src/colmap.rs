@@ -82,6 +82,7 @@ pub(crate) fn run(
         cause: None,
         up: mean_up(&placed),
         placed,
+        site: None,
         metres_per_unit: None,
         method: format!("{}: OPENCV cameras, {matcher}, largest model", program.version),
         hint: "take photos that overlap by half, or try `method = \"sfm\"`".to_owned(),

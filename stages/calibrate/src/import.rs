@@ -57,6 +57,7 @@ pub(crate) fn run(
         missing: matched.missing,
         points: cameras.points,
         tracks: Vec::new(),
+        site: None,
         metres_per_unit: None,
         method: format!("import of {}", source.name()),
         components: None,

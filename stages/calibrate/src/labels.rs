@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use marf_cache::{Digest, digest_of};
-use marf_scene::{Cahvor, Camera, CameraPrior, Image, Pinhole, Pose, Srgb};
-use marf_schema::calibrate::CalibrateParams;
+use marf_scene::{Cahvor, Camera, CameraPrior, Image, Pinhole, Pose, SiteFrame, Srgb};
+use marf_schema::calibrate::{CalibrateParams, Tie};
 use marf_stage::{Ctx, StageError};
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -81,7 +81,7 @@ pub(crate) fn run(
             Err(reason) => unplaced.push((candidate.item, reason)),
         }
     }
-    centre(&mut placed);
+    let origin = centre(&mut placed);
     Ok(Calibration {
         placed,
         unplaced,
@@ -90,6 +90,10 @@ pub(crate) fn run(
         tracks: Vec::new(),
         up: Some([0.0, 0.0, -1.0]),
         metres_per_unit: Some(1.0),
+        site: site.map(|site| SiteFrame {
+            site,
+            origin_m: origin.into(),
+        }),
         components: None,
         statistics: Vec::new(),
         cause: None,
@@ -358,8 +362,8 @@ fn place(item: usize, made: PinholePhoto) -> PlacedPhoto {
     }
 }
 
-/// Moves the origin to the median of the camera centres, axis by axis, so that f32 coordinates stay precise.
-fn centre(placed: &mut [PlacedPhoto]) {
+/// Moves the origin to the median of the camera centres, axis by axis, so that f32 coordinates stay precise, and returns where it was.
+fn centre(placed: &mut [PlacedPhoto]) -> Vector3<f64> {
     let centres: Vec<Vector3<f64>> = placed.iter().map(|one| one.cam_from_world.centre()).collect();
     let site_from_world = Pose {
         translation: median(&centres),
@@ -368,6 +372,26 @@ fn centre(placed: &mut [PlacedPhoto]) {
     for one in placed {
         one.cam_from_world = one.cam_from_world * site_from_world;
     }
+    site_from_world.translation
+}
+
+/// Returns how far cameras lie from where the labels of their site put them; none where the world is not tied to a site.
+pub(crate) fn tie(found: &Calibration, items: &[InputPhoto]) -> Option<Tie> {
+    let SiteFrame { site, origin_m } = found.site?;
+    let off = found.placed.iter().filter_map(|one| {
+        let label = candidate(one.item, &items[one.item]).ok()?;
+        let centre = one.cam_from_world.centre() + Vector3::from(origin_m);
+        let labelled = label.site_from_frame.point(&Vector3::from(label.model.c));
+        (label.site == Some(site)).then(|| (centre - labelled).norm())
+    });
+    let mut off: Vec<f64> = off.collect();
+    off.sort_unstable_by(f64::total_cmp);
+    Some(Tie {
+        site,
+        photos: off.len(),
+        median_m: *off.get(off.len() / 2)?,
+        largest_m: *off.last()?,
+    })
 }
 
 /// Returns the median of points, axis by axis; the origin for no points.

@@ -1,11 +1,8 @@
 //! The photos of the input set: reading, decoding, storing.
 
-use marf_cache::{
-    Digest, digest_of,
-    manifest::{Leaf, ManifestError, Root, Row},
-};
+use marf_cache::{Digest, digest_of, manifest::Row};
 use marf_scene::{Photo, PhotoFacts, encode_png};
-use marf_stage::{Ctx, Inputs, PHOTOS, StageError};
+use marf_stage::{Ctx, Inputs, PHOTOS, StageError, rows_of};
 
 /// A photo of the input set.
 pub(crate) struct InputPhoto {
@@ -13,27 +10,6 @@ pub(crate) struct InputPhoto {
     pub image: Digest,
     pub labelled: bool,
     pub facts: PhotoFacts,
-}
-
-/// Why the set of photos cannot be read.
-enum SetError {
-    Stage(StageError),
-    Manifest(ManifestError),
-}
-
-impl From<ManifestError> for SetError {
-    fn from(error: ManifestError) -> Self {
-        Self::Manifest(error)
-    }
-}
-
-impl From<SetError> for StageError {
-    fn from(error: SetError) -> Self {
-        match error {
-            SetError::Stage(error) => error,
-            SetError::Manifest(error) => Self::new(format!("the set of photos: {error}")),
-        }
-    }
 }
 
 /// Returns the photos of the input set, in order of shard and id.
@@ -44,14 +20,7 @@ pub(crate) fn load(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<InputPhoto>, St
 
 /// Returns the rows of the input set, each with its shard, in order of shard and id.
 pub(crate) fn rows(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<(u32, Row)>, StageError> {
-    let root = Root::read(inputs.required(PHOTOS)?, |digest| {
-        ctx.get(digest).map_err(SetError::Stage)
-    })?;
-    let mut rows = Vec::new();
-    for leaf in &root.leaves {
-        let read = Leaf::decode(&ctx.get(&leaf.leaf)?).map_err(SetError::Manifest)?;
-        rows.extend(read.rows.into_iter().map(|row| (leaf.shard, row)));
-    }
+    let rows = rows_of(ctx, inputs.required(PHOTOS)?)?;
     if rows.is_empty() {
         return Err(
             StageError::new("the set of photos is empty: there is nothing to calibrate").hint(

@@ -239,6 +239,7 @@ fn metrics(found: &Calibration, items: &[InputPhoto]) -> Metrics {
         totals,
         photos,
         missing: found.missing.clone(),
+        tie: labels::tie(found, items),
     }
 }
 
@@ -286,6 +287,7 @@ fn scene(found: Calibration, items: &[InputPhoto], masks: &BTreeMap<usize, Diges
         points: found.points,
         up: found.up,
         metres_per_unit: found.metres_per_unit,
+        site: found.site,
         method: found.method,
     }
 }

@@ -109,6 +109,34 @@ fn the_demo_is_brought_back_to_its_true_cameras_in_metres() {
     );
 }
 
+/// Labels are off by centimetres, so their site is, too; what ties the world to it tells how far.
+#[test]
+fn the_world_lies_in_the_site_of_its_labels_and_stays_there_when_it_is_extended() {
+    let (mut input, truth) = demo();
+    let whole = input.run(&json!({"method": "sfm"})).unwrap();
+    let later = input.split_off(8);
+    let few = input.run(&json!({"method": "sfm"})).unwrap();
+    input.add(later);
+    let params = json!({"method": "sfm", "extend": true});
+    let extended = input.run_after(&params, Some(few.scene_digest)).unwrap();
+    assert_eq!(extended.scene.site, few.scene.site);
+    for (output, photos) in [(&whole, truth.len()), (&extended, truth.len()), (&few, 8)] {
+        let site = output.scene.site.unwrap();
+        let tie = output.metrics.tie.unwrap();
+        assert_eq!((site.site, tie.site, tie.photos), (1, 1, photos));
+        assert!(
+            0.0 < tie.median_m && tie.median_m <= tie.largest_m && tie.largest_m < 0.06,
+            "{tie:?}"
+        );
+        for frame in &output.scene.frames {
+            let (_, true_pose) = truth.iter().find(|(file, _)| frame.file == *file).unwrap();
+            let centre = frame.cam_from_world.centre() + Vector3::from(site.origin_m);
+            let off_m = (centre - true_pose.centre()).norm();
+            assert!(off_m < 0.05, "{}: {off_m} m", frame.file);
+        }
+    }
+}
+
 /// If this fails, `sfm` answers differently: raise the stage's VERSION and that of the memo whose rows differ
 /// (`sfm/photo_features.rs`, `sfm/compare.rs`), then put the new pair here. It must not fail on another machine.
 #[test]

@@ -41,7 +41,7 @@ use math::SrgbEncoder;
 use plan::{Product, View};
 use render::Shot;
 use tour::{Capture, Stop};
-use world::World;
+use world::{Surface, World};
 
 pub use plan::FlawKind;
 pub use truth::{Flaw, RangeMap, TruePhoto, Truth};
@@ -131,6 +131,23 @@ pub struct Demo {
     options: DemoOptions,
     /// By site, the first one first.
     worlds: [OnceLock<World>; SITES],
+    /// The sol from which on its site is changed.
+    change: Option<u32>,
+    changed: OnceLock<World>,
+}
+
+/// Height from which [`Demo::from_above`] looks down, metres.
+const ABOVE_M: f64 = 20.0;
+
+/// What is seen from straight above a place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Above {
+    /// Height of the ground or of the rock on it, metres.
+    pub height_m: f64,
+    /// Its light, linear RGB.
+    pub light: [f64; 3],
+    /// Whether the sun does not reach it.
+    pub is_shaded: bool,
 }
 
 /// Sites of all sols.
@@ -152,6 +169,21 @@ impl Demo {
         Ok(Self {
             options,
             worlds: [const { OnceLock::new() }; SITES],
+            change: None,
+            changed: OnceLock::new(),
+        })
+    }
+
+    /// Returns the demo with a change at the site of a sol, from that sol on: a stone of 64 cm lies there, and dust is gone from a strip of
+    /// 1.4 by 0.3 m. Photos of all other sols keep their bytes.
+    ///
+    /// # Errors
+    /// [`DemoError::Sol`].
+    pub fn with_change(self, sol: u32) -> Result<Self, DemoError> {
+        check(sol)?;
+        Ok(Self {
+            change: Some(sol),
+            ..self
         })
     }
 
@@ -162,6 +194,7 @@ impl Demo {
     pub fn fingerprint(&self, sol: u32) -> Result<Digest, DemoError> {
         check(sol)?;
         Ok(match plan::site(sol) {
+            _ if self.is_changed(sol) => digest_of(&((DEMO_VERSION, "changed"), sol, &self.options)),
             1 => digest_of(&(DEMO_VERSION, sol, &self.options)),
             site => digest_of(&((DEMO_VERSION, site), sol, &self.options)),
         })
@@ -240,7 +273,7 @@ impl Demo {
             file: file.to_owned(),
             sol,
         })?;
-        let shot = self.shot(plan::site(sol), &self.taken(&tour, view));
+        let shot = self.shot(sol, &self.taken(&tour, view));
         Ok(RangeMap {
             width: shot.width,
             height: shot.height,
@@ -270,9 +303,40 @@ impl Demo {
         Ok(all)
     }
 
+    /// Returns what is seen from straight above a place (x and y in the site frame, metres) on a sol.
+    ///
+    /// # Errors
+    /// [`DemoError::Sol`].
+    pub fn from_above(&self, sol: u32, x_m: f64, y_m: f64) -> Result<Above, DemoError> {
+        check(sol)?;
+        // The landscape has x and y of the site frame, and z up.
+        let from = math::v3(x_m, y_m, ABOVE_M);
+        let seen = self.world_on(sol).trace(from, math::v3(0.0, 0.0, -1.0), 1e-4);
+        Ok(Above {
+            height_m: ABOVE_M - seen.range_m,
+            light: seen.light.array(),
+            is_shaded: matches!(seen.surface, Surface::ShadedGround | Surface::ShadedRock(_)),
+        })
+    }
+
+    fn is_changed(&self, sol: u32) -> bool {
+        let change = self.change.filter(|change| *change <= sol);
+        change.is_some_and(|change| plan::site(change) == plan::site(sol))
+    }
+
+    /// Returns the landscape of a site before any change.
     fn world(&self, site: u32) -> &World {
         let world = &self.worlds[(site - 1) as usize % SITES];
-        world.get_or_init(|| World::new(self.seed(site)))
+        world.get_or_init(|| World::new(self.seed(site), false))
+    }
+
+    /// Returns the landscape on a sol.
+    fn world_on(&self, sol: u32) -> &World {
+        let site = plan::site(sol);
+        match self.is_changed(sol) {
+            true => self.changed.get_or_init(|| World::new(self.seed(site), true)),
+            false => self.world(site),
+        }
     }
 
     /// Returns the seed of a site's landscape and tour.
@@ -305,9 +369,9 @@ impl Demo {
         )
     }
 
-    fn shot(&self, site: u32, taken: &Capture) -> Shot<'_> {
+    fn shot(&self, sol: u32, taken: &Capture) -> Shot<'_> {
         Shot {
-            world: self.world(site),
+            world: self.world_on(sol),
             lens: taken.site,
             width: self.options.width_px,
             height: self.options.height_px,
@@ -337,7 +401,7 @@ impl Demo {
             .iter()
             .any(|product| product.flaw.is_none_or(FlawKind::shows_mars));
         let photo = if shows_mars {
-            self.shot(plan::site(tour.sol), &taken).photo(encoder)
+            self.shot(tour.sol, &taken).photo(encoder)
         } else {
             Image::from_fn(self.options.width_px, self.options.height_px, |_, _| [0; 3])
         };

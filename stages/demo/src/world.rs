@@ -13,11 +13,21 @@ const SHADOWS_M: f64 = 120.0;
 /// Longest shadow, metres along the sunlight.
 const SHADOW_M: f64 = 6.0;
 
-/// The landscape of a seed; the same for every sol.
+/// Where the stone is that lies there after the change, metres in the site.
+const NEW_STONE: (f64, f64) = (6.25, 0.93);
+/// Half extents of that stone, metres.
+const NEW_HALF: V3 = v3(0.32, 0.25, 0.20);
+/// The strip from which dust is gone after the change: its middle, the direction along it, half its length and width, metres in the site.
+const STRIP: ((f64, f64), (f64, f64), (f64, f64)) = ((7.55, 0.55), (1.0, 0.0), (0.7, 0.15));
+/// Albedo without that dust, as a share: darker, and less red.
+const BARED: V3 = v3(0.70, 0.78, 0.88);
+
+/// The landscape of a seed at one time.
 pub struct World {
     ground: Ground,
     rocks: Rocks,
     salt: u32,
+    is_changed: bool,
 }
 
 /// What a ray sees.
@@ -47,11 +57,19 @@ pub enum Surface {
 }
 
 impl World {
-    pub fn new(seed: u64) -> Self {
+    /// Returns the landscape, as it is after the change or before it.
+    pub fn new(seed: u64, is_changed: bool) -> Self {
         let salt = mix32(seed as u32 ^ mix32((seed >> 32) as u32 ^ 0x6d61_7273));
-        let rocks = Rocks::new(seed, &places(seed, salt));
+        let mut places = places(seed, salt);
+        places.extend(is_changed.then(|| new_stone(salt)));
+        let rocks = Rocks::new(seed, &places);
         let ground = Ground::new(salt, &rocks.all);
-        Self { ground, rocks, salt }
+        Self {
+            ground,
+            rocks,
+            salt,
+            is_changed,
+        }
     }
 
     /// Returns the height of the ground, metres.
@@ -99,7 +117,10 @@ impl World {
         let facing = -ray.along.dot(ground::normal_of(point.slope.0, point.slope.1));
         // A pixel's footprint is elongated: the geometric mean of its sides keeps detail without aliasing.
         let footprint_m = range_m * pixel_rad / facing.clamp(0.06, 1.0).sqrt();
-        let material = light::ground_material(p.x, p.y, &point, footprint_m, self.salt);
+        let mut material = light::ground_material(p.x, p.y, &point, footprint_m, self.salt);
+        if self.is_changed && is_bared(p.x, p.y) {
+            material.albedo = material.albedo.times(BARED);
+        }
         // Only rocks cast shadows: the ground is less steep than the sun is high.
         let to_sun = Ray::new(p + v3(0.0, 0.0, 0.004), TO_SUN);
         let shaded = range_m < SHADOWS_M && self.rocks.shade_ground(&to_sun, SHADOW_M);
@@ -136,6 +157,25 @@ impl World {
                 Surface::Rock(hit.rock)
             },
         }
+    }
+}
+
+/// Tells whether a place lies on the strip from which dust is gone after the change.
+fn is_bared(x: f64, y: f64) -> bool {
+    let (middle, along, half) = STRIP;
+    let (dx, dy) = (x - middle.0, y - middle.1);
+    (dx * along.0 + dy * along.1).abs() < half.0 && (dy * along.0 - dx * along.1).abs() < half.1
+}
+
+/// Returns the stone that lies there after the change.
+fn new_stone(salt: u32) -> Place {
+    let ground_z = ground::plain(NEW_STONE.0, NEW_STONE.1, salt);
+    Place {
+        centre: v3(NEW_STONE.0, NEW_STONE.1, ground_z + 0.6 * NEW_HALF.z),
+        half: NEW_HALF,
+        yaw_rad: 0.7,
+        tilt: (0.08, -0.05),
+        ground_z,
     }
 }
 

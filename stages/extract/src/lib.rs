@@ -23,7 +23,6 @@ mod params;
 mod products;
 mod recorded;
 mod remote;
-mod sols;
 mod stat;
 mod survey;
 

@@ -32,5 +32,5 @@ pub use nearest::{Nearest, TrainedPhotos};
 pub use photo::{DecodeError, Photo, encode_png};
 pub use places::{PosedPhoto, folds, hold_out_places, places_of};
 pub use pose::Pose;
-pub use scene::{Frame, Point, Scene, SceneError, Unplaced};
+pub use scene::{Frame, Point, Scene, SceneError, SiteFrame, Unplaced};
 pub use thumbnail::{encode_jpeg, shrunk, thumbnail};

@@ -25,9 +25,22 @@ pub struct Scene {
     /// Metres per unit of the world, if known.
     #[serde(default)]
     pub metres_per_unit: Option<f64>,
+    /// Where the world lies in the site of its labels: scenes of one site share that frame.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub site: Option<SiteFrame>,
     /// Name of the method and what it did to the photos (`resampled to an ideal pinhole`).
     #[serde(default)]
     pub method: String,
+}
+
+/// Where a world lies in the frame of a site (x north, y east, z down, metres): its axes are those of the site, its unit is the metre.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SiteFrame {
+    /// Number of the site.
+    pub site: i64,
+    /// The world's origin in the site, metres.
+    pub origin_m: [f64; 3],
 }
 
 /// A photo with its camera.

@@ -221,6 +221,22 @@ pub struct Metrics {
     pub photos: Vec<PhotoMetrics>,
     /// Files the import has a camera for that are not among the photos, sorted by name.
     pub missing: Vec<Missing>,
+    /// What ties the world to the site of its labels; absent where nothing does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tie: Option<Tie>,
+}
+
+/// How far cameras lie from where the labels of their site put them.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Tie {
+    /// Number of the site.
+    pub site: i64,
+    /// Placed photos with a label of it.
+    pub photos: usize,
+    /// Median distance, metres; 0 where the labels are the cameras.
+    pub median_m: f64,
+    /// Largest distance, metres.
+    pub largest_m: f64,
 }
 
 impl Document for Metrics {

@@ -44,3 +44,5 @@ pub const MESH_PLY: &str = "mesh.ply";
 pub const MESH_GLB: &str = "mesh.glb";
 /// Maps of `surface`: `map/height.png`, and `map/height.pgw` beside it.
 pub const SURFACE_MAPS: &str = "map/";
+/// Maps of `changes`: `changes/map.png`, and `changes/map.pgw` beside it.
+pub const CHANGE_MAPS: &str = "changes/";

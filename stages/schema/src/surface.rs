@@ -123,14 +123,16 @@ pub struct MapReport {
     pub rows: u32,
     /// Width of a pixel, metres.
     pub pixel_m: f64,
-    /// Height of the value 1, metres along up from the world's origin.
+    /// Height of the value 1, metres along up from the origin.
     pub lowest_m: f64,
     /// Metres from one value to the next.
     pub interval_m: f64,
-    /// Position of the centre of the first pixel: to the right and to the top of the world's origin, metres.
+    /// Position of the centre of the first pixel: to the right and to the top of the origin, metres.
     pub first_m: [f64; 2],
     /// The axes to the right, to the top and up, in the world.
     pub axes: [[f64; 3]; 3],
+    /// Whose origin coordinates count from: `site 3`, or the world of the scene.
+    pub origin: String,
     /// Share of the pixels that have a height.
     pub covered_share: f64,
 }

@@ -11,6 +11,8 @@ mod document;
 mod error;
 pub mod harness;
 mod origin;
+mod set;
+mod sols;
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -23,6 +25,8 @@ pub use define::{Define, ParamError, Port, StageDef, define, from_json, key_para
 pub use document::{Document, Params, TypedOutputs};
 pub use error::StageError;
 pub use origin::{Origin, OriginKind};
+pub use set::rows_of;
+pub use sols::Sols;
 
 /// Name of the output that holds a set of items as a Merkle root ([`marf_cache::manifest::Root`]).
 pub const PHOTOS: &str = "photos";
@@ -391,6 +395,16 @@ pub struct ChildStage {
     pub stage: &'static str,
     /// Parameters of such a child, as JSON.
     pub params: serde_json::Value,
+}
+
+impl ChildStage {
+    /// Returns the stage of children with such parameters.
+    pub fn of<P: Params>(params: &P) -> Self {
+        Self {
+            stage: P::STAGE,
+            params: key_params(params, &[]),
+        }
+    }
 }
 
 /// A request to run a stage with parameters on inputs.

@@ -1,6 +1,6 @@
 //! Units and axes of exports, as far as the scene knows them.
 
-use marf_scene::Scene;
+use marf_scene::{Scene, SiteFrame};
 use nalgebra::{Matrix3, Vector3};
 
 use crate::SurfaceError;
@@ -15,6 +15,8 @@ pub struct ExportFrame {
     pub metres_per_unit: Option<f64>,
     /// Unit vector of the world that points up; none where the scene does not know.
     pub up: Option<Vector3<f64>>,
+    /// Where the world lies in a site: maps are in that frame, so that those of its scenes fit each other.
+    pub site: Option<SiteFrame>,
 }
 
 /// Axes of a map: right-handed, unit vectors of the world.
@@ -40,12 +42,26 @@ impl ExportFrame {
                 .metres_per_unit
                 .filter(|metres| metres.is_finite() && *metres > 0.0),
             up: scene.up.and_then(|up| length(Vector3::from(up))),
+            site: scene.site,
         }
     }
 
     /// Returns the factor from world units to the unit of exports: metres where there is a scale, else world units.
     pub fn scale(&self) -> f64 {
         self.metres_per_unit.unwrap_or(1.0)
+    }
+
+    /// Returns the world's origin in the frame of maps, metres: that of the site, or the world itself.
+    pub fn origin_m(&self) -> Vector3<f64> {
+        self.site.map_or_else(Vector3::zeros, |site| site.origin_m.into())
+    }
+
+    /// Returns whose origin coordinates of maps count from, in words.
+    pub fn origin_words(&self) -> String {
+        match self.site {
+            Some(site) => format!("site {}", site.site),
+            None => "the world of the scene".to_owned(),
+        }
     }
 
     /// Returns the unit of exports in words.
@@ -106,9 +122,18 @@ impl ExportFrame {
 
     /// Returns what the axes of files in the scene's own frame are, in words.
     pub fn up_words(&self) -> String {
-        match self.up {
+        let up = match self.up {
             Some(up) => format!("up is ({} {} {})", up.x, up.y, up.z),
             None => "up is not known".to_owned(),
+        };
+        match self.site {
+            Some(SiteFrame {
+                site,
+                origin_m: [x, y, z],
+            }) => {
+                format!("{up}; in the frame of site {site} (metres) the origin is ({x} {y} {z})")
+            }
+            None => up,
         }
     }
 }

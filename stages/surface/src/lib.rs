@@ -4,6 +4,7 @@
 //! these change their sign. Everything but the stage is pure: no file, no clock. Invariant: the same bytes for any number of threads; what
 //! no photo saw is a hole; nothing is in metres, and nothing knows up, that the scene does not know.
 
+mod changes;
 mod cloud;
 mod cubes;
 mod error;
@@ -17,6 +18,7 @@ mod stage;
 mod view;
 mod volume;
 
+pub use changes::FindChanges;
 pub use cloud::cloud;
 pub use cubes::{Triangles, march};
 pub use error::SurfaceError;

@@ -26,7 +26,7 @@ pub struct SurfaceMap {
 /// What is seen in a pixel of a map.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Cell {
-    /// Along up from the world's origin, metres.
+    /// Along up from the origin of the map's frame, metres.
     height_m: f64,
     color: [f32; 3],
     /// Metres; negative where only one view shows it.
@@ -36,7 +36,8 @@ struct Cell {
 impl SurfaceMap {
     /// Draws a mesh from above: at the centre of each pixel the highest triangle, linear between its vertices.
     ///
-    /// `pixel_m`: width of a pixel, metres; pixels lie on a grid through the world's origin, so that maps of one scene fit each other.
+    /// `pixel_m`: width of a pixel, metres; pixels lie on a grid through the origin of the site (of the world without one), so that maps
+    /// of one site fit each other.
     ///
     /// # Errors
     /// [`SurfaceError::Refused`] for a scene without scale or up, a mesh without triangles and a map of more than 64 million pixels.
@@ -49,7 +50,7 @@ impl SurfaceMap {
         let flat: Vec<Vector3<f64>> = mesh
             .vertices
             .iter()
-            .map(|vertex| on_map(&axes, &vertex.position) * metres)
+            .map(|vertex| on_map(&axes, &(vertex.position * metres + frame.origin_m())))
             .collect();
         let far = Vector2::repeat(f64::INFINITY);
         let (low, high) = flat.iter().fold((far, -far), |(low, high), at| {
@@ -98,6 +99,7 @@ impl SurfaceMap {
                 (first.y + f64::from(rows) - 0.5) * pixel_m,
             ],
             axes: [axes.right, axes.top, axes.up].map(Into::into),
+            origin: frame.origin_words(),
             covered_share: covered as f64 / cells.len() as f64,
         };
         Ok(Self { report, cells })
@@ -195,11 +197,12 @@ impl SurfaceMap {
 
     fn axes_text(&self) -> String {
         let [right, top, up] = self.report.axes;
-        format!("right {right:?}, top {top:?}, up {up:?} in the world; metres from its origin")
+        let origin = &self.report.origin;
+        format!("right {right:?}, top {top:?}, up {up:?}; metres from the origin of {origin}")
     }
 }
 
-/// Returns the place on the map with the height, world units.
+/// Returns the place on the map with the height, in the unit of the position.
 fn on_map(axes: &MapAxes, position: &Vector3<f64>) -> Vector3<f64> {
     Vector3::new(
         axes.right.dot(position),

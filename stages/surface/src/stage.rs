@@ -30,7 +30,7 @@ impl Define for MakeSurface {
     const NAME: &'static str = SurfaceParams::STAGE;
     const ABOUT: &'static str =
         "Makes a mesh (PLY, GLB), points, a height map and an orthophoto of a trained field";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PORTS: &'static [Port] = &[Port::required("input", WEIGHTS), Port::required("input", SCENE)];
     const OUTPUTS: &'static [&'static str] = &[
         SurfaceReport::OUTPUT,

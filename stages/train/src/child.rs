@@ -1,15 +1,7 @@
 use marf_cache::Digest;
-use marf_stage::{ChildStage, Ctx, Document, Outputs, Params, StageError, key_params};
+use marf_stage::{Ctx, Document, Outputs, StageError};
 
 use crate::TrainError;
-
-/// Returns the stage of children with such parameters.
-pub(crate) fn child_stage<P: Params>(params: &P) -> ChildStage {
-    ChildStage {
-        stage: P::STAGE,
-        params: key_params(params, &[]),
-    }
-}
 
 /// The outputs of a finished child node, with its name for errors.
 #[derive(Debug, Clone)]

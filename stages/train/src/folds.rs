@@ -8,13 +8,7 @@ use marf_stage::{
     StageError, TypedOutputs,
 };
 
-use crate::{
-    child::{Child, child_stage},
-    io::read_scene,
-    scoring::means,
-    split::fold_of_each,
-    stage_on_device,
-};
+use crate::{child::Child, io::read_scene, scoring::means, split::fold_of_each, stage_on_device};
 
 /// Judges every photo of a small scene by a field that was trained without its place.
 ///
@@ -47,7 +41,7 @@ stage_on_device!(Folds, Expand);
 
 impl Expand for Folds {
     fn children(&self) -> Vec<ChildStage> {
-        vec![child_stage(&fold(&self.params, 0, self.params.folds))]
+        vec![ChildStage::of(&fold(&self.params, 0, self.params.folds))]
     }
 
     fn expand(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {

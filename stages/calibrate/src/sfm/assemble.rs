@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use marf_scene::{Camera, Point, Pose};
+use marf_scene::{Camera, Point, Pose, SiteFrame};
 use marf_schema::calibrate::CalibrateParams;
 use marf_sfm::align::Similarity;
 use marf_sfm::bundle::LensModel;
@@ -59,6 +59,13 @@ pub(super) fn assemble(
         metres_per_unit: match earlier {
             Some(earlier) => earlier.scene.metres_per_unit,
             None => metric.then_some(1.0),
+        },
+        site: match earlier {
+            Some(earlier) => earlier.scene.site,
+            None => reconstruction.site.filter(|_| metric).map(|site| SiteFrame {
+                site,
+                origin_m: (-world.translation).into(),
+            }),
         },
         placed,
         method: method(reconstruction, metric, earlier),

@@ -16,4 +16,6 @@ pub(super) struct Reconstruction<'a> {
     pub models: &'a [Model],
     /// For each model that is in the frame of its labels: the labels that were rejected.
     pub metric: &'a [Option<Vec<RejectedLabel>>],
+    /// The site of the labels, if they name one.
+    pub site: Option<i64>,
 }

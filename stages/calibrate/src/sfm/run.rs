@@ -63,6 +63,7 @@ pub(crate) fn run(
         input: &input,
         models: &models,
         metric: &metric,
+        site: candidates.iter().flatten().find_map(|candidate| candidate.site),
     };
     assemble::assemble(ctx, &reconstruction, earlier.as_ref(), params)
 }

@@ -140,6 +140,11 @@ fn labels_place_one_site_in_metres_and_say_why_of_the_others() {
         .map(|frame| frame.cam_from_world.centre().x)
         .collect();
     assert_eq!(north, [-1.0, 0.0, 3.0]);
+    let site = output.scene.site.unwrap();
+    assert_eq!((site.site, site.origin_m[0]), (3, 11.5));
+    let tie = output.metrics.tie.unwrap();
+    assert_eq!((tie.site, tie.photos), (3, 3));
+    assert!(tie.largest_m < 1e-9, "{tie:?}");
     let frames = &output.scene.frames;
     assert_eq!(
         frames.iter().map(|frame| frame.held_out).collect::<Vec<_>>(),

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use crate::archive::access::{Local, LocalContext};
 use crate::archive::kind::ArchiveKind;
 use crate::archive::{ArchiveFile, ArchiveFiles, ShardFiles};
-use crate::sols::Sols;
+use marf_stage::Sols;
 
 /// The keys of `kind = "demo"`.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -22,6 +22,8 @@ pub(crate) struct DemoParams {
     seed: u64,
     /// Width of a photo, pixels.
     width: u32,
+    /// The sol from which on its site is changed: a stone lies there, and dust is gone from a strip.
+    change: Option<u32>,
 }
 
 impl Default for DemoParams {
@@ -30,6 +32,7 @@ impl Default for DemoParams {
             sols: Sols::Ranges(vec![(1, 2)]),
             seed: 1,
             width: 640,
+            change: None,
         }
     }
 }
@@ -62,12 +65,16 @@ impl ArchiveKind for Demo {
             )));
         }
         let (width_px, height_px) = (params.width, params.width / 4 * 3);
-        let demo = marf_demo::Demo::new(DemoOptions {
+        let mut demo = marf_demo::Demo::new(DemoOptions {
             width_px,
             height_px,
             seed: params.seed,
         })
         .map_err(|error| ParamError::new("width", error.to_string()))?;
+        if let Some(sol) = params.change {
+            let refuse = |error: DemoError| ParamError::new("change", error.to_string());
+            demo = demo.with_change(sol).map_err(refuse)?;
+        }
         Ok(Box::new(Self { demo, sols }))
     }
 }

@@ -15,7 +15,7 @@ use super::pages::Pages;
 use super::summary::Summaries;
 use crate::archive::access::RemoteContext;
 use crate::net::{Client, ClientSettings};
-use crate::sols::Sols;
+use marf_stage::Sols;
 
 /// An archive on a server.
 pub(crate) struct RemoteArchive {

@@ -8,7 +8,7 @@ use marf_stage::{Ctx, StageError};
 use super::lock::{Pin, SolPins};
 use super::pages::Pages;
 use crate::net::{Client, Url};
-use crate::sols::Sols;
+use marf_stage::Sols;
 
 /// What a server has of one sol.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -31,7 +31,7 @@ use marf_stage::{
     StageError,
 };
 
-use crate::{checkpoint::identity, child::child_stage, stage_on_device};
+use crate::{checkpoint::identity, stage_on_device};
 use reduce::reduce;
 
 /// Trains B fields that differ in seed or photos, and maps where they disagree.
@@ -81,7 +81,7 @@ impl Bootstrap {
 
 impl Expand for Bootstrap {
     fn children(&self) -> Vec<ChildStage> {
-        vec![child_stage(&member(&self.params, 0))]
+        vec![ChildStage::of(&member(&self.params, 0))]
     }
 
     fn expand(&self, _ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {

@@ -20,11 +20,7 @@ use marf_stage::{
     StageError, Work,
 };
 
-use crate::{
-    child::{Child, child_stage},
-    io::read_scene,
-    settings::scale_to,
-};
+use crate::{child::Child, io::read_scene, settings::scale_to};
 use halving::next_rung;
 use judged::{Judged, Standing, miscounted};
 use reduce::{is_ahead, reduce};
@@ -67,8 +63,11 @@ impl Expand for Tune {
         let train = train_of(&self.params, self.params.seed, &Overrides::default());
         let until = train.planned_steps();
         match self.params.search {
-            Search::Random => vec![child_stage(&train)],
-            Search::Halving => vec![child_stage(&train), child_stage(&PartialParams::of(train, until))],
+            Search::Random => vec![ChildStage::of(&train)],
+            Search::Halving => vec![
+                ChildStage::of(&train),
+                ChildStage::of(&PartialParams::of(train, until)),
+            ],
         }
     }
 

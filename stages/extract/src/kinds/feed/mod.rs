@@ -27,7 +27,7 @@ use crate::remote::catalog::{Catalog, CatalogSource, Question, RemoteFile, SolFi
 use crate::remote::network::{Network, bases, origins};
 use crate::remote::pages::{PageState, Pages};
 use crate::remote::{RemoteArchive, Request};
-use crate::sols::Sols;
+use marf_stage::Sols;
 
 /// The raw-image feeds of both missions: lists of photos, hours after their downlink.
 const FEEDS: &str = "https://mars.nasa.gov";

@@ -27,7 +27,7 @@ use self::walk::MAX_DEPTH;
 use crate::archive::access::{Local, LocalContext};
 use crate::archive::kind::ArchiveKind;
 use crate::archive::{ArchiveFiles, ShardFiles};
-use crate::sols::Sols;
+use marf_stage::Sols;
 
 /// The keys of `kind = "folder"`.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]

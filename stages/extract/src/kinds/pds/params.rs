@@ -5,7 +5,7 @@ use serde::Deserialize;
 
 use crate::kinds::mission::{Instrument, Mission};
 use crate::remote::network::Network;
-use crate::sols::Sols;
+use marf_stage::Sols;
 
 /// The keys of `kind = "pds"`: one camera of one mission.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]

@@ -1,14 +1,18 @@
-//! Which sols a pipeline asks for: `1..=5`, `3`, `1,4,7..=9`, `latest`.
+//! Which sols are asked for: `1..=5`, `3`, `1,4,7..=9`, `latest`.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
+use std::fmt::{Display, Formatter, Result as Written};
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::{Deserialize, Deserializer, de::Error as _};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
+
+/// Sols end before this one: 270 years.
+const NO_SOL: u32 = 100_000;
 
 /// A choice of sols.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum Sols {
+pub enum Sols {
     /// All that are there, also photos of an unknown sol.
     All,
     /// The greatest sol that is there.
@@ -30,6 +34,20 @@ impl Sols {
         ranges.map(Self::Ranges)
     }
 
+    /// Returns the first sol that another choice has too; none of choices that depend on what is there.
+    pub fn shared_with(&self, other: &Self) -> Option<u32> {
+        let (Self::Ranges(these), Self::Ranges(those)) = (self, other) else {
+            return None;
+        };
+        let shared = these.iter().flat_map(|(first, last)| {
+            let both = those
+                .iter()
+                .map(move |(from, to)| (*first.max(from), *last.min(to)));
+            both.filter(|(first, last)| first <= last).map(|(first, _)| first)
+        });
+        shared.min()
+    }
+
     /// Returns those of the present sols that are asked for.
     pub fn choose(&self, present: &BTreeSet<u32>) -> BTreeSet<u32> {
         match self {
@@ -40,6 +58,27 @@ impl Sols {
                 present.iter().copied().filter(wanted).collect()
             }
         }
+    }
+}
+
+/// As [`Sols::parse`] reads it; `all` for all, which only the absence of a choice means.
+impl Display for Sols {
+    fn fmt(&self, to: &mut Formatter<'_>) -> Written {
+        let text = |(first, last): &(u32, u32)| match first == last {
+            true => first.to_string(),
+            false => format!("{first}..={last}"),
+        };
+        match self {
+            Self::All => to.write_str("all"),
+            Self::Latest => to.write_str("latest"),
+            Self::Ranges(ranges) => to.write_str(&ranges.iter().map(text).collect::<Vec<_>>().join(",")),
+        }
+    }
+}
+
+impl Serialize for Sols {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
     }
 }
 
@@ -72,9 +111,8 @@ impl JsonSchema for Sols {
 /// Reads one part of a choice: a sol or a range.
 fn range(part: &str) -> Result<(u32, u32), String> {
     let sol = |text: &str| {
-        marf_pds::values::sol(text).ok_or_else(|| {
-            format!("`{part}` is no sol or range; write `3`, `1..=5`, `1,4,7..=9` or `latest`")
-        })
+        let sol = text.trim().parse::<u32>().ok().filter(|sol| *sol < NO_SOL);
+        sol.ok_or_else(|| format!("`{part}` is no sol or range; write `3`, `1..=5`, `1,4,7..=9` or `latest`"))
     };
     let (first, last) = if let Some((first, last)) = part.split_once("..=") {
         (sol(first)?, sol(last)?)
@@ -114,6 +152,22 @@ mod tests {
     }
 
     #[test]
+    fn sols_of_two_choices_are_found() {
+        let shared = |a: &str, b: &str| Sols::parse(a).unwrap().shared_with(&Sols::parse(b).unwrap());
+        assert_eq!(shared("1..=5,9", "7,8"), None);
+        assert_eq!(shared("1..=5,9", "9,4..=12"), Some(4));
+        assert_eq!(shared("latest", "4"), None);
+    }
+
+    #[test]
+    fn a_choice_is_written_as_it_is_read() {
+        for text in ["3", "1..=5", "1,4,7..=9", "latest"] {
+            assert_eq!(Sols::parse(text).unwrap().to_string(), text);
+        }
+        assert_eq!(Sols::parse(" 1..3 , 4").unwrap().to_string(), "1..=2,4");
+    }
+
+    #[test]
     fn what_is_no_range_is_named() {
         for bad in [
             "",
@@ -125,6 +179,7 @@ mod tests {
             "1,,2",
             "-1",
             "1.5",
+            "100000",
             "4294967296",
             "..=3",
         ] {

@@ -1,0 +1,309 @@
+//! The ground at two times, compared cell by cell.
+
+use marf_schema::changes::{Change, ChangesParams, ChangesReport, Noise, Registration, Time};
+use marf_stage::StageError;
+use nalgebra::{Matrix3, Vector3};
+
+use crate::frame::{ExportFrame, MapAxes};
+
+use super::cells::{Extent, Grid, Values};
+use super::noise::{Ground, median, quantile};
+use super::patches::{Patches, patches};
+
+/// Fewest cells that both times show.
+const LEAST_COMMON: usize = 400;
+/// Cells of the maps around the ground that both times show.
+const MARGIN: i64 = 10;
+/// Of a normal distribution: the median of what is off by one standard deviation, and the half width of 90 %.
+const MEDIAN: f64 = 0.674_49;
+const NINETY: f64 = 1.644_85;
+/// Share of the limit beyond which a cell is part of a patch that others have begun.
+const WEAK: f64 = 2.0 / 3.0;
+/// Share of the ground that is taken for unchanged.
+const UNCHANGED: f64 = 0.9;
+/// Least factor from how far trainings differ to the noise: of maps that agree everywhere nothing is made of less.
+const LEAST_FACTOR: f64 = 0.25;
+/// Beyond so many standard deviations a cell is no part of a plane (Tukey's biweight).
+const TUKEY: f64 = 4.685;
+/// Rounds of the fit of a plane.
+const ROUNDS: usize = 12;
+/// A factor of the light from which on a shadow may be what changed it: half of the light of the open Martian ground and less is left in
+/// one (the sky gives a third to a half of all light at an optical depth of 0.5).
+const SHADOW: f64 = 0.6;
+/// Least standard deviations: a millimetre, the step of heights; a gray level of the photos.
+const FLOORS: Values = [0.001, 0.01, 0.01, 0.01];
+const HEIGHT: usize = 0;
+const BRIGHTNESS: usize = 1;
+const RED: usize = 2;
+const BLUE: usize = 3;
+
+/// A cell that both times show.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Compared {
+    /// Later less earlier, without what the two times differ by as a whole.
+    pub difference: Values,
+    /// Standard deviation of that where nothing has changed.
+    pub sigma: Values,
+}
+
+impl Compared {
+    fn off(&self, quantity: usize) -> f64 {
+        (self.difference[quantity] / self.sigma[quantity]).abs()
+    }
+
+    /// Returns what changed, if it differs by more than so many standard deviations.
+    fn change(&self, sigmas: f64) -> Option<Change> {
+        if self.off(HEIGHT) > sigmas {
+            return Some(if self.difference[HEIGHT] > 0.0 {
+                Change::Higher
+            } else {
+                Change::Lower
+            });
+        }
+        let is_coloured = self.off(RED).max(self.off(BLUE)) > sigmas;
+        if is_coloured && self.difference[BRIGHTNESS].abs() < -libm::log(SHADOW) {
+            return Some(Change::Colour);
+        }
+        (is_coloured || self.off(BRIGHTNESS) > sigmas).then_some(Change::Undecided)
+    }
+}
+
+/// Two times on one grid.
+pub(super) struct Comparison {
+    pub extent: Extent,
+    pub cell_m: f64,
+    pub before: Ground,
+    pub after: Ground,
+    pub cells: Vec<Option<Compared>>,
+    pub patches: Patches,
+    registration: Registration,
+    noise: [Noise; 3],
+}
+
+impl Comparison {
+    /// Compares the maps of two times.
+    ///
+    /// # Errors
+    /// Too little ground that both show.
+    pub fn new(before: &[Grid], after: &[Grid], params: &ChangesParams) -> Result<Self, StageError> {
+        let extents = || before.iter().chain(after).map(|grid| grid.extent);
+        let (Some(widest), Some(grid)) = (extents().reduce(Extent::with), before.first()) else {
+            return Err(StageError::new("there is no surface to compare"));
+        };
+        let cell_m = grid.cell_m;
+        let grounds = |extent: &Extent| (Ground::new(extent, before), Ground::new(extent, after));
+        let common = common(&grounds(&widest));
+        let extent = widest.around(common.iter().copied(), MARGIN);
+        let Some(extent) = extent.filter(|_| common.len() >= LEAST_COMMON) else {
+            return Err(StageError::new(format!(
+                "both times show {} cells of {cell_m} m of the same ground, {LEAST_COMMON} are needed",
+                common.len()
+            ))
+            .hint("compare sols whose photos look at one place, or take longer trainings"));
+        };
+        let (earlier, later) = grounds(&extent);
+        let mut cells = differences(&extent, &earlier, &later);
+        let registration = register(&extent, cell_m, &mut cells);
+        let noise = scale(&mut cells);
+        let found = cells.iter().map(|cell| {
+            let cell = cell.as_ref()?;
+            Some((cell.change(params.sigmas), cell.change(WEAK * params.sigmas)))
+        });
+        let patches = patches(&extent, &found.collect::<Vec<_>>(), params.least_cells as usize);
+        Ok(Self {
+            extent,
+            cell_m,
+            before: earlier,
+            after: later,
+            cells,
+            patches,
+            registration,
+            noise,
+        })
+    }
+
+    /// Returns the report.
+    pub fn report(&self, frame: &ExportFrame, axes: &MapAxes, [before, after]: [Time; 2]) -> ChangesReport {
+        let cell_m2 = self.cell_m * self.cell_m;
+        let area = |cells: usize| cells as f64 * cell_m2;
+        let shown = |ground: &Ground| area(ground.cells.iter().flatten().count());
+        let patches = self
+            .patches
+            .list
+            .iter()
+            .map(|patch| patch.told(self))
+            .collect::<Vec<_>>();
+        let of = |is: &dyn Fn(Change) -> bool| {
+            let all = patches.iter().filter(|patch| is(patch.change));
+            all.map(|patch| patch.area_m2).sum()
+        };
+        ChangesReport {
+            before: Time {
+                area_m2: shown(&self.before),
+                ..before
+            },
+            after: Time {
+                area_m2: shown(&self.after),
+                ..after
+            },
+            cell_m: self.cell_m,
+            size: [self.extent.columns, self.extent.rows],
+            first_m: [self.across_m(0), self.up_m(0)],
+            axes: [axes.right, axes.top, axes.up].map(Into::into),
+            origin: frame.origin_words(),
+            compared_m2: area(self.cells.iter().flatten().count()),
+            changed_m2: of(&|change| change != Change::Undecided),
+            undecided_m2: of(&|change| change == Change::Undecided),
+            registration: self.registration,
+            height: self.noise[0],
+            brightness: self.noise[1],
+            colour: self.noise[2],
+            patches,
+        }
+    }
+
+    /// Returns the world file of all maps (ESRI): six lines, pixel to metres on the map.
+    pub fn world_file(&self) -> String {
+        let cell = self.cell_m;
+        format!(
+            "{cell}\n0\n0\n{}\n{}\n{}\n",
+            -cell,
+            self.across_m(0),
+            self.up_m(0)
+        )
+    }
+
+    /// Returns how far to the right of the map's origin the middle of a cell is, metres.
+    pub fn across_m(&self, place: usize) -> f64 {
+        let column = (place % self.extent.columns as usize) as i64;
+        ((self.extent.left + column) as f64 + 0.5) * self.cell_m
+    }
+
+    /// Returns how far to the top of the map's origin the middle of a cell is, metres.
+    pub fn up_m(&self, place: usize) -> f64 {
+        let row = (place / self.extent.columns as usize) as i64;
+        ((self.extent.top - row) as f64 + 0.5) * self.cell_m
+    }
+}
+
+/// Returns the places of the cells that both times show.
+fn common((before, after): &(Ground, Ground)) -> Vec<usize> {
+    let both = before.cells.iter().zip(&after.cells);
+    let shown = both.map(|(before, after)| before.is_some() && after.is_some());
+    shown
+        .enumerate()
+        .filter_map(|(place, shown)| shown.then_some(place))
+        .collect()
+}
+
+/// Returns the differences of the cells that both times show, with the standard deviations of the trainings.
+fn differences(extent: &Extent, before: &Ground, after: &Ground) -> Vec<Option<Compared>> {
+    let (earlier, later) = (before.variances(extent), after.variances(extent));
+    let cells = before
+        .cells
+        .iter()
+        .zip(&after.cells)
+        .zip(earlier.iter().zip(&later));
+    let compared = cells.map(|((before, after), (earlier, later))| {
+        let (before, after, earlier, later) = ((*before)?, (*after)?, (*earlier)?, (*later)?);
+        Some(Compared {
+            difference: [0, 1, 2, 3].map(|quantity| after.mean[quantity] - before.mean[quantity]),
+            sigma: [0, 1, 2, 3].map(|quantity| {
+                let floor = FLOORS[quantity];
+                (earlier[quantity] + later[quantity] + floor * floor).sqrt()
+            }),
+        })
+    });
+    compared.collect()
+}
+
+/// Takes away what the two times differ by as a whole: a plane of the height, and factors of the light.
+fn register(extent: &Extent, cell_m: f64, cells: &mut [Option<Compared>]) -> Registration {
+    let middle = (f64::from(extent.columns) / 2.0, f64::from(extent.rows) / 2.0);
+    let place = |index: usize| {
+        let (column, row) = (index % extent.columns as usize, index / extent.columns as usize);
+        Vector3::new(
+            1.0,
+            (column as f64 + 0.5 - middle.0) * cell_m,
+            (middle.1 - row as f64 - 0.5) * cell_m,
+        )
+    };
+    let known = |cells: &[Option<Compared>], quantity: usize| -> Vec<f64> {
+        cells
+            .iter()
+            .flatten()
+            .map(|cell| cell.difference[quantity])
+            .collect()
+    };
+    let heights: Vec<(Vector3<f64>, f64)> = cells
+        .iter()
+        .enumerate()
+        .filter_map(|(index, cell)| Some((place(index), cell.as_ref()?.difference[HEIGHT])))
+        .collect();
+    let plane = plane(&heights);
+    let light = [BRIGHTNESS, RED, BLUE].map(|quantity| median(known(cells, quantity)));
+    for (index, cell) in cells.iter_mut().enumerate() {
+        let Some(cell) = cell else { continue };
+        cell.difference[HEIGHT] -= plane.dot(&place(index));
+        for (quantity, light) in [BRIGHTNESS, RED, BLUE].into_iter().zip(light) {
+            cell.difference[quantity] -= light;
+        }
+    }
+    Registration {
+        offset_m: plane.x,
+        tilt: [plane.y, plane.z],
+        gain: [light[0] + light[1], light[0], light[0] + light[2]].map(libm::exp),
+    }
+}
+
+/// Fits value = p · place to most of the cells: least squares with Tukey's biweight, from the median on.
+fn plane(cells: &[(Vector3<f64>, f64)]) -> Vector3<f64> {
+    let mut plane = Vector3::new(median(cells.iter().map(|(_, value)| *value).collect()), 0.0, 0.0);
+    for _ in 0..ROUNDS {
+        let off: Vec<f64> = cells
+            .iter()
+            .map(|(place, value)| (value - plane.dot(place)).abs())
+            .collect();
+        let reach = TUKEY * (median(off.clone()) / MEDIAN).max(1e-9);
+        let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        for ((place, value), off) in cells.iter().zip(&off) {
+            let share = (1.0 - (off / reach) * (off / reach)).max(0.0);
+            let weight = share * share;
+            normal += place * place.transpose() * weight;
+            right += place * (weight * value);
+        }
+        match normal.cholesky() {
+            Some(solved) => plane = solved.solve(&right),
+            // All cells on one line: the offset alone is known.
+            None => return plane,
+        }
+    }
+    plane
+}
+
+/// Scales the standard deviations so that they hold what they should of the ground, which is taken for unchanged, and returns the noise of
+/// height, brightness and colour.
+fn scale(cells: &mut [Option<Compared>]) -> [Noise; 3] {
+    let all = |cells: &[Option<Compared>], value: &dyn Fn(&Compared) -> f64| -> Vec<f64> {
+        cells.iter().flatten().map(value).collect()
+    };
+    let quantities: [&[usize]; 3] = [&[HEIGHT], &[BRIGHTNESS], &[RED, BLUE]];
+    quantities.map(|quantities| {
+        let factor = quantities
+            .iter()
+            .map(|quantity| quantile(all(cells, &|cell| cell.off(*quantity)), UNCHANGED) / NINETY)
+            .fold(LEAST_FACTOR, f64::max);
+        for cell in cells.iter_mut().flatten() {
+            quantities
+                .iter()
+                .for_each(|quantity| cell.sigma[*quantity] *= factor);
+        }
+        let intervals = quantities
+            .iter()
+            .map(|quantity| median(all(cells, &|cell| cell.sigma[*quantity] * NINETY)));
+        Noise {
+            interval: intervals.fold(0.0, f64::max),
+            factor,
+        }
+    })
+}

@@ -1,0 +1,251 @@
+//! `changes`: one place photographed at two times. Each time is trained apart, several times; maps of their surfaces are compared.
+//!
+//! Rounds of nodes: the first field of each time; its retrainings and, where no cell is given, the surfaces of the first fields; the surfaces
+//! of all fields with one cell.
+
+mod cells;
+mod compare;
+mod drawing;
+mod noise;
+mod patches;
+mod rounds;
+#[cfg(test)]
+mod tests;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use marf_scene::Scene;
+use marf_schema::changes::{ChangesParams, ChangesReport, Time};
+use marf_schema::output::{CHANGE_MAPS, SCENE};
+use marf_schema::surface::SurfaceParams;
+use marf_schema::train::{Metrics, TrainParams, TrialsParams};
+use marf_stage::{
+    ChildStage, Ctx, Define, Document, Expand, Inputs, NodeSpec, Outputs, PHOTOS, ParamError, Params, Port,
+    Sols, Stage, StageError, Threads, TypedOutputs, Work, key_params, rows_of,
+};
+
+use crate::SurfaceError;
+use crate::frame::ExportFrame;
+use cells::Grid;
+use compare::Comparison;
+use rounds::{Rounds, Size};
+
+/// Fewest photos of a time: of fewer there is no surface to speak of.
+const LEAST_PHOTOS: usize = 4;
+/// Cells that the views of a field may differ by where they still show ground: what is rough is noisy, and no hole.
+const SPREAD: f64 = 3.0;
+
+/// Compares a place at two times.
+///
+/// - In: a scene of photos of both times; the set of photos, which tells their sols.
+/// - Out: what changed, as a list of patches and as maps; nothing is told where one of the times shows no ground.
+/// - The noise is how far the trainings of a time and the views of a field differ, scaled to what the ground shows: nine tenths of it are taken
+///   for unchanged. Where more changed the noise is told too large, and less is found.
+/// - Brightness alone is never told as a change of the ground: a shadow does the same.
+#[derive(Debug)]
+pub struct FindChanges {
+    params: ChangesParams,
+}
+
+impl Define for FindChanges {
+    type Params = ChangesParams;
+    const NAME: &'static str = ChangesParams::STAGE;
+    const ABOUT: &'static str = "Trains a place at two times apart and maps what changed on the ground";
+    const VERSION: u32 = 1;
+    const PORTS: &'static [Port] = &[Port::required("input", SCENE), Port::required("photos", PHOTOS)];
+    const OUTPUTS: &'static [&'static str] = &[ChangesReport::OUTPUT, CHANGE_MAPS];
+
+    fn new(params: ChangesParams) -> Result<Self, ParamError> {
+        params.check()?;
+        Ok(Self { params })
+    }
+}
+
+impl Stage for FindChanges {
+    fn params(&self) -> serde_json::Value {
+        key_params(&self.params, &["device"])
+    }
+
+    fn work(&self) -> Work<'_> {
+        Work::Expand(self)
+    }
+
+    fn threads(&self) -> Threads {
+        Threads::All
+    }
+
+    fn backend_id(&self) -> Option<String> {
+        self.params.device.backend_id()
+    }
+}
+
+impl Expand for FindChanges {
+    fn children(&self) -> Vec<ChildStage> {
+        vec![
+            ChildStage::of(&self.training(0)),
+            ChildStage::of(&self.surface(None)),
+        ]
+    }
+
+    fn expand(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
+        self.rounds(ctx, inputs)?.next(ctx, &[])
+    }
+
+    fn further(&self, ctx: &Ctx<'_>, inputs: &Inputs, done: &[Outputs]) -> Result<Vec<NodeSpec>, StageError> {
+        self.rounds(ctx, inputs)?.next(ctx, done)
+    }
+
+    fn reduce(&self, ctx: &Ctx<'_>, inputs: &Inputs, children: &[Outputs]) -> Result<Outputs, StageError> {
+        let scene = scene(ctx, inputs)?;
+        let frame = ExportFrame::of(&scene);
+        let (axes, _) = frame.metric_map("the map of changes")?;
+        let rounds = self.rounds(ctx, inputs)?;
+        let (trained, surfaces) = rounds.results(children)?;
+        let members =
+            surfaces.map(|of_time| of_time.iter().map(|outputs| Grid::read(ctx, outputs)).collect());
+        let [before, after]: [Result<Vec<Grid>, StageError>; 2] = members;
+        let comparison = Comparison::new(&before?, &after?, &self.params)?;
+        let [before, after] = self.times(ctx, inputs, &scene, trained)?;
+        let report = comparison.report(&frame, &axes, [before, after]);
+        let mut outputs = Outputs::new();
+        for (name, png) in drawing::pictures(&comparison, &report)? {
+            outputs.put_bytes(ctx, format!("{CHANGE_MAPS}{name}.png"), &png)?;
+            outputs.put_bytes(
+                ctx,
+                format!("{CHANGE_MAPS}{name}.pgw"),
+                comparison.world_file().as_bytes(),
+            )?;
+        }
+        outputs.put(ctx, &report)?;
+        Ok(outputs)
+    }
+}
+
+impl FindChanges {
+    /// Returns the training of member `index`.
+    fn training(&self, index: u32) -> TrainParams {
+        TrainParams {
+            quality: self.params.quality,
+            steps: self.params.steps,
+            scale: self.params.scale,
+            seed: self.params.seed.wrapping_add(u64::from(index)),
+            // Parts that one time tries and keeps would be a difference of their own.
+            trials: TrialsParams {
+                steps: Some(0),
+                ..TrialsParams::default()
+            },
+            device: self.params.device.clone(),
+            ..TrainParams::default()
+        }
+    }
+
+    /// Returns how the surface of a field is made; `size`: none for one that follows from the photos.
+    fn surface(&self, size: Option<Size>) -> SurfaceParams {
+        let cell_m = size.map(|size| size.cell_m);
+        SurfaceParams {
+            cell: cell_m,
+            reach: size.and_then(|size| size.reach_m),
+            map_cell: cell_m,
+            most_spread: cell_m.map(|cell| SPREAD * cell),
+            side_px: self.params.side_px,
+            device: self.params.device.clone(),
+            ..SurfaceParams::default()
+        }
+    }
+
+    fn rounds<'s>(&'s self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Rounds<'s>, StageError> {
+        let scene = scene(ctx, inputs)?;
+        ExportFrame::of(&scene).metric_map("the map of changes")?;
+        let sols = sols_of_photos(ctx, inputs)?;
+        let of = |key: &str, wanted: &Sols| -> Result<_, StageError> {
+            let part = part(&scene, &sols, wanted);
+            if part.frames.len() < LEAST_PHOTOS {
+                return Err(too_few(key, wanted, &part, &scene, &sols));
+            }
+            let bytes = part.encode().map_err(SurfaceError::from)?;
+            Ok(ctx.put(&bytes)?)
+        };
+        let scenes = [
+            of("before", &self.params.before)?,
+            of("after", &self.params.after)?,
+        ];
+        Ok(Rounds { stage: self, scenes })
+    }
+
+    fn times(
+        &self,
+        ctx: &Ctx<'_>,
+        inputs: &Inputs,
+        scene: &Scene,
+        trained: [&Outputs; 2],
+    ) -> Result<[Time; 2], StageError> {
+        let sols = sols_of_photos(ctx, inputs)?;
+        let time = |wanted: &Sols, outputs: &Outputs| -> Result<Time, StageError> {
+            let part = part(scene, &sols, wanted);
+            let metrics: Metrics = rounds::document(ctx, outputs)?;
+            let found: BTreeSet<u32> = part
+                .frames
+                .iter()
+                .filter_map(|frame| sols.get(&frame.id).copied())
+                .collect();
+            Ok(Time {
+                sols: found.into_iter().collect(),
+                photos: part.frames.len(),
+                psnr: metrics.scores.psnr,
+                area_m2: 0.0,
+            })
+        };
+        let [before, after] = trained;
+        Ok([
+            time(&self.params.before, before)?,
+            time(&self.params.after, after)?,
+        ])
+    }
+}
+
+fn scene(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Scene, StageError> {
+    Ok(Scene::decode(&ctx.get(inputs.required(SCENE)?)?).map_err(SurfaceError::from)?)
+}
+
+/// Returns the sol of each photo.
+fn sols_of_photos(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<BTreeMap<String, u32>, StageError> {
+    let rows = rows_of(ctx, inputs.required(PHOTOS)?)?;
+    Ok(rows.into_iter().map(|(sol, row)| (row.id, sol)).collect())
+}
+
+/// Returns the scene of the photos of some sols, in the same world.
+fn part(scene: &Scene, sols: &BTreeMap<String, u32>, wanted: &Sols) -> Scene {
+    let present: BTreeSet<u32> = sols.values().copied().collect();
+    let chosen = wanted.choose(&present);
+    let is_of = |id: &String| sols.get(id).is_some_and(|sol| chosen.contains(sol));
+    Scene {
+        frames: scene
+            .frames
+            .iter()
+            .filter(|frame| is_of(&frame.id))
+            .cloned()
+            .collect(),
+        unplaced: Vec::new(),
+        ..scene.clone()
+    }
+}
+
+fn too_few(
+    key: &str,
+    wanted: &Sols,
+    part: &Scene,
+    scene: &Scene,
+    sols: &BTreeMap<String, u32>,
+) -> StageError {
+    let placed: BTreeSet<u32> = scene
+        .frames
+        .iter()
+        .filter_map(|frame| sols.get(&frame.id).copied())
+        .collect();
+    let placed: Vec<String> = placed.iter().map(u32::to_string).collect();
+    StageError::new(format!(
+        "{key} = \"{wanted}\": {} photos of these sols have a camera, a surface needs {LEAST_PHOTOS}",
+        part.frames.len()
+    ))
+    .hint(format!("sols with placed photos: {}", placed.join(", ")))
+}

@@ -1,0 +1,133 @@
+//! Cells that changed alike, side by side.
+
+use marf_schema::changes::{Change, Patch};
+
+use super::cells::Extent;
+use super::compare::Comparison;
+use super::noise::around;
+
+/// Cells of nine that must have changed alike, else one that did is noise.
+const ALIKE: usize = 4;
+/// One cell of so many of a patch must be beyond the limit, else the patch is noise that grew together.
+const STRONG: usize = 3;
+/// Half width of 90 % of a normal distribution, standard deviations.
+const NINETY: f64 = 1.644_85;
+
+/// The patches of a map.
+pub(super) struct Patches {
+    /// The largest first.
+    pub list: Vec<Cells>,
+    /// What changed in each cell; none where nothing did or nothing is known.
+    pub of_cell: Vec<Option<Change>>,
+}
+
+/// The cells of a patch.
+pub(super) struct Cells {
+    change: Change,
+    /// Places, rising.
+    cells: Vec<usize>,
+    /// How many of them differ by as much as was asked for.
+    strong: usize,
+    /// How many there are with one more all around.
+    widened: usize,
+}
+
+/// What a cell shows: its change by the limit that was asked for, and by the weaker one; none where it is not known.
+type Found = Option<(Option<Change>, Option<Change>)>;
+
+/// Returns the patches: cells beyond the limit with their neighbours beyond two thirds of it, without single ones; `least`: fewest cells
+/// beyond the limit.
+pub(super) fn patches(extent: &Extent, found: &[Found], least: usize) -> Patches {
+    let grown = grown(extent, found);
+    let kept: Vec<Option<Change>> = (0..grown.len())
+        .map(|place| {
+            let alike = |near: &usize| grown[*near] == grown[place];
+            let count = around(extent, place, 1).filter(alike).count();
+            grown[place].filter(|_| count >= ALIKE)
+        })
+        .collect();
+    let mut of_cell = vec![None; kept.len()];
+    let mut list = Vec::new();
+    let mut is_seen = vec![false; kept.len()];
+    for start in 0..kept.len() {
+        let Some(change) = kept[start].filter(|_| !is_seen[start]) else {
+            continue;
+        };
+        is_seen[start] = true;
+        let mut cells = vec![start];
+        let mut next = 0;
+        while let Some(place) = cells.get(next).copied() {
+            next += 1;
+            for near in around(extent, place, 1) {
+                if !is_seen[near] && kept[near] == Some(change) {
+                    is_seen[near] = true;
+                    cells.push(near);
+                }
+            }
+        }
+        cells.sort_unstable();
+        let is_strong = |place: &&usize| found[**place].is_some_and(|(strong, _)| strong == Some(change));
+        let strong = cells.iter().filter(is_strong).count();
+        if strong < least || STRONG * strong < cells.len() {
+            continue;
+        }
+        cells.iter().for_each(|place| of_cell[*place] = Some(change));
+        let mut widened: Vec<usize> = cells.iter().flat_map(|place| around(extent, *place, 1)).collect();
+        widened.sort_unstable();
+        widened.dedup();
+        list.push(Cells {
+            change,
+            strong,
+            widened: widened
+                .into_iter()
+                .filter(|place| found[*place].is_some())
+                .count(),
+            cells,
+        });
+    }
+    list.sort_by_key(|patch| (std::cmp::Reverse(patch.cells.len()), patch.cells[0]));
+    Patches { list, of_cell }
+}
+
+/// Returns the cells beyond the limit, and those that hang together with them beyond the lower one.
+fn grown(extent: &Extent, found: &[Found]) -> Vec<Option<Change>> {
+    let mut grown: Vec<Option<Change>> = found
+        .iter()
+        .map(|found| found.and_then(|(strong, _)| strong))
+        .collect();
+    let mut front: Vec<usize> = (0..grown.len()).filter(|place| grown[*place].is_some()).collect();
+    while let Some(place) = front.pop() {
+        for near in around(extent, place, 1) {
+            let weak = found[near].and_then(|(_, weak)| weak);
+            if grown[near].is_none() && weak.is_some() && weak == grown[place] {
+                grown[near] = weak;
+                front.push(near);
+            }
+        }
+    }
+    grown
+}
+
+impl Cells {
+    /// Returns what is told of the patch.
+    pub fn told(&self, map: &Comparison) -> Patch {
+        let cell_m2 = map.cell_m * map.cell_m;
+        let area = |cells: usize| cells as f64 * cell_m2;
+        let count = self.cells.len() as f64;
+        let mean =
+            |value: &dyn Fn(usize) -> f64| self.cells.iter().map(|place| value(*place)).sum::<f64>() / count;
+        let of =
+            |quantity: usize| mean(&|place| map.cells[place].map_or(0.0, |cell| cell.difference[quantity]));
+        let interval_m = mean(&|place| map.cells[place].map_or(0.0, |cell| cell.sigma[0] * NINETY));
+        let height_m = of(0);
+        Patch {
+            change: self.change,
+            area_m2: area(self.cells.len()),
+            area_interval_m2: [area(self.strong), area(self.widened)],
+            middle_m: [mean(&|place| map.across_m(place)), mean(&|place| map.up_m(place))],
+            height_m: [height_m, interval_m],
+            volume_m3: height_m * area(self.cells.len()),
+            brightness: libm::exp(of(1)),
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! `marf compare`: a place at two times, from the command line.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::common::{Ran, marf};
+use super::with_pipeline;
+
+/// The built-in Mars before and after its change, with cameras of labels.
+const TWO_TIMES: &str = r#"name = "two-times"
+[archive.demo]
+kind = "demo"
+sols = "1,8"
+width = 160
+change = 8
+[node.extract]
+archive = "demo"
+[node.shape]
+input = "extract"
+min_width = 160
+min_height = 120
+[node.calibrate]
+input = "shape"
+method = "labels"
+"#;
+
+fn compare(dir: &Path, more: &[&str]) -> Ran {
+    let words = [
+        "compare", "--device", "cpu", "--steps", "120", "-b", "2", "--cell", "0.06",
+    ];
+    marf(dir, &[&words, more].concat())
+}
+
+#[test]
+fn two_times_are_compared_once_and_written_as_maps() {
+    let dir = with_pipeline(TWO_TIMES);
+    let dir = dir.path();
+    marf(dir, &["run"]).exits(0);
+    let two = ["--sols", "1", "--sols", "8..=9", "--out", "maps"];
+    let ran = compare(dir, &two).exits(0);
+    assert!(
+        ran.stdout.contains("before   ") && ran.stdout.contains("wrote 11 files to maps"),
+        "{}",
+        ran.stdout
+    );
+    let report = std::fs::read(dir.join("maps/changes.json")).unwrap();
+    let report: Value = serde_json::from_slice(&report).unwrap();
+    assert_eq!(
+        (&report["before"]["sols"], &report["after"]["sols"]),
+        (&vec![1].into(), &vec![8].into())
+    );
+    assert!(report["compared_m2"].as_f64().unwrap() > 1.0, "{report}");
+    let size = [&report["size"][0], &report["size"][1]].map(|side| side.as_u64().unwrap() as u32);
+    for name in ["map", "before", "after", "height", "height-interval"] {
+        let map = image::open(dir.join(format!("maps/{name}.png"))).unwrap();
+        assert_eq!([map.width(), map.height()], size, "{name}");
+        let world = std::fs::read_to_string(dir.join(format!("maps/{name}.pgw"))).unwrap();
+        assert!(world.starts_with("0.06\n0\n0\n-0.06\n"), "{world}");
+    }
+    // The same again trains nothing, and a map is known by its bytes.
+    let again = compare(dir, &[&two, &["--json"][..]].concat()).exits(0);
+    let told: Value = serde_json::from_str(&again.stdout).unwrap();
+    assert_eq!(told["changes"], report);
+    let ran = again.stderr.lines().filter(|line| line.starts_with("run "));
+    assert_eq!(ran.count(), 0, "{}", again.stderr);
+    let audit = marf(dir, &["audit", "maps/map.png"]).exits(0);
+    assert!(audit.stdout.contains("changes-of-calibrate"), "{}", audit.stdout);
+}
+
+#[test]
+fn times_that_cannot_be_compared_are_refused_with_the_way_out() {
+    let dir = with_pipeline(TWO_TIMES);
+    let dir = dir.path();
+    let refused = |more: &[&str], code: i32, words: &[&str]| {
+        let ran = compare(dir, &[more, &["--out", "maps"]].concat()).exits(code);
+        for word in words {
+            assert!(ran.stderr.contains(word), "{word}: {}", ran.stderr);
+        }
+        assert!(!dir.join("maps").exists());
+    };
+    refused(&["--sols", "1", "--sols", "8"], 2, &["no store"]);
+    marf(dir, &["run"]).exits(0);
+    refused(
+        &["--sols", "1"],
+        2,
+        &["1 times are given", "--sols 1..=2 --sols 8..=9"],
+    );
+    refused(
+        &["--sols", "1..=3", "--sols", "3"],
+        2,
+        &["sol 3 is in `before` too"],
+    );
+    refused(&["--sols", "1", "--sols", "latest"], 2, &["latest"]);
+    refused(
+        &["delta", "--sols", "1", "--sols", "8"],
+        2,
+        &["delta", "leave the scene out"],
+    );
+    refused(
+        &["--sols", "1", "--sols", "9"],
+        1,
+        &["after = \"9\"", "sols with placed photos: 1, 8"],
+    );
+}
