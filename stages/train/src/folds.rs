@@ -10,7 +10,7 @@ use marf_stage::{
 
 use crate::{
     child::{Child, child_stage},
-    io::read_scene,
+    io::{read_scene, read_setup},
     scoring::means,
     split::fold_of_each,
     stage_on_device,
@@ -51,6 +51,7 @@ impl Expand for Folds {
     }
 
     fn expand(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
+        read_setup(ctx, inputs)?;
         let scene = read_scene(ctx, inputs)?;
         if scene.frames.len() >= self.params.below as usize {
             return Ok(Vec::new());
