@@ -78,6 +78,7 @@ pub(super) fn training(scores: Scores) -> train::Metrics {
         loss: 0.0031,
         scale: 4,
         thinned: None,
+        warm_start: None,
         seed: 7,
         holdout: train::Holdout::Test,
         fold: None,

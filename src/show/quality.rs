@@ -2,6 +2,7 @@
 
 use marf_scene::Nearest;
 use marf_schema::scores::{PhotoScores, Scores};
+use marf_schema::train::WarmStart;
 use marf_schema::{bootstrap, calibrate, evaluate, folds, train};
 use maud::{Markup, html};
 
@@ -39,12 +40,20 @@ pub(super) fn of_training(metrics: &train::Metrics) -> Vec<Figure> {
             format!("{} dB {how}", number(target.psnr)),
         )
     });
+    let start = metrics.warm_start.iter().map(|start| {
+        let from = match start {
+            WarmStart::From(weights) => format!("the field {} of the run before", weights.short()),
+            WarmStart::Cold(why) => format!("nothing: {why}"),
+        };
+        ("began from", from)
+    });
     let seen = metrics.on_training.iter();
     let seen = seen.map(|seen| ("PSNR on photos trained on", format!("{} dB", decibels(seen.psnr))));
     means(&metrics.scores)
         .into_iter()
         .chain(seen)
         .chain(target)
+        .chain(start)
         .chain(counts)
         .chain(some)
         .chain(reduced)

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use marf_cache::Store;
+use marf_cache::{Digest, Store};
 use marf_engine::{Graph, RunRecord, document};
 use marf_field::Device;
 use marf_provenance::lineage::{Lineage, NodeLineage};
@@ -51,11 +51,14 @@ pub fn plan(lineage: &Lineage<'_>, nodes: &[&NodeLineage], scratch: &Store) -> R
             put_on_cpu(&mut tree, &node.run);
         }
     }
+    let mut repeated = BTreeSet::new();
     for node in nodes {
-        repeat(&mut tree, lineage.store(), node)?;
+        if repeat(&mut tree, lineage.store(), node)? {
+            repeated.insert(node.run.name.as_str());
+        }
     }
     take_over(lineage, nodes, scratch, &mut not_made)?;
-    continue_from(lineage, nodes, scratch)?;
+    continue_from(lineage, nodes, &repeated, scratch)?;
     let pipeline = check_tree(&tree, &options, Path::new("")).map_err(|error| {
         CliError::failed(format!(
             "the pipeline of run {}: {}",
@@ -129,10 +132,10 @@ fn on_other_devices(nodes: &[&NodeLineage]) -> BTreeMap<String, NotMade> {
     not_made
 }
 
-/// Puts the parameters of a training by the clock in its place that repeat it: the schedule that it ran.
-fn repeat(tree: &mut Value, store: &Store, node: &NodeLineage) -> Result<(), CliError> {
+/// Puts the parameters of a training by the clock in its place that repeat it, the schedule that it ran; returns whether it was one.
+fn repeat(tree: &mut Value, store: &Store, node: &NodeLineage) -> Result<bool, CliError> {
     let Some(repeating) = repeating(store, node)? else {
-        return Ok(());
+        return Ok(false);
     };
     let table = tree["node"]
         .get_mut(&node.run.name)
@@ -141,7 +144,7 @@ fn repeat(tree: &mut Value, store: &Store, node: &NodeLineage) -> Result<(), Cli
         table.retain(|key, _| !matches!(key.as_str(), "budget" | "within"));
         table.extend(repeating);
     }
-    Ok(())
+    Ok(true)
 }
 
 /// Returns the keys that repeat a training by the clock; none for all other nodes.
@@ -204,31 +207,45 @@ fn varies(node: &NodeLineage) -> Option<&'static str> {
 
 /// Lets nodes that went on from their own earlier output do so again: the store knows of their results and has only what they
 /// went on from.
-fn continue_from(lineage: &Lineage<'_>, nodes: &[&NodeLineage], scratch: &Store) -> Result<(), CliError> {
+///
+/// A node whose parameters are other ones now, as it is `repeated`, goes on from the result of the run before, as any node does
+/// whose parameters changed.
+fn continue_from(
+    lineage: &Lineage<'_>,
+    nodes: &[&NodeLineage],
+    repeated: &BTreeSet<&str>,
+    scratch: &Store,
+) -> Result<(), CliError> {
     let store = lineage.store();
-    let mut latest = BTreeMap::new();
-    let mut earlier = BTreeSet::new();
-    for node in nodes {
-        let (Some(input), Some(key)) = (node.run.inputs.get(EARLIER), node.run.key) else {
-            continue;
-        };
-        copy_record(&key, store, scratch)?;
-        latest.insert(node.run.name.clone(), key);
-        earlier.insert(input.digest);
-    }
-    if latest.is_empty() {
+    let continued = nodes.iter().filter_map(|node| {
+        let earlier = node.run.inputs.get(EARLIER)?.digest;
+        Some((&node.run, earlier, node.run.key?))
+    });
+    let continued: Vec<_> = continued.collect();
+    if continued.is_empty() {
         return Ok(());
     }
-    let before: Vec<_> = marf_engine::runs(store, |_| {})?
+    let all: Vec<_> = marf_engine::runs(store, |_| {})?
         .into_iter()
         .flat_map(|run| run.nodes)
-        .filter(|node| {
-            node.outputs
-                .values()
-                .any(|output| earlier.contains(&output.digest))
-        })
-        .filter_map(|node| node.key)
         .collect();
+    let (mut latest, mut before) = (BTreeMap::new(), Vec::new());
+    for (run, earlier, key) in continued {
+        let gave = all.iter().filter(|node| {
+            let mut outputs = node.outputs.values();
+            node.stage == run.stage && outputs.any(|output| output.digest == earlier)
+        });
+        let gave: Vec<Digest> = gave.filter_map(|node| node.key).collect();
+        let known = match repeated.contains(run.name.as_str()) {
+            true => gave.first().copied(),
+            false => Some(key),
+        };
+        if let Some(known) = known {
+            copy_record(&known, store, scratch)?;
+            latest.insert(run.name.clone(), known);
+        }
+        before.extend(gave);
+    }
     for blob in store.closure(&before, &[])?.blobs {
         scratch.put(&store.get(&blob)?)?;
     }

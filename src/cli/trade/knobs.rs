@@ -190,7 +190,7 @@ pub fn node_of<P: Params>(session: &Session) -> Option<String> {
 /// Returns the name of the training.
 ///
 /// # Errors
-/// A pipeline without one, or with a time to train for.
+/// A pipeline without one, with a time to train for, or with one that starts from the last.
 pub fn training(session: &Session) -> Result<String, CliError> {
     let none = || {
         CliError::Usage(
@@ -203,6 +203,14 @@ pub fn training(session: &Session) -> Result<String, CliError> {
     let timed = ["budget", "within"]
         .into_iter()
         .find(|key| info.is_some_and(|info| info.params.get(*key).is_some()));
+    if info.is_some_and(|info| info.params.get("warm_start").is_some()) {
+        return Err(CliError::Usage(
+            Diagnostic::new(format!(
+                "`{name}.warm_start` would start each training from the one before, and none could be compared"
+            ))
+            .hint(format!("add `--set {name}.warm_start=false`")),
+        ));
+    }
     match timed {
         Some(key) => Err(CliError::Usage(
             Diagnostic::new(format!("`{name}.{key}` fixes the time, which is to be traded"))

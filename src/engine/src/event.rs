@@ -153,6 +153,13 @@ impl Progress for NodeProgress<'_> {
         }
     }
 
+    fn warn(&self, message: &str) {
+        self.listener.on_event(&Event::Warning {
+            node: Some(self.node.clone()),
+            message: message.to_owned(),
+        });
+    }
+
     fn took(&self, part: &'static str, seconds: f64) {
         *self.parts_s.lock().entry(part.to_owned()).or_default() += seconds;
     }

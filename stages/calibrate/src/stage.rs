@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use marf_cache::Digest;
-use marf_scene::{Frame, PosedPhoto, Scene, Unplaced, hold_out_places};
+use marf_scene::{Frame, PosedPhoto, Scene, Unplaced, hold_out_more_places};
 use marf_schema::calibrate::{CalibrateParams, Hold, Method, Metrics, PhotoMetrics, Totals};
 use marf_schema::output::{POINTS, SCENE, SPARSE, TRANSFORMS};
 use marf_stage::{
@@ -35,7 +35,7 @@ impl Define for Calibrate {
     const NAME: &'static str = <CalibrateParams as Params>::STAGE;
     const ABOUT: &'static str =
         "Photos to a calibrated scene: from what they show, from labels, or from imported cameras";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const PORTS: &'static [Port] = &[
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),
@@ -82,7 +82,12 @@ impl Set for Calibrate {
             Method::Colmap => colmap::run(ctx, inputs, &items, params)?,
         };
         check_enough(&found, items.len(), params.min_registered)?;
-        hold_out(&mut found, params, &items);
+        hold_out(
+            &mut found,
+            params,
+            &items,
+            sfm::earlier_scene(ctx, inputs)?.as_ref(),
+        );
         check_training(&found.placed)?;
         let metrics = metrics(&found, &items);
         let tracks = std::mem::take(&mut found.tracks);
@@ -148,38 +153,50 @@ fn check_enough(found: &Calibration, total: usize, min_registered: u32) -> Resul
     })
 }
 
-/// Sorts photos by file name and holds some out, unless the import has decided.
-fn hold_out(found: &mut Calibration, params: &CalibrateParams, items: &[InputPhoto]) {
+/// Sorts photos by file name and holds some out, unless the import has decided; photos of the earlier scene stay as they were there.
+fn hold_out(
+    found: &mut Calibration,
+    params: &CalibrateParams,
+    items: &[InputPhoto],
+    earlier: Option<&Scene>,
+) {
     found
         .placed
         .sort_by(|a, b| (&a.file, a.item).cmp(&(&b.file, b.item)));
     if found.placed.iter().any(|one| one.held_out.is_some()) {
         return;
     }
+    let known = found.placed.iter().map(|one| {
+        let frame = earlier?.frame(&items[one.item].id)?;
+        Some(frame.held_out)
+    });
+    let known: Vec<Option<bool>> = known.collect();
     let held_out = match params.hold {
-        Hold::Place => by_place(found, params.hold_every, items),
-        Hold::Every => every(found.placed.len(), params.hold_every as usize),
+        Hold::Place => by_place(found, params.hold_every, items, &known),
+        Hold::Every => every(params.hold_every as usize, &known),
     };
     for (one, held_out) in found.placed.iter_mut().zip(held_out) {
         one.held_out = Some(if held_out { HeldOut::Yes } else { HeldOut::No });
     }
 }
 
-fn by_place(found: &Calibration, every: u32, items: &[InputPhoto]) -> Vec<bool> {
+fn by_place(found: &Calibration, every: u32, items: &[InputPhoto], known: &[Option<bool>]) -> Vec<bool> {
     let photos = found.placed.iter().map(|one| PosedPhoto {
         id: &items[one.item].id,
         camera: &one.camera,
         cam_from_world: &one.cam_from_world,
     });
     let photos: Vec<PosedPhoto<'_>> = photos.collect();
-    hold_out_places(&photos, &found.points, every)
+    hold_out_more_places(&photos, &found.points, every, known)
 }
 
-/// Tells which of so many photos are held out where one in `every` is, the first among them.
-fn every(photos: usize, every: usize) -> Vec<bool> {
-    (0..photos)
-        .map(|index| every > 0 && index.is_multiple_of(every))
-        .collect()
+/// Tells which photos are held out where one in `every` is, the first among them, and `known` ones stay as they were.
+fn every(every: usize, known: &[Option<bool>]) -> Vec<bool> {
+    let is_held_out = |(index, known): (usize, &Option<bool>)| match every {
+        0 => false,
+        every => known.unwrap_or(index.is_multiple_of(every)),
+    };
+    known.iter().enumerate().map(is_held_out).collect()
 }
 
 /// Refuses a scene without photos for training.

@@ -10,7 +10,7 @@ use std::sync::OnceLock;
 use marf_calibrate::Calibrate;
 use marf_demo::{Demo, DemoFile, DemoOptions};
 use marf_pds::{ProductName, join_key, pds4};
-use marf_scene::{Camera, Image, Photo, PhotoFacts, Pose, Srgb, encode_png};
+use marf_scene::{Camera, Frame, Image, Photo, PhotoFacts, Pose, Srgb, encode_png};
 use marf_stage::{Define, StageError};
 use nalgebra::{Vector2, Vector3};
 use serde_json::json;
@@ -144,7 +144,7 @@ fn the_version_is_raised_when_structure_from_motion_answers_otherwise() {
     let (input, _) = demo();
     let output = input.run(&json!({"method": "sfm"})).unwrap();
     let found = (Calibrate::VERSION, output.scene_digest.short());
-    assert_eq!(found, (7, "1d2cea83ccb1".to_owned()));
+    assert_eq!(found, (8, "1d2cea83ccb1".to_owned()));
 }
 
 #[test]
@@ -212,7 +212,11 @@ fn new_photos_join_the_earlier_scene_and_its_world_stays() {
             .unwrap();
         let moved = (now.cam_from_world.centre() - old.cam_from_world.centre()).norm();
         assert!(moved < 0.01, "{}: {moved} m", old.id);
+        assert_eq!(now.held_out, old.held_out, "{}", old.id);
     }
+    let held_out = |frames: &[Frame]| frames.iter().filter(|frame| frame.held_out).count();
+    let (before, now) = (held_out(&earlier.scene.frames), held_out(&output.scene.frames));
+    assert!(before > 0 && (before..=8).contains(&now), "{before}, then {now}");
     let errors = errors_of(&output.scene, &truth);
     assert!(
         errors.position[1] < 0.002 && (errors.scale - 1.0).abs() < 0.005,

@@ -110,13 +110,7 @@ fn from_points(views: &[View], points: &[[f64; 3]]) -> Option<Frame> {
     if points.len() < ENOUGH_POINTS {
         return None;
     }
-    let origin = [0, 1, 2].map(|axis| median(&mut points.iter().map(|p| p[axis]).collect::<Vec<_>>()));
-    let reach = |p: &[f64; 3]| {
-        (0..3)
-            .map(|axis| (p[axis] - origin[axis]).abs())
-            .fold(0.0, f64::max)
-    };
-    let half_side = percentile(&mut points.iter().map(reach).collect::<Vec<_>>(), 0.8);
+    let (origin, half_side) = box_of(points);
     let depths = views.iter().map(|view| seen_depth(view, points));
     let depth = median(&mut depths.filter(|depth| *depth > 0.0).collect::<Vec<_>>());
     (half_side > 0.0 && depth > 0.0).then(|| Frame {
@@ -128,6 +122,18 @@ fn from_points(views: &[View], points: &[[f64; 3]]) -> Option<Frame> {
             points.len()
         ),
     })
+}
+
+/// Returns the median of points, and the 80th percentile of their distance from it in the maximum norm.
+pub fn box_of(points: &[[f64; 3]]) -> ([f64; 3], f64) {
+    let origin = [0, 1, 2].map(|axis| median(&mut points.iter().map(|p| p[axis]).collect::<Vec<_>>()));
+    let reach = |p: &[f64; 3]| {
+        (0..3)
+            .map(|axis| (p[axis] - origin[axis]).abs())
+            .fold(0.0, f64::max)
+    };
+    let half_side = percentile(&mut points.iter().map(reach).collect::<Vec<_>>(), 0.8);
+    (origin, half_side)
 }
 
 /// Returns the median depth of the points a view sees, 0 if none.

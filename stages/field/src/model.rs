@@ -7,7 +7,7 @@ use crate::cpu::march::{Bits, Steps};
 use crate::frame::Frame;
 use crate::tensors::{Reader, Writer};
 use crate::weights::Weights;
-use crate::{Config, Facts, FieldError};
+use crate::{Config, Facts, FieldError, Learnt};
 
 /// What a trained field consists of: everything needed to render it.
 #[derive(Clone, Debug)]
@@ -24,6 +24,8 @@ pub struct Model {
     pub bits: Bits,
     /// What the field was sized by.
     pub facts: Facts,
+    /// The photos that it was trained on, where a training may start from it.
+    pub learnt: Option<Learnt>,
 }
 
 /// The JSON in the file's header.
@@ -35,6 +37,8 @@ struct Header {
     config: Config,
     frame: Frame,
     facts: Facts,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    learnt: Option<Learnt>,
 }
 
 /// Raised when the meaning of the file changes.
@@ -50,6 +54,7 @@ impl Model {
             weights,
             bits,
             facts,
+            learnt: None,
         }
     }
 
@@ -63,6 +68,7 @@ impl Model {
             config: self.config.clone(),
             frame: self.frame.clone(),
             facts: self.facts.clone(),
+            learnt: self.learnt.clone(),
         };
         let mut writer = Writer::default();
         for (name, values) in self.weights.tensors() {
@@ -105,12 +111,9 @@ impl Model {
         weights.refresh();
         let mut bits = Bits::new(header.config.occupancy_resolution);
         reader.words("occupancy", &mut bits.words)?;
-        Ok(Self::new(
-            header.config,
-            header.frame,
-            header.facts,
-            weights,
-            bits,
-        ))
+        Ok(Self {
+            learnt: header.learnt,
+            ..Self::new(header.config, header.frame, header.facts, weights, bits)
+        })
     }
 }

@@ -142,6 +142,25 @@ impl Occupancy {
         }
     }
 
+    /// Returns the grid with the cells that `views` see as `bits` have them: what is empty there fills where it is found dense, and
+    /// what is not is looked at anew. `frame`: the box of both.
+    pub fn known(&self, bits: &Bits, frame: &Frame, views: &[View]) -> Self {
+        let seen = seen_cells(self.bits.side, frame, views);
+        let mut grid = self.clone();
+        for (cell, density) in grid.density.iter_mut().enumerate() {
+            if seen[cell] && *density >= 0.0 {
+                *density = if bits.holds(cell as u32) { UNKNOWN } else { 0.0 };
+            }
+        }
+        let cells = grid.density.iter().enumerate();
+        let mut own = Bits::new(self.bits.side);
+        for (cell, _) in cells.filter(|(_, density)| **density >= UNKNOWN) {
+            own.set(cell);
+        }
+        grid.bits = own;
+        grid
+    }
+
     /// Returns the density of the occupied cell around a point given in half sides, 0 where it is empty.
     fn density_at(&self, point: [f64; 3]) -> f32 {
         let side = self.bits.side;

@@ -161,7 +161,7 @@ impl From<Schedule> for Vec<[u64; 2]> {
 }
 
 impl Training {
-    /// Returns the step size after so many steps: `learning_rate` for half of the training and at least 512 steps, then down by
+    /// Returns the step size after so many steps: `first_rate` of `learning_rate` for half of the training and at least 512 steps, then down by
     /// equal factors to `final_rate` of it at the end, where it stays. After a new plan as in a training that was planned so
     /// from the start and is as far, to whole steps.
     pub fn rate_at(&self, steps: u64) -> f32 {
@@ -169,7 +169,8 @@ impl Training {
         let held = (end / 2).max(RATE_HELD);
         let past = (done * end as f64).round_ties_even() - held as f64;
         let fallen = past.max(0.0) / end.saturating_sub(held).max(1) as f64;
-        (self.config.learning_rate * libm::pow(self.config.final_rate, fallen)) as f32
+        let first = self.config.learning_rate * self.first_rate;
+        (first * libm::pow(self.config.final_rate, fallen)) as f32
     }
 
     /// Returns the share of themselves that the averaged weights keep after so many steps, less in the first ones.

@@ -48,6 +48,23 @@ impl Trainer {
         Self::with_backend(training, Arc::new(Cpu::best()))
     }
 
+    /// As [`Trainer::with_derived`], in the box and with the sizes of `field`, and from its weights and its occupancy: moments
+    /// are zero, and exposures of photos that it does not know neutral.
+    ///
+    /// # Errors
+    /// As [`Trainer::with_derived`], and a configuration for which the field has not the tensors.
+    pub fn from_field(
+        views: Vec<View>,
+        points: &[[f64; 3]],
+        config: &Config,
+        seed: u64,
+        field: &Field,
+    ) -> Result<Self, FieldError> {
+        let mut training = Training::with_derived(views, points, config, seed, &field.derived())?;
+        training.start_from(field)?;
+        Self::with_backend(training, Arc::new(Cpu::best()))
+    }
+
     pub(crate) fn with_backend(
         mut training: Training,
         backend: Arc<dyn Backend>,

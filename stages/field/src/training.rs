@@ -47,6 +47,8 @@ pub struct Training {
     pub observations: Vec<Observation>,
     /// Corrections of the moments by step count.
     pub bias: Bias,
+    /// Share of the configuration's step size with which it begins: less where it starts from a field.
+    pub first_rate: f64,
     /// All that changes.
     pub state: State,
 }
@@ -136,6 +138,7 @@ impl Training {
             march,
             observations,
             bias: Bias::default(),
+            first_rate: 1.0,
             state,
         }
     }

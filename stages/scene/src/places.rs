@@ -55,12 +55,36 @@ pub(crate) type Place = SVector<f64, 6>;
 /// those to be held out where they are two to four, or half of all. The answer depends on ids and poses, not on the order
 /// of the photos. 0 holds none out; of two photos and more at least one is held out and one is not. O(n²) time, O(n) memory.
 pub fn hold_out_places(photos: &[PosedPhoto<'_>], points: &[Point], every: u32) -> Vec<bool> {
+    hold_out_more_places(photos, points, every, &vec![None; photos.len()])
+}
+
+/// As [`hold_out_places`] for a set that has grown: `known` tells of each photo whether it was held out before, and none of a new one.
+///
+/// Known photos stay as they were. A new photo at a known place is held out if that place is; new places fill up the share. With
+/// `every` = 0 no photo is held out, known or not.
+pub fn hold_out_more_places(
+    photos: &[PosedPhoto<'_>],
+    points: &[Point],
+    every: u32,
+    known: &[Option<bool>],
+) -> Vec<bool> {
     let mut held_out = vec![false; photos.len()];
     if every == 0 {
         return held_out;
     }
-    let groups = places(photos, points, most_in_a_place(photos.len(), every));
-    for photo in chosen(&groups, photos.len(), every) {
+    let most = most_in_a_place(photos.len(), every);
+    let (known, new): (Vec<Group>, Vec<Group>) = places(photos, points, most, known)
+        .into_iter()
+        .partition(|group| group.known.is_some());
+    let before = known.iter().filter(|group| group.known == Some(true));
+    let before: Vec<usize> = before.flat_map(|group| group.photos.clone()).collect();
+    let all = known.iter().map(|group| group.photos.len()).sum::<usize>();
+    // However much is owed from before, at most about half of what is new is held out.
+    let (share, new_photos) = (1.0 / f64::from(every), (photos.len() - all) as f64);
+    let owed = (all as f64 * share - before.len() as f64).min(new_photos * (0.5 - share).max(0.0));
+    let needs_one = before.is_empty() && known.len() + new.len() > 1;
+    let after = chosen(&new, every, (owed, needs_one));
+    for photo in before.into_iter().chain(after) {
         held_out[photo] = true;
     }
     held_out
@@ -72,7 +96,8 @@ pub fn hold_out_places(photos: &[PosedPhoto<'_>], points: &[Point], every: u32) 
 /// Places as in [`hold_out_places`] with `every` = `folds`. The folds are numbered from 0 without gaps; there are `folds` of them,
 /// or as many as there are places. The answer depends on ids and poses, not on the order of the photos.
 pub fn folds(photos: &[PosedPhoto<'_>], points: &[Point], folds: u32) -> Vec<u32> {
-    let groups = places(photos, points, most_in_a_place(photos.len(), folds.max(1)));
+    let most = most_in_a_place(photos.len(), folds.max(1));
+    let groups = places(photos, points, most, &vec![None; photos.len()]);
     let mut walk: Vec<&Group> = groups.iter().collect();
     walk_through(&mut walk);
     let mut sizes = vec![0; (folds.max(1) as usize).min(walk.len())];
@@ -94,7 +119,8 @@ pub fn folds(photos: &[PosedPhoto<'_>], points: &[Point], folds: u32) -> Vec<u32
 /// number of photos.
 pub fn places_of(photos: &[PosedPhoto<'_>], points: &[Point]) -> Vec<usize> {
     let mut place_of = vec![0; photos.len()];
-    for (number, group) in places(photos, points, photos.len()).iter().enumerate() {
+    let groups = places(photos, points, photos.len(), &vec![None; photos.len()]);
+    for (number, group) in groups.iter().enumerate() {
         group.photos.iter().for_each(|photo| place_of[*photo] = number);
     }
     place_of
@@ -114,15 +140,23 @@ struct Group {
     photos: Vec<usize>,
     low: Place,
     high: Place,
+    /// Whether its known photos were held out before; none where all are new.
+    known: Option<bool>,
 }
 
 impl Group {
-    fn of(photo: usize, place: Place) -> Self {
+    fn of(photo: usize, place: Place, known: Option<bool>) -> Self {
         Self {
             photos: vec![photo],
             low: place,
             high: place,
+            known,
         }
+    }
+
+    /// Tells whether both can be one group: a photo held out before and one trained on cannot.
+    fn may_join(&self, other: &Self) -> bool {
+        self.known.is_none() || other.known.is_none() || self.known == other.known
     }
 
     fn with(&self, other: &Self) -> Self {
@@ -130,6 +164,7 @@ impl Group {
             photos: [self.photos.as_slice(), &other.photos].concat(),
             low: self.low.inf(&other.low),
             high: self.high.sup(&other.high),
+            known: self.known.or(other.known),
         }
     }
 
@@ -143,14 +178,16 @@ impl Group {
     }
 }
 
-/// Returns groups of at most `most` photos, in the order of the smallest id in each; every photo is in one.
-fn places(photos: &[PosedPhoto<'_>], points: &[Point], most: usize) -> Vec<Group> {
+/// Returns groups of at most `most` photos, in the order of the smallest id in each; every photo is in one, and none has photos
+/// that are `known` to be held out and others that are known not to be.
+fn places(photos: &[PosedPhoto<'_>], points: &[Point], most: usize, known: &[Option<bool>]) -> Vec<Group> {
     let mut order: Vec<usize> = (0..photos.len()).collect();
     order.sort_by_key(|photo| photos[*photo].id);
     let cameras: Vec<Posed<'_>> = order.iter().map(|photo| photos[*photo].posed()).collect();
     let reach = reach(&cameras, points);
     let places: Vec<Place> = cameras.iter().map(|(_, pose)| place(pose, reach)).collect();
-    let groups = merged(&places, most);
+    let known: Vec<Option<bool>> = order.iter().map(|photo| known[*photo]).collect();
+    let groups = merged(&places, most, &known);
     let named = groups.into_iter().map(|group| Group {
         photos: group.photos.iter().map(|index| order[*index]).collect(),
         ..group
@@ -166,14 +203,17 @@ pub(crate) fn place(cam_from_world: &Pose, reach: f64) -> Place {
 }
 
 /// Merges photos with their neighbours, the nearest first, as long as a group stays near and has at most `most` photos.
-fn merged(places: &[Place], most: usize) -> Vec<Group> {
+fn merged(places: &[Place], most: usize, known: &[Option<bool>]) -> Vec<Group> {
     let mut group_of: Vec<usize> = (0..places.len()).collect();
-    let singles = places.iter().enumerate();
-    let mut groups: Vec<Group> = singles.map(|(photo, place)| Group::of(photo, *place)).collect();
+    let singles = places.iter().zip(known).enumerate();
+    let mut groups: Vec<Group> = singles
+        .map(|(photo, (place, known))| Group::of(photo, *place, *known))
+        .collect();
     for (one, other) in near_pairs(places) {
         let (one, other) = (group_of[one], group_of[other]);
         let (one, other) = (one.min(other), one.max(other));
-        if one == other || groups[one].photos.len() + groups[other].photos.len() > most {
+        let photos = groups[one].photos.len() + groups[other].photos.len();
+        if one == other || photos > most || !groups[one].may_join(&groups[other]) {
             continue;
         }
         let both = groups[one].with(&groups[other]);
@@ -215,13 +255,13 @@ fn near_pairs(places: &[Place]) -> Vec<(usize, usize)> {
 /// Returns the photos of the groups that are held out.
 ///
 /// Groups are walked through in an order in which neighbours follow each other. Each adds its share to what is owed, and
-/// one that is taken pays with its photos.
-fn chosen(groups: &[Group], photos: usize, every: u32) -> Vec<usize> {
+/// one that is taken pays with its photos. `owed`: what is owed before; `needs_one`: one is taken in any case.
+fn chosen(groups: &[Group], every: u32, (mut owed, needs_one): (f64, bool)) -> Vec<usize> {
+    let photos: usize = groups.iter().map(|group| group.photos.len()).sum();
     let mut walk: Vec<&Group> = groups.iter().collect();
     walk_through(&mut walk);
     let share = 1.0 / f64::from(every);
     let half_a_group = photos as f64 / groups.len().max(1) as f64 / 2.0;
-    let mut owed = 0.0;
     let is_taken = |group: &&&Group| {
         let size = group.photos.len() as f64;
         owed += size * share;
@@ -230,7 +270,7 @@ fn chosen(groups: &[Group], photos: usize, every: u32) -> Vec<usize> {
         is_due
     };
     let mut taken: Vec<&Group> = walk.iter().filter(is_taken).copied().collect();
-    if taken.is_empty() && walk.len() > 1 {
+    if needs_one && taken.is_empty() {
         let wanted = photos as f64 * share;
         let off = |group: &&&Group| (group.photos.len() as f64 - wanted).abs();
         let best = walk.iter().min_by(|a, b| off(a).total_cmp(&off(b)));

@@ -104,6 +104,12 @@ pub enum SceneError {
 }
 
 impl Scene {
+    /// Returns the frame of a photo, by its id.
+    pub fn frame(&self, id: &str) -> Option<&Frame> {
+        let found = self.frames.binary_search_by(|frame| frame.id.as_str().cmp(id));
+        Some(&self.frames[found.ok()?])
+    }
+
     /// Returns the scene as JSON; floats are the shortest text that reads back to the same bits.
     ///
     /// # Errors

@@ -48,8 +48,9 @@ pub struct CalibrateParams {
     pub seed: u64,
     /// `import`: the file to read (`transforms.json`, `sparse/0/cameras.bin`), where there are several.
     pub file: Option<String>,
-    /// `sfm`: keep the scene of the last run as it is and register only the photos that are new. That scene is
-    /// then an input of this node; without it, or with `false`, the scene is built anew.
+    /// `sfm`: keep the scene of the last run as it is and register only the photos that are new. Photos kept from training stay
+    /// so, and of the new ones as many are as `hold_every` asks for. That scene is then an input of this node; without it, or with
+    /// `false`, the scene is built anew.
     pub extend: bool,
     /// `colmap`: the program to run; without it the `colmap` that is found on PATH.
     pub colmap: Option<String>,

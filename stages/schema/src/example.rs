@@ -21,6 +21,7 @@ pub fn train_metrics() -> train::Metrics {
         loss: 0.0031,
         scale: 1,
         thinned: None,
+        warm_start: None,
         seed: 0,
         holdout: Holdout::Test,
         fold: None,

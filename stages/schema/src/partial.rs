@@ -50,6 +50,11 @@ impl PartialParams {
             let message = "a training that is stopped on its way needs to know its `steps`: no `budget`, `within` or `target_psnr`";
             return Err(ParamError::new("train", message));
         }
+        if self.train.warm_start {
+            let message =
+                "a training that is stopped on its way starts anew: its state is what is gone on from";
+            return Err(ParamError::new("train.warm_start", message));
+        }
         if self.train.fold.is_some() {
             let message = "a fold is trained in one piece";
             return Err(ParamError::new("train.fold", message));

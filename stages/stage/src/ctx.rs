@@ -125,6 +125,8 @@ pub trait Progress: Sync {
     /// Reports how long a part of the work took (`training`), seconds; several times of one part add up. It is kept beside the
     /// record, for people.
     fn took(&self, _part: &'static str, _seconds: f64) {}
+    /// Tells people one sentence on the work that they should know of; what a result depends on is in its outputs, too.
+    fn warn(&self, _message: &str) {}
 }
 
 /// Keeps the state of an unfinished run under the node's key, in named parts (`training`, `trial-2`). All are removed when

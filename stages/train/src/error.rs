@@ -14,6 +14,11 @@ pub enum TrainError {
     /// The setup of another training cannot be read.
     #[error("the input `setup` is not what `train` writes: {0}")]
     Setup(String),
+    /// A training that started from an earlier field, and is to be repeated with another seed or other photos.
+    #[error(
+        "the training that `of` names started from an earlier field (`warm_start`), and one with another seed or draw does not"
+    )]
+    WarmStarted,
     /// The state of a training that cannot be gone on from.
     #[error("the input `state` cannot be gone on from: {0}")]
     State(String),
@@ -182,6 +187,9 @@ impl TrainError {
             Self::NoTime { .. } => "raise `within`, or the factor `scale` by which photos are shrunk",
             Self::NoValidation { .. } => "leave `target_psnr` out, or take more photos",
             Self::State(_) => "take steps, seed, photos and field of the training that was stopped",
+            Self::WarmStarted => {
+                "set `warm_start = false` in the training that `of` names, or leave this node out while the scene grows"
+            }
             Self::Behind { .. } => "raise `until`",
             Self::Vanished { .. } => "lower `scale`",
             Self::Memory { needed_mb, .. } => {

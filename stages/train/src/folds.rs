@@ -8,7 +8,13 @@ use marf_stage::{
     StageError, TypedOutputs,
 };
 
-use crate::{child::Child, io::read_scene, scoring::means, split::fold_of_each, stage_on_device};
+use crate::{
+    child::Child,
+    io::{read_scene, read_setup},
+    scoring::means,
+    split::fold_of_each,
+    stage_on_device,
+};
 
 /// Judges every photo of a small scene by a field that was trained without its place.
 ///
@@ -45,6 +51,7 @@ impl Expand for Folds {
     }
 
     fn expand(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
+        read_setup(ctx, inputs)?;
         let scene = read_scene(ctx, inputs)?;
         if scene.frames.len() >= self.params.below as usize {
             return Ok(Vec::new());

@@ -3,8 +3,11 @@
 use marf_cache::Digest;
 use marf_field::{Device, Field};
 use marf_scene::{Image, Scene, Srgb, encode_png};
-use marf_schema::output::SCENE;
-use marf_stage::{Ctx, Inputs, Outputs, StageError};
+use marf_schema::{
+    output::SCENE,
+    train::{Setup, WarmStart},
+};
+use marf_stage::{Ctx, Document, Inputs, Outputs, StageError};
 
 use crate::TrainError;
 
@@ -12,6 +15,22 @@ use crate::TrainError;
 pub(crate) fn read_scene(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Scene, StageError> {
     let bytes = ctx.get(inputs.required(SCENE)?)?;
     Ok(Scene::decode(&bytes).map_err(TrainError::from)?)
+}
+
+/// Reads the setup of another training, if one is connected.
+///
+/// # Errors
+/// Bytes that are none, and one that started from an earlier field: no other seed or draw repeats it.
+pub(crate) fn read_setup(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Option<Setup>, StageError> {
+    let Some(digest) = inputs.optional(Setup::OUTPUT) else {
+        return Ok(None);
+    };
+    let setup = Setup::decode(&ctx.get(digest)?);
+    let setup = setup.map_err(|error| TrainError::Setup(error.to_string()))?;
+    match setup.warm_start {
+        Some(WarmStart::From(_)) => Err(TrainError::WarmStarted.into()),
+        _ => Ok(Some(setup)),
+    }
 }
 
 /// Reads weights as a field that renders on `device`.

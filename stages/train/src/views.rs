@@ -1,6 +1,6 @@
 //! Views that a field is trained on, and the trainer itself.
 
-use marf_field::{Config, Derived, Device, Pixels, Trainer, View};
+use marf_field::{Config, Derived, Device, Field, Pixels, Trainer, View};
 use marf_scene::Scene;
 use marf_stage::StageError;
 
@@ -45,19 +45,31 @@ pub(crate) fn training_views(
     Ok(views)
 }
 
-/// Returns a trainer at step 0, in the box and with the sizes of another training where they are given.
+/// What a trainer begins with.
+#[derive(Clone, Copy)]
+pub(crate) enum Begin<'a> {
+    /// Nothing.
+    Anew,
+    /// The box and the sizes of another training.
+    Sized(&'a Derived),
+    /// A field.
+    From(&'a Field),
+}
+
+/// Returns a trainer at step 0.
 pub(crate) fn new_trainer(
     views: Vec<View>,
     scene: &Scene,
     config: &Config,
     seed: u64,
-    derived: Option<&Derived>,
+    begin: Begin<'_>,
     device: &Device,
 ) -> Result<Trainer, TrainError> {
     let points: Vec<[f64; 3]> = scene.points.iter().map(|point| point.position).collect();
-    let trainer = match derived {
-        Some(derived) => Trainer::with_derived(views, &points, config, seed, derived),
-        None => Trainer::new(views, &points, config, seed),
+    let trainer = match begin {
+        Begin::Anew => Trainer::new(views, &points, config, seed),
+        Begin::Sized(derived) => Trainer::with_derived(views, &points, config, seed, derived),
+        Begin::From(field) => Trainer::from_field(views, &points, config, seed, field),
     };
     Ok(trainer?.on(device)?)
 }

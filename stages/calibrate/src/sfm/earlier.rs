@@ -13,22 +13,28 @@ pub(super) struct Earlier {
     pub known: Vec<Option<(Pose, Camera)>>,
 }
 
-/// Reads the earlier scene, if one is connected and has at least two photos of this set.
+/// Reads the scene of the last run, if one is connected.
+pub(crate) fn earlier_scene(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Option<Scene>, StageError> {
+    let Some(digest) = inputs.optional(marf_stage::EARLIER) else {
+        return Ok(None);
+    };
+    let scene = Scene::decode(&ctx.get(digest)?);
+    let scene = scene.map_err(|error| StageError::new(format!("the earlier scene: {error}")))?;
+    Ok(Some(scene))
+}
+
+/// Returns the earlier scene, if one is connected and has at least two photos of this set.
 pub(super) fn load(
     ctx: &Ctx<'_>,
     inputs: &Inputs,
     items: &[InputPhoto],
     input: &MapperInput<'_>,
 ) -> Result<Option<Earlier>, StageError> {
-    let Some(digest) = inputs.optional(marf_stage::EARLIER) else {
+    let Some(scene) = earlier_scene(ctx, inputs)? else {
         return Ok(None);
     };
-    let scene = Scene::decode(&ctx.get(digest)?)
-        .map_err(|error| StageError::new(format!("the earlier scene: {error}")))?;
     let known = items.iter().enumerate().map(|(photo, item)| {
-        let id = &item.id;
-        let found = scene.frames.binary_search_by(|frame| frame.id.cmp(id)).ok()?;
-        let frame = &scene.frames[found];
+        let frame = scene.frame(&item.id)?;
         let size = &input.cameras[input.views[photo].camera].camera;
         Some((
             frame.cam_from_world,

@@ -18,5 +18,6 @@ mod run;
 mod supervisor;
 
 pub(crate) use capture_order::capture_order;
+pub(crate) use earlier::earlier_scene;
 pub(crate) use overlap::{Overlap, overlaps};
 pub(crate) use run::run;

@@ -79,7 +79,12 @@ fn no_group_is_split_and_every_photo_is_in_one() {
     for set in [Set::pairs(3), Set::pairs(50), Set::scattered(200)] {
         for every in [2, 3, 8, 50] {
             let photos = set.photos();
-            let groups = places(&photos, &[], most_in_a_place(photos.len(), every));
+            let groups = places(
+                &photos,
+                &[],
+                most_in_a_place(photos.len(), every),
+                &vec![None; photos.len()],
+            );
             let held_out = set.held_out(every);
             let mut all: Vec<usize> = groups.iter().flat_map(|group| group.photos.clone()).collect();
             all.sort_unstable();
@@ -171,12 +176,8 @@ fn sparse_points_decide_what_is_near() {
         (0..64).map(point).collect()
     };
     let groups = |away: f64| {
-        places(
-            &walk.photos(),
-            &points(away),
-            most_in_a_place(walk.photos().len(), 2),
-        )
-        .len()
+        let most = most_in_a_place(walk.photos().len(), 2);
+        places(&walk.photos(), &points(away), most, &[None; 64]).len()
     };
     assert!(
         groups(0.2) == 64 && groups(20.0) < 16,
@@ -226,4 +227,95 @@ fn there_are_as_many_folds_as_places_and_none_is_empty() {
         assert_eq!(found, (0..expected).collect::<Vec<u32>>(), "{count}: {fold_of:?}");
     }
     assert!(folds(&[], &[], 4).is_empty());
+}
+
+/// Tells what is known of the photos of a set whose first ones were in an earlier one.
+fn known(before: &[bool], photos: usize) -> Vec<Option<bool>> {
+    let known = before.iter().copied().map(Some);
+    known.chain(std::iter::repeat(None)).take(photos).collect()
+}
+
+/// A set that grows by a tenth, a third or as much again, in steps: no flag changes, and the share holds after each.
+#[test]
+fn photos_that_were_held_out_stay_so_as_the_set_grows_and_the_share_holds() {
+    for set in [Set::scattered(400), Set::pairs(200)] {
+        for (first, step) in [(200, 20), (150, 50), (100, 100), (31, 1)] {
+            for every in [3, 8] {
+                let photos = set.photos();
+                let mut held_out = hold_out_places(&photos[..first], &[], every);
+                for size in (first + step..=photos.len().min(first + 8 * step)).step_by(step) {
+                    let known = known(&held_out, size);
+                    let grown = hold_out_more_places(&photos[..size], &[], every, &known);
+                    assert_eq!(
+                        grown[..held_out.len()],
+                        held_out,
+                        "{first} to {size}, every {every}"
+                    );
+                    let (found, wanted) = (count(&grown), size as f64 / f64::from(every));
+                    assert!(
+                        (found as f64 - wanted).abs() <= 4.0 + wanted / 3.0,
+                        "{found} of {size}, every {every}"
+                    );
+                    held_out = grown;
+                }
+            }
+        }
+    }
+}
+
+/// The second eye of each stereo pair comes later: it is held out with the first, or trained on with it.
+#[test]
+fn a_new_photo_beside_a_known_one_is_held_out_with_it() {
+    let set = Set::pairs(40);
+    let firsts = set.of((0..80).step_by(2));
+    let before = hold_out_places(&firsts, &[], 8);
+    assert!(count(&before) >= 4);
+    let both = set.of((0..80).step_by(2).chain((1..80).step_by(2)));
+    let after = hold_out_more_places(&both, &[], 8, &known(&before, 80));
+    assert_eq!(after[..40], before);
+    assert_eq!(after[40..], before, "each second eye is as its first");
+}
+
+/// Nothing known is the same as a new set; and a share of 0 holds none out, whatever was before.
+#[test]
+fn without_known_photos_nothing_is_other_than_before() {
+    let set = Set::scattered(60);
+    let photos = set.photos();
+    let alone = hold_out_more_places(&photos, &[], 8, &[None; 60]);
+    assert_eq!(alone, set.held_out(8));
+    assert_eq!(
+        count(&hold_out_more_places(&photos, &[], 0, &[Some(true); 60])),
+        0
+    );
+}
+
+/// A share that was raised holds out some of what is new, not all of it; one that was lowered holds out no more.
+#[test]
+fn another_share_than_before_changes_only_what_is_new() {
+    let set = Set::scattered(240);
+    let photos = set.photos();
+    let before = hold_out_places(&photos[..200], &[], 8);
+    let more = hold_out_more_places(&photos, &[], 3, &known(&before, 240));
+    assert_eq!(more[..200], before);
+    let new = count(&more[200..]);
+    assert!((10..=30).contains(&new), "{new} of 40");
+    let fewer = hold_out_more_places(&photos, &[], 50, &known(&before, 240));
+    assert_eq!((&fewer[..200], count(&fewer[200..])), (before.as_slice(), 0));
+}
+
+/// Whatever became of an earlier set, at least one photo is held out and one is not; unless all new ones stand beside others that were
+/// trained on, as the last two of 12 do.
+#[test]
+fn a_set_whose_known_photos_are_of_one_kind_has_both_kinds() {
+    let set = Set::scattered(12);
+    let photos = set.photos();
+    for kind in [false, true] {
+        for size in 1..12 {
+            let held_out = hold_out_more_places(&photos, &[], 8, &known(&vec![kind; size], 12));
+            assert!(held_out[..size].iter().all(|one| *one == kind));
+            let found = count(&held_out);
+            assert_eq!(found > 0, kind || size != 10, "{kind} {size}: {found}");
+            assert!(found < 12, "{kind} {size}: {found}");
+        }
+    }
 }

@@ -1,5 +1,6 @@
 //! What `train` writes beside the weights.
 
+use marf_cache::Digest;
 use marf_field::{Config, Derived, Facts, Schedule};
 use marf_stage::{Document, Params};
 use serde::{Deserialize, Serialize};
@@ -20,6 +21,16 @@ pub struct OnTraining {
     pub ssim: Option<f64>,
 }
 
+/// What a training with `warm_start` began from.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WarmStart {
+    /// The weights of this digest, of the node's last finished run.
+    From(Digest),
+    /// Nothing, and why.
+    Cold(String),
+}
+
 /// Output `metrics` of `train`. Nothing in it comes from a clock.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Metrics {
@@ -29,6 +40,9 @@ pub struct Metrics {
     /// On some of the photos trained on; only where those of the final metric are held out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub on_training: Option<OnTraining>,
+    /// What it began from; only with `warm_start`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub warm_start: Option<WarmStart>,
     /// How `target_psnr` went.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target: Option<Target>,
@@ -120,6 +134,9 @@ pub struct Setup {
     /// Which fold is held out instead.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fold: Option<Fold>,
+    /// What it began from; only with `warm_start`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub warm_start: Option<WarmStart>,
     /// What decided how large the field is.
     pub fit: Fit,
     /// The configuration as it is used, with what trials decided.

@@ -14,7 +14,7 @@ pub use crate::{
     memory::{Memory, ParseMemoryError},
     target::{Forecast, Target},
 };
-pub use metrics::{Curve, CurvePoint, Metrics, OnTraining, Setup};
+pub use metrics::{Curve, CurvePoint, Metrics, OnTraining, Setup, WarmStart};
 
 /// Which photos are kept away from training, to measure on.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -153,6 +153,11 @@ pub struct TrainParams {
     /// Seed with which as many training photos are drawn as there are, with replacement (a bootstrap sample).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resample: Option<u64>,
+    /// Starts from the field of this node's last finished run, where the scene has only grown: new photos cost fewer steps. That
+    /// field is then an input of this node, so the result depends on what was run before. Where it does not fit (other frame,
+    /// other keys of the field, a box outgrown, a photo held out now that it was trained on) the training starts anew and says why.
+    #[serde(skip_serializing_if = "is_false")]
+    pub warm_start: bool,
     /// What decides how large the field is.
     pub fit: Fit,
     /// Short trainings that hold back one training photo in eight, by place: width, view dependence, exposure and sky by their gain.
@@ -162,6 +167,11 @@ pub struct TrainParams {
     /// Which processor trains and renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`,
     /// or `gpu:NAME` for the adapter whose name holds NAME. Only what was opened is in the key.
     pub device: Device,
+}
+
+// Trainings without it keep their keys.
+fn is_false(flag: &bool) -> bool {
+    !flag
 }
 
 /// A time that a training must keep to.
@@ -252,6 +262,7 @@ impl TrainParams {
             return Err(ParamError::new(*second, message));
         }
         self.check_target()?;
+        self.check_warm_start()?;
         self.fold.map_or(Ok(()), |fold| fold.check())?;
         check_scale(self.scale)?;
         self.check_judged()?;
@@ -271,6 +282,21 @@ impl TrainParams {
             }
         }
         check_scale(self.judged_scale).map_err(|error| ParamError::new("judged_scale", error.message))
+    }
+
+    /// A training that another one asks for has no last run of its own.
+    fn check_warm_start(&self) -> Result<(), ParamError> {
+        let other = [
+            ("fold", self.fold.is_some()),
+            ("resample", self.resample.is_some()),
+        ];
+        match other.iter().find(|(_, is_given)| self.warm_start && *is_given) {
+            Some((key, _)) => Err(ParamError::new(
+                "warm_start",
+                format!("`{key}` is given too; keep one of the two"),
+            )),
+            None => Ok(()),
+        }
     }
 
     fn check_target(&self) -> Result<(), ParamError> {
@@ -325,6 +351,11 @@ mod tests {
             (json!({"judged_scale": 0}), "judged_scale"),
             (json!({"photos": 0}), "photos"),
             (json!({"judged_photos": 0}), "judged_photos"),
+            (json!({"warm_start": true, "resample": 1}), "warm_start"),
+            (
+                json!({"warm_start": true, "fold": {"index": 0, "count": 2, "share": 1}}),
+                "warm_start",
+            ),
             (
                 json!({"fold": {"index": 0, "count": 1, "share": 1}}),
                 "fold.count",
@@ -370,6 +401,7 @@ mod tests {
             photos: None,
             holdout: Holdout::Test,
             fold: None,
+            warm_start: None,
             fit: Fit::Scene,
             config: Config::default(),
             derived: Derived {

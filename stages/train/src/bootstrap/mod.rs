@@ -31,7 +31,7 @@ use marf_stage::{
     StageError,
 };
 
-use crate::{checkpoint::identity, stage_on_device};
+use crate::{checkpoint::identity, io::read_setup, stage_on_device};
 use reduce::reduce;
 
 /// Trains B fields that differ in seed or photos, and maps where they disagree.
@@ -84,7 +84,8 @@ impl Expand for Bootstrap {
         vec![ChildStage::of(&member(&self.params, 0))]
     }
 
-    fn expand(&self, _ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
+    fn expand(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Vec<NodeSpec>, StageError> {
+        read_setup(ctx, inputs)?;
         match self.params.b {
             Members::Count(count) => self.members(0..count, inputs),
             Members::Auto => self.members(0..auto::FIRST, inputs),

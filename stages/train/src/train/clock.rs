@@ -133,8 +133,10 @@ impl Clock {
         ctx.progress.took("expected", expected_s);
         let note = format!("about {expected_s:.0} s, {budget_s:.0} s of them training");
         ctx.progress.at(0, steps, &note);
-        plan.settings
-            .plan_steps(trials::steps_after_trials(params, steps));
+        plan.settings.plan_steps(match plan.settings.is_decided() {
+            true => steps,
+            false => trials::steps_after_trials(params, steps),
+        });
         plan.shrink_by(scale)?;
         Ok(Self {
             budget_s,
@@ -181,7 +183,7 @@ impl Pilot {
         let (config, device) = (&plan.settings.config, &params.device);
         let read = Instant::now();
         let views = || training_views(photos, &plan.split.training, plan.times, plan.memory, params.seed);
-        let mut trainer = new_trainer(views()?, plan.scene, config, params.seed, None, device)?;
+        let mut trainer = new_trainer(views()?, plan.scene, config, params.seed, plan.begin(), device)?;
         let read_s = read.elapsed().as_secs_f64();
         let half_s = (limit.seconds() * PILOT_SHARE).min(PILOT_MOST_S) / 2.0;
         let begun = Instant::now();
@@ -210,7 +212,12 @@ impl Pilot {
         };
         let photo_s = |halvings: u32| unhalved_s * LONGER.powi(halvings as i32);
         let (held_out, seen) = plan.judged_photos();
-        let halvings = |steps: u64| most_halvings.min((steps / STEPS_A_HALVING) as u32);
+        let halved = plan
+            .start
+            .field
+            .as_ref()
+            .map_or(0, |field| field.facts().halvings);
+        let halvings = |steps: u64| halved.max(most_halvings.min((steps / STEPS_A_HALVING) as u32));
         let (budget_s, judging_s) = match limit {
             Limit::Training(budget) => {
                 let halvings = halvings(steps_in(budget.seconds() - used_s, rate));

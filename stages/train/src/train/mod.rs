@@ -4,6 +4,7 @@ mod partial;
 mod setup;
 mod training_loop;
 mod trials;
+mod warm;
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -30,13 +31,14 @@ use crate::{
     photos::{PhotoReader, ScaledPhoto},
     scoring::{Chosen, Judge},
     split::{NamedFrame, Split, draws, hold_out_by_place, some_of, split, spread},
-    views::{new_trainer, training_views},
+    views::{Begin, new_trainer, training_views},
 };
 use clock::Clock;
 use goal::Goal;
 pub use partial::Partial;
 use setup::Settings;
 use training_loop::{Run, TrainingLog, curve_photos, pack, train_to, unpack};
+use warm::Start;
 
 /// Trains a field on a scene and measures it on the photos held out.
 ///
@@ -44,6 +46,8 @@ use training_loop::{Run, TrainingLog, curve_photos, pack, train_to, unpack};
 /// schedule that was run, as setup and metrics print it, repeats the bytes anywhere (`schedule`).
 ///
 /// With `from`, the state that `partial` gave of this very training, it goes on from there, to the same field as without.
+///
+/// With `warm_start` it starts from the field of its own last run, where that fits the scene, and says where it does not.
 ///
 /// With `of`, the setup of another training of the scene, it is that training again: only seed and draw of photos are its
 /// own, nothing is derived from the photos drawn and nothing is tried.
@@ -75,8 +79,9 @@ impl Define for Train {
             "fit",
             "trials",
             "field",
+            "warm_start",
         ]),
-        Port::optional("from", STATE),
+        Port::optional("from", STATE).deciding(&["warm_start"]),
     ];
     const OUTPUTS: &'static [&'static str] = &[
         WEIGHTS,
@@ -114,6 +119,10 @@ impl Stage for Train {
     fn varies(&self) -> Option<&'static str> {
         self.params.limit().map(|_| "it trains by the clock")
     }
+
+    fn earlier(&self) -> Option<&'static str> {
+        self.params.warm_start.then_some(WEIGHTS)
+    }
 }
 
 impl Set for Train {
@@ -134,6 +143,8 @@ struct Plan<'a> {
     times: &'a [usize],
     memory: MemoryPlan,
     settings: Settings,
+    /// What it starts from.
+    start: Start,
     /// What its checkpoints are of.
     of: Digest,
     /// The state that it goes on from; none for step 0.
@@ -160,8 +171,9 @@ fn planned<S: Define, T>(
     work: impl FnOnce(Plan<'_>, &PhotoReader<'_>) -> Result<T, StageError>,
 ) -> Result<T, StageError> {
     let scene = read_scene(ctx, inputs)?;
-    let settings = Settings::resolve(ctx, params, inputs, &scene)?;
+    let mut settings = Settings::resolve(ctx, params, inputs, &scene)?;
     let (split, validation) = parted(&scene, &settings)?;
+    let start = Start::decide(ctx, params, inputs, &scene, (&split, &validation), &mut settings)?;
     let times = times(&split, params.resample);
     let from = inputs.optional(STATE).map(|digest| ctx.get(digest));
     let photos = PhotoReader::new(ctx, &scene, settings.scale);
@@ -182,6 +194,7 @@ fn planned<S: Define, T>(
         of: identity(stage, inputs, &settings.length()),
         from: from.transpose()?,
         settings,
+        start,
         clock: None,
     };
     if let Some(limit) = params.limit() {
@@ -264,7 +277,7 @@ fn judged(
     let ended = settings.ended(field.facts(), log.clocked.as_ref());
     let mut outputs = Outputs::from([(SCENE.to_owned(), *inputs.required(SCENE)?)]);
     outputs.put_bytes(ctx, WEIGHTS, &field.encode())?;
-    let setup = settings.setup(plan.memory.run, &ended, &config, field.derived());
+    let setup = settings.setup(plan.memory.run, &ended, (&config, field.derived()), &plan.start);
     outputs.put(ctx, &setup)?;
     let trained = TrainedPhotos::new(plan.scene, trained_on(split, times));
     let mut judge = Judge::new(ctx, plan.of, field, photos);
@@ -274,6 +287,7 @@ fn judged(
             Some(seen) => Some(judge.on_training(&seen)?),
             None => None,
         },
+        warm_start: plan.start.told.clone(),
         target: told.target,
         steps: ended.steps,
         schedule: ended.schedule,
@@ -322,8 +336,14 @@ impl<'a> Begun<'a> {
         let curve_photos = curve_photos(photos, &plan.split.held_out, plan.memory.at_once)?;
         let training = &plan.split.training;
         let views = training_views(photos, training, plan.times, plan.memory, params.seed)?;
-        let derived = plan.settings.given.as_ref().map(|given| &given.derived);
-        let trainer = new_trainer(views, plan.scene, &config, params.seed, derived, &params.device)?;
+        let trainer = new_trainer(
+            views,
+            plan.scene,
+            &config,
+            params.seed,
+            plan.begin(),
+            &params.device,
+        )?;
         let begun = Self {
             config,
             trials,
@@ -344,6 +364,33 @@ impl<'a> Plan<'a> {
         let used: Vec<&NamedFrame<'a>> = used(self.split, self.times).collect();
         let seen = spread(used.len(), self.split.held_out.len());
         Some(seen.map(|index| used[index].clone()).collect())
+    }
+
+    /// Returns what its trainer begins with.
+    fn begin(&self) -> Begin<'_> {
+        match (&self.start.field, &self.settings.given) {
+            (Some(field), _) => Begin::From(field),
+            (None, Some(given)) => Begin::Sized(&given.derived),
+            (None, None) => Begin::Anew,
+        }
+    }
+
+    /// Returns a trained field with what its bytes tell beside its weights: trials, and the photos that a later training must know.
+    fn finished(&self, field: Field, trials: Vec<Trial>, trainer: &mut Trainer) -> Result<Field, TrainError> {
+        let Some(_) = &self.start.told else {
+            return Ok(field.with_trials(trials));
+        };
+        let learnt = trainer.learnt(self.scene.metres_per_unit)?;
+        let Some(earlier) = &self.start.field else {
+            return Ok(field.with_trials(trials).with_learnt(learnt));
+        };
+        let learnt = match earlier.learnt() {
+            Some(before) => learnt.and(before),
+            None => learnt,
+        };
+        Ok(field
+            .with_trials(earlier.facts().trials.clone())
+            .with_learnt(learnt))
     }
 
     /// Returns the run of this training.
@@ -397,7 +444,7 @@ impl Trained {
                 config: begun.config,
                 log,
             },
-            field: field.with_trials(begun.trials),
+            field: plan.finished(field, begun.trials, &mut trainer)?,
         };
         checkpoint::save(
             ctx,

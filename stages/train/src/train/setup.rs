@@ -1,13 +1,14 @@
 //! What decides a training before it begins: its own parameters, or the setup of another training.
 
-use marf_field::{Config, Derived, EXPECTED_STEPS_PER_S, Facts, Overrides, Schedule};
+use marf_field::{Config, Derived, EXPECTED_STEPS_PER_S, Facts, Field, Overrides, Schedule};
 use marf_scene::Scene;
 use marf_schema::train::{Budget, Fit, Fold, Holdout, Memory, Setup, TrainParams};
-use marf_stage::{Ctx, Document, Inputs, StageError};
+use marf_stage::{Ctx, Inputs, StageError};
 
-use super::clock::Clocked;
+use super::{clock::Clocked, warm::Start};
 use crate::{
     TrainError,
+    io::read_setup,
     memory::{MemoryPlan, plan_memory},
     settings::{field_config, field_keys, scale_to},
     split::Split,
@@ -34,6 +35,8 @@ pub(super) struct Settings {
     pub config: Config,
     /// What another training decided.
     pub given: Option<Given>,
+    /// Whether the field is that of an earlier run, which trials cannot change any more.
+    follows: bool,
 }
 
 /// What a training takes over that it would otherwise derive or find by trials.
@@ -52,9 +55,7 @@ impl Settings {
         inputs: &Inputs,
         scene: &Scene,
     ) -> Result<Self, StageError> {
-        if let Some(digest) = inputs.optional(Setup::OUTPUT) {
-            let setup = Setup::decode(&ctx.get(digest)?);
-            let setup = setup.map_err(|error| TrainError::Setup(error.to_string()))?;
+        if let Some(setup) = read_setup(ctx, inputs)? {
             return Ok(Self::of(setup, params.fold));
         }
         let schedule = scheduled(params);
@@ -70,6 +71,7 @@ impl Settings {
             config: field_config(&keys, params.fit, schedule.first())?,
             keys,
             given: None,
+            follows: false,
             schedule,
             until: None,
             watched: params.target_psnr.is_some(),
@@ -80,6 +82,20 @@ impl Settings {
     pub fn plan_steps(&mut self, steps: u64) {
         self.schedule = Schedule::once(steps);
         self.config.steps = Some(self.schedule.first());
+    }
+
+    /// Takes over the hyper-parameters of a field that the training starts from.
+    pub fn follow(&mut self, field: &Field) {
+        self.follows = true;
+        self.config = Config {
+            steps: self.config.steps,
+            ..field.config().clone()
+        };
+    }
+
+    /// Tells whether the parts of the field are decided.
+    pub fn is_decided(&self) -> bool {
+        self.follows || self.given.is_some()
     }
 
     /// Takes over a setup; a fold trains its share of the steps, with step size and length of steps along rays to match.
@@ -108,6 +124,7 @@ impl Settings {
                 trial_steps: setup.trial_steps,
                 derived: setup.derived,
             }),
+            follows: false,
         }
     }
 
@@ -147,7 +164,13 @@ impl Settings {
     }
 
     /// Returns the setup of the training after its end, of this schedule.
-    pub fn setup(&self, kept_every: u32, ended: &Ended, config: &Config, derived: Derived) -> Setup {
+    pub fn setup(
+        &self,
+        kept_every: u32,
+        ended: &Ended,
+        (config, derived): (&Config, Derived),
+        start: &Start,
+    ) -> Setup {
         Setup {
             steps: ended.steps,
             schedule: ended.schedule.clone(),
@@ -159,6 +182,7 @@ impl Settings {
             photos: self.photos,
             holdout: self.holdout,
             fold: self.fold,
+            warm_start: start.told.clone(),
             fit: self.fit,
             config: config.clone(),
             derived,

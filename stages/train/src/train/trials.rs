@@ -1,5 +1,7 @@
 //! Short trainings that decide which parts of the field are used, by PSNR on training photos held back.
 
+use std::collections::BTreeSet;
+
 use marf_cache::digest_of;
 use marf_field::{Background, Config, Gain, Quality, Trial, View, ViewDependence};
 use marf_schema::train::{Fit, TrainParams};
@@ -16,7 +18,7 @@ use crate::{
     photos::{PhotoReader, ScaledPhoto},
     scoring::mean_psnr,
     split::{NamedFrame, Split, hold_out_by_place},
-    views::{new_trainer, training_views},
+    views::{Begin, new_trainer, training_views},
 };
 
 /// All trials together take at most a fifth of the training's steps.
@@ -107,9 +109,9 @@ pub(super) fn decide(
             .find(|key| plan.settings.keys.0.contains_key(**key))
     };
     let open = PARTS.iter().filter(|part| is_set(part).is_none()).count() as u64;
-    let steps = match &plan.settings.given {
-        Some(_) => 0,
-        None => steps_each(params, plan.settings.schedule.steps(), open),
+    let steps = match plan.settings.is_decided() {
+        true => 0,
+        false => steps_each(params, plan.settings.schedule.steps(), open),
     };
     let setup = match steps {
         0 => None,
@@ -144,6 +146,18 @@ pub(super) fn decide(
     }
     journal.end();
     Ok((decided, trials))
+}
+
+/// Returns the keys of the field that these trials have decided.
+pub(super) fn decided_keys(trials: &[Trial]) -> BTreeSet<&'static str> {
+    let tried = trials.iter().filter(|trial| trial.with_db.is_some());
+    let keys = tried.flat_map(|trial| {
+        PARTS
+            .iter()
+            .filter(|part| part.name == trial.part)
+            .flat_map(|part| part.keys)
+    });
+    keys.copied().collect()
 }
 
 /// Returns the steps left for the training where trials come out of the same budget.
@@ -314,7 +328,14 @@ impl<'a> TrialSetup<'a> {
             ..config.clone()
         };
         let (params, views) = (self.params, photos.views.clone());
-        let mut trainer = new_trainer(views, self.plan.scene, &config, params.seed, None, &params.device)?;
+        let mut trainer = new_trainer(
+            views,
+            self.plan.scene,
+            &config,
+            params.seed,
+            Begin::Anew,
+            &params.device,
+        )?;
         let note = format!("trying {name}: ");
         let run = Run {
             note: &note,

@@ -1,0 +1,390 @@
+//! What a field tells of the photos behind it, so that another training can start from it.
+
+use std::collections::BTreeSet;
+
+use marf_scene::Pose;
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use crate::exposure::ROW;
+use crate::frame::{ENOUGH_POINTS, box_of};
+use crate::training::Training;
+use crate::{Derived, Field, FieldError, Trainer};
+
+/// Step size at the start of a training that starts from a field, as a share of that of one from nothing: moments are zero, so the first
+/// steps move every weight by about the whole of it. `benches/field.md`.
+const FIRST_RATE: f64 = 0.25;
+
+/// The photos that a field, and those that it was started from, were trained on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Learnt {
+    /// Metres per unit of the world, if known.
+    pub metres_per_unit: Option<f64>,
+    /// The photos, sorted by id.
+    pub photos: Vec<LearntPhoto>,
+}
+
+/// A photo that was trained on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LearntPhoto {
+    /// Its id.
+    pub id: String,
+    /// Its pose then.
+    pub cam_from_world: Pose,
+    /// Its exposure, if photos had their own: log gains of three channels and an unused number, then offsets likewise if it had any.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub exposure: Vec<f32>,
+}
+
+impl Learnt {
+    /// Returns the entry of a photo.
+    pub fn photo(&self, id: &str) -> Option<&LearntPhoto> {
+        let found = self.photos.binary_search_by(|photo| photo.id.as_str().cmp(id));
+        Some(&self.photos[found.ok()?])
+    }
+
+    /// Returns it with the photos of `earlier` that it has not.
+    #[must_use]
+    pub fn and(mut self, earlier: &Self) -> Self {
+        let gone = earlier
+            .photos
+            .iter()
+            .filter(|photo| self.photo(&photo.id).is_none());
+        let gone: Vec<LearntPhoto> = gone.cloned().collect();
+        self.photos.extend(gone);
+        self.photos.sort_by(|a, b| a.id.cmp(&b.id));
+        self
+    }
+}
+
+impl Field {
+    /// Returns the field with what a training that starts from it must know; it then is a part of its bytes.
+    #[must_use]
+    pub fn with_learnt(mut self, learnt: Learnt) -> Self {
+        self.model.learnt = Some(learnt);
+        self
+    }
+
+    /// Returns the photos that it was trained on, where it tells them.
+    pub fn learnt(&self) -> Option<&Learnt> {
+        self.model.learnt.as_ref()
+    }
+
+    /// Returns the hyper-parameters that it was trained with.
+    pub fn config(&self) -> &crate::Config {
+        &self.model.config
+    }
+}
+
+impl Trainer {
+    /// Returns what a later training must know of this one's photos.
+    ///
+    /// # Errors
+    /// A GPU that failed.
+    pub fn learnt(&mut self, metres_per_unit: Option<f64>) -> Result<Learnt, FieldError> {
+        self.sync()?;
+        let training = &self.training;
+        let photos = training
+            .views
+            .iter()
+            .enumerate()
+            .map(|(view, photo)| LearntPhoto {
+                id: photo.id.clone(),
+                cam_from_world: photo.cam_from_world,
+                exposure: training.exposure(view),
+            });
+        let mut photos: Vec<LearntPhoto> = photos.collect();
+        photos.sort_by(|a, b| a.id.cmp(&b.id));
+        Ok(Learnt {
+            metres_per_unit,
+            photos,
+        })
+    }
+}
+
+impl Training {
+    /// Returns the exposure of a photo, empty where all share one.
+    fn exposure(&self, view: usize) -> Vec<f32> {
+        let half = self.views.len() * ROW;
+        let rows = self.state.gains.chunks(half.max(1));
+        match self.config.gain {
+            crate::Gain::Off => Vec::new(),
+            _ => rows
+                .flat_map(|rows| &rows[view * ROW..][..ROW])
+                .copied()
+                .collect(),
+        }
+    }
+
+    /// Takes over weights, exposures, length of steps along rays and occupancy of a field of the same box and sizes, at step 0.
+    ///
+    /// Cells that only photos see which it was not trained on start occupied, all others as the field has them.
+    ///
+    /// # Errors
+    /// A field of other sizes.
+    pub fn start_from(&mut self, field: &Field) -> Result<(), FieldError> {
+        let model = &field.model;
+        let is_same = self.state.weights.shapes == model.weights.shapes
+            && self.state.weights.features == model.weights.features
+            && lengths(&self.state.weights) == lengths(&model.weights)
+            && self.config.occupancy_resolution == model.config.occupancy_resolution;
+        if !is_same {
+            return Err(FieldError::OtherTraining { what: "size" });
+        }
+        self.first_rate = FIRST_RATE;
+        let state = &mut self.state;
+        state.weights = model.weights.clone();
+        state.average = model.weights.clone();
+        state.halvings = model.facts.halvings.min(self.sizes.halvings.value);
+        self.march = self.sizes.steps(&self.config, state.halvings);
+        state.samples_per_ray = self.march.count as f64;
+        let known: BTreeSet<&str> = field
+            .learnt()
+            .into_iter()
+            .flat_map(|learnt| &learnt.photos)
+            .map(|photo| photo.id.as_str())
+            .collect();
+        let old = self.views.iter().filter(|view| known.contains(view.id.as_str()));
+        state.occupancy = state
+            .occupancy
+            .known(&model.bits, &self.frame, &old.cloned().collect::<Vec<_>>());
+        self.take_exposures(field.learnt());
+        Ok(())
+    }
+
+    /// Takes over the exposures of the photos that the field was trained on; new ones start neutral.
+    fn take_exposures(&mut self, learnt: Option<&Learnt>) {
+        let half = self.views.len() * ROW;
+        for (view, photo) in self.views.iter().enumerate() {
+            let Some(known) = learnt.and_then(|learnt| learnt.photo(&photo.id)) else {
+                continue;
+            };
+            let rows = self.state.gains.chunks_mut(half.max(1));
+            for (rows, numbers) in rows.zip(known.exposure.chunks(ROW)) {
+                rows[view * ROW..][..ROW].copy_from_slice(numbers);
+            }
+        }
+    }
+}
+
+fn lengths(weights: &crate::weights::Weights) -> Vec<usize> {
+    let tensors = weights.tensors();
+    tensors.iter().map(|(_, values)| values.len()).collect()
+}
+
+impl Derived {
+    /// Returns how far a scene reaches from the middle of this box, half sides of it: 1 where its own box would lie in this one.
+    ///
+    /// `points`: its sparse points; of fewer than 32 the cameras tell: those `before`, and all `now`, world units. How far those
+    /// before are then counts as 1, if they are not in the box.
+    pub fn reach(&self, points: &[[f64; 3]], before: &[Vector3<f64>], now: &[Vector3<f64>]) -> f64 {
+        let from_middle = |at: [f64; 3]| {
+            let away = [0, 1, 2].map(|axis| (at[axis] - self.origin[axis]).abs() / self.half_side);
+            away.into_iter().fold(0.0, f64::max)
+        };
+        if points.len() >= ENOUGH_POINTS {
+            let (origin, half_side) = box_of(points);
+            return from_middle(origin) + half_side / self.half_side;
+        }
+        let farthest = |cameras: &[Vector3<f64>]| {
+            let away = cameras.iter().map(|camera| from_middle((*camera).into()));
+            away.fold(1.0, f64::max)
+        };
+        farthest(now) / farthest(before)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_scene::{ball, psnr, small, trained};
+    use crate::{Config, View};
+
+    /// The bits of all weights.
+    fn bits(weights: &crate::weights::Weights) -> Vec<u32> {
+        let tensors = weights.tensors();
+        tensors
+            .iter()
+            .flat_map(|(_, values)| *values)
+            .map(|value| value.to_bits())
+            .collect()
+    }
+
+    /// A field of the even views of a ring of eight, after so many steps, and all eight.
+    fn begun(steps: u32) -> (Field, Vec<View>) {
+        let views = ball(8, 16);
+        let even = views.iter().step_by(2).cloned().collect();
+        let mut trainer = trained(even, &small(), 3, steps);
+        let learnt = trainer.learnt(None).unwrap();
+        (trainer.field().unwrap().with_learnt(learnt), views)
+    }
+
+    fn from(field: &Field, views: Vec<View>, config: &Config) -> Result<Trainer, FieldError> {
+        Trainer::from_field(views, &[], config, 3, field)
+    }
+
+    #[test]
+    fn at_step_0_weights_box_and_sizes_are_those_of_the_field() {
+        let (field, views) = begun(160);
+        let mut warm = from(&field, views, &small()).unwrap();
+        assert_eq!((warm.steps(), warm.training.refit_step), (0, None));
+        let state = &warm.training.state;
+        for weights in [&state.weights, &state.average] {
+            assert_eq!(bits(weights), bits(&field.model.weights));
+        }
+        assert!(
+            state
+                .moments
+                .iter()
+                .all(|moments| moments.first.iter().all(|first| *first == 0.0))
+        );
+        assert_eq!(state.halvings, field.facts().halvings);
+        let now = warm.field().unwrap();
+        assert_eq!(now.derived(), field.derived());
+        assert_eq!(now.facts().steps_per_ray, field.facts().steps_per_ray);
+    }
+
+    /// The same photos: cells are as the field has them. One photo that it does not know: only cells that it alone sees are added.
+    #[test]
+    fn cells_that_only_new_photos_see_start_occupied() {
+        let (field, views) = begun(160);
+        let even = || views.iter().step_by(2).cloned();
+        let bits = |views: Vec<View>| {
+            from(&field, views, &small())
+                .unwrap()
+                .training
+                .state
+                .occupancy
+                .bits
+        };
+        assert_eq!(bits(even().collect()), field.model.bits);
+        assert!(field.model.bits.share() < 0.5, "{}", field.model.bits.share());
+        // From above, where no photo of the ring looks.
+        let above = View {
+            id: "above".to_owned(),
+            ..crate::test_scene::ball_view(0.3, 9.0, 16)
+        };
+        let more = bits(even().chain([above]).collect());
+        assert!(more.share() > field.model.bits.share());
+        let kept = field
+            .model
+            .bits
+            .words
+            .iter()
+            .zip(&more.words)
+            .all(|(was, is)| was & !is == 0);
+        assert!(kept, "a cell of the field is lost");
+    }
+
+    #[test]
+    fn exposures_go_with_their_photos_and_new_ones_are_neutral() {
+        for gain in [crate::Gain::PerPhoto, crate::Gain::PerPhotoAndOffset] {
+            let config = Config { gain, ..small() };
+            let views = ball(4, 12);
+            let mut trainer = trained(views[..3].to_vec(), &config, 0, 8);
+            let learnt = trainer.learnt(Some(1.0)).unwrap();
+            let field = trainer.field().unwrap().with_learnt(learnt.clone());
+            // In another order, with a new photo between.
+            let order = [2, 3, 0, 1].map(|index: usize| views[index].clone());
+            let warm = from(&field, order.to_vec(), &config).unwrap();
+            for (view, photo) in order.iter().enumerate() {
+                let found = warm.training.exposure(view);
+                match learnt.photo(&photo.id) {
+                    Some(known) => assert_eq!(found, known.exposure, "{}", photo.id),
+                    None => assert!(found.iter().all(|number| *number == 0.0), "{found:?}"),
+                }
+            }
+            assert!(learnt.photos[0].exposure.iter().any(|number| *number != 0.0));
+        }
+    }
+
+    #[test]
+    fn it_goes_on_from_where_the_field_is() {
+        let (field, views) = begun(160);
+        let unknown = views[1].clone();
+        let steps = |trainer: &mut Trainer| {
+            for _ in 0..12 {
+                trainer.advance(1).unwrap();
+            }
+            psnr(&trainer.field().unwrap(), &unknown)
+        };
+        let cold = steps(&mut Trainer::new(views.clone(), &[], &small(), 3).unwrap());
+        let warm = steps(&mut from(&field, views, &small()).unwrap());
+        assert!(warm > cold + 1.0, "{warm} dB, from nothing {cold} dB");
+    }
+
+    #[test]
+    fn a_field_of_other_sizes_is_refused() {
+        let (field, views) = begun(0);
+        for other in [
+            Config {
+                density_width: 32,
+                ..small()
+            },
+            Config {
+                occupancy_resolution: 16,
+                ..small()
+            },
+            Config {
+                view_dependence: crate::ViewDependence::Off,
+                ..small()
+            },
+        ] {
+            let refused = from(&field, views.clone(), &other);
+            assert!(
+                matches!(refused, Err(FieldError::OtherTraining { .. })),
+                "{other:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn what_it_tells_of_its_photos_survives_and_without_it_the_bytes_are_as_before() {
+        let (field, _) = begun(1);
+        let bytes = field.encode();
+        let read = Field::decode(&bytes).unwrap();
+        assert_eq!((read.learnt(), read.encode()), (field.learnt(), bytes));
+        let mut silent = field.clone();
+        silent.model.learnt = None;
+        assert!(!String::from_utf8_lossy(&silent.encode()).contains("learnt"));
+        let (photos, few) = (
+            &field.learnt().unwrap().photos,
+            |range: std::ops::Range<usize>| Learnt {
+                metres_per_unit: None,
+                photos: field.learnt().unwrap().photos[range].to_vec(),
+            },
+        );
+        assert_eq!(&few(1..3).and(&few(0..2)).photos, &photos[..3]);
+    }
+
+    /// A box of half side 2 around (1, 0, 0).
+    #[test]
+    fn a_scene_reaches_as_far_as_its_own_box_or_its_new_cameras() {
+        let mut derived = Trainer::new(ball(4, 8), &[], &small(), 0)
+            .unwrap()
+            .field()
+            .unwrap()
+            .derived();
+        (derived.origin, derived.half_side) = ([1.0, 0.0, 0.0], 2.0);
+        let at = |x: f64| Vector3::new(x, 0.0, 0.0);
+        let points: Vec<[f64; 3]> = (0..101)
+            .map(|index| [2.0 + f64::from(index) / 50.0, 0.0, 0.0])
+            .collect();
+        // Their median is 3, and 80 % lie within 0.8.
+        let reach = derived.reach(&points, &[at(1.0)], &[at(99.0)]);
+        assert!((reach - (1.0 + 0.4)).abs() < 0.011, "{reach}");
+        let cameras =
+            |before: f64, now: f64| derived.reach(&points[..9], &[at(before)], &[at(before), at(now)]);
+        assert_eq!(
+            [
+                cameras(2.0, 2.5),
+                cameras(2.0, 5.0),
+                cameras(5.0, 9.0),
+                cameras(9.0, 5.0)
+            ],
+            [1.0, 2.0, 2.0, 1.0]
+        );
+    }
+}
