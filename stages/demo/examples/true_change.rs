@@ -11,7 +11,7 @@ const STEP_M: f64 = 0.01;
 /// Half the side of the square around the change, metres.
 const REACH_M: f64 = 3.0;
 /// What is looked at, metres in the site.
-const MIDDLE_M: (f64, f64) = (7.0, 1.0);
+const MIDDLE_M: (f64, f64) = (6.0, 2.5);
 /// Least change of height, metres: what rises by less is sand that leans on the stone.
 const LEAST_M: f64 = 0.03;
 /// Least change of red over green, as a factor: shade on the sand around the stone changes less.

@@ -455,3 +455,37 @@ fn an_archive_has_its_truth_beside_it() {
     assert_eq!(truth["photos"].as_array().unwrap().len(), 20);
     assert!(truth["flaws"].as_array().unwrap().len() >= 13);
 }
+
+/// The whole change is what the comparison of two times has to find.
+#[test]
+fn a_change_is_there_from_its_sol_on_at_its_site_alone() {
+    let small = DemoOptions {
+        width_px: 32,
+        height_px: 24,
+        seed: 1,
+    };
+    let plain = Demo::new(small.clone()).unwrap();
+    let demo = Demo::new(small).unwrap().with_change(8).unwrap();
+    for (sol, changes) in [(7, false), (8, true), (9, true), (108, false)] {
+        let fingerprints = [&plain, &demo].map(|demo| demo.fingerprint(sol).unwrap());
+        assert_eq!(fingerprints[0] != fingerprints[1], changes, "sol {sol}");
+    }
+    let photos = |demo: &Demo, sol: u32| demo.files(sol, &|_, _| (), &|| false).unwrap();
+    assert_eq!(photos(&plain, 7), photos(&demo, 7));
+    assert_ne!(photos(&plain, 8), photos(&demo, 8));
+    let above = |sol: u32, x_m: f64, y_m: f64| demo.from_above(sol, x_m, y_m).unwrap();
+    let rise = above(8, 6.25, 0.93).height_m - above(7, 6.25, 0.93).height_m;
+    assert!((0.2..0.4).contains(&rise), "{rise}");
+    let (before, after) = (above(7, 5.35, 4.3), above(8, 5.35, 4.3));
+    assert_eq!(
+        (before.height_m, before.is_shaded),
+        (after.height_m, after.is_shaded)
+    );
+    let darker = [0, 1, 2].map(|channel| after.light[channel] / before.light[channel]);
+    assert!(
+        darker[0] < darker[1] && darker[1] < darker[2] && darker[2] < 1.0,
+        "{darker:?}"
+    );
+    assert_eq!(above(7, 9.5, 4.0), above(8, 9.5, 4.0));
+    assert!(Demo::new(DemoOptions::default()).unwrap().with_change(0).is_err());
+}

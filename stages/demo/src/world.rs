@@ -18,7 +18,7 @@ const NEW_STONE: (f64, f64) = (6.25, 0.93);
 /// Half extents of that stone, metres.
 const NEW_HALF: V3 = v3(0.32, 0.25, 0.20);
 /// The strip from which dust is gone after the change: its middle, the direction along it, half its length and width, metres in the site.
-const STRIP: ((f64, f64), (f64, f64), (f64, f64)) = ((7.55, 0.55), (1.0, 0.0), (0.7, 0.15));
+const STRIP: ((f64, f64), (f64, f64), (f64, f64)) = ((5.35, 4.2), (0.0, 1.0), (0.7, 0.15));
 /// Albedo without that dust, as a share: darker, and less red.
 const BARED: V3 = v3(0.70, 0.78, 0.88);
 

@@ -59,7 +59,7 @@ impl Default for ChangesParams {
             cell: None,
             side_px: 480,
             sigmas: 3.0,
-            least_cells: 16,
+            least_cells: 20,
             device: Device::default(),
         }
     }

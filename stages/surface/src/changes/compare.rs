@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use crate::frame::{ExportFrame, MapAxes};
 
 use super::cells::{Extent, Grid, Values};
-use super::noise::{Ground, median, quantile};
+use super::noise::{Ground, around, median, quantile};
 use super::patches::{Patches, patches};
 
 /// Fewest cells that both times show.
@@ -21,8 +21,12 @@ const NINETY: f64 = 1.644_85;
 const WEAK: f64 = 2.0 / 3.0;
 /// Share of the ground that is taken for unchanged.
 const UNCHANGED: f64 = 0.9;
-/// Least factor from how far trainings differ to the noise: of maps that agree everywhere nothing is made of less.
-const LEAST_FACTOR: f64 = 0.25;
+/// Least factor from how far trainings and views differ to the noise: it is never taken for less.
+const LEAST_FACTOR: f64 = 1.0;
+/// Cells to each side of a cell that are asked whether both times show them, and how many of all must be: at the edge of what photos saw
+/// surfaces bend.
+const EDGE: i64 = 2;
+const LEAST_AROUND: usize = 20;
 /// Beyond so many standard deviations a cell is no part of a plane (Tukey's biweight).
 const TUKEY: f64 = 4.685;
 /// Rounds of the fit of a plane.
@@ -196,7 +200,7 @@ fn common((before, after): &(Ground, Ground)) -> Vec<usize> {
         .collect()
 }
 
-/// Returns the differences of the cells that both times show, with the standard deviations of the trainings.
+/// Returns the differences of the cells that both times show with most around them, with the standard deviations of the trainings.
 fn differences(extent: &Extent, before: &Ground, after: &Ground) -> Vec<Option<Compared>> {
     let (earlier, later) = (before.variances(extent), after.variances(extent));
     let cells = before
@@ -204,16 +208,22 @@ fn differences(extent: &Extent, before: &Ground, after: &Ground) -> Vec<Option<C
         .iter()
         .zip(&after.cells)
         .zip(earlier.iter().zip(&later));
-    let compared = cells.map(|((before, after), (earlier, later))| {
-        let (before, after, earlier, later) = ((*before)?, (*after)?, (*earlier)?, (*later)?);
-        Some(Compared {
-            difference: [0, 1, 2, 3].map(|quantity| after.mean[quantity] - before.mean[quantity]),
-            sigma: [0, 1, 2, 3].map(|quantity| {
-                let floor = FLOORS[quantity];
-                (earlier[quantity] + later[quantity] + floor * floor).sqrt()
-            }),
-        })
-    });
+    let is_shown = |place: &usize| before.cells[*place].is_some() && after.cells[*place].is_some();
+    let compared = cells
+        .enumerate()
+        .map(|(place, ((before, after), (earlier, later)))| {
+            let (before, after, earlier, later) = ((*before)?, (*after)?, (*earlier)?, (*later)?);
+            if around(extent, place, EDGE).filter(is_shown).count() < LEAST_AROUND {
+                return None;
+            }
+            Some(Compared {
+                difference: [0, 1, 2, 3].map(|quantity| after.mean[quantity] - before.mean[quantity]),
+                sigma: [0, 1, 2, 3].map(|quantity| {
+                    let floor = FLOORS[quantity];
+                    (earlier[quantity] + later[quantity] + floor * floor).sqrt()
+                }),
+            })
+        });
     compared.collect()
 }
 
