@@ -25,8 +25,6 @@ pub const STEPS_A_HALVING: u64 = 640;
 /// Step size of a training that starts from a field, as a share of that of one from nothing: moments are zero, so its first steps move
 /// every weight by about the whole of it. `benches/field.md`.
 const WARM_RATE: f64 = 0.5;
-/// Halvings that such a training takes back at first: as many samples with longer steps are more rays, which new photos need.
-const TAKEN_BACK: u32 = 2;
 /// With fewer samples a ray than this the steps are halved at once; checked every [`FEW_AT`] steps.
 const FEW_SAMPLES: f64 = 8.0;
 const FEW_AT: u64 = 128;
@@ -215,24 +213,19 @@ impl Training {
         }
     }
 
-    /// Returns how often the steps along rays are halved by then, whatever few samples ask for.
+    /// Returns how often the steps along rays are halved by then, whatever few samples ask for. From a field as often as it was, or
+    /// more where there are steps for it, but anew: as many samples with long steps are more rays, which new photos need.
     pub fn halvings_due(&self, steps: u64) -> u32 {
         let most = self.sizes.halvings.value;
-        if let Some(before) = self.halved_before {
-            return self.halvings_after(before, steps);
+        let long = |steps: u64| ((steps / STEPS_A_HALVING) as u32).min(most);
+        let due = |most: u32| (self.schedule.done(steps) / LAST_HALVED * f64::from(most)) as u32;
+        match self.halved_before {
+            None => due(most).min(long(steps)),
+            Some(before) => {
+                let last = before.max(long(self.schedule.steps()));
+                due(last).min(last)
+            }
         }
-        let due = (self.schedule.done(steps) / LAST_HALVED * f64::from(most)) as u32;
-        due.min((steps / STEPS_A_HALVING) as u32).min(most)
-    }
-
-    /// Returns how often the steps along rays are halved by then in a training that starts from a field with so many halvings: fewer
-    /// at first, then as many in equal parts of nine tenths of the training, or more where it is long enough.
-    fn halvings_after(&self, before: u32, steps: u64) -> u32 {
-        let long = (self.schedule.steps() / STEPS_A_HALVING) as u32;
-        let to = before.max(long.min(self.sizes.halvings.value));
-        let from = before.saturating_sub(TAKEN_BACK);
-        let due = (self.schedule.done(steps) / LAST_HALVED * f64::from(to - from)) as u32;
-        (from + due).min(to)
     }
 
     /// Returns the rays of the next step, a whole number of chunks.
@@ -389,19 +382,19 @@ mod tests {
         }
     }
 
-    /// Of 1,000 steps two of four halvings are taken back, and made again in nine tenths; 10,000 are enough for all six.
+    /// In 1,000 steps all four halvings are made again, in equal parts of nine tenths; 10,000 are enough for all six.
     #[test]
     fn from_a_field_the_steps_along_rays_are_longer_at_first_and_as_long_at_the_end() {
         for (before, steps, expected) in [
             (
                 4,
                 1_000,
-                [(0, 2), (449, 2), (450, 3), (899, 3), (900, 4), (1_000, 4)],
+                [(0, 0), (224, 0), (226, 1), (676, 3), (900, 4), (1_000, 4)],
             ),
             (
                 4,
                 10_000,
-                [(0, 2), (2_249, 2), (2_250, 3), (6_749, 4), (6_750, 5), (9_000, 6)],
+                [(0, 0), (1_499, 0), (1_501, 1), (4_501, 3), (8_999, 5), (9_000, 6)],
             ),
             (0, 16, [(0, 0), (1, 0), (8, 0), (14, 0), (15, 0), (16, 0)]),
             (1, 16, [(0, 0), (1, 0), (8, 0), (14, 0), (15, 1), (16, 1)]),
