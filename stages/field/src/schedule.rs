@@ -22,6 +22,9 @@ const LAST_HALVED: f64 = 0.9;
 const RATE_HELD: u64 = 512;
 /// Fewest steps for each halving: before, there is no surface that shorter steps would find more exactly.
 pub const STEPS_A_HALVING: u64 = 640;
+/// Step size of a training that starts from a field, as a share of that of one from nothing: moments are zero, so its first steps move
+/// every weight by about the whole of it. `benches/field.md`.
+const WARM_RATE: f64 = 0.5;
 /// With fewer samples a ray than this the steps are halved at once; checked every [`FEW_AT`] steps.
 const FEW_SAMPLES: f64 = 8.0;
 const FEW_AT: u64 = 128;
@@ -161,15 +164,19 @@ impl From<Schedule> for Vec<[u64; 2]> {
 }
 
 impl Training {
-    /// Returns the step size after so many steps: `first_rate` of `learning_rate` for half of the training and at least 512 steps, then down by
+    /// Returns the step size after so many steps: `learning_rate` for half of the training and at least 512 steps, then down by
     /// equal factors to `final_rate` of it at the end, where it stays. After a new plan as in a training that was planned so
-    /// from the start and is as far, to whole steps.
+    /// from the start and is as far, to whole steps. Half of that, and never held for 512 steps, where it starts from a field.
     pub fn rate_at(&self, steps: u64) -> f32 {
         let (done, end) = self.schedule.place(steps);
-        let held = (end / 2).max(RATE_HELD);
+        let (least, share) = match self.halved_before {
+            None => (RATE_HELD, 1.0),
+            Some(_) => (0, WARM_RATE),
+        };
+        let held = (end / 2).max(least);
         let past = (done * end as f64).round_ties_even() - held as f64;
         let fallen = past.max(0.0) / end.saturating_sub(held).max(1) as f64;
-        let first = self.config.learning_rate * self.first_rate;
+        let first = self.config.learning_rate * share;
         (first * libm::pow(self.config.final_rate, fallen)) as f32
     }
 
@@ -206,11 +213,19 @@ impl Training {
         }
     }
 
-    /// Returns how often the steps along rays are halved by then, whatever few samples ask for.
+    /// Returns how often the steps along rays are halved by then, whatever few samples ask for. From a field as often as it was, or
+    /// more where there are steps for it, but anew: as many samples with long steps are more rays, which new photos need.
     pub fn halvings_due(&self, steps: u64) -> u32 {
         let most = self.sizes.halvings.value;
-        let due = (self.schedule.done(steps) / LAST_HALVED * f64::from(most)) as u32;
-        due.min((steps / STEPS_A_HALVING) as u32).min(most)
+        let long = |steps: u64| ((steps / STEPS_A_HALVING) as u32).min(most);
+        let due = |most: u32| (self.schedule.done(steps) / LAST_HALVED * f64::from(most)) as u32;
+        match self.halved_before {
+            None => due(most).min(long(steps)),
+            Some(before) => {
+                let last = before.max(long(self.schedule.steps()));
+                due(last).min(last)
+            }
+        }
     }
 
     /// Returns the rays of the next step, a whole number of chunks.
@@ -365,6 +380,42 @@ mod tests {
             }
             assert_eq!(training.state.samples_per_ray, 800.0, "{steps}");
         }
+    }
+
+    /// In 1,000 steps all four halvings are made again, in equal parts of nine tenths; 10,000 are enough for all six.
+    #[test]
+    fn from_a_field_the_steps_along_rays_are_longer_at_first_and_as_long_at_the_end() {
+        for (before, steps, expected) in [
+            (
+                4,
+                1_000,
+                [(0, 0), (224, 0), (226, 1), (676, 3), (900, 4), (1_000, 4)],
+            ),
+            (
+                4,
+                10_000,
+                [(0, 0), (1_499, 0), (1_501, 1), (4_501, 3), (8_999, 5), (9_000, 6)],
+            ),
+            (0, 16, [(0, 0), (1, 0), (8, 0), (14, 0), (15, 0), (16, 0)]),
+            (1, 16, [(0, 0), (1, 0), (8, 0), (14, 0), (15, 1), (16, 1)]),
+        ] {
+            let mut training = of(Some(steps));
+            (training.halved_before, training.sizes.halvings.value) = (Some(before), 6);
+            for (at, halvings) in expected {
+                assert_eq!(training.halvings_due(at), halvings, "{before}, {steps}: {at}");
+            }
+        }
+    }
+
+    #[test]
+    fn from_a_field_half_the_rate_falls_in_the_second_half_however_short() {
+        let mut training = of(Some(400));
+        let config = &training.config;
+        let (rate, last) = (config.learning_rate as f32, config.final_rate as f32);
+        training.halved_before = Some(0);
+        assert_eq!([0, 200].map(|step| training.rate_at(step)), [rate / 2.0; 2]);
+        assert!(training.rate_at(201) < rate / 2.0);
+        assert!((training.rate_at(400) / (rate / 2.0 * last) - 1.0).abs() < 1e-6);
     }
 
     #[test]

@@ -47,8 +47,8 @@ pub struct Training {
     pub observations: Vec<Observation>,
     /// Corrections of the moments by step count.
     pub bias: Bias,
-    /// Share of the configuration's step size with which it begins: less where it starts from a field.
-    pub first_rate: f64,
+    /// How often the steps along rays were halved in the field that it starts from; none where it starts from nothing.
+    pub halved_before: Option<u32>,
     /// All that changes.
     pub state: State,
 }
@@ -138,7 +138,7 @@ impl Training {
             march,
             observations,
             bias: Bias::default(),
-            first_rate: 1.0,
+            halved_before: None,
             state,
         }
     }
