@@ -155,21 +155,19 @@ fn a_cold_start_is_warned_of_and_what_cannot_be_is_refused_before_anything_runs(
         "{warnings:?}"
     );
 
-    let refused = |more: &str, words: [&str; 2]| {
-        let pipeline = format!("{PIPELINE}{more}");
+    let refused = |pipeline: String, words: [&str; 2]| {
         std::fs::write(dir.path().join("pipeline.toml"), pipeline).unwrap();
         let told = marf(dir.path(), &["plan"]).exits(2).stderr;
         assert!(words.iter().all(|word| told.contains(word)), "{told}");
     };
-    refused("resample = 3\n", ["train.warm_start", "`resample` is given too"]);
-    refused(
-        "of = \"other\"\n[node.other]\nuses = \"train\"\ninput = \"calibrate\"\n",
-        ["train.warm_start", "`of`"],
-    );
-    refused(
-        "from = \"half\"\n[node.half]\nuses = \"partial\"\ninput = \"calibrate\"\nuntil = 16\n",
-        ["train.warm_start", "`from`"],
-    );
+    let resample = format!("{PIPELINE}resample = 3\n");
+    refused(resample, ["train.warm_start", "`resample` is given too"]);
+    let of = "of = \"other\"\n[node.other]\nuses = \"train\"\ninput = \"calibrate\"\n";
+    let of = PIPELINE.replace("steps = 24\nscale = 4\n", "") + of;
+    refused(of, ["train.warm_start", "`of` decides it too"]);
+    let from = "from = \"half\"\n[node.half]\nuses = \"partial\"\ninput = \"calibrate\"\nuntil = 16\n";
+    let from = format!("{PIPELINE}{from}");
+    refused(from, ["train.warm_start", "`from` decides it too"]);
     std::fs::write(dir.path().join("pipeline.toml"), PIPELINE).unwrap();
     let told = marf(dir.path(), &["trade"]).exits(2).stderr;
     assert!(told.contains("--set train.warm_start=false"), "{told}");
