@@ -31,9 +31,7 @@ impl From<SetError> for StageError {
 /// # Errors
 /// A set that is lost or damaged.
 pub fn rows_of(ctx: &Ctx<'_>, set: &Digest) -> Result<Vec<(u32, Row)>, StageError> {
-    let root = Root::read(set, |digest| {
-        ctx.get(digest).map_err(|error| SetError::Stage(error.into()))
-    })?;
+    let root = Root::read(set, |digest| ctx.get(digest).map_err(SetError::Stage))?;
     let mut rows = Vec::new();
     for leaf in &root.leaves {
         let read = Leaf::decode(&ctx.get(&leaf.leaf)?).map_err(SetError::Manifest)?;

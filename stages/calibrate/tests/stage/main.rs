@@ -376,7 +376,7 @@ fn the_version_is_raised_when_the_answer_changes() {
         found,
         (
             8,
-            "4cd9888f9ed8 563ab5fcc1aa".to_owned(),
+            "6e1d72d788cd 563ab5fcc1aa".to_owned(),
             "623dffaa62ab d8f0f8b2add1".to_owned()
         )
     );

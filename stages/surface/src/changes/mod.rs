@@ -163,7 +163,7 @@ impl FindChanges {
                 return Err(too_few(key, wanted, &part, &scene, &sols));
             }
             let bytes = part.encode().map_err(SurfaceError::from)?;
-            Ok(ctx.put(&bytes)?)
+            ctx.put(&bytes)
         };
         let scenes = [
             of("before", &self.params.before)?,

@@ -5,7 +5,7 @@ use super::cells::{Extent, Grid, Values};
 /// Cells to each side over which variances are averaged: of three trainings alone a variance is hardly known.
 const POOLED: i64 = 2;
 /// Share of a cell by which two maps may lie beside each other.
-const BESIDE: f64 = 0.5;
+const BESIDE: f64 = 0.25;
 
 /// Mean and variance of a cell over the trainings of a time.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -62,8 +62,8 @@ impl Ground {
         }
     }
 
-    /// Returns the variance that counts in each cell: the means around it of how far trainings and views differ, and what half a cell to
-    /// the side changes.
+    /// Returns the variance that counts in each cell: the means around it of how far trainings and views differ, and what a quarter of a
+    /// cell to the side changes.
     pub fn variances(&self, extent: &Extent) -> Vec<Option<Values>> {
         let places = 0..self.cells.len();
         let variance = |place: usize| {
@@ -77,10 +77,10 @@ impl Ground {
             }
             let mut steepest: Values = [0.0; 4];
             for cell in around(extent, place, 1).filter_map(|near| self.cells[near]) {
-                for quantity in 0..4 {
+                steepest = [0, 1, 2, 3].map(|quantity| {
                     let step = (cell.mean[quantity] - own.mean[quantity]).abs();
-                    steepest[quantity] = steepest[quantity].max(step);
-                }
+                    step.max(steepest[quantity])
+                });
             }
             Some([0, 1, 2, 3].map(|quantity| {
                 let beside = BESIDE * steepest[quantity];
