@@ -158,7 +158,7 @@ fn another_colour_is_a_change_and_a_shadow_is_undecided() {
     });
     let kinds: Vec<Change> = report.patches.iter().map(|patch| patch.change).collect();
     assert_eq!(kinds, [Change::Colour]);
-    assert!((report.changed_m2 - 1.0).abs() < 0.1, "{:?}", report.patches);
+    assert!((report.changed_m2 - 1.0).abs() < 0.15, "{:?}", report.patches);
     assert!((report.patches[0].brightness - (-0.25_f64).exp()).abs() < 0.02);
     // A shadow is darker and, under a red sky, redder.
     let shadow = compared(&|x, y, cell| {
@@ -169,7 +169,7 @@ fn another_colour_is_a_change_and_a_shadow_is_undecided() {
     });
     let kinds: Vec<Change> = shadow.patches.iter().map(|patch| patch.change).collect();
     assert_eq!((kinds, shadow.changed_m2), (vec![Change::Undecided], 0.0));
-    assert!((shadow.undecided_m2 - 1.0).abs() < 0.1, "{shadow:?}");
+    assert!((shadow.undecided_m2 - 1.0).abs() < 0.15, "{shadow:?}");
 }
 
 #[test]
