@@ -6,6 +6,7 @@ use std::path::{Component, Path, PathBuf};
 use marf_cache::Digest;
 use marf_engine::sets;
 use marf_engine::{RunRecord, document};
+use marf_schema::changes::ChangesReport;
 use marf_schema::scenes::Scenes;
 use marf_schema::{output, train, tune};
 use marf_stage::{Document, VERDICTS};
@@ -18,7 +19,7 @@ use super::scenes::{self, SCENE_PAGES};
 use super::session::Session;
 
 /// Outputs without a file name of their own, and the name they get.
-const NAMED: [(&str, &str); 11] = [
+const NAMED: [(&str, &str); 12] = [
     (Scenes::OUTPUT, "scenes.json"),
     (output::SCENE, "scene.json"),
     (output::TRANSFORMS, "transforms.json"),
@@ -30,6 +31,7 @@ const NAMED: [(&str, &str); 11] = [
     (tune::Trials::OUTPUT, "trials.json"),
     (tune::Scatter::OUTPUT, "scatter.json"),
     (output::VIDEO, "video.mp4"),
+    (ChangesReport::OUTPUT, "changes.json"),
 ];
 
 /// Whether all outputs could be written.
