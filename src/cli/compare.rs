@@ -223,14 +223,9 @@ fn text(report: &ChangesReport) -> Vec<String> {
         ),
     ];
     for patch in report.patches.iter().take(MOST_LISTED) {
-        let word = match patch.change {
-            Change::Higher => "higher",
-            Change::Lower => "lower",
-            Change::Colour => "colour",
-            Change::Undecided => "undecided",
-        };
+        let word = patch.change.word();
         lines.push(format!(
-            "  {word:<9} {:.3} m2 ({:.3} to {:.3}) at {:.2} m right, {:.2} m up; {:+.3} m +- {:.3}, light x {:.2}",
+            "  {word:<14} {:.3} m2 ({:.3} to {:.3}) at {:.2} m right, {:.2} m up; {:+.3} m +- {:.3}, light x {:.2}",
             patch.area_m2,
             patch.area_interval_m2[0],
             patch.area_interval_m2[1],

@@ -1,6 +1,6 @@
 //! One place at two times: what changed on the ground.
 
-use marf_schema::changes::{Change, ChangesReport, Patch, Time};
+use marf_schema::changes::{ChangesReport, Patch, Time};
 use marf_schema::output::CHANGE_MAPS;
 use maud::{Markup, html};
 
@@ -85,7 +85,7 @@ fn row(patch: &Patch) -> Markup {
     let [height_m, interval_m] = patch.height_m;
     html! {
         tr {
-            td { (word(patch.change)) }
+            td { (patch.change.word()) }
             td.number { (number(patch.area_m2)) }
             td.number { (number(least)) ", " (number(most)) }
             td.number { (number(patch.middle_m[0])) ", " (number(patch.middle_m[1])) }
@@ -94,15 +94,5 @@ fn row(patch: &Patch) -> Markup {
             td.number { (number(patch.volume_m3)) }
             td.number { "× " (number(patch.brightness)) }
         }
-    }
-}
-
-/// Returns what a change is called.
-pub fn word(change: Change) -> &'static str {
-    match change {
-        Change::Higher => "higher",
-        Change::Lower => "lower",
-        Change::Colour => "another colour",
-        Change::Undecided => "undecided",
     }
 }

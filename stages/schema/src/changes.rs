@@ -133,6 +133,18 @@ pub enum Change {
     Undecided,
 }
 
+impl Change {
+    /// Returns what it is called.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Higher => "higher",
+            Self::Lower => "lower",
+            Self::Colour => "another colour",
+            Self::Undecided => "undecided",
+        }
+    }
+}
+
 /// One of the two times.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Time {

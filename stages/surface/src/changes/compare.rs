@@ -7,16 +7,15 @@ use nalgebra::{Matrix3, Vector3};
 use crate::frame::{ExportFrame, MapAxes};
 
 use super::cells::{Extent, Grid, Values};
-use super::noise::{Ground, around, median, quantile};
+use super::noise::{Ground, NINETY, around, median, quantile};
 use super::patches::{Patches, patches};
 
 /// Fewest cells that both times show.
 const LEAST_COMMON: usize = 400;
 /// Cells of the maps around the ground that both times show.
 const MARGIN: i64 = 10;
-/// Of a normal distribution: the median of what is off by one standard deviation, and the half width of 90 %.
+/// Median of how far a normal distribution is off, standard deviations.
 const MEDIAN: f64 = 0.674_49;
-const NINETY: f64 = 1.644_85;
 /// Share of the limit beyond which a cell is part of a patch that others have begun.
 const WEAK: f64 = 2.0 / 3.0;
 /// Share of the ground that is taken for unchanged.

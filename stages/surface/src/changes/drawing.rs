@@ -5,7 +5,7 @@ use marf_schema::changes::{Change, ChangesReport};
 
 use super::cells::{Values, colour};
 use super::compare::Comparison;
-use super::noise::Ground;
+use super::noise::{Ground, NINETY};
 use crate::SurfaceError;
 use crate::ply::to_byte;
 
@@ -20,8 +20,6 @@ pub(super) const INKS: [(Change, [u8; 3]); 4] = [
 const INK: f64 = 0.7;
 /// Ground that one time alone shows is so much darker.
 const ALONE: f64 = 0.35;
-/// Half width of 90 % of a normal distribution, standard deviations.
-const NINETY: f64 = 1.644_85;
 
 /// Returns all maps with their names.
 pub(super) fn pictures(

@@ -4,6 +4,8 @@ use super::cells::{Extent, Grid, Values};
 
 /// Cells to each side over which variances are averaged: of three trainings alone a variance is hardly known.
 const POOLED: i64 = 2;
+/// Half width of 90 % of a normal distribution, standard deviations.
+pub(super) const NINETY: f64 = 1.644_85;
 /// Share of a cell by which two maps may lie beside each other.
 const BESIDE: f64 = 0.25;
 

@@ -4,14 +4,12 @@ use marf_schema::changes::{Change, Patch};
 
 use super::cells::Extent;
 use super::compare::Comparison;
-use super::noise::around;
+use super::noise::{NINETY, around};
 
 /// Cells of nine that must have changed alike, else one that did is noise.
 const ALIKE: usize = 4;
 /// One cell of so many of a patch must be beyond the limit, else the patch is noise that grew together.
 const STRONG: usize = 3;
-/// Half width of 90 % of a normal distribution, standard deviations.
-const NINETY: f64 = 1.644_85;
 
 /// The patches of a map.
 pub(super) struct Patches {
