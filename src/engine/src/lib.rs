@@ -27,7 +27,7 @@ pub use check::{Edge, GraphError, NodeShape, check};
 pub use event::{Event, Listener, Silent};
 pub use graph::{Graph, NodeDecl, NodeView};
 pub use key::{Change, action_at, changes, differences};
-pub use listing::LISTING;
+pub use listing::{LISTING, Listings};
 pub use marf_stage::Cancel;
 pub use needs::Needs;
 pub use photo_changes::photo_changes;

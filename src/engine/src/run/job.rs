@@ -235,6 +235,7 @@ impl Job<'_> {
         store.put_record(record.clone());
         store.commit()?;
         self.report_conflicts();
+        self.context.graph.keep_listed(&self.node, &listed);
         let counts = record.metadata.counts.clone();
         let mut kept = store.hit(&record.key)?.unwrap_or(record);
         kept.metadata.counts = counts;
