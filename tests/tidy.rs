@@ -28,10 +28,11 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 24] = [
+const CRATES: [Crate; 25] = [
     row("shaders", "marf-shaders", &[]),
     row("cache/derive", "marf-cache-derive", &[]),
     row("cache", "marf-cache", &["marf-cache-derive"]),
+    row("cache/remote", "marf-remote", &["marf-cache"]),
     row("stages/numeric", "marf-numeric", &[]),
     row("stages/loopback", "marf-loopback", &[]),
     row("stages/stage", "marf-stage", &["marf-cache"]),
@@ -165,17 +166,18 @@ const CRATES: [Crate; 24] = [
 ];
 
 /// Packages that only these crates may use.
-const RESTRICTED: [(&str, &[&str]); 11] = [
+const RESTRICTED: [(&str, &[&str]); 12] = [
     ("axum", &["marf-view"]),
     ("kamadak-exif", &["marf-pds"]),
+    ("object_store", &["marf-remote"]),
     ("openh264", &["marf-video"]),
     ("petgraph", &["marf-engine"]),
     ("reflink-copy", &["marf-cache"]),
-    ("reqwest", &["marf-extract"]),
+    ("reqwest", &["marf-extract", "marf-remote"]),
     ("ring", &["marf-cache", "marf-export"]),
     ("rusqlite", &["marf-cache"]),
-    ("rustls", &["marf-extract"]),
-    ("tokio", &["marf-extract", "marf-view", "marf"]),
+    ("rustls", &["marf-extract", "marf-remote"]),
+    ("tokio", &["marf-extract", "marf-remote", "marf-view", "marf"]),
     ("wgpu", &["marf-field"]),
 ];
 

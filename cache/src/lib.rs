@@ -18,9 +18,9 @@ pub use digest::{Digest, ParseDigestError, Sha256};
 pub use json::canonical_json;
 pub use marf_cache_derive::ContentHash;
 pub use store::{
-    Closure, Conflict, Fault, FsckOptions, FsckReport, GcPlan, GcReport, LostDocument, MigratedNode,
-    Migration, Missing, Output, Record, Role, Roots, RunMetadata, SetError, StageStat, Store, StoreError,
-    StoreStat, digest_list, read_digest_list,
+    Belongings, Closure, Conflict, Fault, FsckOptions, FsckReport, GcPlan, GcReport, LostDocument,
+    MigratedNode, Migration, Missing, Output, Record, Role, Roots, RunMetadata, SetError, StageStat, Store,
+    StoreError, StoreStat, digest_list, read_digest_list,
 };
 
 #[doc(hidden)]

@@ -17,8 +17,6 @@ use crate::{
     manifest::{Leaf, LeafRef, Root},
 };
 
-/// First bytes of a set: its root names blocks.
-const ROOT_START: &[u8] = b"{\"block\":";
 /// First bytes of a leaf of rows.
 const LEAF_START: &[u8] = b"{\"id\":";
 
@@ -373,8 +371,7 @@ impl<'a> Marker<'a> {
 
     /// Marks what a set consists of; does nothing for a blob that is none.
     fn follow_set(&mut self, root: &Digest, of: &Digest, walk: Walk) -> Result<(), StoreError> {
-        let start = self.objects.peek(root, ROOT_START.len())?;
-        if start.as_deref() != Some(ROOT_START) || !self.walked.insert((*root, walk)) {
+        if !self.objects.is_set(root)? || !self.walked.insert((*root, walk)) {
             return Ok(());
         }
         self.note(Step::Walked(*root, walk));

@@ -43,6 +43,7 @@
 //! [`Store::put`] of stored bytes) is written to the lease first (see [`Store::gc`]). Commits wait for each other in the
 //! index alone, for seconds at most: rows that cannot be written then are kept in memory and registered later.
 
+mod belongings;
 mod census;
 mod closure;
 mod commit;
@@ -88,6 +89,7 @@ use self::{
 };
 use crate::Digest;
 
+pub use belongings::Belongings;
 pub use closure::{Closure, Missing, Role};
 pub use error::StoreError;
 pub use fsck::{Fault, FsckOptions, FsckReport, LostDocument};

@@ -26,6 +26,9 @@ const ATTEMPTS: usize = 6;
 /// Wait for the rows of packs whose files are gone.
 const REFRESH_PATIENCE: std::time::Duration = std::time::Duration::from_secs(5);
 
+/// First bytes of a set: its root names blocks.
+const SET_START: &[u8] = b"{\"block\":";
+
 /// All committed objects of a store, also those that other processes add.
 pub(super) struct Objects {
     pub(super) root: PathBuf,
@@ -185,6 +188,11 @@ impl Objects {
         let len = len.min(location.len as usize);
         self.files
             .read_at(&self.pack_path(&location.file), location.offset, len)
+    }
+
+    /// Tells whether a blob begins as the root of a set does.
+    pub(super) fn is_set(&self, digest: &Digest) -> Result<bool, StoreError> {
+        Ok(self.peek(digest, SET_START.len())?.as_deref() == Some(SET_START))
     }
 
     /// Reads an entry of a pack and returns its content if it is whole; repairs nothing.

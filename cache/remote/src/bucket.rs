@@ -1,0 +1,238 @@
+//! Requests: what is read and written behind an address, each as one object by its name.
+
+use std::{
+    ops::Range,
+    sync::atomic::{AtomicU64, Ordering},
+    time::SystemTime,
+};
+
+use bytes::Bytes;
+use futures_util::TryStreamExt;
+use object_store::{
+    Error, GetOptions, ObjectStore, ObjectStoreExt, PutMode, PutOptions, PutPayload, path::Path,
+};
+
+use crate::{
+    address::{Address, Patience},
+    error::RemoteError,
+};
+
+/// Requests and bytes since a shared store was opened.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Traffic {
+    /// Requests; an attempt that is repeated counts once.
+    pub requests: u64,
+    /// Bytes sent.
+    pub sent_bytes: u64,
+    /// Bytes received.
+    pub received_bytes: u64,
+}
+
+/// An object in a listing.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Listed {
+    pub(crate) name: String,
+    pub(crate) bytes: u64,
+    /// By the clock of the server.
+    pub(crate) modified: SystemTime,
+}
+
+/// What is behind an address.
+pub(crate) struct Bucket {
+    /// The address, for people.
+    pub(crate) place: String,
+    root: Path,
+    objects: Box<dyn ObjectStore>,
+    requests: AtomicU64,
+    sent_bytes: AtomicU64,
+    received_bytes: AtomicU64,
+}
+
+impl Bucket {
+    pub(crate) fn open(url: &str, patience: Patience) -> Result<Self, RemoteError> {
+        let address = Address::parse(url)?;
+        let (objects, root) = address.open(url, patience)?;
+        Ok(Self {
+            place: url.to_owned(),
+            root,
+            objects,
+            requests: AtomicU64::new(0),
+            sent_bytes: AtomicU64::new(0),
+            received_bytes: AtomicU64::new(0),
+        })
+    }
+
+    pub(crate) fn traffic(&self) -> Traffic {
+        let get = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        Traffic {
+            requests: get(&self.requests),
+            sent_bytes: get(&self.sent_bytes),
+            received_bytes: get(&self.received_bytes),
+        }
+    }
+
+    fn count(&self, sent: usize) {
+        self.requests.fetch_add(1, Ordering::Relaxed);
+        self.sent_bytes.fetch_add(sent as u64, Ordering::Relaxed);
+    }
+
+    fn received(&self, bytes: usize) {
+        self.received_bytes.fetch_add(bytes as u64, Ordering::Relaxed);
+    }
+
+    fn path(&self, name: &str) -> Path {
+        let parts = self.root.parts().map(|part| part.as_ref().to_owned());
+        parts.chain(name.split('/').map(str::to_owned)).collect()
+    }
+
+    /// Returns the bytes of an object; none if there is none.
+    pub(crate) async fn get(&self, name: &str) -> Result<Option<Bytes>, RemoteError> {
+        self.count(0);
+        let read = async { self.objects.get(&self.path(name)).await?.bytes().await };
+        let bytes = self.there("read", name, read.await)?;
+        self.received(bytes.as_ref().map_or(0, Bytes::len));
+        Ok(bytes)
+    }
+
+    /// Returns some ranges of an object, fetched together where they are close to each other; none if there is none.
+    pub(crate) async fn get_ranges(
+        &self,
+        name: &str,
+        ranges: &[Range<u64>],
+    ) -> Result<Option<Vec<Bytes>>, RemoteError> {
+        self.count(0);
+        let read = self.objects.get_ranges(&self.path(name), ranges).await;
+        let parts = self.there("read", name, read)?;
+        self.received(parts.iter().flatten().map(Bytes::len).sum());
+        Ok(parts)
+    }
+
+    /// Returns the length of an object; none if there is none.
+    pub(crate) async fn size(&self, name: &str) -> Result<Option<u64>, RemoteError> {
+        self.count(0);
+        let options = GetOptions::new().with_head(true);
+        let found = self.objects.get_opts(&self.path(name), options).await;
+        Ok(self.there("find", name, found)?.map(|found| found.meta.size))
+    }
+
+    /// Writes an object, in place of one that is there.
+    pub(crate) async fn put(&self, name: &str, bytes: Bytes) -> Result<(), RemoteError> {
+        self.count(bytes.len());
+        let written = self.objects.put(&self.path(name), PutPayload::from(bytes)).await;
+        written
+            .map(drop)
+            .map_err(|error| self.error("write", name, &error))
+    }
+
+    /// Writes an object if there is none of this name, and returns whether there was none.
+    pub(crate) async fn put_new(&self, name: &str, bytes: Bytes) -> Result<bool, RemoteError> {
+        self.count(bytes.len());
+        let options = PutOptions::from(PutMode::Create);
+        let written = self
+            .objects
+            .put_opts(&self.path(name), PutPayload::from(bytes), options)
+            .await;
+        match written {
+            Ok(_) => Ok(true),
+            Err(Error::AlreadyExists { .. } | Error::Precondition { .. }) => Ok(false),
+            Err(error) => Err(self.error("write", name, &error)),
+        }
+    }
+
+    /// Removes an object; one that is not there is no error.
+    pub(crate) async fn remove(&self, name: &str) -> Result<(), RemoteError> {
+        self.count(0);
+        let removed = self.objects.delete(&self.path(name)).await;
+        self.there("remove", name, removed).map(drop)
+    }
+
+    /// Returns the objects in a folder and below it, 1,000 a request.
+    pub(crate) async fn list(&self, folder: &str) -> Result<Vec<Listed>, RemoteError> {
+        let path = self.path(folder);
+        let listed: Result<Vec<_>, Error> = self.objects.list(Some(&path)).try_collect().await;
+        let listed = self.there("list", folder, listed)?.unwrap_or_default();
+        self.requests
+            .fetch_add(listed.len() as u64 / 1_000 + 1, Ordering::Relaxed);
+        let depth = self.root.parts().count();
+        Ok(listed
+            .into_iter()
+            .map(|meta| {
+                let parts: Vec<String> = meta
+                    .location
+                    .parts()
+                    .skip(depth)
+                    .map(|part| part.as_ref().to_owned())
+                    .collect();
+                Listed {
+                    name: parts.join("/"),
+                    bytes: meta.size,
+                    modified: meta.last_modified.into(),
+                }
+            })
+            .collect())
+    }
+
+    /// Returns an answer; none where it is that there is no such object.
+    fn there<T>(
+        &self,
+        doing: &'static str,
+        name: &str,
+        answer: Result<T, Error>,
+    ) -> Result<Option<T>, RemoteError> {
+        match answer {
+            Ok(found) => Ok(Some(found)),
+            Err(Error::NotFound { .. }) => Ok(None),
+            Err(error) => Err(self.error(doing, name, &error)),
+        }
+    }
+
+    fn error(&self, doing: &'static str, name: &str, error: &Error) -> RemoteError {
+        let (place, object) = (self.place.clone(), name.to_owned());
+        match error {
+            Error::PermissionDenied { .. } | Error::Unauthenticated { .. } => {
+                RemoteError::Denied { place, doing, object }
+            }
+            Error::NotFound { .. } => RemoteError::Failed {
+                place,
+                doing,
+                object,
+                cause: "the bucket is not there".to_owned(),
+            },
+            error => RemoteError::Failed {
+                place,
+                doing,
+                object,
+                cause: cause_of(error),
+            },
+        }
+    }
+
+    pub(crate) fn damaged(&self, name: &str, what: &str) -> RemoteError {
+        RemoteError::Damaged {
+            place: self.place.clone(),
+            object: name.to_owned(),
+            what: what.to_owned(),
+        }
+    }
+}
+
+/// Returns the innermost cause of an error in a few words. What a server wrote is left out: it may repeat a key.
+pub(crate) fn cause_of(error: &Error) -> String {
+    let mut cause: &dyn std::error::Error = error;
+    loop {
+        let text = cause.to_string();
+        if let Some(status) = status_in(&text) {
+            return format!("the server answers {status}");
+        }
+        match cause.source() {
+            Some(source) => cause = source,
+            None => return text,
+        }
+    }
+}
+
+/// Returns the status of an answer in the text of an error.
+fn status_in(text: &str) -> Option<u16> {
+    let (_, rest) = text.split_once("status code: ")?;
+    rest.get(..3)?.parse().ok()
+}

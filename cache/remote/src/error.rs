@@ -1,0 +1,132 @@
+use marf_cache::{Digest, SetError, StoreError};
+
+/// Why a shared store could not be used. No text of it holds a credential or an answer of a server.
+#[derive(Debug, thiserror::Error)]
+pub enum RemoteError {
+    /// The address is none.
+    #[error("`{url}` is no address of a shared store: {why}")]
+    BadUrl {
+        /// The address, without what may be a credential.
+        url: String,
+        /// What is wrong.
+        why: String,
+    },
+    /// The environment has no credentials.
+    #[error("{place}: the environment has no credentials for it")]
+    NoCredentials {
+        /// The address.
+        place: String,
+    },
+    /// No shared store is there.
+    #[error("there is no shared store at {place}")]
+    Absent {
+        /// The address.
+        place: String,
+    },
+    /// A later program wrote it.
+    #[error("the shared store {place} is of form {found}; this program reads form {known}")]
+    Newer {
+        /// The address.
+        place: String,
+        /// Its form.
+        found: String,
+        /// The form of this program.
+        known: u32,
+    },
+    /// The server refuses.
+    #[error("{place} does not allow to {doing} `{object}`")]
+    Denied {
+        /// The address.
+        place: String,
+        /// The operation, as an infinitive.
+        doing: &'static str,
+        /// Name of the object.
+        object: String,
+    },
+    /// The request failed as often as it was tried.
+    #[error("{place} cannot {doing} `{object}`: {cause}")]
+    Failed {
+        /// The address.
+        place: String,
+        /// The operation, as an infinitive.
+        doing: &'static str,
+        /// Name of the object.
+        object: String,
+        /// What happened.
+        cause: String,
+    },
+    /// An object is not what its name says.
+    #[error("`{object}` of {place} is damaged: {what}")]
+    Damaged {
+        /// The address.
+        place: String,
+        /// Name of the object.
+        object: String,
+        /// What is wrong with it.
+        what: String,
+    },
+    /// An object is named and not there.
+    #[error("{place} lacks {what} {digest}")]
+    Missing {
+        /// The address.
+        place: String,
+        /// What it is (`blob`, `the result of key`).
+        what: &'static str,
+        /// Its digest.
+        digest: Digest,
+    },
+    /// The own store lacks a result that is to be pushed.
+    #[error("the result of key {key} is not in the store any more")]
+    NotInStore {
+        /// The key.
+        key: Digest,
+    },
+    /// Another program works on it, and the two cannot at once.
+    #[error("{place} is in use by {holder}")]
+    Busy {
+        /// The address.
+        place: String,
+        /// Who uses it.
+        holder: String,
+    },
+    /// The user wants to stop.
+    #[error("stopped")]
+    Stopped,
+    /// The own store cannot be read or written.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// A set of the own store cannot be read.
+    #[error(transparent)]
+    Set(#[from] SetError),
+    /// The threads for requests cannot be started.
+    #[error("threads for requests cannot be started: {0}")]
+    Threads(std::io::Error),
+}
+
+impl RemoteError {
+    /// Returns what the user can do about it, if anything.
+    pub fn hint(&self) -> Option<String> {
+        let hint = match self {
+            Self::BadUrl { .. } => "write s3://BUCKET/PREFIX or file:///FOLDER",
+            Self::NoCredentials { .. } => {
+                "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, and AWS_ENDPOINT_URL for servers other than Amazon's"
+            }
+            Self::Absent { .. } => "`marf cache push` makes one; check the address and AWS_ENDPOINT_URL",
+            Self::Newer { .. } => "use the program that wrote it",
+            Self::Denied { .. } => "check the credentials in the environment and what they permit",
+            Self::Failed { .. } => {
+                "nothing is lost: run the command again when it answers, it goes on where it ended"
+            }
+            Self::Damaged { .. } | Self::Missing { .. } => {
+                "`marf cache fsck --remote` lists what is not whole; `--repair` removes it, and a push brings it again"
+            }
+            Self::NotInStore { .. } | Self::Set(_) => "`marf run` makes it again",
+            Self::Busy { .. } => {
+                "wait until it has ended; the lease of a program that died ends after ten minutes"
+            }
+            Self::Store(error) => return error.hint(),
+            Self::Stopped | Self::Threads(_) => return None,
+        };
+        Some(hint.to_owned())
+    }
+}

@@ -1,0 +1,163 @@
+//! Leases: objects that tell who works on a shared store.
+//!
+//! A program that adds has a lease of its own, one that removes has the only one of its kind, and each looks for the other
+//! after it has written its own: so of two at least one sees the other. A lease is renewed every minute and ends ten
+//! minutes after it was last, by the clock of the server.
+
+use std::time::{Duration, SystemTime};
+
+use bytes::Bytes;
+use marf_cache::Digest;
+
+use crate::{bucket::Bucket, bucket::Listed, error::RemoteError, names};
+
+const RENEWED_EVERY: Duration = Duration::from_secs(60);
+const ENDS_AFTER: Duration = Duration::from_secs(600);
+
+/// Name of the lease of a program that removes objects.
+const EXCLUSIVE: &str = "exclusive";
+/// What the names of leases of programs that add objects begin with.
+const SHARED: &str = "shared-";
+
+/// What the names of objects begin with that are written for their time.
+const CLOCK: &str = "clock-";
+
+/// What a program does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Kind {
+    /// It adds objects.
+    Shared,
+    /// It removes objects.
+    #[allow(dead_code)]
+    Exclusive,
+}
+
+/// The lease of this program, which ends with [`Lease::release`].
+pub(crate) struct Lease {
+    kind: Kind,
+    name: String,
+    clock: String,
+    holder: String,
+}
+
+impl Lease {
+    /// Returns a lease that is not taken yet.
+    pub(crate) fn new(kind: Kind) -> Self {
+        let holder = holder();
+        let id = Digest::of(holder.as_bytes()).short();
+        let name = match kind {
+            Kind::Exclusive => EXCLUSIVE.to_owned(),
+            Kind::Shared => format!("{SHARED}{id}"),
+        };
+        Self {
+            kind,
+            name: format!("{}/{name}", names::LEASES),
+            clock: format!("{}/{CLOCK}{id}", names::LEASES),
+            holder,
+        }
+    }
+
+    /// Takes the lease.
+    ///
+    /// # Errors
+    /// [`RemoteError::Busy`] where another program excludes this one.
+    pub(crate) async fn take(&self, bucket: &Bucket) -> Result<(), RemoteError> {
+        while !bucket.put_new(&self.name, self.bytes()).await? {
+            self.take_over(bucket).await?;
+        }
+        let excludes = |name: &str| match self.kind {
+            Kind::Shared => name.ends_with(EXCLUSIVE),
+            Kind::Exclusive => name != self.name,
+        };
+        let leases = self.leases(bucket).await?;
+        match leases.into_iter().find(|lease| excludes(&lease.name)) {
+            None => Ok(()),
+            Some(other) => Err(self.busy(bucket, &other.name).await?),
+        }
+    }
+
+    fn bytes(&self) -> Bytes {
+        Bytes::from(self.holder.clone())
+    }
+
+    /// Removes the lease of a program that has ended without a word.
+    async fn take_over(&self, bucket: &Bucket) -> Result<(), RemoteError> {
+        let leases = self.leases(bucket).await?;
+        match leases.into_iter().find(|lease| lease.name == self.name) {
+            Some(lease) => Err(self.busy(bucket, &lease.name).await?),
+            None => bucket.remove(&self.name).await,
+        }
+    }
+
+    /// Returns the leases that have not ended. What time it is tells an object that is written for it.
+    async fn leases(&self, bucket: &Bucket) -> Result<Vec<Listed>, RemoteError> {
+        bucket.put(&self.clock, Bytes::new()).await?;
+        let mut listed = bucket.list(names::LEASES).await?;
+        bucket.remove(&self.clock).await?;
+        let now = listed.iter().find(|object| object.name == self.clock);
+        let now = now.map(|object| object.modified);
+        let is_alive = |lease: &Listed| now.is_some_and(|now| age(now, lease.modified) < ENDS_AFTER);
+        listed.retain(|lease| !lease.name.contains(CLOCK) && is_alive(lease));
+        Ok(listed)
+    }
+
+    async fn busy(&self, bucket: &Bucket, name: &str) -> Result<RemoteError, RemoteError> {
+        let holder = bucket.get(name).await?;
+        Ok(RemoteError::Busy {
+            place: bucket.place.clone(),
+            holder: holder.map_or_else(
+                || "another program".to_owned(),
+                |holder| String::from_utf8_lossy(&holder).into_owned(),
+            ),
+        })
+    }
+
+    /// Renews the lease until another program has taken it over, which is an error.
+    pub(crate) async fn renew(&self, bucket: &Bucket) -> RemoteError {
+        loop {
+            tokio::time::sleep(RENEWED_EVERY).await;
+            match self.renew_once(bucket).await {
+                Ok(()) => {}
+                Err(error) => return error,
+            }
+        }
+    }
+
+    async fn renew_once(&self, bucket: &Bucket) -> Result<(), RemoteError> {
+        match self.is_own(bucket).await? {
+            true => bucket.put(&self.name, self.bytes()).await,
+            false => Err(self.busy(bucket, &self.name).await?),
+        }
+    }
+
+    /// Tells whether the lease is there, and this program's.
+    async fn is_own(&self, bucket: &Bucket) -> Result<bool, RemoteError> {
+        let holder = bucket.get(&self.name).await?;
+        Ok(holder.is_some_and(|holder| holder == self.holder.as_bytes()))
+    }
+
+    /// Ends the lease, whether it was taken or only asked for.
+    pub(crate) async fn release(&self, bucket: &Bucket) -> Result<(), RemoteError> {
+        bucket.remove(&self.clock).await?;
+        match self.is_own(bucket).await? {
+            true => bucket.remove(&self.name).await,
+            false => Ok(()),
+        }
+    }
+}
+
+fn age(now: SystemTime, then: SystemTime) -> Duration {
+    now.duration_since(then).unwrap_or_default()
+}
+
+/// Returns who this program is, for people and unlike all others.
+fn holder() -> String {
+    let since = SystemTime::now()
+        .duration_since(SystemTime::UNIX_EPOCH)
+        .unwrap_or_default();
+    format!(
+        "marf, process {} since {} s",
+        std::process::id(),
+        since.as_secs_f64()
+    )
+}

@@ -1,0 +1,131 @@
+//! Packs: small blobs one behind the other, with an index beside them.
+//!
+//! ```text
+//! index:  "marf pack 1\n"  (digest of the blob, 32 bytes; its place, u64; its length, u32)*  digest of all before, 32 bytes
+//! ```
+//! Entries are sorted by digest, numbers are little-endian. The name of a pack is the digest of its bytes.
+
+use bytes::Bytes;
+use marf_cache::Digest;
+
+/// A pack is closed when it holds this many bytes.
+pub(crate) const PACK_BYTES: u64 = 32 << 20;
+
+const MAGIC: &[u8] = b"marf pack 1\n";
+const ENTRY: usize = 44;
+const CHECKSUM: usize = 32;
+
+/// Where a blob is in its pack.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Entry {
+    pub(crate) digest: Digest,
+    pub(crate) offset: u64,
+    pub(crate) len: u32,
+}
+
+/// A pack and its index, as they are written.
+pub(crate) struct Pack {
+    pub(crate) id: Digest,
+    pub(crate) bytes: Bytes,
+    pub(crate) index: Bytes,
+}
+
+/// A pack that is being filled.
+#[derive(Default)]
+pub(crate) struct PackWriter {
+    bytes: Vec<u8>,
+    entries: Vec<Entry>,
+}
+
+impl PackWriter {
+    pub(crate) fn add(&mut self, digest: Digest, blob: &[u8]) {
+        self.entries.push(Entry {
+            digest,
+            offset: self.bytes.len() as u64,
+            // A blob of a pack is smaller than 64 KiB.
+            len: blob.len() as u32,
+        });
+        self.bytes.extend_from_slice(blob);
+    }
+
+    pub(crate) fn finish(mut self) -> Pack {
+        self.entries.sort_unstable();
+        Pack {
+            id: Digest::of(&self.bytes),
+            index: Bytes::from(encode_index(&self.entries)),
+            bytes: Bytes::from(self.bytes),
+        }
+    }
+}
+
+fn encode_index(entries: &[Entry]) -> Vec<u8> {
+    let mut bytes = MAGIC.to_vec();
+    for entry in entries {
+        bytes.extend_from_slice(entry.digest.as_bytes());
+        bytes.extend_from_slice(&entry.offset.to_le_bytes());
+        bytes.extend_from_slice(&entry.len.to_le_bytes());
+    }
+    let checksum = Digest::of(&bytes);
+    bytes.extend_from_slice(checksum.as_bytes());
+    bytes
+}
+
+/// Reads an index; none if it is not whole.
+pub(crate) fn decode_index(bytes: &[u8]) -> Option<Vec<Entry>> {
+    let (body, checksum) = bytes.split_at_checked(bytes.len().checked_sub(CHECKSUM)?)?;
+    if Digest::of(body).as_bytes() != checksum {
+        return None;
+    }
+    let (entries, rest) = body.strip_prefix(MAGIC)?.as_chunks::<ENTRY>();
+    rest.is_empty()
+        .then(|| entries.iter().map(decode_entry).collect())?
+}
+
+fn decode_entry(bytes: &[u8; ENTRY]) -> Option<Entry> {
+    let (digest, numbers) = bytes.split_first_chunk::<32>()?;
+    let (offset, len) = numbers.split_first_chunk::<8>()?;
+    Some(Entry {
+        digest: Digest::from_bytes(*digest),
+        offset: u64::from_le_bytes(*offset),
+        len: u32::from_le_bytes(len.try_into().ok()?),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pack(blobs: &[&[u8]]) -> Pack {
+        let mut writer = PackWriter::default();
+        blobs.iter().for_each(|blob| writer.add(Digest::of(blob), blob));
+        writer.finish()
+    }
+
+    #[test]
+    fn an_index_tells_where_each_blob_is_sorted_by_digest() {
+        let blobs: [&[u8]; 4] = [b"one", b"", b"three", b"four"];
+        let pack = pack(&blobs);
+        assert_eq!(pack.id, Digest::of(b"onethreefour"));
+        let entries = decode_index(&pack.index).unwrap();
+        assert_eq!(entries.len(), 4);
+        assert!(entries.is_sorted_by(|a, b| a.digest < b.digest));
+        for entry in entries {
+            let at = entry.offset as usize..entry.offset as usize + entry.len as usize;
+            assert_eq!(Digest::of(&pack.bytes[at]), entry.digest);
+        }
+    }
+
+    #[test]
+    fn an_index_that_is_cut_or_flipped_is_none() {
+        let index = pack(&[b"one", b"two"]).index;
+        for len in 0..index.len() {
+            assert_eq!(decode_index(&index[..len]), None, "cut at {len}");
+        }
+        for at in 0..index.len() {
+            let mut bytes = index.to_vec();
+            bytes[at] ^= 1;
+            assert_eq!(decode_index(&bytes), None, "flipped at {at}");
+        }
+        assert_eq!(decode_index(&pack(&[]).index), Some(Vec::new()));
+    }
+}

@@ -1,0 +1,164 @@
+//! A pull: records, then the blobs that the own store lacks; these are stored first.
+
+use std::collections::BTreeSet;
+
+use marf_cache::{Digest, Record, Store};
+
+use crate::{
+    bucket::Bucket,
+    error::RemoteError,
+    fetch::Plan,
+    names,
+    push::Meter,
+    remote::Observer,
+    sealed::{self, RemoteRun},
+    survey,
+};
+
+/// What a pull has done.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Pulled {
+    /// Results that were fetched.
+    pub records: u64,
+    /// Results that were in the own store.
+    pub known_records: u64,
+    /// Blobs that were fetched.
+    pub blobs: u64,
+    /// Their bytes.
+    pub blob_bytes: u64,
+}
+
+/// What of some results the own store lacks.
+#[derive(Default)]
+struct Lacking {
+    records: Vec<Record>,
+    blobs: BTreeSet<Digest>,
+    known: u64,
+}
+
+/// Reads the run of this root.
+pub(crate) async fn read_run(bucket: &Bucket, root: &Digest) -> Result<RemoteRun, RemoteError> {
+    let listed = bucket.list(names::RUNS).await?;
+    let is_it = |name: &str| names::run_in(name).is_some_and(|(_, found)| found == *root);
+    let missing = || RemoteError::Missing {
+        place: bucket.place.clone(),
+        what: "the run",
+        digest: *root,
+    };
+    let name = listed
+        .iter()
+        .find(|object| is_it(&object.name))
+        .ok_or_else(missing)?;
+    let bytes = bucket.get(&name.name).await?.ok_or_else(missing)?;
+    let run: Option<RemoteRun> = sealed::open(&bytes);
+    run.filter(|run| Digest::of(run.root.as_bytes()) == *root)
+        .ok_or_else(|| bucket.damaged(&name.name, "its checksum is another"))
+}
+
+/// Fetches what a run consists of.
+pub(crate) async fn run(
+    bucket: &Bucket,
+    store: &Store,
+    run: &RemoteRun,
+    observer: &dyn Observer,
+) -> Result<Pulled, RemoteError> {
+    results(bucket, store, &run.keys, &run.blobs, observer).await
+}
+
+/// Fetches the results of keys with all that belongs to them, and blobs beside them. All keys must be there.
+pub(crate) async fn results(
+    bucket: &Bucket,
+    store: &Store,
+    keys: &[Digest],
+    blobs: &[Digest],
+    observer: &dyn Observer,
+) -> Result<Pulled, RemoteError> {
+    let mut lacking = Lacking::find(bucket, store, keys).await?;
+    lacking.blobs.extend(blobs);
+    lacking.blobs.retain(|blob| !store.contains(blob));
+    let blob_bytes = match fetch(bucket, store, &lacking.blobs, observer).await {
+        // It was damaged on its way, or a collection has just moved it to another pack.
+        Err(RemoteError::Damaged { .. } | RemoteError::Missing { .. }) => {
+            fetch(bucket, store, &lacking.blobs, observer).await?
+        }
+        fetched => fetched?,
+    };
+    let pulled = Pulled {
+        records: lacking.records.len() as u64,
+        known_records: lacking.known,
+        blobs: lacking.blobs.len() as u64,
+        blob_bytes,
+    };
+    // After a crash no record names a blob that has not come.
+    store.commit()?;
+    lacking
+        .records
+        .into_iter()
+        .for_each(|record| store.put_record(record));
+    store.commit()?;
+    Ok(pulled)
+}
+
+/// Fetches blobs as far as the store lacks them, and returns their bytes.
+async fn fetch(
+    bucket: &Bucket,
+    store: &Store,
+    blobs: &BTreeSet<Digest>,
+    observer: &dyn Observer,
+) -> Result<u64, RemoteError> {
+    let lacking = blobs
+        .iter()
+        .filter(|blob| !store.contains(blob))
+        .copied()
+        .collect();
+    let plan = Plan::make(bucket, &lacking).await?;
+    let meter = Meter::new(observer, plan.bytes());
+    plan.fetch(bucket, store, &meter).await?;
+    Ok(meter.total_bytes)
+}
+
+impl Lacking {
+    /// Reads the records of keys that the own store does not have whole, level by level.
+    async fn find(bucket: &Bucket, store: &Store, keys: &[Digest]) -> Result<Self, RemoteError> {
+        let mut lacking = Self::default();
+        let mut seen: BTreeSet<Digest> = BTreeSet::new();
+        let mut level: BTreeSet<Digest> = keys.iter().copied().collect();
+        while !level.is_empty() {
+            let mut below = BTreeSet::new();
+            let mut asked = Vec::new();
+            for key in &level {
+                match own(store, key)? {
+                    Some(keys) => {
+                        lacking.known += 1;
+                        below.extend(keys);
+                    }
+                    None => asked.push(*key),
+                }
+            }
+            for (key, found) in survey::records(bucket, asked.into_iter()).await? {
+                let found = found.ok_or_else(|| RemoteError::Missing {
+                    place: bucket.place.clone(),
+                    what: "the result of key",
+                    digest: key,
+                })?;
+                below.extend(found.keys);
+                lacking.blobs.extend(found.blobs);
+                lacking.records.push(found.record);
+            }
+            seen.append(&mut level);
+            level = below.difference(&seen).copied().collect();
+        }
+        Ok(lacking)
+    }
+}
+
+/// Returns the keys below a result of the own store, if it has all that belongs to it.
+fn own(store: &Store, key: &Digest) -> Result<Option<Vec<Digest>>, RemoteError> {
+    let Some(record) = store.record(key)? else {
+        return Ok(None);
+    };
+    // A list that is lost is fetched with the others.
+    let belongings = store.belongings(&record).ok();
+    let whole = belongings.filter(|belongings| belongings.blobs.iter().all(|blob| store.contains(blob)));
+    Ok(whole.map(|belongings| belongings.keys))
+}

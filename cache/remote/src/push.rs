@@ -1,0 +1,267 @@
+//! A push: blobs, packs, records, the run.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::atomic::{AtomicU64, Ordering},
+};
+
+use bytes::Bytes;
+use futures_util::{StreamExt, TryStreamExt, stream};
+use marf_cache::{Conflict, Digest, Store, StoreError};
+
+use crate::{
+    bucket::Bucket,
+    catalogue::Catalogue,
+    error::RemoteError,
+    names,
+    pack::{PACK_BYTES, PackWriter},
+    remote::{Observer, Progress},
+    sealed::{self, RemoteRecord, RemoteRun},
+    survey::{self, Survey},
+};
+
+/// Blobs from this length on are objects of their own, as in the own store.
+const LARGE_BYTES: u64 = 64 << 10;
+/// Large blobs that are sent at once.
+const BLOBS_IN_FLIGHT: usize = 16;
+/// Packs that are sent at once; each is in memory.
+const PACKS_IN_FLIGHT: usize = 2;
+/// From this many objects of one folder on the folder is listed, instead of asking for each.
+const LIST_FROM: usize = 4;
+
+/// What a push has done.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Pushed {
+    /// Results that were sent.
+    pub records: u64,
+    /// Results that were there.
+    pub known_records: u64,
+    /// Blobs that were sent, those in packs among them.
+    pub blobs: u64,
+    /// Their bytes.
+    pub blob_bytes: u64,
+    /// Packs that were sent.
+    pub packs: u64,
+    /// Keys for which another result was there first; it stays.
+    pub conflicts: Vec<Conflict>,
+}
+
+/// Blobs that a shared store lacks, with their lengths.
+#[derive(Default)]
+struct Absent {
+    large: BTreeMap<Digest, u64>,
+    small: BTreeMap<Digest, u64>,
+}
+
+/// Sends a run with all that is lacking.
+pub(crate) async fn run(
+    bucket: &Bucket,
+    store: &Store,
+    run: &RemoteRun,
+    observer: &dyn Observer,
+) -> Result<Pushed, RemoteError> {
+    let pushed = results(bucket, store, &run.keys, &run.blobs, observer).await?;
+    let root = Digest::of(run.root.as_bytes());
+    let name = names::run(&run.pipeline, run.started_unix_s, &root);
+    bucket.put(&name, sealed::seal(run)).await?;
+    Ok(pushed)
+}
+
+/// Sends the results of keys with all that they consist of, and blobs beside them, as far as they are lacking.
+pub(crate) async fn results(
+    bucket: &Bucket,
+    store: &Store,
+    keys: &[Digest],
+    blobs: &[Digest],
+    observer: &dyn Observer,
+) -> Result<Pushed, RemoteError> {
+    store.commit()?;
+    let survey = Survey::take(bucket, store, keys).await?;
+    let wanted: BTreeSet<Digest> = survey
+        .new
+        .values()
+        .flat_map(|record| &record.blobs)
+        .chain(blobs)
+        .copied()
+        .collect();
+    let absent = Absent::find(bucket, store, &wanted).await?;
+    let meter = Meter::new(observer, absent.large.values().chain(absent.small.values()).sum());
+    let packs = absent.packs();
+    send_large(bucket, store, &absent.large, &meter).await?;
+    send_packs(bucket, store, &packs, &meter).await?;
+    let mut conflicts = survey.conflicts.clone();
+    for group in survey.in_order() {
+        conflicts.extend(send_records(bucket, &group).await?);
+    }
+    Ok(Pushed {
+        records: survey.new.len() as u64,
+        known_records: survey.known,
+        blobs: (absent.large.len() + absent.small.len()) as u64,
+        blob_bytes: meter.total_bytes,
+        packs: packs.len() as u64,
+        conflicts,
+    })
+}
+
+impl Absent {
+    async fn find(bucket: &Bucket, store: &Store, wanted: &BTreeSet<Digest>) -> Result<Self, RemoteError> {
+        let mut absent = Self::default();
+        for digest in wanted {
+            let bytes = store
+                .size_of(digest)
+                .ok_or(StoreError::Missing { digest: *digest })?;
+            match bytes < LARGE_BYTES {
+                true => absent.small.insert(*digest, bytes),
+                false => absent.large.insert(*digest, bytes),
+            };
+        }
+        if !absent.small.is_empty() {
+            let catalogue = Catalogue::load(bucket).await?;
+            absent.small.retain(|digest, _| catalogue.find(digest).is_none());
+        }
+        for digest in present(bucket, absent.large.keys()).await? {
+            absent.large.remove(&digest);
+        }
+        Ok(absent)
+    }
+
+    /// Returns the small blobs by the pack that each will be in.
+    fn packs(&self) -> Vec<Vec<Digest>> {
+        let mut packs: Vec<Vec<Digest>> = Vec::new();
+        let mut filled = u64::MAX;
+        for (digest, bytes) in &self.small {
+            if filled >= PACK_BYTES {
+                packs.push(Vec::new());
+                filled = 0;
+            }
+            filled += bytes;
+            if let Some(pack) = packs.last_mut() {
+                pack.push(*digest);
+            }
+        }
+        packs
+    }
+}
+
+/// Returns which large blobs are there.
+async fn present(
+    bucket: &Bucket,
+    digests: impl Iterator<Item = &Digest>,
+) -> Result<Vec<Digest>, RemoteError> {
+    let mut folders: BTreeMap<String, Vec<Digest>> = BTreeMap::new();
+    for digest in digests {
+        let name = names::blob(digest);
+        let folder = name.rsplit_once('/').map_or("", |(folder, _)| folder);
+        folders.entry(folder.to_owned()).or_default().push(*digest);
+    }
+    let found: Vec<Vec<Digest>> = stream::iter(folders)
+        .map(|(folder, digests)| async move { present_in(bucket, &folder, digests).await })
+        .buffer_unordered(survey::IN_FLIGHT)
+        .try_collect()
+        .await?;
+    Ok(found.into_iter().flatten().collect())
+}
+
+async fn present_in(bucket: &Bucket, folder: &str, wanted: Vec<Digest>) -> Result<Vec<Digest>, RemoteError> {
+    if wanted.len() >= LIST_FROM {
+        let listed = bucket.list(folder).await?;
+        return Ok(listed
+            .iter()
+            .filter_map(|object| names::digest_in(&object.name))
+            .collect());
+    }
+    let mut found = Vec::new();
+    for digest in wanted {
+        if bucket.size(&names::blob(&digest)).await?.is_some() {
+            found.push(digest);
+        }
+    }
+    Ok(found)
+}
+
+/// Adds up bytes for an observer.
+pub(crate) struct Meter<'a> {
+    observer: &'a dyn Observer,
+    done_bytes: AtomicU64,
+    pub(crate) total_bytes: u64,
+}
+
+impl<'a> Meter<'a> {
+    pub(crate) fn new(observer: &'a dyn Observer, total_bytes: u64) -> Self {
+        Self {
+            observer,
+            done_bytes: AtomicU64::new(0),
+            total_bytes,
+        }
+    }
+
+    pub(crate) fn add(&self, bytes: u64) {
+        let done_bytes = self.done_bytes.fetch_add(bytes, Ordering::Relaxed) + bytes;
+        let total_bytes = self.total_bytes;
+        self.observer.on_progress(Progress {
+            done_bytes,
+            total_bytes,
+        });
+    }
+}
+
+async fn send_large(
+    bucket: &Bucket,
+    store: &Store,
+    blobs: &BTreeMap<Digest, u64>,
+    meter: &Meter<'_>,
+) -> Result<(), RemoteError> {
+    stream::iter(blobs)
+        .map(|(digest, bytes)| async move {
+            let blob = Bytes::from_owner(store.get(digest)?);
+            bucket.put(&names::blob(digest), blob).await?;
+            meter.add(*bytes);
+            Ok(())
+        })
+        .buffer_unordered(BLOBS_IN_FLIGHT)
+        .try_collect()
+        .await
+}
+
+async fn send_packs(
+    bucket: &Bucket,
+    store: &Store,
+    packs: &[Vec<Digest>],
+    meter: &Meter<'_>,
+) -> Result<(), RemoteError> {
+    stream::iter(packs)
+        .map(|digests| async move {
+            let mut writer = PackWriter::default();
+            for digest in digests {
+                writer.add(*digest, &store.get(digest)?);
+            }
+            let pack = writer.finish();
+            let bytes = pack.bytes.len() as u64;
+            bucket.put(&names::pack(&pack.id), pack.bytes).await?;
+            bucket.put(&names::index(&pack.id), pack.index).await?;
+            meter.add(bytes);
+            Ok(())
+        })
+        .buffer_unordered(PACKS_IN_FLIGHT)
+        .try_collect()
+        .await
+}
+
+/// Writes records once; returns the conflicts with what others wrote since they were asked for.
+async fn send_records(bucket: &Bucket, records: &[&RemoteRecord]) -> Result<Vec<Conflict>, RemoteError> {
+    let conflicts: Vec<Option<Conflict>> = stream::iter(records)
+        .map(|new| send_record(bucket, new))
+        .buffer_unordered(survey::IN_FLIGHT)
+        .try_collect()
+        .await?;
+    Ok(conflicts.into_iter().flatten().collect())
+}
+
+async fn send_record(bucket: &Bucket, new: &RemoteRecord) -> Result<Option<Conflict>, RemoteError> {
+    let key = &new.record.key;
+    if bucket.put_new(&names::record(key), sealed::seal(new)).await? {
+        return Ok(None);
+    }
+    let there = survey::record(bucket, key).await?;
+    Ok(there.and_then(|there| survey::conflict(there.record, new.record.clone())))
+}

@@ -1,0 +1,219 @@
+//! A shared store that is open: its verbs, each a call that blocks.
+
+use std::{future::Future, pin::pin, time::Duration};
+
+use bytes::Bytes;
+use futures_util::future::{Either, select};
+use marf_cache::{Digest, Store};
+use tokio::runtime::{Builder, Runtime};
+
+use crate::{
+    address::Patience,
+    bucket::{Bucket, Traffic},
+    error::RemoteError,
+    lease::{Kind, Lease},
+    names,
+    pull::{self, Pulled},
+    push::{self, Pushed},
+    sealed::RemoteRun,
+};
+
+/// Form of shared stores that this program reads and writes.
+const FORMAT: u32 = 1;
+/// What the object that tells the form begins with.
+const FORMAT_WORDS: &str = "marf shared store ";
+
+/// Longest wait for the end of a lease: the user may have asked to stop.
+const RELEASE_PATIENCE: Duration = Duration::from_secs(1);
+
+/// How far a push or a pull is.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Progress {
+    /// Bytes moved.
+    pub done_bytes: u64,
+    /// Bytes to move, those moved among them; 0 while it is not known.
+    pub total_bytes: u64,
+}
+
+/// Receives progress, and tells when the work should end.
+pub trait Observer: Sync {
+    /// Receives how far the work is.
+    fn on_progress(&self, progress: Progress);
+    /// Tells whether the user wants to stop.
+    fn is_stopped(&self) -> bool;
+}
+
+/// A shared store.
+pub struct Remote {
+    bucket: Bucket,
+    runtime: Runtime,
+}
+
+impl Remote {
+    /// Opens the shared store at `s3://BUCKET/PREFIX` or `file:///FOLDER`; asks nothing of it yet. Credentials, endpoint and
+    /// region come from the environment (`AWS_*`).
+    ///
+    /// # Errors
+    /// A bad address, or an environment without credentials.
+    pub fn open(url: &str, patience: Patience) -> Result<Self, RemoteError> {
+        let runtime = Builder::new_multi_thread()
+            .worker_threads(2)
+            .enable_all()
+            .build()
+            .map_err(RemoteError::Threads)?;
+        Ok(Self {
+            bucket: Bucket::open(url, patience)?,
+            runtime,
+        })
+    }
+
+    /// Returns its address.
+    pub fn place(&self) -> &str {
+        &self.bucket.place
+    }
+
+    /// Returns requests and bytes so far.
+    pub fn traffic(&self) -> Traffic {
+        self.bucket.traffic()
+    }
+
+    /// Sends a run with all that it consists of and the shared store lacks.
+    ///
+    /// Conflicts are no error: the result that was there first stays, and the answer tells both.
+    ///
+    /// # Errors
+    /// A shared store that cannot be written; a result that the own store lacks.
+    pub fn push(
+        &self,
+        store: &Store,
+        run: &RemoteRun,
+        observer: &dyn Observer,
+    ) -> Result<Pushed, RemoteError> {
+        let work = async {
+            self.make().await?;
+            push::run(&self.bucket, store, run, observer).await
+        };
+        self.holding(Kind::Shared, observer, work)
+    }
+
+    /// Returns the runs of a pipeline that are there, the newest first: start in seconds since 1970, digest of the root.
+    /// Without a pipeline those of all.
+    ///
+    /// # Errors
+    /// A shared store that is absent or cannot be read.
+    pub fn runs(
+        &self,
+        pipeline: Option<&str>,
+        observer: &dyn Observer,
+    ) -> Result<Vec<(u64, Digest)>, RemoteError> {
+        let folder = pipeline.map_or_else(|| names::RUNS.to_owned(), names::runs_of);
+        self.waiting(observer, async {
+            self.check().await?;
+            let listed = self.bucket.list(&folder).await?;
+            let mut runs: Vec<_> = listed
+                .iter()
+                .filter_map(|object| names::run_in(&object.name))
+                .collect();
+            runs.sort_unstable_by(|a, b| b.cmp(a));
+            Ok(runs)
+        })
+    }
+
+    /// Reads a run by the digest of its root.
+    ///
+    /// # Errors
+    /// A run that is not there or damaged.
+    pub fn run(&self, root: &Digest, observer: &dyn Observer) -> Result<RemoteRun, RemoteError> {
+        self.waiting(observer, pull::read_run(&self.bucket, root))
+    }
+
+    /// Fetches all that a run consists of and the own store lacks. The run itself is not added to the store.
+    ///
+    /// # Errors
+    /// A shared store that cannot be read or is not whole; an own store that cannot be written.
+    pub fn pull(
+        &self,
+        store: &Store,
+        run: &RemoteRun,
+        observer: &dyn Observer,
+    ) -> Result<Pulled, RemoteError> {
+        self.waiting(observer, pull::run(&self.bucket, store, run, observer))
+    }
+
+    /// Makes the shared store if it is absent, and checks its form.
+    async fn make(&self) -> Result<(), RemoteError> {
+        let words = Bytes::from(format!("{FORMAT_WORDS}{FORMAT}\n"));
+        match self.bucket.put_new(names::FORMAT, words).await? {
+            true => Ok(()),
+            false => self.check().await,
+        }
+    }
+
+    async fn check(&self) -> Result<(), RemoteError> {
+        let place = || self.bucket.place.clone();
+        let Some(bytes) = self.bucket.get(names::FORMAT).await? else {
+            return Err(RemoteError::Absent { place: place() });
+        };
+        let text = String::from_utf8_lossy(&bytes);
+        let Some(found) = text.trim().strip_prefix(FORMAT_WORDS) else {
+            return Err(self.bucket.damaged(names::FORMAT, "it is of another program"));
+        };
+        match found == FORMAT.to_string() {
+            true => Ok(()),
+            false => Err(RemoteError::Newer {
+                place: place(),
+                found: found.to_owned(),
+                known: FORMAT,
+            }),
+        }
+    }
+
+    /// Waits for work, or until the user wants to stop.
+    fn waiting<T>(
+        &self,
+        observer: &dyn Observer,
+        work: impl Future<Output = Result<T, RemoteError>>,
+    ) -> Result<T, RemoteError> {
+        self.runtime.block_on(until_stopped(observer, work))
+    }
+
+    /// Waits for work as [`Remote::waiting`], under a lease that is renewed meanwhile and released in any case.
+    fn holding<T>(
+        &self,
+        kind: Kind,
+        observer: &dyn Observer,
+        work: impl Future<Output = Result<T, RemoteError>>,
+    ) -> Result<T, RemoteError> {
+        let lease = Lease::new(kind);
+        let bucket = &self.bucket;
+        let work = async {
+            lease.take(bucket).await?;
+            work.await
+        };
+        self.runtime.block_on(async {
+            let work = pin!(until_stopped(observer, work));
+            let done = match select(work, pin!(lease.renew(bucket))).await {
+                Either::Left((done, _)) => done,
+                Either::Right((lost, _)) => Err(lost),
+            };
+            // A lease that cannot be released ends by itself.
+            let _ = tokio::time::timeout(RELEASE_PATIENCE, lease.release(bucket)).await;
+            done
+        })
+    }
+}
+
+async fn until_stopped<T>(
+    observer: &dyn Observer,
+    work: impl Future<Output = Result<T, RemoteError>>,
+) -> Result<T, RemoteError> {
+    let stopped = async {
+        while !observer.is_stopped() {
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    };
+    match select(pin!(work), pin!(stopped)).await {
+        Either::Left((done, _)) => done,
+        Either::Right(_) => Err(RemoteError::Stopped),
+    }
+}

@@ -1,0 +1,126 @@
+//! Which results a push must send.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use futures_util::{StreamExt, TryStreamExt, stream};
+use marf_cache::{Conflict, Digest, Record, Store};
+
+use crate::{
+    bucket::Bucket,
+    error::RemoteError,
+    names,
+    sealed::{self, RemoteRecord},
+};
+
+/// Records that are asked for at once.
+pub(crate) const IN_FLIGHT: usize = 64;
+
+/// What of the results of some keys a shared store lacks.
+#[derive(Default)]
+pub(crate) struct Survey {
+    pub(crate) new: BTreeMap<Digest, RemoteRecord>,
+    /// Results that are there.
+    pub(crate) known: u64,
+    pub(crate) conflicts: Vec<Conflict>,
+}
+
+impl Survey {
+    /// Asks for the records of keys, and for those of parts and children of what is not there.
+    pub(crate) async fn take(bucket: &Bucket, store: &Store, keys: &[Digest]) -> Result<Self, RemoteError> {
+        let mut survey = Self::default();
+        let mut seen: BTreeSet<Digest> = BTreeSet::new();
+        let mut level: BTreeSet<Digest> = keys.iter().copied().collect();
+        while !level.is_empty() {
+            let found = records(bucket, level.iter().copied()).await?;
+            seen.append(&mut level);
+            for (key, there) in found {
+                let own = store.record(&key)?.ok_or(RemoteError::NotInStore { key })?;
+                match there {
+                    Some(there) => survey.note_known(there.record, own),
+                    None => {
+                        let belongings = store.belongings(&own)?;
+                        level.extend(belongings.keys.iter().filter(|key| !seen.contains(key)));
+                        let (blobs, keys) = (belongings.blobs, belongings.keys);
+                        survey.new.insert(
+                            key,
+                            RemoteRecord {
+                                record: own,
+                                blobs,
+                                keys,
+                            },
+                        );
+                    }
+                }
+            }
+        }
+        Ok(survey)
+    }
+
+    fn note_known(&mut self, kept: Record, refused: Record) {
+        self.known += 1;
+        self.conflicts.extend(conflict(kept, refused));
+    }
+
+    /// Returns the new results in groups: parts and children are in an earlier group than what consists of them.
+    pub(crate) fn in_order(&self) -> Vec<Vec<&RemoteRecord>> {
+        let mut ranks = BTreeMap::new();
+        let mut groups: Vec<Vec<&RemoteRecord>> = Vec::new();
+        for (key, record) in &self.new {
+            let rank = self.rank(key, &mut ranks);
+            groups.resize_with(groups.len().max(rank + 1), Vec::new);
+            if let Some(group) = groups.get_mut(rank) {
+                group.push(record);
+            }
+        }
+        groups
+    }
+
+    /// Returns how many levels of new results lie below a key. Keys are digests of what names them, so there is no cycle.
+    fn rank(&self, key: &Digest, ranks: &mut BTreeMap<Digest, usize>) -> usize {
+        if let Some(rank) = ranks.get(key) {
+            return *rank;
+        }
+        let below = self.new.get(key).into_iter().flat_map(|record| &record.keys);
+        let below = below.filter(|key| self.new.contains_key(key));
+        let rank = below.map(|key| self.rank(key, ranks) + 1).max().unwrap_or(0);
+        ranks.insert(*key, rank);
+        rank
+    }
+}
+
+/// Returns the conflict between two results of one key; none if they are equal.
+pub(crate) fn conflict(kept: Record, refused: Record) -> Option<Conflict> {
+    (kept.outputs != refused.outputs).then_some(Conflict {
+        key: kept.key,
+        stage: kept.stage,
+        kept: kept.outputs,
+        refused: refused.outputs,
+        replaced: false,
+    })
+}
+
+/// Reads the records of keys, as far as they are there.
+pub(crate) async fn records(
+    bucket: &Bucket,
+    keys: impl Iterator<Item = Digest>,
+) -> Result<Vec<(Digest, Option<RemoteRecord>)>, RemoteError> {
+    stream::iter(keys)
+        .map(|key| async move { Ok((key, record(bucket, &key).await?)) })
+        .buffer_unordered(IN_FLIGHT)
+        .try_collect()
+        .await
+}
+
+/// Reads the record of a key; none if it is not there.
+pub(crate) async fn record(bucket: &Bucket, key: &Digest) -> Result<Option<RemoteRecord>, RemoteError> {
+    let name = names::record(key);
+    let Some(bytes) = bucket.get(&name).await? else {
+        return Ok(None);
+    };
+    let found: RemoteRecord =
+        sealed::open(&bytes).ok_or_else(|| bucket.damaged(&name, "its checksum is another"))?;
+    match found.record.key == *key {
+        true => Ok(Some(found)),
+        false => Err(bucket.damaged(&name, "it is the result of another key")),
+    }
+}

@@ -1,0 +1,320 @@
+//! A folder as a shared store: what comes back, and what happens to bad objects.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+    sync::atomic::{AtomicBool, Ordering},
+};
+
+use marf_cache::{Digest, Output, Record, RunMetadata, Store, digest_list, manifest};
+use marf_remote::{Observer, Patience, Progress, Remote, RemoteError, RemoteRun};
+
+/// Looks on, and stops if it is told to.
+#[derive(Default)]
+struct Quiet {
+    stop: AtomicBool,
+}
+
+impl Observer for Quiet {
+    fn on_progress(&self, progress: Progress) {
+        assert!(progress.done_bytes <= progress.total_bytes, "{progress:?}");
+    }
+
+    fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::SeqCst)
+    }
+}
+
+/// A folder with a shared store, and own stores beside it.
+struct World {
+    dir: tempfile::TempDir,
+}
+
+impl World {
+    fn new() -> Self {
+        Self {
+            dir: tempfile::tempdir().unwrap(),
+        }
+    }
+
+    fn folder(&self) -> PathBuf {
+        self.dir.path().join("shared")
+    }
+
+    fn remote(&self) -> Remote {
+        let url = format!("file://{}", self.folder().display());
+        Remote::open(&url, Patience::Patient).unwrap()
+    }
+
+    fn store(&self, name: &str) -> Store {
+        Store::open(self.dir.path().join(name)).unwrap()
+    }
+
+    /// Returns the only file of the shared store below a folder with this ending.
+    fn files(&self, folder: &str, ending: &str) -> Vec<PathBuf> {
+        let mut found = Vec::new();
+        collect(&self.folder().join(folder), &mut found);
+        found.retain(|path| path.to_string_lossy().ends_with(ending));
+        found.sort();
+        found
+    }
+}
+
+fn collect(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).into_iter().flatten() {
+        let path = entry.unwrap().path();
+        match path.is_dir() {
+            true => collect(&path, found),
+            false => found.push(path),
+        }
+    }
+}
+
+/// Stores a result: an output, a small and a large need, parts and children.
+fn result(store: &Store, name: &str, output: &[u8], parts: &[Digest], children: &[(&str, Digest)]) -> Digest {
+    let key = store.put(format!("action {name}").as_bytes()).unwrap();
+    let output = Output {
+        digest: store.put(output).unwrap(),
+        bytes: output.len() as u64,
+    };
+    let needs = [
+        store.put(format!("need of {name}").as_bytes()).unwrap(),
+        store.put(&name.repeat(70_000).into_bytes()).unwrap(),
+    ];
+    let leaves = parts.iter().zip(0..).map(|(key, shard)| manifest::LeafRef {
+        shard,
+        leaf: *key,
+        rows: 0,
+    });
+    let parts = manifest::Root {
+        leaves: leaves.collect(),
+    };
+    store.put_record(Record {
+        key,
+        stage: "stage".to_owned(),
+        outputs: BTreeMap::from([("out".to_owned(), output)]),
+        needs: Some(store.put(&digest_list(&needs)).unwrap()),
+        parts: (!parts.leaves.is_empty()).then(|| parts.write(|bytes| store.put(bytes)).unwrap()),
+        children: children
+            .iter()
+            .map(|(name, key)| ((*name).to_owned(), *key))
+            .collect(),
+        origins: None,
+        metadata: RunMetadata::default(),
+    });
+    key
+}
+
+/// A run of a node with two parts and a node with a child.
+fn run_in(store: &Store) -> RemoteRun {
+    let parts = [
+        result(store, "part 1", b"1", &[], &[]),
+        result(store, "part 2", b"2", &[], &[]),
+    ];
+    let child = result(store, "child", b"c", &[], &[]);
+    let keys = vec![
+        result(store, "map", b"m", &parts, &[]),
+        result(store, "expand", b"e", &[], &[("child", child)]),
+    ];
+    let document = store.put(b"name = \"run\"").unwrap();
+    store.commit().unwrap();
+    RemoteRun {
+        pipeline: "mars".to_owned(),
+        started_unix_s: 1_700_000_000,
+        keys,
+        blobs: vec![document],
+        root: "{\"pipeline\":\"mars\"}".to_owned(),
+    }
+}
+
+#[test]
+fn what_was_pushed_comes_back_with_all_it_consists_of() {
+    let world = World::new();
+    let (here, there) = (world.store("here"), world.store("there"));
+    let run = run_in(&here);
+    let pushed = world.remote().push(&here, &run, &Quiet::default()).unwrap();
+    assert_eq!((pushed.records, pushed.known_records, pushed.packs), (5, 0, 1));
+    assert!(pushed.conflicts.is_empty());
+
+    let remote = world.remote();
+    let runs = remote.runs(Some("mars"), &Quiet::default()).unwrap();
+    let root = Digest::of(run.root.as_bytes());
+    assert_eq!(runs, vec![(1_700_000_000, root)]);
+    assert_eq!(remote.runs(Some("venus"), &Quiet::default()).unwrap(), vec![]);
+    let found = remote.run(&root, &Quiet::default()).unwrap();
+    assert_eq!(found, run);
+    let pulled = remote.pull(&there, &found, &Quiet::default()).unwrap();
+    assert_eq!((pulled.records, pulled.blobs), (5, pushed.blobs));
+    assert_eq!(pulled.blob_bytes, pushed.blob_bytes);
+
+    let closure = |store: &Store| store.closure(&run.keys, &run.blobs).unwrap();
+    assert_eq!(closure(&here), closure(&there));
+    assert_eq!(closure(&there).missing, vec![]);
+    for key in &run.keys {
+        assert_eq!(here.record(key).unwrap(), there.record(key).unwrap());
+    }
+}
+
+#[test]
+fn a_second_push_or_pull_moves_nothing() {
+    let world = World::new();
+    let (here, there) = (world.store("here"), world.store("there"));
+    let run = run_in(&here);
+    world.remote().push(&here, &run, &Quiet::default()).unwrap();
+    let again = world.remote().push(&here, &run, &Quiet::default()).unwrap();
+    assert_eq!((again.records, again.known_records), (0, 2));
+    assert_eq!((again.blobs, again.packs), (0, 0));
+    world.remote().pull(&there, &run, &Quiet::default()).unwrap();
+    let again = world.remote().pull(&there, &run, &Quiet::default()).unwrap();
+    assert_eq!((again.records, again.known_records, again.blobs), (0, 5, 0));
+}
+
+#[test]
+fn a_push_that_was_cut_short_is_finished_by_the_next() {
+    let world = World::new();
+    let (here, there) = (world.store("here"), world.store("there"));
+    let run = run_in(&here);
+    world.remote().push(&here, &run, &Quiet::default()).unwrap();
+    // As if it had ended before its records, and before the index of its pack.
+    std::fs::remove_dir_all(world.folder().join("records")).unwrap();
+    std::fs::remove_dir_all(world.folder().join("runs")).unwrap();
+    std::fs::remove_file(&world.files("packs", ".idx")[0]).unwrap();
+    std::fs::remove_file(&world.files("cas", "")[0]).unwrap();
+    let again = world.remote().push(&here, &run, &Quiet::default()).unwrap();
+    assert_eq!((again.records, again.packs), (5, 1));
+    let pulled = world.remote().pull(&there, &run, &Quiet::default()).unwrap();
+    assert_eq!(pulled.records, 5);
+    assert_eq!(there.closure(&run.keys, &run.blobs).unwrap().missing, vec![]);
+}
+
+#[test]
+fn an_object_that_is_cut_or_altered_is_named_and_nothing_of_it_is_stored() {
+    for (folder, ending) in [
+        ("cas", ""),
+        ("packs", ".pack"),
+        ("packs", ".idx"),
+        ("records", ""),
+    ] {
+        for cut in [false, true] {
+            let world = World::new();
+            let here = world.store("here");
+            let run = run_in(&here);
+            world.remote().push(&here, &run, &Quiet::default()).unwrap();
+            let path = world.files(folder, ending)[0].clone();
+            let mut bytes = std::fs::read(&path).unwrap();
+            match cut {
+                true => bytes.truncate(bytes.len() / 2),
+                false => bytes[5] ^= 1,
+            }
+            std::fs::write(&path, bytes).unwrap();
+            let there = world.store("there");
+            let error = world.remote().pull(&there, &run, &Quiet::default()).unwrap_err();
+            let text = error.to_string();
+            assert!(
+                text.contains("damaged") || text.contains("cannot read"),
+                "{folder}{ending}: {text}"
+            );
+            assert!(text.contains(folder), "{text}");
+            assert!(text.contains("file://"), "{text}");
+            assert!(error.hint().is_some());
+            for key in &run.keys {
+                assert_eq!(there.record(key).unwrap(), None, "{folder}{ending}");
+            }
+        }
+    }
+}
+
+#[test]
+fn an_object_that_is_gone_is_told_with_its_digest() {
+    let world = World::new();
+    let (here, there) = (world.store("here"), world.store("there"));
+    let run = run_in(&here);
+    world.remote().push(&here, &run, &Quiet::default()).unwrap();
+    std::fs::remove_file(&world.files("cas", "")[0]).unwrap();
+    let error = world.remote().pull(&there, &run, &Quiet::default()).unwrap_err();
+    assert!(
+        matches!(error, RemoteError::Missing { what: "blob", .. }),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_second_different_result_is_a_conflict_and_the_first_stays() {
+    let world = World::new();
+    let (first, second, third) = (world.store("first"), world.store("second"), world.store("third"));
+    let mut run = run_in(&first);
+    run.keys = vec![result(&first, "same key", b"one result", &[], &[])];
+    let other = RemoteRun {
+        keys: vec![result(&second, "same key", b"another result", &[], &[])],
+        blobs: Vec::new(),
+        ..run.clone()
+    };
+    world.remote().push(&first, &run, &Quiet::default()).unwrap();
+    let pushed = world.remote().push(&second, &other, &Quiet::default()).unwrap();
+    let [conflict] = pushed.conflicts.as_slice() else {
+        panic!("{:?}", pushed.conflicts);
+    };
+    assert_eq!(conflict.kept["out"].digest, Digest::of(b"one result"));
+    assert_eq!(conflict.refused["out"].digest, Digest::of(b"another result"));
+    world.remote().pull(&third, &run, &Quiet::default()).unwrap();
+    let kept = third.record(&run.keys[0]).unwrap().unwrap();
+    assert_eq!(kept.outputs["out"].digest, Digest::of(b"one result"));
+}
+
+#[test]
+fn two_pushes_at_once_leave_one_whole_store() {
+    let world = World::new();
+    let stores = [world.store("one"), world.store("two")];
+    let runs = stores.each_ref().map(run_in);
+    assert_eq!(runs[0], runs[1], "the same results on two machines");
+    std::thread::scope(|scope| {
+        for (store, run) in stores.iter().zip(&runs) {
+            let remote = world.remote();
+            scope.spawn(move || {
+                let pushed = remote.push(store, run, &Quiet::default()).unwrap();
+                assert_eq!(pushed.conflicts, vec![]);
+            });
+        }
+    });
+    let there = world.store("there");
+    world.remote().pull(&there, &runs[0], &Quiet::default()).unwrap();
+    assert_eq!(
+        there.closure(&runs[0].keys, &runs[0].blobs).unwrap().missing,
+        vec![]
+    );
+    assert_eq!(
+        world.files("leases", ""),
+        Vec::<PathBuf>::new(),
+        "all leases have ended"
+    );
+}
+
+#[test]
+fn what_is_no_shared_store_or_a_later_one_is_refused() {
+    let world = World::new();
+    let here = world.store("here");
+    let error = world.remote().runs(None, &Quiet::default()).unwrap_err();
+    assert!(matches!(error, RemoteError::Absent { .. }), "{error}");
+    std::fs::write(world.folder().join("format"), "marf shared store 2\n").unwrap();
+    let run = run_in(&here);
+    let error = world.remote().push(&here, &run, &Quiet::default()).unwrap_err();
+    assert!(matches!(error, RemoteError::Newer { .. }), "{error}");
+    std::fs::write(world.folder().join("format"), "photos of my cat").unwrap();
+    let error = world.remote().runs(None, &Quiet::default()).unwrap_err();
+    assert!(matches!(error, RemoteError::Damaged { .. }), "{error}");
+}
+
+#[test]
+fn a_push_that_is_stopped_leaves_no_lease() {
+    let world = World::new();
+    let here = world.store("here");
+    let run = run_in(&here);
+    let stopped = Quiet {
+        stop: AtomicBool::new(true),
+    };
+    // It may end before the first look at the wish to stop.
+    let ended = world.remote().push(&here, &run, &stopped);
+    assert!(matches!(ended, Ok(_) | Err(RemoteError::Stopped)), "{ended:?}");
+    assert_eq!(world.files("leases", ""), Vec::<PathBuf>::new());
+}
