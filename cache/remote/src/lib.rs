@@ -38,7 +38,9 @@ mod names;
 mod pack;
 mod pull;
 mod push;
+mod reader;
 mod remote;
+mod results;
 mod sealed;
 mod survey;
 
@@ -47,5 +49,6 @@ pub use bucket::Traffic;
 pub use error::RemoteError;
 pub use pull::Pulled;
 pub use push::Pushed;
+pub use reader::Reader;
 pub use remote::{Observer, Progress, Remote};
 pub use sealed::RemoteRun;

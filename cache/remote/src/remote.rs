@@ -45,7 +45,7 @@ pub trait Observer: Sync {
 
 /// A shared store.
 pub struct Remote {
-    bucket: Bucket,
+    pub(crate) bucket: Bucket,
     runtime: Runtime,
 }
 
@@ -141,7 +141,7 @@ impl Remote {
     }
 
     /// Makes the shared store if it is absent, and checks its form.
-    async fn make(&self) -> Result<(), RemoteError> {
+    pub(crate) async fn make(&self) -> Result<(), RemoteError> {
         let words = Bytes::from(format!("{FORMAT_WORDS}{FORMAT}\n"));
         match self.bucket.put_new(names::FORMAT, words).await? {
             true => Ok(()),
@@ -149,7 +149,7 @@ impl Remote {
         }
     }
 
-    async fn check(&self) -> Result<(), RemoteError> {
+    pub(crate) async fn check(&self) -> Result<(), RemoteError> {
         let place = || self.bucket.place.clone();
         let Some(bytes) = self.bucket.get(names::FORMAT).await? else {
             return Err(RemoteError::Absent { place: place() });
@@ -169,7 +169,7 @@ impl Remote {
     }
 
     /// Waits for work, or until the user wants to stop.
-    fn waiting<T>(
+    pub(crate) fn waiting<T>(
         &self,
         observer: &dyn Observer,
         work: impl Future<Output = Result<T, RemoteError>>,
@@ -178,7 +178,7 @@ impl Remote {
     }
 
     /// Waits for work as [`Remote::waiting`], under a lease that is renewed meanwhile and released in any case.
-    fn holding<T>(
+    pub(crate) fn holding<T>(
         &self,
         kind: Kind,
         observer: &dyn Observer,

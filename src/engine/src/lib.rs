@@ -7,6 +7,7 @@ mod check;
 mod earlier;
 mod errors;
 mod event;
+mod executor;
 mod graph;
 mod items;
 mod key;
@@ -25,6 +26,7 @@ mod work;
 
 pub use check::{Edge, GraphError, NodeShape, check};
 pub use event::{Event, Listener, Silent};
+pub use executor::{Executor, Order};
 pub use graph::{Graph, NodeDecl, NodeView};
 pub use key::{Change, action_at, changes, differences};
 pub use listing::{LISTING, Listings};
@@ -37,5 +39,5 @@ pub use record::{
     last_run, last_run_where, run_of, runs,
 };
 pub use roots::{KeptRuns, kept_runs};
-pub use run::{Options, run, run_nodes, trace_inputs};
+pub use run::{ActionError, Options, run, run_action, run_nodes, trace_inputs};
 pub use work::Extent;
