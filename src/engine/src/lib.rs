@@ -20,6 +20,7 @@ mod record;
 mod roots;
 mod run;
 pub mod sets;
+mod shared;
 mod stage_io;
 mod work;
 
@@ -38,4 +39,5 @@ pub use record::{
 };
 pub use roots::{KeptRuns, kept_runs};
 pub use run::{Options, run, run_nodes, trace_inputs};
+pub use shared::SharedResults;
 pub use work::Extent;

@@ -17,6 +17,7 @@ use crate::{
     key::{Key, node_key},
     listing::Listed,
     lookup::{Lookup, look_up},
+    shared::fetch_lacking,
     stage_io::{FileCheckpoints, Lease, StoreBlobs, StoreMemos},
     work::{
         BlobCheck, PartedOutputs, Produced, StageRun, after_round, execute, put_action, put_needs, put_parts,
@@ -85,7 +86,7 @@ impl Job<'_> {
             _ => Some(self.lease()?),
         };
         if self.check == BlobCheck::Outputs
-            && let Lookup::Hit(record) = look_up(self.context.store, &self.prepared.key.digest)?
+            && let Some(record) = self.made_elsewhere()?
         {
             return Ok(JobOutput::Reused(record));
         }
@@ -97,6 +98,18 @@ impl Job<'_> {
             });
         }
         self.run()
+    }
+
+    /// Returns the result if another process of this machine, or another machine, has made it.
+    fn made_elsewhere(&self) -> Result<Option<Box<Record>>, JobError> {
+        let (store, key) = (self.context.store, self.prepared.key.digest);
+        if matches!(self.step, Step::Start) {
+            fetch_lacking(self.context.shared, store, std::iter::once(key))?;
+        }
+        Ok(match look_up(store, &key)? {
+            Lookup::Hit(record) => Some(record),
+            Lookup::MissingOutput(_) | Lookup::Miss => None,
+        })
     }
 
     /// Waits for the lease on the key.
@@ -132,6 +145,9 @@ impl Job<'_> {
                 };
                 let record = self.store_record(&key, outputs, blobs, metadata)?;
                 checkpoints.remove();
+                if let Some(shared) = self.context.shared {
+                    shared.offer(&record.key);
+                }
                 Ok(JobOutput::Finished(record))
             }
         }
@@ -179,6 +195,7 @@ impl Job<'_> {
             inputs: &self.prepared.inputs,
             listed: self.prepared.listed.as_ref(),
             check: self.check,
+            shared: self.context.shared,
             metadata,
             warn: &|message| self.warn(message.to_owned()),
         };

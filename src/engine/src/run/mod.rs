@@ -10,7 +10,7 @@ mod select;
 mod state;
 mod task;
 
-use std::{collections::BTreeMap, num::NonZero, thread, time::Instant};
+use std::{collections::BTreeMap, num::NonZero, sync::Arc, thread, time::Instant};
 
 use marf_cache::Store;
 use marf_stage::Cancel;
@@ -26,6 +26,7 @@ use crate::{
     event::{Event, Listener},
     graph::Graph,
     record::{Build, EngineError, RUN_FORMAT, RunRecord, last_run},
+    shared::SharedResults,
 };
 
 /// How to run.
@@ -50,6 +51,8 @@ pub struct Options {
     pub program: String,
     /// The program's file, for the record.
     pub build: Option<Build>,
+    /// Where results are shared with other machines; none if they are not.
+    pub shared: Option<Arc<dyn SharedResults>>,
 }
 
 /// Runs a graph as [`run_nodes`] and stores the record.
@@ -97,6 +100,7 @@ pub fn run_nodes(
         program: &options.program,
         last: last.as_ref(),
         began,
+        shared: options.shared.as_deref(),
     };
     let state = Scheduler::new(RunState::new(context, roles, &lost), threads).run()?;
     let nodes = report::node_runs(&state)?;

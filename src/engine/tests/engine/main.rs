@@ -10,4 +10,5 @@ mod earlier;
 mod faults;
 mod graph;
 mod rounds;
+mod shared;
 mod what_ran;
