@@ -149,6 +149,7 @@ const CRATES: [Crate; 25] = [
             "marf",
             &[
                 "marf-cache",
+                "marf-remote",
                 "marf-stage",
                 "marf-scene",
                 "marf-field",
