@@ -7,7 +7,7 @@ use clap::Args;
 use marf_cache::{Action, Conflict, Digest, Record, Upstream};
 use marf_cluster::{Fault, JobResult};
 use marf_engine::{ActionError, Cancel, Event, Listener, Options, run_action};
-use marf_remote::{Observer, Patience, Reader, Remote};
+use marf_remote::{Observer, Patience, Reader, Remote, in_words};
 use parking_lot::Mutex;
 
 use super::args::Global;
@@ -157,14 +157,6 @@ fn fault(error: &CliError) -> Fault {
     }
 }
 
-fn in_words(conflict: &Conflict) -> String {
-    format!(
-        "key {} of stage `{}` has another result in the shared store, which stays",
-        conflict.key.short(),
-        conflict.stage
-    )
-}
-
 /// Shows events, and keeps why it failed.
 struct Told {
     progress: Progress,
@@ -195,11 +187,5 @@ impl Observer for Wish {
 
     fn is_stopped(&self) -> bool {
         self.0.is_set()
-    }
-}
-
-impl From<marf_remote::RemoteError> for CliError {
-    fn from(error: marf_remote::RemoteError) -> Self {
-        Self::failed(error.to_string())
     }
 }

@@ -36,6 +36,7 @@ mod run;
 mod scenes;
 mod session;
 mod share;
+mod shared;
 mod status;
 mod trade;
 mod verdicts;

@@ -1,8 +1,11 @@
 use std::path::Path;
+use std::sync::Arc;
 use std::time::SystemTime;
 
 use marf_cache::Digest;
-use marf_engine::{Cancel, Event, Listener, NodeRun, NodeState, Options, Outcome, RunRecord, document};
+use marf_engine::{
+    Cancel, Event, Listener, NodeRun, NodeState, Options, Outcome, RunRecord, SharedResults, document,
+};
 use marf_schema::scenes::Scenes;
 use marf_schema::scores::Scores;
 use marf_schema::{bootstrap, evaluate, train};
@@ -14,6 +17,7 @@ use super::documents::{self, Documents};
 use super::error::{CliError, Diagnostic};
 use super::export::Exported;
 use super::session::{NodeInfo, Session, warn};
+use super::shared::Shared;
 use super::{export, files, manual_lists, on, program, report, scenes, verdicts};
 use crate::emptied;
 use crate::progress::{Began, EventFile, JsonLines, Progress, Trace, duration, event_folder};
@@ -146,8 +150,10 @@ pub fn execute_as(
     if !global.json {
         eprint_line(&format!("device  {}", devices(session)));
     }
+    let shared = Shared::open(session, global, cancel);
     let options = Options {
         build: program::build(&session.store),
+        shared: shared.clone().map(|shared| shared as Arc<dyn SharedResults>),
         ..options.clone()
     };
     let (graph, store) = (&session.graph, &session.store);
@@ -162,6 +168,9 @@ pub fn execute_as(
             warn(format!("the run keeps no documents: {}", error.message()));
         }
         made => made?,
+    }
+    if let Some(shared) = shared {
+        shared.finish(session, &record)?;
     }
     if let (Some(file), Some(trace)) = (execution.trace, &listener.trace) {
         files::write(file, trace.json().to_string().as_bytes())?;

@@ -58,6 +58,8 @@ pub struct Session {
     pub scenes: Vec<String>,
     /// What its archives have told.
     listings: Listings,
+    /// Address of the store that results are shared through.
+    pub remote: Option<String>,
     /// Whether the user wants to stop.
     cancel: Cancel,
 }
@@ -161,6 +163,7 @@ impl Session {
             nodes,
             written,
             tree: pipeline.tree,
+            remote: pipeline.remote,
             by_scene,
             scenes: Vec::new(),
             listings,
@@ -304,7 +307,7 @@ pub fn graph_of(nodes: Vec<config::Node>) -> Result<Graph, CliError> {
 
 /// Returns the name of a pipeline that has none: that of its file, with eight digits that tell it from files of the same name
 /// in other folders. Two pipelines that share a store are then never compared with each other.
-fn unnamed(file: &Path) -> String {
+pub fn unnamed(file: &Path) -> String {
     let whole = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
     let digits = &Digest::of(whole.as_os_str().as_encoded_bytes()).to_string()[..8];
     let stem = file.file_stem().unwrap_or_default().to_string_lossy();

@@ -10,6 +10,7 @@ mod options;
 mod resolve;
 pub mod scenes;
 mod schema;
+mod store;
 mod syntax;
 mod templates;
 

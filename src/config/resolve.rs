@@ -13,6 +13,7 @@ use super::archives::{self, Archives};
 use super::error::{ConfigError, Origin};
 use super::manual_lists;
 use super::options::GlobalOptions;
+use super::store;
 use super::syntax::{Entry, Located};
 use crate::nearest::did_you_mean;
 
@@ -22,6 +23,8 @@ pub struct Pipeline {
     pub name: Option<String>,
     /// Nodes in the order of the file.
     pub nodes: Vec<Node>,
+    /// Address of the shared store.
+    pub remote: Option<String>,
     /// The text with all overrides applied, as JSON.
     pub tree: Json,
 }
@@ -41,7 +44,7 @@ pub struct Node {
 }
 
 /// Keys a whole pipeline may have.
-const TOP: [&str; 6] = ["name", "archive", "node", "keep", "reject", "trade"];
+const TOP: [&str; 7] = ["name", "archive", "node", "keep", "reject", "trade", store::TABLE];
 
 /// What a node's parameters depend on beside its own table.
 struct PipelineContext<'a> {
@@ -58,6 +61,7 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
         }
     }
     check_trade(root)?;
+    let remote = store::remote(root)?;
     let name = match root.entry("name") {
         None => None,
         Some(entry) => Some(text(entry)?.to_owned()),
@@ -108,6 +112,7 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
     Ok(Pipeline {
         name,
         nodes,
+        remote,
         tree: root.json(),
     })
 }

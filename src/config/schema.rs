@@ -37,6 +37,7 @@ pub fn schema() -> Json {
                 "description": "Values that `marf trade` tries, by the key of a node in quotes (`\"train.scale\" = [1, 2, 4]`).",
                 "additionalProperties": {"type": "array", "minItems": 1},
             },
+            "store": super::store::schema(),
             "archive": archive,
             "node": {
                 "type": "object",

@@ -35,6 +35,8 @@ help_of! {
     help_cache_stat: "cache", "stat", "--help";
     help_cache_gc: "cache", "gc", "--help";
     help_cache_fsck: "cache", "fsck", "--help";
+    help_cache_push: "cache", "push", "--help";
+    help_cache_pull: "cache", "pull", "--help";
     help_cache_pin: "cache", "pin", "--help";
     help_cache_unpin: "cache", "unpin", "--help";
     help_cache_migrate: "cache", "migrate", "--help";

@@ -37,6 +37,14 @@ const CREDENTIALS: [&str; 6] = [
     "AWS_SKIP_SIGNATURE",
 ];
 
+/// Checks that a text is an address of a shared store, `s3://BUCKET/PREFIX` or `file:///FOLDER`; opens nothing.
+///
+/// # Errors
+/// [`RemoteError::BadUrl`].
+pub fn check_address(url: &str) -> Result<(), RemoteError> {
+    Address::parse(url).map(drop)
+}
+
 impl Address {
     /// Reads `s3://BUCKET/PREFIX` or `file:///FOLDER`.
     ///

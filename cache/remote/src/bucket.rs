@@ -9,7 +9,7 @@ use std::{
 use bytes::Bytes;
 use futures_util::TryStreamExt;
 use object_store::{
-    Error, GetOptions, ObjectStore, ObjectStoreExt, PutMode, PutOptions, PutPayload, path::Path,
+    Error, ObjectMeta, ObjectStore, ObjectStoreExt, PutMode, PutOptions, PutPayload, path::Path,
 };
 
 use crate::{
@@ -107,12 +107,16 @@ impl Bucket {
         Ok(parts)
     }
 
-    /// Returns the length of an object; none if there is none.
-    pub(crate) async fn size(&self, name: &str) -> Result<Option<u64>, RemoteError> {
+    /// Returns length and time of an object; none if there is none.
+    pub(crate) async fn find(&self, name: &str) -> Result<Option<Listed>, RemoteError> {
         self.count(0);
-        let options = GetOptions::new().with_head(true);
-        let found = self.objects.get_opts(&self.path(name), options).await;
-        Ok(self.there("find", name, found)?.map(|found| found.meta.size))
+        let found = self.objects.head(&self.path(name)).await;
+        let listed = |meta: ObjectMeta| Listed {
+            name: name.to_owned(),
+            bytes: meta.size,
+            modified: meta.last_modified.into(),
+        };
+        Ok(self.there("find", name, found)?.map(listed))
     }
 
     /// Writes an object, in place of one that is there.

@@ -62,7 +62,7 @@ impl Catalogue {
 }
 
 /// Returns the entries of an index; none of one that a collection has removed since it was listed.
-async fn index(bucket: &Bucket, pack: &Digest) -> Result<Vec<Entry>, RemoteError> {
+pub(crate) async fn index(bucket: &Bucket, pack: &Digest) -> Result<Vec<Entry>, RemoteError> {
     let name = names::index(pack);
     match bucket.get(&name).await? {
         None => Ok(Vec::new()),

@@ -89,6 +89,14 @@ pub enum RemoteError {
         /// Who uses it.
         holder: String,
     },
+    /// What is fetched takes longer than it would take to make it.
+    #[error("{place} takes longer than {waited_s} s to give results that were made in less")]
+    Slow {
+        /// The address.
+        place: String,
+        /// The time waited.
+        waited_s: u64,
+    },
     /// The user wants to stop.
     #[error("stopped")]
     Stopped,
@@ -125,7 +133,7 @@ impl RemoteError {
                 "wait until it has ended; the lease of a program that died ends after ten minutes"
             }
             Self::Store(error) => return error.hint(),
-            Self::Stopped | Self::Threads(_) => return None,
+            Self::Slow { .. } | Self::Stopped | Self::Threads(_) => return None,
         };
         Some(hint.to_owned())
     }

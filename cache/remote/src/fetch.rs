@@ -152,8 +152,8 @@ fn windows(pack: Digest, mut places: Vec<Place>) -> Vec<Window> {
 async fn sizes(bucket: &Bucket, digests: Vec<Digest>) -> Result<BTreeMap<Digest, u64>, RemoteError> {
     stream::iter(digests)
         .map(|digest| async move {
-            let size = bucket.size(&names::blob(&digest)).await?;
-            Ok((digest, size.ok_or_else(|| missing(bucket, &digest))?))
+            let found = bucket.find(&names::blob(&digest)).await?;
+            Ok((digest, found.ok_or_else(|| missing(bucket, &digest))?.bytes))
         })
         .buffer_unordered(IN_FLIGHT)
         .try_collect()

@@ -4,12 +4,18 @@
 //! after it has written its own: so of two at least one sees the other. A lease is renewed every minute and ends ten
 //! minutes after it was last, by the clock of the server.
 
-use std::time::{Duration, SystemTime};
+use std::{
+    sync::atomic::{AtomicU64, Ordering},
+    time::{Duration, SystemTime},
+};
 
 use bytes::Bytes;
 use marf_cache::Digest;
 
 use crate::{bucket::Bucket, bucket::Listed, error::RemoteError, names};
+
+/// Leases of this process so far.
+static OPENED: AtomicU64 = AtomicU64::new(0);
 
 const RENEWED_EVERY: Duration = Duration::from_secs(60);
 const ENDS_AFTER: Duration = Duration::from_secs(600);
@@ -28,7 +34,6 @@ pub(crate) enum Kind {
     /// It adds objects.
     Shared,
     /// It removes objects.
-    #[allow(dead_code)]
     Exclusive,
 }
 
@@ -89,16 +94,31 @@ impl Lease {
         }
     }
 
-    /// Returns the leases that have not ended. What time it is tells an object that is written for it.
+    /// Returns the leases that have not ended.
     async fn leases(&self, bucket: &Bucket) -> Result<Vec<Listed>, RemoteError> {
+        let now = self.now(bucket).await?;
+        let mut leases = bucket.list(names::LEASES).await?;
+        leases.retain(|lease| !lease.name.contains(CLOCK) && age(now, lease.modified) < ENDS_AFTER);
+        Ok(leases)
+    }
+
+    /// Returns the time of the server: that of an object which is written for it.
+    pub(crate) async fn now(&self, bucket: &Bucket) -> Result<SystemTime, RemoteError> {
         bucket.put(&self.clock, Bytes::new()).await?;
-        let mut listed = bucket.list(names::LEASES).await?;
+        let clock = bucket.find(&self.clock).await?;
         bucket.remove(&self.clock).await?;
-        let now = listed.iter().find(|object| object.name == self.clock);
-        let now = now.map(|object| object.modified);
-        let is_alive = |lease: &Listed| now.is_some_and(|now| age(now, lease.modified) < ENDS_AFTER);
-        listed.retain(|lease| !lease.name.contains(CLOCK) && is_alive(lease));
-        Ok(listed)
+        let gone = || bucket.damaged(&self.clock, "it is gone as soon as it is written");
+        Ok(clock.ok_or_else(gone)?.modified)
+    }
+
+    /// Removes what programs left that have ended without a word.
+    pub(crate) async fn sweep(bucket: &Bucket, now: SystemTime) -> Result<(), RemoteError> {
+        for lease in bucket.list(names::LEASES).await? {
+            if age(now, lease.modified) >= ENDS_AFTER {
+                bucket.remove(&lease.name).await?;
+            }
+        }
+        Ok(())
     }
 
     async fn busy(&self, bucket: &Bucket, name: &str) -> Result<RemoteError, RemoteError> {
@@ -146,7 +166,8 @@ impl Lease {
     }
 }
 
-fn age(now: SystemTime, then: SystemTime) -> Duration {
+/// Returns the time from then to now; zero where the clock was set back.
+pub(crate) fn age(now: SystemTime, then: SystemTime) -> Duration {
     now.duration_since(then).unwrap_or_default()
 }
 
@@ -155,9 +176,10 @@ fn holder() -> String {
     let since = SystemTime::now()
         .duration_since(SystemTime::UNIX_EPOCH)
         .unwrap_or_default();
+    let opened = OPENED.fetch_add(1, Ordering::Relaxed);
     format!(
-        "marf, process {} since {} s",
+        "marf (process {}, {}-{opened})",
         std::process::id(),
-        since.as_secs_f64()
+        since.as_nanos()
     )
 }

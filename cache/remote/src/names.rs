@@ -15,6 +15,8 @@ pub(crate) const RUNS: &str = "runs";
 /// Folder of leases.
 pub(crate) const LEASES: &str = "leases";
 
+/// Ending of a pack.
+const PACK: &str = ".pack";
 /// Ending of an index.
 const INDEX: &str = ".idx";
 
@@ -43,7 +45,7 @@ pub(crate) fn digest_in(name: &str) -> Option<Digest> {
 
 /// Returns the name of a pack.
 pub(crate) fn pack(pack: &Digest) -> String {
-    format!("{PACKS}/{pack}.pack")
+    format!("{PACKS}/{pack}{PACK}")
 }
 
 /// Returns the name of the index of a pack.
@@ -53,9 +55,18 @@ pub(crate) fn index(pack: &Digest) -> String {
 
 /// Returns the pack whose index has this name; none for other names.
 pub(crate) fn pack_of_index(name: &str) -> Option<Digest> {
+    in_packs(name, INDEX)
+}
+
+/// Returns the pack of this name; none for other names.
+pub(crate) fn pack_in(name: &str) -> Option<Digest> {
+    in_packs(name, PACK)
+}
+
+fn in_packs(name: &str, ending: &str) -> Option<Digest> {
     name.strip_prefix(PACKS)?
         .strip_prefix('/')?
-        .strip_suffix(INDEX)?
+        .strip_suffix(ending)?
         .parse()
         .ok()
 }

@@ -8,6 +8,8 @@
 use bytes::Bytes;
 use marf_cache::Digest;
 
+use crate::{bucket::Bucket, error::RemoteError, names};
+
 /// A pack is closed when it holds this many bytes.
 pub(crate) const PACK_BYTES: u64 = 32 << 20;
 
@@ -37,6 +39,23 @@ pub(crate) struct PackWriter {
     entries: Vec<Entry>,
 }
 
+impl Entry {
+    /// Returns the bytes of the blob in those of its pack; none if the pack is cut.
+    pub(crate) fn of<'a>(&self, pack: &'a [u8]) -> Option<&'a [u8]> {
+        let begin = usize::try_from(self.offset).ok()?;
+        pack.get(begin..begin.checked_add(self.len as usize)?)
+    }
+}
+
+impl Pack {
+    /// Writes the pack, then its index, and returns its name.
+    pub(crate) async fn put(self, bucket: &Bucket) -> Result<Digest, RemoteError> {
+        bucket.put(&names::pack(&self.id), self.bytes).await?;
+        bucket.put(&names::index(&self.id), self.index).await?;
+        Ok(self.id)
+    }
+}
+
 impl PackWriter {
     pub(crate) fn add(&mut self, digest: Digest, blob: &[u8]) {
         self.entries.push(Entry {
@@ -46,6 +65,11 @@ impl PackWriter {
             len: blob.len() as u32,
         });
         self.bytes.extend_from_slice(blob);
+    }
+
+    /// Returns the bytes so far.
+    pub(crate) fn len(&self) -> u64 {
+        self.bytes.len() as u64
     }
 
     pub(crate) fn finish(mut self) -> Pack {

@@ -1,7 +1,8 @@
 //! A pull: records, then the blobs that the own store lacks; these are stored first.
 
-use std::collections::BTreeSet;
+use std::{collections::BTreeSet, time::Duration};
 
+use futures_util::{StreamExt, stream};
 use marf_cache::{Digest, Record, Store};
 
 use crate::{
@@ -45,14 +46,17 @@ pub(crate) async fn read_run(bucket: &Bucket, root: &Digest) -> Result<RemoteRun
         what: "the run",
         digest: *root,
     };
-    let name = listed
-        .iter()
-        .find(|object| is_it(&object.name))
-        .ok_or_else(missing)?;
-    let bytes = bucket.get(&name.name).await?.ok_or_else(missing)?;
+    let found = listed.iter().find(|object| is_it(&object.name));
+    run_named(bucket, &found.ok_or_else(missing)?.name).await
+}
+
+/// Reads the run of this name.
+pub(crate) async fn run_named(bucket: &Bucket, name: &str) -> Result<RemoteRun, RemoteError> {
+    let bytes = bucket.get(name).await?.unwrap_or_default();
+    let root = names::run_in(name).map(|(_, root)| root);
     let run: Option<RemoteRun> = sealed::open(&bytes);
-    run.filter(|run| Digest::of(run.root.as_bytes()) == *root)
-        .ok_or_else(|| bucket.damaged(&name.name, "its checksum is another"))
+    run.filter(|run| Some(Digest::of(run.root.as_bytes())) == root)
+        .ok_or_else(|| bucket.damaged(name, "its checksum is another"))
 }
 
 /// Fetches what a run consists of.
@@ -97,6 +101,47 @@ pub(crate) async fn results(
         .for_each(|record| store.put_record(record));
     store.commit()?;
     Ok(pulled)
+}
+
+/// Fetches the results of those keys that are there, and returns why some of these were not ([`crate::Remote::fetch`]).
+pub(crate) async fn what_is_there(
+    bucket: &Bucket,
+    store: &Store,
+    keys: &[Digest],
+    least_wait: Duration,
+    observer: &dyn Observer,
+) -> Result<Vec<RemoteError>, RemoteError> {
+    let asked = stream::iter(keys).map(|key| survey::record(bucket, key));
+    let answers: Vec<_> = asked.buffer_unordered(survey::IN_FLIGHT).collect().await;
+    let (mut there, mut skipped, mut seconds) = (Vec::new(), Vec::new(), 0.0);
+    for answer in answers {
+        match answer {
+            Ok(None) => {}
+            Ok(Some(found)) => {
+                seconds += found.record.metadata.seconds;
+                there.push(found.record.key);
+            }
+            Err(error @ RemoteError::Damaged { .. }) => skipped.push(error),
+            Err(error) => return Err(error),
+        }
+    }
+    if there.is_empty() {
+        return Ok(skipped);
+    }
+    let wait = Duration::try_from_secs_f64(seconds)
+        .unwrap_or(least_wait)
+        .max(least_wait);
+    let fetched = tokio::time::timeout(wait, results(bucket, store, &there, &[], observer)).await;
+    match fetched {
+        Ok(Ok(_)) => {}
+        Ok(Err(error @ (RemoteError::Damaged { .. } | RemoteError::Missing { .. }))) => skipped.push(error),
+        Ok(Err(error)) => return Err(error),
+        Err(_) => skipped.push(RemoteError::Slow {
+            place: bucket.place.clone(),
+            waited_s: wait.as_secs(),
+        }),
+    }
+    Ok(skipped)
 }
 
 /// Fetches blobs as far as the store lacks them, and returns their bytes.

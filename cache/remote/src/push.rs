@@ -12,6 +12,7 @@ use marf_cache::{Conflict, Digest, Store, StoreError};
 use crate::{
     bucket::Bucket,
     catalogue::Catalogue,
+    conflict,
     error::RemoteError,
     names,
     pack::{PACK_BYTES, PackWriter},
@@ -172,7 +173,7 @@ async fn present_in(bucket: &Bucket, folder: &str, wanted: Vec<Digest>) -> Resul
     }
     let mut found = Vec::new();
     for digest in wanted {
-        if bucket.size(&names::blob(&digest)).await?.is_some() {
+        if bucket.find(&names::blob(&digest)).await?.is_some() {
             found.push(digest);
         }
     }
@@ -237,8 +238,7 @@ async fn send_packs(
             }
             let pack = writer.finish();
             let bytes = pack.bytes.len() as u64;
-            bucket.put(&names::pack(&pack.id), pack.bytes).await?;
-            bucket.put(&names::index(&pack.id), pack.index).await?;
+            pack.put(bucket).await?;
             meter.add(bytes);
             Ok(())
         })
@@ -263,5 +263,5 @@ async fn send_record(bucket: &Bucket, new: &RemoteRecord) -> Result<Option<Confl
         return Ok(None);
     }
     let there = survey::record(bucket, key).await?;
-    Ok(there.and_then(|there| survey::conflict(there.record, new.record.clone())))
+    Ok(there.and_then(|there| conflict::between(there.record, new.record.clone())))
 }

@@ -11,6 +11,8 @@ use crate::{
     address::Patience,
     bucket::{Bucket, Traffic},
     error::RemoteError,
+    fsck::{self, Checked, FsckOptions},
+    gc::{self, Collected, GcOptions},
     lease::{Kind, Lease},
     names,
     pull::{self, Pulled},
@@ -93,7 +95,7 @@ impl Remote {
             self.make().await?;
             push::run(&self.bucket, store, run, observer).await
         };
-        self.holding(Kind::Shared, observer, work)
+        self.holding(&Lease::new(Kind::Shared), observer, work)
     }
 
     /// Returns the runs of a pipeline that are there, the newest first: start in seconds since 1970, digest of the root.
@@ -140,6 +142,58 @@ impl Remote {
         self.waiting(observer, pull::run(&self.bucket, store, run, observer))
     }
 
+    /// Fetches the results of those keys that are there, with all that belongs to them, and returns why some of these were
+    /// not: they are damaged, not whole, or take longer to fetch than they took to make, but at least `least_wait`.
+    ///
+    /// # Errors
+    /// A shared store that cannot be read; one that is absent is none. An own store that cannot be written.
+    pub fn fetch(
+        &self,
+        store: &Store,
+        keys: &[Digest],
+        least_wait: Duration,
+        observer: &dyn Observer,
+    ) -> Result<Vec<RemoteError>, RemoteError> {
+        self.waiting(observer, async {
+            match self.check().await {
+                Err(RemoteError::Absent { .. }) => Ok(Vec::new()),
+                Err(error) => Err(error),
+                Ok(()) => pull::what_is_there(&self.bucket, store, keys, least_wait, observer).await,
+            }
+        })
+    }
+
+    /// Removes what no kept run needs and what is older than the grace.
+    ///
+    /// # Errors
+    /// A shared store that is absent, damaged where it matters, or in use ([`RemoteError::Busy`]).
+    pub fn gc(&self, options: GcOptions, observer: &dyn Observer) -> Result<Collected, RemoteError> {
+        let lease = Lease::new(Kind::Exclusive);
+        let work = async {
+            self.check().await?;
+            gc::collect(&self.bucket, &lease, options).await
+        };
+        match options.dry_run {
+            true => self.waiting(observer, work),
+            false => self.holding(&lease, observer, work),
+        }
+    }
+
+    /// Checks that every record, run and index is whole and that what it names is there.
+    ///
+    /// # Errors
+    /// A shared store that is absent or cannot be read, or for a repair is in use ([`RemoteError::Busy`]).
+    pub fn fsck(&self, options: FsckOptions, observer: &dyn Observer) -> Result<Checked, RemoteError> {
+        let work = async {
+            self.check().await?;
+            fsck::check(&self.bucket, options).await
+        };
+        match options.repair {
+            true => self.holding(&Lease::new(Kind::Exclusive), observer, work),
+            false => self.waiting(observer, work),
+        }
+    }
+
     /// Makes the shared store if it is absent, and checks its form.
     pub(crate) async fn make(&self) -> Result<(), RemoteError> {
         let words = Bytes::from(format!("{FORMAT_WORDS}{FORMAT}\n"));
@@ -180,11 +234,10 @@ impl Remote {
     /// Waits for work as [`Remote::waiting`], under a lease that is renewed meanwhile and released in any case.
     pub(crate) fn holding<T>(
         &self,
-        kind: Kind,
+        lease: &Lease,
         observer: &dyn Observer,
         work: impl Future<Output = Result<T, RemoteError>>,
     ) -> Result<T, RemoteError> {
-        let lease = Lease::new(kind);
         let bucket = &self.bucket;
         let work = async {
             lease.take(bucket).await?;
@@ -207,6 +260,9 @@ async fn until_stopped<T>(
     observer: &dyn Observer,
     work: impl Future<Output = Result<T, RemoteError>>,
 ) -> Result<T, RemoteError> {
+    if observer.is_stopped() {
+        return Err(RemoteError::Stopped);
+    }
     let stopped = async {
         while !observer.is_stopped() {
             tokio::time::sleep(Duration::from_millis(50)).await;

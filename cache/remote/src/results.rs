@@ -4,7 +4,7 @@ use marf_cache::{Digest, Store};
 
 use crate::{
     error::RemoteError,
-    lease::Kind,
+    lease::{Kind, Lease},
     pull::{self, Pulled},
     push::{self, Pushed},
     remote::{Observer, Remote},
@@ -29,7 +29,7 @@ impl Remote {
             self.make().await?;
             push::results(&self.bucket, store, keys, blobs, observer).await
         };
-        self.holding(Kind::Shared, observer, work)
+        self.holding(&Lease::new(Kind::Shared), observer, work)
     }
 
     /// Fetches results of keys with all that belongs to them and the own store lacks. All must be there.

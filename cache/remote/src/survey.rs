@@ -7,6 +7,7 @@ use marf_cache::{Conflict, Digest, Record, Store};
 
 use crate::{
     bucket::Bucket,
+    conflict,
     error::RemoteError,
     names,
     sealed::{self, RemoteRecord},
@@ -58,7 +59,7 @@ impl Survey {
 
     fn note_known(&mut self, kept: Record, refused: Record) {
         self.known += 1;
-        self.conflicts.extend(conflict(kept, refused));
+        self.conflicts.extend(conflict::between(kept, refused));
     }
 
     /// Returns the new results in groups: parts and children are in an earlier group than what consists of them.
@@ -86,17 +87,6 @@ impl Survey {
         ranks.insert(*key, rank);
         rank
     }
-}
-
-/// Returns the conflict between two results of one key; none if they are equal.
-pub(crate) fn conflict(kept: Record, refused: Record) -> Option<Conflict> {
-    (kept.outputs != refused.outputs).then_some(Conflict {
-        key: kept.key,
-        stage: kept.stage,
-        kept: kept.outputs,
-        refused: refused.outputs,
-        replaced: false,
-    })
 }
 
 /// Reads the records of keys, as far as they are there.

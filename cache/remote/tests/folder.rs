@@ -5,10 +5,11 @@ use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
     sync::atomic::{AtomicBool, Ordering},
+    time::{Duration, SystemTime},
 };
 
 use marf_cache::{Digest, Output, Record, RunMetadata, Store, digest_list, manifest};
-use marf_remote::{Observer, Patience, Progress, Remote, RemoteError, RemoteRun};
+use marf_remote::{FsckOptions, GcOptions, Observer, Patience, Progress, Remote, RemoteError, RemoteRun};
 
 /// Looks on, and stops if it is told to.
 #[derive(Default)]
@@ -317,4 +318,166 @@ fn a_push_that_is_stopped_leaves_no_lease() {
     let ended = world.remote().push(&here, &run, &stopped);
     assert!(matches!(ended, Ok(_) | Err(RemoteError::Stopped)), "{ended:?}");
     assert_eq!(world.files("leases", ""), Vec::<PathBuf>::new());
+}
+
+/// A collection at once, of all that is not needed.
+const AT_ONCE: GcOptions = GcOptions {
+    keep_last: 1,
+    grace: Duration::ZERO,
+    dry_run: false,
+};
+
+/// Pushes two runs of one pipeline, of which the second has one result of its own and lacks one of the first.
+fn two_runs(world: &World) -> (Store, RemoteRun) {
+    let here = world.store("here");
+    let first = run_in(&here);
+    world.remote().push(&here, &first, &Quiet::default()).unwrap();
+    let mut second = first.clone();
+    second.started_unix_s += 1;
+    second.root = "{\"pipeline\":\"mars\",\"second\":true}".to_owned();
+    second.keys.pop();
+    second.keys.push(result(&here, "new", b"n", &[], &[]));
+    world.remote().push(&here, &second, &Quiet::default()).unwrap();
+    (here, second)
+}
+
+#[test]
+fn a_collection_removes_what_only_older_runs_need() {
+    let world = World::new();
+    let (_, second) = two_runs(&world);
+    let would = GcOptions {
+        dry_run: true,
+        ..AT_ONCE
+    };
+    let would = world.remote().gc(would, &Quiet::default()).unwrap();
+    let done = world.remote().gc(AT_ONCE, &Quiet::default()).unwrap();
+    assert_eq!((would.runs, would.records, would.blobs), (1, 2, 2));
+    assert_eq!((done.runs, done.records, done.blobs), (1, 2, 2));
+    assert_eq!(
+        (done.packs, done.new_packs, done.missing),
+        (2, 1, 0),
+        "small packs become one"
+    );
+    let there = world.store("there");
+    world.remote().pull(&there, &second, &Quiet::default()).unwrap();
+    assert_eq!(
+        there.closure(&second.keys, &second.blobs).unwrap().missing,
+        vec![]
+    );
+    let again = world.remote().gc(AT_ONCE, &Quiet::default()).unwrap();
+    assert_eq!((again.runs, again.records, again.packs), (0, 0, 0));
+    let checked = world
+        .remote()
+        .fsck(
+            FsckOptions {
+                read_data: true,
+                repair: false,
+            },
+            &Quiet::default(),
+        )
+        .unwrap();
+    assert_eq!(checked.faults, vec![]);
+}
+
+#[test]
+fn a_collection_leaves_what_is_young() {
+    let world = World::new();
+    two_runs(&world);
+    let options = GcOptions {
+        grace: Duration::from_secs(3600),
+        ..AT_ONCE
+    };
+    let done = world.remote().gc(options, &Quiet::default()).unwrap();
+    assert_eq!((done.runs, done.records, done.blobs, done.packs), (0, 0, 0, 0));
+}
+
+#[test]
+fn a_collection_and_a_push_exclude_each_other() {
+    let world = World::new();
+    let (here, run) = two_runs(&world);
+    let lease = |name: &str| {
+        let path = world.folder().join("leases").join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(&path, "another marf").unwrap();
+        path
+    };
+    let exclusive = lease("exclusive");
+    let busy = |error: RemoteError| {
+        assert!(
+            matches!(&error, RemoteError::Busy { holder, .. } if holder == "another marf"),
+            "{error}"
+        );
+    };
+    busy(world.remote().push(&here, &run, &Quiet::default()).unwrap_err());
+    busy(world.remote().gc(AT_ONCE, &Quiet::default()).unwrap_err());
+    let repair = FsckOptions {
+        read_data: false,
+        repair: true,
+    };
+    busy(world.remote().fsck(repair, &Quiet::default()).unwrap_err());
+    assert!(exclusive.exists(), "the lease of another is left alone");
+    std::fs::remove_file(&exclusive).unwrap();
+    let shared = lease("shared-0123456789ab");
+    busy(world.remote().gc(AT_ONCE, &Quiet::default()).unwrap_err());
+    world.remote().push(&here, &run, &Quiet::default()).unwrap();
+    // One that was not renewed for an hour is that of a program that died.
+    let old = SystemTime::now() - Duration::from_secs(3600);
+    std::fs::File::open(&shared).unwrap().set_modified(old).unwrap();
+    world.remote().gc(AT_ONCE, &Quiet::default()).unwrap();
+    assert_eq!(world.files("leases", ""), Vec::<PathBuf>::new());
+}
+
+#[test]
+fn a_check_names_what_is_broken_and_a_repair_lets_the_next_push_send_it() {
+    for (folder, ending) in [
+        ("cas", ""),
+        ("packs", ".pack"),
+        ("packs", ".idx"),
+        ("records", ""),
+    ] {
+        let world = World::new();
+        let here = world.store("here");
+        let run = run_in(&here);
+        world.remote().push(&here, &run, &Quiet::default()).unwrap();
+        let path = world.files(folder, ending)[0].clone();
+        let mut bytes = std::fs::read(&path).unwrap();
+        bytes[9] ^= 1;
+        std::fs::write(&path, bytes).unwrap();
+        let look = FsckOptions {
+            read_data: true,
+            repair: false,
+        };
+        let found = world.remote().fsck(look, &Quiet::default()).unwrap();
+        let name = path
+            .strip_prefix(world.folder())
+            .unwrap()
+            .to_string_lossy()
+            .into_owned();
+        assert!(
+            found.faults.iter().any(|fault| fault.object == name),
+            "{:?}",
+            found.faults
+        );
+        assert!(
+            found.faults.iter().any(|fault| fault.object.starts_with("runs/")),
+            "the run is broken too"
+        );
+        assert!(!found.is_repaired);
+        let repair = FsckOptions { repair: true, ..look };
+        assert!(
+            world
+                .remote()
+                .fsck(repair, &Quiet::default())
+                .unwrap()
+                .is_repaired
+        );
+        assert_eq!(
+            world.remote().fsck(look, &Quiet::default()).unwrap().faults,
+            vec![]
+        );
+        world.remote().push(&here, &run, &Quiet::default()).unwrap();
+        let there = world.store("there");
+        world.remote().pull(&there, &run, &Quiet::default()).unwrap();
+        assert_eq!(there.closure(&run.keys, &run.blobs).unwrap().missing, vec![]);
+    }
 }

@@ -11,6 +11,10 @@ pub enum CacheVerb {
     Gc(GcArgs),
     /// Verify what is stored
     Fsck(FsckArgs),
+    /// Send a run with all its results to a shared store
+    Push(PushArgs),
+    /// Fetch a run with all its results from a shared store
+    Pull(PullArgs),
     /// Keep the results of a run, whatever is collected
     Pin {
         /// Name of the pin
@@ -46,15 +50,45 @@ pub struct GcArgs {
     /// Only tell what would be removed
     #[arg(long)]
     pub dry_run: bool,
+    /// Collect a shared store in place of the own: that of the pipeline, or this one
+    #[arg(long, value_name = "URL", conflicts_with = "max_size")]
+    pub remote: Option<Option<String>>,
+}
+
+/// Arguments of `cache push`.
+#[derive(Debug, Clone, Args)]
+pub struct PushArgs {
+    /// Number of the run [default: the last one]
+    #[arg(long)]
+    pub run: Option<u64>,
+    /// Address of the shared store, `s3://BUCKET/PREFIX` or `file:///FOLDER` [default: `[store] remote` of the pipeline];
+    /// credentials come from the environment (`AWS_*`)
+    #[arg(long, value_name = "URL")]
+    pub remote: Option<String>,
+}
+
+/// Arguments of `cache pull`.
+#[derive(Debug, Clone, Args)]
+pub struct PullArgs {
+    /// First digits of the run, as a push tells them [default: the newest of this pipeline]
+    #[arg(long, value_name = "DIGITS")]
+    pub run: Option<String>,
+    /// Address of the shared store, `s3://BUCKET/PREFIX` or `file:///FOLDER` [default: `[store] remote` of the pipeline];
+    /// credentials come from the environment (`AWS_*`)
+    #[arg(long, value_name = "URL")]
+    pub remote: Option<String>,
 }
 
 /// Arguments of `cache fsck`.
-#[derive(Debug, Clone, Copy, Args)]
+#[derive(Debug, Clone, Args)]
 pub struct FsckArgs {
     /// Read every byte and compare it with its digest
     #[arg(long)]
     pub read_data: bool,
-    /// Set damaged files aside and make a wrong index anew
+    /// Set damaged files aside and make a wrong index anew; of a shared store remove them with what names them
     #[arg(long)]
     pub repair: bool,
+    /// Verify a shared store in place of the own: that of the pipeline, or this one
+    #[arg(long, value_name = "URL")]
+    pub remote: Option<Option<String>>,
 }

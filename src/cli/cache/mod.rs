@@ -1,6 +1,7 @@
 //! `marf cache`: what the store holds, whether it is whole, and what of it is no longer needed.
 
 mod args;
+mod remote;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -16,12 +17,13 @@ use super::args::Global;
 use super::error::{CliError, Diagnostic};
 use super::files;
 use super::output::print_json;
-use super::session::{existing_store, store_dir, warn};
+use super::session::{existing_store, open_store, store_dir, warn};
 use crate::progress::duration;
 use crate::terminal::{eprint_line, print_line};
 use args::{FsckArgs, GcArgs};
 
 pub use args::CacheVerb;
+pub use remote::remote_run;
 
 /// Folder of the store with a file for each pinned run: its name is that of the pin, its text the number of the run.
 const PINS: &str = "pins";
@@ -31,16 +33,21 @@ const PINS: &str = "pins";
 /// # Errors
 /// A store that is absent or cannot be read; of `fsck` also one that is not whole.
 pub fn cache(global: &Global, verb: &CacheVerb, cancel: &Cancel) -> Result<(), CliError> {
-    if let CacheVerb::Migrate { dry_run } = verb {
-        return migrate(global, *dry_run);
-    }
-    let store = existing_store(global, cancel)?;
+    let store = match verb {
+        CacheVerb::Migrate { dry_run } => return migrate(global, *dry_run),
+        CacheVerb::Gc(args) if args.remote.is_some() => return remote::gc(global, args, cancel),
+        CacheVerb::Fsck(args) if args.remote.is_some() => return remote::fsck(global, args, cancel),
+        CacheVerb::Pull(_) => open_store(&store_dir(global, &global.file), cancel)?,
+        _ => existing_store(global, cancel)?,
+    };
     let done = match verb {
         CacheVerb::Stat => stat(global, &store),
         CacheVerb::Gc(args) => gc(global, &store, args),
         CacheVerb::Fsck(args) => fsck(global, &store, args),
+        CacheVerb::Push(args) => remote::push(global, &store, args, cancel),
         CacheVerb::Pin { name, run } => pin(&store, name, *run),
         CacheVerb::Unpin { name } => unpin(&store, name),
+        CacheVerb::Pull(args) => remote::pull(global, &store, args, cancel),
         CacheVerb::Migrate { .. } => Ok(()),
     };
     store.take_warnings().into_iter().for_each(warn);

@@ -21,6 +21,7 @@ mod record;
 mod roots;
 mod run;
 pub mod sets;
+mod shared;
 mod stage_io;
 mod work;
 
@@ -40,4 +41,5 @@ pub use record::{
 };
 pub use roots::{KeptRuns, kept_runs};
 pub use run::{ActionError, Options, run, run_action, run_nodes, trace_inputs};
+pub use shared::SharedResults;
 pub use work::Extent;

@@ -120,6 +120,7 @@ pub fn run_action(
         last: None,
         executor: None,
         began: Instant::now(),
+        shared: None,
     };
     let mut state = RunState::new(context, Vec::new(), &BTreeSet::new());
     state.tasks.push(task);

@@ -5,7 +5,7 @@ use std::time::Instant;
 use marf_cache::Store;
 use marf_stage::Cancel;
 
-use crate::{event::Listener, executor::Executor, graph::Graph, record::RunRecord};
+use crate::{event::Listener, executor::Executor, graph::Graph, record::RunRecord, shared::SharedResults};
 
 /// What the scheduler and all jobs of a run have in common.
 #[derive(Clone, Copy)]
@@ -24,4 +24,6 @@ pub(super) struct RunContext<'a> {
     pub(super) last: Option<&'a RunRecord>,
     /// When the run began.
     pub(super) began: Instant,
+    /// Where results are shared with other machines.
+    pub(super) shared: Option<&'a dyn SharedResults>,
 }

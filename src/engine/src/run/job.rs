@@ -19,6 +19,7 @@ use crate::{
     listing::Listed,
     lookup::{Lookup, look_up},
     needs::Needs,
+    shared::fetch_lacking,
     stage_io::{FileCheckpoints, Lease, StoreBlobs, StoreMemos},
     work::{
         BlobCheck, PartedOutputs, Produced, StageRun, after_round, execute, put_action, put_needs, put_parts,
@@ -97,7 +98,7 @@ impl Job<'_> {
             _ => Some(self.lease()?),
         };
         if self.check == BlobCheck::Outputs
-            && let Lookup::Hit(record) = look_up(self.context.store, &self.prepared.key.digest)?
+            && let Some(record) = self.made_elsewhere()?
         {
             return Ok(JobOutput::Reused(record));
         }
@@ -140,6 +141,18 @@ impl Job<'_> {
         }
     }
 
+    /// Returns the result if another process of this machine, or another machine, has made it.
+    fn made_elsewhere(&self) -> Result<Option<Box<Record>>, JobError> {
+        let (store, key) = (self.context.store, self.prepared.key.digest);
+        if matches!(self.step, Step::Start) {
+            fetch_lacking(self.context.shared, store, std::iter::once(key))?;
+        }
+        Ok(match look_up(store, &key)? {
+            Lookup::Hit(record) => Some(record),
+            Lookup::MissingOutput(_) | Lookup::Miss => None,
+        })
+    }
+
     /// Waits for the lease on the key.
     fn lease(&self) -> Result<Lease, StageError> {
         let busy = || self.warn("the same result is being made elsewhere; waiting for it".to_owned());
@@ -173,6 +186,9 @@ impl Job<'_> {
                 };
                 let record = self.store_record(&key, outputs, blobs, metadata)?;
                 checkpoints.remove();
+                if let Some(shared) = self.context.shared {
+                    shared.offer(&record.key);
+                }
                 Ok(JobOutput::Finished(record))
             }
         }
@@ -220,6 +236,7 @@ impl Job<'_> {
             inputs: &self.prepared.inputs,
             listed: self.prepared.listed.as_ref(),
             check: self.check,
+            shared: self.context.shared,
             metadata,
             warn: &|message| self.warn(message.to_owned()),
         };

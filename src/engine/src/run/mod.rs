@@ -31,6 +31,7 @@ use crate::{
     executor::Executor,
     graph::Graph,
     record::{Build, EngineError, RUN_FORMAT, RunRecord, last_run},
+    shared::SharedResults,
 };
 
 /// How to run.
@@ -57,6 +58,8 @@ pub struct Options {
     pub build: Option<Build>,
     /// What computes results on other machines; none if all are computed here.
     pub executor: Option<Arc<dyn Executor>>,
+    /// Where results are shared with other machines; none if they are not.
+    pub shared: Option<Arc<dyn SharedResults>>,
 }
 
 /// Runs a graph as [`run_nodes`] and stores the record.
@@ -105,6 +108,7 @@ pub fn run_nodes(
         last: last.as_ref(),
         executor: options.executor.as_deref(),
         began,
+        shared: options.shared.as_deref(),
     };
     let state = Scheduler::new(RunState::new(context, roles, &lost), threads).run()?;
     let nodes = report::node_runs(&state)?;

@@ -34,6 +34,7 @@ pub(super) fn shard_parts<P: Send>(
     make: impl Fn(&Key, MeasuredShard) -> Result<P, StageError> + Sync,
 ) -> Result<ShardParts<P>, StageError> {
     let keys: Vec<Key> = shards.par_iter().map(&key).collect();
+    run.fetch_parts(keys.iter().map(|key| key.digest))?;
     let mut parts: Vec<Option<P>> = Vec::with_capacity(shards.len());
     for key in &keys {
         run.ctx.check()?;

@@ -32,12 +32,14 @@ pub(super) fn execute(
     };
     let mut listing = listed.listing.clone();
     let total = listing.shards.len() as u64;
+    let fetch_key = |shard: &Shard| run.part_key(PartKind::Fetch, shard.shard, fetch_inputs(shard));
+    run.fetch_parts(listing.shards.iter().map(|shard| fetch_key(shard).digest))?;
     let (mut fetched, mut measured) = (0, 0);
     let mut keys = Vec::new();
     let mut parts = Vec::new();
     for (done, shard) in (1..).zip(&mut listing.shards) {
         run.ctx.check()?;
-        let key = run.part_key(PartKind::Fetch, shard.shard, fetch_inputs(shard));
+        let key = fetch_key(shard);
         let (key, part) = match run.part_hit(&key.digest)? {
             Some(part) if has_leaves(run, &part.photos) => (key, part),
             _ => {

@@ -15,6 +15,7 @@ use crate::{
     items::{read_refs, rows_of, write_refs, write_set},
     key::Key,
     listing::Listed,
+    shared::{SharedResults, fetch_lacking},
     stage_io::StoreBlobs,
 };
 
@@ -45,6 +46,8 @@ pub(crate) struct StageRun<'a> {
     pub(crate) inputs: &'a Inputs,
     pub(crate) listed: Option<&'a Listed>,
     pub(crate) check: BlobCheck,
+    /// Where results are shared with other machines.
+    pub(crate) shared: Option<&'a dyn SharedResults>,
     pub(crate) metadata: &'a RunMetadata,
     /// Tells people of something.
     pub(crate) warn: &'a (dyn Fn(&str) + Sync),
@@ -107,6 +110,15 @@ impl StageRun<'_> {
     /// Returns the key of the part of this node's work that is about one shard.
     pub(super) fn part_key(&self, part: PartKind, shard: u32, inputs: BTreeMap<String, Digest>) -> Key {
         part_key(&self.key.action, part, shard, inputs)
+    }
+
+    /// Fetches the results of parts that another machine has made and the store lacks.
+    pub(super) fn fetch_parts(&self, keys: impl Iterator<Item = Digest>) -> Result<(), StageError> {
+        match self.check {
+            BlobCheck::Outputs => fetch_lacking(self.shared, self.store, keys).map_err(store_error),
+            // What was lost here is made here.
+            BlobCheck::Needs => Ok(()),
+        }
     }
 
     /// Returns the record of a part, if all is there that this run asks for.

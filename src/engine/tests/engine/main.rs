@@ -11,4 +11,5 @@ mod elsewhere;
 mod faults;
 mod graph;
 mod rounds;
+mod shared;
 mod what_ran;

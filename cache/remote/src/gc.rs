@@ -1,0 +1,299 @@
+//! A collection: what no kept run needs and nobody has just sent is removed.
+
+use std::{
+    collections::{BTreeMap, BTreeSet, HashSet},
+    time::{Duration, SystemTime},
+};
+
+use futures_util::{StreamExt, TryStreamExt, stream};
+use marf_cache::Digest;
+use serde::Serialize;
+
+use crate::{
+    bucket::{Bucket, Listed},
+    catalogue,
+    error::RemoteError,
+    inventory::{Inventory, PackFiles},
+    lease::{Lease, age},
+    names,
+    pack::{Entry, PACK_BYTES, PackWriter},
+    pull, survey,
+};
+
+/// Objects that are removed at once.
+const IN_FLIGHT: usize = 32;
+/// A pack of which less than this share is needed is written anew.
+const LEAST_SHARE: f64 = 0.5;
+
+/// What a collection keeps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct GcOptions {
+    /// Runs of each pipeline that are kept; the newest always is.
+    pub keep_last: usize,
+    /// What is younger is kept: results that no run names yet.
+    pub grace: Duration,
+    /// Whether only to tell what would be removed.
+    pub dry_run: bool,
+}
+
+/// What a collection has removed, or would.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct Collected {
+    /// Runs.
+    pub runs: u64,
+    /// Records.
+    pub records: u64,
+    /// Large blobs.
+    pub blobs: u64,
+    /// Packs, those that were written anew among them.
+    pub packs: u64,
+    /// Packs that were written with what is needed of others.
+    pub new_packs: u64,
+    /// Bytes of all that was removed.
+    pub removed_bytes: u64,
+    /// Bytes of what stays.
+    pub kept_bytes: u64,
+    /// Records that kept runs name and that are not there: see `fsck`.
+    pub missing: u64,
+}
+
+/// What must stay.
+#[derive(Default)]
+struct Live {
+    keys: HashSet<Digest>,
+    blobs: HashSet<Digest>,
+    missing: u64,
+}
+
+/// A pack with the entries of its index.
+struct IndexedPack {
+    id: Digest,
+    files: PackFiles,
+    entries: Vec<Entry>,
+}
+
+/// A collection at work.
+struct Collection<'a> {
+    bucket: &'a Bucket,
+    options: GcOptions,
+    now: SystemTime,
+    done: Collected,
+}
+
+/// Collects; the caller holds the exclusive lease, unless it is a dry run.
+pub(crate) async fn collect(
+    bucket: &Bucket,
+    lease: &Lease,
+    options: GcOptions,
+) -> Result<Collected, RemoteError> {
+    let now = lease.now(bucket).await?;
+    let inventory = Inventory::take(bucket).await?;
+    let mut collection = Collection {
+        bucket,
+        options,
+        now,
+        done: Collected::default(),
+    };
+    let (kept, given_up) = collection.runs(&inventory);
+    let live = collection.mark(&inventory, &kept).await?;
+    collection.done.missing = live.missing;
+    // Who names goes before what is named.
+    collection.done.runs = collection.remove(given_up.into_iter()).await?;
+    let dead = |(digest, object): (&Digest, &'_ Listed), live: &HashSet<Digest>| {
+        (!live.contains(digest)).then(|| object.clone())
+    };
+    let records = inventory.records.iter().filter_map(|one| dead(one, &live.keys));
+    collection.done.records = collection.remove(records).await?;
+    let blobs = inventory.blobs.iter().filter_map(|one| dead(one, &live.blobs));
+    collection.done.blobs = collection.remove(blobs).await?;
+    let stays = inventory
+        .blobs
+        .iter()
+        .filter(|(digest, _)| live.blobs.contains(*digest));
+    collection.done.kept_bytes += stays.map(|(_, object)| object.bytes).sum::<u64>();
+    collection.packs(inventory.packs, &live.blobs).await?;
+    if !options.dry_run {
+        Lease::sweep(bucket, now).await?;
+    }
+    Ok(collection.done)
+}
+
+impl Collection<'_> {
+    fn is_old(&self, object: &Listed) -> bool {
+        age(self.now, object.modified) >= self.options.grace
+    }
+
+    /// Returns the runs that are kept and those that are given up.
+    fn runs(&self, inventory: &Inventory) -> (Vec<Listed>, Vec<Listed>) {
+        let (mut kept, mut given_up) = (Vec::new(), Vec::new());
+        for runs in inventory.runs.values() {
+            for (at, run) in runs.iter().enumerate() {
+                match at >= self.options.keep_last.max(1) && self.is_old(run) {
+                    true => given_up.push(run.clone()),
+                    false => kept.push(run.clone()),
+                }
+            }
+        }
+        (kept, given_up)
+    }
+
+    /// Follows what kept runs and young records name.
+    async fn mark(&self, inventory: &Inventory, kept: &[Listed]) -> Result<Live, RemoteError> {
+        let mut live = Live::default();
+        let young = inventory
+            .records
+            .iter()
+            .filter(|(_, record)| !self.is_old(record));
+        let mut level: BTreeSet<Digest> = young.map(|(key, _)| *key).collect();
+        for object in kept {
+            let run = pull::run_named(self.bucket, &object.name).await?;
+            level.extend(run.keys);
+            live.blobs.extend(run.blobs);
+        }
+        while !level.is_empty() {
+            live.keys.extend(level.iter().copied());
+            let mut below = BTreeSet::new();
+            for (_, record) in survey::records(self.bucket, level.into_iter()).await? {
+                match record {
+                    None => live.missing += 1,
+                    Some(record) => {
+                        live.blobs.extend(record.blobs);
+                        below.extend(record.keys);
+                    }
+                }
+            }
+            below.retain(|key| !live.keys.contains(key));
+            level = below;
+        }
+        Ok(live)
+    }
+
+    /// Removes those objects that are old, and returns their number.
+    async fn remove(&mut self, objects: impl Iterator<Item = Listed>) -> Result<u64, RemoteError> {
+        let old: Vec<Listed> = objects.filter(|object| self.is_old(object)).collect();
+        self.done.removed_bytes += old.iter().map(|object| object.bytes).sum::<u64>();
+        if !self.options.dry_run {
+            let bucket = self.bucket;
+            stream::iter(&old)
+                .map(|object| bucket.remove(&object.name))
+                .buffer_unordered(IN_FLIGHT)
+                .try_collect::<()>()
+                .await?;
+        }
+        Ok(old.len() as u64)
+    }
+
+    /// Removes packs that nobody needs, and writes anew what is needed of packs that are mostly not needed, or small.
+    async fn packs(
+        &mut self,
+        packs: BTreeMap<Digest, PackFiles>,
+        live: &HashSet<Digest>,
+    ) -> Result<(), RemoteError> {
+        let mut merged = Vec::new();
+        for (id, files) in packs {
+            let entries = match &files.index {
+                Some(_) => catalogue::index(self.bucket, &id).await?,
+                None => Vec::new(),
+            };
+            let pack = IndexedPack { id, files, entries };
+            let objects = || pack.objects();
+            let is_old = objects().all(|object| self.is_old(object));
+            match pack.needed_bytes(live) {
+                0 if is_old => self.remove_pack(&pack).await?,
+                _ if is_old && (pack.len() < PACK_BYTES / 2 || pack.is_mostly_unneeded(live)) => {
+                    merged.push(pack)
+                }
+                _ => self.done.kept_bytes += pack.bytes(),
+            }
+        }
+        self.merge(merged, live).await
+    }
+
+    async fn remove_pack(&mut self, pack: &IndexedPack) -> Result<(), RemoteError> {
+        // The index goes first: nobody then looks for the pack.
+        self.remove(pack.files.index.clone().into_iter()).await?;
+        self.remove(pack.files.pack.clone().into_iter()).await?;
+        self.done.packs += 1;
+        Ok(())
+    }
+
+    /// Writes what is needed of packs to new ones, then removes the old ones.
+    async fn merge(&mut self, packs: Vec<IndexedPack>, live: &HashSet<Digest>) -> Result<(), RemoteError> {
+        // One small pack alone would only be copied.
+        if let [pack] = packs.as_slice()
+            && !pack.is_mostly_unneeded(live)
+        {
+            self.done.kept_bytes += pack.bytes();
+            return Ok(());
+        }
+        self.done.kept_bytes += packs.iter().map(|pack| pack.needed_bytes(live)).sum::<u64>();
+        let mut new = HashSet::new();
+        if !self.options.dry_run {
+            let mut left = live.clone();
+            let mut writer = PackWriter::default();
+            for pack in &packs {
+                pack.move_to(self.bucket, &mut left, &mut writer).await?;
+                if writer.len() >= PACK_BYTES {
+                    new.insert(std::mem::take(&mut writer).finish().put(self.bucket).await?);
+                }
+            }
+            if writer.len() > 0 {
+                new.insert(writer.finish().put(self.bucket).await?);
+            }
+        }
+        self.done.new_packs = new.len() as u64;
+        // A pack of the same blobs in the same order is the same pack.
+        for pack in packs.iter().filter(|pack| !new.contains(&pack.id)) {
+            self.remove_pack(pack).await?;
+        }
+        Ok(())
+    }
+}
+
+impl IndexedPack {
+    fn objects(&self) -> impl Iterator<Item = &Listed> {
+        self.files.pack.iter().chain(&self.files.index)
+    }
+
+    fn bytes(&self) -> u64 {
+        self.objects().map(|object| object.bytes).sum()
+    }
+
+    fn needed(&self, live: &HashSet<Digest>) -> impl Iterator<Item = &Entry> {
+        self.entries.iter().filter(|entry| live.contains(&entry.digest))
+    }
+
+    fn needed_bytes(&self, live: &HashSet<Digest>) -> u64 {
+        self.needed(live).map(|entry| u64::from(entry.len)).sum()
+    }
+
+    /// Returns the length of the pack itself.
+    fn len(&self) -> u64 {
+        self.files.pack.as_ref().map_or(0, |pack| pack.bytes)
+    }
+
+    fn is_mostly_unneeded(&self, live: &HashSet<Digest>) -> bool {
+        (self.needed_bytes(live) as f64) < LEAST_SHARE * self.len() as f64
+    }
+
+    /// Adds what is left to be moved of this pack to another, once where several packs have it.
+    async fn move_to(
+        &self,
+        bucket: &Bucket,
+        left: &mut HashSet<Digest>,
+        to: &mut PackWriter,
+    ) -> Result<(), RemoteError> {
+        let name = names::pack(&self.id);
+        let bytes = bucket.get(&name).await?;
+        let bytes = bytes.ok_or_else(|| bucket.damaged(&name, "its index is there, and it is not"))?;
+        for entry in &self.entries {
+            if !left.remove(&entry.digest) {
+                continue;
+            }
+            let blob = entry.of(&bytes).filter(|blob| Digest::of(blob) == entry.digest);
+            let what = format!("it does not hold the blob {}", entry.digest.short());
+            to.add(entry.digest, blob.ok_or_else(|| bucket.damaged(&name, &what))?);
+        }
+        Ok(())
+    }
+}

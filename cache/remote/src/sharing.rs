@@ -1,0 +1,202 @@
+//! A shared store beside a run: results are fetched before they are made, and sent when they are made.
+
+use std::{
+    fmt,
+    path::{Path, PathBuf},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+        mpsc::{self, Receiver, Sender},
+    },
+    thread::{self, JoinHandle},
+    time::{Duration, Instant},
+};
+
+use marf_cache::{Digest, Store};
+
+use crate::{
+    address::Patience,
+    conflict::in_words,
+    error::RemoteError,
+    remote::{Observer, Progress, Remote},
+    sealed::RemoteRun,
+};
+
+/// A result that would take longer to fetch than it took to make is made, but so long is waited for each.
+const LEAST_WAIT: Duration = Duration::from_secs(10);
+
+/// Wait for the end of a request after which nothing more is sent.
+const LAST_WAIT: Duration = Duration::from_secs(2);
+/// Pause between two looks whether everything is sent.
+const LOOK_INTERVAL: Duration = Duration::from_millis(10);
+
+/// Tells people of something.
+type Warn = Arc<dyn Fn(String) + Send + Sync>;
+
+/// A shared store beside a run. What goes wrong is told once, and the run goes on without it.
+pub struct Sharing {
+    link: Arc<Link>,
+    queue: Sender<Job>,
+    sender: JoinHandle<()>,
+}
+
+/// What the run and the thread that sends have in common.
+struct Link {
+    remote: Remote,
+    /// A handle of its own on the own store: it sees what is committed.
+    store: Store,
+    warn: Warn,
+    is_stopped: Arc<dyn Fn() -> bool + Send + Sync>,
+    /// Set after the first failure: a server that is away is not asked again.
+    is_away: AtomicBool,
+    /// Set when the run has waited long enough for what is being sent.
+    is_late: AtomicBool,
+}
+
+/// What the thread sends.
+enum Job {
+    Result(Digest),
+    Run(Box<RemoteRun>),
+    End,
+}
+
+impl Sharing {
+    /// Opens the shared store beside a run whose own store is in this folder.
+    ///
+    /// # Errors
+    /// A bad address, an environment without credentials, or an own store that cannot be opened.
+    pub fn start(
+        url: &str,
+        store: &Path,
+        warn: impl Fn(String) + Send + Sync + 'static,
+        is_stopped: impl Fn() -> bool + Send + Sync + 'static,
+    ) -> Result<Self, RemoteError> {
+        let link = Arc::new(Link {
+            remote: Remote::open(url, Patience::Impatient)?,
+            store: Store::open(PathBuf::from(store))?,
+            warn: Arc::new(warn),
+            is_stopped: Arc::new(is_stopped),
+            is_away: AtomicBool::new(false),
+            is_late: AtomicBool::new(false),
+        });
+        let (queue, jobs) = mpsc::channel();
+        let sending = Arc::clone(&link);
+        let sender = thread::spawn(move || sending.send_all(&jobs));
+        Ok(Self { link, queue, sender })
+    }
+
+    /// Fetches the results of keys that are there, each with all that belongs to it.
+    pub fn fetch(&self, keys: &[Digest]) {
+        let link = &self.link;
+        if link.is_away() {
+            return;
+        }
+        match link.remote.fetch(&link.store, keys, LEAST_WAIT, link.as_ref()) {
+            Ok(skipped) => skipped.into_iter().for_each(|error| link.tell(&error)),
+            Err(error) => link.give_up(&error),
+        }
+    }
+
+    /// Sends the result of a key, which is committed, when its turn comes.
+    pub fn offer(&self, key: &Digest) {
+        let _ = self.queue.send(Job::Result(*key));
+    }
+
+    /// Sends a run and waits at most so long until it and all results before it are sent; nothing is offered after it.
+    pub fn finish(&self, run: Option<RemoteRun>, patience: Duration) {
+        if let Some(run) = run {
+            let _ = self.queue.send(Job::Run(Box::new(run)));
+        }
+        let _ = self.queue.send(Job::End);
+        if !self.ends_within(patience) {
+            (self.link.warn)(format!(
+                "not all results are in the shared store {} yet: `marf cache push` sends the others",
+                self.link.remote.place()
+            ));
+            self.link.is_late.store(true, Ordering::Relaxed);
+            self.ends_within(LAST_WAIT);
+        }
+    }
+
+    fn ends_within(&self, patience: Duration) -> bool {
+        let began = Instant::now();
+        while !self.sender.is_finished() && began.elapsed() < patience && !(self.link.is_stopped)() {
+            thread::sleep(LOOK_INTERVAL);
+        }
+        self.sender.is_finished()
+    }
+}
+
+impl fmt::Debug for Sharing {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter
+            .debug_tuple("Sharing")
+            .field(&self.link.remote.place())
+            .finish()
+    }
+}
+
+impl Link {
+    fn is_away(&self) -> bool {
+        self.is_away.load(Ordering::Relaxed)
+    }
+
+    /// Sends jobs until the last; results that are ready at one time go together.
+    fn send_all(&self, jobs: &Receiver<Job>) {
+        let mut is_last = false;
+        while !is_last && let Ok(first) = jobs.recv() {
+            let mut keys = Vec::new();
+            let mut run = None;
+            for job in std::iter::once(first).chain(jobs.try_iter()) {
+                match job {
+                    Job::Result(key) => keys.push(key),
+                    Job::Run(last) => run = Some(last),
+                    Job::End => is_last = true,
+                }
+            }
+            let is_empty = keys.is_empty() && run.is_none();
+            if !is_empty
+                && !self.is_away()
+                && let Err(error) = self.send(&keys, run.as_deref())
+            {
+                self.give_up(&error);
+            }
+        }
+    }
+
+    fn send(&self, keys: &[Digest], run: Option<&RemoteRun>) -> Result<(), RemoteError> {
+        let pushed = match run {
+            None => self.remote.send(&self.store, keys, &[], self)?,
+            // A run names all its results.
+            Some(run) => self.remote.push(&self.store, run, self)?,
+        };
+        pushed
+            .conflicts
+            .iter()
+            .for_each(|conflict| (self.warn)(in_words(conflict)));
+        Ok(())
+    }
+
+    fn tell(&self, error: &RemoteError) {
+        (self.warn)(format!("{error}; it is made here"));
+    }
+
+    /// Tells of a failure, the first time.
+    fn give_up(&self, error: &RemoteError) {
+        if matches!(error, RemoteError::Stopped) || self.is_away.swap(true, Ordering::Relaxed) {
+            return;
+        }
+        let hint = error.hint().map(|hint| format!(" ({hint})")).unwrap_or_default();
+        (self.warn)(format!(
+            "{error}{hint}; the run goes on without the shared store, and `marf cache push` sends its results later"
+        ));
+    }
+}
+
+impl Observer for Link {
+    fn on_progress(&self, _progress: Progress) {}
+
+    fn is_stopped(&self) -> bool {
+        self.is_late.load(Ordering::Relaxed) || (self.is_stopped)()
+    }
+}

@@ -1,0 +1,114 @@
+//! A second level of the store: what is asked of it, and what it is told.
+
+use std::{
+    path::PathBuf,
+    sync::{Arc, Mutex},
+};
+
+use marf_cache::{Digest, Store};
+use marf_engine::{Cancel, Options, RunRecord, SharedResults};
+
+use crate::common::{EventLog, TestPipeline, fresh_store, new_fixture, options, ran, run_on, run_with};
+
+/// Another store on the same disk as the shared one.
+#[derive(Debug)]
+struct Neighbour {
+    from: PathBuf,
+    to: PathBuf,
+    offered: Mutex<Vec<Digest>>,
+}
+
+impl Neighbour {
+    fn between(from: &Store, to: &Store) -> Arc<Self> {
+        Arc::new(Self {
+            from: from.dir().to_owned(),
+            to: to.dir().to_owned(),
+            offered: Mutex::default(),
+        })
+    }
+}
+
+impl SharedResults for Neighbour {
+    fn fetch(&self, keys: &[Digest]) {
+        let (from, to) = (Store::open(&self.from).unwrap(), Store::open(&self.to).unwrap());
+        let mut keys = keys.to_vec();
+        while let Some(key) = keys.pop() {
+            let Some(record) = from.record(&key).unwrap() else {
+                continue;
+            };
+            let belongings = from.belongings(&record).unwrap();
+            for blob in &belongings.blobs {
+                to.put(&from.get(blob).unwrap()).unwrap();
+            }
+            keys.extend(belongings.keys);
+            to.put_record(record);
+        }
+        to.commit().unwrap();
+    }
+
+    fn offer(&self, key: &Digest) {
+        self.offered.lock().unwrap().push(*key);
+    }
+}
+
+/// Returns the pipeline on an archive of two shards.
+fn pipeline() -> TestPipeline {
+    let (number, fixture) = new_fixture();
+    fixture.put_shard(1);
+    fixture.put_shard(2);
+    TestPipeline::new(number)
+}
+
+fn run_beside(pipeline: &TestPipeline, store: &Store, shared: &Arc<Neighbour>) -> (RunRecord, EventLog) {
+    let options = Options {
+        shared: Some(Arc::clone(shared) as Arc<dyn SharedResults>),
+        ..options(2)
+    };
+    run_with(&pipeline.graph(), store, &options, &Cancel::default())
+}
+
+#[test]
+fn what_the_shared_store_has_is_not_made_and_comes_whole() {
+    let pipeline = pipeline();
+    let ((_here_dir, here), (_there_dir, there)) = (fresh_store(), fresh_store());
+    let (first, _) = run_on(&pipeline.graph(), &here);
+    let shared = Neighbour::between(&here, &there);
+    let (second, log) = run_beside(&pipeline, &there, &shared);
+    assert_eq!(ran(&log), Vec::<String>::new());
+    assert_eq!(
+        *shared.offered.lock().unwrap(),
+        Vec::<Digest>::new(),
+        "nothing new"
+    );
+    let keys: Vec<Digest> = first.nodes.iter().filter_map(|node| node.key).collect();
+    assert!(
+        second
+            .nodes
+            .iter()
+            .all(|node| node.key.is_none_or(|key| keys.contains(&key)))
+    );
+    let closure = there.closure(&keys, &[]).unwrap();
+    assert_eq!(closure.missing, here.closure(&keys, &[]).unwrap().missing);
+    assert_eq!(closure.keys, here.closure(&keys, &[]).unwrap().keys);
+}
+
+#[test]
+fn what_it_lacks_is_made_and_offered_once() {
+    let pipeline = pipeline();
+    let ((_here_dir, here), (_there_dir, there)) = (fresh_store(), fresh_store());
+    run_on(&pipeline.graph(), &here);
+    let shared = Neighbour::between(&here, &there);
+    let changed = TestPipeline { times: 2, ..pipeline };
+    let (record, log) = run_beside(&changed, &there, &shared);
+    let made = ran(&log);
+    assert!(
+        made.contains(&"sum".to_owned()) && !made.contains(&"archive".to_owned()),
+        "{made:?}"
+    );
+    let mut offered = shared.offered.lock().unwrap().clone();
+    let made = record.nodes.iter().filter(|node| made.contains(&node.name));
+    let mut made: Vec<Digest> = made.filter_map(|node| node.key).collect();
+    offered.sort_unstable();
+    made.sort_unstable();
+    assert_eq!(offered, made);
+}

@@ -1,0 +1,247 @@
+//! A shared store as its users meet it: runs that travel, and objects that are not what they should be.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+
+mod common;
+
+use std::path::{Path, PathBuf};
+
+use common::{Ran, marf};
+
+/// Filters and cameras of the built-in Mars, in a second.
+const PIPELINE: &str = concat!(
+    "name = \"shared\"\n[archive.photos]\nkind = \"demo\"\nsols = \"1\"\n",
+    include_str!("../src/cli/bench/five_nodes.toml"),
+    "[node.calibrate]\ninput = \"blur\"\nmethod = \"labels\"\n",
+);
+
+/// Folders with the same pipeline and stores of their own, and a folder that is shared.
+struct World {
+    dir: tempfile::TempDir,
+}
+
+impl World {
+    fn new() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        Self { dir }
+    }
+
+    fn url(&self) -> String {
+        format!("file://{}/shared", self.dir.path().display())
+    }
+
+    /// Returns a folder with the pipeline.
+    fn machine(&self, name: &str) -> PathBuf {
+        let folder = self.dir.path().join(name);
+        std::fs::create_dir_all(&folder).unwrap();
+        std::fs::write(folder.join("pipeline.toml"), PIPELINE).unwrap();
+        folder
+    }
+
+    /// Returns a folder with the pipeline, which names the shared store: runs fetch and send.
+    fn sharing_machine(&self, name: &str) -> PathBuf {
+        let folder = self.machine(name);
+        let store = format!("[store]\nremote = \"{}\"\n", self.url());
+        std::fs::write(folder.join("pipeline.toml"), format!("{PIPELINE}{store}")).unwrap();
+        folder
+    }
+
+    /// Runs `marf cache ARGS` with the address of the shared store.
+    fn cache(&self, folder: &Path, args: &[&str]) -> Ran {
+        let url = self.url();
+        marf(folder, &[&["cache"], args, &["--remote", &url]].concat())
+    }
+
+    /// Returns a file of the shared store below a folder with this ending.
+    fn file(&self, folder: &str, ending: &str) -> PathBuf {
+        let mut found = Vec::new();
+        collect(&self.dir.path().join("shared").join(folder), &mut found);
+        found.sort();
+        found
+            .into_iter()
+            .find(|path| path.to_string_lossy().ends_with(ending))
+            .unwrap()
+    }
+}
+
+fn collect(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        match path.is_dir() {
+            true => collect(&path, found),
+            false => found.push(path),
+        }
+    }
+}
+
+fn json(ran: &Ran) -> serde_json::Value {
+    serde_json::from_str(&ran.stdout).unwrap()
+}
+
+#[test]
+fn a_fresh_machine_that_pulls_runs_no_node() {
+    let world = World::new();
+    let (here, there) = (world.machine("here"), world.machine("there"));
+    marf(&here, &["run"]).exits(0);
+    let pushed = json(&world.cache(&here, &["push", "--json"]).exits(0));
+    assert_eq!(pushed["known_results"], 0);
+    assert_eq!(pushed["conflicts"], 0);
+    let pulled = json(&world.cache(&there, &["pull", "--json"]).exits(0));
+    assert_eq!(pulled["results"], pushed["results"]);
+    assert_eq!(pulled["blob_bytes"], pushed["blob_bytes"]);
+    assert_eq!(pulled["run"], pushed["run"]);
+    marf(&there, &["cache", "fsck", "--read-data"]).exits(0);
+    let ran = marf(&there, &["run", "--json"]).exits(0);
+    assert_eq!(ran.nodes("finished"), Vec::<String>::new());
+    let scene = |folder: &Path| std::fs::read(folder.join("out/calibrate/scene.json")).unwrap();
+    assert_eq!(scene(&here), scene(&there));
+}
+
+#[test]
+fn a_second_push_and_a_second_pull_find_everything_there() {
+    let world = World::new();
+    let (here, there) = (world.machine("here"), world.machine("there"));
+    marf(&here, &["run"]).exits(0);
+    world.cache(&here, &["push"]).exits(0);
+    let again = json(&world.cache(&here, &["push", "--json"]).exits(0));
+    assert_eq!((&again["results"], &again["blobs"]), (&0.into(), &0.into()));
+    world.cache(&there, &["pull"]).exits(0);
+    let again = json(&world.cache(&there, &["pull", "--json"]).exits(0));
+    assert_eq!((&again["results"], &again["blobs"]), (&0.into(), &0.into()));
+    assert_eq!(again["number"], 1, "a run that is there is not added twice");
+}
+
+#[test]
+fn a_poisoned_object_is_named_and_a_run_makes_its_own() {
+    let world = World::new();
+    let (here, there) = (world.machine("here"), world.sharing_machine("there"));
+    marf(&here, &["run"]).exits(0);
+    world.cache(&here, &["push"]).exits(0);
+    for (folder, ending) in [("packs", ".pack"), ("packs", ".idx"), ("records", "")] {
+        let path = world.file(folder, ending);
+        let whole = std::fs::read(&path).unwrap();
+        let mut bytes = whole.clone();
+        bytes[whole.len() / 2] ^= 1;
+        std::fs::write(&path, bytes).unwrap();
+        let ran = marf(&there, &["cache", "pull"]).exits(1);
+        assert!(ran.stderr.contains("is damaged"), "{folder}: {}", ran.stderr);
+        assert!(ran.stderr.contains(&world.url()), "{folder}: {}", ran.stderr);
+        assert!(ran.stderr.contains("hint: "), "{folder}: {}", ran.stderr);
+        std::fs::write(&path, whole).unwrap();
+    }
+    let path = world.file("packs", ".pack");
+    let len = std::fs::metadata(&path).unwrap().len();
+    std::fs::write(&path, vec![0; len as usize]).unwrap();
+    let ran = marf(&there, &["run", "--json"]).exits(0);
+    assert!(!ran.nodes("finished").is_empty());
+    assert!(ran.stderr.contains("is damaged"), "{}", ran.stderr);
+    marf(&there, &["cache", "fsck", "--read-data"]).exits(0);
+
+    let ran = marf(&there, &["cache", "fsck", "--remote", "--read-data"]).exits(1);
+    assert!(ran.stdout.contains("have another digest"), "{}", ran.stdout);
+    marf(&there, &["cache", "fsck", "--remote", "--read-data", "--repair"]).exits(0);
+    marf(&there, &["cache", "push"]).exits(0);
+    world.cache(&there, &["fsck", "--read-data"]).exits(0);
+    let gc = ["gc", "--grace", "0s", "--json"];
+    let done = json(&world.cache(&there, &gc).exits(0));
+    assert_eq!(done["collected"]["missing"], 0);
+    let fresh = world.machine("fresh");
+    world.cache(&fresh, &["pull"]).exits(0);
+}
+
+#[test]
+fn what_is_not_there_is_told_with_the_way_out() {
+    let world = World::new();
+    let there = world.machine("there");
+    let ran = world.cache(&there, &["pull"]).exits(1);
+    assert!(
+        ran.stderr.contains("there is no shared store at file://"),
+        "{}",
+        ran.stderr
+    );
+    let ran = world.cache(&there, &["push"]).exits(1);
+    assert!(ran.stderr.contains("there is no"), "{}", ran.stderr);
+    let ran = marf(&there, &["cache", "pull", "--remote", "http://user:secret@mars"]).exits(2);
+    assert!(
+        ran.stderr.contains("is no address of a shared store"),
+        "{}",
+        ran.stderr
+    );
+    assert!(!ran.stderr.contains("secret"), "{}", ran.stderr);
+
+    let here = world.machine("here");
+    marf(&here, &["run"]).exits(0);
+    world.cache(&here, &["push"]).exits(0);
+    let url = world.url();
+    let ran = marf(
+        &there,
+        &["--set", "name=other", "cache", "pull", "--remote", &url],
+    )
+    .exits(1);
+    assert!(
+        ran.stderr.contains("has no run of the pipeline `other`"),
+        "{}",
+        ran.stderr
+    );
+    let run = ran
+        .stderr
+        .lines()
+        .last()
+        .unwrap()
+        .rsplit(' ')
+        .next()
+        .unwrap()
+        .to_owned();
+    marf(
+        &there,
+        &["cache", "pull", "--run", &run, "--remote", &world.url()],
+    )
+    .exits(0);
+}
+
+#[test]
+fn the_shared_store_is_in_no_key() {
+    let world = World::new();
+    let here = world.machine("here");
+    marf(&here, &["run"]).exits(0);
+    let ran = marf(&world.sharing_machine("here"), &["run", "--json"]).exits(0);
+    assert_eq!(ran.nodes("finished"), Vec::<String>::new());
+    assert!(
+        !world.dir.path().join("shared").join("format").exists(),
+        "nothing is asked or sent"
+    );
+}
+
+#[test]
+fn a_run_fetches_what_another_machine_has_made_and_sends_what_it_made() {
+    let world = World::new();
+    let (here, there) = (world.sharing_machine("here"), world.sharing_machine("there"));
+    let first = marf(&here, &["run", "--json"]).exits(0);
+    assert!(!first.stderr.contains("warning"), "{}", first.stderr);
+    let second = marf(&there, &["run", "--json"]).exits(0);
+    assert_eq!(
+        second.nodes("finished"),
+        Vec::<String>::new(),
+        "{}",
+        second.stderr
+    );
+    assert!(!first.nodes("finished").is_empty());
+    marf(&there, &["cache", "fsck", "--read-data"]).exits(0);
+    // What no machine has made is made, and comes back to the first.
+    let run = |folder: &Path| marf(folder, &["run", "--json", "--set", "blur.min_share=0.1"]).exits(0);
+    assert!(run(&there).nodes("finished").contains(&"blur".to_owned()));
+    assert_eq!(run(&here).nodes("finished"), Vec::<String>::new());
+}
+
+#[test]
+fn a_shared_store_that_is_away_is_told_once_and_stops_no_run() {
+    let world = World::new();
+    let here = world.sharing_machine("here");
+    std::fs::write(world.dir.path().join("shared"), "a file").unwrap();
+    let ran = marf(&here, &["run"]).exits(0);
+    assert_eq!(
+        ran.stderr.matches("goes on without the shared store").count(),
+        1,
+        "{}",
+        ran.stderr
+    );
+}

@@ -1,0 +1,224 @@
+//! A shared store in a bucket: an S3 server on a loopback port, and servers that misbehave.
+//!
+//! The server is moto, installed with pip into `target/moto`; without Python or a package index its test says so and is
+//! skipped.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test that cannot go on should stop; a skipped test says so"
+)]
+
+mod common;
+
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use common::{Ran, marf};
+
+const PACKAGE: &str = "moto[server]==5.2.5";
+const SECRET: &str = "do-not-show-this";
+
+/// Filters of the built-in Mars, in a second.
+const PIPELINE: &str = concat!(
+    "name = \"shared\"\n[store]\nremote = \"s3://mars/team/results\"\n",
+    "[archive.photos]\nkind = \"demo\"\nsols = \"1\"\n",
+    include_str!("../src/cli/bench/five_nodes.toml"),
+);
+
+fn machine() -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("pipeline.toml"), PIPELINE).unwrap();
+    dir
+}
+
+/// Runs `marf ARGS` with credentials for the server at this address.
+fn marf_at(server: SocketAddr, folder: &Path, args: &[&str]) -> Ran {
+    let output = Command::new(env!("CARGO_BIN_EXE_marf"))
+        .current_dir(folder)
+        .args(args)
+        .stdin(Stdio::null())
+        .env("AWS_ACCESS_KEY_ID", "id")
+        .env("AWS_SECRET_ACCESS_KEY", SECRET)
+        .env("AWS_ENDPOINT_URL", format!("http://{server}"))
+        .env("AWS_ALLOW_HTTP", "true")
+        .output()
+        .unwrap();
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    let ran = Ran {
+        code: output.status.code().unwrap_or(-1),
+        stdout: text(&output.stdout),
+        stderr: text(&output.stderr),
+    };
+    assert!(
+        !ran.stdout.contains(SECRET) && !ran.stderr.contains(SECRET),
+        "{}",
+        ran.stderr
+    );
+    ran
+}
+
+/// A program that is killed at the end of the test.
+struct Server {
+    child: Child,
+    address: SocketAddr,
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Installs moto and returns its program; none, with a line that says why, if it cannot be installed.
+fn moto() -> Option<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("target/moto");
+    let stamp = folder.join("installed.txt");
+    if !std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == PACKAGE) {
+        let run = |program: &Path, args: &[&str]| {
+            let done = Command::new(program)
+                .args(args)
+                .stdout(Stdio::null())
+                .stderr(Stdio::null())
+                .status();
+            done.is_ok_and(|status| status.success())
+        };
+        let install = ["-m", "pip", "install", "--quiet", PACKAGE];
+        if !run(Path::new("python3"), &["-m", "venv", folder.to_str().unwrap()])
+            || !run(&folder.join("bin/python"), &install)
+        {
+            println!("skipped: {PACKAGE} cannot be installed");
+            return None;
+        }
+        std::fs::write(&stamp, PACKAGE).unwrap();
+    }
+    Some(folder.join("bin/moto_server"))
+}
+
+/// Starts an S3 server with a bucket `mars`.
+fn s3() -> Option<Server> {
+    let program = moto()?;
+    let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let child = Command::new(program)
+        .args(["-H", "127.0.0.1", "-p", &address.port().to_string()])
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let server = Server { child, address };
+    let began = Instant::now();
+    while !make_bucket(address) {
+        assert!(began.elapsed() < Duration::from_secs(60), "moto does not answer");
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    Some(server)
+}
+
+fn make_bucket(server: SocketAddr) -> bool {
+    let Ok(mut stream) = TcpStream::connect(server) else {
+        return false;
+    };
+    let request =
+        format!("PUT /mars HTTP/1.1\r\nHost: {server}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n");
+    let mut answer = String::new();
+    stream.write_all(request.as_bytes()).is_ok()
+        && stream.read_to_string(&mut answer).is_ok()
+        && answer.starts_with("HTTP/1.1 200")
+}
+
+/// Answers every request on a port of its own as told; a server without an answer reads and says nothing.
+fn misbehaving(answer: Option<&'static str>) -> SocketAddr {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    std::thread::spawn(move || {
+        for stream in listener.incoming().map_while(Result::ok) {
+            std::thread::spawn(move || serve(stream, answer));
+        }
+    });
+    address
+}
+
+fn serve(mut stream: TcpStream, answer: Option<&str>) {
+    let mut buffer = [0; 1 << 16];
+    while matches!(stream.read(&mut buffer), Ok(1..)) {
+        if let Some(answer) = answer
+            && stream.write_all(answer.as_bytes()).is_err()
+        {
+            return;
+        }
+    }
+}
+
+#[test]
+fn a_run_travels_through_a_bucket() {
+    let Some(server) = s3() else { return };
+    let (here, there) = (machine(), machine());
+    marf(here.path(), &["run", "--offline"]).exits(0);
+    let at = |folder: &tempfile::TempDir, args: &[&str]| marf_at(server.address, folder.path(), args);
+    at(&here, &["cache", "push"]).exits(0);
+    let again = at(&here, &["cache", "push", "--json"]).exits(0);
+    assert!(again.stdout.contains("\"results\": 0"), "{}", again.stdout);
+    at(&there, &["cache", "pull"]).exits(0);
+    let ran = marf(there.path(), &["run", "--offline", "--json"]).exits(0);
+    assert_eq!(ran.nodes("finished"), Vec::<String>::new());
+    at(&there, &["cache", "fsck", "--remote", "--read-data"]).exits(0);
+
+    // Beside a run: what one machine has made, another fetches.
+    let fresh = machine();
+    let set = ["run", "--json", "--set", "blur.min_share=0.1"];
+    let made = at(&here, &set).exits(0);
+    assert_eq!(made.nodes("finished"), ["blur"]);
+    let fetched = at(&fresh, &set).exits(0);
+    assert_eq!(
+        fetched.nodes("finished"),
+        Vec::<String>::new(),
+        "{}",
+        fetched.stderr
+    );
+    at(
+        &here,
+        &["cache", "gc", "--remote", "--keep-last", "1", "--grace", "0s"],
+    )
+    .exits(0);
+    at(&machine(), &["cache", "pull"]).exits(0);
+}
+
+#[test]
+fn a_server_that_refuses_fails_or_is_silent_is_one_clear_error_and_stops_no_run() {
+    let refuses = "HTTP/1.1 403 Forbidden\r\nContent-Length: 22\r\n\r\n<Key>do-not-show-this</";
+    let fails = "HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\n\r\n";
+    let cut = "HTTP/1.1 200 OK\r\nContent-Length: 1000\r\nETag: \"1\"\r\nLast-Modified: Mon, 23 Nov 2026 17:00:00 GMT\r\nConnection: close\r\n\r\nhalf";
+    let nobody = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let servers = [
+        (misbehaving(Some(refuses)), "does not allow"),
+        (misbehaving(Some(fails)), "503"),
+        (misbehaving(Some(cut)), "cannot"),
+        (misbehaving(None), "cannot"),
+        (nobody, "cannot"),
+    ];
+    let folder = machine();
+    marf(folder.path(), &["run", "--offline"]).exits(0);
+    for (number, (server, text)) in servers.into_iter().enumerate() {
+        let share = format!("blur.min_share=0.{}", number + 1);
+        let began = Instant::now();
+        let ran = marf_at(server, folder.path(), &["run", "--json", "--set", &share]).exits(0);
+        let took = began.elapsed();
+        assert_eq!(ran.nodes("finished"), ["blur"], "{text}");
+        assert!(ran.stderr.contains(text), "{text}: {}", ran.stderr);
+        let told = ran.stderr.matches("goes on without the shared store").count();
+        assert_eq!(told, 1, "{text}: {}", ran.stderr);
+        assert!(took < Duration::from_secs(60), "{text}: {took:?}");
+    }
+}
+
+#[test]
+fn without_credentials_a_verb_says_so_and_a_run_goes_on() {
+    let folder = machine();
+    let ran = marf(folder.path(), &["cache", "pull"]).exits(2);
+    assert!(ran.stderr.contains("AWS_ACCESS_KEY_ID"), "{}", ran.stderr);
+    let ran = marf(folder.path(), &["run"]).exits(0);
+    assert!(ran.stderr.contains("no credentials"), "{}", ran.stderr);
+}
