@@ -96,7 +96,7 @@ impl Site {
         ] {
             let path = site.stub().join(name);
             std::fs::write(&path, script).unwrap();
-            std::fs::set_permissions(&path, PermissionsExt::from_mode(0o755)).unwrap();
+            std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
         }
         let path = |name: &str| site.dir.path().join(name).display().to_string();
         let (store, jobs, stub) = (path("shared"), path("jobs"), site.stub().display().to_string());

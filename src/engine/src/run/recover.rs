@@ -89,7 +89,9 @@ fn producers(state: &RunState<'_>, index: usize, lost: &Digest) -> BTreeSet<usiz
     if own.any(|&task| has_stored(task)) {
         return BTreeSet::new();
     }
-    let connections = graph.nodes[root].connections.iter();
+    // An action that runs alone has no node of the graph upstream.
+    let node = graph.nodes.get(root).into_iter();
+    let connections = node.flat_map(|node| &node.connections);
     connections.map(|connection| connection.upstream).collect()
 }
 

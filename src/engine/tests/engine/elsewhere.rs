@@ -142,11 +142,11 @@ fn nodes_computed_elsewhere_are_those_computed_here() {
     assert_eq!(
         names,
         [
-            "many/draw-0",
-            "many/draw-1",
-            "many/draw-2",
-            "many/draw-3",
-            "many/draw-4",
+            "many/member-00",
+            "many/member-01",
+            "many/member-02",
+            "many/member-03",
+            "many/member-04",
             "sum"
         ]
     );
