@@ -11,9 +11,11 @@ use futures_util::TryStreamExt;
 use object_store::{
     Error, ObjectMeta, ObjectStore, ObjectStoreExt, PutMode, PutOptions, PutPayload, path::Path,
 };
+use tokio::sync::Mutex;
 
 use crate::{
     address::{Address, Patience},
+    catalogue::Catalogue,
     error::RemoteError,
 };
 
@@ -43,6 +45,8 @@ pub(crate) struct Bucket {
     pub(crate) place: String,
     root: Path,
     objects: Box<dyn ObjectStore>,
+    /// What is known of its packs.
+    pub(crate) catalogue: Mutex<Catalogue>,
     requests: AtomicU64,
     sent_bytes: AtomicU64,
     received_bytes: AtomicU64,
@@ -56,6 +60,7 @@ impl Bucket {
             place: url.to_owned(),
             root,
             objects,
+            catalogue: Mutex::default(),
             requests: AtomicU64::new(0),
             sent_bytes: AtomicU64::new(0),
             received_bytes: AtomicU64::new(0),
