@@ -28,7 +28,7 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 25] = [
+const CRATES: [Crate; 26] = [
     row("shaders", "marf-shaders", &[]),
     row("cache/derive", "marf-cache-derive", &[]),
     row("cache", "marf-cache", &["marf-cache-derive"]),
@@ -128,6 +128,11 @@ const CRATES: [Crate; 25] = [
     ),
     row("src/engine", "marf-engine", &["marf-cache", "marf-stage"]),
     row(
+        "src/cluster",
+        "marf-cluster",
+        &["marf-cache", "marf-remote", "marf-stage", "marf-engine"],
+    ),
+    row(
         "src/export",
         "marf-export",
         &["marf-cache", "marf-stage", "marf-engine"],
@@ -158,6 +163,7 @@ const CRATES: [Crate; 25] = [
                 "marf-schema",
                 "marf-stages",
                 "marf-engine",
+                "marf-cluster",
                 "marf-export",
                 "marf-provenance",
                 "marf-view",

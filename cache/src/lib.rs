@@ -20,7 +20,7 @@ pub use marf_cache_derive::ContentHash;
 pub use store::{
     Belongings, Closure, Conflict, Fault, FsckOptions, FsckReport, GcPlan, GcReport, LostDocument,
     MigratedNode, Migration, Missing, Output, Record, Role, Roots, RunMetadata, SetError, StageStat, Store,
-    StoreError, StoreStat, digest_list, read_digest_list,
+    StoreError, StoreStat, Upstream, digest_list, read_digest_list,
 };
 
 #[doc(hidden)]

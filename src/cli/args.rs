@@ -11,6 +11,7 @@ use super::audit::AuditArgs;
 use super::bench::BenchVerb;
 use super::cache::CacheVerb;
 use super::diff::DiffArgs;
+use super::exec::ExecArgs;
 use super::replay::ReplayArgs;
 use crate::config::GlobalOptions;
 
@@ -112,6 +113,8 @@ pub enum Verb {
         #[arg(long)]
         files: bool,
     },
+    /// Compute one action, its inputs from a shared store and its result into it: what a job of a batch system runs
+    Exec(ExecArgs),
     /// Show the nodes of the last run
     Status,
     /// List the runs so far
@@ -233,6 +236,19 @@ pub struct RunArgs {
     /// Write what ran when, for Perfetto or chrome://tracing
     #[arg(long, value_name = "FILE")]
     pub trace: Option<PathBuf>,
+    /// Have nodes computed as jobs of this batch system, as the site file says
+    #[arg(long, value_enum, value_name = "SYSTEM")]
+    pub on: Option<BatchSystem>,
+    /// The site file: shared store, folder of jobs, commands and limits of the batch system; in no key
+    #[arg(long, value_name = "FILE", default_value = "site.toml")]
+    pub site: PathBuf,
+}
+
+/// A batch system.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum BatchSystem {
+    /// Slurm; others by `template` and `commands` of the site file
+    Slurm,
 }
 
 /// Arguments of `filter`.

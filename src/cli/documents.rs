@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use marf_cache::{Digest, Output, canonical_json};
+use marf_cache::{Action, Digest, Output, canonical_json};
 use marf_engine::{NodeRun, NodeState, RunRecord, action_at, document};
 use serde_json::Value;
 
@@ -14,6 +14,9 @@ pub type Documents = BTreeMap<String, Output>;
 
 /// Key of stages that can run on several devices.
 const DEVICE: &str = "device";
+
+/// Key of the stage `partial` that holds its training.
+const TRAINING: &str = "train";
 
 /// Stores a document.
 ///
@@ -56,14 +59,30 @@ fn resolved(session: &Session, record: &RunRecord) -> Result<Value, CliError> {
 
 /// Sets `device = "cpu"` in the table of a node of a pipeline, if its stage can run on several devices.
 pub fn put_on_cpu(tree: &mut Value, node: &NodeRun) {
-    let has_device = marf_stages::stages()
-        .iter()
-        .filter(|def| def.name == node.stage)
-        .any(|def| (def.schema)().to_value()["properties"].get(DEVICE).is_some());
+    let has_device = has_key(&node.stage, DEVICE);
     let table = tree["node"].get_mut(&node.name).and_then(Value::as_object_mut);
     if let Some(table) = table.filter(|_| has_device) {
         table.insert(DEVICE.to_owned(), "cpu".into());
     }
+}
+
+/// Returns the parameters of an action with the device of its backend, which is in no key; `partial` has its in the table of the training.
+pub fn params_of(action: &Action) -> Value {
+    let on_gpu = action.backend.is_some() || action.children.values().any(|child| child.backend.is_some());
+    let device = Value::from(if on_gpu { "gpu" } else { "cpu" });
+    let mut params = action.params.clone();
+    if has_key(&action.stage, DEVICE) {
+        params[DEVICE] = device;
+    } else if has_key(&action.stage, TRAINING) {
+        params[TRAINING][DEVICE] = device;
+    }
+    params
+}
+
+/// Tells whether a stage has a parameter.
+fn has_key(stage: &str, key: &str) -> bool {
+    let mut stages = marf_stages::stages().iter().filter(|def| def.name == stage);
+    stages.any(|def| (def.schema)().to_value()["properties"].get(key).is_some())
 }
 
 /// Returns the document that the last run of the pipeline has under a name, if this run did nothing for the nodes that it shows and

@@ -14,6 +14,8 @@ pub enum CliError {
     Usage(Diagnostic),
     /// Something was made by a newer version: exit code 8.
     Newer(Diagnostic),
+    /// Another marf or another machine must do it: exit code 10.
+    Elsewhere(Diagnostic),
     /// Another process holds the store: exit code 11.
     Locked(Diagnostic),
     /// The verb has answered, and the answer has an exit code of its own.
@@ -112,40 +114,44 @@ impl CliError {
         Self::Usage(Diagnostic::new(message))
     }
 
-    /// Returns the exit code: 1, 2, 8, 11, 130, or that of an answer.
+    /// Returns the exit code: 1, 2, 8, 10, 11, 130, or that of an answer.
     pub fn code(&self) -> ExitCode {
         match self {
             Self::Failed(_) => ExitCode::from(1),
             Self::Usage(_) => ExitCode::from(2),
             Self::Newer(_) => ExitCode::from(8),
+            Self::Elsewhere(_) => ExitCode::from(10),
             Self::Locked(_) => ExitCode::from(11),
             Self::Answered(answer, _) => ExitCode::from(answer.code()),
             Self::Interrupted => ExitCode::from(130),
         }
     }
 
-    /// Returns the message alone.
-    pub fn message(&self) -> &str {
+    /// Returns the text; none after Ctrl-C.
+    pub fn diagnostic(&self) -> Option<&Diagnostic> {
         match self {
             Self::Failed(diagnostic)
             | Self::Usage(diagnostic)
             | Self::Newer(diagnostic)
+            | Self::Elsewhere(diagnostic)
             | Self::Locked(diagnostic)
-            | Self::Answered(_, diagnostic) => &diagnostic.message,
-            Self::Interrupted => "stopped",
+            | Self::Answered(_, diagnostic) => Some(diagnostic),
+            Self::Interrupted => None,
         }
+    }
+
+    /// Returns the message alone.
+    pub fn message(&self) -> &str {
+        self.diagnostic()
+            .map_or("stopped", |diagnostic| &diagnostic.message)
     }
 
     /// Returns what to print to stderr.
     pub fn render(&self) -> String {
-        match self {
-            Self::Failed(diagnostic)
-            | Self::Usage(diagnostic)
-            | Self::Newer(diagnostic)
-            | Self::Locked(diagnostic)
-            | Self::Answered(_, diagnostic) => diagnostic.render(),
-            Self::Interrupted => "stopped; what was computed is kept, run again to go on".to_owned(),
-        }
+        self.diagnostic().map_or_else(
+            || "stopped; what was computed is kept, run again to go on".to_owned(),
+            Diagnostic::render,
+        )
     }
 }
 

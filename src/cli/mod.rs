@@ -12,6 +12,7 @@ mod copies;
 mod diff;
 mod documents;
 mod error;
+mod exec;
 mod export;
 mod export_table;
 mod file_state;
@@ -23,6 +24,7 @@ mod init;
 mod log;
 mod man;
 mod manual_lists;
+mod on;
 mod output;
 mod photos;
 mod plan;
@@ -97,6 +99,7 @@ fn dispatch(cli: &Cli, cancel: &Cancel) -> Result<(), CliError> {
         Verb::Audit(args) => audit::audit(global, args, cancel),
         Verb::Diff(args) => diff::diff(global, args, cancel),
         Verb::Replay(args) => replay::replay(global, args, cancel),
+        Verb::Exec(args) => exec::exec(global, args, cancel),
         Verb::Cache { verb } => cache::cache(global, verb, cancel),
         Verb::Filter(args) => filter::filter(global, args, cancel),
         Verb::Photos { dir, node } => photos::photos(global, dir.as_deref(), node, cancel),

@@ -49,12 +49,19 @@ pub fn plan(global: &Global, selection: &Selection, cancel: &Cancel) -> Result<(
     for node in &nodes {
         print_line(&line(node));
     }
-    let runs = nodes
-        .iter()
-        .filter(|node| node.state == PlanState::WillRun)
-        .count();
-    print_line(&format!("{runs} of {} nodes will run", nodes.len()));
+    print_line(&summary(&nodes));
     Ok(())
+}
+
+/// Returns how many nodes will run, and how many may.
+fn summary(nodes: &[PlannedNode]) -> String {
+    let count = |state: PlanState| nodes.iter().filter(|node| node.state == state).count();
+    let (will, may) = (count(PlanState::WillRun), count(PlanState::MayRun));
+    let will = format!("{will} of {} nodes will run", nodes.len());
+    match may {
+        0 => will,
+        may => format!("{will}; {may} may, if what is upstream of them comes out otherwise than before"),
+    }
 }
 
 /// Returns the session with its nodes for each scene, as far as they are known without running anything: those that the photos are
@@ -67,7 +74,7 @@ fn known(session: Session, global: &Global) -> Result<Session, CliError> {
     let nodes = marf_engine::plan(&session.graph, &session.store, last.as_ref(), global.threads)?;
     let split = nodes.iter().find(|node| node.node == by_scene.split);
     let key = split
-        .filter(|node| node.state != PlanState::WillRun)
+        .filter(|node| !node.state.is_open())
         .and_then(|node| node.key);
     let record = key.map(|key| session.store.record(&key)).transpose()?.flatten();
     let digest = record.and_then(|record| record.outputs.get(Scenes::OUTPUT).map(|output| output.digest));
@@ -81,8 +88,8 @@ fn known(session: Session, global: &Global) -> Result<Session, CliError> {
 
 /// Returns the line of a node: state, reason, what it will look at, how long it took last.
 fn line(node: &PlannedNode) -> String {
-    let mut line = format!("{:<16} {:<9} {}", node.node, word(node.state), node.reason);
-    if node.state == PlanState::WillRun {
+    let mut line = format!("{:<16} {:<9} {}", node.node, node.state.word(), node.reason);
+    if node.state.is_open() {
         let looks = node.extent.map(|extent| looks_at(&extent));
         let took = node
             .needs
@@ -127,7 +134,7 @@ pub fn why(global: &Global, node: &str, files: bool, cancel: &Cancel) -> Result<
     print_line(&format!(
         "{} ({}): {}",
         planned.node,
-        word(planned.state),
+        planned.state.word(),
         planned.reason
     ));
     print_changes(&planned);
@@ -140,13 +147,5 @@ fn print_changes(planned: &PlannedNode) {
     }
     for change in &planned.changes {
         print_line(&format!("  {change}"));
-    }
-}
-
-fn word(state: PlanState) -> &'static str {
-    match state {
-        PlanState::Fresh => "fresh",
-        PlanState::Cached => "cached",
-        PlanState::WillRun => "will run",
     }
 }

@@ -18,7 +18,7 @@ use super::error::{CliError, Diagnostic};
 use super::export::Exported;
 use super::session::{NodeInfo, Session, warn};
 use super::shared::Shared;
-use super::{export, files, manual_lists, program, report, scenes, verdicts};
+use super::{export, files, manual_lists, on, program, report, scenes, verdicts};
 use crate::emptied;
 use crate::progress::{Began, EventFile, JsonLines, Progress, Trace, duration, event_folder};
 use crate::terminal::{eprint_line, print_line};
@@ -31,6 +31,7 @@ pub fn run(global: &Global, args: &RunArgs, cancel: &Cancel) -> Result<(), CliEr
     let options = Options {
         to,
         from,
+        executor: on::executor(args)?,
         ..options(global, &session.name)
     };
     let (record, ended) = run_and_export(&session, &options, global, args, cancel)?;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use marf_cache::manifest::ManifestError;
 use marf_cache::{Digest, Store, StoreError};
-use marf_engine::{Cancel, EngineError, Graph, GraphError, NodeDecl, NodeRun, Outcome, RunRecord};
+use marf_engine::{Cancel, EngineError, Graph, GraphError, Listings, NodeDecl, NodeRun, Outcome, RunRecord};
 use marf_provenance::LineageError;
 use marf_schema::bootstrap;
 use marf_schema::scenes::Scenes;
@@ -56,6 +56,8 @@ pub struct Session {
     pub by_scene: Option<ByScene>,
     /// Names of the scenes that nodes run for.
     pub scenes: Vec<String>,
+    /// What its archives have told.
+    listings: Listings,
     /// Address of the store that results are shared through.
     pub remote: Option<String>,
     /// Whether the user wants to stop.
@@ -84,7 +86,13 @@ impl Session {
         let loaded = config::load(&global.file, &global.sets, &global.options())?;
         let unnamed = || unnamed(&global.file);
         let store = open_store(&store_dir(global, &global.file), cancel)?;
-        Self::of((loaded.pipeline, loaded.text), unnamed, store, cancel)
+        Self::of(
+            (loaded.pipeline, loaded.text),
+            unnamed,
+            store,
+            Listings::default(),
+            cancel,
+        )
     }
 
     /// Loads the text of a pipeline that a verb has built for one folder.
@@ -105,6 +113,7 @@ impl Session {
             (pipeline, text.to_owned()),
             || "built-in".to_owned(),
             store,
+            Listings::default(),
             cancel,
         )
     }
@@ -120,7 +129,13 @@ impl Session {
         store: Store,
         cancel: &Cancel,
     ) -> Result<Self, CliError> {
-        let mut session = Self::of((pipeline, written), String::new, store, cancel)?;
+        let mut session = Self::of(
+            (pipeline, written),
+            String::new,
+            store,
+            Listings::default(),
+            cancel,
+        )?;
         session.name = name;
         Ok(session)
     }
@@ -129,6 +144,7 @@ impl Session {
         (pipeline, written): (Pipeline, String),
         unnamed: impl FnOnce() -> String,
         store: Store,
+        listings: Listings,
         cancel: &Cancel,
     ) -> Result<Self, CliError> {
         let info = |node: &config::Node| NodeInfo {
@@ -139,7 +155,7 @@ impl Session {
         };
         let nodes = pipeline.nodes.iter().map(info).collect();
         let by_scene = ByScene::of(&pipeline);
-        let graph = graph_of(pipeline.nodes)?;
+        let graph = graph_of(pipeline.nodes)?.sharing(&listings);
         Ok(Self {
             name: pipeline.name.unwrap_or_else(unnamed),
             graph,
@@ -150,6 +166,7 @@ impl Session {
             remote: pipeline.remote,
             by_scene,
             scenes: Vec::new(),
+            listings,
             cancel: cancel.clone(),
         })
     }
@@ -168,12 +185,12 @@ impl Session {
         let base = global.file.parent().unwrap_or(Path::new(""));
         let pipeline = config::check_tree(&tree, &global.options(), base)
             .map_err(|error| CliError::usage(format!("the pipeline by scene: {}", error.message)))?;
-        let (store, cancel) = (self.store, self.cancel);
+        let (store, listings, cancel) = (self.store, self.listings, self.cancel);
         Ok(Self {
             name: self.name,
             scenes: names,
             by_scene: self.by_scene,
-            ..Self::of((pipeline, self.written), String::new, store, &cancel)?
+            ..Self::of((pipeline, self.written), String::new, store, listings, &cancel)?
         })
     }
 

@@ -15,6 +15,7 @@ help_of! {
     help_run: "run", "--help";
     help_plan: "plan", "--help";
     help_why: "why", "--help";
+    help_exec: "exec", "--help";
     help_status: "status", "--help";
     help_log: "log", "--help";
     help_init: "init", "--help";

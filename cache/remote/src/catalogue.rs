@@ -41,6 +41,13 @@ pub(crate) async fn in_packs(
     Ok(packs)
 }
 
+/// Returns pack and place of a blob, if an index that was read tells them.
+pub(crate) async fn known(bucket: &Bucket, digest: &Digest) -> Option<(Digest, Entry)> {
+    let catalogue = bucket.catalogue.lock().await;
+    let (entry, pack) = catalogue.find(digest)?;
+    Some((*catalogue.packs.get(pack as usize)?, entry))
+}
+
 /// Forgets all indexes: a pack that one names is gone.
 pub(crate) async fn forget(bucket: &Bucket) {
     *bucket.catalogue.lock().await = Catalogue::default();

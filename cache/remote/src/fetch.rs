@@ -93,6 +93,36 @@ impl Window {
     }
 }
 
+/// Reads one blob, whose bytes are not checked: of a pack that is known, as an object, or of a pack that has come since. None
+/// if it is not there.
+pub(crate) async fn blob(bucket: &Bucket, digest: &Digest) -> Result<Option<Bytes>, RemoteError> {
+    if let Some((pack, entry)) = catalogue::known(bucket, digest).await {
+        match packed(bucket, &pack, &entry).await? {
+            None => catalogue::forget(bucket).await,
+            bytes => return Ok(bytes),
+        }
+    }
+    if let Some(bytes) = bucket.get(&names::blob(digest)).await? {
+        return Ok(Some(bytes));
+    }
+    let found = catalogue::in_packs(bucket, std::iter::once(digest)).await?;
+    let found = found
+        .iter()
+        .find_map(|(pack, entries)| Some((pack, entries.first()?)));
+    match found {
+        Some((pack, entry)) => packed(bucket, pack, entry).await,
+        None => Ok(None),
+    }
+}
+
+async fn packed(bucket: &Bucket, pack: &Digest, entry: &Entry) -> Result<Option<Bytes>, RemoteError> {
+    let range = entry.offset..entry.offset + u64::from(entry.len);
+    let parts = bucket
+        .get_ranges(&names::pack(pack), std::slice::from_ref(&range))
+        .await?;
+    Ok(parts.and_then(|parts| parts.into_iter().next()))
+}
+
 /// Stores a blob that has arrived, if it has its digest.
 fn keep(
     bucket: &Bucket,

@@ -52,7 +52,7 @@ pub trait Observer: Sync {
 
 /// A shared store.
 pub struct Remote {
-    bucket: Bucket,
+    pub(crate) bucket: Bucket,
     /// Whether its form was found to be the known one.
     is_checked: AtomicBool,
     runtime: Runtime,
@@ -150,23 +150,6 @@ impl Remote {
         self.waiting(observer, pull::run(&self.bucket, store, run, observer))
     }
 
-    /// Sends the results of keys with all that belongs to them and the shared store lacks, as [`Remote::push`].
-    ///
-    /// # Errors
-    /// As [`Remote::push`].
-    pub fn push_results(
-        &self,
-        store: &Store,
-        keys: &[Digest],
-        observer: &dyn Observer,
-    ) -> Result<Pushed, RemoteError> {
-        let work = async {
-            self.make().await?;
-            push::results(&self.bucket, store, keys, &[], observer).await
-        };
-        self.holding(&Lease::new(Kind::Shared), observer, work)
-    }
-
     /// Fetches the results of those keys that are there, with all that belongs to them, and returns why some of these were
     /// not: they are damaged, not whole, or take longer to fetch than they took to make, but at least `least_wait`.
     ///
@@ -220,7 +203,7 @@ impl Remote {
     }
 
     /// Makes the shared store if it is absent, and checks its form.
-    async fn make(&self) -> Result<(), RemoteError> {
+    pub(crate) async fn make(&self) -> Result<(), RemoteError> {
         match self.check().await {
             Err(RemoteError::Absent { .. }) => {
                 let words = Bytes::from(format!("{FORMAT_WORDS}{FORMAT}\n"));
@@ -232,7 +215,7 @@ impl Remote {
     }
 
     /// Checks the form, once.
-    async fn check(&self) -> Result<(), RemoteError> {
+    pub(crate) async fn check(&self) -> Result<(), RemoteError> {
         if self.is_checked.load(Ordering::Relaxed) {
             return Ok(());
         }
@@ -256,7 +239,7 @@ impl Remote {
     }
 
     /// Waits for work, or until the user wants to stop.
-    fn waiting<T>(
+    pub(crate) fn waiting<T>(
         &self,
         observer: &dyn Observer,
         work: impl Future<Output = Result<T, RemoteError>>,
@@ -265,7 +248,7 @@ impl Remote {
     }
 
     /// Waits for work as [`Remote::waiting`], under a lease that is renewed meanwhile and released in any case.
-    fn holding<T>(
+    pub(crate) fn holding<T>(
         &self,
         lease: &Lease,
         observer: &dyn Observer,

@@ -168,7 +168,7 @@ impl Link {
 
     fn send(&self, keys: &[Digest], run: Option<&RemoteRun>) -> Result<(), RemoteError> {
         let pushed = match run {
-            None => self.remote.push_results(&self.store, keys, self)?,
+            None => self.remote.send(&self.store, keys, &[], self)?,
             // A run names all its results.
             Some(run) => self.remote.push(&self.store, run, self)?,
         };

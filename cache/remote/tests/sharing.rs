@@ -9,8 +9,8 @@ use std::{
 };
 
 use common::{Quiet, World, result, run_in};
-use marf_cache::{Digest, Store};
-use marf_remote::{GcOptions, Sharing};
+use marf_cache::{Digest, Store, Upstream};
+use marf_remote::{GcOptions, Reader, Sharing};
 
 /// A run on an own store, with what it was told.
 struct Machine {
@@ -148,5 +148,39 @@ fn a_damaged_result_is_told_and_the_run_makes_it() {
     assert!(
         told.len() == 2 && told.iter().all(|told| told.contains("is damaged")),
         "{told:?}"
+    );
+}
+
+#[test]
+fn a_reader_finds_blobs_one_by_one_also_those_that_have_come_or_moved_since() {
+    let world = World::new();
+    let here = world.store("here");
+    let reader = Reader::new(Arc::new(world.remote()), Quiet::default());
+    let first = run_in(&here);
+    world.remote().push(&here, &first, &Quiet::default()).unwrap();
+    let read = |bytes: &[u8]| reader.blob(&Digest::of(bytes)).unwrap();
+    assert_eq!(read(b"need of map").as_deref(), Some(b"need of map".as_slice()));
+    let large = "map".repeat(70_000).into_bytes();
+    assert_eq!(read(&large), Some(large));
+    assert_eq!(read(b"never stored"), None);
+    let mut second = first;
+    second.started_unix_s += 1;
+    second.keys.push(result(&here, "new", b"n", &[], &[]));
+    world.remote().push(&here, &second, &Quiet::default()).unwrap();
+    assert_eq!(
+        read(b"need of new").as_deref(),
+        Some(b"need of new".as_slice()),
+        "it has come"
+    );
+    let options = GcOptions {
+        keep_last: 1,
+        grace: Duration::ZERO,
+        dry_run: false,
+    };
+    world.remote().gc(options, &Quiet::default()).unwrap();
+    assert_eq!(
+        read(b"need of map").as_deref(),
+        Some(b"need of map".as_slice()),
+        "it has moved"
     );
 }

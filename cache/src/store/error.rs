@@ -61,6 +61,14 @@ pub enum StoreError {
         /// The most bytes taken.
         max_bytes: u64,
     },
+    /// A blob that the store lacks cannot be fetched.
+    #[error("blob {digest} is not in the store and cannot be fetched: {message}")]
+    Upstream {
+        /// The blob asked for.
+        digest: Digest,
+        /// Why not.
+        message: String,
+    },
     /// A later program wrote the store.
     #[error("the store `{}` is of format {found}; this program reads format {known}", path.display())]
     Newer {

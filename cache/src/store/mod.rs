@@ -70,6 +70,7 @@ mod staging;
 mod stat;
 #[cfg(test)]
 mod tests;
+mod upstream;
 mod write_batch;
 
 use std::{
@@ -98,6 +99,7 @@ pub use migrate::{MigratedNode, Migration};
 pub use record::{Conflict, Output, Record, RunMetadata, StoreStat, digest_list, read_digest_list};
 pub use sets::SetError;
 pub use stat::StageStat;
+pub use upstream::Upstream;
 
 /// Blobs from this length on are files of their own.
 const LARGE_BYTES: usize = 64 << 10;
@@ -121,6 +123,8 @@ pub struct Store {
     conflicts: Mutex<Vec<Conflict>>,
     /// Set when the file system turned out to have no copies that share blocks.
     has_no_reflinks: AtomicBool,
+    /// Where blobs come from that it lacks; none for most stores.
+    upstream: Option<Arc<dyn Upstream>>,
 }
 
 /// What is not committed yet.
@@ -179,6 +183,7 @@ impl Store {
             commit_lock: Mutex::default(),
             conflicts: Mutex::default(),
             has_no_reflinks: AtomicBool::new(false),
+            upstream: None,
         })
     }
 
@@ -220,11 +225,19 @@ impl Store {
         Ok(())
     }
 
-    /// Reads a blob and verifies its digest.
+    /// Reads a blob and verifies its digest; one that is lacking comes from upstream, if the store has one.
     ///
     /// # Errors
     /// [`StoreError::Missing`], or [`StoreError::Damaged`] once: a damaged blob is quarantined and then missing.
+    /// [`StoreError::Upstream`].
     pub fn get(&self, digest: &Digest) -> Result<Arc<[u8]>, StoreError> {
+        match self.get_own(digest) {
+            Err(error) if error.lost().is_some() => self.from_upstream(digest)?.ok_or(error),
+            read => read,
+        }
+    }
+
+    fn get_own(&self, digest: &Digest) -> Result<Arc<[u8]>, StoreError> {
         let (small, large) = {
             let pending = self.pending.lock();
             let small = pending.find(|batch| batch.small.get(digest).cloned());
@@ -248,10 +261,11 @@ impl Store {
         pending.is_some() || self.objects.contains(digest)
     }
 
-    /// Returns a blob's length in bytes.
+    /// Returns a blob's length in bytes. One that only upstream has is read for it.
     pub fn size_of(&self, digest: &Digest) -> Option<u64> {
         let pending = self.pending.lock().find(|batch| batch.size_of(digest));
-        pending.or_else(|| self.objects.size_of(digest))
+        let own = pending.or_else(|| self.objects.size_of(digest));
+        own.or_else(|| Some(self.from_upstream(digest).ok()??.len() as u64))
     }
 
     /// Returns the record of a key as it was written; none if there is none or it was damaged, which is a warning.

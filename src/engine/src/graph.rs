@@ -6,9 +6,10 @@ use std::{
 };
 
 use marf_cache::{ContentHash, Digest, digest_of};
-use marf_stage::{Stage, StageDef};
+use marf_stage::{Stage, StageDef, StageError};
 
 use crate::check::{Connection, Edge, GraphError, NodeShape, Topology, topology};
+use crate::listing::{Listed, Listings};
 
 /// A node as declared: a stage with its parameters, and the upstream nodes of its inputs.
 pub struct NodeDecl {
@@ -28,6 +29,8 @@ pub struct Graph {
     pub(crate) nodes: Vec<Node>,
     /// Stages by name, for the children of expanding nodes.
     pub(crate) table: BTreeMap<&'static str, StageDef>,
+    /// What its sources have told, if it shares that with other graphs; else each plan and each run asks them.
+    listings: Option<Listings>,
     digest: Digest,
 }
 
@@ -79,6 +82,7 @@ impl Graph {
         let mut graph = Self {
             nodes: Vec::new(),
             table: table.iter().map(|def| (def.name, *def)).collect(),
+            listings: None,
             digest: Digest::of(&[]),
         };
         for index in order {
@@ -97,6 +101,34 @@ impl Graph {
         }
         graph.digest = digest_of(&graph.nodes);
         Ok(graph)
+    }
+
+    /// Returns the graph with listings that it shares with others of the same pipeline.
+    #[must_use]
+    pub fn sharing(self, listings: &Listings) -> Self {
+        Self {
+            listings: Some(listings.clone()),
+            ..self
+        }
+    }
+
+    /// Returns what a source has told, or else what it tells when asked.
+    pub(crate) fn listed(
+        &self,
+        node: &str,
+        ask: impl FnOnce() -> Result<Option<Listed>, StageError>,
+    ) -> Result<Option<Listed>, StageError> {
+        match &self.listings {
+            Some(listings) => listings.of(node, ask),
+            None => ask(),
+        }
+    }
+
+    /// Keeps what a fetch has found out of a source.
+    pub(crate) fn keep_listed(&self, node: &str, listed: &Listed) {
+        if let Some(listings) = &self.listings {
+            listings.keep(node, listed);
+        }
     }
 
     /// Returns the names of the nodes: topological, ties in the order declared.

@@ -7,6 +7,7 @@ mod check;
 mod earlier;
 mod errors;
 mod event;
+mod executor;
 mod graph;
 mod items;
 mod key;
@@ -26,9 +27,10 @@ mod work;
 
 pub use check::{Edge, GraphError, NodeShape, check};
 pub use event::{Event, Listener, Silent};
+pub use executor::{Executor, Order};
 pub use graph::{Graph, NodeDecl, NodeView};
 pub use key::{Change, action_at, changes, differences};
-pub use listing::LISTING;
+pub use listing::{LISTING, Listings};
 pub use marf_stage::Cancel;
 pub use needs::Needs;
 pub use photo_changes::photo_changes;
@@ -38,6 +40,6 @@ pub use record::{
     last_run, last_run_where, run_of, runs,
 };
 pub use roots::{KeptRuns, kept_runs};
-pub use run::{Options, run, run_nodes, trace_inputs};
+pub use run::{ActionError, Options, run, run_action, run_nodes, trace_inputs};
 pub use shared::SharedResults;
 pub use work::Extent;

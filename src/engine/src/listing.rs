@@ -17,6 +17,8 @@ use marf_stage::{
     COMPANIONS, Cancel, Checkpoints, Ctx, Files, Inputs, Listing, Memos, Progress, Stage, StageError, Work,
 };
 
+use parking_lot::Mutex;
+
 use crate::{
     errors::{contract_violation, panicked},
     key::{Change, changes_between, file_path, shard_path},
@@ -31,6 +33,34 @@ pub const LISTING: &str = "listing";
 pub(crate) struct Listed {
     pub(crate) listing: Listing,
     pub(crate) inputs: Inputs,
+}
+
+/// What sources have told, by the names of their nodes. Graphs of one pipeline that share this ask each source once, however often
+/// they are planned and run: an archive that changes meanwhile is seen by the next program.
+#[derive(Clone, Default)]
+pub struct Listings(Arc<Mutex<BTreeMap<String, Listed>>>);
+
+impl Listings {
+    /// Returns what a node has told; else asks it.
+    pub(crate) fn of(
+        &self,
+        node: &str,
+        ask: impl FnOnce() -> Result<Option<Listed>, StageError>,
+    ) -> Result<Option<Listed>, StageError> {
+        if let Some(known) = self.0.lock().get(node) {
+            return Ok(Some(known.clone()));
+        }
+        let listed = ask()?;
+        if let Some(listed) = &listed {
+            self.keep(node, listed);
+        }
+        Ok(listed)
+    }
+
+    /// Keeps what a node tells now: of some archives a fetch alone tells what they hold.
+    pub(crate) fn keep(&self, node: &str, listed: &Listed) {
+        self.0.lock().insert(node.to_owned(), listed.clone());
+    }
 }
 
 /// Lists what a source offers, on the threads of `pool`; none for other stages.

@@ -9,7 +9,7 @@ use serde::Serialize;
 use crate::{
     earlier::KeyRequest,
     graph::{Graph, Node},
-    key::{Change, Key},
+    key::{Change, Key, action_at, node_key},
     listing::{Listed, NoProgress, list},
     lookup::{Lookup, RunReason, because, look_up, outputs_of, why_missed},
     needs::Needs,
@@ -50,6 +50,25 @@ pub enum PlanState {
     Cached,
     /// It would run.
     WillRun,
+    /// What is upstream of it would run, and nothing else changed since it last ran: it runs unless that comes out as it was.
+    MayRun,
+}
+
+impl PlanState {
+    /// Returns what it is in the words of a plan.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Fresh => "fresh",
+            Self::Cached => "cached",
+            Self::WillRun => "will run",
+            Self::MayRun => "may run",
+        }
+    }
+
+    /// Tells whether the node may run.
+    pub fn is_open(self) -> bool {
+        matches!(self, Self::WillRun | Self::MayRun)
+    }
 }
 
 /// Returns what a run would do, in topological order. `last` is the last run of this pipeline, `threads` how many a listing
@@ -112,7 +131,8 @@ impl Planner<'_> {
             Err(upstream) => return Ok(self.behind(node, &known[upstream].node)),
         };
         let cancel = Cancel::default();
-        let listed = match list(node.bound.as_ref(), self.store, &cancel, &NoProgress, &self.pool) {
+        let ask = || list(node.bound.as_ref(), self.store, &cancel, &NoProgress, &self.pool);
+        let listed = match self.graph.listed(&node.name, ask) {
             Ok(listed) => listed,
             Err(error) => {
                 let why = because(format!("it cannot list what is there: {error}"));
@@ -166,10 +186,25 @@ impl Planner<'_> {
         })
     }
 
-    /// Returns the plan of a node behind one that will run: it looks at what that one looks at, or at less.
+    /// Returns the plan of a node behind one that will or may run: it looks at what that one looks at, or at less.
     fn behind(&self, node: &Node, upstream: &PlannedNode) -> Known {
-        let why = because(format!("upstream {} will run", upstream.node));
-        self.will_run(node, why, None, upstream.extent)
+        let why = because(format!("upstream {} {}", upstream.node, upstream.state.word()));
+        let mut known = self.will_run(node, why, None, upstream.extent);
+        if self.is_itself(node) {
+            known.node.state = PlanState::MayRun;
+        }
+        known
+    }
+
+    /// Tells whether a node has a result of which at most its inputs differ.
+    fn is_itself(&self, node: &Node) -> bool {
+        let key = self.last.and_then(|run| run.latest.get(&node.name));
+        let action = key.and_then(|key| action_at(self.store, key).ok().flatten());
+        action.is_some_and(|action| {
+            let inputs = Inputs(action.inputs.clone());
+            let now = node_key(&self.graph.table, &node.def, node.bound.as_ref(), &inputs);
+            now.is_ok_and(|now| Some(&now.digest) == key)
+        })
     }
 
     fn will_run(&self, node: &Node, why: RunReason, key: Option<&Key>, extent: Option<Extent>) -> Known {

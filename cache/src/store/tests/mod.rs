@@ -8,6 +8,7 @@ mod pack;
 mod processes;
 mod session;
 mod storing;
+mod upstream;
 
 use std::{collections::BTreeMap, fs};
 

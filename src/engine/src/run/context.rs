@@ -5,7 +5,7 @@ use std::time::Instant;
 use marf_cache::Store;
 use marf_stage::Cancel;
 
-use crate::{event::Listener, graph::Graph, record::RunRecord, shared::SharedResults};
+use crate::{event::Listener, executor::Executor, graph::Graph, record::RunRecord, shared::SharedResults};
 
 /// What the scheduler and all jobs of a run have in common.
 #[derive(Clone, Copy)]
@@ -18,6 +18,8 @@ pub(super) struct RunContext<'a> {
     pub(super) pool: &'a rayon::ThreadPool,
     /// The program with version and commit, for records.
     pub(super) program: &'a str,
+    /// What computes results on other machines; none if all are computed here.
+    pub(super) executor: Option<&'a dyn Executor>,
     /// The last run of the same pipeline.
     pub(super) last: Option<&'a RunRecord>,
     /// When the run began.

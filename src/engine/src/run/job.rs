@@ -14,9 +14,11 @@ use super::{context::RunContext, task::Prepared};
 use crate::{
     errors::{contract_violation, panicked},
     event::{Event, NodeProgress},
+    executor::{Executor, Order},
     key::{Key, node_key},
     listing::Listed,
     lookup::{Lookup, look_up},
+    needs::Needs,
     shared::fetch_lacking,
     stage_io::{FileCheckpoints, Lease, StoreBlobs, StoreMemos},
     work::{
@@ -39,6 +41,16 @@ pub(super) struct Job<'a> {
     pub(super) check: BlobCheck,
     pub(super) threads: usize,
     pub(super) began: Instant,
+    /// Where else it is computed; here if absent.
+    pub(super) elsewhere: Option<Elsewhere<'a>>,
+}
+
+/// Another machine that computes a node.
+pub(super) struct Elsewhere<'a> {
+    pub(super) executor: &'a dyn Executor,
+    pub(super) needs: Needs,
+    /// Keys of the results of the run so far, sorted.
+    pub(super) results: Vec<Digest>,
 }
 
 /// Which step of a node's work.
@@ -97,7 +109,36 @@ impl Job<'_> {
                 device: self.device(),
             });
         }
-        self.run()
+        match &self.elsewhere {
+            Some(elsewhere) => self.run_elsewhere(elsewhere),
+            None => self.run(),
+        }
+    }
+
+    /// Has the work done by another machine.
+    fn run_elsewhere(&self, elsewhere: &Elsewhere<'_>) -> Result<JobOutput, JobError> {
+        let (store, key) = (self.context.store, &self.prepared.key);
+        put_action(store, key)?;
+        store.commit()?;
+        elsewhere.executor.execute(&Order {
+            node: &self.node,
+            key: key.digest,
+            action: &key.action,
+            needs: elsewhere.needs,
+            results: &elsewhere.results,
+            store,
+            progress: &NodeProgress::new(&self.node, self.context.listener),
+            cancel: self.context.cancel,
+        })?;
+        self.report_conflicts();
+        match look_up(store, &key.digest)? {
+            Lookup::Hit(record) => Ok(JobOutput::Finished(record)),
+            Lookup::Miss | Lookup::MissingOutput(_) => {
+                let error =
+                    StageError::new("what computes it elsewhere says that it is done, and brought no result");
+                Err(error.into())
+            }
+        }
     }
 
     /// Returns the result if another process of this machine, or another machine, has made it.
@@ -211,6 +252,7 @@ impl Job<'_> {
         let Some(listed) = listed else {
             return Ok(self.prepared.key.clone());
         };
+        self.context.graph.keep_listed(&self.node, &listed);
         let mut inputs = self.prepared.inputs.clone();
         inputs.0.extend(listed.inputs.0);
         node_key(&self.context.graph.table, &self.def, self.bound.as_ref(), &inputs)

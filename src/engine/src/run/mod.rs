@@ -1,5 +1,6 @@
 //! The run: nodes are looked up by key, and executed where the store has no result.
 
+mod action;
 mod context;
 mod job;
 mod prepare;
@@ -15,7 +16,10 @@ use std::{collections::BTreeMap, num::NonZero, sync::Arc, thread, time::Instant}
 use marf_cache::Store;
 use marf_stage::Cancel;
 
-pub use self::report::trace_inputs;
+pub use self::{
+    action::{ActionError, run_action},
+    report::trace_inputs,
+};
 use self::{
     context::RunContext,
     job::{STACK_BYTES, unix_seconds},
@@ -24,6 +28,7 @@ use self::{
 };
 use crate::{
     event::{Event, Listener},
+    executor::Executor,
     graph::Graph,
     record::{Build, EngineError, RUN_FORMAT, RunRecord, last_run},
     shared::SharedResults,
@@ -51,6 +56,8 @@ pub struct Options {
     pub program: String,
     /// The program's file, for the record.
     pub build: Option<Build>,
+    /// What computes results on other machines; none if all are computed here.
+    pub executor: Option<Arc<dyn Executor>>,
     /// Where results are shared with other machines; none if they are not.
     pub shared: Option<Arc<dyn SharedResults>>,
 }
@@ -99,6 +106,7 @@ pub fn run_nodes(
         pool: &pool,
         program: &options.program,
         last: last.as_ref(),
+        executor: options.executor.as_deref(),
         began,
         shared: options.shared.as_deref(),
     };

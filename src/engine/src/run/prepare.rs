@@ -47,20 +47,23 @@ fn prepare(state: &mut RunState<'_>, index: usize) -> Result<(), StoreError> {
     };
     let task = &state.tasks[index];
     let progress = NodeProgress::new(&task.name, context.listener);
-    let listed = list(
-        task.bound.as_ref(),
-        context.store,
-        context.cancel,
-        &progress,
-        context.pool,
-    );
-    let outcome = listed.and_then(|listed| {
-        let mut inputs = inputs;
+    let ask = || {
+        let listed = list(
+            task.bound.as_ref(),
+            context.store,
+            context.cancel,
+            &progress,
+            context.pool,
+        )?;
         let warnings = listed.iter().flat_map(|listed| &listed.listing.warnings);
         for message in warnings.cloned() {
             let node = Some(task.name.clone());
             context.listener.on_event(&Event::Warning { node, message });
         }
+        Ok(listed)
+    };
+    let outcome = context.graph.listed(&task.name, ask).and_then(|listed| {
+        let mut inputs = inputs;
         inputs
             .0
             .extend(listed.iter().flat_map(|listed| listed.inputs.0.clone()));

@@ -1,6 +1,6 @@
 //! The scheduler: a coordinator thread starts ready nodes while thread permits are free.
 //!
-//! A job of one thread takes one permit; a job that can use all takes its share of the free ones, hence all when
+//! What an executor takes runs on another machine and needs no permit. A job of one thread takes one permit; a job that can use all takes its share of the free ones, hence all when
 //! nothing else is ready. One node at a time is on a GPU. The order of jobs and their threads change no result.
 
 use std::{
@@ -9,15 +9,15 @@ use std::{
     time::Instant,
 };
 
-use marf_cache::StoreError;
-use marf_stage::{Outputs, Threads};
+use marf_cache::{Digest, StoreError};
+use marf_stage::{Outputs, Threads, Work};
 
 use super::{
-    job::{Job, JobError, JobOutput, Step},
+    job::{Elsewhere, Job, JobError, JobOutput, Step},
     prepare::prepare_all,
     recover,
     state::RunState,
-    task::{Phase, Reuse, Task},
+    task::{Phase, Prepared, Reuse, Task},
 };
 use crate::{errors::contract_violation, needs::Needs, work::BlobCheck};
 
@@ -26,12 +26,23 @@ pub(super) struct Scheduler<'a> {
     state: RunState<'a>,
     free_permits: usize,
     running: usize,
+    /// How many of these run on other machines.
+    elsewhere: usize,
+}
+
+/// Where a job runs.
+#[derive(Debug, Clone, Copy)]
+enum Place {
+    /// On so many threads of this machine.
+    Here(usize),
+    /// On another machine.
+    Elsewhere,
 }
 
 /// The end of a job.
 struct JobReport {
     index: usize,
-    permits: usize,
+    place: Place,
     result: Result<JobOutput, JobError>,
 }
 
@@ -42,6 +53,7 @@ impl<'a> Scheduler<'a> {
             state,
             free_permits: threads,
             running: 0,
+            elsewhere: 0,
         }
     }
 
@@ -56,18 +68,14 @@ impl<'a> Scheduler<'a> {
                     outcome = prepare_all(&mut self.state);
                 }
                 while outcome.is_ok()
-                    && let Some((index, permits)) = self.next()
+                    && let Some((index, place)) = self.next()
                 {
-                    let job = self.start(index, permits);
+                    let job = self.start(index, place);
                     let sender = sender.clone();
                     scope.spawn(move || {
                         let result = job.map_or_else(|| Err(not_prepared()), Job::execute);
                         // The receiver lives until all jobs have reported.
-                        let _ = sender.send(JobReport {
-                            index,
-                            permits,
-                            result,
-                        });
+                        let _ = sender.send(JobReport { index, place, result });
                     });
                 }
                 if self.running == 0 {
@@ -85,9 +93,46 @@ impl<'a> Scheduler<'a> {
         Ok(self.state)
     }
 
-    /// Returns the first node that may start, and its number of permits.
-    fn next(&self) -> Option<(usize, usize)> {
-        if self.free_permits == 0 || self.state.context.cancel.is_set() {
+    /// Returns the first node that may start, and where.
+    fn next(&self) -> Option<(usize, Place)> {
+        if self.state.context.cancel.is_set() {
+            return None;
+        }
+        self.next_elsewhere().or_else(|| self.next_here())
+    }
+
+    /// Returns the first node that another machine takes, if one is free.
+    fn next_elsewhere(&self) -> Option<(usize, Place)> {
+        let executor = self.state.context.executor?;
+        if self.elsewhere >= executor.slots() {
+            return None;
+        }
+        let index = self.state.tasks.iter().position(|task| self.is_taken(task))?;
+        Some((index, Place::Elsewhere))
+    }
+
+    /// Tells whether another machine takes a node that is ready.
+    fn is_taken(&self, task: &Task) -> bool {
+        let Some(executor) = self.state.context.executor else {
+            return false;
+        };
+        // What was lost is made again where it can be looked at.
+        let may = task.phase == Phase::Ready && task.reuse == Reuse::Allowed;
+        let takes = |prepared: &Prepared| executor.takes(&prepared.key.action);
+        may && matches!(task.bound.work(), Work::Set(_)) && task.prepared.as_ref().is_some_and(takes)
+    }
+
+    /// Returns what a node needs of a machine.
+    fn needs(&self, task: &Task) -> Needs {
+        let context = &self.state.context;
+        let key = context.last.and_then(|last| last.latest.get(&task.name));
+        let record = key.and_then(|key| context.store.record(key).ok().flatten());
+        Needs::of(task.bound.as_ref(), record.map(|record| record.metadata).as_ref())
+    }
+
+    /// Returns the first node that may start here, and its number of permits.
+    fn next_here(&self) -> Option<(usize, Place)> {
+        if self.free_permits == 0 {
             return None;
         }
         // Two trainings on one GPU would only alternate, with the memory of both.
@@ -98,7 +143,9 @@ impl<'a> Scheduler<'a> {
             .filter(|task| task.phase == Phase::Running)
             .any(is_on_gpu);
         let is_ready = |task: &&Task| {
-            matches!(task.phase, Phase::Ready | Phase::Reducible) && !(gpu_is_busy && is_on_gpu(task))
+            matches!(task.phase, Phase::Ready | Phase::Reducible)
+                && !(gpu_is_busy && is_on_gpu(task))
+                && !self.is_taken(task)
         };
         let ready = tasks.iter().filter(is_ready).count();
         let index = tasks.iter().position(|task| is_ready(&task))?;
@@ -106,13 +153,31 @@ impl<'a> Scheduler<'a> {
             Threads::One => 1,
             Threads::All => (self.free_permits / ready).max(1),
         };
-        Some((index, permits))
+        Some((index, Place::Here(permits)))
+    }
+
+    /// Returns what a job needs to run on another machine.
+    fn elsewhere(&self, index: usize) -> Option<Elsewhere<'a>> {
+        let state = &self.state;
+        let settled = state.tasks.iter().filter(|task| task.phase.is_good());
+        let mut results: Vec<Digest> = settled.filter_map(|task| task.outcome.key).collect();
+        results.sort_unstable();
+        Some(Elsewhere {
+            executor: state.context.executor?,
+            needs: self.needs(&state.tasks[index]),
+            results,
+        })
     }
 
     /// Takes the permits of a node and returns its job; none if the node was not prepared.
-    fn start(&mut self, index: usize, permits: usize) -> Option<Job<'a>> {
-        self.free_permits -= permits;
+    fn start(&mut self, index: usize, place: Place) -> Option<Job<'a>> {
         self.running += 1;
+        let (permits, elsewhere) = match place {
+            Place::Here(permits) => (permits, None),
+            Place::Elsewhere => (0, self.elsewhere(index)),
+        };
+        self.free_permits -= permits;
+        self.elsewhere += usize::from(elsewhere.is_some());
         let step = match self.state.tasks[index].phase {
             Phase::Reducible => self.after_round(index),
             _ => Step::Start,
@@ -134,6 +199,7 @@ impl<'a> Scheduler<'a> {
                 Reuse::Forbidden => BlobCheck::Needs,
             },
             threads: permits,
+            elsewhere,
             began: *task.began.get_or_insert_with(Instant::now),
         })
     }
@@ -150,8 +216,11 @@ impl<'a> Scheduler<'a> {
 
     /// Frees the permits of a job and applies its result.
     fn apply(&mut self, report: JobReport) -> Result<(), StoreError> {
-        self.free_permits += report.permits;
         self.running -= 1;
+        match report.place {
+            Place::Here(permits) => self.free_permits += permits,
+            Place::Elsewhere => self.elsewhere -= 1,
+        }
         let (state, index) = (&mut self.state, report.index);
         match report.result {
             Ok(JobOutput::Reused(record)) => state.reuse(index, *record),

@@ -7,6 +7,7 @@ mod compare;
 mod damage;
 mod devices;
 mod earlier;
+mod elsewhere;
 mod faults;
 mod graph;
 mod rounds;

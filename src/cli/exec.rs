@@ -1,0 +1,191 @@
+//! `marf exec`: one action, its inputs from a shared store and its result into it.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use clap::Args;
+use marf_cache::{Action, Conflict, Digest, Record, Upstream};
+use marf_cluster::{Fault, JobResult};
+use marf_engine::{ActionError, Cancel, Event, Listener, Options, run_action};
+use marf_remote::{Observer, Patience, Reader, Remote, in_words};
+use parking_lot::Mutex;
+
+use super::args::Global;
+use super::documents::params_of;
+use super::error::{CliError, Diagnostic};
+use super::program;
+use super::session::{open_store, warn};
+use crate::progress::{JsonLines, Progress};
+use crate::terminal::print_line;
+
+/// Arguments of `exec`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct ExecArgs {
+    /// A file with the action, or the key of a result in the shared store, whose action is then computed again
+    #[arg(value_name = "ACTION")]
+    pub action: String,
+    /// Write here how it ended, whole or not at all
+    #[arg(long, value_name = "FILE")]
+    pub result: Option<PathBuf>,
+    /// Folder for checkpoints and what was fetched, kept until there is a result [default: a temporary one]
+    #[arg(long, value_name = "DIR")]
+    pub scratch: Option<PathBuf>,
+}
+
+const AFTER_HELP: &str = "\
+--store is the address of the shared store here: file:///FOLDER or s3://BUCKET/PREFIX. Of the inputs only those are fetched that are \
+read; a result that is there already is not made again. `marf run --on slurm` writes actions and submits jobs that call this verb.
+Exit codes: 0 the result is in the shared store, 1 it could not be made, 10 another marf or another machine must make it (this one \
+would make another key of it, or has another backend), 130 stopped at a checkpoint.";
+
+/// `marf exec`: computes an action, and tells how that ended.
+pub fn exec(global: &Global, args: &ExecArgs, cancel: &Cancel) -> Result<(), CliError> {
+    let remote = Arc::new(Remote::open(&address(global)?, Patience::Patient)?);
+    let reader = Arc::new(Reader::new(Arc::clone(&remote), Wish(cancel.clone())));
+    let action = action(&args.action, reader.as_ref())?;
+    let ended = compute(&action, (&remote, reader), global, args, cancel);
+    if let Some(path) = &args.result
+        && !matches!(ended, Err(CliError::Interrupted))
+    {
+        let result = JobResult {
+            key: action.key(),
+            program: program::PROGRAM.to_owned(),
+            fault: ended.as_ref().err().map(fault),
+            warnings: ended.iter().flatten().map(in_words).collect(),
+        };
+        let written = result.write(path);
+        written.map_err(|error| CliError::failed(format!("{}: {error}", path.display())))?;
+    }
+    let conflicts = ended?;
+    conflicts.iter().map(in_words).for_each(warn);
+    print_line(&format!("{} {}", action.stage, action.key()));
+    Ok(())
+}
+
+/// Returns the address of the shared store.
+fn address(global: &Global) -> Result<String, CliError> {
+    let given = global.store.as_ref().and_then(|store| store.to_str());
+    given.map(str::to_owned).ok_or_else(|| {
+        let diagnostic = Diagnostic::new("--store is needed: inputs come from a shared store");
+        CliError::Usage(diagnostic.hint("file:///FOLDER or s3://BUCKET/PREFIX"))
+    })
+}
+
+/// Reads the action of a file, or of a key.
+fn action(given: &str, reader: &dyn Upstream) -> Result<Action, CliError> {
+    let bytes = match given.parse::<Digest>() {
+        Ok(key) => reader
+            .blob(&key)
+            .map_err(CliError::failed)?
+            .filter(|bytes| Digest::of(bytes) == key)
+            .ok_or_else(|| CliError::failed(format!("the shared store has no action {}", key.short())))?,
+        Err(_) => std::fs::read(given).map_err(|error| CliError::usage(format!("{given}: {error}")))?,
+    };
+    Action::decode(&bytes).map_err(|error| CliError::usage(format!("{given}: {error}")))
+}
+
+/// Computes an action and sends its result. Returns the conflicts with results that were there.
+fn compute<R: Upstream + 'static>(
+    action: &Action,
+    (remote, reader): (&Remote, Arc<R>),
+    global: &Global,
+    args: &ExecArgs,
+    cancel: &Cancel,
+) -> Result<Vec<Conflict>, CliError> {
+    let temporary = match args.scratch {
+        Some(_) => None,
+        None => Some(tempfile::tempdir().map_err(|error| CliError::failed(error.to_string()))?),
+    };
+    let kept = args.scratch.as_deref();
+    let dir = kept
+        .or(temporary.as_ref().map(|dir| dir.path()))
+        .unwrap_or(Path::new("."));
+    let store = open_store(dir, cancel)?.with_upstream(reader);
+    let record = made(action, &store, global, cancel)?;
+    let sent = remote.send(&store, &[record.key], &[], &Wish(cancel.clone()))?;
+    drop(store);
+    if let Some(dir) = kept {
+        // What is left takes space and nothing else.
+        let _ = std::fs::remove_dir_all(dir);
+    }
+    Ok(sent.conflicts)
+}
+
+/// Makes the result of an action in its own store.
+fn made(
+    action: &Action,
+    store: &marf_cache::Store,
+    global: &Global,
+    cancel: &Cancel,
+) -> Result<Record, CliError> {
+    let listener = Told {
+        progress: match global.json {
+            true => Progress::Json(JsonLines::new(action.key().short())),
+            false => Progress::for_stderr(),
+        },
+        failure: Mutex::default(),
+    };
+    let options = Options {
+        threads: global.threads,
+        program: program::PROGRAM.to_owned(),
+        ..Options::default()
+    };
+    let wanted = (action, params_of(action));
+    let made = run_action(wanted, marf_stages::stages(), store, &options, &listener, cancel);
+    let failure = listener.failure.into_inner();
+    store.take_warnings().into_iter().for_each(warn);
+    made.map_err(|error| match error {
+        ActionError::Stopped => CliError::Interrupted,
+        ActionError::Failed(message) => CliError::Failed(failure.unwrap_or_else(|| Diagnostic::new(message))),
+        ActionError::Store(error) => error.into(),
+        ActionError::Engine(error) => error.into(),
+        ActionError::Graph(error) => error.into(),
+        error => CliError::Elsewhere(
+            Diagnostic::new(format!("the action is of {error}"))
+                .hint("use the marf that planned it, on a machine with the same backend"),
+        ),
+    })
+}
+
+fn fault(error: &CliError) -> Fault {
+    let diagnostic = error.diagnostic();
+    Fault {
+        message: error.message().to_owned(),
+        cause: diagnostic.and_then(|diagnostic| diagnostic.cause.clone()),
+        hint: diagnostic.and_then(|diagnostic| diagnostic.hint.clone()),
+    }
+}
+
+/// Shows events, and keeps why it failed.
+struct Told {
+    progress: Progress,
+    failure: Mutex<Option<Diagnostic>>,
+}
+
+impl Listener for Told {
+    fn on_event(&self, event: &Event) {
+        self.progress.on_event(event);
+        if let Event::Failed {
+            message, cause, hint, ..
+        } = event
+        {
+            self.failure.lock().get_or_insert(Diagnostic {
+                message: message.clone(),
+                cause: cause.clone(),
+                hint: hint.clone(),
+            });
+        }
+    }
+}
+
+/// Tells a shared store whether the user wants to stop.
+struct Wish(Cancel);
+
+impl Observer for Wish {
+    fn on_progress(&self, _progress: marf_remote::Progress) {}
+
+    fn is_stopped(&self) -> bool {
+        self.0.is_set()
+    }
+}

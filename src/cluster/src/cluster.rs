@@ -1,0 +1,475 @@
+//! The executor: each action that it takes is a job, from its submission to its result.
+
+use std::{
+    collections::BTreeSet,
+    fmt, fs, io,
+    path::{Path, PathBuf},
+    sync::Arc,
+    thread,
+    time::{Duration, Instant},
+};
+
+use marf_cache::{Action, Digest, StoreError};
+use marf_engine::{Executor, Needs, Order};
+use marf_remote::{Observer, Progress, Remote, RemoteError};
+use marf_stage::{Cancel, StageError, Threads};
+use parking_lot::Mutex;
+
+use crate::{
+    job_result::{Fault, JobResult},
+    queue::{Queue, Sight},
+    script::{Filling, filled},
+    site::{Site, SiteError},
+};
+
+/// How often a job may be lost.
+const ATTEMPTS: u32 = 3;
+
+/// Longest pause between two looks at the file of a result.
+const LOOK_INTERVAL: Duration = Duration::from_millis(200);
+
+/// Digits of the key in the name of a job.
+const NAME_DIGITS: usize = 16;
+
+/// Bytes at the end of a log that an error shows.
+const LOG_TAIL_BYTES: usize = 400;
+
+/// Words of a batch system that is busy for a moment.
+const BUSY: [&str; 3] = ["timed out", "nable to contact", "temporarily"];
+
+/// A batch system that computes the nodes of a run.
+pub struct Cluster {
+    site: Site,
+    script: String,
+    marf: PathBuf,
+    remote: Arc<Remote>,
+    queue: Queue,
+    /// When this run began to look at the queue.
+    began: Instant,
+    /// Keys whose results are in the shared store. One push at a time.
+    shared: Mutex<BTreeSet<Digest>>,
+}
+
+impl fmt::Debug for Cluster {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Cluster")
+            .field("site", &self.site)
+            .finish_non_exhaustive()
+    }
+}
+
+/// The files of a job.
+struct JobFiles {
+    action: PathBuf,
+    script: PathBuf,
+    log: PathBuf,
+    result: PathBuf,
+    scratch: PathBuf,
+}
+
+/// A job in the queue.
+struct Job {
+    id: String,
+    /// Answers of the batch system from before tell nothing of it.
+    since: Instant,
+}
+
+/// How the wait for a job ended.
+enum Ended {
+    Told(JobResult),
+    /// It is in neither the queue nor the folder; with what the batch system says of it.
+    Lost(String),
+}
+
+impl JobFiles {
+    fn of(folder: &Path, key: &Digest) -> Self {
+        let file = |extension: &str| folder.join(format!("{key}{extension}"));
+        Self {
+            action: file(".action"),
+            script: file(".sh"),
+            log: file(".log"),
+            result: file(".json"),
+            scratch: file(""),
+        }
+    }
+
+    /// Removes what a job with a result has left.
+    fn remove(&self) {
+        for file in [&self.action, &self.script, &self.log, &self.result] {
+            let _ = fs::remove_file(file);
+        }
+        let _ = fs::remove_dir_all(&self.scratch);
+    }
+
+    /// Returns the end of the log, on one line.
+    fn log_tail(&self) -> Option<String> {
+        let log = fs::read(&self.log).ok()?;
+        let tail = &log[log.len().saturating_sub(LOG_TAIL_BYTES)..];
+        let text = String::from_utf8_lossy(tail);
+        let lines: Vec<&str> = text
+            .lines()
+            .map(str::trim)
+            .filter(|line| !line.is_empty())
+            .collect();
+        (!lines.is_empty()).then(|| lines.join("; "))
+    }
+}
+
+impl Executor for Cluster {
+    fn takes(&self, action: &Action) -> bool {
+        self.site.stages.contains(&action.stage)
+    }
+
+    fn slots(&self) -> usize {
+        self.site.max_jobs
+    }
+
+    fn execute(&self, order: &Order<'_>) -> Result<(), StageError> {
+        let files = JobFiles::of(&self.site.folder, &order.key);
+        let kept = JobResult::read(&files.result, &order.key).filter(|result| result.fault.is_none());
+        if kept.is_none() {
+            self.share(order)?;
+            self.run(order, &files)?;
+        }
+        self.fetch(order)?;
+        files.remove();
+        Ok(())
+    }
+}
+
+impl Cluster {
+    /// Returns the batch system of a site, whose shared store is open.
+    ///
+    /// # Errors
+    /// A template that cannot be read; a folder that cannot be made.
+    pub fn new(site: Site, remote: Arc<Remote>, program: PathBuf) -> Result<Self, SiteError> {
+        fs::create_dir_all(&site.folder).map_err(|source| SiteError::Read {
+            path: site.folder.clone(),
+            source,
+        })?;
+        Ok(Self {
+            script: site.script()?,
+            marf: site.marf.clone().unwrap_or(program),
+            remote,
+            queue: Queue::new(Duration::from_secs_f64(site.poll_s)),
+            began: Instant::now(),
+            shared: Mutex::default(),
+            site,
+        })
+    }
+
+    /// Brings all that an action reads into the shared store.
+    fn share(&self, order: &Order<'_>) -> Result<(), StageError> {
+        let mut shared = self.shared.lock();
+        let new: Vec<Digest> = order
+            .results
+            .iter()
+            .filter(|key| !shared.contains(key))
+            .copied()
+            .collect();
+        let blobs = foreign_inputs(order).map_err(|error| failed(order, "inputs cannot be read", &error))?;
+        if new.is_empty() && blobs.is_empty() {
+            return Ok(());
+        }
+        order.progress.at(0, 1, "inputs go to the shared store");
+        let pushed = self
+            .remote
+            .send(order.store, &new, &blobs, &Watcher(order.cancel));
+        pushed.map_err(|error| remote_failed(order, "inputs cannot be shared", error))?;
+        shared.extend(new);
+        Ok(())
+    }
+
+    /// Has a job made until there is a result; a lost job is submitted again.
+    fn run(&self, order: &Order<'_>, files: &JobFiles) -> Result<(), StageError> {
+        let mut memory_mb = self.memory_mb(&order.needs);
+        let mut attempts_left = ATTEMPTS;
+        loop {
+            let job = self.job(order, files, memory_mb)?;
+            let said = match self.wait(order, files, &job)? {
+                Ended::Told(result) => return told(order, result),
+                Ended::Lost(said) => said,
+            };
+            let was_too_large = said.contains("OUT_OF_MEMORY");
+            if was_too_large {
+                memory_mb = memory_mb.saturating_mul(2);
+            }
+            attempts_left -= 1;
+            if attempts_left == 0 {
+                return Err(self.lost(order, files, &job, &said));
+            }
+            let again = match was_too_large {
+                true => format!("with {memory_mb} MB"),
+                false => "again".to_owned(),
+            };
+            order.progress.warn(&format!(
+                "job {} ended without a result ({}); it is submitted {again}",
+                job.id,
+                in_short(&said),
+            ));
+        }
+    }
+
+    /// Returns the job of an action that is in the queue, or else submits one.
+    fn job(&self, order: &Order<'_>, files: &JobFiles, memory_mb: u64) -> Result<Job, StageError> {
+        let name = job_name(&order.key);
+        let asked = Instant::now();
+        let mut busy = String::new();
+        while asked.elapsed() < self.patience() {
+            if order.cancel.is_set() {
+                return Err(StageError::Cancelled);
+            }
+            match self.queue.look(&self.site.commands, &name, self.began) {
+                Sight::There(listed) => {
+                    let since = self.began;
+                    return Ok(Job { id: listed.id, since });
+                }
+                Sight::Unknown(fault) => busy = fault,
+                Sight::Absent => match self.submit(order, files, memory_mb)? {
+                    Ok(job) => return Ok(job),
+                    Err(said) => busy = said,
+                },
+            }
+            thread::sleep(self.pause());
+        }
+        let seconds = self.patience().as_secs_f64();
+        let error =
+            StageError::new(format!("the batch system does not answer for {seconds:.0} s")).cause(busy);
+        Err(error.hint("try its commands by hand, and run again: what was computed is kept"))
+    }
+
+    /// Submits a job; of a batch system that is busy it returns what that says.
+    fn submit(
+        &self,
+        order: &Order<'_>,
+        files: &JobFiles,
+        memory_mb: u64,
+    ) -> Result<Result<Job, String>, StageError> {
+        let unwritten = |error: io::Error| failed(order, "the files of its job cannot be written", &error);
+        self.write(order, files, memory_mb).map_err(unwritten)?;
+        let since = Instant::now();
+        match self.site.commands.submit(&files.script.display().to_string()) {
+            Ok(id) => Ok(Ok(Job { id, since })),
+            Err(said) if BUSY.iter().any(|word| said.contains(word)) => Ok(Err(said)),
+            Err(said) => {
+                let error = StageError::new(format!("the batch system takes no job for `{}`", order.node))
+                    .cause(said);
+                Err(error.hint(format!("the script is {}", files.script.display())))
+            }
+        }
+    }
+
+    /// Writes the action and the script of a job, and removes a result that is none.
+    fn write(&self, order: &Order<'_>, files: &JobFiles, memory_mb: u64) -> io::Result<()> {
+        match fs::remove_file(&files.result) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            _ => fs::write(&files.action, order.action.encode())?,
+        }
+        let gpu = self.site.gpu_options.iter().filter(|_| order.needs.gpu);
+        let options: Vec<String> = self.site.options.iter().chain(gpu).cloned().collect();
+        let filling = Filling {
+            name: &job_name(&order.key),
+            action: &files.action,
+            store: &self.site.store,
+            marf: &self.marf,
+            log: &files.log,
+            result: &files.result,
+            scratch: &files.scratch,
+            cores: match order.needs.cores {
+                Threads::One => 1,
+                Threads::All => self.site.cores,
+            },
+            memory_mb,
+            minutes: self.site.minutes,
+            options: &options,
+        };
+        fs::write(&files.script, filled(&self.script, &filling))
+    }
+
+    /// Waits until a job has told how it ended, or is lost.
+    fn wait(&self, order: &Order<'_>, files: &JobFiles, job: &Job) -> Result<Ended, StageError> {
+        let name = job_name(&order.key);
+        let mut absent_since: Option<Instant> = None;
+        loop {
+            if let Some(result) = JobResult::read(&files.result, &order.key) {
+                return Ok(Ended::Told(result));
+            }
+            if order.cancel.is_set() {
+                if let Err(said) = self.site.commands.cancel(&job.id) {
+                    order
+                        .progress
+                        .warn(&format!("job {} cannot be stopped: {said}", job.id));
+                }
+                return Err(StageError::Cancelled);
+            }
+            match self.queue.look(&self.site.commands, &name, job.since) {
+                Sight::There(listed) => {
+                    absent_since = None;
+                    order
+                        .progress
+                        .at(0, 1, &note(&listed.id, &listed.state, &listed.reason));
+                }
+                Sight::Unknown(fault) => {
+                    absent_since = None;
+                    let state = if fault.is_empty() {
+                        "submitted"
+                    } else {
+                        "the queue cannot be seen"
+                    };
+                    order.progress.at(0, 1, &note(&job.id, state, &fault));
+                }
+                Sight::Absent => {
+                    let since = *absent_since.get_or_insert_with(Instant::now);
+                    if since.elapsed() >= self.patience() {
+                        return Ok(Ended::Lost(self.site.commands.explain(&job.id)));
+                    }
+                }
+            }
+            thread::sleep(self.pause());
+        }
+    }
+
+    /// Brings the result of an action from the shared store.
+    fn fetch(&self, order: &Order<'_>) -> Result<(), StageError> {
+        let fetched = self
+            .remote
+            .bring(order.store, &[order.key], &Watcher(order.cancel));
+        fetched.map_err(|error| remote_failed(order, "its result cannot be fetched", error))?;
+        self.shared.lock().insert(order.key);
+        Ok(())
+    }
+
+    fn lost(&self, order: &Order<'_>, files: &JobFiles, job: &Job, said: &str) -> StageError {
+        let error = StageError::new(format!(
+            "`{}`: {ATTEMPTS} jobs ended without a result, the last was {} ({})",
+            order.node,
+            job.id,
+            in_short(said)
+        ));
+        let error = match files.log_tail() {
+            Some(tail) => error.cause(tail),
+            None => error,
+        };
+        error.hint(format!(
+            "see {}; `memory_mb` and `minutes` of the site file are what a job may take",
+            files.log.display()
+        ))
+    }
+
+    /// Returns the memory of a job, MB.
+    fn memory_mb(&self, needs: &Needs) -> u64 {
+        needs
+            .memory_mb
+            .map_or(self.site.memory_mb, |peak| peak + peak / 2)
+    }
+
+    fn patience(&self) -> Duration {
+        Duration::from_secs_f64(self.site.patience_s)
+    }
+
+    fn pause(&self) -> Duration {
+        Duration::from_secs_f64(self.site.poll_s).min(LOOK_INTERVAL)
+    }
+}
+
+fn job_name(key: &Digest) -> String {
+    format!("marf-{}", &key.to_string()[..NAME_DIGITS])
+}
+
+/// Returns the blobs that an action reads and that no result of the run consists of: those that its parent has made for it.
+fn foreign_inputs(order: &Order<'_>) -> Result<Vec<Digest>, StoreError> {
+    let mut known: BTreeSet<Digest> = BTreeSet::new();
+    for key in order.results {
+        let record = order.store.record(key)?;
+        known.extend(
+            record
+                .iter()
+                .flat_map(|record| record.outputs.values())
+                .map(|output| output.digest),
+        );
+    }
+    let inputs = order.action.inputs.values();
+    let foreign: Vec<Digest> = inputs.filter(|digest| !known.contains(digest)).copied().collect();
+    match foreign.is_empty() {
+        true => Ok(foreign),
+        false => order.store.closure(&[], &foreign).map(|closure| closure.blobs),
+    }
+}
+
+/// Returns what is seen of a job: `job 12 pending (Resources)`.
+fn note(id: &str, state: &str, reason: &str) -> String {
+    match reason.is_empty() {
+        true => format!("job {id} {state}"),
+        false => format!("job {id} {state} ({reason})"),
+    }
+}
+
+/// Returns the words `JobState=…` and `Reason=…` of what Slurm says of a job, or the first words of another batch system.
+fn in_short(said: &str) -> String {
+    let is_wanted = |word: &&str| {
+        ["JobState=", "Reason=", "ExitCode="]
+            .iter()
+            .any(|key| word.starts_with(key))
+    };
+    let words: Vec<&str> = said.split_whitespace().filter(is_wanted).collect();
+    match words.is_empty() {
+        false => words.join(" "),
+        true if said.trim().is_empty() => "the batch system knows it no more".to_owned(),
+        true => said.trim().lines().next().unwrap_or_default().to_owned(),
+    }
+}
+
+/// Tells the warnings of a job, and why it has no result if it has none.
+fn told(order: &Order<'_>, result: JobResult) -> Result<(), StageError> {
+    result
+        .warnings
+        .iter()
+        .for_each(|warning| order.progress.warn(warning));
+    let Some(Fault { message, cause, hint }) = result.fault else {
+        return Ok(());
+    };
+    Err(StageError::Failed { message, cause, hint })
+}
+
+fn failed(order: &Order<'_>, what: &str, error: &dyn fmt::Display) -> StageError {
+    StageError::new(format!("`{}`: {what}", order.node)).cause(error.to_string())
+}
+
+fn remote_failed(order: &Order<'_>, what: &str, error: RemoteError) -> StageError {
+    match error {
+        RemoteError::Stopped => StageError::Cancelled,
+        error => failed(order, what, &error),
+    }
+}
+
+/// Stops the work on a shared store when the user wants to stop.
+struct Watcher<'a>(&'a Cancel);
+
+impl Observer for Watcher<'_> {
+    fn on_progress(&self, _progress: Progress) {}
+
+    fn is_stopped(&self) -> bool {
+        self.0.is_set()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_slurm_says_of_a_job_is_put_in_short() {
+        let said = "JobId=12 JobName=marf-ab UserId=root(0) JobState=OUT_OF_MEMORY Reason=OutOfMemory Requeue=1 ExitCode=0:125 Nice=0";
+        assert_eq!(
+            in_short(said),
+            "JobState=OUT_OF_MEMORY Reason=OutOfMemory ExitCode=0:125"
+        );
+        assert_eq!(in_short(" \n"), "the batch system knows it no more");
+        assert_eq!(
+            in_short("job 7 has been deleted\nmore\n"),
+            "job 7 has been deleted"
+        );
+        assert_eq!(note("7", "pending", "Priority"), "job 7 pending (Priority)");
+        assert_eq!(note("7", "running", ""), "job 7 running");
+    }
+}

@@ -1,0 +1,238 @@
+//! The commands of a batch system.
+
+use std::{
+    collections::BTreeMap,
+    io,
+    process::{Command, Output, Stdio},
+    time::{Duration, Instant},
+};
+
+use serde::Deserialize;
+
+/// Longest wait for an answer of the batch system.
+const ANSWER_PATIENCE: Duration = Duration::from_secs(60);
+
+/// Pause between two looks whether it has answered.
+const ANSWER_INTERVAL: Duration = Duration::from_millis(10);
+
+/// Commands of a batch system, each a program with its arguments; those of Slurm by default. `{script}` stands for the script of a job,
+/// `{id}` for the id that the batch system gave it.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Commands {
+    /// Submits a job; prints its id first.
+    pub submit: Vec<String>,
+    /// Lists the jobs of the user that wait or run, one a line: `id|name|state|reason`.
+    pub list: Vec<String>,
+    /// Takes a job out of the queue, or stops it with SIGTERM.
+    pub cancel: Vec<String>,
+    /// Tells of a job that is gone how it ended, in any words; `OUT_OF_MEMORY` among them doubles its memory.
+    pub explain: Vec<String>,
+}
+
+impl Default for Commands {
+    fn default() -> Self {
+        let words = |text: &str| text.split(' ').map(str::to_owned).collect();
+        Self {
+            submit: words("sbatch --parsable {script}"),
+            list: words("squeue --me --noheader --format=%i|%j|%T|%r"),
+            cancel: words("scancel {id}"),
+            explain: words("scontrol --oneliner show job {id}"),
+        }
+    }
+}
+
+/// A job that the batch system has.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Listed {
+    pub id: String,
+    /// Its state in the words of the batch system, in small letters.
+    pub state: String,
+    /// Why it waits; empty if it does not.
+    pub reason: String,
+}
+
+impl Commands {
+    pub(crate) fn check(&self) -> Result<(), (&'static str, String)> {
+        for (key, command) in [
+            ("commands.submit", &self.submit),
+            ("commands.list", &self.list),
+            ("commands.cancel", &self.cancel),
+            ("commands.explain", &self.explain),
+        ] {
+            if command.is_empty() {
+                return Err((key, "no program".to_owned()));
+            }
+        }
+        Ok(())
+    }
+
+    /// Submits a job, and returns its id.
+    pub(crate) fn submit(&self, script: &str) -> Result<String, String> {
+        let printed = run(&self.submit, ("{script}", script))?;
+        // Slurm adds `;cluster` on sites with several.
+        let id = printed.split([';', '\n']).next().unwrap_or_default().trim();
+        match id.is_empty() {
+            true => Err(format!("`{}` printed no id", self.submit[0])),
+            false => Ok(id.to_owned()),
+        }
+    }
+
+    /// Returns the jobs of the user by name.
+    pub(crate) fn list(&self) -> Result<BTreeMap<String, Listed>, String> {
+        let printed = run(&self.list, ("", ""))?;
+        Ok(printed.lines().filter_map(listed).collect())
+    }
+
+    /// Takes a job out of the queue.
+    pub(crate) fn cancel(&self, id: &str) -> Result<(), String> {
+        run(&self.cancel, ("{id}", id)).map(drop)
+    }
+
+    /// Returns what the batch system says of a job that is gone; empty if it has forgotten.
+    pub(crate) fn explain(&self, id: &str) -> String {
+        run(&self.explain, ("{id}", id)).unwrap_or_default()
+    }
+}
+
+/// Reads a line `id|name|state|reason`.
+fn listed(line: &str) -> Option<(String, Listed)> {
+    let mut parts = line.trim().splitn(4, '|');
+    let mut next = || parts.next().map(|part| part.trim().to_owned());
+    let (id, name, state) = (next()?, next()?, next()?);
+    let reason = next().unwrap_or_default();
+    let listed = Listed {
+        id,
+        state: state.to_lowercase(),
+        reason: match reason.as_str() {
+            "None" => String::new(),
+            _ => reason,
+        },
+    };
+    Some((name, listed))
+}
+
+/// Runs a command, and returns what it printed.
+fn run(command: &[String], (placeholder, value): (&str, &str)) -> Result<String, String> {
+    let filled = |word: &String| match placeholder.is_empty() {
+        true => word.clone(),
+        false => word.replace(placeholder, value),
+    };
+    let words: Vec<String> = command.iter().map(filled).collect();
+    let output = output(&words).map_err(|error| match error.kind() {
+        io::ErrorKind::NotFound => format!("there is no program `{}`", words[0]),
+        _ => format!("`{}`: {error}", words[0]),
+    })?;
+    match output.status.success() {
+        true => Ok(String::from_utf8_lossy(&output.stdout).into_owned()),
+        false => {
+            let said = String::from_utf8_lossy(&output.stderr);
+            Err(format!("`{}` says: {}", words[0], said.trim()))
+        }
+    }
+}
+
+/// Runs a command to its end; one that does not answer is stopped.
+fn output(words: &[String]) -> io::Result<Output> {
+    let mut child = Command::new(&words[0])
+        .args(&words[1..])
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()?;
+    let began = Instant::now();
+    // What these commands print fits a pipe, but for a long queue: it is read while they run.
+    let read = |from: Option<Box<dyn io::Read + Send>>| {
+        std::thread::spawn(move || {
+            let mut bytes = Vec::new();
+            from.map(|mut from| from.read_to_end(&mut bytes));
+            bytes
+        })
+    };
+    let stdout = read(child.stdout.take().map(|pipe| Box::new(pipe) as _));
+    let stderr = read(child.stderr.take().map(|pipe| Box::new(pipe) as _));
+    let status = loop {
+        if let Some(status) = child.try_wait()? {
+            break status;
+        }
+        if began.elapsed() > ANSWER_PATIENCE {
+            child.kill()?;
+            child.wait()?;
+            let seconds = ANSWER_PATIENCE.as_secs();
+            return Err(io::Error::other(format!("no answer within {seconds} s")));
+        }
+        std::thread::sleep(ANSWER_INTERVAL);
+    };
+    Ok(Output {
+        status,
+        stdout: stdout.join().unwrap_or_default(),
+        stderr: stderr.join().unwrap_or_default(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shell(script: &str) -> Vec<String> {
+        ["sh", "-c", script].map(str::to_owned).to_vec()
+    }
+
+    #[test]
+    fn lines_of_the_queue_are_read_and_others_are_none() {
+        let commands = Commands {
+            list: shell(
+                "printf '12|marf-ab|PENDING|Resources\\n 13_4 |other job|RUNNING|None\\n\\nslurm_load_jobs error\\n'",
+            ),
+            ..Commands::default()
+        };
+        let jobs = commands.list().unwrap();
+        assert_eq!(jobs.len(), 2);
+        assert_eq!(jobs["marf-ab"].id, "12");
+        assert_eq!(jobs["marf-ab"].state, "pending");
+        assert_eq!(jobs["marf-ab"].reason, "Resources");
+        assert_eq!(
+            (jobs["other job"].id.as_str(), jobs["other job"].reason.as_str()),
+            ("13_4", "")
+        );
+    }
+
+    #[test]
+    fn what_a_command_says_against_a_job_comes_through() {
+        let commands = |submit: &str| Commands {
+            submit: shell(submit),
+            ..Commands::default()
+        };
+        assert_eq!(commands("echo '77;main'").submit("x").unwrap(), "77");
+        let rejected =
+            commands("echo 'sbatch: error: Invalid generic resource (gres) specification' >&2; exit 1");
+        assert!(
+            rejected
+                .submit("x")
+                .unwrap_err()
+                .contains("Invalid generic resource")
+        );
+        assert!(
+            commands("true")
+                .submit("x")
+                .unwrap_err()
+                .contains("printed no id")
+        );
+        let absent = Commands {
+            cancel: vec!["no-such-program-of-a-batch-system".to_owned()],
+            ..Commands::default()
+        };
+        assert!(absent.cancel("1").unwrap_err().contains("there is no program"));
+    }
+
+    #[test]
+    fn placeholders_are_filled_and_a_long_answer_comes_whole() {
+        let commands = Commands {
+            explain: shell("yes 'job {id}' | head -20000"),
+            ..Commands::default()
+        };
+        let said = commands.explain("9");
+        assert_eq!(said.lines().count(), 20_000);
+        assert!(said.starts_with("job 9\n"));
+    }
+}

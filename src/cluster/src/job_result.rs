@@ -1,0 +1,95 @@
+//! How a job ended: one file, written by rename.
+
+use std::{
+    fs,
+    io::{self, Write as _},
+    path::Path,
+};
+
+use marf_cache::Digest;
+use serde::{Deserialize, Serialize};
+
+/// How a job ended.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JobResult {
+    /// The key of its action.
+    pub key: Digest,
+    /// The program with its version.
+    pub program: String,
+    /// Why there is no result; absent if there is one, which then is in the shared store.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fault: Option<Fault>,
+    /// What else the user should know, a sentence each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub warnings: Vec<String>,
+}
+
+/// Why a job has no result.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Fault {
+    /// What, where and how much, in one line.
+    pub message: String,
+    /// The cause, if known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cause: Option<String>,
+    /// What to do about it, if known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hint: Option<String>,
+}
+
+impl JobResult {
+    /// Writes the file whole or not at all; readers see nothing of it before.
+    ///
+    /// # Errors
+    /// A folder that cannot be written.
+    pub fn write(&self, path: &Path) -> io::Result<()> {
+        let folder = path.parent().filter(|folder| *folder != Path::new(""));
+        let folder = folder.unwrap_or(Path::new("."));
+        fs::create_dir_all(folder)?;
+        let mut file = tempfile::Builder::new().suffix(".tmp").tempfile_in(folder)?;
+        serde_json::to_writer(&mut file, self)?;
+        file.write_all(b"\n")?;
+        file.as_file().sync_data()?;
+        file.persist(path)?;
+        Ok(())
+    }
+
+    /// Reads the result of a key; none if it is not there, or not whole, or of another key.
+    pub(crate) fn read(path: &Path, key: &Digest) -> Option<Self> {
+        let result: Self = serde_json::from_slice(&fs::read(path).ok()?).ok()?;
+        (result.key == *key).then_some(result)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_result_is_read_whole_and_for_its_own_key_alone() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("new/folder/result.json");
+        let key = Digest::of(b"key");
+        let result = JobResult {
+            key,
+            program: "marf 1".to_owned(),
+            fault: Some(Fault {
+                message: "out of paper".to_owned(),
+                cause: None,
+                hint: Some("buy some".to_owned()),
+            }),
+            warnings: vec!["the toner is low".to_owned()],
+        };
+        assert_eq!(JobResult::read(&path, &key), None);
+        result.write(&path).unwrap();
+        assert_eq!(JobResult::read(&path, &key).as_ref(), Some(&result));
+        assert_eq!(JobResult::read(&path, &Digest::of(b"other")), None);
+        let whole = fs::read(&path).unwrap();
+        for cut in [0, 1, whole.len() / 2, whole.len() - 3] {
+            fs::write(&path, &whole[..cut]).unwrap();
+            assert_eq!(JobResult::read(&path, &key), None, "{cut}");
+        }
+    }
+}

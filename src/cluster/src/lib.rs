@@ -1,0 +1,26 @@
+//! Nodes of a run as jobs of a batch system (Slurm, or another by a template).
+//!
+//! ```text
+//! FOLDER/<key>.action  what a job computes
+//! FOLDER/<key>.sh      its script
+//! FOLDER/<key>.log     what the job printed, attempts one after the other
+//! FOLDER/<key>.json    how it ended, written by rename ([`JobResult`])
+//! FOLDER/<key>/        its scratch store with checkpoints, until it has a result
+//! ```
+//! FOLDER is on a file system that the machine of the run and those of the jobs share. Inputs and results travel through a shared
+//! store; of a job its file alone tells how it ended. The batch system is asked which jobs are there, never how one ended: its
+//! accounting may be off, and forgets. So nothing but the queue is believed to say that a job is alive, and nothing but the file
+//! that it is done; a job that is in neither for a while is lost and submitted again.
+//!
+//! The name of a job is its key. A run that begins looks for jobs of its keys in the queue, and takes them over.
+
+mod cluster;
+mod commands;
+mod job_result;
+mod queue;
+mod script;
+mod site;
+
+pub use cluster::Cluster;
+pub use job_result::{Fault, JobResult};
+pub use site::{Site, SiteError};

@@ -1,0 +1,111 @@
+//! What the batch system has in its queue, asked by many and looked at once.
+
+use std::{
+    collections::BTreeMap,
+    time::{Duration, Instant},
+};
+
+use parking_lot::Mutex;
+
+use crate::commands::{Commands, Listed};
+
+/// The queue as it was last seen.
+#[derive(Debug)]
+pub(crate) struct Queue {
+    interval: Duration,
+    seen: Mutex<Seen>,
+}
+
+#[derive(Debug, Default)]
+struct Seen {
+    /// When the batch system was last asked; absent if never.
+    asked: Option<Instant>,
+    /// Its jobs by name, from its last answer, and when that came.
+    answer: Option<(Instant, BTreeMap<String, Listed>)>,
+    /// Why the last question has no answer.
+    fault: Option<String>,
+}
+
+/// What is known of a job.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Sight {
+    /// It waits or runs.
+    There(Listed),
+    /// It is not in an answer that came after it was asked for.
+    Absent,
+    /// The batch system does not answer, for this reason.
+    Unknown(String),
+}
+
+impl Queue {
+    pub(crate) fn new(interval: Duration) -> Self {
+        Self {
+            interval,
+            seen: Mutex::default(),
+        }
+    }
+
+    /// Returns what is known of a job now; what was seen within the interval is not asked for again.
+    ///
+    /// `since` is when the job was submitted: an answer from before it tells nothing of it.
+    pub(crate) fn look(&self, commands: &Commands, name: &str, since: Instant) -> Sight {
+        let mut seen = self.seen.lock();
+        if seen.asked.is_none_or(|asked| asked.elapsed() >= self.interval) {
+            let asked = Instant::now();
+            seen.asked = Some(asked);
+            match commands.list() {
+                Ok(jobs) => (seen.answer, seen.fault) = (Some((asked, jobs)), None),
+                Err(fault) => seen.fault = Some(fault),
+            }
+        }
+        let fresh = seen.answer.as_ref().filter(|(asked, _)| *asked >= since);
+        match (&seen.fault, fresh) {
+            (Some(fault), _) => Sight::Unknown(fault.clone()),
+            (None, None) => Sight::Unknown(String::new()),
+            (None, Some((_, jobs))) => jobs.get(name).cloned().map_or(Sight::Absent, Sight::There),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn list(script: &str) -> Commands {
+        Commands {
+            list: ["sh", "-c", script].map(str::to_owned).to_vec(),
+            ..Commands::default()
+        }
+    }
+
+    #[test]
+    fn many_looks_ask_once_and_an_older_answer_tells_nothing() {
+        let dir = tempfile::tempdir().unwrap();
+        let count = dir.path().join("count");
+        let commands = list(&format!(
+            "echo x >> '{}'; echo '1|a|RUNNING|None'",
+            count.display()
+        ));
+        let queue = Queue::new(Duration::from_secs(3600));
+        let before = Instant::now();
+        for _ in 0..50 {
+            assert!(matches!(queue.look(&commands, "a", before), Sight::There(job) if job.id == "1"));
+        }
+        assert_eq!(queue.look(&commands, "b", before), Sight::Absent);
+        assert_eq!(
+            queue.look(&commands, "b", Instant::now()),
+            Sight::Unknown(String::new())
+        );
+        assert_eq!(std::fs::read_to_string(count).unwrap().lines().count(), 1);
+    }
+
+    #[test]
+    fn a_queue_that_does_not_answer_says_nothing_of_a_job() {
+        let queue = Queue::new(Duration::ZERO);
+        let now = Instant::now();
+        assert_eq!(queue.look(&list("true"), "a", now), Sight::Absent);
+        let sight = queue.look(&list("echo down >&2; exit 1"), "a", now);
+        assert!(matches!(sight, Sight::Unknown(why) if why.contains("down")));
+        assert_eq!(queue.look(&list("true"), "a", now), Sight::Absent);
+    }
+}

@@ -1,0 +1,118 @@
+//! The script of a job.
+
+use std::path::Path;
+
+/// The script of a Slurm job. `SIGTERM` comes a minute before the end of its time, so that it leaves a checkpoint.
+pub(crate) const SLURM: &str = "\
+#!/bin/bash
+#SBATCH --job-name={name}
+#SBATCH --output={log}
+#SBATCH --open-mode=append
+#SBATCH --cpus-per-task={cores}
+#SBATCH --mem={memory_mb}M
+#SBATCH --time={minutes}
+#SBATCH --signal=TERM@60
+#SBATCH --requeue
+{options}
+exec {marf} exec {action} --store {store} --result {result} --scratch {scratch} --threads {cores}
+";
+
+/// What each line of further options begins with, in a script of Slurm.
+const OPTION: &str = "#SBATCH ";
+
+/// What the placeholders of a script stand for.
+pub(crate) struct Filling<'a> {
+    pub name: &'a str,
+    pub action: &'a Path,
+    pub store: &'a str,
+    pub marf: &'a Path,
+    pub log: &'a Path,
+    pub result: &'a Path,
+    pub scratch: &'a Path,
+    pub cores: usize,
+    pub memory_mb: u64,
+    pub minutes: u64,
+    pub options: &'a [String],
+}
+
+/// Returns a script with its placeholders filled; what stands in a command line is quoted for the shell.
+pub(crate) fn filled(template: &str, filling: &Filling<'_>) -> String {
+    let options = filling.options.iter().map(|option| format!("{OPTION}{option}"));
+    let options = options.collect::<Vec<_>>().join("\n");
+    let path = |path: &Path| path.display().to_string();
+    let quoted = |path: &Path| shell_quoted(&path.display().to_string());
+    let pairs = [
+        ("{name}", filling.name.to_owned()),
+        ("{action}", quoted(filling.action)),
+        ("{store}", shell_quoted(filling.store)),
+        ("{marf}", quoted(filling.marf)),
+        ("{log}", path(filling.log)),
+        ("{result}", quoted(filling.result)),
+        ("{scratch}", quoted(filling.scratch)),
+        ("{cores}", filling.cores.to_string()),
+        ("{memory_mb}", filling.memory_mb.to_string()),
+        ("{minutes}", filling.minutes.to_string()),
+        ("{options}", options),
+    ];
+    let lines = template.lines().map(|line| {
+        let mut line = line.to_owned();
+        for (placeholder, value) in &pairs {
+            line = line.replace(placeholder, value);
+        }
+        line
+    });
+    lines
+        .filter(|line| !line.is_empty())
+        .map(|line| line + "\n")
+        .collect()
+}
+
+/// Returns a word of a shell command that stands for this text.
+fn shell_quoted(text: &str) -> String {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "/._-:=@".contains(c);
+    match !text.is_empty() && text.chars().all(is_plain) {
+        true => text.to_owned(),
+        false => format!("'{}'", text.replace('\'', r"'\''")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_script_has_every_value_and_quotes_what_a_shell_would_take_apart() {
+        let options = ["--partition=long".to_owned(), "--gres=gpu:1".to_owned()];
+        let filling = Filling {
+            name: "marf-ab",
+            action: Path::new("/jobs/a.action"),
+            store: "file:///shared/my store",
+            marf: Path::new("/opt/marf"),
+            log: Path::new("/jobs/a.log"),
+            result: Path::new("/jobs/it's.json"),
+            scratch: Path::new("/jobs/a"),
+            cores: 2,
+            memory_mb: 900,
+            minutes: 30,
+            options: &options,
+        };
+        let script = filled(SLURM, &filling);
+        assert!(!script.contains('{'), "{script}");
+        assert!(script.starts_with("#!/bin/bash\n#SBATCH --job-name=marf-ab\n"));
+        assert!(script.contains(
+            "\n#SBATCH --partition=long\n#SBATCH --gres=gpu:1\nexec /opt/marf exec /jobs/a.action "
+        ));
+        assert!(script.contains(" --store 'file:///shared/my store' "));
+        assert!(script.contains(r" --result '/jobs/it'\''s.json' "));
+        assert!(script.ends_with(" --threads 2\n"));
+        let bare = filled(
+            SLURM,
+            &Filling {
+                options: &[],
+                ..filling
+            },
+        );
+        assert!(!bare.contains("\n\n"), "{bare}");
+        assert_eq!(shell_quoted(""), "''");
+    }
+}

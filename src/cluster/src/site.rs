@@ -1,0 +1,238 @@
+//! The site file: where and how jobs run. It is in no key.
+
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+};
+
+use serde::Deserialize;
+
+use crate::{commands::Commands, script};
+
+/// A batch system and how it is used.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Site {
+    /// Address of the shared store (`file:///FOLDER`, `s3://BUCKET/PREFIX`), as the machines of the jobs see it.
+    pub store: String,
+    /// Folder of scripts, results and logs, which the machines of the jobs see under the same path.
+    pub folder: PathBuf,
+    /// Stages whose nodes are jobs; all others are computed where the run is.
+    #[serde(default = "default_stages")]
+    pub stages: BTreeSet<String>,
+    /// Most jobs at once, those that wait in the queue among them.
+    #[serde(default = "default_max_jobs")]
+    pub max_jobs: usize,
+    /// The program on the machines of the jobs [default: this one].
+    #[serde(default)]
+    pub marf: Option<PathBuf>,
+    /// Cores of a job whose stage can use more than one.
+    #[serde(default = "default_cores")]
+    pub cores: usize,
+    /// Memory of a job whose node never ran, MB. One that ran gets half as much again as it took.
+    #[serde(default = "default_memory_mb")]
+    pub memory_mb: u64,
+    /// Longest time of a job, minutes. A job that is stopped goes on from its checkpoint.
+    #[serde(default = "default_minutes")]
+    pub minutes: u64,
+    /// Further options of every job, a line of the script each (`--partition=long`).
+    #[serde(default)]
+    pub options: Vec<String>,
+    /// Further options of jobs on a GPU.
+    #[serde(default = "default_gpu_options")]
+    pub gpu_options: Vec<String>,
+    /// Seconds between two looks at the queue.
+    #[serde(default = "default_poll_s")]
+    pub poll_s: f64,
+    /// Seconds for which a job may be in neither the queue nor its folder before it counts as lost: a shared file system lags.
+    #[serde(default = "default_patience_s")]
+    pub patience_s: f64,
+    /// File with another script of jobs, for other batch systems.
+    #[serde(default)]
+    pub template: Option<PathBuf>,
+    /// Commands of the batch system.
+    #[serde(default)]
+    pub commands: Commands,
+}
+
+fn default_stages() -> BTreeSet<String> {
+    ["train", "partial"].map(str::to_owned).into()
+}
+
+fn default_max_jobs() -> usize {
+    100
+}
+
+fn default_cores() -> usize {
+    4
+}
+
+fn default_memory_mb() -> u64 {
+    4_000
+}
+
+fn default_minutes() -> u64 {
+    240
+}
+
+fn default_gpu_options() -> Vec<String> {
+    vec!["--gres=gpu:1".to_owned()]
+}
+
+fn default_poll_s() -> f64 {
+    5.0
+}
+
+fn default_patience_s() -> f64 {
+    60.0
+}
+
+/// A site file that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum SiteError {
+    /// It cannot be read.
+    #[error("{path}: {source}", path = path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// It is not the TOML of a site.
+    #[error("{path}: {message}", path = path.display())]
+    Syntax {
+        /// The file.
+        path: PathBuf,
+        /// Where and what.
+        message: String,
+    },
+    /// A value that no site can have.
+    #[error("{path}: executor.{key}: {message}", path = path.display())]
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// The key.
+        key: &'static str,
+        /// Why not.
+        message: String,
+    },
+}
+
+/// The table `[executor]` of a site file.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    executor: Site,
+}
+
+impl Site {
+    /// Reads a site file.
+    ///
+    /// # Errors
+    /// A file that is not there or is no site, a value that no site can have.
+    pub fn read(path: &Path) -> Result<Self, SiteError> {
+        let read = |path: &Path| {
+            std::fs::read_to_string(path).map_err(|source| SiteError::Read {
+                path: path.to_owned(),
+                source,
+            })
+        };
+        let file: File = toml::from_str(&read(path)?).map_err(|error| SiteError::Syntax {
+            path: path.to_owned(),
+            message: error.to_string().trim_end().to_owned(),
+        })?;
+        let site = file.executor;
+        site.check().map_err(|(key, message)| SiteError::Value {
+            path: path.to_owned(),
+            key,
+            message,
+        })?;
+        Ok(site)
+    }
+
+    fn check(&self) -> Result<(), (&'static str, String)> {
+        let positive = |key: &'static str, is_positive: bool| match is_positive {
+            true => Ok(()),
+            false => Err((key, "a number above 0 is needed".to_owned())),
+        };
+        positive("max_jobs", self.max_jobs > 0)?;
+        positive("cores", self.cores > 0)?;
+        positive("memory_mb", self.memory_mb > 0)?;
+        positive("minutes", self.minutes > 0)?;
+        positive("poll_s", self.poll_s.is_finite() && self.poll_s > 0.0)?;
+        positive("patience_s", self.patience_s.is_finite() && self.patience_s > 0.0)?;
+        if !self.folder.is_absolute() {
+            let message = format!(
+                "`{}`: machines of jobs need the whole path",
+                self.folder.display()
+            );
+            return Err(("folder", message));
+        }
+        if self.stages.is_empty() {
+            return Err(("stages", "no stage: nothing would be a job".to_owned()));
+        }
+        self.commands.check()
+    }
+
+    /// Returns the script of jobs, with its placeholders.
+    ///
+    /// # Errors
+    /// A template that cannot be read.
+    pub(crate) fn script(&self) -> Result<String, SiteError> {
+        match &self.template {
+            None => Ok(script::SLURM.to_owned()),
+            Some(path) => std::fs::read_to_string(path).map_err(|source| SiteError::Read {
+                path: path.clone(),
+                source,
+            }),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<Site, String> {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("site.toml");
+        std::fs::write(&path, text).unwrap();
+        let prefix = format!("{}: ", path.display());
+        Site::read(&path).map_err(|error| error.to_string().replace(&prefix, ""))
+    }
+
+    const LEAST: &str = "[executor]\nstore = \"file:///s\"\nfolder = \"/f\"\n";
+
+    #[test]
+    fn a_site_needs_a_store_and_a_folder_and_has_defaults_for_the_rest() {
+        let site = read(LEAST).unwrap();
+        assert_eq!((site.max_jobs, site.cores, site.memory_mb), (100, 4, 4_000));
+        assert_eq!(Vec::from_iter(&site.stages), ["partial", "train"]);
+        assert_eq!(site.commands, Commands::default());
+        assert!(
+            read("[executor]\nstore = \"file:///s\"\n")
+                .unwrap_err()
+                .contains("missing field `folder`")
+        );
+    }
+
+    #[test]
+    fn values_that_no_site_can_have_are_refused_by_key() {
+        for (line, expected) in [
+            ("max_jobs = 0", "executor.max_jobs: a number above 0 is needed"),
+            ("poll_s = 0.0", "executor.poll_s: a number above 0 is needed"),
+            (
+                "patience_s = nan",
+                "executor.patience_s: a number above 0 is needed",
+            ),
+            ("stages = []", "executor.stages: no stage: nothing would be a job"),
+            ("commands.submit = []", "executor.commands.submit: no program"),
+            ("pace = 3", "unknown field `pace`"),
+        ] {
+            let error = read(&format!("{LEAST}{line}\n")).unwrap_err();
+            assert!(error.contains(expected), "{line}: {error}");
+        }
+        let relative = read("[executor]\nstore = \"file:///s\"\nfolder = \"jobs\"\n").unwrap_err();
+        assert!(relative.contains("whole path"), "{relative}");
+    }
+}

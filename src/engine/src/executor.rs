@@ -1,0 +1,43 @@
+//! Results that other machines compute.
+
+use std::fmt;
+
+use marf_cache::{Action, Digest, Store};
+use marf_stage::{Cancel, Progress, StageError};
+
+use crate::needs::Needs;
+
+/// Has actions computed on other machines.
+pub trait Executor: fmt::Debug + Send + Sync {
+    /// Tells whether it takes an action; what it does not take is computed here.
+    fn takes(&self, action: &Action) -> bool;
+
+    /// Returns the most actions that it takes at once, at least 1.
+    fn slots(&self) -> usize;
+
+    /// Has an action computed, and puts its record and all that this consists of into the store.
+    ///
+    /// # Errors
+    /// What kept the other machine from computing it; [`StageError::Cancelled`] if the user wants to stop.
+    fn execute(&self, order: &Order<'_>) -> Result<(), StageError>;
+}
+
+/// An action to compute elsewhere, with what travels beside it and is in no key.
+pub struct Order<'a> {
+    /// Name of the node.
+    pub node: &'a str,
+    /// The key of the result.
+    pub key: Digest,
+    /// The action, whose bytes are in the store under the key.
+    pub action: &'a Action,
+    /// What it needs of a machine.
+    pub needs: Needs,
+    /// Keys of the results of the run so far, sorted: all that the action reads is an input, or belongs to one of these.
+    pub results: &'a [Digest],
+    /// The store of the run.
+    pub store: &'a Store,
+    /// Receives how far it is.
+    pub progress: &'a dyn Progress,
+    /// Whether the user wants to stop.
+    pub cancel: &'a Cancel,
+}

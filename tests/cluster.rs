@@ -1,0 +1,318 @@
+//! Nodes as jobs of a batch system: a stub of Slurm that runs, delays and kills jobs.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+#![cfg(unix)]
+
+mod common;
+
+use std::collections::BTreeMap;
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use common::{Ran, marf};
+use serde_json::Value;
+
+const PIPELINE: &str = r#"name = "cluster"
+[archive.demo]
+kind = "demo"
+sols = "1"
+width = 320
+[node.extract]
+archive = "demo"
+[node.calibrate]
+input = "extract"
+method = "labels"
+[node.train]
+input = "calibrate"
+steps = 16
+scale = 4
+device = "cpu"
+[node.bootstrap]
+input = "calibrate"
+of = "train"
+b = 3
+frames = 2
+width = 80
+device = "cpu"
+"#;
+
+/// Runs a script when asked to, and kills the first jobs of each name, as many as the file `kills` says.
+const SBATCH: &str = r#"#!/bin/bash
+cd "$(dirname "$0")" || exit 1
+script="${@: -1}"
+[ -f refuse ] && { cat refuse >&2; exit 1; }
+exec 9> lock; flock 9
+id=$(( $(cat next 2> /dev/null || echo 100) + 1 )); echo $id > next
+name=$(sed -n 's/^#SBATCH --job-name=//p' "$script"); log=$(sed -n 's/^#SBATCH --output=//p' "$script")
+echo "$id $name $(sed -n 's/^#SBATCH --mem=//p' "$script")" >> history
+mkdir -p jobs/$id; echo "$name" > jobs/$id/name
+kill=no; [ "$(grep -c " $name " history)" -le "$(cat kills 2> /dev/null || echo 0)" ] && kill=yes
+flock -u 9
+setsid bash -c '
+  sleep 0.2
+  if [ '$kill' = yes ]; then echo "'$id' 9" >> ended
+  else
+    setsid bash "'"$script"'" >> "'"$log"'" 2>&1 & echo $! > jobs/'$id'/pid
+    wait $!; echo "'$id' $?" >> ended
+  fi
+  rm -r jobs/'$id'
+' 9>&- > /dev/null 2>&1 < /dev/null &
+echo $id
+"#;
+
+const SQUEUE: &str = r#"#!/bin/bash
+cd "$(dirname "$0")/jobs" 2> /dev/null || exit 0
+for id in *; do [ -f $id/name ] && echo "$id|$(cat $id/name)|RUNNING|None"; done
+exit 0
+"#;
+
+const SCANCEL: &str = r#"#!/bin/bash
+cd "$(dirname "$0")"; echo $1 >> cancelled
+kill -TERM -- -$(cat jobs/$1/pid 2> /dev/null) 2> /dev/null
+exit 0
+"#;
+
+const SCONTROL: &str = r#"#!/bin/bash
+echo "JobId=${@: -1} JobState=OUT_OF_MEMORY Reason=OutOfMemory ExitCode=0:125"
+"#;
+
+/// A folder with the pipeline, a site file and a stub of Slurm.
+struct Site {
+    dir: tempfile::TempDir,
+}
+
+impl Site {
+    fn new(pipeline: &str) -> Self {
+        let site = Self {
+            dir: tempfile::tempdir().unwrap(),
+        };
+        std::fs::create_dir(site.stub()).unwrap();
+        for (name, script) in [
+            ("sbatch", SBATCH),
+            ("squeue", SQUEUE),
+            ("scancel", SCANCEL),
+            ("scontrol", SCONTROL),
+        ] {
+            let path = site.stub().join(name);
+            std::fs::write(&path, script).unwrap();
+            std::fs::set_permissions(&path, PermissionsExt::from_mode(0o755)).unwrap();
+        }
+        let path = |name: &str| site.dir.path().join(name).display().to_string();
+        let (store, jobs, stub) = (path("shared"), path("jobs"), site.stub().display().to_string());
+        let text = format!(
+            "[executor]\nstore = \"file://{store}\"\nfolder = \"{jobs}\"\npoll_s = 0.1\npatience_s = 1.0\ncores = 1\n\
+             memory_mb = 700\n\
+             [executor.commands]\nsubmit = [\"{stub}/sbatch\", \"--parsable\", \"{{script}}\"]\nlist = [\"{stub}/squeue\"]\n\
+             cancel = [\"{stub}/scancel\", \"{{id}}\"]\nexplain = [\"{stub}/scontrol\", \"{{id}}\"]\n"
+        );
+        std::fs::write(site.dir.path().join("site.toml"), text).unwrap();
+        std::fs::write(site.dir.path().join("pipeline.toml"), pipeline).unwrap();
+        site
+    }
+
+    fn path(&self) -> &Path {
+        self.dir.path()
+    }
+
+    fn stub(&self) -> PathBuf {
+        self.path().join("stub")
+    }
+
+    fn tell(&self, file: &str, text: &str) {
+        std::fs::write(self.stub().join(file), text).unwrap();
+    }
+
+    /// What the stub has noted, a line a job.
+    fn noted(&self, file: &str) -> Vec<String> {
+        let text = std::fs::read_to_string(self.stub().join(file)).unwrap_or_default();
+        text.lines().map(str::to_owned).collect()
+    }
+
+    fn run(&self, more: &[&str]) -> Ran {
+        marf(self.path(), &[&["run", "--on", "slurm"], more].concat())
+    }
+}
+
+/// The digests of all outputs of the last run, by node.
+fn outputs(folder: &Path) -> BTreeMap<String, Value> {
+    let status = marf(folder, &["status", "--json"]).exits(0).stdout;
+    let status: Value = serde_json::from_str(&status).unwrap();
+    let nodes = status["nodes"].as_array().unwrap().iter();
+    nodes
+        .map(|node| (node["name"].as_str().unwrap().to_owned(), node["outputs"].clone()))
+        .collect()
+}
+
+/// Trainings and members are jobs, the rest runs here; jobs that are killed are made again, with twice the memory where there was too little;
+/// and every output is that of a run on one machine.
+#[test]
+fn a_run_on_a_batch_system_that_kills_jobs_gives_the_digests_of_a_local_run() {
+    let site = Site::new(PIPELINE);
+    site.tell("kills", "1");
+    let ran = site.run(&[]).exits(0);
+    let jobs = site.noted("history");
+    // The training and three members, each twice.
+    assert_eq!(jobs.len(), 8, "{jobs:?}");
+    let memory = |line: &String| line.rsplit(' ').next().unwrap().to_owned();
+    assert_eq!(
+        (memory(&jobs[0]), memory(&jobs[1])),
+        ("700M".to_owned(), "1400M".to_owned())
+    );
+    assert!(
+        ran.stderr.contains("it is submitted with 1400 MB"),
+        "{}",
+        ran.stderr
+    );
+    let left: Vec<_> = std::fs::read_dir(site.path().join("jobs")).unwrap().collect();
+    assert!(left.is_empty(), "{left:?}");
+
+    let local = tempfile::tempdir().unwrap();
+    std::fs::write(local.path().join("pipeline.toml"), PIPELINE).unwrap();
+    marf(local.path(), &["run"]).exits(0);
+    assert_eq!(outputs(site.path()), outputs(local.path()));
+
+    let again = site.run(&[]).exits(0);
+    assert!(again.stdout.contains("0 of 4 nodes ran"), "{}", again.stdout);
+    assert_eq!(site.noted("history").len(), 8);
+}
+
+/// What a batch system says against a job, a job that is lost too often, and a shared store with a result of it already.
+#[test]
+fn a_job_that_is_refused_or_lost_is_one_clear_error_and_what_is_done_stays() {
+    let site = Site::new(PIPELINE);
+    let error = "sbatch: error: Batch job submission failed: Requested node configuration is not available";
+    site.tell("refuse", error);
+    let refused = site.run(&["--to", "train"]).exits(1);
+    assert!(
+        refused
+            .stderr
+            .contains("the batch system takes no job for `train`"),
+        "{}",
+        refused.stderr
+    );
+    assert!(
+        refused.stderr.contains("Requested node configuration"),
+        "{}",
+        refused.stderr
+    );
+    std::fs::remove_file(site.stub().join("refuse")).unwrap();
+
+    site.tell("kills", "99");
+    let lost = site.run(&["--to", "train"]).exits(1);
+    assert!(
+        lost.stderr.contains("3 jobs ended without a result"),
+        "{}",
+        lost.stderr
+    );
+    assert!(lost.stderr.contains("JobState=OUT_OF_MEMORY"), "{}", lost.stderr);
+    assert!(lost.stderr.contains("memory_mb"), "{}", lost.stderr);
+    assert!(
+        marf(site.path(), &["status"])
+            .exits(0)
+            .stdout
+            .contains("calibrate")
+    );
+
+    site.tell("kills", "0");
+    site.run(&["--to", "train"]).exits(0);
+    let jobs = site.noted("history").len();
+    // Another folder with an empty store: the result is in the shared store, and no job is made.
+    std::fs::remove_dir_all(site.path().join(".marf")).unwrap();
+    site.run(&["--to", "train"]).exits(0);
+    assert_eq!(site.noted("history").len(), jobs);
+}
+
+/// A driver that is killed leaves its jobs; the next one takes them over, and no job is made twice.
+#[test]
+fn a_run_that_is_killed_leaves_jobs_that_the_next_one_takes_over() {
+    let slow = PIPELINE.replace("steps = 16", "steps = 400");
+    let site = Site::new(&slow);
+    let mut driver = Command::new(env!("CARGO_BIN_EXE_marf"))
+        .current_dir(site.path())
+        .args(["run", "--on", "slurm", "--to", "train"])
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let began = Instant::now();
+    while site.noted("history").is_empty() {
+        assert!(began.elapsed() < Duration::from_secs(120), "no job came");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    driver.kill().unwrap();
+    driver.wait().unwrap();
+    let ran = site.run(&["--to", "train"]).exits(0);
+    assert_eq!(site.noted("history").len(), 1, "{}", ran.stderr);
+    assert_eq!(site.noted("cancelled"), [] as [&str; 0]);
+}
+
+#[test]
+fn a_site_file_that_is_not_there_or_is_none_is_a_usage_error() {
+    let site = Site::new(PIPELINE);
+    std::fs::write(
+        site.path().join("bad.toml"),
+        "[executor]\nstore = \"file:///s\"\nfolder = \"f\"\n",
+    )
+    .unwrap();
+    for (file, expected) in [
+        ("absent.toml", "absent.toml: "),
+        ("bad.toml", "executor.folder: "),
+    ] {
+        let ran = site.run(&["--site", file]).exits(2);
+        assert!(ran.stderr.contains(expected), "{}", ran.stderr);
+    }
+}
+
+/// Every action of a run, from an empty folder and the shared store alone, gives what the run gave; one of another version is refused with a
+/// code of its own.
+#[test]
+fn every_action_is_computed_again_from_the_shared_store_alone() {
+    let site = Site::new(PIPELINE);
+    site.run(&[]).exits(0);
+    let store = format!("file://{}", site.path().join("shared").display());
+    marf(site.path(), &["cache", "push", "--remote", &store]).exits(0);
+    let status = marf(site.path(), &["status", "--json"]).exits(0).stdout;
+    let status: Value = serde_json::from_str(&status).unwrap();
+    let nodes = status["nodes"].as_array().unwrap();
+    let mut made = 0;
+    for node in nodes.iter().filter(|node| node["name"] != "extract") {
+        let key = node["key"].as_str().unwrap();
+        let empty = tempfile::tempdir().unwrap();
+        let result = empty.path().join("result.json");
+        let ran = marf(
+            empty.path(),
+            &[
+                "exec",
+                key,
+                "--store",
+                &store,
+                "--result",
+                result.to_str().unwrap(),
+            ],
+        );
+        let ran = ran.exits(0);
+        assert!(
+            !ran.stderr.contains("another result"),
+            "{}: {}",
+            node["name"],
+            ran.stderr
+        );
+        let result: Value = serde_json::from_slice(&std::fs::read(result).unwrap()).unwrap();
+        assert_eq!(result["key"], key);
+        assert_eq!(result.get("fault"), None);
+        made += 1;
+    }
+    assert!(made >= 6, "{made} actions");
+
+    let train = nodes.iter().find(|node| node["name"] == "train").unwrap();
+    let key: marf_cache::Digest = train["key"].as_str().unwrap().parse().unwrap();
+    let own = marf_cache::Store::open(site.path().join(".marf")).unwrap();
+    let mut action = marf_cache::Action::decode(&own.get(&key).unwrap()).unwrap();
+    action.version += 1;
+    let file = site.path().join("newer.action");
+    std::fs::write(&file, action.encode()).unwrap();
+    let refused = marf(site.path(), &["exec", "newer.action", "--store", &store]).exits(10);
+    assert!(refused.stderr.contains("stage version"), "{}", refused.stderr);
+}
