@@ -34,18 +34,23 @@ fn machine() -> tempfile::TempDir {
     dir
 }
 
-/// Runs `marf ARGS` with credentials for the server at this address.
-fn marf_at(server: SocketAddr, folder: &Path, args: &[&str]) -> Ran {
-    let output = Command::new(env!("CARGO_BIN_EXE_marf"))
+/// Returns the command `marf ARGS` with credentials for the server at this address.
+fn command(server: SocketAddr, folder: &Path, args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_marf"));
+    command
         .current_dir(folder)
         .args(args)
         .stdin(Stdio::null())
         .env("AWS_ACCESS_KEY_ID", "id")
         .env("AWS_SECRET_ACCESS_KEY", SECRET)
         .env("AWS_ENDPOINT_URL", format!("http://{server}"))
-        .env("AWS_ALLOW_HTTP", "true")
-        .output()
-        .unwrap();
+        .env("AWS_ALLOW_HTTP", "true");
+    command
+}
+
+/// Runs `marf ARGS` with credentials for the server at this address.
+fn marf_at(server: SocketAddr, folder: &Path, args: &[&str]) -> Ran {
+    let output = command(server, folder, args).output().unwrap();
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
     let ran = Ran {
         code: output.status.code().unwrap_or(-1),
@@ -221,4 +226,35 @@ fn without_credentials_a_verb_says_so_and_a_run_goes_on() {
     assert!(ran.stderr.contains("AWS_ACCESS_KEY_ID"), "{}", ran.stderr);
     let ran = marf(folder.path(), &["run"]).exits(0);
     assert!(ran.stderr.contains("no credentials"), "{}", ran.stderr);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn ctrl_c_ends_the_wait_for_a_server_that_is_silent() {
+    let folder = machine();
+    marf(folder.path(), &["run", "--offline"]).exits(0);
+    for words in [
+        &["cache", "push"][..],
+        &["cache", "pull"],
+        &["run", "--set", "blur.min_share=0.1"],
+    ] {
+        let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+        let program = command(silent.local_addr().unwrap(), folder.path(), words)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let _held = silent.accept().unwrap();
+        let asked = Instant::now();
+        let kill = format!("kill -INT {}", program.id());
+        assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
+        let output = program.wait_with_output().unwrap();
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert!(
+            asked.elapsed() <= Duration::from_secs(2),
+            "{words:?}: {:?}",
+            asked.elapsed()
+        );
+        assert_eq!(output.status.code(), Some(130), "{words:?}: {text}");
+    }
 }

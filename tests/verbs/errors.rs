@@ -35,6 +35,8 @@ refused! {
     error_not_a_table: "[archive]\ntwo = 3\n";
     error_bad_toml: "[node.size\ninput = 3\n";
     error_kept_and_rejected: "[node.size]\ninput = \"extract\"\n[keep]\nids = [\"a\"]\n[reject]\nids = [\"a\"]\n";
+    error_no_shared_store: "[node.size]\ninput = \"extract\"\n[store]\nremote = \"https://key:secret@mars/results\"\n";
+    error_unknown_key_of_the_store: "[node.size]\ninput = \"extract\"\n[store]\nremot = \"s3://mars\"\n";
     error_lists_without_a_filter: "[keep]\nids = [\"a\"]\n";
 }
 

@@ -11,9 +11,11 @@ use futures_util::TryStreamExt;
 use object_store::{
     Error, ObjectMeta, ObjectStore, ObjectStoreExt, PutMode, PutOptions, PutPayload, path::Path,
 };
+use tokio::sync::Mutex;
 
 use crate::{
     address::{Address, Patience},
+    catalogue::Catalogue,
     error::RemoteError,
 };
 
@@ -43,6 +45,8 @@ pub(crate) struct Bucket {
     pub(crate) place: String,
     root: Path,
     objects: Box<dyn ObjectStore>,
+    /// What is known of its packs.
+    pub(crate) catalogue: Mutex<Catalogue>,
     requests: AtomicU64,
     sent_bytes: AtomicU64,
     received_bytes: AtomicU64,
@@ -56,6 +60,7 @@ impl Bucket {
             place: url.to_owned(),
             root,
             objects,
+            catalogue: Mutex::default(),
             requests: AtomicU64::new(0),
             sent_bytes: AtomicU64::new(0),
             received_bytes: AtomicU64::new(0),
@@ -220,6 +225,9 @@ impl Bucket {
     }
 }
 
+/// What the text of an error has before an answer that is one though its status is not.
+const ERROR_IN_ANSWER: &str = "Server returned error response";
+
 /// Returns the innermost cause of an error in a few words. What a server wrote is left out: it may repeat a key.
 pub(crate) fn cause_of(error: &Error) -> String {
     let mut cause: &dyn std::error::Error = error;
@@ -227,6 +235,9 @@ pub(crate) fn cause_of(error: &Error) -> String {
         let text = cause.to_string();
         if let Some(status) = status_in(&text) {
             return format!("the server answers {status}");
+        }
+        if text.contains(ERROR_IN_ANSWER) {
+            return "the server answers with an error".to_owned();
         }
         match cause.source() {
             Some(source) => cause = source,
@@ -239,4 +250,24 @@ pub(crate) fn cause_of(error: &Error) -> String {
 fn status_in(text: &str) -> Option<u16> {
     let (_, rest) = text.split_once("status code: ")?;
     rest.get(..3)?.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cause_is_a_status_or_the_innermost_error_and_never_what_a_server_wrote() {
+        let cause = |text: &str| {
+            cause_of(&Error::Generic {
+                store: "S3",
+                source: Box::new(std::io::Error::other(text.to_owned())),
+            })
+        };
+        let answered = "Server returned non-2xx status code: 400 Bad Request: <AWSAccessKeyId>secret</";
+        assert_eq!(cause(answered), "the server answers 400");
+        let answered = "Server returned error response: <Error>secret</";
+        assert_eq!(cause(answered), "the server answers with an error");
+        assert_eq!(cause("connection refused"), "connection refused");
+    }
 }

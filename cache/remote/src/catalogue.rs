@@ -1,5 +1,7 @@
 //! Where small blobs are: the indexes of all packs as one sorted list, 48 bytes a blob.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use futures_util::{StreamExt, TryStreamExt, stream};
 use marf_cache::Digest;
 
@@ -13,49 +15,73 @@ use crate::{
 /// Indexes that are fetched at once.
 const IN_FLIGHT: usize = 16;
 
-/// Where a blob is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Place {
-    pub(crate) entry: Entry,
-    /// Number of its pack.
-    pub(crate) pack: u32,
-}
-
-/// The small blobs of a shared store.
+/// The small blobs of a shared store, as far as their indexes have been read.
 #[derive(Default)]
 pub(crate) struct Catalogue {
-    pub(crate) packs: Vec<Digest>,
-    places: Vec<Place>,
+    packs: Vec<Digest>,
+    /// With the numbers of their packs.
+    places: Vec<(Entry, u32)>,
+}
+
+/// Returns those blobs that are in packs, by pack. New indexes are read if one is not known yet.
+pub(crate) async fn in_packs(
+    bucket: &Bucket,
+    wanted: impl Iterator<Item = &Digest> + Clone,
+) -> Result<BTreeMap<Digest, Vec<Entry>>, RemoteError> {
+    let mut catalogue = bucket.catalogue.lock().await;
+    if wanted.clone().any(|digest| catalogue.find(digest).is_none()) {
+        catalogue.refresh(bucket).await?;
+    }
+    let mut packs: BTreeMap<Digest, Vec<Entry>> = BTreeMap::new();
+    for (entry, pack) in wanted.filter_map(|digest| catalogue.find(digest)) {
+        if let Some(pack) = catalogue.packs.get(pack as usize) {
+            packs.entry(*pack).or_default().push(entry);
+        }
+    }
+    Ok(packs)
+}
+
+/// Returns pack and place of a blob, if an index that was read tells them.
+pub(crate) async fn known(bucket: &Bucket, digest: &Digest) -> Option<(Digest, Entry)> {
+    let catalogue = bucket.catalogue.lock().await;
+    let (entry, pack) = catalogue.find(digest)?;
+    Some((*catalogue.packs.get(pack as usize)?, entry))
+}
+
+/// Forgets all indexes: a pack that one names is gone.
+pub(crate) async fn forget(bucket: &Bucket) {
+    *bucket.catalogue.lock().await = Catalogue::default();
 }
 
 impl Catalogue {
-    /// Fetches all indexes.
-    pub(crate) async fn load(bucket: &Bucket) -> Result<Self, RemoteError> {
+    /// Reads the indexes of packs that are new.
+    async fn refresh(&mut self, bucket: &Bucket) -> Result<(), RemoteError> {
+        let known: BTreeSet<Digest> = self.packs.iter().copied().collect();
         let listed = bucket.list(names::PACKS).await?;
-        let mut packs: Vec<Digest> = listed
+        let packs = listed
             .iter()
-            .filter_map(|object| names::pack_of_index(&object.name))
-            .collect();
-        packs.sort_unstable();
-        let indexes = stream::iter(packs.iter().zip(0_u32..))
+            .filter_map(|object| names::pack_of_index(&object.name));
+        let new: Vec<Digest> = packs.filter(|pack| !known.contains(pack)).collect();
+        let first = self.packs.len() as u32;
+        let indexes: Vec<(u32, Vec<Entry>)> = stream::iter(new.iter().zip(first..))
             .map(|(pack, number)| async move { Ok::<_, RemoteError>((number, index(bucket, pack).await?)) })
             .buffer_unordered(IN_FLIGHT)
-            .try_collect::<Vec<_>>()
+            .try_collect()
             .await?;
-        let mut places: Vec<Place> = indexes
-            .into_iter()
-            .flat_map(|(pack, entries)| entries.into_iter().map(move |entry| Place { entry, pack }))
-            .collect();
-        places.sort_unstable();
-        places.dedup_by_key(|place| place.entry.digest);
-        Ok(Self { packs, places })
+        self.packs.extend(new);
+        for (pack, entries) in indexes {
+            self.places.extend(entries.into_iter().map(|entry| (entry, pack)));
+        }
+        self.places.sort_unstable();
+        self.places.dedup_by_key(|(entry, _)| entry.digest);
+        Ok(())
     }
 
-    /// Returns where a blob is; none if it is in no pack.
-    pub(crate) fn find(&self, digest: &Digest) -> Option<Place> {
+    /// Returns where a blob is, and the number of its pack.
+    fn find(&self, digest: &Digest) -> Option<(Entry, u32)> {
         let at = self
             .places
-            .binary_search_by(|place| place.entry.digest.cmp(digest))
+            .binary_search_by(|(entry, _)| entry.digest.cmp(digest))
             .ok()?;
         self.places.get(at).copied()
     }

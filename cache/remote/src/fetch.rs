@@ -6,13 +6,7 @@ use bytes::Bytes;
 use futures_util::{StreamExt, TryStreamExt, stream};
 use marf_cache::{Digest, Store};
 
-use crate::{
-    bucket::Bucket,
-    catalogue::{Catalogue, Place},
-    error::RemoteError,
-    names,
-    push::Meter,
-};
+use crate::{bucket::Bucket, catalogue, error::RemoteError, names, pack::Entry, presence, push::Meter};
 
 /// Large blobs, or windows of packs, that are fetched at once.
 const IN_FLIGHT: usize = 16;
@@ -28,41 +22,30 @@ pub(crate) struct Plan {
 /// Blobs that are near to each other in one pack.
 struct Window {
     pack: Digest,
-    places: Vec<Place>,
+    entries: Vec<Entry>,
 }
 
 impl Plan {
     /// Finds blobs: in packs, or else as objects.
     pub(crate) async fn make(bucket: &Bucket, wanted: &BTreeSet<Digest>) -> Result<Self, RemoteError> {
-        if wanted.is_empty() {
-            return Ok(Self {
-                large: BTreeMap::new(),
-                windows: Vec::new(),
-            });
+        let packed = catalogue::in_packs(bucket, wanted.iter()).await?;
+        let mut others = wanted.clone();
+        for entry in packed.values().flatten() {
+            others.remove(&entry.digest);
         }
-        let catalogue = Catalogue::load(bucket).await?;
-        let mut packed: BTreeMap<u32, Vec<Place>> = BTreeMap::new();
-        let mut others = Vec::new();
-        for digest in wanted {
-            match catalogue.find(digest) {
-                Some(place) => packed.entry(place.pack).or_default().push(place),
-                None => others.push(*digest),
-            }
-        }
-        let windows = packed.into_iter().filter_map(|(pack, places)| {
-            let pack = *catalogue.packs.get(pack as usize)?;
-            Some(windows(pack, places))
-        });
         Ok(Self {
-            windows: windows.flatten().collect(),
-            large: sizes(bucket, others).await?,
+            windows: packed
+                .into_iter()
+                .flat_map(|(pack, entries)| windows(pack, entries))
+                .collect(),
+            large: large(bucket, others).await?,
         })
     }
 
     /// Returns the bytes of all blobs.
     pub(crate) fn bytes(&self) -> u64 {
-        let places = self.windows.iter().flat_map(|window| &window.places);
-        let small: u64 = places.map(|place| u64::from(place.entry.len)).sum();
+        let entries = self.windows.iter().flat_map(|window| &window.entries);
+        let small: u64 = entries.map(|entry| u64::from(entry.len)).sum();
         small + self.large.values().sum::<u64>()
     }
 
@@ -95,19 +78,49 @@ impl Plan {
 impl Window {
     async fn fetch(&self, bucket: &Bucket, store: &Store, meter: &Meter<'_>) -> Result<(), RemoteError> {
         let name = names::pack(&self.pack);
-        let ranges: Vec<_> = self
-            .places
-            .iter()
-            .map(|place| place.entry.offset..place.entry.offset + u64::from(place.entry.len))
-            .collect();
-        let parts = bucket.get_ranges(&name, &ranges).await?.unwrap_or_default();
+        let range = |entry: &Entry| entry.offset..entry.offset + u64::from(entry.len);
+        let ranges: Vec<_> = self.entries.iter().map(range).collect();
+        let Some(parts) = bucket.get_ranges(&name, &ranges).await? else {
+            catalogue::forget(bucket).await;
+            return Err(bucket.damaged(&name, "its index is there, and it is not"));
+        };
         let mut parts = parts.into_iter();
-        for place in &self.places {
-            keep(bucket, store, &name, &place.entry.digest, parts.next())?;
-            meter.add(u64::from(place.entry.len));
+        for entry in &self.entries {
+            keep(bucket, store, &name, &entry.digest, parts.next())?;
+            meter.add(u64::from(entry.len));
         }
         Ok(())
     }
+}
+
+/// Reads one blob, whose bytes are not checked: of a pack that is known, as an object, or of a pack that has come since. None
+/// if it is not there.
+pub(crate) async fn blob(bucket: &Bucket, digest: &Digest) -> Result<Option<Bytes>, RemoteError> {
+    if let Some((pack, entry)) = catalogue::known(bucket, digest).await {
+        match packed(bucket, &pack, &entry).await? {
+            None => catalogue::forget(bucket).await,
+            bytes => return Ok(bytes),
+        }
+    }
+    if let Some(bytes) = bucket.get(&names::blob(digest)).await? {
+        return Ok(Some(bytes));
+    }
+    let found = catalogue::in_packs(bucket, std::iter::once(digest)).await?;
+    let found = found
+        .iter()
+        .find_map(|(pack, entries)| Some((pack, entries.first()?)));
+    match found {
+        Some((pack, entry)) => packed(bucket, pack, entry).await,
+        None => Ok(None),
+    }
+}
+
+async fn packed(bucket: &Bucket, pack: &Digest, entry: &Entry) -> Result<Option<Bytes>, RemoteError> {
+    let range = entry.offset..entry.offset + u64::from(entry.len);
+    let parts = bucket
+        .get_ranges(&names::pack(pack), std::slice::from_ref(&range))
+        .await?;
+    Ok(parts.and_then(|parts| parts.into_iter().next()))
 }
 
 /// Stores a blob that has arrived, if it has its digest.
@@ -138,24 +151,22 @@ fn missing(bucket: &Bucket, digest: &Digest) -> RemoteError {
 }
 
 /// Divides blobs of a pack by their places.
-fn windows(pack: Digest, mut places: Vec<Place>) -> Vec<Window> {
-    places.sort_unstable_by_key(|place| place.entry.offset);
-    let near = places.chunk_by(|a, b| a.entry.offset / WINDOW_BYTES == b.entry.offset / WINDOW_BYTES);
-    near.map(|places| Window {
+fn windows(pack: Digest, mut entries: Vec<Entry>) -> Vec<Window> {
+    entries.sort_unstable_by_key(|entry| entry.offset);
+    let near = entries.chunk_by(|a, b| a.offset / WINDOW_BYTES == b.offset / WINDOW_BYTES);
+    near.map(|entries| Window {
         pack,
-        places: places.to_vec(),
+        entries: entries.to_vec(),
     })
     .collect()
 }
 
-/// Returns the lengths of large blobs.
-async fn sizes(bucket: &Bucket, digests: Vec<Digest>) -> Result<BTreeMap<Digest, u64>, RemoteError> {
-    stream::iter(digests)
-        .map(|digest| async move {
-            let found = bucket.find(&names::blob(&digest)).await?;
-            Ok((digest, found.ok_or_else(|| missing(bucket, &digest))?.bytes))
-        })
-        .buffer_unordered(IN_FLIGHT)
-        .try_collect()
-        .await
+/// Returns the lengths of large blobs, all of which must be there.
+async fn large(bucket: &Bucket, digests: BTreeSet<Digest>) -> Result<BTreeMap<Digest, u64>, RemoteError> {
+    let there = presence::sizes(bucket, digests.iter().copied()).await?;
+    let sized = digests.into_iter().map(|digest| {
+        let bytes = there.get(&digest).ok_or_else(|| missing(bucket, &digest))?;
+        Ok((digest, *bytes))
+    });
+    sized.collect()
 }

@@ -40,6 +40,7 @@ mod inventory;
 mod lease;
 mod names;
 mod pack;
+mod presence;
 mod pull;
 mod push;
 mod reader;

@@ -105,13 +105,17 @@ pub(crate) fn decode_index(bytes: &[u8]) -> Option<Vec<Entry>> {
         .then(|| entries.iter().map(decode_entry).collect())?
 }
 
+/// Reads an entry; none if its end is no place in any pack.
 fn decode_entry(bytes: &[u8; ENTRY]) -> Option<Entry> {
     let (digest, numbers) = bytes.split_first_chunk::<32>()?;
     let (offset, len) = numbers.split_first_chunk::<8>()?;
+    let offset = u64::from_le_bytes(*offset);
+    let len = u32::from_le_bytes(len.try_into().ok()?);
+    offset.checked_add(u64::from(len))?;
     Some(Entry {
         digest: Digest::from_bytes(*digest),
-        offset: u64::from_le_bytes(*offset),
-        len: u32::from_le_bytes(len.try_into().ok()?),
+        offset,
+        len,
     })
 }
 
@@ -151,5 +155,16 @@ mod tests {
             assert_eq!(decode_index(&bytes), None, "flipped at {at}");
         }
         assert_eq!(decode_index(&pack(&[]).index), Some(Vec::new()));
+    }
+
+    #[test]
+    fn an_entry_beyond_all_places_makes_the_index_none() {
+        let entry = |offset, len| Entry {
+            digest: Digest::of(b"far"),
+            offset,
+            len,
+        };
+        assert!(decode_index(&encode_index(&[entry(u64::MAX - 7, 7)])).is_some());
+        assert_eq!(decode_index(&encode_index(&[entry(u64::MAX - 7, 8)])), None);
     }
 }

@@ -11,11 +11,11 @@ use marf_cache::{Conflict, Digest, Store, StoreError};
 
 use crate::{
     bucket::Bucket,
-    catalogue::Catalogue,
-    conflict,
+    catalogue, conflict,
     error::RemoteError,
     names,
     pack::{PACK_BYTES, PackWriter},
+    presence,
     remote::{Observer, Progress},
     sealed::{self, RemoteRecord, RemoteRun},
     survey::{self, Survey},
@@ -27,8 +27,6 @@ const LARGE_BYTES: u64 = 64 << 10;
 const BLOBS_IN_FLIGHT: usize = 16;
 /// Packs that are sent at once; each is in memory.
 const PACKS_IN_FLIGHT: usize = 2;
-/// From this many objects of one folder on the folder is listed, instead of asking for each.
-const LIST_FROM: usize = 4;
 
 /// What a push has done.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -116,13 +114,15 @@ impl Absent {
                 false => absent.large.insert(*digest, bytes),
             };
         }
-        if !absent.small.is_empty() {
-            let catalogue = Catalogue::load(bucket).await?;
-            absent.small.retain(|digest, _| catalogue.find(digest).is_none());
+        let packed = catalogue::in_packs(bucket, absent.small.keys()).await?;
+        for entry in packed.values().flatten() {
+            absent.small.remove(&entry.digest);
         }
-        for digest in present(bucket, absent.large.keys()).await? {
-            absent.large.remove(&digest);
-        }
+        let there = presence::sizes(bucket, absent.large.keys().copied()).await?;
+        // One that was cut is sent again.
+        absent
+            .large
+            .retain(|digest, bytes| there.get(digest) != Some(bytes));
         Ok(absent)
     }
 
@@ -142,42 +142,6 @@ impl Absent {
         }
         packs
     }
-}
-
-/// Returns which large blobs are there.
-async fn present(
-    bucket: &Bucket,
-    digests: impl Iterator<Item = &Digest>,
-) -> Result<Vec<Digest>, RemoteError> {
-    let mut folders: BTreeMap<String, Vec<Digest>> = BTreeMap::new();
-    for digest in digests {
-        let name = names::blob(digest);
-        let folder = name.rsplit_once('/').map_or("", |(folder, _)| folder);
-        folders.entry(folder.to_owned()).or_default().push(*digest);
-    }
-    let found: Vec<Vec<Digest>> = stream::iter(folders)
-        .map(|(folder, digests)| async move { present_in(bucket, &folder, digests).await })
-        .buffer_unordered(survey::IN_FLIGHT)
-        .try_collect()
-        .await?;
-    Ok(found.into_iter().flatten().collect())
-}
-
-async fn present_in(bucket: &Bucket, folder: &str, wanted: Vec<Digest>) -> Result<Vec<Digest>, RemoteError> {
-    if wanted.len() >= LIST_FROM {
-        let listed = bucket.list(folder).await?;
-        return Ok(listed
-            .iter()
-            .filter_map(|object| names::digest_in(&object.name))
-            .collect());
-    }
-    let mut found = Vec::new();
-    for digest in wanted {
-        if bucket.find(&names::blob(&digest)).await?.is_some() {
-            found.push(digest);
-        }
-    }
-    Ok(found)
 }
 
 /// Adds up bytes for an observer.

@@ -1,6 +1,11 @@
 //! A shared store that is open: its verbs, each a call that blocks.
 
-use std::{future::Future, pin::pin, time::Duration};
+use std::{
+    future::Future,
+    pin::pin,
+    sync::atomic::{AtomicBool, Ordering},
+    time::Duration,
+};
 
 use bytes::Bytes;
 use futures_util::future::{Either, select};
@@ -48,6 +53,8 @@ pub trait Observer: Sync {
 /// A shared store.
 pub struct Remote {
     pub(crate) bucket: Bucket,
+    /// Whether its form was found to be the known one.
+    is_checked: AtomicBool,
     runtime: Runtime,
 }
 
@@ -65,6 +72,7 @@ impl Remote {
             .map_err(RemoteError::Threads)?;
         Ok(Self {
             bucket: Bucket::open(url, patience)?,
+            is_checked: AtomicBool::new(false),
             runtime,
         })
     }
@@ -196,14 +204,21 @@ impl Remote {
 
     /// Makes the shared store if it is absent, and checks its form.
     pub(crate) async fn make(&self) -> Result<(), RemoteError> {
-        let words = Bytes::from(format!("{FORMAT_WORDS}{FORMAT}\n"));
-        match self.bucket.put_new(names::FORMAT, words).await? {
-            true => Ok(()),
-            false => self.check().await,
+        match self.check().await {
+            Err(RemoteError::Absent { .. }) => {
+                let words = Bytes::from(format!("{FORMAT_WORDS}{FORMAT}\n"));
+                self.bucket.put_new(names::FORMAT, words).await?;
+                self.check().await
+            }
+            checked => checked,
         }
     }
 
+    /// Checks the form, once.
     pub(crate) async fn check(&self) -> Result<(), RemoteError> {
+        if self.is_checked.load(Ordering::Relaxed) {
+            return Ok(());
+        }
         let place = || self.bucket.place.clone();
         let Some(bytes) = self.bucket.get(names::FORMAT).await? else {
             return Err(RemoteError::Absent { place: place() });
@@ -212,14 +227,15 @@ impl Remote {
         let Some(found) = text.trim().strip_prefix(FORMAT_WORDS) else {
             return Err(self.bucket.damaged(names::FORMAT, "it is of another program"));
         };
-        match found == FORMAT.to_string() {
-            true => Ok(()),
-            false => Err(RemoteError::Newer {
+        if found != FORMAT.to_string() {
+            return Err(RemoteError::Newer {
                 place: place(),
                 found: found.to_owned(),
                 known: FORMAT,
-            }),
+            });
         }
+        self.is_checked.store(true, Ordering::Relaxed);
+        Ok(())
     }
 
     /// Waits for work, or until the user wants to stop.

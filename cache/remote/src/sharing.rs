@@ -25,8 +25,8 @@ use crate::{
 /// A result that would take longer to fetch than it took to make is made, but so long is waited for each.
 const LEAST_WAIT: Duration = Duration::from_secs(10);
 
-/// Wait for the end of a request after which nothing more is sent.
-const LAST_WAIT: Duration = Duration::from_secs(2);
+/// Wait for the end of the lease when nothing more is to be sent.
+const LAST_WAIT: Duration = Duration::from_millis(1_200);
 /// Pause between two looks whether everything is sent.
 const LOOK_INTERVAL: Duration = Duration::from_millis(10);
 
@@ -108,19 +108,21 @@ impl Sharing {
             let _ = self.queue.send(Job::Run(Box::new(run)));
         }
         let _ = self.queue.send(Job::End);
-        if !self.ends_within(patience) {
-            (self.link.warn)(format!(
+        let link = &self.link;
+        if !self.ends_within(patience, || (link.is_stopped)()) {
+            (link.warn)(format!(
                 "not all results are in the shared store {} yet: `marf cache push` sends the others",
-                self.link.remote.place()
+                link.remote.place()
             ));
-            self.link.is_late.store(true, Ordering::Relaxed);
-            self.ends_within(LAST_WAIT);
+            link.is_late.store(true, Ordering::Relaxed);
+            self.ends_within(LAST_WAIT, || false);
         }
     }
 
-    fn ends_within(&self, patience: Duration) -> bool {
+    /// Waits until everything is sent, for so long or until told to stop; returns whether everything is.
+    fn ends_within(&self, patience: Duration, is_stopped: impl Fn() -> bool) -> bool {
         let began = Instant::now();
-        while !self.sender.is_finished() && began.elapsed() < patience && !(self.link.is_stopped)() {
+        while !self.sender.is_finished() && began.elapsed() < patience && !is_stopped() {
             thread::sleep(LOOK_INTERVAL);
         }
         self.sender.is_finished()

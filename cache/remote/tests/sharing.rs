@@ -1,0 +1,186 @@
+//! A shared store beside a run: what is fetched, what is sent, and what is told.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+
+mod common;
+
+use std::{
+    sync::{Arc, Mutex},
+    time::Duration,
+};
+
+use common::{Quiet, World, result, run_in};
+use marf_cache::{Digest, Store, Upstream};
+use marf_remote::{GcOptions, Reader, Sharing};
+
+/// A run on an own store, with what it was told.
+struct Machine {
+    store: Store,
+    sharing: Sharing,
+    told: Arc<Mutex<Vec<String>>>,
+}
+
+impl Machine {
+    fn new(world: &World, name: &str) -> Self {
+        let store = world.store(name);
+        let told: Arc<Mutex<Vec<String>>> = Arc::default();
+        let sink = Arc::clone(&told);
+        let warn = move |message| sink.lock().unwrap().push(message);
+        let sharing = Sharing::start(&world.url(), store.dir(), warn, || false).unwrap();
+        Self { store, sharing, told }
+    }
+
+    fn told(&self) -> Vec<String> {
+        self.told.lock().unwrap().clone()
+    }
+
+    /// Waits until everything that was offered is sent.
+    fn finish(&self) {
+        self.sharing.finish(None, Duration::from_secs(60));
+    }
+}
+
+#[test]
+fn what_one_run_offers_another_fetches() {
+    let world = World::new();
+    let (here, there) = (Machine::new(&world, "here"), Machine::new(&world, "there"));
+    let run = run_in(&here.store);
+    run.keys.iter().for_each(|key| here.sharing.offer(key));
+    here.finish();
+    there.sharing.fetch(&[run.keys[0], Digest::of(b"never made")]);
+    let closure = |store: &Store| store.closure(&run.keys[..1], &[]).unwrap();
+    assert_eq!(closure(&here.store), closure(&there.store));
+    assert_eq!(
+        there.store.record(&run.keys[1]).unwrap(),
+        None,
+        "nobody asked for it"
+    );
+    assert_eq!(there.store.record(&Digest::of(b"never made")).unwrap(), None);
+    there.finish();
+    assert_eq!((here.told(), there.told()), (vec![], vec![]));
+}
+
+#[test]
+fn nothing_is_found_where_no_shared_store_is_yet() {
+    let world = World::new();
+    let here = Machine::new(&world, "here");
+    here.sharing.fetch(&[Digest::of(b"key")]);
+    here.finish();
+    assert_eq!(here.told(), Vec::<String>::new());
+}
+
+#[test]
+fn a_conflict_is_told_with_both_digests() {
+    let world = World::new();
+    let (here, there) = (Machine::new(&world, "here"), Machine::new(&world, "there"));
+    let key = result(&here.store, "same key", b"one result", &[], &[]);
+    result(&there.store, "same key", b"another result", &[], &[]);
+    for machine in [&here, &there] {
+        machine.store.commit().unwrap();
+        machine.sharing.offer(&key);
+        machine.finish();
+    }
+    assert_eq!(here.told(), Vec::<String>::new());
+    let told = there.told();
+    let digests = [b"one result".as_slice(), b"another result"].map(|bytes| Digest::of(bytes).to_string());
+    assert!(
+        told.len() == 1 && digests.iter().all(|digest| told[0].contains(digest)),
+        "{told:?}"
+    );
+}
+
+#[test]
+fn a_shared_store_that_is_away_is_told_once() {
+    let world = World::new();
+    let here = Machine::new(&world, "here");
+    let run = run_in(&here.store);
+    std::fs::remove_dir(world.folder()).unwrap();
+    std::fs::write(world.folder(), "a file").unwrap();
+    here.sharing.fetch(&run.keys);
+    here.sharing.fetch(&run.keys);
+    run.keys.iter().for_each(|key| here.sharing.offer(key));
+    here.sharing.finish(Some(run), Duration::from_secs(60));
+    let told = here.told();
+    assert!(
+        told.len() == 1 && told[0].contains("goes on without the shared store"),
+        "{told:?}"
+    );
+}
+
+/// The run knows the packs from before the collection.
+#[test]
+fn a_run_finds_what_a_collection_has_moved_to_another_pack() {
+    let world = World::new();
+    let there = Machine::new(&world, "there");
+    let here = world.store("here");
+    let first = run_in(&here);
+    world.remote().push(&here, &first, &Quiet::default()).unwrap();
+    let mut second = first.clone();
+    second.started_unix_s += 1;
+    second.keys.push(result(&here, "new", b"n", &[], &[]));
+    world.remote().push(&here, &second, &Quiet::default()).unwrap();
+    there.sharing.fetch(&first.keys[..1]);
+    let options = GcOptions {
+        keep_last: 1,
+        grace: Duration::ZERO,
+        dry_run: false,
+    };
+    let collected = world.remote().gc(options, &Quiet::default()).unwrap();
+    assert_eq!(collected.new_packs, 1);
+    there.sharing.fetch(&second.keys);
+    assert_eq!(there.store.closure(&second.keys, &[]).unwrap().missing, vec![]);
+    assert_eq!(there.told(), Vec::<String>::new());
+}
+
+#[test]
+fn a_damaged_result_is_told_and_the_run_makes_it() {
+    let world = World::new();
+    let there = Machine::new(&world, "there");
+    let here = world.store("here");
+    let run = run_in(&here);
+    world.remote().push(&here, &run, &Quiet::default()).unwrap();
+    for file in world.files("cas", "") {
+        std::fs::write(file, "half").unwrap();
+    }
+    there.sharing.fetch(&run.keys[..1]);
+    there.sharing.fetch(&run.keys[1..]);
+    assert_eq!(there.store.record(&run.keys[0]).unwrap(), None);
+    let told = there.told();
+    assert!(
+        told.len() == 2 && told.iter().all(|told| told.contains("is damaged")),
+        "{told:?}"
+    );
+}
+
+#[test]
+fn a_reader_finds_blobs_one_by_one_also_those_that_have_come_or_moved_since() {
+    let world = World::new();
+    let here = world.store("here");
+    let reader = Reader::new(Arc::new(world.remote()), Quiet::default());
+    let first = run_in(&here);
+    world.remote().push(&here, &first, &Quiet::default()).unwrap();
+    let read = |bytes: &[u8]| reader.blob(&Digest::of(bytes)).unwrap();
+    assert_eq!(read(b"need of map").as_deref(), Some(b"need of map".as_slice()));
+    let large = "map".repeat(70_000).into_bytes();
+    assert_eq!(read(&large), Some(large));
+    assert_eq!(read(b"never stored"), None);
+    let mut second = first;
+    second.started_unix_s += 1;
+    second.keys.push(result(&here, "new", b"n", &[], &[]));
+    world.remote().push(&here, &second, &Quiet::default()).unwrap();
+    assert_eq!(
+        read(b"need of new").as_deref(),
+        Some(b"need of new".as_slice()),
+        "it has come"
+    );
+    let options = GcOptions {
+        keep_last: 1,
+        grace: Duration::ZERO,
+        dry_run: false,
+    };
+    world.remote().gc(options, &Quiet::default()).unwrap();
+    assert_eq!(
+        read(b"need of map").as_deref(),
+        Some(b"need of map".as_slice()),
+        "it has moved"
+    );
+}
