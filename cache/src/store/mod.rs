@@ -232,7 +232,7 @@ impl Store {
     /// [`StoreError::Upstream`].
     pub fn get(&self, digest: &Digest) -> Result<Arc<[u8]>, StoreError> {
         match self.get_own(digest) {
-            Err(error) if error.lost().is_some() => self.from_upstream(digest)?.ok_or(error),
+            Err(error) if error.lost().is_some() => self.get_upstream(digest)?.ok_or(error),
             read => read,
         }
     }
@@ -265,7 +265,7 @@ impl Store {
     pub fn size_of(&self, digest: &Digest) -> Option<u64> {
         let pending = self.pending.lock().find(|batch| batch.size_of(digest));
         let own = pending.or_else(|| self.objects.size_of(digest));
-        own.or_else(|| Some(self.from_upstream(digest).ok()??.len() as u64))
+        own.or_else(|| Some(self.get_upstream(digest).ok()??.len() as u64))
     }
 
     /// Returns the record of a key as it was written; none if there is none or it was damaged, which is a warning.

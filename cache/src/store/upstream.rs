@@ -25,7 +25,7 @@ impl Store {
     }
 
     /// Gets a blob from upstream; none if it is not there either.
-    pub(super) fn from_upstream(&self, digest: &Digest) -> Result<Option<Arc<[u8]>>, StoreError> {
+    pub(super) fn get_upstream(&self, digest: &Digest) -> Result<Option<Arc<[u8]>>, StoreError> {
         let Some(upstream) = &self.upstream else {
             return Ok(None);
         };

@@ -126,12 +126,18 @@ impl Executor for Cluster {
 
     fn execute(&self, order: &Order<'_>) -> Result<(), StageError> {
         let files = JobFiles::of(&self.site.folder, &order.key);
-        let kept = JobResult::read(&files.result, &order.key).filter(|result| result.fault.is_none());
-        if kept.is_none() {
+        if !self.fetch(order)? {
             self.share(order)?;
             self.run(order, &files)?;
+            if !self.fetch(order)? {
+                let message = format!(
+                    "`{}`: its job is done, and the shared store lacks its result",
+                    order.node
+                );
+                return Err(StageError::new(message)
+                    .hint("is `store` of the site file the same place on all machines?"));
+            }
         }
-        self.fetch(order)?;
         files.remove();
         Ok(())
     }
@@ -329,14 +335,19 @@ impl Cluster {
         }
     }
 
-    /// Brings the result of an action from the shared store.
-    fn fetch(&self, order: &Order<'_>) -> Result<(), StageError> {
+    /// Brings the result of an action from the shared store; tells whether it is there.
+    fn fetch(&self, order: &Order<'_>) -> Result<bool, StageError> {
         let fetched = self
             .remote
             .bring(order.store, &[order.key], &Watcher(order.cancel));
-        fetched.map_err(|error| remote_failed(order, "its result cannot be fetched", error))?;
-        self.shared.lock().insert(order.key);
-        Ok(())
+        match fetched {
+            Ok(_) => {
+                self.shared.lock().insert(order.key);
+                Ok(true)
+            }
+            Err(RemoteError::Absent { .. } | RemoteError::Missing { .. }) => Ok(false),
+            Err(error) => Err(remote_failed(order, "its result cannot be fetched", error)),
+        }
     }
 
     fn lost(&self, order: &Order<'_>, files: &JobFiles, job: &Job, said: &str) -> StageError {

@@ -193,7 +193,8 @@ fn summed() -> (tempfile::TempDir, Store, u64, Action) {
 #[test]
 fn an_action_that_this_program_would_make_otherwise_is_refused() {
     let (_dir, store, number, action) = summed();
-    let refused = |change: &dyn Fn(&mut Action)| {
+    type Edit = dyn Fn(&mut Action);
+    let refused = |change: &Edit| {
         let mut action = action.clone();
         change(&mut action);
         let wanted = (&action, params_of(&action, number));
@@ -201,7 +202,7 @@ fn an_action_that_this_program_would_make_otherwise_is_refused() {
             .unwrap_err()
             .to_string()
     };
-    let cases: [(&dyn Fn(&mut Action), &str); 6] = [
+    let cases: [(&Edit, &str); 6] = [
         (
             &|action| action.stage = "tea".to_owned(),
             "stage `tea`, which this program does not have",
