@@ -265,6 +265,20 @@ fn a_site_file_that_is_not_there_or_is_none_is_a_usage_error() {
     }
 }
 
+#[test]
+fn a_machine_without_the_batch_system_says_so_before_anything_runs() {
+    let site = Site::new(PIPELINE);
+    std::fs::remove_file(site.stub().join("squeue")).unwrap();
+    let ran = site.run(&[]).exits(1);
+    assert!(
+        ran.stderr
+            .contains("the batch system does not answer: there is no program"),
+        "{}",
+        ran.stderr
+    );
+    assert!(!ran.stderr.contains("extract"), "{}", ran.stderr);
+}
+
 /// Every action of a run, from an empty folder and the shared store alone, gives what the run gave; one of another version is refused with a
 /// code of its own.
 #[test]

@@ -2,21 +2,26 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use clap::Args;
 use marf_cache::{Action, Conflict, Digest, Record, Upstream};
-use marf_cluster::{Fault, JobResult};
+use marf_cluster::{Fault, JobProgress, JobResult};
 use marf_engine::{ActionError, Cancel, Event, Listener, Options, run_action};
 use marf_remote::{Observer, Patience, Reader, Remote, in_words};
 use parking_lot::Mutex;
 
 use super::args::Global;
+use super::cache::words;
 use super::documents::params_of;
 use super::error::{CliError, Diagnostic};
 use super::program;
 use super::session::{open_store, warn};
 use crate::progress::{JsonLines, Progress};
 use crate::terminal::print_line;
+
+/// Time between two writes of the file with the progress, which lies on a file system that many machines share.
+const TELL_INTERVAL: Duration = Duration::from_secs(2);
 
 /// Arguments of `exec`.
 #[derive(Debug, Clone, Args)]
@@ -59,7 +64,12 @@ pub fn exec(global: &Global, args: &ExecArgs, cancel: &Cancel) -> Result<(), Cli
     }
     let conflicts = ended?;
     conflicts.iter().map(in_words).for_each(warn);
-    print_line(&format!("{} {}", action.stage, action.key()));
+    print_line(&format!(
+        "{} {}; {}",
+        action.stage,
+        action.key(),
+        words(remote.traffic())
+    ));
     Ok(())
 }
 
@@ -102,7 +112,7 @@ fn compute<R: Upstream + 'static>(
         .or(temporary.as_ref().map(|dir| dir.path()))
         .unwrap_or(Path::new("."));
     let store = open_store(dir, cancel)?.with_upstream(reader);
-    let record = made(action, &store, global, cancel)?;
+    let record = made(action, &store, global, args, cancel)?;
     let sent = remote.send(&store, &[record.key], &[], &Wish(cancel.clone()))?;
     drop(store);
     if let Some(dir) = kept {
@@ -117,9 +127,13 @@ fn made(
     action: &Action,
     store: &marf_cache::Store,
     global: &Global,
+    args: &ExecArgs,
     cancel: &Cancel,
 ) -> Result<Record, CliError> {
     let listener = Told {
+        top: action.stage.clone(),
+        file: args.result.as_deref().map(JobProgress::path),
+        written: Mutex::default(),
         progress: match global.json {
             true => Progress::Json(JsonLines::new(action.key().short())),
             false => Progress::for_stderr(),
@@ -161,11 +175,39 @@ fn fault(error: &CliError) -> Fault {
 struct Told {
     progress: Progress,
     failure: Mutex<Option<Diagnostic>>,
+    /// Name of the node whose progress is told beside the result, and where; children of it are not.
+    top: String,
+    file: Option<PathBuf>,
+    /// When it was last told.
+    written: Mutex<Option<Instant>>,
+}
+
+impl Told {
+    /// Replaces the file with the progress, if that is due. One that cannot be written costs the job nothing.
+    fn tell(&self, progress: &JobProgress) {
+        let Some(file) = &self.file else { return };
+        let mut written = self.written.lock();
+        if written.is_none_or(|written| written.elapsed() >= TELL_INTERVAL) {
+            *written = Some(Instant::now());
+            let _ = progress.write(file);
+        }
+    }
 }
 
 impl Listener for Told {
     fn on_event(&self, event: &Event) {
         self.progress.on_event(event);
+        if let Event::Progress {
+            node,
+            done,
+            total,
+            note,
+        } = event
+            && *node == self.top
+        {
+            let (done, total, note) = (*done, *total, note.clone());
+            self.tell(&JobProgress { done, total, note });
+        }
         if let Event::Failed {
             message, cause, hint, ..
         } = event

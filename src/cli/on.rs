@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use marf_cluster::{Cluster, Site};
+use marf_cluster::{Cluster, Site, SiteError};
 use marf_engine::Executor;
 use marf_remote::{Patience, Remote};
 
@@ -17,11 +17,15 @@ pub fn executor(args: &RunArgs) -> Result<Option<Arc<dyn Executor>>, CliError> {
     if args.on.is_none() {
         return Ok(None);
     }
-    let refused = |error: marf_cluster::SiteError| {
-        CliError::Usage(Diagnostic::new(error.to_string()).hint(
-            "a site file has a table [executor] with `store` (the address of the shared store) and `folder` (a folder that all \
-             machines see); see the README",
-        ))
+    let refused = |error: SiteError| {
+        let diagnostic = Diagnostic::new(error.to_string());
+        match error {
+            SiteError::Silent { .. } => CliError::Failed(diagnostic.hint("run on a machine from which jobs can be submitted")),
+            _ => CliError::Usage(diagnostic.hint(
+                "a site file has a table [executor] with `store` (the address of the shared store) and `folder` (a folder that \
+                 all machines see); see the README",
+            )),
+        }
     };
     let site = Site::read(&args.site).map_err(refused)?;
     let remote = Arc::new(Remote::open(&site.store, Patience::Patient)?);

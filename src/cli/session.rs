@@ -14,7 +14,7 @@ use marf_stage::{Document, Verdict};
 use super::args::Global;
 use super::error::{CliError, Diagnostic};
 use crate::config::scenes::ByScene;
-use crate::config::{self, Pipeline};
+use crate::config::{self, Pipeline, SharedStore};
 use crate::terminal::eprint_line;
 
 /// What the name of a pipeline is followed by in runs of exports: they are no runs of the pipeline.
@@ -58,8 +58,8 @@ pub struct Session {
     pub scenes: Vec<String>,
     /// What its archives have told.
     listings: Listings,
-    /// Address of the store that results are shared through.
-    pub remote: Option<String>,
+    /// The store that results are shared through.
+    pub shared: Option<SharedStore>,
     /// Whether the user wants to stop.
     cancel: Cancel,
 }
@@ -163,7 +163,7 @@ impl Session {
             nodes,
             written,
             tree: pipeline.tree,
-            remote: pipeline.remote,
+            shared: pipeline.shared,
             by_scene,
             scenes: Vec::new(),
             listings,

@@ -33,12 +33,18 @@ impl Shared {
     /// Opens the shared store that the pipeline of a session names, if it names one and connections are allowed. One that
     /// cannot be opened is told, and the run goes on without it.
     pub fn open(session: &Session, global: &Global, cancel: &Cancel) -> Option<Arc<Self>> {
-        let url = session.remote.as_deref()?;
+        let shared = session.shared.as_ref()?;
         if global.offline || session.store.is_read_only() {
             return None;
         }
         let stop = cancel.clone();
-        let opened = Sharing::start(url, session.store.dir(), warn, move || stop.is_set());
+        let opened = Sharing::start(
+            &shared.url,
+            shared.verify_share,
+            session.store.dir(),
+            warn,
+            move || stop.is_set(),
+        );
         let refuse = |error: &RemoteError| {
             let hint = error.hint().map(|hint| format!(" ({hint})")).unwrap_or_default();
             warn(format!("{error}{hint}; the run goes on without the shared store"));

@@ -21,6 +21,7 @@ pub use manual_lists::entries as manual_entries;
 pub use options::GlobalOptions;
 pub use resolve::{Node, Pipeline};
 pub use schema::schema;
+pub use store::SharedStore;
 pub use templates::{TEMPLATES, template};
 
 /// A pipeline together with the text it came from.

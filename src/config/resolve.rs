@@ -13,7 +13,7 @@ use super::archives::{self, Archives};
 use super::error::{ConfigError, Origin};
 use super::manual_lists;
 use super::options::GlobalOptions;
-use super::store;
+use super::store::{self, SharedStore};
 use super::syntax::{Entry, Located};
 use crate::nearest::did_you_mean;
 
@@ -23,8 +23,8 @@ pub struct Pipeline {
     pub name: Option<String>,
     /// Nodes in the order of the file.
     pub nodes: Vec<Node>,
-    /// Address of the shared store.
-    pub remote: Option<String>,
+    /// The store that results are shared through.
+    pub shared: Option<SharedStore>,
     /// The text with all overrides applied, as JSON.
     pub tree: Json,
 }
@@ -61,7 +61,7 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
         }
     }
     check_trade(root)?;
-    let remote = store::remote(root)?;
+    let shared = store::shared(root)?;
     let name = match root.entry("name") {
         None => None,
         Some(entry) => Some(text(entry)?.to_owned()),
@@ -112,7 +112,7 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
     Ok(Pipeline {
         name,
         nodes,
-        remote,
+        shared,
         tree: root.json(),
     })
 }

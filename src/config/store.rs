@@ -9,12 +9,22 @@ use crate::nearest::did_you_mean;
 /// The table.
 pub(super) const TABLE: &str = "store";
 const REMOTE: &str = "remote";
+const VERIFY_SHARE: &str = "verify_share";
 
-/// Returns the address of the shared store; none if the pipeline has none.
+/// Where results are shared, and how far it is believed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SharedStore {
+    /// Address of the shared store.
+    pub url: String,
+    /// Share of the results of others that are made again and compared, 0 to 1.
+    pub verify_share: f64,
+}
+
+/// Returns the shared store; none if the pipeline has none.
 ///
 /// # Errors
-/// Another key than `remote`, or something that is no address.
-pub(super) fn remote(root: &Located) -> Result<Option<String>, ConfigError> {
+/// An unknown key, something that is no address, a share that is none.
+pub(super) fn shared(root: &Located) -> Result<Option<SharedStore>, ConfigError> {
     let Some(table) = root.entry(TABLE) else {
         return Ok(None);
     };
@@ -27,22 +37,40 @@ pub(super) fn remote(root: &Located) -> Result<Option<String>, ConfigError> {
         let message = format!("`{TABLE}` is not a table");
         return Err(ConfigError::at(table.at.clone(), message).hint(shape()));
     };
-    if let Some(entry) = entries.iter().find(|entry| entry.key != REMOTE) {
-        let message = format!("unknown key `{}` in `[{TABLE}]`", entry.key);
-        let hint = did_you_mean(&entry.key, [REMOTE]).or_else(shape);
-        return Err(ConfigError::at(entry.at.clone(), message).hint(hint));
+    let (mut url, mut verify_share) = (None, 0.0);
+    for entry in entries {
+        match entry.key.as_str() {
+            REMOTE => url = Some(address(&entry.value, shape())?),
+            VERIFY_SHARE => verify_share = share(&entry.value)?,
+            key => {
+                let message = format!("unknown key `{key}` in `[{TABLE}]`");
+                let hint = did_you_mean(key, [REMOTE, VERIFY_SHARE]).or_else(shape);
+                return Err(ConfigError::at(entry.at.clone(), message).hint(hint));
+            }
+        }
     }
-    let Some(entry) = entries.first() else {
-        return Ok(None);
-    };
-    let refuse = |message: String, hint| Err(ConfigError::at(entry.value.at.clone(), message).hint(hint));
-    let Some(url) = entry.value.text() else {
-        return refuse(format!("`{REMOTE}` must be a string"), shape());
+    Ok(url.map(|url| SharedStore { url, verify_share }))
+}
+
+fn address(value: &Located, shape: Option<String>) -> Result<String, ConfigError> {
+    let refuse = |message: String, hint| Err(ConfigError::at(value.at.clone(), message).hint(hint));
+    let Some(url) = value.text() else {
+        return refuse(format!("`{REMOTE}` must be a string"), shape);
     };
     match marf_remote::check_address(url) {
-        Ok(()) => Ok(Some(url.to_owned())),
+        Ok(()) => Ok(url.to_owned()),
         Err(error) => refuse(error.to_string(), error.hint()),
     }
+}
+
+fn share(value: &Located) -> Result<f64, ConfigError> {
+    let number = value.json().as_f64().filter(|share| (0.0..=1.0).contains(share));
+    number.ok_or_else(|| {
+        ConfigError::at(
+            value.at.clone(),
+            format!("`{VERIFY_SHARE}` must be a number from 0 to 1"),
+        )
+    })
 }
 
 /// Returns the schema of the table.
@@ -55,6 +83,13 @@ pub(super) fn schema() -> Json {
                 "type": "string",
                 "description": "Address of the shared store: `s3://BUCKET/PREFIX` or `file:///FOLDER`.",
                 "pattern": "^(s3://[^/@?#]+|file:///[^@?#])",
+            },
+            VERIFY_SHARE: {
+                "type": "number",
+                "description": "Share of the results of others that a run makes again and compares, another sample each run.",
+                "minimum": 0,
+                "maximum": 1,
+                "default": 0,
             },
         },
         "additionalProperties": false,

@@ -66,9 +66,11 @@ impl Listener for Lines {
             let Some(left) = self.due(node, *done, *total) else {
                 return;
             };
-            eprint_line(&escape_control(&format!(
-                "at      {node:<22} {done}/{total}, {left} left  {note}"
-            )));
+            let line = match total {
+                0 => format!("at      {node:<22} {note}"),
+                _ => format!("at      {node:<22} {done}/{total}, {left} left  {note}"),
+            };
+            eprint_line(&escape_control(&line));
         } else if let Some(line) = sentence(event) {
             eprint_line(&escape_control(&line));
         }

@@ -9,7 +9,7 @@ use std::{
         mpsc::{self, Receiver, Sender},
     },
     thread::{self, JoinHandle},
-    time::{Duration, Instant},
+    time::{Duration, Instant, SystemTime},
 };
 
 use marf_cache::{Digest, Store};
@@ -47,10 +47,42 @@ struct Link {
     store: Store,
     warn: Warn,
     is_stopped: Arc<dyn Fn() -> bool + Send + Sync>,
+    /// Which results of others are not believed but made again.
+    recheck: Recheck,
     /// Set after the first failure: a server that is away is not asked again.
     is_away: AtomicBool,
     /// Set when the run has waited long enough for what is being sent.
     is_late: AtomicBool,
+}
+
+/// A sample of keys.
+struct Recheck {
+    share: f64,
+    /// Another sample each run: who writes a wrong result does not know which are made again.
+    salt: [u8; 32],
+}
+
+impl Recheck {
+    fn new(share: f64) -> Self {
+        let since = SystemTime::now()
+            .duration_since(SystemTime::UNIX_EPOCH)
+            .unwrap_or_default();
+        let seed = format!("{} {}", since.as_nanos(), std::process::id());
+        Self {
+            share,
+            salt: *Digest::of(seed.as_bytes()).as_bytes(),
+        }
+    }
+
+    fn has(&self, key: &Digest) -> bool {
+        let drawn = Digest::of(&[self.salt.as_slice(), key.as_bytes()].concat());
+        let number = drawn
+            .as_bytes()
+            .iter()
+            .take(4)
+            .fold(0_u32, |number, byte| number << 8 | u32::from(*byte));
+        f64::from(number) < self.share * 2_f64.powi(32)
+    }
 }
 
 /// What the thread sends.
@@ -61,12 +93,14 @@ enum Job {
 }
 
 impl Sharing {
-    /// Opens the shared store beside a run whose own store is in this folder.
+    /// Opens the shared store beside a run whose own store is in this folder. A share of the results that are there, 0 to 1, is not
+    /// fetched: the run makes them, and when it sends them, one that differs is told as a conflict.
     ///
     /// # Errors
     /// A bad address, an environment without credentials, or an own store that cannot be opened.
     pub fn start(
         url: &str,
+        verify_share: f64,
         store: &Path,
         warn: impl Fn(String) + Send + Sync + 'static,
         is_stopped: impl Fn() -> bool + Send + Sync + 'static,
@@ -75,6 +109,7 @@ impl Sharing {
             remote: Remote::open(url, Patience::Impatient)?,
             store: Store::open(PathBuf::from(store))?,
             warn: Arc::new(warn),
+            recheck: Recheck::new(verify_share),
             is_stopped: Arc::new(is_stopped),
             is_away: AtomicBool::new(false),
             is_late: AtomicBool::new(false),
@@ -91,7 +126,15 @@ impl Sharing {
         if link.is_away() {
             return;
         }
-        match link.remote.fetch(&link.store, keys, LEAST_WAIT, link.as_ref()) {
+        let believed: Vec<Digest> = keys
+            .iter()
+            .filter(|key| !link.recheck.has(key))
+            .copied()
+            .collect();
+        match link
+            .remote
+            .fetch(&link.store, &believed, LEAST_WAIT, link.as_ref())
+        {
             Ok(skipped) => skipped.into_iter().for_each(|error| link.tell(&error)),
             Err(error) => link.give_up(&error),
         }

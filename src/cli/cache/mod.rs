@@ -23,7 +23,7 @@ use crate::terminal::{eprint_line, print_line};
 use args::{FsckArgs, GcArgs};
 
 pub use args::CacheVerb;
-pub use remote::remote_run;
+pub use remote::{remote_run, words};
 
 /// Folder of the store with a file for each pinned run: its name is that of the pin, its text the number of the run.
 const PINS: &str = "pins";

@@ -162,7 +162,8 @@ pub fn fsck(global: &Global, args: &FsckArgs, cancel: &Cancel) -> Result<(), Cli
 fn open(global: &Global, url: Option<&str>) -> Result<Remote, CliError> {
     let configured = || {
         let loaded = config::load(&global.file, &global.sets, &global.options())?;
-        loaded.pipeline.remote.ok_or_else(|| {
+        let shared = loaded.pipeline.shared.map(|shared| shared.url);
+        shared.ok_or_else(|| {
             CliError::Usage(
                 Diagnostic::new("no shared store is named")
                     .hint("name one with --remote, or in pipeline.toml: `[store]` with `remote = \"s3://BUCKET/PREFIX\"`"),
@@ -247,7 +248,7 @@ fn add_run(store: &Store, run: &RemoteRun, root: &Digest) -> Result<u64, CliErro
     }
 }
 
-fn words(traffic: Traffic) -> String {
+pub fn words(traffic: Traffic) -> String {
     format!(
         "{} requests, {} sent, {} received",
         traffic.requests,

@@ -16,8 +16,9 @@ use marf_stage::{Cancel, StageError, Threads};
 use parking_lot::Mutex;
 
 use crate::{
-    job_result::{Fault, JobResult},
-    queue::{Queue, Sight},
+    commands::Listed,
+    job_result::{Fault, JobProgress, JobResult},
+    queue::{Census, PREFIX, Queue, Sight},
     script::{Filling, filled},
     site::{Site, SiteError},
 };
@@ -25,7 +26,7 @@ use crate::{
 /// How often a job may be lost.
 const ATTEMPTS: u32 = 3;
 
-/// Longest pause between two looks at the file of a result.
+/// Longest time until a wish to stop is heard.
 const LOOK_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Digits of the key in the name of a job.
@@ -64,6 +65,7 @@ struct JobFiles {
     script: PathBuf,
     log: PathBuf,
     result: PathBuf,
+    progress: PathBuf,
     scratch: PathBuf,
 }
 
@@ -89,13 +91,20 @@ impl JobFiles {
             script: file(".sh"),
             log: file(".log"),
             result: file(".json"),
+            progress: JobProgress::path(&file(".json")),
             scratch: file(""),
         }
     }
 
     /// Removes what a job with a result has left.
     fn remove(&self) {
-        for file in [&self.action, &self.script, &self.log, &self.result] {
+        for file in [
+            &self.action,
+            &self.script,
+            &self.log,
+            &self.result,
+            &self.progress,
+        ] {
             let _ = fs::remove_file(file);
         }
         let _ = fs::remove_dir_all(&self.scratch);
@@ -147,8 +156,9 @@ impl Cluster {
     /// Returns the batch system of a site, whose shared store is open.
     ///
     /// # Errors
-    /// A template that cannot be read; a folder that cannot be made.
+    /// A template that cannot be read; a folder that cannot be made; a batch system that does not answer.
     pub fn new(site: Site, remote: Arc<Remote>, program: PathBuf) -> Result<Self, SiteError> {
+        site.commands.list().map_err(|said| SiteError::Silent { said })?;
         fs::create_dir_all(&site.folder).map_err(|source| SiteError::Read {
             path: site.folder.clone(),
             source,
@@ -177,7 +187,7 @@ impl Cluster {
         if new.is_empty() && blobs.is_empty() {
             return Ok(());
         }
-        order.progress.at(0, 1, "inputs go to the shared store");
+        order.progress.at(0, 0, "inputs go to the shared store");
         let pushed = self
             .remote
             .send(order.store, &new, &blobs, &Watcher(order.cancel));
@@ -226,7 +236,7 @@ impl Cluster {
                 return Err(StageError::Cancelled);
             }
             match self.queue.look(&self.site.commands, &name, self.began) {
-                Sight::There(listed) => {
+                Sight::There(listed, _) => {
                     let since = self.began;
                     return Ok(Job { id: listed.id, since });
                 }
@@ -236,7 +246,7 @@ impl Cluster {
                     Err(said) => busy = said,
                 },
             }
-            thread::sleep(self.pause());
+            self.rest(order.cancel);
         }
         let seconds = self.patience().as_secs_f64();
         let error =
@@ -309,11 +319,9 @@ impl Cluster {
                 return Err(StageError::Cancelled);
             }
             match self.queue.look(&self.site.commands, &name, job.since) {
-                Sight::There(listed) => {
+                Sight::There(listed, census) => {
                     absent_since = None;
-                    order
-                        .progress
-                        .at(0, 1, &note(&listed.id, &listed.state, &listed.reason));
+                    show(order, files, &listed, census);
                 }
                 Sight::Unknown(fault) => {
                     absent_since = None;
@@ -322,7 +330,7 @@ impl Cluster {
                     } else {
                         "the queue cannot be seen"
                     };
-                    order.progress.at(0, 1, &note(&job.id, state, &fault));
+                    order.progress.at(0, 0, &note(&job.id, state, &fault));
                 }
                 Sight::Absent => {
                     let since = *absent_since.get_or_insert_with(Instant::now);
@@ -331,7 +339,7 @@ impl Cluster {
                     }
                 }
             }
-            thread::sleep(self.pause());
+            self.rest(order.cancel);
         }
     }
 
@@ -378,13 +386,19 @@ impl Cluster {
         Duration::from_secs_f64(self.site.patience_s)
     }
 
-    fn pause(&self) -> Duration {
-        Duration::from_secs_f64(self.site.poll_s).min(LOOK_INTERVAL)
+    /// Waits until it is time for another look, or the user wants to stop.
+    fn rest(&self, cancel: &Cancel) {
+        let mut left = Duration::from_secs_f64(self.site.poll_s);
+        while !left.is_zero() && !cancel.is_set() {
+            let slice = left.min(LOOK_INTERVAL);
+            thread::sleep(slice);
+            left -= slice;
+        }
     }
 }
 
 fn job_name(key: &Digest) -> String {
-    format!("marf-{}", &key.to_string()[..NAME_DIGITS])
+    format!("{PREFIX}{}", &key.to_string()[..NAME_DIGITS])
 }
 
 /// Returns the blobs that an action reads and that no result of the run consists of: those that its parent has made for it.
@@ -404,6 +418,21 @@ fn foreign_inputs(order: &Order<'_>) -> Result<Vec<Digest>, StoreError> {
     match foreign.is_empty() {
         true => Ok(foreign),
         false => order.store.closure(&[], &foreign).map(|closure| closure.blobs),
+    }
+}
+
+/// Shows what the batch system and the job itself say of it.
+fn show(order: &Order<'_>, files: &JobFiles, listed: &Listed, census: Census) {
+    let Census { running, waiting } = census;
+    let mut note = note(&listed.id, &listed.state, &listed.reason);
+    if running + waiting > 1 {
+        note.push_str(&format!("; of {} jobs {running} run", running + waiting));
+    }
+    match JobProgress::read(&files.progress) {
+        Some(job) => order
+            .progress
+            .at(job.done, job.total, &format!("{note}; {}", job.note)),
+        None => order.progress.at(0, 0, &note),
     }
 }
 

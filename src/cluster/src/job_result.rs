@@ -1,9 +1,9 @@
-//! How a job ended: one file, written by rename.
+//! What a job tells: how far it is, and how it ended. A file each, written by rename.
 
 use std::{
     fs,
     io::{self, Write as _},
-    path::Path,
+    path::{Path, PathBuf},
 };
 
 use marf_cache::Digest;
@@ -45,15 +45,7 @@ impl JobResult {
     /// # Errors
     /// A folder that cannot be written.
     pub fn write(&self, path: &Path) -> io::Result<()> {
-        let folder = path.parent().filter(|folder| *folder != Path::new(""));
-        let folder = folder.unwrap_or(Path::new("."));
-        fs::create_dir_all(folder)?;
-        let mut file = tempfile::Builder::new().suffix(".tmp").tempfile_in(folder)?;
-        serde_json::to_writer(&mut file, self)?;
-        file.write_all(b"\n")?;
-        file.as_file().sync_data()?;
-        file.persist(path)?;
-        Ok(())
+        write_whole(path, self)
     }
 
     /// Reads the result of a key; none if it is not there, or not whole, or of another key.
@@ -63,9 +55,71 @@ impl JobResult {
     }
 }
 
+/// How far a job is.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JobProgress {
+    /// Pieces of work done.
+    pub done: u64,
+    /// All of them.
+    pub total: u64,
+    /// What it is at.
+    pub note: String,
+}
+
+impl JobProgress {
+    /// Returns where the progress of a job is that tells its end in this file.
+    pub fn path(result: &Path) -> PathBuf {
+        result.with_extension("progress")
+    }
+
+    /// Replaces the file.
+    ///
+    /// # Errors
+    /// A folder that cannot be written.
+    pub fn write(&self, path: &Path) -> io::Result<()> {
+        write_whole(path, self)
+    }
+
+    /// Reads the progress of a job; none if it has told none.
+    pub(crate) fn read(path: &Path) -> Option<Self> {
+        serde_json::from_slice(&fs::read(path).ok()?).ok()
+    }
+}
+
+/// Writes a file whole or not at all.
+fn write_whole(path: &Path, content: &impl Serialize) -> io::Result<()> {
+    let folder = path.parent().filter(|folder| *folder != Path::new(""));
+    let folder = folder.unwrap_or(Path::new("."));
+    fs::create_dir_all(folder)?;
+    let mut file = tempfile::Builder::new().suffix(".tmp").tempfile_in(folder)?;
+    serde_json::to_writer(&mut file, content)?;
+    file.write_all(b"\n")?;
+    file.as_file().sync_data()?;
+    file.persist(path)?;
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn progress_lies_beside_the_result_and_is_replaced() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = JobProgress::path(&dir.path().join("ab.json"));
+        assert!(path.ends_with("ab.progress"));
+        assert_eq!(JobProgress::read(&path), None);
+        for done in [1, 2] {
+            let progress = JobProgress {
+                done,
+                total: 2,
+                note: "loss".to_owned(),
+            };
+            progress.write(&path).unwrap();
+            assert_eq!(JobProgress::read(&path), Some(progress));
+        }
+    }
 
     #[test]
     fn a_result_is_read_whole_and_for_its_own_key_alone() {

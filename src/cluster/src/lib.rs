@@ -1,11 +1,12 @@
 //! Nodes of a run as jobs of a batch system (Slurm, or another by a template).
 //!
 //! ```text
-//! FOLDER/<key>.action  what a job computes
-//! FOLDER/<key>.sh      its script
-//! FOLDER/<key>.log     what the job printed, attempts one after the other
-//! FOLDER/<key>.json    how it ended, written by rename ([`JobResult`])
-//! FOLDER/<key>/        its scratch store with checkpoints, until it has a result
+//! FOLDER/<key>.action    what a job computes
+//! FOLDER/<key>.sh        its script
+//! FOLDER/<key>.log       what the job printed, attempts one after the other
+//! FOLDER/<key>.json      how it ended, written by rename ([`JobResult`])
+//! FOLDER/<key>.progress  how far it is ([`JobProgress`])
+//! FOLDER/<key>/          its scratch store with checkpoints, until it has a result
 //! ```
 //! FOLDER is on a file system that the machine of the run and those of the jobs share. Inputs and results travel through a shared
 //! store; of a job its file alone tells how it ended. The batch system is asked which jobs are there, never how one ended: its
@@ -22,5 +23,5 @@ mod script;
 mod site;
 
 pub use cluster::Cluster;
-pub use job_result::{Fault, JobResult};
+pub use job_result::{Fault, JobProgress, JobResult};
 pub use site::{Site, SiteError};

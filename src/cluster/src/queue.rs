@@ -9,6 +9,9 @@ use parking_lot::Mutex;
 
 use crate::commands::{Commands, Listed};
 
+/// What names of jobs of marf begin with.
+pub(crate) const PREFIX: &str = "marf-";
+
 /// The queue as it was last seen.
 #[derive(Debug)]
 pub(crate) struct Queue {
@@ -29,12 +32,32 @@ struct Seen {
 /// What is known of a job.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Sight {
-    /// It waits or runs.
-    There(Listed),
+    /// It waits or runs; with how many jobs of marf run and wait.
+    There(Listed, Census),
     /// It is not in an answer that came after it was asked for.
     Absent,
     /// The batch system does not answer, for this reason.
     Unknown(String),
+}
+
+/// How many jobs of marf the batch system has.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct Census {
+    pub running: usize,
+    pub waiting: usize,
+}
+
+impl Census {
+    fn of(jobs: &BTreeMap<String, Listed>) -> Self {
+        let mut census = Self::default();
+        for (_, job) in jobs.iter().filter(|(name, _)| name.starts_with(PREFIX)) {
+            match job.state.as_str() {
+                "running" | "completing" => census.running += 1,
+                _ => census.waiting += 1,
+            }
+        }
+        census
+    }
 }
 
 impl Queue {
@@ -62,7 +85,10 @@ impl Queue {
         match (&seen.fault, fresh) {
             (Some(fault), _) => Sight::Unknown(fault.clone()),
             (None, None) => Sight::Unknown(String::new()),
-            (None, Some((_, jobs))) => jobs.get(name).cloned().map_or(Sight::Absent, Sight::There),
+            (None, Some((_, jobs))) => match jobs.get(name) {
+                Some(job) => Sight::There(job.clone(), Census::of(jobs)),
+                None => Sight::Absent,
+            },
         }
     }
 }
@@ -89,7 +115,7 @@ mod tests {
         let queue = Queue::new(Duration::from_secs(3600));
         let before = Instant::now();
         for _ in 0..50 {
-            assert!(matches!(queue.look(&commands, "a", before), Sight::There(job) if job.id == "1"));
+            assert!(matches!(queue.look(&commands, "a", before), Sight::There(job, _) if job.id == "1"));
         }
         assert_eq!(queue.look(&commands, "b", before), Sight::Absent);
         assert_eq!(
@@ -97,6 +123,24 @@ mod tests {
             Sight::Unknown(String::new())
         );
         assert_eq!(std::fs::read_to_string(count).unwrap().lines().count(), 1);
+    }
+
+    #[test]
+    fn jobs_of_marf_are_counted_and_others_are_not() {
+        let lines = [
+            "1|marf-a|RUNNING|None",
+            "2|marf-b|PENDING|Priority",
+            "3|marf-c|PENDING|Resources",
+            "4|tea|RUNNING|None",
+        ];
+        let queue = Queue::new(Duration::ZERO);
+        let commands = list(&format!("printf '{}\\n'", lines.join("\\n")));
+        let census = Census {
+            running: 1,
+            waiting: 2,
+        };
+        let sight = queue.look(&commands, "marf-b", Instant::now());
+        assert!(matches!(sight, Sight::There(job, found) if job.reason == "Priority" && found == census));
     }
 
     #[test]

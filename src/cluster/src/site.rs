@@ -41,7 +41,7 @@ pub struct Site {
     /// Further options of jobs on a GPU.
     #[serde(default = "default_gpu_options")]
     pub gpu_options: Vec<String>,
-    /// Seconds between two looks at the queue.
+    /// Seconds between two looks at the queue and at the files of jobs.
     #[serde(default = "default_poll_s")]
     pub poll_s: f64,
     /// Seconds for which a job may be in neither the queue nor its folder before it counts as lost: a shared file system lags.
@@ -105,6 +105,12 @@ pub enum SiteError {
         path: PathBuf,
         /// Where and what.
         message: String,
+    },
+    /// The batch system does not list its jobs.
+    #[error("the batch system does not answer: {said}")]
+    Silent {
+        /// What it says.
+        said: String,
     },
     /// A value that no site can have.
     #[error("{path}: executor.{key}: {message}", path = path.display())]

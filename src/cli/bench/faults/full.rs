@@ -60,8 +60,12 @@ impl<'a> Full<'a> {
 
 impl Injector for Full<'_> {
     fn prepare(&mut self, round: u32) -> Outcome {
-        // From no byte to more than is needed.
-        let free = self.lab.random(Fault::Full, round) % (self.needed * 3 / 2).max(1);
+        // The first disk is too small for certain, others have from no byte to more than is needed.
+        let most = match round {
+            0 => self.needed / 2,
+            _ => self.needed * 3 / 2,
+        };
+        let free = self.lab.random(Fault::Full, round) % most.max(1);
         let other = DISK_BYTES.saturating_sub(free).to_string();
         // The last bytes of the other file may not fit any more.
         let fill = "rm -rf case other; mkdir case; printf %s \"$2\" > case/pipeline.toml; \
