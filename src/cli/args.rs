@@ -236,8 +236,8 @@ pub struct RunArgs {
     /// Write what ran when, for Perfetto or chrome://tracing
     #[arg(long, value_name = "FILE")]
     pub trace: Option<PathBuf>,
-    /// Have nodes computed as jobs of this batch system, as the site file says
-    #[arg(long, value_enum, value_name = "SYSTEM")]
+    /// Have trainings computed as jobs of a batch system: `slurm`, or others by `template` and `commands` of the site file
+    #[arg(long, value_enum, value_name = "SYSTEM", hide_possible_values = true)]
     pub on: Option<BatchSystem>,
     /// The site file: shared store, folder of jobs, commands and limits of the batch system; in no key
     #[arg(long, value_name = "FILE", default_value = "site.toml")]
@@ -247,7 +247,7 @@ pub struct RunArgs {
 /// A batch system.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum BatchSystem {
-    /// Slurm; others by `template` and `commands` of the site file
+    /// Slurm, or what has its commands
     Slurm,
 }
 

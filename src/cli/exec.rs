@@ -40,7 +40,7 @@ pub struct ExecArgs {
 
 const AFTER_HELP: &str = "\
 --store is the address of the shared store here: file:///FOLDER or s3://BUCKET/PREFIX. Of the inputs only those are fetched that are \
-read; a result that is there already is not made again. `marf run --on slurm` writes actions and submits jobs that call this verb.
+read; a result that is there already stays, and is compared with this one. `marf run --on slurm` writes actions and submits jobs that call this verb.
 Exit codes: 0 the result is in the shared store, 1 it could not be made, 10 another marf or another machine must make it (this one \
 would make another key of it, or has another backend), 130 stopped at a checkpoint.";
 
