@@ -103,7 +103,7 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
         let at = tables.iter().find(|entry| entry.key == second.name);
         let at = at.map_or(root.at.clone(), |entry| entry.at.clone());
         let message = format!(
-            "`{}` and `{}` both split photos by place; one can",
+            "`{}` and `{}` both split photos by place; only one may",
             first.name, second.name
         );
         return Err(ConfigError::at(at, message));
