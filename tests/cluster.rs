@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use common::{Ran, marf};
@@ -26,14 +27,14 @@ method = "labels"
 [node.train]
 input = "calibrate"
 steps = 16
-scale = 4
+scale = 8
 device = "cpu"
 [node.bootstrap]
 input = "calibrate"
 of = "train"
 b = 3
-frames = 2
-width = 80
+frames = 1
+width = 32
 device = "cpu"
 "#;
 
@@ -77,7 +78,19 @@ const SCONTROL: &str = r#"#!/bin/bash
 echo "JobId=${@: -1} JobState=OUT_OF_MEMORY Reason=OutOfMemory ExitCode=0:125"
 "#;
 
-/// A folder with the pipeline, a site file and a stub of Slurm.
+/// Returns a folder with a store in which the photos are drawn and the cameras known, made once.
+fn calibrated() -> &'static Path {
+    static FOLDER: OnceLock<tempfile::TempDir> = OnceLock::new();
+    let made = FOLDER.get_or_init(|| {
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::write(dir.path().join("pipeline.toml"), PIPELINE).unwrap();
+        marf(dir.path(), &["run", "--to", "calibrate"]).exits(0);
+        dir
+    });
+    made.path()
+}
+
+/// A folder with the pipeline, its cameras, a site file and a stub of Slurm.
 struct Site {
     dir: tempfile::TempDir,
 }
@@ -107,6 +120,11 @@ impl Site {
              cancel = [\"{stub}/scancel\", \"{{id}}\"]\nexplain = [\"{stub}/scontrol\", \"{{id}}\"]\n"
         );
         std::fs::write(site.dir.path().join("site.toml"), text).unwrap();
+        let copied = Command::new("cp")
+            .arg("-r")
+            .args([&calibrated().join(".marf"), site.path()])
+            .status();
+        assert!(copied.unwrap().success());
         std::fs::write(site.dir.path().join("pipeline.toml"), pipeline).unwrap();
         site
     }
