@@ -3,7 +3,7 @@
 use std::{
     collections::BTreeSet,
     fmt, fs, io,
-    path::{Path, PathBuf},
+    path::PathBuf,
     sync::Arc,
     thread,
     time::{Duration, Instant},
@@ -17,10 +17,12 @@ use parking_lot::Mutex;
 
 use crate::{
     commands::Listed,
+    job_files::JobFiles,
     job_result::{Fault, JobProgress, JobResult},
     queue::{Census, PREFIX, Queue, Sight},
     script::{Filling, filled},
     site::{Site, SiteError},
+    words::{in_short, note},
 };
 
 /// How often a job may be lost.
@@ -31,9 +33,6 @@ const LOOK_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Digits of the key in the name of a job.
 const NAME_DIGITS: usize = 16;
-
-/// Bytes at the end of a log that an error shows.
-const LOG_TAIL_BYTES: usize = 400;
 
 /// Words of a batch system that is busy for a moment.
 const BUSY: [&str; 3] = ["timed out", "nable to contact", "temporarily"];
@@ -59,16 +58,6 @@ impl fmt::Debug for Cluster {
     }
 }
 
-/// The files of a job.
-struct JobFiles {
-    action: PathBuf,
-    script: PathBuf,
-    log: PathBuf,
-    result: PathBuf,
-    progress: PathBuf,
-    scratch: PathBuf,
-}
-
 /// A job in the queue.
 struct Job {
     id: String,
@@ -81,47 +70,6 @@ enum Ended {
     Told(JobResult),
     /// It is in neither the queue nor the folder; with what the batch system says of it.
     Lost(String),
-}
-
-impl JobFiles {
-    fn of(folder: &Path, key: &Digest) -> Self {
-        let file = |extension: &str| folder.join(format!("{key}{extension}"));
-        Self {
-            action: file(".action"),
-            script: file(".sh"),
-            log: file(".log"),
-            result: file(".json"),
-            progress: JobProgress::path(&file(".json")),
-            scratch: file(""),
-        }
-    }
-
-    /// Removes what a job with a result has left.
-    fn remove(&self) {
-        for file in [
-            &self.action,
-            &self.script,
-            &self.log,
-            &self.result,
-            &self.progress,
-        ] {
-            let _ = fs::remove_file(file);
-        }
-        let _ = fs::remove_dir_all(&self.scratch);
-    }
-
-    /// Returns the end of the log, on one line.
-    fn log_tail(&self) -> Option<String> {
-        let log = fs::read(&self.log).ok()?;
-        let tail = &log[log.len().saturating_sub(LOG_TAIL_BYTES)..];
-        let text = String::from_utf8_lossy(tail);
-        let lines: Vec<&str> = text
-            .lines()
-            .map(str::trim)
-            .filter(|line| !line.is_empty())
-            .collect();
-        (!lines.is_empty()).then(|| lines.join("; "))
-    }
 }
 
 impl Executor for Cluster {
@@ -436,29 +384,6 @@ fn show(order: &Order<'_>, files: &JobFiles, listed: &Listed, census: Census) {
     }
 }
 
-/// Returns what is seen of a job: `job 12 pending (Resources)`.
-fn note(id: &str, state: &str, reason: &str) -> String {
-    match reason.is_empty() {
-        true => format!("job {id} {state}"),
-        false => format!("job {id} {state} ({reason})"),
-    }
-}
-
-/// Returns the words `JobState=…` and `Reason=…` of what Slurm says of a job, or the first words of another batch system.
-fn in_short(said: &str) -> String {
-    let is_wanted = |word: &&str| {
-        ["JobState=", "Reason=", "ExitCode="]
-            .iter()
-            .any(|key| word.starts_with(key))
-    };
-    let words: Vec<&str> = said.split_whitespace().filter(is_wanted).collect();
-    match words.is_empty() {
-        false => words.join(" "),
-        true if said.trim().is_empty() => "the batch system knows it no more".to_owned(),
-        true => said.trim().lines().next().unwrap_or_default().to_owned(),
-    }
-}
-
 /// Tells the warnings of a job, and why it has no result if it has none.
 fn told(order: &Order<'_>, result: JobResult) -> Result<(), StageError> {
     result
@@ -490,26 +415,5 @@ impl Observer for Watcher<'_> {
 
     fn is_stopped(&self) -> bool {
         self.0.is_set()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_slurm_says_of_a_job_is_put_in_short() {
-        let said = "JobId=12 JobName=marf-ab UserId=root(0) JobState=OUT_OF_MEMORY Reason=OutOfMemory Requeue=1 ExitCode=0:125 Nice=0";
-        assert_eq!(
-            in_short(said),
-            "JobState=OUT_OF_MEMORY Reason=OutOfMemory ExitCode=0:125"
-        );
-        assert_eq!(in_short(" \n"), "the batch system knows it no more");
-        assert_eq!(
-            in_short("job 7 has been deleted\nmore\n"),
-            "job 7 has been deleted"
-        );
-        assert_eq!(note("7", "pending", "Priority"), "job 7 pending (Priority)");
-        assert_eq!(note("7", "running", ""), "job 7 running");
     }
 }

@@ -17,10 +17,12 @@
 
 mod cluster;
 mod commands;
+mod job_files;
 mod job_result;
 mod queue;
 mod script;
 mod site;
+mod words;
 
 pub use cluster::Cluster;
 pub use job_result::{Fault, JobProgress, JobResult};

@@ -1,0 +1,64 @@
+//! The files of a job, which the machines share.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use marf_cache::Digest;
+
+use crate::job_result::JobProgress;
+
+/// Bytes at the end of a log that an error shows.
+const LOG_TAIL_BYTES: usize = 400;
+
+/// The files of a job.
+pub(crate) struct JobFiles {
+    pub(crate) action: PathBuf,
+    pub(crate) script: PathBuf,
+    pub(crate) log: PathBuf,
+    pub(crate) result: PathBuf,
+    pub(crate) progress: PathBuf,
+    pub(crate) scratch: PathBuf,
+}
+
+impl JobFiles {
+    pub(crate) fn of(folder: &Path, key: &Digest) -> Self {
+        let file = |extension: &str| folder.join(format!("{key}{extension}"));
+        Self {
+            action: file(".action"),
+            script: file(".sh"),
+            log: file(".log"),
+            result: file(".json"),
+            progress: JobProgress::path(&file(".json")),
+            scratch: file(""),
+        }
+    }
+
+    /// Removes what a job with a result has left.
+    pub(crate) fn remove(&self) {
+        for file in [
+            &self.action,
+            &self.script,
+            &self.log,
+            &self.result,
+            &self.progress,
+        ] {
+            let _ = fs::remove_file(file);
+        }
+        let _ = fs::remove_dir_all(&self.scratch);
+    }
+
+    /// Returns the end of the log, on one line.
+    pub(crate) fn log_tail(&self) -> Option<String> {
+        let log = fs::read(&self.log).ok()?;
+        let tail = &log[log.len().saturating_sub(LOG_TAIL_BYTES)..];
+        let text = String::from_utf8_lossy(tail);
+        let lines: Vec<&str> = text
+            .lines()
+            .map(str::trim)
+            .filter(|line| !line.is_empty())
+            .collect();
+        (!lines.is_empty()).then(|| lines.join("; "))
+    }
+}

@@ -1,0 +1,45 @@
+//! What is said of jobs.
+
+/// Returns what is seen of a job: `job 12 pending (Resources)`.
+pub(crate) fn note(id: &str, state: &str, reason: &str) -> String {
+    match reason.is_empty() {
+        true => format!("job {id} {state}"),
+        false => format!("job {id} {state} ({reason})"),
+    }
+}
+
+/// Returns the words `JobState=…` and `Reason=…` of what Slurm says of a job, or the first words of another batch system.
+pub(crate) fn in_short(said: &str) -> String {
+    let is_wanted = |word: &&str| {
+        ["JobState=", "Reason=", "ExitCode="]
+            .iter()
+            .any(|key| word.starts_with(key))
+    };
+    let words: Vec<&str> = said.split_whitespace().filter(is_wanted).collect();
+    match words.is_empty() {
+        false => words.join(" "),
+        true if said.trim().is_empty() => "the batch system knows it no more".to_owned(),
+        true => said.trim().lines().next().unwrap_or_default().to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_slurm_says_of_a_job_is_put_in_short() {
+        let said = "JobId=12 JobName=marf-ab UserId=root(0) JobState=OUT_OF_MEMORY Reason=OutOfMemory Requeue=1 ExitCode=0:125 Nice=0";
+        assert_eq!(
+            in_short(said),
+            "JobState=OUT_OF_MEMORY Reason=OutOfMemory ExitCode=0:125"
+        );
+        assert_eq!(in_short(" \n"), "the batch system knows it no more");
+        assert_eq!(
+            in_short("job 7 has been deleted\nmore\n"),
+            "job 7 has been deleted"
+        );
+        assert_eq!(note("7", "pending", "Priority"), "job 7 pending (Priority)");
+        assert_eq!(note("7", "running", ""), "job 7 running");
+    }
+}
