@@ -49,6 +49,10 @@ pub(super) fn shared(root: &Located) -> Result<Option<SharedStore>, ConfigError>
             }
         }
     }
+    if url.is_none() && !entries.is_empty() {
+        let message = format!("`[{TABLE}]` needs `{REMOTE}`, the address of the shared store");
+        return Err(ConfigError::at(table.at.clone(), message).hint(shape()));
+    }
     Ok(url.map(|url| SharedStore { url, verify_share }))
 }
 
@@ -94,4 +98,37 @@ pub(super) fn schema() -> Json {
         },
         "additionalProperties": false,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::config::{GlobalOptions, check};
+
+    fn shared(table: &str) -> Result<Option<SharedStore>, String> {
+        let text =
+            format!("[archive.demo]\nkind = \"demo\"\n[node.extract]\narchive = \"demo\"\n[store]\n{table}");
+        let checked = check(&text, &[], &GlobalOptions::default(), Path::new(""));
+        checked
+            .map(|pipeline| pipeline.shared)
+            .map_err(|error| error.message)
+    }
+
+    #[test]
+    fn a_share_to_verify_is_a_number_from_0_to_1() {
+        let with = |share: &str| shared(&format!("remote = \"file:///s\"\n{share}"));
+        let share = |text: &str| with(text).unwrap().unwrap().verify_share;
+        assert_eq!(share(""), 0.0);
+        assert_eq!(share("verify_share = 0.02"), 0.02);
+        assert_eq!(share("verify_share = 1"), 1.0);
+        for bad in ["1.5", "-0.1", "\"all\""] {
+            let message = with(&format!("verify_share = {bad}")).unwrap_err();
+            assert_eq!(message, "`verify_share` must be a number from 0 to 1", "{bad}");
+        }
+        let alone = shared("verify_share = 0.5").unwrap_err();
+        assert_eq!(alone, "`[store]` needs `remote`, the address of the shared store");
+        assert_eq!(shared(""), Ok(None));
+    }
 }
