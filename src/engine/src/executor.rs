@@ -20,6 +20,35 @@ pub trait Executor: fmt::Debug + Send + Sync {
     /// # Errors
     /// What kept the other machine from computing it; [`StageError::Cancelled`] if the user wants to stop.
     fn execute(&self, order: &Order<'_>) -> Result<(), StageError>;
+
+    /// Tells whether it takes parts of a node that measure so many photos; what it does not take is computed here.
+    fn takes_parts(&self, action: &Action, photos: u64) -> bool;
+
+    /// Has parts of a node computed, and puts their records and all that these consist of into the store. `order` is of the
+    /// node.
+    ///
+    /// # Errors
+    /// As [`Executor::execute`]; parts that were computed by then may be in the store.
+    fn execute_parts(&self, order: &Order<'_>, parts: &[PartOrder]) -> Result<(), StageError>;
+}
+
+/// A part of a node to compute elsewhere.
+#[derive(Debug, Clone)]
+pub struct PartOrder {
+    /// The key of its result.
+    pub key: Digest,
+    /// The bytes of its action, which are not in the store.
+    pub action: Vec<u8>,
+    /// How many photos it is about.
+    pub photos: u64,
+}
+
+/// Other machines that compute a node or parts of it.
+pub(crate) struct Elsewhere<'a> {
+    pub(crate) executor: &'a dyn Executor,
+    pub(crate) needs: Needs,
+    /// Keys of the results of the run so far, sorted.
+    pub(crate) results: Vec<Digest>,
 }
 
 /// An action to compute elsewhere, with what travels beside it and is in no key.

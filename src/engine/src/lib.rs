@@ -27,7 +27,7 @@ mod work;
 
 pub use check::{Edge, GraphError, NodeShape, check};
 pub use event::{Event, Listener, Silent};
-pub use executor::{Executor, Order};
+pub use executor::{Executor, Order, PartOrder};
 pub use graph::{Graph, NodeDecl, NodeView};
 pub use key::{Change, action_at, changes, differences};
 pub use listing::{LISTING, Listings};

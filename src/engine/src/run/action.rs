@@ -9,10 +9,11 @@ use serde_json::Value;
 use super::{
     Options,
     context::RunContext,
+    part::{PartJob, shard_of},
     pool,
     scheduler::Scheduler,
     state::RunState,
-    task::{InputSource, Phase, Task},
+    task::{InputSource, Phase, Prepared, Task},
     threads,
 };
 use crate::{
@@ -21,6 +22,7 @@ use crate::{
     graph::Graph,
     key::{differences, node_key},
     record::EngineError,
+    work::{PartKind, part_key},
 };
 
 /// Why an action was not computed.
@@ -110,6 +112,16 @@ pub fn run_action(
     let task = task_of(action, params, &graph)?;
     let threads = threads(options.threads);
     let pool = pool(threads)?;
+    if let Some(shard) = shard_of(action) {
+        let part = PartJob {
+            task: &task,
+            shard,
+            store,
+            program: &options.program,
+            threads,
+        };
+        return pool.install(|| part.run(listener, cancel));
+    }
     let context = RunContext {
         graph: &graph,
         store,
@@ -138,7 +150,7 @@ pub fn run_action(
 /// Returns the task of an action, if this program on this machine would make the same key of it.
 fn task_of(action: &Action, params: Value, graph: &Graph) -> Result<Task, ActionError> {
     let stage = || action.stage.clone();
-    if let Some(part) = action.part.clone() {
+    if let Some(part) = action.part.clone().filter(|_| shard_of(action).is_none()) {
         return Err(ActionError::Part { stage: stage(), part });
     }
     let Some(def) = graph.table.get(action.stage.as_str()) else {
@@ -154,8 +166,11 @@ fn task_of(action: &Action, params: Value, graph: &Graph) -> Result<Task, Action
         return Err(ActionError::Source { stage: stage() });
     }
     let inputs = Inputs(action.inputs.clone());
-    let key = node_key(&graph.table, def, bound.as_ref(), &inputs)
+    let mut key = node_key(&graph.table, def, bound.as_ref(), &inputs)
         .map_err(|error| ActionError::Failed(error.to_string()))?;
+    if let Some((shard, _)) = shard_of(action) {
+        key = part_key(&key.action, PartKind::Measure, shard, inputs.0.clone());
+    }
     let here = &key.action;
     let backend = |action: &Action| action.backend.clone().unwrap_or_else(|| "cpu".to_owned());
     if here.backend != action.backend {
@@ -173,5 +188,14 @@ fn task_of(action: &Action, params: Value, graph: &Graph) -> Result<Task, Action
             key: key.digest,
         });
     }
-    Ok(Task::new(stage(), *def, bound, InputSource::Fixed(inputs)))
+    let prepared = Prepared {
+        key,
+        inputs: inputs.clone(),
+        listed: None,
+        reason: String::new(),
+    };
+    Ok(Task {
+        prepared: Some(prepared),
+        ..Task::new(stage(), *def, bound, InputSource::Fixed(inputs))
+    })
 }

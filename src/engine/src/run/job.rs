@@ -14,11 +14,10 @@ use super::{context::RunContext, task::Prepared};
 use crate::{
     errors::{contract_violation, panicked},
     event::{Event, NodeProgress},
-    executor::{Executor, Order},
+    executor::{Elsewhere, Order},
     key::{Key, node_key},
     listing::Listed,
     lookup::{Lookup, look_up},
-    needs::Needs,
     shared::fetch_lacking,
     stage_io::{FileCheckpoints, Lease, StoreBlobs, StoreMemos},
     work::{
@@ -41,16 +40,8 @@ pub(super) struct Job<'a> {
     pub(super) check: BlobCheck,
     pub(super) threads: usize,
     pub(super) began: Instant,
-    /// Where else it is computed; here if absent.
+    /// Where else it, or parts of it, may be computed; all here if absent.
     pub(super) elsewhere: Option<Elsewhere<'a>>,
-}
-
-/// Another machine that computes a node.
-pub(super) struct Elsewhere<'a> {
-    pub(super) executor: &'a dyn Executor,
-    pub(super) needs: Needs,
-    /// Keys of the results of the run so far, sorted.
-    pub(super) results: Vec<Digest>,
 }
 
 /// Which step of a node's work.
@@ -109,9 +100,9 @@ impl Job<'_> {
                 device: self.device(),
             });
         }
-        match &self.elsewhere {
-            Some(elsewhere) => self.run_elsewhere(elsewhere),
-            None => self.run(),
+        match (&self.elsewhere, self.bound.work()) {
+            (Some(elsewhere), Work::Set(_)) => self.run_elsewhere(elsewhere),
+            _ => self.run(),
         }
     }
 
@@ -229,6 +220,7 @@ impl Job<'_> {
         };
         let run = StageRun {
             store: self.context.store,
+            node: &self.node,
             ctx,
             def: &self.def,
             stage,
@@ -237,6 +229,7 @@ impl Job<'_> {
             listed: self.prepared.listed.as_ref(),
             check: self.check,
             shared: self.context.shared,
+            elsewhere: self.elsewhere.as_ref(),
             metadata,
             warn: &|message| self.warn(message.to_owned()),
         };

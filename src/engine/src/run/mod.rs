@@ -3,6 +3,7 @@
 mod action;
 mod context;
 mod job;
+mod part;
 mod prepare;
 mod recover;
 mod report;

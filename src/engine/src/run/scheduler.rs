@@ -13,13 +13,13 @@ use marf_cache::{Digest, StoreError};
 use marf_stage::{Outputs, Threads, Work};
 
 use super::{
-    job::{Elsewhere, Job, JobError, JobOutput, Step},
+    job::{Job, JobError, JobOutput, Step},
     prepare::prepare_all,
     recover,
     state::RunState,
     task::{Phase, Prepared, Reuse, Task},
 };
-use crate::{errors::contract_violation, needs::Needs, work::BlobCheck};
+use crate::{errors::contract_violation, executor::Elsewhere, needs::Needs, work::BlobCheck};
 
 /// Starts jobs on threads of their own, and applies what they report to the state of the run.
 pub(super) struct Scheduler<'a> {
@@ -172,12 +172,18 @@ impl<'a> Scheduler<'a> {
     /// Takes the permits of a node and returns its job; none if the node was not prepared.
     fn start(&mut self, index: usize, place: Place) -> Option<Job<'a>> {
         self.running += 1;
-        let (permits, elsewhere) = match place {
-            Place::Here(permits) => (permits, None),
-            Place::Elsewhere => (0, self.elsewhere(index)),
+        let permits = match place {
+            Place::Here(permits) => permits,
+            Place::Elsewhere => 0,
         };
         self.free_permits -= permits;
-        self.elsewhere += usize::from(elsewhere.is_some());
+        self.elsewhere += usize::from(matches!(place, Place::Elsewhere));
+        let work = self.state.tasks[index].bound.work();
+        let has_parts = matches!(work, Work::Map(_) | Work::Fold(_));
+        let elsewhere = match has_parts || matches!(place, Place::Elsewhere) {
+            true => self.elsewhere(index),
+            false => None,
+        };
         let step = match self.state.tasks[index].phase {
             Phase::Reducible => self.after_round(index),
             _ => Step::Start,

@@ -7,6 +7,7 @@ use marf_cache::Digest;
 use marf_stage::{Ctx, Fold, FoldState, PHOTOS, StageError};
 
 use super::{
+    elsewhere::measure_elsewhere,
     map::{leaf_inputs, store_decided},
     measure::{MeasuredShard, measure, windows},
     stage_run::{Counts, Part, PartKind, PartedOutputs, StageRun},
@@ -52,7 +53,9 @@ pub(super) fn execute(run: &StageRun<'_>, fold: &dyn Fold) -> Result<PartedOutpu
         steps.replay(state.as_mut())?;
     }
     let total: u64 = shards[first..].iter().map(|shard| rows_of(&shard.1)).sum();
-    let (mut done, mut measured) = (0, 0);
+    let lacking: Vec<&ShardLeaves> = shards[first..].iter().collect();
+    let mut measured = measure_elsewhere(run, fold, &lacking)?;
+    let mut done = 0;
     for window in windows(&shards[first..], |shard| rows_of(&shard.1)) {
         let leaves: Vec<&ShardLeaves> = window.iter().collect();
         let read = measure(run, fold, &leaves, (done, total))?;

@@ -54,8 +54,13 @@ pub(super) fn execute(run: &StageRun<'_>, map: &dyn Map) -> Result<PartedOutputs
 
 /// Returns the inputs of a part that reads the leaves of a shard.
 pub(super) fn leaf_inputs((_, leaves): &ShardLeaves) -> BTreeMap<String, Digest> {
-    let named = |(index, leaf): (usize, &LeafRef)| (format!("rows.{index}"), leaf.leaf);
+    let named = |(index, leaf): (usize, &LeafRef)| (leaf_name(index), leaf.leaf);
     leaves.iter().enumerate().map(named).collect()
+}
+
+/// Returns the name of the input that is a leaf of a shard.
+pub(crate) fn leaf_name(index: usize) -> String {
+    format!("rows.{index}")
 }
 
 /// Stores the verdicts on a shard and the rows they keep, as a part.

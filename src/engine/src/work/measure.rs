@@ -147,12 +147,12 @@ pub(super) fn measure(
 }
 
 /// The rows of one shard with its tables of measures.
-struct ShardTables {
+pub(super) struct ShardTables {
     rows: ShardRows,
     digests: Vec<Digest>,
     tables: Tables,
     /// Indices of the rows that the stage's own table lacks.
-    missing: Vec<usize>,
+    pub(super) missing: Vec<usize>,
 }
 
 /// Rows, each with its digest.
@@ -171,7 +171,7 @@ pub(super) struct KeptTable {
 
 impl ShardTables {
     /// Reads the stage's own table; the others only where a row must be measured.
-    fn load(
+    pub(super) fn load(
         run: &StageRun<'_>,
         stage: &dyn Measure,
         own: Table,
@@ -297,6 +297,18 @@ fn save(run: &StageRun<'_>, table: Table, shard: u32, measures: &MeasureTable) -
     let blob = run.store.put(&measures.encode()).map_err(store_error)?;
     run.store.put_memo(table_key(table, shard), blob, run.key.digest);
     Ok(())
+}
+
+/// Adds measures that another machine made to a table of their shard.
+pub(super) fn add_to_table(
+    run: &StageRun<'_>,
+    table: Table,
+    shard: u32,
+    measures: MeasureTable,
+) -> Result<(), StageError> {
+    let mut kept = load(run.store, table, shard)?.measures;
+    kept.0.extend(measures.0);
+    save(run, table, shard, &kept)
 }
 
 /// Adds measures that a source made of its rows to the tables of their shard. Returns the number of rows measured.

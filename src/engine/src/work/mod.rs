@@ -1,6 +1,7 @@
 //! The kinds of work: what a node does when its key is not in the store.
 
 mod compare;
+mod elsewhere;
 mod expand;
 mod extent;
 mod fold;
@@ -13,11 +14,14 @@ mod stage_run;
 use crate::listing::Listed;
 use marf_stage::{NodeSpec, Outputs, StageError, Work};
 
+pub(crate) use elsewhere::measure_part;
 pub(crate) use expand::after_round;
 pub use extent::Extent;
+pub(crate) use map::leaf_name;
 pub(crate) use extent::extent;
 pub(crate) use stage_run::{
-    BlobCheck, Counts, PartedOutputs, StageRun, needs_of, put_action, put_needs, put_parts, with_lengths,
+    BlobCheck, Counts, MEASURE, PartKind, PartedOutputs, StageRun, needs_of, part_key, put_action, put_needs,
+    put_parts, with_lengths,
 };
 
 /// What a stage gave.

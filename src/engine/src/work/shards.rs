@@ -5,6 +5,7 @@ use marf_stage::{Measure, StageError};
 use rayon::prelude::*;
 
 use super::{
+    elsewhere::measure_elsewhere,
     measure::{MeasuredShard, measure, windows},
     stage_run::StageRun,
 };
@@ -41,8 +42,10 @@ pub(super) fn shard_parts<P: Send>(
         parts.push(find(&key.digest)?);
     }
     let missing: Vec<usize> = (0..shards.len()).filter(|&at| parts[at].is_none()).collect();
+    let lacking: Vec<&ShardLeaves> = missing.iter().map(|&at| &shards[at]).collect();
+    let mut measured = measure_elsewhere(run, stage, &lacking)?;
     let total: u64 = missing.iter().map(|&at| rows_of(&shards[at].1)).sum();
-    let (mut done, mut measured) = (0, 0);
+    let mut done = 0;
     for window in windows(&missing, |&at| rows_of(&shards[at].1)) {
         run.ctx.check()?;
         let leaves: Vec<&ShardLeaves> = window.iter().map(|&at| &shards[at]).collect();

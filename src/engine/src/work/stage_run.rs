@@ -13,6 +13,7 @@ use serde_json::json;
 use crate::{
     errors::{contract_violation, store_error},
     items::{read_refs, rows_of, write_refs, write_set},
+    executor::Elsewhere,
     key::Key,
     listing::Listed,
     shared::{SharedResults, fetch_lacking},
@@ -24,6 +25,9 @@ pub(crate) type Counts = BTreeMap<String, u64>;
 
 /// Name of the output of a step of a fold that holds what it added to the state.
 pub(super) const ADDED: &str = "added";
+
+/// Name of the part of a node that is the measures of a shard.
+pub(crate) const MEASURE: &str = "measure";
 
 /// How thoroughly stored parts are checked before they are reused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,6 +42,8 @@ pub(crate) enum BlobCheck {
 #[derive(Clone, Copy)]
 pub(crate) struct StageRun<'a> {
     pub(crate) store: &'a Store,
+    /// Name of the node.
+    pub(crate) node: &'a str,
     pub(crate) ctx: Ctx<'a>,
     pub(crate) def: &'a StageDef,
     pub(crate) stage: &'a dyn Stage,
@@ -48,6 +54,8 @@ pub(crate) struct StageRun<'a> {
     pub(crate) check: BlobCheck,
     /// Where results are shared with other machines.
     pub(crate) shared: Option<&'a dyn SharedResults>,
+    /// Other machines that may measure; none if all is measured here.
+    pub(crate) elsewhere: Option<&'a Elsewhere<'a>>,
     pub(crate) metadata: &'a RunMetadata,
     /// Tells people of something.
     pub(crate) warn: &'a (dyn Fn(&str) + Sync),
@@ -55,7 +63,7 @@ pub(crate) struct StageRun<'a> {
 
 /// The kinds of parts of a node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum PartKind {
+pub(crate) enum PartKind {
     /// A shard of a source.
     Fetch,
     /// The summary of a shard for a pass of this name.
@@ -64,15 +72,18 @@ pub(super) enum PartKind {
     Decide,
     /// A step of a fold.
     Fold,
+    /// The measures of a shard, made on another machine.
+    Measure,
 }
 
 /// Returns the key of the part of a node that is about one shard. No parameter is in that of a summary.
-pub(super) fn part_key(node: &Action, part: PartKind, shard: u32, inputs: BTreeMap<String, Digest>) -> Key {
+pub(crate) fn part_key(node: &Action, part: PartKind, shard: u32, inputs: BTreeMap<String, Digest>) -> Key {
     let (name, params) = match part {
         PartKind::Fetch => ("fetch", node.params.clone()),
         PartKind::Summarise(pass) => ("summarise", json!({ "pass": pass })),
         PartKind::Decide => ("decide", node.params.clone()),
         PartKind::Fold => ("fold", node.params.clone()),
+        PartKind::Measure => (MEASURE, node.params.clone()),
     };
     Key::of(Action {
         action: ACTION_FORMAT,

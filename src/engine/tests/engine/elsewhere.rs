@@ -11,13 +11,16 @@ use std::{
 
 use marf_cache::{Action, Digest, Record, Store, Upstream};
 use marf_engine::{
-    ActionError, Cancel, Executor, NodeState, Options, Order, Outcome, Silent, action_at, run_action,
+    ActionError, Cancel, Executor, NodeState, Options, Order, Outcome, PartOrder, Silent, action_at, run_action,
 };
 use marf_stage::StageError;
 use parking_lot::Mutex;
 use serde_json::{Value, json};
 
 use crate::common::*;
+
+/// Fewer photos than this are measured by the run.
+const LEAST_PHOTOS: u64 = 4;
 
 /// The blobs of another store.
 struct Blobs(Store);
@@ -63,10 +66,10 @@ impl Machine {
         }
     }
 
-    fn compute(&self, order: &Order<'_>) -> Result<Record, ActionError> {
+    fn compute(&self, action: &Action, order: &Order<'_>) -> Result<Record, ActionError> {
         let upstream = Blobs(Store::open(&self.of_run).unwrap());
         let store = Store::open(&self.own).unwrap().with_upstream(Arc::new(upstream));
-        let wanted = (order.action, params_of(order.action, self.fixture));
+        let wanted = (action, params_of(action, self.fixture));
         let record = run_action(wanted, TABLE, &store, &options(1), &Silent, order.cancel)?;
         for blob in store.belongings(&record).unwrap().blobs {
             order.store.put(&store.get(&blob).unwrap()).unwrap();
@@ -75,7 +78,34 @@ impl Machine {
     }
 }
 
+impl Machine {
+    /// Computes an action, and puts its record and what this consists of into the store of the run.
+    fn bring(&self, action: &Action, order: &Order<'_>) -> Result<(), StageError> {
+        let made = self.compute(action, order);
+        order
+            .store
+            .put_record(made.map_err(|error| StageError::new(error.to_string()))?);
+        order.store.commit().unwrap();
+        Ok(())
+    }
+}
+
 impl Executor for Machine {
+    fn takes_parts(&self, action: &Action, photos: u64) -> bool {
+        self.takes(action) && photos >= LEAST_PHOTOS
+    }
+
+    fn execute_parts(&self, order: &Order<'_>, parts: &[PartOrder]) -> Result<(), StageError> {
+        for part in parts {
+            let action = Action::decode(&part.action).unwrap();
+            assert_eq!(action.key(), part.key);
+            self.bring(&action, order)?;
+        }
+        let computed = (order.node.to_owned(), parts.len());
+        self.computed.lock().push(computed);
+        Ok(())
+    }
+
     fn takes(&self, action: &Action) -> bool {
         self.stages.contains(&action.stage.as_str())
     }
@@ -90,13 +120,10 @@ impl Executor for Machine {
         std::thread::sleep(Duration::from_millis(20));
         let made = match self.fails {
             true => Err(StageError::new("the machine is on fire").hint("put it out")),
-            false => self
-                .compute(order)
-                .map_err(|error| StageError::new(error.to_string())),
+            false => self.bring(order.action, order),
         };
         self.busy.fetch_sub(1, Ordering::SeqCst);
-        order.store.put_record(made?);
-        order.store.commit().unwrap();
+        made?;
         self.computed
             .lock()
             .push((order.node.to_owned(), order.results.len()));
@@ -138,10 +165,10 @@ fn nodes_computed_elsewhere_are_those_computed_here() {
     let mut computed = machine.computed.lock().clone();
     computed.sort();
     let names: Vec<&str> = computed.iter().map(|(name, _)| name.as_str()).collect();
-    // `at_most` looks at rows one by one, and stays here.
     assert_eq!(
         names,
         [
+            "at_most",
             "many/member-00",
             "many/member-01",
             "many/member-02",
@@ -150,6 +177,7 @@ fn nodes_computed_elsewhere_are_those_computed_here() {
             "sum"
         ]
     );
+    assert_eq!(computed[0].1, 2, "the measures of two shards");
     assert_eq!(computed.last().unwrap().1, 3, "a sum may read of three results");
     assert_eq!(
         machine.most_busy.load(Ordering::SeqCst),
@@ -160,6 +188,39 @@ fn nodes_computed_elsewhere_are_those_computed_here() {
 
     let (_, log) = run_with(&pipeline.graph(), &store, &with(&machine), &Cancel::default());
     assert_eq!(ran(&log), Vec::<String>::new());
+}
+
+/// Measures made elsewhere are kept like those made here: a new shard alone is measured again, one that lacks few is measured
+/// here, and so are few photos.
+#[test]
+fn shards_are_measured_elsewhere_where_they_lack_most_measures() {
+    let (number, fixture) = new_fixture();
+    for shard in 1..=3 {
+        fixture.put_shard(shard);
+    }
+    let pipeline = TestPipeline::new(number);
+    let (folder, store) = fresh_store();
+    let machine = Arc::new(Machine::new(&folder, number, &["at_most", "distinct"]));
+    let run = || run_with(&pipeline.graph(), &store, &with(&machine), &Cancel::default());
+    let computed = || std::mem::take(&mut *machine.computed.lock());
+    let counts = |record: &marf_engine::RunRecord, node: &str| record.node(node).unwrap().counts["measured"];
+    let (record, _) = run();
+    assert_eq!(record.outcome, Outcome::Done);
+    assert_eq!(computed(), [("at_most".to_owned(), 3), ("distinct".to_owned(), 3)]);
+    assert!(counts(&record, "at_most") >= 3);
+    let measured = fixture.take_measured() as u64;
+    assert_eq!(measured, counts(&record, "at_most") + counts(&record, "distinct"));
+
+    fixture.put_shard(4);
+    run();
+    assert_eq!(computed()[0], ("at_most".to_owned(), 1), "the new shard");
+    fixture.take_measured();
+
+    // One more photo in a shard of many.
+    fixture.put(4, "one-more", 2);
+    run();
+    assert_eq!(computed(), [] as [(String, usize); 0]);
+    assert_eq!(fixture.take_measured(), 2, "here, at both stages");
 }
 
 #[test]

@@ -1,0 +1,112 @@
+//! The measures of a shard as an action of its own: what a machine computes for a map or a fold that runs elsewhere.
+
+use std::{collections::BTreeMap, time::Instant};
+
+use marf_cache::{Action, Record, RunMetadata, Store, manifest::LeafRef};
+use marf_stage::{Cancel, Ctx, Inputs, Measure, StageError, Work};
+
+use super::{action::ActionError, job::unix_seconds, task::Task};
+use crate::{
+    errors::contract_violation,
+    event::{Event, Listener, NodeProgress},
+    items::ShardLeaves,
+    key::Key,
+    stage_io::{FileCheckpoints, StoreBlobs, StoreMemos},
+    work::{BlobCheck, MEASURE, StageRun, leaf_name, measure_part},
+};
+
+/// Returns the shard whose measures an action is, with its leaves; none of other actions.
+pub(super) fn shard_of(action: &Action) -> Option<ShardLeaves> {
+    let shard = action.shard.filter(|_| action.part.as_deref() == Some(MEASURE))?;
+    let leaf = |number: usize| action.inputs.get(&leaf_name(number)).copied();
+    let leaves = (0..).map_while(leaf).map(|leaf| LeafRef { shard, leaf, rows: 0 });
+    Some((shard, leaves.collect()))
+}
+
+/// The measures of a shard as an action of its own.
+pub(super) struct PartJob<'a> {
+    pub(super) task: &'a Task,
+    pub(super) shard: ShardLeaves,
+    pub(super) store: &'a Store,
+    pub(super) program: &'a str,
+    pub(super) threads: usize,
+}
+
+impl PartJob<'_> {
+    /// Measures the shard, unless that is done, and returns the record.
+    pub(super) fn run(&self, listener: &dyn Listener, cancel: &Cancel) -> Result<Record, ActionError> {
+        let lost = || ActionError::Failed("its result was lost".to_owned());
+        let key = &self.task.prepared.as_ref().ok_or_else(lost)?.key;
+        if self.store.hit(&key.digest)?.is_none() {
+            let made = self.measure(key, listener, cancel);
+            made.map_err(|error| self.told(error, listener))?;
+            self.store.commit()?;
+        }
+        self.store.record(&key.digest)?.ok_or_else(lost)
+    }
+
+    /// Tells why there is no result.
+    fn told(&self, error: StageError, listener: &dyn Listener) -> ActionError {
+        let (message, cause, hint) = match error {
+            StageError::Cancelled => return ActionError::Stopped,
+            StageError::Failed { message, cause, hint } => (message, cause, hint),
+            StageError::Blob(error) => (error.message, None, None),
+        };
+        listener.on_event(&Event::Failed {
+            node: self.task.name.clone(),
+            message: message.clone(),
+            cause,
+            hint,
+        });
+        ActionError::Failed(message)
+    }
+
+    fn measure(&self, key: &Key, listener: &dyn Listener, cancel: &Cancel) -> Result<(), StageError> {
+        let stage: &dyn Measure = match self.task.bound.work() {
+            Work::Map(map) => map,
+            Work::Fold(fold) => fold,
+            _ => return Err(contract_violation("it measures nothing".to_owned())),
+        };
+        let (store, name) = (self.store, self.task.name.as_str());
+        let began = Instant::now();
+        let (blobs, scratch) = (StoreBlobs::new(store), store.scratch());
+        let run = StageRun {
+            store,
+            node: name,
+            ctx: Ctx {
+                blobs: &blobs,
+                cancel,
+                progress: &NodeProgress::new(name, listener),
+                checkpoints: &FileCheckpoints::new(store, &key.digest, name, listener),
+                memos: &StoreMemos::new(store, key.digest, name, listener),
+                scratch: &scratch,
+                threads: self.threads,
+                began,
+            },
+            def: &self.task.def,
+            stage: self.task.bound.as_ref(),
+            key,
+            inputs: &Inputs(key.action.inputs.clone()),
+            listed: None,
+            check: BlobCheck::Outputs,
+            shared: None,
+            elsewhere: None,
+            metadata: &RunMetadata {
+                seconds: 0.0,
+                peak_mb: 0,
+                started_unix_s: unix_seconds(),
+                device: "cpu".to_owned(),
+                program: self.program.to_owned(),
+                counts: BTreeMap::new(),
+                parts_s: BTreeMap::new(),
+            },
+            warn: &|message| {
+                listener.on_event(&Event::Warning {
+                    node: Some(name.to_owned()),
+                    message: message.to_owned(),
+                });
+            },
+        };
+        measure_part(&run, stage, &self.shard)
+    }
+}
