@@ -38,7 +38,8 @@ width = 32
 device = "cpu"
 "#;
 
-/// Runs a script when asked to, and kills the first jobs of each name, as many as the file `kills` says.
+/// Runs a script when asked to, and kills the first jobs of each name, as many as the file `kills` says. Tasks of an array run one after the
+/// other; those that the file `kill_tasks` names are killed, of the first array.
 const SBATCH: &str = r#"#!/bin/bash
 cd "$(dirname "$0")" || exit 1
 script="${@: -1}"
@@ -46,7 +47,10 @@ script="${@: -1}"
 exec 9> lock; flock 9
 id=$(( $(cat next 2> /dev/null || echo 100) + 1 )); echo $id > next
 name=$(sed -n 's/^#SBATCH --job-name=//p' "$script"); log=$(sed -n 's/^#SBATCH --output=//p' "$script")
+last=$(sed -n 's/^#SBATCH --array=0-\([0-9]*\).*/\1/p' "$script"); tasks=$(seq 0 ${last:-0})
+killed=" "; [ -n "$last" ] && [ -f kill_tasks ] && { killed=" $(cat kill_tasks) "; rm kill_tasks; }
 echo "$id $name $(sed -n 's/^#SBATCH --mem=//p' "$script")" >> history
+[ -n "$last" ] && echo "$id $((last + 1))" >> arrays
 mkdir -p jobs/$id; echo "$name" > jobs/$id/name
 kill=no; [ "$(grep -c " $name " history)" -le "$(cat kills 2> /dev/null || echo 0)" ] && kill=yes
 flock -u 9
@@ -54,8 +58,12 @@ setsid bash -c '
   sleep 0.2
   if [ '$kill' = yes ]; then echo "'$id' 9" >> ended
   else
-    setsid bash "'"$script"'" >> "'"$log"'" 2>&1 & echo $! > jobs/'$id'/pid
-    wait $!; echo "'$id' $?" >> ended
+    for task in '"${tasks//$'\n'/ }"'; do
+      [ -n "'"$last"'" ] && echo "_[$task-'"$last"']" > jobs/'$id'/left
+      [[ "'"$killed"'" == *" $task "* ]] && continue
+      SLURM_ARRAY_TASK_ID=$task setsid bash "'"$script"'" >> "'"$log"'" 2>&1 & echo $! > jobs/'$id'/pid
+      wait $!; echo "'$id' $?" >> ended
+    done
   fi
   rm -r jobs/'$id'
 ' 9>&- > /dev/null 2>&1 < /dev/null &
@@ -64,7 +72,7 @@ echo $id
 
 const SQUEUE: &str = r#"#!/bin/bash
 cd "$(dirname "$0")/jobs" 2> /dev/null || exit 0
-for id in *; do [ -f $id/name ] && echo "$id|$(cat $id/name)|RUNNING|None"; done
+for id in *; do [ -f $id/name ] && echo "$id$(cat $id/left 2> /dev/null)|$(cat $id/name)|RUNNING|None"; done
 exit 0
 "#;
 
@@ -264,6 +272,62 @@ fn a_run_that_is_killed_leaves_jobs_that_the_next_one_takes_over() {
     let ran = site.run(&["--to", "train"]).exits(0);
     assert_eq!(site.noted("history").len(), 1, "{}", ran.stderr);
     assert_eq!(site.noted("cancelled"), [] as [&str; 0]);
+}
+
+const FILTERED: &str = r#"name = "cluster"
+[archive.demo]
+kind = "demo"
+sols = "1..=4"
+width = 64
+[node.extract]
+archive = "demo"
+[node.duplicate]
+input = "extract"
+[node.blur]
+input = "duplicate"
+"#;
+
+/// A machine that has pulled a run has no measures. It has them made by tasks of an array, some of which are killed, and what comes out is that of
+/// a run that measures itself; nothing is measured twice.
+#[test]
+fn measures_of_photos_are_tasks_of_an_array_and_give_the_digests_of_a_local_run() {
+    let local = tempfile::tempdir().unwrap();
+    std::fs::write(local.path().join("pipeline.toml"), FILTERED).unwrap();
+    let site = Site::new(FILTERED);
+    let store = format!("file://{}", site.path().join("shared").display());
+    marf(local.path(), &["run", "--to", "extract"]).exits(0);
+    marf(local.path(), &["cache", "push", "--remote", &store]).exits(0);
+    marf(local.path(), &["run"]).exits(0);
+
+    std::fs::remove_dir_all(site.path().join(".marf")).unwrap();
+    marf(site.path(), &["cache", "pull", "--remote", &store]).exits(0);
+    let text = std::fs::read_to_string(site.path().join("site.toml")).unwrap();
+    let text = text.replace("cores = 1\n", "cores = 1\nphotos_per_task = 1\nmax_array = 3\n");
+    std::fs::write(site.path().join("site.toml"), text).unwrap();
+    site.tell("kill_tasks", "1");
+    let ran = site.run(&[]).exits(0);
+    // Four shards in arrays of three tasks and of one, and the killed one. One look at a photo measures it for both filters.
+    assert_eq!(
+        site.noted("arrays"),
+        ["101 3", "102 1", "103 1"],
+        "{}",
+        ran.stderr
+    );
+    assert!(
+        ran.stderr.contains("1 tasks ended without a result"),
+        "{}",
+        ran.stderr
+    );
+    assert_eq!(outputs(site.path()), outputs(local.path()));
+    let left: Vec<_> = std::fs::read_dir(site.path().join("jobs")).unwrap().collect();
+    assert!(left.is_empty(), "{left:?}");
+
+    // Thresholds change no measure.
+    let stricter = FILTERED.to_owned() + "min_ratio = 0.9\n";
+    std::fs::write(site.path().join("pipeline.toml"), stricter).unwrap();
+    let again = site.run(&[]).exits(0);
+    assert!(again.stdout.contains("1 of 3 nodes ran"), "{}", again.stdout);
+    assert_eq!(site.noted("arrays").len(), 3, "{}", again.stderr);
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! `marf exec`: one action, its inputs from a shared store and its result into it.
+//! `marf exec`: actions, their inputs from a shared store and their results into it.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -27,7 +27,7 @@ const TELL_INTERVAL: Duration = Duration::from_secs(2);
 #[derive(Debug, Clone, Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct ExecArgs {
-    /// A file with the action, or the key of a result in the shared store, whose action is then computed again
+    /// A file with actions, a line each, or the key of a result in the shared store, whose action is then computed again
     #[arg(value_name = "ACTION")]
     pub action: String,
     /// Write here how it ended, whole or not at all
@@ -48,13 +48,13 @@ would make another key of it, or has another backend), 130 stopped at a checkpoi
 pub fn exec(global: &Global, args: &ExecArgs, cancel: &Cancel) -> Result<(), CliError> {
     let remote = Arc::new(Remote::open(&address(global)?, Patience::Patient)?);
     let reader = Arc::new(Reader::new(Arc::clone(&remote), Wish(cancel.clone())));
-    let action = action(&args.action, reader.as_ref())?;
-    let ended = compute(&action, (&remote, reader), global, args, cancel);
+    let actions = Actions::read(&args.action, reader.as_ref())?;
+    let ended = compute(&actions.list, (&remote, reader), global, args, cancel);
     if let Some(path) = &args.result
         && !matches!(ended, Err(CliError::Interrupted))
     {
         let result = JobResult {
-            key: action.key(),
+            key: actions.key,
             program: program::PROGRAM.to_owned(),
             fault: ended.as_ref().err().map(fault),
             warnings: ended.iter().flatten().map(in_words).collect(),
@@ -64,13 +64,17 @@ pub fn exec(global: &Global, args: &ExecArgs, cancel: &Cancel) -> Result<(), Cli
     }
     let conflicts = ended?;
     conflicts.iter().map(in_words).for_each(warn);
-    print_line(&format!(
-        "{} {}; {}",
-        action.stage,
-        action.key(),
-        words(remote.traffic())
-    ));
+    for action in &actions.list {
+        print_line(&format!("{} {}", action.stage, action.key()));
+    }
+    print_line(&words(remote.traffic()));
     Ok(())
+}
+
+/// Some actions, with the digest of their bytes.
+struct Actions {
+    key: Digest,
+    list: Vec<Action>,
 }
 
 /// Returns the address of the shared store.
@@ -82,22 +86,33 @@ fn address(global: &Global) -> Result<String, CliError> {
     })
 }
 
-/// Reads the action of a file, or of a key.
-fn action(given: &str, reader: &dyn Upstream) -> Result<Action, CliError> {
-    let bytes = match given.parse::<Digest>() {
-        Ok(key) => reader
-            .blob(&key)
-            .map_err(CliError::failed)?
-            .filter(|bytes| Digest::of(bytes) == key)
-            .ok_or_else(|| CliError::failed(format!("the shared store has no action {}", key.short())))?,
-        Err(_) => std::fs::read(given).map_err(|error| CliError::usage(format!("{given}: {error}")))?,
-    };
-    Action::decode(&bytes).map_err(|error| CliError::usage(format!("{given}: {error}")))
+impl Actions {
+    /// Reads the actions of a file, or the one of a key.
+    fn read(given: &str, reader: &dyn Upstream) -> Result<Self, CliError> {
+        let bytes = match given.parse::<Digest>() {
+            Ok(key) => reader
+                .blob(&key)
+                .map_err(CliError::failed)?
+                .filter(|bytes| Digest::of(bytes) == key)
+                .ok_or_else(|| CliError::failed(format!("the shared store has no action {}", key.short())))?,
+            Err(_) => std::fs::read(given).map_err(|error| CliError::usage(format!("{given}: {error}")))?,
+        };
+        let lines = bytes.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
+        let list: Result<Vec<Action>, _> = lines.map(Action::decode).collect();
+        let list = list.map_err(|error| CliError::usage(format!("{given}: {error}")))?;
+        match list.is_empty() {
+            true => Err(CliError::usage(format!("{given}: no action"))),
+            false => Ok(Self {
+                key: Digest::of(&bytes),
+                list,
+            }),
+        }
+    }
 }
 
-/// Computes an action and sends its result. Returns the conflicts with results that were there.
+/// Computes actions one after the other and sends their results. Returns the conflicts with results that were there.
 fn compute<R: Upstream + 'static>(
-    action: &Action,
+    actions: &[Action],
     (remote, reader): (&Remote, Arc<R>),
     global: &Global,
     args: &ExecArgs,
@@ -112,8 +127,11 @@ fn compute<R: Upstream + 'static>(
         .or(temporary.as_ref().map(|dir| dir.path()))
         .unwrap_or(Path::new("."));
     let store = open_store(dir, cancel)?.with_upstream(reader);
-    let record = made(action, &store, global, args, cancel)?;
-    let sent = remote.send(&store, &[record.key], &[], &Wish(cancel.clone()))?;
+    let made = actions
+        .iter()
+        .map(|action| Ok(made(action, &store, global, args, cancel)?.key));
+    let keys: Vec<Digest> = made.collect::<Result<_, CliError>>()?;
+    let sent = remote.send(&store, &keys, &[], &Wish(cancel.clone()))?;
     drop(store);
     if let Some(dir) = kept {
         // What is left takes space and nothing else.

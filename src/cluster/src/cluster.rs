@@ -10,26 +10,30 @@ use std::{
 };
 
 use marf_cache::{Action, Digest, StoreError};
-use marf_engine::{Executor, Needs, Order};
+use marf_engine::{Executor, Needs, Order, PartOrder};
 use marf_remote::{Observer, Progress, Remote, RemoteError};
 use marf_stage::{Cancel, StageError, Threads};
 use parking_lot::Mutex;
 
 use crate::{
+    arrays::Arrays,
     commands::Listed,
     job_files::JobFiles,
     job_result::{Fault, JobProgress, JobResult},
     queue::{Census, PREFIX, Queue, Sight},
-    script::{Filling, filled},
+    script::{Filling, TASK, filled, quoted_path},
     site::{Site, SiteError},
     words::{in_short, note},
 };
 
 /// How often a job may be lost.
-const ATTEMPTS: u32 = 3;
+pub(crate) const ATTEMPTS: u32 = 3;
 
 /// Longest time until a wish to stop is heard.
 const LOOK_INTERVAL: Duration = Duration::from_millis(200);
+
+/// Longest fetch of a result that is known.
+const FETCH_PATIENCE: Duration = Duration::from_secs(600);
 
 /// Digits of the key in the name of a job.
 const NAME_DIGITS: usize = 16;
@@ -39,13 +43,13 @@ const BUSY: [&str; 3] = ["timed out", "nable to contact", "temporarily"];
 
 /// A batch system that computes the nodes of a run.
 pub struct Cluster {
-    site: Site,
-    script: String,
-    marf: PathBuf,
-    remote: Arc<Remote>,
-    queue: Queue,
+    pub(crate) site: Site,
+    pub(crate) script: String,
+    pub(crate) marf: PathBuf,
+    pub(crate) remote: Arc<Remote>,
+    pub(crate) queue: Queue,
     /// When this run began to look at the queue.
-    began: Instant,
+    pub(crate) began: Instant,
     /// Keys whose results are in the shared store. One push at a time.
     shared: Mutex<BTreeSet<Digest>>,
 }
@@ -59,10 +63,10 @@ impl fmt::Debug for Cluster {
 }
 
 /// A job in the queue.
-struct Job {
-    id: String,
+pub(crate) struct Job {
+    pub(crate) id: String,
     /// Answers of the batch system from before tell nothing of it.
-    since: Instant,
+    pub(crate) since: Instant,
 }
 
 /// How the wait for a job ended.
@@ -98,6 +102,15 @@ impl Executor for Cluster {
         files.remove();
         Ok(())
     }
+
+    fn takes_parts(&self, action: &Action, photos: u64) -> bool {
+        // Another script may be of a batch system without arrays.
+        self.takes(action) && photos >= self.site.photos_per_task && self.script.contains(TASK)
+    }
+
+    fn execute_parts(&self, order: &Order<'_>, parts: &[PartOrder]) -> Result<(), StageError> {
+        Arrays::new(self, order).run(parts)
+    }
 }
 
 impl Cluster {
@@ -123,7 +136,7 @@ impl Cluster {
     }
 
     /// Brings all that an action reads into the shared store.
-    fn share(&self, order: &Order<'_>) -> Result<(), StageError> {
+    pub(crate) fn share(&self, order: &Order<'_>) -> Result<(), StageError> {
         let mut shared = self.shared.lock();
         let new: Vec<Digest> = order
             .results
@@ -149,7 +162,8 @@ impl Cluster {
         let mut memory_mb = self.memory_mb(&order.needs);
         let mut attempts_left = ATTEMPTS;
         loop {
-            let job = self.job(order, files, memory_mb)?;
+            let script = || self.write(order, files, memory_mb);
+            let job = self.job(order, &job_name(&order.key), &script)?;
             let said = match self.wait(order, files, &job)? {
                 Ended::Told(result) => return told(order, result),
                 Ended::Lost(said) => said,
@@ -174,22 +188,27 @@ impl Cluster {
         }
     }
 
-    /// Returns the job of an action that is in the queue, or else submits one.
-    fn job(&self, order: &Order<'_>, files: &JobFiles, memory_mb: u64) -> Result<Job, StageError> {
-        let name = job_name(&order.key);
+    /// Returns the job of this name that is in the queue, or else submits one with the script that `write` writes.
+    pub(crate) fn job(
+        &self,
+        order: &Order<'_>,
+        name: &str,
+        write: &dyn Fn() -> io::Result<PathBuf>,
+    ) -> Result<Job, StageError> {
         let asked = Instant::now();
         let mut busy = String::new();
         while asked.elapsed() < self.patience() {
             if order.cancel.is_set() {
                 return Err(StageError::Cancelled);
             }
-            match self.queue.look(&self.site.commands, &name, self.began) {
-                Sight::There(listed, _) => {
+            match self.queue.look(&self.site.commands, name, self.began) {
+                Sight::There(listed, _) if !listed.is_empty() => {
                     let since = self.began;
-                    return Ok(Job { id: listed.id, since });
+                    let id = listed[0].id.clone();
+                    return Ok(Job { id, since });
                 }
                 Sight::Unknown(fault) => busy = fault,
-                Sight::Absent => match self.submit(order, files, memory_mb)? {
+                Sight::Absent | Sight::There(..) => match self.submit(order, write)? {
                     Ok(job) => return Ok(job),
                     Err(said) => busy = said,
                 },
@@ -206,25 +225,24 @@ impl Cluster {
     fn submit(
         &self,
         order: &Order<'_>,
-        files: &JobFiles,
-        memory_mb: u64,
+        write: &dyn Fn() -> io::Result<PathBuf>,
     ) -> Result<Result<Job, String>, StageError> {
         let unwritten = |error: io::Error| failed(order, "the files of its job cannot be written", &error);
-        self.write(order, files, memory_mb).map_err(unwritten)?;
+        let script = write().map_err(unwritten)?;
         let since = Instant::now();
-        match self.site.commands.submit(&files.script.display().to_string()) {
+        match self.site.commands.submit(&script.display().to_string()) {
             Ok(id) => Ok(Ok(Job { id, since })),
             Err(said) if BUSY.iter().any(|word| said.contains(word)) => Ok(Err(said)),
             Err(said) => {
                 let error = StageError::new(format!("the batch system takes no job for `{}`", order.node))
                     .cause(said);
-                Err(error.hint(format!("the script is {}", files.script.display())))
+                Err(error.hint(format!("the script is {}", script.display())))
             }
         }
     }
 
-    /// Writes the action and the script of a job, and removes a result that is none.
-    fn write(&self, order: &Order<'_>, files: &JobFiles, memory_mb: u64) -> io::Result<()> {
+    /// Writes the action and the script of a job, and removes a result that is none; returns where the script is.
+    fn write(&self, order: &Order<'_>, files: &JobFiles, memory_mb: u64) -> io::Result<PathBuf> {
         match fs::remove_file(&files.result) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
             _ => fs::write(&files.action, order.action.encode())?,
@@ -233,12 +251,13 @@ impl Cluster {
         let options: Vec<String> = self.site.options.iter().chain(gpu).cloned().collect();
         let filling = Filling {
             name: &job_name(&order.key),
-            action: &files.action,
+            task: "",
+            action: quoted_path(&files.action),
             store: &self.site.store,
             marf: &self.marf,
             log: &files.log,
-            result: &files.result,
-            scratch: &files.scratch,
+            result: quoted_path(&files.result),
+            scratch: quoted_path(&files.scratch),
             cores: match order.needs.cores {
                 Threads::One => 1,
                 Threads::All => self.site.cores,
@@ -247,7 +266,8 @@ impl Cluster {
             minutes: self.site.minutes,
             options: &options,
         };
-        fs::write(&files.script, filled(&self.script, &filling))
+        fs::write(&files.script, filled(&self.script, &filling))?;
+        Ok(files.script.clone())
     }
 
     /// Waits until a job has told how it ended, or is lost.
@@ -269,7 +289,9 @@ impl Cluster {
             match self.queue.look(&self.site.commands, &name, job.since) {
                 Sight::There(listed, census) => {
                     absent_since = None;
-                    show(order, files, &listed, census);
+                    if let [listed, ..] = listed.as_slice() {
+                        show(order, files, listed, census);
+                    }
                 }
                 Sight::Unknown(fault) => {
                     absent_since = None;
@@ -288,6 +310,19 @@ impl Cluster {
                 }
             }
             self.rest(order.cancel);
+        }
+    }
+
+    /// Brings those results of keys that are in the shared store.
+    pub(crate) fn fetch_known(&self, order: &Order<'_>, keys: &[Digest]) -> Result<(), RemoteError> {
+        let observer = Watcher(order.cancel);
+        match keys.is_empty() {
+            true => Ok(()),
+            // What is damaged or not whole there is made again.
+            false => self
+                .remote
+                .fetch(order.store, keys, FETCH_PATIENCE, &observer)
+                .map(drop),
         }
     }
 
@@ -324,18 +359,18 @@ impl Cluster {
     }
 
     /// Returns the memory of a job, MB.
-    fn memory_mb(&self, needs: &Needs) -> u64 {
+    pub(crate) fn memory_mb(&self, needs: &Needs) -> u64 {
         needs
             .memory_mb
             .map_or(self.site.memory_mb, |peak| peak + peak / 2)
     }
 
-    fn patience(&self) -> Duration {
+    pub(crate) fn patience(&self) -> Duration {
         Duration::from_secs_f64(self.site.patience_s)
     }
 
     /// Waits until it is time for another look, or the user wants to stop.
-    fn rest(&self, cancel: &Cancel) {
+    pub(crate) fn rest(&self, cancel: &Cancel) {
         let mut left = Duration::from_secs_f64(self.site.poll_s);
         while !left.is_zero() && !cancel.is_set() {
             let slice = left.min(LOOK_INTERVAL);
@@ -385,7 +420,7 @@ fn show(order: &Order<'_>, files: &JobFiles, listed: &Listed, census: Census) {
 }
 
 /// Tells the warnings of a job, and why it has no result if it has none.
-fn told(order: &Order<'_>, result: JobResult) -> Result<(), StageError> {
+pub(crate) fn told(order: &Order<'_>, result: JobResult) -> Result<(), StageError> {
     result
         .warnings
         .iter()
@@ -396,11 +431,11 @@ fn told(order: &Order<'_>, result: JobResult) -> Result<(), StageError> {
     Err(StageError::Failed { message, cause, hint })
 }
 
-fn failed(order: &Order<'_>, what: &str, error: &dyn fmt::Display) -> StageError {
+pub(crate) fn failed(order: &Order<'_>, what: &str, error: &dyn fmt::Display) -> StageError {
     StageError::new(format!("`{}`: {what}", order.node)).cause(error.to_string())
 }
 
-fn remote_failed(order: &Order<'_>, what: &str, error: RemoteError) -> StageError {
+pub(crate) fn remote_failed(order: &Order<'_>, what: &str, error: RemoteError) -> StageError {
     match error {
         RemoteError::Stopped => StageError::Cancelled,
         error => failed(order, what, &error),
@@ -408,7 +443,7 @@ fn remote_failed(order: &Order<'_>, what: &str, error: RemoteError) -> StageErro
 }
 
 /// Stops the work on a shared store when the user wants to stop.
-struct Watcher<'a>(&'a Cancel);
+pub(crate) struct Watcher<'a>(pub(crate) &'a Cancel);
 
 impl Observer for Watcher<'_> {
     fn on_progress(&self, _progress: Progress) {}

@@ -3,6 +3,7 @@
 use std::{
     collections::BTreeMap,
     io,
+    ops::RangeInclusive,
     process::{Command, Output, Stdio},
     time::{Duration, Instant},
 };
@@ -14,6 +15,9 @@ const ANSWER_PATIENCE: Duration = Duration::from_secs(60);
 
 /// Pause between two looks whether it has answered.
 const ANSWER_INTERVAL: Duration = Duration::from_millis(10);
+
+/// Any number of a task.
+const ALL: [RangeInclusive<usize>; 1] = [0..=usize::MAX];
 
 /// Commands of a batch system, each a program with its arguments; those of Slurm by default. `{script}` stands for the script of a job,
 /// `{id}` for the id that the batch system gave it.
@@ -52,6 +56,12 @@ pub(crate) struct Listed {
     pub reason: String,
 }
 
+impl Listed {
+    pub(crate) fn is_running(&self) -> bool {
+        matches!(self.state.as_str(), "running" | "completing")
+    }
+}
+
 impl Commands {
     pub(crate) fn check(&self) -> Result<(), (&'static str, String)> {
         for (key, command) in [
@@ -78,10 +88,14 @@ impl Commands {
         }
     }
 
-    /// Returns the jobs of the user by name.
-    pub(crate) fn list(&self) -> Result<BTreeMap<String, Listed>, String> {
+    /// Returns the jobs of the user by name; those of an array have the same.
+    pub(crate) fn list(&self) -> Result<BTreeMap<String, Vec<Listed>>, String> {
         let printed = run(&self.list, ("", ""))?;
-        Ok(printed.lines().filter_map(listed).collect())
+        let mut jobs: BTreeMap<String, Vec<Listed>> = BTreeMap::new();
+        for (name, job) in printed.lines().filter_map(listed) {
+            jobs.entry(name).or_default().push(job);
+        }
+        Ok(jobs)
     }
 
     /// Takes a job out of the queue.
@@ -112,6 +126,30 @@ fn listed(line: &str) -> Option<(String, Listed)> {
     Some((name, listed))
 }
 
+/// Splits the id of tasks of an array (`12_[0-3,7%5]`, `12_4`) into that of the array and the numbers of the tasks; all numbers, if
+/// none can be read.
+pub(crate) fn tasks_of(id: &str) -> (&str, Vec<RangeInclusive<usize>>) {
+    let Some((array, tasks)) = id.split_once('_') else {
+        return (id, ALL.to_vec());
+    };
+    let tasks = tasks.trim_start_matches('[').trim_end_matches(']');
+    let tasks = tasks.split_once('%').map_or(tasks, |(tasks, _)| tasks);
+    let range = |range: &str| {
+        let (first, last) = range.split_once('-').unwrap_or((range, range));
+        Some(first.parse().ok()?..=last.parse().ok()?)
+    };
+    let ranges: Option<Vec<_>> = tasks.split(',').map(range).collect();
+    (array, ranges.unwrap_or_else(|| ALL.to_vec()))
+}
+
+/// Returns how many tasks these are; one if they are not told one by one.
+pub(crate) fn count(tasks: &[RangeInclusive<usize>]) -> usize {
+    match tasks == ALL {
+        true => 1,
+        false => tasks.iter().map(|range| range.clone().count()).sum(),
+    }
+}
+
 /// Runs a command, and returns what it printed.
 fn run(command: &[String], (placeholder, value): (&str, &str)) -> Result<String, String> {
     let filled = |word: &String| match placeholder.is_empty() {
@@ -136,6 +174,8 @@ fn run(command: &[String], (placeholder, value): (&str, &str)) -> Result<String,
 fn output(words: &[String]) -> io::Result<Output> {
     let mut child = Command::new(&words[0])
         .args(&words[1..])
+        // Slurm cuts the numbers of the tasks of an array else.
+        .env("SLURM_BITSTR_LEN", "0")
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
@@ -188,13 +228,26 @@ mod tests {
         };
         let jobs = commands.list().unwrap();
         assert_eq!(jobs.len(), 2);
-        assert_eq!(jobs["marf-ab"].id, "12");
-        assert_eq!(jobs["marf-ab"].state, "pending");
-        assert_eq!(jobs["marf-ab"].reason, "Resources");
-        assert_eq!(
-            (jobs["other job"].id.as_str(), jobs["other job"].reason.as_str()),
-            ("13_4", "")
-        );
+        let of = |name: &str| {
+            let job = &jobs[name][0];
+            (job.id.as_str(), job.state.as_str(), job.reason.as_str())
+        };
+        assert_eq!(of("marf-ab"), ("12", "pending", "Resources"));
+        assert_eq!(of("other job"), ("13_4", "running", ""));
+    }
+
+    #[test]
+    fn tasks_of_arrays_are_read_and_what_is_cut_stands_for_all() {
+        for (id, array, tasks, number) in [
+            ("12_4", "12", vec![4..=4], 1),
+            ("12_[0-3,7%5]", "12", vec![0..=3, 7..=7], 5),
+            ("12_[9]", "12", vec![9..=9], 1),
+            ("12_[0-3,...]", "12", ALL.to_vec(), 1),
+            ("12", "12", ALL.to_vec(), 1),
+        ] {
+            assert_eq!(tasks_of(id), (array, tasks.clone()), "{id}");
+            assert_eq!(count(&tasks), number, "{id}");
+        }
     }
 
     #[test]

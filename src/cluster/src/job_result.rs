@@ -88,7 +88,7 @@ impl JobProgress {
 }
 
 /// Writes a file whole or not at all.
-fn write_whole(path: &Path, content: &impl Serialize) -> io::Result<()> {
+pub(crate) fn write_whole(path: &Path, content: &impl Serialize) -> io::Result<()> {
     let folder = path.parent().filter(|folder| *folder != Path::new(""));
     let folder = folder.unwrap_or(Path::new("."));
     fs::create_dir_all(folder)?;

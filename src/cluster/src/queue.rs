@@ -7,7 +7,7 @@ use std::{
 
 use parking_lot::Mutex;
 
-use crate::commands::{Commands, Listed};
+use crate::commands::{Commands, Listed, count, tasks_of};
 
 /// What names of jobs of marf begin with.
 pub(crate) const PREFIX: &str = "marf-";
@@ -24,7 +24,7 @@ struct Seen {
     /// When the batch system was last asked; absent if never.
     asked: Option<Instant>,
     /// Its jobs by name, from its last answer, and when that came.
-    answer: Option<(Instant, BTreeMap<String, Listed>)>,
+    answer: Option<(Instant, BTreeMap<String, Vec<Listed>>)>,
     /// Why the last question has no answer.
     fault: Option<String>,
 }
@@ -32,8 +32,8 @@ struct Seen {
 /// What is known of a job.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Sight {
-    /// It waits or runs; with how many jobs of marf run and wait.
-    There(Listed, Census),
+    /// It waits or runs, the tasks of an array as several jobs; with how many jobs of marf run and wait.
+    There(Vec<Listed>, Census),
     /// It is not in an answer that came after it was asked for.
     Absent,
     /// The batch system does not answer, for this reason.
@@ -48,12 +48,14 @@ pub(crate) struct Census {
 }
 
 impl Census {
-    fn of(jobs: &BTreeMap<String, Listed>) -> Self {
+    fn of(jobs: &BTreeMap<String, Vec<Listed>>) -> Self {
         let mut census = Self::default();
-        for (_, job) in jobs.iter().filter(|(name, _)| name.starts_with(PREFIX)) {
-            match job.state.as_str() {
-                "running" | "completing" => census.running += 1,
-                _ => census.waiting += 1,
+        let own = jobs.iter().filter(|(name, _)| name.starts_with(PREFIX));
+        for job in own.flat_map(|(_, jobs)| jobs) {
+            let (_, tasks) = tasks_of(&job.id);
+            match job.is_running() {
+                true => census.running += count(&tasks),
+                false => census.waiting += count(&tasks),
             }
         }
         census
@@ -115,7 +117,7 @@ mod tests {
         let queue = Queue::new(Duration::from_secs(3600));
         let before = Instant::now();
         for _ in 0..50 {
-            assert!(matches!(queue.look(&commands, "a", before), Sight::There(job, _) if job.id == "1"));
+            assert!(matches!(queue.look(&commands, "a", before), Sight::There(jobs, _) if jobs[0].id == "1"));
         }
         assert_eq!(queue.look(&commands, "b", before), Sight::Absent);
         assert_eq!(
@@ -131,16 +133,20 @@ mod tests {
             "1|marf-a|RUNNING|None",
             "2|marf-b|PENDING|Priority",
             "3|marf-c|PENDING|Resources",
+            "5_[2-4%%2]|marf-d|PENDING|Resources",
+            "5_1|marf-d|RUNNING|None",
             "4|tea|RUNNING|None",
         ];
         let queue = Queue::new(Duration::ZERO);
         let commands = list(&format!("printf '{}\\n'", lines.join("\\n")));
         let census = Census {
-            running: 1,
-            waiting: 2,
+            running: 2,
+            waiting: 5,
         };
         let sight = queue.look(&commands, "marf-b", Instant::now());
-        assert!(matches!(sight, Sight::There(job, found) if job.reason == "Priority" && found == census));
+        assert!(
+            matches!(sight, Sight::There(jobs, found) if jobs[0].reason == "Priority" && found == census)
+        );
     }
 
     #[test]

@@ -14,8 +14,12 @@ pub(crate) const SLURM: &str = "\
 #SBATCH --signal=TERM@60
 #SBATCH --requeue
 {options}
+{task}
 exec {marf} exec {action} --store {store} --result {result} --scratch {scratch} --threads {cores}
 ";
+
+/// The placeholder of the lines that choose the task of an array.
+pub(crate) const TASK: &str = "{task}";
 
 /// What each line of further options begins with, in a script of Slurm.
 const OPTION: &str = "#SBATCH ";
@@ -23,12 +27,15 @@ const OPTION: &str = "#SBATCH ";
 /// What the placeholders of a script stand for.
 pub(crate) struct Filling<'a> {
     pub name: &'a str,
-    pub action: &'a Path,
+    /// Lines that choose the task of an array; empty without one.
+    pub task: &'a str,
+    /// As a word of the shell, like `result` and `scratch`.
+    pub action: String,
     pub store: &'a str,
     pub marf: &'a Path,
     pub log: &'a Path,
-    pub result: &'a Path,
-    pub scratch: &'a Path,
+    pub result: String,
+    pub scratch: String,
     pub cores: usize,
     pub memory_mb: u64,
     pub minutes: u64,
@@ -40,15 +47,15 @@ pub(crate) fn filled(template: &str, filling: &Filling<'_>) -> String {
     let options = filling.options.iter().map(|option| format!("{OPTION}{option}"));
     let options = options.collect::<Vec<_>>().join("\n");
     let path = |path: &Path| path.display().to_string();
-    let quoted = |path: &Path| shell_quoted(&path.display().to_string());
     let pairs = [
         ("{name}", filling.name.to_owned()),
-        ("{action}", quoted(filling.action)),
+        (TASK, filling.task.to_owned()),
+        ("{action}", filling.action.clone()),
         ("{store}", shell_quoted(filling.store)),
-        ("{marf}", quoted(filling.marf)),
+        ("{marf}", quoted_path(filling.marf)),
         ("{log}", path(filling.log)),
-        ("{result}", quoted(filling.result)),
-        ("{scratch}", quoted(filling.scratch)),
+        ("{result}", filling.result.clone()),
+        ("{scratch}", filling.scratch.clone()),
         ("{cores}", filling.cores.to_string()),
         ("{memory_mb}", filling.memory_mb.to_string()),
         ("{minutes}", filling.minutes.to_string()),
@@ -67,8 +74,13 @@ pub(crate) fn filled(template: &str, filling: &Filling<'_>) -> String {
         .collect()
 }
 
+/// Returns a word of a shell command that stands for this path.
+pub(crate) fn quoted_path(path: &Path) -> String {
+    shell_quoted(&path.display().to_string())
+}
+
 /// Returns a word of a shell command that stands for this text.
-fn shell_quoted(text: &str) -> String {
+pub(crate) fn shell_quoted(text: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "/._-:=@".contains(c);
     match !text.is_empty() && text.chars().all(is_plain) {
         true => text.to_owned(),
@@ -85,12 +97,13 @@ mod tests {
         let options = ["--partition=long".to_owned(), "--gres=gpu:1".to_owned()];
         let filling = Filling {
             name: "marf-ab",
-            action: Path::new("/jobs/a.action"),
+            task: "",
+            action: quoted_path(Path::new("/jobs/a.action")),
             store: "file:///shared/my store",
             marf: Path::new("/opt/marf"),
             log: Path::new("/jobs/a.log"),
-            result: Path::new("/jobs/it's.json"),
-            scratch: Path::new("/jobs/a"),
+            result: quoted_path(Path::new("/jobs/it's.json")),
+            scratch: quoted_path(Path::new("/jobs/a")),
             cores: 2,
             memory_mb: 900,
             minutes: 30,
@@ -105,10 +118,24 @@ mod tests {
         assert!(script.contains(" --store 'file:///shared/my store' "));
         assert!(script.contains(r" --result '/jobs/it'\''s.json' "));
         assert!(script.ends_with(" --threads 2\n"));
+        let of_array = filled(
+            SLURM,
+            &Filling {
+                task: "task=7",
+                action: "\"$task.action\"".to_owned(),
+                result: String::new(),
+                scratch: String::new(),
+                ..filling
+            },
+        );
+        assert!(of_array.contains("\ntask=7\nexec /opt/marf exec \"$task.action\" "));
         let bare = filled(
             SLURM,
             &Filling {
                 options: &[],
+                action: String::new(),
+                result: String::new(),
+                scratch: String::new(),
                 ..filling
             },
         );

@@ -17,12 +17,24 @@ pub struct Site {
     pub store: String,
     /// Folder of scripts, results and logs, which the machines of the jobs see under the same path.
     pub folder: PathBuf,
-    /// Stages whose nodes are jobs; all others are computed where the run is.
+    /// Stages whose nodes, or the photos they measure, are jobs; all others are computed where the run is.
     #[serde(default = "default_stages")]
     pub stages: BTreeSet<String>,
-    /// Most jobs at once, those that wait in the queue among them.
+    /// Most jobs at once, those that wait in the queue among them; of an array, most tasks that run at once.
     #[serde(default = "default_max_jobs")]
     pub max_jobs: usize,
+    /// A task of an array measures at least so many photos; fewer than these are measured where the run is.
+    #[serde(default = "default_photos_per_task")]
+    pub photos_per_task: u64,
+    /// Most tasks of one array (`MaxArraySize` of Slurm, less one).
+    #[serde(default = "default_max_array")]
+    pub max_array: usize,
+    /// The variable of a job that tells its task, from 0 on.
+    #[serde(default = "default_array_index")]
+    pub array_index: String,
+    /// Further options of arrays; `{last}` stands for the number of the last task, `{max_jobs}` for how many may run at once.
+    #[serde(default = "default_array_options")]
+    pub array_options: Vec<String>,
     /// The program on the machines of the jobs [default: this one].
     #[serde(default)]
     pub marf: Option<PathBuf>,
@@ -56,7 +68,33 @@ pub struct Site {
 }
 
 fn default_stages() -> BTreeSet<String> {
-    ["train", "partial"].map(str::to_owned).into()
+    let stages = [
+        "train",
+        "partial",
+        "size",
+        "shape",
+        "duplicate",
+        "grayscale",
+        "histogram",
+        "blur",
+    ];
+    stages.map(str::to_owned).into()
+}
+
+fn default_photos_per_task() -> u64 {
+    1_000
+}
+
+fn default_max_array() -> usize {
+    1_000
+}
+
+fn default_array_index() -> String {
+    "SLURM_ARRAY_TASK_ID".to_owned()
+}
+
+fn default_array_options() -> Vec<String> {
+    vec!["--array=0-{last}%{max_jobs}".to_owned()]
 }
 
 fn default_max_jobs() -> usize {
@@ -163,6 +201,8 @@ impl Site {
         };
         positive("max_jobs", self.max_jobs > 0)?;
         positive("cores", self.cores > 0)?;
+        positive("photos_per_task", self.photos_per_task > 0)?;
+        positive("max_array", self.max_array > 0)?;
         positive("memory_mb", self.memory_mb > 0)?;
         positive("minutes", self.minutes > 0)?;
         positive("poll_s", self.poll_s.is_finite() && self.poll_s > 0.0)?;
@@ -213,7 +253,8 @@ mod tests {
     fn a_site_needs_a_store_and_a_folder_and_has_defaults_for_the_rest() {
         let site = read(LEAST).unwrap();
         assert_eq!((site.max_jobs, site.cores, site.memory_mb), (100, 4, 4_000));
-        assert_eq!(Vec::from_iter(&site.stages), ["partial", "train"]);
+        assert_eq!(site.stages.len(), 2 + 6, "both trainings, six filters");
+        assert_eq!((site.photos_per_task, site.max_array), (1_000, 1_000));
         assert_eq!(site.commands, Commands::default());
         assert!(
             read("[executor]\nstore = \"file:///s\"\n")

@@ -109,7 +109,10 @@ fn take_over(run: &StageRun<'_>, stage: &dyn Measure, shard: u32, key: &Digest) 
         )));
     };
     for table in stage.together() {
-        let output = record.outputs.get(table.name).ok_or_else(|| unread(shard, table))?;
+        let output = record
+            .outputs
+            .get(table.name)
+            .ok_or_else(|| unread(shard, table))?;
         let bytes = run.store.get(&output.digest).map_err(store_error)?;
         let measures = MeasureTable::decode(&bytes).ok_or_else(|| unread(shard, table))?;
         add_to_table(run, table, shard, measures)?;

@@ -17,8 +17,8 @@ use marf_stage::{NodeSpec, Outputs, StageError, Work};
 pub(crate) use elsewhere::measure_part;
 pub(crate) use expand::after_round;
 pub use extent::Extent;
-pub(crate) use map::leaf_name;
 pub(crate) use extent::extent;
+pub(crate) use map::leaf_name;
 pub(crate) use stage_run::{
     BlobCheck, Counts, MEASURE, PartKind, PartedOutputs, StageRun, needs_of, part_key, put_action, put_needs,
     put_parts, with_lengths,

@@ -12,8 +12,8 @@ use serde_json::json;
 
 use crate::{
     errors::{contract_violation, store_error},
-    items::{read_refs, rows_of, write_refs, write_set},
     executor::Elsewhere,
+    items::{read_refs, rows_of, write_refs, write_set},
     key::Key,
     listing::Listed,
     shared::{SharedResults, fetch_lacking},

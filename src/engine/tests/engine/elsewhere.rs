@@ -11,7 +11,8 @@ use std::{
 
 use marf_cache::{Action, Digest, Record, Store, Upstream};
 use marf_engine::{
-    ActionError, Cancel, Executor, NodeState, Options, Order, Outcome, PartOrder, Silent, action_at, run_action,
+    ActionError, Cancel, Executor, NodeState, Options, Order, Outcome, PartOrder, Silent, action_at,
+    run_action,
 };
 use marf_stage::StageError;
 use parking_lot::Mutex;
@@ -206,7 +207,10 @@ fn shards_are_measured_elsewhere_where_they_lack_most_measures() {
     let counts = |record: &marf_engine::RunRecord, node: &str| record.node(node).unwrap().counts["measured"];
     let (record, _) = run();
     assert_eq!(record.outcome, Outcome::Done);
-    assert_eq!(computed(), [("at_most".to_owned(), 3), ("distinct".to_owned(), 3)]);
+    assert_eq!(
+        computed(),
+        [("at_most".to_owned(), 3), ("distinct".to_owned(), 3)]
+    );
     assert!(counts(&record, "at_most") >= 3);
     let measured = fixture.take_measured() as u64;
     assert_eq!(measured, counts(&record, "at_most") + counts(&record, "distinct"));
