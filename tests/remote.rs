@@ -245,3 +245,47 @@ fn a_shared_store_that_is_away_is_told_once_and_stops_no_run() {
         ran.stderr
     );
 }
+
+/// Results without a signature of a named writer are made again; with one they are fetched. The key is named in the environment alone.
+#[test]
+fn results_of_named_writers_alone_are_believed() {
+    const PRIVATE: &str = "-----BEGIN PRIVATE KEY-----\nMC4CAQAwBQYDK2VwBCIEIJ1hsZ3v/VpguoRK9JLsLMREScVpezJpGXA7rAMcrn9g\n\
+        -----END PRIVATE KEY-----\n";
+    const PUBLIC: &str = "-----BEGIN PUBLIC KEY-----\nMCowBQYDK2VwAyEA11qYAYKxCrfVS/7TyWQHOg7hcvPapiMlrwIaaPcHURo=\n\
+        -----END PUBLIC KEY-----\n";
+    let world = World::new();
+    let (here, there) = (world.machine("here"), world.sharing_machine("there"));
+    std::fs::write(here.join("key.pem"), PRIVATE).unwrap();
+    marf(&here, &["run"]).exits(0);
+    world.cache(&here, &["push"]).exits(0);
+    let trusting = std::fs::read_to_string(there.join("pipeline.toml")).unwrap() + "trust = [\"pub.pem\"]\n";
+    std::fs::write(there.join("pipeline.toml"), trusting).unwrap();
+    let absent = marf(&there, &["run"]).exits(2);
+    assert!(
+        absent.stderr.contains("pub.pem cannot be read"),
+        "{}",
+        absent.stderr
+    );
+    std::fs::write(there.join("pub.pem"), PUBLIC).unwrap();
+    let refused = world.cache(&there, &["pull"]).exits(1);
+    assert!(
+        refused.stderr.contains("signed by no key of `trust`"),
+        "{}",
+        refused.stderr
+    );
+    let own = marf(&there, &["run", "--to", "extract"]).exits(0);
+    assert!(
+        own.stderr.contains("signed by no key of `trust`"),
+        "{}",
+        own.stderr
+    );
+
+    let mut push = std::process::Command::new(env!("CARGO_BIN_EXE_marf"));
+    push.current_dir(&here)
+        .args(["cache", "push", "--remote", &world.url()])
+        .env("MARF_SIGNING_KEY", "key.pem");
+    assert!(push.output().unwrap().status.success());
+    world.cache(&there, &["pull"]).exits(0);
+    let ran = marf(&there, &["run", "--json"]).exits(0);
+    assert_eq!(ran.nodes("finished"), Vec::<String>::new());
+}

@@ -28,11 +28,12 @@ const fn row(folder: &'static str, package: &'static str, uses: &'static [&'stat
 }
 
 /// From the lowest to the highest: a crate uses only crates above its row.
-const CRATES: [Crate; 26] = [
+const CRATES: [Crate; 27] = [
     row("shaders", "marf-shaders", &[]),
     row("cache/derive", "marf-cache-derive", &[]),
     row("cache", "marf-cache", &["marf-cache-derive"]),
-    row("cache/remote", "marf-remote", &["marf-cache"]),
+    row("cache/keys", "marf-keys", &["marf-cache"]),
+    row("cache/remote", "marf-remote", &["marf-cache", "marf-keys"]),
     row("stages/numeric", "marf-numeric", &[]),
     row("stages/loopback", "marf-loopback", &[]),
     row("stages/stage", "marf-stage", &["marf-cache"]),
@@ -135,7 +136,7 @@ const CRATES: [Crate; 26] = [
     row(
         "src/export",
         "marf-export",
-        &["marf-cache", "marf-stage", "marf-engine"],
+        &["marf-cache", "marf-keys", "marf-stage", "marf-engine"],
     ),
     row(
         "src/provenance",
@@ -154,6 +155,7 @@ const CRATES: [Crate; 26] = [
             "marf",
             &[
                 "marf-cache",
+                "marf-keys",
                 "marf-remote",
                 "marf-stage",
                 "marf-scene",
@@ -181,7 +183,7 @@ const RESTRICTED: [(&str, &[&str]); 12] = [
     ("petgraph", &["marf-engine"]),
     ("reflink-copy", &["marf-cache"]),
     ("reqwest", &["marf-extract", "marf-remote"]),
-    ("ring", &["marf-cache", "marf-export"]),
+    ("ring", &["marf-cache", "marf-keys"]),
     ("rusqlite", &["marf-cache"]),
     ("rustls", &["marf-extract", "marf-remote"]),
     ("tokio", &["marf-extract", "marf-remote", "marf-view", "marf"]),

@@ -17,6 +17,7 @@ use super::documents::params_of;
 use super::error::{CliError, Diagnostic};
 use super::program;
 use super::session::{open_store, warn};
+use super::trust::trust;
 use crate::progress::{JsonLines, Progress};
 use crate::terminal::print_line;
 
@@ -46,7 +47,7 @@ would make another key of it, or has another backend), 130 stopped at a checkpoi
 
 /// `marf exec`: computes an action, and tells how that ended.
 pub fn exec(global: &Global, args: &ExecArgs, cancel: &Cancel) -> Result<(), CliError> {
-    let remote = Arc::new(Remote::open(&address(global)?, Patience::Patient)?);
+    let remote = Arc::new(Remote::open(&address(global)?, Patience::Patient, trust(&[])?)?);
     let reader = Arc::new(Reader::new(Arc::clone(&remote), Wish(cancel.clone())));
     let actions = Actions::read(&args.action, reader.as_ref())?;
     let ended = compute(&actions.list, (&remote, reader), global, args, cancel);

@@ -39,6 +39,7 @@ mod share;
 mod shared;
 mod status;
 mod trade;
+mod trust;
 mod verdicts;
 mod view;
 

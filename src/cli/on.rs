@@ -8,6 +8,7 @@ use marf_remote::{Patience, Remote};
 
 use super::args::RunArgs;
 use super::error::{CliError, Diagnostic};
+use super::trust::trust;
 
 /// Returns what computes nodes elsewhere, if that is asked for.
 ///
@@ -28,7 +29,7 @@ pub fn executor(args: &RunArgs) -> Result<Option<Arc<dyn Executor>>, CliError> {
         }
     };
     let site = Site::read(&args.site).map_err(refused)?;
-    let remote = Arc::new(Remote::open(&site.store, Patience::Patient)?);
+    let remote = Arc::new(Remote::open(&site.store, Patience::Patient, trust(&site.trust)?)?);
     let program =
         std::env::current_exe().map_err(|error| CliError::failed(format!("this program's file: {error}")))?;
     Ok(Some(Arc::new(

@@ -150,7 +150,7 @@ pub fn execute_as(
     if !global.json {
         eprint_line(&format!("device  {}", devices(session)));
     }
-    let shared = Shared::open(session, global, cancel);
+    let shared = Shared::open(session, global, cancel)?;
     let options = Options {
         build: program::build(&session.store),
         shared: shared.clone().map(|shared| shared as Arc<dyn SharedResults>),

@@ -11,6 +11,7 @@ use super::args::Global;
 use super::cache::remote_run;
 use super::error::CliError;
 use super::session::{Session, warn};
+use super::trust::trust;
 
 /// A run waits at its end so long for what is still being sent, or a tenth of its time if that is longer.
 const LEAST_PATIENCE: Duration = Duration::from_secs(10);
@@ -32,15 +33,20 @@ impl SharedResults for Shared {
 impl Shared {
     /// Opens the shared store that the pipeline of a session names, if it names one and connections are allowed. One that
     /// cannot be opened is told, and the run goes on without it.
-    pub fn open(session: &Session, global: &Global, cancel: &Cancel) -> Option<Arc<Self>> {
-        let shared = session.shared.as_ref()?;
+    ///
+    /// # Errors
+    /// A key that is not there or is none.
+    pub fn open(session: &Session, global: &Global, cancel: &Cancel) -> Result<Option<Arc<Self>>, CliError> {
+        let Some(shared) = &session.shared else {
+            return Ok(None);
+        };
         if global.offline || session.store.is_read_only() {
-            return None;
+            return Ok(None);
         }
         let stop = cancel.clone();
         let opened = Sharing::start(
             &shared.url,
-            shared.verify_share,
+            (trust(&shared.trust)?, shared.verify_share),
             session.store.dir(),
             warn,
             move || stop.is_set(),
@@ -49,10 +55,8 @@ impl Shared {
             let hint = error.hint().map(|hint| format!(" ({hint})")).unwrap_or_default();
             warn(format!("{error}{hint}; the run goes on without the shared store"));
         };
-        opened
-            .inspect_err(refuse)
-            .ok()
-            .map(|sharing| Arc::new(Self(sharing)))
+        let sharing = opened.inspect_err(refuse).ok();
+        Ok(sharing.map(|sharing| Arc::new(Self(sharing))))
     }
 
     /// Sends a run that is stored, if a node ran in it, and waits a little for what is still being sent.

@@ -61,7 +61,7 @@ pub(super) fn check(root: &Located, options: &GlobalOptions, base: &Path) -> Res
         }
     }
     check_trade(root)?;
-    let shared = store::shared(root)?;
+    let shared = store::shared(root, base)?;
     let name = match root.entry("name") {
         None => None,
         Some(entry) => Some(text(entry)?.to_owned()),

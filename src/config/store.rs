@@ -1,5 +1,7 @@
 //! `[store]`: where results are shared. It is part of no key.
 
+use std::path::{Path, PathBuf};
+
 use serde_json::{Value as Json, json};
 
 use super::error::ConfigError;
@@ -10,6 +12,7 @@ use crate::nearest::did_you_mean;
 pub(super) const TABLE: &str = "store";
 const REMOTE: &str = "remote";
 const VERIFY_SHARE: &str = "verify_share";
+const TRUST: &str = "trust";
 
 /// Where results are shared, and how far it is believed.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,13 +21,15 @@ pub struct SharedStore {
     pub url: String,
     /// Share of the results of others that are made again and compared, 0 to 1.
     pub verify_share: f64,
+    /// Files with the public keys of those whose results are believed; everybody's are if there are none.
+    pub trust: Vec<PathBuf>,
 }
 
 /// Returns the shared store; none if the pipeline has none.
 ///
 /// # Errors
 /// An unknown key, something that is no address, a share that is none.
-pub(super) fn shared(root: &Located) -> Result<Option<SharedStore>, ConfigError> {
+pub(super) fn shared(root: &Located, base: &Path) -> Result<Option<SharedStore>, ConfigError> {
     let Some(table) = root.entry(TABLE) else {
         return Ok(None);
     };
@@ -37,14 +42,15 @@ pub(super) fn shared(root: &Located) -> Result<Option<SharedStore>, ConfigError>
         let message = format!("`{TABLE}` is not a table");
         return Err(ConfigError::at(table.at.clone(), message).hint(shape()));
     };
-    let (mut url, mut verify_share) = (None, 0.0);
+    let (mut url, mut verify_share, mut trust) = (None, 0.0, Vec::new());
     for entry in entries {
         match entry.key.as_str() {
             REMOTE => url = Some(address(&entry.value, shape())?),
             VERIFY_SHARE => verify_share = share(&entry.value)?,
+            TRUST => trust = key_files(&entry.value, base)?,
             key => {
                 let message = format!("unknown key `{key}` in `[{TABLE}]`");
-                let hint = did_you_mean(key, [REMOTE, VERIFY_SHARE]).or_else(shape);
+                let hint = did_you_mean(key, [REMOTE, VERIFY_SHARE, TRUST]).or_else(shape);
                 return Err(ConfigError::at(entry.at.clone(), message).hint(hint));
             }
         }
@@ -53,7 +59,11 @@ pub(super) fn shared(root: &Located) -> Result<Option<SharedStore>, ConfigError>
         let message = format!("`[{TABLE}]` needs `{REMOTE}`, the address of the shared store");
         return Err(ConfigError::at(table.at.clone(), message).hint(shape()));
     }
-    Ok(url.map(|url| SharedStore { url, verify_share }))
+    Ok(url.map(|url| SharedStore {
+        url,
+        verify_share,
+        trust,
+    }))
 }
 
 fn address(value: &Located, shape: Option<String>) -> Result<String, ConfigError> {
@@ -65,6 +75,21 @@ fn address(value: &Located, shape: Option<String>) -> Result<String, ConfigError
         Ok(()) => Ok(url.to_owned()),
         Err(error) => refuse(error.to_string(), error.hint()),
     }
+}
+
+/// Returns the files that a list names, from the folder of the pipeline.
+fn key_files(value: &Located, base: &Path) -> Result<Vec<PathBuf>, ConfigError> {
+    let shape = || {
+        let message = format!("`{TRUST}` must be a list of files with public keys, at least one");
+        ConfigError::at(value.at.clone(), message).hint(Some(format!("`{TRUST} = [\"PUB.pem\"]`")))
+    };
+    let json = value.json();
+    let files = json
+        .as_array()
+        .filter(|files| !files.is_empty())
+        .ok_or_else(shape)?;
+    let file = |file: &Json| Some(base.join(file.as_str()?));
+    files.iter().map(file).collect::<Option<_>>().ok_or_else(shape)
 }
 
 fn share(value: &Located) -> Result<f64, ConfigError> {
@@ -95,6 +120,12 @@ pub(super) fn schema() -> Json {
                 "maximum": 1,
                 "default": 0,
             },
+            TRUST: {
+                "type": "array",
+                "description": "Files with the public keys (Ed25519, PEM) of those whose results are believed; without it everybody's are.",
+                "items": { "type": "string" },
+                "minItems": 1,
+            },
         },
         "additionalProperties": false,
     })
@@ -102,8 +133,6 @@ pub(super) fn schema() -> Json {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use super::*;
     use crate::config::{GlobalOptions, check};
 
@@ -130,5 +159,22 @@ mod tests {
         let alone = shared("verify_share = 0.5").unwrap_err();
         assert_eq!(alone, "`[store]` needs `remote`, the address of the shared store");
         assert_eq!(shared(""), Ok(None));
+    }
+
+    #[test]
+    fn trusted_keys_are_files_beside_the_pipeline() {
+        let with = |line: &str| shared(&format!("remote = \"file:///s\"\n{line}"));
+        let trust = with("trust = [\"a.pem\", \"/keys/b.pem\"]")
+            .unwrap()
+            .unwrap()
+            .trust;
+        assert_eq!(trust, [Path::new("a.pem"), Path::new("/keys/b.pem")]);
+        for bad in ["[]", "\"a.pem\"", "[1]"] {
+            let message = with(&format!("trust = {bad}")).unwrap_err();
+            assert!(
+                message.starts_with("`trust` must be a list of files"),
+                "{bad}: {message}"
+            );
+        }
     }
 }

@@ -17,6 +17,7 @@ use crate::{
     address::{Address, Patience},
     catalogue::Catalogue,
     error::RemoteError,
+    trust::Trust,
 };
 
 /// Requests and bytes since a shared store was opened.
@@ -43,6 +44,8 @@ pub(crate) struct Listed {
 pub(crate) struct Bucket {
     /// The address, for people.
     pub(crate) place: String,
+    /// Whose records and runs are believed.
+    pub(crate) trust: Trust,
     root: Path,
     objects: Box<dyn ObjectStore>,
     /// What is known of its packs.
@@ -53,11 +56,12 @@ pub(crate) struct Bucket {
 }
 
 impl Bucket {
-    pub(crate) fn open(url: &str, patience: Patience) -> Result<Self, RemoteError> {
+    pub(crate) fn open(url: &str, patience: Patience, trust: Trust) -> Result<Self, RemoteError> {
         let address = Address::parse(url)?;
         let (objects, root) = address.open(url, patience)?;
         Ok(Self {
             place: url.to_owned(),
+            trust,
             root,
             objects,
             catalogue: Mutex::default(),

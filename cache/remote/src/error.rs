@@ -75,6 +75,18 @@ pub enum RemoteError {
         /// Its digest.
         digest: Digest,
     },
+    /// No writer that is trusted has signed it.
+    #[error("{count} {what}s of {place} are signed by no key of `trust`, the first is {first}")]
+    Untrusted {
+        /// The address.
+        place: String,
+        /// How many.
+        count: usize,
+        /// What they are (`result`, `run`).
+        what: &'static str,
+        /// The digest of the first, or its key.
+        first: Digest,
+    },
     /// The own store lacks a result that is to be pushed.
     #[error("the result of key {key} is not in the store any more")]
     NotInStore {
@@ -127,6 +139,9 @@ impl RemoteError {
             }
             Self::Damaged { .. } | Self::Missing { .. } => {
                 "`marf cache fsck --remote` lists what is not whole; `--repair` removes it, and a push brings it again"
+            }
+            Self::Untrusted { .. } => {
+                "add the public key of who wrote them to `trust`, or have it write them again with MARF_SIGNING_KEY"
             }
             Self::NotInStore { .. } | Self::Set(_) => "`marf run` makes it again",
             Self::Busy { .. } => {

@@ -12,7 +12,7 @@ use crate::{
     error::RemoteError,
     inventory::{Inventory, PackFiles},
     names, pull,
-    sealed::{RemoteRecord, RemoteRun},
+    sealed::RemoteRecord,
     survey,
 };
 
@@ -178,7 +178,7 @@ impl Check<'_> {
             .buffer_unordered(survey::IN_FLIGHT);
         while let Some((key, record)) = read.next().await {
             match record {
-                Ok(record) => self.records.extend(record.map(|record| (*key, record))),
+                Ok(record) => self.records.extend(record.map(|record| (*key, record.value))),
                 Err(RemoteError::Damaged { what, .. }) => self.fault(names::record(key), what),
                 Err(error) => return Err(error),
             }
@@ -214,7 +214,7 @@ impl Check<'_> {
     async fn runs(&mut self, listed: &[&Listed]) -> Result<(), RemoteError> {
         for object in listed {
             let what = match pull::run_named(self.bucket, &object.name).await {
-                Ok(RemoteRun { keys, blobs, .. }) => self.lacking(&keys, &blobs),
+                Ok(run) => self.lacking(&run.value.keys, &run.value.blobs),
                 Err(RemoteError::Damaged { what, .. }) => Some(what),
                 Err(error) => return Err(error),
             };

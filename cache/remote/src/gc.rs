@@ -17,7 +17,9 @@ use crate::{
     lease::{Lease, age},
     names,
     pack::{Entry, PACK_BYTES, PackWriter},
-    pull, survey,
+    pull,
+    sealed::Opened,
+    survey,
 };
 
 /// Objects that are removed at once.
@@ -146,7 +148,7 @@ impl Collection<'_> {
             .filter(|(_, record)| !self.is_old(record));
         let mut level: BTreeSet<Digest> = young.map(|(key, _)| *key).collect();
         for object in kept {
-            let run = pull::run_named(self.bucket, &object.name).await?;
+            let run = pull::run_named(self.bucket, &object.name).await?.value;
             level.extend(run.keys);
             live.blobs.extend(run.blobs);
         }
@@ -156,7 +158,7 @@ impl Collection<'_> {
             for (_, record) in survey::records(self.bucket, level.into_iter()).await? {
                 match record {
                     None => live.missing += 1,
-                    Some(record) => {
+                    Some(Opened { value: record, .. }) => {
                         live.blobs.extend(record.blobs);
                         below.extend(record.keys);
                     }

@@ -11,7 +11,9 @@
 //!
 //! # What is believed
 //! Nothing: a blob must have the digest that it was asked for by, an index, a record and a run carry a checksum. An
-//! object that is not what its name says is an error that names it, after one more attempt.
+//! object that is not what its name says is an error that names it, after one more attempt. Whether a result is that of its
+//! key nobody can tell from its bytes: records and runs may be signed ([`Trust`]), and a reader that names writers believes
+//! theirs alone.
 //!
 //! # Order of writes
 //! Blobs; packs, then their indexes; records, parts and children before what consists of them; the run. So an object
@@ -49,6 +51,7 @@ mod results;
 mod sealed;
 mod sharing;
 mod survey;
+mod trust;
 
 pub use address::{Patience, check_address};
 pub use bucket::Traffic;
@@ -62,3 +65,4 @@ pub use reader::Reader;
 pub use remote::{Observer, Progress, Remote};
 pub use sealed::RemoteRun;
 pub use sharing::Sharing;
+pub use trust::Trust;

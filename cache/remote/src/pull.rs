@@ -12,9 +12,12 @@ use crate::{
     names,
     push::Meter,
     remote::Observer,
-    sealed::{self, RemoteRun},
+    sealed::{self, Opened, RemoteRun},
     survey,
 };
+
+/// What a record is, for people.
+const RESULT: &str = "result";
 
 /// What a pull has done.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -47,16 +50,20 @@ pub(crate) async fn read_run(bucket: &Bucket, root: &Digest) -> Result<RemoteRun
         digest: *root,
     };
     let found = listed.iter().find(|object| is_it(&object.name));
-    run_named(bucket, &found.ok_or_else(missing)?.name).await
+    let run = run_named(bucket, &found.ok_or_else(missing)?.name).await?;
+    match run.is_believed {
+        true => Ok(run.value),
+        false => Err(untrusted(bucket, 1, "run", root)),
+    }
 }
 
-/// Reads the run of this name.
-pub(crate) async fn run_named(bucket: &Bucket, name: &str) -> Result<RemoteRun, RemoteError> {
+/// Reads the run of this name, whoever wrote it.
+pub(crate) async fn run_named(bucket: &Bucket, name: &str) -> Result<Opened<RemoteRun>, RemoteError> {
     let bytes = bucket.get(name).await?.unwrap_or_default();
     let root = names::run_in(name).map(|(_, root)| root);
-    let run: Option<RemoteRun> = sealed::open(&bytes);
-    run.filter(|run| Some(Digest::of(run.root.as_bytes())) == root)
-        .ok_or_else(|| bucket.damaged(name, "its checksum is another"))
+    let run: Option<Opened<RemoteRun>> = sealed::open(&bytes, &bucket.trust);
+    let run = run.filter(|run| Some(Digest::of(run.value.root.as_bytes())) == root);
+    run.ok_or_else(|| bucket.damaged(name, "its checksum is another"))
 }
 
 /// Fetches what a run consists of.
@@ -103,6 +110,15 @@ pub(crate) async fn results(
     Ok(pulled)
 }
 
+fn untrusted(bucket: &Bucket, count: usize, what: &'static str, first: &Digest) -> RemoteError {
+    RemoteError::Untrusted {
+        place: bucket.place.clone(),
+        count,
+        what,
+        first: *first,
+    }
+}
+
 /// Fetches the results of those keys that are there, and returns why some of these were not ([`crate::Remote::fetch`]).
 pub(crate) async fn what_is_there(
     bucket: &Bucket,
@@ -114,16 +130,21 @@ pub(crate) async fn what_is_there(
     let asked = stream::iter(keys).map(|key| survey::record(bucket, key));
     let answers: Vec<_> = asked.buffer_unordered(survey::IN_FLIGHT).collect().await;
     let (mut there, mut skipped, mut seconds) = (Vec::new(), Vec::new(), 0.0);
+    let mut strange: Vec<Digest> = Vec::new();
     for answer in answers {
         match answer {
             Ok(None) => {}
+            Ok(Some(found)) if !found.is_believed => strange.push(found.value.record.key),
             Ok(Some(found)) => {
-                seconds += found.record.metadata.seconds;
-                there.push(found.record.key);
+                seconds += found.value.record.metadata.seconds;
+                there.push(found.value.record.key);
             }
             Err(error @ RemoteError::Damaged { .. }) => skipped.push(error),
             Err(error) => return Err(error),
         }
+    }
+    if let Some(first) = strange.iter().min() {
+        skipped.push(untrusted(bucket, strange.len(), RESULT, first));
     }
     if there.is_empty() {
         return Ok(skipped);
@@ -134,7 +155,11 @@ pub(crate) async fn what_is_there(
     let fetched = tokio::time::timeout(wait, results(bucket, store, &there, &[], observer)).await;
     match fetched {
         Ok(Ok(_)) => {}
-        Ok(Err(error @ (RemoteError::Damaged { .. } | RemoteError::Missing { .. }))) => skipped.push(error),
+        Ok(Err(
+            error @ (RemoteError::Damaged { .. }
+            | RemoteError::Missing { .. }
+            | RemoteError::Untrusted { .. }),
+        )) => skipped.push(error),
         Ok(Err(error)) => return Err(error),
         Err(_) => skipped.push(RemoteError::Slow {
             place: bucket.place.clone(),
@@ -186,9 +211,12 @@ impl Lacking {
                     what: "the result of key",
                     digest: key,
                 })?;
-                below.extend(found.keys);
-                lacking.blobs.extend(found.blobs);
-                lacking.records.push(found.record);
+                if !found.is_believed {
+                    return Err(untrusted(bucket, 1, RESULT, &key));
+                }
+                below.extend(found.value.keys);
+                lacking.blobs.extend(found.value.blobs);
+                lacking.records.push(found.value.record);
             }
             seen.append(&mut level);
             level = below.difference(&seen).copied().collect();

@@ -62,7 +62,7 @@ pub(crate) async fn run(
     let pushed = results(bucket, store, &run.keys, &run.blobs, observer).await?;
     let root = Digest::of(run.root.as_bytes());
     let name = names::run(&run.pipeline, run.started_unix_s, &root);
-    bucket.put(&name, sealed::seal(run)).await?;
+    bucket.put(&name, sealed::seal(run, &bucket.trust)).await?;
     Ok(pushed)
 }
 
@@ -223,9 +223,18 @@ async fn send_records(bucket: &Bucket, records: &[&RemoteRecord]) -> Result<Vec<
 
 async fn send_record(bucket: &Bucket, new: &RemoteRecord) -> Result<Option<Conflict>, RemoteError> {
     let key = &new.record.key;
-    if bucket.put_new(&names::record(key), sealed::seal(new)).await? {
+    let (name, sealed) = (names::record(key), sealed::seal(new, &bucket.trust));
+    if bucket.put_new(&name, sealed.clone()).await? {
         return Ok(None);
     }
-    let there = survey::record(bucket, key).await?;
-    Ok(there.and_then(|there| conflict::between(there.record, new.record.clone())))
+    let Some(there) = survey::record(bucket, key).await? else {
+        return Ok(None);
+    };
+    let should_be_signed = there.should_be_signed(&bucket.trust);
+    let conflict = conflict::between(there.value.record, new.record.clone());
+    if conflict.is_none() && should_be_signed {
+        // The same result; it is never replaced by another one.
+        bucket.put(&name, sealed).await?;
+    }
+    Ok(conflict)
 }

@@ -23,6 +23,7 @@ use crate::{
     pull::{self, Pulled},
     push::{self, Pushed},
     sealed::RemoteRun,
+    trust::Trust,
 };
 
 /// Form of shared stores that this program reads and writes.
@@ -60,18 +61,18 @@ pub struct Remote {
 
 impl Remote {
     /// Opens the shared store at `s3://BUCKET/PREFIX` or `file:///FOLDER`; asks nothing of it yet. Credentials, endpoint and
-    /// region come from the environment (`AWS_*`).
+    /// region come from the environment (`AWS_*`). `trust` tells how what is sent is signed and whose results are believed.
     ///
     /// # Errors
     /// A bad address, or an environment without credentials.
-    pub fn open(url: &str, patience: Patience) -> Result<Self, RemoteError> {
+    pub fn open(url: &str, patience: Patience, trust: Trust) -> Result<Self, RemoteError> {
         let runtime = Builder::new_multi_thread()
             .worker_threads(2)
             .enable_all()
             .build()
             .map_err(RemoteError::Threads)?;
         Ok(Self {
-            bucket: Bucket::open(url, patience)?,
+            bucket: Bucket::open(url, patience, trust)?,
             is_checked: AtomicBool::new(false),
             runtime,
         })

@@ -4,6 +4,8 @@ use bytes::Bytes;
 use marf_cache::{Digest, Record};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
+use crate::trust::Trust;
+
 /// The record of a key, with what belongs to it: whoever reads it need not read the objects to know what they name.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct RemoteRecord {
@@ -29,25 +31,69 @@ pub struct RemoteRun {
     pub root: String,
 }
 
-/// Returns a value as JSON behind its digest.
-pub(crate) fn seal(value: &impl Serialize) -> Bytes {
+/// A value that was read, and whether it is believed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Opened<T> {
+    pub(crate) value: T,
+    /// A writer that is trusted has signed it, or everybody is.
+    pub(crate) is_believed: bool,
+    /// Somebody has signed it.
+    pub(crate) is_signed: bool,
+}
+
+impl<T> Opened<T> {
+    /// Tells whether it gains by being written again: it is not signed, or by nobody who is trusted, and now would be.
+    pub(crate) fn should_be_signed(&self, trust: &Trust) -> bool {
+        trust.key.is_some() && !(self.is_signed && self.is_believed)
+    }
+}
+
+/// Returns a value as JSON behind its digest, and behind a signature if there is a key.
+pub(crate) fn seal(value: &impl Serialize, trust: &Trust) -> Bytes {
     // Strings, numbers and sorted maps always serialise.
     let json = serde_json::to_vec(value).unwrap_or_default();
-    let mut bytes = format!("{}\n", Digest::of(&json)).into_bytes();
-    bytes.extend(json);
-    Bytes::from(bytes)
+    let digest = Digest::of(&json);
+    let mut line = digest.to_string();
+    if let Some(signature) = trust.sign(&digest) {
+        line.push(' ');
+        line.extend(signature.iter().map(|byte| format!("{byte:02x}")));
+    }
+    line.push('\n');
+    Bytes::from([line.as_bytes(), &json].concat())
 }
 
 /// Reads what [`seal`] wrote; none if it is not whole.
-pub(crate) fn open<T: DeserializeOwned>(bytes: &[u8]) -> Option<T> {
+pub(crate) fn open<T: DeserializeOwned>(bytes: &[u8], trust: &Trust) -> Option<Opened<T>> {
     let end = bytes.iter().position(|byte| *byte == b'\n')?;
     let (line, json) = (bytes.get(..end)?, bytes.get(end + 1..)?);
-    let digest: Digest = std::str::from_utf8(line).ok()?.parse().ok()?;
-    (Digest::of(json) == digest).then(|| serde_json::from_slice(json).ok())?
+    let line = std::str::from_utf8(line).ok()?;
+    let (digest, signature) = match line.split_once(' ') {
+        Some((digest, signature)) => (digest, Some(bytes_of(signature)?)),
+        None => (line, None),
+    };
+    let digest: Digest = digest.parse().ok()?;
+    if Digest::of(json) != digest {
+        return None;
+    }
+    Some(Opened {
+        value: serde_json::from_slice(json).ok()?,
+        is_believed: trust.believes(&digest, signature.as_deref()),
+        is_signed: signature.is_some(),
+    })
+}
+
+/// Reads bytes from their hexadecimal digits.
+fn bytes_of(digits: &str) -> Option<Vec<u8>> {
+    let pairs = digits.as_bytes().chunks(2);
+    pairs
+        .map(|pair| u8::from_str_radix(std::str::from_utf8(pair).ok()?, 16).ok())
+        .collect()
 }
 
 #[cfg(test)]
 mod tests {
+    use marf_keys::SigningKey;
+
     use super::*;
 
     #[test]
@@ -59,13 +105,49 @@ mod tests {
             blobs: Vec::new(),
             root: "{}".to_owned(),
         };
-        let bytes = seal(&run);
-        assert_eq!(open(&bytes), Some(run));
+        let trust = Trust::default();
+        let bytes = seal(&run, &trust);
+        assert_eq!(open(&bytes, &trust).map(|opened| opened.value), Some(run));
         for at in 0..bytes.len() {
             let mut flipped = bytes.to_vec();
             flipped[at] ^= 1;
-            assert_eq!(open::<RemoteRun>(&flipped), None, "flipped at {at}");
-            assert_eq!(open::<RemoteRun>(&bytes[..at]), None, "cut at {at}");
+            assert_eq!(open::<RemoteRun>(&flipped, &trust), None, "flipped at {at}");
+            assert_eq!(open::<RemoteRun>(&bytes[..at], &trust), None, "cut at {at}");
         }
+    }
+
+    /// Test 1 of RFC 8032, section 7.1, in PKCS#8.
+    const PRIVATE_PEM: &str = "-----BEGIN PRIVATE KEY-----\n\
+        MC4CAQAwBQYDK2VwBCIEIJ1hsZ3v/VpguoRK9JLsLMREScVpezJpGXA7rAMcrn9g\n\
+        -----END PRIVATE KEY-----\n";
+
+    #[test]
+    fn a_trusted_writer_alone_is_believed_and_no_altered_signature() {
+        let key = || SigningKey::from_pem(PRIVATE_PEM).unwrap();
+        let writer = Trust {
+            key: Some(key()),
+            ..Trust::default()
+        };
+        let reader = Trust {
+            writers: vec![key().public()],
+            ..Trust::default()
+        };
+        let value = vec![7];
+        let believed =
+            |bytes: &[u8], trust: &Trust| open::<Vec<u32>>(bytes, trust).map(|opened| opened.is_believed);
+        let (signed, bare) = (seal(&value, &writer), seal(&value, &Trust::default()));
+        assert_eq!(believed(&signed, &reader), Some(true));
+        assert_eq!(believed(&bare, &reader), Some(false));
+        assert_eq!(believed(&signed, &Trust::default()), Some(true));
+        let end = signed.iter().position(|byte| *byte == b'\n').unwrap();
+        for at in 65..end {
+            let mut altered = signed.to_vec();
+            altered[at] = if altered[at] == b'0' { b'1' } else { b'0' };
+            assert_eq!(believed(&altered, &reader), Some(false), "digit {at}");
+        }
+        // A signature of another value does not carry over.
+        let other = seal(&vec![8], &Trust::default());
+        let forged = [&other[..64], &signed[64..=end], &other[65..]].concat();
+        assert_eq!(believed(&forged, &reader), Some(false));
     }
 }

@@ -20,6 +20,7 @@ use crate::{
     error::RemoteError,
     remote::{Observer, Progress, Remote},
     sealed::RemoteRun,
+    trust::Trust,
 };
 
 /// A result that would take longer to fetch than it took to make is made, but so long is waited for each.
@@ -100,13 +101,13 @@ impl Sharing {
     /// A bad address, an environment without credentials, or an own store that cannot be opened.
     pub fn start(
         url: &str,
-        verify_share: f64,
+        (trust, verify_share): (Trust, f64),
         store: &Path,
         warn: impl Fn(String) + Send + Sync + 'static,
         is_stopped: impl Fn() -> bool + Send + Sync + 'static,
     ) -> Result<Self, RemoteError> {
         let link = Arc::new(Link {
-            remote: Remote::open(url, Patience::Impatient)?,
+            remote: Remote::open(url, Patience::Impatient, trust)?,
             store: Store::open(PathBuf::from(store))?,
             warn: Arc::new(warn),
             recheck: Recheck::new(verify_share),

@@ -10,7 +10,7 @@ use crate::{
     conflict,
     error::RemoteError,
     names,
-    sealed::{self, RemoteRecord},
+    sealed::{self, Opened, RemoteRecord},
 };
 
 /// Records that are asked for at once.
@@ -36,8 +36,9 @@ impl Survey {
             seen.append(&mut level);
             for (key, there) in found {
                 let own = store.record(&key)?.ok_or(RemoteError::NotInStore { key })?;
-                match there {
-                    Some(there) => survey.note_known(there.record, own),
+                let may_stay = |there: &Opened<RemoteRecord>| !there.should_be_signed(&bucket.trust);
+                match there.filter(may_stay) {
+                    Some(there) => survey.note_known(there.value.record, own),
                     None => {
                         let belongings = store.belongings(&own)?;
                         level.extend(belongings.keys.iter().filter(|key| !seen.contains(key)));
@@ -93,7 +94,7 @@ impl Survey {
 pub(crate) async fn records(
     bucket: &Bucket,
     keys: impl Iterator<Item = Digest>,
-) -> Result<Vec<(Digest, Option<RemoteRecord>)>, RemoteError> {
+) -> Result<Vec<(Digest, Option<Opened<RemoteRecord>>)>, RemoteError> {
     stream::iter(keys)
         .map(|key| async move { Ok((key, record(bucket, &key).await?)) })
         .buffer_unordered(IN_FLIGHT)
@@ -102,14 +103,17 @@ pub(crate) async fn records(
 }
 
 /// Reads the record of a key; none if it is not there.
-pub(crate) async fn record(bucket: &Bucket, key: &Digest) -> Result<Option<RemoteRecord>, RemoteError> {
+pub(crate) async fn record(
+    bucket: &Bucket,
+    key: &Digest,
+) -> Result<Option<Opened<RemoteRecord>>, RemoteError> {
     let name = names::record(key);
     let Some(bytes) = bucket.get(&name).await? else {
         return Ok(None);
     };
-    let found: RemoteRecord =
-        sealed::open(&bytes).ok_or_else(|| bucket.damaged(&name, "its checksum is another"))?;
-    match found.record.key == *key {
+    let found: Opened<RemoteRecord> = sealed::open(&bytes, &bucket.trust)
+        .ok_or_else(|| bucket.damaged(&name, "its checksum is another"))?;
+    match found.value.record.key == *key {
         true => Ok(Some(found)),
         false => Err(bucket.damaged(&name, "it is the result of another key")),
     }

@@ -10,7 +10,8 @@ use std::{
 
 use common::{Quiet, World, result, run_in};
 use marf_cache::{Digest, Store, Upstream};
-use marf_remote::{GcOptions, Reader, Sharing};
+use marf_keys::{PublicKey, SigningKey};
+use marf_remote::{GcOptions, Reader, RemoteError, Sharing, Trust};
 
 /// A run on an own store, with what it was told.
 struct Machine {
@@ -26,11 +27,15 @@ impl Machine {
 
     /// As [`Machine::new`], with a share of results of others that it makes again.
     fn that_verifies(world: &World, name: &str, share: f64) -> Self {
+        Self::with(world, name, Trust::default(), share)
+    }
+
+    fn with(world: &World, name: &str, trust: Trust, share: f64) -> Self {
         let store = world.store(name);
         let told: Arc<Mutex<Vec<String>>> = Arc::default();
         let sink = Arc::clone(&told);
         let warn = move |message| sink.lock().unwrap().push(message);
-        let sharing = Sharing::start(&world.url(), share, store.dir(), warn, || false).unwrap();
+        let sharing = Sharing::start(&world.url(), (trust, share), store.dir(), warn, || false).unwrap();
         Self { store, sharing, told }
     }
 
@@ -91,6 +96,89 @@ fn a_conflict_is_told_with_both_digests() {
         told.len() == 1 && digests.iter().all(|digest| told[0].contains(digest)),
         "{told:?}"
     );
+}
+
+/// Two keys of tests: their 32 bytes are seven times and eight times the same.
+const KEYS: [&str; 2] = [
+    "MC4CAQAwBQYDK2VwBCIEIAcHBwcHBwcHBwcHBwcHBwcHBwcHBwcHBwcHBwcHBwcH",
+    "MC4CAQAwBQYDK2VwBCIEIAgICAgICAgICAgICAgICAgICAgICAgICAgICAgICAgI",
+];
+
+fn key(number: usize) -> SigningKey {
+    let text = KEYS[number];
+    SigningKey::from_pem(&format!(
+        "-----BEGIN PRIVATE KEY-----\n{text}\n-----END PRIVATE KEY-----\n"
+    ))
+    .unwrap()
+}
+
+fn trust(signs: Option<usize>, believes: Option<usize>) -> Trust {
+    let public = |number: usize| -> PublicKey { key(number).public() };
+    Trust {
+        key: signs.map(key),
+        writers: believes.map(public).into_iter().collect(),
+    }
+}
+
+/// Results of a stranger are neither fetched nor pulled by who names writers; one of these signs what is right of them anew, and what is
+/// wrong stays a conflict.
+#[test]
+fn results_of_strangers_are_not_believed_where_writers_are_named() {
+    let world = World::new();
+    for (name, signs) in [("nobody", None), ("stranger", Some(1))] {
+        let machine = Machine::with(&world, name, trust(signs, None), 0.0);
+        let mut run = run_in(&machine.store);
+        run.keys.push(result(
+            &machine.store,
+            &format!("wrong {name}"),
+            b"wrong",
+            &[],
+            &[],
+        ));
+        machine.store.commit().unwrap();
+        world
+            .remote_of(trust(signs, None))
+            .push(&machine.store, &run, &Quiet::default())
+            .unwrap();
+    }
+    let friend = Machine::with(&world, "friend", trust(Some(0), Some(0)), 0.0);
+    let run = run_in(&friend.store);
+    let reader = Machine::with(&world, "reader", trust(None, Some(0)), 0.0);
+    reader.sharing.fetch(&run.keys);
+    assert_eq!(reader.store.record(&run.keys[0]).unwrap(), None);
+    let told = reader.told();
+    assert!(
+        told.len() == 1 && told[0].starts_with("2 results of "),
+        "{told:?}"
+    );
+    let remote = world.remote_of(trust(None, Some(0)));
+    let strange = remote.runs(None, &Quiet::default()).unwrap()[0].1;
+    let refused = remote.run(&strange, &Quiet::default()).unwrap_err();
+    assert!(
+        matches!(refused, RemoteError::Untrusted { what: "run", .. }),
+        "{refused}"
+    );
+    let refused = remote
+        .bring(&reader.store, &run.keys, &Quiet::default())
+        .unwrap_err();
+    assert!(
+        matches!(refused, RemoteError::Untrusted { what: "result", .. }),
+        "{refused}"
+    );
+
+    let mut keys = run.keys.clone();
+    keys.push(result(&friend.store, "wrong nobody", b"right", &[], &[]));
+    friend.store.commit().unwrap();
+    let pushed = world
+        .remote_of(trust(Some(0), Some(0)))
+        .send(&friend.store, &keys, &[], &Quiet::default())
+        .unwrap();
+    assert_eq!(pushed.conflicts.len(), 1, "{:?}", pushed.conflicts);
+    reader.sharing.fetch(&run.keys);
+    assert!(reader.store.record(&run.keys[0]).unwrap().is_some());
+    reader.finish();
+    // Who names nobody believes all.
+    Machine::new(&world, "open").sharing.fetch(&run.keys);
 }
 
 /// A valid blob that is not the result of its key is believed by its digest, and found by who makes the result again.

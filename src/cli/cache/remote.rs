@@ -13,6 +13,7 @@ use crate::cli::args::Global;
 use crate::cli::error::{CliError, Diagnostic};
 use crate::cli::output::print_json;
 use crate::cli::session::{last_of, unnamed, warn};
+use crate::cli::trust::trust;
 use crate::config;
 use crate::progress::Progress;
 use crate::terminal::{eprint_line, print_line};
@@ -60,11 +61,13 @@ pub fn push(global: &Global, store: &Store, args: &PushArgs, cancel: &Cancel) ->
 pub fn pull(global: &Global, store: &Store, args: &PullArgs, cancel: &Cancel) -> Result<(), CliError> {
     let remote = open(global, args.remote.as_deref())?;
     let transfer = Transfer::new(global, "pull", cancel);
-    let root = match &args.run {
-        Some(digits) => named(&remote, digits, &transfer)?,
+    let (root, run) = match &args.run {
+        Some(digits) => {
+            let root = named(&remote, digits, &transfer)?;
+            (root, remote.run(&root, &transfer)?)
+        }
         None => newest(global, &remote, &transfer)?,
     };
-    let run = remote.run(&root, &transfer)?;
     let pulled = remote.pull(store, &run, &transfer)?;
     let number = add_run(store, &run, &root)?;
     let traffic = remote.traffic();
@@ -160,18 +163,23 @@ pub fn fsck(global: &Global, args: &FsckArgs, cancel: &Cancel) -> Result<(), Cli
 
 /// Opens the shared store of this address, or else that of the pipeline.
 fn open(global: &Global, url: Option<&str>) -> Result<Remote, CliError> {
-    let configured = || {
-        let loaded = config::load(&global.file, &global.sets, &global.options())?;
-        let shared = loaded.pipeline.shared.map(|shared| shared.url);
-        shared.ok_or_else(|| {
-            CliError::Usage(
-                Diagnostic::new("no shared store is named")
-                    .hint("name one with --remote, or in pipeline.toml: `[store]` with `remote = \"s3://BUCKET/PREFIX\"`"),
-            )
-        })
+    // A pipeline that is there tells whom to believe, whatever the address.
+    let shared = match url.is_some() && !global.file.exists() {
+        true => None,
+        false => {
+            config::load(&global.file, &global.sets, &global.options())?
+                .pipeline
+                .shared
+        }
     };
-    let url = url.map_or_else(configured, |url| Ok(url.to_owned()))?;
-    Ok(Remote::open(&url, Patience::Patient)?)
+    let (configured, writers) = shared.map(|shared| (shared.url, shared.trust)).unzip();
+    let url = url.map(str::to_owned).or(configured).ok_or_else(|| {
+        CliError::Usage(Diagnostic::new("no shared store is named").hint(
+            "name one with --remote, or in pipeline.toml: `[store]` with `remote = \"s3://BUCKET/PREFIX\"`",
+        ))
+    })?;
+    let trust = trust(&writers.unwrap_or_default())?;
+    Ok(Remote::open(&url, Patience::Patient, trust)?)
 }
 
 /// Returns a run as it travels: with the keys of its results, and of the last ones of other nodes as far as they are kept.
@@ -213,17 +221,29 @@ fn named(remote: &Remote, digits: &str, transfer: &Transfer<'_>) -> Result<Diges
     }
 }
 
-/// Returns the newest run of the pipeline of the arguments.
-fn newest(global: &Global, remote: &Remote, transfer: &Transfer<'_>) -> Result<Digest, CliError> {
+/// Returns the newest run of the pipeline of the arguments; those of strangers are told and passed over.
+fn newest(
+    global: &Global,
+    remote: &Remote,
+    transfer: &Transfer<'_>,
+) -> Result<(Digest, RemoteRun), CliError> {
     let loaded = config::load(&global.file, &global.sets, &global.options())?;
     let name = loaded.pipeline.name.unwrap_or_else(|| unnamed(&global.file));
-    match remote.runs(Some(&name), transfer)?.first() {
-        Some((_, root)) => Ok(*root),
-        None => {
-            let all = remote.runs(None, transfer)?;
-            Err(no_run(remote, &format!("no run of the pipeline `{name}`"), &all))
+    let mut strange = None;
+    for (_, root) in remote.runs(Some(&name), transfer)? {
+        match remote.run(&root, transfer) {
+            Err(error @ RemoteError::Untrusted { .. }) => {
+                warn(error.to_string());
+                strange = Some(error);
+            }
+            run => return Ok((root, run?)),
         }
     }
+    if let Some(strange) = strange {
+        return Err(strange.into());
+    }
+    let all = remote.runs(None, transfer)?;
+    Err(no_run(remote, &format!("no run of the pipeline `{name}`"), &all))
 }
 
 fn no_run(remote: &Remote, what: &str, runs: &[(u64, Digest)]) -> CliError {

@@ -12,7 +12,8 @@ use super::super::copies::object_of;
 use super::super::error::{CliError, Diagnostic};
 use super::super::files;
 use super::super::session::existing_store;
-use super::{AttestArgs, run, signing_key};
+use super::{AttestArgs, run};
+use crate::cli::trust::signing_key;
 use crate::terminal::{eprint_line, print_line};
 
 pub(super) fn attest(global: &Global, args: &AttestArgs, cancel: &Cancel) -> Result<(), CliError> {

@@ -8,7 +8,8 @@ use super::super::args::Global;
 use super::super::error::CliError;
 use super::super::output::print_json;
 use super::super::session::existing_store;
-use super::{CrateArgs, run, signing_key};
+use super::{CrateArgs, run};
+use crate::cli::trust::signing_key;
 use crate::terminal::print_line;
 
 pub(super) fn export(global: &Global, args: &CrateArgs, cancel: &Cancel) -> Result<(), CliError> {

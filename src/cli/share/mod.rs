@@ -7,12 +7,11 @@ mod run;
 mod surface;
 mod verify;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 use marf_engine::Cancel;
 use marf_export::ExportError;
-use marf_export::key::{KeyError, SigningKey};
 
 use super::args::Global;
 use super::error::{Answer, CliError, Diagnostic};
@@ -94,29 +93,9 @@ pub fn export(global: &Global, verb: &ExportVerb, cancel: &Cancel) -> Result<(),
     }
 }
 
-fn signing_key(path: &Path) -> Result<SigningKey, CliError> {
-    SigningKey::from_pem(&key_text(path)?).map_err(|error| bad_key(path, &error))
-}
-
 /// Returns the error of something that is not as it was made.
 fn altered(diagnostic: Diagnostic) -> CliError {
     CliError::Answered(Answer::Altered, diagnostic)
-}
-
-fn key_text(path: &Path) -> Result<String, CliError> {
-    std::fs::read_to_string(path)
-        .map_err(|error| CliError::usage(format!("the key {} cannot be read: {error}", path.display())))
-}
-
-fn bad_key(path: &Path, error: &KeyError) -> CliError {
-    let diagnostic = Diagnostic::new(format!("the key {} cannot be used", path.display()));
-    CliError::Usage(
-        Diagnostic {
-            cause: Some(error.to_string()),
-            ..diagnostic
-        }
-        .hint(error.hint()),
-    )
 }
 
 impl From<ExportError> for CliError {

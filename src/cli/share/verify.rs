@@ -4,15 +4,16 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use marf_export::dsse::Envelope;
-use marf_export::key::PublicKey;
 use marf_export::subjects_in;
 use marf_export::verify::{OpenCrate, OpenError, Report, Signature, verify};
+use marf_keys::PublicKey;
 
 use super::super::args::Global;
 use super::super::copies::object_of;
 use super::super::error::{CliError, Diagnostic};
 use super::super::output::print_json;
-use super::{altered, bad_key, key_text};
+use super::super::trust::public_key;
+use super::altered;
 use crate::terminal::print_line;
 
 /// Arguments of `verify`.
@@ -80,10 +81,6 @@ fn without_faults(folder: &Path, report: &Report) -> Result<(), CliError> {
                 .hint("ask whoever made it for another copy; trust nothing in this one"),
         )),
     }
-}
-
-fn public_key(path: &Path) -> Result<PublicKey, CliError> {
-    PublicKey::from_pem(&key_text(path)?).map_err(|error| bad_key(path, &error))
 }
 
 fn open_error(error: OpenError) -> CliError {

@@ -15,6 +15,10 @@ use crate::{commands::Commands, script};
 pub struct Site {
     /// Address of the shared store (`file:///FOLDER`, `s3://BUCKET/PREFIX`), as the machines of the jobs see it.
     pub store: String,
+    /// Files with the public keys of those whose results are believed; everybody's are if there are none. Jobs sign with the key
+    /// that MARF_SIGNING_KEY names in their environment.
+    #[serde(default)]
+    pub trust: Vec<PathBuf>,
     /// Folder of scripts, results and logs, which the machines of the jobs see under the same path.
     pub folder: PathBuf,
     /// Stages whose nodes, or the photos they measure, are jobs; all others are computed where the run is.

@@ -11,10 +11,10 @@ use crate::contents::{Content, Contents, File, OBJECTS, Photos, Purpose, ReadObj
 use crate::dsse::Envelope;
 use crate::error::ExportError;
 use crate::graph::{Described, GraphInput, METADATA, PREVIEW, graph};
-use crate::key::SigningKey;
 use crate::preview::preview;
 use crate::run::Run;
 use crate::statement::{Subject, statement_on_run};
+use marf_keys::SigningKey;
 
 /// Name of the signed statement on a crate, beside the payload.
 pub const ATTESTATION: &str = "attestation.dsse.json";

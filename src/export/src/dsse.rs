@@ -3,7 +3,7 @@
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use serde::{Deserialize, Serialize};
 
-use crate::key::{PublicKey, SigningKey};
+use marf_keys::{PublicKey, SigningKey};
 
 /// What is in an envelope of ours: an in-toto statement.
 pub const PAYLOAD_TYPE: &str = "application/vnd.in-toto+json";
@@ -126,7 +126,15 @@ fn pre_authentication_encoding(payload_type: &str, payload: &[u8]) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::key::tests::key;
+
+    /// Test 1 of RFC 8032, section 7.1, in PKCS#8.
+    const PRIVATE_PEM: &str = "-----BEGIN PRIVATE KEY-----\n\
+        MC4CAQAwBQYDK2VwBCIEIJ1hsZ3v/VpguoRK9JLsLMREScVpezJpGXA7rAMcrn9g\n\
+        -----END PRIVATE KEY-----\n";
+
+    fn key() -> SigningKey {
+        SigningKey::from_pem(PRIVATE_PEM).unwrap()
+    }
 
     /// The value of the specification, protocol.md, "Test vectors".
     #[test]

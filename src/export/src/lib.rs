@@ -18,7 +18,6 @@ mod crates;
 pub mod dsse;
 mod error;
 mod graph;
-pub mod key;
 mod preview;
 mod run;
 mod statement;

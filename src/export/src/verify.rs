@@ -20,7 +20,7 @@ use std::path::Path;
 use marf_cache::{Digest, Sha256};
 use serde::Serialize;
 
-use crate::key::PublicKey;
+use marf_keys::PublicKey;
 
 pub use open::{OpenCrate, OpenError};
 pub use trace::{Product, Role, Step, Trace};

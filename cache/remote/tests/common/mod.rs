@@ -12,7 +12,7 @@ use std::{
 };
 
 use marf_cache::{Digest, Output, Record, RunMetadata, Store, digest_list, manifest};
-use marf_remote::{Observer, Patience, Progress, Remote, RemoteRun};
+use marf_remote::{Observer, Patience, Progress, Remote, RemoteRun, Trust};
 
 /// Looks on, and stops if it is told to.
 #[derive(Default)]
@@ -51,7 +51,11 @@ impl World {
     }
 
     pub fn remote(&self) -> Remote {
-        Remote::open(&self.url(), Patience::Patient).unwrap()
+        self.remote_of(Trust::default())
+    }
+
+    pub fn remote_of(&self, trust: Trust) -> Remote {
+        Remote::open(&self.url(), Patience::Patient, trust).unwrap()
     }
 
     pub fn store(&self, name: &str) -> Store {

@@ -6,9 +6,9 @@ use crate::bag::MANIFEST;
 use crate::contents::RUN_ROOT;
 use crate::crates::ATTESTATION;
 use crate::dsse::Envelope;
-use crate::key::PublicKey;
 use crate::statement::subjects_in;
 use marf_cache::Sha256;
+use marf_keys::PublicKey;
 
 /// Checks the statement beside the payload against a key, and what it says against the crate.
 pub(super) fn check(opened: &OpenCrate, key: Option<&PublicKey>, faults: &mut Vec<String>) -> Signature {

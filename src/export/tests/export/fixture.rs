@@ -7,9 +7,9 @@ use std::sync::Arc;
 use marf_cache::manifest::{Leaf, LeafRef, Root, Row};
 use marf_cache::{ACTION_FORMAT, Action, Digest, Sha256};
 use marf_export::bag::{Bag, BagWriter};
-use marf_export::key::{PublicKey, SigningKey};
 use marf_export::verify::{Report, verify};
 use marf_export::{CrateOptions, Data, Photos, Run, write_crate};
+use marf_keys::{PublicKey, SigningKey};
 use marf_stage::{Origin, OriginKind, Verdict};
 use serde_json::{Value, json};
 

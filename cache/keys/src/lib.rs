@@ -1,4 +1,4 @@
-//! Ed25519 keys from PEM files.
+//! Ed25519 keys from PEM files: who signs results, runs and statements, and whose signatures are believed.
 
 use marf_cache::{Sha256, canonical_json};
 use ring::signature::{ED25519, Ed25519KeyPair, KeyPair as _, UnparsedPublicKey};
@@ -133,19 +133,19 @@ fn section(text: &str, wanted: SectionKind) -> Option<Vec<u8>> {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
+mod tests {
     use super::*;
 
     /// Test 1 of RFC 8032, section 7.1, in PKCS#8.
-    pub(crate) const PRIVATE_PEM: &str = "-----BEGIN PRIVATE KEY-----\n\
+    const PRIVATE_PEM: &str = "-----BEGIN PRIVATE KEY-----\n\
         MC4CAQAwBQYDK2VwBCIEIJ1hsZ3v/VpguoRK9JLsLMREScVpezJpGXA7rAMcrn9g\n\
         -----END PRIVATE KEY-----\n";
     /// Its public half, d75a980182b10ab7d54bfed3c964073a0ee172f3daa62325af021a68f707511a.
-    pub(crate) const PUBLIC_PEM: &str = "-----BEGIN PUBLIC KEY-----\n\
+    const PUBLIC_PEM: &str = "-----BEGIN PUBLIC KEY-----\n\
         MCowBQYDK2VwAyEA11qYAYKxCrfVS/7TyWQHOg7hcvPapiMlrwIaaPcHURo=\n\
         -----END PUBLIC KEY-----\n";
 
-    pub(crate) fn key() -> SigningKey {
+    fn key() -> SigningKey {
         SigningKey::from_pem(PRIVATE_PEM).unwrap()
     }
 

@@ -1,0 +1,35 @@
+//! Who wrote what: signatures of records and runs, and whose are believed.
+
+use marf_cache::Digest;
+use marf_keys::{PublicKey, SigningKey};
+
+/// What is signed stands behind this line, so that a signature of a result is one of nothing else.
+const PURPOSE: &str = "marf shared store 1\n";
+
+/// With which key own results are signed, and whose results are believed.
+#[derive(Default)]
+pub struct Trust {
+    /// Signs what is sent; it is sent without a signature if absent.
+    pub key: Option<SigningKey>,
+    /// Whose results are believed: those of everybody if empty.
+    pub writers: Vec<PublicKey>,
+}
+
+impl Trust {
+    /// Returns the signature of an object with this digest.
+    pub(crate) fn sign(&self, digest: &Digest) -> Option<Vec<u8>> {
+        Some(self.key.as_ref()?.sign(&message(digest)))
+    }
+
+    /// Tells whether an object with this digest and signature is believed.
+    pub(crate) fn believes(&self, digest: &Digest, signature: Option<&[u8]>) -> bool {
+        let message = message(digest);
+        let is_by =
+            |writer: &PublicKey| signature.is_some_and(|signature| writer.verifies(&message, signature));
+        self.writers.is_empty() || self.writers.iter().any(is_by)
+    }
+}
+
+fn message(digest: &Digest) -> Vec<u8> {
+    format!("{PURPOSE}{digest}").into_bytes()
+}
