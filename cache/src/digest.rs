@@ -1,6 +1,6 @@
 //! Digests: names of byte strings and keys of actions, and the digest by which others know a byte string.
 
-use std::{fmt, str::FromStr};
+use std::{fmt, io, str::FromStr};
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
 
@@ -21,6 +21,16 @@ impl Digest {
     /// Returns the digest of a byte string.
     pub fn of(bytes: &[u8]) -> Self {
         Self(*blake3::hash(bytes).as_bytes())
+    }
+
+    /// Returns the digest of all that a reader gives, and its length in bytes, without holding it.
+    ///
+    /// # Errors
+    /// What the reader cannot read.
+    pub fn of_reader(reader: impl io::Read) -> io::Result<(Self, u64)> {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update_reader(reader)?;
+        Ok((Self(*hasher.finalize().as_bytes()), hasher.count()))
     }
 
     /// Wraps the 32 bytes of a digest.
@@ -109,6 +119,14 @@ mod tests {
         let digest = Digest::of(b"mars");
         assert_eq!(digest.to_string().parse::<Digest>(), Ok(digest));
         assert_eq!(digest.to_string().len(), 64);
+    }
+
+    #[test]
+    fn a_reader_gives_the_digest_of_its_bytes() {
+        for bytes in [vec![], vec![7; 1], vec![3; 200_000]] {
+            let (digest, length) = Digest::of_reader(bytes.as_slice()).unwrap();
+            assert_eq!((digest, length), (Digest::of(&bytes), bytes.len() as u64));
+        }
     }
 
     /// The value of FIPS 180-4, appendix B.1.

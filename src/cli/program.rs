@@ -45,12 +45,8 @@ pub fn build(store: &Store) -> Option<Build> {
 }
 
 fn read(path: &Path, state: FileState, table: &Path) -> Option<Known> {
-    let bytes = std::fs::read(path).ok()?;
-    let known = Known {
-        state,
-        blake3: Digest::of(&bytes),
-        bytes: bytes.len() as u64,
-    };
+    let (blake3, bytes) = Digest::of_reader(std::fs::File::open(path).ok()?).ok()?;
+    let known = Known { state, blake3, bytes };
     if let Ok(json) = serde_json::to_vec(&known) {
         let _ = files::write(table, &json); // what cannot be kept is read again
     }
