@@ -8,6 +8,7 @@ use std::path::Path;
 use std::time::Instant;
 use std::{fmt, fs};
 
+use marf_cache::Digest;
 use marf_engine::{Cancel, Options};
 use marf_field::{Config, Device, EXPECTED_STEPS_PER_S, Field, Overrides, Trainer, View};
 use marf_scene::{Image, Scene, Srgb, encode_png, metrics};
@@ -105,6 +106,12 @@ struct Line {
     /// Processor seconds of these.
     cpu_s: f64,
     steps: u64,
+    /// Samples that a step aimed at.
+    batch_samples: u32,
+    /// Binary logarithm of the most entries of a level.
+    log2_table: u32,
+    /// Digest of the training's whole state at its end: on one device the same for the same steps.
+    checkpoint: Digest,
     rays_per_s: f64,
     samples_per_s: f64,
     /// Largest resident size so far, MB.
@@ -316,6 +323,9 @@ impl Bench<'_> {
             clock,
             cpu_s: effort.cpu_s,
             steps: trainer.steps(),
+            batch_samples: field.config().batch_samples,
+            log2_table: field.facts().sizes.log2_table.value,
+            checkpoint: Digest::of(&trainer.save().map_err(failed)?),
             rays_per_s: effort.rays as f64 / clock,
             samples_per_s: effort.samples as f64 / clock,
             rss_mb: peak_mb(),
@@ -426,6 +436,9 @@ mod tests {
             clock: 10.1,
             cpu_s: 20.0,
             steps: 123,
+            batch_samples: 1 << 15,
+            log2_table: 15,
+            checkpoint: Digest::of(b"state"),
             rays_per_s: 1e5,
             samples_per_s: 3.21e6,
             rss_mb: 100,

@@ -61,4 +61,4 @@ mod weights;
 
 pub use ceilings::{Ceilings, ceilings};
 pub use device::Gpu;
-pub use timing::{KernelTime, Load, Timed, TimedTraining};
+pub use timing::{KernelTime, Load, Shape, Timed, TimedTraining};
