@@ -20,6 +20,16 @@ impl<T> Array<T> {
     pub fn len(&self) -> usize {
         self.len
     }
+
+    /// Returns the bytes it takes.
+    pub fn bytes(&self) -> u64 {
+        bytes::<T>(self.len)
+    }
+}
+
+/// Returns the bytes of so many elements; an empty buffer cannot be bound.
+fn bytes<T>(len: usize) -> u64 {
+    (len.max(1) * size_of::<T>()).next_multiple_of(4) as u64
 }
 
 /// A buffer, or a part of it, as a kernel sees it.
@@ -80,13 +90,34 @@ impl Gpu {
         len: usize,
         usage: wgpu::BufferUsages,
     ) -> Result<Array<T>, GpuError> {
-        // An empty buffer cannot be bound.
-        let bytes = (len.max(1) * size_of::<T>()).next_multiple_of(4) as u64;
+        let bytes = bytes::<T>(len);
         let offered = self.limits.max_buffer_size;
         if bytes > offered {
             let hint = "lower `batch_samples`, `log2_table` or `memory`";
             return Err(self.limit("max_buffer_size", [offered, bytes], hint));
         }
+        self.take(bytes);
+        let buffer = match &self.stand_in {
+            Some(stand_in) => stand_in.clone(),
+            None => self.buffer(what, bytes, usage)?,
+        };
+        Ok(Array {
+            buffer,
+            len,
+            of: PhantomData,
+        })
+    }
+
+    /// Makes a buffer.
+    ///
+    /// # Errors
+    /// Memory that was refused; a lost device.
+    pub(super) fn buffer(
+        &self,
+        what: &'static str,
+        bytes: u64,
+        usage: wgpu::BufferUsages,
+    ) -> Result<wgpu::Buffer, GpuError> {
         // A lost device gives a buffer that is none, and no error.
         self.check()?;
         let scopes = [wgpu::ErrorFilter::OutOfMemory, wgpu::ErrorFilter::Validation]
@@ -102,11 +133,7 @@ impl Gpu {
             refused = pollster::block_on(scope.pop()).or(refused);
         }
         match refused {
-            None => Ok(Array {
-                buffer,
-                len,
-                of: PhantomData,
-            }),
+            None => Ok(buffer),
             Some(wgpu::Error::OutOfMemory { .. }) => Err(GpuError::Memory {
                 adapter: self.name().to_owned(),
                 what,
@@ -118,6 +145,9 @@ impl Gpu {
 
     /// Overwrites elements from `first` on, before whatever is submitted next.
     pub fn write<T: Pod>(&self, array: &Array<T>, first: usize, values: &[T]) {
+        if self.stand_in.is_some() {
+            return;
+        }
         let offset = (first * size_of::<T>()) as u64;
         self.queue
             .write_buffer(&array.buffer, offset, bytemuck::cast_slice(values));

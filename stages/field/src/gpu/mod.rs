@@ -34,6 +34,9 @@ mod losses_tests;
 mod march;
 #[cfg(test)]
 mod march_tests;
+mod memory;
+#[cfg(test)]
+mod memory_tests;
 mod nets;
 #[cfg(test)]
 mod nets_tests;

@@ -7,11 +7,12 @@ use marf_shaders::{Blending, Observed, Pace, Step as StepUniform, Total, faults}
 use super::Gpu;
 use super::array::Array;
 use super::arrays::Arrays;
-use super::forward::{Forward, Kernels as Shared, Lanes, Purpose, check_columns, write_walks};
+use super::forward::{Forward, Kernels as Shared, Lanes, Purpose, write_walks};
 use super::kernel::Bound;
 use super::learning::{Bindings, Kernels, Learning};
 use super::light::RING;
 use super::march::{March, Marching, step_table, whole_walk};
+use super::memory::Held;
 use super::occupancy::{self, Due, Probed, Update};
 use super::rays::{DrawRays, Photos, observed};
 use super::record::{Recorder, Timing};
@@ -25,12 +26,8 @@ use crate::schedule::{EPSILON, UPDATE_EVERY};
 use crate::state::State;
 use crate::training::Training;
 
-/// Sample slots a sample of the batch: rays visit more samples than they train.
-const VISITED: usize = 2;
 /// Passes over the gradients of the first step: the first scale is a guess, the second close, the third good.
 const CALIBRATIONS: usize = 2;
-/// Slots come in multiples of this.
-const SLOTS: usize = 256;
 
 /// A training on a device.
 pub struct GpuSession {
@@ -59,28 +56,17 @@ impl GpuSession {
     pub fn new(gpu: &Arc<Gpu>, training: &mut Training) -> Result<Self, FieldError> {
         let device = gpu.as_ref();
         let (config, state) = (&training.config, &training.state);
-        let rays = (config.batch_samples as usize).next_multiple_of(SLOTS);
-        let slots = [VISITED * rays, rays];
-        check_columns(device, &state.weights, slots[0])?;
-        let grid = Grid::new(device, &state.weights.shapes, state.weights.features)?;
-        let weights = DeviceWeights::new(device, &grid, &state.weights)?;
-        let average = DeviceWeights::new(device, &grid, &state.average)?;
-        let most_steps = training.sizes.steps(config, training.sizes.halvings.value);
-        let lanes = Lanes::new(device, &weights, slots, &most_steps, Purpose::Training)?;
-        let gain = (training.views.len(), config.gain);
-        let arrays = Arrays::new(device, &grid, &weights, &lanes, gain, &training.bias)?;
-        let photos = Photos::new(
-            device,
-            &training.views,
-            &training.world_from_cams,
-            &training.frame,
-        )?;
-        let seen = training.observations.len();
-        let hint = "set `depth_weight = 0`, so that sparse points do not pull";
-        device.check_binding((seen * size_of::<Observed>()) as u64, hint)?;
-        let observations = device.zeros("observations", seen)?;
-        let step = device.uniform("step", bytemuck::Zeroable::zeroed())?;
-        let occupancy = occupancy::State::new(device, &state.occupancy)?;
+        let Held {
+            grid,
+            weights,
+            average,
+            lanes,
+            arrays,
+            photos,
+            observations,
+            step,
+            occupancy,
+        } = Held::new(device, training)?;
         let features = state.weights.features;
         let (shared, kernels) = (Shared::new(device, features)?, Kernels::new(device, features)?);
         let draw = DrawRays::new(device)?.bind(device, &step, &photos, &observations, &lanes.rays);
