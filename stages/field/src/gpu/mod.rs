@@ -56,6 +56,7 @@ mod scan_tests;
 mod session;
 #[cfg(test)]
 mod session_tests;
+mod submits;
 mod tables;
 #[cfg(test)]
 pub(crate) mod testing;

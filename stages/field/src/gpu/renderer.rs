@@ -3,9 +3,10 @@
 use std::fmt;
 use std::ops::Range;
 use std::sync::Arc;
+use std::time::Instant;
 
 use marf_scene::{Camera, Pose};
-use marf_shaders::{PixelRange, counts, faults};
+use marf_shaders::{PixelRange, Walk, counts, faults};
 use parking_lot::Mutex;
 
 use super::Gpu;
@@ -16,6 +17,7 @@ use super::march::{Alive, March, Marching, bit_words, round, step_table, whole_w
 use super::picture::{PICTURE, Picture};
 use super::rays::{ViewRays, camera};
 use super::record::Work;
+use super::submits::Submits;
 use super::tables::Grid;
 use super::weights::DeviceWeights;
 use crate::backend::Renderer;
@@ -29,7 +31,7 @@ const CAPACITY: usize = 1 << 17;
 /// Samples that a ray gets in the first round; later rounds take twice as many.
 const FIRST_ROUND: u32 = 8;
 /// Rounds between two reads of how many rays go on.
-const LOOK_EVERY: usize = 2;
+const LOOK_EVERY: u64 = 2;
 
 /// A field on a device, and what its pictures are made with; one picture at a time.
 pub struct GpuRenderer(Mutex<Canvas>);
@@ -52,6 +54,7 @@ struct Canvas {
     paint: Work,
     finish: Work,
     alive: Bound,
+    submits: Submits,
 }
 
 impl GpuRenderer {
@@ -72,7 +75,7 @@ impl Renderer for GpuRenderer {
         cam_from_world: &Pose,
         rows: Range<u32>,
     ) -> Result<Render, FieldError> {
-        let canvas = self.0.lock();
+        let mut canvas = self.0.lock();
         canvas.rows(model, camera, cam_from_world, rows)
     }
 }
@@ -113,6 +116,7 @@ impl Canvas {
             begin,
             paint,
             finish,
+            submits: Submits::default(),
             gpu: gpu.clone(),
             lanes,
             asked,
@@ -121,7 +125,7 @@ impl Canvas {
     }
 
     fn rows(
-        &self,
+        &mut self,
         model: &Model,
         seen: &Camera,
         cam_from_world: &Pose,
@@ -152,30 +156,17 @@ impl Canvas {
     }
 
     /// Carries the rays of some pixels to their end, round by round.
-    fn rays(&self, model: &Model, range: PixelRange) -> Result<(), FieldError> {
-        let (gpu, lanes) = (&self.gpu, &self.lanes);
+    fn rays(&mut self, model: &Model, range: PixelRange) -> Result<(), FieldError> {
         let count = range.count as usize;
         let whole = whole_walk(count, RAYS, CAPACITY, &model.steps, model.bits.side);
-        gpu.write(&self.asked, 0, &[range]);
-        gpu.submit(|recorder| {
+        self.gpu.write(&self.asked, 0, &[range]);
+        self.gpu.submit(|recorder| {
             recorder.threads(&self.view, count);
             self.begin.record(recorder);
         });
         let mut limit = FIRST_ROUND;
-        for number in 1.. {
-            write_walks(gpu, lanes, round(whole, limit));
-            gpu.submit(|recorder| {
-                self.marching.record(recorder, count);
-                self.forward.densities.record(recorder);
-                self.forward.colours.record(recorder);
-                self.paint.record(recorder);
-                recorder.threads(&self.alive, count);
-            });
-            if number % LOOK_EVERY == 0 && gpu.read(&lanes.counts)?[counts::ALIVE as usize] == 0 {
-                break;
-            }
-            limit = limit.saturating_mul(2);
-        }
+        while self.rounds(whole, &mut limit, count)? > 0 {}
+        let (gpu, lanes) = (&self.gpu, &self.lanes);
         if gpu.read(&lanes.faults)?.iter().any(|fault| *fault != 0) {
             gpu.write(&lanes.faults, 0, &[0; faults::LEN]);
             return Err(FieldError::Malformed {
@@ -186,5 +177,24 @@ impl Canvas {
         gpu.write(&lanes.counts, counts::RAYS as usize, &[count as u32]);
         gpu.submit(|recorder| self.finish.record(recorder));
         Ok(())
+    }
+
+    /// Carries rays on by some rounds, and returns how many are not at their end.
+    fn rounds(&mut self, whole: Walk, limit: &mut u32, count: usize) -> Result<u32, GpuError> {
+        let begun = Instant::now();
+        for _ in 0..LOOK_EVERY {
+            write_walks(&self.gpu, &self.lanes, round(whole, *limit));
+            self.submits.submit(&self.gpu, |recorder| {
+                self.marching.record(recorder, count);
+                self.forward.densities.record(recorder);
+                self.forward.colours.record(recorder);
+                self.paint.record(recorder);
+                recorder.threads(&self.alive, count);
+            });
+            *limit = limit.saturating_mul(2);
+        }
+        let alive = self.gpu.read(&self.lanes.counts)?[counts::ALIVE as usize];
+        self.submits.took(LOOK_EVERY, begun);
+        Ok(alive)
     }
 }

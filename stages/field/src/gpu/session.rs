@@ -1,6 +1,7 @@
 //! A training on a device: what stays there between steps, and the steps.
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use marf_shaders::{Blending, Observed, Pace, Step as StepUniform, Total, faults};
 
@@ -16,6 +17,7 @@ use super::memory::Held;
 use super::occupancy::{self, Due, Probed, Update};
 use super::rays::{DrawRays, Photos, observed};
 use super::record::{Recorder, Timing};
+use super::submits::Submits;
 use super::tables::{Grid, Rise, blending, rates};
 use super::weights::DeviceWeights;
 use crate::FieldError;
@@ -46,6 +48,7 @@ pub struct GpuSession {
     forward: Forward,
     learning: Learning,
     update: Update,
+    pub(super) submits: Submits,
 }
 
 impl GpuSession {
@@ -111,6 +114,7 @@ impl GpuSession {
             forward,
             learning,
             update,
+            submits: Submits::default(),
         };
         session.write_march(training);
         session.turn();
@@ -129,7 +133,7 @@ impl GpuSession {
         self.arrays.write_rise(&self.gpu, &self.grid, Rise::Free);
         for _ in 0..CALIBRATIONS {
             self.write_step(training, training.state.steps, rays);
-            self.gpu.submit(|recorder| {
+            self.submits.submit(&self.gpu, |recorder| {
                 self.forward(recorder, rays);
                 self.learning.back.record(recorder);
                 self.learning.scale.record(recorder);
@@ -140,7 +144,8 @@ impl GpuSession {
         // All else that is written here is uploaded anew.
         self.write_step(training, training.state.steps, 0);
         self.begin(training, 0);
-        self.gpu.submit(|recorder| self.record(recorder, 0, true));
+        self.submits
+            .submit(&self.gpu, |recorder| self.record(recorder, 0, true));
     }
 
     fn turn(&self) {
@@ -159,12 +164,14 @@ impl GpuSession {
         let end = first.saturating_add(most.max(1)).min(update);
         let rays = training.ray_count().min(self.lanes.rays.slots);
         self.begin(training, rays);
+        let begun = Instant::now();
         for number in first..end {
             let is_due = self.write_step(training, number, rays);
             let times = watch.as_deref_mut().map(|watch| &mut watch.steps);
             self.submit(times, |recorder| self.record(recorder, rays, is_due))?;
         }
         let totals = self.gpu.read(&self.arrays.ring)?;
+        self.submits.took(end - first, begun);
         let mut sum = Step {
             steps: 0,
             loss: 0.0,
@@ -275,7 +282,7 @@ impl GpuSession {
         record: impl FnOnce(&mut Recorder<'_>),
     ) -> Result<(), GpuError> {
         match times {
-            None => self.gpu.submit(record),
+            None => self.submits.submit(&self.gpu, record),
             Some(times) => times.extend(self.gpu.submit_timed(record)?),
         }
         Ok(())
