@@ -8,9 +8,11 @@ use bytemuck::Pod;
 use super::Gpu;
 use crate::GpuError;
 
-/// An array on the device.
+/// An array on the device: a buffer, or a part of one.
 pub struct Array<T> {
     pub(super) buffer: wgpu::Buffer,
+    /// Its first byte in the buffer, a multiple of 256.
+    offset: u64,
     len: usize,
     of: PhantomData<T>,
 }
@@ -38,7 +40,11 @@ pub struct Part<'a>(pub(super) wgpu::BufferBinding<'a>);
 
 impl<'a, T> From<&'a Array<T>> for Part<'a> {
     fn from(array: &'a Array<T>) -> Self {
-        Self(array.buffer.as_entire_buffer_binding())
+        Self(wgpu::BufferBinding {
+            buffer: &array.buffer,
+            offset: array.offset,
+            size: std::num::NonZero::new(array.bytes()),
+        })
     }
 }
 
@@ -48,9 +54,19 @@ impl<T> Array<T> {
         let bytes = |count: usize| (count * size_of::<T>()) as u64;
         Part(wgpu::BufferBinding {
             buffer: &self.buffer,
-            offset: bytes(first),
+            offset: self.offset + bytes(first),
             size: std::num::NonZero::new(bytes(len)),
         })
+    }
+
+    /// Returns elements `first..first + len` as an array of the same memory; the first byte is a multiple of 256.
+    pub fn share(&self, first: usize, len: usize) -> Self {
+        Self {
+            buffer: self.buffer.clone(),
+            offset: self.offset + (first * size_of::<T>()) as u64,
+            len,
+            of: PhantomData,
+        }
     }
 }
 
@@ -103,6 +119,7 @@ impl Gpu {
         };
         Ok(Array {
             buffer,
+            offset: 0,
             len,
             of: PhantomData,
         })
@@ -148,7 +165,7 @@ impl Gpu {
         if self.stand_in.is_some() {
             return;
         }
-        let offset = (first * size_of::<T>()) as u64;
+        let offset = array.offset + (first * size_of::<T>()) as u64;
         self.queue
             .write_buffer(&array.buffer, offset, bytemuck::cast_slice(values));
     }
@@ -158,7 +175,7 @@ impl Gpu {
     /// # Errors
     /// A lost device.
     pub fn read<T: Pod>(&self, array: &Array<T>) -> Result<Vec<T>, GpuError> {
-        let size = array.buffer.size();
+        let size = array.bytes();
         let staging = self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("read back"),
             size,
@@ -166,7 +183,7 @@ impl Gpu {
             mapped_at_creation: false,
         });
         let mut encoder = self.device.create_command_encoder(&Default::default());
-        encoder.copy_buffer_to_buffer(&array.buffer, 0, &staging, 0, size);
+        encoder.copy_buffer_to_buffer(&array.buffer, array.offset, &staging, 0, size);
         self.queue.submit([encoder.finish()]);
         let (sender, receiver) = std::sync::mpsc::channel();
         staging.map_async(wgpu::MapMode::Read, .., move |mapped| {
@@ -229,6 +246,21 @@ mod tests {
         let array = gpu.zeros::<u32>("numbers", 5).unwrap();
         gpu.write(&array, 1, &[7, 8]);
         assert_eq!(gpu.read(&array), Ok(vec![0, 7, 8, 0, 0]));
+    }
+
+    #[test]
+    fn what_is_shared_is_the_same_memory() {
+        let Some(gpu) = gpu("what_is_shared_is_the_same_memory") else {
+            return;
+        };
+        let numbers: Vec<u32> = (0..192).collect();
+        let array = gpu.filled("numbers", &numbers).unwrap();
+        let shared = array.share(64, 64);
+        gpu.write(&shared, 1, &[7, 8]);
+        let expected = [vec![64, 7, 8], (67..128).collect()].concat();
+        assert_eq!(gpu.read(&shared), Ok(expected));
+        assert_eq!(gpu.read(&array.share(64, 3)), Ok(vec![64, 7, 8]));
+        assert_eq!(gpu.read(&array).unwrap()[63..67], [63, 64, 7, 8]);
     }
 
     #[test]

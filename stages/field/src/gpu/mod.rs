@@ -17,6 +17,8 @@ mod chain_net;
 mod chain_tests;
 #[cfg(test)]
 mod constants_tests;
+#[cfg(test)]
+mod core_tests;
 mod device;
 mod exposures;
 #[cfg(test)]
