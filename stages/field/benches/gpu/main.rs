@@ -3,7 +3,8 @@
 //! `MARF_BENCH_GPU` names the device (`gpu` or `gpu:NAME`), `MARF_BENCH_SAMPLES` the samples of a batch, several after each
 //! other between commas, `MARF_BENCH_STEPS` the steps that are taken, then timed by timestamps, then by the clock,
 //! `MARF_BENCH_VIEW` the size of the picture, `MARF_BENCH_JSON` a file for a line of JSON each. `-- collect DIR` instead
-//! prints what `benches/gpu.sh run` left in a folder as Markdown, beside what the model expects. See `benches/gpu.md`.
+//! prints what `benches/gpu.sh run` left in a folder as Markdown, beside what the model expects; `-- model` prints the model.
+//! See `benches/gpu.md`.
 #![allow(clippy::print_stdout, clippy::print_stderr, clippy::expect_used, missing_docs)]
 
 mod collect;
@@ -22,7 +23,7 @@ use std::time::Instant;
 use marf_field::bench::{Ceilings, Gpu, TimedTraining, ceilings};
 use marf_field::{Config, Device, Trainer};
 use marf_scene::Camera;
-use measured::{Kernels, Line, View};
+use measured::{Kernels, Line, View, ViewShape};
 
 fn main() -> ExitCode {
     // `cargo bench` adds `--bench`; `cargo test --all-targets` builds and starts it, too.
@@ -30,6 +31,10 @@ fn main() -> ExitCode {
     let count = arguments.len();
     arguments.retain(|argument| argument != "--bench");
     let done = match arguments.as_slice() {
+        [verb] if verb == "model" => {
+            print!("{}", table::expected());
+            Ok(())
+        }
         [verb, folder] if verb == "collect" => collect::collect(&PathBuf::from(folder)),
         [] if count > 0 => run(),
         _ => return ExitCode::SUCCESS,
@@ -194,6 +199,7 @@ fn picture(
         field: name.to_owned(),
         width,
         height,
+        shape: ViewShape::new(&field),
         seconds,
     })
 }

@@ -1,6 +1,7 @@
 //! What a benchmark found, as a line of JSON: written where it is measured, read where it is collected.
 
 use marf_field::bench::{Ceilings, Gpu, Load, Shape, Timed};
+use marf_field::{Field, ViewDependence};
 use serde::{Deserialize, Serialize};
 
 /// A line of the outcome.
@@ -66,8 +67,49 @@ pub struct View {
     pub width: u32,
     /// Pixels.
     pub height: u32,
+    /// What the model of its time is made from.
+    pub shape: ViewShape,
     /// Seconds of every run but the first, ascending; copied back to the host each time.
     pub seconds: Vec<f64>,
+}
+
+/// What the kernels of a picture work on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ViewShape {
+    /// Steps along a ray, occupied or not.
+    pub steps_a_ray: f64,
+    /// Levels of the grid.
+    pub levels: usize,
+    /// Inputs and outputs of the layers of the density network.
+    pub density: Vec<[usize; 2]>,
+    /// Inputs and outputs of the layers of the colour network.
+    pub color: Vec<[usize; 2]>,
+}
+
+impl ViewShape {
+    /// Returns the shape of a picture of a field.
+    pub fn new(field: &Field) -> Self {
+        let (config, facts) = (field.config(), field.facts());
+        let levels = facts.levels.len();
+        let of = |inputs: usize, width: u32, layers: u32| {
+            let width = width as usize;
+            let hidden = (1..layers).map(|_| [width, width]);
+            std::iter::once([inputs, width])
+                .chain(hidden)
+                .chain([[width, 16]])
+                .collect()
+        };
+        let directions = match config.view_dependence {
+            ViewDependence::On => 16,
+            ViewDependence::Off => 0,
+        };
+        Self {
+            steps_a_ray: f64::from(facts.steps_per_ray),
+            levels,
+            density: of(levels * config.features as usize, config.density_width, 1),
+            color: of(16 + directions, config.color_width, config.color_layers),
+        }
+    }
 }
 
 impl Kernels {

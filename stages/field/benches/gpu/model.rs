@@ -6,6 +6,8 @@
 
 use marf_field::bench::Shape;
 
+use super::measured::ViewShape;
+
 /// Bytes a second of the card's memory: 3.35e12 on paper (H100 SXM).
 const MEMORY: f64 = 3.0e12;
 /// Bytes a second of its second cache, sectors of 32 bytes.
@@ -18,6 +20,17 @@ const ATOMICS: f64 = 44e9;
 const WAIT_S: f64 = 0.17e-6;
 /// Seconds between two dispatches that see each other's writes.
 const GAP_S: f64 = 5e-6;
+/// Seconds of a read of few bytes back to the host, the wait for what was submitted before counted apart.
+const READ_S: f64 = 60e-6;
+/// Bytes a second between card and host.
+const LINK: f64 = 20e9;
+/// Rays of a picture at once on a card.
+const RAYS_AT_ONCE: f64 = 65_536.0;
+/// Rounds of a picture, of 8, 16, 32 and 64 samples a ray at most; reads between them, and those at the end.
+const ROUNDS: f64 = 4.0;
+const READS: f64 = 4.0;
+/// Samples a pixel of a trained field: those of the first two rounds for every ray that meets matter.
+const SAMPLES_A_PIXEL: f64 = 24.0;
 /// Samples of a part of a layer's gradient.
 const PART: f64 = 128.0;
 /// Threads of the kernels of one workgroup.
@@ -66,7 +79,10 @@ impl Need {
         Line {
             kernel: self.kernel,
             seconds: self.amount / rate + self.calls * GAP_S,
-            bound: format!("{:.1} {name}, {:.0} gaps", self.amount * unit, self.calls),
+            bound: match self.calls {
+                0.0 => format!("{:.1} {name}", self.amount * unit),
+                calls => format!("{:.1} {name}, {calls:.0} gaps", self.amount * unit),
+            },
         }
     }
 }
@@ -187,5 +203,91 @@ fn tables(shape: &Shape) -> Vec<Need> {
             0.25 * 3.0 * entries,
             Of::Memory,
         ),
+    ]
+}
+
+/// Returns the lines of a picture of so many pixels: every line of all its rounds.
+pub fn view(shape: &ViewShape, pixels: f64) -> Vec<Line> {
+    let batches = (pixels / RAYS_AT_ONCE).ceil();
+    let samples = pixels * SAMPLES_A_PIXEL;
+    let layers = shape.density.iter().chain(&shape.color);
+    let products: usize = layers
+        .map(|[inputs, outputs]| 4 * (inputs * outputs.div_ceil(8) + outputs))
+        .sum();
+    // Distance, light, latent, owner: 23 numbers read and written, and 16 harmonics.
+    let moved = (2 * 23 + 16) * 4 + 24;
+    let dispatches = (shape.density.len() + shape.color.len() + 14) as f64;
+    let rounds = ROUNDS * batches;
+    let line = |kernel, seconds: f64, bound: String| Line {
+        kernel,
+        seconds,
+        bound,
+    };
+    let waits = 2.0 * shape.steps_a_ray * batches;
+    let back = 20.0 * pixels;
+    let mut lines: Vec<Line> = [
+        need("march", 0.0, waits, Of::Waits),
+        need(
+            "hash_encode",
+            0.0,
+            samples * (shape.levels * 8) as f64 * SECTOR,
+            Of::Cache,
+        ),
+        need("product", 0.0, samples * products as f64, Of::Memory),
+        need("gather, light, colour", 0.0, samples * moved as f64, Of::Memory),
+    ]
+    .iter()
+    .map(Need::line)
+    .collect();
+    lines.push(line(
+        "gaps",
+        rounds * dispatches * GAP_S,
+        format!("{rounds:.0} rounds of {dispatches:.0} dispatches"),
+    ));
+    lines.push(line(
+        "reads",
+        batches * READS * READ_S + back / LINK,
+        format!("{:.0} reads, {:.1} MB to the host", batches * READS, back * 1e-6),
+    ));
+    lines
+}
+
+/// Returns the shape of a step of the largest field of this benchmark in the middle of a training on photos: ten samples a
+/// ray, all of which show.
+pub fn middle(samples: f64) -> Shape {
+    // 5 levels are dense; of the entries of the others those are touched that one of 8 corners a sample falls on.
+    let (dense, hashed, entries) = (332_000.0, 11.0, f64::from(1 << 19));
+    let touched = |entries: f64| entries * (1.0 - (-8.0 * samples / entries).exp());
+    Shape {
+        rays: samples / 10.0,
+        visited: samples,
+        kept: samples,
+        steps_a_ray: 373.0,
+        photos: 100,
+        levels: 16,
+        features: 2,
+        table_numbers: 2 * (dense + hashed * entries) as usize,
+        rows_moved: touched(dense) + hashed * touched(entries),
+        density: vec![[32, 64], [64, 16]],
+        color: vec![[32, 64], [64, 64], [64, 16]],
+        gathered: 122,
+    }
+}
+
+/// Returns the shapes of pictures of both fields of this benchmark after four halvings of the steps along rays.
+pub fn pictures() -> [ViewShape; 2] {
+    [
+        ViewShape {
+            steps_a_ray: 1_480.0,
+            levels: 8,
+            density: vec![[32, 32], [32, 16]],
+            color: vec![[32, 32], [32, 16]],
+        },
+        ViewShape {
+            steps_a_ray: 1_480.0,
+            levels: 16,
+            density: vec![[32, 64], [64, 16]],
+            color: vec![[32, 64], [64, 64], [64, 16]],
+        },
     ]
 }

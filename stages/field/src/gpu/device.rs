@@ -220,6 +220,11 @@ impl Gpu {
         rank(self.kind) >= SOFTWARE
     }
 
+    /// Returns whether the device is a card with memory of its own.
+    pub(super) fn is_card(&self) -> bool {
+        self.kind == wgpu::DeviceType::DiscreteGpu
+    }
+
     /// Checks that the device was not lost and has refused nothing.
     ///
     /// # Errors
