@@ -52,14 +52,15 @@ impl Paced<'_> {
     /// Trains for a time, at least one step.
     fn train_for(self, trainer: &mut Trainer, seconds: f64) -> Result<Pace, CliError> {
         let (begun, before) = (Instant::now(), trainer.steps());
-        let (mut rays, mut samples) = (0, 0);
+        // A slow device may need longer for sixteen steps, which a GPU takes at once, than the time is.
+        let (mut rays, mut samples, mut most) = (0, 0, 1_u64);
         loop {
             if self.cancel.is_set() {
                 return Err(CliError::Interrupted);
             }
-            let step = trainer.advance(u64::MAX);
+            let step = trainer.advance(most);
             let step = step.map_err(|error| CliError::failed(error.to_string()))?;
-            (rays, samples) = (rays + step.rays, samples + step.samples);
+            (rays, samples, most) = (rays + step.rays, samples + step.samples, most.saturating_mul(2));
             let elapsed_s = begun.elapsed().as_secs_f64();
             if elapsed_s >= seconds {
                 let [steps, rays, samples] =

@@ -296,7 +296,9 @@ impl Bench<'_> {
             .and_then(|trainer| trainer.on(self.device))
             .map_err(failed)?;
         let is_open = |trainer: &Trainer, effort: &Effort| match budget {
-            Budget::Seconds(seconds) => self.seconds(effort) < f64::from(seconds) - used_s,
+            Budget::Seconds(seconds) => {
+                trainer.steps() == 0 || self.seconds(effort) < f64::from(seconds) - used_s
+            }
             Budget::Steps(steps) => trainer.steps() < steps,
         };
         let mut planned = PLANNED_EVERY;
@@ -305,7 +307,7 @@ impl Bench<'_> {
                 return Err(CliError::Interrupted);
             }
             if let Budget::Seconds(seconds) = budget {
-                let share = self.seconds(&effort) / (f64::from(seconds) - used_s);
+                let share = self.seconds(&effort) / (f64::from(seconds) - used_s).max(f64::MIN_POSITIVE);
                 if share >= planned {
                     trainer.plan((trainer.steps() as f64 / share) as u64);
                     planned += PLANNED_EVERY;

@@ -369,11 +369,12 @@ fn paced(
 /// Trains for a time, at least one step, and returns what it does in a second.
 fn train_for(ctx: &Ctx<'_>, trainer: &mut Trainer, seconds: f64) -> Result<Pace, StageError> {
     let (begun, before) = (Instant::now(), trainer.steps());
-    let (mut rays, mut samples) = (0, 0);
+    // A slow device may need longer for sixteen steps, which a GPU takes at once, than the time is.
+    let (mut rays, mut samples, mut most) = (0, 0, 1_u64);
     loop {
         ctx.check()?;
-        let step = trainer.advance(u64::MAX).map_err(TrainError::from)?;
-        (rays, samples) = (rays + step.rays, samples + step.samples);
+        let step = trainer.advance(most).map_err(TrainError::from)?;
+        (rays, samples, most) = (rays + step.rays, samples + step.samples, most.saturating_mul(2));
         let elapsed_s = begun.elapsed().as_secs_f64();
         if elapsed_s >= seconds {
             let [steps, rays, samples] =
