@@ -7,8 +7,8 @@
 // Threads   one per ray: workgroup 64, folded
 // Reads     walk; origins, directions [rays] vec4; steps [padded] (begin, length); bits [side^3 / 32]; next_step [rays];
 //           count: done [rays]; write: spans [2][rays] of scan.wgsl
-// Writes    count: amounts [rays]. write: xyz [3][capacity], along [3][capacity] t, delta, place, ray_of [capacity],
-//           the samples of every span each once; next_step where walk.resumes is 1
+// Writes    count: amounts [rays]. write: places [6][capacity], x, y, z, then t, delta, place in the ray's steps; ray_of
+//           [capacity]; the samples of every span each once; next_step where walk.resumes is 1
 // Extremes  directions.w = 0 or done: no samples, and the next step is the last. A span that is CLIPPED is passed over:
 //           its ray goes on from where it was. 1e6 half sides away a ray keeps to the border of the box. NaN lies in
 //           cell 0, as on the CPU. `write` never leaves its span: what it does not find lies at the origin, length 0.
@@ -21,9 +21,8 @@
 @group(0) @binding(6) var<storage, read> done: array<u32>;
 @group(0) @binding(7) var<storage, read_write> amounts: array<u32>;
 @group(0) @binding(6) var<storage, read> spans: array<u32>;
-@group(0) @binding(7) var<storage, read_write> xyz: array<f32>;
-@group(0) @binding(8) var<storage, read_write> along: array<f32>;
-@group(0) @binding(9) var<storage, read_write> ray_of: array<u32>;
+@group(0) @binding(7) var<storage, read_write> places: array<f32>;
+@group(0) @binding(8) var<storage, read_write> ray_of: array<u32>;
 
 // Steps of a block; a ray pauses only between two.
 const BLOCK: u32 = 16u;
@@ -89,12 +88,13 @@ fn count(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) 
 
 fn store(ray: u32, sample: u32, at: vec3<f32>, along_it: vec3<f32>) {
     let columns = sample + vec3(0u, 1u, 2u) * walk.capacity;
-    xyz[columns.x] = at.x;
-    xyz[columns.y] = at.y;
-    xyz[columns.z] = at.z;
-    along[columns.x] = along_it.x;
-    along[columns.y] = along_it.y;
-    along[columns.z] = along_it.z;
+    let behind = columns + vec3(3u * walk.capacity);
+    places[columns.x] = at.x;
+    places[columns.y] = at.y;
+    places[columns.z] = at.z;
+    places[behind.x] = along_it.x;
+    places[behind.y] = along_it.y;
+    places[behind.z] = along_it.z;
     ray_of[sample] = ray;
 }
 

@@ -7,6 +7,7 @@ mod explain;
 #[cfg(unix)]
 mod faults;
 mod items;
+mod pace;
 mod photos;
 mod pictures;
 mod table1;

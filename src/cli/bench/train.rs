@@ -8,6 +8,7 @@ use std::path::Path;
 use std::time::Instant;
 use std::{fmt, fs};
 
+use marf_cache::Digest;
 use marf_engine::{Cancel, Options};
 use marf_field::{Config, Device, EXPECTED_STEPS_PER_S, Field, Overrides, Trainer, View};
 use marf_scene::{Image, Scene, Srgb, encode_png, metrics};
@@ -25,6 +26,7 @@ use super::super::session::{Session, node_named};
 use super::super::{budget, files};
 use super::args::{Clock, TrainArgs};
 use super::explain::{self, Found};
+use super::pace::Paced;
 use super::photos::{Photos, TestView, photos};
 use crate::terminal::{eprint_line, print_line};
 
@@ -102,9 +104,17 @@ struct Line {
     budget: Budget,
     /// Seconds trained.
     clock: f64,
+    /// Seconds of the budget that went before, to find the batch that suits a GPU and the steps it then takes.
+    paced_s: f64,
     /// Processor seconds of these.
     cpu_s: f64,
     steps: u64,
+    /// Samples that a step aimed at.
+    batch_samples: u32,
+    /// Binary logarithm of the most entries of a level.
+    log2_table: u32,
+    /// Digest of the training's whole state at its end: on one device the same for the same steps.
+    checkpoint: Digest,
     rays_per_s: f64,
     samples_per_s: f64,
     /// Largest resident size so far, MB.
@@ -164,6 +174,7 @@ pub fn train(global: &Global, args: &TrainArgs, cancel: &Cancel) -> Result<(), C
         out: &args.out,
         cancel,
         device: &keys.device,
+        has_batch: keys.field.0.contains_key("batch_samples"),
         explained: args.explain.then_some(&explained),
     };
     let points: Vec<[f64; 3]> = scene.points.iter().map(|point| point.position).collect();
@@ -201,6 +212,8 @@ struct Bench<'a> {
     out: &'a Path,
     cancel: &'a Cancel,
     device: &'a Device,
+    /// Whether a key says the samples of a step.
+    has_batch: bool,
     /// Photos trained on whose error is explained, if that was asked for.
     explained: Option<&'a Vec<TestView>>,
 }
@@ -226,12 +239,15 @@ impl Bench<'_> {
     ) -> Result<Vec<Line>, CliError> {
         let mut lines = Vec::new();
         for budget in budgets {
-            let config = Config {
+            let expected = Config {
                 steps: config.steps.or(Some(budget.expected_steps())),
                 ..config.clone()
             };
-            let (mut trainer, effort) = self.trained(views.to_vec(), points, (&config, seed), *budget)?;
+            let (config, paced_s) = self.paced(views, points, (&expected, seed), *budget)?;
+            let open = (*budget, paced_s);
+            let (mut trainer, effort) = self.trained(views.to_vec(), points, (&config, seed), open)?;
             let mut line = self.evaluate(&mut trainer, tests, &effort, *budget)?;
+            line.paced_s = paced_s;
             line.explained = self.explain(&mut trainer, views, tests)?;
             let text = serde_json::to_string(&line);
             print_line(&text.map_err(|error| CliError::failed(error.to_string()))?);
@@ -240,12 +256,38 @@ impl Bench<'_> {
         Ok(lines)
     }
 
+    /// Returns the configuration of a training, and the seconds of its budget that finding it took: on a GPU and by the clock
+    /// its size follows the pace of the device.
+    fn paced(
+        &self,
+        views: &[View],
+        points: &[[f64; 3]],
+        (config, seed): (&Config, u64),
+        budget: Budget,
+    ) -> Result<(Config, f64), CliError> {
+        let Budget::Seconds(seconds) = budget else {
+            return Ok((config.clone(), 0.0));
+        };
+        if self.device.backend_id().is_none() {
+            return Ok((config.clone(), 0.0));
+        }
+        let paced = Paced {
+            device: self.device,
+            cancel: self.cancel,
+            points,
+            seed,
+            has_batch: self.has_batch,
+        };
+        paced.config(views.to_vec(), config, f64::from(seconds))
+    }
+
+    /// Trains for a budget of which some seconds are used.
     fn trained(
         &self,
         views: Vec<View>,
         points: &[[f64; 3]],
         (config, seed): (&Config, u64),
-        budget: Budget,
+        (budget, used_s): (Budget, f64),
     ) -> Result<(Trainer, Effort), CliError> {
         let failed = |error: marf_field::FieldError| CliError::failed(error.to_string());
         let mut effort = Effort::default();
@@ -254,7 +296,9 @@ impl Bench<'_> {
             .and_then(|trainer| trainer.on(self.device))
             .map_err(failed)?;
         let is_open = |trainer: &Trainer, effort: &Effort| match budget {
-            Budget::Seconds(seconds) => self.seconds(effort) < f64::from(seconds),
+            Budget::Seconds(seconds) => {
+                trainer.steps() == 0 || self.seconds(effort) < f64::from(seconds) - used_s
+            }
             Budget::Steps(steps) => trainer.steps() < steps,
         };
         let mut planned = PLANNED_EVERY;
@@ -263,7 +307,7 @@ impl Bench<'_> {
                 return Err(CliError::Interrupted);
             }
             if let Budget::Seconds(seconds) = budget {
-                let share = self.seconds(&effort) / f64::from(seconds);
+                let share = self.seconds(&effort) / (f64::from(seconds) - used_s).max(f64::MIN_POSITIVE);
                 if share >= planned {
                     trainer.plan((trainer.steps() as f64 / share) as u64);
                     planned += PLANNED_EVERY;
@@ -314,8 +358,12 @@ impl Bench<'_> {
         Ok(Line {
             budget,
             clock,
+            paced_s: 0.0,
             cpu_s: effort.cpu_s,
             steps: trainer.steps(),
+            batch_samples: field.config().batch_samples,
+            log2_table: field.facts().sizes.log2_table.value,
+            checkpoint: Digest::of(&trainer.save().map_err(failed)?),
             rays_per_s: effort.rays as f64 / clock,
             samples_per_s: effort.samples as f64 / clock,
             rss_mb: peak_mb(),
@@ -424,8 +472,12 @@ mod tests {
         let line = Line {
             budget: Budget::Seconds(10),
             clock: 10.1,
+            paced_s: 0.0,
             cpu_s: 20.0,
             steps: 123,
+            batch_samples: 1 << 15,
+            log2_table: 15,
+            checkpoint: Digest::of(b"state"),
             rays_per_s: 1e5,
             samples_per_s: 3.21e6,
             rss_mb: 100,

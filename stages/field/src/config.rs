@@ -78,7 +78,8 @@ pub struct Config {
     pub color_width: u32,
     /// Hidden layers of the colour network, 1 to 3.
     pub color_layers: u32,
-    /// Samples that one step aims at, 256 to 2^20; the number of rays follows from it.
+    /// Samples that one step aims at, 256 to 2^20; the number of rays follows from it. Absent in a training by the clock on a
+    /// GPU: as many as suit its pace, 2^12 to 2^18.
     pub batch_samples: u32,
     /// Adam's step size at the start, in (0, 1].
     pub learning_rate: f64,

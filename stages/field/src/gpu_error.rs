@@ -26,6 +26,24 @@ pub enum GpuError {
         /// What to set.
         hint: &'static str,
     },
+    /// A training that is larger than the memory of the device.
+    #[error(
+        "`{adapter}` gives {offered} bytes, the training takes {needed}, {share} of them for {of}: lower `{key}`, or take `device = \"cpu\"`"
+    )]
+    TooLarge {
+        /// The adapter.
+        adapter: String,
+        /// Bytes that it gives.
+        offered: u64,
+        /// Bytes that are needed.
+        needed: u64,
+        /// Bytes of the largest share of these.
+        share: u64,
+        /// What that is for.
+        of: &'static str,
+        /// The key that decides it.
+        key: &'static str,
+    },
     /// Memory that was refused.
     #[error(
         "`{adapter}` refused {bytes} bytes for `{what}`: lower `batch_samples`, `log2_table` or `memory`, or take `device = \"cpu\"`"

@@ -35,6 +35,7 @@ mod model;
 mod occupancy;
 mod open;
 mod overrides;
+mod pace;
 mod picture;
 mod pixels;
 mod quality;
@@ -76,9 +77,10 @@ pub use footprint::{decoding_bytes, judging_bytes, training_bytes};
 pub use gpu_error::GpuError;
 pub use learnt::{Learnt, LearntPhoto};
 pub use overrides::{OverrideError, Overrides};
+pub use pace::{EXPECTED_STEPS_PER_S, Pace};
 pub use picture::Render;
 pub use pixels::Pixels;
-pub use quality::{EXPECTED_STEPS_PER_S, Quality};
+pub use quality::Quality;
 
 pub use schedule::{STEPS_A_HALVING, Schedule, ScheduleError};
 pub use size::{Chosen, Sizes};
@@ -91,6 +93,6 @@ pub mod bench {
     pub use crate::cpu::{adam, composite, encode, gemm, march, math, net, simd};
     pub use crate::cpu_backend::{Counts, Watched, WatchedTraining};
     #[cfg(feature = "gpu")]
-    pub use crate::gpu::{Ceilings, Gpu, KernelTime, Load, Timed, TimedTraining, ceilings};
+    pub use crate::gpu::{Ceilings, Gpu, KernelTime, Load, Shape, Timed, TimedTraining, ceilings};
     pub use crate::watch::{PARTS, Part};
 }

@@ -1,10 +1,6 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Steps that two cores take in a second, to choose the table that a time fills before the time is measured: its
-/// size changes the rate by less than the rate differs between machines.
-pub const EXPECTED_STEPS_PER_S: f64 = 90.0;
-
 /// How much time a training may take for its quality; points on the measured fronts of both (`benches/front`).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]

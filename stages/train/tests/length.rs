@@ -56,6 +56,30 @@ fn a_training_by_the_clock_is_repeated_by_its_schedule() {
     }
 }
 
+/// On a GPU the samples of a step follow its pace, too: they are among the parameters that repeat the bytes.
+#[test]
+fn a_training_by_the_clock_on_a_gpu_is_repeated_with_the_batch_of_its_pace() {
+    let asked = std::env::var("MARF_TEST_GPU").unwrap_or("llvmpipe".to_owned());
+    let device = format!("gpu:{asked}");
+    let known: marf_field::Device = device.parse().unwrap();
+    if !known.backend_id().is_some_and(|id| id.contains("wgpu")) {
+        println!("skipped: needs a software adapter (mesa-vulkan-drivers)");
+        return;
+    }
+    let harness = Harness::default();
+    let scene = inputs(&[("scene", put_scene(&harness, &scene(&harness, 16)))]);
+    let mut field = small();
+    field.as_object_mut().unwrap().remove("batch_samples");
+    let table = json!({"budget": "2s", "device": device, "field": field});
+    let params: TrainParams = serde_json::from_value(table.clone()).unwrap();
+    let made = run(&stage::<Train>(table), &harness.ctx(), &scene).unwrap();
+    let setup = serde_json::from_value(json(&harness, &made, "setup")).unwrap();
+    let metrics = serde_json::from_value(json(&harness, &made, "metrics")).unwrap();
+    let repeating = params.repeating(&setup, &metrics).unwrap();
+    let plain: Train = stage(serde_json::to_value(repeating).unwrap());
+    assert_eq!(made, run(&plain, &harness.ctx(), &scene).unwrap());
+}
+
 /// The end is looked at, too, however short a training is; a wait that is over is told, not trained in.
 #[test]
 fn a_short_training_may_reach_its_target_and_no_time_is_an_error() {

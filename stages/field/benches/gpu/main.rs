@@ -1,24 +1,45 @@
 //! Every kernel of a training step on a GPU beside the ceilings of the device: `cargo bench -p marf-field --bench gpu`.
 //!
-//! `MARF_BENCH_GPU` names the device (`gpu` or `gpu:NAME`), `MARF_BENCH_SAMPLES` the samples of a batch,
-//! `MARF_BENCH_STEPS` the steps that are taken, then timed by timestamps, then by the clock. See `benches/gpu.md`.
+//! `MARF_BENCH_GPU` names the device (`gpu` or `gpu:NAME`), `MARF_BENCH_SAMPLES` the samples of a batch, several after each
+//! other between commas, `MARF_BENCH_STEPS` the steps that are taken, then timed by timestamps, then by the clock,
+//! `MARF_BENCH_VIEW` the size of the picture, `MARF_BENCH_JSON` a file for a line of JSON each. `-- collect DIR` instead
+//! prints what `benches/gpu.sh run` left in a folder as Markdown, beside what the model expects; `-- model` prints the model.
+//! See `benches/gpu.md`.
 #![allow(clippy::print_stdout, clippy::print_stderr, clippy::expect_used, missing_docs)]
 
+mod collect;
+mod measured;
+mod model;
 mod scene;
+mod table;
 
 use std::error::Error;
+use std::io::Write as _;
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Instant;
 
-use marf_field::bench::{Ceilings, Gpu, KernelTime, Load, Timed, TimedTraining, ceilings};
-use marf_field::{Config, Device};
+use marf_field::bench::{Ceilings, Gpu, TimedTraining, ceilings};
+use marf_field::{Config, Device, Trainer};
+use marf_scene::Camera;
+use measured::{Kernels, Line, View, ViewShape};
 
 fn main() -> ExitCode {
-    if !std::env::args().any(|argument| argument == "--bench") {
-        return ExitCode::SUCCESS; // `cargo test --all-targets` builds and starts it, too
-    }
-    match run() {
+    // `cargo bench` adds `--bench`; `cargo test --all-targets` builds and starts it, too.
+    let mut arguments: Vec<String> = std::env::args().skip(1).collect();
+    let count = arguments.len();
+    arguments.retain(|argument| argument != "--bench");
+    let done = match arguments.as_slice() {
+        [verb] if verb == "model" => {
+            print!("{}", table::expected());
+            Ok(())
+        }
+        [verb, folder] if verb == "collect" => collect::collect(&PathBuf::from(folder)),
+        [] if count > 0 => run(),
+        _ => return ExitCode::SUCCESS,
+    };
+    match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error}");
@@ -28,35 +49,80 @@ fn main() -> ExitCode {
 }
 
 const HINT: &str = "set `MARF_BENCH_GPU=gpu:NAME` to a part of an adapter's name, say `gpu:llvmpipe` for the software adapter of Mesa";
+/// Runs of a picture that are timed, after one that is not.
+const VIEWS: usize = 5;
 
 fn run() -> Result<(), Box<dyn Error>> {
     let device: Device = setting("MARF_BENCH_GPU", Device::Gpu(None))?;
     let gpu = Gpu::shared(&device)
         .map_err(|error| format!("{error}\n  hint: {HINT}"))?
         .ok_or(HINT)?;
-    let (samples, steps) = if gpu.is_software() {
-        (1 << 13, 32)
+    let (samples, steps, view) = if gpu.is_software() {
+        (1 << 13, 32, "64x48")
     } else {
-        (1 << 18, 512)
+        (1 << 18, 512, "640x480")
     };
-    let samples = setting("MARF_BENCH_SAMPLES", samples)?;
+    let batches: Batches = setting("MARF_BENCH_SAMPLES", Batches(vec![samples]))?;
     let steps = setting("MARF_BENCH_STEPS", steps)?;
-    println!("{}\n{samples} samples a batch, {steps} steps each", gpu.id());
+    let view: Size = setting("MARF_BENCH_VIEW", view.parse()?)?;
+    println!("{}", gpu.id());
     let most = ceilings(&gpu)?;
     println!(
         "copy of 64 MB {:.1} GB/s, fused multiply-add {:.0} GFLOP/s",
         most.bytes_per_s / 1e9,
         most.operations_per_s / 1e9
     );
+    for batch_samples in batches.0 {
+        for (name, config) in fields() {
+            let config = Config {
+                batch_samples,
+                ..config
+            };
+            let kernels = kernels(&gpu, (name, &config), steps, &most)?;
+            print!("\n{}", table::kernels(&kernels));
+            keep(&Line::Kernels(kernels))?;
+        }
+    }
     for (name, config) in fields() {
-        let config = Config {
-            batch_samples: samples,
-            ..config
-        };
-        println!("\n{name}\n");
-        field(&gpu, &config, steps, &most)?;
+        let seen = picture(&gpu, &device, (name, &config), (view, steps))?;
+        print!("\n{}", table::view(&seen));
+        keep(&Line::View(seen))?;
     }
     Ok(())
+}
+
+/// Adds a line to the file of `MARF_BENCH_JSON`, if that is set.
+fn keep(line: &Line) -> Result<(), Box<dyn Error>> {
+    let Some(path) = std::env::var_os("MARF_BENCH_JSON") else {
+        return Ok(());
+    };
+    let mut file = std::fs::OpenOptions::new().create(true).append(true).open(path)?;
+    writeln!(file, "{}", serde_json::to_string(line)?)?;
+    Ok(())
+}
+
+/// Sizes of batches.
+struct Batches(Vec<u32>);
+
+impl std::str::FromStr for Batches {
+    type Err = std::num::ParseIntError;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        Ok(Self(text.split(',').map(str::parse).collect::<Result<_, _>>()?))
+    }
+}
+
+/// Width and height of a picture.
+#[derive(Clone, Copy)]
+struct Size(u32, u32);
+
+impl std::str::FromStr for Size {
+    type Err = Box<dyn Error>;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let (width, height) = text.split_once('x').ok_or("a size is WIDTHxHEIGHT")?;
+        Ok(Self(width.parse()?, height.parse()?))
+    }
 }
 
 /// Reads a variable of the environment.
@@ -84,63 +150,56 @@ fn fields() -> [(&'static str, Config); 2] {
     ]
 }
 
-fn field(gpu: &Arc<Gpu>, config: &Config, steps: u64, most: &Ceilings) -> Result<(), Box<dyn Error>> {
+fn kernels(
+    gpu: &Arc<Gpu>,
+    (name, config): (&str, &Config),
+    steps: u64,
+    most: &Ceilings,
+) -> Result<Kernels, Box<dyn Error>> {
     let mut training = TimedTraining::new(gpu, scene::views(), config, 0)?;
     training.advance(steps)?;
     let timed = training.time(steps)?;
     let begin = Instant::now();
     let samples = training.advance(steps)?;
     let wall_s = begin.elapsed().as_secs_f64();
-    table(&timed, most);
-    let each = |count: u64| count as f64 / timed.steps as f64;
-    println!(
-        "\nof a step that was timed: {:.0} rays, {:.0} samples visited, {:.0} trained",
-        each(timed.rays),
-        each(timed.visited),
-        each(timed.samples)
-    );
-    println!(
-        "a step: {:.3} ms by timestamps, {:.3} ms by the clock without; {:.2} M samples/s",
-        1e3 * step_s(&timed),
-        1e3 * wall_s / steps as f64,
-        samples as f64 / wall_s / 1e6
-    );
-    Ok(())
+    Ok(Kernels::new(
+        gpu,
+        (name, config.batch_samples),
+        most,
+        (training.shape(&timed), &timed),
+        [wall_s / steps as f64, samples as f64 / wall_s],
+    ))
 }
 
-fn step_s(timed: &Timed) -> f64 {
-    timed.update_s + timed.kernels.iter().map(|kernel| kernel.seconds).sum::<f64>()
-}
-
-fn table(timed: &Timed, most: &Ceilings) {
-    println!(
-        "| kernel | calls a step | ms a step | share | rate | of the ceiling |\n|---|---|---|---|---|---|"
-    );
-    let whole = step_s(timed);
-    for kernel in &timed.kernels {
-        let KernelTime {
-            name, calls, seconds, ..
-        } = kernel;
-        println!(
-            "| {name} | {calls:.1} | {:.3} | {:.1} % | {} |",
-            1e3 * seconds,
-            100.0 * seconds / whole,
-            rate(kernel, most)
-        );
+/// Trains a field and times pictures of it.
+fn picture(
+    gpu: &Gpu,
+    device: &Device,
+    (name, config): (&str, &Config),
+    (Size(width, height), steps): (Size, u64),
+) -> Result<View, Box<dyn Error>> {
+    let views = scene::views();
+    let pose = views[1].cam_from_world;
+    let mut trainer = Trainer::new(views, &[], config, 0)?.on(device)?;
+    while trainer.steps() < steps {
+        trainer.advance(steps - trainer.steps())?;
     }
-    println!(
-        "| updates of the occupancy | | {:.3} | {:.1} % | | |",
-        1e3 * timed.update_s,
-        100.0 * timed.update_s / whole
-    );
-}
-
-fn rate(kernel: &KernelTime, most: &Ceilings) -> String {
-    let (amount, unit, ceiling) = match kernel.load {
-        None => return "|".to_owned(),
-        Some(Load::Bytes(bytes)) => (bytes, "GB/s", most.bytes_per_s),
-        Some(Load::Operations(operations)) => (operations, "GFLOP/s", most.operations_per_s),
-    };
-    let rate = amount / kernel.seconds;
-    format!("{:.1} {unit} | {:.0} %", rate / 1e9, 100.0 * rate / ceiling)
+    let field = trainer.field()?;
+    let camera = Camera::pinhole(width, height, f64::from(width));
+    let mut seconds = Vec::new();
+    for _ in 0..=VIEWS {
+        let begin = Instant::now();
+        field.render(&camera, &pose)?;
+        seconds.push(begin.elapsed().as_secs_f64());
+    }
+    seconds.remove(0);
+    seconds.sort_by(f64::total_cmp);
+    Ok(View {
+        device: gpu.id().to_owned(),
+        field: name.to_owned(),
+        width,
+        height,
+        shape: ViewShape::new(&field),
+        seconds,
+    })
 }

@@ -8,9 +8,11 @@ use bytemuck::Pod;
 use super::Gpu;
 use crate::GpuError;
 
-/// An array on the device.
+/// An array on the device: a buffer, or a part of one.
 pub struct Array<T> {
     pub(super) buffer: wgpu::Buffer,
+    /// Its first byte in the buffer, a multiple of 256.
+    offset: u64,
     len: usize,
     of: PhantomData<T>,
 }
@@ -20,6 +22,16 @@ impl<T> Array<T> {
     pub fn len(&self) -> usize {
         self.len
     }
+
+    /// Returns the bytes it takes.
+    pub fn bytes(&self) -> u64 {
+        bytes::<T>(self.len)
+    }
+}
+
+/// Returns the bytes of so many elements; an empty buffer cannot be bound.
+fn bytes<T>(len: usize) -> u64 {
+    (len.max(1) * size_of::<T>()).next_multiple_of(4) as u64
 }
 
 /// A buffer, or a part of it, as a kernel sees it.
@@ -28,7 +40,11 @@ pub struct Part<'a>(pub(super) wgpu::BufferBinding<'a>);
 
 impl<'a, T> From<&'a Array<T>> for Part<'a> {
     fn from(array: &'a Array<T>) -> Self {
-        Self(array.buffer.as_entire_buffer_binding())
+        Self(wgpu::BufferBinding {
+            buffer: &array.buffer,
+            offset: array.offset,
+            size: std::num::NonZero::new(array.bytes()),
+        })
     }
 }
 
@@ -38,9 +54,19 @@ impl<T> Array<T> {
         let bytes = |count: usize| (count * size_of::<T>()) as u64;
         Part(wgpu::BufferBinding {
             buffer: &self.buffer,
-            offset: bytes(first),
+            offset: self.offset + bytes(first),
             size: std::num::NonZero::new(bytes(len)),
         })
+    }
+
+    /// Returns elements `first..first + len` as an array of the same memory; the first byte is a multiple of 256.
+    pub fn share(&self, first: usize, len: usize) -> Self {
+        Self {
+            buffer: self.buffer.clone(),
+            offset: self.offset + (first * size_of::<T>()) as u64,
+            len,
+            of: PhantomData,
+        }
     }
 }
 
@@ -80,13 +106,35 @@ impl Gpu {
         len: usize,
         usage: wgpu::BufferUsages,
     ) -> Result<Array<T>, GpuError> {
-        // An empty buffer cannot be bound.
-        let bytes = (len.max(1) * size_of::<T>()).next_multiple_of(4) as u64;
+        let bytes = bytes::<T>(len);
         let offered = self.limits.max_buffer_size;
         if bytes > offered {
             let hint = "lower `batch_samples`, `log2_table` or `memory`";
             return Err(self.limit("max_buffer_size", [offered, bytes], hint));
         }
+        self.take(bytes);
+        let buffer = match &self.stand_in {
+            Some(stand_in) => stand_in.clone(),
+            None => self.buffer(what, bytes, usage)?,
+        };
+        Ok(Array {
+            buffer,
+            offset: 0,
+            len,
+            of: PhantomData,
+        })
+    }
+
+    /// Makes a buffer.
+    ///
+    /// # Errors
+    /// Memory that was refused; a lost device.
+    pub(super) fn buffer(
+        &self,
+        what: &'static str,
+        bytes: u64,
+        usage: wgpu::BufferUsages,
+    ) -> Result<wgpu::Buffer, GpuError> {
         // A lost device gives a buffer that is none, and no error.
         self.check()?;
         let scopes = [wgpu::ErrorFilter::OutOfMemory, wgpu::ErrorFilter::Validation]
@@ -102,11 +150,7 @@ impl Gpu {
             refused = pollster::block_on(scope.pop()).or(refused);
         }
         match refused {
-            None => Ok(Array {
-                buffer,
-                len,
-                of: PhantomData,
-            }),
+            None => Ok(buffer),
             Some(wgpu::Error::OutOfMemory { .. }) => Err(GpuError::Memory {
                 adapter: self.name().to_owned(),
                 what,
@@ -118,7 +162,10 @@ impl Gpu {
 
     /// Overwrites elements from `first` on, before whatever is submitted next.
     pub fn write<T: Pod>(&self, array: &Array<T>, first: usize, values: &[T]) {
-        let offset = (first * size_of::<T>()) as u64;
+        if self.stand_in.is_some() {
+            return;
+        }
+        let offset = array.offset + (first * size_of::<T>()) as u64;
         self.queue
             .write_buffer(&array.buffer, offset, bytemuck::cast_slice(values));
     }
@@ -128,7 +175,7 @@ impl Gpu {
     /// # Errors
     /// A lost device.
     pub fn read<T: Pod>(&self, array: &Array<T>) -> Result<Vec<T>, GpuError> {
-        let size = array.buffer.size();
+        let size = array.bytes();
         let staging = self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("read back"),
             size,
@@ -136,7 +183,7 @@ impl Gpu {
             mapped_at_creation: false,
         });
         let mut encoder = self.device.create_command_encoder(&Default::default());
-        encoder.copy_buffer_to_buffer(&array.buffer, 0, &staging, 0, size);
+        encoder.copy_buffer_to_buffer(&array.buffer, array.offset, &staging, 0, size);
         self.queue.submit([encoder.finish()]);
         let (sender, receiver) = std::sync::mpsc::channel();
         staging.map_async(wgpu::MapMode::Read, .., move |mapped| {
@@ -199,6 +246,21 @@ mod tests {
         let array = gpu.zeros::<u32>("numbers", 5).unwrap();
         gpu.write(&array, 1, &[7, 8]);
         assert_eq!(gpu.read(&array), Ok(vec![0, 7, 8, 0, 0]));
+    }
+
+    #[test]
+    fn what_is_shared_is_the_same_memory() {
+        let Some(gpu) = gpu("what_is_shared_is_the_same_memory") else {
+            return;
+        };
+        let numbers: Vec<u32> = (0..192).collect();
+        let array = gpu.filled("numbers", &numbers).unwrap();
+        let shared = array.share(64, 64);
+        gpu.write(&shared, 1, &[7, 8]);
+        let expected = [vec![64, 7, 8], (67..128).collect()].concat();
+        assert_eq!(gpu.read(&shared), Ok(expected));
+        assert_eq!(gpu.read(&array.share(64, 3)), Ok(vec![64, 7, 8]));
+        assert_eq!(gpu.read(&array).unwrap()[63..67], [63, 64, 7, 8]);
     }
 
     #[test]

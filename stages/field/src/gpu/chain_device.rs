@@ -238,7 +238,8 @@ impl<'a> Device<'a> {
         let losses = weights_of_losses(batch, &training.config, &training.march);
         let losses = rig.gpu.uniform("losses", losses).unwrap();
         let to = [&self.found, &self.d_logits];
-        runs.push(light.spread(batch, &losses, (columns, colours), to, &self.pulls));
+        let spread = light.spread(batch, &losses, (columns, colours), to, &self.pulls);
+        runs.push(spread.unwrap());
         runs
     }
 

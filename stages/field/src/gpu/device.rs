@@ -1,5 +1,6 @@
 use std::collections::HashMap;
 use std::fmt;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, LazyLock, OnceLock};
 
 use marf_cache::Digest;
@@ -21,6 +22,13 @@ pub struct Gpu {
     pub(super) pipelines: Mutex<HashMap<(String, String), wgpu::ComputePipeline>>,
     /// The first error that no call returned.
     failed: Arc<OnceLock<String>>,
+    /// Bytes of all arrays that were made, whether they are still there or not.
+    taken: AtomicU64,
+    /// The buffer of all arrays of a device that only counts them.
+    pub(super) stand_in: Option<wgpu::Buffer>,
+    /// Bytes that a test says the device has.
+    #[cfg(test)]
+    pub(super) planted_memory: Option<u64>,
 }
 
 impl fmt::Debug for Gpu {
@@ -40,17 +48,22 @@ const BACKENDS: wgpu::Backends = wgpu::Backends::VULKAN
     .union(wgpu::Backends::METAL)
     .union(wgpu::Backends::DX12);
 
+/// Share of the memory that the system offers which may be taken, in percent: a driver that is out of it loses the device.
+const MEMORY_SHARE: u8 = 95;
+
 /// Version of wgpu; a part of the backend id. A test holds it against Cargo.lock.
 const WGPU: &str = "wgpu 30.0.1";
 
 impl Gpu {
-    /// Opens the wanted device once in a process: later calls get the same; `None` is the CPU.
+    /// Opens the wanted device once in a process: later calls get the same, unless it failed; `None` is the CPU.
     ///
     /// # Errors
     /// As [`Gpu::open`].
     pub fn shared(wanted: &Device) -> Result<Option<Arc<Self>>, GpuError> {
         let mut opened = OPENED.lock();
-        if let Some(gpu) = opened.get(wanted) {
+        if let Some(gpu) = opened.get(wanted)
+            && gpu.as_ref().is_none_or(|gpu| gpu.check().is_ok())
+        {
             return Ok(gpu.clone());
         }
         let gpu = Self::open(wanted)?.map(Arc::new);
@@ -63,6 +76,17 @@ impl Gpu {
     /// # Errors
     /// No such adapter, or one that gives no device.
     pub fn open(wanted: &Device) -> Result<Option<Self>, GpuError> {
+        Self::open_within(wanted, None)
+    }
+
+    /// Opens the wanted device as one that has these limits and no feature; without them with all that it has.
+    ///
+    /// # Errors
+    /// As [`Gpu::open`].
+    pub(super) fn open_within(
+        wanted: &Device,
+        limits: Option<wgpu::Limits>,
+    ) -> Result<Option<Self>, GpuError> {
         if *wanted == Device::Cpu {
             return Ok(None);
         }
@@ -70,6 +94,7 @@ impl Gpu {
         // not set; only its own variable, NODEVICE_SELECT, keeps it from that.
         let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
         descriptor.backends = BACKENDS;
+        descriptor.memory_budget_thresholds.for_resource_creation = Some(MEMORY_SHARE);
         let instance = wgpu::Instance::new(descriptor);
         let mut adapters = pollster::block_on(instance.enumerate_adapters(BACKENDS));
         // A card of its own before one that shares the memory; names decide among equals.
@@ -85,7 +110,7 @@ impl Gpu {
             }
         };
         match adapters.iter().find(fits) {
-            Some(adapter) => Self::request(adapter).map(Some),
+            Some(adapter) => Self::request(adapter, limits).map(Some),
             None if *wanted == Device::Auto => Ok(None),
             None => Err(GpuError::NoAdapter {
                 wanted: match wanted {
@@ -97,12 +122,15 @@ impl Gpu {
         }
     }
 
-    fn request(adapter: &wgpu::Adapter) -> Result<Self, GpuError> {
+    fn request(adapter: &wgpu::Adapter, limits: Option<wgpu::Limits>) -> Result<Self, GpuError> {
         let info = adapter.get_info();
         let wanted = wgpu::Features::TIMESTAMP_QUERY
             | wgpu::Features::SHADER_INT64
             | wgpu::Features::SHADER_INT64_ATOMIC_ALL_OPS;
-        let (features, limits) = (adapter.features() & wanted, adapter.limits());
+        let (features, limits) = match limits {
+            None => (adapter.features() & wanted, adapter.limits()),
+            Some(limits) => (wgpu::Features::empty(), limits),
+        };
         let request = adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("marf"),
             required_features: features,
@@ -138,7 +166,43 @@ impl Gpu {
             kind: info.device_type,
             pipelines: Mutex::default(),
             failed,
+            taken: AtomicU64::new(0),
+            stand_in: None,
+            #[cfg(test)]
+            planted_memory: None,
         })
+    }
+
+    /// Returns this device as one that counts the arrays that are made of it, and neither makes nor writes them.
+    ///
+    /// # Errors
+    /// A lost device.
+    pub(super) fn counting(&self) -> Result<Self, GpuError> {
+        Ok(Self {
+            stand_in: Some(self.buffer("stand-in", 256, wgpu::BufferUsages::STORAGE)?),
+            device: self.device.clone(),
+            queue: self.queue.clone(),
+            limits: self.limits.clone(),
+            features: self.features,
+            id: self.id.clone(),
+            name: self.name.clone(),
+            kind: self.kind,
+            pipelines: Mutex::default(),
+            failed: self.failed.clone(),
+            taken: AtomicU64::new(0),
+            #[cfg(test)]
+            planted_memory: None,
+        })
+    }
+
+    /// Notes that an array was made.
+    pub(super) fn take(&self, bytes: u64) {
+        self.taken.fetch_add(bytes, Ordering::Relaxed);
+    }
+
+    /// Returns the bytes of all arrays that were made so far.
+    pub(super) fn taken(&self) -> u64 {
+        self.taken.load(Ordering::Relaxed)
     }
 
     /// Returns the adapter's name.
@@ -154,6 +218,11 @@ impl Gpu {
     /// Returns whether the adapter is software on the CPU.
     pub fn is_software(&self) -> bool {
         rank(self.kind) >= SOFTWARE
+    }
+
+    /// Returns whether the device is a card with memory of its own.
+    pub(super) fn is_card(&self) -> bool {
+        self.kind == wgpu::DeviceType::DiscreteGpu
     }
 
     /// Checks that the device was not lost and has refused nothing.

@@ -351,3 +351,52 @@ fn a_rate_that_is_too_high_stops_by_name_and_leaves_a_state_that_can_be_taken_ba
     assert!(saved == before.save().unwrap(), "changed by step {step}");
     assert_eq!(stopped.restore(&saved), Ok(()));
 }
+
+/// What a driver that resets its device does to a training: an error, after which the same training, on the device opened
+/// anew, goes on from its last checkpoint to the bytes that it would have had.
+#[test]
+fn a_training_whose_device_is_lost_goes_on_from_its_checkpoint_to_the_same_bytes() {
+    let name = "a_training_whose_device_is_lost_goes_on_from_its_checkpoint_to_the_same_bytes";
+    let Some(first) = own_gpu(name).map(Arc::new) else {
+        return;
+    };
+    let second = own_gpu(name).map(Arc::new).unwrap();
+    let begun = |gpu: &Arc<Gpu>| on_gpu(gpu, ball(4, 16), &[], (&small(), 7));
+    let mut whole = begun(&second);
+    advance(&mut whole, 60);
+    let mut broken = begun(&first);
+    advance(&mut broken, 32);
+    let kept = broken.save().unwrap();
+    advance(&mut broken, 40);
+    first.device.destroy();
+    assert!(lost(broken.advance(20)));
+    assert!(lost(broken.save()));
+    // Nothing new can be made of it, and it opens anew.
+    assert!(lost(Trainer::with_backend(
+        Training::new(ball(4, 16), &[], &small(), 7).unwrap(),
+        first.clone()
+    )));
+    let mut resumed = begun(&second);
+    resumed.restore(&kept).unwrap();
+    assert_eq!(resumed.steps(), 32);
+    advance(&mut resumed, 60);
+    assert!(whole.save().unwrap() == resumed.save().unwrap());
+}
+
+#[test]
+fn a_shared_device_that_was_lost_is_opened_anew() {
+    let name = "a_shared_device_that_was_lost_is_opened_anew";
+    let Some(own) = own_gpu(name) else {
+        return;
+    };
+    // A name of its own, so that no other test shares the device.
+    let wanted = Device::Gpu(Some(own.name().to_uppercase()));
+    let first = Gpu::shared(&wanted).unwrap().unwrap();
+    let again = Gpu::shared(&wanted).unwrap().unwrap();
+    assert!(Arc::ptr_eq(&first, &again));
+    first.device.destroy();
+    assert!(first.wait().is_err());
+    let second = Gpu::shared(&wanted).unwrap().unwrap();
+    assert!(!Arc::ptr_eq(&first, &second));
+    assert_eq!((second.wait(), second.id()), (Ok(()), first.id()));
+}

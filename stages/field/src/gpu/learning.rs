@@ -166,7 +166,7 @@ impl Bindings<'_> {
             (lanes.kept_columns(), lanes.colours()),
             [&arrays.found, &arrays.d_logits],
             &lanes.rays.pulls,
-        ));
+        )?);
         if behind {
             work = work.then(light.harmonics_of_rays(batch, &lanes.rays.directions, &arrays.harmonics)?);
             let gradient = Gradient {

@@ -64,15 +64,14 @@ pub struct Light {
     kept: Kernel,
     gather: Kernel,
     colour: Kernel,
-    compare: Kernel,
-    spread: Kernel,
     join: Kernel,
     runaway: Kernel,
     totals: Kernel,
 }
 
 impl Light {
-    /// Compiles them.
+    /// Compiles them, but `compare` and `spread`: these bind ten storage buffers, and are compiled when they are bound, so that
+    /// a device of eight renders.
     ///
     /// # Errors
     /// [`GpuError::Kernel`].
@@ -85,8 +84,6 @@ impl Light {
             kept: gpu.kernel(&shaders::KEPT, "")?,
             gather: gpu.kernel(&shaders::GATHER, "")?,
             colour: gpu.kernel(&shaders::COLOUR, &head)?,
-            compare: gpu.kernel(&shaders::COMPARE, &head)?,
-            spread: gpu.kernel(&shaders::SPREAD, &head)?,
             join: gpu.kernel(&shaders::JOIN, "")?,
             runaway: gpu.kernel(&shaders::RUNAWAY, &head)?,
             totals: gpu.kernel(&shaders::TOTALS, "")?,
@@ -252,7 +249,7 @@ impl Light {
     /// Binds the loss of every ray and its slopes in colour, background and exposure.
     ///
     /// # Errors
-    /// The memory of a uniform.
+    /// The memory of a uniform, [`GpuError::Kernel`].
     pub fn compare(
         &self,
         batch: Batch<'_>,
@@ -284,11 +281,15 @@ impl Light {
             aims.found.into(),
             batch.faults.into(),
         ];
-        Ok(dispatch(batch.gpu, &self.compare, &parts, one_each(batch.rays)))
+        let kernel = batch.gpu.kernel(&shaders::COMPARE, &limits())?;
+        Ok(dispatch(batch.gpu, &kernel, &parts, one_each(batch.rays)))
     }
 
     /// Binds the slopes of kept samples: in raw density to row 0 of `columns.light`, in logits to rows 0 to 2 of
     /// `d_logits`, f32 `[16][capacity]`, whose other rows stay zero. `pulls`: `[rays]`, place and weight.
+    ///
+    /// # Errors
+    /// [`GpuError::Kernel`].
     pub fn spread(
         &self,
         batch: Batch<'_>,
@@ -296,7 +297,7 @@ impl Light {
         (columns, colours): (Columns<'_>, Colours<'_>),
         [found, d_logits]: [&Array<f32>; 2],
         pulls: &Array<[f32; 2]>,
-    ) -> Work {
+    ) -> Result<Work, GpuError> {
         let parts = [
             run.into(),
             batch.counts.into(),
@@ -310,7 +311,8 @@ impl Light {
             columns.light.into(),
             d_logits.into(),
         ];
-        dispatch(batch.gpu, &self.spread, &parts, one_each(batch.rays))
+        let kernel = batch.gpu.kernel(&shaders::SPREAD, &limits())?;
+        Ok(dispatch(batch.gpu, &kernel, &parts, one_each(batch.rays)))
     }
 
     /// Binds the sum of both slopes of the raw density, in row 0 of `slope`.

@@ -237,7 +237,9 @@ fn composited(rig: &Rig, scene: &Scene) -> (Expected, Total) {
     let loss = found.part(found::LOSS * SLOTS, SLOTS);
     let runs = [
         kernels.compare(rig.batch(), columns, &rgb, aims).unwrap(),
-        kernels.spread(rig.batch(), &run, (columns, colours), [&found, &d_logits], &pulls),
+        kernels
+            .spread(rig.batch(), &run, (columns, colours), [&found, &d_logits], &pulls)
+            .unwrap(),
         kernels.totals(rig.batch(), &pace, loss, &ring).unwrap(),
     ];
     rig.gpu

@@ -14,6 +14,8 @@ use crate::cpu::simd::LANES;
 
 /// Samples on the device, by columns.
 pub struct SampleArrays {
+    /// `xyz`, then `along`: rendering has 8 storage buffers a kernel, and its walk needs one for both.
+    pub places: Array<f32>,
     /// Position in the unit box, `[3, capacity]`.
     pub xyz: Array<f32>,
     /// Distance (half sides), contracted length and place, `[3, capacity]`.
@@ -23,14 +25,16 @@ pub struct SampleArrays {
 }
 
 impl SampleArrays {
-    /// Allocates the arrays of samples.
+    /// Allocates the arrays of samples, `capacity` a multiple of 64.
     ///
     /// # Errors
     /// More than the device holds.
     pub fn new(gpu: &Gpu, capacity: usize) -> Result<Self, GpuError> {
+        let places = gpu.zeros("places of samples", 6 * capacity)?;
         Ok(Self {
-            xyz: gpu.zeros("xyz", 3 * capacity)?,
-            along: gpu.zeros("along", 3 * capacity)?,
+            xyz: places.share(0, 3 * capacity),
+            along: places.share(3 * capacity, 3 * capacity),
+            places,
             ray_of: gpu.zeros("ray_of", capacity)?,
         })
     }
@@ -156,8 +160,7 @@ impl March {
         let count = [(&progress.done).into(), arrays.amounts.into()];
         let write = [
             arrays.spans.into(),
-            (&samples.xyz).into(),
-            (&samples.along).into(),
+            (&samples.places).into(),
             (&samples.ray_of).into(),
         ];
         Marching {

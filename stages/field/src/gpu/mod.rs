@@ -17,6 +17,8 @@ mod chain_net;
 mod chain_tests;
 #[cfg(test)]
 mod constants_tests;
+#[cfg(test)]
+mod core_tests;
 mod device;
 mod exposures;
 #[cfg(test)]
@@ -34,6 +36,9 @@ mod losses_tests;
 mod march;
 #[cfg(test)]
 mod march_tests;
+mod memory;
+#[cfg(test)]
+mod memory_tests;
 mod nets;
 #[cfg(test)]
 mod nets_tests;
@@ -53,6 +58,7 @@ mod scan_tests;
 mod session;
 #[cfg(test)]
 mod session_tests;
+mod submits;
 mod tables;
 #[cfg(test)]
 pub(crate) mod testing;
@@ -61,4 +67,4 @@ mod weights;
 
 pub use ceilings::{Ceilings, ceilings};
 pub use device::Gpu;
-pub use timing::{KernelTime, Load, Timed, TimedTraining};
+pub use timing::{KernelTime, Load, Shape, Timed, TimedTraining};

@@ -25,11 +25,7 @@ impl Gpu {
                 adapter: self.name().to_owned(),
             });
         }
-        let mut recorder = Recorder::List(Work::default());
-        record(&mut recorder);
-        let Recorder::List(Work(dispatches)) = recorder else {
-            return Ok(Vec::new());
-        };
+        let Work(dispatches) = Work::recorded(record);
         let times = dispatches.chunks(TIMED_AT_ONCE).map(|some| self.timed(some));
         Ok(times.collect::<Result<Vec<_>, _>>()?.concat())
     }
@@ -109,6 +105,26 @@ impl Work {
     /// Adds a kernel and its workgroups in x, y and z.
     pub fn add(&mut self, bound: Bound, groups: [usize; 3]) {
         self.0.push((bound, groups));
+    }
+
+    /// Returns what is recorded.
+    pub fn recorded(record: impl FnOnce(&mut Recorder<'_>)) -> Self {
+        let mut recorder = Recorder::List(Self::default());
+        record(&mut recorder);
+        match recorder {
+            Recorder::List(work) => work,
+            Recorder::Pass(_) => Self::default(),
+        }
+    }
+
+    /// Returns the number of dispatches.
+    pub fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Returns parts of so many dispatches each, in order.
+    pub fn parts(&self, most: usize) -> impl Iterator<Item = Self> {
+        self.0.chunks(most.max(1)).map(|part| Self(part.to_vec()))
     }
 
     /// Adds what another work does, behind.

@@ -3,9 +3,10 @@
 use std::fmt;
 use std::ops::Range;
 use std::sync::Arc;
+use std::time::Instant;
 
 use marf_scene::{Camera, Pose};
-use marf_shaders::{PixelRange, counts, faults};
+use marf_shaders::{PixelRange, Walk, counts, faults};
 use parking_lot::Mutex;
 
 use super::Gpu;
@@ -16,6 +17,7 @@ use super::march::{Alive, March, Marching, bit_words, round, step_table, whole_w
 use super::picture::{PICTURE, Picture};
 use super::rays::{ViewRays, camera};
 use super::record::Work;
+use super::submits::Submits;
 use super::tables::Grid;
 use super::weights::DeviceWeights;
 use crate::backend::Renderer;
@@ -23,13 +25,15 @@ use crate::model::Model;
 use crate::render::MIDDLE;
 use crate::{Background, FieldError, GpuError, Render};
 
-/// Rays at once, and samples they share.
-const RAYS: usize = 1 << 14;
-const CAPACITY: usize = 1 << 17;
+/// Rays at once, where a card holds their samples: a round of few rays is mostly gaps between dispatches and waits of the march
+/// (`benches/gpu.md`). Devices that share the memory and software have the fewest.
+const RAYS: [usize; 3] = [1 << 16, 1 << 15, 1 << 14];
+/// Slots of samples a ray.
+const SLOTS: usize = 8;
 /// Samples that a ray gets in the first round; later rounds take twice as many.
 const FIRST_ROUND: u32 = 8;
 /// Rounds between two reads of how many rays go on.
-const LOOK_EVERY: usize = 2;
+const LOOK_EVERY: u64 = 2;
 
 /// A field on a device, and what its pictures are made with; one picture at a time.
 pub struct GpuRenderer(Mutex<Canvas>);
@@ -52,6 +56,7 @@ struct Canvas {
     paint: Work,
     finish: Work,
     alive: Bound,
+    submits: Submits,
 }
 
 impl GpuRenderer {
@@ -60,7 +65,8 @@ impl GpuRenderer {
     /// # Errors
     /// A device that lacks something or has too little memory.
     pub fn new(gpu: &Arc<Gpu>, model: &Model) -> Result<Self, FieldError> {
-        Ok(Self(Mutex::new(Canvas::new(gpu, model)?)))
+        let rays = rays_at_once(gpu, model)?;
+        Ok(Self(Mutex::new(Canvas::new(gpu, model, rays)?)))
     }
 }
 
@@ -72,24 +78,37 @@ impl Renderer for GpuRenderer {
         cam_from_world: &Pose,
         rows: Range<u32>,
     ) -> Result<Render, FieldError> {
-        let canvas = self.0.lock();
+        let mut canvas = self.0.lock();
         canvas.rows(model, camera, cam_from_world, rows)
     }
 }
 
+/// Returns the rays that a picture is made with at once.
+///
+/// # Errors
+/// A device that does not even hold the samples of the fewest.
+fn rays_at_once(gpu: &Gpu, model: &Model) -> Result<usize, GpuError> {
+    let fits = |rays: usize| check_columns(gpu, &model.weights, SLOTS * rays);
+    let [.., fewest] = RAYS;
+    let most = RAYS.into_iter().find(|rays| gpu.is_card() && fits(*rays).is_ok());
+    match most {
+        Some(rays) => Ok(rays),
+        None => fits(fewest).map(|()| fewest),
+    }
+}
+
 impl Canvas {
-    fn new(gpu: &Arc<Gpu>, model: &Model) -> Result<Self, GpuError> {
+    fn new(gpu: &Arc<Gpu>, model: &Model, rays: usize) -> Result<Self, GpuError> {
         let device = gpu.as_ref();
         let features = model.weights.features;
-        check_columns(device, &model.weights, CAPACITY)?;
         let grid = Grid::new(device, &model.weights.shapes, features)?;
         let weights = DeviceWeights::new(device, &grid, &model.weights)?;
-        let slots = [CAPACITY, RAYS];
+        let slots = [SLOTS * rays, rays];
         let lanes = Lanes::new(device, &weights, slots, &model.steps, Purpose::Picture)?;
         device.write(&lanes.steps, 0, &step_table(&model.steps));
         let bits = device.filled("occupied cells", &bit_words(&model.bits))?;
         let asked = device.uniform("pixels asked for", bytemuck::Zeroable::zeroed())?;
-        let picture = device.zeros("picture", PICTURE * RAYS)?;
+        let picture = device.zeros("picture", PICTURE * rays)?;
         let kernels = Kernels::new(device, features)?;
         let painter = Picture::new(device)?;
         let batch = lanes.batch(device);
@@ -113,6 +132,7 @@ impl Canvas {
             begin,
             paint,
             finish,
+            submits: Submits::default(),
             gpu: gpu.clone(),
             lanes,
             asked,
@@ -121,7 +141,7 @@ impl Canvas {
     }
 
     fn rows(
-        &self,
+        &mut self,
         model: &Model,
         seen: &Camera,
         cam_from_world: &Pose,
@@ -130,8 +150,9 @@ impl Canvas {
         let mut whole = Render::empty(seen.width, rows.end.saturating_sub(rows.start));
         let first = rows.start as usize * seen.width as usize;
         let view = camera(seen, &cam_from_world.inverse(), &model.frame);
-        for start in (0..whole.rgb.len()).step_by(RAYS) {
-            let count = RAYS.min(whole.rgb.len() - start);
+        let rays = self.lanes.rays.slots;
+        for start in (0..whole.rgb.len()).step_by(rays) {
+            let count = rays.min(whole.rgb.len() - start);
             let range = PixelRange {
                 camera: view,
                 first: (first + start) as u32,
@@ -142,7 +163,7 @@ impl Canvas {
             self.rays(model, range)?;
             let picture = self.gpu.read(&self.picture)?;
             for pixel in 0..count {
-                let number = |row: usize| picture[row * RAYS + pixel];
+                let number = |row: usize| picture[row * rays + pixel];
                 whole.rgb[start + pixel] = [0, 1, 2].map(number);
                 whole.opacity[start + pixel] = number(3);
                 whole.depth[start + pixel] = number(4);
@@ -152,30 +173,23 @@ impl Canvas {
     }
 
     /// Carries the rays of some pixels to their end, round by round.
-    fn rays(&self, model: &Model, range: PixelRange) -> Result<(), FieldError> {
-        let (gpu, lanes) = (&self.gpu, &self.lanes);
+    fn rays(&mut self, model: &Model, range: PixelRange) -> Result<(), FieldError> {
         let count = range.count as usize;
-        let whole = whole_walk(count, RAYS, CAPACITY, &model.steps, model.bits.side);
-        gpu.write(&self.asked, 0, &[range]);
-        gpu.submit(|recorder| {
+        let whole = whole_walk(
+            count,
+            self.lanes.rays.slots,
+            self.lanes.capacity,
+            &model.steps,
+            model.bits.side,
+        );
+        self.gpu.write(&self.asked, 0, &[range]);
+        self.gpu.submit(|recorder| {
             recorder.threads(&self.view, count);
             self.begin.record(recorder);
         });
         let mut limit = FIRST_ROUND;
-        for number in 1.. {
-            write_walks(gpu, lanes, round(whole, limit));
-            gpu.submit(|recorder| {
-                self.marching.record(recorder, count);
-                self.forward.densities.record(recorder);
-                self.forward.colours.record(recorder);
-                self.paint.record(recorder);
-                recorder.threads(&self.alive, count);
-            });
-            if number % LOOK_EVERY == 0 && gpu.read(&lanes.counts)?[counts::ALIVE as usize] == 0 {
-                break;
-            }
-            limit = limit.saturating_mul(2);
-        }
+        while self.rounds(whole, &mut limit, count)? > 0 {}
+        let (gpu, lanes) = (&self.gpu, &self.lanes);
         if gpu.read(&lanes.faults)?.iter().any(|fault| *fault != 0) {
             gpu.write(&lanes.faults, 0, &[0; faults::LEN]);
             return Err(FieldError::Malformed {
@@ -186,5 +200,71 @@ impl Canvas {
         gpu.write(&lanes.counts, counts::RAYS as usize, &[count as u32]);
         gpu.submit(|recorder| self.finish.record(recorder));
         Ok(())
+    }
+
+    /// Carries rays on by some rounds, and returns how many are not at their end.
+    fn rounds(&mut self, whole: Walk, limit: &mut u32, count: usize) -> Result<u32, GpuError> {
+        let begun = Instant::now();
+        for _ in 0..LOOK_EVERY {
+            write_walks(&self.gpu, &self.lanes, round(whole, *limit));
+            self.submits.submit(&self.gpu, |recorder| {
+                self.marching.record(recorder, count);
+                self.forward.densities.record(recorder);
+                self.forward.colours.record(recorder);
+                self.paint.record(recorder);
+                recorder.threads(&self.alive, count);
+            });
+            *limit = limit.saturating_mul(2);
+        }
+        let alive = self.gpu.read(&self.lanes.counts)?[counts::ALIVE as usize];
+        self.submits.took(LOOK_EVERY, begun);
+        Ok(alive)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::testing::{advance, gpu, worst};
+    use crate::test_scene::{ball, small};
+    use crate::{Trainer, View};
+
+    #[test]
+    fn a_picture_is_the_same_with_any_number_of_rays_at_once() {
+        let Some(gpu) = gpu("a_picture_is_the_same_with_any_number_of_rays_at_once") else {
+            return;
+        };
+        let views = ball(4, 24);
+        let mut trainer = Trainer::new(views.clone(), &[], &small(), 1).unwrap();
+        advance(&mut trainer, 60);
+        let field = trainer.field().unwrap();
+        let made = |rays: usize| {
+            let mut canvas = Canvas::new(&gpu, &field.model, rays).unwrap();
+            let View {
+                camera,
+                cam_from_world,
+                ..
+            } = &views[1];
+            canvas.rows(&field.model, camera, cam_from_world, 0..24).unwrap()
+        };
+        let [few, many] = [256, 1 << 14].map(made);
+        assert!(few.opacity.iter().any(|opacity| *opacity > 0.5));
+        // Rays whose samples do not fit wait for the next round: sums over rounds are cut elsewhere.
+        let (apart, _) = worst(few.rgb.as_flattened(), many.rgb.as_flattened());
+        println!("apart by {apart:e}");
+        assert!(apart < 2e-6, "{apart:e}");
+    }
+
+    #[test]
+    fn only_a_card_gets_many_rays_at_once_and_only_as_many_as_it_holds() {
+        let Some(gpu) = gpu("only_a_card_gets_many_rays_at_once_and_only_as_many_as_it_holds") else {
+            return;
+        };
+        let field = Trainer::new(ball(1, 8), &[], &small(), 1)
+            .unwrap()
+            .field()
+            .unwrap();
+        let expected = if gpu.is_card() { RAYS[0] } else { RAYS[2] };
+        assert_eq!(rays_at_once(&gpu, &field.model), Ok(expected));
     }
 }

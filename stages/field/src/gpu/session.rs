@@ -1,20 +1,23 @@
 //! A training on a device: what stays there between steps, and the steps.
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use marf_shaders::{Blending, Observed, Pace, Step as StepUniform, Total, faults};
 
 use super::Gpu;
 use super::array::Array;
 use super::arrays::Arrays;
-use super::forward::{Forward, Kernels as Shared, Lanes, Purpose, check_columns, write_walks};
+use super::forward::{Forward, Kernels as Shared, Lanes, Purpose, write_walks};
 use super::kernel::Bound;
 use super::learning::{Bindings, Kernels, Learning};
 use super::light::RING;
 use super::march::{March, Marching, step_table, whole_walk};
+use super::memory::Held;
 use super::occupancy::{self, Due, Probed, Update};
 use super::rays::{DrawRays, Photos, observed};
 use super::record::{Recorder, Timing};
+use super::submits::Submits;
 use super::tables::{Grid, Rise, blending, rates};
 use super::weights::DeviceWeights;
 use crate::FieldError;
@@ -25,12 +28,8 @@ use crate::schedule::{EPSILON, UPDATE_EVERY};
 use crate::state::State;
 use crate::training::Training;
 
-/// Sample slots a sample of the batch: rays visit more samples than they train.
-const VISITED: usize = 2;
 /// Passes over the gradients of the first step: the first scale is a guess, the second close, the third good.
 const CALIBRATIONS: usize = 2;
-/// Slots come in multiples of this.
-const SLOTS: usize = 256;
 
 /// A training on a device.
 pub struct GpuSession {
@@ -49,6 +48,7 @@ pub struct GpuSession {
     forward: Forward,
     learning: Learning,
     update: Update,
+    pub(super) submits: Submits,
 }
 
 impl GpuSession {
@@ -59,28 +59,17 @@ impl GpuSession {
     pub fn new(gpu: &Arc<Gpu>, training: &mut Training) -> Result<Self, FieldError> {
         let device = gpu.as_ref();
         let (config, state) = (&training.config, &training.state);
-        let rays = (config.batch_samples as usize).next_multiple_of(SLOTS);
-        let slots = [VISITED * rays, rays];
-        check_columns(device, &state.weights, slots[0])?;
-        let grid = Grid::new(device, &state.weights.shapes, state.weights.features)?;
-        let weights = DeviceWeights::new(device, &grid, &state.weights)?;
-        let average = DeviceWeights::new(device, &grid, &state.average)?;
-        let most_steps = training.sizes.steps(config, training.sizes.halvings.value);
-        let lanes = Lanes::new(device, &weights, slots, &most_steps, Purpose::Training)?;
-        let gain = (training.views.len(), config.gain);
-        let arrays = Arrays::new(device, &grid, &weights, &lanes, gain, &training.bias)?;
-        let photos = Photos::new(
-            device,
-            &training.views,
-            &training.world_from_cams,
-            &training.frame,
-        )?;
-        let seen = training.observations.len();
-        let hint = "set `depth_weight = 0`, so that sparse points do not pull";
-        device.check_binding((seen * size_of::<Observed>()) as u64, hint)?;
-        let observations = device.zeros("observations", seen)?;
-        let step = device.uniform("step", bytemuck::Zeroable::zeroed())?;
-        let occupancy = occupancy::State::new(device, &state.occupancy)?;
+        let Held {
+            grid,
+            weights,
+            average,
+            lanes,
+            arrays,
+            photos,
+            observations,
+            step,
+            occupancy,
+        } = Held::new(device, training)?;
         let features = state.weights.features;
         let (shared, kernels) = (Shared::new(device, features)?, Kernels::new(device, features)?);
         let draw = DrawRays::new(device)?.bind(device, &step, &photos, &observations, &lanes.rays);
@@ -125,6 +114,7 @@ impl GpuSession {
             forward,
             learning,
             update,
+            submits: Submits::default(),
         };
         session.write_march(training);
         session.turn();
@@ -143,7 +133,7 @@ impl GpuSession {
         self.arrays.write_rise(&self.gpu, &self.grid, Rise::Free);
         for _ in 0..CALIBRATIONS {
             self.write_step(training, training.state.steps, rays);
-            self.gpu.submit(|recorder| {
+            self.submits.submit(&self.gpu, |recorder| {
                 self.forward(recorder, rays);
                 self.learning.back.record(recorder);
                 self.learning.scale.record(recorder);
@@ -154,7 +144,8 @@ impl GpuSession {
         // All else that is written here is uploaded anew.
         self.write_step(training, training.state.steps, 0);
         self.begin(training, 0);
-        self.gpu.submit(|recorder| self.record(recorder, 0, true));
+        self.submits
+            .submit(&self.gpu, |recorder| self.record(recorder, 0, true));
     }
 
     fn turn(&self) {
@@ -173,12 +164,14 @@ impl GpuSession {
         let end = first.saturating_add(most.max(1)).min(update);
         let rays = training.ray_count().min(self.lanes.rays.slots);
         self.begin(training, rays);
+        let begun = Instant::now();
         for number in first..end {
             let is_due = self.write_step(training, number, rays);
             let times = watch.as_deref_mut().map(|watch| &mut watch.steps);
             self.submit(times, |recorder| self.record(recorder, rays, is_due))?;
         }
         let totals = self.gpu.read(&self.arrays.ring)?;
+        self.submits.took(end - first, begun);
         let mut sum = Step {
             steps: 0,
             loss: 0.0,
@@ -289,7 +282,7 @@ impl GpuSession {
         record: impl FnOnce(&mut Recorder<'_>),
     ) -> Result<(), GpuError> {
         match times {
-            None => self.gpu.submit(record),
+            None => self.submits.submit(&self.gpu, record),
             Some(times) => times.extend(self.gpu.submit_timed(record)?),
         }
         Ok(())

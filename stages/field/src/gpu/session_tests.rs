@@ -3,7 +3,7 @@
 use super::TimedTraining;
 use super::testing::{advance, gpu, on_gpu, upload, worst};
 use crate::test_scene::{ball, psnr, small};
-use crate::{Config, Field, FieldError, Gain, Trainer};
+use crate::{Config, Field, FieldError, Gain, Pace, Trainer};
 
 fn config() -> Config {
     Config {
@@ -215,4 +215,31 @@ fn a_box_is_fitted_as_on_the_cpu_and_a_resumed_training_goes_on_in_it() {
         advance(trainer, 160);
     }
     assert!(there.save().unwrap() == resumed.save().unwrap());
+}
+
+/// With a planted pace of 0.1 M samples/s two steps of 2^13 fit where one of 2^15 would; what was learnt stays.
+#[test]
+fn a_batch_follows_the_pace_of_a_device_and_what_was_learnt_stays() {
+    let name = "a_batch_follows_the_pace_of_a_device_and_what_was_learnt_stays";
+    let Some(gpu) = gpu(name) else {
+        return;
+    };
+    let mut trainer = on_gpu(&gpu, ball(4, 16), &[], (&config(), 7));
+    advance(&mut trainer, 16);
+    let pace = |samples: f64| Pace {
+        steps: 1.0,
+        rays: 1.0,
+        samples,
+    };
+    let weights = |trainer: &mut Trainer| {
+        trainer.sync().unwrap();
+        trainer.training.state.weights.tables.clone()
+    };
+    let before = weights(&mut trainer);
+    assert_eq!(trainer.suit(&pace(0.1e6)), Ok(true));
+    assert_eq!((trainer.steps(), trainer.batch_samples()), (16, 1 << 13));
+    assert!(weights(&mut trainer) == before, "changed");
+    let step = trainer.advance(16).unwrap();
+    assert!(step.samples > 16 << 12, "{step:?}");
+    assert_eq!(trainer.suit(&pace(0.1e6)), Ok(false), "it is that batch");
 }

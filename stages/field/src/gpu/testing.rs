@@ -40,6 +40,11 @@ pub fn own_gpu(test: &str) -> Option<Gpu> {
     opened(test, Gpu::open)
 }
 
+/// Opens, as [`own_gpu`] does, a device that has these limits and no feature.
+pub fn own_gpu_within(test: &str, limits: &wgpu::Limits) -> Option<Gpu> {
+    opened(test, |device| Gpu::open_within(device, Some(limits.clone())))
+}
+
 /// Makes a training on a device; sparse points and seed as on the CPU.
 pub fn on_gpu(
     gpu: &Arc<Gpu>,

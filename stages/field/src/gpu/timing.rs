@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use serde::{Deserialize, Serialize};
+
 use super::Gpu;
 use super::forward::{Purpose, gathered_rows};
 use super::session::{GpuSession, Watch};
@@ -27,6 +29,37 @@ pub struct Timed {
     pub kernels: Vec<KernelTime>,
     /// Seconds that updates of the occupancy took a step, one in 16.
     pub update_s: f64,
+    /// Rows of the tables that Adam moved.
+    rows: u64,
+}
+
+/// What the kernels of a step work on, in the mean over steps: what a model of their times is made from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Shape {
+    /// Rays.
+    pub rays: f64,
+    /// Samples that rays visited.
+    pub visited: f64,
+    /// Samples that were trained.
+    pub kept: f64,
+    /// Steps along a ray, occupied or not.
+    pub steps_a_ray: f64,
+    /// Photos.
+    pub photos: usize,
+    /// Levels of the grid.
+    pub levels: usize,
+    /// Features an entry.
+    pub features: usize,
+    /// Numbers of all tables.
+    pub table_numbers: usize,
+    /// Rows of the tables that Adam moved.
+    pub rows_moved: f64,
+    /// Inputs and outputs of the layers of the density network.
+    pub density: Vec<[usize; 2]>,
+    /// Inputs and outputs of the layers of the colour network.
+    pub color: Vec<[usize; 2]>,
+    /// Numbers that are copied for a kept sample.
+    pub gathered: usize,
 }
 
 /// What a kernel took.
@@ -66,6 +99,27 @@ impl TimedTraining {
         let mut training = Training::new(views, &[], config, seed)?;
         let session = GpuSession::new(gpu, &mut training)?;
         Ok(Self { training, session })
+    }
+
+    /// Returns what the steps that were timed worked on.
+    pub fn shape(&self, timed: &Timed) -> Shape {
+        let (training, session) = (&self.training, &self.session);
+        let each = |count: u64| count as f64 / timed.steps as f64;
+        let layers = |layers: &[DeviceLayer]| layers.iter().map(DeviceLayer::shape).collect();
+        Shape {
+            rays: each(timed.rays),
+            visited: each(timed.visited),
+            kept: each(timed.samples),
+            steps_a_ray: training.march.count as f64,
+            photos: training.views.len(),
+            levels: training.state.weights.shapes.len(),
+            features: session.grid.features(),
+            table_numbers: session.grid.numbers(),
+            rows_moved: each(timed.rows),
+            density: layers(&session.weights.density),
+            color: layers(&session.weights.color),
+            gathered: gathered_rows(&session.lanes, Purpose::Training),
+        }
     }
 
     /// Returns the state that was last brought back.
@@ -154,6 +208,7 @@ impl GpuSession {
             samples: sum.samples,
             kernels,
             update_s: watch.updates.iter().map(|(_, seconds)| seconds).sum::<f64>() / steps,
+            rows,
         }
     }
 

@@ -226,11 +226,19 @@ impl TrainParams {
     /// as the parameters then do so themselves.
     pub fn repeating(&self, setup: &Setup, metrics: &Metrics) -> Option<Self> {
         self.limit()?;
+        let mut field = self.field.clone();
+        let batch = setup.config.batch_samples;
+        if batch != self.fit.config().batch_samples {
+            // The device's pace has decided it, unless a key says the same.
+            let said = field.0.entry("batch_samples".to_owned());
+            said.or_insert_with(|| batch.into());
+        }
         let judged_photos = self.within.map(|_| metrics.scores.views.len() as u64);
         Some(Self {
             budget: None,
             within: None,
             schedule: Some(setup.schedule()),
+            field,
             scale: Some(setup.scale),
             judged_photos: self.judged_photos.or(judged_photos),
             judged_scale: self.judged_scale.or(metrics.judged_scale),

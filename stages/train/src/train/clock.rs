@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use marf_field::{STEPS_A_HALVING, Schedule, Trainer};
+use marf_field::{Pace, STEPS_A_HALVING, Schedule, Trainer};
 use marf_scene::Camera;
 use marf_schema::train::{Limit, TrainParams};
 use marf_stage::{Ctx, StageError};
@@ -22,9 +22,6 @@ const PLANNED_EVERY: f64 = 1.0 / 32.0;
 const LEAST_CHANGE: f64 = 0.01;
 /// How much the rate since the last plan counts beside those before it.
 const NEWEST: f64 = 0.5;
-/// Part of the time, and most seconds, for which the rate is measured before the sizes are chosen.
-const PILOT_SHARE: f64 = 1.0 / 16.0;
-const PILOT_MOST_S: f64 = 3.0;
 /// Samples of a training that take as long as a ray of a render before any halving: 2.4 on the fox, 4.4 on the mock-up.
 const SAMPLES_A_RAY: f64 = 4.0;
 /// By how much longer a render takes where steps along rays are half as long: mock-up, 24 photos of 360 x 480 pixels, 11 s after
@@ -87,19 +84,14 @@ struct Pilot {
     /// Seconds of the training, as far as the pilot could tell what comes before and after it.
     budget_s: f64,
     steps: u64,
+    /// Samples of a step: those that suit the device.
+    batch_samples: u32,
     /// Whole factor by which photos are shrunk.
     scale: u32,
     used_s: f64,
     wait: Option<Wait>,
     /// Seconds of the whole node, as foreseen.
     expected_s: f64,
-}
-
-/// What a training does in a second.
-struct Rates {
-    steps: f64,
-    rays: f64,
-    samples: f64,
 }
 
 impl Clock {
@@ -125,6 +117,7 @@ impl Clock {
         let Pilot {
             budget_s,
             steps,
+            batch_samples,
             scale,
             used_s,
             wait,
@@ -133,10 +126,11 @@ impl Clock {
         ctx.progress.took("expected", expected_s);
         let note = format!("about {expected_s:.0} s, {budget_s:.0} s of them training");
         ctx.progress.at(0, steps, &note);
-        plan.settings.plan_steps(match plan.settings.is_decided() {
+        let steps = match plan.settings.is_decided() {
             true => steps,
             false => trials::steps_after_trials(params, steps),
-        });
+        };
+        plan.settings.plan_steps(steps, batch_samples);
         plan.shrink_by(scale)?;
         Ok(Self {
             budget_s,
@@ -185,10 +179,9 @@ impl Pilot {
         let views = || training_views(photos, &plan.split.training, plan.times, plan.memory, params.seed);
         let mut trainer = new_trainer(views()?, plan.scene, config, params.seed, plan.begin(), device)?;
         let read_s = read.elapsed().as_secs_f64();
-        let half_s = (limit.seconds() * PILOT_SHARE).min(PILOT_MOST_S) / 2.0;
         let begun = Instant::now();
-        train_for(ctx, &mut trainer, half_s)?;
-        let rates = train_for(ctx, &mut trainer, half_s)?;
+        let rates = paced(ctx, &mut trainer, (Pace::measured_s(limit.seconds()), plan))?;
+        let batch_samples = trainer.batch_samples();
         let (rate, used_s) = (rates.steps, begun.elapsed().as_secs_f64());
         let unhalved_s = plan.photo_rays() * SAMPLES_A_RAY / rates.samples;
         let most_halvings = trainer.most_halvings();
@@ -241,6 +234,7 @@ impl Pilot {
         Ok(Self {
             budget_s,
             steps: steps_in(budget_s - used_s, rate),
+            batch_samples,
             scale,
             used_s,
             wait: matches!(limit, Limit::Wait(_)).then_some(Wait {
@@ -350,19 +344,42 @@ fn most_steps((left_s, rate): (f64, f64), most: u32, judging: impl Fn(u32) -> f6
         .fold(of(0), |best, next| if next.0 > best.0 { next } else { best })
 }
 
+/// Trains for a time and returns the pace of its second half, with the batch that suits the device where none is said or taken
+/// over.
+fn paced(
+    ctx: &Ctx<'_>,
+    trainer: &mut Trainer,
+    (seconds, plan): (f64, &Plan<'_>),
+) -> Result<Pace, StageError> {
+    let half_s = seconds / 2.0;
+    train_for(ctx, trainer, half_s)?;
+    let mut pace = train_for(ctx, trainer, half_s)?;
+    if !plan.settings.has_open_batch() {
+        return Ok(pace);
+    }
+    for _ in 0..Pace::MOST_CHANGES {
+        if !trainer.suit(&pace).map_err(TrainError::from)? {
+            break;
+        }
+        pace = train_for(ctx, trainer, half_s)?;
+    }
+    Ok(pace)
+}
+
 /// Trains for a time, at least one step, and returns what it does in a second.
-fn train_for(ctx: &Ctx<'_>, trainer: &mut Trainer, seconds: f64) -> Result<Rates, StageError> {
+fn train_for(ctx: &Ctx<'_>, trainer: &mut Trainer, seconds: f64) -> Result<Pace, StageError> {
     let (begun, before) = (Instant::now(), trainer.steps());
-    let (mut rays, mut samples) = (0, 0);
+    // A slow device may need longer for sixteen steps, which a GPU takes at once, than the time is.
+    let (mut rays, mut samples, mut most) = (0, 0, 1_u64);
     loop {
         ctx.check()?;
-        let step = trainer.advance(u64::MAX).map_err(TrainError::from)?;
-        (rays, samples) = (rays + step.rays, samples + step.samples);
+        let step = trainer.advance(most).map_err(TrainError::from)?;
+        (rays, samples, most) = (rays + step.rays, samples + step.samples, most.saturating_mul(2));
         let elapsed_s = begun.elapsed().as_secs_f64();
         if elapsed_s >= seconds {
             let [steps, rays, samples] =
                 [trainer.steps() - before, rays, samples].map(|count| count as f64 / elapsed_s);
-            return Ok(Rates { steps, rays, samples });
+            return Ok(Pace { steps, rays, samples });
         }
     }
 }

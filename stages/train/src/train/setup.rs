@@ -78,10 +78,16 @@ impl Settings {
         })
     }
 
-    /// Plans for so many steps before the first one: sizes follow.
-    pub fn plan_steps(&mut self, steps: u64) {
+    /// Plans for so many steps, of so many samples each, before the first one: sizes follow.
+    pub fn plan_steps(&mut self, steps: u64, batch_samples: u32) {
         self.schedule = Schedule::once(steps);
         self.config.steps = Some(self.schedule.first());
+        self.config.batch_samples = batch_samples;
+    }
+
+    /// Tells whether the samples of a step may follow the device: nobody has said them, and no other training decides.
+    pub fn has_open_batch(&self) -> bool {
+        !self.is_decided() && !self.keys.0.contains_key("batch_samples")
     }
 
     /// Takes over the hyper-parameters of a field that the training starts from.

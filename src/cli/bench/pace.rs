@@ -1,0 +1,72 @@
+//! The pace of a device, measured before a training by the clock: its batch and its steps follow.
+
+use std::time::Instant;
+
+use marf_engine::Cancel;
+use marf_field::{Config, Device, Pace, Trainer, View};
+
+use super::super::error::CliError;
+
+/// A training whose size follows the pace of its device.
+#[derive(Clone, Copy)]
+pub struct Paced<'a> {
+    pub device: &'a Device,
+    pub cancel: &'a Cancel,
+    pub points: &'a [[f64; 3]],
+    pub seed: u64,
+    /// Whether a key says the samples of a step.
+    pub has_batch: bool,
+}
+
+impl Paced<'_> {
+    /// Trains for a part of so many seconds; returns the configuration for the rest of them, and how many seconds it took.
+    ///
+    /// # Errors
+    /// As those of trainings; the wish to stop.
+    pub fn config(self, views: Vec<View>, config: &Config, seconds: f64) -> Result<(Config, f64), CliError> {
+        let failed = |error: marf_field::FieldError| CliError::failed(error.to_string());
+        let trainer = Trainer::new(views, self.points, config, self.seed);
+        let mut trainer = trainer
+            .and_then(|trainer| trainer.on(self.device))
+            .map_err(failed)?;
+        let begun = Instant::now();
+        let half_s = Pace::measured_s(seconds) / 2.0;
+        self.train_for(&mut trainer, half_s)?;
+        let mut pace = self.train_for(&mut trainer, half_s)?;
+        for _ in 0..Pace::MOST_CHANGES {
+            if self.has_batch || !trainer.suit(&pace).map_err(failed)? {
+                break;
+            }
+            pace = self.train_for(&mut trainer, half_s)?;
+        }
+        let used_s = begun.elapsed().as_secs_f64();
+        let steps = (pace.steps * (seconds - used_s)).max(1.0) as u64;
+        let config = Config {
+            steps: Some(steps),
+            batch_samples: trainer.batch_samples(),
+            ..config.clone()
+        };
+        Ok((config, used_s))
+    }
+
+    /// Trains for a time, at least one step.
+    fn train_for(self, trainer: &mut Trainer, seconds: f64) -> Result<Pace, CliError> {
+        let (begun, before) = (Instant::now(), trainer.steps());
+        // A slow device may need longer for sixteen steps, which a GPU takes at once, than the time is.
+        let (mut rays, mut samples, mut most) = (0, 0, 1_u64);
+        loop {
+            if self.cancel.is_set() {
+                return Err(CliError::Interrupted);
+            }
+            let step = trainer.advance(most);
+            let step = step.map_err(|error| CliError::failed(error.to_string()))?;
+            (rays, samples, most) = (rays + step.rays, samples + step.samples, most.saturating_mul(2));
+            let elapsed_s = begun.elapsed().as_secs_f64();
+            if elapsed_s >= seconds {
+                let [steps, rays, samples] =
+                    [trainer.steps() - before, rays, samples].map(|count| count as f64 / elapsed_s);
+                return Ok(Pace { steps, rays, samples });
+            }
+        }
+    }
+}

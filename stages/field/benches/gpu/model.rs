@@ -1,0 +1,293 @@
+//! What every kernel of a step is expected to take on a card: amounts counted from the kernels' texts over rates of the card,
+//! line by line, so that the first run on a card can refute each line by itself.
+//!
+//! No line is fitted to a measurement. Amounts are those of the kernels as they are, repeated reads counted where no cache
+//! is expected to hold them; rates are those of an H100-class card from its data sheet, cut to what plain kernels reach.
+
+use marf_field::bench::Shape;
+
+use super::measured::ViewShape;
+
+/// Bytes a second of the card's memory: 3.35e12 on paper (H100 SXM).
+const MEMORY: f64 = 3.0e12;
+/// Bytes a second of its second cache, sectors of 32 bytes.
+const CACHE: f64 = 5.5e12;
+/// Bytes a second of the first caches of 132 multiprocessors, vec4 loads of neighbours, at 40 % of 33e12.
+const FIRST_CACHE: f64 = 13e12;
+/// 64-bit integer additions a second that reach entries of the second cache: one a sector and clock in 24 of its slices.
+const ATOMICS: f64 = 44e9;
+/// Seconds of one step of a thread that waits for each of its reads: about 300 clocks of 1.75 GHz.
+const WAIT_S: f64 = 0.17e-6;
+/// Seconds between two dispatches that see each other's writes.
+const GAP_S: f64 = 5e-6;
+/// Seconds of a read of few bytes back to the host, the wait for what was submitted before counted apart.
+const READ_S: f64 = 60e-6;
+/// Bytes a second between card and host.
+const LINK: f64 = 20e9;
+/// Rays of a picture at once on a card.
+const RAYS_AT_ONCE: f64 = 65_536.0;
+/// Rounds of a picture, of 8, 16, 32 and 64 samples a ray at most; reads between them, and those at the end.
+const ROUNDS: f64 = 4.0;
+const READS: f64 = 4.0;
+/// Samples a pixel of a trained field: those of the first two rounds for every ray that meets matter.
+const SAMPLES_A_PIXEL: f64 = 24.0;
+/// Samples of a part of a layer's gradient.
+const PART: f64 = 128.0;
+/// Threads of the kernels of one workgroup.
+const GROUP: f64 = 256.0;
+/// Bytes of a sector of the second cache.
+const SECTOR: f64 = 32.0;
+
+/// A line of the model.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Line {
+    /// The kernel.
+    pub kernel: &'static str,
+    /// Seconds a step, the gaps before its dispatches among them.
+    pub seconds: f64,
+    /// What binds it.
+    pub bound: String,
+}
+
+/// What a kernel needs in a step.
+struct Need {
+    kernel: &'static str,
+    calls: f64,
+    amount: f64,
+    of: Of,
+}
+
+/// What binds a kernel.
+#[derive(Clone, Copy)]
+enum Of {
+    Memory,
+    Cache,
+    FirstCache,
+    Atomics,
+    Waits,
+}
+
+impl Need {
+    fn line(&self) -> Line {
+        let (rate, unit, name) = match self.of {
+            Of::Memory => (MEMORY, 1e-6, "MB of memory"),
+            Of::Cache => (CACHE, 1e-6, "MB of the second cache"),
+            Of::FirstCache => (FIRST_CACHE, 1e-6, "MB of the first caches"),
+            Of::Atomics => (ATOMICS, 1e-6, "M atomics"),
+            Of::Waits => (1.0 / WAIT_S, 1.0, "reads one after the other"),
+        };
+        Line {
+            kernel: self.kernel,
+            seconds: self.amount / rate + self.calls * GAP_S,
+            bound: match self.calls {
+                0.0 => format!("{:.1} {name}", self.amount * unit),
+                calls => format!("{:.1} {name}, {calls:.0} gaps", self.amount * unit),
+            },
+        }
+    }
+}
+
+/// Returns the lines of a step of this shape, updates of the occupancy apart.
+pub fn lines(shape: &Shape) -> Vec<Line> {
+    samples(shape)
+        .into_iter()
+        .chain(networks(shape))
+        .chain(light(shape))
+        .chain(tables(shape))
+        .map(|need| need.line())
+        .collect()
+}
+
+fn need(kernel: &'static str, calls: f64, amount: f64, of: Of) -> Need {
+    Need {
+        kernel,
+        calls,
+        amount,
+        of,
+    }
+}
+
+/// Rays, their samples, and what is copied of those that show.
+fn samples(shape: &Shape) -> Vec<Need> {
+    let Shape {
+        rays, visited, kept, ..
+    } = *shape;
+    // A ray reads camera and pixel and writes 56 bytes.
+    let drawn = rays * (56.0 + 2.0 * SECTOR);
+    let looked_up = visited * (shape.levels * 8) as f64 * SECTOR;
+    let runs = (rays / GROUP).ceil();
+    vec![
+        need("rays", 1.0, drawn, Of::Memory),
+        // Count and write: one thread a ray, all its steps.
+        need("march", 2.0, 2.0 * shape.steps_a_ray, Of::Waits),
+        // A thread of the only workgroup reads its run of rays twice.
+        need("scan", 2.0, 2.0 * 2.0 * runs, Of::Waits),
+        need("hash_encode", 1.0, looked_up, Of::Cache),
+        need("gather", 7.0, 8.0 * kept * shape.gathered as f64, Of::Memory),
+        need("kept", 1.0, 4.0 * visited + 4.0 * kept, Of::Memory),
+    ]
+}
+
+/// Products and gradients of layers.
+fn networks(shape: &Shape) -> Vec<Need> {
+    let Shape {
+        rays, visited, kept, ..
+    } = *shape;
+    // A thread of a product has 8 outputs of 4 samples: the input is read once for every 8 outputs.
+    let forward = |[inputs, outputs]: &[usize; 2]| 4 * (inputs * outputs.div_ceil(8) + outputs);
+    let back = |[inputs, outputs]: &[usize; 2]| 4 * (outputs * inputs.div_ceil(8) + 2 * inputs);
+    let sum = |layers: &[[usize; 2]], bytes: &dyn Fn(&[usize; 2]) -> usize| {
+        layers.iter().map(bytes).sum::<usize>() as f64
+    };
+    let (density, color) = (&shape.density, &shape.color);
+    let products = visited * sum(density, &forward)
+        + kept * (sum(color, &forward) + sum(color, &back) + sum(density, &back));
+    let weights = |[inputs, outputs]: &[usize; 2]| inputs * outputs;
+    let numbers = sum(density, &weights) + sum(color, &weights);
+    // 4 rows of the input and 8 of the slopes give 32 products.
+    let pairs = (kept * numbers + rays * 64.0) / 32.0 * 12.0 * 4.0;
+    let parts = numbers * (kept / PART).ceil() * 4.0;
+    let layers = (density.len() + color.len()) as f64;
+    vec![
+        need("product", 2.0 * layers, products, Of::Memory),
+        need("outer", layers + 1.0, pairs, Of::FirstCache),
+        need("sum", layers + 1.0, 2.0 * parts, Of::Memory),
+        need("transpose", layers, 8.0 * numbers, Of::Memory),
+        need("adam_net", layers + 1.0, 28.0 * numbers, Of::Memory),
+        need("join", 1.0, 12.0 * kept, Of::Memory),
+        need(
+            "runaway",
+            1.0,
+            kept * (4 * shape.levels * shape.features) as f64,
+            Of::Memory,
+        ),
+    ]
+}
+
+/// Opacities, colours and losses: a thread a ray reads its samples one after the other.
+fn light(shape: &Shape) -> Vec<Need> {
+    let Shape {
+        rays, visited, kept, ..
+    } = *shape;
+    let a_ray = |samples: f64| (samples / rays.max(1.0)).max(1.0);
+    let runs = (rays / GROUP).ceil();
+    vec![
+        need("opacity", 1.0, a_ray(visited), Of::Waits),
+        need("harmonics", 2.0, (kept + rays) * 80.0, Of::Memory),
+        need("colour", 1.0, 24.0 * kept, Of::Memory),
+        need("compare", 1.0, a_ray(kept), Of::Waits),
+        need("spread", 1.0, 2.0 * a_ray(kept), Of::Waits),
+        need("totals", 1.0, runs, Of::Waits),
+    ]
+}
+
+/// Gradients into tables, and their steps.
+fn tables(shape: &Shape) -> Vec<Need> {
+    let row = 4.0 * shape.features as f64;
+    let entries = 4.0 * shape.table_numbers as f64;
+    let words = shape.kept * (shape.levels * 8 * shape.features / 2) as f64;
+    vec![
+        need("scatter_packed", 1.0, words, Of::Atomics),
+        need("peak", 1.0, entries, Of::Memory),
+        need("rescale", 1.0, shape.levels as f64, Of::Waits),
+        need(
+            "adam_table",
+            1.0,
+            entries + shape.rows_moved * (7.0 * row + 8.0),
+            Of::Memory,
+        ),
+        // Every fourth step, tables, layers and background.
+        need(
+            "blend",
+            0.25 * (2 + shape.density.len() + shape.color.len()) as f64,
+            0.25 * 3.0 * entries,
+            Of::Memory,
+        ),
+    ]
+}
+
+/// Returns the lines of a picture of so many pixels: every line of all its rounds.
+pub fn view(shape: &ViewShape, pixels: f64) -> Vec<Line> {
+    let batches = (pixels / RAYS_AT_ONCE).ceil();
+    let samples = pixels * SAMPLES_A_PIXEL;
+    let layers = shape.density.iter().chain(&shape.color);
+    let products: usize = layers
+        .map(|[inputs, outputs]| 4 * (inputs * outputs.div_ceil(8) + outputs))
+        .sum();
+    // Distance, light, latent, owner: 23 numbers read and written, and 16 harmonics.
+    let moved = (2 * 23 + 16) * 4 + 24;
+    let dispatches = (shape.density.len() + shape.color.len() + 14) as f64;
+    let rounds = ROUNDS * batches;
+    let line = |kernel, seconds: f64, bound: String| Line {
+        kernel,
+        seconds,
+        bound,
+    };
+    let waits = 2.0 * shape.steps_a_ray * batches;
+    let back = 20.0 * pixels;
+    let mut lines: Vec<Line> = [
+        need("march", 0.0, waits, Of::Waits),
+        need(
+            "hash_encode",
+            0.0,
+            samples * (shape.levels * 8) as f64 * SECTOR,
+            Of::Cache,
+        ),
+        need("product", 0.0, samples * products as f64, Of::Memory),
+        need("gather, light, colour", 0.0, samples * moved as f64, Of::Memory),
+    ]
+    .iter()
+    .map(Need::line)
+    .collect();
+    lines.push(line(
+        "gaps",
+        rounds * dispatches * GAP_S,
+        format!("{rounds:.0} rounds of {dispatches:.0} dispatches"),
+    ));
+    lines.push(line(
+        "reads",
+        batches * READS * READ_S + back / LINK,
+        format!("{:.0} reads, {:.1} MB to the host", batches * READS, back * 1e-6),
+    ));
+    lines
+}
+
+/// Returns the shape of a step of the largest field of this benchmark in the middle of a training on photos: ten samples a
+/// ray, all of which show.
+pub fn middle(samples: f64) -> Shape {
+    // 5 levels are dense; of the entries of the others those are touched that one of 8 corners a sample falls on.
+    let (dense, hashed, entries) = (332_000.0, 11.0, f64::from(1 << 19));
+    let touched = |entries: f64| entries * (1.0 - (-8.0 * samples / entries).exp());
+    Shape {
+        rays: samples / 10.0,
+        visited: samples,
+        kept: samples,
+        steps_a_ray: 373.0,
+        photos: 100,
+        levels: 16,
+        features: 2,
+        table_numbers: 2 * (dense + hashed * entries) as usize,
+        rows_moved: touched(dense) + hashed * touched(entries),
+        density: vec![[32, 64], [64, 16]],
+        color: vec![[32, 64], [64, 64], [64, 16]],
+        gathered: 122,
+    }
+}
+
+/// Returns the shapes of pictures of both fields of this benchmark after four halvings of the steps along rays.
+pub fn pictures() -> [ViewShape; 2] {
+    [
+        ViewShape {
+            steps_a_ray: 1_480.0,
+            levels: 8,
+            density: vec![[32, 32], [32, 16]],
+            color: vec![[32, 32], [32, 16]],
+        },
+        ViewShape {
+            steps_a_ray: 1_480.0,
+            levels: 16,
+            density: vec![[32, 64], [64, 16]],
+            color: vec![[32, 64], [64, 64], [64, 16]],
+        },
+    ]
+}

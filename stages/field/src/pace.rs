@@ -1,0 +1,157 @@
+//! Sizes that follow from what a device does in a second: how many samples a step has, and with the steps the table.
+
+use crate::{FieldError, Trainer};
+
+/// Steps that two cores take in a second, to choose the table that a time fills before the time is measured: its
+/// size changes the rate by less than the rate differs between machines.
+pub const EXPECTED_STEPS_PER_S: f64 = 90.0;
+/// Samples a step of such a machine: those of [`Config::default`](crate::Config).
+const COMMON_BATCH: u32 = 1 << 15;
+/// Fewest and most samples of a step that are derived. With 2^18 instant-ngp trains at 30 M samples/s and more
+/// (arXiv 2201.05989, appendix E); with fewer than 2^12 the occupancy and the tables take most of a step.
+const BATCHES: [u32; 2] = [1 << 12, 1 << 18];
+/// Part of the time of a training, and most seconds, for which its rate is measured before sizes are chosen.
+const MEASURED_SHARE: f64 = 1.0 / 16.0;
+const MEASURED_MOST_S: f64 = 3.0;
+
+/// What a training does in a second.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pace {
+    /// Optimiser steps.
+    pub steps: f64,
+    /// Rays.
+    pub rays: f64,
+    /// Samples that were trained.
+    pub samples: f64,
+}
+
+impl Pace {
+    /// Changes of a batch by [`Trainer::suit`] after which its pace is measured anew, at most: a larger one is faster by itself,
+    /// as a step has costs of its own.
+    pub const MOST_CHANGES: usize = 2;
+
+    /// Returns the seconds for which the pace of a training of so many seconds is measured.
+    pub fn measured_s(seconds: f64) -> f64 {
+        (seconds * MEASURED_SHARE).min(MEASURED_MOST_S)
+    }
+
+    /// Returns the samples of a step that suit a device of this pace, a power of two from 2^12 to 2^18.
+    ///
+    /// What a device does beyond two cores, which train 90 steps of 2^15 samples a second, is split evenly, in octaves:
+    /// half into samples a step, half into steps. B = 2^15 √(samples a second / 2.95 M), the nearest power of two. Steps are
+    /// not bought with samples alone: below about 2^15 a gradient is noisy and a step mostly overhead, and beyond 2^18 more
+    /// samples a step were not worth their time to instant-ngp, whose batch that is (arXiv 2201.05989, appendix E).
+    ///
+    /// # Extremes
+    /// A pace that is NaN, negative or 0 gives the fewest samples, an infinite one the most.
+    pub fn batch_samples(&self) -> u32 {
+        let common = EXPECTED_STEPS_PER_S * f64::from(COMMON_BATCH);
+        let [least, most] = BATCHES.map(|batch| f64::from(batch.ilog2()));
+        let octaves = 0.5 * (self.samples / common).max(0.0).log2();
+        let log2 = f64::from(COMMON_BATCH.ilog2()) + octaves;
+        // The first is taken where the second is NaN.
+        1 << least.max(log2.round()).min(most) as u32
+    }
+}
+
+impl Trainer {
+    /// Takes over the batch that suits the device at this pace, and returns whether that is another one: then the pace is, too.
+    ///
+    /// A CPU keeps the batch that it has, and so does a device that refuses the other.
+    ///
+    /// # Errors
+    /// A device that failed.
+    pub fn suit(&mut self, pace: &Pace) -> Result<bool, FieldError> {
+        let wanted = pace.batch_samples();
+        if self.backend.id().is_none() || wanted == self.batch_samples() {
+            return Ok(false);
+        }
+        self.aim_at(wanted)
+    }
+
+    /// Changes the samples that a step aims at, and returns whether the device holds so many; what was learnt stays.
+    fn aim_at(&mut self, samples: u32) -> Result<bool, FieldError> {
+        self.sync()?;
+        let before = std::mem::replace(&mut self.training.config.batch_samples, samples);
+        match self.backend.clone().begin(&mut self.training) {
+            Ok(session) => {
+                self.session = session;
+                Ok(true)
+            }
+            Err(error) if error.is_too_large() => {
+                self.training.config.batch_samples = before;
+                Ok(false)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Returns the samples that a step aims at.
+    pub fn batch_samples(&self) -> u32 {
+        self.training.config.batch_samples
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_scene::{ball, small};
+    use crate::{Config, size};
+
+    fn of(samples: f64) -> Pace {
+        Pace {
+            steps: 1.0,
+            rays: 1.0,
+            samples,
+        }
+    }
+
+    #[test]
+    fn a_batch_grows_with_the_root_of_the_rate_between_its_ends() {
+        for (samples, log2) in [
+            (f64::NAN, 12),
+            (-1.0, 12),
+            (0.0, 12),
+            (5e4, 12),
+            (2e5, 13),
+            (1.2e6, 14),
+            (2.95e6, 15),
+            (5.8e6, 15),
+            (6e6, 16),
+            (34e6, 17),
+            (100e6, 18),
+            (1e12, 18),
+            (f64::INFINITY, 18),
+        ] {
+            assert_eq!(of(samples).batch_samples(), 1 << log2, "{samples} a second");
+        }
+    }
+
+    /// 100 M samples a second fill 2^19 entries in 10 s and 2^20 in 60 s, the 2.95 M of two cores 2^15 and 2^17.
+    #[test]
+    fn a_card_gets_the_tables_of_a_card() {
+        let table = |samples: f64, seconds: f64| {
+            let batch_samples = of(samples).batch_samples();
+            let config = Config {
+                batch_samples,
+                steps: Some((seconds * samples / f64::from(batch_samples)) as u64),
+                ..Config::default()
+            };
+            size::Sizes::most(&config).log2_table.value
+        };
+        assert_eq!([table(2.95e6, 10.0), table(2.95e6, 60.0)], [15, 17]);
+        assert_eq!([table(100e6, 10.0), table(100e6, 60.0)], [19, 20]);
+    }
+
+    #[test]
+    fn a_pilot_takes_a_sixteenth_of_the_time_and_no_more_than_three_seconds() {
+        assert_eq!([8.0, 48.0, 1e9].map(Pace::measured_s), [0.5, 3.0, 3.0]);
+    }
+
+    #[test]
+    fn a_cpu_keeps_its_batch_at_any_pace() {
+        let mut trainer = Trainer::new(ball(2, 8), &[], &small(), 1).unwrap();
+        assert_eq!(trainer.suit(&of(1e9)), Ok(false));
+        assert_eq!(trainer.batch_samples(), small().batch_samples);
+    }
+}
