@@ -11,8 +11,8 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Instant;
 
-use marf_field::bench::{Ceilings, Gpu, KernelTime, Load, Timed, TimedTraining, ceilings};
-use marf_field::{Config, Device};
+use marf_field::bench::{Ceilings, Cost, Filled, Gpu, KernelTime, Load, Timed, TimedTraining, ceilings};
+use marf_field::{Config, Device, Gain};
 
 fn main() -> ExitCode {
     if !std::env::args().any(|argument| argument == "--bench") {
@@ -42,6 +42,10 @@ fn run() -> Result<(), Box<dyn Error>> {
     let samples = setting("MARF_BENCH_SAMPLES", samples)?;
     let steps = setting("MARF_BENCH_STEPS", steps)?;
     println!("{}\n{samples} samples a batch, {steps} steps each", gpu.id());
+    for (name, config) in fields() {
+        println!("\n{name}, counted\n");
+        counted(&gpu, &config)?;
+    }
     let most = ceilings(&gpu)?;
     println!(
         "copy of 64 MB {:.1} GB/s, fused multiply-add {:.0} GFLOP/s",
@@ -56,6 +60,47 @@ fn run() -> Result<(), Box<dyn Error>> {
         println!("\n{name}\n");
         field(&gpu, &config, steps, &most)?;
     }
+    Ok(())
+}
+
+/// Samples of the step that is counted: a card's.
+const COUNTED: f64 = (1 << 18) as f64;
+
+/// Prints what the kernels of a step of 2^18 samples do; a small batch tells.
+fn counted(gpu: &Arc<Gpu>, config: &Config) -> Result<(), Box<dyn Error>> {
+    let config = Config {
+        batch_samples: 1 << 11,
+        gain: Gain::PerPhotoAndOffset,
+        ..config.clone()
+    };
+    let filled = Filled {
+        visited: COUNTED,
+        kept: COUNTED,
+        rays: COUNTED / 10.0,
+        moved: 1.0,
+    };
+    let training = TimedTraining::new(gpu, scene::views(), &config, 0)?;
+    let costs = training.costs(&filled).ok_or("a kernel has no cost")?;
+    println!("| kernel | dispatches | MB | million atomic additions |\n|---|---|---|---|");
+    let line = |name, dispatches, bytes: f64, atomics: f64| {
+        println!(
+            "| {name} | {dispatches} | {:.1} | {:.2} |",
+            bytes / 1e6,
+            atomics / 1e6
+        );
+    };
+    for cost in &costs {
+        let Cost { name, dispatches, .. } = *cost;
+        line(name, dispatches, cost.bytes, cost.atomics);
+    }
+    let sum = |of: fn(&Cost) -> f64| costs.iter().map(of).sum::<f64>();
+    let dispatches = costs.iter().map(|cost| cost.dispatches).sum();
+    line(
+        "all",
+        dispatches,
+        sum(|cost| cost.bytes),
+        sum(|cost| cost.atomics),
+    );
     Ok(())
 }
 

@@ -24,6 +24,8 @@ pub struct Bound {
     pub(super) name: &'static str,
     pub(super) pipeline: wgpu::ComputePipeline,
     pub(super) group: wgpu::BindGroup,
+    /// Bytes of every binding.
+    pub(super) sizes: std::sync::Arc<[u64]>,
 }
 
 impl Gpu {
@@ -108,6 +110,7 @@ impl Gpu {
             name: kernel.name,
             pipeline: kernel.pipeline.clone(),
             group,
+            sizes: parts.iter().map(Part::bytes).collect(),
         }
     }
 }

@@ -17,6 +17,7 @@ mod chain_net;
 mod chain_tests;
 #[cfg(test)]
 mod constants_tests;
+mod cost;
 mod device;
 mod exposures;
 #[cfg(test)]
@@ -60,5 +61,6 @@ mod timing;
 mod weights;
 
 pub use ceilings::{Ceilings, ceilings};
+pub use cost::{Cost, Filled};
 pub use device::Gpu;
 pub use timing::{KernelTime, Load, Timed, TimedTraining};

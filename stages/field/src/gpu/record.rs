@@ -25,11 +25,7 @@ impl Gpu {
                 adapter: self.name().to_owned(),
             });
         }
-        let mut recorder = Recorder::List(Work::default());
-        record(&mut recorder);
-        let Recorder::List(Work(dispatches)) = recorder else {
-            return Ok(Vec::new());
-        };
+        let Work(dispatches) = listed(record);
         let times = dispatches.chunks(TIMED_AT_ONCE).map(|some| self.timed(some));
         Ok(times.collect::<Result<Vec<_>, _>>()?.concat())
     }
@@ -64,6 +60,16 @@ impl Gpu {
             (bound.name, seconds)
         });
         Ok(times.collect())
+    }
+}
+
+/// Notes dispatches down.
+pub fn listed(record: impl FnOnce(&mut Recorder<'_>)) -> Work {
+    let mut recorder = Recorder::List(Work::default());
+    record(&mut recorder);
+    match recorder {
+        Recorder::List(work) => work,
+        Recorder::Pass(_) => Work::default(),
     }
 }
 
@@ -115,6 +121,11 @@ impl Work {
     pub fn then(mut self, other: Self) -> Self {
         self.0.extend(other.0);
         self
+    }
+
+    /// Returns the kernels with their arrays.
+    pub fn bounds(&self) -> impl Iterator<Item = &Bound> {
+        self.0.iter().map(|(bound, _)| bound)
     }
 
     /// Records all dispatches.

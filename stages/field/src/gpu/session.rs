@@ -243,7 +243,8 @@ impl GpuSession {
         keep.is_some()
     }
 
-    fn record(&self, recorder: &mut Recorder<'_>, rays: usize, is_due: bool) {
+    /// Records a step; `is_due`: whether the averages follow.
+    pub(super) fn record(&self, recorder: &mut Recorder<'_>, rays: usize, is_due: bool) {
         self.forward(recorder, rays);
         self.learning.record(recorder, is_due);
     }

@@ -1,7 +1,7 @@
 //! Whole trainings and pictures on a software adapter, beside the CPU's.
 
-use super::TimedTraining;
 use super::testing::{advance, gpu, on_gpu, upload, worst};
+use super::{Filled, TimedTraining};
 use crate::test_scene::{ball, psnr, small};
 use crate::{Config, Field, FieldError, Gain, Trainer};
 
@@ -111,6 +111,30 @@ fn steps_that_are_timed_learn_the_same_bytes_and_name_every_kernel() {
         let calls = kernel.map_or(0.0, |kernel| kernel.calls);
         assert!((calls - 1.0).abs() < 1e-9, "{once}: {calls} calls a step");
     }
+}
+
+#[test]
+fn every_kernel_of_a_step_has_a_cost_that_grows_with_its_samples() {
+    let Some(gpu) = gpu("every_kernel_of_a_step_has_a_cost_that_grows_with_its_samples") else {
+        return;
+    };
+    let config = Config {
+        gain: Gain::PerPhotoAndOffset,
+        ..config()
+    };
+    let training = TimedTraining::new(&gpu, ball(4, 16), &config, 7).unwrap();
+    let bytes = |samples: f64| {
+        let filled = Filled {
+            visited: samples,
+            kept: samples,
+            rays: samples / 10.0,
+            moved: 1.0,
+        };
+        let costs = training.costs(&filled).unwrap();
+        costs.iter().map(|cost| cost.bytes).sum::<f64>()
+    };
+    let [none, some, twice] = [0.0, 1e5, 2e5].map(bytes);
+    assert!(none > 0.0 && none < some && some < twice, "{none} {some} {twice}");
 }
 
 #[test]

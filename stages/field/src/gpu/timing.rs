@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use super::Gpu;
+use super::cost::{Cost, Filled, Slots, costs};
 use super::forward::{Purpose, gathered_rows};
+use super::record::listed;
 use super::session::{GpuSession, Watch};
 use super::weights::{BACKGROUND, DeviceLayer};
 use crate::backend::{Session, Step};
@@ -85,6 +87,22 @@ impl TimedTraining {
             samples += self.session.advance(&mut self.training, most)?.samples;
         }
         Ok(samples)
+    }
+
+    /// Returns what the kernels of a step do that has these samples and moves the averages, in their order.
+    ///
+    /// Columns grow with their samples: a small batch tells of a large one. `None` where a kernel has no cost.
+    pub fn costs(&self, filled: &Filled) -> Option<Vec<Cost>> {
+        let session = &self.session;
+        let slots = Slots {
+            capacity: session.lanes.capacity,
+            rays: session.lanes.rays.slots,
+        };
+        costs(
+            &listed(|recorder| session.record(recorder, 1, true)),
+            slots,
+            filled,
+        )
     }
 
     /// Takes `steps` steps, every dispatch between two timestamps.
