@@ -18,6 +18,9 @@ fn main(
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
+    // What workgroup memory holds before is not relied on.
+    if lane == 0u { atomicStore(&most, 0u); }
+    workgroupBarrier();
     let level = part.level + id.z;
     let row = flat(id, groups);
     if row < scales[level].entries {

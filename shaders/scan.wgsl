@@ -51,6 +51,11 @@ fn clear(sample: u32) {
 
 @compute @workgroup_size(256)
 fn main(@builtin(local_invocation_index) me: u32) {
+    // What workgroup memory holds before is not relied on; the barriers of sum_runs lie in between.
+    if me == 0u {
+        atomicStore(&fitting, 0u);
+        atomicStore(&samples, 0u);
+    }
     var rays = walk.rays;
     if walk.again == 1u { rays = min(rays, counts[COUNT_RAYS]); }
     let run = (rays + THREADS - 1u) / THREADS;

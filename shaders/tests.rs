@@ -432,3 +432,44 @@ fn no_kernel_adds_floats_in_the_order_of_its_threads() {
         }
     }
 }
+
+/// View numbers are small integers, denormals if they were floats: a driver may flush those to 0.
+#[test]
+fn no_kernel_reads_a_view_as_a_float() {
+    let bound = SHADERS
+        .iter()
+        .filter(|shader| shader.text.contains("> targets:") || shader.text.contains(" targets: array"));
+    let mut found = 0;
+    for shader in bound {
+        assert!(
+            shader.text.contains("targets: array<vec4<u32>>"),
+            "{}",
+            shader.name
+        );
+        found += 1;
+    }
+    assert_eq!(found, 3, "rays, compare, exposure_sums");
+}
+
+/// Drivers do not have to clear workgroup memory where Rust does not ask for it, and Rust does not.
+#[test]
+fn atomics_in_workgroup_memory_are_stored_before_they_are_added_to() {
+    for shader in SHADERS {
+        for line in shader
+            .text
+            .lines()
+            .filter(|line| line.starts_with("var<workgroup>") && line.contains("atomic"))
+        {
+            let name = line
+                .trim_start_matches("var<workgroup> ")
+                .split(':')
+                .next()
+                .unwrap_or("");
+            let text = shader.text;
+            let stored = text.find(&format!("atomicStore(&{name}"));
+            let used = ["Add", "Max", "Load"].map(|how| text.find(&format!("atomic{how}(&{name}")));
+            let first = used.into_iter().flatten().min();
+            assert!(stored.is_some() && stored < first, "{}: {name}", shader.name);
+        }
+    }
+}

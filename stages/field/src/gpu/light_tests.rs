@@ -7,7 +7,7 @@ use super::light::{Colours, Columns, Light};
 use super::nets::Rows;
 use super::rig::{Rig, TOLERANCE, UNTOUCHED, agree, columns, is_untouched};
 use super::testing::numbers;
-use crate::cpu::composite::{colour, runs_away};
+use crate::cpu::composite::{OPAQUE, colour, runs_away};
 use crate::cpu::simd::InstructionSet;
 use crate::sh;
 use crate::shade::{Shade, Span};
@@ -217,6 +217,9 @@ fn opacities_and_what_shows_are_those_of_the_cpu() {
             "{ray}: {found} against {expected}"
         );
     }
+    // A driver's rounding does not decide what shows.
+    let near = |passes: &f32| (passes / OPAQUE - 1.0).abs() < 1e-4;
+    assert!(!shade.transmittance.iter().any(near));
     let visited = spans.clone();
     let mut kept = Vec::new();
     shade.drop_hidden(&mut spans, &mut kept);

@@ -1,6 +1,8 @@
 //! Whole trainings and pictures on a software adapter, beside the CPU's.
 
-use super::testing::{advance, gpu, on_gpu, upload, worst};
+use std::sync::Arc;
+
+use super::testing::{advance, gpu, on_gpu, own_gpu, upload, worst};
 use super::{Filled, TimedTraining};
 use crate::test_scene::{ball, psnr, small};
 use crate::{Config, Field, FieldError, Gain, Trainer};
@@ -22,7 +24,8 @@ fn a_first_step_on_both_devices_ends_at_the_same_weights() {
     let mut here = Trainer::new(ball(4, 16), &[], &config(), 7).unwrap();
     let (on_gpu, on_cpu) = (there.advance(1).unwrap(), here.advance(1).unwrap());
     assert_eq!((on_gpu.steps, on_gpu.rays), (1, on_cpu.rays));
-    assert_eq!(on_gpu.samples, on_cpu.samples);
+    // A sample may fall on the other side of a border of a cell, or of what still shows.
+    assert!(on_gpu.samples.abs_diff(on_cpu.samples) <= 2 + on_cpu.samples / 1000);
     let apart = (on_gpu.loss - on_cpu.loss).abs();
     assert!(apart < 1e-5 * on_cpu.loss, "{on_gpu:?} {on_cpu:?}");
     there.sync().unwrap();
@@ -90,6 +93,23 @@ fn a_ball_is_learnt_as_well_as_on_the_cpu_and_twice_with_the_same_bytes() {
         (on_gpu - on_cpu).abs() < 0.3 && on_cpu > 20.0,
         "{on_gpu} against {on_cpu}"
     );
+}
+
+#[test]
+fn a_device_without_wide_atomics_learns_the_same_bytes() {
+    let name = "a_device_without_wide_atomics_learns_the_same_bytes";
+    let (Some(wide), Some(mut plain)) = (gpu(name), own_gpu(name)) else {
+        return;
+    };
+    // With them `scatter_packed` runs, without `scatter`.
+    plain.features.remove(wgpu::Features::SHADER_INT64);
+    let [wide, plain] = [wide, Arc::new(plain)].map(|gpu| {
+        let mut trainer = on_gpu(&gpu, ball(4, 16), &[], (&config(), 7));
+        advance(&mut trainer, 40);
+        trainer.sync().unwrap();
+        trainer.training.state
+    });
+    assert!(wide == plain);
 }
 
 #[test]

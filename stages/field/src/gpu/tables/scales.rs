@@ -113,6 +113,7 @@ impl Scales {
 mod tests {
     use super::super::fixture::Case;
     use super::*;
+    use crate::gpu::scan_tests::make_dirty;
     use crate::gpu::testing::gpu;
 
     /// The twin of `rescale`, in f64.
@@ -261,5 +262,16 @@ mod tests {
         for (left, before) in left.iter().zip(&before) {
             assert_eq!(LevelScale { peak: 0, ..*left }, *before);
         }
+    }
+
+    #[test]
+    fn a_peak_does_not_rely_on_what_workgroup_memory_holds_before() {
+        let Some(gpu) = gpu("a_peak_does_not_rely_on_what_workgroup_memory_holds_before") else {
+            return;
+        };
+        let before = start(&gpu);
+        let clean = step(&gpu, SLOWLY, [5; 4], &before, 0);
+        make_dirty(&gpu);
+        assert_eq!(step(&gpu, SLOWLY, [5; 4], &before, 0), clean);
     }
 }
