@@ -120,26 +120,25 @@ impl Arrays<'_> {
                 let table = self.whole(&[4]).min(row * self.corners(1, visited));
                 self.visited(&[3, 5]) + table
             }
-            "product" => self.kept(&[2, 4, 5]) + self.whole(&[3]),
-            "transpose" => self.whole(&[1, 2]),
-            "outer" if self.whole(&[3]) < 64.0 * self.slots.capacity as f64 => 128.0 * rays,
-            "outer" => self.kept(&[2, 3]) + kept / 128.0 * 4.0 * self.rows(2) * self.rows(3),
-            "sum" => self.whole(&[3]) * (1.0 + kept / 128.0),
+            "density" => self.visited(&[2, 4]) + self.whole(&[3]),
+            "shade" => self.kept(&[3, 4, 7]) + 64.0 * kept + self.rays(&[5]) + self.whole(&[6]),
+            // Memory of a workgroup counts as any other, once a dispatch.
+            "back" => {
+                let columns = self.kept(&[2, 3, 4, 8, 10]) + 4.0 * kept;
+                columns + self.rays(&[5]) + self.whole(&[6, 9, 9])
+            }
+            "behind" => self.rays(&[2]) + 12.0 * rays + rays / 64.0 * 256.0,
+            "sum" => self.whole(&[2, 3]),
             "gather" => 2.0 * self.kept(&[3]) + self.kept(&[2]),
-            "harmonics" if self.sizes.len() == 4 => self.rays(&[2, 3]),
-            "harmonics" => self.rays(&[2]) + self.kept(&[4]) + 64.0 * kept,
             "opacity" => self.rays(&[2, 7]) + 4.0 * rays + 20.0 * visited,
             "kept" => self.rays(&[2, 3]) + self.kept(&[4]),
-            "colour" => 12.0 * kept + self.kept(&[3]),
             "compare" => self.rays(&[2, 5, 6, 9]) + 8.0 * kept + self.kept(&[4]),
             "spread" => self.rays(&[2, 8]) + 20.0 * rays + self.kept(&[3]) + 48.0 * kept,
-            "join" => 12.0 * kept,
-            "runaway" => self.kept(&[2]),
             "scatter" | "scatter_packed" => self.kept(&[3, 4]) + 2.0 * moved * self.whole(&[6]),
             "peak" => self.whole(&[1]),
             "rescale" => 2.0 * self.whole(&[1]),
             "adam_table" => self.whole(&[5]) + moved * (self.whole(&[5]) + 2.0 * self.whole(&[6, 7, 8, 9])),
-            "adam_net" => 2.0 * self.whole(&[4, 5, 6, 7, 8]),
+            "adam_net" => 2.0 * self.whole(&[4, 5, 6, 7, 8, 9]),
             "blend" => self.whole(&[2, 3, 3]),
             "exposure_sums" => self.rays(&[2]) + 24.0 * rays + self.whole(&[4, 5]),
             "exposure_learn" => self.whole(&[2, 5, 5, 6, 6, 7, 7, 8, 8]),

@@ -12,8 +12,6 @@ mod chain_device;
 #[cfg(test)]
 mod chain_f64;
 #[cfg(test)]
-mod chain_net;
-#[cfg(test)]
 mod chain_tests;
 #[cfg(test)]
 mod constants_tests;

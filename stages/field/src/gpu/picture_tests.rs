@@ -2,6 +2,7 @@
 
 use marf_shaders::counts;
 
+use super::array::Part;
 use super::light::Light;
 use super::light_tests::{Arrays, CAPACITY, NO_RAY, RAYS, SLOTS, directions, harmonics, spans, visited};
 use super::picture::{DEEP, PICTURE, Picture, STATE};
@@ -99,7 +100,7 @@ fn two_rounds_of_a_picture_are_those_of_the_cpu() {
         .opacity(rig.batch(), counts::RAYS, arrays.columns(), &state, &shown)
         .unwrap();
     let [begin, paint] = picture
-        .paint(rig.batch(), counts::RAYS, kept, &rgb, (&shown, &state))
+        .paint(rig.batch(), counts::RAYS, kept, (&rgb).into(), (&shown, &state))
         .unwrap();
     rig.gpu.submit(|recorder| begin.record(recorder));
     let mut expected = vec![0.0; STATE * SLOTS];
@@ -134,7 +135,8 @@ fn two_rounds_of_a_picture_are_those_of_the_cpu() {
     assert!(deep > 3 && deep < 35, "{deep} of {RAYS} rays are opaque");
     let directions = rig.gpu.filled("directions", &all).unwrap();
     let background = rig.filled(&weights);
-    for (behind, numbers) in [(None, None), (Some(&background), Some(weights.as_slice()))] {
+    let behind = Some(Part::from(&background));
+    for (behind, numbers) in [(None, None), (behind, Some(weights.as_slice()))] {
         let pixels = rig.filled(&[UNTOUCHED; PICTURE * SLOTS]);
         let sizes = (counts::RAYS, HALF_SIDE);
         let run = picture

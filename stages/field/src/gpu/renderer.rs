@@ -81,23 +81,23 @@ impl Canvas {
     fn new(gpu: &Arc<Gpu>, model: &Model) -> Result<Self, GpuError> {
         let device = gpu.as_ref();
         let features = model.weights.features;
-        check_columns(device, &model.weights, CAPACITY)?;
+        check_columns(device, &model.weights, [CAPACITY, RAYS], Purpose::Picture)?;
         let grid = Grid::new(device, &model.weights.shapes, features)?;
         let weights = DeviceWeights::new(device, &grid, &model.weights)?;
         let slots = [CAPACITY, RAYS];
-        let lanes = Lanes::new(device, &weights, slots, &model.steps, Purpose::Picture)?;
+        let lanes = Lanes::new(device, &weights, slots, &model.steps)?;
         device.write(&lanes.steps, 0, &step_table(&model.steps));
         let bits = device.filled("occupied cells", &bit_words(&model.bits))?;
         let asked = device.uniform("pixels asked for", bytemuck::Zeroable::zeroed())?;
         let picture = device.zeros("picture", PICTURE * RAYS)?;
-        let kernels = Kernels::new(device, features)?;
+        let kernels = Kernels::new(device, features, &weights.layers)?;
         let painter = Picture::new(device)?;
         let batch = lanes.batch(device);
         let shown = (&lanes.shown, &lanes.state);
         let columns = lanes.kept_columns();
-        let [begin, paint] = painter.paint(batch, counts::RAYS, columns, &lanes.rgb, shown)?;
+        let [begin, paint] = painter.paint(batch, counts::RAYS, columns, lanes.colours().rgb, shown)?;
         let background = match model.config.background {
-            Background::Direction => Some(&weights.background),
+            Background::Direction => Some(weights.background()),
             Background::Black => None,
         };
         let half_side = model.frame.half_side as f32;

@@ -61,12 +61,12 @@ impl GpuSession {
         let (config, state) = (&training.config, &training.state);
         let rays = (config.batch_samples as usize).next_multiple_of(SLOTS);
         let slots = [VISITED * rays, rays];
-        check_columns(device, &state.weights, slots[0])?;
+        check_columns(device, &state.weights, slots, Purpose::Training)?;
         let grid = Grid::new(device, &state.weights.shapes, state.weights.features)?;
         let weights = DeviceWeights::new(device, &grid, &state.weights)?;
         let average = DeviceWeights::new(device, &grid, &state.average)?;
         let most_steps = training.sizes.steps(config, training.sizes.halvings.value);
-        let lanes = Lanes::new(device, &weights, slots, &most_steps, Purpose::Training)?;
+        let lanes = Lanes::new(device, &weights, slots, &most_steps)?;
         let gain = (training.views.len(), config.gain);
         let arrays = Arrays::new(device, &grid, &weights, &lanes, gain, &training.bias)?;
         let photos = Photos::new(
@@ -82,7 +82,10 @@ impl GpuSession {
         let step = device.uniform("step", bytemuck::Zeroable::zeroed())?;
         let occupancy = occupancy::State::new(device, &state.occupancy)?;
         let features = state.weights.features;
-        let (shared, kernels) = (Shared::new(device, features)?, Kernels::new(device, features)?);
+        let (shared, kernels) = (
+            Shared::new(device, features, &weights.layers)?,
+            Kernels::new(device, features)?,
+        );
         let draw = DrawRays::new(device)?.bind(device, &step, &photos, &observations, &lanes.rays);
         let marching = March::new(device)?.bind(device, lanes.marched(&occupancy.bits));
         let forward = Forward::new(device, &shared, &grid, &weights, &lanes, Purpose::Training)?;
@@ -127,7 +130,6 @@ impl GpuSession {
             update,
         };
         session.write_march(training);
-        session.turn();
         session.calibrate(training);
         session.probe(training, 0, None)?;
         training.state.scales = session.scales()?;
@@ -155,10 +157,6 @@ impl GpuSession {
         self.write_step(training, training.state.steps, 0);
         self.begin(training, 0);
         self.gpu.submit(|recorder| self.record(recorder, 0, true));
-    }
-
-    fn turn(&self) {
-        self.gpu.submit(|recorder| self.learning.turn.record(recorder));
     }
 
     /// Takes steps up to the next update of the occupancy; `watch` takes the time of every dispatch.
@@ -228,16 +226,17 @@ impl GpuSession {
             observations: pull.map_or(0, |_| self.observations.len() as u32),
             ..self.photos.step(training.seed, number)
         };
+        let keep = training.kept_at(number);
         let pace = Pace {
             rate,
             total: number as u32 % RING as u32,
-            ..bytemuck::Zeroable::zeroed()
+            keep: keep.unwrap_or(1.0),
+            pad: 0,
         };
         let gpu = &self.gpu;
         gpu.write(&self.step, 0, &[step]);
         gpu.write(&self.arrays.pace, 0, &[pace]);
         gpu.write(&self.arrays.rates, 0, &[rates(rate, EPSILON, 0.0)]);
-        let keep = training.kept_at(number);
         let blending: Blending = blending(keep.unwrap_or(1.0));
         gpu.write(&self.arrays.blending, 0, &[blending]);
         keep.is_some()
@@ -327,9 +326,7 @@ impl Session for GpuSession {
         self.average.write(gpu, &self.grid, &state.average);
         let (tables, nets) = state.moments.split_at(state.weights.tables.len());
         self.arrays.write_table_moments(gpu, &self.grid, tables);
-        for (array, moments) in self.arrays.net_moments().into_iter().zip(nets) {
-            array.write(gpu, moments);
-        }
+        self.arrays.write_net_moments(gpu, nets);
         self.arrays
             .exposures
             .write(gpu, &state.gains, &state.gain_moments);
@@ -343,7 +340,6 @@ impl Session for GpuSession {
         }
         gpu.write(&self.lanes.faults, 0, &[0; faults::LEN]);
         self.write_march(training);
-        self.turn();
         Ok(gpu.wait()?)
     }
 
@@ -353,9 +349,7 @@ impl Session for GpuSession {
         self.average.read(gpu, &self.grid, &mut state.average)?;
         let (tables, nets) = state.moments.split_at_mut(state.weights.tables.len());
         self.arrays.read_table_moments(gpu, &self.grid, tables)?;
-        for (array, moments) in self.arrays.net_moments().into_iter().zip(nets) {
-            array.read(gpu, moments)?;
-        }
+        self.arrays.read_net_moments(gpu, nets)?;
         let (gains, moments) = (&mut state.gains, &mut state.gain_moments);
         self.arrays.exposures.read(gpu, gains, moments)?;
         state.occupancy = self.occupancy.read(gpu)?;

@@ -7,12 +7,11 @@ use super::cost::{Cost, Filled, Slots, costs};
 use super::forward::{Purpose, gathered_rows};
 use super::record::listed;
 use super::session::{GpuSession, Watch};
-use super::weights::{BACKGROUND, DeviceLayer};
 use crate::backend::{Session, Step};
 #[cfg(test)]
 use crate::state::State;
 use crate::training::Training;
-use crate::{Background, Config, FieldError, View};
+use crate::{Config, FieldError, View};
 
 /// Steps that were timed.
 #[derive(Clone, Debug, PartialEq)]
@@ -177,33 +176,33 @@ impl GpuSession {
 
     /// Returns what a kernel has to do in a step, counted from what it must read, write and compute.
     fn load(&self, name: &str, training: &Training, watch: &Watch, sum: Step, rows: u64) -> Option<Load> {
-        let [visited, kept, rays, rows] =
-            [watch.visited, sum.samples, sum.rays, rows].map(|count| count as f64 / sum.steps as f64);
-        let weights = |layers: &[DeviceLayer]| -> f64 {
-            let sizes = layers.iter().map(|layer| layer.inputs * layer.outputs);
-            sizes.sum::<usize>() as f64
-        };
-        let (density, color) = (weights(&self.weights.density), weights(&self.weights.color));
+        let [visited, kept, rows] =
+            [watch.visited, sum.samples, rows].map(|count| count as f64 / sum.steps as f64);
+        let layers = &self.weights.layers;
+        let sizes = layers
+            .shapes
+            .iter()
+            .map(|[inputs, outputs]| (inputs * outputs) as f64);
+        let sizes: Vec<f64> = sizes.collect();
+        let (density, color) = sizes.split_at(layers.density);
+        let (density, color): (f64, f64) = (density.iter().sum(), color.iter().sum());
         let entries = 4.0 * self.grid.numbers() as f64;
         let row = 4.0 * self.grid.features() as f64;
-        let behind = match training.config.background {
-            Background::Direction => BACKGROUND as f64,
-            Background::Black => 0.0,
-        };
         Some(match name {
             // Weight and both moments read and written, the count too; of the gradient zeros.
             "adam_table" => Load::Bytes(entries + rows * (7.0 * row + 8.0)),
             "peak" => Load::Bytes(entries),
             "blend" => {
-                let numbers: usize = self.weights.arrays().iter().map(|array| array.len()).sum();
+                let numbers = self.grid.numbers();
                 let steps = training.state.steps - sum.steps..training.state.steps;
                 let due = steps.filter(|step| training.kept_at(*step).is_some()).count();
                 Load::Bytes(12.0 * numbers as f64 * due as f64 / sum.steps as f64)
             }
             "gather" => Load::Bytes(8.0 * kept * gathered_rows(&self.lanes, Purpose::Training) as f64),
-            // Forward: densities of visited samples, colours of kept ones; back through both.
-            "product" => Load::Operations(2.0 * (visited * density + kept * (density + 2.0 * color))),
-            "outer" => Load::Operations(2.0 * (kept * (density + color) + rays * behind)),
+            "density" => Load::Operations(2.0 * visited * density),
+            "shade" => Load::Operations(2.0 * kept * color),
+            // Forward anew, and two products a weight on the way back.
+            "back" => Load::Operations(6.0 * kept * (density + color)),
             _ => return None,
         })
     }
