@@ -5,8 +5,8 @@
 // Twin      marf_field::cpu::net::Net::backward over both networks; slopes within 1e-5 of the largest. Sums over samples
 //           run tile by tile and group by group in the order of `sum`: no thread decides a rounding.
 // Threads   `groups` workgroups of 128, folded; workgroup g takes tiles g, g + groups, ... of 4 FOURS samples each.
-// Reads     features [inputs][capacity] of visited samples, origin and ray_of [capacity], directions [rays] (w 0: no ray),
-//           weights, light row 0 of [3][capacity] (slope in the raw density), d_logits rows 0 to 2 of [.][capacity],
+// Reads     features [inputs][capacity] and ray_of [capacity] of visited samples, origin [capacity], directions [rays] (w 0: no ray),
+//           weights, light row 0 of [3][capacity] of visited samples (slope in the raw density), d_logits [3][capacity],
 //           counts[COUNT_KEPT] samples in use
 // Writes    work [groups][stride]: first the gradient of all weights over the group's tiles, of groups that have some;
 //           then memory of the group. slopes [inputs][capacity] of tiles that hold samples, each element once;
@@ -19,7 +19,7 @@
 @group(0) @binding(4) var<storage, read> ray_of: array<u32>;
 @group(0) @binding(5) var<storage, read> directions: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read> weights: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read> light: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read> light: array<f32>;
 @group(0) @binding(8) var<storage, read> d_logits: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read_write> work: array<vec4<f32>>;
 @group(0) @binding(10) var<storage, read_write> slopes: array<vec4<f32>>;
@@ -172,6 +172,17 @@ fn recall(own: u32, first: u32, in_use: u32, me: u32) {
     workgroupBarrier();
 }
 
+// Slopes of compositing in 4 raw densities.
+fn raw_slopes(at: u32, in_use: u32) -> vec4<f32> {
+    let places = bring_column(0u, 4u * at, in_use);
+    return vec4(raw_slope(places.x), raw_slope(places.y), raw_slope(places.z), raw_slope(places.w));
+}
+
+fn raw_slope(at: u32) -> f32 {
+    if at == 0xffffffffu { return 0.0; }
+    return light[at];
+}
+
 // Back through one layer: the tile holds the slopes of its outputs, then those of its inputs.
 fn retreat(own: u32, number: u32, first: u32, in_use: u32, me: u32) {
     let layer = run.shapes[number];
@@ -186,7 +197,7 @@ fn retreat(own: u32, number: u32, first: u32, in_use: u32, me: u32) {
         sums = behind(layer, four, eight);
         if number == run.density {
             // Compositing has its own say on the raw density, output 0 of the density network.
-            if eight == 0u { sums[0] += alive(light[first + four], 4u * (first + four), in_use); }
+            if eight == 0u { sums[0] += raw_slopes(first + four, in_use); }
         } else if number > 0u {
             sums = gated(sums, input + 8u * eight * FOURS + four);
         } else {

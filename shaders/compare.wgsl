@@ -4,7 +4,8 @@
 //           use and channels.
 // Twin      marf_field::batch::Losses::ray (gather, behind, compare); within 1e-6.
 // Threads   one per ray, its samples from the front: workgroup 64, folded.
-// Reads     spans [2][rays], light [3][capacity] (alpha, transmittance), rgb [3][capacity], directions [rays] (w 0: no
+// Reads     spans [4][rays] (of visited samples, of kept ones: the first of the visited), light [3][capacity] (alpha, transmittance) of visited samples,
+//           rgb [3][capacity] of kept ones, directions [rays] (w 0: no
 //           ray), targets u32 [rays] (bits of the pixel; w: the view), gains [views] log gains and, where run.offsets is 1,
 //           [views] offsets behind them, background [3][16], counts[slot] rays in use
 // Writes    found [FOUND_ROWS][rays] of rays in use, each element once, but row 3 never: rows 0 to 2 slopes in the
@@ -37,13 +38,14 @@ struct CompareRun {
 
 // Colour, and what passes behind the last sample.
 fn gathered(ray: u32) -> vec4<f32> {
-    let first = spans[ray];
-    let end = first + spans[run.rays + ray];
+    let first = spans[2u * run.rays + ray];
+    let end = first + spans[3u * run.rays + ray];
+    let shift = spans[ray] - first;
     var sum = vec3<f32>(0.0);
     var left = 1.0;
     for (var sample = first; sample < end; sample++) {
-        let transmittance = light[2u * run.capacity + sample];
-        let weight = transmittance * light[run.capacity + sample];
+        let transmittance = light[2u * run.capacity + shift + sample];
+        let weight = transmittance * light[run.capacity + shift + sample];
         let shade = vec3<f32>(rgb[sample], rgb[run.capacity + sample], rgb[2u * run.capacity + sample]);
         sum = fma(vec3<f32>(weight), shade, sum);
         left = transmittance - weight;

@@ -160,7 +160,6 @@ pub const SHADERS: &[Shader] = &[
     ADAM_NET,
     OPACITY,
     KEPT,
-    GATHER,
     COMPARE,
     SPREAD,
     TOTALS,

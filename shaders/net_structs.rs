@@ -113,20 +113,6 @@ pub struct Extent {
     pub pad: u32,
 }
 
-/// Which rows are copied.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
-pub struct GatherRun {
-    /// Place in `counts` of the samples in use.
-    pub slot: u32,
-    /// Numbers a column.
-    pub capacity: u32,
-    /// First row of the source.
-    pub first_from: u32,
-    /// First row of what it is copied to.
-    pub first_to: u32,
-}
-
 /// Sizes and switches of the comparison of rays with pixels.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]

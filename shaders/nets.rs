@@ -148,14 +148,6 @@ pub const KEPT: Shader = Shader {
     heads: PLAIN,
 };
 
-/// Copies the kept samples of some rows.
-pub const GATHER: Shader = Shader {
-    name: "gather",
-    shared: &[],
-    text: include_str!("gather.wgsl"),
-    heads: PLAIN,
-};
-
 /// Colour of a ray beside its pixel.
 pub const COMPARE: Shader = Shader {
     name: "compare",

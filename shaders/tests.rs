@@ -256,12 +256,6 @@ fn rust_layouts() -> Vec<Layout> {
             rays,
             pad
         }),
-        layout!(GatherRun {
-            slot,
-            capacity,
-            first_from,
-            first_to
-        }),
         layout!(CompareRun {
             slot,
             capacity,

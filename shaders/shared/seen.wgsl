@@ -16,7 +16,7 @@ fn bring_column(at: u32, sample: u32, in_use: u32) -> vec4<u32> {
 // The 16 harmonics of the direction a sample is seen from; 0 where there is none.
 fn harmonics_at(sample: u32, in_use: u32) -> array<f32, 16> {
     if sample >= in_use { return array<f32, 16>(); }
-    let direction = directions[ray_of[sample]];
+    let direction = directions[ray_of[origin[sample]]];
     if !(direction.w > 0.0) { return array<f32, 16>(); }
     return harmonics_of(direction.xyz);
 }

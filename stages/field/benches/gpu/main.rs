@@ -69,17 +69,25 @@ const COUNTED: f64 = (1 << 18) as f64;
 /// Prints what the kernels of a step of 2^18 samples do; a small batch tells.
 fn counted(gpu: &Arc<Gpu>, config: &Config) -> Result<(), Box<dyn Error>> {
     let config = Config {
-        batch_samples: 1 << 11,
+        batch_samples: 1 << 13,
         gain: Gain::PerPhotoAndOffset,
         ..config.clone()
     };
+    // The first steps along rays are the longest.
+    let mut training = TimedTraining::new(gpu, scene::views(), &config, 0)?;
+    training.advance(1)?;
+    let apart = training.apart()?;
+    println!(
+        "of the corners of all samples {:.1} % are added one by one\n",
+        100.0 * apart
+    );
     let filled = Filled {
         visited: COUNTED,
         kept: COUNTED,
         rays: COUNTED / 10.0,
         moved: 1.0,
+        apart,
     };
-    let training = TimedTraining::new(gpu, scene::views(), &config, 0)?;
     let costs = training.costs(&filled).ok_or("a kernel has no cost")?;
     println!("| kernel | dispatches | MB | million atomic additions |\n|---|---|---|---|");
     let line = |name, dispatches, bytes: f64, atomics: f64| {

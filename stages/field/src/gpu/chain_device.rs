@@ -58,7 +58,7 @@ fn aims(targets: &[Target]) -> ([Vec<[f32; 4]>; 2], Vec<[f32; 2]>) {
     (lists, pulls)
 }
 
-/// The samples of the rays before or after hidden ones are dropped.
+/// The samples of the rays.
 struct Samples {
     spans: Array<u32>,
     along: Array<f32>,
@@ -74,12 +74,9 @@ struct Device<'a> {
     all: Samples,
     /// Of visited samples.
     features: Array<f32>,
-    kept: Samples,
     ray_of: Array<u32>,
     /// Outputs of the density network, of visited samples.
     latent: Array<f32>,
-    /// Raw densities of kept samples.
-    density: Array<f32>,
     origin: Array<u32>,
     colours: Array<f32>,
     d_logits: Array<f32>,
@@ -95,7 +92,7 @@ struct Device<'a> {
 }
 
 /// Visited samples, encoded by the CPU.
-fn samples(rig: &Rig, training: &Training, targets: &[Target]) -> (Samples, Array<f32>) {
+fn samples(rig: &Rig, training: &Training, targets: &[Target]) -> (Samples, Array<f32>, Array<u32>) {
     let (shade, spans) = visited(training, targets);
     let width = training.state.weights.row_blocks() * 16;
     let mut along = vec![f32::NAN; 3 * CAPACITY];
@@ -108,12 +105,20 @@ fn samples(rig: &Rig, training: &Training, targets: &[Target]) -> (Samples, Arra
     let counts_of = |span: &Span| [span.first as u32, (span.end - span.first) as u32];
     let spans: Vec<_> = spans.iter().map(counts_of).collect();
     let samples = Samples {
-        spans: rig.gpu.filled("spans", &spans_array(&spans)).unwrap(),
+        spans: rig
+            .gpu
+            .filled("spans", &[spans_array(&spans), vec![0; 2 * SLOTS]].concat())
+            .unwrap(),
         along: rig.filled(&along),
         light: rig.untouched(3),
     };
     let features = rig.filled(&columns(flat(&shade.features), width, CAPACITY, f32::NAN));
-    (samples, features)
+    let rays = spans.iter().zip(0..);
+    let mut ray_of: Vec<u32> = rays
+        .flat_map(|([_, count], ray)| (0..*count).map(move |_| ray))
+        .collect();
+    ray_of.resize(CAPACITY, 0);
+    (samples, features, rig.gpu.filled("rays", &ray_of).unwrap())
 }
 
 impl<'a> Device<'a> {
@@ -128,21 +133,15 @@ impl<'a> Device<'a> {
         let mut nets: Vec<f32> = all.flat_map(|layer| flat(&layer.weights)).copied().collect();
         nets.extend(&weights.background);
         nets.resize(layers.numbers(), 0.0);
-        let (all, features) = samples(rig, training, targets);
+        let (all, features, ray_of) = samples(rig, training, targets);
         Self {
             nets: Nets::new(&rig.gpu, &layers).unwrap(),
             light: Light::new(&rig.gpu).unwrap(),
             weights: rig.filled(&nets),
             all,
             features,
-            kept: Samples {
-                spans: words(2 * SLOTS),
-                along: zeros(3 * CAPACITY),
-                light: zeros(3 * CAPACITY),
-            },
-            ray_of: words(CAPACITY),
+            ray_of,
             latent: zeros(16 * CAPACITY),
-            density: zeros(CAPACITY),
             origin: words(CAPACITY),
             colours: zeros(6 * CAPACITY),
             d_logits: zeros(3 * CAPACITY),
@@ -160,12 +159,12 @@ impl<'a> Device<'a> {
         }
     }
 
-    fn columns<'b>(samples: &'b Samples, density: &'b Array<f32>) -> Columns<'b> {
+    fn columns(&self) -> Columns<'_> {
         Columns {
-            spans: &samples.spans,
-            along: &samples.along,
-            density,
-            light: &samples.light,
+            spans: &self.all.spans,
+            along: &self.all.along,
+            density: &self.latent,
+            light: &self.all.light,
         }
     }
 
@@ -174,40 +173,25 @@ impl<'a> Device<'a> {
         let (rig, gpu) = (self.rig, &self.rig.gpu);
         let before = gpu.zeros("before", SLOTS).unwrap();
         let shown = gpu.zeros::<u32>("shown", 2 * SLOTS).unwrap();
-        let columns = Self::columns(&self.all, &self.latent);
+        let columns = self.columns();
         let ends = [&self.features, &self.latent];
         let density = self.nets.density(rig.batch(), &self.weights, ends);
         let opacity = self
             .light
             .opacity(rig.batch(), counts::RAYS, columns, &before, &shown);
         self.record(&[density.unwrap(), opacity.unwrap()]);
-        let (mut spans, mut ray_of) = (Vec::new(), Vec::new());
-        for (ray, count) in (0..).zip(&gpu.read(&shown).unwrap()[..RAYS]) {
-            spans.push([ray_of.len() as u32, *count]);
-            ray_of.extend((0..*count).map(|_| ray));
+        let (mut spans, mut kept) = (Vec::new(), 0);
+        for count in &gpu.read(&shown).unwrap()[..RAYS] {
+            spans.push([kept, *count]);
+            kept += count;
         }
-        gpu.write(&rig.counts, counts::KEPT as usize, &[ray_of.len() as u32]);
-        gpu.write(&self.ray_of, 0, &ray_of);
-        gpu.write(&self.kept.spans, 0, &spans_array(&spans));
-        ray_of.len()
-    }
-
-    /// Drops what is hidden.
-    fn keep(&self) -> Vec<Work> {
-        let (batch, all, kept) = (self.rig.batch(), &self.all, &self.kept);
-        let spans = [&all.spans, &kept.spans];
-        let mut runs = vec![self.light.kept(batch, counts::RAYS, spans, &self.origin).unwrap()];
-        for (from, to, rows) in [
-            (&all.along, &kept.along, 3),
-            (&all.light, &kept.light, 3),
-            (&self.latent, &self.density, 1),
-        ] {
-            let gather = self
-                .light
-                .gather(batch, &self.origin, from.into(), to.into(), rows);
-            runs.push(gather.unwrap());
-        }
-        runs
+        gpu.write(&rig.counts, counts::KEPT as usize, &[kept]);
+        gpu.write(&self.all.spans, 2 * SLOTS, &spans_array(&spans));
+        let origin = self
+            .light
+            .kept(rig.batch(), counts::RAYS, &self.all.spans, &self.origin);
+        self.record(&[origin.unwrap()]);
+        kept as usize
     }
 
     /// Colours, loss and slopes in logits and raw densities.
@@ -216,7 +200,7 @@ impl<'a> Device<'a> {
         let ends = [&self.latent, &self.colours];
         let shade = self.nets.shade(batch, &self.weights, self.seen(), ends);
         let colours = Colours::of(&self.colours);
-        let columns = Self::columns(&self.kept, &self.density);
+        let columns = self.columns();
         let aims = Aims {
             directions: &self.directions,
             targets: &self.pixels,
@@ -248,7 +232,7 @@ impl<'a> Device<'a> {
             features: &self.features,
             seen: self.seen(),
             weights: &self.weights,
-            light: &self.kept.light,
+            light: &self.all.light,
             d_logits: &self.d_logits,
             work: &self.work,
             slopes: &self.slopes,
@@ -287,7 +271,7 @@ impl<'a> Device<'a> {
 pub fn on_the_device(rig: &Rig, training: &Training, targets: &[Target]) -> Trained {
     let device = Device::new(rig, training, targets);
     let kept = device.look();
-    for runs in [device.keep(), device.compare(training), device.backward()] {
+    for runs in [device.compare(training), device.backward()] {
         device.record(&runs);
     }
     let read = |array: &Array<f32>| rig.gpu.read(array).unwrap();

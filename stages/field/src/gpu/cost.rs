@@ -3,6 +3,7 @@
 //! A byte counts once a dispatch that reads it and once a dispatch that writes it, however often its threads ask for it.
 
 use super::record::Work;
+use super::tables::EACH;
 
 /// How far the arrays of a batch are filled.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,6 +16,8 @@ pub struct Filled {
     pub rays: f64,
     /// Rows of the tables that have a gradient, as a share of all.
     pub moved: f64,
+    /// Corners that are added to the tables one by one, as a share of those of all samples: see [`apart`].
+    pub apart: f64,
 }
 
 /// What a kernel does in a step.
@@ -109,6 +112,7 @@ impl Arrays<'_> {
             kept,
             rays,
             moved,
+            ..
         } = *self.filled;
         let bytes = match name {
             "rays" => self.rays(&[4, 5, 6, 7]) + 4.0 * rays,
@@ -129,12 +133,11 @@ impl Arrays<'_> {
             }
             "behind" => self.rays(&[2]) + 12.0 * rays + rays / 64.0 * 256.0,
             "sum" => self.whole(&[2, 3]),
-            "gather" => 2.0 * self.kept(&[3]) + self.kept(&[2]),
             "opacity" => self.rays(&[2, 7]) + 4.0 * rays + 20.0 * visited,
-            "kept" => self.rays(&[2, 3]) + self.kept(&[4]),
+            "kept" => self.rays(&[2]) + self.kept(&[3]),
             "compare" => self.rays(&[2, 5, 6, 9]) + 8.0 * kept + self.kept(&[4]),
             "spread" => self.rays(&[2, 8]) + 20.0 * rays + self.kept(&[3]) + 48.0 * kept,
-            "scatter" | "scatter_packed" => self.kept(&[3, 4]) + 2.0 * moved * self.whole(&[6]),
+            "scatter" | "scatter_packed" => self.kept(&[3, 4, 7]) + 2.0 * moved * self.whole(&[6]),
             "peak" => self.whole(&[1]),
             "rescale" => 2.0 * self.whole(&[1]),
             "adam_table" => self.whole(&[5]) + moved * (self.whole(&[5]) + 2.0 * self.whole(&[6, 7, 8, 9])),
@@ -147,11 +150,48 @@ impl Arrays<'_> {
         };
         let words = self.rows(4) / self.corners(1, 1.0) * 8.0;
         let atomics = match name {
-            "scatter" => self.corners(1, kept) * words,
-            "scatter_packed" => self.corners(1, kept) * words / 2.0,
+            "scatter" => self.corners(1, kept) * words * self.filled.apart,
+            "scatter_packed" => self.corners(1, kept) * words / 2.0 * self.filled.apart,
             "peak" => self.whole(&[1]) / 8.0 / 64.0,
             _ => 0.0,
         };
         Some((bytes, atomics))
+    }
+}
+
+/// Returns the share of corners that samples, 8 at a time, add to the tables of some levels, a cell's neighbour keeping the
+/// corners that both share: twin of the order of `shared/spread.wgsl`, where no sum is 0.
+///
+/// `samples`: positions in the unit box; `resolutions`: cells a side.
+pub fn apart(samples: &[[f32; 3]], resolutions: &[u32]) -> f64 {
+    let cell = |at: &[f32; 3], side: u32| at.map(|x| ((x * side as f32) as i64).min(i64::from(side) - 1));
+    let mut added = 0;
+    for side in resolutions {
+        for run in samples.chunks(EACH) {
+            for pair in run.windows(2) {
+                let [from, to] = [&pair[0], &pair[1]].map(|at| cell(at, *side));
+                let shared = (0..3).map(|axis| 2 - (to[axis] - from[axis]).abs().min(2));
+                added += 8 - shared.product::<i64>();
+            }
+            added += 8;
+        }
+    }
+    added as f64 / (8 * samples.len() * resolutions.len()).max(1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn corners_that_neighbours_share_are_added_once() {
+        let at = |x: f32| [x, 0.5, 0.5];
+        // Eight samples of one cell, of two that share a face, of cells apart.
+        assert_eq!(apart(&[at(0.1); 8], &[4]), 8.0 / 64.0);
+        assert_eq!(apart(&[at(0.1), at(0.3)], &[4]), 12.0 / 16.0);
+        assert_eq!(apart(&[at(0.1), at(0.9)], &[4, 1]), (16.0 + 8.0) / 32.0);
+        // A run ends after eight.
+        assert_eq!(apart(&[at(0.1); 9], &[4]), 16.0 / 72.0);
+        assert_eq!(apart(&[], &[4]), 0.0);
     }
 }

@@ -4,7 +4,7 @@ use marf_shaders::{Walk, counts, faults};
 
 use super::Gpu;
 use super::array::Array;
-use super::light::{Colours, Columns, Light, Rows};
+use super::light::{Colours, Columns, Light};
 use super::march::{MarchArrays, SampleArrays, Scan};
 use super::nets::{Batch, Layers, Nets, Seen};
 use super::picture::STATE;
@@ -30,20 +30,16 @@ pub struct Lanes {
     pub progress: Progress,
     /// Samples of every ray.
     pub amounts: Array<u32>,
-    /// Spans of visited and of kept samples.
-    pub spans: [Array<u32>; 2],
+    /// u32 `[4][rays]`: first sample and number of visited samples, then of kept ones.
+    pub spans: Array<u32>,
     /// Visited samples.
     pub visited: SampleArrays,
-    /// Kept samples.
-    pub kept: SampleArrays,
     /// Features of visited samples, f32 `[L * F][capacity]`.
     pub features: Array<f32>,
     /// f32 `[16][capacity]`, outputs of the density network of visited samples.
     pub latent: Array<f32>,
-    /// f32 `[capacity]`, raw densities of kept samples.
-    pub density: Array<f32>,
-    /// Tau, alpha, transmittance of visited and of kept samples.
-    pub light: [Array<f32>; 2],
+    /// Tau, alpha, transmittance of visited samples.
+    pub light: Array<f32>,
     /// What `opacity` writes of rays.
     pub shown: Array<u32>,
     /// Which visited sample a kept one was; in an update of the occupancy, the cells of probes.
@@ -61,9 +57,9 @@ pub struct Lanes {
 /// What a batch is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// Positions of kept samples go with them.
+    /// There is a way back.
     Training,
-    /// They do not.
+    /// There is none.
     Picture,
 }
 
@@ -87,13 +83,11 @@ impl Lanes {
             rays: RayArrays::new(gpu, rays)?,
             progress: Progress::new(gpu, rays)?,
             amounts: gpu.zeros("samples of rays", rays)?,
-            spans: [gpu.zeros("spans", 2 * rays)?, gpu.zeros("kept spans", 2 * rays)?],
+            spans: gpu.zeros("spans", 4 * rays)?,
             visited: SampleArrays::new(gpu, capacity)?,
-            kept: SampleArrays::new(gpu, capacity)?,
             features: columns("features", inputs)?,
             latent: columns("latent", LATENT)?,
-            density: columns("kept raw densities", 1)?,
-            light: [columns("light", 3)?, columns("kept light", 3)?],
+            light: columns("light", 3)?,
             shown: gpu.zeros("samples that show", 2 * rays)?,
             origin: gpu.zeros("origin of kept samples", capacity)?,
             state: gpu.zeros("state of rays", STATE * rays)?,
@@ -126,7 +120,7 @@ impl Lanes {
             bits,
             progress: &self.progress,
             amounts: &self.amounts,
-            spans: &self.spans[0],
+            spans: &self.spans,
             counts: &self.counts,
             samples: &self.visited,
         }
@@ -136,28 +130,18 @@ impl Lanes {
     pub fn seen(&self) -> Seen<'_> {
         Seen {
             origin: &self.origin,
-            ray_of: &self.kept.ray_of,
+            ray_of: &self.visited.ray_of,
             directions: &self.rays.directions,
         }
     }
 
-    /// Returns the columns of visited samples.
-    fn visited_columns(&self) -> Columns<'_> {
+    /// Returns the columns of visited samples, of which the first of every ray are kept.
+    pub fn columns(&self) -> Columns<'_> {
         Columns {
-            spans: &self.spans[0],
+            spans: &self.spans,
             along: &self.visited.along,
             density: &self.latent,
-            light: &self.light[0],
-        }
-    }
-
-    /// Returns the columns of kept samples.
-    pub fn kept_columns(&self) -> Columns<'_> {
-        Columns {
-            spans: &self.spans[1],
-            along: &self.kept.along,
-            density: &self.density,
-            light: &self.light[1],
+            light: &self.light,
         }
     }
 
@@ -232,11 +216,10 @@ impl Forward {
         grid: &Grid,
         weights: &DeviceWeights,
         lanes: &Lanes,
-        purpose: Purpose,
     ) -> Result<Self, GpuError> {
         Ok(Self {
             densities: densities(gpu, kernels, grid, weights, lanes)?,
-            colours: colours(gpu, kernels, weights, lanes, purpose)?,
+            colours: colours(gpu, kernels, weights, lanes)?,
         })
     }
 }
@@ -264,67 +247,24 @@ fn densities(
     Ok(encode.then(net))
 }
 
-fn colours(
-    gpu: &Gpu,
-    kernels: &Kernels,
-    weights: &DeviceWeights,
-    lanes: &Lanes,
-    purpose: Purpose,
-) -> Result<Work, GpuError> {
+fn colours(gpu: &Gpu, kernels: &Kernels, weights: &DeviceWeights, lanes: &Lanes) -> Result<Work, GpuError> {
     let (batch, light) = (lanes.batch(gpu), &kernels.light);
     let mut work = Work::default();
-    let opacity = light.opacity(
-        batch,
-        counts::RAYS,
-        lanes.visited_columns(),
-        &lanes.state,
-        &lanes.shown,
-    )?;
+    let opacity = light.opacity(batch, counts::RAYS, lanes.columns(), &lanes.state, &lanes.shown)?;
     work = work.then(opacity);
-    let [visited, kept] = &lanes.spans;
     let scan = kernels.scan.bind(
         gpu,
         &lanes.walks[1],
         &lanes.shown,
-        kept,
+        lanes.spans.part(2 * lanes.rays.slots, 2 * lanes.rays.slots),
         &lanes.counts,
-        &lanes.kept,
+        &lanes.visited,
     );
     work.add(scan, [1, 1, 1]);
-    work = work.then(light.kept(batch, counts::RAYS, [visited, kept], &lanes.origin)?);
-    for (from, to, rows) in gathered(lanes, purpose) {
-        work = work.then(light.gather(batch, &lanes.origin, from, to, rows)?);
-    }
+    work = work.then(light.kept(batch, counts::RAYS, &lanes.spans, &lanes.origin)?);
     let ends = [&lanes.latent, &lanes.colours];
     let shade = kernels.nets.shade(batch, &weights.nets, lanes.seen(), ends)?;
     Ok(work.then(shade))
-}
-
-fn words(array: &Array<u32>) -> Rows<'_> {
-    Rows {
-        part: array.into(),
-        first: 0,
-    }
-}
-
-/// Returns what kept samples take over from visited ones, and how many rows it has.
-fn gathered(lanes: &Lanes, purpose: Purpose) -> Vec<(Rows<'_>, Rows<'_>, usize)> {
-    let (from, to) = (&lanes.visited, &lanes.kept);
-    let mut pairs = vec![
-        (Rows::from(&from.along), Rows::from(&to.along), 3),
-        (words(&from.ray_of), words(&to.ray_of), 1),
-        ((&lanes.light[0]).into(), (&lanes.light[1]).into(), 3),
-        ((&lanes.latent).into(), (&lanes.density).into(), 1),
-    ];
-    if purpose == Purpose::Training {
-        pairs.push(((&from.xyz).into(), (&to.xyz).into(), 3));
-    }
-    pairs
-}
-
-/// Returns how many numbers of a sample `gather` copies.
-pub fn gathered_rows(lanes: &Lanes, purpose: Purpose) -> usize {
-    gathered(lanes, purpose).iter().map(|(_, _, rows)| rows).sum()
 }
 
 /// Writes the number of rays to the uniforms of the walks of a batch.

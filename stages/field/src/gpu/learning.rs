@@ -146,11 +146,11 @@ impl Bindings<'_> {
             background: behind.then(|| self.weights.background()),
             found: &arrays.found,
         };
-        let mut work = light.compare(batch, lanes.kept_columns(), lanes.colours().rgb, aims)?;
+        let mut work = light.compare(batch, lanes.columns(), lanes.colours().rgb, aims)?;
         work = work.then(light.spread(
             batch,
             &arrays.losses,
-            (lanes.kept_columns(), lanes.colours()),
+            (lanes.columns(), lanes.colours()),
             [&arrays.found, &arrays.d_logits],
             &lanes.rays.pulls,
         ));
@@ -173,7 +173,7 @@ impl Bindings<'_> {
             features: &lanes.features,
             seen: lanes.seen(),
             weights: &self.weights.nets,
-            light: &lanes.light[1],
+            light: &lanes.light,
             d_logits: &arrays.d_logits,
             work: &arrays.work,
             slopes: &arrays.slopes,
@@ -191,7 +191,8 @@ impl Bindings<'_> {
             slot: counts::KEPT,
         };
         let scattered = Scattered {
-            xyz: &lanes.kept.xyz,
+            xyz: &lanes.visited.xyz,
+            origin: &lanes.origin,
             counts: &lanes.counts,
             slopes: &arrays.slopes,
             gradient: &arrays.gradient,

@@ -1,10 +1,10 @@
 //! Light along the rays of a batch: opacities, what shows, colours, the loss and its slopes.
 
-use marf_shaders::{self as shaders, CompareRun, Extent, GatherRun, Pace, SpreadRun, Total, counts};
+use marf_shaders::{self as shaders, CompareRun, Extent, Pace, SpreadRun, Total, counts};
 
 use super::Gpu;
 use super::array::{Array, Part};
-use super::kernel::{GROUP, Kernel};
+use super::kernel::Kernel;
 use super::nets::{Batch, limits, one_each};
 use super::record::{Work, dispatch};
 use crate::Config;
@@ -18,7 +18,7 @@ pub const RING: usize = 16;
 /// Columns of samples of the same rays.
 #[derive(Clone, Copy)]
 pub struct Columns<'a> {
-    /// u32 `[2][rays]`: first sample and count.
+    /// u32 `[4][rays]`: first sample and number of visited samples, then of kept ones, which are the first of every ray.
     pub spans: &'a Array<u32>,
     /// f32 `[3][capacity]`: distance, length, place.
     pub along: &'a Array<f32>,
@@ -48,24 +48,6 @@ impl<'a> Colours<'a> {
     }
 }
 
-/// Rows of an array of columns, from one on.
-#[derive(Clone)]
-pub struct Rows<'a> {
-    /// f32 `[.][capacity]`.
-    pub part: Part<'a>,
-    /// The first row that counts.
-    pub first: usize,
-}
-
-impl<'a> From<&'a Array<f32>> for Rows<'a> {
-    fn from(array: &'a Array<f32>) -> Self {
-        Self {
-            part: array.into(),
-            first: 0,
-        }
-    }
-}
-
 /// What rays are compared with.
 #[derive(Clone)]
 pub struct Aims<'a> {
@@ -87,7 +69,6 @@ pub struct Aims<'a> {
 pub struct Light {
     opacity: Kernel,
     kept: Kernel,
-    gather: Kernel,
     compare: Kernel,
     spread: Kernel,
     totals: Kernel,
@@ -103,7 +84,6 @@ impl Light {
         Ok(Self {
             opacity: gpu.kernel(&shaders::OPACITY, &head)?,
             kept: gpu.kernel(&shaders::KEPT, "")?,
-            gather: gpu.kernel(&shaders::GATHER, "")?,
             compare: gpu.kernel(&shaders::COMPARE, &head)?,
             spread: gpu.kernel(&shaders::SPREAD, &head)?,
             totals: gpu.kernel(&shaders::TOTALS, "")?,
@@ -140,7 +120,7 @@ impl Light {
         Ok(dispatch(batch.gpu, &self.opacity, &parts, one_each(batch.rays)))
     }
 
-    /// Binds the list of kept samples, u32 `[capacity]`, from spans before and after hidden ones are dropped.
+    /// Binds the list of kept samples, u32 `[capacity]`, from the spans of `Columns`.
     ///
     /// # Errors
     /// The memory of a uniform.
@@ -148,48 +128,12 @@ impl Light {
         &self,
         batch: Batch<'_>,
         slot: u32,
-        [visited, remaining]: [&Array<u32>; 2],
+        spans: &Array<u32>,
         origin: &Array<u32>,
     ) -> Result<Work, GpuError> {
         let extent = extent(batch, slot)?;
-        let parts = [
-            (&extent).into(),
-            batch.counts.into(),
-            visited.into(),
-            remaining.into(),
-            origin.into(),
-        ];
+        let parts = [(&extent).into(), batch.counts.into(), spans.into(), origin.into()];
         Ok(dispatch(batch.gpu, &self.kept, &parts, one_each(batch.rays)))
-    }
-
-    /// Binds the copy of the kept samples of `rows` rows of 4-byte numbers.
-    ///
-    /// # Errors
-    /// The memory of a uniform.
-    pub fn gather(
-        &self,
-        batch: Batch<'_>,
-        origin: &Array<u32>,
-        from: Rows<'_>,
-        to: Rows<'_>,
-        rows: usize,
-    ) -> Result<Work, GpuError> {
-        let run = GatherRun {
-            slot: counts::KEPT,
-            capacity: batch.capacity as u32,
-            first_from: from.first as u32,
-            first_to: to.first as u32,
-        };
-        let run = batch.gpu.uniform("gather", run)?;
-        let parts = [
-            (&run).into(),
-            batch.counts.into(),
-            origin.into(),
-            from.part,
-            to.part,
-        ];
-        let groups = [batch.capacity.div_ceil(4 * GROUP), rows, 1];
-        Ok(dispatch(batch.gpu, &self.gather, &parts, groups))
     }
 
     /// Binds the loss of every ray and its slopes in colour, background and exposure.

@@ -142,7 +142,7 @@ impl Layers {
 pub struct Seen<'a> {
     /// u32 `[capacity]`: which of the visited samples a kept one was.
     pub origin: &'a Array<u32>,
-    /// u32 `[capacity]`: rays of kept samples.
+    /// u32 `[capacity]`: rays of visited samples.
     pub ray_of: &'a Array<u32>,
     /// `[rays]`: direction, and 1 where there is a ray.
     pub directions: &'a Array<[f32; 4]>,
@@ -157,7 +157,7 @@ pub struct Back<'a> {
     pub seen: Seen<'a>,
     /// f32 [`Layers::numbers`].
     pub weights: &'a Array<f32>,
-    /// f32 `[3][capacity]`; row 0 is the slope in the raw density.
+    /// f32 `[3][capacity]` of visited samples; row 0 is the slope in the raw density.
     pub light: &'a Array<f32>,
     /// f32 `[3][capacity]`: slopes in the logits.
     pub d_logits: &'a Array<f32>,

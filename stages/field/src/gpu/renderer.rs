@@ -94,7 +94,7 @@ impl Canvas {
         let painter = Picture::new(device)?;
         let batch = lanes.batch(device);
         let shown = (&lanes.shown, &lanes.state);
-        let columns = lanes.kept_columns();
+        let columns = lanes.columns();
         let [begin, paint] = painter.paint(batch, counts::RAYS, columns, lanes.colours().rgb, shown)?;
         let background = match model.config.background {
             Background::Direction => Some(weights.background()),
@@ -108,7 +108,7 @@ impl Canvas {
         Ok(Self {
             view: ViewRays::new(device)?.bind(device, &asked, &lanes.rays, progress),
             marching: March::new(device)?.bind(device, lanes.marched(&bits)),
-            forward: Forward::new(device, &kernels, &grid, &weights, &lanes, Purpose::Picture)?,
+            forward: Forward::new(device, &kernels, &grid, &weights, &lanes)?,
             alive: Alive::new(device)?.bind(device, walk, &lanes.state, progress, &lanes.counts),
             begin,
             paint,

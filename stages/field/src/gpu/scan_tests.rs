@@ -26,7 +26,7 @@ fn scanned(
     let spans = gpu.filled("spans", &vec![7; 2 * slots]).unwrap();
     let counts = gpu.filled("counts", &[7, 7, again.unwrap_or(7), 7]).unwrap();
     let samples = SampleArrays::new(gpu, 256).unwrap();
-    let bound = scan.bind(gpu, &told, &amounts, &spans, &counts, &samples);
+    let bound = scan.bind(gpu, &told, &amounts, (&spans).into(), &counts, &samples);
     gpu.submit(|recorder| recorder.groups(&bound, [1, 1, 1]));
     (gpu.read(&spans).unwrap(), gpu.read(&counts).unwrap())
 }

@@ -34,7 +34,7 @@ const SLOTS: usize = 256;
 
 /// A training on a device.
 pub struct GpuSession {
-    gpu: Arc<Gpu>,
+    pub(super) gpu: Arc<Gpu>,
     pub(super) grid: Grid,
     pub(super) weights: DeviceWeights,
     average: DeviceWeights,
@@ -88,7 +88,7 @@ impl GpuSession {
         );
         let draw = DrawRays::new(device)?.bind(device, &step, &photos, &observations, &lanes.rays);
         let marching = March::new(device)?.bind(device, lanes.marched(&occupancy.bits));
-        let forward = Forward::new(device, &shared, &grid, &weights, &lanes, Purpose::Training)?;
+        let forward = Forward::new(device, &shared, &grid, &weights, &lanes)?;
         let learning = Learning::new(Bindings {
             gpu: device,
             shared: &shared,

@@ -14,4 +14,4 @@ pub use adam::{AdamTable, Blend, Trained, blending, rates};
 pub use encode::{Encode, Encoded};
 pub use grid::{Grid, Slots};
 pub use scales::{Rise, Scales, rescaling, start_scales};
-pub use scatter::{Scatter, Scattered, Sums};
+pub use scatter::{EACH, Scatter, Scattered, Sums};

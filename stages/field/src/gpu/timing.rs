@@ -3,8 +3,7 @@
 use std::sync::Arc;
 
 use super::Gpu;
-use super::cost::{Cost, Filled, Slots, costs};
-use super::forward::{Purpose, gathered_rows};
+use super::cost::{Cost, Filled, Slots, apart, costs};
 use super::record::listed;
 use super::session::{GpuSession, Watch};
 use crate::backend::{Session, Step};
@@ -104,6 +103,23 @@ impl TimedTraining {
         )
     }
 
+    /// Returns the share of corners of the last step's samples that are added to the tables: see [`Filled::apart`].
+    ///
+    /// # Errors
+    /// A lost device.
+    pub fn apart(&self) -> Result<f64, FieldError> {
+        let (gpu, lanes) = (&self.session.gpu, &self.session.lanes);
+        let kept = gpu.read(&lanes.counts)?[marf_shaders::counts::KEPT as usize] as usize;
+        let (xyz, origin) = (gpu.read(&lanes.visited.xyz)?, gpu.read(&lanes.origin)?);
+        let places = origin[..kept].iter().map(|visited| *visited as usize);
+        let samples: Vec<[f32; 3]> = places
+            .map(|at| [0, 1, 2].map(|axis| xyz[axis * lanes.capacity + at]))
+            .collect();
+        let levels = self.training.state.weights.shapes.iter();
+        let resolutions: Vec<u32> = levels.map(|shape| shape.resolution).collect();
+        Ok(apart(&samples, &resolutions))
+    }
+
     /// Takes `steps` steps, every dispatch between two timestamps.
     ///
     /// # Errors
@@ -198,7 +214,6 @@ impl GpuSession {
                 let due = steps.filter(|step| training.kept_at(*step).is_some()).count();
                 Load::Bytes(12.0 * numbers as f64 * due as f64 / sum.steps as f64)
             }
-            "gather" => Load::Bytes(8.0 * kept * gathered_rows(&self.lanes, Purpose::Training) as f64),
             "density" => Load::Operations(2.0 * visited * density),
             "shade" => Load::Operations(2.0 * kept * color),
             // Forward anew, and two products a weight on the way back.
