@@ -3,7 +3,7 @@
 //! A byte counts once a dispatch that reads it and once a dispatch that writes it, however often its threads ask for it.
 
 use super::record::Work;
-use super::tables::EACH;
+use super::tables::{EACH, ROWS};
 
 /// How far the arrays of a batch are filled.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -152,7 +152,7 @@ impl Arrays<'_> {
         let atomics = match name {
             "scatter" => self.corners(1, kept) * words * self.filled.apart,
             "scatter_packed" => self.corners(1, kept) * words / 2.0 * self.filled.apart,
-            "peak" => self.whole(&[1]) / 8.0 / 64.0,
+            "peak" => self.whole(&[1]) / 8.0 / (64 * ROWS) as f64,
             _ => 0.0,
         };
         Some((bytes, atomics))

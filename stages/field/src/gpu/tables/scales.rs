@@ -1,6 +1,6 @@
-use marf_shaders::{LevelScale, PEAK, RESCALE, Rescaling, row_head};
+use marf_shaders::{LevelScale, PEAK, RESCALE, Rescaling, row_head, rows_head};
 
-use super::grid::{Grid, Slots, largest};
+use super::grid::{Grid, ROWS, Slots, threads};
 use super::scatter::Sums;
 use crate::GpuError;
 use crate::gpu::Gpu;
@@ -79,7 +79,7 @@ impl Scales {
     /// # Errors
     /// A driver that does not compile it.
     pub fn new(gpu: &Gpu, features: usize, sums: Sums) -> Result<Self, GpuError> {
-        let head = row_head(features as u32) + &sums.head(features);
+        let head = row_head(features as u32) + &sums.head(features) + &rows_head(ROWS);
         Ok(Self {
             peak: gpu.kernel(&PEAK, &head)?,
             rescale: gpu.kernel(&RESCALE, "")?,
@@ -101,7 +101,7 @@ impl Scales {
         faults: &Array<u32>,
     ) -> Result<Work, GpuError> {
         let bound = |levels: &_| vec![grid.bound(gradient, grid.features, levels), scales.into()];
-        let mut work = grid.bind(gpu, &self.peak, Slots::NONE, bound, largest)?;
+        let mut work = grid.bind(gpu, &self.peak, Slots::NONE, bound, threads)?;
         let parts = [Part::from(rescaling), scales.into(), faults.into()];
         let rescale = gpu.bind(&self.rescale, &parts);
         work.add(rescale, fold(1));
