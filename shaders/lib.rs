@@ -345,4 +345,6 @@ pub const MULTIPLY_ADD: Shader = Shader {
 };
 
 #[cfg(test)]
+mod guards;
+#[cfg(test)]
 mod tests;

@@ -35,6 +35,8 @@ mod march;
 mod march_tests;
 mod nets;
 #[cfg(test)]
+mod nets_adam_tests;
+#[cfg(test)]
 mod nets_tests;
 mod occupancy;
 mod picture;
