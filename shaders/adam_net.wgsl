@@ -1,22 +1,24 @@
-// adam_net: one step of Adam for the weights of a layer or of the background, in rows of 16 numbers.
+// adam_net: one step of Adam for all networks and the background, in rows of 16 numbers; then their running average.
 //
 // Source    Kingma and Ba, arXiv 1412.6980, algorithm 1; rows without a gradient keep everything.
 // Twin      marf_field::cpu::adam::Adam::<16> with its decay; within 1e-6 of the step: root and quotient may be rounded
-//           otherwise.
+//           otherwise. The average is marf_field::learn::blend.
 // Threads   one per row: workgroup 64, folded.
-// Reads     gradient [rows][16], bias [last + 1] (corrections by step count), faults [FAULT_SLOTS]; pace.rate, the step size
-// Writes    weights, mean, square [rows][16] and count [rows] of rows with a gradient; gradient becomes 0
+// Reads     gradient [rows][16], bias [last + 1] (corrections by step count), faults [FAULT_SLOTS]; pace.rate, the step
+//           size, and pace.keep, what the average keeps: 1 leaves it alone
+// Writes    weights, mean, square [rows][16] and count [rows] of rows with a gradient; gradient becomes 0; average [rows][16]
 // Extremes  any fault: nothing is written. Both zeros are no gradient. A gradient above 1.8e19 makes the second moment
 //           infinite and its row stands still. A count above `last` takes the last correction.
 struct AdamNet {
     rows: u32,
     last: u32,
+    // First row of the background, which has a step size of its own and no pull to zero.
+    behind: u32,
     factor: f32,
     decay: f32,
     epsilon: f32,
     beta1: f32,
     beta2: f32,
-    pad0: u32,
 }
 @group(0) @binding(0) var<uniform> run: AdamNet;
 @group(0) @binding(1) var<uniform> pace: Pace;
@@ -27,10 +29,11 @@ struct AdamNet {
 @group(0) @binding(6) var<storage, read_write> mean: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read_write> square: array<vec4<f32>>;
 @group(0) @binding(8) var<storage, read_write> count: array<u32>;
+@group(0) @binding(9) var<storage, read_write> average: array<vec4<f32>>;
 
-fn advance(at: u32, rate: f32, correction: vec2<f32>) {
+fn advance(at: u32, rate: f32, decay: f32, correction: vec2<f32>) {
     let weight = weights[at];
-    let slope = fma(vec4<f32>(run.decay), weight, gradient[at]);
+    let slope = fma(vec4<f32>(decay), weight, gradient[at]);
     let m = fma(vec4<f32>(run.beta1), mean[at], (1.0 - run.beta1) * slope);
     let v = fma(vec4<f32>(run.beta2), square[at], (1.0 - run.beta2) * (slope * slope));
     let root = sqrt(v * correction.y) + run.epsilon;
@@ -40,10 +43,7 @@ fn advance(at: u32, rate: f32, correction: vec2<f32>) {
     gradient[at] = vec4<f32>(0.0);
 }
 
-@compute @workgroup_size(64)
-fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let row = flat(id, groups);
-    if row >= run.rows || faulted() { return; }
+fn learn(row: u32) {
     let at = 4u * row;
     let touched = bitcast<vec4<u32>>(gradient[at])
         | bitcast<vec4<u32>>(gradient[at + 1u])
@@ -53,9 +53,22 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let steps = count[row];
     let correction = bias[min(steps, run.last)];
     count[row] = select(steps, steps + 1u, steps < 0xffffffffu);
-    let rate = pace.rate * run.factor;
-    advance(at, rate, correction);
-    advance(at + 1u, rate, correction);
-    advance(at + 2u, rate, correction);
-    advance(at + 3u, rate, correction);
+    let is_behind = row >= run.behind;
+    let rate = pace.rate * select(1.0, run.factor, is_behind);
+    let decay = select(run.decay, 0.0, is_behind);
+    advance(at, rate, decay, correction);
+    advance(at + 1u, rate, decay, correction);
+    advance(at + 2u, rate, decay, correction);
+    advance(at + 3u, rate, decay, correction);
+}
+
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let row = flat(id, groups);
+    if row >= run.rows || faulted() { return; }
+    learn(row);
+    if pace.keep >= 1.0 { return; }
+    for (var at = 4u * row; at < 4u * row + 4u; at++) {
+        average[at] += (1.0 - pace.keep) * (weights[at] - average[at]);
+    }
 }

@@ -3,7 +3,8 @@
 // Source    Kingma and Ba, arXiv 1412.6980, algorithm 1; rows without gradient are skipped whole.
 // Twin      marf_field::cpu::adam::Adam<FEATURES> with epsilon + quantum; weights equal within 1e-5 rates a step
 //           and 1e-6 of their size (gpu/tables/adam.rs).
-// Threads   one per (entry, level): workgroup 64, folded over x and y; z counts the levels of this part.
+// Threads   64 for 64 ROWS entries of a level, each every 64th: workgroup 64, folded over x and y; z counts the levels
+//           of this part.
 // Reads     rates, scales [L]: quantum, skip, first, entries; bias [4096] of 1 / (1 - beta^n); faults [FAULT_SLOTS]
 // Writes    weights, mean, square [entries] of Row, count [entries], gradient [entries] of Quanta to 0; from
 //           entry `base` on. Nothing where a fault is set or all quanta are 0; the gradient alone where the level
@@ -31,14 +32,7 @@ struct Rates {
 @group(0) @binding(8) var<storage, read_write> square: array<Row>;
 @group(0) @binding(9) var<storage, read_write> count: array<u32>;
 
-@compute @workgroup_size(64)
-fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let level = scales[part.level + id.z];
-    let row = flat(id, groups);
-    if row >= level.entries || faulted() {
-        return;
-    }
-    let at = level.first - part.base + row;
+fn learn(level: LevelScale, at: u32) {
     let q = quanta_of(gradient[at]);
     if all(q == Quanta(0)) {
         return;
@@ -58,4 +52,19 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     mean[at] = first;
     square[at] = second;
     weights[at] = weight - rates.rate * (first * correction.x) / root;
+}
+
+@compute @workgroup_size(64)
+fn main(
+    @builtin(global_invocation_id) id: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+) {
+    if faulted() {
+        return;
+    }
+    let level = scales[part.level + id.z];
+    let first = (flat(id, groups) - lane) * ROWS + lane;
+    let end = min(first + 64u * ROWS, level.entries);
+    for (var row = first; row < end; row += 64u) { learn(level, level.first - part.base + row); }
 }

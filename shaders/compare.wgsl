@@ -4,8 +4,9 @@
 //           use and channels.
 // Twin      marf_field::batch::Losses::ray (gather, behind, compare); within 1e-6.
 // Threads   one per ray, its samples from the front: workgroup 64, folded.
-// Reads     spans [2][rays], light [3][capacity] (alpha, transmittance), rgb [3][capacity], directions [rays] (w 0: no
-//           ray), targets [rays] (pixel; w: bits of the view), gains [views] log gains and, where run.offsets is 1,
+// Reads     spans [4][rays] (of visited samples, of kept ones: the first of the visited), light [3][capacity] (alpha, transmittance) of visited samples,
+//           rgb [3][capacity] of kept ones, directions [rays] (w 0: no
+//           ray), targets u32 [rays] (bits of the pixel; w: the view), gains [views] log gains and, where run.offsets is 1,
 //           [views] offsets behind them, background [3][16], counts[slot] rays in use
 // Writes    found [FOUND_ROWS][rays] of rays in use, each element once, but row 3 never: rows 0 to 2 slopes in the
 //           background's logits (row 3 stays 0 and makes a multiple of 4), FOUND_GAIN 3 in log gains, FOUND_OFFSET 3 in
@@ -29,7 +30,7 @@ struct CompareRun {
 @group(0) @binding(3) var<storage, read> light: array<f32>;
 @group(0) @binding(4) var<storage, read> rgb: array<f32>;
 @group(0) @binding(5) var<storage, read> directions: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read> targets: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read> targets: array<vec4<u32>>;
 @group(0) @binding(7) var<storage, read> gains: array<vec4<f32>>;
 @group(0) @binding(8) var<storage, read> background: array<f32>;
 @group(0) @binding(9) var<storage, read_write> found: array<f32>;
@@ -37,13 +38,14 @@ struct CompareRun {
 
 // Colour, and what passes behind the last sample.
 fn gathered(ray: u32) -> vec4<f32> {
-    let first = spans[ray];
-    let end = first + spans[run.rays + ray];
+    let first = spans[2u * run.rays + ray];
+    let end = first + spans[3u * run.rays + ray];
+    let shift = spans[ray] - first;
     var sum = vec3<f32>(0.0);
     var left = 1.0;
     for (var sample = first; sample < end; sample++) {
-        let transmittance = light[2u * run.capacity + sample];
-        let weight = transmittance * light[run.capacity + sample];
+        let transmittance = light[2u * run.capacity + shift + sample];
+        let weight = transmittance * light[run.capacity + shift + sample];
         let shade = vec3<f32>(rgb[sample], rgb[run.capacity + sample], rgb[2u * run.capacity + sample]);
         sum = fma(vec3<f32>(weight), shade, sum);
         left = transmittance - weight;
@@ -84,15 +86,17 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let behind = select(vec3<f32>(0.0), colours_of(logits), is_seen);
     let plain = fma(vec3<f32>(sum.w), behind, sum.xyz);
 
-    let pixel = targets[ray];
-    let view = bitcast<u32>(pixel.w);
+    // Integers: as f32 the view would be a denormal, which a driver may flush to 0.
+    let target_of = targets[ray];
+    let pixel = bitcast<vec3<f32>>(target_of.xyz);
+    let view = target_of.w;
     let log_gain = gains[view].xyz;
     var offset = vec3<f32>(0.0);
     if run.offsets == 1u { offset = gains[run.views + view].xyz; }
     let gain = vec3<f32>(exp_own(log_gain.x), exp_own(log_gain.y), exp_own(log_gain.z));
 
     let scale = 2.0 / f32(3u * counts[run.slot]);
-    let error = fma(plain, gain, offset - pixel.xyz);
+    let error = fma(plain, gain, offset - pixel);
     let squares = error * error;
     let slope = scale * error * gain;
     let loss = squares.x + squares.y + squares.z;

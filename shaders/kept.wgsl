@@ -3,23 +3,21 @@
 // Source    none.
 // Twin      marf_field::shade::Shade::drop_hidden (its list `kept`); equal.
 // Threads   one per ray: workgroup 64, folded.
-// Reads     visited [2][rays] and remaining [2][rays], spans before and after hidden samples are dropped; counts[slot]
-//           rays in use
+// Reads     spans [4][rays]: first sample and number before and after hidden samples are dropped; counts[slot] rays in use
 // Writes    origin u32 [capacity]: number of the visited sample, for samples of rays in use, each once
 // Extremes  a ray without samples writes nothing; samples beyond the capacity are not written.
 @group(0) @binding(0) var<uniform> extent: Extent;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
-@group(0) @binding(2) var<storage, read> visited: array<u32>;
-@group(0) @binding(3) var<storage, read> remaining: array<u32>;
-@group(0) @binding(4) var<storage, read_write> origin: array<u32>;
+@group(0) @binding(2) var<storage, read> spans: array<u32>;
+@group(0) @binding(3) var<storage, read_write> origin: array<u32>;
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let ray = flat(id, groups);
     if ray >= extent.rays || ray >= counts[extent.slot] { return; }
-    let first = remaining[ray];
-    let end = min(first + remaining[extent.rays + ray], extent.capacity);
+    let first = spans[2u * extent.rays + ray];
+    let end = min(first + spans[3u * extent.rays + ray], extent.capacity);
     for (var sample = first; sample < end; sample++) {
-        origin[sample] = visited[ray] + sample - first;
+        origin[sample] = spans[ray] + sample - first;
     }
 }

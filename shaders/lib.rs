@@ -48,6 +48,8 @@ pub fn constants() -> String {
         ("FAULT_DENSITY", faults::DENSITY),
         ("FAULT_LOGITS", faults::LOGITS),
         ("FAULT_LOSS", faults::LOSS),
+        ("FAULT_FEATURES", faults::FEATURES),
+        ("FAULT_NETWORKS", faults::NETWORKS),
         ("FAULT_BACKGROUND", faults::BACKGROUND),
         ("FAULT_EXPOSURES", faults::EXPOSURES),
         ("FAULT_SLOTS", faults::LEN as u32),
@@ -80,16 +82,21 @@ pub fn grid_head(features: u32, primes: [u32; 2]) -> String {
 /// entry; `packed` where pairs of features share a 64-bit word; no contribution has more than `most` quanta.
 pub fn quanta_head(features: u32, packed: bool, most: i32) -> String {
     format!(
-        "alias Quanta = vec{features}<i32>;\nconst PACKED: bool = {packed};\nconst MOST_QUANTA: i32 = {most};\n"
+        "alias Quanta = vec{features}<i32>;\nalias Sizes = vec{features}<u32>;\nconst PACKED: bool = {packed};\nconst MOST_QUANTA: i32 = {most};\n"
     )
 }
 
-/// Stand-ins of the three heads, for the tests.
+/// Returns the head of kernels that go over all entries: so many a thread, 64 apart.
+pub fn rows_head(rows: usize) -> String {
+    format!("const ROWS: u32 = {rows}u;\n")
+}
+
+/// Stand-ins of the four heads, for the tests.
 const TABLE_HEADS: &[&str] = &[
     "alias Row = vec2<f32>;\nconst FEATURES: u32 = 2u;\nconst PRIME_Y: u32 = 3u;\nconst PRIME_Z: u32 = 5u;\n\
-     alias Quanta = vec2<i32>;\nconst PACKED: bool = false;\nconst MOST_QUANTA: i32 = 99;\n",
+     alias Quanta = vec2<i32>;\nalias Sizes = vec2<u32>;\nconst PACKED: bool = false;\nconst MOST_QUANTA: i32 = 99;\nconst ROWS: u32 = 8u;\n",
     "alias Row = vec4<f32>;\nconst FEATURES: u32 = 4u;\nconst PRIME_Y: u32 = 3u;\nconst PRIME_Z: u32 = 5u;\n\
-     alias Quanta = vec4<i32>;\nconst PACKED: bool = true;\nconst MOST_QUANTA: i32 = 99;\n",
+     alias Quanta = vec4<i32>;\nalias Sizes = vec4<u32>;\nconst PACKED: bool = true;\nconst MOST_QUANTA: i32 = 99;\nconst ROWS: u32 = 4u;\n",
 ];
 
 /// Number of a thread in a folded dispatch.
@@ -150,20 +157,16 @@ pub const SHADERS: &[Shader] = &[
     DENSITY_SUM,
     THRESHOLDS,
     BITS,
-    PRODUCT,
-    TRANSPOSE,
-    OUTER,
+    DENSITY,
+    SHADE,
+    BACK,
+    BEHIND_BACK,
     SUM,
     ADAM_NET,
-    HARMONICS,
     OPACITY,
     KEPT,
-    GATHER,
-    COLOUR,
     COMPARE,
     SPREAD,
-    JOIN,
-    RUNAWAY,
     TOTALS,
     PAINT,
     FINISH,
@@ -341,5 +344,7 @@ pub const MULTIPLY_ADD: Shader = Shader {
     heads: &[""],
 };
 
+#[cfg(test)]
+mod guards;
 #[cfg(test)]
 mod tests;

@@ -2,73 +2,68 @@
 
 use bytemuck::{Pod, Zeroable};
 
-/// Sizes of a layer and where its columns are.
+/// Layers that a field has at most: two of the density network, four of the colour network.
+pub const MOST_LAYERS: usize = 8;
+
+/// All layers: the density network's, then the colour network's.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
-pub struct ProductRun {
-    /// Neurons that go in.
-    pub inner: u32,
-    /// Neurons that come out.
-    pub outputs: u32,
-    /// Numbers a column.
+pub struct NetsRun {
+    /// Numbers a column of samples.
     pub capacity: u32,
-    /// Place in `counts` of the samples in use.
-    pub slot: u32,
-    /// First row of A.
-    pub first_a: u32,
-    /// First row of C.
-    pub first_c: u32,
+    /// Layers of the density network.
+    pub density: u32,
+    /// Layers of both.
+    pub layers: u32,
+    /// Weights of both.
+    pub weights: u32,
+    /// 1 where the colour network sees the direction.
+    pub directed: u32,
+    /// Numbers of a workgroup in `work`.
+    pub stride: u32,
+    /// Workgroups among which the tiles are dealt out.
+    pub groups: u32,
     /// Padding to 16 bytes.
-    pub pad: [u32; 2],
+    pub pad: u32,
+    /// Of every layer: inputs, outputs, first weight, first row of its input in the workgroup's own memory.
+    pub shapes: [[u32; 4]; MOST_LAYERS],
 }
 
-/// Sizes of a layer.
+/// Where the parts of the background's gradient go.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
-pub struct TransposeRun {
-    /// Rows.
-    pub inputs: u32,
-    /// Columns.
-    pub outputs: u32,
-}
-
-/// Sizes of a layer, where its columns are and how they are cut.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
-pub struct OuterRun {
-    /// Neurons that go in, a multiple of 4.
-    pub inner: u32,
-    /// Neurons that come out, a multiple of 8.
-    pub outputs: u32,
-    /// Numbers a column.
-    pub capacity: u32,
-    /// Place in `counts` of the samples in use.
+pub struct BehindRun {
+    /// Place in `counts` of the rays in use.
     pub slot: u32,
-    /// Samples a part, a multiple of 4.
-    pub chunk: u32,
-    /// First row of A.
-    pub first_a: u32,
-    /// First row of D.
-    pub first_d: u32,
+    /// Numbers a column of rays.
+    pub rays: u32,
+    /// First number of the parts.
+    pub first: u32,
     /// Padding to 16 bytes.
     pub pad: u32,
 }
 
-/// Which parts are summed, and the fault to set where a sum runs away.
+/// Which parts are summed.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct SumRun {
-    /// Numbers a part.
+    /// Weights of the networks.
     pub weights: u32,
-    /// Place in `counts` of the samples in use.
-    pub slot: u32,
-    /// Samples a part.
-    pub chunk: u32,
-    /// Place in `faults`.
-    pub fault: u32,
+    /// Numbers of a group.
+    pub stride: u32,
+    /// Groups of samples.
+    pub groups: u32,
+    /// Samples of a tile.
+    pub samples: u32,
+    /// First number of the background's parts.
+    pub first: u32,
+    /// 1 where the background is learnt.
+    pub behind: u32,
+    /// Padding to 16 bytes.
+    pub pad: [u32; 2],
 }
 
-/// Adam's numbers for one tensor.
+/// Adam's numbers for networks and background.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct AdamNet {
@@ -76,9 +71,11 @@ pub struct AdamNet {
     pub rows: u32,
     /// Last place of the table of corrections.
     pub last: u32,
-    /// Step size in learning rates.
+    /// First row of the background, which has a step size of its own and no pull to zero.
+    pub behind: u32,
+    /// Step size of the background in learning rates.
     pub factor: f32,
-    /// Pull to zero.
+    /// Pull to zero of the networks.
     pub decay: f32,
     /// Added to the root.
     pub epsilon: f32,
@@ -86,8 +83,6 @@ pub struct AdamNet {
     pub beta1: f32,
     /// Decay of the second moment.
     pub beta2: f32,
-    /// Padding to 16 bytes.
-    pub pad: u32,
 }
 
 /// What changes from step to step.
@@ -98,20 +93,8 @@ pub struct Pace {
     pub rate: f32,
     /// Place in the ring of totals.
     pub total: u32,
-    /// Padding to 16 bytes.
-    pub pad: [u32; 2],
-}
-
-/// Which rows harmonics are written to.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
-pub struct HarmonicsRun {
-    /// Place in `counts` of what is in use.
-    pub slot: u32,
-    /// Numbers a column.
-    pub stride: u32,
-    /// First row.
-    pub first: u32,
+    /// What the averages of the networks keep of themselves; 1 where they stay.
+    pub keep: f32,
     /// Padding to 16 bytes.
     pub pad: u32,
 }
@@ -128,20 +111,6 @@ pub struct Extent {
     pub rays: u32,
     /// Padding to 16 bytes.
     pub pad: u32,
-}
-
-/// Which rows are copied.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
-pub struct GatherRun {
-    /// Place in `counts` of the samples in use.
-    pub slot: u32,
-    /// Numbers a column.
-    pub capacity: u32,
-    /// First row of the source.
-    pub first_from: u32,
-    /// First row of what it is copied to.
-    pub first_to: u32,
 }
 
 /// Sizes and switches of the comparison of rays with pixels.
@@ -184,20 +153,6 @@ pub struct SpreadRun {
     pub reach: f32,
     /// Added to the weight near a point.
     pub floor: f32,
-}
-
-/// Which rows are checked, and the fault to set where a number runs away.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
-pub struct RunawayRun {
-    /// Place in `counts` of the samples in use.
-    pub slot: u32,
-    /// Numbers a column.
-    pub capacity: u32,
-    /// Place in `faults`.
-    pub fault: u32,
-    /// Padding to 16 bytes.
-    pub pad: u32,
 }
 
 /// Counts and loss of a step, read by the host.

@@ -63,33 +63,56 @@ pub mod found {
     pub const LEN: usize = 15;
 }
 
+/// A tile of samples.
+const TILE: &str = include_str!("shared/tile.wgsl");
+/// Kept samples in a tile.
+const SEEN: &str = include_str!("shared/seen.wgsl");
+
+/// Numbers of the tile of samples that a workgroup of the networks has in its memory: 16 KB, which core WebGPU grants.
+pub const TILE_NUMBERS: usize = 4096;
+
+/// Returns the head of kernels of networks: so many groups of 4 samples make a tile.
+pub fn tile_head(fours: usize) -> String {
+    format!("const FOURS: u32 = {fours}u;\n")
+}
+
 const PLAIN: &[&str] = &[""];
+/// Heads of kernels of networks.
+const TILES: &[&str] = &["const FOURS: u32 = 16u; const RUNAWAY: u32 = 9u; const LOGIT_LIMIT: f32 = 1.0;"];
 const HEADS: &[&str] = &[
     "const RUNAWAY: u32 = 9u; const RAW_LIMIT: f32 = 1.0; const RAW_SHIFT: f32 = -1.0; \
     const LOGIT_LIMIT: f32 = 1.0; const OPAQUE: f32 = 0.1;",
 ];
 
-/// One layer for all samples; entries `main`, `rectified` and `gated`.
-pub const PRODUCT: Shader = Shader {
-    name: "product",
-    shared: &[],
-    text: include_str!("product.wgsl"),
-    heads: PLAIN,
+/// The density network over visited samples.
+pub const DENSITY: Shader = Shader {
+    name: "density",
+    shared: &[TILE],
+    text: include_str!("density.wgsl"),
+    heads: TILES,
 };
 
-/// Weights of a layer for its backward pass.
-pub const TRANSPOSE: Shader = Shader {
-    name: "transpose",
-    shared: &[FLAT],
-    text: include_str!("transpose.wgsl"),
-    heads: PLAIN,
+/// The colour network over kept samples, and their colours.
+pub const SHADE: Shader = Shader {
+    name: "shade",
+    shared: &[MATH, COLOUR_OF, HARMONICS_OF, TILE, SEEN],
+    text: include_str!("shade.wgsl"),
+    heads: TILES,
 };
 
-/// Gradient of a layer's weights, a part for every chunk of samples.
-pub const OUTER: Shader = Shader {
-    name: "outer",
-    shared: &[FLAT],
-    text: include_str!("outer.wgsl"),
+/// Both networks back over kept samples.
+pub const BACK: Shader = Shader {
+    name: "back",
+    shared: &[MATH, HARMONICS_OF, TILE, SEEN],
+    text: include_str!("back.wgsl"),
+    heads: TILES,
+};
+
+/// Gradient of the background, a part for every 64 rays.
+pub const BEHIND_BACK: Shader = Shader {
+    name: "behind",
+    shared: &[HARMONICS_OF],
+    text: include_str!("behind.wgsl"),
     heads: PLAIN,
 };
 
@@ -109,14 +132,6 @@ pub const ADAM_NET: Shader = Shader {
     heads: PLAIN,
 };
 
-/// Spherical harmonics of directions; entries `main` and `of_rays`.
-pub const HARMONICS: Shader = Shader {
-    name: "harmonics",
-    shared: &[FLAT, HARMONICS_OF],
-    text: include_str!("harmonics.wgsl"),
-    heads: PLAIN,
-};
-
 /// Raw densities to opacities and transmittances along rays.
 pub const OPACITY: Shader = Shader {
     name: "opacity",
@@ -133,22 +148,6 @@ pub const KEPT: Shader = Shader {
     heads: PLAIN,
 };
 
-/// Copies the kept samples of some rows.
-pub const GATHER: Shader = Shader {
-    name: "gather",
-    shared: &[],
-    text: include_str!("gather.wgsl"),
-    heads: PLAIN,
-};
-
-/// Logits to colours.
-pub const COLOUR: Shader = Shader {
-    name: "colour",
-    shared: &[FLAT, EXTENT, MATH, COLOUR_OF],
-    text: include_str!("colour.wgsl"),
-    heads: HEADS,
-};
-
 /// Colour of a ray beside its pixel.
 pub const COMPARE: Shader = Shader {
     name: "compare",
@@ -162,22 +161,6 @@ pub const SPREAD: Shader = Shader {
     name: "spread",
     shared: &[FLAT, MATH, COLOUR_OF],
     text: include_str!("spread.wgsl"),
-    heads: HEADS,
-};
-
-/// Adds both slopes of the raw density.
-pub const JOIN: Shader = Shader {
-    name: "join",
-    shared: &[FLAT, EXTENT],
-    text: include_str!("join.wgsl"),
-    heads: PLAIN,
-};
-
-/// Finds numbers that run away.
-pub const RUNAWAY: Shader = Shader {
-    name: "runaway",
-    shared: &[MATH],
-    text: include_str!("runaway.wgsl"),
     heads: HEADS,
 };
 

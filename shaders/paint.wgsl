@@ -3,8 +3,8 @@
 // Source    NeRF, arXiv 2003.08934, eq. 3.
 // Twin      marf_field::render::Gather; within 1e-6.
 // Threads   one per ray, its samples from the front: workgroup 64, folded.
-// Reads     spans [2][rays] of kept samples, light [3][capacity] (alpha, transmittance), rgb [3][capacity], along
-//           [3][capacity] (row 0, the distance), shown [2][rays] of `opacity` (bits of the round's optical depth),
+// Reads     spans [4][rays] (of visited samples, of kept ones: the first of the visited), light [3][capacity] (alpha, transmittance), rgb [3][capacity]
+//           of kept samples, along [3][capacity] (row 0, the distance), shown [2][rays] of `opacity` (bits of the round's optical depth),
 //           counts[slot] rays in use
 // Writes    state [6][rays] of rays in use: optical depth, rgb, distance, what is left; added to what is there.
 //           `begin` sets all rays to 0, 0, 0, 1
@@ -41,14 +41,15 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     var sum = vec3<f32>(state[run.rays + ray], state[2u * run.rays + ray], state[3u * run.rays + ray]);
     var distance = state[4u * run.rays + ray];
     var left = state[5u * run.rays + ray];
-    let first = spans[ray];
-    let end = first + spans[run.rays + ray];
+    let first = spans[2u * run.rays + ray];
+    let end = first + spans[3u * run.rays + ray];
+    let shift = spans[ray] - first;
     for (var sample = first; sample < end; sample++) {
-        let transmittance = light[2u * run.capacity + sample];
-        let weight = transmittance * light[run.capacity + sample];
+        let transmittance = light[2u * run.capacity + shift + sample];
+        let weight = transmittance * light[run.capacity + shift + sample];
         let shade = vec3<f32>(rgb[sample], rgb[run.capacity + sample], rgb[2u * run.capacity + sample]);
         sum = fma(vec3<f32>(weight), shade, sum);
-        distance = fma(weight, along[sample], distance);
+        distance = fma(weight, along[shift + sample], distance);
         left = transmittance - weight;
     }
     let least = OPAQUE * 0.5;

@@ -2,7 +2,8 @@
 //
 // Source    none: a maximum. Integers, so any order gives the same.
 // Twin      a maximum over |q| (gpu/tables/scales.rs); equal.
-// Threads   one per (entry, level): workgroup 64, folded over x and y; z counts the levels of this part.
+// Threads   64 for 64 ROWS entries of a level, each every 64th: workgroup 64, folded over x and y; z counts the levels
+//           of this part.
 // Reads     gradient [entries] of Quanta from entry `base` on, scales [L]: first, entries
 // Writes    scales[level].peak by atomicMax, one a workgroup
 // Extremes  |-2^31| is 2^31, hence u32. All zero leaves peak as it was: rescale sets it to 0.
@@ -18,16 +19,19 @@ fn main(
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
+    // What workgroup memory holds before is not relied on.
+    if lane == 0u { atomicStore(&most, 0u); }
+    workgroupBarrier();
     let level = part.level + id.z;
-    let row = flat(id, groups);
-    if row < scales[level].entries {
-        let q = quanta_of(gradient[scales[level].first - part.base + row]);
-        for (var f = 0u; f < FEATURES; f++) {
-            if q[f] != 0 {
-                atomicMax(&most, bitcast<u32>(abs(q[f])));
-            }
-        }
+    let first = (flat(id, groups) - lane) * ROWS + lane;
+    let end = min(first + 64u * ROWS, scales[level].entries);
+    let base = scales[level].first - part.base;
+    var own = 0u;
+    for (var row = first; row < end; row += 64u) {
+        let sizes = bitcast<Sizes>(abs(quanta_of(gradient[base + row])));
+        for (var f = 0u; f < FEATURES; f++) { own = max(own, sizes[f]); }
     }
+    if own != 0u { atomicMax(&most, own); }
     workgroupBarrier();
     if lane == 0u {
         let peak = atomicLoad(&most);

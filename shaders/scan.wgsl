@@ -5,7 +5,7 @@
 // Threads   one workgroup of 256, each a run of rays; 16 of them also clear what fills up the last block of samples
 // Reads     walk; amounts [rays]: samples of every ray; counts[COUNT_RAYS] rays in use where walk.again is 1
 // Writes    spans [2][ray slots] of the rays in use; counts[slot] samples; xyz, along, ray_of between the number of
-//           samples and the next multiple of 16: 0; where walk.again is 0 counts[COUNT_RAYS] rays that fit, counts[COUNT_ALIVE] 0
+//           samples and the next multiple of 16: 0, where walk.again is 0; there also counts[COUNT_RAYS] rays that fit, counts[COUNT_ALIVE] 0
 // Extremes  The first ray whose samples do not fit, and every ray behind it, is CLIPPED with count 0: its first sample
 //           is 0xffffffff and counts[COUNT_RAYS] <= its number. 0 rays: both counts are 0. Sums beyond 2^32 - 1 stay there.
 @group(0) @binding(0) var<uniform> walk: Walk;
@@ -51,6 +51,11 @@ fn clear(sample: u32) {
 
 @compute @workgroup_size(256)
 fn main(@builtin(local_invocation_index) me: u32) {
+    // What workgroup memory holds before is not relied on; the barriers of sum_runs lie in between.
+    if me == 0u {
+        atomicStore(&fitting, 0u);
+        atomicStore(&samples, 0u);
+    }
     var rays = walk.rays;
     if walk.again == 1u { rays = min(rays, counts[COUNT_RAYS]); }
     let run = (rays + THREADS - 1u) / THREADS;
@@ -89,5 +94,5 @@ fn main(@builtin(local_invocation_index) me: u32) {
         counts[COUNT_ALIVE] = 0u;
     }
     let end_of_block = min((total + BLOCK - 1u) / BLOCK * BLOCK, walk.capacity);
-    if total + me < end_of_block { clear(total + me); }
+    if walk.again == 0u && total + me < end_of_block { clear(total + me); }
 }

@@ -2,8 +2,8 @@
 //
 // Source    instant-ngp, arXiv 2201.05989, section 3, eq. 4. Fixed point, one scale a level, a power of two.
 // Twin      marf_field::cpu::encode::Scatter; every contribution is off by half a quantum, 0.5 / scale, at most.
-// Threads   one per (sample, level): workgroup 64, folded over x and y; z counts the levels of this part.
-// Reads     xyz [3][capacity], counts[slot], levels [L], slopes [L * FEATURES][capacity], scales [L]
+// Threads   one per (8 samples, level): workgroup 64, folded over x and y; z counts the levels of this part.
+// Reads     xyz [3][capacity] of visited samples, origin [capacity] (which of them a sample was), counts[slot], levels [L], slopes [L * FEATURES][capacity], scales [L]
 // Writes    gradient [entries * FEATURES] by integer atomicAdd: any order gives the same bits; nothing where
 //           a contribution rounds to 0. scales[level].clamped by atomicMax.
 // Extremes  a contribution of more than MOST_QUANTA, inf or NaN counts as MOST_QUANTA with its sign and marks the
@@ -20,8 +20,5 @@ fn add(entry: u32, q: Quanta) {
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let sample = flat(id, groups);
-    if sample < min(counts[part.slot], part.capacity) {
-        spread(sample, part.level + id.z);
-    }
+    spread(EACH * flat(id, groups), min(counts[part.slot], part.capacity), part.level + id.z);
 }

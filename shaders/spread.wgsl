@@ -5,11 +5,11 @@
 // Twin      marf_field::batch::Losses::ray (Ray::spread, emptiness, Pull::spread) and the first half of backward;
 //           within 1e-6 of the largest slope of the ray.
 // Threads   one per ray, its samples from the front for the sums and then from the back: workgroup 64, folded.
-// Reads     spans [2][rays], rgb [3][capacity], along [3][capacity] (row 2, the place), density [.][capacity] (row 0,
-//           the raw density), logits [16][capacity] rows 0 to 2, found [FOUND_ROWS][rays] of `compare`, pulls [rays]
-//           (place, weight), counts[slot] rays in use; light as `opacity` left it
-// Writes    light row 0 [capacity]: tau becomes the slope in the raw density; d_logits rows 0 to 2 of [16][capacity].
-//           Both for samples of rays in use, each element once; rows 3 to 15 never: zero as they were made
+// Reads     spans [4][rays] (of visited samples, of kept ones: the first of the visited), rgb [3][capacity], along [3][capacity] (row 2, the place), density [.][capacity] (row 0,
+//           the raw density), logits [3][capacity], found [FOUND_ROWS][rays] of `compare`, pulls [rays]
+//           (place, weight), counts[slot] rays in use; light as `opacity` left it; along, density and light are of visited samples
+// Writes    light row 0 [capacity]: tau becomes the slope in the raw density; d_logits [3][capacity].
+//           Both for kept samples of rays in use, each element once
 // Extremes  the slope is exactly 0 where the raw density is at its limit or a logit outside its limits. A pull of
 //           weight 0 is none. Opaque samples (alpha 1) and those with T = 0 give finite slopes.
 struct SpreadRun {
@@ -51,9 +51,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let ray = flat(id, groups);
     let in_use = counts[run.slot];
     if ray >= run.rays || ray >= in_use { return; }
-    let first = spans[ray];
-    let end = first + spans[run.rays + ray];
+    let first = spans[2u * run.rays + ray];
+    let end = first + spans[3u * run.rays + ray];
     if first == end { return; }
+    let shift = spans[ray] - first;
     let slope = vec3<f32>(row_of(FOUND_SLOPE, ray), row_of(FOUND_SLOPE + 1u, ray), row_of(FOUND_SLOPE + 2u, ray));
     let strength = run.distortion / f32(in_use);
     let emptiness = run.emptiness / f32(in_use);
@@ -65,9 +66,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     var near_by = run.floor;
     var left = 1.0;
     for (var sample = first; sample < end; sample++) {
-        let alpha = light[run.capacity + sample];
-        let transmittance = light[2u * run.capacity + sample];
-        let place = along[2u * run.capacity + sample];
+        let alpha = light[run.capacity + shift + sample];
+        let transmittance = light[2u * run.capacity + shift + sample];
+        let place = along[2u * run.capacity + shift + sample];
         let weight = transmittance * alpha;
         total += weight;
         moment = fma(weight, place, moment);
@@ -84,9 +85,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     var behind_moment = 0.0;
     for (var sample = end; sample > first;) {
         sample -= 1u;
-        let alpha = light[run.capacity + sample];
-        let transmittance = light[2u * run.capacity + sample];
-        let place = along[2u * run.capacity + sample];
+        let alpha = light[run.capacity + shift + sample];
+        let transmittance = light[2u * run.capacity + shift + sample];
+        let place = along[2u * run.capacity + shift + sample];
         let weight = transmittance * alpha;
         let next = transmittance - weight;
         let before = total - behind - weight;
@@ -103,7 +104,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         suffix_near = fma(weight, q_near, suffix_near);
         behind += weight;
         behind_moment = fma(weight, place, behind_moment);
-        light[sample] = select(0.0, d_tau * light[sample], density[sample] < RAW_LIMIT);
+        let seen = shift + sample;
+        light[seen] = select(0.0, d_tau * light[seen], density[seen] < RAW_LIMIT);
         put_logits(sample, slope * weight, shade);
     }
 }

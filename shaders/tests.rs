@@ -41,6 +41,7 @@ wgsl! {
     [f32; 2] => "vec2<f32>",
     [f32; 3] => "vec3<f32>",
     [f32; 4] => "vec4<f32>",
+    [[u32; 4]; MOST_LAYERS] => "array<vec4<u32>, 8>",
     ViewCamera => "ViewCamera",
 }
 
@@ -80,6 +81,48 @@ macro_rules! layout {
 /// Returns the layout of every struct that Rust writes or reads.
 fn rust_layouts() -> Vec<Layout> {
     vec![
+        layout!(NetsRun {
+            capacity,
+            density,
+            layers,
+            weights,
+            directed,
+            stride,
+            groups,
+            pad,
+            shapes
+        }),
+        layout!(BehindRun {
+            slot,
+            rays,
+            first,
+            pad
+        }),
+        layout!(SumRun {
+            weights,
+            stride,
+            groups,
+            samples,
+            first,
+            behind,
+            pad
+        }),
+        layout!(AdamNet {
+            rows,
+            last,
+            behind,
+            factor,
+            decay,
+            epsilon,
+            beta1,
+            beta2
+        }),
+        layout!(Pace {
+            rate,
+            total,
+            keep,
+            pad
+        }),
         layout!(GridLevel {
             resolution,
             entries,
@@ -207,60 +250,11 @@ fn rust_layouts() -> Vec<Layout> {
             addend,
             pad
         }),
-        layout!(ProductRun {
-            inner,
-            outputs,
-            capacity,
-            slot,
-            first_a,
-            first_c,
-            pad
-        }),
-        layout!(TransposeRun { inputs, outputs }),
-        layout!(OuterRun {
-            inner,
-            outputs,
-            capacity,
-            slot,
-            chunk,
-            first_a,
-            first_d,
-            pad
-        }),
-        layout!(SumRun {
-            weights,
-            slot,
-            chunk,
-            fault
-        }),
-        layout!(AdamNet {
-            rows,
-            last,
-            factor,
-            decay,
-            epsilon,
-            beta1,
-            beta2,
-            pad
-        }),
-        layout!(Pace { rate, total, pad }),
-        layout!(HarmonicsRun {
-            slot,
-            stride,
-            first,
-            pad
-        }),
         layout!(Extent {
             slot,
             capacity,
             rays,
             pad
-        }),
-        layout!(GatherRun {
-            slot,
-            capacity,
-            first_from,
-            first_to
         }),
         layout!(CompareRun {
             slot,
@@ -280,12 +274,6 @@ fn rust_layouts() -> Vec<Layout> {
             emptiness,
             reach,
             floor
-        }),
-        layout!(RunawayRun {
-            slot,
-            capacity,
-            fault,
-            pad
         }),
         layout!(Total {
             visited,
@@ -323,6 +311,11 @@ fn type_name(module: &naga::Module, ty: naga::Handle<naga::Type>) -> String {
     match &ty.inner {
         naga::TypeInner::Scalar(kind) | naga::TypeInner::Atomic(kind) => scalar(*kind).to_owned(),
         naga::TypeInner::Vector { size, scalar: kind } => format!("vec{}<{}>", *size as u32, scalar(*kind)),
+        naga::TypeInner::Array {
+            base,
+            size: naga::ArraySize::Constant(size),
+            ..
+        } => format!("array<{}, {size}>", type_name(module, *base)),
         _ => ty.name.clone().unwrap_or_else(|| format!("{:?}", ty.inner)),
     }
 }

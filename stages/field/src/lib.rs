@@ -93,6 +93,8 @@ pub mod bench {
     pub use crate::cpu::{adam, composite, encode, gemm, march, math, net, simd};
     pub use crate::cpu_backend::{Counts, Watched, WatchedTraining};
     #[cfg(feature = "gpu")]
-    pub use crate::gpu::{Ceilings, Gpu, KernelTime, Load, Shape, Timed, TimedTraining, ceilings};
+    pub use crate::gpu::{
+        Ceilings, Cost, Filled, Gpu, KernelTime, Load, Shape, Timed, TimedTraining, ceilings,
+    };
     pub use crate::watch::{PARTS, Part};
 }

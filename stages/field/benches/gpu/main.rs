@@ -20,8 +20,8 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Instant;
 
-use marf_field::bench::{Ceilings, Gpu, TimedTraining, ceilings};
-use marf_field::{Config, Device, Trainer};
+use marf_field::bench::{Ceilings, Cost, Filled, Gpu, TimedTraining, ceilings};
+use marf_field::{Config, Device, Gain, Trainer};
 use marf_scene::Camera;
 use measured::{Kernels, Line, View, ViewShape};
 
@@ -66,6 +66,10 @@ fn run() -> Result<(), Box<dyn Error>> {
     let steps = setting("MARF_BENCH_STEPS", steps)?;
     let view: Size = setting("MARF_BENCH_VIEW", view.parse()?)?;
     println!("{}", gpu.id());
+    for (name, config) in fields() {
+        println!("\n{name}, counted\n");
+        counted(&gpu, &config)?;
+    }
     let most = ceilings(&gpu)?;
     println!(
         "copy of 64 MB {:.1} GB/s, fused multiply-add {:.0} GFLOP/s",
@@ -123,6 +127,55 @@ impl std::str::FromStr for Size {
         let (width, height) = text.split_once('x').ok_or("a size is WIDTHxHEIGHT")?;
         Ok(Self(width.parse()?, height.parse()?))
     }
+}
+
+/// Samples of the step that is counted: a card's.
+const COUNTED: f64 = (1 << 18) as f64;
+
+/// Prints what the kernels of a step of 2^18 samples do; a small batch tells.
+fn counted(gpu: &Arc<Gpu>, config: &Config) -> Result<(), Box<dyn Error>> {
+    let config = Config {
+        batch_samples: 1 << 13,
+        gain: Gain::PerPhotoAndOffset,
+        ..config.clone()
+    };
+    // The first steps along rays are the longest.
+    let mut training = TimedTraining::new(gpu, scene::views(), &config, 0)?;
+    training.advance(1)?;
+    let apart = training.apart()?;
+    println!(
+        "of the corners of all samples {:.1} % are added one by one\n",
+        100.0 * apart
+    );
+    let filled = Filled {
+        visited: COUNTED,
+        kept: COUNTED,
+        rays: COUNTED / 10.0,
+        moved: 1.0,
+        apart,
+    };
+    let costs = training.costs(&filled).ok_or("a kernel has no cost")?;
+    println!("| kernel | dispatches | MB | million atomic additions |\n|---|---|---|---|");
+    let line = |name, dispatches, bytes: f64, atomics: f64| {
+        println!(
+            "| {name} | {dispatches} | {:.1} | {:.2} |",
+            bytes / 1e6,
+            atomics / 1e6
+        );
+    };
+    for cost in &costs {
+        let Cost { name, dispatches, .. } = *cost;
+        line(name, dispatches, cost.bytes, cost.atomics);
+    }
+    let sum = |of: fn(&Cost) -> f64| costs.iter().map(of).sum::<f64>();
+    let dispatches = costs.iter().map(|cost| cost.dispatches).sum();
+    line(
+        "all",
+        dispatches,
+        sum(|cost| cost.bytes),
+        sum(|cost| cost.atomics),
+    );
+    Ok(())
 }
 
 /// Reads a variable of the environment.

@@ -12,8 +12,6 @@ use super::measured::ViewShape;
 const MEMORY: f64 = 3.0e12;
 /// Bytes a second of its second cache, sectors of 32 bytes.
 const CACHE: f64 = 5.5e12;
-/// Bytes a second of the first caches of 132 multiprocessors, vec4 loads of neighbours, at 40 % of 33e12.
-const FIRST_CACHE: f64 = 13e12;
 /// 64-bit integer additions a second that reach entries of the second cache: one a sector and clock in 24 of its slices.
 const ATOMICS: f64 = 44e9;
 /// Seconds of one step of a thread that waits for each of its reads: about 300 clocks of 1.75 GHz.
@@ -31,10 +29,15 @@ const ROUNDS: f64 = 4.0;
 const READS: f64 = 4.0;
 /// Samples a pixel of a trained field: those of the first two rounds for every ray that meets matter.
 const SAMPLES_A_PIXEL: f64 = 24.0;
-/// Samples of a part of a layer's gradient.
-const PART: f64 = 128.0;
+/// Operations a second that fused networks reach, two a multiply-add: a third of 60e12 on paper, weights and activations from
+/// workgroup memory.
+const ARITHMETIC: f64 = 20e12;
+/// Workgroups of the pass back, each with a gradient of its own: two for each of 132 multiprocessors.
+const GROUPS_BACK: f64 = 264.0;
 /// Threads of the kernels of one workgroup.
 const GROUP: f64 = 256.0;
+/// Share of the corners of samples that are added one by one: eight samples of a ray merge those that they share (counted on first steps).
+const APART: f64 = 0.44;
 /// Bytes of a sector of the second cache.
 const SECTOR: f64 = 32.0;
 
@@ -62,8 +65,8 @@ struct Need {
 enum Of {
     Memory,
     Cache,
-    FirstCache,
     Atomics,
+    Arithmetic,
     Waits,
 }
 
@@ -72,8 +75,8 @@ impl Need {
         let (rate, unit, name) = match self.of {
             Of::Memory => (MEMORY, 1e-6, "MB of memory"),
             Of::Cache => (CACHE, 1e-6, "MB of the second cache"),
-            Of::FirstCache => (FIRST_CACHE, 1e-6, "MB of the first caches"),
             Of::Atomics => (ATOMICS, 1e-6, "M atomics"),
+            Of::Arithmetic => (ARITHMETIC, 1e-9, "GFLOP"),
             Of::Waits => (1.0 / WAIT_S, 1.0, "reads one after the other"),
         };
         Line {
@@ -107,7 +110,7 @@ fn need(kernel: &'static str, calls: f64, amount: f64, of: Of) -> Need {
     }
 }
 
-/// Rays, their samples, and what is copied of those that show.
+/// Rays, their samples, and the choice of those that show.
 fn samples(shape: &Shape) -> Vec<Need> {
     let Shape {
         rays, visited, kept, ..
@@ -123,44 +126,30 @@ fn samples(shape: &Shape) -> Vec<Need> {
         // A thread of the only workgroup reads its run of rays twice.
         need("scan", 2.0, 2.0 * 2.0 * runs, Of::Waits),
         need("hash_encode", 1.0, looked_up, Of::Cache),
-        need("gather", 7.0, 8.0 * kept * shape.gathered as f64, Of::Memory),
         need("kept", 1.0, 4.0 * visited + 4.0 * kept, Of::Memory),
     ]
 }
 
-/// Products and gradients of layers.
+/// Returns the operations of layers for a sample.
+fn products(layers: &[[usize; 2]]) -> f64 {
+    let numbers = layers.iter().map(|[inputs, outputs]| inputs * outputs);
+    2.0 * numbers.sum::<usize>() as f64
+}
+
+/// Both networks forward and back, each in one dispatch: activations of a tile stay in workgroup memory.
 fn networks(shape: &Shape) -> Vec<Need> {
-    let Shape {
-        rays, visited, kept, ..
-    } = *shape;
-    // A thread of a product has 8 outputs of 4 samples: the input is read once for every 8 outputs.
-    let forward = |[inputs, outputs]: &[usize; 2]| 4 * (inputs * outputs.div_ceil(8) + outputs);
-    let back = |[inputs, outputs]: &[usize; 2]| 4 * (outputs * inputs.div_ceil(8) + 2 * inputs);
-    let sum = |layers: &[[usize; 2]], bytes: &dyn Fn(&[usize; 2]) -> usize| {
-        layers.iter().map(bytes).sum::<usize>() as f64
-    };
-    let (density, color) = (&shape.density, &shape.color);
-    let products = visited * sum(density, &forward)
-        + kept * (sum(color, &forward) + sum(color, &back) + sum(density, &back));
-    let weights = |[inputs, outputs]: &[usize; 2]| inputs * outputs;
-    let numbers = sum(density, &weights) + sum(color, &weights);
-    // 4 rows of the input and 8 of the slopes give 32 products.
-    let pairs = (kept * numbers + rays * 64.0) / 32.0 * 12.0 * 4.0;
-    let parts = numbers * (kept / PART).ceil() * 4.0;
-    let layers = (density.len() + color.len()) as f64;
+    let Shape { visited, kept, .. } = *shape;
+    let (density, color) = (products(&shape.density), products(&shape.color));
+    let numbers = (density + color) / 2.0 + 64.0;
+    // Back: the layers once more, the slopes of their inputs, the gradients of their weights.
+    let back = 3.0 * (density + color);
     vec![
-        need("product", 2.0 * layers, products, Of::Memory),
-        need("outer", layers + 1.0, pairs, Of::FirstCache),
-        need("sum", layers + 1.0, 2.0 * parts, Of::Memory),
-        need("transpose", layers, 8.0 * numbers, Of::Memory),
-        need("adam_net", layers + 1.0, 28.0 * numbers, Of::Memory),
-        need("join", 1.0, 12.0 * kept, Of::Memory),
-        need(
-            "runaway",
-            1.0,
-            kept * (4 * shape.levels * shape.features) as f64,
-            Of::Memory,
-        ),
+        need("density", 1.0, visited * density, Of::Arithmetic),
+        need("shade", 1.0, kept * color, Of::Arithmetic),
+        need("back", 1.0, kept * back, Of::Arithmetic),
+        need("behind", 1.0, shape.rays * 32.0, Of::Memory),
+        need("sum", 1.0, 4.0 * numbers * GROUPS_BACK, Of::Memory),
+        need("adam_net", 1.0, 48.0 * numbers, Of::Memory),
     ]
 }
 
@@ -173,8 +162,6 @@ fn light(shape: &Shape) -> Vec<Need> {
     let runs = (rays / GROUP).ceil();
     vec![
         need("opacity", 1.0, a_ray(visited), Of::Waits),
-        need("harmonics", 2.0, (kept + rays) * 80.0, Of::Memory),
-        need("colour", 1.0, 24.0 * kept, Of::Memory),
         need("compare", 1.0, a_ray(kept), Of::Waits),
         need("spread", 1.0, 2.0 * a_ray(kept), Of::Waits),
         need("totals", 1.0, runs, Of::Waits),
@@ -187,7 +174,7 @@ fn tables(shape: &Shape) -> Vec<Need> {
     let entries = 4.0 * shape.table_numbers as f64;
     let words = shape.kept * (shape.levels * 8 * shape.features / 2) as f64;
     vec![
-        need("scatter_packed", 1.0, words, Of::Atomics),
+        need("scatter_packed", 1.0, words * APART, Of::Atomics),
         need("peak", 1.0, entries, Of::Memory),
         need("rescale", 1.0, shape.levels as f64, Of::Waits),
         need(
@@ -196,13 +183,8 @@ fn tables(shape: &Shape) -> Vec<Need> {
             entries + shape.rows_moved * (7.0 * row + 8.0),
             Of::Memory,
         ),
-        // Every fourth step, tables, layers and background.
-        need(
-            "blend",
-            0.25 * (2 + shape.density.len() + shape.color.len()) as f64,
-            0.25 * 3.0 * entries,
-            Of::Memory,
-        ),
+        // Every fourth step.
+        need("blend", 0.25, 0.25 * 3.0 * entries, Of::Memory),
     ]
 }
 
@@ -210,13 +192,10 @@ fn tables(shape: &Shape) -> Vec<Need> {
 pub fn view(shape: &ViewShape, pixels: f64) -> Vec<Line> {
     let batches = (pixels / RAYS_AT_ONCE).ceil();
     let samples = pixels * SAMPLES_A_PIXEL;
-    let layers = shape.density.iter().chain(&shape.color);
-    let products: usize = layers
-        .map(|[inputs, outputs]| 4 * (inputs * outputs.div_ceil(8) + outputs))
-        .sum();
-    // Distance, light, latent, owner: 23 numbers read and written, and 16 harmonics.
-    let moved = (2 * 23 + 16) * 4 + 24;
-    let dispatches = (shape.density.len() + shape.color.len() + 14) as f64;
+    let operations = products(&shape.density) + products(&shape.color);
+    // Features and latent are written and read once, colours written.
+    let moved = 4 * (2 * (shape.density[0][0] + 16) + 3);
+    let dispatches = 12.0;
     let rounds = ROUNDS * batches;
     let line = |kernel, seconds: f64, bound: String| Line {
         kernel,
@@ -233,8 +212,8 @@ pub fn view(shape: &ViewShape, pixels: f64) -> Vec<Line> {
             samples * (shape.levels * 8) as f64 * SECTOR,
             Of::Cache,
         ),
-        need("product", 0.0, samples * products as f64, Of::Memory),
-        need("gather, light, colour", 0.0, samples * moved as f64, Of::Memory),
+        need("density, shade", 0.0, samples * operations, Of::Arithmetic),
+        need("features, light, colour", 0.0, samples * moved as f64, Of::Memory),
     ]
     .iter()
     .map(Need::line)
@@ -270,7 +249,6 @@ pub fn middle(samples: f64) -> Shape {
         rows_moved: touched(dense) + hashed * touched(entries),
         density: vec![[32, 64], [64, 16]],
         color: vec![[32, 64], [64, 64], [64, 16]],
-        gathered: 122,
     }
 }
 

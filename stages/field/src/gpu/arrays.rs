@@ -7,9 +7,9 @@ use super::array::Array;
 use super::exposures::ExposureArrays;
 use super::forward::Lanes;
 use super::light::{RING, weights_of_losses};
-use super::nets::{Gradient, Nets};
+use super::nets::Nets;
 use super::tables::{Grid, Rise, rescaling, start_scales};
-use super::weights::{BACKGROUND, DeviceLayer, DeviceWeights};
+use super::weights::DeviceWeights;
 use crate::cpu::adam::{Bias, Moments};
 use crate::cpu::march::Steps;
 use crate::weights::NET_ROW;
@@ -40,64 +40,22 @@ impl DeviceMoments {
         gpu.write(&self.square, 0, &moments.second);
         gpu.write(&self.count, 0, &moments.count);
     }
-
-    /// Copies back as many as `moments` holds.
-    ///
-    /// # Errors
-    /// A lost device.
-    pub fn read(&self, gpu: &Gpu, moments: &mut Moments) -> Result<(), GpuError> {
-        let (numbers, rows) = (moments.first.len(), moments.count.len());
-        moments.first.copy_from_slice(&gpu.read(&self.mean)?[..numbers]);
-        moments
-            .second
-            .copy_from_slice(&gpu.read(&self.square)?[..numbers]);
-        moments.count.copy_from_slice(&gpu.read(&self.count)?[..rows]);
-        Ok(())
-    }
-}
-
-/// What a layer needs on the way back.
-pub struct Learnt {
-    /// f32 `[outputs][inputs]`.
-    pub turned: Array<f32>,
-    /// f32 `[inputs][outputs]`.
-    pub gradient: Array<f32>,
-    /// Of its weights.
-    pub moments: DeviceMoments,
-    /// Slope of its input.
-    pub slope: Array<f32>,
-}
-
-impl Learnt {
-    fn new(gpu: &Gpu, layer: &DeviceLayer, capacity: usize) -> Result<Self, GpuError> {
-        let numbers = layer.inputs * layer.outputs;
-        Ok(Self {
-            turned: gpu.zeros("turned weights", numbers)?,
-            gradient: gpu.zeros("gradient of a layer", numbers)?,
-            moments: DeviceMoments::new(gpu, numbers, NET_ROW)?,
-            slope: gpu.zeros("slope of a layer", layer.inputs * capacity)?,
-        })
-    }
 }
 
 /// Arrays of a training that pictures do without.
 pub struct Arrays {
-    /// Layers of the density network.
-    pub density: Vec<Learnt>,
-    /// Layers of the colour network.
-    pub color: Vec<Learnt>,
-    /// Moments of the background.
-    pub background: DeviceMoments,
-    /// f32 `[4][16]`.
-    pub background_gradient: Array<f32>,
-    /// f32 `[16][rays]`.
-    pub harmonics: Array<f32>,
+    /// Moments of networks and background.
+    pub nets: DeviceMoments,
+    /// Gradient of networks and background.
+    pub nets_gradient: Array<f32>,
     /// f32 `[found::LEN][rays]`.
     pub found: Array<f32>,
-    /// f32 `[16][capacity]`; rows from 3 on stay 0.
+    /// f32 `[3][capacity]`.
     pub d_logits: Array<f32>,
-    /// Parts of the gradient of one layer, one layer after the other.
-    pub parts: Array<f32>,
+    /// Slopes of the features of kept samples, f32 `[inputs][capacity]`.
+    pub slopes: Array<f32>,
+    /// Parts of gradients, and what the way back keeps of a tile.
+    pub work: Array<f32>,
     /// Moments of all tables.
     pub tables: DeviceMoments,
     /// Gradient of all tables, in fixed point.
@@ -136,22 +94,15 @@ impl Arrays {
         bias: &Bias,
     ) -> Result<Self, GpuError> {
         let (capacity, rays) = (lanes.capacity, lanes.rays.slots);
-        let learnt = |layers: &[DeviceLayer]| {
-            let layers = layers.iter().map(|layer| Learnt::new(gpu, layer, capacity));
-            layers.collect::<Result<Vec<_>, _>>()
-        };
-        let all = weights.density.iter().chain(&weights.color);
-        let parts = all.map(|layer| Gradient::parts(capacity, layer.shape())).max();
-        let behind = Gradient::parts(rays, [4, NET_ROW]);
+        let layers = &weights.layers;
+        let inputs = layers.shapes.first().map_or(0, |[inputs, _]| *inputs);
         Ok(Self {
-            density: learnt(&weights.density)?,
-            color: learnt(&weights.color)?,
-            background: DeviceMoments::new(gpu, BACKGROUND, NET_ROW)?,
-            background_gradient: gpu.zeros("gradient of the background", BACKGROUND)?,
-            harmonics: gpu.zeros("harmonics of rays", NET_ROW * rays)?,
+            nets: DeviceMoments::new(gpu, layers.numbers(), NET_ROW)?,
+            nets_gradient: gpu.zeros("gradient of the networks", layers.numbers())?,
             found: gpu.zeros("losses of rays", found::LEN * rays)?,
-            d_logits: gpu.zeros("slopes of logits", 16 * capacity)?,
-            parts: gpu.zeros("parts of gradients", parts.unwrap_or(0).max(behind))?,
+            d_logits: gpu.zeros("slopes of logits", 3 * capacity)?,
+            slopes: gpu.zeros("slopes of features", inputs * capacity)?,
+            work: gpu.zeros("work of the networks", layers.work(capacity, rays))?,
             tables: DeviceMoments::new(gpu, grid.numbers(), grid.features())?,
             gradient: gpu.zeros("gradient of the tables", grid.numbers())?,
             scales: gpu.filled("scales", &start_scales(grid))?,
@@ -180,13 +131,33 @@ impl Arrays {
         );
     }
 
-    /// Returns the moments of layers and background, in the order of `Weights::tensors` behind the tables.
-    pub fn net_moments(&self) -> Vec<&DeviceMoments> {
-        let layers = self.density.iter().chain(&self.color);
-        layers
-            .map(|layer| &layer.moments)
-            .chain([&self.background])
-            .collect()
+    /// Overwrites the moments of layers and background, which come in the order of `Weights::tensors` behind the tables.
+    pub fn write_net_moments(&self, gpu: &Gpu, tensors: &[Moments]) {
+        let mut first = 0;
+        for moments in tensors {
+            gpu.write(&self.nets.mean, first, &moments.first);
+            gpu.write(&self.nets.square, first, &moments.second);
+            gpu.write(&self.nets.count, first / NET_ROW, &moments.count);
+            first += moments.first.len();
+        }
+    }
+
+    /// Copies the moments of layers and background back.
+    ///
+    /// # Errors
+    /// A lost device.
+    pub fn read_net_moments(&self, gpu: &Gpu, tensors: &mut [Moments]) -> Result<(), GpuError> {
+        let (mean, square) = (gpu.read(&self.nets.mean)?, gpu.read(&self.nets.square)?);
+        let count = gpu.read(&self.nets.count)?;
+        let mut first = 0;
+        for moments in tensors {
+            let (numbers, rows) = (moments.first.len(), moments.count.len());
+            moments.first.copy_from_slice(&mean[first..][..numbers]);
+            moments.second.copy_from_slice(&square[first..][..numbers]);
+            moments.count.copy_from_slice(&count[first / NET_ROW..][..rows]);
+            first += numbers;
+        }
+        Ok(())
     }
 
     /// Overwrites the moments of all tables.

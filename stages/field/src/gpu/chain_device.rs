@@ -1,14 +1,15 @@
 //! A whole batch on the device, from features to gradients; what the rays' kernels do in between is done here.
 
-use marf_shaders::{Pace, Total, counts, faults, found};
+use marf_shaders::{Pace, Total, counts, found};
 
 use super::array::Array;
-use super::chain_net::OnDevice;
 use super::chain_tests::{CAPACITY, RAYS, SLOTS, visited};
 use super::light::{Aims, Colours, Columns, Light, RING, weights_of_losses};
-use super::nets::{Gradient, Nets, Rows};
+use super::nets::{BACKGROUND, Back, Behind, Layers, Nets, Seen};
 use super::record::{Recorder, Work};
 use super::rig::{Rig, blocks, columns};
+use super::weights::layers;
+use crate::Background;
 use crate::batch::Found;
 use crate::cpu::simd::{Block, flat};
 use crate::draw::Target;
@@ -57,44 +58,41 @@ fn aims(targets: &[Target]) -> ([Vec<[f32; 4]>; 2], Vec<[f32; 2]>) {
     (lists, pulls)
 }
 
-/// The samples of the rays before or after hidden ones are dropped.
+/// The samples of the rays.
 struct Samples {
     spans: Array<u32>,
     along: Array<f32>,
     light: Array<f32>,
-    features: Array<f32>,
 }
 
 struct Device<'a> {
     rig: &'a Rig,
+    layers: Layers,
     nets: Nets,
     light: Light,
-    density: OnDevice,
-    color: OnDevice,
-    /// Features of a sample.
-    width: usize,
+    weights: Array<f32>,
     all: Samples,
-    kept: Samples,
+    /// Of visited samples.
+    features: Array<f32>,
     ray_of: Array<u32>,
-    /// Kept activations of the density network's hidden layer.
-    hidden: Array<f32>,
+    /// Outputs of the density network, of visited samples.
     latent: Array<f32>,
-    rgb: Array<f32>,
+    origin: Array<u32>,
+    colours: Array<f32>,
     d_logits: Array<f32>,
     directions: Array<[f32; 4]>,
     pixels: Array<[f32; 4]>,
     pulls: Array<[f32; 2]>,
     gains: Array<[f32; 4]>,
-    background: Array<f32>,
     found: Array<f32>,
-    of_rays: Array<f32>,
-    d_background: Array<f32>,
-    parts: Array<f32>,
+    work: Array<f32>,
+    gradient: Array<f32>,
+    slopes: Array<f32>,
     ring: Array<Total>,
 }
 
 /// Visited samples, encoded by the CPU.
-fn samples(rig: &Rig, training: &Training, targets: &[Target]) -> Samples {
+fn samples(rig: &Rig, training: &Training, targets: &[Target]) -> (Samples, Array<f32>, Array<u32>) {
     let (shade, spans) = visited(training, targets);
     let width = training.state.weights.row_blocks() * 16;
     let mut along = vec![f32::NAN; 3 * CAPACITY];
@@ -106,12 +104,21 @@ fn samples(rig: &Rig, training: &Training, targets: &[Target]) -> Samples {
         .write(&rig.counts, 0, &[spans[RAYS - 1].end as u32, 0, RAYS as u32]);
     let counts_of = |span: &Span| [span.first as u32, (span.end - span.first) as u32];
     let spans: Vec<_> = spans.iter().map(counts_of).collect();
-    Samples {
-        spans: rig.gpu.filled("spans", &spans_array(&spans)).unwrap(),
+    let samples = Samples {
+        spans: rig
+            .gpu
+            .filled("spans", &[spans_array(&spans), vec![0; 2 * SLOTS]].concat())
+            .unwrap(),
         along: rig.filled(&along),
         light: rig.untouched(3),
-        features: rig.filled(&columns(flat(&shade.features), width, CAPACITY, f32::NAN)),
-    }
+    };
+    let features = rig.filled(&columns(flat(&shade.features), width, CAPACITY, f32::NAN));
+    let rays = spans.iter().zip(0..);
+    let mut ray_of: Vec<u32> = rays
+        .flat_map(|([_, count], ray)| (0..*count).map(move |_| ray))
+        .collect();
+    ray_of.resize(CAPACITY, 0);
+    (samples, features, rig.gpu.filled("rays", &ray_of).unwrap())
 }
 
 impl<'a> Device<'a> {
@@ -119,47 +126,45 @@ impl<'a> Device<'a> {
         let weights = &training.state.weights;
         let zeros = |numbers: usize| rig.gpu.zeros::<f32>("numbers", numbers).unwrap();
         let words = |numbers: usize| rig.gpu.zeros::<u32>("words", numbers).unwrap();
-        let width = weights.row_blocks() * 16;
         let ([directions, pixels], pulls) = aims(targets);
         let vectors = |values: &[[f32; 4]]| rig.gpu.filled("vectors", values).unwrap();
+        let layers = layers(weights);
+        let all = weights.density.layers.iter().chain(&weights.color.layers);
+        let mut nets: Vec<f32> = all.flat_map(|layer| flat(&layer.weights)).copied().collect();
+        nets.extend(&weights.background);
+        nets.resize(layers.numbers(), 0.0);
+        let (all, features, ray_of) = samples(rig, training, targets);
         Self {
-            nets: Nets::new(&rig.gpu).unwrap(),
+            nets: Nets::new(&rig.gpu, &layers).unwrap(),
             light: Light::new(&rig.gpu).unwrap(),
-            density: OnDevice::new(rig, &weights.density),
-            color: OnDevice::new(rig, &weights.color),
-            all: samples(rig, training, targets),
-            kept: Samples {
-                spans: words(2 * SLOTS),
-                along: zeros(3 * CAPACITY),
-                light: zeros(3 * CAPACITY),
-                features: zeros(width * CAPACITY),
-            },
-            ray_of: words(CAPACITY),
-            hidden: zeros(weights.density.layers[0].outputs * CAPACITY),
-            latent: zeros(16 * weights.color_blocks() * CAPACITY),
-            rgb: zeros(3 * CAPACITY),
-            d_logits: zeros(16 * CAPACITY),
+            weights: rig.filled(&nets),
+            all,
+            features,
+            ray_of,
+            latent: zeros(16 * CAPACITY),
+            origin: words(CAPACITY),
+            colours: zeros(6 * CAPACITY),
+            d_logits: zeros(3 * CAPACITY),
             directions: vectors(&directions),
             pixels: vectors(&pixels),
             pulls: rig.gpu.filled("pulls", &pulls).unwrap(),
             gains: vectors(&[[0.0; 4]; 3]),
-            background: rig.filled(&weights.background),
             found: zeros(found::LEN * SLOTS),
-            of_rays: zeros(16 * SLOTS),
-            d_background: zeros(64),
-            parts: zeros(Gradient::parts(CAPACITY, [64, 64])),
+            work: zeros(layers.work(CAPACITY, SLOTS)),
+            gradient: zeros(layers.numbers()),
+            slopes: zeros(layers.shapes[0][0] * CAPACITY),
             ring: rig.gpu.zeros("ring", RING).unwrap(),
             rig,
-            width,
+            layers,
         }
     }
 
-    fn columns<'b>(samples: &'b Samples, density: &'b Array<f32>) -> Columns<'b> {
+    fn columns(&self) -> Columns<'_> {
         Columns {
-            spans: &samples.spans,
-            along: &samples.along,
-            density,
-            light: &samples.light,
+            spans: &self.all.spans,
+            along: &self.all.along,
+            density: &self.latent,
+            light: &self.all.light,
         }
     }
 
@@ -168,122 +173,84 @@ impl<'a> Device<'a> {
         let (rig, gpu) = (self.rig, &self.rig.gpu);
         let before = gpu.zeros("before", SLOTS).unwrap();
         let shown = gpu.zeros::<u32>("shown", 2 * SLOTS).unwrap();
-        let columns = Self::columns(&self.all, self.density.output());
-        let mut runs = self
-            .density
-            .forward(rig, &self.nets, counts::VISITED, &self.all.features);
+        let columns = self.columns();
+        let ends = [&self.features, &self.latent];
+        let density = self.nets.density(rig.batch(), &self.weights, ends);
         let opacity = self
             .light
             .opacity(rig.batch(), counts::RAYS, columns, &before, &shown);
-        runs.push(opacity.unwrap());
-        self.record(&runs);
-        let (mut spans, mut ray_of) = (Vec::new(), Vec::new());
-        for (ray, count) in (0..).zip(&gpu.read(&shown).unwrap()[..RAYS]) {
-            spans.push([ray_of.len() as u32, *count]);
-            ray_of.extend((0..*count).map(|_| ray));
+        self.record(&[density.unwrap(), opacity.unwrap()]);
+        let (mut spans, mut kept) = (Vec::new(), 0);
+        for count in &gpu.read(&shown).unwrap()[..RAYS] {
+            spans.push([kept, *count]);
+            kept += count;
         }
-        gpu.write(&rig.counts, counts::KEPT as usize, &[ray_of.len() as u32]);
-        gpu.write(&self.ray_of, 0, &ray_of);
-        gpu.write(&self.kept.spans, 0, &spans_array(&spans));
-        ray_of.len()
-    }
-
-    /// Drops what is hidden.
-    fn keep(&self) -> Vec<Work> {
-        let (batch, all, kept) = (self.rig.batch(), &self.all, &self.kept);
-        let origin = self.rig.gpu.zeros("origin", CAPACITY).unwrap();
-        let spans = [&all.spans, &kept.spans];
-        let mut runs = vec![self.light.kept(batch, counts::RAYS, spans, &origin).unwrap()];
-        for (from, to, rows) in [
-            (&all.along, &kept.along, 3),
-            (&all.light, &kept.light, 3),
-            (&all.features, &kept.features, self.width),
-            (&self.density.outputs[0], &self.hidden, self.density.shapes[0][1]),
-            (self.density.output(), &self.latent, 16),
-        ] {
-            let gather = self.light.gather(batch, &origin, from.into(), to.into(), rows);
-            runs.push(gather.unwrap());
-        }
-        runs
+        gpu.write(&rig.counts, counts::KEPT as usize, &[kept]);
+        gpu.write(&self.all.spans, 2 * SLOTS, &spans_array(&spans));
+        let origin = self
+            .light
+            .kept(rig.batch(), counts::RAYS, &self.all.spans, &self.origin);
+        self.record(&[origin.unwrap()]);
+        kept as usize
     }
 
     /// Colours, loss and slopes in logits and raw densities.
     fn compare(&self, training: &Training) -> Vec<Work> {
         let (rig, light, batch) = (self.rig, &self.light, self.rig.batch());
-        let to = Rows {
-            part: (&self.latent).into(),
-            first: 16,
-        };
-        let mut runs = vec![
-            light
-                .harmonics(batch, &self.directions, &self.ray_of, to)
-                .unwrap(),
-        ];
-        runs.extend(self.color.forward(rig, &self.nets, counts::KEPT, &self.latent));
-        let colours = Colours {
-            logits: self.color.output(),
-            rgb: &self.rgb,
-        };
-        let columns = Self::columns(&self.kept, &self.latent);
+        let ends = [&self.latent, &self.colours];
+        let shade = self.nets.shade(batch, &self.weights, self.seen(), ends);
+        let colours = Colours::of(&self.colours);
+        let columns = self.columns();
         let aims = Aims {
             directions: &self.directions,
             targets: &self.pixels,
             gains: &self.gains,
             views: 3,
-            background: Some(&self.background),
+            background: Some(self.weights.part(self.layers.weights(), BACKGROUND)),
             found: &self.found,
         };
-        runs.push(light.colour(batch, colours).unwrap());
-        runs.push(light.compare(batch, columns, &self.rgb, aims).unwrap());
+        let compare = light.compare(batch, columns, colours.rgb.clone(), aims);
         let losses = weights_of_losses(batch, &training.config, &training.march);
         let losses = rig.gpu.uniform("losses", losses).unwrap();
         let to = [&self.found, &self.d_logits];
         let spread = light.spread(batch, &losses, (columns, colours), to, &self.pulls);
-        runs.push(spread.unwrap());
-        runs
+        vec![shade.unwrap(), compare.unwrap(), spread.unwrap()]
     }
 
-    /// Gradients of both networks and of the features.
+    fn seen(&self) -> Seen<'_> {
+        Seen {
+            origin: &self.origin,
+            ray_of: &self.ray_of,
+            directions: &self.directions,
+        }
+    }
+
+    /// Gradients of networks, features and background, and totals.
     fn backward(&self) -> Vec<Work> {
-        let (rig, light, batch) = (self.rig, &self.light, self.rig.batch());
-        let (density, color) = (&self.density, &self.color);
-        let from = (&self.latent, color.outputs.as_slice());
-        let mut runs = color.backward(rig, &self.nets, from, &self.d_logits, &self.parts);
-        let slope = &color.slopes[0];
-        runs.push(light.join(batch, &self.kept.light, slope).unwrap());
-        let from = (&self.kept.features, std::slice::from_ref(&self.hidden));
-        runs.extend(density.backward(rig, &self.nets, from, slope, &self.parts));
-        let features = &density.slopes[0];
-        runs.push(
-            light
-                .runaway(batch, features, self.width, faults::FEATURES)
-                .unwrap(),
-        );
-        runs
-    }
-
-    /// The gradient of the background, and totals.
-    fn rays(&self) -> Vec<Work> {
-        let (light, batch, gpu) = (&self.light, self.rig.batch(), &self.rig.gpu);
-        let gradient = Gradient {
-            a: (&self.found).into(),
-            d: (&self.of_rays).into(),
-            shape: [4, 16],
-            capacity: SLOTS,
-            parts: (&self.parts).into(),
-            gradient: (&self.d_background).into(),
-            fault: faults::BACKGROUND,
+        let (light, batch, gpu, nets) = (&self.light, self.rig.batch(), &self.rig.gpu, &self.nets);
+        let back = Back {
+            features: &self.features,
+            seen: self.seen(),
+            weights: &self.weights,
+            light: &self.all.light,
+            d_logits: &self.d_logits,
+            work: &self.work,
+            slopes: &self.slopes,
         };
+        let behind = Behind {
+            directions: &self.directions,
+            found: &self.found,
+            work: &self.work,
+        };
+        let ends = [&self.work, &self.gradient];
         let pace = gpu.uniform("pace", Pace::default()).unwrap();
         let loss = self.found.part(found::LOSS * SLOTS, SLOTS);
-        let mut runs = vec![
-            light
-                .harmonics_of_rays(batch, &self.directions, &self.of_rays)
-                .unwrap(),
-        ];
-        runs.push(self.nets.gradient(batch, counts::RAYS, gradient).unwrap());
-        runs.push(light.totals(batch, &pace, loss, &self.ring).unwrap());
-        runs
+        vec![
+            nets.behind(batch, behind).unwrap(),
+            nets.back(batch, back).unwrap(),
+            nets.sum(batch, Background::Direction, ends).unwrap(),
+            light.totals(batch, &pace, loss, &self.ring).unwrap(),
+        ]
     }
 
     fn record(&self, runs: &[Work]) {
@@ -291,11 +258,12 @@ impl<'a> Device<'a> {
         self.rig.gpu.submit(all);
     }
 
-    fn gradients(&self, net: &OnDevice) -> Vec<Vec<Block>> {
-        let layers = net.gradients.iter();
-        layers
-            .map(|layer| blocks(&self.rig.gpu.read(layer).unwrap()))
-            .collect()
+    /// Gradients of all layers, the density network's first, and of the background.
+    fn gradients(&self) -> (Vec<Vec<Block>>, Vec<f32>) {
+        let all = self.rig.gpu.read(&self.gradient).unwrap();
+        let layers = self.layers.shapes.iter().zip(self.layers.firsts());
+        let layers = layers.map(|([inputs, outputs], first)| blocks(&all[first..][..inputs * outputs]));
+        (layers.collect(), all[self.layers.weights()..].to_vec())
     }
 }
 
@@ -303,24 +271,21 @@ impl<'a> Device<'a> {
 pub fn on_the_device(rig: &Rig, training: &Training, targets: &[Target]) -> Trained {
     let device = Device::new(rig, training, targets);
     let kept = device.look();
-    for runs in [
-        device.keep(),
-        device.compare(training),
-        device.backward(),
-        device.rays(),
-    ] {
+    for runs in [device.compare(training), device.backward()] {
         device.record(&runs);
     }
     let read = |array: &Array<f32>| rig.gpu.read(array).unwrap();
+    let (mut density, background) = device.gradients();
+    let color = density.split_off(device.layers.density);
     Trained {
         found: Found {
-            density: device.gradients(&device.density),
-            color: device.gradients(&device.color),
-            background: read(&device.d_background),
+            density,
+            color,
+            background,
             ..Found::default()
         },
         rows: read(&device.found),
-        features: read(&device.density.slopes[0]),
+        features: read(&device.slopes),
         kept,
         total: rig.gpu.read(&device.ring).unwrap()[0],
     }

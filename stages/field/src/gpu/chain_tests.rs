@@ -120,6 +120,7 @@ fn a_batch_has_the_gradients_of_the_cpu() {
     let there = on_the_cpu(&training, &targets);
     let expected = &there.found;
     assert_eq!((expected.bad, here.total.faults), (None, 0));
+    // No transmittance lies so close to what just shows that a driver's rounding decides.
     assert_eq!(here.kept as u64, expected.samples);
     assert!(
         expected.samples + 20 < expected.visited,

@@ -6,12 +6,13 @@ use marf_scene::{Camera, Image, Pose};
 use nalgebra::Vector3;
 
 use super::Gpu;
-use super::forward::check_columns;
+use super::forward::{Purpose, check_columns};
 use super::kernel::GROUP;
-use super::nets::{CHUNK, Nets};
+use super::nets::Nets;
 use super::record::dispatch;
 use super::session::GpuSession;
 use super::testing::{advance, gpu, on_gpu, own_gpu, upload};
+use super::weights::layers;
 use crate::test_scene::{ball, ball_view, psnr, small};
 use crate::training::Training;
 use crate::{
@@ -41,7 +42,8 @@ fn a_lost_device_is_an_error_with_advice_wherever_it_is_met() {
     let view = ball_view(0.5, 0.0, 8);
     let field = trainer.field().unwrap();
     let numbers = gpu.filled("numbers", &[1_u32; 8]).unwrap();
-    let nets = Nets::new(&gpu).unwrap();
+    let layers = layers(&trainer.training.state.weights);
+    let nets = Nets::new(&gpu, &layers).unwrap();
     gpu.device.destroy();
     assert!(lost(trainer.advance(5)));
     assert_eq!(trainer.steps(), 3);
@@ -61,7 +63,7 @@ fn a_lost_device_is_an_error_with_advice_wherever_it_is_met() {
     }
     assert!(matches!(gpu.read(&numbers), Err(GpuError::Lost { .. })));
     assert!(matches!(gpu.wait(), Err(GpuError::Lost { .. })));
-    assert!(Nets::new(&gpu).is_err());
+    assert!(Nets::new(&gpu, &layers).is_err());
     gpu.submit(|_| {});
     drop((nets, trainer, field));
 }
@@ -72,9 +74,9 @@ fn a_device_that_is_lost_before_the_first_step_is_an_error_too() {
     let Some(gpu) = own_gpu(test).map(Arc::new) else {
         return;
     };
-    let shader = marf_shaders::TRANSPOSE;
+    let shader = marf_shaders::COPY;
     let kernel = gpu.kernel(&shader, "").unwrap();
-    let arrays = [[0_u32; 4]; 3].map(|values| gpu.filled("numbers", &values).unwrap());
+    let arrays = [[0_u32; 4]; 2].map(|values| gpu.filled("numbers", &values).unwrap());
     gpu.device.destroy();
     let parts = arrays.each_ref().map(Into::into);
     let work = dispatch(&gpu, &kernel, &parts, [GROUP, 1, 1]);
@@ -95,12 +97,13 @@ fn columns_beyond_a_binding_are_refused_with_both_numbers() {
         color_layers: 2,
         ..small()
     };
-    // 128 rows of 2 x 4096 slots; parts of the gradients are no more.
-    let needed = 128 * 2 * 4096 * 4;
     let mut training = Training::new(ball(2, 8), &[], &config, 0).unwrap();
-    assert_eq!(2 * 4096 / CHUNK * 128 * 128 * 4, needed as usize);
+    let (weights, slots) = (&training.state.weights, [2 * 4096, 4096]);
+    // What the workgroups of the way back keep is more than any column.
+    let needed = 4 * layers(weights).work(slots[0], slots[1]) as u64;
+    assert!(needed > 64 * 4 * slots[0] as u64);
     gpu.limits.max_storage_buffer_binding_size = needed;
-    assert_eq!(check_columns(&gpu, &training.state.weights, 2 * 4096), Ok(()));
+    assert_eq!(check_columns(&gpu, weights, slots, Purpose::Training), Ok(()));
     gpu.limits.max_storage_buffer_binding_size = needed - 1;
     let adapter = gpu.name().to_owned();
     let refused = GpuSession::new(&Arc::new(gpu), &mut training).err();

@@ -24,6 +24,8 @@ pub struct Bound {
     pub(super) name: &'static str,
     pub(super) pipeline: wgpu::ComputePipeline,
     pub(super) group: wgpu::BindGroup,
+    /// Bytes of every binding.
+    pub(super) sizes: std::sync::Arc<[u64]>,
 }
 
 impl Gpu {
@@ -72,7 +74,11 @@ impl Gpu {
                 layout: None,
                 module: &module,
                 entry_point: Some(entry),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                // Kernels write workgroup memory before they read it.
+                compilation_options: wgpu::PipelineCompilationOptions {
+                    zero_initialize_workgroup_memory: false,
+                    ..Default::default()
+                },
                 cache: None,
             });
         let mut refused = None;
@@ -108,6 +114,7 @@ impl Gpu {
             name: kernel.name,
             pipeline: kernel.pipeline.clone(),
             group,
+            sizes: parts.iter().map(Part::bytes).collect(),
         }
     }
 }

@@ -1,19 +1,17 @@
 //! The backward pass: from the loss of a batch to new weights, bound to the arrays of a training.
 
-use marf_shaders::{counts, faults, found};
+use marf_shaders::{counts, found};
 
 use super::Gpu;
 use super::array::Array;
-use super::arrays::{Arrays, DeviceMoments, Learnt};
+use super::arrays::Arrays;
 use super::exposures::{Exposing, ExposureInputs, Exposures};
 use super::forward::{Kernels as Shared, Lanes};
 use super::light::Aims;
-use super::nets::{After, Gradient, Product, Rates as NetRates, Rows, Tensor};
+use super::nets::{Back, Behind, Rates as NetRates, Tensor};
 use super::record::{Recorder, Work};
 use super::tables::{AdamTable, Blend, Grid, Scales, Scatter, Scattered, Slots, Sums, Trained};
-use super::weights::{DeviceLayer, DeviceWeights};
-use crate::schedule::{BACKGROUND_RATE, DECAY};
-use crate::weights::NET_ROW;
+use super::weights::DeviceWeights;
 use crate::{Background, Config, Gain, GpuError};
 
 /// The kernels of the backward pass.
@@ -50,12 +48,10 @@ pub struct Learning {
     exposing: Option<Exposing>,
     /// The scales of the tables' gradients.
     pub scale: Work,
-    /// All weights, and the turned ones after them.
+    /// All weights, and the averages of the networks.
     pub learn: Work,
-    /// The averages.
+    /// The average of the tables.
     pub blend: Work,
-    /// The turned weights alone.
-    pub turn: Work,
 }
 
 /// Kernels and arrays that are bound together.
@@ -103,27 +99,18 @@ impl Learning {
             };
             bindings.kernels.exposures.bind(gpu, &arrays.exposures, inputs)
         });
-        let mut blend = Work::default();
-        let pairs = bindings
-            .weights
-            .arrays()
-            .into_iter()
-            .zip(bindings.average.arrays());
-        for (values, average) in pairs {
-            let blending = &arrays.blending;
-            blend = blend.then(
-                bindings
-                    .kernels
-                    .blend
-                    .bind(gpu, blending, &lanes.faults, values, average),
-            );
-        }
+        let blend = bindings.kernels.blend.bind(
+            gpu,
+            &arrays.blending,
+            &lanes.faults,
+            &bindings.weights.tables,
+            &bindings.average.tables,
+        );
         Ok(Self {
             back: bindings.losses()?.then(bindings.nets()?).then(bindings.tables()?),
             exposing,
             scale: bindings.scales()?,
-            learn: bindings.moves()?.then(bindings.turns()?),
-            turn: bindings.turns()?,
+            learn: bindings.moves()?,
             blend,
         })
     }
@@ -156,111 +143,62 @@ impl Bindings<'_> {
             targets: &lanes.rays.targets,
             gains: &arrays.exposures.gains,
             views: arrays.exposures.views,
-            background: behind.then_some(&self.weights.background),
+            background: behind.then(|| self.weights.background()),
             found: &arrays.found,
         };
-        let mut work = light.compare(batch, lanes.kept_columns(), &lanes.rgb, aims)?;
+        let mut work = light.compare(batch, lanes.columns(), lanes.colours().rgb, aims)?;
         work = work.then(light.spread(
             batch,
             &arrays.losses,
-            (lanes.kept_columns(), lanes.colours()),
+            (lanes.columns(), lanes.colours()),
             [&arrays.found, &arrays.d_logits],
             &lanes.rays.pulls,
         )?);
         if behind {
-            work = work.then(light.harmonics_of_rays(batch, &lanes.rays.directions, &arrays.harmonics)?);
-            let gradient = Gradient {
-                a: (&arrays.found).into(),
-                d: (&arrays.harmonics).into(),
-                shape: [4, NET_ROW],
-                capacity: lanes.rays.slots,
-                parts: (&arrays.parts).into(),
-                gradient: (&arrays.background_gradient).into(),
-                fault: faults::BACKGROUND,
+            let behind = Behind {
+                directions: &lanes.rays.directions,
+                found: &arrays.found,
+                work: &arrays.work,
             };
-            work = work.then(self.shared.nets.gradient(batch, counts::RAYS, gradient)?);
+            work = work.then(self.shared.nets.behind(batch, behind)?);
         }
         Ok(work)
     }
 
-    /// Returns the passes back through both networks to the slopes of features.
+    /// Returns the passes back through both networks to the slopes of features, and the gradients of all weights.
     fn nets(self) -> Result<Work, GpuError> {
-        let (lanes, arrays) = (self.lanes, self.arrays);
+        let (lanes, arrays, nets) = (self.lanes, self.arrays, &self.shared.nets);
         let batch = lanes.batch(self.gpu);
-        let color = self.net(
-            (&self.weights.color, &arrays.color),
-            [&lanes.colour_in, &arrays.d_logits],
-            &lanes.colour_hidden,
-        )?;
-        let Some(latent) = arrays.color.first().map(|layer| &layer.slope) else {
-            return Ok(color);
+        let back = Back {
+            features: &lanes.features,
+            seen: lanes.seen(),
+            weights: &self.weights.nets,
+            light: &lanes.light,
+            d_logits: &arrays.d_logits,
+            work: &arrays.work,
+            slopes: &arrays.slopes,
         };
-        let join = self.shared.light.join(batch, &lanes.light[1], latent)?;
-        let density = self.net(
-            (&self.weights.density, &arrays.density),
-            [&lanes.features[1], latent],
-            &lanes.hidden[1],
-        )?;
-        Ok(color.then(join).then(density))
-    }
-
-    /// Returns the passes back through one network; `ends`: its input, and the slope of its output.
-    fn net(
-        self,
-        (layers, learnt): (&[DeviceLayer], &[Learnt]),
-        [input, slope]: [&Array<f32>; 2],
-        hidden: &[Array<f32>],
-    ) -> Result<Work, GpuError> {
-        let (batch, nets) = (self.lanes.batch(self.gpu), &self.shared.nets);
-        let mut work = Work::default();
-        for (index, (layer, own)) in layers.iter().zip(learnt).enumerate().rev() {
-            let below = index.checked_sub(1).map(|below| &hidden[below]);
-            let slope = learnt.get(index + 1).map_or(slope, |above| &above.slope);
-            let gradient = Gradient {
-                a: below.unwrap_or(input).into(),
-                d: slope.into(),
-                shape: layer.shape(),
-                capacity: self.lanes.capacity,
-                parts: (&self.arrays.parts).into(),
-                gradient: (&own.gradient).into(),
-                fault: faults::NETWORKS,
-            };
-            work = work.then(nets.gradient(batch, counts::KEPT, gradient)?);
-            let product = Product {
-                a: Rows::from(slope),
-                b: (&own.turned).into(),
-                c: (&own.slope).into(),
-                shape: [layer.outputs, layer.inputs],
-                after: below.map_or(After::Nothing, |below| After::Gate(below.into())),
-            };
-            work = work.then(nets.product(batch, counts::KEPT, product)?);
-        }
-        Ok(work)
+        let ends = [&arrays.work, &arrays.nets_gradient];
+        let sum = nets.sum(batch, self.config.background, ends)?;
+        Ok(nets.back(batch, back)?.then(sum))
     }
 
     /// Returns the passes from the slopes of features to those of table entries, and the totals for the host.
     fn tables(self) -> Result<Work, GpuError> {
         let (gpu, lanes, arrays) = (self.gpu, self.lanes, self.arrays);
-        let batch = lanes.batch(gpu);
-        let Some(slopes) = arrays.density.first().map(|layer| &layer.slope) else {
-            return Ok(Work::default());
-        };
-        let rows = slopes.len() / lanes.capacity;
-        let light = &self.shared.light;
-        let runaway = light.runaway(batch, slopes, rows, faults::FEATURES)?;
         let slots = Slots {
             capacity: lanes.capacity,
             slot: counts::KEPT,
         };
         let scattered = Scattered {
-            xyz: &lanes.kept.xyz,
+            xyz: &lanes.visited.xyz,
+            origin: &lanes.origin,
             counts: &lanes.counts,
-            slopes,
+            slopes: &arrays.slopes,
             gradient: &arrays.gradient,
             scales: &arrays.scales,
         };
-        let scatter = self.kernels.scatter.bind(gpu, self.grid, slots, scattered)?;
-        Ok(runaway.then(scatter))
+        self.kernels.scatter.bind(gpu, self.grid, slots, scattered)
     }
 
     fn scales(self) -> Result<Work, GpuError> {
@@ -292,51 +230,19 @@ impl Bindings<'_> {
             count: &arrays.tables.count,
         };
         let tables = self.kernels.adam.bind(gpu, self.grid, trained)?;
-        let mut work = totals.then(tables);
-        let layers = self.weights.density.iter().chain(&self.weights.color);
-        for (layer, own) in layers.zip(arrays.density.iter().chain(&arrays.color)) {
-            let ends = [&layer.weights, &own.gradient];
-            work = work.then(self.adam(ends, &own.moments, [1.0, DECAY])?);
-        }
-        if self.config.background == Background::Direction {
-            let ends = [&self.weights.background, &arrays.background_gradient];
-            work = work.then(self.adam(ends, &arrays.background, [BACKGROUND_RATE, 0.0])?);
-        }
-        Ok(work)
-    }
-
-    fn adam(
-        self,
-        [weights, gradient]: [&Array<f32>; 2],
-        moments: &DeviceMoments,
-        rates: [f32; 2],
-    ) -> Result<Work, GpuError> {
-        let shared = NetRates {
-            pace: &self.arrays.pace,
-            bias: &self.arrays.bias,
+        let rates = NetRates {
+            pace: &arrays.pace,
+            bias: &arrays.bias,
         };
         let tensor = Tensor {
-            weights: weights.into(),
-            gradient: gradient.into(),
-            mean: (&moments.mean).into(),
-            square: (&moments.square).into(),
-            count: (&moments.count).into(),
-            rows: weights.len() / NET_ROW,
-            rates,
+            weights: &self.weights.nets,
+            gradient: &arrays.nets_gradient,
+            mean: &arrays.nets.mean,
+            square: &arrays.nets.square,
+            count: &arrays.nets.count,
+            average: &self.average.nets,
         };
-        let batch = self.lanes.batch(self.gpu);
-        self.shared.nets.adam(batch, shared, tensor)
-    }
-
-    fn turns(self) -> Result<Work, GpuError> {
-        let layers = self.weights.density.iter().chain(&self.weights.color);
-        let learnt = self.arrays.density.iter().chain(&self.arrays.color);
-        let mut work = Work::default();
-        for (layer, own) in layers.zip(learnt) {
-            let (weights, turned) = ((&layer.weights).into(), (&own.turned).into());
-            let nets = &self.shared.nets;
-            work = work.then(nets.transpose(self.gpu, layer.shape(), weights, turned)?);
-        }
-        Ok(work)
+        let nets = self.shared.nets.adam(batch, rates, tensor)?;
+        Ok(totals.then(tables).then(nets))
     }
 }

@@ -1,13 +1,11 @@
 //! Light along the rays of a batch: opacities, what shows, colours, the loss and its slopes.
 
-use marf_shaders::{
-    self as shaders, CompareRun, Extent, GatherRun, HarmonicsRun, Pace, RunawayRun, SpreadRun, Total, counts,
-};
+use marf_shaders::{self as shaders, CompareRun, Extent, Pace, SpreadRun, Total, counts};
 
 use super::Gpu;
 use super::array::{Array, Part};
-use super::kernel::{GROUP, Kernel};
-use super::nets::{Batch, Rows, four_each, limits, one_each};
+use super::kernel::Kernel;
+use super::nets::{Batch, limits, one_each};
 use super::record::{Work, dispatch};
 use crate::Config;
 use crate::GpuError;
@@ -20,7 +18,7 @@ pub const RING: usize = 16;
 /// Columns of samples of the same rays.
 #[derive(Clone, Copy)]
 pub struct Columns<'a> {
-    /// u32 `[2][rays]`: first sample and count.
+    /// u32 `[4][rays]`: first sample and number of visited samples, then of kept ones, which are the first of every ray.
     pub spans: &'a Array<u32>,
     /// f32 `[3][capacity]`: distance, length, place.
     pub along: &'a Array<f32>,
@@ -31,16 +29,27 @@ pub struct Columns<'a> {
 }
 
 /// What colours are made of.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 pub struct Colours<'a> {
-    /// f32 `[16][capacity]`, outputs of the colour network.
-    pub logits: &'a Array<f32>,
     /// f32 `[3][capacity]`.
-    pub rgb: &'a Array<f32>,
+    pub logits: Part<'a>,
+    /// f32 `[3][capacity]`.
+    pub rgb: Part<'a>,
+}
+
+impl<'a> Colours<'a> {
+    /// Takes f32 `[6][capacity]` apart: colours, then logits.
+    pub fn of(colours: &'a Array<f32>) -> Self {
+        let half = colours.len() / 2;
+        Self {
+            logits: colours.part(half, half),
+            rgb: colours.part(0, half),
+        }
+    }
 }
 
 /// What rays are compared with.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 pub struct Aims<'a> {
     /// `[rays]`: direction, and 1 where there is a ray.
     pub directions: &'a Array<[f32; 4]>,
@@ -51,21 +60,15 @@ pub struct Aims<'a> {
     /// Photos.
     pub views: usize,
     /// f32 `[3][16]`; `None` for black.
-    pub background: Option<&'a Array<f32>>,
+    pub background: Option<Part<'a>>,
     /// f32 `[found::LEN][rays]`; row 3 zero as it was made.
     pub found: &'a Array<f32>,
 }
 
 /// The kernels of light.
 pub struct Light {
-    harmonics: Kernel,
-    of_rays: Kernel,
     opacity: Kernel,
     kept: Kernel,
-    gather: Kernel,
-    colour: Kernel,
-    join: Kernel,
-    runaway: Kernel,
     totals: Kernel,
 }
 
@@ -78,69 +81,10 @@ impl Light {
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         let head = limits();
         Ok(Self {
-            harmonics: gpu.kernel(&shaders::HARMONICS, "")?,
-            of_rays: gpu.entry(&shaders::HARMONICS, "", "of_rays")?,
             opacity: gpu.kernel(&shaders::OPACITY, &head)?,
             kept: gpu.kernel(&shaders::KEPT, "")?,
-            gather: gpu.kernel(&shaders::GATHER, "")?,
-            colour: gpu.kernel(&shaders::COLOUR, &head)?,
-            join: gpu.kernel(&shaders::JOIN, "")?,
-            runaway: gpu.kernel(&shaders::RUNAWAY, &head)?,
             totals: gpu.kernel(&shaders::TOTALS, "")?,
         })
-    }
-
-    /// Binds the harmonics of kept samples into 16 rows of `to`; `ray_of` is u32 `[capacity]`.
-    ///
-    /// # Errors
-    /// The memory of a uniform.
-    pub fn harmonics(
-        &self,
-        batch: Batch<'_>,
-        directions: &Array<[f32; 4]>,
-        ray_of: &Array<u32>,
-        to: Rows<'_>,
-    ) -> Result<Work, GpuError> {
-        let run = HarmonicsRun {
-            slot: counts::KEPT,
-            stride: batch.capacity as u32,
-            first: to.first as u32,
-            pad: 0,
-        };
-        let run = batch.gpu.uniform("harmonics", run)?;
-        let parts = [
-            (&run).into(),
-            batch.counts.into(),
-            directions.into(),
-            to.part,
-            ray_of.into(),
-        ];
-        Ok(dispatch(
-            batch.gpu,
-            &self.harmonics,
-            &parts,
-            one_each(batch.capacity),
-        ))
-    }
-
-    /// Binds the harmonics of rays into f32 `[16][rays]`.
-    ///
-    /// # Errors
-    /// The memory of a uniform.
-    pub fn harmonics_of_rays(
-        &self,
-        batch: Batch<'_>,
-        directions: &Array<[f32; 4]>,
-        to: &Array<f32>,
-    ) -> Result<Work, GpuError> {
-        let run = HarmonicsRun {
-            slot: counts::RAYS,
-            stride: batch.rays as u32,
-            ..HarmonicsRun::default()
-        };
-        let run = batch.gpu.uniform("harmonics of rays", run)?;
-        let parts = [(&run).into(), batch.counts.into(), directions.into(), to.into()];
-        Ok(dispatch(batch.gpu, &self.of_rays, &parts, one_each(batch.rays)))
     }
 
     /// Binds opacities and transmittances of visited samples; `slot` is the place in `counts` of the rays in use.
@@ -173,7 +117,7 @@ impl Light {
         Ok(dispatch(batch.gpu, &self.opacity, &parts, one_each(batch.rays)))
     }
 
-    /// Binds the list of kept samples, u32 `[capacity]`, from spans before and after hidden ones are dropped.
+    /// Binds the list of kept samples, u32 `[capacity]`, from the spans of `Columns`.
     ///
     /// # Errors
     /// The memory of a uniform.
@@ -181,69 +125,12 @@ impl Light {
         &self,
         batch: Batch<'_>,
         slot: u32,
-        [visited, remaining]: [&Array<u32>; 2],
+        spans: &Array<u32>,
         origin: &Array<u32>,
     ) -> Result<Work, GpuError> {
         let extent = extent(batch, slot)?;
-        let parts = [
-            (&extent).into(),
-            batch.counts.into(),
-            visited.into(),
-            remaining.into(),
-            origin.into(),
-        ];
+        let parts = [(&extent).into(), batch.counts.into(), spans.into(), origin.into()];
         Ok(dispatch(batch.gpu, &self.kept, &parts, one_each(batch.rays)))
-    }
-
-    /// Binds the copy of the kept samples of `rows` rows of 4-byte numbers.
-    ///
-    /// # Errors
-    /// The memory of a uniform.
-    pub fn gather(
-        &self,
-        batch: Batch<'_>,
-        origin: &Array<u32>,
-        from: Rows<'_>,
-        to: Rows<'_>,
-        rows: usize,
-    ) -> Result<Work, GpuError> {
-        let run = GatherRun {
-            slot: counts::KEPT,
-            capacity: batch.capacity as u32,
-            first_from: from.first as u32,
-            first_to: to.first as u32,
-        };
-        let run = batch.gpu.uniform("gather", run)?;
-        let parts = [
-            (&run).into(),
-            batch.counts.into(),
-            origin.into(),
-            from.part,
-            to.part,
-        ];
-        let groups = [batch.capacity.div_ceil(4 * GROUP), rows, 1];
-        Ok(dispatch(batch.gpu, &self.gather, &parts, groups))
-    }
-
-    /// Binds the colours of kept samples.
-    ///
-    /// # Errors
-    /// The memory of a uniform.
-    pub fn colour(&self, batch: Batch<'_>, colours: Colours<'_>) -> Result<Work, GpuError> {
-        let extent = extent(batch, counts::KEPT)?;
-        let parts = [
-            (&extent).into(),
-            batch.counts.into(),
-            colours.logits.into(),
-            colours.rgb.into(),
-            batch.faults.into(),
-        ];
-        Ok(dispatch(
-            batch.gpu,
-            &self.colour,
-            &parts,
-            one_each(batch.capacity),
-        ))
     }
 
     /// Binds the loss of every ray and its slopes in colour, background and exposure.
@@ -254,7 +141,7 @@ impl Light {
         &self,
         batch: Batch<'_>,
         columns: Columns<'_>,
-        rgb: &Array<f32>,
+        rgb: Part<'_>,
         aims: Aims<'_>,
     ) -> Result<Work, GpuError> {
         let run = CompareRun {
@@ -272,12 +159,12 @@ impl Light {
             batch.counts.into(),
             columns.spans.into(),
             columns.light.into(),
-            rgb.into(),
+            rgb.clone(),
             aims.directions.into(),
             aims.targets.into(),
             aims.gains.into(),
             // What is bound in place of none is not read.
-            aims.background.map_or(rgb.into(), Part::from),
+            aims.background.unwrap_or(rgb),
             aims.found.into(),
             batch.faults.into(),
         ];
@@ -286,7 +173,7 @@ impl Light {
     }
 
     /// Binds the slopes of kept samples: in raw density to row 0 of `columns.light`, in logits to rows 0 to 2 of
-    /// `d_logits`, f32 `[16][capacity]`, whose other rows stay zero. `pulls`: `[rays]`, place and weight.
+    /// `d_logits`, f32 `[3][capacity]`. `pulls`: `[rays]`, place and weight.
     ///
     /// # Errors
     /// [`GpuError::Kernel`].
@@ -302,10 +189,10 @@ impl Light {
             run.into(),
             batch.counts.into(),
             columns.spans.into(),
-            colours.rgb.into(),
+            colours.rgb,
             columns.along.into(),
             columns.density.into(),
-            colours.logits.into(),
+            colours.logits,
             found.into(),
             pulls.into(),
             columns.light.into(),
@@ -313,44 +200,6 @@ impl Light {
         ];
         let kernel = batch.gpu.kernel(&shaders::SPREAD, &limits())?;
         Ok(dispatch(batch.gpu, &kernel, &parts, one_each(batch.rays)))
-    }
-
-    /// Binds the sum of both slopes of the raw density, in row 0 of `slope`.
-    ///
-    /// # Errors
-    /// The memory of a uniform.
-    pub fn join(&self, batch: Batch<'_>, light: &Array<f32>, slope: &Array<f32>) -> Result<Work, GpuError> {
-        let extent = extent(batch, counts::KEPT)?;
-        let parts = [(&extent).into(), batch.counts.into(), light.into(), slope.into()];
-        Ok(dispatch(batch.gpu, &self.join, &parts, one_each(batch.capacity)))
-    }
-
-    /// Binds the look for numbers that run away in `rows` rows of kept samples.
-    ///
-    /// # Errors
-    /// The memory of a uniform.
-    pub fn runaway(
-        &self,
-        batch: Batch<'_>,
-        values: &Array<f32>,
-        rows: usize,
-        fault: u32,
-    ) -> Result<Work, GpuError> {
-        let run = RunawayRun {
-            slot: counts::KEPT,
-            capacity: batch.capacity as u32,
-            fault,
-            pad: 0,
-        };
-        let run = batch.gpu.uniform("runaway", run)?;
-        let parts = [
-            (&run).into(),
-            batch.counts.into(),
-            values.into(),
-            batch.faults.into(),
-        ];
-        let groups = four_each(batch.capacity, rows);
-        Ok(dispatch(batch.gpu, &self.runaway, &parts, groups))
     }
 
     /// Binds the totals of a step for the host; `loss` is f32 `[rays]`, row `found::LOSS` of what `compare` found.

@@ -3,11 +3,10 @@
 use marf_shaders::counts;
 
 use super::array::Array;
-use super::light::{Colours, Columns, Light};
-use super::nets::Rows;
+use super::light::{Columns, Light};
 use super::rig::{Rig, TOLERANCE, UNTOUCHED, agree, columns, is_untouched};
 use super::testing::numbers;
-use crate::cpu::composite::{colour, runs_away};
+use crate::cpu::composite::{OPAQUE, runs_away};
 use crate::cpu::simd::InstructionSet;
 use crate::sh;
 use crate::shade::{Shade, Span};
@@ -51,10 +50,17 @@ pub fn spans() -> Vec<Span> {
 }
 
 fn spans_array(spans: &[Span]) -> Vec<u32> {
-    let mut array = vec![0; 2 * SLOTS];
-    for (ray, span) in spans.iter().enumerate() {
-        array[ray] = span.first as u32;
-        array[SLOTS + ray] = (span.end - span.first) as u32;
+    rows_of_spans([spans, spans])
+}
+
+/// Spans of visited samples and of kept ones.
+fn rows_of_spans(spans: [&[Span]; 2]) -> Vec<u32> {
+    let mut array = vec![0; 4 * SLOTS];
+    for (rows, spans) in array.chunks_mut(2 * SLOTS).zip(spans) {
+        for (ray, span) in spans.iter().enumerate() {
+            rows[ray] = span.first as u32;
+            rows[SLOTS + ray] = (span.end - span.first) as u32;
+        }
     }
     array
 }
@@ -121,57 +127,6 @@ impl Arrays {
 }
 
 #[test]
-fn harmonics_of_samples_and_rays_are_those_of_the_cpu() {
-    let test = "harmonics_of_samples_and_rays_are_those_of_the_cpu";
-    let Some(rig) = Rig::new(test, [CAPACITY, SLOTS], [0, 100, RAYS as u32]) else {
-        return;
-    };
-    let light = Light::new(&rig.gpu).unwrap();
-    let all = directions();
-    let directions = rig.gpu.filled("directions", &all).unwrap();
-    let ray_of: Vec<u32> = (0..CAPACITY as u32)
-        .map(|sample| sample * 7 % RAYS as u32)
-        .collect();
-    let rays = rig.gpu.filled("rays", &ray_of).unwrap();
-    let (of_samples, of_rays) = (rig.untouched(32), rig.filled(&[UNTOUCHED; 16 * SLOTS]));
-    let to = Rows {
-        part: (&of_samples).into(),
-        first: 16,
-    };
-    let runs = [
-        light.harmonics(rig.batch(), &directions, &rays, to).unwrap(),
-        light
-            .harmonics_of_rays(rig.batch(), &directions, &of_rays)
-            .unwrap(),
-    ];
-    rig.gpu
-        .submit(|recorder| runs.iter().for_each(|run| run.record(recorder)));
-    let expected: Vec<f32> = all[..RAYS].iter().flat_map(harmonics).collect();
-    let expected = columns(&expected, 16, SLOTS, UNTOUCHED);
-    agree(
-        "harmonics of rays",
-        &rig.gpu.read(&of_rays).unwrap(),
-        &expected,
-        TOLERANCE,
-    );
-    let expected: Vec<f32> = ray_of[..100]
-        .iter()
-        .flat_map(|ray| harmonics(&all[*ray as usize]))
-        .collect();
-    let expected = [
-        vec![UNTOUCHED; 16 * CAPACITY],
-        columns(&expected, 16, CAPACITY, UNTOUCHED),
-    ]
-    .concat();
-    agree(
-        "harmonics",
-        &rig.gpu.read(&of_samples).unwrap(),
-        &expected,
-        TOLERANCE,
-    );
-}
-
-#[test]
 fn opacities_and_what_shows_are_those_of_the_cpu() {
     let test = "opacities_and_what_shows_are_those_of_the_cpu";
     let (mut shade, before) = visited();
@@ -217,6 +172,9 @@ fn opacities_and_what_shows_are_those_of_the_cpu() {
             "{ray}: {found} against {expected}"
         );
     }
+    // A driver's rounding does not decide what shows.
+    let near = |passes: &f32| (passes / OPAQUE - 1.0).abs() < 1e-4;
+    assert!(!shade.transmittance.iter().any(near));
     let visited = spans.clone();
     let mut kept = Vec::new();
     shade.drop_hidden(&mut spans, &mut kept);
@@ -225,42 +183,18 @@ fn opacities_and_what_shows_are_those_of_the_cpu() {
     assert!(kept.len() + 20 < n, "{} of {n} kept proves little", kept.len());
     assert!(shown[RAYS..SLOTS].iter().all(|count| *count == 0));
     assert!(rig.faulty().is_empty() != shade.raw.iter().any(|raw| runs_away(*raw)));
-    gathered(&rig, &kernels, [&visited, &spans], &kept);
+    listed(&rig, &kernels, [&visited, &spans], &kept);
 }
 
-/// The list of kept samples, and rows copied by it.
-fn gathered(rig: &Rig, kernels: &Light, spans: [&[Span]; 2], kept: &[u32]) {
-    let [visited, remaining] = spans.map(|spans| rig.gpu.filled("spans", &spans_array(spans)).unwrap());
-    rig.gpu
-        .write(&rig.counts, counts::KEPT as usize, &[kept.len() as u32]);
+/// The list of kept samples.
+fn listed(rig: &Rig, kernels: &Light, spans: [&[Span]; 2], kept: &[u32]) {
+    let spans = rig.gpu.filled("spans", &rows_of_spans(spans)).unwrap();
     let origin = rig.gpu.filled("origin", &[77_u32; CAPACITY]).unwrap();
-    let mut source = numbers(3 * CAPACITY, 35);
-    source[CAPACITY + kept[3] as usize] = f32::NAN;
-    let (from, to) = (rig.filled(&source), rig.untouched(4));
-    let rows = |array, first| Rows {
-        part: Rows::from(array).part,
-        first,
-    };
-    let runs = [
-        kernels
-            .kept(rig.batch(), counts::RAYS, [&visited, &remaining], &origin)
-            .unwrap(),
-        kernels
-            .gather(rig.batch(), &origin, rows(&from, 1), rows(&to, 2), 2)
-            .unwrap(),
-    ];
-    rig.gpu
-        .submit(|recorder| runs.iter().for_each(|run| run.record(recorder)));
+    let run = kernels.kept(rig.batch(), counts::RAYS, &spans, &origin);
+    rig.gpu.submit(|recorder| run.unwrap().record(recorder));
     let origin = rig.gpu.read(&origin).unwrap();
     assert_eq!(&origin[..kept.len()], kept);
     assert!(origin[kept.len()..].iter().all(|x| *x == 77));
-    let expected = (0..4 * CAPACITY).map(|at| match (at / CAPACITY, at % CAPACITY) {
-        (row, at) if row >= 2 && at < kept.len() => source[(row - 1) * CAPACITY + kept[at] as usize],
-        _ => UNTOUCHED,
-    });
-    let found = rig.gpu.read(&to).unwrap();
-    let bits = |value: f32| value.to_bits();
-    assert!(found.into_iter().map(bits).eq(expected.map(bits)));
 }
 
 #[test]
@@ -288,70 +222,5 @@ fn raw_densities_that_are_not_finite_are_told_and_give_finite_light() {
         assert_eq!(rig.faulty(), expected, "{bad}");
         let light = rig.gpu.read(&arrays.light).unwrap();
         assert!(light.iter().all(|x| x.is_finite()), "{bad}");
-    }
-}
-
-#[test]
-fn colours_are_those_of_the_cpu_and_runaways_are_told() {
-    let test = "colours_are_those_of_the_cpu_and_runaways_are_told";
-    let n = 301;
-    let mut logits: Vec<f32> = numbers(16 * n, 36).iter().map(|x| 14.0 * x).collect();
-    logits[..3].copy_from_slice(&[0.0, 1e9, -1e9]);
-    for bad in [None, Some(f32::NAN), Some(f32::NEG_INFINITY), Some(2e9)] {
-        let Some(rig) = Rig::new(test, [CAPACITY, SLOTS], [0, n as u32, 0]) else {
-            return;
-        };
-        let kernels = Light::new(&rig.gpu).unwrap();
-        let mut all = columns(&logits, 16, CAPACITY, f32::NAN);
-        // A logit that nobody uses may be anything.
-        all[3 * CAPACITY] = f32::NAN;
-        all[2 * CAPACITY + 300] = bad.unwrap_or(1.0);
-        let (logits, rgb) = (rig.filled(&all), rig.untouched(3));
-        let colours = Colours {
-            logits: &logits,
-            rgb: &rgb,
-        };
-        let run = kernels.colour(rig.batch(), colours).unwrap();
-        rig.gpu.submit(|recorder| run.record(recorder));
-        let expected = (0..3 * CAPACITY).map(|at| match at % CAPACITY < n {
-            true => colour(all[at]),
-            false => UNTOUCHED,
-        });
-        let expected: Vec<f32> = expected.collect();
-        agree("colour", &rig.gpu.read(&rgb).unwrap(), &expected, TOLERANCE);
-        let faults: Vec<u32> = bad.iter().map(|_| faults::LOGITS).collect();
-        assert_eq!(rig.faulty(), faults, "{bad:?}");
-    }
-}
-
-#[test]
-fn runaways_are_found_among_samples_in_use_alone() {
-    for (at, bad, faults) in [
-        (5 * CAPACITY + 300, f32::NAN, vec![faults::FEATURES]),
-        (300, -1.1e9, vec![3]),
-        (300, 1e9, vec![]),
-        (301, f32::NAN, vec![]),
-        (303, f32::INFINITY, vec![]),
-    ] {
-        let Some(rig) = Rig::new("runaways_are_found", [CAPACITY, SLOTS], [0, 301, 0]) else {
-            return;
-        };
-        let kernels = Light::new(&rig.gpu).unwrap();
-        let mut values = numbers(6 * CAPACITY, 41);
-        values[at] = bad;
-        let (values, sum) = (rig.filled(&values), rig.untouched(2));
-        let light = rig.filled(&[0.5; 3 * CAPACITY]);
-        let runs = [
-            kernels
-                .runaway(rig.batch(), &values, 6, faults::FEATURES)
-                .unwrap(),
-            kernels.join(rig.batch(), &light, &sum).unwrap(),
-        ];
-        rig.gpu
-            .submit(|recorder| runs.iter().for_each(|run| run.record(recorder)));
-        assert_eq!(rig.faulty(), faults, "{at} {bad}");
-        let sum = rig.gpu.read(&sum).unwrap();
-        let joined = |at: usize| if at < 301 { UNTOUCHED + 0.5 } else { UNTOUCHED };
-        assert!(sum.iter().enumerate().all(|(at, x)| *x == joined(at)));
     }
 }

@@ -2,6 +2,7 @@
 
 use marf_shaders::{Pace, SpreadRun, Total, counts, faults, found};
 
+use super::array::Part;
 use super::light::{Aims, Colours, Light, RING};
 use super::light_tests::{
     Arrays, CAPACITY, CELL, NO_RAY, RAYS, SLOTS, directions, harmonics, spans, visited,
@@ -204,7 +205,7 @@ fn composited(rig: &Rig, scene: &Scene) -> (Expected, Total) {
         targets: &targets,
         gains: &gains,
         views: VIEWS,
-        background: background.as_ref(),
+        background: background.as_ref().map(Part::from),
         found: &found,
     };
     let run = SpreadRun {
@@ -230,13 +231,15 @@ fn composited(rig: &Rig, scene: &Scene) -> (Expected, Total) {
         .unwrap();
     let ring = rig.gpu.zeros::<Total>("ring", RING).unwrap();
     let colours = Colours {
-        logits: &logits,
-        rgb: &rgb,
+        logits: (&logits).into(),
+        rgb: (&rgb).into(),
     };
     let columns = arrays.columns();
     let loss = found.part(found::LOSS * SLOTS, SLOTS);
     let runs = [
-        kernels.compare(rig.batch(), columns, &rgb, aims).unwrap(),
+        kernels
+            .compare(rig.batch(), columns, (&rgb).into(), aims)
+            .unwrap(),
         kernels
             .spread(rig.batch(), &run, (columns, colours), [&found, &d_logits], &pulls)
             .unwrap(),

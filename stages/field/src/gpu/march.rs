@@ -3,7 +3,7 @@
 use marf_shaders::{ALIVE, MARCH, SCAN, Walk, counts};
 
 use super::Gpu;
-use super::array::{Array, halves};
+use super::array::{Array, Part, halves};
 use super::kernel::{Bound, Kernel};
 use super::rays::{Progress, RayArrays};
 use super::record::Recorder;
@@ -102,7 +102,7 @@ pub struct MarchArrays<'a> {
     pub progress: &'a Progress,
     /// Samples of every ray, `[rays]`.
     pub amounts: &'a Array<u32>,
-    /// First sample and number of samples, `[2, rays]`.
+    /// First sample and number of samples, `[2, rays]`; more may follow.
     pub spans: &'a Array<u32>,
     /// Of [`counts::LEN`] numbers.
     pub counts: &'a Array<u32>,
@@ -165,9 +165,14 @@ impl March {
         ];
         Marching {
             count: gpu.bind(&self.count, &[&shared[..], &count].concat()),
-            scan: self
-                .scan
-                .bind(gpu, walk, arrays.amounts, arrays.spans, arrays.counts, samples),
+            scan: self.scan.bind(
+                gpu,
+                walk,
+                arrays.amounts,
+                arrays.spans.into(),
+                arrays.counts,
+                samples,
+            ),
             write: gpu.bind(&self.write, &[&shared[..], &write].concat()),
         }
     }
@@ -194,20 +199,20 @@ impl Scan {
         Ok(Self(gpu.kernel(&SCAN, "")?))
     }
 
-    /// Binds it, for one workgroup; of `amounts` the first `rays` numbers are read.
+    /// Binds it, for one workgroup; of `amounts` the first `rays` numbers are read. `spans`: u32 `[2][rays]`.
     pub fn bind(
         &self,
         gpu: &Gpu,
         walk: &Array<Walk>,
         amounts: &Array<u32>,
-        spans: &Array<u32>,
+        spans: Part<'_>,
         counts: &Array<u32>,
         samples: &SampleArrays,
     ) -> Bound {
         let parts = [
             walk.into(),
             amounts.into(),
-            spans.into(),
+            spans,
             counts.into(),
             (&samples.xyz).into(),
             (&samples.along).into(),

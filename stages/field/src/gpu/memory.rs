@@ -18,7 +18,7 @@ const VISITED: usize = 2;
 /// Slots come in multiples of this.
 const SLOTS: usize = 256;
 /// Storage buffers that a kernel of a training binds at most; core WebGPU has 8 a stage, every card 16 and more.
-const STORAGE_BUFFERS: u64 = 10;
+const STORAGE_BUFFERS: u64 = 11;
 /// Memory is asked for in pieces of so many bytes at most.
 const PIECE: u64 = 1 << 30;
 
@@ -59,12 +59,12 @@ impl Held {
         let (config, state) = (&training.config, &training.state);
         let rays = (config.batch_samples as usize).next_multiple_of(SLOTS);
         let slots = [VISITED * rays, rays];
-        check_columns(gpu, &state.weights, slots[0])?;
+        check_columns(gpu, &state.weights, slots, Purpose::Training)?;
         let grid = Grid::new(gpu, &state.weights.shapes, state.weights.features)?;
         let weights = DeviceWeights::new(gpu, &grid, &state.weights)?;
         let average = DeviceWeights::new(gpu, &grid, &state.average)?;
         let most_steps = training.sizes.steps(config, training.sizes.halvings.value);
-        let lanes = Lanes::new(gpu, &weights, slots, &most_steps, Purpose::Training)?;
+        let lanes = Lanes::new(gpu, &weights, slots, &most_steps)?;
         let gain = (training.views.len(), config.gain);
         let arrays = Arrays::new(gpu, &grid, &weights, &lanes, gain, &training.bias)?;
         let photos = Photos::new(gpu, &training.views, &training.world_from_cams, &training.frame)?;

@@ -12,13 +12,12 @@ mod chain_device;
 #[cfg(test)]
 mod chain_f64;
 #[cfg(test)]
-mod chain_net;
-#[cfg(test)]
 mod chain_tests;
 #[cfg(test)]
 mod constants_tests;
 #[cfg(test)]
 mod core_tests;
+mod cost;
 mod device;
 mod exposures;
 #[cfg(test)]
@@ -40,6 +39,8 @@ mod memory;
 #[cfg(test)]
 mod memory_tests;
 mod nets;
+#[cfg(test)]
+mod nets_adam_tests;
 #[cfg(test)]
 mod nets_tests;
 mod occupancy;
@@ -66,5 +67,6 @@ mod timing;
 mod weights;
 
 pub use ceilings::{Ceilings, ceilings};
+pub use cost::{Cost, Filled};
 pub use device::Gpu;
 pub use timing::{KernelTime, Load, Shape, Timed, TimedTraining};

@@ -1,23 +1,30 @@
-//! Layers on the device: products, gradients of weights, Adam.
+//! The networks on the device: forward, back, gradients of weights, Adam.
 
-use marf_shaders::{self as shaders, AdamNet, OuterRun, Pace, ProductRun, SumRun, TransposeRun};
+use marf_shaders::{
+    self as shaders, AdamNet, BehindRun, MOST_LAYERS, NetsRun, Pace, SumRun, TILE_NUMBERS, counts,
+};
 
 use super::Gpu;
-use super::array::{Array, Part};
+use super::array::Array;
 use super::kernel::{GROUP, Kernel, fold};
 use super::record::{Work, dispatch};
-use crate::GpuError;
 use crate::cpu::adam::{BETA1, BETA2, Bias};
 use crate::cpu::composite::{LOGIT_LIMIT, OPAQUE, RAW_LIMIT, RAW_SHIFT, RUNAWAY};
-use crate::schedule::EPSILON;
+use crate::schedule::{BACKGROUND_RATE, DECAY, EPSILON};
+use crate::weights::{LATENT, NET_ROW};
+use crate::{Background, GpuError};
 
-/// Samples of a thread of the products.
-const LANES: usize = 4;
-/// Samples whose gradients are one part of a sum: a batch of 2^16 then has 512 parts of a layer, each of some tiles,
-/// which keeps tens of thousands of threads busy. No less: parts would take more memory than the widest columns.
-pub const CHUNK: usize = 128;
+/// Most samples of a tile: that of networks 32 wide.
+const MOST_SAMPLES: usize = 128;
+/// Workgroups among which the tiles of the way back are dealt out: two for each of the 132 cores of the largest cards. The
+/// same on every device, so that sums have one order.
+const GROUPS: usize = 264;
 /// Weights of a workgroup of the kernel `sum`, whose other axis is as many slices of the parts.
 const SUMMED: usize = 16;
+/// Numbers of the background on a device: a row more than channels, which stays 0.
+pub const BACKGROUND: usize = 4 * NET_ROW;
+/// Rays of a part of the background's gradient.
+const RAYS: usize = 64;
 
 /// Returns the head of kernels that look at the limits of the field's numbers.
 pub fn limits() -> String {
@@ -51,101 +58,144 @@ pub fn one_each(things: usize) -> [usize; 3] {
     fold(things.div_ceil(GROUP))
 }
 
-/// Returns the workgroups of a kernel whose threads take 4 samples of a row, or of several.
-pub fn four_each(capacity: usize, rows: usize) -> [usize; 3] {
-    [capacity.div_ceil(LANES * GROUP), rows, 1]
+/// The layers of both networks, one behind the other in one array of weights, the background behind them.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Layers {
+    /// `[inputs, outputs]` of the density network's layers, then of the colour network's.
+    pub shapes: Vec<[usize; 2]>,
+    /// Layers of the density network.
+    pub density: usize,
 }
 
-/// Rows of an array of columns, from one on.
-#[derive(Clone)]
-pub struct Rows<'a> {
-    /// f32 `[.][capacity]`.
-    pub part: Part<'a>,
-    /// The first row that counts.
-    pub first: usize,
-}
+impl Layers {
+    /// Returns the samples of a tile: the widest layer of so many fits into workgroup memory.
+    pub fn tile(&self) -> usize {
+        let widest = self.shapes.iter().flatten().copied().max().unwrap_or(1);
+        (TILE_NUMBERS / widest.next_power_of_two()).clamp(4, MOST_SAMPLES)
+    }
 
-impl<'a> From<&'a Array<f32>> for Rows<'a> {
-    fn from(array: &'a Array<f32>) -> Self {
-        Self {
-            part: array.into(),
-            first: 0,
+    /// Returns the weights of both networks, and the place of the background behind them.
+    pub fn weights(&self) -> usize {
+        self.shapes.iter().map(|[inputs, outputs]| inputs * outputs).sum()
+    }
+
+    /// Returns the numbers that networks and background take.
+    pub fn numbers(&self) -> usize {
+        self.weights() + BACKGROUND
+    }
+
+    /// Returns the first weight of every layer.
+    pub fn firsts(&self) -> Vec<usize> {
+        let firsts = self.shapes.iter().scan(0, |next, [inputs, outputs]| {
+            let first = *next;
+            *next += inputs * outputs;
+            Some(first)
+        });
+        firsts.collect()
+    }
+
+    /// Returns the numbers of a workgroup on the way back: gradients of all weights, and the inputs of all layers of a tile.
+    fn stride(&self) -> usize {
+        let inputs: usize = self.shapes.iter().map(|[inputs, _]| inputs).sum();
+        self.weights() + inputs * self.tile()
+    }
+
+    /// Returns the workgroups of the way back.
+    fn groups(&self, capacity: usize) -> usize {
+        GROUPS.min(capacity.div_ceil(self.tile()))
+    }
+
+    /// Returns the numbers of [`Back::work`] for so many samples and rays.
+    pub fn work(&self, capacity: usize, rays: usize) -> usize {
+        self.groups(capacity) * self.stride() + rays.div_ceil(RAYS) * BACKGROUND
+    }
+
+    /// Returns the head of the kernels.
+    fn head(&self) -> String {
+        shaders::tile_head(self.tile() / 4) + &limits()
+    }
+
+    fn run(&self, capacity: usize) -> NetsRun {
+        let mut shapes = [[0; 4]; MOST_LAYERS];
+        let mut row = 0;
+        for ((to, [inputs, outputs]), first) in shapes.iter_mut().zip(&self.shapes).zip(self.firsts()) {
+            *to = [*inputs as u32, *outputs as u32, first as u32, row];
+            row += *inputs as u32;
+        }
+        let seen = self.shapes.get(self.density).map_or(0, |[inputs, _]| *inputs);
+        NetsRun {
+            capacity: capacity as u32,
+            density: self.density as u32,
+            layers: self.shapes.len() as u32,
+            weights: self.weights() as u32,
+            directed: u32::from(seen > LATENT),
+            stride: self.stride() as u32,
+            groups: self.groups(capacity) as u32,
+            pad: 0,
+            shapes,
         }
     }
 }
 
-/// What is done to a finished sum.
-#[derive(Clone)]
-pub enum After<'a> {
-    /// Stored as it is.
-    Nothing,
-    /// Negative sums become 0.
-    Relu,
-    /// Becomes 0 unless the number here, f32 `[outputs][capacity]`, is above 0: the slope of a ReLU.
-    Gate(Part<'a>),
+/// Kept samples as the colour network sees them.
+#[derive(Clone, Copy)]
+pub struct Seen<'a> {
+    /// u32 `[capacity]`: which of the visited samples a kept one was.
+    pub origin: &'a Array<u32>,
+    /// u32 `[capacity]`: rays of visited samples.
+    pub ray_of: &'a Array<u32>,
+    /// `[rays]`: direction, and 1 where there is a ray.
+    pub directions: &'a Array<[f32; 4]>,
 }
 
-/// C = after(A B) over all samples in use.
-#[derive(Clone)]
-pub struct Product<'a> {
-    /// Input, `inner` rows.
-    pub a: Rows<'a>,
-    /// Weights, f32 `[inner][outputs]`.
-    pub b: Part<'a>,
-    /// Receives `outputs` rows.
-    pub c: Rows<'a>,
-    /// `[inner, outputs]`; `outputs` is a multiple of 8.
-    pub shape: [usize; 2],
-    /// What happens to the sums.
-    pub after: After<'a>,
+/// What the way back reads and writes.
+#[derive(Clone, Copy)]
+pub struct Back<'a> {
+    /// f32 `[inputs][capacity]`, of visited samples.
+    pub features: &'a Array<f32>,
+    /// Kept samples.
+    pub seen: Seen<'a>,
+    /// f32 [`Layers::numbers`].
+    pub weights: &'a Array<f32>,
+    /// f32 `[3][capacity]` of visited samples; row 0 is the slope in the raw density.
+    pub light: &'a Array<f32>,
+    /// f32 `[3][capacity]`: slopes in the logits.
+    pub d_logits: &'a Array<f32>,
+    /// f32 [`Layers::work`].
+    pub work: &'a Array<f32>,
+    /// Receives the slopes of the features, f32 `[inputs][capacity]`, of kept samples.
+    pub slopes: &'a Array<f32>,
 }
 
-/// G = sum over all samples in use of A D^T.
-#[derive(Clone)]
-pub struct Gradient<'a> {
-    /// Inputs of the layer, `inner` rows.
-    pub a: Rows<'a>,
-    /// Slopes of its outputs, `outputs` rows.
-    pub d: Rows<'a>,
-    /// `[inner, outputs]`, multiples of 4 and 8.
-    pub shape: [usize; 2],
-    /// Numbers a column of A and D.
-    pub capacity: usize,
-    /// Memory for [`Gradient::parts`] numbers; layers may share it.
-    pub parts: Part<'a>,
-    /// Receives f32 `[inner][outputs]`.
-    pub gradient: Part<'a>,
-    /// What a sum that runs away is.
-    pub fault: u32,
+/// What the gradient of the background is made of.
+#[derive(Clone, Copy)]
+pub struct Behind<'a> {
+    /// `[rays]`: direction, and 1 where there is a ray.
+    pub directions: &'a Array<[f32; 4]>,
+    /// f32 `[found::LEN][rays]` of `Light::compare`.
+    pub found: &'a Array<f32>,
+    /// As [`Back::work`].
+    pub work: &'a Array<f32>,
 }
 
-impl Gradient<'_> {
-    /// Returns the numbers that the parts of a gradient take.
-    pub fn parts(capacity: usize, [inner, outputs]: [usize; 2]) -> usize {
-        capacity.div_ceil(CHUNK) * inner * outputs
-    }
-}
-
-/// A tensor that Adam moves, in rows of 16 numbers.
-#[derive(Clone)]
+/// What Adam moves, in rows of 16 numbers: networks, then background.
+#[derive(Clone, Copy)]
 pub struct Tensor<'a> {
     /// f32 `[rows][16]`.
-    pub weights: Part<'a>,
+    pub weights: &'a Array<f32>,
     /// f32 `[rows][16]`; 0 afterwards.
-    pub gradient: Part<'a>,
+    pub gradient: &'a Array<f32>,
     /// f32 `[rows][16]`.
-    pub mean: Part<'a>,
+    pub mean: &'a Array<f32>,
     /// f32 `[rows][16]`.
-    pub square: Part<'a>,
+    pub square: &'a Array<f32>,
     /// u32 `[rows]`.
-    pub count: Part<'a>,
-    /// Rows.
-    pub rows: usize,
-    /// Step size in learning rates, and pull to zero.
-    pub rates: [f32; 2],
+    pub count: &'a Array<u32>,
+    /// f32 `[rows][16]`: follows the weights.
+    pub average: &'a Array<f32>,
 }
 
-/// What all tensors share with Adam.
+/// What Adam knows beside.
 #[derive(Clone, Copy)]
 pub struct Rates<'a> {
     /// The uniform that holds the learning rate.
@@ -154,13 +204,12 @@ pub struct Rates<'a> {
     pub bias: &'a Array<[f32; 2]>,
 }
 
-/// The kernels of layers.
+/// The kernels of networks.
 pub struct Nets {
-    plain: Kernel,
-    rectified: Kernel,
-    gated: Kernel,
-    transpose: Kernel,
-    outer: Kernel,
+    layers: Layers,
+    density: Kernel,
+    shade: Kernel,
+    behind: Kernel,
     sum: Kernel,
     adam: Kernel,
 }
@@ -170,117 +219,155 @@ impl Nets {
     ///
     /// # Errors
     /// [`GpuError::Kernel`].
-    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, layers: &Layers) -> Result<Self, GpuError> {
+        let head = layers.head();
         Ok(Self {
-            plain: gpu.kernel(&shaders::PRODUCT, "")?,
-            rectified: gpu.entry(&shaders::PRODUCT, "", "rectified")?,
-            gated: gpu.entry(&shaders::PRODUCT, "", "gated")?,
-            transpose: gpu.kernel(&shaders::TRANSPOSE, "")?,
-            outer: gpu.kernel(&shaders::OUTER, "")?,
+            layers: layers.clone(),
+            density: gpu.kernel(&shaders::DENSITY, &head)?,
+            shade: gpu.kernel(&shaders::SHADE, &head)?,
+            behind: gpu.kernel(&shaders::BEHIND_BACK, "")?,
             sum: gpu.kernel(&shaders::SUM, &limits())?,
             adam: gpu.kernel(&shaders::ADAM_NET, "")?,
         })
     }
 
-    /// Binds a product; `slot` is the place in `counts` of the samples in use.
+    fn uniform(&self, batch: Batch<'_>) -> Result<Array<NetsRun>, GpuError> {
+        batch.gpu.uniform("networks", self.layers.run(batch.capacity))
+    }
+
+    fn tiles(&self, batch: Batch<'_>) -> [usize; 3] {
+        fold(batch.capacity.div_ceil(self.layers.tile()))
+    }
+
+    /// Binds the density network over visited samples: features to f32 `[16][capacity]`.
     ///
     /// # Errors
     /// The memory of a uniform.
-    pub fn product(&self, batch: Batch<'_>, slot: u32, layer: Product<'_>) -> Result<Work, GpuError> {
-        let [inner, outputs] = layer.shape;
-        let run = ProductRun {
-            inner: inner as u32,
-            outputs: outputs as u32,
-            capacity: batch.capacity as u32,
-            slot,
-            first_a: layer.a.first as u32,
-            first_c: layer.c.first as u32,
-            ..ProductRun::default()
-        };
-        let run = batch.gpu.uniform("product", run)?;
-        let mut parts = vec![
+    pub fn density(
+        &self,
+        batch: Batch<'_>,
+        weights: &Array<f32>,
+        [features, latent]: [&Array<f32>; 2],
+    ) -> Result<Work, GpuError> {
+        let run = self.uniform(batch)?;
+        let parts = [
             (&run).into(),
             batch.counts.into(),
-            layer.a.part,
-            layer.b,
-            layer.c.part,
+            features.into(),
+            weights.into(),
+            latent.into(),
         ];
-        let kernel = match layer.after {
-            After::Nothing => &self.plain,
-            After::Relu => &self.rectified,
-            After::Gate(gate) => {
-                parts.push(gate);
-                &self.gated
-            }
-        };
-        let groups = four_each(batch.capacity, outputs / 8);
-        Ok(dispatch(batch.gpu, kernel, &parts, groups))
+        Ok(dispatch(batch.gpu, &self.density, &parts, self.tiles(batch)))
     }
 
-    /// Binds the copy of weights `[inputs, outputs]` to `turned`, `[outputs, inputs]`.
+    /// Binds the colour network over kept samples: `latent` of visited ones to f32 `[6][capacity]`, colours and logits.
     ///
     /// # Errors
     /// The memory of a uniform.
-    pub fn transpose(
+    pub fn shade(
         &self,
-        gpu: &Gpu,
-        [inputs, outputs]: [usize; 2],
-        weights: Part<'_>,
-        turned: Part<'_>,
+        batch: Batch<'_>,
+        weights: &Array<f32>,
+        seen: Seen<'_>,
+        [latent, colours]: [&Array<f32>; 2],
     ) -> Result<Work, GpuError> {
-        let run = TransposeRun {
-            inputs: inputs as u32,
-            outputs: outputs as u32,
-        };
-        let run = gpu.uniform("transpose", run)?;
-        let groups = one_each(inputs * outputs);
-        Ok(dispatch(
-            gpu,
-            &self.transpose,
-            &[(&run).into(), weights, turned],
-            groups,
-        ))
+        let run = self.uniform(batch)?;
+        let parts = [
+            (&run).into(),
+            batch.counts.into(),
+            latent.into(),
+            seen.origin.into(),
+            seen.ray_of.into(),
+            seen.directions.into(),
+            weights.into(),
+            colours.into(),
+            batch.faults.into(),
+        ];
+        Ok(dispatch(batch.gpu, &self.shade, &parts, self.tiles(batch)))
     }
 
-    /// Binds the gradient of a layer's weights: parts, then their sum.
+    /// Binds the way back through both networks.
     ///
     /// # Errors
     /// The memory of a uniform.
-    pub fn gradient(&self, batch: Batch<'_>, slot: u32, layer: Gradient<'_>) -> Result<Work, GpuError> {
-        let [inner, outputs] = layer.shape;
-        let outer = OuterRun {
-            inner: inner as u32,
-            outputs: outputs as u32,
-            capacity: layer.capacity as u32,
-            slot,
-            chunk: CHUNK as u32,
-            first_a: layer.a.first as u32,
-            first_d: layer.d.first as u32,
+    pub fn back(&self, batch: Batch<'_>, arrays: Back<'_>) -> Result<Work, GpuError> {
+        let run = self.uniform(batch)?;
+        let parts = [
+            (&run).into(),
+            batch.counts.into(),
+            arrays.features.into(),
+            arrays.seen.origin.into(),
+            arrays.seen.ray_of.into(),
+            arrays.seen.directions.into(),
+            arrays.weights.into(),
+            arrays.light.into(),
+            arrays.d_logits.into(),
+            arrays.work.into(),
+            arrays.slopes.into(),
+            batch.faults.into(),
+        ];
+        let groups = fold(self.layers.groups(batch.capacity));
+        // Compiled where it is bound: a device that only renders may lack the bindings.
+        let kernel = batch.gpu.kernel(&shaders::BACK, &self.layers.head())?;
+        Ok(dispatch(batch.gpu, &kernel, &parts, groups))
+    }
+
+    /// Binds the parts of the background's gradient.
+    ///
+    /// # Errors
+    /// The memory of a uniform.
+    pub fn behind(&self, batch: Batch<'_>, arrays: Behind<'_>) -> Result<Work, GpuError> {
+        let run = BehindRun {
+            slot: counts::RAYS,
+            rays: batch.rays as u32,
+            first: self.first_behind(batch),
             pad: 0,
         };
-        let sum = SumRun {
-            weights: (inner * outputs) as u32,
-            slot,
-            chunk: CHUNK as u32,
-            fault: layer.fault,
-        };
-        let outer = batch.gpu.uniform("outer", outer)?;
-        let sum = batch.gpu.uniform("sum", sum)?;
-        let counts = Part::from(batch.counts);
-        let parts = layer.parts;
-        let threads = layer.capacity.div_ceil(CHUNK) * (inner / 4) * (outputs / 8);
-        let first = [
-            (&outer).into(),
-            counts.clone(),
-            layer.a.part,
-            layer.d.part,
-            parts.clone(),
+        let run = batch.gpu.uniform("behind", run)?;
+        let parts = [
+            (&run).into(),
+            batch.counts.into(),
+            arrays.directions.into(),
+            arrays.found.into(),
+            arrays.work.into(),
         ];
-        let then = [(&sum).into(), counts, parts, layer.gradient, batch.faults.into()];
-        let outer = dispatch(batch.gpu, &self.outer, &first, one_each(threads));
-        let groups = fold((inner * outputs).div_ceil(SUMMED));
-        let sum = dispatch(batch.gpu, &self.sum, &then, groups);
-        Ok(outer.then(sum))
+        let groups = fold(batch.rays.div_ceil(RAYS));
+        Ok(dispatch(batch.gpu, &self.behind, &parts, groups))
+    }
+
+    fn first_behind(&self, batch: Batch<'_>) -> u32 {
+        (self.layers.groups(batch.capacity) * self.layers.stride()) as u32
+    }
+
+    /// Binds the sum of all parts to f32 [`Layers::numbers`]; `behind` tells whether the background is learnt.
+    ///
+    /// # Errors
+    /// The memory of a uniform.
+    pub fn sum(
+        &self,
+        batch: Batch<'_>,
+        behind: Background,
+        [work, gradient]: [&Array<f32>; 2],
+    ) -> Result<Work, GpuError> {
+        let run = SumRun {
+            weights: self.layers.weights() as u32,
+            stride: self.layers.stride() as u32,
+            groups: self.layers.groups(batch.capacity) as u32,
+            samples: self.layers.tile() as u32,
+            first: self.first_behind(batch),
+            behind: u32::from(behind == Background::Direction),
+            pad: [0; 2],
+        };
+        let run = batch.gpu.uniform("sum", run)?;
+        let parts = [
+            (&run).into(),
+            batch.counts.into(),
+            work.into(),
+            gradient.into(),
+            batch.faults.into(),
+        ];
+        let groups = fold(self.layers.numbers().div_ceil(SUMMED));
+        Ok(dispatch(batch.gpu, &self.sum, &parts, groups))
     }
 
     /// Binds a step of Adam, which does nothing once there is a fault.
@@ -288,15 +375,16 @@ impl Nets {
     /// # Errors
     /// The memory of a uniform.
     pub fn adam(&self, batch: Batch<'_>, rates: Rates<'_>, tensor: Tensor<'_>) -> Result<Work, GpuError> {
+        let rows = self.layers.numbers() / NET_ROW;
         let run = AdamNet {
-            rows: tensor.rows as u32,
+            rows: rows as u32,
             last: rates.bias.len().saturating_sub(1) as u32,
-            factor: tensor.rates[0],
-            decay: tensor.rates[1],
+            behind: (self.layers.weights() / NET_ROW) as u32,
+            factor: BACKGROUND_RATE,
+            decay: DECAY,
             epsilon: EPSILON,
             beta1: BETA1,
             beta2: BETA2,
-            pad: 0,
         };
         let run = batch.gpu.uniform("adam of nets", run)?;
         let parts = [
@@ -304,13 +392,14 @@ impl Nets {
             rates.pace.into(),
             batch.faults.into(),
             rates.bias.into(),
-            tensor.weights,
-            tensor.gradient,
-            tensor.mean,
-            tensor.square,
-            tensor.count,
+            tensor.weights.into(),
+            tensor.gradient.into(),
+            tensor.mean.into(),
+            tensor.square.into(),
+            tensor.count.into(),
+            tensor.average.into(),
         ];
-        Ok(dispatch(batch.gpu, &self.adam, &parts, one_each(tensor.rows)))
+        Ok(dispatch(batch.gpu, &self.adam, &parts, one_each(rows)))
     }
 
     /// Uploads the table of Adam's corrections.

@@ -1,156 +1,351 @@
-//! Layers against their twins on the CPU.
+//! Networks against their twins on the CPU.
 
-use marf_shaders::{Pace, counts, faults};
+use marf_shaders::{counts, faults, found};
 
-use super::nets::{After, CHUNK, Gradient, Nets, Product, Rates, Rows, Tensor};
-use super::rig::{Rig, TOLERANCE, UNTOUCHED, agree, blocks, columns, is_untouched};
+use super::array::Array;
+use super::nets::{BACKGROUND, Back, Behind, Layers, Nets, Seen};
+use super::rig::{Rig, TOLERANCE, UNTOUCHED, agree, columns, is_untouched};
 use super::testing::numbers;
-use crate::cpu::adam::{Adam, Bias, Moments};
-use crate::cpu::gemm;
-use crate::cpu::simd::{Block, InstructionSet, LANES, Run, flat};
-use crate::schedule::{DECAY, EPSILON};
+use crate::Background;
+use crate::sh;
 
-const SHAPES: [[usize; 2]; 5] = [[32, 64], [64, 16], [16, 16], [32, 32], [16, 128]];
+/// Rounding through six layers and back, as a share of the largest number.
+const CHAIN: f32 = 1e-5;
 
-#[test]
-fn products_are_those_of_the_cpu_and_write_nothing_else() {
-    let (n, capacity) = (301, 512);
-    let test = "products_are_those_of_the_cpu_and_write_nothing_else";
-    let Some(rig) = Rig::new(test, [capacity, 64], [0, n as u32, 0]) else {
-        return;
-    };
-    let nets = Nets::new(&rig.gpu).unwrap();
-    for [inner, outputs] in SHAPES {
-        let (a, b) = (numbers(304 * inner, 1), numbers(inner * outputs, 2));
-        let gate = numbers(304 * outputs, 3);
-        let open = blocks(&gate);
-        let pairs = [gemm::After::Nothing, gemm::After::Relu, gemm::After::Gate(&open)];
-        for (index, after) in pairs.into_iter().enumerate() {
-            let mut expected = vec![Block::ZERO; 304 * outputs / LANES];
-            InstructionSet::best().run(gemm::Product {
-                a: &blocks(&a),
-                b: &blocks(&b),
-                c: &mut expected,
-                inner,
-                columns: outputs / LANES,
-                after,
-            });
-            // One row lies before A, two before C.
-            let mut left = vec![9.0; capacity];
-            left.extend(columns(&a, inner, capacity, f32::NAN));
-            let (left, right) = (rig.filled(&left), rig.filled(&b));
-            let gate = rig.filled(&columns(&gate, outputs, capacity, 1.0));
-            let found = rig.untouched(outputs + 3);
-            let product = Product {
-                a: Rows {
-                    part: (&left).into(),
-                    first: 1,
-                },
-                b: (&right).into(),
-                c: Rows {
-                    part: (&found).into(),
-                    first: 2,
-                },
-                shape: [inner, outputs],
-                after: [After::Nothing, After::Relu, After::Gate((&gate).into())][index].clone(),
-            };
-            let run = nets.product(rig.batch(), counts::KEPT, product).unwrap();
-            rig.gpu.submit(|recorder| run.record(recorder));
-            let found = rig.gpu.read(&found).unwrap();
-            let expected = columns(flat(&expected), outputs, capacity, UNTOUCHED);
-            let rows = found[2 * capacity..]
-                .chunks(capacity)
-                .zip(expected.chunks(capacity));
-            let (here, there): (Vec<_>, Vec<_>) =
-                rows.map(|(found, wanted)| (&found[..n], &wanted[..n])).unzip();
-            let name = format!("product {inner} x {outputs}, {index}");
-            agree(&name, &here.concat(), &there.concat()[..], TOLERANCE);
-            let around = [&found[..2 * capacity], &found[(outputs + 2) * capacity..]].concat();
-            assert!(around.iter().all(is_untouched), "{name}");
-            let mut behind = found.chunks(capacity).flat_map(|row| &row[304..]);
-            assert!(behind.all(is_untouched), "{name}");
+fn layers(widths: [usize; 3], hidden: usize, directed: usize) -> Layers {
+    let [features, density, color] = widths;
+    let mut shapes = vec![[features, density], [density, 16], [16 + directed, color]];
+    shapes.extend((1..hidden).map(|_| [color, color]));
+    shapes.push([color, 16]);
+    Layers { shapes, density: 2 }
+}
+
+/// Fields of all widths: tiles of 64 and of 32 samples, one to three hidden layers, with and without directions.
+fn fields() -> [Layers; 4] {
+    [
+        layers([32, 64, 64], 2, 16),
+        layers([16, 16, 32], 1, 16),
+        layers([48, 32, 128], 3, 16),
+        layers([16, 128, 16], 1, 0),
+    ]
+}
+
+/// Samples, their slopes, and what is true of them in f64.
+struct Case {
+    layers: Layers,
+    weights: Vec<f32>,
+    /// `[visited][inputs]`.
+    features: Vec<f32>,
+    origin: Vec<u32>,
+    ray_of: Vec<u32>,
+    directions: Vec<[f32; 4]>,
+    /// `[kept][4]`: slope in the raw density, slopes in the logits.
+    heads: Vec<f32>,
+}
+
+/// What the twin finds.
+struct Expected {
+    /// `[visited][16]`.
+    latent: Vec<f32>,
+    /// `[kept][3]`.
+    logits: Vec<f32>,
+    gradient: Vec<f32>,
+    /// `[kept][inputs]`.
+    slopes: Vec<f32>,
+}
+
+const RAYS: usize = 64;
+
+impl Case {
+    /// So many kept samples: every other visited one.
+    fn new(layers: Layers, kept: usize) -> Self {
+        let inputs = layers.shapes[0][0];
+        let directions = numbers(3 * RAYS, 3);
+        let rays = directions.chunks(3).enumerate().map(|(ray, at)| {
+            let length = at.iter().map(|x| x * x).sum::<f32>().sqrt();
+            let there = f32::from(ray % 7 != 3);
+            [at[0] / length, at[1] / length, at[2] / length, there]
+        });
+        Self {
+            weights: numbers(layers.numbers(), 1).iter().map(|x| 0.3 * x).collect(),
+            features: numbers(2 * kept * inputs, 2),
+            origin: (0..kept as u32).map(|sample| 2 * sample + 1).collect(),
+            ray_of: (0..2 * kept as u32)
+                .map(|sample| sample / 10 % RAYS as u32)
+                .collect(),
+            directions: rays.collect(),
+            heads: numbers(4 * kept, 4),
+            layers,
+        }
+    }
+
+    /// One layer in f64, forward.
+    fn ahead(&self, number: usize, input: &[f64]) -> Vec<f64> {
+        let ([_, outputs], first) = (self.layers.shapes[number], self.layers.firsts()[number]);
+        let mut sums = vec![0.0; outputs];
+        for (x, row) in input.iter().zip(self.weights[first..].chunks(outputs)) {
+            let terms = sums.iter_mut().zip(row);
+            terms.for_each(|(sum, weight)| *sum += x * f64::from(*weight));
+        }
+        sums
+    }
+
+    /// The inputs of all layers of a kept sample, and its logits.
+    fn inputs(&self, visited: usize, direction: Option<[f32; 4]>) -> Vec<Vec<f64>> {
+        let width = self.layers.shapes[0][0];
+        let features = self.features[visited * width..][..width].iter();
+        let mut all = vec![features.map(|x| f64::from(*x)).collect::<Vec<_>>()];
+        for number in 0..self.layers.shapes.len() {
+            let mut next = self.ahead(number, &all[number]);
+            if number + 1 == self.layers.density {
+                let harmonics = match direction {
+                    Some([x, y, z, 1.0]) => sh::harmonics([x, y, z]),
+                    _ => [0.0; sh::COUNT],
+                };
+                if self.layers.shapes[number + 1][0] > 16 {
+                    next.extend(harmonics.map(f64::from));
+                }
+            } else if number + 1 < self.layers.shapes.len() {
+                next.iter_mut().for_each(|x| *x = x.max(0.0));
+            }
+            all.push(next);
+        }
+        all
+    }
+
+    fn expected(&self) -> Expected {
+        let width = self.layers.shapes[0][0];
+        let mut gradient = vec![0.0_f64; self.layers.weights()];
+        let (mut logits, mut slopes) = (Vec::new(), Vec::new());
+        for (sample, visited) in self.origin.iter().enumerate() {
+            let direction = self.directions[self.ray_of[*visited as usize] as usize];
+            let inputs = self.inputs(*visited as usize, Some(direction));
+            let heads: Vec<f64> = self.heads[4 * sample..][..4]
+                .iter()
+                .map(|x| f64::from(*x))
+                .collect();
+            logits.extend(inputs[self.layers.shapes.len()][..3].iter().map(|x| *x as f32));
+            let mut slope = vec![0.0; 16];
+            slope[..3].copy_from_slice(&heads[1..]);
+            for number in (0..self.layers.shapes.len()).rev() {
+                let ([rows, outputs], first) = (self.layers.shapes[number], self.layers.firsts()[number]);
+                let mut below = vec![0.0; rows];
+                for row in 0..rows {
+                    let at = first + row * outputs;
+                    for column in 0..outputs {
+                        gradient[at + column] += inputs[number][row] * slope[column];
+                        below[row] += f64::from(self.weights[at + column]) * slope[column];
+                    }
+                    let is_hidden = number != 0 && number != self.layers.density;
+                    if is_hidden && inputs[number][row] <= 0.0 {
+                        below[row] = 0.0;
+                    }
+                }
+                if number == self.layers.density {
+                    below.truncate(16);
+                    below[0] += heads[0];
+                }
+                slope = below;
+            }
+            slopes.extend(slope.iter().map(|x| *x as f32));
+        }
+        let visited = 0..self.features.len() / width;
+        let latent = visited.flat_map(|sample| self.inputs(sample, None)[2][..16].to_vec());
+        Expected {
+            latent: latent.map(|x| x as f32).collect(),
+            logits,
+            gradient: gradient.iter().map(|x| *x as f32).collect(),
+            slopes,
         }
     }
 }
 
-#[test]
-fn a_relu_passes_nan_on_and_a_gate_of_nan_is_shut() {
-    let test = "a_relu_passes_nan_on_and_a_gate_of_nan_is_shut";
-    let Some(rig) = Rig::new(test, [256, 64], [0, 8, 0]) else {
-        return;
+/// What the device finds.
+struct Found {
+    latent: Vec<f32>,
+    colours: Vec<f32>,
+    gradient: Vec<f32>,
+    slopes: Vec<f32>,
+    faults: Vec<u32>,
+}
+
+/// Runs both networks forward and back; garbage lies behind the samples in use.
+fn run(test: &str, case: &Case, capacity: usize) -> Option<Found> {
+    let (kept, inputs) = (case.origin.len(), case.layers.shapes[0][0]);
+    let visited = case.features.len() / inputs;
+    let rig = Rig::new(test, [capacity, RAYS], [visited as u32, kept as u32, RAYS as u32])?;
+    let (gpu, batch) = (&rig.gpu, rig.batch());
+    let nets = Nets::new(gpu, &case.layers).unwrap();
+    let words = |values: &[u32]| {
+        let mut all = values.to_vec();
+        all.resize(capacity, 3);
+        gpu.filled("words", &all).unwrap()
     };
-    let nets = Nets::new(&rig.gpu).unwrap();
-    let (mut a, mut gate) = (vec![1.0; 16 * 256], vec![1.0; 16 * 256]);
-    a[1] = f32::NAN;
-    a[2] = f32::INFINITY;
-    gate[3] = f32::NAN;
-    let (a, gate, b) = (rig.filled(&a), rig.filled(&gate), rig.filled(&[0.5; 256]));
-    let found = [After::Relu, After::Gate((&gate).into())].map(|after| {
-        let found = rig.untouched(16);
-        let product = Product {
-            a: (&a).into(),
-            b: (&b).into(),
-            c: (&found).into(),
-            shape: [16, 16],
-            after,
-        };
-        let run = nets.product(rig.batch(), counts::KEPT, product).unwrap();
-        rig.gpu.submit(|recorder| run.record(recorder));
-        rig.gpu.read(&found).unwrap()
-    });
-    assert!(
-        found[0][1].is_nan() && found[0][2] == f32::INFINITY,
-        "{:?}",
-        &found[0][..4]
+    let (origin, ray_of) = (words(&case.origin), words(&case.ray_of));
+    let directions = gpu.filled("directions", &case.directions).unwrap();
+    let seen = Seen {
+        origin: &origin,
+        ray_of: &ray_of,
+        directions: &directions,
+    };
+    let (weights, features) = (
+        rig.filled(&case.weights),
+        rig.filled(&columns(&case.features, inputs, capacity, f32::NAN)),
     );
-    assert_eq!((found[0][0], found[1][0], found[1][3]), (8.0, 8.0, 0.0));
+    let heads = columns(&case.heads, 4, capacity, f32::NAN);
+    let mut light = vec![f32::NAN; 3 * capacity];
+    for (visited, heads) in case.origin.iter().zip(case.heads.chunks(4)) {
+        light[*visited as usize] = heads[0];
+    }
+    let (light, d_logits) = (rig.filled(&light), rig.filled(&heads[capacity..]));
+    let (latent, colours, slopes) = (rig.untouched(16), rig.untouched(6), rig.untouched(inputs));
+    let work = rig.filled(&vec![f32::NAN; case.layers.work(capacity, RAYS)]);
+    let gradient = rig.filled(&vec![UNTOUCHED; case.layers.numbers()]);
+    let back = Back {
+        features: &features,
+        seen,
+        weights: &weights,
+        light: &light,
+        d_logits: &d_logits,
+        work: &work,
+        slopes: &slopes,
+    };
+    let runs = [
+        nets.density(batch, &weights, [&features, &latent]).unwrap(),
+        nets.shade(batch, &weights, seen, [&latent, &colours]).unwrap(),
+        nets.back(batch, back).unwrap(),
+        nets.sum(batch, Background::Black, [&work, &gradient]).unwrap(),
+    ];
+    gpu.submit(|recorder| runs.iter().for_each(|run| run.record(recorder)));
+    let read = |array: &Array<f32>| gpu.read(array).unwrap();
+    Some(Found {
+        latent: read(&latent),
+        colours: read(&colours),
+        gradient: read(&gradient),
+        slopes: read(&slopes),
+        faults: rig.faulty(),
+    })
+}
+
+/// The samples in use of columns.
+fn in_use(columns: &[f32], capacity: usize, samples: usize) -> Vec<f32> {
+    let columns = columns.chunks(capacity);
+    columns.flat_map(|column| &column[..samples]).copied().collect()
 }
 
 #[test]
-fn transposed_weights_are_the_weights_turned() {
-    let Some(rig) = Rig::new("transposed_weights_are_the_weights_turned", [256, 64], [0; 3]) else {
+fn networks_forward_and_back_are_those_of_f64_in_every_shape() {
+    let test = "networks_forward_and_back_are_those_of_f64_in_every_shape";
+    for (layers, kept) in fields().into_iter().zip([301, 64, 131, 3]) {
+        let (case, capacity) = (Case::new(layers, kept), 1024);
+        let Some(found) = run(test, &case, capacity) else {
+            return;
+        };
+        let (expected, inputs) = (case.expected(), case.layers.shapes[0][0]);
+        let rows =
+            |rows: &[f32], width, samples| in_use(&columns(rows, width, capacity, 0.0), capacity, samples);
+        let name = format!("{:?}", case.layers.shapes);
+        let latent = rows(&expected.latent, 16, 2 * kept);
+        agree(
+            &format!("latent {name}"),
+            &in_use(&found.latent, capacity, 2 * kept),
+            &latent,
+            CHAIN,
+        );
+        let logits = rows(&expected.logits, 3, kept);
+        agree(
+            &format!("logits {name}"),
+            &in_use(&found.colours[3 * capacity..], capacity, kept),
+            &logits,
+            CHAIN,
+        );
+        let sigmoid: Vec<f32> = logits.iter().map(|x| 1.0 / (1.0 + (-x).exp())).collect();
+        agree(
+            &format!("colours {name}"),
+            &in_use(&found.colours[..3 * capacity], capacity, kept),
+            &sigmoid,
+            CHAIN,
+        );
+        let slopes = rows(&expected.slopes, inputs, kept);
+        agree(
+            &format!("slopes {name}"),
+            &in_use(&found.slopes, capacity, kept),
+            &slopes,
+            CHAIN,
+        );
+        let weights = case.layers.weights();
+        agree(
+            &format!("gradient {name}"),
+            &found.gradient[..weights],
+            &expected.gradient,
+            CHAIN,
+        );
+        assert!(found.gradient[weights..].iter().all(is_untouched));
+        assert!(found.faults.is_empty());
+        // Tiles without samples are not written.
+        let behind = (2 * kept).next_multiple_of(case.layers.tile());
+        let mut rest = found.latent.chunks(capacity).flat_map(|row| &row[behind..]);
+        assert!(rest.all(is_untouched), "{name}");
+    }
+}
+
+#[test]
+fn more_tiles_than_workgroups_are_all_added_and_none_gives_zero() {
+    let test = "more_tiles_than_workgroups_are_all_added_and_none_gives_zero";
+    for kept in [20_000, 0] {
+        let case = Case::new(layers([16, 16, 16], 1, 0), kept);
+        let Some(found) = run(test, &case, 40_960) else {
+            return;
+        };
+        let weights = case.layers.weights();
+        agree(
+            "gradient",
+            &found.gradient[..weights],
+            &case.expected().gradient,
+            CHAIN,
+        );
+        assert!(kept > 0 || found.slopes.iter().chain(&found.colours).all(is_untouched));
+    }
+}
+
+/// Drivers may make a comparison with 0 a maximum, which takes NaN for the smaller.
+#[test]
+fn a_relu_passes_nan_and_infinity_on_to_their_own_sample() {
+    let test = "a_relu_passes_nan_and_infinity_on_to_their_own_sample";
+    let mut case = Case::new(layers([16, 32, 16], 1, 0), 8);
+    case.weights.fill(0.5);
+    case.features.fill(1.0);
+    case.features[16] = f32::NAN;
+    case.features[2 * 16] = f32::INFINITY;
+    case.features[3 * 16..4 * 16].fill(f32::NEG_INFINITY);
+    case.features[5 * 16] = -f32::NAN;
+    let Some(found) = run(test, &case, 256) else {
         return;
     };
-    let nets = Nets::new(&rig.gpu).unwrap();
-    let weights = numbers(32 * 48, 1);
-    let (from, to) = (rig.filled(&weights), rig.filled(&vec![UNTOUCHED; 32 * 48 + 1]));
-    let run = nets
-        .transpose(&rig.gpu, [32, 48], (&from).into(), (&to).into())
-        .unwrap();
-    rig.gpu.submit(|recorder| run.record(recorder));
-    let found = rig.gpu.read(&to).unwrap();
-    assert_eq!(found[..32 * 48], columns(&weights, 48, 32, UNTOUCHED));
-    assert_eq!(found[32 * 48], UNTOUCHED);
+    let [first, nan, infinite, none, _, other] = [0, 1, 2, 3, 4, 5].map(|sample| found.latent[sample]);
+    assert!(nan.is_nan() && other.is_nan(), "{:?}", &found.latent[..8]);
+    assert_eq!((first, infinite, none), (128.0, f32::INFINITY, 0.0));
+    assert!(found.faults.contains(&faults::LOGITS));
 }
 
-/// The gradient of `n` samples, and the array of parts.
-fn gradient(rig: &Rig, [a, d]: [&[f32]; 2], shape: [usize; 2]) -> [Vec<f32>; 2] {
-    let nets = Nets::new(&rig.gpu).unwrap();
-    let [inner, outputs] = shape;
-    // Garbage lies behind the samples in use.
-    let a = rig.filled(&columns(a, inner, rig.capacity, f32::NAN));
-    let d = rig.filled(&columns(d, outputs, rig.capacity, f32::INFINITY));
-    let parts = rig.filled(&vec![UNTOUCHED; Gradient::parts(rig.capacity, shape)]);
-    let found = rig.filled(&vec![UNTOUCHED; inner * outputs + 1]);
-    let layer = Gradient {
-        a: (&a).into(),
-        d: (&d).into(),
-        shape,
-        capacity: rig.capacity,
-        parts: (&parts).into(),
-        gradient: (&found).into(),
-        fault: faults::NETWORKS,
-    };
-    let runs = nets.gradient(rig.batch(), counts::KEPT, layer).unwrap();
-    rig.gpu.submit(|recorder| runs.record(recorder));
-    [rig.gpu.read(&found).unwrap(), rig.gpu.read(&parts).unwrap()]
+#[test]
+fn slopes_and_sums_that_run_away_are_told() {
+    let test = "slopes_and_sums_that_run_away_are_told";
+    for bad in [1e20, f32::NAN, f32::INFINITY] {
+        let mut case = Case::new(layers([16, 32, 32], 1, 16), 70);
+        case.heads[4 * 66 + 2] = bad;
+        let Some(found) = run(test, &case, 256) else {
+            return;
+        };
+        assert_eq!(found.faults, [faults::FEATURES, faults::NETWORKS], "{bad}");
+    }
 }
 
-/// The twin of `sum`: parts `[chunks][weights]` in 16 slices, which then are added by halves.
-fn summed(parts: &[f32], weights: usize) -> Vec<f32> {
-    let mut slices = vec![vec![0.0_f32; weights]; 16];
-    for (chunk, part) in parts.chunks(weights).enumerate() {
-        let sums = slices[chunk % 16].iter_mut();
+/// The twin of `sum`: parts in 16 slices, which then are added by halves.
+fn summed(parts: &[Vec<f32>]) -> Vec<f32> {
+    let mut slices = vec![vec![0.0_f32; parts[0].len()]; 16];
+    for (number, part) in parts.iter().enumerate() {
+        let sums = slices[number % 16].iter_mut();
         sums.zip(part).for_each(|(sum, part)| *sum += part);
     }
     while slices.len() > 1 {
@@ -163,176 +358,77 @@ fn summed(parts: &[f32], weights: usize) -> Vec<f32> {
 }
 
 #[test]
-fn gradients_of_weights_are_those_of_the_cpu_chunk_by_chunk() {
-    let test = "gradients_of_weights_are_those_of_the_cpu_chunk_by_chunk";
-    // Up to 37 chunks: slices of none, one, two and three.
-    for (n, [inner, outputs]) in [
-        (1101, [32, 64]),
-        (4701, [64, 16]),
-        (512, [16, 32]),
-        (3, [16, 16]),
-        (2101, [4, 16]),
-    ] {
-        let Some(rig) = Rig::new(test, [5120, 64], [0, n as u32, 0]) else {
+fn parts_are_added_in_one_order() {
+    let layers = layers([16, 16, 16], 1, 0);
+    let (capacity, rays) = (4096, 640);
+    let most = capacity / layers.tile();
+    for (kept, chunks) in [(2300, 3), (4096, 10)] {
+        let groups = (kept as usize).div_ceil(layers.tile());
+        let in_use = [0, kept, if chunks == 3 { 130 } else { 640 }];
+        let Some(rig) = Rig::new("parts_are_added_in_one_order", [capacity, rays], in_use) else {
             return;
         };
-        let (a, d) = (numbers(n * inner, 4), numbers(n * outputs, 5));
-        let [found, parts] = gradient(&rig, [&a, &d], [inner, outputs]);
-        let mut expected = Vec::new();
-        for (a, d) in a.chunks(CHUNK * inner).zip(d.chunks(CHUNK * outputs)) {
-            let mut part = vec![0.0_f32; inner * outputs];
-            for (a, d) in a.chunks(inner).zip(d.chunks(outputs)) {
-                for (at, sum) in part.iter_mut().enumerate() {
-                    *sum = a[at / outputs].mul_add(d[at % outputs], *sum);
-                }
-            }
-            expected.extend(part);
-        }
-        let name = format!("gradient of {n} samples, {inner} x {outputs}");
-        agree(&name, &parts[..expected.len()], &expected, TOLERANCE);
-        let sums = summed(&parts[..expected.len()], inner * outputs);
-        assert_eq!(found[..inner * outputs], sums, "{name}: its own parts");
-        assert_eq!(found[inner * outputs], UNTOUCHED);
-        let in_use = n.div_ceil(CHUNK) * inner * outputs;
-        assert!(parts[in_use..].iter().all(is_untouched), "{name}");
-        assert!(parts[..in_use].iter().all(|x| !is_untouched(x)), "{name}");
-        assert!(rig.faulty().is_empty());
-        if inner == 32 {
-            // The whole CPU kernel, which goes on where the parts begin anew.
-            let (a, d) = (blocks(&a), blocks(&d));
-            let mut whole = vec![Block::ZERO; inner * outputs / LANES];
-            InstructionSet::best().run(gemm::Outer {
-                a: &a,
-                d: &d,
-                g: &mut whole,
-                inner,
-                columns: outputs / LANES,
-            });
-            agree(
-                &format!("{name}, in one"),
-                &found[..inner * outputs],
-                flat(&whole),
-                TOLERANCE,
-            );
-        }
+        let work = numbers(layers.work(capacity, rays), 5);
+        let stride = (work.len() - rays / 64 * BACKGROUND) / most;
+        let nets = Nets::new(&rig.gpu, &layers).unwrap();
+        let (parts, found) = (rig.filled(&work), rig.filled(&vec![UNTOUCHED; layers.numbers()]));
+        let run = nets.sum(rig.batch(), Background::Direction, [&parts, &found]);
+        rig.gpu.submit(|recorder| run.unwrap().record(recorder));
+        let part = |first: usize, len: usize| work[first..first + len].to_vec();
+        let nets: Vec<_> = (0..groups)
+            .map(|group| part(group * stride, layers.weights()))
+            .collect();
+        let rays: Vec<_> = (0..chunks)
+            .map(|chunk| part(most * stride + chunk * BACKGROUND, BACKGROUND))
+            .collect();
+        let expected = [summed(&nets), summed(&rays)].concat();
+        assert!(rig.gpu.read(&found).unwrap() == expected, "{kept}");
+        assert!(rig.gpu.read(&rig.counts).unwrap()[counts::KEPT as usize] == kept);
     }
 }
 
 #[test]
-fn no_samples_give_a_gradient_of_zero_and_a_runaway_is_told() {
-    let test = "no_samples_give_a_gradient_of_zero_and_a_runaway_is_told";
-    for (kept, slope, faults) in [
-        (0, 1.0, vec![]),
-        (5, 1e9, vec![faults::NETWORKS]),
-        (5, f32::NAN, vec![4]),
-    ] {
-        let Some(rig) = Rig::new(test, [512, 64], [0, kept, 0]) else {
-            return;
-        };
-        let (a, mut d) = (vec![1.0; 16 * 5], vec![1.0; 16 * 5]);
-        d[0] = slope;
-        d[16] = slope;
-        let [found, _] = gradient(&rig, [&a, &d], [16, 16]);
-        assert!(kept > 0 || found[..256].iter().all(|x| *x == 0.0), "{slope}");
-        assert_eq!(rig.faulty(), faults, "{slope}");
-    }
-}
-
-const ROWS: usize = 70;
-
-/// Three steps on the device; afterwards weights, means, squares, gradients and counts.
-fn adam(rig: &Rig, weights: &[f32], gradients: &[Vec<f32>], count: &[u32]) -> ([Vec<f32>; 4], Vec<u32>) {
-    let nets = Nets::new(&rig.gpu).unwrap();
-    let bias = Nets::bias(&rig.gpu, &Bias::default()).unwrap();
-    let pace = Pace {
-        rate: 0.02,
-        ..Pace::default()
-    };
-    let pace = rig.gpu.uniform("pace", pace).unwrap();
-    let [w, g, m, v] = [weights, &gradients[0], &[0.0; 16 * ROWS], &[0.0; 16 * ROWS]].map(|x| rig.filled(x));
-    let count = rig.gpu.filled("count", count).unwrap();
-    let tensor = Tensor {
-        weights: (&w).into(),
-        gradient: (&g).into(),
-        mean: (&m).into(),
-        square: (&v).into(),
-        count: (&count).into(),
-        rows: ROWS - 1,
-        rates: [1.0, DECAY],
-    };
-    let rates = Rates {
-        pace: &pace,
-        bias: &bias,
-    };
-    let run = nets.adam(rig.batch(), rates, tensor).unwrap();
-    for gradient in gradients {
-        rig.gpu.write(&g, 0, gradient);
-        rig.gpu.submit(|recorder| run.record(recorder));
-    }
-    let read = [&w, &m, &v, &g].map(|array| rig.gpu.read(array).unwrap());
-    (read, rig.gpu.read(&count).unwrap())
-}
-
-fn gradients() -> Vec<Vec<f32>> {
-    let steps = (0..3).map(|step| {
-        let mut gradient = numbers(16 * ROWS, 20 + step);
-        // Rows without a gradient, of both zeros; one number alone; the sizes of a training; a huge one.
-        gradient[..16].fill(0.0);
-        gradient[16..32].fill(-0.0);
-        gradient[32..47].fill(0.0);
-        gradient[48..160].iter_mut().for_each(|x| *x *= 1e-7);
-        gradient[160] = 1e25;
-        gradient
-    });
-    steps.collect()
-}
-
-#[test]
-fn adam_moves_weights_as_the_cpu_does() {
-    let Some(rig) = Rig::new("adam_moves_weights_as_the_cpu_does", [256, 64], [0; 3]) else {
+fn the_gradient_of_the_background_is_that_of_f64_chunk_by_chunk() {
+    let test = "the_gradient_of_the_background_is_that_of_f64_chunk_by_chunk";
+    let (layers, slots, rays) = (layers([16, 16, 16], 1, 0), 192, 130);
+    let Some(rig) = Rig::new(test, [256, slots], [0, 0, rays as u32]) else {
         return;
     };
-    let weights = numbers(16 * ROWS, 6);
-    let mut counts = vec![0; ROWS];
-    counts[4..8].copy_from_slice(&[1, 4094, 4095, u32::MAX]);
-    let ([moved, mean, square, rest], count) = adam(&rig, &weights, &gradients(), &counts);
-    let (mut expected, mut moments) = (weights.clone(), Moments::new(16 * ROWS, 16));
-    moments.count.copy_from_slice(&counts);
-    // The last row is beyond what was bound.
-    let last = 16 * (ROWS - 1);
-    for mut gradient in gradients() {
-        gradient[last..].fill(0.0);
-        InstructionSet::best().run(Adam::<16> {
-            weights: &mut expected,
-            gradient: &mut gradient,
-            moments: &mut moments,
-            rate: 0.02,
-            epsilon: EPSILON,
-            decay: DECAY,
-            bias: &Bias::default(),
-        });
+    let case = Case::new(layers.clone(), 0);
+    let directions: Vec<_> = case.directions.iter().cycle().take(slots).copied().collect();
+    let mut found = numbers(found::LEN * slots, 8);
+    // Garbage where no ray is in use.
+    found.chunks_mut(slots).for_each(|row| row[rays..].fill(f32::NAN));
+    let nets = Nets::new(&rig.gpu, &layers).unwrap();
+    let (work, gradient) = (
+        rig.untouched(layers.work(256, slots) / 256 + 1),
+        rig.filled(&vec![UNTOUCHED; layers.numbers()]),
+    );
+    let arrays = Behind {
+        directions: &rig.gpu.filled("directions", &directions).unwrap(),
+        found: &rig.filled(&found),
+        work: &work,
+    };
+    let runs = [
+        nets.behind(rig.batch(), arrays).unwrap(),
+        nets.sum(rig.batch(), Background::Direction, [&work, &gradient])
+            .unwrap(),
+    ];
+    rig.gpu
+        .submit(|recorder| runs.iter().for_each(|run| run.record(recorder)));
+    let mut expected = vec![0.0_f64; BACKGROUND];
+    for (ray, direction) in directions[..rays]
+        .iter()
+        .enumerate()
+        .filter(|(_, at)| at[3] == 1.0)
+    {
+        let harmonics = sh::harmonics([direction[0], direction[1], direction[2]]);
+        for at in 0..48 {
+            expected[at] += f64::from(found[at / 16 * slots + ray]) * f64::from(harmonics[at % 16]);
+        }
     }
-    agree("adam, weights", &moved, &expected, TOLERANCE);
-    // The huge gradient's moments would hide all others.
-    agree("adam, mean", &mean[176..], &moments.first[176..], TOLERANCE);
-    agree("adam, square", &square[176..], &moments.second[176..], TOLERANCE);
-    assert_eq!(count, moments.count);
-    assert_eq!((&moved[..32], &moved[last..]), (&weights[..32], &weights[last..]));
-    assert!(rest[..last].iter().all(|gradient| *gradient == 0.0));
-    assert!(rest[last..].iter().all(|gradient| *gradient != 0.0));
-}
-
-#[test]
-fn adam_stands_still_once_anything_ran_away() {
-    for fault in [0, 6] {
-        let Some(rig) = Rig::new("adam_stands_still_once_anything_ran_away", [256, 64], [0; 3]) else {
-            return;
-        };
-        rig.gpu.write(&rig.faults, fault, &[1]);
-        let weights = numbers(16 * ROWS, 6);
-        let gradients = gradients();
-        let ([moved, mean, _, rest], count) = adam(&rig, &weights, &gradients, &[0; ROWS]);
-        assert_eq!(moved, weights);
-        assert_eq!((mean[40], count[4], rest), (0.0, 0, gradients[2].clone()));
-    }
+    let expected: Vec<f32> = expected.iter().map(|x| *x as f32).collect();
+    let sums = rig.gpu.read(&gradient).unwrap();
+    agree("background", &sums[layers.weights()..], &expected, TOLERANCE);
+    assert!(rig.faulty().is_empty());
 }

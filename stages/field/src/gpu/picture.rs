@@ -49,7 +49,7 @@ impl Picture {
         batch: Batch<'_>,
         slot: u32,
         columns: Columns<'_>,
-        rgb: &Array<f32>,
+        rgb: Part<'_>,
         (shown, state): (&Array<u32>, &Array<f32>),
     ) -> Result<[Work; 2], GpuError> {
         let run = PaintRun {
@@ -65,7 +65,7 @@ impl Picture {
             batch.counts.into(),
             columns.spans.into(),
             columns.light.into(),
-            rgb.into(),
+            rgb,
             columns.along.into(),
             shown.into(),
         ];
@@ -87,7 +87,7 @@ impl Picture {
         batch: Batch<'_>,
         (slot, half_side): (u32, f32),
         directions: &Array<[f32; 4]>,
-        background: Option<&Array<f32>>,
+        background: Option<Part<'_>>,
         [state, picture]: [&Array<f32>; 2],
     ) -> Result<Work, GpuError> {
         let run = FinishRun {
@@ -103,7 +103,7 @@ impl Picture {
             state.into(),
             directions.into(),
             // What is bound in place of none is not read.
-            background.map_or(state.into(), Part::from),
+            background.unwrap_or(state.into()),
             picture.into(),
         ];
         Ok(dispatch(batch.gpu, &self.finish, &parts, one_each(batch.rays)))

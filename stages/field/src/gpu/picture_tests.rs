@@ -2,6 +2,7 @@
 
 use marf_shaders::counts;
 
+use super::array::Part;
 use super::light::Light;
 use super::light_tests::{Arrays, CAPACITY, NO_RAY, RAYS, SLOTS, directions, harmonics, spans, visited};
 use super::picture::{DEEP, PICTURE, Picture, STATE};
@@ -90,16 +91,17 @@ fn two_rounds_of_a_picture_are_those_of_the_cpu() {
         rig.filled(&[f32::NAN; STATE * SLOTS]),
         rig.gpu.zeros("shown", 2 * SLOTS).unwrap(),
     );
-    let kept_spans = rig.gpu.zeros::<u32>("spans", 2 * SLOTS).unwrap();
-    let kept = super::light::Columns {
-        spans: &kept_spans,
-        ..arrays.columns()
-    };
     let opacity = light
         .opacity(rig.batch(), counts::RAYS, arrays.columns(), &state, &shown)
         .unwrap();
     let [begin, paint] = picture
-        .paint(rig.batch(), counts::RAYS, kept, &rgb, (&shown, &state))
+        .paint(
+            rig.batch(),
+            counts::RAYS,
+            arrays.columns(),
+            (&rgb).into(),
+            (&shown, &state),
+        )
         .unwrap();
     rig.gpu.submit(|recorder| begin.record(recorder));
     let mut expected = vec![0.0; STATE * SLOTS];
@@ -109,9 +111,7 @@ fn two_rounds_of_a_picture_are_those_of_the_cpu() {
         rig.gpu.submit(|recorder| opacity.record(recorder));
         // The samples that show are the first ones of the visited.
         rig.gpu
-            .write(&kept_spans, 0, &rig.gpu.read(&arrays.spans).unwrap()[..SLOTS]);
-        rig.gpu
-            .write(&kept_spans, SLOTS, &rig.gpu.read(&shown).unwrap()[..SLOTS]);
+            .write(&arrays.spans, 3 * SLOTS, &rig.gpu.read(&shown).unwrap()[..SLOTS]);
         rig.gpu.submit(|recorder| paint.record(recorder));
         painted(&mut expected, &mut shade, &spans, &colours);
         let found = rig.gpu.read(&state).unwrap();
@@ -134,7 +134,8 @@ fn two_rounds_of_a_picture_are_those_of_the_cpu() {
     assert!(deep > 3 && deep < 35, "{deep} of {RAYS} rays are opaque");
     let directions = rig.gpu.filled("directions", &all).unwrap();
     let background = rig.filled(&weights);
-    for (behind, numbers) in [(None, None), (Some(&background), Some(weights.as_slice()))] {
+    let behind = Some(Part::from(&background));
+    for (behind, numbers) in [(None, None), (behind, Some(weights.as_slice()))] {
         let pixels = rig.filled(&[UNTOUCHED; PICTURE * SLOTS]);
         let sizes = (counts::RAYS, HALF_SIDE);
         let run = picture

@@ -133,6 +133,11 @@ impl Work {
         self
     }
 
+    /// Returns the kernels with their arrays.
+    pub fn bounds(&self) -> impl Iterator<Item = &Bound> {
+        self.0.iter().map(|(bound, _)| bound)
+    }
+
     /// Records all dispatches.
     pub fn record(&self, recorder: &mut Recorder<'_>) {
         for (bound, groups) in &self.0 {

@@ -88,7 +88,7 @@ impl Renderer for GpuRenderer {
 /// # Errors
 /// A device that does not even hold the samples of the fewest.
 fn rays_at_once(gpu: &Gpu, model: &Model) -> Result<usize, GpuError> {
-    let fits = |rays: usize| check_columns(gpu, &model.weights, SLOTS * rays);
+    let fits = |rays: usize| check_columns(gpu, &model.weights, [SLOTS * rays, rays], Purpose::Picture);
     let [.., fewest] = RAYS;
     let most = RAYS.into_iter().find(|rays| gpu.is_card() && fits(*rays).is_ok());
     match most {
@@ -104,19 +104,19 @@ impl Canvas {
         let grid = Grid::new(device, &model.weights.shapes, features)?;
         let weights = DeviceWeights::new(device, &grid, &model.weights)?;
         let slots = [SLOTS * rays, rays];
-        let lanes = Lanes::new(device, &weights, slots, &model.steps, Purpose::Picture)?;
+        let lanes = Lanes::new(device, &weights, slots, &model.steps)?;
         device.write(&lanes.steps, 0, &step_table(&model.steps));
         let bits = device.filled("occupied cells", &bit_words(&model.bits))?;
         let asked = device.uniform("pixels asked for", bytemuck::Zeroable::zeroed())?;
         let picture = device.zeros("picture", PICTURE * rays)?;
-        let kernels = Kernels::new(device, features)?;
+        let kernels = Kernels::new(device, features, &weights.layers)?;
         let painter = Picture::new(device)?;
         let batch = lanes.batch(device);
         let shown = (&lanes.shown, &lanes.state);
-        let columns = lanes.kept_columns();
-        let [begin, paint] = painter.paint(batch, counts::RAYS, columns, &lanes.rgb, shown)?;
+        let columns = lanes.columns();
+        let [begin, paint] = painter.paint(batch, counts::RAYS, columns, lanes.colours().rgb, shown)?;
         let background = match model.config.background {
-            Background::Direction => Some(&weights.background),
+            Background::Direction => Some(weights.background()),
             Background::Black => None,
         };
         let half_side = model.frame.half_side as f32;
@@ -127,7 +127,7 @@ impl Canvas {
         Ok(Self {
             view: ViewRays::new(device)?.bind(device, &asked, &lanes.rays, progress),
             marching: March::new(device)?.bind(device, lanes.marched(&bits)),
-            forward: Forward::new(device, &kernels, &grid, &weights, &lanes, Purpose::Picture)?,
+            forward: Forward::new(device, &kernels, &grid, &weights, &lanes)?,
             alive: Alive::new(device)?.bind(device, walk, &lanes.state, progress, &lanes.counts),
             begin,
             paint,

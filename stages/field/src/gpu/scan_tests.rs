@@ -1,5 +1,7 @@
 //! Where the samples of every ray begin, against a running sum.
 
+use marf_shaders::Shader;
+
 use super::Gpu;
 use super::march::{SampleArrays, Scan, kept_walk, whole_walk};
 use super::testing::gpu;
@@ -24,7 +26,7 @@ fn scanned(
     let spans = gpu.filled("spans", &vec![7; 2 * slots]).unwrap();
     let counts = gpu.filled("counts", &[7, 7, again.unwrap_or(7), 7]).unwrap();
     let samples = SampleArrays::new(gpu, 256).unwrap();
-    let bound = scan.bind(gpu, &told, &amounts, &spans, &counts, &samples);
+    let bound = scan.bind(gpu, &told, &amounts, (&spans).into(), &counts, &samples);
     gpu.submit(|recorder| recorder.groups(&bound, [1, 1, 1]));
     (gpu.read(&spans).unwrap(), gpu.read(&counts).unwrap())
 }
@@ -73,4 +75,43 @@ fn sums_beyond_32_bits_clip_and_a_second_scan_keeps_the_rays_of_the_first() {
     let (spans, counts) = scanned(&gpu, &scan, &[2, 0, 5, 9, 9], 256, Some(3));
     assert_eq!(spans, [0, 2, 2, 7, 7, 2, 0, 5, 7, 7]);
     assert_eq!(counts, [7, 7, 3, 7]);
+}
+
+/// Leaves ones in all workgroup memory that core WebGPU grants, in more workgroups than there are places to run one.
+const DIRTY: Shader = Shader {
+    name: "dirty",
+    shared: &[],
+    text: "
+@group(0) @binding(0) var<storage, read_write> seen: array<u32>;
+var<workgroup> ones: array<u32, 4096>;
+@compute @workgroup_size(256)
+fn main(@builtin(local_invocation_index) me: u32, @builtin(workgroup_id) group: vec3<u32>) {
+    for (var at = me; at < 4096u; at += 256u) { ones[at] = 0xffffffffu; }
+    workgroupBarrier();
+    if me == 0u { seen[group.x] = ones[group.x]; }
+}",
+    heads: &[],
+};
+
+/// Fills workgroup memory with ones.
+pub fn make_dirty(gpu: &Gpu) {
+    let seen = gpu.zeros::<u32>("seen", 4096).unwrap();
+    let dirty = gpu.bind(&gpu.kernel(&DIRTY, "").unwrap(), &[(&seen).into()]);
+    gpu.submit(|recorder| recorder.groups(&dirty, [4096, 1, 1]));
+    assert!(gpu.read(&seen).unwrap().iter().all(|word| *word == u32::MAX));
+}
+
+#[test]
+fn a_scan_does_not_rely_on_what_workgroup_memory_holds_before() {
+    let Some(gpu) = gpu("a_scan_does_not_rely_on_what_workgroup_memory_holds_before") else {
+        return;
+    };
+    let scan = Scan::new(&gpu).unwrap();
+    let amounts = [3, 0, 4];
+    let clean = scanned(&gpu, &scan, &amounts, 256, None);
+    for _ in 0..4 {
+        make_dirty(&gpu);
+        assert_eq!(scanned(&gpu, &scan, &amounts, 256, None), clean);
+    }
+    assert_eq!(clean.1, [7, 7, 3, 0]);
 }

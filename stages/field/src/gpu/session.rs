@@ -8,7 +8,7 @@ use marf_shaders::{Blending, Observed, Pace, Step as StepUniform, Total, faults}
 use super::Gpu;
 use super::array::Array;
 use super::arrays::Arrays;
-use super::forward::{Forward, Kernels as Shared, Lanes, Purpose, write_walks};
+use super::forward::{Forward, Kernels as Shared, Lanes, write_walks};
 use super::kernel::Bound;
 use super::learning::{Bindings, Kernels, Learning};
 use super::light::RING;
@@ -33,7 +33,7 @@ const CALIBRATIONS: usize = 2;
 
 /// A training on a device.
 pub struct GpuSession {
-    gpu: Arc<Gpu>,
+    pub(super) gpu: Arc<Gpu>,
     pub(super) grid: Grid,
     pub(super) weights: DeviceWeights,
     average: DeviceWeights,
@@ -71,10 +71,13 @@ impl GpuSession {
             occupancy,
         } = Held::new(device, training)?;
         let features = state.weights.features;
-        let (shared, kernels) = (Shared::new(device, features)?, Kernels::new(device, features)?);
+        let (shared, kernels) = (
+            Shared::new(device, features, &weights.layers)?,
+            Kernels::new(device, features)?,
+        );
         let draw = DrawRays::new(device)?.bind(device, &step, &photos, &observations, &lanes.rays);
         let marching = March::new(device)?.bind(device, lanes.marched(&occupancy.bits));
-        let forward = Forward::new(device, &shared, &grid, &weights, &lanes, Purpose::Training)?;
+        let forward = Forward::new(device, &shared, &grid, &weights, &lanes)?;
         let learning = Learning::new(Bindings {
             gpu: device,
             shared: &shared,
@@ -117,7 +120,6 @@ impl GpuSession {
             submits: Submits::default(),
         };
         session.write_march(training);
-        session.turn();
         session.calibrate(training);
         session.probe(training, 0, None)?;
         training.state.scales = session.scales()?;
@@ -146,10 +148,6 @@ impl GpuSession {
         self.begin(training, 0);
         self.submits
             .submit(&self.gpu, |recorder| self.record(recorder, 0, true));
-    }
-
-    fn turn(&self) {
-        self.gpu.submit(|recorder| self.learning.turn.record(recorder));
     }
 
     /// Takes steps up to the next update of the occupancy; `watch` takes the time of every dispatch.
@@ -221,22 +219,24 @@ impl GpuSession {
             observations: pull.map_or(0, |_| self.observations.len() as u32),
             ..self.photos.step(training.seed, number)
         };
+        let keep = training.kept_at(number);
         let pace = Pace {
             rate,
             total: number as u32 % RING as u32,
-            ..bytemuck::Zeroable::zeroed()
+            keep: keep.unwrap_or(1.0),
+            pad: 0,
         };
         let gpu = &self.gpu;
         gpu.write(&self.step, 0, &[step]);
         gpu.write(&self.arrays.pace, 0, &[pace]);
         gpu.write(&self.arrays.rates, 0, &[rates(rate, EPSILON, 0.0)]);
-        let keep = training.kept_at(number);
         let blending: Blending = blending(keep.unwrap_or(1.0));
         gpu.write(&self.arrays.blending, 0, &[blending]);
         keep.is_some()
     }
 
-    fn record(&self, recorder: &mut Recorder<'_>, rays: usize, is_due: bool) {
+    /// Records a step; `is_due`: whether the averages follow.
+    pub(super) fn record(&self, recorder: &mut Recorder<'_>, rays: usize, is_due: bool) {
         self.forward(recorder, rays);
         self.learning.record(recorder, is_due);
     }
@@ -319,9 +319,7 @@ impl Session for GpuSession {
         self.average.write(gpu, &self.grid, &state.average);
         let (tables, nets) = state.moments.split_at(state.weights.tables.len());
         self.arrays.write_table_moments(gpu, &self.grid, tables);
-        for (array, moments) in self.arrays.net_moments().into_iter().zip(nets) {
-            array.write(gpu, moments);
-        }
+        self.arrays.write_net_moments(gpu, nets);
         self.arrays
             .exposures
             .write(gpu, &state.gains, &state.gain_moments);
@@ -335,7 +333,6 @@ impl Session for GpuSession {
         }
         gpu.write(&self.lanes.faults, 0, &[0; faults::LEN]);
         self.write_march(training);
-        self.turn();
         Ok(gpu.wait()?)
     }
 
@@ -345,9 +342,7 @@ impl Session for GpuSession {
         self.average.read(gpu, &self.grid, &mut state.average)?;
         let (tables, nets) = state.moments.split_at_mut(state.weights.tables.len());
         self.arrays.read_table_moments(gpu, &self.grid, tables)?;
-        for (array, moments) in self.arrays.net_moments().into_iter().zip(nets) {
-            array.read(gpu, moments)?;
-        }
+        self.arrays.read_net_moments(gpu, nets)?;
         let (gains, moments) = (&mut state.gains, &mut state.gain_moments);
         self.arrays.exposures.read(gpu, gains, moments)?;
         state.occupancy = self.occupancy.read(gpu)?;

@@ -12,6 +12,6 @@ mod scatter;
 
 pub use adam::{AdamTable, Blend, Trained, blending, rates};
 pub use encode::{Encode, Encoded};
-pub use grid::{Grid, Slots};
+pub use grid::{Grid, ROWS, Slots};
 pub use scales::{Rise, Scales, rescaling, start_scales};
-pub use scatter::{Scatter, Scattered, Sums};
+pub use scatter::{EACH, Scatter, Scattered, Sums};

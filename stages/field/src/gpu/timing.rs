@@ -5,14 +5,14 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::Gpu;
-use super::forward::{Purpose, gathered_rows};
+use super::cost::{Cost, Filled, Slots, apart, costs};
+use super::record::Work;
 use super::session::{GpuSession, Watch};
-use super::weights::{BACKGROUND, DeviceLayer};
 use crate::backend::{Session, Step};
 #[cfg(test)]
 use crate::state::State;
 use crate::training::Training;
-use crate::{Background, Config, FieldError, View};
+use crate::{Config, FieldError, View};
 
 /// Steps that were timed.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,8 +58,6 @@ pub struct Shape {
     pub density: Vec<[usize; 2]>,
     /// Inputs and outputs of the layers of the colour network.
     pub color: Vec<[usize; 2]>,
-    /// Numbers that are copied for a kept sample.
-    pub gathered: usize,
 }
 
 /// What a kernel took.
@@ -105,7 +103,8 @@ impl TimedTraining {
     pub fn shape(&self, timed: &Timed) -> Shape {
         let (training, session) = (&self.training, &self.session);
         let each = |count: u64| count as f64 / timed.steps as f64;
-        let layers = |layers: &[DeviceLayer]| layers.iter().map(DeviceLayer::shape).collect();
+        let layers = &session.weights.layers;
+        let (density, color) = layers.shapes.split_at(layers.density);
         Shape {
             rays: each(timed.rays),
             visited: each(timed.visited),
@@ -116,9 +115,8 @@ impl TimedTraining {
             features: session.grid.features(),
             table_numbers: session.grid.numbers(),
             rows_moved: each(timed.rows),
-            density: layers(&session.weights.density),
-            color: layers(&session.weights.color),
-            gathered: gathered_rows(&session.lanes, Purpose::Training),
+            density: density.to_vec(),
+            color: color.to_vec(),
         }
     }
 
@@ -139,6 +137,39 @@ impl TimedTraining {
             samples += self.session.advance(&mut self.training, most)?.samples;
         }
         Ok(samples)
+    }
+
+    /// Returns what the kernels of a step do that has these samples and moves the averages, in their order.
+    ///
+    /// Columns grow with their samples: a small batch tells of a large one. `None` where a kernel has no cost.
+    pub fn costs(&self, filled: &Filled) -> Option<Vec<Cost>> {
+        let session = &self.session;
+        let slots = Slots {
+            capacity: session.lanes.capacity,
+            rays: session.lanes.rays.slots,
+        };
+        costs(
+            &Work::recorded(|recorder| session.record(recorder, 1, true)),
+            slots,
+            filled,
+        )
+    }
+
+    /// Returns the share of corners of the last step's samples that are added to the tables: see [`Filled::apart`].
+    ///
+    /// # Errors
+    /// A lost device.
+    pub fn apart(&self) -> Result<f64, FieldError> {
+        let (gpu, lanes) = (&self.session.gpu, &self.session.lanes);
+        let kept = gpu.read(&lanes.counts)?[marf_shaders::counts::KEPT as usize] as usize;
+        let (xyz, origin) = (gpu.read(&lanes.visited.xyz)?, gpu.read(&lanes.origin)?);
+        let places = origin[..kept].iter().map(|visited| *visited as usize);
+        let samples: Vec<[f32; 3]> = places
+            .map(|at| [0, 1, 2].map(|axis| xyz[axis * lanes.capacity + at]))
+            .collect();
+        let levels = self.training.state.weights.shapes.iter();
+        let resolutions: Vec<u32> = levels.map(|shape| shape.resolution).collect();
+        Ok(apart(&samples, &resolutions))
     }
 
     /// Takes `steps` steps, every dispatch between two timestamps.
@@ -214,33 +245,32 @@ impl GpuSession {
 
     /// Returns what a kernel has to do in a step, counted from what it must read, write and compute.
     fn load(&self, name: &str, training: &Training, watch: &Watch, sum: Step, rows: u64) -> Option<Load> {
-        let [visited, kept, rays, rows] =
-            [watch.visited, sum.samples, sum.rays, rows].map(|count| count as f64 / sum.steps as f64);
-        let weights = |layers: &[DeviceLayer]| -> f64 {
-            let sizes = layers.iter().map(|layer| layer.inputs * layer.outputs);
-            sizes.sum::<usize>() as f64
-        };
-        let (density, color) = (weights(&self.weights.density), weights(&self.weights.color));
+        let [visited, kept, rows] =
+            [watch.visited, sum.samples, rows].map(|count| count as f64 / sum.steps as f64);
+        let layers = &self.weights.layers;
+        let sizes = layers
+            .shapes
+            .iter()
+            .map(|[inputs, outputs]| (inputs * outputs) as f64);
+        let sizes: Vec<f64> = sizes.collect();
+        let (density, color) = sizes.split_at(layers.density);
+        let (density, color): (f64, f64) = (density.iter().sum(), color.iter().sum());
         let entries = 4.0 * self.grid.numbers() as f64;
         let row = 4.0 * self.grid.features() as f64;
-        let behind = match training.config.background {
-            Background::Direction => BACKGROUND as f64,
-            Background::Black => 0.0,
-        };
         Some(match name {
             // Weight and both moments read and written, the count too; of the gradient zeros.
             "adam_table" => Load::Bytes(entries + rows * (7.0 * row + 8.0)),
             "peak" => Load::Bytes(entries),
             "blend" => {
-                let numbers: usize = self.weights.arrays().iter().map(|array| array.len()).sum();
+                let numbers = self.grid.numbers();
                 let steps = training.state.steps - sum.steps..training.state.steps;
                 let due = steps.filter(|step| training.kept_at(*step).is_some()).count();
                 Load::Bytes(12.0 * numbers as f64 * due as f64 / sum.steps as f64)
             }
-            "gather" => Load::Bytes(8.0 * kept * gathered_rows(&self.lanes, Purpose::Training) as f64),
-            // Forward: densities of visited samples, colours of kept ones; back through both.
-            "product" => Load::Operations(2.0 * (visited * density + kept * (density + 2.0 * color))),
-            "outer" => Load::Operations(2.0 * (kept * (density + color) + rays * behind)),
+            "density" => Load::Operations(2.0 * visited * density),
+            "shade" => Load::Operations(2.0 * kept * color),
+            // Forward anew, and two products a weight on the way back.
+            "back" => Load::Operations(6.0 * kept * (density + color)),
             _ => return None,
         })
     }

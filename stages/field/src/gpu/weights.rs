@@ -1,38 +1,19 @@
 //! The trained numbers of a field on a device.
 
 use super::Gpu;
-use super::array::Array;
+use super::array::{Array, Part};
+use super::nets::{BACKGROUND, Layers};
 use super::tables::Grid;
 use crate::GpuError;
-use crate::cpu::net::{Layer, Net};
 use crate::cpu::simd::{flat, flat_mut};
-use crate::weights::{NET_ROW, Weights};
+use crate::weights::Weights;
 
-/// Numbers of the background on a device: one row more than channels, so that sums take 4 rows at once.
-pub const BACKGROUND: usize = 4 * NET_ROW;
-
-/// One layer.
-pub struct DeviceLayer {
-    /// Width of the input.
-    pub inputs: usize,
-    /// Width of the output.
-    pub outputs: usize,
-    /// f32 `[inputs][outputs]`.
-    pub weights: Array<f32>,
-}
-
-impl DeviceLayer {
-    /// Returns `[inputs, outputs]`.
-    pub fn shape(&self) -> [usize; 2] {
-        [self.inputs, self.outputs]
-    }
-
-    fn new(gpu: &Gpu, layer: &Layer) -> Result<Self, GpuError> {
-        Ok(Self {
-            inputs: layer.inputs,
-            outputs: layer.outputs,
-            weights: gpu.filled("weights of a layer", flat(&layer.weights))?,
-        })
+/// Returns the layers of both networks.
+pub fn layers(weights: &Weights) -> Layers {
+    let all = weights.density.layers.iter().chain(&weights.color.layers);
+    Layers {
+        shapes: all.map(|layer| [layer.inputs, layer.outputs]).collect(),
+        density: weights.density.layers.len(),
     }
 }
 
@@ -40,12 +21,10 @@ impl DeviceLayer {
 pub struct DeviceWeights {
     /// f32 `[entries, F]`.
     pub tables: Array<f32>,
-    /// The density network.
-    pub density: Vec<DeviceLayer>,
-    /// The colour network.
-    pub color: Vec<DeviceLayer>,
-    /// f32 `[4][16]`; the last row is unused.
-    pub background: Array<f32>,
+    /// f32 [`Layers::numbers`]: both networks, then the background, f32 `[4][16]`, whose last row is unused.
+    pub nets: Array<f32>,
+    /// Where they lie in it.
+    pub layers: Layers,
 }
 
 impl DeviceWeights {
@@ -54,15 +33,11 @@ impl DeviceWeights {
     /// # Errors
     /// More than the device holds.
     pub fn new(gpu: &Gpu, grid: &Grid, weights: &Weights) -> Result<Self, GpuError> {
-        let layers = |net: &Net| {
-            let layers = net.layers.iter().map(|layer| DeviceLayer::new(gpu, layer));
-            layers.collect::<Result<Vec<_>, _>>()
-        };
+        let layers = layers(weights);
         let new = Self {
             tables: gpu.zeros("tables", grid.numbers())?,
-            density: layers(&weights.density)?,
-            color: layers(&weights.color)?,
-            background: gpu.zeros("background", BACKGROUND)?,
+            nets: gpu.zeros("networks", layers.numbers())?,
+            layers,
         };
         new.write(gpu, grid, weights);
         Ok(new)
@@ -71,11 +46,11 @@ impl DeviceWeights {
     /// Overwrites them.
     pub fn write(&self, gpu: &Gpu, grid: &Grid, weights: &Weights) {
         gpu.write(&self.tables, 0, &grid.join(&weights.tables, weights.features));
-        let layers = self.density.iter().zip(&weights.density.layers);
-        for (array, layer) in layers.chain(self.color.iter().zip(&weights.color.layers)) {
-            gpu.write(&array.weights, 0, flat(&layer.weights));
+        let all = weights.density.layers.iter().chain(&weights.color.layers);
+        for (layer, first) in all.zip(self.layers.firsts()) {
+            gpu.write(&self.nets, first, flat(&layer.weights));
         }
-        gpu.write(&self.background, 0, &weights.background);
+        gpu.write(&self.nets, self.layers.weights(), &weights.background);
     }
 
     /// Copies them back.
@@ -84,25 +59,22 @@ impl DeviceWeights {
     /// A lost device.
     pub fn read(&self, gpu: &Gpu, grid: &Grid, weights: &mut Weights) -> Result<(), GpuError> {
         weights.tables = grid.split(&gpu.read(&self.tables)?, weights.features);
-        let layers = self.density.iter().zip(&mut weights.density.layers);
-        for (array, layer) in layers.chain(self.color.iter().zip(&mut weights.color.layers)) {
-            flat_mut(&mut layer.weights).copy_from_slice(&gpu.read(&array.weights)?);
+        let nets = gpu.read(&self.nets)?;
+        let (density, color) = (&mut weights.density.layers, &mut weights.color.layers);
+        for (layer, first) in density.iter_mut().chain(color).zip(self.layers.firsts()) {
+            let numbers = layer.inputs * layer.outputs;
+            flat_mut(&mut layer.weights).copy_from_slice(&nets[first..][..numbers]);
         }
-        let background = gpu.read(&self.background)?;
         let used = weights.background.len();
-        weights.background.copy_from_slice(&background[..used]);
+        weights
+            .background
+            .copy_from_slice(&nets[self.layers.weights()..][..used]);
         weights.refresh();
         Ok(())
     }
 
-    /// Returns all arrays.
-    pub fn arrays(&self) -> Vec<&Array<f32>> {
-        let layers = self.density.iter().chain(&self.color);
-        let layers = layers.map(|layer| &layer.weights);
-        [&self.tables]
-            .into_iter()
-            .chain(layers)
-            .chain([&self.background])
-            .collect()
+    /// Returns the background, f32 `[4][16]`.
+    pub fn background(&self) -> Part<'_> {
+        self.nets.part(self.layers.weights(), BACKGROUND)
     }
 }

@@ -1,6 +1,6 @@
-use marf_shaders::{ADAM_TABLE, BLEND, Blending, LevelScale, Rates, row_head};
+use marf_shaders::{ADAM_TABLE, BLEND, Blending, LevelScale, Rates, row_head, rows_head};
 
-use super::grid::{Grid, Slots, largest};
+use super::grid::{Grid, ROWS, Slots, threads};
 use super::scatter::Sums;
 use crate::GpuError;
 use crate::cpu::adam::{BETA1, BETA2};
@@ -55,7 +55,7 @@ impl AdamTable {
     /// # Errors
     /// A driver that does not compile it.
     pub fn new(gpu: &Gpu, features: usize, sums: Sums) -> Result<Self, GpuError> {
-        let head = row_head(features as u32) + &sums.head(features);
+        let head = row_head(features as u32) + &sums.head(features) + &rows_head(ROWS);
         gpu.kernel(&ADAM_TABLE, &head).map(Self)
     }
 
@@ -77,7 +77,7 @@ impl AdamTable {
                 grid.bound(arrays.count, 1, levels),
             ]
         };
-        grid.bind(gpu, &self.0, Slots::NONE, bound, largest)
+        grid.bind(gpu, &self.0, Slots::NONE, bound, threads)
     }
 }
 

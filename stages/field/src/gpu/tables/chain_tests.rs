@@ -28,6 +28,7 @@ fn chained(features: usize, sums: Sums) {
     let faults = gpu.zeros("faults", 8).unwrap();
     let scattered = Scattered {
         xyz: &gpu.filled("xyz", &case.xyz).unwrap(),
+        origin: &gpu.filled("origin", &case.origin()).unwrap(),
         counts: &gpu.filled("counts", &[CAPACITY as u32; 4]).unwrap(),
         slopes: &gpu.filled("slopes", &case.slopes).unwrap(),
         gradient: &gradient,

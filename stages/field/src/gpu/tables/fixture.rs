@@ -71,6 +71,11 @@ impl Case {
         case
     }
 
+    /// All samples in their order.
+    pub fn origin(&self) -> Vec<u32> {
+        (0..CAPACITY as u32).collect()
+    }
+
     fn points(&self) -> Points<'_> {
         let (x, yz) = self.xyz.split_at(CAPACITY);
         let (y, z) = yz.split_at(CAPACITY);

@@ -164,6 +164,9 @@ fn extent(levels: &[GridLevel]) -> Range<usize> {
     first..end
 }
 
+/// Entries of a thread of kernels that go over all.
+pub const ROWS: usize = 8;
+
 /// Returns the entries of the largest level.
 pub fn largest(levels: &[GridLevel]) -> usize {
     levels
@@ -171,6 +174,11 @@ pub fn largest(levels: &[GridLevel]) -> usize {
         .map(|level| level.entries as usize)
         .max()
         .unwrap_or(0)
+}
+
+/// Returns the threads that go over the largest level, in whole workgroups.
+pub fn threads(levels: &[GridLevel]) -> usize {
+    largest(levels).div_ceil(ROWS * GROUP) * GROUP
 }
 
 /// Cuts levels into the fewest runs whose extents are at most `most` entries; refuses a level that has more.

@@ -1,6 +1,6 @@
-use marf_shaders::{LevelScale, PEAK, RESCALE, Rescaling, row_head};
+use marf_shaders::{LevelScale, PEAK, RESCALE, Rescaling, row_head, rows_head};
 
-use super::grid::{Grid, Slots, largest};
+use super::grid::{Grid, ROWS, Slots, threads};
 use super::scatter::Sums;
 use crate::GpuError;
 use crate::gpu::Gpu;
@@ -79,7 +79,7 @@ impl Scales {
     /// # Errors
     /// A driver that does not compile it.
     pub fn new(gpu: &Gpu, features: usize, sums: Sums) -> Result<Self, GpuError> {
-        let head = row_head(features as u32) + &sums.head(features);
+        let head = row_head(features as u32) + &sums.head(features) + &rows_head(ROWS);
         Ok(Self {
             peak: gpu.kernel(&PEAK, &head)?,
             rescale: gpu.kernel(&RESCALE, "")?,
@@ -101,7 +101,7 @@ impl Scales {
         faults: &Array<u32>,
     ) -> Result<Work, GpuError> {
         let bound = |levels: &_| vec![grid.bound(gradient, grid.features, levels), scales.into()];
-        let mut work = grid.bind(gpu, &self.peak, Slots::NONE, bound, largest)?;
+        let mut work = grid.bind(gpu, &self.peak, Slots::NONE, bound, threads)?;
         let parts = [Part::from(rescaling), scales.into(), faults.into()];
         let rescale = gpu.bind(&self.rescale, &parts);
         work.add(rescale, fold(1));
@@ -113,6 +113,7 @@ impl Scales {
 mod tests {
     use super::super::fixture::Case;
     use super::*;
+    use crate::gpu::scan_tests::make_dirty;
     use crate::gpu::testing::gpu;
 
     /// The twin of `rescale`, in f64.
@@ -261,5 +262,16 @@ mod tests {
         for (left, before) in left.iter().zip(&before) {
             assert_eq!(LevelScale { peak: 0, ..*left }, *before);
         }
+    }
+
+    #[test]
+    fn a_peak_does_not_rely_on_what_workgroup_memory_holds_before() {
+        let Some(gpu) = gpu("a_peak_does_not_rely_on_what_workgroup_memory_holds_before") else {
+            return;
+        };
+        let before = start(&gpu);
+        let clean = step(&gpu, SLOWLY, [5; 4], &before, 0);
+        make_dirty(&gpu);
+        assert_eq!(step(&gpu, SLOWLY, [5; 4], &before, 0), clean);
     }
 }

@@ -12,6 +12,9 @@ use crate::gpu::record::Work;
 /// for, and 31 of them do not wrap a sum.
 const MOST_QUANTA: i32 = 1 << 26;
 
+/// Samples of a thread, as `shared/spread.wgsl` has them: what they add to one entry is added as one.
+pub const EACH: usize = 8;
+
 /// How gradients in fixed point are added up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sums {
@@ -44,8 +47,10 @@ pub struct Scatter(Kernel);
 /// Arrays of [`Scatter`].
 #[derive(Clone, Copy)]
 pub struct Scattered<'a> {
-    /// `[3][capacity]`, positions in the unit box.
+    /// `[3][capacity]`, positions of visited samples in the unit box.
     pub xyz: &'a Array<f32>,
+    /// `[capacity]`: which of them a sample was.
+    pub origin: &'a Array<u32>,
     /// Samples in use.
     pub counts: &'a Array<u32>,
     /// Gradients of the features, `[L * F][capacity]`.
@@ -83,9 +88,10 @@ impl Scatter {
                 arrays.slopes.into(),
                 arrays.scales.into(),
                 grid.bound(arrays.gradient, grid.features, levels),
+                arrays.origin.into(),
             ]
         };
-        grid.bind(gpu, &self.0, slots, bound, |_| slots.capacity)
+        grid.bind(gpu, &self.0, slots, bound, |_| slots.capacity.div_ceil(EACH))
     }
 }
 
@@ -116,6 +122,7 @@ mod tests {
         scales.iter_mut().for_each(|level| level.scale = scale);
         let arrays = Scattered {
             xyz: &gpu.filled("xyz", &case.xyz).unwrap(),
+            origin: &gpu.filled("origin", &case.origin()).unwrap(),
             counts: &gpu.filled("counts", &[used as u32, 0, 0, 0]).unwrap(),
             slopes: &gpu.filled("slopes", &case.slopes).unwrap(),
             gradient: &gpu.zeros("gradient", grid.numbers()).unwrap(),
