@@ -32,7 +32,10 @@ pub(crate) const ATTEMPTS: u32 = 3;
 /// Longest time until a wish to stop is heard.
 const LOOK_INTERVAL: Duration = Duration::from_millis(200);
 
-/// Longest fetch of a result that is known.
+/// Results that are fetched at once: what comes is in memory until all of them are there.
+const KEYS_AT_ONCE: usize = 256;
+
+/// Longest fetch of results that are known.
 const FETCH_PATIENCE: Duration = Duration::from_secs(600);
 
 /// Digits of the key in the name of a job.
@@ -316,14 +319,11 @@ impl Cluster {
     /// Brings those results of keys that are in the shared store.
     pub(crate) fn fetch_known(&self, order: &Order<'_>, keys: &[Digest]) -> Result<(), RemoteError> {
         let observer = Watcher(order.cancel);
-        match keys.is_empty() {
-            true => Ok(()),
+        for some in keys.chunks(KEYS_AT_ONCE) {
             // What is damaged or not whole there is made again.
-            false => self
-                .remote
-                .fetch(order.store, keys, FETCH_PATIENCE, &observer)
-                .map(drop),
+            self.remote.fetch(order.store, some, FETCH_PATIENCE, &observer)?;
         }
+        Ok(())
     }
 
     /// Brings the result of an action from the shared store; tells whether it is there.
