@@ -214,9 +214,9 @@ fn rust_layouts() -> Vec<Layout> {
             decay,
             beta1,
             beta2,
+            keep,
             pad
         }),
-        layout!(Blending { keep, pad }),
         layout!(Probing {
             seed,
             round,
