@@ -159,7 +159,6 @@ pub const SHADERS: &[Shader] = &[
     DENSITY,
     SHADE,
     BACK,
-    BEHIND_BACK,
     SUM,
     ADAM_NET,
     OPACITY,

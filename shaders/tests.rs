@@ -92,12 +92,6 @@ fn rust_layouts() -> Vec<Layout> {
             pad,
             shapes
         }),
-        layout!(BehindRun {
-            slot,
-            rays,
-            first,
-            pad
-        }),
         layout!(SumRun {
             weights,
             stride,

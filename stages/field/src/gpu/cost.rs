@@ -131,11 +131,10 @@ impl Arrays<'_> {
                 let columns = self.kept(&[2, 3, 4, 8, 10]) + 4.0 * kept;
                 columns + self.rays(&[5]) + self.whole(&[6, 9, 9])
             }
-            "behind" => self.rays(&[2]) + 12.0 * rays + rays / 64.0 * 256.0,
             "sum" => self.whole(&[2, 3]),
             "opacity" => self.rays(&[2, 7]) + 4.0 * rays + 20.0 * visited,
             "kept" => self.rays(&[2]) + self.kept(&[3]),
-            "compare" => self.rays(&[2, 5, 6, 9]) + 8.0 * kept + self.kept(&[4]),
+            "compare" => self.rays(&[2, 5, 6, 9]) + 8.0 * kept + self.kept(&[4]) + rays / 64.0 * 256.0,
             "spread" => self.rays(&[2, 8]) + 20.0 * rays + self.kept(&[3]) + 48.0 * kept,
             "scatter" | "scatter_packed" => self.kept(&[3, 4, 7]) + 2.0 * moved * self.whole(&[6]),
             "peak" => self.whole(&[1]),

@@ -8,7 +8,7 @@ use super::arrays::Arrays;
 use super::exposures::{Exposing, ExposureInputs, Exposures};
 use super::forward::{Kernels as Shared, Lanes};
 use super::light::Aims;
-use super::nets::{Back, Behind, Rates as NetRates, Tensor};
+use super::nets::{Back, Rates as NetRates, Tensor};
 use super::record::{Recorder, Work};
 use super::tables::{AdamTable, Grid, Scales, Scatter, Scattered, Slots, Sums, Trained};
 use super::weights::DeviceWeights;
@@ -123,6 +123,7 @@ impl Bindings<'_> {
         let (lanes, arrays, light) = (self.lanes, self.arrays, &self.shared.light);
         let batch = lanes.batch(self.gpu);
         let behind = self.config.background == Background::Direction;
+        let first = self.weights.layers.behind(lanes.capacity);
         let aims = Aims {
             directions: &lanes.rays.directions,
             targets: &lanes.rays.targets,
@@ -130,24 +131,17 @@ impl Bindings<'_> {
             views: arrays.exposures.views,
             background: behind.then(|| self.weights.background()),
             found: &arrays.found,
+            parts: arrays.work.part(first, arrays.work.len() - first),
         };
-        let mut work = light.compare(batch, lanes.columns(), lanes.colours().rgb, aims)?;
-        work = work.then(light.spread(
+        let compare = light.compare(batch, lanes.columns(), lanes.colours().rgb, aims)?;
+        let spread = light.spread(
             batch,
             &arrays.losses,
             (lanes.columns(), lanes.colours()),
             [&arrays.found, &arrays.d_logits],
             &lanes.rays.pulls,
-        ));
-        if behind {
-            let behind = Behind {
-                directions: &lanes.rays.directions,
-                found: &arrays.found,
-                work: &arrays.work,
-            };
-            work = work.then(self.shared.nets.behind(batch, behind)?);
-        }
-        Ok(work)
+        );
+        Ok(compare.then(spread))
     }
 
     /// Returns the passes back through both networks to the slopes of features, and the gradients of all weights.
