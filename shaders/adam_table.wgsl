@@ -1,25 +1,27 @@
-// adam_table: one step of Adam over the rows of tables, gradients in fixed point.
+// adam_table: one step of Adam over the rows of tables, gradients in fixed point; then their running average.
 //
 // Source    Kingma and Ba, arXiv 1412.6980, algorithm 1; rows without gradient are skipped whole.
 // Twin      marf_field::cpu::adam::Adam<FEATURES> with epsilon + quantum; weights equal within 1e-5 rates a step
-//           and 1e-6 of their size (gpu/tables/adam.rs).
+//           and 1e-6 of their size (gpu/tables/adam.rs). The average is marf_field::learn::blend; equal within one
+//           rounding of the larger: a GPU may contract the sum.
 // Threads   64 for 64 ROWS entries of a level, each every 64th: workgroup 64, folded over x and y; z counts the levels
 //           of this part.
 // Reads     rates, scales [L]: quantum, skip, first, entries; bias [4096] of 1 / (1 - beta^n); faults [FAULT_SLOTS]
 // Writes    weights, mean, square [entries] of Row, count [entries], gradient [entries] of Quanta to 0; from
 //           entry `base` on. Nothing where a fault is set or all quanta are 0; the gradient alone where the level
-//           is skipped.
+//           is skipped. average [entries] of Row, each once, unless a fault is set or rates.keep is 1
 // Extremes  epsilon grows by a quantum: the least gradient there is moves a weight by half a rate at most. The
-//           count stays at 2^32 - 1; beyond the table of bias it is the last one.
+//           count stays at 2^32 - 1; beyond the table of bias it is the last one. keep 0 takes the weights but for a rounding.
 struct Rates {
     rate: f32,
     epsilon: f32,
     decay: f32,
     beta1: f32,
     beta2: f32,
+    // What the average keeps of itself.
+    keep: f32,
     pad0: f32,
     pad1: f32,
-    pad2: f32,
 }
 @group(0) @binding(0) var<uniform> part: GridPart;
 @group(0) @binding(1) var<uniform> rates: Rates;
@@ -31,6 +33,7 @@ struct Rates {
 @group(0) @binding(7) var<storage, read_write> mean: array<Row>;
 @group(0) @binding(8) var<storage, read_write> square: array<Row>;
 @group(0) @binding(9) var<storage, read_write> count: array<u32>;
+@group(0) @binding(10) var<storage, read_write> average: array<Row>;
 
 fn learn(level: LevelScale, at: u32) {
     let q = quanta_of(gradient[at]);
@@ -66,5 +69,9 @@ fn main(
     let level = scales[part.level + id.z];
     let first = (flat(id, groups) - lane) * ROWS + lane;
     let end = min(first + 64u * ROWS, level.entries);
-    for (var row = first; row < end; row += 64u) { learn(level, level.first - part.base + row); }
+    for (var row = first; row < end; row += 64u) {
+        let at = level.first - part.base + row;
+        learn(level, at);
+        if rates.keep < 1.0 { average[at] += (1.0 - rates.keep) * (weights[at] - average[at]); }
+    }
 }

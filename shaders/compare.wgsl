@@ -1,19 +1,20 @@
-// compare: what a ray gathers, its colour beside the pixel, and the slopes of the loss in colour, background, exposure.
+// compare: what a ray gathers, its colour beside the pixel, the slopes of the loss in colour and exposure, and the gradient of
+// the background in a part for every 64 rays: slope of a logit times harmonic, summed over the rays.
 //
 // Source    NeRF, arXiv 2003.08934, eq. 3; loss is the squared error of gain * colour + offset, a mean over rays in
-//           use and channels.
+//           use and channels. `sum` adds the parts in an order of its own, so that no thread decides a rounding.
 // Twin      marf_field::batch::Losses::ray (gather, behind, compare); within 1e-6.
-// Threads   one per ray, its samples from the front: workgroup 64, folded.
+// Threads   one per ray, its samples from the front: workgroup 64, folded; then one a coefficient of the background.
 // Reads     spans [4][rays] (of visited samples, of kept ones: the first of the visited), light [3][capacity] (alpha, transmittance) of visited samples,
 //           rgb [3][capacity] of kept ones, directions [rays] (w 0: no
 //           ray), targets u32 [rays] (bits of the pixel; w: the view), gains [views] log gains and, where run.offsets is 1,
 //           [views] offsets behind them, background [3][16], counts[slot] rays in use
-// Writes    found [FOUND_ROWS][rays] of rays in use, each element once, but row 3 never: rows 0 to 2 slopes in the
-//           background's logits (row 3 stays 0 and makes a multiple of 4), FOUND_GAIN 3 in log gains, FOUND_OFFSET 3 in
+// Writes    found [FOUND_ROWS][rays] of rays in use, each element once: FOUND_GAIN 3 slopes in log gains, FOUND_OFFSET 3 in
 //           offsets, FOUND_LOSS sum of squares, FOUND_SLOPE 3 in the ray's colour, FOUND_TOWARDS slope times colour
-//           behind; faults of FAULT_LOSS where a loss, FAULT_BACKGROUND where a coefficient of the background,
+//           behind; where run.behind is 1, parts [rays / 64][4][16] of workgroups that hold rays in use, each element once,
+//           row 3 being 0; faults of FAULT_LOSS where a loss, FAULT_BACKGROUND where a coefficient of the background,
 //           FAULT_EXPOSURES where an exposure or its slope runs away
-// Extremes  an empty ray shows the background. A ray that is not there gets zeros and no fault.
+// Extremes  an empty ray shows the background. A ray that is not there gets zeros and no fault, and adds 0 to its part.
 struct CompareRun {
     slot: u32,
     capacity: u32,
@@ -35,6 +36,11 @@ struct CompareRun {
 @group(0) @binding(8) var<storage, read> background: array<f32>;
 @group(0) @binding(9) var<storage, read_write> found: array<f32>;
 @group(0) @binding(10) var<storage, read_write> faults: array<atomic<u32>>;
+@group(0) @binding(11) var<storage, read_write> parts: array<f32>;
+
+// [harmonic][ray] and [channel][ray] of the workgroup's rays.
+var<workgroup> seen: array<f32, 1024>;
+var<workgroup> slopes: array<f32, 192>;
 
 // Colour, and what passes behind the last sample.
 fn gathered(ray: u32) -> vec4<f32> {
@@ -64,24 +70,19 @@ fn any_runs_away(value: vec3<f32>) -> bool {
     return runs_away(value.x) || runs_away(value.y) || runs_away(value.z);
 }
 
-@compute @workgroup_size(64)
-fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let ray = flat(id, groups);
-    if ray >= run.rays { return; }
-    if run.behind == 1u && ray < 48u && runs_away(background[ray]) { atomicMax(&faults[FAULT_BACKGROUND], 1u); }
-    if ray >= counts[run.slot] { return; }
-    let direction = directions[ray];
-    if !(direction.w > 0.0) {
-        put(0u, ray, vec3<f32>(0.0));
-        put(FOUND_GAIN, ray, vec3<f32>(0.0));
-        put(FOUND_OFFSET, ray, vec3<f32>(0.0));
-        put(FOUND_SLOPE, ray, vec3<f32>(0.0));
-        found[FOUND_LOSS * run.rays + ray] = 0.0;
-        found[FOUND_TOWARDS * run.rays + ray] = 0.0;
-        return;
-    }
+// What a ray that is not there finds.
+fn clear(ray: u32) {
+    put(FOUND_GAIN, ray, vec3<f32>(0.0));
+    put(FOUND_OFFSET, ray, vec3<f32>(0.0));
+    put(FOUND_SLOPE, ray, vec3<f32>(0.0));
+    found[FOUND_LOSS * run.rays + ray] = 0.0;
+    found[FOUND_TOWARDS * run.rays + ray] = 0.0;
+}
+
+// Compares a ray; returns the slopes in the background's logits.
+fn compared(ray: u32, harmonics: array<f32, 16>) -> vec3<f32> {
     let sum = gathered(ray);
-    let logits = logits_behind(harmonics_of(direction.xyz));
+    let logits = logits_behind(harmonics);
     let is_seen = run.behind == 1u;
     let behind = select(vec3<f32>(0.0), colours_of(logits), is_seen);
     let plain = fma(vec3<f32>(sum.w), behind, sum.xyz);
@@ -108,8 +109,51 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let inner = vec3<f32>(
         colour_slope(logits.x, behind.x), colour_slope(logits.y, behind.y), colour_slope(logits.z, behind.z)
     );
-    put(0u, ray, select(vec3<f32>(0.0), sum.w * slope * inner, is_seen));
     if runs_away(loss) { atomicMax(&faults[FAULT_LOSS], 1u); }
     if any_runs_away(log_gain) || any_runs_away(offset) || any_runs_away(slope * plain)
         || any_runs_away(scale * error) { atomicMax(&faults[FAULT_EXPOSURES], 1u); }
+    return select(vec3<f32>(0.0), sum.w * slope * inner, is_seen);
+}
+
+// Adds up the part of the workgroup's rays: a coefficient a thread, in the order of the rays.
+fn learn_behind(me: u32, at: array<f32, 16>, slope: vec3<f32>) -> f32 {
+    var harmonics = at;
+    for (var index = 0u; index < 16u; index++) { seen[64u * index + me] = harmonics[index]; }
+    slopes[me] = slope.x;
+    slopes[64u + me] = slope.y;
+    slopes[128u + me] = slope.z;
+    workgroupBarrier();
+    var sum = 0.0;
+    if me < 48u {
+        for (var other = 0u; other < 64u; other++) {
+            sum = fma(slopes[me / 16u * 64u + other], seen[me % 16u * 64u + other], sum);
+        }
+    }
+    return sum;
+}
+
+@compute @workgroup_size(64)
+fn main(
+    @builtin(global_invocation_id) id: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) me: u32,
+) {
+    let ray = flat(id, groups);
+    let in_use = min(counts[run.slot], run.rays);
+    if run.behind == 1u && ray < 48u && runs_away(background[ray]) { atomicMax(&faults[FAULT_BACKGROUND], 1u); }
+    var direction = vec4<f32>(0.0);
+    if ray < in_use { direction = directions[ray]; }
+    var harmonics = array<f32, 16>();
+    var slope = vec3<f32>(0.0);
+    if direction.w > 0.0 {
+        harmonics = harmonics_of(direction.xyz);
+        slope = compared(ray, harmonics);
+    } else if ray < in_use {
+        clear(ray);
+    }
+    // Uniform for all threads: no thread has left before.
+    if run.behind == 1u {
+        let sum = learn_behind(me, harmonics, slope);
+        if ray - me < in_use { parts[ray] = sum; }
+    }
 }

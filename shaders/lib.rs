@@ -151,7 +151,6 @@ pub const SHADERS: &[Shader] = &[
     PEAK,
     RESCALE,
     ADAM_TABLE,
-    BLEND,
     PROBE,
     OCCUPANCY,
     DENSITY_SUM,
@@ -160,7 +159,6 @@ pub const SHADERS: &[Shader] = &[
     DENSITY,
     SHADE,
     BACK,
-    BEHIND_BACK,
     SUM,
     ADAM_NET,
     OPACITY,
@@ -214,20 +212,12 @@ pub const RESCALE: Shader = Shader {
     heads: &[""],
 };
 
-/// One step of Adam over tables.
+/// One step of Adam over tables, and their running average.
 pub const ADAM_TABLE: Shader = Shader {
     name: "adam_table",
     shared: &[FLAT, PART, LEVEL_SCALE, QUANTA, FAULTS],
     text: include_str!("adam_table.wgsl"),
     heads: TABLE_HEADS,
-};
-
-/// Running average of weights.
-pub const BLEND: Shader = Shader {
-    name: "blend",
-    shared: &[FLAT, FAULTS],
-    text: include_str!("blend.wgsl"),
-    heads: &[""],
 };
 
 /// Cells of the occupancy grid to look at.

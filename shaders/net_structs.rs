@@ -29,20 +29,6 @@ pub struct NetsRun {
     pub shapes: [[u32; 4]; MOST_LAYERS],
 }
 
-/// Where the parts of the background's gradient go.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
-pub struct BehindRun {
-    /// Place in `counts` of the rays in use.
-    pub slot: u32,
-    /// Numbers a column of rays.
-    pub rays: u32,
-    /// First number of the parts.
-    pub first: u32,
-    /// Padding to 16 bytes.
-    pub pad: u32,
-}
-
 /// Which parts are summed.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]

@@ -10,7 +10,7 @@ const PACE: &str = include_str!("shared/pace.wgsl");
 /// Colours of logits.
 const COLOUR_OF: &str = include_str!("shared/colour.wgsl");
 /// Spherical harmonics.
-const HARMONICS_OF: &str = include_str!("shared/sh.wgsl");
+pub const HARMONICS_OF: &str = include_str!("shared/sh.wgsl");
 /// The background by direction.
 const BEHIND: &str = include_str!("shared/behind.wgsl");
 
@@ -46,21 +46,20 @@ impl Limits {
     }
 }
 
-/// Rows of the array `found` of the kernel `compare`; the slopes of the background's three logits are the first, and a
-/// row of zeros follows them.
+/// Rows of the array `found` of the kernel `compare`.
 pub mod found {
     /// Slopes in the three log gains.
-    pub const GAIN: usize = 4;
+    pub const GAIN: usize = 0;
     /// Slopes in the three offsets.
-    pub const OFFSET: usize = 7;
+    pub const OFFSET: usize = 3;
     /// Sum of squared errors.
-    pub const LOSS: usize = 10;
+    pub const LOSS: usize = 6;
     /// Slopes in the three channels of the ray's colour.
-    pub const SLOPE: usize = 11;
+    pub const SLOPE: usize = 7;
     /// Slope times colour behind.
-    pub const TOWARDS: usize = 14;
+    pub const TOWARDS: usize = 10;
     /// Rows.
-    pub const LEN: usize = 15;
+    pub const LEN: usize = 11;
 }
 
 /// A tile of samples.
@@ -106,14 +105,6 @@ pub const BACK: Shader = Shader {
     shared: &[MATH, HARMONICS_OF, TILE, SEEN],
     text: include_str!("back.wgsl"),
     heads: TILES,
-};
-
-/// Gradient of the background, a part for every 64 rays.
-pub const BEHIND_BACK: Shader = Shader {
-    name: "behind",
-    shared: &[HARMONICS_OF],
-    text: include_str!("behind.wgsl"),
-    heads: PLAIN,
 };
 
 /// Adds the parts of a gradient.

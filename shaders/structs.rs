@@ -248,18 +248,10 @@ pub struct Rates {
     pub beta1: f32,
     /// Decay of the second moment.
     pub beta2: f32,
-    /// Padding to 16 bytes.
-    pub pad: [f32; 3],
-}
-
-/// How a running average moves.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
-pub struct Blending {
-    /// Share of itself that the average keeps.
+    /// Share of itself that the running average keeps.
     pub keep: f32,
     /// Padding to 16 bytes.
-    pub pad: [f32; 3],
+    pub pad: [f32; 2],
 }
 
 /// Which cells of the occupancy grid a pass looks at.

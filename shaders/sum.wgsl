@@ -6,7 +6,7 @@
 //           weights, folded over x and y. Slice s adds parts s, s + 16, s + 32, ... in this order; then slices s and
 //           s + 8 are added, s and s + 4, s and s + 2, s and s + 1.
 // Reads     parts: [groups][stride], of which the first `weights` numbers, by `back`; from number `first` on
-//           [rays / 64][64], by `behind`. counts of kept samples and of rays tell which hold something
+//           [rays / 64][64], by `compare`. counts of kept samples and of rays tell which hold something
 // Writes    gradient [weights + 64], each element once, of the background only where run.behind is 1; faults[FAULT_NETWORKS]
 //           and faults[FAULT_BACKGROUND] where a sum runs away
 // Extremes  no sample gives 0. NaN and infinite parts give such a sum, which is found by its bits.

@@ -92,12 +92,6 @@ fn rust_layouts() -> Vec<Layout> {
             pad,
             shapes
         }),
-        layout!(BehindRun {
-            slot,
-            rays,
-            first,
-            pad
-        }),
         layout!(SumRun {
             weights,
             stride,
@@ -214,9 +208,9 @@ fn rust_layouts() -> Vec<Layout> {
             decay,
             beta1,
             beta2,
+            keep,
             pad
         }),
-        layout!(Blending { keep, pad }),
         layout!(Probing {
             seed,
             round,

@@ -4,16 +4,16 @@
 use std::{
     collections::{BTreeMap, BTreeSet},
     fs, io,
-    path::{Path, PathBuf},
+    path::PathBuf,
     time::Instant,
 };
 
 use marf_cache::Digest;
 use marf_engine::{Order, PartOrder};
 use marf_stage::{StageError, Threads};
-use serde::{Deserialize, Serialize};
 
 use crate::{
+    array_plan::{Array, Plan, PlannedArray, Task, array_files},
     cluster::{ATTEMPTS, Cluster, Watcher, failed, remote_failed, told},
     commands::{count, tasks_of},
     job_files::JobFiles,
@@ -25,44 +25,6 @@ use crate::{
 
 /// Digits of the digest of its tasks in the name of an array.
 const NAME_DIGITS: usize = 16;
-
-/// What was submitted for a node, as its file tells.
-#[derive(Debug, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Plan {
-    arrays: Vec<PlannedArray>,
-}
-
-#[derive(Debug, Clone, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct PlannedArray {
-    name: String,
-    memory_mb: u64,
-    /// Keys of its tasks, in the order of their numbers.
-    tasks: Vec<Digest>,
-}
-
-/// Some parts that one task computes, one after the other. Its key is the digest of their actions, a line each.
-struct Task {
-    key: Digest,
-    parts: Vec<Digest>,
-    /// The array in which it was last submitted, and its number there.
-    place: (usize, usize),
-    attempts_left: u32,
-    /// An earlier run has submitted it, and the batch system was not seen to have it.
-    is_adopted: bool,
-    absent_since: Option<Instant>,
-    is_done: bool,
-}
-
-/// A job of many tasks.
-struct Array {
-    planned: PlannedArray,
-    /// Answers of the batch system from before tell nothing of it.
-    since: Instant,
-    /// Its id, once the batch system has told it.
-    id: Option<String>,
-}
 
 /// The parts of a node, from their submission to their results.
 pub(crate) struct Arrays<'a> {
@@ -149,6 +111,9 @@ impl<'a> Arrays<'a> {
                     place,
                     ..Task::new(key, parts)
                 });
+            } else if self.files(&key).result.exists() {
+                // Its results were brought before.
+                self.files(&key).remove();
             }
         }
         taken
@@ -481,26 +446,4 @@ impl<'a> Arrays<'a> {
     fn unwritten(&self, error: &io::Error) -> StageError {
         failed(self.order, "the files of its jobs cannot be written", error)
     }
-}
-
-impl Task {
-    fn new(key: Digest, parts: Vec<Digest>) -> Self {
-        Self {
-            key,
-            parts,
-            place: (0, 0),
-            attempts_left: ATTEMPTS,
-            is_adopted: false,
-            absent_since: None,
-            is_done: false,
-        }
-    }
-}
-
-/// Returns the script of an array, and the list of its tasks.
-fn array_files(folder: &Path, name: &str) -> (PathBuf, PathBuf) {
-    (
-        folder.join(format!("{name}.sh")),
-        folder.join(format!("{name}.tasks")),
-    )
 }

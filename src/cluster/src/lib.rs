@@ -15,6 +15,7 @@
 //!
 //! The name of a job is its key. A run that begins looks for jobs of its keys in the queue, and takes them over.
 
+mod array_plan;
 mod arrays;
 mod cluster;
 mod commands;

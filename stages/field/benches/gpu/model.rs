@@ -147,7 +147,6 @@ fn networks(shape: &Shape) -> Vec<Need> {
         need("density", 1.0, visited * density, Of::Arithmetic),
         need("shade", 1.0, kept * color, Of::Arithmetic),
         need("back", 1.0, kept * back, Of::Arithmetic),
-        need("behind", 1.0, shape.rays * 32.0, Of::Memory),
         need("sum", 1.0, 4.0 * numbers * GROUPS_BACK, Of::Memory),
         need("adam_net", 1.0, 48.0 * numbers, Of::Memory),
     ]
@@ -180,11 +179,10 @@ fn tables(shape: &Shape) -> Vec<Need> {
         need(
             "adam_table",
             1.0,
-            entries + shape.rows_moved * (7.0 * row + 8.0),
+            // Every fourth step the averages follow: they are read and written, and so are all weights.
+            entries + shape.rows_moved * (7.0 * row + 8.0) + 0.25 * 3.0 * entries,
             Of::Memory,
         ),
-        // Every fourth step.
-        need("blend", 0.25, 0.25 * 3.0 * entries, Of::Memory),
     ]
 }
 

@@ -1,6 +1,6 @@
 //! What a training keeps on a device beside the weights and the batch.
 
-use marf_shaders::{Blending, LevelScale, Pace, Rates, Rescaling, SpreadRun, Total, found};
+use marf_shaders::{LevelScale, Pace, Rates, Rescaling, SpreadRun, Total, found};
 
 use super::Gpu;
 use super::array::Array;
@@ -70,10 +70,8 @@ pub struct Arrays {
     pub exposures: ExposureArrays,
     /// Step size of the networks, and the place in `ring`.
     pub pace: Array<Pace>,
-    /// Step size of the tables.
+    /// Step size of the tables, and what their averages keep.
     pub rates: Array<Rates>,
-    /// What the averages keep.
-    pub blending: Array<Blending>,
     /// What the losses weigh.
     pub losses: Array<SpreadRun>,
     /// Totals of the last steps, read by the host.
@@ -111,7 +109,6 @@ impl Arrays {
             exposures: ExposureArrays::new(gpu, views, gain, rays, found::GAIN)?,
             pace: gpu.uniform("pace", Pace::default())?,
             rates: gpu.uniform("rates", bytemuck::Zeroable::zeroed())?,
-            blending: gpu.uniform("blending", bytemuck::Zeroable::zeroed())?,
             losses: gpu.uniform("losses", bytemuck::Zeroable::zeroed())?,
             ring: gpu.zeros("totals", RING)?,
         })

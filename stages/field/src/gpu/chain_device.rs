@@ -5,7 +5,7 @@ use marf_shaders::{Pace, Total, counts, found};
 use super::array::Array;
 use super::chain_tests::{CAPACITY, RAYS, SLOTS, visited};
 use super::light::{Aims, Colours, Columns, Light, RING, weights_of_losses};
-use super::nets::{BACKGROUND, Back, Behind, Layers, Nets, Seen};
+use super::nets::{BACKGROUND, Back, Layers, Nets, Seen};
 use super::record::{Recorder, Work};
 use super::rig::{Rig, blocks, columns};
 use super::weights::layers;
@@ -201,6 +201,7 @@ impl<'a> Device<'a> {
         let shade = self.nets.shade(batch, &self.weights, self.seen(), ends);
         let colours = Colours::of(&self.colours);
         let columns = self.columns();
+        let first = self.layers.behind(CAPACITY);
         let aims = Aims {
             directions: &self.directions,
             targets: &self.pixels,
@@ -208,6 +209,7 @@ impl<'a> Device<'a> {
             views: 3,
             background: Some(self.weights.part(self.layers.weights(), BACKGROUND)),
             found: &self.found,
+            parts: self.work.part(first, self.work.len() - first),
         };
         let compare = light.compare(batch, columns, colours.rgb.clone(), aims);
         let losses = weights_of_losses(batch, &training.config, &training.march);
@@ -237,16 +239,10 @@ impl<'a> Device<'a> {
             work: &self.work,
             slopes: &self.slopes,
         };
-        let behind = Behind {
-            directions: &self.directions,
-            found: &self.found,
-            work: &self.work,
-        };
         let ends = [&self.work, &self.gradient];
         let pace = gpu.uniform("pace", Pace::default()).unwrap();
         let loss = self.found.part(found::LOSS * SLOTS, SLOTS);
         vec![
-            nets.behind(batch, behind).unwrap(),
             nets.back(batch, back).unwrap(),
             nets.sum(batch, Background::Direction, ends).unwrap(),
             light.totals(batch, &pace, loss, &self.ring).unwrap(),

@@ -8,6 +8,7 @@ use super::rig::{Rig, agree, columns};
 use super::testing::{numbers, worst};
 use crate::Config;
 use crate::batch::{Chunk, Shared, Spares, train};
+use crate::cpu::composite::OPAQUE;
 use crate::cpu::march::March;
 use crate::cpu::simd::{InstructionSet, Run, flat};
 use crate::depth::Pull;
@@ -93,6 +94,13 @@ pub fn visited(training: &Training, targets: &[Target]) -> (Shade, Vec<Span>) {
     (shade, spans)
 }
 
+/// The CPU's transmittances in front of all samples of the rays.
+fn transmittances(training: &Training, targets: &[Target]) -> Vec<f32> {
+    let (mut shade, spans) = visited(training, targets);
+    shade.opacities(InstructionSet::best(), &spans, &vec![0.0; spans.len()]);
+    shade.transmittance.to_vec()
+}
+
 /// The CPU's gradients; the chunk holds those of the features, too.
 fn on_the_cpu(training: &Training, targets: &[Target]) -> Chunk {
     let shared = Shared {
@@ -120,7 +128,11 @@ fn a_batch_has_the_gradients_of_the_cpu() {
     let there = on_the_cpu(&training, &targets);
     let expected = &there.found;
     assert_eq!((expected.bad, here.total.faults), (None, 0));
+    let left = transmittances(&training, &targets);
+    let close = left.iter().map(|left| (left / OPAQUE - 1.0).abs());
+    let closest = close.fold(f32::INFINITY, f32::min);
     // No transmittance lies so close to what just shows that a driver's rounding decides.
+    assert!(closest > 1e-5, "{closest}");
     assert_eq!(here.kept as u64, expected.samples);
     assert!(
         expected.samples + 20 < expected.visited,

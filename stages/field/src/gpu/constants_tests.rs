@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use marf_numeric::GOLDEN;
-use marf_shaders::{BEHIND_BACK, MATH, RNG};
+use marf_shaders::{HARMONICS_OF, MATH, RNG};
 
 use super::array::halves;
 
@@ -37,7 +37,7 @@ fn code(file: &str) -> &str {
 
 #[test]
 fn harmonics_have_the_coefficients_of_the_cpu() {
-    let kernel: BTreeSet<u32> = BEHIND_BACK.shared.iter().flat_map(|text| floats(text)).collect();
+    let kernel = floats(HARMONICS_OF);
     let twin = floats(code(include_str!("../sh.rs")));
     assert!(twin.len() > 12, "{} coefficients", twin.len());
     assert_eq!(kernel, twin);

@@ -131,18 +131,19 @@ impl Arrays<'_> {
                 let columns = self.kept(&[2, 3, 4, 8, 10]) + 4.0 * kept;
                 columns + self.rays(&[5]) + self.whole(&[6, 9, 9])
             }
-            "behind" => self.rays(&[2]) + 12.0 * rays + rays / 64.0 * 256.0,
             "sum" => self.whole(&[2, 3]),
             "opacity" => self.rays(&[2, 7]) + 4.0 * rays + 20.0 * visited,
             "kept" => self.rays(&[2]) + self.kept(&[3]),
-            "compare" => self.rays(&[2, 5, 6, 9]) + 8.0 * kept + self.kept(&[4]),
+            "compare" => self.rays(&[2, 5, 6, 9]) + 8.0 * kept + self.kept(&[4]) + rays / 64.0 * 256.0,
             "spread" => self.rays(&[2, 8]) + 20.0 * rays + self.kept(&[3]) + 48.0 * kept,
             "scatter" | "scatter_packed" => self.kept(&[3, 4, 7]) + 2.0 * moved * self.whole(&[6]),
             "peak" => self.whole(&[1]),
             "rescale" => 2.0 * self.whole(&[1]),
-            "adam_table" => self.whole(&[5]) + moved * (self.whole(&[5]) + 2.0 * self.whole(&[6, 7, 8, 9])),
+            "adam_table" => {
+                let follow = (1.0 - moved) * self.whole(&[6]) + self.whole(&[10, 10]);
+                self.whole(&[5]) + moved * (self.whole(&[5]) + 2.0 * self.whole(&[6, 7, 8, 9])) + follow
+            }
             "adam_net" => 2.0 * self.whole(&[4, 5, 6, 7, 8, 9]),
-            "blend" => self.whole(&[2, 3, 3]),
             "exposure_sums" => self.rays(&[2]) + 24.0 * rays + self.whole(&[4, 5]),
             "exposure_learn" => self.whole(&[2, 5, 5, 6, 6, 7, 7, 8, 8]),
             "totals" => 4.0 * rays,

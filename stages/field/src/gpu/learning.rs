@@ -8,9 +8,9 @@ use super::arrays::Arrays;
 use super::exposures::{Exposing, ExposureInputs, Exposures};
 use super::forward::{Kernels as Shared, Lanes};
 use super::light::Aims;
-use super::nets::{Back, Behind, Rates as NetRates, Tensor};
+use super::nets::{Back, Rates as NetRates, Tensor};
 use super::record::{Recorder, Work};
-use super::tables::{AdamTable, Blend, Grid, Scales, Scatter, Scattered, Slots, Sums, Trained};
+use super::tables::{AdamTable, Grid, Scales, Scatter, Scattered, Slots, Sums, Trained};
 use super::weights::DeviceWeights;
 use crate::{Background, Config, Gain, GpuError};
 
@@ -19,7 +19,6 @@ pub struct Kernels {
     scatter: Scatter,
     scales: Scales,
     adam: AdamTable,
-    blend: Blend,
     exposures: Exposures,
 }
 
@@ -34,7 +33,6 @@ impl Kernels {
             scatter: Scatter::new(gpu, features, sums)?,
             scales: Scales::new(gpu, features, sums)?,
             adam: AdamTable::new(gpu, features, sums)?,
-            blend: Blend::new(gpu)?,
             exposures: Exposures::new(gpu)?,
         })
     }
@@ -48,10 +46,8 @@ pub struct Learning {
     exposing: Option<Exposing>,
     /// The scales of the tables' gradients.
     pub scale: Work,
-    /// All weights, and the averages of the networks.
+    /// All weights, and their averages.
     pub learn: Work,
-    /// The average of the tables.
-    pub blend: Work,
 }
 
 /// Kernels and arrays that are bound together.
@@ -99,24 +95,16 @@ impl Learning {
             };
             bindings.kernels.exposures.bind(gpu, &arrays.exposures, inputs)
         });
-        let blend = bindings.kernels.blend.bind(
-            gpu,
-            &arrays.blending,
-            &lanes.faults,
-            &bindings.weights.tables,
-            &bindings.average.tables,
-        );
         Ok(Self {
             back: bindings.losses()?.then(bindings.nets()?).then(bindings.tables()?),
             exposing,
             scale: bindings.scales()?,
             learn: bindings.moves()?,
-            blend,
         })
     }
 
-    /// Records a step behind the colours; `is_due`: whether the averages follow.
-    pub fn record(&self, recorder: &mut Recorder<'_>, is_due: bool) {
+    /// Records a step behind the colours.
+    pub fn record(&self, recorder: &mut Recorder<'_>) {
         self.back.record(recorder);
         if let Some(exposing) = &self.exposing {
             exposing.record_sums(recorder);
@@ -125,9 +113,6 @@ impl Learning {
         self.learn.record(recorder);
         if let Some(exposing) = &self.exposing {
             exposing.record_learn(recorder);
-        }
-        if is_due {
-            self.blend.record(recorder);
         }
     }
 }
@@ -138,6 +123,7 @@ impl Bindings<'_> {
         let (lanes, arrays, light) = (self.lanes, self.arrays, &self.shared.light);
         let batch = lanes.batch(self.gpu);
         let behind = self.config.background == Background::Direction;
+        let first = self.weights.layers.behind(lanes.capacity);
         let aims = Aims {
             directions: &lanes.rays.directions,
             targets: &lanes.rays.targets,
@@ -145,24 +131,17 @@ impl Bindings<'_> {
             views: arrays.exposures.views,
             background: behind.then(|| self.weights.background()),
             found: &arrays.found,
+            parts: arrays.work.part(first, arrays.work.len() - first),
         };
-        let mut work = light.compare(batch, lanes.columns(), lanes.colours().rgb, aims)?;
-        work = work.then(light.spread(
+        let compare = light.compare(batch, lanes.columns(), lanes.colours().rgb, aims)?;
+        let spread = light.spread(
             batch,
             &arrays.losses,
             (lanes.columns(), lanes.colours()),
             [&arrays.found, &arrays.d_logits],
             &lanes.rays.pulls,
-        )?);
-        if behind {
-            let behind = Behind {
-                directions: &lanes.rays.directions,
-                found: &arrays.found,
-                work: &arrays.work,
-            };
-            work = work.then(self.shared.nets.behind(batch, behind)?);
-        }
-        Ok(work)
+        )?;
+        Ok(compare.then(spread))
     }
 
     /// Returns the passes back through both networks to the slopes of features, and the gradients of all weights.
@@ -228,6 +207,7 @@ impl Bindings<'_> {
             mean: &arrays.tables.mean,
             square: &arrays.tables.square,
             count: &arrays.tables.count,
+            average: &self.average.tables,
         };
         let tables = self.kernels.adam.bind(gpu, self.grid, trained)?;
         let rates = NetRates {

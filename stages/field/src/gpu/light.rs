@@ -61,8 +61,10 @@ pub struct Aims<'a> {
     pub views: usize,
     /// f32 `[3][16]`; `None` for black.
     pub background: Option<Part<'a>>,
-    /// f32 `[found::LEN][rays]`; row 3 zero as it was made.
+    /// f32 `[found::LEN][rays]`.
     pub found: &'a Array<f32>,
+    /// Receives the parts of the background's gradient, where there is one: of `Layers::behind`.
+    pub parts: Part<'a>,
 }
 
 /// The kernels of light.
@@ -133,7 +135,7 @@ impl Light {
         Ok(dispatch(batch.gpu, &self.kept, &parts, one_each(batch.rays)))
     }
 
-    /// Binds the loss of every ray and its slopes in colour, background and exposure.
+    /// Binds the loss of every ray, its slopes in colour and exposure, and the parts of the background's gradient.
     ///
     /// # Errors
     /// The memory of a uniform, [`GpuError::Kernel`].
@@ -167,6 +169,7 @@ impl Light {
             aims.background.unwrap_or(rgb),
             aims.found.into(),
             batch.faults.into(),
+            aims.parts,
         ];
         let kernel = batch.gpu.kernel(&shaders::COMPARE, &limits())?;
         Ok(dispatch(batch.gpu, &kernel, &parts, one_each(batch.rays)))

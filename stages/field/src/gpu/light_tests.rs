@@ -13,8 +13,8 @@ use crate::shade::{Shade, Span};
 use marf_shaders::faults;
 
 pub const CAPACITY: usize = 512;
-pub const SLOTS: usize = 64;
-pub const RAYS: usize = 40;
+pub const SLOTS: usize = 192;
+pub const RAYS: usize = 70;
 /// The ray that the distortion has no inverse for.
 pub const NO_RAY: usize = 5;
 pub const CELL: f32 = 0.02;

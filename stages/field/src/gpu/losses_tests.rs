@@ -98,9 +98,10 @@ impl Scene {
 /// Distortion and emptiness.
 const LOSSES: [f32; 2] = [1e-2, 3e-3];
 
-/// What the CPU finds: rows of `found`, slopes in raw densities and logits.
+/// What the CPU finds: rows of `found`, parts of the background's gradient, slopes in raw densities and logits.
 struct Expected {
     found: Vec<f32>,
+    parts: Vec<f32>,
     d_raw: Vec<f32>,
     d_logits: Vec<f32>,
 }
@@ -109,15 +110,14 @@ struct Expected {
 fn expected(scene: &Scene) -> Expected {
     let mut all = Expected {
         found: vec![UNTOUCHED; found::LEN * SLOTS],
+        parts: vec![0.0; SLOTS],
         d_raw: vec![UNTOUCHED; CAPACITY],
         d_logits: vec![UNTOUCHED; 3 * CAPACITY],
     };
     for ray in 0..RAYS {
         let mut put = |row: usize, value: f32| all.found[row * SLOTS + ray] = value;
         if ray == NO_RAY {
-            (0..found::LEN)
-                .filter(|row| *row != 3)
-                .for_each(|row| put(row, 0.0));
+            (0..found::LEN).for_each(|row| put(row, 0.0));
             continue;
         }
         let Span { first, end } = scene.spans[ray];
@@ -150,7 +150,10 @@ fn expected(scene: &Scene) -> Expected {
             put(found::OFFSET + channel, compared.exposure.offset[channel]);
             put(found::SLOPE + channel, slope[channel]);
             let inner = logits_behind.map_or(0.0, |logits| colour_slope(logits[channel], behind[channel]));
-            put(channel, left * slope[channel] * inner);
+            let part = &mut all.parts[ray / 64 * 64 + sh::COUNT * channel..];
+            for (sum, harmonic) in part.iter_mut().zip(harmonics) {
+                *sum += left * slope[channel] * inner * harmonic;
+            }
         }
         let n = end - first;
         let (mut d_tau, mut d_rgb) = (vec![0.0; n], vec![[0.0; 4]; n]);
@@ -199,6 +202,7 @@ fn composited(rig: &Rig, scene: &Scene) -> (Expected, Total) {
     let background = scene.background.as_ref().map(|values| rig.filled(values));
     let pulls = rig.gpu.filled("pulls", &scene.pulls).unwrap();
     let found = rig.filled(&[UNTOUCHED; found::LEN * SLOTS]);
+    let parts = rig.filled(&[UNTOUCHED; SLOTS]);
     let d_logits = rig.untouched(16);
     let aims = Aims {
         directions: &directions,
@@ -207,6 +211,7 @@ fn composited(rig: &Rig, scene: &Scene) -> (Expected, Total) {
         views: VIEWS,
         background: background.as_ref().map(Part::from),
         found: &found,
+        parts: (&parts).into(),
     };
     let run = SpreadRun {
         slot: counts::RAYS,
@@ -259,6 +264,7 @@ fn composited(rig: &Rig, scene: &Scene) -> (Expected, Total) {
     assert_eq!(light[CAPACITY..][..shade.alpha.len()], shade.alpha);
     let all = Expected {
         found: rig.gpu.read(&found).unwrap(),
+        parts: rig.gpu.read(&parts).unwrap(),
         d_raw: light[..CAPACITY].to_vec(),
         d_logits: d_logits[..3 * CAPACITY].to_vec(),
     };
@@ -290,6 +296,12 @@ fn the_loss_of_rays_and_its_slopes_are_those_of_the_cpu() {
             );
             assert!(found[RAYS..].iter().all(is_untouched), "{row}");
         }
+        let (used, rest) = found.parts.split_at(RAYS.next_multiple_of(64));
+        match has_background {
+            true => agree("background", used, &expected.parts[..used.len()], TOLERANCE),
+            false => assert!(used.iter().all(is_untouched)),
+        }
+        assert!(!rest.is_empty() && rest.iter().all(is_untouched));
         agree(
             "slope in raw densities",
             &found.d_raw[..kept],

@@ -1,8 +1,6 @@
 //! The networks on the device: forward, back, gradients of weights, Adam.
 
-use marf_shaders::{
-    self as shaders, AdamNet, BehindRun, MOST_LAYERS, NetsRun, Pace, SumRun, TILE_NUMBERS, counts,
-};
+use marf_shaders::{self as shaders, AdamNet, MOST_LAYERS, NetsRun, Pace, SumRun, TILE_NUMBERS};
 
 use super::Gpu;
 use super::array::Array;
@@ -107,7 +105,12 @@ impl Layers {
 
     /// Returns the numbers of [`Back::work`] for so many samples and rays.
     pub fn work(&self, capacity: usize, rays: usize) -> usize {
-        self.groups(capacity) * self.stride() + rays.div_ceil(RAYS) * BACKGROUND
+        self.behind(capacity) + rays.div_ceil(RAYS) * BACKGROUND
+    }
+
+    /// Returns the place in [`Back::work`] of the parts of the background's gradient, a multiple of 256 bytes.
+    pub fn behind(&self, capacity: usize) -> usize {
+        self.groups(capacity) * self.stride()
     }
 
     /// Returns the head of the kernels.
@@ -167,17 +170,6 @@ pub struct Back<'a> {
     pub slopes: &'a Array<f32>,
 }
 
-/// What the gradient of the background is made of.
-#[derive(Clone, Copy)]
-pub struct Behind<'a> {
-    /// `[rays]`: direction, and 1 where there is a ray.
-    pub directions: &'a Array<[f32; 4]>,
-    /// f32 `[found::LEN][rays]` of `Light::compare`.
-    pub found: &'a Array<f32>,
-    /// As [`Back::work`].
-    pub work: &'a Array<f32>,
-}
-
 /// What Adam moves, in rows of 16 numbers: networks, then background.
 #[derive(Clone, Copy)]
 pub struct Tensor<'a> {
@@ -209,7 +201,6 @@ pub struct Nets {
     layers: Layers,
     density: Kernel,
     shade: Kernel,
-    behind: Kernel,
     sum: Kernel,
     adam: Kernel,
 }
@@ -225,7 +216,6 @@ impl Nets {
             layers: layers.clone(),
             density: gpu.kernel(&shaders::DENSITY, &head)?,
             shade: gpu.kernel(&shaders::SHADE, &head)?,
-            behind: gpu.kernel(&shaders::BEHIND_BACK, "")?,
             sum: gpu.kernel(&shaders::SUM, &limits())?,
             adam: gpu.kernel(&shaders::ADAM_NET, "")?,
         })
@@ -312,33 +302,6 @@ impl Nets {
         Ok(dispatch(batch.gpu, &kernel, &parts, groups))
     }
 
-    /// Binds the parts of the background's gradient.
-    ///
-    /// # Errors
-    /// The memory of a uniform.
-    pub fn behind(&self, batch: Batch<'_>, arrays: Behind<'_>) -> Result<Work, GpuError> {
-        let run = BehindRun {
-            slot: counts::RAYS,
-            rays: batch.rays as u32,
-            first: self.first_behind(batch),
-            pad: 0,
-        };
-        let run = batch.gpu.uniform("behind", run)?;
-        let parts = [
-            (&run).into(),
-            batch.counts.into(),
-            arrays.directions.into(),
-            arrays.found.into(),
-            arrays.work.into(),
-        ];
-        let groups = fold(batch.rays.div_ceil(RAYS));
-        Ok(dispatch(batch.gpu, &self.behind, &parts, groups))
-    }
-
-    fn first_behind(&self, batch: Batch<'_>) -> u32 {
-        (self.layers.groups(batch.capacity) * self.layers.stride()) as u32
-    }
-
     /// Binds the sum of all parts to f32 [`Layers::numbers`]; `behind` tells whether the background is learnt.
     ///
     /// # Errors
@@ -354,7 +317,7 @@ impl Nets {
             stride: self.layers.stride() as u32,
             groups: self.layers.groups(batch.capacity) as u32,
             samples: self.layers.tile() as u32,
-            first: self.first_behind(batch),
+            first: self.layers.behind(batch.capacity) as u32,
             behind: u32::from(behind == Background::Direction),
             pad: [0; 2],
         };

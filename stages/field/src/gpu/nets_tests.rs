@@ -1,10 +1,10 @@
 //! Networks against their twins on the CPU.
 
-use marf_shaders::{counts, faults, found};
+use marf_shaders::{counts, faults};
 
 use super::array::Array;
-use super::nets::{BACKGROUND, Back, Behind, Layers, Nets, Seen};
-use super::rig::{Rig, TOLERANCE, UNTOUCHED, agree, columns, is_untouched};
+use super::nets::{BACKGROUND, Back, Layers, Nets, Seen};
+use super::rig::{Rig, UNTOUCHED, agree, columns, is_untouched};
 use super::testing::numbers;
 use crate::Background;
 use crate::sh;
@@ -385,50 +385,4 @@ fn parts_are_added_in_one_order() {
         assert!(rig.gpu.read(&found).unwrap() == expected, "{kept}");
         assert!(rig.gpu.read(&rig.counts).unwrap()[counts::KEPT as usize] == kept);
     }
-}
-
-#[test]
-fn the_gradient_of_the_background_is_that_of_f64_chunk_by_chunk() {
-    let test = "the_gradient_of_the_background_is_that_of_f64_chunk_by_chunk";
-    let (layers, slots, rays) = (layers([16, 16, 16], 1, 0), 192, 130);
-    let Some(rig) = Rig::new(test, [256, slots], [0, 0, rays as u32]) else {
-        return;
-    };
-    let case = Case::new(layers.clone(), 0);
-    let directions: Vec<_> = case.directions.iter().cycle().take(slots).copied().collect();
-    let mut found = numbers(found::LEN * slots, 8);
-    // Garbage where no ray is in use.
-    found.chunks_mut(slots).for_each(|row| row[rays..].fill(f32::NAN));
-    let nets = Nets::new(&rig.gpu, &layers).unwrap();
-    let (work, gradient) = (
-        rig.untouched(layers.work(256, slots) / 256 + 1),
-        rig.filled(&vec![UNTOUCHED; layers.numbers()]),
-    );
-    let arrays = Behind {
-        directions: &rig.gpu.filled("directions", &directions).unwrap(),
-        found: &rig.filled(&found),
-        work: &work,
-    };
-    let runs = [
-        nets.behind(rig.batch(), arrays).unwrap(),
-        nets.sum(rig.batch(), Background::Direction, [&work, &gradient])
-            .unwrap(),
-    ];
-    rig.gpu
-        .submit(|recorder| runs.iter().for_each(|run| run.record(recorder)));
-    let mut expected = vec![0.0_f64; BACKGROUND];
-    for (ray, direction) in directions[..rays]
-        .iter()
-        .enumerate()
-        .filter(|(_, at)| at[3] == 1.0)
-    {
-        let harmonics = sh::harmonics([direction[0], direction[1], direction[2]]);
-        for at in 0..48 {
-            expected[at] += f64::from(found[at / 16 * slots + ray]) * f64::from(harmonics[at % 16]);
-        }
-    }
-    let expected: Vec<f32> = expected.iter().map(|x| *x as f32).collect();
-    let sums = rig.gpu.read(&gradient).unwrap();
-    agree("background", &sums[layers.weights()..], &expected, TOLERANCE);
-    assert!(rig.faulty().is_empty());
 }

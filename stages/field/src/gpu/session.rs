@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use marf_shaders::{Blending, Observed, Pace, Step as StepUniform, Total, faults};
+use marf_shaders::{Observed, Pace, Step as StepUniform, Total, faults};
 
 use super::Gpu;
 use super::array::Array;
@@ -18,7 +18,7 @@ use super::occupancy::{self, Due, Probed, Update};
 use super::rays::{DrawRays, Photos, observed};
 use super::record::{Recorder, Timing};
 use super::submits::Submits;
-use super::tables::{Grid, Rise, blending, rates};
+use super::tables::{Grid, Rise, rates};
 use super::weights::DeviceWeights;
 use crate::FieldError;
 use crate::GpuError;
@@ -147,7 +147,7 @@ impl GpuSession {
         self.write_step(training, training.state.steps, 0);
         self.begin(training, 0);
         self.submits
-            .submit(&self.gpu, |recorder| self.record(recorder, 0, true));
+            .submit(&self.gpu, |recorder| self.record(recorder, 0));
     }
 
     /// Takes steps up to the next update of the occupancy; `watch` takes the time of every dispatch.
@@ -164,9 +164,9 @@ impl GpuSession {
         self.begin(training, rays);
         let begun = Instant::now();
         for number in first..end {
-            let is_due = self.write_step(training, number, rays);
+            self.write_step(training, number, rays);
             let times = watch.as_deref_mut().map(|watch| &mut watch.steps);
-            self.submit(times, |recorder| self.record(recorder, rays, is_due))?;
+            self.submit(times, |recorder| self.record(recorder, rays))?;
         }
         let totals = self.gpu.read(&self.arrays.ring)?;
         self.submits.took(end - first, begun);
@@ -208,8 +208,8 @@ impl GpuSession {
         write_walks(&self.gpu, &self.lanes, whole);
     }
 
-    /// Writes the uniforms of a step; returns whether the averages are due.
-    fn write_step(&self, training: &Training, number: u64, rays: usize) -> bool {
+    /// Writes the uniforms of a step.
+    fn write_step(&self, training: &Training, number: u64, rays: usize) {
         let rate = training.rate_at(number);
         let pull = training.pull_at(number, rays);
         let step = StepUniform {
@@ -219,26 +219,24 @@ impl GpuSession {
             observations: pull.map_or(0, |_| self.observations.len() as u32),
             ..self.photos.step(training.seed, number)
         };
-        let keep = training.kept_at(number);
+        // Where averages are not due, they keep all.
+        let keep = training.kept_at(number).unwrap_or(1.0);
         let pace = Pace {
             rate,
             total: number as u32 % RING as u32,
-            keep: keep.unwrap_or(1.0),
+            keep,
             pad: 0,
         };
         let gpu = &self.gpu;
         gpu.write(&self.step, 0, &[step]);
         gpu.write(&self.arrays.pace, 0, &[pace]);
-        gpu.write(&self.arrays.rates, 0, &[rates(rate, EPSILON, 0.0)]);
-        let blending: Blending = blending(keep.unwrap_or(1.0));
-        gpu.write(&self.arrays.blending, 0, &[blending]);
-        keep.is_some()
+        gpu.write(&self.arrays.rates, 0, &[rates(rate, EPSILON, 0.0, keep)]);
     }
 
-    /// Records a step; `is_due`: whether the averages follow.
-    pub(super) fn record(&self, recorder: &mut Recorder<'_>, rays: usize, is_due: bool) {
+    /// Records a step.
+    pub(super) fn record(&self, recorder: &mut Recorder<'_>, rays: usize) {
         self.forward(recorder, rays);
-        self.learning.record(recorder, is_due);
+        self.learning.record(recorder);
     }
 
     fn forward(&self, recorder: &mut Recorder<'_>, rays: usize) {

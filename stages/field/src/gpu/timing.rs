@@ -149,7 +149,7 @@ impl TimedTraining {
             rays: session.lanes.rays.slots,
         };
         costs(
-            &Work::recorded(|recorder| session.record(recorder, 1, true)),
+            &Work::recorded(|recorder| session.record(recorder, 1)),
             slots,
             filled,
         )
@@ -258,15 +258,15 @@ impl GpuSession {
         let entries = 4.0 * self.grid.numbers() as f64;
         let row = 4.0 * self.grid.features() as f64;
         Some(match name {
-            // Weight and both moments read and written, the count too; of the gradient zeros.
-            "adam_table" => Load::Bytes(entries + rows * (7.0 * row + 8.0)),
-            "peak" => Load::Bytes(entries),
-            "blend" => {
-                let numbers = self.grid.numbers();
+            // Weight and both moments read and written, the count too; of the gradient zeros. Where averages are due, these
+            // are read and written, too, and all weights read.
+            "adam_table" => {
                 let steps = training.state.steps - sum.steps..training.state.steps;
                 let due = steps.filter(|step| training.kept_at(*step).is_some()).count();
-                Load::Bytes(12.0 * numbers as f64 * due as f64 / sum.steps as f64)
+                let share = due as f64 / sum.steps as f64;
+                Load::Bytes(entries * (1.0 + 3.0 * share) + rows * (7.0 * row + 8.0))
             }
+            "peak" => Load::Bytes(entries),
             "density" => Load::Operations(2.0 * visited * density),
             "shade" => Load::Operations(2.0 * kept * color),
             // Forward anew, and two products a weight on the way back.

@@ -1,4 +1,4 @@
-use marf_shaders::{ADAM_TABLE, BLEND, Blending, LevelScale, Rates, row_head, rows_head};
+use marf_shaders::{ADAM_TABLE, LevelScale, Rates, row_head, rows_head};
 
 use super::grid::{Grid, ROWS, Slots, threads};
 use super::scatter::Sums;
@@ -6,24 +6,26 @@ use crate::GpuError;
 use crate::cpu::adam::{BETA1, BETA2};
 use crate::gpu::Gpu;
 use crate::gpu::array::{Array, Part};
-use crate::gpu::kernel::{GROUP, Kernel, fold};
+use crate::gpu::kernel::Kernel;
 use crate::gpu::record::Work;
 
 /// Returns the uniform of a step of Adam.
 ///
-/// `epsilon`: of the CPU; a quantum is added to it. `decay`: pull to zero, times the weight.
-pub fn rates(rate: f32, epsilon: f32, decay: f32) -> Rates {
+/// `epsilon`: of the CPU; a quantum is added to it. `decay`: pull to zero, times the weight. `keep`: share of itself that the
+/// running average keeps; 1 leaves it alone.
+pub fn rates(rate: f32, epsilon: f32, decay: f32, keep: f32) -> Rates {
     Rates {
         rate,
         epsilon,
         decay,
         beta1: BETA1,
         beta2: BETA2,
-        pad: [0.0; 3],
+        keep,
+        pad: [0.0; 2],
     }
 }
 
-/// One step of Adam over all tables: twin of `cpu::adam::Adam`.
+/// One step of Adam over all tables, and their running average: twin of `cpu::adam::Adam` and `learn::blend`.
 pub struct AdamTable(Kernel);
 
 /// Arrays of [`AdamTable`].
@@ -47,6 +49,8 @@ pub struct Trained<'a> {
     pub square: &'a Array<f32>,
     /// Steps of every entry, `[entries]`.
     pub count: &'a Array<u32>,
+    /// Running average of the tables, `[entries, F]`.
+    pub average: &'a Array<f32>,
 }
 
 impl AdamTable {
@@ -75,68 +79,10 @@ impl AdamTable {
                 grid.bound(arrays.mean, grid.features, levels),
                 grid.bound(arrays.square, grid.features, levels),
                 grid.bound(arrays.count, 1, levels),
+                grid.bound(arrays.average, grid.features, levels),
             ]
         };
         grid.bind(gpu, &self.0, Slots::NONE, bound, threads)
-    }
-}
-
-/// Returns the uniform of a running average that keeps this share of itself.
-pub fn blending(keep: f32) -> Blending {
-    Blending { keep, pad: [0.0; 3] }
-}
-
-/// Moves a running average towards values: twin of `learn::blend`.
-pub struct Blend(Kernel);
-
-impl Blend {
-    /// Compiles it.
-    ///
-    /// # Errors
-    /// A driver that does not compile it.
-    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        gpu.kernel(&BLEND, "").map(Self)
-    }
-
-    /// Binds it, in as many dispatches as bindings need. `values` and `average` have one length, a multiple of 4.
-    pub fn bind(
-        &self,
-        gpu: &Gpu,
-        blending: &Array<Blending>,
-        faults: &Array<u32>,
-        values: &Array<f32>,
-        average: &Array<f32>,
-    ) -> Work {
-        let most_bytes = gpu.binding();
-        self.pieces(
-            gpu,
-            most_bytes,
-            [blending.into(), faults.into()],
-            [values, average],
-        )
-    }
-
-    fn pieces(
-        &self,
-        gpu: &Gpu,
-        most_bytes: u64,
-        [blending, faults]: [Part; 2],
-        [values, average]: [&Array<f32>; 2],
-    ) -> Work {
-        // Bindings begin at multiples of 256 bytes.
-        let most = (most_bytes / 256) as usize * 64;
-        let mut work = Work::default();
-        for first in (0..average.len()).step_by(most) {
-            let len = most.min(average.len() - first);
-            let parts = [
-                blending.clone(),
-                faults.clone(),
-                values.part(first, len),
-                average.part(first, len),
-            ];
-            work.add(gpu.bind(&self.0, &parts), fold(len.div_ceil(4 * GROUP)));
-        }
-        work
     }
 }
 
@@ -187,6 +133,8 @@ mod tests {
         mean: Array<f32>,
         square: Array<f32>,
         count: Array<u32>,
+        average: Array<f32>,
+        rates: Array<Rates>,
         faults: Array<u32>,
         scales: Array<LevelScale>,
         work: Work,
@@ -208,12 +156,14 @@ mod tests {
             mean: zeros(),
             square: zeros(),
             count: gpu.filled("counts", &grid.join(&counts, 1)).unwrap(),
+            average: zeros(),
+            rates: gpu.uniform("rates", rates(RATE, EPSILON, DECAY, 1.0)).unwrap(),
             faults: gpu.zeros("faults", 8).unwrap(),
             scales: gpu.filled("scales", &start_scales(grid)).unwrap(),
             work: Work::default(),
         };
         let arrays = Trained {
-            rates: &gpu.uniform("rates", rates(RATE, EPSILON, DECAY)).unwrap(),
+            rates: &device.rates,
             bias: &gpu.filled("bias", Bias::default().corrections()).unwrap(),
             scales: &device.scales,
             faults: &device.faults,
@@ -222,6 +172,7 @@ mod tests {
             mean: &device.mean,
             square: &device.square,
             count: &device.count,
+            average: &device.average,
         };
         let kernel = AdamTable::new(gpu, grid.features(), sums).unwrap();
         device.work = kernel.bind(gpu, grid, arrays).unwrap();
@@ -361,32 +312,33 @@ mod tests {
     }
 
     #[test]
-    fn the_average_moves_as_on_the_cpu_in_any_number_of_pieces() {
-        let Some(gpu) = gpu("the_average_moves_as_on_the_cpu_in_any_number_of_pieces") else {
+    fn the_average_moves_as_on_the_cpu_whether_a_row_learns_or_not() {
+        let Some(gpu) = gpu("the_average_moves_as_on_the_cpu_whether_a_row_learns_or_not") else {
             return;
         };
-        let (start, values) = (numbers(1000, 30), numbers(1000, 31));
-        let values = gpu.filled("values", &values).unwrap();
-        let kernel = Blend::new(&gpu).unwrap();
-        for (keep, fault, most_bytes) in [
-            (0.9, 0, 1 << 27),
-            (0.3, 0, 1023),
-            (1.0, 0, 512),
-            (0.0, 0, 256),
-            (0.5, 1, 256),
-        ] {
-            let average = gpu.filled("average", &start).unwrap();
-            let faults = gpu.filled("faults", &[0, 0, 0, fault, 0, 0, 0, 0]).unwrap();
-            let uniform = gpu.uniform("blending", blending(keep)).unwrap();
-            let parts = [Part::from(&uniform), Part::from(&faults)];
-            let work = kernel.pieces(&gpu, most_bytes, parts, [&values, &average]);
-            gpu.submit(|recorder| work.record(recorder));
+        let grid = Grid::with_binding(&gpu, &Case::new(2).shapes, 2, 5041 * 8).unwrap();
+        let len = grid.numbers();
+        let (start, values) = (numbers(len, 30), numbers(len, 31));
+        for (keep, fault) in [(0.9, 0), (0.3, 0), (1.0, 0), (0.0, 0), (0.5, 1)] {
+            let device = device(&gpu, &grid, &values, Sums::Plain);
+            gpu.write(&device.rates, 0, &[rates(RATE, EPSILON, DECAY, keep)]);
+            gpu.write(&device.average, 0, &start);
+            gpu.write(&device.faults, 0, &[0, 0, 0, fault]);
+            gpu.write(&device.gradient, 0, &quanta(&numbers(len, 32), 2));
+            let mut scales = start_scales(&grid);
+            scales[1].skip = 1;
+            gpu.write(&device.scales, 0, &scales);
+            gpu.submit(|recorder| device.work.record(recorder));
+            let moved = gpu.read(&device.tables).unwrap();
+            assert_eq!(moved == values, fault == 1);
             let mut expected = start.clone();
             if fault == 0 {
-                crate::learn::blend(&mut expected, &gpu.read(&values).unwrap(), Some(keep));
+                crate::learn::blend(&mut expected, &moved, Some(keep));
             }
-            let (error, at) = crate::gpu::testing::worst(&gpu.read(&average).unwrap(), &expected);
-            println!("blend, keep {keep}: {error:e}");
+            let found = grid.split(&gpu.read(&device.average).unwrap(), 2).concat();
+            let expected = grid.split(&expected, 2).concat();
+            let (error, at) = crate::gpu::testing::worst(&found, &expected);
+            println!("average, keep {keep}: {error:e}");
             // One rounding of numbers up to 1.
             assert!(error <= f32::EPSILON / 2.0, "keep {keep}: {error} at {at}");
         }

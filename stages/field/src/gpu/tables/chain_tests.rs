@@ -35,7 +35,7 @@ fn chained(features: usize, sums: Sums) {
         scales: &scales,
     };
     let trained = Trained {
-        rates: &gpu.uniform("rates", rates(RATE, 1e-12, 0.0)).unwrap(),
+        rates: &gpu.uniform("rates", rates(RATE, 1e-12, 0.0, 1.0)).unwrap(),
         bias: &gpu.filled("bias", Bias::default().corrections()).unwrap(),
         scales: &scales,
         faults: &faults,
@@ -44,6 +44,7 @@ fn chained(features: usize, sums: Sums) {
         mean: &mean,
         square: &square,
         count: &count,
+        average: &floats("average"),
     };
     let slots = Slots {
         capacity: CAPACITY,

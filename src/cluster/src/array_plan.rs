@@ -1,0 +1,71 @@
+//! What was submitted as arrays, and how far it is.
+
+use std::{
+    path::{Path, PathBuf},
+    time::Instant,
+};
+
+use marf_cache::Digest;
+use serde::{Deserialize, Serialize};
+
+use crate::cluster::ATTEMPTS;
+
+/// What was submitted for a node, as its file tells.
+#[derive(Debug, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Plan {
+    pub(crate) arrays: Vec<PlannedArray>,
+}
+
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct PlannedArray {
+    pub(crate) name: String,
+    pub(crate) memory_mb: u64,
+    /// Keys of its tasks, in the order of their numbers.
+    pub(crate) tasks: Vec<Digest>,
+}
+
+/// Some parts that one task computes, one after the other. Its key is the digest of their actions, a line each.
+pub(crate) struct Task {
+    pub(crate) key: Digest,
+    pub(crate) parts: Vec<Digest>,
+    /// The array in which it was last submitted, and its number there.
+    pub(crate) place: (usize, usize),
+    pub(crate) attempts_left: u32,
+    /// An earlier run has submitted it, and the batch system was not seen to have it.
+    pub(crate) is_adopted: bool,
+    pub(crate) absent_since: Option<Instant>,
+    pub(crate) is_done: bool,
+}
+
+/// A job of many tasks.
+pub(crate) struct Array {
+    pub(crate) planned: PlannedArray,
+    /// Answers of the batch system from before tell nothing of it.
+    pub(crate) since: Instant,
+    /// Its id, once the batch system has told it.
+    pub(crate) id: Option<String>,
+}
+
+impl Task {
+    pub(crate) fn new(key: Digest, parts: Vec<Digest>) -> Self {
+        Self {
+            key,
+            parts,
+            place: (0, 0),
+            attempts_left: ATTEMPTS,
+            is_adopted: false,
+            absent_since: None,
+            is_done: false,
+        }
+    }
+}
+
+/// Returns the script of an array, and the list of its tasks.
+pub(crate) fn array_files(folder: &Path, name: &str) -> (PathBuf, PathBuf) {
+    (
+        folder.join(format!("{name}.sh")),
+        folder.join(format!("{name}.tasks")),
+    )
+}
