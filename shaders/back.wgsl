@@ -4,7 +4,7 @@
 //           every column between the layers.
 // Twin      marf_field::cpu::net::Net::backward over both networks; slopes within 1e-5 of the largest. Sums over samples
 //           run tile by tile and group by group in the order of `sum`: no thread decides a rounding.
-// Threads   `groups` workgroups of 128, folded; workgroup g takes tiles g, g + groups, ... of 4 FOURS samples each.
+// Threads   `groups` workgroups of 64, folded; workgroup g takes tiles g, g + groups, ... of 4 FOURS samples each.
 // Reads     features [inputs][capacity] and ray_of [capacity] of visited samples, origin [capacity], directions [rays] (w 0: no ray),
 //           weights, light row 0 of [3][capacity] of visited samples (slope in the raw density), d_logits [3][capacity],
 //           counts[COUNT_KEPT] samples in use
@@ -35,9 +35,26 @@ fn alive(x: vec4<f32>, sample: u32, in_use: u32) -> vec4<f32> {
     return select(vec4(0.0), x, vec4(sample, sample + 1u, sample + 2u, sample + 3u) < vec4(in_use));
 }
 
-// Keeps the tile as the input of a layer.
-fn keep(own: u32, layer: vec4<u32>, me: u32) {
-    for (var at = me; at < layer.x * FOURS; at += THREADS) { work[own + layer.w * FOURS + at] = tile[at]; }
+// Puts neurons 8 eight .. 8 eight + 8 of 8 samples into the tile, and into the workgroup's memory from number `at` on.
+fn put_and_keep(at: u32, four: u32, eight: u32, sums: Sums) {
+    put(four, eight, sums);
+    let to = at + 8u * eight * FOURS + four;
+    work[to] = sums[0];
+    work[to + HALF] = sums[8];
+    work[to + FOURS] = sums[1];
+    work[to + FOURS + HALF] = sums[9];
+    work[to + 2u * FOURS] = sums[2];
+    work[to + 2u * FOURS + HALF] = sums[10];
+    work[to + 3u * FOURS] = sums[3];
+    work[to + 3u * FOURS + HALF] = sums[11];
+    work[to + 4u * FOURS] = sums[4];
+    work[to + 4u * FOURS + HALF] = sums[12];
+    work[to + 5u * FOURS] = sums[5];
+    work[to + 5u * FOURS + HALF] = sums[13];
+    work[to + 6u * FOURS] = sums[6];
+    work[to + 6u * FOURS + HALF] = sums[14];
+    work[to + 7u * FOURS] = sums[7];
+    work[to + 7u * FOURS + HALF] = sums[15];
 }
 
 // s + a sum over four neurons.
@@ -47,14 +64,7 @@ fn four_terms(w: vec4<f32>, d0: vec4<f32>, d1: vec4<f32>, d2: vec4<f32>, d3: vec
 
 // Slopes of inputs 8 eight .. 8 eight + 8 of a layer from those of its outputs in the tile, in the order of outputs.
 fn behind(layer: vec4<u32>, four: u32, eight: u32) -> Sums {
-    var s0 = vec4<f32>(0.0);
-    var s1 = s0;
-    var s2 = s0;
-    var s3 = s0;
-    var s4 = s0;
-    var s5 = s0;
-    var s6 = s0;
-    var s7 = s0;
+    var s = Sums();
     let row = layer.y / 4u;
     let first = layer.z / 4u + 8u * eight * row;
     for (var k = 0u; k < row; k++) {
@@ -63,17 +73,36 @@ fn behind(layer: vec4<u32>, four: u32, eight: u32) -> Sums {
         let d1 = tile[at + FOURS];
         let d2 = tile[at + 2u * FOURS];
         let d3 = tile[at + 3u * FOURS];
-        let w = first + k;
-        s0 = four_terms(weights[w], d0, d1, d2, d3, s0);
-        s1 = four_terms(weights[w + row], d0, d1, d2, d3, s1);
-        s2 = four_terms(weights[w + 2u * row], d0, d1, d2, d3, s2);
-        s3 = four_terms(weights[w + 3u * row], d0, d1, d2, d3, s3);
-        s4 = four_terms(weights[w + 4u * row], d0, d1, d2, d3, s4);
-        s5 = four_terms(weights[w + 5u * row], d0, d1, d2, d3, s5);
-        s6 = four_terms(weights[w + 6u * row], d0, d1, d2, d3, s6);
-        s7 = four_terms(weights[w + 7u * row], d0, d1, d2, d3, s7);
+        let e0 = tile[at + HALF];
+        let e1 = tile[at + FOURS + HALF];
+        let e2 = tile[at + 2u * FOURS + HALF];
+        let e3 = tile[at + 3u * FOURS + HALF];
+        let w0 = weights[first + k];
+        s[0] = four_terms(w0, d0, d1, d2, d3, s[0]);
+        s[8] = four_terms(w0, e0, e1, e2, e3, s[8]);
+        let w1 = weights[first + k + row];
+        s[1] = four_terms(w1, d0, d1, d2, d3, s[1]);
+        s[9] = four_terms(w1, e0, e1, e2, e3, s[9]);
+        let w2 = weights[first + k + 2u * row];
+        s[2] = four_terms(w2, d0, d1, d2, d3, s[2]);
+        s[10] = four_terms(w2, e0, e1, e2, e3, s[10]);
+        let w3 = weights[first + k + 3u * row];
+        s[3] = four_terms(w3, d0, d1, d2, d3, s[3]);
+        s[11] = four_terms(w3, e0, e1, e2, e3, s[11]);
+        let w4 = weights[first + k + 4u * row];
+        s[4] = four_terms(w4, d0, d1, d2, d3, s[4]);
+        s[12] = four_terms(w4, e0, e1, e2, e3, s[12]);
+        let w5 = weights[first + k + 5u * row];
+        s[5] = four_terms(w5, d0, d1, d2, d3, s[5]);
+        s[13] = four_terms(w5, e0, e1, e2, e3, s[13]);
+        let w6 = weights[first + k + 6u * row];
+        s[6] = four_terms(w6, d0, d1, d2, d3, s[6]);
+        s[14] = four_terms(w6, e0, e1, e2, e3, s[14]);
+        let w7 = weights[first + k + 7u * row];
+        s[7] = four_terms(w7, d0, d1, d2, d3, s[7]);
+        s[15] = four_terms(w7, e0, e1, e2, e3, s[15]);
     }
-    return Sums(s0, s1, s2, s3, s4, s5, s6, s7);
+    return s;
 }
 
 // 0 where the layer's input is not above 0: the slope of a ReLU.
@@ -88,88 +117,185 @@ fn gated(s: Sums, place: u32) -> Sums {
         select(none, s[5], work[place + 5u * FOURS] > none),
         select(none, s[6], work[place + 6u * FOURS] > none),
         select(none, s[7], work[place + 7u * FOURS] > none),
+        select(none, s[8], work[place + HALF] > none),
+        select(none, s[9], work[place + FOURS + HALF] > none),
+        select(none, s[10], work[place + 2u * FOURS + HALF] > none),
+        select(none, s[11], work[place + 3u * FOURS + HALF] > none),
+        select(none, s[12], work[place + 4u * FOURS + HALF] > none),
+        select(none, s[13], work[place + 5u * FOURS + HALF] > none),
+        select(none, s[14], work[place + 6u * FOURS + HALF] > none),
+        select(none, s[15], work[place + 7u * FOURS + HALF] > none),
     );
 }
 
-// Sum over 4 samples.
-fn over(a: vec4<f32>, d: vec4<f32>) -> f32 {
-    return fma(a.w, d.w, fma(a.z, d.z, fma(a.y, d.y, a.x * d.x)));
+// s + a sum over 4 samples.
+fn over(a: vec4<f32>, d: vec4<f32>, s: f32) -> f32 {
+    return fma(a.w, d.w, fma(a.z, d.z, fma(a.y, d.y, fma(a.x, d.x, s))));
 }
 
-fn over_four(a: vec4<f32>, d0: vec4<f32>, d1: vec4<f32>, d2: vec4<f32>, d3: vec4<f32>) -> vec4<f32> {
-    return vec4(over(a, d0), over(a, d1), over(a, d2), over(a, d3));
+// s + sums over 4 samples, one for each of 4 outputs.
+fn over_four(a: vec4<f32>, d: array<vec4<f32>, 4>, s: vec4<f32>) -> vec4<f32> {
+    return vec4(over(a, d[0], s.x), over(a, d[1], s.y), over(a, d[2], s.z), over(a, d[3], s.w));
 }
 
-// Adds the tile's share of 4 x 4 weights of a layer: inputs from `row` on, slopes of outputs from `column` on.
-fn learn_block(own: u32, input: u32, layer: vec4<u32>, row: u32, column: u32, is_first: bool) {
-    var g0 = vec4<f32>(0.0);
-    var g1 = g0;
-    var g2 = g0;
-    var g3 = g0;
-    let a = input + row * FOURS;
-    let d = column * FOURS;
+// Adds the tile's share of 8 x 8 weights of a layer to those at `to`: inputs from row `a` on, slopes of outputs from row `d`
+// on; 16 numbers read for 64 multiply-adds, as on the way there.
+fn learn_block(to: u32, width: u32, a: u32, d: u32, is_first: bool) {
+    var g = Sums();
     for (var four = 0u; four < FOURS; four++) {
-        let d0 = tile[d + four];
-        let d1 = tile[d + FOURS + four];
-        let d2 = tile[d + 2u * FOURS + four];
-        let d3 = tile[d + 3u * FOURS + four];
-        g0 += over_four(work[a + four], d0, d1, d2, d3);
-        g1 += over_four(work[a + FOURS + four], d0, d1, d2, d3);
-        g2 += over_four(work[a + 2u * FOURS + four], d0, d1, d2, d3);
-        g3 += over_four(work[a + 3u * FOURS + four], d0, d1, d2, d3);
+        let d0 = work[d + four];
+        let d1 = work[d + FOURS + four];
+        let d2 = work[d + 2u * FOURS + four];
+        let d3 = work[d + 3u * FOURS + four];
+        let d4 = work[d + 4u * FOURS + four];
+        let d5 = work[d + 5u * FOURS + four];
+        let d6 = work[d + 6u * FOURS + four];
+        let d7 = work[d + 7u * FOURS + four];
+        let low = array(d0, d1, d2, d3);
+        let high = array(d4, d5, d6, d7);
+        let a0 = work[a + four];
+        g[0] = over_four(a0, low, g[0]);
+        g[1] = over_four(a0, high, g[1]);
+        let a1 = work[a + FOURS + four];
+        g[2] = over_four(a1, low, g[2]);
+        g[3] = over_four(a1, high, g[3]);
+        let a2 = work[a + 2u * FOURS + four];
+        g[4] = over_four(a2, low, g[4]);
+        g[5] = over_four(a2, high, g[5]);
+        let a3 = work[a + 3u * FOURS + four];
+        g[6] = over_four(a3, low, g[6]);
+        g[7] = over_four(a3, high, g[7]);
+        let a4 = work[a + 4u * FOURS + four];
+        g[8] = over_four(a4, low, g[8]);
+        g[9] = over_four(a4, high, g[9]);
+        let a5 = work[a + 5u * FOURS + four];
+        g[10] = over_four(a5, low, g[10]);
+        g[11] = over_four(a5, high, g[11]);
+        let a6 = work[a + 6u * FOURS + four];
+        g[12] = over_four(a6, low, g[12]);
+        g[13] = over_four(a6, high, g[13]);
+        let a7 = work[a + 7u * FOURS + four];
+        g[14] = over_four(a7, low, g[14]);
+        g[15] = over_four(a7, high, g[15]);
     }
-    let width = layer.y / 4u;
-    let to = own + layer.z / 4u + row * width + column / 4u;
     // The first tile takes the place of what an earlier step left.
     if !is_first {
-        g0 += work[to];
-        g1 += work[to + width];
-        g2 += work[to + 2u * width];
-        g3 += work[to + 3u * width];
+        g[0] += work[to];
+        g[1] += work[to + 1u];
+        g[2] += work[to + width];
+        g[3] += work[to + width + 1u];
+        g[4] += work[to + 2u * width];
+        g[5] += work[to + 2u * width + 1u];
+        g[6] += work[to + 3u * width];
+        g[7] += work[to + 3u * width + 1u];
+        g[8] += work[to + 4u * width];
+        g[9] += work[to + 4u * width + 1u];
+        g[10] += work[to + 5u * width];
+        g[11] += work[to + 5u * width + 1u];
+        g[12] += work[to + 6u * width];
+        g[13] += work[to + 6u * width + 1u];
+        g[14] += work[to + 7u * width];
+        g[15] += work[to + 7u * width + 1u];
     }
-    work[to] = g0;
-    work[to + width] = g1;
-    work[to + 2u * width] = g2;
-    work[to + 3u * width] = g3;
+    work[to] = g[0];
+    work[to + 1u] = g[1];
+    work[to + width] = g[2];
+    work[to + width + 1u] = g[3];
+    work[to + 2u * width] = g[4];
+    work[to + 2u * width + 1u] = g[5];
+    work[to + 3u * width] = g[6];
+    work[to + 3u * width + 1u] = g[7];
+    work[to + 4u * width] = g[8];
+    work[to + 4u * width + 1u] = g[9];
+    work[to + 5u * width] = g[10];
+    work[to + 5u * width + 1u] = g[11];
+    work[to + 6u * width] = g[12];
+    work[to + 6u * width + 1u] = g[13];
+    work[to + 7u * width] = g[14];
+    work[to + 7u * width + 1u] = g[15];
 }
 
-// Adds the tile's share of all weights of a layer. A block is the same thread's from tile to tile.
-fn learn(own: u32, input: u32, layer: vec4<u32>, me: u32, is_first: bool) {
-    let across = layer.y / 4u;
-    for (var block = me; block < layer.x / 4u * across; block += THREADS) {
-        learn_block(own, input, layer, 4u * (block / across), 4u * (block % across), is_first);
+// Adds the tile's share of all weights, in blocks of all layers. A block is the same thread's from tile to tile.
+fn learn(own: u32, memory: u32, me: u32, is_first: bool) {
+    var number = 0u;
+    var before = 0u;
+    for (var block = me; block < run.weights / 64u; block += THREADS) {
+        var layer = run.shapes[number];
+        while block - before >= layer.x * layer.y / 64u {
+            before += layer.x * layer.y / 64u;
+            number += 1u;
+            layer = run.shapes[number];
+        }
+        let across = layer.y / 8u;
+        let row = 8u * ((block - before) / across);
+        let column = 8u * ((block - before) % across);
+        let width = layer.y / 4u;
+        let to = own + layer.z / 4u + row * width + column / 4u;
+        let a = memory + (layer.w + row) * FOURS;
+        learn_block(to, width, a, memory + (layer.w + layer.x + column) * FOURS, is_first);
     }
 }
 
-// Stores slopes of features and tells of those that run away.
-fn give(four: u32, eight: u32, at: u32, in_use: u32, sums: Sums) {
+// Stores slopes of features of 4 samples, which are `sums` from `from_number` on, and tells of those that run away.
+fn give(at: u32, eight: u32, in_use: u32, sums: Sums, from_number: u32) {
     var all = sums;
     var is_wild = false;
     for (var row = 0u; row < 8u; row++) {
-        slopes[(8u * eight + row) * (run.capacity / 4u) + at] = all[row];
-        let x = alive(all[row], 4u * at, in_use);
+        let slope = all[from_number + row];
+        slopes[(8u * eight + row) * (run.capacity / 4u) + at] = slope;
+        let x = alive(slope, 4u * at, in_use);
         is_wild = is_wild || runs_away(x.x) || runs_away(x.y) || runs_away(x.z) || runs_away(x.w);
     }
     if is_wild { atomicMax(&faults[FAULT_FEATURES], 1u); }
 }
 
+// Rows 16 to 31 of the tile and of the colour network's input: harmonics of 4 samples.
+fn recall_harmonics(memory: u32, first: u32, in_use: u32, me: u32) {
+    let to = memory + run.shapes[run.density].w * FOURS;
+    for (var four = me; four < FOURS; four += THREADS) {
+        bring_harmonics(four, 4u * (first + four), in_use);
+        for (var row = 16u; row < 32u; row++) { work[to + row * FOURS + four] = tile[row * FOURS + four]; }
+    }
+}
+
 // Forward: the inputs of all layers, each kept.
-fn recall(own: u32, first: u32, in_use: u32, me: u32) {
+fn recall(memory: u32, first: u32, in_use: u32, me: u32) {
     for (var at = me; at < run.shapes[0].x * FOURS; at += THREADS) {
         let places = bring_column(at / FOURS, 4u * (first + at % FOURS), in_use);
-        tile[at] = vec4(feature_at(places.x), feature_at(places.y), feature_at(places.z), feature_at(places.w));
+        let x = vec4(feature_at(places.x), feature_at(places.y), feature_at(places.z), feature_at(places.w));
+        tile[at] = x;
+        work[memory + at] = x;
     }
     workgroupBarrier();
     for (var number = 0u; number + 1u < run.layers; number++) {
         if number == run.density && run.directed == 1u {
-            if me < FOURS { bring_harmonics(me, 4u * (first + me), in_use); }
+            recall_harmonics(memory, first, in_use, me);
             workgroupBarrier();
         }
-        keep(own, run.shapes[number], me);
-        advance(run.shapes[number], me, number + 1u != run.density);
+        let layer = run.shapes[number];
+        let is_busy = eight_of(me) < layer.y / 8u;
+        var sums: Sums;
+        if is_busy {
+            sums = ahead(layer, four_of(me), eight_of(me));
+            if number + 1u != run.density { sums = rectified(sums); }
+        }
+        workgroupBarrier();
+        if is_busy { put_and_keep(memory + run.shapes[number + 1u].w * FOURS, four_of(me), eight_of(me), sums); }
+        workgroupBarrier();
     }
-    keep(own, run.shapes[run.layers - 1u], me);
-    workgroupBarrier();
+}
+
+// Slopes in the outputs of the last layer, those of logits: rows 3 to 15 are 0.
+fn bring_slopes(memory: u32, first: u32, in_use: u32, me: u32) {
+    let layer = run.shapes[run.layers - 1u];
+    let to = memory + (layer.w + layer.x) * FOURS;
+    for (var at = me; at < 16u * FOURS; at += THREADS) {
+        let sample = first + at % FOURS;
+        var slope = vec4<f32>(0.0);
+        if at < 3u * FOURS { slope = alive(d_logits[at / FOURS * (run.capacity / 4u) + sample], 4u * sample, in_use); }
+        tile[at] = slope;
+        work[to + at] = slope;
+    }
 }
 
 // Slopes of compositing in 4 raw densities.
@@ -184,11 +310,10 @@ fn raw_slope(at: u32) -> f32 {
 }
 
 // Back through one layer: the tile holds the slopes of its outputs, then those of its inputs.
-fn retreat(own: u32, number: u32, first: u32, in_use: u32, me: u32) {
+fn retreat(memory: u32, number: u32, first: u32, in_use: u32, me: u32) {
     let layer = run.shapes[number];
     let four = four_of(me);
     let eight = eight_of(me);
-    let input = own + layer.w * FOURS;
     // The colour network sees directions, too, whose slopes nobody reads.
     let wanted = select(layer.x, 16u, number == run.density);
     let is_busy = eight < wanted / 8u;
@@ -197,19 +322,26 @@ fn retreat(own: u32, number: u32, first: u32, in_use: u32, me: u32) {
         sums = behind(layer, four, eight);
         if number == run.density {
             // Compositing has its own say on the raw density, output 0 of the density network.
-            if eight == 0u { sums[0] += raw_slopes(first + four, in_use); }
+            if eight == 0u {
+                sums[0] += raw_slopes(first + four, in_use);
+                sums[8] += raw_slopes(first + four + HALF, in_use);
+            }
         } else if number > 0u {
-            sums = gated(sums, input + 8u * eight * FOURS + four);
+            sums = gated(sums, memory + (layer.w + 8u * eight) * FOURS + four);
         } else {
-            give(four, eight, first + four, in_use, sums);
+            give(first + four, eight, in_use, sums, 0u);
+            give(first + four + HALF, eight, in_use, sums, 8u);
         }
     }
     workgroupBarrier();
-    if is_busy && number > 0u { put(four, eight, sums); }
+    if is_busy && number > 0u {
+        let before = run.shapes[number - 1u];
+        put_and_keep(memory + (before.w + before.x) * FOURS, four, eight, sums);
+    }
     workgroupBarrier();
 }
 
-@compute @workgroup_size(128)
+@compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
@@ -221,21 +353,14 @@ fn main(
     let memory = own + run.weights / 4u;
     for (var first = number * FOURS; 4u * first < in_use && number < run.groups; first += run.groups * FOURS) {
         recall(memory, first, in_use, me);
-        storageBarrier();
-        let column = run.capacity / 4u;
-        for (var at = me; at < 16u * FOURS; at += THREADS) {
-            let sample = first + at % FOURS;
-            var slope = vec4<f32>(0.0);
-            if at < 3u * FOURS { slope = alive(d_logits[at / FOURS * column + sample], 4u * sample, in_use); }
-            tile[at] = slope;
-        }
+        bring_slopes(memory, first, in_use, me);
         workgroupBarrier();
         for (var layer = run.layers; layer > 0u;) {
             layer -= 1u;
-            let shape = run.shapes[layer];
-            learn(own, memory + shape.w * FOURS, shape, me, first == number * FOURS);
             retreat(memory, layer, first, in_use, me);
         }
+        storageBarrier();
+        learn(own, memory, me, first == number * FOURS);
         storageBarrier();
     }
 }

@@ -3,7 +3,7 @@
 // Source    NeRF, arXiv 2003.08934, section 3: density does not see the direction, colour does. Logits are cut at
 //           +-LOGIT_LIMIT (0.99995, beyond 8 bits).
 // Twin      marf_field::cpu::net::Net::forward and marf_field::cpu::composite::Colours; within 1e-6.
-// Threads   one workgroup of 128 a tile of 4 FOURS samples, folded over x and y.
+// Threads   one workgroup of 64 a tile of 4 FOURS samples, folded over x and y.
 // Reads     latent [16][capacity] of visited samples, origin [capacity] (which of them a kept one was), ray_of [capacity] of
 //           visited ones, directions [rays] (w is 0 where there is no ray), weights, counts[COUNT_KEPT] samples in use
 // Writes    colours [6][capacity], samples in use rounded up to 4, each element once: sRGB in (0, 1), then the three
@@ -33,21 +33,20 @@ fn any_is_wild(x: vec4<f32>, sample: u32, in_use: u32) -> bool {
     return any(live & vec4(runs_away(x.x), runs_away(x.y), runs_away(x.z), runs_away(x.w)));
 }
 
-// Colours of 4 samples from the first three outputs of the last layer.
-fn finish(four: u32, first: u32, in_use: u32) {
+// Colours of 4 samples from the first three outputs of the last layer, which are `logits` from `from_number` on.
+fn colour_four(at: u32, in_use: u32, logits: Sums, from_number: u32) {
     let column = run.capacity / 4u;
-    let logits = ahead(run.shapes[run.layers - 1u], four, 0u);
-    let at = first + four;
+    if 4u * at >= in_use { return; }
     for (var channel = 0u; channel < 3u; channel++) {
         var all = logits;
-        let logit = all[channel];
+        let logit = all[from_number + channel];
         colours[channel * column + at] = shaded(logit);
         colours[(3u + channel) * column + at] = logit;
         if any_is_wild(logit, 4u * at, in_use) { atomicMax(&faults[FAULT_LOGITS], 1u); }
     }
 }
 
-@compute @workgroup_size(128)
+@compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
@@ -63,5 +62,9 @@ fn main(
     if run.directed == 1u && me < FOURS { bring_harmonics(me, 4u * (first + me), in_use); }
     workgroupBarrier();
     for (var layer = run.density; layer + 1u < run.layers; layer++) { advance(run.shapes[layer], me, true); }
-    if me < FOURS && 4u * (first + me) < in_use { finish(me, first, in_use); }
+    if me < HALF {
+        let logits = ahead(run.shapes[run.layers - 1u], me, 0u);
+        colour_four(first + me, in_use, logits, 0u);
+        colour_four(first + me + HALF, in_use, logits, 8u);
+    }
 }

@@ -18,21 +18,24 @@ struct NetsRun {
     // Workgroups among which the tiles are dealt out.
     groups: u32,
     pad0: u32,
-    // Of every layer: inputs, outputs, first weight, first row of its input in the workgroup's own memory.
+    // Of every layer: inputs, outputs, first weight, first row of its input in the workgroup's own memory, behind which
+    // the slopes of its outputs lie.
     shapes: array<vec4<u32>, 8>,
 }
 
-const THREADS: u32 = 128u;
+const THREADS: u32 = 64u;
+// A thread has a group of samples in each half of a tile.
+const HALF: u32 = FOURS / 2u;
 
 // [neuron][FOURS], 16 KB: the widest layer fits.
 var<workgroup> tile: array<vec4<f32>, 1024>;
 
-// One vector of 4 samples for each of 8 neurons.
-alias Sums = array<vec4<f32>, 8>;
+// 4 samples for each of 8 neurons, then 4 more, HALF further on. Of 16 numbers read a thread makes 64 multiply-adds.
+alias Sums = array<vec4<f32>, 16>;
 
-// What runs a thread: 4 samples of 8 neurons, which are its own from layer to layer.
-fn four_of(me: u32) -> u32 { return me % FOURS; }
-fn eight_of(me: u32) -> u32 { return me / FOURS; }
+// What runs a thread: 8 samples of 8 neurons, which are its own from layer to layer.
+fn four_of(me: u32) -> u32 { return me % HALF; }
+fn eight_of(me: u32) -> u32 { return me / HALF; }
 
 // Negative numbers become 0. By their bits: a driver may make a comparison with 0 a maximum, which eats NaN.
 fn relu(x: vec4<f32>) -> vec4<f32> {
@@ -42,49 +45,64 @@ fn relu(x: vec4<f32>) -> vec4<f32> {
 
 // Outputs 8 eight .. 8 eight + 8 of a layer: a chain of fused multiply-adds in the order of its inputs.
 fn ahead(layer: vec4<u32>, four: u32, eight: u32) -> Sums {
-    var s0 = vec4<f32>(0.0);
-    var s1 = s0;
-    var s2 = s0;
-    var s3 = s0;
-    var s4 = s0;
-    var s5 = s0;
-    var s6 = s0;
-    var s7 = s0;
+    var s = Sums();
     var at = four;
     var weight = layer.z / 4u + 2u * eight;
     for (var k = 0u; k < layer.x; k++) {
         let x = tile[at];
+        let y = tile[at + HALF];
         let low = weights[weight];
         let high = weights[weight + 1u];
-        s0 = fma(x, vec4<f32>(low.x), s0);
-        s1 = fma(x, vec4<f32>(low.y), s1);
-        s2 = fma(x, vec4<f32>(low.z), s2);
-        s3 = fma(x, vec4<f32>(low.w), s3);
-        s4 = fma(x, vec4<f32>(high.x), s4);
-        s5 = fma(x, vec4<f32>(high.y), s5);
-        s6 = fma(x, vec4<f32>(high.z), s6);
-        s7 = fma(x, vec4<f32>(high.w), s7);
+        s[0] = fma(x, vec4<f32>(low.x), s[0]);
+        s[8] = fma(y, vec4<f32>(low.x), s[8]);
+        s[1] = fma(x, vec4<f32>(low.y), s[1]);
+        s[9] = fma(y, vec4<f32>(low.y), s[9]);
+        s[2] = fma(x, vec4<f32>(low.z), s[2]);
+        s[10] = fma(y, vec4<f32>(low.z), s[10]);
+        s[3] = fma(x, vec4<f32>(low.w), s[3]);
+        s[11] = fma(y, vec4<f32>(low.w), s[11]);
+        s[4] = fma(x, vec4<f32>(high.x), s[4]);
+        s[12] = fma(y, vec4<f32>(high.x), s[12]);
+        s[5] = fma(x, vec4<f32>(high.y), s[5]);
+        s[13] = fma(y, vec4<f32>(high.y), s[13]);
+        s[6] = fma(x, vec4<f32>(high.z), s[6]);
+        s[14] = fma(y, vec4<f32>(high.z), s[14]);
+        s[7] = fma(x, vec4<f32>(high.w), s[7]);
+        s[15] = fma(y, vec4<f32>(high.w), s[15]);
         at += FOURS;
         weight += layer.y / 4u;
     }
-    return Sums(s0, s1, s2, s3, s4, s5, s6, s7);
+    return s;
 }
 
 fn rectified(s: Sums) -> Sums {
-    return Sums(relu(s[0]), relu(s[1]), relu(s[2]), relu(s[3]), relu(s[4]), relu(s[5]), relu(s[6]), relu(s[7]));
+    return Sums(
+        relu(s[0]), relu(s[1]), relu(s[2]), relu(s[3]),
+        relu(s[4]), relu(s[5]), relu(s[6]), relu(s[7]),
+        relu(s[8]), relu(s[9]), relu(s[10]), relu(s[11]),
+        relu(s[12]), relu(s[13]), relu(s[14]), relu(s[15]),
+    );
 }
 
-// Puts neurons 8 eight .. 8 eight + 8 of 4 samples into the tile.
+// Puts neurons 8 eight .. 8 eight + 8 of 8 samples into the tile.
 fn put(four: u32, eight: u32, s: Sums) {
     let at = 8u * eight * FOURS + four;
     tile[at] = s[0];
+    tile[at + HALF] = s[8];
     tile[at + FOURS] = s[1];
+    tile[at + FOURS + HALF] = s[9];
     tile[at + 2u * FOURS] = s[2];
+    tile[at + 2u * FOURS + HALF] = s[10];
     tile[at + 3u * FOURS] = s[3];
+    tile[at + 3u * FOURS + HALF] = s[11];
     tile[at + 4u * FOURS] = s[4];
+    tile[at + 4u * FOURS + HALF] = s[12];
     tile[at + 5u * FOURS] = s[5];
+    tile[at + 5u * FOURS + HALF] = s[13];
     tile[at + 6u * FOURS] = s[6];
+    tile[at + 6u * FOURS + HALF] = s[14];
     tile[at + 7u * FOURS] = s[7];
+    tile[at + 7u * FOURS + HALF] = s[15];
 }
 
 // Runs the tile through a layer, ReLU behind it where `is_hidden`. Every thread of the workgroup calls it.

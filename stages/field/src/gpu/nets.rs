@@ -69,7 +69,7 @@ impl Layers {
     /// Returns the samples of a tile: the widest layer of so many fits into workgroup memory.
     pub fn tile(&self) -> usize {
         let widest = self.shapes.iter().flatten().copied().max().unwrap_or(1);
-        (TILE_NUMBERS / widest.next_power_of_two()).clamp(4, MOST_SAMPLES)
+        (TILE_NUMBERS / widest.next_power_of_two()).clamp(8, MOST_SAMPLES)
     }
 
     /// Returns the weights of both networks, and the place of the background behind them.
@@ -92,10 +92,11 @@ impl Layers {
         firsts.collect()
     }
 
-    /// Returns the numbers of a workgroup on the way back: gradients of all weights, and the inputs of all layers of a tile.
+    /// Returns the numbers of a workgroup on the way back: gradients of all weights, then of a tile the inputs of all layers
+    /// and the slopes of their outputs.
     fn stride(&self) -> usize {
-        let inputs: usize = self.shapes.iter().map(|[inputs, _]| inputs).sum();
-        self.weights() + inputs * self.tile()
+        let columns: usize = self.shapes.iter().flatten().sum();
+        self.weights() + columns * self.tile()
     }
 
     /// Returns the workgroups of the way back.
@@ -123,7 +124,7 @@ impl Layers {
         let mut row = 0;
         for ((to, [inputs, outputs]), first) in shapes.iter_mut().zip(&self.shapes).zip(self.firsts()) {
             *to = [*inputs as u32, *outputs as u32, first as u32, row];
-            row += *inputs as u32;
+            row += (*inputs + *outputs) as u32;
         }
         let seen = self.shapes.get(self.density).map_or(0, |[inputs, _]| *inputs);
         NetsRun {
