@@ -2,6 +2,7 @@
 
 use std::{
     future::Future,
+    path::Path,
     pin::pin,
     sync::atomic::{AtomicBool, Ordering},
     time::Duration,
@@ -18,6 +19,7 @@ use crate::{
     error::RemoteError,
     fsck::{self, Checked, FsckOptions},
     gc::{self, Collected, GcOptions},
+    kept_indexes::KeptIndexes,
     lease::{Kind, Lease},
     names,
     pull::{self, Pulled},
@@ -76,6 +78,13 @@ impl Remote {
             is_checked: AtomicBool::new(false),
             runtime,
         })
+    }
+
+    /// Returns it with a folder of this machine in which indexes of packs are kept for the next program that opens it.
+    #[must_use]
+    pub fn keeping_indexes(mut self, folder: &Path) -> Self {
+        self.bucket.kept_indexes = Some(KeptIndexes::of(folder, &self.bucket.place));
+        self
     }
 
     /// Returns its address.

@@ -63,6 +63,10 @@ impl Stage for MakeSurface {
     fn backend_id(&self) -> Option<String> {
         self.params.device.backend_id()
     }
+
+    fn backend_id_on(&self, gpu: Option<&str>) -> Result<Option<String>, StageError> {
+        self.params.device.backend_id_on(gpu).map_err(StageError::new)
+    }
 }
 
 impl Set for MakeSurface {
