@@ -51,3 +51,34 @@ impl KeptIndexes {
         self.0.join(pack.to_string())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn indexes_are_kept_by_store_until_their_packs_are_gone() {
+        let dir = tempfile::tempdir().unwrap();
+        let (kept, other) = (
+            KeptIndexes::of(dir.path(), "s3://a"),
+            KeptIndexes::of(dir.path(), "s3://b"),
+        );
+        let (first, second) = (Digest::of(b"1"), Digest::of(b"2"));
+        assert_eq!(kept.read(&first), None);
+        kept.prune(&BTreeSet::new());
+        kept.keep(&first, b"one");
+        kept.keep(&second, b"two");
+        assert_eq!(kept.read(&first).as_deref(), Some(b"one".as_slice()));
+        assert_eq!(other.read(&first), None);
+        kept.prune(&BTreeSet::from([second]));
+        assert_eq!(
+            (kept.read(&first), kept.read(&second)),
+            (None, Some(b"two".to_vec()))
+        );
+        // A folder that cannot be made keeps nothing, and that is no error.
+        let blocked = KeptIndexes(dir.path().join("file/below"));
+        fs::write(dir.path().join("file"), b"").unwrap();
+        blocked.keep(&first, b"one");
+        assert_eq!(blocked.read(&first), None);
+    }
+}

@@ -33,6 +33,9 @@ const FORMAT: u32 = 1;
 /// What the object that tells the form begins with.
 const FORMAT_WORDS: &str = "marf shared store ";
 
+/// Threads that read and write a folder: each has memory of its own that is not given back.
+const FOLDER_THREADS: usize = 4;
+
 /// Longest wait for the end of a lease: the user may have asked to stop.
 const RELEASE_PATIENCE: Duration = Duration::from_secs(1);
 
@@ -70,6 +73,7 @@ impl Remote {
     pub fn open(url: &str, patience: Patience, trust: Trust) -> Result<Self, RemoteError> {
         let runtime = Builder::new_multi_thread()
             .worker_threads(2)
+            .max_blocking_threads(FOLDER_THREADS)
             .enable_all()
             .build()
             .map_err(RemoteError::Threads)?;

@@ -12,35 +12,36 @@ use std::{cmp::Reverse, collections::BinaryHeap};
 /// A million of anything.
 const MILLION: f64 = 1e6;
 
-/// Unit costs of marf. The command that measured each is beside it; `benches/cluster.md` tells on what.
+/// Unit costs of marf, each with the command that it was measured by; `benches/cluster.md` tells on what.
 #[derive(Debug, Clone, Copy)]
 struct Costs {
-    /// Seconds from the start of a job to its first request: `marf exec` of a result that is there, less its requests.
+    /// Seconds from the start of a job to its first request. Assumed: the start of a program from a shared file system.
     begin_s: f64,
-    /// Seconds on four cores to measure a photo for all filters: `marf run --to blur` of the built-in Mars at 1280 pixels, a photo.
+    /// Seconds of a node to measure a photo for all filters: `marf run --to blur` after a pull, 34 photos of 1280 pixels, two cores.
     measure_s: f64,
-    /// Requests of a job beside its photos and the indexes of packs, those that read: `marf exec`, whose last line counts them.
+    /// Requests of a job beside its photos and the indexes of packs: what `marf exec` of a training prints where its result is there.
     job_gets: f64,
-    /// And those that write: the requests of `marf run --on slurm` at the store, less what was read.
+    /// What it prints more where the result is new.
     job_puts: f64,
-    /// CPU seconds of the driver for a job of its own: 20 jobs by `/usr/bin/time marf run --on slurm`, less the same run with results there.
+    /// CPU seconds of the driver for a job of its own: `marf run --on slurm` of a bootstrap with B = 10, 16 s for 11 jobs, what it
+    /// computes itself among them: more than a job alone takes.
     driver_job_s: f64,
-    /// CPU seconds of the driver for a shard that a task measures: the same with 10,000 shards.
+    /// CPU seconds of the driver for a shard that a task measures: `python3 benches/shards.py MARF DIR 10000`.
     driver_shard_s: f64,
-    /// Memory of the driver without shards, bytes; and for each: the same.
+    /// Memory of the driver, bytes: the same with 20 shards, and what each of 10,000 adds.
     driver_bytes: f64,
     driver_shard_bytes: f64,
 }
 
 const COSTS: Costs = Costs {
     begin_s: 0.1,
-    measure_s: 0.05,
-    job_gets: 26.0,
-    job_puts: 25.0,
-    driver_job_s: 0.02,
-    driver_shard_s: 0.0066,
-    driver_bytes: 60.0 * MILLION,
-    driver_shard_bytes: 10_000.0,
+    measure_s: 0.012,
+    job_gets: 14.0,
+    job_puts: 6.0,
+    driver_job_s: 1.5,
+    driver_shard_s: 0.0014,
+    driver_bytes: 25.0 * MILLION,
+    driver_shard_bytes: 16_000.0,
 };
 
 /// Dollars, S3 Standard, us-east-1 (aws.amazon.com/s3/pricing, 2025); traffic inside a region is free.
