@@ -7,7 +7,7 @@ use std::io::Cursor;
 
 use marf_schema::surface::MapReport;
 use tiff::TiffError;
-use tiff::encoder::colortype::{ColorType, Gray32Float, RGB8};
+use tiff::encoder::colortype::{Gray32Float, RGB8};
 use tiff::encoder::{Compression, DeflateLevel, DirectoryEncoder, TiffEncoder, TiffKindStandard};
 use tiff::tags::{ExtraSamples, Tag};
 

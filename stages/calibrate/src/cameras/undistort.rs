@@ -39,7 +39,7 @@ pub fn ideal(camera: &Camera) -> Option<Camera> {
     }
     let (columns, rows) = ((right - left).floor(), (bottom - top).floor());
     let is_sound = |side: f64, of: f64| side >= 1.0 && side <= MOST_GROWTH * of;
-    (is_sound(columns, width) && is_sound(rows, height)).then(|| Camera {
+    (is_sound(columns, width) && is_sound(rows, height)).then_some(Camera {
         width: columns as u32,
         height: rows as u32,
         cx_px: camera.cx_px - left,
