@@ -14,7 +14,7 @@ const SHADOWS_M: f64 = 120.0;
 const SHADOW_M: f64 = 6.0;
 
 /// Where the stone is that lies there after the change, metres in the site.
-const NEW_STONE: (f64, f64) = (6.25, 0.93);
+const NEW_STONE: (f64, f64) = (7.25, 1.20);
 /// Half extents of that stone, metres.
 const NEW_HALF: V3 = v3(0.32, 0.25, 0.20);
 /// The strip from which dust is gone after the change: its middle, the direction along it, half its length and width, metres in the site.
