@@ -14,7 +14,7 @@ mod common;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use common::{SMALL_DEMO, copy, marf};
+use common::{SMALL_DEMO, copy, marf, tools};
 use serde_json::Value;
 
 /// Test 1 of RFC 8032, section 7.1.
@@ -27,44 +27,13 @@ const PUBLIC_PEM: &str = "-----BEGIN PUBLIC KEY-----\n\
 /// It holds the JSON-LD context of RO-Crate 1.1; its dependencies are not needed for that.
 const CONTEXT_PACKAGE: &str = "rocrate==0.13.0";
 
-/// Returns the Python of an environment that has the validators; none, with a line that says why, if it cannot be made.
+/// Returns a Python that has the validators.
 fn python() -> Option<PathBuf> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let requirements = root.join("tests/validators/requirements.txt");
+    let requirements = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/validators/requirements.txt");
     let wanted = std::fs::read_to_string(&requirements).unwrap() + CONTEXT_PACKAGE;
-    let folder = root.join("target/validators");
-    let python = folder.join("bin/python");
-    let stamp = folder.join("installed.txt");
-    if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) {
-        return Some(python);
-    }
-    let run = |program: &Path, args: &[&str]| {
-        let output = Command::new(program).args(args).output();
-        match output {
-            Ok(output) if output.status.success() => true,
-            Ok(output) => {
-                let text = String::from_utf8_lossy(&output.stderr);
-                println!("{}", text.lines().last().unwrap_or_default());
-                false
-            }
-            Err(error) => {
-                println!("{}: {error}", program.display());
-                false
-            }
-        }
-    };
-    let install = ["-m", "pip", "install", "--quiet"];
-    let whole = [&install[..], &["-r", requirements.to_str().unwrap()]].concat();
-    let context = [&install[..], &["--no-deps", CONTEXT_PACKAGE]].concat();
-    let made = run(Path::new("python3"), &["-m", "venv", folder.to_str().unwrap()])
-        && run(&python, &whole)
-        && run(&python, &context);
-    if !made {
-        println!("skipped: the validators cannot be installed");
-        return None;
-    }
-    std::fs::write(stamp, wanted).unwrap();
-    Some(python)
+    let whole = vec!["-r", requirements.to_str().unwrap()];
+    let context = vec!["--no-deps", CONTEXT_PACKAGE];
+    tools::python("validators", &wanted, &[whole, context])
 }
 
 /// Changes the graph of a crate.

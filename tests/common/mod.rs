@@ -5,6 +5,8 @@
     reason = "each test file uses a part; a skipped test says so"
 )]
 
+pub mod tools;
+
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};

@@ -15,7 +15,7 @@ use marf_export::ExportError;
 
 use super::args::Global;
 use super::error::{Answer, CliError, Diagnostic};
-use surface::{Kind, SurfaceArgs};
+use surface::{Kind, SplatsArgs, SurfaceArgs};
 
 pub use verify::{VerifyArgs, open_crate, verify_crate, verify_path};
 
@@ -32,6 +32,8 @@ pub enum ExportVerb {
     Mesh(SurfaceArgs),
     /// Write the surface of a trained field as points: FILE.ply
     Points(SurfaceArgs),
+    /// Write the surface of a trained field as Gaussian splats, as viewers read them: FILE.ply; their PSNR against the field is told
+    Splats(SplatsArgs),
     /// Write heights as FILE.png of 16 bits with a world file, or FILE.tif (GeoTIFF, metres), and beside it how far the views differ
     Height(SurfaceArgs),
     /// Write the surface as seen from straight above: FILE.png with a world file, or FILE.tif (GeoTIFF)
@@ -87,6 +89,7 @@ pub fn export(global: &Global, verb: &ExportVerb, cancel: &Cancel) -> Result<(),
         ExportVerb::Cameras(args) => cameras::export(global, args, cancel),
         ExportVerb::Mesh(args) => surface::export(global, Kind::Mesh, args, cancel),
         ExportVerb::Points(args) => surface::export(global, Kind::Points, args, cancel),
+        ExportVerb::Splats(args) => surface::export_splats(global, args, cancel),
         ExportVerb::Height(args) => surface::export(global, Kind::Height, args, cancel),
         ExportVerb::Orthophoto(args) => surface::export(global, Kind::Orthophoto, args, cancel),
         ExportVerb::Depth(args) => surface::export(global, Kind::Depth, args, cancel),

@@ -1,11 +1,11 @@
-//! `marf export mesh | points | height | orthophoto | depth`: files of a trained field for other programs.
+//! `marf export mesh | points | splats | height | orthophoto | depth`: files of a trained field for other programs.
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use marf_engine::{Cancel, NodeRun, RunRecord};
-use marf_schema::output::{DEPTH, MESH_GLB, MESH_PLY, POINTS, SURFACE_MAPS};
-use marf_schema::surface::{ColorBy, SpreadOf, SurfaceParams, SurfaceReport};
+use marf_schema::output::{DEPTH, MESH_GLB, MESH_PLY, POINTS, SPLAT_VIEWS, SPLATS, SURFACE_MAPS};
+use marf_schema::surface::{ColorBy, SplatPsnr, SplatReport, SpreadOf, SurfaceParams, SurfaceReport};
 use marf_stage::Params;
 use serde_json::{Map, Value, json};
 
@@ -14,7 +14,7 @@ use super::super::args::Global;
 use super::super::error::{CliError, Diagnostic};
 use super::super::export::one;
 use super::super::output::print_json;
-use super::super::session::{Session, bootstraps_of, digest, existing_store, node_named};
+use super::super::session::{bootstraps_of, digest, existing_store, node_named};
 use crate::terminal::print_line;
 
 /// Arguments of the exports of a surface.
@@ -35,7 +35,7 @@ pub struct SurfaceArgs {
     /// Largest distance from a photo, as `--cell` [default: where a pixel is four cells wide]
     #[arg(long, value_name = "LENGTH")]
     pub reach: Option<f64>,
-    /// Photos that must show a point [default: 2]
+    /// Photos that must show a point [default: 2; of splats 1]
     #[arg(long, value_name = "COUNT")]
     pub least_photos: Option<u32>,
     /// Largest difference between the views at a point, as `--cell` [default: a cell]
@@ -50,6 +50,16 @@ pub struct SurfaceArgs {
     pub map_cell: Option<f64>,
 }
 
+/// Arguments of `export splats`.
+#[derive(Debug, Clone, Args)]
+pub struct SplatsArgs {
+    #[command(flatten)]
+    pub surface: SurfaceArgs,
+    /// Folder for pictures splats | field at the views of the held-out photos
+    #[arg(long, value_name = "DIR")]
+    pub pictures: Option<PathBuf>,
+}
+
 /// Reads what colours are, as pipeline.toml has it.
 fn color(word: &str) -> Result<ColorBy, String> {
     serde_json::from_value(json!(word)).map_err(|error| error.to_string())
@@ -62,6 +72,8 @@ pub enum Kind {
     Mesh,
     /// A cloud of points.
     Points,
+    /// Gaussian splats.
+    Splats,
     /// Heights, and how far views differ.
     Height,
     /// Colours from above.
@@ -70,8 +82,35 @@ pub enum Kind {
     Depth,
 }
 
+/// Makes splats and writes them, with pictures if they are asked for.
+pub fn export_splats(global: &Global, args: &SplatsArgs, cancel: &Cancel) -> Result<(), CliError> {
+    if args.surface.color != ColorBy::default() {
+        return Err(CliError::usage(
+            "splats show the colours of the photos; `export mesh` and `export points` show uncertainty"
+                .to_owned(),
+        ));
+    }
+    make(
+        global,
+        Kind::Splats,
+        &args.surface,
+        args.pictures.as_deref(),
+        cancel,
+    )
+}
+
 /// Makes what is wanted, unless it is made already, and writes it.
 pub fn export(global: &Global, kind: Kind, args: &SurfaceArgs, cancel: &Cancel) -> Result<(), CliError> {
+    make(global, kind, args, None, cancel)
+}
+
+fn make(
+    global: &Global,
+    kind: Kind,
+    args: &SurfaceArgs,
+    pictures: Option<&Path>,
+    cancel: &Cancel,
+) -> Result<(), CliError> {
     check_ending(kind, &args.out)?;
     let store = existing_store(global, cancel)?;
     let run = run_with(&store, args.run, &args.node)?;
@@ -83,7 +122,16 @@ pub fn export(global: &Global, kind: Kind, args: &SurfaceArgs, cancel: &Cancel) 
         let hint = "cameras from labels (`method = \"sfm\"` or \"labels\" on photos with labels) give metres and an up direction";
         return Err(CliError::Failed(Diagnostic::new(why.clone()).hint(hint)));
     }
-    let written = write(&session, &record, node, kind, &args.out)?;
+    let mut files = files_of(kind, node, &args.out);
+    files.extend(
+        pictures
+            .map(|folder| below(node, SPLAT_VIEWS, folder))
+            .unwrap_or_default(),
+    );
+    for (name, path) in &files {
+        one(&session, &record, &digest(node, name)?, path)?;
+    }
+    let written: Vec<PathBuf> = files.into_iter().map(|(_, path)| path).collect();
     if global.json {
         return print_json(&json!({"files": written, "run": record.number, "surface": report}));
     }
@@ -101,7 +149,7 @@ pub fn export(global: &Global, kind: Kind, args: &SurfaceArgs, cancel: &Cancel) 
 fn check_ending(kind: Kind, out: &Path) -> Result<(), CliError> {
     let endings: &[&str] = match kind {
         Kind::Mesh => &["ply", "glb"],
-        Kind::Points => &["ply"],
+        Kind::Points | Kind::Splats => &["ply"],
         Kind::Height | Kind::Orthophoto => &["png", "tif"],
         Kind::Depth => return Ok(()),
     };
@@ -134,16 +182,20 @@ fn table(kind: Kind, args: &SurfaceArgs, run: &RunRecord) -> Value {
     let lengths = lengths
         .into_iter()
         .filter_map(|(key, length)| Some((key, json!(length?))));
-    let count = args.least_photos.map(|count| ("least_photos", json!(count)));
+    // Splats are looked at, not measured: what one photo shows is worth showing.
+    let least_photos = args.least_photos.or((kind == Kind::Splats).then_some(1));
+    let count = least_photos.map(|count| ("least_photos", json!(count)));
     let has_members = matches!(kind, Kind::Mesh | Kind::Points);
     let members = bootstraps_of(run, &args.node).find(|node| has_members && node.state.is_good());
     let members = members.map(|node| ("members", json!(node.name)));
     let color = (args.color != ColorBy::default()).then_some(("color", json!(args.color)));
     let depth = (kind == Kind::Depth).then_some(("depth", json!(true)));
+    let splats = (kind == Kind::Splats).then_some(("splats", json!(true)));
     table.extend(
         lengths
             .chain(count)
             .chain(depth)
+            .chain(splats)
             .chain(members)
             .chain(color)
             .map(|(key, value)| (key.to_owned(), value)),
@@ -151,20 +203,16 @@ fn table(kind: Kind, args: &SurfaceArgs, run: &RunRecord) -> Value {
     Value::Object(table)
 }
 
-fn write(
-    session: &Session,
-    record: &RunRecord,
-    node: &NodeRun,
-    kind: Kind,
-    out: &Path,
-) -> Result<Vec<PathBuf>, CliError> {
+/// Returns the outputs to write, and where to.
+fn files_of(kind: Kind, node: &NodeRun, out: &Path) -> Vec<(String, PathBuf)> {
     let is_glb = out.extension().is_some_and(|ending| ending == "glb");
     let is_tiff = out.extension().is_some_and(|ending| ending == "tif");
     let map = |name: &str, ending: &str| format!("{SURFACE_MAPS}{name}.{ending}");
-    let files: Vec<(String, PathBuf)> = match kind {
+    match kind {
         Kind::Mesh if is_glb => vec![(MESH_GLB.to_owned(), out.to_owned())],
         Kind::Mesh => vec![(MESH_PLY.to_owned(), out.to_owned())],
         Kind::Points => vec![(POINTS.to_owned(), out.to_owned())],
+        Kind::Splats => vec![(SPLATS.to_owned(), out.to_owned())],
         Kind::Height if is_tiff => vec![
             (map("height", "tif"), out.to_owned()),
             (map("spread", "tif"), beside(out, "-spread")),
@@ -183,18 +231,15 @@ fn write(
             (map("orthophoto", "png"), out.to_owned()),
             (map("orthophoto", "pgw"), out.with_extension("pgw")),
         ],
-        Kind::Depth => {
-            let names = node
-                .outputs
-                .keys()
-                .filter_map(|name| Some((name, name.strip_prefix(DEPTH)?)));
-            names.map(|(name, file)| (name.clone(), out.join(file))).collect()
-        }
-    };
-    for (name, path) in &files {
-        one(session, record, &digest(node, name)?, path)?;
+        Kind::Depth => below(node, DEPTH, out),
     }
-    Ok(files.into_iter().map(|(_, path)| path).collect())
+}
+
+/// Returns the outputs of a node whose names begin with a prefix, and their files in a folder.
+fn below(node: &NodeRun, prefix: &str, folder: &Path) -> Vec<(String, PathBuf)> {
+    let names = node.outputs.keys();
+    let files = names.filter_map(|name| Some((name.clone(), folder.join(name.strip_prefix(prefix)?))));
+    files.collect()
 }
 
 /// Returns the file beside another whose name has more before the ending.
@@ -221,6 +266,9 @@ fn text(kind: Kind, report: &SurfaceReport) -> String {
     let SurfaceReport {
         photos, cell, unit, ..
     } = report;
+    if let (Kind::Splats, Some(splats)) = (kind, &report.splats) {
+        return splats_text(splats, report);
+    }
     match (kind, &report.map) {
         (Kind::Points, _) => format!(
             "{} points in cells of {cell:.4} ({unit}), from {photos} photos",
@@ -241,4 +289,27 @@ fn text(kind: Kind, report: &SurfaceReport) -> String {
             report.triangles, report.vertices
         ),
     }
+}
+
+/// Says how many splats there are, and how near they come to the field.
+fn splats_text(splats: &SplatReport, report: &SurfaceReport) -> String {
+    let mut text = format!(
+        "{} splats, standard deviations {:.4} to {:.4} ({}), from {} photos; no sky, no colours by direction",
+        splats.splats, splats.finest, splats.coarsest, report.unit, report.photos
+    );
+    for (of, psnr) in [("trained on", splats.trained_on), ("held out", splats.held_out)] {
+        text += &match psnr {
+            Some(SplatPsnr {
+                photos,
+                mean_db,
+                least_db,
+                share,
+            }) => format!(
+                "\nagainst the field at {photos} photos {of}: PSNR {mean_db:.2} dB, {least_db:.2} the worst, over the {:.0} % of the pixels where it shows a surface",
+                100.0 * share
+            ),
+            None => format!("\nagainst the field at photos {of}: nothing to compare"),
+        };
+    }
+    text
 }

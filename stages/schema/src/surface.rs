@@ -34,6 +34,8 @@ pub struct SurfaceParams {
     pub color: ColorBy,
     /// Whether the depths at the views of all photos are written too, as PNG of 16 bits.
     pub depth: bool,
+    /// Whether the surface is made of Gaussian splats too, with their PSNR against the field's pictures.
+    pub splats: bool,
     /// Which processor renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`, or `gpu:NAME` for the adapter
     /// whose name holds NAME. Only what was opened is in the key.
     pub device: Device,
@@ -61,6 +63,7 @@ impl Default for SurfaceParams {
             map_cell: None,
             color: ColorBy::default(),
             depth: false,
+            splats: false,
             device: Device::default(),
         }
     }
@@ -127,6 +130,8 @@ pub struct SurfaceReport {
     pub uncertainty: UncertaintyReport,
     /// The height map; none where it is refused.
     pub map: Option<MapReport>,
+    /// The splats; none where they were not asked for.
+    pub splats: Option<SplatReport>,
     /// What the scene cannot give, with the reason, by output.
     pub refused: BTreeMap<String, String>,
 }
@@ -154,6 +159,36 @@ pub struct UncertaintyReport {
     pub scale_end: f64,
     /// Share of the vertices whose uncertainty is known.
     pub known_share: f64,
+}
+
+/// Gaussian splats, in the unit of the report.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SplatReport {
+    /// How many.
+    pub splats: u64,
+    /// Smallest standard deviation of a splat along its disc.
+    pub finest: f64,
+    /// Largest.
+    pub coarsest: f64,
+    /// Steps by which their colours were adjusted to the field's pictures.
+    pub color_steps: u32,
+    /// Against the field's pictures at the views of the photos trained on, whose colours were adjusted; none where nothing was compared.
+    pub trained_on: Option<SplatPsnr>,
+    /// The same at the views of held-out photos, whose pictures no splat was made of.
+    pub held_out: Option<SplatPsnr>,
+}
+
+/// Pictures of splats against those of the field, over the pixels where the field shows a surface.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct SplatPsnr {
+    /// Views.
+    pub photos: u64,
+    /// Mean PSNR over the views, dB.
+    pub mean_db: f64,
+    /// PSNR of the worst view, dB.
+    pub least_db: f64,
+    /// Share of the pixels that were compared: the field shows a surface there, and no mask hides it.
+    pub share: f64,
 }
 
 /// What is to be known of height map and orthophoto.

@@ -1,4 +1,4 @@
-//! Surfaces of trained fields: meshes, clouds of points, height maps and orthophotos, in the formats of other programs.
+//! Surfaces of trained fields: meshes, clouds of points, Gaussian splats, height maps and orthophotos, in the formats of other programs.
 //!
 //! What a field shows at the views of its photos (where its rays end) is averaged into signed distances on a grid, and the surface is where
 //! these change their sign. Everything but the stage is pure: no file, no clock. Invariant: the same bytes for any number of threads; what
@@ -12,13 +12,16 @@ mod extract;
 mod frame;
 mod geotiff;
 pub mod glb;
+mod look;
 mod map;
 mod members;
 mod mesh;
 pub mod ply;
+pub mod splats;
 mod stage;
 mod view;
 mod volume;
+mod write;
 
 pub use changes::FindChanges;
 pub use cloud::cloud;
@@ -29,5 +32,5 @@ pub use frame::{ExportFrame, MapAxes};
 pub use map::SurfaceMap;
 pub use mesh::{Mesh, Retrained, Seen, Vertex, Witnesses};
 pub use stage::MakeSurface;
-pub use view::{Patch, SurfaceView};
+pub use view::{Patch, PlaneRules, SurfaceView};
 pub use volume::{Layout, Volume};

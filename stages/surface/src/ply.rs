@@ -40,15 +40,7 @@ fn header(frame: &ExportFrame, comments: &[String], vertices: &[Vertex], faces: 
         false => "",
     };
     let vertices = vertices.len();
-    let own = [
-        format!("unit: {}", frame.unit()),
-        format!("axes: those of the scene; {}", frame.up_words()),
-    ];
-    let comments: String = own
-        .iter()
-        .chain(comments)
-        .map(|comment| format!("comment {}\n", comment.replace(['\n', '\r'], " ")))
-        .collect();
+    let comments = comment_lines(frame, comments);
     let floats = ["x", "y", "z", "nx", "ny", "nz"].map(|name| format!("property float {name}\n"));
     let bytes = ["red", "green", "blue"].map(|name| format!("property uchar {name}\n"));
     format!(
@@ -58,6 +50,18 @@ fn header(frame: &ExportFrame, comments: &[String], vertices: &[Vertex], faces: 
         bytes.concat()
     )
     .into_bytes()
+}
+
+/// Returns the comments of a header: unit and axes, and more, a line each.
+pub fn comment_lines(frame: &ExportFrame, more: &[String]) -> String {
+    let own = [
+        format!("unit: {}", frame.unit()),
+        format!("axes: those of the scene; {}", frame.up_words()),
+    ];
+    let comments = own.iter().chain(more);
+    comments
+        .map(|comment| format!("comment {}\n", comment.replace(['\n', '\r'], " ")))
+        .collect()
 }
 
 fn write_vertices(bytes: &mut Vec<u8>, vertices: &[Vertex], scale: f64) {

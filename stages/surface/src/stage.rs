@@ -1,28 +1,32 @@
+//! The stage `surface`: looks at a field, extracts its surface, hands it to those that write it.
+
 use marf_cache::Digest;
-use marf_field::{Field, render_in_bands};
-use marf_scene::{Camera, Frame, Observer, Photo, Scene, picture::png16, picture_names};
+use marf_field::Field;
+use marf_scene::{Frame, Observer, Scene, picture::png16, picture_names};
 use marf_schema::bootstrap::MemberFields;
-use marf_schema::output::{DEPTH, MESH_GLB, MESH_PLY, POINTS, SCENE, SURFACE_MAPS, WEIGHTS};
-use marf_schema::surface::{ColorBy, SpreadOf, SurfaceParams, SurfaceReport, UncertaintyReport};
+use marf_schema::output::{
+    DEPTH, MESH_GLB, MESH_PLY, POINTS, SCENE, SPLAT_VIEWS, SPLATS, SURFACE_MAPS, WEIGHTS,
+};
+use marf_schema::surface::{SurfaceParams, SurfaceReport};
 use marf_stage::{
     Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, Stage, StageError, Threads,
     TypedOutputs, Work, key_params,
 };
 
+use crate::SurfaceError;
 use crate::extract::{Surface, Wanted, extract};
 use crate::frame::ExportFrame;
-use crate::map::SurfaceMap;
-use crate::members::{self, MemberSpread};
+use crate::look::{Rendered, factor, hide, rendered};
+use crate::members::MemberSpread;
 use crate::mesh::Witnesses;
-use crate::view::SurfaceView;
-use crate::{SurfaceError, glb, ply};
+use crate::splats::stage::{HeldOut, make_splats};
+use crate::view::{PlaneRules, SurfaceView};
+use crate::write::{Made, write};
 
-/// Rays with less opacity end nowhere: haze before a sky has less, ground has more.
-const MIN_OPACITY: f32 = 0.9;
 /// Most pixels of all views together, 30 bytes each: where the photos are many, each is looked at with fewer.
 const MOST_PIXELS: u64 = 40_000_000;
 
-/// Makes mesh, points and maps of a trained field.
+/// Makes mesh, points, maps and splats of a trained field.
 #[derive(Debug)]
 pub struct MakeSurface {
     params: SurfaceParams,
@@ -32,8 +36,8 @@ impl Define for MakeSurface {
     type Params = SurfaceParams;
     const NAME: &'static str = SurfaceParams::STAGE;
     const ABOUT: &'static str =
-        "Makes a mesh (PLY, GLB), points, a height map and an orthophoto of a trained field";
-    const VERSION: u32 = 3;
+        "Makes a mesh (PLY, GLB), points, splats, a height map and an orthophoto of a trained field";
+    const VERSION: u32 = 4;
     const PORTS: &'static [Port] = &[
         Port::required("input", WEIGHTS),
         Port::required("input", SCENE),
@@ -46,6 +50,8 @@ impl Define for MakeSurface {
         POINTS,
         SURFACE_MAPS,
         DEPTH,
+        SPLATS,
+        SPLAT_VIEWS,
     ];
 
     fn new(params: SurfaceParams) -> Result<Self, ParamError> {
@@ -82,25 +88,51 @@ impl Set for MakeSurface {
         let field = self.field(ctx, inputs.required(WEIGHTS)?)?;
         let frame = ExportFrame::of(&scene);
         let mut outputs = Outputs::new();
-        let views = views_of(&scene)?;
+        let (views, held_out) = views_of(&scene)?;
         let seen = self.look(ctx, &scene, &field, &views, &mut outputs)?;
         let photos = seen.views.len();
         ctx.progress.at(photos as u64, photos as u64, "surface");
         let mut surface =
             extract(&seen.views, &seen.observers, self.wanted(&frame)).map_err(StageError::from)?;
-        drop(seen);
         ctx.check()?;
+        let splats = match self.params.splats {
+            true => {
+                let held_out = self.look_at_held_out(ctx, &field, &held_out)?;
+                Some(make_splats(
+                    ctx,
+                    &seen,
+                    &held_out,
+                    self.wanted(&frame),
+                    &frame,
+                    &mut outputs,
+                )?)
+            }
+            false => None,
+        };
+        drop(seen);
         let members = self.look_with_members(ctx, inputs, &views, &mut surface)?;
-        self.write(ctx, surface, &frame, (photos, members), &mut outputs)?;
+        let made = Made {
+            surface,
+            photos,
+            members,
+            splats,
+        };
+        write(ctx, &self.params, made, &frame, &mut outputs)?;
         Ok(outputs)
     }
 }
 
 /// The field at the views of the photos.
 #[derive(Default)]
-struct Seen {
-    views: Vec<SurfaceView>,
-    observers: Vec<Observer>,
+pub struct Seen {
+    /// What it shows.
+    pub views: Vec<SurfaceView>,
+    /// How far each photo saw.
+    pub observers: Vec<Observer>,
+    /// The same with far and rough surfaces, where splats are wanted.
+    pub shown: Vec<SurfaceView>,
+    /// Of each view `[height * width]`, 0 where it shows no surface.
+    pub opacities: Vec<Vec<f32>>,
 }
 
 impl MakeSurface {
@@ -138,22 +170,55 @@ impl MakeSurface {
                 self.params.side_px,
                 MOST_PIXELS / views.len() as u64,
             );
-            let Rendered {
-                camera,
-                mut distance,
-                rgb,
-            } = rendered(ctx, field, frame, factor)?;
+            let mut shown = rendered(ctx, field, frame, factor)?;
             if self.params.depth {
-                let png = png16::depth(camera.width, camera.height, &distance, scene.metres_per_unit)
+                let (width, height) = (shown.camera.width, shown.camera.height);
+                let png = png16::depth(width, height, &shown.distance, scene.metres_per_unit)
                     .map_err(SurfaceError::from)?;
                 outputs.put_bytes(ctx, format!("{DEPTH}{name}.png"), &png)?;
             }
-            hide(ctx, frame, factor, &camera, &mut distance)?;
+            hide(ctx, frame, factor, &mut shown)?;
+            seen.opacities.push(shown.shown());
             let pose = frame.cam_from_world;
+            let Rendered {
+                camera,
+                distance,
+                rgb,
+                ..
+            } = shown;
             seen.observers.push(Observer::new(camera, pose, &distance));
+            if self.params.splats {
+                let rules = PlaneRules::SHOWN;
+                let view = SurfaceView::with_rules(camera, pose, &distance, rgb.clone(), &rules);
+                seen.shown.push(view);
+            }
             seen.views.push(SurfaceView::new(camera, pose, &distance, rgb));
         }
         Ok(seen)
+    }
+
+    /// Renders the field at the views of photos that it was not trained on.
+    fn look_at_held_out(
+        &self,
+        ctx: &Ctx<'_>,
+        field: &Field,
+        views: &[(&Frame, String)],
+    ) -> Result<Vec<HeldOut>, StageError> {
+        let shown = views.iter().enumerate().map(|(index, (frame, name))| {
+            let note = format!("what {name} would have seen");
+            ctx.progress.at(index as u64, views.len() as u64, &note);
+            let factor = factor(&frame.camera, self.params.side_px, MOST_PIXELS);
+            let mut shown = rendered(ctx, field, frame, factor)?;
+            hide(ctx, frame, factor, &mut shown)?;
+            Ok(HeldOut {
+                name: name.clone(),
+                camera: shown.camera,
+                cam_from_world: frame.cam_from_world,
+                opacity: shown.shown(),
+                rgb: shown.rgb,
+            })
+        });
+        shown.collect()
     }
 
     /// Gives the points of a surface how far the retrainings differ there, and returns how many there are. They are looked at with half
@@ -179,12 +244,14 @@ impl MakeSurface {
                 let note = format!("what {name} saw, by retraining {}", index + 1);
                 ctx.progress.at(index * views.len() as u64 + view, total, &note);
                 let factor = factor(&frame.camera, side_px, MOST_PIXELS / views.len() as u64);
+                let mut shown = rendered(ctx, &field, frame, factor)?;
+                hide(ctx, frame, factor, &mut shown)?;
                 let Rendered {
                     camera,
-                    mut distance,
+                    distance,
                     rgb,
-                } = rendered(ctx, &field, frame, factor)?;
-                hide(ctx, frame, factor, &camera, &mut distance)?;
+                    ..
+                } = shown;
                 seen.push(SurfaceView::new(camera, frame.cam_from_world, &distance, rgb));
             }
             let witnesses = Witnesses {
@@ -199,195 +266,17 @@ impl MakeSurface {
         spreads[1].give(&mut surface.points);
         Ok(members.len() as u32)
     }
-
-    fn write(
-        &self,
-        ctx: &Ctx<'_>,
-        mut surface: Surface,
-        frame: &ExportFrame,
-        (photos, members): (usize, u32),
-        outputs: &mut Outputs,
-    ) -> Result<(), StageError> {
-        let scale = frame.scale();
-        let pixel_m = self.params.map_cell.unwrap_or(surface.cell * scale);
-        // From the colours of the photos, whatever mesh and points are painted with.
-        let map = SurfaceMap::draw(&surface.mesh, frame, pixel_m);
-        let uncertainty = members::report(&surface.mesh.vertices, members, scale);
-        if self.params.color == ColorBy::Uncertainty {
-            members::paint(&mut surface.mesh.vertices, uncertainty.scale_end, scale);
-            members::paint(&mut surface.points, uncertainty.scale_end, scale);
-        }
-        let surface = &surface;
-        let comments = [
-            format!("surface where the mean signed distance of {photos} views of the field is 0 (Curless and Levoy 1996)"),
-            "rays end at their mean depth where the field takes more than 0.9 of their light".to_owned(),
-            format!("distance between samples: {}", surface.cell * scale),
-            format!("least photos: {}; largest spread: {}", self.params.least_photos, surface.most_spread * scale),
-            self.color_words(&uncertainty, frame),
-            "photos: those that show the vertex; spread: root mean square of the views' distances, -1 of one view".to_owned(),
-        ];
-        outputs.put_bytes(ctx, MESH_PLY, &ply::mesh(&surface.mesh, frame, &comments))?;
-        outputs.put_bytes(ctx, POINTS, &ply::points(&surface.points, frame, &comments))?;
-        let colors = self.color_words(&uncertainty, frame);
-        let generator = format!("marf {}", env!("CARGO_PKG_VERSION"));
-        outputs.put_bytes(
-            ctx,
-            MESH_GLB,
-            &glb::mesh(&surface.mesh, frame, &generator, &colors),
-        )?;
-        let mut report = SurfaceReport {
-            unit: frame.unit().to_owned(),
-            photos: photos as u64,
-            cell: surface.cell * scale,
-            band: surface.band * scale,
-            reach: surface.reach * scale,
-            most_spread: surface.most_spread * scale,
-            vertices: surface.mesh.vertices.len() as u64,
-            triangles: surface.mesh.triangles.len() as u64,
-            points: surface.points.len() as u64,
-            uncertainty,
-            map: None,
-            refused: std::collections::BTreeMap::new(),
-        };
-        match map {
-            Ok(map) => {
-                put_maps(ctx, &map, outputs)?;
-                report.map = Some(map.report);
-            }
-            // The mesh is worth having without a map; whoever asks for one gets the reason.
-            Err(refused @ SurfaceError::Refused { .. }) => {
-                report
-                    .refused
-                    .insert(SURFACE_MAPS.to_owned(), refused.to_string());
-            }
-            Err(error) => return Err(error.into()),
-        }
-        outputs.put(ctx, &report)
-    }
 }
 
-impl MakeSurface {
-    /// Returns what the colours are, in words.
-    fn color_words(&self, uncertainty: &UncertaintyReport, frame: &ExportFrame) -> String {
-        let of = match uncertainty.of {
-            SpreadOf::Retrainings => format!("standard deviation of {} retrainings", uncertainty.members),
-            SpreadOf::Views => "root mean square difference of the views of one field".to_owned(),
-        };
-        match self.params.color {
-            ColorBy::Photos => "colours: what the field shows at the views of the photos".to_owned(),
-            ColorBy::Uncertainty => format!(
-                "colours: uncertainty along the normal ({of}), inferno from 0 to {} ({}), gray where not known",
-                uncertainty.scale_end,
-                frame.unit()
-            ),
-        }
-    }
-}
+/// Photos with their names.
+type Named<'a> = Vec<(&'a Frame, String)>;
 
-/// A field at the view of a photo.
-struct Rendered {
-    camera: Camera,
-    /// `[height * width]`, along the ray, world units; infinite where the ray ends nowhere.
-    distance: Vec<f32>,
-    /// `[height * width]`, sRGB in [0, 1].
-    rgb: Vec<[f32; 3]>,
-}
-
-/// Returns the photos that a field was trained on, with their names.
-fn views_of(scene: &Scene) -> Result<Vec<(&Frame, String)>, StageError> {
+/// Returns the photos that a field was trained on, and those that were held out.
+fn views_of(scene: &Scene) -> Result<(Named<'_>, Named<'_>), StageError> {
     let named = scene.frames.iter().zip(picture_names(scene));
-    let views: Vec<_> = named.filter(|(frame, _)| !frame.held_out).collect();
+    let (held_out, views): (Named<'_>, Named<'_>) = named.partition(|(frame, _)| frame.held_out);
     match views.is_empty() {
         true => Err(SurfaceError::NoPhotos.into()),
-        false => Ok(views),
+        false => Ok((views, held_out)),
     }
-}
-
-/// Renders a field at the view of a photo that is shrunk by a factor.
-fn rendered(ctx: &Ctx<'_>, field: &Field, frame: &Frame, factor: u32) -> Result<Rendered, StageError> {
-    let camera = frame.camera.box_reduced(factor);
-    let render = render_in_bands(field, &camera, &frame.cam_from_world, |_, render| {
-        ctx.check()?;
-        Ok::<_, StageError>(render().map_err(SurfaceError::from)?)
-    })?;
-    let pixels = render.depth.iter().zip(&render.opacity);
-    let distance = pixels.map(|(depth, opacity)| match *opacity > MIN_OPACITY {
-        true => *depth,
-        false => f32::INFINITY,
-    });
-    Ok(Rendered {
-        camera,
-        distance: distance.collect(),
-        rgb: render.rgb,
-    })
-}
-
-fn put_maps(ctx: &Ctx<'_>, map: &SurfaceMap, outputs: &mut Outputs) -> Result<(), StageError> {
-    let pictures = [
-        ("height", map.height_png()?),
-        ("spread", map.spread_png()?),
-        ("orthophoto", map.photo_png()?),
-    ];
-    let tiffs = [
-        ("height", map.height_tiff()?),
-        ("spread", map.spread_tiff()?),
-        ("orthophoto", map.photo_tiff()?),
-    ];
-    for (name, tiff) in tiffs {
-        outputs.put_bytes(ctx, format!("{SURFACE_MAPS}{name}.tif"), &tiff)?;
-    }
-    for (name, png) in pictures {
-        outputs.put_bytes(ctx, format!("{SURFACE_MAPS}{name}.png"), &png)?;
-        outputs.put_bytes(
-            ctx,
-            format!("{SURFACE_MAPS}{name}.pgw"),
-            map.world_file().as_bytes(),
-        )?;
-    }
-    Ok(())
-}
-
-/// Returns the factor by which a photo is shrunk to at most `side_px` a side and `most` pixels.
-fn factor(camera: &Camera, side_px: u32, most: u64) -> u32 {
-    let longest = camera.width.max(camera.height);
-    let shortest = camera.width.min(camera.height).max(1);
-    let mut factor = longest.div_ceil(side_px).max(1);
-    while u64::from(camera.width / factor) * u64::from(camera.height / factor) > most && factor < shortest {
-        factor += 1;
-    }
-    factor.min(shortest)
-}
-
-/// Takes away what the mask of a photo hides, if any pixel of a block is.
-fn hide(
-    ctx: &Ctx<'_>,
-    frame: &Frame,
-    factor: u32,
-    camera: &Camera,
-    distance: &mut [f32],
-) -> Result<(), StageError> {
-    let Some(mask) = &frame.mask else { return Ok(()) };
-    let mask = read_mask(ctx, frame, mask)?;
-    for (pixel, distance) in distance.iter_mut().enumerate() {
-        let (column, row) = (pixel as u32 % camera.width, pixel as u32 / camera.width);
-        let rows = row * factor..(row + 1) * factor;
-        let mut block = rows.flat_map(|y| (column * factor..(column + 1) * factor).map(move |x| (x, y)));
-        if block.any(|(x, y)| mask.image.at(x, y) != [255; 3]) {
-            *distance = f32::NAN;
-        }
-    }
-    Ok(())
-}
-
-fn read_mask(ctx: &Ctx<'_>, frame: &Frame, mask: &Digest) -> Result<Photo, StageError> {
-    let bad = |cause: String| SurfaceError::Mask {
-        id: frame.id.clone(),
-        cause,
-    };
-    let mask = Photo::decode(&ctx.get(mask)?).map_err(|error| bad(error.to_string()))?;
-    let (width, height) = (mask.image.width, mask.image.height);
-    if (width, height) != (frame.camera.width, frame.camera.height) {
-        return Err(bad(format!("{width} x {height} pixels, the photo has others")).into());
-    }
-    Ok(mask)
 }

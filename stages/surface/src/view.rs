@@ -6,14 +6,36 @@ use rayon::prelude::*;
 
 /// Pixels to each side of a pixel that its plane is fitted to.
 const REACH: i64 = 2;
-/// Pixels of the window that must lie on one surface with its middle, of 25.
-const LEAST_PIXELS: usize = 13;
-/// A neighbour whose inverse depth differs by more than this share is on another surface.
-const ONE_SURFACE: f64 = 0.06;
-/// Root mean square of the residuals of the fit, as a share of the inverse depth, above which there is no plane: an edge, or fog.
-const ROUGHEST: f64 = 0.01;
-/// Least cosine of the angle between ray and normal: surfaces seen flatter than 84 degrees have no depth to speak of.
-const LEAST_COSINE: f64 = 0.105;
+/// What counts as a surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlaneRules {
+    /// Pixels of the window that must lie on one surface with its middle, of 25.
+    pub least_pixels: usize,
+    /// A neighbour whose inverse depth differs by more than this share is on another surface.
+    pub one_surface: f64,
+    /// Root mean square of the residuals of the fit, as a share of the inverse depth, above which there is no plane: an edge, or fog.
+    pub roughest: f64,
+    /// Least cosine of the angle between ray and normal.
+    pub least_cosine: f64,
+}
+
+impl PlaneRules {
+    /// What can be measured: planes of half a window that scatter by 1 %, seen no flatter than 84 degrees, beyond which there is no depth to
+    /// speak of.
+    pub const MEASURED: Self = Self {
+        least_pixels: 13,
+        one_surface: 0.06,
+        roughest: 0.01,
+        least_cosine: 0.105,
+    };
+    /// What can be looked at: far ground, which is seen flat, and rough edges too.
+    pub const SHOWN: Self = Self {
+        least_pixels: 6,
+        one_surface: 0.2,
+        roughest: 0.1,
+        least_cosine: 0.01,
+    };
+}
 
 /// The surface that a pixel shows: a plane through a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,7 +66,7 @@ impl SurfaceView {
     /// A plane n · x = d in the camera's frame has the inverse depth 1/z = (n / d) · (X, Y, 1) at the ray (X, Y, 1), which is linear
     /// in the ray: least squares over 5 x 5 pixels give normal and depth at once. Pixels whose inverse depth differs by more than
     /// 6 % from the middle are left out; there is no plane where fewer than 13 remain, where they scatter by more than 1 %, and where
-    /// the surface is seen flatter than 84 degrees from its normal.
+    /// the surface is seen flatter than 84 degrees from its normal ([`PlaneRules::MEASURED`]).
     ///
     /// - `distance`: `[height * width]`, along the ray of each pixel, world units; infinite where the ray meets nothing, NaN where the
     ///   pixel is hidden by a mask.
@@ -53,6 +75,20 @@ impl SurfaceView {
     /// # Panics
     /// If there is not a distance and a colour for every pixel: a slip of the program.
     pub fn new(camera: Camera, cam_from_world: Pose, distance: &[f32], colors: Vec<[f32; 3]>) -> Self {
+        Self::with_rules(camera, cam_from_world, distance, colors, &PlaneRules::MEASURED)
+    }
+
+    /// Returns what [`new`](Self::new) does, with other rules.
+    ///
+    /// # Panics
+    /// As there.
+    pub fn with_rules(
+        camera: Camera,
+        cam_from_world: Pose,
+        distance: &[f32],
+        colors: Vec<[f32; 3]>,
+        rules: &PlaneRules,
+    ) -> Self {
         let pixels = camera.width as usize * camera.height as usize;
         assert_eq!(
             (distance.len(), colors.len()),
@@ -65,7 +101,7 @@ impl SurfaceView {
             .collect();
         let world_from_cam = cam_from_world.inverse();
         let patches = (0..pixels).into_par_iter().map(|pixel| {
-            let fitted = fit(&camera, &inverse, pixel)?;
+            let fitted = fit(&camera, &inverse, pixel, rules)?;
             let normal = world_from_cam.direction(&fitted.normal);
             Some(Patch {
                 distance: fitted.distance as f32,
@@ -99,15 +135,36 @@ impl SurfaceView {
         1.0 / self.camera.fx_px.min(self.camera.fy_px)
     }
 
+    /// Returns the camera.
+    pub fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    /// Returns the camera's pose.
+    pub fn cam_from_world(&self) -> &Pose {
+        &self.cam_from_world
+    }
+
+    /// Returns the colours of all pixels, `[height * width]`, sRGB in [0, 1].
+    pub fn colors(&self) -> &[[f32; 3]] {
+        &self.colors
+    }
+
     /// Returns every pixel that shows a surface: the point, its patch and its colour.
     pub fn points(&self) -> impl Iterator<Item = (Vector3<f64>, Patch, [f32; 3])> + '_ {
+        self.pixels()
+            .map(|(pixel, point, patch)| (point, patch, self.colors[pixel]))
+    }
+
+    /// Returns every pixel that shows a surface, the point and its patch.
+    pub fn pixels(&self) -> impl Iterator<Item = (usize, Vector3<f64>, Patch)> + '_ {
         let width = self.camera.width as usize;
         let world_from_cam = self.cam_from_world.inverse();
         self.patches.iter().enumerate().filter_map(move |(pixel, patch)| {
             let patch = (*patch)?;
             let ray = self.camera.unproject(&centre_of(pixel, width))?.normalize();
             let point = world_from_cam.point(&(ray * f64::from(patch.distance)));
-            Some((point, patch, self.colors[pixel]))
+            Some((pixel, point, patch))
         })
     }
 
@@ -187,7 +244,7 @@ struct Plane {
     cosine: f64,
 }
 
-fn fit(camera: &Camera, samples: &[Option<Sample>], pixel: usize) -> Option<Plane> {
+fn fit(camera: &Camera, samples: &[Option<Sample>], pixel: usize, rules: &PlaneRules) -> Option<Plane> {
     let own = samples[pixel]?;
     let (width, height) = (i64::from(camera.width), i64::from(camera.height));
     let (column, row) = (pixel as i64 % width, pixel as i64 / width);
@@ -199,7 +256,7 @@ fn fit(camera: &Camera, samples: &[Option<Sample>], pixel: usize) -> Option<Plan
             };
             // Relative to the middle, in pixels: a well-conditioned system of numbers near one.
             let value = sample.inverse / own.inverse - 1.0;
-            if value.abs() > ONE_SURFACE {
+            if value.abs() > rules.one_surface {
                 continue;
             }
             let at = Vector3::new(
@@ -213,12 +270,12 @@ fn fit(camera: &Camera, samples: &[Option<Sample>], pixel: usize) -> Option<Plan
             count += 1;
         }
     }
-    if count < LEAST_PIXELS {
+    if count < rules.least_pixels {
         return None;
     }
     let slope = system.cholesky()?.solve(&right);
     let residual = (squares - slope.dot(&right)).max(0.0) / count as f64;
-    if residual.sqrt() > ROUGHEST {
+    if residual.sqrt() > rules.roughest {
         return None;
     }
     let inverse = own.inverse * (1.0 + slope.z);
@@ -228,7 +285,7 @@ fn fit(camera: &Camera, samples: &[Option<Sample>], pixel: usize) -> Option<Plan
     let normal = -Vector3::new(a, b, inverse - a * own.ray.x - b * own.ray.y).try_normalize(1e-300)?;
     let cosine = -normal.dot(&own.ray.normalize());
     let distance = own.ray.norm() / inverse;
-    (cosine >= LEAST_COSINE && inverse > 0.0 && distance.is_finite()).then_some(Plane {
+    (cosine >= rules.least_cosine && inverse > 0.0 && distance.is_finite()).then_some(Plane {
         distance,
         normal,
         cosine,

@@ -1,0 +1,93 @@
+//! A field at the views of photos: how large they are, what their masks hide.
+
+use marf_cache::Digest;
+use marf_field::{Field, render_in_bands};
+use marf_scene::{Camera, Frame, Photo};
+use marf_stage::{Ctx, StageError};
+
+use crate::SurfaceError;
+
+/// Rays with less opacity end nowhere: haze before a sky has less, ground has more.
+const MIN_OPACITY: f32 = 0.9;
+
+/// A field at the view of a photo.
+pub struct Rendered {
+    /// The camera, shrunk.
+    pub camera: Camera,
+    /// `[height * width]`, along the ray, world units; infinite where the ray ends nowhere, NaN where a mask hides the pixel.
+    pub distance: Vec<f32>,
+    /// `[height * width]`, in [0, 1].
+    pub opacity: Vec<f32>,
+    /// `[height * width]`, sRGB in [0, 1].
+    pub rgb: Vec<[f32; 3]>,
+}
+
+/// Renders a field at the view of a photo that is shrunk by a factor.
+pub fn rendered(ctx: &Ctx<'_>, field: &Field, frame: &Frame, factor: u32) -> Result<Rendered, StageError> {
+    let camera = frame.camera.box_reduced(factor);
+    let render = render_in_bands(field, &camera, &frame.cam_from_world, |_, render| {
+        ctx.check()?;
+        Ok::<_, StageError>(render().map_err(SurfaceError::from)?)
+    })?;
+    let pixels = render.depth.iter().zip(&render.opacity);
+    let distance = pixels.map(|(depth, opacity)| match *opacity > MIN_OPACITY {
+        true => *depth,
+        false => f32::INFINITY,
+    });
+    Ok(Rendered {
+        camera,
+        distance: distance.collect(),
+        opacity: render.opacity,
+        rgb: render.rgb,
+    })
+}
+
+impl Rendered {
+    /// Returns the opacities, 0 where the field shows no surface and where a mask hides it.
+    pub fn shown(&self) -> Vec<f32> {
+        let pixels = self.opacity.iter().zip(&self.distance);
+        pixels
+            .map(|(opacity, distance)| if distance.is_finite() { *opacity } else { 0.0 })
+            .collect()
+    }
+}
+
+/// Returns the factor by which a photo is shrunk to at most `side_px` a side and `most` pixels.
+pub fn factor(camera: &Camera, side_px: u32, most: u64) -> u32 {
+    let longest = camera.width.max(camera.height);
+    let shortest = camera.width.min(camera.height).max(1);
+    let mut factor = longest.div_ceil(side_px).max(1);
+    while u64::from(camera.width / factor) * u64::from(camera.height / factor) > most && factor < shortest {
+        factor += 1;
+    }
+    factor.min(shortest)
+}
+
+/// Takes away what the mask of a photo hides, if any pixel of a block is.
+pub fn hide(ctx: &Ctx<'_>, frame: &Frame, factor: u32, shown: &mut Rendered) -> Result<(), StageError> {
+    let Some(mask) = &frame.mask else { return Ok(()) };
+    let mask = read_mask(ctx, frame, mask)?;
+    let width = shown.camera.width;
+    for (pixel, distance) in shown.distance.iter_mut().enumerate() {
+        let (column, row) = (pixel as u32 % width, pixel as u32 / width);
+        let rows = row * factor..(row + 1) * factor;
+        let mut block = rows.flat_map(|y| (column * factor..(column + 1) * factor).map(move |x| (x, y)));
+        if block.any(|(x, y)| mask.image.at(x, y) != [255; 3]) {
+            *distance = f32::NAN;
+        }
+    }
+    Ok(())
+}
+
+fn read_mask(ctx: &Ctx<'_>, frame: &Frame, mask: &Digest) -> Result<Photo, StageError> {
+    let bad = |cause: String| SurfaceError::Mask {
+        id: frame.id.clone(),
+        cause,
+    };
+    let mask = Photo::decode(&ctx.get(mask)?).map_err(|error| bad(error.to_string()))?;
+    let (width, height) = (mask.image.width, mask.image.height);
+    if (width, height) != (frame.camera.width, frame.camera.height) {
+        return Err(bad(format!("{width} x {height} pixels, the photo has others")).into());
+    }
+    Ok(mask)
+}

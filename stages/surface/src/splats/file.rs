@@ -1,0 +1,149 @@
+//! Splats as viewers read them.
+
+use super::{Splat, THIN};
+use crate::frame::ExportFrame;
+use crate::ply::comment_lines;
+
+/// The constant spherical harmonic, 1 / (2 √π): a colour is 0.5 + 0.282… · f_dc.
+const SH_0: f64 = 0.282_094_791_773_878_14;
+/// The properties, in order.
+pub const PROPERTIES: [&str; 17] = [
+    "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1",
+    "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
+];
+
+/// Returns splats as binary little-endian PLY in the layout of the reference code of 3-D Gaussian splatting, which viewers read; in the axes of
+/// the scene, in metres where the scene has a scale.
+///
+/// A vertex, all float: x, y, z; nx, ny, nz; f_dc_0 to 2 (sRGB, as (colour - 0.5) / 0.2821: the colour does not depend on the direction, so
+/// there is no f_rest); opacity (logit); scale_0 to 2 (natural logarithm of the standard deviations along the disc's axes, the third along
+/// its normal); rot_0 to 3 (unit quaternion w, x, y, z that turns z into the normal).
+pub fn ply(splats: &[Splat], frame: &ExportFrame, comments: &[String]) -> Vec<u8> {
+    let properties = PROPERTIES.map(|name| format!("property float {name}\n")).concat();
+    let comments = comment_lines(frame, comments);
+    let mut bytes = format!(
+        "ply\nformat binary_little_endian 1.0\n{comments}element vertex {}\n{properties}end_header\n",
+        splats.len()
+    )
+    .into_bytes();
+    for splat in splats {
+        for number in numbers(splat, frame.scale()) {
+            bytes.extend((number as f32).clamp(f32::MIN, f32::MAX).to_le_bytes());
+        }
+    }
+    bytes
+}
+
+fn numbers(splat: &Splat, scale: f64) -> [f64; 17] {
+    let [x, y, z]: [f64; 3] = (splat.position * scale).into();
+    let [nx, ny, nz]: [f64; 3] = splat.normal.into();
+    let [red, green, blue] = splat.color.map(|channel| (f64::from(channel) - 0.5) / SH_0);
+    let opacity = f64::from(splat.opacity);
+    let sigma = (splat.sigma * scale).max(f64::MIN_POSITIVE);
+    let [wide, thin] = [sigma, THIN * sigma].map(libm::log);
+    let [w, i, j, k] = turned_to(nx, ny, nz);
+    let logit = libm::log(opacity / (1.0 - opacity));
+    [
+        x, y, z, nx, ny, nz, red, green, blue, logit, wide, wide, thin, w, i, j, k,
+    ]
+}
+
+/// Returns the unit quaternion (w, x, y, z) of the shortest turn from z to a unit vector: (1 + z · n, z × n), normalised; half a turn about x
+/// for -z.
+fn turned_to(nx: f64, ny: f64, nz: f64) -> [f64; 4] {
+    let length = (2.0 * (1.0 + nz)).sqrt();
+    match length > 1e-6 {
+        true => [(1.0 + nz) / length, -ny / length, nx / length, 0.0],
+        false => [0.0, 1.0, 0.0, 0.0],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use marf_scene::Scene;
+    use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+    use ply_rs_bw::parser::Parser;
+    use ply_rs_bw::ply::{DefaultElement, Property};
+
+    use super::*;
+
+    fn splat(normal: Vector3<f64>) -> Splat {
+        Splat {
+            position: Vector3::new(1.0, -2.0, 0.5),
+            normal,
+            sigma: 0.25,
+            color: [0.5, 1.0, 0.0],
+            opacity: 0.9,
+        }
+    }
+
+    #[test]
+    fn a_viewer_finds_what_the_reference_code_writes() {
+        let frame = ExportFrame::of(&Scene {
+            metres_per_unit: Some(2.0),
+            ..Scene::default()
+        });
+        let bytes = ply(&[splat(Vector3::z())], &frame, &[]);
+        let read = Parser::<DefaultElement>::new().read_ply(&mut &bytes[..]).unwrap();
+        assert!(
+            read.header
+                .comments
+                .iter()
+                .any(|comment| comment.contains("unit: metres"))
+        );
+        let vertex = &read.payload["vertex"][0];
+        let value = |name: &str| match vertex[name] {
+            Property::Float(value) => value,
+            ref other => panic!("{name}: {other:?}"),
+        };
+        assert_eq!(PROPERTIES.len(), vertex.len());
+        for (name, wanted) in [
+            ("x", 2.0),
+            ("y", -4.0),
+            ("nz", 1.0),
+            ("f_dc_0", 0.0),
+            // 0.5 * 2 √π.
+            ("f_dc_1", 1.772_453_9),
+            ("f_dc_2", -1.772_453_9),
+            // ln 9, ln 0.5, ln 0.05.
+            ("opacity", 2.197_224_6),
+            ("scale_0", -0.693_147_2),
+            ("scale_1", -0.693_147_2),
+            ("scale_2", -2.995_732_3),
+            ("rot_0", 1.0),
+            ("rot_3", 0.0),
+        ] {
+            assert!((value(name) - wanted).abs() < 1e-6, "{name}: {}", value(name));
+        }
+    }
+
+    #[test]
+    fn the_rotation_turns_z_into_the_normal_whatever_it_is() {
+        for normal in [
+            [0.0, 0.0, 1.0],
+            [0.0, 0.0, -1.0],
+            [1.0, 0.0, 0.0],
+            [0.0, -1.0, 0.0],
+            [0.6, 0.0, -0.8],
+            [0.48, -0.64, 0.6],
+            [1e-5, 0.0, -1.0],
+        ] {
+            let normal = Vector3::from(normal).normalize();
+            let [w, x, y, z] = turned_to(normal.x, normal.y, normal.z);
+            let quaternion = Quaternion::new(w, x, y, z);
+            assert!((quaternion.norm() - 1.0).abs() < 1e-9, "{normal}");
+            let turned = UnitQuaternion::new_normalize(quaternion) * Vector3::z();
+            assert!((turned - normal).norm() < 1e-6, "{normal}: {turned}");
+        }
+    }
+
+    #[test]
+    fn nothing_is_a_header_alone_that_says_that_the_scale_is_not_known() {
+        let bytes = ply(&[], &ExportFrame::of(&Scene::default()), &[]);
+        let text = String::from_utf8(bytes).unwrap();
+        assert!(
+            text.contains("scale is not known") && text.ends_with("end_header\n"),
+            "{text}"
+        );
+    }
+}

@@ -1,0 +1,48 @@
+//! How near pictures of splats come to those of the field.
+
+use marf_scene::metrics::psnr;
+use marf_scene::{Image, Srgb};
+
+use super::raster::Raster;
+use super::{Picture, Splat};
+use crate::ply::to_byte;
+
+/// Pictures of splats beside those of the field.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Judged {
+    /// PSNR over the pixels where the field shows a surface, before black, dB.
+    pub psnr_db: f64,
+    /// Share of the pixels that were compared.
+    pub share: f64,
+    /// What the splats show.
+    pub splats: Image<Srgb>,
+    /// What the field shows, black where it shows no surface.
+    pub field: Image<Srgb>,
+}
+
+/// Compares a picture of splats with the field's; none where the field shows no surface at all.
+pub fn judge(splats: &[Splat], picture: &Picture<'_>) -> Option<Judged> {
+    let drawn = Raster::new(splats, picture.camera, picture.cam_from_world).picture(splats);
+    let hidden: Vec<bool> = picture.opacity.iter().map(|opacity| *opacity <= 0.0).collect();
+    let image = |of: &[[f32; 3]]| Image {
+        width: picture.camera.width,
+        height: picture.camera.height,
+        pixels: of.iter().map(|rgb| rgb.map(to_byte)).collect(),
+    };
+    let (splats, mut field) = (image(&drawn), image(picture.rgb));
+    let psnr_db = psnr(&splats, &field, &hidden);
+    for (pixel, _) in field
+        .pixels
+        .iter_mut()
+        .zip(&hidden)
+        .filter(|(_, hidden)| **hidden)
+    {
+        *pixel = [0; 3];
+    }
+    Some(Judged {
+        psnr_db: psnr_db.ok()?,
+        share: hidden.iter().filter(|hidden| !**hidden).count() as f64 / hidden.len() as f64,
+        splats,
+        field,
+    })
+}
