@@ -3,7 +3,10 @@
 
 mod common;
 
+use std::ops::RangeInclusive;
+
 use marf_scene::{Cahvor, CameraPrior, EntrancePupil, Image, Photo, PhotoFacts, Pose, Scene, Srgb};
+use marf_schema::scenes::PhotoGroup;
 use nalgebra::{Quaternion, UnitQuaternion, Vector2, Vector3};
 use serde_json::{Value, json};
 
@@ -225,8 +228,8 @@ fn feed_facts(record: &Value, file: &str, size: (u32, u32)) -> PhotoFacts {
     }
 }
 
-/// The Navcam photos of the feed, and their facts by id.
-fn feed() -> Option<(Input, Vec<(String, PhotoFacts)>)> {
+/// The Navcam photos of some sols of the feed, and their facts by id.
+fn feed(sols: RangeInclusive<u32>) -> Option<(Input, Vec<(String, PhotoFacts)>)> {
     let folder = shared("feed")?.join("m2020_navcam_feed");
     let mut input = Input::default();
     let mut all = Vec::new();
@@ -246,6 +249,9 @@ fn feed() -> Option<(Input, Vec<(String, PhotoFacts)>)> {
         let file = image.file_name().unwrap().to_string_lossy().into_owned();
         let facts = feed_facts(&record, &file, Photo::size_px(&bytes).unwrap());
         let id = record["imageid"].as_str().unwrap().to_owned();
+        if !facts.sol.is_some_and(|sol| sols.contains(&sol)) {
+            continue;
+        }
         input.photo(&id, &bytes, facts.clone());
         all.push((id, facts));
     }
@@ -255,7 +261,9 @@ fn feed() -> Option<(Input, Vec<(String, PhotoFacts)>)> {
 /// One photo of each Navcam site at a time: the pinhole must see every point where the label's camera saw it.
 #[test]
 fn a_resampled_navcam_photo_sees_points_where_the_label_says() {
-    let Some((input, all)) = feed() else { return };
+    let Some((input, all)) = feed(0..=u32::MAX) else {
+        return;
+    };
     let mut sites: Vec<i64> = all
         .iter()
         .map(|(_, facts)| facts.prior.as_ref().unwrap().motion_counter[0])
@@ -339,7 +347,9 @@ fn check_points(scene: &Scene, all: &[(String, PhotoFacts)]) {
 
 #[test]
 fn the_site_with_most_photos_is_taken_and_the_others_say_why() {
-    let Some((input, _)) = feed() else { return };
+    let Some((input, _)) = feed(0..=u32::MAX) else {
+        return;
+    };
     let output = input.run(&json!({"method": "labels"})).unwrap();
     let totals = &output.metrics.totals;
     assert_eq!(totals.photos, 36);
@@ -425,4 +435,24 @@ fn middle(image: &Image<Srgb>) -> Vector2<f64> {
         }
     }
     sum / light
+}
+
+/// 12 Navcam photos of four sites: pairs of both eyes, a pair ten sols apart, and some that show what no other does.
+#[test]
+fn photos_that_show_the_same_have_labels_of_one_site() {
+    let Some((input, _)) = feed(340..=575) else { return };
+    let groups = |by: &str| {
+        let (_, found) = input.split(&json!({"by": by, "min_photos": 2})).unwrap();
+        [found.scenes, found.skipped].concat()
+    };
+    let of_sites = groups("label");
+    let shown: Vec<PhotoGroup> = groups("overlap")
+        .into_iter()
+        .filter(|group| group.photos.len() > 1)
+        .collect();
+    assert_eq!(shown.len(), 5, "{shown:?}");
+    for group in shown {
+        let is_within = |site: &&PhotoGroup| group.photos.iter().all(|photo| site.photos.contains(photo));
+        assert_eq!(of_sites.iter().filter(is_within).count(), 1, "{group:?}");
+    }
 }

@@ -5,12 +5,11 @@ mod common;
 
 use std::sync::OnceLock;
 
-use marf_calibrate::SplitByPlace;
 use marf_demo::{Demo, DemoFile, DemoOptions};
 use marf_pds::{ProductName, pds4};
 use marf_scene::{Photo, PhotoFacts};
 use marf_schema::scenes::{PhotoGroup, Scenes};
-use marf_stage::{Document, Outputs, PHOTOS, StageDef, StageError, define};
+use marf_stage::{PHOTOS, StageError};
 use serde_json::json;
 
 use common::Input;
@@ -69,14 +68,6 @@ fn input(change: impl Fn(usize, &mut PhotoFacts)) -> Input {
     input
 }
 
-fn split(input: &Input, params: &serde_json::Value) -> Result<(Outputs, Scenes), StageError> {
-    const STAGE: StageDef = define::<SplitByPlace>();
-    let stage = (STAGE.bind)(params.clone()).map_err(|error| StageError::new(error.to_string()))?;
-    let outputs = input.try_outputs_of(stage.as_ref())?;
-    let scenes = Scenes::decode(&input.harness.get(&outputs[Scenes::OUTPUT]).unwrap()).unwrap();
-    Ok((outputs, scenes))
-}
-
 fn sizes(groups: &[PhotoGroup]) -> Vec<(&str, usize)> {
     let size = |group: &PhotoGroup| group.photos.len();
     groups
@@ -87,7 +78,7 @@ fn sizes(groups: &[PhotoGroup]) -> Vec<(&str, usize)> {
 
 #[test]
 fn labels_give_a_scene_a_site_and_each_scene_has_its_own_photos() {
-    let (outputs, scenes) = split(&input(|_, _| ()), &json!({})).unwrap();
+    let (outputs, scenes) = input(|_, _| ()).split(&json!({})).unwrap();
     assert_eq!(sizes(&scenes.scenes), [("site1-20", 20), ("site2-20", 20)]);
     assert_eq!(scenes.skipped, []);
     assert_eq!(scenes.scenes[1].sols, [101]);
@@ -109,17 +100,17 @@ fn labels_give_a_scene_a_site_and_each_scene_has_its_own_photos() {
     let span_m = scenes.scenes[0].span_m.unwrap();
     assert!((1.0..12.0).contains(&span_m), "{span_m}");
     // A smaller span makes a scene of each stop.
-    let (_, scenes) = split(&input(|_, _| ()), &json!({"max_span_m": 0.5})).unwrap();
+    let (_, scenes) = input(|_, _| ()).split(&json!({"max_span_m": 0.5})).unwrap();
     assert_eq!(scenes.scenes.len(), 6, "{:?}", sizes(&scenes.scenes));
 }
 
 /// A scene's photos, and so all that follows from them, do not depend on what is photographed elsewhere.
 #[test]
 fn another_place_changes_no_byte_of_a_scene() {
-    let (both, _) = split(&input(|_, _| ()), &json!({})).unwrap();
+    let (both, _) = input(|_, _| ()).split(&json!({})).unwrap();
     let mut alone = input(|_, _| ());
     drop(alone.split_off(20));
-    let (alone, _) = split(&alone, &json!({})).unwrap();
+    let (alone, _) = alone.split(&json!({})).unwrap();
     assert_eq!(both["photos/site1-20"], alone["photos/site1-20"]);
     assert_eq!(alone["photos/site1-20"], alone[PHOTOS]);
 }
@@ -127,8 +118,8 @@ fn another_place_changes_no_byte_of_a_scene() {
 #[test]
 fn what_the_photos_show_gives_the_same_places_without_labels() {
     let unlabelled = input(|_, facts| facts.prior = None);
-    let (_, scenes) = split(&unlabelled, &json!({})).unwrap();
-    let (_, by_label) = split(&input(|_, _| ()), &json!({})).unwrap();
+    let (_, scenes) = unlabelled.split(&json!({})).unwrap();
+    let (_, by_label) = input(|_, _| ()).split(&json!({})).unwrap();
     let photos = |scenes: &Scenes| -> Vec<Vec<String>> {
         let mut all: Vec<Vec<String>> = scenes.scenes.iter().map(|scene| scene.photos.clone()).collect();
         all.sort();
@@ -136,7 +127,7 @@ fn what_the_photos_show_gives_the_same_places_without_labels() {
     };
     assert_eq!(photos(&scenes), photos(&by_label), "{:?}", sizes(&scenes.scenes));
     // The same where labels are there and not asked.
-    let (_, by_overlap) = split(&input(|_, _| ()), &json!({"by": "overlap"})).unwrap();
+    let (_, by_overlap) = input(|_, _| ()).split(&json!({"by": "overlap"})).unwrap();
     assert_eq!(photos(&by_overlap), photos(&by_label));
 }
 
@@ -147,7 +138,7 @@ fn photos_without_a_label_join_their_place_and_a_wrong_site_is_named() {
         3 => facts.prior.as_mut().unwrap().motion_counter[0] = 77,
         _ => (),
     });
-    let (_, scenes) = split(&mixed, &json!({})).unwrap();
+    let (_, scenes) = mixed.split(&json!({})).unwrap();
     assert_eq!(sizes(&scenes.scenes), [("site1-20", 19), ("site2-20", 20)]);
     let reason = &scenes.scenes[1].reason;
     assert!(
@@ -156,7 +147,7 @@ fn photos_without_a_label_join_their_place_and_a_wrong_site_is_named() {
     );
     assert_eq!(sizes(&scenes.skipped), [("site77-20", 1)]);
     assert_eq!(scenes.skipped[0].reason, "1 photo, `min_photos` asks for 6");
-    let (_, scenes) = split(&mixed, &json!({"by": "label"})).unwrap();
+    let (_, scenes) = mixed.split(&json!({"by": "label"})).unwrap();
     assert_eq!(sizes(&scenes.skipped), [("site77-20", 1), ("unlabelled", 2)]);
     assert!(
         scenes.skipped[1].reason.contains("no label tells"),
@@ -167,7 +158,7 @@ fn photos_without_a_label_join_their_place_and_a_wrong_site_is_named() {
 
 #[test]
 fn a_place_with_too_many_photos_is_split_and_hand_made_groups_come_first() {
-    let (_, scenes) = split(&input(|_, _| ()), &json!({"max_photos": 12})).unwrap();
+    let (_, scenes) = input(|_, _| ()).split(&json!({"max_photos": 12})).unwrap();
     assert!(
         scenes.scenes.iter().all(|scene| scene.photos.len() <= 12),
         "{:?}",
@@ -181,13 +172,13 @@ fn a_place_with_too_many_photos_is_split_and_hand_made_groups_come_first() {
         .sum();
     assert_eq!(photos, 40);
     let by_hand = json!({"groups": {"delta": {"sols": [101], "ids": [drawn()[0].0]}}});
-    let (_, scenes) = split(&input(|_, _| ()), &by_hand).unwrap();
+    let (_, scenes) = input(|_, _| ()).split(&by_hand).unwrap();
     assert_eq!(sizes(&scenes.scenes), [("delta", 21), ("site1-20", 19)]);
 }
 
 #[test]
 fn photos_of_no_scene_stop_the_node_with_the_way_out() {
-    match split(&input(|_, _| ()), &json!({"min_photos": 21})).unwrap_err() {
+    match input(|_, _| ()).split(&json!({"min_photos": 21})).unwrap_err() {
         StageError::Failed { message, cause, hint } => {
             assert_eq!(message, "none of 2 groups of 40 photos is a scene");
             assert!(cause.unwrap().contains("20 photos, `min_photos` asks for 21"));

@@ -7,11 +7,12 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use marf_cache::{Digest, manifest::Row};
-use marf_calibrate::Calibrate;
+use marf_calibrate::{Calibrate, SplitByPlace};
 use marf_scene::{Cahvor, CameraPrior, Photo, PhotoFacts, Scene};
 use marf_schema::{
     calibrate::Metrics,
     output::{POINTS, SCENE, TRANSFORMS},
+    scenes::Scenes,
 };
 use marf_stage::{
     COMPANIONS, Cancel, Ctx, Document, Inputs, Outputs, PHOTOS, Stage, StageDef, StageError, Work, define,
@@ -178,6 +179,15 @@ impl Input {
     /// As [`Input::outputs_of`], where it may fail.
     pub fn try_outputs_of(&self, stage: &dyn Stage) -> Result<Outputs, StageError> {
         self.outputs(stage, &self.harness.ctx(), None)
+    }
+
+    /// Splits the photos by place.
+    pub fn split(&self, params: &serde_json::Value) -> Result<(Outputs, Scenes), StageError> {
+        const STAGE: StageDef = define::<SplitByPlace>();
+        let stage = (STAGE.bind)(params.clone()).map_err(|error| StageError::new(error.to_string()))?;
+        let outputs = self.try_outputs_of(stage.as_ref())?;
+        let scenes = Scenes::decode(&self.harness.get(&outputs[Scenes::OUTPUT]).unwrap()).unwrap();
+        Ok((outputs, scenes))
     }
 
     fn outputs(

@@ -1,5 +1,7 @@
 //! Splats as viewers read them.
 
+use nalgebra::Vector4;
+
 use super::{Splat, THIN};
 use crate::frame::ExportFrame;
 use crate::ply::comment_lines;
@@ -51,11 +53,8 @@ fn numbers(splat: &Splat, scale: f64) -> [f64; 17] {
 /// Returns the unit quaternion (w, x, y, z) of the shortest turn from z to a unit vector: (1 + z · n, z × n), normalised; half a turn about x
 /// for -z.
 fn turned_to(nx: f64, ny: f64, nz: f64) -> [f64; 4] {
-    let length = (2.0 * (1.0 + nz)).sqrt();
-    match length > 1e-6 {
-        true => [(1.0 + nz) / length, -ny / length, nx / length, 0.0],
-        false => [0.0, 1.0, 0.0, 0.0],
-    }
+    let turn = Vector4::new(1.0 + nz, -ny, nx, 0.0);
+    turn.try_normalize(1e-12).unwrap_or_else(Vector4::y).into()
 }
 
 #[cfg(test)]
@@ -107,8 +106,8 @@ mod tests {
             ("f_dc_2", -1.772_453_9),
             // ln 9, ln 0.5, ln 0.05.
             ("opacity", 2.197_224_6),
-            ("scale_0", -0.693_147_2),
-            ("scale_1", -0.693_147_2),
+            ("scale_0", -std::f32::consts::LN_2),
+            ("scale_1", -std::f32::consts::LN_2),
             ("scale_2", -2.995_732_3),
             ("rot_0", 1.0),
             ("rot_3", 0.0),
