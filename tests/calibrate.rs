@@ -103,9 +103,47 @@ fn its_colmap_model_places_the_photos_where_its_transforms_do() {
         // The mark names the run, and these are two.
         let mark = scene.as_object_mut().unwrap().remove("marf");
         assert!(mark.is_some(), "{scene}");
-        scene
+        scene.to_string()
     });
-    assert_eq!(first, second);
+    assert!(first.contains("\"../photos/images/0.png\""), "{first}");
+    assert_eq!(first.replace("../photos/", "../other/"), second);
+}
+
+#[test]
+fn photos_are_found_from_where_the_file_stands_with_and_without_their_lens() {
+    let dir = photos();
+    for (out, more) in [
+        ("out/deep/a.json", None),
+        ("straight/a.json", Some("--undistort")),
+    ] {
+        let args = ["calibrate", "photos", "--method", "import", "--out", out];
+        marf(dir.path(), &args.into_iter().chain(more).collect::<Vec<_>>()).exits(0);
+        let file = dir.path().join(out);
+        let scene = json(&file);
+        for frame in scene["frames"].as_array().unwrap() {
+            let photo = file.parent().unwrap().join(frame["file_path"].as_str().unwrap());
+            let photo = image::open(&photo).unwrap_or_else(|error| panic!("{}: {error}", photo.display()));
+            assert_eq!(
+                (&scene["w"], &scene["h"]),
+                (&photo.width().into(), &photo.height().into()),
+                "{out}"
+            );
+        }
+        assert_eq!(scene["k1"] == 0.0, more.is_some(), "{scene}");
+        marf(dir.path(), &["audit", out]).exits(0);
+    }
+    // Pictures without the lens would lie where the photos do.
+    let over = [
+        "calibrate",
+        "photos",
+        "--method",
+        "import",
+        "--undistort",
+        "--out",
+        "photos/a.json",
+    ];
+    let ran = marf(dir.path(), &over).exits(2);
+    assert!(ran.stderr.contains("is one of the photos"), "{}", ran.stderr);
 }
 
 #[test]

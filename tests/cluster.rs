@@ -1,5 +1,9 @@
 //! Nodes as jobs of a batch system: a stub of Slurm that runs, delays and kills jobs.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test that cannot go on should stop; a skipped test says so"
+)]
 #![cfg(unix)]
 
 mod common;
@@ -314,7 +318,7 @@ fn measures_of_photos_are_tasks_of_an_array_and_give_the_digests_of_a_local_run(
         ran.stderr
     );
     assert!(
-        ran.stderr.contains("1 tasks ended without a result"),
+        ran.stderr.contains("1 task ended without a result"),
         "{}",
         ran.stderr
     );
@@ -328,6 +332,80 @@ fn measures_of_photos_are_tasks_of_an_array_and_give_the_digests_of_a_local_run(
     let again = site.run(&[]).exits(0);
     assert!(again.stdout.contains("1 of 3 nodes ran"), "{}", again.stdout);
     assert_eq!(site.noted("arrays").len(), 3, "{}", again.stderr);
+}
+
+/// The driver has no GPU that it would take by itself, and the jobs have one: a small job tells its backend, which is in the key of the
+/// training, and the answer is kept. A job that meets another backend is refused, and the answer is forgotten.
+#[test]
+fn the_backend_of_a_training_is_that_of_the_machine_that_trains() {
+    let site = Site::new(
+        &PIPELINE
+            .replace("device = \"cpu\"\n", "")
+            .replace("steps = 16", "steps = 4"),
+    );
+    let jobs = site.path().join("jobs");
+    let kept = || -> Vec<PathBuf> {
+        let files = std::fs::read_dir(&jobs).unwrap().map(|file| file.unwrap().path());
+        files
+            .filter(|path| path.extension().is_some_and(|end| end == "backend"))
+            .collect()
+    };
+    let text = std::fs::read_to_string(site.path().join("site.toml")).unwrap();
+    let adapter = std::env::var("MARF_TEST_GPU").unwrap_or("llvmpipe".to_owned());
+    let on_gpu = |name: &str| {
+        let lines = format!("[executor]\ndevice = \"gpu:{name}\"\ngpu_options = []");
+        std::fs::write(site.path().join("site.toml"), text.replace("[executor]", &lines)).unwrap();
+    };
+    on_gpu("no such card");
+    let absent = site.run(&["--to", "train"]).exits(1);
+    assert!(
+        absent.stderr.contains("no GPU whose name holds `no such card`"),
+        "{}",
+        absent.stderr
+    );
+    assert_eq!(kept(), [] as [PathBuf; 0]);
+    if absent.stderr.contains("found none") {
+        println!("skipped: needs an adapter");
+        return;
+    }
+    on_gpu(&adapter);
+    let before = site.noted("history").len();
+    site.run(&["--to", "train"]).exits(0);
+    assert_eq!(
+        site.noted("history").len(),
+        before + 2,
+        "the question and the training"
+    );
+    let [answer] = kept().try_into().unwrap();
+    let told: Value = serde_json::from_slice(&std::fs::read(&answer).unwrap()).unwrap();
+    let backend = told["backend"].as_str().unwrap();
+    assert!(backend.contains(&adapter), "{backend}");
+    let own = marf_cache::Store::open(site.path().join(".marf")).unwrap();
+    let made = marf(site.path(), &["status", "--json"]).exits(0).stdout;
+    let made: Value = serde_json::from_str(&made).unwrap();
+    let train = made["nodes"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|node| node["name"] == "train")
+        .unwrap();
+    let key: marf_cache::Digest = train["key"].as_str().unwrap().parse().unwrap();
+    let action = marf_cache::Action::decode(&own.get(&key).unwrap()).unwrap();
+    assert_eq!(action.backend.as_deref(), Some(backend));
+
+    let other = std::fs::read_to_string(&answer)
+        .unwrap()
+        .replace(backend, "another card, driver 1");
+    std::fs::write(&answer, other).unwrap();
+    let refused = site.run(&["--to", "train"]).exits(1);
+    assert!(
+        refused
+            .stderr
+            .contains("stage `train` on another card, driver 1, and here is"),
+        "{}",
+        refused.stderr
+    );
+    assert_eq!(kept(), [] as [PathBuf; 0]);
 }
 
 #[test]

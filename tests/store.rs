@@ -9,7 +9,7 @@ use common::{copy, marf, photos};
 
 /// Filters and cameras of the built-in Mars, in a second.
 const PIPELINE: &str = concat!(
-    "name = \"store\"\n[archive.photos]\nkind = \"demo\"\nsols = \"1\"\n",
+    "name = \"store\"\n[archive.photos]\nkind = \"demo\"\nsols = \"1\"\nwidth = 320\n",
     include_str!("../src/cli/bench/five_nodes.toml"),
     "[node.calibrate]\ninput = \"blur\"\nmethod = \"labels\"\n",
 );
@@ -67,8 +67,7 @@ fn place_in_pack(pack: &[u8], digest: &str) -> Option<usize> {
 
 #[test]
 fn a_damaged_output_of_a_last_node_is_made_again_by_the_run_that_writes_it_out() {
-    let dir = pipeline();
-    marf(dir.path(), &["run"]).exits(0);
+    let dir = common::ran("store", PIPELINE);
     let scene = output(dir.path(), "calibrate", "scene");
     damage(dir.path(), &scene);
     std::fs::remove_dir_all(dir.path().join("out")).unwrap();
@@ -81,8 +80,7 @@ fn a_damaged_output_of_a_last_node_is_made_again_by_the_run_that_writes_it_out()
 /// The leaf of a set is behind an output, and no other node reads these verdicts.
 #[test]
 fn a_lost_leaf_of_verdicts_is_made_again_by_the_run_that_writes_them_out() {
-    let dir = pipeline();
-    marf(dir.path(), &["run"]).exits(0);
+    let dir = common::ran("store", PIPELINE);
     let file = dir.path().join("out/blur/verdicts/sol-00001.jsonl");
     let verdicts = std::fs::read(&file).unwrap();
     let leaf = marf_cache::Digest::of(&verdicts).to_string();
@@ -108,8 +106,7 @@ fn a_lost_leaf_of_verdicts_is_made_again_by_the_run_that_writes_them_out() {
 
 #[test]
 fn files_of_outputs_that_nobody_touched_stay_and_those_that_somebody_did_come_back() {
-    let dir = pipeline();
-    marf(dir.path(), &["run"]).exits(0);
+    let dir = common::ran("store", PIPELINE);
     let verdicts = dir.path().join("out/blur/verdicts/sol-00001.jsonl");
     let before = std::fs::read(&verdicts).unwrap();
     std::fs::remove_file(&verdicts).unwrap();
@@ -124,8 +121,7 @@ fn files_of_outputs_that_nobody_touched_stay_and_those_that_somebody_did_come_ba
 
 #[test]
 fn an_unreadable_run_stops_no_verb() {
-    let dir = pipeline();
-    marf(dir.path(), &["run"]).exits(0);
+    let dir = common::ran("store", PIPELINE);
     let runs = std::fs::read_dir(dir.path().join(".marf/runs")).unwrap();
     for run in runs {
         let path = run.unwrap().path();
@@ -168,8 +164,7 @@ fn what_no_kept_run_needs_is_collected_and_the_rest_is_whole() {
 
 #[test]
 fn damage_is_found_by_a_check_named_and_repaired() {
-    let dir = pipeline();
-    marf(dir.path(), &["run"]).exits(0);
+    let dir = common::ran("store", PIPELINE);
     let scene = output(dir.path(), "calibrate", "scene");
     damage(dir.path(), &scene);
     let found = marf(dir.path(), &["cache", "fsck", "--read-data"]).exits(1);

@@ -272,9 +272,13 @@ pub struct FilterArgs {
 pub struct CalibrateArgs {
     /// A folder with photos, and labels or cameras beside them
     pub dir: PathBuf,
-    /// transforms.json to write; metrics.json, sparse/0 (COLMAP's model) and the points.ply it names go beside it
+    /// transforms.json to write, with the photos' paths as seen from it; metrics.json, sparse/0 (COLMAP's model, binary and text) and
+    /// points.ply go beside it, and photos that are resampled
     #[arg(long, value_name = "FILE", default_value = "transforms.json")]
     pub out: PathBuf,
+    /// Write photos without the distortion of their lens, as PNG
+    #[arg(long)]
+    pub undistort: bool,
     /// Where cameras come from
     #[arg(long, value_enum, default_value_t = Method::Sfm)]
     pub method: Method,

@@ -1,31 +1,44 @@
 use std::path::{Path, PathBuf};
 
+use marf_cache::Digest;
 use marf_engine::{Cancel, NodeRun, RunRecord};
 use marf_scene::Scene;
 use marf_schema::calibrate::{CalibrateParams, Metrics};
+use marf_schema::cameras::CamerasParams;
 use marf_schema::output;
 use marf_stage::{Document, Params};
 
 use super::args::{CalibrateArgs, Global};
+use super::copies;
 use super::error::{CliError, Diagnostic};
 use super::export;
+use super::files;
 use super::folder;
 use super::output::print_json;
 use super::run::{execute, options};
 use super::session::{Session, digest, node_named};
+use super::share::cameras;
 use crate::terminal::{escape_control, print_line};
 
 /// Most reasons of photos without a camera that have a line of their own.
 const MOST_REASONS: usize = 3;
 
-/// `marf calibrate DIR`: writes transforms.json, and beside it metrics.json, COLMAP's model and the points.
+/// `marf calibrate DIR`: writes transforms.json, and beside it metrics.json, COLMAP's model, the points, and the photos that do not lie where they came from.
 pub fn calibrate(global: &Global, args: &CalibrateArgs, cancel: &Cancel) -> Result<(), CliError> {
-    let text = folder::calibration("calibrate", &args.dir, args.method.name());
+    let photos_at = files::relative(folder_of(&args.out), &args.dir)?;
+    let text = folder::cameras(
+        "calibrate",
+        &args.dir,
+        args.method.name(),
+        &photos_at,
+        args.undistort,
+    );
     let session = Session::implicit(&text, global, cancel).map_err(for_this_verb)?;
     let (record, ended) = execute(&session, &options(global, &session.name), global, cancel)?;
     ended.map_err(for_this_verb)?;
     let node = node_named(&record, CalibrateParams::STAGE)?;
-    let written = write(&session, &record, node, &args.out)?;
+    let cameras = node_named(&record, CamerasParams::STAGE)?;
+    let written = write(&session, &record, (node, cameras), args)?;
     let metrics: Metrics = session.document(node)?;
     if global.json {
         return print_json(&serde_json::to_value(metrics).unwrap_or_default());
@@ -36,24 +49,55 @@ pub fn calibrate(global: &Global, args: &CalibrateArgs, cancel: &Cancel) -> Resu
     Ok(())
 }
 
-/// Writes what other programs read, and returns where.
+/// Returns the folder of a file.
+fn folder_of(file: &Path) -> &Path {
+    file.parent()
+        .filter(|folder| !folder.as_os_str().is_empty())
+        .unwrap_or(Path::new("."))
+}
+
+/// Writes what other programs read, and returns where; photos, of which there are many, are written last and not listed.
 fn write(
     session: &Session,
     record: &RunRecord,
-    node: &NodeRun,
-    out: &Path,
+    (node, cameras): (&NodeRun, &NodeRun),
+    args: &CalibrateArgs,
 ) -> Result<Vec<PathBuf>, CliError> {
-    let mut written = vec![out.to_path_buf(), out.with_file_name("metrics.json")];
-    export::one(session, record, &digest(node, output::TRANSFORMS)?, &written[0])?;
+    let mut written = vec![args.out.clone(), args.out.with_file_name("metrics.json")];
+    let all = cameras::files_of(cameras);
+    let (models, photos) = all.split_at(cameras::model_count(&all));
+    for (name, digest) in models {
+        let path = match *name {
+            cameras::TRANSFORMS => args.out.clone(),
+            name => args.out.with_file_name("").join(name),
+        };
+        export::one(session, record, digest, &path)?;
+        written.extend((*name != cameras::TRANSFORMS).then_some(path));
+    }
     export::one(session, record, &digest(node, Metrics::OUTPUT)?, &written[1])?;
-    for (name, found) in &node.outputs {
-        if name.starts_with(output::SPARSE) || name == output::POINTS {
-            let path = out.with_file_name("").join(name);
-            export::one(session, record, &found.digest, &path)?;
-            written.push(path);
-        }
+    for (name, digest) in photos {
+        let path = args.out.with_file_name("").join(name);
+        refuse_to_replace(&path, digest, &args.dir)?;
+        export::one(session, record, digest, &path)?;
     }
     Ok(written)
+}
+
+/// Refuses to write over one of the photos that were read.
+fn refuse_to_replace(path: &Path, digest: &Digest, dir: &Path) -> Result<(), CliError> {
+    let (Ok(file), Ok(dir)) = (path.canonicalize(), dir.canonicalize()) else {
+        return Ok(()); // There is no such file.
+    };
+    if !file.starts_with(dir) || copies::is_copy(path, digest) {
+        return Ok(());
+    }
+    let message = format!(
+        "{} is one of the photos, and another picture is to be written there",
+        path.display()
+    );
+    Err(CliError::Usage(
+        Diagnostic::new(message).hint("name a file in another folder with --out"),
+    ))
 }
 
 fn table(metrics: &Metrics, scene: &Scene, written: &[PathBuf]) -> String {

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use marf_cache::{Action, Digest, Output, canonical_json};
 use marf_engine::{NodeRun, NodeState, RunRecord, action_at, document};
+use marf_field::Device;
 use serde_json::Value;
 
 use super::error::CliError;
@@ -68,8 +69,12 @@ pub fn put_on_cpu(tree: &mut Value, node: &NodeRun) {
 
 /// Returns the parameters of an action with the device of its backend, which is in no key; `partial` has its in the table of the training.
 pub fn params_of(action: &Action) -> Value {
-    let on_gpu = action.backend.is_some() || action.children.values().any(|child| child.backend.is_some());
-    let device = Value::from(if on_gpu { "gpu" } else { "cpu" });
+    let mut children = action
+        .children
+        .values()
+        .filter_map(|child| child.backend.as_deref());
+    let backend = action.backend.as_deref().or_else(|| children.next());
+    let device = Value::from(Device::of_backend(backend).to_string());
     let mut params = action.params.clone();
     if has_key(&action.stage, DEVICE) {
         params[DEVICE] = device;

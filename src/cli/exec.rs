@@ -6,8 +6,9 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use marf_cache::{Action, Conflict, Digest, Record, Upstream};
-use marf_cluster::{Fault, JobProgress, JobResult};
+use marf_cluster::{BackendQuestion, Fault, JobProgress, JobResult};
 use marf_engine::{ActionError, Cancel, Event, Listener, Options, run_action};
+use marf_field::{Device, DeviceError};
 use marf_remote::{Observer, Patience, Reader, Remote, in_words};
 use parking_lot::Mutex;
 
@@ -31,6 +32,9 @@ pub struct ExecArgs {
     /// A file with actions, a line each, or the key of a result in the shared store, whose action is then computed again
     #[arg(value_name = "ACTION")]
     pub action: String,
+    /// Address of the shared store: file:///FOLDER or s3://BUCKET/PREFIX
+    #[arg(long, value_name = "URL")]
+    pub store: Option<PathBuf>,
     /// Write here how it ended, whole or not at all
     #[arg(long, value_name = "FILE")]
     pub result: Option<PathBuf>,
@@ -40,55 +44,114 @@ pub struct ExecArgs {
 }
 
 const AFTER_HELP: &str = "\
---store is the address of the shared store here: file:///FOLDER or s3://BUCKET/PREFIX. Of the inputs only those are fetched that are \
+ACTION may also be the question of a run which backend its jobs have.
+Of the inputs only those are fetched that are \
 read; a result that is there already stays, and is compared with this one. `marf run --on slurm` writes actions and submits jobs that call this verb.
 Exit codes: 0 the result is in the shared store, 1 it could not be made, 10 another marf or another machine must make it (this one \
 would make another key of it, or has another backend), 130 stopped at a checkpoint.";
 
 /// `marf exec`: computes an action, and tells how that ended.
 pub fn exec(global: &Global, args: &ExecArgs, cancel: &Cancel) -> Result<(), CliError> {
-    let remote = Arc::new(Remote::open(&address(global)?, Patience::Patient, trust(&[])?)?);
+    let remote = Remote::open(&address(args)?, Patience::Patient, trust(&[])?)?;
+    let remote = Arc::new(match index_folder() {
+        Some(folder) => remote.keeping_indexes(&folder),
+        None => remote,
+    });
     let reader = Arc::new(Reader::new(Arc::clone(&remote), Wish(cancel.clone())));
-    let actions = Actions::read(&args.action, reader.as_ref())?;
-    let ended = compute(&actions.list, (&remote, reader), global, args, cancel);
+    let wanted = Wanted::read(&args.action, reader.as_ref())?;
+    let ended = match &wanted.what {
+        What::Actions(list) => compute(list, (&remote, reader), global, args, cancel),
+        What::Backend(question) => backend_of(question),
+    };
     if let Some(path) = &args.result
         && !matches!(ended, Err(CliError::Interrupted))
     {
         let result = JobResult {
-            key: actions.key,
+            key: wanted.key,
             program: program::PROGRAM.to_owned(),
             fault: ended.as_ref().err().map(fault),
-            warnings: ended.iter().flatten().map(in_words).collect(),
+            backend: ended.iter().find_map(|ended| ended.backend.clone()),
+            warnings: ended
+                .iter()
+                .flat_map(|ended| &ended.conflicts)
+                .map(in_words)
+                .collect(),
         };
         let written = result.write(path);
         written.map_err(|error| CliError::failed(format!("{}: {error}", path.display())))?;
     }
-    let conflicts = ended?;
-    conflicts.iter().map(in_words).for_each(warn);
-    for action in &actions.list {
-        print_line(&format!("{} {}", action.stage, action.key()));
+    let ended = ended?;
+    ended.conflicts.iter().map(in_words).for_each(warn);
+    if let What::Actions(list) = &wanted.what {
+        for action in list {
+            print_line(&format!("{} {}", action.stage, action.key()));
+        }
+        print_line(&words(remote.traffic()));
     }
-    print_line(&words(remote.traffic()));
+    ended.backend.iter().for_each(|backend| print_line(backend));
     Ok(())
 }
 
-/// Some actions, with the digest of their bytes.
-struct Actions {
+/// What is to be done, with the digest of its bytes.
+struct Wanted {
     key: Digest,
-    list: Vec<Action>,
+    what: What,
+}
+
+/// What a file for this verb holds.
+enum What {
+    /// Actions to compute.
+    Actions(Vec<Action>),
+    /// The question of a run that plans for this machine.
+    Backend(BackendQuestion),
+}
+
+/// What came of it.
+#[derive(Default)]
+struct Ended {
+    /// Conflicts with results that were there.
+    conflicts: Vec<Conflict>,
+    /// The backend that was asked for.
+    backend: Option<String>,
+}
+
+/// Returns the backend of a device of this machine.
+fn backend_of(question: &BackendQuestion) -> Result<Ended, CliError> {
+    let device: Device = question
+        .backend_of
+        .parse()
+        .map_err(|error: DeviceError| CliError::usage(error.to_string()))?;
+    let backend = device
+        .opened_id()
+        .map_err(|error| CliError::failed(error.to_string()))?;
+    Ok(Ended {
+        backend,
+        ..Ended::default()
+    })
+}
+
+/// Returns where jobs of this machine keep the indexes of packs: the cache folder of the user; none without one.
+fn index_folder() -> Option<PathBuf> {
+    let folder = |name: &str| {
+        std::env::var_os(name)
+            .filter(|path| !path.is_empty())
+            .map(PathBuf::from)
+    };
+    let cache = folder("XDG_CACHE_HOME").or_else(|| Some(folder("HOME")?.join(".cache")));
+    Some(cache?.join("marf/indexes"))
 }
 
 /// Returns the address of the shared store.
-fn address(global: &Global) -> Result<String, CliError> {
-    let given = global.store.as_ref().and_then(|store| store.to_str());
+fn address(args: &ExecArgs) -> Result<String, CliError> {
+    let given = args.store.as_ref().and_then(|store| store.to_str());
     given.map(str::to_owned).ok_or_else(|| {
         let diagnostic = Diagnostic::new("--store is needed: inputs come from a shared store");
         CliError::Usage(diagnostic.hint("file:///FOLDER or s3://BUCKET/PREFIX"))
     })
 }
 
-impl Actions {
-    /// Reads the actions of a file, or the one of a key.
+impl Wanted {
+    /// Reads what a file holds, or the action of a key.
     fn read(given: &str, reader: &dyn Upstream) -> Result<Self, CliError> {
         let bytes = match given.parse::<Digest>() {
             Ok(key) => reader
@@ -98,14 +161,19 @@ impl Actions {
                 .ok_or_else(|| CliError::failed(format!("the shared store has no action {}", key.short())))?,
             Err(_) => std::fs::read(given).map_err(|error| CliError::usage(format!("{given}: {error}")))?,
         };
+        let key = Digest::of(&bytes);
+        if let Some(question) = BackendQuestion::decode(&bytes) {
+            let what = What::Backend(question);
+            return Ok(Self { key, what });
+        }
         let lines = bytes.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
         let list: Result<Vec<Action>, _> = lines.map(Action::decode).collect();
         let list = list.map_err(|error| CliError::usage(format!("{given}: {error}")))?;
         match list.is_empty() {
             true => Err(CliError::usage(format!("{given}: no action"))),
             false => Ok(Self {
-                key: Digest::of(&bytes),
-                list,
+                key,
+                what: What::Actions(list),
             }),
         }
     }
@@ -118,7 +186,7 @@ fn compute<R: Upstream + 'static>(
     global: &Global,
     args: &ExecArgs,
     cancel: &Cancel,
-) -> Result<Vec<Conflict>, CliError> {
+) -> Result<Ended, CliError> {
     let temporary = match args.scratch {
         Some(_) => None,
         None => Some(tempfile::tempdir().map_err(|error| CliError::failed(error.to_string()))?),
@@ -138,7 +206,10 @@ fn compute<R: Upstream + 'static>(
         // What is left takes space and nothing else.
         let _ = std::fs::remove_dir_all(dir);
     }
-    Ok(sent.conflicts)
+    Ok(Ended {
+        conflicts: sent.conflicts,
+        ..Ended::default()
+    })
 }
 
 /// Makes the result of an action in its own store.
@@ -185,6 +256,7 @@ fn fault(error: &CliError) -> Fault {
     let diagnostic = error.diagnostic();
     Fault {
         message: error.message().to_owned(),
+        is_elsewhere: matches!(error, CliError::Elsewhere(_)),
         cause: diagnostic.and_then(|diagnostic| diagnostic.cause.clone()),
         hint: diagnostic.and_then(|diagnostic| diagnostic.hint.clone()),
     }

@@ -1,6 +1,6 @@
 //! Writing files atomically.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::error::{CliError, Diagnostic};
 
@@ -43,6 +43,43 @@ pub fn remove(path: &Path) -> Result<(), CliError> {
     }
 }
 
+/// Returns the way from one folder to another, with `/` and `..`: `.` where they are the same. The first need not exist.
+///
+/// # Errors
+/// A way whose names are no UTF-8.
+pub fn relative(from: &Path, to: &Path) -> Result<String, CliError> {
+    let (from, to) = (settled(from), settled(to));
+    let shared = from
+        .components()
+        .zip(to.components())
+        .take_while(|(a, b)| a == b)
+        .count();
+    let up = from.components().skip(shared).map(|_| Some(".."));
+    let down = to.components().skip(shared).map(|part| part.as_os_str().to_str());
+    let parts: Option<Vec<&str>> = up.chain(down).collect();
+    let Some(parts) = parts else {
+        return Err(CliError::usage(format!(
+            "{}: the name is no UTF-8, which a JSON file needs",
+            to.display()
+        )));
+    };
+    Ok(if parts.is_empty() {
+        ".".to_owned()
+    } else {
+        parts.join("/")
+    })
+}
+
+/// Returns a path without links and `..`, as far as it exists.
+fn settled(path: &Path) -> PathBuf {
+    let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    match (whole.canonicalize(), whole.parent(), whole.file_name()) {
+        (Ok(settled), ..) => settled,
+        (Err(_), Some(parent), Some(name)) => settled(parent).join(name),
+        _ => whole,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -54,5 +91,20 @@ mod tests {
         write(&path, b"x").unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"x");
         assert_eq!(std::fs::read_dir(dir.path().join("a")).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn the_way_between_folders_is_told_with_dots_and_slashes() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        std::fs::create_dir_all(at("photos/raw")).unwrap();
+        for (from, to, way) in [
+            ("photos", "photos/raw", "raw"),
+            ("out/new", "photos", "../../photos"),
+            ("photos/raw", "photos", ".."),
+            ("photos", "photos/raw/..", "."),
+        ] {
+            assert_eq!(relative(&at(from), &at(to)).unwrap(), way, "{from} {to}");
+        }
     }
 }

@@ -1,4 +1,4 @@
-use marf_engine::{Cancel, Extent, Needs, PlanState, PlannedNode};
+use marf_engine::{Cancel, Extent, Needs, PlanState, PlannedNode, SharedResults};
 use marf_schema::scenes::Scenes;
 use marf_stage::Document;
 use serde::Serialize;
@@ -8,6 +8,7 @@ use super::error::CliError;
 use super::output::print_json;
 use super::scenes;
 use super::session::Session;
+use super::shared::Shared;
 use crate::progress::duration;
 use crate::terminal::print_line;
 
@@ -38,7 +39,10 @@ impl<'a> Row<'a> {
 pub fn plan(global: &Global, selection: &Selection, cancel: &Cancel) -> Result<(), CliError> {
     let session = known(Session::open(global, cancel)?, global)?;
     let last = session.last()?;
-    let mut nodes = marf_engine::plan(&session.graph, &session.store, last.as_ref(), global.threads)?;
+    let shared = Shared::open(&session, global, cancel)?;
+    let shared = shared.as_deref().map(|shared| shared as &dyn SharedResults);
+    let (graph, store) = (&session.graph, &session.store);
+    let mut nodes = marf_engine::plan_beside(graph, store, last.as_ref(), global.threads, shared)?;
     let (to, from) = scenes::selected(&session, selection)?;
     let chosen = session.graph.select(&to, &from)?;
     nodes.retain(|node| chosen.contains(&node.node));
@@ -71,7 +75,8 @@ fn known(session: Session, global: &Global) -> Result<Session, CliError> {
         return Ok(session);
     };
     let last = session.last()?;
-    let nodes = marf_engine::plan(&session.graph, &session.store, last.as_ref(), global.threads)?;
+    let (graph, store) = (&session.graph, &session.store);
+    let nodes = marf_engine::plan(graph, store, last.as_ref(), global.threads)?;
     let split = nodes.iter().find(|node| node.node == by_scene.split);
     let key = split
         .filter(|node| !node.state.is_open())

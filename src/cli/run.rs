@@ -31,7 +31,7 @@ pub fn run(global: &Global, args: &RunArgs, cancel: &Cancel) -> Result<(), CliEr
     let options = Options {
         to,
         from,
-        executor: on::executor(args)?,
+        executor: on::executor(args, cancel)?,
         ..options(global, &session.name)
     };
     let (record, ended) = run_and_export(&session, &options, global, args, cancel)?;

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use marf_cache::Digest;
+use marf_cache::{Digest, Record};
 use marf_engine::{Cancel, NodeState, RunRecord, SharedResults};
 use marf_remote::{RemoteError, Sharing};
 
@@ -23,6 +23,10 @@ pub struct Shared(Sharing);
 impl SharedResults for Shared {
     fn fetch(&self, keys: &[Digest]) {
         self.0.fetch(keys);
+    }
+
+    fn record(&self, key: &Digest) -> Option<Record> {
+        self.0.record(key)
     }
 
     fn offer(&self, key: &Digest) {

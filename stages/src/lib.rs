@@ -25,6 +25,7 @@ static STAGES: LazyLock<Vec<StageDef>> = LazyLock::new(|| {
         define::<marf_calibrate::SplitByPlace>(),
         define::<marf_calibrate::Masks>(),
         define::<marf_calibrate::Calibrate>(),
+        define::<marf_calibrate::ExportCameras>(),
         define::<marf_train::Tune>(),
         define::<marf_train::Train>(),
         define::<marf_train::Partial>(),

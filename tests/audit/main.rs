@@ -39,10 +39,7 @@ device = "cpu"
 "#;
 
 fn ran() -> tempfile::TempDir {
-    let dir = tempfile::tempdir().unwrap();
-    std::fs::write(dir.path().join("pipeline.toml"), PIPELINE).unwrap();
-    marf(dir.path(), &["run"]).exits(0);
-    dir
+    common::ran("audit", PIPELINE)
 }
 
 fn audit(dir: &Path, file: &str, more: &[&str], code: i32) -> Value {

@@ -5,8 +5,10 @@
     reason = "each test file uses a part; a skipped test says so"
 )]
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::{Mutex, PoisonError};
 
 /// The default pipeline at a quarter of its pixels and a handful of steps.
 pub const SMALL_DEMO: [&str; 14] = [
@@ -80,6 +82,27 @@ impl Ran {
             .map(|json| json["node"].as_str().unwrap_or_default().to_owned())
             .collect()
     }
+}
+
+/// Returns a folder in which a pipeline has run, as it was left: a copy of one run that all tests of a file share.
+///
+/// `name` tells the pipelines of all files apart.
+pub fn ran(name: &str, pipeline: &str) -> tempfile::TempDir {
+    static DONE: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    let whole = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("ran-{name}"));
+    let mut done = DONE.lock().unwrap_or_else(PoisonError::into_inner);
+    if !done.contains(name) {
+        // What an earlier `cargo test` left is of another program.
+        let _ = std::fs::remove_dir_all(&whole);
+        std::fs::create_dir_all(&whole).unwrap();
+        std::fs::write(whole.join("pipeline.toml"), pipeline).unwrap();
+        marf(&whole, &["run"]).exits(0);
+        done.insert(name.to_owned());
+    }
+    drop(done);
+    let dir = tempfile::tempdir().unwrap();
+    copy(&whole, dir.path());
+    dir
 }
 
 /// Copies a folder with all that is in it.

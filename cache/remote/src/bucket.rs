@@ -17,6 +17,7 @@ use crate::{
     address::{Address, Patience},
     catalogue::Catalogue,
     error::RemoteError,
+    kept_indexes::KeptIndexes,
     trust::Trust,
 };
 
@@ -48,6 +49,8 @@ pub(crate) struct Bucket {
     pub(crate) trust: Trust,
     root: Path,
     objects: Box<dyn ObjectStore>,
+    /// Where indexes of its packs are kept beyond this process; they are not if absent.
+    pub(crate) kept_indexes: Option<KeptIndexes>,
     /// What is known of its packs.
     pub(crate) catalogue: Mutex<Catalogue>,
     requests: AtomicU64,
@@ -64,6 +67,7 @@ impl Bucket {
             trust,
             root,
             objects,
+            kept_indexes: None,
             catalogue: Mutex::default(),
             requests: AtomicU64::new(0),
             sent_bytes: AtomicU64::new(0),

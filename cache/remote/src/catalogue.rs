@@ -9,7 +9,7 @@ use crate::{
     bucket::Bucket,
     error::RemoteError,
     names,
-    pack::{Entry, decode_index},
+    pack::{Entry, decode_index, encode_index},
 };
 
 /// Indexes that are fetched at once.
@@ -61,13 +61,18 @@ impl Catalogue {
         let packs = listed
             .iter()
             .filter_map(|object| names::pack_of_index(&object.name));
-        let new: Vec<Digest> = packs.filter(|pack| !known.contains(pack)).collect();
+        let packs: BTreeSet<Digest> = packs.collect();
+        bucket.kept_indexes.iter().for_each(|kept| kept.prune(&packs));
+        let new: Vec<Digest> = packs.difference(&known).copied().collect();
         let first = self.packs.len() as u32;
-        let indexes: Vec<(u32, Vec<Entry>)> = stream::iter(new.iter().zip(first..))
-            .map(|(pack, number)| async move { Ok::<_, RemoteError>((number, index(bucket, pack).await?)) })
-            .buffer_unordered(IN_FLIGHT)
-            .try_collect()
-            .await?;
+        let indexes: Vec<(u32, Vec<Entry>)> =
+            stream::iter(new.iter().zip(first..))
+                .map(|(pack, number)| async move {
+                    Ok::<_, RemoteError>((number, kept_index(bucket, pack).await?))
+                })
+                .buffer_unordered(IN_FLIGHT)
+                .try_collect()
+                .await?;
         self.packs.extend(new);
         for (pack, entries) in indexes {
             self.places.extend(entries.into_iter().map(|entry| (entry, pack)));
@@ -85,6 +90,22 @@ impl Catalogue {
             .ok()?;
         self.places.get(at).copied()
     }
+}
+
+/// As [`index`], from where indexes are kept if it is there.
+async fn kept_index(bucket: &Bucket, pack: &Digest) -> Result<Vec<Entry>, RemoteError> {
+    let Some(kept) = &bucket.kept_indexes else {
+        return index(bucket, pack).await;
+    };
+    if let Some(entries) = kept.read(pack).and_then(|bytes| decode_index(&bytes)) {
+        return Ok(entries);
+    }
+    let entries = index(bucket, pack).await?;
+    // One that a collection has just removed has no entries.
+    if !entries.is_empty() {
+        kept.keep(pack, &encode_index(&entries));
+    }
+    Ok(entries)
 }
 
 /// Returns the entries of an index; none of one that a collection has removed since it was listed.

@@ -76,7 +76,7 @@ pub enum RemoteError {
         digest: Digest,
     },
     /// No writer that is trusted has signed it.
-    #[error("{count} {what}s of {place} are signed by no key of `trust`, the first is {first}")]
+    #[error("{} signed by no key of `trust`, the first is {first}", in_place(*count, what, place))]
     Untrusted {
         /// The address.
         place: String,
@@ -151,5 +151,13 @@ impl RemoteError {
             Self::Slow { .. } | Self::Stopped | Self::Threads(_) => return None,
         };
         Some(hint.to_owned())
+    }
+}
+
+/// Returns `1 result of PLACE is`, `2 results of PLACE are`.
+fn in_place(count: usize, what: &str, place: &str) -> String {
+    match count {
+        1 => format!("1 {what} of {place} is"),
+        _ => format!("{count} {what}s of {place} are"),
     }
 }

@@ -39,6 +39,7 @@ mod fetch;
 mod fsck;
 mod gc;
 mod inventory;
+mod kept_indexes;
 mod lease;
 mod names;
 mod pack;

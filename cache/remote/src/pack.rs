@@ -82,7 +82,7 @@ impl PackWriter {
     }
 }
 
-fn encode_index(entries: &[Entry]) -> Vec<u8> {
+pub(crate) fn encode_index(entries: &[Entry]) -> Vec<u8> {
     let mut bytes = MAGIC.to_vec();
     for entry in entries {
         bytes.extend_from_slice(entry.digest.as_bytes());

@@ -2,6 +2,7 @@
 
 use std::{
     future::Future,
+    path::Path,
     pin::pin,
     sync::atomic::{AtomicBool, Ordering},
     time::Duration,
@@ -18,6 +19,7 @@ use crate::{
     error::RemoteError,
     fsck::{self, Checked, FsckOptions},
     gc::{self, Collected, GcOptions},
+    kept_indexes::KeptIndexes,
     lease::{Kind, Lease},
     names,
     pull::{self, Pulled},
@@ -30,6 +32,9 @@ use crate::{
 const FORMAT: u32 = 1;
 /// What the object that tells the form begins with.
 const FORMAT_WORDS: &str = "marf shared store ";
+
+/// Threads that read and write a folder: each has memory of its own that is not given back.
+const FOLDER_THREADS: usize = 4;
 
 /// Longest wait for the end of a lease: the user may have asked to stop.
 const RELEASE_PATIENCE: Duration = Duration::from_secs(1);
@@ -68,6 +73,7 @@ impl Remote {
     pub fn open(url: &str, patience: Patience, trust: Trust) -> Result<Self, RemoteError> {
         let runtime = Builder::new_multi_thread()
             .worker_threads(2)
+            .max_blocking_threads(FOLDER_THREADS)
             .enable_all()
             .build()
             .map_err(RemoteError::Threads)?;
@@ -76,6 +82,13 @@ impl Remote {
             is_checked: AtomicBool::new(false),
             runtime,
         })
+    }
+
+    /// Returns it with a folder of this machine in which indexes of packs are kept for the next program that opens it.
+    #[must_use]
+    pub fn keeping_indexes(mut self, folder: &Path) -> Self {
+        self.bucket.kept_indexes = Some(KeptIndexes::of(folder, &self.bucket.place));
+        self
     }
 
     /// Returns its address.

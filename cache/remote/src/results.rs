@@ -1,6 +1,6 @@
 //! Results of single keys, to and from a shared store.
 
-use marf_cache::{Digest, Store};
+use marf_cache::{Digest, Record, Store};
 
 use crate::{
     error::RemoteError,
@@ -8,6 +8,7 @@ use crate::{
     pull::{self, Pulled},
     push::{self, Pushed},
     remote::{Observer, Remote},
+    survey,
 };
 
 impl Remote {
@@ -30,6 +31,23 @@ impl Remote {
             push::results(&self.bucket, store, keys, blobs, observer).await
         };
         self.holding(&Lease::new(Kind::Shared), observer, work)
+    }
+
+    /// Returns the record of a key; none if it is not there, or of somebody who is not trusted.
+    ///
+    /// # Errors
+    /// A shared store that cannot be read; one that is absent is none. A record that is damaged.
+    pub fn record(&self, key: &Digest, observer: &dyn Observer) -> Result<Option<Record>, RemoteError> {
+        self.waiting(observer, async {
+            match self.check().await {
+                Err(RemoteError::Absent { .. }) => return Ok(None),
+                checked => checked?,
+            }
+            let found = survey::record(&self.bucket, key).await?;
+            Ok(found
+                .filter(|found| found.is_believed)
+                .map(|found| found.value.record))
+        })
     }
 
     /// Fetches results of keys with all that belongs to them and the own store lacks. All must be there.

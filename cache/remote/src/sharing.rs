@@ -12,7 +12,7 @@ use std::{
     time::{Duration, Instant, SystemTime},
 };
 
-use marf_cache::{Digest, Store};
+use marf_cache::{Digest, Record, Store};
 
 use crate::{
     address::Patience,
@@ -138,6 +138,25 @@ impl Sharing {
         {
             Ok(skipped) => skipped.into_iter().for_each(|error| link.tell(&error)),
             Err(error) => link.give_up(&error),
+        }
+    }
+
+    /// Returns the record of a key that is there and believed; none of one that the run would make again.
+    pub fn record(&self, key: &Digest) -> Option<Record> {
+        let link = &self.link;
+        if link.is_away() || link.recheck.has(key) {
+            return None;
+        }
+        match link.remote.record(key, link.as_ref()) {
+            Ok(record) => record,
+            Err(error @ RemoteError::Damaged { .. }) => {
+                link.tell(&error);
+                None
+            }
+            Err(error) => {
+                link.give_up(&error);
+                None
+            }
         }
     }
 

@@ -1,23 +1,26 @@
 //! `marf export cameras`: a folder with photos and cameras as other programs read them.
 
-use std::collections::BTreeSet;
-use std::path::{Component, Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
-use marf_cache::{Digest, Store};
-use marf_engine::Cancel;
+use marf_cache::Digest;
+use marf_engine::{Cancel, NodeRun};
 use marf_scene::Scene;
-use marf_schema::output::{POINTS, SCENE, SPARSE, TRANSFORMS};
+use marf_schema::cameras::CamerasParams;
+use marf_schema::output::{CAMERAS, POINTS, SCENE, SPARSE};
+use marf_stage::Params;
 use serde_json::json;
 
-use super::super::again::run_with;
+use super::super::again::{run_nodes, run_with};
 use super::super::args::Global;
-use super::super::copies::copy;
 use super::super::error::CliError;
-use super::super::files;
+use super::super::export::one;
 use super::super::output::print_json;
-use super::super::session::{digest, existing_store};
+use super::super::session::{digest, existing_store, node_named};
 use crate::terminal::print_line;
+
+/// The file that names photos and cameras.
+pub const TRANSFORMS: &str = "transforms.json";
 
 /// Arguments of `export cameras`.
 #[derive(Debug, Clone, Args)]
@@ -28,6 +31,9 @@ pub struct CamerasArgs {
     /// Folder to write
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// Write photos without the distortion of their lens, as PNG
+    #[arg(long)]
+    pub undistort: bool,
     /// Number of the run [default: the last one that has the node]
     #[arg(long, value_name = "NUMBER")]
     pub run: Option<u64>,
@@ -37,27 +43,23 @@ pub struct CamerasArgs {
 pub fn export(global: &Global, args: &CamerasArgs, cancel: &Cancel) -> Result<(), CliError> {
     let store = existing_store(global, cancel)?;
     let run = run_with(&store, args.run, &args.node)?;
-    let node = super::super::session::node_named(&run, &args.node)?;
-    let scene = Scene::decode(&store.get(&digest(node, SCENE)?)?);
-    let scene = scene.map_err(|error| CliError::failed(error.to_string()))?;
-    let photos = photo_files(&scene)?;
-    let models = node
-        .outputs
-        .iter()
-        .filter(|(name, _)| name.starts_with(SPARSE) || *name == POINTS);
-    let mut all = vec![(PathBuf::from("transforms.json"), digest(node, TRANSFORMS)?)];
-    all.extend(models.map(|(name, output)| (PathBuf::from(name), output.digest)));
-    let model_files = all.len();
-    all.extend(photos);
+    let scene = Scene::decode(&store.get(&digest(node_named(&run, &args.node)?, SCENE)?)?);
+    let metres = scene
+        .map_err(|error| CliError::failed(error.to_string()))?
+        .metres_per_unit;
+    let name = format!("cameras-of-{}", args.node);
+    let table = json!({"uses": CamerasParams::STAGE, "input": args.node, "undistort": args.undistort});
+    let (session, record) = run_nodes(store, &run, &[(&name, table)], global, cancel)?;
+    let all = files_of(node_named(&record, &name)?);
     for (file, digest) in &all {
-        write(&store, digest, run.root, &args.out.join(file))?;
+        session.check()?;
+        one(&session, &record, digest, &args.out.join(file))?;
     }
-    let photos = all.len() - model_files;
-    let metres = scene.metres_per_unit;
+    let photos = all.len() - model_count(&all);
     if global.json {
-        let files: Vec<&PathBuf> = all.iter().map(|(file, _)| file).collect();
+        let files: Vec<&str> = all.iter().map(|(file, _)| *file).collect();
         return print_json(
-            &json!({"run": run.number, "folder": args.out, "files": files, "photos": photos, "metres_per_unit": metres}),
+            &json!({"run": record.number, "folder": args.out, "files": files, "photos": photos, "metres_per_unit": metres}),
         );
     }
     let scale = metres.map_or("no scale".to_owned(), |metres| format!("one unit is {metres} m"));
@@ -68,27 +70,22 @@ pub fn export(global: &Global, args: &CamerasArgs, cancel: &Cancel) -> Result<()
     Ok(())
 }
 
-/// Returns the file and the digest of each photo.
-///
-/// # Errors
-/// A name that leads out of the folder, or that two photos share.
-fn photo_files(scene: &Scene) -> Result<Vec<(PathBuf, Digest)>, CliError> {
-    let mut known = BTreeSet::new();
-    let file = |frame: &marf_scene::Frame| {
-        let path = Path::new(&frame.file);
-        let is_plain = path.components().all(|part| matches!(part, Component::Normal(_)));
-        if !is_plain || !known.insert(frame.file.clone()) {
-            return Err(CliError::failed(format!(
-                "the photo `{}` cannot be written as `{}`: the name leads out of the folder, or another photo has it",
-                frame.id, frame.file
-            )));
-        }
-        Ok((path.to_owned(), frame.image))
-    };
-    scene.frames.iter().map(file).collect()
+/// Returns the files of the folder that a node `cameras` made, below that folder: models first, then photos.
+pub fn files_of(node: &NodeRun) -> Vec<(&str, Digest)> {
+    let files = node
+        .outputs
+        .iter()
+        .filter_map(|(name, output)| Some((name.strip_prefix(CAMERAS)?, output.digest)));
+    let mut files: Vec<(&str, Digest)> = files.collect();
+    files.sort_by_key(|(name, _)| !is_model(name));
+    files
 }
 
-fn write(store: &Store, digest: &Digest, run: Option<Digest>, path: &Path) -> Result<(), CliError> {
-    let bytes = store.get(digest)?;
-    files::write(path, &copy(path, digest, &bytes, run))
+/// Returns how many of the files are no photos.
+pub fn model_count(files: &[(&str, Digest)]) -> usize {
+    files.iter().filter(|(name, _)| is_model(name)).count()
+}
+
+fn is_model(name: &str) -> bool {
+    name == TRANSFORMS || name == POINTS || name.starts_with(SPARSE)
 }

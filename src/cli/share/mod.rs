@@ -1,7 +1,7 @@
 //! Verbs that hand a run, or what it made, to people and programs without the store, and check what was handed over.
 
 mod attest;
-mod cameras;
+pub mod cameras;
 mod export_crate;
 mod run;
 mod surface;
@@ -26,15 +26,15 @@ pub enum ExportVerb {
     Crate(CrateArgs),
     /// Sign who made a result, by what and from what: an in-toto statement with SLSA provenance, in a DSSE envelope
     Attest(AttestArgs),
-    /// Write cameras and photos as a folder: transforms.json (nerfstudio, instant-ngp), COLMAP's model, points
+    /// Write cameras and photos as a folder: transforms.json (nerfstudio, instant-ngp), COLMAP's model (binary and text), points
     Cameras(cameras::CamerasArgs),
     /// Write the surface of a trained field as triangles: FILE.ply or FILE.glb (metres, y up)
     Mesh(SurfaceArgs),
     /// Write the surface of a trained field as points: FILE.ply
     Points(SurfaceArgs),
-    /// Write heights as FILE.png of 16 bits with a world file, and beside it how far the views differ
+    /// Write heights as FILE.png of 16 bits with a world file, or FILE.tif (GeoTIFF, metres), and beside it how far the views differ
     Height(SurfaceArgs),
-    /// Write the surface as seen from straight above: FILE.png with a world file
+    /// Write the surface as seen from straight above: FILE.png with a world file, or FILE.tif (GeoTIFF)
     Orthophoto(SurfaceArgs),
     /// Write the depths of a trained field at the views of its photos into a folder: PNG of 16 bits, the scale in their text
     Depth(SurfaceArgs),

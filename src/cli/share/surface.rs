@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use marf_engine::{Cancel, NodeRun, RunRecord};
 use marf_schema::output::{DEPTH, MESH_GLB, MESH_PLY, POINTS, SURFACE_MAPS};
-use marf_schema::surface::{SurfaceParams, SurfaceReport};
+use marf_schema::surface::{ColorBy, SpreadOf, SurfaceParams, SurfaceReport};
 use marf_stage::Params;
 use serde_json::{Map, Value, json};
 
@@ -14,7 +14,7 @@ use super::super::args::Global;
 use super::super::error::{CliError, Diagnostic};
 use super::super::export::one;
 use super::super::output::print_json;
-use super::super::session::{Session, digest, existing_store, node_named};
+use super::super::session::{Session, bootstraps_of, digest, existing_store, node_named};
 use crate::terminal::print_line;
 
 /// Arguments of the exports of a surface.
@@ -41,9 +41,18 @@ pub struct SurfaceArgs {
     /// Largest difference between the views at a point, as `--cell` [default: a cell]
     #[arg(long, value_name = "LENGTH")]
     pub most_spread: Option<f64>,
+    /// What mesh and points are coloured by: `photos`, or `uncertainty`: how far the retrainings of the run's bootstrap differ, or the views
+    /// of the field where the run has none
+    #[arg(long, value_name = "WHAT", default_value = "photos", value_parser = color)]
+    pub color: ColorBy,
     /// Width of a pixel of a map, metres [default: that of a cell]
     #[arg(long, value_name = "METRES")]
     pub map_cell: Option<f64>,
+}
+
+/// Reads what colours are, as pipeline.toml has it.
+fn color(word: &str) -> Result<ColorBy, String> {
+    serde_json::from_value(json!(word)).map_err(|error| error.to_string())
 }
 
 /// What is exported.
@@ -67,7 +76,7 @@ pub fn export(global: &Global, kind: Kind, args: &SurfaceArgs, cancel: &Cancel) 
     let store = existing_store(global, cancel)?;
     let run = run_with(&store, args.run, &args.node)?;
     let name = format!("surface-of-{}", args.node);
-    let (session, record) = run_nodes(store, &run, &[(&name, table(kind, args))], global, cancel)?;
+    let (session, record) = run_nodes(store, &run, &[(&name, table(kind, args, &run))], global, cancel)?;
     let node = node_named(&record, &name)?;
     let report: SurfaceReport = session.document(node)?;
     if let (Kind::Height | Kind::Orthophoto, Some(why)) = (kind, report.refused.get(SURFACE_MAPS)) {
@@ -79,6 +88,9 @@ pub fn export(global: &Global, kind: Kind, args: &SurfaceArgs, cancel: &Cancel) 
         return print_json(&json!({"files": written, "run": record.number, "surface": report}));
     }
     print_line(&text(kind, &report));
+    if matches!(kind, Kind::Mesh | Kind::Points) {
+        print_line(&uncertainty_text(&report));
+    }
     for path in written {
         print_line(&format!("wrote {}", path.display()));
     }
@@ -90,7 +102,7 @@ fn check_ending(kind: Kind, out: &Path) -> Result<(), CliError> {
     let endings: &[&str] = match kind {
         Kind::Mesh => &["ply", "glb"],
         Kind::Points => &["ply"],
-        Kind::Height | Kind::Orthophoto => &["png"],
+        Kind::Height | Kind::Orthophoto => &["png", "tif"],
         Kind::Depth => return Ok(()),
     };
     let ending = out
@@ -108,7 +120,7 @@ fn check_ending(kind: Kind, out: &Path) -> Result<(), CliError> {
 }
 
 /// Returns the table of the node, as pipeline.toml would have it.
-fn table(kind: Kind, args: &SurfaceArgs) -> Value {
+fn table(kind: Kind, args: &SurfaceArgs, run: &RunRecord) -> Value {
     let mut table = Map::from_iter([
         ("uses".to_owned(), json!(SurfaceParams::STAGE)),
         ("input".to_owned(), json!(args.node)),
@@ -123,11 +135,17 @@ fn table(kind: Kind, args: &SurfaceArgs) -> Value {
         .into_iter()
         .filter_map(|(key, length)| Some((key, json!(length?))));
     let count = args.least_photos.map(|count| ("least_photos", json!(count)));
+    let has_members = matches!(kind, Kind::Mesh | Kind::Points);
+    let members = bootstraps_of(run, &args.node).find(|node| has_members && node.state.is_good());
+    let members = members.map(|node| ("members", json!(node.name)));
+    let color = (args.color != ColorBy::default()).then_some(("color", json!(args.color)));
     let depth = (kind == Kind::Depth).then_some(("depth", json!(true)));
     table.extend(
         lengths
             .chain(count)
             .chain(depth)
+            .chain(members)
+            .chain(color)
             .map(|(key, value)| (key.to_owned(), value)),
     );
     Value::Object(table)
@@ -141,21 +159,26 @@ fn write(
     out: &Path,
 ) -> Result<Vec<PathBuf>, CliError> {
     let is_glb = out.extension().is_some_and(|ending| ending == "glb");
+    let is_tiff = out.extension().is_some_and(|ending| ending == "tif");
     let map = |name: &str, ending: &str| format!("{SURFACE_MAPS}{name}.{ending}");
     let files: Vec<(String, PathBuf)> = match kind {
         Kind::Mesh if is_glb => vec![(MESH_GLB.to_owned(), out.to_owned())],
         Kind::Mesh => vec![(MESH_PLY.to_owned(), out.to_owned())],
         Kind::Points => vec![(POINTS.to_owned(), out.to_owned())],
+        Kind::Height if is_tiff => vec![
+            (map("height", "tif"), out.to_owned()),
+            (map("spread", "tif"), beside(out, "-spread")),
+        ],
         Kind::Height => {
-            let stem = out.file_stem().unwrap_or_default().to_string_lossy();
-            let spread = |ending: &str| out.with_file_name(format!("{stem}-spread.{ending}"));
+            let spread = beside(out, "-spread");
             vec![
                 (map("height", "png"), out.to_owned()),
                 (map("height", "pgw"), out.with_extension("pgw")),
-                (map("spread", "png"), spread("png")),
-                (map("spread", "pgw"), spread("pgw")),
+                (map("spread", "pgw"), spread.with_extension("pgw")),
+                (map("spread", "png"), spread),
             ]
         }
+        Kind::Orthophoto if is_tiff => vec![(map("orthophoto", "tif"), out.to_owned())],
         Kind::Orthophoto => vec![
             (map("orthophoto", "png"), out.to_owned()),
             (map("orthophoto", "pgw"), out.with_extension("pgw")),
@@ -172,6 +195,26 @@ fn write(
         one(session, record, &digest(node, name)?, path)?;
     }
     Ok(files.into_iter().map(|(_, path)| path).collect())
+}
+
+/// Returns the file beside another whose name has more before the ending.
+fn beside(file: &Path, more: &str) -> PathBuf {
+    let [stem, ending] =
+        [file.file_stem(), file.extension()].map(|part| part.unwrap_or_default().to_string_lossy());
+    file.with_file_name(format!("{stem}{more}.{ending}"))
+}
+
+/// Says what the uncertainty of a surface is.
+fn uncertainty_text(report: &SurfaceReport) -> String {
+    let uncertainty = &report.uncertainty;
+    let of = match uncertainty.of {
+        SpreadOf::Retrainings => format!("{} retrainings differ by", uncertainty.members),
+        SpreadOf::Views => "no bootstrap: the views of the field differ by".to_owned(),
+    };
+    format!(
+        "{of} {:.4} at half of the vertices, {:.4} at 95 of 100 ({})",
+        uncertainty.median, uncertainty.scale_end, report.unit
+    )
 }
 
 fn text(kind: Kind, report: &SurfaceReport) -> String {

@@ -14,13 +14,14 @@ use marf_stage::{StageError, Threads};
 
 use crate::{
     array_plan::{Array, Plan, PlannedArray, Task, array_files},
-    cluster::{ATTEMPTS, Cluster, Watcher, failed, remote_failed, told},
+    cluster::{ATTEMPTS, Cluster, KEYS_AT_ONCE, Watcher, remote_failed},
     commands::{count, tasks_of},
+    job::failed,
     job_files::JobFiles,
     job_result::{JobResult, write_whole},
     queue::{PREFIX, Sight},
     script::{Filling, filled, shell_quoted},
-    words::in_short,
+    words::{counted, in_short},
 };
 
 /// Digits of the digest of its tasks in the name of an array.
@@ -76,7 +77,7 @@ impl<'a> Arrays<'a> {
         let lacks = |part: &&PartOrder| order.store.hit(&part.key).is_ok_and(|record| record.is_none());
         let absent: Vec<Digest> = parts.iter().filter(lacks).map(|part| part.key).collect();
         let fetched = self.cluster.fetch_known(order, &absent);
-        fetched.map_err(|error| remote_failed(order, "results cannot be fetched", error))?;
+        fetched.map_err(|error| remote_failed(order.node, "results cannot be fetched", error))?;
         Ok(parts.iter().filter(lacks).collect())
     }
 
@@ -179,7 +180,9 @@ impl<'a> Arrays<'a> {
             return Ok(());
         };
         let script = || self.write(&array.planned);
-        let job = self.cluster.job(self.order, &array.planned.name, &script)?;
+        let job = self
+            .cluster
+            .job((self.order.node, self.order.cancel), &array.planned.name, &script)?;
         if let Some(array) = self.arrays.last_mut() {
             let (id, _) = tasks_of(&job.id);
             (array.id, array.since) = (Some(id.to_owned()), job.since);
@@ -253,23 +256,20 @@ impl<'a> Arrays<'a> {
                 continue;
             }
             if let Some(result) = JobResult::read(&result, &task.key) {
-                told(order, result)?;
+                self.cluster.told(order.progress, result)?;
                 ended.push(at);
             }
         }
-        let keys: Vec<Digest> = ended
-            .iter()
-            .flat_map(|&at| &self.tasks[at].parts)
-            .copied()
-            .collect();
-        if keys.is_empty() {
-            return Ok(());
+        let keys = ended.iter().flat_map(|&at| &self.tasks[at].parts);
+        let keys: Vec<Digest> = keys.copied().collect();
+        for some in keys.chunks(KEYS_AT_ONCE) {
+            let brought = self
+                .cluster
+                .remote
+                .bring(order.store, some, &Watcher(order.cancel));
+            brought
+                .map_err(|error| remote_failed(order.node, "results of its jobs cannot be fetched", error))?;
         }
-        let brought = self
-            .cluster
-            .remote
-            .bring(order.store, &keys, &Watcher(order.cancel));
-        brought.map_err(|error| remote_failed(order, "results of its jobs cannot be fetched", error))?;
         ended.into_iter().for_each(|at| self.tasks[at].is_done = true);
         Ok(())
     }
@@ -339,7 +339,7 @@ impl<'a> Arrays<'a> {
         let parts = |tasks: &mut dyn Iterator<Item = &Task>| tasks.map(|task| task.parts.len() as u64).sum();
         let total: u64 = parts(&mut self.tasks.iter());
         let done: u64 = parts(&mut self.tasks.iter().filter(|task| task.is_done));
-        let mut note = format!("{running} tasks run, {waiting} wait");
+        let mut note = format!("{} running, {waiting} waiting", counted(running, "task"));
         if !said.is_empty() {
             note.push_str(&format!(" ({})", in_short(said)));
         }
@@ -369,9 +369,9 @@ impl<'a> Arrays<'a> {
             by_memory.entry(memory_mb).or_default().push(at);
         }
         for (memory_mb, tasks) in by_memory {
-            let count = tasks.len();
             self.order.progress.warn(&format!(
-                "{count} tasks ended without a result; they are submitted again with {memory_mb} MB"
+                "{} ended without a result, submitted again with {memory_mb} MB",
+                counted(tasks.len(), "task")
             ));
             self.submit(tasks, memory_mb)?;
         }
@@ -382,9 +382,9 @@ impl<'a> Arrays<'a> {
         let task = &self.tasks[at];
         let files = self.files(&task.key);
         let error = StageError::new(format!(
-            "`{}`: a task of {} shards ended {ATTEMPTS} times without a result ({})",
+            "`{}`: a task of {} ended {ATTEMPTS} times without a result ({})",
             self.order.node,
-            task.parts.len(),
+            counted(task.parts.len(), "shard"),
             in_short(said),
         ));
         let error = match files.log_tail() {
@@ -444,6 +444,6 @@ impl<'a> Arrays<'a> {
     }
 
     fn unwritten(&self, error: &io::Error) -> StageError {
-        failed(self.order, "the files of its jobs cannot be written", error)
+        failed(self.order.node, "the files of its jobs cannot be written", error)
     }
 }

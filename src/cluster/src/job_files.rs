@@ -20,6 +20,8 @@ pub(crate) struct JobFiles {
     pub(crate) result: PathBuf,
     pub(crate) progress: PathBuf,
     pub(crate) scratch: PathBuf,
+    /// What a machine has told of its backend; stays when the others are removed.
+    pub(crate) backend: PathBuf,
 }
 
 impl JobFiles {
@@ -32,6 +34,7 @@ impl JobFiles {
             result: file(".json"),
             progress: JobProgress::path(&file(".json")),
             scratch: file(""),
+            backend: file(".backend"),
         }
     }
 

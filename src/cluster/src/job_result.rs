@@ -20,6 +20,9 @@ pub struct JobResult {
     /// Why there is no result; absent if there is one, which then is in the shared store.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fault: Option<Fault>,
+    /// The backend of the machine of the job, if the question was for that.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub backend: Option<String>,
     /// What else the user should know, a sentence each.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub warnings: Vec<String>,
@@ -37,6 +40,9 @@ pub struct Fault {
     /// What to do about it, if known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hint: Option<String>,
+    /// Another marf or another machine must make it.
+    #[serde(default)]
+    pub is_elsewhere: bool,
 }
 
 impl JobResult {
@@ -133,7 +139,9 @@ mod tests {
                 message: "out of paper".to_owned(),
                 cause: None,
                 hint: Some("buy some".to_owned()),
+                is_elsewhere: false,
             }),
+            backend: None,
             warnings: vec!["the toner is low".to_owned()],
         };
         assert_eq!(JobResult::read(&path, &key), None);

@@ -6,6 +6,7 @@
 //! FOLDER/<key>.log       what the job printed, attempts one after the other
 //! FOLDER/<key>.json      how it ended, written by rename ([`JobResult`])
 //! FOLDER/<key>.progress  how far it is ([`JobProgress`])
+//! FOLDER/<key>.backend   what a machine of jobs has told of its GPU, whose backend is in keys ([`BackendQuestion`])
 //! FOLDER/<key>/          its scratch store with checkpoints, until it has a result
 //! ```
 //! FOLDER is on a file system that the machine of the run and those of the jobs share. Inputs and results travel through a shared
@@ -17,8 +18,10 @@
 
 mod array_plan;
 mod arrays;
+mod backend;
 mod cluster;
 mod commands;
+mod job;
 mod job_files;
 mod job_result;
 mod queue;
@@ -26,6 +29,7 @@ mod script;
 mod site;
 mod words;
 
+pub use backend::BackendQuestion;
 pub use cluster::Cluster;
 pub use job_result::{Fault, JobProgress, JobResult};
 pub use site::{Site, SiteError};

@@ -9,6 +9,9 @@ use serde::Deserialize;
 
 use crate::{commands::Commands, script};
 
+/// The device of jobs without a GPU.
+pub(crate) const CPU: &str = "cpu";
+
 /// A batch system and how it is used.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -54,6 +57,9 @@ pub struct Site {
     /// Further options of every job, a line of the script each (`--partition=long`).
     #[serde(default)]
     pub options: Vec<String>,
+    /// On what jobs train: `cpu`, `gpu`, or `gpu:NAME`. A node with `device = "cpu"` trains on the CPU everywhere.
+    #[serde(default = "default_device")]
+    pub device: String,
     /// Further options of jobs on a GPU.
     #[serde(default = "default_gpu_options")]
     pub gpu_options: Vec<String>,
@@ -115,6 +121,10 @@ fn default_memory_mb() -> u64 {
 
 fn default_minutes() -> u64 {
     240
+}
+
+fn default_device() -> String {
+    CPU.to_owned()
 }
 
 fn default_gpu_options() -> Vec<String> {
@@ -218,6 +228,10 @@ impl Site {
             );
             return Err(("folder", message));
         }
+        if self.device != CPU && self.device != "gpu" && !self.device.starts_with("gpu:") {
+            let message = format!("`{}`: cpu, gpu or gpu:NAME", self.device);
+            return Err(("device", message));
+        }
         if self.stages.is_empty() {
             return Err(("stages", "no stage: nothing would be a job".to_owned()));
         }
@@ -276,6 +290,7 @@ mod tests {
                 "patience_s = nan",
                 "executor.patience_s: a number above 0 is needed",
             ),
+            ("device = \"tpu\"", "executor.device: `tpu`: cpu, gpu or gpu:NAME"),
             ("stages = []", "executor.stages: no stage: nothing would be a job"),
             ("commands.submit = []", "executor.commands.submit: no program"),
             ("pace = 3", "unknown field `pace`"),

@@ -1,5 +1,13 @@
 //! What is said of jobs.
 
+/// Returns a number with its noun: `1 task`, `2 tasks`.
+pub(crate) fn counted(number: usize, noun: &str) -> String {
+    match number {
+        1 => format!("1 {noun}"),
+        _ => format!("{number} {noun}s"),
+    }
+}
+
 /// Returns what is seen of a job: `job 12 pending (Resources)`.
 pub(crate) fn note(id: &str, state: &str, reason: &str) -> String {
     match reason.is_empty() {
@@ -41,5 +49,9 @@ mod tests {
         );
         assert_eq!(note("7", "pending", "Priority"), "job 7 pending (Priority)");
         assert_eq!(note("7", "running", ""), "job 7 running");
+        assert_eq!(
+            (counted(1, "task"), counted(0, "task")),
+            ("1 task".to_owned(), "0 tasks".to_owned())
+        );
     }
 }

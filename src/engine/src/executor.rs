@@ -3,12 +3,15 @@
 use std::fmt;
 
 use marf_cache::{Action, Digest, Store};
-use marf_stage::{Cancel, Progress, StageError};
+use marf_stage::{Cancel, Progress, Stage, StageError, Work};
 
 use crate::needs::Needs;
 
 /// Has actions computed on other machines.
 pub trait Executor: fmt::Debug + Send + Sync {
+    /// Returns what computes the nodes of a stage, if it takes these: their keys hold the backend of that machine.
+    fn machine_of(&self, stage: &str) -> Option<Machine<'_>>;
+
     /// Tells whether it takes an action; what it does not take is computed here.
     fn takes(&self, action: &Action) -> bool;
 
@@ -30,6 +33,33 @@ pub trait Executor: fmt::Debug + Send + Sync {
     /// # Errors
     /// As [`Executor::execute`]; parts that were computed by then may be in the store.
     fn execute_parts(&self, order: &Order<'_>, parts: &[PartOrder]) -> Result<(), StageError>;
+}
+
+/// What of another machine decides which backend a stage has there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Machine<'a> {
+    /// The backend id of its GPU; none of a machine without one.
+    pub gpu: Option<&'a str>,
+}
+
+/// Returns the backend of a stage where it is computed.
+///
+/// # Errors
+/// It wants a device that the machine that computes it does not have.
+pub(crate) fn backend_of(
+    executor: Option<&dyn Executor>,
+    name: &str,
+    stage: &dyn Stage,
+) -> Result<Option<String>, StageError> {
+    let machine = match stage.work() {
+        // Of all others at most parts are computed elsewhere, and these have no backend.
+        Work::Set(_) => executor.and_then(|executor| executor.machine_of(name)),
+        _ => None,
+    };
+    match machine {
+        Some(machine) => stage.backend_id_on(machine.gpu),
+        None => Ok(stage.backend_id()),
+    }
 }
 
 /// A part of a node to compute elsewhere.

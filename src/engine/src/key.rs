@@ -7,10 +7,17 @@ use marf_stage::{EARLIER, Inputs, Stage, StageDef, StageError, Work};
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::{errors::contract_violation, listing::LISTING};
+use crate::{
+    errors::contract_violation,
+    executor::{Executor, backend_of},
+    listing::LISTING,
+};
 
 /// Stages by name.
 pub(crate) type StageTable = BTreeMap<&'static str, StageDef>;
+
+/// Stages by name, and what computes some of them on other machines.
+pub(crate) type Tables<'a> = (&'a StageTable, Option<&'a dyn Executor>);
 
 /// An action with its key.
 #[derive(Debug, Clone)]
@@ -28,18 +35,18 @@ impl Key {
     }
 }
 
-/// Returns the key of a node.
+/// Returns the key of a node. `executor` computes it, or its children, if that takes them.
 ///
 /// # Errors
-/// A child of a stage that is not in the table or refuses its parameters.
+/// A child of a stage that is not in the table or refuses its parameters; a device that is not where it is computed.
 pub(crate) fn node_key(
-    table: &StageTable,
+    (table, executor): Tables<'_>,
     def: &StageDef,
     stage: &dyn Stage,
     inputs: &Inputs,
 ) -> Result<Key, StageError> {
     let mut children = BTreeMap::new();
-    add_children(table, stage, &mut children)?;
+    add_children((table, executor), stage, &mut children)?;
     Ok(Key::of(Action {
         action: ACTION_FORMAT,
         stage: def.name.to_owned(),
@@ -48,14 +55,14 @@ pub(crate) fn node_key(
         shard: None,
         params: stage.params(),
         inputs: inputs.0.clone(),
-        backend: stage.backend_id(),
+        backend: backend_of(executor, def.name, stage)?,
         children,
     }))
 }
 
 /// Adds the stages that the children of a node are of, and those of their own children.
 fn add_children(
-    table: &StageTable,
+    (table, executor): Tables<'_>,
     stage: &dyn Stage,
     children: &mut BTreeMap<String, ChildVersion>,
 ) -> Result<(), StageError> {
@@ -73,10 +80,10 @@ fn add_children(
             .map_err(|error| contract_violation(format!("children of stage `{}`: {error}", child.stage)))?;
         let version = ChildVersion {
             version: def.version,
-            backend: bound.backend_id(),
+            backend: backend_of(executor, child.stage, bound.as_ref())?,
         };
         children.insert(child.stage.to_owned(), version);
-        add_children(table, bound.as_ref(), children)?;
+        add_children((table, executor), bound.as_ref(), children)?;
     }
     Ok(())
 }

@@ -27,14 +27,14 @@ mod work;
 
 pub use check::{Edge, GraphError, NodeShape, check};
 pub use event::{Event, Listener, Silent};
-pub use executor::{Executor, Order, PartOrder};
+pub use executor::{Executor, Machine, Order, PartOrder};
 pub use graph::{Graph, NodeDecl, NodeView};
 pub use key::{Change, action_at, changes, differences};
 pub use listing::{LISTING, Listings};
 pub use marf_stage::Cancel;
 pub use needs::Needs;
 pub use photo_changes::photo_changes;
-pub use plan::{PlanState, PlannedNode, plan, why};
+pub use plan::{PlanState, PlannedNode, plan, plan_beside, why};
 pub use record::{
     Build, EngineError, NodeInput, NodeRun, NodeState, Outcome, OutputName, RUN_FORMAT, RunRecord, document,
     last_run, last_run_where, run_of, runs,

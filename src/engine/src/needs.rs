@@ -21,17 +21,22 @@ pub struct Needs {
 }
 
 impl Needs {
-    /// Returns the needs of a stage with its parameters. `last` tells of the node's last run.
-    pub(crate) fn of(stage: &dyn Stage, last: Option<&RunMetadata>) -> Self {
+    /// Returns the needs of a stage with its parameters. `gpu` tells whether it computes on one, `last` of the node's last run.
+    pub(crate) fn of(stage: &dyn Stage, gpu: bool, last: Option<&RunMetadata>) -> Self {
         Self {
-            cores: match stage.work() {
-                // These work item by item.
-                Work::Map(_) | Work::Fold(_) | Work::Source(_) => Threads::All,
-                Work::Set(_) | Work::Expand(_) => stage.threads(),
-            },
-            gpu: stage.backend_id().is_some(),
+            cores: cores_of(stage),
+            gpu,
             memory_mb: last.map(|last| last.peak_mb).filter(|peak| *peak > 0),
             seconds: last.map(|last| last.seconds),
         }
+    }
+}
+
+/// Returns how many cores a stage can use.
+pub(crate) fn cores_of(stage: &dyn Stage) -> Threads {
+    match stage.work() {
+        // These work item by item.
+        Work::Map(_) | Work::Fold(_) | Work::Source(_) => Threads::All,
+        Work::Set(_) | Work::Expand(_) => stage.threads(),
     }
 }

@@ -31,7 +31,7 @@ pub fn photo_changes(
     let index = graph
         .index(node)
         .ok_or_else(|| EngineError::unknown(graph, node))?;
-    let known = plan_all(graph, store, last, threads)?;
+    let known = plan_all(graph, store, last, threads, None)?;
     let index = nearest_known(graph, &known, index);
     let Some(record) = last_record(store, last, &graph.nodes[index].name)? else {
         return Ok(Vec::new());

@@ -15,6 +15,7 @@ use crate::{
     needs::Needs,
     record::{EngineError, RunRecord},
     run,
+    shared::SharedResults,
     work::{Extent, extent},
 };
 
@@ -46,7 +47,7 @@ pub struct PlannedNode {
 pub enum PlanState {
     /// The last run has its result.
     Fresh,
-    /// An earlier run has its result.
+    /// An earlier run, or the shared store, has its result.
     Cached,
     /// It would run.
     WillRun,
@@ -82,7 +83,21 @@ pub fn plan(
     last: Option<&RunRecord>,
     threads: Option<NonZero<usize>>,
 ) -> Result<Vec<PlannedNode>, EngineError> {
-    let known = plan_all(graph, store, last, threads)?.into_iter();
+    plan_beside(graph, store, last, threads, None)
+}
+
+/// As [`plan`], of a run that fetches the results that its store lacks from a shared store.
+///
+/// # Errors
+/// As [`plan`].
+pub fn plan_beside(
+    graph: &Graph,
+    store: &Store,
+    last: Option<&RunRecord>,
+    threads: Option<NonZero<usize>>,
+    shared: Option<&dyn SharedResults>,
+) -> Result<Vec<PlannedNode>, EngineError> {
+    let known = plan_all(graph, store, last, threads, shared)?.into_iter();
     Ok(known.map(|known| known.node).collect())
 }
 
@@ -92,8 +107,10 @@ pub(crate) fn plan_all(
     store: &Store,
     last: Option<&RunRecord>,
     threads: Option<NonZero<usize>>,
+    shared: Option<&dyn SharedResults>,
 ) -> Result<Vec<Known>, EngineError> {
     let planner = Planner {
+        shared,
         graph,
         store,
         last,
@@ -121,6 +138,7 @@ struct Planner<'a> {
     store: &'a Store,
     last: Option<&'a RunRecord>,
     pool: rayon::ThreadPool,
+    shared: Option<&'a dyn SharedResults>,
 }
 
 impl Planner<'_> {
@@ -143,7 +161,7 @@ impl Planner<'_> {
             .0
             .extend(listed.iter().flat_map(|listed| listed.inputs.0.clone()));
         let request = KeyRequest {
-            table: &self.graph.table,
+            tables: (&self.graph.table, None),
             name: &node.name,
             def: &node.def,
             stage: node.bound.as_ref(),
@@ -153,6 +171,14 @@ impl Planner<'_> {
             Err(error) => return Ok(self.will_run(node, because(error.to_string()), None, None)),
         };
         let lookup = look_up(self.store, &key.digest)?;
+        let is_here = matches!(lookup, Lookup::Hit(_));
+        let lookup = match lookup {
+            Lookup::Hit(_) => lookup,
+            lacking => self
+                .shared
+                .and_then(|shared| shared.record(&key.digest))
+                .map_or(lacking, |record| Lookup::Hit(Box::new(record))),
+        };
         let Lookup::Hit(record) = lookup else {
             let of = (&key, listed.as_ref());
             let mut why = why_missed(self.store, self.last, &node.name, of, &lookup)?;
@@ -169,9 +195,10 @@ impl Planner<'_> {
         let is_last = self
             .last
             .is_some_and(|run| run.latest.get(&node.name) == Some(&key.digest));
-        let (state, reason) = match is_last {
-            true => (PlanState::Fresh, "nothing changed"),
-            false => (PlanState::Cached, "its result is in the store"),
+        let (state, reason) = match (is_here, is_last) {
+            (false, _) => (PlanState::Cached, "its result is in the shared store"),
+            (true, true) => (PlanState::Fresh, "nothing changed"),
+            (true, false) => (PlanState::Cached, "its result is in the store"),
         };
         Ok(Known {
             node: PlannedNode {
@@ -202,7 +229,7 @@ impl Planner<'_> {
         let action = key.and_then(|key| action_at(self.store, key).ok().flatten());
         action.is_some_and(|action| {
             let inputs = Inputs(action.inputs.clone());
-            let now = node_key(&self.graph.table, &node.def, node.bound.as_ref(), &inputs);
+            let now = node_key((&self.graph.table, None), &node.def, node.bound.as_ref(), &inputs);
             now.is_ok_and(|now| Some(&now.digest) == key)
         })
     }
@@ -217,7 +244,11 @@ impl Planner<'_> {
                 key: key.map(|key| key.digest),
                 changes: why.changes,
                 extent,
-                needs: Needs::of(node.bound.as_ref(), self.last_metadata(&node.name).as_ref()),
+                needs: Needs::of(
+                    node.bound.as_ref(),
+                    node.bound.backend_id().is_some(),
+                    self.last_metadata(&node.name).as_ref(),
+                ),
             },
             inputs: None,
             listed: None,

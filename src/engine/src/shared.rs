@@ -1,6 +1,6 @@
 //! Results that other machines have made: a second level of the store.
 
-use marf_cache::{Digest, Store, StoreError};
+use marf_cache::{Digest, Record, Store, StoreError};
 
 /// A store that several machines share.
 ///
@@ -9,6 +9,9 @@ use marf_cache::{Digest, Store, StoreError};
 pub trait SharedResults: std::fmt::Debug + Send + Sync {
     /// Fetches the results of keys that are there into the own store, where they are committed when this returns.
     fn fetch(&self, keys: &[Digest]);
+
+    /// Returns what is recorded there of a key, without the result itself; none if it is not there, or nobody answers.
+    fn record(&self, key: &Digest) -> Option<Record>;
 
     /// Sends the result of a key, which is committed, beside the run.
     fn offer(&self, key: &Digest);

@@ -5,7 +5,7 @@ mod ply;
 mod tracks;
 mod transforms;
 
-pub use colmap::write_colmap;
+pub use colmap::{write_colmap, write_colmap_text};
 pub use ply::write_ply;
 pub use tracks::{Observation, TrackPoint, Tracks};
-pub use transforms::write_transforms;
+pub use transforms::{beside, write_transforms};

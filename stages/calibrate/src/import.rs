@@ -18,7 +18,7 @@ use marf_stage::{COMPANIONS, Ctx, Inputs, StageError};
 use rayon::prelude::*;
 
 pub use cameras::{Cameras, ImportError, Role, View};
-pub use colmap::{Model, read_colmap_binary, read_colmap_text};
+pub use colmap::{Model, read_colmap_binary, read_colmap_text, read_tracks};
 pub use lens::{Focal, Lens};
 pub use ply::read_ply;
 pub use transforms::{Transforms, read_transforms};

@@ -3,9 +3,10 @@
 //! `sfm` finds cameras from the photos themselves, with labels as priors; `labels` takes the camera models of the archive's
 //! labels and resamples each photo once to an ideal pinhole; `import` reads the cameras another program found; `colmap`
 //! runs an installed COLMAP. Invariant: a photo is in the scene with a camera for the very bytes its frame names, or it is
-//! listed as unplaced with the reason; none is dropped silently.
+//! listed as unplaced with the reason; none is dropped silently. `cameras` writes a scene as a folder for other programs.
 
 mod calibration;
+mod cameras;
 mod colmap;
 mod export;
 mod hardware;
@@ -18,7 +19,10 @@ mod scenes;
 mod sfm;
 mod stage;
 
-pub use export::{Observation, TrackPoint, Tracks, write_colmap, write_ply, write_transforms};
+pub use cameras::ExportCameras;
+pub use export::{
+    Observation, TrackPoint, Tracks, write_colmap, write_colmap_text, write_ply, write_transforms,
+};
 pub use hardware::Masks;
 pub use scenes::SplitByPlace;
 pub use stage::Calibrate;

@@ -1,8 +1,8 @@
 //! One resampling of a photo to the ideal pinhole of its camera model.
 
-use marf_scene::{Cahvor, CahvorError, Image, Pinhole, Srgb};
+use marf_scene::{Cahvor, CahvorError, Camera, Image, Pinhole, Srgb};
 use marf_stage::Cancel;
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
 /// Returns the photo as the pinhole would have taken it.
@@ -25,43 +25,51 @@ pub(crate) fn resample(
 ) -> Result<Image<Srgb>, Option<CahvorError>> {
     let camera = &pinhole.camera;
     let frame_from_cam = pinhole.cam_from_frame.rotation.transpose();
-    let rows: Result<Vec<Vec<[u8; 3]>>, Option<CahvorError>> = (0..camera.height)
-        .into_par_iter()
-        .map(|row| match cancel.is_set() {
-            true => Err(None),
-            false => Ok(resample_row(photo, model, pinhole, &frame_from_cam, row)?),
-        })
-        .collect();
+    resample_by(photo, (camera.width, camera.height), cancel, |pixel| {
+        let direction = frame_from_cam * direction(camera, pixel);
+        let (x, y) = (pixel.x, pixel.y);
+        model
+            .project_direction(&direction)
+            .ok_or(CahvorError::Blind { x, y })
+    })
+}
+
+/// Returns a picture of another geometry, interpolated as by [`resample`]: `source` tells where in the photo the centre of a pixel is
+/// found, as a position where whole numbers are pixel centres.
+///
+/// # Errors
+/// The first of `source`, by rows; `None` if `cancel`, which is asked at each row, is set.
+pub(crate) fn resample_by<E: Send>(
+    photo: &Image<Srgb>,
+    (width, height): (u32, u32),
+    cancel: &Cancel,
+    source: impl Fn(&Vector2<f64>) -> Result<Vector2<f64>, E> + Sync,
+) -> Result<Image<Srgb>, Option<E>> {
+    let row = |row: u32| {
+        if cancel.is_set() {
+            return Err(None);
+        }
+        let pixel = |column: u32| {
+            let centre = Vector2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
+            Ok(sample(photo, &source(&centre).map_err(Some)?))
+        };
+        (0..width).map(pixel).collect()
+    };
+    let rows: Result<Vec<Vec<[u8; 3]>>, Option<E>> = (0..height).into_par_iter().map(row).collect();
     Ok(Image {
-        width: camera.width,
-        height: camera.height,
+        width,
+        height,
         pixels: rows?.concat(),
     })
 }
 
-/// Returns one row of the resampled photo.
-fn resample_row(
-    photo: &Image<Srgb>,
-    model: &Cahvor,
-    pinhole: &Pinhole,
-    frame_from_cam: &Matrix3<f64>,
-    row: u32,
-) -> Result<Vec<[u8; 3]>, CahvorError> {
-    let camera = &pinhole.camera;
-    let y = f64::from(row) + 0.5;
-    let pixel = |column: u32| {
-        let x = f64::from(column) + 0.5;
-        let in_camera = Vector3::new(
-            (x - camera.cx_px) / camera.fx_px,
-            (y - camera.cy_px) / camera.fy_px,
-            1.0,
-        );
-        let source = model.project_direction(&(frame_from_cam * in_camera));
-        source
-            .map(|source| sample(photo, &source))
-            .ok_or(CahvorError::Blind { x, y })
-    };
-    (0..camera.width).map(pixel).collect()
+/// Returns the direction (z = 1) in which an ideal pinhole sees a pixel.
+pub(crate) fn direction(pinhole: &Camera, pixel: &Vector2<f64>) -> Vector3<f64> {
+    Vector3::new(
+        (pixel.x - pinhole.cx_px) / pinhole.fx_px,
+        (pixel.y - pinhole.cy_px) / pinhole.fy_px,
+        1.0,
+    )
 }
 
 /// Interpolates at a position where whole numbers are pixel centres.

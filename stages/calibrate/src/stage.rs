@@ -5,14 +5,14 @@ use std::collections::BTreeMap;
 use marf_cache::Digest;
 use marf_scene::{Frame, PosedPhoto, Scene, Unplaced, hold_out_more_places};
 use marf_schema::calibrate::{CalibrateParams, Hold, Method, Metrics, PhotoMetrics, Totals};
-use marf_schema::output::{POINTS, SCENE, SPARSE, TRANSFORMS};
+use marf_schema::output::{POINTS, SCENE, SPARSE, SPARSE_IMAGES, SPARSE_POINTS, TRANSFORMS};
 use marf_stage::{
     COMPANIONS, Ctx, Define, Document, Inputs, Outputs, PHOTOS, ParamError, Params, Port, Set, Stage,
     StageError, Threads, Work,
 };
 
 use crate::calibration::{Calibration, HeldOut, PlacedPhoto};
-use crate::export::{TrackPoint, Tracks, write_colmap, write_ply, write_transforms};
+use crate::export::{TrackPoint, Tracks, beside, write_colmap, write_ply, write_transforms};
 use crate::masks::field_masks;
 use crate::photos::{InputPhoto, load};
 use crate::{colmap, import, labels, sfm};
@@ -40,7 +40,15 @@ impl Define for Calibrate {
         Port::required("input", PHOTOS),
         Port::optional("cameras", COMPANIONS),
     ];
-    const OUTPUTS: &'static [&'static str] = &[SCENE, Metrics::OUTPUT, TRANSFORMS, SPARSE, POINTS];
+    const OUTPUTS: &'static [&'static str] = &[
+        SCENE,
+        Metrics::OUTPUT,
+        TRANSFORMS,
+        SPARSE,
+        SPARSE_IMAGES,
+        SPARSE_POINTS,
+        POINTS,
+    ];
 
     fn new(params: CalibrateParams) -> Result<Self, ParamError> {
         params.check()?;
@@ -106,7 +114,7 @@ impl Set for Calibrate {
         let outputs = [
             (SCENE, bytes),
             (Metrics::OUTPUT, metrics),
-            (TRANSFORMS, write_transforms(&scene).into_bytes()),
+            (TRANSFORMS, write_transforms(&scene, &beside).into_bytes()),
             (POINTS, write_ply(&tracks)),
         ];
         let outputs = outputs.map(|(name, bytes)| (name.to_owned(), bytes));

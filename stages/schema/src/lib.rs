@@ -1,5 +1,5 @@
-//! Parameters and outputs of `scenes`, `masks`, `calibrate`, `tune`, `train`, `partial`, `folds`, `evaluate`, `render`, `bootstrap`, `video`,
-//! `surface` and `changes`.
+//! Parameters and outputs of `scenes`, `masks`, `calibrate`, `cameras`, `tune`, `train`, `partial`, `folds`, `evaluate`, `render`,
+//! `bootstrap`, `video`, `surface` and `changes`.
 //!
 //! One module a stage: its parameters ([`Params`](marf_stage::Params)) with the checks that need no input, and each
 //! JSON output ([`Document`](marf_stage::Document)). Stages, commands and the report read and write these types, so
@@ -13,6 +13,7 @@
 pub mod bootstrap;
 mod budget;
 pub mod calibrate;
+pub mod cameras;
 pub mod changes;
 pub mod evaluate;
 pub mod example;

@@ -8,6 +8,12 @@ pub const SCENE: &str = "scene";
 pub const TRANSFORMS: &str = "transforms";
 /// The scene of `calibrate` as COLMAP's model: `sparse/0/cameras.bin`.
 pub const SPARSE: &str = "sparse/";
+/// The images of that model, with what each observes.
+pub const SPARSE_IMAGES: &str = "sparse/0/images.bin";
+/// The points of that model.
+pub const SPARSE_POINTS: &str = "sparse/0/points3D.bin";
+/// The folder of `cameras`: `cameras/transforms.json`, `cameras/sparse/0/images.txt`, `cameras/<photo>`.
+pub const CAMERAS: &str = "cameras/";
 /// Proposed masks, black where a picture stands still, of `masks`: `masks/<camera>.png`.
 pub const MASKS: &str = "masks/";
 /// A photo with the proposed mask in red, of `masks`: `overlay/<camera>.png`.

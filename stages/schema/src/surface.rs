@@ -29,11 +29,25 @@ pub struct SurfaceParams {
     pub side_px: u32,
     /// Width of a pixel of height map and orthophoto, metres. Without it: a cell.
     pub map_cell: Option<f64>,
+    /// What mesh and points are coloured by: `photos`, or `uncertainty`: dark where it is 0, bright where it is large, gray where it is not
+    /// known. It is how far the retrainings of `members` differ, and without them how far the views of the field do.
+    pub color: ColorBy,
     /// Whether the depths at the views of all photos are written too, as PNG of 16 bits.
     pub depth: bool,
     /// Which processor renders: `auto` (a GPU where there is one, never a software adapter), `cpu`, `gpu`, or `gpu:NAME` for the adapter
     /// whose name holds NAME. Only what was opened is in the key.
     pub device: Device,
+}
+
+/// What a surface is coloured by.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ColorBy {
+    /// What the field shows at the views of the photos.
+    #[default]
+    Photos,
+    /// How sure it is.
+    Uncertainty,
 }
 
 impl Default for SurfaceParams {
@@ -45,6 +59,7 @@ impl Default for SurfaceParams {
             most_spread: None,
             side_px: 640,
             map_cell: None,
+            color: ColorBy::default(),
             depth: false,
             device: Device::default(),
         }
@@ -108,10 +123,37 @@ pub struct SurfaceReport {
     pub triangles: u64,
     /// Points of the cloud.
     pub points: u64,
+    /// How sure the vertices of the mesh are.
+    pub uncertainty: UncertaintyReport,
     /// The height map; none where it is refused.
     pub map: Option<MapReport>,
     /// What the scene cannot give, with the reason, by output.
     pub refused: BTreeMap<String, String>,
+}
+
+/// What differs at a point of a surface.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SpreadOf {
+    /// The views of one field, root mean square.
+    Views,
+    /// The retrainings of a bootstrap, standard deviation.
+    Retrainings,
+}
+
+/// How sure the vertices of a mesh are, in the unit of the report.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct UncertaintyReport {
+    /// What differs.
+    pub of: SpreadOf,
+    /// Retrainings; 0 without a bootstrap.
+    pub members: u32,
+    /// The value that half of the vertices are below.
+    pub median: f64,
+    /// The value that 95 of 100 vertices are below: the bright end of the colours.
+    pub scale_end: f64,
+    /// Share of the vertices whose uncertainty is known.
+    pub known_share: f64,
 }
 
 /// What is to be known of height map and orthophoto.

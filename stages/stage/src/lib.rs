@@ -53,6 +53,13 @@ pub trait Stage: Send + Sync {
     fn backend_id(&self) -> Option<String> {
         None
     }
+    /// Returns what [`Stage::backend_id`] is on another machine: one whose GPU has the id `gpu`, or one without a GPU.
+    ///
+    /// # Errors
+    /// A GPU is wanted that the machine does not have.
+    fn backend_id_on(&self, _gpu: Option<&str>) -> Result<Option<String>, StageError> {
+        Ok(None)
+    }
     /// Returns why two runs of one key may give different results, for a stage that is no pure function (it measures time, or
     /// runs another program); none for all others.
     fn varies(&self) -> Option<&'static str> {

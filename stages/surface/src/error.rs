@@ -69,6 +69,9 @@ pub enum SurfaceError {
     /// A picture that could not be encoded.
     #[error(transparent)]
     Png(#[from] marf_scene::picture::png16::PngError),
+    /// A GeoTIFF that could not be encoded.
+    #[error("a GeoTIFF: {0}")]
+    Tiff(#[from] tiff::TiffError),
 }
 
 impl SurfaceError {

@@ -244,7 +244,7 @@ mod tests {
                 [
                     ply::mesh(&found.mesh, &frame, &[]),
                     ply::points(&found.points, &frame, &[]),
-                    glb::mesh(&found.mesh, &frame, "test"),
+                    glb::mesh(&found.mesh, &frame, "test", ""),
                 ]
             })
         };

@@ -15,11 +15,11 @@ const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 /// Returns a mesh as GLB: y up where the scene knows up, one unit a metre where it has a scale, colours of vertices (linear, 16 bits).
 ///
 /// Positions are f32 around a middle, which is the translation of the node, so that a mesh far from the origin keeps its detail. `extras`
-/// of the node hold unit, rotation and scale: `world = rotationᵀ · position / scale`, position as seen by a viewer. An empty mesh is a
+/// of the node hold unit, what the colours are (`colors`), rotation and scale: `world = rotationᵀ · position / scale`, position as seen by a viewer. An empty mesh is a
 /// node without a mesh. Vertices without a normal get one that points up: the format asks for unit vectors.
-pub fn mesh(mesh: &Mesh, frame: &ExportFrame, generator: &str) -> Vec<u8> {
+pub fn mesh(mesh: &Mesh, frame: &ExportFrame, generator: &str, colors: &str) -> Vec<u8> {
     let (rotation, scale) = (frame.y_up(), frame.scale());
-    let extras = extras(frame, &rotation);
+    let extras = extras(frame, &rotation, colors);
     let asset = json!({"version": "2.0", "generator": generator});
     if mesh.triangles.is_empty() {
         let json = json!({
@@ -110,10 +110,11 @@ impl Buffer {
     }
 }
 
-fn extras(frame: &ExportFrame, rotation: &Matrix3<f64>) -> Value {
+fn extras(frame: &ExportFrame, rotation: &Matrix3<f64>, colors: &str) -> Value {
     let rows: [[f64; 3]; 3] = [0, 1, 2].map(|row| [0, 1, 2].map(|column| rotation[(row, column)]));
     json!({
         "unit": frame.unit(),
+        "colors": colors,
         "metres_per_world_unit": frame.metres_per_unit,
         "up": if frame.up.is_some() { "+y" } else { "not known; axes of the scene" },
         "rotation_from_world": rows,
@@ -168,6 +169,7 @@ mod tests {
             color: [1.0, 0.5, 0.0],
             photos: 3,
             spread: 0.0,
+            retrained: None,
         };
         let mesh = Mesh {
             vertices: vec![vertex(0.0, 0.0), vertex(0.0, 1.0), vertex(0.001, 0.0)],
@@ -184,7 +186,7 @@ mod tests {
     #[test]
     fn another_program_reads_metres_with_y_up() {
         let (example, frame) = example();
-        let bytes = mesh(&example, &frame, "test");
+        let bytes = mesh(&example, &frame, "test", "");
         let read = gltf::Gltf::from_slice(&bytes).unwrap();
         let blob = read.blob.clone().unwrap();
         let node = read.nodes().next().unwrap();
@@ -216,7 +218,7 @@ mod tests {
 
     #[test]
     fn an_empty_mesh_is_a_node_without_a_mesh() {
-        let bytes = mesh(&Mesh::default(), &example().1, "test");
+        let bytes = mesh(&Mesh::default(), &example().1, "test", "");
         let read = gltf::Gltf::from_slice(&bytes).unwrap();
         assert_eq!((read.nodes().count(), read.meshes().count()), (1, 0));
     }

@@ -6,6 +6,7 @@ use nalgebra::{Vector2, Vector3};
 
 use crate::SurfaceError;
 use crate::frame::{ExportFrame, MapAxes};
+use crate::geotiff;
 use crate::mesh::Mesh;
 use crate::ply::to_byte;
 
@@ -165,14 +166,6 @@ impl SurfaceMap {
     /// # Errors
     /// [`SurfaceError::Png`].
     pub fn photo_png(&self) -> Result<Vec<u8>, SurfaceError> {
-        let pixel = |cell: &Option<Cell>| match cell {
-            Some(cell) => {
-                let [r, g, b] = cell.color.map(to_byte);
-                [r, g, b, 255]
-            }
-            None => [0; 4],
-        };
-        let pixels: Vec<[u8; 4]> = self.cells.iter().map(pixel).collect();
         let text = [
             (
                 "marf:resolution",
@@ -183,9 +176,62 @@ impl SurfaceMap {
         Ok(png16::rgba(
             self.report.columns,
             self.report.rows,
-            &pixels,
+            &self.pixels(),
             &text,
         )?)
+    }
+
+    /// Returns the colours of all pixels, transparent where there is no surface.
+    fn pixels(&self) -> Vec<[u8; 4]> {
+        let pixel = |cell: &Option<Cell>| match cell {
+            Some(cell) => {
+                let [r, g, b] = cell.color.map(to_byte);
+                [r, g, b, 255]
+            }
+            None => [0; 4],
+        };
+        self.cells.iter().map(pixel).collect()
+    }
+
+    /// Returns the heights as GeoTIFF of 32-bit floats, metres; NaN where there is no surface.
+    ///
+    /// # Errors
+    /// [`SurfaceError::Tiff`].
+    pub fn height_tiff(&self) -> Result<Vec<u8>, SurfaceError> {
+        let height = |cell: &Cell| Some(cell.height_m);
+        self.quantity_tiff(height, "height along up from the origin")
+    }
+
+    /// Returns how far the views differ in each pixel as GeoTIFF of 32-bit floats, metres; NaN where less than two views show a surface.
+    ///
+    /// # Errors
+    /// [`SurfaceError::Tiff`].
+    pub fn spread_tiff(&self) -> Result<Vec<u8>, SurfaceError> {
+        let spread = |cell: &Cell| (cell.spread_m >= 0.0).then_some(cell.spread_m);
+        self.quantity_tiff(
+            spread,
+            "root mean square of the distances between the views' surfaces and this one, along its normal",
+        )
+    }
+
+    fn quantity_tiff(
+        &self,
+        value: impl Fn(&Cell) -> Option<f64>,
+        words: &str,
+    ) -> Result<Vec<u8>, SurfaceError> {
+        let values = self.cells.iter().map(|cell| cell.as_ref().and_then(&value));
+        let values: Vec<f32> = values
+            .map(|value| value.map_or(f32::NAN, |value| value as f32))
+            .collect();
+        Ok(geotiff::quantity(&self.report, &values, words, "m")?)
+    }
+
+    /// Returns the colours as GeoTIFF, transparent where there is no surface.
+    ///
+    /// # Errors
+    /// [`SurfaceError::Tiff`].
+    pub fn photo_tiff(&self) -> Result<Vec<u8>, SurfaceError> {
+        Ok(geotiff::colors(&self.report, &self.pixels())?)
     }
 
     /// Returns the world file of all maps: six lines, pixel to metres on the map (ESRI; the fifth and sixth are the centre of the first
@@ -302,6 +348,7 @@ mod tests {
             },
             photos: 3,
             spread: if down > 0.5 { 0.001 } else { -1.0 },
+            retrained: None,
         };
         let quad = |north: f64, down: f64| {
             [
@@ -348,6 +395,41 @@ mod tests {
             ([255, 0, 0, 255], [0, 0, 255, 255])
         );
         assert_eq!(photo.get_pixel(0, 0).0, [0; 4]);
+    }
+
+    #[test]
+    fn a_geotiff_holds_the_same_map_with_its_place() {
+        use tiff::decoder::{Decoder, DecodingResult};
+        use tiff::tags::Tag;
+
+        let map = SurfaceMap::draw(&house(), &frame(), 1.0).unwrap();
+        let bytes = map.height_tiff().unwrap();
+        assert_eq!(bytes, map.height_tiff().unwrap());
+        let mut read = Decoder::new(std::io::Cursor::new(bytes)).unwrap();
+        assert_eq!(read.dimensions().unwrap(), (5, 7));
+        let DecodingResult::F32(heights) = read.read_image().unwrap() else {
+            panic!("no floats");
+        };
+        assert!(heights[0].is_nan(), "beyond the border");
+        assert_eq!((heights[5], heights[30]), (-2.0, -0.5));
+        let numbers = |read: &mut Decoder<_>, tag| read.get_tag_f64_vec(tag).unwrap();
+        assert_eq!(numbers(&mut read, Tag::ModelPixelScaleTag), [1.0, 1.0, 0.0]);
+        // The corner of the first pixel, whose centre is that of the world file.
+        assert_eq!(
+            numbers(&mut read, Tag::ModelTiepointTag),
+            [0.0, 0.0, 0.0, 0.0, 7.0, 0.0]
+        );
+        let name = read.get_tag_ascii_string(Tag::GeoAsciiParamsTag).unwrap();
+        assert_eq!(name, "metres from the origin of the world of the scene|");
+        let mut read = Decoder::new(std::io::Cursor::new(map.photo_tiff().unwrap())).unwrap();
+        let DecodingResult::U8(pixels) = read.read_image().unwrap() else {
+            panic!("no bytes");
+        };
+        assert_eq!(
+            (&pixels[20..24], &pixels[120..124]),
+            (&[255, 0, 0, 255][..], &[0, 0, 255, 255][..])
+        );
+        assert_eq!(pixels[..4], [0; 4]);
     }
 
     #[test]

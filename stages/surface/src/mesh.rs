@@ -21,6 +21,30 @@ pub struct Vertex {
     /// Root mean square of the distances, along the normal, between it and the surfaces that the views show, world units; negative where
     /// only one view shows it.
     pub spread: f32,
+    /// How far the retrainings of a bootstrap differ; none without a bootstrap.
+    pub retrained: Option<Retrained>,
+}
+
+/// Sample standard deviations over the retrainings at a point; negative where too few show it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Retrained {
+    /// Of where the surface lies along the normal, world units.
+    pub depth: f32,
+    /// Of the gray of the colour, sRGB in [0, 1].
+    pub color: f32,
+}
+
+/// What views show at a point: means over those with a surface within the band, each by cos² θ / r² as in [`crate::Volume::fuse`].
+#[derive(Debug, Clone, Copy)]
+pub struct Seen {
+    /// Signed distance from the surface to the point, world units, positive towards the cameras.
+    pub signed: f64,
+    /// Mean of the squares of the distances.
+    square: f64,
+    /// sRGB in [0, 1].
+    pub color: Vector3<f64>,
+    /// Views.
+    count: u32,
 }
 
 /// A surface as triangles.
@@ -44,12 +68,11 @@ pub struct Witnesses<'a> {
 }
 
 impl Witnesses<'_> {
-    /// Returns a point as the views show it. The colour is the mean over the views that show a surface within the band, each by
-    /// cos² θ / r² as in [`crate::Volume::fuse`]; grey without any.
-    pub fn vertex(&self, position: Vector3<f64>, normal: Vector3<f64>) -> Vertex {
-        let (mut color, mut weights, mut squares, mut count) = (Vector3::zeros(), 0.0, 0.0, 0);
+    /// Returns what the views show at a point; none where none shows a surface within the band.
+    pub fn at(&self, position: &Vector3<f64>) -> Option<Seen> {
+        let (mut color, mut weights, mut sum, mut squares, mut count) = (Vector3::zeros(), 0.0, 0.0, 0.0, 0);
         for view in self.views {
-            let Some((signed, patch, rgb)) = view.at(&position) else {
+            let Some((signed, patch, rgb)) = view.at(position) else {
                 continue;
             };
             if signed.abs() > self.band {
@@ -58,25 +81,33 @@ impl Witnesses<'_> {
             let share = f64::from(patch.cosine) / f64::from(patch.distance);
             let weight = share * share;
             color += Vector3::from(rgb.map(f64::from)) * weight;
+            sum += weight * signed;
             squares += weight * signed * signed;
             weights += weight;
             count += 1;
         }
-        let color: [f64; 3] = if weights > 0.0 {
-            (color / weights).into()
-        } else {
-            [0.5; 3]
-        };
+        (weights > 0.0).then(|| Seen {
+            signed: sum / weights,
+            square: squares / weights,
+            color: color / weights,
+            count,
+        })
+    }
+
+    /// Returns a point as the views show it; grey where none does.
+    pub fn vertex(&self, position: Vector3<f64>, normal: Vector3<f64>) -> Vertex {
+        let seen = self.at(&position);
+        let color = seen.map_or(Vector3::repeat(0.5), |seen| seen.color);
         Vertex {
             position,
             normal,
-            color: color.map(|channel| channel as f32),
+            color: color.map(|channel| channel as f32).into(),
             photos: seen_at(self.observers, &position, None).photos,
-            spread: if count > 1 {
-                (squares / weights).sqrt() as f32
-            } else {
-                -1.0
+            spread: match seen {
+                Some(seen) if seen.count > 1 => seen.square.sqrt() as f32,
+                _ => -1.0,
             },
+            retrained: None,
         }
     }
 }

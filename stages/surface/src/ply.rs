@@ -7,7 +7,8 @@ use crate::mesh::{Mesh, Vertex};
 ///
 /// A vertex: x, y, z, nx, ny, nz (float), red, green, blue (uchar, sRGB), photos (ushort: photos that show it, at most 65,535), spread
 /// (float: root mean square of the distances of the views' surfaces from it along the normal, in the unit of the file; -1 where only one
-/// view shows it). A face: a list of three ints. Comments state unit and axes.
+/// view shows it). With a bootstrap also depth_std (float, the same unit) and color_std (float, gray of sRGB, white = 1): how far its
+/// retrainings differ, -1 where too few show it. A face: a list of three ints. Comments state unit and axes.
 ///
 /// # Extremes
 /// A coordinate beyond 3.4e38 is written as the largest f32 of its sign. An empty mesh is a file with a header alone.
@@ -16,7 +17,7 @@ pub fn mesh(mesh: &Mesh, frame: &ExportFrame, comments: &[String]) -> Vec<u8> {
         "element face {}\nproperty list uchar int vertex_indices\n",
         mesh.triangles.len()
     );
-    let mut bytes = header(frame, comments, mesh.vertices.len(), &faces);
+    let mut bytes = header(frame, comments, &mesh.vertices, &faces);
     write_vertices(&mut bytes, &mesh.vertices, frame.scale());
     for triangle in &mesh.triangles {
         bytes.push(3);
@@ -27,12 +28,18 @@ pub fn mesh(mesh: &Mesh, frame: &ExportFrame, comments: &[String]) -> Vec<u8> {
 
 /// Returns points as PLY, with the properties of the vertices of [`mesh`].
 pub fn points(points: &[Vertex], frame: &ExportFrame, comments: &[String]) -> Vec<u8> {
-    let mut bytes = header(frame, comments, points.len(), "");
+    let mut bytes = header(frame, comments, points, "");
     write_vertices(&mut bytes, points, frame.scale());
     bytes
 }
 
-fn header(frame: &ExportFrame, comments: &[String], vertices: usize, faces: &str) -> Vec<u8> {
+fn header(frame: &ExportFrame, comments: &[String], vertices: &[Vertex], faces: &str) -> Vec<u8> {
+    let is_retrained = vertices.iter().any(|vertex| vertex.retrained.is_some());
+    let retrained = match is_retrained {
+        true => "property float depth_std\nproperty float color_std\n",
+        false => "",
+    };
+    let vertices = vertices.len();
     let own = [
         format!("unit: {}", frame.unit()),
         format!("axes: those of the scene; {}", frame.up_words()),
@@ -46,7 +53,7 @@ fn header(frame: &ExportFrame, comments: &[String], vertices: usize, faces: &str
     let bytes = ["red", "green", "blue"].map(|name| format!("property uchar {name}\n"));
     format!(
         "ply\nformat binary_little_endian 1.0\n{comments}element vertex {vertices}\n{}{}property ushort photos\nproperty float spread\n\
-         {faces}end_header\n",
+         {retrained}{faces}end_header\n",
         floats.concat(),
         bytes.concat()
     )
@@ -65,12 +72,12 @@ fn write_vertices(bytes: &mut Vec<u8>, vertices: &[Vertex], scale: f64) {
         }
         bytes.extend(vertex.color.map(to_byte));
         bytes.extend((vertex.photos.min(u32::from(u16::MAX)) as u16).to_le_bytes());
-        let spread = if vertex.spread < 0.0 {
-            -1.0
-        } else {
-            vertex.spread * scale as f32
-        };
-        bytes.extend(spread.to_le_bytes());
+        let known = |value: f32, scale: f64| if value < 0.0 { -1.0 } else { value * scale as f32 };
+        bytes.extend(known(vertex.spread, scale).to_le_bytes());
+        if let Some(retrained) = vertex.retrained {
+            bytes.extend(known(retrained.depth, scale).to_le_bytes());
+            bytes.extend(known(retrained.color, 1.0).to_le_bytes());
+        }
     }
 }
 
@@ -95,6 +102,7 @@ mod tests {
             color: [0.0, 0.5, 1.0],
             photos: 70_000,
             spread: 0.25,
+            retrained: None,
         };
         Mesh {
             vertices: vec![vertex(1.0), vertex(1e300), vertex(3.0)],
@@ -130,6 +138,28 @@ mod tests {
         assert_eq!(
             read.payload["face"][0]["vertex_indices"],
             Property::ListInt(vec![0, 1, 2])
+        );
+    }
+
+    #[test]
+    fn retrainings_are_two_properties_more() {
+        let frame = ExportFrame::of(&Scene {
+            metres_per_unit: Some(2.0),
+            ..Scene::default()
+        });
+        let mut mesh = example();
+        for vertex in &mut mesh.vertices {
+            vertex.retrained = Some(crate::Retrained {
+                depth: 0.25,
+                color: -1.0,
+            });
+        }
+        let bytes = super::mesh(&mesh, &frame, &[]);
+        let read = Parser::<DefaultElement>::new().read_ply(&mut &bytes[..]).unwrap();
+        let vertex = &read.payload["vertex"][2];
+        assert_eq!(
+            (&vertex["depth_std"], &vertex["color_std"]),
+            (&Property::Float(0.5), &Property::Float(-1.0))
         );
     }
 

@@ -87,6 +87,13 @@ impl SurfaceView {
         self.centre
     }
 
+    /// Puts the camera elsewhere, turned as it is.
+    #[cfg(test)]
+    pub fn move_to(&mut self, centre: Vector3<f64>) {
+        self.cam_from_world.translation = -(self.cam_from_world.rotation * centre);
+        self.centre = centre;
+    }
+
     /// Returns the width of a pixel at a distance of one.
     pub fn pixel_angle(&self) -> f64 {
         1.0 / self.camera.fx_px.min(self.camera.fy_px)

@@ -54,6 +54,13 @@ macro_rules! stage_on_device {
             fn backend_id(&self) -> Option<String> {
                 self.params.device.backend_id()
             }
+
+            fn backend_id_on(&self, gpu: Option<&str>) -> Result<Option<String>, marf_stage::StageError> {
+                self.params
+                    .device
+                    .backend_id_on(gpu)
+                    .map_err(marf_stage::StageError::new)
+            }
         }
     };
 }

@@ -166,7 +166,7 @@ fn task_of(action: &Action, params: Value, graph: &Graph) -> Result<Task, Action
         return Err(ActionError::Source { stage: stage() });
     }
     let inputs = Inputs(action.inputs.clone());
-    let mut key = node_key(&graph.table, def, bound.as_ref(), &inputs)
+    let mut key = node_key((&graph.table, None), def, bound.as_ref(), &inputs)
         .map_err(|error| ActionError::Failed(error.to_string()))?;
     if let Some((shard, _)) = shard_of(action) {
         key = part_key(&key.action, PartKind::Measure, shard, inputs.0.clone());

@@ -162,6 +162,11 @@ impl Job<'_> {
 
     fn run(&self) -> Result<JobOutput, JobError> {
         let key = self.prepared.key.digest;
+        if self.prepared.key.action.backend != self.bound.backend_id() {
+            let device = self.device();
+            let message = format!("its key is of {device}, which is not here, and no other machine takes it");
+            return Err(contract_violation(message).into());
+        }
         let checkpoints = FileCheckpoints::new(self.context.store, &key, &self.node, self.context.listener);
         let metadata = self.metadata();
         let blobs = StoreBlobs::new(self.context.store);
@@ -248,7 +253,8 @@ impl Job<'_> {
         self.context.graph.keep_listed(&self.node, &listed);
         let mut inputs = self.prepared.inputs.clone();
         inputs.0.extend(listed.inputs.0);
-        node_key(&self.context.graph.table, &self.def, self.bound.as_ref(), &inputs)
+        let tables = (&self.context.graph.table, self.context.executor);
+        node_key(tables, &self.def, self.bound.as_ref(), &inputs)
     }
 
     /// Checks and stores the outputs, and returns the record that the store keeps for the key.
@@ -332,9 +338,10 @@ impl Job<'_> {
         }
     }
 
-    /// Returns the name of the device that the stage runs on.
+    /// Returns the name of the device that computes the node.
     fn device(&self) -> String {
-        self.bound.backend_id().unwrap_or_else(|| "cpu".to_owned())
+        let backend = &self.prepared.key.action.backend;
+        backend.clone().unwrap_or_else(|| "cpu".to_owned())
     }
 
     /// Returns the metadata of a run that starts now.

@@ -68,7 +68,7 @@ fn prepare(state: &mut RunState<'_>, index: usize) -> Result<(), StoreError> {
             .0
             .extend(listed.iter().flat_map(|listed| listed.inputs.0.clone()));
         let request = KeyRequest {
-            table: &context.graph.table,
+            tables: (&context.graph.table, context.executor),
             name: &task.name,
             def: &task.def,
             stage: task.bound.as_ref(),

@@ -1,9 +1,11 @@
 //! The scheduler: a coordinator thread starts ready nodes while thread permits are free.
 //!
-//! What an executor takes runs on another machine and needs no permit. A job of one thread takes one permit; a job that can use all takes its share of the free ones, hence all when
-//! nothing else is ready. One node at a time is on a GPU. The order of jobs and their threads change no result.
+//! What an executor takes runs on another machine and needs no permit. A job of one thread takes one permit; a job that can use all takes
+//! its share of the free ones, hence all when nothing else is ready. One node at a time is on the GPU of this machine. The order of jobs
+//! and their threads change no result.
 
 use std::{
+    collections::BTreeSet,
     sync::{Arc, mpsc},
     thread,
     time::Instant,
@@ -19,15 +21,20 @@ use super::{
     state::RunState,
     task::{Phase, Prepared, Reuse, Task},
 };
-use crate::{errors::contract_violation, executor::Elsewhere, needs::Needs, work::BlobCheck};
+use crate::{
+    errors::contract_violation,
+    executor::Elsewhere,
+    needs::{Needs, cores_of},
+    work::BlobCheck,
+};
 
 /// Starts jobs on threads of their own, and applies what they report to the state of the run.
 pub(super) struct Scheduler<'a> {
     state: RunState<'a>,
     free_permits: usize,
     running: usize,
-    /// How many of these run on other machines.
-    elsewhere: usize,
+    /// Which nodes run on other machines.
+    elsewhere: BTreeSet<usize>,
 }
 
 /// Where a job runs.
@@ -53,7 +60,7 @@ impl<'a> Scheduler<'a> {
             state,
             free_permits: threads,
             running: 0,
-            elsewhere: 0,
+            elsewhere: BTreeSet::new(),
         }
     }
 
@@ -104,7 +111,7 @@ impl<'a> Scheduler<'a> {
     /// Returns the first node that another machine takes, if one is free.
     fn next_elsewhere(&self) -> Option<(usize, Place)> {
         let executor = self.state.context.executor?;
-        if self.elsewhere >= executor.slots() {
+        if self.elsewhere.len() >= executor.slots() {
             return None;
         }
         let index = self.state.tasks.iter().position(|task| self.is_taken(task))?;
@@ -116,10 +123,14 @@ impl<'a> Scheduler<'a> {
         let Some(executor) = self.state.context.executor else {
             return false;
         };
-        // What was lost is made again where it can be looked at.
-        let may = task.phase == Phase::Ready && task.reuse == Reuse::Allowed;
-        let takes = |prepared: &Prepared| executor.takes(&prepared.key.action);
-        may && matches!(task.bound.work(), Work::Set(_)) && task.prepared.as_ref().is_some_and(takes)
+        let takes = |prepared: &Prepared| {
+            let action = &prepared.key.action;
+            // What was lost is made again where it can be looked at, if it can be made there.
+            let may = task.reuse == Reuse::Allowed || action.backend != task.bound.backend_id();
+            may && executor.takes(action)
+        };
+        let may = task.phase == Phase::Ready && matches!(task.bound.work(), Work::Set(_));
+        may && task.prepared.as_ref().is_some_and(takes)
     }
 
     /// Returns what a node needs of a machine.
@@ -127,7 +138,12 @@ impl<'a> Scheduler<'a> {
         let context = &self.state.context;
         let key = context.last.and_then(|last| last.latest.get(&task.name));
         let record = key.and_then(|key| context.store.record(key).ok().flatten());
-        Needs::of(task.bound.as_ref(), record.map(|record| record.metadata).as_ref())
+        let backend = task
+            .prepared
+            .as_ref()
+            .and_then(|prepared| prepared.key.action.backend.as_ref());
+        let last = record.map(|record| record.metadata);
+        Needs::of(task.bound.as_ref(), backend.is_some(), last.as_ref())
     }
 
     /// Returns the first node that may start here, and its number of permits.
@@ -138,10 +154,10 @@ impl<'a> Scheduler<'a> {
         // Two trainings on one GPU would only alternate, with the memory of both.
         let is_on_gpu = |task: &Task| task.bound.backend_id().is_some();
         let tasks = &self.state.tasks;
-        let gpu_is_busy = tasks
-            .iter()
-            .filter(|task| task.phase == Phase::Running)
-            .any(is_on_gpu);
+        let is_busy = |(index, task): (usize, &Task)| {
+            task.phase == Phase::Running && !self.elsewhere.contains(&index) && is_on_gpu(task)
+        };
+        let gpu_is_busy = tasks.iter().enumerate().any(is_busy);
         let is_ready = |task: &&Task| {
             matches!(task.phase, Phase::Ready | Phase::Reducible)
                 && !(gpu_is_busy && is_on_gpu(task))
@@ -149,7 +165,7 @@ impl<'a> Scheduler<'a> {
         };
         let ready = tasks.iter().filter(is_ready).count();
         let index = tasks.iter().position(|task| is_ready(&task))?;
-        let permits = match Needs::of(tasks[index].bound.as_ref(), None).cores {
+        let permits = match cores_of(tasks[index].bound.as_ref()) {
             Threads::One => 1,
             Threads::All => (self.free_permits / ready).max(1),
         };
@@ -177,7 +193,9 @@ impl<'a> Scheduler<'a> {
             Place::Elsewhere => 0,
         };
         self.free_permits -= permits;
-        self.elsewhere += usize::from(matches!(place, Place::Elsewhere));
+        if matches!(place, Place::Elsewhere) {
+            self.elsewhere.insert(index);
+        }
         let work = self.state.tasks[index].bound.work();
         let has_parts = matches!(work, Work::Map(_) | Work::Fold(_));
         let elsewhere = match has_parts || matches!(place, Place::Elsewhere) {
@@ -225,7 +243,7 @@ impl<'a> Scheduler<'a> {
         self.running -= 1;
         match report.place {
             Place::Here(permits) => self.free_permits += permits,
-            Place::Elsewhere => self.elsewhere -= 1,
+            Place::Elsewhere => drop(self.elsewhere.remove(&report.index)),
         }
         let (state, index) = (&mut self.state, report.index);
         match report.result {

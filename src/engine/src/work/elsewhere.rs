@@ -26,6 +26,9 @@ use crate::{
     stage_io::StoreBlobs,
 };
 
+/// Shards whose measures are stored at once: these are in memory until then.
+const SHARDS_AT_ONCE: usize = 1_000;
+
 /// Has those shards measured on other machines that lack most of their measures, if there are machines that take them. Returns
 /// the number of rows measured; what still lacks is measured here.
 pub(super) fn measure_elsewhere(
@@ -44,11 +47,14 @@ pub(super) fn measure_elsewhere(
     }
     let (numbers, orders): (Vec<u32>, Vec<PartOrder>) = parts.into_iter().unzip();
     order(run, elsewhere, &orders)?;
-    for (shard, order) in numbers.into_iter().zip(&orders) {
+    let taken: Vec<(u32, &PartOrder)> = numbers.into_iter().zip(&orders).collect();
+    for some in taken.chunks(SHARDS_AT_ONCE) {
         run.ctx.check()?;
-        take_over(run, stage, shard, &order.key)?;
+        for (shard, order) in some {
+            take_over(run, stage, *shard, &order.key)?;
+        }
+        run.store.commit().map_err(store_error)?;
     }
-    run.store.commit().map_err(store_error)?;
     Ok(total)
 }
 

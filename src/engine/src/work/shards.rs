@@ -10,6 +10,7 @@ use super::{
     stage_run::StageRun,
 };
 use crate::{
+    errors::store_error,
     items::{ShardLeaves, rows_of},
     key::Key,
 };
@@ -59,6 +60,10 @@ pub(super) fn shard_parts<P: Send>(
             .collect();
         for (&at, part) in window.iter().zip(made?) {
             parts[at] = Some(part);
+        }
+        if done < total {
+            // What is stored is in memory until then.
+            run.store.commit().map_err(store_error)?;
         }
     }
     Ok(ShardParts {

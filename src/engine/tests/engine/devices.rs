@@ -1,11 +1,13 @@
 //! Nodes on a GPU run one after the other; their backend id is in their key.
 use std::num::NonZero;
-use std::sync::Barrier;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Barrier};
 use std::time::Duration;
 
 use marf_cache::{Action, Store};
-use marf_engine::{Cancel, Graph, NodeDecl, Options, Outcome, Silent, run};
+use marf_engine::{
+    Cancel, Executor, Graph, Machine, NodeDecl, Options, Order, Outcome, PartOrder, Silent, action_at, run,
+};
 use marf_stage::{
     Ctx, Define, Inputs, Outputs, ParamError, Port, Set, Stage, StageError, Work, define, key_params,
 };
@@ -38,6 +40,14 @@ impl Stage for DeviceStage {
     fn backend_id(&self) -> Option<String> {
         self.0.on_gpu.then(|| "a card, its driver".to_owned())
     }
+
+    fn backend_id_on(&self, gpu: Option<&str>) -> Result<Option<String>, StageError> {
+        match (self.0.on_gpu, gpu) {
+            (true, None) => Err(StageError::new("it wants a card, and jobs have none")),
+            (true, Some(gpu)) => Ok(Some(gpu.to_owned())),
+            (false, _) => Ok(None),
+        }
+    }
 }
 
 impl Define for DeviceStage {
@@ -68,17 +78,19 @@ impl Set for DeviceStage {
     }
 }
 
-#[test]
-fn one_node_at_a_time_is_on_the_gpu_and_the_others_run_beside_it() {
-    let def = define::<DeviceStage>();
-    let decl = |number: u64, on_gpu: bool| NodeDecl {
+fn decl(number: u64, on_gpu: bool) -> NodeDecl {
+    NodeDecl {
         name: format!("node-{number}"),
-        stage: def,
+        stage: define::<DeviceStage>(),
         bound: Box::new(DeviceStage(Params { number, on_gpu })),
         edges: Vec::new(),
-    };
+    }
+}
+
+#[test]
+fn one_node_at_a_time_is_on_the_gpu_and_the_others_run_beside_it() {
     let decls = (0..6).map(|number| decl(number, number < 3)).collect();
-    let graph = Graph::new(decls, &[def]).unwrap();
+    let graph = Graph::new(decls, &[define::<DeviceStage>()]).unwrap();
     let dir = tempfile::tempdir().unwrap();
     let store = Store::open(dir.path()).unwrap();
     let options = Options {
@@ -93,4 +105,63 @@ fn one_node_at_a_time_is_on_the_gpu_and_the_others_run_beside_it() {
     assert_eq!(made.metadata.device, "a card, its driver");
     let action = Action::decode(&store.get(&made.key).unwrap()).unwrap();
     assert_eq!(action.backend.as_deref(), Some("a card, its driver"));
+}
+
+/// A machine that answers for its card and computes nothing.
+#[derive(Debug)]
+struct Idle {
+    gpu: Option<&'static str>,
+    takes: bool,
+}
+
+impl Executor for Idle {
+    fn machine_of(&self, _stage: &str) -> Option<Machine<'_>> {
+        Some(Machine { gpu: self.gpu })
+    }
+
+    fn takes(&self, _action: &Action) -> bool {
+        self.takes
+    }
+
+    fn slots(&self) -> usize {
+        1
+    }
+
+    fn execute(&self, order: &Order<'_>) -> Result<(), StageError> {
+        Err(StageError::new(format!("gpu: {}", order.needs.gpu)))
+    }
+
+    fn takes_parts(&self, _action: &Action, _photos: u64) -> bool {
+        false
+    }
+
+    fn execute_parts(&self, _order: &Order<'_>, _parts: &[PartOrder]) -> Result<(), StageError> {
+        Ok(())
+    }
+}
+
+/// The key of a node that another machine computes holds the backend of that machine; where that is not what it wants, or nobody
+/// takes it, it fails instead of being computed here.
+#[test]
+fn keys_hold_the_backend_of_the_machine_that_computes_the_node() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = Store::open(dir.path()).unwrap();
+    let graph = Graph::new(vec![decl(0, true)], &[define::<DeviceStage>()]).unwrap();
+    let node = |gpu, takes| {
+        let options = Options {
+            executor: Some(Arc::new(Idle { gpu, takes })),
+            ..Options::default()
+        };
+        let record = run(&graph, &store, &options, &Silent, &Cancel::default()).unwrap();
+        record.nodes[0].clone()
+    };
+    let ordered = node(Some("another card"), true);
+    let action = action_at(&store, &ordered.key.unwrap()).unwrap().unwrap();
+    assert_eq!(action.backend.as_deref(), Some("another card"));
+    assert!(ordered.reason.contains("gpu: true"), "{}", ordered.reason);
+    let bare = node(None, true);
+    assert!(bare.reason.contains("jobs have none"), "{}", bare.reason);
+    let untaken = node(Some("another card"), false);
+    assert!(untaken.reason.contains("which is not here"), "{}", untaken.reason);
+    assert_eq!(untaken.key, ordered.key);
 }

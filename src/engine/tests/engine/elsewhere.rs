@@ -47,6 +47,7 @@ struct Machine {
     fixture: u64,
     stages: &'static [&'static str],
     fails: bool,
+    gpu: Option<&'static str>,
     /// Names of the nodes that it computed, with the number of results that it was told of.
     computed: Mutex<Vec<(String, usize)>>,
     busy: AtomicUsize,
@@ -61,6 +62,7 @@ impl Machine {
             fixture,
             stages,
             fails: false,
+            gpu: None,
             computed: Mutex::default(),
             busy: AtomicUsize::new(0),
             most_busy: AtomicUsize::new(0),
@@ -92,6 +94,13 @@ impl Machine {
 }
 
 impl Executor for Machine {
+    fn machine_of(&self, stage: &str) -> Option<marf_engine::Machine<'_>> {
+        let gpu = self.gpu;
+        self.stages
+            .contains(&stage)
+            .then_some(marf_engine::Machine { gpu })
+    }
+
     fn takes_parts(&self, action: &Action, photos: u64) -> bool {
         self.takes(action) && photos >= LEAST_PHOTOS
     }

@@ -5,7 +5,7 @@ use std::{
     sync::{Arc, Mutex},
 };
 
-use marf_cache::{Digest, Store};
+use marf_cache::{Digest, Record, Store};
 use marf_engine::{Cancel, Options, RunRecord, SharedResults};
 
 use crate::common::{EventLog, TestPipeline, fresh_store, new_fixture, options, ran, run_on, run_with};
@@ -44,6 +44,10 @@ impl SharedResults for Neighbour {
             to.put_record(record);
         }
         to.commit().unwrap();
+    }
+
+    fn record(&self, key: &Digest) -> Option<Record> {
+        Store::open(&self.from).unwrap().record(key).unwrap()
     }
 
     fn offer(&self, key: &Digest) {

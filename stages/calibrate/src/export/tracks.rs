@@ -1,6 +1,7 @@
 //! Sparse points with their observations.
 
-use marf_scene::Point;
+use marf_scene::{Point, Scene};
+use nalgebra::{Vector2, Vector3};
 
 /// Sparse points with their observations; every number is finite.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -42,6 +43,21 @@ impl Tracks {
         };
         Self {
             points: points.iter().map(point).collect(),
+        }
+    }
+
+    /// Sets the error of each point to the mean distance of its observations from its projections, pixels; 0 without any.
+    pub fn measure(&mut self, scene: &Scene) {
+        for point in &mut self.points {
+            let position = Vector3::from(point.position);
+            let distance = |observation: &Observation| {
+                let frame = scene.frames.get(observation.frame as usize)?;
+                let pixel = frame.camera.project(&frame.cam_from_world.point(&position))?;
+                Some((pixel - Vector2::from(observation.pixel)).norm())
+            };
+            let distances: Vec<f64> = point.observations.iter().filter_map(distance).collect();
+            let mean = distances.iter().sum::<f64>() / distances.len() as f64;
+            point.error_px = if mean.is_finite() { mean } else { 0.0 };
         }
     }
 }

@@ -6,22 +6,22 @@ use serde::Serialize;
 
 /// transforms.json.
 #[derive(Serialize)]
-struct Transforms<'a> {
+struct Transforms {
     camera_model: &'static str,
     #[serde(flatten)]
     camera: Option<Lens>,
     #[serde(skip_serializing_if = "Option::is_none")]
     ply_file_path: Option<&'static str>,
-    train_filenames: Vec<&'a str>,
-    val_filenames: Vec<&'a str>,
-    test_filenames: Vec<&'a str>,
-    frames: Vec<Entry<'a>>,
+    train_filenames: Vec<String>,
+    val_filenames: Vec<String>,
+    test_filenames: Vec<String>,
+    frames: Vec<Entry>,
 }
 
 /// A frame of it.
 #[derive(Serialize)]
-struct Entry<'a> {
-    file_path: &'a str,
+struct Entry {
+    file_path: String,
     #[serde(flatten)]
     camera: Option<Lens>,
     transform_matrix: [[f64; 4]; 4],
@@ -63,20 +63,20 @@ impl Lens {
 /// OpenCV; frames sorted by file name; held-out photos as test and validation, the others as training.
 ///
 /// One camera for all frames stands at the top, different ones stand with their frames. The world is the
-/// scene's own, neither rotated nor scaled. The names are those of [`Frame::file`], relative to where the file
-/// is put; photos that were encoded anew have the extension `.png` there. A scene with sparse points names
+/// scene's own, neither rotated nor scaled. `path_of` tells where a photo lies as seen from
+/// where the file is put: [`Frame::file`] where photos lie beside it; photos that were encoded anew have the extension `.png` there. A scene with sparse points names
 /// [`POINTS`], which is put beside the file.
-pub fn write_transforms(scene: &Scene) -> String {
+pub fn write_transforms(scene: &Scene, path_of: &dyn Fn(&Frame) -> String) -> String {
     let mut frames: Vec<&Frame> = scene.frames.iter().collect();
     frames.sort_by(|a, b| (&a.file, &a.id).cmp(&(&b.file, &b.id)));
     let shared = frames.first().map(|frame| frame.camera);
     let shared = shared.filter(|camera| frames.iter().all(|frame| frame.camera == *camera));
     let names = |held_out: bool| {
         let chosen = frames.iter().filter(|frame| frame.held_out == held_out);
-        chosen.map(|frame| frame.file.as_str()).collect::<Vec<_>>()
+        chosen.map(|frame| path_of(frame)).collect::<Vec<_>>()
     };
     let entries = frames.iter().map(|frame| Entry {
-        file_path: &frame.file,
+        file_path: path_of(frame),
         camera: shared.is_none().then(|| Lens::of(&frame.camera)),
         transform_matrix: opengl(&frame.cam_from_world),
     });
@@ -91,6 +91,11 @@ pub fn write_transforms(scene: &Scene) -> String {
     };
     // Finite numbers and strings always serialise.
     serde_json::to_string_pretty(&transforms).unwrap_or_default()
+}
+
+/// Returns the path of a photo that lies beside transforms.json.
+pub fn beside(frame: &Frame) -> String {
+    frame.file.clone()
 }
 
 /// Camera to world with y up and z backward: [Rᵀ diag(1, -1, -1) | C].
@@ -140,7 +145,7 @@ mod tests {
     #[test]
     fn points_come_back_to_the_same_pixels() {
         let scene = scene();
-        let read = read_transforms("transforms.json", write_transforms(&scene).as_bytes()).unwrap();
+        let read = read_transforms("transforms.json", write_transforms(&scene, &beside).as_bytes()).unwrap();
         assert_eq!(read.points.as_deref(), Some("points.ply"));
         let points = read_ply(
             "points.ply",
@@ -169,6 +174,6 @@ mod tests {
             points: Vec::new(),
             ..scene()
         };
-        assert!(!write_transforms(&bare).contains("ply_file_path"));
+        assert!(!write_transforms(&bare, &beside).contains("ply_file_path"));
     }
 }

@@ -9,11 +9,12 @@ mod text;
 
 use std::collections::BTreeMap;
 
-use marf_scene::{Point, Pose};
+use marf_scene::{Point, Pose, Scene};
 use nalgebra::{Matrix3, Quaternion, Vector2, Vector3};
 
 use super::cameras::{Cameras, ImportError, Role, View};
 use super::lens::Lens;
+use crate::export::{Observation, TrackPoint, Tracks};
 use record::Image;
 
 /// The files of a model.
@@ -63,6 +64,54 @@ pub fn read_colmap_text(model: &Model<'_>) -> Result<Cameras, ImportError> {
             .map_or(Ok(BTreeMap::new()), |bytes| text::points(model.names[2], bytes))?,
     }
     .assemble(model)
+}
+
+/// Reads the points of a scene with their observations from the images.bin and points3D.bin that were written of it.
+///
+/// The error of a point is the mean distance of its observations from its projections, in pixels.
+///
+/// # Errors
+/// As [`read_colmap_binary`].
+pub fn read_tracks(
+    scene: &Scene,
+    images: (&str, &[u8]),
+    points: (&str, &[u8]),
+) -> Result<Tracks, ImportError> {
+    let frame_of: BTreeMap<&str, usize> = (0..)
+        .zip(&scene.frames)
+        .map(|(index, frame)| (frame.file.as_str(), index))
+        .collect();
+    let point = |(number, point): (u64, Point)| {
+        let track = TrackPoint {
+            position: point.position,
+            color: point.color.unwrap_or([128; 3]),
+            error_px: 0.0,
+            observations: Vec::new(),
+        };
+        (number, track)
+    };
+    let mut tracks: BTreeMap<u64, TrackPoint> = binary::points(points.0, points.1)?
+        .into_iter()
+        .map(point)
+        .collect();
+    for image in binary::images(images.0, images.1)? {
+        let Some(frame) = frame_of.get(image.name.as_str()) else {
+            continue;
+        };
+        for (pixel, number) in image.observations {
+            if let Some(track) = tracks.get_mut(&number) {
+                track.observations.push(Observation {
+                    frame: *frame as u32,
+                    pixel,
+                });
+            }
+        }
+    }
+    let mut tracks = Tracks {
+        points: tracks.into_values().collect(),
+    };
+    tracks.measure(scene);
+    Ok(tracks)
 }
 
 /// The three files, read.

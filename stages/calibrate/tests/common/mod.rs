@@ -146,6 +146,11 @@ impl Input {
         self.outputs(stage.as_ref(), &ctx, None)
     }
 
+    /// Returns the set of the photos, as a stage reads it.
+    pub fn photo_set(&self) -> Digest {
+        self.harness.put_set(&self.rows)
+    }
+
     /// Returns the digest of each photo.
     pub fn photos(&self) -> Vec<Digest> {
         self.rows.iter().map(|(_, row)| row.blobs["image"]).collect()

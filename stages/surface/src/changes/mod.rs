@@ -77,6 +77,10 @@ impl Stage for FindChanges {
     fn backend_id(&self) -> Option<String> {
         self.params.device.backend_id()
     }
+
+    fn backend_id_on(&self, gpu: Option<&str>) -> Result<Option<String>, StageError> {
+        self.params.device.backend_id_on(gpu).map_err(StageError::new)
+    }
 }
 
 impl Expand for FindChanges {

@@ -116,6 +116,10 @@ impl Stage for Train {
         self.params.device.backend_id()
     }
 
+    fn backend_id_on(&self, gpu: Option<&str>) -> Result<Option<String>, StageError> {
+        self.params.device.backend_id_on(gpu).map_err(StageError::new)
+    }
+
     fn varies(&self) -> Option<&'static str> {
         self.params.limit().map(|_| "it trains by the clock")
     }

@@ -59,6 +59,14 @@ impl Stage for Partial {
     fn backend_id(&self) -> Option<String> {
         self.params.train.device.backend_id()
     }
+
+    fn backend_id_on(&self, gpu: Option<&str>) -> Result<Option<String>, StageError> {
+        self.params
+            .train
+            .device
+            .backend_id_on(gpu)
+            .map_err(StageError::new)
+    }
 }
 
 impl Set for Partial {

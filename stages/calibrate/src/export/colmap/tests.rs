@@ -3,8 +3,9 @@ use marf_scene::{Frame, Pose};
 use nalgebra::{Vector2, Vector3};
 
 use super::*;
+use crate::export::Observation;
 use crate::export::TrackPoint;
-use crate::import::{Cameras, Model, read_colmap_binary};
+use crate::import::{Cameras, Model, read_colmap_binary, read_colmap_text};
 
 /// Four cameras on a ring, one of each lens, and a fifth that shares the first one's.
 fn scene() -> Scene {
@@ -118,12 +119,38 @@ fn a_model_is_read_back_with_its_cameras_poses_sights_and_errors() {
 }
 
 #[test]
+fn the_text_says_what_the_binary_says() {
+    let scene = scene();
+    let tracks = tracks(&scene, 0.25);
+    let text = write_colmap_text(&scene, &tracks);
+    let model = Model {
+        names: ["model"; 3],
+        cameras: text[0].1.as_bytes(),
+        images: text[1].1.as_bytes(),
+        points: Some(text[2].1.as_bytes()),
+    };
+    let [read, expected] = [
+        read_colmap_text(&model).unwrap(),
+        read_back(&write_colmap(&scene, &tracks)),
+    ];
+    assert_eq!(read.points, expected.points);
+    for (text, binary) in read.views.iter().zip(&expected.views) {
+        assert_eq!((&text.file, text.lens), (&binary.file, binary.lens));
+        assert_eq!(text.cam_from_world, binary.cam_from_world, "{}", text.file);
+        assert_eq!((text.inliers, text.error_px), (binary.inliers, binary.error_px));
+    }
+    // Without observations an image has an empty line behind it.
+    let bare = write_colmap_text(&scene, &Tracks::default());
+    assert_eq!(bare[1].1.lines().filter(|line| line.is_empty()).count(), 5);
+}
+
+#[test]
 fn each_camera_gets_the_smallest_lens_and_equal_ones_share_it() {
     let files = write_colmap(&scene(), &Tracks::default());
     let numbers: Vec<u32> = scene()
         .frames
         .iter()
-        .map(|frame| model(&frame.camera).0)
+        .map(|frame| super::model(&frame.camera).0)
         .collect();
     assert_eq!(numbers, [1, 2, 3, 4, 1]);
     // Four cameras of 4, 4, 5 and 8 parameters behind 24 bytes each.

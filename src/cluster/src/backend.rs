@@ -1,0 +1,105 @@
+//! The backend of the machines of jobs: keys hold it, so it is known before any key is made. A small job tells it, once for a partition.
+
+use std::{fs, io};
+
+use marf_cache::{Digest, canonical_json};
+use marf_engine::Needs;
+use marf_stage::{Cancel, Progress, StageError, Threads};
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    cluster::Cluster,
+    job::{Wanted, failed},
+    job_files::JobFiles,
+    job_result::{JobResult, write_whole},
+    site::CPU,
+};
+
+/// What a job is asked in place of actions: which backend a device is where it runs.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BackendQuestion {
+    /// The device: `gpu`, or `gpu:NAME`.
+    pub backend_of: String,
+    /// The program that asks: another version may have other kernels.
+    pub program: String,
+    /// Options of the jobs: another partition has another answer.
+    pub options: Vec<String>,
+}
+
+impl BackendQuestion {
+    /// Reads the question of a file; none if it holds something else.
+    pub fn decode(bytes: &[u8]) -> Option<Self> {
+        serde_json::from_slice(bytes).ok()
+    }
+
+    fn encode(&self) -> Vec<u8> {
+        // Texts always serialise.
+        canonical_json(&serde_json::to_value(self).unwrap_or_default())
+    }
+}
+
+impl Cluster {
+    /// Learns the backend of the machines of jobs: from the answer that was kept, or by a job that asks there. Nothing to do where jobs
+    /// are on the CPU.
+    ///
+    /// # Errors
+    /// As those of jobs; a machine without that GPU, [`StageError::Cancelled`] if the user wants to stop.
+    pub fn ask_backend(
+        &mut self,
+        program: &str,
+        progress: &dyn Progress,
+        cancel: &Cancel,
+    ) -> Result<(), StageError> {
+        if self.site.device == CPU {
+            return Ok(());
+        }
+        let site = &self.site;
+        let question = BackendQuestion {
+            backend_of: site.device.clone(),
+            program: program.to_owned(),
+            options: site.options.iter().chain(&site.gpu_options).cloned().collect(),
+        };
+        let actions = question.encode();
+        let wanted = Wanted {
+            node: "the backend of jobs",
+            key: Digest::of(&actions),
+            actions,
+            needs: Needs {
+                cores: Threads::One,
+                gpu: true,
+                memory_mb: None,
+                seconds: None,
+            },
+            progress,
+            cancel,
+        };
+        let files = JobFiles::of(&self.site.folder, &wanted.key);
+        self.asked = Some(files.backend.clone());
+        let answer = match JobResult::read(&files.backend, &wanted.key) {
+            Some(kept) => kept,
+            None => {
+                let told = self.run(&wanted)?;
+                let kept = write_whole(&files.backend, &told);
+                kept.map_err(|error| failed(wanted.node, "the answer cannot be kept", &error))?;
+                files.remove();
+                told
+            }
+        };
+        self.gpu = answer.backend;
+        match self.gpu {
+            Some(_) => Ok(()),
+            None => Err(StageError::new(format!(
+                "`{}` has told no backend",
+                answer.program
+            ))),
+        }
+    }
+
+    /// Forgets the backend of the machines of jobs, so that the next run asks again: a job has met another one.
+    pub(crate) fn forget_backend(&self) {
+        let removed: io::Result<()> = self.asked.iter().try_for_each(fs::remove_file);
+        // What is not there is forgotten.
+        let _ = removed;
+    }
+}

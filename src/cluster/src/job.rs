@@ -1,0 +1,285 @@
+//! One job: submitted, followed, submitted again where it is lost, until its file tells how it ended.
+
+use std::{fmt, fs, io, path::PathBuf, time::Instant};
+
+use marf_cache::Digest;
+use marf_engine::{Needs, Order};
+use marf_stage::{Cancel, Progress, StageError, Threads};
+
+use crate::{
+    cluster::{ATTEMPTS, Cluster},
+    commands::Listed,
+    job_files::JobFiles,
+    job_result::{Fault, JobProgress, JobResult},
+    queue::{Census, PREFIX, Sight},
+    script::{Filling, filled, quoted_path},
+    words::{in_short, note},
+};
+
+/// Digits of the key in the name of a job.
+const NAME_DIGITS: usize = 16;
+
+/// Words of a batch system that is busy for a moment.
+const BUSY: [&str; 3] = ["timed out", "nable to contact", "temporarily"];
+
+/// A job in the queue.
+pub(crate) struct Job {
+    pub(crate) id: String,
+    /// Answers of the batch system from before tell nothing of it.
+    pub(crate) since: Instant,
+}
+
+/// What a job is to compute, and who follows it.
+pub(crate) struct Wanted<'a> {
+    /// What people call it: the name of a node.
+    pub(crate) node: &'a str,
+    /// The digest of its actions.
+    pub(crate) key: Digest,
+    /// The bytes of its actions.
+    pub(crate) actions: Vec<u8>,
+    pub(crate) needs: Needs,
+    pub(crate) progress: &'a dyn Progress,
+    pub(crate) cancel: &'a Cancel,
+}
+
+impl<'a> Wanted<'a> {
+    pub(crate) fn of(order: &Order<'a>) -> Self {
+        Self {
+            node: order.node,
+            key: order.key,
+            actions: order.action.encode(),
+            needs: order.needs,
+            progress: order.progress,
+            cancel: order.cancel,
+        }
+    }
+}
+
+/// How the wait for a job ended.
+enum Ended {
+    Told(JobResult),
+    /// It is in neither the queue nor the folder; with what the batch system says of it.
+    Lost(String),
+}
+
+impl Cluster {
+    /// Has a job made until there is a result; a lost job is submitted again.
+    ///
+    /// # Errors
+    /// What the batch system says against it, what the job tells why it has no result; too many jobs that were lost.
+    pub(crate) fn run(&self, wanted: &Wanted<'_>) -> Result<JobResult, StageError> {
+        let files = &JobFiles::of(&self.site.folder, &wanted.key);
+        let mut memory_mb = self.memory_mb(&wanted.needs);
+        let mut attempts_left = ATTEMPTS;
+        loop {
+            let script = || self.write(wanted, files, memory_mb);
+            let job = self.job((wanted.node, wanted.cancel), &job_name(&wanted.key), &script)?;
+            let said = match self.wait(wanted, files, &job)? {
+                Ended::Told(result) => return self.told(wanted.progress, result),
+                Ended::Lost(said) => said,
+            };
+            let was_too_large = said.contains("OUT_OF_MEMORY");
+            if was_too_large {
+                memory_mb = memory_mb.saturating_mul(2);
+            }
+            attempts_left -= 1;
+            if attempts_left == 0 {
+                return Err(lost(wanted, files, &job, &said));
+            }
+            let again = match was_too_large {
+                true => format!("with {memory_mb} MB"),
+                false => "again".to_owned(),
+            };
+            wanted.progress.warn(&format!(
+                "job {} ended without a result ({}); it is submitted {again}",
+                job.id,
+                in_short(&said),
+            ));
+        }
+    }
+
+    /// Returns the job of this name that is in the queue, or else submits one with the script that `write` writes.
+    pub(crate) fn job(
+        &self,
+        (node, cancel): (&str, &Cancel),
+        name: &str,
+        write: &dyn Fn() -> io::Result<PathBuf>,
+    ) -> Result<Job, StageError> {
+        let asked = Instant::now();
+        let mut busy = String::new();
+        while asked.elapsed() < self.patience() {
+            if cancel.is_set() {
+                return Err(StageError::Cancelled);
+            }
+            match self.queue.look(&self.site.commands, name, self.began) {
+                Sight::There(listed, _) if !listed.is_empty() => {
+                    let since = self.began;
+                    let id = listed[0].id.clone();
+                    return Ok(Job { id, since });
+                }
+                Sight::Unknown(fault) => busy = fault,
+                Sight::Absent | Sight::There(..) => match self.submit(node, write)? {
+                    Ok(job) => return Ok(job),
+                    Err(said) => busy = said,
+                },
+            }
+            self.rest(cancel);
+        }
+        let seconds = self.patience().as_secs_f64();
+        let error =
+            StageError::new(format!("the batch system does not answer for {seconds:.0} s")).cause(busy);
+        Err(error.hint("try its commands by hand, and run again: what was computed is kept"))
+    }
+
+    /// Submits a job; of a batch system that is busy it returns what that says.
+    fn submit(
+        &self,
+        node: &str,
+        write: &dyn Fn() -> io::Result<PathBuf>,
+    ) -> Result<Result<Job, String>, StageError> {
+        let unwritten = |error: io::Error| failed(node, "the files of its job cannot be written", &error);
+        let script = write().map_err(unwritten)?;
+        let since = Instant::now();
+        match self.site.commands.submit(&script.display().to_string()) {
+            Ok(id) => Ok(Ok(Job { id, since })),
+            Err(said) if BUSY.iter().any(|word| said.contains(word)) => Ok(Err(said)),
+            Err(said) => {
+                let error =
+                    StageError::new(format!("the batch system takes no job for `{node}`")).cause(said);
+                Err(error.hint(format!("the script is {}", script.display())))
+            }
+        }
+    }
+
+    /// Writes the action and the script of a job, and removes a result that is none; returns where the script is.
+    fn write(&self, wanted: &Wanted<'_>, files: &JobFiles, memory_mb: u64) -> io::Result<PathBuf> {
+        match fs::remove_file(&files.result) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            _ => fs::write(&files.action, &wanted.actions)?,
+        }
+        let gpu = self.site.gpu_options.iter().filter(|_| wanted.needs.gpu);
+        let options: Vec<String> = self.site.options.iter().chain(gpu).cloned().collect();
+        let filling = Filling {
+            name: &job_name(&wanted.key),
+            task: "",
+            action: quoted_path(&files.action),
+            store: &self.site.store,
+            marf: &self.marf,
+            log: &files.log,
+            result: quoted_path(&files.result),
+            scratch: quoted_path(&files.scratch),
+            cores: match wanted.needs.cores {
+                Threads::One => 1,
+                Threads::All => self.site.cores,
+            },
+            memory_mb,
+            minutes: self.site.minutes,
+            options: &options,
+        };
+        fs::write(&files.script, filled(&self.script, &filling))?;
+        Ok(files.script.clone())
+    }
+
+    /// Waits until a job has told how it ended, or is lost.
+    fn wait(&self, wanted: &Wanted<'_>, files: &JobFiles, job: &Job) -> Result<Ended, StageError> {
+        let name = job_name(&wanted.key);
+        let mut absent_since: Option<Instant> = None;
+        loop {
+            if let Some(result) = JobResult::read(&files.result, &wanted.key) {
+                return Ok(Ended::Told(result));
+            }
+            if wanted.cancel.is_set() {
+                if let Err(said) = self.site.commands.cancel(&job.id) {
+                    wanted
+                        .progress
+                        .warn(&format!("job {} cannot be stopped: {said}", job.id));
+                }
+                return Err(StageError::Cancelled);
+            }
+            match self.queue.look(&self.site.commands, &name, job.since) {
+                Sight::There(listed, census) => {
+                    absent_since = None;
+                    if let [listed, ..] = listed.as_slice() {
+                        show(wanted, files, listed, census);
+                    }
+                }
+                Sight::Unknown(fault) => {
+                    absent_since = None;
+                    let state = if fault.is_empty() {
+                        "submitted"
+                    } else {
+                        "the queue cannot be seen"
+                    };
+                    wanted.progress.at(0, 0, &note(&job.id, state, &fault));
+                }
+                Sight::Absent => {
+                    let since = *absent_since.get_or_insert_with(Instant::now);
+                    if since.elapsed() >= self.patience() {
+                        return Ok(Ended::Lost(self.site.commands.explain(&job.id)));
+                    }
+                }
+            }
+            self.rest(wanted.cancel);
+        }
+    }
+
+    /// Tells the warnings of a job; returns its result, or why it has none.
+    pub(crate) fn told(&self, progress: &dyn Progress, result: JobResult) -> Result<JobResult, StageError> {
+        result.warnings.iter().for_each(|warning| progress.warn(warning));
+        match result.fault {
+            None => Ok(result),
+            Some(Fault {
+                message,
+                cause,
+                hint,
+                is_elsewhere,
+            }) => {
+                if is_elsewhere {
+                    self.forget_backend();
+                }
+                Err(StageError::Failed { message, cause, hint })
+            }
+        }
+    }
+}
+
+fn lost(wanted: &Wanted<'_>, files: &JobFiles, job: &Job, said: &str) -> StageError {
+    let error = StageError::new(format!(
+        "`{}`: {ATTEMPTS} jobs ended without a result, the last was {} ({})",
+        wanted.node,
+        job.id,
+        in_short(said)
+    ));
+    let error = match files.log_tail() {
+        Some(tail) => error.cause(tail),
+        None => error,
+    };
+    error.hint(format!(
+        "see {}; `memory_mb` and `minutes` of the site file are what a job may take",
+        files.log.display()
+    ))
+}
+
+fn job_name(key: &Digest) -> String {
+    format!("{PREFIX}{}", &key.to_string()[..NAME_DIGITS])
+}
+
+/// Shows what the batch system and the job itself say of it.
+fn show(wanted: &Wanted<'_>, files: &JobFiles, listed: &Listed, census: Census) {
+    let Census { running, waiting } = census;
+    let mut note = note(&listed.id, &listed.state, &listed.reason);
+    if running + waiting > 1 {
+        note.push_str(&format!("; of {} jobs {running} run", running + waiting));
+    }
+    match JobProgress::read(&files.progress) {
+        Some(job) => wanted
+            .progress
+            .at(job.done, job.total, &format!("{note}; {}", job.note)),
+        None => wanted.progress.at(0, 0, &note),
+    }
+}
+
+/// Returns the error of a node for which something cannot be done.
+pub(crate) fn failed(node: &str, what: &str, error: &dyn fmt::Display) -> StageError {
+    StageError::new(format!("`{node}`: {what}")).cause(error.to_string())
+}

@@ -1,0 +1,228 @@
+//! `cameras`: a calibrated scene as a folder that other programs read as it lies.
+
+mod undistort;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use marf_cache::Digest;
+use marf_scene::{Camera, Frame, Photo, Scene, encode_png};
+use marf_schema::cameras::CamerasParams;
+use marf_schema::output::{CAMERAS, POINTS, SCENE, SPARSE, SPARSE_IMAGES, SPARSE_POINTS};
+use marf_stage::{
+    Ctx, Define, Inputs, Outputs, PHOTOS, ParamError, Params, Port, Set, Stage, StageError, Threads,
+    TypedOutputs, Work, key_params, rows_of,
+};
+use nalgebra::Vector2;
+use rayon::prelude::*;
+
+use crate::export::{Tracks, write_colmap, write_colmap_text, write_ply, write_transforms};
+use crate::import::read_tracks;
+use crate::photos::as_png;
+use undistort::{ideal, undistort};
+
+/// Writes a calibrated scene as a folder: photos, transforms.json, COLMAP's model as binary and text, points.
+///
+/// - In: the scene, and what COLMAP's model of it says of the observations; with `photos_at` the set of photos that lies there.
+/// - Out: `cameras/transforms.json` and what it names, from where it lies; `cameras/sparse/0/*.bin` and `*.txt`; `cameras/points.ply`.
+/// - Cost: without `undistort` no photo is decoded, and none is stored twice. With it each photo with a lens is decoded, resampled
+///   (bicubic, as for labels) and encoded as PNG: about 0.4 s a megapixel and core.
+/// - Bad input: a lens without inverse at the rim of its photo stops the node with the photo's name.
+#[derive(Debug)]
+pub struct ExportCameras(CamerasParams);
+
+impl Define for ExportCameras {
+    type Params = CamerasParams;
+    const NAME: &'static str = <CamerasParams as Params>::STAGE;
+    const ABOUT: &'static str =
+        "Writes cameras and photos as a folder for nerfstudio, instant-ngp and COLMAP, undistorted if asked";
+    const VERSION: u32 = 1;
+    const PORTS: &'static [Port] = &[
+        Port::required("input", SCENE),
+        Port::required("input", SPARSE_IMAGES),
+        Port::required("input", SPARSE_POINTS),
+        Port::optional("photos", PHOTOS),
+    ];
+    const OUTPUTS: &'static [&'static str] = &[CAMERAS];
+
+    fn new(params: CamerasParams) -> Result<Self, ParamError> {
+        params.check()?;
+        Ok(Self(params))
+    }
+}
+
+impl Stage for ExportCameras {
+    fn params(&self) -> serde_json::Value {
+        key_params(&self.0, &[])
+    }
+
+    fn work(&self) -> Work<'_> {
+        Work::Set(self)
+    }
+
+    fn threads(&self) -> Threads {
+        Threads::All
+    }
+}
+
+impl Set for ExportCameras {
+    fn run(&self, ctx: &Ctx<'_>, inputs: &Inputs) -> Result<Outputs, StageError> {
+        let scene = Scene::decode(&ctx.get(inputs.required(SCENE)?)?).map_err(|error| failed(&error))?;
+        let images = ctx.get(inputs.required(SPARSE_IMAGES)?)?;
+        let points = ctx.get(inputs.required(SPARSE_POINTS)?)?;
+        let tracks = read_tracks(&scene, (SPARSE_IMAGES, &images), (SPARSE_POINTS, &points));
+        let tracks = tracks.map_err(|error| failed(&error))?;
+        let (scene, tracks) = match self.0.undistort {
+            true => undistorted(ctx, &scene, tracks)?,
+            false => (scene, tracks),
+        };
+        let there = self.photos_there(ctx, inputs, &scene)?;
+        let mut outputs = Outputs::new();
+        put_photos(&scene, &there, &mut outputs)?;
+        let folder = self.0.photos_at.as_deref().unwrap_or_default();
+        let path_of = |frame: &Frame| match there.contains(&frame.id) {
+            true => format!("{folder}/{}", frame.file),
+            false => frame.file.clone(),
+        };
+        let mut put = |name: String, bytes: &[u8]| outputs.put_bytes(ctx, CAMERAS.to_owned() + &name, bytes);
+        let transforms = write_transforms(&scene, &path_of);
+        put("transforms.json".to_owned(), transforms.as_bytes())?;
+        put(POINTS.to_owned(), &write_ply(&tracks))?;
+        for (name, bytes) in write_colmap(&scene, &tracks) {
+            put(format!("{SPARSE}0/{name}"), &bytes)?;
+        }
+        for (name, text) in write_colmap_text(&scene, &tracks) {
+            put(format!("{SPARSE}0/{name}"), text.as_bytes())?;
+        }
+        Ok(outputs)
+    }
+}
+
+impl ExportCameras {
+    /// Returns the ids of those photos of a scene that lie in the folder `photos_at` with these very bytes.
+    fn photos_there(
+        &self,
+        ctx: &Ctx<'_>,
+        inputs: &Inputs,
+        scene: &Scene,
+    ) -> Result<BTreeSet<String>, StageError> {
+        let set = match (&self.0.photos_at, inputs.optional(PHOTOS)) {
+            (None, _) => return Ok(BTreeSet::new()),
+            (Some(_), Some(set)) => set,
+            (Some(folder), None) => {
+                let error =
+                    StageError::new(format!("which photos lie in `photos_at` ({folder}) is not known"));
+                return Err(error.hint("name the node that read them: `photos = \"extract\"`"));
+            }
+        };
+        let rows = rows_of(ctx, set)?;
+        let images: BTreeMap<&str, Option<&Digest>> = rows
+            .iter()
+            .map(|(_, row)| (row.id.as_str(), row.blobs.get("image")))
+            .collect();
+        let is_there = |frame: &&Frame| images.get(frame.id.as_str()) == Some(&Some(&frame.image));
+        Ok(scene
+            .frames
+            .iter()
+            .filter(is_there)
+            .map(|frame| frame.id.clone())
+            .collect())
+    }
+}
+
+fn failed(error: &dyn std::fmt::Display) -> StageError {
+    StageError::new(error.to_string())
+}
+
+/// Lists each photo that lies nowhere else at the place that transforms.json names.
+fn put_photos(scene: &Scene, there: &BTreeSet<String>, outputs: &mut Outputs) -> Result<(), StageError> {
+    let mut known = BTreeSet::new();
+    for frame in scene.frames.iter().filter(|frame| !there.contains(&frame.id)) {
+        let is_plain = frame.file.split('/').all(|part| !matches!(part, "" | "." | ".."));
+        if !is_plain || !known.insert(&frame.file) {
+            return Err(StageError::new(format!(
+                "the photo `{}` cannot be written as `{}`: the name leads out of the folder, or another photo has it",
+                frame.id, frame.file
+            ))
+            .hint("rename one of the photos"));
+        }
+        outputs.insert(format!("{CAMERAS}{}", frame.file), frame.image);
+    }
+    Ok(())
+}
+
+/// Returns the scene and the observations with ideal pinholes, and stores the photos that these would have taken.
+fn undistorted(ctx: &Ctx<'_>, scene: &Scene, mut tracks: Tracks) -> Result<(Scene, Tracks), StageError> {
+    let total = scene.frames.len() as u64;
+    let done = std::sync::atomic::AtomicU64::new(0);
+    let frame = |frame: &Frame| {
+        let straight = straight_frame(ctx, frame);
+        let done = 1 + done.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+        ctx.progress.at(done, total, &frame.file);
+        straight
+    };
+    let frames: Result<Vec<Frame>, StageError> = scene.frames.par_iter().map(frame).collect();
+    let straight = Scene {
+        frames: frames?,
+        ..scene.clone()
+    };
+    for point in &mut tracks.points {
+        point.observations.retain_mut(|observation| {
+            let index = observation.frame as usize;
+            let moved = moved(&scene.frames[index], &straight.frames[index], &observation.pixel);
+            observation.pixel = moved.unwrap_or(observation.pixel);
+            moved.is_some()
+        });
+    }
+    tracks.measure(&straight);
+    Ok((straight, tracks))
+}
+
+/// Returns where an observation lies in the undistorted photo; none where that does not reach.
+fn moved(frame: &Frame, straight: &Frame, pixel: &[f64; 2]) -> Option<[f64; 2]> {
+    let at = straight
+        .camera
+        .project(&frame.camera.unproject(&Vector2::from(*pixel))?)?;
+    let inside = |x: f64, side: u32| (0.0..=f64::from(side)).contains(&x);
+    let is_inside = inside(at.x, straight.camera.width) && inside(at.y, straight.camera.height);
+    is_inside.then(|| at.into())
+}
+
+/// Returns a frame with an ideal pinhole; a photo without distortion stays as it is.
+fn straight_frame(ctx: &Ctx<'_>, frame: &Frame) -> Result<Frame, StageError> {
+    ctx.check()?;
+    let named = |what: String| StageError::new(format!("photo `{}`: {what}", frame.id));
+    let blind = |at: &str| {
+        let Camera { k1, k2, p1, p2, .. } = frame.camera;
+        named(format!(
+            "its lens (k1 {k1}, k2 {k2}, p1 {p1}, p2 {p2}) has no inverse {at}"
+        ))
+        .hint("export without `undistort`: the lens is in transforms.json then")
+    };
+    let pinhole = ideal(&frame.camera).ok_or_else(|| blind("at the rim"))?;
+    if pinhole == frame.camera {
+        return Ok(frame.clone());
+    }
+    let photo = Photo::decode_validated(&ctx.get(&frame.image)?).map_err(|error| named(error.to_string()))?;
+    let size = (photo.image.width, photo.image.height);
+    if size != (frame.camera.width, frame.camera.height) {
+        return Err(named(format!(
+            "{} x {} pixels, its camera has others",
+            size.0, size.1
+        )));
+    }
+    let image =
+        undistort(&photo.image, &frame.camera, &pinhole, ctx.cancel).map_err(|pixel| match pixel {
+            Some(pixel) => blind(&format!("at {} {}", pixel.x, pixel.y)),
+            None => ctx.check().err().unwrap_or_else(|| named("stopped".to_owned())),
+        })?;
+    let png = encode_png(&image).map_err(|error| named(error.to_string()))?;
+    let digest: Digest = ctx.put(&png)?;
+    Ok(Frame {
+        file: as_png(&frame.file),
+        image: digest,
+        mask: None,
+        camera: pinhole,
+        error_px: None,
+        ..frame.clone()
+    })
+}

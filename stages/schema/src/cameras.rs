@@ -1,0 +1,36 @@
+//! `cameras`: a calibrated scene as a folder that other programs read.
+
+use marf_stage::{ParamError, Params};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Parameters of `cameras`.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct CamerasParams {
+    /// Whether photos are resampled to ideal pinholes: straight lines are straight, and no lens has a term.
+    pub undistort: bool,
+    /// Folder of `photos` as seen from transforms.json (`../photos`): what lies there as it is needed is named there. Without it all photos
+    /// are written beside transforms.json.
+    pub photos_at: Option<String>,
+}
+
+impl Params for CamerasParams {
+    const STAGE: &'static str = "cameras";
+}
+
+impl CamerasParams {
+    /// Checks what can be checked without a scene.
+    ///
+    /// # Errors
+    /// Names the key that is out of range.
+    pub fn check(&self) -> Result<(), ParamError> {
+        match &self.photos_at {
+            Some(folder) if folder.starts_with('/') || folder.contains('\\') => Err(ParamError::new(
+                "photos_at",
+                format!("`{folder}` is no relative path with `/`"),
+            )),
+            _ => Ok(()),
+        }
+    }
+}
