@@ -83,6 +83,7 @@ fn main(
     var rays = walk.rays;
     if walk.again == 1u { rays = min(rays, counts[COUNT_RAYS]); }
     let first = (group.x + group.y * groups.x) * THREADS;
+    if first > 0u && first >= walk.rays { return; }
     let ray = first + me;
     let before = sum_before(select(0u, first, first < rays), me);
     var amount = 0u;
