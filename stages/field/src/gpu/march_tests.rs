@@ -16,7 +16,7 @@ use crate::rng::{Purpose, Rng};
 
 /// Of a position in the unit box, of a share of steps, and of t and delta by their size: two units in the last place
 /// for the division that WGSL leaves to the driver, two for the products.
-const CLOSE: f32 = 1e-6;
+pub const CLOSE: f32 = 1e-6;
 
 /// Origin and place within every step; direction and whether there is a ray.
 type Ray = [[f32; 4]; 2];

@@ -3,23 +3,20 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use marf_shaders::{Observed, Pace, Step as StepUniform, Total, faults};
+use marf_shaders::{Pace, Step as StepUniform, Total, faults};
 
 use super::Gpu;
-use super::array::Array;
-use super::arrays::Arrays;
-use super::forward::{Forward, Kernels as Shared, Lanes, write_walks};
+use super::forward::{Forward, Kernels as Shared, write_walks};
 use super::kernel::Bound;
 use super::learning::{Bindings, Kernels, Learning};
 use super::light::RING;
 use super::march::{March, Marching, step_table, whole_walk};
 use super::memory::Held;
 use super::occupancy::{self, Due, Probed, Update};
-use super::rays::{DrawRays, Photos, observed};
+use super::rays::{DrawRays, observed};
 use super::record::{Recorder, Timing};
 use super::submits::Submits;
-use super::tables::{Grid, Rise, rates};
-use super::weights::DeviceWeights;
+use super::tables::{Rise, rates};
 use crate::FieldError;
 use crate::GpuError;
 use crate::backend::{Session, Step};

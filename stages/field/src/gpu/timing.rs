@@ -139,6 +139,21 @@ impl TimedTraining {
         Ok(samples)
     }
 
+    /// Halves the steps along rays so often, whatever is due, at most as often as the training ever does.
+    ///
+    /// # Errors
+    /// A lost device.
+    pub fn halve(&mut self, halvings: u32) -> Result<(), FieldError> {
+        let (training, session) = (&mut self.training, &mut self.session);
+        session.download(&mut training.state)?;
+        let halvings = halvings.min(training.sizes.halvings.value);
+        let more = halvings as i32 - training.state.halvings as i32;
+        training.state.samples_per_ray *= 2.0_f64.powi(more);
+        training.state.halvings = halvings;
+        training.march = training.sizes.steps(&training.config, halvings);
+        session.upload(training)
+    }
+
     /// Returns what the kernels of a step do that has these samples and moves the averages, in their order.
     ///
     /// Columns grow with their samples: a small batch tells of a large one. `None` where a kernel has no cost.
