@@ -283,7 +283,7 @@ pub const MARCH: Shader = Shader {
     name: "march",
     shared: &[FLAT, WALK],
     text: include_str!("march.wgsl"),
-    heads: &[""],
+    heads: &["const LANES: u32 = 32u;\n"],
 };
 
 /// Where the samples of every ray begin.

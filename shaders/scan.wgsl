@@ -1,8 +1,9 @@
 // scan: from samples of every ray to where they begin; as many rays as fit, in their order.
 //
-// Source    exclusive prefix sum in integers: Hillis and Steele 1986 over 256 runs of neighbouring rays
+// Source    exclusive prefix sum in integers: every workgroup sums what lies in front of it, then Hillis and Steele 1986
+//           over its own rays. The reads of the first sum do not wait for each other, and no workgroup waits for another.
 // Twin      marf_field::gpu::scan_tests, a running sum; equal
-// Threads   one workgroup of 256, each a run of rays; 16 of them also clear what fills up the last block of samples
+// Threads   one per ray: workgroup 256, folded
 // Reads     walk; amounts [rays]: samples of every ray; counts[COUNT_RAYS] rays in use where walk.again is 1
 // Writes    spans [2][ray slots] of the rays in use; counts[slot] samples; xyz, along, ray_of between the number of
 //           samples and the next multiple of 16: 0, where walk.again is 0; there also counts[COUNT_RAYS] rays that fit, counts[COUNT_ALIVE] 0
@@ -20,8 +21,6 @@ const THREADS: u32 = 256u;
 const BLOCK: u32 = 16u;
 
 var<workgroup> sums: array<u32, THREADS>;
-var<workgroup> fitting: atomic<u32>;
-var<workgroup> samples: atomic<u32>;
 
 // a + b, at most 2^32 - 1.
 fn cut_sum(a: u32, b: u32) -> u32 {
@@ -29,16 +28,32 @@ fn cut_sum(a: u32, b: u32) -> u32 {
     return select(sum, 0xffffffffu, sum < a);
 }
 
-// Sum of all runs up to that of this thread, in `sums`.
-fn sum_runs(me: u32) {
-    for (var apart = 1u; apart < THREADS; apart *= 2u) {
+// Sum of all amounts in front of a ray, the same for all threads of a workgroup.
+fn sum_before(ray: u32, me: u32) -> u32 {
+    var sum = 0u;
+    for (var other = me; other < ray; other += THREADS) { sum = cut_sum(sum, amounts[other]); }
+    sums[me] = sum;
+    for (var half = THREADS / 2u; half > 0u; half /= 2u) {
         workgroupBarrier();
-        var before = 0u;
-        if me >= apart { before = sums[me - apart]; }
-        workgroupBarrier();
-        sums[me] = cut_sum(sums[me], before);
+        if me < half { sums[me] = cut_sum(sums[me], sums[me + half]); }
     }
     workgroupBarrier();
+    let all = sums[0];
+    workgroupBarrier();
+    return all;
+}
+
+// Sum of the numbers of all threads up to this one.
+fn sum_up_to(me: u32, number: u32) -> u32 {
+    sums[me] = number;
+    for (var apart = 1u; apart < THREADS; apart *= 2u) {
+        workgroupBarrier();
+        var other = 0u;
+        if me >= apart { other = sums[me - apart]; }
+        workgroupBarrier();
+        sums[me] = cut_sum(sums[me], other);
+    }
+    return sums[me];
 }
 
 fn clear(sample: u32) {
@@ -49,50 +64,44 @@ fn clear(sample: u32) {
     ray_of[sample] = 0u;
 }
 
+// What the last ray that fits tells of all: `rays` of them with so many samples.
+fn tell(rays: u32, samples: u32) {
+    counts[walk.slot] = samples;
+    if walk.again == 1u { return; }
+    counts[COUNT_RAYS] = rays;
+    counts[COUNT_ALIVE] = 0u;
+    let end = min((samples + BLOCK - 1u) / BLOCK * BLOCK, walk.capacity);
+    for (var sample = samples; sample < end; sample++) { clear(sample); }
+}
+
 @compute @workgroup_size(256)
-fn main(@builtin(local_invocation_index) me: u32) {
-    // What workgroup memory holds before is not relied on; the barriers of sum_runs lie in between.
-    if me == 0u {
-        atomicStore(&fitting, 0u);
-        atomicStore(&samples, 0u);
-    }
+fn main(
+    @builtin(local_invocation_index) me: u32,
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+) {
     var rays = walk.rays;
     if walk.again == 1u { rays = min(rays, counts[COUNT_RAYS]); }
-    let run = (rays + THREADS - 1u) / THREADS;
-    let first = min(me * run, rays);
-    let end = min(first + run, rays);
-    var sum = 0u;
-    for (var ray = first; ray < end; ray++) { sum = cut_sum(sum, amounts[ray]); }
-    sums[me] = sum;
-    sum_runs(me);
-    var begin = 0u;
-    if me > 0u { begin = sums[me - 1u]; }
-    var fits = 0u;
-    var used = 0u;
-    for (var ray = first; ray < end; ray++) {
-        let next = cut_sum(begin, amounts[ray]);
-        if next <= walk.capacity {
-            spans[ray] = begin;
-            spans[walk.ray_slots + ray] = amounts[ray];
-            fits++;
-            used = next;
-        } else {
-            spans[ray] = CLIPPED;
-            spans[walk.ray_slots + ray] = 0u;
-        }
-        begin = next;
+    let first = (group.x + group.y * groups.x) * THREADS;
+    if first > 0u && first >= walk.rays { return; }
+    let ray = first + me;
+    let before = sum_before(select(0u, first, first < rays), me);
+    var amount = 0u;
+    if ray < rays { amount = amounts[ray]; }
+    let end = cut_sum(before, sum_up_to(me, amount));
+    if ray >= rays {
+        if ray == 0u { tell(0u, 0u); }
+        return;
     }
-    atomicAdd(&fitting, fits);
-    atomicMax(&samples, used);
-    workgroupBarrier();
-    let total = atomicLoad(&samples);
-    if me == 0u {
-        counts[walk.slot] = total;
+    if end > walk.capacity {
+        spans[ray] = CLIPPED;
+        spans[walk.ray_slots + ray] = 0u;
+        if ray == 0u { tell(0u, 0u); }
+        return;
     }
-    if me == 0u && walk.again == 0u {
-        counts[COUNT_RAYS] = atomicLoad(&fitting);
-        counts[COUNT_ALIVE] = 0u;
-    }
-    let end_of_block = min((total + BLOCK - 1u) / BLOCK * BLOCK, walk.capacity);
-    if walk.again == 0u && total + me < end_of_block { clear(total + me); }
+    spans[ray] = end - amount;
+    spans[walk.ray_slots + ray] = amount;
+    var is_last = ray + 1u == rays;
+    if !is_last { is_last = cut_sum(end, amounts[ray + 1u]) > walk.capacity; }
+    if is_last { tell(ray + 1u, end); }
 }

@@ -62,235 +62,53 @@ fn rust_field<S, T: Wgsl>(_: fn(&S) -> &T, name: &str, offset: usize) -> Vec<Fie
     words.map(field).collect()
 }
 
-/// Returns the layout of a struct; a field that is left out here does not compile.
-macro_rules! layout {
-    ($name:ident { $($field:ident),* $(,)? }) => {{
-        let _ = |all: $name| {
-            let $name { $($field),* } = all;
-            $(let _ = $field;)*
-        };
-        let fields = [$(rust_field(
-            |all: &$name| &all.$field,
-            stringify!($field),
-            std::mem::offset_of!($name, $field),
-        )),*];
-        (stringify!($name).to_owned(), size_of::<$name>(), fields.concat())
-    }};
+/// Returns the layouts of structs; a field that is left out here does not compile.
+macro_rules! layouts {
+    ($($name:ident { $($field:ident),* })*) => {
+        vec![$({
+            let _ = |all: $name| {
+                let $name { $($field),* } = all;
+                $(let _ = $field;)*
+            };
+            let fields = [$(rust_field(
+                |all: &$name| &all.$field,
+                stringify!($field),
+                std::mem::offset_of!($name, $field),
+            )),*];
+            (stringify!($name).to_owned(), size_of::<$name>(), fields.concat())
+        }),*]
+    };
 }
 
 /// Returns the layout of every struct that Rust writes or reads.
 fn rust_layouts() -> Vec<Layout> {
-    vec![
-        layout!(NetsRun {
-            capacity,
-            density,
-            layers,
-            weights,
-            directed,
-            stride,
-            groups,
-            pad,
-            shapes
-        }),
-        layout!(SumRun {
-            weights,
-            stride,
-            groups,
-            samples,
-            first,
-            behind,
-            pad
-        }),
-        layout!(AdamNet {
-            rows,
-            last,
-            behind,
-            factor,
-            decay,
-            epsilon,
-            beta1,
-            beta2
-        }),
-        layout!(Pace {
-            rate,
-            total,
-            keep,
-            pad
-        }),
-        layout!(GridLevel {
-            resolution,
-            entries,
-            first,
-            dense
-        }),
-        layout!(Step {
-            seed,
-            number,
-            pixels,
-            observations,
-            share,
-            rays,
-            views,
-            pull,
-            rate,
-            pad
-        }),
-        layout!(ViewCamera {
-            lens,
-            distortion,
-            row_x,
-            row_y,
-            row_z,
-            first,
-            run,
-            width,
-            height
-        }),
-        layout!(Observed { pixel, place, pulls }),
-        layout!(PixelRange {
-            camera,
-            first,
-            count,
-            jitter,
-            pad
-        }),
-        layout!(Walk {
-            rays,
-            ray_slots,
-            capacity,
-            limit,
-            steps,
-            padded,
-            side,
-            resumes,
-            slot,
-            again
-        }),
-        layout!(Exposed {
-            views,
-            offsets,
-            ray_slots,
-            share,
-            limits,
-            decays,
-            epsilon,
-            row
-        }),
-        layout!(GridPart {
-            capacity,
-            slot,
-            level,
-            base
-        }),
-        layout!(LevelScale {
-            scale,
-            quantum,
-            peak,
-            clamped,
-            skip,
-            overflows,
-            first,
-            entries
-        }),
-        layout!(Rescaling {
-            levels,
-            target_bits,
-            most,
-            back_off,
-            lowest,
-            highest,
-            rise,
-            pad
-        }),
-        layout!(Rates {
-            rate,
-            epsilon,
-            decay,
-            beta1,
-            beta2,
-            keep,
-            pad
-        }),
-        layout!(Probing {
-            seed,
-            round,
-            purpose,
-            capacity,
-            first,
-            side,
-            every,
-            offset,
-            empty,
-            factor,
-            phase,
-            slot,
-            pad
-        }),
-        layout!(Filling {
-            cells,
-            parts,
-            capacity,
-            at_mean,
-            decay,
-            unknown,
-            shows,
-            shift,
-            slot
-        }),
-        layout!(Tally { sum, count }),
-        layout!(Chains {
-            rounds,
-            factor,
-            addend,
-            pad
-        }),
-        layout!(Extent {
-            slot,
-            capacity,
-            rays,
-            pad
-        }),
-        layout!(CompareRun {
-            slot,
-            capacity,
-            rays,
-            views,
-            offsets,
-            behind,
-            pad
-        }),
-        layout!(SpreadRun {
-            slot,
-            capacity,
-            rays,
-            distortion,
-            cell,
-            emptiness,
-            reach,
-            floor
-        }),
-        layout!(Total {
-            visited,
-            kept,
-            rays,
-            alive,
-            faults,
-            loss,
-            pad
-        }),
-        layout!(PaintRun {
-            slot,
-            capacity,
-            rays,
-            deep
-        }),
-        layout!(FinishRun {
-            slot,
-            rays,
-            behind,
-            half_side
-        }),
-    ]
+    layouts! {
+        NetsRun { capacity, density, layers, weights, directed, stride, groups, pad, shapes }
+        SumRun { weights, stride, groups, samples, first, behind, pad }
+        AdamNet { rows, last, behind, factor, decay, epsilon, beta1, beta2 }
+        Pace { rate, total, keep, pad }
+        GridLevel { resolution, entries, first, dense }
+        Step { seed, number, pixels, observations, share, rays, views, pull, rate, pad }
+        ViewCamera { lens, distortion, row_x, row_y, row_z, first, run, width, height }
+        Observed { pixel, place, pulls }
+        PixelRange { camera, first, count, jitter, pad }
+        Walk { rays, ray_slots, capacity, limit, steps, padded, side, resumes, slot, again }
+        Exposed { views, offsets, ray_slots, share, limits, decays, epsilon, row }
+        GridPart { capacity, slot, level, base }
+        LevelScale { scale, quantum, peak, clamped, skip, overflows, first, entries }
+        Rescaling { levels, target_bits, most, back_off, lowest, highest, rise, pad }
+        Rates { rate, epsilon, decay, beta1, beta2, keep, pad }
+        Probing { seed, round, purpose, capacity, first, side, every, offset, empty, factor, phase, slot, pad }
+        Filling { cells, parts, capacity, at_mean, decay, unknown, shows, shift, slot }
+        Tally { sum, count }
+        Chains { rounds, factor, addend, pad }
+        Extent { slot, capacity, rays, pad }
+        CompareRun { slot, capacity, rays, views, offsets, behind, pad }
+        SpreadRun { slot, capacity, rays, distortion, cell, emptiness, reach, floor }
+        Total { visited, kept, rays, alive, faults, loss, pad }
+        PaintRun { slot, capacity, rays, deep }
+        FinishRun { slot, rays, behind, half_side }
+    }
 }
 
 /// Returns the type of a field as WGSL spells it; an atomic is the number that it holds.

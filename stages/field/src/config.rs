@@ -178,6 +178,9 @@ impl Default for Config {
     }
 }
 
+/// A rule of a key: its name, its value, whether it keeps the rule, and the rule.
+type Rule = (&'static str, f64, bool, &'static str);
+
 impl Config {
     /// Returns the full base configuration of instant-ngp (arXiv 2201.05989, table 1 and section 4), whatever the
     /// scene: what sizing by the scene is compared with.
@@ -201,8 +204,21 @@ impl Config {
     /// # Errors
     /// [`FieldError::Config`] names the key, the value and the range.
     pub fn check(&self) -> Result<(), FieldError> {
-        let widths = |width: u32| matches!(width, 16 | 32 | 64 | 128);
-        let table = [
+        let rules = [
+            self.grid_rules(),
+            self.network_rules(),
+            self.rate_rules(),
+            self.reach_rules(),
+        ];
+        match rules.concat().into_iter().find(|(_, _, fine, _)| !fine) {
+            Some((key, value, _, range)) => Err(FieldError::Config { key, value, range }),
+            None => Ok(()),
+        }
+    }
+
+    /// Returns the rules of the levels of the grid.
+    fn grid_rules(&self) -> Vec<Rule> {
+        vec![
             (
                 "levels",
                 self.levels.map_or(0.0, f64::from),
@@ -253,6 +269,13 @@ impl Config {
                 (0.125..=8.0).contains(&self.finest_factor),
                 "1/8 to 8",
             ),
+        ]
+    }
+
+    /// Returns the rules of networks, batch and occupancy.
+    fn network_rules(&self) -> Vec<Rule> {
+        let widths = |width: u32| matches!(width, 16 | 32 | 64 | 128);
+        vec![
             (
                 "density_width",
                 f64::from(self.density_width),
@@ -284,6 +307,12 @@ impl Config {
                     && self.occupancy_resolution.is_multiple_of(4),
                 "16 to 256, a multiple of 4",
             ),
+        ]
+    }
+
+    /// Returns the rules of rates and steps along rays.
+    fn rate_rules(&self) -> Vec<Rule> {
+        vec![
             (
                 "learning_rate",
                 self.learning_rate,
@@ -314,6 +343,12 @@ impl Config {
                 (1e-4..=0.5).contains(&self.min_step),
                 "0.0001 to 0.5",
             ),
+        ]
+    }
+
+    /// Returns the rules of how far rays reach and what the loss weighs.
+    fn reach_rules(&self) -> Vec<Rule> {
+        vec![
             (
                 "halvings",
                 f64::from(self.halvings.unwrap_or_default()),
@@ -358,10 +393,6 @@ impl Config {
                 self.depth_steps > 0,
                 "1 or more",
             ),
-        ];
-        match table.into_iter().find(|(_, _, fine, _)| !fine) {
-            Some((key, value, _, range)) => Err(FieldError::Config { key, value, range }),
-            None => Ok(()),
-        }
+        ]
     }
 }

@@ -3,7 +3,8 @@
 //! `MARF_BENCH_GPU` names the device (`gpu` or `gpu:NAME`), `MARF_BENCH_SAMPLES` the samples of a batch, several after each
 //! other between commas, `MARF_BENCH_STEPS` the steps that are taken, then timed by timestamps, then by the clock,
 //! `MARF_BENCH_VIEW` the size of the picture, `MARF_BENCH_JSON` a file for a line of JSON each. `-- collect DIR` instead
-//! prints what `benches/gpu.sh run` left in a folder as Markdown, beside what the model expects; `-- model` prints the model.
+//! prints what `benches/gpu.sh run` left in a folder as Markdown, beside what the model expects; `-- model` prints the model;
+//! `-- halvings` times steps of one training, its steps along rays halved not at all, three times and six times, in turns.
 //! See `benches/gpu.md`.
 #![allow(clippy::print_stdout, clippy::print_stderr, clippy::expect_used, missing_docs)]
 
@@ -35,6 +36,7 @@ fn main() -> ExitCode {
             print!("{}", table::expected());
             Ok(())
         }
+        [verb] if verb == "halvings" => halvings(),
         [verb, folder] if verb == "collect" => collect::collect(&PathBuf::from(folder)),
         [] if count > 0 => run(),
         _ => return ExitCode::SUCCESS,
@@ -51,12 +53,68 @@ fn main() -> ExitCode {
 const HINT: &str = "set `MARF_BENCH_GPU=gpu:NAME` to a part of an adapter's name, say `gpu:llvmpipe` for the software adapter of Mesa";
 /// Runs of a picture that are timed, after one that is not.
 const VIEWS: usize = 5;
+/// Turns of what is timed in turns.
+const TURNS: usize = 3;
 
-fn run() -> Result<(), Box<dyn Error>> {
+/// Returns the device that is wanted.
+fn opened() -> Result<(Device, Arc<Gpu>), Box<dyn Error>> {
     let device: Device = setting("MARF_BENCH_GPU", Device::Gpu(None))?;
     let gpu = Gpu::shared(&device)
         .map_err(|error| format!("{error}\n  hint: {HINT}"))?
         .ok_or(HINT)?;
+    Ok((device, gpu))
+}
+
+/// Times steps of one training with short and long steps along rays, in turns.
+fn halvings() -> Result<(), Box<dyn Error>> {
+    let (_, gpu) = opened()?;
+    let steps = setting("MARF_BENCH_STEPS", if gpu.is_software() { 32 } else { 512 })?;
+    let batch_samples = setting(
+        "MARF_BENCH_SAMPLES",
+        if gpu.is_software() { 1 << 13 } else { 1 << 18 },
+    )?;
+    let config = Config {
+        halvings: Some(6),
+        batch_samples,
+        ..fields()[0].1.clone()
+    };
+    let mut training = TimedTraining::new(&gpu, scene::views(), &config, 0)?;
+    training.advance(steps)?;
+    println!(
+        "| halvings | steps a ray | rays | visited | trained | march, ms | scan, ms | all kernels of a step, ms |"
+    );
+    println!("|---|---|---|---|---|---|---|---|");
+    for _ in 0..TURNS {
+        for halvings in [0, 3, 6] {
+            training.halve(halvings)?;
+            // The rays of a step follow their samples within some steps.
+            training.advance(steps)?;
+            let timed = training.time(steps)?;
+            let shape = training.shape(&timed);
+            let of = |name: &'static str| {
+                timed
+                    .kernels
+                    .iter()
+                    .filter(move |kernel| name.is_empty() || kernel.name == name)
+            };
+            let ms = |name| 1e3 * of(name).map(|kernel| kernel.seconds).sum::<f64>();
+            println!(
+                "| {halvings} | {} | {:.0} | {:.0} | {:.0} | {:.3} | {:.3} | {:.3} |",
+                shape.steps_a_ray,
+                shape.rays,
+                shape.visited,
+                shape.kept,
+                ms("march"),
+                ms("scan"),
+                ms("")
+            );
+        }
+    }
+    Ok(())
+}
+
+fn run() -> Result<(), Box<dyn Error>> {
+    let (device, gpu) = opened()?;
     let (samples, steps, view) = if gpu.is_software() {
         (1 << 13, 32, "64x48")
     } else {

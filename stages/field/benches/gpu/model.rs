@@ -34,8 +34,12 @@ const SAMPLES_A_PIXEL: f64 = 24.0;
 const ARITHMETIC: f64 = 20e12;
 /// Workgroups of the pass back, each with a gradient of its own: two for each of 132 multiprocessors.
 const GROUPS_BACK: f64 = 264.0;
-/// Threads of the kernels of one workgroup.
+/// Threads of the largest workgroups.
 const GROUP: f64 = 256.0;
+/// Operations of a step along a ray: its place in the box and its cell's bit.
+const STEP: f64 = 40.0;
+/// Reads of a thread that do not wait for each other, at once.
+const IN_FLIGHT: f64 = 8.0;
 /// Share of the corners of samples that are added one by one: eight samples of a ray merge those that they share (counted on first steps).
 const APART: f64 = 0.44;
 /// Bytes of a sector of the second cache.
@@ -121,10 +125,15 @@ fn samples(shape: &Shape) -> Vec<Need> {
     let runs = (rays / GROUP).ceil();
     vec![
         need("rays", 1.0, drawn, Of::Memory),
-        // Count and write: one thread a ray, all its steps.
-        need("march", 2.0, 2.0 * shape.steps_a_ray, Of::Waits),
-        // A thread of the only workgroup reads its run of rays twice.
-        need("scan", 2.0, 2.0 * 2.0 * runs, Of::Waits),
+        // Count and write take all steps of all rays, which no thread has alone.
+        need(
+            "march",
+            2.0,
+            2.0 * rays * shape.steps_a_ray * STEP,
+            Of::Arithmetic,
+        ),
+        // The threads of a workgroup read the numbers of all rays in front of theirs.
+        need("scan", 2.0, 2.0 * runs / IN_FLIGHT, Of::Waits),
         need("hash_encode", 1.0, looked_up, Of::Cache),
         need("kept", 1.0, 4.0 * visited + 4.0 * kept, Of::Memory),
     ]
@@ -200,10 +209,10 @@ pub fn view(shape: &ViewShape, pixels: f64) -> Vec<Line> {
         seconds,
         bound,
     };
-    let waits = 2.0 * shape.steps_a_ray * batches;
+    let steps = 2.0 * pixels * shape.steps_a_ray;
     let back = 20.0 * pixels;
     let mut lines: Vec<Line> = [
-        need("march", 0.0, waits, Of::Waits),
+        need("march", 0.0, steps * STEP, Of::Arithmetic),
         need(
             "hash_encode",
             0.0,

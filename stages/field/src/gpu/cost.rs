@@ -116,7 +116,8 @@ impl Arrays<'_> {
         } = *self.filled;
         let bytes = match name {
             "rays" => self.rays(&[4, 5, 6, 7]) + 4.0 * rays,
-            "march" if self.sizes.len() == 8 => self.rays(&[1, 2, 7]) + self.whole(&[3, 4]),
+            // Of the two entries `write` has the columns of samples.
+            "march" if self.rows(7) < 6.0 => self.rays(&[1, 2, 7, 8]) + self.whole(&[3, 4]),
             "march" => self.rays(&[1, 2, 6]) + self.whole(&[3, 4]) + self.visited(&[7, 8]),
             "scan" => self.rays(&[1, 2]),
             "hash_encode" => {

@@ -5,7 +5,7 @@ use marf_shaders::{Walk, counts, faults};
 use super::Gpu;
 use super::array::Array;
 use super::light::{Colours, Columns, Light};
-use super::march::{MarchArrays, SampleArrays, Scan};
+use super::march::{MarchArrays, SampleArrays, Scan, WALKED};
 use super::nets::{Batch, Layers, Nets, Seen};
 use super::picture::STATE;
 use super::rays::{Progress, RayArrays};
@@ -30,6 +30,8 @@ pub struct Lanes {
     pub progress: Progress,
     /// Samples of every ray.
     pub amounts: Array<u32>,
+    /// u32 `[WALKED][rays]`: spans, and what a walk counts for itself.
+    walked: Array<u32>,
     /// u32 `[4][rays]`: first sample and number of visited samples, then of kept ones.
     pub spans: Array<u32>,
     /// Visited samples.
@@ -76,6 +78,7 @@ impl Lanes {
     ) -> Result<Self, GpuError> {
         let columns = |what, rows: usize| gpu.zeros::<f32>(what, rows * capacity);
         let inputs = weights.layers.shapes.first().map_or(0, |[inputs, _]| *inputs);
+        let walked = gpu.zeros("spans", WALKED * rays)?;
         Ok(Self {
             capacity,
             counts: gpu.zeros("counts", counts::LEN)?,
@@ -83,7 +86,8 @@ impl Lanes {
             rays: RayArrays::new(gpu, rays)?,
             progress: Progress::new(gpu, rays)?,
             amounts: gpu.zeros("samples of rays", rays)?,
-            spans: gpu.zeros("spans", 4 * rays)?,
+            spans: walked.share(0, 4 * rays),
+            walked,
             visited: SampleArrays::new(gpu, capacity)?,
             features: columns("features", inputs)?,
             latent: columns("latent", LATENT)?,
@@ -120,7 +124,7 @@ impl Lanes {
             bits,
             progress: &self.progress,
             amounts: &self.amounts,
-            spans: &self.spans,
+            walked: &self.walked,
             counts: &self.counts,
             samples: &self.visited,
         }
@@ -260,7 +264,7 @@ fn colours(gpu: &Gpu, kernels: &Kernels, weights: &DeviceWeights, lanes: &Lanes)
         &lanes.counts,
         &lanes.visited,
     );
-    work.add(scan, [1, 1, 1]);
+    work.add(scan, Scan::groups(lanes.rays.slots));
     work = work.then(light.kept(batch, counts::RAYS, &lanes.spans, &lanes.origin)?);
     let ends = [&lanes.latent, &lanes.colours];
     let shade = kernels.nets.shade(batch, &weights.nets, lanes.seen(), ends)?;

@@ -4,13 +4,21 @@ use marf_shaders::{ALIVE, MARCH, SCAN, Walk, counts};
 
 use super::Gpu;
 use super::array::{Array, Part, halves};
-use super::kernel::{Bound, Kernel};
+use super::kernel::{Bound, Kernel, fold};
 use super::rays::{Progress, RayArrays};
 use super::record::Recorder;
 use crate::GpuError;
 use crate::cpu::composite::OPAQUE;
 use crate::cpu::march::{Bits, Steps};
 use crate::cpu::simd::LANES;
+
+/// Threads that a ray is walked by. The longest table of steps, `MOST_STEPS`, leaves 64 blocks of 16 to each.
+pub const RAY_LANES: usize = 32;
+/// Rows of `walked`, one a ray each: first sample and number of visited samples, then of kept ones, then samples of the ray
+/// in front of each lane's steps.
+pub const WALKED: usize = 4 + RAY_LANES;
+/// Rays a workgroup of the kernel `scan`.
+const SCANNED: usize = 256;
 
 /// Samples on the device, by columns.
 pub struct SampleArrays {
@@ -102,8 +110,8 @@ pub struct MarchArrays<'a> {
     pub progress: &'a Progress,
     /// Samples of every ray, `[rays]`.
     pub amounts: &'a Array<u32>,
-    /// First sample and number of samples, `[2, rays]`; more may follow.
-    pub spans: &'a Array<u32>,
+    /// First sample and number of samples, `[2, rays]`, two more rows, and `[rays, RAY_LANES]` for the walk itself: [`WALKED`].
+    pub walked: &'a Array<u32>,
     /// Of [`counts::LEN`] numbers.
     pub counts: &'a Array<u32>,
     /// The samples.
@@ -119,11 +127,11 @@ pub struct March {
 
 /// A walk, ready to run.
 pub struct Marching {
-    /// Counts samples; one thread a ray.
+    /// Counts samples; [`RAY_LANES`] threads a ray.
     pub count: Bound,
-    /// Where they begin; one workgroup.
+    /// Where they begin; one thread a ray.
     pub scan: Bound,
-    /// Writes them; one thread a ray.
+    /// Writes them; [`RAY_LANES`] threads a ray.
     pub write: Bound,
 }
 
@@ -133,10 +141,11 @@ impl March {
     /// # Errors
     /// A driver that does not.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+        let head = format!("const LANES: u32 = {RAY_LANES}u;\n");
         Ok(Self {
-            count: gpu.entry(&MARCH, "", "count")?,
+            count: gpu.entry(&MARCH, &head, "count")?,
             scan: Scan::new(gpu)?,
-            write: gpu.entry(&MARCH, "", "write")?,
+            write: gpu.entry(&MARCH, &head, "write")?,
         })
     }
 
@@ -146,9 +155,11 @@ impl March {
             walk,
             rays,
             progress,
+            walked,
             samples,
             ..
         } = arrays;
+        let slots = rays.slots;
         let shared = [
             walk.into(),
             (&rays.origins).into(),
@@ -157,19 +168,19 @@ impl March {
             arrays.bits.into(),
             (&progress.next_step).into(),
         ];
-        let count = [(&progress.done).into(), arrays.amounts.into()];
-        let write = [
-            arrays.spans.into(),
-            (&samples.places).into(),
-            (&samples.ray_of).into(),
+        let count = [
+            (&progress.done).into(),
+            arrays.amounts.into(),
+            walked.part(4 * slots, RAY_LANES * slots),
         ];
+        let write = [walked.into(), (&samples.places).into(), (&samples.ray_of).into()];
         Marching {
             count: gpu.bind(&self.count, &[&shared[..], &count].concat()),
             scan: self.scan.bind(
                 gpu,
                 walk,
                 arrays.amounts,
-                arrays.spans.into(),
+                walked.part(0, 2 * slots),
                 arrays.counts,
                 samples,
             ),
@@ -181,9 +192,19 @@ impl March {
 impl Marching {
     /// Records a walk of so many rays.
     pub fn record(&self, recorder: &mut Recorder<'_>, rays: usize) {
-        recorder.threads(&self.count, rays);
-        recorder.groups(&self.scan, [1, 1, 1]);
-        recorder.threads(&self.write, rays);
+        self.record_count(recorder, rays);
+        self.record_write(recorder, rays);
+    }
+
+    /// Records the first half: how many samples there are, and where they begin.
+    pub fn record_count(&self, recorder: &mut Recorder<'_>, rays: usize) {
+        recorder.threads(&self.count, RAY_LANES * rays);
+        recorder.groups(&self.scan, Scan::groups(rays));
+    }
+
+    /// Records the second half.
+    pub fn record_write(&self, recorder: &mut Recorder<'_>, rays: usize) {
+        recorder.threads(&self.write, RAY_LANES * rays);
     }
 }
 
@@ -199,7 +220,12 @@ impl Scan {
         Ok(Self(gpu.kernel(&SCAN, "")?))
     }
 
-    /// Binds it, for one workgroup; of `amounts` the first `rays` numbers are read. `spans`: u32 `[2][rays]`.
+    /// Returns its workgroups for so many rays.
+    pub fn groups(rays: usize) -> [usize; 3] {
+        fold(rays.div_ceil(SCANNED))
+    }
+
+    /// Binds it, one thread a ray; of `amounts` the first `rays` numbers are read. `spans`: u32 `[2][rays]`.
     pub fn bind(
         &self,
         gpu: &Gpu,

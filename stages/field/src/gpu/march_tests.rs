@@ -5,7 +5,8 @@ use marf_shaders::{Walk, counts};
 use super::Gpu;
 use super::array::Array;
 use super::march::{
-    Alive, March, MarchArrays, Marching, SampleArrays, bit_words, round, step_table, whole_walk,
+    Alive, March, MarchArrays, Marching, RAY_LANES, SampleArrays, WALKED, bit_words, round, step_table,
+    whole_walk,
 };
 use super::rays::{Progress, RayArrays};
 use super::testing::gpu;
@@ -15,7 +16,7 @@ use crate::rng::{Purpose, Rng};
 
 /// Of a position in the unit box, of a share of steps, and of t and delta by their size: two units in the last place
 /// for the division that WGSL leaves to the driver, two for the products.
-const CLOSE: f32 = 1e-6;
+pub const CLOSE: f32 = 1e-6;
 
 /// Origin and place within every step; direction and whether there is a ray.
 type Ray = [[f32; 4]; 2];
@@ -35,7 +36,7 @@ struct Scene {
 impl Scene {
     /// All samples, spans and counts hold 7s at first.
     fn new(gpu: &Gpu, rays: &[Ray], capacity: usize, steps: &Steps, bits: &Bits) -> Self {
-        let slots = rays.len() + 3;
+        let slots = (rays.len() + 3).next_multiple_of(64);
         let walk = whole_walk(rays.len(), slots, capacity, steps, bits.side);
         let arrays = RayArrays::new(gpu, slots).unwrap();
         let column = |index: usize| rays.iter().map(|ray| ray[index]).collect::<Vec<_>>();
@@ -48,7 +49,7 @@ impl Scene {
         let words = gpu.filled("bits", &bit_words(bits)).unwrap();
         let (amounts, spans) = (
             gpu.filled("amounts", &vec![7; slots]).unwrap(),
-            gpu.filled("spans", &vec![7; 2 * slots]).unwrap(),
+            gpu.filled("spans", &vec![7; WALKED * slots]).unwrap(),
         );
         let counts = gpu.filled("counts", &[7; counts::LEN]).unwrap();
         let (progress, samples) = (
@@ -67,7 +68,7 @@ impl Scene {
                 bits: &words,
                 progress: &progress,
                 amounts: &amounts,
-                spans: &spans,
+                walked: &spans,
                 counts: &counts,
                 samples: &samples,
             },
@@ -91,7 +92,8 @@ impl Scene {
 
     fn found(&self, gpu: &Gpu) -> Found {
         let spans = gpu.read(&self.spans).unwrap();
-        let (first, count) = spans.split_at(self.walk.ray_slots as usize);
+        let (first, rest) = spans.split_at(self.walk.ray_slots as usize);
+        let count = &rest[..first.len()];
         Found {
             spans: first.iter().copied().zip(count.iter().copied()).collect(),
             counts: gpu.read(&self.counts).unwrap(),
@@ -250,7 +252,7 @@ fn a_walk_finds_the_samples_of_the_cpu_and_leaves_the_rest_alone() {
     assert!(total > 1000 && padded > total, "{total}");
     assert!((total..padded).all(|index| found.sample(index) == [0.0; 6] && found.ray_of[index] == 0));
     assert!((padded..16384).all(|index| found.sample(index) == [7.0; 6] && found.ray_of[index] == 7));
-    assert_eq!(found.spans[150..], [(7, 7); 3]);
+    assert!(found.spans[150..].iter().all(|span| *span == (7, 7)));
     assert!(
         gpu.read(&scene.progress.next_step)
             .unwrap()
@@ -316,16 +318,24 @@ fn what_is_written_never_leaves_its_span() {
     // Between counting and writing every cell fills, or empties.
     for (counted, written) in [(random_bits(16, &mut rng), full(16)), (full(16), Bits::new(16))] {
         let scene = Scene::new(&gpu, &rays, 16384, &steps, &counted);
-        gpu.submit(|recorder| {
-            recorder.threads(&scene.marching.count, rays.len());
-            recorder.groups(&scene.marching.scan, [1, 1, 1]);
-        });
+        gpu.submit(|recorder| scene.marching.record_count(recorder, rays.len()));
         gpu.write(&scene.bits, 0, &bit_words(&written));
-        gpu.submit(|recorder| recorder.threads(&scene.marching.write, rays.len()));
+        gpu.submit(|recorder| scene.marching.record_write(recorder, rays.len()));
         let found = scene.found(&gpu);
+        // A lane has so many steps of a ray, and of its span as many samples as it counted.
+        let run = (steps.begin.len() / 16).div_ceil(RAY_LANES) * 16;
+        let of_run = |samples: &[[f32; 6]], lane: usize| -> Vec<[f32; 6]> {
+            let is_in = |sample: &&[f32; 6]| (sample[5] * steps.count as f32) as usize / run == lane;
+            samples.iter().filter(is_in).copied().collect()
+        };
         for (ray, begin) in rays.iter().enumerate() {
-            let mut expected = on_the_cpu(&steps, &written, *begin);
-            expected.resize(on_the_cpu(&steps, &counted, *begin).len(), [0.0; 6]);
+            let [counted, written] = [&counted, &written].map(|bits| on_the_cpu(&steps, bits, *begin));
+            let shares = (0..RAY_LANES).map(|lane| {
+                let mut share = of_run(&written, lane);
+                share.resize(of_run(&counted, lane).len(), [0.0; 6]);
+                share
+            });
+            let expected = shares.collect::<Vec<_>>().concat();
             apart(&found.samples_of(ray), &expected, &format!("ray {ray}"));
         }
     }

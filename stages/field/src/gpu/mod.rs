@@ -55,6 +55,8 @@ mod renderer;
 #[cfg(test)]
 mod rig;
 #[cfg(test)]
+mod rounding_tests;
+#[cfg(test)]
 mod scan_tests;
 mod session;
 #[cfg(test)]

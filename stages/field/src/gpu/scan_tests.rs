@@ -27,7 +27,7 @@ fn scanned(
     let counts = gpu.filled("counts", &[7, 7, again.unwrap_or(7), 7]).unwrap();
     let samples = SampleArrays::new(gpu, 256).unwrap();
     let bound = scan.bind(gpu, &told, &amounts, (&spans).into(), &counts, &samples);
-    gpu.submit(|recorder| recorder.groups(&bound, [1, 1, 1]));
+    gpu.submit(|recorder| recorder.groups(&bound, Scan::groups(slots)));
     (gpu.read(&spans).unwrap(), gpu.read(&counts).unwrap())
 }
 

@@ -3,23 +3,20 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use marf_shaders::{Observed, Pace, Step as StepUniform, Total, faults};
+use marf_shaders::{Pace, Step as StepUniform, Total, faults};
 
 use super::Gpu;
-use super::array::Array;
-use super::arrays::Arrays;
-use super::forward::{Forward, Kernels as Shared, Lanes, write_walks};
+use super::forward::{Forward, Kernels as Shared, write_walks};
 use super::kernel::Bound;
 use super::learning::{Bindings, Kernels, Learning};
 use super::light::RING;
 use super::march::{March, Marching, step_table, whole_walk};
 use super::memory::Held;
 use super::occupancy::{self, Due, Probed, Update};
-use super::rays::{DrawRays, Photos, observed};
+use super::rays::{DrawRays, observed};
 use super::record::{Recorder, Timing};
 use super::submits::Submits;
-use super::tables::{Grid, Rise, rates};
-use super::weights::DeviceWeights;
+use super::tables::{Rise, rates};
 use crate::FieldError;
 use crate::GpuError;
 use crate::backend::{Session, Step};
@@ -34,15 +31,7 @@ const CALIBRATIONS: usize = 2;
 /// A training on a device.
 pub struct GpuSession {
     pub(super) gpu: Arc<Gpu>,
-    pub(super) grid: Grid,
-    pub(super) weights: DeviceWeights,
-    average: DeviceWeights,
-    pub(super) lanes: Lanes,
-    arrays: Arrays,
-    photos: Photos,
-    observations: Array<Observed>,
-    step: Array<StepUniform>,
-    occupancy: occupancy::State,
+    pub(super) held: Held,
     draw: Bound,
     marching: Marching,
     forward: Forward,
@@ -59,6 +48,7 @@ impl GpuSession {
     pub fn new(gpu: &Arc<Gpu>, training: &mut Training) -> Result<Self, FieldError> {
         let device = gpu.as_ref();
         let (config, state) = (&training.config, &training.state);
+        let held = Held::new(device, training)?;
         let Held {
             grid,
             weights,
@@ -69,26 +59,26 @@ impl GpuSession {
             observations,
             step,
             occupancy,
-        } = Held::new(device, training)?;
+        } = &held;
         let features = state.weights.features;
         let (shared, kernels) = (
             Shared::new(device, features, &weights.layers)?,
             Kernels::new(device, features)?,
         );
-        let draw = DrawRays::new(device)?.bind(device, &step, &photos, &observations, &lanes.rays);
+        let draw = DrawRays::new(device)?.bind(device, step, photos, observations, &lanes.rays);
         let marching = March::new(device)?.bind(device, lanes.marched(&occupancy.bits));
-        let forward = Forward::new(device, &shared, &grid, &weights, &lanes)?;
+        let forward = Forward::new(device, &shared, grid, weights, lanes)?;
         let learning = Learning::new(Bindings {
             gpu: device,
             shared: &shared,
             kernels: &kernels,
-            grid: &grid,
-            weights: &weights,
-            average: &average,
-            lanes: &lanes,
-            arrays: &arrays,
+            grid,
+            weights,
+            average,
+            lanes,
+            arrays,
             config,
-            step: &step,
+            step,
         })?;
         let probed = Probed {
             xyz: &lanes.visited.xyz,
@@ -100,18 +90,10 @@ impl GpuSession {
         let probing = [lanes.capacity, OCCUPIED_EVERY as usize];
         let min_step = config.min_step as f32;
         let cells = occupancy::Kernels::new(device)?;
-        let update = Update::new(device, &cells, &occupancy, probed, probing, min_step)?;
+        let update = Update::new(device, &cells, occupancy, probed, probing, min_step)?;
         let mut session = Self {
             gpu: gpu.clone(),
-            grid,
-            weights,
-            average,
-            lanes,
-            arrays,
-            photos,
-            observations,
-            step,
-            occupancy,
+            held,
             draw,
             marching,
             forward,
@@ -130,9 +112,11 @@ impl GpuSession {
     /// Finds the scales of the first step by its own gradients, which are then thrown away; also compiles all kernels
     /// of drivers that compile at the first use.
     fn calibrate(&self, training: &Training) {
-        let rays = training.ray_count().min(self.lanes.rays.slots);
+        let rays = training.ray_count().min(self.held.lanes.rays.slots);
         self.begin(training, rays);
-        self.arrays.write_rise(&self.gpu, &self.grid, Rise::Free);
+        self.held
+            .arrays
+            .write_rise(&self.gpu, &self.held.grid, Rise::Free);
         for _ in 0..CALIBRATIONS {
             self.write_step(training, training.state.steps, rays);
             self.submits.submit(&self.gpu, |recorder| {
@@ -140,9 +124,11 @@ impl GpuSession {
                 self.learning.back.record(recorder);
                 self.learning.scale.record(recorder);
             });
-            self.arrays.clear_gradient(&self.gpu);
+            self.held.arrays.clear_gradient(&self.gpu);
         }
-        self.arrays.write_rise(&self.gpu, &self.grid, Rise::Slow);
+        self.held
+            .arrays
+            .write_rise(&self.gpu, &self.held.grid, Rise::Slow);
         // All else that is written here is uploaded anew.
         self.write_step(training, training.state.steps, 0);
         self.begin(training, 0);
@@ -160,7 +146,7 @@ impl GpuSession {
         let first = training.state.steps;
         let update = (first / UPDATE_EVERY + 1) * UPDATE_EVERY;
         let end = first.saturating_add(most.max(1)).min(update);
-        let rays = training.ray_count().min(self.lanes.rays.slots);
+        let rays = training.ray_count().min(self.held.lanes.rays.slots);
         self.begin(training, rays);
         let begun = Instant::now();
         for number in first..end {
@@ -168,7 +154,7 @@ impl GpuSession {
             let times = watch.as_deref_mut().map(|watch| &mut watch.steps);
             self.submit(times, |recorder| self.record(recorder, rays))?;
         }
-        let totals = self.gpu.read(&self.arrays.ring)?;
+        let totals = self.gpu.read(&self.held.arrays.ring)?;
         self.submits.took(end - first, begun);
         let mut sum = Step {
             steps: 0,
@@ -203,9 +189,9 @@ impl GpuSession {
     /// Writes the number of rays to the uniforms of the walks.
     fn begin(&self, training: &Training, rays: usize) {
         let side = training.config.occupancy_resolution;
-        let (slots, capacity) = (self.lanes.rays.slots, self.lanes.capacity);
+        let (slots, capacity) = (self.held.lanes.rays.slots, self.held.lanes.capacity);
         let whole = whole_walk(rays, slots, capacity, &training.march, side);
-        write_walks(&self.gpu, &self.lanes, whole);
+        write_walks(&self.gpu, &self.held.lanes, whole);
     }
 
     /// Writes the uniforms of a step.
@@ -216,8 +202,8 @@ impl GpuSession {
             rays: rays as u32,
             rate,
             pull: pull.unwrap_or(0.0),
-            observations: pull.map_or(0, |_| self.observations.len() as u32),
-            ..self.photos.step(training.seed, number)
+            observations: pull.map_or(0, |_| self.held.observations.len() as u32),
+            ..self.held.photos.step(training.seed, number)
         };
         // Where averages are not due, they keep all.
         let keep = training.kept_at(number).unwrap_or(1.0);
@@ -228,9 +214,9 @@ impl GpuSession {
             pad: 0,
         };
         let gpu = &self.gpu;
-        gpu.write(&self.step, 0, &[step]);
-        gpu.write(&self.arrays.pace, 0, &[pace]);
-        gpu.write(&self.arrays.rates, 0, &[rates(rate, EPSILON, 0.0, keep)]);
+        gpu.write(&self.held.step, 0, &[step]);
+        gpu.write(&self.held.arrays.pace, 0, &[pace]);
+        gpu.write(&self.held.arrays.rates, 0, &[rates(rate, EPSILON, 0.0, keep)]);
     }
 
     /// Records a step.
@@ -262,8 +248,11 @@ impl GpuSession {
         self.update.begin(&self.gpu, training.seed, due);
         for pass in 0..self.update.passes() {
             let none = [0];
-            self.gpu
-                .write(&self.lanes.counts, marf_shaders::counts::VISITED as usize, &none);
+            self.gpu.write(
+                &self.held.lanes.counts,
+                marf_shaders::counts::VISITED as usize,
+                &none,
+            );
             self.submit(times.as_deref_mut(), |recorder| {
                 self.update.probe(recorder, pass);
                 self.forward.densities.record(recorder);
@@ -289,18 +278,19 @@ impl GpuSession {
     /// Copies what depends on the length of the steps along rays.
     fn write_march(&self, training: &Training) {
         let gpu = &self.gpu;
-        gpu.write(&self.lanes.steps, 0, &step_table(&training.march));
+        gpu.write(&self.held.lanes.steps, 0, &step_table(&training.march));
         gpu.write(
-            &self.observations,
+            &self.held.observations,
             0,
             &observed(&training.observations, &training.march),
         );
-        self.arrays
-            .write_losses(gpu, &self.lanes, &training.config, &training.march);
+        self.held
+            .arrays
+            .write_losses(gpu, &self.held.lanes, &training.config, &training.march);
     }
 
     fn scales(&self) -> Result<Vec<f32>, GpuError> {
-        let scales = self.gpu.read(&self.arrays.scales)?;
+        let scales = self.gpu.read(&self.held.arrays.scales)?;
         Ok(scales.iter().map(|level| level.scale).collect())
     }
 }
@@ -313,37 +303,40 @@ impl Session for GpuSession {
 
     fn upload(&mut self, training: &Training) -> Result<(), FieldError> {
         let (gpu, state) = (self.gpu.as_ref(), &training.state);
-        self.weights.write(gpu, &self.grid, &state.weights);
-        self.average.write(gpu, &self.grid, &state.average);
+        self.held.weights.write(gpu, &self.held.grid, &state.weights);
+        self.held.average.write(gpu, &self.held.grid, &state.average);
         let (tables, nets) = state.moments.split_at(state.weights.tables.len());
-        self.arrays.write_table_moments(gpu, &self.grid, tables);
-        self.arrays.write_net_moments(gpu, nets);
-        self.arrays
+        self.held.arrays.write_table_moments(gpu, &self.held.grid, tables);
+        self.held.arrays.write_net_moments(gpu, nets);
+        self.held
+            .arrays
             .exposures
             .write(gpu, &state.gains, &state.gain_moments);
-        self.occupancy.write(gpu, &state.occupancy);
+        self.held.occupancy.write(gpu, &state.occupancy);
         if !state.scales.is_empty() {
-            let mut scales = gpu.read(&self.arrays.scales)?;
+            let mut scales = gpu.read(&self.held.arrays.scales)?;
             for (level, scale) in scales.iter_mut().zip(&state.scales) {
                 level.scale = *scale;
             }
-            gpu.write(&self.arrays.scales, 0, &scales);
+            gpu.write(&self.held.arrays.scales, 0, &scales);
         }
-        gpu.write(&self.lanes.faults, 0, &[0; faults::LEN]);
+        gpu.write(&self.held.lanes.faults, 0, &[0; faults::LEN]);
         self.write_march(training);
         Ok(gpu.wait()?)
     }
 
     fn download(&self, state: &mut State) -> Result<(), FieldError> {
         let gpu = self.gpu.as_ref();
-        self.weights.read(gpu, &self.grid, &mut state.weights)?;
-        self.average.read(gpu, &self.grid, &mut state.average)?;
+        self.held.weights.read(gpu, &self.held.grid, &mut state.weights)?;
+        self.held.average.read(gpu, &self.held.grid, &mut state.average)?;
         let (tables, nets) = state.moments.split_at_mut(state.weights.tables.len());
-        self.arrays.read_table_moments(gpu, &self.grid, tables)?;
-        self.arrays.read_net_moments(gpu, nets)?;
+        self.held
+            .arrays
+            .read_table_moments(gpu, &self.held.grid, tables)?;
+        self.held.arrays.read_net_moments(gpu, nets)?;
         let (gains, moments) = (&mut state.gains, &mut state.gain_moments);
-        self.arrays.exposures.read(gpu, gains, moments)?;
-        state.occupancy = self.occupancy.read(gpu)?;
+        self.held.arrays.exposures.read(gpu, gains, moments)?;
+        state.occupancy = self.held.occupancy.read(gpu)?;
         state.scales = self.scales()?;
         Ok(())
     }

@@ -103,7 +103,7 @@ impl TimedTraining {
     pub fn shape(&self, timed: &Timed) -> Shape {
         let (training, session) = (&self.training, &self.session);
         let each = |count: u64| count as f64 / timed.steps as f64;
-        let layers = &session.weights.layers;
+        let layers = &session.held.weights.layers;
         let (density, color) = layers.shapes.split_at(layers.density);
         Shape {
             rays: each(timed.rays),
@@ -112,8 +112,8 @@ impl TimedTraining {
             steps_a_ray: training.march.count as f64,
             photos: training.views.len(),
             levels: training.state.weights.shapes.len(),
-            features: session.grid.features(),
-            table_numbers: session.grid.numbers(),
+            features: session.held.grid.features(),
+            table_numbers: session.held.grid.numbers(),
             rows_moved: each(timed.rows),
             density: density.to_vec(),
             color: color.to_vec(),
@@ -139,14 +139,29 @@ impl TimedTraining {
         Ok(samples)
     }
 
+    /// Halves the steps along rays so often, whatever is due, at most as often as the training ever does.
+    ///
+    /// # Errors
+    /// A lost device.
+    pub fn halve(&mut self, halvings: u32) -> Result<(), FieldError> {
+        let (training, session) = (&mut self.training, &mut self.session);
+        session.download(&mut training.state)?;
+        let halvings = halvings.min(training.sizes.halvings.value);
+        let more = halvings as i32 - training.state.halvings as i32;
+        training.state.samples_per_ray *= 2.0_f64.powi(more);
+        training.state.halvings = halvings;
+        training.march = training.sizes.steps(&training.config, halvings);
+        session.upload(training)
+    }
+
     /// Returns what the kernels of a step do that has these samples and moves the averages, in their order.
     ///
     /// Columns grow with their samples: a small batch tells of a large one. `None` where a kernel has no cost.
     pub fn costs(&self, filled: &Filled) -> Option<Vec<Cost>> {
         let session = &self.session;
         let slots = Slots {
-            capacity: session.lanes.capacity,
-            rays: session.lanes.rays.slots,
+            capacity: session.held.lanes.capacity,
+            rays: session.held.lanes.rays.slots,
         };
         costs(
             &Work::recorded(|recorder| session.record(recorder, 1)),
@@ -160,7 +175,7 @@ impl TimedTraining {
     /// # Errors
     /// A lost device.
     pub fn apart(&self) -> Result<f64, FieldError> {
-        let (gpu, lanes) = (&self.session.gpu, &self.session.lanes);
+        let (gpu, lanes) = (&self.session.gpu, &self.session.held.lanes);
         let kept = gpu.read(&lanes.counts)?[marf_shaders::counts::KEPT as usize] as usize;
         let (xyz, origin) = (gpu.read(&lanes.visited.xyz)?, gpu.read(&lanes.origin)?);
         let places = origin[..kept].iter().map(|visited| *visited as usize);
@@ -247,7 +262,7 @@ impl GpuSession {
     fn load(&self, name: &str, training: &Training, watch: &Watch, sum: Step, rows: u64) -> Option<Load> {
         let [visited, kept, rows] =
             [watch.visited, sum.samples, rows].map(|count| count as f64 / sum.steps as f64);
-        let layers = &self.weights.layers;
+        let layers = &self.held.weights.layers;
         let sizes = layers
             .shapes
             .iter()
@@ -255,8 +270,8 @@ impl GpuSession {
         let sizes: Vec<f64> = sizes.collect();
         let (density, color) = sizes.split_at(layers.density);
         let (density, color): (f64, f64) = (density.iter().sum(), color.iter().sum());
-        let entries = 4.0 * self.grid.numbers() as f64;
-        let row = 4.0 * self.grid.features() as f64;
+        let entries = 4.0 * self.held.grid.numbers() as f64;
+        let row = 4.0 * self.held.grid.features() as f64;
         Some(match name {
             // Weight and both moments read and written, the count too; of the gradient zeros. Where averages are due, these
             // are read and written, too, and all weights read.
