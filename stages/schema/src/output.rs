@@ -48,10 +48,12 @@ pub const FLYTHROUGH: &str = "flythrough/";
 pub const MESH_PLY: &str = "mesh.ply";
 /// The surface of a field as GLB, of `surface`.
 pub const MESH_GLB: &str = "mesh.glb";
+/// What `surface` makes where splats are wanted.
+pub const SPLAT_FILES: &str = "splats/";
 /// The surface of a field as Gaussian splats (PLY), of `surface`.
-pub const SPLATS: &str = "splats.ply";
-/// Pictures splats | field at the views of held-out photos, of `surface`: `splats/<name>.png`.
-pub const SPLAT_VIEWS: &str = "splats/";
+pub const SPLATS: &str = "splats/splats.ply";
+/// Pictures splats | field at the views of held-out photos, of `surface`: `splats/views/<name>.png`.
+pub const SPLAT_VIEWS: &str = "splats/views/";
 /// Maps of `surface`: `map/height.png`, and `map/height.pgw` beside it.
 pub const SURFACE_MAPS: &str = "map/";
 /// Maps of `changes`: `changes/map.png`, and `changes/map.pgw` beside it.

@@ -4,9 +4,7 @@ use marf_cache::Digest;
 use marf_field::Field;
 use marf_scene::{Frame, Observer, Scene, picture::png16, picture_names};
 use marf_schema::bootstrap::MemberFields;
-use marf_schema::output::{
-    DEPTH, MESH_GLB, MESH_PLY, POINTS, SCENE, SPLAT_VIEWS, SPLATS, SURFACE_MAPS, WEIGHTS,
-};
+use marf_schema::output::{DEPTH, MESH_GLB, MESH_PLY, POINTS, SCENE, SPLAT_FILES, SURFACE_MAPS, WEIGHTS};
 use marf_schema::surface::{SurfaceParams, SurfaceReport};
 use marf_stage::{
     Ctx, Define, Document, Inputs, Outputs, ParamError, Params, Port, Set, Stage, StageError, Threads,
@@ -50,8 +48,7 @@ impl Define for MakeSurface {
         POINTS,
         SURFACE_MAPS,
         DEPTH,
-        SPLATS,
-        SPLAT_VIEWS,
+        SPLAT_FILES,
     ];
 
     fn new(params: SurfaceParams) -> Result<Self, ParamError> {

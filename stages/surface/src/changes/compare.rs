@@ -8,7 +8,7 @@ use crate::frame::{ExportFrame, MapAxes};
 
 use super::cells::{Extent, Grid, Values};
 use super::noise::{Ground, NINETY, around, median, quantile};
-use super::patches::{Patches, patches};
+use super::patches::{Found, Patches, patches};
 
 /// Fewest cells that both times show.
 const LEAST_COMMON: usize = 400;
@@ -110,7 +110,12 @@ impl Comparison {
         let noise = scale(&mut cells);
         let found = cells.iter().map(|cell| {
             let cell = cell.as_ref()?;
-            Some((cell.change(params.sigmas), cell.change(WEAK * params.sigmas)))
+            let [_, _, red, blue] = cell.difference;
+            Some(Found {
+                strong: cell.change(params.sigmas),
+                weak: cell.change(WEAK * params.sigmas),
+                colour: (red * red + blue * blue).sqrt(),
+            })
         });
         let patches = patches(&extent, &found.collect::<Vec<_>>(), params.least_cells as usize);
         Ok(Self {

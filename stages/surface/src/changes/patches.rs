@@ -4,12 +4,15 @@ use marf_schema::changes::{Change, Patch};
 
 use super::cells::Extent;
 use super::compare::Comparison;
-use super::noise::{NINETY, around};
+use super::noise::{NINETY, around, median};
 
 /// Cells of nine that must have changed alike, else one that did is noise.
 const ALIKE: usize = 4;
 /// One cell of so many of a patch must be beyond the limit, else the patch is noise that grew together.
 const STRONG: usize = 3;
+/// Share of its median change of colour at which a patch of colour ends: photos and fields blur the edge of what lies flat, and half of the
+/// change is left there.
+const HALF: f64 = 0.5;
 
 /// The patches of a map.
 pub(super) struct Patches {
@@ -30,12 +33,19 @@ pub(super) struct Cells {
     widened: usize,
 }
 
-/// What a cell shows: its change by the limit that was asked for, and by the weaker one; none where it is not known.
-type Found = Option<(Option<Change>, Option<Change>)>;
+/// What a cell shows.
+pub(super) struct Found {
+    /// Its change by the limit that was asked for.
+    pub strong: Option<Change>,
+    /// Its change by the weaker limit.
+    pub weak: Option<Change>,
+    /// By how much its colour differs: the root of the squares of both logarithms.
+    pub colour: f64,
+}
 
 /// Returns the patches: cells beyond the limit with their neighbours beyond two thirds of it, without single ones; `least`: fewest cells
-/// beyond the limit.
-pub(super) fn patches(extent: &Extent, found: &[Found], least: usize) -> Patches {
+/// beyond the limit. `found`: none where nothing is known.
+pub(super) fn patches(extent: &Extent, found: &[Option<Found>], least: usize) -> Patches {
     let grown = grown(extent, found);
     let kept: Vec<Option<Change>> = (0..grown.len())
         .map(|place| {
@@ -63,8 +73,12 @@ pub(super) fn patches(extent: &Extent, found: &[Found], least: usize) -> Patches
                 }
             }
         }
+        if change == Change::Colour {
+            cells = without_rim(&cells, found);
+        }
         cells.sort_unstable();
-        let is_strong = |place: &&usize| found[**place].is_some_and(|(strong, _)| strong == Some(change));
+        let strong_change = |place: usize| found[place].as_ref().and_then(|found| found.strong);
+        let is_strong = |place: &&usize| strong_change(**place) == Some(change);
         let strong = cells.iter().filter(is_strong).count();
         if strong < least || STRONG * strong < cells.len() {
             continue;
@@ -87,16 +101,24 @@ pub(super) fn patches(extent: &Extent, found: &[Found], least: usize) -> Patches
     Patches { list, of_cell }
 }
 
+/// Returns the cells of a patch that have at least half of its change of colour.
+fn without_rim(cells: &[usize], found: &[Option<Found>]) -> Vec<usize> {
+    let colour = |place: &usize| found[*place].as_ref().map_or(0.0, |found| found.colour);
+    let least = HALF * median(cells.iter().map(colour).collect());
+    let is_within = |place: &usize| colour(place) >= least;
+    cells.iter().copied().filter(is_within).collect()
+}
+
 /// Returns the cells beyond the limit, and those that hang together with them beyond the lower one.
-fn grown(extent: &Extent, found: &[Found]) -> Vec<Option<Change>> {
+fn grown(extent: &Extent, found: &[Option<Found>]) -> Vec<Option<Change>> {
     let mut grown: Vec<Option<Change>> = found
         .iter()
-        .map(|found| found.and_then(|(strong, _)| strong))
+        .map(|found| found.as_ref().and_then(|found| found.strong))
         .collect();
     let mut front: Vec<usize> = (0..grown.len()).filter(|place| grown[*place].is_some()).collect();
     while let Some(place) = front.pop() {
         for near in around(extent, place, 1) {
-            let weak = found[near].and_then(|(_, weak)| weak);
+            let weak = found[near].as_ref().and_then(|found| found.weak);
             if grown[near].is_none() && weak.is_some() && weak == grown[place] {
                 grown[near] = weak;
                 front.push(near);

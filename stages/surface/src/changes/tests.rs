@@ -172,6 +172,18 @@ fn another_colour_is_a_change_and_a_shadow_is_undecided() {
     assert!((shadow.undecided_m2 - 1.0).abs() < 0.15, "{shadow:?}");
 }
 
+/// Much is beyond the limits where little of the change is left, and none of it is told.
+#[test]
+fn a_blurred_edge_of_a_colour_lies_where_half_of_the_change_is_left() {
+    let share = |x: f64, middle: f64| ((0.5 - (x - middle).abs()) / 0.3 + 0.5).clamp(0.0, 1.0);
+    let report = compared(&|x, y, cell| cell[2] -= 0.5 * share(x, 1.5) * share(y, 2.5));
+    let [patch] = report.patches.as_slice() else {
+        panic!("{:?}", report.patches)
+    };
+    assert_eq!(patch.change, Change::Colour);
+    assert!((patch.area_m2 - 1.0).abs() < 0.08, "{patch:?}");
+}
+
 #[test]
 fn ground_that_one_time_alone_shows_is_not_compared() {
     let (before, mut after) = (maps(1, &|_, _, _| {}), maps(2, &|_, _, _| {}));
