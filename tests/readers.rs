@@ -12,7 +12,7 @@ mod common;
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::OnceLock;
+use std::sync::LazyLock;
 
 use common::{marf, tools};
 use serde_json::{Value, json};
@@ -33,8 +33,8 @@ method = "labels"
 
 [node.train]
 input = "calibrate"
-steps = 60
-scale = 4
+steps = 200
+scale = 2
 "#;
 /// Cameras that were written and read differ by rounding to text and back.
 const SAME_CAMERA: f64 = 1e-6;
@@ -42,10 +42,10 @@ const GLTF_VALIDATOR: &str = "gltf-validator@2.0.0-dev.3.10";
 
 /// Returns a folder with a run and its exports, which all tests share and none changes.
 fn exported() -> &'static Path {
-    static FOLDER: OnceLock<tempfile::TempDir> = OnceLock::new();
-    let make = || {
+    // One that cannot be made fails all tests at once, and is not tried again.
+    static FOLDER: LazyLock<tempfile::TempDir> = LazyLock::new(|| {
         let dir = common::ran("readers", PIPELINE);
-        let surface = "--cell 0.2 --most-spread 5 --least-photos 1";
+        let surface = "--cell 0.05 --most-spread 5 --least-photos 1";
         for line in [
             "cameras --out cameras".to_owned(),
             format!("mesh --out mesh.ply {surface}"),
@@ -63,8 +63,8 @@ fn exported() -> &'static Path {
             std::fs::write(dir.path().join(format!("{}.said", args[3])), said).unwrap();
         }
         dir
-    };
-    FOLDER.get_or_init(make).path()
+    });
+    FOLDER.path()
 }
 
 /// Returns what a reader in Python says of a file.
