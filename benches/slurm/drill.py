@@ -3,7 +3,7 @@
 
 DIR, which must not be there, gets a folder a run. `stub` (the default) is a batch system of this file with two cores; `slurm` is the one
 that SLURM_CONF names (`benches/slurm/up.sh`). The drills: a bootstrap of ten on this machine, then with 20 jobs killed at random moments,
-then with the driver killed 20 times; every action of the small demo computed again from an empty folder and the shared store alone; and,
+then with the driver killed 20 times; each result of the small demo computed again from an empty folder and the shared store alone; and,
 for a folder PHOTOS of many photos, a pull and a run on a fresh machine against a synced copy of the same bytes.
 """
 
@@ -250,7 +250,7 @@ def drill_driver(drill):
 
 
 def drill_exec(drill):
-    """Every action of the small demo, those of shards and of fetches among them."""
+    """Each result of the small demo, those of parts of nodes among them; what `marf exec` refuses is printed."""
     folder = drill.root / "demo"
     folder.mkdir()
     drill.run(folder, "init")
@@ -279,6 +279,7 @@ def drill_pull(drill, photos):
     drill.run(big, "run")
     store = f"file://{big}/shared"
     drill.run(big, "cache", "push", "--remote", store)
+    subprocess.run(["sync", "-f", big], check=True)
     ratios = []
     for turn in range(5):
         began = time.monotonic()
