@@ -3,13 +3,13 @@
 use std::{collections::BTreeSet, sync::Arc, time::Instant};
 
 use marf_cache::{Action, Digest, Record, Store, StoreError};
-use marf_stage::{Cancel, Inputs, Stage, StageDef, Work};
+use marf_stage::{Cancel, Inputs, Stage, StageDef};
 use serde_json::Value;
 
 use super::{
     Options,
     context::RunContext,
-    part::{PartJob, shard_of},
+    part::{PartJob, part_of, pass_of},
     pool,
     scheduler::Scheduler,
     state::RunState,
@@ -20,9 +20,10 @@ use crate::{
     check::GraphError,
     event::Listener,
     graph::Graph,
+    items::ShardLeaves,
     key::{differences, node_key},
     record::EngineError,
-    work::{PartKind, part_key},
+    work::{PASS, PartKind, part_key},
 };
 
 /// Why an action was not computed.
@@ -34,8 +35,8 @@ pub enum ActionError {
         /// Its name.
         stage: String,
     },
-    /// The action is of a part of a node, which its node computes.
-    #[error("part `{part}` of stage `{stage}`, which only its node computes")]
+    /// The action is of a part of a node that the stage does not have.
+    #[error("part `{part}` of stage `{stage}`, which this program does not make with these parameters")]
     Part {
         /// Name of the stage.
         stage: String,
@@ -109,12 +110,13 @@ pub fn run_action(
     cancel: &Cancel,
 ) -> Result<Record, ActionError> {
     let graph = Graph::new(Vec::new(), table)?;
-    let task = task_of(action, params, &graph)?;
+    let (task, part) = task_of(action, params, &graph)?;
     let threads = threads(options.threads);
     let pool = pool(threads)?;
-    if let Some(shard) = shard_of(action) {
+    if let Some((kind, shard)) = part {
         let part = PartJob {
             task: &task,
+            kind,
             shard,
             store,
             program: &options.program,
@@ -147,29 +149,46 @@ pub fn run_action(
     }
 }
 
-/// Returns the task of an action, if this program on this machine would make the same key of it.
-fn task_of(action: &Action, params: Value, graph: &Graph) -> Result<Task, ActionError> {
+/// Returns the task of an action, if this program on this machine would make the same key of it, and which part of its node it is; none
+/// if it is the node.
+fn task_of(
+    action: &Action,
+    mut params: Value,
+    graph: &Graph,
+) -> Result<(Task, Option<(PartKind, ShardLeaves)>), ActionError> {
     let stage = || action.stage.clone();
-    if let Some(part) = action.part.clone().filter(|_| shard_of(action).is_none()) {
-        return Err(ActionError::Part { stage: stage(), part });
-    }
     let Some(def) = graph.table.get(action.stage.as_str()) else {
         return Err(ActionError::NoStage { stage: stage() });
     };
+    // Nothing else has no inputs.
+    if def.ports.is_empty() {
+        return Err(ActionError::Source { stage: stage() });
+    }
+    if pass_of(action).is_some() {
+        // A summary depends on no other parameter, so those that its stage has by default do.
+        params.as_object_mut().map(|params| params.remove(PASS));
+    }
     let bound: Arc<dyn Stage> = (def.bind)(params)
         .map_err(|error| ActionError::Params {
             stage: stage(),
             message: error.to_string(),
         })?
         .into();
-    if matches!(bound.work(), Work::Source(_)) {
-        return Err(ActionError::Source { stage: stage() });
-    }
+    let part = match &action.part {
+        None => None,
+        Some(name) => {
+            let unknown = || ActionError::Part {
+                stage: stage(),
+                part: name.clone(),
+            };
+            Some(part_of(action, bound.as_ref()).ok_or_else(unknown)?)
+        }
+    };
     let inputs = Inputs(action.inputs.clone());
     let mut key = node_key((&graph.table, None), def, bound.as_ref(), &inputs)
         .map_err(|error| ActionError::Failed(error.to_string()))?;
-    if let Some((shard, _)) = shard_of(action) {
-        key = part_key(&key.action, PartKind::Measure, shard, inputs.0.clone());
+    if let Some((kind, (shard, _))) = &part {
+        key = part_key(&key.action, *kind, *shard, inputs.0.clone());
     }
     let here = &key.action;
     let backend = |action: &Action| action.backend.clone().unwrap_or_else(|| "cpu".to_owned());
@@ -194,8 +213,9 @@ fn task_of(action: &Action, params: Value, graph: &Graph) -> Result<Task, Action
         listed: None,
         reason: String::new(),
     };
-    Ok(Task {
+    let task = Task {
         prepared: Some(prepared),
         ..Task::new(stage(), *def, bound, InputSource::Fixed(inputs))
-    })
+    };
+    Ok((task, part))
 }

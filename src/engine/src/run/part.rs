@@ -1,31 +1,51 @@
-//! The measures of a shard as an action of its own: what a machine computes for a map or a fold that runs elsewhere.
+//! A part of a node as an action of its own: what a machine computes for a map or a fold that runs elsewhere, or again.
 
 use std::{collections::BTreeMap, time::Instant};
 
 use marf_cache::{Action, Record, RunMetadata, Store, manifest::LeafRef};
-use marf_stage::{Cancel, Ctx, Inputs, Measure, StageError, Work};
+use marf_stage::{Cancel, Ctx, Inputs, Stage, StageError, Work};
 
 use super::{action::ActionError, job::unix_seconds, task::Task};
 use crate::{
-    errors::contract_violation,
     event::{Event, Listener, NodeProgress},
     items::ShardLeaves,
     key::Key,
     stage_io::{FileCheckpoints, StoreBlobs, StoreMemos},
-    work::{BlobCheck, MEASURE, StageRun, leaf_name, measure_part},
+    work::{BlobCheck, PASS, PartKind, StageRun, leaf_name, make_part},
 };
 
-/// Returns the shard whose measures an action is, with its leaves; none of other actions.
-pub(super) fn shard_of(action: &Action) -> Option<ShardLeaves> {
-    let shard = action.shard.filter(|_| action.part.as_deref() == Some(MEASURE))?;
-    let leaf = |number: usize| action.inputs.get(&leaf_name(number)).copied();
-    let leaves = (0..).map_while(leaf).map(|leaf| LeafRef { shard, leaf, rows: 0 });
-    Some((shard, leaves.collect()))
+/// Returns the name of the pass that an action summarises its shard for; none of other actions.
+pub(super) fn pass_of(action: &Action) -> Option<&str> {
+    let name = PartKind::Summarise("").name();
+    let is_summary = action.part.as_deref() == Some(name);
+    action.params.get(PASS).filter(|_| is_summary)?.as_str()
 }
 
-/// The measures of a shard as an action of its own.
+/// Returns the kind of part that an action is of a stage, with its shard; none if the stage has no such part.
+pub(super) fn part_of(action: &Action, stage: &dyn Stage) -> Option<(PartKind, ShardLeaves)> {
+    let named = action.part.as_deref()?;
+    let kinds: Vec<PartKind> = match stage.work() {
+        Work::Map(map) => {
+            let passes = map.comparison().map(|comparison| comparison.passes());
+            let own = |pass: &&str| Some(*pass) == pass_of(action);
+            let passes = passes.unwrap_or_default().into_iter().filter(own);
+            let summaries = passes.map(PartKind::Summarise);
+            summaries.chain([PartKind::Decide, PartKind::Measure]).collect()
+        }
+        Work::Fold(_) => vec![PartKind::Fold, PartKind::Measure],
+        _ => Vec::new(),
+    };
+    let kind = kinds.into_iter().find(|kind| kind.name() == named)?;
+    let shard = action.shard?;
+    let leaf = |number: usize| action.inputs.get(&leaf_name(number)).copied();
+    let leaves = (0..).map_while(leaf).map(|leaf| LeafRef { shard, leaf, rows: 0 });
+    Some((kind, (shard, leaves.collect())))
+}
+
+/// A part of a node as an action of its own.
 pub(super) struct PartJob<'a> {
     pub(super) task: &'a Task,
+    pub(super) kind: PartKind,
     pub(super) shard: ShardLeaves,
     pub(super) store: &'a Store,
     pub(super) program: &'a str,
@@ -33,12 +53,12 @@ pub(super) struct PartJob<'a> {
 }
 
 impl PartJob<'_> {
-    /// Measures the shard, unless that is done, and returns the record.
+    /// Makes the part, unless that is done, and returns the record.
     pub(super) fn run(&self, listener: &dyn Listener, cancel: &Cancel) -> Result<Record, ActionError> {
         let lost = || ActionError::Failed("its result was lost".to_owned());
         let key = &self.task.prepared.as_ref().ok_or_else(lost)?.key;
         if self.store.hit(&key.digest)?.is_none() {
-            let made = self.measure(key, listener, cancel);
+            let made = self.make(key, listener, cancel);
             made.map_err(|error| self.told(error, listener))?;
             self.store.commit()?;
         }
@@ -61,12 +81,7 @@ impl PartJob<'_> {
         ActionError::Failed(message)
     }
 
-    fn measure(&self, key: &Key, listener: &dyn Listener, cancel: &Cancel) -> Result<(), StageError> {
-        let stage: &dyn Measure = match self.task.bound.work() {
-            Work::Map(map) => map,
-            Work::Fold(fold) => fold,
-            _ => return Err(contract_violation("it measures nothing".to_owned())),
-        };
+    fn make(&self, key: &Key, listener: &dyn Listener, cancel: &Cancel) -> Result<(), StageError> {
         let (store, name) = (self.store, self.task.name.as_str());
         let began = Instant::now();
         let (blobs, scratch) = (StoreBlobs::new(store), store.scratch());
@@ -107,6 +122,6 @@ impl PartJob<'_> {
                 });
             },
         };
-        measure_part(&run, stage, &self.shard)
+        make_part(&run, self.kind, &self.shard)
     }
 }

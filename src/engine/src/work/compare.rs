@@ -14,13 +14,13 @@ use marf_stage::{Comparison, Map, Outputs, StageError};
 
 use super::{
     map::leaf_inputs,
-    measure::{MeasuredShard, measure},
+    measure::{MeasuredShard, measure_shard},
     shards::shard_parts,
     stage_run::{PartKind, StageRun},
 };
 use crate::{
     errors::{contract_violation, store_error},
-    items::{ShardLeaves, rows_of},
+    items::ShardLeaves,
     key::Key,
 };
 
@@ -67,6 +67,41 @@ pub(super) fn part_inputs(shard: &ShardLeaves, context: &Context) -> BTreeMap<St
 /// Returns the summary that a record holds.
 pub(super) fn summary_of(record: &Record) -> Option<Digest> {
     record.outputs.get(SUMMARY).map(|output| output.digest)
+}
+
+/// Returns the context that a part looks at.
+pub(super) fn context_of(run: &StageRun<'_>) -> Result<Context, StageError> {
+    match run.inputs.optional(CONTEXT) {
+        None => Ok(Context::default()),
+        Some(digest) => Ok(Context::of(run.ctx.get(digest)?.to_vec())),
+    }
+}
+
+/// Summarises one shard for the pass of a name, as an action of its own.
+pub(super) fn summarise(
+    run: &StageRun<'_>,
+    map: &dyn Map,
+    name: &str,
+    shard: &ShardLeaves,
+) -> Result<(), StageError> {
+    let pass = map.comparison().and_then(|comparison| {
+        let index = comparison.passes().into_iter().position(|pass| pass == name)?;
+        Some((comparison, index))
+    });
+    let (comparison, index) = pass.ok_or_else(|| contract_violation(format!("it has no pass `{name}`")))?;
+    let before = context_of(run)?;
+    let (shard, _) = measure_shard(run, map, shard)?;
+    let pass = Pass {
+        run,
+        map,
+        comparison,
+        index,
+        before: &before,
+        made: AtomicU64::new(0),
+        measured: AtomicU64::new(0),
+    };
+    pass.summarise(run.key, &shard)?;
+    Ok(())
 }
 
 /// Runs all passes of a comparison.
@@ -150,10 +185,8 @@ impl Pass<'_> {
         self.run.ctx.check()?;
         match self.run.ctx.get(summary) {
             Err(StageError::Blob(error)) if error.lost.is_some() => {
-                let mut read = measure(self.run, self.map, &[shard], (0, rows_of(&shard.1)))?;
-                self.measured.fetch_add(read.measured, Ordering::Relaxed);
-                let shard = read.shards.pop();
-                let shard = shard.ok_or_else(|| contract_violation("a shard was not read".to_owned()))?;
+                let (shard, measured) = measure_shard(self.run, self.map, shard)?;
+                self.measured.fetch_add(measured, Ordering::Relaxed);
                 self.run.ctx.get(&self.summarise(key, &shard)?)
             }
             summary => summary,

@@ -135,7 +135,7 @@ fn unread(shard: u32, table: Table) -> StageError {
 
 /// Measures all rows of a shard for all tables that one look at them fills, and stores these with the record of the part. What
 /// earlier runs have measured is not looked at, so the result follows from the rows alone.
-pub(crate) fn measure_part(
+pub(super) fn measure_part(
     run: &StageRun<'_>,
     stage: &dyn Measure,
     shard: &ShardLeaves,

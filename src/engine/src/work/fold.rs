@@ -9,7 +9,7 @@ use marf_stage::{Ctx, Fold, FoldState, PHOTOS, StageError};
 use super::{
     elsewhere::measure_elsewhere,
     map::{leaf_inputs, store_decided},
-    measure::{MeasuredShard, measure, windows},
+    measure::{MeasuredShard, measure, measure_shard, windows},
     stage_run::{Counts, Part, PartKind, PartedOutputs, StageRun},
 };
 use crate::{
@@ -29,7 +29,31 @@ pub(super) fn start() -> Digest {
 
 /// Returns the chain after a step, from the chain before it and what the step added.
 pub(super) fn after(before: &Digest, added: &Digest) -> Digest {
-    Digest::of(&[*before.as_bytes(), *added.as_bytes()].concat())
+    Digest::of(&link(before, added))
+}
+
+/// Returns the last link of a chain: the digest of the chain before a step, and that of what the step added.
+fn link(before: &Digest, added: &Digest) -> Vec<u8> {
+    [*before.as_bytes(), *added.as_bytes()].concat()
+}
+
+/// Returns what the steps of a chain added, in their order, from its links.
+fn added_by(run: &StageRun<'_>, mut chain: Digest) -> Result<Vec<Digest>, StageError> {
+    let mut added = Vec::new();
+    while chain != start() {
+        run.ctx.check()?;
+        let link = run.ctx.get(&chain)?;
+        let ([before, last], []) = link.as_chunks::<32>() else {
+            return Err(contract_violation(format!(
+                "{} is no link of a chain",
+                chain.short()
+            )));
+        };
+        added.push(Digest::from_bytes(*last));
+        chain = Digest::from_bytes(*before);
+    }
+    added.reverse();
+    Ok(added)
 }
 
 /// Returns the inputs of the step that folds a shard into the state after a chain of steps.
@@ -50,7 +74,11 @@ pub(super) fn execute(run: &StageRun<'_>, fold: &dyn Fold) -> Result<PartedOutpu
     let first = steps.reuse(&shards)?;
     let mut state = fold.begin();
     if first < shards.len() {
-        steps.replay(state.as_mut())?;
+        replay(
+            run,
+            state.as_mut(),
+            steps.parts.iter().filter_map(|part| part.added),
+        )?;
     }
     let total: u64 = shards[first..].iter().map(|shard| rows_of(&shard.1)).sum();
     let lacking: Vec<&ShardLeaves> = shards[first..].iter().collect();
@@ -72,6 +100,34 @@ pub(super) fn execute(run: &StageRun<'_>, fold: &dyn Fold) -> Result<PartedOutpu
     ]);
     let keys = shards.iter().zip(&steps.keys).map(|(shard, key)| (shard.0, *key));
     run.join(keys.collect(), steps.parts.into_iter().collect(), counts)
+}
+
+/// Folds one shard into the state that the chain before it left, as an action of its own.
+pub(super) fn step(run: &StageRun<'_>, fold: &dyn Fold, shard: &ShardLeaves) -> Result<(), StageError> {
+    let before = *run.inputs.required(BEFORE)?;
+    let mut state = fold.begin();
+    replay(run, state.as_mut(), added_by(run, before)?)?;
+    let (measured, _) = measure_shard(run, fold, shard)?;
+    let mut steps = Steps {
+        run,
+        keys: Vec::new(),
+        parts: Vec::new(),
+        before,
+    };
+    steps.fold(fold, state.as_mut(), shard, measured)
+}
+
+/// Brings a state to where the steps that added this left it.
+fn replay(
+    run: &StageRun<'_>,
+    state: &mut dyn FoldState,
+    added: impl IntoIterator<Item = Digest>,
+) -> Result<(), StageError> {
+    for added in added {
+        run.ctx.check()?;
+        state.replay(&run.ctx, &run.ctx.get(&added)?)?;
+    }
+    Ok(())
 }
 
 /// The steps so far.
@@ -102,15 +158,6 @@ impl Steps<'_> {
         Ok(shards.len())
     }
 
-    /// Brings a state to where the reused steps left it.
-    fn replay(&self, state: &mut dyn FoldState) -> Result<(), StageError> {
-        for added in self.parts.iter().filter_map(|part| part.added) {
-            self.run.ctx.check()?;
-            state.replay(&self.run.ctx, &self.run.ctx.get(&added)?)?;
-        }
-        Ok(())
-    }
-
     /// Folds one shard into the state and stores what comes out.
     fn fold(
         &mut self,
@@ -130,8 +177,11 @@ impl Steps<'_> {
             blobs.note(measured.chain(state.blobs(&added)));
             (added, verdicts)
         };
+        let added = ctx.put(&added)?;
+        // So that the next step can be computed from the store alone.
+        ctx.put(&link(&self.before, &added))?;
         let part = Part {
-            added: Some(ctx.put(&added)?),
+            added: Some(added),
             ..store_decided(&ctx, shard.rows, verdicts)?
         };
         self.run.put_part(&key, &part, &blobs)?;

@@ -7,8 +7,8 @@ use marf_cache::{Digest, manifest::LeafRef};
 use marf_stage::{Ctx, Map, PHOTOS, StageError, Verdict};
 
 use super::{
-    compare::{Compared, compare, part_inputs},
-    measure::MeasuredShard,
+    compare::{Compared, compare, context_of, part_inputs},
+    measure::{MeasuredShard, measure_shard},
     shards::shard_parts,
     stage_run::{Counts, Part, PartKind, PartedOutputs, StageRun},
 };
@@ -35,7 +35,7 @@ pub(super) fn execute(run: &StageRun<'_>, map: &dyn Map) -> Result<PartedOutputs
         |key| run.part_hit(key),
         |key, shard| {
             let verdicts = map.decide(&context.bytes, &shard.items())?;
-            decided(run, key, shard, verdicts)
+            store_part(run, key, shard, verdicts)
         },
     )?;
     let mut counts = Counts::from([
@@ -52,6 +52,15 @@ pub(super) fn execute(run: &StageRun<'_>, map: &dyn Map) -> Result<PartedOutputs
     run.join(keys, decisions.parts.into_iter().collect(), counts)
 }
 
+/// Decides the rows of one shard, as an action of its own.
+pub(super) fn decide(run: &StageRun<'_>, map: &dyn Map, shard: &ShardLeaves) -> Result<(), StageError> {
+    let context = context_of(run)?;
+    let (shard, _) = measure_shard(run, map, shard)?;
+    let verdicts = map.decide(&context.bytes, &shard.items())?;
+    store_part(run, run.key, shard, verdicts)?;
+    Ok(())
+}
+
 /// Returns the inputs of a part that reads the leaves of a shard.
 pub(super) fn leaf_inputs((_, leaves): &ShardLeaves) -> BTreeMap<String, Digest> {
     let named = |(index, leaf): (usize, &LeafRef)| (leaf_name(index), leaf.leaf);
@@ -64,7 +73,7 @@ pub(crate) fn leaf_name(index: usize) -> String {
 }
 
 /// Stores the verdicts on a shard and the rows they keep, as a part.
-fn decided(
+fn store_part(
     run: &StageRun<'_>,
     key: &Key,
     shard: MeasuredShard,

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use super::stage_run::StageRun;
 use crate::{
     errors::{contract_violation, store_error},
-    items::{ShardLeaves, ShardRows, read_shard},
+    items::{ShardLeaves, ShardRows, read_shard, rows_of},
     measure_table::{MeasureTable, row_digest, table_key},
     stage_io::StoreBlobs,
 };
@@ -144,6 +144,18 @@ pub(super) fn measure(
         shards: shards?,
         measured,
     })
+}
+
+/// Reads the rows of one shard and measures those that lack it. Returns the number of these too.
+pub(super) fn measure_shard(
+    run: &StageRun<'_>,
+    stage: &dyn Measure,
+    shard: &ShardLeaves,
+) -> Result<(MeasuredShard, u64), StageError> {
+    let mut read = measure(run, stage, &[shard], (0, rows_of(&shard.1)))?;
+    let shard = read.shards.pop();
+    let shard = shard.ok_or_else(|| contract_violation("a shard was not read".to_owned()))?;
+    Ok((shard, read.measured))
 }
 
 /// The rows of one shard with its tables of measures.

@@ -7,6 +7,7 @@ mod extent;
 mod fold;
 mod map;
 mod measure;
+mod part;
 mod shards;
 mod source;
 mod stage_run;
@@ -14,13 +15,13 @@ mod stage_run;
 use crate::listing::Listed;
 use marf_stage::{NodeSpec, Outputs, StageError, Work};
 
-pub(crate) use elsewhere::measure_part;
 pub(crate) use expand::after_round;
 pub use extent::Extent;
 pub(crate) use extent::extent;
 pub(crate) use map::leaf_name;
+pub(crate) use part::make_part;
 pub(crate) use stage_run::{
-    BlobCheck, Counts, MEASURE, PartKind, PartedOutputs, StageRun, needs_of, part_key, put_action, put_needs,
+    BlobCheck, Counts, PASS, PartKind, PartedOutputs, StageRun, needs_of, part_key, put_action, put_needs,
     put_parts, with_lengths,
 };
 

@@ -26,9 +26,6 @@ pub(crate) type Counts = BTreeMap<String, u64>;
 /// Name of the output of a step of a fold that holds what it added to the state.
 pub(super) const ADDED: &str = "added";
 
-/// Name of the part of a node that is the measures of a shard.
-pub(crate) const MEASURE: &str = "measure";
-
 /// How thoroughly stored parts are checked before they are reused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum BlobCheck {
@@ -76,20 +73,33 @@ pub(crate) enum PartKind {
     Measure,
 }
 
+/// Parameter of a summary: the name of its pass.
+pub(crate) const PASS: &str = "pass";
+
+impl PartKind {
+    /// Returns the name that the kind has in actions.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Fetch => "fetch",
+            Self::Summarise(_) => "summarise",
+            Self::Decide => "decide",
+            Self::Fold => "fold",
+            Self::Measure => "measure",
+        }
+    }
+}
+
 /// Returns the key of the part of a node that is about one shard. No parameter is in that of a summary.
 pub(crate) fn part_key(node: &Action, part: PartKind, shard: u32, inputs: BTreeMap<String, Digest>) -> Key {
-    let (name, params) = match part {
-        PartKind::Fetch => ("fetch", node.params.clone()),
-        PartKind::Summarise(pass) => ("summarise", json!({ "pass": pass })),
-        PartKind::Decide => ("decide", node.params.clone()),
-        PartKind::Fold => ("fold", node.params.clone()),
-        PartKind::Measure => (MEASURE, node.params.clone()),
+    let params = match part {
+        PartKind::Summarise(pass) => json!({ PASS: pass }),
+        _ => node.params.clone(),
     };
     Key::of(Action {
         action: ACTION_FORMAT,
         stage: node.stage.clone(),
         version: node.version,
-        part: Some(name.to_owned()),
+        part: Some(part.name().to_owned()),
         shard: Some(shard),
         params,
         inputs,

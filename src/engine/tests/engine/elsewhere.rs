@@ -1,6 +1,7 @@
 //! Actions computed without their pipeline, and nodes that another machine computes.
 
 use std::{
+    collections::BTreeMap,
     path::PathBuf,
     sync::{
         Arc,
@@ -11,7 +12,7 @@ use std::{
 
 use marf_cache::{Action, Digest, Record, Store, Upstream};
 use marf_engine::{
-    ActionError, Cancel, Executor, NodeState, Options, Order, Outcome, PartOrder, Silent, action_at,
+    ActionError, Cancel, Executor, Graph, NodeState, Options, Order, Outcome, PartOrder, Silent, action_at,
     run_action,
 };
 use marf_stage::StageError;
@@ -200,6 +201,59 @@ fn nodes_computed_elsewhere_are_those_computed_here() {
     assert_eq!(ran(&log), Vec::<String>::new());
 }
 
+/// Every result of a run that no archive is read for, each from the blobs of its store alone: nodes, summaries and decisions of shards, steps
+/// of folds.
+#[test]
+fn each_part_of_a_node_is_computed_again_from_its_inputs_alone() {
+    let (number, fixture) = new_fixture();
+    for shard in 1..=3 {
+        fixture.put_shard(shard);
+    }
+    let (folder, store) = fresh_store();
+    let crowd = node(
+        "crowd",
+        "crowd",
+        number,
+        json!({ "enough": 2 }),
+        &["input=archive"],
+    );
+    let nodes = TestPipeline::new(number).nodes().into_iter().chain([crowd]);
+    run_on(&Graph::new(nodes.collect(), TABLE).unwrap(), &store);
+    let mut computed: BTreeMap<String, usize> = BTreeMap::new();
+    for record in store.records().unwrap() {
+        let action = action_at(&store, &record.key).unwrap().unwrap();
+        let mut params = params_of(&action, number);
+        if action.stage == "crowd" {
+            params["enough"] = 2.into();
+        }
+        let blobs = Blobs(Store::open(&folder.path().join(".marf")).unwrap());
+        let empty = tempfile::tempdir().unwrap();
+        let alone = Store::open(empty.path()).unwrap().with_upstream(Arc::new(blobs));
+        let made = run_action(
+            (&action, params),
+            TABLE,
+            &alone,
+            &options(1),
+            &Silent,
+            &Cancel::default(),
+        );
+        if action.stage == "archive" {
+            assert!(matches!(made, Err(ActionError::Source { .. })), "{made:?}");
+            continue;
+        }
+        let made = made.unwrap_or_else(|error| panic!("{action:?}: {error}"));
+        assert_eq!(made.outputs, record.outputs, "{action:?}");
+        assert_eq!(made.needs, record.needs, "{action:?}");
+        let part = action.part.unwrap_or_else(|| "whole".to_owned());
+        *computed.entry(part).or_default() += 1;
+    }
+    let expected = [("decide", 6), ("fold", 3), ("summarise", 6), ("whole", 8)];
+    assert_eq!(
+        computed,
+        BTreeMap::from(expected.map(|(part, count)| (part.to_owned(), count)))
+    );
+}
+
 /// Measures made elsewhere are kept like those made here: a new shard alone is measured again, one that lacks few is measured
 /// here, and so are few photos.
 #[test]
@@ -294,7 +348,10 @@ fn an_action_that_this_program_would_make_otherwise_is_refused() {
             &|action| action.params = json!({"times": "often"}),
             "stage `sum`: ",
         ),
-        (&|action| action.stage = "archive".to_owned(), "stage `archive`: "),
+        (
+            &|action| action.stage = "archive".to_owned(),
+            "stage `archive` reads an archive",
+        ),
     ];
     for (change, expected) in cases {
         let error = refused(change);
