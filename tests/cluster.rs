@@ -507,7 +507,10 @@ fn computed_again(site: &Site) -> BTreeSet<String> {
         );
         if action.stage == "extract" {
             let refused = ran.exits(10).stderr;
-            assert!(refused.contains("stage `extract` reads an archive"), "{refused}");
+            assert!(
+                refused.contains("stage `extract`, which reads an archive"),
+                "{refused}"
+            );
             continue;
         }
         let told = ran.exits(0).stderr;

@@ -245,6 +245,10 @@ fn made(
         ActionError::Store(error) => error.into(),
         ActionError::Engine(error) => error.into(),
         ActionError::Graph(error) => error.into(),
+        error @ ActionError::Source { .. } => CliError::Elsewhere(
+            Diagnostic::new(format!("the action is of {error}"))
+                .hint("`marf replay` fetches again, with the pipeline and its archive"),
+        ),
         error => CliError::Elsewhere(
             Diagnostic::new(format!("the action is of {error}"))
                 .hint("use the marf that planned it, on a machine with the same backend"),

@@ -1,9 +1,15 @@
 //! Blobs from a shared store into the own one, each checked by its digest.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    iter,
+    num::NonZero,
+    panic::resume_unwind,
+    thread,
+};
 
 use bytes::Bytes;
-use futures_util::{StreamExt, TryStreamExt, stream};
+use futures_util::{StreamExt, TryStreamExt, future, stream};
 use marf_cache::{Digest, Store};
 
 use crate::{bucket::Bucket, catalogue, error::RemoteError, names, pack::Entry, presence, push::Meter};
@@ -65,14 +71,29 @@ impl Plan {
             .map(|(digest, bytes)| async move {
                 let name = names::blob(digest);
                 let blob = bucket.get(&name).await?;
-                keep(bucket, store, &name, digest, blob)?;
-                meter.add(*bytes);
-                Ok(())
+                Ok(Arrived {
+                    name,
+                    digest: *digest,
+                    bytes: *bytes,
+                    blob,
+                })
             })
             .buffer_unordered(IN_FLIGHT)
-            .try_collect()
+            .try_ready_chunks(IN_FLIGHT)
+            .map_err(|error| error.1)
+            .try_for_each(|blobs| future::ready(keep(bucket, store, &blobs, meter)))
             .await
     }
+}
+
+/// A blob as it came.
+struct Arrived {
+    /// The object that it is from.
+    name: String,
+    digest: Digest,
+    bytes: u64,
+    /// None if it was not there.
+    blob: Option<Bytes>,
 }
 
 impl Window {
@@ -84,12 +105,15 @@ impl Window {
             catalogue::forget(bucket).await;
             return Err(bucket.damaged(&name, "its index is there, and it is not"));
         };
-        let mut parts = parts.into_iter();
-        for entry in &self.entries {
-            keep(bucket, store, &name, &entry.digest, parts.next())?;
-            meter.add(u64::from(entry.len));
-        }
-        Ok(())
+        let parts = parts.into_iter().map(Some).chain(iter::repeat(None));
+        let arrived = |(entry, blob): (&Entry, Option<Bytes>)| Arrived {
+            name: name.clone(),
+            digest: entry.digest,
+            bytes: u64::from(entry.len),
+            blob,
+        };
+        let blobs: Vec<Arrived> = self.entries.iter().zip(parts).map(arrived).collect();
+        keep(bucket, store, &blobs, meter)
     }
 }
 
@@ -123,22 +147,43 @@ async fn packed(bucket: &Bucket, pack: &Digest, entry: &Entry) -> Result<Option<
     Ok(parts.and_then(|parts| parts.into_iter().next()))
 }
 
-/// Stores a blob that has arrived, if it has its digest.
-fn keep(
-    bucket: &Bucket,
-    store: &Store,
-    name: &str,
-    digest: &Digest,
-    blob: Option<Bytes>,
-) -> Result<(), RemoteError> {
-    let Some(blob) = blob else {
-        return Err(missing(bucket, digest));
+/// Stores blobs that have arrived, if each has its digest, on all cores: to hash and to write them takes longer than to fetch them from a
+/// folder or from a near server.
+///
+/// The threads are its own: one of rayon's pool could take up another node's work here, which may not wait for a fetch inside of this one.
+fn keep(bucket: &Bucket, store: &Store, blobs: &[Arrived], meter: &Meter<'_>) -> Result<(), RemoteError> {
+    let cores = thread::available_parallelism().map_or(1, NonZero::get);
+    let share = blobs.len().div_ceil(cores).max(1);
+    let keep_all = |blobs: &[Arrived]| {
+        blobs
+            .iter()
+            .try_for_each(|blob| keep_one(bucket, store, blob, meter))
     };
+    thread::scope(|scope| {
+        let shares: Vec<_> = blobs
+            .chunks(share)
+            .map(|share| scope.spawn(move || keep_all(share)))
+            .collect();
+        shares
+            .into_iter()
+            .try_for_each(|share| share.join().unwrap_or_else(|panic| resume_unwind(panic)))
+    })
+}
+
+fn keep_one(bucket: &Bucket, store: &Store, arrived: &Arrived, meter: &Meter<'_>) -> Result<(), RemoteError> {
+    let Arrived {
+        name,
+        digest,
+        bytes,
+        blob,
+    } = arrived;
+    let blob = blob.as_ref().ok_or_else(|| missing(bucket, digest))?;
     // What came is stored under its own digest, so it is hashed once; other bytes than those asked for are what nothing names.
-    if store.put(&blob)? != *digest {
+    if store.put(blob)? != *digest {
         let what = format!("its {} bytes are not the blob {}", blob.len(), digest.short());
         return Err(bucket.damaged(name, &what));
     }
+    meter.add(*bytes);
     Ok(())
 }
 

@@ -44,7 +44,7 @@ pub enum ActionError {
         part: String,
     },
     /// The stage reads an archive, which the machine that plans does.
-    #[error("stage `{stage}` reads an archive, which is done where the run was planned")]
+    #[error("stage `{stage}`, which reads an archive, where the run was planned")]
     Source {
         /// Name of the stage.
         stage: String,

@@ -350,7 +350,7 @@ fn an_action_that_this_program_would_make_otherwise_is_refused() {
         ),
         (
             &|action| action.stage = "archive".to_owned(),
-            "stage `archive` reads an archive",
+            "stage `archive`, which reads an archive",
         ),
     ];
     for (change, expected) in cases {
