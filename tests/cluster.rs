@@ -43,7 +43,8 @@ device = "cpu"
 "#;
 
 /// Runs a script when asked to, and kills the first jobs of each name, as many as the file `kills` says. Tasks of an array run one after the
-/// other; those that the file `kill_tasks` names are killed, of the first array.
+/// other; those that the file `kill_tasks` names are killed, of the first array. With a file `lag` a job has the shared store as it is when it is
+/// submitted, and what it adds is seen so many seconds after its end, records first.
 const SBATCH: &str = r#"#!/bin/bash
 cd "$(dirname "$0")" || exit 1
 script="${@: -1}"
@@ -56,6 +57,11 @@ killed=" "; [ -n "$last" ] && [ -f kill_tasks ] && { killed=" $(cat kill_tasks) 
 echo "$id $name $(sed -n 's/^#SBATCH --mem=//p' "$script")" >> history
 [ -n "$last" ] && echo "$id $((last + 1))" >> arrays
 mkdir -p jobs/$id; echo "$name" > jobs/$id/name
+shared=""
+if [ -f lag ]; then
+  shared=$(sed -n 's#^exec .*--store file://\([^ ]*\) .*#\1#p' "$script"); cp -r "$shared" "$shared.node"
+  sed "s#--store file://[^ ]*#&.node#" "$script" > "$script.node"; script=$script.node
+fi
 kill=no; [ "$(grep -c " $name " history)" -le "$(cat kills 2> /dev/null || echo 0)" ] && kill=yes
 flock -u 9
 setsid bash -c '
@@ -70,6 +76,8 @@ setsid bash -c '
     done
   fi
   rm -r jobs/'$id'
+  shared="'"$shared"'"
+  [ -n "$shared" ] && { sleep $(cat lag); cp -r "$shared.node/records" "$shared"; sleep 0.3; cp -r "$shared.node/." "$shared"; }
 ' 9>&- > /dev/null 2>&1 < /dev/null &
 echo $id
 "#;
@@ -251,6 +259,24 @@ fn a_job_that_is_refused_or_lost_is_one_clear_error_and_what_is_done_stays() {
     std::fs::remove_dir_all(site.path().join(".marf")).unwrap();
     site.run(&["--to", "train"]).exits(0);
     assert_eq!(site.noted("history").len(), jobs);
+}
+
+/// A file system of many machines that shows what jobs wrote after their end, and records before what they name.
+#[test]
+fn results_that_a_shared_folder_shows_late_are_waited_for() {
+    let site = Site::new(PIPELINE);
+    site.tell("lag", "0.4");
+    site.run(&["--to", "train"]).exits(0);
+    assert_eq!(site.noted("history").len(), 1);
+
+    let never = Site::new(PIPELINE);
+    never.tell("lag", "20");
+    let refused = never.run(&["--to", "train"]).exits(1).stderr;
+    assert!(
+        refused.contains("after 1 s the shared store lacks its result"),
+        "{refused}"
+    );
+    assert!(refused.contains("the same place on all machines"), "{refused}");
 }
 
 /// A driver that is killed leaves its jobs; the next one takes them over, and no job is made twice.
@@ -449,10 +475,10 @@ width = 64
 archive = "demo"
 [node.size]
 input = "extract"
-[node.duplicates]
+[node.duplicate]
 input = "size"
 [node.histogram]
-input = "duplicates"
+input = "duplicate"
 "#;
 
 /// Every action of a run, nodes and parts of nodes, from an empty folder and the shared store alone, gives what the run gave; one that reads

@@ -14,7 +14,7 @@ use marf_stage::{StageError, Threads};
 
 use crate::{
     array_plan::{Array, Plan, PlannedArray, Task, array_files},
-    cluster::{ATTEMPTS, Cluster, KEYS_AT_ONCE, Watcher, remote_failed},
+    cluster::{ATTEMPTS, Cluster, KEYS_AT_ONCE, remote_failed},
     commands::{count, tasks_of},
     job::failed,
     job_files::JobFiles,
@@ -263,12 +263,7 @@ impl<'a> Arrays<'a> {
         let keys = ended.iter().flat_map(|&at| &self.tasks[at].parts);
         let keys: Vec<Digest> = keys.copied().collect();
         for some in keys.chunks(KEYS_AT_ONCE) {
-            let brought = self
-                .cluster
-                .remote
-                .bring(order.store, some, &Watcher(order.cancel));
-            brought
-                .map_err(|error| remote_failed(order.node, "results of its jobs cannot be fetched", error))?;
+            self.cluster.bring_told(order, some)?;
         }
         ended.into_iter().for_each(|at| self.tasks[at].is_done = true);
         Ok(())

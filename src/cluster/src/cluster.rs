@@ -88,14 +88,8 @@ impl Executor for Cluster {
         if !self.fetch(order)? {
             self.share(order)?;
             self.run(&Wanted::of(order))?;
-            if !self.fetch(order)? {
-                let message = format!(
-                    "`{}`: its job is done, and the shared store lacks its result",
-                    order.node
-                );
-                return Err(StageError::new(message)
-                    .hint("is `store` of the site file the same place on all machines?"));
-            }
+            self.bring_told(order, &[order.key])?;
+            self.note_shared(order)?;
         }
         JobFiles::of(&self.site.folder, &order.key).remove();
         Ok(())
@@ -189,16 +183,49 @@ impl Cluster {
             .remote
             .bring(order.store, &[order.key], &Watcher(order.cancel));
         match fetched {
-            Ok(_) => {
-                let outputs = outputs_of(order.store, &[order.key])
-                    .map_err(|error| failed(order.node, "its result cannot be read", &error))?;
-                let mut shared = self.shared.lock();
-                shared.keys.insert(order.key);
-                shared.blobs.extend(outputs);
-                Ok(true)
-            }
+            Ok(_) => self.note_shared(order).map(|()| true),
             Err(RemoteError::Absent { .. } | RemoteError::Missing { .. }) => Ok(false),
             Err(error) => Err(remote_failed(order.node, "its result cannot be fetched", error)),
+        }
+    }
+
+    /// Notes that the result of an action is in the shared store.
+    fn note_shared(&self, order: &Order<'_>) -> Result<(), StageError> {
+        let outputs = outputs_of(order.store, &[order.key])
+            .map_err(|error| failed(order.node, "its result cannot be read", &error))?;
+        let mut shared = self.shared.lock();
+        shared.keys.insert(order.key);
+        shared.blobs.extend(outputs);
+        Ok(())
+    }
+
+    /// Brings results that jobs have told of. A file system of many machines may show them later than what tells of them, or not whole.
+    pub(crate) fn bring_told(&self, order: &Order<'_>, keys: &[Digest]) -> Result<(), StageError> {
+        let told = Instant::now();
+        loop {
+            let late = match self.remote.bring(order.store, keys, &Watcher(order.cancel)) {
+                Ok(_) => return Ok(()),
+                Err(
+                    late @ (RemoteError::Absent { .. }
+                    | RemoteError::Missing { .. }
+                    | RemoteError::Damaged { .. }),
+                ) => late,
+                Err(error) => return Err(remote_failed(order.node, "its result cannot be fetched", error)),
+            };
+            if told.elapsed() >= self.patience() {
+                let what = format!(
+                    "its job is done, and after {:.0} s the shared store lacks its result",
+                    self.site.patience_s
+                );
+                return Err(failed(order.node, &what, &late)
+                    .hint("is `store` of the site file the same place on all machines?"));
+            }
+            if order.cancel.is_set() {
+                return Err(StageError::Cancelled);
+            }
+            let note = "its job is done, and the shared store does not show its result yet";
+            order.progress.at(0, 0, note);
+            self.rest(order.cancel);
         }
     }
 
