@@ -469,14 +469,14 @@ fn a_machine_without_the_batch_system_says_so_before_anything_runs() {
 const FILTERS: &str = r#"name = "filters"
 [archive.demo]
 kind = "demo"
-sols = "1..2"
+sols = "1..=2"
 width = 64
 [node.extract]
 archive = "demo"
-[node.size]
+[node.grayscale]
 input = "extract"
 [node.duplicate]
-input = "size"
+input = "grayscale"
 [node.histogram]
 input = "duplicate"
 "#;
@@ -515,11 +515,16 @@ fn computed_again(site: &Site) -> BTreeSet<String> {
     let store = format!("file://{}", site.path().join("shared").display());
     marf(site.path(), &["cache", "push", "--remote", &store]).exits(0);
     let own = marf_cache::Store::open(site.path().join(".marf")).unwrap();
+    let pushed = walkdir::WalkDir::new(site.path().join("shared/records")).min_depth(2);
     let mut parts = BTreeSet::new();
-    for record in own.records().unwrap() {
-        let action = marf_cache::Action::decode(&own.get(&record.key).unwrap()).unwrap();
+    for file in pushed {
+        let file = file.unwrap().into_path();
+        let [folder, name] =
+            [file.parent().unwrap(), &file].map(|path| path.file_name().unwrap().to_str().unwrap());
+        let key = format!("{folder}{name}");
+        let action = marf_cache::Action::decode(&own.get(&key.parse().unwrap()).unwrap()).unwrap();
         let empty = tempfile::tempdir().unwrap();
-        let (key, result) = (record.key.to_string(), empty.path().join("result.json"));
+        let result = empty.path().join("result.json");
         let ran = marf(
             empty.path(),
             &[

@@ -226,7 +226,7 @@ fn each_part_of_a_node_is_computed_again_from_its_inputs_alone() {
         if action.stage == "crowd" {
             params["enough"] = 2.into();
         }
-        let blobs = Blobs(Store::open(&folder.path().join(".marf")).unwrap());
+        let blobs = Blobs(Store::open(folder.path().join(".marf")).unwrap());
         let empty = tempfile::tempdir().unwrap();
         let alone = Store::open(empty.path()).unwrap().with_upstream(Arc::new(blobs));
         let made = run_action(
