@@ -3,8 +3,9 @@
 
 DIR, which must not be there, gets a folder a run. `stub` (the default) is a batch system of this file with two cores; `slurm` is the one
 that SLURM_CONF names (`benches/slurm/up.sh`). The drills: a bootstrap of ten on this machine, then with 20 jobs killed at random moments,
-then with the driver killed 20 times; each result of the small demo computed again from an empty folder and the shared store alone; and,
-for a folder PHOTOS of many photos, a pull and a run on a fresh machine against a synced copy of the same bytes.
+then with the driver killed 20 times; a training on machines whose clock is an hour ahead, whose locks do not hold and whose disks are full
+(needs faketime, cc and mount, so root); each result of the small demo computed again from an empty folder and the shared store alone; and, for a
+folder PHOTOS of many photos, a pull and a run on a fresh machine against a synced copy of the same bytes.
 """
 
 import json
@@ -72,6 +73,34 @@ submit = ["{python}", "{root}/submit.py", "{{script}}"]
 STUB_COMMANDS = """list = ["{python}", "{root}/stub.py", "list"]
 cancel = ["{python}", "{root}/stub.py", "cancel", "{{id}}"]
 explain = ["{python}", "{root}/stub.py", "explain", "{{id}}"]
+"""
+
+TEMPLATE = """#!/bin/bash
+#SBATCH --job-name={{name}}
+#SBATCH --output={{log}}
+#SBATCH --open-mode=append
+{{options}}
+exec {before}{{marf}} exec {{action}} --store {{store}} --result {{result}} --scratch {{scratch}} --threads {{cores}}
+"""
+
+# Every lock is granted at once.
+NO_LOCKS = """#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <fcntl.h>
+#include <stdarg.h>
+int flock(int file, int how) { return 0; }
+static int without(int file, int what, void *more) {
+    if (what == F_SETLK || what == F_SETLKW || what == F_OFD_SETLK || what == F_OFD_SETLKW) return 0;
+    return ((int (*)(int, int, void *))dlsym(RTLD_NEXT, "fcntl"))(file, what, more);
+}
+int fcntl(int file, int what, ...) {
+    va_list words; va_start(words, what); void *more = va_arg(words, void *); va_end(words);
+    return without(file, what, more);
+}
+int fcntl64(int file, int what, ...) {
+    va_list words; va_start(words, what); void *more = va_arg(words, void *); va_end(words);
+    return without(file, what, more);
+}
 """
 
 # Notes each submission, so that they can be counted.
@@ -157,10 +186,12 @@ class Drill:
             shutil.copytree(self.root / of / ".marf", made / ".marf", symlinks=True)
         return made
 
-    def run(self, folder, *words, log=None):
+    def run(self, folder, *words, log=None, environment=None):
         """Runs marf to its end; returns what it printed and its seconds of wall and CPU."""
         before, began = os.times(), time.monotonic()
-        ran = subprocess.run([self.marf, *words], cwd=folder, capture_output=True, text=True, check=False)
+        ran = subprocess.run(
+            [self.marf, *words], cwd=folder, env=environment, capture_output=True, text=True, check=False
+        )
         after, wall = os.times(), time.monotonic() - began
         if log:
             log.write_text(ran.stderr + ran.stdout)
@@ -258,6 +289,51 @@ def drill_driver(drill):
     drill.expect(len(jobs) == len(set(jobs)), "a job was submitted twice")
 
 
+def drill_hosts(drill, expected):
+    """A training on machines that are not as they should be; `expected` are the outputs of one that is."""
+    expected = {name: digest for name, digest in expected.items() if name.startswith("train ")}
+    shim = drill.root / "no_locks.so"
+    (drill.root / "no_locks.c").write_text(NO_LOCKS)
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", shim, drill.root / "no_locks.c", "-ldl"], check=True)
+
+    def prepared(name, before=""):
+        folder = drill.folder(name, PIPELINE.format(steps=300))
+        (folder / "job.sh").write_text(TEMPLATE.format(before=before))
+        site = (folder / "site.toml").read_text()
+        (folder / "site.toml").write_text(site.replace("[executor]", f'[executor]\ntemplate = "{folder}/job.sh"', 1))
+        return folder
+
+    def compared(name, folder, environment=None):
+        drill.run(folder, "run", "--on", "slurm", "--to", "train", environment=environment)
+        found = drill.digests(folder)
+        equal = sum(digest == found.get(output) for output, digest in expected.items())
+        print(f"{name}: {equal} of {len(expected)} outputs equal", flush=True)
+        drill.expect(equal == len(expected), f"{name}: outputs differ")
+
+    def refused(name, folder, full):
+        """With a full disk at `full` the run ends with one error; with a disk that has room, the next one gives the outputs."""
+        full.mkdir(parents=True)
+        subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "none", full], check=True)
+        try:
+            words = [drill.marf, "run", "--on", "slurm", "--to", "train"]
+            ran = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+        finally:
+            subprocess.run(["umount", "-l", full], check=True)
+        told = ran.stderr[ran.stderr.rfind("error:") :].strip()
+        print(f"{name}: exit code {ran.returncode}: {told}", flush=True)
+        drill.expect(ran.returncode == 1 and "No space left" in told, f"{name}: {told}")
+        compared(f"{name}, then with room", folder)
+
+    compared("clocks of jobs an hour ahead", prepared("ahead", "faketime -f +1h "))
+    compared("clocks of jobs an hour behind", prepared("behind", "faketime -f -1h "))
+    without = {**os.environ, "LD_PRELOAD": str(shim)}
+    compared("locks that do not hold, at the driver and at jobs", prepared("locks", f"env LD_PRELOAD={shim} "), without)
+    folder = prepared("scratch")
+    refused("a full disk for scripts, results and scratch", folder, folder / "jobs")
+    folder = prepared("shared")
+    refused("a full disk for the shared store", folder, folder / "shared")
+
+
 def drill_exec(drill):
     """Each result of the small demo, those of parts of nodes among them; what `marf exec` refuses is printed."""
     folder = drill.root / "demo"
@@ -321,6 +397,7 @@ def main():
     print(f"this machine: {wall:.0f} s, {cpu:.0f} s of CPU, {len(expected)} outputs", flush=True)
     drill_jobs(drill, expected)
     drill_driver(drill)
+    drill_hosts(drill, expected)
     drill_exec(drill)
     if len(sys.argv) > 4:
         drill_pull(drill, pathlib.Path(sys.argv[4]).resolve())
