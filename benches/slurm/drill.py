@@ -79,7 +79,7 @@ TEMPLATE = """#!/bin/bash
 #SBATCH --job-name={{name}}
 #SBATCH --output={{log}}
 #SBATCH --open-mode=append
-{{options}}
+#SBATCH {{options}}
 exec {before}{{marf}} exec {{action}} --store {{store}} --result {{result}} --scratch {{scratch}} --threads {{cores}}
 """
 

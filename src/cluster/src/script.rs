@@ -13,7 +13,7 @@ pub(crate) const SLURM: &str = "\
 #SBATCH --time={minutes}
 #SBATCH --signal=TERM@60
 #SBATCH --requeue
-{options}
+#SBATCH {options}
 {task}
 exec {marf} exec {action} --store {store} --result {result} --scratch {scratch} --threads {cores}
 ";
@@ -21,8 +21,11 @@ exec {marf} exec {action} --store {store} --result {result} --scratch {scratch} 
 /// The placeholder of the lines that choose the task of an array.
 pub(crate) const TASK: &str = "{task}";
 
-/// What each line of further options begins with, in a script of Slurm.
-const OPTION: &str = "#SBATCH ";
+/// The placeholder of further options: its line stands once for each of them.
+const OPTIONS: &str = "{options}";
+
+/// Placeholders without which a job would do nothing, or nothing that is found.
+const NEEDED: [&str; 4] = ["{name}", "{action}", "{store}", "{result}"];
 
 /// What the placeholders of a script stand for.
 pub(crate) struct Filling<'a> {
@@ -42,10 +45,24 @@ pub(crate) struct Filling<'a> {
     pub options: &'a [String],
 }
 
+/// Checks that a template has what jobs with these options need.
+///
+/// # Errors
+/// What it lacks.
+pub(crate) fn check(template: &str, options: &[String]) -> Result<(), String> {
+    if let Some(absent) = NEEDED.iter().find(|word| !template.contains(**word)) {
+        return Err(format!("no {absent}: each script of a job needs it"));
+    }
+    match options {
+        [option, ..] if !template.contains(OPTIONS) => Err(format!(
+            "no line with {OPTIONS}, for the option `{option}` of the site file"
+        )),
+        _ => Ok(()),
+    }
+}
+
 /// Returns a script with its placeholders filled; what stands in a command line is quoted for the shell.
 pub(crate) fn filled(template: &str, filling: &Filling<'_>) -> String {
-    let options = filling.options.iter().map(|option| format!("{OPTION}{option}"));
-    let options = options.collect::<Vec<_>>().join("\n");
     let path = |path: &Path| path.display().to_string();
     let pairs = [
         ("{name}", filling.name.to_owned()),
@@ -59,14 +76,19 @@ pub(crate) fn filled(template: &str, filling: &Filling<'_>) -> String {
         ("{cores}", filling.cores.to_string()),
         ("{memory_mb}", filling.memory_mb.to_string()),
         ("{minutes}", filling.minutes.to_string()),
-        ("{options}", options),
     ];
-    let lines = template.lines().map(|line| {
-        let mut line = line.to_owned();
-        for (placeholder, value) in &pairs {
-            line = line.replace(placeholder, value);
-        }
-        line
+    let with_values = |line: &str| {
+        pairs.iter().fold(line.to_owned(), |line, (placeholder, value)| {
+            line.replace(placeholder, value)
+        })
+    };
+    let lines = template.lines().flat_map(|line| match line.contains(OPTIONS) {
+        true => filling
+            .options
+            .iter()
+            .map(|option| line.replace(OPTIONS, option))
+            .collect(),
+        false => vec![with_values(line)],
     });
     lines
         .filter(|line| !line.is_empty())
@@ -141,5 +163,23 @@ mod tests {
         );
         assert!(!bare.contains("\n\n"), "{bare}");
         assert_eq!(shell_quoted(""), "''");
+    }
+
+    #[test]
+    fn a_template_without_what_a_job_needs_is_told_what_it_lacks() {
+        let option = ["-q long".to_owned()];
+        assert_eq!(check(SLURM, &option), Ok(()));
+        assert_eq!(check("{name} {action} {store} {result}", &[]), Ok(()));
+        for (template, expected) in [
+            ("", "no {name}"),
+            ("{name} {action} {store}", "no {result}"),
+            (
+                "{name} {action} {store} {result}",
+                "no line with {options}, for the option `-q long`",
+            ),
+        ] {
+            let refused = check(template, &option).unwrap_err();
+            assert!(refused.starts_with(expected), "{refused}");
+        }
     }
 }

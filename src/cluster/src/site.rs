@@ -69,7 +69,8 @@ pub struct Site {
     /// Seconds for which a job may be in neither the queue nor its folder before it counts as lost: a shared file system lags.
     #[serde(default = "default_patience_s")]
     pub patience_s: f64,
-    /// File with another script of jobs, for other batch systems.
+    /// File with another script of jobs, for other batch systems: the placeholders of `script.rs`; a line with `{options}` stands once for each
+    /// further option.
     #[serde(default)]
     pub template: Option<PathBuf>,
     /// Commands of the batch system.
@@ -149,6 +150,14 @@ pub enum SiteError {
         path: PathBuf,
         /// Why not.
         source: std::io::Error,
+    },
+    /// A template that makes no script of a job.
+    #[error("{path}: {message}", path = path.display())]
+    Template {
+        /// The file.
+        path: PathBuf,
+        /// What it lacks.
+        message: String,
     },
     /// It is not the TOML of a site.
     #[error("{path}: {message}", path = path.display())]
@@ -241,13 +250,22 @@ impl Site {
     /// Returns the script of jobs, with its placeholders.
     ///
     /// # Errors
-    /// A template that cannot be read.
+    /// A template that cannot be read, or lacks what every job needs.
     pub(crate) fn script(&self) -> Result<String, SiteError> {
-        match &self.template {
-            None => Ok(script::SLURM.to_owned()),
-            Some(path) => std::fs::read_to_string(path).map_err(|source| SiteError::Read {
+        let Some(path) = &self.template else {
+            return Ok(script::SLURM.to_owned());
+        };
+        let template = std::fs::read_to_string(path).map_err(|source| SiteError::Read {
+            path: path.clone(),
+            source,
+        })?;
+        let of_gpu = self.gpu_options.iter().filter(|_| self.device != CPU);
+        let options: Vec<String> = self.options.iter().chain(of_gpu).cloned().collect();
+        match script::check(&template, &options) {
+            Ok(()) => Ok(template),
+            Err(message) => Err(SiteError::Template {
                 path: path.clone(),
-                source,
+                message,
             }),
         }
     }

@@ -6,7 +6,9 @@
 )]
 #![cfg(unix)]
 
+#[path = "../common/mod.rs"]
 mod common;
+mod pbs;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::os::unix::fs::PermissionsExt as _;
