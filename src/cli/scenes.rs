@@ -38,7 +38,8 @@ pub fn found(
             )),
         };
     };
-    let is_before = |node: &String| !by_scene.nodes.contains(node) && scene_of(node).is_none();
+    let is_after = |node: &String| by_scene.nodes.contains(node) || by_scene.after.contains(node);
+    let is_before = |node: &String| !is_after(node) && scene_of(node).is_none();
     if selection.scene.is_none() && selection.to.as_ref().is_some_and(is_before) {
         return Ok(session);
     }

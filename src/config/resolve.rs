@@ -6,7 +6,7 @@ use std::path::Path;
 use marf_engine::{Edge, NodeShape};
 use marf_field::Device;
 use marf_schema::scenes::ScenesParams;
-use marf_stage::{ParamError, Params, Stage, StageDef, Table, Work};
+use marf_stage::{ParamError, Params, Port, Stage, StageDef, Table, Work};
 use serde_json::Value as Json;
 
 use super::archives::{self, Archives};
@@ -14,7 +14,7 @@ use super::error::{ConfigError, Origin};
 use super::manual_lists;
 use super::options::GlobalOptions;
 use super::store::{self, SharedStore};
-use super::syntax::{Entry, Located};
+use super::syntax::{Entry, Located, Value};
 use crate::nearest::did_you_mean;
 
 /// A checked pipeline.
@@ -190,8 +190,8 @@ fn node(entry: &Entry, names: &[&str], context: &PipelineContext<'_>) -> Result<
         if key == "uses" {
             continue;
         }
-        if ports.contains(&key) {
-            edges.push(upstream(field, names)?);
+        if let Some(port) = def.ports.iter().find(|port| port.key == key) {
+            edges.extend(upstreams(field, port, names)?);
         } else if key == ARCHIVE && keys.contains(&key) {
             let table = context.archives.named(field, text(field)?)?;
             params.insert(key.to_owned(), table.value.json());
@@ -284,15 +284,34 @@ fn text(entry: &Entry) -> Result<&str, ConfigError> {
     entry.value.text().ok_or_else(refuse)
 }
 
-/// Returns the edge to the node that a key names, or to a part of what that node gives (`scenes/NAME`).
-fn upstream(field: &Entry, names: &[&str]) -> Result<Edge, ConfigError> {
-    let name = text(field)?;
-    let edge = Edge::new(&field.key, name);
+/// Returns the edges to the nodes that a key names: one, or each of a list where the stage takes several.
+fn upstreams(field: &Entry, port: &Port, names: &[&str]) -> Result<Vec<Edge>, ConfigError> {
+    let listed = match &field.value.value {
+        Value::Array(listed) if port.many => listed,
+        _ => return Ok(vec![upstream(&field.key, text(field)?, &field.value, names)?]),
+    };
+    if listed.is_empty() {
+        let message = format!("`{}` names no node", field.key);
+        return Err(ConfigError::at(field.value.at.clone(), message));
+    }
+    let edges = listed.iter().map(|one| match one.text() {
+        Some(name) => upstream(&field.key, name, one, names),
+        None => Err(ConfigError::at(
+            one.at.clone(),
+            format!("`{}` is a list of names of nodes", field.key),
+        )),
+    });
+    edges.collect()
+}
+
+/// Returns the edge to a node, or to a part of what that node gives (`scenes/NAME`).
+fn upstream(key: &str, name: &str, written: &Located, names: &[&str]) -> Result<Edge, ConfigError> {
+    let edge = Edge::new(key, name);
     if names.contains(&edge.upstream.as_str()) {
         return Ok(edge);
     }
-    let message = format!("`{} = \"{name}\"` names no node", field.key);
-    Err(ConfigError::at(field.value.at.clone(), message).hint(did_you_mean(name, names.iter().copied())))
+    let message = format!("`{key} = \"{name}\"` names no node");
+    Err(ConfigError::at(written.at.clone(), message).hint(did_you_mean(name, names.iter().copied())))
 }
 
 /// Puts a stage's error at the key it is about, in the node's table or in that of the archive it reads.

@@ -2,11 +2,12 @@
 
 use std::collections::BTreeSet;
 
+use marf_engine::Edge;
 use marf_schema::scenes::ScenesParams;
 use marf_stage::Params;
 use serde_json::Value;
 
-use super::resolve::Pipeline;
+use super::resolve::{Node, Pipeline};
 
 /// What stands between a node and its scene: `train@site1-20`.
 const OF: char = '@';
@@ -18,6 +19,8 @@ pub struct ByScene {
     pub split: String,
     /// The nodes that run for each scene.
     pub nodes: BTreeSet<String>,
+    /// The nodes that run once after these: those that take several nodes and read what all scenes give, and all that follow.
+    pub after: BTreeSet<String>,
 }
 
 /// Returns the name of a node for one scene.
@@ -40,18 +43,39 @@ impl ByScene {
             .clone();
         let mut found: BTreeSet<String> = BTreeSet::new();
         loop {
-            let follows = |name: &str| found.contains(name);
-            let reads = pipeline.nodes.iter().filter(|node| {
-                let mut edges = node.edges.iter();
-                edges.any(|edge| (edge.upstream == split && edge.part.is_none()) || follows(&edge.upstream))
-            });
+            let reads = |node: &&Node, edge: &Edge| {
+                let of_split = edge.upstream == split && edge.part.is_none();
+                (of_split || found.contains(&edge.upstream)) && !takes_many(node, &edge.key)
+            };
+            let reads = pipeline
+                .nodes
+                .iter()
+                .filter(|node| node.edges.iter().any(|edge| reads(node, edge)));
             let reads: BTreeSet<String> = reads.map(|node| node.name.clone()).collect();
             if reads == found {
                 break;
             }
             found = reads;
         }
-        (!found.is_empty()).then_some(Self { split, nodes: found })
+        let mut reached = found.clone();
+        loop {
+            let reads = |node: &&Node| node.edges.iter().any(|edge| reached.contains(&edge.upstream));
+            let readers: BTreeSet<String> = pipeline
+                .nodes
+                .iter()
+                .filter(reads)
+                .map(|node| node.name.clone())
+                .collect();
+            if readers.is_subset(&reached) {
+                break;
+            }
+            reached.extend(readers);
+        }
+        (!found.is_empty()).then(|| Self {
+            split,
+            after: &reached - &found,
+            nodes: found,
+        })
     }
 
     /// Returns the pipeline with its nodes for each of these scenes: `calibrate` becomes `calibrate@NAME`, which reads the part `NAME` of
@@ -83,6 +107,19 @@ impl ByScene {
                 tables.insert(node_of(&node.name, scene), table);
             }
         }
+        let after = pipeline
+            .nodes
+            .iter()
+            .filter(|node| self.after.contains(&node.name));
+        for node in after {
+            for key in node.edges.iter().map(|edge| &edge.key) {
+                let named = node.edges.iter().filter(|edge| edge.key == *key);
+                let named = named.flat_map(|edge| self.named(&edge.upstream, scenes));
+                if takes_many(node, key) {
+                    tables[&node.name][key] = named.collect();
+                }
+            }
+        }
         tree
     }
 
@@ -93,6 +130,11 @@ impl ByScene {
             false => vec![name.to_owned()],
         }
     }
+}
+
+/// Tells whether a key of a node may name several nodes.
+fn takes_many(node: &Node, key: &str) -> bool {
+    node.def.ports.iter().any(|port| port.key == key && port.many)
 }
 
 #[cfg(test)]
@@ -160,6 +202,46 @@ of = "train"
         assert_eq!(by_scene.named("train", &scenes), ["train@a", "train@b"]);
         assert_eq!(by_scene.named("extract", &scenes), ["extract"]);
         assert_eq!((scene_of("train@a"), scene_of("train")), (Some("a"), None));
+    }
+
+    #[test]
+    fn what_takes_several_nodes_runs_once_and_reads_all_scenes() {
+        let pipeline = pipeline(&format!("{MISSION}[node.ties]\ninput = \"calibrate\"\n"));
+        let by_scene = ByScene::of(&pipeline).unwrap();
+        assert_eq!(Vec::from_iter(&by_scene.after), ["ties"]);
+        assert!(!by_scene.nodes.contains("ties"));
+        let tree = by_scene.expanded(&pipeline, &["a".to_owned(), "b".to_owned()]);
+        assert_eq!(
+            tree["node"]["ties"]["input"],
+            serde_json::json!(["calibrate@a", "calibrate@b"])
+        );
+        let expanded = check_tree(&tree, &GlobalOptions::default(), Path::new("")).unwrap();
+        let ties = expanded.nodes.iter().find(|node| node.name == "ties").unwrap();
+        let upstream: Vec<&str> = ties.edges.iter().map(|edge| edge.upstream.as_str()).collect();
+        assert_eq!(upstream, ["calibrate@a", "calibrate@b"]);
+    }
+
+    #[test]
+    fn a_list_of_nodes_stands_only_where_several_are_taken_and_names_each_once() {
+        let refused = |line: &str| {
+            let text = format!("{MISSION}[node.ties]\n{line}\n");
+            let error = check(&text, &[], &GlobalOptions::default(), Path::new(""));
+            error.map(|_| ()).unwrap_err().message
+        };
+        for (line, expected) in [
+            ("input = []", "`input` names no node"),
+            ("input = [3]", "`input` is a list of names of nodes"),
+            ("input = [\"calibrat\"]", "names no node"),
+            ("input = [\"calibrate\", \"calibrate\"]", "twice"),
+            ("input = [\"extract\"]", "needs `scene`"),
+        ] {
+            assert!(refused(line).contains(expected), "{line}: {}", refused(line));
+        }
+        let one = MISSION.replace("input = \"extract\"", "input = [\"extract\"]");
+        let error = check(&one, &[], &GlobalOptions::default(), Path::new(""))
+            .map(|_| ())
+            .unwrap_err();
+        assert!(error.message.contains("must be a string"), "{}", error.message);
     }
 
     #[test]

@@ -29,6 +29,7 @@ mod scenes;
 mod sets;
 mod sizes;
 mod thumbs;
+mod ties;
 pub mod trade;
 mod tune;
 mod vector;
@@ -44,6 +45,7 @@ mod real;
 mod tests;
 
 use marf_schema::scenes::{Scenes, ScenesParams};
+use marf_schema::ties::Ties;
 use marf_stage::Params;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
@@ -122,6 +124,13 @@ fn sections(page: &Page<'_>) -> Vec<Section> {
     }
     if page.with_document::<Scenes>().next().is_some() {
         sections.insert(0, section("scenes", "Scenes", scenes::body(page)));
+    }
+    if page.with_document::<Ties>().next().is_some() {
+        let after_scenes = sections.iter().position(|one| one.id == "graph").unwrap_or(0);
+        sections.insert(
+            after_scenes,
+            section("ties", "How scenes lie to each other", ties::body(page)),
+        );
     }
     if filters_alone(page.input) {
         return sections;

@@ -58,9 +58,11 @@ pub struct NodeShape<'a> {
     pub edges: &'a [Edge],
 }
 
-/// An output of an upstream node, or a part of it, that is an input of a node, under the same name.
+/// An output of an upstream node, or a part of it, that is an input of a node.
 #[derive(Debug, Clone)]
 pub(crate) struct Connection {
+    /// The name under which the node reads it.
+    pub(crate) input: Cow<'static, str>,
     pub(crate) output: &'static str,
     /// The part of it, if it is not read whole.
     pub(crate) part: Option<String>,
@@ -245,7 +247,9 @@ fn check_edge(
             known: keys.into_iter().map(str::to_owned).collect(),
         });
     }
-    if node.edges.iter().filter(|other| other.key == *key).count() > 1 {
+    let takes_many = node.stage.ports.iter().any(|port| port.key == key && port.many);
+    let same = |other: &&Edge| other.key == *key && (!takes_many || other.upstream == *upstream);
+    if node.edges.iter().filter(same).count() > 1 {
         return Err(GraphError::Ambiguous {
             node: node.name.to_owned(),
             input: key.to_owned(),
@@ -262,7 +266,7 @@ fn check_edge(
     Ok(())
 }
 
-/// Returns the connections of a node; no two may have the same output name.
+/// Returns the connections of a node; no two may be the same input.
 fn connections(
     node: &NodeShape<'_>,
     nodes: &[NodeShape<'_>],
@@ -274,13 +278,15 @@ fn connections(
             continue;
         };
         for port in connected_ports(node, edge, &nodes[index])? {
-            if connections.iter().any(|other| other.output == port.output) {
+            let input = port.input(&edge.upstream);
+            if connections.iter().any(|other| other.input == input) {
                 return Err(GraphError::Ambiguous {
                     node: node.name.to_owned(),
-                    input: port.output.to_owned(),
+                    input: input.into_owned(),
                 });
             }
             connections.push(Connection {
+                input,
                 output: port.output,
                 part: edge.part.clone(),
                 upstream: index,

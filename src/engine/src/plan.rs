@@ -290,7 +290,7 @@ fn inputs_of(node: &Node, known: &[Known]) -> Result<Inputs, usize> {
         let output = outputs.get(connection.source().as_ref());
         inputs
             .0
-            .extend(output.map(|digest| (connection.output.to_owned(), *digest)));
+            .extend(output.map(|digest| (connection.input.clone().into_owned(), *digest)));
     }
     Ok(inputs)
 }

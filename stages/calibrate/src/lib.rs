@@ -18,6 +18,7 @@ mod resample;
 mod scenes;
 mod sfm;
 mod stage;
+mod ties;
 
 pub use cameras::ExportCameras;
 pub use export::{
@@ -26,3 +27,4 @@ pub use export::{
 pub use hardware::Masks;
 pub use scenes::SplitByPlace;
 pub use stage::Calibrate;
+pub use ties::TieScenes;

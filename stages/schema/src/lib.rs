@@ -1,5 +1,5 @@
 //! Parameters and outputs of `scenes`, `masks`, `calibrate`, `cameras`, `tune`, `train`, `partial`, `folds`, `evaluate`, `render`,
-//! `bootstrap`, `video`, `surface` and `changes`.
+//! `bootstrap`, `video`, `surface`, `changes` and `ties`.
 //!
 //! One module a stage: its parameters ([`Params`](marf_stage::Params)) with the checks that need no input, and each
 //! JSON output ([`Document`](marf_stage::Document)). Stages, commands and the report read and write these types, so
@@ -27,6 +27,7 @@ pub mod scenes;
 pub mod scores;
 pub mod surface;
 mod target;
+pub mod ties;
 pub mod train;
 pub mod tune;
 pub mod video;

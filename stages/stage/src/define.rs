@@ -1,3 +1,5 @@
+use std::borrow::Cow;
+
 use schemars::{JsonSchema, Schema, generate::SchemaSettings};
 use serde::{Serialize, de::DeserializeOwned};
 
@@ -12,6 +14,8 @@ pub struct Port {
     pub output: &'static str,
     /// Whether the stage cannot run without it.
     pub required: bool,
+    /// Whether it may name several nodes; what each gives is an input of its own ([`Port::input`]).
+    pub many: bool,
     /// Keys of the node, parameters or ports, that this input decides: they may not be set beside it.
     pub decides: &'static [&'static str],
 }
@@ -23,7 +27,16 @@ impl Port {
             key,
             output,
             required: true,
+            many: false,
             decides: &[],
+        }
+    }
+
+    /// Returns an input from one or several nodes, at least one.
+    pub const fn many(key: &'static str, output: &'static str) -> Self {
+        Self {
+            many: true,
+            ..Self::required(key, output)
         }
     }
 
@@ -33,7 +46,16 @@ impl Port {
             key,
             output,
             required: false,
+            many: false,
             decides: &[],
+        }
+    }
+
+    /// Returns the name under which the stage reads what a node gives: that of the output, and `output/NODE` where several nodes give it.
+    pub fn input(&self, upstream: &str) -> Cow<'static, str> {
+        match self.many {
+            false => Cow::Borrowed(self.output),
+            true => Cow::Owned(format!("{}/{upstream}", self.output)),
         }
     }
 

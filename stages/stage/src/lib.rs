@@ -114,6 +114,14 @@ impl Inputs {
             .ok_or_else(|| StageError::new(format!("input `{name}` is not connected")))
     }
 
+    /// Returns what several nodes give as this input ([`Port::many`]): the name of each, and its digest.
+    pub fn each<'a>(&'a self, name: &str) -> impl Iterator<Item = (&'a str, &'a Digest)> {
+        let prefix = format!("{name}/");
+        self.0
+            .iter()
+            .filter_map(move |(name, digest)| Some((name.strip_prefix(&prefix)?, digest)))
+    }
+
     /// Returns the digest of an input that may be absent.
     pub fn optional(&self, name: &str) -> Option<&Digest> {
         self.0.get(name)

@@ -146,7 +146,7 @@ fn inputs(state: &RunState<'_>, index: usize) -> Result<Inputs, usize> {
         let output = upstream.outcome.outputs.get(connection.source().as_ref());
         inputs
             .0
-            .extend(output.map(|output| (connection.output.to_owned(), output.digest)));
+            .extend(output.map(|output| (connection.input.clone().into_owned(), output.digest)));
     }
     Ok(inputs)
 }

@@ -75,6 +75,14 @@ fn maker(before: &[NodeRun], node: &NodeRun, name: &str, digest: &Digest) -> Opt
     };
     let upstream = node.edges.iter().find_map(|edge| {
         let maker = before.iter().find(|maker| maker.name == edge.upstream)?;
+        // Of an input from several nodes, `output/NODE`, each edge gives its own.
+        let name = match name
+            .strip_suffix(edge.upstream.as_str())
+            .and_then(|output| output.strip_suffix('/'))
+        {
+            Some(output) => output,
+            None => name,
+        };
         let source = edge.source(name);
         let output = maker.outputs.get(source.as_ref())?;
         (output.digest == *digest).then(|| of(maker, &source))

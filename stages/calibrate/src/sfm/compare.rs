@@ -77,7 +77,7 @@ fn by_label(ctx: &Ctx<'_>, features: &[PhotoFeatures]) -> Result<Vec<[usize; 2]>
             ctx.check()?;
             let others = labels.iter().filter(|(other, _)| *other != index);
             let mut seen: Vec<(usize, usize)> = others
-                .map(|&(other, against)| (overlap(label, against), other))
+                .map(|&(other, against)| (view_overlap(label, against), other))
                 .filter(|(hits, _)| *hits > 0)
                 .collect();
             seen.sort_by_key(|&(hits, other)| (std::cmp::Reverse(hits), other));
@@ -92,7 +92,10 @@ fn by_label(ctx: &Ctx<'_>, features: &[PhotoFeatures]) -> Result<Vec<[usize; 2]>
 }
 
 /// Returns how many of a grid of points in the view of the first photo lie in the second.
-fn overlap((camera, cam_from_site): &(Camera, Pose), (other, other_from_site): &(Camera, Pose)) -> usize {
+pub(crate) fn view_overlap(
+    (camera, cam_from_site): &(Camera, Pose),
+    (other, other_from_site): &(Camera, Pose),
+) -> usize {
     let other_from_cam = *other_from_site * cam_from_site.inverse();
     let shares = [0.1, 0.3, 0.5, 0.7, 0.9];
     let rays = shares.iter().flat_map(|y| {
@@ -252,7 +255,7 @@ impl OfPairs for Comparison<'_> {
 }
 
 /// Returns the first eight bytes of a digest as a seed.
-pub(super) fn seed_of(digest: &Digest) -> u64 {
+pub(crate) fn seed_of(digest: &Digest) -> u64 {
     digest
         .as_bytes()
         .iter()

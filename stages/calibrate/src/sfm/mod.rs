@@ -18,6 +18,8 @@ mod run;
 mod supervisor;
 
 pub(crate) use capture_order::capture_order;
+pub(crate) use compare::{seed_of, view_overlap};
 pub(crate) use earlier::earlier_scene;
 pub(crate) use overlap::{Overlap, overlaps};
+pub(crate) use photo_features::{PhotoFeatures, features_of};
 pub(crate) use run::run;

@@ -19,7 +19,7 @@ use crate::photos::{InputPhoto, as_png, decode, kept, store};
 const VERSION: u32 = 1;
 
 /// The features of a photo, with the row that is kept of it.
-pub(super) struct PhotoFeatures {
+pub(crate) struct PhotoFeatures {
     pub row: FeatureRow,
     pub features: Features,
     /// sRGB at each feature.
@@ -28,7 +28,7 @@ pub(super) struct PhotoFeatures {
 
 impl PhotoFeatures {
     /// Returns the positions of the features, pixels of the working size.
-    pub(super) fn pixels(&self) -> Vec<Vector2<f64>> {
+    pub(crate) fn pixels(&self) -> Vec<Vector2<f64>> {
         let points = self.features.keypoints.iter();
         points
             .map(|point| Vector2::new(f64::from(point.x_px), f64::from(point.y_px)))
@@ -38,7 +38,7 @@ impl PhotoFeatures {
 
 /// What is kept of a photo from run to run, beside its features.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub(super) struct FeatureRow {
+pub(crate) struct FeatureRow {
     /// The image the frame will name: the photo's own, or the one resampled through its label's model.
     pub image: Digest,
     /// The file name of the resampled image.
@@ -68,7 +68,7 @@ pub(super) fn photo_features(
     let found = (0..items.len()).into_par_iter().map(|item| {
         ctx.check()?;
         let mask = undistorted_mask(ctx, inputs, &items[item], candidates[item].as_ref())?;
-        let found = known_or_computed(
+        let found = features_of(
             ctx,
             &items[item],
             candidates[item].as_ref(),
@@ -84,7 +84,7 @@ pub(super) fn photo_features(
 }
 
 /// Returns the features of a photo; those that an earlier run has found are taken from the memo.
-fn known_or_computed(
+pub(crate) fn features_of(
     ctx: &Ctx<'_>,
     item: &InputPhoto,
     candidate: Option<&Candidate<'_>>,

@@ -3,6 +3,8 @@
 use marf_scene::Pose;
 use nalgebra::{Matrix3, Vector3};
 
+use crate::estimators::log_so3;
+
 /// A similarity transform: to = scale R from + t.
 #[derive(Debug, Clone)]
 pub struct Similarity {
@@ -22,6 +24,32 @@ impl Similarity {
             rotation: Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
             translation: Vector3::new(0.0, 0.0, 0.0),
         }
+    }
+
+    /// Returns the transform back: from = R^T (to - t) / scale.
+    #[must_use]
+    pub fn inverse(&self) -> Self {
+        let rotation = self.rotation.transpose();
+        Self {
+            scale: 1.0 / self.scale,
+            rotation,
+            translation: -(rotation * self.translation) / self.scale,
+        }
+    }
+
+    /// Returns the transform that does `first`, then this one.
+    #[must_use]
+    pub fn after(&self, first: &Self) -> Self {
+        Self {
+            scale: self.scale * first.scale,
+            rotation: self.rotation * first.rotation,
+            translation: self.point(&first.translation),
+        }
+    }
+
+    /// Returns the angle of its rotation.
+    pub fn angle_rad(&self) -> f64 {
+        log_so3(&self.rotation).norm()
     }
 
     /// Returns the transformed point.

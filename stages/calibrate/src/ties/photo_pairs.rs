@@ -1,0 +1,93 @@
+//! Which photos of two scenes may show the same.
+
+use std::cmp::Reverse;
+
+use marf_scene::{Camera, Pose};
+use marf_sfm::features::Features;
+use marf_sfm::matching::Samples;
+use marf_stage::{Ctx, StageError};
+use rayon::prelude::*;
+
+use super::world::World;
+use crate::sfm::{PhotoFeatures, view_overlap};
+
+/// Scenes of a site whose nearest cameras are further apart are not compared: twice the distance up to which overlap is looked for.
+const REACH_M: f64 = 60.0;
+/// Photos of a scene that are compared roughly where labels do not tell which ones show the same, evenly chosen.
+const SAMPLED: usize = 40;
+/// Fewest matches of a rough comparison.
+const LEAST_MATCHES: usize = 6;
+
+/// Returns the pairs of photos of two scenes that most likely show the same, the likeliest `most` of them, sorted.
+///
+/// In one site poses tell what overlaps; where a scene has no site, a rough comparison does. Scenes of different sites are not compared.
+pub(super) fn chosen(ctx: &Ctx<'_>, worlds: [&World; 2], most: usize) -> Result<Vec<[usize; 2]>, StageError> {
+    let ranked = match worlds.map(World::site_from_world) {
+        [Some((site, _)), Some((other, _))] if site != other => Vec::new(),
+        [Some((_, first)), Some((_, second))] => {
+            let views = |world: &World, site_from_world| -> Vec<(Camera, Pose)> {
+                let photos = 0..world.scene.frames.len();
+                photos
+                    .map(|photo| world.view_in_site(photo, site_from_world))
+                    .collect()
+            };
+            by_pose(&views(worlds[0], &first), &views(worlds[1], &second))
+        }
+        _ => by_look(ctx, worlds)?,
+    };
+    let mut ranked = ranked;
+    ranked.sort_unstable_by_key(|&(pair, rank)| (Reverse(rank), pair));
+    let mut pairs: Vec<[usize; 2]> = ranked.into_iter().take(most).map(|(pair, _)| pair).collect();
+    pairs.sort_unstable();
+    Ok(pairs)
+}
+
+/// Ranks pairs by how much the poses say that they overlap.
+fn by_pose(first: &[(Camera, Pose)], second: &[(Camera, Pose)]) -> Vec<([usize; 2], usize)> {
+    let near = |(_, a): &(Camera, Pose)| {
+        second
+            .iter()
+            .any(|(_, b)| (a.centre() - b.centre()).norm() <= REACH_M)
+    };
+    if !first.iter().any(near) {
+        return Vec::new();
+    }
+    let of_photo = |a: usize| {
+        let rank = move |b: usize| {
+            let both = view_overlap(&first[a], &second[b]).min(view_overlap(&second[b], &first[a]));
+            (both > 0).then_some(([a, b], both))
+        };
+        (0..second.len()).into_par_iter().filter_map(rank)
+    };
+    (0..first.len()).into_par_iter().flat_map(of_photo).collect()
+}
+
+/// Ranks pairs by the matches of a sample of their features.
+fn by_look(ctx: &Ctx<'_>, worlds: [&World; 2]) -> Result<Vec<([usize; 2], usize)>, StageError> {
+    let sampled = worlds.map(|world| {
+        let count = world.scene.frames.len();
+        let taken = count.min(SAMPLED);
+        (0..taken)
+            .map(|index| index * count / taken)
+            .collect::<Vec<usize>>()
+    });
+    let photos: Vec<(usize, usize)> = (0..2)
+        .flat_map(|side| sampled[side].iter().map(move |photo| (side, *photo)))
+        .collect();
+    let features = photos.par_iter().map(|&(side, photo)| {
+        ctx.check()?;
+        worlds[side].features(ctx, photo)
+    });
+    let features: Vec<PhotoFeatures> = features.collect::<Result<_, StageError>>()?;
+    let found: Vec<&Features> = features.iter().map(|one| &one.features).collect();
+    let samples = Samples::new(&found);
+    let split = sampled[0].len();
+    let pairs: Vec<(usize, usize)> = (0..split)
+        .flat_map(|a| (split..found.len()).map(move |b| (a, b)))
+        .collect();
+    let ranked = pairs.par_iter().filter_map(|&(a, b)| {
+        let matches = samples.matches(a, b);
+        (matches >= LEAST_MATCHES).then_some(([photos[a].1, photos[b].1], matches))
+    });
+    Ok(ranked.collect())
+}

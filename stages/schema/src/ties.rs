@@ -1,0 +1,183 @@
+//! `ties`: how the scenes of a mission lie to each other.
+
+use marf_stage::{Document, ParamError, Params};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Parameters of `ties`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct TiesParams {
+    /// Most pairs of photos of two scenes that are compared.
+    pub pairs: u32,
+    /// Fewest points of both scenes that must agree on how these lie to each other.
+    pub min_points: u32,
+    /// Seed of the random samples.
+    pub seed: u64,
+}
+
+impl Default for TiesParams {
+    fn default() -> Self {
+        Self {
+            pairs: 40,
+            min_points: 20,
+            seed: 0,
+        }
+    }
+}
+
+impl Params for TiesParams {
+    const STAGE: &'static str = "ties";
+}
+
+impl TiesParams {
+    /// Checks what a type cannot.
+    ///
+    /// # Errors
+    /// Names the key: no pairs, or so few points that chance makes them agree.
+    pub fn check(&self) -> Result<(), ParamError> {
+        if self.pairs == 0 {
+            return Err(ParamError::new(
+                "pairs",
+                "0 pairs of photos tie nothing, at least 1",
+            ));
+        }
+        if self.min_points < 8 {
+            let message = format!("{} points agree by chance, at least 8", self.min_points);
+            return Err(ParamError::new("min_points", message));
+        }
+        Ok(())
+    }
+}
+
+/// Output `ties` of `ties`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Ties {
+    /// Every scene, sorted by name, and the frame it lies in.
+    pub scenes: Vec<TiedScene>,
+    /// Pairs of scenes that show the same ground, sorted.
+    pub ties: Vec<SceneTie>,
+    /// Pairs of scenes that were compared and are not tied, sorted, with the reason.
+    pub apart: Vec<Apart>,
+}
+
+impl Document for Ties {
+    const STAGE: &'static str = TiesParams::STAGE;
+    const OUTPUT: &'static str = "ties";
+}
+
+/// Where a scene lies.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TiedScene {
+    /// Its name.
+    pub name: String,
+    /// The frame: `site 3`, or `NAME` for the world of the scene of that name.
+    pub frame: String,
+    /// What puts it there.
+    pub by: By,
+    /// The scenes through which ties lead to that frame, from the first that lies in it by itself; none for that one.
+    pub through: Vec<String>,
+    /// The frame from the scene's world.
+    pub frame_from_world: Similarity,
+}
+
+/// What puts a scene into its frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum By {
+    /// The labels of its photos.
+    Labels,
+    /// What its photos show of a scene in that frame.
+    Overlap,
+    /// Nothing: the frame is its own.
+    Itself,
+}
+
+impl By {
+    /// The word of reports.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Labels => "labels",
+            Self::Overlap => "overlap",
+            Self::Itself => "nothing ties it",
+        }
+    }
+}
+
+/// to = scale R from + t.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Similarity {
+    /// Scale, positive.
+    pub scale: f64,
+    /// R, by rows.
+    pub rotation: [[f64; 3]; 3],
+    /// t.
+    pub translation: [f64; 3],
+}
+
+/// Two scenes that show the same ground.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SceneTie {
+    /// Their names, sorted.
+    pub scenes: [String; 2],
+    /// Pairs of photos whose matches are of both.
+    pub photo_pairs: u32,
+    /// Points of both scenes that these matches join.
+    pub points: u32,
+    /// Those of them that agree with the tie.
+    pub inliers: u32,
+    /// Median distance, over these, of where a photo shows a point from where the point of the other scene falls; pixels of photos of 1,000.
+    pub median_px: f64,
+    /// Median distance of the points of each pair, metres; none where the first scene has no scale.
+    pub median_m: Option<f64>,
+    /// The first scene's world from that of the second.
+    pub first_from_second: Similarity,
+    /// How far labels put them from there; none unless both lie in one site by labels.
+    pub labels: Option<LabelGap>,
+}
+
+/// How far two scenes that labels put into one site lie from where what they show puts them.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct LabelGap {
+    /// Mean of second minus first over the points that agree, metres in the site: north, east, down.
+    pub shift_m: [f64; 3],
+    /// Angle between both, degrees.
+    pub angle_deg: f64,
+    /// Metres of the first by labels in one metre of the second.
+    pub scale: f64,
+}
+
+/// Two scenes that were compared and are not tied.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Apart {
+    /// Their names, sorted.
+    pub scenes: [String; 2],
+    /// Why not, in a sentence.
+    pub reason: String,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_would_tie_by_chance_or_not_at_all_is_refused_by_key() {
+        assert_eq!(TiesParams::default().check(), Ok(()));
+        let refused = |params: TiesParams| params.check().unwrap_err().path;
+        let default = TiesParams::default;
+        assert_eq!(
+            refused(TiesParams {
+                pairs: 0,
+                ..default()
+            }),
+            "pairs"
+        );
+        assert_eq!(
+            refused(TiesParams {
+                min_points: 7,
+                ..default()
+            }),
+            "min_points"
+        );
+    }
+}
