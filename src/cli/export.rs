@@ -8,6 +8,7 @@ use marf_engine::sets;
 use marf_engine::{RunRecord, document};
 use marf_schema::changes::ChangesReport;
 use marf_schema::scenes::Scenes;
+use marf_schema::ties::Ties;
 use marf_schema::{output, train, tune};
 use marf_stage::{Document, VERDICTS};
 
@@ -19,8 +20,9 @@ use super::scenes::{self, SCENE_PAGES};
 use super::session::Session;
 
 /// Outputs without a file name of their own, and the name they get.
-const NAMED: [(&str, &str); 12] = [
+const NAMED: [(&str, &str); 13] = [
     (Scenes::OUTPUT, "scenes.json"),
+    (Ties::OUTPUT, "ties.json"),
     (output::SCENE, "scene.json"),
     (output::TRANSFORMS, "transforms.json"),
     (train::Metrics::OUTPUT, "metrics.json"),

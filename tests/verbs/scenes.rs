@@ -21,6 +21,8 @@ input = "extract"
 [node.calibrate]
 input = "scenes"
 method = "labels"
+[node.ties]
+input = "calibrate"
 [node.train]
 input = "calibrate"
 steps = 2
@@ -59,10 +61,21 @@ fn each_place_is_a_scene_and_a_new_sol_runs_its_scene_alone() {
             "calibrate@site2-20",
             "extract",
             "scenes",
+            "ties",
             "train@site1-20",
             "train@site2-20"
         ]
     );
+    // What joins scenes runs once, and reads each by its name.
+    let ties = std::fs::read_to_string(dir.join("out/ties/ties.json")).unwrap();
+    let ties: Value = serde_json::from_str(&ties).unwrap();
+    let frames: Vec<&str> = (0..2)
+        .map(|scene| ties["scenes"][scene]["frame"].as_str().unwrap())
+        .collect();
+    assert_eq!(frames, ["site 1", "site 2"], "{ties}");
+    assert_eq!(ties["ties"].as_array().unwrap().len(), 0);
+    let why = marf(dir, &["why", "ties"]).exits(0).stdout;
+    assert!(!why.contains("differs"), "{why}");
     for page in ["report.html", "pages/site1-20.html", "pages/site2-20.html"] {
         let page = std::fs::read_to_string(dir.join("out").join(page)).unwrap();
         assert!(page.contains("site1-20") || page.contains("site2-20"));
@@ -88,6 +101,7 @@ fn each_place_is_a_scene_and_a_new_sol_runs_its_scene_alone() {
         [
             "calibrate@site2-20",
             "calibrate@site3-20",
+            "ties",
             "train@site2-20",
             "train@site3-20"
         ]
