@@ -107,12 +107,15 @@ enum Verdict {
 impl TieScenes {
     fn tie(&self, ctx: &Ctx<'_>, worlds: [&World; 2]) -> Result<Verdict, StageError> {
         let params = &self.0;
-        let pairs = photo_pairs::chosen(ctx, worlds, params.pairs as usize)?;
-        if pairs.is_empty() {
+        if !photo_pairs::may_overlap(worlds) {
             return Ok(Verdict::Unseen);
         }
         if let Some(world) = worlds.iter().find(|world| world.scene.points.is_empty()) {
             return Ok(Verdict::Apart(format!("`{}` has no sparse points", world.name)));
+        }
+        let pairs = photo_pairs::chosen(ctx, worlds, params.pairs as usize)?;
+        if pairs.is_empty() {
+            return Ok(Verdict::Unseen);
         }
         let (photo_pairs, points) = point_pairs(ctx, worlds, &pairs, params.seed)?;
         let sightings: Vec<[Sighting<'_>; 2]> = points.iter().map(|pair| pair.sightings(worlds)).collect();

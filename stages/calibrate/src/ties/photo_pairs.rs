@@ -3,27 +3,46 @@
 use std::cmp::Reverse;
 
 use marf_scene::{Camera, Pose};
+use marf_sfm::align::Similarity;
 use marf_sfm::features::Features;
 use marf_sfm::matching::Samples;
 use marf_stage::{Ctx, StageError};
+use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::world::World;
 use crate::sfm::{PhotoFeatures, view_overlap};
 
-/// Scenes of a site whose nearest cameras are further apart are not compared: twice the distance up to which overlap is looked for.
+/// Photos whose cameras are further apart are not compared: twice the distance up to which overlap is looked for.
 const REACH_M: f64 = 60.0;
 /// Photos of a scene that are compared roughly where labels do not tell which ones show the same, evenly chosen.
 const SAMPLED: usize = 40;
 /// Fewest matches of a rough comparison.
 const LEAST_MATCHES: usize = 6;
 
-/// Returns the pairs of photos of two scenes that most likely show the same, the likeliest `most` of them, sorted.
-///
-/// In one site poses tell what overlaps; where a scene has no site, a rough comparison does. Scenes of different sites are not compared.
+/// Tells whether photos of two scenes may show the same, as far as labels tell: not those of different sites, and of one site only where
+/// cameras of both are near.
+pub(super) fn may_overlap(worlds: [&World; 2]) -> bool {
+    match worlds.map(World::site_from_world) {
+        [Some((site, first)), Some((other, second))] => {
+            let centres = |world: &World, site_from_world: &Similarity| -> Vec<Vector3<f64>> {
+                let frames = world.scene.frames.iter();
+                frames
+                    .map(|frame| site_from_world.point(&frame.cam_from_world.centre()))
+                    .collect()
+            };
+            let second = centres(worlds[1], &second);
+            let is_near = |a: &Vector3<f64>| second.iter().any(|b| (a - b).norm() <= REACH_M);
+            site == other && centres(worlds[0], &first).iter().any(is_near)
+        }
+        _ => true,
+    }
+}
+
+/// Returns the pairs of photos of two scenes that most likely show the same, the likeliest `most` of them, sorted: in one site by their poses,
+/// else by a rough comparison.
 pub(super) fn chosen(ctx: &Ctx<'_>, worlds: [&World; 2], most: usize) -> Result<Vec<[usize; 2]>, StageError> {
-    let ranked = match worlds.map(World::site_from_world) {
-        [Some((site, _)), Some((other, _))] if site != other => Vec::new(),
+    let mut ranked = match worlds.map(World::site_from_world) {
         [Some((_, first)), Some((_, second))] => {
             let views = |world: &World, site_from_world| -> Vec<(Camera, Pose)> {
                 let photos = 0..world.scene.frames.len();
@@ -35,7 +54,6 @@ pub(super) fn chosen(ctx: &Ctx<'_>, worlds: [&World; 2], most: usize) -> Result<
         }
         _ => by_look(ctx, worlds)?,
     };
-    let mut ranked = ranked;
     ranked.sort_unstable_by_key(|&(pair, rank)| (Reverse(rank), pair));
     let mut pairs: Vec<[usize; 2]> = ranked.into_iter().take(most).map(|(pair, _)| pair).collect();
     pairs.sort_unstable();
@@ -44,17 +62,11 @@ pub(super) fn chosen(ctx: &Ctx<'_>, worlds: [&World; 2], most: usize) -> Result<
 
 /// Ranks pairs by how much the poses say that they overlap.
 fn by_pose(first: &[(Camera, Pose)], second: &[(Camera, Pose)]) -> Vec<([usize; 2], usize)> {
-    let near = |(_, a): &(Camera, Pose)| {
-        second
-            .iter()
-            .any(|(_, b)| (a.centre() - b.centre()).norm() <= REACH_M)
-    };
-    if !first.iter().any(near) {
-        return Vec::new();
-    }
     let of_photo = |a: usize| {
         let rank = move |b: usize| {
-            let both = view_overlap(&first[a], &second[b]).min(view_overlap(&second[b], &first[a]));
+            let (view, other) = (&first[a], &second[b]);
+            let is_near = (view.1.centre() - other.1.centre()).norm() <= REACH_M;
+            let both = is_near.then(|| view_overlap(view, other).min(view_overlap(other, view)))?;
             (both > 0).then_some(([a, b], both))
         };
         (0..second.len()).into_par_iter().filter_map(rank)
