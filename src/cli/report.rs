@@ -75,7 +75,11 @@ fn page_of(session: &Session, record: &RunRecord, scene: Option<&str>) -> Result
     let all = nodes(session, record)?;
     let of = |scene: Option<&str>| -> Vec<NodeView> {
         let shown = all.iter().filter(|node| scenes::is_of(&node.name, scene));
-        shown.cloned().collect()
+        let linked = |node: &NodeView| match scene {
+            Some(_) => node.clone(),
+            None => linked_past_scenes(&all, node),
+        };
+        shown.map(linked).collect()
     };
     let listed = session.scenes.iter().filter(|_| scene.is_none());
     let input = ReportInput {
@@ -106,6 +110,26 @@ fn page_of(session: &Session, record: &RunRecord, scene: Option<&str>) -> Result
     session.check()?;
     session.store.commit()?;
     Ok(page)
+}
+
+/// Returns a node that all scenes share with what it reads of scenes replaced by what these read, which is on the same page.
+fn linked_past_scenes(all: &[NodeView], node: &NodeView) -> NodeView {
+    let mut upstream: Vec<(String, String)> = Vec::new();
+    let mut open: Vec<&(String, String)> = node.upstream.iter().rev().collect();
+    while let Some(edge) = open.pop() {
+        let of_scene = all
+            .iter()
+            .find(|one| one.name == edge.1 && !scenes::is_of(&one.name, None));
+        match of_scene {
+            Some(node) => open.extend(node.upstream.iter().rev()),
+            None if upstream.iter().all(|(_, name)| *name != edge.1) => upstream.push(edge.clone()),
+            None => {}
+        }
+    }
+    NodeView {
+        upstream,
+        ..node.clone()
+    }
 }
 
 /// Returns what changed since the last run of the pipeline with other results, so that a run that does nothing has what the one

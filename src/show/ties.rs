@@ -75,7 +75,7 @@ fn row(tie: &SceneTie) -> Markup {
             td { (tie.scenes.join(", ")) }
             td.number { (tie.photo_pairs) }
             td.number { (tie.inliers) " of " (tie.points) }
-            td.number { (number(tie.median_px)) }
+            td.number { (format!("{:.2}", tie.median_px)) }
             td.number { (or_none(tie.median_m)) }
             td.number { (of_labels(&|gap| length(&gap.shift_m))) }
             td.number { (of_labels(&|gap| gap.angle_deg)) }

@@ -74,6 +74,20 @@ fn each_place_is_a_scene_and_a_new_sol_runs_its_scene_alone() {
         .collect();
     assert_eq!(frames, ["site 1", "site 2"], "{ties}");
     assert_eq!(ties["ties"].as_array().unwrap().len(), 0);
+    // The graph leads from what splits to what joins, past the scenes.
+    let report = std::fs::read_to_string(dir.join("out/report.html")).unwrap();
+    let graph = report.split("id=\"graph\"").nth(1).unwrap();
+    let lines = graph
+        .split("</svg>")
+        .next()
+        .unwrap()
+        .matches("class=\"edge\"")
+        .count();
+    assert_eq!(
+        lines,
+        2 + 2,
+        "a line and its head, of extract to scenes and scenes to ties"
+    );
     let why = marf(dir, &["why", "ties"]).exits(0).stdout;
     assert!(!why.contains("differs"), "{why}");
     for page in ["report.html", "pages/site1-20.html", "pages/site2-20.html"] {
