@@ -56,14 +56,18 @@ fn said(ties: &Ties) -> String {
     let gaps = ties.ties.iter().filter_map(|tie| tie.labels.as_ref());
     let mut shifts: Vec<f64> = gaps.map(|gap| length(&gap.shift_m)).collect();
     shifts.sort_unstable_by(f64::total_cmp);
-    let tied = count(ties.ties.len(), "pair");
+    let tied = match ties.ties.len() {
+        0 => return "No two scenes show common ground.".to_owned(),
+        1 => "1 pair of scenes shows".to_owned(),
+        many => format!("{} of scenes show", count(many, "pair")),
+    };
     let labels = shifts.last().map_or_else(String::new, |most| {
         format!(
             " Where labels say too how they lie, they are up to {} m off.",
             number(*most)
         )
     });
-    format!("{tied} of scenes show common ground.{labels}")
+    format!("{tied} common ground.{labels}")
 }
 
 fn row(tie: &SceneTie) -> Markup {
@@ -136,9 +140,15 @@ mod tests {
             ties: vec![tie(None)],
             ..Ties::default()
         };
-        assert_eq!(said(&ties), "1 pair of scenes show common ground.");
+        assert_eq!(said(&ties), "1 pair of scenes shows common ground.");
         ties.ties.push(tie(Some([0.3, 0.4, 0.0])));
+        assert!(
+            said(&ties).starts_with("2 pairs of scenes show common"),
+            "{}",
+            said(&ties)
+        );
         assert!(said(&ties).ends_with("up to 0.5 m off."), "{}", said(&ties));
+        assert!(said(&Ties::default()).starts_with("No two scenes"));
         let text = row(&tie(None)).into_string();
         assert!(
             text.contains("60 of 90") && text.matches('–').count() == 3,

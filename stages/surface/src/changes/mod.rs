@@ -14,7 +14,7 @@ mod tests;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use marf_scene::Scene;
+use marf_scene::{Frame, PosedPhoto, Scene, hold_out_places};
 use marf_schema::changes::{ChangesParams, ChangesReport, Time};
 use marf_schema::output::{CHANGE_MAPS, SCENE};
 use marf_schema::surface::SurfaceParams;
@@ -32,6 +32,8 @@ use rounds::{Rounds, Size};
 
 /// Fewest photos of a time: of fewer there is no surface to speak of.
 const LEAST_PHOTOS: usize = 4;
+/// Photos of which about one is held out where the whole scene holds none of a time out: as many as `calibrate` does.
+const HOLD_EVERY: u32 = 8;
 /// Cells that the views of a field may differ by where they still show ground: what is rough is noisy, and no hole.
 const SPREAD: f64 = 3.0;
 
@@ -217,18 +219,24 @@ fn sols_of_photos(ctx: &Ctx<'_>, inputs: &Inputs) -> Result<BTreeMap<String, u32
     Ok(rows.into_iter().map(|(sol, row)| (row.id, sol)).collect())
 }
 
-/// Returns the scene of the photos of some sols, in the same world.
+/// Returns the scene of the photos of some sols, in the same world. Where the places that are held out of the whole are all of the other time,
+/// or all places of this one are, places of its own are held out.
 fn part(scene: &Scene, sols: &BTreeMap<String, u32>, wanted: &Sols) -> Scene {
     let present: BTreeSet<u32> = sols.values().copied().collect();
     let chosen = wanted.choose(&present);
     let is_of = |id: &String| sols.get(id).is_some_and(|sol| chosen.contains(sol));
+    let frames = scene.frames.iter().filter(|frame| is_of(&frame.id));
+    let mut frames: Vec<Frame> = frames.cloned().collect();
+    let held_out = frames.iter().filter(|frame| frame.held_out).count();
+    if held_out == 0 || held_out == frames.len() {
+        let photos: Vec<PosedPhoto<'_>> = frames.iter().map(PosedPhoto::from).collect();
+        let held_out = hold_out_places(&photos, &scene.points, HOLD_EVERY);
+        for (frame, held_out) in frames.iter_mut().zip(held_out) {
+            frame.held_out = held_out;
+        }
+    }
     Scene {
-        frames: scene
-            .frames
-            .iter()
-            .filter(|frame| is_of(&frame.id))
-            .cloned()
-            .collect(),
+        frames,
         unplaced: Vec::new(),
         ..scene.clone()
     }

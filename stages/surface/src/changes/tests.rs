@@ -1,8 +1,10 @@
 //! Planted changes on made maps, and which nodes are asked for.
 
+use marf_scene::{Camera, Pose};
 use marf_schema::changes::{Change, ChangesParams, Time};
 use marf_stage::harness::Harness;
 use marf_stage::{Define, Sols};
+use nalgebra::Vector3;
 
 use super::cells::{Extent, Grid, Values, values};
 use super::compare::Comparison;
@@ -277,4 +279,54 @@ fn rounds_follow_from_what_is_done() {
         (&0.1.into(), &0.1.into())
     );
     assert!(rounds.results(&[]).is_err());
+}
+
+/// Sixteen photos in a row, eight a time; `held_out` of these.
+fn two_times(held_out: &dyn Fn(usize) -> bool) -> (Scene, BTreeMap<String, u32>) {
+    let frame = |index: usize| Frame {
+        id: format!("p{index:02}"),
+        file: format!("p{index:02}.png"),
+        image: marf_cache::Digest::of(&[]),
+        mask: None,
+        camera: Camera::pinhole(64, 48, 60.0),
+        cam_from_world: Pose::looking_at(
+            Vector3::new(index as f64, 0.0, 0.0),
+            Vector3::new(index as f64, 0.0, 5.0),
+            Vector3::y(),
+        ),
+        held_out: held_out(index),
+        error_px: None,
+    };
+    let scene = Scene {
+        frames: (0..16).map(frame).collect(),
+        ..Scene::default()
+    };
+    let sols = scene.frames.iter().enumerate();
+    let sols = sols.map(|(index, frame)| (frame.id.clone(), if index < 8 { 1 } else { 8 }));
+    let sols = sols.collect();
+    (scene, sols)
+}
+
+#[test]
+fn a_time_none_or_all_of_whose_photos_are_held_out_gets_places_of_its_own() {
+    let [before, after] = [Sols::Ranges(vec![(1, 2)]), Sols::Ranges(vec![(8, 9)])];
+    let held_out = |part: &Scene| -> Vec<String> {
+        let held_out = part.frames.iter().filter(|frame| frame.held_out);
+        held_out.map(|frame| frame.id.clone()).collect()
+    };
+    // All that is held out is of the earlier time.
+    let (scene, sols) = two_times(&|index| index == 2 || index == 5);
+    assert_eq!(
+        held_out(&part(&scene, &sols, &before)),
+        ["p02", "p05"],
+        "as it was"
+    );
+    let later = part(&scene, &sols, &after);
+    assert!((1..4).contains(&held_out(&later).len()), "{:?}", held_out(&later));
+    // All of the later time is held out.
+    let (scene, sols) = two_times(&|index| index >= 8);
+    for time in [&before, &after] {
+        let of_time = held_out(&part(&scene, &sols, time));
+        assert!((1..4).contains(&of_time.len()), "{of_time:?}");
+    }
 }
