@@ -82,13 +82,16 @@ pub(crate) fn filled(template: &str, filling: &Filling<'_>) -> String {
             line.replace(placeholder, value)
         })
     };
-    let lines = template.lines().flat_map(|line| match line.contains(OPTIONS) {
-        true => filling
-            .options
-            .iter()
-            .map(|option| line.replace(OPTIONS, option))
-            .collect(),
-        false => vec![with_values(line)],
+    let lines = template.lines().flat_map(|line| {
+        let line = with_values(line);
+        match line.contains(OPTIONS) {
+            true => filling
+                .options
+                .iter()
+                .map(|option| line.replace(OPTIONS, option))
+                .collect(),
+            false => vec![line],
+        }
     });
     lines
         .filter(|line| !line.is_empty())

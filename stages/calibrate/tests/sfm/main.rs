@@ -1,20 +1,20 @@
 //! Structure from motion on photos whose cameras are known: the demo's, and the rover mock-up's by COLMAP.
 #![allow(clippy::unwrap_used, reason = "a fixture that is wrong should stop the test")]
 
+#[path = "../common/mod.rs"]
 mod common;
-#[path = "common/errors.rs"]
+#[path = "../common/errors.rs"]
 mod errors;
+mod ties;
 
 use std::sync::OnceLock;
 
-use marf_calibrate::{Calibrate, TieScenes};
+use marf_calibrate::Calibrate;
 use marf_demo::{Demo, DemoFile, DemoOptions};
 use marf_pds::{ProductName, join_key, pds4};
-use marf_scene::{Camera, Frame, Image, Photo, PhotoFacts, Pose, Scene, Srgb, encode_png};
-use marf_schema::output::SCENE;
-use marf_schema::ties::{By, Ties};
-use marf_stage::{Define, Document, Inputs, StageDef, StageError, Work, define};
-use nalgebra::{Matrix3, Vector2, Vector3};
+use marf_scene::{Camera, Frame, Image, Photo, PhotoFacts, Pose, Srgb, encode_png};
+use marf_stage::{Define, StageError};
+use nalgebra::{Vector2, Vector3};
 use serde_json::json;
 
 use common::{Input, Output, folder, shared};
@@ -384,118 +384,4 @@ fn the_mock_up_agrees_with_colmap_and_with_itself_for_any_threads() {
         return;
     };
     assert_eq!(output.scene_digest, again.scene_digest);
-}
-
-/// The stage `ties` on scenes by name.
-fn ties(input: &Input, scenes: &[(&str, &Scene)]) -> Ties {
-    const STAGE: StageDef = define::<TieScenes>();
-    let stage = (STAGE.bind)(json!({})).unwrap();
-    let Work::Set(set) = stage.work() else {
-        unreachable!()
-    };
-    let stored = scenes.iter().map(|(name, scene)| {
-        let digest = input.harness.put(&scene.encode().unwrap());
-        (format!("{SCENE}/calibrate@{name}"), digest)
-    });
-    let outputs = set.run(&input.harness.ctx(), &Inputs(stored.collect())).unwrap();
-    Ties::decode(&input.harness.get(&outputs[Ties::OUTPUT]).unwrap()).unwrap()
-}
-
-/// Two sols of one place, calibrated apart, and a place of another site.
-#[test]
-fn scenes_are_tied_by_the_ground_they_share_and_by_nothing_else() {
-    let (mut input, truth) = demo();
-    let later = input.split_off(8);
-    let first = input.run(&json!({"method": "sfm"})).unwrap().scene;
-    input.split_off(0);
-    input.add(later);
-    let second = input.run(&json!({"method": "sfm"})).unwrap().scene;
-    // How far labels put each scene from its true place.
-    let off = |scene: &Scene| -> Vector3<f64> {
-        let origin = Vector3::from(scene.site.unwrap().origin_m);
-        let offs = scene.frames.iter().map(|frame| {
-            let (_, true_pose) = truth.iter().find(|(file, _)| frame.file == *file).unwrap();
-            frame.cam_from_world.centre() + origin - true_pose.centre()
-        });
-        offs.sum::<Vector3<f64>>() / scene.frames.len() as f64
-    };
-
-    let told = ties(&input, &[("a", &first), ("b", &second)]);
-    println!("{told:?}");
-    let [tie] = told.ties.as_slice() else {
-        panic!("{told:?}")
-    };
-    let gap = tie.labels.unwrap();
-    let shift = Vector3::from(gap.shift_m) - (off(&second) - off(&first));
-    assert!(shift.norm() < 0.01, "{shift}");
-    assert!(gap.angle_deg < 0.2 && (gap.scale - 1.0).abs() < 0.01, "{gap:?}");
-    assert!(tie.median_px < 2.0 && tie.median_m.unwrap() < 0.05, "{tie:?}");
-    let frames: Vec<(&str, By)> = told
-        .scenes
-        .iter()
-        .map(|one| (one.frame.as_str(), one.by))
-        .collect();
-    assert_eq!(frames, [("site 1", By::Labels); 2]);
-
-    // A scene that no label places, in a unit and axes of its own.
-    let mut free = second.clone();
-    (free.site, free.metres_per_unit, free.up) = (None, None, None);
-    let turn = Matrix3::new(0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0);
-    for frame in &mut free.frames {
-        let Pose {
-            rotation,
-            translation,
-        } = frame.cam_from_world;
-        frame.cam_from_world = Pose {
-            rotation: rotation * turn.transpose(),
-            translation: translation * 3.0,
-        };
-    }
-    for point in &mut free.points {
-        point.position = (turn * Vector3::from(point.position) * 3.0).into();
-    }
-    let told = ties(&input, &[("a", &first), ("b", &free)]);
-    let [_, of_b] = told.scenes.as_slice() else {
-        panic!("{told:?}")
-    };
-    assert_eq!((of_b.frame.as_str(), of_b.by), ("site 1", By::Overlap));
-    assert_eq!(of_b.through, ["a"]);
-    let to_site = &of_b.frame_from_world;
-    assert!((to_site.scale * 3.0 - 1.0).abs() < 0.01, "{to_site:?}");
-    for frame in &free.frames {
-        let rotation = Matrix3::from_fn(|row, column| to_site.rotation[row][column]);
-        let centre =
-            rotation * frame.cam_from_world.centre() * to_site.scale + Vector3::from(to_site.translation);
-        let (_, true_pose) = truth.iter().find(|(file, _)| frame.file == *file).unwrap();
-        let off_m = (centre - true_pose.centre()).norm();
-        assert!(off_m < 0.07, "{}: {off_m} m", frame.file);
-    }
-
-    // Ground of the same kind elsewhere, which looks alike, and a scene without points.
-    let demo = Demo::new(DemoOptions::default()).unwrap();
-    let files = demo.files(101, &|_, _| (), &|| false).unwrap();
-    input.split_off(0);
-    for photo in demo.ground_truth(101).unwrap().photos {
-        let (id, bytes, facts) = labelled(&files, &photo.file);
-        input.photo(&id, &bytes, facts);
-    }
-    let mut elsewhere = input.run(&json!({"method": "sfm"})).unwrap().scene;
-    let told = ties(&input, &[("a", &first), ("c", &elsewhere)]);
-    assert_eq!(
-        (told.ties.len(), told.apart.len()),
-        (0, 0),
-        "sites that share no frame: {told:?}"
-    );
-    (elsewhere.site, elsewhere.metres_per_unit) = (None, None);
-    let told = ties(&input, &[("a", &first), ("c", &elsewhere)]);
-    println!("{:?}", told.apart);
-    assert_eq!(told.ties, [], "{told:?}");
-    assert_eq!(
-        (told.scenes[1].by, told.scenes[1].frame.as_str()),
-        (By::Itself, "c")
-    );
-    let mut bare = free;
-    bare.points.clear();
-    let told = ties(&input, &[("a", &first), ("b", &bare)]);
-    assert_eq!(told.apart[0].reason, "`b` has no sparse points");
 }

@@ -1,0 +1,97 @@
+//! Every action of a run computed again by `marf exec`.
+
+use std::collections::BTreeSet;
+
+use serde_json::Value;
+
+use super::{PIPELINE, Site};
+use crate::common::marf;
+
+/// Filters of the demo, of every kind of work that has parts.
+const FILTERS: &str = r#"name = "filters"
+[archive.demo]
+kind = "demo"
+sols = "1..=2"
+width = 64
+[node.extract]
+archive = "demo"
+[node.grayscale]
+input = "extract"
+[node.duplicate]
+input = "grayscale"
+[node.histogram]
+input = "duplicate"
+"#;
+
+/// Every action of a run, nodes and parts of nodes, from an empty folder and the shared store alone, gives what the run gave; one that reads
+/// an archive and one of another version are refused with a code of their own.
+#[test]
+fn every_action_is_computed_again_from_the_shared_store_alone() {
+    let filters = Site::new(FILTERS);
+    let parts = computed_again(&filters);
+    assert!(
+        parts.contains("fold") && parts.contains("summarise") && parts.contains("decide"),
+        "{parts:?}"
+    );
+    let site = Site::new(PIPELINE);
+    computed_again(&site);
+
+    let store = format!("file://{}", site.path().join("shared").display());
+    let status = marf(site.path(), &["status", "--json"]).exits(0).stdout;
+    let status: Value = serde_json::from_str(&status).unwrap();
+    let nodes = status["nodes"].as_array().unwrap();
+    let train = nodes.iter().find(|node| node["name"] == "train").unwrap();
+    let key: marf_cache::Digest = train["key"].as_str().unwrap().parse().unwrap();
+    let own = marf_cache::Store::open(site.path().join(".marf")).unwrap();
+    let mut action = marf_cache::Action::decode(&own.get(&key).unwrap()).unwrap();
+    action.version += 1;
+    let file = site.path().join("newer.action");
+    std::fs::write(&file, action.encode()).unwrap();
+    let refused = marf(site.path(), &["exec", "newer.action", "--store", &store]).exits(10);
+    assert!(refused.stderr.contains("stage version"), "{}", refused.stderr);
+}
+
+/// Runs a pipeline, computes each of its actions again, and returns the names of the parts among them.
+fn computed_again(site: &Site) -> BTreeSet<String> {
+    marf(site.path(), &["run"]).exits(0);
+    let store = format!("file://{}", site.path().join("shared").display());
+    marf(site.path(), &["cache", "push", "--remote", &store]).exits(0);
+    let own = marf_cache::Store::open(site.path().join(".marf")).unwrap();
+    let pushed = walkdir::WalkDir::new(site.path().join("shared/records")).min_depth(2);
+    let mut parts = BTreeSet::new();
+    for file in pushed {
+        let file = file.unwrap().into_path();
+        let [folder, name] =
+            [file.parent().unwrap(), &file].map(|path| path.file_name().unwrap().to_str().unwrap());
+        let key = format!("{folder}{name}");
+        let action = marf_cache::Action::decode(&own.get(&key.parse().unwrap()).unwrap()).unwrap();
+        let empty = tempfile::tempdir().unwrap();
+        let result = empty.path().join("result.json");
+        let ran = marf(
+            empty.path(),
+            &[
+                "exec",
+                &key,
+                "--store",
+                &store,
+                "--result",
+                result.to_str().unwrap(),
+            ],
+        );
+        if action.stage == "extract" {
+            let refused = ran.exits(10).stderr;
+            assert!(
+                refused.contains("stage `extract`, which reads an archive"),
+                "{refused}"
+            );
+            continue;
+        }
+        let told = ran.exits(0).stderr;
+        assert!(!told.contains("another result"), "{action:?}: {told}");
+        let result: Value = serde_json::from_slice(&std::fs::read(result).unwrap()).unwrap();
+        assert_eq!(result["key"], key);
+        assert_eq!(result.get("fault"), None);
+        parts.extend(action.part);
+    }
+    parts
+}
