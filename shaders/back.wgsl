@@ -62,12 +62,12 @@ fn four_terms(w: vec4<f32>, d0: vec4<f32>, d1: vec4<f32>, d2: vec4<f32>, d3: vec
     return fma(d3, vec4(w.w), fma(d2, vec4(w.z), fma(d1, vec4(w.y), fma(d0, vec4(w.x), s))));
 }
 
-// Slopes of inputs 8 eight .. 8 eight + 8 of a layer from those of its outputs in the tile, in the order of outputs.
-fn behind(layer: vec4<u32>, four: u32, eight: u32) -> Sums {
+// Slopes of inputs 8 eight .. 8 eight + 8 of a layer from those of its first 4 `fours` outputs in the tile, in their order.
+fn behind(layer: vec4<u32>, four: u32, eight: u32, fours: u32) -> Sums {
     var s = Sums();
     let row = layer.y / 4u;
     let first = layer.z / 4u + 8u * eight * row;
-    for (var k = 0u; k < row; k++) {
+    for (var k = 0u; k < fours; k++) {
         let at = 4u * k * FOURS + four;
         let d0 = tile[at];
         let d1 = tile[at + FOURS];
@@ -138,11 +138,11 @@ fn over_four(a: vec4<f32>, d: array<vec4<f32>, 4>, s: vec4<f32>) -> vec4<f32> {
     return vec4(over(a, d[0], s.x), over(a, d[1], s.y), over(a, d[2], s.z), over(a, d[3], s.w));
 }
 
-// Adds the tile's share of 8 x 8 weights of a layer to those at `to`: inputs from row `a` on, slopes of outputs from row `d`
-// on; 16 numbers read for 64 multiply-adds, as on the way there.
-fn learn_block(to: u32, width: u32, a: u32, d: u32, is_first: bool) {
+// Adds the share of the tile's first 4 `fours` samples of 8 x 8 weights of a layer to those at `to`: inputs from row `a` on,
+// slopes of outputs from row `d` on; 16 numbers read for 64 multiply-adds, as on the way there.
+fn learn_block(to: u32, width: u32, a: u32, d: u32, fours: u32, is_first: bool) {
     var g = Sums();
-    for (var four = 0u; four < FOURS; four++) {
+    for (var four = 0u; four < fours; four++) {
         let d0 = work[d + four];
         let d1 = work[d + FOURS + four];
         let d2 = work[d + 2u * FOURS + four];
@@ -232,7 +232,10 @@ fn learn(own: u32, memory: u32, me: u32, is_first: bool) {
         let width = layer.y / 4u;
         let to = own + layer.z / 4u + row * width + column / 4u;
         let a = memory + (layer.w + row) * FOURS;
-        learn_block(to, width, a, memory + (layer.w + layer.x + column) * FOURS, is_first);
+        let d = memory + (layer.w + layer.x + column) * FOURS;
+        // Nobody reads more than three outputs of the last layer: the gradients of the others are 0.
+        let fours = select(FOURS, 0u, number + 1u == run.layers && column > 0u);
+        learn_block(to, width, a, d, fours, is_first);
     }
 }
 
@@ -285,11 +288,11 @@ fn recall(memory: u32, first: u32, in_use: u32, me: u32) {
     }
 }
 
-// Slopes in the outputs of the last layer, those of logits: rows 3 to 15 are 0.
+// Slopes in the first 8 outputs of the last layer, those of logits: rows 3 to 7 are 0. Nobody looks at the others.
 fn bring_slopes(memory: u32, first: u32, in_use: u32, me: u32) {
     let layer = run.shapes[run.layers - 1u];
     let to = memory + (layer.w + layer.x) * FOURS;
-    for (var at = me; at < 16u * FOURS; at += THREADS) {
+    for (var at = me; at < 8u * FOURS; at += THREADS) {
         let sample = first + at % FOURS;
         var slope = vec4<f32>(0.0);
         if at < 3u * FOURS { slope = alive(d_logits[at / FOURS * (run.capacity / 4u) + sample], 4u * sample, in_use); }
@@ -319,7 +322,8 @@ fn retreat(memory: u32, number: u32, first: u32, in_use: u32, me: u32) {
     let is_busy = eight < wanted / 8u;
     var sums: Sums;
     if is_busy {
-        sums = behind(layer, four, eight);
+        // Of the last layer three slopes are not 0.
+        sums = behind(layer, four, eight, select(layer.y / 4u, 1u, number + 1u == run.layers));
         if number == run.density {
             // Compositing has its own say on the raw density, output 0 of the density network.
             if eight == 0u {

@@ -2,11 +2,13 @@
 
 mod args;
 mod child;
+mod effort;
 mod engine;
 mod explain;
 #[cfg(unix)]
 mod faults;
 mod items;
+mod line;
 mod pace;
 mod photos;
 mod pictures;

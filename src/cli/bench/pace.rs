@@ -58,11 +58,13 @@ impl Paced<'_> {
             if self.cancel.is_set() {
                 return Err(CliError::Interrupted);
             }
-            let step = trainer.advance(most);
-            let step = step.map_err(|error| CliError::failed(error.to_string()))?;
+            let failed = |error: marf_field::FieldError| CliError::failed(error.to_string());
+            let step = trainer.advance(most).map_err(failed)?;
             (rays, samples, most) = (rays + step.rays, samples + step.samples, most.saturating_mul(2));
-            let elapsed_s = begun.elapsed().as_secs_f64();
-            if elapsed_s >= seconds {
+            if begun.elapsed().as_secs_f64() >= seconds {
+                let last = trainer.settle().map_err(failed)?;
+                (rays, samples) = (rays + last.rays, samples + last.samples);
+                let elapsed_s = begun.elapsed().as_secs_f64();
                 let [steps, rays, samples] =
                     [trainer.steps() - before, rays, samples].map(|count| count as f64 / elapsed_s);
                 return Ok(Pace { steps, rays, samples });

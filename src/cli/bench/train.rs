@@ -5,18 +5,16 @@
 //! so it is not kept in the store.
 
 use std::path::Path;
-use std::time::Instant;
-use std::{fmt, fs};
 
 use marf_cache::Digest;
 use marf_engine::{Cancel, Options};
-use marf_field::{Config, Device, EXPECTED_STEPS_PER_S, Field, Overrides, Trainer, View};
+use marf_field::{Config, Device, Field, Overrides, Trainer, View};
 use marf_scene::{Image, Scene, Srgb, encode_png, metrics};
 use marf_schema::calibrate::CalibrateParams;
 use marf_schema::output;
 use marf_schema::train::TrainParams;
 use marf_stage::Params;
-use serde::{Deserialize, Serialize, Serializer};
+use serde::Deserialize;
 
 use super::super::args::Global;
 use super::super::error::CliError;
@@ -25,15 +23,15 @@ use super::super::run::{execute, options};
 use super::super::session::{Session, node_named};
 use super::super::{budget, files};
 use super::args::{Clock, TrainArgs};
-use super::explain::{self, Found};
+use super::effort::{Effort, peak_mb};
+use super::explain;
+use super::line::{Budget, Explained, Line, table};
 use super::pace::Paced;
 use super::photos::{Photos, TestView, photos};
 use crate::terminal::{eprint_line, print_line};
 
 /// The end of a training by the clock is planned again, from its rate so far, after each such part of it.
 const PLANNED_EVERY: f64 = 1.0 / 16.0;
-/// Ticks a second in /proc/self/stat, on every Linux.
-const TICKS_PER_S: f64 = 100.0;
 
 /// Keys of `train` that `marf bench train` takes; the seconds come from the command line.
 #[derive(Debug, Default, Deserialize)]
@@ -43,44 +41,6 @@ struct BenchParams {
     scale: Option<u32>,
     field: Overrides,
     device: Device,
-}
-
-/// How long a training goes on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Budget {
-    /// By the clock.
-    Seconds(u32),
-    /// By its steps.
-    Steps(u64),
-}
-
-impl Budget {
-    /// Returns the steps it is expected to have.
-    fn expected_steps(self) -> u64 {
-        match self {
-            Self::Seconds(seconds) => (f64::from(seconds) * EXPECTED_STEPS_PER_S) as u64,
-            Self::Steps(steps) => steps,
-        }
-    }
-}
-
-impl fmt::Display for Budget {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Seconds(seconds) => write!(f, "{seconds}s"),
-            Self::Steps(steps) => write!(f, "{steps}steps"),
-        }
-    }
-}
-
-impl Serialize for Budget {
-    /// Seconds are a number, as the comparison wants them.
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        match self {
-            Self::Seconds(seconds) => serializer.serialize_u32(*seconds),
-            Self::Steps(_) => serializer.collect_str(self),
-        }
-    }
 }
 
 fn budgets(args: &TrainArgs) -> Result<Vec<Budget>, CliError> {
@@ -95,50 +55,6 @@ fn budgets(args: &TrainArgs) -> Result<Vec<Budget>, CliError> {
     budgets.sort_unstable();
     budgets.dedup();
     Ok(budgets)
-}
-
-/// One budget's line.
-#[derive(Debug, Serialize)]
-struct Line {
-    /// What was asked for.
-    budget: Budget,
-    /// Seconds trained.
-    clock: f64,
-    /// Seconds of the budget that went before, to find the batch that suits a GPU and the steps it then takes.
-    paced_s: f64,
-    /// Processor seconds of these.
-    cpu_s: f64,
-    steps: u64,
-    /// Samples that a step aimed at.
-    batch_samples: u32,
-    /// Binary logarithm of the most entries of a level.
-    log2_table: u32,
-    /// Digest of the training's whole state at its end: on one device the same for the same steps.
-    checkpoint: Digest,
-    rays_per_s: f64,
-    samples_per_s: f64,
-    /// Largest resident size so far, MB.
-    rss_mb: u64,
-    /// Mean over the test views, peak 1, at most 100 dB a view.
-    psnr: f64,
-    /// Mean of the paper's definition over the views that are not black.
-    psnr_paper: Option<f64>,
-    /// Mean over the views of at least 11 pixels a side.
-    ssim: Option<f64>,
-    /// Seconds that one test view took to render.
-    render_s: f64,
-    /// Rays a second of this.
-    render_rays_per_s: f64,
-    /// Where the error is, if that was asked for.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    explained: Option<Explained>,
-}
-
-/// Where the error is on photos of both kinds.
-#[derive(Debug, Serialize)]
-struct Explained {
-    trained: Found,
-    held_out: Found,
 }
 
 /// Most photos trained on that are explained, spread over all.
@@ -216,15 +132,6 @@ struct Bench<'a> {
     has_batch: bool,
     /// Photos trained on whose error is explained, if that was asked for.
     explained: Option<&'a Vec<TestView>>,
-}
-
-/// Time and work so far.
-#[derive(Default)]
-struct Effort {
-    wall_s: f64,
-    cpu_s: f64,
-    rays: u64,
-    samples: u64,
 }
 
 impl Bench<'_> {
@@ -321,6 +228,9 @@ impl Bench<'_> {
             effort.rays += step.rays;
             effort.samples += step.samples;
         }
+        let last = effort.timed(|| trainer.settle()).map_err(failed)?;
+        effort.rays += last.rays;
+        effort.samples += last.samples;
         Ok((trainer, effort))
     }
 
@@ -403,106 +313,6 @@ fn rendered(field: &Field, test: &TestView) -> Result<Image<Srgb>, marf_field::F
     Ok(render.to_image())
 }
 
-impl Effort {
-    fn timed<T>(&mut self, work: impl FnOnce() -> T) -> T {
-        let (wall, cpu_s) = (Instant::now(), cpu_s());
-        let done = work();
-        self.wall_s += wall.elapsed().as_secs_f64();
-        self.cpu_s += self::cpu_s() - cpu_s;
-        done
-    }
-}
-
 fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
-}
-
-/// Processor seconds of this process so far; 0 without /proc.
-fn cpu_s() -> f64 {
-    let stat = fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    // The name in brackets may hold spaces: user and system time are the 12th and 13th word after it.
-    let words = stat.rsplit(')').next().unwrap_or_default().split_whitespace();
-    let ticks = words
-        .skip(11)
-        .take(2)
-        .filter_map(|ticks| ticks.parse::<f64>().ok());
-    ticks.sum::<f64>() / TICKS_PER_S
-}
-
-/// Largest resident size so far, MB; 0 without /proc.
-fn peak_mb() -> u64 {
-    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-    let kilobytes = line.and_then(|line| line.trim().strip_suffix(" kB")?.parse::<u64>().ok());
-    kilobytes.unwrap_or(0) * 1024 / 1_000_000
-}
-
-/// The budgets as the paper's Table 1 has them.
-fn table(lines: &[Line]) -> String {
-    let number = |value: Option<f64>, places: usize| {
-        value.map_or_else(|| "-".to_owned(), |value| format!("{value:.places$}"))
-    };
-    let mut rows = vec![format!(
-        "{:>8} {:>9} {:>12} {:>7} {:>8} {:>10}",
-        "budget", "PSNR dB", "paper's dB", "SSIM", "steps", "Msamples/s"
-    )];
-    rows.extend(lines.iter().map(|line| {
-        format!(
-            "{:>8} {:>9.2} {:>12} {:>7} {:>8} {:>10.2}",
-            line.budget.to_string(),
-            line.psnr,
-            number(line.psnr_paper, 2),
-            number(line.ssim, 3),
-            line.steps,
-            line.samples_per_s / 1e6
-        )
-    }));
-    rows.push(
-        "peak 1, at most 100 dB a view; the paper's has the photo's largest value as its peak".to_owned(),
-    );
-    rows.join("\n")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_table_has_a_row_a_budget_and_a_dash_for_what_is_not_known() {
-        let line = Line {
-            budget: Budget::Seconds(10),
-            clock: 10.1,
-            paced_s: 0.0,
-            cpu_s: 20.0,
-            steps: 123,
-            batch_samples: 1 << 15,
-            log2_table: 15,
-            checkpoint: Digest::of(b"state"),
-            rays_per_s: 1e5,
-            samples_per_s: 3.21e6,
-            rss_mb: 100,
-            psnr: 18.456,
-            psnr_paper: Some(17.0),
-            ssim: None,
-            render_s: 0.4,
-            render_rays_per_s: 4e5,
-            explained: None,
-        };
-        let table = table(&[line]);
-        let row: Vec<&str> = table.lines().nth(1).unwrap().split_whitespace().collect();
-        assert_eq!(row, ["10s", "18.46", "17.00", "-", "123", "3.21"]);
-    }
-
-    #[test]
-    fn processor_time_and_memory_grow_with_work() {
-        if !Path::new("/proc/self/stat").exists() {
-            return;
-        }
-        let before = cpu_s();
-        let mut sum = 0_u64;
-        while cpu_s() - before < 0.02 {
-            sum = (0..100_000).fold(sum, u64::wrapping_add);
-        }
-        assert!(peak_mb() > 0);
-    }
 }

@@ -35,11 +35,18 @@ pub trait Backend: Send + Sync {
 
 /// A training in progress on a backend.
 pub trait Session: Send + Sync {
-    /// Takes at least one optimiser step, at most `most`.
+    /// Takes at least one optimiser step, at most `most`, and tells of those that it knows the outcome of and has not told of:
+    /// they may be fewer, or of an earlier call.
     ///
     /// # Errors
     /// [`FieldError::NotFinite`]: the state is then that before the step that is named. A lost device.
     fn advance(&mut self, training: &mut Training, most: u64) -> Result<Step, FieldError>;
+
+    /// Waits for all steps that were taken and tells of those that were not told of.
+    ///
+    /// # Errors
+    /// As [`Session::advance`].
+    fn settle(&mut self, training: &mut Training) -> Result<Step, FieldError>;
 
     /// Copies the state from the training to the backend.
     ///
@@ -47,7 +54,7 @@ pub trait Session: Send + Sync {
     /// A lost device.
     fn upload(&mut self, training: &Training) -> Result<(), FieldError>;
 
-    /// Copies the state from the backend to the training.
+    /// Copies the state from the backend to the training; all steps are settled.
     ///
     /// # Errors
     /// A lost device.
@@ -69,15 +76,35 @@ pub trait Renderer: Debug + Send + Sync {
     ) -> Result<Render, FieldError>;
 }
 
-/// What one call of [`crate::Trainer::advance`] did.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// What came of some steps: see [`crate::Trainer::advance`].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Step {
     /// Optimiser steps.
     pub steps: u64,
-    /// Mean squared error over rays and channels of the batches, sRGB in [0, 1].
+    /// Mean squared error over rays and channels of the batches, sRGB in [0, 1]; 0 without a step.
     pub loss: f64,
     /// Rays of the batches.
     pub rays: u64,
     /// Samples that were trained.
     pub samples: u64,
+}
+
+impl Step {
+    /// Returns what came of both.
+    #[must_use]
+    pub fn and(self, other: Self) -> Self {
+        let steps = self.steps + other.steps;
+        let sum = self.loss * self.steps as f64 + other.loss * other.steps as f64;
+        Self {
+            steps,
+            // One of them alone stays as it is, to the bit.
+            loss: match (self.steps, other.steps) {
+                (_, 0) => self.loss,
+                (0, _) => other.loss,
+                _ => sum / steps as f64,
+            },
+            rays: self.rays + other.rays,
+            samples: self.samples + other.samples,
+        }
+    }
 }

@@ -9,7 +9,7 @@ use crate::occupancy::{Occupancy, Refill};
 use crate::state::State;
 use crate::tensors::{Reader, Writer};
 use crate::weights::Weights;
-use crate::{Config, FieldError, Sizes, Trainer};
+use crate::{Config, FieldError, Sizes, Step, Trainer};
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -25,6 +25,9 @@ struct Header {
     halvings: u32,
     /// Bits of the f64.
     samples_per_ray: String,
+    /// As `samples_per_ray`, where the costs of the last steps do not decide yet.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    late_samples_per_ray: Option<String>,
     /// The GPU that trained, none on the CPU.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     gpu: Option<String>,
@@ -67,14 +70,11 @@ impl Trainer {
         let header: Header =
             serde_json::from_str(&reader.json).map_err(|error| reader.malformed(error.to_string()))?;
         self.same_training(&header)?;
-        let bits = u64::from_str_radix(&header.samples_per_ray, 16);
-        let bits = bits.map_err(|error| reader.malformed(format!("samples per ray: {error}")))?;
-        let samples_per_ray = f64::from_bits(bits);
+        let samples_per_ray = samples_per_ray(&reader, &header.samples_per_ray)?;
+        let late = header.late_samples_per_ray.as_deref();
+        let late = late.map(|late| self::samples_per_ray(&reader, late)).transpose()?;
         if header.halvings > header.sizes.halvings.value {
             return Err(reader.malformed(format!("steps halved {} times", header.halvings)));
-        }
-        if !samples_per_ray.is_finite() || samples_per_ray < 1.0 {
-            return Err(reader.malformed(format!("{samples_per_ray} samples per ray")));
         }
         let is_moved = header.frame != self.training.frame;
         let mut restored = if is_moved {
@@ -85,6 +85,7 @@ impl Trainer {
         restored.steps = header.steps;
         restored.halvings = header.halvings;
         restored.samples_per_ray = samples_per_ray;
+        restored.late_samples_per_ray = late;
         read_state(&reader, &mut restored)?;
         if is_moved {
             let placed = self.training.placed(&header.sizes, restored.occupancy.clone());
@@ -93,6 +94,7 @@ impl Trainer {
             self.session = self.backend.clone().begin(&mut self.training)?;
         }
         self.training.place(header.frame, header.sizes, restored);
+        self.untold = Step::default();
         self.session.upload(&self.training)
     }
 
@@ -114,6 +116,8 @@ impl Trainer {
     }
 
     fn header(&self) -> Header {
+        let bits = |number: f64| format!("{:016x}", number.to_bits());
+        let state = &self.training.state;
         Header {
             config: self.training.config.clone(),
             seed: self.training.seed.to_string(),
@@ -121,9 +125,10 @@ impl Trainer {
             pixels: format!("{:016x}", self.training.fingerprint),
             frame: self.training.frame.clone(),
             sizes: self.training.sizes.clone(),
-            steps: self.training.state.steps,
-            halvings: self.training.state.halvings,
-            samples_per_ray: format!("{:016x}", self.training.state.samples_per_ray.to_bits()),
+            steps: state.steps,
+            halvings: state.halvings,
+            samples_per_ray: bits(state.samples_per_ray),
+            late_samples_per_ray: state.late_samples_per_ray.map(bits),
             gpu: self.backend.id().map(str::to_owned),
         }
     }
@@ -142,6 +147,17 @@ impl Trainer {
             () => Ok(()),
         }
     }
+}
+
+/// Reads the bits of a cost of rays.
+fn samples_per_ray(reader: &Reader, bits: &str) -> Result<f64, FieldError> {
+    let bits = u64::from_str_radix(bits, 16);
+    let bits = bits.map_err(|error| reader.malformed(format!("samples per ray: {error}")))?;
+    let samples_per_ray = f64::from_bits(bits);
+    if !samples_per_ray.is_finite() || samples_per_ray < 1.0 {
+        return Err(reader.malformed(format!("{samples_per_ray} samples per ray")));
+    }
+    Ok(samples_per_ray)
 }
 
 /// Checks the tables of a file by name and length before memory is taken.

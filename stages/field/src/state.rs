@@ -14,6 +14,9 @@ pub struct State {
     pub halvings: u32,
     /// Running mean of the cost of a ray, in samples: decides the rays of the next batch.
     pub samples_per_ray: f64,
+    /// On a GPU what `samples_per_ray` becomes once the next steps are under way: costs decide one call late, so that the
+    /// device need not wait for the host. None on the CPU.
+    pub late_samples_per_ray: Option<f64>,
     /// The weights.
     pub weights: Weights,
     /// Their running average: what is delivered.
@@ -55,6 +58,7 @@ impl State {
             steps: 0,
             halvings: 0,
             samples_per_ray,
+            late_samples_per_ray: None,
             average: weights.clone(),
             moments: moments.collect(),
             gains: vec![0.0; numbers],
@@ -65,10 +69,24 @@ impl State {
         }
     }
 
-    /// Adds what the rays of a batch cost to the running mean; a sample that is trained counts four times one that is
-    /// only visited.
+    /// Adds what the rays of a batch cost to the running mean.
     pub fn learn_cost(&mut self, rays: u64, visited: u64, trained: u64) {
-        let cost = (visited + 3 * trained) as f64 / (4 * rays) as f64;
-        self.samples_per_ray = self.samples_per_ray * 0.8 + cost.max(1.0) * 0.2;
+        self.catch_up();
+        self.samples_per_ray = with_cost(self.samples_per_ray, cost(rays, visited, trained));
     }
+
+    /// Lets all costs that are known decide from here on.
+    pub fn catch_up(&mut self) {
+        self.samples_per_ray = self.late_samples_per_ray.take().unwrap_or(self.samples_per_ray);
+    }
+}
+
+/// Returns what a ray of a batch cost, in samples; one that is trained counts four times one that is only visited.
+pub fn cost(rays: u64, visited: u64, trained: u64) -> f64 {
+    (visited + 3 * trained) as f64 / (4 * rays) as f64
+}
+
+/// Returns a running mean with the cost of a batch, at least one sample a ray.
+pub fn with_cost(samples_per_ray: f64, cost: f64) -> f64 {
+    samples_per_ray * 0.8 + cost.max(1.0) * 0.2
 }

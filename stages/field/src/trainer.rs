@@ -13,6 +13,8 @@ pub struct Trainer {
     pub(crate) backend: Arc<dyn Backend>,
     /// The training where the backend has it.
     pub(crate) session: Box<dyn Session>,
+    /// What came of steps that no call has told of.
+    pub(crate) untold: Step,
 }
 
 impl Trainer {
@@ -73,6 +75,7 @@ impl Trainer {
             session: backend.clone().begin(&mut training)?,
             training,
             backend,
+            untold: Step::default(),
         })
     }
 
@@ -83,10 +86,16 @@ impl Trainer {
     pub fn on(mut self, device: &Device) -> Result<Self, FieldError> {
         let backend = device.backend()?;
         self.sync()?;
-        Self::with_backend(self.training, backend)
+        Ok(Self {
+            untold: self.untold,
+            ..Self::with_backend(self.training, backend)?
+        })
     }
 
     /// Takes one optimiser step on the CPU; on a GPU up to the next multiple of 16, at most `most`, at least one.
+    ///
+    /// Tells what came of steps that no call has told of: of this one on the CPU, of the call before on a GPU, which works on
+    /// while the host reads. [`Trainer::settle`] tells the rest.
     ///
     /// Where no sparse points have told the box, it is fitted once to what the field has found: the field then starts anew
     /// in it.
@@ -99,10 +108,20 @@ impl Trainer {
     /// [`FieldError::Gpu`] where the device failed.
     pub fn advance(&mut self, most: u64) -> Result<Step, FieldError> {
         let step = self.session.advance(&mut self.training, most)?;
+        self.untold = self.untold.and(step);
         if self.training.refit_step == Some(self.training.state.steps) {
             self.refit()?;
         }
-        Ok(step)
+        Ok(std::mem::take(&mut self.untold))
+    }
+
+    /// Waits for all steps that were taken, and tells what came of those that no call has told of.
+    ///
+    /// # Errors
+    /// As [`Trainer::advance`].
+    pub fn settle(&mut self) -> Result<Step, FieldError> {
+        let step = self.session.settle(&mut self.training)?;
+        Ok(std::mem::take(&mut self.untold).and(step))
     }
 
     /// Fits the box to where the field has found matter.
@@ -119,6 +138,7 @@ impl Trainer {
     /// # Errors
     /// A GPU that failed.
     pub(crate) fn sync(&mut self) -> Result<(), FieldError> {
+        self.untold = self.settle()?;
         self.session.download(&mut self.training.state)
     }
 

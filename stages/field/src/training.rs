@@ -180,6 +180,7 @@ impl Training {
             halvings: state.halvings.min(sizes.halvings.value),
             gains: state.gains.clone(),
             gain_moments: state.gain_moments.clone(),
+            late_samples_per_ray: state.late_samples_per_ray,
             ..State::new(config, &self.views, weights, occupancy, state.samples_per_ray)
         }
     }

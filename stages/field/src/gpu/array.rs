@@ -2,8 +2,10 @@
 
 use std::marker::PhantomData;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::mpsc::Receiver;
 
 use bytemuck::Pod;
+use parking_lot::Mutex;
 
 use super::Gpu;
 use crate::GpuError;
@@ -27,6 +29,16 @@ impl<T> Array<T> {
     pub fn bytes(&self) -> u64 {
         bytes::<T>(self.len)
     }
+}
+
+/// A copy of an array on its way to the host.
+pub struct Reading<T> {
+    staging: wgpu::Buffer,
+    submission: wgpu::SubmissionIndex,
+    /// Behind a lock, so that a session that holds it may be shared.
+    mapped: Mutex<Receiver<Result<(), wgpu::BufferAsyncError>>>,
+    len: usize,
+    of: PhantomData<T>,
 }
 
 /// Returns the bytes of so many elements; an empty buffer cannot be bound.
@@ -183,6 +195,11 @@ impl Gpu {
     /// # Errors
     /// A lost device.
     pub fn read<T: Pod>(&self, array: &Array<T>) -> Result<Vec<T>, GpuError> {
+        self.received(self.copy_back(array))
+    }
+
+    /// Submits a copy of an array as it is behind all that was submitted so far, for [`Gpu::received`].
+    pub fn copy_back<T: Pod>(&self, array: &Array<T>) -> Reading<T> {
         let size = array.bytes();
         let staging = self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("read back"),
@@ -192,19 +209,38 @@ impl Gpu {
         });
         let mut encoder = self.device.create_command_encoder(&Default::default());
         encoder.copy_buffer_to_buffer(&array.buffer, array.offset, &staging, 0, size);
-        self.queue.submit([encoder.finish()]);
+        let submission = self.queue.submit([encoder.finish()]);
         let (sender, receiver) = std::sync::mpsc::channel();
         staging.map_async(wgpu::MapMode::Read, .., move |mapped| {
-            // The receiver waits below; if it is gone nobody wants the answer.
+            // Where the receiver is gone nobody wants the answer.
             let _ = sender.send(mapped);
         });
-        self.wait()?;
+        Reading {
+            staging,
+            submission,
+            mapped: Mutex::new(receiver),
+            len: array.len,
+            of: PhantomData,
+        }
+    }
+
+    /// Waits for a copy, and for nothing that was submitted behind it.
+    ///
+    /// # Errors
+    /// A lost device.
+    pub fn received<T: Pod>(&self, reading: Reading<T>) -> Result<Vec<T>, GpuError> {
+        self.poll(wgpu::PollType::Wait {
+            submission_index: Some(reading.submission),
+            timeout: None,
+        })?;
         let failed = |error: &dyn std::fmt::Display| self.lost(error.to_string());
-        let mapped = receiver.recv().map_err(|error| failed(&error))?;
+        let mapped = reading.mapped.into_inner().recv();
+        let mapped = mapped.map_err(|error| failed(&error))?;
         mapped.map_err(|error| failed(&error))?;
-        let view = staging.get_mapped_range(..).map_err(|error| failed(&error))?;
+        let view = reading.staging.get_mapped_range(..);
+        let view = view.map_err(|error| failed(&error))?;
         let mut values: Vec<T> = bytemuck::pod_collect_to_vec(&view[..]);
-        values.truncate(array.len);
+        values.truncate(reading.len);
         Ok(values)
     }
 
@@ -213,7 +249,15 @@ impl Gpu {
     /// # Errors
     /// A lost device.
     pub fn wait(&self) -> Result<(), GpuError> {
-        self.guarded(|| self.device.poll(wgpu::PollType::wait_indefinitely()))
+        self.poll(wgpu::PollType::wait_indefinitely())
+    }
+
+    /// Looks at the device, or waits for what was submitted.
+    ///
+    /// # Errors
+    /// A lost device.
+    pub(super) fn poll(&self, until: wgpu::PollType) -> Result<(), GpuError> {
+        self.guarded(|| self.device.poll(until))
     }
 
     /// Makes an error of a wait that panics: wgpu 30 does where the driver loses the device meanwhile, and nowhere else
@@ -254,6 +298,22 @@ mod tests {
         let array = gpu.zeros::<u32>("numbers", 5).unwrap();
         gpu.write(&array, 1, &[7, 8]);
         assert_eq!(gpu.read(&array), Ok(vec![0, 7, 8, 0, 0]));
+    }
+
+    /// The copy is of the moment in which it was asked for, whatever is written until it is received.
+    #[test]
+    fn a_copy_that_is_received_late_is_what_the_array_was() {
+        let Some(gpu) = gpu("a_copy_that_is_received_late_is_what_the_array_was") else {
+            return;
+        };
+        let array = gpu.filled::<u32>("numbers", &[1, 2]).unwrap();
+        let first = gpu.copy_back(&array);
+        gpu.write(&array, 0, &[3]);
+        let second = gpu.copy_back(&array);
+        gpu.write(&array, 0, &[5]);
+        assert_eq!(gpu.received(second), Ok(vec![3, 2]));
+        assert_eq!(gpu.received(first), Ok(vec![1, 2]));
+        assert_eq!(gpu.read(&array), Ok(vec![5, 2]));
     }
 
     #[test]

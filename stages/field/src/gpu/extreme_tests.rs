@@ -11,7 +11,7 @@ use super::kernel::GROUP;
 use super::nets::Nets;
 use super::record::dispatch;
 use super::session::GpuSession;
-use super::testing::{advance, gpu, on_gpu, own_gpu, upload};
+use super::testing::{advance, gpu, on_gpu, own_gpu, settled, upload};
 use super::weights::layers;
 use crate::test_scene::{ball, ball_view, psnr, small};
 use crate::training::Training;
@@ -224,7 +224,7 @@ fn photos_of_all_kinds_learn_as_on_the_cpu() {
     // Photos of which one pixel in 7 is kept are no pictures to compare with.
     let mut there = on_gpu(&gpu, thinned.clone(), &[], (&small(), 3));
     let mut here = Trainer::new(thinned, &[], &small(), 3).unwrap();
-    let found = [there.advance(1).unwrap(), here.advance(1).unwrap()];
+    let found = [settled(&mut there, 1).unwrap(), here.advance(1).unwrap()];
     let [on_gpu, on_cpu] = found.map(|step| step.loss);
     assert!(
         (on_gpu - on_cpu).abs() < 1e-5 * on_cpu,
@@ -289,7 +289,7 @@ fn far_cameras_and_near_at_far_train_on_a_device() {
         ..small()
     };
     let mut there = on_gpu(&gpu, ball(2, 8), &[], (&config, 0));
-    let step = there.advance(4).unwrap();
+    let step = settled(&mut there, 4).unwrap();
     assert!(
         step.rays > 0 && step.loss.is_finite(),
         "near 1, far 1 + 2^-52: {step:?}"
@@ -313,7 +313,7 @@ fn numbers_that_run_away_stop_by_name_and_leave_the_state_before_the_step() {
         drop(tensors);
         upload(&mut trainer);
         let planted = trainer.save().unwrap();
-        let text = trainer.advance(5).unwrap_err().to_string();
+        let text = settled(&mut trainer, 5).unwrap_err().to_string();
         assert!(
             text.starts_with("step 5: `") && text.ends_with("lower `learning_rate` (now 0.02)"),
             "{tensor}: {text}"

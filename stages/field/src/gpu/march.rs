@@ -1,6 +1,6 @@
 //! Samples on rays: counting, where those of every ray begin, writing them, and which rays go on.
 
-use marf_shaders::{ALIVE, MARCH, SCAN, Walk, counts};
+use marf_shaders::{ALIVE, MARCH, SCAN, Shader, Walk, counts};
 
 use super::Gpu;
 use super::array::{Array, Part, halves};
@@ -141,11 +141,16 @@ impl March {
     /// # Errors
     /// A driver that does not.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+        Self::of(gpu, &MARCH)
+    }
+
+    /// As [`March::new`], of another text.
+    pub(super) fn of(gpu: &Gpu, shader: &Shader) -> Result<Self, GpuError> {
         let head = format!("const LANES: u32 = {RAY_LANES}u;\n");
         Ok(Self {
-            count: gpu.entry(&MARCH, &head, "count")?,
+            count: gpu.entry(shader, &head, "count")?,
             scan: Scan::new(gpu)?,
-            write: gpu.entry(&MARCH, &head, "write")?,
+            write: gpu.entry(shader, &head, "write")?,
         })
     }
 

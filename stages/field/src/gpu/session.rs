@@ -1,11 +1,13 @@
 //! A training on a device: what stays there between steps, and the steps.
 
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
 
 use marf_shaders::{Pace, Step as StepUniform, Total, faults};
 
 use super::Gpu;
+use super::array::Reading;
 use super::forward::{Forward, Kernels as Shared, write_walks};
 use super::kernel::Bound;
 use super::learning::{Bindings, Kernels, Learning};
@@ -22,11 +24,15 @@ use crate::GpuError;
 use crate::backend::{Session, Step};
 use crate::occupancy::{OCCUPIED_EVERY, due_every};
 use crate::schedule::{EPSILON, UPDATE_EVERY};
-use crate::state::State;
+use crate::state::{State, cost, with_cost};
 use crate::training::Training;
 
 /// Passes over the gradients of the first step: the first scale is a guess, the second close, the third good.
 const CALIBRATIONS: usize = 2;
+
+/// Steps from which on costs decide one call late. Before, the first guess is far off and cells empty fast, so that a cost of
+/// 16 steps ago is a wrong one: with it a training of 200 steps lost .2 dB.
+pub(super) const LATE_FROM: u64 = 16 * UPDATE_EVERY;
 
 /// A training on a device.
 pub struct GpuSession {
@@ -38,6 +44,24 @@ pub struct GpuSession {
     learning: Learning,
     update: Update,
     pub(super) submits: Submits,
+    /// The steps of the last call, whose outcome the host has not read.
+    pending: Option<Pending>,
+}
+
+/// Steps that were submitted.
+struct Pending {
+    steps: Range<u64>,
+    submitted: Instant,
+    totals: Reading<Total>,
+    before: Before,
+}
+
+/// What decided the rays of some steps.
+#[derive(Clone, Copy)]
+struct Before {
+    halvings: u32,
+    samples_per_ray: f64,
+    late_samples_per_ray: Option<f64>,
 }
 
 impl GpuSession {
@@ -100,6 +124,7 @@ impl GpuSession {
             learning,
             update,
             submits: Submits::default(),
+            pending: None,
         };
         session.write_march(training);
         session.calibrate(training);
@@ -136,54 +161,115 @@ impl GpuSession {
             .submit(&self.gpu, |recorder| self.record(recorder, 0));
     }
 
-    /// Takes steps up to the next update of the occupancy; `watch` takes the time of every dispatch.
+    /// Takes steps up to the next update of the occupancy, and tells what came of those of the call before, whose costs
+    /// decide the rays of the next call: the device works on meanwhile. The first steps are waited for. `watch` takes the
+    /// time of every dispatch.
     pub(super) fn watched(
         &mut self,
         training: &mut Training,
         most: u64,
         mut watch: Option<&mut Watch>,
     ) -> Result<Step, FieldError> {
+        self.gpu.poll(wgpu::PollType::Poll)?;
         let first = training.state.steps;
         let update = (first / UPDATE_EVERY + 1) * UPDATE_EVERY;
         let end = first.saturating_add(most.max(1)).min(update);
         let rays = training.ray_count().min(self.held.lanes.rays.slots);
         self.begin(training, rays);
-        let begun = Instant::now();
+        let submitted = Instant::now();
         for number in first..end {
             self.write_step(training, number, rays);
             let times = watch.as_deref_mut().map(|watch| &mut watch.steps);
             self.submit(times, |recorder| self.record(recorder, rays))?;
         }
-        let totals = self.gpu.read(&self.held.arrays.ring)?;
-        self.submits.took(end - first, begun);
-        let mut sum = Step {
-            steps: 0,
-            loss: 0.0,
-            rays: 0,
-            samples: 0,
-        };
-        for number in first..end {
-            let total = &totals[number as usize % RING];
-            if total.faults != 0 {
-                training.state.steps = number;
-                return Err(fault(training, total));
-            }
-            add(&mut training.state, &mut sum, total);
-            if let Some(watch) = &mut watch {
-                watch.visited += u64::from(total.visited);
-            }
-        }
-        sum.loss /= sum.steps as f64;
-        if training.state.steps == update {
-            let times = watch.map(|watch| &mut watch.updates);
+        let totals = self.gpu.copy_back(&self.held.arrays.ring);
+        let (halvings, samples_per_ray) = (training.state.halvings, training.state.samples_per_ray);
+        training.state.steps = end;
+        if end == update {
+            let times = watch.as_deref_mut().map(|watch| &mut watch.updates);
             self.probe(training, update / UPDATE_EVERY, times)?;
-            let before = training.state.halvings;
+        }
+        let earlier = self.pending.take();
+        let mut told = self.told(training, earlier, watch.as_deref_mut())?;
+        self.pending = Some(Pending {
+            steps: first..end,
+            submitted,
+            totals,
+            before: Before {
+                halvings,
+                samples_per_ray,
+                late_samples_per_ray: training.state.late_samples_per_ray,
+            },
+        });
+        training.state.catch_up();
+        if end <= LATE_FROM {
+            told = told.and(self.settled(training, watch)?);
+        }
+        if end == update {
             training.halve_steps();
-            if training.state.halvings != before {
+            if training.state.halvings != halvings {
                 self.write_march(training);
             }
         }
+        Ok(told)
+    }
+
+    /// Waits for the steps of the last call and tells what came of them.
+    pub(super) fn settled(
+        &mut self,
+        training: &mut Training,
+        watch: Option<&mut Watch>,
+    ) -> Result<Step, FieldError> {
+        let last = self.pending.take();
+        self.told(training, last, watch)
+    }
+
+    /// Waits for some steps, tells what came of them, and notes what their rays cost.
+    fn told(
+        &mut self,
+        training: &mut Training,
+        pending: Option<Pending>,
+        watch: Option<&mut Watch>,
+    ) -> Result<Step, FieldError> {
+        let mut sum = Step::default();
+        let Some(pending) = pending else {
+            return Ok(sum);
+        };
+        let totals = self.gpu.received(pending.totals)?;
+        let Pending { steps, before, .. } = pending;
+        self.submits.took(steps.end - steps.start, pending.submitted);
+        let totals: Vec<Total> = steps.clone().map(|step| totals[step as usize % RING]).collect();
+        let sound = totals.iter().take_while(|total| total.faults == 0).count();
+        if let Some(bad) = totals.get(sound) {
+            self.stop(training, (steps.start, before), &totals[..sound]);
+            return Err(fault(training, bad));
+        }
+        if let Some(watch) = watch {
+            watch.visited += totals.iter().map(|total| u64::from(total.visited)).sum::<u64>();
+        }
+        // Steps along rays that were halved since visit as many more samples.
+        let longer = f64::from(1_u32 << (training.state.halvings - before.halvings));
+        note_costs(&mut training.state, &totals, longer);
+        totals.iter().for_each(|total| add(&mut sum, total));
         Ok(sum)
+    }
+
+    /// Puts the training where it was before some steps, and behind those of them whose numbers were finite; the device has
+    /// taken none since.
+    fn stop(&self, training: &mut Training, (first, before): (u64, Before), sound: &[Total]) {
+        let state = &mut training.state;
+        state.steps = first + sound.len() as u64;
+        state.samples_per_ray = before.samples_per_ray;
+        state.late_samples_per_ray = before.late_samples_per_ray;
+        if !sound.is_empty() {
+            state.catch_up();
+            note_costs(state, sound, 1.0);
+        }
+        if state.halvings != before.halvings {
+            state.halvings = before.halvings;
+            training.march = training.sizes.steps(&training.config, before.halvings);
+            self.write_march(training);
+        }
     }
 
     /// Writes the number of rays to the uniforms of the walks.
@@ -301,7 +387,12 @@ impl Session for GpuSession {
         self.watched(training, most, None)
     }
 
+    fn settle(&mut self, training: &mut Training) -> Result<Step, FieldError> {
+        self.settled(training, None)
+    }
+
     fn upload(&mut self, training: &Training) -> Result<(), FieldError> {
+        self.pending = None;
         let (gpu, state) = (self.gpu.as_ref(), &training.state);
         self.held.weights.write(gpu, &self.held.grid, &state.weights);
         self.held.average.write(gpu, &self.held.grid, &state.average);
@@ -326,6 +417,7 @@ impl Session for GpuSession {
     }
 
     fn download(&self, state: &mut State) -> Result<(), FieldError> {
+        debug_assert!(self.pending.is_none(), "steps are settled first");
         let gpu = self.gpu.as_ref();
         self.held.weights.read(gpu, &self.held.grid, &mut state.weights)?;
         self.held.average.read(gpu, &self.held.grid, &mut state.average)?;
@@ -371,13 +463,25 @@ fn fault(training: &Training, total: &Total) -> FieldError {
     }
 }
 
-/// Adds what one step on the device did to the state and to the sum of the steps of a call.
-fn add(state: &mut State, sum: &mut Step, total: &Total) {
-    let (rays, samples) = (u64::from(total.rays), u64::from(total.kept));
-    state.learn_cost(rays.max(1), total.visited.into(), samples);
-    state.steps += 1;
-    sum.steps += 1;
-    sum.rays += rays;
-    sum.samples += samples;
-    sum.loss += f64::from(total.loss) / (3 * rays.max(1)) as f64;
+/// Adds what came of one step on the device.
+fn add(sum: &mut Step, total: &Total) {
+    let rays = u64::from(total.rays);
+    *sum = sum.and(Step {
+        steps: 1,
+        loss: f64::from(total.loss) / (3 * rays.max(1)) as f64,
+        rays,
+        samples: total.kept.into(),
+    });
+}
+
+/// Notes what the rays of some steps cost, whose samples are now so many times as many.
+fn note_costs(state: &mut State, totals: &[Total], longer: f64) {
+    let costs = totals.iter().map(|total| {
+        let rays = u64::from(total.rays).max(1);
+        longer * cost(rays, total.visited.into(), total.kept.into())
+    });
+    state.late_samples_per_ray = Some(costs.fold(state.samples_per_ray, with_cost));
+    if state.steps <= LATE_FROM {
+        state.catch_up();
+    }
 }

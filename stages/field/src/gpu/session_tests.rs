@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
-use super::testing::{advance, gpu, on_gpu, own_gpu, upload, worst};
+use super::session::LATE_FROM;
+use super::testing::{advance, gpu, on_gpu, own_gpu, settled, upload, worst};
 use super::{Cost, Filled, Gpu, TimedTraining};
 use crate::test_scene::{ball, psnr, small};
-use crate::{Config, Field, FieldError, Gain, Pace, Trainer};
+use crate::{Config, Field, FieldError, Gain, Pace, Step, Trainer};
 
 fn config() -> Config {
     Config {
@@ -22,7 +23,7 @@ fn a_first_step_on_both_devices_ends_at_the_same_weights() {
     };
     let mut there = on_gpu(&gpu, ball(4, 16), &[], (&config(), 7));
     let mut here = Trainer::new(ball(4, 16), &[], &config(), 7).unwrap();
-    let (on_gpu, on_cpu) = (there.advance(1).unwrap(), here.advance(1).unwrap());
+    let (on_gpu, on_cpu) = (settled(&mut there, 1).unwrap(), here.advance(1).unwrap());
     assert_eq!((on_gpu.steps, on_gpu.rays), (1, on_cpu.rays));
     // A sample may fall on the other side of a border of a cell, or of what still shows.
     assert!(on_gpu.samples.abs_diff(on_cpu.samples) <= 2 + on_cpu.samples / 1000);
@@ -251,6 +252,43 @@ fn a_training_on_a_gpu_goes_on_from_a_checkpoint_with_the_same_bytes() {
     assert_eq!(refused, Err(FieldError::OtherTraining { what: "device" }));
 }
 
+/// What came of steps is told one call late, so that the device need not wait: all of it, once, whoever asks in between.
+#[test]
+fn a_training_that_is_settled_after_every_call_learns_the_same_bytes_and_tells_as_much() {
+    let name = "a_training_that_is_settled_after_every_call_learns_the_same_bytes_and_tells_as_much";
+    let Some(gpu) = gpu(name) else {
+        return;
+    };
+    // So few steps a ray that they are halved every 128 steps, also once costs are late.
+    let config = Config {
+        near: Some(0.5),
+        far: Some(1.0),
+        cone: 0.25,
+        min_step: 0.5,
+        halvings: Some(3),
+        batch_samples: 512,
+        ..config()
+    };
+    let made = || on_gpu(&gpu, ball(4, 16), &[], (&config, 7));
+    let (mut late, mut settled_often) = (made(), made());
+    let mut told = [Step::default(); 2];
+    for end in (16..=400).step_by(16) {
+        told[0] = told[0].and(late.advance(16).unwrap());
+        told[1] = told[1].and(settled(&mut settled_often, 16).unwrap());
+        let awaited = if end > LATE_FROM { 16 } else { 0 };
+        assert_eq!([late.steps(), told[0].steps + awaited], [end; 2]);
+    }
+    told[0] = told[0].and(late.settle().unwrap());
+    assert_eq!(late.settle(), Ok(Step::default()));
+    let [late_told, often_told] = told;
+    let counts = |step: Step| [step.steps, step.rays, step.samples];
+    assert_eq!(counts(late_told), counts(often_told));
+    assert!((late_told.loss / often_told.loss - 1.0).abs() < 1e-12);
+    let state = &late.training.state;
+    assert_eq!(state.halvings, 3, "{} samples a ray", state.samples_per_ray);
+    assert!(late.save().unwrap() == settled_often.save().unwrap());
+}
+
 #[test]
 fn a_nan_stops_the_step_by_name_and_leaves_the_state_before_it() {
     let Some(gpu) = gpu("a_nan_stops_the_step_by_name_and_leaves_the_state_before_it") else {
@@ -268,7 +306,7 @@ fn a_nan_stops_the_step_by_name_and_leaves_the_state_before_it() {
         drop(tensors);
         trainer.training.state = broken;
         upload(&mut trainer);
-        let refused = trainer.advance(5).unwrap_err();
+        let refused = settled(&mut trainer, 5).unwrap_err();
         assert!(
             matches!(refused, FieldError::NotFinite { step: 20, .. }),
             "{tensor}: {refused}"
@@ -329,7 +367,7 @@ fn a_batch_follows_the_pace_of_a_device_and_what_was_learnt_stays() {
     assert_eq!(trainer.suit(&pace(0.1e6)), Ok(true));
     assert_eq!((trainer.steps(), trainer.batch_samples()), (16, 1 << 13));
     assert!(weights(&mut trainer) == before, "changed");
-    let step = trainer.advance(16).unwrap();
+    let step = settled(&mut trainer, 16).unwrap();
     assert!(step.samples > 16 << 12, "{step:?}");
     assert_eq!(trainer.suit(&pace(0.1e6)), Ok(false), "it is that batch");
 }

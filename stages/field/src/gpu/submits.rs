@@ -16,14 +16,19 @@ const UNEVEN: f64 = 2.0;
 pub struct Submits {
     /// Seconds, as last measured; none before the first.
     step_s: Option<f64>,
+    /// When the steps that were last measured were seen to be done: those behind them did not run before.
+    done: Option<Instant>,
 }
 
 impl Submits {
-    /// Notes that so many steps are done that were begun then.
-    pub fn took(&mut self, steps: u64, begun: Instant) {
+    /// Notes that so many steps are done that were submitted from then on.
+    pub fn took(&mut self, steps: u64, submitted: Instant) {
+        let now = Instant::now();
+        let begun = self.done.map_or(submitted, |done| done.max(submitted));
         if steps > 0 {
-            self.note(begun.elapsed().as_secs_f64() / steps as f64);
+            self.note((now - begun).as_secs_f64() / steps as f64);
         }
+        self.done = Some(now);
     }
 
     /// Notes what a step takes.
@@ -68,7 +73,10 @@ mod tests {
     use crate::training::Training;
 
     fn of(step_s: f64) -> Submits {
-        Submits { step_s: Some(step_s) }
+        Submits {
+            step_s: Some(step_s),
+            done: None,
+        }
     }
 
     /// Of 60 dispatches in 1 s ten submits of 6 take a tenth each, and up to twice that.
@@ -109,6 +117,7 @@ mod tests {
                 let most = 40 - training.state.steps;
                 session.advance(&mut training, most).unwrap();
             }
+            session.settle(&mut training).unwrap();
             session.download(&mut training.state).unwrap();
             training.state
         };

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::Gpu;
 use crate::rng::{Purpose, Rng};
 use crate::training::Training;
-use crate::{Config, Device, GpuError, Trainer, View};
+use crate::{Config, Device, FieldError, GpuError, Step, Trainer, View};
 
 /// Returns the adapter that tests run on: `MARF_TEST_GPU` (`gpu`, `gpu:NAME` or a part of its name), or llvmpipe; and whether
 /// it was asked for.
@@ -61,6 +61,12 @@ pub fn advance(trainer: &mut Trainer, to: u64) {
     while trainer.steps() < to {
         trainer.advance(to - trainer.steps()).unwrap();
     }
+}
+
+/// Takes at most so many steps and tells what came of them, and of those before.
+pub fn settled(trainer: &mut Trainer, most: u64) -> Result<Step, FieldError> {
+    let told = trainer.advance(most)?;
+    Ok(told.and(trainer.settle()?))
 }
 
 /// Copies the state that the trainer holds to the device.

@@ -131,12 +131,7 @@ impl TimedTraining {
     /// # Errors
     /// As [`crate::Trainer::advance`].
     pub fn advance(&mut self, steps: u64) -> Result<u64, FieldError> {
-        let (end, mut samples) = (self.training.state.steps + steps, 0);
-        while self.training.state.steps < end {
-            let most = end - self.training.state.steps;
-            samples += self.session.advance(&mut self.training, most)?.samples;
-        }
-        Ok(samples)
+        Ok(self.session.watch_steps(&mut self.training, steps, None)?.samples)
     }
 
     /// Halves the steps along rays so often, whatever is due, at most as often as the training ever does.
@@ -146,6 +141,7 @@ impl TimedTraining {
     pub fn halve(&mut self, halvings: u32) -> Result<(), FieldError> {
         let (training, session) = (&mut self.training, &mut self.session);
         session.download(&mut training.state)?;
+        training.state.catch_up();
         let halvings = halvings.min(training.sizes.halvings.value);
         let more = halvings as i32 - training.state.halvings as i32;
         training.state.samples_per_ray *= 2.0_f64.powi(more);
@@ -196,7 +192,7 @@ impl TimedTraining {
         session.download(&mut training.state)?;
         let before = rows_moved(training);
         let mut watch = Watch::default();
-        let sum = session.watch_steps(training, steps, &mut watch)?;
+        let sum = session.watch_steps(training, steps, Some(&mut watch))?;
         session.download(&mut training.state)?;
         let rows = rows_moved(training) - before;
         Ok(session.timed(training, &watch, sum, rows))
@@ -213,20 +209,20 @@ fn rows_moved(training: &Training) -> u64 {
 }
 
 impl GpuSession {
+    /// Takes `steps` steps and waits for them.
     fn watch_steps(
         &mut self,
         training: &mut Training,
         steps: u64,
-        watch: &mut Watch,
+        mut watch: Option<&mut Watch>,
     ) -> Result<Step, FieldError> {
-        let mut sum = self.watched(training, steps, Some(watch))?;
-        while sum.steps < steps {
-            let some = self.watched(training, steps - sum.steps, Some(watch))?;
-            sum.steps += some.steps;
-            sum.rays += some.rays;
-            sum.samples += some.samples;
+        let end = training.state.steps + steps;
+        let mut sum = Step::default();
+        while training.state.steps < end {
+            let most = end - training.state.steps;
+            sum = sum.and(self.watched(training, most, watch.as_deref_mut())?);
         }
-        Ok(sum)
+        Ok(sum.and(self.settled(training, watch)?))
     }
 
     fn timed(&self, training: &Training, watch: &Watch, sum: Step, rows: u64) -> Timed {

@@ -375,8 +375,10 @@ fn train_for(ctx: &Ctx<'_>, trainer: &mut Trainer, seconds: f64) -> Result<Pace,
         ctx.check()?;
         let step = trainer.advance(most).map_err(TrainError::from)?;
         (rays, samples, most) = (rays + step.rays, samples + step.samples, most.saturating_mul(2));
-        let elapsed_s = begun.elapsed().as_secs_f64();
-        if elapsed_s >= seconds {
+        if begun.elapsed().as_secs_f64() >= seconds {
+            let last = trainer.settle().map_err(TrainError::from)?;
+            (rays, samples) = (rays + last.rays, samples + last.samples);
+            let elapsed_s = begun.elapsed().as_secs_f64();
             let [steps, rays, samples] =
                 [trainer.steps() - before, rays, samples].map(|count| count as f64 / elapsed_s);
             return Ok(Pace { steps, rays, samples });

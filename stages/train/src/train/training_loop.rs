@@ -110,10 +110,14 @@ pub(crate) fn train_to(
         log.note_clock(ticking.as_ref(), trainer);
         match looked {
             Err(stopped) => {
+                log.settle(trainer)?;
                 save(ctx, run, &log, trainer)?;
                 return Err(stopped);
             }
-            Ok(has_target) if has_target || trainer.steps() >= until => return Ok(log),
+            Ok(has_target) if has_target || trainer.steps() >= until => {
+                log.settle(trainer)?;
+                return Ok(log);
+            }
             Ok(_) => {}
         }
         log.measured = trainer.steps();
@@ -126,13 +130,14 @@ pub(crate) fn train_to(
             ticking.plan(trainer);
         }
         if reported.is_none_or(|at| at.elapsed() >= REPORT_EVERY) {
-            let note = format!("{}{}", run.note, log.note(run, step.loss));
+            let note = format!("{}{}", run.note, log.note(run, &step));
             ctx.progress
                 .at(trainer.steps(), until.max(trainer.steps()), &note);
             reported = Some(Instant::now());
         }
         if saved_at.elapsed() >= SAVE_EVERY {
             log.note_clock(ticking.as_ref(), trainer);
+            log.settle(trainer)?;
             save(ctx, run, &log, trainer)?;
             saved_at = Instant::now();
         }
@@ -153,6 +158,7 @@ fn look(
     if taken.is_empty() || !(is_point || goal.is_some()) {
         return Ok(false);
     }
+    log.settle(trainer)?;
     let field = trainer.field().map_err(TrainError::from)?;
     let mut has_target = false;
     if let Some(goal) = goal {
@@ -201,6 +207,12 @@ impl TrainingLog {
         self.loss_steps += step.steps;
     }
 
+    /// Adds what the trainer has not told of, so that the log is of all steps taken.
+    fn settle(&mut self, trainer: &mut Trainer) -> Result<(), TrainError> {
+        self.add(&trainer.settle()?);
+        Ok(())
+    }
+
     /// Returns about how long the steps took that an unfinished run had taken, seconds: as long each as those since, which took `own_s`.
     /// 0 where none is its own.
     pub fn before_stop_s(&self, steps: u64, own_s: f64) -> f64 {
@@ -221,12 +233,17 @@ impl TrainingLog {
         (self.loss_sum, self.loss_steps) = (0.0, 0);
     }
 
-    fn note(&self, run: &Run<'_>, loss: f64) -> String {
+    fn note(&self, run: &Run<'_>, step: &marf_field::Step) -> String {
         let goal = run.goal.zip(self.watched.as_ref());
         let goal = goal.map_or_else(String::new, |(goal, watched)| watched.note(goal.psnr));
+        // What came of the first steps on a GPU is not known at once.
+        let loss = match step.steps {
+            0 => "first steps".to_owned(),
+            _ => format!("loss {:.4}", step.loss),
+        };
         match self.curve.0.last() {
-            Some(point) => format!("{goal}loss {loss:.4} psnr {:.1}", point.psnr),
-            None => format!("{goal}loss {loss:.4}"),
+            Some(point) => format!("{goal}{loss} psnr {:.1}", point.psnr),
+            None => format!("{goal}{loss}"),
         }
     }
 
@@ -271,7 +288,7 @@ fn begin(ctx: &Ctx<'_>, run: &Run<'_>, trainer: &mut Trainer) -> Result<Training
     }
 }
 
-/// Saves a checkpoint.
+/// Saves a checkpoint; the log is settled.
 pub(crate) fn save(
     ctx: &Ctx<'_>,
     run: &Run<'_>,
