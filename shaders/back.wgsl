@@ -4,7 +4,7 @@
 //           every column between the layers.
 // Twin      marf_field::cpu::net::Net::backward over both networks; slopes within 1e-5 of the largest. Sums over samples
 //           run tile by tile and group by group in the order of `sum`: no thread decides a rounding.
-// Threads   `groups` workgroups of 64, folded; workgroup g takes tiles g, g + groups, ... of 4 FOURS samples each.
+// Threads   `groups` workgroups of 64, folded; workgroup g takes tiles g, g + groups, ... of 4 FOURS samples each, ROUNDS at most.
 // Reads     features [inputs][capacity] and ray_of [capacity] of visited samples, origin [capacity], directions [rays] (w 0: no ray),
 //           weights, light row 0 of [3][capacity] of visited samples (slope in the raw density), d_logits [3][capacity],
 //           counts[COUNT_KEPT] samples in use
@@ -234,7 +234,7 @@ fn learn(own: u32, memory: u32, me: u32, is_first: bool) {
         let a = memory + (layer.w + row) * FOURS;
         let d = memory + (layer.w + layer.x + column) * FOURS;
         // Nobody reads more than three outputs of the last layer: the gradients of the others are 0.
-        let fours = select(FOURS, 0u, number + 1u == run.layers && column > 0u);
+        let fours = select(FOURS, 0u, number + 1u == LAYERS && column > 0u);
         learn_block(to, width, a, d, fours, is_first);
     }
 }
@@ -254,11 +254,29 @@ fn give(at: u32, eight: u32, in_use: u32, sums: Sums, from_number: u32) {
 
 // Rows 16 to 31 of the tile and of the colour network's input: harmonics of 4 samples.
 fn recall_harmonics(memory: u32, first: u32, in_use: u32, me: u32) {
-    let to = memory + run.shapes[run.density].w * FOURS;
+    let to = memory + run.shapes[DENSITY].w * FOURS;
     for (var four = me; four < FOURS; four += THREADS) {
         bring_harmonics(four, 4u * (first + four), in_use);
         for (var row = 16u; row < 32u; row++) { work[to + row * FOURS + four] = tile[row * FOURS + four]; }
     }
+}
+
+// Forward through a layer that is not the last.
+fn recall_layer(memory: u32, number: u32, first: u32, in_use: u32, me: u32) {
+    if number == DENSITY && run.directed == 1u {
+        recall_harmonics(memory, first, in_use, me);
+        workgroupBarrier();
+    }
+    let layer = run.shapes[number];
+    let is_busy = eight_of(me) < layer.y / 8u;
+    var sums: Sums;
+    if is_busy {
+        sums = ahead(layer, four_of(me), eight_of(me));
+        if number + 1u != DENSITY { sums = rectified(sums); }
+    }
+    workgroupBarrier();
+    if is_busy { put_and_keep(memory + run.shapes[number + 1u].w * FOURS, four_of(me), eight_of(me), sums); }
+    workgroupBarrier();
 }
 
 // Forward: the inputs of all layers, each kept.
@@ -270,27 +288,16 @@ fn recall(memory: u32, first: u32, in_use: u32, me: u32) {
         work[memory + at] = x;
     }
     workgroupBarrier();
-    for (var number = 0u; number + 1u < run.layers; number++) {
-        if number == run.density && run.directed == 1u {
-            recall_harmonics(memory, first, in_use, me);
-            workgroupBarrier();
-        }
-        let layer = run.shapes[number];
-        let is_busy = eight_of(me) < layer.y / 8u;
-        var sums: Sums;
-        if is_busy {
-            sums = ahead(layer, four_of(me), eight_of(me));
-            if number + 1u != run.density { sums = rectified(sums); }
-        }
-        workgroupBarrier();
-        if is_busy { put_and_keep(memory + run.shapes[number + 1u].w * FOURS, four_of(me), eight_of(me), sums); }
-        workgroupBarrier();
-    }
+    if LAYERS > 1u { recall_layer(memory, 0u, first, in_use, me); }
+    if LAYERS > 2u { recall_layer(memory, 1u, first, in_use, me); }
+    if LAYERS > 3u { recall_layer(memory, 2u, first, in_use, me); }
+    if LAYERS > 4u { recall_layer(memory, 3u, first, in_use, me); }
+    if LAYERS > 5u { recall_layer(memory, 4u, first, in_use, me); }
 }
 
 // Slopes in the first 8 outputs of the last layer, those of logits: rows 3 to 7 are 0. Nobody looks at the others.
 fn bring_slopes(memory: u32, first: u32, in_use: u32, me: u32) {
-    let layer = run.shapes[run.layers - 1u];
+    let layer = run.shapes[LAYERS - 1u];
     let to = memory + (layer.w + layer.x) * FOURS;
     for (var at = me; at < 8u * FOURS; at += THREADS) {
         let sample = first + at % FOURS;
@@ -318,13 +325,13 @@ fn retreat(memory: u32, number: u32, first: u32, in_use: u32, me: u32) {
     let four = four_of(me);
     let eight = eight_of(me);
     // The colour network sees directions, too, whose slopes nobody reads.
-    let wanted = select(layer.x, 16u, number == run.density);
+    let wanted = select(layer.x, 16u, number == DENSITY);
     let is_busy = eight < wanted / 8u;
     var sums: Sums;
     if is_busy {
         // Of the last layer three slopes are not 0.
-        sums = behind(layer, four, eight, select(layer.y / 4u, 1u, number + 1u == run.layers));
-        if number == run.density {
+        sums = behind(layer, four, eight, select(layer.y / 4u, 1u, number + 1u == LAYERS));
+        if number == DENSITY {
             // Compositing has its own say on the raw density, output 0 of the density network.
             if eight == 0u {
                 sums[0] += raw_slopes(first + four, in_use);
@@ -345,6 +352,23 @@ fn retreat(memory: u32, number: u32, first: u32, in_use: u32, me: u32) {
     workgroupBarrier();
 }
 
+// Forward and back with a tile, whose share is added to the gradient of all weights at `own`.
+fn learn_tile(own: u32, first: u32, in_use: u32, me: u32, is_first: bool) {
+    let memory = own + run.weights / 4u;
+    recall(memory, first, in_use, me);
+    bring_slopes(memory, first, in_use, me);
+    workgroupBarrier();
+    if LAYERS > 5u { retreat(memory, 5u, first, in_use, me); }
+    if LAYERS > 4u { retreat(memory, 4u, first, in_use, me); }
+    if LAYERS > 3u { retreat(memory, 3u, first, in_use, me); }
+    if LAYERS > 2u { retreat(memory, 2u, first, in_use, me); }
+    if LAYERS > 1u { retreat(memory, 1u, first, in_use, me); }
+    retreat(memory, 0u, first, in_use, me);
+    storageBarrier();
+    learn(own, memory, me, is_first);
+    storageBarrier();
+}
+
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -354,17 +378,13 @@ fn main(
     let number = group.x + group.y * groups.x;
     let in_use = min(counts[COUNT_KEPT], run.capacity);
     let own = number * (run.stride / 4u);
-    let memory = own + run.weights / 4u;
-    for (var first = number * FOURS; 4u * first < in_use && number < run.groups; first += run.groups * FOURS) {
-        recall(memory, first, in_use, me);
-        bring_slopes(memory, first, in_use, me);
-        workgroupBarrier();
-        for (var layer = run.layers; layer > 0u;) {
-            layer -= 1u;
-            retreat(memory, layer, first, in_use, me);
+    if number >= run.groups { return; }
+    // A loop only where there are tiles for it: see tile.wgsl.
+    if ROUNDS == 1u {
+        if 4u * number * FOURS < in_use { learn_tile(own, number * FOURS, in_use, me, true); }
+    } else {
+        for (var first = number * FOURS; 4u * first < in_use; first += run.groups * FOURS) {
+            learn_tile(own, first, in_use, me, first == number * FOURS);
         }
-        storageBarrier();
-        learn(own, memory, me, first == number * FOURS);
-        storageBarrier();
     }
 }

@@ -14,6 +14,28 @@
 @group(0) @binding(3) var<storage, read> weights: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> latent: array<vec4<f32>>;
 
+// Stores outputs 8 eight .. 8 eight + 8 of the last layer.
+fn keep(four: u32, eight: u32, s: Sums) {
+    let column = run.capacity / 4u;
+    let at = 8u * eight * column + four;
+    latent[at] = s[0];
+    latent[at + HALF] = s[8];
+    latent[at + column] = s[1];
+    latent[at + column + HALF] = s[9];
+    latent[at + 2u * column] = s[2];
+    latent[at + 2u * column + HALF] = s[10];
+    latent[at + 3u * column] = s[3];
+    latent[at + 3u * column + HALF] = s[11];
+    latent[at + 4u * column] = s[4];
+    latent[at + 4u * column + HALF] = s[12];
+    latent[at + 5u * column] = s[5];
+    latent[at + 5u * column + HALF] = s[13];
+    latent[at + 6u * column] = s[6];
+    latent[at + 6u * column + HALF] = s[14];
+    latent[at + 7u * column] = s[7];
+    latent[at + 7u * column + HALF] = s[15];
+}
+
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -27,8 +49,7 @@ fn main(
         tile[at] = features[at / FOURS * column + first + at % FOURS];
     }
     workgroupBarrier();
-    for (var layer = 0u; layer < run.density; layer++) { advance(run.shapes[layer], me, layer + 1u < run.density); }
-    for (var at = me; at < 16u * FOURS; at += THREADS) {
-        latent[at / FOURS * column + first + at % FOURS] = tile[at];
-    }
+    if DENSITY > 1u { advance(run.shapes[0], me, true); }
+    let eight = eight_of(me);
+    if eight < 2u { keep(first + four_of(me), eight, ahead(run.shapes[DENSITY - 1u], four_of(me), eight)); }
 }

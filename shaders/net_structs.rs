@@ -3,7 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 
 /// Layers that a field has at most: two of the density network, four of the colour network.
-pub const MOST_LAYERS: usize = 8;
+pub const MOST_LAYERS: usize = 6;
 
 /// All layers: the density network's, then the colour network's.
 #[repr(C)]
@@ -11,10 +11,6 @@ pub const MOST_LAYERS: usize = 8;
 pub struct NetsRun {
     /// Numbers a column of samples.
     pub capacity: u32,
-    /// Layers of the density network.
-    pub density: u32,
-    /// Layers of both.
-    pub layers: u32,
     /// Weights of both.
     pub weights: u32,
     /// 1 where the colour network sees the direction.
@@ -24,7 +20,7 @@ pub struct NetsRun {
     /// Workgroups among which the tiles are dealt out.
     pub groups: u32,
     /// Padding to 16 bytes.
-    pub pad: u32,
+    pub pad: [u32; 3],
     /// Of every layer: inputs, outputs, first weight, first row of its input in the workgroup's own memory.
     pub shapes: [[u32; 4]; MOST_LAYERS],
 }

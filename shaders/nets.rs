@@ -70,14 +70,27 @@ const SEEN: &str = include_str!("shared/seen.wgsl");
 /// Numbers of the tile of samples that a workgroup of the networks has in its memory: 16 KB, which core WebGPU grants.
 pub const TILE_NUMBERS: usize = 4096;
 
-/// Returns the head of kernels of networks: so many groups of 4 samples make a tile.
-pub fn tile_head(fours: usize) -> String {
-    format!("const FOURS: u32 = {fours}u;\n")
+/// Returns the head of kernels of networks: so many groups of 4 samples make a tile, and of so many layers, [`MOST_LAYERS`] at most,
+/// the first `density`, two at most, are those of the density network.
+pub fn tile_head(fours: usize, layers: usize, density: usize) -> String {
+    format!(
+        "const FOURS: u32 = {fours}u;\nconst LAYERS: u32 = {layers}u;\nconst DENSITY: u32 = {density}u;\n"
+    )
+}
+
+/// Returns what the head of `back` has beside: a workgroup takes so many tiles at most.
+pub fn rounds_head(rounds: usize) -> String {
+    format!("const ROUNDS: u32 = {rounds}u;\n")
 }
 
 const PLAIN: &[&str] = &[""];
 /// Heads of kernels of networks.
-const TILES: &[&str] = &["const FOURS: u32 = 16u; const RUNAWAY: u32 = 9u; const LOGIT_LIMIT: f32 = 1.0;"];
+const TILES: &[&str] = &[
+    "const FOURS: u32 = 16u; const LAYERS: u32 = 6u; const DENSITY: u32 = 2u; const ROUNDS: u32 = 2u; const RUNAWAY: u32 = 9u; \
+    const LOGIT_LIMIT: f32 = 1.0;",
+    "const FOURS: u32 = 32u; const LAYERS: u32 = 4u; const DENSITY: u32 = 2u; const ROUNDS: u32 = 1u; const RUNAWAY: u32 = 9u; \
+    const LOGIT_LIMIT: f32 = 1.0;",
+];
 const HEADS: &[&str] = &[
     "const RUNAWAY: u32 = 9u; const RAW_LIMIT: f32 = 1.0; const RAW_SHIFT: f32 = -1.0; \
     const LOGIT_LIMIT: f32 = 1.0; const OPAQUE: f32 = 0.1;",

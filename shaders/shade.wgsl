@@ -61,9 +61,11 @@ fn main(
     }
     if run.directed == 1u && me < FOURS { bring_harmonics(me, 4u * (first + me), in_use); }
     workgroupBarrier();
-    for (var layer = run.density; layer + 1u < run.layers; layer++) { advance(run.shapes[layer], me, true); }
+    if DENSITY + 1u < LAYERS { advance(run.shapes[DENSITY], me, true); }
+    if DENSITY + 2u < LAYERS { advance(run.shapes[DENSITY + 1u], me, true); }
+    if DENSITY + 3u < LAYERS { advance(run.shapes[DENSITY + 2u], me, true); }
     if me < HALF {
-        let logits = ahead(run.shapes[run.layers - 1u], me, 0u);
+        let logits = ahead(run.shapes[LAYERS - 1u], me, 0u);
         colour_four(first + me, in_use, logits, 0u);
         colour_four(first + me + HALF, in_use, logits, 8u);
     }

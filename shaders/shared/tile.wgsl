@@ -1,14 +1,12 @@
 // Layers of networks over a tile of samples that stays in workgroup memory; workgroups of THREADS.
-// Needs of the head: FOURS, groups of 4 samples of a tile. The kernel declares `run`, a NetsRun, and `weights`.
+// Needs of the head: FOURS, groups of 4 samples of a tile; LAYERS of both networks, at most 6, the first DENSITY of them, at most
+// 2, of the density network. The kernel declares `run`, a NetsRun, and `weights`. Layers are written out one by one: a loop
+// around a barrier keeps a software adapter's registers in memory, which takes three times as long.
 
 // All layers: the density network's, then the colour network's.
 struct NetsRun {
     // Numbers a column of samples.
     capacity: u32,
-    // Layers of the density network.
-    density: u32,
-    // Layers of both.
-    layers: u32,
     // Weights of both.
     weights: u32,
     // 1 where the colour network sees the direction.
@@ -18,9 +16,11 @@ struct NetsRun {
     // Workgroups among which the tiles are dealt out.
     groups: u32,
     pad0: u32,
+    pad1: u32,
+    pad2: u32,
     // Of every layer: inputs, outputs, first weight, first row of its input in the workgroup's own memory, behind which
     // the slopes of its outputs lie.
-    shapes: array<vec4<u32>, 8>,
+    shapes: array<vec4<u32>, 6>,
 }
 
 const THREADS: u32 = 64u;

@@ -116,7 +116,7 @@ impl Layers {
 
     /// Returns the head of the kernels.
     fn head(&self) -> String {
-        shaders::tile_head(self.tile() / 4) + &limits()
+        shaders::tile_head(self.tile() / 4, self.shapes.len(), self.density) + &limits()
     }
 
     fn run(&self, capacity: usize) -> NetsRun {
@@ -129,13 +129,11 @@ impl Layers {
         let seen = self.shapes.get(self.density).map_or(0, |[inputs, _]| *inputs);
         NetsRun {
             capacity: capacity as u32,
-            density: self.density as u32,
-            layers: self.shapes.len() as u32,
             weights: self.weights() as u32,
             directed: u32::from(seen > LATENT),
             stride: self.stride() as u32,
             groups: self.groups(capacity) as u32,
-            pad: 0,
+            pad: [0; 3],
             shapes,
         }
     }
@@ -299,7 +297,10 @@ impl Nets {
         ];
         let groups = fold(self.layers.groups(batch.capacity));
         // Compiled where it is bound: a device that only renders may lack the bindings.
-        let kernel = batch.gpu.kernel(&shaders::BACK, &self.layers.head())?;
+        let tiles = batch.capacity.div_ceil(self.layers.tile());
+        let rounds = tiles.div_ceil(self.layers.groups(batch.capacity));
+        let head = self.layers.head() + &shaders::rounds_head(rounds);
+        let kernel = batch.gpu.kernel(&shaders::BACK, &head)?;
         Ok(dispatch(batch.gpu, &kernel, &parts, groups))
     }
 
