@@ -9,7 +9,7 @@
 // Reads     rates, scales [L]: quantum, skip, first, entries; bias [4096] of 1 / (1 - beta^n); faults [FAULT_SLOTS]
 // Writes    weights, mean, square [entries] of Row, count [entries], gradient [entries] of Quanta to 0; from
 //           entry `base` on. Nothing where a fault is set or all quanta are 0; the gradient alone where the level
-//           is skipped. average [entries] of Row, each once, unless a fault is set or rates.keep is 1
+//           is skipped. `main` also average [entries] of Row, each once, unless a fault is set
 // Extremes  epsilon grows by a quantum: the least gradient there is moves a weight by half a rate at most. The
 //           count stays at 2^32 - 1; beyond the table of bias it is the last one. keep 0 takes the weights but for a rounding.
 struct Rates {
@@ -57,21 +57,35 @@ fn learn(level: LevelScale, at: u32) {
     weights[at] = weight - rates.rate * (first * correction.x) / root;
 }
 
+fn learn_rows(thread: u32, z: u32, lane: u32, follows: bool) {
+    if faulted() {
+        return;
+    }
+    let level = scales[part.level + z];
+    let first = (thread - lane) * ROWS + lane;
+    let end = min(first + 64u * ROWS, level.entries);
+    for (var row = first; row < end; row += 64u) {
+        let at = level.first - part.base + row;
+        learn(level, at);
+        if follows { average[at] += (1.0 - rates.keep) * (weights[at] - average[at]); }
+    }
+}
+
 @compute @workgroup_size(64)
 fn main(
     @builtin(global_invocation_id) id: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    if faulted() {
-        return;
-    }
-    let level = scales[part.level + id.z];
-    let first = (flat(id, groups) - lane) * ROWS + lane;
-    let end = min(first + 64u * ROWS, level.entries);
-    for (var row = first; row < end; row += 64u) {
-        let at = level.first - part.base + row;
-        learn(level, at);
-        if rates.keep < 1.0 { average[at] += (1.0 - rates.keep) * (weights[at] - average[at]); }
-    }
+    learn_rows(flat(id, groups), id.z, lane, true);
+}
+
+// Where the averages are not due.
+@compute @workgroup_size(64)
+fn stay(
+    @builtin(global_invocation_id) id: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+) {
+    learn_rows(flat(id, groups), id.z, lane, false);
 }

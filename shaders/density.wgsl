@@ -5,7 +5,7 @@
 //           bit where fma is fused, else within 1e-6 of the sum of the sizes of the terms.
 // Threads   one workgroup of 64 a tile of 4 FOURS samples, folded over x and y.
 // Reads     features [inputs][capacity], weights, counts[COUNT_VISITED] samples in use
-// Writes    latent [16][capacity] of tiles that hold samples, each element once
+// Writes    latent [16][capacity] of tiles that hold samples, each element once, of which run.latents rows: 8 or 16
 // Extremes  NaN passes through a ReLU. What lies beyond the samples in use is never mixed with others. No sample: nothing
 //           is written.
 @group(0) @binding(0) var<uniform> run: NetsRun;
@@ -51,5 +51,5 @@ fn main(
     workgroupBarrier();
     if DENSITY > 1u { advance(run.shapes[0], me, true); }
     let eight = eight_of(me);
-    if eight < 2u { keep(first + four_of(me), eight, ahead(run.shapes[DENSITY - 1u], four_of(me), eight)); }
+    if 8u * eight < run.latents { keep(first + four_of(me), eight, ahead(run.shapes[DENSITY - 1u], four_of(me), eight)); }
 }

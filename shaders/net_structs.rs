@@ -19,8 +19,10 @@ pub struct NetsRun {
     pub stride: u32,
     /// Workgroups among which the tiles are dealt out.
     pub groups: u32,
+    /// Outputs of the density network that somebody reads, a multiple of 8.
+    pub latents: u32,
     /// Padding to 16 bytes.
-    pub pad: [u32; 3],
+    pub pad: [u32; 2],
     /// Of every layer: inputs, outputs, first weight, first row of its input in the workgroup's own memory.
     pub shapes: [[u32; 4]; MOST_LAYERS],
 }

@@ -38,7 +38,6 @@ wgsl! {
     i32 => "i32",
     f32 => "f32",
     [u32; 2] => "vec2<u32>",
-    [u32; 3] => "vec3<u32>",
     [f32; 2] => "vec2<f32>",
     [f32; 3] => "vec3<f32>",
     [f32; 4] => "vec4<f32>",
@@ -84,7 +83,7 @@ macro_rules! layouts {
 /// Returns the layout of every struct that Rust writes or reads.
 fn rust_layouts() -> Vec<Layout> {
     layouts! {
-        NetsRun { capacity, weights, directed, stride, groups, pad, shapes }
+        NetsRun { capacity, weights, directed, stride, groups, latents, pad, shapes }
         SumRun { weights, stride, groups, samples, first, behind, pad }
         AdamNet { rows, last, behind, factor, decay, epsilon, beta1, beta2 }
         Pace { rate, total, keep, pad }

@@ -1,7 +1,7 @@
 // Spreads the gradients of the features of EACH samples, one after the other on a ray or nearly so, on the 8 entries around
 // each, in fixed point. What falls on one entry is added up first, in integers, which any order leaves the same; `add` is the
 // kernel's.
-// Needs of the head: Row, Quanta, FEATURES, MOST_QUANTA.
+// Needs of the head: Row, Quanta, Sizes, FEATURES, MOST_QUANTA.
 @group(0) @binding(0) var<uniform> part: GridPart;
 @group(0) @binding(1) var<storage, read> levels: array<GridLevel>;
 @group(0) @binding(2) var<storage, read> counts: array<u32>;
@@ -25,17 +25,11 @@ var<private> s7: Quanta;
 
 // Rounds to quanta. What is more than MOST_QUANTA, infinite or NaN becomes MOST_QUANTA and marks the level.
 fn rounded(value: Row, level: u32) -> Quanta {
-    var quanta = Quanta(0);
-    for (var f = 0u; f < FEATURES; f++) {
-        let bits = bitcast<u32>(value[f]);
-        if (bits & 0x7fffffffu) <= bitcast<u32>(f32(MOST_QUANTA)) {
-            quanta[f] = i32(round(value[f]));
-        } else {
-            quanta[f] = select(-MOST_QUANTA, MOST_QUANTA, bits < 0x80000000u);
-            atomicMax(&scales[level].clamped, 1u);
-        }
-    }
-    return quanta;
+    let bits = bitcast<Sizes>(value);
+    let fits = (bits & Sizes(0x7fffffffu)) <= Sizes(bitcast<u32>(f32(MOST_QUANTA)));
+    if !all(fits) { atomicMax(&scales[level].clamped, 1u); }
+    let most = select(Quanta(-MOST_QUANTA), Quanta(MOST_QUANTA), bits < Sizes(0x80000000u));
+    return select(most, Quanta(round(value)), fits);
 }
 
 fn give(level: GridLevel, corner: u32, sum: Quanta) {

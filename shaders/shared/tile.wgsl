@@ -1,7 +1,7 @@
 // Layers of networks over a tile of samples that stays in workgroup memory; workgroups of THREADS.
 // Needs of the head: FOURS, groups of 4 samples of a tile; LAYERS of both networks, at most 6, the first DENSITY of them, at most
 // 2, of the density network. The kernel declares `run`, a NetsRun, and `weights`. Layers are written out one by one: a loop
-// around a barrier keeps a software adapter's registers in memory, which takes three times as long.
+// around a barrier keeps the registers of a software adapter in memory, which takes up to 2.5 times as long.
 
 // All layers: the density network's, then the colour network's.
 struct NetsRun {
@@ -15,9 +15,10 @@ struct NetsRun {
     stride: u32,
     // Workgroups among which the tiles are dealt out.
     groups: u32,
+    // Outputs of the density network that somebody reads, a multiple of 8.
+    latents: u32,
     pad0: u32,
     pad1: u32,
-    pad2: u32,
     // Of every layer: inputs, outputs, first weight, first row of its input in the workgroup's own memory, behind which
     // the slopes of its outputs lie.
     shapes: array<vec4<u32>, 6>,

@@ -72,7 +72,9 @@ impl Trainer {
         self.same_training(&header)?;
         let samples_per_ray = samples_per_ray(&reader, &header.samples_per_ray)?;
         let late = header.late_samples_per_ray.as_deref();
-        let late = late.map(|late| self::samples_per_ray(&reader, late)).transpose()?;
+        let late = late
+            .map(|late| self::samples_per_ray(&reader, late))
+            .transpose()?;
         if header.halvings > header.sizes.halvings.value {
             return Err(reader.malformed(format!("steps halved {} times", header.halvings)));
         }

@@ -5,7 +5,7 @@ use marf_shaders::{Pace, Total, counts, found};
 use super::array::Array;
 use super::chain_tests::{CAPACITY, RAYS, SLOTS, visited};
 use super::light::{Aims, Colours, Columns, Light, RING, weights_of_losses};
-use super::nets::{BACKGROUND, Back, Layers, Nets, Seen};
+use super::nets::{BACKGROUND, Back, Layers, Nets, Rows, Seen};
 use super::record::{Recorder, Work};
 use super::rig::{Rig, blocks, columns};
 use super::weights::layers;
@@ -175,7 +175,7 @@ impl<'a> Device<'a> {
         let shown = gpu.zeros::<u32>("shown", 2 * SLOTS).unwrap();
         let columns = self.columns();
         let ends = [&self.features, &self.latent];
-        let density = self.nets.density(rig.batch(), &self.weights, ends);
+        let density = self.nets.density(rig.batch(), &self.weights, ends, Rows::All);
         let opacity = self
             .light
             .opacity(rig.batch(), counts::RAYS, columns, &before, &shown);

@@ -6,7 +6,7 @@ use super::Gpu;
 use super::array::Array;
 use super::light::{Colours, Columns, Light};
 use super::march::{MarchArrays, SampleArrays, Scan, WALKED};
-use super::nets::{Batch, Layers, Nets, Seen};
+use super::nets::{Batch, Layers, Nets, Rows, Seen};
 use super::picture::STATE;
 use super::rays::{Progress, RayArrays};
 use super::record::Work;
@@ -222,18 +222,22 @@ impl Forward {
         lanes: &Lanes,
     ) -> Result<Self, GpuError> {
         Ok(Self {
-            densities: densities(gpu, kernels, grid, weights, lanes)?,
+            densities: densities(gpu, kernels, grid, (weights, lanes), Rows::All)?,
             colours: colours(gpu, kernels, weights, lanes)?,
         })
     }
 }
 
-fn densities(
+/// Binds the passes from places of visited samples to the outputs of the density network.
+///
+/// # Errors
+/// Memory that was refused.
+pub fn densities(
     gpu: &Gpu,
     kernels: &Kernels,
     grid: &Grid,
-    weights: &DeviceWeights,
-    lanes: &Lanes,
+    (weights, lanes): (&DeviceWeights, &Lanes),
+    rows: Rows,
 ) -> Result<Work, GpuError> {
     let slots = Slots {
         capacity: lanes.capacity,
@@ -247,7 +251,9 @@ fn densities(
     };
     let encode = kernels.encode.bind(gpu, grid, slots, encoded)?;
     let ends = [&lanes.features, &lanes.latent];
-    let net = kernels.nets.density(lanes.batch(gpu), &weights.nets, ends)?;
+    let net = kernels
+        .nets
+        .density(lanes.batch(gpu), &weights.nets, ends, rows)?;
     Ok(encode.then(net))
 }
 

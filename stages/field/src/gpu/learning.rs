@@ -10,7 +10,7 @@ use super::forward::{Kernels as Shared, Lanes};
 use super::light::Aims;
 use super::nets::{Back, Rates as NetRates, Tensor};
 use super::record::{Recorder, Work};
-use super::tables::{AdamTable, Grid, Scales, Scatter, Scattered, Slots, Sums, Trained};
+use super::tables::{AdamTable, Averages, Grid, Scales, Scatter, Scattered, Slots, Sums, Trained};
 use super::weights::DeviceWeights;
 use crate::{Background, Config, Gain, GpuError};
 
@@ -47,7 +47,9 @@ pub struct Learning {
     /// The scales of the tables' gradients.
     pub scale: Work,
     /// All weights, and their averages.
-    pub learn: Work,
+    follow: Work,
+    /// All weights alone.
+    stay: Work,
 }
 
 /// Kernels and arrays that are bound together.
@@ -99,18 +101,22 @@ impl Learning {
             back: bindings.losses()?.then(bindings.nets()?).then(bindings.tables()?),
             exposing,
             scale: bindings.scales()?,
-            learn: bindings.moves()?,
+            follow: bindings.moves(Averages::Follow)?,
+            stay: bindings.moves(Averages::Stay)?,
         })
     }
 
     /// Records a step behind the colours.
-    pub fn record(&self, recorder: &mut Recorder<'_>) {
+    pub fn record(&self, recorder: &mut Recorder<'_>, averages: Averages) {
         self.back.record(recorder);
         if let Some(exposing) = &self.exposing {
             exposing.record_sums(recorder);
         }
         self.scale.record(recorder);
-        self.learn.record(recorder);
+        match averages {
+            Averages::Follow => self.follow.record(recorder),
+            Averages::Stay => self.stay.record(recorder),
+        }
         if let Some(exposing) = &self.exposing {
             exposing.record_learn(recorder);
         }
@@ -187,7 +193,7 @@ impl Bindings<'_> {
     }
 
     /// Returns the passes in which all weights take a step.
-    fn moves(self) -> Result<Work, GpuError> {
+    fn moves(self, averages: Averages) -> Result<Work, GpuError> {
         let (gpu, lanes, arrays) = (self.gpu, self.lanes, self.arrays);
         let batch = lanes.batch(gpu);
         let loss = arrays
@@ -209,7 +215,7 @@ impl Bindings<'_> {
             count: &arrays.tables.count,
             average: &self.average.tables,
         };
-        let tables = self.kernels.adam.bind(gpu, self.grid, trained)?;
+        let tables = self.kernels.adam.bind(gpu, self.grid, trained, averages)?;
         let rates = NetRates {
             pace: &arrays.pace,
             bias: &arrays.bias,

@@ -166,8 +166,10 @@ fn a_device_with_the_least_limits_trains_if_it_binds_eleven_buffers() {
     let mut most = on_gpu(&whole, ball(4, 16), &[], (&small(), 7));
     for trainer in [&mut least, &mut most] {
         advance(trainer, 8);
+        trainer.sync().unwrap();
     }
-    assert_eq!(least.steps(), most.steps());
+    // Nothing else of what a device has decides a bit.
+    assert!(least.training.state == most.training.state);
     let eight = own_gpu_within(name, &wgpu::Limits::default()).unwrap();
     let text = refused(eight, &small()).to_string();
     assert!(

@@ -16,7 +16,7 @@ use crate::{Background, GpuError};
 const MOST_SAMPLES: usize = 128;
 /// Workgroups among which the tiles of the way back are dealt out: two for each of the 132 cores of the largest cards. The
 /// same on every device, so that sums have one order.
-const GROUPS: usize = 264;
+pub(super) const GROUPS: usize = 264;
 /// Weights of a workgroup of the kernel `sum`, whose other axis is as many slices of the parts.
 const SUMMED: usize = 16;
 /// Numbers of the background on a device: a row more than channels, which stays 0.
@@ -133,7 +133,8 @@ impl Layers {
             directed: u32::from(seen > LATENT),
             stride: self.stride() as u32,
             groups: self.groups(capacity) as u32,
-            pad: [0; 3],
+            latents: LATENT as u32,
+            pad: [0; 2],
             shapes,
         }
     }
@@ -148,6 +149,15 @@ pub struct Seen<'a> {
     pub ray_of: &'a Array<u32>,
     /// `[rays]`: direction, and 1 where there is a ray.
     pub directions: &'a Array<[f32; 4]>,
+}
+
+/// Which outputs of the density network are asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rows {
+    /// All that the colour network reads.
+    All,
+    /// The raw density, row 0, and those that are computed with it.
+    Density,
 }
 
 /// What the way back reads and writes.
@@ -228,7 +238,7 @@ impl Nets {
         fold(batch.capacity.div_ceil(self.layers.tile()))
     }
 
-    /// Binds the density network over visited samples: features to f32 `[16][capacity]`.
+    /// Binds the density network over visited samples: features to f32 `[16][capacity]`, of which `rows` are written.
     ///
     /// # Errors
     /// The memory of a uniform.
@@ -237,8 +247,17 @@ impl Nets {
         batch: Batch<'_>,
         weights: &Array<f32>,
         [features, latent]: [&Array<f32>; 2],
+        rows: Rows,
     ) -> Result<Work, GpuError> {
-        let run = self.uniform(batch)?;
+        let latents = match rows {
+            Rows::All => LATENT,
+            Rows::Density => 8,
+        };
+        let run = NetsRun {
+            latents: latents as u32,
+            ..self.layers.run(batch.capacity)
+        };
+        let run = batch.gpu.uniform("networks", run)?;
         let parts = [
             (&run).into(),
             batch.counts.into(),

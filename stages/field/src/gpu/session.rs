@@ -8,17 +8,18 @@ use marf_shaders::{Pace, Step as StepUniform, Total, faults};
 
 use super::Gpu;
 use super::array::Reading;
-use super::forward::{Forward, Kernels as Shared, write_walks};
+use super::forward::{Forward, Kernels as Shared, densities, write_walks};
 use super::kernel::Bound;
 use super::learning::{Bindings, Kernels, Learning};
 use super::light::RING;
 use super::march::{March, Marching, step_table, whole_walk};
 use super::memory::Held;
+use super::nets::Rows;
 use super::occupancy::{self, Due, Probed, Update};
 use super::rays::{DrawRays, observed};
-use super::record::{Recorder, Timing};
+use super::record::{Recorder, Timing, Work};
 use super::submits::Submits;
-use super::tables::{Rise, rates};
+use super::tables::{Averages, Rise, rates};
 use crate::FieldError;
 use crate::GpuError;
 use crate::backend::{Session, Step};
@@ -42,6 +43,8 @@ pub struct GpuSession {
     marching: Marching,
     forward: Forward,
     learning: Learning,
+    /// From places in cells to their raw densities.
+    probed: Work,
     update: Update,
     pub(super) submits: Submits,
     /// The steps of the last call, whose outcome the host has not read.
@@ -104,6 +107,8 @@ impl GpuSession {
             config,
             step,
         })?;
+        let from = (weights, lanes);
+        let raw = densities(device, &shared, grid, from, Rows::Density)?;
         let probed = Probed {
             xyz: &lanes.visited.xyz,
             raw: &lanes.latent,
@@ -122,6 +127,7 @@ impl GpuSession {
             marching,
             forward,
             learning,
+            probed: raw,
             update,
             submits: Submits::default(),
             pending: None,
@@ -157,8 +163,10 @@ impl GpuSession {
         // All else that is written here is uploaded anew.
         self.write_step(training, training.state.steps, 0);
         self.begin(training, 0);
-        self.submits
-            .submit(&self.gpu, |recorder| self.record(recorder, 0));
+        for averages in [Averages::Follow, Averages::Stay] {
+            self.submits
+                .submit(&self.gpu, |recorder| self.record(recorder, 0, averages));
+        }
     }
 
     /// Takes steps up to the next update of the occupancy, and tells what came of those of the call before, whose costs
@@ -179,8 +187,12 @@ impl GpuSession {
         let submitted = Instant::now();
         for number in first..end {
             self.write_step(training, number, rays);
+            let averages = match training.kept_at(number) {
+                Some(_) => Averages::Follow,
+                None => Averages::Stay,
+            };
             let times = watch.as_deref_mut().map(|watch| &mut watch.steps);
-            self.submit(times, |recorder| self.record(recorder, rays))?;
+            self.submit(times, |recorder| self.record(recorder, rays, averages))?;
         }
         let totals = self.gpu.copy_back(&self.held.arrays.ring);
         let (halvings, samples_per_ray) = (training.state.halvings, training.state.samples_per_ray);
@@ -306,9 +318,9 @@ impl GpuSession {
     }
 
     /// Records a step.
-    pub(super) fn record(&self, recorder: &mut Recorder<'_>, rays: usize) {
+    pub(super) fn record(&self, recorder: &mut Recorder<'_>, rays: usize, averages: Averages) {
         self.forward(recorder, rays);
-        self.learning.record(recorder);
+        self.learning.record(recorder, averages);
     }
 
     fn forward(&self, recorder: &mut Recorder<'_>, rays: usize) {
@@ -341,7 +353,7 @@ impl GpuSession {
             );
             self.submit(times.as_deref_mut(), |recorder| {
                 self.update.probe(recorder, pass);
-                self.forward.densities.record(recorder);
+                self.probed.record(recorder);
                 self.update.found(recorder);
             })?;
         }

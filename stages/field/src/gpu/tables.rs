@@ -10,7 +10,7 @@ mod grid;
 mod scales;
 mod scatter;
 
-pub use adam::{AdamTable, Trained, rates};
+pub use adam::{AdamTable, Averages, Trained, rates};
 pub use encode::{Encode, Encoded};
 pub use grid::{Grid, ROWS, Slots};
 pub use scales::{Rise, Scales, rescaling, start_scales};

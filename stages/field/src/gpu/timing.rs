@@ -8,6 +8,7 @@ use super::Gpu;
 use super::cost::{Cost, Filled, Slots, apart, costs};
 use super::record::Work;
 use super::session::{GpuSession, Watch};
+use super::tables::Averages;
 use crate::backend::{Session, Step};
 #[cfg(test)]
 use crate::state::State;
@@ -160,7 +161,7 @@ impl TimedTraining {
             rays: session.held.lanes.rays.slots,
         };
         costs(
-            &Work::recorded(|recorder| session.record(recorder, 1)),
+            &Work::recorded(|recorder| session.record(recorder, 1, Averages::Follow)),
             slots,
             filled,
         )

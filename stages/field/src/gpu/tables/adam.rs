@@ -26,7 +26,19 @@ pub fn rates(rate: f32, epsilon: f32, decay: f32, keep: f32) -> Rates {
 }
 
 /// One step of Adam over all tables, and their running average: twin of `cpu::adam::Adam` and `learn::blend`.
-pub struct AdamTable(Kernel);
+pub struct AdamTable {
+    follow: Kernel,
+    stay: Kernel,
+}
+
+/// What running averages do in a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Averages {
+    /// They follow the weights.
+    Follow,
+    /// They are not looked at.
+    Stay,
+}
 
 /// Arrays of [`AdamTable`].
 #[derive(Clone, Copy)]
@@ -60,14 +72,27 @@ impl AdamTable {
     /// A driver that does not compile it.
     pub fn new(gpu: &Gpu, features: usize, sums: Sums) -> Result<Self, GpuError> {
         let head = row_head(features as u32) + &sums.head(features) + &rows_head(ROWS);
-        gpu.kernel(&ADAM_TABLE, &head).map(Self)
+        Ok(Self {
+            follow: gpu.kernel(&ADAM_TABLE, &head)?,
+            stay: gpu.entry(&ADAM_TABLE, &head, "stay")?,
+        })
     }
 
     /// Binds it.
     ///
     /// # Errors
     /// Memory that was refused.
-    pub fn bind(&self, gpu: &Gpu, grid: &Grid, arrays: Trained) -> Result<Work, GpuError> {
+    pub fn bind(
+        &self,
+        gpu: &Gpu,
+        grid: &Grid,
+        arrays: Trained,
+        averages: Averages,
+    ) -> Result<Work, GpuError> {
+        let kernel = match averages {
+            Averages::Follow => &self.follow,
+            Averages::Stay => &self.stay,
+        };
         let bound = |levels: &_| {
             vec![
                 Part::from(arrays.rates),
@@ -82,7 +107,7 @@ impl AdamTable {
                 grid.bound(arrays.average, grid.features, levels),
             ]
         };
-        grid.bind(gpu, &self.0, Slots::NONE, bound, threads)
+        grid.bind(gpu, kernel, Slots::NONE, bound, threads)
     }
 }
 
@@ -138,6 +163,7 @@ mod tests {
         faults: Array<u32>,
         scales: Array<LevelScale>,
         work: Work,
+        staying: Work,
     }
 
     /// Counts of rows before the first step: none, more than the table of corrections, the greatest.
@@ -161,6 +187,7 @@ mod tests {
             faults: gpu.zeros("faults", 8).unwrap(),
             scales: gpu.filled("scales", &start_scales(grid)).unwrap(),
             work: Work::default(),
+            staying: Work::default(),
         };
         let arrays = Trained {
             rates: &device.rates,
@@ -175,7 +202,9 @@ mod tests {
             average: &device.average,
         };
         let kernel = AdamTable::new(gpu, grid.features(), sums).unwrap();
-        device.work = kernel.bind(gpu, grid, arrays).unwrap();
+        let bind = |averages| kernel.bind(gpu, grid, arrays, averages).unwrap();
+        let works = [Averages::Follow, Averages::Stay].map(bind);
+        [device.work, device.staying] = works;
         device
     }
 
@@ -328,7 +357,8 @@ mod tests {
             let mut scales = start_scales(&grid);
             scales[1].skip = 1;
             gpu.write(&device.scales, 0, &scales);
-            gpu.submit(|recorder| device.work.record(recorder));
+            let work = if keep < 1.0 { &device.work } else { &device.staying };
+            gpu.submit(|recorder| work.record(recorder));
             let moved = gpu.read(&device.tables).unwrap();
             assert_eq!(moved == values, fault == 1);
             let mut expected = start.clone();

@@ -57,7 +57,7 @@ fn chained(features: usize, sums: Sums) {
     let followed = follow.bind(&gpu, &grid, &gradient, (&scales, &rescaling), &faults);
     let work = work.then(followed.unwrap());
     let adam = AdamTable::new(&gpu, features, sums).unwrap();
-    let work = work.then(adam.bind(&gpu, &grid, trained).unwrap());
+    let work = work.then(adam.bind(&gpu, &grid, trained, Averages::Stay).unwrap());
     for _ in 0..STEPS {
         gpu.submit(|recorder| work.record(recorder));
     }
