@@ -157,8 +157,12 @@ fn trained(store: &Store, args: &SurfaceArgs) -> Result<(String, RunRecord), Cli
         return Ok((args.node.clone(), run_with(store, args.run, &args.node)?));
     };
     let (node, runs) = made_by(store, file, args.run)?;
+    // A run that has retrained it tells more than one that reused it.
     let has = |run: &RunRecord| runs.contains(&run.number);
-    let run = run_where(store, args.run, has, |run| without(run, &node))?;
+    let retrained = |run: &RunRecord| has(run) && bootstraps_of(run, &node).any(|node| node.state.is_good());
+    let missing = |run: &RunRecord| without(run, &node);
+    let run = run_where(store, args.run, retrained, missing)
+        .or_else(|_| run_where(store, args.run, has, missing))?;
     Ok((node, run))
 }
 
